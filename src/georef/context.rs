@@ -11,7 +11,7 @@ use super::transform::Installation;
 use crate::scan_line::{Emission, Frame, InputInfo};
 use crate::stage::{Result, StageError};
 use wavex_geodesy::frames::Vector;
-use wavex_geodesy::time_axis::{Alignment, Clock, Misaligned, Times};
+use wavex_geodesy::time_axis::{Alignment, Clock, Misaligned, TimeSpan};
 use wavex_geodesy::trajectory::{Pose, Poses, Trajectory};
 
 /// Georeferencing context of a run.
@@ -179,7 +179,7 @@ impl Geometry {
                 "use a recording with GPS times, or remove `trajectory` from `[job.geometry]`",
             ));
         };
-        let recording = Times { clock, first_s, last_s: first_s };
+        let recording = TimeSpan { clock, first_s, last_s: first_s };
         let found = Alignment::between(recording, track.times).map_err(|error| failed(&error))?;
         let _ = self.alignment.set(found);
         Ok(())
@@ -206,7 +206,7 @@ impl Geometry {
             return StageError::failed("there is no trajectory", "set `trajectory` in `[job.geometry]`");
         };
         let [first_s, last_s] = shots_s;
-        let (recording, trajectory) = (Times { first_s, last_s, ..*recording }, *trajectory);
+        let (recording, trajectory) = (TimeSpan { first_s, last_s, ..*recording }, *trajectory);
         failed(&Misaligned::NoOverlap { recording, trajectory })
     }
 
@@ -215,7 +215,7 @@ impl Geometry {
         let Some(Alignment { recording, trajectory, .. }) = self.alignment.get() else {
             return String::new();
         };
-        let missing = Times { first_s, last_s, ..*recording };
+        let missing = TimeSpan { first_s, last_s, ..*recording };
         format!(
             "{n} shots are rejected, because the trajectory has no pose for them: they last from {missing}, the trajectory from {trajectory}"
         )

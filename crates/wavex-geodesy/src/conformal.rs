@@ -10,28 +10,31 @@ use super::frames::Vector;
 ///
 /// Projections need these and not the angles themselves.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Normal {
+pub struct EllipsoidNormal {
     /// Sine and cosine of the geodetic latitude; the cosine is not negative.
     pub latitude: [f64; 2],
     /// Sine and cosine of the longitude.
     pub longitude: [f64; 2],
 }
 
-impl Normal {
+impl EllipsoidNormal {
     /// Normal at a latitude and longitude, rad.
-    pub fn new(latitude_rad: f64, longitude_rad: f64) -> Normal {
-        Normal { latitude: libm::sincos(latitude_rad).into(), longitude: libm::sincos(longitude_rad).into() }
+    pub fn new(latitude_rad: f64, longitude_rad: f64) -> EllipsoidNormal {
+        EllipsoidNormal {
+            latitude: libm::sincos(latitude_rad).into(),
+            longitude: libm::sincos(longitude_rad).into(),
+        }
     }
 
     /// Normal through an earth-centred position, m, and its height, m.
     ///
     /// Valid for heights from -1000 km to 10 000 km. On the axis the longitude is 0.
-    pub fn through(ellipsoid: Ellipsoid, ecef_m: Vector) -> (Normal, f64) {
-        let ([normal], [height_m]) = Normal::through_each(ellipsoid, &[ecef_m]);
+    pub fn through(ellipsoid: Ellipsoid, ecef_m: Vector) -> (EllipsoidNormal, f64) {
+        let ([normal], [height_m]) = EllipsoidNormal::through_each(ellipsoid, &[ecef_m]);
         (normal, height_m)
     }
 
-    /// [`Normal::through`] for several positions: bit-identical and faster, as each step handles
+    /// [`EllipsoidNormal::through`] for several positions: bit-identical and faster, as each step handles
     /// all positions.
     ///
     /// Bowring 1976, as in [`Ellipsoid::geodetic_of`], with tangents instead of angles; after three
@@ -39,7 +42,7 @@ impl Normal {
     pub fn through_each<const N: usize>(
         ellipsoid: Ellipsoid,
         ecef_m: &[Vector; N],
-    ) -> ([Normal; N], [f64; N]) {
+    ) -> ([EllipsoidNormal; N], [f64; N]) {
         let (a, f, e2) = (ellipsoid.semi_major_m, ellipsoid.flattening, ellipsoid.eccentricity_squared());
         let (b, second_e2) = (a * (1.0 - f), e2 / (1.0 - e2));
         let [x, y, z]: [[f64; N]; 3] = std::array::from_fn(|axis| std::array::from_fn(|i| ecef_m[i][axis]));
@@ -65,7 +68,7 @@ impl Normal {
             latitude.set(i, [sine, cosine]);
             height_m[i] = from_axis[i] * cosine + z[i] * sine - a * (1.0 - e2 * sine * sine).sqrt();
         }
-        let normal = |i| Normal { latitude: latitude.get(i), longitude: longitude.get(i) };
+        let normal = |i| EllipsoidNormal { latitude: latitude.get(i), longitude: longitude.get(i) };
         (std::array::from_fn(normal), height_m)
     }
 
@@ -87,9 +90,9 @@ impl Normal {
     }
 }
 
-impl From<Geodetic> for Normal {
-    fn from(place: Geodetic) -> Normal {
-        Normal::new(place.latitude_rad, place.longitude_rad)
+impl From<Geodetic> for EllipsoidNormal {
+    fn from(place: Geodetic) -> EllipsoidNormal {
+        EllipsoidNormal::new(place.latitude_rad, place.longitude_rad)
     }
 }
 
@@ -169,8 +172,8 @@ mod tests {
     #[test]
     fn the_axis_has_its_normals() {
         for z in [6_356_752.314_245_179f64, -6_356_752.314_245_179] {
-            let (normal, height_m) = Normal::through(WGS84, [0.0, 0.0, z + 100.0 * z.signum()]);
-            assert_eq!(normal, Normal { latitude: [z.signum(), 0.0], longitude: [0.0, 1.0] });
+            let (normal, height_m) = EllipsoidNormal::through(WGS84, [0.0, 0.0, z + 100.0 * z.signum()]);
+            assert_eq!(normal, EllipsoidNormal { latitude: [z.signum(), 0.0], longitude: [0.0, 1.0] });
             assert!((height_m - 100.0).abs() < 2e-9);
         }
     }
@@ -181,7 +184,7 @@ mod tests {
             latitude_rad in -1.57..1.57, longitude_rad in -3.1..3.1, height_m in -1e6..1e7,
         ) {
             let place = Geodetic { latitude_rad, longitude_rad, height_m };
-            let (normal, found_m) = Normal::through(WGS84, WGS84.ecef_of(place));
+            let (normal, found_m) = EllipsoidNormal::through(WGS84, WGS84.ecef_of(place));
             let (latitude, longitude) = normal.angles_rad();
             prop_assert!((latitude - latitude_rad).abs() < 1e-15, "{}", latitude - latitude_rad);
             prop_assert!((longitude - longitude_rad).abs() * latitude_rad.cos() < 1e-15);

@@ -20,11 +20,11 @@ mod wkt;
 
 use std::sync::Arc;
 
-use super::conformal::Normal;
+use super::conformal::EllipsoidNormal;
 use super::ellipsoid::{Ellipsoid, Geodetic};
 use super::frames::Vector;
 use super::geoid::Geoid;
-use definition::{Definition, Method};
+use definition::{Definition, ProjectionMethod};
 pub use error::CrsError;
 pub use geotiff::{GeoKeys, geotiff_keys_of_wkt};
 pub use named::{Named, utm_zone_at, wkt_of_epsg};
@@ -148,7 +148,7 @@ impl Crs {
         if self.is_ecef() {
             return Ok(ecef_m.map(|place| place.map(|metres| metres / self.unit.metres)));
         }
-        let (normals, heights_m) = Normal::through_each(self.definition.ellipsoid, ecef_m);
+        let (normals, heights_m) = EllipsoidNormal::through_each(self.definition.ellipsoid, ecef_m);
         self.of_normals(&normals, &heights_m)
     }
 
@@ -160,7 +160,7 @@ impl Crs {
         if self.is_ecef() {
             return self.from_ecef(self.definition.ellipsoid.ecef_of(place));
         }
-        let [coordinates] = self.of_normals(&[Normal::from(place)], &[place.height_m])?;
+        let [coordinates] = self.of_normals(&[EllipsoidNormal::from(place)], &[place.height_m])?;
         Ok(coordinates)
     }
 
@@ -210,7 +210,7 @@ impl Crs {
 
     fn of_normals<const N: usize>(
         &self,
-        normals: &[Normal; N],
+        normals: &[EllipsoidNormal; N],
         heights_m: &[f64; N],
     ) -> Result<[Vector; N], CrsError> {
         let on_map = self.projection.project_each(normals, heights_m);
@@ -222,7 +222,12 @@ impl Crs {
     }
 
     /// Coordinates from a position and its projection.
-    fn of_point(&self, on_map: Option<[f64; 2]>, normal: &Normal, height_m: f64) -> Result<Vector, CrsError> {
+    fn of_point(
+        &self,
+        on_map: Option<[f64; 2]>,
+        normal: &EllipsoidNormal,
+        height_m: f64,
+    ) -> Result<Vector, CrsError> {
         let undulation_m = match &self.geoid {
             None => 0.0,
             Some(geoid) => {
@@ -297,7 +302,7 @@ fn by_proj(_: &Named, refused: CrsError) -> Result<Definition, CrsError> {
 /// coordinates have no heights.
 fn check_heights(definition: &Definition, geoid: Option<&Geoid>) -> Result<(), CrsError> {
     match (geoid, definition.vertical_name()) {
-        (Some(geoid), _) if definition.method == Method::Ecef => Err(CrsError::Unsupported {
+        (Some(geoid), _) if definition.method == ProjectionMethod::Ecef => Err(CrsError::Unsupported {
             name: definition.name.clone(),
             problem: format!(
                 "earth-centred coordinates have no height to which the geoid {} could apply",

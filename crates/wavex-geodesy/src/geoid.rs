@@ -4,12 +4,12 @@
 #[derive(Clone, Debug, PartialEq)]
 pub struct Geoid {
     name: String,
-    grid: Grid,
+    grid: GeoidGrid,
 }
 
 /// Layout and values of a grid.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Grid {
+pub struct GeoidGrid {
     /// Latitude of the southernmost row, degrees.
     pub south_deg: f64,
     /// Longitude of the westernmost column, degrees east of Greenwich, modulo 360.
@@ -52,7 +52,7 @@ impl Geoid {
     ///
     /// A grid is invalid with fewer than two rows or columns, steps that are not positive, or
     /// another number of heights.
-    pub fn new(name: &str, grid: Grid) -> Option<Geoid> {
+    pub fn new(name: &str, grid: GeoidGrid) -> Option<Geoid> {
         let steps = [grid.latitude_step_deg, grid.longitude_step_deg];
         let sound = steps.iter().all(|step| step.is_finite() && *step > 0.0)
             && grid.south_deg.is_finite()
@@ -69,7 +69,7 @@ impl Geoid {
     }
 
     /// The grid.
-    pub fn grid(&self) -> &Grid {
+    pub fn grid(&self) -> &GeoidGrid {
         &self.grid
     }
 
@@ -165,9 +165,9 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn grid(south_deg: f64, west_deg: f64, step_deg: f64, rows: usize, columns: usize) -> Grid {
+    fn grid(south_deg: f64, west_deg: f64, step_deg: f64, rows: usize, columns: usize) -> GeoidGrid {
         let heights_m = (0..rows * columns).map(|place| place as f32).collect();
-        Grid {
+        GeoidGrid {
             south_deg,
             west_deg,
             latitude_step_deg: step_deg,
@@ -178,7 +178,7 @@ mod tests {
         }
     }
 
-    fn geoid(grid: Grid) -> Geoid {
+    fn geoid(grid: GeoidGrid) -> Geoid {
         Geoid::new("g", grid).unwrap()
     }
 
@@ -248,12 +248,12 @@ mod tests {
     fn what_is_no_grid_is_no_geoid() {
         let whole = grid(40.0, 10.0, 0.5, 3, 3);
         for damage in [
-            |grid: &mut Grid| grid.rows = 1,
-            |grid: &mut Grid| grid.columns = 4,
-            |grid: &mut Grid| grid.latitude_step_deg = 0.0,
-            |grid: &mut Grid| grid.longitude_step_deg = f64::NAN,
-            |grid: &mut Grid| grid.south_deg = f64::INFINITY,
-            |grid: &mut Grid| grid.rows = usize::MAX,
+            |grid: &mut GeoidGrid| grid.rows = 1,
+            |grid: &mut GeoidGrid| grid.columns = 4,
+            |grid: &mut GeoidGrid| grid.latitude_step_deg = 0.0,
+            |grid: &mut GeoidGrid| grid.longitude_step_deg = f64::NAN,
+            |grid: &mut GeoidGrid| grid.south_deg = f64::INFINITY,
+            |grid: &mut GeoidGrid| grid.rows = usize::MAX,
         ] {
             let mut damaged = whole.clone();
             damage(&mut damaged);

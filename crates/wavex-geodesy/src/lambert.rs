@@ -5,7 +5,7 @@
 //! Only `+ - * /`, square roots and the crate `libm` are used, so results are bit-identical on
 //! every machine.
 
-use super::conformal::{Normal, conformal_tangent, geographic_tangent};
+use super::conformal::{EllipsoidNormal, conformal_tangent, geographic_tangent};
 use super::ellipsoid::Ellipsoid;
 
 /// Lambert conformal conic projection of an ellipsoid.
@@ -28,9 +28,9 @@ pub struct LambertConformal {
     origin_m: f64,
 }
 
-/// Parameters of a Lambert conformal conic projection (EPSG methods 9801 and 9802).
+/// LambertParameters of a Lambert conformal conic projection (EPSG methods 9801 and 9802).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Parameters {
+pub struct LambertParameters {
     /// Standard parallels, rad, along which the scale is constant; equal for one parallel.
     pub standard_parallels_rad: [f64; 2],
     /// Latitude of the false northing, rad.
@@ -50,7 +50,7 @@ impl LambertConformal {
     ///
     /// These are standard parallels at the same distance on both sides of the equator, or at a
     /// pole.
-    pub fn new(ellipsoid: Ellipsoid, parameters: Parameters) -> Option<LambertConformal> {
+    pub fn new(ellipsoid: Ellipsoid, parameters: LambertParameters) -> Option<LambertConformal> {
         let e2 = ellipsoid.eccentricity_squared();
         let eccentricity = e2.sqrt();
         let [first_rad, second_rad] = parameters.standard_parallels_rad;
@@ -90,11 +90,11 @@ impl LambertConformal {
 
     /// Easting and northing, m, of a latitude and longitude, rad.
     pub fn project(&self, latitude_rad: f64, longitude_rad: f64) -> (f64, f64) {
-        self.project_normal(&Normal::new(latitude_rad, longitude_rad))
+        self.project_normal(&EllipsoidNormal::new(latitude_rad, longitude_rad))
     }
 
     /// Easting and northing, m, of a position; not finite at the pole on the open side of the cone.
-    pub fn project_normal(&self, normal: &Normal) -> (f64, f64) {
+    pub fn project_normal(&self, normal: &EllipsoidNormal) -> (f64, f64) {
         let radius_m = self.radius_m(normal.tangent());
         let [sine, cosine] = normal.longitude_from(self.central_meridian);
         let (sine, cosine) = libm::sincos(self.cone * libm::atan2(sine, cosine));
@@ -139,7 +139,7 @@ mod tests {
         scale: f64,
         false_m: [f64; 2],
     ) -> LambertConformal {
-        let parameters = Parameters {
+        let parameters = LambertParameters {
             standard_parallels_rad: parallels.map(f64::to_radians),
             latitude_of_origin_rad: origin.to_radians(),
             central_meridian_rad: meridian.to_radians(),
@@ -188,7 +188,7 @@ mod tests {
     #[test]
     fn parallels_without_a_cone_make_no_projection() {
         for parallels in [[30.0, -30.0], [0.0, 0.0], [90.0, 40.0], [f64::NAN, 3.0], [100.0, 3.0]] {
-            let parameters = Parameters {
+            let parameters = LambertParameters {
                 standard_parallels_rad: parallels.map(f64::to_radians),
                 latitude_of_origin_rad: 0.0,
                 central_meridian_rad: 0.0,

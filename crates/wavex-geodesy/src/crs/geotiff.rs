@@ -2,9 +2,9 @@
 //!
 //! GeoTIFF 1.0, sections 2.4 and 6.
 
-use super::definition::{Definition, GEODETIC, Method};
+use super::definition::{Definition, GEODETIC, ProjectionMethod};
 use super::describe::{lambert_parameters, transverse_mercator_parameters, vertical_epsg};
-use super::wkt::Node;
+use super::wkt::WktNode;
 use super::{Crs, Unit};
 use crate::ellipsoid::WGS84;
 
@@ -48,7 +48,7 @@ pub(super) fn keys(crs: &Crs) -> Option<GeoKeys> {
 pub fn geotiff_keys_of_wkt(text: &str) -> Option<GeoKeys> {
     let definition = Definition::of_wkt(text).ok()?;
     let height_unit = definition.vertical_unit().unwrap_or_else(|| definition.unit.clone());
-    let vertical = definition.vertical.as_ref().and_then(Node::epsg);
+    let vertical = definition.vertical.as_ref().and_then(WktNode::epsg);
     of_parts(&definition, &definition.unit, &height_unit, vertical)
 }
 
@@ -62,8 +62,8 @@ fn of_parts(
     let own_unit = unit.is_as_long_as(&definition.unit);
     let code = definition.epsg.filter(|_| own_unit).and_then(|code| u16::try_from(code).ok());
     let model = match definition.method {
-        Method::Geodetic => 2,
-        Method::Ecef => 3,
+        ProjectionMethod::Geodetic => 2,
+        ProjectionMethod::Ecef => 3,
         _ => 1,
     };
     keys.short(MODEL_TYPE, model);
@@ -114,8 +114,8 @@ fn projection(keys: &mut Keys, definition: &Definition, unit: &Unit) -> Option<(
     // Method codes: 1 transverse Mercator, 8 Lambert with two parallels, 9 with one (section
     // 6.3.3.3).
     let (method, parameters) = match &definition.method {
-        Method::TransverseMercator(p) => (1, transverse_mercator_parameters(p, &in_unit).to_vec()),
-        Method::Lambert(p) => match lambert_parameters(p, &in_unit)? {
+        ProjectionMethod::TransverseMercator(p) => (1, transverse_mercator_parameters(p, &in_unit).to_vec()),
+        ProjectionMethod::Lambert(p) => match lambert_parameters(p, &in_unit)? {
             ("Lambert_Conformal_Conic_2SP", parameters) => (8, parameters),
             (_, parameters) => (9, parameters),
         },

@@ -1,6 +1,6 @@
 //! Units of length.
 
-use super::wkt::Node;
+use super::wkt::WktNode;
 
 /// Unit of length of coordinates.
 #[derive(Clone, Debug, PartialEq)]
@@ -62,8 +62,8 @@ impl Unit {
     }
 
     /// The unit as WKT 1.
-    pub fn wkt(&self) -> Node {
-        Node::named("UNIT", &self.name).number(self.metres).authority(self.epsg.map(u32::from))
+    pub fn wkt(&self) -> WktNode {
+        WktNode::named("UNIT", &self.name).number(self.metres).authority(self.epsg.map(u32::from))
     }
 
     fn known((name, metres, epsg): (&str, f64, u16)) -> Unit {

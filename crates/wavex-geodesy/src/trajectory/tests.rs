@@ -267,7 +267,7 @@ fn records_that_are_no_trajectory_are_refused() {
         assert_eq!(problem(change), (record, message.to_owned()));
     }
     assert_eq!(
-        Problem::TooMany { count: 5_000_000_000 }.to_string(),
+        TrajectoryError::TooMany { count: 5_000_000_000 }.to_string(),
         "5000000000 records: at most 4294967295 are supported"
     );
 }
@@ -282,7 +282,7 @@ fn accuracies_that_are_none_are_refused() {
     assert_eq!(problem.to_string(), "record 2: its standard deviation of the heading is -1");
     samples[1] = samples[0];
     let problem = trajectory.with_accuracies(samples).unwrap_err();
-    assert_eq!(problem, Problem::Duplicate { record: 1, time_s: 0.0, more: 0 });
+    assert_eq!(problem, TrajectoryError::Duplicate { record: 1, time_s: 0.0, more: 0 });
 }
 
 /// In any order of times, at records, in gaps that are not interpolated, and outside the span.
