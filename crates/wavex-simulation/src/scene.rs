@@ -141,18 +141,25 @@ impl Scene {
     pub fn hits(&self, beam: &Beam, hits: &mut Vec<Hit>) {
         hits.clear();
         match &self.land {
-            Land::Strips(strips) => strips.hits(beam, self.reference_range_m, hits),
-            Land::Country(country) => country.hits(beam, self.reference_range_m, hits),
+            Land::Strips(strips) => {
+                strips.trace(&mut self.pulse(beam, beam.range_to(GROUND_HEIGHT_M), hits));
+            }
+            Land::Country(country) => {
+                country.trace(&mut self.pulse(beam, country.range_to_ground(beam), hits));
+            }
         }
         hits.sort_by(|a, b| a.range_m.total_cmp(&b.range_m));
+    }
+
+    fn pulse<'a>(&self, beam: &'a Beam, ground_m: f64, hits: &'a mut Vec<Hit>) -> TracedPulse<'a> {
+        TracedPulse { beam, ground_m, reference_range_m: self.reference_range_m, left: 1.0, hits }
     }
 }
 
 impl Strips {
-    fn hits(&self, beam: &Beam, reference_range_m: f64, hits: &mut Vec<Hit>) {
-        let mut left = 1.0;
-        let ground_m = beam.range_to(GROUND_HEIGHT_M);
-        let [x, ..] = beam.at(ground_m);
+    fn trace(&self, pulse: &mut TracedPulse) {
+        let beam = pulse.beam;
+        let [x, ..] = beam.at(pulse.ground_m);
         if let Some((area, canopy)) = self.canopy.as_ref().filter(|(area, canopy)| {
             // Most beams miss the wood over the whole distance below its top.
             let [x_high, ..] = beam.at(beam.range_to(GROUND_HEIGHT_M + canopy.height_m()));
@@ -160,13 +167,13 @@ impl Strips {
         }) {
             let level = |_, _| GROUND_HEIGHT_M;
             let is_wood = |x, y| area.depth_m(x, y) >= 0.0;
-            left = canopy.hits(beam, left, reference_range_m, GROUND_HEIGHT_M, level, is_wood, hits);
+            canopy.trace(pulse, GROUND_HEIGHT_M, level, is_wood);
         }
         if let Some(building) = &self.building {
-            left = building.hits(beam, ground_m, left, reference_range_m, hits);
+            building.trace(pulse);
         }
-        if left >= LEAST_SHARE {
-            hits.push(self.ground.hit(beam, ground_m, beam.cosine(), left, reference_range_m));
+        if pulse.left >= LEAST_SHARE {
+            pulse.reflect(&self.ground, pulse.ground_m, beam.cosine(), pulse.left);
         }
     }
 }
@@ -174,6 +181,25 @@ impl Strips {
 /// Material of the ground.
 fn ground(seed: u64) -> Surface {
     Surface { class: Class::Ground, reflectance: 1.0, roughness_m: 0.02, texture: Texture::new(seed, 1, 6.0) }
+}
+
+/// A pulse on its way down.
+struct TracedPulse<'a> {
+    beam: &'a Beam,
+    /// Range to the ground, m.
+    ground_m: f64,
+    /// Range at which level ground returns energy 1, m.
+    reference_range_m: f64,
+    /// Fraction that is not yet reflected.
+    left: f64,
+    hits: &'a mut Vec<Hit>,
+}
+
+impl TracedPulse<'_> {
+    /// Adds the echo of the fraction `share` that reaches a surface: see [`Surface::hit`].
+    fn reflect(&mut self, surface: &Surface, range_m: f64, cosine: f64, share: f64) {
+        self.hits.push(surface.hit(self.beam, range_m, cosine, share, self.reference_range_m));
+    }
 }
 
 impl Surface {

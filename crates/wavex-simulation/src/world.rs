@@ -20,7 +20,7 @@ use wavex_geodesy::ellipsoid::WGS84;
 use wavex_geodesy::frames::{
     Attitude, LocalFrame, Rotation, ecef_from_ned, inverse, rotate, rotation_of_angles, then,
 };
-use wavex_geodesy::transverse_mercator::{Parameters, TransverseMercator};
+use wavex_geodesy::transverse_mercator::{TransverseMercator, TransverseMercatorParameters};
 
 /// Initial position of the aircraft, m: easting and northing in UTM zone 33 north.
 ///
@@ -54,7 +54,7 @@ pub struct World {
 
 /// Position and attitude in a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose {
+pub struct GeodeticPose {
     /// Centre of the body.
     pub place: Geodetic,
     /// Attitude of the body relative to the local horizon.
@@ -66,7 +66,7 @@ pub struct Pose {
 impl World {
     /// A scene whose track has this heading, rad, clockwise from north.
     pub fn new(heading_rad: f64) -> World {
-        let map = TransverseMercator::new(WGS84, Parameters::utm(33, true));
+        let map = TransverseMercator::new(WGS84, TransverseMercatorParameters::utm(33, true));
         let (latitude_rad, longitude_rad) = map.unproject(START_M[0], START_M[1]);
         World::with(map, [longitude_rad, latitude_rad], heading_rad)
     }
@@ -75,7 +75,7 @@ impl World {
     pub fn starting_at(start_rad: [f64; 2], heading_rad: f64) -> World {
         let [longitude_rad, latitude_rad] = start_rad;
         let zone = (longitude_rad.to_degrees() / 6.0).floor() + 31.0;
-        let parameters = Parameters::utm(zone.clamp(1.0, 60.0) as u8, latitude_rad >= 0.0);
+        let parameters = TransverseMercatorParameters::utm(zone.clamp(1.0, 60.0) as u8, latitude_rad >= 0.0);
         World::with(TransverseMercator::new(WGS84, parameters), start_rad, heading_rad)
     }
 
@@ -116,14 +116,14 @@ impl World {
     }
 
     /// Position and attitude of a platform on the earth.
-    pub fn pose(&self, platform: &Platform, since_start_s: f64) -> Pose {
+    pub fn pose(&self, platform: &Platform, since_start_s: f64) -> GeodeticPose {
         let place = self.geodetic_of(platform.position_m(since_start_s));
         let ecef_from_ned_here = ecef_from_ned(place.latitude_rad, place.longitude_rad);
         let here_from_start = then(&self.ecef_from_start(), &inverse(&ecef_from_ned_here));
         let start_from_track = rotation_of_angles([0.0, 0.0, self.heading_rad]);
         let here_from_track = then(&start_from_track, &here_from_start);
         let track_from_body = platform.attitude(since_start_s).ned_from_body();
-        Pose {
+        GeodeticPose {
             place,
             attitude: Attitude::of(&then(&track_from_body, &here_from_track)),
             velocity_mps: rotate(&here_from_track, platform.velocity_mps(since_start_s)),
