@@ -10,8 +10,6 @@
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BeamLength {
     model: Option<Line>,
-    rms_m_per_ns: f64,
-    rounding_m_per_ns: f64,
 }
 
 /// Squared length as a linear function of the squared vertical cosine.
@@ -50,7 +48,7 @@ impl BeamLength {
         let fitted = fit(&sound, projected);
         let rms_m_per_ns = fitted.map_or(f64::INFINITY, |line| line.rms_m_per_ns(&sound));
         let explained = enough && rms_m_per_ns <= TOLERANCE * rounding_m_per_ns;
-        BeamLength { model: fitted.filter(|_| explained), rms_m_per_ns, rounding_m_per_ns }
+        BeamLength { model: fitted.filter(|_| explained) }
     }
 
     /// Length per nanosecond of a beam, m: from the model if there is one, else its own.
@@ -66,11 +64,6 @@ impl BeamLength {
     /// a model.
     pub fn vertical(&self) -> Option<f64> {
         self.model.map(|line| line.square(1.0).sqrt())
-    }
-
-    /// Residual of the model and expected rounding error, m per ns.
-    pub fn residual_and_rounding(&self) -> (f64, f64) {
-        (self.rms_m_per_ns, self.rounding_m_per_ns)
     }
 }
 

@@ -10,7 +10,7 @@ use super::frames::Vector;
 ///
 /// Projections need these and not the angles themselves.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EllipsoidNormal {
+pub(crate) struct EllipsoidNormal {
     /// Sine and cosine of the geodetic latitude; the cosine is not negative.
     pub latitude: [f64; 2],
     /// Sine and cosine of the longitude.
@@ -19,27 +19,21 @@ pub struct EllipsoidNormal {
 
 impl EllipsoidNormal {
     /// Normal at a latitude and longitude, rad.
-    pub fn new(latitude_rad: f64, longitude_rad: f64) -> EllipsoidNormal {
+    pub(crate) fn new(latitude_rad: f64, longitude_rad: f64) -> EllipsoidNormal {
         EllipsoidNormal {
             latitude: libm::sincos(latitude_rad).into(),
             longitude: libm::sincos(longitude_rad).into(),
         }
     }
 
-    /// Normal through an earth-centred position, m, and its height, m.
+    /// Normals through earth-centred positions, m, and their heights, m.
     ///
-    /// Valid for heights from -1000 km to 10 000 km. On the axis the longitude is 0.
-    pub fn through(ellipsoid: Ellipsoid, ecef_m: Vector) -> (EllipsoidNormal, f64) {
-        let ([normal], [height_m]) = EllipsoidNormal::through_each(ellipsoid, &[ecef_m]);
-        (normal, height_m)
-    }
-
-    /// [`EllipsoidNormal::through`] for several positions: bit-identical and faster, as each step handles
-    /// all positions.
+    /// Valid for heights from -1000 km to 10 000 km. On the axis the longitude is 0. Each step
+    /// handles all positions, which is faster.
     ///
     /// Bowring 1976, as in [`Ellipsoid::geodetic_of`], with tangents instead of angles; after three
     /// steps the result is exact to double precision.
-    pub fn through_each<const N: usize>(
+    pub(crate) fn through<const N: usize>(
         ellipsoid: Ellipsoid,
         ecef_m: &[Vector; N],
     ) -> ([EllipsoidNormal; N], [f64; N]) {
@@ -73,18 +67,18 @@ impl EllipsoidNormal {
     }
 
     /// Tangent of the latitude; large but finite at the poles.
-    pub fn tangent(&self) -> f64 {
+    pub(crate) fn tangent(&self) -> f64 {
         let [sine, cosine] = self.latitude;
         sine / cosine.max(1e-20)
     }
 
     /// Latitude and longitude, rad; the longitude from -π to π.
-    pub fn angles_rad(&self) -> (f64, f64) {
+    pub(crate) fn angles_rad(&self) -> (f64, f64) {
         (libm::atan2(self.latitude[0], self.latitude[1]), libm::atan2(self.longitude[0], self.longitude[1]))
     }
 
     /// Sine and cosine of the longitude relative to a meridian, given likewise.
-    pub fn longitude_from(&self, [sine_0, cosine_0]: [f64; 2]) -> [f64; 2] {
+    pub(crate) fn longitude_from(&self, [sine_0, cosine_0]: [f64; 2]) -> [f64; 2] {
         let [sine, cosine] = self.longitude;
         [sine * cosine_0 - cosine * sine_0, cosine * cosine_0 + sine * sine_0]
     }
@@ -130,13 +124,13 @@ fn unit(sine: f64, cosine: f64) -> [f64; 2] {
 ///
 /// `eccentricity` is the first eccentricity of the ellipsoid (Karney 2011, J. Geod. 85:475,
 /// equations 7 to 9).
-pub fn conformal_tangent(eccentricity: f64, tangent: f64) -> f64 {
+pub(crate) fn conformal_tangent(eccentricity: f64, tangent: f64) -> f64 {
     let [conformal] = conformal_tangents(eccentricity, &[tangent]);
     conformal
 }
 
 /// [`conformal_tangent`] for several latitudes.
-pub fn conformal_tangents<const N: usize>(eccentricity: f64, tangents: &[f64; N]) -> [f64; N] {
+pub(crate) fn conformal_tangents<const N: usize>(eccentricity: f64, tangents: &[f64; N]) -> [f64; N] {
     let secants = tangents.map(|tangent| (1.0 + tangent * tangent).sqrt());
     let mut sigmas: [f64; N] = std::array::from_fn(|i| eccentricity * tangents[i] / secants[i]);
     for sigma in &mut sigmas {
@@ -148,7 +142,7 @@ pub fn conformal_tangents<const N: usize>(eccentricity: f64, tangents: &[f64; N]
 
 /// Inverse of [`conformal_tangent`] by Newton's method; converges in three steps (Karney 2011,
 /// equations 19 to 21).
-pub fn geographic_tangent(eccentricity: f64, conformal: f64) -> f64 {
+pub(crate) fn geographic_tangent(eccentricity: f64, conformal: f64) -> f64 {
     let e2 = eccentricity * eccentricity;
     let mut tangent = conformal / (1.0 - e2);
     for _ in 0..5 {
@@ -172,7 +166,8 @@ mod tests {
     #[test]
     fn the_axis_has_its_normals() {
         for z in [6_356_752.314_245_179f64, -6_356_752.314_245_179] {
-            let (normal, height_m) = EllipsoidNormal::through(WGS84, [0.0, 0.0, z + 100.0 * z.signum()]);
+            let place_m = [0.0, 0.0, z + 100.0 * z.signum()];
+            let ([normal], [height_m]) = EllipsoidNormal::through(WGS84, &[place_m]);
             assert_eq!(normal, EllipsoidNormal { latitude: [z.signum(), 0.0], longitude: [0.0, 1.0] });
             assert!((height_m - 100.0).abs() < 2e-9);
         }
@@ -184,7 +179,7 @@ mod tests {
             latitude_rad in -1.57..1.57, longitude_rad in -3.1..3.1, height_m in -1e6..1e7,
         ) {
             let place = Geodetic { latitude_rad, longitude_rad, height_m };
-            let (normal, found_m) = EllipsoidNormal::through(WGS84, WGS84.ecef_of(place));
+            let ([normal], [found_m]) = EllipsoidNormal::through(WGS84, &[WGS84.ecef_of(place)]);
             let (latitude, longitude) = normal.angles_rad();
             prop_assert!((latitude - latitude_rad).abs() < 1e-15, "{}", latitude - latitude_rad);
             prop_assert!((longitude - longitude_rad).abs() * latitude_rad.cos() < 1e-15);

@@ -27,7 +27,8 @@ use super::geoid::Geoid;
 use definition::{Definition, ProjectionMethod};
 pub use error::CrsError;
 pub use geotiff::{GeoKeys, geotiff_keys_of_wkt};
-pub use named::{Named, utm_zone_at, wkt_of_epsg};
+use named::utm_zone_at;
+pub use named::{Named, wkt_of_epsg};
 use projection::Projection;
 pub use unit::Unit;
 
@@ -148,7 +149,7 @@ impl Crs {
         if self.is_ecef() {
             return Ok(ecef_m.map(|place| place.map(|metres| metres / self.unit.metres)));
         }
-        let (normals, heights_m) = EllipsoidNormal::through_each(self.definition.ellipsoid, ecef_m);
+        let (normals, heights_m) = EllipsoidNormal::through(self.definition.ellipsoid, ecef_m);
         self.of_normals(&normals, &heights_m)
     }
 

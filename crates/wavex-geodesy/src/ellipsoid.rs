@@ -18,7 +18,8 @@ pub const WGS84: Ellipsoid = Ellipsoid { semi_major_m: 6_378_137.0, flattening: 
 /// Geodetic Reference System 1980 (Moritz 2000, J. Geod. 74:128).
 ///
 /// The ellipsoid of ETRS89 and NAD 83.
-pub const GRS80: Ellipsoid = Ellipsoid { semi_major_m: 6_378_137.0, flattening: 1.0 / 298.257_222_101 };
+pub(crate) const GRS80: Ellipsoid =
+    Ellipsoid { semi_major_m: 6_378_137.0, flattening: 1.0 / 298.257_222_101 };
 
 /// Geodetic coordinates of a position.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,7 +34,7 @@ pub struct Geodetic {
 
 impl Ellipsoid {
     /// Square of the first eccentricity.
-    pub fn eccentricity_squared(&self) -> f64 {
+    pub(crate) fn eccentricity_squared(&self) -> f64 {
         self.flattening * (2.0 - self.flattening)
     }
 

@@ -70,7 +70,7 @@ pub fn ecef_from_ned(latitude_rad: f64, longitude_rad: f64) -> Rotation {
 }
 
 /// Rotation from east, north, up at a position to the earth-centred frame.
-pub fn ecef_from_enu(latitude_rad: f64, longitude_rad: f64) -> Rotation {
+pub(crate) fn ecef_from_enu(latitude_rad: f64, longitude_rad: f64) -> Rotation {
     ecef_from_ned(latitude_rad, longitude_rad).map(|[north, east, down]| [east, north, -down])
 }
 

@@ -10,7 +10,7 @@ use super::ellipsoid::Ellipsoid;
 
 /// Lambert conformal conic projection of an ellipsoid.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LambertConformal {
+pub(crate) struct LambertConformal {
     central_meridian_rad: f64,
     /// Sine and cosine of the central meridian.
     central_meridian: [f64; 2],
@@ -30,7 +30,7 @@ pub struct LambertConformal {
 
 /// LambertParameters of a Lambert conformal conic projection (EPSG methods 9801 and 9802).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LambertParameters {
+pub(crate) struct LambertParameters {
     /// Standard parallels, rad, along which the scale is constant; equal for one parallel.
     pub standard_parallels_rad: [f64; 2],
     /// Latitude of the false northing, rad.
@@ -50,7 +50,7 @@ impl LambertConformal {
     ///
     /// These are standard parallels at the same distance on both sides of the equator, or at a
     /// pole.
-    pub fn new(ellipsoid: Ellipsoid, parameters: LambertParameters) -> Option<LambertConformal> {
+    pub(crate) fn new(ellipsoid: Ellipsoid, parameters: LambertParameters) -> Option<LambertConformal> {
         let e2 = ellipsoid.eccentricity_squared();
         let eccentricity = e2.sqrt();
         let [first_rad, second_rad] = parameters.standard_parallels_rad;
@@ -88,13 +88,8 @@ impl LambertConformal {
         projection.origin_m.is_finite().then_some(projection)
     }
 
-    /// Easting and northing, m, of a latitude and longitude, rad.
-    pub fn project(&self, latitude_rad: f64, longitude_rad: f64) -> (f64, f64) {
-        self.project_normal(&EllipsoidNormal::new(latitude_rad, longitude_rad))
-    }
-
     /// Easting and northing, m, of a position; not finite at the pole on the open side of the cone.
-    pub fn project_normal(&self, normal: &EllipsoidNormal) -> (f64, f64) {
+    pub(crate) fn project_normal(&self, normal: &EllipsoidNormal) -> (f64, f64) {
         let radius_m = self.radius_m(normal.tangent());
         let [sine, cosine] = normal.longitude_from(self.central_meridian);
         let (sine, cosine) = libm::sincos(self.cone * libm::atan2(sine, cosine));
@@ -103,7 +98,7 @@ impl LambertConformal {
 
     /// Latitude and longitude, rad, of easting and northing, m; the longitude is continuous from
     /// the central meridian.
-    pub fn unproject(&self, easting_m: f64, northing_m: f64) -> (f64, f64) {
+    pub(crate) fn unproject(&self, easting_m: f64, northing_m: f64) -> (f64, f64) {
         let east = easting_m - self.false_easting_m;
         let south = self.origin_m - (northing_m - self.false_northing_m);
         let sign = self.cone.signum();
@@ -177,7 +172,8 @@ mod tests {
             (one_parallel(), 49.1, 7.9, 994_612.521_485_960_3, 2_569_280.644_402_324),
         ];
         for (map, latitude, longitude, easting, northing) in cases {
-            let (x, y) = map.project(f64::to_radians(latitude), f64::to_radians(longitude));
+            let (x, y) = map
+                .project_normal(&EllipsoidNormal::new(f64::to_radians(latitude), f64::to_radians(longitude)));
             assert!(
                 (x - easting).abs() < 1e-8 && (y - northing).abs() < 1e-8,
                 "{x} {y}: {easting} {northing}"
@@ -205,7 +201,7 @@ mod tests {
         fn places_come_back(latitude in 0.1..1.4f64, longitude in -1.0..1.0f64) {
             for (map, sign) in [(france(), 1.0f64), (australia(), -1.0), (one_parallel(), 1.0)] {
                 let longitude = map.central_meridian_rad + longitude;
-                let (x, y) = map.project(sign * latitude, longitude);
+                let (x, y) = map.project_normal(&EllipsoidNormal::new(sign * latitude, longitude));
                 let (back, along) = map.unproject(x, y);
                 prop_assert!((back - sign * latitude).abs() * 6.4e6 < 1e-8, "{} m", (back - sign * latitude) * 6.4e6);
                 prop_assert!((along - longitude).abs() * 6.4e6 < 1e-8, "{} m", (along - longitude) * 6.4e6);

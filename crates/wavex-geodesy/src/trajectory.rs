@@ -8,7 +8,7 @@
 //! are bit-identical on every machine: only `+ - * /`, square roots and the crate `libm` are used.
 //!
 //! A step of over twice the median is a [`Gap`]. Short gaps are interpolated, up to
-//! [`LONGEST_BRIDGED_S`] or five median steps, whichever is longer. Inside longer gaps, and outside
+//! 0.2 s or five median steps, whichever is longer. Inside longer gaps, and outside
 //! the records, there is no pose.
 
 use core::ops::Range;
@@ -32,7 +32,7 @@ mod time_index;
 /// The error of the cubic across a gap `T`, for a sway of amplitude `A` and angular frequency `w`,
 /// is up to `A (w T)^4 / 384`. For 3 degrees at 0.5 Hz this is 0.0012 degrees at 0.2 s, or 3 cm at
 /// 1500 m, and sixteen times as much for twice the gap.
-pub const LONGEST_BRIDGED_S: f64 = 0.2;
+const LONGEST_BRIDGED_S: f64 = 0.2;
 /// Gaps of up to this many median steps are also interpolated; a trajectory of 1 Hz has no shorter
 /// ones.
 const LONGEST_BRIDGED_STEPS: f64 = 5.0;

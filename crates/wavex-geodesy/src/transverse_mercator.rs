@@ -80,7 +80,7 @@ impl TransverseMercator {
     /// Whether coordinates are in the valid area of the series.
     ///
     /// That is within 4000 km of the central meridian, and not far beyond the poles.
-    pub fn reaches(&self, easting_m: f64, northing_m: f64) -> bool {
+    pub(crate) fn reaches(&self, easting_m: f64, northing_m: f64) -> bool {
         let from_equator_m = northing_m - self.false_northing_m + self.origin_m;
         (easting_m - self.false_easting_m).abs() < 4e6 && from_equator_m.abs() < 1.2e7
     }
@@ -91,7 +91,7 @@ impl TransverseMercator {
     }
 
     /// Easting and northing, m, of a position.
-    pub fn project_normal(&self, normal: &EllipsoidNormal) -> (f64, f64) {
+    pub(crate) fn project_normal(&self, normal: &EllipsoidNormal) -> (f64, f64) {
         let [coordinates] = self.project_each(&[*normal]);
         coordinates
     }
@@ -100,7 +100,7 @@ impl TransverseMercator {
     ///
     /// Each step handles all positions. The harmonics need only the sines of the angles xi and eta,
     /// which are known before the angles.
-    pub fn project_each<const N: usize>(&self, normals: &[EllipsoidNormal; N]) -> [(f64, f64); N] {
+    pub(crate) fn project_each<const N: usize>(&self, normals: &[EllipsoidNormal; N]) -> [(f64, f64); N] {
         let conformal =
             conformal_tangents(self.eccentricity, &normals.each_ref().map(EllipsoidNormal::tangent));
         let (mut cosines, mut across) = ([0.0; N], [0.0; N]);

@@ -6,7 +6,7 @@
 //! with the linear amplitude `a`.
 
 /// Linear amplitude of 0 dB, DN.
-pub const ZERO_DB_DN: f64 = 7.0;
+const ZERO_DB_DN: f64 = 7.0;
 
 /// Upper limit of the linear range of the measured sensitive receiver, DN above the background.
 const LINEAR_TO_DN: f64 = 66.0;

@@ -13,6 +13,8 @@
 //! between platforms in the last bit. All other operations (`+ - * /`, square root, rounding) are
 //! defined bit by bit by IEEE 754.
 
+#![warn(unreachable_pub)]
+
 pub mod detector;
 pub mod mta_scenes;
 pub mod noise;

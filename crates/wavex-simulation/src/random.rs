@@ -37,7 +37,7 @@ impl Random {
     }
 
     /// Stream of a key.
-    pub fn from_key(key: u64) -> Random {
+    pub(crate) fn from_key(key: u64) -> Random {
         Random(Xoshiro256PlusPlus::seed_from_u64(key))
     }
 

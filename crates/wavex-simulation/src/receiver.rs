@@ -5,7 +5,7 @@ use super::pulse::{PulseShape, PulseTable, WidthIndex};
 use super::random::Random;
 
 /// Number of samples of the outgoing pulse's block.
-pub const REFERENCE_SAMPLES: usize = 24;
+const REFERENCE_SAMPLES: usize = 24;
 /// Samples from the start of that block to the shot's clock, on the same raster.
 const REFERENCE_LEAD: i64 = 10;
 /// Peak amplitude of the outgoing pulse above the background, DN.

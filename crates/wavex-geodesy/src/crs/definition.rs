@@ -67,7 +67,7 @@ const ELSEWHERE: [&str; 7] = [
 
 impl Definition {
     /// The CRS of an EPSG code.
-    pub fn of_epsg(code: u32) -> Result<Definition, CrsError> {
+    pub(super) fn of_epsg(code: u32) -> Result<Definition, CrsError> {
         let known = u16::try_from(code).ok().and_then(crs_definitions::from_code);
         // A few rows of the table are empty.
         let known = known.filter(|known| !known.wkt.is_empty()).ok_or(CrsError::UnknownEpsg(code))?;
@@ -76,7 +76,7 @@ impl Definition {
     }
 
     /// The CRS of a WKT.
-    pub fn of_wkt(text: &str) -> Result<Definition, CrsError> {
+    pub(super) fn of_wkt(text: &str) -> Result<Definition, CrsError> {
         Definition::of(&WktNode::parse(text).map_err(CrsError::Wkt)?, None)
     }
 
@@ -190,12 +190,12 @@ fn pairs(text: &str) -> Vec<(&str, &str)> {
 
 impl ProjString<'_> {
     /// Value of a parameter as written.
-    pub fn text(&self, key: &str) -> Option<&str> {
+    pub(super) fn text(&self, key: &str) -> Option<&str> {
         self.pairs.iter().find(|pair| pair.0 == key).map(|pair| pair.1)
     }
 
     /// A numeric parameter, or its default.
-    pub fn number(&self, key: &str, otherwise: f64) -> Result<f64, CrsError> {
+    pub(super) fn number(&self, key: &str, otherwise: f64) -> Result<f64, CrsError> {
         let Some(text) = self.text(key) else { return Ok(otherwise) };
         text.parse().ok().filter(|number: &f64| number.is_finite()).ok_or_else(|| {
             self.unsupported(
@@ -209,7 +209,7 @@ impl ProjString<'_> {
         Ok(self.number(key, otherwise_deg)?.to_radians())
     }
 
-    pub fn unsupported(&self, problem: String, remedy: &'static str) -> CrsError {
+    pub(super) fn unsupported(&self, problem: String, remedy: &'static str) -> CrsError {
         CrsError::Unsupported { name: self.name.into(), problem, remedy }
     }
 
@@ -322,7 +322,7 @@ const ELLIPSOIDAL: f64 = 2002.0;
 
 impl Definition {
     /// Name of the vertical part, unless heights are ellipsoidal.
-    pub fn vertical_name(&self) -> Option<String> {
+    pub(super) fn vertical_name(&self) -> Option<String> {
         let vertical = self.vertical.as_ref()?;
         let datum = vertical.child(&["VERT_DATUM", "VDATUM", "VERTICALDATUM"]);
         let above_ellipsoid = datum.is_some_and(|datum| {
@@ -333,7 +333,7 @@ impl Definition {
     }
 
     /// Unit of the vertical part.
-    pub fn vertical_unit(&self) -> Option<Unit> {
+    pub(super) fn vertical_unit(&self) -> Option<Unit> {
         let unit = unit_node(self.vertical.as_ref()?)?;
         let metres = unit.value(1).filter(|metres| *metres > 0.0)?;
         Some(Unit::of_metres(unit.name().unwrap_or("unit"), metres))

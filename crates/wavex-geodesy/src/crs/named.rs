@@ -71,7 +71,7 @@ pub fn wkt_of_epsg(code: u16) -> Option<String> {
 ///
 /// Zones are 6 degrees wide everywhere: the wider zones of Norway and Svalbard belong to the
 /// military grid reference system, not to the projection.
-pub fn utm_zone_at(longitude_rad: f64) -> u8 {
+pub(super) fn utm_zone_at(longitude_rad: f64) -> u8 {
     let zone = ((longitude_rad.to_degrees() + 180.0) / 6.0).floor().rem_euclid(60.0);
     zone as u8 + 1
 }

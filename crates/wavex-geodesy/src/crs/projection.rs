@@ -28,7 +28,7 @@ pub(super) enum Projection {
 }
 
 impl Projection {
-    pub fn new(definition: &Definition) -> Result<Projection, CrsError> {
+    pub(super) fn new(definition: &Definition) -> Result<Projection, CrsError> {
         let unsupported = |problem: String| CrsError::Unsupported {
             name: definition.name.clone(),
             problem,
@@ -61,7 +61,7 @@ impl Projection {
     ///
     /// `height_m`: ellipsoidal height of the position.
     #[cfg_attr(not(feature = "proj"), allow(unused_variables, reason = "only PROJ asks for the height"))]
-    pub fn project(&self, normal: &EllipsoidNormal, height_m: f64) -> Option<[f64; 2]> {
+    pub(super) fn project(&self, normal: &EllipsoidNormal, height_m: f64) -> Option<[f64; 2]> {
         let (x, y) = match self {
             Projection::Geodetic | Projection::Ecef => {
                 let (latitude_rad, longitude_rad) = normal.angles_rad();
@@ -83,7 +83,7 @@ impl Projection {
     }
 
     /// [`Projection::project`] for several positions.
-    pub fn project_each<const N: usize>(
+    pub(super) fn project_each<const N: usize>(
         &self,
         normals: &[EllipsoidNormal; N],
         heights_m: &[f64; N],
@@ -98,7 +98,7 @@ impl Projection {
 
     /// Inverse of [`Projection::project`]: latitude and longitude, rad.
     #[cfg_attr(not(feature = "proj"), allow(unused_variables, reason = "only PROJ asks for the height"))]
-    pub fn unproject(&self, [x, y]: [f64; 2], height_m: f64) -> Option<(f64, f64)> {
+    pub(super) fn unproject(&self, [x, y]: [f64; 2], height_m: f64) -> Option<(f64, f64)> {
         if !(x.abs() < FARTHEST_M && y.abs() < FARTHEST_M) {
             return None;
         }

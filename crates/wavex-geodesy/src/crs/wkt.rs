@@ -5,7 +5,7 @@
 
 /// A keyword with its values: `UNIT["metre",1]`.
 #[derive(Clone, Debug, PartialEq)]
-pub struct WktNode {
+pub(crate) struct WktNode {
     /// Keyword, in capitals.
     pub keyword: String,
     /// Values in its brackets.
@@ -14,7 +14,7 @@ pub struct WktNode {
 
 /// A value in the brackets of a keyword.
 #[derive(Clone, Debug, PartialEq)]
-pub enum WktValue {
+pub(crate) enum WktValue {
     /// Quoted text, without the quotation marks.
     Text(String),
     /// A number or a bare word, as written.
@@ -31,7 +31,7 @@ impl WktNode {
     ///
     /// # Errors
     /// The problem and the character position, as the end of a sentence.
-    pub fn parse(text: &str) -> Result<WktNode, String> {
+    pub(crate) fn parse(text: &str) -> Result<WktNode, String> {
         let mut reader = Reader { text: text.trim_start_matches('\u{feff}'), at: 0 };
         let node = reader.node(0)?;
         reader.blanks();
@@ -42,35 +42,35 @@ impl WktNode {
     }
 
     /// A node whose first value is a name.
-    pub fn named(keyword: &str, name: &str) -> WktNode {
+    pub(crate) fn named(keyword: &str, name: &str) -> WktNode {
         WktNode { keyword: keyword.into(), values: vec![WktValue::Text(name.into())] }
     }
 
     /// Appends a number.
-    pub fn number(mut self, number: f64) -> WktNode {
+    pub(crate) fn number(mut self, number: f64) -> WktNode {
         self.values.push(WktValue::Bare(number.to_string()));
         self
     }
 
     /// Appends a bare word.
-    pub fn bare(mut self, word: &str) -> WktNode {
+    pub(crate) fn bare(mut self, word: &str) -> WktNode {
         self.values.push(WktValue::Bare(word.into()));
         self
     }
 
     /// Appends a node.
-    pub fn with(mut self, node: WktNode) -> WktNode {
+    pub(crate) fn with(mut self, node: WktNode) -> WktNode {
         self.values.push(WktValue::Node(node));
         self
     }
 
     /// The first value, if it is text.
-    pub fn name(&self) -> Option<&str> {
+    pub(crate) fn name(&self) -> Option<&str> {
         self.text(0)
     }
 
     /// A text value by index from 0.
-    pub fn text(&self, place: usize) -> Option<&str> {
+    pub(crate) fn text(&self, place: usize) -> Option<&str> {
         match self.values.get(place)? {
             WktValue::Text(text) => Some(text),
             _ => None,
@@ -78,7 +78,7 @@ impl WktNode {
     }
 
     /// A numeric value by index from 0.
-    pub fn value(&self, place: usize) -> Option<f64> {
+    pub(crate) fn value(&self, place: usize) -> Option<f64> {
         match self.values.get(place)? {
             WktValue::Bare(number) | WktValue::Text(number) => {
                 number.parse().ok().filter(|n: &f64| n.is_finite())
@@ -88,7 +88,7 @@ impl WktNode {
     }
 
     /// The nodes among the values.
-    pub fn nodes(&self) -> impl Iterator<Item = &WktNode> {
+    pub(crate) fn nodes(&self) -> impl Iterator<Item = &WktNode> {
         self.values.iter().filter_map(|value| match value {
             WktValue::Node(node) => Some(node),
             _ => None,
@@ -96,7 +96,7 @@ impl WktNode {
     }
 
     /// The nodes among the values, mutable.
-    pub fn nodes_mut(&mut self) -> impl Iterator<Item = &mut WktNode> {
+    pub(crate) fn nodes_mut(&mut self) -> impl Iterator<Item = &mut WktNode> {
         self.values.iter_mut().filter_map(|value| match value {
             WktValue::Node(node) => Some(node),
             _ => None,
@@ -104,12 +104,12 @@ impl WktNode {
     }
 
     /// The first child node with one of these keywords.
-    pub fn child(&self, keywords: &[&str]) -> Option<&WktNode> {
+    pub(crate) fn child(&self, keywords: &[&str]) -> Option<&WktNode> {
         self.nodes().find(|node| keywords.contains(&node.keyword.as_str()))
     }
 
     /// The first node with one of these keywords, here or below, depth first.
-    pub fn find(&self, keywords: &[&str]) -> Option<&WktNode> {
+    pub(crate) fn find(&self, keywords: &[&str]) -> Option<&WktNode> {
         if keywords.contains(&self.keyword.as_str()) {
             return Some(self);
         }
@@ -117,13 +117,13 @@ impl WktNode {
     }
 
     /// Removes the nodes for which `unwanted` holds, here and below.
-    pub fn remove(&mut self, unwanted: &impl Fn(&WktNode) -> bool) {
+    pub(crate) fn remove(&mut self, unwanted: &impl Fn(&WktNode) -> bool) {
         self.values.retain(|value| !matches!(value, WktValue::Node(node) if unwanted(node)));
         self.nodes_mut().for_each(|node| node.remove(unwanted));
     }
 
     /// EPSG code of this node, from `AUTHORITY["EPSG","2154"]` or `ID["EPSG",2154]`.
-    pub fn epsg(&self) -> Option<u32> {
+    pub(crate) fn epsg(&self) -> Option<u32> {
         let authority = self.child(&["AUTHORITY", "ID"])?;
         let code = match authority.values.get(1)? {
             WktValue::Text(code) | WktValue::Bare(code) => code.parse().ok()?,
@@ -133,7 +133,7 @@ impl WktNode {
     }
 
     /// Appends an EPSG code.
-    pub fn authority(self, epsg: Option<u32>) -> WktNode {
+    pub(crate) fn authority(self, epsg: Option<u32>) -> WktNode {
         let Some(code) = epsg else { return self };
         let mut authority = WktNode::named("AUTHORITY", "EPSG");
         authority.values.push(WktValue::Text(code.to_string()));
