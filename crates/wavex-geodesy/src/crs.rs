@@ -205,7 +205,7 @@ impl Crs {
     }
 
     /// The CRS as GeoTIFF keys, for LAS before 1.4; `None` if they cannot express it.
-    pub fn geotiff_keys(&self) -> Option<GeoKeys> {
+    pub(crate) fn geotiff_keys(&self) -> Option<GeoKeys> {
         geotiff::keys(self)
     }
 

@@ -245,12 +245,6 @@ impl Alignment {
         // Both are whole numbers, so the sum added to the time is exact.
         time_s + (self.base_s + periods_s)
     }
-
-    /// Whether the trajectory covers the whole recording.
-    pub fn is_whole(&self) -> bool {
-        let ends = [self.recording.first_s, self.recording.last_s].map(|time_s| self.on_trajectory(time_s));
-        ends.iter().all(|time_s| (self.trajectory.first_s..=self.trajectory.last_s).contains(time_s))
-    }
 }
 
 /// Reason why a recording and a trajectory do not match.

@@ -69,7 +69,7 @@ impl Detector {
     }
 
     /// Inverse of [`Detector::height_dn`]: decibels of an echo with this peak amplitude.
-    pub fn decibels(self, receiver: Sensitivity, height_dn: f64) -> f64 {
+    fn decibels(self, receiver: Sensitivity, height_dn: f64) -> f64 {
         match (self, receiver) {
             (Detector::Linear, Sensitive) => decibels(height_dn),
             (Detector::Linear, Coarse) => decibels(height_dn / COARSE_GAIN),

@@ -76,7 +76,7 @@ impl Platform {
     }
 
     /// Position of the body's centre in the scene, m.
-    pub fn position_m(&self, since_start_s: f64) -> [f64; 3] {
+    pub(crate) fn position_m(&self, since_start_s: f64) -> [f64; 3] {
         let [x, y] = START_M;
         let height_m = GROUND_HEIGHT_M + self.flying_height_m;
         if self.turn_radius_m == 0.0 {

@@ -112,7 +112,6 @@ fn a_recording_finds_its_week_and_its_day() {
     for recording in [day, week, adjusted] {
         let alignment = align(recording, flight).unwrap();
         assert_eq!(alignment.on_trajectory(recording.first_s), MIDNIGHT_S + 36_500.0, "{recording:?}");
-        assert!(alignment.is_whole());
     }
     // Vice versa, and with a trajectory clock of shorter period than that of the recording.
     for trajectory in [times(Clock::Week, 208_800.0, 212_800.0), times(Clock::Day, 36_000.0, 40_000.0)] {
@@ -133,7 +132,6 @@ fn the_end_of_week_and_day_may_lie_anywhere() {
         assert_eq!(alignment.on_trajectory(604_799.0), 604_799.0);
         assert_eq!(alignment.on_trajectory(1.0), 604_801.0);
         assert_eq!(alignment.on_trajectory(604_801.0), 604_801.0);
-        assert!(alignment.is_whole());
     }
 }
 
@@ -141,8 +139,7 @@ fn the_end_of_week_and_day_may_lie_anywhere() {
 fn part_of_a_recording_is_enough() {
     let trajectory = times(Clock::Week, 1000.0, 2000.0);
     for (first_s, last_s) in [(500.0, 1500.0), (1500.0, 2500.0), (500.0, 2500.0)] {
-        let alignment = align(times(Clock::Week, first_s, last_s), trajectory).unwrap();
-        assert!(!alignment.is_whole());
+        assert!(align(times(Clock::Week, first_s, last_s), trajectory).is_ok());
     }
 }
 
