@@ -204,11 +204,6 @@ impl Crs {
         describe::wkt(self)
     }
 
-    /// The CRS as GeoTIFF keys, for LAS before 1.4; `None` if they cannot express it.
-    pub(crate) fn geotiff_keys(&self) -> Option<GeoKeys> {
-        geotiff::keys(self)
-    }
-
     fn of_normals<const N: usize>(
         &self,
         normals: &[EllipsoidNormal; N],

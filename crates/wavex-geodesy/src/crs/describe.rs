@@ -233,11 +233,6 @@ fn vertical(crs: &Crs) -> Option<WktNode> {
     })
 }
 
-/// EPSG code of heights above the CRS's geoid in its unit, if known.
-pub(super) fn vertical_epsg(crs: &Crs) -> Option<u32> {
-    vertical(crs)?.epsg()
-}
-
 /// Vertical CRS of EPSG that is realised by a geoid model.
 struct Vertical {
     /// Prefixes of the names of its models, in lower case.
