@@ -28,7 +28,7 @@ pub(crate) struct LambertConformal {
     origin_m: f64,
 }
 
-/// LambertParameters of a Lambert conformal conic projection (EPSG methods 9801 and 9802).
+/// Parameters of a Lambert conformal conic projection (EPSG methods 9801 and 9802).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct LambertParameters {
     /// Standard parallels, rad, along which the scale is constant; equal for one parallel.

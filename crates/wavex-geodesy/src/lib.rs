@@ -1,5 +1,4 @@
-//! Time scales and geodesy, as pure computations.
-
+#![doc = include_str!("../README.md")]
 #![warn(unreachable_pub)]
 
 pub mod beam_length;

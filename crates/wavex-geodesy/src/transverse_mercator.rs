@@ -25,7 +25,7 @@ pub struct TransverseMercator {
     origin_m: f64,
 }
 
-/// TransverseMercatorParameters of a transverse Mercator projection (EPSG method 9807).
+/// Parameters of a transverse Mercator projection (EPSG method 9807).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TransverseMercatorParameters {
     /// Latitude of the false northing, rad.
@@ -41,7 +41,7 @@ pub struct TransverseMercatorParameters {
 }
 
 impl TransverseMercatorParameters {
-    /// TransverseMercatorParameters of a UTM zone, 1 to 60; `north`: northern hemisphere.
+    /// Parameters of a UTM zone, 1 to 60; `north`: northern hemisphere.
     pub fn utm(zone: u8, north: bool) -> TransverseMercatorParameters {
         TransverseMercatorParameters {
             latitude_of_origin_rad: 0.0,

@@ -1,18 +1,4 @@
-//! A simulated lidar: the components of the stage `simulate`.
-//!
-//! Each component can be replaced independently. The [`scanner`] defines emission time and angle of
-//! each pulse, the [`platform`] the position and attitude of the scanner, the [`scene`] the targets
-//! of the pulse, the [`detector`] the amplitude of an echo, the [`receiver`] the recorded samples,
-//! the [`world`] the position of the scene on the earth, and [`truth`] the result of a perfect
-//! evaluation.
-//!
-//! # Reproducible bytes
-//! Random numbers come from our own generator ([`random`]), seeded for each shot with the seed, the
-//! scan line and the index of the shot in it, so no line depends on another. Sines, exponentials,
-//! logarithms and error functions come from the crate `libm`, because the results of `std` differ
-//! between platforms in the last bit. All other operations (`+ - * /`, square root, rounding) are
-//! defined bit by bit by IEEE 754.
-
+#![doc = include_str!("../README.md")]
 #![warn(unreachable_pub)]
 
 pub mod detector;

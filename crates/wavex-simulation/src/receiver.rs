@@ -141,7 +141,8 @@ impl ReceiverSettings {
 }
 
 /// No process has the requested SD and autocorrelation after rounding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("no noise process has this standard deviation and autocorrelation after rounding")]
 pub struct NoSuchNoise;
 
 impl Receiver {
