@@ -37,6 +37,24 @@ pub use unit::Unit;
 const TOGETHER: usize = 16;
 
 /// Coordinate reference system with its height reference and units.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_geodesy::crs::{Crs, Named};
+/// use wavex_geodesy::ellipsoid::Geodetic;
+///
+/// let place = Geodetic {
+///     latitude_rad: 48.8_f64.to_radians(),
+///     longitude_rad: 2.3_f64.to_radians(),
+///     height_m: 100.0,
+/// };
+/// let lambert_93 = Crs::new(&Named::Epsg(2154), place, None, None)?;
+/// let [x, y, height_m] = lambert_93.from_geodetic(place)?;
+/// assert!((x - 648_583.262).abs() < 1e-3 && (y - 6_855_774.716).abs() < 1e-3);
+/// assert_eq!(height_m, 100.0);
+/// # Ok::<(), wavex_geodesy::crs::CrsError>(())
+/// ```
 #[derive(Debug)]
 pub struct Crs {
     definition: Definition,

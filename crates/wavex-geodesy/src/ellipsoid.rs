@@ -62,6 +62,16 @@ impl Ellipsoid {
     ///
     /// Bowring 1976, "Transformation from spatial to geographical coordinates", Survey Review
     /// 23(181): the parametric latitude is iterated to double precision.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
+    ///
+    /// let place = Geodetic { latitude_rad: 0.8, longitude_rad: 0.2, height_m: 500.0 };
+    /// let back = WGS84.geodetic_of(WGS84.ecef_of(place));
+    /// assert!((back.height_m - 500.0).abs() < 1e-8);
+    /// ```
     pub fn geodetic_of(&self, ecef_m: [f64; 3]) -> Geodetic {
         let [x, y, z] = ecef_m;
         let (a, f, e2) = (self.semi_major_m, self.flattening, self.eccentricity_squared());

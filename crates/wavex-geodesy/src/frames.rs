@@ -91,6 +91,17 @@ pub fn inverse(rotation: &Rotation) -> Rotation {
 }
 
 /// Local Cartesian frame: east, north, up, tangential to the ellipsoid's horizon.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
+/// use wavex_geodesy::frames::LocalFrame;
+///
+/// let origin = Geodetic { latitude_rad: 0.8, longitude_rad: 0.2, height_m: 500.0 };
+/// let above = LocalFrame::at(WGS84, origin).geodetic_of([0.0, 0.0, 20.0]);
+/// assert!((above.height_m - 520.0).abs() < 1e-8);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalFrame {
     ellipsoid: Ellipsoid,

@@ -52,6 +52,26 @@ impl Geoid {
     ///
     /// A grid is invalid with fewer than two rows or columns, steps that are not positive, or
     /// another number of heights.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use wavex_geodesy::geoid::{Geoid, GeoidGrid};
+    ///
+    /// let grid = GeoidGrid {
+    ///     south_deg: 47.0,
+    ///     west_deg: 8.0,
+    ///     latitude_step_deg: 1.0,
+    ///     longitude_step_deg: 1.0,
+    ///     rows: 2,
+    ///     columns: 2,
+    ///     heights_m: vec![46.0, 48.0, 48.0, 50.0],
+    /// };
+    /// let geoid = Geoid::new("plane", grid).ok_or("invalid grid")?;
+    /// assert_eq!(geoid.height_m(47.5, 8.5)?, 48.0);
+    /// assert!(geoid.height_m(50.0, 8.5).is_err());
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     pub fn new(name: &str, grid: GeoidGrid) -> Option<Geoid> {
         let steps = [grid.latitude_step_deg, grid.longitude_step_deg];
         let sound = steps.iter().all(|step| step.is_finite() && *step > 0.0)

@@ -282,6 +282,19 @@ pub enum Misaligned {
 ///
 /// # Errors
 /// No such week or day, or more than one.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_geodesy::time_axis::{Clock, TimeSpan, align};
+///
+/// // The recording counts seconds of the day, the trajectory seconds of the week.
+/// let recording = TimeSpan { clock: Clock::Day, first_s: 36_500.0, last_s: 37_000.0 };
+/// let trajectory = TimeSpan { clock: Clock::Week, first_s: 208_800.0, last_s: 212_800.0 };
+/// let alignment = align(recording, trajectory)?;
+/// assert_eq!(alignment.on_trajectory(36_500.0), 209_300.0);
+/// # Ok::<(), wavex_geodesy::time_axis::Misaligned>(())
+/// ```
 pub fn align(recording: TimeSpan, trajectory: TimeSpan) -> Result<Alignment, Misaligned> {
     let alignment = Alignment::between(recording, trajectory)?;
     let [first_s, last_s] = [recording.first_s, recording.last_s].map(|t| alignment.on_trajectory(t));

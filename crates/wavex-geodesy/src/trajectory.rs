@@ -179,6 +179,25 @@ impl Trajectory {
     }
 
     /// Poses for a sequence of times; neighbours are cached between nearby times.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use wavex_geodesy::ellipsoid::Geodetic;
+    /// use wavex_geodesy::frames::Attitude;
+    /// use wavex_geodesy::trajectory::{Sample, Trajectory};
+    ///
+    /// let sample = |time_s: f64| Sample {
+    ///     time_s,
+    ///     place: Geodetic { latitude_rad: 0.8 + 1e-5 * time_s, longitude_rad: 0.2, height_m: 1000.0 },
+    ///     attitude: Attitude::default(),
+    /// };
+    /// let trajectory = Trajectory::new((0..10).map(|k| sample(f64::from(k))).collect())?;
+    /// let mut poses = trajectory.poses();
+    /// assert!(poses.at(4.25).is_some());
+    /// assert!(poses.at(9.5).is_none(), "after the last record");
+    /// # Ok::<(), wavex_geodesy::trajectory::TrajectoryError>(())
+    /// ```
     pub fn poses(&self) -> Poses<'_> {
         Poses { trajectory: self, last: None }
     }

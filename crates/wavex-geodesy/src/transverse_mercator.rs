@@ -9,6 +9,17 @@ use super::conformal::{EllipsoidNormal, conformal_tangents, geographic_tangent};
 use super::ellipsoid::Ellipsoid;
 
 /// Transverse Mercator projection of an ellipsoid.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_geodesy::ellipsoid::WGS84;
+/// use wavex_geodesy::transverse_mercator::{TransverseMercator, TransverseMercatorParameters};
+///
+/// let zone_33 = TransverseMercator::new(WGS84, TransverseMercatorParameters::utm(33, true));
+/// let (easting_m, _) = zone_33.project(48_f64.to_radians(), 15_f64.to_radians());
+/// assert_eq!(easting_m, 500_000.0);
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransverseMercator {
     central_meridian_rad: f64,

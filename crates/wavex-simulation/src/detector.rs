@@ -47,6 +47,15 @@ use Sensitivity::{Coarse, Sensitive};
 
 impl Detector {
     /// Peak amplitude of an echo in a receiver, DN above the background.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use wavex_simulation::detector::{Detector, Sensitivity};
+    ///
+    /// assert_eq!(Detector::Linear.height_dn(Sensitivity::Coarse, 200.0), 20.0);
+    /// assert!(Detector::Riegl.height_dn(Sensitivity::Sensitive, 200.0) < 200.0);
+    /// ```
     pub fn height_dn(self, receiver: Sensitivity, linear_dn: f64) -> f64 {
         match (self, receiver) {
             (Detector::Linear, Sensitive) => linear_dn,

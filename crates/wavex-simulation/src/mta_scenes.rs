@@ -86,6 +86,22 @@ const fn spec(
 }
 
 /// Geometry of a scene: the targets of each shot.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_simulation::mta_scenes::{EchoScene, RecordingSettings, SCENES};
+///
+/// let scene = EchoScene::new(SCENES[0], 1, 2, 0.1);
+/// let lines = scene.record(&RecordingSettings {
+///     pulse_rate_hz: 400e3,
+///     modulation_ns: 17.0,
+///     blind_ns: 15.0,
+///     lost_records: 0.0,
+/// });
+/// assert_eq!(lines.len(), 2);
+/// assert!(lines.iter().all(|line| !line.echoes.is_empty()));
+/// ```
 pub struct EchoScene {
     /// Specification.
     pub spec: EchoSceneSpec,

@@ -27,6 +27,16 @@ pub enum Purpose {
 }
 
 /// A stream of random numbers.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_simulation::random::{Purpose, Random};
+///
+/// let first = |shot| Random::of_shot(1, 0, shot, Purpose::Noise).uniform();
+/// assert_eq!(first(7), first(7));
+/// assert_ne!(first(7), first(8));
+/// ```
 #[derive(Clone, Debug)]
 pub struct Random(Xoshiro256PlusPlus);
 

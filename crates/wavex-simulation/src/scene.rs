@@ -66,6 +66,21 @@ pub struct Hit {
 }
 
 /// The land below a flight.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_simulation::scene::{Area, Beam, Class, Scene};
+/// use wavex_simulation::world::{GROUND_HEIGHT_M, START_M};
+///
+/// let [x, y] = START_M;
+/// let swath = Area { x: [x - 300.0, x + 300.0], y: [y, y + 100.0] };
+/// let scene = Scene::strips(1, swath, 600.0, 0.0, 0.0);
+/// let beam = Beam { origin_m: [x, y, GROUND_HEIGHT_M + 600.0], direction: [0.0, 0.0, -1.0] };
+/// let mut hits = Vec::new();
+/// scene.hits(&beam, &mut hits);
+/// assert_eq!((hits[0].class, hits[0].range_m), (Class::Ground, 600.0));
+/// ```
 #[derive(Clone, Debug)]
 pub struct Scene {
     land: Land,

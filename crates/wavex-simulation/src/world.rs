@@ -43,6 +43,17 @@ pub const CRS_WKT: &str = concat!(
 );
 
 /// Position of the scene on the earth.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_simulation::world::{START_M, World};
+///
+/// let [x, y] = START_M;
+/// let [easting_m, northing_m, height_m] = World::new(0.0).on_earth([x, y, 400.0]);
+/// assert!((easting_m - x).abs() < 1e-6 && (northing_m - y).abs() < 1e-6);
+/// assert!((height_m - 400.0).abs() < 1e-6);
+/// ```
 #[derive(Clone, Debug)]
 pub struct World {
     heading_rad: f64,

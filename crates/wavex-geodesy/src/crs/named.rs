@@ -29,6 +29,16 @@ impl Named {
     ///
     /// # Errors
     /// An invalid UTM zone or EPSG code.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use wavex_geodesy::crs::Named;
+    ///
+    /// assert_eq!(Named::parse("utm:33N")?, Some(Named::UtmZone { zone: 33, north: true }));
+    /// assert_eq!(Named::parse("site.wkt")?, None);
+    /// # Ok::<(), wavex_geodesy::crs::CrsError>(())
+    /// ```
     pub fn parse(word: &str) -> Result<Option<Named>, CrsError> {
         let error = |problem| CrsError::Word { word: word.into(), problem };
         let lower = word.trim().to_lowercase();
