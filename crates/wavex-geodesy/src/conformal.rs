@@ -164,7 +164,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn the_axis_has_its_normals() {
+    fn positions_on_the_axis_have_normals() {
         for z in [6_356_752.314_245_179f64, -6_356_752.314_245_179] {
             let place_m = [0.0, 0.0, z + 100.0 * z.signum()];
             let ([normal], [height_m]) = EllipsoidNormal::through(WGS84, &[place_m]);
@@ -175,7 +175,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn normals_are_those_of_the_angles(
+        fn normals_equal_sines_and_cosines_of_the_angles(
             latitude_rad in -1.57..1.57, longitude_rad in -3.1..3.1, height_m in -1e6..1e7,
         ) {
             let place = Geodetic { latitude_rad, longitude_rad, height_m };
@@ -187,7 +187,7 @@ mod tests {
         }
 
         #[test]
-        fn conformal_latitudes_come_back(latitude_rad in -1.57..1.57f64) {
+        fn conformal_latitudes_round_trip(latitude_rad in -1.57..1.57f64) {
             let tangent = latitude_rad.tan();
             let back = geographic_tangent(0.0818, conformal_tangent(0.0818, tangent));
             prop_assert!((back.atan() - latitude_rad).abs() < 1e-15);

@@ -110,7 +110,7 @@ mod tests {
 
     /// Closed form in 40 digits; half a unit in the last place of an angle or coordinate is 0.4 nm.
     #[test]
-    fn places_have_their_earth_centred_coordinates() {
+    fn positions_have_reference_ecef_coordinates() {
         let cases = [
             ((0.0, 0.0, 0.0), [6_378_137.0, 0.0, 0.0]),
             ((90.0, 0.0, 0.0), [0.0, 0.0, 6_356_752.314_245_179]),
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn the_poles_and_the_equator_come_back() {
+    fn poles_and_equator_round_trip() {
         for (latitude, longitude) in [(90.0, 0.0), (-90.0, 0.0), (0.0, 180.0), (0.0, -90.0)] {
             let place = WGS84.geodetic_of(WGS84.ecef_of(degrees(latitude, longitude, 1234.5)));
             assert!((place.latitude_rad.to_degrees() - latitude).abs() < 1e-14, "{place:?}");
@@ -146,7 +146,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_place_comes_back(
+        fn positions_round_trip(
             latitude in -90.0..90.0, longitude in -180.0..180.0, height_m in -1e4..1e5,
         ) {
             let ecef = WGS84.ecef_of(degrees(latitude, longitude, height_m));

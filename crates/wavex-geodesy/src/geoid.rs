@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_of_the_longitude_changes_nothing() {
+    fn longitudes_are_modulo_360_degrees() {
         for west_deg in [-60.0, 300.0] {
             let geoid = geoid(grid(14.0, west_deg, 0.5, 3, 3));
             for longitude in [-59.25, 300.75] {
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_grid_is_no_geoid() {
+    fn invalid_grids_are_rejected() {
         let whole = grid(40.0, 10.0, 0.5, 3, 3);
         for damage in [
             |grid: &mut GeoidGrid| grid.rows = 1,
@@ -283,7 +283,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_point_is_too_strange(latitude in -1e3..1e3, longitude in -1e4..1e4) {
+        fn any_point_gives_a_height_or_an_error(latitude in -1e3..1e3, longitude in -1e4..1e4) {
             let (part, whole) = (geoid(grid(40.0, 10.0, 0.5, 3, 3)), geoid(grid(-90.0, 0.0, 30.0, 7, 12)));
             prop_assert_eq!(whole.height_m(latitude, longitude).is_ok(), latitude.abs() <= 90.0);
             let inside = (40.0..=41.0).contains(&latitude) && (10.0..=11.0).contains(&longitude.rem_euclid(360.0));

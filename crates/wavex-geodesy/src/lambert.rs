@@ -159,7 +159,7 @@ mod tests {
 
     /// Snyder's formulas in 40 digits.
     #[test]
-    fn places_have_their_coordinates_on_the_map() {
+    fn positions_project_to_reference_coordinates() {
         let cases = [
             (france(), 48.8, 2.3, 648_583.262_125_228_5, 6_855_774.715_696_833),
             (france(), 41.4, 9.5, 1_244_531.122_920_276_4, 6_055_557.061_014_082),
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn parallels_without_a_cone_make_no_projection() {
+    fn parallels_without_a_cone_are_rejected() {
         for parallels in [[30.0, -30.0], [0.0, 0.0], [90.0, 40.0], [f64::NAN, 3.0], [100.0, 3.0]] {
             let parameters = LambertParameters {
                 standard_parallels_rad: parallels.map(f64::to_radians),

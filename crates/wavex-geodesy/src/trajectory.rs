@@ -215,10 +215,11 @@ impl Trajectory {
             let at = if time_s == start_s { Some(before) } else { (time_s == end_s).then_some(before + 1) };
             return at.map(|record| record..record + 1);
         }
-        let tells = |step: f64| step <= self.longest_bridged_s && step >= CLOSEST * step_s;
-        let first = before.checked_sub(1).filter(|&first| tells(start_s - times_s[first])).unwrap_or(before);
-        let behind = times_s.get(before + 2).is_some_and(|time_s| tells(time_s - end_s));
-        Some(first..before + 2 + usize::from(behind))
+        let is_useful = |step: f64| step <= self.longest_bridged_s && step >= CLOSEST * step_s;
+        let first =
+            before.checked_sub(1).filter(|&first| is_useful(start_s - times_s[first])).unwrap_or(before);
+        let has_after = times_s.get(before + 2).is_some_and(|time_s| is_useful(time_s - end_s));
+        Some(first..before + 2 + usize::from(has_after))
     }
 }
 

@@ -236,7 +236,7 @@ mod tests {
     /// The projection as the complex continuation of the meridian arc length, integrated in 40
     /// digits.
     #[test]
-    fn places_have_their_coordinates_on_the_map() {
+    fn positions_project_to_reference_coordinates() {
         let cases = [
             ((0.0, 0.0, 0.0), (500_000.0, 0.0)),
             ((45.0, 3.0, 0.0), (736_446.026_101_208, 4_987_329.504_698_915)),
@@ -269,7 +269,7 @@ mod tests {
 
     /// The northing counts from the latitude of origin.
     #[test]
-    fn a_latitude_of_origin_is_where_the_false_northing_is() {
+    fn the_latitude_of_origin_has_the_false_northing() {
         let parameters = TransverseMercatorParameters {
             latitude_of_origin_rad: 0.9,
             central_meridian_rad: -0.03,

@@ -51,7 +51,7 @@ mod tests {
     use crate::ellipsoid::Geodetic;
 
     #[test]
-    fn down_is_the_way_a_place_loses_height() {
+    fn moving_down_reduces_the_height() {
         for (latitude_rad, longitude_rad) in [(0.0, 0.0), (0.8, 0.2), (-0.6, 2.9), (1.5, -1.2)] {
             let place_m = WGS84.ecef_of(Geodetic { latitude_rad, longitude_rad, height_m: 900.0 });
             let down = down_at(Frame::Earth, place_m).unwrap();

@@ -36,7 +36,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_number_is_its_whole_and_its_part() {
+    fn whole_and_part_add_up() {
         for x in [0.0, 0.25, -0.25, -1.0, 7.0, -7.5, 1e15 + 0.5, -1e15 - 0.5, 5_300_000.1, -1e-300] {
             let (whole, part) = whole_and_part(x);
             assert_eq!((whole as f64, part), (x.floor(), x - x.floor()), "{x}");

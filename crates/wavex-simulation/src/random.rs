@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn shots_lines_seeds_and_purposes_have_streams_of_their_own() {
+    fn streams_differ_by_shot_line_seed_and_purpose() {
         let first = |seed, line, shot, purpose| Random::of_shot(seed, line, shot, purpose).bits();
         let base = first(1, 2, 3, Purpose::Laser);
         assert_eq!(base, first(1, 2, 3, Purpose::Laser));
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_on_a_lattice_are_unrelated() {
+    fn lattice_neighbours_are_uncorrelated() {
         let n = 300;
         let value = |x, y| cell(5, x, y)[0] - 0.5;
         let mut products = [0.0; 2];

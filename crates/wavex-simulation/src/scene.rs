@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn a_roof_stands_above_the_ground_and_throws_a_shadow() {
+    fn a_roof_casts_a_shadow() {
         let scene = Scene::strips(1, SWATH, 600.0, 8.0, 0.0);
         // The building extends from -250 to -100: one wall faces the aircraft, the other is in
         // shadow.
@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn a_footprint_across_the_roofs_edge_comes_back_twice() {
+    fn a_footprint_across_a_roof_edge_gives_two_echoes() {
         let scene = Scene::strips(1, SWATH, 600.0, 8.0, 0.0);
         // The beam axis passes the far edge of the roof (at x = -250) at 2 cm outside.
         let at_ground = -250.02 * 600.0 / 592.0;
@@ -346,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wood_lets_one_to_four_echoes_come_back() {
+    fn a_wood_gives_one_to_four_echoes() {
         let scene = Scene::strips(1, SWATH, 600.0, 0.0, 18.0);
         let mut counts = [0; 6];
         for k in 0..4000 {

@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn the_start_is_where_the_map_says() {
+    fn the_start_has_its_map_coordinates() {
         let world = World::new(0.0);
         let start = world.geodetic_of([START_M[0], START_M[1], 0.0]);
         // Computed by inverting the projection with 40 digits.
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn a_start_has_the_map_of_its_zone() {
+    fn the_zone_follows_from_the_start() {
         let south = World::starting_at([151.2f64.to_radians(), (-33.9f64).to_radians()], 1.0);
         // Zone 56 south, as in the tests of the projection.
         let start = south.on_earth([START_M[0], START_M[1], 12.0]);
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn the_velocity_is_the_change_of_place() {
+    fn the_velocity_is_the_derivative_of_the_position() {
         let world = World::new(0.6);
         let platform = Platform::new(60.0, 1000.0, Motion::default(), [0.0; 3], [0.0; 3]).turning(1000.0);
         let [before, now, after] = [9.99, 10.0, 10.01].map(|time_s| world.pose(&platform, time_s));

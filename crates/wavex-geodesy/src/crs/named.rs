@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn words_that_almost_name_a_system_are_errors() {
+    fn misspelled_names_are_errors() {
         for word in ["utm:0N", "utm:61S", "utm:33", "utm:", "utm:N"] {
             assert_eq!(
                 Named::parse(word).unwrap_err().to_string(),

@@ -138,7 +138,7 @@ fn every_dialect_gives_the_same_coordinates() {
 }
 
 #[test]
-fn a_unit_of_the_job_holds_for_all_three() {
+fn a_requested_unit_applies_to_all_coordinates() {
     let feet = Crs::new(&named("utm:33N"), NOWHERE, None, Some(Unit::us_survey_foot())).unwrap();
     let found = feet.from_geodetic(place(15.0, 0.0, 1200.0)).unwrap();
     assert!(apart(found, [500_000.0 * 3937.0 / 1200.0, 0.0, 3937.0]) < 1e-8, "{found:?}");
@@ -157,7 +157,7 @@ fn a_unit_of_the_job_holds_for_all_three() {
 }
 
 #[test]
-fn heights_count_from_the_geoid() {
+fn heights_are_above_the_geoid() {
     let crs = Crs::new(&named("utm:32N"), NOWHERE, geoid("EGM96"), None).unwrap();
     let found = crs.from_geodetic(place(9.0, 48.0, 530.0)).unwrap();
     assert_eq!(found[2], 500.0);
@@ -177,7 +177,7 @@ fn heights_count_from_the_geoid() {
 
 /// NAD83(2011) / California zone 1 (ftUS) + NAVD88 height (ftUS): neither unit is the metre.
 #[test]
-fn a_systems_own_vertical_part_names_the_heights() {
+fn the_vertical_part_defines_heights() {
     let error = Crs::new(&named("EPSG:8714"), NOWHERE, None, None).unwrap_err().to_string();
     assert_eq!(
         error,
@@ -227,7 +227,7 @@ proptest! {
     }
 
     #[test]
-    fn many_places_have_the_coordinates_of_each(
+    fn batches_equal_single_conversions(
         n in 0..40usize,
         longitude in 9.0..11.0,
         latitude in 41.0..49.0,

@@ -16,7 +16,7 @@ fn clocks_are_those_of_recordings() {
 }
 
 #[test]
-fn dates_come_and_go() {
+fn dates_round_trip() {
     assert_eq!(adjusted_of_date([2025, 5, 6]), Some(MIDNIGHT_S));
     assert_eq!(date(MIDNIGHT_S - 0.1), Some([2025, 5, 5]));
     assert_eq!(date(MIDNIGHT_S), Some([2025, 5, 6]));
@@ -41,7 +41,7 @@ fn utc_falls_behind() {
 }
 
 #[test]
-fn times_run_on_across_midnights() {
+fn times_continue_across_midnight() {
     let run_on = |clock, times: [f64; 4]| {
         let mut unwrap = Unwrap::new(clock);
         times.map(|time_s| unwrap.next(time_s))
@@ -60,7 +60,7 @@ fn times_run_on_across_midnights() {
 }
 
 #[test]
-fn times_out_of_order_about_midnight_belong_to_their_own_day() {
+fn times_out_of_order_around_midnight_keep_their_day() {
     for (clock, period_s) in [(Clock::Week, WEEK_S), (Clock::Day, DAY_S)] {
         let mut unwrap = Unwrap::new(clock);
         for off_s in [-1.0, 0.25, -0.5, 1.0, -30.0, f64::NAN, 0.5, 2.0] {
@@ -79,32 +79,32 @@ fn times_out_of_order_about_midnight_belong_to_their_own_day() {
 }
 
 #[test]
-fn times_are_told_as_people_say_them() {
-    let told = |clock, first_s, last_s| times(clock, first_s, last_s).to_string();
+fn time_spans_are_formatted_as_dates_and_seconds() {
+    let text = |clock, first_s, last_s| times(clock, first_s, last_s).to_string();
     assert_eq!(
-        told(Clock::Adjusted, MIDNIGHT_S + 36_000.0, MIDNIGHT_S + 37_812.46),
+        text(Clock::Adjusted, MIDNIGHT_S + 36_000.0, MIDNIGHT_S + 37_812.46),
         "2025-05-06 10:00:00.0 to 10:30:12.5 GPS (430560800.0 to 430562612.5 s, adjusted)"
     );
     assert_eq!(
-        told(Clock::Adjusted, MIDNIGHT_S - 1.0, MIDNIGHT_S + 59.96),
+        text(Clock::Adjusted, MIDNIGHT_S - 1.0, MIDNIGHT_S + 59.96),
         "2025-05-05 23:59:59.0 to 2025-05-06 00:01:00.0 GPS (430524799.0 to 430524860.0 s, adjusted)"
     );
     assert_eq!(
-        told(Clock::Week, 604_790.0, 604_810.0),
+        text(Clock::Week, 604_790.0, 604_810.0),
         "Saturday 23:59:50.0 to Sunday 00:00:10.0 GPS (604790.0 to 604810.0 s of the week)"
     );
     assert_eq!(
-        told(Clock::Day, 36_000.0, 36_001.0),
+        text(Clock::Day, 36_000.0, 36_001.0),
         "10:00:00.0 to 10:00:01.0 GPS (36000.0 to 36001.0 s of the day)"
     );
     assert_eq!(
-        told(Clock::Adjusted, -2e9, -2e9 + 1.0),
+        text(Clock::Adjusted, -2e9, -2e9 + 1.0),
         "no date 22:13:20.0 to 22:13:21.0 GPS (-2000000000.0 to -1999999999.0 s, adjusted)"
     );
 }
 
 #[test]
-fn a_recording_finds_its_week_and_its_day() {
+fn a_recording_is_aligned_to_week_and_day() {
     let flight = times(Clock::Adjusted, MIDNIGHT_S + 36_000.0, MIDNIGHT_S + 40_000.0);
     let day = times(Clock::Day, 36_500.0, 37_000.0);
     let week = times(Clock::Week, 2.0 * DAY_S + 36_500.0, 2.0 * DAY_S + 37_000.0);
@@ -123,7 +123,7 @@ fn a_recording_finds_its_week_and_its_day() {
 }
 
 #[test]
-fn the_end_of_week_and_day_may_lie_anywhere() {
+fn the_end_of_the_week_may_be_anywhere() {
     let trajectory = times(Clock::Week, 604_000.0, 605_600.0);
     for (first_s, last_s) in
         [(604_100.0, 604_200.0), (604_700.0, 100.0), (604_700.0, 604_900.0), (10.0, 20.0)]
@@ -136,7 +136,7 @@ fn the_end_of_week_and_day_may_lie_anywhere() {
 }
 
 #[test]
-fn part_of_a_recording_is_enough() {
+fn partial_overlap_is_enough() {
     let trajectory = times(Clock::Week, 1000.0, 2000.0);
     for (first_s, last_s) in [(500.0, 1500.0), (1500.0, 2500.0), (500.0, 2500.0)] {
         assert!(align(times(Clock::Week, first_s, last_s), trajectory).is_ok());
@@ -144,16 +144,16 @@ fn part_of_a_recording_is_enough() {
 }
 
 #[test]
-fn what_does_not_belong_together_is_refused() {
-    let told = |recording, trajectory| align(recording, trajectory).unwrap_err().to_string();
+fn disjoint_and_ambiguous_times_are_errors() {
+    let text = |recording, trajectory| align(recording, trajectory).unwrap_err().to_string();
     assert_eq!(
-        told(times(Clock::Day, 100.0, 200.0), times(Clock::Week, 36_000.0, 37_000.0)),
+        text(times(Clock::Day, 100.0, 200.0), times(Clock::Week, 36_000.0, 37_000.0)),
         "the recording and the trajectory have no time in common: the recording lasts from 00:01:40.0 to 00:03:20.0 GPS \
          (100.0 to 200.0 s of the day), the trajectory from Sunday 10:00:00.0 to 10:16:40.0 GPS (36000.0 to 37000.0 s \
          of the week); use the trajectory of this flight, or set its time scale with `trajectory_time`"
     );
     assert_eq!(
-        told(times(Clock::Day, 100.0, 200.0), times(Clock::Week, 0.0, 90_000.0)),
+        text(times(Clock::Day, 100.0, 200.0), times(Clock::Week, 0.0, 90_000.0)),
         "the trajectory lasts from Sunday 00:00:00.0 to Monday 01:00:00.0 GPS (0.0 to 90000.0 s of the week), longer than \
          the period of the clock: seconds of the day of the recording, which lasts from 00:01:40.0 to 00:03:20.0 GPS \
          (100.0 to 200.0 s of the day), are ambiguous; cut the trajectory to the flight"
@@ -165,7 +165,7 @@ fn what_does_not_belong_together_is_refused() {
 proptest! {
     /// A flight time is recovered from its value on the recording's clock.
     #[test]
-    fn moments_are_found_again(start in 0.0..2e9f64, flight in 1.0..80_000.0f64, part in 0.0..=1.0f64, clocks in 0..9usize) {
+    fn flight_times_are_recovered(start in 0.0..2e9f64, flight in 1.0..80_000.0f64, part in 0.0..=1.0f64, clocks in 0..9usize) {
         let all = [Clock::Adjusted, Clock::Week, Clock::Day];
         let (recorder, navigator) = (all[clocks / 3], all[clocks % 3]);
         let first_s = (start - 1e9).floor();

@@ -182,14 +182,14 @@ impl EchoLandscape {
             sweep.ground_m.push(low as f32);
             let mut random = HashedRandom([self.seed ^ 5, u64::from(line), u64::from(shot), 0]);
             if low < most && random.uniform() >= self.spec.dropouts {
-                self.meet(low, low * sin, y, shot, &mut random, &mut sweep.targets);
+                self.add_targets(low, low * sin, y, shot, &mut random, &mut sweep.targets);
             }
         }
         sweep
     }
 
     /// Adds the targets of a shot whose ground is at `range_m`, in order of range.
-    fn meet(
+    fn add_targets(
         &self,
         range_m: f64,
         x: f64,

@@ -139,7 +139,7 @@ mod tests {
 
     /// The table agrees with the closed form at any phase, width and position in a block.
     #[test]
-    fn what_is_added_is_the_response() {
+    fn the_table_equals_the_response() {
         for shape in [PulseShape::riegl(), PulseShape::gaussian(4.5), PulseShape::riegl_reference()] {
             let table = PulseTable::new(shape.clone(), 1.0);
             for (spread, position) in [(0.0, 16.0), (0.3, 16.37), (1.0, 3.992), (2.5, -7.01), (4.0, 70.6)] {
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn widths_are_the_nearest_of_the_table() {
+    fn widths_are_rounded_to_the_table() {
         let table = PulseTable::new(PulseShape::gaussian(4.5), 1.0);
         assert_eq!(table.width(0.0), WidthIndex(0));
         assert_eq!(table.width_ratio(WidthIndex(0)), 1.0);

@@ -53,7 +53,7 @@ fn a_block_grows_while_echoes_come() {
 }
 
 #[test]
-fn a_weak_echo_opens_no_block_but_stands_in_one() {
+fn a_weak_echo_is_recorded_only_in_the_block_of_another() {
     let (receiver, mut windows) = (receiver(), Vec::new());
     let weak = echoes(&receiver, &[(60.0, 5.0), (100.0, 6.0), (120.0, 5.0), (300.0, 5.0)]);
     receiver.windows(&weak, &mut windows);
@@ -63,7 +63,7 @@ fn a_weak_echo_opens_no_block_but_stands_in_one() {
 }
 
 #[test]
-fn a_block_without_noise_spelled_out() {
+fn samples_of_a_block_without_noise() {
     let (mut receiver, mut windows) = (receiver(), Vec::new());
     let one = echoes(&receiver, &[(100.375, 100.0)]);
     receiver.windows(&one, &mut windows);
@@ -76,7 +76,7 @@ fn a_block_without_noise_spelled_out() {
 }
 
 #[test]
-fn an_echo_beyond_the_digitisers_end_is_clipped() {
+fn an_echo_above_full_scale_is_clipped() {
     let (mut receiver, mut windows) = (receiver(), Vec::new());
     let strong = echoes(&receiver, &[(100.375, 1000.0)]);
     receiver.windows(&strong, &mut windows);

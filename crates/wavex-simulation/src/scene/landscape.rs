@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn everything_is_met_and_stands_on_the_ground() {
+    fn all_targets_are_hit_on_or_above_the_ground() {
         let terrain = SimulatedTerrain::new(1, SETTINGS.relief_m, SETTINGS.water_ratio);
         let mut counts = std::collections::HashMap::new();
         let mut empty = 0;
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_but_ground_is_level_or_not_as_was_asked_for() {
+    fn without_relief_and_targets_the_land_is_level() {
         let bare = CountrySettings {
             relief_m: 0.0,
             water_ratio: 0.0,

@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_beam_ends_on_the_ground_and_not_before_or_behind() {
+    fn a_beam_ends_on_the_ground() {
         let terrain = SimulatedTerrain::new(5, 200.0, 0.1);
         for k in 0..2000 {
             let beam = beam(3.7 * f64::from(k), [0.9 * (f64::from(k % 21) / 10.0 - 1.0), 0.1, -1.0]);

@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_beam_through_a_wire_meets_it_there() {
+    fn a_beam_through_a_wire_hits_it_there() {
         let (wires, terrain) = (Wires::new(1, 20.0), SimulatedTerrain::new(1, 0.0, 0.0));
         // A quarter of the span from a pylon, the wire hangs three quarters of the sag lower.
         for (aside, z) in [(-4.0, 15.5), (0.0, 15.5), (4.0, 15.5), (0.0, 19.5)] {
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn a_beam_beside_the_wires_goes_on() {
+    fn a_beam_that_misses_the_wires_loses_nothing() {
         let (wires, terrain) = (Wires::new(1, 20.0), SimulatedTerrain::new(1, 50.0, 0.0));
         for x in [100.0, 152.0, 157.0, 230.0] {
             let beam = through([x, 62.5, GROUND_HEIGHT_M]);
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wire_takes_most_from_the_middle_of_a_footprint() {
+    fn a_wire_covers_most_in_the_middle_of_a_footprint() {
         assert_eq!(covered(0.2, 0.15), 0.0);
         assert!((covered(0.0, 0.15) - 0.03 * 2.0 / (core::f64::consts::PI * 0.15)).abs() < 1e-12);
         assert!(covered(0.1, 0.15) < covered(0.0, 0.15));

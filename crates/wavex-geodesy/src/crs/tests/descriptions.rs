@@ -8,7 +8,7 @@ fn keys_of(crs: &Crs) -> Option<GeoKeys> {
 
 /// The WKT written to a LAS file can be read again, whatever the source and the unit.
 #[test]
-fn a_systems_wkt_is_the_system() {
+fn written_wkt_defines_the_same_system() {
     let oblique = r#"GEOGCS["d",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]"#;
     let one_parallel = format!(
         r#"PROJCS["one",{oblique},PROJECTION["Lambert_Conformal_Conic_1SP"],PARAMETER["latitude_of_origin",30.5],PARAMETER["central_meridian",-98],PARAMETER["scale_factor",0.9999],PARAMETER["false_easting",1000],PARAMETER["false_northing",0],UNIT["link",0.201168]]"#
@@ -64,7 +64,7 @@ fn a_systems_wkt_is_the_system() {
 /// The keys give heights in feet even if the code of the CRS does not, also for a CRS without a
 /// code.
 #[test]
-fn keys_of_a_text_have_the_unit_of_heights() {
+fn keys_have_the_unit_of_heights() {
     let value = |keys: &GeoKeys, key: u16| {
         let words: Vec<u16> =
             keys.directory.as_chunks().0.iter().map(|word| u16::from_le_bytes(*word)).collect();
@@ -95,7 +95,7 @@ fn epsg_key(directory: &[u8]) -> Option<u16> {
 }
 
 #[test]
-fn keys_name_a_code_where_there_is_one() {
+fn keys_contain_the_code_if_known() {
     let keys = keys_of(&Crs::new(&named("EPSG:2154"), NOWHERE, geoid("raf20"), None).unwrap()).unwrap();
     assert_eq!(epsg_key(&keys.directory), Some(2154));
     assert_eq!(keys.ascii, b"RGF93 / Lambert-93|\0");
@@ -117,7 +117,7 @@ fn keys_name_a_code_where_there_is_one() {
 }
 
 #[test]
-fn keys_say_a_projection_without_a_code() {
+fn keys_define_a_projection_without_a_code() {
     let keys = keys_of(&of_wkt(ESRI).unwrap()).unwrap();
     let words: Vec<u16> = keys.directory.as_chunks().0.iter().map(|word| u16::from_le_bytes(*word)).collect();
     let entries: Vec<&[u16]> = words.chunks(4).skip(1).collect();

@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn systems_that_cannot_be_had_say_why() {
+fn unsupported_systems_are_errors() {
     let error = |word: &str| Crs::new(&named(word), NOWHERE, None, None).unwrap_err().to_string();
     assert_eq!(
         error("EPSG:99999"),
@@ -32,7 +32,7 @@ fn systems_that_cannot_be_had_say_why() {
 }
 
 #[test]
-fn texts_that_cannot_be_used_say_why() {
+fn invalid_wkt_is_an_error() {
     let error = |text: &str| of_wkt(text).unwrap_err().to_string();
     assert_eq!(
         error("PROJCS[\"x\""),
@@ -114,7 +114,7 @@ fn methods() -> Vec<(&'static str, Vec<(&'static str, f64)>)> {
 
 /// A missing parameter would count as 0: each one is reported by name, for every projection.
 #[test]
-fn every_parameter_of_every_projection_is_needed() {
+fn every_projection_parameter_is_required() {
     for (method, parameters) in methods() {
         of_wkt(&projected(method, &parameters)).unwrap_or_else(|error| panic!("{method}: {error}"));
         for (missing, _) in &parameters {
@@ -146,7 +146,7 @@ fn every_parameter_of_every_projection_is_needed() {
 
 /// Methods that differ from PROJ and unknown parameters are rejected rather than ignored.
 #[test]
-fn what_would_be_left_out_is_refused() {
+fn unsupported_parameters_are_errors() {
     let error = |text: &str| of_wkt(text).map(|_| ()).unwrap_err().to_string();
     let miller = projected("Miller_Cylindrical", &[NATURAL[1], FALSE[0], FALSE[1]]);
     assert_eq!(
@@ -192,7 +192,7 @@ fn what_would_be_left_out_is_refused() {
 
 /// No CRS of the table lacks parameters.
 #[test]
-fn systems_of_the_table_are_complete() {
+fn table_systems_have_all_parameters() {
     for code in [
         2154, 3035, 3031, 3857, 5041, 3408, 6966, 2193, 3765, 5514, 3067, 3794, 28992, 3844, 5880, 6372, 3347,
     ] {
@@ -202,7 +202,7 @@ fn systems_of_the_table_are_complete() {
 }
 
 #[test]
-fn points_that_are_none_are_named() {
+fn invalid_positions_are_reported() {
     let error = crs("utm:33N").from_geodetic(place(-90.0, 3.0, 0.0)).unwrap_err().to_string();
     assert_eq!(
         error,
@@ -226,7 +226,7 @@ fn points_that_are_none_are_named() {
 }
 
 #[test]
-fn the_first_of_many_places_that_has_no_coordinates_is_named() {
+fn the_first_invalid_position_of_a_batch_is_reported() {
     let crs = crs("utm:33N");
     let mut places: Vec<Vector> = (0..40)
         .map(|i| crs.ellipsoid().ecef_of(place(if i < 20 { 15.0 } else { -90.0 - f64::from(i) }, 3.0, 0.0)))
