@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use made::{Flight, fly, georeference, return_of, site, source};
-use wavex::georef::pose_source::Posed;
+use wavex::stages::pose_source::Posed;
 use wavex::scan_line::{Blocks, Content, Return, ScanLine};
 use wavex::stage::{Context, RunContext, Source};
 

@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::paths::plain;
 use crate::engine::{self, Input};
 use crate::job::{Job, JobSettings};
-use crate::stage::{FileMark, Key, Keys};
+use crate::keys::{FileMark, Key, Keys};
 use wavex_formats::companions;
 use wavex_geodesy::crs::Named;
 
@@ -133,7 +133,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::stage::choices;
+    use crate::keys::choices;
 
     fn input(path: &Path, stem: &str) -> Input {
         Input { path: path.to_owned(), stem: stem.to_owned() }

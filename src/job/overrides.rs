@@ -9,7 +9,8 @@ use super::draft::{Draft, DraftStage, syntax_error};
 use super::sources::Sources;
 use super::validate::only_text;
 use super::{JobError, JobSettings};
-use crate::stage::{Keys, StageSpec, listed};
+use crate::keys::{Keys, listed};
+use crate::stage::StageSpec;
 
 /// A value set from outside the text: `STAGE.KEY=VALUE`.
 ///

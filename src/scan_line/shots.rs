@@ -44,6 +44,13 @@ pub struct Emission {
     pub scan_angle_deg: f32,
 }
 
+impl Emission {
+    /// GPS time if it has one, else time of the instrument clock, s.
+    pub fn time_s(&self) -> f64 {
+        if self.gps_time_s.is_finite() { self.gps_time_s } else { self.clock_ps as f64 * 1e-12 }
+    }
+}
+
 impl Default for Emission {
     /// A shot straight down from the frame's origin, of which nothing else is known.
     fn default() -> Emission {

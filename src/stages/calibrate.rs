@@ -7,10 +7,11 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::keys::InvalidKey;
 use crate::scan_line::{Channel, InputInfo, Kind, ScanLine};
 use crate::stage::{
-    Config, Holds, InvalidKey, Output, OutputFile, Result, RunContext, StageError, StageSpec, Survey,
-    Transform, TransformConfig,
+    Config, Holds, Output, OutputFile, Result, RunContext, StageError, StageSpec, Survey, Transform,
+    TransformConfig,
 };
 pub use presets::Preset;
 use wavex_formats::Error;

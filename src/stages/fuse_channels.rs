@@ -6,9 +6,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::calibrate::AutoOrNumber;
+use crate::keys::InvalidKey;
 use crate::scan_line::{Block, Blocks, Channel, Content, Kind, ScanLine};
 use crate::stage::{
-    Config, Holds, InvalidKey, Output, Result, RunContext, StageSpec, Survey, Transform, TransformConfig,
+    Config, Holds, Output, Result, RunContext, StageSpec, Survey, Transform, TransformConfig,
 };
 use wavex_signal::decompose::OVERDRIVEN_PART;
 use wavex_signal::fusion::{ChannelFusion, MIN_PAIRS, Pair, estimate, lead_noise_sd_dn, plain_peak};

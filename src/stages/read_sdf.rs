@@ -10,12 +10,11 @@ use serde::{Deserialize, Serialize};
 use super::line_splitter::{Lines, check_odd_sample_shift};
 use super::recording::time::{self, Axis, Scale, Times};
 use super::recording::{self, NO_TIME, with_time_keys};
+use crate::keys::InvalidKey;
 use crate::scan_line::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
 };
-use crate::stage::{
-    self, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
-};
+use crate::stage::{self, Context, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 use wavex_formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
 
 mod shot;
@@ -362,6 +361,7 @@ fn describe(
             false => EmissionReference::Clock,
         },
         origin_is_sensor: true,
+        first_shot: None,
         amplitude_low: AmplitudeTable::new(tables.amplitude_low),
         amplitude_high: AmplitudeTable::new(tables.amplitude_high),
         range_low: AmplitudeTable::new(tables.range_low),

@@ -7,8 +7,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::georef::declared;
+use crate::keys::InvalidKey;
 use crate::scan_line::{Content, Emission, Frame, GainControl, InputInfo, ScanLine};
-use crate::stage::{Context, InvalidKey, Item, Result, RunContext, Source, StageError};
+use crate::stage::{Context, Item, Result, RunContext, Source, StageError};
 use wavex_geodesy::time::WEEK_S;
 
 pub(super) mod time;

@@ -8,10 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use super::calibrate::Auto;
 use crate::georef::Geometry;
+use crate::keys::InvalidKey;
 use crate::scan_line::{Kind, ScanLine};
-use crate::stage::{
-    Config, InvalidKey, Output, Result, RunContext, StageError, StageSpec, Transform, TransformConfig,
-};
+use crate::stage::{Config, Output, Result, RunContext, StageError, StageSpec, Transform, TransformConfig};
 use wavex_formats::terrain::Terrain;
 use wavex_signal::mta::{Method, MtaError, Prior, Settings};
 

@@ -7,10 +7,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::{code_of, header_of};
+use crate::keys::InvalidKey;
 use crate::scan_line::{Block, Blocks, Emission, InputInfo, Kind, ScanLine};
-use crate::stage::{
-    self, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
-};
+use crate::stage::{self, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec};
 use wavex_formats::container::{
     self, ContainerBlock, ContainerOnline, ContainerShot, ContainerWriter, LineBuilder,
 };

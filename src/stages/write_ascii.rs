@@ -6,10 +6,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::write_las::{AttributeLayout, WriteLas, offsets, point};
+use crate::keys::InvalidKey;
 use crate::scan_line::{InputInfo, Kind, ScanLine};
-use crate::stage::{
-    Config, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec,
-};
+use crate::stage::{Config, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec};
 use wavex_formats::Error;
 
 mod columns;

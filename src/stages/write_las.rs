@@ -12,12 +12,12 @@ use std::sync::{Arc, OnceLock};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::keys::InvalidKey;
 use crate::scan_line::{
     Emission, Frame, GainControl, InputInfo, Kind, Return, ScanLine, TimeScale, emission_flags,
 };
 use crate::stage::{
-    Config, Context, InvalidKey, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError,
-    StageSpec,
+    Config, Context, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };
 use attributes::Attributes;
 use files::Files;

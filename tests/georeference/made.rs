@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use wavex::engine::{self, Options, RunReport};
-use wavex::georef::pose_source::Posed;
+use wavex::stages::pose_source::Posed;
 use wavex::georef::{GeometryKeys, Loader};
 use wavex::job::Job;
 use wavex::registry;

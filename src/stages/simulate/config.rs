@@ -4,8 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{FULL_SCALE_DN, INTERVAL_NS};
+use crate::keys::InvalidKey;
 use crate::scan_line::MAX_SHOTS_PER_LINE;
-use crate::stage::{Config, InvalidKey};
+use crate::stage::Config;
 use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year};
 use wavex_simulation::detector::Detector;
 use wavex_simulation::platform::{Motion, Platform};

@@ -1,7 +1,7 @@
 //! What the keys may be.
 
 use super::*;
-use crate::stage::InvalidKey;
+use crate::keys::InvalidKey;
 
 #[test]
 fn each_limit_has_its_message() {
