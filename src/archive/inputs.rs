@@ -93,7 +93,7 @@ fn geoid_pointers() -> Option<(String, String)> {
 
 /// Sets the geoid folder if the job names a geoid.
 ///
-/// `place` converts the folder that the job gives; an empty text stands for the input folder.
+/// `place` maps a folder of the job to a path; the empty text is the input folder.
 ///
 /// # Errors
 /// Errors of `place`.

@@ -9,7 +9,7 @@ pub enum Channel {
     HighPower,
     /// Low-power receiver, for weak echoes (RIEGL: LO).
     LowPower,
-    /// A receiver that only tells of saturation.
+    /// A receiver that only indicates saturation.
     Saturation,
     /// The outgoing pulse.
     Reference,

@@ -268,7 +268,7 @@ impl Calibrator {
         })
     }
 
-    /// Completes a channel's model: without a response of its own, it gets that of the other
+    /// Completes a channel's model: without its own response, it gets that of the other
     /// receiver, or a Gaussian.
     fn completed(
         &self,

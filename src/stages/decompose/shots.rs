@@ -161,7 +161,7 @@ impl Shot<'_> {
             cx.note("the return locations of some waveforms match no computed return: their sub-sample emission offset is unknown, and the standard deviations of ranges include it");
             return unknown;
         }
-        // The offset is computed from the same echoes, so it adds no error of its own.
+        // The offset is computed from the same echoes, so it adds no error.
         EmissionTime { time_ns: sum / weights, sd_ns: 0.0, flags: 0 }
     }
 }

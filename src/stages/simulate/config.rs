@@ -401,7 +401,7 @@ impl Simulate {
             }
             Landscape::Country => {
                 let lowest = self.relief_m + stands.max(self.wire_height_m + 4.0) + 30.0;
-                let flight = "must lie between 30 m above hills and all that stands on them, and 10000";
+                let flight = "must lie between 30 m above all terrain and objects, and 10000";
                 unless(within(self.flying_height_m, lowest, 10_000.0), "flying_height_m", flight)?;
             }
         }

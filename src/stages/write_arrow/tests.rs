@@ -1,4 +1,4 @@
-//! Round trip: what is written is read back unchanged.
+//! Round trip: written lines are read back unchanged.
 
 use std::path::PathBuf;
 use std::sync::Arc;
