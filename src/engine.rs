@@ -158,7 +158,7 @@ fn run_inputs(
         let geometry = Loader::new(&job.settings.geometry, &options.input_dir)
             .map_err(|error| RunError::of_job(error.into()))?;
         inputs::keep_from_outputs(job, &sites)?;
-        let lock = OutputLock::take(&inputs::outputs(job, &sites)).map_err(RunError::of_job)?;
+        let lock = OutputLock::acquire(&inputs::outputs(job, &sites)).map_err(RunError::of_job)?;
         Ok((geometry, lock))
     };
     // The lock is held until the end of the run.

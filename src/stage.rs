@@ -1,7 +1,7 @@
 //! The four roles of stages, and the interface that the engine gives them.
 //!
 //! A stage sees no channels, threads or clocks. It drops items through [`Context::reject`], records
-//! measurements through [`Context::observe`], and warns the user through [`Context::note`].
+//! measurements through [`Context::observe`], and warns the user through [`Context::warn`].
 
 use crate::georef;
 use crate::scan_line::ScanLine;
@@ -17,7 +17,7 @@ pub use context::{Context, Counters, Distribution, Item};
 pub use lookahead::Survey;
 pub(crate) use output_file::partial_path;
 pub use output_file::{FinishedFile, OutputFile, remove_unfinished_files};
-pub use output_lock::{OutputLock, Outputs, give_up_claims};
+pub use output_lock::{OutputLock, Outputs, release_all};
 pub use site::{Paths, RunContext, fixed_folder};
 pub use spec::{
     Config, ConfigError, Holds, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig, SourcePlan,
@@ -100,7 +100,7 @@ pub trait Sink {
 
     /// Completes the files.
     ///
-    /// Hands each finished file to [`Context::keep`]; it gets its final name after the whole run
+    /// Hands each finished file to [`Context::publish`]; it gets its final name after the whole run
     /// has succeeded.
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()>;
 }

@@ -5,7 +5,18 @@ use std::path::Path;
 
 /// Top-level modules from top to bottom; each may import those below it.
 const LAYERS: [&str; 13] = [
-    "main", "cli", "archive", "report", "inspect", "engine", "job", "registry", "stages", "stage", "georef", "scan_line",
+    "main",
+    "cli",
+    "archive",
+    "report",
+    "inspect",
+    "engine",
+    "job",
+    "registry",
+    "stages",
+    "stage",
+    "georef",
+    "scan_line",
     "keys",
 ];
 
@@ -89,7 +100,8 @@ fn modules_import_only_lower_layers() {
 
 #[test]
 fn imports_are_found_in_every_form() {
-    let source = "use crate::stage::{Keys, Result};\nuse crate::{job::Job, engine::{a, b}, georef};\n// crate::cli\n";
+    let source =
+        "use crate::stage::{Keys, Result};\nuse crate::{job::Job, engine::{a, b}, georef};\n// crate::cli\n";
     let expected = ["engine", "georef", "job", "stage"].map(str::to_owned);
     assert_eq!(imports(source), BTreeSet::from(expected));
 }

@@ -207,7 +207,7 @@ fn publish(
     mut whole: Vec<(String, FinishedFile)>,
 ) -> std::result::Result<Vec<PathBuf>, (String, StageError)> {
     for (stage, file) in &mut whole {
-        file.make_way().map_err(|error| (stage.clone(), error.into()))?;
+        file.remove_stale().map_err(|error| (stage.clone(), error.into()))?;
     }
     whole.into_iter().map(|(stage, file)| file.publish().map_err(|error| (stage, error.into()))).collect()
 }

@@ -103,7 +103,7 @@ impl Map for Georeferencer {
             }
             Frame::Scanner | Frame::Body => {
                 self.geometry.keep_frame()?;
-                cx.note(match frame {
+                cx.warn(match frame {
                     Frame::Body => {
                         "the input is not georeferenced: its points are in the body frame of the aircraft"
                     }
@@ -124,7 +124,7 @@ impl Georeferencer {
     fn correct_ranges(&self, input: &InputInfo, returns: &mut [Return], fused: bool, cx: &mut Context) {
         let mut calibration = *self.geometry.installation().calibration();
         if !input.origin_is_sensor && calibration.e1 != 0.0 {
-            cx.note(
+            cx.warn(
                 "ranges are not corrected by `e1`: the recording does not contain the sensor position, and ranges count \
                  from a point near the waveform; remove `e1` from the calibration",
             );

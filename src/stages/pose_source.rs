@@ -75,7 +75,7 @@ impl Source for Posed {
 impl Posed {
     fn finish(&self, cx: &mut Context) -> Result<()> {
         if self.angles.gave_up() {
-            cx.note(
+            cx.warn(
                 "scan angles are unknown, and are 0 in outputs: the recording has none, and its beams do not define the \
                  direction of flight",
             );
@@ -87,9 +87,9 @@ impl Posed {
         let mut frame = batch.input.frame;
         match frame {
             Frame::Map if self.geometry.keys().places_scanners() => {
-                cx.note("the recording is already in a projected CRS: trajectory, mount and calibration are not used");
+                cx.warn("the recording is already in a projected CRS: trajectory, mount and calibration are not used");
             }
-            Frame::Earth if self.geometry.keys().places_scanners() => cx.note(
+            Frame::Earth if self.geometry.keys().places_scanners() => cx.warn(
                 "the beams of the recording are already georeferenced: of `[job.geometry]`, only the keys for \
                  ranges and coordinates are used",
             ),
@@ -134,7 +134,7 @@ impl Posed {
             self.alignment = self.geometry.align(&batch.input, first.gps_time_s)?;
         }
         if self.coverage.span_s.is_none() {
-            self.geometry.notes().iter().for_each(|note| cx.note(note));
+            self.geometry.notes().iter().for_each(|note| cx.warn(note));
         }
         let without_angles = are_unknown(&batch.emissions);
         let mut down = None;
@@ -264,7 +264,7 @@ impl Coverage {
             (self.missing_s, alignment)
         {
             let (n, missing) = (self.missing, Times { first_s, last_s, ..*recording });
-            cx.note(format!(
+            cx.warn(format!(
                 "{n} shots are rejected, because the trajectory has no pose for them: they last from {missing}, the \
                  trajectory from {trajectory}"
             ));

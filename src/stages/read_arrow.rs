@@ -217,7 +217,7 @@ impl Source for ReadArrow {
             self.at = Some((line, 0));
         }
         if self.reader.ended_without_mark() {
-            cx.note("the Arrow stream ends without its end mark: lines may be missing");
+            cx.warn("the Arrow stream ends without its end mark: lines may be missing");
         }
         Ok(None)
     }

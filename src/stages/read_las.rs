@@ -348,7 +348,7 @@ impl Source for LasSource {
                 }
                 self.broken.check_at_end()?;
                 if self.without_waveform > 0 {
-                    cx.note(without_waveform(self.without_waveform));
+                    cx.warn(without_waveform(self.without_waveform));
                 }
                 return Ok(None);
             }

@@ -256,7 +256,7 @@ impl Source for PulseWavesSource {
                 self.reader.check_complete()?;
                 if self.reader.stray_bytes() > 0 {
                     let stray = self.reader.stray_bytes();
-                    cx.note(format!("the {stray} bytes after the last pulse are not valid records: the file may be truncated and lack its coordinate system or tables"));
+                    cx.warn(format!("the {stray} bytes after the last pulse are not valid records: the file may be truncated and lack its coordinate system or tables"));
                 }
                 return Ok(None);
             }

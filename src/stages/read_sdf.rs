@@ -290,7 +290,7 @@ impl ReadSdf {
     fn last_line(&mut self, cx: &mut Context) -> Option<ScanLine> {
         let line = self.lines.take();
         if line.is_some() && self.ends_are_marked && self.window.is_none() {
-            cx.note("the file ends within a scan line: it may be truncated");
+            cx.warn("the file ends within a scan line: it may be truncated");
         }
         line
     }
@@ -371,7 +371,7 @@ fn describe(
 
 impl Source for ReadSdf {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
-        self.remarks.drain(..).for_each(|remark| cx.note(remark));
+        self.remarks.drain(..).for_each(|remark| cx.warn(remark));
         loop {
             if let Some(emission) = self.waiting.take() {
                 self.add(emission);

@@ -213,10 +213,10 @@ impl<S: Source> AsDeclared<S> {
             if keys.needs_scale() {
                 return Err(StageError::failed(problem, time::SAY_SCALE));
             }
-            cx.note(format!("{problem}; {}", time::SAY_SCALE));
+            cx.warn(format!("{problem}; {}", time::SAY_SCALE));
         }
         if from.gain_control == GainControl::NotRecorded {
-            cx.note(UNKNOWN_GAINS);
+            cx.warn(UNKNOWN_GAINS);
         }
         let about = keys.gps_date.as_deref().and_then(time::noon);
         let times = match (keys.recording_time, about) {
@@ -264,7 +264,7 @@ impl<S: Source> AsDeclared<S> {
         let place_m = first.emissions.first().map(|shot| shot.origin_m).unwrap_or_default();
         if let Some(other) = of_file.as_deref().filter(|wkt| declared::differ(wkt, declared, place_m)) {
             let [file, job] = [other, declared].map(|wkt| wkt.split('"').nth(1).unwrap_or("an unnamed CRS"));
-            cx.note(format!("the file gives {file} as its CRS; `crs_of_input` overrides it with {job}"));
+            cx.warn(format!("the file gives {file} as its CRS; `crs_of_input` overrides it with {job}"));
         }
         Ok(Some(declared.clone()))
     }

@@ -235,7 +235,7 @@ impl Transform for Resolving {
     fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
         let is_unresolved = batch.emissions.iter().any(|emission| emission.mta_zone.is_none());
         if !is_unresolved && !batch.emissions.is_empty() {
-            out.cx.note("lines with known zones pass through unchanged");
+            out.cx.warn("lines with known zones pass through unchanged");
             self.finish(out)?;
             return out.emit(batch);
         }

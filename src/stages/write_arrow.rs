@@ -170,10 +170,10 @@ impl Sink for WriteArrow {
         match self.state {
             State::Open(writer) => {
                 if let Target::File(file) = writer.finish()? {
-                    cx.keep(file.finish()?);
+                    cx.publish(file.finish()?);
                 }
             }
-            State::Waiting(_) => cx.note("no container is written: there were no shots"),
+            State::Waiting(_) => cx.warn("no container is written: there were no shots"),
             State::Failed => {}
         }
         Ok(())

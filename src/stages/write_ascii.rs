@@ -179,9 +179,9 @@ impl Sink for AsciiWriter {
 
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()> {
         if self.n_points == 0 {
-            cx.note("no points were found");
+            cx.warn("no points were found");
         }
-        cx.keep(self.file.finish()?);
+        cx.publish(self.file.finish()?);
         Ok(())
     }
 }

@@ -136,7 +136,7 @@ impl Sink for WriteTable {
         // A table without lines still has its columns.
         self.writer(TimeScale::Unknown)?;
         if let State::Open(writer) = self.state {
-            cx.keep(writer.finish()?.finish()?);
+            cx.publish(writer.finish()?.finish()?);
         }
         Ok(())
     }

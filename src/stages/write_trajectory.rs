@@ -142,7 +142,7 @@ impl Sink for TrajectoryWriter {
             return Ok(());
         }
         if matches!(batch.input.frame, Frame::Scanner | Frame::Body) {
-            cx.note(
+            cx.warn(
                 "the input is not georeferenced: the sensor position is unknown, and its path has no rows",
             );
             return Ok(());
@@ -177,11 +177,11 @@ impl Sink for TrajectoryWriter {
         }
         let without = self.met.n_without_place();
         if without > 0 {
-            cx.note(format!(
+            cx.warn(format!(
                 "the beams of {without} sections of the flight do not intersect near one position: the path of the sensor has no rows there"
             ));
         }
-        cx.keep(self.file.finish()?);
+        cx.publish(self.file.finish()?);
         Ok(())
     }
 }

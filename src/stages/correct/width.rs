@@ -77,7 +77,7 @@ impl WidthCorrection {
         };
         let pulses: Vec<Pulse> = of_channel.iter().filter(plain).map(pulse).collect();
         let Some(nodes) = width_by_amplitude(&pulses) else {
-            cx.note(format!(
+            cx.warn(format!(
                 "{}: widths are not corrected for amplitude: the width of flat targets cannot be estimated \
                  from its single returns ({})",
                 name(channel),
