@@ -26,6 +26,8 @@ from pathlib import Path
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 FLIGHT = """
+[job]
+output_dir = "out"
 [[stage]]
 type = "simulate"
 stem = "data"
@@ -121,6 +123,8 @@ def outputs(binary, folder, arguments):
     shutil.copytree(REPOSITORY / "jobs", into)
     (here / "flight.toml").write_text(FLIGHT)
     messages["flight"] = run(binary, ["run", "flight.toml"], here, environment)
+    if not (here / "out" / "data.arrow").is_file():
+        sys.exit(f"{binary} cannot simulate the flight: {messages['flight']}")
     shutil.move(here / "out" / "data.arrow", here / "data.sdf")
     shutil.move(here / "out" / "file.pof", here / "file.pof")
     shutil.rmtree(here / "out")
