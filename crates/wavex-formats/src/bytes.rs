@@ -97,6 +97,13 @@ impl<'a> Fields<'a> {
     }
 }
 
+/// Encodes text of a fixed length, truncated or padded with zeros.
+pub(crate) fn text<const N: usize>(text: &str) -> [u8; N] {
+    let mut bytes = [0; N];
+    bytes.iter_mut().zip(text.bytes()).for_each(|(to, byte)| *to = byte);
+    bytes
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

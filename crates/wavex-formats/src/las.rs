@@ -23,6 +23,7 @@ mod raw;
 mod reader;
 mod records;
 mod round;
+mod totals;
 mod vlr;
 mod writer;
 

@@ -2,18 +2,27 @@
 //!
 //! LAS 1.4 R15, section "Public Header Block", and LAS 1.5. LAS 1.5 appends three fields.
 
+use std::io::Read;
 use std::path::Path;
 
 use super::point::Layout;
-use crate::bytes::Fields;
+use crate::bytes::{Fields, text};
 use crate::{Error, Result};
 
-/// Length of the header of LAS 1.4, bytes.
-pub(super) const HEADER_1_4: u16 = 375;
-/// Length of the header of LAS 1.5, bytes.
-///
-/// The longest of all versions.
-pub(super) const HEADER_1_5: u16 = 393;
+/// Length of the longest header, bytes: that of LAS 1.5.
+const LONGEST: u16 = 393;
+/// Bit of the point format that marks compressed points (LASzip).
+const COMPRESSED: u8 = 0x80;
+
+/// Returns the length of the header of LAS 1.`minor`, bytes.
+pub(super) fn header_bytes(minor: u8) -> u16 {
+    match minor {
+        0..=2 => 227,
+        3 => 235,
+        4 => 375,
+        _ => LONGEST,
+    }
+}
 
 /// Bits of the field "global encoding".
 pub(super) mod encoding {
@@ -48,7 +57,7 @@ pub enum GpsTime {
 }
 
 /// Public header block.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Header {
     /// File source ID (flight line), 0 if unassigned.
     pub file_source_id: u16,
@@ -109,17 +118,16 @@ pub struct Header {
 }
 
 impl Header {
-    /// Parses the header of `file`, which has `file_length` bytes.
-    ///
-    /// `bytes` holds the first 393 bytes of the file (the longest header), or all of a shorter
-    /// file.
+    /// Reads the header at the start of `file`, which has `file_length` bytes.
     ///
     /// # Errors
     /// The file is empty, is not LAS, has an unknown version or point format, or contradictory
-    /// sizes.
-    pub fn parse(file: &Path, bytes: &[u8], file_length: u64) -> Result<Header> {
-        let mut fields = Fields::new(file, 0, bytes);
-        check_signature(file, bytes)?;
+    /// sizes; or reading fails.
+    pub(super) fn read(input: &mut impl Read, file: &Path, file_length: u64) -> Result<Header> {
+        let mut bytes = Vec::with_capacity(LONGEST.into());
+        input.take(LONGEST.into()).read_to_end(&mut bytes).map_err(Error::io(file, "read the header"))?;
+        let mut fields = Fields::new(file, 0, &bytes);
+        check_signature(file, &bytes)?;
         fields.skip(4, "file signature")?;
         let file_source_id = fields.u16("file source ID")?;
         let global_encoding = fields.u16("global encoding")?;
@@ -167,6 +175,54 @@ impl Header {
         header.later_fields(&mut fields)?;
         header.check_points_fit(file, file_length)?;
         Ok(header)
+    }
+
+    /// Encodes the header: [`Header::header_size`] bytes, zero after the fields of the version.
+    ///
+    /// Texts are truncated, and counts saturate. Formats 6 and above of LAS 1.4 have no legacy
+    /// counts. The GPS time bounds of LAS 1.5 are zero.
+    pub(super) fn write(&self) -> Vec<u8> {
+        let minor = self.version.1;
+        let mut out = Vec::with_capacity(self.header_size.into());
+        out.extend(b"LASF");
+        out.extend(self.file_source_id.to_le_bytes());
+        out.extend(self.global_encoding.to_le_bytes());
+        out.extend(self.guid);
+        out.extend([self.version.0, minor]);
+        out.extend(text::<32>(&self.system_identifier));
+        out.extend(text::<32>(&self.generating_software));
+        out.extend(self.creation_day.to_le_bytes());
+        out.extend(self.creation_year.to_le_bytes());
+        out.extend(self.header_size.to_le_bytes());
+        out.extend(self.offset_to_points.to_le_bytes());
+        out.extend(self.n_vlrs.to_le_bytes());
+        out.push(self.point_format | if self.compressed { COMPRESSED } else { 0 });
+        out.extend(self.record_length.to_le_bytes());
+        let has_legacy_counts = minor <= 3 || minor == 4 && self.point_format <= 5;
+        for count in [self.n_points].iter().chain(&self.n_points_by_return[..5]) {
+            let count = if has_legacy_counts { u32::try_from(*count).unwrap_or(u32::MAX) } else { 0 };
+            out.extend(count.to_le_bytes());
+        }
+        let bounds = (0..3).flat_map(|axis| [self.max[axis], self.min[axis]]);
+        for value in self.scale.into_iter().chain(self.offset).chain(bounds) {
+            out.extend(value.to_le_bytes());
+        }
+        if minor >= 3 {
+            out.extend(self.start_of_waveforms.to_le_bytes());
+        }
+        if minor >= 4 {
+            out.extend(self.start_of_evlrs.to_le_bytes());
+            out.extend(self.n_evlrs.to_le_bytes());
+            for count in [self.n_points].iter().chain(&self.n_points_by_return) {
+                out.extend(count.to_le_bytes());
+            }
+        }
+        if minor >= 5 {
+            out.extend([0; 16]);
+            out.extend(self.time_offset_megaseconds.to_le_bytes());
+        }
+        out.resize(self.header_size.into(), 0);
+        out
     }
 
     /// Reads the fields appended by LAS 1.3, 1.4 and 1.5.
@@ -227,6 +283,11 @@ impl Header {
         }
     }
 
+    /// Returns the coordinates of stored numbers, in units of the coordinate system.
+    pub(super) fn coordinates(&self, raw: [i32; 3]) -> [f64; 3] {
+        std::array::from_fn(|axis| f64::from(raw[axis]) * self.scale[axis] + self.offset[axis])
+    }
+
     /// Returns whether the header declares a WKT coordinate system.
     ///
     /// Some files of formats 6 and above do not, although the specification requires it.
@@ -258,12 +319,7 @@ fn version(fields: &mut Fields) -> Result<(u8, u8)> {
 fn header_size(fields: &mut Fields, version: (u8, u8)) -> Result<u16> {
     let start = fields.clone();
     let size = fields.u16("header size")?;
-    let least = match version.1 {
-        0..=2 => 227,
-        3 => 235,
-        4 => HEADER_1_4,
-        _ => HEADER_1_5,
-    };
+    let least = header_bytes(version.1);
     if size >= least {
         return Ok(size);
     }
@@ -299,7 +355,7 @@ fn offset_to_points(fields: &mut Fields, header_size: u16, file_length: u64) -> 
 fn point_format(fields: &mut Fields) -> Result<(u8, bool)> {
     let start = fields.clone();
     let byte = fields.u8("point data record format")?;
-    let format = byte & 0x7f;
+    let format = byte & !COMPRESSED;
     if format > 10 {
         let problem = format!("format {format} is unknown");
         return Err(start.bad(
@@ -308,7 +364,7 @@ fn point_format(fields: &mut Fields) -> Result<(u8, bool)> {
             "convert the file to LAS 1.4, format 9 or 10",
         ));
     }
-    Ok((format, byte & 0x80 != 0))
+    Ok((format, byte & COMPRESSED != 0))
 }
 
 fn record_length(fields: &mut Fields, format: u8) -> Result<u16> {
@@ -361,4 +417,64 @@ fn bounds(fields: &mut Fields) -> Result<([f64; 3], [f64; 3])> {
         min[axis] = fields.f64("bounding box")?;
     }
     Ok((min, max))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    prop_compose! {
+        fn any_header()(
+            minor in 0..=5u8,
+            ids in (any::<u16>(), any::<u16>(), any::<[u8; 16]>(), any::<bool>(), any::<(u16, u16, u16)>()),
+            texts in ("[a-zA-Z0-9 ]{0,32}", "[a-z]{0,32}"),
+            sizes in (0..300u16, 0..1000u32, any::<u32>(), 0..=10u8, 0..500u16),
+            counts in (1..=u32::MAX, any::<[u32; 15]>()),
+            numbers in [1e-9..1e3f64, 1e-9..1e3, 1e-9..1e3],
+            boxes in any::<[[i32; 3]; 3]>(),
+            later in any::<(u64, u64, u32)>(),
+        ) -> Header {
+            let header_size = header_bytes(minor) + sizes.0;
+            let from = |version: u8| u64::from(minor >= version);
+            let (point_format, n_counts) = (sizes.3, if minor >= 4 { 15 } else { 5 });
+            Header {
+                file_source_id: ids.0,
+                global_encoding: ids.1,
+                guid: ids.2,
+                version: (1, minor),
+                system_identifier: texts.0,
+                generating_software: texts.1,
+                creation_day: ids.4.0,
+                creation_year: ids.4.1,
+                header_size,
+                offset_to_points: u32::from(header_size) + sizes.1,
+                n_vlrs: sizes.2,
+                point_format,
+                compressed: ids.3,
+                record_length: Layout::of(point_format).length as u16 + sizes.4,
+                n_points: counts.0.into(),
+                n_points_by_return: std::array::from_fn(|n| if n < n_counts { counts.1[n].into() } else { 0 }),
+                scale: numbers,
+                offset: boxes[0].map(f64::from),
+                min: boxes[1].map(f64::from),
+                max: boxes[2].map(f64::from),
+                start_of_waveforms: later.0 * from(3),
+                start_of_evlrs: later.1 * from(4),
+                n_evlrs: later.2 * from(4) as u32,
+                time_offset_megaseconds: ids.4.2 * from(5) as u16,
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_written_header_reads_as_the_same(header in any_header()) {
+            let bytes = header.write();
+            prop_assert_eq!(bytes.len(), usize::from(header.header_size));
+            let read = Header::read(&mut bytes.as_slice(), Path::new("a.las"), u64::MAX).unwrap();
+            prop_assert_eq!(read, header);
+        }
+    }
 }

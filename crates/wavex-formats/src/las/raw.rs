@@ -3,11 +3,11 @@
 //! Their fields have names.
 
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::BufReader;
 use std::path::Path;
 
 use super::extra_bytes;
-use super::header::{HEADER_1_5, Header};
+use super::header::Header;
 use super::point::Layout;
 use super::records::Records;
 use super::vlr::{self, SPEC, Vlr};
@@ -54,10 +54,7 @@ impl RawPoints {
         let file = File::open(path).map_err(Error::io(path, "open"))?;
         let file_length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
         let mut input = BufReader::new(file);
-        let mut bytes = Vec::with_capacity(HEADER_1_5.into());
-        let start = (&mut input).take(HEADER_1_5.into()).read_to_end(&mut bytes);
-        start.map_err(Error::io(path, "read the header"))?;
-        let header = Header::parse(path, &bytes, file_length)?;
+        let header = Header::read(&mut input, path, file_length)?;
         let mut vlrs = vlr::read_vlrs(&mut input, path, &header)?;
         let evlrs = vlr::read_evlrs(&mut input, path, &header, file_length)?;
         let mut fields = standard(header.point_format);

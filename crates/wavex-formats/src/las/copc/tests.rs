@@ -3,6 +3,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use super::*;
+use crate::las::header::encoding;
 use crate::las::{AMP, IndexPlace, PointOut, Version, WavePlace, WriterOptions};
 
 const WKT_TEXT: &str = "LOCAL_CS[\"a place\"]";
@@ -186,7 +187,7 @@ fn the_octree_leads_to_every_chunk() {
         decoder.set_fields_from(laz.items()).unwrap();
         decoder.decompress_many(&mut records).unwrap();
         for record in records.chunks(32) {
-            let place = place(header, raw(record));
+            let place = header.coordinates(raw(record));
             for (axis, number) in [x, y, z].into_iter().enumerate() {
                 let low = centre[axis] - half + f64::from(number) * edge;
                 assert!(place[axis] >= low - 1e-6 && place[axis] <= low + edge + 1e-6);
@@ -283,7 +284,7 @@ fn an_extended_record_too_long_to_hold_is_told() {
     write(&source, &points(3), &options(WavePlace::None, IndexPlace::None));
     let mut bytes = fs::read(&source).unwrap();
     let at = bytes.len() as u64;
-    bytes.extend(super::super::writer::evlr("me", 7, "", &vec![0; (16 << 20) + 1]));
+    bytes.extend(Vlr::new("me", 7, "", vec![0; (16 << 20) + 1]).write_extended());
     bytes[235..243].copy_from_slice(&at.to_le_bytes());
     bytes[243..247].copy_from_slice(&1u32.to_le_bytes());
     fs::write(&source, bytes).unwrap();
@@ -299,7 +300,7 @@ fn a_short_extended_record_is_carried_over() {
     write(&source, &points(3), &options(WavePlace::None, IndexPlace::None));
     let mut bytes = fs::read(&source).unwrap();
     let at = bytes.len() as u64;
-    bytes.extend(super::super::writer::evlr("me", 7, "mine", b"abc"));
+    bytes.extend(Vlr::new("me", 7, "mine", b"abc".to_vec()).write_extended());
     bytes[235..243].copy_from_slice(&at.to_le_bytes());
     bytes[243..247].copy_from_slice(&1u32.to_le_bytes());
     fs::write(&source, bytes).unwrap();

@@ -9,8 +9,8 @@ use laz::laszip::{ChunkTable, ChunkTableEntry};
 use laz::{LasZipError, LazVlr};
 
 use super::chunk::{self, Chunk};
-use super::records;
 use crate::las::lax;
+use crate::las::vlr::Vlr;
 
 /// Compression state of a LAZ file.
 pub(super) struct Compression {
@@ -82,14 +82,10 @@ impl Compression {
     }
 
     /// Appends the index and registers it in the LASzip record.
-    pub(super) fn append(&self, sink: &mut (impl Write + Seek), index: &[u8]) -> io::Result<()> {
+    pub(super) fn append(&self, sink: &mut (impl Write + Seek), index: Vec<u8>) -> io::Result<()> {
         let at = sink.seek(SeekFrom::End(0))?;
-        sink.write_all(&records::evlr(
-            lax::USER_ID,
-            lax::RECORD_ID,
-            "LAX spatial indexing (LASindex)",
-            index,
-        ))?;
+        let record = Vlr::new(lax::USER_ID, lax::RECORD_ID, "LAX spatial indexing (LASindex)", index);
+        sink.write_all(&record.write_extended())?;
         sink.seek(SeekFrom::Start(self.special_evlrs_at))?;
         sink.write_all(&1i64.to_le_bytes())?;
         sink.write_all(&at.to_le_bytes())
@@ -187,7 +183,7 @@ fn has_ended() -> io::Error {
     io::Error::other("a compression thread has ended")
 }
 
-pub(super) fn into_io(error: LasZipError) -> io::Error {
+pub(in crate::las) fn into_io(error: LasZipError) -> io::Error {
     match error {
         LasZipError::IoError(error) => error,
         other => io::Error::other(other),
