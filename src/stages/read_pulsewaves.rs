@@ -18,7 +18,7 @@ use crate::stage::{
     Config, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
 };
 use wavex_formats::geokeys;
-use wavex_formats::pulsewaves::{Kind as SegmentKind, Pulse, Reader, Segment, TimeAxis, Waves};
+use wavex_formats::pulsewaves::{Pulse, Reader, Segment, SegmentKind, TimeAxis, Waves};
 use wavex_geodesy::beam_length::BeamLength;
 
 /// Registry entry of the stage.

@@ -72,7 +72,6 @@ impl<'a> Fields<'a> {
     }
 
     number!(u8, u8);
-    number!(i8, i8);
     number!(u16, u16);
     number!(i16, i16);
     number!(u32, u32);

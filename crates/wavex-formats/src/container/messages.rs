@@ -12,7 +12,7 @@ use arrow_ipc::{Block, Footer, MessageHeader, root_as_footer, root_as_message};
 use arrow_schema::Schema;
 
 use super::decode::schema_of;
-use super::location::{CUT_OFF, DAMAGED, Place};
+use super::location::{CUT_OFF, DAMAGED, Location};
 use super::{MAX_BATCH_BYTES, MOST_KEPT_BYTES};
 use crate::{Error, Result};
 
@@ -118,11 +118,11 @@ pub(super) struct FileMessages {
 impl FileMessages {
     fn open(name: &Path, mut file: Box<dyn Searchable>, len: u64) -> Result<(FileMessages, Schema)> {
         let (offset, bytes) = footer_bytes(name, &mut *file, len)?;
-        let place = Place { file: name, offset, first_row: 0 };
-        let footer = root_as_footer(&bytes).map_err(|e| place.bad("footer", first_line(&e), DAMAGED))?;
-        let schema = footer.schema().ok_or_else(|| place.bad("footer", "it has no schema", DAMAGED))?;
-        let schema = schema_of(schema, place)?;
-        let blocks = blocks_of(&footer, offset, place)?;
+        let location = Location { file: name, offset, first_row: 0 };
+        let footer = root_as_footer(&bytes).map_err(|e| location.bad("footer", first_line(&e), DAMAGED))?;
+        let schema = footer.schema().ok_or_else(|| location.bad("footer", "it has no schema", DAMAGED))?;
+        let schema = schema_of(schema, location)?;
+        let blocks = blocks_of(&footer, offset, location)?;
         Ok((FileMessages { name: name.to_path_buf(), file, blocks, next: 0, last: None }, schema))
     }
 
@@ -140,14 +140,14 @@ impl FileMessages {
         read_into(&mut self.file, len, &mut bytes).map_err(&io)?;
         let bytes = Buffer::from_vec(bytes);
         self.last = (len <= MOST_KEPT_BYTES).then(|| bytes.clone());
-        let place = Place { file: &self.name, offset, first_row: 0 };
+        let location = Location { file: &self.name, offset, first_row: 0 };
         if bytes.len() < len {
-            return Err(place.bad("record batch", "the file has become shorter", CUT_OFF));
+            return Err(location.bad("record batch", "the file has become shorter", CUT_OFF));
         }
         let (start, length) = prefix(&bytes);
         let fits = start.checked_add(length).is_some_and(|end| end <= head);
         if !fits {
-            return Err(place.bad("length of the metadata", "it passes the record batch", DAMAGED));
+            return Err(location.bad("length of the metadata", "it passes the record batch", DAMAGED));
         }
         let metadata = bytes.slice_with_length(start, length);
         Ok(Some(Message { offset, metadata, body: bytes.slice(head) }))
@@ -156,23 +156,23 @@ impl FileMessages {
 
 /// Reads the footer of a file; returns it with its start.
 fn footer_bytes(name: &Path, file: &mut dyn Searchable, len: u64) -> Result<(u64, Vec<u8>)> {
-    let place = Place { file: name, offset: len.saturating_sub(10), first_row: 0 };
+    let location = Location { file: name, offset: len.saturating_sub(10), first_row: 0 };
     // `ARROW1` and two zeros at the beginning; the footer's length and `ARROW1` at the end.
     let Some(end) = len.checked_sub(10).filter(|&end| end >= 8) else {
-        return Err(place.bad("end of the file", "the footer is missing", CUT_OFF));
+        return Err(location.bad("end of the file", "the footer is missing", CUT_OFF));
     };
     let io = Error::io(name, "read the end of");
     file.seek(SeekFrom::Start(end)).map_err(&io)?;
     let tail = read_up_to(&mut *file, 10).map_err(&io)?;
     let Some((length, magic)) = tail.split_first_chunk::<4>() else {
-        return Err(place.bad("end of the file", "the footer is missing", CUT_OFF));
+        return Err(location.bad("end of the file", "the footer is missing", CUT_OFF));
     };
     if magic != MAGIC {
-        return Err(place.bad("end of the file", "the footer is missing", CUT_OFF));
+        return Err(location.bad("end of the file", "the footer is missing", CUT_OFF));
     }
     let length = i32::from_le_bytes(*length);
     let Some(start) = u64::try_from(length).ok().and_then(|length| (end - 8).checked_sub(length)) else {
-        return Err(place.bad("length of the footer", format!("it is {length}"), DAMAGED));
+        return Err(location.bad("length of the footer", format!("it is {length}"), DAMAGED));
     };
     file.seek(SeekFrom::Start(8 + start)).map_err(&io)?;
     let bytes = read_up_to(&mut *file, length as usize).map_err(&io)?;
@@ -182,7 +182,7 @@ fn footer_bytes(name: &Path, file: &mut dyn Searchable, len: u64) -> Result<(u64
 /// Record batches listed in the footer.
 ///
 /// Each is between the magic and the footer, which starts at `end`.
-fn blocks_of(footer: &Footer, end: u64, place: Place) -> Result<Vec<Block>> {
+fn blocks_of(footer: &Footer, end: u64, location: Location) -> Result<Vec<Block>> {
     let blocks: Vec<Block> = footer.recordBatches().iter().flatten().copied().collect();
     for (index, block) in blocks.iter().enumerate() {
         let field = format!("footer, record batch {index}");
@@ -194,10 +194,10 @@ fn blocks_of(footer: &Footer, end: u64, place: Place) -> Result<Vec<Block>> {
         if !inside {
             let (offset, head, body) = numbers;
             let problem = format!("{head} + {body} bytes at byte {offset} do not lie in the file");
-            return Err(place.bad(field, problem, DAMAGED));
+            return Err(location.bad(field, problem, DAMAGED));
         }
         if block.bodyLength() as u64 > MAX_BATCH_BYTES {
-            return Err(place.bad(field, too_long(block.bodyLength()), SHORTER));
+            return Err(location.bad(field, too_long(block.bodyLength()), SHORTER));
         }
     }
     Ok(blocks)
@@ -285,12 +285,12 @@ impl StreamMessages {
         let Some(message) = self.next()? else {
             return Err(not_arrow(&self.name));
         };
-        let place = Place { file: &self.name, offset: message.offset, first_row: 0 };
-        let parsed =
-            root_as_message(&message.metadata).map_err(|e| place.bad("schema", first_line(&e), DAMAGED))?;
+        let location = Location { file: &self.name, offset: message.offset, first_row: 0 };
+        let parsed = root_as_message(&message.metadata)
+            .map_err(|e| location.bad("schema", first_line(&e), DAMAGED))?;
         match parsed.header_as_schema() {
-            Some(schema) => schema_of(schema, place),
-            None => Err(place.bad("schema", "the first message is no schema", DAMAGED)),
+            Some(schema) => schema_of(schema, location),
+            None => Err(location.bad("schema", "the first message is no schema", DAMAGED)),
         }
     }
 
@@ -303,15 +303,16 @@ impl StreamMessages {
             return Ok(None);
         };
         let metadata = Buffer::from_vec(self.take(length, "metadata of a message")?);
-        let place = Place { file: &self.name, offset, first_row: 0 };
-        let parsed = root_as_message(&metadata).map_err(|e| place.bad("message", first_line(&e), DAMAGED))?;
+        let location = Location { file: &self.name, offset, first_row: 0 };
+        let parsed =
+            root_as_message(&metadata).map_err(|e| location.bad("message", first_line(&e), DAMAGED))?;
         let (body, is_schema) = (parsed.bodyLength(), parsed.header_type() == MessageHeader::Schema);
         let bytes = match u64::try_from(body) {
             Ok(bytes) if bytes <= MAX_BATCH_BYTES && !(is_schema && bytes > 0) => bytes as usize,
             Ok(bytes) if bytes > MAX_BATCH_BYTES => {
-                return Err(place.bad("length of the body", too_long(body), SHORTER));
+                return Err(location.bad("length of the body", too_long(body), SHORTER));
             }
-            _ => return Err(place.bad("length of the body", format!("it is {body}"), DAMAGED)),
+            _ => return Err(location.bad("length of the body", format!("it is {body}"), DAMAGED)),
         };
         let body = Buffer::from_vec(self.take(bytes, "body of a message")?);
         Ok(Some(Message { offset, metadata, body }))
@@ -341,8 +342,8 @@ impl StreamMessages {
                 Ok(length) if length <= MAX_METADATA_BYTES => Ok(Some(length)),
                 _ if start == 0 => Err(not_arrow(&self.name)),
                 _ => {
-                    let place = Place { file: &self.name, offset: start, first_row: 0 };
-                    Err(place.bad("length of a message", format!("it is {length}"), DAMAGED))
+                    let location = Location { file: &self.name, offset: start, first_row: 0 };
+                    Err(location.bad("length of a message", format!("it is {length}"), DAMAGED))
                 }
             },
         }
@@ -368,8 +369,8 @@ impl StreamMessages {
     }
 
     fn cut_off(&self, offset: u64, field: &str) -> Error {
-        let place = Place { file: &self.name, offset, first_row: 0 };
-        place.bad(field, format!("the bytes end at byte {}", self.at), CUT_OFF)
+        let location = Location { file: &self.name, offset, first_row: 0 };
+        location.bad(field, format!("the bytes end at byte {}", self.at), CUT_OFF)
     }
 
     /// Whether the bytes ended without the end-of-stream marker.

@@ -98,7 +98,7 @@ fn write_within(
     }
     let metadata = Metadata::new(source, &header, (points.vlrs(), &records), &extent)?;
     drop(points);
-    let mut writer = Writer::new(sink, path, &records, metadata)?;
+    let mut writer = CopcWriter::new(sink, path, &records, metadata)?;
     let mut octree = Octree::new(limits.leaf_points);
     let mut done = |node: Node| writer.write_node(&node);
     sorter.finish(path, |key, record| octree.push(key, record, &mut done))?;
@@ -224,7 +224,7 @@ impl Reshape {
 }
 
 /// COPC file being written.
-struct Writer<'a, W> {
+struct CopcWriter<'a, W> {
     sink: W,
     path: &'a Path,
     metadata: Metadata,
@@ -237,8 +237,8 @@ struct Writer<'a, W> {
     at: u64,
 }
 
-impl<'a, W: Write + Seek> Writer<'a, W> {
-    fn new(mut sink: W, path: &'a Path, records: &Reshape, metadata: Metadata) -> Result<Writer<'a, W>> {
+impl<'a, W: Write + Seek> CopcWriter<'a, W> {
+    fn new(mut sink: W, path: &'a Path, records: &Reshape, metadata: Metadata) -> Result<CopcWriter<'a, W>> {
         let laz = records.laz().map_err(into_io).map_err(Error::io(path, "prepare the compression"))?;
         let before = metadata.before_points(path, None)?;
         // LASzip data begin with the offset of the chunk table: -1 until it is known.
@@ -246,7 +246,7 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         written.map_err(Error::io(path, "write"))?;
         let table_offset_at = before.len() as u64;
         let at = table_offset_at + ChunkTable::OFFSET_SIZE as u64;
-        Ok(Writer {
+        Ok(CopcWriter {
             sink,
             path,
             metadata,

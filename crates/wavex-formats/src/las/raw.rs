@@ -9,7 +9,7 @@ use std::path::Path;
 use super::extra_bytes;
 use super::header::Header;
 use super::point::Layout;
-use super::records::Records;
+use super::records::RecordReader;
 use super::vlr::{self, SPEC, Vlr};
 use crate::{Error, Result};
 
@@ -18,7 +18,7 @@ pub struct RawPoints {
     header: Header,
     vlrs: Vec<Vlr>,
     fields: Vec<RawField>,
-    records: Records,
+    records: RecordReader,
 }
 
 /// Field of a point record.
@@ -29,12 +29,12 @@ pub struct RawField {
     /// Offset in the record, bytes.
     start: usize,
     /// Data type.
-    kind: Kind,
+    kind: FieldType,
 }
 
 /// Data type of a field, little-endian.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Kind {
+enum FieldType {
     /// Unsigned integer of this many bytes.
     Unsigned(usize),
     /// Signed integer of this many bytes.
@@ -43,7 +43,7 @@ enum Kind {
     F64,
 }
 
-use Kind::{F32, F64, Signed, Unsigned};
+use FieldType::{F32, F64, Signed, Unsigned};
 
 impl RawPoints {
     /// Opens a file of any point format from 0 to 10.
@@ -61,7 +61,7 @@ impl RawPoints {
         if let Some(record) = vlrs.iter().chain(&evlrs).find(|vlr| vlr.is(SPEC, vlr::EXTRA_BYTES)) {
             fields.extend(extra(path, record, Layout::of(header.point_format).length)?);
         }
-        let records = Records::open(path, &header, &vlrs, file_length)?;
+        let records = RecordReader::open(path, &header, &vlrs, file_length)?;
         vlrs.extend(evlrs);
         Ok(RawPoints { header, vlrs, fields, records })
     }
@@ -93,7 +93,7 @@ impl RawPoints {
 }
 
 impl RawField {
-    fn new(name: impl Into<String>, start: usize, kind: Kind) -> RawField {
+    fn new(name: impl Into<String>, start: usize, kind: FieldType) -> RawField {
         RawField { name: name.into(), start, kind }
     }
 

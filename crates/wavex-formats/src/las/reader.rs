@@ -9,7 +9,7 @@ use super::extra_bytes::{self, ExtraBytes};
 use super::header::Header;
 use super::packets::{self, Packets};
 use super::point::{Layout, Point, Wave};
-use super::records::Records;
+use super::records::RecordReader;
 use super::vlr::{self, PROJECTION, SPEC, Vlr};
 use crate::{Error, Result};
 
@@ -25,7 +25,7 @@ pub struct Reader {
     descriptors: Descriptors,
     extra_bytes: Vec<ExtraBytes>,
     layout: Layout,
-    records: Records,
+    records: RecordReader,
     packets: Option<Packets>,
 }
 
@@ -57,7 +57,7 @@ impl Reader {
         if packets.is_none() && descriptors.describe_anything() {
             return Err(packets::missing(path));
         }
-        let records = Records::open(path, &header, &vlrs, file_length)?;
+        let records = RecordReader::open(path, &header, &vlrs, file_length)?;
         let path = path.to_path_buf();
         Ok(Reader { path, header, vlrs, evlrs, descriptors, extra_bytes, layout, records, packets })
     }

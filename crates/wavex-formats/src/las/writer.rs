@@ -21,10 +21,10 @@ use super::point_out::{LEGACY_RETURNS, PointOut, RETURNS};
 use super::round::nearest;
 use super::totals::Totals;
 use crate::{Error, Result};
-use compression::Compression;
+use compression::ChunkCompressor;
 pub(super) use compression::into_io;
 pub use options::{IndexPlace, Version, WavePlace, WriterOptions};
-use records::Records;
+use records::EncodedVlrs;
 pub(super) use records::laz_record;
 use tile::Tile;
 #[cfg(test)]
@@ -51,11 +51,11 @@ pub struct Writer<W> {
     standard_length: usize,
     /// Points being encoded.
     tile: Box<Tile>,
-    /// Records not yet written.
+    /// EncodedVlrs not yet written.
     slab: Vec<u8>,
     /// Size at which the slab is written, bytes.
     slab_bytes: usize,
-    compression: Option<Compression>,
+    compression: Option<ChunkCompressor>,
     index: Option<Lax>,
     totals: Totals,
     /// Offset reserved for the waveform descriptors.
@@ -73,7 +73,7 @@ impl<W: Write + Seek> Writer<W> {
         let compressed = options::is_laz(path)?;
         options.check(path)?;
         let laz = compressed.then(|| records::laz_vlr(path, options)).transpose()?;
-        let records = Records::new(path, options, laz.as_ref())?;
+        let records = EncodedVlrs::new(path, options, laz.as_ref())?;
         let standard_length = Layout::of(options.point_format()).length;
         let record_length = standard_length + options.extra_bytes();
         let mut header = options.header();
@@ -103,7 +103,7 @@ impl<W: Write + Seek> Writer<W> {
             slab_bytes: slab * record_length,
             compression: laz.map(|laz| {
                 let special_evlrs_at = (header_bytes + records.special_evlrs_at) as u64;
-                Compression::new(laz, offset_to_points as u64, special_evlrs_at, options.threads)
+                ChunkCompressor::new(laz, offset_to_points as u64, special_evlrs_at, options.threads)
             }),
             index: (options.index != IndexPlace::None).then(|| Lax::new(options.scale[0])),
             totals: Totals::new(),

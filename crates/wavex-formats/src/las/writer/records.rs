@@ -50,7 +50,7 @@ pub(in crate::las) fn laz_record(path: &Path, laz: &LazVlr) -> Result<Vec<u8>> {
 }
 
 /// Encoded VLRs, and offsets in them that are patched later.
-pub(super) struct Records {
+pub(super) struct EncodedVlrs {
     /// VLRs with their headers, then space for the waveform descriptors.
     pub(super) bytes: Vec<u8>,
     /// Number of VLRs so far.
@@ -64,9 +64,9 @@ pub(super) struct Records {
 /// Length of the LASzip record before its special EVLR fields, bytes.
 const BEFORE_SPECIAL_EVLRS: usize = 16;
 
-impl Records {
-    pub(super) fn new(path: &Path, options: &WriterOptions, laz: Option<&LazVlr>) -> Result<Records> {
-        let mut records = Records { bytes: Vec::new(), count: 0, descriptors_at: 0, special_evlrs_at: 0 };
+impl EncodedVlrs {
+    pub(super) fn new(path: &Path, options: &WriterOptions, laz: Option<&LazVlr>) -> Result<EncodedVlrs> {
+        let mut records = EncodedVlrs { bytes: Vec::new(), count: 0, descriptors_at: 0, special_evlrs_at: 0 };
         if let Some(wkt) = options.wkt {
             for record in coordinate_system(path, options, wkt)? {
                 records.add(record);
@@ -110,7 +110,7 @@ pub(super) fn descriptors(path: &Path, kinds: &[Descriptor]) -> Result<Vec<u8>> 
 /// WKT, or GeoTIFF keys before LAS 1.4. WKT is also written before LAS 1.4 if no EPSG code defines
 /// the whole system.
 fn coordinate_system(path: &Path, options: &WriterOptions, wkt: &str) -> Result<Vec<Vec<u8>>> {
-    let keys = options.version.is_legacy().then(|| geokeys::of_wkt(wkt)).flatten();
+    let keys = options.version.is_legacy().then(|| geokeys::from_wkt(wkt)).flatten();
     let has_code = keys.as_ref().is_some_and(|keys| geokeys::epsg(&keys.directory).is_some());
     let mut records = Vec::new();
     if let Some(keys) = keys {

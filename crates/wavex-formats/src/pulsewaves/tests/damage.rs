@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 use super::build::{Pair, descriptor, encode, pulse, sampling, write};
 use super::peer::data;
-use crate::pulsewaves::{Descriptor, Kind, Reader, Sampling, Waves};
+use crate::pulsewaves::{Descriptor, Reader, Sampling, SegmentKind, Waves};
 
 /// Returns the message without the folder.
 fn message(dir: &Path, error: &crate::Error) -> String {
@@ -262,7 +262,7 @@ fn a_bad_pulse_is_an_error_of_that_pulse_alone() {
 fn a_descriptor_that_is_not_supported_spoils_its_pulses_alone() {
     let with = |change: &dyn Fn(&mut Descriptor)| {
         let mut pair = Pair::plain(3);
-        let mut d = descriptor(vec![sampling(Kind::Outgoing, 1, 3)]);
+        let mut d = descriptor(vec![sampling(SegmentKind::Outgoing, 1, 3)]);
         change(&mut d);
         pair.records.push(("PulseWaves_Spec", 200_002, encode(&d, 0)));
         pair.pulses[1] = pulse(0, 65, 2, 0);
@@ -302,7 +302,7 @@ fn a_descriptor_that_is_not_supported_spoils_its_pulses_alone() {
 #[test]
 fn a_pulse_of_megabytes_is_refused_before_it_is_read() {
     let mut pair = Pair::plain(3);
-    let d = descriptor(vec![sampling(Kind::Outgoing, 1, 5_000_000)]);
+    let d = descriptor(vec![sampling(SegmentKind::Outgoing, 1, 5_000_000)]);
     pair.records.push(("PulseWaves_Spec", 200_002, encode(&d, 0)));
     pair.pulses[1] = pulse(0, 60, 2, 0);
     pair.waves.resize(6_000_000, 0);
@@ -312,7 +312,7 @@ fn a_pulse_of_megabytes_is_refused_before_it_is_read() {
          leave the pulse out, or copy or export the pair of files again"
     );
     pair.pulses[1] = pulse(0, 1000, 2, 0);
-    let mut many = sampling(Kind::Outgoing, 60_000, 0);
+    let mut many = sampling(SegmentKind::Outgoing, 60_000, 0);
     many.sample_count_bits = 8;
     pair.records[1].2 = encode(&descriptor(vec![many.clone(), many]), 0);
     assert_eq!(
@@ -405,7 +405,7 @@ proptest! {
     #[test]
     fn damaged_bytes_never_panic(damage in prop::collection::vec((0..2000_usize, any::<u8>()), 1..12)) {
         let mut pair = Pair::plain(3);
-        let mut stored = sampling(Kind::Returning, 0, 0);
+        let mut stored = sampling(SegmentKind::Returning, 0, 0);
         (stored.duration_bits, stored.segment_count_bits, stored.sample_count_bits) = (16, 16, 8);
         pair.records.push(("PulseWaves_Spec", 200_002, encode(&descriptor(vec![stored]), 0)));
         pair.appended = vec![("PulseWaves_Spec", u32::MAX, vec![]), ("PulseWaves_Proj", 2112, b"WKT".to_vec())];
