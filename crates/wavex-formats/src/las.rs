@@ -53,6 +53,7 @@
 mod chunks;
 mod copc;
 mod descriptor;
+mod encoding;
 mod extra_bytes;
 mod header;
 mod lax;

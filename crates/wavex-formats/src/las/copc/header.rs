@@ -4,7 +4,8 @@ use std::path::Path;
 
 use super::cube::{self, CELL_LEVELS, Cube};
 use super::{COPC, Extent, Reshape, into_io, is_left_out};
-use crate::las::header::{Header, encoding, header_bytes};
+use crate::las::encoding;
+use crate::las::header::{Header, header_bytes};
 use crate::las::vlr::{EVLR_HEADER, PROJECTION, VLR_HEADER, Vlr, WKT};
 use crate::las::writer::laz_record;
 use crate::{Error, Result};

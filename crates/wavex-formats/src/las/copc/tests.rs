@@ -3,7 +3,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use super::*;
-use crate::las::header::encoding;
+use crate::las::encoding;
 use crate::las::{AMP, IndexPlace, PointOut, Version, WavePlace, WriterOptions};
 
 const WKT_TEXT: &str = "LOCAL_CS[\"a place\"]";

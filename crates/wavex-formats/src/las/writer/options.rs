@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use crate::las::ExtraAttribute;
-use crate::las::header::{Header, encoding, header_bytes};
+use crate::las::encoding;
+use crate::las::header::{Header, header_bytes};
 use crate::{Error, Result};
 
 /// LAS versions for output.
