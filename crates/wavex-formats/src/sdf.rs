@@ -20,7 +20,7 @@ mod interface;
 pub mod library;
 mod reader;
 
-pub use interface::Version;
+pub use interface::LibraryVersion;
 pub use reader::{CalibrationTables, SdfReader};
 
 /// Maximum number of blocks of a record.

@@ -22,7 +22,7 @@ pub struct ContainerReader {
 impl ContainerReader {
     /// Opens a file in the file format or the stream format.
     ///
-    /// The first bytes tell the format.
+    /// The first bytes determine the format.
     pub fn open(path: &Path) -> Result<ContainerReader> {
         let (messages, schema) = Messages::open(path)?;
         ContainerReader::new(path, messages, &schema)

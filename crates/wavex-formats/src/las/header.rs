@@ -12,6 +12,8 @@ use crate::{Error, Result};
 
 /// Length of the longest header, bytes: that of LAS 1.5.
 const LONGEST: u16 = 393;
+const DAMAGED: &str = "the header is damaged: export the file again";
+const CUT_OFF: &str = "the file is cut off: copy it again from its source";
 /// Bit of the point format that marks compressed points (LASzip).
 const COMPRESSED: u8 = 0x80;
 
@@ -245,13 +247,7 @@ impl Header {
             "the header declares {} points of {} bytes, but only {room} fit into the file",
             self.n_points, self.record_length
         );
-        Err(Error::malformed(
-            file,
-            at,
-            "number of point records",
-            problem,
-            "the file is cut off: copy it again from its source",
-        ))
+        Err(Error::malformed(file, at, "number of point records", problem, CUT_OFF))
     }
 
     /// Returns the time system of the points.
@@ -307,7 +303,7 @@ fn header_size(fields: &mut Fields, version: (u8, u8)) -> Result<u16> {
         return Ok(size);
     }
     let problem = format!("{size} bytes, but LAS {}.{} needs {least}", version.0, version.1);
-    Err(start.bad("header size", problem, "the header is damaged: export the file again"))
+    Err(start.bad("header size", problem, DAMAGED))
 }
 
 fn offset_to_points(fields: &mut Fields, header_size: u16, file_length: u64) -> Result<u32> {
@@ -315,19 +311,11 @@ fn offset_to_points(fields: &mut Fields, header_size: u16, file_length: u64) -> 
     let offset = fields.u32("offset to point data")?;
     if offset < u32::from(header_size) {
         let problem = format!("{offset} lies inside the header of {header_size} bytes");
-        return Err(start.bad(
-            "offset to point data",
-            problem,
-            "the header is damaged: export the file again",
-        ));
+        return Err(start.bad("offset to point data", problem, DAMAGED));
     }
     if u64::from(offset) > file_length {
         let problem = format!("{offset} is beyond the end of the file ({file_length} bytes)");
-        return Err(start.bad(
-            "offset to point data",
-            problem,
-            "the file is cut off: copy it again from its source",
-        ));
+        return Err(start.bad("offset to point data", problem, CUT_OFF));
     }
     Ok(offset)
 }
@@ -358,7 +346,7 @@ fn record_length(fields: &mut Fields, format: u8) -> Result<u16> {
         return Ok(length);
     }
     let problem = format!("{length} bytes, but format {format} needs {least}");
-    Err(start.bad("point data record length", problem, "the header is damaged: export the file again"))
+    Err(start.bad("point data record length", problem, DAMAGED))
 }
 
 fn legacy_by_return(fields: &mut Fields) -> Result<[u64; 15]> {
@@ -374,7 +362,7 @@ fn scale(fields: &mut Fields) -> Result<[f64; 3]> {
     let scale = three(fields, "scale factor")?;
     if scale.contains(&0.0) {
         let problem = format!("{scale:?} has a zero, so that all points coincide");
-        return Err(start.bad("scale factor", problem, "the header is damaged: export the file again"));
+        return Err(start.bad("scale factor", problem, DAMAGED));
     }
     Ok(scale)
 }
@@ -387,7 +375,7 @@ fn three(fields: &mut Fields, name: &str) -> Result<[f64; 3]> {
         return Ok(values);
     }
     let problem = format!("{values:?} is not finite");
-    Err(start.bad(name, problem, "the header is damaged: export the file again"))
+    Err(start.bad(name, problem, DAMAGED))
 }
 
 /// Reads the bounding box.

@@ -75,7 +75,7 @@ pub(super) struct Functions {
 
 /// Version of a library (`fwifc_get_library_version`).
 #[derive(Clone, Debug, PartialEq)]
-pub struct Version {
+pub struct LibraryVersion {
     /// Major version; a different one is a different interface.
     pub major: u16,
     /// Minor version; newer ones only extend the interface.
@@ -125,7 +125,7 @@ impl Functions {
     }
 
     /// Returns the version of the library; needs no file.
-    pub(super) fn version(&self) -> Answer<Version> {
+    pub(super) fn version(&self) -> Answer<LibraryVersion> {
         const NAME: &str = "fwifc_get_library_version";
         let alone = alone();
         let (mut major, mut minor) = (0, 0);
@@ -135,7 +135,7 @@ impl Functions {
         self.check(NAME, code, &alone)?;
         // SAFETY: the library has set both texts, the lock is held, and no other call was made.
         let build = unsafe { [text(build), text(tag)] };
-        Ok(Version { major, minor, build: build.join(" ").trim().to_owned() })
+        Ok(LibraryVersion { major, minor, build: build.join(" ").trim().to_owned() })
     }
 
     /// Opens a file.

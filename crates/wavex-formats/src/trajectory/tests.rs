@@ -14,7 +14,7 @@ mod refused;
 use build::*;
 
 #[test]
-fn the_two_records_of_pdal() {
+fn the_two_sbet_records_of_pdal_are_read() {
     let Some(data) = std::env::var_os("WAVEX_DATA").map(PathBuf::from) else {
         println!("skipped: WAVEX_DATA not set");
         return;
@@ -60,7 +60,7 @@ fn the_two_records_of_pdal() {
 
 /// Every format, recognised by content alone, yields the same flight.
 #[test]
-fn every_format_tells_the_same_flight() {
+fn every_format_gives_the_same_flight() {
     let samples = flight(MIDNIGHT_S + 36_000.0, 40);
     let files: [(&str, Vec<u8>, Clock); 6] = [
         ("SBET", sbet(&samples, week), Clock::Week),
@@ -144,7 +144,7 @@ fn a_pof_in_utc_becomes_gps() {
 }
 
 #[test]
-fn a_pof_says_less_than_it_should() {
+fn incomplete_pof_headers_are_noted() {
     let samples = flight(MIDNIGHT_S + 36_000.0, 4);
     // No date, and a count of 0.
     let mut bytes = pof(&samples, 2, 0, week);
@@ -184,7 +184,7 @@ fn a_pof_says_less_than_it_should() {
 }
 
 #[test]
-fn what_the_user_says_of_times_wins() {
+fn the_clock_of_the_options_wins() {
     let samples = flight(MIDNIGHT_S + 36_000.0, 4);
     let recorded = read_bytes(&sbet(&samples, |t| t), &Options::default()).unwrap();
     assert_eq!(recorded.clock, Clock::Adjusted);

@@ -225,7 +225,7 @@ fn las_and_laz_hold_the_same_records_whatever_the_threads() {
 }
 
 #[test]
-fn an_index_stands_behind_compressed_points() {
+fn an_index_follows_compressed_points() {
     let options = WriterOptions { index: IndexPlace::Appended, ..options(&[CHANNEL]) };
     let beside = WriterOptions { index: IndexPlace::Beside, ..options.clone() };
     let points = cloud(100);
@@ -260,7 +260,7 @@ fn waveforms_of_old_formats_are_compressed_as_laszip_reads_them() {
 }
 
 #[test]
-fn whole_chunks_and_no_points_are_files_too() {
+fn whole_chunks_and_empty_files_are_valid() {
     for n in [0, 1, 50_000, 100_000] {
         let points = cloud(n);
         let (header, records) = records(&write("a.laz", &options(&[CHANNEL]), &points, &[1]));

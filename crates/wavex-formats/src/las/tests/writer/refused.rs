@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn what_cannot_be_written_is_said() {
+fn invalid_options_are_refused() {
     let new = |name: &str, options: &WriterOptions| {
         Writer::new(Cursor::new(Vec::new()), Path::new(name), options).err().unwrap().to_string()
     };
@@ -37,7 +37,7 @@ fn what_cannot_be_written_is_said() {
 }
 
 #[test]
-fn a_point_that_does_not_fit_is_named_and_left_out() {
+fn a_point_out_of_range_is_reported_and_skipped() {
     let mut writer = Writer::new(Cursor::new(Vec::new()), Path::new("a.las"), &options(&[CHANNEL])).unwrap();
     let good = PointOut { x: 1000.0, y: -2000.0, ..PointOut::default() };
     let mut write =
@@ -65,7 +65,7 @@ fn a_point_that_does_not_fit_is_named_and_left_out() {
 }
 
 #[test]
-fn a_sink_that_refuses_is_an_error() {
+fn a_failing_sink_is_an_error() {
     let mut small = [0u8; 400];
     let mut writer = Writer::new(
         Cursor::new(&mut small[..]),
