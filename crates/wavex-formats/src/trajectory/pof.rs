@@ -1,8 +1,8 @@
 //! POF, RIEGL's position and orientation file, versions 1.0 and 1.1.
 //!
 //! Written as 1.1. The layout is taken from public readers; it is not verified with an original
-//! RIEGL file. All fields are little-endian and packed: a header of [`HEADER_BYTES`], then records
-//! of [`RECORD_BYTES`]. Records of version 1.0 lack the distance.
+//! RIEGL file. All fields are little-endian and packed: a header of 315 bytes, then records
+//! of 64 bytes. Records of version 1.0 lack the distance.
 
 use super::super::bytes::Fields;
 use super::axis::Stated;
