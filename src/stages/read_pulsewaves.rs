@@ -17,7 +17,7 @@ use crate::scan_line::{
 };
 use crate::stage::{Config, Context, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 use wavex_formats::geokeys;
-use wavex_formats::pulsewaves::{Kind as SegmentKind, Pulse, Reader, Segment, TimeAxis, Waves};
+use wavex_formats::pulsewaves::{Pulse, Reader, Segment, SegmentKind, TimeAxis, Waves};
 use wavex_geodesy::beam_length::BeamLength;
 
 /// Registry entry of the stage.

@@ -363,7 +363,7 @@ impl LasSink {
                  `trajectory` and a `crs`",
             ),
             Some(wkt) if self.config.version != VersionKey::V1_4 => {
-                if geokeys::of_wkt(wkt).is_none() {
+                if geokeys::from_wkt(wkt).is_none() {
                     cx.warn(
                         "the coordinate reference system has neither an EPSG code nor GeoTIFF keys: the file stores it as \
                          WKT, which is defined for LAS 1.4",

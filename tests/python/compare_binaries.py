@@ -77,14 +77,16 @@ LINES = [
 MODES = ["refined", "fast_separated", "fastest", "fastest_then_refined"]
 
 # Members of a report that differ from run to run.
-VOLATILE = re.compile(r"(_s|^started|^ended|threads|peak|latency|waiting|working|blocked|load|commit|wavex|bytes_per|machine)")
+VOLATILE = re.compile(r"(wall|working|waiting|blocked)_s$|^(line_us|started|ended|commit|threads|stages_s)$|peak")
 
 
 def run(binary, words, folder, environment):
     """Run a binary; return exit status and messages without the name of the folder."""
     ended = subprocess.run([binary, *words], cwd=folder, env=environment, capture_output=True, text=True)
     text = f"{ended.stdout}\n{ended.stderr}".replace(str(folder.resolve()), "").replace(str(folder), "")
-    text = re.sub(r"\d+(\.\d+)? ?(m?s|ms|MB|M?/s|k/s|shots/s|%)\b", "N", text)
+    # Times, rates and the table of stage times.
+    text = re.sub(r" *<- bottleneck", "", text)
+    text = re.sub(r"\d+\.\d+ M shots/s|\d+(\.\d+)? ?(m?s|MB|k/s|shots/s)\b|( +\d+\.\d+){3} +\d+%", "N", text)
     return f"status {ended.returncode}\n{text}"
 
 
@@ -101,7 +103,8 @@ def digest(path):
     if path.suffix == ".json" and path.name != "job.json":
         data = json.dumps(stable(json.loads(data)), sort_keys=True).encode()
     if path.name.endswith("_stat.log"):
-        data = b"\n".join(line for line in data.splitlines() if not re.search(rb"[0-9] s$|time|started|MB|/s", line))
+        changing = rb"^(start|end|duration|waveforms per second|memory)\b|( +\d+\.\d+){3} +\d+%"
+        data = b"\n".join(line for line in data.splitlines() if not re.search(changing, line))
     return hashlib.sha256(data).hexdigest()[:16]
 
 
@@ -150,7 +153,7 @@ def outputs(binary, folder, arguments):
                     f'[job]\ninput_dir = "{path.parent}"\noutput_dir = "."\n'
                     f'[[stage]]\ntype = "{reader}"\npath = "{path.name}"\n'
                     f'[[stage]]\ntype = "calibrate"\n[[stage]]\ntype = "decompose"\nmode = "{mode}"\n'
-                    '[[stage]]\ntype = "correct"\n[[stage]]\ntype = "georeference"\n[[stage]]\ntype = "filter_outliers"\n'
+                    '[[stage]]\ntype = "correct"\n[[stage]]\ntype = "filter_outliers"\n[[stage]]\ntype = "georeference"\n'
                     '[[stage]]\ntype = "write_las"\n[[stage]]\ntype = "write_ascii"\n[[stage]]\ntype = "write_lstat"\n'
                     '[[stage]]\ntype = "write_table"\n[[stage]]\ntype = "write_trajectory"\n'
                 )

@@ -72,7 +72,6 @@ impl<'a> Fields<'a> {
     }
 
     number!(u8, u8);
-    number!(i8, i8);
     number!(u16, u16);
     number!(i16, i16);
     number!(u32, u32);
@@ -95,6 +94,13 @@ impl<'a> Fields<'a> {
     pub fn bad(&self, field: &str, problem: impl Into<String>, remedy: impl Into<String>) -> Error {
         Error::malformed(self.file, self.offset(), field, problem, remedy)
     }
+}
+
+/// Encodes text of a fixed length, truncated or padded with zeros.
+pub(crate) fn text<const N: usize>(text: &str) -> [u8; N] {
+    let mut bytes = [0; N];
+    bytes.iter_mut().zip(text.bytes()).for_each(|(to, byte)| *to = byte);
+    bytes
 }
 
 #[cfg(test)]

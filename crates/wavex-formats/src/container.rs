@@ -16,6 +16,43 @@
 //! buffers must be inside its body, have the lengths required by its row count, and decompress to at
 //! most [`MAX_BATCH_BYTES`]. The record batch is then decompressed (`unpack`), checked again, and
 //! passed to `arrow-ipc`, whose own validation is enabled.
+//!
+//! # Example
+//! ```
+//! use std::{io::Cursor, path::Path};
+//! use wavex_formats::container::*;
+//!
+//! let name = Path::new("flight.arrow");
+//! let mut line = LineBuilder::new();
+//! line.shot(&ContainerShot {
+//!     shot: 0,
+//!     line: 0,
+//!     gps_time_s: None,
+//!     clock_ps: 0,
+//!     origin_m: [0.0; 3],
+//!     direction: [0.0, 0.0, -1.0],
+//!     facet: 0,
+//!     flags: 0,
+//!     mta_zone: None,
+//!     scan_angle_deg: None,
+//!     frame_scale: None,
+//! });
+//! let samples = &[12, 40, 90, 41, 13];
+//! let channel = channel::LOW_POWER;
+//! line.block(&ContainerBlock { channel, start_ns: 800.0, interval_ns: None, zone: None, gain: None, samples });
+//! let header = ContainerHeader::new(1.0, 299_702_547.0);
+//! let mut writer = ContainerWriter::stream(Vec::new(), name, &header, Compression::Lz4)?;
+//! writer.write(line)?;
+//! let bytes = writer.finish()?;
+//!
+//! let mut reader = ContainerReader::from_stream(name, Box::new(Cursor::new(bytes)))?;
+//! while let Some(line) = reader.next_line()? {
+//!     for block in (0..line.rows()).flat_map(|row| line.blocks(row)) {
+//!         assert_eq!(block.samples, samples);
+//!     }
+//! }
+//! # Ok::<(), wavex_formats::Error>(())
+//! ```
 
 mod builder;
 mod decode;
@@ -32,7 +69,6 @@ mod table;
 mod tests;
 mod unpack;
 mod writer;
-mod xxh32;
 
 pub use builder::LineBuilder;
 pub use header::{ContainerHeader, EmissionReference, Frame, GainControl, Origin, TimeScale};

@@ -1,7 +1,7 @@
 //! Geoid grids: `.bin` of NGS (USA) and `.gtx` of NOAA's VDatum.
 
-pub mod gtx;
-pub mod ngs_bin;
+mod gtx;
+mod ngs_bin;
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -4,13 +4,13 @@ mod from_wkt;
 
 use wavex_geodesy::crs::{GeoKeys, geotiff_keys_of_wkt, wkt_of_epsg};
 
-pub use from_wkt::directory_of_wkt;
+use from_wkt::directory_of_wkt;
 
 /// Converts WKT 1 or 2 to GeoTIFF keys with units.
 ///
 /// Returns all three records. For an unsupported system, such as one on another datum, only the
 /// EPSG codes in the text are converted.
-pub fn of_wkt(wkt: &str) -> Option<GeoKeys> {
+pub fn from_wkt(wkt: &str) -> Option<GeoKeys> {
     let of_codes = |directory| GeoKeys { directory, doubles: Vec::new(), ascii: Vec::new() };
     geotiff_keys_of_wkt(wkt).or_else(|| directory_of_wkt(wkt).map(of_codes))
 }

@@ -8,10 +8,52 @@
 //! [`Reader`] yields points one by one and, on request, the waveform packet of a point. [`Writer`]
 //! takes points, preferably many at once, and compresses them in parallel slabs. Neither allocates
 //! per point.
+//!
+//! ```
+//! use std::{fs::File, io::Cursor};
+//! use wavex_formats::las::*;
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("flight.las");
+//! let options = WriterOptions {
+//!     version: Version::V1_4,
+//!     scale: [0.001; 3],
+//!     offset: [0.0; 3],
+//!     wkt: None,
+//!     extra_attributes: &[],
+//!     adjusted_gps_time: true,
+//!     creation_day: 1,
+//!     creation_year: 2026,
+//!     system_identifier: "",
+//!     generating_software: "an example",
+//!     file_source_id: 0,
+//!     waveforms: WavePlace::Inside,
+//!     index: IndexPlace::None,
+//!     threads: 1,
+//! };
+//! let mut writer = Writer::new(File::create(&path)?, &path, &options)?;
+//! let mut packets = PacketWriter::new(Cursor::new(Vec::new()), &path)?;
+//! let packet = packets.add(&[12, 40, 90, 41, 13], 1000)?.ok_or("too many kinds of packets")?;
+//! let Packet { descriptor, offset, size } = packet;
+//! let wave = Wave { descriptor, offset, size, ..Wave::default() };
+//! writer.write_point(&PointOut { z: 1.5, wave, ..PointOut::default() }, &[])?;
+//! let (mut packets, kinds) = packets.finish()?;
+//! packets.set_position(0);
+//! writer.finish_with_waveforms(&kinds, Some(&mut packets))?;
+//!
+//! let mut reader = Reader::open(&path)?;
+//! let (mut point, mut samples) = (Point::default(), Vec::new());
+//! while reader.next_point(&mut point)? {
+//!     reader.packet(&point.wave, &mut samples)?;
+//!     assert_eq!(samples, [12, 40, 90, 41, 13]);
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod chunks;
 mod copc;
 mod descriptor;
+mod encoding;
 mod extra_bytes;
 mod header;
 mod lax;
@@ -23,14 +65,16 @@ mod raw;
 mod reader;
 mod records;
 mod round;
+mod totals;
 mod vlr;
 mod writer;
 
 pub use copc::{CopcSummary, Keep, write_copc};
 pub use descriptor::Descriptor;
+#[cfg(test)]
+use extra_bytes::{AMP, CHANNEL};
 pub use extra_bytes::{
-    AMP, ATTRIBUTES_1_0, ATTRIBUTES_1_1, CHANNEL, DEV_RATIO, DataType, ExtraAttribute, ExtraBytes, INT_ERR,
-    RANGE_ERR, RAW_AMP, TARGET_THICK, THICK_ERR, WIDE_ERR, WIDE_RATIO, quantise,
+    ATTRIBUTES_1_0, ATTRIBUTES_1_1, DataType, ExtraAttribute, ExtraBytes, RAW_AMP, quantise,
 };
 pub use header::{GpsTime, Header};
 pub use lax::beside as indexes_beside;

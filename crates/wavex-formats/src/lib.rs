@@ -1,13 +1,38 @@
-//! Readers and writers of file formats, one file per format.
+//! Readers and writers of full-waveform lidar files, one module per format.
 //!
-//! This layer knows no scan lines, stages, configuration or threads. Every size read from a file is
-//! checked against a limit before anything is allocated. Every error names the file, the byte and
-//! the field.
+//! | module | formats |
+//! |---|---|
+//! | [`las`] | LAS and LAZ with waveforms, COPC, spatial index (LAX) |
+//! | [`pulsewaves`] | PulseWaves (`.pls`, `.wvs`) |
+//! | [`sdf`] | RIEGL SDF and WFM, through RIEGL's library |
+//! | [`container`] | the open waveform container (Arrow IPC) |
+//! | [`trajectory`] | SBET, POF, SOL, TRJ, text; accuracies: POQ, smrmsg |
+//! | [`terrain`], [`geoid`] | GeoTIFF and ESRI ASCII terrain models; NGS and GTX geoid grids |
+//! | [`geokeys`], [`lookup_tables`] | GeoTIFF keys; lookup tables of receivers |
+//!
+//! The crate knows no scan lines, stages or configuration. Every size read from a file is checked
+//! against a limit before anything is allocated. Every [`Error`] has the file, the byte, the field,
+//! the problem and the remedy as fields:
+//!
+//! ```
+//! use wavex_formats::{Error, las::Reader};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("flight.las");
+//! std::fs::write(&path, b"LASF, but cut off")?;
+//! match Reader::open(&path).err() {
+//!     Some(Error::Malformed { offset, field, .. }) => {
+//!         assert_eq!((offset, field.as_str()), (8, "project ID"));
+//!     }
+//!     other => panic!("{other:?}"),
+//! }
+//! # Ok::<(), std::io::Error>(())
+//! ```
 
 use std::io;
 use std::path::{Path, PathBuf};
 
-pub mod bytes;
+mod bytes;
 pub mod container;
 pub mod geoid;
 pub mod geokeys;

@@ -8,6 +8,20 @@
 //! A pulse record has an anchor, a target 1000 sampling units further along the beam, and an offset
 //! to its waves; its descriptor defines their layout. A faulty header or VLR is an error of the
 //! file. A fault in one pulse is an error of that pulse only; the next can be read.
+//!
+//! ```no_run
+//! use wavex_formats::pulsewaves::{Reader, Waves};
+//!
+//! let (mut reader, mut waves) = (Reader::open("flight.pls".as_ref())?, Waves::new());
+//! for index in 0..reader.pulse_count() {
+//!     let pulse = reader.pulse(index)?;
+//!     reader.waves(&pulse, &mut waves)?;
+//!     for segment in waves.segments() {
+//!         println!("{:?}: {:?}", segment.kind, waves.samples(segment));
+//!     }
+//! }
+//! # Ok::<(), wavex_formats::Error>(())
+//! ```
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -25,14 +39,14 @@ mod vlr;
 mod waves;
 mod window;
 
-pub use descriptor::{Descriptor, Kind, Sampling};
+pub use descriptor::{Descriptor, Sampling, SegmentKind};
 pub use header::{Header, TimeAxis};
 pub use pulse::Pulse;
-pub use table::{LookupTable, LookupTables};
+pub use table::{LookupRecord, LookupTable};
 pub use vlr::{Crs, Record, Scanner};
 pub use waves::{Segment, Waves};
 
-use vlr::Records;
+use vlr::RecordSet;
 use window::Window;
 
 pub(crate) use super::unsupported::UNCOMPRESS;
@@ -43,7 +57,7 @@ pub struct Reader {
     pulses: Window<File>,
     waves: Window<File>,
     header: Header,
-    records: Records,
+    records: RecordSet,
     pulse_count: u64,
 }
 
@@ -66,7 +80,7 @@ impl Reader {
                 format!("the pulses start at byte {}, but the file ends earlier", header.offset_to_pulses);
             return Err(Error::unusable(path, problem, "it is cut off: copy it again from its source"));
         }
-        let records = Records::read(&mut pulses, &header)?;
+        let records = RecordSet::read(&mut pulses, &header)?;
         let end = records.appended_at.unwrap_or(pulses.length());
         let held = (end - header.offset_to_pulses) / u64::from(header.pulse_size);
         let mut waves = open(&waves_path(path)?)?;
@@ -98,7 +112,7 @@ impl Reader {
     }
 
     /// Returns the lookup tables by index, 1 to 255, as in [`Sampling::lookup_table_index`].
-    pub fn tables(&self) -> &BTreeMap<u8, LookupTables> {
+    pub fn tables(&self) -> &BTreeMap<u8, LookupRecord> {
         &self.records.tables
     }
 
@@ -189,7 +203,7 @@ impl Reader {
 fn descriptor<'r>(
     file: &Path,
     header: &Header,
-    records: &'r Records,
+    records: &'r RecordSet,
     pulse: &Pulse,
 ) -> Result<&'r Descriptor> {
     let index = pulse.descriptor;

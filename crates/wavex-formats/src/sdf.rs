@@ -20,21 +20,21 @@ mod interface;
 pub mod library;
 mod reader;
 
-pub use interface::Version;
+pub use interface::LibraryVersion;
 pub use reader::{CalibrationTables, SdfReader};
 
 /// Maximum number of blocks of a record.
-pub const MAX_BLOCKS: u32 = 1 << 12;
+const MAX_BLOCKS: u32 = 1 << 12;
 /// Maximum number of samples of a block.
 ///
 /// 65 µs at 1 ns.
-pub const MAX_SAMPLES: u32 = 1 << 16;
+const MAX_SAMPLES: u32 = 1 << 16;
 /// Maximum number of samples of a record.
-pub const MAX_RECORD_SAMPLES: usize = 1 << 20;
+const MAX_RECORD_SAMPLES: usize = 1 << 20;
 /// Maximum number of entries of a calibration table.
 ///
 /// 8-bit digitisers have 256.
-pub const MAX_TABLE: u32 = 1 << 16;
+const MAX_TABLE: u32 = 1 << 16;
 
 /// Metadata of a recording (`fwifc_get_info`).
 #[derive(Clone, Debug, PartialEq)]

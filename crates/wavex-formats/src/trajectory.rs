@@ -3,6 +3,26 @@
 //! [`read`] recognises the format by its content. All formats yield the same result: times on one
 //! continuous axis in GPS time, geodetic or projected positions, and roll, pitch and heading from
 //! north.
+//!
+//! ```
+//! use wavex_formats::trajectory::{self, Options, sbet::SbetRecord};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("flight.sbet");
+//! let record = |k: i32| SbetRecord {
+//!     time_s: 300_000.0 + f64::from(k),
+//!     latitude_rad: 0.84 + f64::from(k) * 1e-6,
+//!     longitude_rad: 0.26,
+//!     height_m: 900.0,
+//!     ..SbetRecord::default()
+//! };
+//! std::fs::write(&path, (0..3).flat_map(|k| record(k).encode()).collect::<Vec<u8>>())?;
+//!
+//! let recorded = trajectory::read(&path, &Options::default())?;
+//! assert_eq!((recorded.format.as_str(), recorded.records.len()), ("SBET", 3));
+//! let trajectory = recorded.into_trajectory(None)?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use std::path::{Path, PathBuf};
 
@@ -18,13 +38,13 @@ mod ascii;
 mod axis;
 mod input;
 pub mod pof;
-pub mod poq;
+mod poq;
 pub mod sbet;
-pub mod smrmsg;
-pub mod sol;
+mod smrmsg;
+mod sol;
 #[cfg(test)]
 mod tests;
-pub mod trj;
+mod trj;
 
 /// User settings for what a trajectory format leaves open.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -125,7 +145,8 @@ struct Raw {
 pub fn read(path: &Path, options: &Options) -> Result<Recorded> {
     let mut input = Input::open(path)?;
     let head = input.head()?;
-    let raw = match Format::of(&head) {
+    let format = Format::of(&head);
+    let raw = match format {
         Some(Format::Pof) => pof::read(&mut input)?,
         Some(Format::Trj) => trj::read(&mut input)?,
         Some(Format::Sol) => sol::read(&mut input)?,
@@ -137,7 +158,9 @@ pub fn read(path: &Path, options: &Options) -> Result<Recorded> {
         }
         None => return Err(unknown(path, input.length)),
     };
-    axis::settle(path, raw, options)
+    let poq = || if format == Some(Format::Pof) { accuracies::poq_of(path) } else { None };
+    let accuracy = options.accuracy.clone().or_else(poq);
+    axis::settle(path, raw, options, accuracy.as_deref())
 }
 
 /// Trajectory formats, and POQ.

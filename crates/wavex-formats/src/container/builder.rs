@@ -9,7 +9,7 @@ use arrow_array::{
 use arrow_buffer::{NullBuffer, OffsetBuffer, ScalarBuffer};
 use arrow_schema::{ArrowError, DataType, Field, FieldRef, SchemaRef};
 
-use super::layout::{Kind, ONLINE, block_fields, fields, has_gain};
+use super::layout::{ColumnKind, ONLINE, block_fields, fields, has_gain};
 use super::{ContainerBlock, ContainerOnline, ContainerShot};
 
 /// Rows of a scan line by column.
@@ -99,7 +99,7 @@ impl LineBuilder {
     /// A list exceeds 2^31 items, the limit of Arrow lists, or a block has a gain and the schema has
     /// no field for it.
     pub(super) fn finish(self, schema: SchemaRef) -> Result<RecordBatch, ArrowError> {
-        let samples = list(Kind::Samples, &self.lengths, array(UInt16Array::from(self.samples)), None)?;
+        let samples = list(ColumnKind::Samples, &self.lengths, array(UInt16Array::from(self.samples)), None)?;
         let with_gain = has_gain(&schema);
         if !with_gain && self.gain.iter().any(Option::is_some) {
             let problem = "a block has a gain, but the container header declares none";
@@ -132,7 +132,7 @@ impl LineBuilder {
             array(UInt16Array::from(self.flags)),
             array(Int16Array::from(self.mta_zone)),
             array(list_of(block_list, &self.blocks, array(blocks), None)?),
-            array(list(Kind::Structs(ONLINE), &self.online, array(online), Some(some_online))?),
+            array(list(ColumnKind::Structs(ONLINE), &self.online, array(online), Some(some_online))?),
             array(Float32Array::from(self.scan_angle_deg)),
             array(Float64Array::from(self.frame_scale)),
         ];
@@ -150,7 +150,7 @@ fn triple(values: Vec<f64>) -> Result<FixedSizeListArray, ArrowError> {
 }
 
 fn list(
-    kind: Kind,
+    kind: ColumnKind,
     lengths: &[usize],
     values: ArrayRef,
     nulls: Option<NullBuffer>,

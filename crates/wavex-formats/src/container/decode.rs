@@ -10,31 +10,35 @@ use arrow_ipc::reader::read_record_batch;
 use arrow_ipc::{Endianness, Field as FbField, MessageHeader, MetadataVersion, root_as_message};
 use arrow_schema::{DataType, Field, FieldRef, Schema, SchemaRef};
 
-use super::location::{DAMAGED, Place};
+use super::location::{DAMAGED, Location};
 use super::messages::{Message, first_line};
 use super::unpack::{Found, Unpacker};
 use super::{ContainerLine, guard};
 use crate::Result;
 
 /// Reads the schema at the start of a file or stream.
-pub(super) fn schema_of(schema: arrow_ipc::Schema, place: Place) -> Result<Schema> {
+pub(super) fn schema_of(schema: arrow_ipc::Schema, location: Location) -> Result<Schema> {
     if schema.endianness() != Endianness::Little {
-        return Err(place.bad("schema", "the numbers are big-endian", "write the file on a common machine"));
+        return Err(location.bad(
+            "schema",
+            "the numbers are big-endian",
+            "write the file on a common machine",
+        ));
     }
     for field in schema.fields().iter().flatten() {
-        check_unions(field, place)?;
+        check_unions(field, location)?;
     }
-    try_fb_to_schema(schema).map_err(|e| place.bad("schema", e.to_string(), "leave such columns out"))
+    try_fb_to_schema(schema).map_err(|e| location.bad("schema", e.to_string(), "leave such columns out"))
 }
 
 /// `arrow-ipc` panics on a union of over 128 types.
-fn check_unions(field: FbField, place: Place) -> Result<()> {
+fn check_unions(field: FbField, location: Location) -> Result<()> {
     let children = field.children().unwrap_or_default();
     if field.type_as_union().is_some() && children.len() > 128 {
         let name = field.name().unwrap_or_default();
-        return Err(place.bad(format!("column `{name}`"), "a union of over 128 types", "leave it out"));
+        return Err(location.bad(format!("column `{name}`"), "a union of over 128 types", "leave it out"));
     }
-    children.iter().try_for_each(|child| check_unions(child, place))
+    children.iter().try_for_each(|child| check_unions(child, location))
 }
 
 /// Decoder of the record batches of one container.
@@ -58,40 +62,40 @@ impl Decoder {
     }
 
     /// Decodes the line of a message; `None` if it is not a record batch.
-    pub(super) fn line(&mut self, message: &Message, place: Place) -> Result<Option<ContainerLine>> {
-        let batch = self.batch(message, place)?;
-        batch.map(|batch| ContainerLine::try_new(&self.arrays(&batch), place)).transpose()
+    pub(super) fn line(&mut self, message: &Message, location: Location) -> Result<Option<ContainerLine>> {
+        let batch = self.batch(message, location)?;
+        batch.map(|batch| ContainerLine::try_new(&self.arrays(&batch), location)).transpose()
     }
 
     /// Decodes the layout's columns of a message, in the order of the file.
     ///
     /// `None` if the message is not a record batch.
-    pub(super) fn batch(&mut self, message: &Message, place: Place) -> Result<Option<RecordBatch>> {
-        let parsed = parsed(message, place)?;
-        let Some(batch) = record_batch_of(&parsed, place)? else { return Ok(None) };
-        let found = self.check(message, &parsed, &batch, place)?;
+    pub(super) fn batch(&mut self, message: &Message, location: Location) -> Result<Option<RecordBatch>> {
+        let parsed = parsed(message, location)?;
+        let Some(batch) = record_batch_of(&parsed, location)? else { return Ok(None) };
+        let found = self.check(message, &parsed, &batch, location)?;
         let Some(compression) = batch.compression() else {
-            return self.plain(message, &parsed, batch, place).map(Some);
+            return self.plain(message, &parsed, batch, location).map(Some);
         };
         let unpacked = self.unpacker.unpack(message, &batch, compression.codec(), &found);
         let unpacked = unpacked.map_err(|(column, problem)| {
             let column = column.map_or("record batch".into(), |column| self.name(column));
-            place.bad(self.rows(&column, batch.length(), place), problem, DAMAGED)
+            location.bad(self.rows(&column, batch.length(), location), problem, DAMAGED)
         })?;
-        self.unpacked(&unpacked, place)
+        self.unpacked(&unpacked, location)
     }
 
     /// Checks a decompressed message as if it came from the file.
     ///
     /// Offsets of compressed lists are accessible only now.
-    fn unpacked(&self, message: &Message, place: Place) -> Result<Option<RecordBatch>> {
-        let parsed = parsed(message, place)?;
-        let Some(batch) = record_batch_of(&parsed, place)? else { return Ok(None) };
+    fn unpacked(&self, message: &Message, location: Location) -> Result<Option<RecordBatch>> {
+        let parsed = parsed(message, location)?;
+        let Some(batch) = record_batch_of(&parsed, location)? else { return Ok(None) };
         if batch.compression().is_some() {
-            return Err(place.bad("record batch", "its metadata overlap", DAMAGED));
+            return Err(location.bad("record batch", "its metadata overlap", DAMAGED));
         }
-        self.check(message, &parsed, &batch, place)?;
-        self.plain(message, &parsed, batch, place).map(Some)
+        self.check(message, &parsed, &batch, location)?;
+        self.plain(message, &parsed, batch, location).map(Some)
     }
 
     fn check(
@@ -99,9 +103,9 @@ impl Decoder {
         message: &Message,
         parsed: &arrow_ipc::Message,
         batch: &arrow_ipc::RecordBatch,
-        place: Place,
+        location: Location,
     ) -> Result<Vec<Found>> {
-        guard::check(batch, parsed.version(), &self.schema, &self.present, &message.body, place)
+        guard::check(batch, parsed.version(), &self.schema, &self.present, &message.body, location)
     }
 
     /// Decodes a record batch without compressed buffers.
@@ -110,7 +114,7 @@ impl Decoder {
         message: &Message,
         parsed: &arrow_ipc::Message,
         batch: arrow_ipc::RecordBatch,
-        place: Place,
+        location: Location,
     ) -> Result<RecordBatch> {
         let decode =
             |columns: &[usize]| decode(&message.body, batch, &self.schema, columns, parsed.version());
@@ -119,7 +123,7 @@ impl Decoder {
             let culprit = self.present.iter().find_map(|&column| Some((column, decode(&[column]).err()?)));
             let (column, problem) = culprit
                 .map_or_else(|| ("record batch".into(), error), |(column, error)| (self.name(column), error));
-            place.bad(self.rows(&column, batch.length(), place), problem, DAMAGED)
+            location.bad(self.rows(&column, batch.length(), location), problem, DAMAGED)
         })
     }
 
@@ -129,9 +133,9 @@ impl Decoder {
     }
 
     /// Builds a column with the number of rows of a record batch.
-    fn rows(&self, column: &str, rows: i64, place: Place) -> String {
-        let last = place.first_row + (rows.max(1) as u64 - 1);
-        format!("{column}, rows {} to {last}", place.first_row)
+    fn rows(&self, column: &str, rows: i64, location: Location) -> String {
+        let last = location.first_row + (rows.max(1) as u64 - 1);
+        format!("{column}, rows {} to {last}", location.first_row)
     }
 
     /// Fields of the layout's columns.
@@ -141,26 +145,26 @@ impl Decoder {
     }
 }
 
-fn parsed<'a>(message: &'a Message, place: Place) -> Result<arrow_ipc::Message<'a>> {
-    root_as_message(&message.metadata).map_err(|e| place.bad("message", first_line(&e), DAMAGED))
+fn parsed<'a>(message: &'a Message, location: Location) -> Result<arrow_ipc::Message<'a>> {
+    root_as_message(&message.metadata).map_err(|e| location.bad("message", first_line(&e), DAMAGED))
 }
 
 /// Returns the record batch of a message; `None` for a dictionary.
 fn record_batch_of<'a>(
     message: &arrow_ipc::Message<'a>,
-    place: Place,
+    location: Location,
 ) -> Result<Option<arrow_ipc::RecordBatch<'a>>> {
     let Some(batch) = message.header_as_record_batch() else {
         return match message.header_type() {
             // Only ignored columns can have a dictionary.
             MessageHeader::DictionaryBatch | MessageHeader::NONE => Ok(None),
-            _ => Err(place.bad("message", "neither a record batch nor a dictionary", DAMAGED)),
+            _ => Err(location.bad("message", "neither a record batch nor a dictionary", DAMAGED)),
         };
     };
     let version = message.version();
     if version < MetadataVersion::V4 {
         let problem = format!("a record batch of the metadata version {version:?}");
-        return Err(place.bad("message", problem, "write it with Arrow 0.8 or later"));
+        return Err(location.bad("message", problem, "write it with Arrow 0.8 or later"));
     }
     Ok(Some(batch))
 }

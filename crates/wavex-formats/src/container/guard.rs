@@ -5,6 +5,10 @@
 //! integers; invalid lengths make it abort or panic. The validation visits nodes and buffers in the
 //! order of the decoder (Arrow columnar format 1.5, "RecordBatch message"). It also finds the row
 //! of a list that refers to items out of bounds.
+//!
+//! `arrow-ipc` 60.1 cannot do this itself. Its limits (`with_max_footer_fb_tables`,
+//! `with_max_footer_fb_depth`) cover the footer only, its decompressor is private and reserves the
+//! stored length, and its errors name neither the column nor the row.
 
 use std::collections::VecDeque;
 
@@ -12,7 +16,7 @@ use arrow_ipc::{CompressionType, FieldNode, MetadataVersion, RecordBatch};
 use arrow_schema::{DataType, Field, Schema, UnionMode};
 
 use super::MAX_BATCH_BYTES;
-use super::location::{DAMAGED, Place};
+use super::location::{DAMAGED, Location};
 use super::unpack::Found;
 use crate::{Error, Result};
 
@@ -36,14 +40,14 @@ pub(super) fn check(
     schema: &Schema,
     decoded: &[usize],
     body: &[u8],
-    place: Place,
+    location: Location,
 ) -> Result<Vec<Found>> {
     let (Some(nodes), Some(buffers)) = (batch.nodes(), batch.buffers()) else {
-        return Err(place.bad("record batch", "it lists no buffers", DAMAGED));
+        return Err(location.bad("record batch", "it lists no buffers", DAMAGED));
     };
     let rows = usize::try_from(batch.length())
-        .map_err(|_| place.bad("record batch", format!("it has {} rows", batch.length()), DAMAGED))?;
-    let mut walk = Walk {
+        .map_err(|_| location.bad("record batch", format!("it has {} rows", batch.length()), DAMAGED))?;
+    let mut walk = BufferWalk {
         nodes: nodes.iter().copied().collect(),
         buffers: buffers.iter().copied().collect(),
         views: batch.variadicBufferCounts().into_iter().flatten().collect(),
@@ -54,7 +58,7 @@ pub(super) fn check(
         column: 0,
         listed: buffers.len(),
         found: Vec::with_capacity(buffers.len().min(MOST_BUFFERS)),
-        place,
+        location,
     };
     for (index, field) in schema.fields().iter().enumerate() {
         walk.column = index;
@@ -68,7 +72,7 @@ pub(super) fn check(
 }
 
 /// Remaining nodes and buffers of a record batch.
-struct Walk<'a> {
+struct BufferWalk<'a> {
     nodes: VecDeque<FieldNode>,
     buffers: VecDeque<arrow_ipc::Buffer>,
     /// Numbers of buffers of the view columns.
@@ -83,13 +87,13 @@ struct Walk<'a> {
     /// Number of buffers listed by the record batch.
     listed: usize,
     found: Vec<Found>,
-    place: Place<'a>,
+    location: Location<'a>,
 }
 
 /// Offsets of the lists around a field, outermost first; `None` if compressed.
 type Around<'a> = Vec<Option<&'a [u8]>>;
 
-impl<'a> Walk<'a> {
+impl<'a> BufferWalk<'a> {
     /// Checks a field that will be decoded.
     ///
     /// `len` is its required number of values, if known.
@@ -135,7 +139,7 @@ impl<'a> Walk<'a> {
                 Some(width) => drop(self.buffer(path, len * width, Some(len * width))?),
                 None => {
                     let problem = format!("a list cannot be passed over that holds a {other}");
-                    return Err(self.place.bad_column(path, None, problem, "make it a column of its own"));
+                    return Err(self.location.bad_column(path, None, problem, "make it a column of its own"));
                 }
             },
         }
@@ -183,7 +187,7 @@ impl<'a> Walk<'a> {
 
     fn missing(&self, path: &str) -> Error {
         let problem = "the record batch lists fewer buffers than its schema needs";
-        self.place.bad_column(path, None, problem, DAMAGED)
+        self.location.bad_column(path, None, problem, DAMAGED)
     }
 
     fn next_node(&mut self, path: &str) -> Result<FieldNode> {
@@ -203,7 +207,7 @@ impl<'a> Walk<'a> {
         if !possible || len.is_some_and(|len| len as i64 != length) {
             let expected = len.map_or(String::new(), |len| format!(", where {len} are expected"));
             let problem = format!("{length} values, {nulls} of them null{expected}");
-            return Err(self.place.bad_column(path, None, problem, DAMAGED));
+            return Err(self.location.bad_column(path, None, problem, DAMAGED));
         }
         Ok(node)
     }
@@ -214,7 +218,7 @@ impl<'a> Walk<'a> {
     /// Returns the size, and the bytes if uncompressed.
     fn buffer(&mut self, path: &str, least: usize, most: Option<usize>) -> Result<(u64, Option<&'a [u8]>)> {
         let entry = self.buffers.pop_front().ok_or_else(|| self.missing(path))?;
-        let bad = |problem| Err(self.place.bad_column(path, None, problem, DAMAGED));
+        let bad = |problem| Err(self.location.bad_column(path, None, problem, DAMAGED));
         let (offset, length) = (usize::try_from(entry.offset()), usize::try_from(entry.length()));
         let bytes = match (offset, length) {
             (Ok(offset), Ok(length)) => self.body.get(offset..).and_then(|rest| rest.get(..length)),
@@ -282,7 +286,7 @@ impl<'a> Walk<'a> {
         let (size, raw) = self.buffer(path, need, Some((len + 1) * width))?;
         if !size.is_multiple_of(width as u64) {
             let problem = format!("offsets of {size} bytes, which is no multiple of {width}");
-            return Err(self.place.bad_column(path, None, problem, DAMAGED));
+            return Err(self.location.bad_column(path, None, problem, DAMAGED));
         }
         Ok(raw.and_then(|raw| raw.get(..need)))
     }
@@ -294,7 +298,7 @@ impl<'a> Walk<'a> {
             if offset < before || i64::from(offset) > items {
                 let row = row_of(index.saturating_sub(1), around);
                 let problem = format!("a list from {before} to {offset} of {items} items");
-                return Err(self.place.bad_column(path, row, problem, DAMAGED));
+                return Err(self.location.bad_column(path, row, problem, DAMAGED));
             }
             before = offset;
         }

@@ -4,7 +4,7 @@ use arrow_schema::Metadata;
 use serde::{Deserialize, Serialize};
 
 use super::layout::KEYS;
-use super::location::Place;
+use super::location::Location;
 use super::{VERSION, layout};
 use crate::{Error, Result};
 
@@ -250,8 +250,8 @@ impl ContainerHeader {
     }
 
     /// Parses the header from metadata; errors name the key.
-    pub(super) fn from_metadata(metadata: &Metadata, place: Place) -> Result<ContainerHeader> {
-        let keys = Keys { metadata, place };
+    pub(super) fn from_metadata(metadata: &Metadata, location: Location) -> Result<ContainerHeader> {
+        let keys = Keys { metadata, location };
         keys.version()?;
         let tables: Tables = keys.json("wavex.tables")?.unwrap_or_default();
         let grid: Option<Grid> = keys.json("wavex.coordinate_grid")?;
@@ -284,7 +284,7 @@ impl ContainerHeader {
 /// The metadata, with errors that name the key.
 struct Keys<'a> {
     metadata: &'a Metadata,
-    place: Place<'a>,
+    location: Location<'a>,
 }
 
 impl<'a> Keys<'a> {
@@ -296,12 +296,12 @@ impl<'a> Keys<'a> {
         match self.text("wavex.container") {
             Some(VERSION) => Ok(()),
             Some(other) => Err(Error::unusable(
-                self.place.file,
+                self.location.file,
                 format!("a waveform container of version `{other}`, where {VERSION} is known"),
                 "use a newer wavex",
             )),
             None => Err(Error::unusable(
-                self.place.file,
+                self.location.file,
                 "an Arrow file, but no waveform container: its metadata has no key `wavex.container`",
                 "give its schema the metadata that schemas/container.json lists",
             )),
@@ -315,7 +315,7 @@ impl<'a> Keys<'a> {
     fn needed<T>(&self, key: &str, parse: impl Fn(&'a str) -> Option<T>) -> Result<T> {
         self.value(key, parse)?.ok_or_else(|| {
             let remedy = format!("add it to the schema's metadata: {}", form(key));
-            self.place.bad(format!("metadata `{key}`"), "is missing", &remedy)
+            self.location.bad(format!("metadata `{key}`"), "is missing", &remedy)
         })
     }
 
@@ -326,7 +326,7 @@ impl<'a> Keys<'a> {
     fn wrong(&self, key: &str, text: &str) -> Error {
         let shown: String = text.chars().take(60).collect();
         let remedy = format!("write a {}", form(key));
-        self.place.bad(format!("metadata `{key}`"), format!("`{shown}` is no value for it"), &remedy)
+        self.location.bad(format!("metadata `{key}`"), format!("`{shown}` is no value for it"), &remedy)
     }
 }
 

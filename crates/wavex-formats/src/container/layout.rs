@@ -5,7 +5,7 @@ use std::sync::Arc;
 use arrow_schema::{DataType, Field, Fields, Metadata, Schema};
 use serde_json::{Value, json};
 
-use super::location::Place;
+use super::location::Location;
 use crate::Result;
 
 /// A column, or a field of a column that is a list of structs.
@@ -14,7 +14,7 @@ pub struct Column {
     /// Its name.
     pub name: &'static str,
     /// Its type.
-    pub kind: Kind,
+    pub kind: ColumnKind,
     /// Whether it may hold nulls.
     pub nullable: bool,
     /// Whether a container without it is refused.
@@ -25,7 +25,7 @@ pub struct Column {
 
 /// The type of a [`Column`].
 #[derive(Debug)]
-pub enum Kind {
+pub enum ColumnKind {
     /// Unsigned, 8 bits.
     U8,
     /// Unsigned, 16 bits.
@@ -63,11 +63,11 @@ pub struct Key {
     pub meaning: &'static str,
 }
 
-const fn required(name: &'static str, kind: Kind, meaning: &'static str) -> Column {
+const fn required(name: &'static str, kind: ColumnKind, meaning: &'static str) -> Column {
     Column { name, kind, nullable: false, required: true, meaning }
 }
 
-const fn optional(name: &'static str, kind: Kind, meaning: &'static str) -> Column {
+const fn optional(name: &'static str, kind: ColumnKind, meaning: &'static str) -> Column {
     Column { name, kind, nullable: true, required: false, meaning }
 }
 
@@ -82,30 +82,30 @@ const fn or_null(mut column: Column) -> Column {
 /// null means the same as a missing column.
 #[rustfmt::skip]
 pub static COLUMNS: &[Column] = &[
-    required("shot", Kind::U64, "running number of the shot, from 0"),
-    required("line", Kind::U32, "scan line, from 0; a change within a record batch starts another line"),
-    or_null(required("gps_time_s", Kind::F64, "time of the shot, s, on the scale of `wavex.time_scale`")),
-    required("clock_ps", Kind::I64, "the shot's time on the instrument's clock, ps from any origin; ranges use this"),
-    required("origin", Kind::Triple, "origin of the beam, m, in `wavex.frame`"),
-    required("direction", Kind::Triple, "unit vector along the outgoing beam, in `wavex.frame`"),
-    required("facet", Kind::U16, "mirror facet"),
-    required("flags", Kind::U16, "bit 0 synchronised, 1 within the last second, 2 housekeeping, 8 mirror moves in the positive direction, 9 last shot of a scan line"),
-    or_null(required("mta_zone", Kind::I16, "null: blocks are stored with the shot of their record; a number: with the shot that caused them, that many emissions before reception, unless a block has its own `zone`")),
-    required("blocks", Kind::Structs(BLOCK), "the sample blocks"),
-    or_null(required("online", Kind::Structs(ONLINE), "the instrument's own returns")),
-    optional("scan_angle_deg", Kind::F32, "scan angle, degrees, positive to the right of the flight direction; null: unknown"),
-    optional("frame_scale", Kind::F64, "metres in the frame per metre of range along the beam; null: 1"),
+    required("shot", ColumnKind::U64, "running number of the shot, from 0"),
+    required("line", ColumnKind::U32, "scan line, from 0; a change within a record batch starts another line"),
+    or_null(required("gps_time_s", ColumnKind::F64, "time of the shot, s, on the scale of `wavex.time_scale`")),
+    required("clock_ps", ColumnKind::I64, "the shot's time on the instrument's clock, ps from any origin; ranges use this"),
+    required("origin", ColumnKind::Triple, "origin of the beam, m, in `wavex.frame`"),
+    required("direction", ColumnKind::Triple, "unit vector along the outgoing beam, in `wavex.frame`"),
+    required("facet", ColumnKind::U16, "mirror facet"),
+    required("flags", ColumnKind::U16, "bit 0 synchronised, 1 within the last second, 2 housekeeping, 8 mirror moves in the positive direction, 9 last shot of a scan line"),
+    or_null(required("mta_zone", ColumnKind::I16, "null: blocks are stored with the shot of their record; a number: with the shot that caused them, that many emissions before reception, unless a block has its own `zone`")),
+    required("blocks", ColumnKind::Structs(BLOCK), "the sample blocks"),
+    or_null(required("online", ColumnKind::Structs(ONLINE), "the instrument's own returns")),
+    optional("scan_angle_deg", ColumnKind::F32, "scan angle, degrees, positive to the right of the flight direction; null: unknown"),
+    optional("frame_scale", ColumnKind::F64, "metres in the frame per metre of range along the beam; null: 1"),
 ];
 
 /// The fields of the column `blocks`.
 #[rustfmt::skip]
 pub static BLOCK: &[Column] = &[
-    required("channel", Kind::U8, "0 high power, 1 low power, 2 saturation, 3 reference (outgoing pulse)"),
-    required("start_ns", Kind::F64, "time of the first sample after the row's `clock_ps`, ns"),
-    required("samples", Kind::Samples, "digitiser steps"),
-    optional("zone", Kind::I16, "zone of this block; null: the row's `mta_zone`"),
-    optional("interval_ns", Kind::F64, "sampling interval, ns; null: `wavex.sampling_interval_ns`"),
-    optional(GAIN, Kind::F64, "gain relative to the reference gain, 1/1024 to 1024: samples are background + gain x (signal + receiver noise) + quantisation noise; null: 1. Written only with automatic gain control"),
+    required("channel", ColumnKind::U8, "0 high power, 1 low power, 2 saturation, 3 reference (outgoing pulse)"),
+    required("start_ns", ColumnKind::F64, "time of the first sample after the row's `clock_ps`, ns"),
+    required("samples", ColumnKind::Samples, "digitiser steps"),
+    optional("zone", ColumnKind::I16, "zone of this block; null: the row's `mta_zone`"),
+    optional("interval_ns", ColumnKind::F64, "sampling interval, ns; null: `wavex.sampling_interval_ns`"),
+    optional(GAIN, ColumnKind::F64, "gain relative to the reference gain, 1/1024 to 1024: samples are background + gain x (signal + receiver noise) + quantisation noise; null: 1. Written only with automatic gain control"),
 ];
 
 /// Field of `blocks` in recordings with automatic gain control.
@@ -114,8 +114,8 @@ pub(super) const GAIN: &str = "gain";
 /// The fields of the column `online`.
 #[rustfmt::skip]
 pub static ONLINE: &[Column] = &[
-    required("time_ns", Kind::F64, "time after the row's `clock_ps`, ns"),
-    required("amplitude", Kind::F32, "in the instrument's unit; NaN if it gave none"),
+    required("time_ns", ColumnKind::F64, "time after the row's `clock_ps`, ns"),
+    required("amplitude", ColumnKind::F32, "in the instrument's unit; NaN if it gave none"),
 ];
 
 const fn key(name: &'static str, required: bool, form: &'static str, meaning: &'static str) -> Key {
@@ -146,39 +146,39 @@ pub static KEYS: &[Key] = &[
     key("wavex.origin", false, "`sensor` or `waveform`", "extension: whether `origin` is the sensor position, or a point on the beam near the waveform; default `sensor`, unless `wavex.emission_reference` is `return_locations`"),
 ];
 
-impl Kind {
+impl ColumnKind {
     /// The Arrow type.
     pub fn data_type(&self) -> DataType {
         let item = |data_type| Arc::new(Field::new("item", data_type, false));
         match self {
-            Kind::U8 => DataType::UInt8,
-            Kind::U16 => DataType::UInt16,
-            Kind::U32 => DataType::UInt32,
-            Kind::U64 => DataType::UInt64,
-            Kind::I16 => DataType::Int16,
-            Kind::I64 => DataType::Int64,
-            Kind::F32 => DataType::Float32,
-            Kind::F64 => DataType::Float64,
-            Kind::Triple => DataType::FixedSizeList(item(DataType::Float64), 3),
-            Kind::Samples => DataType::List(item(DataType::UInt16)),
-            Kind::Structs(columns) => DataType::List(item(DataType::Struct(fields(columns)))),
+            ColumnKind::U8 => DataType::UInt8,
+            ColumnKind::U16 => DataType::UInt16,
+            ColumnKind::U32 => DataType::UInt32,
+            ColumnKind::U64 => DataType::UInt64,
+            ColumnKind::I16 => DataType::Int16,
+            ColumnKind::I64 => DataType::Int64,
+            ColumnKind::F32 => DataType::Float32,
+            ColumnKind::F64 => DataType::Float64,
+            ColumnKind::Triple => DataType::FixedSizeList(item(DataType::Float64), 3),
+            ColumnKind::Samples => DataType::List(item(DataType::UInt16)),
+            ColumnKind::Structs(columns) => DataType::List(item(DataType::Struct(fields(columns)))),
         }
     }
 
     /// Name of the type.
     pub fn name(&self) -> &'static str {
         match self {
-            Kind::U8 => "u8",
-            Kind::U16 => "u16",
-            Kind::U32 => "u32",
-            Kind::U64 => "u64",
-            Kind::I16 => "i16",
-            Kind::I64 => "i64",
-            Kind::F32 => "f32",
-            Kind::F64 => "f64",
-            Kind::Triple => "fixed-size list of 3 f64",
-            Kind::Samples => "list of u16",
-            Kind::Structs(_) => "list of struct",
+            ColumnKind::U8 => "u8",
+            ColumnKind::U16 => "u16",
+            ColumnKind::U32 => "u32",
+            ColumnKind::U64 => "u64",
+            ColumnKind::I16 => "i16",
+            ColumnKind::I64 => "i64",
+            ColumnKind::F32 => "f32",
+            ColumnKind::F64 => "f64",
+            ColumnKind::Triple => "fixed-size list of 3 f64",
+            ColumnKind::Samples => "list of u16",
+            ColumnKind::Structs(_) => "list of struct",
         }
     }
 }
@@ -222,39 +222,48 @@ pub(super) fn schema(metadata: Metadata, with_gain: bool) -> Schema {
 ///
 /// Errors name the column that is missing or has another type. Names of list items and declared
 /// nullability are ignored; the contents of the columns are checked instead.
-pub(super) fn find(schema: &Schema, place: Place) -> Result<Vec<Option<usize>>> {
-    find_in(schema.fields(), COLUMNS, "", place)
+pub(super) fn find(schema: &Schema, location: Location) -> Result<Vec<Option<usize>>> {
+    find_in(schema.fields(), COLUMNS, "", location)
 }
 
-fn find_in(found: &Fields, columns: &[Column], prefix: &str, place: Place) -> Result<Vec<Option<usize>>> {
-    columns.iter().map(|column| find_one(found, column, prefix, place)).collect()
+fn find_in(
+    found: &Fields,
+    columns: &[Column],
+    prefix: &str,
+    location: Location,
+) -> Result<Vec<Option<usize>>> {
+    columns.iter().map(|column| find_one(found, column, prefix, location)).collect()
 }
 
-fn find_one(found: &Fields, column: &Column, prefix: &str, place: Place) -> Result<Option<usize>> {
+fn find_one(found: &Fields, column: &Column, prefix: &str, location: Location) -> Result<Option<usize>> {
     let path = format!("{prefix}{}", column.name);
     let Some((index, field)) = found.find(column.name) else {
         if !column.required {
             return Ok(None);
         }
         let problem = format!("there is no such column, a {} is expected", column.kind.name());
-        return Err(place.bad(
+        return Err(location.bad(
             format!("column `{path}`"),
             problem,
             "write it as schemas/container.json says",
         ));
     };
     let same = match (&column.kind, field.data_type()) {
-        (Kind::Triple, DataType::FixedSizeList(item, 3)) => *item.data_type() == DataType::Float64,
-        (Kind::Samples, DataType::List(item)) => *item.data_type() == DataType::UInt16,
-        (Kind::Structs(inner), DataType::List(item)) => match item.data_type() {
-            DataType::Struct(found) => find_in(found, inner, &format!("{path}."), place).map(|_| true)?,
+        (ColumnKind::Triple, DataType::FixedSizeList(item, 3)) => *item.data_type() == DataType::Float64,
+        (ColumnKind::Samples, DataType::List(item)) => *item.data_type() == DataType::UInt16,
+        (ColumnKind::Structs(inner), DataType::List(item)) => match item.data_type() {
+            DataType::Struct(found) => find_in(found, inner, &format!("{path}."), location).map(|_| true)?,
             _ => false,
         },
         (kind, found) => kind.data_type() == *found,
     };
     if !same {
         let problem = format!("the type is {} and should be {}", field.data_type(), column.kind.name());
-        return Err(place.bad(format!("column `{path}`"), problem, "cast it before writing the container"));
+        return Err(location.bad(
+            format!("column `{path}`"),
+            problem,
+            "cast it before writing the container",
+        ));
     }
     Ok(Some(index))
 }
@@ -287,7 +296,7 @@ fn describe_one(column: &Column) -> Value {
         "required": column.required,
         "meaning": column.meaning,
     });
-    if let (Kind::Structs(inner), Some(object)) = (&column.kind, value.as_object_mut()) {
+    if let (ColumnKind::Structs(inner), Some(object)) = (&column.kind, value.as_object_mut()) {
         object.insert("fields".into(), describe(inner).into());
     }
     value

@@ -12,7 +12,7 @@ use arrow_array::{
 };
 
 use super::layout::GAIN;
-use super::location::{DAMAGED, Place};
+use super::location::{DAMAGED, Location};
 use crate::Result;
 
 /// One row: a shot without its blocks.
@@ -109,8 +109,8 @@ struct Online {
 
 impl ContainerLine {
     /// `columns` as [`super::layout::COLUMNS`] lists them. An error names the column and the row.
-    pub(super) fn try_new(columns: &[Option<ArrayRef>], place: Place) -> Result<ContainerLine> {
-        let all = Columns { columns, place };
+    pub(super) fn try_new(columns: &[Option<ArrayRef>], location: Location) -> Result<ContainerLine> {
+        let all = Columns { columns, location };
         Ok(ContainerLine {
             shot: all.full::<UInt64Type>(0, "shot")?,
             line: all.full::<UInt32Type>(1, "line")?,
@@ -224,7 +224,7 @@ fn row_of(lists: &ListArray, index: usize) -> usize {
 /// Columns of a record batch, accessed by type.
 struct Columns<'a> {
     columns: &'a [Option<ArrayRef>],
-    place: Place<'a>,
+    location: Location<'a>,
 }
 
 impl Columns<'_> {
@@ -319,7 +319,7 @@ impl Columns<'_> {
     /// Error for a column of another type than the schema's.
     fn typed<A: Clone>(&self, name: &str, array: Option<&A>) -> Result<A> {
         let problem = "the type is not that of the schema";
-        array.cloned().ok_or_else(|| self.place.bad_column(name, None, problem, DAMAGED))
+        array.cloned().ok_or_else(|| self.location.bad_column(name, None, problem, DAMAGED))
     }
 
     /// Returns an error at the row of the first null in `within`.
@@ -335,7 +335,7 @@ impl Columns<'_> {
             None => Ok(()),
             Some(item) => {
                 let remedy = "fill it or leave the row out";
-                Err(self.place.bad_row(name, row_of(item), "a null, where none may be", remedy))
+                Err(self.location.bad_row(name, row_of(item), "a null, where none may be", remedy))
             }
         }
     }

@@ -4,7 +4,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::decode::Decoder;
-use super::location::Place;
+use super::location::Location;
 use super::messages::Messages;
 use super::{ContainerHeader, ContainerLine, layout};
 use crate::Result;
@@ -22,7 +22,7 @@ pub struct ContainerReader {
 impl ContainerReader {
     /// Opens a file in the file format or the stream format.
     ///
-    /// The first bytes tell the format.
+    /// The first bytes determine the format.
     pub fn open(path: &Path) -> Result<ContainerReader> {
         let (messages, schema) = Messages::open(path)?;
         ContainerReader::new(path, messages, &schema)
@@ -45,9 +45,9 @@ impl ContainerReader {
     }
 
     fn new(file: &Path, messages: Messages, schema: &arrow_schema::Schema) -> Result<ContainerReader> {
-        let place = Place { file, offset: 0, first_row: 0 };
-        let header = ContainerHeader::from_metadata(schema.metadata(), place)?;
-        let decoder = Decoder::new(schema, layout::find(schema, place)?);
+        let location = Location { file, offset: 0, first_row: 0 };
+        let header = ContainerHeader::from_metadata(schema.metadata(), location)?;
+        let decoder = Decoder::new(schema, layout::find(schema, location)?);
         Ok(ContainerReader { file: file.to_path_buf(), header, messages, decoder, rows: 0 })
     }
 
@@ -69,8 +69,8 @@ impl ContainerReader {
     /// Errors name the column and the row, counted from the start of the container, from 0.
     pub fn next_line(&mut self) -> Result<Option<ContainerLine>> {
         while let Some(message) = self.messages.next()? {
-            let place = Place { file: &self.file, offset: message.offset, first_row: self.rows };
-            if let Some(line) = self.decoder.line(&message, place)? {
+            let location = Location { file: &self.file, offset: message.offset, first_row: self.rows };
+            if let Some(line) = self.decoder.line(&message, location)? {
                 self.rows += line.rows() as u64;
                 return Ok(Some(line));
             }

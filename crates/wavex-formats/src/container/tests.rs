@@ -1,4 +1,4 @@
-//! Containers as a whole: what goes in comes out, what is damaged is told, and nothing panics.
+//! Whole containers: round trips, truncated and damaged input, no panics.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -8,13 +8,13 @@ use proptest::prelude::*;
 use super::*;
 use crate::Result;
 
+mod corrupt;
 mod foreign;
-mod lies;
 
 /// Channel, start, interval, zone and samples of a block.
 type OwnBlock = (u8, f64, Option<f64>, Option<i16>, Vec<u16>);
 
-/// A row and its lists, owned.
+/// Row with owned lists.
 #[derive(Clone, Debug, PartialEq)]
 struct Row {
     shot: ContainerShot,
@@ -56,7 +56,7 @@ fn row(shot: u64, line: u32) -> Row {
     }
 }
 
-/// Three lines: of five rows, of none, and of four.
+/// Creates three lines of five, zero and four rows.
 fn lines() -> Vec<Vec<Row>> {
     vec![(0..5).map(|shot| row(shot, 0)).collect(), vec![], (5..9).map(|shot| row(shot, 7)).collect()]
 }
@@ -101,18 +101,18 @@ fn read_rest(mut reader: ContainerReader) -> Result<Vec<Vec<Row>>> {
     Ok(lines)
 }
 
-/// Reads from beginning to end, as from standard input.
+/// Reads sequentially, as from standard input.
 fn read_stream(bytes: Vec<u8>) -> Result<Vec<Vec<Row>>> {
     read_rest(ContainerReader::from_stream(Path::new("-"), Box::new(Cursor::new(bytes)))?)
 }
 
-/// Reads as from a file.
+/// Reads with random access, as from a file.
 fn read_file(bytes: &[u8]) -> Result<Vec<Vec<Row>>> {
     read_rest(ContainerReader::from_bytes(Path::new("a.arrow"), bytes.to_vec())?)
 }
 
-/// What is wrong with a stream, without the file's name and the byte.
-fn complaint(bytes: Vec<u8>) -> String {
+/// Returns the error of a stream, without the name of the file.
+fn refusal(bytes: Vec<u8>) -> String {
     let error = read_stream(bytes).unwrap_err().to_string();
     error.split_once(": ").unwrap().1.to_string()
 }
@@ -120,7 +120,7 @@ fn complaint(bytes: Vec<u8>) -> String {
 const ALL: [Compression; 3] = [Compression::None, Compression::Lz4, Compression::Zstd];
 
 #[test]
-fn what_is_written_comes_back_from_files_and_streams() {
+fn files_and_streams_round_trip() {
     for compression in ALL {
         for file in [true, false] {
             let bytes = write(&lines(), file, compression);
@@ -130,7 +130,7 @@ fn what_is_written_comes_back_from_files_and_streams() {
     }
 }
 
-/// The memory of a line is used again only when nobody holds the line any more.
+/// The memory of a line is reused only after the line is dropped.
 #[test]
 fn lines_that_are_held_keep_their_values() {
     for compression in ALL {
@@ -149,7 +149,7 @@ fn the_same_lines_give_the_same_bytes() {
 }
 
 #[test]
-fn a_reader_says_how_far_it_is_and_in_which_form() {
+fn progress_and_form_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.arrow");
     for (file, form) in [(true, "file"), (false, "stream")] {
@@ -166,20 +166,20 @@ fn a_reader_says_how_far_it_is_and_in_which_form() {
 }
 
 #[test]
-fn a_stream_may_end_without_its_mark_but_a_file_may_not() {
+fn a_stream_without_end_mark_is_read() {
     let mut bytes = write(&lines(), false, Compression::None);
     bytes.truncate(bytes.len() - 8);
     let mut reader = ContainerReader::from_stream(Path::new("-"), Box::new(Cursor::new(bytes))).unwrap();
     while reader.next_line().unwrap().is_some() {}
     assert!(reader.ended_without_mark());
-    assert_eq!(reader.progress(), None, "nobody knows how much comes through a pipe");
+    assert_eq!(reader.progress(), None, "the length of a pipe is unknown");
 }
 
 #[test]
-fn every_cut_of_a_file_is_noticed() {
+fn every_truncation_of_a_file_is_refused() {
     let whole = write(&lines(), true, Compression::None);
     let length = *whole.last_chunk::<10>().unwrap().first_chunk::<4>().unwrap();
-    // In a pipe the footer is not needed: it stands behind the end mark.
+    // A pipe does not need the footer, which follows the end mark.
     let footer = whole.len() - 10 - i32::from_le_bytes(length) as usize;
     for len in 0..whole.len() {
         let cut = &whole[..len];
@@ -189,7 +189,7 @@ fn every_cut_of_a_file_is_noticed() {
 }
 
 #[test]
-fn a_cut_stream_keeps_its_whole_lines() {
+fn a_truncated_stream_keeps_complete_lines() {
     let whole = write(&lines(), false, Compression::Lz4);
     let mut ends = Vec::new();
     for len in 0..whole.len() {
@@ -198,12 +198,12 @@ fn a_cut_stream_keeps_its_whole_lines() {
             ends.push(found.len());
         }
     }
-    assert_eq!(ends, [0, 1, 2, 3], "behind the schema, and behind each line");
+    assert_eq!(ends, [0, 1, 2, 3], "after the schema, and after each line");
 }
 
 #[test]
-fn no_flipped_bit_makes_a_panic() {
-    // How densely bits are flipped: unpacking is slow in a test.
+fn flipped_bits_never_panic() {
+    // Compressed containers are sampled more sparsely: unpacking is slow in tests.
     for (compression, file, step) in [
         (Compression::None, true, 1),
         (Compression::None, false, 1),
@@ -226,7 +226,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(100))]
 
     #[test]
-    fn samples_of_any_kind_come_back(
+    fn arbitrary_samples_round_trip(
         shots in prop::collection::vec((0usize..700, 1usize..40, 0u16..5), 1..8),
         seed in any::<u16>(),
     ) {
@@ -250,9 +250,9 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
-    /// Words that lie, wherever they stand: lengths, offsets, counts.
+    /// Replaces words anywhere: lengths, offsets, counts.
     #[test]
-    fn no_word_makes_a_panic(
+    fn changed_words_never_panic(
         places in prop::collection::vec((any::<prop::sample::Index>(), word()), 1..4),
         compression in prop::sample::select(&ALL[..]),
         file in any::<bool>(),
@@ -269,7 +269,7 @@ proptest! {
     }
 
     #[test]
-    fn no_noise_makes_a_panic(bytes in prop::collection::vec(any::<u8>(), 0..200), magic in any::<bool>()) {
+    fn noise_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..200), magic in any::<bool>()) {
         let mut noise = if magic { b"ARROW1\0\0".to_vec() } else { vec![0xff; 4] };
         noise.extend(bytes);
         read_file(&noise).unwrap_err();
@@ -282,11 +282,11 @@ fn word() -> impl Strategy<Value = u32> {
 }
 
 #[test]
-fn another_file_is_told_at_once() {
-    assert_eq!(complaint(Vec::new()), "the file is empty; copy it again from its source");
+fn other_formats_are_refused() {
+    assert_eq!(refusal(Vec::new()), "the file is empty; copy it again from its source");
     for (bytes, name) in [(&b"LASF\0\0\0\0\0\0\0\0\0\0\0\0\0\0"[..], "LAS"), (b"PAR1\x15\x04", "Parquet")] {
         assert_eq!(
-            complaint(bytes.to_vec()),
+            refusal(bytes.to_vec()),
             "neither an Arrow IPC file nor a stream; \
              give a waveform container, or use the reader of the file's own format",
             "{name}"
@@ -297,18 +297,18 @@ fn another_file_is_told_at_once() {
 }
 
 #[test]
-fn a_missing_file_is_named() {
+fn the_error_of_a_missing_file_names_it() {
     let Err(error) = ContainerReader::open(Path::new("no/such.arrow")) else { panic!("it opened") };
     assert!(error.to_string().starts_with("no/such.arrow: cannot open: "), "{error}");
 }
 
 #[test]
-fn the_layout_stands_in_the_schemas() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/container.json");
+fn the_schema_file_matches_the_layout() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../schemas/container.json");
     let expected = serde_json::to_string_pretty(&layout::description()).unwrap() + "\n";
     if std::fs::read_to_string(&path).ok().as_deref() != Some(&expected) {
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         std::fs::write(&path, expected).unwrap();
-        panic!("schemas/container.json was not what the code says: it is now; commit it");
+        panic!("schemas/container.json was outdated and has been rewritten: commit it");
     }
 }

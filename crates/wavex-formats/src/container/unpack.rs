@@ -1,7 +1,8 @@
 //! Decompresses the buffers of record batches.
 //!
-//! `arrow-ipc` would need one allocation and two copies per buffer. Here all buffers are
-//! decompressed into one body, whose memory is reused once the previous line has been dropped. The
+//! `arrow-ipc` needs one allocation and two copies per buffer and accepts no other memory: its
+//! decompressor is private. Here all buffers are decompressed into one body, whose memory is reused
+//! once the previous line has been dropped. The
 //! metadata is changed in place: the field `compression` is removed, and each buffer entry gets its
 //! new location (FlatBuffers internals, "Tables" and "Vectors").
 

@@ -24,7 +24,7 @@ const HIGHEST_M: f32 = 200.0;
 /// # Errors
 /// The header is truncated or invalid, its kind is 1 in neither byte order, or the number of values
 /// does not match it.
-pub fn parse(path: &Path, bytes: &[u8]) -> Result<GeoidGrid> {
+pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<GeoidGrid> {
     let mut fields = Fields::new(path, 0, bytes);
     let mut number = |field: &str| fields.array::<8>(field);
     let numbers = [

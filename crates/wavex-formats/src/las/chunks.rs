@@ -19,7 +19,7 @@ use super::vlr::Vlr;
 use crate::bytes::Fields;
 use crate::{Error, Result};
 
-type Decoder = Box<dyn RecordDecompressor<Cursor<Vec<u8>>> + Send + Sync>;
+type ChunkDecoder = Box<dyn RecordDecompressor<Cursor<Vec<u8>>> + Send + Sync>;
 
 /// LASzip compressor type: points in chunks, field by field.
 const CHUNKED: u16 = 2;
@@ -44,17 +44,17 @@ pub(super) struct Chunks {
     /// `None` if points are not layered.
     layers: Option<usize>,
     /// Chunks after the current one.
-    table: std::vec::IntoIter<Chunk>,
+    table: std::vec::IntoIter<ChunkSize>,
     /// Offset of the current chunk in the file.
     at: u64,
     /// Offset of the next chunk in the file.
     next_at: u64,
     /// Number of points of the current chunk not yet decoded.
     left: u64,
-    decoder: Option<Decoder>,
+    decoder: Option<ChunkDecoder>,
 }
 
-struct Chunk {
+struct ChunkSize {
     bytes: u64,
     points: u64,
 }
@@ -134,7 +134,7 @@ impl Chunks {
             self.check_layers(&bytes, layers)?;
         }
         let input = Cursor::new(bytes);
-        let mut decoder: Decoder = match self.layers {
+        let mut decoder: ChunkDecoder = match self.layers {
             Some(_) => Box::new(LayeredPointRecordDecompressor::new(input)),
             None => Box::new(SequentialPointRecordDecompressor::new(input)),
         };
@@ -231,7 +231,7 @@ fn read_table(
     header: &Header,
     laz: &LazVlr,
     file_length: u64,
-) -> Result<Vec<Chunk>> {
+) -> Result<Vec<ChunkSize>> {
     let mut input = BufReader::new(file);
     let start = u64::from(header.offset_to_points) + ChunkTable::OFFSET_SIZE as u64;
     let table_at = find_table(&mut input, path, header, file_length)?;
@@ -254,7 +254,7 @@ fn read_table(
         let fixed = u64::from(laz.chunk_size());
         let n = if laz.uses_variable_size_chunks() { entry.point_count } else { fixed };
         (bytes, points) = (bytes.saturating_add(entry.byte_count), points.saturating_add(n));
-        chunks.push(Chunk { bytes: entry.byte_count, points: n });
+        chunks.push(ChunkSize { bytes: entry.byte_count, points: n });
     }
     if bytes > room {
         return Err(bad(format!("the table declares {bytes} bytes of chunks, but {room} bytes precede it")));

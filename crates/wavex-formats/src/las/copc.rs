@@ -19,16 +19,19 @@ use std::path::Path;
 
 use laz::laszip::{ChunkTable, ChunkTableEntry};
 use laz::record::{LayeredPointRecordCompressor, RecordCompressor};
-use laz::{LasZipError, LazVlr, LazVlrBuilder};
+use laz::{LazVlr, LazVlrBuilder};
 
-use super::header::{Header, encoding};
+use super::header::Header;
 use super::point::Layout;
+use super::point_out::RETURNS;
 use super::raw::RawPoints;
+use super::totals::Totals;
 use super::vlr::{SPEC, Vlr, WAVEFORM_PACKETS};
+use super::writer::into_io;
 use super::{descriptor::FIRST_DESCRIPTOR, lax};
 use crate::{Error, Result};
 use cube::Cube;
-use header::{Entry, Start};
+use header::{Entry, Metadata};
 use octree::{Node, Octree};
 use sort::Sorter;
 
@@ -91,11 +94,11 @@ fn write_within(
     let mut out = Vec::with_capacity(records.length());
     while let Some(record) = points.next_record()? {
         records.reshape(record, &mut out);
-        sorter.push(cube.key(place(&header, raw(record))), &out)?;
+        sorter.push(cube.key(header.coordinates(raw(record))), &out)?;
     }
-    let start = Start::new(source, &header, (points.vlrs(), &records), &extent)?;
+    let metadata = Metadata::new(source, &header, (points.vlrs(), &records), &extent)?;
     drop(points);
-    let mut writer = Writer::new(sink, path, &records, start)?;
+    let mut writer = CopcWriter::new(sink, path, &records, metadata)?;
     let mut octree = Octree::new(limits.leaf_points);
     let mut done = |node: Node| writer.write_node(&node);
     sorter.finish(path, |key, record| octree.push(key, record, &mut done))?;
@@ -103,16 +106,13 @@ fn write_within(
     let (n_nodes, n_levels) = (writer.entries.len(), writer.n_levels());
     writer.finish(&cube)?;
     let is_without_waveforms = records.format != header.point_format;
-    Ok(CopcSummary { n_points: extent.n_points, n_nodes, n_levels, is_without_waveforms })
+    Ok(CopcSummary { n_points: extent.totals.points, n_nodes, n_levels, is_without_waveforms })
 }
 
 /// Sums over all points, for the header and the `copc` record.
 #[derive(Debug)]
 struct Extent {
-    n_points: u64,
-    by_return: [u64; 15],
-    min: [i32; 3],
-    max: [i32; 3],
+    totals: Totals,
     /// Smallest and largest finite time; both 0 without any.
     times: [f64; 2],
 }
@@ -122,53 +122,29 @@ impl Extent {
     fn of(source: &Path) -> Result<Extent> {
         let mut points = RawPoints::open(source)?;
         check(source, points.header())?;
-        let mut extent = Extent {
-            n_points: 0,
-            by_return: [0; 15],
-            min: [i32::MAX; 3],
-            max: [i32::MIN; 3],
-            times: [0.0; 2],
-        };
+        let mut totals = Totals::new();
         let mut times = [f64::INFINITY, f64::NEG_INFINITY];
         while let Some(record) = points.next_record()? {
-            extent.n_points += 1;
-            for (axis, value) in raw(record).into_iter().enumerate() {
-                extent.min[axis] = extent.min[axis].min(value);
-                extent.max[axis] = extent.max[axis].max(value);
-            }
-            // The return number is in the lowest four bits; 0 has no count.
-            let column = usize::from(record.get(14).map_or(0, |byte| byte & 15)).checked_sub(1);
-            if let Some(count) = column.and_then(|column| extent.by_return.get_mut(column)) {
-                *count += 1;
-            }
+            // The return number is in the lowest four bits.
+            let return_number = record.get(14).map_or(0, |byte| byte & 15);
+            totals.add(raw(record).map(|raw| (raw, raw)), &[return_number], RETURNS);
             let time = gps_time(record);
             if time.is_finite() {
                 times = [times[0].min(time), times[1].max(time)];
             }
         }
-        if extent.n_points == 0 {
+        if totals.points == 0 {
             return Err(Error::unusable(source, "it has no points", "give a file with points"));
         }
-        if times[0] <= times[1] {
-            extent.times = times;
-        }
-        Ok(extent)
-    }
-
-    /// Returns the bounding box in units of the coordinate system.
-    ///
-    /// Scales may be negative.
-    fn bounds(&self, header: &Header) -> [[f64; 3]; 2] {
-        let (one, other) = (place(header, self.min), place(header, self.max));
-        let of = |choose: fn(f64, f64) -> f64| std::array::from_fn(|axis| choose(one[axis], other[axis]));
-        [of(f64::min), of(f64::max)]
+        let times = if times[0] <= times[1] { times } else { [0.0; 2] };
+        Ok(Extent { totals, times })
     }
 
     /// Returns the octree's cube.
     ///
     /// Its edge is at least one coordinate step.
     fn cube(&self, header: &Header) -> Cube {
-        let [min, max] = self.bounds(header);
+        let [min, max] = self.totals.bounds(header);
         Cube::around(min, max, header.scale.into_iter().map(f64::abs).fold(0.0, f64::max))
     }
 }
@@ -201,10 +177,6 @@ fn raw(record: &[u8]) -> [i32; 3] {
 /// Returns the GPS time of a record of formats 6 to 10.
 fn gps_time(record: &[u8]) -> f64 {
     record.get(22..).and_then(|rest| rest.first_chunk()).map_or(0.0, |bytes| f64::from_le_bytes(*bytes))
-}
-
-fn place(header: &Header, raw: [i32; 3]) -> [f64; 3] {
-    std::array::from_fn(|axis| f64::from(raw[axis]) * header.scale[axis] + header.offset[axis])
 }
 
 /// Conversion of source records to COPC records, without waveform bytes.
@@ -252,10 +224,10 @@ impl Reshape {
 }
 
 /// COPC file being written.
-struct Writer<'a, W> {
+struct CopcWriter<'a, W> {
     sink: W,
     path: &'a Path,
-    start: Start,
+    metadata: Metadata,
     laz: LazVlr,
     table: ChunkTable,
     entries: Vec<Entry>,
@@ -265,19 +237,19 @@ struct Writer<'a, W> {
     at: u64,
 }
 
-impl<'a, W: Write + Seek> Writer<'a, W> {
-    fn new(mut sink: W, path: &'a Path, records: &Reshape, start: Start) -> Result<Writer<'a, W>> {
+impl<'a, W: Write + Seek> CopcWriter<'a, W> {
+    fn new(mut sink: W, path: &'a Path, records: &Reshape, metadata: Metadata) -> Result<CopcWriter<'a, W>> {
         let laz = records.laz().map_err(into_io).map_err(Error::io(path, "prepare the compression"))?;
-        let before = start.before_points(path, None)?;
+        let before = metadata.before_points(path, None)?;
         // LASzip data begin with the offset of the chunk table: -1 until it is known.
         let written = sink.write_all(&before).and_then(|()| sink.write_all(&(-1i64).to_le_bytes()));
         written.map_err(Error::io(path, "write"))?;
         let table_offset_at = before.len() as u64;
         let at = table_offset_at + ChunkTable::OFFSET_SIZE as u64;
-        Ok(Writer {
+        Ok(CopcWriter {
             sink,
             path,
-            start,
+            metadata,
             laz,
             table: ChunkTable::default(),
             entries: Vec::new(),
@@ -317,10 +289,10 @@ impl<'a, W: Write + Seek> Writer<'a, W> {
         self.table.write_to(&mut self.sink, &self.laz).map_err(&failed)?;
         let evlrs_at = self.sink.stream_position().map_err(&failed)?;
         let hierarchy = header::hierarchy(evlrs_at, &self.entries);
-        let before = self.start.before_points(self.path, Some((cube, &hierarchy)))?;
+        let before = self.metadata.before_points(self.path, Some((cube, &hierarchy)))?;
         let mut write = || {
             self.sink.write_all(&hierarchy.record)?;
-            self.sink.write_all(&self.start.evlrs)?;
+            self.sink.write_all(&self.metadata.evlrs)?;
             self.sink.seek(SeekFrom::Start(0))?;
             self.sink.write_all(&before)?;
             self.sink.seek(SeekFrom::Start(self.table_offset_at))?;
@@ -341,13 +313,6 @@ fn compress(laz: &LazVlr, records: &[u8]) -> io::Result<Vec<u8>> {
     compressor.done()?;
     drop(compressor);
     Ok(chunk.into_inner())
-}
-
-fn into_io(error: LasZipError) -> io::Error {
-    match error {
-        LasZipError::IoError(error) => error,
-        other => io::Error::other(other),
-    }
 }
 
 /// Returns whether a record is invalid for reordered points without waveforms.

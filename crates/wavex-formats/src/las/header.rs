@@ -2,35 +2,29 @@
 //!
 //! LAS 1.4 R15, section "Public Header Block", and LAS 1.5. LAS 1.5 appends three fields.
 
+use std::io::Read;
 use std::path::Path;
 
+use super::encoding;
 use super::point::Layout;
-use crate::bytes::Fields;
+use crate::bytes::{Fields, text};
 use crate::{Error, Result};
 
-/// Length of the header of LAS 1.4, bytes.
-pub(super) const HEADER_1_4: u16 = 375;
-/// Length of the header of LAS 1.5, bytes.
-///
-/// The longest of all versions.
-pub(super) const HEADER_1_5: u16 = 393;
+/// Length of the longest header, bytes: that of LAS 1.5.
+const LONGEST: u16 = 393;
+const DAMAGED: &str = "the header is damaged: export the file again";
+const CUT_OFF: &str = "the file is cut off: copy it again from its source";
+/// Bit of the point format that marks compressed points (LASzip).
+const COMPRESSED: u8 = 0x80;
 
-/// Bits of the field "global encoding".
-pub(super) mod encoding {
-    /// GPS time is adjusted standard GPS time, not seconds of the week.
-    pub const ADJUSTED_TIME: u16 = 1;
-    /// Waveform packets are inside the file.
-    pub const WAVES_INSIDE: u16 = 1 << 1;
-    /// Waveform packets are in a separate file.
-    pub const WAVES_BESIDE: u16 = 1 << 2;
-    /// Return numbers are synthetic.
-    pub const SYNTHETIC_RETURNS: u16 = 1 << 3;
-    /// The coordinate system is given as WKT.
-    pub const WKT: u16 = 1 << 4;
-    /// With [`ADJUSTED_TIME`], from LAS 1.5 on.
-    ///
-    /// The header gives the offset of GPS time.
-    pub const TIME_OFFSET: u16 = 1 << 6;
+/// Returns the length of the header of LAS 1.`minor`, bytes.
+pub(super) fn header_bytes(minor: u8) -> u16 {
+    match minor {
+        0..=2 => 227,
+        3 => 235,
+        4 => 375,
+        _ => LONGEST,
+    }
 }
 
 /// Time system of the points.
@@ -48,7 +42,7 @@ pub enum GpsTime {
 }
 
 /// Public header block.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Header {
     /// File source ID (flight line), 0 if unassigned.
     pub file_source_id: u16,
@@ -109,17 +103,16 @@ pub struct Header {
 }
 
 impl Header {
-    /// Parses the header of `file`, which has `file_length` bytes.
-    ///
-    /// `bytes` holds the first 393 bytes of the file (the longest header), or all of a shorter
-    /// file.
+    /// Reads the header at the start of `file`, which has `file_length` bytes.
     ///
     /// # Errors
     /// The file is empty, is not LAS, has an unknown version or point format, or contradictory
-    /// sizes.
-    pub fn parse(file: &Path, bytes: &[u8], file_length: u64) -> Result<Header> {
-        let mut fields = Fields::new(file, 0, bytes);
-        check_signature(file, bytes)?;
+    /// sizes; or reading fails.
+    pub(super) fn read(input: &mut impl Read, file: &Path, file_length: u64) -> Result<Header> {
+        let mut bytes = Vec::with_capacity(LONGEST.into());
+        input.take(LONGEST.into()).read_to_end(&mut bytes).map_err(Error::io(file, "read the header"))?;
+        let mut fields = Fields::new(file, 0, &bytes);
+        check_signature(file, &bytes)?;
         fields.skip(4, "file signature")?;
         let file_source_id = fields.u16("file source ID")?;
         let global_encoding = fields.u16("global encoding")?;
@@ -169,6 +162,54 @@ impl Header {
         Ok(header)
     }
 
+    /// Encodes the header: [`Header::header_size`] bytes, zero after the fields of the version.
+    ///
+    /// Texts are truncated, and counts saturate. Formats 6 and above of LAS 1.4 have no legacy
+    /// counts. The GPS time bounds of LAS 1.5 are zero.
+    pub(super) fn write(&self) -> Vec<u8> {
+        let minor = self.version.1;
+        let mut out = Vec::with_capacity(self.header_size.into());
+        out.extend(b"LASF");
+        out.extend(self.file_source_id.to_le_bytes());
+        out.extend(self.global_encoding.to_le_bytes());
+        out.extend(self.guid);
+        out.extend([self.version.0, minor]);
+        out.extend(text::<32>(&self.system_identifier));
+        out.extend(text::<32>(&self.generating_software));
+        out.extend(self.creation_day.to_le_bytes());
+        out.extend(self.creation_year.to_le_bytes());
+        out.extend(self.header_size.to_le_bytes());
+        out.extend(self.offset_to_points.to_le_bytes());
+        out.extend(self.n_vlrs.to_le_bytes());
+        out.push(self.point_format | if self.compressed { COMPRESSED } else { 0 });
+        out.extend(self.record_length.to_le_bytes());
+        let has_legacy_counts = minor <= 3 || minor == 4 && self.point_format <= 5;
+        for count in [self.n_points].iter().chain(&self.n_points_by_return[..5]) {
+            let count = if has_legacy_counts { u32::try_from(*count).unwrap_or(u32::MAX) } else { 0 };
+            out.extend(count.to_le_bytes());
+        }
+        let bounds = (0..3).flat_map(|axis| [self.max[axis], self.min[axis]]);
+        for value in self.scale.into_iter().chain(self.offset).chain(bounds) {
+            out.extend(value.to_le_bytes());
+        }
+        if minor >= 3 {
+            out.extend(self.start_of_waveforms.to_le_bytes());
+        }
+        if minor >= 4 {
+            out.extend(self.start_of_evlrs.to_le_bytes());
+            out.extend(self.n_evlrs.to_le_bytes());
+            for count in [self.n_points].iter().chain(&self.n_points_by_return) {
+                out.extend(count.to_le_bytes());
+            }
+        }
+        if minor >= 5 {
+            out.extend([0; 16]);
+            out.extend(self.time_offset_megaseconds.to_le_bytes());
+        }
+        out.resize(self.header_size.into(), 0);
+        out
+    }
+
     /// Reads the fields appended by LAS 1.3, 1.4 and 1.5.
     fn later_fields(&mut self, fields: &mut Fields) -> Result<()> {
         let minor = self.version.1;
@@ -206,13 +247,7 @@ impl Header {
             "the header declares {} points of {} bytes, but only {room} fit into the file",
             self.n_points, self.record_length
         );
-        Err(Error::malformed(
-            file,
-            at,
-            "number of point records",
-            problem,
-            "the file is cut off: copy it again from its source",
-        ))
+        Err(Error::malformed(file, at, "number of point records", problem, CUT_OFF))
     }
 
     /// Returns the time system of the points.
@@ -225,6 +260,11 @@ impl Header {
             (true, false) => GpsTime::Standard { offset_s: 1e9 },
             (true, true) => GpsTime::Standard { offset_s: f64::from(self.time_offset_megaseconds) * 1e6 },
         }
+    }
+
+    /// Returns the coordinates of stored numbers, in units of the coordinate system.
+    pub(super) fn coordinates(&self, raw: [i32; 3]) -> [f64; 3] {
+        std::array::from_fn(|axis| f64::from(raw[axis]) * self.scale[axis] + self.offset[axis])
     }
 
     /// Returns whether the header declares a WKT coordinate system.
@@ -258,17 +298,12 @@ fn version(fields: &mut Fields) -> Result<(u8, u8)> {
 fn header_size(fields: &mut Fields, version: (u8, u8)) -> Result<u16> {
     let start = fields.clone();
     let size = fields.u16("header size")?;
-    let least = match version.1 {
-        0..=2 => 227,
-        3 => 235,
-        4 => HEADER_1_4,
-        _ => HEADER_1_5,
-    };
+    let least = header_bytes(version.1);
     if size >= least {
         return Ok(size);
     }
     let problem = format!("{size} bytes, but LAS {}.{} needs {least}", version.0, version.1);
-    Err(start.bad("header size", problem, "the header is damaged: export the file again"))
+    Err(start.bad("header size", problem, DAMAGED))
 }
 
 fn offset_to_points(fields: &mut Fields, header_size: u16, file_length: u64) -> Result<u32> {
@@ -276,19 +311,11 @@ fn offset_to_points(fields: &mut Fields, header_size: u16, file_length: u64) -> 
     let offset = fields.u32("offset to point data")?;
     if offset < u32::from(header_size) {
         let problem = format!("{offset} lies inside the header of {header_size} bytes");
-        return Err(start.bad(
-            "offset to point data",
-            problem,
-            "the header is damaged: export the file again",
-        ));
+        return Err(start.bad("offset to point data", problem, DAMAGED));
     }
     if u64::from(offset) > file_length {
         let problem = format!("{offset} is beyond the end of the file ({file_length} bytes)");
-        return Err(start.bad(
-            "offset to point data",
-            problem,
-            "the file is cut off: copy it again from its source",
-        ));
+        return Err(start.bad("offset to point data", problem, CUT_OFF));
     }
     Ok(offset)
 }
@@ -299,7 +326,7 @@ fn offset_to_points(fields: &mut Fields, header_size: u16, file_length: u64) -> 
 fn point_format(fields: &mut Fields) -> Result<(u8, bool)> {
     let start = fields.clone();
     let byte = fields.u8("point data record format")?;
-    let format = byte & 0x7f;
+    let format = byte & !COMPRESSED;
     if format > 10 {
         let problem = format!("format {format} is unknown");
         return Err(start.bad(
@@ -308,7 +335,7 @@ fn point_format(fields: &mut Fields) -> Result<(u8, bool)> {
             "convert the file to LAS 1.4, format 9 or 10",
         ));
     }
-    Ok((format, byte & 0x80 != 0))
+    Ok((format, byte & COMPRESSED != 0))
 }
 
 fn record_length(fields: &mut Fields, format: u8) -> Result<u16> {
@@ -319,7 +346,7 @@ fn record_length(fields: &mut Fields, format: u8) -> Result<u16> {
         return Ok(length);
     }
     let problem = format!("{length} bytes, but format {format} needs {least}");
-    Err(start.bad("point data record length", problem, "the header is damaged: export the file again"))
+    Err(start.bad("point data record length", problem, DAMAGED))
 }
 
 fn legacy_by_return(fields: &mut Fields) -> Result<[u64; 15]> {
@@ -335,7 +362,7 @@ fn scale(fields: &mut Fields) -> Result<[f64; 3]> {
     let scale = three(fields, "scale factor")?;
     if scale.contains(&0.0) {
         let problem = format!("{scale:?} has a zero, so that all points coincide");
-        return Err(start.bad("scale factor", problem, "the header is damaged: export the file again"));
+        return Err(start.bad("scale factor", problem, DAMAGED));
     }
     Ok(scale)
 }
@@ -348,7 +375,7 @@ fn three(fields: &mut Fields, name: &str) -> Result<[f64; 3]> {
         return Ok(values);
     }
     let problem = format!("{values:?} is not finite");
-    Err(start.bad(name, problem, "the header is damaged: export the file again"))
+    Err(start.bad(name, problem, DAMAGED))
 }
 
 /// Reads the bounding box.
@@ -362,3 +389,6 @@ fn bounds(fields: &mut Fields) -> Result<([f64; 3], [f64; 3])> {
     }
     Ok((min, max))
 }
+
+#[cfg(test)]
+mod tests;

@@ -51,16 +51,16 @@ pub fn beside(points: &Path) -> [PathBuf; 2] {
 pub(super) struct Lax {
     /// Cell length: a power of two, in units of the coordinates.
     cell_length: f64,
-    cells: BTreeMap<Place, Cell>,
+    cells: BTreeMap<GridCell, Cell>,
     n_intervals: usize,
     most_intervals: usize,
     /// Current run of consecutive points in one cell.
-    run: Option<Run>,
+    run: Option<CellRun>,
     n_points: u64,
 }
 
 /// Column and row of a cell, relative to zero coordinates.
-type Place = (i64, i64);
+type GridCell = (i64, i64);
 
 #[derive(Debug, Default, PartialEq)]
 struct Cell {
@@ -71,8 +71,8 @@ struct Cell {
 
 /// Consecutive points in one cell.
 #[derive(Debug, Clone, Copy)]
-struct Run {
-    place: Place,
+struct CellRun {
+    place: GridCell,
     first: u32,
     last: u32,
 }
@@ -101,7 +101,7 @@ impl Lax {
             _ => {
                 // `end_run` may change the cell length.
                 self.end_run();
-                self.run = Some(Run { place: place(x, y, self.cell_length), first: point, last: point });
+                self.run = Some(CellRun { place: place(x, y, self.cell_length), first: point, last: point });
             }
         }
     }
@@ -126,7 +126,7 @@ impl Lax {
     /// Doubles the cell length.
     fn coarsen(&mut self) {
         self.cell_length *= 2.0;
-        let mut coarse: BTreeMap<Place, Cell> = BTreeMap::new();
+        let mut coarse: BTreeMap<GridCell, Cell> = BTreeMap::new();
         for ((column, row), cell) in std::mem::take(&mut self.cells) {
             let into = coarse.entry((column >> 1, row >> 1)).or_default();
             into.points += cell.points;
@@ -189,7 +189,7 @@ impl Lax {
     }
 
     /// Returns the smallest and largest column and row in use.
-    fn corners(&self) -> (Place, Place) {
+    fn corners(&self) -> (GridCell, GridCell) {
         let mut places = self.cells.keys().copied();
         let Some(first) = places.next() else { return ((0, 0), (0, 0)) };
         places.fold((first, first), |(low, high), place| {
@@ -198,7 +198,7 @@ impl Lax {
     }
 }
 
-fn place(x: f64, y: f64, cell_length: f64) -> Place {
+fn place(x: f64, y: f64, cell_length: f64) -> GridCell {
     // Float-to-integer casts clamp.
     ((x / cell_length).floor() as i64, (y / cell_length).floor() as i64)
 }
@@ -303,16 +303,16 @@ mod tests {
     }
 
     /// Decoded index.
-    struct Read {
+    struct DecodedIndex {
         levels: u32,
         root: [f32; 4],
-        cells: Vec<Cell>,
+        cells: Vec<DecodedCell>,
     }
 
     /// Index, points, intervals.
-    type Cell = (u32, u32, Vec<(u32, u32)>);
+    type DecodedCell = (u32, u32, Vec<(u32, u32)>);
 
-    fn read(bytes: &[u8]) -> Read {
+    fn read(bytes: &[u8]) -> DecodedIndex {
         let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
         let mut at = 64;
         let mut next = || {
@@ -325,10 +325,10 @@ mod tests {
         });
         let cells = cells.collect();
         assert_eq!(at, bytes.len());
-        Read { levels: word(24), root: [36, 40, 44, 48].map(|at| f32::from_bits(word(at))), cells }
+        DecodedIndex { levels: word(24), root: [36, 40, 44, 48].map(|at| f32::from_bits(word(at))), cells }
     }
 
-    impl Read {
+    impl DecodedIndex {
         /// Finds the cell of a position as LASzip does.
         ///
         /// By bisection in `f32`.

@@ -6,8 +6,7 @@ use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use super::descriptor::Descriptor;
-use super::vlr::{EVLR_HEADER, SPEC, WAVEFORM_PACKETS};
-use super::writer::evlr;
+use super::vlr::{EVLR_HEADER, SPEC, Vlr, WAVEFORM_PACKETS};
 use crate::{Error, Result};
 
 /// Maximum number of packet kinds: the number of descriptor indexes.
@@ -44,8 +43,7 @@ impl<W: Write + Seek> PacketWriter<W> {
     /// # Errors
     /// Writing fails.
     pub fn new(mut sink: W, path: &Path) -> Result<PacketWriter<W>> {
-        let header = evlr(SPEC, WAVEFORM_PACKETS, "Waveform data packets", &[]);
-        sink.write_all(&header).map_err(Error::io(path, "write"))?;
+        sink.write_all(&header(0)).map_err(Error::io(path, "write"))?;
         let path = path.to_path_buf();
         Ok(PacketWriter { sink, path, end: EVLR_HEADER, kinds: Vec::new(), packet: Vec::new() })
     }
@@ -101,14 +99,20 @@ impl<W: Write + Seek> PacketWriter<W> {
     pub fn finish(self) -> Result<(W, Vec<Descriptor>)> {
         let PacketWriter { mut sink, path, end, kinds, .. } = self;
         let mut patch = || {
-            sink.seek(SeekFrom::Start(20))?;
-            sink.write_all(&(end - EVLR_HEADER).to_le_bytes())?;
+            sink.seek(SeekFrom::Start(0))?;
+            sink.write_all(&header(end - EVLR_HEADER))?;
             sink.seek(SeekFrom::End(0))?;
             sink.flush()
         };
         patch().map_err(Error::io(&path, "write"))?;
         Ok((sink, kinds))
     }
+}
+
+/// Encodes the header of a record with `length` bytes of packets.
+fn header(length: u64) -> Vec<u8> {
+    let record = Vlr::new(SPEC, WAVEFORM_PACKETS, "Waveform data packets", Vec::new());
+    Vlr { length, ..record }.write_extended()
 }
 
 #[cfg(test)]

@@ -3,13 +3,13 @@
 //! Their fields have names.
 
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::BufReader;
 use std::path::Path;
 
 use super::extra_bytes;
-use super::header::{HEADER_1_5, Header};
+use super::header::Header;
 use super::point::Layout;
-use super::records::Records;
+use super::records::RecordReader;
 use super::vlr::{self, SPEC, Vlr};
 use crate::{Error, Result};
 
@@ -18,7 +18,7 @@ pub struct RawPoints {
     header: Header,
     vlrs: Vec<Vlr>,
     fields: Vec<RawField>,
-    records: Records,
+    records: RecordReader,
 }
 
 /// Field of a point record.
@@ -29,12 +29,12 @@ pub struct RawField {
     /// Offset in the record, bytes.
     start: usize,
     /// Data type.
-    kind: Kind,
+    kind: FieldType,
 }
 
 /// Data type of a field, little-endian.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Kind {
+enum FieldType {
     /// Unsigned integer of this many bytes.
     Unsigned(usize),
     /// Signed integer of this many bytes.
@@ -43,7 +43,7 @@ enum Kind {
     F64,
 }
 
-use Kind::{F32, F64, Signed, Unsigned};
+use FieldType::{F32, F64, Signed, Unsigned};
 
 impl RawPoints {
     /// Opens a file of any point format from 0 to 10.
@@ -54,17 +54,14 @@ impl RawPoints {
         let file = File::open(path).map_err(Error::io(path, "open"))?;
         let file_length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
         let mut input = BufReader::new(file);
-        let mut bytes = Vec::with_capacity(HEADER_1_5.into());
-        let start = (&mut input).take(HEADER_1_5.into()).read_to_end(&mut bytes);
-        start.map_err(Error::io(path, "read the header"))?;
-        let header = Header::parse(path, &bytes, file_length)?;
+        let header = Header::read(&mut input, path, file_length)?;
         let mut vlrs = vlr::read_vlrs(&mut input, path, &header)?;
         let evlrs = vlr::read_evlrs(&mut input, path, &header, file_length)?;
         let mut fields = standard(header.point_format);
         if let Some(record) = vlrs.iter().chain(&evlrs).find(|vlr| vlr.is(SPEC, vlr::EXTRA_BYTES)) {
             fields.extend(extra(path, record, Layout::of(header.point_format).length)?);
         }
-        let records = Records::open(path, &header, &vlrs, file_length)?;
+        let records = RecordReader::open(path, &header, &vlrs, file_length)?;
         vlrs.extend(evlrs);
         Ok(RawPoints { header, vlrs, fields, records })
     }
@@ -96,7 +93,7 @@ impl RawPoints {
 }
 
 impl RawField {
-    fn new(name: impl Into<String>, start: usize, kind: Kind) -> RawField {
+    fn new(name: impl Into<String>, start: usize, kind: FieldType) -> RawField {
         RawField { name: name.into(), start, kind }
     }
 

@@ -1,15 +1,15 @@
 //! Point-by-point reader of full-waveform LAS and LAZ files.
 
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use super::descriptor::{Descriptor, Descriptors};
 use super::extra_bytes::{self, ExtraBytes};
-use super::header::{HEADER_1_5, Header};
+use super::header::Header;
 use super::packets::{self, Packets};
 use super::point::{Layout, Point, Wave};
-use super::records::Records;
+use super::records::RecordReader;
 use super::vlr::{self, PROJECTION, SPEC, Vlr};
 use crate::{Error, Result};
 
@@ -25,7 +25,7 @@ pub struct Reader {
     descriptors: Descriptors,
     extra_bytes: Vec<ExtraBytes>,
     layout: Layout,
-    records: Records,
+    records: RecordReader,
     packets: Option<Packets>,
 }
 
@@ -39,7 +39,7 @@ impl Reader {
         let file = File::open(path).map_err(Error::io(path, "open"))?;
         let file_length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
         let mut input = BufReader::new(file);
-        let header = read_header(&mut input, path, file_length)?;
+        let header = Header::read(&mut input, path, file_length)?;
         let layout = Layout::of(header.point_format);
         if layout.wave.is_none() {
             let problem = format!("no waveforms in point data format {}", header.point_format);
@@ -57,7 +57,7 @@ impl Reader {
         if packets.is_none() && descriptors.describe_anything() {
             return Err(packets::missing(path));
         }
-        let records = Records::open(path, &header, &vlrs, file_length)?;
+        let records = RecordReader::open(path, &header, &vlrs, file_length)?;
         let path = path.to_path_buf();
         Ok(Reader { path, header, vlrs, evlrs, descriptors, extra_bytes, layout, records, packets })
     }
@@ -174,10 +174,4 @@ impl Reader {
         descriptor.unpack(packets.bytes(wave.offset, length)?, samples);
         Ok(descriptor)
     }
-}
-
-fn read_header(input: &mut impl Read, path: &Path, file_length: u64) -> Result<Header> {
-    let mut bytes = Vec::with_capacity(HEADER_1_5.into());
-    input.take(HEADER_1_5.into()).read_to_end(&mut bytes).map_err(Error::io(path, "read the header"))?;
-    Header::parse(path, &bytes, file_length)
 }

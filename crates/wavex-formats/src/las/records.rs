@@ -9,11 +9,11 @@ use super::header::Header;
 use super::vlr::Vlr;
 use crate::{Error, Result};
 
-/// Records per slab.
+/// RecordReader per slab.
 const SLAB: u64 = 1024;
 
 /// Iterator over the records of a file.
-pub(super) struct Records {
+pub(super) struct RecordReader {
     source: Source,
     record_length: usize,
     /// Number of records not yet in a slab.
@@ -28,12 +28,12 @@ enum Source {
     Compressed(Box<Chunks>),
 }
 
-impl Records {
+impl RecordReader {
     /// Starts at the first point of the file `path`.
     ///
     /// # Errors
     /// The LASzip record is missing or contradicts the header.
-    pub(super) fn open(path: &Path, header: &Header, vlrs: &[Vlr], file_length: u64) -> Result<Records> {
+    pub(super) fn open(path: &Path, header: &Header, vlrs: &[Vlr], file_length: u64) -> Result<RecordReader> {
         let mut file = File::open(path).map_err(Error::io(path, "open"))?;
         let source = if header.compressed {
             Source::Compressed(Box::new(Chunks::open(file, path, header, vlrs, file_length)?))
@@ -43,7 +43,7 @@ impl Records {
             Source::Plain(file, path.to_path_buf())
         };
         let record_length = header.record_length.into();
-        Ok(Records { source, record_length, left: header.n_points, slab: Vec::new(), at: 0 })
+        Ok(RecordReader { source, record_length, left: header.n_points, slab: Vec::new(), at: 0 })
     }
 
     /// Advances to the next record.

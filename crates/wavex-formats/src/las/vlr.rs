@@ -7,7 +7,7 @@ use std::io::{BufRead, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use super::header::Header;
-use crate::bytes::Fields;
+use crate::bytes::{Fields, text};
 use crate::{Error, Result};
 
 /// Length of a VLR header, bytes.
@@ -56,6 +56,48 @@ pub struct Vlr {
 }
 
 impl Vlr {
+    /// Creates a record that is not yet in a file: its offset is 0.
+    pub(super) fn new(user_id: &str, record_id: u16, description: &str, data: Vec<u8>) -> Vlr {
+        let (user_id, description) = (user_id.to_string(), description.to_string());
+        Vlr { user_id, record_id, description, offset: 0, length: data.len() as u64, data }
+    }
+
+    /// Encodes header and data as a record before the points.
+    ///
+    /// # Errors
+    /// The length exceeds 65535 bytes; the error names `file`.
+    pub(super) fn write(&self, file: &Path) -> Result<Vec<u8>> {
+        let length = u16::try_from(self.length).map_err(|_| too_much(file, &self.description))?;
+        Ok(self.with_length(&length.to_le_bytes()))
+    }
+
+    /// Encodes header and data as an extended record.
+    ///
+    /// The declared length is [`Vlr::length`]; more data may follow.
+    pub(super) fn write_extended(&self) -> Vec<u8> {
+        self.with_length(&self.length.to_le_bytes())
+    }
+
+    fn with_length(&self, length: &[u8]) -> Vec<u8> {
+        let (user_id, description) = (text::<16>(&self.user_id), text::<32>(&self.description));
+        let record_id = self.record_id.to_le_bytes();
+        [&[0; 2], user_id.as_slice(), &record_id, length, &description, &self.data].concat()
+    }
+
+    /// Reads a record header, extended or not; the data are empty.
+    fn read(fields: &mut Fields, extended: bool) -> Result<Vlr> {
+        fields.skip(2, "reserved")?;
+        let user_id = fields.text(16, "user ID")?;
+        let record_id = fields.u16("record ID")?;
+        let length = if extended {
+            fields.u64("record length after header")?
+        } else {
+            fields.u16("record length after header")?.into()
+        };
+        let description = fields.text(32, "description")?;
+        Ok(Vlr { user_id, record_id, description, offset: fields.offset(), length, data: Vec::new() })
+    }
+
     /// Returns whether the record is `record_id` of `user_id`.
     pub fn is(&self, user_id: &str, record_id: u16) -> bool {
         self.user_id == user_id && self.record_id == record_id
@@ -78,7 +120,7 @@ pub(super) fn read_vlrs(input: &mut (impl BufRead + Seek), file: &Path, header: 
     let mut vlrs = Vec::new();
     for number in 1..=header.n_vlrs {
         let bytes: [u8; VLR_HEADER as usize] = read_header(input, file, at, end, number)?;
-        let mut vlr = parse_header(&mut Fields::new(file, at, &bytes), false)?;
+        let mut vlr = Vlr::read(&mut Fields::new(file, at, &bytes), false)?;
         if vlr.length > end - vlr.offset {
             return Err(too_long(file, at + 20, &vlr, end));
         }
@@ -122,7 +164,7 @@ pub(super) fn read_evlr(
     number: u32,
 ) -> Result<Vlr> {
     let bytes: [u8; EVLR_HEADER as usize] = read_header(input, file, at, file_length, number)?;
-    let mut evlr = parse_header(&mut Fields::new(file, at, &bytes), true)?;
+    let mut evlr = Vlr::read(&mut Fields::new(file, at, &bytes), true)?;
     if evlr.length > file_length - evlr.offset {
         return Err(too_long(file, at + 20, &evlr, file_length));
     }
@@ -149,7 +191,7 @@ pub(super) fn waveform_record(
     }
     seek(input, file, at)?;
     let bytes: [u8; EVLR_HEADER as usize] = read_header(input, file, at, file_length, 1)?;
-    let vlr = parse_header(&mut Fields::new(file, at, &bytes), true)?;
+    let vlr = Vlr::read(&mut Fields::new(file, at, &bytes), true)?;
     if !vlr.is(SPEC, WAVEFORM_PACKETS) {
         return Ok(None);
     }
@@ -175,19 +217,6 @@ fn read_header<const N: usize>(
     Ok(bytes)
 }
 
-fn parse_header(fields: &mut Fields, extended: bool) -> Result<Vlr> {
-    fields.skip(2, "reserved")?;
-    let user_id = fields.text(16, "user ID")?;
-    let record_id = fields.u16("record ID")?;
-    let length = if extended {
-        fields.u64("record length after header")?
-    } else {
-        fields.u16("record length after header")?.into()
-    };
-    let description = fields.text(32, "description")?;
-    Ok(Vlr { user_id, record_id, description, offset: fields.offset(), length, data: Vec::new() })
-}
-
 /// Reads `length` bytes.
 ///
 /// The caller has checked `length` against the file.
@@ -207,4 +236,36 @@ fn too_long(file: &Path, at: u64, vlr: &Vlr, end: u64) -> Error {
     let problem =
         format!("{}/{} declares {} bytes, {} left", vlr.user_id, vlr.record_id, vlr.length, end - vlr.offset);
     Error::malformed(file, at, "record length after header", problem, CUT)
+}
+
+/// Creates the error for `content` that is too long for a record.
+pub(super) fn too_much(file: &Path, content: &str) -> Error {
+    let problem = format!("{content}: more than the 65535 bytes that a LAS record may have");
+    Error::unusable(file, problem, "give a shorter WKT, or fewer extra attributes")
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn a_written_record_reads_as_the_same(
+            user_id in "[a-zA-Z_ ]{0,16}",
+            record_id in any::<u16>(),
+            description in "[a-zA-Z ]{0,32}",
+            data in prop::collection::vec(any::<u8>(), 0..200),
+        ) {
+            let (file, vlr) = (Path::new("a.las"), Vlr::new(&user_id, record_id, &description, data));
+            for (bytes, is_extended) in [(vlr.write(file).unwrap(), false), (vlr.write_extended(), true)] {
+                let mut fields = Fields::new(file, 0, &bytes);
+                let read = Vlr::read(&mut fields, is_extended).unwrap();
+                let data = fields.take(fields.left(), "data").unwrap().to_vec();
+                prop_assert_eq!(read.offset, if is_extended { EVLR_HEADER } else { VLR_HEADER });
+                prop_assert_eq!(Vlr { data, offset: 0, ..read }, vlr.clone());
+            }
+        }
+    }
 }

@@ -5,7 +5,6 @@
 mod byte_layers;
 mod chunk;
 mod compression;
-mod header;
 mod options;
 mod records;
 mod tile;
@@ -15,16 +14,18 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use super::descriptor::Descriptor;
+use super::header::Header;
 use super::lax::Lax;
 use super::point::Layout;
-use super::point_out::PointOut;
+use super::point_out::{LEGACY_RETURNS, PointOut, RETURNS};
 use super::round::nearest;
+use super::totals::Totals;
 use crate::{Error, Result};
-use compression::Compression;
-use header::{Shape, Totals};
+use compression::ChunkCompressor;
+pub(super) use compression::into_io;
 pub use options::{IndexPlace, Version, WavePlace, WriterOptions};
-use records::Records;
-pub(super) use records::{evlr, text, vlr};
+use records::EncodedVlrs;
+pub(super) use records::laz_record;
 use tile::Tile;
 #[cfg(test)]
 pub(super) use tile::record;
@@ -43,24 +44,20 @@ pub struct Writer<W> {
     sink: W,
     path: PathBuf,
     version: Version,
-    scale: [f64; 3],
-    offset: [f64; 3],
-    header: Vec<u8>,
+    header: Header,
     /// Length of a record, bytes.
     record_length: usize,
     /// Length of the standard fields of a record, bytes.
     standard_length: usize,
     /// Points being encoded.
     tile: Box<Tile>,
-    /// Records not yet written.
+    /// EncodedVlrs not yet written.
     slab: Vec<u8>,
     /// Size at which the slab is written, bytes.
     slab_bytes: usize,
-    compression: Option<Compression>,
+    compression: Option<ChunkCompressor>,
     index: Option<Lax>,
     totals: Totals,
-    /// Number of VLRs.
-    n_vlrs: usize,
     /// Offset reserved for the waveform descriptors.
     descriptors_at: u64,
 }
@@ -76,15 +73,18 @@ impl<W: Write + Seek> Writer<W> {
         let compressed = options::is_laz(path)?;
         options.check(path)?;
         let laz = compressed.then(|| records::laz_vlr(path, options)).transpose()?;
-        let records = Records::new(path, options, laz.as_ref())?;
+        let records = EncodedVlrs::new(path, options, laz.as_ref())?;
         let standard_length = Layout::of(options.point_format()).length;
         let record_length = standard_length + options.extra_bytes();
-        let header_bytes = usize::from(options.version.header_bytes());
+        let mut header = options.header();
+        let header_bytes = usize::from(header.header_size);
         let offset_to_points = header_bytes + records.bytes.len();
-        let shape = Shape { record_length, n_vlrs: records.count, offset_to_points, compressed };
-        let header = header::header(options, &shape);
+        header.offset_to_points = offset_to_points as u32;
+        header.n_vlrs = records.count;
+        header.compressed = compressed;
+        header.record_length = record_length as u16;
         let write = |sink: &mut W| {
-            sink.write_all(&header)?;
+            sink.write_all(&header.write())?;
             sink.write_all(&records.bytes)?;
             // LASzip data begin with the offset of the chunk table: -1 until it is known.
             if compressed { sink.write_all(&(-1i64).to_le_bytes()) } else { Ok(()) }
@@ -95,8 +95,6 @@ impl<W: Write + Seek> Writer<W> {
             sink,
             path: path.to_path_buf(),
             version: options.version,
-            scale: options.scale,
-            offset: options.offset,
             header,
             record_length,
             standard_length,
@@ -105,11 +103,10 @@ impl<W: Write + Seek> Writer<W> {
             slab_bytes: slab * record_length,
             compression: laz.map(|laz| {
                 let special_evlrs_at = (header_bytes + records.special_evlrs_at) as u64;
-                Compression::new(laz, offset_to_points as u64, special_evlrs_at, options.threads)
+                ChunkCompressor::new(laz, offset_to_points as u64, special_evlrs_at, options.threads)
             }),
             index: (options.index != IndexPlace::None).then(|| Lax::new(options.scale[0])),
             totals: Totals::new(),
-            n_vlrs: records.count,
             descriptors_at: (header_bytes + records.descriptors_at) as u64,
         })
     }
@@ -155,7 +152,7 @@ impl<W: Write + Seek> Writer<W> {
             let start = self.slab.len();
             self.put_extra(points.len(), |columns| extra(points.clone(), columns))?;
             self.tile.fill(points.clone().map(&point));
-            if let Some(ends) = self.tile.count_steps(self.scale, self.offset)
+            if let Some(ends) = self.tile.count_steps(self.header.scale, self.header.offset)
                 && self.may_count(points.len())
             {
                 self.put(start, ends)?;
@@ -221,11 +218,12 @@ impl<W: Write + Seek> Writer<W> {
     /// `ends` are the smallest and largest stored coordinates.
     fn put(&mut self, start: usize, ends: [(i32, i32); 3]) -> Result<()> {
         self.tile.encode(&mut self.slab[start..], self.record_length);
-        self.totals.add(self.version, ends, self.tile.return_numbers());
+        let most_returns = if self.version.is_legacy() { LEGACY_RETURNS } else { RETURNS };
+        self.totals.add(ends, self.tile.return_numbers(), most_returns);
         if let Some(index) = &mut self.index {
-            let place = |raw: i32, axis: usize| f64::from(raw) * self.scale[axis] + self.offset[axis];
             for (x, y) in self.tile.raw(0).iter().zip(self.tile.raw(1)) {
-                index.add(place(*x, 0), place(*y, 1));
+                let [x, y, _] = self.header.coordinates([*x, *y, 0]);
+                index.add(x, y);
             }
         }
         if self.slab.len() >= self.slab_bytes { self.flush_slab() } else { Ok(()) }
@@ -260,9 +258,10 @@ impl<W: Write + Seek> Writer<W> {
     pub fn finish_with_waveforms(mut self, kinds: &[Descriptor], inside: Option<&mut dyn Read>) -> Result<W> {
         self.flush_slab()?;
         let index = self.take_index();
-        self.totals.patch(&mut self.header, (self.version, self.scale, self.offset));
+        self.totals.store(&mut self.header);
+        self.header.n_vlrs += kinds.len() as u32;
         let descriptors = records::descriptors(&self.path, kinds)?;
-        self.end(&descriptors, kinds.len(), inside, index).map_err(Error::io(&self.path, "write"))?;
+        self.end(&descriptors, inside, index).map_err(Error::io(&self.path, "write"))?;
         Ok(self.sink)
     }
 
@@ -270,7 +269,6 @@ impl<W: Write + Seek> Writer<W> {
     fn end(
         &mut self,
         descriptors: &[u8],
-        n_descriptors: usize,
         packets: Option<&mut dyn Read>,
         index: Option<Vec<u8>>,
     ) -> io::Result<()> {
@@ -279,19 +277,20 @@ impl<W: Write + Seek> Writer<W> {
             compression.end(sink)?;
         }
         let packets_at = sink.seek(SeekFrom::End(0))?;
-        let is_inside = packets.is_some();
         if let Some(packets) = packets {
             io::copy(packets, sink)?;
+            self.header.start_of_waveforms = packets_at;
+            if self.version == Version::V1_4 {
+                (self.header.start_of_evlrs, self.header.n_evlrs) = (packets_at, 1);
+            }
         }
         if let (Some(compression), Some(index)) = (&self.compression, index) {
-            compression.append(sink, &index)?;
+            compression.append(sink, index)?;
         }
         sink.seek(SeekFrom::Start(self.descriptors_at))?;
         sink.write_all(descriptors)?;
-        let n_vlrs = self.n_vlrs + n_descriptors;
-        header::patch_waveforms(&mut self.header, self.version, n_vlrs, is_inside.then_some(packets_at));
         sink.seek(SeekFrom::Start(0))?;
-        sink.write_all(&self.header)?;
+        sink.write_all(&self.header.write())?;
         sink.seek(SeekFrom::End(0))?;
         sink.flush()
     }
@@ -302,19 +301,18 @@ impl<W: Write + Seek> Writer<W> {
     }
 
     fn steps(&self, xyz: [f64; 3], axis: usize) -> Result<i32> {
-        let steps = (xyz[axis] - self.offset[axis]) / self.scale[axis];
+        let (scale, offset) = (self.header.scale[axis], self.header.offset[axis]);
+        let steps = (xyz[axis] - offset) / scale;
         if steps.is_finite()
             && let Ok(steps) = i32::try_from(nearest(steps))
         {
             return Ok(steps);
         }
         let problem = format!(
-            "point {} at {xyz:?} cannot be stored: {} = {} is too far from the offset {} for steps of {}",
+            "point {} at {xyz:?} cannot be stored: {} = {} is too far from the offset {offset} for steps of {scale}",
             self.totals.points,
             ["x", "y", "z"][axis],
             xyz[axis],
-            self.offset[axis],
-            self.scale[axis]
         );
         Err(Error::unusable(&self.path, problem, "choose an offset near the points, or a larger scale"))
     }

@@ -16,7 +16,7 @@ const NO_CONSTANT: u32 = 0x8FFF_FFFF;
 
 /// Kind of a sampling.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
+pub enum SegmentKind {
     /// Outgoing pulse.
     Outgoing,
     /// Returning waveform.
@@ -59,7 +59,7 @@ pub struct Descriptor {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sampling {
     /// Outgoing or returning.
-    pub kind: Kind,
+    pub kind: SegmentKind,
     /// Channel, from 0.
     ///
     /// In RIEGL's files 0 high power, 1 low power, 2 saturation, 3 reference.
@@ -155,9 +155,9 @@ impl Sampling {
         let (mut f, description) = record(file, f, "sampling record", SAMPLING_BYTES)?;
         f.skip(8, "sampling record: size, reserved")?;
         let kind = match f.u8("type")? {
-            1 => Kind::Outgoing,
-            2 => Kind::Returning,
-            other => Kind::Other(other),
+            1 => SegmentKind::Outgoing,
+            2 => SegmentKind::Returning,
+            other => SegmentKind::Other(other),
         };
         let channel = f.u8("channel")?;
         f.skip(1, "unused")?;

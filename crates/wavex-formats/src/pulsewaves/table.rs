@@ -22,7 +22,7 @@ const FLOAT: u8 = 8;
 /// The layout is that of the reference library from revision 7 on; the text of specification 0.3
 /// only names them.
 #[derive(Debug, Clone, PartialEq)]
-pub struct LookupTables {
+pub struct LookupRecord {
     /// Description of the record.
     pub description: String,
     /// Tables, in file order.
@@ -45,9 +45,9 @@ pub struct LookupTable {
     pub entries: Vec<f32>,
 }
 
-impl LookupTables {
+impl LookupRecord {
     /// Parses the payload of a lookup table record at byte `base` of `file`.
-    pub(super) fn parse(file: &Path, base: u64, payload: &[u8]) -> Result<LookupTables> {
+    pub(super) fn parse(file: &Path, base: u64, payload: &[u8]) -> Result<LookupRecord> {
         let mut f = Fields::new(file, base, payload);
         let (mut head, description) = record(file, &mut f, "lookup tables", SET_BYTES)?;
         head.skip(8, "lookup tables: size, reserved")?;
@@ -56,7 +56,7 @@ impl LookupTables {
         for _ in 0..count {
             tables.push(LookupTable::parse(file, &mut f)?);
         }
-        Ok(LookupTables { description, tables })
+        Ok(LookupRecord { description, tables })
     }
 }
 

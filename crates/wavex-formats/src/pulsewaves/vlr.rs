@@ -7,7 +7,7 @@ use std::path::Path;
 use super::UNCOMPRESS;
 use super::descriptor::{DESCRIPTION_BYTES, Descriptor, record};
 use super::header::Header;
-use super::table::LookupTables;
+use super::table::LookupRecord;
 use super::window::Window;
 use crate::bytes::Fields;
 use crate::{Error, Result};
@@ -114,22 +114,22 @@ pub struct Crs {
 
 /// Content of all records of a file.
 #[derive(Debug, Default)]
-pub(super) struct Records {
+pub(super) struct RecordSet {
     pub(super) list: Vec<Record>,
     pub(super) scanners: BTreeMap<u8, Scanner>,
     pub(super) descriptors: BTreeMap<u8, Descriptor>,
-    pub(super) tables: BTreeMap<u8, LookupTables>,
+    pub(super) tables: BTreeMap<u8, LookupRecord>,
     pub(super) crs: Crs,
     /// Offset of the appended records, if any.
     pub(super) appended_at: Option<u64>,
 }
 
-impl Records {
+impl RecordSet {
     /// Reads all records of the pulse file.
     ///
     /// An appended record replaces one of the same ID.
-    pub(super) fn read<R: Read + Seek>(window: &mut Window<R>, header: &Header) -> Result<Records> {
-        let mut records = Records::default();
+    pub(super) fn read<R: Read + Seek>(window: &mut Window<R>, header: &Header) -> Result<RecordSet> {
+        let mut records = RecordSet::default();
         let mut at = u64::from(header.header_size);
         for number in 0..header.vlr_count {
             let record = read_header(window, header, number, at)?;
@@ -168,7 +168,7 @@ impl Records {
             self.descriptors.insert(index, Descriptor::parse(file, base, bytes)?);
         } else if let Some(index) = index(record.record_id, 300_000) {
             let (file, bytes) = payload(window, record)?;
-            self.tables.insert(index, LookupTables::parse(file, base, bytes)?);
+            self.tables.insert(index, LookupRecord::parse(file, base, bytes)?);
         }
         Ok(())
     }

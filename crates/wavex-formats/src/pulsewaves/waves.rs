@@ -3,7 +3,7 @@
 use std::io::{Read, Seek};
 use std::ops::Range;
 
-use super::descriptor::{Descriptor, Kind, Sampling};
+use super::descriptor::{Descriptor, Sampling, SegmentKind};
 use super::window::Window;
 use crate::{Error, Result};
 
@@ -31,7 +31,7 @@ pub struct Segment {
     /// Number of the segment in its sampling, from 0.
     pub number: u16,
     /// Outgoing or returning.
-    pub kind: Kind,
+    pub kind: SegmentKind,
     /// Channel (detector).
     pub channel: u8,
     /// Bits per sample: 8 or 16.
@@ -100,7 +100,7 @@ impl Waves {
         descriptor: &Descriptor,
     ) -> Result<()> {
         self.clear();
-        let mut walk = Walk { window, pulse, start: offset, at: offset };
+        let mut walk = WaveCursor { window, pulse, start: offset, at: offset };
         let read = self.read_all(&mut walk, descriptor);
         if read.is_err() {
             self.clear();
@@ -108,7 +108,11 @@ impl Waves {
         read
     }
 
-    fn read_all<R: Read + Seek>(&mut self, walk: &mut Walk<'_, R>, descriptor: &Descriptor) -> Result<()> {
+    fn read_all<R: Read + Seek>(
+        &mut self,
+        walk: &mut WaveCursor<'_, R>,
+        descriptor: &Descriptor,
+    ) -> Result<()> {
         walk.take(usize::from(descriptor.extra_wave_bytes), "extra waves bytes")?;
         for (number, sampling) in descriptor.samplings.iter().enumerate() {
             let units_per_sample = descriptor.units_per_sample(sampling);
@@ -129,7 +133,7 @@ impl Waves {
 
     fn read_segment<R: Read + Seek>(
         &mut self,
-        walk: &mut Walk<'_, R>,
+        walk: &mut WaveCursor<'_, R>,
         sampling: &Sampling,
         (number, segment): (u16, u16),
         units_per_sample: f64,
@@ -167,14 +171,14 @@ impl Waves {
 }
 
 /// Cursor over the waves of a pulse.
-struct Walk<'a, R> {
+struct WaveCursor<'a, R> {
     window: &'a mut Window<R>,
     pulse: u64,
     start: u64,
     at: u64,
 }
 
-impl<R: Read + Seek> Walk<'_, R> {
+impl<R: Read + Seek> WaveCursor<'_, R> {
     /// Reads `n` bytes.
     fn take(&mut self, n: usize, field: &str) -> Result<&[u8]> {
         let at = self.at;

@@ -3,34 +3,23 @@
 //! Types and argument order follow RIEGL's public interface description. Names that the linker does
 //! not need are our own.
 
+mod block;
+
 use std::ffi::{CStr, c_char, c_void};
-use std::mem::{ManuallyDrop, MaybeUninit};
+use std::mem::ManuallyDrop;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard};
 
 use libloading::Library;
 
 use super::fault::{Answer, Fault, code};
-use super::{MAX_BLOCKS, MAX_RECORD_SAMPLES, MAX_SAMPLES, MAX_TABLE, SdfInfo, SdfRecord};
+use super::{MAX_TABLE, SdfInfo, SdfRecord};
+use block::{RawBlock, check_array, check_block, copy_block};
 
 /// `fwifc_file`, an opaque handle.
 type RawFile = *mut c_void;
 /// `fwifc_csz`.
 type RawText = *const c_char;
-
-/// `fwifc_sbl_t`: the fields common to all versions.
-#[repr(C)]
-#[derive(Clone, Copy)]
-struct RawBlock {
-    time_sosbl_s: f64,
-    channel: u32,
-    sample_count: u32,
-    /// Unused.
-    ///
-    /// The size of `*sample`, in a unit on which descriptions differ.
-    _sample_size: u32,
-    sample: *const u16,
-}
 
 type GetLibraryVersion = unsafe extern "C" fn(*mut u16, *mut u16, *mut RawText, *mut RawText) -> i32;
 type GetLastError = unsafe extern "C" fn(*mut RawText) -> i32;
@@ -86,7 +75,7 @@ pub(super) struct Functions {
 
 /// Version of a library (`fwifc_get_library_version`).
 #[derive(Clone, Debug, PartialEq)]
-pub struct Version {
+pub struct LibraryVersion {
     /// Major version; a different one is a different interface.
     pub major: u16,
     /// Minor version; newer ones only extend the interface.
@@ -136,7 +125,7 @@ impl Functions {
     }
 
     /// Returns the version of the library; needs no file.
-    pub(super) fn version(&self) -> Answer<Version> {
+    pub(super) fn version(&self) -> Answer<LibraryVersion> {
         const NAME: &str = "fwifc_get_library_version";
         let alone = alone();
         let (mut major, mut minor) = (0, 0);
@@ -146,7 +135,7 @@ impl Functions {
         self.check(NAME, code, &alone)?;
         // SAFETY: the library has set both texts, the lock is held, and no other call was made.
         let build = unsafe { [text(build), text(tag)] };
-        Ok(Version { major, minor, build: build.join(" ").trim().to_owned() })
+        Ok(LibraryVersion { major, minor, build: build.join(" ").trim().to_owned() })
     }
 
     /// Opens a file.
@@ -371,140 +360,5 @@ impl Handle {
     }
 }
 
-/// Largest plausible size of a block, bytes.
-const MAX_STRIDE: u32 = 1 << 12;
-
-fn check_array(count: u32, stride: u32, blocks: *const RawBlock) -> Result<(), String> {
-    let least = size_of::<RawBlock>();
-    if count == 0 {
-        Ok(())
-    } else if count > MAX_BLOCKS {
-        Err(format!("a record of {count} blocks"))
-    } else if (stride as usize) < least || stride > MAX_STRIDE {
-        Err(format!("blocks of {stride} bytes each, but {least} to {MAX_STRIDE} are valid"))
-    } else if blocks.is_null() {
-        Err("a null pointer to blocks".to_owned())
-    } else {
-        Ok(())
-    }
-}
-
-/// Checks a block.
-///
-/// `before` is the number of samples already in the record.
-fn check_block(block: &RawBlock, before: usize) -> Result<(), String> {
-    if block.sample_count > MAX_SAMPLES {
-        Err(format!("a block of {} samples", block.sample_count))
-    } else if before + block.sample_count as usize > MAX_RECORD_SAMPLES {
-        Err(format!("a record of more than {MAX_RECORD_SAMPLES} samples"))
-    } else if block.sample_count > 0 && block.sample.is_null() {
-        Err("a null pointer to samples".to_owned())
-    } else {
-        Ok(())
-    }
-}
-
-/// Appends a block to a record.
-///
-/// # Safety
-/// `check_block` succeeded, the stated number of samples is readable at the pointer, and no other
-/// thread calls the library meanwhile.
-unsafe fn copy_block(block: &RawBlock, record: &mut SdfRecord) {
-    let count = block.sample_count as usize;
-    let first = record.samples.len();
-    record.samples.reserve(count);
-    if count > 0 {
-        let to: &mut [MaybeUninit<u16>] = record.samples.spare_capacity_mut();
-        // SAFETY: the caller guarantees the source, `reserve` the target. Bytes are copied, because
-        // the samples may be unaligned and any bytes are valid samples.
-        unsafe {
-            std::ptr::copy_nonoverlapping(
-                block.sample.cast::<u8>(),
-                to.as_mut_ptr().cast::<u8>(),
-                count * size_of::<u16>(),
-            );
-            record.samples.set_len(first + count);
-        }
-    }
-    record.blocks.push(super::SdfBlock {
-        channel: block.channel,
-        start_s: block.time_sosbl_s,
-        first,
-        len: count,
-    });
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use std::mem::offset_of;
-
-    #[cfg(target_pointer_width = "64")]
-    #[test]
-    fn a_block_is_laid_out_as_the_interface_says() {
-        let offsets = [
-            offset_of!(RawBlock, time_sosbl_s),
-            offset_of!(RawBlock, channel),
-            offset_of!(RawBlock, sample_count),
-            offset_of!(RawBlock, _sample_size),
-            offset_of!(RawBlock, sample),
-            size_of::<RawBlock>(),
-        ];
-        assert_eq!(offsets, [0, 8, 12, 16, 24, 32]);
-    }
-
-    #[test]
-    fn an_array_passes_its_limits() {
-        let somewhere = std::ptr::dangling();
-        let wrong = |count, stride, blocks| check_array(count, stride, blocks).unwrap_err();
-        assert_eq!(check_array(0, 0, std::ptr::null()), Ok(()), "no blocks need no place");
-        assert_eq!(check_array(4096, 4096, somewhere), Ok(()));
-        assert_eq!(wrong(4097, 32, somewhere), "a record of 4097 blocks");
-        assert_eq!(wrong(1, 8, somewhere), "blocks of 8 bytes each, but 32 to 4096 are valid");
-        assert_eq!(wrong(1, 32, std::ptr::null()), "a null pointer to blocks");
-    }
-
-    #[test]
-    fn a_block_passes_its_limits() {
-        let block = |sample_count, sample| RawBlock {
-            time_sosbl_s: 0.0,
-            channel: 1,
-            sample_count,
-            _sample_size: 2,
-            sample,
-        };
-        assert_eq!(check_block(&block(0, std::ptr::null()), 0), Ok(()));
-        assert_eq!(check_block(&block(1 << 16, std::ptr::dangling()), 0), Ok(()));
-        assert_eq!(
-            check_block(&block(65_537, std::ptr::dangling()), 0).unwrap_err(),
-            "a block of 65537 samples"
-        );
-        assert_eq!(check_block(&block(1, std::ptr::null()), 0).unwrap_err(), "a null pointer to samples");
-        let full = check_block(&block(1, std::ptr::dangling()), 1 << 20).unwrap_err();
-        assert_eq!(full, "a record of more than 1048576 samples");
-    }
-
-    #[test]
-    fn unaligned_samples_are_copied_whole() {
-        let bytes = [0xff, 1, 2, 3, 4, 0xff_u8];
-        let mut record = SdfRecord::default();
-        record.push(3, 0.0, &[7]);
-        let sample = bytes[1..].as_ptr().cast::<c_void>().cast::<u16>();
-        let block = RawBlock { time_sosbl_s: 1e-6, channel: 1, sample_count: 2, _sample_size: 2, sample };
-        // SAFETY: four bytes are readable, and no library is called.
-        unsafe { copy_block(&block, &mut record) };
-        let expected = [u16::from_ne_bytes([1, 2]), u16::from_ne_bytes([3, 4])];
-        assert_eq!(record.samples(&record.blocks[1]), expected);
-        assert_eq!(record.samples(&record.blocks[0]), [7]);
-    }
-
-    #[test]
-    fn texts_end_in_a_zero_and_may_be_missing_or_endless() {
-        let endless = vec![b'x'; 2 * MAX_TEXT];
-        // SAFETY: each text is null, ends in 0, or is longer than the limit.
-        let read =
-            unsafe { [text(std::ptr::null()), text(c"\xe4b".as_ptr()), text(endless.as_ptr().cast())] };
-        assert_eq!(read[..2], ["", "\u{fffd}b"]);
-        assert_eq!(read[2].len(), MAX_TEXT);
-    }
-}
+mod tests;

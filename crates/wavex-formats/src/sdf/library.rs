@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 use super::fault::Fault;
-use super::interface::{Functions, Version};
+use super::interface::{Functions, LibraryVersion};
 use crate::{Error, Result};
 
 /// Environment variable that may name the library or its folder.
@@ -44,7 +44,7 @@ fn names(data: &Path) -> [String; 2] {
 /// Finds, loads and checks the library for a file.
 ///
 /// `key` is the library or its folder, as given by the job.
-pub(super) fn find(data: &Path, key: Option<&Path>) -> Result<(Functions, Version)> {
+pub(super) fn find(data: &Path, key: Option<&Path>) -> Result<(Functions, LibraryVersion)> {
     let functions = match (key, std::env::var_os(VARIABLE)) {
         (Some(key), _) => named(data, key, Said::ByKey)?,
         (None, Some(variable)) if !variable.is_empty() => {

@@ -6,7 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::fault::{Answer, Fault, code};
-use super::interface::{Handle, Version};
+use super::interface::{Handle, LibraryVersion};
 use super::{SdfInfo, SdfRecord, index_dir, library};
 use crate::{Error, Result};
 
@@ -29,7 +29,7 @@ pub struct CalibrationTables {
 pub struct SdfReader {
     file: PathBuf,
     handle: Handle,
-    version: Version,
+    version: LibraryVersion,
     info: SdfInfo,
     /// Number of the next record, from 1.
     next_record: u32,
@@ -71,7 +71,7 @@ impl SdfReader {
     }
 
     /// Returns the version of the library.
-    pub fn version(&self) -> &Version {
+    pub fn version(&self) -> &LibraryVersion {
         &self.version
     }
 

@@ -5,26 +5,22 @@ use std::path::{Path, PathBuf};
 use super::super::{Error, Result};
 use super::axis::{Placed, may_be};
 use super::input::Input;
-use super::{Options, Recorded, poq, smrmsg};
+use super::{Recorded, poq, smrmsg};
 use wavex_geodesy::time_axis::{Clock, TimeSpan, Unwrap, align};
 use wavex_geodesy::trajectory::AccuracySample;
 
-/// Reads the accuracies of a trajectory, on its time axis.
-///
-/// They come from the file given by the user, else from the POQ next to a POF.
-pub(super) fn find(recorded: &Recorded, options: &Options, placed: Placed) -> Result<Vec<AccuracySample>> {
-    let beside = || recorded.format.starts_with("POF").then(|| beside(&recorded.file)).flatten();
-    let Some(path) = options.accuracy.clone().or_else(beside) else { return Ok(Vec::new()) };
-    let mut samples = read(&path)?;
+/// Reads the accuracies in the file `path`, on the time axis of a trajectory.
+pub(super) fn on_axis(path: &Path, recorded: &Recorded, placed: Placed) -> Result<Vec<AccuracySample>> {
+    let mut samples = read(path)?;
     if samples.is_empty() || recorded.records.is_empty() {
         return Ok(samples);
     }
-    place(&path, &mut samples, recorded.times(), placed)?;
+    place(path, &mut samples, recorded.times(), placed)?;
     Ok(samples)
 }
 
 /// Returns the POQ next to a POF.
-fn beside(pof: &Path) -> Option<PathBuf> {
+pub(super) fn poq_of(pof: &Path) -> Option<PathBuf> {
     ["poq", "POQ"].map(|extension| pof.with_extension(extension)).into_iter().find(|path| path.is_file())
 }
 

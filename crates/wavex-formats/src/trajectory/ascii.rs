@@ -1,6 +1,6 @@
 //! Text trajectories with one record per line.
 //!
-//! Columns are separated by blanks, tabs, commas or semicolons. Lines before the first record are
+//! ColumnIndices are separated by blanks, tabs, commas or semicolons. Lines before the first record are
 //! the header. Empty lines and lines that begin with `#` or `%` are skipped. Longitude and latitude
 //! are in degrees, heights in metres.
 
@@ -47,7 +47,7 @@ pub(super) fn read(input: &mut Input, options: &Options) -> Result<Raw> {
                       height, roll, pitch, heading; any other letter skips a column";
         return Err(Error::unusable(&path, problem, remedy));
     };
-    let columns = Columns::new(letters).map_err(|problem| {
+    let columns = ColumnIndices::new(letters).map_err(|problem| {
         Error::unusable(
             &path,
             problem,
@@ -127,10 +127,10 @@ fn notes(samples: &[Sample], is_radians: bool) -> Vec<String> {
 /// Column index of each quantity, from 0.
 ///
 /// In the order of the letters; roll may be missing.
-struct Columns([Option<usize>; 7]);
+struct ColumnIndices([Option<usize>; 7]);
 
-impl Columns {
-    fn new(letters: &str) -> std::result::Result<Columns, String> {
+impl ColumnIndices {
+    fn new(letters: &str) -> std::result::Result<ColumnIndices, String> {
         let mut places = [None; 7];
         for (number, (letter, name)) in LETTERS.into_iter().enumerate() {
             let mut found = letters.chars().enumerate().filter(|(_, other)| *other == letter);
@@ -149,7 +149,7 @@ impl Columns {
                 }
             }
         }
-        Ok(Columns(places))
+        Ok(ColumnIndices(places))
     }
 
     /// Parses the numbers of a line, or describes the problem.
@@ -183,7 +183,7 @@ mod tests {
 
     #[test]
     fn blanks_tabs_and_commas_part_columns() {
-        let columns = Columns::new("tsyxzwpk").unwrap();
+        let columns = ColumnIndices::new("tsyxzwpk").unwrap();
         let expected = Ok([1.0, 11.0, 48.0, 500.0, 0.5, -0.25, 90.0]);
         for line in [
             "1 skipped 48 11 500 0.5 -0.25 90 further",

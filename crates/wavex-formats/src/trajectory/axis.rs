@@ -29,8 +29,8 @@ pub(super) struct Placed {
     pub(super) leap_s: f64,
 }
 
-/// Puts the decoded records on one time axis and adds the accuracies.
-pub(super) fn settle(path: &Path, raw: Raw, options: &Options) -> Result<Recorded> {
+/// Puts the decoded records on one time axis and adds the accuracies in the file `accuracy`.
+pub(super) fn settle(path: &Path, raw: Raw, options: &Options, accuracy: Option<&Path>) -> Result<Recorded> {
     let Raw { format, stated, mut records, mut notes } = raw;
     let clock = clock_of(path, &stated, options, records.times_s(), &mut notes)?;
     let mut unwrap = Unwrap::new(clock);
@@ -57,7 +57,9 @@ pub(super) fn settle(path: &Path, raw: Raw, options: &Options) -> Result<Recorde
     let accuracies = Vec::new();
     let mut recorded =
         Recorded { file: path.to_owned(), format, counts, clock: on_axis, records, accuracies, notes };
-    recorded.accuracies = accuracies::find(&recorded, options, Placed { clock, leap_s })?;
+    if let Some(path) = accuracy {
+        recorded.accuracies = accuracies::on_axis(path, &recorded, Placed { clock, leap_s })?;
+    }
     Ok(recorded)
 }
 

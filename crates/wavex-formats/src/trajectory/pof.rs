@@ -1,8 +1,8 @@
 //! POF, RIEGL's position and orientation file, versions 1.0 and 1.1.
 //!
 //! Written as 1.1. The layout is taken from public readers; it is not verified with an original
-//! RIEGL file. All fields are little-endian and packed: a header of [`HEADER_BYTES`], then records
-//! of [`RECORD_BYTES`]. Records of version 1.0 lack the distance.
+//! RIEGL file. All fields are little-endian and packed: a header of 315 bytes, then records
+//! of 64 bytes. Records of version 1.0 lack the distance.
 
 use super::super::bytes::Fields;
 use super::axis::Stated;
@@ -12,15 +12,15 @@ use wavex_geodesy::frames::Attitude;
 use wavex_geodesy::time_axis::Clock;
 
 /// First bytes of a POF file.
-pub const MAGIC: &[u8; 27] = b"RIEGL POSITION&ORIENTATION\0";
+pub(super) const MAGIC: &[u8; 27] = b"RIEGL POSITION&ORIENTATION\0";
 
 /// Size of the header that [`PofHeader::encode`] writes.
 ///
 /// The records follow it.
-pub const HEADER_BYTES: usize = 315;
+pub(super) const HEADER_BYTES: usize = 315;
 
 /// Size of a record of version 1.1, bytes.
-pub const RECORD_BYTES: usize = 64;
+pub(super) const RECORD_BYTES: usize = 64;
 
 /// POF header.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

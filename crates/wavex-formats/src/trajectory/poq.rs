@@ -13,7 +13,7 @@ use wavex_geodesy::trajectory::{Accuracy, AccuracySample};
 /// First bytes of a POQ file.
 ///
 /// A POF has a zero byte instead of the last blank.
-pub const MAGIC: &[u8; 27] = b"RIEGL POSITION&ORIENTATION ";
+pub(super) const MAGIC: &[u8; 27] = b"RIEGL POSITION&ORIENTATION ";
 
 /// Size of the title at the beginning of the header, bytes.
 const TITLE_BYTES: usize = 35;

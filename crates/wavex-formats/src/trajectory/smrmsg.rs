@@ -8,7 +8,7 @@ use super::input::Input;
 use wavex_geodesy::trajectory::{Accuracy, AccuracySample};
 
 /// Size of a record, bytes.
-pub const RECORD_BYTES: usize = 80;
+pub(super) const RECORD_BYTES: usize = 80;
 
 /// Returns whether a file of this length may be smrmsg.
 ///

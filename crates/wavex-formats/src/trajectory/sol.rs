@@ -15,7 +15,7 @@ use wavex_geodesy::time_axis::Clock;
 use wavex_geodesy::trajectory::Sample;
 
 /// Size of a record, bytes.
-pub const RECORD_BYTES: usize = 184;
+pub(super) const RECORD_BYTES: usize = 184;
 /// Offset of the check byte.
 ///
 /// It is the XOR of the bytes before it.

@@ -12,7 +12,7 @@ use super::{LARGEST_ANGLE_RAD, MapSample, Raw, Records, Result};
 use wavex_geodesy::frames::Attitude;
 
 /// First bytes of a TRJ file.
-pub const MAGIC: &[u8; 8] = b"TSCANTRJ";
+pub(super) const MAGIC: &[u8; 8] = b"TSCANTRJ";
 /// The only known version.
 const VERSION: i32 = 20_010_715;
 /// Size of the header fields that are read, bytes.

@@ -1,10 +1,10 @@
-//! What a header's metadata say, and what is refused.
+//! Metadata of the header: round trips and errors.
 
 use super::*;
 use std::path::Path;
 
-fn place() -> Place<'static> {
-    Place { file: Path::new("a.arrow"), offset: 8, first_row: 0 }
+fn location() -> Location<'static> {
+    Location { file: Path::new("a.arrow"), offset: 8, first_row: 0 }
 }
 
 fn header() -> ContainerHeader {
@@ -32,7 +32,7 @@ fn header() -> ContainerHeader {
 }
 
 #[test]
-fn a_header_becomes_strings_and_comes_back() {
+fn headers_round_trip() {
     let metadata = header().to_metadata();
     let text: Vec<(&str, &str)> = metadata.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
     let expected = [
@@ -58,38 +58,38 @@ fn a_header_becomes_strings_and_comes_back() {
         ("wavex.time_scale", "week"),
     ];
     assert_eq!(text, expected);
-    assert_eq!(ContainerHeader::from_metadata(&metadata, place()).unwrap(), header());
+    assert_eq!(ContainerHeader::from_metadata(&metadata, location()).unwrap(), header());
 }
 
 #[test]
-fn what_is_not_known_is_left_out() {
+fn unknown_values_are_omitted() {
     let short = ContainerHeader::new(1.0, 299_707_502.1);
     let metadata = short.to_metadata();
     let required: Vec<&str> = KEYS.iter().filter(|key| key.required).map(|key| key.name).collect();
     assert!(required.iter().all(|key| metadata.contains_key(key)));
     assert_eq!(metadata.len(), required.len());
-    assert_eq!(ContainerHeader::from_metadata(&metadata, place()).unwrap(), short);
+    assert_eq!(ContainerHeader::from_metadata(&metadata, location()).unwrap(), short);
     for key in required.iter().skip(1) {
         let mut less = metadata.clone();
         less.remove(key);
-        let error = ContainerHeader::from_metadata(&less, place()).unwrap_err().to_string();
+        let error = ContainerHeader::from_metadata(&less, location()).unwrap_err().to_string();
         assert!(error.starts_with(&format!("a.arrow: byte 8: metadata `{key}`: is missing; ")), "{error}");
     }
 }
 
 #[test]
-fn undefined_entries_of_tables_are_left_out_and_other_keys_passed_over() {
+fn undefined_table_entries_and_other_keys_are_ignored() {
     let metadata = header()
         .to_metadata()
         .with("wavex.tables", r#"{"amplitude_high":[[1,null],[9,0],[10,0.5]],"other":3}"#)
         .with("pandas", "{}");
-    let header = ContainerHeader::from_metadata(&metadata, place()).unwrap();
+    let header = ContainerHeader::from_metadata(&metadata, location()).unwrap();
     assert_eq!(header.amplitude_high, Some(vec![(9.0, 0.0), (10.0, 0.5)]));
     assert_eq!(header.amplitude_low, None);
 }
 
 #[test]
-fn a_wrong_value_is_named_with_its_form() {
+fn wrong_values_are_reported_with_the_expected_form() {
     let cases = [
         ("wavex.sampling_interval_ns", "0", "number > 0"),
         ("wavex.sampling_interval_ns", "inf", "number > 0"),
@@ -113,7 +113,7 @@ fn a_wrong_value_is_named_with_its_form() {
     ];
     for (key, value, form) in cases.into_iter().chain([("wavex.origin", "earth", "`sensor` or `waveform`")]) {
         let metadata = header().to_metadata().with(key, value);
-        let error = ContainerHeader::from_metadata(&metadata, place()).unwrap_err().to_string();
+        let error = ContainerHeader::from_metadata(&metadata, location()).unwrap_err().to_string();
         let expected =
             format!("a.arrow: byte 8: metadata `{key}`: `{value}` is no value for it; write a {form}");
         assert_eq!(error, expected);
@@ -121,16 +121,16 @@ fn a_wrong_value_is_named_with_its_form() {
 }
 
 #[test]
-fn another_version_and_another_file_are_told_apart() {
+fn other_versions_and_other_files_have_different_errors() {
     let newer = header().to_metadata().with("wavex.container", "2");
-    let error = ContainerHeader::from_metadata(&newer, place()).unwrap_err().to_string();
+    let error = ContainerHeader::from_metadata(&newer, location()).unwrap_err().to_string();
     assert_eq!(error, "a.arrow: a waveform container of version `2`, where 1 is known; use a newer wavex");
-    let error = ContainerHeader::from_metadata(&Metadata::default(), place()).unwrap_err().to_string();
+    let error = ContainerHeader::from_metadata(&Metadata::default(), location()).unwrap_err().to_string();
     assert!(error.contains("no waveform container: its metadata has no key `wavex.container`"), "{error}");
 }
 
 #[test]
-fn every_day_of_a_leap_year_and_of_another_has_a_date() {
+fn days_of_leap_and_common_years_have_dates() {
     for (year, days) in [(2012, 366), (2013, 365), (2000, 366), (1900, 365), (1, 365), (9999, 365)] {
         for day in 1..=days {
             let text = iso_date((day, year)).unwrap();

@@ -1,4 +1,4 @@
-//! Record batches that other programs could have written.
+//! Record batches as other programs may write them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use arrow_schema::{DataType, Field, Fields, Schema, SchemaRef, UnionFields};
 
 use super::*;
 
-/// The columns of [`lines`]' first line by name, to be changed and written as another program would.
+/// Returns the columns of the first line of [`lines`] by index.
 fn columns() -> BTreeMap<usize, (Field, ArrayRef)> {
     let schema: SchemaRef = Arc::new(layout::schema(header().to_metadata(), false));
     let batch = builder(&lines()[0]).finish(schema.clone()).unwrap();
@@ -35,7 +35,7 @@ fn written(columns: BTreeMap<usize, (Field, ArrayRef)>) -> Vec<u8> {
     writer.into_inner().unwrap()
 }
 
-/// The stream of the first line with one column in place of another.
+/// Returns a stream of the first line with one column replaced.
 fn with_column(name: &str, array: ArrayRef) -> Vec<u8> {
     let mut columns = columns();
     let field = Field::new(name, array.data_type().clone(), true);
@@ -44,7 +44,7 @@ fn with_column(name: &str, array: ArrayRef) -> Vec<u8> {
 }
 
 #[test]
-fn each_missing_column_is_named() {
+fn missing_columns_are_reported() {
     for column in layout::COLUMNS {
         let mut columns = columns();
         columns.remove(&position(column.name));
@@ -65,10 +65,10 @@ fn each_missing_column_is_named() {
 }
 
 #[test]
-fn another_type_is_named() {
+fn wrong_types_are_reported() {
     let shots = Arc::new(Int64Array::from(vec![0, 1, 2, 3, 4]));
     assert_eq!(
-        complaint(with_column("shot", shots)),
+        refusal(with_column("shot", shots)),
         "byte 0: column `shot`: the type is Int64 and should be u64; cast it before writing the container"
     );
     let column = |name: &'static str, list: ArrayRef| {
@@ -86,14 +86,14 @@ fn another_type_is_named() {
     };
     let blocks = column("start_ns", Arc::new(Int32Array::from(vec![0; 6])));
     assert_eq!(
-        complaint(with_column("blocks", blocks)),
+        refusal(with_column("blocks", blocks)),
         "byte 0: column `blocks.start_ns`: the type is Int32 and should be f64; \
          cast it before writing the container"
     );
     // The reference blocks of shots 0, 2, 3 and 4, and the low-power blocks of 2 and 3.
     let starts = vec![Some(0.0), Some(0.0), Some(0.0), Some(0.0), None, Some(0.0)];
     let blocks = column("start_ns", Arc::new(Float64Array::from(starts)));
-    let error = complaint(with_column("blocks", blocks));
+    let error = refusal(with_column("blocks", blocks));
     assert!(
         error.ends_with(
             "column `blocks.start_ns`, row 3: a null, where none may be; fill it or leave the row out"
@@ -101,14 +101,14 @@ fn another_type_is_named() {
         "{error}"
     );
     let blocks = column("zone", Arc::new(Int32Array::from(vec![0; 6])));
-    let error = complaint(with_column("blocks", blocks));
+    let error = refusal(with_column("blocks", blocks));
     assert!(error.contains("column `blocks.zone`: the type is Int32 and should be i16"), "{error}");
 }
 
 #[test]
-fn nulls_are_named_by_column_and_row() {
+fn nulls_are_reported_with_column_and_row() {
     let shots = UInt64Array::from(vec![Some(0), Some(1), Some(2), None, None]);
-    let error = complaint(with_column("shot", Arc::new(shots)));
+    let error = refusal(with_column("shot", Arc::new(shots)));
     assert!(
         error.ends_with("column `shot`, row 3: a null, where none may be; fill it or leave the row out"),
         "{error}"
@@ -118,23 +118,23 @@ fn nulls_are_named_by_column_and_row() {
     let item = Arc::new(Field::new("item", DataType::Float64, true));
     let values: ArrayRef = Arc::new(Float64Array::from(vec![0.0; 15]));
     let triples = arrow_array::FixedSizeListArray::new(item.clone(), 3, values, nulls());
-    let error = complaint(with_column("origin", Arc::new(triples)));
+    let error = refusal(with_column("origin", Arc::new(triples)));
     assert!(error.contains("column `origin`, row 2: a null"), "{error}");
 
     let values: Float64Array = (0..15).map(|i| (i != 13).then_some(0.5)).collect();
     let triples = arrow_array::FixedSizeListArray::new(item, 3, Arc::new(values), None);
-    let error = complaint(with_column("direction", Arc::new(triples)));
+    let error = refusal(with_column("direction", Arc::new(triples)));
     assert!(error.contains("column `direction`, row 4: a null"), "{error}");
 
     let blocks = columns()[&position("blocks")].1.as_any().downcast_ref::<ListArray>().unwrap().clone();
     let (item, offsets, values, _) = blocks.into_parts();
     let blocks = ListArray::new(item, offsets, values, nulls());
-    let error = complaint(with_column("blocks", Arc::new(blocks)));
+    let error = refusal(with_column("blocks", Arc::new(blocks)));
     assert!(error.contains("column `blocks`, row 2: a null"), "{error}");
 }
 
 #[test]
-fn a_null_sample_is_named_by_its_row() {
+fn a_null_sample_is_reported_with_its_row() {
     let blocks = columns()[&position("blocks")].1.as_any().downcast_ref::<ListArray>().unwrap().clone();
     let (_, offsets, structs, _) = blocks.into_parts();
     let structs = structs.as_any().downcast_ref::<StructArray>().unwrap().clone();
@@ -151,12 +151,12 @@ fn a_null_sample_is_named_by_its_row() {
     let structs = StructArray::new(Fields::from(fields), arrays, None);
     let item = Arc::new(Field::new("element", structs.data_type().clone(), true));
     let blocks = ListArray::new(item, offsets, Arc::new(structs), None);
-    let error = complaint(with_column("blocks", Arc::new(blocks)));
+    let error = refusal(with_column("blocks", Arc::new(blocks)));
     assert!(error.contains("column `blocks.samples`, row 2: a null"), "{error}");
 }
 
 #[test]
-fn unknown_columns_of_any_type_are_passed_over() {
+fn unknown_columns_of_any_type_are_ignored() {
     let text: ArrayRef = Arc::new(StringArray::from(vec!["a", "b", "c", "d", "e"]));
     let view: ArrayRef =
         Arc::new(StringViewArray::from(vec!["a", "b", "c", "d", "longer than twelve bytes"]));
@@ -173,7 +173,7 @@ fn unknown_columns_of_any_type_are_passed_over() {
     let extra = [text, view, Arc::new(names), Arc::new(union), nothing, blocks];
     let mut columns: Vec<(Field, ArrayRef)> = columns().into_values().collect();
     for (index, array) in extra.into_iter().enumerate() {
-        // Before, between and behind the known ones.
+        // Before, between and after the known ones.
         let field = Field::new(format!("extra{index}"), array.data_type().clone(), true);
         columns.insert(index * 3, (field, array));
     }
@@ -188,7 +188,7 @@ fn unknown_columns_of_any_type_are_passed_over() {
     assert_eq!(read_file(&writer.into_inner().unwrap()).unwrap(), lines()[..1]);
 }
 
-/// `blocks` with a further field in its structs.
+/// Returns `blocks` with an additional field.
 fn with_inner_field(array: ArrayRef) -> Vec<u8> {
     let blocks = columns()[&position("blocks")].1.as_any().downcast_ref::<ListArray>().unwrap().clone();
     let (_, offsets, structs, _) = blocks.into_parts();
@@ -203,18 +203,18 @@ fn with_inner_field(array: ArrayRef) -> Vec<u8> {
 }
 
 #[test]
-fn unknown_fields_of_blocks_are_passed_over_where_that_can_be_done() {
+fn unknown_fields_of_blocks_are_ignored_if_possible() {
     let gates = Arc::new(StringArray::from(vec!["a", "b", "c", "d", "e", "f"]));
     assert_eq!(read_stream(with_inner_field(gates)).unwrap(), lines()[..1]);
     let gates: DictionaryArray<Int8Type> = vec!["a", "b", "a", "b", "a", "b"].into_iter().collect();
-    let error = complaint(with_inner_field(Arc::new(gates)));
+    let error = refusal(with_inner_field(Arc::new(gates)));
     assert!(
         error.contains("column `blocks.gate`: a list cannot be passed over that holds a Dictionary"),
         "{error}"
     );
 }
 
-/// The row of shot `n` as `tests/python/read_container.py` makes it.
+/// Creates the row of shot `n` as `tests/python/read_container.py` does.
 fn python_row(n: u64) -> Row {
     let x = n as f64;
     let samples = |count: u64, step: u64| (0..count).map(|i| (step * n + i) as u16).collect();
@@ -241,10 +241,11 @@ fn python_row(n: u64) -> Row {
     }
 }
 
-/// Written by pyarrow 26 with `tests/python/read_container.py --write`: all fields nullable, and in front a column of
-/// a dictionary that nobody knows.
+/// Written by pyarrow 26 with `tests/python/read_container.py --write`.
+///
+/// All fields are nullable, and the first column is an unknown dictionary.
 #[test]
-fn what_pyarrow_writes_is_read() {
+fn containers_of_pyarrow_are_read() {
     let file = include_bytes!("pyarrow_zstd.arrow");
     let stream = include_bytes!("pyarrow_lz4.arrows");
     let expected: Vec<Vec<Row>> =

@@ -2,13 +2,12 @@
 
 use std::path::Path;
 
-use laz::LazVlr;
-
 use super::cube::{self, CELL_LEVELS, Cube};
-use super::{COPC, Extent, Reshape, encoding, into_io, is_left_out};
-use crate::las::header::{HEADER_1_4, Header};
+use super::{COPC, Extent, Reshape, into_io, is_left_out};
+use crate::las::encoding;
+use crate::las::header::{Header, header_bytes};
 use crate::las::vlr::{EVLR_HEADER, PROJECTION, VLR_HEADER, Vlr, WKT};
-use crate::las::writer::{evlr, text, vlr};
+use crate::las::writer::laz_record;
 use crate::{Error, Result};
 
 /// Length of the record `copc`/1, bytes: COPC 1.0, "info VLR".
@@ -49,14 +48,14 @@ pub(super) fn hierarchy(at: u64, entries: &[Entry]) -> Hierarchy {
         data.extend(entry.bytes.to_le_bytes());
         data.extend(entry.points.to_le_bytes());
     }
-    let record = evlr(COPC, HIERARCHY, "EPT hierarchy", &data);
-    Hierarchy { record, at: at + EVLR_HEADER, bytes: data.len() as u64 }
+    let record = Vlr::new(COPC, HIERARCHY, "EPT hierarchy", data);
+    Hierarchy { record: record.write_extended(), at: at + EVLR_HEADER, bytes: record.length }
 }
 
 /// Header and records known from the source alone.
-pub(super) struct Start {
+pub(super) struct Metadata {
     /// Header, without fields that are known only at the end.
-    header: Vec<u8>,
+    header: Header,
     /// VLRs after the COPC record.
     vlrs: Vec<u8>,
     /// EVLRs after the octree.
@@ -65,7 +64,7 @@ pub(super) struct Start {
     times: [f64; 2],
 }
 
-impl Start {
+impl Metadata {
     /// Copies header and records that are valid for COPC.
     ///
     /// # Errors
@@ -75,18 +74,12 @@ impl Start {
         header: &Header,
         records: (&[Vlr], &Reshape),
         extent: &Extent,
-    ) -> Result<Start> {
-        let (vlrs, reshape) = records;
-        let kept: Vec<&Vlr> = vlrs.iter().filter(|vlr| !is_left_out(vlr)).collect();
-        let mut start = Start {
-            header: Vec::new(),
-            vlrs: Vec::new(),
-            evlrs: Vec::new(),
-            n_evlrs: 1,
-            times: extent.times,
-        };
-        let mut n_vlrs = 2;
-        start.vlrs.extend(laz_record(source, reshape)?);
+    ) -> Result<Metadata> {
+        let (of_source, reshape) = records;
+        let kept: Vec<&Vlr> = of_source.iter().filter(|vlr| !is_left_out(vlr)).collect();
+        let laz = reshape.laz().map_err(into_io).map_err(Error::io(source, "prepare the compression"))?;
+        let (mut vlrs, mut n_vlrs) = (laz_record(source, &laz)?, 2);
+        let (mut evlrs, mut n_evlrs) = (Vec::new(), 1);
         for record in &kept {
             if record.length != record.data.len() as u64 {
                 let (id, bytes) = (record.record_id, record.length);
@@ -95,27 +88,19 @@ impl Start {
                 return Err(Error::unusable(source, problem, "remove that record from the file"));
             }
             if record.offset < header.offset_to_points.into() {
-                let bytes =
-                    vlr(source, &record.user_id, record.record_id, &record.description, &record.data)?;
-                start.vlrs.extend(bytes);
+                vlrs.extend(record.write(source)?);
                 n_vlrs += 1;
             } else {
-                start.evlrs.extend(evlr(
-                    &record.user_id,
-                    record.record_id,
-                    &record.description,
-                    &record.data,
-                ));
-                start.n_evlrs += 1;
+                evlrs.extend(record.write_extended());
+                n_evlrs += 1;
             }
         }
-        let offset_to_points = usize::from(HEADER_1_4) + VLR_HEADER as usize + INFO_BYTES + start.vlrs.len();
         let has_wkt = kept.iter().any(|record| record.is(PROJECTION, WKT));
-        start.header = public_header(header, extent, reshape, has_wkt);
-        let mut put = |at: usize, bytes: &[u8]| put(&mut start.header, at, bytes);
-        put(96, &(offset_to_points as u32).to_le_bytes());
-        put(100, &u32::to_le_bytes(n_vlrs));
-        Ok(start)
+        let mut header = public_header(header, extent, reshape, has_wkt);
+        let vlr_bytes = VLR_HEADER as usize + INFO_BYTES + vlrs.len();
+        header.offset_to_points = u32::from(header.header_size) + vlr_bytes as u32;
+        header.n_vlrs = n_vlrs;
+        Ok(Metadata { header, vlrs, evlrs, n_evlrs, times: extent.times })
     }
 
     /// Encodes header and VLRs.
@@ -125,68 +110,42 @@ impl Start {
     /// # Errors
     /// A record is too long.
     pub(super) fn before_points(&self, path: &Path, end: Option<(&Cube, &Hierarchy)>) -> Result<Vec<u8>> {
-        let mut bytes = self.header.clone();
-        let mut info = vec![0; INFO_BYTES];
+        let mut header = self.header.clone();
+        let mut info = Vec::with_capacity(INFO_BYTES);
         if let Some((cube, hierarchy)) = end {
-            put(&mut bytes, 235, &(hierarchy.at - EVLR_HEADER).to_le_bytes());
-            put(&mut bytes, 243, &self.n_evlrs.to_le_bytes());
+            header.start_of_evlrs = hierarchy.at - EVLR_HEADER;
+            header.n_evlrs = self.n_evlrs;
             let spacing = 2.0 * cube.half / f64::from(1u32 << CELL_LEVELS);
             let [x, y, z] = cube.centre;
-            let numbers = [x, y, z, cube.half, spacing];
-            numbers.iter().enumerate().for_each(|(n, number)| put(&mut info, 8 * n, &number.to_le_bytes()));
-            put(&mut info, 40, &hierarchy.at.to_le_bytes());
-            put(&mut info, 48, &hierarchy.bytes.to_le_bytes());
-            put(&mut info, 56, &self.times[0].to_le_bytes());
-            put(&mut info, 64, &self.times[1].to_le_bytes());
+            [x, y, z, cube.half, spacing].iter().for_each(|number| info.extend(number.to_le_bytes()));
+            info.extend(hierarchy.at.to_le_bytes());
+            info.extend(hierarchy.bytes.to_le_bytes());
+            self.times.iter().for_each(|time| info.extend(time.to_le_bytes()));
         }
-        bytes.extend(vlr(path, COPC, INFO, "COPC info VLR", &info)?);
-        bytes.extend(&self.vlrs);
-        Ok(bytes)
+        info.resize(INFO_BYTES, 0);
+        let info = Vlr::new(COPC, INFO, "COPC info VLR", info).write(path)?;
+        Ok([header.write(), info, self.vlrs.clone()].concat())
     }
 }
 
-fn laz_record(source: &Path, reshape: &Reshape) -> Result<Vec<u8>> {
-    let failed = Error::io(source, "prepare the compression of");
-    let mut data = Vec::new();
-    let laz = reshape.laz().map_err(into_io).and_then(|laz| laz.write_to(&mut data));
-    laz.map_err(failed)?;
-    vlr(source, LazVlr::USER_ID, LazVlr::RECORD_ID, LazVlr::DESCRIPTION, &data)
-}
-
-/// Encodes the public header block of LAS 1.4.
+/// Creates the public header block of LAS 1.4.
 ///
 /// Valid fields of the source are kept.
-fn public_header(source: &Header, extent: &Extent, reshape: &Reshape, has_wkt: bool) -> Vec<u8> {
+fn public_header(source: &Header, extent: &Extent, reshape: &Reshape, has_wkt: bool) -> Header {
     let kept = encoding::ADJUSTED_TIME | encoding::SYNTHETIC_RETURNS | encoding::WKT;
-    let encoding = source.global_encoding & kept | if has_wkt { encoding::WKT } else { 0 };
-    let mut header = Vec::with_capacity(HEADER_1_4.into());
-    header.extend(b"LASF");
-    header.extend(source.file_source_id.to_le_bytes());
-    header.extend(encoding.to_le_bytes());
-    header.extend(source.guid);
-    header.extend([1, 4]);
-    header.extend(text::<32>(&source.system_identifier));
-    header.extend(text::<32>(concat!("wavex ", env!("CARGO_PKG_VERSION"))));
-    header.extend(source.creation_day.to_le_bytes());
-    header.extend(source.creation_year.to_le_bytes());
-    header.extend(HEADER_1_4.to_le_bytes());
-    header.extend([0; 8]); // offset to point data, number of VLRs
-    header.push(reshape.format | 0x80);
-    header.extend((reshape.length() as u16).to_le_bytes());
-    header.extend([0; 24]); // legacy counts
-    source.scale.iter().chain(&source.offset).for_each(|value| header.extend(value.to_le_bytes()));
-    let [min, max] = extent.bounds(source);
-    for axis in 0..3 {
-        header.extend(max[axis].to_le_bytes());
-        header.extend(min[axis].to_le_bytes());
-    }
-    header.extend([0; 20]); // waveforms, EVLRs
-    header.extend(extent.n_points.to_le_bytes());
-    extent.by_return.iter().for_each(|count| header.extend(count.to_le_bytes()));
+    let mut header = Header {
+        global_encoding: source.global_encoding & kept | if has_wkt { encoding::WKT } else { 0 },
+        version: (1, 4),
+        generating_software: concat!("wavex ", env!("CARGO_PKG_VERSION")).into(),
+        header_size: header_bytes(4),
+        point_format: reshape.format,
+        compressed: true,
+        record_length: reshape.length() as u16,
+        start_of_waveforms: 0,
+        start_of_evlrs: 0,
+        n_evlrs: 0,
+        ..source.clone()
+    };
+    extent.totals.store(&mut header);
     header
-}
-
-/// Replaces bytes; ignores bytes beyond the end.
-fn put(bytes: &mut [u8], at: usize, value: &[u8]) {
-    bytes.iter_mut().skip(at).zip(value).for_each(|(to, from)| *to = *from);
 }

@@ -21,11 +21,11 @@ pub(super) struct Octree {
     /// Maximum number of points of a leaf and its descendants.
     leaf_points: u64,
     /// Nodes that contain the last point, from the root down.
-    open: Vec<Open>,
+    open: Vec<OpenNode>,
 }
 
 /// Node that can still receive points.
-struct Open {
+struct OpenNode {
     prefix: u64,
     /// Cell of the last point taken.
     cell: Option<u64>,
@@ -55,12 +55,12 @@ impl Octree {
         record: &[u8],
         done: &mut impl FnMut(Node) -> Result<(), E>,
     ) -> Result<(), E> {
-        let is_open = |(level, node): (usize, &Open)| node.prefix == cube::prefix(key, level as u32);
+        let is_open = |(level, node): (usize, &OpenNode)| node.prefix == cube::prefix(key, level as u32);
         let kept = self.open.iter().enumerate().take_while(|(level, node)| is_open((*level, node))).count();
         self.close(kept, done)?;
         for level in 0..=DEEPEST {
             if self.open.len() == level as usize {
-                self.open.push(Open::new(cube::prefix(key, level)));
+                self.open.push(OpenNode::new(cube::prefix(key, level)));
             }
             let Some(node) = self.open.get_mut(level as usize) else { break };
             node.points += 1;
@@ -102,16 +102,16 @@ impl Octree {
     }
 }
 
-impl Open {
-    fn new(prefix: u64) -> Open {
-        Open { prefix, cell: None, records: Vec::new(), points: 0, leaves: Vec::new() }
+impl OpenNode {
+    fn new(prefix: u64) -> OpenNode {
+        OpenNode { prefix, cell: None, records: Vec::new(), points: 0, leaves: Vec::new() }
     }
 
     /// Returns the node and the leaves below it.
     ///
     /// A leaf absorbs them.
     fn into_nodes(self, level: u32, is_leaf: bool) -> (Node, Vec<Node>) {
-        let Open { prefix, mut records, mut leaves, .. } = self;
+        let OpenNode { prefix, mut records, mut leaves, .. } = self;
         if is_leaf {
             leaves.drain(..).for_each(|leaf| records.extend(leaf.records));
         }

@@ -66,8 +66,8 @@ impl<'a> Sorter<'a> {
         let last = self.sorted();
         drop((self.keys, self.records));
         self.runs.push(Box::new(io::Cursor::new(last)));
-        let mut runs: Vec<Run> =
-            self.runs.into_iter().map(|input| Run::new(input, KEY + self.record_length)).collect();
+        let mut runs: Vec<SortedRun> =
+            self.runs.into_iter().map(|input| SortedRun::new(input, KEY + self.record_length)).collect();
         let failed = Error::io(path, "read the points sorted before");
         let mut heads = BinaryHeap::new();
         for (number, run) in runs.iter_mut().enumerate() {
@@ -96,15 +96,15 @@ impl<'a> Sorter<'a> {
 }
 
 /// Reader of a stored run.
-struct Run {
+struct SortedRun {
     input: BufReader<Box<dyn Read>>,
     /// Key and record read last.
     entry: Vec<u8>,
 }
 
-impl Run {
-    fn new(input: Box<dyn Read>, entry: usize) -> Run {
-        Run { input: BufReader::with_capacity(1 << 18, input), entry: vec![0; entry] }
+impl SortedRun {
+    fn new(input: Box<dyn Read>, entry: usize) -> SortedRun {
+        SortedRun { input: BufReader::with_capacity(1 << 18, input), entry: vec![0; entry] }
     }
 
     /// Advances to the next record and returns its key.

@@ -3,6 +3,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use super::*;
+use crate::las::encoding;
 use crate::las::{AMP, IndexPlace, PointOut, Version, WavePlace, WriterOptions};
 
 const WKT_TEXT: &str = "LOCAL_CS[\"a place\"]";
@@ -108,7 +109,7 @@ impl Folder {
 const SMALL: Limits = Limits { leaf_points: 500, sort_bytes: 300_000 };
 
 #[test]
-fn every_record_comes_out_as_it_was() {
+fn records_are_unchanged() {
     let folder = Folder::new();
     let (source, out) = (folder.path("a.laz"), folder.path("a.copc.laz"));
     write(&source, &points(20_000), &options(WavePlace::None, IndexPlace::Appended));
@@ -119,7 +120,7 @@ fn every_record_comes_out_as_it_was() {
 }
 
 #[test]
-fn header_and_records_say_the_same_and_the_info_comes_first() {
+fn header_and_records_are_kept_and_the_info_is_first() {
     let folder = Folder::new();
     let (source, out) = (folder.path("a.laz"), folder.path("a.copc.laz"));
     write(&source, &points(3000), &options(WavePlace::None, IndexPlace::Appended));
@@ -186,7 +187,7 @@ fn the_octree_leads_to_every_chunk() {
         decoder.set_fields_from(laz.items()).unwrap();
         decoder.decompress_many(&mut records).unwrap();
         for record in records.chunks(32) {
-            let place = place(header, raw(record));
+            let place = header.coordinates(raw(record));
             for (axis, number) in [x, y, z].into_iter().enumerate() {
                 let low = centre[axis] - half + f64::from(number) * edge;
                 assert!(place[axis] >= low - 1e-6 && place[axis] <= low + edge + 1e-6);
@@ -220,7 +221,7 @@ fn bytes_do_not_depend_on_memory() {
 }
 
 #[test]
-fn points_with_waveforms_leave_them_behind() {
+fn waveforms_are_dropped() {
     let folder = Folder::new();
     let (source, out) = (folder.path("a.las"), folder.path("a.copc.laz"));
     write(&source, &points(100), &options(WavePlace::Beside, IndexPlace::None));
@@ -246,20 +247,20 @@ fn points_in_one_place_are_taken() {
 }
 
 #[test]
-fn what_has_no_place_in_copc_is_told() {
+fn unsupported_sources_are_refused() {
     let folder = Folder::new();
     let source = folder.path("a.las");
-    let told = || convert(&source, &folder.path("a.copc.laz"), SMALL).unwrap_err().to_string();
+    let refusal = || convert(&source, &folder.path("a.copc.laz"), SMALL).unwrap_err().to_string();
     let expected = |problem: &str| format!("{}: {problem}", source.display());
 
     let legacy = WriterOptions { version: Version::V1_2, ..options(WavePlace::None, IndexPlace::None) };
     write(&source, &points(3), &legacy);
     let problem = "COPC needs point format 6 to 10, but this is format 1; write the points with \
                    `version = \"1.4\"`";
-    assert_eq!(told(), expected(problem));
+    assert_eq!(refusal(), expected(problem));
 
     write(&source, &[], &options(WavePlace::None, IndexPlace::None));
-    assert_eq!(told(), expected("it has no points; give a file with points"));
+    assert_eq!(refusal(), expected("it has no points; give a file with points"));
 
     // LAS 1.5 with a custom time offset: a header 18 bytes longer, with records shifted
     // accordingly.
@@ -273,17 +274,17 @@ fn what_has_no_place_in_copc_is_told() {
     fs::write(&source, bytes).unwrap();
     let problem = "its times have an offset of 1244 million seconds, which LAS 1.4 cannot store; \
                    convert the file to LAS 1.4";
-    assert_eq!(told(), expected(problem));
+    assert_eq!(refusal(), expected(problem));
 }
 
 #[test]
-fn an_extended_record_too_long_to_hold_is_told() {
+fn a_long_extended_record_is_refused() {
     let folder = Folder::new();
     let source = folder.path("a.las");
     write(&source, &points(3), &options(WavePlace::None, IndexPlace::None));
     let mut bytes = fs::read(&source).unwrap();
     let at = bytes.len() as u64;
-    bytes.extend(super::super::writer::evlr("me", 7, "", &vec![0; (16 << 20) + 1]));
+    bytes.extend(Vlr::new("me", 7, "", vec![0; (16 << 20) + 1]).write_extended());
     bytes[235..243].copy_from_slice(&at.to_le_bytes());
     bytes[243..247].copy_from_slice(&1u32.to_le_bytes());
     fs::write(&source, bytes).unwrap();
@@ -299,7 +300,7 @@ fn a_short_extended_record_is_carried_over() {
     write(&source, &points(3), &options(WavePlace::None, IndexPlace::None));
     let mut bytes = fs::read(&source).unwrap();
     let at = bytes.len() as u64;
-    bytes.extend(super::super::writer::evlr("me", 7, "mine", b"abc"));
+    bytes.extend(Vlr::new("me", 7, "mine", b"abc".to_vec()).write_extended());
     bytes[235..243].copy_from_slice(&at.to_le_bytes());
     bytes[243..247].copy_from_slice(&1u32.to_le_bytes());
     fs::write(&source, bytes).unwrap();

@@ -1,10 +1,13 @@
 //! Handmade files, byte by byte.
 
 use std::io::{Cursor, Seek, SeekFrom};
+use std::path::Path;
 
 use proptest::prelude::*;
 
-use crate::las::{PointOut, Wave};
+use crate::las::header::{Header, header_bytes};
+use crate::las::vlr::Vlr;
+use crate::las::{Descriptor, PointOut, Wave};
 
 /// Generates points whose fields are in range.
 pub(crate) fn any_point() -> impl Strategy<Value = PointOut> {
@@ -86,18 +89,9 @@ impl Made {
         }
     }
 
-    fn header_size(&self) -> usize {
-        match self.minor {
-            0..=2 => 227,
-            3 => 235,
-            4 => 375,
-            _ => 393,
-        }
-    }
-
     /// Returns the offset of the points.
     pub(crate) fn offset_to_points(&self) -> usize {
-        self.header_size() + self.vlrs.iter().map(Vec::len).sum::<usize>()
+        usize::from(header_bytes(self.minor)) + self.vlrs.iter().map(Vec::len).sum::<usize>()
     }
 
     /// Returns the offset of the tail of an uncompressed file.
@@ -105,31 +99,24 @@ impl Made {
         self.offset_to_points() + self.records.iter().map(Vec::len).sum::<usize>()
     }
 
+    /// Encodes header and VLRs.
     fn start(&self) -> Vec<u8> {
-        let mut bytes = vec![0u8; self.header_size()];
-        let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);
-        let n = self.records.len();
-        put(0, b"LASF");
-        put(6, &self.encoding.to_le_bytes());
-        put(24, &[1, self.minor]);
-        put(94, &(self.header_size() as u16).to_le_bytes());
-        put(96, &(self.offset_to_points() as u32).to_le_bytes());
-        put(100, &(self.vlrs.len() as u32).to_le_bytes());
-        put(104, &[self.format]);
-        put(105, &self.record_length.to_le_bytes());
-        (0..3).for_each(|axis| put(131 + 8 * axis, &0.01f64.to_le_bytes()));
-        if self.minor >= 3 {
-            put(227, &self.start_of_waveforms.to_le_bytes());
-        }
-        if self.minor >= 4 {
-            put(235, &(self.offset_to_tail() as u64).to_le_bytes());
-            put(243, &self.n_evlrs.to_le_bytes());
-            put(247, &(n as u64).to_le_bytes());
-        } else {
-            put(107, &(n as u32).to_le_bytes());
-        }
-        bytes.extend(self.vlrs.concat());
-        bytes
+        let header = Header {
+            global_encoding: self.encoding,
+            version: (1, self.minor),
+            header_size: header_bytes(self.minor),
+            offset_to_points: self.offset_to_points() as u32,
+            n_vlrs: self.vlrs.len() as u32,
+            point_format: self.format,
+            record_length: self.record_length,
+            n_points: self.records.len() as u64,
+            scale: [0.01; 3],
+            start_of_waveforms: self.start_of_waveforms,
+            start_of_evlrs: self.offset_to_tail() as u64,
+            n_evlrs: self.n_evlrs,
+            ..Header::default()
+        };
+        [header.write(), self.vlrs.concat()].concat()
     }
 
     /// Encodes the uncompressed file.
@@ -175,32 +162,17 @@ impl Made {
 
 /// Encodes a VLR with its header.
 pub(crate) fn vlr(user_id: &str, record_id: u16, data: &[u8]) -> Vec<u8> {
-    let mut bytes = vec![0u8; 54];
-    bytes[2..2 + user_id.len()].copy_from_slice(user_id.as_bytes());
-    bytes[18..20].copy_from_slice(&record_id.to_le_bytes());
-    bytes[20..22].copy_from_slice(&(data.len() as u16).to_le_bytes());
-    bytes.extend(data);
-    bytes
+    Vlr::new(user_id, record_id, "", data.to_vec()).write(Path::new("made.las")).unwrap()
 }
 
 /// Encodes an EVLR with its header.
 pub(crate) fn evlr(user_id: &str, record_id: u16, data: &[u8]) -> Vec<u8> {
-    let mut bytes = vec![0u8; 60];
-    bytes[2..2 + user_id.len()].copy_from_slice(user_id.as_bytes());
-    bytes[18..20].copy_from_slice(&record_id.to_le_bytes());
-    bytes[20..28].copy_from_slice(&(data.len() as u64).to_le_bytes());
-    bytes.extend(data);
-    bytes
+    Vlr::new(user_id, record_id, "", data.to_vec()).write_extended()
 }
 
 /// Encodes the data of a waveform descriptor.
 pub(crate) fn descriptor(bits: u8, compression: u8, samples: u32, spacing_ps: u32) -> Vec<u8> {
-    let mut bytes = vec![bits, compression];
-    bytes.extend(samples.to_le_bytes());
-    bytes.extend(spacing_ps.to_le_bytes());
-    bytes.extend(1f64.to_le_bytes());
-    bytes.extend(0f64.to_le_bytes());
-    bytes
+    Descriptor { bits, compression, samples, spacing_ps, gain: 1.0, offset: 0.0 }.encode().to_vec()
 }
 
 /// Encodes the waveform packet record with the four samples 1, 2, 3, 258.

@@ -145,7 +145,7 @@ fn every_field_of_the_header_is_read() {
     }
     put(255, &2u64.to_le_bytes());
     put(391, &1500u16.to_le_bytes());
-    let header = Header::parse(Path::new("a.las"), &bytes[..393], bytes.len() as u64).unwrap();
+    let header = Header::read(&mut bytes.as_slice(), Path::new("a.las"), bytes.len() as u64).unwrap();
     let mut by_return = [0; 15];
     by_return[0] = 2;
     let expected = Header {

@@ -39,7 +39,7 @@ fn layered(records: &[u8], laz: &LazVlr) -> Chunk {
     let (Some(first), Some(others)) = (records.get(..length), records.get(length..)) else {
         return Ok(chunk);
     };
-    let (mut fields, mut channel) = (Fields::of(laz), 0);
+    let (mut fields, mut channel) = (StandardFields::of(laz), 0);
     let (standard, extra) = first.split_at(fields.standard_length.min(length));
     fields.begin(standard, &mut chunk, &mut channel)?;
     chunk.extend(extra);
@@ -62,17 +62,17 @@ fn layered(records: &[u8], laz: &LazVlr) -> Chunk {
 }
 
 /// Compressors of the standard fields.
-struct Fields {
+struct StandardFields {
     point: LasPoint6Compressor,
     wave: Option<LasWavepacketCompressor>,
     standard_length: usize,
 }
 
-impl Fields {
-    fn of(laz: &LazVlr) -> Fields {
+impl StandardFields {
+    fn of(laz: &LazVlr) -> StandardFields {
         let wave = laz.items().iter().find(|item| item.item_type() == LazItemType::WavePacket14);
         let standard_length = POINT + wave.map_or(0, |item| usize::from(item.size()));
-        Fields {
+        StandardFields {
             point: LasPoint6Compressor::default(),
             wave: wave.map(|_| LasWavepacketCompressor::default()),
             standard_length,

@@ -9,11 +9,11 @@ use laz::laszip::{ChunkTable, ChunkTableEntry};
 use laz::{LasZipError, LazVlr};
 
 use super::chunk::{self, Chunk};
-use super::records;
 use crate::las::lax;
+use crate::las::vlr::Vlr;
 
-/// Compression state of a LAZ file.
-pub(super) struct Compression {
+/// ChunkCompressor state of a LAZ file.
+pub(super) struct ChunkCompressor {
     pub(super) laz: LazVlr,
     table: ChunkTable,
     /// Offset of the field for the offset of the chunk table.
@@ -21,10 +21,10 @@ pub(super) struct Compression {
     /// Offset of the field for the location of the index.
     special_evlrs_at: u64,
     /// Worker threads; without any, the writing thread compresses.
-    beside: Beside,
+    workers: Workers,
 }
 
-impl Compression {
+impl ChunkCompressor {
     /// Creates the state for a file whose points begin at `table_offset_at`.
     ///
     /// With more than one thread, chunks are compressed in the background.
@@ -33,19 +33,19 @@ impl Compression {
         table_offset_at: u64,
         special_evlrs_at: u64,
         threads: usize,
-    ) -> Compression {
-        let beside = Beside::start(&laz, threads);
-        Compression { laz, table: ChunkTable::default(), table_offset_at, special_evlrs_at, beside }
+    ) -> ChunkCompressor {
+        let workers = Workers::start(&laz, threads);
+        ChunkCompressor { laz, table: ChunkTable::default(), table_offset_at, special_evlrs_at, workers }
     }
 
     /// Compresses or queues the records of a chunk.
     ///
     /// Leaves an empty buffer.
     pub(super) fn put(&mut self, records: &mut Vec<u8>, sink: &mut impl Write) -> io::Result<()> {
-        if self.beside.is_full() {
+        if self.workers.is_full() {
             self.write_next(sink)?;
         }
-        if self.beside.send(records) {
+        if self.workers.send(records) {
             return Ok(());
         }
         let chunk = chunk::compress(records, &self.laz);
@@ -55,7 +55,7 @@ impl Compression {
 
     /// Waits for the oldest queued chunk and writes it.
     fn write_next(&mut self, sink: &mut impl Write) -> io::Result<()> {
-        match self.beside.next() {
+        match self.workers.next() {
             Some(chunk) => self.write(chunk, sink),
             None => Ok(()),
         }
@@ -72,7 +72,7 @@ impl Compression {
     ///
     /// Stores the offset of the table before the first chunk.
     pub(super) fn end(&mut self, sink: &mut (impl Write + Seek)) -> io::Result<()> {
-        while self.beside.is_busy() {
+        while self.workers.is_busy() {
             self.write_next(sink)?;
         }
         let table_at = sink.stream_position()?;
@@ -82,14 +82,10 @@ impl Compression {
     }
 
     /// Appends the index and registers it in the LASzip record.
-    pub(super) fn append(&self, sink: &mut (impl Write + Seek), index: &[u8]) -> io::Result<()> {
+    pub(super) fn append(&self, sink: &mut (impl Write + Seek), index: Vec<u8>) -> io::Result<()> {
         let at = sink.seek(SeekFrom::End(0))?;
-        sink.write_all(&records::evlr(
-            lax::USER_ID,
-            lax::RECORD_ID,
-            "LAX spatial indexing (LASindex)",
-            index,
-        ))?;
+        let record = Vlr::new(lax::USER_ID, lax::RECORD_ID, "LAX spatial indexing (LASindex)", index);
+        sink.write_all(&record.write_extended())?;
         sink.seek(SeekFrom::Start(self.special_evlrs_at))?;
         sink.write_all(&1i64.to_le_bytes())?;
         sink.write_all(&at.to_le_bytes())
@@ -102,7 +98,7 @@ impl Compression {
 type Job = (Vec<u8>, Sender<(Chunk, Vec<u8>)>);
 
 /// Worker threads that compress chunks.
-struct Beside {
+struct Workers {
     /// Job queue; `None` without threads.
     jobs: Option<Sender<Job>>,
     /// Chunks not yet written, in order.
@@ -116,9 +112,9 @@ struct Beside {
     spare: Vec<Vec<u8>>,
 }
 
-impl Beside {
+impl Workers {
     /// Starts the threads; none if one thread has to suffice.
-    fn start(laz: &LazVlr, n_threads: usize) -> Beside {
+    fn start(laz: &LazVlr, n_threads: usize) -> Workers {
         let n_threads = if n_threads > 1 { n_threads } else { 0 };
         let (jobs, to_do) = bounded::<Job>(2 * n_threads);
         let start = |_| {
@@ -137,7 +133,7 @@ impl Beside {
         let threads: Vec<JoinHandle<()>> = (0..n_threads).filter_map(start).collect();
         let jobs = (!threads.is_empty()).then_some(jobs);
         let most = 2 * threads.len();
-        Beside { jobs, waiting: VecDeque::new(), most, threads, spare: Vec::new() }
+        Workers { jobs, waiting: VecDeque::new(), most, threads, spare: Vec::new() }
     }
 
     fn is_full(&self) -> bool {
@@ -173,7 +169,7 @@ impl Beside {
     }
 }
 
-impl Drop for Beside {
+impl Drop for Workers {
     fn drop(&mut self) {
         self.jobs = None;
         for thread in self.threads.drain(..) {
@@ -187,7 +183,7 @@ fn has_ended() -> io::Error {
     io::Error::other("a compression thread has ended")
 }
 
-pub(super) fn into_io(error: LasZipError) -> io::Error {
+pub(in crate::las) fn into_io(error: LasZipError) -> io::Error {
     match error {
         LasZipError::IoError(error) => error,
         other => io::Error::other(other),

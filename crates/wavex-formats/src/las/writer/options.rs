@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use crate::las::ExtraAttribute;
-use crate::las::header::HEADER_1_4;
+use crate::las::encoding;
+use crate::las::header::{Header, header_bytes};
 use crate::{Error, Result};
 
 /// LAS versions for output.
@@ -26,15 +27,6 @@ impl Version {
             Version::V1_2 => 2,
             Version::V1_3 => 3,
             Version::V1_4 => 4,
-        }
-    }
-
-    /// Returns the length of the header, bytes.
-    pub(super) fn header_bytes(self) -> u16 {
-        match self {
-            Version::V1_2 => 227,
-            Version::V1_3 => 235,
-            Version::V1_4 => HEADER_1_4,
         }
     }
 
@@ -123,6 +115,33 @@ impl WriterOptions<'_> {
             (true, _) => 4,
             (false, WavePlace::None) => 6,
             (false, _) => 9,
+        }
+    }
+
+    /// Returns the header without fields that depend on records or points.
+    pub(super) fn header(&self) -> Header {
+        let minor = self.version.minor();
+        let bit = |set: bool, bit: u16| if set { bit } else { 0 };
+        let waves = match self.waveforms {
+            WavePlace::None => 0,
+            WavePlace::Inside => encoding::WAVES_INSIDE,
+            WavePlace::Beside => encoding::WAVES_BESIDE,
+        };
+        Header {
+            file_source_id: self.file_source_id,
+            global_encoding: waves
+                | bit(self.adjusted_gps_time, encoding::ADJUSTED_TIME)
+                | bit(self.wkt.is_some() && !self.version.is_legacy(), encoding::WKT),
+            version: (1, minor),
+            system_identifier: self.system_identifier.into(),
+            generating_software: self.generating_software.into(),
+            creation_day: self.creation_day,
+            creation_year: self.creation_year,
+            header_size: header_bytes(minor),
+            point_format: self.point_format(),
+            scale: self.scale,
+            offset: self.offset,
+            ..Header::default()
         }
     }
 

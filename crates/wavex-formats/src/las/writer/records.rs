@@ -11,7 +11,7 @@ use crate::las::descriptor::{DESCRIPTOR_BYTES, Descriptor, FIRST_DESCRIPTOR};
 use crate::las::extra_bytes::ExtraAttribute;
 use crate::las::packet_writer::MOST_KINDS;
 use crate::las::vlr::{
-    EVLR_HEADER, EXTRA_BYTES, GEO_ASCII, GEO_DOUBLES, GEO_KEYS, PROJECTION, SPEC, VLR_HEADER, WKT,
+    EXTRA_BYTES, GEO_ASCII, GEO_DOUBLES, GEO_KEYS, PROJECTION, SPEC, VLR_HEADER, Vlr, WKT, too_much,
 };
 use crate::{Error, Result, geokeys};
 
@@ -42,12 +42,19 @@ fn as_laszip_has_it(laz: LazVlr) -> laz::Result<LazVlr> {
     LazVlr::from_buffer(&data)
 }
 
+/// Encodes the LASzip record.
+pub(in crate::las) fn laz_record(path: &Path, laz: &LazVlr) -> Result<Vec<u8>> {
+    let mut data = Vec::new();
+    laz.write_to(&mut data).map_err(Error::io(path, "prepare the compression"))?;
+    Vlr::new(LazVlr::USER_ID, LazVlr::RECORD_ID, LazVlr::DESCRIPTION, data).write(path)
+}
+
 /// Encoded VLRs, and offsets in them that are patched later.
-pub(super) struct Records {
+pub(super) struct EncodedVlrs {
     /// VLRs with their headers, then space for the waveform descriptors.
     pub(super) bytes: Vec<u8>,
     /// Number of VLRs so far.
-    pub(super) count: usize,
+    pub(super) count: u32,
     /// Offset of the space for waveform descriptors.
     pub(super) descriptors_at: usize,
     /// Offset of the special EVLR fields in the LASzip record.
@@ -57,9 +64,9 @@ pub(super) struct Records {
 /// Length of the LASzip record before its special EVLR fields, bytes.
 const BEFORE_SPECIAL_EVLRS: usize = 16;
 
-impl Records {
-    pub(super) fn new(path: &Path, options: &WriterOptions, laz: Option<&LazVlr>) -> Result<Records> {
-        let mut records = Records { bytes: Vec::new(), count: 0, descriptors_at: 0, special_evlrs_at: 0 };
+impl EncodedVlrs {
+    pub(super) fn new(path: &Path, options: &WriterOptions, laz: Option<&LazVlr>) -> Result<EncodedVlrs> {
+        let mut records = EncodedVlrs { bytes: Vec::new(), count: 0, descriptors_at: 0, special_evlrs_at: 0 };
         if let Some(wkt) = options.wkt {
             for record in coordinate_system(path, options, wkt)? {
                 records.add(record);
@@ -68,13 +75,11 @@ impl Records {
         if !options.extra_attributes.is_empty() {
             let data: Vec<u8> =
                 options.extra_attributes.iter().flat_map(ExtraAttribute::descriptor).collect();
-            records.add(vlr(path, SPEC, EXTRA_BYTES, "Extra bytes", &data)?);
+            records.add(Vlr::new(SPEC, EXTRA_BYTES, "Extra bytes", data).write(path)?);
         }
         if let Some(laz) = laz {
-            let mut data = Vec::new();
-            laz.write_to(&mut data).map_err(Error::io(path, "prepare the compression"))?;
             records.special_evlrs_at = records.bytes.len() + VLR_HEADER as usize + BEFORE_SPECIAL_EVLRS;
-            records.add(vlr(path, LazVlr::USER_ID, LazVlr::RECORD_ID, LazVlr::DESCRIPTION, &data)?);
+            records.add(laz_record(path, laz)?);
         }
         records.descriptors_at = records.bytes.len();
         if options.waveforms != WavePlace::None {
@@ -94,7 +99,8 @@ impl Records {
 pub(super) fn descriptors(path: &Path, kinds: &[Descriptor]) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     for (id, kind) in (FIRST_DESCRIPTOR..).zip(kinds.iter().take(MOST_KINDS)) {
-        bytes.extend(vlr(path, SPEC, id, "Waveform packet descriptor", &kind.encode())?);
+        let data = kind.encode().to_vec();
+        bytes.extend(Vlr::new(SPEC, id, "Waveform packet descriptor", data).write(path)?);
     }
     Ok(bytes)
 }
@@ -104,7 +110,7 @@ pub(super) fn descriptors(path: &Path, kinds: &[Descriptor]) -> Result<Vec<u8>> 
 /// WKT, or GeoTIFF keys before LAS 1.4. WKT is also written before LAS 1.4 if no EPSG code defines
 /// the whole system.
 fn coordinate_system(path: &Path, options: &WriterOptions, wkt: &str) -> Result<Vec<Vec<u8>>> {
-    let keys = options.version.is_legacy().then(|| geokeys::of_wkt(wkt)).flatten();
+    let keys = options.version.is_legacy().then(|| geokeys::from_wkt(wkt)).flatten();
     let has_code = keys.as_ref().is_some_and(|keys| geokeys::epsg(&keys.directory).is_some());
     let mut records = Vec::new();
     if let Some(keys) = keys {
@@ -114,54 +120,12 @@ fn coordinate_system(path: &Path, options: &WriterOptions, wkt: &str) -> Result<
             (GEO_ASCII, "GeoTIFF ASCII parameters", keys.ascii),
         ];
         for (id, description, data) in of_keys.into_iter().filter(|(_, _, data)| !data.is_empty()) {
-            records.push(vlr(path, PROJECTION, id, description, &data)?);
+            records.push(Vlr::new(PROJECTION, id, description, data).write(path)?);
         }
     }
     if !has_code {
         let data = [wkt.as_bytes(), &[0]].concat();
-        records.push(vlr(path, PROJECTION, WKT, "OGC coordinate system WKT", &data)?);
+        records.push(Vlr::new(PROJECTION, WKT, "OGC coordinate system WKT", data).write(path)?);
     }
     Ok(records)
-}
-
-pub(in crate::las) fn vlr(
-    path: &Path,
-    user_id: &str,
-    record_id: u16,
-    description: &str,
-    data: &[u8],
-) -> Result<Vec<u8>> {
-    let length = u16::try_from(data.len()).map_err(|_| too_much(path, description))?;
-    let mut bytes = Vec::with_capacity(VLR_HEADER as usize + data.len());
-    bytes.extend([0; 2]);
-    bytes.extend(text::<16>(user_id));
-    bytes.extend(record_id.to_le_bytes());
-    bytes.extend(length.to_le_bytes());
-    bytes.extend(text::<32>(description));
-    bytes.extend(data);
-    Ok(bytes)
-}
-
-fn too_much(path: &Path, what: &str) -> Error {
-    let problem = format!("{what}: more than the 65535 bytes that a LAS record may have");
-    Error::unusable(path, problem, "give a shorter WKT, or fewer extra attributes")
-}
-
-/// Encodes an extended record with its header.
-pub(in crate::las) fn evlr(user_id: &str, record_id: u16, description: &str, data: &[u8]) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(EVLR_HEADER as usize + data.len());
-    bytes.extend([0; 2]);
-    bytes.extend(text::<16>(user_id));
-    bytes.extend(record_id.to_le_bytes());
-    bytes.extend((data.len() as u64).to_le_bytes());
-    bytes.extend(text::<32>(description));
-    bytes.extend(data);
-    bytes
-}
-
-/// Encodes text of a fixed length, truncated or padded with zeros.
-pub(in crate::las) fn text<const N: usize>(text: &str) -> [u8; N] {
-    let mut bytes = [0; N];
-    bytes.iter_mut().zip(text.bytes()).for_each(|(place, byte)| *place = byte);
-    bytes
 }

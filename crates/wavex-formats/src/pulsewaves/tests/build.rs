@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::pulsewaves::{Descriptor, Kind, Reader, Sampling};
+use crate::pulsewaves::{Descriptor, Reader, Sampling, SegmentKind};
 
 /// Little-endian encoder.
 #[derive(Clone, Default)]
@@ -48,7 +48,7 @@ pub(super) fn pulse(t: i64, offset: i64, descriptor: u8, flags: u8) -> Vec<u8> {
 }
 
 /// Creates a sampling of 8-bit samples with fixed counts and no durations.
-pub(super) fn sampling(kind: Kind, segments: u16, samples: u32) -> Sampling {
+pub(super) fn sampling(kind: SegmentKind, segments: u16, samples: u32) -> Sampling {
     Sampling {
         kind,
         channel: 0,
@@ -91,9 +91,9 @@ pub(super) fn encode(d: &Descriptor, more: usize) -> Vec<u8> {
         .iter()
         .fold(b, |b, s| {
             let kind = match s.kind {
-                Kind::Outgoing => 1,
-                Kind::Returning => 2,
-                Kind::Other(other) => other,
+                SegmentKind::Outgoing => 1,
+                SegmentKind::Returning => 2,
+                SegmentKind::Other(other) => other,
             };
             let b = b.u32(104 + more as u32).u32(0).u8(kind).u8(s.channel).u8(0).u8(s.duration_bits);
             let b = b.f32(s.duration_scale as f32).f32(s.duration_offset as f32);
@@ -134,7 +134,7 @@ impl Pair {
     /// Creates one outgoing segment of three samples and one returning one of two: 5 bytes of waves
     /// per pulse.
     pub(super) fn plain(pulses: usize) -> Pair {
-        let samplings = vec![sampling(Kind::Outgoing, 1, 3), sampling(Kind::Returning, 1, 2)];
+        let samplings = vec![sampling(SegmentKind::Outgoing, 1, 3), sampling(SegmentKind::Returning, 1, 2)];
         let mut pair = Pair::new(&descriptor(samplings));
         for i in 0..pulses {
             pair.add(1, &[1, 2, 3, 4, i as u8]);

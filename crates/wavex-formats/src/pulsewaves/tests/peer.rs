@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use flate2::read::GzDecoder;
 
-use crate::pulsewaves::{Kind, Pulse, Reader, Segment, Waves};
+use crate::pulsewaves::{Pulse, Reader, Segment, SegmentKind, Waves};
 
 /// Returns the folder of recordings, if set.
 pub(super) fn data() -> Option<PathBuf> {
@@ -43,9 +43,9 @@ fn check_pulse(words: &[&str], p: &Pulse) {
 /// printed digit; the 64-bit duration is within the rounding of the float.
 fn check_segment(words: &[&str], segment: &Segment, samples: &[u16], pulse: &Pulse, reader: &Reader) {
     let kind = match segment.kind {
-        Kind::Outgoing => 1,
-        Kind::Returning => 2,
-        Kind::Other(other) => i64::from(other),
+        SegmentKind::Outgoing => 1,
+        SegmentKind::Returning => 2,
+        SegmentKind::Other(other) => i64::from(other),
     };
     let sampling = &reader.descriptors()[&pulse.descriptor].samplings[usize::from(segment.sampling)];
     let head = [

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use super::peer::data;
-use crate::pulsewaves::{Kind, Pulse, Reader, TimeAxis, Waves};
+use crate::pulsewaves::{Pulse, Reader, SegmentKind, TimeAxis, Waves};
 
 const EXAMPLE_3: &str = "pulsewaves/riegl_example3.pls";
 const Q680I: &str = "riegl_q680i_dev/riegl_q680i_dev.pls";
@@ -98,7 +98,7 @@ fn the_q680i_channels_are_reference_and_low_power() {
     for_each(&mut reader, |pulse, waves| {
         facets.insert((pulse.mirror_facet, pulse.scan_direction, pulse.edge_of_scan_line));
         for s in waves.segments() {
-            *seen.entry((s.kind == Kind::Outgoing, s.channel, s.sample_count())).or_default() += 1;
+            *seen.entry((s.kind == SegmentKind::Outgoing, s.channel, s.sample_count())).or_default() += 1;
         }
     });
     let expected = [((false, 1, 60), 578), ((false, 1, 120), 30), ((true, 3, 24), 607)];
@@ -166,7 +166,7 @@ fn outgoing_segments_start_nowhere_in_2013_and_on_a_whole_sample_before_the_anch
     let Some(data) = data() else { return };
     let mut counted = 0;
     for_each(&mut Reader::open(&data.join(EXAMPLE_3)).unwrap(), |_, waves| {
-        assert_eq!((waves.segments()[0].kind, waves.segments()[0].duration), (Kind::Outgoing, None));
+        assert_eq!((waves.segments()[0].kind, waves.segments()[0].duration), (SegmentKind::Outgoing, None));
         counted += 1;
     });
     assert_eq!(counted, 16_486);
@@ -175,7 +175,7 @@ fn outgoing_segments_start_nowhere_in_2013_and_on_a_whole_sample_before_the_anch
         for s in waves.segments() {
             let start = s.duration.unwrap();
             match s.kind {
-                Kind::Outgoing => {
+                SegmentKind::Outgoing => {
                     assert!((-13.01..=-8.99).contains(&start));
                     outgoing.push(off_whole(start));
                     peaks.push(s.duration_of(peak(waves.samples(s))));

@@ -1,7 +1,7 @@
 //! Header, variable length records and pulse records.
 
 use super::build::{Bytes, Pair, descriptor, encode, pulse, sampling};
-use crate::pulsewaves::{Header, Kind, LookupTable, LookupTables, Scanner, TimeAxis};
+use crate::pulsewaves::{Header, LookupRecord, LookupTable, Scanner, SegmentKind, TimeAxis};
 
 #[test]
 fn every_field_of_the_header_is_read() {
@@ -136,7 +136,7 @@ fn lookup_tables_are_read_with_and_without_the_compression_field() {
         description: name.to_string(),
         entries: entries.to_vec(),
     };
-    let expected = LookupTables {
+    let expected = LookupRecord {
         description: "two tables".to_string(),
         tables: vec![table(1, 3, "old", &[-2e37, 1.5]), table(2, 0, "new", &[9.0])],
     };
@@ -145,12 +145,16 @@ fn lookup_tables_are_read_with_and_without_the_compression_field() {
 
 #[test]
 fn descriptors_of_later_versions_are_read_by_their_declared_sizes() {
-    let mut first = sampling(Kind::Outgoing, 0, 0);
+    let mut first = sampling(SegmentKind::Outgoing, 0, 0);
     first.channel = 3;
     (first.duration_bits, first.duration_scale, first.duration_offset) = (32, 0.25, -8192.0);
     (first.segment_count_bits, first.sample_count_bits, first.bits_per_sample) = (8, 16, 16);
     (first.lookup_table_index, first.sample_units_ns, first.description) = (2, 0.5, "reference".to_string());
-    let mut d = descriptor(vec![first, sampling(Kind::Returning, 3, 70_000), sampling(Kind::Other(9), 1, 1)]);
+    let mut d = descriptor(vec![
+        first,
+        sampling(SegmentKind::Returning, 3, 70_000),
+        sampling(SegmentKind::Other(9), 1, 1),
+    ]);
     (d.optical_center_to_anchor, d.extra_wave_bytes, d.scanner_index) = (None, 11, 5);
     d.description = "three samplings".to_string();
     let mut pair = Pair::plain(0);
@@ -187,7 +191,7 @@ fn the_coordinate_system_is_kept_raw() {
 #[test]
 fn appended_records_add_and_replace() {
     let mut pair = Pair::plain(2);
-    let replaced = descriptor(vec![sampling(Kind::Returning, 1, 4)]);
+    let replaced = descriptor(vec![sampling(SegmentKind::Returning, 1, 4)]);
     pair.appended = vec![
         ("PulseWaves_Spec", u32::MAX, Vec::new()),
         ("PulseWaves_Spec", 200_001, encode(&replaced, 0)),

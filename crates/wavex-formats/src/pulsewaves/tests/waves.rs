@@ -5,7 +5,7 @@
 use proptest::prelude::*;
 
 use super::build::{Bytes, Pair, descriptor, sampling};
-use crate::pulsewaves::{Kind, Reader, Sampling, Waves};
+use crate::pulsewaves::{Reader, Sampling, SegmentKind, Waves};
 
 /// Returns the segments of pulse `index` as (sampling, number, quantised duration, duration,
 /// samples).
@@ -33,7 +33,8 @@ fn fixed_samplings_hold_nothing_but_samples() {
 fn counts_and_signed_durations_of_every_width_are_read() {
     let mut samplings = Vec::new();
     for (duration, segments, samples, bits) in [(8, 0, 8, 8), (16, 8, 16, 16), (32, 16, 0, 8)] {
-        let mut s = sampling(Kind::Returning, if segments == 0 { 2 } else { 0 }, u32::from(samples == 0));
+        let mut s =
+            sampling(SegmentKind::Returning, if segments == 0 { 2 } else { 0 }, u32::from(samples == 0));
         (s.duration_bits, s.duration_scale, s.duration_offset) = (duration, 0.5, 1000.0);
         (s.segment_count_bits, s.sample_count_bits, s.bits_per_sample) = (segments, samples, bits);
         s.channel = duration;
@@ -60,7 +61,7 @@ fn counts_and_signed_durations_of_every_width_are_read() {
 
 #[test]
 fn a_segment_carries_what_its_sampling_says() {
-    let mut s = sampling(Kind::Returning, 1, 2);
+    let mut s = sampling(SegmentKind::Returning, 1, 2);
     (s.channel, s.bits_per_sample, s.sample_units_ns) = (3, 16, 2.0);
     (s.duration_bits, s.duration_offset) = (8, 10.0);
     let mut pair = Pair::new(&descriptor(vec![s]));
@@ -69,7 +70,7 @@ fn a_segment_carries_what_its_sampling_says() {
     let (pulse, mut waves) = (reader.pulse(0).unwrap(), Waves::new());
     reader.waves(&pulse, &mut waves).unwrap();
     let segment = &waves.segments()[0];
-    assert_eq!((segment.kind, segment.channel, segment.bits), (Kind::Returning, 3, 16));
+    assert_eq!((segment.kind, segment.channel, segment.bits), (SegmentKind::Returning, 3, 16));
     assert_eq!((segment.sample_count(), segment.sample_units_ns, segment.units_per_sample), (2, 2.0, 2.0));
     assert_eq!(segment.duration_of(1.5), 11.0 + 3.0);
     assert!(Waves::new().samples(segment).is_empty());
@@ -98,7 +99,7 @@ fn any_sampling() -> impl Strategy<Value = (Sampling, Vec<Run>)> {
     let layout =
         (prop::sample::select(vec![0_u8, 8, 16, 32]), bits(), bits(), any::<bool>(), 1..4_u16, 1..6_u32);
     layout.prop_flat_map(|(duration, segment_bits, sample_bits, wide, segment_count, sample_count)| {
-        let mut s = sampling(Kind::Returning, segment_count, sample_count);
+        let mut s = sampling(SegmentKind::Returning, segment_count, sample_count);
         (s.duration_bits, s.segment_count_bits, s.sample_count_bits) = (duration, segment_bits, sample_bits);
         (s.bits_per_sample, s.duration_scale, s.duration_offset) = (if wide { 16 } else { 8 }, 0.25, -7.0);
         let most = if wide { u16::MAX } else { 255 };

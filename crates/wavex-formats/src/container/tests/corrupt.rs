@@ -1,8 +1,8 @@
-//! Numbers that lie: each is refused with words that say which.
+//! Corrupt numbers in metadata: each error names the number.
 
 use super::*;
 
-/// Changes the one place where `from` stands.
+/// Replaces the only occurrence of `from`.
 fn patch(bytes: &mut [u8], from: &[u8], to: &[u8]) {
     let found: Vec<usize> =
         (0..=bytes.len() - from.len()).filter(|&at| bytes[at..].starts_with(from)).collect();
@@ -15,11 +15,11 @@ fn words(numbers: &[i32]) -> Vec<u8> {
 }
 
 #[test]
-fn a_list_that_points_outside_is_named_by_its_row() {
+fn a_list_out_of_bounds_is_reported_with_its_row() {
     let whole = write(&lines()[..1], false, Compression::None);
     // The samples of the six blocks of shots 0, 2, 2, 3, 3, 4 of the first line.
     let ends = [0, 6, 12, 34, 40, 63, 69];
-    for (at, value, words_of, row) in [
+    for (at, value, problem, row) in [
         (6, 70, "a list from 63 to 70 of 69 items", 4),
         (3, 99, "a list from 12 to 99 of 69 items", 2),
         (3, -1, "a list from 12 to -1 of 69 items", 2),
@@ -29,31 +29,31 @@ fn a_list_that_points_outside_is_named_by_its_row() {
         changed[at] = value;
         let mut bytes = whole.clone();
         patch(&mut bytes, &words(&ends), &words(&changed));
-        let error = complaint(bytes);
-        let expected = format!("column `blocks.samples`, row {row}: {words_of}; the file is damaged");
+        let error = refusal(bytes);
+        let expected = format!("column `blocks.samples`, row {row}: {problem}; the file is damaged");
         assert!(error.contains(&expected), "{error}");
     }
     // The blocks of the rows.
     let mut bytes = whole;
     patch(&mut bytes, &words(&[0, 1, 1, 3, 5, 6]), &words(&[0, 1, 1, 3, 7, 6]));
-    let error = complaint(bytes);
+    let error = refusal(bytes);
     assert!(error.contains("column `blocks`, row 3: a list from 3 to 7 of 6 items"), "{error}");
 }
 
 #[test]
-fn a_packed_list_that_points_outside_is_named_by_its_row() {
-    // Only the last of 300 shots has online returns: its list's end is what LZ4 leaves as it is.
+fn a_compressed_list_out_of_bounds_is_reported_with_its_row() {
+    // Only the last of 300 shots has online returns: LZ4 keeps the end of its list as literals.
     let mut rows: Vec<Row> = (0..300).map(|shot| Row { online: Vec::new(), ..row(shot, 0) }).collect();
     rows[299].online = row(2, 0).online;
     assert_eq!(rows[299].online.len(), 2);
     let mut bytes = write(&[rows], false, Compression::Lz4);
     patch(&mut bytes, &[0x60, 0, 0, 2, 0, 0, 0, 0, 0, 0, 0], &[0x60, 0, 0, 9]);
-    let error = complaint(bytes);
+    let error = refusal(bytes);
     assert!(error.contains("column `online`, row 299: a list from 0 to 9 of 2 items"), "{error}");
 }
 
 #[test]
-fn a_row_is_counted_through_the_whole_container() {
+fn rows_count_from_the_start_of_the_container() {
     let mut bytes = write(&lines(), true, Compression::None);
     // The online returns of shots 5 to 8.
     patch(&mut bytes, &words(&[0, 2, 2, 3, 5]), &words(&[0, 2, 2, 6, 5]));
@@ -61,17 +61,17 @@ fn a_row_is_counted_through_the_whole_container() {
     assert!(error.contains("column `online`, row 7: a list from 2 to 6 of 5 items"), "{error}");
 }
 
-/// A buffer's entry in the metadata of a record batch: where it is, and how long.
+/// Encodes a buffer entry of a record batch: offset and length.
 fn entry(offset: i64, length: i64) -> Vec<u8> {
     [offset.to_le_bytes(), length.to_le_bytes()].concat()
 }
 
 #[test]
-fn lengths_of_buffers_that_lie_are_refused() {
-    // The first column, of five rows, stands at the beginning of the body, and has no bitmap.
+fn wrong_buffer_entries_are_refused() {
+    // The first column has five rows and no bitmap, and starts the body.
     let whole = write(&lines()[..1], false, Compression::None);
     let shot = entry(0, 40);
-    for (lie, problem) in [
+    for (wrong, problem) in [
         (entry(0, 39), "column `shot`: a buffer of 39 bytes, where 40 are needed"),
         (entry(0, -1), "column `shot`: a buffer of -1 bytes at byte 0 of a body of"),
         (entry(-64, 40), "column `shot`: a buffer of 40 bytes at byte -64 of a body of"),
@@ -79,17 +79,17 @@ fn lengths_of_buffers_that_lie_are_refused() {
         (entry(i64::MAX, 40), "column `shot`: a buffer of 40 bytes at byte 9223372036854775807 of a body of"),
     ] {
         let mut bytes = whole.clone();
-        patch(&mut bytes, &shot, &lie);
-        let error = complaint(bytes);
+        patch(&mut bytes, &shot, &wrong);
+        let error = refusal(bytes);
         assert!(error.contains(problem), "{error}");
     }
 }
 
 #[test]
-fn offsets_that_are_no_whole_number_of_words_are_refused() {
+fn incomplete_offsets_are_refused() {
     let whole = write(&lines()[..1], false, Compression::None);
     let at = whole.windows(28).position(|window| window == words(&[0, 6, 12, 34, 40, 63, 69])).unwrap();
-    // The body starts behind the second message's metadata; the entry is the one of 28 bytes.
+    // The body follows the metadata of the second message; the entry is that of 28 bytes.
     let entries: Vec<usize> = (0..whole.len() - 16)
         .filter(|&i| i64::from_le_bytes(*whole[i + 8..].first_chunk().unwrap()) == 28)
         .filter(|&i| (0..at as i64).contains(&i64::from_le_bytes(*whole[i..].first_chunk().unwrap())))
@@ -97,7 +97,7 @@ fn offsets_that_are_no_whole_number_of_words_are_refused() {
     assert_eq!(entries.len(), 1, "{entries:?}");
     let mut bytes = whole;
     bytes[entries[0] + 8] = 29;
-    let error = complaint(bytes);
+    let error = refusal(bytes);
     assert!(
         error.contains("column `blocks.samples`: offsets of 29 bytes, which is no multiple of 4"),
         "{error}"
@@ -105,9 +105,9 @@ fn offsets_that_are_no_whole_number_of_words_are_refused() {
 }
 
 #[test]
-fn what_a_buffer_is_said_to_unpack_to_must_be_possible() {
+fn impossible_decompressed_sizes_are_refused() {
     for (compression, most) in [(Compression::Lz4, "255"), (Compression::Zstd, "32768")] {
-        // 4000 samples of one value: 8000 bytes that pack well.
+        // 4000 samples of one value: 8000 bytes that compress well.
         let mut long = row(0, 0);
         long.blocks = vec![(channel::LOW_POWER, 0.0, None, None, vec![3; 4000])];
         let whole = write(&[vec![long]], false, compression);
@@ -119,21 +119,21 @@ fn what_a_buffer_is_said_to_unpack_to_must_be_possible() {
         ] {
             let mut bytes = whole.clone();
             patch(&mut bytes, &8000_i64.to_le_bytes(), &size.to_le_bytes());
-            let error = complaint(bytes);
-            let lz4_says = size == 100_000 && compression == Compression::Lz4;
-            let problem = if lz4_says { "are said to unpack to 100000" } else { problem };
+            let error = refusal(bytes);
+            let exceeds_lz4 = size == 100_000 && compression == Compression::Lz4;
+            let problem = if exceeds_lz4 { "are said to unpack to 100000" } else { problem };
             assert!(error.contains("column `blocks.samples`: "), "{most}: {error}");
             assert!(error.contains(problem), "{most}: {error}");
         }
-        // One that is possible but not true is found while unpacking.
+        // A possible but wrong size is found by decompression.
         let mut bytes = whole.clone();
         patch(&mut bytes, &8000_i64.to_le_bytes(), &8002_i64.to_le_bytes());
-        let error = complaint(bytes);
+        let error = refusal(bytes);
         assert!(error.contains("column `blocks`, rows 0 to 0: "), "{most}: {error}");
     }
 }
 
-/// The footer's first record batch: offset, length of the metadata, length of the body.
+/// Returns the first record batch in the footer: offset, lengths of metadata and body.
 fn first_block(whole: &[u8]) -> (i64, i32, i64) {
     let end = whole.len() - 10;
     let length = i32::from_le_bytes(*whole[end..].first_chunk().unwrap()) as usize;
@@ -147,19 +147,19 @@ fn block_bytes((offset, head, body): (i64, i32, i64)) -> Vec<u8> {
 }
 
 #[test]
-fn a_footer_that_lies_is_refused() {
+fn wrong_footers_are_refused() {
     let whole = write(&lines()[..1], true, Compression::None);
     let length = whole.len() - 10;
-    for lie in [i32::MAX, -1, whole.len() as i32 - 17] {
+    for wrong in [i32::MAX, -1, whole.len() as i32 - 17] {
         let mut bytes = whole.clone();
-        bytes[length..length + 4].copy_from_slice(&lie.to_le_bytes());
+        bytes[length..length + 4].copy_from_slice(&wrong.to_le_bytes());
         let error = read_file(&bytes).unwrap_err().to_string();
         let expected =
-            format!("a.arrow: byte {length}: length of the footer: it is {lie}; the file is damaged");
+            format!("a.arrow: byte {length}: length of the footer: it is {wrong}; the file is damaged");
         assert!(error.starts_with(&expected), "{error}");
     }
     let (offset, head, body) = first_block(&whole);
-    for lie in [
+    for wrong in [
         (offset + 4096, head, body),
         (7, head, body),
         (-8, head, body),
@@ -170,9 +170,9 @@ fn a_footer_that_lies_is_refused() {
         (offset, head, -1),
     ] {
         let mut bytes = whole.clone();
-        patch(&mut bytes, &block_bytes((offset, head, body)), &block_bytes(lie));
+        patch(&mut bytes, &block_bytes((offset, head, body)), &block_bytes(wrong));
         let error = read_file(&bytes).unwrap_err().to_string();
-        let (offset, head, body) = lie;
+        let (offset, head, body) = wrong;
         let expected =
             format!("footer, record batch 0: {head} + {body} bytes at byte {offset} do not lie in the file");
         assert!(error.contains(&expected), "{error}");
@@ -180,21 +180,21 @@ fn a_footer_that_lies_is_refused() {
 }
 
 #[test]
-fn a_message_longer_than_its_place_is_refused() {
+fn metadata_longer_than_its_record_batch_are_refused() {
     let whole = write(&lines()[..1], true, Compression::None);
     let (offset, ..) = first_block(&whole);
-    for lie in [i32::MAX, -1, 1 << 20] {
+    for wrong in [i32::MAX, -1, 1 << 20] {
         let mut bytes = whole.clone();
-        bytes[offset as usize + 4..][..4].copy_from_slice(&lie.to_le_bytes());
+        bytes[offset as usize + 4..][..4].copy_from_slice(&wrong.to_le_bytes());
         let error = read_file(&bytes).unwrap_err().to_string();
         let expected = format!("byte {offset}: length of the metadata: it passes the record batch");
         assert!(error.contains(&expected), "{error}");
-        let error = complaint(bytes);
-        let expected = match lie {
+        let error = refusal(bytes);
+        let expected = match wrong {
             1_048_576 => "metadata of a message: the bytes end at byte".to_string(),
-            _ => format!("length of a message: it is {lie}; the file is damaged"),
+            _ => format!("length of a message: it is {wrong}; the file is damaged"),
         };
-        assert!(error.starts_with(&format!("byte {offset}: ")) || lie == 1 << 20, "{error}");
+        assert!(error.starts_with(&format!("byte {offset}: ")) || wrong == 1 << 20, "{error}");
         assert!(error.contains(&expected), "{error}");
     }
 }
@@ -203,9 +203,9 @@ fn a_message_longer_than_its_place_is_refused() {
 fn a_body_of_an_impossible_length_is_refused() {
     let whole = write(&lines()[..1], true, Compression::None);
     let (offset, head, body) = first_block(&whole);
-    // It stands in the footer, too, which a stream does not read.
+    // The footer has the length as well, but a stream does not read it.
     let metadata = offset as usize..offset as usize + head as usize;
-    for (lie, problem) in [
+    for (wrong, problem) in [
         (
             i64::MAX,
             "length of the body: a record batch of 9223372036854775807 bytes, where at most 1073741824 are read; write one record batch per scan line",
@@ -218,13 +218,13 @@ fn a_body_of_an_impossible_length_is_refused() {
         (1 << 29, "body of a message: the bytes end at byte"),
     ] {
         let mut bytes = whole.clone();
-        patch(&mut bytes[metadata.clone()], &body.to_le_bytes(), &i64::to_le_bytes(lie));
-        let error = complaint(bytes);
+        patch(&mut bytes[metadata.clone()], &body.to_le_bytes(), &i64::to_le_bytes(wrong));
+        let error = refusal(bytes);
         assert!(error.contains(problem), "{error}");
     }
 }
 
-/// A stream's first message, the schema, and the rest.
+/// Returns the first message of a stream, the schema, and the rest.
 fn schema_and_rest() -> (Vec<u8>, Vec<u8>) {
     let mut schema = write(&lines()[..1], false, Compression::None);
     let length = i32::from_le_bytes(*schema[4..].first_chunk().unwrap()) as usize;
@@ -233,21 +233,21 @@ fn schema_and_rest() -> (Vec<u8>, Vec<u8>) {
 }
 
 #[test]
-fn a_stream_has_one_schema_and_that_first() {
+fn a_stream_begins_with_its_only_schema() {
     let (schema, rest) = schema_and_rest();
-    let error = complaint(rest.clone());
+    let error = refusal(rest.clone());
     assert!(error.starts_with("byte 0: schema: the first message is no schema"), "{error}");
-    let error = complaint([schema.clone(), schema.clone(), rest].concat());
+    let error = refusal([schema.clone(), schema.clone(), rest].concat());
     let expected = format!("byte {}: message: neither a record batch nor a dictionary", schema.len());
     assert!(error.starts_with(&expected), "{error}");
 }
 
-/// What is said of a stream in whose record batch's metadata the bytes `from` are replaced, place by place.
-fn complaints(from: &[u8], to: &[u8]) -> Vec<String> {
+/// Returns the errors of streams with one occurrence of `from` in the metadata replaced.
+fn refusals(from: &[u8], to: &[u8]) -> Vec<String> {
     let (schema, rest) = schema_and_rest();
     let head = 8 + i32::from_le_bytes(*rest[4..].first_chunk().unwrap()) as usize;
-    let places = (8..head - from.len()).filter(|&at| rest[at..].starts_with(from));
-    let changed = places.map(|at| {
+    let offsets = (8..head - from.len()).filter(|&at| rest[at..].starts_with(from));
+    let changed = offsets.map(|at| {
         let mut bytes = [schema.clone(), rest.clone()].concat();
         bytes[schema.len() + at..][..to.len()].copy_from_slice(to);
         bytes
@@ -255,27 +255,27 @@ fn complaints(from: &[u8], to: &[u8]) -> Vec<String> {
     changed.filter_map(|bytes| read_stream(bytes).err()).map(|error| error.to_string()).collect()
 }
 
-fn expect_one(complaints: &[String], expected: &str) {
-    let found = complaints.iter().filter(|error| error.contains(expected)).count();
-    assert_eq!(found, 1, "{expected}: {complaints:?}");
+fn expect_one(refusals: &[String], expected: &str) {
+    let found = refusals.iter().filter(|error| error.contains(expected)).count();
+    assert_eq!(found, 1, "{expected}: {refusals:?}");
 }
 
 #[test]
-fn a_record_batch_of_another_shape_is_refused() {
-    let found = complaints(&5_i64.to_le_bytes(), &(-5_i64).to_le_bytes());
+fn record_batches_of_another_shape_are_refused() {
+    let found = refusals(&5_i64.to_le_bytes(), &(-5_i64).to_le_bytes());
     expect_one(&found, "record batch: it has -5 rows; the file is damaged");
     expect_one(&found, "column `shot`: -5 values, 0 of them null, where 5 are expected");
-    let found = complaints(&5_i64.to_le_bytes(), &6_i64.to_le_bytes());
+    let found = refusals(&5_i64.to_le_bytes(), &6_i64.to_le_bytes());
     expect_one(&found, "column `shot`: 5 values, 0 of them null, where 6 are expected");
     expect_one(&found, "column `facet`: 6 values, 0 of them null, where 5 are expected");
-    // The 23 nodes: the first is of five values, none of them null.
+    // The 23 nodes: the first has five values, none of them null.
     let first = [&5_i64.to_le_bytes()[..], &[0; 8]].concat();
     let nodes = |n: u32| [&n.to_le_bytes()[..], &first].concat();
     let count = (1..100).find(|&n| has(&nodes(n))).unwrap();
-    let found = complaints(&nodes(count), &nodes(count - 1));
+    let found = refusals(&nodes(count), &nodes(count - 1));
     expect_one(&found, "column `frame_scale`: the record batch lists fewer buffers than its schema needs");
-    // Version 5 counts as 4, and 3 as 2.
-    let found = complaints(&4_i16.to_le_bytes(), &2_i16.to_le_bytes());
+    // Version 5 is stored as 4, and 3 as 2.
+    let found = refusals(&4_i16.to_le_bytes(), &2_i16.to_le_bytes());
     expect_one(
         &found,
         "message: a record batch of the metadata version V3; write it with Arrow 0.8 or later",
@@ -289,7 +289,7 @@ fn has(bytes: &[u8]) -> bool {
 #[test]
 fn a_union_of_too_many_types_is_refused() {
     use arrow_schema::{DataType, Field, Fields, Schema};
-    // A struct of 129 fields, made a union by its tag: 13 is a struct, 14 a union.
+    // The tag changes a struct of 129 fields to a union: 13 is a struct, 14 a union.
     let inner: Fields = (0..129).map(|i| Field::new(i.to_string(), DataType::Int8, true)).collect();
     let field = Field::new("many", DataType::Struct(inner), true);
     let schema = Schema::new_with_metadata(vec![field], header().to_metadata());
@@ -298,7 +298,7 @@ fn a_union_of_too_many_types_is_refused() {
     let found = (0..whole.len()).filter(|&at| whole[at] == 13).filter(|&at| {
         let mut bytes = whole.clone();
         bytes[at] = 14;
-        complaint(bytes).starts_with("byte 0: column `many`: a union of over 128 types; leave it out")
+        refusal(bytes).starts_with("byte 0: column `many`: a union of over 128 types; leave it out")
     });
     assert_eq!(found.count(), 1);
 }
@@ -312,15 +312,15 @@ fn big_endian_numbers_are_refused() {
     let root = schema.finish();
     made.finish(root, None);
     let schema = arrow_ipc::root_as_schema(made.finished_data()).unwrap();
-    let place = location::Place { file: Path::new("a.arrow"), offset: 0, first_row: 0 };
-    let error = decode::schema_of(schema, place).unwrap_err().to_string();
+    let location = location::Location { file: Path::new("a.arrow"), offset: 0, first_row: 0 };
+    let error = decode::schema_of(schema, location).unwrap_err().to_string();
     assert_eq!(
         error,
         "a.arrow: byte 0: schema: the numbers are big-endian; write the file on a common machine"
     );
 }
 
-/// A disk that is full.
+/// Full disk.
 struct Full;
 
 impl std::io::Write for Full {
@@ -336,6 +336,6 @@ impl std::io::Write for Full {
 #[test]
 fn a_full_disk_is_an_error() {
     let result = ContainerWriter::file(Full, Path::new("a.arrow"), &header(), Compression::None);
-    let Err(error) = result else { panic!("it was written") };
+    let Err(error) = result else { panic!("writing succeeded") };
     assert_eq!(error.to_string(), "a.arrow: cannot write: no space left");
 }

@@ -1,0 +1,161 @@
+//! Descriptors and values of extra attributes.
+
+use super::*;
+use proptest::prelude::*;
+
+#[test]
+fn a_descriptor_is_spelled_out() {
+    let bytes = WIDE_RATIO.descriptor();
+    assert_eq!(bytes[..4], [0, 0, 1, 0b11000]);
+    assert_eq!(&bytes[4..14], b"WideRatio\0");
+    assert_eq!(bytes[14..112], [0; 98]);
+    assert_eq!(bytes[112..120], 0.025f64.to_le_bytes());
+    assert_eq!(bytes[120..136], [0; 16]);
+    assert_eq!(bytes[136..144], 0.5f64.to_le_bytes());
+    assert_eq!(bytes[144..160], [0; 16]);
+    assert_eq!(&bytes[160..181], b"Pulse widening ratio\0");
+    assert_eq!(bytes[181..], [0; 11]);
+
+    assert_eq!(CHANNEL.descriptor()[..4], [0, 0, 1, 0]);
+    let signed =
+        ExtraAttribute { data_type: DataType::I16, nan: -1, nan_is_no_data: true, ..CHANNEL }.descriptor();
+    assert_eq!(signed[..4], [0, 0, 4, 1]);
+    assert_eq!(signed[40..48], [0xff; 8]);
+}
+
+#[test]
+fn layout_1_1_has_the_names_steps_and_types_of_its_manual() {
+    let table = [
+        ("WideRatio", Some(0.025), Some(0.5), 1),
+        ("TargetThick", Some(0.008), Some(0.0), 1),
+        ("Amp", Some(1.0), Some(0.0), 2),
+        ("DevRatio", Some(0.1), Some(0.0), 1),
+        ("RangeErr", Some(0.001), Some(0.0), 1),
+        ("IntErr", Some(0.2), Some(0.0), 1),
+        ("WideErr", Some(0.002), Some(0.0), 1),
+        ("ThickErr", Some(0.001), Some(0.0), 1),
+        ("Channel", None, None, 1),
+    ];
+    for (attribute, row) in ATTRIBUTES_1_1.iter().zip(table) {
+        assert_eq!((attribute.name, attribute.scale, attribute.offset, attribute.data_type.bytes()), row);
+    }
+}
+
+#[test]
+fn layout_1_0_has_the_names_steps_and_types_of_its_manual() {
+    let table = [
+        ("Widening", Some(0.02), Some(1.0), 1),
+        ("Target Thickness", Some(0.008), Some(0.0), 1),
+        ("Amplitude", Some(1.0), Some(0.0), 2),
+        ("Raw Amplitude", Some(1.0), Some(0.0), 2),
+        ("Deviation Ratio", Some(0.05), Some(0.0), 1),
+        ("Range Error", Some(0.001), Some(0.0), 1),
+        ("Intensity Error", Some(0.2), Some(0.0), 1),
+        ("Widening Error", Some(0.002), Some(0.0), 1),
+        ("Thickness Error", Some(0.001), Some(0.0), 1),
+    ];
+    for (attribute, row) in ATTRIBUTES_1_0.iter().zip(table) {
+        assert_eq!((attribute.name, attribute.scale, attribute.offset, attribute.data_type.bytes()), row);
+    }
+}
+
+#[test]
+fn names_fit_and_no_value_is_negative() {
+    for attribute in ATTRIBUTES_1_1.iter().chain(&ATTRIBUTES_1_0) {
+        assert!(attribute.name.len() < 32 && attribute.description.len() < 32);
+        assert_eq!(attribute.data_type.range().0, 0);
+    }
+}
+
+#[test]
+fn values_are_rounded_and_clamped() {
+    assert_eq!(quantise(1.0, &WIDE_RATIO), 20);
+    assert_eq!(quantise(0.4, &WIDE_RATIO), 0);
+    assert_eq!(quantise(100.0, &WIDE_RATIO), 255);
+    assert_eq!(quantise(-3.0, &DEV_RATIO), 0);
+    assert_eq!(quantise(70_000.0, &AMP), 65_535);
+    assert_eq!(quantise(f64::INFINITY, &AMP), 65_535);
+    assert_eq!(quantise(f64::NEG_INFINITY, &AMP), 0);
+    assert_eq!(quantise(f64::NAN, &AMP), 0);
+    assert_eq!(quantise(f64::NAN, &RANGE_ERR), 255);
+    let wide = ExtraAttribute { data_type: DataType::I8, nan: -1000, ..CHANNEL };
+    assert_eq!(quantise(f64::NAN, &wide), -128);
+    assert_eq!(quantise(-1e300, &wide), -128);
+}
+
+proptest! {
+    #[test]
+    fn a_column_is_stored_as_its_values(
+        values in prop::collection::vec(prop_oneof![-10.0..10.0f64, -1e5..1e5f64, any::<f64>()], 0..40),
+        attribute in prop::sample::select([ATTRIBUTES_1_1, ATTRIBUTES_1_0].concat()),
+        data_type in prop::sample::select(vec![
+            DataType::U8, DataType::I8, DataType::U16, DataType::I16, DataType::U32, DataType::I32,
+        ]),
+        is_as_declared in any::<bool>(),
+    ) {
+        let data_type = if is_as_declared { attribute.data_type } else { data_type };
+        let attribute = ExtraAttribute { data_type, ..attribute };
+        let mut stored = vec![0; values.len()];
+        attribute.quantise_column(&values, &mut stored);
+        for (stored, value) in stored.into_iter().zip(values) {
+            prop_assert_eq!(stored, quantise(value, &attribute) as i32, "{}", value);
+        }
+    }
+}
+
+#[test]
+fn values_stand_behind_each_other_little_endian() {
+    let mut extra = Vec::new();
+    AMP.push(258.4, &mut extra);
+    CHANNEL.push(1.0, &mut extra);
+    ExtraAttribute { data_type: DataType::I32, ..CHANNEL }.push(-2.0, &mut extra);
+    assert_eq!(extra, [2, 1, 1, 0xfe, 0xff, 0xff, 0xff]);
+}
+
+fn record(data: Vec<u8>) -> Vlr {
+    let length = data.len() as u64;
+    Vlr { user_id: "LASF_Spec".into(), record_id: 4, description: String::new(), offset: 429, length, data }
+}
+
+#[test]
+fn written_descriptors_read_back() {
+    let data: Vec<u8> = ATTRIBUTES_1_1.iter().flat_map(ExtraAttribute::descriptor).collect();
+    let read = parse(Path::new("f"), &record(data)).unwrap();
+    assert_eq!(read.len(), ATTRIBUTES_1_1.len());
+    let mut start = 0;
+    for (read, written) in read.iter().zip(&ATTRIBUTES_1_1) {
+        assert_eq!((read.name.as_str(), read.description.as_str()), (written.name, written.description));
+        assert_eq!((read.scale, read.offset, read.no_data), (written.scale, written.offset, None));
+        assert_eq!((read.start, read.bytes), (start, written.data_type.bytes()));
+        start += read.bytes;
+    }
+    assert_eq!(start, 10);
+}
+
+#[test]
+fn types_that_are_not_written_are_read() {
+    let mut data = vec![0; 4 * DESCRIPTOR];
+    for (number, (data_type, options)) in [(0, 7), (25, 0), (10, 1), (31, 0)].into_iter().enumerate() {
+        data[number * DESCRIPTOR + 2] = data_type;
+        data[number * DESCRIPTOR + 3] = options;
+    }
+    let read = parse(Path::new("f"), &record(data)).unwrap();
+    let places: Vec<_> = read.iter().map(|a| (a.start, a.bytes, a.no_data)).collect();
+    assert_eq!(places, [(0, 7, None), (7, 12, None), (19, 8, Some([0; 8]))]);
+}
+
+proptest! {
+    #[test]
+    fn a_value_in_range_is_off_by_half_a_step_at_most(value in 0.5..6.8f64) {
+        let back = quantise(value, &WIDE_RATIO) as f64 * 0.025 + 0.5;
+        prop_assert!((back - value).abs() <= 0.0125 + 1e-12);
+    }
+
+    #[test]
+    fn nothing_leaves_the_range_of_its_type(value in any::<f64>()) {
+        for attribute in ATTRIBUTES_1_1.into_iter().chain(ATTRIBUTES_1_0) {
+            let (least, largest) = attribute.data_type.range();
+            prop_assert!((least..=largest).contains(&quantise(value, &attribute)));
+        }
+    }
+}
