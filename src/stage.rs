@@ -6,17 +6,22 @@
 use crate::scan_line::ScanLine;
 
 mod context;
+mod fitted;
 mod keys;
 mod lookahead;
+mod observer;
 mod output_file;
 mod output_lock;
+pub(crate) mod packed;
 mod schema_prose;
 mod site;
 mod spec;
 
 pub use context::{Context, Counters, Distribution, Item};
+pub use fitted::{CURVE_POINTS_PER_SAMPLE, FittedBlock, FittedPeak, FittedSamples, FittedShot};
 pub use keys::{FileMark, Key, Keys};
 pub use lookahead::Survey;
+pub use observer::{DecomposedLine, FitShot, RunObserver};
 pub(crate) use output_file::partial_path;
 pub use output_file::{FinishedFile, OutputFile, remove_unfinished_files};
 pub use output_lock::{OutputLock, Outputs, give_up_claims};

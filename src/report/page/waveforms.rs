@@ -3,9 +3,10 @@
 use std::fmt::Write;
 
 use super::plot::{WIDTH, label};
-use crate::cli::explain::panel::{FAR_LABEL, Panels};
-use crate::cli::svg::{Anchor, Svg, escaped};
-use crate::overview::{ShownBlock, ShownKind, ShownReturn, ShownShot};
+use crate::report::overview::{ShownKind, ShownReturn, ShownShot};
+use crate::report::panel::{FAR_LABEL, Panels};
+use crate::report::svg::{Anchor, Svg, escaped};
+use crate::stage::FittedBlock;
 
 /// Maximum number of returns in the table of a shot.
 const MOST_RETURNS: usize = 6;
@@ -14,7 +15,7 @@ const MOST_RETURNS: usize = 6;
 pub(super) fn figure(shot: &ShownShot) -> String {
     let mut svg = Svg::new();
     let panels = Panels { x: [62.0, 548.0], gap: 16.0, samples: [10.0, 210.0], residual: [228.0, 308.0] };
-    let blocks: Vec<&ShownBlock> = shot.blocks.iter().collect();
+    let blocks: Vec<&FittedBlock> = shot.blocks.iter().collect();
     panels.draw(&mut svg, &blocks);
     svg.text("", [305.0, 344.0], Anchor::Middle, "time of flight, ns");
     svg.upright_text("", [13.0, 110.0], "digitiser steps, DN");

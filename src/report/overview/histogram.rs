@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::packed;
+use crate::stage::packed;
 
 /// Histogram of a quantity.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]

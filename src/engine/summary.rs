@@ -1,9 +1,7 @@
-//! Report of a run: final table and `report.json`.
+//! Results of a run as plain data.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use schemars::JsonSchema;
@@ -11,18 +9,18 @@ use serde::{Serialize, Serializer};
 
 use super::Options;
 use super::meter::{Meter, Span};
+use super::totals::Totals;
 use crate::job::{Job, JobSettings, JobStage, Simd};
-use crate::overview::{Gallery, Gathering, Overview};
-use crate::scan_line::{EmissionReference, Frame, InputInfo, ScanLine, TimeScale};
+use crate::scan_line::{EmissionReference, Frame, TimeScale};
 use crate::stage::{Counters, Distribution, Item, RoleName, RunContext};
 use wavex_geodesy::time::utc;
 use wavex_geodesy::trajectory::Trajectory;
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::sensor_model::SensorModel;
 
-/// Report of a run (`report.json`).
+/// Results of a run.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
-pub struct RunReport {
+pub struct RunSummary {
     /// Version of wavex.
     pub wavex: String,
     /// The table `[job]` with all defaults.
@@ -36,7 +34,8 @@ pub struct RunReport {
     /// Duration of the whole run, s.
     pub wall_s: f64,
     /// One entry per input.
-    pub inputs: Vec<InputReport>,
+    #[serde(skip)]
+    pub inputs: Vec<InputSummary>,
 }
 
 /// A stage of the job with its keys.
@@ -52,7 +51,7 @@ pub struct StageKeys {
 
 /// Results of the chain for one input.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
-pub struct InputReport {
+pub struct InputSummary {
     /// Path of the file; empty for a simulated input.
     #[serde(serialize_with = "path_as_text")]
     #[schemars(with = "String")]
@@ -93,23 +92,20 @@ pub struct InputReport {
     /// Sensor model of `calibrate`.
     pub sensor_model: Option<SensorModel>,
     /// Trajectory of `[job.geometry]`.
-    pub trajectory: Option<TrajectoryReport>,
+    pub trajectory: Option<TrajectorySummary>,
     /// Coordinate system of the points, if georeferenced with a trajectory.
     pub coordinates: Option<String>,
-    /// Data of the report page, if the job requests one.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub overview: Option<Overview>,
     /// Stages in order.
-    pub stages: Vec<StageReport>,
+    #[serde(skip)]
+    pub stages: Vec<StageSummary>,
     /// Written files.
-    #[serde(serialize_with = "paths_as_text")]
-    #[schemars(with = "Vec<String>")]
+    #[serde(skip)]
     pub outputs: Vec<PathBuf>,
 }
 
-/// Summary of a trajectory.
+/// Percentiles of a trajectory.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
-pub struct TrajectoryReport {
+pub struct TrajectorySummary {
     /// Path of the file.
     pub path: String,
     /// Number of records.
@@ -122,9 +118,9 @@ pub struct TrajectoryReport {
     pub gaps: usize,
 }
 
-impl From<(&Path, &Trajectory)> for TrajectoryReport {
-    fn from((path, trajectory): (&Path, &Trajectory)) -> TrajectoryReport {
-        TrajectoryReport {
+impl From<(&Path, &Trajectory)> for TrajectorySummary {
+    fn from((path, trajectory): (&Path, &Trajectory)) -> TrajectorySummary {
+        TrajectorySummary {
             path: path.to_string_lossy().into_owned(),
             records: trajectory.samples().len(),
             span_s: trajectory.span_s(),
@@ -136,7 +132,7 @@ impl From<(&Path, &Trajectory)> for TrajectoryReport {
 
 /// Results of a stage.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
-pub struct StageReport {
+pub struct StageSummary {
     /// Name in the job.
     pub id: String,
     /// Type of the stage.
@@ -158,7 +154,7 @@ pub struct StageReport {
     /// Entries of `rejected` that lose no data.
     pub set_aside: Vec<String>,
     /// Measured quantities.
-    pub observed: BTreeMap<String, Summary>,
+    pub observed: BTreeMap<String, Percentiles>,
     /// Warnings of the stage.
     pub notes: Vec<String>,
     /// Findings that need no action.
@@ -170,7 +166,7 @@ pub struct StageReport {
     /// Time waiting for space in the output, s, summed over all workers.
     pub blocked_s: f64,
     /// Working time per scan line, microseconds.
-    pub line_us: Summary,
+    pub line_us: Percentiles,
     #[serde(skip)]
     #[schemars(skip)]
     pub(super) spans: Vec<Span>,
@@ -187,9 +183,9 @@ pub struct ItemCounts {
     pub returns: u64,
 }
 
-/// Summary of a distribution.
+/// Mean, percentiles and maximum of a distribution.
 #[derive(Clone, Copy, Debug, Serialize, JsonSchema)]
-pub struct Summary {
+pub struct Percentiles {
     /// Number of values.
     pub count: u64,
     /// Mean.
@@ -204,43 +200,6 @@ pub struct Summary {
     pub p999: f64,
     /// Maximum.
     pub max: f64,
-}
-
-/// Counters of lines that have left the chain, with data for the page.
-#[derive(Clone, Debug, Default)]
-pub struct Totals {
-    counts: BTreeMap<&'static str, u64>,
-    input: Option<Arc<InputInfo>>,
-    model: Option<Arc<SensorModel>>,
-    fusion: Option<Arc<ChannelFusion>>,
-    gathering: Option<Gathering>,
-    gallery: Option<Gallery>,
-}
-
-impl Totals {
-    /// Creates totals, with data for the page if `overview`.
-    pub(super) fn new(overview: bool) -> Totals {
-        Totals { gathering: overview.then(Gathering::default), ..Totals::default() }
-    }
-
-    /// Adds the shots to show.
-    pub(super) fn with_gallery(self, gallery: Gallery) -> Totals {
-        Totals { gallery: Some(gallery), ..self }
-    }
-
-    pub(super) fn add(&mut self, batch: &ScanLine) {
-        for (name, count) in batch.stats.counts() {
-            *self.counts.entry(name).or_default() += count;
-        }
-        self.gathering.iter_mut().for_each(|gathering| gathering.add(batch));
-        self.input.get_or_insert_with(|| Arc::clone(&batch.input));
-        if self.model.is_none() {
-            self.model.clone_from(&batch.model);
-        }
-        if self.fusion.is_none() {
-            self.fusion.clone_from(&batch.fusion);
-        }
-    }
 }
 
 impl From<[u64; 3]> for ItemCounts {
@@ -260,9 +219,9 @@ impl ItemCounts {
     }
 }
 
-impl From<&Distribution> for Summary {
-    fn from(values: &Distribution) -> Summary {
-        Summary {
+impl From<&Distribution> for Percentiles {
+    fn from(values: &Distribution) -> Percentiles {
+        Percentiles {
             count: values.count(),
             mean: values.mean(),
             p50: values.percentile(50.0),
@@ -274,10 +233,10 @@ impl From<&Distribution> for Summary {
     }
 }
 
-impl Summary {
-    fn of_latency(latency_ns: &hdrhistogram::Histogram<u64>) -> Summary {
+impl Percentiles {
+    fn of_latency(latency_ns: &hdrhistogram::Histogram<u64>) -> Percentiles {
         let us = |percent| latency_ns.value_at_percentile(percent) as f64 / 1e3;
-        Summary {
+        Percentiles {
             count: latency_ns.len(),
             mean: latency_ns.mean() / 1e3,
             p50: us(50.0),
@@ -294,9 +253,9 @@ fn dropped((item, reason): &(Item, &'static str)) -> String {
     format!("{}: {reason}", item.name())
 }
 
-impl StageReport {
-    pub(super) fn new(stage: &JobStage, workers: usize, meter: Meter, counters: Counters) -> StageReport {
-        StageReport {
+impl StageSummary {
+    pub(super) fn new(stage: &JobStage, workers: usize, meter: Meter, counters: Counters) -> StageSummary {
+        StageSummary {
             id: stage.id.clone(),
             r#type: stage.spec.name.to_string(),
             role: stage.spec.role,
@@ -313,7 +272,7 @@ impl StageReport {
             working_s: meter.working.as_secs_f64(),
             waiting_s: meter.waiting.as_secs_f64(),
             blocked_s: meter.blocked.as_secs_f64(),
-            line_us: Summary::of_latency(&meter.latency_ns),
+            line_us: Percentiles::of_latency(&meter.latency_ns),
             spans: meter.spans,
         }
     }
@@ -325,23 +284,23 @@ impl StageReport {
     }
 
     /// Mean fraction of the run during which each worker was busy.
-    fn load(&self, wall_s: f64) -> f64 {
+    pub fn load(&self, wall_s: f64) -> f64 {
         self.working_s / (self.workers as f64 * wall_s).max(1e-9)
     }
 }
 
-impl InputReport {
+impl InputSummary {
     pub(super) fn new(
         site: &RunContext,
         started: Instant,
         totals: Totals,
-        stages: Vec<StageReport>,
+        stages: Vec<StageSummary>,
         outputs: Vec<PathBuf>,
         peak_in_flight_bytes: usize,
-    ) -> InputReport {
+    ) -> InputSummary {
         let input = totals.input.as_deref();
         let (now, elapsed) = (SystemTime::now(), started.elapsed());
-        InputReport {
+        InputSummary {
             path: site.input.clone(),
             stem: site.stem.clone(),
             format: input.map(|input| input.format.clone()),
@@ -361,8 +320,7 @@ impl InputReport {
             totals: totals.counts,
             channel_fusion: totals.fusion.as_deref().cloned(),
             sensor_model: totals.model.as_deref().cloned(),
-            overview: totals.gathering.map(|gathering| gathering.finish(totals.gallery)),
-            trajectory: site.geometry.trajectory().map(TrajectoryReport::from),
+            trajectory: site.geometry.trajectory().map(TrajectorySummary::from),
             // An error here would already have ended the run.
             coordinates: site.geometry.target().ok().flatten().map(|target| target.name().to_owned()),
             stages,
@@ -371,87 +329,24 @@ impl InputReport {
     }
 
     /// Report of an input that no stage has started.
-    pub(super) fn not_begun(site: &RunContext, started: Instant) -> InputReport {
-        InputReport::new(site, started, Totals::new(false), Vec::new(), Vec::new(), 0)
+    pub(super) fn not_begun(site: &RunContext, started: Instant) -> InputSummary {
+        InputSummary::new(site, started, Totals::default(), Vec::new(), Vec::new(), 0)
     }
 
     /// Returns the stage with the busiest workers.
-    pub fn bottleneck(&self) -> Option<&StageReport> {
+    pub fn bottleneck(&self) -> Option<&StageSummary> {
         self.stages.iter().max_by(|a, b| a.load(self.wall_s).total_cmp(&b.load(self.wall_s)))
-    }
-
-    /// Table of the stages: items and times.
-    pub fn table(&self) -> String {
-        let mut text = String::new();
-        let width = self.stages.iter().map(|stage| stage.id.len()).max().unwrap_or(0).max(5);
-        let _ = writeln!(
-            text,
-            "{:width$} {:>7} {:>9} {:>11} {:>11} {:>9} {:>9} {:>9} {:>9} {:>6}",
-            "stage",
-            "workers",
-            "lines",
-            "shots",
-            "returns",
-            "rejected",
-            "working s",
-            "waiting s",
-            "blocked s",
-            "busy"
-        );
-        for stage in &self.stages {
-            let rejected: u64 = stage.rejected.values().sum();
-            let mark = if self.bottleneck().is_some_and(|slowest| slowest.id == stage.id) {
-                " <- bottleneck"
-            } else {
-                ""
-            };
-            let _ = writeln!(
-                text,
-                "{:width$} {:>7} {:>9} {:>11} {:>11} {:>9} {:>9.3} {:>9.3} {:>9.3} {:>5.0}%{mark}",
-                stage.id,
-                stage.workers,
-                stage.lines_out,
-                stage.items_out.shots,
-                stage.items_out.returns,
-                rejected,
-                stage.working_s,
-                stage.waiting_s,
-                stage.blocked_s,
-                100.0 * stage.load(self.wall_s),
-            );
-        }
-        text
-    }
-
-    /// Table of working times per scan line, in percentiles.
-    pub fn latency_table(&self) -> String {
-        let mut text = String::new();
-        let width = self.stages.iter().map(|stage| stage.id.len()).max().unwrap_or(0).max(5);
-        let _ = writeln!(
-            text,
-            "{:width$} {:>11} {:>11} {:>11} {:>11} {:>11} {:>11}",
-            "us per line", "mean", "p50", "p90", "p99", "p99.9", "max"
-        );
-        for stage in &self.stages {
-            let us = &stage.line_us;
-            let _ = writeln!(
-                text,
-                "{:width$} {:>11.1} {:>11.1} {:>11.1} {:>11.1} {:>11.1} {:>11.1}",
-                stage.id, us.mean, us.p50, us.p90, us.p99, us.p999, us.max
-            );
-        }
-        text
     }
 }
 
-impl RunReport {
-    pub(super) fn new(job: &Job, options: &Options) -> RunReport {
+impl RunSummary {
+    pub(super) fn new(job: &Job, options: &Options) -> RunSummary {
         let keys = |stage: &JobStage| StageKeys {
             id: stage.id.clone(),
             r#type: stage.spec.name.to_string(),
             keys: stage.planned.resolved.clone(),
         };
-        RunReport {
+        RunSummary {
             wavex: env!("CARGO_PKG_VERSION").to_string(),
             job: job.settings.clone(),
             stages: job.stages.iter().map(keys).collect(),
@@ -462,7 +357,7 @@ impl RunReport {
         }
     }
 
-    pub(super) fn add(&mut self, input: InputReport) {
+    pub(super) fn add(&mut self, input: InputSummary) {
         self.inputs.push(input);
     }
 
@@ -484,10 +379,6 @@ impl RunReport {
 /// Serialises a path as text; replaces invalid Unicode.
 fn path_as_text<S: Serializer>(path: &Path, to: S) -> Result<S::Ok, S::Error> {
     to.serialize_str(&path.to_string_lossy())
-}
-
-fn paths_as_text<S: Serializer>(paths: &[PathBuf], to: S) -> Result<S::Ok, S::Error> {
-    to.collect_seq(paths.iter().map(|path| path.to_string_lossy()))
 }
 
 fn time_scale(scale: TimeScale) -> &'static str {

@@ -4,12 +4,15 @@ use std::fmt::Write;
 
 use serde_json::Value;
 
-use super::plot::{label, short};
-use super::style::MORE_STYLE;
-use super::{overview, pictures, waveforms};
-use crate::cli::scan::page::STYLE;
-use crate::cli::svg::escaped;
-use crate::overview::Overview;
+use super::overview::Overview;
+use super::style::{RUN_STYLE, STYLE};
+use super::svg::escaped;
+use plot::{label, short};
+
+mod plot;
+mod results;
+mod stages_and_sensor;
+mod waveforms;
 
 /// Content security policy: only styles and pictures embedded in the page.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:";
@@ -26,7 +29,7 @@ pub(super) fn page(report: &Value) -> Result<String, String> {
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\"/>\n\
          <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\"/>\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"/>\n<title>{title}</title>\n\
-         <style>\n{STYLE}{MORE_STYLE}</style>\n</head>\n<body>\n<h1>Report of a run</h1>\n\
+         <style>\n{STYLE}{RUN_STYLE}</style>\n</head>\n<body>\n<h1>Report of a run</h1>\n\
          <p class=\"about\">wavex {}, {} threads, {} s</p>\n",
         text(&report["wavex"]),
         text(&report["threads"]),
@@ -142,22 +145,22 @@ fn from_above(page: &mut String, overview: &Overview, input: &Value, number: usi
     let mut about = String::new();
     if let Some(map) = &overview.map {
         let name = format!("intensities-{number}");
-        let axes = overview::axes(map, input["frame"].as_str());
+        let axes = results::axes(map, input["frame"].as_str());
         figures.push(figure(
             "Points by height",
-            &overview::heights(map, &axes, &format!("heights-{number}")),
+            &results::heights(map, &axes, &format!("heights-{number}")),
             "",
         ));
-        figures.push(figure("Points by intensity", &overview::intensities(map, &axes, &name), ""));
-        let zones = overview::zones(map, &axes, &format!("zones-{number}"));
+        figures.push(figure("Points by intensity", &results::intensities(map, &axes, &name), ""));
+        let zones = results::zones(map, &axes, &format!("zones-{number}"));
         figures.extend(zones.map(|svg| figure("Points by MTA zone", &svg, "")));
         let words = "some scan lines; dot: middle of the first line";
         figures.extend(
-            overview::swath(map, &axes, &name).map(|svg| figure("Swath on the map grid", &svg, words)),
+            results::swath(map, &axes, &name).map(|svg| figure("Swath on the map grid", &svg, words)),
         );
-        about = overview::about(map, input["coordinates"].as_str());
+        about = results::about(map, input["coordinates"].as_str());
     }
-    let along = overview::along(&overview.lines);
+    let along = results::along(&overview.lines);
     let words = match overview.lines.lines_per_group {
         0 | 1 => String::new(),
         lines => format!("means over {lines} lines"),
@@ -168,7 +171,7 @@ fn from_above(page: &mut String, overview: &Overview, input: &Value, number: usi
 
 fn of_returns(page: &mut String, overview: &Overview) {
     let drawn = overview.histograms.iter().filter_map(|histogram| {
-        let (svg, words) = overview::histogram(histogram)?;
+        let (svg, words) = results::histogram(histogram)?;
         Some(figure(&capitalised(&histogram.quantity), &svg, &words))
     });
     group(page, "Returns", "", &drawn.collect::<Vec<String>>());
@@ -190,7 +193,7 @@ fn of_zones(page: &mut String, overview: &Overview) {
              neighbouring ranges, which is smallest for the correct zone if pulse intervals vary",
             clouds.line
         );
-        let drawn = figure("Range with each MTA zone", &overview::clouds(clouds), &words);
+        let drawn = figure("Range with each MTA zone", &results::clouds(clouds), &words);
         group(page, "Multiple time around", "", &[drawn]);
     }
     let heads = ["zone", "returns", "% of all", "uncertain", "% of the zone"];
@@ -206,7 +209,7 @@ fn of_waveforms(page: &mut String, overview: &Overview) {
 
 fn of_run(page: &mut String, input: &Value) {
     let words = "sum over all workers of a stage; waiting: for input lines; blocked: by the next stage";
-    let times = figure("Time per stage", &pictures::times(list(input, "stages")), words);
+    let times = figure("Time per stage", &stages_and_sensor::times(list(input, "stages")), words);
     group(page, "Run", "", &[times]);
     stages(page, input);
     observed(page, input);
@@ -219,13 +222,13 @@ const CHANNELS: [(&str, &str); 3] =
 fn of_sensor(page: &mut String, model: &Value) {
     let mut figures = Vec::new();
     for (key, channel) in CHANNELS {
-        let response = pictures::response(&model[key]["response"]);
+        let response = stages_and_sensor::response(&model[key]["response"]);
         figures.extend(
             response.map(|svg| {
                 figure(&format!("System response, {channel}"), &svg, "at each calibrated amplitude")
             }),
         );
-        let noise = pictures::noise(&model[key]);
+        let noise = stages_and_sensor::noise(&model[key]);
         let sd = model[key]["noise_sd_dn"].as_f64().unwrap_or(0.0);
         let words = format!("noise SD {} DN; bars: two standard deviations", short(sd));
         figures.extend(noise.map(|svg| figure(&format!("Noise, {channel}"), &svg, &words)));

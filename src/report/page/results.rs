@@ -1,8 +1,10 @@
 //! Figures of a run's results: counts along the flight, histograms, map views.
 
 use super::plot::{Plot, WIDTH, decades, label, short, ticks};
-use crate::cli::svg::{Anchor, Scale, Svg};
-use crate::overview::{Histogram, LineGroups, MapAxes, MapLine, MapPicture, Picture, ZoneCloud, ZoneClouds};
+use crate::report::overview::{
+    Histogram, LineGroups, MapAxes, MapLine, MapPicture, Picture, ZoneCloud, ZoneClouds,
+};
+use crate::report::svg::{Anchor, Scale, Svg};
 
 /// Draws waveforms, returns and points per scan line; `None` without lines.
 pub(super) fn along(groups: &LineGroups) -> Option<String> {

@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::packed;
-use super::png::{HEIGHTS, INTENSITIES, Picture, css};
+use super::picture::{HEIGHTS, INTENSITIES, Picture, css};
 use super::view::{MapAxes, View};
 use crate::scan_line::{InputInfo, Return};
+use crate::stage::packed;
 
 /// Points in cells of a grid; rows from north to south, columns from west to east.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
