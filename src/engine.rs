@@ -21,6 +21,7 @@ mod inputs;
 mod link;
 mod meter;
 mod progress;
+mod stage_summary;
 mod summary;
 mod totals;
 mod trace;
@@ -31,9 +32,8 @@ pub use failure::{Cancel, Cause, RunError};
 pub use inputs::Input;
 pub(crate) use inputs::expand;
 pub use progress::{Progress, ProgressMode};
-pub use summary::{
-    InputSummary, ItemCounts, Percentiles, RunSummary, StageKeys, StageSummary, TrajectorySummary,
-};
+pub use stage_summary::{ItemCounts, Percentiles, StageSummary};
+pub use summary::{InputSummary, RunSummary, StageKeys, TrajectorySummary};
 
 /// Folders, resources and observers of a run.
 #[derive(Clone, Debug)]
