@@ -22,7 +22,7 @@ mod view;
 mod zones;
 
 pub use gallery::{ShownKind, ShownReturn, ShownShot};
-pub use histogram::Histogram;
+pub use histogram::QuantityHistogram;
 pub use lines::LineGroups;
 pub use map::{MapLine, MapPicture};
 pub use picture::Picture;
@@ -38,7 +38,7 @@ use map::Grid;
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct Overview {
     /// Histograms of the quantities of returns; quantities without known values are omitted.
-    pub histograms: Vec<Histogram>,
+    pub histograms: Vec<QuantityHistogram>,
     /// Waveforms, returns and points along the flight.
     pub lines: LineGroups,
     /// Map of the points, if there are any.
