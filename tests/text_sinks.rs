@@ -303,7 +303,7 @@ fn statistics_need_a_name_for_each_input() {
     }
     let several = "[job]\nstat_log = 'out/stat.log'\n[[stage]]\ntype = 'read_las'\npath = '*.las'\n";
     let errors = Job::parse("job.toml", several, &[]).unwrap_err().to_string();
-    let expected = "error: `stat_log`: every input of this job would write the same file, \"out/stat.log\"\n --> job.toml\n = \
+    let expected = "error: `stat_log`: every input of this job would write the same file, \"out/stat.log\"\n--> job.toml\n = \
                     help: write `*` in place of the stem of the input, such as \"out/*_stat.log\"\n";
     assert_eq!(errors, expected);
 }
