@@ -20,7 +20,7 @@ pub(crate) mod svg;
 mod tables;
 
 pub use overview::{
-    Histogram, LineGroups, MapAxes, MapLine, MapPicture, Overview, Overviews, Picture, ShownKind,
+    LineGroups, MapAxes, MapLine, MapPicture, Overview, Overviews, Picture, QuantityHistogram, ShownKind,
     ShownReturn, ShownShot, ZoneCloud, ZoneClouds, ZoneShare, Zones,
 };
 pub use stat_log::{geometry_words, sensor_model_words, stat_log};
