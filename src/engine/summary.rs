@@ -103,7 +103,7 @@ pub struct InputSummary {
     pub outputs: Vec<PathBuf>,
 }
 
-/// Percentiles of a trajectory.
+/// Summary of a trajectory.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct TrajectorySummary {
     /// Path of the file.

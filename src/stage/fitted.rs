@@ -45,8 +45,8 @@ pub struct FittedSamples {
     pub used: Vec<bool>,
     /// Background, mean over the sample phases, DN.
     pub background_dn: f64,
-    /// Pulses above the background, sorted by position, [`CURVE_POINTS_PER_SAMPLE`] points per sample from the
-    /// first.
+    /// Pulses above the background, sorted by position, [`CURVE_POINTS_PER_SAMPLE`] points per
+    /// sample from the first.
     #[serde(serialize_with = "packed::lists::serialize", deserialize_with = "packed::lists::deserialize")]
     #[schemars(with = "Vec<String>")]
     pub pulses_dn: Vec<Vec<f64>>,
