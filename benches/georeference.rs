@@ -12,9 +12,9 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use made::{Flight, fly, georeference, return_of, site, source};
-use wavex::georef::pose_source::Posed;
 use wavex::scan_line::{Blocks, Content, Return, ScanLine};
 use wavex::stage::{Context, RunContext, Source};
+use wavex::stages::pose_source::Posed;
 
 const GOAL_PER_S: f64 = 2e6;
 const RUNS: usize = 9;

@@ -163,7 +163,9 @@ impl InputSummary {
             sensor_model: totals.model.as_deref().cloned(),
             trajectory: site.geometry.trajectory().map(TrajectorySummary::from),
             // An error here would already have ended the run.
-            coordinates: site.geometry.target().ok().flatten().map(|target| target.name().to_owned()),
+            coordinates: input
+                .and_then(|input| site.geometry.target(input).ok().flatten())
+                .map(|target| target.name().to_owned()),
             stages,
             outputs,
         }

@@ -21,7 +21,9 @@ impl Totals {
         for (name, count) in batch.stats.counts() {
             *self.counts.entry(name).or_default() += count;
         }
-        self.input.get_or_insert_with(|| Arc::clone(&batch.input));
+        if self.input.as_ref().is_none_or(|input| input.first_shot.is_none()) {
+            self.input = Some(Arc::clone(&batch.input));
+        }
         if self.model.is_none() {
             self.model.clone_from(&batch.model);
         }

@@ -134,7 +134,7 @@ fn extraction(text: &mut Text, input: &InputSummary) {
     }
 }
 
-/// The stage with a section of its own.
+/// The stage with a separate section.
 const GEOREFERENCE: &str = "georeference";
 
 /// Calibration results of each receiver, by name.

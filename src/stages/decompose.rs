@@ -5,10 +5,10 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::keys::InvalidKey;
 use crate::scan_line::{Blocks, Content, Kind, LineStats, Returns, ScanLine};
 use crate::stage::{
-    Config, Context, DecomposedLine, FittedShot, InvalidKey, Map, MapConfig, Result, RunContext, StageError,
-    StageSpec,
+    Config, Context, DecomposedLine, FittedShot, Map, MapConfig, Result, RunContext, StageError, StageSpec,
 };
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::lockstep::SimdLevel;

@@ -4,8 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{FULL_SCALE_DN, INTERVAL_NS};
+use crate::keys::InvalidKey;
 use crate::scan_line::MAX_SHOTS_PER_LINE;
-use crate::stage::{Config, InvalidKey};
+use crate::stage::Config;
 use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year};
 use wavex_simulation::detector::Detector;
 use wavex_simulation::platform::{Motion, Platform};
@@ -400,7 +401,7 @@ impl Simulate {
             }
             Landscape::Country => {
                 let lowest = self.relief_m + stands.max(self.wire_height_m + 4.0) + 30.0;
-                let flight = "must lie between 30 m above hills and all that stands on them, and 10000";
+                let flight = "must lie between 30 m above all terrain and objects, and 10000";
                 unless(within(self.flying_height_m, lowest, 10_000.0), "flying_height_m", flight)?;
             }
         }

@@ -93,14 +93,14 @@ impl TrajectoryFiles {
             for (time_s, pose) in trajectory.poses() {
                 write(&mut file, &sbet_record(trajectory.start_time_s + time_s, &pose).encode())?;
             }
-            cx.keep(file.finish()?);
+            cx.publish(file.finish()?);
         }
         if let Some(mut file) = pof {
             write(&mut file, &trajectory.pof_header().encode())?;
             for (time_s, pose) in trajectory.poses() {
                 write(&mut file, &trajectory.pof_record(time_s, &pose).encode())?;
             }
-            cx.keep(file.finish()?);
+            cx.publish(file.finish()?);
         }
         Ok(())
     }

@@ -486,6 +486,7 @@ fn input(config: &Simulate) -> InputInfo {
         coordinate_grid: None,
         emission_reference: EmissionReference::OutgoingPulse,
         origin_is_sensor: true,
+        first_shot: None,
         amplitude_low: table(Sensitivity::Sensitive),
         amplitude_high: config.high_power.then(|| table(Sensitivity::Coarse)).flatten(),
         range_low: None,

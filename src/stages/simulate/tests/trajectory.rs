@@ -121,7 +121,7 @@ fn a_trajectory_begins_before_the_flight_and_ends_after_it() {
     }
 }
 
-/// Without a trajectory the same scene stands in the map: level ground is level there.
+/// Without a trajectory the same scene is in map coordinates: level ground is level there.
 #[test]
 fn without_a_trajectory_beams_stand_in_the_map() {
     let config = Simulate { heading_deg: 90.0, roll_deg: 3.0, lever_arm_m: [1.0, 2.0, 3.0], ..bare() };
