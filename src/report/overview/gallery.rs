@@ -225,7 +225,9 @@ mod tests {
 
     fn gallery(lines: &[u32]) -> Gallery {
         let mut gallery = Gallery::default();
-        lines.iter().for_each(|line| drop(add(&mut gallery, *line)));
+        for line in lines {
+            add(&mut gallery, *line);
+        }
         gallery
     }
 
