@@ -11,7 +11,7 @@ use super::transform::Installation;
 use super::{Error, Result};
 use crate::scan_line::{Frame, InputInfo};
 use wavex_geodesy::frames::Vector;
-use wavex_geodesy::time_axis::{Alignment, Clock, Times};
+use wavex_geodesy::time_axis::{Alignment, Clock, TimeSpan};
 use wavex_geodesy::trajectory::{Pose, Poses, Trajectory};
 
 /// Georeferencing context of a run.
@@ -153,7 +153,7 @@ impl Geometry {
                 "use a recording with GPS times, or remove `trajectory` from `[job.geometry]`",
             ));
         };
-        let recording = Times { clock, first_s, last_s: first_s };
+        let recording = TimeSpan { clock, first_s, last_s: first_s };
         Ok(Some(Alignment::between(recording, track.times)?))
     }
 

@@ -8,7 +8,7 @@ use super::output_crs::CrsRequest;
 use wavex_formats::trajectory::{self, Angles, Options, Records, Unproject};
 use wavex_geodesy::crs::CrsError;
 use wavex_geodesy::ellipsoid::Geodetic;
-use wavex_geodesy::time_axis::{Clock, Times};
+use wavex_geodesy::time_axis::{Clock, TimeSpan};
 use wavex_geodesy::trajectory::{Gap, Trajectory};
 
 /// A trajectory and its files.
@@ -18,7 +18,7 @@ pub(super) struct Track {
     accuracy: Option<PathBuf>,
     pub(super) trajectory: Trajectory,
     /// Time span.
-    pub(super) times: Times,
+    pub(super) times: TimeSpan,
     pub(super) knows_accuracy: bool,
     /// Notes for the user.
     pub(super) notes: Vec<String>,

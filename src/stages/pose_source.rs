@@ -7,7 +7,7 @@ use crate::georef::transform::{scan_angle_deg, to_earth};
 use crate::georef::{self, Geometry};
 use crate::scan_line::{Content, Emission, FirstShot, Frame, InputInfo, ScanLine};
 use crate::stage::{Context, Item, Result, Source, StageError};
-use wavex_geodesy::time_axis::{Alignment, Clock, Misaligned, Times, Unwrap};
+use wavex_geodesy::time_axis::{Alignment, Clock, Misaligned, TimeSpan, Unwrap};
 use wavex_geodesy::trajectory::Pose;
 use wavex_geodesy::vertical::down_at;
 
@@ -263,7 +263,7 @@ impl Coverage {
         if let (Some([first_s, last_s]), Some(Alignment { recording, trajectory, .. })) =
             (self.missing_s, alignment)
         {
-            let (n, missing) = (self.missing, Times { first_s, last_s, ..*recording });
+            let (n, missing) = (self.missing, TimeSpan { first_s, last_s, ..*recording });
             cx.warn(format!(
                 "{n} shots are rejected, because the trajectory has no pose for them: they last from {missing}, the \
                  trajectory from {trajectory}"
@@ -278,7 +278,7 @@ fn no_overlap(alignment: Option<&Alignment>, [first_s, last_s]: [f64; 2]) -> Sta
     let Some(Alignment { recording, trajectory, .. }) = alignment else {
         return StageError::failed("there is no trajectory", "set `trajectory` in `[job.geometry]`");
     };
-    let (recording, trajectory) = (Times { first_s, last_s, ..*recording }, *trajectory);
+    let (recording, trajectory) = (TimeSpan { first_s, last_s, ..*recording }, *trajectory);
     georef::Error::from(Misaligned::NoOverlap { recording, trajectory }).into()
 }
 

@@ -10,8 +10,8 @@ use crate::stage::Config;
 use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year};
 use wavex_simulation::detector::Detector;
 use wavex_simulation::platform::{Motion, Platform};
-use wavex_simulation::pulse::Shape;
-use wavex_simulation::receiver::{HighPower, Settings};
+use wavex_simulation::pulse::PulseShape;
+use wavex_simulation::receiver::{HighPower, ReceiverSettings};
 use wavex_simulation::scanner::{GPS_WEEK, Mirror, START_S, Scanner};
 use wavex_simulation::scene::{CountrySettings, Scene};
 use wavex_simulation::world::World;
@@ -530,12 +530,14 @@ impl Simulate {
         }
     }
 
-    pub(super) fn receiver(&self) -> Settings {
+    pub(super) fn receiver(&self) -> ReceiverSettings {
         let (response, reference) = match self.response {
-            Response::Gaussian => (Shape::gaussian(GAUSSIAN_FWHM_NS), Shape::gaussian(GAUSSIAN_FWHM_NS)),
-            Response::Riegl => (Shape::riegl(), Shape::riegl_reference()),
+            Response::Gaussian => {
+                (PulseShape::gaussian(GAUSSIAN_FWHM_NS), PulseShape::gaussian(GAUSSIAN_FWHM_NS))
+            }
+            Response::Riegl => (PulseShape::riegl(), PulseShape::riegl_reference()),
         };
-        Settings {
+        ReceiverSettings {
             interval_ns: INTERVAL_NS,
             full_scale_dn: FULL_SCALE_DN,
             background_dn: self.background_dn,
