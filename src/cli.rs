@@ -27,7 +27,6 @@ mod report;
 mod run;
 mod scan;
 mod stages;
-mod svg;
 mod terminal;
 mod trajectory;
 mod usage;

@@ -1,4 +1,4 @@
-//! Runs a job: one thread per stage (several per map), bounded channels, and a report.
+//! Runs a job: one thread per stage (several per map), bounded channels, and a summary.
 //!
 //! Only this module uses threads and channels. It guarantees:
 //! * An `End` message ends a stream. A disconnected channel means that the run has failed; the
@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use crate::georef::Loader;
 use crate::job::Job;
-use crate::stage::{Context, OutputLock, Plan, RunContext, StageError};
+use crate::stage::{Context, OutputLock, Plan, RunContext, RunObserver, StageError};
 use wavex_signal::lockstep;
 
 mod chain;
@@ -21,8 +21,9 @@ mod inputs;
 mod link;
 mod meter;
 mod progress;
-mod report;
-mod stat_log;
+mod stage_summary;
+mod summary;
+mod totals;
 mod trace;
 mod worker;
 
@@ -31,8 +32,8 @@ pub use failure::{Cancel, Cause, RunError};
 pub use inputs::Input;
 pub(crate) use inputs::expand;
 pub use progress::{Progress, ProgressMode};
-pub use report::{InputReport, ItemCounts, RunReport, StageReport, Summary, Totals, TrajectoryReport};
-pub use stat_log::{geometry_words, sensor_model_words, stat_log};
+pub use stage_summary::{ItemCounts, Percentiles, StageSummary};
+pub use summary::{InputSummary, RunSummary, StageKeys, TrajectorySummary};
 
 /// Folders, resources and observers of a run.
 #[derive(Clone, Debug)]
@@ -53,8 +54,8 @@ pub struct Options {
     pub cancel: Cancel,
     /// Progress display.
     pub progress: ProgressMode,
-    /// Whether to collect the data of the report page for each input.
-    pub overview: bool,
+    /// Observer of the lines, such as that of the report page.
+    pub observer: Option<Arc<dyn RunObserver>>,
 }
 
 impl Options {
@@ -69,7 +70,7 @@ impl Options {
             profile: false,
             cancel: Cancel::default(),
             progress: ProgressMode::Hidden,
-            overview: !job.settings.report_page.is_empty(),
+            observer: None,
         }
     }
 
@@ -103,20 +104,20 @@ pub fn inputs(job: &Job, input_dir: &Path) -> Result<Vec<Input>, RunError> {
 pub struct FailedRun {
     /// The first true cause, with its stage and input.
     pub error: RunError,
-    /// Report of the inputs finished before the failure; their outputs remain.
-    pub report: RunReport,
+    /// Results of the inputs finished before the failure; their outputs remain.
+    pub summary: RunSummary,
     /// The input that failed.
     ///
     /// All inputs if the run failed before the first one.
-    pub unfinished: Vec<InputReport>,
+    pub unfinished: Vec<InputSummary>,
 }
 
-/// Runs the chain once per input and reports the results.
+/// Runs the chain once per input and returns the results.
 ///
 /// # Errors
 /// The first cause, with its stage and input. Outputs of earlier inputs remain; no file of the
 /// failed input remains.
-pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
+pub fn run(job: &Job, options: &Options) -> Result<RunSummary, RunError> {
     run_or_report(job, options).map_err(|failed| failed.error)
 }
 
@@ -124,24 +125,24 @@ pub fn run(job: &Job, options: &Options) -> Result<RunReport, RunError> {
 ///
 /// # Errors
 /// As [`run`], with the work done before the failure.
-pub fn run_or_report(job: &Job, options: &Options) -> Result<RunReport, Box<FailedRun>> {
+pub fn run_or_report(job: &Job, options: &Options) -> Result<RunSummary, Box<FailedRun>> {
     failure::catch_panic_messages();
     let started = Instant::now();
-    let mut report = RunReport::new(job, options);
+    let mut summary = RunSummary::new(job, options);
     let mut unfinished = Vec::new();
-    let done = run_inputs(job, options, &mut report, &mut unfinished);
-    report.wall_s = started.elapsed().as_secs_f64();
+    let done = run_inputs(job, options, &mut summary, &mut unfinished);
+    summary.wall_s = started.elapsed().as_secs_f64();
     match done {
-        Ok(()) => Ok(report),
-        Err(error) => Err(Box::new(FailedRun { error, report, unfinished })),
+        Ok(()) => Ok(summary),
+        Err(error) => Err(Box::new(FailedRun { error, summary, unfinished })),
     }
 }
 
 fn run_inputs(
     job: &Job,
     options: &Options,
-    report: &mut RunReport,
-    unfinished: &mut Vec<InputReport>,
+    summary: &mut RunSummary,
+    unfinished: &mut Vec<InputSummary>,
 ) -> Result<(), RunError> {
     let started = Instant::now();
     let site = |input: inputs::Input| RunContext {
@@ -165,17 +166,17 @@ fn run_inputs(
     let (mut geometry, _lock) = match begin() {
         Ok(begun) => begun,
         Err(error) => {
-            unfinished.extend(sites.iter().map(|site| InputReport::not_begun(site, started)));
+            unfinished.extend(sites.iter().map(|site| InputSummary::not_begun(site, started)));
             return Err(error);
         }
     };
     let mut progress = Progress::new(options.progress, sites.len());
-    let cx = Context::default();
+    let cx = Context::of_run(options.observer.clone());
     for mut site in sites {
         match geometry.load(&site.stem) {
             Ok(its_geometry) => site.geometry = Arc::new(its_geometry),
             Err(error) => {
-                unfinished.push(InputReport::not_begun(&site, started));
+                unfinished.push(InputSummary::not_begun(&site, started));
                 return Err(RunError {
                     stage: None,
                     input: Some(site.input),
@@ -184,7 +185,7 @@ fn run_inputs(
             }
         }
         match chain::run(job, &Arc::new(site), options, &mut progress, &cx) {
-            Ok(result) => report.add(result),
+            Ok(result) => summary.add(result),
             Err((error, result)) => {
                 unfinished.push(*result);
                 return Err(error);
@@ -197,6 +198,6 @@ fn run_inputs(
 /// Writes the trace of a profiled run in Trace Event Format (JSON).
 ///
 /// Perfetto and chrome://tracing open it.
-pub fn write_trace(report: &RunReport, out: &mut dyn std::io::Write) -> std::io::Result<()> {
-    trace::write(report, out)
+pub fn write_trace(run: &RunSummary, out: &mut dyn std::io::Write) -> std::io::Result<()> {
+    trace::write(run, out)
 }

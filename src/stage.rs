@@ -7,14 +7,19 @@ use crate::georef;
 use crate::scan_line::ScanLine;
 
 mod context;
+mod fitted;
 mod lookahead;
+mod observer;
 mod output_file;
 mod output_lock;
+pub(crate) mod packed;
 mod site;
 mod spec;
 
 pub use context::{Context, Counters, Distribution, Item};
+pub use fitted::{CURVE_POINTS_PER_SAMPLE, FittedBlock, FittedPeak, FittedSamples, FittedShot};
 pub use lookahead::Survey;
+pub use observer::{DecomposedLine, FitShot, RunObserver};
 pub(crate) use output_file::partial_path;
 pub use output_file::{FinishedFile, OutputFile, remove_unfinished_files};
 pub use output_lock::{OutputLock, Outputs, release_all};

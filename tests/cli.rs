@@ -153,7 +153,7 @@ fn a_wrong_job_is_refused_in_plain_text() {
     fs::write(&job, "[job]\nmemory_mb = 8\n").unwrap();
     let job = job.to_str().unwrap();
     let expected = format!(
-        "error: the job has no stage\n --> {job}\n = help: `wavex init` writes a starter job; `wavex stages` lists the stages\n\n\
+        "error: the job has no stage\n--> {job}\n = help: `wavex init` writes a starter job; `wavex stages` lists the stages\n\n\
          error: `memory_mb` must be at least 64 and at most 1000000000, got 8\n \
          --> {job}:2:13\n  |\n2 | memory_mb = 8\n  |             ^\n"
     );

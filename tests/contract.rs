@@ -11,7 +11,7 @@ use common::{into, stage};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use wavex::engine::{self, InputReport};
+use wavex::engine::{self, InputSummary};
 use wavex::job::{Job, JobStage};
 use wavex::keys::{Key, choices};
 use wavex::registry::{self, STAGES};
@@ -197,7 +197,7 @@ fn chain_to(spec: &'static StageSpec, only_empty: bool) -> Job {
     Job { stages, ..Job::default() }
 }
 
-fn run(job: &Job, folder: &Path) -> InputReport {
+fn run(job: &Job, folder: &Path) -> InputSummary {
     engine::run(job, &into(job, folder)).unwrap().inputs.remove(0)
 }
 

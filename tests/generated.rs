@@ -9,9 +9,9 @@ use std::path::Path;
 
 use schemars::generate::SchemaSettings;
 use wavex::archive::Archive;
-use wavex::engine::RunReport;
 use wavex::job::{Job, JobSettings, example_job, job_schema, manual};
 use wavex::registry::{STAGES, find};
+use wavex::report::RunReport;
 use wavex::scan_line::flags::NAMES;
 use wavex::stages::write_lstat;
 use wavex_signal::sensor_model::SensorModel;

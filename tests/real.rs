@@ -112,7 +112,7 @@ fn single_returns_agree_with_riegl_in_time_amplitude_and_width() {
 }
 
 /// The job with the stage `correct` and these keys.
-fn corrected(data: &Path, keys: &str) -> (Comparison, engine::InputReport) {
+fn corrected(data: &Path, keys: &str) -> (Comparison, engine::InputSummary) {
     let job = Path::new(env!("CARGO_MANIFEST_DIR")).join("jobs/q680i_pulsewaves.toml");
     let stage = format!("[[stage]]\ntype = \"correct\"\n{keys}\n[[stage]]\ntype = \"georeference\"");
     let text = std::fs::read_to_string(job).unwrap();

@@ -24,7 +24,7 @@ type = 'georeference'
 
 /// Runs a job of simulator, points, and these stages.
 #[track_caller]
-fn run(folder: &Path, stages: &str) -> engine::RunReport {
+fn run(folder: &Path, stages: &str) -> engine::RunSummary {
     let job = Job::parse("job.toml", &format!("{TO_POINTS}{stages}"), &[]).unwrap_or_else(|e| panic!("{e}"));
     engine::run(&job, &engine::Options::of_job(&job, folder, folder)).unwrap_or_else(|e| panic!("{e}"))
 }
@@ -249,7 +249,7 @@ fn the_statistics_in_words_have_every_part() {
     let folder = tempfile::tempdir().unwrap();
     let report = run(folder.path(), "[[stage]]\ntype = 'write_lstat'\n");
     let input = &report.inputs[0];
-    let text = engine::stat_log(&report, input, &["out/report.json".into()], None);
+    let text = wavex::report::stat_log(&report, input, &["out/report.json".into()], None);
     let titles = ["Run time", "Input", "Decoding", "Extraction", "Trajectory", "Georeferencing", "Output"];
     let place =
         |title: &&str| text.find(&format!("\n{title}\n---")).unwrap_or_else(|| panic!("{title}: {text}"));
@@ -284,7 +284,10 @@ fn what_the_geometry_says_stands_in_the_statistics() {
         ("geoid", "egm96 in geoids"),
         ("unit", "us_ft"),
     ];
-    assert_eq!(engine::geometry_words(&geometry), expected.map(|(name, words)| (name, words.to_owned())));
+    assert_eq!(
+        wavex::report::geometry_words(&geometry),
+        expected.map(|(name, words)| (name, words.to_owned()))
+    );
 }
 
 #[test]
@@ -300,7 +303,7 @@ fn statistics_need_a_name_for_each_input() {
     }
     let several = "[job]\nstat_log = 'out/stat.log'\n[[stage]]\ntype = 'read_las'\npath = '*.las'\n";
     let errors = Job::parse("job.toml", several, &[]).unwrap_err().to_string();
-    let expected = "error: `stat_log`: every input of this job would write the same file, \"out/stat.log\"\n --> job.toml\n = \
+    let expected = "error: `stat_log`: every input of this job would write the same file, \"out/stat.log\"\n--> job.toml\n = \
                     help: write `*` in place of the stem of the input, such as \"out/*_stat.log\"\n";
     assert_eq!(errors, expected);
 }

@@ -13,7 +13,7 @@ use super::resolved::Resolved;
 use super::{
     ARCHIVE, Archive, DigestedFile, FORMAT, Files, INCLUDED, JOB, LINES, LOG, MODELS, REPORT, RESOLVED, SEAL,
 };
-use crate::engine::{Options, RunReport};
+use crate::engine::{Options, RunSummary};
 use crate::job::{Include, Job, JobStage};
 use crate::stage::{ConfigError, OutputFile, Result, StageError, partial_path};
 use crate::stages::write_lstat;
@@ -131,11 +131,11 @@ impl Recorder {
         Ok(job)
     }
 
-    /// Removes the archive's own stage from a report.
-    pub fn strip(&self, report: &mut RunReport) {
-        report.stages.pop();
+    /// Removes the archive's own stage from the results of the run.
+    pub fn strip(&self, run: &mut RunSummary) {
+        run.stages.pop();
         let own = std::path::absolute(&self.gathering.0).unwrap_or_default();
-        for input in &mut report.inputs {
+        for input in &mut run.inputs {
             input.stages.pop();
             input.outputs.retain(|output| !output.starts_with(&own));
         }
@@ -143,14 +143,15 @@ impl Recorder {
 
     /// Completes the archive, gives it its name, and returns its seal.
     ///
+    /// `report` is the text of `report.json`.
     /// The seal is the BLAKE3 digest of `archive.b3`.
     ///
     /// # Errors
     /// If an input was changed during the run, or the archive cannot be written.
-    pub fn finish(mut self, report: &RunReport, log: &[u8]) -> Result<String> {
+    pub fn finish(mut self, run: &RunSummary, report: String, log: &[u8]) -> Result<String> {
         self.check_inputs()?;
-        self.archive.outputs.files = self.outputs(report)?;
-        let mut files = self.texts(report, log)?;
+        self.archive.outputs.files = self.outputs(run)?;
+        let mut files = self.texts(run, report, log)?;
         files.extend(contents::read_files(&self.gathering.0)?);
         files.insert(SEAL.to_owned(), contents::seal(&files).into_bytes());
         let seal = files.get(SEAL).map(|text| digest::of_bytes(text)).unwrap_or_default();
@@ -188,9 +189,9 @@ impl Recorder {
     }
 
     /// Digests of all files written by stages, sorted by path.
-    fn outputs(&self, report: &RunReport) -> Result<Vec<DigestedFile>> {
+    fn outputs(&self, run: &RunSummary) -> Result<Vec<DigestedFile>> {
         let mut files = Vec::new();
-        for output in report.inputs.iter().flat_map(|input| &input.outputs) {
+        for output in run.inputs.iter().flat_map(|input| &input.outputs) {
             let path = super::paths::plain(&absolute(output)?);
             let stage = self.resolved.outputs.iter().find(|(other, _)| *other == path);
             files.push(digested(&self.resolved.output_root, &path, stage.map(|(_, stage)| stage.clone()))?);
@@ -200,19 +201,19 @@ impl Recorder {
     }
 
     /// Files generated here, by path.
-    fn texts(&self, report: &RunReport, log: &[u8]) -> Result<BTreeMap<String, Vec<u8>>> {
+    fn texts(&self, run: &RunSummary, report: String, log: &[u8]) -> Result<BTreeMap<String, Vec<u8>>> {
         let mut files = BTreeMap::from([
             (ARCHIVE.to_owned(), json(&self.archive)?),
             (JOB.to_owned(), self.job.clone().into_bytes()),
             (RESOLVED.to_owned(), self.resolved.text.clone().into_bytes()),
-            (REPORT.to_owned(), json(report)?),
+            (REPORT.to_owned(), report.into_bytes()),
             (LOG.to_owned(), log.to_vec()),
         ]);
         for (number, include) in (1..).zip(&self.includes) {
             let name = Path::new(&include.name).file_name().unwrap_or_default().to_string_lossy();
             files.insert(format!("{INCLUDED}/{number}_{name}"), include.text.clone().into_bytes());
         }
-        for input in &report.inputs {
+        for input in &run.inputs {
             if let Some(model) = &input.sensor_model {
                 files.insert(format!("{MODELS}/{}.json", input.stem), json(model)?);
             }

@@ -11,7 +11,7 @@ use super::origin::Program;
 use super::paths::relative;
 use super::verify::{self, Folders};
 use super::{Archive, DigestedFile, RESOLVED, digest};
-use crate::engine::{self, Cancel, Options, ProgressMode, RunReport};
+use crate::engine::{self, Cancel, Options, ProgressMode, RunSummary};
 use crate::job::{Job, Override, Simd};
 use crate::stage::{Result, StageError};
 use wavex_formats::Error;
@@ -67,7 +67,6 @@ pub fn replay(path: &Path, replay: &Replay) -> Result<Replayed> {
     let input_dir = verify::place(&archive.inputs, &contents, replay.folders.inputs.as_deref());
     let mut options = Options::of_job(&job, input_dir, &folder.0);
     options.progress = replay.progress;
-    options.overview = false;
     options.cancel = replay.cancel.clone();
     let report = engine::run(&job, &options).map_err(|error| error.into_stage_error())?;
     let then = verify::place(&archive.outputs, &contents, replay.folders.outputs.as_deref());
@@ -115,7 +114,7 @@ fn other_program(archive: &Archive) -> Option<String> {
 }
 
 /// Compares new outputs in `now` with the archived ones, which may still exist in `then`.
-fn compare(archive: &Archive, report: &RunReport, now: &Path, then: &Path) -> Result<Vec<String>> {
+fn compare(archive: &Archive, report: &RunSummary, now: &Path, then: &Path) -> Result<Vec<String>> {
     let outputs = report.inputs.iter().flat_map(|input| &input.outputs);
     let mut made: BTreeMap<String, &PathBuf> =
         outputs.filter_map(|path| Some((relative(now, path)?, path))).collect();

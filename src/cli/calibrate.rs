@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::{CalibrateArgs, Failure, run, terminal};
-use crate::engine::sensor_model_words;
 use crate::job::{Job, Override};
 use crate::registry::reader_of;
+use crate::report::sensor_model_words;
 
 /// Calibrates from a recording, saves the model if requested, prints it.
 pub(super) fn calibrate(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure> {

@@ -21,7 +21,6 @@ use upstream::{Step, Upstream};
 use wavex_formats::Error;
 use wavex_signal::sensor_model::SensorModel;
 
-pub(super) mod panel;
 mod picture;
 mod table;
 mod upstream;

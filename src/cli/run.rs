@@ -1,19 +1,21 @@
 //! `wavex run`: reads and runs a job.
 
 use std::fmt::Write as _;
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use super::report::write_page;
 use super::{Failure, JobArgs, Machine, When, log, terminal};
 use crate::archive::{Recorder, check_destination};
 use crate::engine::{
-    self, Cancel, Cause, FailedRun, InputReport, Options, ProgressMode, RunError, RunReport,
+    self, Cancel, Cause, FailedRun, InputSummary, Options, ProgressMode, RunError, RunSummary,
 };
 use crate::georef::check_crs;
 use crate::job::{Job, Override};
+use crate::report::{self, Overviews, RunReport};
 use crate::stage::{
-    OutputFile, OutputLock, Outputs, StageError, fixed_folder, release_all, remove_unfinished_files,
+    OutputFile, OutputLock, Outputs, RunObserver, StageError, fixed_folder, release_all,
+    remove_unfinished_files,
 };
 use wavex_formats::Error;
 
@@ -35,7 +37,12 @@ pub(super) fn run(
 }
 
 /// Runs a job whose relative paths start at `folder`.
-pub(super) fn run_job(job: &Job, folder: &Path, machine: Machine, quiet: bool) -> Result<RunReport, Failure> {
+pub(super) fn run_job(
+    job: &Job,
+    folder: &Path,
+    machine: Machine,
+    quiet: bool,
+) -> Result<RunSummary, Failure> {
     run_archived(job, folder, machine, None, quiet)
 }
 
@@ -45,7 +52,7 @@ fn run_archived(
     machine: Machine,
     archive: Option<&Path>,
     quiet: bool,
-) -> Result<RunReport, Failure> {
+) -> Result<RunSummary, Failure> {
     for note in &job.notes {
         tracing::warn!("{note}");
     }
@@ -62,10 +69,13 @@ fn run_archived(
         log::to_file(&output_dir.join(&job.settings.log)).map_err(|error| failed(&error))?;
     }
     tracing::info!("wavex {}: {} ({})", env!("CARGO_PKG_VERSION"), job.name, job.chain());
-    for (name, words) in engine::geometry_words(&job.settings.geometry) {
+    for (name, words) in report::geometry_words(&job.settings.geometry) {
         tracing::info!("{name}: {words}");
     }
+    let overviews = (!job.settings.report_page.is_empty()).then(|| Arc::new(Overviews::default()));
+    let observer = overviews.clone().map(|overviews| overviews as Arc<dyn RunObserver>);
     let options = Options {
+        observer,
         profile: machine.profile,
         progress: machine.progress(quiet, std::io::stderr().is_terminal()),
         ..Options::of_job(job, input_dir, &output_dir)
@@ -86,34 +96,38 @@ fn run_archived(
     let archived = recorder.as_ref().map(|recorder| recorder.job(job)).transpose();
     let archived = archived.map_err(|error| logged(&error))?;
     let run = engine::run_or_report(archived.as_ref().unwrap_or(job), &options);
-    let mut report = run.map_err(|failed| {
-        let FailedRun { error, mut report, unfinished } = *failed;
-        report.inputs.extend(unfinished);
+    let mut run = run.map_err(|failed| {
+        let FailedRun { error, mut summary, unfinished } = *failed;
+        summary.inputs.extend(unfinished);
         if let Some(recorder) = &recorder {
-            recorder.strip(&mut report);
+            recorder.strip(&mut summary);
         }
-        ended_with(&error, &report, &output_dir)
+        ended_with(&error, &summary, &output_dir)
     })?;
     if let Some(recorder) = &recorder {
-        recorder.strip(&mut report);
+        recorder.strip(&mut run);
     }
+    let overviews = overviews.map_or_else(Vec::new, |overviews| overviews.take());
+    let report = RunReport::new(&run, &overviews);
     let finish = || {
         let own = write_own(&report, report_file, page_file, machine.profile, &output_dir)?;
-        for (note, inputs) in report.repeated_notes() {
-            tracing::warn!("{inputs} of {} inputs: {note}", report.inputs.len());
+        for (note, inputs) in run.repeated_notes() {
+            tracing::warn!("{inputs} of {} inputs: {note}", run.inputs.len());
         }
-        let mut said = summary(&report, &own, machine.profile);
+        let mut said = summary(&run, &own, machine.profile);
         if let (Some(recorder), Some(archive)) = (recorder, archive) {
-            let seal = recorder.finish(&report, &log::kept())?;
+            let text = report.to_json().map_err(std::io::Error::from);
+            let text = text.map_err(Error::io(archive, "write the report"))?;
+            let seal = recorder.finish(&run, text, &log::kept())?;
             let _ = writeln!(said, "archived in {}; seal {seal}", archive.display());
         }
         Ok(said)
     };
-    let said = finish().map_err(|error: StageError| ended_with(&error, &report, &output_dir))?;
+    let said = finish().map_err(|error: StageError| ended_with(&error, &run, &output_dir))?;
     if !quiet {
         terminal::print(&said)?;
     }
-    Ok(report)
+    Ok(run)
 }
 
 /// Writes the files of the run as a whole and the statistics of each input.
@@ -126,25 +140,31 @@ fn write_own(
     profile: bool,
     output_dir: &Path,
 ) -> Result<Vec<PathBuf>, StageError> {
-    let mut own = Vec::new();
+    let (run, mut own) = (report.run, Vec::new());
     if let Some(file) = report_file {
         own.push(file.path().to_owned());
-        write_report(report, file)?;
+        report.write_json(file)?;
     }
     if let Some(file) = page_file {
         own.push(file.path().to_owned());
-        write_page(report, file)?;
+        report.write_page(file)?;
     }
     if profile {
         own.push(output_dir.join(TRACE));
-        write_trace(report, &output_dir.join(TRACE))?;
+        write_trace(run, &output_dir.join(TRACE))?;
     }
-    if !report.job.log.is_empty() {
-        own.push(output_dir.join(&report.job.log));
+    if !run.job.log.is_empty() {
+        own.push(output_dir.join(&run.job.log));
     }
     let mut stat_logs = Vec::new();
-    for input in report.inputs.iter().filter(|_| !report.job.stat_log.is_empty()) {
-        stat_logs.push(write_stat_log(report, input, output_dir, &own, None)?);
+    for input in run.inputs.iter().filter(|_| !run.job.stat_log.is_empty()) {
+        stat_logs.push(report::write_stat_log(
+            &stat_log_path(run, input, output_dir),
+            run,
+            input,
+            &own,
+            None,
+        )?);
     }
     own.extend(stat_logs);
     Ok(own)
@@ -199,54 +219,36 @@ pub(super) fn stop_on_signals(cancel: &Cancel) {
     }
 }
 
-fn write_report(report: &RunReport, mut file: OutputFile) -> Result<(), StageError> {
-    let json = serde_json::to_string_pretty(report).map_err(std::io::Error::from);
-    let written = json.and_then(|json| writeln!(file, "{json}"));
-    written.map_err(|error| Error::io(file.path(), "write the report")(error))?;
-    file.finish()?.publish()?;
-    Ok(())
-}
-
-/// Writes the statistics of an input and returns the path.
-///
-/// `own` are the other files of the run.
-fn write_stat_log(
-    report: &RunReport,
-    input: &InputReport,
-    output_dir: &Path,
-    own: &[PathBuf],
-    failure: Option<&str>,
-) -> Result<PathBuf, StageError> {
-    let mut file = OutputFile::create(&output_dir.join(report.job.stat_log.replace('*', &input.stem)))?;
-    let written = file.write_all(engine::stat_log(report, input, own, failure).as_bytes());
-    written.map_err(|error| Error::io(file.path(), "write the statistics")(error))?;
-    Ok(file.finish()?.publish()?)
+/// Path of the statistics of an input.
+fn stat_log_path(run: &RunSummary, input: &InputSummary, output_dir: &Path) -> PathBuf {
+    output_dir.join(run.job.stat_log.replace('*', &input.stem))
 }
 
 /// Logs the error of a failed run and writes the statistics of its inputs.
 ///
 /// Statistics are written if their folder exists. Errors in writing them are only logged, because
 /// the run already has an error.
-fn ended_with(error: &dyn std::fmt::Display, report: &RunReport, output_dir: &Path) -> Failure {
+fn ended_with(error: &dyn std::fmt::Display, run: &RunSummary, output_dir: &Path) -> Failure {
     let failure = error.to_string();
     tracing::debug!("{failure}");
-    let job = &report.job;
+    let job = &run.job;
     let log = Some(&job.log).filter(|log| !log.is_empty()).map(|log| output_dir.join(log));
-    for input in report.inputs.iter().filter(|_| !job.stat_log.is_empty()) {
-        let path = output_dir.join(job.stat_log.replace('*', &input.stem));
+    for input in run.inputs.iter().filter(|_| !job.stat_log.is_empty()) {
+        let path = stat_log_path(run, input, output_dir);
         if !path.parent().is_some_and(Path::is_dir) {
             continue;
         }
-        if let Err(error) = write_stat_log(report, input, output_dir, log.as_slice(), Some(&failure)) {
+        let written = report::write_stat_log(&path, run, input, log.as_slice(), Some(&failure));
+        if let Err(error) = written {
             tracing::warn!("cannot write the statistics of the failed run: {error}");
         }
     }
     Failure::Run(failure)
 }
 
-fn write_trace(report: &RunReport, path: &Path) -> Result<(), StageError> {
+fn write_trace(run: &RunSummary, path: &Path) -> Result<(), StageError> {
     let mut file = OutputFile::create(path)?;
-    engine::write_trace(report, &mut file).map_err(Error::io(path, "write the trace"))?;
+    engine::write_trace(run, &mut file).map_err(Error::io(path, "write the trace"))?;
     file.finish()?.publish()?;
     Ok(())
 }
@@ -254,16 +256,16 @@ fn write_trace(report: &RunReport, path: &Path) -> Result<(), StageError> {
 /// Summary for the user: times, rejections and outputs of each input.
 ///
 /// `own` are the files of the run as a whole.
-fn summary(report: &RunReport, own: &[PathBuf], profile: bool) -> String {
+fn summary(run: &RunSummary, own: &[PathBuf], profile: bool) -> String {
     let mut text = String::new();
-    for input in &report.inputs {
+    for input in &run.inputs {
         let totals = |name: &str| input.totals.get(name).copied().unwrap_or(0);
         let (waveforms, returns) = (totals("nw"), totals("np"));
         let _ =
             writeln!(text, "{}: {waveforms} waveforms, {returns} returns, {:.1} s", input.stem, input.wall_s);
-        text.push_str(&input.table());
+        text.push_str(&report::stage_table(input));
         if profile {
-            text.push_str(&input.latency_table());
+            text.push_str(&report::latency_table(input));
         }
         for stage in &input.stages {
             for (what, n) in &stage.rejected {

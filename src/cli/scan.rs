@@ -14,7 +14,7 @@ use wavex_formats::Error;
 
 mod figures;
 mod histograms;
-pub(in crate::cli) mod page;
+mod page;
 mod summary;
 
 /// Inspects recordings, writes the results, and prints the summaries.

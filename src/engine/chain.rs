@@ -9,11 +9,11 @@ use crossbeam_channel::RecvTimeoutError;
 use super::failure::{Failure, RunError, THREAD_PREFIX, guarded};
 use super::link::{Inlet, Outlet, link};
 use super::meter::Meter;
-use super::report::{InputReport, StageReport, Totals};
+use super::stage_summary::StageSummary;
+use super::summary::InputSummary;
 use super::worker::{Downstream, Gauge, Shared, WorkerContext, run_map, run_sink, run_source, run_transform};
 use super::{Cause, Options, Progress};
 use crate::job::{Job, JobStage};
-use crate::overview::Gallery;
 use crate::scan_line::Budget;
 use crate::stage::{Context, FinishedFile, Holds, Plan, Result, RunContext, StageError};
 use crate::stages::pose_source::Posed;
@@ -31,8 +31,11 @@ pub(super) fn run(
     options: &Options,
     progress: &mut Progress,
     cx: &Context,
-) -> std::result::Result<InputReport, (RunError, Box<InputReport>)> {
+) -> std::result::Result<InputSummary, (RunError, Box<InputSummary>)> {
     let started = Instant::now();
+    if let Some(observer) = cx.observer() {
+        observer.begin_input();
+    }
     let shared = shared(job, options, cx);
     let leavings: Vec<WorkerResult> = job.stages.iter().map(|_| WorkerResult::default()).collect();
     progress.begin(&site.stem);
@@ -64,7 +67,7 @@ pub(super) fn run(
     progress.end(&shared.gauge);
     let budget_peak = shared.budget.peak();
     let totals = shared.totals.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
-    let (stages, whole, gallery) = collect(job, leavings);
+    let (stages, whole) = collect(job, leavings);
     let published = match shared.failure.into_error(&site.input) {
         Some(error) => Err(error),
         None => publish(whole).map_err(|(stage, error)| RunError {
@@ -73,11 +76,10 @@ pub(super) fn run(
             cause: Cause::Stage(error),
         }),
     };
-    let totals = totals.with_gallery(gallery);
-    let report = |outputs| InputReport::new(site, started, totals, stages, outputs, budget_peak);
+    let summary = |outputs| InputSummary::new(site, started, totals, stages, outputs, budget_peak);
     match published {
-        Ok(outputs) => Ok(report(outputs)),
-        Err(error) => Err((error, Box::new(report(Vec::new())))),
+        Ok(outputs) => Ok(summary(outputs)),
+        Err(error) => Err((error, Box::new(summary(Vec::new())))),
     }
 }
 
@@ -136,9 +138,8 @@ fn shared(job: &Job, options: &Options, cx: &Context) -> Shared {
         foreseen: Mutex::default(),
         keeps_waveforms: job.stages.iter().any(|stage| stage.planned.plan.needs_waveforms()),
         gauge: Gauge::default(),
-        overview: options.overview,
-        totals: Mutex::new(Totals::new(options.overview)),
-        cx: cx.of_input(options.overview),
+        totals: Mutex::default(),
+        cx: cx.another(),
     }
 }
 
@@ -178,14 +179,10 @@ fn work(stage: &JobStage, site: &RunContext, inlet: Option<Inlet>, desk: &mut Wo
     }
 }
 
-/// Merges the results of all workers: stage reports, finished files, shots to show.
-fn collect(
-    job: &Job,
-    leavings: Vec<WorkerResult>,
-) -> (Vec<StageReport>, Vec<(String, FinishedFile)>, Gallery) {
+/// Merges the results of all workers: stage summaries, finished files.
+fn collect(job: &Job, leavings: Vec<WorkerResult>) -> (Vec<StageSummary>, Vec<(String, FinishedFile)>) {
     let mut whole = Vec::new();
-    let mut gallery = Gallery::default();
-    let mut reports = Vec::new();
+    let mut summaries = Vec::new();
     for (stage, leavings) in job.stages.iter().zip(leavings) {
         let workers = leavings.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
         let count = workers.len();
@@ -194,12 +191,11 @@ fn collect(
         for (worker, (its_meter, its_cx)) in workers.into_iter().enumerate() {
             meter.merge(its_meter, worker);
             cx.counters.merge(its_cx.counters);
-            gallery.merge(its_cx.gallery.unwrap_or_default());
             whole.extend(its_cx.whole.into_iter().map(|file| (stage.id.clone(), file)));
         }
-        reports.push(StageReport::new(stage, count, meter, cx.counters));
+        summaries.push(StageSummary::new(stage, count, meter, cx.counters));
     }
-    (reports, whole, gallery)
+    (summaries, whole)
 }
 
 /// Gives every finished file its final name, in the order in which stages finished them.

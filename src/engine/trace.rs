@@ -4,17 +4,17 @@ use std::io::{self, Write};
 
 use serde_json::json;
 
-use super::report::RunReport;
+use super::summary::RunSummary;
 
 /// Writes one track per worker and one slice per work interval.
 ///
 /// Times are in microseconds from the first slice.
-pub(super) fn write(report: &RunReport, out: &mut dyn Write) -> io::Result<()> {
-    let spans = || report.inputs.iter().flat_map(|input| &input.stages).flat_map(|stage| &stage.spans);
+pub(super) fn write(run: &RunSummary, out: &mut dyn Write) -> io::Result<()> {
+    let spans = || run.inputs.iter().flat_map(|input| &input.stages).flat_map(|stage| &stage.spans);
     let origin = spans().map(|span| span.start).min();
     let mut events = Vec::new();
     let mut track = 0;
-    for input in &report.inputs {
+    for input in &run.inputs {
         for stage in &input.stages {
             for worker in 0..stage.workers {
                 track += 1;

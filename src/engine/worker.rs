@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use super::failure::Failure;
 use super::link::{Inlet, Outlet};
 use super::meter::Meter;
-use super::report::Totals;
+use super::totals::Totals;
 use crate::scan_line::{Blocks, Budget, NoRoom, ScanLine};
 use crate::stage::{Context, Map, Output, Result, Sink, Source, StageError, Transform};
 
@@ -24,8 +24,6 @@ pub(super) struct Shared {
     /// Whether lines keep their sample blocks after `decompose`.
     pub(super) keeps_waveforms: bool,
     pub(super) gauge: Gauge,
-    /// Whether to collect data for the report page.
-    pub(super) overview: bool,
     pub(super) totals: Mutex<Totals>,
     /// Parent of all workers' contexts.
     pub(super) cx: Context,
@@ -65,19 +63,22 @@ impl WorkerContext<'_> {
             Downstream::To(outlet) => outlet.send(place, batch)?,
             Downstream::Out => self.leave(&batch),
         }
-        if self.shared.overview && matches!(self.exit, Downstream::Out) {
-            // Collecting data of a line that leaves is work: no stage follows that could block.
+        if self.shared.cx.observer().is_some() && matches!(self.exit, Downstream::Out) {
+            // Observing a line that leaves is work: no stage follows that could block.
             self.meter.worked();
         }
         self.meter.was_blocked();
         Ok(())
     }
 
-    /// Adds the counters of a line that leaves the chain to the totals.
+    /// Adds the counters of a line that leaves the chain to the totals, and shows it to the observer.
     fn leave(&self, batch: &ScanLine) {
         self.shared.gauge.lines.fetch_add(1, Ordering::Relaxed);
         self.shared.gauge.shots.fetch_add(batch.emissions.len() as u64, Ordering::Relaxed);
         self.shared.totals.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).add(batch);
+        if let Some(observer) = self.shared.cx.observer() {
+            observer.line(batch);
+        }
     }
 
     /// Records the maximum memory that the stage will hold back.

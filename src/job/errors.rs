@@ -3,6 +3,8 @@
 use std::fmt;
 use std::ops::Range;
 
+use annotate_snippets::{AnnotationKind, Level, Origin, Renderer, Snippet};
+
 use super::sources::{Place, Sources, shown};
 use crate::registry::nearest_of;
 
@@ -53,6 +55,9 @@ impl JobError {
     }
 }
 
+/// Width beyond which a line of the job is cut, columns.
+const WIDEST: usize = 100_000;
+
 impl JobErrors {
     pub(super) fn new(mut errors: Vec<JobError>, sources: Sources) -> JobErrors {
         errors.sort_by_key(|error| error.span.clone().map_or((0, 0), |span| (span.start, span.end)));
@@ -68,34 +73,24 @@ impl JobErrors {
 
     /// Renders all errors, in terminal colours if requested; ends with a line feed.
     pub fn render(&self, colour: bool) -> String {
-        let paint = Paint { colour };
-        let each: Vec<String> = self.errors.iter().map(|error| self.show(error, &paint)).collect();
-        each.join("\n")
+        let renderer = if colour { Renderer::styled() } else { Renderer::plain() }.term_width(WIDEST);
+        let each = self.errors.iter().map(|error| self.show(error, &renderer) + "\n");
+        each.collect::<Vec<String>>().join("\n")
     }
 
-    fn show(&self, error: &JobError, paint: &Paint) -> String {
-        let heading = format!("{}: {}\n", paint.red("error"), paint.bold(&shown(&error.problem)));
-        let (bar, arrow) = (paint.blue("|"), paint.blue("-->"));
-        let Some(span) = &error.span else {
-            return format!("{heading} {arrow} {}\n{}", shown(self.sources.name()), help(error, "", paint));
+    fn show(&self, error: &JobError, renderer: &Renderer) -> String {
+        let title = Level::ERROR.primary_title(shown(&error.problem));
+        let group = match &error.span {
+            None => title.element(Origin::path(shown(self.sources.name()))),
+            Some(span) => {
+                let Place { name, line, text, marked } = self.sources.place(span);
+                let snippet = Snippet::source(text).line_start(line).path(shown(name));
+                title.element(snippet.annotation(AnnotationKind::Primary.span(marked)))
+            }
         };
-        let Place { name, line, column, text, before, width } = self.sources.place(span);
-        let (number, margin) = (line.to_string(), " ".repeat(line.to_string().len()));
-        let (indent, carets) = (" ".repeat(before), paint.red(&"^".repeat(width)));
-        let mut lines = format!("{heading}{margin}{arrow} {}:{line}:{column}\n{margin} {bar}\n", shown(name));
-        lines += format!("{} {bar} {text}", paint.blue(&number)).trim_end();
-        lines += &format!("\n{margin} {bar} {indent}{carets}\n");
-        if !error.help.is_empty() {
-            lines += &format!("{margin} {bar}\n{}", help(error, &margin, paint));
-        }
-        lines
+        let help = error.help.iter().map(|help| Level::HELP.message(shown(help)));
+        renderer.render(&[group.elements(help)])
     }
-}
-
-/// Formats the remedies of an error, one per line.
-fn help(error: &JobError, margin: &str, paint: &Paint) -> String {
-    let line = |help: &String| format!("{margin} {} help: {}\n", paint.blue("="), shown(help));
-    error.help.iter().map(line).collect()
 }
 
 impl fmt::Display for JobErrors {
@@ -105,26 +100,3 @@ impl fmt::Display for JobErrors {
 }
 
 impl std::error::Error for JobErrors {}
-
-/// Text styles for a terminal, or plain text.
-struct Paint {
-    colour: bool,
-}
-
-impl Paint {
-    fn red(&self, words: &str) -> String {
-        self.with("1;31", words)
-    }
-
-    fn blue(&self, words: &str) -> String {
-        self.with("1;34", words)
-    }
-
-    fn bold(&self, words: &str) -> String {
-        self.with("1", words)
-    }
-
-    fn with(&self, code: &str, words: &str) -> String {
-        if self.colour { format!("\x1b[{code}m{words}\x1b[0m") } else { words.to_owned() }
-    }
-}

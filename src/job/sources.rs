@@ -31,14 +31,10 @@ pub(super) struct Place<'s> {
     pub name: &'s str,
     /// Line number, from 1.
     pub line: usize,
-    /// Column, characters, from 1.
-    pub column: usize,
     /// The line.
     pub text: String,
-    /// Number of characters before the span.
-    pub before: usize,
-    /// Number of characters in the span, at least 1.
-    pub width: usize,
+    /// Byte range of the span in the line; empty at its end.
+    pub marked: Range<usize>,
 }
 
 impl Sources {
@@ -79,19 +75,19 @@ impl Sources {
         let end = text.floor_char_boundary(span.end.saturating_sub(source.start)).max(start);
         let line_start = text[..start].rfind('\n').map_or(0, |at| at + 1);
         let line_end = text[start..].find('\n').map_or(text.len(), |at| start + at);
-        let before = shown(&text[line_start..start]).chars().count();
+        let line = shown(text[line_start..line_end].trim_end_matches('\r'));
+        let before = shown(&text[line_start..start]).len().min(line.len());
+        let width = shown(text[start..end.min(line_end)].trim_end()).len();
         Place {
             name: &source.name,
             line: text[..start].matches('\n').count() + 1,
-            column: before + 1,
-            text: shown(text[line_start..line_end].trim_end()),
-            before,
-            width: shown(text[start..end.min(line_end)].trim_end()).chars().count().max(1),
+            marked: before..(before + width).min(line.len()),
+            text: line,
         }
     }
 }
 
-/// Makes a text safe for a terminal, one column per character.
+/// Makes a text safe for a terminal.
 ///
 /// Tabs become blanks; other control characters are replaced.
 pub(super) fn shown(text: &str) -> String {
@@ -107,37 +103,37 @@ pub(super) fn shown(text: &str) -> String {
 mod tests {
     use super::*;
 
-    fn place(text: &str, overrides: &[&str], span: Range<usize>) -> (String, usize, usize, String, usize) {
+    fn place(text: &str, overrides: &[&str], span: Range<usize>) -> (String, usize, String, Range<usize>) {
         let overrides: Vec<Override> = overrides.iter().map(|&text| Override::new(text)).collect();
         let sources = Sources::new("job.toml", text, &[], &overrides);
-        let place = sources.place(&span);
-        (place.name.to_owned(), place.line, place.column, place.text, place.width)
+        let Place { name, line, text, marked } = sources.place(&span);
+        (name.to_owned(), line, text, marked)
     }
 
     #[test]
-    fn a_span_has_a_line_and_a_column() {
+    fn a_span_has_a_line_and_a_range_in_it() {
         let at = place("a = 1\n\tbé = 22\r\nc", &[], 13..15);
-        assert_eq!(at, ("job.toml".into(), 2, 7, " bé = 22".into(), 2));
-        assert_eq!(place("a = 1\n", &[], 6..6), ("job.toml".into(), 2, 1, String::new(), 1));
-        assert_eq!(place("", &[], 0..0), ("job.toml".into(), 1, 1, String::new(), 1));
+        assert_eq!(at, ("job.toml".into(), 2, " bé = 22".into(), 7..9));
+        assert_eq!(place("a = 1\n", &[], 6..6), ("job.toml".into(), 2, String::new(), 0..0));
+        assert_eq!(place("", &[], 0..0), ("job.toml".into(), 1, String::new(), 0..0));
     }
 
     #[test]
     fn a_span_over_lines_ends_with_its_first() {
-        assert_eq!(place("a = [\n1,\n2]", &[], 4..11), ("job.toml".into(), 1, 5, "a = [".into(), 1));
+        assert_eq!(place("a = [\n1,\n2]", &[], 4..11), ("job.toml".into(), 1, "a = [".into(), 4..5));
     }
 
     #[test]
     fn spans_past_the_end_are_those_of_the_overrides() {
         let texts = ["x.y=1", "z.w=2"];
-        assert_eq!(place("ab", &texts, 3..4), ("--set".into(), 1, 1, "x.y=1".into(), 1));
+        assert_eq!(place("ab", &texts, 3..4), ("--set".into(), 1, "x.y=1".into(), 0..1));
         assert_eq!(place("ab", &texts, 2..2).0, "job.toml", "the end of the file belongs to the file");
-        assert_eq!(place("ab", &texts, 11..14), ("--set".into(), 1, 3, "z.w=2".into(), 3));
+        assert_eq!(place("ab", &texts, 11..14), ("--set".into(), 1, "z.w=2".into(), 2..5));
     }
 
     #[test]
     fn what_would_command_a_terminal_is_not_shown() {
-        assert_eq!(place("a\x1b[2Jb = 1", &[], 0..1).3, "a\u{fffd}[2Jb = 1");
-        assert_eq!(place("\u{feff}ab = 1", &[], 4..5), ("job.toml".into(), 1, 2, "ab = 1".into(), 1));
+        assert_eq!(place("a\x1b[2Jb = 1", &[], 0..1).2, "a\u{fffd}[2Jb = 1");
+        assert_eq!(place("\u{feff}ab = 1", &[], 4..5), ("job.toml".into(), 1, "ab = 1".into(), 1..2));
     }
 }

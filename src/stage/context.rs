@@ -5,8 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use hdrhistogram::Histogram;
 
-use super::FinishedFile;
-use crate::overview::Gallery;
+use super::{FinishedFile, RunObserver};
 use crate::scan_line::ScanLine;
 
 /// Items counted by stages.
@@ -52,8 +51,8 @@ pub struct Context {
     pub(crate) whole: Vec<FinishedFile>,
     /// Messages of all workers and inputs of the run, so that each is logged once.
     logged: Arc<Mutex<BTreeSet<String>>>,
-    /// Shots to show on the report page, if there is one.
-    pub(crate) gallery: Option<Gallery>,
+    /// Observer of the run, if there is one.
+    observer: Option<Arc<dyn RunObserver>>,
 }
 
 /// Counts, measurements and messages of a stage.
@@ -72,21 +71,19 @@ pub struct Counters {
 }
 
 impl Context {
+    /// Context of a run with this observer.
+    pub(crate) fn of_run(observer: Option<Arc<dyn RunObserver>>) -> Context {
+        Context { observer, ..Context::default() }
+    }
+
     /// Context of another worker of the same run.
     pub(crate) fn another(&self) -> Context {
-        let gallery = self.gallery.is_some().then(Gallery::default);
-        Context { logged: Arc::clone(&self.logged), gallery, ..Context::default() }
+        Context { logged: Arc::clone(&self.logged), observer: self.observer.clone(), ..Context::default() }
     }
 
-    /// Context of one input of the same run, with or without a gallery.
-    pub(crate) fn of_input(&self, with_gallery: bool) -> Context {
-        let gallery = with_gallery.then(Gallery::default);
-        Context { logged: Arc::clone(&self.logged), gallery, ..Context::default() }
-    }
-
-    /// Gallery of shots for the report page, if there is one.
-    pub(crate) fn gallery(&mut self) -> Option<&mut Gallery> {
-        self.gallery.as_mut()
+    /// Observer of the run, if there is one.
+    pub(crate) fn observer(&self) -> Option<&Arc<dyn RunObserver>> {
+        self.observer.as_ref()
     }
 
     /// Drops `n` items for a reason.

@@ -6,9 +6,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::keys::InvalidKey;
-use crate::overview::{Gallery, ShownReturn, ShownShot};
-use crate::scan_line::{Blocks, Content, Emission, Kind, LineStats, Return, Returns, ScanLine};
-use crate::stage::{Config, Context, Map, MapConfig, Result, RunContext, StageError, StageSpec};
+use crate::scan_line::{Blocks, Content, Kind, LineStats, Returns, ScanLine};
+use crate::stage::{
+    Config, Context, DecomposedLine, FittedShot, Map, MapConfig, Result, RunContext, StageError, StageSpec,
+};
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::lockstep::SimdLevel;
 use wavex_signal::sensor_model::SensorModel;
@@ -261,38 +262,19 @@ impl Worker {
     }
 }
 
-/// A decomposed line.
-struct Looked<'a> {
-    line: u32,
-    emissions: &'a [Emission],
-    returns: &'a [Return],
-}
-
 impl Worker {
-    /// Decomposes the shots chosen for display again, with an observer.
-    fn show(&mut self, shots: &[Shot], looked: &Looked, gallery: &mut Gallery) -> Result<()> {
-        for candidate in gallery.candidates(looked.line, looked.emissions, looked.returns) {
-            let is_it = |shot: &&Shot| shot.index == candidate.emission;
-            let Some(shot) = shots.iter().find(is_it) else { continue };
-            let mut seen = Seen::new(shot.blocks);
-            let (mut emissions, mut returns) = (looked.emissions.to_vec(), Returns::new());
-            let mut line =
-                Line { emissions: &mut emissions, returns: &mut returns, stats: &mut LineStats::default() };
-            self.shots.decompose_again(shot, &mut line, &mut Context::default(), &mut seen)?;
-            let Some(emission) = emissions.get(candidate.emission as usize) else { continue };
-            let blocks = seen.finish(emission, &returns).0;
-            let shown = ShownShot {
-                kind: candidate.kind,
-                line: looked.line,
-                shot: emission.shot,
-                gps_time_s: emission.gps_time_s.is_finite().then_some(emission.gps_time_s),
-                deviation_ratio: candidate.deviation_ratio,
-                blocks: blocks.into_iter().map(|block| block.shown).collect(),
-                returns: returns.iter().map(ShownReturn::from).collect(),
-            };
-            gallery.show(candidate.merit, shown);
-        }
-        Ok(())
+    /// Decomposes one shot of the last line again, with an observer.
+    fn fit(&mut self, shot: &Shot, line: &DecomposedLine) -> Result<Option<FittedShot>> {
+        let mut seen = Seen::new(shot.blocks);
+        let (mut emissions, mut returns) = (line.emissions.to_vec(), Returns::new());
+        let mut of_shot =
+            Line { emissions: &mut emissions, returns: &mut returns, stats: &mut LineStats::default() };
+        self.shots.decompose_again(shot, &mut of_shot, &mut Context::default(), &mut seen)?;
+        let emission = emissions.get(shot.index as usize).copied();
+        Ok(emission.map(|emission| {
+            let blocks = seen.finish(&emission, &returns).0.into_iter().map(|block| block.shown).collect();
+            FittedShot { emission, returns, blocks }
+        }))
     }
 }
 
@@ -358,9 +340,11 @@ impl DecomposeLine {
         };
         let mut line = Line { emissions: &mut batch.emissions, returns, stats: &mut batch.stats };
         worker.shots.decompose(&shots, &mut line, cx, &mut ())?;
-        if let Some(gallery) = cx.gallery() {
-            let looked = Looked { line: batch.line, emissions: &batch.emissions, returns };
-            worker.show(&shots, &looked, gallery)?;
+        if let Some(observer) = cx.observer() {
+            let line = DecomposedLine { line: batch.line, emissions: &batch.emissions, returns };
+            let of_emission = |index: u32| shots.iter().find(|shot| shot.index == index);
+            let mut fit = |index| of_emission(index).map_or(Ok(None), |shot| worker.fit(shot, &line));
+            observer.decomposed(&line, &mut fit)?;
         }
         self.worker = Some(worker);
         Ok(())

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use wavex::engine::{self, InputReport, Options};
+use wavex::engine::{self, InputSummary, Options};
 use wavex::job::{Job, Override};
 use wavex::scan_line::Channel;
 use wavex::stage::{Context, Plan, Planned, RunContext};
@@ -18,14 +18,14 @@ pub fn data() -> Option<PathBuf> {
 }
 
 /// Runs a job of the folder `jobs` on the recordings; writes to `out`.
-pub fn run_job(name: &str, data: &Path, out: &Path, set: &[&str]) -> InputReport {
+pub fn run_job(name: &str, data: &Path, out: &Path, set: &[&str]) -> InputSummary {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("jobs").join(name);
     let text = std::fs::read_to_string(&path).expect("the job exists in the repository");
     run(name, &text, data, out, set)
 }
 
 /// Runs a job on the inputs of a folder; writes to `out`.
-pub fn run(name: &str, text: &str, inputs: &Path, out: &Path, set: &[&str]) -> InputReport {
+pub fn run(name: &str, text: &str, inputs: &Path, out: &Path, set: &[&str]) -> InputSummary {
     let overrides: Vec<Override> = set.iter().map(|text| Override::new(*text)).collect();
     let job = Job::parse(name, text, &overrides).unwrap_or_else(|errors| panic!("{errors}"));
     let options = Options::of_job(&job, inputs, out);

@@ -4,7 +4,7 @@ use super::*;
 use wavex_signal::sensor_model::ChannelModel;
 
 /// Table of returns of a recording, and the report.
-fn found(keys: &str) -> (Vec<Row>, InputReport) {
+fn found(keys: &str) -> (Vec<Row>, InputSummary) {
     let folder = tempfile::tempdir().unwrap();
     // Here the emission time has no error, and neither has the clock.
     let report = run(keys, Some(""), "timing_error_ns = 0.0", folder.path());
@@ -59,7 +59,7 @@ fn a_walk_by_amplitude_bends_no_range() {
 /// Every second shot has two echoes 6 to 9 ns apart, strong enough to share one plateau in the
 /// sensitive receiver; the others have one echo with an amplitude in `heights_dn`. Returns also the
 /// counts of shots, returns and echoes.
-fn found_of_plateaus(seed: u64, heights_dn: [f64; 2]) -> (TwoReceivers, Vec<Row>, usize, InputReport) {
+fn found_of_plateaus(seed: u64, heights_dn: [f64; 2]) -> (TwoReceivers, Vec<Row>, usize, InputSummary) {
     let keys = format!("lines = 2\nseed = {seed}\nshares_plateau = true\nheights_dn = {heights_dn:?}");
     let config = TwoReceivers { lines: 2, seed, shares_plateau: true, heights_dn, ..TwoReceivers::default() };
     let (rows, report) = found(&keys);

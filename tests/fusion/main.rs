@@ -18,7 +18,7 @@ use common::{into, job};
 use nalgebra::{DMatrix, DVector, Matrix3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::engine::{self, InputReport};
+use wavex::engine::{self, InputSummary};
 use wavex::registry;
 use wavex::scan_line::{Blocks, Channel, Emission, EmissionReference, InputInfo, Kind, ScanLine};
 use wavex::stage::{Config, Context, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
@@ -275,7 +275,7 @@ fn bounds(height_dn: f64) -> [f64; 3] {
     variances.map(f64::sqrt)
 }
 
-fn run(keys: &str, fusion: Option<&str>, decompose: &str, folder: &Path) -> InputReport {
+fn run(keys: &str, fusion: Option<&str>, decompose: &str, folder: &Path) -> InputSummary {
     let of = |name| registry::find(name).unwrap();
     let mut stages = vec![(&TWO_RECEIVERS, keys)];
     stages.extend(fusion.map(|keys| (of("fuse_channels"), keys)));

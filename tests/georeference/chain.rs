@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use wavex::engine::RunReport;
+use wavex::engine::RunSummary;
 
 use super::made::{Flight, Truth, distance_m, fly, run};
 
@@ -21,7 +21,7 @@ const TO_FILES: &str = "[[stage]]\ntype = 'calibrate'\nwaveforms = 2000\nrespons
 
 /// Runs the chain over a flight, with stages between reader and `calibrate`.
 #[track_caller]
-pub fn process(flight: &Flight, threads: usize, geometry: &str, before: &str) -> RunReport {
+pub fn process(flight: &Flight, threads: usize, geometry: &str, before: &str) -> RunSummary {
     let job = format!(
         "[job]\nthreads = {threads}\n[job.geometry]\n{geometry}\n\
          [[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{before}{TO_FILES}"

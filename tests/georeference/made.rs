@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use wavex::engine::{self, Options, RunReport};
+use wavex::engine::{self, Options, RunSummary};
 use wavex::georef::{GeometryKeys, Loader};
 use wavex::job::Job;
 use wavex::registry;
@@ -48,7 +48,7 @@ pub struct Truth {
 
 /// Runs a job stored in `folder`.
 #[track_caller]
-pub fn run(folder: &Path, text: &str) -> Result<RunReport, String> {
+pub fn run(folder: &Path, text: &str) -> Result<RunSummary, String> {
     let job = Job::parse("job.toml", text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
     engine::run(&job, &Options::of_job(&job, folder, folder)).map_err(|error| error.to_string())
 }

@@ -9,7 +9,7 @@ fn an_empty_job() {
 "#,
         r#"
 error: the job has no stage
- --> job.toml
+--> job.toml
  = help: `wavex init` writes a starter job; `wavex stages` lists the stages
 "#,
     );
@@ -369,9 +369,9 @@ error: unknown stage `read_lsa`
 fn colours_change_nothing_but_the_colour() {
     let errors = parse("[[stage]]\ntype = \"read_las\"\npath = 3\n", &[]).unwrap_err();
     let coloured = errors.render(true);
-    assert!(coloured.starts_with("\x1b[1;31merror\x1b[0m: \x1b[1m`path` must be"), "{coloured:?}");
+    assert!(coloured.starts_with("\x1b[1m\x1b[91merror\x1b[0m\x1b[1m: `path` must be"), "{coloured:?}");
     let mut plain = coloured;
-    for code in ["\x1b[1;31m", "\x1b[1;34m", "\x1b[1m", "\x1b[0m"] {
+    for code in ["\x1b[1m", "\x1b[91m", "\x1b[94m", "\x1b[0m"] {
         plain = plain.replace(code, "");
     }
     assert_eq!(plain, errors.to_string());

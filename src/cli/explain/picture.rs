@@ -1,9 +1,9 @@
 //! Picture of a shot: samples with fit, residuals, and the outgoing pulse.
 
-use super::panel::{FAR_LABEL, Panels, dots};
 use super::{Explained, table};
-use crate::cli::svg::{Anchor, Scale, Svg};
-use crate::overview::{PER_SAMPLE, ShownBlock};
+use crate::report::panel::{FAR_LABEL, Panels, dots};
+use crate::report::svg::{Anchor, Scale, Svg};
+use crate::stage::{CURVE_POINTS_PER_SAMPLE, FittedBlock};
 use crate::stages::decompose::SeenPulse;
 
 /// Layout in SVG units.
@@ -22,7 +22,7 @@ const PER_NS: f64 = 12.0;
 /// Draws the picture as SVG.
 pub(super) fn draw(explained: &Explained) -> String {
     let mut svg = Svg::new();
-    let blocks: Vec<&ShownBlock> = explained.blocks.iter().map(|block| &block.shown).collect();
+    let blocks: Vec<&FittedBlock> = explained.blocks.iter().map(|block| &block.shown).collect();
     let total_ns: f64 = blocks.iter().map(|block| block.samples.span_ns()).sum();
     let gaps = GAP * blocks.len().saturating_sub(1) as f64;
     let right = LEFT + (total_ns * PER_NS).clamp(WIDTHS[0], WIDTHS[1]) + gaps;
@@ -43,7 +43,7 @@ pub(super) fn draw(explained: &Explained) -> String {
 
 fn header(svg: &mut Svg, explained: &Explained) {
     svg.text("title", [LEFT, 32.0], Anchor::Start, &table::title(explained, &name(explained)));
-    let fit = |block: &ShownBlock| {
+    let fit = |block: &FittedBlock| {
         format!(
             "{} power: chi-square {:.1} with {} degrees of freedom",
             block.channel, block.chi_square, block.degrees_of_freedom
@@ -79,7 +79,10 @@ fn outgoing(svg: &mut Svg, pulse: &SeenPulse) {
     svg.text("num", [LEFT, BOTTOM[0] - 12.0], Anchor::Start, "outgoing pulse");
     frame_of(svg, &x, &y);
     let points = fit.iter().enumerate().map(|(i, &dn)| {
-        [x.at(time(pulse.window as f64 + i as f64 / PER_SAMPLE as f64)), y.at(dn).clamp(BOTTOM[0], BOTTOM[1])]
+        [
+            x.at(time(pulse.window as f64 + i as f64 / CURVE_POINTS_PER_SAMPLE as f64)),
+            y.at(dn).clamp(BOTTOM[0], BOTTOM[1]),
+        ]
     });
     svg.curve("fit", points);
     dots(svg, samples, pulse.window, |k| x.at(time(k)), |dn| y.at(dn));

@@ -2,8 +2,8 @@
 
 use super::histograms::{Part, amplitudes, angles, name_of, noise, ranges};
 use super::summary::grouped;
-use crate::cli::svg::{Anchor, Scale, Svg};
 use crate::inspect::{Histogram, ShownBlock, Survey, Waveform};
+use crate::report::svg::{Anchor, Scale, Svg};
 use crate::scan_line::Channel;
 
 /// A picture with its title.

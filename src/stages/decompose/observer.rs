@@ -3,15 +3,15 @@
 use std::ops::Range;
 
 use super::{BlockFit, Observer};
-use crate::overview::{PER_SAMPLE, Peak, Samples, ShownBlock};
 use crate::scan_line::{Block, Blocks, Emission, Return};
+use crate::stage::{CURVE_POINTS_PER_SAMPLE, FittedBlock, FittedPeak, FittedSamples};
 use wavex_signal::decompose::{DecomposeSettings, Decomposer, Decomposition, Return as Pulse};
 use wavex_signal::outgoing::Outgoing;
 use wavex_signal::sensor_model::ChannelModel;
 
 /// A block of echoes with its fit.
 pub(crate) struct SeenBlock {
-    pub(crate) shown: ShownBlock,
+    pub(crate) shown: FittedBlock,
     pub(crate) fit: BlockFit,
 }
 
@@ -19,7 +19,7 @@ pub(crate) struct SeenBlock {
 pub(crate) struct SeenPulse {
     /// Time of the first sample after the shot's clock, ns.
     pub(crate) start_ns: f64,
-    pub(crate) samples: Samples,
+    pub(crate) samples: FittedSamples,
     /// Pulse; its position counts from the block's first sample.
     pub(crate) pulse: Pulse,
     /// First sample of the fitted window.
@@ -30,7 +30,7 @@ pub(crate) struct SeenPulse {
 struct Echoes {
     /// Time of the first sample after the shot's clock, ns.
     start_ns: f64,
-    samples: Samples,
+    samples: FittedSamples,
     fit: BlockFit,
     /// Positions of the returns' peaks, samples after the first.
     peaks: Vec<f64>,
@@ -60,12 +60,12 @@ impl<'a> Seen<'a> {
         self.blocks.sort_by(|a, b| a.start_ns.total_cmp(&b.start_ns));
         let shown = |echoes: Echoes| {
             let first_ns = echoes.start_ns - emission.emission_ns;
-            let peak = |position_samples: f64| Peak {
+            let peak = |position_samples: f64| FittedPeak {
                 number: number_at(returns, first_ns + position_samples * echoes.samples.interval_ns),
                 position_samples,
             };
             let fit = echoes.fit;
-            let shown = ShownBlock {
+            let shown = FittedBlock {
                 channel: fit.channel.name().to_owned(),
                 first_ns,
                 chi_square: fit.chi_square,
@@ -78,7 +78,7 @@ impl<'a> Seen<'a> {
         (self.blocks.into_iter().map(shown).collect(), self.outgoing)
     }
 
-    /// Samples and fit of a block of which `window` was decomposed.
+    /// FittedSamples and fit of a block of which `window` was decomposed.
     ///
     /// Positions of returns count from the start of the window. `None` only for an invalid model.
     fn samples(
@@ -87,7 +87,7 @@ impl<'a> Seen<'a> {
         window: Range<usize>,
         found: &Decomposition,
         model: &ChannelModel,
-    ) -> Option<Samples> {
+    ) -> Option<FittedSamples> {
         let samples = self.line.samples(block);
         let mut decomposer = Decomposer::new(model, &DecomposeSettings::default(), window.len()).ok()?;
         decomposer.show(samples.get(window.clone())?, (window.start % 4) as u8, found);
@@ -99,7 +99,7 @@ impl<'a> Seen<'a> {
             *fitted = signal + model.background_at(0, k);
         }
         let pulses = 0..decomposer.returns().len();
-        Some(Samples {
+        Some(FittedSamples {
             interval_ns: block.interval_ns,
             samples_dn: samples.to_vec(),
             fitted_dn,
@@ -107,7 +107,7 @@ impl<'a> Seen<'a> {
             full_scale_dn: model.full_scale_dn,
             used: decomposer.used().to_vec(),
             background_dn: mean_background_dn(model) + found.background_offset_dn,
-            pulses_dn: pulses.map(|i| decomposer.pulse_curve(i, PER_SAMPLE)).collect(),
+            pulses_dn: pulses.map(|i| decomposer.pulse_curve(i, CURVE_POINTS_PER_SAMPLE)).collect(),
             residual: decomposer.standardised_residual().to_vec(),
         })
     }

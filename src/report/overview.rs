@@ -5,30 +5,31 @@
 //! not on their order: sums are of integers, bins and cells double on a fixed grid, and of several
 //! equally suitable shots the first is shown.
 
+use std::sync::{Mutex, MutexGuard};
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::scan_line::{Return, ScanLine};
+use crate::stage::{DecomposedLine, FitShot, Result, RunObserver};
 
 mod gallery;
 mod histogram;
 mod lines;
 mod map;
-mod packed;
-mod png;
-mod samples;
+mod picture;
 mod view;
 mod zones;
 
-pub use gallery::{Gallery, ShownKind, ShownReturn, ShownShot};
-pub use histogram::Histogram;
+pub use gallery::{ShownKind, ShownReturn, ShownShot};
+pub use histogram::QuantityHistogram;
 pub use lines::LineGroups;
 pub use map::{MapLine, MapPicture};
-pub use png::Picture;
-pub use samples::{PER_SAMPLE, Peak, Samples, ShownBlock};
+pub use picture::Picture;
 pub use view::MapAxes;
 pub use zones::{ZoneCloud, ZoneClouds, ZoneShare, Zones};
 
+use gallery::Gallery;
 use histogram::Bins;
 use lines::Groups;
 use map::Grid;
@@ -37,7 +38,7 @@ use map::Grid;
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 pub struct Overview {
     /// Histograms of the quantities of returns; quantities without known values are omitted.
-    pub histograms: Vec<Histogram>,
+    pub histograms: Vec<QuantityHistogram>,
     /// Waveforms, returns and points along the flight.
     pub lines: LineGroups,
     /// Map of the points, if there are any.
@@ -49,9 +50,55 @@ pub struct Overview {
     pub waveforms: Vec<ShownShot>,
 }
 
-/// Collects an [`Overview`] line by line.
+/// Collects the overview of each input of a run.
+#[derive(Debug, Default)]
+pub struct Overviews {
+    gatherings: Mutex<Vec<Gathering>>,
+    galleries: Mutex<Vec<Gallery>>,
+}
+
+impl Overviews {
+    /// Returns the overviews, in the order of the inputs.
+    pub fn take(&self) -> Vec<Overview> {
+        let (gatherings, galleries) =
+            (locked(&self.gatherings).split_off(0), locked(&self.galleries).split_off(0));
+        gatherings.into_iter().zip(galleries).map(|(gathering, gallery)| gathering.finish(gallery)).collect()
+    }
+}
+
+impl RunObserver for Overviews {
+    fn begin_input(&self) {
+        locked(&self.gatherings).push(Gathering::default());
+        locked(&self.galleries).push(Gallery::default());
+    }
+
+    fn line(&self, line: &ScanLine) {
+        if let Some(gathering) = locked(&self.gatherings).last_mut() {
+            gathering.add(line);
+        }
+    }
+
+    /// Fits the shots to show, without holding the lock.
+    fn decomposed(&self, line: &DecomposedLine, fit: &mut FitShot) -> Result<()> {
+        let candidates = locked(&self.galleries).last().map(|gallery| gallery.candidates(line));
+        for candidate in candidates.into_iter().flatten() {
+            if let (Some(shot), Some(gallery)) =
+                (fit(candidate.emission)?, locked(&self.galleries).last_mut())
+            {
+                gallery.show(&candidate, shot);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+/// Collects an [`Overview`] line by line, without the shots.
 #[derive(Clone, Debug)]
-pub struct Gathering {
+struct Gathering {
     quantities: [Quantity; 5],
     lines: Groups,
     grid: Grid,
@@ -87,7 +134,7 @@ impl Default for Gathering {
 
 impl Gathering {
     /// Adds a line that leaves the chain.
-    pub fn add(&mut self, batch: &ScanLine) {
+    fn add(&mut self, batch: &ScanLine) {
         self.lines.add(batch);
         let Some(returns) = batch.returns() else { return };
         for quantity in &mut self.quantities {
@@ -100,14 +147,14 @@ impl Gathering {
     }
 
     /// Returns the overview, with the selected waveforms.
-    pub fn finish(self, gallery: Option<Gallery>) -> Overview {
+    fn finish(self, gallery: Gallery) -> Overview {
         let histograms = self.quantities.into_iter();
         Overview {
             histograms: histograms.filter_map(|of| of.bins.finish(of.name, of.unit)).collect(),
             lines: self.lines.finish(),
             map: self.grid.finish(),
             zones: self.zones.finish(),
-            waveforms: gallery.map(Gallery::finish).unwrap_or_default(),
+            waveforms: gallery.finish(),
         }
     }
 }

@@ -3,11 +3,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::packed;
+use crate::stage::packed;
 
 /// Histogram of a quantity.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
-pub struct Histogram {
+pub struct QuantityHistogram {
     /// Name of the quantity.
     pub quantity: String,
     /// Unit; empty for dimensionless quantities.
@@ -87,7 +87,7 @@ impl Bins {
     }
 
     /// Returns the histogram; `None` if empty.
-    pub(super) fn finish(self, quantity: &str, unit: &str) -> Option<Histogram> {
+    pub(super) fn finish(self, quantity: &str, unit: &str) -> Option<QuantityHistogram> {
         let first = self.counts.iter().position(|count| *count > 0);
         let (first, counts) = match first {
             None if self.below + self.above == 0 => return None,
@@ -104,7 +104,7 @@ impl Bins {
                 (libm::exp2(octaves), EDGES[0])
             }
         };
-        Some(Histogram {
+        Some(QuantityHistogram {
             quantity: quantity.to_owned(),
             unit: unit.to_owned(),
             logarithmic: matches!(self.scale, Scale::Logarithmic),
@@ -129,7 +129,7 @@ fn logarithmic_bin(value: f64) -> i64 {
     (exponent - OCTAVES[0]) * PER_OCTAVE as i64 + within as i64
 }
 
-impl Histogram {
+impl QuantityHistogram {
     /// Each bin as its two edges and its count.
     pub fn bins(&self) -> impl Iterator<Item = ([f64; 2], u64)> + '_ {
         let edge = |i: usize| match self.logarithmic {
@@ -165,7 +165,7 @@ mod tests {
 
     use super::*;
 
-    fn of(mut bins: Bins, values: &[f64]) -> Option<Histogram> {
+    fn of(mut bins: Bins, values: &[f64]) -> Option<QuantityHistogram> {
         values.iter().for_each(|value| bins.add(*value));
         bins.finish("a", "m")
     }

@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use super::plot::{Plot, WIDTH, ticks};
-use crate::cli::svg::{Anchor, Scale, Svg};
+use crate::report::svg::{Anchor, Scale, Svg};
 
 const LEFT: f64 = 110.0;
 const RIGHT: f64 = 546.0;

@@ -3,7 +3,8 @@
 use std::fmt::{Display, Write as _};
 use std::path::PathBuf;
 
-use super::report::{InputReport, RunReport, StageReport, TrajectoryReport};
+use super::tables::stage_table;
+use crate::engine::{InputSummary, RunSummary, StageSummary, TrajectorySummary};
 use crate::georef::keys::{CalibrationKey, GeometryKeys};
 use crate::stage::RoleName;
 use wavex_signal::sensor_model::{ChannelModel, SensorModel};
@@ -60,7 +61,7 @@ impl Text {
 ///
 /// Sections: run time, input, decoding, extraction, trajectory, georeferencing, output. `own` are
 /// the files of the run as a whole. `failure` is the message of a failed run.
-pub fn stat_log(run: &RunReport, input: &InputReport, own: &[PathBuf], failure: Option<&str>) -> String {
+pub fn stat_log(run: &RunSummary, input: &InputSummary, own: &[PathBuf], failure: Option<&str>) -> String {
     let mut text = Text(format!("wavex {}: statistics of {}\n", run.wavex, input.stem));
     run_time(&mut text, run, input, failure);
     about_input(&mut text, input);
@@ -72,11 +73,11 @@ pub fn stat_log(run: &RunReport, input: &InputReport, own: &[PathBuf], failure: 
     text.0
 }
 
-fn total(input: &InputReport, name: &str) -> u64 {
+fn total(input: &InputSummary, name: &str) -> u64 {
     input.totals.get(name).copied().unwrap_or(0)
 }
 
-fn run_time(text: &mut Text, run: &RunReport, input: &InputReport, failure: Option<&str>) {
+fn run_time(text: &mut Text, run: &RunSummary, input: &InputSummary, failure: Option<&str>) {
     text.title("Run time");
     text.row("start", &input.started);
     text.row("end", &input.ended);
@@ -88,10 +89,10 @@ fn run_time(text: &mut Text, run: &RunReport, input: &InputReport, failure: Opti
     text.row("threads", run.threads);
     text.row("peak memory of scan lines", format_args!("{:.1} MB", input.peak_in_flight_bytes as f64 / 1e6));
     text.known("slowest stage", input.bottleneck().map(|stage| &stage.id));
-    let _ = write!(text.0, "\n{}", input.table());
+    let _ = write!(text.0, "\n{}", stage_table(input));
 }
 
-fn about_input(text: &mut Text, input: &InputReport) {
+fn about_input(text: &mut Text, input: &InputSummary) {
     text.title("Input");
     match input.path.as_os_str().is_empty() {
         true => text.row("file", "none: simulated"),
@@ -108,7 +109,7 @@ fn about_input(text: &mut Text, input: &InputReport) {
     text.known("ranges start at", input.ranges_count_from.as_ref().map(|word| word.replace('_', " ")));
 }
 
-fn decoding(text: &mut Text, input: &InputReport) {
+fn decoding(text: &mut Text, input: &InputSummary) {
     text.title("Decoding");
     for stage in input.stages.iter().filter(|stage| stage.role == RoleName::Source) {
         text.row("read by", &stage.id);
@@ -119,7 +120,7 @@ fn decoding(text: &mut Text, input: &InputReport) {
     }
 }
 
-fn extraction(text: &mut Text, input: &InputReport) {
+fn extraction(text: &mut Text, input: &InputSummary) {
     text.title("Extraction");
     for (name, words) in COUNTS.iter().filter(|(name, _)| *name != "n_georef") {
         text.known(words, input.totals.get(name));
@@ -127,7 +128,7 @@ fn extraction(text: &mut Text, input: &InputReport) {
     for (name, words) in input.sensor_model.iter().flat_map(sensor_model_words) {
         text.row(&format!("calibration, {name}"), words);
     }
-    let between = |stage: &&StageReport| stage.role != RoleName::Source && stage.role != RoleName::Sink;
+    let between = |stage: &&StageSummary| stage.role != RoleName::Source && stage.role != RoleName::Sink;
     for stage in input.stages.iter().filter(between).filter(|stage| stage.r#type != GEOREFERENCE) {
         remarks(text, stage);
     }
@@ -156,7 +157,7 @@ fn calibration(channel: &ChannelModel) -> String {
     )
 }
 
-fn trajectory(text: &mut Text, trajectory: Option<&TrajectoryReport>) {
+fn trajectory(text: &mut Text, trajectory: Option<&TrajectorySummary>) {
     text.title("Trajectory");
     let Some(trajectory) = trajectory else {
         text.row("file", "none");
@@ -196,7 +197,7 @@ fn words(value: &impl serde::Serialize) -> String {
     }
 }
 
-fn georeferencing(text: &mut Text, run: &RunReport, input: &InputReport) {
+fn georeferencing(text: &mut Text, run: &RunSummary, input: &InputSummary) {
     text.title("Georeferencing");
     text.row("coordinates", input.coordinates.as_deref().unwrap_or("as in the input"));
     for (name, words) in geometry_words(&run.job.geometry) {
@@ -208,7 +209,7 @@ fn georeferencing(text: &mut Text, run: &RunReport, input: &InputReport) {
     }
 }
 
-fn output(text: &mut Text, input: &InputReport, own: &[PathBuf]) {
+fn output(text: &mut Text, input: &InputSummary, own: &[PathBuf]) {
     text.title("Output");
     for output in input.outputs.iter().chain(own) {
         text.row("file", output.display());
@@ -222,7 +223,7 @@ fn output(text: &mut Text, input: &InputReport, own: &[PathBuf]) {
 }
 
 /// Writes the rejections, notes and findings of a stage.
-fn remarks(text: &mut Text, stage: &StageReport) {
+fn remarks(text: &mut Text, stage: &StageSummary) {
     for (what, n) in &stage.rejected {
         text.row(&format!("{}: rejected", stage.id), format_args!("{n} {what}"));
     }

@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::packed;
 use crate::scan_line::ScanLine;
+use crate::stage::packed;
 
 /// Maximum number of groups.
 const MOST_GROUPS: usize = 512;

@@ -1,8 +1,10 @@
 //! Figures of a run's results: counts along the flight, histograms, map views.
 
 use super::plot::{Plot, WIDTH, decades, label, short, ticks};
-use crate::cli::svg::{Anchor, Scale, Svg};
-use crate::overview::{Histogram, LineGroups, MapAxes, MapLine, MapPicture, Picture, ZoneCloud, ZoneClouds};
+use crate::report::overview::{
+    LineGroups, MapAxes, MapLine, MapPicture, Picture, QuantityHistogram, ZoneCloud, ZoneClouds,
+};
+use crate::report::svg::{Anchor, Scale, Svg};
 
 /// Draws waveforms, returns and points per scan line; `None` without lines.
 pub(super) fn along(groups: &LineGroups) -> Option<String> {
@@ -43,7 +45,7 @@ pub(super) fn along(groups: &LineGroups) -> Option<String> {
 const TAIL: f64 = 0.0005;
 
 /// Draws a histogram with its statistics as text; `None` if all values are outside its bins.
-pub(super) fn histogram(histogram: &Histogram) -> Option<(String, String)> {
+pub(super) fn histogram(histogram: &QuantityHistogram) -> Option<(String, String)> {
     let on_axis = |value: f64| if histogram.logarithmic { value.log10() } else { value };
     let ends = [TAIL, 1.0 - TAIL].map(|part| histogram.quantile(part));
     let first = histogram.bins().next()?.0[0];
@@ -75,7 +77,7 @@ pub(super) fn histogram(histogram: &Histogram) -> Option<(String, String)> {
     Some((plot.finish(svg, &name, &name, "returns"), in_words(histogram)))
 }
 
-fn in_words(histogram: &Histogram) -> String {
+fn in_words(histogram: &QuantityHistogram) -> String {
     let at = |part: f64| histogram.quantile(part).map(short);
     let count = label(histogram.total() as f64, 0);
     match (at(0.05), at(0.5), at(0.95)) {

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::packed;
 use crate::scan_line::{Emission, Return, ScanLine, flags::ZONE_UNCERTAIN};
+use crate::stage::packed;
 
 /// Returns by MTA zone.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]

@@ -1,16 +1,28 @@
-//! Samples of a block with their fit, for display.
+//! Fit of a shot with its samples, for display.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::packed;
+use crate::scan_line::{Emission, Returns};
 
-/// Curve points per sample.
-pub const PER_SAMPLE: usize = 8;
+/// Points of a fitted curve per sample.
+pub const CURVE_POINTS_PER_SAMPLE: usize = 8;
+
+/// A shot with its fit.
+#[derive(Clone, Debug)]
+pub struct FittedShot {
+    /// The emission, with its fitted time.
+    pub emission: Emission,
+    /// Returns, in time order.
+    pub returns: Returns,
+    /// Blocks with echoes, in time order.
+    pub blocks: Vec<FittedBlock>,
+}
 
 /// Samples of a block and their fit; lists are space-separated numbers.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
-pub struct Samples {
+pub struct FittedSamples {
     /// Sampling interval, ns.
     pub interval_ns: f64,
     /// Recorded samples, DN.
@@ -33,8 +45,8 @@ pub struct Samples {
     pub used: Vec<bool>,
     /// Background, mean over the sample phases, DN.
     pub background_dn: f64,
-    /// Pulses above the background, sorted by position, [`PER_SAMPLE`] points per sample from the
-    /// first.
+    /// Pulses above the background, sorted by position, [`CURVE_POINTS_PER_SAMPLE`] points per
+    /// sample from the first.
     #[serde(serialize_with = "packed::lists::serialize", deserialize_with = "packed::lists::deserialize")]
     #[schemars(with = "Vec<String>")]
     pub pulses_dn: Vec<Vec<f64>>,
@@ -46,7 +58,7 @@ pub struct Samples {
 
 /// A block with echoes.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
-pub struct ShownBlock {
+pub struct FittedBlock {
     /// Receiver: `low`, `high` or `joint`.
     pub channel: String,
     /// Time of flight of the first sample, ns.
@@ -56,26 +68,28 @@ pub struct ShownBlock {
     /// Number of samples minus number of parameters.
     pub degrees_of_freedom: u32,
     /// Peaks of its returns.
-    pub peaks: Vec<Peak>,
+    pub peaks: Vec<FittedPeak>,
     /// The samples.
     #[serde(flatten)]
-    pub samples: Samples,
+    pub samples: FittedSamples,
 }
 
 /// Peak of a return in its block.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
-pub struct Peak {
+pub struct FittedPeak {
     /// Number of the return; absent if it was dropped.
     pub number: Option<u8>,
     /// Position, in samples after the first.
     pub position_samples: f64,
 }
 
-impl Samples {
-    /// The fit including background, [`PER_SAMPLE`] points per sample from the first.
+impl FittedSamples {
+    /// The fit including background, [`CURVE_POINTS_PER_SAMPLE`] points per sample from the first.
     pub fn fit_dn(&self) -> Vec<f64> {
-        let points =
-            self.pulses_dn.first().map_or(self.samples_dn.len().saturating_sub(1) * PER_SAMPLE + 1, Vec::len);
+        let points = self
+            .pulses_dn
+            .first()
+            .map_or(self.samples_dn.len().saturating_sub(1) * CURVE_POINTS_PER_SAMPLE + 1, Vec::len);
         let mut fit = vec![self.background_dn; points];
         for pulse in &self.pulses_dn {
             fit.iter_mut().zip(pulse).for_each(|(sum, value)| *sum += value);

@@ -3,13 +3,13 @@
 use std::fmt::Write;
 
 /// A picture built element by element; the style sheet's classes define the looks.
-pub(in crate::cli) struct Svg {
+pub(crate) struct Svg {
     body: String,
 }
 
 /// Text anchor relative to its position.
 #[derive(Clone, Copy)]
-pub(in crate::cli) enum Anchor {
+pub(crate) enum Anchor {
     Start,
     Middle,
     End,
@@ -43,12 +43,12 @@ text{fill:#ccc}.page{fill:#16181c}.title,.num{fill:#f2f2f2}.note{fill:#999}
 ";
 
 impl Svg {
-    pub(in crate::cli) fn new() -> Svg {
+    pub(crate) fn new() -> Svg {
         Svg { body: String::new() }
     }
 
     /// Returns the complete document.
-    pub(in crate::cli) fn finish(self, width: f64, height: f64, title: &str) -> String {
+    pub(crate) fn finish(self, width: f64, height: f64, title: &str) -> String {
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
              viewBox=\"0 0 {width} {height}\" role=\"img\">\n<title>{}</title>\n<style>\n{STYLE}</style>\n\
@@ -59,14 +59,14 @@ impl Svg {
     }
 
     /// Returns the picture as an element of a page that has its own style sheet.
-    pub(in crate::cli) fn inline(self, width: f64, height: f64, title: &str) -> String {
+    pub(crate) fn inline(self, width: f64, height: f64, title: &str) -> String {
         let (title, body) = (escaped(title), self.body);
         format!(
             "<svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{title}\">\n<title>{title}</title>\n{body}</svg>\n"
         )
     }
 
-    pub(in crate::cli) fn line(&mut self, class: &str, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) {
+    pub(crate) fn line(&mut self, class: &str, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) {
         let _ = writeln!(
             self.body,
             "<line class=\"{class}\" x1=\"{x1:.1}\" y1=\"{y1:.1}\" x2=\"{x2:.1}\" y2=\"{y2:.1}\"/>"
@@ -74,7 +74,7 @@ impl Svg {
     }
 
     /// Draws a rectangle from its upper left to its lower right corner.
-    pub(in crate::cli) fn rect(&mut self, class: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
+    pub(crate) fn rect(&mut self, class: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
         let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
         let _ = writeln!(
             self.body,
@@ -82,11 +82,11 @@ impl Svg {
         );
     }
 
-    pub(in crate::cli) fn circle(&mut self, class: &str, [x, y]: [f64; 2], radius: f64) {
+    pub(crate) fn circle(&mut self, class: &str, [x, y]: [f64; 2], radius: f64) {
         let _ = writeln!(self.body, "<circle class=\"{class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\"/>");
     }
 
-    pub(in crate::cli) fn curve(&mut self, class: &str, points: impl Iterator<Item = [f64; 2]>) {
+    pub(crate) fn curve(&mut self, class: &str, points: impl Iterator<Item = [f64; 2]>) {
         let points: Vec<String> = points.map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
         if points.len() > 1 {
             let _ = writeln!(self.body, "<polyline class=\"{class}\" points=\"{}\"/>", points.join(" "));
@@ -94,12 +94,12 @@ impl Svg {
     }
 
     /// Draws a filled polygon with these corners.
-    pub(in crate::cli) fn area(&mut self, class: &str, corners: impl Iterator<Item = [f64; 2]>) {
+    pub(crate) fn area(&mut self, class: &str, corners: impl Iterator<Item = [f64; 2]>) {
         let corners: Vec<String> = corners.map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
         let _ = writeln!(self.body, "<polygon class=\"{class}\" points=\"{}\"/>", corners.join(" "));
     }
 
-    pub(in crate::cli) fn text(&mut self, class: &str, [x, y]: [f64; 2], anchor: Anchor, text: &str) {
+    pub(crate) fn text(&mut self, class: &str, [x, y]: [f64; 2], anchor: Anchor, text: &str) {
         let (anchor, text) = (anchor.name(), escaped(text));
         let _ = writeln!(
             self.body,
@@ -108,7 +108,7 @@ impl Svg {
     }
 
     /// Draws a rectangle of this colour, for legends.
-    pub(in crate::cli) fn swatch(&mut self, colour: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
+    pub(crate) fn swatch(&mut self, colour: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
         let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
         let _ = writeln!(
             self.body,
@@ -117,18 +117,12 @@ impl Svg {
     }
 
     /// Repeats an element of the same page at the same position.
-    pub(in crate::cli) fn again(&mut self, class: &str, id: &str) {
+    pub(crate) fn again(&mut self, class: &str, id: &str) {
         let _ = writeln!(self.body, "<use class=\"{class}\" href=\"#{id}\"/>");
     }
 
     /// Embeds a raster image from its upper left to its lower right corner.
-    pub(in crate::cli) fn image(
-        &mut self,
-        id: &str,
-        url: &str,
-        [left, top]: [f64; 2],
-        [right, bottom]: [f64; 2],
-    ) {
+    pub(crate) fn image(&mut self, id: &str, url: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
         let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
         let _ = writeln!(
             self.body,
@@ -138,7 +132,7 @@ impl Svg {
     }
 
     /// Draws text rotated by 90 degrees, centred at a position.
-    pub(in crate::cli) fn upright_text(&mut self, class: &str, [x, y]: [f64; 2], text: &str) {
+    pub(crate) fn upright_text(&mut self, class: &str, [x, y]: [f64; 2], text: &str) {
         let _ = writeln!(
             self.body,
             "<text class=\"{class}\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"middle\" \
@@ -149,7 +143,7 @@ impl Svg {
 }
 
 /// Escapes text for XML.
-pub(in crate::cli) fn escaped(text: &str) -> String {
+pub(crate) fn escaped(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for character in text.chars() {
         match character {
@@ -167,20 +161,20 @@ pub(in crate::cli) fn escaped(text: &str) -> String {
 
 /// Linear scale: value `from[0]` maps to `to[0]`.
 #[derive(Clone, Copy)]
-pub(in crate::cli) struct Scale {
-    pub(in crate::cli) from: [f64; 2],
-    pub(in crate::cli) to: [f64; 2],
+pub(crate) struct Scale {
+    pub(crate) from: [f64; 2],
+    pub(crate) to: [f64; 2],
 }
 
 impl Scale {
-    pub(in crate::cli) fn at(&self, value: f64) -> f64 {
+    pub(crate) fn at(&self, value: f64) -> f64 {
         let [a, b] = self.from;
         let span = if b - a == 0.0 { 1.0 } else { b - a };
         self.to[0] + (value - a) / span * (self.to[1] - self.to[0])
     }
 
     /// Round tick values within the scale, about `wanted`, and their decimal places.
-    pub(in crate::cli) fn ticks(&self, wanted: f64) -> (Vec<f64>, usize) {
+    pub(crate) fn ticks(&self, wanted: f64) -> (Vec<f64>, usize) {
         let span = (self.from[1] - self.from[0]).abs().max(1e-9);
         let raw = span / wanted.max(1.0);
         let unit = 10f64.powf(raw.log10().floor());

@@ -1,28 +1,28 @@
 //! Panels of a shot's sample blocks: samples and fit above, residuals below.
 
-use crate::cli::svg::{Anchor, Scale, Svg};
-use crate::overview::{PER_SAMPLE, Samples, ShownBlock};
+use super::svg::{Anchor, Scale, Svg};
+use crate::stage::{CURVE_POINTS_PER_SAMPLE, FittedBlock, FittedSamples};
 
 /// Layout of the panels in a picture.
-pub(in crate::cli) struct Panels {
+pub(crate) struct Panels {
     /// Left and right edge of all panels.
-    pub(in crate::cli) x: [f64; 2],
+    pub(crate) x: [f64; 2],
     /// Gap between two panels.
-    pub(in crate::cli) gap: f64,
+    pub(crate) gap: f64,
     /// Top and bottom of the sample panels.
-    pub(in crate::cli) samples: [f64; 2],
+    pub(crate) samples: [f64; 2],
     /// Top and bottom of the residual panels.
-    pub(in crate::cli) residual: [f64; 2],
+    pub(crate) residual: [f64; 2],
 }
 
 /// Limit that residuals of pure noise rarely exceed, standard deviations.
-pub(in crate::cli) const FAR_SD: f64 = 3.0;
+pub(crate) const FAR_SD: f64 = 3.0;
 /// Legend of the limit lines.
-pub(in crate::cli) const FAR_LABEL: &str = "± 3 standard deviations";
+pub(crate) const FAR_LABEL: &str = "± 3 standard deviations";
 
 impl Panels {
     /// Draws the blocks side by side with a common amplitude axis.
-    pub(in crate::cli) fn draw(&self, svg: &mut Svg, blocks: &[&ShownBlock]) {
+    pub(crate) fn draw(&self, svg: &mut Svg, blocks: &[&FittedBlock]) {
         let total_ns: f64 = blocks.iter().map(|block| block.samples.span_ns()).sum();
         let room = self.x[1] - self.x[0] - self.gap * blocks.len().saturating_sub(1) as f64;
         let heights = heights(blocks);
@@ -39,7 +39,7 @@ impl Panels {
     }
 
     /// Half range of the residual axis, standard deviations.
-    fn largest_deviation(&self, blocks: &[&ShownBlock]) -> f64 {
+    fn largest_deviation(&self, blocks: &[&FittedBlock]) -> f64 {
         let all = blocks.iter().flat_map(|block| &block.samples.residual);
         all.fold(FAR_SD + 1.0, |largest, value| largest.max(1.1 * value.abs()))
     }
@@ -48,7 +48,7 @@ impl Panels {
 /// Amplitude range of all samples and fits, DN.
 ///
 /// A fit is clipped at twice the digitiser's full scale, so that it does not flatten the samples.
-fn heights(blocks: &[&ShownBlock]) -> [f64; 2] {
+fn heights(blocks: &[&FittedBlock]) -> [f64; 2] {
     let mut range = [0.0f64, 10.0];
     for block in blocks {
         let limit = 2.0 * block.samples.full_scale_dn;
@@ -63,12 +63,12 @@ fn heights(blocks: &[&ShownBlock]) -> [f64; 2] {
 
 /// Panel of one block.
 struct Panel<'a> {
-    block: &'a ShownBlock,
+    block: &'a FittedBlock,
     x: Scale,
 }
 
 impl Panel<'_> {
-    fn of(block: &ShownBlock, to: [f64; 2]) -> Panel<'_> {
+    fn of(block: &FittedBlock, to: [f64; 2]) -> Panel<'_> {
         let begin = block.first_ns - 0.5 * block.samples.interval_ns;
         Panel { block, x: Scale { from: [begin, begin + block.samples.span_ns()], to } }
     }
@@ -86,7 +86,9 @@ impl Panel<'_> {
         let clip = |dn: f64| y.at(dn).clamp(y.to[1], y.to[0]);
         let curve = |values: Vec<f64>, above: f64| {
             let points = values.into_iter().enumerate();
-            points.map(move |(i, value)| (i as f64 / PER_SAMPLE as f64, value + above)).collect::<Vec<_>>()
+            points
+                .map(move |(i, value)| (i as f64 / CURVE_POINTS_PER_SAMPLE as f64, value + above))
+                .collect::<Vec<_>>()
         };
         for pulse in &samples.pulses_dn {
             let visible = visible(pulse);
@@ -108,8 +110,9 @@ impl Panel<'_> {
         for peak in &self.block.peaks {
             let Some(number) = peak.number else { continue };
             let position = peak.position_samples;
-            let nearest =
-                (position * PER_SAMPLE as f64).round().clamp(0.0, fit.len().saturating_sub(1) as f64);
+            let nearest = (position * CURVE_POINTS_PER_SAMPLE as f64)
+                .round()
+                .clamp(0.0, fit.len().saturating_sub(1) as f64);
             let top = fit.get(nearest as usize).copied().unwrap_or(0.0).max(samples.background_dn);
             let x = self.at(position).clamp(self.x.to[0] + 4.0, self.x.to[1] - 4.0);
             let mut label = y.at(top).clamp(y.to[1] + 22.0, y.to[0]) - 9.0;
@@ -173,9 +176,9 @@ fn visible(pulse: &[f64]) -> std::ops::Range<usize> {
 }
 
 /// Draws the samples of a block as dots; `window` is the sample index of `used[0]`.
-pub(super) fn dots(
+pub(crate) fn dots(
     svg: &mut Svg,
-    samples: &Samples,
+    samples: &FittedSamples,
     window: usize,
     x: impl Fn(f64) -> f64,
     y: impl Fn(f64) -> f64,

@@ -1,27 +1,38 @@
 //! Waveform figures of a run's page.
 
-use std::fmt::Write;
+use maud::{Markup, PreEscaped, html};
 
 use super::plot::{WIDTH, label};
-use crate::cli::explain::panel::{FAR_LABEL, Panels};
-use crate::cli::svg::{Anchor, Svg, escaped};
-use crate::overview::{ShownBlock, ShownKind, ShownReturn, ShownShot};
+use super::wide_table;
+use crate::report::overview::{ShownKind, ShownReturn, ShownShot};
+use crate::report::panel::{FAR_LABEL, Panels};
+use crate::report::svg::{Anchor, Svg};
+use crate::stage::FittedBlock;
 
 /// Maximum number of returns in the table of a shot.
 const MOST_RETURNS: usize = 6;
 
 /// Draws a shot: samples with fit, residuals, and a table of returns.
-pub(super) fn figure(shot: &ShownShot) -> String {
+pub(super) fn figure(shot: &ShownShot) -> Markup {
     let mut svg = Svg::new();
     let panels = Panels { x: [62.0, 548.0], gap: 16.0, samples: [10.0, 210.0], residual: [228.0, 308.0] };
-    let blocks: Vec<&ShownBlock> = shot.blocks.iter().collect();
+    let blocks: Vec<&FittedBlock> = shot.blocks.iter().collect();
     panels.draw(&mut svg, &blocks);
     svg.text("", [305.0, 344.0], Anchor::Middle, "time of flight, ns");
     svg.upright_text("", [13.0, 110.0], "digitiser steps, DN");
     svg.upright_text("", [13.0, 268.0], "residual, SD");
     let title = title(shot);
     let picture = svg.inline(WIDTH, 352.0, &title);
-    format!("<figure>\n<h3>{}</h3>\n{picture}{}</figure>\n", escaped(&title), returns(shot))
+    let rows = shot.returns.iter().take(MOST_RETURNS).map(cells);
+    let more = shot.returns.len().saturating_sub(MOST_RETURNS);
+    html! {
+        figure {
+            h3 { (title) }
+            (PreEscaped(picture))
+            (wide_table(&["", "range, m", "amplitude, DN", "width ratio", "flags"], rows))
+            @if more > 0 { p.about { "and " (more) " more" } }
+        }
+    }
 }
 
 fn title(shot: &ShownShot) -> String {
@@ -35,29 +46,13 @@ fn title(shot: &ShownShot) -> String {
     format!("{kind}: shot {}, scan line {}, deviation ratio {deviation_ratio}", shot.shot, shot.line)
 }
 
-fn returns(shot: &ShownShot) -> String {
-    let heads = ["", "range, m", "amplitude, DN", "width ratio", "flags"];
-    let heads: String = heads.iter().map(|head| format!("<th>{head}</th>")).collect();
-    let mut table = format!("<table class=\"wide\">\n<tr>{heads}</tr>\n");
-    for found in shot.returns.iter().take(MOST_RETURNS) {
-        let cells: String = cells(found).iter().map(|cell| format!("<td>{}</td>", escaped(cell))).collect();
-        let _ = writeln!(table, "<tr>{cells}</tr>");
-    }
-    table += "</table>\n";
-    let more = shot.returns.len().saturating_sub(MOST_RETURNS);
-    if more > 0 {
-        let _ = writeln!(table, "<p class=\"about\">and {more} more</p>");
-    }
-    table
-}
-
-fn cells(found: &ShownReturn) -> [String; 5] {
+fn cells(found: &ShownReturn) -> Vec<String> {
     let known = |value: Option<f64>, digits: usize| value.map(|value| format!("{value:.digits$}"));
     let with_sd = |value: Option<String>, sd: Option<String>| match (value, sd) {
         (Some(value), Some(sd)) => format!("{value} ± {sd}"),
         (value, _) => value.unwrap_or_else(|| "unknown".to_owned()),
     };
-    [
+    vec![
         found.number.to_string(),
         with_sd(known(found.range_m, 3), known(found.range_sd_m, 3)),
         with_sd(known(found.amplitude_dn, 1), known(found.amplitude_sd_dn, 1)),
@@ -67,7 +62,7 @@ fn cells(found: &ShownReturn) -> [String; 5] {
 }
 
 /// Draws the legend of the waveform figures.
-pub(super) fn legend() -> String {
+pub(super) fn legend() -> Markup {
     let mut svg = Svg::new();
     let lines =
         [("fit", "fit"), ("pulse", "one return's pulse"), ("level", "background"), ("limit", FAR_LABEL)];
@@ -85,5 +80,5 @@ pub(super) fn legend() -> String {
     svg.rect("one", [x, 7.0], [x + 24.0, 21.0]);
     svg.text("", [x + 31.0, 18.0], Anchor::Start, "± 1 standard deviation");
     let picture = svg.inline(x + 190.0, 28.0, "legend of the waveform figures");
-    format!("<div class=\"legend\">\n{picture}</div>\n")
+    html! { div.legend { (PreEscaped(picture)) } }
 }

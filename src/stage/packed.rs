@@ -5,7 +5,7 @@
 use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
 /// Element of a packed list.
-pub(super) trait Packable: Copy {
+pub(crate) trait Packable: Copy {
     /// Formats the value.
     fn text(self) -> String;
     /// Parses a value; `None` if invalid.
@@ -68,17 +68,17 @@ fn unpack<T: Packable, E: Error>(text: &str) -> Result<Vec<T>, E> {
 }
 
 /// For `#[serde(serialize_with)]`.
-pub(super) fn serialize<T: Packable, S: Serializer>(list: &[T], to: S) -> Result<S::Ok, S::Error> {
+pub(crate) fn serialize<T: Packable, S: Serializer>(list: &[T], to: S) -> Result<S::Ok, S::Error> {
     to.serialize_str(&pack(list))
 }
 
 /// For `#[serde(deserialize_with)]`.
-pub(super) fn deserialize<'de, T: Packable, D: Deserializer<'de>>(from: D) -> Result<Vec<T>, D::Error> {
+pub(crate) fn deserialize<'de, T: Packable, D: Deserializer<'de>>(from: D) -> Result<Vec<T>, D::Error> {
     unpack(&String::deserialize(from)?)
 }
 
 /// The same for lists of lists, one text per list.
-pub(super) mod lists {
+pub(crate) mod lists {
     use serde::{Deserialize, Deserializer, Serializer};
 
     /// For `#[serde(serialize_with)]`.

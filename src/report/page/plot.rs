@@ -1,6 +1,6 @@
 //! Axes and frame common to the figures of a run.
 
-use crate::cli::svg::{Anchor, Scale, Svg};
+use crate::report::svg::{Anchor, Scale, Svg};
 
 /// Width of a figure, SVG units.
 pub(super) const WIDTH: f64 = 560.0;

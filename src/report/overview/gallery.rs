@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::ShownBlock;
-use crate::scan_line::{Emission, Return, flags};
+use crate::scan_line::{Return, flags};
+use crate::stage::{DecomposedLine, FittedBlock, FittedShot};
 
 /// Reason why a shot is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize, JsonSchema)]
@@ -36,7 +36,7 @@ pub struct ShownShot {
     /// Largest deviation ratio of its returns.
     pub deviation_ratio: f64,
     /// Blocks with echoes, in time order.
-    pub blocks: Vec<ShownBlock>,
+    pub blocks: Vec<FittedBlock>,
     /// Returns, in time order.
     pub returns: Vec<ShownReturn>,
 }
@@ -75,15 +75,15 @@ impl From<&Return> for ShownReturn {
     }
 }
 
-/// The best shot of each kind so far.
+/// The best shot of each kind so far; independent of the order of lines.
 #[derive(Clone, Debug, Default)]
-pub struct Gallery {
+pub(super) struct Gallery {
     shown: BTreeMap<ShownKind, (Merit, ShownShot)>,
 }
 
 /// Suitability of a shot for its kind.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Merit {
+struct Merit {
     value: f64,
     line: u32,
     shot: u64,
@@ -99,13 +99,13 @@ impl Merit {
 
 /// A shot that improves on the current one of its kind.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Candidate {
-    pub(crate) kind: ShownKind,
-    pub(crate) merit: Merit,
+pub(super) struct Candidate {
+    kind: ShownKind,
+    merit: Merit,
     /// Index of its emission in the line.
-    pub(crate) emission: u32,
+    pub(super) emission: u32,
     /// Largest deviation ratio of its returns.
-    pub(crate) deviation_ratio: f64,
+    deviation_ratio: f64,
 }
 
 /// Minimum amplitude of a clear return, in standard deviations.
@@ -113,7 +113,8 @@ const CLEAR: f64 = 20.0;
 
 impl Gallery {
     /// The best shots of a line, for each kind that they improve.
-    pub(crate) fn candidates(&self, line: u32, emissions: &[Emission], returns: &[Return]) -> Vec<Candidate> {
+    pub(super) fn candidates(&self, of: &DecomposedLine) -> Vec<Candidate> {
+        let DecomposedLine { line, emissions, returns } = *of;
         let mut best: BTreeMap<ShownKind, Candidate> = BTreeMap::new();
         for of_shot in returns.chunk_by(|a, b| a.emission == b.emission) {
             let Some(emission) = of_shot.first().map(|found| found.emission) else { continue };
@@ -134,19 +135,23 @@ impl Gallery {
         best.into_values().collect()
     }
 
-    /// Replaces the current shot of the kind, if this one is better.
-    pub(crate) fn show(&mut self, merit: Merit, shot: ShownShot) {
-        let kept = self.shown.get(&shot.kind);
-        if kept.is_none_or(|(kept, _)| merit.exceeds(kept)) {
-            self.shown.insert(shot.kind, (merit, shot));
+    /// Replaces the current shot of the kind, if this one is still better.
+    pub(super) fn show(&mut self, candidate: &Candidate, fitted: FittedShot) {
+        let Candidate { kind, merit, deviation_ratio, .. } = *candidate;
+        if self.shown.get(&kind).is_some_and(|(kept, _)| !merit.exceeds(kept)) {
+            return;
         }
-    }
-
-    /// Merges the selection of another worker.
-    pub(crate) fn merge(&mut self, other: Gallery) {
-        for (merit, shot) in other.shown.into_values() {
-            self.show(merit, shot);
-        }
+        let gps_time_s = fitted.emission.gps_time_s;
+        let shot = ShownShot {
+            kind,
+            line: merit.line,
+            shot: fitted.emission.shot,
+            gps_time_s: gps_time_s.is_finite().then_some(gps_time_s),
+            deviation_ratio,
+            blocks: fitted.blocks,
+            returns: fitted.returns.iter().map(ShownReturn::from).collect(),
+        };
+        self.shown.insert(kind, (merit, shot));
     }
 
     /// The selected shots, one per kind.
@@ -179,6 +184,7 @@ fn merits(of_shot: &[Return], deviation_ratio: f64) -> [Option<(ShownKind, f64)>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scan_line::Emission;
 
     fn found(emission: u32, deviation_ratio: f64, flags: u16) -> Return {
         Return {
@@ -191,7 +197,7 @@ mod tests {
         }
     }
 
-    fn line() -> (Vec<Emission>, Vec<Return>) {
+    fn decomposed() -> (Vec<Emission>, Vec<Return>) {
         let emissions = (0..6).map(|i| Emission { shot: 40 + i, ..Emission::default() }).collect();
         let returns = vec![
             found(0, -0.3, flags::REFINED),
@@ -205,25 +211,22 @@ mod tests {
         (emissions, returns)
     }
 
-    fn shown(candidate: &Candidate) -> ShownShot {
-        ShownShot {
-            kind: candidate.kind,
-            line: candidate.merit.line,
-            shot: candidate.merit.shot,
-            gps_time_s: None,
-            deviation_ratio: candidate.deviation_ratio,
-            blocks: Vec::new(),
-            returns: Vec::new(),
+    /// Shows the best shots of a line; returns their number.
+    fn add(gallery: &mut Gallery, line: u32) -> usize {
+        let (emissions, returns) = decomposed();
+        let candidates =
+            gallery.candidates(&DecomposedLine { line, emissions: &emissions, returns: &returns });
+        for candidate in &candidates {
+            let emission = emissions[candidate.emission as usize];
+            gallery.show(candidate, FittedShot { emission, returns: Vec::new(), blocks: Vec::new() });
         }
+        candidates.len()
     }
 
     fn gallery(lines: &[u32]) -> Gallery {
-        let (emissions, returns) = line();
         let mut gallery = Gallery::default();
         for line in lines {
-            for candidate in gallery.candidates(*line, &emissions, &returns) {
-                gallery.show(candidate.merit, shown(&candidate));
-            }
+            add(&mut gallery, *line);
         }
         gallery
     }
@@ -247,18 +250,12 @@ mod tests {
         let wanted = gallery(&[3, 4, 5]).finish();
         assert!(wanted.iter().all(|shot| shot.line == 3));
         assert_eq!(gallery(&[5, 3, 4]).finish(), wanted);
-        let mut merged = gallery(&[5, 4]);
-        merged.merge(gallery(&[3]));
-        assert_eq!(merged.finish(), wanted);
-        let (emissions, returns) = line();
-        assert!(
-            gallery(&[3]).candidates(4, &emissions, &returns).is_empty(),
-            "shots that are not better are not fitted again"
-        );
+        assert_eq!(add(&mut gallery(&[3]), 4), 0, "shots that are not better are not fitted again");
     }
 
     #[test]
     fn returns_of_no_emission_are_passed_over() {
-        assert!(Gallery::default().candidates(0, &[], &line().1).is_empty());
+        let line = DecomposedLine { line: 0, emissions: &[], returns: &decomposed().1 };
+        assert!(Gallery::default().candidates(&line).is_empty());
     }
 }

@@ -1,0 +1,252 @@
+//! Results of a run as plain data.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::time::{Instant, SystemTime};
+
+use schemars::JsonSchema;
+use serde::{Serialize, Serializer};
+
+use super::Options;
+use super::stage_summary::StageSummary;
+use super::totals::Totals;
+use crate::job::{Job, JobSettings, JobStage, Simd};
+use crate::scan_line::{EmissionReference, Frame, TimeScale};
+use crate::stage::RunContext;
+use wavex_geodesy::time::utc;
+use wavex_geodesy::trajectory::Trajectory;
+use wavex_signal::fusion::ChannelFusion;
+use wavex_signal::sensor_model::SensorModel;
+
+/// Results of a run.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct RunSummary {
+    /// Version of wavex.
+    pub wavex: String,
+    /// The table `[job]` with all defaults.
+    pub job: JobSettings,
+    /// Stages with their keys and all defaults.
+    pub stages: Vec<StageKeys>,
+    /// Workers per map.
+    pub threads: usize,
+    /// SIMD instructions that the kernels used.
+    pub simd: Simd,
+    /// Duration of the whole run, s.
+    pub wall_s: f64,
+    /// One entry per input.
+    #[serde(skip)]
+    pub inputs: Vec<InputSummary>,
+}
+
+/// A stage of the job with its keys.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct StageKeys {
+    /// Name in the job.
+    pub id: String,
+    /// Type of the stage.
+    pub r#type: String,
+    /// Its keys with all defaults.
+    pub keys: serde_json::Value,
+}
+
+/// Results of the chain for one input.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct InputSummary {
+    /// Path of the file; empty for a simulated input.
+    #[serde(serialize_with = "path_as_text")]
+    #[schemars(with = "String")]
+    pub path: PathBuf,
+    /// Stem after which its outputs are named.
+    pub stem: String,
+    /// Format, as reported by the reader.
+    pub format: Option<String>,
+    /// Name of the instrument.
+    pub instrument: Option<String>,
+    /// Serial number of the instrument.
+    pub serial: Option<String>,
+    /// Sampling interval, ns.
+    pub sampling_interval_ns: Option<f64>,
+    /// Group velocity of the pulse in air, m/s.
+    pub group_velocity_mps: Option<f64>,
+    /// Time scale: `week`, `day`, `adjusted` or `unknown`.
+    pub time_scale: Option<String>,
+    /// Frame of the beams: `scanner`, `body`, `map` or `earth`.
+    pub frame: Option<String>,
+    /// Source of the emission time: `outgoing_pulse`, `outgoing_pulse_fraction`, `return_locations`
+    /// or `clock`.
+    pub emission_reference: Option<String>,
+    /// Origin of ranges: `sensor`, or `first_sample` if the recording has no sensor position.
+    pub ranges_count_from: Option<String>,
+    /// Start of this run, UTC, ISO 8601.
+    pub started: String,
+    /// End of this run, UTC, ISO 8601.
+    pub ended: String,
+    /// Duration of this run, s.
+    pub wall_s: f64,
+    /// Peak memory of all lines in the pipeline, bytes.
+    pub peak_in_flight_bytes: usize,
+    /// Counters, summed over all lines.
+    pub totals: BTreeMap<&'static str, u64>,
+    /// Channel fusion, as estimated by or given to `fuse_channels`.
+    pub channel_fusion: Option<ChannelFusion>,
+    /// Sensor model of `calibrate`.
+    pub sensor_model: Option<SensorModel>,
+    /// Trajectory of `[job.geometry]`.
+    pub trajectory: Option<TrajectorySummary>,
+    /// Coordinate system of the points, if georeferenced with a trajectory.
+    pub coordinates: Option<String>,
+    /// Stages in order.
+    #[serde(skip)]
+    pub stages: Vec<StageSummary>,
+    /// Written files.
+    #[serde(skip)]
+    pub outputs: Vec<PathBuf>,
+}
+
+/// Summary of a trajectory.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct TrajectorySummary {
+    /// Path of the file.
+    pub path: String,
+    /// Number of records.
+    pub records: usize,
+    /// First and last time, s, on a continuous time axis.
+    pub span_s: [f64; 2],
+    /// Median interval between records, s.
+    pub median_step_s: f64,
+    /// Number of gaps, including bridged ones.
+    pub gaps: usize,
+}
+
+impl From<(&Path, &Trajectory)> for TrajectorySummary {
+    fn from((path, trajectory): (&Path, &Trajectory)) -> TrajectorySummary {
+        TrajectorySummary {
+            path: path.to_string_lossy().into_owned(),
+            records: trajectory.samples().len(),
+            span_s: trajectory.span_s(),
+            median_step_s: trajectory.median_step_s(),
+            gaps: trajectory.gaps().len(),
+        }
+    }
+}
+
+impl InputSummary {
+    pub(super) fn new(
+        site: &RunContext,
+        started: Instant,
+        totals: Totals,
+        stages: Vec<StageSummary>,
+        outputs: Vec<PathBuf>,
+        peak_in_flight_bytes: usize,
+    ) -> InputSummary {
+        let input = totals.input.as_deref();
+        let (now, elapsed) = (SystemTime::now(), started.elapsed());
+        InputSummary {
+            path: site.input.clone(),
+            stem: site.stem.clone(),
+            format: input.map(|input| input.format.clone()),
+            instrument: input.and_then(|input| input.instrument.clone()),
+            serial: input.and_then(|input| input.serial.clone()),
+            sampling_interval_ns: input.map(|input| input.sampling_interval_ns),
+            group_velocity_mps: input.map(|input| input.group_velocity_mps),
+            time_scale: input.map(|input| time_scale(input.time_scale).into()),
+            frame: input.map(|input| frame(input.frame).into()),
+            emission_reference: input.map(|input| emission_reference(input.emission_reference).into()),
+            ranges_count_from: input
+                .map(|input| if input.origin_is_sensor { "sensor" } else { "first_sample" }.into()),
+            started: utc(now - elapsed),
+            ended: utc(now),
+            wall_s: elapsed.as_secs_f64(),
+            peak_in_flight_bytes,
+            totals: totals.counts,
+            channel_fusion: totals.fusion.as_deref().cloned(),
+            sensor_model: totals.model.as_deref().cloned(),
+            trajectory: site.geometry.trajectory().map(TrajectorySummary::from),
+            // An error here would already have ended the run.
+            coordinates: input
+                .and_then(|input| site.geometry.target(input).ok().flatten())
+                .map(|target| target.name().to_owned()),
+            stages,
+            outputs,
+        }
+    }
+
+    /// Report of an input that no stage has started.
+    pub(super) fn not_begun(site: &RunContext, started: Instant) -> InputSummary {
+        InputSummary::new(site, started, Totals::default(), Vec::new(), Vec::new(), 0)
+    }
+
+    /// Returns the stage with the busiest workers.
+    pub fn bottleneck(&self) -> Option<&StageSummary> {
+        self.stages.iter().max_by(|a, b| a.load(self.wall_s).total_cmp(&b.load(self.wall_s)))
+    }
+}
+
+impl RunSummary {
+    pub(super) fn new(job: &Job, options: &Options) -> RunSummary {
+        let keys = |stage: &JobStage| StageKeys {
+            id: stage.id.clone(),
+            r#type: stage.spec.name.to_string(),
+            keys: stage.planned.resolved.clone(),
+        };
+        RunSummary {
+            wavex: env!("CARGO_PKG_VERSION").to_string(),
+            job: job.settings.clone(),
+            stages: job.stages.iter().map(keys).collect(),
+            threads: options.workers(),
+            simd: options.simd.into(),
+            wall_s: 0.0,
+            inputs: Vec::new(),
+        }
+    }
+
+    pub(super) fn add(&mut self, input: InputSummary) {
+        self.inputs.push(input);
+    }
+
+    /// Notes that several inputs share, with the number of inputs.
+    ///
+    /// Each note is logged for the first input only.
+    pub fn repeated_notes(&self) -> BTreeMap<&str, usize> {
+        let mut inputs_of: BTreeMap<&str, usize> = BTreeMap::new();
+        for input in &self.inputs {
+            let notes = input.stages.iter().flat_map(|stage| &stage.notes);
+            let notes: BTreeSet<&str> = notes.map(String::as_str).collect();
+            notes.into_iter().for_each(|note| *inputs_of.entry(note).or_default() += 1);
+        }
+        inputs_of.retain(|_, inputs| *inputs > 1);
+        inputs_of
+    }
+}
+
+/// Serialises a path as text; replaces invalid Unicode.
+fn path_as_text<S: Serializer>(path: &Path, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(&path.to_string_lossy())
+}
+
+fn time_scale(scale: TimeScale) -> &'static str {
+    match scale {
+        TimeScale::Week => "week",
+        TimeScale::Day => "day",
+        TimeScale::Adjusted => "adjusted",
+        TimeScale::Unknown => "unknown",
+    }
+}
+
+fn frame(frame: Frame) -> &'static str {
+    match frame {
+        Frame::Scanner => "scanner",
+        Frame::Body => "body",
+        Frame::Map => "map",
+        Frame::Earth => "earth",
+    }
+}
+
+fn emission_reference(reference: EmissionReference) -> &'static str {
+    match reference {
+        EmissionReference::OutgoingPulse => "outgoing_pulse",
+        EmissionReference::OutgoingPulseFraction => "outgoing_pulse_fraction",
+        EmissionReference::ReturnLocations => "return_locations",
+        EmissionReference::Clock => "clock",
+    }
+}

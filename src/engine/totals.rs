@@ -1,0 +1,34 @@
+//! Totals of the lines that have left the chain.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crate::scan_line::{InputInfo, ScanLine};
+use wavex_signal::fusion::ChannelFusion;
+use wavex_signal::sensor_model::SensorModel;
+
+/// Counters of lines that have left the chain, with what the first lines carry.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Totals {
+    pub(super) counts: BTreeMap<&'static str, u64>,
+    pub(super) input: Option<Arc<InputInfo>>,
+    pub(super) model: Option<Arc<SensorModel>>,
+    pub(super) fusion: Option<Arc<ChannelFusion>>,
+}
+
+impl Totals {
+    pub(super) fn add(&mut self, batch: &ScanLine) {
+        for (name, count) in batch.stats.counts() {
+            *self.counts.entry(name).or_default() += count;
+        }
+        if self.input.as_ref().is_none_or(|input| input.first_shot.is_none()) {
+            self.input = Some(Arc::clone(&batch.input));
+        }
+        if self.model.is_none() {
+            self.model.clone_from(&batch.model);
+        }
+        if self.fusion.is_none() {
+            self.fusion.clone_from(&batch.fusion);
+        }
+    }
+}

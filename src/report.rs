@@ -1,0 +1,149 @@
+//! Reports of a run: `report.json`, the page, and the statistics of each input.
+
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+
+use schemars::JsonSchema;
+use serde::{Serialize, Serializer};
+use serde_json::Value;
+
+use crate::engine::{InputSummary, RunSummary, StageSummary};
+use crate::stage::OutputFile;
+use wavex_formats::{Error, Result};
+
+mod overview;
+mod page;
+pub(crate) mod panel;
+mod stat_log;
+pub(crate) mod style;
+pub(crate) mod svg;
+mod tables;
+
+pub use overview::{
+    LineGroups, MapAxes, MapLine, MapPicture, Overview, Overviews, Picture, QuantityHistogram, ShownKind,
+    ShownReturn, ShownShot, ZoneCloud, ZoneClouds, ZoneShare, Zones,
+};
+pub use stat_log::{geometry_words, sensor_model_words, stat_log};
+pub use tables::{latency_table, stage_table};
+
+/// Report of a run (`report.json`).
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct RunReport<'r> {
+    /// Results of the run as a whole.
+    #[serde(flatten)]
+    pub run: &'r RunSummary,
+    /// One entry per input.
+    pub inputs: Vec<InputReport<'r>>,
+}
+
+/// Results of the chain for one input.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct InputReport<'r> {
+    /// Facts about the input and its run.
+    #[serde(flatten)]
+    pub input: &'r InputSummary,
+    /// Data of the report page, if the job requests one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub overview: Option<&'r Overview>,
+    /// Stages in order.
+    pub stages: &'r [StageSummary],
+    /// Written files.
+    #[serde(serialize_with = "paths_as_text")]
+    #[schemars(with = "Vec<String>")]
+    pub outputs: &'r [PathBuf],
+}
+
+/// Serialises paths as text; replaces invalid Unicode.
+fn paths_as_text<S: Serializer>(paths: &[PathBuf], to: S) -> std::result::Result<S::Ok, S::Error> {
+    to.collect_seq(paths.iter().map(|path| path.to_string_lossy()))
+}
+
+/// Maximum size of a report, bytes.
+const MOST_REPORT_BYTES: u64 = 200_000_000;
+
+impl<'r> RunReport<'r> {
+    /// Creates the report of a run; `overviews` has one entry per input, or none.
+    pub fn new(run: &'r RunSummary, overviews: &'r [Overview]) -> RunReport<'r> {
+        let report = |(i, input): (usize, &'r InputSummary)| InputReport {
+            input,
+            overview: overviews.get(i),
+            stages: &input.stages,
+            outputs: &input.outputs,
+        };
+        RunReport { run, inputs: run.inputs.iter().enumerate().map(report).collect() }
+    }
+
+    /// Formats the report as indented JSON; ends with a line feed.
+    ///
+    /// # Errors
+    /// If a value cannot be represented as JSON.
+    pub fn to_json(&self) -> serde_json::Result<String> {
+        Ok(serde_json::to_string_pretty(self)? + "\n")
+    }
+
+    /// Writes `report.json`.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write_json(&self, file: OutputFile) -> Result<()> {
+        let json =
+            self.to_json().map_err(|error| Error::io(file.path(), "write the report")(error.into()))?;
+        write(file, &json, "write the report").map(drop)
+    }
+
+    /// Writes the page.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write_page(&self, file: OutputFile) -> Result<()> {
+        let defect =
+            |problem: String| Error::unusable(file.path(), problem, "please report this bug in wavex");
+        let report = serde_json::to_value(self).map_err(|error| defect(error.to_string()))?;
+        let page = page::page(&report).map_err(|error| defect(error.to_string()))?;
+        write(file, &page, "write the page").map(drop)
+    }
+}
+
+/// Writes the statistics of an input of a run and returns the path; see [`stat_log()`].
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write_stat_log(
+    path: &Path,
+    run: &RunSummary,
+    input: &InputSummary,
+    own: &[PathBuf],
+    failure: Option<&str>,
+) -> Result<PathBuf> {
+    write(OutputFile::create(path)?, &stat_log(run, input, own, failure), "write the statistics")
+}
+
+/// Writes the page of a stored report.
+///
+/// # Errors
+/// If the report cannot be read or is invalid, or the page cannot be written.
+pub fn write_page_of(report: &Path, page: &Path) -> Result<()> {
+    let html = page::page(&read(report)?).map_err(|error| {
+        Error::unusable(report, error.to_string(), "run the job again to make a new report")
+    })?;
+    write(OutputFile::create(page)?, &html, "write the page").map(drop)
+}
+
+fn read(path: &Path) -> Result<Value> {
+    let file = std::fs::File::open(path).map_err(Error::io(path, "open the report"))?;
+    let mut text = String::new();
+    file.take(MOST_REPORT_BYTES).read_to_string(&mut text).map_err(Error::io(path, "read the report"))?;
+    let remedy = "give the report.json of a run or the folder that contains it";
+    let report: Value = serde_json::from_str(&text)
+        .map_err(|error| Error::unusable(path, format!("not a report of a run: {error}"), remedy))?;
+    match report["inputs"].is_array() {
+        true => Ok(report),
+        false => Err(Error::unusable(path, "not a report of a run: no `inputs`", remedy)),
+    }
+}
+
+fn write(mut file: OutputFile, text: &str, action: &'static str) -> Result<PathBuf> {
+    let written = file.write_all(text.as_bytes());
+    written.map_err(|error| Error::io(file.path(), action)(error))?;
+    file.finish()?.publish()
+}

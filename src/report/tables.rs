@@ -1,0 +1,68 @@
+//! Tables of the stages of one input, as text.
+
+use std::fmt::Write;
+
+use crate::engine::InputSummary;
+
+/// Table of the stages: items and times.
+pub fn stage_table(input: &InputSummary) -> String {
+    let mut text = String::new();
+    let width = input.stages.iter().map(|stage| stage.id.len()).max().unwrap_or(0).max(5);
+    let _ = writeln!(
+        text,
+        "{:width$} {:>7} {:>9} {:>11} {:>11} {:>9} {:>9} {:>9} {:>9} {:>6}",
+        "stage",
+        "workers",
+        "lines",
+        "shots",
+        "returns",
+        "rejected",
+        "working s",
+        "waiting s",
+        "blocked s",
+        "busy"
+    );
+    for stage in &input.stages {
+        let rejected: u64 = stage.rejected.values().sum();
+        let mark = if input.bottleneck().is_some_and(|slowest| slowest.id == stage.id) {
+            " <- bottleneck"
+        } else {
+            ""
+        };
+        let _ = writeln!(
+            text,
+            "{:width$} {:>7} {:>9} {:>11} {:>11} {:>9} {:>9.3} {:>9.3} {:>9.3} {:>5.0}%{mark}",
+            stage.id,
+            stage.workers,
+            stage.lines_out,
+            stage.items_out.shots,
+            stage.items_out.returns,
+            rejected,
+            stage.working_s,
+            stage.waiting_s,
+            stage.blocked_s,
+            100.0 * stage.load(input.wall_s),
+        );
+    }
+    text
+}
+
+/// Table of working times per scan line, in percentiles.
+pub fn latency_table(input: &InputSummary) -> String {
+    let mut text = String::new();
+    let width = input.stages.iter().map(|stage| stage.id.len()).max().unwrap_or(0).max(5);
+    let _ = writeln!(
+        text,
+        "{:width$} {:>11} {:>11} {:>11} {:>11} {:>11} {:>11}",
+        "us per line", "mean", "p50", "p90", "p99", "p99.9", "max"
+    );
+    for stage in &input.stages {
+        let us = &stage.line_us;
+        let _ = writeln!(
+            text,
+            "{:width$} {:>11.1} {:>11.1} {:>11.1} {:>11.1} {:>11.1} {:>11.1}",
+            stage.id, us.mean, us.p50, us.p90, us.p99, us.p999, us.max
+        );
+    }
+    text
+}

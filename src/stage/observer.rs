@@ -1,0 +1,38 @@
+//! Observation of a run, without influence on its results.
+
+use std::fmt::Debug;
+
+use super::{FittedShot, Result};
+use crate::scan_line::{Emission, Return, ScanLine};
+
+/// Observes the lines of a run.
+///
+/// Engine and stages call it from several threads, so lines arrive in any order. Inputs run one
+/// after another.
+pub trait RunObserver: Debug + Send + Sync {
+    /// Starts the next input.
+    fn begin_input(&self);
+
+    /// Observes a scan line that leaves the chain.
+    fn line(&self, line: &ScanLine);
+
+    /// Observes the results of `decompose` for a line; fits shots again for display.
+    ///
+    /// # Errors
+    /// Those of `fit`.
+    fn decomposed(&self, line: &DecomposedLine, fit: &mut FitShot) -> Result<()>;
+}
+
+/// A decomposed line.
+#[derive(Clone, Copy, Debug)]
+pub struct DecomposedLine<'a> {
+    /// Scan line number.
+    pub line: u32,
+    /// Emissions of the line.
+    pub emissions: &'a [Emission],
+    /// Returns of the line, grouped by emission.
+    pub returns: &'a [Return],
+}
+
+/// Fits the shot with this emission index again; `None` if it has no blocks.
+pub type FitShot<'a> = dyn FnMut(u32) -> Result<Option<FittedShot>> + 'a;
