@@ -13,11 +13,12 @@ mod scenes;
 
 use std::sync::Arc;
 
-use wavex_signal::calibrate::Block;
+use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{DecomposeSettings, Decomposer};
-use wavex_signal::lockstep::{Candidate, Lockstep, Mode, Outcomes, SimdLevel, Tables};
+use wavex_signal::decompose::{FilterPeak, Lockstep, Mode, Outcomes, Tables};
 use wavex_signal::noise::ArNoise;
 use wavex_signal::sensor_model::{Background, ChannelModel};
+use wavex_signal::simd::SimdLevel;
 
 use clock::cpu_s;
 use scenes::{Random, SAMPLES, Scene, Waveforms, model};
@@ -97,17 +98,21 @@ fn quality(outcomes: &Outcomes, truths: &[Vec<f64>]) -> (f64, f64) {
 const ALIKE: &[usize] = &[SAMPLES];
 const OF_MANY_LENGTHS: &[usize] = &[SAMPLES, SAMPLES - 4, SAMPLES - 7, SAMPLES - 2, SAMPLES - 5];
 
-fn blocks<'a>(samples: &'a [u16], lengths: &[usize]) -> Vec<Block<'a>> {
+fn blocks<'a>(samples: &'a [u16], lengths: &[usize]) -> Vec<Waveform<'a>> {
     let lengths = lengths.iter().cycle();
-    samples.chunks(SAMPLES).zip(lengths).map(|(s, &n)| Block { samples: &s[..n], start_phase: 0 }).collect()
+    samples
+        .chunks(SAMPLES)
+        .zip(lengths)
+        .map(|(s, &n)| Waveform { samples: &s[..n], start_phase: 0 })
+        .collect()
 }
 
 /// Sets of waveforms: samples and truth.
 type Sets = [(Vec<u16>, Vec<Vec<f64>>); 3];
 
 /// Measures detection alone.
-fn detection(blocks: &[Block<'_>], mut detector: Lockstep, shows: bool) -> Rate {
-    let mut candidates: Vec<(u32, Candidate)> = Vec::with_capacity(2 * WAVEFORMS);
+fn detection(blocks: &[Waveform<'_>], mut detector: Lockstep, shows: bool) -> Rate {
+    let mut candidates: Vec<(u32, FilterPeak)> = Vec::with_capacity(2 * WAVEFORMS);
     let rate = rate(|| detector.detect(blocks, &mut candidates));
     if shows {
         println!("      {:.4} candidates per waveform", candidates.len() as f64 / WAVEFORMS as f64);

@@ -9,8 +9,8 @@ use crate::overview::{Gallery, ShownReturn, ShownShot};
 use crate::scan_line::{Blocks, Content, Emission, Kind, LineStats, Return, Returns, ScanLine};
 use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, RunContext, StageError, StageSpec};
 use wavex_signal::fusion::ChannelFusion;
-use wavex_signal::lockstep::SimdLevel;
 use wavex_signal::sensor_model::SensorModel;
+use wavex_signal::simd::SimdLevel;
 
 mod at_gains;
 mod crosstalk;

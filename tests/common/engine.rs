@@ -3,10 +3,11 @@
 
 use std::sync::Arc;
 
-use wavex_signal::calibrate::Block;
+use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{DecomposeSettings, Return};
-use wavex_signal::lockstep::{Lockstep, Mode, Outcomes, SimdLevel, Tables};
+use wavex_signal::decompose::{Lockstep, Mode, Outcomes, Tables};
 use wavex_signal::sensor_model::ChannelModel;
+use wavex_signal::simd::SimdLevel;
 
 /// Decomposes one waveform at a time.
 pub struct Engine {
@@ -24,7 +25,7 @@ impl Engine {
 
     /// Returns of a waveform, and its deviation ratio.
     pub fn decompose(&mut self, samples: &[u16]) -> (&[Return], f64) {
-        self.kernels.decompose(&[Block { samples, start_phase: 0 }], &mut self.outcomes);
+        self.kernels.decompose(&[Waveform { samples, start_phase: 0 }], &mut self.outcomes);
         let outcome = self.outcomes.get(0).expect("one outcome for one waveform");
         (outcome.returns, outcome.deviation_ratio())
     }

@@ -7,18 +7,23 @@
 //! noise. An unknown background of precision `q` is part of the noise, `S = Σ + 11ᵀ/q`, by the
 //! Sherman–Morrison formula.
 
-use super::wide::dot;
+use crate::simd::dot::dot;
 use std::ops::Range;
 
-use super::gauss_fit::{FOUR_LN_2, Pulse};
-use super::shape::Shape;
-use super::whitening::Whitener;
-use crate::rules::{DIP_PART, ECHO_SAMPLES};
+use crate::shape::Shape;
+use crate::shape::{FOUR_LN_2, Pulse};
+use crate::whitening::Whitener;
 
 /// Half length of the filter pulse, in its widths: the main lobe.
 const HALF_LENGTH_WIDTHS: f64 = 1.5;
 /// Smallest fraction of the pulse energy in used samples at a lag.
 const LEAST_ENERGY_PART: f64 = 0.3;
+
+/// Smallest dip between two candidates, relative to the threshold; without it, noise on the flank
+/// of one wide pulse would give two.
+pub(crate) const DIP_PART: f64 = 0.5;
+/// Length of the tabulated filter response after a pulse, samples.
+pub(crate) const ECHO_SAMPLES: usize = 256;
 
 /// A candidate pulse.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,7 +64,7 @@ impl Detector {
     /// Creates a filter for pulses of the calibrated width, in the whitener's noise.
     ///
     /// Blocks longer than `max_samples` allocate. `offset_precision` as in
-    /// [`super::gauss_fit::GaussFit::new`].
+    /// [`crate::gauss_fit::GaussFit::new`].
     pub fn new(
         shape: impl Into<Shape>,
         offset_precision: Option<f64>,

@@ -6,8 +6,8 @@
 //! is given by Rice (1944, "Mathematical analysis of random noise", section 3.3); for the output at
 //! the samples, by the bivariate normal distribution.
 
-use super::noise::ArNoise;
-use crate::rules::SD_OF_FWHM;
+use crate::noise::ArNoise;
+use crate::shape::SD_OF_FWHM;
 
 /// Matched-filter output for pure noise.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -5,8 +5,8 @@
 //! the digitiser's offset and does not change; a waveform's deviation from it scales with the gain.
 //! See docs/explanation/method.md, Automatic gain control.
 
-use super::noise::fit_by_bic;
-use super::sensor_model::{ChannelModel, ModelError};
+use crate::noise::fit_by_bic;
+use crate::sensor_model::{ChannelModel, ModelError};
 
 mod normalised;
 

@@ -9,22 +9,14 @@
 //! (1944) and Marquardt (1963) with analytic derivatives. The covariance of the parameters is the
 //! inverse of the normal matrix at the optimum, priors included.
 
-use super::cholesky;
-use super::shape::{Lane, Shape};
-use super::whitening::Whitener;
-use super::wide::dot;
+use crate::cholesky;
+use crate::shape::{Pulse, Shape};
+use crate::simd::dot::dot;
+use crate::whitening::Whitener;
 
 #[cfg(test)]
 mod tests;
 
-/// `4 ln 2`: a Gaussian of full width `W` at half maximum is `exp(-4 ln 2 (x/W)²)`.
-pub const FOUR_LN_2: f64 = 2.772_588_722_239_781;
-/// Half extent of a pulse, in widths.
-///
-/// Beyond it a pulse is zero in double precision (`exp(-4 ln 2 · 3.65²) = 1e-16`).
-const SUPPORT_WIDTHS: f64 = 3.65;
-/// Bounds of the log width ratio; a fit outside them is not meaningful.
-pub(super) const LN_WIDTH_BOUNDS: [f64; 2] = [-1.5, 3.2];
 /// Largest move of a pulse in one step, in its own widths (1.5 samples for a pulse of 4.25).
 const MAX_MOVE_WIDTHS: f64 = 0.35;
 /// Largest change of a log width in one step.
@@ -37,71 +29,6 @@ const MIN_HEIGHT_SD: f64 = 1e-3;
 const NEAR_NEWTON: f64 = 1e-2;
 /// Assumed ratio of the achievable to the predicted decrease.
 const REACH: f64 = 8.0;
-
-/// One pulse.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pulse {
-    /// Height of the peak above the background, DN.
-    pub height_dn: f64,
-    /// Position of the peak, samples from the block's first.
-    pub position_samples: f64,
-    /// Logarithm of the width over the calibrated width.
-    pub ln_width_ratio: f64,
-    /// Precision `1/s²` of the prior on `ln_width_ratio` about 0; 0 for no prior.
-    pub ln_width_precision: f64,
-}
-
-impl Pulse {
-    /// Adds `sign` times the pulse as a Gaussian to the samples `values`.
-    ///
-    /// `fwhm_samples` is the calibrated width.
-    pub fn add_to(&self, fwhm_samples: f64, sign: f64, values: &mut [f64]) {
-        self.add_lane_to(fwhm_samples, sign, Lane::All, values);
-    }
-
-    /// [`Pulse::add_to`] for the samples of a lane.
-    pub(super) fn add_lane_to(&self, fwhm_samples: f64, sign: f64, lane: Lane, values: &mut [f64]) {
-        let width = fwhm_samples * self.ln_width_ratio.exp();
-        let (first, end) = support(self.position_samples, width, values.len());
-        for (k, value) in values.iter_mut().enumerate().take(end).skip(lane.from(first)).step_by(lane.step())
-        {
-            let x = (k as f64 - self.position_samples) / width;
-            *value += sign * self.height_dn * (-FOUR_LN_2 * x * x).exp();
-        }
-    }
-
-    /// Writes the Gaussian's derivatives by height, position and log width to columns of block
-    /// length.
-    ///
-    /// Returns the first sample that can differ from zero.
-    pub(super) fn add_derivatives_to(
-        &self,
-        fwhm_samples: f64,
-        lane: Lane,
-        columns: [&mut [f64]; 3],
-    ) -> usize {
-        let [by_height, by_position, by_width] = columns;
-        let width = fwhm_samples * self.ln_width_ratio.exp();
-        let (first, end) = support(self.position_samples, width, by_height.len());
-        for k in (lane.from(first)..end).step_by(lane.step()) {
-            let x = (k as f64 - self.position_samples) / width;
-            let shape = (-FOUR_LN_2 * x * x).exp();
-            let slope = 2.0 * FOUR_LN_2 * x * self.height_dn * shape;
-            by_height[k] = shape;
-            by_position[k] = slope / width;
-            by_width[k] = slope * x;
-        }
-        first
-    }
-}
-
-/// Range `first..end` of samples in which a pulse is not zero.
-fn support(position: f64, width: f64, samples: usize) -> (usize, usize) {
-    let reach = SUPPORT_WIDTHS * width;
-    let first = (position - reach).ceil().max(0.0) as usize;
-    let end = ((position + reach).floor() + 1.0).max(0.0) as usize;
-    (first.min(samples), end.min(samples))
-}
 
 /// Reason why a fit ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -254,7 +181,7 @@ impl GaussFit {
     ///
     /// It is the row of the covariance times the derivatives. [`Whitener::whiten_transposed`]
     /// converts it to weights of the samples.
-    pub(super) fn weights(&self, i: usize) -> Vec<f64> {
+    pub(crate) fn weights(&self, i: usize) -> Vec<f64> {
         let samples = self.residual.len();
         let mut weights = vec![0.0; samples];
         for (j, column) in self.columns.chunks_exact(samples.max(1)).enumerate().take(self.parameters()) {

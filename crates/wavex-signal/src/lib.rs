@@ -17,7 +17,6 @@
 //! docs/explanation/method.md describes the method. Positions are in samples from the block's first, heights in
 //! digitiser steps (DN). The position of a pulse is that of its peak.
 
-mod allowance;
 pub mod calibrate;
 mod cholesky;
 pub mod decompose;
@@ -28,23 +27,17 @@ mod fourier;
 pub mod fusion;
 pub mod gain;
 pub mod gauss_fit;
-pub mod lockstep;
 pub mod mta;
 pub mod noise;
 pub mod outgoing;
 pub mod outliers;
 pub mod penalised_spline;
 pub mod radiometry;
-pub mod response;
-pub mod response_calibrate;
-mod rules;
 pub mod sensor_model;
 pub mod sensor_path;
 pub mod shape;
-pub mod steps;
-pub mod templates;
+pub mod simd;
 pub mod whitening;
-mod wide;
 pub mod width_by_amplitude;
 
 #[cfg(test)]

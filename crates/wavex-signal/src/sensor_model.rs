@@ -1,10 +1,12 @@
 //! Sensor model: the calibration of each channel, used by the decomposition.
 
+pub(crate) mod response;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::noise::{ArNoise, MAX_ORDER};
-use super::response::SystemResponse;
+use crate::noise::{ArNoise, MAX_ORDER};
+pub use response::{ResponseNode, SystemResponse};
 
 /// Sensor model with one entry per calibrated channel.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -117,7 +119,7 @@ pub struct Decay {
 }
 
 impl Digitiser {
-    pub(super) fn is_plain(&self) -> bool {
+    pub(crate) fn is_plain(&self) -> bool {
         *self == Digitiser::default()
     }
 

@@ -1,11 +1,16 @@
 //! Pulse shape: a Gaussian or the calibrated system response.
 
+mod pulse;
+pub(crate) mod templates;
+
 use std::sync::Arc;
 
-use super::gauss_fit::{self, Pulse};
-use super::response::{self, STEPS_PER_SAMPLE, SystemResponse};
-use super::sensor_model::{ChannelModel, ModelError};
-use super::templates::{Part, Templates};
+use crate::sensor_model::response::{self, STEPS_PER_SAMPLE, SystemResponse};
+use crate::sensor_model::{ChannelModel, ModelError};
+use templates::{Part, Templates};
+
+pub use pulse::{FOUR_LN_2, Pulse};
+pub(crate) use pulse::{LN_WIDTH_BOUNDS, Lane, SD_OF_FWHM};
 
 /// Family of pulses by height, position and width.
 #[derive(Debug, Clone)]
@@ -21,30 +26,6 @@ enum Family {
     Gaussian { fwhm_samples: f64 },
     /// The system response, widened by a Gaussian.
     Response(Arc<ResponseShape>),
-}
-
-/// Subset of the samples of a block.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Lane {
-    All,
-    Even,
-    Odd,
-}
-
-impl Lane {
-    /// First sample of the lane at or after `first`.
-    pub(super) fn from(self, first: usize) -> usize {
-        match self {
-            Lane::All => first,
-            Lane::Even => first + first % 2,
-            Lane::Odd => first + (first + 1) % 2,
-        }
-    }
-
-    /// Distance of consecutive samples of the lane.
-    pub(super) fn step(self) -> usize {
-        if self == Lane::All { 1 } else { 2 }
-    }
 }
 
 /// Template tables of a channel's response.
@@ -118,7 +99,7 @@ impl Shape {
     /// Smallest and largest log width ratio that can be fitted.
     pub fn ln_width_bounds(&self) -> [f64; 2] {
         match &self.family {
-            Family::Gaussian { .. } => gauss_fit::LN_WIDTH_BOUNDS,
+            Family::Gaussian { .. } => LN_WIDTH_BOUNDS,
             Family::Response(_) => Templates::ln_width_bounds(),
         }
     }

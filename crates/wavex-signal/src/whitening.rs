@@ -7,8 +7,8 @@
 //! those of the Durbin–Levinson recursion. An unused sample has no update, so the rows after a gap
 //! are those of the exact covariance sub-matrix.
 
-use super::noise::{ArNoise, MAX_ORDER};
-use super::wide::predict;
+use crate::noise::{ArNoise, MAX_ORDER};
+use crate::simd::dot::predict;
 
 /// Row of one sample: inverse SD of its prediction error (0 if unused), and state correction.
 #[derive(Debug, Clone, Copy, Default)]

@@ -3,7 +3,7 @@
 //! It is the lowest mode of the widths in amplitude bins, smoothed. Slopes, roughness and leaves
 //! only widen a pulse, so flat targets form the lowest mode.
 
-use super::penalised_spline::{Point, smooth};
+use crate::penalised_spline::{Point, smooth};
 
 /// Width of a bin in log amplitude.
 const BIN_LN: f64 = 0.1;

@@ -9,12 +9,11 @@ use super::shots::Shot;
 use super::{Decompose, Mode};
 use crate::scan_line::{Block, Channel, ReturnChannel};
 use crate::stage::{Result, StageError};
-use wavex_signal::calibrate::Block as Waveform;
-use wavex_signal::decompose::{DecomposeSettings, Decomposition};
+use wavex_signal::decompose::{self, DecomposeSettings, Decomposition, Lockstep, Outcomes, Tables, Waveform};
 use wavex_signal::gain::GainLevel;
-use wavex_signal::lockstep::{self, Lockstep, Outcomes, SimdLevel, Tables};
 use wavex_signal::outgoing::{Outgoing, OutgoingBatch, ReferenceBlock, Usual};
 use wavex_signal::sensor_model::{ChannelModel, ModelError, SensorModel};
+use wavex_signal::simd::SimdLevel;
 
 /// Maximum number of iterations of one fit in the mode `slow`.
 const SLOW_ITERATIONS: usize = 200;
@@ -141,9 +140,9 @@ impl Receiver {
         let split_evidence = channel.response.as_ref().and(config.split_evidence.number());
         let settings = DecomposeSettings { split_evidence, ..settings(config) };
         let mode = match config.mode {
-            Mode::Fastest => lockstep::Mode::Fastest,
-            Mode::FastSeparated => lockstep::Mode::FastSeparated,
-            Mode::Refined | Mode::Slow => lockstep::Mode::Refined,
+            Mode::Fastest => decompose::Mode::Fastest,
+            Mode::FastSeparated => decompose::Mode::FastSeparated,
+            Mode::Refined | Mode::Slow => decompose::Mode::Refined,
         };
         let kernels = Lockstep::new(channel, tables.cloned(), &settings, mode, path)?;
         let kernels = kernels.refine_when_needed(config.refine_when_needed);

@@ -7,12 +7,12 @@
 //! delay. If the other fit is an optimum, this is the joint fit of both blocks, to second order in
 //! the other's residual. The method is Levenberg–Marquardt.
 
-use crate::allowance::Allowance;
 use crate::cholesky;
 use crate::decompose::OVERDRIVEN_PART;
-use crate::gauss_fit::Pulse;
-use crate::rules::CLEAR_OF_ZERO_SD;
+use crate::decompose::acceptance::CLEAR_OF_ZERO_SD;
+use crate::decompose::acceptance::response_error::Allowance;
 use crate::sensor_model::{ChannelModel, ModelError};
+use crate::shape::Pulse;
 use crate::shape::Shape;
 use crate::whitening::Whitener;
 

@@ -12,8 +12,8 @@ use super::usual::{ReferenceBlock, UNUSUAL_DEVIATION, Usual, percentiles};
 use super::{Outgoing, window};
 use crate::cholesky;
 use crate::flags;
-use crate::gauss_fit::Pulse;
 use crate::sensor_model::{ChannelModel, ModelError};
+use crate::shape::Pulse;
 use crate::shape::Shape;
 use crate::whitening::Whitener;
 
