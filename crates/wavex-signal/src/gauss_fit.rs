@@ -10,6 +10,7 @@
 //! inverse of the normal matrix at the optimum, priors included.
 
 use crate::cholesky;
+use crate::levenberg_marquardt::{self, LeastSquares, Rules, Termination};
 use crate::shape::{Pulse, Shape};
 use crate::simd::dot::dot;
 use crate::whitening::Whitener;
@@ -25,38 +26,19 @@ const MAX_LN_WIDTH_STEP: f64 = 0.4;
 const MIN_HEIGHT_PART: f64 = 0.2;
 /// Smallest height over the noise SD; keeps the normal matrix regular.
 const MIN_HEIGHT_SD: f64 = 1e-3;
-/// Damping below which the predicted decrease indicates the optimum.
-const NEAR_NEWTON: f64 = 1e-2;
+/// Rules of the loop; [`Limits`] set the iterations and the decrease.
+const RULES: Rules = Rules {
+    damping: [1e-3, 1e-9],
+    most_damping: 1e10,
+    linearisations: 0,
+    steps: usize::MAX,
+    decrease: 0.0,
+    near_newton: 1e-2,
+    takes_last_step: false,
+    ends_if_singular: false,
+};
 /// Assumed ratio of the achievable to the predicted decrease.
 const REACH: f64 = 8.0;
-
-/// Reason why a fit ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Termination {
-    /// The predicted decrease of the next step is negligible: the optimum.
-    Converged,
-    /// Converged with a width or a position at its bound.
-    AtBound,
-    /// No step decreases the objective: the optimum to rounding.
-    NoDecrease,
-    /// The iteration limit was reached.
-    IterationLimit,
-    /// The objective cannot reach [`Limits::enough`].
-    OutOfReach,
-    /// Fewer used samples than parameters; nothing was fitted.
-    TooFewSamples,
-    /// More pulses than the workspace supports; nothing was fitted.
-    TooManyPulses,
-    /// Start values, samples or normal matrix are not finite, or the matrix is singular.
-    Singular,
-}
-
-impl Termination {
-    /// Whether the parameters are an optimum with known covariance.
-    pub fn is_optimum(self) -> bool {
-        matches!(self, Termination::Converged | Termination::AtBound | Termination::NoDecrease)
-    }
-}
 
 /// Termination criteria of a fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -110,6 +92,9 @@ pub struct GaussFit {
     pulses: Vec<Pulse>,
     offset_dn: f64,
     trial: Vec<Pulse>,
+    trial_offset_dn: f64,
+    /// Whether the last step was limited by a bound.
+    at_bound: bool,
     residual: Vec<f64>,
     trial_residual: Vec<f64>,
     /// Whitened derivatives, in consecutive columns of block length.
@@ -141,6 +126,8 @@ impl GaussFit {
             pulses: Vec::with_capacity(max_pulses),
             offset_dn: 0.0,
             trial: Vec::with_capacity(max_pulses),
+            trial_offset_dn: 0.0,
+            at_bound: false,
             residual: Vec::with_capacity(max_samples),
             trial_residual: Vec::with_capacity(max_samples),
             columns: Vec::with_capacity(max_samples * parameters),
@@ -232,25 +219,19 @@ impl GaussFit {
         self.covariance.fill(f64::NAN);
         self.trial.clear();
         self.trial.extend_from_slice(&self.pulses);
+        self.trial_offset_dn = self.offset_dn;
     }
 
     fn minimise(&mut self, whitener: &Whitener, target_dn: &[f64], limits: Limits, fit: &mut Fit) {
-        let mut objective = self.try_point(whitener, target_dn, self.offset_dn);
-        self.accept(self.offset_dn);
-        let mut damping = 1e-3;
-        fit.termination = Termination::IterationLimit;
-        if !objective.is_finite() {
-            fit.termination = Termination::Singular;
+        let min_height_dn = MIN_HEIGHT_SD * whitener.noise().sd();
+        let rules = Rules { linearisations: limits.iterations, decrease: limits.decrease, ..RULES };
+        let mut problem = Problem { fit: self, whitener, target_dn, min_height_dn, enough: limits.enough };
+        (fit.termination, fit.iterations) = levenberg_marquardt::minimise(&mut problem, &rules);
+        if fit.termination == Termination::Singular {
             return;
         }
-        while fit.iterations < limits.iterations {
-            self.form_normal_equations(whitener);
-            fit.iterations += 1;
-            let descent = self.descend(whitener, target_dn, limits, &mut objective, &mut damping);
-            if let Some(termination) = descent {
-                fit.termination = termination;
-                break;
-            }
+        if fit.termination == Termination::Converged && self.at_bound {
+            fit.termination = Termination::AtBound;
         }
         if fit.termination == Termination::IterationLimit {
             self.form_normal_equations(whitener);
@@ -261,45 +242,9 @@ impl GaussFit {
         }
     }
 
-    /// Searches a descent step with increasing damping; returns the reason if the fit ends.
-    fn descend(
-        &mut self,
-        whitener: &Whitener,
-        target_dn: &[f64],
-        limits: Limits,
-        objective: &mut f64,
-        damping: &mut f64,
-    ) -> Option<Termination> {
-        let min_height_dn = MIN_HEIGHT_SD * whitener.noise().sd();
-        while *damping < 1e10 {
-            if !self.solve_damped(*damping) {
-                *damping *= 10.0;
-                continue;
-            }
-            let is_newton = *damping <= NEAR_NEWTON;
-            // Uses the full step, before it is limited.
-            if is_newton && *objective - REACH * self.promised_decrease() > limits.enough {
-                return Some(Termination::OutOfReach);
-            }
-            let (offset, at_bound) = self.step_within_limits(target_dn.len(), min_height_dn);
-            if is_newton && self.promised_decrease() < limits.decrease {
-                return Some(if at_bound { Termination::AtBound } else { Termination::Converged });
-            }
-            let value = self.try_point(whitener, target_dn, offset);
-            if value <= *objective {
-                *objective = value;
-                self.accept(offset);
-                *damping = (*damping * 0.1).max(1e-9);
-                return None;
-            }
-            *damping *= 10.0;
-        }
-        Some(Termination::NoDecrease)
-    }
-
-    /// Computes the objective at `self.trial` and `offset`, and the whitened residual in
-    /// `self.trial_residual`.
-    fn try_point(&mut self, whitener: &Whitener, target_dn: &[f64], offset: f64) -> f64 {
+    /// Computes the objective at the trial point, and its whitened residual.
+    fn try_point(&mut self, whitener: &Whitener, target_dn: &[f64]) -> f64 {
+        let offset = self.trial_offset_dn;
         for (residual, target) in self.trial_residual.iter_mut().zip(target_dn) {
             *residual = target - offset;
         }
@@ -312,9 +257,9 @@ impl GaussFit {
         dot(&self.trial_residual, &self.trial_residual) + prior
     }
 
-    fn accept(&mut self, offset: f64) {
+    fn accept(&mut self) {
         self.pulses.copy_from_slice(&self.trial);
-        self.offset_dn = offset;
+        self.offset_dn = self.trial_offset_dn;
         std::mem::swap(&mut self.residual, &mut self.trial_residual);
     }
 
@@ -376,11 +321,9 @@ impl GaussFit {
         true
     }
 
-    /// Applies the limited step to `self.trial`; `self.step` becomes the actual move.
-    ///
-    /// Returns the trial offset, and whether a bound was active.
-    fn step_within_limits(&mut self, samples: usize, min_height_dn: f64) -> (f64, bool) {
-        let mut at_bound = false;
+    /// Applies the limited step to the trial point; `self.step` becomes the actual move.
+    fn step_within_limits(&mut self, samples: usize, min_height_dn: f64) {
+        self.at_bound = false;
         let fwhm_samples = self.shape.fwhm_samples();
         let [narrowest, widest] = self.shape.ln_width_bounds();
         for (i, (trial, pulse)) in self.trial.iter_mut().zip(&self.pulses).enumerate() {
@@ -394,14 +337,14 @@ impl GaussFit {
                 moved.clamp(-2.0 * fwhm_samples, samples as f64 - 1.0 + 2.0 * fwhm_samples);
             let widened = pulse.ln_width_ratio + step[2].clamp(-MAX_LN_WIDTH_STEP, MAX_LN_WIDTH_STEP);
             trial.ln_width_ratio = widened.clamp(narrowest, widest);
-            at_bound |= trial.position_samples != moved || trial.ln_width_ratio != widened;
+            self.at_bound |= trial.position_samples != moved || trial.ln_width_ratio != widened;
             step[0] = trial.height_dn - pulse.height_dn;
             step[1] = trial.position_samples - pulse.position_samples;
             step[2] = trial.ln_width_ratio - pulse.ln_width_ratio;
         }
         let offset_step =
             if self.offset_precision.is_some() { self.step[3 * self.pulses.len()] } else { 0.0 };
-        (self.offset_dn + offset_step, at_bound)
+        self.trial_offset_dn = self.offset_dn + offset_step;
     }
 
     /// Decrease of the objective predicted by the quadratic model.
@@ -428,5 +371,46 @@ impl GaussFit {
         }
         cholesky::invert(&self.damped[..n * n], n, &mut self.covariance[..n * n]);
         true
+    }
+}
+
+/// A fit to one block.
+struct Problem<'a> {
+    fit: &'a mut GaussFit,
+    whitener: &'a Whitener,
+    target_dn: &'a [f64],
+    min_height_dn: f64,
+    /// See [`Limits::enough`].
+    enough: f64,
+}
+
+impl LeastSquares for Problem<'_> {
+    fn objective(&mut self) -> f64 {
+        self.fit.try_point(self.whitener, self.target_dn)
+    }
+
+    fn accept(&mut self) {
+        self.fit.accept();
+    }
+
+    fn linearise(&mut self) {
+        self.fit.form_normal_equations(self.whitener);
+    }
+
+    fn solve(&mut self, damping: f64) -> bool {
+        self.fit.solve_damped(damping)
+    }
+
+    /// Uses the full step, before it is limited.
+    fn is_out_of_reach(&self, objective: f64) -> bool {
+        objective - REACH * self.fit.promised_decrease() > self.enough
+    }
+
+    fn take_step(&mut self) {
+        self.fit.step_within_limits(self.target_dn.len(), self.min_height_dn);
+    }
+
+    fn promised(&self) -> f64 {
+        self.fit.promised_decrease()
     }
 }

@@ -27,6 +27,7 @@ mod fourier;
 pub mod fusion;
 pub mod gain;
 pub mod gauss_fit;
+mod levenberg_marquardt;
 pub mod mta;
 pub mod noise;
 pub mod outgoing;

@@ -11,6 +11,7 @@ use crate::cholesky;
 use crate::decompose::OVERDRIVEN_PART;
 use crate::decompose::acceptance::CLEAR_OF_ZERO_SD;
 use crate::decompose::acceptance::response_error::Allowance;
+use crate::levenberg_marquardt::{self, LeastSquares, Rules};
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
 use crate::shape::Shape;
@@ -22,9 +23,17 @@ const PARTS: usize = 3;
 ///
 /// Used only if the fit shows that the receiver needs to recover.
 const RECOVERY_SAMPLES: usize = 1;
-const ITERATIONS: usize = 40;
-/// Convergence: predicted decrease of the objective by the next step.
-const DECREASE: f64 = 1e-8;
+/// Rules of the loop.
+const RULES: Rules = Rules {
+    damping: [1e-4, 1e-12],
+    most_damping: 1e8f64.next_up(),
+    linearisations: usize::MAX,
+    steps: 40,
+    decrease: 1e-8,
+    near_newton: f64::INFINITY,
+    takes_last_step: true,
+    ends_if_singular: true,
+};
 /// Largest steps of log height, position in widths, and log width.
 const LONGEST: [f64; PARTS] = [0.7, 0.35, 0.3];
 /// Excess of chi-square over its degrees of freedom, in standard deviations, above which the model
@@ -96,10 +105,21 @@ pub struct JointFit {
     precisions: Vec<[[f64; PARTS]; PARTS]>,
     /// Parameters by pulse, then the background offset if it is free.
     values: Vec<f64>,
+    /// Parameters of the last accepted step.
+    best: Vec<f64>,
+    /// Inverse of the variance factor of the samples.
+    weight: f64,
+    /// Chi-square at `best` and at `values`.
+    chi_square: f64,
+    trial_chi_square: f64,
     residual: Vec<f64>,
     columns: Vec<f64>,
     normal: Vec<f64>,
+    damped: Vec<f64>,
     gradient: Vec<f64>,
+    step: Vec<f64>,
+    /// Decrease of the objective promised by the step before it is limited.
+    promised: f64,
     fitted: Vec<JointFitted>,
 }
 
@@ -124,10 +144,17 @@ impl JointFit {
             pulses: Vec::new(),
             precisions: Vec::new(),
             values: Vec::new(),
+            best: Vec::new(),
+            weight: 1.0,
+            chi_square: 0.0,
+            trial_chi_square: 0.0,
             residual: Vec::new(),
             columns: Vec::new(),
             normal: Vec::new(),
+            damped: Vec::new(),
             gradient: Vec::new(),
+            step: Vec::new(),
+            promised: 0.0,
             fitted: Vec::new(),
         })
     }
@@ -186,7 +213,8 @@ impl JointFit {
             factor = first.variance_factor(calibrated);
         }
         let outcome = if factor > calibrated { self.minimise(1.0 / factor)? } else { first };
-        self.conclude(1.0 / factor)?;
+        self.weight = 1.0 / factor;
+        self.conclude()?;
         Some(outcome)
     }
 
@@ -251,10 +279,73 @@ impl JointFit {
         rows.map(|(x, row)| x * row.iter().zip(&off).map(|(p, y)| p * y).sum::<f64>()).sum()
     }
 
+    fn add_priors(&mut self) {
+        let n = self.values.len();
+        for i in 0..self.pulses.len() {
+            let off = self.off(i);
+            for (a, row) in self.precisions[i].iter().enumerate() {
+                for (b, precision) in row.iter().enumerate() {
+                    self.normal[(PARTS * i + a) * n + PARTS * i + b] += precision;
+                    self.gradient[PARTS * i + a] -= precision * off[b];
+                }
+            }
+            let width = PARTS * i + 2;
+            self.normal[width * n + width] += self.pulses[i].ln_width_precision;
+            self.gradient[width] -= self.pulses[i].ln_width_precision * self.values[width];
+        }
+        if let Some(precision) = self.model.offset_precision() {
+            self.normal[n * n - 1] += precision;
+            self.gradient[n - 1] -= precision * self.values[n - 1];
+        }
+    }
+
+    /// Minimises the objective with this weight of the samples; `None` without an optimum.
+    fn minimise(&mut self, weight: f64) -> Option<Outcome> {
+        self.weight = weight;
+        let (termination, _) = levenberg_marquardt::minimise(self, &RULES);
+        self.values.clone_from(&self.best);
+        let degrees_of_freedom = self.whitener.used_count().saturating_sub(self.values.len());
+        termination.is_optimum().then_some(Outcome { chi_square: self.chi_square, degrees_of_freedom })
+    }
+
+    /// Computes the covariances at the optimum.
+    fn conclude(&mut self) -> Option<()> {
+        let n = self.values.len();
+        self.residual();
+        self.linearise();
+        if !cholesky::factor(&mut self.normal, n) {
+            return None;
+        }
+        let mut covariance = vec![0.0; n * n];
+        cholesky::invert(&self.normal, n, &mut covariance);
+        for i in 0..self.pulses.len() {
+            let at = |part: usize| PARTS * i + part;
+            self.fitted.push(JointFitted {
+                value: std::array::from_fn(|part| self.values[at(part)]),
+                covariance: std::array::from_fn(|a| std::array::from_fn(|b| covariance[at(a) * n + at(b)])),
+                distance: self.distance(i),
+            });
+        }
+        Some(())
+    }
+}
+
+impl LeastSquares for JointFit {
+    fn objective(&mut self) -> f64 {
+        self.trial_chi_square = self.residual();
+        self.weight * self.trial_chi_square + self.prior()
+    }
+
+    fn accept(&mut self) {
+        self.best.clone_from(&self.values);
+        self.chi_square = self.trial_chi_square;
+    }
+
     /// Computes the normal matrix and descent direction at the last residual.
     ///
     /// The direction is half the negative gradient of the objective.
-    fn linearise(&mut self, weight: f64) {
+    fn linearise(&mut self) {
+        let weight = self.weight;
         let (n, m) = (self.values.len(), self.target_dn.len());
         self.columns.clear();
         self.columns.resize(n * m, 0.0);
@@ -286,99 +377,36 @@ impl JointFit {
         self.add_priors();
     }
 
-    fn add_priors(&mut self) {
+    fn solve(&mut self, damping: f64) -> bool {
         let n = self.values.len();
-        for i in 0..self.pulses.len() {
-            let off = self.off(i);
-            for (a, row) in self.precisions[i].iter().enumerate() {
-                for (b, precision) in row.iter().enumerate() {
-                    self.normal[(PARTS * i + a) * n + PARTS * i + b] += precision;
-                    self.gradient[PARTS * i + a] -= precision * off[b];
-                }
-            }
-            let width = PARTS * i + 2;
-            self.normal[width * n + width] += self.pulses[i].ln_width_precision;
-            self.gradient[width] -= self.pulses[i].ln_width_precision * self.values[width];
+        self.damped.clone_from(&self.normal);
+        (0..n).for_each(|i| self.damped[i * n + i] *= 1.0 + damping);
+        if !cholesky::factor(&mut self.damped, n) {
+            return false;
         }
-        if let Some(precision) = self.model.offset_precision() {
-            self.normal[n * n - 1] += precision;
-            self.gradient[n - 1] -= precision * self.values[n - 1];
-        }
+        self.step.clone_from(&self.gradient);
+        cholesky::solve(&self.damped, n, &mut self.step);
+        self.promised = self.step.iter().zip(&self.gradient).map(|(s, g)| s * g).sum();
+        true
     }
 
-    fn minimise(&mut self, weight: f64) -> Option<Outcome> {
-        let n = self.values.len();
-        let mut chi_square = self.residual();
-        let mut objective = weight * chi_square + self.prior();
-        let mut damping = 1e-4;
-        let mut best = self.values.clone();
-        let mut converged = false;
-        for _ in 0..ITERATIONS {
-            self.linearise(weight);
-            let mut damped = self.normal.clone();
-            (0..n).for_each(|i| damped[i * n + i] *= 1.0 + damping);
-            if !objective.is_finite() || !cholesky::factor(&mut damped, n) {
-                return None;
-            }
-            let mut step = self.gradient.clone();
-            cholesky::solve(&damped, n, &mut step);
-            let promised: f64 = step.iter().zip(&self.gradient).map(|(s, g)| s * g).sum();
-            self.limit(&mut step);
-            self.values.iter_mut().zip(&step).for_each(|(value, step)| *value += step);
-            let trial_chi_square = self.residual();
-            let trial = weight * trial_chi_square + self.prior();
-            if trial <= objective {
-                best.clone_from(&self.values);
-                (objective, chi_square) = (trial, trial_chi_square);
-                damping = (0.1 * damping).max(1e-12);
-            } else {
-                self.values.clone_from(&best);
-                self.residual();
-                damping *= 10.0;
-            }
-            if promised < DECREASE || (trial > objective && damping > 1e8) {
-                converged = true;
-                break;
-            }
-        }
-        let degrees_of_freedom = self.whitener.used_count().saturating_sub(n);
-        converged.then_some(Outcome { chi_square, degrees_of_freedom })
-    }
-
-    /// Limits the components of a step.
-    ///
-    /// They must stay within the validity of the linear model, and widths within the templates.
-    fn limit(&self, step: &mut [f64]) {
+    /// Keeps steps within the validity of the linear model, and widths within the templates.
+    fn take_step(&mut self) {
         let longest = [LONGEST[0], LONGEST[1] * self.shape.fwhm_samples(), LONGEST[2]];
         let [least, most] = self.shape.ln_width_bounds();
-        for (i, step) in step.iter_mut().enumerate().take(PARTS * self.pulses.len()) {
+        for (i, step) in self.step.iter_mut().enumerate().take(PARTS * self.pulses.len()) {
             let part = i % PARTS;
             *step = step.clamp(-longest[part], longest[part]);
             if part == 2 {
-                *step = (self.values[i] + *step).clamp(least, most) - self.values[i];
+                *step = (self.best[i] + *step).clamp(least, most) - self.best[i];
             }
         }
+        self.values.clone_from(&self.best);
+        self.values.iter_mut().zip(&self.step).for_each(|(value, step)| *value += step);
     }
 
-    /// Computes the covariances at the optimum.
-    fn conclude(&mut self, weight: f64) -> Option<()> {
-        let n = self.values.len();
-        self.residual();
-        self.linearise(weight);
-        if !cholesky::factor(&mut self.normal, n) {
-            return None;
-        }
-        let mut covariance = vec![0.0; n * n];
-        cholesky::invert(&self.normal, n, &mut covariance);
-        for i in 0..self.pulses.len() {
-            let at = |part: usize| PARTS * i + part;
-            self.fitted.push(JointFitted {
-                value: std::array::from_fn(|part| self.values[at(part)]),
-                covariance: std::array::from_fn(|a| std::array::from_fn(|b| covariance[at(a) * n + at(b)])),
-                distance: self.distance(i),
-            });
-        }
-        Some(())
+    fn promised(&self) -> f64 {
+        self.promised
     }
 }
 
