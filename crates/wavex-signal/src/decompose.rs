@@ -89,13 +89,6 @@ impl Default for DecomposeSettings {
     }
 }
 
-impl DecomposeSettings {
-    /// Returns the lower of the two thresholds.
-    pub(crate) fn least_sigma(&self) -> f64 {
-        self.detection_sigma_last.map_or(self.detection_sigma, |last| last.min(self.detection_sigma))
-    }
-}
-
 /// One return of a waveform; its position is that of the peak.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Return {

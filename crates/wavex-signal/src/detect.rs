@@ -17,7 +17,7 @@ use crate::whitening::Whitener;
 /// Half length of the filter pulse, in its widths: the main lobe.
 const HALF_LENGTH_WIDTHS: f64 = 1.5;
 /// Smallest fraction of the pulse energy in used samples at a lag.
-const LEAST_ENERGY_PART: f64 = 0.3;
+pub(crate) const LEAST_ENERGY_PART: f64 = 0.3;
 
 /// Smallest dip between two candidates, relative to the threshold; without it, noise on the flank
 /// of one wide pulse would give two.

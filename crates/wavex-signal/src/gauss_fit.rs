@@ -21,24 +21,32 @@ mod tests;
 /// Largest move of a pulse in one step, in its own widths (1.5 samples for a pulse of 4.25).
 const MAX_MOVE_WIDTHS: f64 = 0.35;
 /// Largest change of a log width in one step.
-const MAX_LN_WIDTH_STEP: f64 = 0.4;
+pub(crate) const MAX_LN_WIDTH_STEP: f64 = 0.4;
 /// Smallest relative height that a step may leave.
-const MIN_HEIGHT_PART: f64 = 0.2;
+pub(crate) const MIN_HEIGHT_PART: f64 = 0.2;
 /// Smallest height over the noise SD; keeps the normal matrix regular.
 const MIN_HEIGHT_SD: f64 = 1e-3;
+/// Damping below which a small promised decrease indicates convergence.
+pub(crate) const NEAR_NEWTON: f64 = 1e-2;
+/// Initial damping.
+pub(crate) const FIRST_DAMPING: f64 = 1e-3;
+/// Promised decrease that makes chi-square accurate enough for acceptance tests.
+pub(crate) const ROUGH_DECREASE: f64 = 1e-2;
 /// Rules of the loop; [`Limits`] set the iterations and the decrease.
 const RULES: Rules = Rules {
-    damping: [1e-3, 1e-9],
+    damping: [FIRST_DAMPING, 1e-9],
     most_damping: 1e10,
     linearisations: 0,
     steps: usize::MAX,
     decrease: 0.0,
-    near_newton: 1e-2,
+    near_newton: NEAR_NEWTON,
     takes_last_step: false,
     ends_if_singular: false,
 };
 /// Assumed ratio of the achievable to the predicted decrease.
-const REACH: f64 = 8.0;
+pub(crate) const REACH: f64 = 8.0;
+/// Precision of a prior that fixes a width.
+pub(crate) const FIXED_WIDTH_PRECISION: f64 = 1e8;
 
 /// Termination criteria of a fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,7 +72,7 @@ impl Limits {
 
     /// Criteria for a chi-square accurate enough for acceptance tests.
     pub fn rough(iterations: usize) -> Limits {
-        Limits { iterations, decrease: 1e-2, enough: f64::INFINITY }
+        Limits { iterations, decrease: ROUGH_DECREASE, enough: f64::INFINITY }
     }
 }
 

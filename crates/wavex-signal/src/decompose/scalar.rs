@@ -3,6 +3,7 @@
 //! The reference of the SIMD form [`super::simd`], which leaves it the waveforms it does not
 //! support. docs/explanation/method.md describes the steps from Detection to Uncertainties.
 
+use super::acceptance::DetectionSigma;
 use super::acceptance::response_error::Allowance;
 use super::{Counts, DecomposeSettings, Decomposition, Return, truncation_flag};
 use crate::detect::{Candidate, Detector, next_plateau, plateau_candidate};
@@ -23,6 +24,7 @@ mod view;
 pub struct Decomposer {
     model: ChannelModel,
     settings: DecomposeSettings,
+    sigma: DetectionSigma,
     allowance: Allowance,
     scene: Scene,
     detector: Detector,
@@ -47,6 +49,7 @@ impl Decomposer {
         Ok(Decomposer {
             model: model.clone(),
             settings: settings.clone(),
+            sigma: DetectionSigma::of(settings),
             allowance: Allowance::new(
                 model,
                 settings.template_error,
@@ -105,8 +108,7 @@ impl Decomposer {
     fn find_candidates(&mut self, samples: &[u16]) {
         self.detector.filter(self.scene.whitener(), self.scene.target_dn());
         self.candidates.clear();
-        let least_sigma = self.settings.least_sigma();
-        self.detector.maxima(least_sigma, &mut self.candidates);
+        self.detector.maxima(self.sigma.least, &mut self.candidates);
         self.drop_weak_candidates();
         let width = self.model.fwhm_samples();
         let mut from = 0;

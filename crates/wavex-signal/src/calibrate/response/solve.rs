@@ -6,14 +6,12 @@ use std::ops::Range;
 use super::Single;
 use super::spline::Basis;
 use crate::cholesky;
-use crate::gauss_fit::{GaussFit, Limits};
+use crate::gauss_fit::{FIXED_WIDTH_PRECISION, GaussFit, Limits};
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
 use crate::shape::Shape;
 use crate::whitening::Whitener;
 
-/// Precision of a prior that fixes a width.
-pub(super) const FROZEN: f64 = 1e8;
 /// Ridge added to the diagonal, relative to its largest element.
 const RIDGE: f64 = 1e-6;
 /// SD of the second difference of neighbouring splines in the tail: a slow tail is smooth.
@@ -82,7 +80,7 @@ impl<'a> Problem<'a> {
             height_dn: single.fitted.amplitude_dn,
             position_samples: single.fitted.position_samples,
             ln_width_ratio: 0.0,
-            ln_width_precision: FROZEN,
+            ln_width_precision: FIXED_WIDTH_PRECISION,
         };
         let fit = self.fitter.fit(&self.whitener, &self.target, &[start], NEAR);
         let (true, Some(&pulse)) = (fit.termination.is_optimum(), self.fitter.pulses().first()) else {

@@ -2,7 +2,7 @@
 
 use super::scene::Found;
 use super::{Counts, Decomposer};
-use crate::decompose::acceptance::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, TRIAL_PART};
+use crate::decompose::acceptance::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, TRIAL_PART, is_misshapen};
 use crate::detect::Candidate;
 use crate::flags;
 use crate::shape::SD_OF_FWHM;
@@ -44,7 +44,7 @@ impl Decomposer {
     fn add_one(&mut self) -> bool {
         self.detector.filter(self.scene.whitener(), self.scene.residual_dn());
         self.candidates.clear();
-        self.detector.maxima(TRIAL_PART * self.settings.least_sigma(), &mut self.candidates);
+        self.detector.maxima(TRIAL_PART * self.sigma.least, &mut self.candidates);
         self.candidates.sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
         let starts = [Start::AsFitted, Start::CalibratedWidth, Start::Apart(0.5)];
         (0..self.candidates.len().min(TRIALS)).any(|i| {
@@ -200,12 +200,10 @@ impl Decomposer {
     ///
     /// The width must be out of range by more than two standard deviations.
     fn remove_misshapen(&mut self) -> bool {
-        let [narrowest, widest] = self.settings.width_ratio.map(f64::ln);
-        let last = self.scene.target_dn().len() as f64;
+        let bounds = self.settings.width_ratio.map(f64::ln);
+        let block = [-1.0, self.scene.target_dn().len() as f64];
         let misshapen = self.scene.found.iter().position(|f| {
-            let (u, reach) = (f.pulse.ln_width_ratio, 2.0 * f.sd[2]);
-            let outside = f.pulse.position_samples < -1.0 || f.pulse.position_samples > last;
-            u + reach < narrowest || u - reach > widest || outside
+            is_misshapen([f.pulse.position_samples, f.pulse.ln_width_ratio, f.sd[2]], bounds, block)
         });
         Self::filter_out(&mut self.counts, &mut self.scene.found, misshapen)
     }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use crate::detect::Candidate;
 use crate::flags;
-use crate::gauss_fit::{GaussFit, Limits};
+use crate::gauss_fit::{FIXED_WIDTH_PRECISION, GaussFit, Limits};
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
 use crate::shape::Shape;
@@ -12,10 +12,8 @@ use crate::whitening::Whitener;
 
 use super::DecomposeSettings;
 use super::score::Score;
-use crate::decompose::acceptance::{CLEAR_OF_ZERO_SD, CLUSTER_WIDTHS, LEAST_SEPARATION_WIDTHS};
+use crate::decompose::acceptance::{CLEAR_OF_ZERO_SD, CLUSTER_WIDTHS, least_separation_samples, too_near};
 
-/// Precision of the prior of a fixed width.
-const FROZEN: f64 = 1e8;
 /// Iterations with fixed width for pulses that start from the calibrated width.
 const FROZEN_ITERATIONS: usize = 8;
 
@@ -146,7 +144,7 @@ impl Scene {
 
     /// Minimum separation of two pulses.
     pub(super) fn least_separation(&self) -> f64 {
-        (LEAST_SEPARATION_WIDTHS * self.fwhm_samples).max(1.0)
+        least_separation_samples(self.fwhm_samples)
     }
 
     /// Loads a new waveform.
@@ -298,7 +296,7 @@ impl Scene {
         if from_calibrated_width {
             for f in &mut self.found[cluster.clone()] {
                 f.pulse.ln_width_ratio = 0.0;
-                f.pulse.ln_width_precision = FROZEN;
+                f.pulse.ln_width_precision = FIXED_WIDTH_PRECISION;
             }
             self.fit_as_is(cluster.clone(), Limits::rough(FROZEN_ITERATIONS));
         }
@@ -387,11 +385,7 @@ impl Scene {
     /// Without the priors, a narrow pulse with a wide one often fits as well as the true pair.
     pub(super) fn keep_if_best(&mut self) {
         let least = self.least_separation();
-        let near = |found: &[Found]| {
-            let gaps = found.windows(2);
-            let too_near = |w: &&[Found]| w[1].pulse.position_samples - w[0].pulse.position_samples < least;
-            gaps.filter(too_near).count()
-        };
+        let near = |found: &[Found]| too_near(found.iter().map(|f| f.pulse.position_samples), least);
         if objective(&self.found, self.chi_square) < self.best.objective
             && near(&self.found) <= near(&self.before.found)
         {

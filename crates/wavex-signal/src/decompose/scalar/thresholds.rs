@@ -17,26 +17,15 @@ impl Decomposer {
     ///
     /// Raised by the response error of pulses higher than `height_dn`; infinity means all pulses.
     pub(super) fn threshold_at(&self, position_samples: f64, height_dn: f64) -> f64 {
-        self.sigma_at(position_samples) * self.allowance_at(position_samples, height_dn)
-    }
-
-    /// Detection threshold at a position without response errors.
-    ///
-    /// The last pulse of several can have its own threshold.
-    fn sigma_at(&self, position_samples: f64) -> f64 {
-        let found = &self.scene.found;
-        let behind_others = |_: &f64| {
-            found.iter().any(|f| f.pulse.position_samples < position_samples)
-                && found.iter().all(|f| f.pulse.position_samples <= position_samples)
-        };
-        self.settings.detection_sigma_last.filter(behind_others).unwrap_or(self.settings.detection_sigma)
+        let positions = self.scene.found.iter().map(|f| f.pulse.position_samples);
+        self.sigma.at(position_samples, positions) * self.allowance_at(position_samples, height_dn)
     }
 
     /// Drops candidates below the threshold, except the last of several with a lower threshold.
     ///
     /// Candidates are sorted by position.
     pub(super) fn drop_weak_candidates(&mut self) {
-        let sigma = self.settings.detection_sigma;
+        let sigma = self.sigma.usual;
         let others = self.candidates.iter().rev().skip(1).any(|c| c.statistic >= sigma);
         let mut left = self.candidates.len();
         self.candidates.retain(|c| {
@@ -70,7 +59,7 @@ impl Decomposer {
                 let lag = candidate.position_samples - stronger.position_samples;
                 sum + if lag > told { stronger.height_dn * self.detector.echo(lag) } else { 0.0 }
             });
-            if candidate.statistic - left >= self.settings.least_sigma() {
+            if candidate.statistic - left >= self.sigma.least {
                 self.candidates[kept] = candidate;
                 kept += 1;
             }

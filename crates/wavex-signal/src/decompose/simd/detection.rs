@@ -139,7 +139,7 @@ impl Kernel for DetectAll<'_> {
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
         let DetectAll { tables, rows, columns, first, begin, pulse_models, by_count, .. } = self;
-        let threshold = begin.thresholds.least_sigma as f32;
+        let threshold = begin.thresholds.sigma.least as f32;
         let mut found = [Candidates::default(); LANES];
         let groups = self.blocks.chunks(LANES).zip(pulse_models.chunks_mut(LANES));
         for (group, (blocks, pulse_models)) in groups.enumerate() {
@@ -193,10 +193,10 @@ impl Begin<'_> {
             pulse_model.give_up();
             return;
         }
-        if settings.detection_sigma > thresholds.least_sigma {
-            found.drop_weak(settings.detection_sigma as f32);
+        if thresholds.sigma.usual > thresholds.sigma.least {
+            found.drop_weak(thresholds.sigma.usual as f32);
         }
-        found.screen(thresholds.least_sigma as f32, &thresholds.left_behind, thresholds.per_dn);
+        found.screen(thresholds.sigma.least as f32, &thresholds.left_behind, thresholds.per_dn);
         found.keep_strongest(settings.max_returns);
         let kept = found.as_slice();
         pulse_model.counts = Counts {

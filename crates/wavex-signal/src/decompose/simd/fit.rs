@@ -6,6 +6,7 @@ use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::solve::{Factors, factor};
 use super::tables::{ROW, Tables, U_MAX};
 use super::template::{Pulses, Site, Sites, leaves_block, tail, template, weights};
+use crate::gauss_fit::{FIRST_DAMPING, NEAR_NEWTON, ROUGH_DECREASE};
 use crate::simd::{Kernel, LANES, Simd};
 
 /// Pulses to fit to a row that contains no others.
@@ -25,17 +26,15 @@ impl<const P: usize> Job<P> {
 /// Promised decrease of chi-square below which a fit has converged.
 ///
 /// It is the square of the remaining distance in standard deviations. The step is still made.
-const DECREASE: f32 = 1e-2;
+const DECREASE: f32 = ROUGH_DECREASE as f32;
 /// Initial, smallest and largest damping factor of Marquardt.
-const DAMPING: [f32; 3] = [1e-3, 1e-6, 1e6];
+const DAMPING: [f32; 3] = [FIRST_DAMPING as f32, 1e-6, 1e6];
 /// Damping at which no step lowers the objective.
 ///
 /// The fit is then at the optimum, at a kink of the response's dependence on height.
 const NO_DECREASE: f32 = 1e2;
 /// Diagonal of the matrix for a value held fixed.
 const HELD: f32 = 1e30;
-/// Largest damping at which a small promised decrease indicates convergence.
-const NEAR_NEWTON: f32 = 1e-2;
 
 /// The normal equations at a point, and the objective.
 #[derive(Clone, Copy)]
@@ -194,7 +193,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
             }
             // The result of a lane stays while others continue: it must not depend on them.
             promised = s.select(active, gain, promised);
-            let near = s.ge(s.splat(DECREASE), promised) & s.ge(s.splat(NEAR_NEWTON), damping);
+            let near = s.ge(s.splat(DECREASE), promised) & s.ge(s.splat(NEAR_NEWTON as f32), damping);
             let done = active & near;
             active &= !near & !s.ge(damping, s.splat(NO_DECREASE));
             for p in 0..P {

@@ -13,7 +13,7 @@ use super::pulse_model::{MAX_CLUSTER, PulseComponent, PulseModel, Way};
 use super::rows::BATCH;
 use super::score_test::Scores;
 use super::tables::U_MAX;
-use crate::decompose::acceptance::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, TRIAL_PART};
+use crate::decompose::acceptance::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, TRIAL_PART, too_near};
 use crate::flags;
 use crate::shape::SD_OF_FWHM;
 
@@ -162,7 +162,7 @@ impl Decompose<'_> {
 
     /// Finds the candidates in the residual of each active waveform.
     fn search(&mut self) {
-        let least = TRIAL_PART as f32 * self.thresholds.least_sigma as f32;
+        let least = TRIAL_PART as f32 * self.thresholds.sigma.least as f32;
         let Workspace { rows, columns, active: which, candidates: out, .. } = &mut *self.work;
         self.on.run(Search { tables: self.tables, rows, columns, which, threshold: least, out });
     }
@@ -190,7 +190,7 @@ impl Decompose<'_> {
 
     /// Returns the two candidates highest above their thresholds, if worth a trial.
     fn greatest(&self, pulse_model: &PulseModel, found: &Candidates) -> [Option<FilterPeak>; 2] {
-        let least = TRIAL_PART * self.thresholds.least_sigma;
+        let least = TRIAL_PART * self.thresholds.sigma.least;
         let mut best: [(f64, Option<FilterPeak>); 2] = [(least, None); 2];
         for candidate in found.as_slice() {
             let raise = self.thresholds.raise(pulse_model, candidate.position_samples, f32::INFINITY);
@@ -417,7 +417,9 @@ impl Decompose<'_> {
                 let old = &work.pulse_models[trial.row].pulses()[trial.old()];
                 // A trial that brings two pulses closer than the minimum separation is no
                 // improvement.
-                if too_near(trial.pulses(), least) <= too_near(old, least) {
+                let near =
+                    |pulses: &[PulseComponent]| too_near(pulses.iter().map(PulseComponent::position), least);
+                if near(trial.pulses()) <= near(old) {
                     let widths: f32 = trial.pulses().iter().map(|p| p.values()[2].powi(2)).sum();
                     trial.objective = square + if trial.count > 1 { precision * widths } else { 0.0 };
                 }
@@ -507,11 +509,6 @@ fn part_of(pulse_model: &PulseModel, cluster: Range<usize>, position: f32) -> Ra
     };
     let start = (cluster.start..cluster.end - 1).min_by(|i, j| distance(i).total_cmp(&distance(j)));
     start.map_or(cluster, |start| start..start + 2)
-}
-
-/// Number of neighbours closer than `least`.
-fn too_near(pulses: &[PulseComponent], least: f32) -> usize {
-    pulses.windows(2).filter(|pair| pair[1].position() - pair[0].position() < least).count()
 }
 
 /// Splits a widened pulse into two of the calibrated width with its first moments.

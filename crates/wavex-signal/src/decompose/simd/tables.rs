@@ -3,6 +3,7 @@
 use super::filter::Filter;
 use super::fourier_response::{Series, Widened};
 use super::level::LevelTables;
+use crate::detect::LEAST_ENERGY_PART;
 use crate::noise::ArNoise;
 use crate::sensor_model::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse};
 use crate::sensor_model::{ChannelModel, Digitiser};
@@ -47,8 +48,6 @@ pub(super) const TAPS_BEFORE: usize = FILTER_BEFORE as usize + MAX_ORDER;
 pub(super) const BANK: usize = 6;
 const BANK_FIRST: usize = 12;
 const BANK_STRIDE: usize = 7;
-/// Minimum fraction of a pulse's energy for detection at the edge of a block.
-const LEAST_ENERGY: f64 = 0.3;
 
 /// Fraction of a pulse's energy that may be missing at either end of its row.
 ///
@@ -368,7 +367,7 @@ impl Tables {
         let whole = part(0..TAPS).0.powi(2);
         let gain = |used| {
             let (signal, variance) = part(used);
-            let enough = signal > 0.0 && signal * signal >= LEAST_ENERGY * whole * variance;
+            let enough = signal > 0.0 && signal * signal >= LEAST_ENERGY_PART * whole * variance;
             if enough { variance.sqrt().recip() as f32 } else { 0.0 }
         };
         self.filter = Filter::new(&taps, background_dn, gain);

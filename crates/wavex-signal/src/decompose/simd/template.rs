@@ -3,6 +3,7 @@
 use super::fitted::Values;
 use super::rows::sixteen;
 use super::tables::{BEFORE_PEAK, ENTRY, KNOTS, PHASES, ROW, ROW_STRIDE, Tables, U_MAX, U_MIN, U_STEP};
+use crate::gauss_fit::{MAX_LN_WIDTH_STEP, MIN_HEIGHT_PART};
 use crate::simd::{LANES, Simd, Sixteen};
 
 /// Sixteen pulses, one per row: height, position and `ln` of the width ratio.
@@ -16,9 +17,9 @@ pub(super) struct Pulses<V> {
 /// Range of positions outside the block, samples.
 const OUTSIDE: f32 = 8.0;
 /// Minimum fraction of its height that an iteration leaves to a pulse.
-const LEAST_LEFT: f32 = 0.2;
+const LEAST_LEFT: f32 = MIN_HEIGHT_PART as f32;
 /// Maximum change of position (samples) and of `ln` width per iteration.
-const LIMITS: [f32; 2] = [1.5, 0.4];
+const LIMITS: [f32; 2] = [1.5, MAX_LN_WIDTH_STEP as f32];
 
 impl<V: Copy> Pulses<V> {
     /// Makes a step within the limits of one iteration and of the tables.
@@ -37,7 +38,7 @@ impl<V: Copy> Pulses<V> {
         }
     }
 
-    /// Thresholds the pulses to the range of tables and rows; NaN becomes the lower bound.
+    /// Limits the pulses to the range of tables and rows; NaN becomes the lower bound.
     #[inline(always)]
     pub(super) fn within<S: Simd<V = V>>(self, s: S, last: V) -> Pulses<V> {
         let outside = s.splat(OUTSIDE);

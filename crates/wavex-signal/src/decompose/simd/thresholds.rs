@@ -3,8 +3,8 @@
 use super::candidates::LeftBehind;
 use super::pulse_model::{PulseComponent, PulseModel};
 use super::tables::BEFORE_PEAK;
-use crate::decompose::acceptance::LEAST_SEPARATION_WIDTHS;
 use crate::decompose::acceptance::response_error::Allowance;
+use crate::decompose::acceptance::{DetectionSigma, is_misshapen, least_separation_samples};
 use crate::decompose::{Counts, DecomposeSettings, Decomposition};
 use crate::detect::Detector;
 use crate::detect::ECHO_SAMPLES;
@@ -29,10 +29,7 @@ pub(super) struct Thresholds {
     /// Statistic of 1 DN of background; 0 for a known background.
     pub(super) level_response: f32,
     pub(super) allowance: Allowance,
-    detection_sigma: f64,
-    detection_sigma_last: Option<f64>,
-    /// The lower of the two thresholds.
-    pub(super) least_sigma: f64,
+    pub(super) sigma: DetectionSigma,
     fwhm_samples: f64,
     noise_sd_dn: f64,
     ln_width_ratio: [f32; 2],
@@ -64,14 +61,12 @@ impl Thresholds {
             per_dn: detector.full_significance_per_dn() as f32,
             level_response: 0.0,
             allowance: Allowance::new(model, settings.template_error, overdriven_dn),
-            detection_sigma: settings.detection_sigma,
-            detection_sigma_last: settings.detection_sigma_last,
-            least_sigma: settings.least_sigma(),
+            sigma: DetectionSigma::of(settings),
             fwhm_samples: model.fwhm_samples(),
             noise_sd_dn: model.noise_sd_dn,
             ln_width_ratio: settings.width_ratio.map(|ratio| ratio.ln() as f32),
             whole_from_ends: WHOLE_WIDTHS.map(|widths| (widths * model.fwhm_samples()) as f32),
-            least_separation: (LEAST_SEPARATION_WIDTHS as f32 * model.fwhm_samples() as f32).max(1.0),
+            least_separation: least_separation_samples(model.fwhm_samples()) as f32,
             held_width_ratio: (0.99 * held_sd_samples / (SD_OF_FWHM * model.fwhm_samples())) as f32,
             held_height_dn: held_height_dn as f32,
             shape,
@@ -100,10 +95,7 @@ impl Thresholds {
     /// Threshold at a position without response errors.
     #[inline(always)]
     fn sigma(&self, pulse_model: &PulseModel, position: f32) -> f64 {
-        let Some(of_last) = self.detection_sigma_last else { return self.detection_sigma };
-        let mut others = pulse_model.pulses().iter().map(PulseComponent::position);
-        let is_last = others.clone().any(|p| p < position) && others.all(|p| p <= position);
-        if is_last { of_last } else { self.detection_sigma }
+        self.sigma.at(position, pulse_model.pulses().iter().map(PulseComponent::position))
     }
 
     /// Returns the decomposition of a waveform, without its returns.
@@ -149,11 +141,9 @@ impl Thresholds {
         pulse: &PulseComponent,
         samples: usize,
     ) -> bool {
-        let [_, position, u] = pulse.values();
-        let reach = 2.0 * pulse.sds[2];
-        u + reach >= self.ln_width_ratio[0]
-            && u - reach <= self.ln_width_ratio[1]
-            && (-1.0..=samples as f32).contains(&position)
+        let [_, position, ln_width] = pulse.values();
+        let block = [-1.0, samples as f32];
+        !is_misshapen([position, ln_width, pulse.sds[2]], self.ln_width_ratio, block)
             && self.is_significant(pulse_model, pulse, samples)
     }
 
