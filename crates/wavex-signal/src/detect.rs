@@ -64,7 +64,7 @@ impl Detector {
     /// Creates a filter for pulses of the calibrated width, in the whitener's noise.
     ///
     /// Blocks longer than `max_samples` allocate. `offset_precision` as in
-    /// [`crate::gauss_fit::GaussFit::new`].
+    /// [`crate::pulse_fit::PulseFit::new`].
     pub fn new(
         shape: impl Into<Shape>,
         offset_precision: Option<f64>,

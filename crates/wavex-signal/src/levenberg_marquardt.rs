@@ -18,7 +18,7 @@ pub(crate) trait LeastSquares {
     fn is_out_of_reach(&self, _objective: f64) -> bool {
         false
     }
-    /// Limits the step and sets the trial point.
+    /// StopCriteria the step and sets the trial point.
     fn take_step(&mut self);
     /// Decrease of the objective promised by the step.
     fn promised(&self) -> f64;

@@ -3,7 +3,7 @@
 //! - [`calibrate`] and [`response_calibrate`] estimate a [`sensor_model`].
 //! - [`decompose`] finds the pulses of one waveform in correlated noise, in `f64`. Pulses are
 //!   widened copies of the system response ([`response`], [`templates`]) or Gaussians ([`shape`]).
-//!   It uses [`detect`] (matched filter), [`gauss_fit`] (joint least squares), [`whitening`] and
+//!   It uses [`detect`] (matched filter), [`pulse_fit`] (joint least squares), [`whitening`] and
 //!   [`noise`].
 //! - [`lockstep`] does the same for whole batches, in `f32` and many times faster, and leaves
 //!   unsuitable waveforms to [`decompose`].
@@ -26,13 +26,13 @@ pub mod flags;
 mod fourier;
 pub mod fusion;
 pub mod gain;
-pub mod gauss_fit;
 mod levenberg_marquardt;
 pub mod mta;
 pub mod noise;
 pub mod outgoing;
 pub mod outliers;
 pub mod penalised_spline;
+pub mod pulse_fit;
 pub mod radiometry;
 pub mod sensor_model;
 pub mod sensor_path;

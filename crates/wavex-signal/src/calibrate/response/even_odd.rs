@@ -1,6 +1,6 @@
 //! The even/odd test: position difference between the even and odd samples of a pulse.
 
-use crate::gauss_fit::{GaussFit, Limits};
+use crate::pulse_fit::{PulseFit, StopCriteria};
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
 use crate::shape::Shape;
@@ -15,7 +15,7 @@ use crate::whitening::Whitener;
 /// even and odd samples.
 #[derive(Debug, Clone)]
 pub struct EvenOdd {
-    fitter: GaussFit,
+    fitter: PulseFit,
     /// For even and for odd samples.
     whiteners: [Whitener; 2],
     /// Up to the last lag that differs from zero.
@@ -23,7 +23,7 @@ pub struct EvenOdd {
 }
 
 /// Tolerance for positions: a hundredth of their standard deviations.
-const NEAR: Limits = Limits { iterations: 30, decrease: 1e-4, enough: f64::INFINITY };
+const NEAR: StopCriteria = StopCriteria { iterations: 30, decrease: 1e-4, enough: f64::INFINITY };
 /// Correlation below which noise is treated as uncorrelated.
 const LEAST_CORRELATION: f64 = 1e-9;
 
@@ -48,7 +48,7 @@ impl EvenOdd {
         let reach = autocovariance.iter().rposition(|value| value.abs() > least).map_or(0, |last| last + 1);
         autocovariance.truncate(reach);
         Ok(EvenOdd {
-            fitter: GaussFit::new(shape, model.offset_precision(), longest, 1),
+            fitter: PulseFit::new(shape, model.offset_precision(), longest, 1),
             whiteners: [Whitener::new(noise.clone(), longest), Whitener::new(noise, longest)],
             autocovariance,
         })

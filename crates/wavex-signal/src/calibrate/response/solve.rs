@@ -6,7 +6,7 @@ use std::ops::Range;
 use super::Single;
 use super::spline::Basis;
 use crate::cholesky;
-use crate::gauss_fit::{FIXED_WIDTH_PRECISION, GaussFit, Limits};
+use crate::pulse_fit::{FIXED_WIDTH_PRECISION, PulseFit, StopCriteria};
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
 use crate::shape::Shape;
@@ -22,14 +22,14 @@ const TAIL_SLOPE_SD: f64 = 0.003;
 const NODE_CHANGE_SD: f64 = 0.02;
 
 /// Tolerance for heights and positions: a hundredth of their standard deviations.
-const NEAR: Limits = Limits { iterations: 30, decrease: 1e-4, enough: f64::INFINITY };
+const NEAR: StopCriteria = StopCriteria { iterations: 30, decrease: 1e-4, enough: f64::INFINITY };
 
 /// Normal equations of the splines of all nodes.
 pub(super) struct Problem<'a> {
     model: &'a ChannelModel,
     basis: &'a Basis,
     nodes: &'a [f64],
-    fitter: GaussFit,
+    fitter: PulseFit,
     whitener: Whitener,
     normal: Vec<f64>,
     right: Vec<f64>,
@@ -60,7 +60,7 @@ impl<'a> Problem<'a> {
             model,
             basis,
             nodes,
-            fitter: GaussFit::new(shape, model.offset_precision(), longest, 1),
+            fitter: PulseFit::new(shape, model.offset_precision(), longest, 1),
             whitener: Whitener::new(model.noise()?, longest),
             normal: vec![0.0; unknowns * unknowns],
             right: vec![0.0; unknowns],

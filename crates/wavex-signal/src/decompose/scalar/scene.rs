@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use crate::detect::Candidate;
 use crate::flags;
-use crate::gauss_fit::{FIXED_WIDTH_PRECISION, GaussFit, Limits};
+use crate::pulse_fit::{FIXED_WIDTH_PRECISION, PulseFit, StopCriteria};
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
 use crate::shape::Shape;
@@ -57,9 +57,9 @@ pub(super) struct Scene {
     fwhm_samples: f64,
     offset_is_free: bool,
     overlap_precision: f64,
-    limits: Limits,
+    limits: StopCriteria,
     whitener: Whitener,
-    fitter: GaussFit,
+    fitter: PulseFit,
     target_dn: Vec<f64>,
     used: Vec<bool>,
     /// `target_dn` minus pulses and offset.
@@ -90,9 +90,9 @@ impl Scene {
             fwhm_samples,
             offset_is_free: model.offset_precision().is_some(),
             overlap_precision: settings.overlap_ln_width_sd.powi(-2),
-            limits: Limits::exact(settings.iterations),
+            limits: StopCriteria::exact(settings.iterations),
             whitener: Whitener::new(model.noise()?, max_samples),
-            fitter: GaussFit::new(shape.clone(), model.offset_precision(), max_samples, pulses),
+            fitter: PulseFit::new(shape.clone(), model.offset_precision(), max_samples, pulses),
             target_dn: Vec::with_capacity(max_samples),
             used: Vec::with_capacity(max_samples),
             residual_dn: Vec::with_capacity(max_samples),
@@ -103,7 +103,7 @@ impl Scene {
             cluster_ends: Vec::with_capacity(pulses),
             before: saved(),
             best: saved(),
-            score: Score::new(max_samples, pulses),
+            score: Score::new(shape, model.offset_precision().is_some(), max_samples, pulses),
         })
     }
 
@@ -252,10 +252,10 @@ impl Scene {
 
     /// As [`Scene::fit`], to the accuracy needed for chi-square.
     pub(super) fn fit_all_roughly(&mut self) {
-        self.fit_clusters(Limits::rough(self.limits.iterations));
+        self.fit_clusters(StopCriteria::rough(self.limits.iterations));
     }
 
-    fn fit_clusters(&mut self, limits: Limits) {
+    fn fit_clusters(&mut self, limits: StopCriteria) {
         self.sort();
         for _ in 0..3 {
             let mut start = 0;
@@ -298,16 +298,16 @@ impl Scene {
                 f.pulse.ln_width_ratio = 0.0;
                 f.pulse.ln_width_precision = FIXED_WIDTH_PRECISION;
             }
-            self.fit_as_is(cluster.clone(), Limits::rough(FROZEN_ITERATIONS));
+            self.fit_as_is(cluster.clone(), StopCriteria::rough(FROZEN_ITERATIONS));
         }
         let enough = self.best.objective.min(self.before.chi_square - gain);
-        self.fit_cluster(cluster, Limits { enough, ..Limits::rough(self.limits.iterations) });
+        self.fit_cluster(cluster, StopCriteria { enough, ..StopCriteria::rough(self.limits.iterations) });
         self.sort();
         self.update_residual();
     }
 
     /// Sets the width priors of overlapping pulses, then fits.
-    fn fit_cluster(&mut self, cluster: Range<usize>, limits: Limits) {
+    fn fit_cluster(&mut self, cluster: Range<usize>, limits: StopCriteria) {
         for i in cluster.clone() {
             let overlaps =
                 (i > 0 && self.overlap(i - 1, i)) || (i + 1 < self.found.len() && self.overlap(i, i + 1));
@@ -317,7 +317,7 @@ impl Scene {
     }
 
     /// Fits the pulses of a cluster to the samples minus the other pulses.
-    fn fit_as_is(&mut self, cluster: Range<usize>, limits: Limits) {
+    fn fit_as_is(&mut self, cluster: Range<usize>, limits: StopCriteria) {
         self.residual_dn.clear();
         self.residual_dn.extend_from_slice(&self.target_dn);
         self.starts.clear();
@@ -356,7 +356,7 @@ impl Scene {
         let cluster = self.cluster_around(index);
         let pulses = self.found[cluster].iter().map(|f| f.pulse);
         let pulse = self.found[index].pulse;
-        self.score.statistic(&self.shape, &self.whitener, self.offset_is_free, pulses, pulse, &self.whitened)
+        self.score.statistic(&self.whitener, pulses, pulse, &self.whitened)
     }
 
     /// Inserts a pulse in order and returns its index.

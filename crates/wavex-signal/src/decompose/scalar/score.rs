@@ -31,16 +31,18 @@ const MIXED: [[f64; 3]; 4] = [[1.0, 1.0, 1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1
 const SECOND: [[f64; 3]; 3] = [[1.0, 1.0, 0.0], [-2.0, 0.0, 0.0], [1.0, -1.0, 0.0]];
 
 /// Workspace of the score test.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(super) struct Score {
     /// Whitened directions, orthonormalised, stored column by column.
     columns: Vec<f64>,
+    shape: Shape,
+    offset_is_free: bool,
 }
 
 impl Score {
     /// Creates a workspace for blocks of up to `max_samples` and clusters of up to `max_pulses`.
-    pub(super) fn new(max_samples: usize, max_pulses: usize) -> Score {
-        Score { columns: Vec::with_capacity((3 * max_pulses + 4) * max_samples) }
+    pub(super) fn new(shape: Shape, offset_is_free: bool, max_samples: usize, max_pulses: usize) -> Score {
+        Score { columns: Vec::with_capacity((3 * max_pulses + 4) * max_samples), shape, offset_is_free }
     }
 
     /// Returns `q` of pulse `index` of a cluster.
@@ -48,15 +50,14 @@ impl Score {
     /// `residual` is the whitened residual of all pulses.
     pub(super) fn statistic(
         &mut self,
-        shape: &Shape,
         whitener: &Whitener,
-        offset_is_free: bool,
         cluster: impl ExactSizeIterator<Item = Pulse>,
         pulse: Pulse,
         residual: &[f64],
     ) -> f64 {
         let samples = residual.len().max(1);
-        let fitted = 3 * cluster.len() + usize::from(offset_is_free);
+        let shape = &self.shape;
+        let fitted = 3 * cluster.len() + usize::from(self.offset_is_free);
         self.columns.clear();
         self.columns.resize((fitted + 3) * samples, 0.0);
         let mut columns = self.columns.chunks_exact_mut(samples);
@@ -65,7 +66,9 @@ impl Score {
             let [Some(by_height), Some(by_place), Some(by_width)] = parts else { return 0.0 };
             shape.add_derivatives(&p, [by_height, by_place, by_width]);
         }
-        if offset_is_free && let Some(column) = columns.next() {
+        if self.offset_is_free
+            && let Some(column) = columns.next()
+        {
             column.fill(1.0);
         }
         for (terms, column) in [&MIXED[..], &SECOND[..]].into_iter().zip(&mut columns) {

@@ -212,7 +212,7 @@ impl Begin<'_> {
 }
 
 /// Finds the candidates in the residuals of some waveforms.
-pub(super) struct Search<'a> {
+pub(super) struct FilterResiduals<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a Rows,
     pub(super) columns: &'a mut Columns,
@@ -221,12 +221,12 @@ pub(super) struct Search<'a> {
     pub(super) out: &'a mut Vec<Candidates>,
 }
 
-impl Kernel for Search<'_> {
+impl Kernel for FilterResiduals<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let Search { tables, rows, columns, threshold, out, .. } = self;
+        let FilterResiduals { tables, rows, columns, threshold, out, .. } = self;
         out.resize_with(self.which.len(), Candidates::default);
         for (which, out) in self.which.chunks(LANES).zip(out.chunks_mut(LANES)) {
             let mut lanes = [which[0]; LANES];

@@ -6,7 +6,7 @@ use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::solve::{Factors, factor};
 use super::tables::{ROW, Tables, U_MAX};
 use super::template::{Pulses, Site, Sites, leaves_block, tail, template, weights};
-use crate::gauss_fit::{FIRST_DAMPING, NEAR_NEWTON, ROUGH_DECREASE};
+use crate::pulse_fit::{FIRST_DAMPING, NEAR_NEWTON, ROUGH_DECREASE};
 use crate::simd::{Kernel, LANES, Simd};
 
 /// Pulses to fit to a row that contains no others.
@@ -38,15 +38,15 @@ const HELD: f32 = 1e30;
 
 /// The normal equations at a point, and the objective.
 #[derive(Clone, Copy)]
-struct Point<V, const N: usize> {
+struct NormalEquations<V, const N: usize> {
     matrix: [[V; N]; N],
     side: [V; N],
     objective: V,
 }
 
-impl<V: Copy, const N: usize> Point<V, N> {
+impl<V: Copy, const N: usize> NormalEquations<V, N> {
     #[inline(always)]
-    fn select<S: Simd<V = V>>(self, s: S, mask: u16, other: Point<V, N>) -> Point<V, N> {
+    fn select<S: Simd<V = V>>(self, s: S, mask: u16, other: NormalEquations<V, N>) -> NormalEquations<V, N> {
         let mut out = other;
         for i in 0..N {
             for j in 0..=i {
@@ -79,7 +79,7 @@ impl<const P: usize, const N: usize, const C: usize, const D: usize, const STRON
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let mut sums: Sums<S::Half, D> = [[s.halved(s.splat(0.0)); LANES]; D];
+        let mut sums: ProductSums<S::Half, D> = [[s.halved(s.splat(0.0)); LANES]; D];
         let Fit { tables, rows, precision, iterations, out, .. } = self;
         out.resize(self.jobs.len(), Fitted::NOTHING);
         for (jobs, out) in self.jobs.chunks(LANES).zip(out.chunks_mut(LANES)) {
@@ -92,18 +92,18 @@ impl<const P: usize, const N: usize, const C: usize, const D: usize, const STRON
 ///
 /// `N` is `3 P`, `C` the number of vectors in a frame, `D` the number of products of `N + 1`
 /// columns.
-struct Group<'a, S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> {
+struct FitGroup<'a, S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> {
     s: S,
     tables: &'a Tables,
     rows: &'a Rows,
     row: [usize; LANES],
     last: S::V,
     precision: f32,
-    sums: &'a mut Sums<S::Half, D>,
+    sums: &'a mut ProductSums<S::Half, D>,
 }
 
 /// Products before summation: half a vector per product and row.
-type Sums<H, const D: usize> = [[H; LANES]; D];
+type ProductSums<H, const D: usize> = [[H; LANES]; D];
 
 /// Maximum offset of a pulse's row in a frame, samples.
 ///
@@ -130,11 +130,11 @@ pub(super) fn fit<
     jobs: &[Job<P>],
     precision: f32,
     iterations: usize,
-    sums: &mut Sums<S::Half, D>,
+    sums: &mut ProductSums<S::Half, D>,
     out: &mut [Fitted<P>],
 ) {
     const { assert!(N == 3 * P && D == (N + 1) * (N + 2) / 2 && C * LANES >= ROW) };
-    let mut group: Group<'_, S, P, N, C, D> = Group {
+    let mut group: FitGroup<'_, S, P, N, C, D> = FitGroup {
         s,
         tables,
         rows,
@@ -161,7 +161,7 @@ pub(super) fn fit<
     group.descend::<STRONG>(start, (1u32 << jobs.len().min(LANES)).wrapping_sub(1) as u16, iterations, out);
 }
 
-impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Group<'_, S, P, N, C, D> {
+impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> FitGroup<'_, S, P, N, C, D> {
     #[inline(always)]
     fn descend<const STRONG: bool>(
         &mut self,
@@ -175,7 +175,8 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         let (mut pulses, mut trial) = (start, start);
         let (mut active, mut inside) = (lanes, lanes);
         // The first point is always accepted.
-        let mut point = Point { matrix: [[zero; N]; N], side: [zero; N], objective: s.splat(f32::MAX) };
+        let mut point =
+            NormalEquations { matrix: [[zero; N]; N], side: [zero; N], objective: s.splat(f32::MAX) };
         let mut promised = zero;
         let mut damping = s.splat(if P == 1 { 0.0 } else { 10.0 * DAMPING[0] });
         for _ in 0..=iterations {
@@ -232,7 +233,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
     /// Widths at the limit of the tables are held if they would leave it: truncating the step would
     /// distort its other values.
     #[inline(always)]
-    fn step(&self, point: &Point<S::V, N>, damping: S::V, pulses: &[Pulses<S::V>; P]) -> [S::V; N] {
+    fn step(&self, point: &NormalEquations<S::V, N>, damping: S::V, pulses: &[Pulses<S::V>; P]) -> [S::V; N] {
         let s = self.s;
         let mut damped = point.matrix;
         for (i, row) in damped.iter_mut().enumerate() {
@@ -258,7 +259,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
         pulses: &[Pulses<S::V>; P],
         lanes: u16,
         inside: &mut u16,
-    ) -> Point<S::V, N> {
+    ) -> NormalEquations<S::V, N> {
         let s = self.s;
         let mut sites = [Sites::NONE; P];
         for (sites, pulse) in sites.iter_mut().zip(pulses) {
@@ -335,7 +336,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
 
     /// Normal matrix (lower triangle), right side and objective from the products.
     #[inline(always)]
-    fn equations(&self, pulses: &[Pulses<S::V>; P]) -> Point<S::V, N> {
+    fn equations(&self, pulses: &[Pulses<S::V>; P]) -> NormalEquations<S::V, N> {
         let s = self.s;
         let zero = s.splat(0.0);
         // The derivatives by position and width are −a s_t and a s_u.
@@ -344,7 +345,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
             scale[3 * p + 1] = s.sub(zero, pulse.height);
             scale[3 * p + 2] = pulse.height;
         }
-        let mut point = Point { matrix: [[zero; N]; N], side: [zero; N], objective: zero };
+        let mut point = NormalEquations { matrix: [[zero; N]; N], side: [zero; N], objective: zero };
         let mut k = 0;
         for i in 0..N {
             for j in 0..=i {
@@ -372,7 +373,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Gr
     fn results<const STRONG: bool>(
         &mut self,
         pulses: &[Pulses<S::V>; P],
-        point: &Point<S::V, N>,
+        point: &NormalEquations<S::V, N>,
         optimum: u16,
         active: u16,
         out: &mut [Fitted<P>],

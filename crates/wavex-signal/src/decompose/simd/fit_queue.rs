@@ -5,7 +5,7 @@ use super::fitted::{Fitted, FittedPulse, Values};
 use super::rows::{BATCH, Rows};
 use super::tables::Tables;
 use super::template::Site;
-use crate::gauss_fit;
+use crate::pulse_fit;
 use crate::simd::{Kernel, Processor, Simd};
 
 /// Maximum number of iterations in each round of a fit.
@@ -99,7 +99,7 @@ pub(super) struct Aim {
 }
 
 /// Largest further decrease of a fit, in promised decreases of the next step.
-const REACH: f32 = gauss_fit::REACH as f32;
+const REACH: f32 = pulse_fit::REACH as f32;
 /// The same for a small promise, which is accurate near an optimum.
 const NEAR_REACH: f32 = 1.5;
 /// Promised decreases below this are small.

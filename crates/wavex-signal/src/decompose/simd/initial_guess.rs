@@ -254,7 +254,7 @@ impl<V: Copy> Parabola<V> {
 type StepSums<H> = [[H; LANES]; 6];
 
 /// Sixteen pulses after one step.
-struct Steps {
+struct StepLanes {
     fitted: FittedLanes,
     /// Lanes in which the step is valid: the pulse is practically whole and inside the tables.
     made: u16,
@@ -294,7 +294,7 @@ fn one_step<S: Simd>(
     start: Pulses<S::V>,
     levels: Option<&StepLevels<'_>>,
     sums: &mut StepSums<S::Half>,
-) -> Steps {
+) -> StepLanes {
     let row_of = |w: usize| which.get(w).copied().unwrap_or(EMPTY);
     let lengths: Sixteen = std::array::from_fn(|w| rows.length(row_of(w)).saturating_sub(1) as f32);
     let last = s.load(&lengths);
@@ -406,7 +406,7 @@ fn one_step<S: Simd>(
     let mut squares = [0.0; LANES];
     s.store(chi_square, &mut squares);
     let made = made & fitted.known_and_held();
-    Steps { made, fitted, chi_square: squares, samples: counted, levelled, level_dn, level_variance }
+    StepLanes { made, fitted, chi_square: squares, samples: counted, levelled, level_dn, level_variance }
 }
 
 /// Squares and residuals outside a pulse's row, to be summed.

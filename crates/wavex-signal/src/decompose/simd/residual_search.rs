@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::Mode;
 use super::batch::{ChiSquares, Decompose, Workspace};
 use super::candidates::{Candidates, FilterPeak};
-use super::detection::Search;
+use super::detection::FilterResiduals;
 use super::fit_queue::{Aim, add, take_off};
 use super::fitted::FittedPulse;
 use super::level::JointSquares;
@@ -52,6 +52,24 @@ pub(super) struct Trial {
 }
 
 impl Trial {
+    /// Creates a trial that replaces pulses near a position if chi-square decreases by `gain`.
+    fn near(row: usize, pulse_model: &PulseModel, position: f32, fwhm_samples: f32, gain: f32) -> Trial {
+        let whole = pulse_model.cluster_around(position, fwhm_samples);
+        let old = part_of(pulse_model, whole.clone(), position);
+        Trial {
+            row,
+            old: (old.start, old.end),
+            pulses: [PulseComponent::default(); MAX_CLUSTER],
+            count: 0,
+            is_part: old.len() < whole.len(),
+            has_ended: false,
+            is_dropped: false,
+            gain,
+            chi_square: f32::INFINITY,
+            objective: f32::INFINITY,
+        }
+    }
+
     fn old(&self) -> Range<usize> {
         self.old.0..self.old.1
     }
@@ -164,7 +182,7 @@ impl Decompose<'_> {
     fn search(&mut self) {
         let least = TRIAL_PART as f32 * self.thresholds.sigma.least as f32;
         let Workspace { rows, columns, active: which, candidates: out, .. } = &mut *self.work;
-        self.on.run(Search { tables: self.tables, rows, columns, which, threshold: least, out });
+        self.on.run(FilterResiduals { tables: self.tables, rows, columns, which, threshold: least, out });
     }
 
     /// Plans trials with one more pulse.
@@ -209,15 +227,13 @@ impl Decompose<'_> {
         let position = candidate.position_samples;
         let threshold = self.thresholds.threshold(&pulse_model, position, f32::INFINITY);
         let gain = (GAIN_PART * threshold * threshold) as f32;
-        let whole = pulse_model.cluster_around(position, self.fwhm());
-        let old = part_of(&pulse_model, whole.clone(), position);
-        let is_part = old.len() < whole.len();
+        let trial = Trial::near(row, &pulse_model, position, self.fwhm(), gain);
         let added = PulseComponent::new([candidate.statistic / self.thresholds.per_dn, position, 0.0]);
         if is_likely {
-            self.plan(row, &pulse_model, old.clone(), Change::Add(added), gain, is_part);
+            self.plan(trial, &pulse_model, Change::Add(added));
         }
         let distance = |i: &usize| (pulse_model.pulses()[*i].position() - position).abs();
-        let nearest = old.clone().min_by(|i, j| distance(i).total_cmp(&distance(j)));
+        let nearest = trial.old().min_by(|i, j| distance(i).total_cmp(&distance(j)));
         let Some(nearest) = nearest else { return };
         let ratio = pulse_model.pulses()[nearest].width_ratio();
         if distance(&nearest) < 1.5 * self.fwhm() * ratio.max(1.0) && ratio > HIDING_WIDTH_RATIO as f32 {
@@ -226,7 +242,7 @@ impl Decompose<'_> {
             } else {
                 Change::AddToNarrow(added, nearest)
             };
-            self.plan(row, &pulse_model, old, change, gain, is_part);
+            self.plan(trial, &pulse_model, change);
         }
     }
 
@@ -269,25 +285,16 @@ impl Decompose<'_> {
         // An apparent split due to an error of the response is not evidence.
         let raise = self.thresholds.raise(&pulse_model, position, f32::INFINITY);
         let gain = (evidence * raise * raise) as f32;
-        let whole = pulse_model.cluster_around(position, self.fwhm());
-        let old = part_of(&pulse_model, whole.clone(), position);
-        let is_part = old.len() < whole.len();
+        let trial = Trial::near(row, &pulse_model, position, self.fwhm(), gain);
         for part in parts {
-            self.plan(row, &pulse_model, old.clone(), Change::Divide(number, part), gain, is_part);
+            self.plan(trial, &pulse_model, Change::Divide(number, part));
         }
     }
 
-    fn plan(
-        &mut self,
-        row: usize,
-        pulse_model: &PulseModel,
-        old: Range<usize>,
-        change: Change,
-        gain: f32,
-        is_part: bool,
-    ) {
-        let mut pulses = [PulseComponent::default(); MAX_CLUSTER];
-        let count = old.len() + 1;
+    /// Plans a trial that changes its old pulses.
+    fn plan(&mut self, mut trial: Trial, pulse_model: &PulseModel, change: Change) {
+        let old = trial.old();
+        let (count, pulses) = (old.len() + 1, &mut trial.pulses);
         pulses[..old.len()].copy_from_slice(&pulse_model.pulses()[old.clone()]);
         match change {
             Change::Add(added) => pulses[count - 1] = added,
@@ -303,19 +310,8 @@ impl Decompose<'_> {
             }
         }
         pulses[..count].sort_unstable_by(|a, b| a.position().total_cmp(&b.position()));
-        let old = (old.start, old.end);
-        self.work.trials.push(Trial {
-            row,
-            old,
-            pulses,
-            count,
-            is_part,
-            has_ended: false,
-            is_dropped: false,
-            gain,
-            chi_square: f32::INFINITY,
-            objective: f32::INFINITY,
-        });
+        trial.count = count;
+        self.work.trials.push(trial);
     }
 
     /// Fits all trials and accepts the best of each waveform if justified.

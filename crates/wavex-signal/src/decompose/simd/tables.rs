@@ -86,7 +86,7 @@ impl Aligned {
 }
 
 /// Templates of the response for one height of the peak.
-pub(super) struct Node {
+pub(super) struct TemplateNode {
     pub(super) peak_dn: f32,
     entries: Aligned,
     /// Whitened response after the row, by phase, with sixteen zeros before and after.
@@ -98,7 +98,7 @@ pub(super) struct Node {
 /// 1 MB of templates for each height with its own response. The part for one width, 19 KB, stays in
 /// the first-level cache.
 pub struct Tables {
-    pub(super) nodes: Vec<Node>,
+    pub(super) nodes: Vec<TemplateNode>,
     /// Inverse Fisher matrix of a pulse of height 1, by entry.
     ///
     /// Lower triangle: aa, aτ, ττ, au, τu, uu.
@@ -279,7 +279,7 @@ impl Tables {
     }
 
     fn add_node(&mut self, series: &Series, peak_dn: f64, filter: &Whitening, is_first: bool) {
-        let mut node = Node {
+        let mut node = TemplateNode {
             peak_dn: peak_dn as f32,
             entries: Aligned::zeros(KNOTS * PHASES * ENTRY),
             tails: Aligned::zeros(PHASES * self.tail_stride),

@@ -32,7 +32,7 @@ pub(crate) const NEAR_NEWTON: f64 = 1e-2;
 pub(crate) const FIRST_DAMPING: f64 = 1e-3;
 /// Promised decrease that makes chi-square accurate enough for acceptance tests.
 pub(crate) const ROUGH_DECREASE: f64 = 1e-2;
-/// Rules of the loop; [`Limits`] set the iterations and the decrease.
+/// Rules of the loop; [`StopCriteria`] set the iterations and the decrease.
 const RULES: Rules = Rules {
     damping: [FIRST_DAMPING, 1e-9],
     most_damping: 1e10,
@@ -50,7 +50,7 @@ pub(crate) const FIXED_WIDTH_PRECISION: f64 = 1e8;
 
 /// Termination criteria of a fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Limits {
+pub struct StopCriteria {
     /// Largest number of iterations.
     pub iterations: usize,
     /// Converged if the next step is predicted to lower chi-square by less.
@@ -64,21 +64,21 @@ pub struct Limits {
     pub enough: f64,
 }
 
-impl Limits {
+impl StopCriteria {
     /// Criteria for parameters to 1e-5 of their standard deviations.
-    pub fn exact(iterations: usize) -> Limits {
-        Limits { iterations, decrease: 1e-10, enough: f64::INFINITY }
+    pub fn exact(iterations: usize) -> StopCriteria {
+        StopCriteria { iterations, decrease: 1e-10, enough: f64::INFINITY }
     }
 
     /// Criteria for a chi-square accurate enough for acceptance tests.
-    pub fn rough(iterations: usize) -> Limits {
-        Limits { iterations, decrease: ROUGH_DECREASE, enough: f64::INFINITY }
+    pub fn rough(iterations: usize) -> StopCriteria {
+        StopCriteria { iterations, decrease: ROUGH_DECREASE, enough: f64::INFINITY }
     }
 }
 
 /// Result of a fit; pulses, offset and covariance remain in the workspace.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Fit {
+pub struct FitResult {
     /// `‖L⁻¹(y - model)‖²` over the used samples, without the prior part.
     pub chi_square: f64,
     /// Number of used samples.
@@ -93,7 +93,7 @@ pub struct Fit {
 
 /// Workspace of the fit; within its capacities fits do not allocate.
 #[derive(Debug, Clone)]
-pub struct GaussFit {
+pub struct PulseFit {
     shape: Shape,
     offset_precision: Option<f64>,
     max_pulses: usize,
@@ -114,7 +114,7 @@ pub struct GaussFit {
     covariance: Vec<f64>,
 }
 
-impl GaussFit {
+impl PulseFit {
     /// Creates a workspace for pulses of a shape; a number means Gaussians of that FWHM, samples.
     ///
     /// `offset_precision` is `None` if the background is known (and subtracted), otherwise the
@@ -125,9 +125,9 @@ impl GaussFit {
         offset_precision: Option<f64>,
         max_samples: usize,
         max_pulses: usize,
-    ) -> GaussFit {
+    ) -> PulseFit {
         let parameters = 3 * max_pulses + 1;
-        GaussFit {
+        PulseFit {
             shape: shape.into(),
             offset_precision,
             max_pulses,
@@ -189,10 +189,16 @@ impl GaussFit {
     /// Fits pulses to `target_dn`, the samples less the known background, from start values.
     ///
     /// The whitener defines the used samples; it must be prepared for a block of this length.
-    pub fn fit(&mut self, whitener: &Whitener, target_dn: &[f64], start: &[Pulse], limits: Limits) -> Fit {
+    pub fn fit(
+        &mut self,
+        whitener: &Whitener,
+        target_dn: &[f64],
+        start: &[Pulse],
+        limits: StopCriteria,
+    ) -> FitResult {
         self.pulses.clear();
         self.offset_dn = 0.0;
-        let mut fit = Fit {
+        let mut fit = FitResult {
             chi_square: f64::NAN,
             samples: whitener.used_count(),
             parameters: 3 * start.len() + usize::from(self.offset_precision.is_some()),
@@ -230,10 +236,16 @@ impl GaussFit {
         self.trial_offset_dn = self.offset_dn;
     }
 
-    fn minimise(&mut self, whitener: &Whitener, target_dn: &[f64], limits: Limits, fit: &mut Fit) {
+    fn minimise(
+        &mut self,
+        whitener: &Whitener,
+        target_dn: &[f64],
+        limits: StopCriteria,
+        fit: &mut FitResult,
+    ) {
         let min_height_dn = MIN_HEIGHT_SD * whitener.noise().sd();
         let rules = Rules { linearisations: limits.iterations, decrease: limits.decrease, ..RULES };
-        let mut problem = Problem { fit: self, whitener, target_dn, min_height_dn, enough: limits.enough };
+        let mut problem = FitProblem { fit: self, whitener, target_dn, min_height_dn, enough: limits.enough };
         (fit.termination, fit.iterations) = levenberg_marquardt::minimise(&mut problem, &rules);
         if fit.termination == Termination::Singular {
             return;
@@ -383,16 +395,16 @@ impl GaussFit {
 }
 
 /// A fit to one block.
-struct Problem<'a> {
-    fit: &'a mut GaussFit,
+struct FitProblem<'a> {
+    fit: &'a mut PulseFit,
     whitener: &'a Whitener,
     target_dn: &'a [f64],
     min_height_dn: f64,
-    /// See [`Limits::enough`].
+    /// See [`StopCriteria::enough`].
     enough: f64,
 }
 
-impl LeastSquares for Problem<'_> {
+impl LeastSquares for FitProblem<'_> {
     fn objective(&mut self) -> f64 {
         self.fit.try_point(self.whitener, self.target_dn)
     }

@@ -62,7 +62,7 @@ fn numerical_columns(whitener: &Whitener, pulses: &[Pulse], samples: usize, coun
 fn derivatives_agree_with_finite_differences() {
     let (used, pulses) = scene();
     let whitener = whitener(&used);
-    let mut fit = GaussFit::new(FWHM, Some(0.0), 60, 3);
+    let mut fit = PulseFit::new(FWHM, Some(0.0), 60, 3);
     fit.pulses.extend_from_slice(&pulses);
     fit.prepare(60, 10);
     fit.form_columns(&whitener);
@@ -87,8 +87,8 @@ fn exact_samples_give_the_pulses_back_with_the_dense_covariance() {
         p.position_samples += 0.4;
         p.ln_width_ratio = 0.0;
     }
-    let mut fit = GaussFit::new(FWHM, Some(0.0), 60, 3);
-    let outcome = fit.fit(&whitener, &target, &start, Limits::exact(100));
+    let mut fit = PulseFit::new(FWHM, Some(0.0), 60, 3);
+    let outcome = fit.fit(&whitener, &target, &start, StopCriteria::exact(100));
     assert!(outcome.termination.is_optimum(), "{outcome:?}");
     assert_eq!((outcome.samples, outcome.parameters), (57, 10));
     assert!(outcome.chi_square < 1e-9, "{outcome:?}");
@@ -102,7 +102,7 @@ fn exact_samples_give_the_pulses_back_with_the_dense_covariance() {
     check_covariance(&fit, &whitener, &used, &pulses, &[0.0; 10]);
 }
 
-fn check_covariance(fit: &GaussFit, whitener: &Whitener, used: &[bool], pulses: &[Pulse], precision: &[f64]) {
+fn check_covariance(fit: &PulseFit, whitener: &Whitener, used: &[bool], pulses: &[Pulse], precision: &[f64]) {
     let n = precision.len();
     let mut lags = vec![0.0; used.len()];
     whitener.noise().autocovariance_into(&mut lags);
@@ -132,8 +132,8 @@ fn priors_enter_the_optimum_and_its_covariance() {
     let (used, pulses) = scene();
     let whitener = whitener(&used);
     let values = analogue(&mut Random::new(5), &process(), 60, 0.0, FWHM, &pulses);
-    let mut fit = GaussFit::new(FWHM, Some(0.25), 60, 3);
-    let outcome = fit.fit(&whitener, &values, &pulses, Limits::exact(100));
+    let mut fit = PulseFit::new(FWHM, Some(0.25), 60, 3);
+    let outcome = fit.fit(&whitener, &values, &pulses, StopCriteria::exact(100));
     assert_eq!(outcome.termination, Termination::Converged);
     let fitted = fit.pulses().to_vec();
     let mut precision = [0.0; 10];
@@ -161,7 +161,7 @@ fn priors_enter_the_optimum_and_its_covariance() {
 #[test]
 fn standard_deviations_are_true() {
     let whitener = whitener(&[true; 60]);
-    let mut fit = GaussFit::new(FWHM, None, 60, 1);
+    let mut fit = PulseFit::new(FWHM, None, 60, 1);
     let mut random = Random::new(1);
     for (snr, width) in [(15.0, 1.0), (50.0, 1.5), (100.0, 2.5)] {
         let mut scores = [vec![], vec![], vec![]];
@@ -169,7 +169,7 @@ fn standard_deviations_are_true() {
         for _ in 0..3000 {
             let truth = pulse(snr * process().sd(), 28.0 + 4.0 * random.uniform(), width);
             let values = analogue(&mut random, &process(), 60, 0.0, FWHM, &[truth]);
-            let outcome = fit.fit(&whitener, &values, &[truth], Limits::exact(50));
+            let outcome = fit.fit(&whitener, &values, &[truth], StopCriteria::exact(50));
             assert!(outcome.termination.is_optimum());
             let (got, sd) = (fit.pulses()[0], fit.pulse_sd(0));
             scores[0].push((got.height_dn - truth.height_dn) / sd[0]);
@@ -190,42 +190,51 @@ fn standard_deviations_are_true() {
 #[test]
 fn each_termination_is_said() {
     let whitener = whitener(&[true; 60]);
-    let mut fit = GaussFit::new(FWHM, None, 60, 1);
+    let mut fit = PulseFit::new(FWHM, None, 60, 1);
     let truth = pulse(50.0, 30.0, 1.0);
     let target = model(&[truth], 0.0, 60);
     let mut far = truth;
     far.position_samples = 27.0;
     assert_eq!(
-        fit.fit(&whitener, &target, &[far], Limits::exact(2)).termination,
+        fit.fit(&whitener, &target, &[far], StopCriteria::exact(2)).termination,
         Termination::IterationLimit
     );
     assert_eq!(
-        fit.fit(&whitener, &target, &[far, far], Limits::exact(9)).termination,
+        fit.fit(&whitener, &target, &[far, far], StopCriteria::exact(9)).termination,
         Termination::TooManyPulses
     );
     let mut unfit = truth;
     unfit.height_dn = f64::NAN;
-    assert_eq!(fit.fit(&whitener, &target, &[unfit], Limits::exact(9)).termination, Termination::Singular);
+    assert_eq!(
+        fit.fit(&whitener, &target, &[unfit], StopCriteria::exact(9)).termination,
+        Termination::Singular
+    );
     // A spike of one sample is narrower than any pulse.
     let mut spike = vec![0.0; 60];
     spike[30] = 500.0;
-    assert_eq!(fit.fit(&whitener, &spike, &[truth], Limits::exact(200)).termination, Termination::AtBound);
+    assert_eq!(
+        fit.fit(&whitener, &spike, &[truth], StopCriteria::exact(200)).termination,
+        Termination::AtBound
+    );
     let used: Vec<bool> = (0..60).map(|k| k < 2).collect();
     let mut narrow = Whitener::new(process(), 60);
     narrow.set_used(&used);
-    assert_eq!(fit.fit(&narrow, &target, &[truth], Limits::exact(9)).termination, Termination::TooFewSamples);
+    assert_eq!(
+        fit.fit(&narrow, &target, &[truth], StopCriteria::exact(9)).termination,
+        Termination::TooFewSamples
+    );
 }
 
 #[test]
 fn no_pulse_is_a_fit_of_the_background_alone() {
     let whitener = whitener(&[true; 60]);
     let target = [2.5; 60];
-    let mut free = GaussFit::new(FWHM, Some(0.0), 60, 1);
-    let outcome = free.fit(&whitener, &target, &[], Limits::exact(10));
+    let mut free = PulseFit::new(FWHM, Some(0.0), 60, 1);
+    let outcome = free.fit(&whitener, &target, &[], StopCriteria::exact(10));
     assert!(outcome.termination.is_optimum() && outcome.chi_square < 1e-9, "{outcome:?}");
     assert!((free.offset_dn() - 2.5).abs() < 1e-4 * free.covariance(0, 0).sqrt());
-    let mut fixed = GaussFit::new(FWHM, None, 60, 1);
-    let outcome = fixed.fit(&whitener, &target, &[], Limits::exact(10));
+    let mut fixed = PulseFit::new(FWHM, None, 60, 1);
+    let outcome = fixed.fit(&whitener, &target, &[], StopCriteria::exact(10));
     assert_eq!((outcome.parameters, outcome.samples), (0, 60));
     assert!(outcome.chi_square > 10.0 && outcome.termination.is_optimum());
 }
