@@ -18,7 +18,7 @@ pub(crate) trait LeastSquares {
     fn is_out_of_reach(&self, _objective: f64) -> bool {
         false
     }
-    /// StopCriteria the step and sets the trial point.
+    /// Limits the step and sets the trial point.
     fn take_step(&mut self);
     /// Decrease of the objective promised by the step.
     fn promised(&self) -> f64;
@@ -47,7 +47,7 @@ pub(crate) struct Rules {
 
 /// Reason why a fit ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Termination {
+pub(crate) enum Termination {
     /// The predicted decrease of the next step is negligible: the optimum.
     Converged,
     /// Converged with a width or a position at its bound.
@@ -68,7 +68,7 @@ pub enum Termination {
 
 impl Termination {
     /// Whether the parameters are an optimum with known covariance.
-    pub fn is_optimum(self) -> bool {
+    pub(crate) fn is_optimum(self) -> bool {
         matches!(self, Termination::Converged | Termination::AtBound | Termination::NoDecrease)
     }
 }

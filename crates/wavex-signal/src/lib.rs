@@ -32,7 +32,7 @@ pub mod noise;
 pub mod outgoing;
 pub mod outliers;
 pub mod penalised_spline;
-pub mod pulse_fit;
+mod pulse_fit;
 pub mod radiometry;
 pub mod sensor_model;
 pub mod sensor_path;

@@ -50,7 +50,7 @@ pub(crate) const FIXED_WIDTH_PRECISION: f64 = 1e8;
 
 /// Termination criteria of a fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct StopCriteria {
+pub(crate) struct StopCriteria {
     /// Largest number of iterations.
     pub iterations: usize,
     /// Converged if the next step is predicted to lower chi-square by less.
@@ -71,14 +71,14 @@ impl StopCriteria {
     }
 
     /// Criteria for a chi-square accurate enough for acceptance tests.
-    pub fn rough(iterations: usize) -> StopCriteria {
+    pub(crate) fn rough(iterations: usize) -> StopCriteria {
         StopCriteria { iterations, decrease: ROUGH_DECREASE, enough: f64::INFINITY }
     }
 }
 
 /// Result of a fit; pulses, offset and covariance remain in the workspace.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FitResult {
+pub(crate) struct FitResult {
     /// `‖L⁻¹(y - model)‖²` over the used samples, without the prior part.
     pub chi_square: f64,
     /// Number of used samples.
@@ -93,7 +93,7 @@ pub struct FitResult {
 
 /// Workspace of the fit; within its capacities fits do not allocate.
 #[derive(Debug, Clone)]
-pub struct PulseFit {
+pub(crate) struct PulseFit {
     shape: Shape,
     offset_precision: Option<f64>,
     max_pulses: usize,
@@ -153,7 +153,7 @@ impl PulseFit {
     }
 
     /// Background offset of the last fit, DN; 0 if the background is known.
-    pub fn offset_dn(&self) -> f64 {
+    pub(crate) fn offset_dn(&self) -> f64 {
         self.offset_dn
     }
 
@@ -168,7 +168,7 @@ impl PulseFit {
     }
 
     /// Standard deviations of pulse `i`: height (DN), position (samples), log width.
-    pub fn pulse_sd(&self, i: usize) -> [f64; 3] {
+    pub(crate) fn pulse_sd(&self, i: usize) -> [f64; 3] {
         [0, 1, 2].map(|part| self.covariance(3 * i + part, 3 * i + part).sqrt())
     }
 

@@ -245,7 +245,7 @@ impl ChannelModel {
     /// Appends the samples of a block less background and decay tail, DN.
     ///
     /// Assumes no signal before the block.
-    pub fn signal_into(&self, samples: &[u16], start_phase: u8, signal_dn: &mut Vec<f64>) {
+    pub(crate) fn signal_into(&self, samples: &[u16], start_phase: u8, signal_dn: &mut Vec<f64>) {
         let level = |k: usize| self.background_at(start_phase, k);
         let above = samples.iter().enumerate().map(|(k, &sample)| f64::from(sample) - level(k));
         let Some(decay) = self.digitiser.decay else {
@@ -263,7 +263,7 @@ impl ChannelModel {
 
     /// Prior precision of a waveform's offset from `background_dn`, 1/DN²; `None` for a fixed
     /// background.
-    pub fn offset_precision(&self) -> Option<f64> {
+    pub(crate) fn offset_precision(&self) -> Option<f64> {
         match self.background {
             Background::Fixed => None,
             Background::PerWaveform if self.background_sd_dn > 0.0 => Some(self.background_sd_dn.powi(-2)),

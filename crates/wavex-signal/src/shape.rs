@@ -9,7 +9,8 @@ use crate::sensor_model::response::{self, STEPS_PER_SAMPLE, SystemResponse};
 use crate::sensor_model::{ChannelModel, ModelError};
 use templates::{Part, Templates};
 
-pub use pulse::{FOUR_LN_2, Pulse};
+pub(crate) use pulse::FOUR_LN_2;
+pub use pulse::Pulse;
 pub(crate) use pulse::{LN_WIDTH_BOUNDS, Lane, SD_OF_FWHM};
 
 /// Family of pulses by height, position and width.
@@ -30,7 +31,7 @@ enum Family {
 
 /// Template tables of a channel's response.
 #[derive(Debug)]
-pub struct ResponseShape {
+pub(crate) struct ResponseShape {
     fwhm_samples: f64,
     /// Tables by ascending height.
     nodes: Vec<(f64, Templates)>,
@@ -69,7 +70,7 @@ impl Shape {
     }
 
     /// The same shape with all samples at their nominal times.
-    pub fn on_time(&self) -> Shape {
+    pub(crate) fn on_time(&self) -> Shape {
         Shape { odd_sample_shift: 0.0, ..self.clone() }
     }
 
@@ -97,7 +98,7 @@ impl Shape {
     }
 
     /// Smallest and largest log width ratio that can be fitted.
-    pub fn ln_width_bounds(&self) -> [f64; 2] {
+    pub(crate) fn ln_width_bounds(&self) -> [f64; 2] {
         match &self.family {
             Family::Gaussian { .. } => LN_WIDTH_BOUNDS,
             Family::Response(_) => Templates::ln_width_bounds(),
@@ -120,7 +121,7 @@ impl Shape {
     /// length.
     ///
     /// Returns the first sample that can differ from zero.
-    pub fn add_derivatives(&self, pulse: &Pulse, columns: [&mut [f64]; 3]) -> usize {
+    pub(crate) fn add_derivatives(&self, pulse: &Pulse, columns: [&mut [f64]; 3]) -> usize {
         let [by_height, by_position, by_width] = columns;
         let mut first = usize::MAX;
         for (lane, pulse) in self.lanes(pulse).into_iter().flatten() {

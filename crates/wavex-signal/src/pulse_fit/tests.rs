@@ -27,7 +27,7 @@ fn scene() -> (Vec<bool>, Vec<Pulse>) {
 fn model(pulses: &[Pulse], offset: f64, samples: usize) -> Vec<f64> {
     let mut values = vec![offset; samples];
     for p in pulses {
-        p.add_to(FWHM, 1.0, &mut values);
+        Shape::from(FWHM).add(p, 1.0, &mut values);
     }
     values
 }

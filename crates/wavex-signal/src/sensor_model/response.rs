@@ -12,7 +12,7 @@ use crate::fourier::{self, Complex, times};
 use crate::sensor_model::ModelError;
 
 /// Number of values of a response per sample.
-pub const STEPS_PER_SAMPLE: usize = 8;
+pub(crate) const STEPS_PER_SAMPLE: usize = 8;
 /// Largest length of a response, samples.
 const MAX_SAMPLES: usize = 8192;
 /// Taper of a response, as frequency times full width at half maximum. At the start the spectrum of
@@ -88,7 +88,7 @@ impl SystemResponse {
     }
 
     /// Relative template error at a time after the peak, samples.
-    pub fn template_error_at(&self, samples: f64) -> f64 {
+    pub(crate) fn template_error_at(&self, samples: f64) -> f64 {
         let index = (samples - f64::from(self.first_sample)).round();
         if index >= 0.0 { self.template_error.get(index as usize).copied().unwrap_or(0.0) } else { 0.0 }
     }

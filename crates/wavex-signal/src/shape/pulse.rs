@@ -1,7 +1,7 @@
 //! One pulse: its parameters, and its values as a Gaussian.
 
 /// `4 ln 2`: a Gaussian of full width `W` at half maximum is `exp(-4 ln 2 (x/W)²)`.
-pub const FOUR_LN_2: f64 = 2.772_588_722_239_781;
+pub(crate) const FOUR_LN_2: f64 = 2.772_588_722_239_781;
 /// Half extent of a pulse, in widths.
 ///
 /// Beyond it a pulse is zero in double precision (`exp(-4 ln 2 · 3.65²) = 1e-16`).
@@ -49,14 +49,9 @@ pub struct Pulse {
 }
 
 impl Pulse {
-    /// Adds `sign` times the pulse as a Gaussian to the samples `values`.
+    /// Adds `sign` times the pulse as a Gaussian to the samples of a lane.
     ///
     /// `fwhm_samples` is the calibrated width.
-    pub fn add_to(&self, fwhm_samples: f64, sign: f64, values: &mut [f64]) {
-        self.add_lane_to(fwhm_samples, sign, Lane::All, values);
-    }
-
-    /// [`Pulse::add_to`] for the samples of a lane.
     pub(crate) fn add_lane_to(&self, fwhm_samples: f64, sign: f64, lane: Lane, values: &mut [f64]) {
         let width = fwhm_samples * self.ln_width_ratio.exp();
         let (first, end) = support(self.position_samples, width, values.len());

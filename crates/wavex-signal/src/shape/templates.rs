@@ -44,7 +44,7 @@ impl Knot {
 
 /// Template tables of one response. Only a few widths are used, so each is computed on first use.
 #[derive(Debug, Clone)]
-pub struct Templates {
+pub(crate) struct Templates {
     series: Vec<Complex>,
     /// Period of the series, in steps of the response.
     steps: usize,
@@ -94,7 +94,7 @@ impl Templates {
     }
 
     /// Range of log width ratios covered by the tables.
-    pub fn ln_width_bounds() -> [f64; 2] {
+    pub(crate) fn ln_width_bounds() -> [f64; 2] {
         LN_WIDTH_RANGE
     }
 

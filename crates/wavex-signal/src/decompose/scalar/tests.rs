@@ -3,7 +3,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::noise::ArNoise;
 use crate::sensor_model::Background;
-use crate::shape::Pulse;
+use crate::shape::{Pulse, Shape};
 use crate::simulated::{Random, analogue, channel, digitised, moments, pulse};
 
 const FWHM: f64 = 4.25;
@@ -237,7 +237,7 @@ fn decompose_exact(pulses: &[Pulse], full_scale: u16, settings: &DecomposeSettin
     let mut model = channel(&process(), FWHM, 20.0);
     model.full_scale_dn = f64::from(full_scale);
     let mut values = vec![20.0; 60];
-    pulses.iter().for_each(|p| p.add_to(FWHM, 1.0, &mut values));
+    pulses.iter().for_each(|p| Shape::from(FWHM).add(p, 1.0, &mut values));
     let mut decomposer = Decomposer::new(&model, settings, 60).unwrap();
     let outcome = decomposer.decompose(&digitised(&values, full_scale), 0);
     check_counts(&outcome);
@@ -282,7 +282,7 @@ fn widths_out_of_range_are_filtered() {
 fn returns_nearer_than_a_sample_are_merged() {
     let model = channel(&process(), FWHM, 20.0);
     let mut values = vec![20.0; 60];
-    pulse(100.0, 30.2, 1.0).add_to(FWHM, 1.0, &mut values);
+    Shape::from(FWHM).add(&pulse(100.0, 30.2, 1.0), 1.0, &mut values);
     let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), 60).unwrap();
     let samples = digitised(&values, 255);
     decomposer.decompose(&samples, 0);
