@@ -31,7 +31,7 @@ use wavex_formats::container::{
 use wavex_formats::trajectory::sbet::SbetRecord;
 use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::decompose::Waveform;
-use wavex_signal::decompose::{Lockstep, Mode, Outcomes, Tables};
+use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
 use wavex_signal::simd::SimdLevel;
 
 const WAVEFORMS: usize = 3_000_000;
@@ -236,8 +236,8 @@ fn kernels_ns() -> f64 {
         samples.chunks(SAMPLES).map(|samples| Waveform { samples, start_phase: 0 }).collect();
     let tables = Tables::new(&model).map(Arc::new);
     let (settings, path) = (DecomposeSettings::default(), SimdLevel::best());
-    let mut kernels = Lockstep::new(&model, tables, &settings, Mode::Refined, path).unwrap();
-    let mut outcomes = Outcomes::default();
+    let mut kernels = BatchDecomposer::new(&model, tables, &settings, Mode::Refined, path).unwrap();
+    let mut outcomes = Decompositions::default();
     let mut run = || {
         let started = Instant::now();
         blocks.chunks(SHOTS_PER_LINE).for_each(|line| kernels.decompose(line, &mut outcomes));

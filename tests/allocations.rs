@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::decompose::Waveform;
-use wavex_signal::decompose::{Lockstep, Mode, Outcomes, Tables};
+use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
 use wavex_signal::simd::SimdLevel;
 
 #[allow(dead_code, reason = "the benches use all of it")]
@@ -67,8 +67,9 @@ fn decomposition_allocates_nothing_per_waveform() {
     let (first, then) = blocks.split_at(WARM_UP);
     for mode in [Mode::Fastest, Mode::FastSeparated, Mode::Refined] {
         let settings = DecomposeSettings::default();
-        let mut kernels = Lockstep::new(&model, tables.clone(), &settings, mode, SimdLevel::best()).unwrap();
-        let mut outcomes = Outcomes::default();
+        let mut kernels =
+            BatchDecomposer::new(&model, tables.clone(), &settings, mode, SimdLevel::best()).unwrap();
+        let mut outcomes = Decompositions::default();
         kernels.decompose(first, &mut outcomes);
         let (before, plain) = (REQUESTS.get(), kernels.left_to_plain());
         kernels.decompose(then, &mut outcomes);

@@ -4,23 +4,24 @@
 use std::sync::Arc;
 
 use wavex_signal::decompose::Waveform;
+use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
 use wavex_signal::decompose::{DecomposeSettings, Return};
-use wavex_signal::decompose::{Lockstep, Mode, Outcomes, Tables};
 use wavex_signal::sensor_model::ChannelModel;
 use wavex_signal::simd::SimdLevel;
 
 /// Decomposes one waveform at a time.
 pub struct Engine {
-    kernels: Lockstep,
-    outcomes: Outcomes,
+    kernels: BatchDecomposer,
+    outcomes: Decompositions,
 }
 
 impl Engine {
     /// Creates the engine for a channel.
     pub fn new(model: &ChannelModel, settings: &DecomposeSettings, mode: Mode) -> Engine {
         let tables = Tables::new(model).map(Arc::new);
-        let kernels = Lockstep::new(model, tables, settings, mode, SimdLevel::best()).expect("a model");
-        Engine { kernels, outcomes: Outcomes::default() }
+        let kernels =
+            BatchDecomposer::new(model, tables, settings, mode, SimdLevel::best()).expect("a model");
+        Engine { kernels, outcomes: Decompositions::default() }
     }
 
     /// Returns of a waveform, and its deviation ratio.

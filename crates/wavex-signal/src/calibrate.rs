@@ -156,6 +156,25 @@ pub enum CalibrationError {
 ///
 /// The blocks are read several times, so the iterator must be cheap to clone: over samples in
 /// memory.
+///
+/// ```
+/// use wavex_signal::calibrate::{CalibrationSettings, calibrate};
+/// use wavex_signal::decompose::Waveform;
+/// # use wavex_signal::{noise::ArNoise, simulated::*};
+/// # let (mut random, process) = (Random::new(1), ArNoise::new(&[0.6], 0.8).unwrap());
+/// # let recorded: Vec<Vec<u16>> = (0..400)
+/// #     .map(|_| {
+/// #         let echo = pulse(60.0 + 60.0 * random.uniform(), 20.0 + 9.0 * random.uniform(), 1.0);
+/// #         digitised(&analogue(&mut random, &process, 60, 5.0, 4.4, &[echo]), 255)
+/// #     })
+/// #     .collect();
+///
+/// // `recorded`: 400 waveforms of 8 bits at 1 GHz.
+/// let waveforms = recorded.iter().map(|samples| Waveform { samples, start_phase: 0 });
+/// let model = calibrate(waveforms, &CalibrationSettings::echoes(1.0, 255.0))?;
+/// assert!((model.pulse_fwhm_ns - 4.4).abs() < 0.1);
+/// # Ok::<(), wavex_signal::calibrate::CalibrationError>(())
+/// ```
 pub fn calibrate<'a, I>(blocks: I, settings: &CalibrationSettings) -> Result<ChannelModel, CalibrationError>
 where
     I: Iterator<Item = Waveform<'a>> + Clone,

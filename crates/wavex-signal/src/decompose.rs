@@ -1,6 +1,6 @@
 //! Decomposes waveforms into returns: detection, joint fit, residual search, pruning.
 //!
-//! [`Decomposer`] takes one waveform at a time, in `f64`; it is the reference. [`Lockstep`] takes
+//! [`Decomposer`] takes one waveform at a time, in `f64`; it is the reference. [`BatchDecomposer`] takes
 //! batches, sixteen waveforms at a time, in `f32`, and is many times faster. Both use the settings,
 //! the acceptance rules and the outcome types of this module.
 
@@ -11,7 +11,7 @@ mod scalar;
 pub mod simd;
 
 pub use scalar::Decomposer;
-pub use simd::{FilterPeak, Lockstep, Mode, Outcomes, Tables};
+pub use simd::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
 
 /// One waveform: the samples of a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

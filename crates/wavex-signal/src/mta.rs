@@ -259,6 +259,22 @@ pub enum MtaError {
 }
 
 /// Assigns each echo to an emission, line by line.
+///
+/// ```
+/// use wavex_signal::mta::{Echo, Emission, Line, Method, Resolver, Settings};
+///
+/// // A shot every microsecond, each echo after 2.4 µs: 2 shots later.
+/// let emissions = (0..50).map(|i| Emission { clock_ps: 1_000_000 * i, shot: i as u64, ..Emission::default() });
+/// let echoes = (2..50).map(|emission| Echo { emission, time_ns: 400.0 });
+/// let line = Line { emissions: emissions.collect(), echoes: echoes.collect(), bytes: 0 };
+///
+/// let mut resolver = Resolver::new(&Settings { method: Method::Fixed(2), ..Settings::default() })?;
+/// resolver.push(&line)?;
+/// resolver.finish()?;
+/// let resolved = resolver.pop().expect("a line was pushed");
+/// assert!(resolved.echoes.iter().all(|echo| echo.zone == 2 && (echo.flight_ns - 2400.0).abs() < 1e-6));
+/// # Ok::<(), wavex_signal::mta::MtaError>(())
+/// ```
 #[derive(Debug)]
 pub struct Resolver {
     settings: Settings,

@@ -9,7 +9,9 @@ use super::shots::Shot;
 use super::{Decompose, Mode};
 use crate::scan_line::{Block, Channel, ReturnChannel};
 use crate::stage::{Result, StageError};
-use wavex_signal::decompose::{self, DecomposeSettings, Decomposition, Lockstep, Outcomes, Tables, Waveform};
+use wavex_signal::decompose::{
+    self, BatchDecomposer, DecomposeSettings, Decomposition, Decompositions, Tables, Waveform,
+};
 use wavex_signal::gain::GainLevel;
 use wavex_signal::outgoing::{Outgoing, OutgoingBatch, ReferenceBlock, Usual};
 use wavex_signal::sensor_model::{ChannelModel, ModelError, SensorModel};
@@ -109,8 +111,8 @@ pub(super) enum BlockRoute {
 
 /// A receiver at one gain and its results of the line.
 struct Receiver {
-    kernels: Lockstep,
-    outcomes: Outcomes,
+    kernels: BatchDecomposer,
+    outcomes: Decompositions,
 }
 
 /// The channel of outgoing pulses at one gain.
@@ -144,9 +146,9 @@ impl Receiver {
             Mode::FastSeparated => decompose::Mode::FastSeparated,
             Mode::Refined | Mode::Slow => decompose::Mode::Refined,
         };
-        let kernels = Lockstep::new(channel, tables.cloned(), &settings, mode, path)?;
+        let kernels = BatchDecomposer::new(channel, tables.cloned(), &settings, mode, path)?;
         let kernels = kernels.refine_when_needed(config.refine_when_needed);
-        Ok(Some(Receiver { kernels, outcomes: Outcomes::default() }))
+        Ok(Some(Receiver { kernels, outcomes: Decompositions::default() }))
     }
 }
 

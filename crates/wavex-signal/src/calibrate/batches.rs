@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use crate::decompose::Waveform;
+use crate::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
 use crate::decompose::{DecomposeSettings, Decomposition};
-use crate::decompose::{Lockstep, Mode, Outcomes, Tables};
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::simd::SimdLevel;
 
@@ -24,15 +24,15 @@ pub(crate) fn decompose_each<'a>(
 ) -> Result<(), ModelError> {
     let is_fixed = model.offset_precision().is_none();
     let tables = if is_fixed { Tables::new(model).map(Arc::new) } else { None };
-    let mut lockstep = Lockstep::new(model, tables, settings, Mode::Refined, SimdLevel::best())?;
-    let (mut chunk, mut outcomes) = (Vec::with_capacity(CHUNK), Outcomes::default());
+    let mut decomposer = BatchDecomposer::new(model, tables, settings, Mode::Refined, SimdLevel::best())?;
+    let (mut chunk, mut outcomes) = (Vec::with_capacity(CHUNK), Decompositions::default());
     loop {
         chunk.clear();
         chunk.extend(blocks.by_ref().take(CHUNK));
         if chunk.is_empty() {
             return Ok(());
         }
-        lockstep.decompose(&chunk, &mut outcomes);
+        decomposer.decompose(&chunk, &mut outcomes);
         for (block, outcome) in chunk.iter().zip(outcomes.iter()) {
             take(*block, &outcome);
         }

@@ -20,6 +20,20 @@ mod thresholds;
 mod view;
 
 /// Decomposes the waveforms of one channel; reuses its buffers.
+///
+/// ```
+/// use wavex_signal::decompose::{DecomposeSettings, Decomposer};
+/// # use wavex_signal::{noise::ArNoise, simulated::channel};
+/// # let model = channel(&ArNoise::new(&[], 0.7).unwrap(), 4.0, 5.0);
+///
+/// // `model`: pulses 4 ns wide, on a background of 5 DN.
+/// let samples = [5, 5, 5, 5, 5, 6, 12, 27, 49, 61, 49, 27, 12, 6, 5, 5, 5, 5, 5, 5];
+/// let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), samples.len())?;
+/// let outcome = decomposer.decompose(&samples, 0);
+/// assert_eq!(outcome.returns.len(), 1);
+/// assert!((outcome.returns[0].position_samples - 9.0).abs() < 0.05);
+/// # Ok::<(), wavex_signal::sensor_model::ModelError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Decomposer {
     model: ChannelModel,

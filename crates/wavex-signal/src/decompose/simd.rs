@@ -14,7 +14,7 @@
 //! kernels are also the reference in the tests.
 //!
 //! The first samples of a block, as many as the order of the noise, have no weight in a fit. They
-//! count in chi-square if no pulse reaches them. After construction a [`Lockstep`] allocates only
+//! count in chi-square if no pulse reaches them. After construction a [`BatchDecomposer`] allocates only
 //! for more returns or longer blocks, two lists per batch of which a part is refined, and a little
 //! for pulses at the ends of blocks of varying length.
 
@@ -70,7 +70,7 @@ use crate::sensor_model::{ChannelModel, ModelError};
 
 use crate::simd::SimdLevel;
 pub use candidates::FilterPeak;
-pub use outcome::Outcomes;
+pub use outcome::Decompositions;
 pub use tables::Tables;
 
 use batch::{Decompose, Workspace};
@@ -96,8 +96,29 @@ pub enum Mode {
     Refined,
 }
 
-/// Decomposes the waveforms of one channel; reuses its memory between batches.
-pub struct Lockstep {
+/// Decomposes the waveforms of one channel in batches; reuses its memory between them.
+///
+/// ```
+/// use std::sync::Arc;
+/// use wavex_signal::decompose::{
+///     BatchDecomposer, DecomposeSettings, Decompositions, Mode, Tables, Waveform,
+/// };
+/// use wavex_signal::simd::SimdLevel;
+/// # use wavex_signal::{noise::ArNoise, simulated::channel};
+/// # let model = channel(&ArNoise::new(&[], 0.7).unwrap(), 4.0, 5.0);
+///
+/// // `model`: pulses 4 ns wide, on a background of 5 DN.
+/// let samples = [5, 5, 5, 5, 5, 6, 12, 27, 49, 61, 49, 27, 12, 6, 5, 5, 5, 5, 5, 5];
+/// let batch = [Waveform { samples: &samples, start_phase: 0 }; 100];
+/// let (tables, settings) = (Tables::new(&model).map(Arc::new), DecomposeSettings::default());
+/// let mut decomposer =
+///     BatchDecomposer::new(&model, tables, &settings, Mode::Refined, SimdLevel::best())?;
+/// let mut outcomes = Decompositions::default();
+/// decomposer.decompose(&batch, &mut outcomes);
+/// assert!(outcomes.iter().all(|outcome| outcome.returns.len() == 1));
+/// # Ok::<(), wavex_signal::sensor_model::ModelError>(())
+/// ```
+pub struct BatchDecomposer {
     model: ChannelModel,
     settings: DecomposeSettings,
     mode: Mode,
@@ -112,7 +133,7 @@ pub struct Lockstep {
     left_to_plain: u64,
 }
 
-impl Lockstep {
+impl BatchDecomposer {
     /// Creates a decomposer for a channel and its tables.
     ///
     /// `tables` is `None` or the result of [`Tables::new`] for the same model. Without tables the
@@ -123,11 +144,11 @@ impl Lockstep {
         settings: &DecomposeSettings,
         mode: Mode,
         path: SimdLevel,
-    ) -> Result<Lockstep, ModelError> {
+    ) -> Result<BatchDecomposer, ModelError> {
         let mut thresholds = Thresholds::new(model, settings)?;
         let level = tables.as_ref().and_then(|tables| tables.level.as_ref());
         thresholds.level_response = level.map_or(0.0, |level| level.response());
-        Ok(Lockstep {
+        Ok(BatchDecomposer {
             model: model.clone(),
             settings: settings.clone(),
             mode,
@@ -145,7 +166,7 @@ impl Lockstep {
     /// Enables refinement in the fast modes.
     ///
     /// Waveforms with overlapping pulses or a deviation ratio above 3 are refined.
-    pub fn refine_when_needed(mut self, refine: bool) -> Lockstep {
+    pub fn refine_when_needed(mut self, refine: bool) -> BatchDecomposer {
         self.refine_when_needed = refine && self.mode != Mode::Refined;
         self
     }
@@ -182,7 +203,7 @@ impl Lockstep {
     /// Decomposes blocks into one outcome each, in order.
     ///
     /// `outcomes` is cleared first.
-    pub fn decompose(&mut self, blocks: &[Waveform<'_>], outcomes: &mut Outcomes) {
+    pub fn decompose(&mut self, blocks: &[Waveform<'_>], outcomes: &mut Decompositions) {
         outcomes.clear();
         self.work.make_room(blocks);
         let refines = self.mode == Mode::Refined || self.refine_when_needed;
@@ -192,7 +213,7 @@ impl Lockstep {
         }
     }
 
-    fn batch(&mut self, blocks: &[Waveform<'_>], outcomes: &mut Outcomes) {
+    fn batch(&mut self, blocks: &[Waveform<'_>], outcomes: &mut Decompositions) {
         let Some(tables) = self.tables.clone() else {
             self.left_to_plain += blocks.len() as u64;
             for block in blocks {
@@ -217,7 +238,7 @@ impl Lockstep {
     }
 
     fn run(&mut self, tables: &Tables, blocks: &[Waveform<'_>], mode: Mode) {
-        let Lockstep { path, thresholds, plain, settings, model, work, .. } = self;
+        let BatchDecomposer { path, thresholds, plain, settings, model, work, .. } = self;
         let full_scale_dn = model.full_scale_dn;
         let lowest = model.background_dn.iter().fold(f64::INFINITY, |a, &b| a.min(b));
         let clear_of_zero = lowest >= CLEAR_OF_ZERO_SD * model.noise_sd_dn;
@@ -248,7 +269,7 @@ impl Lockstep {
     }
 
     /// Refines the waveforms of a fast pass that need it; outputs all in order.
-    fn refine_some(&mut self, tables: &Tables, blocks: &[Waveform<'_>], outcomes: &mut Outcomes) {
+    fn refine_some(&mut self, tables: &Tables, blocks: &[Waveform<'_>], outcomes: &mut Decompositions) {
         std::mem::swap(&mut self.first_look, &mut self.work.pulse_models);
         let (mut needy, mut which) = (Vec::with_capacity(blocks.len()), Vec::with_capacity(blocks.len()));
         for (block, pulse_model) in blocks.iter().zip(&self.first_look) {

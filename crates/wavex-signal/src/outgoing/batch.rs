@@ -8,7 +8,7 @@ use super::usual::{ReferenceBlock, Usual};
 use super::{OutgoingFitter, one_pulse, window};
 use crate::decompose::Return;
 use crate::decompose::Waveform;
-use crate::decompose::{FilterPeak, Lockstep, Mode, Outcomes, Tables};
+use crate::decompose::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::simd::SimdLevel;
 
@@ -32,14 +32,14 @@ pub struct Outgoing {
 pub struct OutgoingBatch {
     plain: OutgoingFitter,
     mixture: Option<Mixture>,
-    fast: Lockstep,
+    fast: BatchDecomposer,
     /// Number of initial samples used only for noise prediction.
     order: usize,
     candidates: Vec<(u32, FilterPeak)>,
     strongest: Vec<FilterPeak>,
     /// Length of each window, index of its block, and its samples.
     windows: Vec<(usize, u32, Range<usize>)>,
-    outcomes: Outcomes,
+    outcomes: Decompositions,
 }
 
 impl OutgoingBatch {
@@ -53,12 +53,12 @@ impl OutgoingBatch {
         Ok(OutgoingBatch {
             plain: OutgoingFitter::new(model, 0)?,
             mixture: Mixture::new(model)?,
-            fast: Lockstep::new(model, tables, &one_pulse(), Mode::Refined, path)?,
+            fast: BatchDecomposer::new(model, tables, &one_pulse(), Mode::Refined, path)?,
             order: model.ar.len(),
             candidates: Vec::new(),
             strongest: Vec::new(),
             windows: Vec::new(),
-            outcomes: Outcomes::default(),
+            outcomes: Decompositions::default(),
         })
     }
 

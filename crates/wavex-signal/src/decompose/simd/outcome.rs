@@ -12,12 +12,12 @@ use crate::simd::{Kernel, Simd};
 
 /// Returns of many waveforms; reuses its memory.
 #[derive(Debug, Clone, Default)]
-pub struct Outcomes {
+pub struct Decompositions {
     returns: Vec<Return>,
     waveforms: Vec<(Range<usize>, Decomposition<'static>)>,
 }
 
-impl Outcomes {
+impl Decompositions {
     /// Number of waveforms.
     pub fn len(&self) -> usize {
         self.waveforms.len()
@@ -73,7 +73,7 @@ pub(super) struct Give<'a> {
     pub(super) finish: Finish<'a>,
     pub(super) blocks: &'a [Waveform<'a>],
     pub(super) pulse_models: &'a mut [PulseModel],
-    pub(super) outcomes: &'a mut Outcomes,
+    pub(super) outcomes: &'a mut Decompositions,
 }
 
 impl Kernel for Give<'_> {
@@ -95,7 +95,7 @@ impl Finish<'_> {
         samples: &[u16],
         start_phase: u8,
         pulse_model: &mut PulseModel,
-        outcomes: &mut Outcomes,
+        outcomes: &mut Decompositions,
     ) {
         let is_fast = pulse_model.way == Way::Fast;
         if !(is_fast && (self.stands(pulse_model, samples.len()) || self.drop(pulse_model, samples.len()))) {

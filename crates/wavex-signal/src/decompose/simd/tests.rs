@@ -49,9 +49,9 @@ fn model() -> ChannelModel {
     model
 }
 
-fn fast(model: &ChannelModel, mode: Mode, path: SimdLevel) -> Lockstep {
+fn fast(model: &ChannelModel, mode: Mode, path: SimdLevel) -> BatchDecomposer {
     let tables = Some(Arc::new(Tables::new(model).unwrap()));
-    Lockstep::new(model, tables, &DecomposeSettings::default(), mode, path).unwrap()
+    BatchDecomposer::new(model, tables, &DecomposeSettings::default(), mode, path).unwrap()
 }
 
 /// Simulates a block of these pulses in the model's noise.
@@ -91,10 +91,10 @@ fn pulse_models(model: &ChannelModel, seed: u64, count: usize) -> Vec<Vec<u16>> 
     (0..count).map(one).collect()
 }
 
-fn decompose(fast: &mut Lockstep, waveforms: &[Vec<u16>]) -> Outcomes {
+fn decompose(fast: &mut BatchDecomposer, waveforms: &[Vec<u16>]) -> Decompositions {
     let blocks: Vec<Waveform<'_>> =
         waveforms.iter().map(|samples| Waveform { samples, start_phase: 0 }).collect();
-    let mut outcomes = Outcomes::default();
+    let mut outcomes = Decompositions::default();
     fast.decompose(&blocks, &mut outcomes);
     outcomes
 }
@@ -339,7 +339,8 @@ fn the_score_of_one_pulse_is_that_of_noise() {
     let mut scores = Vec::new();
     let settings = DecomposeSettings { split_evidence: None, ..DecomposeSettings::default() };
     let shared = Some(Arc::new(Tables::new(&model).unwrap()));
-    let mut kernels = Lockstep::new(&model, shared, &settings, Mode::Refined, SimdLevel::best()).unwrap();
+    let mut kernels =
+        BatchDecomposer::new(&model, shared, &settings, Mode::Refined, SimdLevel::best()).unwrap();
     let waveforms: Vec<Vec<u16>> = (0..4096)
         .map(|_| {
             let one = pulse(50.0 + 60.0 * random.uniform(), 18.0 + 8.0 * random.uniform(), 1.25);
@@ -455,7 +456,8 @@ fn what_the_tables_cannot_hold_is_left_to_the_plain_kernels() {
     assert!(Tables::new(&everywhere).is_none());
     let waveforms = pulse_models(&model, 2, 20);
     let settings = DecomposeSettings::default();
-    let mut kernels = Lockstep::new(&model, None, &settings, Mode::Refined, SimdLevel::best()).unwrap();
+    let mut kernels =
+        BatchDecomposer::new(&model, None, &settings, Mode::Refined, SimdLevel::best()).unwrap();
     let outcomes = decompose(&mut kernels, &waveforms);
     assert_eq!((outcomes.len(), outcomes.is_empty(), kernels.left_to_plain()), (20, false, 20));
     let mut plain = Decomposer::new(&model, &settings, SAMPLES).unwrap();

@@ -120,7 +120,8 @@ fn noise_alone_is_detected_no_more_often() {
     let maxima = |model: &ChannelModel| {
         let tables = Some(Arc::new(Tables::new(model).unwrap()));
         let settings = DecomposeSettings { detection_sigma: 3.5, ..DecomposeSettings::default() };
-        let mut kernels = Lockstep::new(model, tables, &settings, Mode::Fastest, SimdLevel::best()).unwrap();
+        let mut kernels =
+            BatchDecomposer::new(model, tables, &settings, Mode::Fastest, SimdLevel::best()).unwrap();
         let blocks: Vec<Waveform<'_>> =
             steady.iter().map(|samples| Waveform { samples, start_phase: 0 }).collect();
         let mut found = Vec::new();
