@@ -9,14 +9,18 @@
 //! (1944) and Marquardt (1963) with analytic derivatives. The covariance of the parameters is the
 //! inverse of the normal matrix at the optimum, priors included.
 
+mod problem;
+
 use crate::cholesky;
-use crate::levenberg_marquardt::{self, LeastSquares, Rules, Termination};
+use crate::levenberg_marquardt::{self, Rules, Termination};
 use crate::shape::{Pulse, Shape};
 use crate::simd::dot::dot;
 use crate::whitening::Whitener;
 
 #[cfg(test)]
 mod tests;
+
+use problem::{FitProblem, RULES};
 
 /// Largest move of a pulse in one step, in its own widths (1.5 samples for a pulse of 4.25).
 const MAX_MOVE_WIDTHS: f64 = 0.35;
@@ -32,17 +36,6 @@ pub(crate) const NEAR_NEWTON: f64 = 1e-2;
 pub(crate) const FIRST_DAMPING: f64 = 1e-3;
 /// Promised decrease that makes chi-square accurate enough for acceptance tests.
 pub(crate) const ROUGH_DECREASE: f64 = 1e-2;
-/// Rules of the loop; [`StopCriteria`] set the iterations and the decrease.
-const RULES: Rules = Rules {
-    damping: [FIRST_DAMPING, 1e-9],
-    most_damping: 1e10,
-    linearisations: 0,
-    steps: usize::MAX,
-    decrease: 0.0,
-    near_newton: NEAR_NEWTON,
-    takes_last_step: false,
-    ends_if_singular: false,
-};
 /// Assumed ratio of the achievable to the predicted decrease.
 pub(crate) const REACH: f64 = 8.0;
 /// Precision of a prior that fixes a width.
@@ -391,46 +384,5 @@ impl PulseFit {
         }
         cholesky::invert(&self.damped[..n * n], n, &mut self.covariance[..n * n]);
         true
-    }
-}
-
-/// A fit to one block.
-struct FitProblem<'a> {
-    fit: &'a mut PulseFit,
-    whitener: &'a Whitener,
-    target_dn: &'a [f64],
-    min_height_dn: f64,
-    /// See [`StopCriteria::enough`].
-    enough: f64,
-}
-
-impl LeastSquares for FitProblem<'_> {
-    fn objective(&mut self) -> f64 {
-        self.fit.try_point(self.whitener, self.target_dn)
-    }
-
-    fn accept(&mut self) {
-        self.fit.accept();
-    }
-
-    fn linearise(&mut self) {
-        self.fit.form_normal_equations(self.whitener);
-    }
-
-    fn solve(&mut self, damping: f64) -> bool {
-        self.fit.solve_damped(damping)
-    }
-
-    /// Uses the full step, before it is limited.
-    fn is_out_of_reach(&self, objective: f64) -> bool {
-        objective - REACH * self.fit.promised_decrease() > self.enough
-    }
-
-    fn take_step(&mut self) {
-        self.fit.step_within_limits(self.target_dn.len(), self.min_height_dn);
-    }
-
-    fn promised(&self) -> f64 {
-        self.fit.promised_decrease()
     }
 }

@@ -6,6 +6,8 @@
 //! over positions) gives the probability of an echo, and the mean and standard deviation of the
 //! emission time over both hypotheses (Bayesian model averaging).
 
+mod moments;
+
 use std::ops::Range;
 
 use super::usual::{ReferenceBlock, UNUSUAL_DEVIATION, Usual, percentiles};
@@ -16,6 +18,7 @@ use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
 use crate::shape::Shape;
 use crate::whitening::Whitener;
+use moments::Moments;
 
 /// Fewest outgoing pulses of a line that define typical parameters.
 const LEAST_PULSES: usize = 30;
@@ -66,30 +69,6 @@ struct WithEcho {
     place: Moments,
     /// Smallest chi-square of all echo positions.
     chi_square: f64,
-}
-
-/// Probability-weighted moments of the position of an outgoing pulse.
-#[derive(Debug, Clone, Copy, Default)]
-struct Moments {
-    weight: f64,
-    first: f64,
-    second: f64,
-}
-
-impl Moments {
-    fn add(&mut self, weight: f64, place: f64, sd: f64) {
-        self.weight += weight;
-        self.first += weight * place;
-        self.second += weight * (place * place + sd * sd);
-    }
-
-    fn mean(&self) -> f64 {
-        self.first / self.weight
-    }
-
-    fn variance(&self) -> f64 {
-        (self.second / self.weight - self.mean().powi(2)).max(0.0)
-    }
 }
 
 /// Separates echoes from the outgoing pulses of one channel.

@@ -1,5 +1,7 @@
 //! Residual search after the first fit: overlooked pulses, and widened pulses that are two.
 
+mod trial;
+
 use std::ops::Range;
 
 use super::Mode;
@@ -15,7 +17,9 @@ use super::score_test::Scores;
 use super::tables::U_MAX;
 use crate::decompose::acceptance::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, TRIAL_PART, too_near};
 use crate::flags;
-use crate::shape::SD_OF_FWHM;
+
+pub(super) use trial::Trial;
+use trial::{Change, divided};
 
 /// Maximum number of rounds; a waveform that still changes goes to the scalar kernels.
 const ROUNDS: usize = 4;
@@ -26,65 +30,6 @@ const ROUNDS: usize = 4;
 const HELD_PART: f32 = 0.5;
 /// Margin below the required gain within which an unfinished trial stays undecided.
 const OPEN_GAIN: f32 = 4.0;
-
-/// A cluster that may replace another.
-#[derive(Clone, Copy)]
-pub(super) struct Trial {
-    row: usize,
-    old: (usize, usize),
-    pulses: [PulseComponent; MAX_CLUSTER],
-    count: usize,
-    /// Whether the cluster is part of one that is too large.
-    ///
-    /// If it is accepted, the scalar kernels take the waveform.
-    is_part: bool,
-    /// Required decrease of chi-square.
-    gain: f32,
-    chi_square: f32,
-    /// Whether the fit ended at an optimum.
-    has_ended: bool,
-    /// Whether the fit was stopped because it could not have been accepted.
-    is_dropped: bool,
-    /// Chi-square with the prior terms.
-    ///
-    /// Without priors a narrow pulse with a wide one often fits as well as the true pair.
-    objective: f32,
-}
-
-impl Trial {
-    /// Creates a trial that replaces pulses near a position if chi-square decreases by `gain`.
-    fn near(row: usize, pulse_model: &PulseModel, position: f32, fwhm_samples: f32, gain: f32) -> Trial {
-        let whole = pulse_model.cluster_around(position, fwhm_samples);
-        let old = part_of(pulse_model, whole.clone(), position);
-        Trial {
-            row,
-            old: (old.start, old.end),
-            pulses: [PulseComponent::default(); MAX_CLUSTER],
-            count: 0,
-            is_part: old.len() < whole.len(),
-            has_ended: false,
-            is_dropped: false,
-            gain,
-            chi_square: f32::INFINITY,
-            objective: f32::INFINITY,
-        }
-    }
-
-    fn old(&self) -> Range<usize> {
-        self.old.0..self.old.1
-    }
-
-    fn pulses(&self) -> &[PulseComponent] {
-        &self.pulses[..self.count]
-    }
-
-    /// Information on the level that the pulses absorb if the trial is accepted, 1/DN².
-    fn level_information(&self, pulse_model: &PulseModel) -> f32 {
-        let others = &pulse_model.pulses()[..self.old.0];
-        let others = others.iter().chain(&pulse_model.pulses()[self.old.1..]);
-        others.chain(self.pulses()).map(|pulse| pulse.level_information).sum()
-    }
-}
 
 impl Decompose<'_> {
     /// Adds and splits pulses as long as chi-square decreases enough; refined mode only.
@@ -475,46 +420,4 @@ const NO_GOOD_FIT: f32 = 64.0;
 fn least_beyond(pulse_model: &PulseModel) -> Option<f32> {
     let least = (1.0 - BEYOND_PART) * pulse_model.chi_square - BEYOND_REACH * pulse_model.beyond;
     (least > pulse_model.samples as f32 + NO_GOOD_FIT).then_some(least)
-}
-
-/// Change of a cluster in a trial.
-#[derive(Clone, Copy)]
-enum Change {
-    /// Adds a pulse.
-    Add(PulseComponent),
-    /// Adds a pulse; all start with the calibrated width.
-    ///
-    /// The index is that of its nearest neighbour.
-    AddToNarrow(PulseComponent, usize),
-    /// Splits a pulse into two of the calibrated width.
-    ///
-    /// The first has this fraction of its energy.
-    Divide(usize, f32),
-}
-
-/// Returns the cluster, or two pulses of one that is too large.
-///
-/// The two are the neighbours nearest to `position`.
-fn part_of(pulse_model: &PulseModel, cluster: Range<usize>, position: f32) -> Range<usize> {
-    if cluster.len() < MAX_CLUSTER {
-        return cluster;
-    }
-    let distance = |i: &usize| {
-        let pulses = &pulse_model.pulses()[*i..*i + 2];
-        pulses.iter().map(|p| (p.position() - position).abs()).sum::<f32>()
-    };
-    let start = (cluster.start..cluster.end - 1).min_by(|i, j| distance(i).total_cmp(&distance(j)));
-    start.map_or(cluster, |start| start..start + 2)
-}
-
-/// Splits a widened pulse into two of the calibrated width with its first moments.
-fn divided(pulse: &PulseComponent, part: f32, fwhm_samples: f32) -> [PulseComponent; 2] {
-    let [height, centre, _] = pulse.values();
-    let ratio = pulse.width_ratio();
-    let separation =
-        SD_OF_FWHM as f32 * fwhm_samples * ((ratio * ratio - 1.0) / (part * (1.0 - part))).max(0.0).sqrt();
-    let energy = ratio * height;
-    let flags = pulse.flags | flags::SPLIT;
-    let of = |part: f32, position: f32| PulseComponent::new([part * energy, position, 0.0]).flagged(flags);
-    [of(part, centre - (1.0 - part) * separation), of(1.0 - part, centre + part * separation)]
 }
