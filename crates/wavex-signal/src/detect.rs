@@ -63,8 +63,8 @@ pub struct Detector {
 impl Detector {
     /// Creates a filter for pulses of the calibrated width, in the whitener's noise.
     ///
-    /// Blocks longer than `max_samples` allocate. `offset_precision` as in
-    /// [`crate::pulse_fit::PulseFit::new`].
+    /// Blocks longer than `max_samples` allocate. `offset_precision` is `None`
+    /// for a known background, otherwise the precision of its prior, 1/DN² (0: no prior).
     pub fn new(
         shape: impl Into<Shape>,
         offset_precision: Option<f64>,

@@ -6,7 +6,7 @@
 //! of a model").
 
 /// Largest order of a model.
-pub(crate) const MAX_ORDER: usize = 8;
+pub const MAX_ORDER: usize = 8;
 
 /// Stationary autoregressive process, in the unit of its innovation (here DN).
 #[derive(Debug, Clone, PartialEq)]

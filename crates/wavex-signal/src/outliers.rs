@@ -6,7 +6,7 @@
 /// Number of points before and after, in time order, that are searched first.
 const NEAR_IN_TIME: usize = 6;
 /// Largest number of other points that a search counts.
-pub(crate) const MOST_OTHERS: usize = 8;
+pub const MOST_OTHERS: usize = 8;
 
 /// Position of a return.
 #[derive(Clone, Copy, Debug, PartialEq)]

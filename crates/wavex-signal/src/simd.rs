@@ -1,10 +1,10 @@
 //! Sixteen `f32` in lock-step, on the instruction sets of the processor.
 //!
 //! In the SIMD kernels only this module knows instruction sets, and only it contains `unsafe`.
-//! Every kernel is written once against [`Simd`] and compiled once per path. All paths have sixteen
+//! Every kernel is written once against `Simd` and compiled once per path. All paths have sixteen
 //! lanes (AVX2 in two registers, the portable one in an array) and round alike: a multiplication
 //! followed by an addition is fused on every path, division and square root follow IEEE 754, and
-//! [`Simd::sum_each`] adds in a fixed tree. The paths therefore agree to the bit.
+//! `Simd::sum_each` adds in a fixed tree. The paths therefore agree to the bit.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
