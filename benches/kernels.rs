@@ -13,11 +13,12 @@ mod scenes;
 
 use std::sync::Arc;
 
-use wavex_signal::calibrate::Block;
+use wavex_signal::decompose::Waveform;
+use wavex_signal::decompose::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
 use wavex_signal::decompose::{DecomposeSettings, Decomposer};
-use wavex_signal::lockstep::{Candidate, Lockstep, Mode, Outcomes, SimdLevel, Tables};
 use wavex_signal::noise::ArNoise;
 use wavex_signal::sensor_model::{Background, ChannelModel};
+use wavex_signal::simd::SimdLevel;
 
 use clock::cpu_s;
 use scenes::{Random, SAMPLES, Scene, Waveforms, model};
@@ -78,7 +79,7 @@ fn rate(mut work: impl FnMut()) -> Rate {
 ///
 /// The first is the robust SD of the normalised position error, the second the fraction of
 /// waveforms with the right number of returns. Only the latter enter the SD.
-fn quality(outcomes: &Outcomes, truths: &[Vec<f64>]) -> (f64, f64) {
+fn quality(outcomes: &Decompositions, truths: &[Vec<f64>]) -> (f64, f64) {
     let (mut scores, mut right) = (Vec::new(), 0.0);
     for (outcome, truth) in outcomes.iter().zip(truths) {
         if outcome.returns.len() == truth.len() {
@@ -97,17 +98,21 @@ fn quality(outcomes: &Outcomes, truths: &[Vec<f64>]) -> (f64, f64) {
 const ALIKE: &[usize] = &[SAMPLES];
 const OF_MANY_LENGTHS: &[usize] = &[SAMPLES, SAMPLES - 4, SAMPLES - 7, SAMPLES - 2, SAMPLES - 5];
 
-fn blocks<'a>(samples: &'a [u16], lengths: &[usize]) -> Vec<Block<'a>> {
+fn blocks<'a>(samples: &'a [u16], lengths: &[usize]) -> Vec<Waveform<'a>> {
     let lengths = lengths.iter().cycle();
-    samples.chunks(SAMPLES).zip(lengths).map(|(s, &n)| Block { samples: &s[..n], start_phase: 0 }).collect()
+    samples
+        .chunks(SAMPLES)
+        .zip(lengths)
+        .map(|(s, &n)| Waveform { samples: &s[..n], start_phase: 0 })
+        .collect()
 }
 
 /// Sets of waveforms: samples and truth.
 type Sets = [(Vec<u16>, Vec<Vec<f64>>); 3];
 
 /// Measures detection alone.
-fn detection(blocks: &[Block<'_>], mut detector: Lockstep, shows: bool) -> Rate {
-    let mut candidates: Vec<(u32, Candidate)> = Vec::with_capacity(2 * WAVEFORMS);
+fn detection(blocks: &[Waveform<'_>], mut detector: BatchDecomposer, shows: bool) -> Rate {
+    let mut candidates: Vec<(u32, FilterPeak)> = Vec::with_capacity(2 * WAVEFORMS);
     let rate = rate(|| detector.detect(blocks, &mut candidates));
     if shows {
         println!("      {:.4} candidates per waveform", candidates.len() as f64 / WAVEFORMS as f64);
@@ -130,7 +135,7 @@ fn measure(
     let settings = DecomposeSettings::default();
     let plain_settings = DecomposeSettings { max_added: 0, ..settings.clone() };
     let kernels = |settings: &DecomposeSettings, mode: Mode| {
-        Lockstep::new(model, Some(Arc::clone(tables)), settings, mode, path).expect("a channel")
+        BatchDecomposer::new(model, Some(Arc::clone(tables)), settings, mode, path).expect("a channel")
     };
     let runs = [
         ("one return", &plain_settings, Mode::Refined, 0, ALIKE),
@@ -153,7 +158,7 @@ fn measure(
         let (samples, truths) = &sets[set];
         let blocks = blocks(samples, lengths);
         let mut kernels = kernels(settings, mode);
-        let mut outcomes = Outcomes::default();
+        let mut outcomes = Decompositions::default();
         *rate_of = rate(|| {
             for line in blocks.chunks(SCAN_LINE) {
                 kernels.decompose(line, &mut outcomes);
@@ -212,9 +217,9 @@ fn own_background(
         let one = |model: &ChannelModel, tables: &Arc<Tables>, samples: &[u16]| {
             let blocks = blocks(samples, ALIKE);
             let settings = DecomposeSettings::default();
-            let kernels = Lockstep::new(model, Some(Arc::clone(tables)), &settings, mode, path);
+            let kernels = BatchDecomposer::new(model, Some(Arc::clone(tables)), &settings, mode, path);
             let mut kernels = kernels.expect("a channel").refine_when_needed(refine);
-            let mut outcomes = Outcomes::default();
+            let mut outcomes = Decompositions::default();
             let rate = rate(|| {
                 for line in blocks.chunks(SCAN_LINE) {
                     kernels.decompose(line, &mut outcomes);

@@ -12,7 +12,7 @@ use clock::cpu_s;
 use common::{COUNT, WORK, WRITE_NUMBERS, job};
 use wavex::registry;
 use wavex::stage::{Context, Plan, RunContext};
-use wavex_signal::lockstep;
+use wavex_signal::simd::SimdLevel;
 
 /// Name and `simulate` keys of each case.
 const CASES: &[(&str, &str)] = &[
@@ -42,7 +42,7 @@ fn shots_per_second(keys: &str) -> f64 {
         input_dir: std::env::temp_dir(),
         output_dir: std::env::temp_dir(),
         threads: 1,
-        simd: lockstep::SimdLevel::best(),
+        simd: SimdLevel::best(),
         geometry: Default::default(),
     };
     let mut rates: Vec<f64> = (0..5)

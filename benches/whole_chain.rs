@@ -29,9 +29,10 @@ use wavex_formats::container::{
     LineBuilder, TimeScale, channel,
 };
 use wavex_formats::trajectory::sbet::SbetRecord;
-use wavex_signal::calibrate::Block;
 use wavex_signal::decompose::DecomposeSettings;
-use wavex_signal::lockstep::{self, Lockstep, Mode, Outcomes, Tables};
+use wavex_signal::decompose::Waveform;
+use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
+use wavex_signal::simd::SimdLevel;
 
 const WAVEFORMS: usize = 3_000_000;
 const SHOTS_PER_LINE: usize = 2000;
@@ -231,11 +232,12 @@ fn kernels_ns() -> f64 {
     for _ in 0..10 * SHOTS_PER_LINE {
         waveforms.next(&mut samples);
     }
-    let blocks: Vec<_> = samples.chunks(SAMPLES).map(|samples| Block { samples, start_phase: 0 }).collect();
+    let blocks: Vec<_> =
+        samples.chunks(SAMPLES).map(|samples| Waveform { samples, start_phase: 0 }).collect();
     let tables = Tables::new(&model).map(Arc::new);
-    let (settings, path) = (DecomposeSettings::default(), lockstep::SimdLevel::best());
-    let mut kernels = Lockstep::new(&model, tables, &settings, Mode::Refined, path).unwrap();
-    let mut outcomes = Outcomes::default();
+    let (settings, path) = (DecomposeSettings::default(), SimdLevel::best());
+    let mut kernels = BatchDecomposer::new(&model, tables, &settings, Mode::Refined, path).unwrap();
+    let mut outcomes = Decompositions::default();
     let mut run = || {
         let started = Instant::now();
         blocks.chunks(SHOTS_PER_LINE).for_each(|line| kernels.decompose(line, &mut outcomes));

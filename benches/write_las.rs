@@ -92,7 +92,7 @@ fn sink(folder: &Path, path: &str, threads: usize) -> Box<dyn Sink> {
         input_dir: folder.into(),
         output_dir: folder.into(),
         threads,
-        simd: wavex_signal::lockstep::SimdLevel::best(),
+        simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Arc::default(),
     };
     let spec = registry::find("write_las").unwrap_or_else(|| panic!("write_las is a stage"));

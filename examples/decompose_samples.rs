@@ -6,7 +6,8 @@
 #![allow(clippy::print_stdout, reason = "an example prints what it finds")]
 
 use anyhow::{Context, Result};
-use wavex_signal::calibrate::{Block, CalibrationSettings, calibrate};
+use wavex_signal::calibrate::{CalibrationSettings, calibrate};
+use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{DecomposeSettings, Decomposer};
 
 /// Samples per waveform, at 1 ns.
@@ -22,7 +23,7 @@ fn main() -> Result<()> {
             waveform(&[(20.0 + 0.37 * f64::from(shot % 50), 20.0 + f64::from(shot % 101))], &mut noise)
         })
         .collect();
-    let blocks = recorded.iter().map(|samples| Block { samples, start_phase: 0 });
+    let blocks = recorded.iter().map(|samples| Waveform { samples, start_phase: 0 });
     let model = calibrate(blocks, &CalibrationSettings::echoes(1.0, FULL_SCALE_DN))?;
     println!("noise SD {:.2} DN, pulse FWHM {:.2} ns", model.noise_sd_dn, model.pulse_fwhm_ns);
 

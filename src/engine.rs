@@ -13,7 +13,7 @@ use std::time::Instant;
 use crate::georef::Loader;
 use crate::job::Job;
 use crate::stage::{Context, OutputLock, Plan, RunContext, RunObserver, StageError};
-use wavex_signal::lockstep;
+use wavex_signal::simd::SimdLevel;
 
 mod chain;
 mod failure;
@@ -47,7 +47,7 @@ pub struct Options {
     /// Maximum number of lines that wait between two stages.
     pub channel_capacity: usize,
     /// SIMD instructions of the kernels; results do not depend on them.
-    pub simd: lockstep::SimdLevel,
+    pub simd: SimdLevel,
     /// Whether to record spans for a trace.
     pub profile: bool,
     /// Ends the run early when set.

@@ -13,7 +13,7 @@ use crate::keys::{InvalidKey, Keys};
 use crate::registry;
 use crate::scan_line::Kind;
 use crate::stage::{Paths, Planned, StageSpec};
-use wavex_signal::lockstep;
+use wavex_signal::simd::SimdLevel;
 
 mod chain;
 mod draft;
@@ -148,9 +148,7 @@ impl JobSettings {
 
     /// Checks constraints that the types cannot express.
     fn check(&self) -> Result<(), InvalidKey> {
-        self.simd
-            .check(lockstep::SimdLevel::is_available)
-            .map_err(|problem| InvalidKey::new("simd", problem))?;
+        self.simd.check(SimdLevel::is_available).map_err(|problem| InvalidKey::new("simd", problem))?;
         let fits = self.stat_log.is_empty() || self.stat_log.ends_with(".log");
         InvalidKey::unless(fits, "stat_log", "it must end in .log, such as \"*_stat.log\"")?;
         // The command line sets a key as text if the key accepts only text.

@@ -15,10 +15,11 @@
 
 use std::sync::{Arc, OnceLock};
 
-use wavex_signal::calibrate::{Block, CalibrationSettings, calibrate};
+use wavex_signal::calibrate::response::calibrate_response;
+use wavex_signal::calibrate::{CalibrationSettings, calibrate};
+use wavex_signal::decompose::Mode;
+use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{DecomposeSettings, Return};
-use wavex_signal::lockstep::Mode;
-use wavex_signal::response_calibrate::calibrate_response;
 use wavex_signal::sensor_model::ChannelModel;
 
 #[path = "common/engine.rs"]
@@ -64,7 +65,7 @@ fn instrument(seed: u64) -> Instrument {
 
 fn calibrated(mut instrument: Instrument, full_scale_dn: f64) -> ChannelModel {
     let waveforms: Vec<Vec<u16>> = (0..CALIBRATION).map(|_| instrument.record_any(full_scale_dn)).collect();
-    let blocks = || waveforms.iter().map(|samples| Block { samples, start_phase: 0 });
+    let blocks = || waveforms.iter().map(|samples| Waveform { samples, start_phase: 0 });
     let settings = CalibrationSettings::echoes(1.0, full_scale_dn);
     let gaussian = calibrate(blocks(), &settings).unwrap();
     calibrate_response(blocks(), &gaussian, &settings).unwrap().model

@@ -9,9 +9,10 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Arc;
 
-use wavex_signal::calibrate::Block;
 use wavex_signal::decompose::DecomposeSettings;
-use wavex_signal::lockstep::{Lockstep, Mode, Outcomes, SimdLevel, Tables};
+use wavex_signal::decompose::Waveform;
+use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
+use wavex_signal::simd::SimdLevel;
 
 #[allow(dead_code, reason = "the benches use all of it")]
 #[path = "../benches/scenes/mod.rs"]
@@ -61,12 +62,14 @@ fn decomposition_allocates_nothing_per_waveform() {
     let mut waveforms = Waveforms::new(&model, &noise, Scene::Mixed, 5);
     let mut samples = Vec::new();
     (0..WARM_UP + COUNTED).for_each(|_| drop(waveforms.next(&mut samples)));
-    let blocks: Vec<_> = samples.chunks(SAMPLES).map(|samples| Block { samples, start_phase: 0 }).collect();
+    let blocks: Vec<_> =
+        samples.chunks(SAMPLES).map(|samples| Waveform { samples, start_phase: 0 }).collect();
     let (first, then) = blocks.split_at(WARM_UP);
     for mode in [Mode::Fastest, Mode::FastSeparated, Mode::Refined] {
         let settings = DecomposeSettings::default();
-        let mut kernels = Lockstep::new(&model, tables.clone(), &settings, mode, SimdLevel::best()).unwrap();
-        let mut outcomes = Outcomes::default();
+        let mut kernels =
+            BatchDecomposer::new(&model, tables.clone(), &settings, mode, SimdLevel::best()).unwrap();
+        let mut outcomes = Decompositions::default();
         kernels.decompose(first, &mut outcomes);
         let (before, plain) = (REQUESTS.get(), kernels.left_to_plain());
         kernels.decompose(then, &mut outcomes);

@@ -12,7 +12,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 use wavex::engine::{self, Options};
 use wavex::job::{Job, Override, Simd};
-use wavex_signal::lockstep::SimdLevel;
+use wavex_signal::simd::SimdLevel;
 
 const JOB: &str = r#"
 [[stage]]

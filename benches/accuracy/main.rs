@@ -17,13 +17,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Instant;
 
-use wavex_signal::calibrate::{Block, CalibrationSettings, calibrate};
+use wavex_signal::calibrate::response::calibrate_response;
+use wavex_signal::calibrate::{CalibrationSettings, calibrate};
+use wavex_signal::decompose::Mode;
+use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{DecomposeSettings, Return};
 use wavex_signal::detect::Detector;
-use wavex_signal::gauss_fit::Pulse;
-use wavex_signal::lockstep::Mode;
-use wavex_signal::response_calibrate::calibrate_response;
 use wavex_signal::sensor_model::ChannelModel;
+use wavex_signal::shape::Pulse;
 use wavex_signal::shape::Shape;
 use wavex_signal::whitening::Whitener;
 
@@ -135,7 +136,7 @@ fn calibrated(response: &Arc<Response>, seed: u64, full_scale_dn: f64, ringing_s
     let mut instrument = Instrument::new(response, seed, 0);
     instrument.ringing_sd = ringing_sd;
     let waveforms: Vec<Vec<u16>> = (0..CALIBRATION).map(|_| instrument.record_any(full_scale_dn)).collect();
-    let blocks = || waveforms.iter().map(|samples| Block { samples, start_phase: 0 });
+    let blocks = || waveforms.iter().map(|samples| Waveform { samples, start_phase: 0 });
     let settings = CalibrationSettings::echoes(1.0, full_scale_dn);
     let gaussian = calibrate(blocks(), &settings).expect("a calibration");
     calibrate_response(blocks(), &gaussian, &settings).expect("a response").model

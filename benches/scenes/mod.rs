@@ -4,10 +4,10 @@
 
 use std::f64::consts::TAU;
 
-use wavex_signal::gauss_fit::Pulse;
 use wavex_signal::noise::ArNoise;
-use wavex_signal::response::{ResponseNode, SystemResponse};
 use wavex_signal::sensor_model::{Background, ChannelModel, Digitiser, ModelUncertainty};
+use wavex_signal::sensor_model::{ResponseNode, SystemResponse};
+use wavex_signal::shape::Pulse;
 use wavex_signal::shape::Shape;
 
 /// Samples per block.

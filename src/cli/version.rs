@@ -1,7 +1,7 @@
 //! `wavex --version --verbose`: build details.
 
 use crate::archive::Program;
-use wavex_signal::lockstep;
+use wavex_signal::simd::SimdLevel;
 
 /// Lines with version, commit, compiler, target, licence and features.
 pub(super) fn details() -> String {
@@ -20,6 +20,6 @@ pub(super) fn details() -> String {
         program.target,
         program.profile,
         env!("CARGO_PKG_LICENSE"),
-        lockstep::SimdLevel::best(),
+        SimdLevel::best(),
     )
 }

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::keys::listed;
-use wavex_signal::lockstep::SimdLevel;
+use wavex_signal::simd::SimdLevel;
 
 /// SIMD instruction set of a processor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{OutputFile, Result};
 use crate::georef::Geometry;
-use wavex_signal::lockstep;
+use wavex_signal::simd::SimdLevel;
 
 /// Per-run context of a stage.
 #[derive(Clone, Debug)]
@@ -25,7 +25,7 @@ pub struct RunContext {
     /// Number of threads that a stage may use itself.
     pub threads: usize,
     /// SIMD instructions of the kernels.
-    pub simd: lockstep::SimdLevel,
+    pub simd: SimdLevel,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
     pub geometry: Arc<Geometry>,
 }
@@ -41,7 +41,7 @@ impl RunContext {
             input_dir: ".".into(),
             output_dir: ".".into(),
             threads: 1,
-            simd: lockstep::SimdLevel::Portable,
+            simd: SimdLevel::Portable,
             geometry: Arc::default(),
         }
     }
@@ -104,7 +104,7 @@ mod tests {
             input_dir: "in".into(),
             output_dir: "out".into(),
             threads: 1,
-            simd: lockstep::SimdLevel::Portable,
+            simd: SimdLevel::Portable,
             geometry: Arc::default(),
         };
         assert_eq!(site.output_path("las/*_ex.laz"), Path::new("out/las/flight7_ex.laz"));

@@ -15,9 +15,10 @@ use crate::stage::{
 };
 pub use presets::Preset;
 use wavex_formats::Error;
-use wavex_signal::calibrate::{self, BackgroundChoice, Block, CalibrationError, CalibrationSettings};
+use wavex_signal::calibrate::response::{Calibrated, MIN_ECHOES, calibrate_response, with_response_of};
+use wavex_signal::calibrate::{self, BackgroundChoice, CalibrationError, CalibrationSettings};
+use wavex_signal::decompose::Waveform;
 use wavex_signal::gain::calibrate_at_unit_gain;
-use wavex_signal::response_calibrate::{Calibrated, MIN_ECHOES, calibrate_response, with_response_of};
 use wavex_signal::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
 
 mod presets;
@@ -427,8 +428,8 @@ impl Calibrator {
     }
 
     /// Blocks of one receiver in the held lines.
-    fn blocks(&self, channel: Channel) -> impl Iterator<Item = Block<'_>> + Clone {
-        self.survey.samples(channel).map(|samples| Block { samples, start_phase: 0 })
+    fn blocks(&self, channel: Channel) -> impl Iterator<Item = Waveform<'_>> + Clone {
+        self.survey.samples(channel).map(|samples| Waveform { samples, start_phase: 0 })
     }
 
     fn count(&self, channel: Channel) -> u64 {

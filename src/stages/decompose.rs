@@ -11,8 +11,8 @@ use crate::stage::{
     Config, Context, DecomposedLine, FittedShot, Map, MapConfig, Result, RunContext, StageError, StageSpec,
 };
 use wavex_signal::fusion::ChannelFusion;
-use wavex_signal::lockstep::SimdLevel;
 use wavex_signal::sensor_model::SensorModel;
+use wavex_signal::simd::SimdLevel;
 
 mod at_gains;
 mod crosstalk;

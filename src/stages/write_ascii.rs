@@ -192,7 +192,7 @@ mod tests {
     use crate::georef::Geometry;
     use crate::scan_line::{Blocks, Content, Emission, Return, ReturnChannel, TimeScale, emission_flags};
     use std::sync::Arc;
-    use wavex_signal::lockstep::SimdLevel;
+    use wavex_signal::simd::SimdLevel;
 
     /// Two points of one shot.
     fn line() -> ScanLine {

@@ -3,28 +3,30 @@
 
 use std::sync::Arc;
 
-use wavex_signal::calibrate::Block;
+use wavex_signal::decompose::Waveform;
+use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
 use wavex_signal::decompose::{DecomposeSettings, Return};
-use wavex_signal::lockstep::{Lockstep, Mode, Outcomes, SimdLevel, Tables};
 use wavex_signal::sensor_model::ChannelModel;
+use wavex_signal::simd::SimdLevel;
 
 /// Decomposes one waveform at a time.
 pub struct Engine {
-    kernels: Lockstep,
-    outcomes: Outcomes,
+    kernels: BatchDecomposer,
+    outcomes: Decompositions,
 }
 
 impl Engine {
     /// Creates the engine for a channel.
     pub fn new(model: &ChannelModel, settings: &DecomposeSettings, mode: Mode) -> Engine {
         let tables = Tables::new(model).map(Arc::new);
-        let kernels = Lockstep::new(model, tables, settings, mode, SimdLevel::best()).expect("a model");
-        Engine { kernels, outcomes: Outcomes::default() }
+        let kernels =
+            BatchDecomposer::new(model, tables, settings, mode, SimdLevel::best()).expect("a model");
+        Engine { kernels, outcomes: Decompositions::default() }
     }
 
     /// Returns of a waveform, and its deviation ratio.
     pub fn decompose(&mut self, samples: &[u16]) -> (&[Return], f64) {
-        self.kernels.decompose(&[Block { samples, start_phase: 0 }], &mut self.outcomes);
+        self.kernels.decompose(&[Waveform { samples, start_phase: 0 }], &mut self.outcomes);
         let outcome = self.outcomes.get(0).expect("one outcome for one waveform");
         (outcome.returns, outcome.deviation_ratio())
     }

@@ -137,7 +137,7 @@ fn site() -> RunContext {
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
         threads: 1,
-        simd: wavex_signal::lockstep::SimdLevel::best(),
+        simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Default::default(),
     }
 }

@@ -95,7 +95,7 @@ pub fn samples_of(channel: Channel, reader: &str, path: &Path) -> Vec<(u64, Vec<
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
         threads: 1,
-        simd: wavex_signal::lockstep::SimdLevel::best(),
+        simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Default::default(),
     };
     let mut source = source.make(&site).unwrap_or_else(|error| panic!("{error}"));

@@ -3,12 +3,13 @@
 
 use std::path::Path;
 
-use wavex_signal::calibrate::{Block, CalibrationSettings, calibrate};
+use wavex_signal::calibrate::response::{EvenOdd, calibrate_response};
+use wavex_signal::calibrate::{CalibrationSettings, calibrate};
+use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{DecomposeSettings, Decomposer, Return};
 use wavex_signal::detect::Detector;
-use wavex_signal::gauss_fit::Pulse;
-use wavex_signal::response_calibrate::{EvenOdd, calibrate_response};
 use wavex_signal::sensor_model::ChannelModel;
+use wavex_signal::shape::Pulse;
 use wavex_signal::shape::Shape;
 use wavex_signal::whitening::Whitener;
 
@@ -58,7 +59,7 @@ impl Recording {
 
 /// Calibrates a model with system response from blocks.
 pub fn model_of(blocks: &[Vec<u16>], settings: &CalibrationSettings) -> ChannelModel {
-    let of_blocks = || blocks.iter().map(|samples| Block { samples, start_phase: 0 });
+    let of_blocks = || blocks.iter().map(|samples| Waveform { samples, start_phase: 0 });
     let gaussian = calibrate(of_blocks(), settings).unwrap();
     let model = calibrate_response(of_blocks(), &gaussian, settings).unwrap().model;
     assert!(model.response.is_some());

@@ -13,7 +13,7 @@ use wavex::stage::{Context, Map, Plan, RunContext, Source};
 use wavex::stages::pose_source::Posed;
 use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex_geodesy::frames::{IDENTITY, Rotation, rotate};
-use wavex_signal::lockstep;
+use wavex_signal::simd::SimdLevel;
 
 /// A folder with a recording, its trajectory and its truth.
 pub struct Flight {
@@ -214,7 +214,7 @@ pub fn site(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
         input_dir: flight.folder().into(),
         output_dir: flight.folder().into(),
         threads: 1,
-        simd: lockstep::SimdLevel::best(),
+        simd: SimdLevel::best(),
         geometry: Arc::new(loaded.map_err(|error| error.to_string())?),
     })
 }

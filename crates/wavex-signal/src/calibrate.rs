@@ -9,9 +9,9 @@
 //! of the noise. A peak from pulses too weak to be fitted is replaced by a sign-flipped dip of the
 //! noise.
 
-use super::decompose::DecomposeSettings;
-use super::noise::{ArNoise, fit_by_bic};
-use super::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
+use crate::decompose::{DecomposeSettings, Waveform};
+use crate::noise::{ArNoise, fit_by_bic};
+use crate::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
 use free_samples::NoiseEstimate;
 use initial_estimate::FirstLook;
 use pass_stats::Survey;
@@ -21,16 +21,17 @@ mod free_samples;
 mod initial_estimate;
 mod noise_statistics;
 mod pass_stats;
+pub mod response;
 mod sign_flip;
 #[cfg(test)]
 mod tests;
 mod uncertainty;
 mod width;
 
-pub(super) use batches::decompose_each;
+pub(crate) use batches::decompose_each;
 pub use noise_statistics::NoiseStatistics;
-pub(super) use uncertainty::jackknife_sd;
-pub(super) use width::{Narrow, Width};
+pub(crate) use uncertainty::jackknife_sd;
+pub(crate) use width::{Narrow, Width};
 
 /// Fewest pulses for a width estimate.
 const MIN_PULSES: usize = 10;
@@ -44,7 +45,7 @@ const MOST_BLOCKS: [u64; 2] = [5_000, 20_000];
 /// Only unsaturated blocks with samples well before their pulses count.
 const FREE_PART: f64 = 0.3;
 /// Number of consecutive groups of a recording whose scatter gives the uncertainties: to 15 %.
-pub(super) const GROUPS: usize = 25;
+pub(crate) const GROUPS: usize = 25;
 /// Largest number of pulses added if the background is unknown.
 const MAX_OVERLOOKED: u32 = 4;
 /// Variance of the background between blocks, over that of the noise, above which each waveform
@@ -59,15 +60,6 @@ const WIDE: f64 = 3.0;
 const MISSHAPEN: f64 = 2.0;
 /// Variance of rounding to whole steps: the lower limit of the noise.
 const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
-
-/// One block of samples.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Block<'a> {
-    /// Samples of the digitiser, DN.
-    pub samples: &'a [u16],
-    /// Index of the first sample modulo 4.
-    pub start_phase: u8,
-}
 
 /// Source of the background of a waveform.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -164,9 +156,28 @@ pub enum CalibrationError {
 ///
 /// The blocks are read several times, so the iterator must be cheap to clone: over samples in
 /// memory.
+///
+/// ```
+/// use wavex_signal::calibrate::{CalibrationSettings, calibrate};
+/// use wavex_signal::decompose::Waveform;
+/// # use wavex_signal::{noise::ArNoise, simulated::*};
+/// # let (mut random, process) = (Random::new(1), ArNoise::new(&[0.6], 0.8).unwrap());
+/// # let recorded: Vec<Vec<u16>> = (0..400)
+/// #     .map(|_| {
+/// #         let echo = pulse(60.0 + 60.0 * random.uniform(), 20.0 + 9.0 * random.uniform(), 1.0);
+/// #         digitised(&analogue(&mut random, &process, 60, 5.0, 4.4, &[echo]), 255)
+/// #     })
+/// #     .collect();
+///
+/// // `recorded`: 400 waveforms of 8 bits at 1 GHz.
+/// let waveforms = recorded.iter().map(|samples| Waveform { samples, start_phase: 0 });
+/// let model = calibrate(waveforms, &CalibrationSettings::echoes(1.0, 255.0))?;
+/// assert!((model.pulse_fwhm_ns - 4.4).abs() < 0.1);
+/// # Ok::<(), wavex_signal::calibrate::CalibrationError>(())
+/// ```
 pub fn calibrate<'a, I>(blocks: I, settings: &CalibrationSettings) -> Result<ChannelModel, CalibrationError>
 where
-    I: Iterator<Item = Block<'a>> + Clone,
+    I: Iterator<Item = Waveform<'a>> + Clone,
 {
     let found = blocks.clone().count() as u64;
     if found < settings.min_blocks {
@@ -209,7 +220,7 @@ where
 /// and make it narrow. Detection can overlook a pulse only close to a strong one on an unknown
 /// background. It would then contaminate the free samples, so in this case a few pulses are added.
 fn survey<'a>(
-    blocks: impl Iterator<Item = Block<'a>> + Clone,
+    blocks: impl Iterator<Item = Waveform<'a>> + Clone,
     model: &ChannelModel,
     free: bool,
     settings: &CalibrationSettings,

@@ -1,22 +1,26 @@
-//! Decomposes one waveform: detection, joint fit, residual search, pruning.
+//! Decomposes waveforms into returns: detection, joint fit, residual search, pruning.
 //!
-//! The plain kernels, in `f64` and one waveform at a time, as docs/explanation/method.md describes
-//! from Detection to Uncertainties. They are the reference of [`super::lockstep`] and take the
-//! waveforms it cannot decompose.
+//! [`Decomposer`] takes one waveform at a time, in `f64`; it is the reference. [`BatchDecomposer`] takes
+//! batches, sixteen waveforms at a time, in `f32`, and is many times faster. Both use the settings,
+//! the acceptance rules and the outcome types of this module.
 
-use super::allowance::Allowance;
-use super::detect::{Candidate, Detector, next_plateau, plateau_candidate};
-use super::flags;
-use super::sensor_model::{ChannelModel, ModelError};
-use scene::{Found, Scene};
+use crate::flags;
 
-mod allowance;
-mod refine;
-mod scene;
-mod score;
-#[cfg(test)]
-mod tests;
-mod view;
+pub(crate) mod acceptance;
+mod scalar;
+pub mod simd;
+
+pub use scalar::Decomposer;
+pub use simd::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
+
+/// One waveform: the samples of a block.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Waveform<'a> {
+    /// Samples of the digitiser, DN.
+    pub samples: &'a [u16],
+    /// Index of the first sample modulo 4.
+    pub start_phase: u8,
+}
 
 /// Pulses above this fraction of full scale overdrive a RIEGL receiver (210 of 255 DN).
 pub const OVERDRIVEN_PART: f64 = 210.0 / 255.0;
@@ -85,13 +89,6 @@ impl Default for DecomposeSettings {
     }
 }
 
-impl DecomposeSettings {
-    /// Returns the lower of the two thresholds.
-    pub(super) fn least_sigma(&self) -> f64 {
-        self.detection_sigma_last.map_or(self.detection_sigma, |last| last.min(self.detection_sigma))
-    }
-}
-
 /// One return of a waveform; its position is that of the peak.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Return {
@@ -111,7 +108,7 @@ pub struct Return {
     pub fwhm_ns: f64,
     /// `(χ² - ν)/√(2ν)` of the waveform; 0 without a degree of freedom.
     pub deviation_ratio: f64,
-    /// Bits of [`super::flags`].
+    /// Bits of [`crate::flags`].
     pub flags: u16,
 }
 
@@ -183,167 +180,8 @@ impl Decomposition<'_> {
 
     /// Sum of `ν` and [`Decomposition::expected_excess`].
     #[inline(always)]
-    pub(super) fn expected_chi_square(&self) -> f64 {
+    pub(crate) fn expected_chi_square(&self) -> f64 {
         self.degrees_of_freedom() as f64 + self.expected_excess
-    }
-}
-
-/// Decomposes the waveforms of one channel; reuses its buffers.
-#[derive(Debug, Clone)]
-pub struct Decomposer {
-    model: ChannelModel,
-    settings: DecomposeSettings,
-    allowance: Allowance,
-    scene: Scene,
-    detector: Detector,
-    candidates: Vec<Candidate>,
-    returns: Vec<Return>,
-    counts: Counts,
-    refined_twice: bool,
-}
-
-impl Decomposer {
-    /// Creates a decomposer for blocks of up to `max_samples` samples.
-    ///
-    /// Longer blocks make it allocate more memory.
-    pub fn new(
-        model: &ChannelModel,
-        settings: &DecomposeSettings,
-        max_samples: usize,
-    ) -> Result<Decomposer, ModelError> {
-        let scene = Scene::new(model, settings, max_samples)?;
-        let detector =
-            Detector::new(scene.shape().clone(), model.offset_precision(), scene.whitener(), max_samples);
-        Ok(Decomposer {
-            model: model.clone(),
-            settings: settings.clone(),
-            allowance: Allowance::new(
-                model,
-                settings.template_error,
-                settings.overdriven_part * model.full_scale_dn,
-            ),
-            scene,
-            detector,
-            candidates: Vec::with_capacity(max_samples),
-            returns: Vec::with_capacity(settings.max_returns),
-            counts: Counts::default(),
-            refined_twice: false,
-        })
-    }
-
-    /// Returns the model of its channel.
-    pub fn model(&self) -> &ChannelModel {
-        &self.model
-    }
-
-    /// Decomposes one block; `start_phase` is the index of its first sample modulo 4.
-    pub fn decompose(&mut self, samples: &[u16], start_phase: u8) -> Decomposition<'_> {
-        self.counts = Counts::default();
-        self.refined_twice = false;
-        self.returns.clear();
-        if self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples) {
-            self.detector.prepare(self.scene.whitener());
-        }
-        self.find_candidates(samples);
-        if !self.scene.found.is_empty() {
-            self.scene.fit_all();
-            self.add_from_residual();
-            self.prune();
-        }
-        self.report(samples)
-    }
-
-    /// Chi-square after fitting pulses from these start values.
-    ///
-    /// Start values are height, position and logarithm of the width ratio. No pulse is added or
-    /// removed.
-    pub(super) fn chi_square_of(
-        &mut self,
-        samples: &[u16],
-        start_phase: u8,
-        pulses: impl Iterator<Item = [f64; 3]>,
-    ) -> f64 {
-        if self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples) {
-            self.detector.prepare(self.scene.whitener());
-        }
-        self.scene.found.extend(pulses.map(|[height, position, width]| Found::new(height, position, width)));
-        self.scene.fit_all_roughly();
-        self.scene.chi_square()
-    }
-
-    /// Initialises pulses from matched filter maxima and saturated plateaus.
-    fn find_candidates(&mut self, samples: &[u16]) {
-        self.detector.filter(self.scene.whitener(), self.scene.target_dn());
-        self.candidates.clear();
-        let least_sigma = self.settings.least_sigma();
-        self.detector.maxima(least_sigma, &mut self.candidates);
-        self.drop_weak_candidates();
-        let width = self.model.fwhm_samples();
-        let mut from = 0;
-        while let Some(plateau) = next_plateau(samples, self.model.full_scale_dn, from) {
-            let near = plateau.start as f64 - width..plateau.end as f64 + width;
-            // Maxima on the flanks of a plateau belong to the plateau's pulse.
-            self.candidates.retain(|c| c.statistic.is_infinite() || !near.contains(&c.position_samples));
-            from = plateau.end;
-            self.candidates.push(plateau_candidate(self.scene.target_dn(), plateau, width));
-        }
-        self.counts.n_candidates = self.candidates.len() as u32;
-        self.candidates.sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
-        self.screen_candidates();
-        let scene = &mut self.scene;
-        let kept = self.candidates.len().min(self.settings.max_returns);
-        self.counts.np_filtered = self.counts.n_candidates - kept as u32;
-        scene.found.extend(self.candidates.iter().take(kept).map(Found::from_candidate));
-    }
-
-    /// Converts the remaining pulses to returns.
-    fn report(&mut self, samples: &[u16]) -> Decomposition<'_> {
-        let found = &self.scene.found;
-        self.counts.np = found.len() as u32;
-        let outcome = Decomposition {
-            returns: &[],
-            counts: self.counts,
-            chi_square: self.scene.chi_square(),
-            expected_excess: self.expected_excess(),
-            samples: self.scene.whitener().used_count(),
-            parameters: 3 * found.len() + usize::from(self.model.offset_precision().is_some()),
-            background_offset_dn: self.scene.offset_dn(),
-            saturated: samples.iter().any(|&s| f64::from(s) >= self.model.full_scale_dn),
-            refined_once: self.counts.n_candidates > 0,
-            refined_twice: self.refined_twice || found.iter().any(|f| f.flags & flags::DIVERGED != 0),
-        };
-        let deviation_ratio = outcome.deviation_ratio();
-        for f in found {
-            let width_ratio = f.pulse.ln_width_ratio.exp();
-            let factor = self.model.pulse_error_factor;
-            self.returns.push(Return {
-                position_samples: f.pulse.position_samples,
-                position_sd_samples: factor * f.sd[1],
-                amplitude_dn: f.pulse.height_dn,
-                amplitude_sd_dn: factor * f.sd[0],
-                width_ratio,
-                width_ratio_sd: factor * width_ratio * f.sd[2],
-                fwhm_ns: width_ratio
-                    * self.scene.shape().fwhm_samples_at(f.pulse.height_dn)
-                    * self.model.sampling_interval_ns,
-                deviation_ratio,
-                flags: f.flags
-                    | flags::REFINED
-                    | block_flags(samples, &self.model, f.pulse.position_samples, f.pulse.ln_width_ratio)
-                    | if self.allowance.overdrives(f.pulse.height_dn) { flags::OVERDRIVEN } else { 0 },
-            });
-        }
-        self.set_overlaps();
-        Decomposition { returns: &self.returns, ..outcome }
-    }
-
-    fn set_overlaps(&mut self) {
-        for i in 1..self.returns.len() {
-            if self.scene.overlap(i - 1, i) {
-                self.returns[i - 1].flags |= flags::OVERLAP;
-                self.returns[i].flags |= flags::OVERLAP;
-            }
-        }
     }
 }
 
@@ -351,30 +189,7 @@ impl Decomposer {
 ///
 /// Position and width in samples.
 #[inline(always)]
-pub(super) fn truncation_flag(position: f64, width: f64, samples: usize) -> u16 {
+pub(crate) fn truncation_flag(position: f64, width: f64, samples: usize) -> u16 {
     let is_whole = position >= 0.7 * width && position <= samples as f64 - 1.0 - 0.25 * width;
     if is_whole { 0 } else { flags::TRUNCATED }
-}
-
-/// Flags of saturation and truncation.
-fn block_flags(samples: &[u16], model: &ChannelModel, position_samples: f64, ln_width_ratio: f64) -> u16 {
-    let width = model.fwhm_samples() * ln_width_ratio.exp();
-    let position = position_samples;
-    let mut flags = truncation_flag(position, width, samples.len());
-    let saturated = |k: usize| f64::from(samples[k]) >= model.full_scale_dn;
-    let within = |before: f64, after: f64| {
-        let first = (position - before * width).ceil().max(0.0) as usize;
-        let end = ((position + after * width).floor() + 1.0).max(0.0) as usize;
-        first.min(samples.len())..end.min(samples.len())
-    };
-    if within(1.0, 1.0).any(saturated) {
-        flags |= flags::SATURATED;
-        let core = within(0.5, 0.5);
-        let lost = core.clone().filter(|&k| saturated(k)).count();
-        let no_flank = within(1.5, 0.0).all(saturated) || within(0.0, 1.5).all(saturated);
-        if lost as f64 > 0.6 * core.len() as f64 || no_flank {
-            flags |= flags::EXTREMELY_SATURATED;
-        }
-    }
-    flags
 }

@@ -7,18 +7,23 @@
 //! noise. An unknown background of precision `q` is part of the noise, `S = Σ + 11ᵀ/q`, by the
 //! Sherman–Morrison formula.
 
-use super::wide::dot;
+use crate::simd::dot::dot;
 use std::ops::Range;
 
-use super::gauss_fit::{FOUR_LN_2, Pulse};
-use super::shape::Shape;
-use super::whitening::Whitener;
-use crate::rules::{DIP_PART, ECHO_SAMPLES};
+use crate::shape::Shape;
+use crate::shape::{FOUR_LN_2, Pulse};
+use crate::whitening::Whitener;
 
 /// Half length of the filter pulse, in its widths: the main lobe.
 const HALF_LENGTH_WIDTHS: f64 = 1.5;
 /// Smallest fraction of the pulse energy in used samples at a lag.
-const LEAST_ENERGY_PART: f64 = 0.3;
+pub(crate) const LEAST_ENERGY_PART: f64 = 0.3;
+
+/// Smallest dip between two candidates, relative to the threshold; without it, noise on the flank
+/// of one wide pulse would give two.
+pub(crate) const DIP_PART: f64 = 0.5;
+/// Length of the tabulated filter response after a pulse, samples.
+pub(crate) const ECHO_SAMPLES: usize = 256;
 
 /// A candidate pulse.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,8 +63,8 @@ pub struct Detector {
 impl Detector {
     /// Creates a filter for pulses of the calibrated width, in the whitener's noise.
     ///
-    /// Blocks longer than `max_samples` allocate. `offset_precision` as in
-    /// [`super::gauss_fit::GaussFit::new`].
+    /// Blocks longer than `max_samples` allocate. `offset_precision` is `None`
+    /// for a known background, otherwise the precision of its prior, 1/DN² (0: no prior).
     pub fn new(
         shape: impl Into<Shape>,
         offset_precision: Option<f64>,
@@ -206,7 +211,7 @@ impl Detector {
     }
 
     /// `√E` of a pulse of calibrated width entirely in used samples.
-    pub fn full_significance_per_dn(&self) -> f64 {
+    pub(crate) fn full_significance_per_dn(&self) -> f64 {
         self.full_energy.sqrt()
     }
 
@@ -224,7 +229,7 @@ impl Detector {
 
     /// `√E` of a pulse of calibrated width at a fractional position; its significance is its height
     /// times this.
-    pub fn significance_per_dn(&mut self, whitener: &Whitener, position_samples: f64) -> f64 {
+    pub(crate) fn significance_per_dn(&mut self, whitener: &Whitener, position_samples: f64) -> f64 {
         self.solved.fill(0.0);
         self.shape.add(&unit_pulse(position_samples), 1.0, &mut self.solved);
         let cross = dot(&self.solved, &self.offset_solved);
@@ -250,7 +255,7 @@ fn within_block(template: &[f64], lag: usize, samples: usize) -> (usize, &[f64])
 
 /// Next run of saturated samples from `from`; runs separated by a single unsaturated sample are
 /// merged.
-pub fn next_plateau(samples: &[u16], full_scale_dn: f64, from: usize) -> Option<Range<usize>> {
+pub(crate) fn next_plateau(samples: &[u16], full_scale_dn: f64, from: usize) -> Option<Range<usize>> {
     let saturated = |k: usize| samples.get(k).is_some_and(|&s| f64::from(s) >= full_scale_dn);
     let start = (from..samples.len()).find(|&k| saturated(k))?;
     let mut end = start + 1;
@@ -265,7 +270,7 @@ pub fn next_plateau(samples: &[u16], full_scale_dn: f64, from: usize) -> Option<
 /// Two free flanks give position, width and height of a Gaussian; one gives position and height for
 /// the calibrated width; without any, the centre of the plateau is used. `values_dn` are the
 /// samples less the background.
-pub fn plateau_candidate(values_dn: &[f64], plateau: Range<usize>, fwhm_samples: f64) -> Candidate {
+pub(crate) fn plateau_candidate(values_dn: &[f64], plateau: Range<usize>, fwhm_samples: f64) -> Candidate {
     const LOW: f64 = 0.3;
     const HIGH: f64 = 0.8;
     let level = plateau.clone().filter_map(|k| values_dn.get(k)).fold(1e-6, |a: f64, &b| a.max(b));

@@ -7,10 +7,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::decompose::OVERDRIVEN_PART;
-use super::sensor_model::{ChannelModel, ModelError};
+use crate::decompose::OVERDRIVEN_PART;
+use crate::sensor_model::{ChannelModel, ModelError};
 pub use joint::{Expected, JointFit, JointFitted, JointPulse, Outcome};
-pub use plain_peak::{PlainPeak, lead_noise_sd_dn, plain_peak, plain_peak_of};
+pub(crate) use plain_peak::plain_peak_of;
+pub use plain_peak::{PlainPeak, lead_noise_sd_dn, plain_peak};
 use robust::{pooled, robust_mean};
 
 mod joint;
@@ -244,17 +245,13 @@ impl ChannelFusion {
 
 /// Plain peak of a model's pulse of this height: offset from its position, ns, and relative height.
 fn plain_of_model(model: &ChannelModel, height_dn: f64) -> Result<(f64, f64), ModelError> {
-    let shape = super::shape::Shape::of(model)?;
+    let shape = crate::shape::Shape::of(model)?;
     let (mut shift_samples, mut ratio) = (0.0, 0.0);
     for phase in 0..PHASES {
         let mut signal = [0.0; MODEL_SAMPLES];
         let position_samples = MODEL_PLACE + f64::from(phase) / f64::from(PHASES);
-        let pulse = super::gauss_fit::Pulse {
-            height_dn,
-            position_samples,
-            ln_width_ratio: 0.0,
-            ln_width_precision: 0.0,
-        };
+        let pulse =
+            crate::shape::Pulse { height_dn, position_samples, ln_width_ratio: 0.0, ln_width_precision: 0.0 };
         shape.add(&pulse, 1.0, &mut signal);
         // A pulse too long for the block has no plain peak; its position is used.
         if let Some(peak) = plain_peak_of(&signal) {

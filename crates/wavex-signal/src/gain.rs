@@ -5,8 +5,8 @@
 //! the digitiser's offset and does not change; a waveform's deviation from it scales with the gain.
 //! See docs/explanation/method.md, Automatic gain control.
 
-use super::noise::fit_by_bic;
-use super::sensor_model::{ChannelModel, ModelError};
+use crate::noise::fit_by_bic;
+use crate::sensor_model::{ChannelModel, ModelError};
 
 mod normalised;
 
@@ -72,7 +72,7 @@ impl ChannelModel {
     /// Returns the channel in other units: 1 DN becomes `factor`.
     ///
     /// The full scale does not change.
-    pub fn in_steps(&self, factor: f64) -> ChannelModel {
+    pub(crate) fn in_steps(&self, factor: f64) -> ChannelModel {
         let mut model = self.clone();
         model.background_dn.iter_mut().for_each(|level| *level *= factor);
         for value in [&mut model.background_sd_dn, &mut model.noise_sd_dn, &mut model.innovation_sd_dn] {
@@ -93,7 +93,12 @@ impl ChannelModel {
     ///
     /// # Errors
     /// The model is invalid, or no noise is left.
-    pub fn with_white_noise(&self, before: f64, factor: f64, after: f64) -> Result<ChannelModel, ModelError> {
+    pub(crate) fn with_white_noise(
+        &self,
+        before: f64,
+        factor: f64,
+        after: f64,
+    ) -> Result<ChannelModel, ModelError> {
         let noise = self.noise()?;
         let order = if self.ar.is_empty() { 0 } else { self.ar.len().max(ORDER) };
         let mut autocovariance = vec![0.0; order + 1];

@@ -1,23 +1,72 @@
-//! Numerical kernels: slices in, values out, without files, clocks, batches or stages.
+//! Decomposition of lidar waveforms: slices in, values out, without files, clocks or threads.
 //!
-//! - [`calibrate`] and [`response_calibrate`] estimate a [`sensor_model`].
-//! - [`decompose`] finds the pulses of one waveform in correlated noise, in `f64`. Pulses are
-//!   widened copies of the system response ([`response`], [`templates`]) or Gaussians ([`shape`]).
-//!   It uses [`detect`] (matched filter), [`gauss_fit`] (joint least squares), [`whitening`] and
-//!   [`noise`].
-//! - [`lockstep`] does the same for whole batches, in `f32` and many times faster, and leaves
-//!   unsuitable waveforms to [`decompose`].
-//! - [`fusion`] combines two receivers of the same echoes; [`outgoing`] fits the outgoing pulses.
-//! - [`mta`] assigns echoes to emissions if several pulses are in the air.
-//! - [`radiometry`], [`penalised_spline`] and [`width_by_amplitude`] serve the corrections of
-//!   returns.
-//! - [`outliers`] finds isolated points; [`sensor_path`] estimates the sensor position from its
-//!   beams.
+//! A [`Decomposer`](decompose::Decomposer) turns the samples of one waveform into returns. It needs
+//! a calibrated [`ChannelModel`](sensor_model::ChannelModel). [`calibrate`] estimates one from
+//! recorded waveforms; here it is written by hand:
 //!
-//! docs/explanation/method.md describes the method. Positions are in samples from the block's first, heights in
-//! digitiser steps (DN). The position of a pulse is that of its peak.
+//! ```
+//! use wavex_signal::decompose::{DecomposeSettings, Decomposer};
+//! use wavex_signal::sensor_model::{Background, ChannelModel, Digitiser, ModelUncertainty};
+//!
+//! let model = ChannelModel {
+//!     sampling_interval_ns: 1.0,
+//!     full_scale_dn: 255.0,
+//!     background: Background::Fixed,
+//!     background_dn: [5.0; 4],
+//!     background_sd_dn: 0.0,
+//!     noise_sd_dn: 0.8,
+//!     autocorrelation: vec![],
+//!     ar: vec![],
+//!     innovation_sd_dn: 0.8,
+//!     pulse_fwhm_ns: 4.0,
+//!     pulse_fwhm_sd_ns: 0.1,
+//!     pulse_shape_error: 0.0,
+//!     pulse_error_factor: 1.0,
+//!     response: None,
+//!     digitiser: Digitiser::default(),
+//!     uncertainty: ModelUncertainty::default(),
+//!     waveforms: 1000,
+//!     pulses: 1000,
+//! };
+//! // Two echoes, 16 ns apart.
+//! let echo = |k: i32, height_dn: f64, at: f64| {
+//!     height_dn * (-4.0 * std::f64::consts::LN_2 * ((f64::from(k) - at) / 4.0).powi(2)).exp()
+//! };
+//! let waveform: Vec<u16> =
+//!     (0..48).map(|k| (5.0 + echo(k, 120.0, 12.3) + echo(k, 40.0, 28.3)).round() as u16).collect();
+//!
+//! let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), waveform.len())?;
+//! let returns = decomposer.decompose(&waveform, 0).returns;
+//! for r in returns {
+//!     // Two-way travel: half the distance that light covers.
+//!     let m_per_sample = 0.5 * 0.299_792_458 * model.sampling_interval_ns;
+//!     let (range_m, sd_m) = (m_per_sample * r.position_samples, m_per_sample * r.position_sd_samples);
+//!     println!("{range_m:.3} m ± {sd_m:.3} m after the first sample, {:.0} DN", r.amplitude_dn);
+//! }
+//! assert_eq!(returns.len(), 2);
+//! assert!((returns[1].position_samples - returns[0].position_samples - 16.0).abs() < 0.1);
+//! # Ok::<(), wavex_signal::sensor_model::ModelError>(())
+//! ```
+//!
+//! Modules, from bottom to top; a module imports only modules of the lines above its own:
+//!
+//! - [`flags`], [`noise`], [`simd`]: bits of returns, autoregressive noise, vector instructions.
+//! - [`sensor_model`]: channels of a sensor, with their system response.
+//! - [`whitening`] of samples; [`shape`]: pulses as Gaussians or widened responses.
+//! - [`detect`]: matched filter.
+//! - [`decompose`]: waveforms to returns, one at a time in `f64` or in batches in `f32`.
+//! - [`calibrate`] estimates models; [`outgoing`] fits the outgoing pulses; [`fusion`] combines two
+//!   receivers of the same echoes.
+//! - [`gain`]: receivers with automatic gain control.
+//!
+//! [`mta`] assigns echoes to emissions if several pulses are in the air. [`radiometry`],
+//! [`penalised_spline`] and [`width_by_amplitude`] serve the corrections of returns. [`outliers`]
+//! finds isolated points, [`sensor_path`] estimates the sensor position from its beams, and
+//! [`false_alarms`] predicts the returns caused by noise.
+//!
+//! docs/explanation/method.md describes the method. Positions are in samples from the waveform's
+//! first, heights in digitiser steps (DN). The position of a pulse is that of its peak.
 
-mod allowance;
 pub mod calibrate;
 mod cholesky;
 pub mod decompose;
@@ -27,26 +76,23 @@ pub mod flags;
 mod fourier;
 pub mod fusion;
 pub mod gain;
-pub mod gauss_fit;
-pub mod lockstep;
+mod levenberg_marquardt;
 pub mod mta;
 pub mod noise;
 pub mod outgoing;
 pub mod outliers;
 pub mod penalised_spline;
+mod pulse_fit;
 pub mod radiometry;
-pub mod response;
-pub mod response_calibrate;
-mod rules;
 pub mod sensor_model;
 pub mod sensor_path;
 pub mod shape;
-pub mod steps;
-pub mod templates;
+pub mod simd;
 pub mod whitening;
-mod wide;
 pub mod width_by_amplitude;
 
+#[cfg(test)]
+mod layers;
 #[cfg(test)]
 mod recordings;
 #[doc(hidden)]

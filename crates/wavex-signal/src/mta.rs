@@ -11,10 +11,12 @@
 
 mod blocks;
 mod cells;
+mod error;
 mod grid;
 mod joined;
 mod pending;
 mod pulses;
+mod settings;
 mod summary;
 #[cfg(test)]
 mod tests;
@@ -27,6 +29,9 @@ pub use cells::BAND_LINES;
 pub use summary::{Summary, Warning};
 
 use blocks::Blocks;
+pub use error::MtaError;
+pub use settings::{Method, Prior, Settings};
+
 use joined::Joined;
 use pending::{Held, Places};
 use variance::Variance;
@@ -125,140 +130,23 @@ pub struct Resolved {
     pub settled_lines: u64,
 }
 
-/// Prior knowledge of ranges.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Prior {
-    /// Only [`Settings::range_m`].
-    None,
-    /// Height above flat ground: the range of a shot is `agl_m / cos_nadir`.
-    Agl {
-        /// Height above ground, m.
-        agl_m: f64,
-        /// Standard deviation of the terrain about flat ground, m.
-        sd_m: f64,
-    },
-    /// [`Emission::prior_range_m`], from a terrain model or a trajectory.
-    PerEmission {
-        /// Standard deviation of the terrain about the expected range, m.
-        sd_m: f64,
-    },
-}
-
-/// Method of MTA zone assignment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Method {
-    /// Evidence of blocks of neighbouring echoes, combined over the line window.
-    Blocks,
-    /// Least variance of consecutive ranges in a buffer of fixed length.
-    Variance {
-        /// Length of the buffer, ranges; 50 is usual.
-        buffer: usize,
-    },
-    /// The same zone for all echoes.
-    Fixed(u16),
-}
-
-/// Settings of a [`Resolver`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings {
-    /// Method of zone assignment.
-    pub method: Method,
-    /// Prior knowledge of ranges.
-    pub prior: Prior,
-    /// Smallest and largest feasible range, m. At most 126 pulse intervals are considered.
-    pub range_m: [f64; 2],
-    /// Speed of the pulse, m/s.
-    pub group_velocity_mps: f64,
-    /// Echoes this close to an emission are flagged, ns.
-    pub blind_gap_ns: f64,
-    /// Scan angles are azimuths of a conical scan: they increase with time and wrap at 360 degrees.
-    /// Lines are merged into revolutions.
-    pub is_cyclic: bool,
-}
-
-impl Default for Settings {
-    fn default() -> Settings {
-        Settings {
-            method: Method::Blocks,
-            prior: Prior::None,
-            range_m: [30.0, 5000.0],
-            group_velocity_mps: 299_710_540.0,
-            blind_gap_ns: 15.0,
-            is_cyclic: false,
-        }
-    }
-}
-
-/// Reasons why zones cannot be assigned.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum MtaError {
-    /// Contradictory settings.
-    #[error("{0}")]
-    Settings(&'static str),
-    /// An echo refers to an emission that the line does not have.
-    #[error("line {line}: echo {echo} refers to emission {emission}, but the line has {emissions} emissions")]
-    NoSuchEmission {
-        /// Number of the line.
-        line: u64,
-        /// Index of the echo.
-        echo: usize,
-        /// Emission index of the echo.
-        emission: u32,
-        /// Number of emissions in the line.
-        emissions: usize,
-    },
-    /// The time of an echo is NaN or over 1 s.
-    #[error("line {line}: echo {echo} has an invalid time: {time_ns} ns after its emission")]
-    EchoTime {
-        /// Number of the line.
-        line: u64,
-        /// Index of the echo.
-        echo: usize,
-        /// Its time, ns.
-        time_ns: f64,
-    },
-    /// The clock does not ascend within a line.
-    #[error(
-        "line {line}: the clock does not increase at shot {shot}: {clock_ps} ps after {before_ps} ps; start a new line there"
-    )]
-    ClockOrder {
-        /// Number of the line.
-        line: u64,
-        /// Shot number.
-        shot: u64,
-        /// Its clock, ps.
-        clock_ps: i64,
-        /// Clock of the previous emission, ps.
-        before_ps: i64,
-    },
-    /// Constant pulse rate: all zones give equally smooth surfaces.
-    #[error(
-        "the pulse rate is constant: intervals of {interval_ns:.3} ns vary by {rms_ns:.3} ns RMS, but at least {least_ns} ns are \
-         needed to assign echoes to pulses; give a prior (height above ground, terrain model, trajectory) or a fixed zone"
-    )]
-    ConstantRate {
-        /// Median pulse interval, ns.
-        interval_ns: f64,
-        /// RMS variation of the intervals, ns.
-        rms_ns: f64,
-        /// Smallest variation at which zones can be distinguished, ns.
-        least_ns: f64,
-    },
-    /// Recorded intervals vary, but the ranges do not follow: clock jitter, or wrong zones
-    /// throughout.
-    #[error(
-        "the time stamps jitter, not the pulses: intervals vary by {rms_ns:.3} ns RMS on the clock, but neighbouring ranges contain {:.0} % of that; give a prior (height above ground, terrain model, trajectory) or a fixed zone",
-        100.0 * following.max(0.0)
-    )]
-    JitteringClock {
-        /// RMS variation of the recorded intervals, ns.
-        rms_ns: f64,
-        /// Fraction of the variation that the echoes follow.
-        following: f64,
-    },
-}
-
 /// Assigns each echo to an emission, line by line.
+///
+/// ```
+/// use wavex_signal::mta::{Echo, Emission, Line, Method, Resolver, Settings};
+///
+/// // A shot every microsecond, each echo after 2.4 µs: 2 shots later.
+/// let emissions = (0..50).map(|i| Emission { clock_ps: 1_000_000 * i, shot: i as u64, ..Emission::default() });
+/// let echoes = (2..50).map(|emission| Echo { emission, time_ns: 400.0 });
+/// let line = Line { emissions: emissions.collect(), echoes: echoes.collect(), bytes: 0 };
+///
+/// let mut resolver = Resolver::new(&Settings { method: Method::Fixed(2), ..Settings::default() })?;
+/// resolver.push(&line)?;
+/// resolver.finish()?;
+/// let resolved = resolver.pop().expect("a line was pushed");
+/// assert!(resolved.echoes.iter().all(|echo| echo.zone == 2 && (echo.flight_ns - 2400.0).abs() < 1e-6));
+/// # Ok::<(), wavex_signal::mta::MtaError>(())
+/// ```
 #[derive(Debug)]
 pub struct Resolver {
     settings: Settings,

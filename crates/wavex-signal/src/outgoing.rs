@@ -9,9 +9,9 @@ mod usual;
 
 use std::ops::Range;
 
-use super::decompose::{DecomposeSettings, Decomposer, Return};
-use super::flags;
-use super::sensor_model::{ChannelModel, ModelError};
+use crate::decompose::{DecomposeSettings, Decomposer, Return};
+use crate::flags;
+use crate::sensor_model::{ChannelModel, ModelError};
 
 pub use batch::{Outgoing, OutgoingBatch};
 pub use usual::{ReferenceBlock, Usual};

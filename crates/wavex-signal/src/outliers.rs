@@ -10,7 +10,7 @@ pub const MOST_OTHERS: usize = 8;
 
 /// Position of a return.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
+pub struct LinePoint {
     /// Position, m, in any undistorted frame.
     pub position_m: [f64; 3],
     /// Index of its waveform; points of one waveform are consecutive.
@@ -19,30 +19,30 @@ pub struct Point {
 
 /// Points of a scan line in time order, with an index sorted along the line.
 #[derive(Clone, Debug, Default)]
-pub struct Line {
-    points: Vec<Point>,
+pub struct PointLine {
+    points: Vec<LinePoint>,
     along: [f64; 3],
     /// Coordinate along the line, m, ascending, and index of the point.
     sorted: Vec<(f64, u32)>,
 }
 
-impl Line {
+impl PointLine {
     /// Creates a line along a unit vector; searches are faster the closer its points follow it.
-    pub fn new(points: Vec<Point>, along: [f64; 3]) -> Line {
+    pub fn new(points: Vec<LinePoint>, along: [f64; 3]) -> PointLine {
         let mut sorted: Vec<(f64, u32)> =
             points.iter().zip(0..).map(|(point, index)| (dot(point.position_m, along), index)).collect();
         sorted.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        Line { points, along, sorted }
+        PointLine { points, along, sorted }
     }
 
     /// Points in time order.
-    pub fn points(&self) -> &[Point] {
+    pub fn points(&self) -> &[LinePoint] {
         &self.points
     }
 
     /// Allocated memory, bytes.
     pub fn bytes(&self) -> usize {
-        self.points.capacity() * size_of::<Point>() + self.sorted.capacity() * size_of::<(f64, u32)>()
+        self.points.capacity() * size_of::<LinePoint>() + self.sorted.capacity() * size_of::<(f64, u32)>()
     }
 
     /// Indices of the points within a distance of a position.
@@ -61,18 +61,18 @@ impl Line {
 
 /// Searches for supporting points.
 #[derive(Clone, Debug, Default)]
-pub struct Search {
+pub struct SupportSearch {
     /// Points reached so far: line and index.
     reached: Vec<(usize, u32)>,
 }
 
-impl Search {
+impl SupportSearch {
     /// Whether `others` points can be reached in steps of `step_m`.
     ///
     /// `others` is limited to [`MOST_OTHERS`]. False for a point that does not exist.
     pub fn is_supported(
         &mut self,
-        lines: &[&Line],
+        lines: &[&PointLine],
         line: usize,
         point: usize,
         step_m: f64,
@@ -116,11 +116,11 @@ impl Search {
 }
 
 /// Whether enough points recorded just before and after are near.
-fn near_in_time(line: &Line, point: usize, step_m: f64, others: usize) -> bool {
+fn near_in_time(line: &PointLine, point: usize, step_m: f64, others: usize) -> bool {
     let Some(place) = line.points.get(point) else { return false };
     let from = point.saturating_sub(NEAR_IN_TIME);
     let near = line.points.iter().enumerate().skip(from).take(point - from + NEAR_IN_TIME + 1);
-    let within = |(index, other): &(usize, &Point)| {
+    let within = |(index, other): &(usize, &LinePoint)| {
         *index != point && is_within(other.position_m, place.position_m, step_m)
     };
     near.filter(within).take(others).count() >= others
@@ -189,14 +189,14 @@ mod tests {
     use super::*;
 
     /// A line at `y` with points (x, z).
-    fn line(y: f64, points: &[(f64, f64)]) -> Line {
-        let point = |(waveform, &(x, z)): (u32, &(f64, f64))| Point { position_m: [x, y, z], waveform };
-        Line::new((0..).zip(points).map(point).collect(), [1.0, 0.0, 0.0])
+    fn line(y: f64, points: &[(f64, f64)]) -> PointLine {
+        let point = |(waveform, &(x, z)): (u32, &(f64, f64))| LinePoint { position_m: [x, y, z], waveform };
+        PointLine::new((0..).zip(points).map(point).collect(), [1.0, 0.0, 0.0])
     }
 
-    fn supported(lines: &[Line], of: (usize, usize), step_m: f64, others: usize) -> bool {
-        let lines: Vec<&Line> = lines.iter().collect();
-        Search::default().is_supported(&lines, of.0, of.1, step_m, others)
+    fn supported(lines: &[PointLine], of: (usize, usize), step_m: f64, others: usize) -> bool {
+        let lines: Vec<&PointLine> = lines.iter().collect();
+        SupportSearch::default().is_supported(&lines, of.0, of.1, step_m, others)
     }
 
     #[test]
@@ -204,7 +204,7 @@ mod tests {
         // One point per line, 3 m between lines, above ground 20 m below.
         let ground: Vec<(f64, f64)> = (0..60).map(|k| (f64::from(k), 0.0)).collect();
         let with_wire = |y: f64| line(y, &[&ground[..30], &[(29.5, 20.0)], &ground[30..]].concat());
-        let lines: Vec<Line> = (0..5).map(|k| with_wire(3.0 * f64::from(k))).collect();
+        let lines: Vec<PointLine> = (0..5).map(|k| with_wire(3.0 * f64::from(k))).collect();
         assert!(supported(&lines, (2, 30), 4.0, 3));
         assert!(supported(&lines, (0, 30), 4.0, 3), "from its end");
         assert!(!supported(&lines[1..4], (1, 30), 4.0, 3), "only two others exist");
@@ -230,12 +230,13 @@ mod tests {
     fn a_search_finds_what_looking_at_all_finds() {
         use crate::simulated::Random;
         let mut random = Random::new(11);
-        let mut cloud = || -> Line {
+        let mut cloud = || -> PointLine {
             let place = |random: &mut Random| std::array::from_fn(|_| 20.0 * random.uniform());
-            let points = (0..40).map(|waveform| Point { position_m: place(&mut random), waveform }).collect();
-            Line::new(points, [0.6, 0.8, 0.0])
+            let points =
+                (0..40).map(|waveform| LinePoint { position_m: place(&mut random), waveform }).collect();
+            PointLine::new(points, [0.6, 0.8, 0.0])
         };
-        let lines: Vec<Line> = (0..4).map(|_| cloud()).collect();
+        let lines: Vec<PointLine> = (0..4).map(|_| cloud()).collect();
         let all: Vec<[f64; 3]> = lines.iter().flat_map(|line| line.points()).map(|p| p.position_m).collect();
         let count = |start: usize, step_m: f64| {
             let mut group = vec![start];

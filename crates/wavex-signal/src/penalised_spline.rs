@@ -17,7 +17,7 @@ const STEPS_PER_DECADE: f64 = 2.0;
 
 /// A point to be smoothed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Point {
+pub struct DataPoint {
     /// Abscissa.
     pub x: f64,
     /// Noisy value.
@@ -30,10 +30,10 @@ pub struct Point {
 ///
 /// Points must be sorted by `x`. The values are returned unchanged for fewer than five points, for
 /// a single abscissa, for non-finite values or weights, and for non-positive weights.
-pub fn smooth(points: &[Point]) -> Vec<f64> {
+pub fn smooth(points: &[DataPoint]) -> Vec<f64> {
     let as_given = || points.iter().map(|point| point.y).collect();
     let (Some(first), Some(last)) = (points.first(), points.last()) else { return Vec::new() };
-    let usable = |p: &Point| p.x.is_finite() && p.y.is_finite() && p.weight.is_finite() && p.weight > 0.0;
+    let usable = |p: &DataPoint| p.x.is_finite() && p.y.is_finite() && p.weight.is_finite() && p.weight > 0.0;
     let span = last.x - first.x;
     if points.len() < LEAST_POINTS || span.is_nan() || span <= 0.0 || !points.iter().all(usable) {
         return as_given();
@@ -44,7 +44,7 @@ pub fn smooth(points: &[Point]) -> Vec<f64> {
 }
 
 /// Curve with the stiffness of the smallest cross-validation score.
-fn fitted(points: &[Point], basis: &DMatrix<f64>) -> Option<Vec<f64>> {
+fn fitted(points: &[DataPoint], basis: &DMatrix<f64>) -> Option<Vec<f64>> {
     let n = points.len() as f64;
     let weighted = DMatrix::from_fn(basis.nrows(), basis.ncols(), |i, j| points[i].weight * basis[(i, j)]);
     let normal = basis.transpose() * &weighted;
@@ -68,7 +68,7 @@ fn fitted(points: &[Point], basis: &DMatrix<f64>) -> Option<Vec<f64>> {
 }
 
 /// Values of every B-spline, one column each, at every point.
-fn basis(points: &[Point], from: f64, span: f64, pieces: usize) -> DMatrix<f64> {
+fn basis(points: &[DataPoint], from: f64, span: f64, pieces: usize) -> DMatrix<f64> {
     let mut basis = DMatrix::zeros(points.len(), pieces + 3);
     for (row, point) in points.iter().enumerate() {
         let place = (point.x - from) / span * pieces as f64;
@@ -102,8 +102,8 @@ mod tests {
     use super::*;
     use crate::simulated::Random;
 
-    fn points(n: usize, y: impl Fn(f64) -> f64) -> Vec<Point> {
-        (0..n).map(|k| k as f64 / n as f64).map(|x| Point { x, y: y(x), weight: 1.0 }).collect()
+    fn points(n: usize, y: impl Fn(f64) -> f64) -> Vec<DataPoint> {
+        (0..n).map(|k| k as f64 / n as f64).map(|x| DataPoint { x, y: y(x), weight: 1.0 }).collect()
     }
 
     #[test]
@@ -117,9 +117,9 @@ mod tests {
     fn noise_is_taken_off_a_curve() {
         let truth = |x: f64| (5.0 * x).sin();
         let mut random = Random::new(5);
-        let noisy: Vec<Point> = points(400, truth)
+        let noisy: Vec<DataPoint> = points(400, truth)
             .into_iter()
-            .map(|point| Point { y: point.y + 0.1 * random.normal(), ..point })
+            .map(|point| DataPoint { y: point.y + 0.1 * random.normal(), ..point })
             .collect();
         let rms = |errors: Vec<f64>| (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
         let before = rms(noisy.iter().map(|p| p.y - truth(p.x)).collect());
@@ -138,7 +138,7 @@ mod tests {
     fn what_cannot_be_smoothed_is_left() {
         let few = points(4, |x| x * x);
         assert_eq!(smooth(&few), few.iter().map(|p| p.y).collect::<Vec<_>>());
-        assert_eq!(smooth(&[Point { x: 1.0, y: 2.0, weight: 1.0 }; 9]), [2.0; 9]);
+        assert_eq!(smooth(&[DataPoint { x: 1.0, y: 2.0, weight: 1.0 }; 9]), [2.0; 9]);
         assert_eq!(smooth(&[]), [0.0; 0]);
     }
 }

@@ -3,11 +3,12 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use super::calibrate::{Block, CalibrationSettings, calibrate};
-use super::decompose::{DecomposeSettings, Decomposer};
-use super::outgoing::OutgoingFitter;
-use super::sensor_model::Background;
-use super::simulated::moments;
+use crate::calibrate::{CalibrationSettings, calibrate};
+use crate::decompose::Waveform;
+use crate::decompose::{DecomposeSettings, Decomposer};
+use crate::outgoing::OutgoingFitter;
+use crate::sensor_model::Background;
+use crate::simulated::moments;
 
 fn data() -> Option<PathBuf> {
     let folder = std::env::var_os("WAVEX_DATA").map(PathBuf::from);
@@ -29,8 +30,8 @@ fn segments(dump: &Path, kind: &str, count: usize) -> Vec<Vec<u16>> {
         .collect()
 }
 
-fn blocks(segments: &[Vec<u16>]) -> impl Iterator<Item = Block<'_>> + Clone {
-    segments.iter().map(|samples| Block { samples, start_phase: 0 })
+fn blocks(segments: &[Vec<u16>]) -> impl Iterator<Item = Waveform<'_>> + Clone {
+    segments.iter().map(|samples| Waveform { samples, start_phase: 0 })
 }
 
 /// Rows of numbers below a header; non-numbers become NaN.

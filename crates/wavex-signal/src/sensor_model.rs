@@ -1,10 +1,12 @@
 //! Sensor model: the calibration of each channel, used by the decomposition.
 
+pub(crate) mod response;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::noise::{ArNoise, MAX_ORDER};
-use super::response::SystemResponse;
+use crate::noise::{ArNoise, MAX_ORDER};
+pub use response::{ResponseNode, SystemResponse};
 
 /// Sensor model with one entry per calibrated channel.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -117,7 +119,7 @@ pub struct Decay {
 }
 
 impl Digitiser {
-    pub(super) fn is_plain(&self) -> bool {
+    pub(crate) fn is_plain(&self) -> bool {
         *self == Digitiser::default()
     }
 
@@ -243,7 +245,7 @@ impl ChannelModel {
     /// Appends the samples of a block less background and decay tail, DN.
     ///
     /// Assumes no signal before the block.
-    pub fn signal_into(&self, samples: &[u16], start_phase: u8, signal_dn: &mut Vec<f64>) {
+    pub(crate) fn signal_into(&self, samples: &[u16], start_phase: u8, signal_dn: &mut Vec<f64>) {
         let level = |k: usize| self.background_at(start_phase, k);
         let above = samples.iter().enumerate().map(|(k, &sample)| f64::from(sample) - level(k));
         let Some(decay) = self.digitiser.decay else {
@@ -261,7 +263,7 @@ impl ChannelModel {
 
     /// Prior precision of a waveform's offset from `background_dn`, 1/DN²; `None` for a fixed
     /// background.
-    pub fn offset_precision(&self) -> Option<f64> {
+    pub(crate) fn offset_precision(&self) -> Option<f64> {
         match self.background {
             Background::Fixed => None,
             Background::PerWaveform if self.background_sd_dn > 0.0 => Some(self.background_sd_dn.powi(-2)),

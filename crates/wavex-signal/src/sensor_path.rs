@@ -8,7 +8,7 @@
 //! residuals. Errors common to all beams of the window (a wrong mounting, a curved projection) go
 //! into the position.
 
-use super::cholesky;
+use crate::cholesky;
 
 /// A beam: a line through the sensor position at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]

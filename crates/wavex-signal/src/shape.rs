@@ -1,11 +1,17 @@
 //! Pulse shape: a Gaussian or the calibrated system response.
 
+mod pulse;
+pub(crate) mod templates;
+
 use std::sync::Arc;
 
-use super::gauss_fit::{self, Pulse};
-use super::response::{self, STEPS_PER_SAMPLE, SystemResponse};
-use super::sensor_model::{ChannelModel, ModelError};
-use super::templates::{Part, Templates};
+use crate::sensor_model::response::{self, STEPS_PER_SAMPLE, SystemResponse};
+use crate::sensor_model::{ChannelModel, ModelError};
+use templates::{Part, Templates};
+
+pub(crate) use pulse::FOUR_LN_2;
+pub use pulse::Pulse;
+pub(crate) use pulse::{LN_WIDTH_BOUNDS, Lane, SD_OF_FWHM};
 
 /// Family of pulses by height, position and width.
 #[derive(Debug, Clone)]
@@ -23,33 +29,9 @@ enum Family {
     Response(Arc<ResponseShape>),
 }
 
-/// Subset of the samples of a block.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Lane {
-    All,
-    Even,
-    Odd,
-}
-
-impl Lane {
-    /// First sample of the lane at or after `first`.
-    pub(super) fn from(self, first: usize) -> usize {
-        match self {
-            Lane::All => first,
-            Lane::Even => first + first % 2,
-            Lane::Odd => first + (first + 1) % 2,
-        }
-    }
-
-    /// Distance of consecutive samples of the lane.
-    pub(super) fn step(self) -> usize {
-        if self == Lane::All { 1 } else { 2 }
-    }
-}
-
 /// Template tables of a channel's response.
 #[derive(Debug)]
-pub struct ResponseShape {
+pub(crate) struct ResponseShape {
     fwhm_samples: f64,
     /// Tables by ascending height.
     nodes: Vec<(f64, Templates)>,
@@ -88,7 +70,7 @@ impl Shape {
     }
 
     /// The same shape with all samples at their nominal times.
-    pub fn on_time(&self) -> Shape {
+    pub(crate) fn on_time(&self) -> Shape {
         Shape { odd_sample_shift: 0.0, ..self.clone() }
     }
 
@@ -116,9 +98,9 @@ impl Shape {
     }
 
     /// Smallest and largest log width ratio that can be fitted.
-    pub fn ln_width_bounds(&self) -> [f64; 2] {
+    pub(crate) fn ln_width_bounds(&self) -> [f64; 2] {
         match &self.family {
-            Family::Gaussian { .. } => gauss_fit::LN_WIDTH_BOUNDS,
+            Family::Gaussian { .. } => LN_WIDTH_BOUNDS,
             Family::Response(_) => Templates::ln_width_bounds(),
         }
     }
@@ -139,7 +121,7 @@ impl Shape {
     /// length.
     ///
     /// Returns the first sample that can differ from zero.
-    pub fn add_derivatives(&self, pulse: &Pulse, columns: [&mut [f64]; 3]) -> usize {
+    pub(crate) fn add_derivatives(&self, pulse: &Pulse, columns: [&mut [f64]; 3]) -> usize {
         let [by_height, by_position, by_width] = columns;
         let mut first = usize::MAX;
         for (lane, pulse) in self.lanes(pulse).into_iter().flatten() {

@@ -1,8 +1,8 @@
 //! Simulated waveforms with known truth for tests: random numbers, correlated noise, pulses.
 
-use super::gauss_fit::{FOUR_LN_2, Pulse};
-use super::noise::{ArNoise, fit_by_bic};
-use super::sensor_model::{Background, ChannelModel, Digitiser};
+use crate::noise::{ArNoise, fit_by_bic};
+use crate::sensor_model::{Background, ChannelModel, Digitiser};
+use crate::shape::{FOUR_LN_2, Pulse};
 
 /// SplitMix64 (Steele, Lea, Flood 2014): a counter passed through a mixing function.
 pub struct Random(u64);

@@ -7,8 +7,8 @@
 //! those of the Durbin–Levinson recursion. An unused sample has no update, so the rows after a gap
 //! are those of the exact covariance sub-matrix.
 
-use super::noise::{ArNoise, MAX_ORDER};
-use super::wide::predict;
+use crate::noise::{ArNoise, MAX_ORDER};
+use crate::simd::dot::predict;
 
 /// Row of one sample: inverse SD of its prediction error (0 if unused), and state correction.
 #[derive(Debug, Clone, Copy, Default)]
@@ -56,7 +56,7 @@ impl Whitener {
     }
 
     /// Number of used samples of the block.
-    pub fn used_count(&self) -> usize {
+    pub(crate) fn used_count(&self) -> usize {
         self.used.iter().filter(|&&used| used).count()
     }
 
@@ -86,7 +86,7 @@ impl Whitener {
     /// Replaces `values` by `W values`; unused samples become zero.
     ///
     /// `values` has the length of the block and is zero before index `first`.
-    pub fn whiten_from(&self, first: usize, values: &mut [f64]) {
+    pub(crate) fn whiten_from(&self, first: usize, values: &mut [f64]) {
         match self.states {
             1 => self.filter::<1>(first, values),
             2 => self.filter::<2>(first, values),
@@ -134,7 +134,7 @@ impl Whitener {
 
     /// Replaces `values` by `Wᵀ values`; after [`Whitener::whiten`] they are `Σ⁻¹ y` on the used
     /// samples.
-    pub fn whiten_transposed(&self, values: &mut [f64]) {
+    pub(crate) fn whiten_transposed(&self, values: &mut [f64]) {
         let mut costate = [0.0; MAX_ORDER];
         for (value, row) in values.iter_mut().zip(&self.rows).rev() {
             self.predict_transposed(&mut costate);

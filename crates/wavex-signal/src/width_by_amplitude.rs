@@ -3,7 +3,7 @@
 //! It is the lowest mode of the widths in amplitude bins, smoothed. Slopes, roughness and leaves
 //! only widen a pulse, so flat targets form the lowest mode.
 
-use super::penalised_spline::{Point, smooth};
+use crate::penalised_spline::{DataPoint, smooth};
 
 /// Width of a bin in log amplitude.
 const BIN_LN: f64 = 0.1;
@@ -25,7 +25,7 @@ const MOST_LN_WIDTH: f64 = 0.7;
 
 /// An isolated pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pulse {
+pub struct IsolatedPulse {
     /// Log amplitude, ln DN.
     pub ln_amplitude: f64,
     /// Logarithm of the width over the calibrated width.
@@ -36,7 +36,7 @@ pub struct Pulse {
 
 /// Node of the curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Node {
+pub struct WidthNode {
     /// Log amplitude, ln DN.
     pub ln_amplitude: f64,
     /// Logarithm of a flat target's width over the calibrated width.
@@ -46,15 +46,15 @@ pub struct Node {
 /// Width of flat targets by ascending amplitude.
 ///
 /// `None` for fewer than three bins, of width 0.1 in log amplitude, with at least 100 pulses.
-pub fn width_by_amplitude(pulses: &[Pulse]) -> Option<Vec<Node>> {
-    let usable = |pulse: &&Pulse| {
+pub fn width_by_amplitude(pulses: &[IsolatedPulse]) -> Option<Vec<WidthNode>> {
+    let usable = |pulse: &&IsolatedPulse| {
         pulse.ln_amplitude.is_finite()
             && pulse.ln_width.abs() <= MOST_LN_WIDTH
             && pulse.ln_width_sd > 0.0
             && pulse.ln_width_sd <= MOST_LN_WIDTH_SD
     };
-    let bin = |pulse: &Pulse| (pulse.ln_amplitude / BIN_LN).floor();
-    let mut sorted: Vec<Pulse> = pulses.iter().filter(usable).copied().collect();
+    let bin = |pulse: &IsolatedPulse| (pulse.ln_amplitude / BIN_LN).floor();
+    let mut sorted: Vec<IsolatedPulse> = pulses.iter().filter(usable).copied().collect();
     sorted.sort_by(|a, b| {
         bin(a)
             .total_cmp(&bin(b))
@@ -62,16 +62,22 @@ pub fn width_by_amplitude(pulses: &[Pulse]) -> Option<Vec<Node>> {
             .then(a.ln_width_sd.total_cmp(&b.ln_width_sd))
     });
     let bins = sorted.chunk_by(|a, b| bin(a) == bin(b)).filter(|bin| bin.len() >= LEAST_PULSES);
-    let modes: Vec<Point> = bins.map(lower_mode).collect();
+    let modes: Vec<DataPoint> = bins.map(lower_mode).collect();
     if modes.len() < LEAST_BINS {
         return None;
     }
     let curve = smooth(&modes);
-    Some(modes.iter().zip(curve).map(|(mode, ln_width)| Node { ln_amplitude: mode.x, ln_width }).collect())
+    Some(
+        modes
+            .iter()
+            .zip(curve)
+            .map(|(mode, ln_width)| WidthNode { ln_amplitude: mode.x, ln_width })
+            .collect(),
+    )
 }
 
 /// Lowest mode of the widths of a bin, sorted by ascending width.
-fn lower_mode(bin: &[Pulse]) -> Point {
+fn lower_mode(bin: &[IsolatedPulse]) -> DataPoint {
     let n = bin.len() as f64;
     let mut sds: Vec<f64> = bin.iter().map(|pulse| pulse.ln_width_sd).collect();
     sds.sort_by(f64::total_cmp);
@@ -89,11 +95,11 @@ fn lower_mode(bin: &[Pulse]) -> Point {
     let (before, top, behind) = (side(mode.wrapping_sub(1)), side(mode), side(mode + 1));
     let bend = before - 2.0 * top + behind;
     let part = if bend < 0.0 { (0.5 * (before - behind) / bend).clamp(-0.5, 0.5) } else { 0.0 };
-    Point { x, y: from + (mode as f64 + part) * step, weight: n / (bandwidth * bandwidth) }
+    DataPoint { x, y: from + (mode as f64 + part) * step, weight: n / (bandwidth * bandwidth) }
 }
 
 /// Density of the widths: values, position of the first, and step.
-fn density(bin: &[Pulse], bandwidth: f64) -> (Vec<f64>, f64, f64) {
+fn density(bin: &[IsolatedPulse], bandwidth: f64) -> (Vec<f64>, f64, f64) {
     let step = bandwidth / STEPS_PER_BANDWIDTH;
     let reach = REACH_BANDWIDTHS * bandwidth;
     let (first, last) = (bin.first().map_or(0.0, |p| p.ln_width), bin.last().map_or(0.0, |p| p.ln_width));
@@ -115,12 +121,12 @@ mod tests {
     use super::*;
 
     /// Amplitudes of 20 to 200; flat targets according to `flat`, and as many widened ones.
-    fn pulses(flat: impl Fn(f64) -> f64) -> Vec<Pulse> {
+    fn pulses(flat: impl Fn(f64) -> f64) -> Vec<IsolatedPulse> {
         let pulse = |k: usize| {
             let ln_amplitude = 20f64.ln() + 10f64.ln() * (k % 997) as f64 / 997.0;
             let spread = 0.02 * ((k % 31) as f64 / 15.0 - 1.0) * ((k % 7) as f64 / 6.0);
             let widened = if k.is_multiple_of(2) { 0.1 + 0.25 * (k % 53) as f64 / 53.0 } else { 0.0 };
-            Pulse { ln_amplitude, ln_width: flat(ln_amplitude) + spread + widened, ln_width_sd: 0.01 }
+            IsolatedPulse { ln_amplitude, ln_width: flat(ln_amplitude) + spread + widened, ln_width_sd: 0.01 }
         };
         (0..20_000).map(pulse).collect()
     }
@@ -138,7 +144,7 @@ mod tests {
     #[test]
     fn the_order_of_the_pulses_does_not_matter() {
         let some = pulses(|_| 0.01);
-        let backwards: Vec<Pulse> = some.iter().rev().copied().collect();
+        let backwards: Vec<IsolatedPulse> = some.iter().rev().copied().collect();
         let (a, b) = (width_by_amplitude(&some).unwrap(), width_by_amplitude(&backwards).unwrap());
         for (a, b) in a.iter().zip(&b) {
             assert!((a.ln_width - b.ln_width).abs() < 1e-9 && (a.ln_amplitude - b.ln_amplitude).abs() < 1e-9);
@@ -147,10 +153,10 @@ mod tests {
 
     #[test]
     fn too_few_pulses_tell_nothing() {
-        let few: Vec<Pulse> = pulses(|_| 0.0).into_iter().take(500).collect();
+        let few: Vec<IsolatedPulse> = pulses(|_| 0.0).into_iter().take(500).collect();
         assert_eq!(width_by_amplitude(&few), None);
-        let unsure: Vec<Pulse> =
-            pulses(|_| 0.0).into_iter().map(|p| Pulse { ln_width_sd: 0.2, ..p }).collect();
+        let unsure: Vec<IsolatedPulse> =
+            pulses(|_| 0.0).into_iter().map(|p| IsolatedPulse { ln_width_sd: 0.2, ..p }).collect();
         assert_eq!(width_by_amplitude(&unsure), None);
     }
 }

@@ -7,7 +7,7 @@ use crate::scan_line::{AmplitudeTable, InputInfo, ReturnChannel};
 use crate::stage::{Result, StageError};
 use wavex_formats::lookup_tables::{LookupTables, Row};
 use wavex_signal::decompose::OVERDRIVEN_PART;
-use wavex_signal::penalised_spline::{Point, smooth};
+use wavex_signal::penalised_spline::{DataPoint, smooth};
 use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 
 /// Largest plausible range correction, s (150 m); larger values are not seconds.
@@ -111,8 +111,8 @@ fn table(rows: Vec<Row>) -> Option<Arc<AmplitudeTable>> {
 fn smoothed(mut rows: Vec<Row>) -> Vec<Row> {
     rows.retain(|row| is_defined(row.value) && row.steps_dn >= 1.0 && row.steps_dn.is_finite());
     rows.sort_by(|a, b| a.steps_dn.total_cmp(&b.steps_dn));
-    let point = |row: &Row| Point { x: row.steps_dn.ln(), y: row.value, weight: row.weight };
-    let values = smooth(&rows.iter().map(point).collect::<Vec<Point>>());
+    let point = |row: &Row| DataPoint { x: row.steps_dn.ln(), y: row.value, weight: row.weight };
+    let values = smooth(&rows.iter().map(point).collect::<Vec<DataPoint>>());
     rows.iter().zip(values).map(|(row, value)| Row { value, ..*row }).collect()
 }
 

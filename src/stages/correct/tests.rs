@@ -68,7 +68,7 @@ fn run(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
         threads: 1,
-        simd: wavex_signal::lockstep::SimdLevel::Portable,
+        simd: wavex_signal::simd::SimdLevel::Portable,
         geometry: Arc::default(),
     };
     let mut stage = keys.make(&site).unwrap();

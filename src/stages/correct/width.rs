@@ -4,7 +4,7 @@ use super::WidthKey;
 use crate::keys::InvalidKey;
 use crate::scan_line::{Return, ReturnChannel, ScanLine, flags};
 use crate::stage::Context;
-use wavex_signal::width_by_amplitude::{Node, Pulse, width_by_amplitude};
+use wavex_signal::width_by_amplitude::{IsolatedPulse, WidthNode, width_by_amplitude};
 
 /// Receivers with a width correction, in the order of the keys.
 pub(super) const CHANNELS: [ReturnChannel; 2] = [ReturnChannel::Low, ReturnChannel::High];
@@ -29,7 +29,7 @@ pub(super) enum WidthCorrection {
     /// A power of the amplitude.
     Power(f64),
     /// Linear between these nodes, constant beyond them.
-    Nodes(Vec<Node>),
+    Nodes(Vec<WidthNode>),
 }
 
 /// Checks a width key.
@@ -53,7 +53,7 @@ pub(super) fn check(name: &'static str, key: &WidthKey) -> Result<(), InvalidKey
 impl WidthCorrection {
     /// The correction given by a key; `None` if it must be estimated.
     pub(super) fn given(key: &WidthKey) -> Option<WidthCorrection> {
-        let node = |&[dn, width]: &[f64; 2]| Node { ln_amplitude: dn.ln(), ln_width: width.ln() };
+        let node = |&[dn, width]: &[f64; 2]| WidthNode { ln_amplitude: dn.ln(), ln_width: width.ln() };
         match key {
             WidthKey::Auto(_) => None,
             WidthKey::Power(power) => Some(WidthCorrection::Power(*power)),
@@ -70,12 +70,12 @@ impl WidthCorrection {
             return WidthCorrection::None;
         }
         let plain = |r: &&&Return| r.number_of_returns == 1 && r.flags & NOT_PLAIN == 0;
-        let pulse = |r: &&Return| Pulse {
+        let pulse = |r: &&Return| IsolatedPulse {
             ln_amplitude: r.amplitude_at_unit_gain_dn().0.ln(),
             ln_width: r.width_ratio.ln(),
             ln_width_sd: r.width_ratio_sd / r.width_ratio,
         };
-        let pulses: Vec<Pulse> = of_channel.iter().filter(plain).map(pulse).collect();
+        let pulses: Vec<IsolatedPulse> = of_channel.iter().filter(plain).map(pulse).collect();
         let Some(nodes) = width_by_amplitude(&pulses) else {
             cx.warn(format!(
                 "{}: widths are not corrected for amplitude: the width of flat targets cannot be estimated \
@@ -104,7 +104,7 @@ impl WidthCorrection {
 }
 
 /// Interpolates the logarithm of a width between nodes.
-fn at(nodes: &[Node], ln_amplitude: f64) -> f64 {
+fn at(nodes: &[WidthNode], ln_amplitude: f64) -> f64 {
     let behind = nodes.partition_point(|node| node.ln_amplitude <= ln_amplitude);
     let before = behind.checked_sub(1).and_then(|before| nodes.get(before));
     match (before, nodes.get(behind)) {

@@ -9,12 +9,13 @@ use super::shots::Shot;
 use super::{Decompose, Mode};
 use crate::scan_line::{Block, Channel, ReturnChannel};
 use crate::stage::{Result, StageError};
-use wavex_signal::calibrate::Block as Waveform;
-use wavex_signal::decompose::{DecomposeSettings, Decomposition};
+use wavex_signal::decompose::{
+    self, BatchDecomposer, DecomposeSettings, Decomposition, Decompositions, Tables, Waveform,
+};
 use wavex_signal::gain::GainLevel;
-use wavex_signal::lockstep::{self, Lockstep, Outcomes, SimdLevel, Tables};
 use wavex_signal::outgoing::{Outgoing, OutgoingBatch, ReferenceBlock, Usual};
 use wavex_signal::sensor_model::{ChannelModel, ModelError, SensorModel};
+use wavex_signal::simd::SimdLevel;
 
 /// Maximum number of iterations of one fit in the mode `slow`.
 const SLOW_ITERATIONS: usize = 200;
@@ -110,8 +111,8 @@ pub(super) enum BlockRoute {
 
 /// A receiver at one gain and its results of the line.
 struct Receiver {
-    kernels: Lockstep,
-    outcomes: Outcomes,
+    kernels: BatchDecomposer,
+    outcomes: Decompositions,
 }
 
 /// The channel of outgoing pulses at one gain.
@@ -141,13 +142,13 @@ impl Receiver {
         let split_evidence = channel.response.as_ref().and(config.split_evidence.number());
         let settings = DecomposeSettings { split_evidence, ..settings(config) };
         let mode = match config.mode {
-            Mode::Fastest => lockstep::Mode::Fastest,
-            Mode::FastSeparated => lockstep::Mode::FastSeparated,
-            Mode::Refined | Mode::Slow => lockstep::Mode::Refined,
+            Mode::Fastest => decompose::Mode::Fastest,
+            Mode::FastSeparated => decompose::Mode::FastSeparated,
+            Mode::Refined | Mode::Slow => decompose::Mode::Refined,
         };
-        let kernels = Lockstep::new(channel, tables.cloned(), &settings, mode, path)?;
+        let kernels = BatchDecomposer::new(channel, tables.cloned(), &settings, mode, path)?;
         let kernels = kernels.refine_when_needed(config.refine_when_needed);
-        Ok(Some(Receiver { kernels, outcomes: Outcomes::default() }))
+        Ok(Some(Receiver { kernels, outcomes: Decompositions::default() }))
     }
 }
 

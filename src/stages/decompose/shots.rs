@@ -13,9 +13,9 @@ use crate::scan_line::{
 use crate::stage::{Context, Item, Result};
 use wavex_signal::decompose::{Counts, Decomposition};
 use wavex_signal::fusion::ChannelFusion;
-use wavex_signal::lockstep::SimdLevel;
 use wavex_signal::outgoing::Outgoing;
 use wavex_signal::sensor_model::{ChannelModel, SensorModel};
+use wavex_signal::simd::SimdLevel;
 
 /// Outgoing pulse of a shot.
 ///

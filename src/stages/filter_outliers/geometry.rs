@@ -2,7 +2,7 @@
 
 use crate::scan_line::{Emission, Frame, ScanLine};
 use wavex_geodesy::vertical::{down_at, main_axis};
-use wavex_signal::outliers::{Extent, Line, Point};
+use wavex_signal::outliers::{Extent, LinePoint, PointLine};
 
 /// Smallest change of direction, m per m, that defines a sweep direction.
 const LEAST_SWEEP: f64 = 1e-9;
@@ -11,7 +11,7 @@ const LEAST_SWEEP: f64 = 1e-9;
 #[derive(Debug)]
 pub(super) struct Places {
     /// The returns, in their order in the batch.
-    pub(super) line: Line,
+    pub(super) line: PointLine,
     /// Spacing to the neighbouring shot at each return, m.
     pub(super) spacing_m: Vec<f32>,
     /// Heights of the returns above an arbitrary level, m.
@@ -40,7 +40,7 @@ impl Places {
             let reach_m = r.range_m * emission.frame_scale;
             let position_m: [f64; 3] =
                 std::array::from_fn(|axis| emission.origin_m[axis] + emission.direction[axis] * reach_m);
-            points.push(Point { position_m, waveform: r.emission });
+            points.push(LinePoint { position_m, waveform: r.emission });
             let apart_m = match batch.input.origin_is_sensor {
                 true => reach_m.abs() * turn(emissions, r.emission as usize),
                 false => to_next_beam_m(emissions, r.emission as usize, position_m),
@@ -50,7 +50,7 @@ impl Places {
         }
         let along = along(emissions, down);
         let middle_m = emissions.get(emissions.len() / 2).map(|middle| middle.origin_m);
-        Places { line: Line::new(points, along), spacing_m, height_m, middle_m }
+        Places { line: PointLine::new(points, along), spacing_m, height_m, middle_m }
     }
 
     /// Memory used, bytes.

@@ -7,7 +7,7 @@ use super::FilterOutliers;
 use super::geometry::{Places, dot, has_vertical};
 use crate::scan_line::{Content, Return, ScanLine, flags};
 use crate::stage::{Item, Output, Result};
-use wavex_signal::outliers::{Line, Search, Side, jump};
+use wavex_signal::outliers::{PointLine, Side, SupportSearch, jump};
 
 /// Number of lines on each side used to classify a line.
 const LINES_APART: usize = 16;
@@ -25,7 +25,7 @@ pub(super) struct Strip {
     /// Index of the first line in `lines` not yet classified.
     next: usize,
     bytes: usize,
-    search: Search,
+    search: SupportSearch,
 }
 
 /// A line; its batch is taken when it is emitted.
@@ -48,7 +48,7 @@ struct Verdicts {
 
 impl Strip {
     pub(super) fn new(config: FilterOutliers) -> Strip {
-        Strip { config, lines: VecDeque::new(), next: 0, bytes: 0, search: Search::default() }
+        Strip { config, lines: VecDeque::new(), next: 0, bytes: 0, search: SupportSearch::default() }
     }
 
     /// Adds the next line and emits those that can be classified.
@@ -122,7 +122,7 @@ impl Strip {
             true => (at, at + 1),
             false => (at.saturating_sub(LINES_APART), (at + LINES_APART + 1).min(self.lines.len())),
         };
-        let lines: Vec<&Line> = self.lines.range(from..until).map(|held| &held.places.line).collect();
+        let lines: Vec<&PointLine> = self.lines.range(from..until).map(|held| &held.places.line).collect();
         let line_spacing_m = if is_alone { 0.0 } else { self.line_spacing_m(at) };
         let places = &held.places;
         let n = places.line.points().len();

@@ -21,7 +21,7 @@ fn site(folder: &Path, input: &str) -> RunContext {
         input_dir: folder.to_path_buf(),
         output_dir: folder.to_path_buf(),
         threads: 1,
-        simd: wavex_signal::lockstep::SimdLevel::best(),
+        simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Default::default(),
     }
 }

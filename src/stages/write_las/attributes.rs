@@ -2,7 +2,7 @@
 
 use crate::scan_line::{Return, ReturnChannel, flags};
 use wavex_formats::las::{ATTRIBUTES_1_0, ATTRIBUTES_1_1, ExtraAttribute, ExtraColumns, RAW_AMP, TOGETHER};
-use wavex_signal::steps::{ROUNDING, power_ratios};
+use wavex_signal::simd::quantise::{ROUNDING, power_ratios};
 
 use super::AttributeLayout;
 

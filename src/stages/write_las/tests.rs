@@ -59,7 +59,7 @@ fn site(folder: &Path) -> RunContext {
         input_dir: folder.into(),
         output_dir: folder.into(),
         threads: 1,
-        simd: wavex_signal::lockstep::SimdLevel::best(),
+        simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Arc::default(),
     }
 }

@@ -124,7 +124,7 @@ fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
         input_dir: folder.into(),
         output_dir: folder.into(),
         threads: 1,
-        simd: wavex_signal::lockstep::SimdLevel::best(),
+        simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Default::default(),
     };
     let mut cx = Context::default();
@@ -304,7 +304,7 @@ fn shots_are_refused() {
         input_dir: folder.path().into(),
         output_dir: folder.path().into(),
         threads: 1,
-        simd: wavex_signal::lockstep::SimdLevel::best(),
+        simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Default::default(),
     };
     let mut sink = config("*.csv").make(&site).unwrap();

@@ -8,7 +8,7 @@ use super::round::nearest;
 use super::vlr::Vlr;
 use crate::Result;
 use crate::bytes::Fields;
-use wavex_signal::steps::Steps;
+use wavex_signal::simd::quantise::Steps;
 
 /// Length of an attribute's descriptor, bytes.
 pub(super) const DESCRIPTOR: usize = 192;

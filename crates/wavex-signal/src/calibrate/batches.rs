@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use super::Block;
+use crate::decompose::Waveform;
+use crate::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
 use crate::decompose::{DecomposeSettings, Decomposition};
-use crate::lockstep::{Lockstep, Mode, Outcomes, SimdLevel, Tables};
 use crate::sensor_model::{ChannelModel, ModelError};
+use crate::simd::SimdLevel;
 
 /// Number of blocks per batch: these and their samples fit into the cache.
 const CHUNK: usize = 256;
@@ -16,22 +17,22 @@ const CHUNK: usize = 256;
 /// waveform has its own background: the models of the first rounds describe noise and level too
 /// poorly for a robust estimate of it.
 pub(crate) fn decompose_each<'a>(
-    mut blocks: impl Iterator<Item = Block<'a>>,
+    mut blocks: impl Iterator<Item = Waveform<'a>>,
     model: &ChannelModel,
     settings: &DecomposeSettings,
-    mut take: impl FnMut(Block<'a>, &Decomposition<'_>),
+    mut take: impl FnMut(Waveform<'a>, &Decomposition<'_>),
 ) -> Result<(), ModelError> {
     let is_fixed = model.offset_precision().is_none();
     let tables = if is_fixed { Tables::new(model).map(Arc::new) } else { None };
-    let mut lockstep = Lockstep::new(model, tables, settings, Mode::Refined, SimdLevel::best())?;
-    let (mut chunk, mut outcomes) = (Vec::with_capacity(CHUNK), Outcomes::default());
+    let mut decomposer = BatchDecomposer::new(model, tables, settings, Mode::Refined, SimdLevel::best())?;
+    let (mut chunk, mut outcomes) = (Vec::with_capacity(CHUNK), Decompositions::default());
     loop {
         chunk.clear();
         chunk.extend(blocks.by_ref().take(CHUNK));
         if chunk.is_empty() {
             return Ok(());
         }
-        lockstep.decompose(&chunk, &mut outcomes);
+        decomposer.decompose(&chunk, &mut outcomes);
         for (block, outcome) in chunk.iter().zip(outcomes.iter()) {
             take(*block, &outcome);
         }

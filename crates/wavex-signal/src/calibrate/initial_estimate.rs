@@ -1,6 +1,6 @@
 //! Initial estimate of levels, spreads and pulse width by order statistics, without a model.
 
-use super::Block;
+use crate::decompose::Waveform;
 
 /// Number of samples at the start of a block taken as background.
 const START_SAMPLES: usize = 8;
@@ -33,7 +33,10 @@ pub(super) struct FirstLook {
 }
 
 impl FirstLook {
-    pub(super) fn of<'a>(blocks: impl Iterator<Item = Block<'a>> + Clone, full_scale_dn: f64) -> FirstLook {
+    pub(super) fn of<'a>(
+        blocks: impl Iterator<Item = Waveform<'a>> + Clone,
+        full_scale_dn: f64,
+    ) -> FirstLook {
         let mut starts = Histogram::default();
         let mut floors = Histogram::default();
         let mut differences = Histogram::default();

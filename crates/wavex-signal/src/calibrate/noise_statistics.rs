@@ -135,7 +135,7 @@ impl NoiseStatistics {
     /// The drift adds the same value at every lag. Differences within a stretch cancel the level;
     /// samples at larger lags than those kept are assumed uncorrelated. `None` if no stretch is
     /// long enough.
-    pub fn autocovariance_without_drift(&self) -> Option<Vec<f64>> {
+    pub(crate) fn autocovariance_without_drift(&self) -> Option<Vec<f64>> {
         if self.distant_pairs < 1.0 {
             return None;
         }
@@ -168,7 +168,7 @@ impl NoiseStatistics {
     }
 
     /// Variance of the level between stretches, DN²; 0 if no stretch is long enough.
-    pub fn drift_variance(&self) -> f64 {
+    pub(crate) fn drift_variance(&self) -> f64 {
         match self.autocovariance_without_drift() {
             Some(noise) => (self.variance() - noise[0]).max(0.0),
             None => 0.0,

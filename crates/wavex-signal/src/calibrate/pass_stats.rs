@@ -1,11 +1,11 @@
 //! One pass over the blocks with the current model: free samples, widths, residuals.
 
-use super::Block;
 use super::free_samples::FreeSamples;
 use super::width::{Width, Widths};
+use crate::decompose::Waveform;
+use crate::decompose::acceptance::BEGINS_WIDTHS;
 use crate::decompose::{Decomposition, Return};
 use crate::flags;
-use crate::rules::BEGINS_WIDTHS;
 use crate::sensor_model::{ChannelModel, ModelError};
 
 /// Fewest free samples in a block, in pulse widths; fewer are the rising edge of a pulse.
@@ -48,7 +48,7 @@ impl Survey {
     }
 
     /// Adds a block and its decomposition.
-    pub(super) fn add(&mut self, model: &ChannelModel, block: Block<'_>, outcome: &Decomposition<'_>) {
+    pub(super) fn add(&mut self, model: &ChannelModel, block: Waveform<'_>, outcome: &Decomposition<'_>) {
         let fwhm_samples = model.fwhm_samples();
         let strong_dn = STRONG_SD * model.noise_sd_dn;
         self.blocks += 1;
@@ -113,7 +113,7 @@ fn is_given_up(outcome: &Decomposition<'_>) -> bool {
 ///
 /// 0 if candidates could not be fitted, because their positions are unknown. Saturated samples
 /// count as a pulse in any case.
-fn samples_before_pulses(model: &ChannelModel, block: Block<'_>, outcome: &Decomposition<'_>) -> usize {
+fn samples_before_pulses(model: &ChannelModel, block: Waveform<'_>, outcome: &Decomposition<'_>) -> usize {
     if is_given_up(outcome) {
         return 0;
     }

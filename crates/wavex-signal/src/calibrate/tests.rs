@@ -1,5 +1,5 @@
 use super::*;
-use crate::gauss_fit::Pulse;
+use crate::shape::Pulse;
 use crate::simulated::{Random, analogue, digitised, pulse};
 
 const FWHM: f64 = 4.25;
@@ -40,8 +40,8 @@ fn blocks(seed: u64, count: usize, drift_sd: f64) -> Vec<(Vec<u16>, u8)> {
         .collect()
 }
 
-fn views(blocks: &[(Vec<u16>, u8)]) -> impl Iterator<Item = Block<'_>> + Clone {
-    blocks.iter().map(|(samples, start_phase)| Block { samples, start_phase: *start_phase })
+fn views(blocks: &[(Vec<u16>, u8)]) -> impl Iterator<Item = Waveform<'_>> + Clone {
+    blocks.iter().map(|(samples, start_phase)| Waveform { samples, start_phase: *start_phase })
 }
 
 fn exact_lags() -> [f64; 6] {

@@ -28,7 +28,8 @@ pub(crate) fn jackknife_sd(without_one: &[f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use crate::calibrate::{Block, CalibrationSettings, calibrate};
+    use crate::calibrate::{CalibrationSettings, calibrate};
+    use crate::decompose::Waveform;
     use crate::noise::ArNoise;
     use crate::simulated::{Random, analogue, digitised, moments, pulse};
 
@@ -55,7 +56,7 @@ mod tests {
                     digitised(&analogue(&mut random, &process, 44, 20.3, 4.4, &[echo]), 255)
                 })
                 .collect();
-            let blocks = blocks.iter().map(|samples| Block { samples, start_phase: 0 });
+            let blocks = blocks.iter().map(|samples| Waveform { samples, start_phase: 0 });
             let model = calibrate(blocks, &CalibrationSettings::echoes(1.0, 255.0)).unwrap();
             let known = &model.uncertainty;
             let pairs = [

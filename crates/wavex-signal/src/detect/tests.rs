@@ -19,7 +19,7 @@ fn prepared(used: &[bool], offset_precision: Option<f64>) -> (Whitener, Detector
 fn gaussian(height: f64, position: f64, width_ratio: f64, samples: usize) -> Vec<f64> {
     let mut values = vec![0.0; samples];
     let pulse = crate::simulated::pulse(height, position, width_ratio);
-    pulse.add_to(FWHM, 1.0, &mut values);
+    Shape::from(FWHM).add(&pulse, 1.0, &mut values);
     values
 }
 

@@ -7,14 +7,18 @@
 //! delay. If the other fit is an optimum, this is the joint fit of both blocks, to second order in
 //! the other's residual. The method is Levenberg–Marquardt.
 
-use crate::allowance::Allowance;
+mod minimise;
+
 use crate::cholesky;
 use crate::decompose::OVERDRIVEN_PART;
-use crate::gauss_fit::Pulse;
-use crate::rules::CLEAR_OF_ZERO_SD;
+use crate::decompose::acceptance::CLEAR_OF_ZERO_SD;
+use crate::decompose::acceptance::response_error::Allowance;
+use crate::levenberg_marquardt::{self, LeastSquares};
 use crate::sensor_model::{ChannelModel, ModelError};
+use crate::shape::Pulse;
 use crate::shape::Shape;
 use crate::whitening::Whitener;
+use minimise::RULES;
 
 /// Parameters per pulse.
 const PARTS: usize = 3;
@@ -22,11 +26,6 @@ const PARTS: usize = 3;
 ///
 /// Used only if the fit shows that the receiver needs to recover.
 const RECOVERY_SAMPLES: usize = 1;
-const ITERATIONS: usize = 40;
-/// Convergence: predicted decrease of the objective by the next step.
-const DECREASE: f64 = 1e-8;
-/// Largest steps of log height, position in widths, and log width.
-const LONGEST: [f64; PARTS] = [0.7, 0.35, 0.3];
 /// Excess of chi-square over its degrees of freedom, in standard deviations, above which the model
 /// does not describe the receiver. The weight of its samples is then reduced accordingly.
 const ASTRAY_SD: f64 = 3.0;
@@ -96,10 +95,21 @@ pub struct JointFit {
     precisions: Vec<[[f64; PARTS]; PARTS]>,
     /// Parameters by pulse, then the background offset if it is free.
     values: Vec<f64>,
+    /// Parameters of the last accepted step.
+    best: Vec<f64>,
+    /// Inverse of the variance factor of the samples.
+    weight: f64,
+    /// Chi-square at `best` and at `values`.
+    chi_square: f64,
+    trial_chi_square: f64,
     residual: Vec<f64>,
     columns: Vec<f64>,
     normal: Vec<f64>,
+    damped: Vec<f64>,
     gradient: Vec<f64>,
+    step: Vec<f64>,
+    /// Decrease of the objective promised by the step before it is limited.
+    promised: f64,
     fitted: Vec<JointFitted>,
 }
 
@@ -124,10 +134,17 @@ impl JointFit {
             pulses: Vec::new(),
             precisions: Vec::new(),
             values: Vec::new(),
+            best: Vec::new(),
+            weight: 1.0,
+            chi_square: 0.0,
+            trial_chi_square: 0.0,
             residual: Vec::new(),
             columns: Vec::new(),
             normal: Vec::new(),
+            damped: Vec::new(),
             gradient: Vec::new(),
+            step: Vec::new(),
+            promised: 0.0,
             fitted: Vec::new(),
         })
     }
@@ -186,7 +203,8 @@ impl JointFit {
             factor = first.variance_factor(calibrated);
         }
         let outcome = if factor > calibrated { self.minimise(1.0 / factor)? } else { first };
-        self.conclude(1.0 / factor)?;
+        self.weight = 1.0 / factor;
+        self.conclude()?;
         Some(outcome)
     }
 
@@ -251,41 +269,6 @@ impl JointFit {
         rows.map(|(x, row)| x * row.iter().zip(&off).map(|(p, y)| p * y).sum::<f64>()).sum()
     }
 
-    /// Computes the normal matrix and descent direction at the last residual.
-    ///
-    /// The direction is half the negative gradient of the objective.
-    fn linearise(&mut self, weight: f64) {
-        let (n, m) = (self.values.len(), self.target_dn.len());
-        self.columns.clear();
-        self.columns.resize(n * m, 0.0);
-        for i in 0..self.pulses.len() {
-            let pulse = self.pulse(i);
-            let columns = &mut self.columns[PARTS * i * m..PARTS * (i + 1) * m];
-            let (by_height, rest) = columns.split_at_mut(m);
-            let (by_position, by_width) = rest.split_at_mut(m);
-            self.shape.add_derivatives(&pulse, [&mut *by_height, by_position, by_width]);
-            by_height.iter_mut().for_each(|value| *value *= pulse.height_dn);
-        }
-        self.columns[PARTS * self.pulses.len() * m..].fill(1.0);
-        if m > 0 {
-            self.columns.chunks_exact_mut(m).for_each(|column| self.whitener.whiten(column));
-        }
-        self.normal.clear();
-        self.normal.resize(n * n, 0.0);
-        self.gradient.clear();
-        self.gradient.resize(n, 0.0);
-        let column = |i: usize| &self.columns[i * m..(i + 1) * m];
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        for i in 0..n {
-            self.gradient[i] = weight * dot(column(i), &self.residual);
-            for j in 0..=i {
-                let value = weight * dot(column(i), column(j));
-                (self.normal[i * n + j], self.normal[j * n + i]) = (value, value);
-            }
-        }
-        self.add_priors();
-    }
-
     fn add_priors(&mut self) {
         let n = self.values.len();
         for i in 0..self.pulses.len() {
@@ -306,65 +289,20 @@ impl JointFit {
         }
     }
 
+    /// Minimises the objective with this weight of the samples; `None` without an optimum.
     fn minimise(&mut self, weight: f64) -> Option<Outcome> {
-        let n = self.values.len();
-        let mut chi_square = self.residual();
-        let mut objective = weight * chi_square + self.prior();
-        let mut damping = 1e-4;
-        let mut best = self.values.clone();
-        let mut converged = false;
-        for _ in 0..ITERATIONS {
-            self.linearise(weight);
-            let mut damped = self.normal.clone();
-            (0..n).for_each(|i| damped[i * n + i] *= 1.0 + damping);
-            if !objective.is_finite() || !cholesky::factor(&mut damped, n) {
-                return None;
-            }
-            let mut step = self.gradient.clone();
-            cholesky::solve(&damped, n, &mut step);
-            let promised: f64 = step.iter().zip(&self.gradient).map(|(s, g)| s * g).sum();
-            self.limit(&mut step);
-            self.values.iter_mut().zip(&step).for_each(|(value, step)| *value += step);
-            let trial_chi_square = self.residual();
-            let trial = weight * trial_chi_square + self.prior();
-            if trial <= objective {
-                best.clone_from(&self.values);
-                (objective, chi_square) = (trial, trial_chi_square);
-                damping = (0.1 * damping).max(1e-12);
-            } else {
-                self.values.clone_from(&best);
-                self.residual();
-                damping *= 10.0;
-            }
-            if promised < DECREASE || (trial > objective && damping > 1e8) {
-                converged = true;
-                break;
-            }
-        }
-        let degrees_of_freedom = self.whitener.used_count().saturating_sub(n);
-        converged.then_some(Outcome { chi_square, degrees_of_freedom })
-    }
-
-    /// Limits the components of a step.
-    ///
-    /// They must stay within the validity of the linear model, and widths within the templates.
-    fn limit(&self, step: &mut [f64]) {
-        let longest = [LONGEST[0], LONGEST[1] * self.shape.fwhm_samples(), LONGEST[2]];
-        let [least, most] = self.shape.ln_width_bounds();
-        for (i, step) in step.iter_mut().enumerate().take(PARTS * self.pulses.len()) {
-            let part = i % PARTS;
-            *step = step.clamp(-longest[part], longest[part]);
-            if part == 2 {
-                *step = (self.values[i] + *step).clamp(least, most) - self.values[i];
-            }
-        }
+        self.weight = weight;
+        let (termination, _) = levenberg_marquardt::minimise(self, &RULES);
+        self.values.clone_from(&self.best);
+        let degrees_of_freedom = self.whitener.used_count().saturating_sub(self.values.len());
+        termination.is_optimum().then_some(Outcome { chi_square: self.chi_square, degrees_of_freedom })
     }
 
     /// Computes the covariances at the optimum.
-    fn conclude(&mut self, weight: f64) -> Option<()> {
+    fn conclude(&mut self) -> Option<()> {
         let n = self.values.len();
         self.residual();
-        self.linearise(weight);
+        self.linearise();
         if !cholesky::factor(&mut self.normal, n) {
             return None;
         }

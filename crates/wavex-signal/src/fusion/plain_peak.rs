@@ -32,7 +32,7 @@ pub fn plain_peak(samples: &[u16], full_scale_dn: f64) -> Option<PlainPeak> {
 /// It is the vertex of a weighted least-squares parabola through the logarithms of the samples
 /// above half maximum, with squared samples as weights (Guo 2011, "A simple algorithm for fitting a
 /// Gaussian function", eq. 8). It is exact for a Gaussian.
-pub fn plain_peak_of(signal: &[f64]) -> Option<PlainPeak> {
+pub(crate) fn plain_peak_of(signal: &[f64]) -> Option<PlainPeak> {
     let top = (0..signal.len()).max_by(|&a, &b| signal[a].total_cmp(&signal[b]))?;
     let half = 0.5 * signal[top];
     if half <= 0.0 {

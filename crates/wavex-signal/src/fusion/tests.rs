@@ -1,6 +1,6 @@
 use super::*;
-use crate::gauss_fit::FOUR_LN_2;
 use crate::noise::ArNoise;
+use crate::shape::FOUR_LN_2;
 use crate::simulated::{Random, analogue, channel, digitised, moments, pulse};
 
 const FULL_SCALE_DN: f64 = 255.0;

@@ -5,8 +5,9 @@
 //! conversion, is subtracted from the estimated noise and added again at gain 1.
 
 use super::QUANTISATION_VARIANCE;
-use crate::calibrate::{Block, CalibrationError, CalibrationSettings, calibrate};
-use crate::response_calibrate::{Calibrated, calibrate_response};
+use crate::calibrate::response::{Calibrated, calibrate_response};
+use crate::calibrate::{CalibrationError, CalibrationSettings, calibrate};
+use crate::decompose::Waveform;
 use crate::sensor_model::{ChannelModel, ModelError};
 
 /// Samples at the start of a block for the initial background estimate.
@@ -123,12 +124,12 @@ impl Normalised {
         self.mean_inverse_square += 1.0 / (block.gain * block.gain);
     }
 
-    fn blocks(&self) -> impl Iterator<Item = Block<'_>> + Clone {
+    fn blocks(&self) -> impl Iterator<Item = Waveform<'_>> + Clone {
         let mut rest = &self.samples[..];
         self.lengths.iter().map(move |&length| {
             let (samples, behind) = rest.split_at(length);
             rest = behind;
-            Block { samples, start_phase: 0 }
+            Waveform { samples, start_phase: 0 }
         })
     }
 

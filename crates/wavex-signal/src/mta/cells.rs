@@ -72,7 +72,7 @@ pub(super) struct Cell {
 
 impl Cell {
     /// Whether the cell has echoes but no surface.
-    pub fn is_clutter(&self) -> bool {
+    pub(crate) fn is_clutter(&self) -> bool {
         !self.known && self.count >= LEAST_ECHOES
     }
 }
@@ -219,7 +219,7 @@ impl Band {
     }
 
     /// Distance of a column from the middle of a cell, columns.
-    pub fn off_middle(&self, index: usize, column: i32) -> f32 {
+    pub(crate) fn off_middle(&self, index: usize, column: i32) -> f32 {
         let middle = (self.first + index as i32) * CELL_SHOTS;
         (column - middle) as f32 - 0.5 * (CELL_SHOTS - 1) as f32
     }
@@ -306,7 +306,7 @@ impl Band {
     }
 
     /// Adds the evidence of neighbours between `line`, a line of this band, and the following line.
-    pub fn add_next(&mut self, line: &Held, next: &Held) {
+    pub(crate) fn add_next(&mut self, line: &Held, next: &Held) {
         let mut from = 0;
         let (inside, next_inside) = (inside_from(line, self.zones), inside_from(next, self.zones));
         for echo in line.echoes.iter().filter(|echo| echo.last >= inside) {
@@ -324,7 +324,7 @@ impl Band {
 
     /// Adds the evidence of the last echoes of three neighbouring shots: their curvature is
     /// independent of slope.
-    pub fn add_curvature(&mut self, line: &Held) {
+    pub(crate) fn add_curvature(&mut self, line: &Held) {
         let ends = |pair: &[HeldEcho]| pair.len() == 1 || pair[0].last != pair[1].last;
         let inside = inside_from(line, self.zones);
         let mut shots = (0..line.echoes.len())

@@ -22,7 +22,7 @@ const AFTER: usize = 3;
 
 /// A cell of the grid and its row.
 #[derive(Clone, Copy)]
-struct Place {
+struct GridPlace {
     row: usize,
     cell: usize,
 }
@@ -104,17 +104,17 @@ impl<'a> Grid<'a> {
         for row in 0..rows {
             let cells = self.bands[row].cells.len();
             for cell in 1..cells {
-                self.send(Place { row, cell: cell - 1 }, Place { row, cell }, LEFT, &mut held);
+                self.send(GridPlace { row, cell: cell - 1 }, GridPlace { row, cell }, LEFT, &mut held);
             }
             let is_ring = self.bands[row].is_ring && cells > 2;
             if is_ring {
-                self.send(Place { row, cell: cells - 1 }, Place { row, cell: 0 }, LEFT, &mut held);
+                self.send(GridPlace { row, cell: cells - 1 }, GridPlace { row, cell: 0 }, LEFT, &mut held);
             }
             for cell in (1..cells).rev() {
-                self.send(Place { row, cell }, Place { row, cell: cell - 1 }, RIGHT, &mut held);
+                self.send(GridPlace { row, cell }, GridPlace { row, cell: cell - 1 }, RIGHT, &mut held);
             }
             if is_ring {
-                self.send(Place { row, cell: 0 }, Place { row, cell: cells - 1 }, RIGHT, &mut held);
+                self.send(GridPlace { row, cell: 0 }, GridPlace { row, cell: cells - 1 }, RIGHT, &mut held);
             }
         }
         for row in 1..rows {
@@ -131,14 +131,14 @@ impl<'a> Grid<'a> {
         for cell in 0..self.bands[from].cells.len() {
             let other = cell as i32 + shift;
             if (0..self.bands[to].cells.len() as i32).contains(&other) {
-                let to = Place { row: to, cell: other as usize };
-                self.send(Place { row: from, cell }, to, side, held);
+                let to = GridPlace { row: to, cell: other as usize };
+                self.send(GridPlace { row: from, cell }, to, side, held);
             }
         }
     }
 
     /// Sends the message of `from`, which is on side `side` of `to`.
-    fn send(&mut self, from: Place, to: Place, side: usize, held: &mut [f32]) {
+    fn send(&mut self, from: GridPlace, to: GridPlace, side: usize, held: &mut [f32]) {
         let (band, other) = (&self.bands[from.row], &self.bands[to.row]);
         let zones = band.zones;
         let start = (self.starts[from.row] + from.cell) * self.stride;

@@ -69,7 +69,7 @@ impl Joined {
     }
 
     /// Largest number of lines held back if the method holds back `lines`.
-    pub fn held_back(&self, lines: usize) -> usize {
+    pub(crate) fn held_back(&self, lines: usize) -> usize {
         match self.most_lines.max(self.run.lines.len()) {
             0 | 1 => lines,
             // The pending lines are added.

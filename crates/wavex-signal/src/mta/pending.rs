@@ -133,7 +133,7 @@ impl Held {
     }
 
     /// The last emission before an echo, possibly in the next line.
-    pub fn last_emission(&self, echo: &HeldEcho, next: Option<&Held>) -> LastEmission {
+    pub(crate) fn last_emission(&self, echo: &HeldEcho, next: Option<&Held>) -> LastEmission {
         let (clocks, last) = (&self.pulses.clock_ps, echo.last as usize);
         let gap_ns = |from: i64, to: i64| to.saturating_sub(from) as f64 * 1e-3;
         let mut found =
@@ -203,7 +203,7 @@ fn place(input: u32, emission: usize, time_ns: f64, pulses: &Pulses, settings: &
 
 impl HeldEcho {
     /// Moves the zone origin `by` emissions later.
-    pub fn count_from(&mut self, by: i32, interval_m: f32) {
+    pub(crate) fn count_from(&mut self, by: i32, interval_m: f32) {
         self.base += by;
         self.even_m -= by as f32 * interval_m;
         self.range_m -= by as f32 * interval_m;

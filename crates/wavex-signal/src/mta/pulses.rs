@@ -135,7 +135,7 @@ impl Pulses {
     }
 
     /// The line's own clocks, ps.
-    pub fn own_clocks(&self) -> &[i64] {
+    pub(crate) fn own_clocks(&self) -> &[i64] {
         &self.clock_ps[self.lead..]
     }
 

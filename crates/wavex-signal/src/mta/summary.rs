@@ -197,7 +197,7 @@ impl Summary {
     }
 
     /// Median margin, nats, rounded down; `None` before the first echo.
-    pub fn median_margin_nats(&self) -> Option<f64> {
+    pub(crate) fn median_margin_nats(&self) -> Option<f64> {
         let count: u64 = self.margins.iter().sum();
         let mut below = 0;
         let bin = self.margins.iter().position(|&bin| {

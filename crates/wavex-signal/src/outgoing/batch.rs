@@ -6,10 +6,11 @@ use std::sync::Arc;
 use super::mixture::Mixture;
 use super::usual::{ReferenceBlock, Usual};
 use super::{OutgoingFitter, one_pulse, window};
-use crate::calibrate::Block;
 use crate::decompose::Return;
-use crate::lockstep::{Candidate, Lockstep, Mode, Outcomes, SimdLevel, Tables};
+use crate::decompose::Waveform;
+use crate::decompose::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
 use crate::sensor_model::{ChannelModel, ModelError};
+use crate::simd::SimdLevel;
 
 /// An outgoing pulse and the samples to which it was fitted.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,14 +32,14 @@ pub struct Outgoing {
 pub struct OutgoingBatch {
     plain: OutgoingFitter,
     mixture: Option<Mixture>,
-    fast: Lockstep,
+    fast: BatchDecomposer,
     /// Number of initial samples used only for noise prediction.
     order: usize,
-    candidates: Vec<(u32, Candidate)>,
-    strongest: Vec<Candidate>,
+    candidates: Vec<(u32, FilterPeak)>,
+    strongest: Vec<FilterPeak>,
     /// Length of each window, index of its block, and its samples.
     windows: Vec<(usize, u32, Range<usize>)>,
-    outcomes: Outcomes,
+    outcomes: Decompositions,
 }
 
 impl OutgoingBatch {
@@ -52,12 +53,12 @@ impl OutgoingBatch {
         Ok(OutgoingBatch {
             plain: OutgoingFitter::new(model, 0)?,
             mixture: Mixture::new(model)?,
-            fast: Lockstep::new(model, tables, &one_pulse(), Mode::Refined, path)?,
+            fast: BatchDecomposer::new(model, tables, &one_pulse(), Mode::Refined, path)?,
             order: model.ar.len(),
             candidates: Vec::new(),
             strongest: Vec::new(),
             windows: Vec::new(),
-            outcomes: Outcomes::default(),
+            outcomes: Decompositions::default(),
         })
     }
 
@@ -68,11 +69,11 @@ impl OutgoingBatch {
 
     /// Fits the strongest pulse of each block, in order; see [`OutgoingFitter::fit`]. Clears
     /// `pulses` first.
-    pub fn fit(&mut self, blocks: &[Block<'_>], pulses: &mut Vec<Option<Outgoing>>) {
+    pub fn fit(&mut self, blocks: &[Waveform<'_>], pulses: &mut Vec<Option<Outgoing>>) {
         pulses.clear();
         self.choose_windows(blocks);
-        let windowed: Vec<Block<'_>> = (self.windows.iter())
-            .map(|(_, i, window)| Block { samples: part(blocks, *i, window), start_phase: 0 })
+        let windowed: Vec<Waveform<'_>> = (self.windows.iter())
+            .map(|(_, i, window)| Waveform { samples: part(blocks, *i, window), start_phase: 0 })
             .collect();
         self.fast.decompose(&windowed, &mut self.outcomes);
         pulses.resize(blocks.len(), None);
@@ -127,12 +128,12 @@ impl OutgoingBatch {
     ///
     /// The statistic is 0 for blocks unsuitable for the SIMD kernels. Windows are sorted by length,
     /// because thresholds at the ends of blocks are computed once per length.
-    fn choose_windows(&mut self, blocks: &[Block<'_>]) {
+    fn choose_windows(&mut self, blocks: &[Waveform<'_>]) {
         let model = self.fast.model();
         let (fwhm, full_scale_dn) = (model.fwhm_samples(), model.full_scale_dn);
         self.fast.detect(blocks, &mut self.candidates);
         self.strongest.clear();
-        self.strongest.resize(blocks.len(), Candidate::default());
+        self.strongest.resize(blocks.len(), FilterPeak::default());
         for (i, candidate) in &self.candidates {
             match self.strongest.get_mut(*i as usize) {
                 Some(strongest) if candidate.statistic > strongest.statistic => *strongest = *candidate,
@@ -143,7 +144,7 @@ impl OutgoingBatch {
         for ((i, block), strongest) in (0..).zip(blocks).zip(&mut self.strongest) {
             let is_saturated = block.samples.iter().any(|&sample| f64::from(sample) >= full_scale_dn);
             if is_saturated || !block.start_phase.is_multiple_of(4) {
-                *strongest = Candidate::default();
+                *strongest = FilterPeak::default();
             }
             if strongest.statistic > 0.0 {
                 let mut window = window(strongest.position_samples.into(), fwhm, block.samples.len());
@@ -156,7 +157,7 @@ impl OutgoingBatch {
 }
 
 /// Samples of a window of a block.
-fn part<'a>(blocks: &[Block<'a>], index: u32, window: &Range<usize>) -> &'a [u16] {
+fn part<'a>(blocks: &[Waveform<'a>], index: u32, window: &Range<usize>) -> &'a [u16] {
     blocks.get(index as usize).and_then(|block| block.samples.get(window.clone())).unwrap_or_default()
 }
 
@@ -190,8 +191,8 @@ mod tests {
             (truth.position_samples, digitised(&values, 255))
         };
         let shots: Vec<(f64, Vec<u16>)> = (0..3000).map(one).collect();
-        let blocks: Vec<Block<'_>> =
-            shots.iter().map(|(_, samples)| Block { samples, start_phase: 0 }).collect();
+        let blocks: Vec<Waveform<'_>> =
+            shots.iter().map(|(_, samples)| Waveform { samples, start_phase: 0 }).collect();
         let (mut batch, mut pulses) = (batch(&model), Vec::new());
         batch.fit(&blocks, &mut pulses);
         assert_eq!(pulses.len(), shots.len());
@@ -225,7 +226,8 @@ mod tests {
             digitised(&analogue(&mut random, &process, 30 + i % 20, 2.0, FWHM, &[truth]), 255)
         };
         let shots: Vec<Vec<u16>> = (0..200).map(one).collect();
-        let blocks: Vec<Block<'_>> = shots.iter().map(|samples| Block { samples, start_phase: 0 }).collect();
+        let blocks: Vec<Waveform<'_>> =
+            shots.iter().map(|samples| Waveform { samples, start_phase: 0 }).collect();
         let (mut batch, mut all, mut alone) = (batch(&model), Vec::new(), Vec::new());
         batch.fit(&blocks, &mut all);
         assert_eq!(all.len(), 200);
@@ -247,7 +249,7 @@ mod tests {
         let later =
             digitised(&analogue(&mut random, &process, 40, 2.0, FWHM, &[pulse(90.0, 18.3, 1.0)]), 255);
         let cases = [(&saturated[..], 0), (&later[..], 3), (&[2; 24], 0), (&[], 0), (&[255; 24], 0)];
-        let blocks = cases.map(|(samples, start_phase)| Block { samples, start_phase });
+        let blocks = cases.map(|(samples, start_phase)| Waveform { samples, start_phase });
         let mut pulses = Vec::new();
         batch(&model).fit(&blocks, &mut pulses);
         let mut plain = OutgoingFitter::new(&model, 40).unwrap();

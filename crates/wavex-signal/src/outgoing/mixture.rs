@@ -6,16 +6,19 @@
 //! over positions) gives the probability of an echo, and the mean and standard deviation of the
 //! emission time over both hypotheses (Bayesian model averaging).
 
+mod moments;
+
 use std::ops::Range;
 
 use super::usual::{ReferenceBlock, UNUSUAL_DEVIATION, Usual, percentiles};
 use super::{Outgoing, window};
 use crate::cholesky;
 use crate::flags;
-use crate::gauss_fit::Pulse;
 use crate::sensor_model::{ChannelModel, ModelError};
+use crate::shape::Pulse;
 use crate::shape::Shape;
 use crate::whitening::Whitener;
+use moments::Moments;
 
 /// Fewest outgoing pulses of a line that define typical parameters.
 const LEAST_PULSES: usize = 30;
@@ -66,30 +69,6 @@ struct WithEcho {
     place: Moments,
     /// Smallest chi-square of all echo positions.
     chi_square: f64,
-}
-
-/// Probability-weighted moments of the position of an outgoing pulse.
-#[derive(Debug, Clone, Copy, Default)]
-struct Moments {
-    weight: f64,
-    first: f64,
-    second: f64,
-}
-
-impl Moments {
-    fn add(&mut self, weight: f64, place: f64, sd: f64) {
-        self.weight += weight;
-        self.first += weight * place;
-        self.second += weight * (place * place + sd * sd);
-    }
-
-    fn mean(&self) -> f64 {
-        self.first / self.weight
-    }
-
-    fn variance(&self) -> f64 {
-        (self.second / self.weight - self.mean().powi(2)).max(0.0)
-    }
 }
 
 /// Separates echoes from the outgoing pulses of one channel.
@@ -222,15 +201,16 @@ impl Mixture {
         }
         let first = range.start as f64;
         let values = [usual.ln_height.median.exp(), at - first, usual.ln_width.median, 0.0];
-        Some(Loaded { window: range, start: Start { values, place: expected - first } })
+        Some(Loaded { window: range, start: StartValues { values, place: expected - first } })
     }
 
     /// Fits the pulse with an echo, over all echo positions.
-    fn with_echo(&mut self, start: Start, usual: &Usual) -> WithEcho {
+    fn with_echo(&mut self, start: StartValues, usual: &Usual) -> WithEcho {
         let reach = REACH_WIDTHS * self.model.fwhm_samples();
         let at = start.values[1];
         let mut tried = Vec::new();
-        self.explore([at - reach, at + reach], PLACES, LEVELS, start, usual, &mut tried);
+        let whole = Grid { low: at - reach, high: at + reach, places: PLACES };
+        self.explore(whole, LEVELS, start, usual, &mut tried);
         let best = tried.iter().map(|(ln_weight, _)| *ln_weight).fold(f64::NEG_INFINITY, f64::max);
         let mut all = WithEcho { ln_evidence: best, place: Moments::default(), chi_square: f64::INFINITY };
         for (ln_weight, optimum) in tried {
@@ -246,10 +226,9 @@ impl Mixture {
     /// Appends optima with their log evidence times the step.
     fn explore(
         &mut self,
-        [low, high]: [f64; 2],
-        places: usize,
+        Grid { low, high, places }: Grid,
         levels: usize,
-        start: Start,
+        start: StartValues,
         usual: &Usual,
         tried: &mut Vec<(f64, Optimum)>,
     ) {
@@ -283,15 +262,19 @@ impl Mixture {
         while i < places {
             let run = (i..places).take_while(matters).count();
             if run > 0 {
-                let between = [low + i as f64 * step, low + (i + run) as f64 * step];
-                self.explore(between, PLACES_PER_STEP * run, levels - 1, start, usual, tried);
+                let finer = Grid {
+                    low: low + i as f64 * step,
+                    high: low + (i + run) as f64 * step,
+                    places: PLACES_PER_STEP * run,
+                };
+                self.explore(finer, levels - 1, start, usual, tried);
             }
             i += run + 1;
         }
     }
 
     /// Finds the optimum with an echo at a given position, or without one. `None` if the fit fails.
-    fn optimum(&mut self, echo: Option<f64>, start: Start, usual: &Usual) -> Option<Optimum> {
+    fn optimum(&mut self, echo: Option<f64>, start: StartValues, usual: &Usual) -> Option<Optimum> {
         let n = if echo.is_some() { PARAMETERS } else { PARAMETERS - 1 };
         let mut values = start.values;
         let (mut objective, mut chi_square) = (f64::INFINITY, f64::INFINITY);
@@ -372,15 +355,22 @@ impl Mixture {
     }
 }
 
+/// Echo positions in the middle of equal parts of an interval, samples.
+struct Grid {
+    low: f64,
+    high: f64,
+    places: usize,
+}
+
 /// Fitted samples and start values.
 struct Loaded {
     window: Range<usize>,
-    start: Start,
+    start: StartValues,
 }
 
-/// Start values of a fit and the position expected from the line.
+/// StartValues values of a fit and the position expected from the line.
 #[derive(Debug, Clone, Copy)]
-struct Start {
+struct StartValues {
     values: [f64; PARAMETERS],
     place: f64,
 }

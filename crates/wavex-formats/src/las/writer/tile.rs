@@ -3,7 +3,7 @@
 use crate::las::extra_bytes::ExtraAttribute;
 use crate::las::point::{Layout, Wave};
 use crate::las::point_out::{PointOut, scan_angle_steps};
-use wavex_signal::steps::Steps;
+use wavex_signal::simd::quantise::Steps;
 
 /// Points encoded at once; their columns fit the L1 cache.
 pub const TOGETHER: usize = 128;

@@ -1,0 +1,321 @@
+//! Estimates a channel's system response from single echoes (docs/explanation/method.md, Calibration).
+//!
+//! Blocks are decomposed with the current model. From the strong, unsaturated single echoes those
+//! of the narrow population are selected, and their heights and positions are fitted with fixed
+//! width. A linear least-squares problem in the whitened domain then gives the splines of the
+//! response, with which the next round starts. Time zero is the peak; width ratio 1 is the mode of
+//! the widths.
+
+use crate::calibrate::{
+    CalibrationError, CalibrationSettings, GROUPS, Narrow, Width, decompose_each, jackknife_sd,
+};
+use crate::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Return, Waveform};
+use crate::flags;
+use crate::sensor_model::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse, normalised};
+use crate::sensor_model::{ChannelModel, ModelError};
+use crate::shape::Shape;
+use quality::Quality;
+use solve::Problem;
+use spline::Basis;
+
+mod even_odd;
+mod quality;
+mod solve;
+mod spline;
+#[cfg(test)]
+mod tests;
+
+pub use even_odd::EvenOdd;
+
+/// Fewest usable single echoes for a response.
+pub const MIN_ECHOES: usize = 150;
+/// Largest number of blocks, evenly spaced; more would not change the response measurably.
+const MAX_BLOCKS: usize = 12_000;
+/// Largest height of further echoes of a block relative to the strongest, by round.
+///
+/// A Gaussian model reports the after-pulse as an echo, and a first response may leave some of it.
+const MINOR_PARTS: [f64; 4] = [0.1, 0.03, 0.0, 0.0];
+/// Assumed error of the response by round, relative to the height.
+const ERRORS: [f64; 4] = [0.02, 0.02, 0.01, 0.005];
+/// Largest number of echoes per height node, by round.
+///
+/// All but the last response only serve to select and locate the echoes of the next round.
+const MOST_ECHOES: [usize; 4] = [1_500, 1_500, 1_500, usize::MAX];
+/// Largest number of echoes in the even/odd test; they determine the factor to 1.3 %.
+const MOST_SCORED: usize = 6_000;
+/// Smallest height of usable echoes, in standard deviations of the noise; they must also not
+/// overdrive the receiver.
+const STRONG_SD: f64 = 30.0;
+/// Heights with their own response, relative to full scale (155, 171, 182 and 200 of 255 DN).
+const NODE_PARTS: [f64; 4] = [155.0 / 255.0, 171.0 / 255.0, 182.0 / 255.0, 200.0 / 255.0];
+/// Number of echoes in the window below which it is doubled.
+///
+/// Noise then matters more than blur.
+const ENOUGH_NARROW: usize = 300;
+/// Smallest extent of the response after the peak, in pulse widths (62 ns for 4.4 ns).
+const LEAST_REACH_WIDTHS: f64 = 14.0;
+/// Smallest error of a response borrowed from another receiver, relative to the height, where the
+/// response exceeds this.
+///
+/// Both receivers see the same laser pulse, and a Gaussian has no after-pulse at all.
+const BORROWED_ERROR: f64 = 0.02;
+/// Largest relative width difference of receivers that share a response.
+const BORROWED_WIDTH: f64 = 0.15;
+
+/// A single echo.
+#[derive(Debug, Clone, Copy)]
+struct Single<'a> {
+    block: Waveform<'a>,
+    fitted: Return,
+}
+
+impl Single<'_> {
+    fn width(&self) -> Width {
+        let Return { width_ratio, width_ratio_sd, deviation_ratio, .. } = self.fitted;
+        Width { ln_width: width_ratio.ln(), sd: width_ratio_sd / width_ratio, deviation_ratio }
+    }
+}
+
+/// Result of the response calibration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Calibrated {
+    /// The model, with a response if there are at least [`MIN_ECHOES`] usable echoes, otherwise
+    /// unchanged.
+    pub model: ChannelModel,
+    /// Number of usable single echoes.
+    pub usable_echoes: usize,
+}
+
+/// Adds the system response to a calibrated model.
+///
+/// The model must be from [`crate::calibrate::calibrate`] with the same blocks.
+pub fn calibrate_response<'a>(
+    blocks: impl Iterator<Item = Waveform<'a>> + Clone,
+    model: &ChannelModel,
+    settings: &CalibrationSettings,
+) -> Result<Calibrated, CalibrationError> {
+    let mut blocks = chosen_evenly(blocks);
+    let longest = blocks.iter().map(|block| block.samples.len()).max().unwrap_or(0);
+    let mut model = ChannelModel { response: None, pulse_error_factor: 1.0, ..model.clone() };
+    let gaussian = model.clone();
+    let mut usable_echoes = 0;
+    for ((minor_part, error), most) in MINOR_PARTS.into_iter().zip(ERRORS).zip(MOST_ECHOES) {
+        let singles = singles(&blocks, &model, settings, minor_part, error)?;
+        usable_echoes = singles.len();
+        if usable_echoes < MIN_ECHOES {
+            return Ok(Calibrated { model: gaussian, usable_echoes });
+        }
+        // Blocks without a nearly single echo are not used again.
+        blocks = singles.iter().map(|single| single.block).collect();
+        match better_response(&singles, &model, longest, most)? {
+            Some(response) => model = with_response(&model, response),
+            None => return Ok(Calibrated { model: gaussian, usable_echoes }),
+        }
+    }
+    let singles = self::singles(&blocks, &model, settings, 0.0, ERRORS[3])?;
+    let mut quality = Quality::new(&model, longest)?;
+    let scored = singles.len().div_ceil(MOST_SCORED).max(1);
+    singles.iter().enumerate().for_each(|(i, single)| quality.add(single, i % scored == 0));
+    let (factor, factor_sd) = quality.pulse_error_factor();
+    let template_error = quality.template_error();
+    model.pulse_error_factor = factor;
+    model.uncertainty.pulse_error_factor = factor_sd;
+    model.uncertainty.pulse_fwhm_ns = fwhm_sd_ns(&model, &singles);
+    if let Some(response) = &mut model.response {
+        response.template_error = template_error;
+    }
+    Ok(Calibrated { model, usable_echoes })
+}
+
+/// Selects [`MAX_BLOCKS`] evenly spaced blocks, or all.
+fn chosen_evenly<'a>(blocks: impl Iterator<Item = Waveform<'a>> + Clone) -> Vec<Waveform<'a>> {
+    let count = blocks.clone().count().max(1);
+    let most = MAX_BLOCKS.min(count);
+    let is_chosen = |i: usize| (i + 1) * most / count > i * most / count;
+    blocks.enumerate().filter(|(i, _)| is_chosen(*i)).map(|(_, block)| block).collect()
+}
+
+/// Copies another receiver's response to a channel.
+///
+/// For channels whose own echoes do not determine a response. The response for weak echoes and the
+/// error factor are copied; its echo count is 0. `None` if the other receiver has no response, or
+/// the channel's own pulses differ in width.
+pub fn with_response_of(model: &ChannelModel, other: &ChannelModel) -> Option<ChannelModel> {
+    let known = other.response.as_ref()?;
+    let node = known.nodes.first()?.clone();
+    let is_other_pulse = (model.pulse_fwhm_ns / other.pulse_fwhm_ns).ln().abs() > BORROWED_WIDTH;
+    if is_other_pulse && model.pulses > 0 {
+        return None;
+    }
+    let error = |(k, &told): (usize, &f64)| {
+        // Values within half a sample of the time of the error.
+        let (from, to) =
+            ((k * STEPS_PER_SAMPLE).saturating_sub(STEPS_PER_SAMPLE / 2), (2 * k + 1) * STEPS_PER_SAMPLE / 2);
+        let values = &node.values[from.min(node.values.len())..to.min(node.values.len())];
+        let is_high = values.iter().any(|value| value.abs() >= BORROWED_ERROR);
+        if is_high { told.max(BORROWED_ERROR) } else { told }
+    };
+    let template_error = known.template_error.iter().enumerate().map(error).collect();
+    let response = SystemResponse { nodes: vec![node], template_error, echoes: 0, ..known.clone() };
+    let mut borrowed = with_response(model, response);
+    borrowed.pulse_error_factor = other.pulse_error_factor;
+    borrowed.uncertainty.pulse_error_factor = other.uncertainty.pulse_error_factor;
+    borrowed.uncertainty.pulse_fwhm_ns = BORROWED_ERROR * borrowed.pulse_fwhm_ns;
+    Some(borrowed)
+}
+
+fn with_response(model: &ChannelModel, response: SystemResponse) -> ChannelModel {
+    let pulses = response.echoes;
+    let fwhm_ns = response.fwhm_samples() * model.sampling_interval_ns;
+    let pulse_fwhm_ns = if fwhm_ns > 0.0 { fwhm_ns } else { model.pulse_fwhm_ns };
+    ChannelModel { response: Some(response), pulse_fwhm_ns, pulses, ..model.clone() }
+}
+
+/// Selects the usable single echoes of the blocks.
+fn singles<'a>(
+    blocks: &[Waveform<'a>],
+    model: &ChannelModel,
+    settings: &CalibrationSettings,
+    minor_part: f64,
+    template_error: f64,
+) -> Result<Vec<Single<'a>>, ModelError> {
+    let settings = DecomposeSettings {
+        max_added: if model.response.is_some() { 4 } else { 0 },
+        split_evidence: None,
+        template_error,
+        ..settings.decompose.clone()
+    };
+    let heights = STRONG_SD * model.noise_sd_dn..OVERDRIVEN_PART * model.full_scale_dn;
+    let mut found = Vec::new();
+    decompose_each(blocks.iter().copied(), model, &settings, |block, outcome| {
+        let single = strongest(outcome, minor_part, model.fwhm_samples());
+        if let Some(fitted) = single.filter(|r| heights.contains(&r.amplitude_dn)) {
+            found.push(Single { block, fitted: *fitted });
+        }
+    })?;
+    Ok(found)
+}
+
+/// The strongest return, if it is complete and others are minor and well after it.
+fn strongest<'a>(outcome: &Decomposition<'a>, minor_part: f64, fwhm_samples: f64) -> Option<&'a Return> {
+    let returns = outcome.returns;
+    let strongest = returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))?;
+    let minor = |r: &Return| {
+        std::ptr::eq(r, strongest)
+            || (r.amplitude_dn <= minor_part * strongest.amplitude_dn
+                && r.position_samples - strongest.position_samples > 1.5 * fwhm_samples)
+    };
+    let bad = flags::SATURATED | flags::TRUNCATED | flags::DIVERGED;
+    (strongest.flags & bad == 0 && returns.iter().all(minor)).then_some(strongest)
+}
+
+/// Echoes of similar height.
+struct Group<'a> {
+    /// Height of the node that they determine, DN.
+    peak_dn: f64,
+    singles: Vec<Single<'a>>,
+}
+
+/// Groups the echoes by ascending height.
+///
+/// Neighbouring nodes of [`NODE_PARTS`] with too few echoes share one response at their mean
+/// height. The first node also covers all weaker echoes.
+fn by_height<'a>(singles: &[Single<'a>], full_scale_dn: f64) -> Vec<Group<'a>> {
+    let heights = NODE_PARTS.map(|part| part * full_scale_dn);
+    let mut groups: Vec<Group<'a>> = Vec::new();
+    // Echoes not yet in a group, in descending order of nodes.
+    let mut open: Vec<Single<'a>> = Vec::new();
+    for (i, &height) in heights.iter().enumerate().rev() {
+        let low = if i > 0 { 0.5 * (heights[i - 1] + height) } else { 0.0 };
+        let high = heights.get(i + 1).map_or(f64::INFINITY, |next| 0.5 * (height + next));
+        let shared = !open.is_empty();
+        open.extend(singles.iter().filter(|s| (low..high).contains(&s.fitted.amplitude_dn)));
+        if open.len() >= MIN_ECHOES || (i == 0 && groups.is_empty()) {
+            let mean = open.iter().map(|s| s.fitted.amplitude_dn).sum::<f64>() / open.len().max(1) as f64;
+            let peak_dn = if shared && i > 0 { mean } else { height };
+            groups.push(Group { peak_dn, singles: std::mem::take(&mut open) });
+        }
+    }
+    // Needed for the outgoing pulse, which is always strong.
+    if let Some(lowest) = groups.last_mut() {
+        lowest.singles.append(&mut open);
+    }
+    groups.reverse();
+    groups
+}
+
+/// Selects well-fitted, unwidened echoes of a group: those near the mode of the widths.
+fn narrow_population<'a>(singles: &[Single<'a>]) -> Vec<Single<'a>> {
+    let widths: Vec<Width> = singles.iter().map(Single::width).collect();
+    let within = |times_least: f64| -> Vec<Single<'a>> {
+        let narrow = Narrow::of(&widths, times_least);
+        let kept = singles.iter().zip(&widths).filter(|(_, width)| narrow.holds(width));
+        kept.map(|(single, _)| *single).collect()
+    };
+    let narrow = within(1.0);
+    if narrow.len() >= ENOUGH_NARROW { narrow } else { within(2.0) }
+}
+
+/// Standard deviation of the response's width, ns.
+///
+/// It is that of the mean width of the selected echoes, by a jackknife over consecutive groups with
+/// a new selection each time.
+fn fwhm_sd_ns(model: &ChannelModel, singles: &[Single<'_>]) -> f64 {
+    let per_group = singles.len().div_ceil(GROUPS).max(1);
+    let groups = singles.len().div_ceil(per_group);
+    let mean_without = |group: usize| {
+        let (before, after) = (group * per_group, ((group + 1) * per_group).min(singles.len()));
+        let narrow = narrow_population(&[&singles[..before], &singles[after..]].concat());
+        narrow.iter().map(|single| single.width().ln_width).sum::<f64>() / narrow.len().max(1) as f64
+    };
+    jackknife_sd(&(0..groups).map(mean_without).collect::<Vec<_>>()) * model.pulse_fwhm_ns
+}
+
+/// At most `most` echoes, evenly spaced.
+fn evenly(singles: Vec<Single<'_>>, most: usize) -> impl Iterator<Item = Single<'_>> {
+    let step = singles.len().div_ceil(most).max(1);
+    singles.into_iter().step_by(step)
+}
+
+/// Least-squares response from at most `most` echoes per height node; `None` for singular
+/// equations.
+fn better_response(
+    singles: &[Single<'_>],
+    model: &ChannelModel,
+    longest: usize,
+    most: usize,
+) -> Result<Option<SystemResponse>, ModelError> {
+    let fwhm = model.fwhm_samples();
+    let reach = (LEAST_REACH_WIDTHS * fwhm).max(longest as f64 + 2.0 * fwhm);
+    let basis = Basis::new(fwhm, reach);
+    // A receiver that compresses strong echoes makes them wider: each height has its own mode of
+    // the widths.
+    let groups = by_height(singles, model.full_scale_dn);
+    let narrow: Vec<_> =
+        groups.iter().flat_map(|group| evenly(narrow_population(&group.singles), most)).collect();
+    let nodes: Vec<f64> = groups.iter().map(|group| group.peak_dn).collect();
+    let mut problem = Problem::new(model, &basis, &nodes, Shape::of(model)?, longest)?;
+    narrow.iter().for_each(|single| problem.add(single));
+    let Some(solution) = problem.solve() else { return Ok(None) };
+    let first_sample = basis.extent().start.floor() as i32;
+    let last_sample = basis.extent().end.ceil() as i32;
+    let first_step = i64::from(first_sample) * STEPS_PER_SAMPLE as i64;
+    let steps = ((last_sample - first_sample) as usize) * STEPS_PER_SAMPLE + 1;
+    let mut response = SystemResponse {
+        first_sample,
+        nodes: Vec::new(),
+        template_error: Vec::new(),
+        echoes: narrow.len() as u64,
+        shape_sd: solution.shape_sd,
+    };
+    for (&peak_dn, coefficients) in nodes.iter().zip(&solution.coefficients) {
+        let value = |k: usize| {
+            let time = (first_step + k as i64) as f64 / STEPS_PER_SAMPLE as f64;
+            basis.at(time).map(|(j, value)| value * coefficients[j]).sum::<f64>()
+        };
+        let values: Vec<f64> = (0..steps).map(value).collect();
+        let Some(values) = normalised(&values, first_step, fwhm) else { return Ok(None) };
+        response.nodes.push(ResponseNode { peak_dn, values });
+    }
+    Ok(response.check().is_ok().then_some(response))
+}

@@ -1,0 +1,89 @@
+//! Pulse acceptance rules of the scalar and the SIMD form.
+//!
+//! Rules are generic over `f64` (scalar) and `f32` (SIMD) positions.
+
+use std::ops::{Add, Sub};
+
+use super::DecomposeSettings;
+
+pub(crate) mod response_error;
+
+/// Distance after a stronger pulse, in widths, beyond which its filter response is subtracted from a
+/// candidate's statistic.
+pub(crate) const TOLD_WIDTHS: f64 = 1.5;
+/// Start of a pulse before its peak, in its widths (8 ns for 4.25).
+pub(crate) const BEGINS_WIDTHS: f64 = 1.9;
+/// Distance in widths below which pulses are fitted jointly.
+pub(crate) const CLUSTER_WIDTHS: f64 = 3.0;
+/// Minimum separation of two pulses, in calibrated widths; at least one sample.
+const LEAST_SEPARATION_WIDTHS: f64 = 0.25;
+/// Smallest decrease of chi-square by an added pulse, relative to the squared threshold.
+pub(crate) const GAIN_PART: f64 = 0.8;
+/// Smallest maximum of the filtered residual for which a pulse is tried, relative to the threshold.
+pub(crate) const TRIAL_PART: f64 = 0.75;
+/// Width ratio above which a pulse may hide two.
+pub(crate) const HIDING_WIDTH_RATIO: f64 = 1.04;
+/// Initial energy fractions of the first half of a split pulse.
+pub(crate) const DIVIDED_PARTS: [f64; 3] = [0.5, 0.8, 0.2];
+/// Background above which samples of 0 are excluded, in standard deviations of the noise: they are
+/// caused by the undershoot of a strong pulse.
+pub(crate) const CLEAR_OF_ZERO_SD: f64 = 5.0;
+
+/// Detection thresholds, standard deviations of the filtered noise.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct DetectionSigma {
+    pub(crate) usual: f64,
+    /// Threshold of the last of several pulses.
+    of_last: Option<f64>,
+    /// The lower of the two.
+    pub(crate) least: f64,
+}
+
+impl DetectionSigma {
+    pub(crate) fn of(settings: &DecomposeSettings) -> DetectionSigma {
+        let (usual, of_last) = (settings.detection_sigma, settings.detection_sigma_last);
+        DetectionSigma { usual, of_last, least: of_last.map_or(usual, |last| last.min(usual)) }
+    }
+
+    /// Threshold at a position among pulses at `others`, without response errors.
+    #[inline(always)]
+    pub(crate) fn at<T: Copy + PartialOrd>(
+        &self,
+        position: T,
+        mut others: impl Iterator<Item = T> + Clone,
+    ) -> f64 {
+        let Some(of_last) = self.of_last else { return self.usual };
+        let is_last = others.clone().any(|p| p < position) && others.all(|p| p <= position);
+        if is_last { of_last } else { self.usual }
+    }
+}
+
+/// Minimum separation of two pulses, samples.
+pub(crate) fn least_separation_samples(fwhm_samples: f64) -> f64 {
+    (LEAST_SEPARATION_WIDTHS * fwhm_samples).max(1.0)
+}
+
+/// Number of neighbours closer than `least`; positions ascend.
+pub(crate) fn too_near<T>(positions: impl Iterator<Item = T> + Clone, least: T) -> usize
+where
+    T: Copy + PartialOrd + Sub<Output = T>,
+{
+    let gaps = positions.clone().skip(1).zip(positions);
+    gaps.filter(|&(right, left)| right - left < least).count()
+}
+
+/// Whether a pulse has an invalid width or its peak is outside the block.
+///
+/// The width must be outside `ln_width_bounds` by more than two standard deviations.
+#[inline(always)]
+pub(crate) fn is_misshapen<T>(
+    [position, ln_width, ln_width_sd]: [T; 3],
+    [narrowest, widest]: [T; 2],
+    [first, last]: [T; 2],
+) -> bool
+where
+    T: Copy + PartialOrd + Add<Output = T> + Sub<Output = T>,
+{
+    let reach = ln_width_sd + ln_width_sd;
+    ln_width + reach < narrowest || ln_width - reach > widest || position < first || position > last
+}

@@ -1,0 +1,429 @@
+//! Processes a batch of waveforms from samples to fitted pulses.
+
+use super::Mode;
+use super::candidates::Candidates;
+use super::columns::Columns;
+use super::detection::{Begin, ByCount, DetectAll};
+use super::filter::HIGHEST;
+use super::fit::Job;
+use super::fit_queue::{Aim, Queues, Results, add, take_off};
+use super::fitted::FittedPulse;
+use super::initial_guess::{ClearForStep, FromBank, OneStep};
+use super::level::{SetLevels, widen};
+use super::pulse_model::{MAX_CLUSTER, MAX_PULSES, PulseComponent, PulseModel, Way};
+use super::residual_search::Trial;
+use super::rows::{BATCH, EMPTY, FAST_BATCH, Rows};
+use super::single_pulse::FitSingles;
+use super::tables::Tables;
+use super::thresholds::Thresholds;
+use crate::decompose::Waveform;
+use crate::decompose::{DecomposeSettings, Decomposer};
+use crate::flags;
+use crate::simd::{Kernel, LANES, Processor, Simd};
+
+/// Buffers of one thread, reused from batch to batch.
+pub(super) struct Workspace {
+    pub(super) rows: Rows,
+    pub(super) columns: Columns,
+    pub(super) pulse_models: Vec<PulseModel>,
+    pub(super) queues: Queues,
+    pub(super) done: Results,
+    pub(super) trials: Vec<Trial>,
+    /// Waveforms whose clusters need a fit.
+    pub(super) due: Vec<usize>,
+    /// Waveforms of `due` that have a cluster of the current number.
+    round: Vec<usize>,
+    /// Waveforms whose residual still needs a search.
+    pub(super) active: Vec<usize>,
+    /// Rows and pulses that may be two; `suspect_numbers` holds their indices in the waveform.
+    pub(super) suspects: Vec<(usize, PulseComponent)>,
+    pub(super) suspect_numbers: Vec<usize>,
+    pub(super) candidates: Vec<Candidates>,
+    /// Waveforms by number of detected pulses.
+    by_count: ByCount,
+    pub(super) squares: Vec<f32>,
+    /// Levels of trials, DN, and the information on them absorbed by the pulses, 1/DN².
+    pub(super) levels: Vec<[f32; 2]>,
+    /// Rows to sum over.
+    pub(super) which: Vec<usize>,
+    /// Single pulses that start from the width bank.
+    singles: Vec<Job<1>>,
+    /// Indices of these pulses in their waveforms.
+    single_tags: Vec<usize>,
+    pub(super) scores: Vec<(f32, bool)>,
+    /// Rows and indices of pulses that one step cannot handle.
+    to_fit: Vec<(usize, usize)>,
+}
+
+/// Largest block decomposed in lock-step, samples.
+const MAX_SAMPLES: usize = 4096;
+
+impl Workspace {
+    /// Makes room for the longest of the blocks.
+    pub(super) fn make_room(&mut self, blocks: &[Waveform<'_>]) {
+        let longest = blocks.iter().map(|block| block.samples.len()).max().unwrap_or(0).min(MAX_SAMPLES);
+        if longest > self.rows.capacity() {
+            self.rows = Rows::new(longest);
+            self.columns = Columns::new(self.rows.capacity());
+        }
+    }
+
+    pub(super) fn new(samples: usize) -> Workspace {
+        let rows = Rows::new(samples);
+        Workspace {
+            columns: Columns::new(rows.capacity()),
+            rows,
+            pulse_models: Vec::with_capacity(BATCH),
+            queues: Queues::default(),
+            done: Results::default(),
+            trials: Vec::with_capacity(BATCH),
+            due: Vec::with_capacity(BATCH),
+            round: Vec::with_capacity(BATCH),
+            active: Vec::with_capacity(BATCH),
+            suspects: Vec::with_capacity(BATCH),
+            suspect_numbers: Vec::with_capacity(BATCH),
+            candidates: Vec::with_capacity(BATCH),
+            by_count: ByCount::new(),
+            squares: Vec::with_capacity(BATCH),
+            levels: Vec::with_capacity(BATCH),
+            which: Vec::with_capacity(BATCH),
+            singles: Vec::with_capacity(BATCH),
+            single_tags: Vec::with_capacity(BATCH),
+            scores: Vec::with_capacity(BATCH),
+            to_fit: Vec::with_capacity(BATCH),
+        }
+    }
+}
+
+/// Processes at most [`BATCH`] blocks into pulse models in the workspace.
+pub(super) struct Decompose<'a> {
+    pub(super) on: Processor,
+    pub(super) tables: &'a Tables,
+    pub(super) thresholds: &'a mut Thresholds,
+    pub(super) plain: &'a mut Decomposer,
+    pub(super) settings: &'a DecomposeSettings,
+    pub(super) mode: Mode,
+    pub(super) full_scale_dn: f64,
+    /// Whether the background is so high that a sample of 0 is clipped.
+    pub(super) clear_of_zero: bool,
+    pub(super) work: &'a mut Workspace,
+    pub(super) blocks: &'a [Waveform<'a>],
+}
+
+/// Maximum number of joint steps of level and pulses.
+///
+/// Pulses that moved far are fitted between the steps.
+const LEVEL_ROUNDS: usize = 3;
+
+impl Decompose<'_> {
+    /// Processes the batch.
+    pub(super) fn run(mut self) {
+        self.work.pulse_models.resize_with(self.blocks.len(), PulseModel::default);
+        self.work.by_count.clear();
+        for first in (0..self.blocks.len()).step_by(FAST_BATCH) {
+            let singles = self.work.by_count.count(1);
+            self.detect(first);
+            if self.mode == Mode::Refined {
+                self.fit_singles(singles);
+            }
+        }
+        match self.mode {
+            Mode::Fastest => self.step_each(false),
+            Mode::FastSeparated => {
+                self.step_each(true);
+                self.set_all_due();
+                self.fit_clusters(2);
+            }
+            Mode::Refined => {
+                self.set_all_due();
+                self.fit_clusters(1);
+                // Repeated on the residuals of the fitted neighbours.
+                self.keep_due(2);
+                self.fit_clusters(1);
+                // Repeated if the new positions and widths result in other clusters than those
+                // fitted.
+                self.keep_due(MAX_PULSES + 1);
+                self.fit_clusters(1);
+            }
+        }
+        if self.tables.level.is_some() {
+            self.set_levels();
+            if self.mode == Mode::Refined {
+                self.search_residuals();
+                widen(&mut self.work.pulse_models);
+            }
+            return;
+        }
+        self.select(|pulse_model| {
+            (pulse_model.taken_off | pulse_model.pulses().is_empty()) & !pulse_model.is_settled
+        });
+        self.sum_squares();
+        self.search_residuals();
+    }
+
+    /// Brings level and pulses of all waveforms to their joint optimum.
+    fn set_levels(&mut self) {
+        self.select(|pulse_model| (pulse_model.way == Way::Fast) & !pulse_model.is_levelled);
+        self.set_levels_of_which();
+    }
+
+    /// Lists the waveforms with a property in `which`, without a branch that depends on the waveform.
+    #[inline(always)]
+    fn select(&mut self, is_selected: impl Fn(&PulseModel) -> bool) {
+        let Workspace { pulse_models, which, .. } = &mut *self.work;
+        which.resize(pulse_models.len(), 0);
+        let mut count = 0;
+        for (row, pulse_model) in pulse_models.iter().enumerate() {
+            which[count] = row;
+            count += usize::from(is_selected(pulse_model));
+        }
+        which.truncate(count);
+    }
+
+    /// Brings level and pulses of the waveforms in `which` to their joint optimum.
+    ///
+    /// Waveforms already there are skipped. In the refined mode, pulses that moved far are fitted
+    /// again.
+    pub(super) fn set_levels_of_which(&mut self) {
+        let Some(level) = &self.tables.level else { return };
+        let follows = self.mode == Mode::Refined;
+        for round in 0..LEVEL_ROUNDS {
+            let Workspace { rows, pulse_models, which, due: moved, .. } = &mut *self.work;
+            which.retain(|&row| pulse_models[row].way == Way::Fast && !pulse_models[row].is_levelled);
+            moved.clear();
+            self.on.run(SetLevels { tables: self.tables, level, rows, pulse_models, which, follows, moved });
+            if moved.is_empty() || round + 1 == LEVEL_ROUNDS {
+                return;
+            }
+            self.keep_due(1);
+            self.fit_clusters(1);
+            let Workspace { pulse_models, which, due, .. } = &mut *self.work;
+            which.clone_from(due);
+            which.iter().for_each(|&row| pulse_models[row].is_levelled = false);
+        }
+    }
+
+    pub(super) fn fwhm(&self) -> f32 {
+        self.tables.fwhm_samples as f32
+    }
+
+    /// Loads, filters and whitens blocks and creates their pulse models.
+    ///
+    /// Processes [`FAST_BATCH`] blocks from `first` on, so that their data stay in the cache. The
+    /// pulse models start with the candidates.
+    fn detect(&mut self, first: usize) {
+        let some = first..(first + FAST_BATCH).min(self.blocks.len());
+        let Workspace { rows, columns, pulse_models, by_count, .. } = &mut *self.work;
+        let begin = Begin {
+            thresholds: self.thresholds,
+            settings: self.settings,
+            saturated: self.full_scale_dn.ceil().clamp(0.0, f64::from(HIGHEST)) as u16,
+            clear_of_zero: self.clear_of_zero,
+        };
+        let (tables, blocks, pulse_models) =
+            (self.tables, &self.blocks[some.clone()], &mut pulse_models[some]);
+        self.on.run(DetectAll { tables, rows, columns, blocks, first, begin, pulse_models, by_count });
+    }
+
+    /// Fits the waveforms of one pulse, except the first `done` of them.
+    fn fit_singles(&mut self, done: usize) {
+        let Workspace { rows, pulse_models, by_count, which, due: moved, .. } = &mut *self.work;
+        which.clear();
+        which.extend(by_count.rows(1).skip(done));
+        moved.clear();
+        self.on.run(FitSingles { tables: self.tables, rows, pulse_models, which, moved });
+        for &row in moved.iter() {
+            (pulse_models[row].is_settled, pulse_models[row].is_levelled) = (false, false);
+        }
+    }
+
+    /// Marks the clusters of all unsettled waveforms as due.
+    fn set_all_due(&mut self) {
+        let Workspace { due, pulse_models, .. } = &mut *self.work;
+        due.clear();
+        due.extend((0..pulse_models.len()).filter(|&row| !pulse_models[row].is_settled));
+        self.keep_due(1);
+    }
+
+    /// Keeps the due waveforms with enough clusters or with changed clusters.
+    ///
+    /// `clusters` is the required number of clusters.
+    fn keep_due(&mut self, clusters: usize) {
+        let fwhm = self.fwhm();
+        let Workspace { due, pulse_models, .. } = &mut *self.work;
+        due.retain(|&row| {
+            let pulse_model = &mut pulse_models[row];
+            pulse_model.sort();
+            let others = pulse_model.set_clusters(fwhm);
+            pulse_model.way == Way::Fast && (others || pulse_model.cluster(clusters - 1).is_some())
+        });
+    }
+
+    /// Subtracts all pulses from their waveform's row, unless already done.
+    fn take_off_all(&mut self, row: usize) {
+        let pulse_model = &mut self.work.pulse_models[row];
+        if !pulse_model.taken_off {
+            pulse_model.taken_off = true;
+            for pulse in pulse_model.pulses() {
+                add(self.on, self.tables, &mut self.work.rows, row, pulse.values(), -1.0);
+            }
+        }
+    }
+
+    /// Makes one step on each pulse, or on each pulse without overlap.
+    ///
+    /// Processes the first pulse of each waveform, then the second, and so on. Pulses that one step
+    /// cannot handle are few; they are fitted together at the end.
+    fn step_each(&mut self, separated: bool) {
+        let (on, tables, fwhm) = (self.on, self.tables, self.fwhm());
+        let Workspace { rows, pulse_models, by_count, which, to_fit, .. } = &mut *self.work;
+        to_fit.clear();
+        for number in 0..MAX_PULSES {
+            on.run(ClearForStep { tables, rows, pulse_models, by_count, number, separated, fwhm, which });
+            if !which.is_empty() {
+                on.run(OneStep { tables, rows, pulse_models, which, number, to_fit });
+            }
+        }
+        let to_fit = std::mem::take(&mut self.work.to_fit);
+        // One pulse per waveform at a time: `to_fit` is ordered by index.
+        for to_fit in to_fit.chunk_by(|a, b| a.1 == b.1) {
+            for &(row, number) in to_fit {
+                let Workspace { rows, pulse_models, queues, .. } = &mut *self.work;
+                let values = pulse_models[row].pulses()[number].values();
+                if pulse_models[row].taken_off {
+                    add(on, tables, rows, row, values, 1.0);
+                }
+                queues.push(tables, row, &[values], Aim::OPTIMUM, number);
+            }
+            self.run_clusters();
+        }
+        self.work.to_fit = to_fit;
+    }
+
+    /// Fits the clusters of at least `least` pulses in the due waveforms.
+    ///
+    /// Processes the first cluster of each waveform, then the second, and so on.
+    pub(super) fn fit_clusters(&mut self, least: usize) {
+        let mut singles = std::mem::take(&mut self.work.singles);
+        let mut tags = std::mem::take(&mut self.work.single_tags);
+        let mut round = std::mem::take(&mut self.work.round);
+        round.clone_from(&self.work.due);
+        for number in 0..MAX_PULSES {
+            singles.clear();
+            tags.clear();
+            round.retain(|&row| {
+                let pulse_model = &self.work.pulse_models[row];
+                pulse_model.way == Way::Fast && pulse_model.cluster(number).is_some()
+            });
+            if round.is_empty() {
+                break;
+            }
+            for &row in &round {
+                let Some(cluster) = self.work.pulse_models[row].cluster(number) else { continue };
+                if cluster.len() > MAX_CLUSTER {
+                    self.work.pulse_models[row].give_up();
+                } else if cluster.len() >= least
+                    && let Some(single) = self.queue_cluster(row, cluster.clone())
+                {
+                    singles.push(single);
+                    tags.push(cluster.start);
+                }
+            }
+            let jobs = &mut singles;
+            self.on.run(FromBank { tables: self.tables, rows: &self.work.rows, jobs });
+            for (job, &tag) in singles.iter().zip(&tags) {
+                self.work.queues.push(self.tables, job.row, &job.pulses, Aim::OPTIMUM, tag);
+            }
+            self.run_clusters();
+        }
+        (self.work.singles, self.work.single_tags, self.work.round) = (singles, tags, round);
+    }
+
+    /// Adds a cluster back to its row and queues its fit.
+    ///
+    /// Returns the job instead of queuing it for a single pulse that was never fitted: the width
+    /// bank must find its start values.
+    fn queue_cluster(&mut self, row: usize, cluster: std::ops::Range<usize>) -> Option<Job<1>> {
+        if self.work.pulse_models[row].taken_off || cluster.len() < self.work.pulse_models[row].pulses().len()
+        {
+            self.take_off_all(row);
+            for i in cluster.clone() {
+                let values = self.work.pulse_models[row].pulses()[i].values();
+                add(self.on, self.tables, &mut self.work.rows, row, values, 1.0);
+            }
+        }
+        let mut values = [[0.0; 3]; MAX_CLUSTER];
+        let pulses = &self.work.pulse_models[row].pulses()[cluster.clone()];
+        for (values, pulse) in values.iter_mut().zip(pulses) {
+            *values = pulse.values();
+        }
+        if let [pulse] = pulses
+            && !pulse.is_fitted()
+        {
+            return Some(Job { row, pulses: [pulse.values()], aim: Aim::OPTIMUM });
+        }
+        self.work.queues.push(self.tables, row, &values[..cluster.len()], Aim::OPTIMUM, cluster.start);
+        None
+    }
+
+    /// Runs the queued fits and subtracts their pulses from the rows.
+    fn run_clusters(&mut self) {
+        let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
+        let work = &mut *self.work;
+        work.queues.run(self.on, self.tables, &work.rows, precision, &mut work.done);
+        for done in &work.done.list {
+            let fitted = work.done.pulses(done);
+            let pulse_model = &mut work.pulse_models[done.row];
+            pulse_model.taken_off |= fitted.len() == pulse_model.pulses().len();
+            // Without an optimum the pulse counts as not fitted: another may join it, or the scalar
+            // kernels take the waveform.
+            let settled = done.is_optimum && fitted.iter().all(FittedPulse::is_held);
+            if !fitted.iter().all(FittedPulse::is_held) {
+                pulse_model.beyond += done.beyond;
+            }
+            let pulses = &mut pulse_model.pulses_mut()[done.tag..done.tag + fitted.len()];
+            for (pulse, fitted) in pulses.iter_mut().zip(fitted) {
+                pulse.take(fitted);
+                pulse.flags |= flags::REFINED;
+                if !settled {
+                    pulse.flags |= flags::DIVERGED;
+                }
+                // The fast modes accept the pulse as it is.
+                let stays = settled || (fitted.is_known() && self.mode != Mode::Refined);
+                pulse.sds = if stays { fitted.sds } else { [0.0; 3] };
+            }
+        }
+        take_off(self.on, self.tables, &mut work.rows, &work.done);
+    }
+
+    /// Computes chi-square of the waveforms in `which`, whose pulses are subtracted.
+    pub(super) fn sum_squares(&mut self) {
+        let Workspace { rows, pulse_models, squares, which, .. } = &mut *self.work;
+        self.on.run(ChiSquares { rows, which, out: squares });
+        for (&row, square) in which.iter().zip(squares) {
+            pulse_models[row].chi_square = *square;
+            pulse_models[row].samples = rows.counted(row);
+        }
+    }
+}
+
+/// Computes chi-square of rows.
+pub(super) struct ChiSquares<'a> {
+    pub(super) rows: &'a Rows,
+    pub(super) which: &'a [usize],
+    pub(super) out: &'a mut Vec<f32>,
+}
+
+impl Kernel for ChiSquares<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        self.out.clear();
+        for which in self.which.chunks(LANES) {
+            let mut rows = [EMPTY; LANES];
+            rows[..which.len()].copy_from_slice(which);
+            self.out.extend_from_slice(&self.rows.chi_squares(s, &rows)[..which.len()]);
+        }
+    }
+}

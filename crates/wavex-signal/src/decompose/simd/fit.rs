@@ -1,0 +1,484 @@
+//! Joint Levenberg-Marquardt fits of one to three pulses, on sixteen rows at a time.
+
+use super::fit_queue::Aim;
+use super::fitted::{Fitted, FittedLanes, FittedPulse, Values};
+use super::rows::{EMPTY, FRONT, Rows, sixteen};
+use super::solve::{Factors, factor};
+use super::tables::{ROW, Tables, U_MAX};
+use super::template::{Pulses, Site, Sites, leaves_block, tail, template, weights};
+use crate::pulse_fit::{FIRST_DAMPING, NEAR_NEWTON, ROUGH_DECREASE};
+use crate::simd::{Kernel, LANES, Simd};
+
+/// Pulses to fit to a row that contains no others.
+#[derive(Clone, Copy)]
+pub(super) struct Job<const P: usize> {
+    pub(super) row: usize,
+    /// Start values, in order of position.
+    pub(super) pulses: [Values; P],
+    pub(super) aim: Aim,
+}
+
+impl<const P: usize> Job<P> {
+    /// Job of a lane without work.
+    pub(super) const IDLE: Job<P> = Job { row: EMPTY, pulses: [[1.0, 20.0, 0.0]; P], aim: Aim::OPTIMUM };
+}
+
+/// Promised decrease of chi-square below which a fit has converged.
+///
+/// It is the square of the remaining distance in standard deviations. The step is still made.
+const DECREASE: f32 = ROUGH_DECREASE as f32;
+/// Initial, smallest and largest damping factor of Marquardt.
+const DAMPING: [f32; 3] = [FIRST_DAMPING as f32, 1e-6, 1e6];
+/// Damping at which no step lowers the objective.
+///
+/// The fit is then at the optimum, at a kink of the response's dependence on height.
+const NO_DECREASE: f32 = 1e2;
+/// Diagonal of the matrix for a value held fixed.
+const HELD: f32 = 1e30;
+
+/// The normal equations at a point, and the objective.
+#[derive(Clone, Copy)]
+struct NormalEquations<V, const N: usize> {
+    matrix: [[V; N]; N],
+    side: [V; N],
+    objective: V,
+}
+
+impl<V: Copy, const N: usize> NormalEquations<V, N> {
+    #[inline(always)]
+    fn select<S: Simd<V = V>>(self, s: S, mask: u16, other: NormalEquations<V, N>) -> NormalEquations<V, N> {
+        let mut out = other;
+        for i in 0..N {
+            for j in 0..=i {
+                out.matrix[i][j] = s.select(mask, self.matrix[i][j], other.matrix[i][j]);
+            }
+            out.side[i] = s.select(mask, self.side[i], other.side[i]);
+        }
+        out.objective = s.select(mask, self.objective, other.objective);
+        out
+    }
+}
+
+/// Fits all jobs of one kind.
+///
+/// `precision` is that of the prior that draws `ln` widths to 0.
+pub(super) struct Fit<'a, const P: usize, const N: usize, const C: usize, const D: usize, const STRONG: bool>
+{
+    pub(super) tables: &'a Tables,
+    pub(super) rows: &'a Rows,
+    pub(super) jobs: &'a [Job<P>],
+    pub(super) precision: f32,
+    pub(super) iterations: usize,
+    pub(super) out: &'a mut Vec<Fitted<P>>,
+}
+
+impl<const P: usize, const N: usize, const C: usize, const D: usize, const STRONG: bool> Kernel
+    for Fit<'_, P, N, C, D, STRONG>
+{
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let mut sums: ProductSums<S::Half, D> = [[s.halved(s.splat(0.0)); LANES]; D];
+        let Fit { tables, rows, precision, iterations, out, .. } = self;
+        out.resize(self.jobs.len(), Fitted::NOTHING);
+        for (jobs, out) in self.jobs.chunks(LANES).zip(out.chunks_mut(LANES)) {
+            fit::<S, P, N, C, D, STRONG>(s, tables, rows, jobs, precision, iterations, &mut sums, out);
+        }
+    }
+}
+
+/// Sixteen rows with `P` pulses each.
+///
+/// `N` is `3 P`, `C` the number of vectors in a frame, `D` the number of products of `N + 1`
+/// columns.
+struct FitGroup<'a, S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> {
+    s: S,
+    tables: &'a Tables,
+    rows: &'a Rows,
+    row: [usize; LANES],
+    last: S::V,
+    precision: f32,
+    sums: &'a mut ProductSums<S::Half, D>,
+}
+
+/// Products before summation: half a vector per product and row.
+type ProductSums<H, const D: usize> = [[H; LANES]; D];
+
+/// Maximum offset of a pulse's row in a frame, samples.
+///
+/// A frame starts with the row of the first pulse.
+const fn farthest(vectors: usize) -> i32 {
+    (vectors * LANES - ROW) as i32
+}
+
+/// Fits up to sixteen jobs.
+///
+/// `precision` is that of the prior that draws `ln` widths to 0.
+#[inline(always)]
+pub(super) fn fit<
+    S: Simd,
+    const P: usize,
+    const N: usize,
+    const C: usize,
+    const D: usize,
+    const STRONG: bool,
+>(
+    s: S,
+    tables: &Tables,
+    rows: &Rows,
+    jobs: &[Job<P>],
+    precision: f32,
+    iterations: usize,
+    sums: &mut ProductSums<S::Half, D>,
+    out: &mut [Fitted<P>],
+) {
+    const { assert!(N == 3 * P && D == (N + 1) * (N + 2) / 2 && C * LANES >= ROW) };
+    let mut group: FitGroup<'_, S, P, N, C, D> = FitGroup {
+        s,
+        tables,
+        rows,
+        row: std::array::from_fn(|w| jobs.get(w).unwrap_or(&Job::IDLE).row),
+        last: s.splat(0.0),
+        precision,
+        sums,
+    };
+    let lengths: [f32; LANES] = std::array::from_fn(|w| rows.length(group.row[w]).saturating_sub(1) as f32);
+    group.last = s.load(&lengths);
+    let zero = s.splat(0.0);
+    let mut start = [Pulses { height: zero, position: zero, width: zero }; P];
+    for (p, pulse) in start.iter_mut().enumerate() {
+        let mut values = [[0.0; LANES]; 3];
+        for w in 0..LANES {
+            let of_job = jobs.get(w).unwrap_or(&Job::IDLE).pulses[p];
+            for i in 0..3 {
+                values[i][w] = of_job[i];
+            }
+        }
+        let [height, position, width] = [s.load(&values[0]), s.load(&values[1]), s.load(&values[2])];
+        *pulse = Pulses { height, position, width }.within(s, group.last);
+    }
+    group.descend::<STRONG>(start, (1u32 << jobs.len().min(LANES)).wrapping_sub(1) as u16, iterations, out);
+}
+
+impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> FitGroup<'_, S, P, N, C, D> {
+    #[inline(always)]
+    fn descend<const STRONG: bool>(
+        &mut self,
+        start: [Pulses<S::V>; P],
+        lanes: u16,
+        iterations: usize,
+        out: &mut [Fitted<P>],
+    ) {
+        let s = self.s;
+        let zero = s.splat(0.0);
+        let (mut pulses, mut trial) = (start, start);
+        let (mut active, mut inside) = (lanes, lanes);
+        // The first point is always accepted.
+        let mut point =
+            NormalEquations { matrix: [[zero; N]; N], side: [zero; N], objective: s.splat(f32::MAX) };
+        let mut promised = zero;
+        let mut damping = s.splat(if P == 1 { 0.0 } else { 10.0 * DAMPING[0] });
+        for _ in 0..=iterations {
+            let next = self.evaluate::<STRONG>(&trial, active, &mut inside);
+            let better = active & s.ge(point.objective, next.objective);
+            for p in 0..P {
+                pulses[p] = trial[p].select(s, better, pulses[p]);
+            }
+            point = next.select(s, better, point);
+            damping = self.next_damping(damping, better);
+            let step = self.step(&point, damping, &pulses);
+            let mut gain = zero;
+            for i in 0..N {
+                gain = s.fma(step[i], point.side[i], gain);
+            }
+            // The result of a lane stays while others continue: it must not depend on them.
+            promised = s.select(active, gain, promised);
+            let near = s.ge(s.splat(DECREASE), promised) & s.ge(s.splat(NEAR_NEWTON as f32), damping);
+            let done = active & near;
+            active &= !near & !s.ge(damping, s.splat(NO_DECREASE));
+            for p in 0..P {
+                let part = [step[3 * p], step[3 * p + 1], step[3 * p + 2]];
+                trial[p] = pulses[p].stepped(s, part, self.last);
+                pulses[p] = trial[p].select(s, done, pulses[p]);
+                trial[p] = trial[p].select(s, active, pulses[p]);
+            }
+            if active == 0 {
+                break;
+            }
+        }
+        self.results::<STRONG>(&pulses, &point, lanes & !active & inside, active & inside, out);
+        let (mut objectives, mut promises) = ([0.0; LANES], [0.0; LANES]);
+        s.store(point.objective, &mut objectives);
+        s.store(promised, &mut promises);
+        for (w, fitted) in out.iter_mut().enumerate() {
+            (fitted.objective, fitted.promised) = (objectives[w], promises[w]);
+        }
+    }
+
+    /// Lowers the damping after a successful step, raises it after others.
+    ///
+    /// A single pulse needs none at first.
+    #[inline(always)]
+    fn next_damping(&self, damping: S::V, better: u16) -> S::V {
+        let s = self.s;
+        let (less, more) = (s.mul(damping, s.splat(0.1)), s.mul(damping, s.splat(10.0)));
+        let less = s.max(less, s.splat(if P == 1 { 0.0 } else { DAMPING[1] }));
+        let more = s.min(s.max(more, s.splat(DAMPING[0])), s.splat(DAMPING[2]));
+        s.select(better, less, more)
+    }
+
+    /// Solves the damped equations.
+    ///
+    /// Widths at the limit of the tables are held if they would leave it: truncating the step would
+    /// distort its other values.
+    #[inline(always)]
+    fn step(&self, point: &NormalEquations<S::V, N>, damping: S::V, pulses: &[Pulses<S::V>; P]) -> [S::V; N] {
+        let s = self.s;
+        let mut damped = point.matrix;
+        for (i, row) in damped.iter_mut().enumerate() {
+            row[i] = s.fma(damping, row[i], row[i]);
+        }
+        for (p, pulse) in pulses.iter().enumerate() {
+            let u = 3 * p + 2;
+            let leaving = s.ge(pulse.width, s.splat(U_MAX as f32)) & s.gt(point.side[u], s.splat(0.0));
+            damped[u][u] = s.select(leaving, s.splat(HELD), damped[u][u]);
+        }
+        let mut step = point.side;
+        factor(s, damped).solve(s, &mut step);
+        step
+    }
+
+    /// Computes the equations at the points of the lanes in `lanes`.
+    ///
+    /// The values of other lanes are undefined. Lanes with pulses too far apart for the frame are
+    /// removed from `inside`.
+    #[inline(always)]
+    fn evaluate<const STRONG: bool>(
+        &mut self,
+        pulses: &[Pulses<S::V>; P],
+        lanes: u16,
+        inside: &mut u16,
+    ) -> NormalEquations<S::V, N> {
+        let s = self.s;
+        let mut sites = [Sites::NONE; P];
+        for (sites, pulse) in sites.iter_mut().zip(pulses) {
+            sites.set(s, pulse);
+        }
+        let mut left = lanes;
+        while left != 0 {
+            let w = left.trailing_zeros() as usize % LANES;
+            left &= left - 1;
+            let (of_pulse, first, end) = self.sites_of::<STRONG>(&sites, w);
+            if end - first > farthest(C) {
+                *inside &= !(1 << w);
+            }
+            self.products::<STRONG>(&of_pulse, first, w);
+        }
+        self.equations(pulses)
+    }
+
+    /// Computes the products of the columns of one row.
+    #[inline(always)]
+    fn products<const STRONG: bool>(&mut self, of_pulse: &[Site; P], first: i32, w: usize) {
+        let columns = self.columns::<STRONG>(of_pulse, first, w);
+        let s = self.s;
+        unrolled!(i in [0 1 2 3 4 5 6 7 8 9] if N + 1 => {
+            unrolled!(j in [0 1 2 3 4 5 6 7 8 9] if i + 1 => {
+                let mut sum = s.mul(columns[i][0], columns[j][0]);
+                unrolled!(c in [1 2 3] if C => {
+                    sum = s.fma(columns[i][c], columns[j][c], sum);
+                });
+                self.sums[i * (i + 1) / 2 + j][w] = s.halved(sum);
+            });
+        });
+    }
+
+    /// Derivatives and residual in the frame of one row.
+    ///
+    /// The array has room for three pulses and the residual, and for four vectors.
+    #[inline(always)]
+    fn columns<const STRONG: bool>(&self, of_pulse: &[Site; P], first: i32, w: usize) -> [[S::V; 4]; 10] {
+        let s = self.s;
+        let row = self.rows.residual_row(self.row[w]);
+        let length = self.rows.length(self.row[w]);
+        let edge = leaves_block(first, C * LANES, self.tables.order, length);
+        let mut out = [[s.splat(0.0); 4]; 10];
+        unrolled!(c in [0 1 2 3] if C => {
+            let start = (c * LANES) as i32;
+            let mut residual = s.load(sixteen(row, FRONT.saturating_add_signed((first + start) as isize)));
+            unrolled!(p in [0 1 2] if P => {
+                let site = &of_pulse[p];
+                let shift = (site.first - first).clamp(0, farthest(C));
+                if start + LANES as i32 > shift && start < shift + ROW as i32 {
+                    let at = LANES.saturating_add_signed((start - shift) as isize);
+                    let shape = template::<S, STRONG>(s, self.tables, site, at);
+                    out[3 * p][c] = shape.by_height;
+                    out[3 * p + 1][c] = shape.by_time;
+                    out[3 * p + 2][c] = shape.by_width;
+                    residual = s.fnma(s.splat(site.height), shape.pulse, residual);
+                }
+                if start + LANES as i32 > shift + ROW as i32 {
+                    let behind = tail::<S, STRONG>(s, self.tables, site, start - shift - ROW as i32);
+                    residual = s.sub(residual, behind);
+                }
+            });
+            out[N][c] = residual;
+            if edge {
+                let weight = weights(s, first + start, self.tables.order, length);
+                unrolled!(i in [0 1 2 3 4 5 6 7 8 9] if N + 1 => {
+                    out[i][c] = s.mul(out[i][c], weight);
+                });
+            }
+        });
+        out
+    }
+
+    /// Normal matrix (lower triangle), right side and objective from the products.
+    #[inline(always)]
+    fn equations(&self, pulses: &[Pulses<S::V>; P]) -> NormalEquations<S::V, N> {
+        let s = self.s;
+        let zero = s.splat(0.0);
+        // The derivatives by position and width are −a s_t and a s_u.
+        let mut scale = [s.splat(1.0); N];
+        for (p, pulse) in pulses.iter().enumerate() {
+            scale[3 * p + 1] = s.sub(zero, pulse.height);
+            scale[3 * p + 2] = pulse.height;
+        }
+        let mut point = NormalEquations { matrix: [[zero; N]; N], side: [zero; N], objective: zero };
+        let mut k = 0;
+        for i in 0..N {
+            for j in 0..=i {
+                point.matrix[i][j] = s.mul(s.sum_each(&self.sums[k]), s.mul(scale[i], scale[j]));
+                k += 1;
+            }
+        }
+        for i in 0..N {
+            point.side[i] = s.mul(s.sum_each(&self.sums[k]), scale[i]);
+            k += 1;
+        }
+        point.objective = s.sum_each(&self.sums[k]);
+        let precision = s.splat(self.precision);
+        for (p, pulse) in pulses.iter().enumerate() {
+            let u = 3 * p + 2;
+            let pull = s.mul(precision, pulse.width);
+            point.matrix[u][u] = s.add(point.matrix[u][u], precision);
+            point.side[u] = s.sub(point.side[u], pull);
+            point.objective = s.fma(pull, pulse.width, point.objective);
+        }
+        point
+    }
+
+    #[inline(always)]
+    fn results<const STRONG: bool>(
+        &mut self,
+        pulses: &[Pulses<S::V>; P],
+        point: &NormalEquations<S::V, N>,
+        optimum: u16,
+        active: u16,
+        out: &mut [Fitted<P>],
+    ) {
+        let s = self.s;
+        let factors = factor(s, point.matrix);
+        let variances = factors.inverse_diagonal(s);
+        let mut beyond = s.splat(0.0);
+        for (part, _) in factors.explained(s, point.side) {
+            beyond = s.add(beyond, part);
+        }
+        let mut beyonds = [0.0; LANES];
+        s.store(beyond, &mut beyonds);
+        let mut step = point.side;
+        factors.solve(s, &mut step);
+        for (p, pulses) in pulses.iter().enumerate() {
+            // If the tables limit a width, a step from the limit is closer to the true values than
+            // the limit.
+            let is_cut = s.ge(pulses.width, s.splat(U_MAX as f32));
+            let free = pulses.moved(s, [step[3 * p], step[3 * p + 1], step[3 * p + 2]]);
+            let pulses = free.select(s, is_cut, *pulses);
+            let lanes =
+                FittedLanes::of(s, &pulses, [variances[3 * p], variances[3 * p + 1], variances[3 * p + 2]]);
+            for (w, fitted) in out.iter_mut().enumerate() {
+                fitted.pulses[p] = lanes.get(w);
+            }
+        }
+        for (w, fitted) in out.iter_mut().enumerate() {
+            let known = fitted.pulses.iter().all(FittedPulse::is_known);
+            fitted.is_optimum = known && optimum & (1 << w) != 0;
+            fitted.may_go_on = active & (1 << w) != 0;
+            fitted.beyond = beyonds[w];
+        }
+        if let Some(level) = &self.tables.level {
+            self.tell_level::<STRONG>(pulses, &factors, level.steady, out);
+        }
+    }
+
+    /// Stores the effect of a constant background on each pulse's values.
+    ///
+    /// Also stores the information on the background that the pulses absorb.
+    #[inline(always)]
+    fn tell_level<const STRONG: bool>(
+        &mut self,
+        pulses: &[Pulses<S::V>; P],
+        factors: &Factors<S::V, N>,
+        steady: f32,
+        out: &mut [Fitted<P>],
+    ) {
+        let s = self.s;
+        let zero = s.splat(0.0);
+        let mut sites = [Sites::NONE; P];
+        let mut scale = [s.splat(steady); N];
+        for (p, pulse) in pulses.iter().enumerate() {
+            sites[p].set(s, pulse);
+            scale[3 * p + 1] = s.mul(s.sub(zero, pulse.height), scale[3 * p + 1]);
+            scale[3 * p + 2] = s.mul(pulse.height, scale[3 * p + 2]);
+        }
+        for w in 0..out.len().min(LANES) {
+            let (of_pulse, first, _) = self.sites_of::<STRONG>(&sites, w);
+            let columns = self.columns::<STRONG>(&of_pulse, first, w);
+            unrolled!(i in [0 1 2 3 4 5 6 7 8] if N => {
+                let mut sum = columns[i][0];
+                unrolled!(c in [1 2 3] if C => {
+                    sum = s.add(sum, columns[i][c]);
+                });
+                self.sums[i][w] = s.halved(sum);
+            });
+        }
+        let mut side = [zero; N];
+        for i in 0..N {
+            side[i] = s.mul(s.sum_each(&self.sums[i]), scale[i]);
+        }
+        let mut by_level = side;
+        factors.solve(s, &mut by_level);
+        let mut information = zero;
+        for i in 0..N {
+            information = s.fma(side[i], by_level[i], information);
+        }
+        let (mut values, mut explained) = ([[0.0; LANES]; N], [0.0; LANES]);
+        for (values, by_level) in values.iter_mut().zip(by_level) {
+            s.store(by_level, values);
+        }
+        s.store(information, &mut explained);
+        for (w, fitted) in out.iter_mut().enumerate() {
+            for (p, pulse) in fitted.pulses.iter_mut().enumerate() {
+                pulse.by_level = std::array::from_fn(|i| values[3 * p + i][w]);
+                pulse.level_information = if p == 0 { explained[w] } else { 0.0 };
+            }
+        }
+    }
+
+    /// Returns the sites of a lane's pulses and their lowest and highest first sample.
+    #[inline(always)]
+    fn sites_of<const STRONG: bool>(&self, sites: &[Sites; P], w: usize) -> ([Site; P], i32, i32) {
+        let mut of_pulse = [Site::default(); P];
+        for (site, sites) in of_pulse.iter_mut().zip(sites) {
+            *site = sites.get::<STRONG>(self.tables, w);
+        }
+        let mut first = of_pulse[0].first;
+        let mut end = first;
+        for site in &of_pulse[1..] {
+            first = first.min(site.first);
+            end = end.max(site.first);
+        }
+        (of_pulse, first, end)
+    }
+}

@@ -1,0 +1,187 @@
+//! Converts fitted pulses to returns.
+
+use std::ops::Range;
+
+use super::pulse_model::{PulseComponent, PulseModel, Way};
+use super::thresholds::Thresholds;
+use crate::decompose::Waveform;
+use crate::decompose::{Decomposer, Decomposition, Return, truncation_flag};
+use crate::flags;
+use crate::sensor_model::ChannelModel;
+use crate::simd::{Kernel, Simd};
+
+/// Returns of many waveforms; reuses its memory.
+#[derive(Debug, Clone, Default)]
+pub struct Decompositions {
+    returns: Vec<Return>,
+    waveforms: Vec<(Range<usize>, Decomposition<'static>)>,
+}
+
+impl Decompositions {
+    /// Number of waveforms.
+    pub fn len(&self) -> usize {
+        self.waveforms.len()
+    }
+
+    /// Whether there are no waveforms.
+    pub fn is_empty(&self) -> bool {
+        self.waveforms.is_empty()
+    }
+
+    /// Returns the decomposition of a waveform; `None` past the last.
+    pub fn get(&self, index: usize) -> Option<Decomposition<'_>> {
+        let (returns, rest) = self.waveforms.get(index)?;
+        Some(Decomposition { returns: self.returns.get(returns.clone())?, ..*rest })
+    }
+
+    /// Iterates over the decompositions in order.
+    pub fn iter(&self) -> impl Iterator<Item = Decomposition<'_>> {
+        self.waveforms
+            .iter()
+            .map(|(returns, rest)| Decomposition { returns: &self.returns[returns.clone()], ..*rest })
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.returns.clear();
+        self.waveforms.clear();
+    }
+
+    pub(super) fn push(&mut self, outcome: &Decomposition<'_>) {
+        let first = self.returns.len();
+        self.returns.extend_from_slice(outcome.returns);
+        let range = first..self.returns.len();
+        self.waveforms.push((range, Decomposition { returns: &[], ..*outcome }));
+    }
+}
+
+/// Converts the pulses of waveforms to returns.
+pub(super) struct Finish<'a> {
+    pub(super) model: &'a ChannelModel,
+    pub(super) thresholds: &'a mut Thresholds,
+    pub(super) plain: &'a mut Decomposer,
+    pub(super) left_to_plain: &'a mut u64,
+    /// Whether rejecting a pulse requires a new fit of its neighbours by the scalar kernels.
+    ///
+    /// The fast modes only drop the pulse.
+    pub(super) is_refined: bool,
+}
+
+/// Outputs the returns of a batch.
+///
+/// It uses no lanes, but compiled for the instruction set it rounds without a function call.
+pub(super) struct Give<'a> {
+    pub(super) finish: Finish<'a>,
+    pub(super) blocks: &'a [Waveform<'a>],
+    pub(super) pulse_models: &'a mut [PulseModel],
+    pub(super) outcomes: &'a mut Decompositions,
+}
+
+impl Kernel for Give<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(mut self, _: S) {
+        for (block, pulse_model) in self.blocks.iter().zip(self.pulse_models) {
+            self.finish.give(block.samples, block.start_phase, pulse_model, self.outcomes);
+        }
+    }
+}
+
+impl Finish<'_> {
+    /// Outputs the returns of a waveform.
+    #[inline(always)]
+    pub(super) fn give(
+        &mut self,
+        samples: &[u16],
+        start_phase: u8,
+        pulse_model: &mut PulseModel,
+        outcomes: &mut Decompositions,
+    ) {
+        let is_fast = pulse_model.way == Way::Fast;
+        if !(is_fast && (self.stands(pulse_model, samples.len()) || self.drop(pulse_model, samples.len()))) {
+            *self.left_to_plain += 1;
+            outcomes.push(&self.plain.decompose(samples, start_phase));
+            return;
+        }
+        let mut outcome = self.thresholds.outcome(pulse_model, samples.len());
+        outcome.refined_once |= self.is_refined && pulse_model.counts.n_candidates > 0;
+        let deviation_ratio = outcome.deviation_ratio();
+        let first = outcomes.returns.len();
+        let fwhm_samples = self.model.fwhm_samples();
+        let fwhm = fwhm_samples as f32;
+        let mut overlaps_last = false;
+        for (i, pulse) in pulse_model.pulses().iter().enumerate() {
+            let overlaps_next = i + 1 < pulse_model.pulses().len() && pulse_model.overlap(i, i + 1, fwhm);
+            let overlaps = std::mem::replace(&mut overlaps_last, overlaps_next) || overlaps_next;
+            let [height, position, _] = pulse.values().map(f64::from);
+            let sds = pulse.sds.map(|sd| self.model.pulse_error_factor * f64::from(sd));
+            let width_ratio = f64::from(pulse.width_ratio());
+            let overdriven = self.thresholds.allowance.overdrives(height);
+            outcomes.returns.push(Return {
+                position_samples: position,
+                position_sd_samples: sds[1],
+                amplitude_dn: height,
+                amplitude_sd_dn: sds[0],
+                width_ratio,
+                width_ratio_sd: width_ratio * sds[2],
+                fwhm_ns: width_ratio
+                    * self.thresholds.shape.fwhm_samples_at(height)
+                    * self.model.sampling_interval_ns,
+                deviation_ratio,
+                flags: pulse.flags
+                    | truncation_flag(position, width_ratio * fwhm_samples, samples.len())
+                    | if overlaps { flags::OVERLAP } else { 0 }
+                    | if overdriven { flags::OVERDRIVEN } else { 0 },
+            });
+        }
+        outcomes.waveforms.push((first..outcomes.returns.len(), outcome));
+    }
+
+    /// Whether the pulse is fitted, and its row holds enough of it.
+    #[inline(always)]
+    fn is_told(&self, pulse: &PulseComponent) -> bool {
+        pulse.is_fitted() && (!self.is_refined || self.thresholds.is_held(pulse))
+    }
+
+    /// Whether all pulses are acceptable as returns and sufficiently separated.
+    #[inline(always)]
+    fn stands(&mut self, pulse_model: &PulseModel, samples: usize) -> bool {
+        let mut before = f32::NEG_INFINITY;
+        pulse_model.pulses().iter().all(|pulse| {
+            let is_apart = pulse.position() - before >= self.thresholds.least_separation;
+            before = pulse.position();
+            is_apart && self.is_told(pulse) && self.thresholds.is_return(pulse_model, pulse, samples)
+        })
+    }
+
+    /// Drops unacceptable pulses if neighbours need no new fit.
+    ///
+    /// Returns `false` if the scalar kernels must decompose the waveform.
+    #[inline(never)]
+    fn drop(&mut self, pulse_model: &mut PulseModel, samples: usize) -> bool {
+        if self.is_refined || !pulse_model.pulses().iter().all(|pulse| self.is_told(pulse)) {
+            return false;
+        }
+        let least = self.thresholds.least_separation;
+        let mut i = 0;
+        while i < pulse_model.pulses().len() {
+            let near =
+                i > 0 && pulse_model.pulses()[i].position() - pulse_model.pulses()[i - 1].position() < least;
+            if near {
+                let weaker = if pulse_model.pulses()[i].height() < pulse_model.pulses()[i - 1].height() {
+                    i
+                } else {
+                    i - 1
+                };
+                pulse_model.replace(weaker..weaker + 1, &[]);
+                pulse_model.counts.np_merged += 1;
+            } else if !self.thresholds.is_return(pulse_model, &pulse_model.pulses()[i], samples) {
+                pulse_model.replace(i..i + 1, &[]);
+                pulse_model.counts.np_filtered += 1;
+            } else {
+                i += 1;
+            }
+        }
+        true
+    }
+}

@@ -1,0 +1,295 @@
+//! Pulse model of one waveform in the batch.
+
+use std::ops::Range;
+
+use super::fitted::{FittedPulse, Values};
+use crate::decompose::Counts;
+use crate::decompose::acceptance::CLUSTER_WIDTHS;
+use crate::flags;
+
+/// Maximum number of pulses per waveform; waveforms with more go to the scalar kernels.
+pub(super) const MAX_PULSES: usize = 8;
+/// Maximum number of pulses in a joint fit.
+pub(super) const MAX_CLUSTER: usize = 3;
+
+/// A pulse: values, uncertainties and flags.
+#[derive(Clone, Copy)]
+pub(super) struct PulseComponent {
+    values: Values,
+    /// Exponential of the third value, cached because it is used often.
+    width_ratio: f32,
+    pub(super) sds: Values,
+    pub(super) flags: u16,
+    /// See [`FittedPulse`].
+    pub(super) by_level: Values,
+    pub(super) level_information: f32,
+}
+
+impl Default for PulseComponent {
+    fn default() -> PulseComponent {
+        PulseComponent::of_calibrated_width(0.0, 0.0)
+    }
+}
+
+impl PulseComponent {
+    /// Creates a pulse that is not fitted.
+    pub(super) fn new(values: Values) -> PulseComponent {
+        PulseComponent {
+            values,
+            width_ratio: values[2].exp(),
+            ..PulseComponent::of_calibrated_width(0.0, 0.0)
+        }
+    }
+
+    /// Creates a pulse of the calibrated width that is not fitted.
+    pub(super) fn of_calibrated_width(height: f32, position: f32) -> PulseComponent {
+        let values = [height, position, 0.0];
+        PulseComponent {
+            values,
+            width_ratio: 1.0,
+            sds: [0.0; 3],
+            flags: 0,
+            by_level: [0.0; 3],
+            level_information: 0.0,
+        }
+    }
+
+    /// Returns the pulse with other flags.
+    pub(super) fn flagged(self, flags: u16) -> PulseComponent {
+        PulseComponent { flags, ..self }
+    }
+
+    pub(super) fn values(&self) -> Values {
+        self.values
+    }
+
+    pub(super) fn set_values(&mut self, values: Values) {
+        self.values = values;
+        self.width_ratio = values[2].exp();
+    }
+
+    /// Copies a fit result, except the standard deviations.
+    pub(super) fn take(&mut self, fitted: &FittedPulse) {
+        (self.values, self.width_ratio) = (fitted.values, fitted.width_ratio);
+        (self.by_level, self.level_information) = (fitted.by_level, fitted.level_information);
+    }
+
+    pub(super) fn height(&self) -> f32 {
+        self.values[0]
+    }
+
+    pub(super) fn position(&self) -> f32 {
+        self.values[1]
+    }
+
+    /// Whether it is fitted, with known standard deviations.
+    pub(super) fn is_fitted(&self) -> bool {
+        self.sds[1] > 0.0
+    }
+
+    pub(super) fn width_ratio(&self) -> f32 {
+        self.width_ratio
+    }
+}
+
+/// Kernels that decompose a waveform.
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
+pub(super) enum Way {
+    /// SIMD kernels.
+    #[default]
+    Fast,
+    /// Scalar kernels, for waveforms that the SIMD kernels do not support.
+    Plain,
+}
+
+/// Pulse model of one waveform.
+///
+/// Most waveforms have one pulse: the fields used for these are together at the front.
+#[derive(Clone, Copy, Default)]
+#[repr(C, align(64))]
+pub(super) struct PulseModel {
+    count: usize,
+    pub(super) way: Way,
+    /// Whether the pulses are subtracted from the waveform's row.
+    pub(super) taken_off: bool,
+    /// Whether a trial was accepted in this round.
+    pub(super) has_changed: bool,
+    pub(super) refined_twice: bool,
+    /// Whether the only pulse is fitted and subtracted, and chi-square computed.
+    pub(super) is_settled: bool,
+    pub(super) chi_square: f32,
+    /// Number of samples that count in chi-square.
+    pub(super) samples: usize,
+    pub(super) counts: Counts,
+    /// Decrease of chi-square promised by widths beyond the tables.
+    pub(super) beyond: f32,
+    /// Background of the waveform minus that of the channel, DN, and its variance, DN².
+    ///
+    /// Both are 0 for a fixed background.
+    pub(super) level_dn: f32,
+    pub(super) level_variance: f32,
+    /// Whether level and variance belong to the present pulses.
+    pub(super) is_levelled: bool,
+    /// Ends of the jointly fitted clusters, in order; 0 after the last.
+    ends: [u8; MAX_PULSES],
+    pulses: [PulseComponent; MAX_PULSES],
+}
+
+impl PulseModel {
+    pub(super) fn pulses(&self) -> &[PulseComponent] {
+        &self.pulses[..self.count]
+    }
+
+    pub(super) fn pulses_mut(&mut self) -> &mut [PulseComponent] {
+        &mut self.pulses[..self.count]
+    }
+
+    /// Resets to a new waveform without pulses.
+    #[inline(always)]
+    pub(super) fn reset(&mut self) {
+        let PulseModel {
+            way,
+            count,
+            ends,
+            taken_off,
+            has_changed,
+            chi_square,
+            beyond,
+            samples,
+            counts,
+            refined_twice,
+            is_settled,
+            level_dn,
+            level_variance,
+            is_levelled,
+            ..
+        } = self;
+        (*way, *count, *ends) = (Way::Fast, 0, [0; MAX_PULSES]);
+        (*taken_off, *has_changed, *refined_twice, *is_settled) = (false, false, false, false);
+        (*chi_square, *beyond, *samples, *counts) = (0.0, 0.0, 0, Counts::default());
+        (*level_dn, *level_variance, *is_levelled) = (0.0, 0.0, false);
+    }
+
+    /// Information on the level that the pulses absorb, 1/DN².
+    #[inline(always)]
+    pub(super) fn level_information(&self) -> f32 {
+        self.pulses().iter().map(|pulse| pulse.level_information).sum()
+    }
+
+    /// Sets the level, DN, and variance, DN², for the present pulses.
+    #[inline(always)]
+    pub(super) fn set_level(&mut self, level_dn: f32, variance: f32) {
+        (self.level_dn, self.level_variance, self.is_levelled) = (level_dn, variance, true);
+    }
+
+    /// Passes the waveform to the scalar kernels.
+    pub(super) fn give_up(&mut self) {
+        self.way = Way::Plain;
+    }
+
+    /// Appends a pulse; `false` if there is no room.
+    #[inline(always)]
+    pub(super) fn push(&mut self, pulse: PulseComponent) -> bool {
+        let Some(place) = self.pulses.get_mut(self.count) else { return false };
+        *place = pulse;
+        self.count += 1;
+        true
+    }
+
+    /// Stores the fit of the only pulse.
+    ///
+    /// The caller must subtract the pulse from the row.
+    #[inline(always)]
+    pub(super) fn settle(&mut self, fitted: &FittedPulse) {
+        (self.is_settled, self.taken_off) = (true, true);
+        if let [pulse] = self.pulses_mut() {
+            pulse.take(fitted);
+            (pulse.sds, pulse.flags) = (fitted.sds, pulse.flags | flags::REFINED);
+        }
+    }
+
+    /// Replaces some pulses by others; `false` if there is no room.
+    pub(super) fn replace(&mut self, old: Range<usize>, new: &[PulseComponent]) -> bool {
+        let count = self.count - old.len() + new.len();
+        if count > MAX_PULSES {
+            return false;
+        }
+        self.pulses.copy_within(old.end..self.count, old.start + new.len());
+        self.pulses[old.start..old.start + new.len()].copy_from_slice(new);
+        self.count = count;
+        true
+    }
+
+    pub(super) fn sort(&mut self) {
+        if self.count < 2 {
+            return;
+        }
+        self.pulses[..self.count].sort_unstable_by(|a, b| a.position().total_cmp(&b.position()));
+    }
+
+    /// Whether two pulses are close enough to influence each other.
+    pub(super) fn overlap(&self, i: usize, j: usize, fwhm_samples: f32) -> bool {
+        let (a, b) = (&self.pulses[i], &self.pulses[j]);
+        (a.position() - b.position()).abs() < reach(a, fwhm_samples).max(reach(b, fwhm_samples))
+    }
+
+    /// Returns the end of the cluster that starts at a pulse; pulses must be sorted.
+    pub(super) fn cluster_end(&self, start: usize, fwhm_samples: f32) -> usize {
+        let mut end = start + 1;
+        while end < self.count && self.overlap(end - 1, end, fwhm_samples) {
+            end += 1;
+        }
+        end
+    }
+
+    /// Divides the sorted pulses into jointly fitted clusters.
+    ///
+    /// Returns whether the clusters have changed.
+    pub(super) fn set_clusters(&mut self, fwhm_samples: f32) -> bool {
+        if self.count < 2 {
+            let end = self.count as u8;
+            let others = self.ends[0] != end || self.ends[1] != 0;
+            (self.ends[0], self.ends[1]) = (end, 0);
+            return others;
+        }
+        let before = self.ends;
+        self.ends = [0; MAX_PULSES];
+        let mut end = 0;
+        for number in 0..MAX_PULSES {
+            if end < self.count {
+                end = self.cluster_end(end, fwhm_samples);
+                self.ends[number] = end as u8;
+            }
+        }
+        self.ends != before
+    }
+
+    /// Returns a cluster by number.
+    pub(super) fn cluster(&self, number: usize) -> Option<Range<usize>> {
+        let end = usize::from(*self.ends.get(number)?);
+        let start = number.checked_sub(1).map_or(0, |before| usize::from(self.ends[before]));
+        (start < end).then_some(start..end)
+    }
+
+    /// Returns the sorted pulses that form a cluster with a pulse at `position`.
+    pub(super) fn cluster_around(&self, position: f32, fwhm_samples: f32) -> Range<usize> {
+        let near = |p: &PulseComponent| (p.position() - position).abs() < reach(p, fwhm_samples);
+        let Some(first) = self.pulses().iter().position(near) else {
+            let at = self.pulses().partition_point(|p| p.position() < position);
+            return at..at;
+        };
+        let last = self.pulses().iter().rposition(near).unwrap_or(first);
+        let (mut start, mut end) = (first, last + 1);
+        while start > 0 && self.overlap(start - 1, start, fwhm_samples) {
+            start -= 1;
+        }
+        while end < self.count && self.overlap(end - 1, end, fwhm_samples) {
+            end += 1;
+        }
+        start..end
+    }
+}
+
+fn reach(pulse: &PulseComponent, fwhm_samples: f32) -> f32 {
+    CLUSTER_WIDTHS as f32 * fwhm_samples * pulse.width_ratio().max(1.0)
+}

@@ -1,0 +1,423 @@
+//! Residual search after the first fit: overlooked pulses, and widened pulses that are two.
+
+mod trial;
+
+use std::ops::Range;
+
+use super::Mode;
+use super::batch::{ChiSquares, Decompose, Workspace};
+use super::candidates::{Candidates, FilterPeak};
+use super::detection::FilterResiduals;
+use super::fit_queue::{Aim, add, take_off};
+use super::fitted::FittedPulse;
+use super::level::JointSquares;
+use super::pulse_model::{MAX_CLUSTER, PulseComponent, PulseModel, Way};
+use super::rows::BATCH;
+use super::score_test::Scores;
+use super::tables::U_MAX;
+use crate::decompose::acceptance::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, TRIAL_PART, too_near};
+use crate::flags;
+
+pub(super) use trial::Trial;
+use trial::{Change, divided};
+
+/// Maximum number of rounds; a waveform that still changes goes to the scalar kernels.
+const ROUNDS: usize = 4;
+/// Fraction of the required gain that a trial must reach with a fixed level.
+///
+/// With several pulses, chi-square may decrease by only this fraction of the decrease with a free
+/// level.
+const HELD_PART: f32 = 0.5;
+/// Margin below the required gain within which an unfinished trial stays undecided.
+const OPEN_GAIN: f32 = 4.0;
+
+impl Decompose<'_> {
+    /// Adds and splits pulses as long as chi-square decreases enough; refined mode only.
+    pub(super) fn search_residuals(&mut self) {
+        if self.mode != Mode::Refined || self.settings.max_added == 0 {
+            return;
+        }
+        let work = &mut *self.work;
+        work.active.clear();
+        for (pulse_model, block) in work.pulse_models.iter_mut().zip(self.blocks) {
+            if pulse_model.way == Way::Fast && is_cut_short(pulse_model) {
+                pulse_model.chi_square = match least_beyond(pulse_model) {
+                    Some(least) => least,
+                    // Near a good fit, only the scalar form can evaluate pulses of any width.
+                    None => {
+                        let pulses = pulse_model.pulses().iter().map(|p| p.values().map(f64::from));
+                        let rival = self.plain.chi_square_of(block.samples, block.start_phase, pulses);
+                        pulse_model.chi_square.min(rival as f32)
+                    }
+                };
+            }
+        }
+        let room = 1..self.settings.max_returns;
+        let pulse_models = work.pulse_models.iter().enumerate();
+        let begun = pulse_models.filter(|(_, pulse_model)| {
+            pulse_model.way == Way::Fast && room.contains(&pulse_model.pulses().len())
+        });
+        work.active.extend(begun.map(|(row, _)| row));
+        for _ in 0..ROUNDS {
+            if self.work.active.is_empty() {
+                break;
+            }
+            self.start_round();
+            self.search();
+            for is_first in [true, false] {
+                self.plan_additions(is_first);
+                self.run_trials();
+            }
+            if let Some(evidence) = self.settings.split_evidence {
+                self.plan_divisions(evidence);
+                self.run_trials();
+            }
+            self.end_round();
+        }
+        for i in 0..self.work.active.len() {
+            let row = self.work.active[i];
+            self.work.pulse_models[row].give_up();
+        }
+        for pulse_model in &mut self.work.pulse_models {
+            if pulse_model.way == Way::Fast && is_cut_short(pulse_model) {
+                pulse_model.give_up();
+            }
+        }
+    }
+
+    fn start_round(&mut self) {
+        self.work.due.clear();
+        for &row in &self.work.active {
+            self.work.pulse_models[row].has_changed = false;
+        }
+    }
+
+    /// Keeps the changed waveforms with room for more pulses; fits their clusters again.
+    fn end_round(&mut self) {
+        let fwhm = self.fwhm();
+        let Workspace { active, due, pulse_models, .. } = &mut *self.work;
+        active.retain(|&row| pulse_models[row].has_changed && pulse_models[row].way == Way::Fast);
+        for &row in active.iter() {
+            pulse_models[row].set_clusters(fwhm);
+            // A single cluster has just been fitted.
+            if pulse_models[row].cluster(1).is_some() {
+                due.push(row);
+            }
+        }
+        self.fit_clusters(1);
+        let Workspace { which, due, active, .. } = &mut *self.work;
+        which.clear();
+        if self.tables.level.is_some() {
+            which.extend_from_slice(active);
+            self.set_levels_of_which();
+        } else {
+            which.extend_from_slice(due);
+            self.sum_squares();
+        }
+        let (pulse_models, settings) = (&self.work.pulse_models, self.settings);
+        self.work.active.retain(|&row| {
+            let pulse_model = &pulse_models[row];
+            let room = pulse_model.pulses().len() < settings.max_returns
+                && pulse_model.counts.n_added < settings.max_added;
+            room && pulse_model.way == Way::Fast
+        });
+    }
+
+    /// Finds the candidates in the residual of each active waveform.
+    fn search(&mut self) {
+        let least = TRIAL_PART as f32 * self.thresholds.sigma.least as f32;
+        let Workspace { rows, columns, active: which, candidates: out, .. } = &mut *self.work;
+        self.on.run(FilterResiduals { tables: self.tables, rows, columns, which, threshold: least, out });
+    }
+
+    /// Plans trials with one more pulse.
+    ///
+    /// First at the largest maximum of each residual, from the most likely start values. Waveforms
+    /// not improved by it get other start values, and a trial at the second maximum.
+    fn plan_additions(&mut self, is_first: bool) {
+        for i in 0..self.work.active.len() {
+            let row = self.work.active[i];
+            let pulse_model = &self.work.pulse_models[row];
+            if pulse_model.has_changed || pulse_model.way == Way::Plain {
+                continue;
+            }
+            let [first, second] = self.greatest(pulse_model, &self.work.candidates[i]);
+            if is_first {
+                first.into_iter().for_each(|candidate| self.plan_addition(row, &candidate, true));
+            } else {
+                first.into_iter().for_each(|candidate| self.plan_addition(row, &candidate, false));
+                second.into_iter().for_each(|candidate| self.plan_addition(row, &candidate, true));
+            }
+        }
+    }
+
+    /// Returns the two candidates highest above their thresholds, if worth a trial.
+    fn greatest(&self, pulse_model: &PulseModel, found: &Candidates) -> [Option<FilterPeak>; 2] {
+        let least = TRIAL_PART * self.thresholds.sigma.least;
+        let mut best: [(f64, Option<FilterPeak>); 2] = [(least, None); 2];
+        for candidate in found.as_slice() {
+            let raise = self.thresholds.raise(pulse_model, candidate.position_samples, f32::INFINITY);
+            let strength = f64::from(candidate.statistic) / raise;
+            if strength >= best[0].0 {
+                best = [(strength, Some(*candidate)), best[0]];
+            } else if strength >= best[1].0 {
+                best[1] = (strength, Some(*candidate));
+            }
+        }
+        best.map(|(_, candidate)| candidate)
+    }
+
+    fn plan_addition(&mut self, row: usize, candidate: &FilterPeak, is_likely: bool) {
+        let pulse_model = self.work.pulse_models[row];
+        let position = candidate.position_samples;
+        let threshold = self.thresholds.threshold(&pulse_model, position, f32::INFINITY);
+        let gain = (GAIN_PART * threshold * threshold) as f32;
+        let trial = Trial::near(row, &pulse_model, position, self.fwhm(), gain);
+        let added = PulseComponent::new([candidate.statistic / self.thresholds.per_dn, position, 0.0]);
+        if is_likely {
+            self.plan(trial, &pulse_model, Change::Add(added));
+        }
+        let distance = |i: &usize| (pulse_model.pulses()[*i].position() - position).abs();
+        let nearest = trial.old().min_by(|i, j| distance(i).total_cmp(&distance(j)));
+        let Some(nearest) = nearest else { return };
+        let ratio = pulse_model.pulses()[nearest].width_ratio();
+        if distance(&nearest) < 1.5 * self.fwhm() * ratio.max(1.0) && ratio > HIDING_WIDTH_RATIO as f32 {
+            let change = if is_likely {
+                Change::Divide(nearest, DIVIDED_PARTS[0] as f32)
+            } else {
+                Change::AddToNarrow(added, nearest)
+            };
+            self.plan(trial, &pulse_model, change);
+        }
+    }
+
+    /// Plans trials that split widened pulses with a high score.
+    fn plan_divisions(&mut self, evidence: f64) {
+        self.work.suspects.clear();
+        self.work.suspect_numbers.clear();
+        for i in 0..self.work.active.len() {
+            let row = self.work.active[i];
+            let pulse_model = &self.work.pulse_models[row];
+            if pulse_model.has_changed || pulse_model.way == Way::Plain {
+                continue;
+            }
+            for (number, pulse) in pulse_model.pulses().iter().enumerate() {
+                let height = f64::from(pulse.height());
+                if pulse.width_ratio() > HIDING_WIDTH_RATIO as f32
+                    && !self.thresholds.allowance.overdrives(height)
+                {
+                    self.work.suspects.push((row, *pulse));
+                    self.work.suspect_numbers.push(number);
+                }
+            }
+        }
+        let Workspace { rows, suspects, scores, .. } = &mut *self.work;
+        self.on.run(Scores { tables: self.tables, rows, pulses: suspects, out: scores });
+        let [equal, stronger, weaker] = DIVIDED_PARTS.map(|part| part as f32);
+        for i in 0..self.work.suspects.len() {
+            let (row, _) = self.work.suspects[i];
+            let (score, is_earlier) = self.work.scores[i];
+            if f64::from(score) > self.settings.split_score {
+                let part = if is_earlier { stronger } else { weaker };
+                self.plan_division(row, self.work.suspect_numbers[i], [equal, part], evidence);
+            }
+        }
+    }
+
+    fn plan_division(&mut self, row: usize, number: usize, parts: [f32; 2], evidence: f64) {
+        let pulse_model = self.work.pulse_models[row];
+        let position = pulse_model.pulses()[number].position();
+        // An apparent split due to an error of the response is not evidence.
+        let raise = self.thresholds.raise(&pulse_model, position, f32::INFINITY);
+        let gain = (evidence * raise * raise) as f32;
+        let trial = Trial::near(row, &pulse_model, position, self.fwhm(), gain);
+        for part in parts {
+            self.plan(trial, &pulse_model, Change::Divide(number, part));
+        }
+    }
+
+    /// Plans a trial that changes its old pulses.
+    fn plan(&mut self, mut trial: Trial, pulse_model: &PulseModel, change: Change) {
+        let old = trial.old();
+        let (count, pulses) = (old.len() + 1, &mut trial.pulses);
+        pulses[..old.len()].copy_from_slice(&pulse_model.pulses()[old.clone()]);
+        match change {
+            Change::Add(added) => pulses[count - 1] = added,
+            Change::AddToNarrow(added, nearest) => {
+                pulses[..old.len()].iter_mut().for_each(|p| p.set_values([p.height(), p.position(), 0.0]));
+                pulses[nearest - old.start].flags |= flags::DIVERGED;
+                pulses[count - 1] = added.flagged(flags::DIVERGED);
+            }
+            Change::Divide(number, part) => {
+                let [first, second] = divided(&pulse_model.pulses()[number], part, self.fwhm());
+                pulses[number - old.start] = first;
+                pulses[count - 1] = second;
+            }
+        }
+        pulses[..count].sort_unstable_by(|a, b| a.position().total_cmp(&b.position()));
+        trial.count = count;
+        self.work.trials.push(trial);
+    }
+
+    /// Fits all trials and accepts the best of each waveform if justified.
+    ///
+    /// Each trial has its own row.
+    fn run_trials(&mut self) {
+        let batch = self.work.rows.batch();
+        for first in (0..self.work.trials.len()).step_by(batch) {
+            let end = (first + batch).min(self.work.trials.len());
+            self.fit_trials(first..end);
+        }
+        let mut first = 0;
+        while first < self.work.trials.len() {
+            let row = self.work.trials[first].row;
+            let mut best = first;
+            let mut end = first;
+            while end < self.work.trials.len() && self.work.trials[end].row == row {
+                if self.work.trials[end].objective < self.work.trials[best].objective {
+                    best = end;
+                }
+                end += 1;
+            }
+            self.judge(first..end, best);
+            first = end;
+        }
+        self.work.trials.clear();
+    }
+
+    /// Accepts the best of a waveform's trials, or passes the waveform to the scalar kernels.
+    fn judge(&mut self, trials: Range<usize>, best: usize) {
+        let trial = self.work.trials[best];
+        let pulse_model = &self.work.pulse_models[trial.row];
+        if pulse_model.way == Way::Plain {
+            return;
+        }
+        let gained = |trial: &Trial| pulse_model.chi_square - trial.chi_square - trial.gain;
+        let is_open = |trial: &Trial| !trial.has_ended && !trial.is_dropped && gained(trial) > -OPEN_GAIN;
+        if trial.objective.is_finite() && gained(&trial) >= 0.0 {
+            self.take_up(&trial);
+        } else if self.work.trials[trials].iter().any(is_open) {
+            self.work.pulse_models[trial.row].give_up();
+        }
+    }
+
+    fn fit_trials(&mut self, trials: Range<usize>) {
+        let (on, tables) = (self.on, self.tables);
+        let work = &mut *self.work;
+        for (row, at) in (BATCH..).zip(trials.clone()) {
+            let trial = &work.trials[at];
+            work.rows.copy(trial.row, row);
+            for pulse in &work.pulse_models[trial.row].pulses()[trial.old()] {
+                add(on, tables, &mut work.rows, row, pulse.values(), 1.0);
+            }
+            let mut values = [[0.0; 3]; MAX_CLUSTER];
+            for (values, pulse) in values.iter_mut().zip(trial.pulses()) {
+                *values = pulse.values();
+            }
+            let pulse_model = &work.pulse_models[trial.row];
+            // The fit holds the level, so another pulse lowers chi-square by less than with a free
+            // level.
+            let least_gain = match tables.level {
+                Some(_) => HELD_PART * trial.gain * self.thresholds.left_by_level(pulse_model) as f32,
+                None => trial.gain,
+            };
+            let aim = Aim::trial(pulse_model.chi_square - least_gain, trial.row);
+            work.queues.push(tables, row, &values[..trial.count], aim, at);
+        }
+        let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
+        work.queues.run(on, tables, &work.rows, precision, &mut work.done);
+        for done in &work.done.list {
+            let fitted = work.done.pulses(done);
+            let trial = &mut work.trials[done.tag];
+            trial.is_dropped = done.is_dropped;
+            trial.has_ended = done.is_optimum && fitted.iter().all(FittedPulse::is_held);
+            for (pulse, fitted) in trial.pulses.iter_mut().zip(fitted) {
+                pulse.take(fitted);
+                pulse.sds = fitted.sds;
+                pulse.flags |= flags::REFINED;
+            }
+        }
+        take_off(on, tables, &mut work.rows, &work.done);
+        let least = self.thresholds.least_separation;
+        work.which.clear();
+        work.which.extend(BATCH..BATCH + trials.len());
+        let Workspace { rows, which, squares: out, levels, pulse_models, trials: all, .. } = &mut *work;
+        if let Some(level) = &tables.level {
+            levels.clear();
+            levels.extend(all[trials.clone()].iter().map(|trial| {
+                let pulse_model = &pulse_models[trial.row];
+                [pulse_model.level_dn, trial.level_information(pulse_model)]
+            }));
+            on.run(JointSquares { tables, level, rows, which, levels, out });
+        } else {
+            on.run(ChiSquares { rows, which, out });
+        }
+        for (trial, square) in work.trials[trials].iter_mut().zip(&work.squares) {
+            trial.chi_square = *square;
+            if trial.has_ended {
+                let old = &work.pulse_models[trial.row].pulses()[trial.old()];
+                // A trial that brings two pulses closer than the minimum separation is no
+                // improvement.
+                let near =
+                    |pulses: &[PulseComponent]| too_near(pulses.iter().map(PulseComponent::position), least);
+                if near(trial.pulses()) <= near(old) {
+                    let widths: f32 = trial.pulses().iter().map(|p| p.values()[2].powi(2)).sum();
+                    trial.objective = square + if trial.count > 1 { precision * widths } else { 0.0 };
+                }
+            }
+        }
+    }
+
+    fn take_up(&mut self, trial: &Trial) {
+        let work = &mut *self.work;
+        let pulse_model = &mut work.pulse_models[trial.row];
+        let before = *pulse_model;
+        if trial.is_part || !pulse_model.replace(trial.old(), trial.pulses()) {
+            pulse_model.give_up();
+            return;
+        }
+        let samples = work.rows.length(trial.row);
+        if !trial.pulses().iter().all(|pulse| self.thresholds.is_return(pulse_model, pulse, samples)) {
+            // Its pulses would be rejected as returns.
+            *pulse_model = before;
+            return;
+        }
+        for pulse in &before.pulses()[trial.old()] {
+            add(self.on, self.tables, &mut work.rows, trial.row, pulse.values(), 1.0);
+        }
+        for pulse in trial.pulses() {
+            add(self.on, self.tables, &mut work.rows, trial.row, pulse.values(), -1.0);
+        }
+        pulse_model.chi_square = trial.chi_square;
+        pulse_model.sort();
+        pulse_model.counts.n_added += 1;
+        pulse_model.refined_twice = true;
+        pulse_model.has_changed = true;
+        pulse_model.is_levelled = false;
+    }
+}
+
+/// Whether a pulse is at the width limit of the tables.
+fn is_cut_short(pulse_model: &PulseModel) -> bool {
+    pulse_model.pulses().iter().any(|p| p.values()[2] >= U_MAX as f32)
+}
+
+/// Bound on the decrease of chi-square by widths beyond the tables.
+///
+/// The sum of this many promised decreases of the next step and this fraction of chi-square.
+/// Measured for pulses composed of two: at most 3 decreases and this fraction.
+const BEYOND_REACH: f32 = 4.0;
+const BEYOND_PART: f32 = 0.1;
+/// Chi-square in excess of the number of samples that excludes a good fit.
+///
+/// It is six standard deviations for 60 samples.
+const NO_GOOD_FIT: f32 = 64.0;
+
+/// Lower bound of chi-square with widths beyond the limit of the tables.
+///
+/// `None` if it could be a good fit. A trial below the bound is better than the wide pulses could
+/// be.
+fn least_beyond(pulse_model: &PulseModel) -> Option<f32> {
+    let least = (1.0 - BEYOND_PART) * pulse_model.chi_square - BEYOND_REACH * pulse_model.beyond;
+    (least > pulse_model.samples as f32 + NO_GOOD_FIT).then_some(least)
+}

@@ -1,0 +1,114 @@
+//! Trials of the residual search: clusters that may replace others.
+
+use std::ops::Range;
+
+use super::super::pulse_model::{MAX_CLUSTER, PulseComponent, PulseModel};
+use crate::flags;
+use crate::shape::SD_OF_FWHM;
+
+/// A cluster that may replace another.
+#[derive(Clone, Copy)]
+pub(in super::super) struct Trial {
+    pub(super) row: usize,
+    pub(super) old: (usize, usize),
+    pub(super) pulses: [PulseComponent; MAX_CLUSTER],
+    pub(super) count: usize,
+    /// Whether the cluster is part of one that is too large.
+    ///
+    /// If it is accepted, the scalar kernels take the waveform.
+    pub(super) is_part: bool,
+    /// Required decrease of chi-square.
+    pub(super) gain: f32,
+    pub(super) chi_square: f32,
+    /// Whether the fit ended at an optimum.
+    pub(super) has_ended: bool,
+    /// Whether the fit was stopped because it could not have been accepted.
+    pub(super) is_dropped: bool,
+    /// Chi-square with the prior terms.
+    ///
+    /// Without priors a narrow pulse with a wide one often fits as well as the true pair.
+    pub(super) objective: f32,
+}
+
+impl Trial {
+    /// Creates a trial that replaces pulses near a position if chi-square decreases by `gain`.
+    pub(super) fn near(
+        row: usize,
+        pulse_model: &PulseModel,
+        position: f32,
+        fwhm_samples: f32,
+        gain: f32,
+    ) -> Trial {
+        let whole = pulse_model.cluster_around(position, fwhm_samples);
+        let old = part_of(pulse_model, whole.clone(), position);
+        Trial {
+            row,
+            old: (old.start, old.end),
+            pulses: [PulseComponent::default(); MAX_CLUSTER],
+            count: 0,
+            is_part: old.len() < whole.len(),
+            has_ended: false,
+            is_dropped: false,
+            gain,
+            chi_square: f32::INFINITY,
+            objective: f32::INFINITY,
+        }
+    }
+
+    pub(super) fn old(&self) -> Range<usize> {
+        self.old.0..self.old.1
+    }
+
+    pub(super) fn pulses(&self) -> &[PulseComponent] {
+        &self.pulses[..self.count]
+    }
+
+    /// Information on the level that the pulses absorb if the trial is accepted, 1/DN².
+    pub(super) fn level_information(&self, pulse_model: &PulseModel) -> f32 {
+        let others = &pulse_model.pulses()[..self.old.0];
+        let others = others.iter().chain(&pulse_model.pulses()[self.old.1..]);
+        others.chain(self.pulses()).map(|pulse| pulse.level_information).sum()
+    }
+}
+
+/// Change of a cluster in a trial.
+#[derive(Clone, Copy)]
+pub(super) enum Change {
+    /// Adds a pulse.
+    Add(PulseComponent),
+    /// Adds a pulse; all start with the calibrated width.
+    ///
+    /// The index is that of its nearest neighbour.
+    AddToNarrow(PulseComponent, usize),
+    /// Splits a pulse into two of the calibrated width.
+    ///
+    /// The first has this fraction of its energy.
+    Divide(usize, f32),
+}
+
+/// Returns the cluster, or two pulses of one that is too large.
+///
+/// The two are the neighbours nearest to `position`.
+fn part_of(pulse_model: &PulseModel, cluster: Range<usize>, position: f32) -> Range<usize> {
+    if cluster.len() < MAX_CLUSTER {
+        return cluster;
+    }
+    let distance = |i: &usize| {
+        let pulses = &pulse_model.pulses()[*i..*i + 2];
+        pulses.iter().map(|p| (p.position() - position).abs()).sum::<f32>()
+    };
+    let start = (cluster.start..cluster.end - 1).min_by(|i, j| distance(i).total_cmp(&distance(j)));
+    start.map_or(cluster, |start| start..start + 2)
+}
+
+/// Splits a widened pulse into two of the calibrated width with its first moments.
+pub(super) fn divided(pulse: &PulseComponent, part: f32, fwhm_samples: f32) -> [PulseComponent; 2] {
+    let [height, centre, _] = pulse.values();
+    let ratio = pulse.width_ratio();
+    let separation =
+        SD_OF_FWHM as f32 * fwhm_samples * ((ratio * ratio - 1.0) / (part * (1.0 - part))).max(0.0).sqrt();
+    let energy = ratio * height;
+    let flags = pulse.flags | flags::SPLIT;
+    let of = |part: f32, position: f32| PulseComponent::new([part * energy, position, 0.0]).flagged(flags);
+    [of(part, centre - (1.0 - part) * separation), of(1.0 - part, centre + part * separation)]
+}

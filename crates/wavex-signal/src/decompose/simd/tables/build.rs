@@ -1,0 +1,218 @@
+//! Computation of the tables.
+
+use super::*;
+
+impl Tables {
+    pub(super) fn add_node(&mut self, series: &Series, peak_dn: f64, filter: &Whitening, is_first: bool) {
+        let mut node = TemplateNode {
+            peak_dn: peak_dn as f32,
+            entries: Aligned::zeros(KNOTS * PHASES * ENTRY),
+            tails: Aligned::zeros(PHASES * self.tail_stride),
+        };
+        let calibrated = series.widened(0.0);
+        let tail_samples = self.tail_stride - 2 * LANES;
+        for (phase, tail) in node.tails.as_mut_slice().chunks_exact_mut(self.tail_stride).enumerate() {
+            let from = ROW as i64 - i64::from(BEFORE_PEAK);
+            for (k, value) in tail[LANES..].iter_mut().enumerate().take(tail_samples) {
+                *value = filter.at(&calibrated, 0, from + k as i64, phase) as f32;
+            }
+        }
+        for (knot, entries) in node.entries.as_mut_slice().chunks_exact_mut(ENTRY * PHASES).enumerate() {
+            let u = U_MIN + knot as f64 * U_STEP;
+            let widened = series.widened(u);
+            if is_first {
+                self.tail_gain[knot] = (calibrated.top / widened.top) as f32;
+            }
+            for (phase, entry) in entries.chunks_exact_mut(ENTRY).enumerate() {
+                let fisher = fill_entry(entry, &widened, phase, filter);
+                if is_first {
+                    let inverse = inverse(fisher);
+                    self.inverse_fisher.push(inverse);
+                    let row = |k: usize| &entry[LANES + k * ROW_STRIDE..][..ROW];
+                    let [pulse, by_time, by_width] = [row(0), row(1), row(3)];
+                    if let Some(level) = &mut self.level {
+                        let [a, t, u] = [pulse, by_time, by_width].map(|row| row.iter().sum::<f32>());
+                        level.push(&inverse, [a, -t, u]);
+                    }
+                    let of_pulse = holding(pulse, NEGLIGIBLE_ENERGY);
+                    let of_values =
+                        [pulse, by_time, by_width].map(|row| holding(row, NEGLIGIBLE_INFORMATION));
+                    if phase == 0 {
+                        (self.needed[knot], self.telling[knot]) = (of_pulse, of_values[0]);
+                    }
+                    self.needed[knot] = both(self.needed[knot], of_pulse);
+                    self.telling[knot] = of_values.into_iter().fold(self.telling[knot], both);
+                }
+            }
+        }
+        self.nodes.push(node);
+    }
+
+    pub(super) fn fill_bank(&mut self) {
+        for phase in 0..PHASES {
+            for k in 0..BANK {
+                let entry = *self.entry(0, (BANK_FIRST + k * BANK_STRIDE) * PHASES + phase);
+                let row = &entry[LANES..LANES + ROW];
+                let scale = row.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>().sqrt().recip();
+                let at = (phase * BANK + k) * ROW;
+                for (out, &value) in self.bank.as_mut_slice()[at..at + ROW].iter_mut().zip(row) {
+                    *out = (f64::from(value) * scale) as f32;
+                }
+                // The energy hardly depends on the phase: the middle one is used for all.
+                if phase == PHASES / 2 {
+                    self.bank_scale[k] = scale as f32;
+                }
+            }
+        }
+    }
+
+    /// Combines whitening and matched filter into taps of unit output variance.
+    ///
+    /// At the edges of a block missing samples are taken as background. The gain there is the
+    /// inverse standard deviation, or 0 if too little energy is left.
+    pub(super) fn set_filter(
+        &mut self,
+        pulse: &Widened,
+        filter: &Whitening,
+        noise: &ArNoise,
+        background_dn: &[f64; 4],
+    ) {
+        let template: [f64; FILTER_LAGS] =
+            std::array::from_fn(|k| filter.at(pulse, 0, k as i64 - i64::from(FILTER_BEFORE), 0));
+        let norm = template.iter().map(|v| v * v).sum::<f64>().sqrt().recip();
+        let mut taps = [0.0; TAPS];
+        for (i, value) in template.iter().enumerate() {
+            for (lag, tap) in filter.taps.iter().enumerate() {
+                taps[i + MAX_ORDER - lag] += norm * tap * value;
+            }
+        }
+        let mut lags = [0.0; TAPS];
+        noise.autocovariance_into(&mut lags);
+        let at = |i: usize| pulse.at(0, (i as i64 - TAPS_BEFORE as i64) * PHASES as i64);
+        let part = |used: std::ops::Range<usize>| {
+            let signal: f64 = used.clone().map(|i| taps[i] * at(i)).sum();
+            let pairs = used.clone().flat_map(|i| used.clone().map(move |j| (i, j)));
+            let variance: f64 = pairs.map(|(i, j)| taps[i] * taps[j] * lags[i.abs_diff(j)]).sum();
+            (signal, variance)
+        };
+        let whole = part(0..TAPS).0.powi(2);
+        let gain = |used| {
+            let (signal, variance) = part(used);
+            let enough = signal > 0.0 && signal * signal >= LEAST_ENERGY_PART * whole * variance;
+            if enough { variance.sqrt().recip() as f32 } else { 0.0 }
+        };
+        self.filter = Filter::new(&taps, background_dn, gain);
+        if let Some(level) = &mut self.level {
+            level.filter = Filter::new(&taps, &[1.0; 4], gain);
+        }
+        let scale = f64::from(self.filter.scale());
+        self.matched = template.map(|value| (value * norm / scale) as f32);
+    }
+}
+
+/// First and end sample of a row without negligible energy at either end.
+pub(super) fn holding(row: &[f32], negligible: f32) -> [i32; 2] {
+    let whole: f32 = row.iter().map(|v| v * v).sum();
+    let (mut energy, mut first) = (0.0, 0);
+    while first < row.len() && energy + row[first] * row[first] <= negligible * whole {
+        energy += row[first] * row[first];
+        first += 1;
+    }
+    let (mut energy, mut end) = (0.0, row.len());
+    while end > first && energy + row[end - 1] * row[end - 1] <= negligible * whole {
+        end -= 1;
+        energy += row[end] * row[end];
+    }
+    [first as i32, end as i32]
+}
+
+/// Returns the smallest span that contains two spans.
+pub(super) fn both(a: [i32; 2], b: [i32; 2]) -> [i32; 2] {
+    [a[0].min(b[0]), a[1].max(b[1])]
+}
+
+/// Returns the exact whitening of the first samples of a block, row by row.
+pub(super) fn beginning(noise: &ArNoise) -> [[f32; MAX_ORDER]; MAX_ORDER] {
+    let mut whitener = Whitener::new(noise.clone(), MAX_ORDER);
+    whitener.set_used(&[true; MAX_ORDER]);
+    let mut begin = [[0.0; MAX_ORDER]; MAX_ORDER];
+    for j in 0..MAX_ORDER {
+        let mut unit = [0.0; MAX_ORDER];
+        unit[j] = 1.0;
+        whitener.whiten(&mut unit);
+        for (row, value) in begin.iter_mut().zip(unit) {
+            row[j] = value as f32;
+        }
+    }
+    begin
+}
+
+/// The whitening filter in the steady state.
+pub(super) struct Whitening {
+    pub(super) taps: [f64; MAX_ORDER + 1],
+}
+
+impl Whitening {
+    /// Whitened shape at `sample` whole samples after that of the peak.
+    ///
+    /// The peak is `phase` steps late.
+    fn at(&self, shapes: &Widened, shape: usize, sample: i64, phase: usize) -> f64 {
+        let step = |lag: usize| (sample - lag as i64) * PHASES as i64 - phase as i64;
+        self.taps.iter().enumerate().map(|(lag, tap)| tap * shapes.at(shape, step(lag))).sum()
+    }
+}
+
+/// Fills the templates of a width and phase; returns their Fisher matrix.
+///
+/// Of height, position and width, lower triangle.
+fn fill_entry(entry: &mut [f32], widened: &Widened, phase: usize, filter: &Whitening) -> [f64; 6] {
+    let mut fisher = [0.0; 6];
+    for k in 0..ROW {
+        let sample = k as i64 - i64::from(BEFORE_PEAK);
+        let values: [f64; TEMPLATES] = std::array::from_fn(|shape| filter.at(widened, shape, sample, phase));
+        for (template, value) in values.iter().enumerate() {
+            entry[LANES + template * ROW_STRIDE + k] = *value as f32;
+        }
+        let row = [values[0], -values[1], values[3]];
+        for (f, (i, j)) in fisher.iter_mut().zip(LOWER) {
+            *f += row[i] * row[j];
+        }
+    }
+    fisher
+}
+
+/// Lower triangle of a 3 x 3 matrix, row by row.
+const LOWER: [(usize, usize); 6] = [(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)];
+
+pub(super) fn inverse(m: [f64; 6]) -> [f32; 8] {
+    let [aa, at, tt, au, tu, uu] = m;
+    let cofactors = [
+        tt * uu - tu * tu,
+        au * tu - at * uu,
+        aa * uu - au * au,
+        at * tu - au * tt,
+        at * au - aa * tu,
+        aa * tt - at * at,
+    ];
+    let determinant = aa * cofactors[0] + at * cofactors[1] + au * cofactors[3];
+    let mut out = [0.0; 8];
+    for (out, cofactor) in out.iter_mut().zip(cofactors) {
+        *out = (cofactor / determinant) as f32;
+    }
+    out
+}
+
+/// Creates a Gaussian response of the calibrated width.
+pub(super) fn gaussian_response(fwhm_samples: f64) -> SystemResponse {
+    let reach = (2.5 * fwhm_samples).ceil() as i32;
+    let steps = STEPS_PER_SAMPLE as i32;
+    let value = |k: i32| (-FOUR_LN_2 * (f64::from(k) / f64::from(steps) / fwhm_samples).powi(2)).exp();
+    let values = (-reach * steps..=reach * steps).map(value).collect();
+    SystemResponse {
+        first_sample: -reach,
+        nodes: vec![ResponseNode { peak_dn: 1.0, values }],
+        template_error: Vec::new(),
+        echoes: 0,
+        shape_sd: 0.0,
+    }
+}
