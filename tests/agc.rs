@@ -1,15 +1,13 @@
 //! Automatic gain control: results do not depend on the gain of the recorded blocks.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
-mod support;
-
 use std::collections::BTreeMap;
 
-use support::las::{HEADER, Las, descriptor, vlr};
-use support::{Outcome, Place, notes};
 use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, GainControl, LineBuilder,
 };
+use wavex_testkit::las::{HEADER, Las, descriptor, vlr};
+use wavex_testkit::{Outcome, TestFolder, notes};
 
 /// Level ground; no echo overdrives the receiver at gain 4, and noise never clips at 0.
 const FLIGHT: &str = "\
@@ -57,7 +55,7 @@ struct Found {
 
 /// Runs a flight and compares the results with its truth.
 fn fly(lines: u32, keys: &str, between: &str, decompose: &str) -> Found {
-    let place = Place::new();
+    let place = TestFolder::new();
     let stages = format!(
         "{FLIGHT}lines = {lines}\n{keys}{between}[[stage]]\ntype = 'calibrate'\n[[stage]]\ntype = 'decompose'\n{decompose}{TABLE}"
     );
@@ -175,7 +173,7 @@ fn two_receivers_go_together_at_every_gain() {
     let keys = format!("{GAINS}high_power = true\nhigh_power_from_dn = 20\ndetector = 'linear'\n");
     let keys = keys + "high_power_noise_sd_dn = 0.7\n";
     let flight = FLIGHT.replace("ground_amplitude_dn = 40", "ground_amplitude_dn = 120");
-    let place = Place::new();
+    let place = TestFolder::new();
     let stages = format!(
         "{flight}lines = 10\n{keys}[[stage]]\ntype = 'fuse_channels'\n[[stage]]\ntype = 'calibrate'\n\
          [[stage]]\ntype = 'decompose'\n{TABLE}"
@@ -208,7 +206,7 @@ fn two_receivers_go_together_at_every_gain() {
 
 #[test]
 fn a_recording_with_gains_is_the_same_through_a_container() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let flight = format!("{FLIGHT}lines = 2\n{GAINS}");
     let copy = "[[stage]]\ntype = 'write_arrow'\npath = '*.arrow'\n";
     assert_eq!(place.run(&format!("{flight}{copy}")).code, Some(0));
@@ -255,7 +253,7 @@ fn a_recording_that_does_not_say_its_gains_is_warned_of() {
     let (channel, start_ns) = (1, 4000.0);
     line.block(&ContainerBlock { channel, start_ns, interval_ns: None, zone: None, gain: None, samples });
     writer.write(line).unwrap();
-    let place = Place::with(&[("made.arrow", &writer.finish().unwrap())]);
+    let place = TestFolder::with(&[("made.arrow", &writer.finish().unwrap())]);
     let copy = "[[stage]]\ntype = 'write_arrow'\npath = '*_copy.arrow'\n";
     let input = place.succeeds("read_arrow", "made.arrow", copy);
     assert!(notes(&input).iter().any(|note| note.starts_with(UNKNOWN)), "{:?}", notes(&input));
@@ -277,7 +275,7 @@ fn descriptors_of_different_gains_are_warned_of() {
         las.vlrs.push(vlr("LASF_Spec", 101, &other));
         assert!(las.offset_of(0) > HEADER);
         let (points, packets) = (las.las(), las.packets.clone());
-        let place = Place::with(&[("made.las", &points), ("made.wdp", &packets)]);
+        let place = TestFolder::with(&[("made.las", &points), ("made.wdp", &packets)]);
         let copy = "[[stage]]\ntype = 'write_arrow'\npath = '*_copy.arrow'\n";
         let input = place.succeeds("read_las", "made.las", copy);
         notes(&input).iter().any(|note| note.starts_with(UNKNOWN))

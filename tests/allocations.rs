@@ -13,11 +13,7 @@ use wavex_signal::calibrate::Block;
 use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::lockstep::{Lockstep, Mode, Outcomes, SimdLevel, Tables};
 
-#[allow(dead_code, reason = "the benches use all of it")]
-#[path = "../benches/scenes/mod.rs"]
-mod scenes;
-
-use scenes::{SAMPLES, Scene, Waveforms, model, noise};
+use wavex_testkit::waveforms::{SAMPLES, Scene, Waveforms, model, noise};
 
 /// The system allocator with a counter of requests per thread.
 struct Counting;

@@ -1,18 +1,16 @@
 //! Archives of runs: creation, replay in another place, and detection of tampering.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-mod support;
-
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
-use support::flight::{OUTPUTS, STAGES, flight, run, wavex};
-use support::{Outcome, Place};
+use wavex_testkit::flight::{OUTPUTS, STAGES, flight, run, wavex};
+use wavex_testkit::{Outcome, TestFolder};
 
 /// A flight with a run archived as `archives/NAME`.
-fn archived(name: &str) -> Place {
+fn archived(name: &str) -> TestFolder {
     let place = flight();
     place
         .write("job.toml", format!("# The job of a flight.\n[job]\noutput_dir = 'out'\n{STAGES}").as_bytes());
@@ -22,13 +20,13 @@ fn archived(name: &str) -> Place {
 }
 
 #[track_caller]
-fn holds(place: &Place, arguments: &[&str]) {
+fn holds(place: &TestFolder, arguments: &[&str]) {
     assert_eq!(wavex(place, arguments), (Some(0), String::new()), "{arguments:?}");
 }
 
 /// Asserts that the command fails with these problems, in order.
 #[track_caller]
-fn fails(place: &Place, arguments: &[&str], expected: &[&str]) {
+fn fails(place: &TestFolder, arguments: &[&str], expected: &[&str]) {
     let (code, err) = wavex(place, arguments);
     assert_eq!(code, Some(1), "{err}");
     let problems: Vec<&str> = err.lines().skip(1).collect();
@@ -111,7 +109,7 @@ fn an_archive_holds_what_it_takes_and_is_replayed_elsewhere() {
     holds(&place, &["verify", "archives/a"]);
     holds(&place, &["replay", "archives/a", "--threads", "1"]);
     // First move everything together; then the inputs alone.
-    let elsewhere = Place::new();
+    let elsewhere = TestFolder::new();
     copy(&place.path("archives"), &elsewhere.path("archives"));
     copy(&place.path("in"), &elsewhere.path("in"));
     copy(&place.path("out"), &elsewhere.path("out"));
@@ -154,7 +152,7 @@ fn a_packed_archive_is_as_good() {
 fn every_kind_of_tampering_is_named() {
     let place = archived("a");
     let [verify, replay] = ["verify", "replay"].map(|command| [command, "archives/a"]);
-    let saved = Place::new();
+    let saved = TestFolder::new();
     copy(&place.path(""), &saved.path("all"));
     let restore = |name: &str| {
         let copied = fs::copy(saved.path(&format!("all/{name}")), place.path(name));
@@ -363,7 +361,7 @@ fn an_archive_is_never_replaced_and_its_inputs_are_files() {
 }
 
 /// Standard output of the program in the folder.
-fn said(place: &Place, arguments: &[&str]) -> String {
+fn said(place: &TestFolder, arguments: &[&str]) -> String {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     let output = command.args(arguments).current_dir(place.path("")).output();
     String::from_utf8(output.unwrap().stdout).unwrap()
@@ -480,7 +478,7 @@ fn inputs_outside_of_the_jobs_folder_are_told_below_one_folder() {
 
 #[test]
 fn the_trajectory_is_an_input() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let make = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 2\nshots_per_line = 200\nsbet = '../in/*.out'\n\
                 [[stage]]\ntype = 'write_arrow'\npath = '../in/*.arrow'\n";
     assert_eq!(place.run(make), Outcome { code: Some(0), err: String::new() });

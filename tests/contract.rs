@@ -1,13 +1,10 @@
 //! Rules that hold for every registered stage.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-mod common;
-
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use common::{into, stage};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -19,6 +16,7 @@ use wavex::stage::{
     Config, Context, Item, Key, Paths, Plan, Result, RoleName, RunContext, Source, SourceConfig, StageSpec,
     choices,
 };
+use wavex_testkit::engine_stages::{into, stage};
 
 /// Name suffixes that identify the unit of a quantity.
 const UNITS: [&str; 17] = [
@@ -169,7 +167,7 @@ impl Source for GapSource {
 }
 
 fn empty_input() -> Arc<InputInfo> {
-    Arc::new(common::input_info())
+    Arc::new(wavex_testkit::engine_stages::input_info())
 }
 
 fn without_blocks(line: ScanLine) -> ScanLine {
@@ -227,7 +225,10 @@ fn no_stage_drops_anything_without_a_reason() {
 #[test]
 fn sources_give_what_they_say_and_number_their_shots() {
     let folder = tempfile::tempdir().unwrap();
-    let job = common::job(&[(registry::find("simulate").unwrap(), "lines = 2\nshots_per_line = 50")]);
+    let job = wavex_testkit::engine_stages::job(&[(
+        registry::find("simulate").unwrap(),
+        "lines = 2\nshots_per_line = 50",
+    )]);
     let report = run(&job, folder.path());
     assert_eq!((report.stages[0].lines_out, report.stages[0].items_out.shots), (2, 100));
 }

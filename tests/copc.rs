@@ -1,12 +1,10 @@
 //! `wavex copc`: converts the points of a run to COPC, or reports an error.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-mod support;
-
 use std::process::{Command, Stdio};
 
-use support::Place;
 use wavex_formats::las::RawPoints;
+use wavex_testkit::TestFolder;
 
 const POINTS: &str = "\
 [[stage]]
@@ -34,7 +32,7 @@ version = '1.2'
 ";
 
 /// Output of the program, or exit code and message if it fails.
-fn copc(place: &Place, arguments: &[&str]) -> Result<String, (Option<i32>, String)> {
+fn copc(place: &TestFolder, arguments: &[&str]) -> Result<String, (Option<i32>, String)> {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     command.arg("copc").args(arguments).current_dir(place.path("out"));
     let output = command.stdin(Stdio::null()).env_remove("RUST_LOG").output().unwrap();
@@ -45,7 +43,7 @@ fn copc(place: &Place, arguments: &[&str]) -> Result<String, (Option<i32>, Strin
     }
 }
 
-fn n_points(place: &Place, name: &str) -> u64 {
+fn n_points(place: &TestFolder, name: &str) -> u64 {
     let mut file = RawPoints::open(&place.path("out").join(name)).unwrap();
     let mut n = 0;
     while file.next_record().unwrap().is_some() {
@@ -57,7 +55,7 @@ fn n_points(place: &Place, name: &str) -> u64 {
 
 #[test]
 fn points_of_a_run_become_a_file_beside_them() {
-    let place = Place::new();
+    let place = TestFolder::new();
     assert_eq!(place.run(POINTS).code, Some(0));
     let n = n_points(&place, "a.laz");
     assert!(n > 100);
@@ -72,7 +70,7 @@ fn points_of_a_run_become_a_file_beside_them() {
 
 #[test]
 fn what_cannot_be_converted_is_told_and_leaves_nothing() {
-    let place = Place::new();
+    let place = TestFolder::new();
     assert_eq!(place.run(POINTS).code, Some(0));
     let mut cut = std::fs::read(place.path("out/a.laz")).unwrap();
     cut.truncate(cut.len() / 2);
@@ -100,7 +98,7 @@ fn what_cannot_be_converted_is_told_and_leaves_nothing() {
 /// An existing file is replaced as a whole or not at all.
 #[test]
 fn a_file_that_is_there_stays_until_the_new_one_is_whole() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.write("out/a.laz", b"LASF");
     place.write("out/a.copc.laz", b"the old one");
     assert_eq!(copc(&place, &["a.laz"]).unwrap_err().0, Some(1));

@@ -1,17 +1,15 @@
 //! Job keys for properties that a recording lacks or states wrongly: time scale, map, atmosphere.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-mod support;
-
 use std::process::{Command, Stdio};
 
-use support::container::{Shot, container};
-use support::las::Las;
-use support::pulsewaves::PulseWaves;
-use support::shots::time_s;
-use support::{Place, TO_TABLE, notes};
 use wavex_formats::container::{ContainerHeader, ContainerReader, EmissionReference, TimeScale};
 use wavex_formats::las::{GpsTime, Point, Reader};
+use wavex_testkit::container::{Shot, container};
+use wavex_testkit::las::Las;
+use wavex_testkit::pulsewaves::PulseWaves;
+use wavex_testkit::shots::time_s;
+use wavex_testkit::{TO_TABLE, TestFolder, notes};
 
 const COPY: &str = "[[stage]]\ntype = 'write_arrow'\npath = '*_copy.arrow'\n";
 /// Midnight before 2025-05-06 in adjusted GPS time, and in seconds of its week.
@@ -19,14 +17,14 @@ const MIDNIGHT_S: f64 = 430_524_800.0;
 const TUESDAY_S: f64 = 172_800.0;
 
 /// A folder with the same recording in three formats.
-fn place(las: &Las) -> Place {
+fn place(las: &Las) -> TestFolder {
     let pulses = PulseWaves::new(20);
     let shot = |number: usize| Shot {
         clock_ps: (time_s(number) * 1e12) as i64,
-        blocks: vec![(1, 4000.0, support::shots::echo(number).iter().map(|&dn| dn.into()).collect())],
+        blocks: vec![(1, 4000.0, wavex_testkit::shots::echo(number).iter().map(|&dn| dn.into()).collect())],
     };
     let shots: Vec<Shot> = (0..20).map(shot).collect();
-    Place::with(&[
+    TestFolder::with(&[
         ("a.las", &las.las()),
         ("a.wdp", &las.packets),
         ("a.pls", &pulses.pls()),
@@ -45,7 +43,12 @@ const READERS: [(&str, &str); 3] =
 
 /// Results of a reader with these keys: notes, header of a copy, and times of its shots.
 #[track_caller]
-fn copied(place: &Place, reader: &str, input: &str, keys: &str) -> (Vec<String>, ContainerHeader, Vec<f64>) {
+fn copied(
+    place: &TestFolder,
+    reader: &str,
+    input: &str,
+    keys: &str,
+) -> (Vec<String>, ContainerHeader, Vec<f64>) {
     let report = place.succeeds(reader, input, &format!("{keys}\n{COPY}"));
     let mut copy = ContainerReader::open(&place.path("out/a_copy.arrow")).unwrap();
     let header = copy.header().clone();
@@ -58,7 +61,7 @@ fn copied(place: &Place, reader: &str, input: &str, keys: &str) -> (Vec<String>,
 
 /// A LAS file written by a job: notes, time scale in its header, and time of its first point.
 #[track_caller]
-fn written(place: &Place, keys: &str) -> (Vec<String>, GpsTime, f64) {
+fn written(place: &TestFolder, keys: &str) -> (Vec<String>, GpsTime, f64) {
     let to_las = TO_TABLE
         .replace("write_table'\npath = '*.csv'", "write_las'\npath = '*_out.las'\nwave_packets = 'internal'");
     let report = place.succeeds("read_las", "a.las", &format!("{keys}\n{to_las}"));

@@ -1,14 +1,12 @@
 //! Guarantees of the engine, tested with trivial stages.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-mod common;
-
 use std::fs;
 use std::path::Path;
 
-use common::{COUNT, HOLD, WORK, WRITE_NUMBERS, into, job};
 use wavex::engine::{self, Options};
 use wavex::stage::Item;
+use wavex_testkit::engine_stages::{COUNT, HOLD, WORK, WRITE_NUMBERS, into, job};
 
 fn files(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> = fs::read_dir(folder)
@@ -98,7 +96,10 @@ fn a_sink_that_fails_is_the_cause_and_not_the_stages_before_it() {
 #[test]
 fn a_panic_ends_the_run_and_says_where() {
     let error = failing(&[(&COUNT, "lines = 100000"), (&WORK, "panic_at = 30"), (&WRITE_NUMBERS, "")]);
-    assert!(error.contains("bug in wavex: line 30 is a bug (tests/common/mod.rs:"), "{error}");
+    assert!(
+        error.contains("bug in wavex: line 30 is a bug (crates/testkit/src/engine_stages.rs:"),
+        "{error}"
+    );
     assert!(error.contains("please report it with the job"), "{error}");
 }
 

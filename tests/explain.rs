@@ -2,16 +2,14 @@
 //! reported.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-mod support;
-
 use std::process::{Command, Stdio};
 
-use support::container::{Shot, container};
-use support::{Outcome, Place, shots};
 use wavex_formats::container::EmissionReference;
+use wavex_testkit::container::{Shot, container};
+use wavex_testkit::{Outcome, TestFolder, shots};
 
 /// Runs `wavex explain` in a folder: exit code, standard output, standard error.
-fn explain(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {
+fn explain(place: &TestFolder, arguments: &[&str]) -> (Option<i32>, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     command
         .arg("explain")
@@ -26,14 +24,14 @@ fn explain(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {
 
 /// Asserts that the command fails with this message, without output or files.
 #[track_caller]
-fn refused(place: &Place, arguments: &[&str], code: i32, message: &str) {
+fn refused(place: &TestFolder, arguments: &[&str], code: i32, message: &str) {
     let (found, out, err) = explain(place, arguments);
     assert_eq!((found, out.as_str(), err), (Some(code), "", format!("error: {message}\n")));
 }
 
 /// A simulated recording, its model and its returns, in `out`.
-fn simulated() -> Place {
-    let place = Place::new();
+fn simulated() -> TestFolder {
+    let place = TestFolder::new();
     let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 2\nshots_per_line = 300\n\
                [[stage]]\ntype = 'write_arrow'\n\
                [[stage]]\ntype = 'calibrate'\nsave = 'model.json'\n\
@@ -165,7 +163,7 @@ fn by_hand(timed: bool) -> Vec<u8> {
 #[test]
 fn what_cannot_be_explained_is_said() {
     let place =
-        Place::with(&[("a.arrow", &by_hand(true)), ("timeless.arrow", &by_hand(false)), ("a.dat", b"")]);
+        TestFolder::with(&[("a.arrow", &by_hand(true)), ("timeless.arrow", &by_hand(false)), ("a.dat", b"")]);
     let message = "a.arrow: no shot 99; the 260 shots are numbered 100 to 359";
     refused(&place, &["-q", "a.arrow", "--shot", "99"], 2, message);
     let message = "--out a.arrow: the picture is SVG; give a name that ends in .svg";
@@ -189,7 +187,7 @@ fn a_file_without_waveforms_is_told() {
         EmissionReference::Clock,
         true,
     );
-    let place = Place::with(&[("empty.arrow", &empty)]);
+    let place = TestFolder::with(&[("empty.arrow", &empty)]);
     let message = "the low power receiver: calibration needs 200 waveforms of the channel and there were 0; \
                    give it more data, or load a saved sensor model";
     refused(&place, &["empty.arrow", "--shot", "100"], 1, message);

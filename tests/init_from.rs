@@ -1,17 +1,15 @@
 //! `wavex init --from` and `wavex calibrate` on existing recordings.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-mod support;
-
 use std::fs;
 use std::process::{Command, Stdio};
 
-use support::las::Las;
-use support::pulsewaves::PulseWaves;
-use support::{Outcome, Place, data};
+use wavex_testkit::las::Las;
+use wavex_testkit::pulsewaves::PulseWaves;
+use wavex_testkit::{Outcome, TestFolder, data};
 
 /// Runs the program in a folder: exit code, standard output, standard error.
-fn wavex(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {
+fn wavex(place: &TestFolder, arguments: &[&str]) -> (Option<i32>, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     command.args(arguments).current_dir(place.path("")).stdin(Stdio::null()).env_remove("RUST_LOG");
     let output = command.output().unwrap();
@@ -21,7 +19,7 @@ fn wavex(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {
 
 /// Job for a recording of a folder; must pass `check` without a warning.
 #[track_caller]
-fn job_for(place: &Place, recording: &str) -> String {
+fn job_for(place: &TestFolder, recording: &str) -> String {
     let job = "flight.toml";
     let _ = fs::remove_file(place.path(job));
     let (code, out, err) = wavex(place, &["init", "--from", recording, job]);
@@ -43,7 +41,7 @@ fn stages(text: &str) -> Vec<String> {
 #[test]
 fn las_and_pulsewaves_have_their_jobs() {
     let (las, pulsewaves) = (Las::new(3), PulseWaves::new(3));
-    let place = Place::with(&[
+    let place = TestFolder::with(&[
         ("in/a.las", &las.las()),
         ("in/a.wdp", &las.packets),
         ("b.pls", &pulsewaves.pls()),
@@ -75,8 +73,8 @@ fn las_and_pulsewaves_have_their_jobs() {
 }
 
 /// A simulated container: as recorded with a trajectory, or in map coordinates.
-fn simulated(keys: &str) -> Place {
-    let place = Place::new();
+fn simulated(keys: &str) -> TestFolder {
+    let place = TestFolder::new();
     let job = format!(
         "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 4\nshots_per_line = 100\n{keys}\n[[stage]]\ntype = 'write_arrow'\n"
     );
@@ -104,7 +102,7 @@ fn a_container_is_raw_or_lies_in_a_map() {
 #[test]
 fn a_large_footprint_is_recognised() {
     let Some(data) = data() else { return };
-    let place = Place::new();
+    let place = TestFolder::new();
     for (file, job) in [
         ("pulsewaves/lvis_example1.pls", "large_footprint"),
         ("pulsewaves/riegl_example3.pls", "pulsewaves"),
@@ -119,7 +117,7 @@ fn a_large_footprint_is_recognised() {
 
 #[test]
 fn what_is_no_recording_has_no_job() {
-    let place = Place::with(&[("a.las", b"no LAS")]);
+    let place = TestFolder::with(&[("a.las", b"no LAS")]);
     let (code, out, err) = wavex(&place, &["init", "--from", "b.las", "b.toml"]);
     assert_eq!((code, out.as_str()), (Some(2), ""));
     assert_eq!(err, "error: b.las: no such file; check the path\n");
@@ -130,7 +128,7 @@ fn what_is_no_recording_has_no_job() {
 
 #[test]
 fn a_schema_that_is_there_stays() {
-    let place = Place::with(&[("job.schema.json", b"mine")]);
+    let place = TestFolder::with(&[("job.schema.json", b"mine")]);
     let (code, out, _) = wavex(&place, &["init", "a.toml"]);
     assert_eq!(code, Some(0));
     assert!(out.contains("kept the existing job.schema.json\n"), "{out}");
@@ -159,7 +157,7 @@ fn a_model_is_saved_and_serves_another_recording() {
 
 #[test]
 fn a_run_names_all_that_it_wrote_by_short_paths() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let job = "[job]\noutput_dir = '../out'\nreport_page = true\n[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 2\n\
                shots_per_line = 20\n[[stage]]\ntype = 'write_arrow'\n";
     place.write("jobs/a.toml", job.as_bytes());
@@ -178,7 +176,7 @@ fn a_run_names_all_that_it_wrote_by_short_paths() {
 
 #[test]
 fn a_failed_run_ends_its_log_with_its_exit_status() {
-    let place = Place::with(&[("a.las", b"no LAS")]);
+    let place = TestFolder::with(&[("a.las", b"no LAS")]);
     assert_eq!(place.read("read_las", "a.las", "[[stage]]\ntype = 'write_arrow'\n").code, Some(1));
     let log = place.text("out/wavex.log");
     assert!(log.trim_end().ends_with("exit status 1"), "{log}");
@@ -187,7 +185,7 @@ fn a_failed_run_ends_its_log_with_its_exit_status() {
 #[test]
 fn a_warning_of_several_inputs_is_given_once_with_their_number() {
     let recording = PulseWaves::new(3);
-    let place = Place::new();
+    let place = TestFolder::new();
     for name in ["a", "b", "c"] {
         place.write(&format!("{name}.pls"), &recording.pls());
         place.write(&format!("{name}.wvs"), &recording.waves);

@@ -4,12 +4,11 @@
 use proptest::prelude::*;
 use serde_json::json;
 use wavex::job::{Include, Job, JobSettings, Override, example_job};
-
-mod stages;
+use wavex_testkit::job_stages;
 
 fn parse(text: &str, overrides: &[&str]) -> Job {
     let overrides: Vec<Override> = overrides.iter().copied().map(Override::new).collect();
-    Job::parse_with(stages::STAGES, "job.toml", text, &[], &overrides)
+    Job::parse_with(job_stages::STAGES, "job.toml", text, &[], &overrides)
         .unwrap_or_else(|errors| panic!("{errors}"))
 }
 
@@ -184,7 +183,7 @@ fn an_override_counts_as_if_it_stood_in_the_text() {
 
 #[test]
 fn the_example_is_a_job_that_fits() {
-    let job = parse(&example_job(stages::STAGES), &[]);
+    let job = parse(&example_job(job_stages::STAGES), &[]);
     let stages = ["read_las", "calibrate", "decompose", "georeference", "write_las", "write_lstat"];
     assert_eq!(ids(&job), stages);
 }
@@ -200,7 +199,7 @@ fn uncommented(example: &str) -> String {
 
 #[test]
 fn the_example_shows_the_defaults_as_they_are() {
-    let example = example_job(stages::STAGES);
+    let example = example_job(job_stages::STAGES);
     let (short, long) = (parse(&example, &[]), parse(&uncommented(&example), &[]));
     assert_eq!(short.settings, long.settings);
     for (short, long) in short.stages.iter().zip(&long.stages) {
@@ -250,7 +249,7 @@ type = "calibrate"
 [[stage]]
 type = "decompose"
 "#;
-    let example = example_job(stages::STAGES);
+    let example = example_job(job_stages::STAGES);
     assert!(example.contains(expected), "{example}");
 }
 
@@ -259,7 +258,7 @@ fn with_includes(text: &str, files: &[&str], overrides: &[&str]) -> Job {
     let include = |text: &&str| Include { name: "site.toml".into(), text: (*text).to_owned() };
     let includes: Vec<Include> = files.iter().map(include).collect();
     let overrides: Vec<Override> = overrides.iter().copied().map(Override::new).collect();
-    Job::parse_with(stages::STAGES, "job.toml", text, &includes, &overrides)
+    Job::parse_with(job_stages::STAGES, "job.toml", text, &includes, &overrides)
         .unwrap_or_else(|errors| panic!("{errors}"))
 }
 

@@ -6,18 +6,10 @@
     reason = "a test fails by panicking and prints its figures"
 )]
 
-#[path = "common/recordings.rs"]
-#[allow(dead_code, reason = "each test binary uses its own part")]
-mod recordings;
-
-#[path = "common/neon.rs"]
-#[allow(dead_code, missing_docs, reason = "each test binary uses its own part")]
-mod neon;
-
 use std::path::Path;
 
-use recordings::{run, run_job};
 use wavex::job::Job;
+use wavex_testkit::recordings::{run, run_job};
 
 fn jobs() -> Vec<std::path::PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("jobs");
@@ -114,7 +106,7 @@ fn the_whole_chain_runs_on_a_raw_recording() {
 
 #[test]
 fn a_recording_of_each_kind_runs_by_its_job() {
-    let Some(data) = recordings::data() else { return };
+    let Some(data) = wavex_testkit::data() else { return };
     for (job, recording, returns) in [
         ("las.toml", "read_las.path=riegl_q680i_dev/riegl_q680i_dev.las", 607),
         ("pulsewaves.toml", "read_pulsewaves.path=riegl_q680i_dev/riegl_q680i_dev.pls", 607),
@@ -128,7 +120,7 @@ fn a_recording_of_each_kind_runs_by_its_job() {
         assert!(report.outputs.iter().all(|output| output.is_file()), "{job}");
     }
     let out = tempfile::tempdir().unwrap();
-    neon::to_container(&data.join("neon"), &out.path().join("flight.arrow"));
+    wavex_testkit::neon::to_container(&data.join("neon"), &out.path().join("flight.arrow"));
     let report = run_job("container.toml", out.path(), &out.path().join("out"), &[]);
     assert!(report.totals["np"] >= 250, "{} returns", report.totals["np"]);
 }

@@ -2,16 +2,14 @@
 #![cfg(unix)]
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
-mod support;
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use support::flight::{OUTPUTS, STAGES, files, flight, run, wavex};
-use support::{Outcome, Place};
+use wavex_testkit::flight::{OUTPUTS, STAGES, files, flight, run, wavex};
+use wavex_testkit::{Outcome, TestFolder};
 
 const KILLS: u32 = 50;
 
@@ -20,7 +18,7 @@ fn succeeded() -> Outcome {
 }
 
 /// A flight with its job, and the expected outputs.
-fn place() -> (Place, BTreeMap<String, Vec<u8>>) {
+fn place() -> (TestFolder, BTreeMap<String, Vec<u8>>) {
     let place = flight();
     place.write("job.toml", format!("[job]\noutput_dir = 'out'\nthreads = 2\n{STAGES}").as_bytes());
     assert_eq!(run(&place, &[]), succeeded());
@@ -30,7 +28,7 @@ fn place() -> (Place, BTreeMap<String, Vec<u8>>) {
 }
 
 /// Files with final names in the output folder, except log and report.
-fn products(place: &Place) -> BTreeMap<String, Vec<u8>> {
+fn products(place: &TestFolder) -> BTreeMap<String, Vec<u8>> {
     let mut files = files(&place.path("out"));
     let is_about_the_run =
         |name: &String| ["wavex.log", "report.json", "a_stat.log"].contains(&name.as_str());
@@ -39,7 +37,7 @@ fn products(place: &Place) -> BTreeMap<String, Vec<u8>> {
 }
 
 /// Asserts that all files with final names are complete.
-fn is_whole(place: &Place, whole: &BTreeMap<String, Vec<u8>>) {
+fn is_whole(place: &TestFolder, whole: &BTreeMap<String, Vec<u8>>) {
     for (name, bytes) in products(place) {
         assert!(whole[&name] == bytes, "{name} is not complete");
     }
@@ -63,7 +61,7 @@ fn clear(folder: &Path, all: bool) {
     }
 }
 
-fn spawn(place: &Place, arguments: &[&str]) -> Child {
+fn spawn(place: &TestFolder, arguments: &[&str]) -> Child {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     command.args(["--quiet", "run", "job.toml"]).args(arguments).current_dir(place.path(""));
     command
@@ -179,7 +177,7 @@ const LONG: &str = "[job]\noutput_dir = 'out'\n[[stage]]\ntype = 'simulate'\nlin
 
 #[test]
 fn a_folder_that_is_removed_under_a_run_leaves_nothing_and_says_so() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.write("job.toml", LONG.replace("lines = 4000", "lines = 60").as_bytes());
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     command.args(["--quiet", "run", "job.toml"]).current_dir(place.path("")).stderr(Stdio::piped());
@@ -201,7 +199,7 @@ fn a_folder_that_is_removed_under_a_run_leaves_nothing_and_says_so() {
 
 #[test]
 fn a_second_run_on_the_same_outputs_is_refused_while_the_first_lives() {
-    let place = Place::new();
+    let place = TestFolder::new();
     place.write("job.toml", LONG.as_bytes());
     let mut first = spawn(&place, &[]);
     wait_for(|| names(&place.path("out")).iter().any(|name| name.starts_with(".simulated.arrow.")));

@@ -3,8 +3,7 @@
 
 use serde_json::{Value, json};
 use wavex::job::{job_schema, manual, manual_of, summary};
-
-mod stages;
+use wavex_testkit::job_stages;
 
 /// Schema of one stage.
 fn stage<'s>(schema: &'s Value, name: &str) -> &'s Value {
@@ -14,7 +13,7 @@ fn stage<'s>(schema: &'s Value, name: &str) -> &'s Value {
 
 #[test]
 fn the_schema_tells_stages_apart_by_their_type() {
-    let schema = job_schema(stages::STAGES);
+    let schema = job_schema(job_stages::STAGES);
     assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema");
     assert_eq!((&schema["required"], &schema["additionalProperties"]), (&json!(["stage"]), &json!(false)));
     let read_las = stage(&schema, "read_las");
@@ -26,7 +25,7 @@ fn the_schema_tells_stages_apart_by_their_type() {
 
 #[test]
 fn the_schema_carries_meanings_limits_and_defaults() {
-    let schema = job_schema(stages::STAGES);
+    let schema = job_schema(job_stages::STAGES);
     assert_eq!(
         stage(&schema, "calibrate")["properties"]["waveforms"],
         json!({
@@ -66,8 +65,8 @@ Point formats 4, 5, 9 and 10.
   time_s (a list of 2 numbers, in s)
       First and last second to read.
 "#;
-    assert_eq!(manual_of(&stages::READ_LAS), expected.trim_start());
-    let decompose = manual_of(&stages::DECOMPOSE);
+    assert_eq!(manual_of(&job_stages::READ_LAS), expected.trim_start());
+    let decompose = manual_of(&job_stages::DECOMPOSE);
     assert!(
         decompose
             .starts_with("decompose: A map: takes Shots, makes Returns; requires `calibrate` before it\n\n"),
@@ -79,7 +78,7 @@ Point formats 4, 5, 9 and 10.
 
 #[test]
 fn the_manual_has_a_table_of_stages_and_one_of_keys_for_each() {
-    let page = manual(stages::STAGES);
+    let page = manual(job_stages::STAGES);
     let contains = |part: &str| assert!(page.contains(part), "{part}\nis not in\n{page}");
     contains("| [`read_las`](#read_las) | source | → Shots | Reads waveforms from LAS files. |\n");
     contains("| [`decompose`](#decompose) | map | Shots → Returns | Finds the returns in each waveform. |\n");
@@ -103,7 +102,7 @@ fn the_manual_has_a_table_of_stages_and_one_of_keys_for_each() {
 
 #[test]
 fn a_summary_is_the_first_sentence() {
-    assert_eq!(summary(&stages::READ_LAS), "Reads waveforms from LAS files.");
+    assert_eq!(summary(&job_stages::READ_LAS), "Reads waveforms from LAS files.");
 }
 
 /// All tests named in the table of errors exist.

@@ -1,19 +1,17 @@
 //! Instrument returns: when they become points, and comparison with computed ones.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-mod support;
-
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use support::container::{Shot, container};
-use support::shots::{echo, peak, time_s};
-use support::{Outcome, Place};
 use wavex::scan_line::flags::INSTRUMENT;
 use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerOnline, ContainerShot, ContainerWriter,
     EmissionReference, LineBuilder, TimeScale,
 };
+use wavex_testkit::container::{Shot, container};
+use wavex_testkit::shots::{echo, peak, time_s};
+use wavex_testkit::{Outcome, TestFolder};
 
 const SHOTS: usize = 320;
 /// Every tenth shot has no waveform.
@@ -22,7 +20,7 @@ const START_NS: f64 = 4000.0;
 
 /// Each shot has an instrument return 0.25 ns after its echo with twice its amplitude; shots
 /// without a waveform have two.
-fn recording(zone: Option<i16>) -> Place {
+fn recording(zone: Option<i16>) -> TestFolder {
     let header = ContainerHeader {
         time_scale: TimeScale::Week,
         emission_reference: Some(EmissionReference::Clock),
@@ -63,7 +61,7 @@ fn recording(zone: Option<i16>) -> Place {
         line.online(&ContainerOnline { time_ns, amplitude: 120.0 });
     }
     writer.write(line).unwrap();
-    Place::with(&[("a.arrow", &writer.finish().unwrap())])
+    TestFolder::with(&[("a.arrow", &writer.finish().unwrap())])
 }
 
 /// A job over the recording, with `keys` of `decompose`.
@@ -167,7 +165,7 @@ fn waveforms_without_an_own_return_are_empty() {
         blocks: vec![(1, START_NS, echo(number).into_iter().map(u16::from).collect())],
     };
     let shots: Vec<Shot> = (0..40).map(shot).collect();
-    let place = Place::with(&[("a.arrow", &container(&shots, EmissionReference::Clock, true))]);
+    let place = TestFolder::with(&[("a.arrow", &container(&shots, EmissionReference::Clock, true))]);
     let stages = "[[stage]]\ntype = 'decompose'\nonline_points = 'only'\n";
     let totals = place.succeeds("read_arrow", "a.arrow", stages)["totals"].clone();
     assert_eq!((&totals["nw"], &totals["nw_empty"], &totals["np"]), (&40.into(), &40.into(), &0.into()));
@@ -176,7 +174,7 @@ fn waveforms_without_an_own_return_are_empty() {
 /// Ranges count from outgoing pulses where they are recorded: those must be fitted.
 #[test]
 fn outgoing_pulses_need_a_calibration() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let simulate = "[[stage]]\ntype = 'simulate'\nlines = 2\nshots_per_line = 50\n";
     let stages = "[[stage]]\ntype = 'decompose'\nonline_points = 'only'\n[[stage]]\ntype = 'write_table'\n";
     let problem = "stage decompose: ranges count from the outgoing pulses of this recording, and fitting them \

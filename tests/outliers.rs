@@ -1,13 +1,10 @@
 //! `filter_outliers` on simulated scenes: detected false returns and wrongly marked true ones.
 #![allow(missing_docs, clippy::expect_used, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
-#[path = "common/false_returns.rs"]
-mod false_returns;
-
-use false_returns::{SCENES, copy, filtered, fly, score_of_stage};
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 use wavex::scan_line::ScanLine;
+use wavex_testkit::false_returns::{SCENES, copy, filtered, fly, score_of_stage};
 
 #[test]
 fn false_returns_are_told_and_true_ones_kept() {
@@ -50,7 +47,7 @@ fn low_points_are_low_and_air_points_are_in_the_air() {
     let flight = fly(&SCENES[0], 5);
     let (lines, ..) = filtered(flight.lines.iter().map(copy).collect(), "waves = false", usize::MAX);
     let (mut air, mut low) = (0, 0);
-    let height_m = |row: &false_returns::True| row.point_m[2];
+    let height_m = |row: &wavex_testkit::false_returns::True| row.point_m[2];
     let of_ground = flight.truth.iter().flatten().filter(|row| row.class == "ground").map(height_m);
     let (ground_m, roof_m) = (of_ground.fold(f64::INFINITY, f64::min), 20.0);
     for (line, rows) in lines.iter().zip(&flight.truth) {

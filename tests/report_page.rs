@@ -3,13 +3,12 @@
 
 #[path = "report_page/browser.rs"]
 mod browser;
-mod support;
 
 use std::process::Command;
 
 use browser::Look;
 use serde_json::Value;
-use support::{Outcome, Place, outcome};
+use wavex_testkit::{Outcome, TestFolder, outcome};
 
 /// Asserts that elements are properly nested; returns their counts.
 #[track_caller]
@@ -36,7 +35,7 @@ fn elements(page: &str) -> std::collections::BTreeMap<String, usize> {
     count
 }
 
-fn report(place: &Place, arguments: &[&str]) -> Outcome {
+fn report(place: &TestFolder, arguments: &[&str]) -> Outcome {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     outcome(command.args(["--quiet", "report"]).args(arguments).current_dir(place.path("")))
 }
@@ -56,8 +55,8 @@ fn done() -> Outcome {
 }
 
 /// A run with a page, and its report.
-fn run() -> (Place, Value) {
-    let place = Place::new();
+fn run() -> (TestFolder, Value) {
+    let place = TestFolder::new();
     assert_eq!(place.run(&with_page("")), done());
     let report = serde_json::from_str(&place.text("out/report.json")).unwrap();
     (place, report)
@@ -121,7 +120,7 @@ fn the_page_tells_all_of_a_run() {
 
 #[test]
 fn warnings_stand_first_with_their_stage() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let fused = "[[stage]]\ntype = 'fuse_channels'\n[[stage]]\ntype = 'calibrate'";
     assert_eq!(place.run(&with_page("").replace("[[stage]]\ntype = 'calibrate'", fused)), done());
     let page = place.text("out/page.html");
@@ -134,7 +133,7 @@ fn warnings_stand_first_with_their_stage() {
 
 #[test]
 fn what_is_normal_is_no_warning() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let two = "lines = 8\nshots_per_line = 100\nhigh_power = true\n[[stage]]\ntype = 'fuse_channels'\n\
                gain_ratio = 0.1\ndelay_ns = 0.0\n[[stage]]\ntype = 'calibrate'\nwaveforms = 300\n\
                [[stage]]\ntype = 'decompose'\n";
@@ -162,10 +161,10 @@ fn the_page_is_made_again_without_the_inputs() {
 #[test]
 fn a_run_without_a_page_gathers_nothing_and_writes_the_same() {
     let (with, _) = run();
-    let without = Place::new();
+    let without = TestFolder::new();
     assert_eq!(without.run(JOB), done());
     assert_eq!(without.outputs(), ["a<b&c.las", "a<b&c_stat.log", "report.json"]);
-    let las = |place: &Place| std::fs::read(place.path("out/a<b&c.las")).unwrap();
+    let las = |place: &TestFolder| std::fs::read(place.path("out/a<b&c.las")).unwrap();
     assert!(las(&with) == las(&without), "the page changes an output");
     let found: Value = serde_json::from_str(&without.text("out/report.json")).unwrap();
     assert!(found["inputs"][0].get("overview").is_none());
@@ -178,7 +177,7 @@ fn a_run_without_a_page_gathers_nothing_and_writes_the_same() {
 #[test]
 fn what_is_gathered_does_not_depend_on_threads() {
     let overview = |threads: &str| {
-        let place = Place::new();
+        let place = TestFolder::new();
         let mut command = place.command(&with_page(""));
         assert_eq!(outcome(command.args(["--threads", threads])), done());
         let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
@@ -222,7 +221,7 @@ fn zones_are_shown_where_several_pulses_are_in_the_air() {
                [[stage]]\ntype = 'calibrate'\nwaveforms = 600\nresponse = 'gaussian'\n\
                [[stage]]\ntype = 'decompose'\nmode = 'fastest'\n[[stage]]\ntype = 'georeference'\n\
                [[stage]]\ntype = 'write_table'\npath = 'points.csv'\n";
-    let place = Place::new();
+    let place = TestFolder::new();
     assert_eq!(place.run(job), done());
     let run: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
     let overview = &run["inputs"][0]["overview"];
@@ -251,7 +250,7 @@ fn zones_are_shown_where_several_pulses_are_in_the_air() {
 }
 
 /// The page that `wavex report` makes from a run's report.
-fn report_of(place: &Place) -> String {
+fn report_of(place: &TestFolder) -> String {
     assert_eq!(report(place, &["out", "-o", "again.html"]), done());
     place.text("again.html")
 }
@@ -259,7 +258,7 @@ fn report_of(place: &Place) -> String {
 /// The waveforms shown have exactly the returns that the run wrote.
 #[test]
 fn the_fits_shown_are_those_of_the_run() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let table = "[[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
     assert_eq!(place.run(&(with_page("") + table)), done());
     let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
@@ -285,7 +284,7 @@ fn the_fits_shown_are_those_of_the_run() {
 
 #[test]
 fn a_recording_without_returns_has_a_page_of_its_own() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let job = "report_page = 'page.html'\n[[stage]]\ntype = 'simulate'\nstem = 'raw'\nlines = 3\nshots_per_line = 20\n\
                [[stage]]\ntype = 'write_arrow'\n";
     assert_eq!(place.run(job), done());
@@ -297,7 +296,7 @@ fn a_recording_without_returns_has_a_page_of_its_own() {
 /// Two recordings of one job, each with its part of the page.
 #[test]
 fn a_run_with_several_inputs_has_one_page() {
-    let place = Place::new();
+    let place = TestFolder::new();
     for (stem, lines) in [("a<b", 8), ("second", 6)] {
         let simulate = JOB.split_inclusive("ground_amplitude_dn = 180.0\n").next().unwrap();
         let simulate =
@@ -350,7 +349,7 @@ fn a_run_with_several_inputs_has_one_page() {
 
 #[test]
 fn the_key_asks_for_a_page() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let refused = place.run(&format!("report_page = 'page.pdf'\n{JOB}"));
     assert_eq!(refused.code, Some(2));
     assert!(refused.err.contains("`report_page`: it must end in .html"), "{}", refused.err);
@@ -388,7 +387,7 @@ fn a_browser_shows_the_page() {
 #[test]
 fn the_browser_notices_what_is_wrong() {
     let Some(browser) = browser::find() else { return };
-    let place = Place::new();
+    let place = TestFolder::new();
     let policy = "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'\"/>";
     let page = format!(
         "<!DOCTYPE html><html><head>{policy}<title>t</title><style>body{{background:#fff}}p{{color:#aaa}}</style></head>\
@@ -410,7 +409,7 @@ fn the_browser_notices_what_is_wrong() {
 #[test]
 fn what_is_no_report_is_said() {
     let overview = br#"{"inputs": [{"stem": "s", "overview": {"histograms": 7}}]}"#;
-    let place = Place::with(&[("a.json", b"{}"), ("b.json", b"not JSON"), ("c.json", overview)]);
+    let place = TestFolder::with(&[("a.json", b"{}"), ("b.json", b"not JSON"), ("c.json", overview)]);
     let refused = |path: &str, problem: &str| {
         let Outcome { code, err } = report(&place, &[path]);
         assert!(code == Some(1) && err.starts_with(&format!("error: {problem}")), "{err}");

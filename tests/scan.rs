@@ -1,19 +1,17 @@
 //! `wavex scan`: the summary matches the recording, and read errors are reported.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-mod support;
-
 use std::fs;
 use std::process::{Command, Stdio};
 
-use support::container::{Shot, container};
-use support::las::Las;
-use support::pulsewaves::PulseWaves;
-use support::{Outcome, Place, data};
 use wavex_formats::container::EmissionReference;
+use wavex_testkit::container::{Shot, container};
+use wavex_testkit::las::Las;
+use wavex_testkit::pulsewaves::PulseWaves;
+use wavex_testkit::{Outcome, TestFolder, data};
 
 /// Runs `wavex scan` in a folder: exit code, standard output, standard error.
-fn scan(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {
+fn scan(place: &TestFolder, arguments: &[&str]) -> (Option<i32>, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     command.arg("scan").args(arguments).current_dir(place.path(""));
     let output = command.stdin(Stdio::null()).env_remove("RUST_LOG").output().unwrap();
@@ -23,7 +21,7 @@ fn scan(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {
 
 /// Summary of a successful scan without messages on standard error.
 #[track_caller]
-fn summary(place: &Place, arguments: &[&str]) -> String {
+fn summary(place: &TestFolder, arguments: &[&str]) -> String {
     let (code, out, err) = scan(place, arguments);
     assert_eq!((code, err.as_str()), (Some(0), ""));
     out
@@ -46,7 +44,7 @@ fn counts(text: &str) -> Vec<(f64, u64)> {
         .collect()
 }
 
-fn files(place: &Place) -> Vec<String> {
+fn files(place: &TestFolder) -> Vec<String> {
     let entries = fs::read_dir(place.path("")).unwrap();
     let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
     names.retain(|name| name.contains('_'));
@@ -55,8 +53,8 @@ fn files(place: &Place) -> Vec<String> {
 }
 
 /// A simulated recording, `out/flight.arrow`.
-fn simulated(keys: &str) -> Place {
-    let place = Place::new();
+fn simulated(keys: &str) -> TestFolder {
+    let place = TestFolder::new();
     let job = format!(
         "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 20\nshots_per_line = 500\npulse_rate_hz = 400000\n\
          {keys}\n[[stage]]\ntype = 'write_arrow'\n"
@@ -142,7 +140,7 @@ fn fast_leaves_the_samples_out_and_says_the_same_else() {
 fn fast_reads_no_waveforms_of_las_and_pulsewaves() {
     let las = Las::new(300);
     let waves = PulseWaves::new(300);
-    let place = Place::with(&[
+    let place = TestFolder::with(&[
         ("a.las", &las.las()),
         ("a.wdp", &las.packets),
         ("b.pls", &waves.pls()),
@@ -163,7 +161,7 @@ fn fast_reads_no_waveforms_of_las_and_pulsewaves() {
 
 #[test]
 fn gaps_rejects_and_missing_times_are_told() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let block = |height: u16| vec![(3, -2.0, vec![2, 50, 2]), (1, 1000.0, vec![2, 2, 2, height, 2, 2])];
     let clocks = [0, 10, 20, 30, 80, 90].map(|us| us * 1_000_000);
     let mut shots: Vec<Shot> = clocks.iter().map(|&clock_ps| Shot { clock_ps, blocks: block(90) }).collect();
@@ -193,7 +191,7 @@ fn a_file_that_is_cut_off_is_an_error_behind_what_it_holds() {
     let waves = PulseWaves::new(300);
     let pls = waves.pls();
     let cut = &pls[..waves.offset_of(200)];
-    let place = Place::with(&[("b.pls", cut), ("b.wvs", &waves.waves)]);
+    let place = TestFolder::with(&[("b.pls", cut), ("b.wvs", &waves.waves)]);
     let (code, out, err) = scan(&place, &["b.pls"]);
     let offset = waves.offset_of(200);
     let message = format!(
@@ -208,7 +206,7 @@ fn a_file_that_is_cut_off_is_an_error_behind_what_it_holds() {
 
 #[test]
 fn what_cannot_be_scanned_is_said() {
-    let place = Place::with(&[("x.dat", b"")]);
+    let place = TestFolder::with(&[("x.dat", b"")]);
     let refused = |arguments: &[&str], code: i32, message: &str| {
         let (found, out, err) = scan(&place, arguments);
         assert_eq!((found, out.as_str()), (Some(code), ""), "{err}");
@@ -237,7 +235,7 @@ fn quiet_prints_nothing_and_files_are_the_same_again() {
 #[test]
 fn real_recordings_are_told_as_they_are_known() {
     let Some(data) = data() else { return };
-    let place = Place::new();
+    let place = TestFolder::new();
     let path = |name: &str| data.join(name).to_str().unwrap().to_owned();
     let out = summary(&place, &[&path("riegl_q680i_dev/riegl_q680i_dev.pls")]);
     assert_eq!((said(&out, "File", "instrument"), said(&out, "Times", "shots")), ("Q680i", "607"));

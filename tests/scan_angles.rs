@@ -1,20 +1,15 @@
 //! Scan angle, scan direction and edge of flight line in outputs, for recordings without them.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
-#[path = "common/recordings.rs"]
-#[allow(dead_code, reason = "each test binary uses its own part")]
-mod recordings;
-mod support;
-
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use recordings::data;
-use support::las::Las;
-use support::pulsewaves::PulseWaves;
-use support::{Outcome, Place};
 use wavex::scan_line::emission_flags::SCAN_DIRECTION_POSITIVE;
 use wavex_formats::container::{Compression, ContainerReader, ContainerWriter, LineBuilder};
+use wavex_testkit::data;
+use wavex_testkit::las::Las;
+use wavex_testkit::pulsewaves::PulseWaves;
+use wavex_testkit::{Outcome, TestFolder};
 
 /// Stages from samples to points as text: time, position, angle, direction, edge.
 const TO_TEXT: &str = "\
@@ -92,7 +87,7 @@ fn sweeping() -> PulseWaves {
 #[test]
 fn pulsewaves_get_their_angles_from_beams_and_course() {
     let recording = sweeping();
-    let place = Place::with(&[("a.pls", &recording.pls()), ("a.wvs", &recording.waves)]);
+    let place = TestFolder::with(&[("a.pls", &recording.pls()), ("a.wvs", &recording.waves)]);
     let report = place.succeeds("read_pulsewaves", "a.pls", TO_TEXT);
     let found = shots(&place.path("out/points.txt"));
     assert_eq!(found.len(), 3 * SHOTS);
@@ -112,7 +107,7 @@ fn a_recording_without_a_course_has_no_scan_angles() {
     let recording = (0..400).fold(PulseWaves::new(400), |recording, shot| {
         recording.change(shot, 16, &[0; 4]).change(shot, 28, &[0; 4])
     });
-    let place = Place::with(&[("a.pls", &recording.pls()), ("a.wvs", &recording.waves)]);
+    let place = TestFolder::with(&[("a.pls", &recording.pls()), ("a.wvs", &recording.waves)]);
     let report = place.succeeds("read_pulsewaves", "a.pls", TO_TEXT);
     assert!(shots(&place.path("out/points.txt")).iter().all(|row| row.angle_deg == 0.0));
     assert_eq!(report.to_string().matches(UNKNOWN).count(), 1, "{report}");
@@ -125,7 +120,7 @@ fn las_keeps_its_own_values() {
         let bits = if shot % 100 == 99 { 0xC0 } else { 0x40 };
         recording.change(shot, 15, &[bits]).change(shot, 18, &(-2100i16).to_le_bytes())
     });
-    let place = Place::with(&[("a.las", &recording.las()), ("a.wdp", &recording.packets)]);
+    let place = TestFolder::with(&[("a.las", &recording.las()), ("a.wdp", &recording.packets)]);
     place.succeeds("read_las", "a.las", TO_TEXT);
     for (shot, row) in shots(&place.path("out/points.txt")).iter().enumerate() {
         assert_eq!((row.angle_deg, row.to_the_right, row.is_edge), (-12.6, true, shot % 100 == 99), "{shot}");
@@ -162,7 +157,7 @@ fn just_before_us(adjusted_s: f64) -> i64 {
 /// to the sensor.
 #[test]
 fn with_a_trajectory_angles_include_the_roll() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 6\nshots_per_line = 120\nscanner = 'oscillating'\n\
                roll_deg = 4.0\nscan_angle_deg = [-25.0, 20.0]\npof = 'a.pof'\n[[stage]]\ntype = 'write_arrow'\n";
     assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
@@ -215,7 +210,7 @@ fn real_pulsewaves_have_scan_angles() {
         let job = format!(
             "[[stage]]\ntype = 'read_pulsewaves'\npath = '{name}.pls'\n[[stage]]\ntype = 'write_arrow'\n"
         );
-        recordings::run("job.toml", &job, &data, out.path(), &[]);
+        wavex_testkit::recordings::run("job.toml", &job, &data, out.path(), &[]);
         let stem = Path::new(name).file_name().unwrap().to_str().unwrap();
         let mut reader = ContainerReader::open(&out.path().join(format!("{stem}.arrow"))).unwrap();
         let mut found = Vec::new();

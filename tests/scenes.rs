@@ -4,16 +4,14 @@
 //! A model calibrated over one landscape must be valid over the next.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
-mod common;
-
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use common::{into, job};
 use wavex::engine;
 use wavex::registry;
 use wavex_signal::sensor_model::ChannelModel;
 use wavex_simulation::pulse::Shape;
+use wavex_testkit::engine_stages::{into, job};
 
 const NOISE_DN: f64 = 0.93;
 /// Minimum distance of separate echoes (two pulse widths), and minimum signal-to-noise ratio of

@@ -1,22 +1,18 @@
 //! Recordings without sensor positions: corrections that need them are skipped with a warning.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
-#[path = "common/recordings.rs"]
-#[allow(dead_code, reason = "each test binary uses its own part")]
-mod recordings;
-mod support;
-
 use std::path::Path;
 use std::process::Command;
 
-use recordings::{Table, data};
 use serde_json::Value;
-use support::las::Las;
-use support::pulsewaves::PulseWaves;
-use support::{Outcome, Place};
 use wavex_formats::container::{
     Compression, ContainerHeader, ContainerReader, ContainerWriter, LineBuilder, Origin,
 };
+use wavex_testkit::data;
+use wavex_testkit::las::Las;
+use wavex_testkit::pulsewaves::PulseWaves;
+use wavex_testkit::recordings::Table;
+use wavex_testkit::{Outcome, TestFolder};
 
 /// Warning that replaces a wrong intensity.
 const NOT_CORRECTED: &str = "intensities are not corrected for range and attenuation: the recording does \
@@ -38,7 +34,7 @@ fn chain(keys: Option<&str>) -> String {
 const ALL: &str = "attenuation_db_per_km = 0.2\nwidth_correction_low = false\nwidth_correction_high = false";
 
 /// Results of a run for `a.*`: report of the input, intensities, and `AGL` of its first line.
-fn run(place: &Place, reader: &str, file: &str, keys: Option<&str>) -> (Value, Vec<f64>, String) {
+fn run(place: &TestFolder, reader: &str, file: &str, keys: Option<&str>) -> (Value, Vec<f64>, String) {
     let report = place.succeeds(reader, file, &chain(keys));
     let intensities = Table::read(&place.path("out/a.csv")).column("intensity");
     assert!(intensities.len() > 300);
@@ -58,7 +54,7 @@ fn notes(report: &Value) -> Vec<&str> {
 
 /// Asserts that intensities are neither corrected nor counted, with one warning.
 #[track_caller]
-fn is_left_alone(place: &Place, reader: &str, file: &str) {
+fn is_left_alone(place: &TestFolder, reader: &str, file: &str) {
     let (_, before, _) = run(place, reader, file, None);
     let (report, after, agl) = run(place, reader, file, Some(ALL));
     assert_eq!(after, before, "{file}: beams are vertical: no other correction applies");
@@ -74,7 +70,7 @@ fn is_left_alone(place: &Place, reader: &str, file: &str) {
 #[test]
 fn intensities_of_las_are_not_corrected_for_range() {
     let recording = Las::new(400);
-    let place = Place::with(&[("a.las", &recording.las()), ("a.wdp", &recording.packets)]);
+    let place = TestFolder::with(&[("a.las", &recording.las()), ("a.wdp", &recording.packets)]);
     is_left_alone(&place, "read_las", "a.las");
     // A container made from it has the same property.
     let to_container = "[[stage]]\ntype = 'write_arrow'\npath = 'b.arrow'\n";
@@ -91,7 +87,7 @@ const NOT_CONSTANT: [u8; 4] = 0x8FFF_FFFFu32.to_le_bytes();
 #[test]
 fn anchors_of_pulsewaves_are_the_sensor_where_the_descriptor_says_so() {
     let recording = PulseWaves::new(400);
-    let place = Place::with(&[("a.pls", &recording.pls()), ("a.wvs", &recording.waves)]);
+    let place = TestFolder::with(&[("a.pls", &recording.pls()), ("a.wvs", &recording.waves)]);
     let (_, before, _) = run(&place, "read_pulsewaves", "a.pls", None);
     let (report, after, agl) = run(&place, "read_pulsewaves", "a.pls", Some("width_correction_low = false"));
     // The ground is about 600 m below the anchors.
@@ -122,7 +118,7 @@ fn the_option_file_of_version_1_0_leaves_intensities_as_they_are() {
             ("waveform.wdp", &recording.packets),
             ("wavex.opt", options.as_bytes()),
         ];
-        let place = Place::with(&files);
+        let place = TestFolder::with(&files);
         let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
         let line = ["import", "--run", "--", "wavex", "-i", "waveform.las", "-o", "out.las"];
         let ended = program.args(line).current_dir(place.path("")).env_remove("RUST_LOG").output().unwrap();
@@ -143,7 +139,7 @@ fn the_option_file_of_version_1_0_leaves_intensities_as_they_are() {
 #[test]
 fn explain_says_where_ranges_count_from() {
     let recording = Las::new(400);
-    let place = Place::with(&[("a.las", &recording.las()), ("a.wdp", &recording.packets)]);
+    let place = TestFolder::with(&[("a.las", &recording.las()), ("a.wdp", &recording.packets)]);
     let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
     program.args(["explain", "a.las", "--shot", "7", "--set", "calibrate.waveforms=300"]);
     let ended = program.current_dir(place.path("")).env_remove("RUST_LOG").output().unwrap();
@@ -176,7 +172,7 @@ fn with_origin(path: &Path, origin: Option<Origin>) -> Vec<u8> {
 /// proportional to range cannot be added to such ranges.
 #[test]
 fn a_part_of_the_range_is_not_added_where_ranges_do_not_count_from_the_sensor() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 4\nshots_per_line = 100\npof = 'a.pof'\n\
                [[stage]]\ntype = 'write_arrow'\n";
     assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
@@ -230,7 +226,7 @@ fn real_recordings_say_where_ranges_count_from() {
     ] {
         let out = tempfile::tempdir().unwrap();
         let job = format!("[[stage]]\ntype = '{reader}'\npath = '{file}'\n[[stage]]\ntype = 'write_lstat'\n");
-        let report = recordings::run("job.toml", &job, &data, out.path(), &[]);
+        let report = wavex_testkit::recordings::run("job.toml", &job, &data, out.path(), &[]);
         assert_eq!(report.ranges_count_from.as_deref(), Some(from), "{file}");
     }
 }
@@ -246,12 +242,12 @@ fn real_las_keeps_its_intensities() {
             "[[stage]]\ntype = 'read_las'\npath = 'riegl_q680i_dev/riegl_q680i_dev.las'\n{}",
             chain(Some(&format!("width_correction_low = false\n{keys}")))
         );
-        let report = recordings::run("job.toml", &job, &data, out.path(), &[]);
+        let report = wavex_testkit::recordings::run("job.toml", &job, &data, out.path(), &[]);
         (Table::read(&out.path().join("riegl_q680i_dev.csv")).column("intensity"), report.totals["np_range"])
     };
     let (before, _) = found("reference_range_m = false");
     let (after, np_range) = found("");
     assert_eq!((&after, np_range), (&before, 0));
-    println!("median intensity {:.1}", recordings::median(&after));
-    assert!(recordings::median(&after) > 5.0);
+    println!("median intensity {:.1}", wavex_testkit::recordings::median(&after));
+    assert!(wavex_testkit::recordings::median(&after) > 5.0);
 }

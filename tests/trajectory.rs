@@ -1,14 +1,12 @@
 //! `wavex trajectory`: summary, table and errors.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
-mod support;
-
 use std::process::{Command, Stdio};
 
-use support::{Outcome, Place};
+use wavex_testkit::{Outcome, TestFolder};
 
 /// Runs `wavex trajectory` in a folder: exit code, standard output, standard error.
-fn trajectory(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String) {
+fn trajectory(place: &TestFolder, arguments: &[&str]) -> (Option<i32>, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
     command.arg("trajectory").args(arguments).current_dir(place.path(""));
     let output = command.stdin(Stdio::null()).env_remove("RUST_LOG").output().unwrap();
@@ -18,7 +16,7 @@ fn trajectory(place: &Place, arguments: &[&str]) -> (Option<i32>, String, String
 
 /// Standard output for a valid trajectory.
 #[track_caller]
-fn told(place: &Place, arguments: &[&str]) -> String {
+fn told(place: &TestFolder, arguments: &[&str]) -> String {
     let (code, out, err) = trajectory(place, arguments);
     assert_eq!((code, err.as_str()), (Some(0), ""));
     out
@@ -32,8 +30,8 @@ fn said<'a>(summary: &'a str, name: &str) -> &'a str {
 }
 
 /// A simulated flight with its SBET and POF in `out`.
-fn flown() -> Place {
-    let place = Place::new();
+fn flown() -> TestFolder {
+    let place = TestFolder::new();
     let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 40\nshots_per_line = 100\nroll_deg = 3\n\
                sbet = '*.sbet'\npof = '*.pof'\n[[stage]]\ntype = 'write_arrow'\n";
     assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
@@ -115,7 +113,7 @@ fn both_formats_of_a_flight_agree() {
 
 #[test]
 fn gaps_are_told() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let rows = (0..40).filter(|k| !(20..25).contains(k) && !(30..37).contains(k));
     let text: String =
         rows.map(|k| format!("{},179.99{k:02},-17,500,0,0,90\n", 0.1 * f64::from(k))).collect();
@@ -130,7 +128,7 @@ fn gaps_are_told() {
 
 #[test]
 fn what_is_no_trajectory_is_refused() {
-    let place = Place::with(&[("a.las", b"LASF\0\0\0\0"), ("t.txt", b"1 11 48 500 0 0 90\n")]);
+    let place = TestFolder::with(&[("a.las", b"LASF\0\0\0\0"), ("t.txt", b"1 11 48 500 0 0 90\n")]);
     let refused = |arguments: &[&str]| {
         let (code, out, err) = trajectory(&place, arguments);
         assert_eq!(out, "");

@@ -10,10 +10,6 @@
     reason = "a test fails by panicking, and prints what it skips; the caller waits for what `begin` starts"
 )]
 
-mod common;
-#[path = "support/mod.rs"]
-mod support;
-
 use std::collections::BTreeSet;
 use std::fs::{self, OpenOptions};
 use std::path::Path;
@@ -29,8 +25,8 @@ const SPREAD: usize = 24;
 
 /// Number of shots and notes of a reader, or its error.
 fn read(reader: &'static StageSpec, path: &Path) -> Result<(u64, Vec<String>), String> {
-    let job = common::job(&[(reader, &format!("path = '{}'", path.display()))]);
-    match engine::run(&job, &common::into(&job, path.parent().unwrap())) {
+    let job = wavex_testkit::engine_stages::job(&[(reader, &format!("path = '{}'", path.display()))]);
+    match engine::run(&job, &wavex_testkit::engine_stages::into(&job, path.parent().unwrap())) {
         Ok(report) => {
             let reader = &report.inputs[0].stages[0];
             Ok((reader.items_out.shots, reader.notes.clone()))
@@ -99,7 +95,7 @@ const RIEGL: &str = "riegl_q680i_dev/riegl_q680i_dev";
 /// The points of these files refer to waveforms that the writing program omitted.
 #[track_caller]
 fn cut_points_without_waveforms(extension: &str, names: &[&str]) {
-    let Some(data) = support::data() else { return };
+    let Some(data) = wavex_testkit::data() else { return };
     for name in names {
         let name = format!("las_wavepackets/{name}");
         let problem = cut_everywhere(&read_las::STAGE, &data, &name, &[extension]).unwrap_err();
@@ -120,31 +116,34 @@ fn laz() {
 
 #[test]
 fn laz_beside_a_file_of_no_waveforms() {
-    let Some(data) = support::data() else { return };
+    let Some(data) = wavex_testkit::data() else { return };
     let folder = tempfile::tempdir().unwrap();
     fs::copy(data.join("las_wavepackets/fullwave.laz"), folder.path().join("fullwave.laz")).unwrap();
-    fs::write(folder.path().join("fullwave.wdp"), &support::las::Las::new(0).packets).unwrap();
+    fs::write(folder.path().join("fullwave.wdp"), &wavex_testkit::las::Las::new(0).packets).unwrap();
     let problem = cut_everywhere(&read_las::STAGE, folder.path(), "fullwave", &["laz", "wdp"]).unwrap_err();
     assert!(problem.contains("are outside the packets (60 to 60)"), "{problem}");
 }
 
 #[test]
 fn las_with_waveforms() {
-    let Some(data) = support::data() else { return };
+    let Some(data) = wavex_testkit::data() else { return };
     assert_eq!(cut_everywhere(&read_las::STAGE, &data, RIEGL, &["las", "wdp"]), Ok(607));
 }
 
 #[test]
 fn container() {
     let folder = tempfile::tempdir().unwrap();
-    let job = common::job(&[(&simulate::STAGE, "lines = 3\nshots_per_line = 20"), (&write_arrow::STAGE, "")]);
-    engine::run(&job, &common::into(&job, folder.path())).unwrap();
+    let job = wavex_testkit::engine_stages::job(&[
+        (&simulate::STAGE, "lines = 3\nshots_per_line = 20"),
+        (&write_arrow::STAGE, ""),
+    ]);
+    engine::run(&job, &wavex_testkit::engine_stages::into(&job, folder.path())).unwrap();
     assert_eq!(cut_everywhere(&read_arrow::STAGE, folder.path(), "simulated", &["arrow"]), Ok(60));
 }
 
 #[test]
 fn pulsewaves() {
-    let Some(data) = support::data() else { return };
+    let Some(data) = wavex_testkit::data() else { return };
     for (name, shots) in [
         ("pulsewaves/geolas_example1", 1000),
         ("pulsewaves/las13fwf_example1", 1000),

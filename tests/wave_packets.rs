@@ -8,13 +8,9 @@
     reason = "a test fails by panicking and prints what it skips"
 )]
 
-#[path = "common/recordings.rs"]
-#[allow(dead_code, reason = "each test binary uses its own part")]
-mod recordings;
-
 use std::path::Path;
 
-use recordings::{Table, run};
+use wavex_testkit::recordings::{Table, run};
 
 const WRITE: &str = r#"
 [[stage]]

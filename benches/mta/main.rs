@@ -11,16 +11,11 @@
 #![allow(missing_docs, reason = "a bench is never imported")]
 #![allow(clippy::print_stdout, clippy::expect_used, reason = "a bench prints its figures")]
 
-#[path = "../clock/mod.rs"]
-mod clock;
-
 use wavex_signal::mta::{Cause, Echo, Emission, Line, Method, Prior, Resolved, Resolver, Settings};
 
-mod chain;
-mod waveforms;
-
-use clock::cpu_s;
 use wavex_simulation::mta_scenes::{Class, RecordedEcho, RecordedLine, Recording, SCENES, Scene};
+use wavex_testkit::clock::cpu_s;
+use wavex_testkit::mta::{chain, recording};
 
 const LINES: u32 = 120;
 const SEED: u64 = 100;
@@ -243,7 +238,7 @@ fn through_the_chain(seed: u64) {
     for (seed, spec) in (seed..).zip(SCENES) {
         let folder = tempfile::tempdir().expect("a folder");
         let scene = Scene::new(spec, seed, LINES, 1.0);
-        let truth = waveforms::write(&scene, &scene.record(&how), folder.path());
+        let truth = recording::write(&scene, &scene.record(&how), folder.path());
         chain::run(folder.path(), &library, "");
         let (are_same, score) = chain::compare(folder.path(), &truth);
         let same = if are_same { "identical bytes from both readers" } else { "THE READERS DIFFER" };

@@ -6,12 +6,9 @@
 #![allow(clippy::print_stdout, clippy::expect_used, clippy::panic, reason = "a bench prints its figures")]
 #![allow(dead_code, reason = "the tests use the rest of the scenes' module")]
 
-#[path = "../../tests/common/false_returns.rs"]
-mod false_returns;
-
 use std::collections::HashSet;
 
-use false_returns::{Flight, SCENES, Score, copy, filtered, fly, score, score_of_stage};
+use wavex_testkit::false_returns::{Flight, SCENES, Score, copy, filtered, fly, score, score_of_stage};
 
 const GOAL_TOLD: f64 = 95.0;
 const GOAL_LOST: f64 = 0.1;

@@ -10,8 +10,8 @@ use wavex_formats::container::{
     LineBuilder, TimeScale, channel,
 };
 
-use crate::support::shots::{echo, time_s};
-use crate::support::{Outcome, Place, TO_TABLE, notes, outcome, rejected};
+use wavex_testkit::shots::{echo, time_s};
+use wavex_testkit::{Outcome, TO_TABLE, TestFolder, notes, outcome, rejected};
 
 const CUT: &str = "the file is cut off: copy it again from its source";
 const DAMAGED: &str = "the file is damaged: copy it again from its source";
@@ -86,7 +86,7 @@ fn write<W: Write>(
 
 #[track_caller]
 fn refused(bytes: &[u8], message: &str) {
-    let place = Place::with(&[("a.arrow", bytes)]);
+    let place = TestFolder::with(&[("a.arrow", bytes)]);
     place.fails("read_arrow", "a.arrow", &format!("stage read_arrow: ./a.arrow: {message}"));
 }
 
@@ -123,7 +123,7 @@ fn sizes_that_lie() {
 fn a_stream_that_ends_between_two_lines_is_noted() {
     let mut whole = stream();
     whole.truncate(whole.len() - 8);
-    let place = Place::with(&[("a.arrows", &whole)]);
+    let place = TestFolder::with(&[("a.arrows", &whole)]);
     let mut command =
         place.command("[[stage]]\ntype = 'read_arrow'\npath = '-'\n[[stage]]\ntype = 'write_lstat'\n");
     command.stdin(File::open(place.path("a.arrows")).unwrap());
@@ -141,7 +141,7 @@ fn a_stream_that_ends_between_two_lines_is_noted() {
 fn a_stream_that_ends_within_a_line_is_cut_off() {
     let mut whole = stream();
     whole.truncate(whole.len() - 9);
-    let place = Place::with(&[("a.arrow", &whole)]);
+    let place = TestFolder::with(&[("a.arrow", &whole)]);
     let at = whole.len();
     let message = format!("byte 51968: body of a message: the bytes end at byte {at}; {CUT}");
     place.fails("read_arrow", "a.arrow", &format!("stage read_arrow: ./a.arrow: {message}"));
@@ -154,7 +154,7 @@ fn a_shot_that_cannot_be_is_counted_and_passed_over() {
             shot.direction = [0.0, 0.0, f64::NAN];
         }
     });
-    let place = Place::with(&[("a.arrow", &bytes)]);
+    let place = TestFolder::with(&[("a.arrow", &bytes)]);
     let input = place.succeeds("read_arrow", "a.arrow", TO_TABLE);
     let reason = "the direction is not finite";
     assert_eq!(
@@ -181,7 +181,7 @@ fn echoes_of_an_unknown_pulse_are_refused() {
             shot.mta_zone = None;
         }
     });
-    let place = Place::with(&[("a.arrow", &bytes)]);
+    let place = TestFolder::with(&[("a.arrow", &bytes)]);
     let message = "stage decompose: ./a.arrow: the pulse that caused the echoes of shot 100 is unknown; \
                    put resolve_mta before decompose";
     place.left_nothing(place.read("read_arrow", "a.arrow", TO_TABLE), message);

@@ -2,9 +2,9 @@
 
 use serde_json::json;
 
-use crate::support::las::{HEADER, Las, descriptor};
-use crate::support::shots::{SAMPLES, time_s};
-use crate::support::{Place, TO_TABLE, notes, outcome, rejected};
+use wavex_testkit::las::{HEADER, Las, descriptor};
+use wavex_testkit::shots::{SAMPLES, time_s};
+use wavex_testkit::{TO_TABLE, TestFolder, notes, outcome, rejected};
 
 /// Size of a point written by `write_las`, bytes: format 6 and the extra attributes.
 const WRITTEN_POINT: usize = 30 + 10;
@@ -14,15 +14,15 @@ const LIES: &str = "the header is wrong or the file is cut off: copy it again fr
 const DAMAGED: &str = "the file is cut off or damaged: copy it again from its source";
 
 /// A folder with a recording whose points are modified.
-fn place(las: &Las, change: impl Fn(&mut Vec<u8>)) -> Place {
+fn place(las: &Las, change: impl Fn(&mut Vec<u8>)) -> TestFolder {
     let mut points = las.las();
     change(&mut points);
-    Place::with(&[("a.las", &points), ("a.wdp", &las.packets)])
+    TestFolder::with(&[("a.las", &points), ("a.wdp", &las.packets)])
 }
 
 /// Asserts that reading a file fails with a message that names a file.
 #[track_caller]
-fn refused(place: &Place, input: &str, message: &str) {
+fn refused(place: &TestFolder, input: &str, message: &str) {
     place.fails("read_las", input, &format!("stage read_las: ./{message}"));
 }
 
@@ -35,7 +35,7 @@ fn refused_with(at: usize, bytes: &[u8], message: &str) {
 
 #[test]
 fn missing_waveforms() {
-    let place = Place::with(&[("a.las", &Las::new(3).las())]);
+    let place = TestFolder::with(&[("a.las", &Las::new(3).las())]);
     let message = "a.las: its waveforms are missing: neither inside the file nor in `a.wdp` next \
                    to it; copy `a.wdp` into the same folder, or export the file with its waveforms \
                    inside";
@@ -91,7 +91,7 @@ fn waveforms_that_were_cut_off() {
             ),
         ),
     ] {
-        let place = Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets[..cut])]);
+        let place = TestFolder::with(&[("a.las", &las.las()), ("a.wdp", &las.packets[..cut])]);
         refused(&place, "a.las", &format!("a.wdp: {message}"));
     }
 }
@@ -102,7 +102,7 @@ fn waveforms_that_were_cut_off_where_their_header_does_not_say_how_many_there_ar
     // Writers that do not seek back leave a length of 0.
     las.packets[20..28].fill(0);
     let cut = las.packets.len() - 2 * SAMPLES;
-    let place = Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets[..cut])]);
+    let place = TestFolder::with(&[("a.las", &las.las()), ("a.wdp", &las.packets[..cut])]);
     let message = "a.wdp: byte 108: waveform packet: 48 bytes at offset 108 are outside the \
                    packets (60 to 108); the point is damaged or the waveforms belong to another \
                    file: export both again";
@@ -128,7 +128,7 @@ fn compressed_points_that_were_cut_off() {
         ),
         (560, format!("byte {points}: offset to the chunk table: the file ends before it")),
     ] {
-        let place = Place::with(&[("a.laz", &whole[..cut]), ("a.wdp", &las.packets)]);
+        let place = TestFolder::with(&[("a.laz", &whole[..cut]), ("a.wdp", &las.packets)]);
         refused(&place, "a.laz", &format!("a.laz: {problem}; {DAMAGED}"));
     }
 }
@@ -198,7 +198,7 @@ fn a_count_of_compressed_points_that_lies() {
     ] {
         let mut points = las.laz();
         points[247..255].copy_from_slice(&count.to_le_bytes());
-        let place = Place::with(&[("a.laz", &points), ("a.wdp", &las.packets)]);
+        let place = TestFolder::with(&[("a.laz", &points), ("a.wdp", &las.packets)]);
         refused(&place, "a.laz", &format!("a.laz: {problem}; {DAMAGED}"));
     }
 }

@@ -8,9 +8,6 @@
     reason = "a test fails by panicking, and prints what it skips; the caller waits for what `begin` starts"
 )]
 
-#[path = "../support/mod.rs"]
-mod support;
-
 mod containers;
 mod las;
 mod outputs;

@@ -3,20 +3,20 @@
 use std::fs::{self, OpenOptions};
 use std::process::{Command, Stdio};
 
-use crate::support::las::Las;
-use crate::support::{Outcome, Place, TO_TABLE, outcome, skipped};
+use wavex_testkit::las::Las;
+use wavex_testkit::{Outcome, TO_TABLE, TestFolder, outcome, skipped};
 
 const READ: &str = "[[stage]]\ntype = 'read_las'\npath = 'a.las'\n";
 const COPY: &str = "[[stage]]\ntype = 'write_arrow'\n";
 
-fn place(pulses: usize) -> Place {
+fn place(pulses: usize) -> TestFolder {
     let las = Las::new(pulses);
-    Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)])
+    TestFolder::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)])
 }
 
 /// Asserts that the run fails with this message and leaves the folder unchanged.
 #[track_caller]
-fn fails(place: &Place, command: &mut Command, message: &str) {
+fn fails(place: &TestFolder, command: &mut Command, message: &str) {
     let before = place.products();
     assert_eq!(outcome(command), Outcome { code: Some(1), err: format!("error: {message}\n") });
     assert_eq!(place.products(), before);

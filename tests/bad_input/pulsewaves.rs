@@ -2,19 +2,19 @@
 
 use serde_json::json;
 
-use crate::support::pulsewaves::{HEADER, PulseWaves, WAVES, WAVES_HEADER, descriptor};
-use crate::support::{Place, TO_TABLE, notes, outcome, rejected};
+use wavex_testkit::pulsewaves::{HEADER, PulseWaves, WAVES, WAVES_HEADER, descriptor};
+use wavex_testkit::{TO_TABLE, TestFolder, notes, outcome, rejected};
 
 const CUT: &str = "the file is cut off: copy it again from its source";
 const AGAIN: &str = "export the file again from its source";
 const LEAVE_OUT: &str = "leave the pulse out, or copy both files again: the waves file may be cut off";
 
-fn place(pulses: &[u8], waves: &[u8]) -> Place {
-    Place::with(&[("a.pls", pulses), ("a.wvs", waves)])
+fn place(pulses: &[u8], waves: &[u8]) -> TestFolder {
+    TestFolder::with(&[("a.pls", pulses), ("a.wvs", waves)])
 }
 
 #[track_caller]
-fn refused(place: &Place, message: &str) {
+fn refused(place: &TestFolder, message: &str) {
     place.fails("read_pulsewaves", "a.pls", &format!("stage read_pulsewaves: ./{message}"));
 }
 
@@ -29,7 +29,7 @@ fn refused_with(at: usize, bytes: &[u8], message: &str) {
 
 #[test]
 fn missing_waves() {
-    let place = Place::with(&[("a.pls", &PulseWaves::new(3).pls())]);
+    let place = TestFolder::with(&[("a.pls", &PulseWaves::new(3).pls())]);
     refused(
         &place,
         "a.pls: its waves file ./a.wvs is missing; put it into the folder of the pulse \
@@ -40,7 +40,7 @@ fn missing_waves() {
 #[test]
 fn compressed_files() {
     let whole = PulseWaves::new(3);
-    let place = Place::with(&[("a.pls", &whole.pls()), ("a.wvz", &whole.waves)]);
+    let place = TestFolder::with(&[("a.pls", &whole.pls()), ("a.wvz", &whole.waves)]);
     let remedy = "uncompress the pair with rapidlasso's pulsezip (pulsezip -i in.plz -o out.pls)";
     refused(&place, &format!("a.pls: its waves are compressed (.wvz); {remedy}"));
     refused_with(204, &[1], &format!("its pulses are compressed (scheme 1); {remedy}"));

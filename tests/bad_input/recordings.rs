@@ -6,11 +6,11 @@ use std::path::Path;
 use serde_json::json;
 use wavex_formats::container::ContainerReader;
 
-use crate::support::{Place, data, rejected};
+use wavex_testkit::{TestFolder, data, rejected};
 
 /// Copies a recording of one or more files to a folder, as `a` with their extensions.
-fn copy(data: &Path, name: &str, extensions: &[&str]) -> Place {
-    let place = Place::new();
+fn copy(data: &Path, name: &str, extensions: &[&str]) -> TestFolder {
+    let place = TestFolder::new();
     for extension in extensions {
         place.write(&format!("a.{extension}"), &fs::read(data.join(name).with_extension(extension)).unwrap());
     }
@@ -18,14 +18,14 @@ fn copy(data: &Path, name: &str, extensions: &[&str]) -> Place {
 }
 
 /// Replaces bytes of a file.
-fn change(place: &Place, name: &str, at: usize, bytes: &[u8]) {
+fn change(place: &TestFolder, name: &str, at: usize, bytes: &[u8]) {
     let mut whole = fs::read(place.path(name)).unwrap();
     whole[at..at + bytes.len()].copy_from_slice(bytes);
     place.write(name, &whole);
 }
 
 /// Reads a 16 or 32-bit number from a file.
-fn number(place: &Place, name: &str, at: usize, bytes: usize) -> usize {
+fn number(place: &TestFolder, name: &str, at: usize, bytes: usize) -> usize {
     let whole = fs::read(place.path(name)).unwrap();
     whole[at..at + bytes].iter().rev().fold(0, |number, byte| number << 8 | usize::from(*byte))
 }
@@ -47,7 +47,7 @@ fn shots(path: &Path) -> Vec<String> {
 /// Asserts that a recording with a damaged record in the middle is read except for one shot, which
 /// is counted.
 #[track_caller]
-fn loses_one_shot(place: &Place, reader: &str, name: &str, damage: (usize, &[u8]), what: &str) {
+fn loses_one_shot(place: &TestFolder, reader: &str, name: &str, damage: (usize, &[u8]), what: &str) {
     const COPY: &str = "[[stage]]\ntype = 'write_arrow'\n";
     place.succeeds(reader, name, COPY);
     let whole = shots(&place.path("out/a.arrow"));

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use serde_json::Value;
 
-use crate::support::las::Las;
-use crate::support::{Outcome, Place, outcome};
+use wavex_testkit::las::Las;
+use wavex_testkit::{Outcome, TestFolder, outcome};
 
 /// A flight that takes hours, written to every kind of output.
 const LONG: &str = "\
@@ -36,7 +36,7 @@ type = 'write_lstat'
 ";
 
 /// Returns whether a run has created all its outputs and written to some.
-fn has_begun(place: &Place) -> bool {
+fn has_begun(place: &TestFolder) -> bool {
     let outputs = place.outputs();
     let is_written =
         |name: &String| fs::metadata(place.path("out").join(name)).is_ok_and(|about| about.len() > 0);
@@ -44,7 +44,7 @@ fn has_begun(place: &Place) -> bool {
 }
 
 /// Starts a long run and waits until it is writing.
-fn begin(place: &Place, job: &str) -> Child {
+fn begin(place: &TestFolder, job: &str) -> Child {
     let mut child = place.command(job).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     while !has_begun(place) {
         assert_eq!(child.try_wait().unwrap(), None, "the run ended before it was interrupted");
@@ -59,7 +59,7 @@ fn begin(place: &Place, job: &str) -> Child {
 fn a_folder_whose_name_is_no_unicode_is_reported_all_the_same() {
     use std::os::unix::ffi::OsStrExt;
     let las = Las::new(3);
-    let place = Place::new();
+    let place = TestFolder::new();
     let folder = place.path("").join(std::ffi::OsStr::from_bytes(b"caf\xe9"));
     fs::create_dir(&folder).unwrap();
     fs::write(folder.join("a.las"), las.las()).unwrap();
@@ -80,7 +80,7 @@ fn send(signal: &str, to: &Child) {
 
 /// Asserts the message and the absence of outputs of an interrupted run.
 #[track_caller]
-fn ends(place: &Place, child: Child) {
+fn ends(place: &TestFolder, child: Child) {
     let output = child.wait_with_output().unwrap();
     let err = String::from_utf8(output.stderr).unwrap();
     assert_eq!(err, "error: interrupted; unfinished outputs were removed\n");
@@ -91,7 +91,7 @@ fn ends(place: &Place, child: Child) {
 #[test]
 fn a_signal_ends_a_run_in_order() {
     for signal in ["INT", "TERM", "HUP"] {
-        let place = Place::new();
+        let place = TestFolder::new();
         let child = begin(&place, LONG);
         let is_unfinished = |name: &String| name.ends_with(".partial") || name.starts_with(".wavex");
         assert!(place.outputs().iter().all(is_unfinished), "{:?}", place.outputs());
@@ -102,7 +102,7 @@ fn a_signal_ends_a_run_in_order() {
 
 #[test]
 fn a_second_signal_ends_a_stage_that_takes_its_time() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let child = begin(&place, &LONG.replace("waveforms = 300", "waveforms = 20000"));
     // Nothing more is written once calibration has started and all queues before it are full.
     let written = || {

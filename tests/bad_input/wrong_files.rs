@@ -2,9 +2,9 @@
 
 use std::fs;
 
-use crate::support::las::Las;
-use crate::support::pulsewaves::PulseWaves;
-use crate::support::{Outcome, Place, TO_TABLE};
+use wavex_testkit::las::Las;
+use wavex_testkit::pulsewaves::PulseWaves;
+use wavex_testkit::{Outcome, TO_TABLE, TestFolder};
 
 /// Every reader with the name of an input.
 const READERS: [(&str, &str); 4] =
@@ -16,7 +16,7 @@ fn a_missing_file() {
         let message = format!(
             "stage {reader}: ./{name}: cannot open: No such file or directory (os error 2); check the path"
         );
-        Place::new().fails(reader, name, &message);
+        TestFolder::new().fails(reader, name, &message);
     }
 }
 
@@ -24,14 +24,14 @@ fn a_missing_file() {
 fn an_empty_file() {
     for (reader, name) in READERS {
         let message = format!("stage {reader}: ./{name}: the file is empty; copy it again from its source");
-        Place::with(&[(name, b"")]).fails(reader, name, &message);
+        TestFolder::with(&[(name, b"")]).fails(reader, name, &message);
     }
 }
 
 #[test]
 fn a_folder() {
     for (reader, name) in READERS {
-        let place = Place::new();
+        let place = TestFolder::new();
         fs::create_dir(place.path(name)).unwrap();
         let problem = match reader {
             "read_las" => "cannot read the header: Is a directory (os error 21); give a file",
@@ -71,13 +71,17 @@ fn a_file_of_another_format() {
         ("read_arrow", "a.arrow", &pls.pls(), no_arrow.into()),
     ];
     for (reader, name, bytes, problem) in cases {
-        Place::with(&[(name, bytes)]).fails(reader, name, &format!("stage {reader}: ./{name}: {problem}"));
+        TestFolder::with(&[(name, bytes)]).fails(
+            reader,
+            name,
+            &format!("stage {reader}: ./{name}: {problem}"),
+        );
     }
 }
 
 #[test]
 fn a_pattern_without_matches() {
-    let place = Place::with(&[("lines/a.las", &Las::new(3).las())]);
+    let place = TestFolder::with(&[("lines/a.las", &Las::new(3).las())]);
     for reader in ["read_las", "read_pulsewaves", "read_arrow"] {
         let message =
             "no file matches `./lines/*.pls`; check `path` of the reader and `input_dir` of the job";
@@ -87,7 +91,7 @@ fn a_pattern_without_matches() {
 
 #[test]
 fn inputs_whose_outputs_would_have_the_same_names() {
-    let place = Place::with(&[("a/x.las", b""), ("b/x.las", b"")]);
+    let place = TestFolder::with(&[("a/x.las", b""), ("b/x.las", b"")]);
     let message = "the outputs of a/x.las and b/x.las would have the same names; \
                    run them as two jobs with different output folders";
     place.fails("read_las", "*/x.las", message);
@@ -96,8 +100,12 @@ fn inputs_whose_outputs_would_have_the_same_names() {
 #[test]
 fn the_outputs_of_inputs_before_a_bad_one_stay_and_those_behind_it_are_not_begun() {
     let las = Las::new(3);
-    let place =
-        Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets), ("b.las", b"LASF"), ("c.las", b"")]);
+    let place = TestFolder::with(&[
+        ("a.las", &las.las()),
+        ("a.wdp", &las.packets),
+        ("b.las", b"LASF"),
+        ("c.las", b""),
+    ]);
     let outcome = place.read("read_las", "*.las", "[[stage]]\ntype = 'write_arrow'\n");
     let message = "error: stage read_las: b.las: byte 4: file source ID: 2 bytes needed, 0 left; \
                    the file is cut off: copy it again from its source\n";
@@ -120,7 +128,7 @@ fn the_outputs_of_inputs_before_a_bad_one_stay_and_those_behind_it_are_not_begun
 #[test]
 fn too_few_waveforms_to_calibrate_from() {
     let las = Las::new(150);
-    let place = Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)]);
+    let place = TestFolder::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)]);
     let message = "stage calibrate: ./a.las: the low power receiver: calibration needs 200 waveforms of the channel \
                    and there were 150; give it more data, or load a saved sensor model";
     place.left_nothing(place.read("read_las", "a.las", TO_TABLE), message);
@@ -129,7 +137,7 @@ fn too_few_waveforms_to_calibrate_from() {
 #[test]
 fn no_waveform_at_all() {
     let las = Las::new(0);
-    let place = Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)]);
+    let place = TestFolder::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)]);
     let input = place.succeeds("read_las", "a.las", TO_TABLE);
     assert_eq!(input["totals"], serde_json::json!({}));
     assert_eq!(place.text("out/a.csv").lines().count(), 1, "a table without rows");

@@ -8,13 +8,10 @@
 )]
 
 mod blinded;
-#[path = "../common/mod.rs"]
-mod common;
 
 use std::path::Path;
 use std::sync::Arc;
 
-use common::{into, job};
 use nalgebra::{DMatrix, DVector, Matrix3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -25,6 +22,7 @@ use wavex::stage::{Config, Context, Paths, Result, RunContext, Source, SourceCon
 use wavex_simulation::pulse::Shape;
 use wavex_simulation::random::{Purpose, Random};
 use wavex_simulation::receiver::{Echo, HighPower, Receiver, Settings};
+use wavex_testkit::engine_stages::{into, job};
 
 const FULL_SCALE_DN: f64 = 255.0;
 const BACKGROUND_DN: [f64; 2] = [12.0, 12.4];

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use wavex::engine::RunReport;
 
-use super::made::{Flight, Truth, distance_m, fly, run};
+use wavex_testkit::georeferenced_flight::{Flight, Truth, distance_m, fly, run};
 
 const INSTALLED: &str = "lever_arm_m = [0.8, -0.35, 1.1]\nboresight_deg = [0.4, -0.7, 1.3]\n";
 pub const SWAYING: &str =

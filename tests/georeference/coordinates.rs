@@ -6,7 +6,7 @@ use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_geodesy::transverse_mercator::{Parameters, TransverseMercator};
 
 use super::flights::QUIET;
-use super::made::{Flight, Placed, distance_m, fly, write_geoid};
+use wavex_testkit::georeferenced_flight::{Flight, Placed, distance_m, fly, write_geoid};
 
 const KEYS: &str = "start_deg = [-122.0, 41.0]\nheading_deg = 70.0\nroll_deg = 8.0\npitch_deg = 5.0\n\
                     lever_arm_m = [0.8, -0.35, 1.1]\nboresight_deg = [0.4, -0.7, 1.3]\n";

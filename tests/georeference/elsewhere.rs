@@ -4,7 +4,7 @@
 use wavex_formats::trajectory::sbet::RECORD_BYTES;
 
 use super::flights::QUIET;
-use super::made::{Flight, distance_m, fly, run};
+use wavex_testkit::georeferenced_flight::{Flight, distance_m, fly, run};
 
 const GEOREFERENCE: &str = "[[stage]]\ntype = 'calibrate'\nwaveforms = 500\nresponse = 'gaussian'\n\
                             [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n";
@@ -49,7 +49,7 @@ fn coordinates_need_a_trajectory() {
 fn points_stand_in_the_aircraft() {
     let flight = fly(&format!("{QUIET}scan_angle_deg = [-20.0, 20.0]"));
     let plain = flight.place("", |truth| truth.range_m).unwrap();
-    let notes = |placed: &super::made::Placed| placed.cx.counters().notes.clone();
+    let notes = |placed: &wavex_testkit::georeferenced_flight::Placed| placed.cx.counters().notes.clone();
     assert_eq!(notes(&plain), ["the input is not georeferenced: its points are in the scanner frame"]);
     assert!(plain.points.iter().zip(&flight.truth).all(|(point, truth)| {
         let length_m = distance_m(*point, [0.0; 3]);

@@ -3,7 +3,7 @@
 use wavex::georef::mount::{Mount, MountName};
 use wavex_geodesy::frames::{inverse, rotation_of_angles, then};
 
-use super::made::{Flight, distance_m, fly};
+use wavex_testkit::georeferenced_flight::{Flight, distance_m, fly};
 
 /// Keys common to all flights: short and noise-free.
 pub const QUIET: &str = "lines = 40\nshots_per_line = 120\npulse_rate_hz = 20000\nnoise_sd_dn = 0.0\n\

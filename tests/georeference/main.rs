@@ -10,6 +10,5 @@ mod chain;
 mod coordinates;
 mod elsewhere;
 mod flights;
-mod made;
 mod times;
 mod uncertainty;

@@ -4,7 +4,7 @@ use wavex::stage::Item;
 use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 
 use super::flights::QUIET;
-use super::made::{Flight, Placed, distance_m, fly};
+use wavex_testkit::georeferenced_flight::{Flight, Placed, distance_m, fly};
 
 const SWAYING: &str = "roll_deg = 10.0\npitch_deg = 8.0\nmotion_period_s = 4.0\n";
 /// Half of this flight's 0.36 s is after the end of the week.

@@ -6,7 +6,7 @@ use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex_simulation::random::{Normal, Purpose, Random};
 
 use super::chain::{Found, SWAYING, pairs, process, returns};
-use super::made::{Flight, Truth, distance_m, fly, write_accuracy};
+use wavex_testkit::georeferenced_flight::{Flight, Truth, distance_m, fly, write_accuracy};
 
 /// SD of the trajectory: north, east, down, m; roll, pitch, heading, degrees.
 const POSITION_SD_M: [f64; 3] = [0.008, 0.006, 0.012];

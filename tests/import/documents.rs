@@ -6,12 +6,12 @@ use std::sync::OnceLock;
 
 use crate::examples::EXAMPLES;
 use crate::runs::{leaves, wavex};
-use crate::support::las::Las;
-use crate::support::{Outcome, Place};
 use crate::truth::{self, Truth, agrees_with_truth};
 use wavex_geodesy::crs::{Crs, Named};
 use wavex_geodesy::ellipsoid::Geodetic;
 use wavex_geodesy::frames::{Attitude, rotation_of_angles, then};
+use wavex_testkit::las::Las;
+use wavex_testkit::{Outcome, TestFolder};
 
 /// Pulses per LAS file.
 const PULSES: usize = 300;
@@ -38,7 +38,7 @@ struct Flight {
 impl Flight {
     /// A flight with two to three pulses in the air.
     fn new(keys: &str) -> Flight {
-        let place = Place::new();
+        let place = TestFolder::new();
         let job = format!(
             "[[stage]]\ntype = 'simulate'\nstem = 'data'\nlines = 2\nshots_per_line = 120\nas_recorded = true\n\
              pulse_rate_hz = 300000\nmodulation_ns = 15.0\nflying_height_m = 1000.0\npof = '*.pof'\nsbet = '*.out'\ntruth = '*.csv'\n\
@@ -127,7 +127,7 @@ fn flight(name: &str) -> Cow<'static, Flight> {
 }
 
 /// Inputs of an example, by number, and the truth.
-fn inputs(name: &str) -> (Place, Vec<Truth>) {
+fn inputs(name: &str) -> (TestFolder, Vec<Truth>) {
     if name.starts_with("1.0") {
         return inputs_of_1_0(name);
     }
@@ -137,7 +137,7 @@ fn inputs(name: &str) -> (Place, Vec<Truth>) {
         "1.1-04" | "1.1-05" | "1.1-06" | "1.1-07" | "1.1-08" => "indir/data.sdf",
         _ => "data.sdf",
     };
-    let place = Place::with(&[(sdf, &flight.recording)]);
+    let place = TestFolder::with(&[(sdf, &flight.recording)]);
     let write = |files: &[(&str, &[u8])]| files.iter().for_each(|(file, bytes)| place.write(file, bytes));
     match name {
         "1.1-01" | "1.1-02" | "1.1-03" => write(&[("file.pof", &flight.pof)]),
@@ -170,7 +170,7 @@ fn inputs(name: &str) -> (Place, Vec<Truth>) {
 
 /// The same for version 1.0. The points of the first example give their positions in the waveforms,
 /// to which ranges are tied.
-fn inputs_of_1_0(name: &str) -> (Place, Vec<Truth>) {
+fn inputs_of_1_0(name: &str) -> (TestFolder, Vec<Truth>) {
     let (path, odd_sample_shift) = match name {
         // On other systems, the Windows path is a plain name.
         "1.0-03" => (r"F:\indir/waveform.las", 0.0),
@@ -184,7 +184,7 @@ fn inputs_of_1_0(name: &str) -> (Place, Vec<Truth>) {
         recording = recording.without_locations();
     }
     let packets = format!("{}.wdp", &path[..path.len() - 4]);
-    let place = Place::with(&[(path, &recording.las()), (&packets, &recording.packets)]);
+    let place = TestFolder::with(&[(path, &recording.las()), (&packets, &recording.packets)]);
     (place, truth::of_pulses(PULSES, has_locations))
 }
 
@@ -232,7 +232,7 @@ fn outputs(name: &str) -> &'static [&'static str] {
 
 /// Runs an example; asserts its files and that points lie at the true returns.
 #[track_caller]
-fn runs(name: &str) -> Place {
+fn runs(name: &str) -> TestFolder {
     let (place, truth) = inputs(name);
     let line = EXAMPLES.iter().find(|(example, _)| *example == name).unwrap().1;
     let files = outputs(name);

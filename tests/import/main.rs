@@ -6,8 +6,6 @@ mod examples;
 mod lines;
 mod refused;
 mod runs;
-#[path = "../support/mod.rs"]
-mod support;
 mod table;
 mod truth;
 

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 
-use crate::support::las::Las;
-use crate::support::{Outcome, Place};
+use wavex_testkit::las::Las;
+use wavex_testkit::{Outcome, TestFolder};
 
 /// Result of a command: exit code, standard output and standard error.
 #[derive(Debug, PartialEq)]
@@ -16,7 +16,7 @@ pub(crate) struct Ended {
 }
 
 /// Runs `wavex import` with these words in a folder, with the stand-in for RIEGL's library.
-pub(crate) fn wavex(place: &Place, line: &str) -> Ended {
+pub(crate) fn wavex(place: &TestFolder, line: &str) -> Ended {
     let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
     program.arg("import").args(line.split_whitespace()).current_dir(place.path(""));
     program.stdin(Stdio::null()).env_remove("RUST_LOG");
@@ -41,7 +41,7 @@ fn stand_in() -> PathBuf {
 /// Asserts that the line runs without messages and leaves these files besides inputs, log and
 /// report.
 #[track_caller]
-pub(crate) fn leaves(place: &Place, line: &str, files: &[&str]) -> String {
+pub(crate) fn leaves(place: &TestFolder, line: &str, files: &[&str]) -> String {
     let ended = wavex(place, &format!("--run -- {line}"));
     assert_eq!(ended.code, Some(0), "{line}: {}", ended.err);
     assert!(!ended.err.contains("not supported by this build"), "{line}: {}", ended.err);
@@ -52,17 +52,17 @@ pub(crate) fn leaves(place: &Place, line: &str, files: &[&str]) -> String {
 }
 
 /// A LAS recording of 400 pulses at nadir.
-fn waveform_las() -> Place {
+fn waveform_las() -> TestFolder {
     let recording = Las::new(400);
-    Place::with(&[("waveform.las", &recording.las()), ("waveform.wdp", &recording.packets)])
+    TestFolder::with(&[("waveform.las", &recording.las()), ("waveform.wdp", &recording.packets)])
 }
 
 /// A recorded flight with two to three pulses in the air, served as SDF by the stand-in, and its
 /// trajectory.
-fn data_sdf() -> Place {
+fn data_sdf() -> TestFolder {
     static FILES: OnceLock<[Vec<u8>; 2]> = OnceLock::new();
     let [recording, trajectory] = FILES.get_or_init(|| {
-        let place = Place::new();
+        let place = TestFolder::new();
         let job = "[[stage]]\ntype = 'simulate'\nstem = 'data'\nlines = 3\nshots_per_line = 100\n\
                    as_recorded = true\npulse_rate_hz = 300000\nmodulation_ns = 15.0\nflying_height_m = 1000.0\n\
                    pof = 'file.pof'\n\
@@ -70,11 +70,11 @@ fn data_sdf() -> Place {
         assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
         ["data.arrow", "file.pof"].map(|name| std::fs::read(place.path("out").join(name)).unwrap())
     });
-    Place::with(&[("data.sdf", recording), ("file.pof", trajectory)])
+    TestFolder::with(&[("data.sdf", recording), ("file.pof", trajectory)])
 }
 
 /// From the header of a LAS or LAZ file: minor version, number of points, and minimum easting.
-pub(crate) fn header(place: &Place, file: &str) -> (u8, u64, f64) {
+pub(crate) fn header(place: &TestFolder, file: &str) -> (u8, u64, f64) {
     let bytes = std::fs::read(place.path(file)).unwrap();
     let u32_at = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
     let u64_at = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
@@ -134,7 +134,7 @@ fn statistics_of_each_recording_of_a_pattern() {
             "outdir/track.txt".to_owned(),
         ]
     };
-    let place = Place::with(&[
+    let place = TestFolder::with(&[
         ("indir/one.sdf", &recording[..]),
         ("indir/two.sdf", &recording),
         ("file.pof", &trajectory),
@@ -160,7 +160,7 @@ fn statistics_of_each_recording_of_a_pattern() {
 
 #[test]
 fn a_line_that_asks_for_information_gets_it() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let ended = wavex(&place, "--run -- wavex -v");
     let version = format!("wavex {}\n", env!("CARGO_PKG_VERSION"));
     assert_eq!(ended, Ended { code: Some(0), out: version, err: String::new() });
@@ -188,7 +188,7 @@ fn a_job_is_printed_or_written_and_what_is_there_is_left_alone() {
 
 #[test]
 fn a_line_without_a_job_is_not_written() {
-    let place = Place::new();
+    let place = TestFolder::new();
     let ended = wavex(&place, "-o job.toml -- -v");
     assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
     assert!(
@@ -201,7 +201,7 @@ fn a_line_without_a_job_is_not_written() {
 
 #[test]
 fn a_wrong_line_is_refused() {
-    let ended = wavex(&Place::new(), "-- -i a.sdf -dett 5");
+    let ended = wavex(&TestFolder::new(), "-- -i a.sdf -dett 5");
     let expected = "error: version 1.1 has no option `-dett`\n  | wavex -i a.sdf -dett 5\n  |                ^^^^^\n  \
                     = help: did you mean `-det`?\n";
     assert_eq!(ended, Ended { code: Some(2), out: String::new(), err: expected.to_owned() });
@@ -209,7 +209,7 @@ fn a_wrong_line_is_refused() {
 
 #[test]
 fn a_value_that_a_key_cannot_take_is_told_with_its_place_in_the_job() {
-    let ended = wavex(&Place::new(), "-- -i a.sdf -mem 16");
+    let ended = wavex(&TestFolder::new(), "-- -i a.sdf -mem 16");
     assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
     assert!(ended.err.contains("memory_mb = 16"), "{}", ended.err);
     assert!(ended.err.contains("# -mem 16"), "{}", ended.err);

@@ -7,7 +7,7 @@ use std::path::Path;
 use wavex_formats::container::ContainerReader;
 use wavex_formats::las::RawPoints;
 
-use crate::support::{Place, shots};
+use wavex_testkit::{TestFolder, shots};
 
 /// Time tolerance of one pulse, s; the shortest pulse interval exceeds three of these.
 const SAME_PULSE_S: f64 = 1e-6;
@@ -73,7 +73,7 @@ pub(crate) fn of_pulses(pulses: usize, has_locations: bool) -> Vec<Truth> {
 }
 
 /// Points of a LAS or LAZ file of format 1 or 6.
-pub(crate) fn points(place: &Place, file: &str) -> Vec<Point> {
+pub(crate) fn points(place: &TestFolder, file: &str) -> Vec<Point> {
     let mut reader = RawPoints::open(&place.path(file)).unwrap();
     let header = reader.header().clone();
     let source_at = if header.point_format == 1 { 18 } else { 20 };

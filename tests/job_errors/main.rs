@@ -2,9 +2,7 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic)]
 
 use wavex::job::{Include, Job, JobErrors, Override};
-
-#[path = "../stages/mod.rs"]
-mod stages;
+use wavex_testkit::job_stages;
 
 mod chain;
 mod geometry;
@@ -38,14 +36,14 @@ type = \"write_las\"
 
 fn parse(text: &str, overrides: &[&str]) -> Result<Job, JobErrors> {
     let overrides: Vec<Override> = overrides.iter().copied().map(Override::new).collect();
-    Job::parse_with(stages::STAGES, "job.toml", text, &[], &overrides)
+    Job::parse_with(job_stages::STAGES, "job.toml", text, &[], &overrides)
 }
 
 /// Asserts the errors of a job that includes `site.toml` with this content.
 fn check_included(site: &str, expected: &str) {
     let text = format!("[job]\ninclude = \"site.toml\"\n{FULL}");
     let site = Include { name: "site.toml".into(), text: site.strip_prefix('\n').unwrap_or(site).into() };
-    match Job::parse_with(stages::STAGES, "job.toml", &text, &[site], &[]) {
+    match Job::parse_with(job_stages::STAGES, "job.toml", &text, &[site], &[]) {
         Ok(job) => panic!("no error: {}", job.chain()),
         Err(errors) => assert_eq!(errors.to_string(), expected.strip_prefix('\n').unwrap_or(expected)),
     }

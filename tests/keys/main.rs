@@ -1,17 +1,14 @@
 //! Effects of the keys of readers, `calibrate` and `decompose` on the results.
 #![allow(missing_docs, clippy::unwrap_used, clippy::panic, clippy::print_stdout)]
 
-#[path = "../support/mod.rs"]
-mod support;
-
 mod effects;
 
 use std::collections::BTreeMap;
 
-use support::container::{Shot, container};
-use support::{Outcome, Place, shots};
 use wavex::scan_line::flags::{ECHO_ON_OUTGOING, EMISSION_IN_BLOCK, EMISSION_ON_ECHO, OVERLAP, REFINED};
 use wavex_formats::container::EmissionReference;
+use wavex_testkit::container::{Shot, container};
+use wavex_testkit::{Outcome, TestFolder, shots};
 
 const SHOTS: usize = 320;
 /// Channel codes of the container.
@@ -32,7 +29,7 @@ fn flags_of(row: &Row) -> u16 {
 }
 
 /// Reads a container with these keys: table of returns, and report of the input.
-fn run(place: &Place, reader: &str, calibrate: &str, decompose: &str) -> (Vec<Row>, serde_json::Value) {
+fn run(place: &TestFolder, reader: &str, calibrate: &str, decompose: &str) -> (Vec<Row>, serde_json::Value) {
     let job = format!(
         "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{reader}\n[[stage]]\ntype = 'calibrate'\n{calibrate}\n\
          [[stage]]\ntype = 'decompose'\n{decompose}\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n"
@@ -69,7 +66,7 @@ fn samples_at(shot: usize, pulses: &[(f64, f64)], taken_at: impl Fn(usize) -> f6
 }
 
 /// Shots with an outgoing pulse at their clock and one echo 1024 ns later; `change` modifies some.
-fn recording(change: impl Fn(usize, &mut Shot)) -> Place {
+fn recording(change: impl Fn(usize, &mut Shot)) -> TestFolder {
     let shot = |number: usize| {
         let place = 0.1 * (number % 7) as f64;
         let mut shot = Shot {
@@ -83,7 +80,7 @@ fn recording(change: impl Fn(usize, &mut Shot)) -> Place {
         shot
     };
     let all: Vec<Shot> = (0..SHOTS).map(shot).collect();
-    Place::with(&[("a.arrow", &container(&all, EmissionReference::OutgoingPulse, true))])
+    TestFolder::with(&[("a.arrow", &container(&all, EmissionReference::OutgoingPulse, true))])
 }
 
 fn of_shot(rows: &[Row], shot: usize) -> Vec<&Row> {
@@ -93,7 +90,7 @@ fn of_shot(rows: &[Row], shot: usize) -> Vec<&Row> {
 
 /// Shot 50 is recorded while shot 51 is emitted, close to its echo. Shot 60 is recorded while shot
 /// 61 is emitted, whose emission leaks in. An echo overlaps the outgoing pulse of shot 70.
-fn with_crosstalk() -> Place {
+fn with_crosstalk() -> TestFolder {
     recording(|number, shot| match number {
         50 => shot.blocks[1].1 = INTERVAL_NS - 20.0,
         60 => shot.blocks[1] = (LOW, INTERVAL_NS - 40.0, samples(number, &[(12.0, 120.0), (40.0, 60.0)])),
@@ -209,7 +206,7 @@ fn odd_samples_that_come_late_bias_no_range() {
         blocks: vec![(LOW, 1000.0, samples_at(number, &[(24.0 + 0.1 * (number % 7) as f64, 120.0)], late))],
     };
     let all: Vec<Shot> = (0..SHOTS).map(shot).collect();
-    let place = Place::with(&[("a.arrow", &container(&all, EmissionReference::Clock, true))]);
+    let place = TestFolder::with(&[("a.arrow", &container(&all, EmissionReference::Clock, true))]);
     let (without, _) = run(&place, "", "response = 'gaussian'", "");
     let (bias, sd) = bias_ns(&without);
     assert!((bias + 0.05).abs() < 4.0 * sd, "half of the shift: {bias} {sd}");
@@ -228,11 +225,11 @@ fn odd_samples_that_come_late_bias_no_range() {
 /// Points of LAS move along their beams by the added time of flight.
 #[test]
 fn a_time_offset_moves_points_along_their_beams() {
-    let las = support::las::Las::new(SHOTS);
-    let place = Place::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)]);
+    let las = wavex_testkit::las::Las::new(SHOTS);
+    let place = TestFolder::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)]);
     let mut found = Vec::new();
     for offset in ["", "range_time_offset_ns = 10.0\n"] {
-        let stages = format!("{offset}{}", support::TO_TABLE);
+        let stages = format!("{offset}{}", wavex_testkit::TO_TABLE);
         place.succeeds("read_las", "a.las", &stages);
         let text = place.text("out/a.csv");
         let mut rows = text.lines().map(|row| row.split(',').map(str::to_owned).collect::<Vec<_>>());
@@ -274,7 +271,7 @@ fn a_given_tail_is_taken_off_before_everything_else() {
         blocks: vec![(LOW, 1000.0, with_tail(number))],
     };
     let all: Vec<Shot> = (0..SHOTS).map(shot).collect();
-    let place = Place::with(&[("a.arrow", &container(&all, EmissionReference::Clock, true))]);
+    let place = TestFolder::with(&[("a.arrow", &container(&all, EmissionReference::Clock, true))]);
     let gaussian = "response = 'gaussian'";
     let (without, _) = run(&place, "", gaussian, "");
     let keys = format!("{gaussian}\ndecay_amplitude = {amplitude}\ndecay_time_ns = {time_ns}");
@@ -294,8 +291,9 @@ fn a_model_for_other_samples_is_used_as_it_is_and_said_so() {
     let model = place.path("out/model.json");
     let load = format!("load = '{}'", model.display());
     let (_, _) = run(&place, "", &load, "");
-    let notes =
-        |place: &Place| place.text("out/report.json").matches("the values of the model are used").count();
+    let notes = |place: &TestFolder| {
+        place.text("out/report.json").matches("the values of the model are used").count()
+    };
     assert_eq!(notes(&place), 0);
     run(&place, "odd_sample_shift = 0.2", &load, "");
     assert_eq!(notes(&place), 1);
@@ -316,7 +314,7 @@ fn a_model_for_other_samples_is_used_as_it_is_and_said_so() {
 /// it.
 #[test]
 fn a_preset_serves_where_there_is_too_little_to_calibrate_from() {
-    let place = Place::with(&[]);
+    let place = TestFolder::with(&[]);
     let job = |keys: &str| {
         format!(
             "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 1\nshots_per_line = 100\ncanopy_height_m = 0\n\
@@ -334,7 +332,7 @@ fn a_preset_serves_where_there_is_too_little_to_calibrate_from() {
 }
 
 /// A job that loads `model.json`, with further keys of `calibrate`.
-fn load(place: &Place, keys: &str) -> Outcome {
+fn load(place: &TestFolder, keys: &str) -> Outcome {
     let path = place.path("model.json");
     place.read(
         "read_arrow",
@@ -439,7 +437,7 @@ fn modes_differ_where_each_waveform_has_a_background_of_its_own() {
 
 /// Runs all modes with this key of `calibrate`, on waveforms whose levels differ by up to
 /// `levels - 1` DN.
-fn modes_differ_as_their_names_say(calibrate: &str, levels: usize) -> Place {
+fn modes_differ_as_their_names_say(calibrate: &str, levels: usize) -> TestFolder {
     let place = recording(|number, shot| {
         if number % 5 == 3 {
             let apart = 7.0 + 0.05 * (number % 40) as f64;

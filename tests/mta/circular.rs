@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 use crate::flights::{Found, Table, fly, in_sdf, lines_of, resolve, stage};
-use crate::support::Place;
-use crate::support::pulsewaves::PulseWaves;
+use wavex_testkit::TestFolder;
+use wavex_testkit::pulsewaves::PulseWaves;
 
 /// 1500 shots per revolution in pieces of 700, two to four pulses in the air, from a swaying
 /// aircraft; zones change with azimuth.
@@ -129,7 +129,7 @@ fn a_revolution_is_a_line_where_the_file_has_none() {
                 (0..3).flat_map(|axis| (anchor[axis] + along[axis]).to_le_bytes()).collect();
             file = file.change(pulse as usize, 28, &target);
         }
-        let place = Place::with(&[("a.pls", &file.pls()), ("a.wvs", &file.waves)]);
+        let place = TestFolder::with(&[("a.pls", &file.pls()), ("a.wvs", &file.waves)]);
         place.succeeds("read_pulsewaves", "a.pls", "[[stage]]\ntype = 'write_arrow'\npath = 'a.arrow'\n");
         let lines = lines_of(&std::fs::read(place.path("out/a.arrow")).unwrap());
         assert_eq!(lines.iter().map(Vec::len).collect::<Vec<_>>(), [520, 519, 261], "{sense}");

@@ -3,11 +3,11 @@
 use wavex_formats::container::{ContainerHeader, ContainerReader};
 
 use crate::flights::{Found, lines_of, recorded, refused, resolve, score, stage};
-use crate::made::{Row, container};
-use crate::support::Place;
+use wavex_testkit::TestFolder;
+use wavex_testkit::sdf::{Row, container};
 
 fn header() -> ContainerHeader {
-    let place = Place::with(&[("a.arrow", &recorded().recording)]);
+    let place = TestFolder::with(&[("a.arrow", &recorded().recording)]);
     ContainerReader::open(&place.path("a.arrow")).unwrap().header().clone()
 }
 
@@ -150,7 +150,7 @@ fn blocks_far_from_their_shot_are_counted() {
 #[test]
 fn an_unresolved_recording_of_nothing_is_no_error() {
     let empty = container(&header(), &[]);
-    let place = Place::with(&[("a.arrow", &empty)]);
+    let place = TestFolder::with(&[("a.arrow", &empty)]);
     let copy = "[[stage]]\ntype = 'resolve_mta'\n[[stage]]\ntype = 'write_arrow'\npath = 'copy.arrow'\n";
     let report = place.succeeds("read_arrow", "a.arrow", copy);
     assert_eq!(stage(&report, "resolve_mta")["lines_out"], 0);

@@ -9,8 +9,8 @@ use std::time::Duration;
 use serde_json::Value;
 use wavex::scan_line::emission_flags::SCAN_DIRECTION_POSITIVE;
 
-use crate::made::{Row, container, header, rows};
-use crate::support::{Outcome, Place};
+use wavex_testkit::sdf::{Row, container, header, rows};
+use wavex_testkit::{Outcome, TestFolder};
 
 /// Keys of a flight with three to five pulses in the air.
 pub const FLIGHT: &str = "seed = 5\nlandscape = 'country'\nlines = 64\nshots_per_line = 240\npulse_rate_hz = 400000\n\
@@ -39,7 +39,7 @@ pub struct Flight {
 
 /// Simulates a flight with these keys into `recording.arrow`.
 pub fn fly(keys: &str) -> Flight {
-    let place = Place::new();
+    let place = TestFolder::new();
     let job = format!(
         "[[stage]]\ntype = 'simulate'\ntruth = 'truth.csv'\n{keys}\n\
          [[stage]]\ntype = 'write_arrow'\npath = 'recording.arrow'\ncompression = 'none'\n"
@@ -80,7 +80,7 @@ fn as_sdf(row: &mut Row) {
 
 /// Rows of a container by line.
 pub fn lines_of(recording: &[u8]) -> Vec<Vec<Row>> {
-    let place = Place::with(&[("a.arrow", recording)]);
+    let place = TestFolder::with(&[("a.arrow", recording)]);
     rows(&place.path("a.arrow"))
 }
 
@@ -93,13 +93,13 @@ pub struct Found {
 /// Reads a container, resolves it with these keys, and finds the returns.
 #[track_caller]
 pub fn resolve(recording: &[u8], keys: &str) -> Found {
-    let place = Place::with(&[("a.arrow", recording)]);
+    let place = TestFolder::with(&[("a.arrow", recording)]);
     resolve_in(&place, keys)
 }
 
 /// The same for `a.arrow` of a folder.
 #[track_caller]
-pub fn resolve_in(place: &Place, keys: &str) -> Found {
+pub fn resolve_in(place: &TestFolder, keys: &str) -> Found {
     let report = place.succeeds("read_arrow", "a.arrow", &chain(keys));
     Found { report, returns: place.text("out/returns.csv") }
 }
@@ -112,7 +112,7 @@ pub fn chain(keys: &str) -> String {
 /// Asserts that a container cannot be resolved, with this message.
 #[track_caller]
 pub fn refused(recording: &[u8], keys: &str, message: &str) {
-    let place = Place::with(&[("a.arrow", recording)]);
+    let place = TestFolder::with(&[("a.arrow", recording)]);
     let outcome = place.read("read_arrow", "a.arrow", &chain(keys));
     place.left_nothing(outcome, &format!("stage resolve_mta: ./a.arrow: {message}"));
 }

@@ -8,8 +8,8 @@ use serde_json::Value;
 use wavex_formats::container::{ContainerShot, channel};
 
 use crate::flights::{Table, peak_kb, text};
-use crate::made::{NAME, Row, container, header, rows, stand_in};
-use crate::support::{Outcome, Place, notes};
+use wavex_testkit::sdf::{NAME, Row, container, header, rows, stand_in};
+use wavex_testkit::{Outcome, TestFolder, notes};
 
 const INTERVAL_PS: f64 = 2.5e6;
 /// Maximum deviation of an interval from its mean; half of it per pulse.
@@ -122,7 +122,7 @@ impl Flight {
     }
 
     /// Shots with an echo, and its range, m.
-    fn ranges_m(&self, place: &Place) -> Vec<(usize, f64)> {
+    fn ranges_m(&self, place: &TestFolder) -> Vec<(usize, f64)> {
         if !self.finds_returns {
             let shots = rows(&place.path("out/made")).into_iter().flatten();
             let range_m = |block: &(u8, f64, Vec<u16>)| {
@@ -141,7 +141,7 @@ impl Flight {
     }
 
     /// Asserts that each echo has the range of its shot.
-    fn is_right(&self, place: &Place) {
+    fn is_right(&self, place: &TestFolder) {
         let found = self.ranges_m(place);
         let is_wrong = |(shot, range_m): &&(usize, f64)| (range_m - self.range_m(*shot)).abs() > 0.5;
         let (count, wrong) = (found.len(), found.iter().filter(is_wrong).count());
@@ -160,7 +160,7 @@ fn pulse(samples: usize, position: f64, height_dn: f64) -> Vec<u16> {
 }
 
 /// Output of a run with this memory limit, or the memory that it requests, MB.
-fn run(place: &Place, job: &str, memory_mb: u64) -> Result<Vec<u8>, u64> {
+fn run(place: &TestFolder, job: &str, memory_mb: u64) -> Result<Vec<u8>, u64> {
     let mut command = place.command(job);
     if memory_mb != DEFAULT_MB {
         command.args(["--set", &format!("job.memory_mb={memory_mb}")]);
@@ -189,7 +189,7 @@ fn run(place: &Place, job: &str, memory_mb: u64) -> Result<Vec<u8>, u64> {
 fn resolves(flight: &Flight, reader: &str, memories_mb: &[u64]) {
     let receivers = 1 + u32::from(flight.has_high_power);
     println!("{} lines of {} shots, {receivers} receivers, {reader}:", flight.lines, flight.shots_per_line);
-    let (place, job) = (Place::with(&[(NAME, &flight.recording())]), flight.job(reader));
+    let (place, job) = (TestFolder::with(&[(NAME, &flight.recording())]), flight.job(reader));
     let expected = run(&place, &job, DEFAULT_MB).expect("the default suffices");
     flight.is_right(&place);
     for &memory_mb in memories_mb {

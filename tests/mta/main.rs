@@ -6,12 +6,6 @@
     reason = "a test fails by panicking and prints its figures"
 )]
 
-#[path = "../sdf/made.rs"]
-#[allow(dead_code, reason = "each test binary uses its own part")]
-mod made;
-#[path = "../support/mod.rs"]
-mod support;
-
 mod circular;
 mod faults;
 mod flights;

@@ -2,11 +2,11 @@
 #![cfg(target_os = "linux")]
 
 use crate::flights::{self, fly};
-use crate::support::Place;
+use wavex_testkit::TestFolder;
 
 /// Peak memory of a run on this recording, kB.
 fn peak_kb(recording: &[u8]) -> u64 {
-    let place = Place::with(&[("a.arrow", recording)]);
+    let place = TestFolder::with(&[("a.arrow", recording)]);
     let stages = "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\ntype = 'resolve_mta'\n\
                   [[stage]]\ntype = 'calibrate'\nwaveforms = 2000\nresponse = 'gaussian'\n\
                   [[stage]]\ntype = 'decompose'\nmode = 'fastest'\n[[stage]]\ntype = 'write_lstat'\n";

@@ -10,8 +10,8 @@ use crate::flights::{
     FLIGHT, Flight, Table, chain, fly, in_scanner_frame, lines_of, recorded, refused, resolve, resolve_in,
     score, stage,
 };
-use crate::made::{container, header};
-use crate::support::Place;
+use wavex_testkit::TestFolder;
+use wavex_testkit::sdf::{container, header};
 
 /// The flight at a constant rate.
 fn constant() -> &'static Flight {
@@ -59,7 +59,7 @@ fn stamps_that_jitter_are_no_modulation() {
     // RMS jitter of 1.2 ns and 2.9 ns between stamps.
     for jitter_ns in [1.47, 3.6] {
         let recording = with_jitter(constant(), jitter_ns, true);
-        let place = Place::with(&[("a.arrow", &recording)]);
+        let place = TestFolder::with(&[("a.arrow", &recording)]);
         let outcome = place.read("read_arrow", "a.arrow", &chain(""));
         assert_eq!(outcome.code, Some(1));
         println!("{}", outcome.err);
@@ -67,7 +67,7 @@ fn stamps_that_jitter_are_no_modulation() {
             "stage resolve_mta: ./a.arrow: the pulse rate is constant: intervals of 2500.000 ns vary by 0.";
         assert!(outcome.err.contains(told), "outgoing pulses give the emission times: {}", outcome.err);
         let recording = with_jitter(constant(), jitter_ns, false);
-        let place = Place::with(&[("a.arrow", &recording)]);
+        let place = TestFolder::with(&[("a.arrow", &recording)]);
         let outcome = place.read("read_arrow", "a.arrow", &chain(""));
         assert_eq!(outcome.code, Some(1));
         println!("{}", outcome.err);
@@ -153,7 +153,8 @@ fn grid(truth: &str) -> String {
 #[test]
 fn a_terrain_model_resolves_a_constant_rate() {
     let flight = constant();
-    let place = Place::with(&[("a.arrow", &flight.recording), ("dtm.asc", grid(&flight.truth).as_bytes())]);
+    let place =
+        TestFolder::with(&[("a.arrow", &flight.recording), ("dtm.asc", grid(&flight.truth).as_bytes())]);
     let found = resolve_in(&place, "terrain = 'dtm.asc'");
     let score = score(&flight.truth, &found.returns);
     println!("{} of {} right, {} other zones", score.right, score.true_returns, score.other_zones);
@@ -164,7 +165,7 @@ fn a_terrain_model_resolves_a_constant_rate() {
 fn a_terrain_model_elsewhere_is_no_prior() {
     let flight = recorded();
     let far = "ncols 2\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 10\n1 2 3 4\n";
-    let place = Place::with(&[("a.arrow", &flight.recording), ("dtm.asc", far.as_bytes())]);
+    let place = TestFolder::with(&[("a.arrow", &flight.recording), ("dtm.asc", far.as_bytes())]);
     let found = resolve_in(&place, "terrain = 'dtm.asc'");
     assert!(score(&flight.truth, &found.returns).part_right() >= 0.999);
 }
@@ -172,7 +173,7 @@ fn a_terrain_model_elsewhere_is_no_prior() {
 #[test]
 fn a_terrain_model_needs_the_place_of_the_shots() {
     let grid = "ncols 2\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 10\n1 2 3 4\n";
-    let place = Place::with(&[("a.arrow", &in_scanner_frame().recording), ("dtm.asc", grid.as_bytes())]);
+    let place = TestFolder::with(&[("a.arrow", &in_scanner_frame().recording), ("dtm.asc", grid.as_bytes())]);
     let outcome = place.read("read_arrow", "a.arrow", &chain("terrain = 'dtm.asc'"));
     let message = "stage resolve_mta: ./a.arrow: a terrain model needs georeferenced shots, but those of \
                    this recording are in the scanner frame, without a trajectory; give the `trajectory` in \
@@ -182,7 +183,7 @@ fn a_terrain_model_needs_the_place_of_the_shots() {
 
 #[test]
 fn a_missing_terrain_model_is_named() {
-    let place = Place::with(&[("a.arrow", &recorded().recording)]);
+    let place = TestFolder::with(&[("a.arrow", &recorded().recording)]);
     let outcome = place.read("read_arrow", "a.arrow", &chain("terrain = 'dtm.asc'"));
     assert_eq!(outcome.code, Some(1));
     assert!(outcome.err.contains("./dtm.asc: cannot open: "), "{}", outcome.err);

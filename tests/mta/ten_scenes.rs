@@ -6,16 +6,11 @@
 use std::path::Path;
 
 use crate::flights::text;
-use crate::made::stand_in;
-use crate::support::Place;
-
-#[path = "../../benches/mta/chain.rs"]
-mod chain;
-#[path = "../../benches/mta/waveforms.rs"]
-mod waveforms;
-
-use chain::{Score, quantile};
 use wavex_simulation::mta_scenes::{Recording, SCENES, Scene, Spec};
+use wavex_testkit::TestFolder;
+use wavex_testkit::mta::chain::{self, Score, quantile};
+use wavex_testkit::mta::recording;
+use wavex_testkit::sdf::stand_in;
 
 /// Lines per scene, and fraction of the swath.
 const LINES: u32 = 16;
@@ -28,9 +23,9 @@ const HOW: Recording =
 /// The first scene calibrates; the others use its sensor model, because all ten have the same
 /// receiver.
 fn through(spec: Spec, seed: u64, model: &Path) -> Score {
-    let place = Place::new();
+    let place = TestFolder::new();
     let scene = Scene::new(spec, seed, LINES, PART);
-    let truth = waveforms::write(&scene, &scene.record(&HOW), &place.path(""));
+    let truth = recording::write(&scene, &scene.record(&HOW), &place.path(""));
     let calibrate = match model.exists() {
         false => format!("waveforms = 1000\nsave = '{}'", text(model)),
         true => format!("load = '{}'", text(model)),
@@ -43,7 +38,7 @@ fn through(spec: Spec, seed: u64, model: &Path) -> Score {
 
 #[test]
 fn ten_scenes_come_back_by_both_doors() {
-    let models = Place::new();
+    let models = TestFolder::new();
     let (mut echoes, mut right) = (0, 0);
     for (seed, spec) in (100..).zip(SCENES) {
         let score = through(spec, seed, &models.path("model.json"));

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use crate::flights::{
     FLIGHT, Found, Table, chain, fly, in_scanner_frame, lines_of, recorded, resolve, score, stage, text,
 };
-use crate::made::{NAME, stand_in};
-use crate::support::{Outcome, Place};
+use wavex_testkit::sdf::{NAME, stand_in};
+use wavex_testkit::{Outcome, TestFolder};
 
 /// Amplitude at which a return is found despite noise, DN.
 const CLEAR_DN: f64 = 25.0;
@@ -37,7 +37,7 @@ fn each_echo_gets_the_shot_that_caused_it() {
 #[test]
 fn points_stand_where_the_echoes_came_from() {
     let flight = recorded();
-    let place = Place::with(&[("a.arrow", &flight.recording)]);
+    let place = TestFolder::with(&[("a.arrow", &flight.recording)]);
     let (to_returns, table) = (chain(""), "[[stage]]\ntype = 'write_table'");
     assert_eq!(to_returns.matches(table).count(), 1);
     let georeference = format!("[[stage]]\ntype = 'georeference'\n{table}");
@@ -97,7 +97,7 @@ fn first_and_last_lines_are_as_good_as_the_others() {
 fn sdf_and_container_give_the_same_returns() {
     let flight = in_scanner_frame();
     let by_container = resolve(&flight.recording, "");
-    let place = Place::with(&[(NAME, &flight.recording)]);
+    let place = TestFolder::with(&[(NAME, &flight.recording)]);
     let reader = format!(
         "[[stage]]\ntype = 'read_sdf'\npath = '{NAME}'\nlibrary = '{}'\n{}",
         text(&stand_in()),
@@ -113,7 +113,7 @@ fn sdf_and_container_give_the_same_returns() {
 #[test]
 fn a_resolved_recording_of_the_same_flight_has_the_same_returns() {
     let resolved = fly(FLIGHT);
-    let place = Place::with(&[("a.arrow", &resolved.recording)]);
+    let place = TestFolder::with(&[("a.arrow", &resolved.recording)]);
     place.succeeds("read_arrow", "a.arrow", crate::flights::TO_RETURNS);
     let direct = place.text("out/returns.csv");
     let found = resolve(&recorded().recording, "");
@@ -150,7 +150,7 @@ fn what_is_resolved_passes_through_as_it_is() {
     let resolved = fly("lines = 3\nshots_per_line = 150\n");
     let copy = "[[stage]]\ntype = 'write_arrow'\npath = 'copy.arrow'\ncompression = 'none'\n";
     let run = |stages: &str| {
-        let place = Place::with(&[("a.arrow", &resolved.recording)]);
+        let place = TestFolder::with(&[("a.arrow", &resolved.recording)]);
         let report = place.succeeds("read_arrow", "a.arrow", stages);
         (report, std::fs::read(place.path("out/copy.arrow")).unwrap())
     };
@@ -168,12 +168,12 @@ fn resolved_and_unresolved_lines_may_follow_one_another() {
         row.shot.mta_zone = Some(0);
     }
     let header = wavex_formats::container::ContainerReader::open(
-        &Place::with(&[("a.arrow", &flight.recording)]).path("a.arrow"),
+        &TestFolder::with(&[("a.arrow", &flight.recording)]).path("a.arrow"),
     )
     .unwrap()
     .header()
     .clone();
-    let mixed = crate::made::container(&header, &lines);
+    let mixed = wavex_testkit::sdf::container(&header, &lines);
     let found = resolve(&mixed, "");
     let lines_out = &stage(&found.report, "resolve_mta")["lines_out"];
     assert_eq!(lines_out, 64);
@@ -193,7 +193,7 @@ fn threads_and_queues_change_no_byte() {
 }
 
 fn with_engine(threads: usize, capacity: usize) -> Found {
-    let place = Place::with(&[("a.arrow", &recorded().recording)]);
+    let place = TestFolder::with(&[("a.arrow", &recorded().recording)]);
     let job = format!("[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{}", chain(""));
     let job = wavex::job::Job::parse("job", &job, &[]).unwrap();
     let options = wavex::engine::Options {

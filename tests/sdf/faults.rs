@@ -1,7 +1,7 @@
 //! All failures of the library and the resulting messages.
 
-use crate::made::{NAME, container, fails, header, lengths, place, plain_line, read};
-use crate::support::{Place, notes, rejected};
+use wavex_testkit::sdf::{NAME, container, fails, header, lengths, place, plain_line, read};
+use wavex_testkit::{TestFolder, notes, rejected};
 
 /// Two lines of five shots: records 1 to 5, end of line, 7 to 11, end of line.
 fn recording() -> Vec<u8> {
@@ -74,7 +74,7 @@ fn each_function_may_fail() {
 fn a_file_that_is_none_is_told_in_the_librarys_words() {
     let message = "fwifc_open of RIEGL's library failed with 2, an unsupported format: ";
     let place = place(b"no recording", "");
-    let outcome = place.run(&crate::made::copy(""));
+    let outcome = place.run(&wavex_testkit::sdf::copy(""));
     assert!(
         outcome.err.contains(message) && outcome.err.contains("neither an Arrow IPC file"),
         "{}",
@@ -180,14 +180,14 @@ fn a_slow_library_is_waited_for() {
 
 #[test]
 fn a_missing_file_is_missing_and_a_folder_is_none() {
-    let place = Place::new();
-    let outcome = place.run(&crate::made::copy(""));
+    let place = TestFolder::new();
+    let outcome = place.run(&wavex_testkit::sdf::copy(""));
     let message = format!(
         "stage read_sdf: ./{NAME}: cannot open: No such file or directory (os error 2); check the path"
     );
     place.left_nothing(outcome, &message);
     std::fs::create_dir(place.path(NAME)).unwrap();
-    let outcome = place.run(&crate::made::copy(""));
+    let outcome = place.run(&wavex_testkit::sdf::copy(""));
     place.left_nothing(
         outcome,
         &format!("stage read_sdf: ./{NAME}: cannot open: is a directory; give a file"),

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use crate::made::{NAME, container, copy, header, lengths, place, plain_line, read, rows, stand_in};
-use crate::support::{Outcome, Place, outcome};
+use wavex_testkit::sdf::{NAME, container, copy, header, lengths, place, plain_line, read, rows, stand_in};
+use wavex_testkit::{Outcome, TestFolder, outcome};
 
 fn recording() -> Vec<u8> {
     container(&header(), &[plain_line(0..5, 0)])
@@ -23,7 +23,7 @@ const REMEDY: &str = "give the path of RIEGL's Waveform Extraction Library (sdfi
                       wfmifc-mt for `.wfm`), built for this system, or its folder";
 
 /// Runs without a library in the job, with this environment variable.
-fn with_variable(place: &Place, value: Option<&Path>) -> Outcome {
+fn with_variable(place: &TestFolder, value: Option<&Path>) -> Outcome {
     let mut command = place.command(&unnamed());
     match value {
         Some(value) => command.env("WAVEX_RIWAVELIB", value),
@@ -93,7 +93,7 @@ fn a_folder_without_the_library_is_told() {
 
 /// Start of the message for an unusable library, up to the loader's own text.
 #[track_caller]
-fn cannot_be_used(place: &Place, library: &str, words: &str) {
+fn cannot_be_used(place: &TestFolder, library: &str, words: &str) {
     let outcome = place.run(&copy("").replace(&stand_in().display().to_string(), library));
     assert_eq!(outcome.code, Some(1));
     assert!(outcome.err.contains(", which the key `library` names, cannot be loaded: "), "{}", outcome.err);

@@ -9,13 +9,9 @@
     reason = "a test fails by panicking, and prints what it skips"
 )]
 
-#[path = "../support/mod.rs"]
-mod support;
-
 mod faults;
 mod index;
 mod library;
-mod made;
 mod same;
 mod shots;
 mod stand_in;

@@ -5,11 +5,11 @@ use std::thread;
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 
-use crate::made::{NAME, container, copy, flight, flight_container, header, place, read, stand_in};
-use crate::support::{Place, notes, rejected};
+use wavex_testkit::sdf::{NAME, container, copy, flight, flight_container, header, place, read, stand_in};
+use wavex_testkit::{TestFolder, notes, rejected};
 
 /// Result of `read_arrow` for the same file.
-fn by_read_arrow(place: &Place) -> Vec<u8> {
+fn by_read_arrow(place: &TestFolder) -> Vec<u8> {
     std::fs::copy(place.path(NAME), place.path("250506_100000.arrow")).unwrap();
     let copy = "[[stage]]\ntype = 'write_arrow'\npath = 'arrow.arrow'\ncompression = 'none'\n";
     place.succeeds("read_arrow", "250506_100000.arrow", copy);
@@ -21,7 +21,7 @@ fn a_recording_comes_out_as_read_arrow_gives_it_to_the_byte() {
     let place = place(&flight_container(), "");
     let (report, lines) = read(&place, "");
     assert_eq!(lines, flight());
-    let several = |row: &crate::made::Row| row.blocks.len() > 3;
+    let several = |row: &wavex_testkit::sdf::Row| row.blocks.len() > 3;
     assert!(lines.iter().flatten().any(several), "several blocks of a channel are part of it");
     assert_eq!(rejected(&report).len(), 0, "{report}");
     assert_eq!(notes(&report), Vec::<String>::new());

@@ -3,8 +3,8 @@
 use wavex::scan_line::emission_flags::EDGE_OF_FLIGHT_LINE;
 use wavex_formats::container::{ContainerHeader, EmissionReference, channel};
 
-use crate::made::{Row, container, header, lengths, place, plain, plain_line, read, with_edges};
-use crate::support::{notes, rejected};
+use wavex_testkit::sdf::{Row, container, header, lengths, place, plain, plain_line, read, with_edges};
+use wavex_testkit::{notes, rejected};
 
 #[test]
 fn lines_of_one_shot_are_lines() {
@@ -110,7 +110,7 @@ fn a_recording_without_outgoing_pulses_counts_from_the_clock() {
 #[test]
 fn an_empty_recording_has_no_lines() {
     let place = place(&container(&header(), &[]), "");
-    let outcome = place.run(&crate::made::copy(""));
+    let outcome = place.run(&wavex_testkit::sdf::copy(""));
     assert_eq!((outcome.code, outcome.err.as_str()), (Some(0), ""));
     let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
     assert_eq!(notes(&report["inputs"][0]), ["no container is written: there were no shots"]);

@@ -2,8 +2,10 @@
 
 use wavex_formats::container::{ContainerHeader, ContainerReader, TimeScale};
 
-use crate::made::{NAME, Row, container, copy, header, lengths, place, plain_line, read, rows, with_edges};
-use crate::support::{Place, notes, rejected};
+use wavex_testkit::sdf::{
+    NAME, Row, container, copy, header, lengths, place, plain_line, read, rows, with_edges,
+};
+use wavex_testkit::{TestFolder, notes, rejected};
 
 fn lines() -> Vec<Vec<Row>> {
     vec![plain_line(0..5, 0), plain_line(5..10, 1), plain_line(10..15, 2)]
@@ -13,7 +15,7 @@ fn clocks(lines: &[Vec<Row>]) -> Vec<i64> {
     lines.iter().flatten().map(|row| row.shot.clock_ps).collect()
 }
 
-fn header_of(place: &Place) -> ContainerHeader {
+fn header_of(place: &TestFolder) -> ContainerHeader {
     ContainerReader::open(&place.path("out/sdf.arrow")).unwrap().header().clone()
 }
 
@@ -72,7 +74,7 @@ fn a_recording_that_was_not_synchronised_is_sought_by_its_clock() {
 
 #[test]
 fn a_file_without_its_date_lacks_the_week_unless_the_job_says_the_day() {
-    let place = Place::with(&[("flight.sdf", &container(&header(), &lines()))]);
+    let place = TestFolder::with(&[("flight.sdf", &container(&header(), &lines()))]);
     let job = |keys: &str| copy(keys).replace(NAME, "flight.sdf");
     let run = |keys: &str| {
         assert_eq!(place.run(&job(keys)).err, "");
@@ -105,7 +107,7 @@ fn seconds_that_begin_anew_are_counted_on() {
         row.shot.gps_time_s = Some((604_799.0 + index as f64 / 4.0) % 604_800.0);
     }
     // The name gives Saturday the 3rd: the week ends within the recording.
-    let place = Place::with(&[("250503_235959.sdf", &container(&header(), &given))]);
+    let place = TestFolder::with(&[("250503_235959.sdf", &container(&header(), &given))]);
     assert_eq!(place.run(&copy("").replace(NAME, "250503_235959.sdf")).err, "");
     let times: Vec<_> =
         rows(&place.path("out/sdf.arrow")).concat().iter().map(|row| row.shot.gps_time_s).collect();
@@ -182,7 +184,7 @@ fn a_window_may_count_another_scale_than_the_recording() {
 
 #[test]
 fn keys_that_need_the_day_say_so() {
-    let place = Place::with(&[("flight.sdf", &container(&header(), &lines()))]);
+    let place = TestFolder::with(&[("flight.sdf", &container(&header(), &lines()))]);
     let remedy = "set the day with the key `gps_date`, or remove the key";
     for (keys, problem) in [
         ("utc = true", "its times are UTC, but the day is unknown, and with it the number of leap seconds"),

@@ -1,6 +1,6 @@
 //! Comparison of our returns with the vendor's: pairs, missed and extra returns.
 
-use super::recordings::{Table, median, robust};
+use wavex_testkit::recordings::{Table, median, robust};
 
 /// Maximum time difference of a pair, ns.
 const PAIR_NS: f64 = 3.0;

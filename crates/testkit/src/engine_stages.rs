@@ -1,5 +1,4 @@
 //! Small stages for test chains, and jobs made of them without text.
-#![allow(dead_code, reason = "each test binary uses its own part")]
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -2,7 +2,7 @@
 
 use std::io::{Cursor, Seek, SeekFrom};
 
-use super::shots::{METRES_PER_NS, SAMPLES, echo_with, peak, time_s};
+use crate::shots::{METRES_PER_NS, SAMPLES, echo_with, peak, time_s};
 
 /// Size of the header, bytes.
 pub const HEADER: usize = 375;

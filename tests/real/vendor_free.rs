@@ -12,7 +12,7 @@ use wavex_signal::sensor_model::ChannelModel;
 use wavex_signal::shape::Shape;
 use wavex_signal::whitening::Whitener;
 
-use super::recordings::{robust, samples};
+use wavex_testkit::recordings::{robust, samples};
 
 /// A recording with a model from some of its blocks; the others are for testing.
 pub struct Recording {

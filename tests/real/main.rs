@@ -6,27 +6,21 @@
     reason = "a test fails by panicking and prints its figures"
 )]
 
-#[path = "common/agreement.rs"]
 mod agreement;
-#[path = "common/neon.rs"]
-mod neon;
-#[path = "common/planes.rs"]
 mod planes;
-#[path = "common/recordings.rs"]
-mod recordings;
-#[path = "common/vendor_free.rs"]
 mod vendor_free;
 
 use std::path::Path;
 use std::sync::OnceLock;
 
-use recordings::{Table, data, median, robust, run_job, samples};
 use wavex::engine;
 use wavex::scan_line::Channel;
 use wavex_signal::calibrate::CalibrationSettings;
 use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::outgoing::OutgoingFitter;
 use wavex_signal::sensor_model::SensorModel;
+use wavex_testkit::data;
+use wavex_testkit::recordings::{Table, median, robust, run_job, samples};
 
 use vendor_free::{
     EvenOddScores, Recording, Single, Superposition, left_beside_strong_echoes, tail_statistics,
@@ -118,7 +112,7 @@ fn corrected(data: &Path, keys: &str) -> (Comparison, engine::InputReport) {
     let text = std::fs::read_to_string(job).unwrap();
     let text = text.replace("[[stage]]\ntype = \"georeference\"", &stage);
     let out = tempfile::tempdir().unwrap();
-    let report = recordings::run("corrected.toml", &text, data, out.path(), &[]);
+    let report = wavex_testkit::recordings::run("corrected.toml", &text, data, out.path(), &[]);
     let vendor = Table::read(&data.join("riegl_q680i_dev/riegl_q680i_dev_vendor_returns.csv"));
     let ours = Table::read(&out.path().join("riegl_q680i_dev_returns.csv"));
     (Comparison { vendor, ours }, report)
@@ -399,7 +393,7 @@ fn a_model_of_one_half_holds_for_the_other() {
     let mut scored = [Vec::new(), Vec::new()];
     for half in 0..2 {
         let of_half = |channel, settings: CalibrationSettings| {
-            let blocks = recordings::samples_of(channel, "read_pulsewaves", &recording);
+            let blocks = wavex_testkit::recordings::samples_of(channel, "read_pulsewaves", &recording);
             let blocks: Vec<_> =
                 blocks.into_iter().filter(|(shot, _)| shot % 2 == half).map(|b| b.1).collect();
             Some(vendor_free::model_of(&blocks, &settings))
@@ -637,10 +631,10 @@ fn long_pulses_without_free_samples_come_through_unattended() {
     let Some(data) = data() else { return };
     let folder = data.join("neon");
     let out = tempfile::tempdir().unwrap();
-    neon::to_container(&folder, &out.path().join("neon.arrow"));
+    wavex_testkit::neon::to_container(&folder, &out.path().join("neon.arrow"));
     let job = "[job]\noutput_dir = '.'\n[[stage]]\ntype = 'read_arrow'\npath = 'neon.arrow'\n[[stage]]\ntype = 'calibrate'\n\
                [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
-    let report = recordings::run("neon", job, out.path(), out.path(), &[]);
+    let report = wavex_testkit::recordings::run("neon", job, out.path(), out.path(), &[]);
     let model = report.sensor_model.unwrap();
     let (low_power, reference) = (model.low_power.unwrap(), model.reference.unwrap());
     println!(
@@ -653,20 +647,20 @@ fn long_pulses_without_free_samples_come_through_unattended() {
     );
     // Emission times of the pulses, to convert positions in the block to times of flight.
     let mut fitter = OutgoingFitter::new(&reference, 64).unwrap();
-    let departures: Vec<f64> = neon::waveforms(&folder.join("outg_1_250.csv"))
+    let departures: Vec<f64> = wavex_testkit::neon::waveforms(&folder.join("outg_1_250.csv"))
         .iter()
         .map(|samples| fitter.fit(samples, 0).unwrap().position_samples)
         .collect();
     let returns = Table::read(&out.path().join("neon.csv"));
     let [shot, time, dn] = ["shot", "time_of_flight_ns", "amplitude_dn"].map(|name| returns.column(name));
-    let theirs = neon::rows(&folder.join("decomposition_1_250.csv"));
+    let theirs = wavex_testkit::neon::rows(&folder.join("decomposition_1_250.csv"));
     let mut differences = Vec::new();
     for (i, departure_ns) in departures.iter().enumerate() {
         let components: Vec<f64> = theirs.iter().filter(|c| c[0] as usize == i + 1).map(|c| c[2]).collect();
         let ours = (0..returns.len()).filter(|&j| shot[j] as usize == i);
         let strongest = ours.max_by(|&a, &b| dn[a].total_cmp(&dn[b])).expect("every waveform has a return");
         if let [place] = components[..] {
-            differences.push(time[strongest] + departure_ns - neon::START_NS - place);
+            differences.push(time[strongest] + departure_ns - wavex_testkit::neon::START_NS - place);
         }
     }
     let (constant, sd) = robust(&differences);

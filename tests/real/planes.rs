@@ -4,7 +4,7 @@ use std::path::Path;
 
 use wavex_formats::pulsewaves::Reader;
 
-use super::recordings::{Table, median};
+use wavex_testkit::recordings::{Table, median};
 
 /// Neighbours used to fit a plane.
 const NEIGHBOURS: usize = 12;

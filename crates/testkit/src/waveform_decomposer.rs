@@ -9,17 +9,17 @@ use wavex_signal::lockstep::{Lockstep, Mode, Outcomes, SimdLevel, Tables};
 use wavex_signal::sensor_model::ChannelModel;
 
 /// Decomposes one waveform at a time.
-pub struct Engine {
+pub struct WaveformDecomposer {
     kernels: Lockstep,
     outcomes: Outcomes,
 }
 
-impl Engine {
+impl WaveformDecomposer {
     /// Creates the engine for a channel.
-    pub fn new(model: &ChannelModel, settings: &DecomposeSettings, mode: Mode) -> Engine {
+    pub fn new(model: &ChannelModel, settings: &DecomposeSettings, mode: Mode) -> WaveformDecomposer {
         let tables = Tables::new(model).map(Arc::new);
         let kernels = Lockstep::new(model, tables, settings, mode, SimdLevel::best()).expect("a model");
-        Engine { kernels, outcomes: Outcomes::default() }
+        WaveformDecomposer { kernels, outcomes: Outcomes::default() }
     }
 
     /// Returns of a waveform, and its deviation ratio.

@@ -8,7 +8,7 @@ use std::path::Path;
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 
-use super::waveforms::{NAME, Truth};
+use super::recording::{NAME, Truth};
 
 /// Tolerance for matching a return to a true one, m.
 const NEAR_M: f64 = 0.15;

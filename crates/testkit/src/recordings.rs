@@ -8,18 +8,9 @@ use wavex::job::{Job, Override};
 use wavex::scan_line::Channel;
 use wavex::stage::{Context, Plan, Planned, RunContext};
 
-/// Folder of real recordings; prints a notice if it is not set.
-pub fn data() -> Option<PathBuf> {
-    let folder = std::env::var_os("WAVEX_DATA").map(PathBuf::from);
-    if folder.is_none() {
-        println!("skipped: WAVEX_DATA not set");
-    }
-    folder
-}
-
 /// Runs a job of the folder `jobs` on the recordings; writes to `out`.
 pub fn run_job(name: &str, data: &Path, out: &Path, set: &[&str]) -> InputReport {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("jobs").join(name);
+    let path = crate::root().join("jobs").join(name);
     let text = std::fs::read_to_string(&path).expect("the job exists in the repository");
     run(name, &text, data, out, set)
 }

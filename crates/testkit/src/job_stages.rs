@@ -1,5 +1,4 @@
 //! A small list of stages for the tests of jobs: keys of every shape, and stages that do nothing.
-#![allow(dead_code, missing_docs)]
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -9,27 +8,27 @@ use wavex::stage::{
     SourceConfig, StageSpec, Transform, TransformConfig,
 };
 
-pub(crate) const STAGES: &[&StageSpec] =
+pub const STAGES: &[&StageSpec] =
     &[&READ_LAS, &SIMULATE, &CALIBRATE, &DECOMPOSE, &GEOREFERENCE, &WRITE_LAS, &WRITE_LSTAT, &WRITE_SHOTS];
 
-pub(crate) static READ_LAS: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shots);
-pub(crate) static SIMULATE: StageSpec = StageSpec::source::<Simulate>("simulate", Kind::Shots);
-pub(crate) static CALIBRATE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Kind::Shots]);
-pub(crate) static DECOMPOSE: StageSpec =
+pub static READ_LAS: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shots);
+pub static SIMULATE: StageSpec = StageSpec::source::<Simulate>("simulate", Kind::Shots);
+pub static CALIBRATE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Kind::Shots]);
+pub static DECOMPOSE: StageSpec =
     StageSpec::map::<Decompose>("decompose", &[Kind::Shots], Some(Kind::Returns)).after(&["calibrate"]);
-pub(crate) static GEOREFERENCE: StageSpec =
+pub static GEOREFERENCE: StageSpec =
     StageSpec::map::<Georeference>("georeference", &[Kind::Returns], Some(Kind::Points));
-pub(crate) static WRITE_LAS: StageSpec = StageSpec::sink::<WriteLas>("write_las", &[Kind::Points]);
-pub(crate) static WRITE_LSTAT: StageSpec =
+pub static WRITE_LAS: StageSpec = StageSpec::sink::<WriteLas>("write_las", &[Kind::Points]);
+pub static WRITE_LSTAT: StageSpec =
     StageSpec::sink::<WriteLstat>("write_lstat", &[Kind::Shots, Kind::Returns, Kind::Points]);
-pub(crate) static WRITE_SHOTS: StageSpec = StageSpec::sink::<WriteShots>("write_shots", &[Kind::Shots]);
+pub static WRITE_SHOTS: StageSpec = StageSpec::sink::<WriteShots>("write_shots", &[Kind::Shots]);
 
 /// Reads waveforms from LAS files. Blocks stay with their shot.
 ///
 /// Point formats 4, 5, 9 and 10.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct ReadLas {
+pub struct ReadLas {
     /// The files to read, one run each.
     pub path: Paths,
     /// First and last second to read.
@@ -40,7 +39,7 @@ pub(crate) struct ReadLas {
 /// Makes waveforms of a known scene.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub(crate) struct Simulate {
+pub struct Simulate {
     /// How many lines.
     pub lines: u32,
 }
@@ -48,7 +47,7 @@ pub(crate) struct Simulate {
 /// Learns the sensor from the first waveforms.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub(crate) struct Calibrate {
+pub struct Calibrate {
     /// How many waveforms to learn from.
     #[schemars(range(min = 200))]
     pub waveforms: u32,
@@ -59,7 +58,7 @@ pub(crate) struct Calibrate {
 /// How the background is found.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Background {
+pub enum Background {
     /// Fixed where it can be.
     Auto,
     /// From each waveform.
@@ -69,7 +68,7 @@ pub(crate) enum Background {
 /// Finds the returns in each waveform.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub(crate) struct Decompose {
+pub struct Decompose {
     /// How far above the noise an echo must rise, in standard deviations | of the noise.
     #[schemars(range(min = 1, max = 100.0))]
     pub detection_sigma: f64,
@@ -90,7 +89,7 @@ pub(crate) struct Decompose {
 /// What it takes to split a pulse.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
-pub(crate) enum SplitEvidence {
+pub enum SplitEvidence {
     Never(bool),
     At(f64),
 }
@@ -98,7 +97,7 @@ pub(crate) enum SplitEvidence {
 /// A word or a number.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
-pub(crate) enum Start {
+pub enum Start {
     Word(StartWord),
     Ns(f64),
 }
@@ -106,7 +105,7 @@ pub(crate) enum Start {
 /// The words.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum StartWord {
+pub enum StartWord {
     Pulse,
     Block,
 }
@@ -114,7 +113,7 @@ pub(crate) enum StartWord {
 /// Computes coordinates.
 #[derive(Serialize, Deserialize, JsonSchema, Default)]
 #[serde(default, deny_unknown_fields)]
-pub(crate) struct Georeference {
+pub struct Georeference {
     /// The coordinate system.
     pub crs: Crs,
     /// Where the scanner sits.
@@ -126,7 +125,7 @@ pub(crate) struct Georeference {
 /// Where something sits.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Mount {
+pub struct Mount {
     /// To the front.
     pub forward_m: f64,
     /// To the right.
@@ -137,7 +136,7 @@ pub(crate) struct Mount {
 /// A coordinate system by its code.
 #[derive(Serialize, Deserialize, JsonSchema, Clone)]
 #[serde(try_from = "String", into = "String")]
-pub(crate) struct Crs(String);
+pub struct Crs(String);
 
 impl Default for Crs {
     fn default() -> Crs {
@@ -165,7 +164,7 @@ impl From<Crs> for String {
 /// Writes points.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub(crate) struct WriteLas {
+pub struct WriteLas {
     /// The file to write.
     pub path: String,
     /// The version of the format.
@@ -174,7 +173,7 @@ pub(crate) struct WriteLas {
 
 /// The version of the format.
 #[derive(Serialize, Deserialize, JsonSchema)]
-pub(crate) enum Version {
+pub enum Version {
     #[serde(rename = "1.2")]
     V12,
     #[serde(rename = "1.4")]
@@ -184,7 +183,7 @@ pub(crate) enum Version {
 /// Writes a row per line.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub(crate) struct WriteLstat {
+pub struct WriteLstat {
     /// The file to write.
     pub path: String,
 }
@@ -192,7 +191,7 @@ pub(crate) struct WriteLstat {
 /// Writes waveforms.
 #[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct WriteShots {
+pub struct WriteShots {
     /// The file to write.
     pub path: String,
 }
@@ -251,7 +250,7 @@ impl Config for Decompose {
 }
 
 /// A stage that does nothing.
-pub(crate) struct Nothing;
+pub struct Nothing;
 
 impl Source for Nothing {
     fn next(&mut self, _: &mut Context) -> Result<Option<ScanLine>> {

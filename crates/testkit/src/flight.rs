@@ -3,9 +3,8 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
 
-use super::{Outcome, Place, outcome};
+use crate::{Outcome, TestFolder, outcome};
 
 /// Makes the recording `in/a.arrow` and its sensor model.
 const MAKE: &str = "\
@@ -56,26 +55,24 @@ path = '*_points.arrow'
 pub const OUTPUTS: [&str; 5] = ["a.csv", "a.laz", "a.parquet", "a_lstat.txt", "a_points.arrow"];
 
 /// A folder with only the recording and its sensor model, in `in`.
-pub fn flight() -> Place {
-    let place = Place::new();
+pub fn flight() -> TestFolder {
+    let place = TestFolder::new();
     assert_eq!(place.run(MAKE), Outcome { code: Some(0), err: String::new() });
     fs::remove_dir_all(place.path("out")).unwrap();
     place
 }
 
 /// Runs the program in the folder; returns exit code and all messages.
-pub fn wavex(place: &Place, arguments: &[&str]) -> (Option<i32>, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
-    command.args(arguments).current_dir(place.path("")).stdin(Stdio::null()).env_remove("RUST_LOG");
-    let output = command.args(["--quiet"]).output().unwrap();
+pub fn wavex(place: &TestFolder, arguments: &[&str]) -> (Option<i32>, String) {
+    let mut command = crate::wavex();
+    let output = command.args(arguments).arg("--quiet").current_dir(place.path("")).output().unwrap();
     (output.status.code(), String::from_utf8(output.stderr).unwrap())
 }
 
 /// Runs a job that is already in its file.
-pub fn run(place: &Place, arguments: &[&str]) -> Outcome {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
-    command.args(["--quiet", "run", "job.toml"]).args(arguments).current_dir(place.path(""));
-    outcome(command.stdin(Stdio::null()).env_remove("RUST_LOG"))
+pub fn run(place: &TestFolder, arguments: &[&str]) -> Outcome {
+    let mut command = crate::wavex();
+    outcome(command.args(["--quiet", "run", "job.toml"]).args(arguments).current_dir(place.path("")))
 }
 
 /// Files of a folder by name, without those in subfolders.

@@ -1,6 +1,6 @@
 //! PulseWaves 0.3, built by hand: an outgoing and a returning segment per pulse.
 
-use super::shots::{METRES_PER_NS, SAMPLES, echo, peak, time_s, waveform};
+use crate::shots::{METRES_PER_NS, SAMPLES, echo, peak, time_s, waveform};
 
 /// Size of the header, bytes.
 pub const HEADER: usize = 352;

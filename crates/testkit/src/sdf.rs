@@ -10,19 +10,15 @@ use wavex_formats::container::{
     EmissionReference, LineBuilder, TimeScale, channel,
 };
 
-use crate::support::{Outcome, Place};
+use crate::{Outcome, TestFolder};
 
 /// Name of a recording with the start time of the simulator.
 pub const NAME: &str = "250506_100000.sdf";
 
 /// The stand-in, which cargo builds with the other examples before the tests.
 pub fn stand_in() -> PathBuf {
-    let test = std::env::current_exe().unwrap();
     let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
-    let library =
-        test.parent().and_then(Path::parent).unwrap().join(format!("examples/{before}sdf_stand_in{after}"));
-    assert!(library.is_file(), "{} is missing: `cargo build --example sdf_stand_in`", library.display());
-    library
+    crate::built(&format!("examples/{before}sdf_stand_in{after}"))
 }
 
 /// A row of a container.
@@ -99,7 +95,7 @@ pub fn rows(path: &Path) -> Vec<Vec<Row>> {
 pub fn flight() -> &'static [Vec<Row>] {
     static FLIGHT: OnceLock<Vec<Vec<Row>>> = OnceLock::new();
     FLIGHT.get_or_init(|| {
-        let place = Place::new();
+        let place = TestFolder::new();
         let job = "[[stage]]\ntype = 'simulate'\nlines = 6\nshots_per_line = 200\nseed = 3\n\
                    [[stage]]\ntype = 'write_arrow'\npath = 'flight.arrow'\n";
         assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
@@ -130,8 +126,8 @@ pub fn flight_container() -> Vec<u8> {
 }
 
 /// A folder with a recording and the control file of the stand-in.
-pub fn place(recording: &[u8], mischief: &str) -> Place {
-    let place = Place::with(&[(NAME, recording)]);
+pub fn place(recording: &[u8], mischief: &str) -> TestFolder {
+    let place = TestFolder::with(&[(NAME, recording)]);
     if !mischief.is_empty() {
         place.write(&format!("{NAME}.txt"), mischief.as_bytes());
     }
@@ -150,7 +146,7 @@ pub fn copy(keys: &str) -> String {
 
 /// Copies a recording successfully; returns the report of the input and the rows.
 #[track_caller]
-pub fn read(place: &Place, keys: &str) -> (Value, Vec<Vec<Row>>) {
+pub fn read(place: &TestFolder, keys: &str) -> (Value, Vec<Vec<Row>>) {
     assert_eq!(place.run(&copy(keys)), Outcome { code: Some(0), err: String::new() });
     let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
     (report["inputs"][0].clone(), rows(&place.path("out/sdf.arrow")))

@@ -1,11 +1,4 @@
 //! A folder with inputs and a job, and the results of the program.
-#![allow(dead_code, missing_docs, reason = "each test binary uses its own part")]
-
-pub mod container;
-pub mod flight;
-pub mod las;
-pub mod pulsewaves;
-pub mod shots;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -13,6 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use serde_json::Value;
+
+use crate::program;
 
 /// End of a job that finds points, writes them as a table, and needs few waveforms.
 pub const TO_TABLE: &str = "\
@@ -29,7 +24,7 @@ path = '*.csv'
 ";
 
 /// A folder of inputs; outputs go to `out` in it.
-pub struct Place {
+pub struct TestFolder {
     folder: tempfile::TempDir,
 }
 
@@ -42,14 +37,14 @@ pub struct Outcome {
     pub err: String,
 }
 
-impl Place {
-    pub fn new() -> Place {
-        Place { folder: tempfile::tempdir().unwrap() }
+impl TestFolder {
+    pub fn new() -> TestFolder {
+        TestFolder { folder: tempfile::tempdir().unwrap() }
     }
 
     /// A folder with these files.
-    pub fn with(files: &[(&str, &[u8])]) -> Place {
-        let place = Place::new();
+    pub fn with(files: &[(&str, &[u8])]) -> TestFolder {
+        let place = TestFolder::new();
         files.iter().for_each(|(name, bytes)| place.write(name, bytes));
         place
     }
@@ -74,11 +69,7 @@ impl Place {
         // Limits memory, so that trusting a wrong size fails. If the shell does not support the
         // limit, there is none.
         let mut command = Command::new("sh");
-        command.args([
-            "-c",
-            "ulimit -v 1500000 2>/dev/null; exec \"$0\" \"$@\"",
-            env!("CARGO_BIN_EXE_wavex"),
-        ]);
+        command.args(["-c", "ulimit -v 1500000 2>/dev/null; exec \"$0\" \"$@\""]).arg(program());
         command.args(["--quiet", "run", "job.toml"]).current_dir(self.folder.path());
         command.stdin(Stdio::null()).env_remove("RUST_LOG");
         command
@@ -180,19 +171,4 @@ pub fn notes(input: &Value) -> Vec<String> {
     let stages = input["stages"].as_array().unwrap();
     let notes = stages.iter().flat_map(|stage| stage["notes"].as_array().unwrap());
     notes.map(|note| note.as_str().unwrap().to_owned()).collect()
-}
-
-/// Prints that a test was skipped, and why.
-#[allow(clippy::print_stdout, reason = "a test that did nothing must not pass in silence")]
-pub fn skipped(why: &str) {
-    println!("skipped: {why}");
-}
-
-/// Folder of real recordings; prints a notice if there is none.
-pub fn data() -> Option<PathBuf> {
-    let data = std::env::var_os("WAVEX_DATA").map(PathBuf::from);
-    if data.is_none() {
-        skipped("WAVEX_DATA not set");
-    }
-    data
 }
