@@ -15,14 +15,14 @@ fn false_returns_are_told_and_true_ones_kept() {
         println!(
             "{}: {:.2} % of {} told, {:.3} % of the true returns taken for outliers {:?}",
             scene.name,
-            score.told(),
+            score.detected_percent(),
             score.outliers[0],
-            score.lost(None),
+            score.lost_percent(None),
             score.true_returns
         );
-        assert!(score.outliers[0] > 200 && score.told() >= 95.0, "{}", scene.name);
-        assert!(score.lost(None) <= 0.1, "{}", scene.name);
-        assert!(score.lost(Some("roof")) <= 0.1, "{}", scene.name);
+        assert!(score.outliers[0] > 200 && score.detected_percent() >= 95.0, "{}", scene.name);
+        assert!(score.lost_percent(None) <= 0.1, "{}", scene.name);
+        assert!(score.lost_percent(Some("roof")) <= 0.1, "{}", scene.name);
         assert!(cx.counters().notes.is_empty());
         // Marked and rejected returns are counted, and no return is lost.
         let total = |of: fn(&ScanLine) -> u64| lines.iter().map(of).sum::<u64>();

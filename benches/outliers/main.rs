@@ -46,15 +46,15 @@ fn main() {
             scene.name,
             s.outliers[0],
             s.among[0],
-            s.told(),
-            s.lost(None),
-            s.lost(Some("wire")),
-            s.lost(Some("roof")),
-            s.lost(Some("leaves")),
+            s.detected_percent(),
+            s.lost_percent(None),
+            s.lost_percent(Some("wire")),
+            s.lost_percent(Some("roof")),
+            s.lost_percent(Some("leaves")),
             s.rejected,
-            plain.told(),
-            plain.lost(None),
-            plain.lost(Some("wire")),
+            plain.detected_percent(),
+            plain.lost_percent(None),
+            plain.lost_percent(Some("wire")),
         );
     }
 }

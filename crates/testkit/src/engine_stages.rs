@@ -14,10 +14,12 @@ use wavex::stage::{
     SourceConfig, StageError, StageSpec, Transform, TransformConfig,
 };
 
+/// Input without metadata, in map coordinates.
 pub fn input_info() -> InputInfo {
     InputInfo { stem: "test".into(), format: "test".into(), frame: Frame::Map, ..InputInfo::default() }
 }
 
+/// An emission at nadir from 1000 m; 10 us per shot.
 pub fn emission(shot: u64) -> Emission {
     Emission {
         shot,
@@ -30,6 +32,7 @@ pub fn emission(shot: u64) -> Emission {
     }
 }
 
+/// A scan line of shots with one sample block each.
 pub fn line_of_shots(input: &Arc<InputInfo>, line: u32, shots: usize) -> ScanLine {
     let emissions = (0..shots).map(|i| emission(u64::from(line) * shots as u64 + i as u64)).collect();
     let mut blocks = Blocks::default();
@@ -219,9 +222,13 @@ impl Sink for Numbers {
     }
 }
 
+/// Entry of [`Count`].
 pub const COUNT: StageSpec = StageSpec::source::<Count>("count", Kind::Shots);
+/// Entry of [`Work`].
 pub const WORK: StageSpec = StageSpec::map::<Work>("work", &[Kind::Shots], None);
+/// Entry of [`Hold`].
 pub const HOLD: StageSpec = StageSpec::transform::<Hold>("hold", &[Kind::Shots]);
+/// Entry of [`WriteNumbers`].
 pub const WRITE_NUMBERS: StageSpec = StageSpec::sink::<WriteNumbers>("write_numbers", &[Kind::Shots]);
 
 /// A job of these stages, each with its keys as TOML.
@@ -230,6 +237,7 @@ pub fn job(stages: &[(&'static StageSpec, &str)]) -> Job {
     Job { stages, ..Job::default() }
 }
 
+/// A stage of a job with keys as TOML; stages `work` get distinct IDs.
 pub fn stage(spec: &'static StageSpec, keys: &str) -> JobStage {
     let table = toml::de::DeTable::parse(keys).expect("the test's own TOML");
     let planned = (spec.parse)(table).expect("the test's own keys");

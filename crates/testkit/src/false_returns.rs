@@ -16,14 +16,18 @@ use wavex::stage::{Context, Output, Plan, RunContext};
 /// Nearer false returns lie among true ones. The distance is that at which the filter treats two
 /// returns as one object.
 pub struct Scene {
+    /// Name of the row in the table.
     pub name: &'static str,
+    /// Keys of `simulate`.
     pub keys: &'static str,
+    /// Distance from true returns within which a false one is among them.
     pub margin_m: f64,
 }
 
 /// Keys common to all country scenes.
 const COUNTRY: &str = "landscape = 'country'\nfalse_alarm_rate = 0.01\nwater_ratio = 0.0\n";
 
+/// All scenes.
 pub const SCENES: [Scene; 9] = [
     Scene {
         name: "strips",
@@ -77,15 +81,21 @@ pub const SCENES: [Scene; 9] = [
 /// A true return.
 #[derive(Clone, Debug, PartialEq)]
 pub struct True {
+    /// Number of its shot.
     pub shot: u64,
+    /// True range.
     pub range_m: f64,
+    /// True position.
     pub point_m: [f64; 3],
+    /// Type of its target, or `false_alarm`.
     pub class: String,
 }
 
 /// A flight: lines with true returns, and the type of each return by line.
 pub struct Flight {
+    /// Scan lines with true ranges.
     pub lines: Vec<ScanLine>,
+    /// True returns of each line, in its order.
     pub truth: Vec<Vec<True>>,
 }
 
@@ -117,8 +127,9 @@ pub fn fly(scene: &Scene, seed: u64) -> Flight {
                 of_shot.push(row);
             }
             let n = of_shot.len() as u8;
-            returns
-                .extend((1..).zip(&of_shot).map(|(number, row)| found(index as u32, number, n, row.range_m)));
+            returns.extend(
+                (1..).zip(&of_shot).map(|(number, row)| return_at(index as u32, number, n, row.range_m)),
+            );
             truth.extend(of_shot);
         }
         batch.stats.nw_with_points = batch.stats.nw;
@@ -168,7 +179,7 @@ fn rows(path: &Path) -> Vec<True> {
 }
 
 /// A return with a position only.
-pub fn found(emission: u32, return_number: u8, number_of_returns: u8, range_m: f64) -> Return {
+pub fn return_at(emission: u32, return_number: u8, number_of_returns: u8, range_m: f64) -> Return {
     Return {
         emission,
         return_number,
@@ -223,12 +234,12 @@ pub struct Score {
 
 impl Score {
     /// Detected outliers, percent.
-    pub fn told(&self) -> f64 {
+    pub fn detected_percent(&self) -> f64 {
         100.0 * self.outliers[1] as f64 / self.outliers[0].max(1) as f64
     }
 
     /// True returns marked as outliers, percent: all, or of one class.
-    pub fn lost(&self, class: Option<&str>) -> f64 {
+    pub fn lost_percent(&self, class: Option<&str>) -> f64 {
         let of_class = |(name, _): &(&String, &[usize; 2])| class.is_none_or(|class| class == *name);
         let (mut all, mut lost) = (0, 0);
         for (_, [n, out]) in self.true_returns.iter().filter(of_class) {

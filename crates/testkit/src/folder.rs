@@ -38,6 +38,7 @@ pub struct Outcome {
 }
 
 impl TestFolder {
+    /// Creates an empty folder.
     pub fn new() -> TestFolder {
         TestFolder { folder: tempfile::tempdir().unwrap() }
     }
@@ -49,16 +50,19 @@ impl TestFolder {
         place
     }
 
+    /// Path of a file of the folder.
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
+    /// Writes a file and creates its parent folders.
     pub fn write(&self, name: &str, bytes: &[u8]) {
         let path = self.path(name);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         fs::write(path, bytes).unwrap();
     }
 
+    /// Content of a text file.
     pub fn text(&self, name: &str) -> String {
         fs::read_to_string(self.path(name)).unwrap()
     }

@@ -18,6 +18,7 @@ use wavex_signal::lockstep;
 /// A folder with a recording, its trajectory and its truth.
 pub struct Flight {
     folder: tempfile::TempDir,
+    /// True returns, in the order of the recording.
     pub truth: Vec<Truth>,
     /// Rotation from the recording's frame to that of a scanner with another mounting.
     turned: Rotation,
@@ -40,7 +41,9 @@ enum Unsaid {
 /// A true return.
 #[derive(Clone, Copy, Debug)]
 pub struct Truth {
+    /// Number of its shot.
     pub shot: u64,
+    /// True range.
     pub range_m: f64,
     /// Easting, northing (UTM zone of the start) and ellipsoidal height, m.
     pub point_m: [f64; 3],
@@ -79,18 +82,25 @@ fn truth_of(row: &str) -> Truth {
 
 /// Output of the stage for a flight: points in the order of the truth, and lines.
 pub struct Placed {
+    /// Points, in the order of the truth.
     pub points: Vec<[f64; 3]>,
+    /// Returns, in the same order.
     pub returns: Vec<Return>,
+    /// Statistics of each line.
     pub stats: Vec<LineStats>,
+    /// Coordinate reference system of the points.
     pub wkt: Option<String>,
+    /// Rejections and notes.
     pub cx: Context,
 }
 
 impl Flight {
+    /// Path of a file of the flight.
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
+    /// Folder of the flight.
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }

@@ -67,6 +67,7 @@ pub struct Response {
 }
 
 impl Response {
+    /// Tabulates the response.
     pub fn new() -> Response {
         let mut response = Response {
             peak_ns: 0.0,
@@ -187,14 +188,18 @@ fn greatest(values: &[f64]) -> (f64, f64) {
 /// An echo: peak signal-to-noise ratio, position of the response's peak, and width ratio.
 #[derive(Clone, Copy, Debug)]
 pub struct Echo {
+    /// Peak amplitude divided by the noise SD.
     pub snr: f64,
+    /// Position of the peak, samples.
     pub place: f64,
+    /// Width relative to the response.
     pub width: f64,
 }
 
 /// Generates waveforms.
 #[derive(Clone)]
 pub struct Instrument {
+    /// System response.
     pub response: Arc<Response>,
     noise: Arc<Noise>,
     random: Random,
@@ -216,6 +221,7 @@ impl Instrument {
         }
     }
 
+    /// A uniform random number in an interval.
     pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.random.uniform()
     }
@@ -225,6 +231,7 @@ impl Instrument {
         Echo { snr, place: self.uniform(18.0, 24.0), width }
     }
 
+    /// Samples of a waveform with these echoes.
     pub fn record(&mut self, echoes: &[Echo], full_scale_dn: f64) -> Vec<u16> {
         let mut block = [0.0; SAMPLES];
         self.noise.fill(&mut self.random, &mut block);

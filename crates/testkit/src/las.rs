@@ -13,6 +13,7 @@ pub const POINT: usize = 59;
 pub struct Las {
     /// VLRs between the header and the points.
     pub vlrs: Vec<Vec<u8>>,
+    /// Point records.
     pub points: Vec<Vec<u8>>,
     /// The waveform packets with their header.
     pub packets: Vec<u8>,

@@ -17,7 +17,9 @@ const LISTEN_AFTER_NS: i32 = 4000;
 pub struct PulseWaves {
     /// (record ID, payload) of records of `PulseWaves_Spec`.
     pub records: Vec<(u32, Vec<u8>)>,
+    /// Pulse records.
     pub pulses: Vec<Vec<u8>>,
+    /// The waves file.
     pub waves: Vec<u8>,
 }
 

@@ -31,6 +31,7 @@ pub struct Table {
 }
 
 impl Table {
+    /// Reads a text table with a header line.
     pub fn read(path: &Path) -> Table {
         let text =
             std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
@@ -47,6 +48,7 @@ impl Table {
         self.rows.iter().map(|row| row[i]).collect()
     }
 
+    /// Number of rows.
     pub fn len(&self) -> usize {
         self.rows.len()
     }
@@ -59,6 +61,7 @@ pub fn robust(values: &[f64]) -> (f64, f64) {
     (centre, 1.4826 * median(&deviations))
 }
 
+/// Median; panics on an empty list.
 pub fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -24,6 +24,7 @@ pub fn stand_in() -> PathBuf {
 /// A row of a container.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
+    /// Shot of the row.
     pub shot: ContainerShot,
     /// Channel, time of the first sample after the clock (ns), samples.
     pub blocks: Vec<(u8, f64, Vec<u16>)>,

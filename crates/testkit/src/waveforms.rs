@@ -18,10 +18,12 @@ const BACKGROUND_DN: f64 = 20.3;
 pub struct Random(u64);
 
 impl Random {
+    /// Creates a generator.
     pub fn new(seed: u64) -> Random {
         Random(seed)
     }
 
+    /// A uniform random number in [0, 1).
     pub fn uniform(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -30,6 +32,7 @@ impl Random {
         ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
     }
 
+    /// A standard normal random number.
     pub fn normal(&mut self) -> f64 {
         (-2.0 * (1.0 - self.uniform()).ln()).sqrt() * (TAU * self.uniform()).cos()
     }
@@ -112,6 +115,7 @@ pub struct Waveforms {
 }
 
 impl Waveforms {
+    /// Creates the generator of a scene.
     pub fn new(model: &ChannelModel, noise: &ArNoise, scene: Scene, seed: u64) -> Waveforms {
         Waveforms {
             scene,

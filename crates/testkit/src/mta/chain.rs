@@ -46,6 +46,7 @@ pub fn compare(folder: &Path, truth: &[Truth]) -> (bool, Score) {
 /// Detection statistics of the true echoes.
 #[derive(Debug, Default)]
 pub struct Score {
+    /// Number of true echoes.
     pub echoes: usize,
     /// Echoes found with correct shot, zone and range.
     pub right: usize,

@@ -44,7 +44,9 @@ pub struct Truth {
     pub shot: u64,
     /// Number of emissions between cause and reception.
     pub zone: u64,
+    /// True range.
     pub range_m: f64,
+    /// True position, earth-centred, earth-fixed.
     pub ecef_m: [f64; 3],
 }
 
