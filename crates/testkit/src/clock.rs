@@ -1,4 +1,4 @@
-//! Clock of the benches.
+//! CPU time of a thread.
 
 /// Returns the CPU time of this thread, s, with an arbitrary origin.
 ///

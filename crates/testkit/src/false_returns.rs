@@ -1,5 +1,4 @@
-//! Simulated scenes with false returns, and scores of outlier filters, for `tests/outliers.rs` and
-//! `benches/outliers`.
+//! Simulated scenes with false returns, and scores of outlier filters.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! Simulated flights, and the stage run on their true returns.
+//! Simulated flights with a trajectory, and `georeference` run on their true returns.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -1,5 +1,4 @@
-//! A simulated instrument with known truth, and its noise bounds, for `tests/accuracy.rs` and
-//! `benches/accuracy.rs`.
+//! A simulated instrument with known truth, and its noise bounds.
 //!
 //! Response: a normal distribution with an SD of 1.65 ns convolved with a decay of 0.9 ns, plus
 //! ringing from 4 ns on. The ringing is a damped sine with a period of 11 ns and a decay of 7 ns,

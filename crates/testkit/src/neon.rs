@@ -1,4 +1,4 @@
-//! Converts NEON waveforms from text to our container; reads the Gaussians of an R package.
+//! NEON waveforms as text: conversion to a container, and the Gaussians of an R package.
 
 use std::fs::File;
 use std::io::BufWriter;

@@ -1,4 +1,4 @@
-//! Real recordings with reference results.
+//! Runs on real recordings, and their tables.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};

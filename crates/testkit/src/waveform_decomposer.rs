@@ -1,5 +1,4 @@
-//! The decomposition of a run, one waveform at a time, for `tests/accuracy.rs` and
-//! `benches/accuracy`.
+//! The decomposition of a run, one waveform at a time.
 
 use std::sync::Arc;
 

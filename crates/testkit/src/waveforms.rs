@@ -1,6 +1,4 @@
-//! Simulated waveforms for the benches.
-//!
-//! One channel, blocks with known pulse positions.
+//! Simulated waveforms of one channel, with known pulse positions.
 
 use std::f64::consts::TAU;
 

@@ -1,6 +1,4 @@
-//! Runs a scene through the whole chain with both readers.
-//!
-//! Compares the result with the truth.
+//! A scene through the whole chain with both readers, compared with the truth.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,16 +6,18 @@ use std::path::Path;
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 
+use crate::sdf::stand_in;
+
 use super::recording::{NAME, Truth};
 
 /// Tolerance for matching a return to a true one, m.
 const NEAR_M: f64 = 0.15;
 
-/// Runs the recording in `folder` with `read_arrow`, and with `read_sdf` and this library.
+/// Runs the recording in `folder` with `read_arrow`, and with `read_sdf` and the stand-in.
 ///
 /// Outputs go to folders named after the readers. `calibrate` is a list of keys.
-pub fn run(folder: &Path, library: &Path, calibrate: &str) {
-    let library = format!("library = '{}'\n", library.display());
+pub fn run(folder: &Path, calibrate: &str) {
+    let library = format!("library = '{}'\n", stand_in().display());
     for (reader, library) in [("read_arrow", ""), ("read_sdf", &library)] {
         let job = Job::parse("job.toml", &job(reader, library, calibrate), &[]).expect("a job");
         engine::run(&job, &Options::of_job(&job, folder, folder.join(reader))).expect("a run");
