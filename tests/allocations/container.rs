@@ -5,11 +5,8 @@ use std::io::Cursor;
 use std::path::Path;
 use std::sync::atomic::Ordering;
 
-use wavex_formats::Result;
-use wavex_formats::container::{
-    Compression, ContainerBlock, ContainerHeader, ContainerReader, ContainerShot, ContainerWriter,
-    LineBuilder, TimeScale, channel,
-};
+use wavex_formats::container::{Compression, ContainerHeader, ContainerReader, TimeScale, channel};
+use wavex_testkit::container::{Row, compressed, nadir_shot};
 
 use super::{LARGEST, RUNNING};
 
@@ -19,33 +16,10 @@ use super::{LARGEST, RUNNING};
 /// window.
 const MOST_BYTES: usize = 16 << 20;
 
-fn container(compression: Compression) -> Result<Vec<u8>> {
+fn made(compression: Compression) -> Vec<u8> {
     let header = ContainerHeader { time_scale: TimeScale::Week, ..ContainerHeader::new(1.0, 299_707_502.0) };
-    let mut line = LineBuilder::new();
-    line.shot(&ContainerShot {
-        shot: 0,
-        line: 0,
-        gps_time_s: None,
-        clock_ps: 0,
-        origin_m: [0.0; 3],
-        direction: [0.0, 0.0, 1.0],
-        facet: 0,
-        flags: 0,
-        mta_zone: None,
-        scan_angle_deg: None,
-        frame_scale: None,
-    });
-    line.block(&ContainerBlock {
-        channel: channel::LOW_POWER,
-        start_ns: 0.0,
-        interval_ns: None,
-        zone: None,
-        gain: None,
-        samples: &[3; 200],
-    });
-    let mut writer = ContainerWriter::file(Vec::new(), Path::new("made.arrow"), &header, compression)?;
-    writer.write(line)?;
-    writer.finish()
+    let row = Row { shot: nadir_shot(0, 0), blocks: vec![(channel::LOW_POWER, 0.0, vec![3; 200])] };
+    compressed(&header, &[vec![row]], compression)
 }
 
 fn read(path: &Path) -> usize {
@@ -65,7 +39,7 @@ fn no_length_that_lies_takes_memory() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("made.arrow");
     for compression in [Compression::None, Compression::Lz4, Compression::Zstd] {
-        let whole = container(compression).unwrap();
+        let whole = made(compression);
         std::fs::write(&path, &whole).unwrap();
         assert_eq!((read(&path), read_stream(whole.clone())), (1, 1));
         LARGEST.store(0, Ordering::Relaxed);

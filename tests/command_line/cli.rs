@@ -2,19 +2,13 @@
 
 use std::fs;
 use std::io::Write;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
-/// Result of a run of the program.
-#[derive(Debug, PartialEq)]
-struct Outcome {
-    code: Option<i32>,
-    out: String,
-    err: String,
-}
+use wavex_testkit::{Outcome, outcome};
 
 /// Runs the program with these arguments and this standard input.
 fn wavex_with_input(arguments: &[&str], input: &str) -> Outcome {
-    let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    let mut program = wavex_testkit::wavex();
     program.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = program.spawn().unwrap();
     // A program that does not read its input may already have exited.
@@ -30,7 +24,7 @@ fn wavex(arguments: &[&str]) -> Outcome {
 
 /// Asserts that the arguments are refused with this message and no other output.
 fn refused(outcome: Outcome, expected: &str) {
-    assert_eq!(outcome, Outcome { code: Some(2), out: String::new(), err: expected.to_owned() });
+    assert_eq!(outcome, Outcome::failure(2, expected));
 }
 
 #[test]
@@ -71,7 +65,7 @@ Exit status: 0 success; 1 the run failed; 2 the job or the command line is inval
     let asked = wavex(&["--help"]);
     assert_eq!(asked, Outcome { code: Some(0), out: expected.to_owned(), err: String::new() });
     let without_a_command = wavex(&[]);
-    assert_eq!(without_a_command, Outcome { code: Some(2), out: String::new(), err: expected.to_owned() });
+    assert_eq!(without_a_command, Outcome::failure(2, expected));
 }
 
 #[test]
@@ -298,7 +292,7 @@ fn completions_are_those_of_the_shell() {
 #[cfg(unix)]
 #[test]
 fn a_reader_that_has_seen_enough_is_no_failure() {
-    let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    let mut program = wavex_testkit::wavex();
     let mut child = program.args(["completions", "zsh"]).stdout(Stdio::piped()).spawn().unwrap();
     drop(child.stdout.take());
     assert_eq!(child.wait().unwrap().code(), Some(0));
@@ -315,10 +309,7 @@ fn place_with_wkt(wkt: &str) -> tempfile::TempDir {
 }
 
 fn wavex_in(folder: &std::path::Path, arguments: &[&str]) -> Outcome {
-    let output =
-        Command::new(env!("CARGO_BIN_EXE_wavex")).args(arguments).current_dir(folder).output().unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    Outcome { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) }
+    outcome(wavex_testkit::wavex().args(arguments).current_dir(folder))
 }
 
 /// The projection library takes missing parameters as 0.
@@ -369,6 +360,6 @@ fn a_shared_file_may_name_the_folder_of_geoids() {
     );
     assert!(!checked.out.contains("warning"), "{}", checked.out);
     let run = wavex_in(folder.path(), &["--quiet", "run", "job.toml"]);
-    assert_eq!(run, Outcome { code: Some(0), out: String::new(), err: String::new() });
+    assert_eq!(run, Outcome::success());
     assert!(folder.path().join("out/simulated.arrow").is_file());
 }

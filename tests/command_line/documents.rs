@@ -3,11 +3,11 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use wavex::georef::GeometryKeys;
 use wavex::job::JobSettings;
 use wavex::registry;
+use wavex_testkit::{Outcome, outcome};
 
 /// A fenced code block of a Markdown page.
 struct CodeBlock {
@@ -97,11 +97,9 @@ fn anchors(page: &str) -> BTreeSet<String> {
 
 /// Runs one `wavex` command; what it prints.
 fn wavex(arguments: &[&str], folder: &Path) -> String {
-    let output = Command::new(env!("CARGO_BIN_EXE_wavex")).args(arguments).current_dir(folder).output();
-    let output = output.unwrap();
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    let printed = text(&output.stdout) + &text(&output.stderr);
-    assert!(output.status.success(), "wavex {}\n{printed}", arguments.join(" "));
+    let Outcome { code, out, err } = outcome(wavex_testkit::wavex().args(arguments).current_dir(folder));
+    let printed = out + &err;
+    assert_eq!(code, Some(0), "wavex {}\n{printed}", arguments.join(" "));
     printed
 }
 

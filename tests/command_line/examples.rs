@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use wavex_testkit::built;
+use wavex_testkit::{Outcome, built, outcome, wavex};
 
 /// Output of an example.
 #[track_caller]
@@ -43,8 +43,7 @@ fn a_job_is_run_from_rust_and_its_recording_read() {
         "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 2\nshots_per_line = 50\n[[stage]]\ntype = 'write_arrow'\n",
     )
     .unwrap();
-    let wavex = Command::new(env!("CARGO_BIN_EXE_wavex")).args(["-q", "run"]).arg(&job).status().unwrap();
-    assert!(wavex.success());
+    assert_eq!(outcome(wavex().args(["-q", "run"]).arg(&job)), Outcome::success());
     let out = printed("read_recording", &[&folder.path().join("a.arrow")]);
     assert!(out.contains("\nshot 0 at 208800") && out.contains("\n2 scan lines, 100 shots, "), "{out}");
 }

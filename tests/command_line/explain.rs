@@ -1,30 +1,19 @@
 //! `wavex explain`: the table agrees with that of a run, the picture is complete, and errors are
 //! reported.
 
-use std::process::{Command, Stdio};
-
 use wavex_formats::container::EmissionReference;
-use wavex_testkit::container::{Shot, container};
+use wavex_testkit::container::{Shot, of_shots};
 use wavex_testkit::{Outcome, TestFolder, shots};
 
-/// Runs `wavex explain` in a folder: exit code, standard output, standard error.
-fn explain(place: &TestFolder, arguments: &[&str]) -> (Option<i32>, String, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
-    command
-        .arg("explain")
-        .args(arguments)
-        .current_dir(place.path(""))
-        .stdin(Stdio::null())
-        .env_remove("RUST_LOG");
-    let output = command.output().unwrap();
-    let text = |bytes| String::from_utf8(bytes).unwrap();
-    (output.status.code(), text(output.stdout), text(output.stderr))
+/// Runs `wavex explain` in a folder.
+fn explain(place: &TestFolder, arguments: &[&str]) -> Outcome {
+    place.wavex(&[&["explain"], arguments].concat())
 }
 
 /// Asserts that the command fails with this message, without output or files.
 #[track_caller]
 fn refused(place: &TestFolder, arguments: &[&str], code: i32, message: &str) {
-    let (found, out, err) = explain(place, arguments);
+    let Outcome { code: found, out, err } = explain(place, arguments);
     assert_eq!((found, out.as_str(), err), (Some(code), "", format!("error: {message}\n")));
 }
 
@@ -38,7 +27,7 @@ fn simulated() -> TestFolder {
                [[stage]]\ntype = 'write_table'\npath = '*.csv'\n\
                [[stage]]\ntype = 'georeference'\n\
                [[stage]]\ntype = 'write_las'\npath = '*.las'\n";
-    assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(job), Outcome::success());
     place
 }
 
@@ -82,7 +71,7 @@ fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
     let shot = many.split(',').next().unwrap();
     let with_model =
         ["out/flight.arrow", "--shot", shot, "--model", "out/model.json", "--out", "picture.svg"];
-    let (code, out, err) = explain(&place, &with_model);
+    let Outcome { code, out, err } = explain(&place, &with_model);
     assert_eq!((code, err.as_str()), (Some(0), ""));
 
     let printed: Vec<&str> = out.lines().skip(3).take_while(|line| !line.is_empty()).collect();
@@ -127,7 +116,7 @@ fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
     }
 
     // Calibration from the same waveforms gives the model that the run saved.
-    let (code, by_itself, err) = explain(&place, &["out/flight.arrow", "--shot", shot]);
+    let Outcome { code, out: by_itself, err } = explain(&place, &["out/flight.arrow", "--shot", shot]);
     assert_eq!((code, err.as_str()), (Some(0), ""));
     let name = format!("flight_shot_{shot}.svg");
     assert_eq!(by_itself, out.replace("picture.svg", &name));
@@ -140,10 +129,11 @@ fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
 
     // The time of the shot selects it, and the keys of a job apply.
     let time = rows[0]["gps_time_s"].clone();
-    let (code, by_time, _) = explain(&place, &["out/flight.arrow", "--time", &time, "--job", "job.toml"]);
+    let Outcome { code, out: by_time, .. } =
+        explain(&place, &["out/flight.arrow", "--time", &time, "--job", "job.toml"]);
     assert_eq!((code, by_time), (Some(0), by_itself));
     let set = ["--job", "job.toml", "--set", "decompose.detection_sigma=100"];
-    let (code, none, _) = explain(&place, &[&with_model[..], &set].concat());
+    let Outcome { code, out: none, .. } = explain(&place, &[&with_model[..], &set].concat());
     assert_eq!(code, Some(0));
     let nothing = "0 detected + 0 added = 0 kept";
     assert!(none.contains(nothing) && !out.contains(nothing), "{none}");
@@ -156,7 +146,7 @@ fn by_hand(timed: bool) -> Vec<u8> {
         clock_ps: number as i64 * 5_000_000,
         blocks: vec![if number == 2 { (3, 0.0, block(number)) } else { (1, 1000.0, block(number)) }],
     };
-    container(&(0..260).map(shot).collect::<Vec<_>>(), EmissionReference::Clock, timed)
+    of_shots(&(0..260).map(shot).collect::<Vec<_>>(), EmissionReference::Clock, timed)
 }
 
 #[test]
@@ -181,7 +171,7 @@ fn what_cannot_be_explained_is_said() {
 
 #[test]
 fn a_file_without_waveforms_is_told() {
-    let empty = container(
+    let empty = of_shots(
         &[Shot { clock_ps: 0, blocks: Vec::new() }, Shot { clock_ps: 5, blocks: Vec::new() }],
         EmissionReference::Clock,
         true,
@@ -190,7 +180,7 @@ fn a_file_without_waveforms_is_told() {
     let message = "the low power receiver: calibration needs 200 waveforms of the channel and there were 0; \
                    give it more data, or load a saved sensor model";
     refused(&place, &["empty.arrow", "--shot", "100"], 1, message);
-    let (code, _, err) = explain(&place, &["empty.arrow", "--shot", "1", "--time", "2"]);
+    let Outcome { code, err, .. } = explain(&place, &["empty.arrow", "--shot", "1", "--time", "2"]);
     assert_eq!(code, Some(2));
     assert!(err.contains("cannot be used with"), "{err}");
 }

@@ -1,30 +1,20 @@
 //! `wavex init --from` and `wavex calibrate` on existing recordings.
 
 use std::fs;
-use std::process::{Command, Stdio};
 
 use wavex_testkit::las::Las;
 use wavex_testkit::pulsewaves::PulseWaves;
 use wavex_testkit::{Outcome, TestFolder, data};
-
-/// Runs the program in a folder: exit code, standard output, standard error.
-fn wavex(place: &TestFolder, arguments: &[&str]) -> (Option<i32>, String, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
-    command.args(arguments).current_dir(place.path("")).stdin(Stdio::null()).env_remove("RUST_LOG");
-    let output = command.output().unwrap();
-    let text = |bytes| String::from_utf8(bytes).unwrap();
-    (output.status.code(), text(output.stdout), text(output.stderr))
-}
 
 /// Job for a recording of a folder; must pass `check` without a warning.
 #[track_caller]
 fn job_for(place: &TestFolder, recording: &str) -> String {
     let job = "flight.toml";
     let _ = fs::remove_file(place.path(job));
-    let (code, out, err) = wavex(place, &["init", "--from", recording, job]);
+    let Outcome { code, out, err } = place.wavex(&["init", "--from", recording, job]);
     assert_eq!((code, err.as_str()), (Some(0), ""), "{recording}");
     assert!(out.starts_with("wrote flight.toml\n"), "{out}");
-    let (code, out, err) = wavex(place, &["check", job]);
+    let Outcome { code, out, err } = place.wavex(&["check", job]);
     assert_eq!((code, err.as_str()), (Some(0), ""), "{recording}");
     assert!(out.starts_with("flight.toml is valid\n") && !out.contains("warning"), "{out}");
     place.text(job)
@@ -64,9 +54,9 @@ fn las_and_pulsewaves_have_their_jobs() {
     assert_eq!(stages(&text)[..5], ["read_sdf", "resolve_mta", "fuse_channels", "calibrate", "decompose"]);
     // A job in another folder also finds the recording.
     fs::create_dir(place.path("jobs")).unwrap();
-    let (code, _, err) = wavex(&place, &["-q", "init", "--from", "b.pls", "jobs/b.toml"]);
+    let Outcome { code, err, .. } = place.wavex(&["-q", "init", "--from", "b.pls", "jobs/b.toml"]);
     assert_eq!((code, err.as_str()), (Some(0), ""));
-    let (_, out, _) = wavex(&place, &["check", "jobs/b.toml"]);
+    let Outcome { out, .. } = place.wavex(&["check", "jobs/b.toml"]);
     assert!(!out.contains("warning"), "{out}");
     assert!(place.path("jobs/job.schema.json").is_file());
 }
@@ -77,7 +67,7 @@ fn simulated(keys: &str) -> TestFolder {
     let job = format!(
         "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 4\nshots_per_line = 100\n{keys}\n[[stage]]\ntype = 'write_arrow'\n"
     );
-    assert_eq!(place.run(&job), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(&job), Outcome::success());
     place
 }
 
@@ -91,7 +81,8 @@ fn a_container_is_raw_or_lies_in_a_map() {
     fs::remove_file(place.path("out/a.out")).unwrap();
     let text = job_for(&place, "out/a.arrow");
     assert!(text.contains("\n# trajectory = ") && text.contains("\n# crs = "), "{text}");
-    let (code, _, err) = wavex(&place, &["-q", "run", "flight.toml", "--set", "calibrate.waveforms=300"]);
+    let Outcome { code, err, .. } =
+        place.wavex(&["-q", "run", "flight.toml", "--set", "calibrate.waveforms=300"]);
     assert_eq!(code, Some(0), "{err}");
     let place = simulated("");
     let text = job_for(&place, "out/a.arrow");
@@ -117,10 +108,10 @@ fn a_large_footprint_is_recognised() {
 #[test]
 fn what_is_no_recording_has_no_job() {
     let place = TestFolder::with(&[("a.las", b"no LAS")]);
-    let (code, out, err) = wavex(&place, &["init", "--from", "b.las", "b.toml"]);
+    let Outcome { code, out, err } = place.wavex(&["init", "--from", "b.las", "b.toml"]);
     assert_eq!((code, out.as_str()), (Some(2), ""));
     assert_eq!(err, "error: b.las: no such file; check the path\n");
-    let (code, _, err) = wavex(&place, &["init", "--from", "a.las", "a.toml"]);
+    let Outcome { code, err, .. } = place.wavex(&["init", "--from", "a.las", "a.toml"]);
     assert!(code == Some(1) && err.starts_with("error: a.las: "), "{err}");
     assert!(!place.path("a.toml").exists() && !place.path("b.toml").exists());
 }
@@ -128,7 +119,7 @@ fn what_is_no_recording_has_no_job() {
 #[test]
 fn a_schema_that_is_there_stays() {
     let place = TestFolder::with(&[("job.schema.json", b"mine")]);
-    let (code, out, _) = wavex(&place, &["init", "a.toml"]);
+    let Outcome { code, out, .. } = place.wavex(&["init", "a.toml"]);
     assert_eq!(code, Some(0));
     assert!(out.contains("kept the existing job.schema.json\n"), "{out}");
     assert_eq!(place.text("job.schema.json"), "mine");
@@ -137,7 +128,8 @@ fn a_schema_that_is_there_stays() {
 #[test]
 fn a_model_is_saved_and_serves_another_recording() {
     let place = simulated("");
-    let (code, out, err) = wavex(&place, &["calibrate", "out/a.arrow", "--save-preset", "model.json"]);
+    let Outcome { code, out, err } =
+        place.wavex(&["calibrate", "out/a.arrow", "--save-preset", "model.json"]);
     assert_eq!((code, err.lines().any(|line| line.starts_with("error"))), (Some(0), false), "{err}");
     assert!(out.starts_with("out/a.arrow\n  low power       noise 0.9"), "{out}");
     assert!(
@@ -149,7 +141,7 @@ fn a_model_is_saved_and_serves_another_recording() {
     let job = "[[stage]]\ntype = 'simulate'\nlines = 1\nshots_per_line = 10\n[[stage]]\ntype = 'calibrate'\nload = 'model.json'\n\
                [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'write_table'\n";
     assert_eq!(place.run(job).code, Some(0));
-    let (code, _, err) = wavex(&place, &["calibrate", "out/a.arrow", "--save-preset", "model.txt"]);
+    let Outcome { code, err, .. } = place.wavex(&["calibrate", "out/a.arrow", "--save-preset", "model.txt"]);
     let expected = "error: --save-preset model.txt: a sensor model is JSON; give a name that ends in .json\n";
     assert_eq!((code, err.as_str()), (Some(2), expected));
 }
@@ -160,7 +152,7 @@ fn a_run_names_all_that_it_wrote_by_short_paths() {
     let job = "[job]\noutput_dir = '../out'\nreport_page = true\n[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 2\n\
                shots_per_line = 20\n[[stage]]\ntype = 'write_arrow'\n";
     place.write("jobs/a.toml", job.as_bytes());
-    let (code, out, err) = wavex(&place, &["run", "jobs/a.toml", "--profile", "--progress", "never"]);
+    let Outcome { code, out, err } = place.wavex(&["run", "jobs/a.toml", "--profile", "--progress", "never"]);
     assert_eq!((code, err.as_str()), (Some(0), ""));
     let written: Vec<&str> = out.lines().filter_map(|line| line.strip_prefix("wrote ")).collect();
     let expected = ["a.arrow", "report.json", "report.html", "trace.json", "wavex.log", "a_stat.log"]
@@ -192,7 +184,7 @@ fn a_warning_of_several_inputs_is_given_once_with_their_number() {
     let job = "[[stage]]\ntype = 'read_pulsewaves'\npath = '*.pls'\n[[stage]]\ntype = 'calibrate'\npreset = 'riegl_lms_q680i'\n\
                [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_las'\n";
     place.write("a.toml", job.as_bytes());
-    let (code, _, err) = wavex(&place, &["run", "a.toml", "--progress", "never"]);
+    let Outcome { code, err, .. } = place.wavex(&["run", "a.toml", "--progress", "never"]);
     assert_eq!(code, Some(0), "{err}");
     let warnings: Vec<&str> =
         err.lines().filter_map(|line| line.trim_start().strip_prefix("WARN ")).collect();

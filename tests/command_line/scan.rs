@@ -1,27 +1,22 @@
 //! `wavex scan`: the summary matches the recording, and read errors are reported.
 
 use std::fs;
-use std::process::{Command, Stdio};
 
 use wavex_formats::container::EmissionReference;
-use wavex_testkit::container::{Shot, container};
+use wavex_testkit::container::{Shot, of_shots};
 use wavex_testkit::las::Las;
 use wavex_testkit::pulsewaves::PulseWaves;
 use wavex_testkit::{Outcome, TestFolder, data};
 
-/// Runs `wavex scan` in a folder: exit code, standard output, standard error.
-fn scan(place: &TestFolder, arguments: &[&str]) -> (Option<i32>, String, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
-    command.arg("scan").args(arguments).current_dir(place.path(""));
-    let output = command.stdin(Stdio::null()).env_remove("RUST_LOG").output().unwrap();
-    let text = |bytes| String::from_utf8(bytes).unwrap();
-    (output.status.code(), text(output.stdout), text(output.stderr))
+/// Runs `wavex scan` in a folder.
+fn scan(place: &TestFolder, arguments: &[&str]) -> Outcome {
+    place.wavex(&[&["scan"], arguments].concat())
 }
 
 /// Summary of a successful scan without messages on standard error.
 #[track_caller]
 fn summary(place: &TestFolder, arguments: &[&str]) -> String {
-    let (code, out, err) = scan(place, arguments);
+    let Outcome { code, out, err } = scan(place, arguments);
     assert_eq!((code, err.as_str()), (Some(0), ""));
     out
 }
@@ -58,7 +53,7 @@ fn simulated(keys: &str) -> TestFolder {
         "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 20\nshots_per_line = 500\npulse_rate_hz = 400000\n\
          {keys}\n[[stage]]\ntype = 'write_arrow'\n"
     );
-    assert_eq!(place.run(&job), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(&job), Outcome::success());
     place
 }
 
@@ -166,7 +161,7 @@ fn gaps_rejects_and_missing_times_are_told() {
     let mut shots: Vec<Shot> = clocks.iter().map(|&clock_ps| Shot { clock_ps, blocks: block(90) }).collect();
     shots.push(Shot { clock_ps: 100_000_000, blocks: vec![(7, 0.0, vec![1])] });
     shots.push(Shot { clock_ps: 110_000_000, blocks: block(255) });
-    place.write("x.arrow", &container(&shots, EmissionReference::OutgoingPulse, false));
+    place.write("x.arrow", &of_shots(&shots, EmissionReference::OutgoingPulse, false));
     let out = summary(&place, &["x.arrow"]);
     assert_eq!(said(&out, "Times", "shots without a time"), "7 (100.0 %)");
     let gap = "1 of more than 2.5 shot intervals, the longest 50.000 µs (5 shot intervals) before shot 104";
@@ -191,7 +186,7 @@ fn a_file_that_is_cut_off_is_an_error_behind_what_it_holds() {
     let pls = waves.pls();
     let cut = &pls[..waves.offset_of(200)];
     let place = TestFolder::with(&[("b.pls", cut), ("b.wvs", &waves.waves)]);
-    let (code, out, err) = scan(&place, &["b.pls"]);
+    let Outcome { code, out, err } = scan(&place, &["b.pls"]);
     let offset = waves.offset_of(200);
     let message = format!(
         "b.pls: byte {offset}: pulse 200: the header declares 300 pulses, but the file has 200; \
@@ -207,7 +202,7 @@ fn a_file_that_is_cut_off_is_an_error_behind_what_it_holds() {
 fn what_cannot_be_scanned_is_said() {
     let place = TestFolder::with(&[("x.dat", b"")]);
     let refused = |arguments: &[&str], code: i32, message: &str| {
-        let (found, out, err) = scan(&place, arguments);
+        let Outcome { code: found, out, err } = scan(&place, arguments);
         assert_eq!((found, out.as_str()), (Some(code), ""), "{err}");
         assert!(err.starts_with(&format!("error: {message}")), "{err}");
     };
@@ -224,7 +219,7 @@ fn what_cannot_be_scanned_is_said() {
 #[test]
 fn quiet_prints_nothing_and_files_are_the_same_again() {
     let place = simulated("");
-    let (code, out, err) = scan(&place, &["-q", "out/flight.arrow"]);
+    let Outcome { code, out, err } = scan(&place, &["-q", "out/flight.arrow"]);
     assert_eq!((code, out.as_str(), err.as_str()), (Some(0), "", ""));
     let (text, page) = (place.text("flight_scan.txt"), place.text("flight_scan.html"));
     summary(&place, &["out/flight.arrow"]);

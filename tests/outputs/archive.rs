@@ -2,7 +2,6 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 use serde_json::Value;
 use wavex_testkit::flight::{OUTPUTS, STAGES, flight, run, wavex};
@@ -14,7 +13,7 @@ fn archived(name: &str) -> TestFolder {
     place
         .write("job.toml", format!("# The job of a flight.\n[job]\noutput_dir = 'out'\n{STAGES}").as_bytes());
     let outcome = run(&place, &["--threads", "2", "--archive", &format!("archives/{name}")]);
-    assert_eq!(outcome, Outcome { code: Some(0), err: String::new() });
+    assert_eq!(outcome, Outcome::success());
     place
 }
 
@@ -339,13 +338,13 @@ fn a_run_that_gives_something_else_says_what_and_where() {
 fn an_archive_is_never_replaced_and_its_inputs_are_files() {
     let place = archived("a");
     let exists = "error: archives/a: it already exists; choose another name: an archive is never replaced\n";
-    assert_eq!(run(&place, &["--archive", "archives/a"]), Outcome { code: Some(2), err: exists.into() });
+    assert_eq!(run(&place, &["--archive", "archives/a"]), Outcome::failure(2, exists));
     let from_stdin = run(
         &place,
         &["--set", "read_arrow.path='-'", "--set", "job.output_dir='out2'", "--archive", "archives/b"],
     );
     let problem = "error: standard input cannot be archived; save it to a file and read that file\n";
-    assert_eq!(from_stdin, Outcome { code: Some(1), err: problem.into() });
+    assert_eq!(from_stdin, Outcome::failure(1, problem));
     assert_eq!(
         fs::read_dir(place.path("archives")).unwrap().count(),
         1,
@@ -361,9 +360,7 @@ fn an_archive_is_never_replaced_and_its_inputs_are_files() {
 
 /// Standard output of the program in the folder.
 fn said(place: &TestFolder, arguments: &[&str]) -> String {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
-    let output = command.args(arguments).current_dir(place.path("")).output();
-    String::from_utf8(output.unwrap().stdout).unwrap()
+    place.wavex(arguments).out
 }
 
 #[test]
@@ -404,7 +401,7 @@ fn archives_of_another_kind_are_not_made() {
         let expected = format!(
             "error: {name}: wavex cannot make {kind} archives; give a name that ends in .tar.zst, or the name of a new folder\n"
         );
-        assert_eq!(run(&place, &["--archive", name]), Outcome { code: Some(2), err: expected });
+        assert_eq!(run(&place, &["--archive", name]), Outcome::failure(2, expected));
         assert!(!place.path(name).exists() && !place.path("out").exists());
     }
 }
@@ -480,7 +477,7 @@ fn the_trajectory_is_an_input() {
     let place = TestFolder::new();
     let make = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 2\nshots_per_line = 200\nsbet = '../in/*.out'\n\
                 [[stage]]\ntype = 'write_arrow'\npath = '../in/*.arrow'\n";
-    assert_eq!(place.run(make), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(make), Outcome::success());
     let job = "[job]\ninput_dir = 'in'\noutput_dir = 'out'\n[job.geometry]\ntrajectory = '*.out'\n[[stage]]\ntype = 'read_arrow'\n\
                path = 'a.arrow'\n[[stage]]\ntype = 'calibrate'\nwaveforms = 300\n[[stage]]\ntype = 'decompose'\n\
                [[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_las'\n";

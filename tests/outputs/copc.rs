@@ -1,9 +1,7 @@
 //! `wavex copc`: converts the points of a run to COPC, or reports an error.
 
-use std::process::{Command, Stdio};
-
 use wavex_formats::las::RawPoints;
-use wavex_testkit::TestFolder;
+use wavex_testkit::{Outcome, TestFolder, outcome, wavex};
 
 const POINTS: &str = "\
 [[stage]]
@@ -32,14 +30,10 @@ version = '1.2'
 
 /// Output of the program, or exit code and message if it fails.
 fn copc(place: &TestFolder, arguments: &[&str]) -> Result<String, (Option<i32>, String)> {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
-    command.arg("copc").args(arguments).current_dir(place.path("out"));
-    let output = command.stdin(Stdio::null()).env_remove("RUST_LOG").output().unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    match output.status.success() {
-        true => Ok(text(output.stdout)),
-        false => Err((output.status.code(), text(output.stderr))),
-    }
+    let command = &mut wavex();
+    let Outcome { code, out, err } =
+        outcome(command.arg("copc").args(arguments).current_dir(place.path("out")));
+    if code == Some(0) { Ok(out) } else { Err((code, err)) }
 }
 
 fn n_points(place: &TestFolder, name: &str) -> u64 {

@@ -2,8 +2,6 @@
 
 mod browser;
 
-use std::process::Command;
-
 use browser::Look;
 use serde_json::Value;
 use wavex_testkit::{Outcome, TestFolder, outcome};
@@ -34,8 +32,7 @@ fn elements(page: &str) -> std::collections::BTreeMap<String, usize> {
 }
 
 fn report(place: &TestFolder, arguments: &[&str]) -> Outcome {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
-    outcome(command.args(["--quiet", "report"]).args(arguments).current_dir(place.path("")))
+    place.wavex(&[&["--quiet", "report"], arguments].concat())
 }
 
 const JOB: &str = "[[stage]]\ntype = 'simulate'\nstem = 'a<b&c'\nlines = 8\nshots_per_line = 150\n\
@@ -48,14 +45,10 @@ fn with_page(keys: &str) -> String {
     format!("report_page = 'page.html'\n{keys}\n{JOB}")
 }
 
-fn done() -> Outcome {
-    Outcome { code: Some(0), err: String::new() }
-}
-
 /// A run with a page, and its report.
 fn run() -> (TestFolder, Value) {
     let place = TestFolder::new();
-    assert_eq!(place.run(&with_page("")), done());
+    assert_eq!(place.run(&with_page("")), Outcome::success());
     let report = serde_json::from_str(&place.text("out/report.json")).unwrap();
     (place, report)
 }
@@ -120,7 +113,7 @@ fn the_page_tells_all_of_a_run() {
 fn warnings_stand_first_with_their_stage() {
     let place = TestFolder::new();
     let fused = "[[stage]]\ntype = 'fuse_channels'\n[[stage]]\ntype = 'calibrate'";
-    assert_eq!(place.run(&with_page("").replace("[[stage]]\ntype = 'calibrate'", fused)), done());
+    assert_eq!(place.run(&with_page("").replace("[[stage]]\ntype = 'calibrate'", fused)), Outcome::success());
     let page = place.text("out/page.html");
     let (before, rest) = page.split_once("<h2>Warnings</h2>").unwrap();
     let (warnings, _) = rest.split_once("</section>").unwrap();
@@ -136,7 +129,7 @@ fn what_is_normal_is_no_warning() {
                gain_ratio = 0.1\ndelay_ns = 0.0\n[[stage]]\ntype = 'calibrate'\nwaveforms = 300\n\
                [[stage]]\ntype = 'decompose'\n";
     let job = format!("report_page = 'page.html'\n[[stage]]\ntype = 'simulate'\nstem = 'two'\n{two}");
-    assert_eq!(place.run(&format!("{job}[[stage]]\ntype = 'write_table'\n")), done());
+    assert_eq!(place.run(&format!("{job}[[stage]]\ntype = 'write_table'\n")), Outcome::success());
     let page = place.text("out/page.html");
     let (_, rest) = page.split_once("<h2>Warnings</h2>").unwrap();
     let (warnings, found) = rest.split_once("<h2>Findings</h2>").unwrap();
@@ -150,9 +143,9 @@ fn what_is_normal_is_no_warning() {
 fn the_page_is_made_again_without_the_inputs() {
     let (place, _) = run();
     let page = place.text("out/page.html");
-    assert_eq!(report(&place, &["out"]), done());
+    assert_eq!(report(&place, &["out"]), Outcome::success());
     assert_eq!(place.text("out/report.html"), page);
-    assert_eq!(report(&place, &["out/report.json", "-o", "other.html"]), done());
+    assert_eq!(report(&place, &["out/report.json", "-o", "other.html"]), Outcome::success());
     assert_eq!(place.text("other.html"), page);
 }
 
@@ -160,13 +153,13 @@ fn the_page_is_made_again_without_the_inputs() {
 fn a_run_without_a_page_gathers_nothing_and_writes_the_same() {
     let (with, _) = run();
     let without = TestFolder::new();
-    assert_eq!(without.run(JOB), done());
+    assert_eq!(without.run(JOB), Outcome::success());
     assert_eq!(without.outputs(), ["a<b&c.las", "a<b&c_stat.log", "report.json"]);
     let las = |place: &TestFolder| std::fs::read(place.path("out/a<b&c.las")).unwrap();
     assert!(las(&with) == las(&without), "the page changes an output");
     let found: Value = serde_json::from_str(&without.text("out/report.json")).unwrap();
     assert!(found["inputs"][0].get("overview").is_none());
-    assert_eq!(report(&without, &["out"]), done());
+    assert_eq!(report(&without, &["out"]), Outcome::success());
     let page = without.text("out/report.html");
     let count = elements(&page);
     assert_eq!(count["svg"], 5, "times, and responses and noise of two receivers");
@@ -177,7 +170,7 @@ fn what_is_gathered_does_not_depend_on_threads() {
     let overview = |threads: &str| {
         let place = TestFolder::new();
         let mut command = place.command(&with_page(""));
-        assert_eq!(outcome(command.args(["--threads", threads])), done());
+        assert_eq!(outcome(command.args(["--threads", threads])), Outcome::success());
         let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
         report["inputs"][0]["overview"].clone()
     };
@@ -220,7 +213,7 @@ fn zones_are_shown_where_several_pulses_are_in_the_air() {
                [[stage]]\ntype = 'decompose'\nmode = 'fastest'\n[[stage]]\ntype = 'georeference'\n\
                [[stage]]\ntype = 'write_table'\npath = 'points.csv'\n";
     let place = TestFolder::new();
-    assert_eq!(place.run(job), done());
+    assert_eq!(place.run(job), Outcome::success());
     let run: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
     let overview = &run["inputs"][0]["overview"];
     let shares = overview["zones"]["shares"].as_array().unwrap();
@@ -249,7 +242,7 @@ fn zones_are_shown_where_several_pulses_are_in_the_air() {
 
 /// The page that `wavex report` makes from a run's report.
 fn report_of(place: &TestFolder) -> String {
-    assert_eq!(report(place, &["out", "-o", "again.html"]), done());
+    assert_eq!(report(place, &["out", "-o", "again.html"]), Outcome::success());
     place.text("again.html")
 }
 
@@ -258,7 +251,7 @@ fn report_of(place: &TestFolder) -> String {
 fn the_fits_shown_are_those_of_the_run() {
     let place = TestFolder::new();
     let table = "[[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
-    assert_eq!(place.run(&(with_page("") + table)), done());
+    assert_eq!(place.run(&(with_page("") + table)), Outcome::success());
     let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
     let text = place.text("out/a<b&c.csv");
     let mut rows = text.lines().map(|row| row.split(',').collect::<Vec<&str>>());
@@ -285,7 +278,7 @@ fn a_recording_without_returns_has_a_page_of_its_own() {
     let place = TestFolder::new();
     let job = "report_page = 'page.html'\n[[stage]]\ntype = 'simulate'\nstem = 'raw'\nlines = 3\nshots_per_line = 20\n\
                [[stage]]\ntype = 'write_arrow'\n";
-    assert_eq!(place.run(job), done());
+    assert_eq!(place.run(job), Outcome::success());
     let page = place.text("out/page.html");
     assert_eq!(elements(&page)["svg"], 2, "waveforms along the flight, and times");
     assert!(page.contains("None: no warnings and no rejected items"));
@@ -299,13 +292,13 @@ fn a_run_with_several_inputs_has_one_page() {
         let simulate = JOB.split_inclusive("ground_amplitude_dn = 180.0\n").next().unwrap();
         let simulate =
             simulate.replace("stem = 'a<b&c'\nlines = 8", &format!("stem = '{stem}'\nlines = {lines}"));
-        assert_eq!(place.run(&format!("{simulate}[[stage]]\ntype = 'write_arrow'\n")), done());
+        assert_eq!(place.run(&format!("{simulate}[[stage]]\ntype = 'write_arrow'\n")), Outcome::success());
         let name = format!("{stem}.arrow");
         place.write(&name, &std::fs::read(place.path("out").join(&name)).unwrap());
     }
     let stages = JOB.split_once("ground_amplitude_dn = 180.0\n").unwrap().1;
     let reader = "report_page = 'page.html'\n[[stage]]\ntype = 'read_arrow'\npath = '*.arrow'\n";
-    assert_eq!(place.run(&format!("{reader}{stages}")), done());
+    assert_eq!(place.run(&format!("{reader}{stages}")), Outcome::success());
 
     let page = place.text("out/page.html");
     let count = elements(&page);
@@ -341,7 +334,7 @@ fn a_run_with_several_inputs_has_one_page() {
     assert_eq!(within, ["intensities-0", "intensities-1"]);
     assert!(within.iter().all(|id| ids.contains(id)), "{ids:?}");
 
-    assert_eq!(self::report(&place, &["out"]), done());
+    assert_eq!(self::report(&place, &["out"]), Outcome::success());
     assert_eq!(place.text("out/report.html"), page);
 }
 
@@ -351,7 +344,7 @@ fn the_key_asks_for_a_page() {
     let refused = place.run(&format!("report_page = 'page.pdf'\n{JOB}"));
     assert_eq!(refused.code, Some(2));
     assert!(refused.err.contains("`report_page`: it must end in .html"), "{}", refused.err);
-    assert_eq!(place.run(&format!("report_page = true\n{JOB}")), done());
+    assert_eq!(place.run(&format!("report_page = true\n{JOB}")), Outcome::success());
     assert!(place.text("out/report.html").starts_with("<!DOCTYPE html>"));
 }
 
@@ -409,7 +402,7 @@ fn what_is_no_report_is_said() {
     let overview = br#"{"inputs": [{"stem": "s", "overview": {"histograms": 7}}]}"#;
     let place = TestFolder::with(&[("a.json", b"{}"), ("b.json", b"not JSON"), ("c.json", overview)]);
     let refused = |path: &str, problem: &str| {
-        let Outcome { code, err } = report(&place, &[path]);
+        let Outcome { code, err, .. } = report(&place, &[path]);
         assert!(code == Some(1) && err.starts_with(&format!("error: {problem}")), "{err}");
     };
     refused("a.json", "a.json: not a report of a run: no `inputs`; give the report.json of a run");

@@ -1,22 +1,16 @@
 //! `wavex trajectory`: summary, table and errors.
 
-use std::process::{Command, Stdio};
-
 use wavex_testkit::{Outcome, TestFolder};
 
-/// Runs `wavex trajectory` in a folder: exit code, standard output, standard error.
-fn trajectory(place: &TestFolder, arguments: &[&str]) -> (Option<i32>, String, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
-    command.arg("trajectory").args(arguments).current_dir(place.path(""));
-    let output = command.stdin(Stdio::null()).env_remove("RUST_LOG").output().unwrap();
-    let text = |bytes| String::from_utf8(bytes).unwrap();
-    (output.status.code(), text(output.stdout), text(output.stderr))
+/// Runs `wavex trajectory` in a folder.
+fn trajectory(place: &TestFolder, arguments: &[&str]) -> Outcome {
+    place.wavex(&[&["trajectory"], arguments].concat())
 }
 
 /// Standard output for a valid trajectory.
 #[track_caller]
 fn told(place: &TestFolder, arguments: &[&str]) -> String {
-    let (code, out, err) = trajectory(place, arguments);
+    let Outcome { code, out, err } = trajectory(place, arguments);
     assert_eq!((code, err.as_str()), (Some(0), ""));
     out
 }
@@ -33,7 +27,7 @@ fn flown() -> TestFolder {
     let place = TestFolder::new();
     let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 40\nshots_per_line = 100\nroll_deg = 3\n\
                sbet = '*.sbet'\npof = '*.pof'\n[[stage]]\ntype = 'write_arrow'\n";
-    assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(job), Outcome::success());
     place
 }
 
@@ -129,7 +123,7 @@ fn gaps_are_told() {
 fn what_is_no_trajectory_is_refused() {
     let place = TestFolder::with(&[("a.las", b"LASF\0\0\0\0"), ("t.txt", b"1 11 48 500 0 0 90\n")]);
     let refused = |arguments: &[&str]| {
-        let (code, out, err) = trajectory(&place, arguments);
+        let Outcome { code, out, err } = trajectory(&place, arguments);
         assert_eq!(out, "");
         (code, err)
     };

@@ -2,9 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use wavex_formats::container::{
-    Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, GainControl, LineBuilder,
-};
+use wavex_formats::container::{ContainerHeader, GainControl};
+use wavex_testkit::container::{Row, container, nadir_shot};
 use wavex_testkit::las::{HEADER, Las, descriptor, vlr};
 use wavex_testkit::{Outcome, TestFolder, notes};
 
@@ -58,7 +57,7 @@ fn fly(lines: u32, keys: &str, between: &str, decompose: &str) -> Found {
     let stages = format!(
         "{FLIGHT}lines = {lines}\n{keys}{between}[[stage]]\ntype = 'calibrate'\n[[stage]]\ntype = 'decompose'\n{decompose}{TABLE}"
     );
-    assert_eq!(place.run(&stages), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(&stages), Outcome::success());
     let (truth, found) = (place.text("out/simulated.truth.csv"), place.text("out/simulated.csv"));
     let (truth, found) = (rows(&truth), rows(&found));
     let mut of_shot: BTreeMap<&str, Vec<&BTreeMap<&str, &str>>> = BTreeMap::new();
@@ -177,7 +176,7 @@ fn two_receivers_go_together_at_every_gain() {
         "{flight}lines = 10\n{keys}[[stage]]\ntype = 'fuse_channels'\n[[stage]]\ntype = 'calibrate'\n\
          [[stage]]\ntype = 'decompose'\n{TABLE}"
     );
-    assert_eq!(place.run(&stages), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(&stages), Outcome::success());
     let (truth, found) = (place.text("out/simulated.truth.csv"), place.text("out/simulated.csv"));
     let truth: BTreeMap<&str, _> = rows(&truth).into_iter().map(|row| (row["shot"], row)).collect();
     let mut errors: BTreeMap<&str, Vec<[f64; 2]>> = BTreeMap::new();
@@ -213,12 +212,7 @@ fn a_recording_with_gains_is_the_same_through_a_container() {
     place.succeeds("read_arrow", "simulated.arrow", "[[stage]]\ntype = 'write_arrow'\npath = 'copy.arrow'\n");
     let bytes = |name: &str| std::fs::read(place.path(name)).unwrap();
     assert!(bytes("simulated.arrow") == bytes("out/copy.arrow"));
-    let output = std::process::Command::new(env!("CARGO_BIN_EXE_wavex"))
-        .args(["scan", "simulated.arrow"])
-        .current_dir(place.path("."))
-        .output()
-        .unwrap();
-    let text = String::from_utf8(output.stdout).unwrap();
+    let text = place.wavex(&["scan", "simulated.arrow"]).out;
     assert!(text.contains("yes, with the gain of each block"), "{text}");
     assert!(text.contains("0.500 to "), "{text}");
 }
@@ -232,36 +226,12 @@ fn a_recording_that_does_not_say_its_gains_is_warned_of() {
         gain_control: Some(GainControl::NotRecorded),
         ..ContainerHeader::new(1.0, 2.997e8)
     };
-    let name = std::path::Path::new("made by hand");
-    let mut writer = ContainerWriter::file(Vec::new(), name, &header, Compression::None).unwrap();
-    let mut line = LineBuilder::new();
-    line.shot(&ContainerShot {
-        shot: 0,
-        line: 0,
-        gps_time_s: None,
-        clock_ps: 0,
-        origin_m: [0.0; 3],
-        direction: [0.0, 0.0, -1.0],
-        facet: 0,
-        flags: 0,
-        mta_zone: Some(0),
-        scan_angle_deg: None,
-        frame_scale: None,
-    });
-    let samples = &[2, 3, 40, 3, 2];
-    let (channel, start_ns) = (1, 4000.0);
-    line.block(&ContainerBlock { channel, start_ns, interval_ns: None, zone: None, gain: None, samples });
-    writer.write(line).unwrap();
-    let place = TestFolder::with(&[("made.arrow", &writer.finish().unwrap())]);
+    let row = Row { shot: nadir_shot(0, 0), blocks: vec![(1, 4000.0, vec![2, 3, 40, 3, 2])] };
+    let place = TestFolder::with(&[("made.arrow", &container(&header, &[vec![row]]))]);
     let copy = "[[stage]]\ntype = 'write_arrow'\npath = '*_copy.arrow'\n";
     let input = place.succeeds("read_arrow", "made.arrow", copy);
     assert!(notes(&input).iter().any(|note| note.starts_with(UNKNOWN)), "{:?}", notes(&input));
-    let output = std::process::Command::new(env!("CARGO_BIN_EXE_wavex"))
-        .args(["scan", "made.arrow"])
-        .current_dir(place.path("."))
-        .output()
-        .unwrap();
-    let text = String::from_utf8(output.stdout).unwrap();
+    let text = place.wavex(&["scan", "made.arrow"]).out;
     assert!(text.contains("intensities are not comparable") && text.contains(UNKNOWN), "{text}");
 }
 

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use wavex::scan_line::flags::{ECHO_ON_OUTGOING, EMISSION_IN_BLOCK, EMISSION_ON_ECHO, OVERLAP, REFINED};
 use wavex_formats::container::EmissionReference;
-use wavex_testkit::container::{Shot, container};
+use wavex_testkit::container::{Shot, of_shots};
 use wavex_testkit::{Outcome, TestFolder, shots};
 
 const SHOTS: usize = 320;
@@ -33,7 +33,7 @@ fn run(place: &TestFolder, reader: &str, calibrate: &str, decompose: &str) -> (V
         "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{reader}\n[[stage]]\ntype = 'calibrate'\n{calibrate}\n\
          [[stage]]\ntype = 'decompose'\n{decompose}\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n"
     );
-    assert_eq!(place.run(&job), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(&job), Outcome::success());
     let table = place.text("out/a.csv");
     let mut lines = table.lines().map(|line| line.split(',').map(str::to_owned));
     let heads: Vec<String> = lines.next().unwrap().collect();
@@ -79,7 +79,7 @@ fn recording(change: impl Fn(usize, &mut Shot)) -> TestFolder {
         shot
     };
     let all: Vec<Shot> = (0..SHOTS).map(shot).collect();
-    TestFolder::with(&[("a.arrow", &container(&all, EmissionReference::OutgoingPulse, true))])
+    TestFolder::with(&[("a.arrow", &of_shots(&all, EmissionReference::OutgoingPulse, true))])
 }
 
 fn of_shot(rows: &[Row], shot: usize) -> Vec<&Row> {
@@ -205,7 +205,7 @@ fn odd_samples_that_come_late_bias_no_range() {
         blocks: vec![(LOW, 1000.0, samples_at(number, &[(24.0 + 0.1 * (number % 7) as f64, 120.0)], late))],
     };
     let all: Vec<Shot> = (0..SHOTS).map(shot).collect();
-    let place = TestFolder::with(&[("a.arrow", &container(&all, EmissionReference::Clock, true))]);
+    let place = TestFolder::with(&[("a.arrow", &of_shots(&all, EmissionReference::Clock, true))]);
     let (without, _) = run(&place, "", "response = 'gaussian'", "");
     let (bias, sd) = bias_ns(&without);
     assert!((bias + 0.05).abs() < 4.0 * sd, "half of the shift: {bias} {sd}");
@@ -270,7 +270,7 @@ fn a_given_tail_is_taken_off_before_everything_else() {
         blocks: vec![(LOW, 1000.0, with_tail(number))],
     };
     let all: Vec<Shot> = (0..SHOTS).map(shot).collect();
-    let place = TestFolder::with(&[("a.arrow", &container(&all, EmissionReference::Clock, true))]);
+    let place = TestFolder::with(&[("a.arrow", &of_shots(&all, EmissionReference::Clock, true))]);
     let gaussian = "response = 'gaussian'";
     let (without, _) = run(&place, "", gaussian, "");
     let keys = format!("{gaussian}\ndecay_amplitude = {amplitude}\ndecay_time_ns = {time_ns}");
@@ -321,7 +321,7 @@ fn a_preset_serves_where_there_is_too_little_to_calibrate_from() {
              [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n"
         )
     };
-    let Outcome { code, err } = place.run(&job(""));
+    let Outcome { code, err, .. } = place.run(&job(""));
     assert_eq!(code, Some(1));
     assert!(err.contains("calibration needs 200 waveforms of the channel and there were 100"), "{err}");
 

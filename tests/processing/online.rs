@@ -5,10 +5,10 @@ use std::path::Path;
 
 use wavex::scan_line::flags::INSTRUMENT;
 use wavex_formats::container::{
-    Compression, ContainerBlock, ContainerHeader, ContainerOnline, ContainerShot, ContainerWriter,
-    EmissionReference, LineBuilder, TimeScale,
+    Compression, ContainerHeader, ContainerOnline, ContainerShot, ContainerWriter, EmissionReference,
+    LineBuilder, TimeScale,
 };
-use wavex_testkit::container::{Shot, container};
+use wavex_testkit::container::{Shot, block, nadir_shot, of_shots};
 use wavex_testkit::shots::{echo, peak, time_s};
 use wavex_testkit::{Outcome, TestFolder};
 
@@ -29,33 +29,18 @@ fn recording(zone: Option<i16>) -> TestFolder {
         ContainerWriter::file(Vec::new(), Path::new("made by hand"), &header, Compression::None).unwrap();
     let mut line = LineBuilder::new();
     for shot in 0..SHOTS {
+        let clock_ps = (time_s(shot) * 1e12) as i64;
         line.shot(&ContainerShot {
-            shot: shot as u64,
-            line: 0,
             gps_time_s: Some(time_s(shot)),
-            clock_ps: (time_s(shot) * 1e12) as i64,
-            origin_m: [0.0; 3],
-            direction: [0.0, 0.0, -1.0],
-            facet: 0,
-            flags: 0,
             mta_zone: zone,
-            scan_angle_deg: None,
-            frame_scale: None,
+            ..nadir_shot(shot as u64, clock_ps)
         });
         let time_ns = START_NS + peak(shot) + 0.25;
         if shot % 10 == 0 {
             line.online(&ContainerOnline { time_ns: time_ns + 100.0, amplitude: 30.0 });
         } else {
             let samples: Vec<u16> = echo(shot).into_iter().map(u16::from).collect();
-            let (start_ns, zone, interval_ns) = (START_NS, None, None);
-            line.block(&ContainerBlock {
-                channel: 1,
-                start_ns,
-                zone,
-                interval_ns,
-                gain: None,
-                samples: &samples,
-            });
+            line.block(&block(1, START_NS, &samples));
         }
         line.online(&ContainerOnline { time_ns, amplitude: 120.0 });
     }
@@ -79,7 +64,7 @@ type Row = BTreeMap<String, String>;
 fn run(keys: &str) -> (Vec<Row>, serde_json::Value) {
     let place = recording(Some(0));
     let outcome = place.run(&job(keys));
-    assert_eq!(outcome, Outcome { code: Some(0), err: String::new() });
+    assert_eq!(outcome, Outcome::success());
     let table = place.text("out/a.csv");
     let mut lines = table.lines().map(|line| line.split(',').map(str::to_owned));
     let heads: Vec<String> = lines.next().unwrap().collect();
@@ -140,11 +125,11 @@ fn without_decomposition_there_is_no_need_to_calibrate() {
     let calibrate = "[[stage]]\ntype = 'calibrate'\nwaveforms = 250\n";
     let place = recording(Some(0));
     let with = job("online_points = 'only'");
-    assert_eq!(place.run(&with), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(&with), Outcome::success());
     let expected = place.text("out/a.csv");
     assert_eq!(expected.lines().count(), 1 + SHOTS + WITHOUT);
     let without = with.replace(calibrate, "");
-    assert_eq!(place.run(&without), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(&without), Outcome::success());
     assert_eq!(place.text("out/a.csv"), expected);
     let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
     assert_eq!(report["inputs"][0]["totals"]["nw_with_points"], SHOTS - WITHOUT);
@@ -164,7 +149,7 @@ fn waveforms_without_an_own_return_are_empty() {
         blocks: vec![(1, START_NS, echo(number).into_iter().map(u16::from).collect())],
     };
     let shots: Vec<Shot> = (0..40).map(shot).collect();
-    let place = TestFolder::with(&[("a.arrow", &container(&shots, EmissionReference::Clock, true))]);
+    let place = TestFolder::with(&[("a.arrow", &of_shots(&shots, EmissionReference::Clock, true))]);
     let stages = "[[stage]]\ntype = 'decompose'\nonline_points = 'only'\n";
     let totals = place.succeeds("read_arrow", "a.arrow", stages)["totals"].clone();
     assert_eq!((&totals["nw"], &totals["nw_empty"], &totals["np"]), (&40.into(), &40.into(), &0.into()));

@@ -1,10 +1,8 @@
 //! Job keys for properties that a recording lacks or states wrongly: time scale, map, atmosphere.
 
-use std::process::{Command, Stdio};
-
 use wavex_formats::container::{ContainerHeader, ContainerReader, EmissionReference, TimeScale};
 use wavex_formats::las::{GpsTime, Point, Reader};
-use wavex_testkit::container::{Shot, container};
+use wavex_testkit::container::{Shot, of_shots};
 use wavex_testkit::las::Las;
 use wavex_testkit::pulsewaves::PulseWaves;
 use wavex_testkit::shots::time_s;
@@ -28,7 +26,7 @@ fn place(las: &Las) -> TestFolder {
         ("a.wdp", &las.packets),
         ("a.pls", &pulses.pls()),
         ("a.wvs", &pulses.waves),
-        ("a.arrow", &container(&shots, EmissionReference::Clock, true)),
+        ("a.arrow", &of_shots(&shots, EmissionReference::Clock, true)),
     ])
 }
 
@@ -134,9 +132,7 @@ fn times_that_do_not_fit_their_label_are_named_by_runs_and_by_scan() {
     let (notes, _, _) = copied(&place, "read_las", "a.las", "");
     assert!(notes.len() == 1 && notes[0].ends_with(said), "{notes:?}");
     assert_eq!(copied(&place, "read_las", "a.las", "recording_time = 'standard'").0, Vec::<String>::new());
-    let mut scan = Command::new(env!("CARGO_BIN_EXE_wavex"));
-    scan.args(["scan", "a.las"]).current_dir(place.path("")).stdin(Stdio::null());
-    let summary = String::from_utf8(scan.output().unwrap().stdout).unwrap();
+    let summary = place.wavex(&["scan", "a.las"]).out;
     assert!(summary.contains(said), "{summary}");
     // A date cannot be applied to times on another scale.
     let outcome = place.read("read_las", "a.las", &format!("gps_date = '2011-09-14'\n{COPY}"));

@@ -159,7 +159,7 @@ fn with_a_trajectory_angles_include_the_roll() {
     let place = TestFolder::new();
     let job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 6\nshots_per_line = 120\nscanner = 'oscillating'\n\
                roll_deg = 4.0\nscan_angle_deg = [-25.0, 20.0]\npof = 'a.pof'\n[[stage]]\ntype = 'write_arrow'\n";
-    assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(job), Outcome::success());
     std::fs::copy(place.path("out/a.pof"), place.path("a.pof")).unwrap();
     let (recording, directions) = without_angles(&place.path("out/a.arrow"));
     place.write("a.arrow", &recording);
@@ -167,7 +167,7 @@ fn with_a_trajectory_angles_include_the_roll() {
         "[job.geometry]\ntrajectory = 'a.pof'\n[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{TO_TEXT}\
          [[stage]]\ntype = 'write_trajectory'\npath = 'path.txt'\nevery = 1\n"
     );
-    assert_eq!(place.run(&text), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(&text), Outcome::success());
     let path = place.text("out/path.txt");
     let cells = |line: &str| line.split(' ').map(|cell| cell.parse::<f64>().unwrap()).collect::<Vec<f64>>();
     let path: BTreeMap<i64, Vec<f64>> = path

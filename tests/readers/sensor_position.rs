@@ -1,7 +1,6 @@
 //! Recordings without sensor positions: corrections that need them are skipped with a warning.
 
 use std::path::Path;
-use std::process::Command;
 
 use serde_json::Value;
 use wavex_formats::container::{
@@ -118,11 +117,9 @@ fn the_option_file_of_version_1_0_leaves_intensities_as_they_are() {
             ("wavex.opt", options.as_bytes()),
         ];
         let place = TestFolder::with(&files);
-        let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
         let line = ["import", "--run", "--", "wavex", "-i", "waveform.las", "-o", "out.las"];
-        let ended = program.args(line).current_dir(place.path("")).env_remove("RUST_LOG").output().unwrap();
-        let err = String::from_utf8(ended.stderr).unwrap();
-        assert_eq!(ended.status.code(), Some(0), "{err}");
+        let Outcome { code, err, .. } = place.wavex(&line);
+        assert_eq!(code, Some(0), "{err}");
         let mut reader = las::Reader::from_path(place.path("out.las")).unwrap();
         let points = reader.read_all().unwrap();
         let found: Vec<u16> = points.points().map(|point| point.unwrap().intensity).collect();
@@ -139,12 +136,9 @@ fn the_option_file_of_version_1_0_leaves_intensities_as_they_are() {
 fn explain_says_where_ranges_count_from() {
     let recording = Las::new(400);
     let place = TestFolder::with(&[("a.las", &recording.las()), ("a.wdp", &recording.packets)]);
-    let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
-    program.args(["explain", "a.las", "--shot", "7", "--set", "calibrate.waveforms=300"]);
-    let ended = program.current_dir(place.path("")).env_remove("RUST_LOG").output().unwrap();
-    let out = String::from_utf8_lossy(&ended.stdout);
+    let explained = place.wavex(&["explain", "a.las", "--shot", "7", "--set", "calibrate.waveforms=300"]);
     let said = "\nranges start at the first sample: the recording has no sensor position\n";
-    assert!(out.contains(said), "{out}{}", String::from_utf8_lossy(&ended.stderr));
+    assert!(explained.out.contains(said), "{explained:?}");
 }
 
 /// The same container with another origin in its header.
@@ -174,7 +168,7 @@ fn a_part_of_the_range_is_not_added_where_ranges_do_not_count_from_the_sensor() 
     let place = TestFolder::new();
     let job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 4\nshots_per_line = 100\npof = 'a.pof'\n\
                [[stage]]\ntype = 'write_arrow'\n";
-    assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(job), Outcome::success());
     let recording = place.path("recording.arrow");
     std::fs::copy(place.path("out/a.arrow"), &recording).unwrap();
     std::fs::copy(place.path("out/a.pof"), place.path("a.pof")).unwrap();
@@ -193,10 +187,7 @@ fn a_part_of_the_range_is_not_added_where_ranges_do_not_count_from_the_sensor() 
         // The geometry table precedes the stages.
         let (before, after) = text.split_at(text.find("[job.geometry]").unwrap());
         let (table, stages) = after.split_at(after.find("[[stage]]").unwrap());
-        assert_eq!(
-            place.run(&format!("{table}{before}{stages}")),
-            Outcome { code: Some(0), err: String::new() }
-        );
+        assert_eq!(place.run(&format!("{table}{before}{stages}")), Outcome::success());
         let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
         let report = &report["inputs"][0];
         assert_eq!(

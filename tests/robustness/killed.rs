@@ -11,15 +11,11 @@ use wavex_testkit::{Outcome, TestFolder};
 
 const KILLS: u32 = 50;
 
-fn succeeded() -> Outcome {
-    Outcome { code: Some(0), err: String::new() }
-}
-
 /// A flight with its job, and the expected outputs.
 fn place() -> (TestFolder, BTreeMap<String, Vec<u8>>) {
     let place = flight();
     place.write("job.toml", format!("[job]\noutput_dir = 'out'\nthreads = 2\n{STAGES}").as_bytes());
-    assert_eq!(run(&place, &[]), succeeded());
+    assert_eq!(run(&place, &[]), Outcome::success());
     let whole = products(&place);
     assert_eq!(whole.keys().collect::<Vec<_>>(), OUTPUTS.iter().collect::<Vec<_>>());
     (place, whole)
@@ -60,22 +56,16 @@ fn clear(folder: &Path, all: bool) {
 }
 
 fn spawn(place: &TestFolder, arguments: &[&str]) -> Child {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    let mut command = wavex_testkit::wavex();
     command.args(["--quiet", "run", "job.toml"]).args(arguments).current_dir(place.path(""));
-    command
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .env_remove("RUST_LOG")
-        .spawn()
-        .unwrap()
+    command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 
 #[test]
 fn a_run_killed_at_any_moment_leaves_whole_files_only() {
     let (place, whole) = place();
     let started = Instant::now();
-    assert_eq!(run(&place, &["--archive", "archives/first"]), succeeded());
+    assert_eq!(run(&place, &["--archive", "archives/first"]), Outcome::success());
     let duration = started.elapsed();
     let (mut killed, mut begun, mut random) = (0, 0, 12345u64);
     for attempt in 0..KILLS {
@@ -99,7 +89,7 @@ fn a_run_killed_at_any_moment_leaves_whole_files_only() {
         assert!(err.lines().skip(1).all(|line| line.trim_start().starts_with("output ")), "{err}");
     }
 
-    assert_eq!(run(&place, &["--archive", "archives/last"]), succeeded());
+    assert_eq!(run(&place, &["--archive", "archives/last"]), Outcome::success());
     assert!(products(&place) == whole, "the next run makes all outputs");
     assert_eq!(wavex(&place, &["verify", "archives/last"]), (Some(0), String::new()));
     let unfinished = |folder: &str| {
@@ -122,7 +112,7 @@ fn leavings_of_killed_runs_are_swept_up_by_the_next() {
         whole.keys().cloned().chain(["a_stat.log", "report.json", "wavex.log"].map(String::from)).collect();
     expected.sort();
     assert_ne!(names(&place.path("out")), expected, "a killed run leaves its unfinished files");
-    assert_eq!(run(&place, &["--archive", "archives/last"]), succeeded());
+    assert_eq!(run(&place, &["--archive", "archives/last"]), Outcome::success());
     assert_eq!(names(&place.path("out")), expected);
     assert!(products(&place) == whole);
     assert_eq!(names(&place.path("archives")).last().map(String::as_str), Some("last"));
@@ -148,7 +138,7 @@ fn a_full_disk_leaves_whole_files_only() {
         // A limit on file size in blocks of 512 bytes: writing fails as on a full disk.
         let mut command = Command::new("sh");
         command.args(["-c", &format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" --quiet run job.toml --archive archives/{blocks}")]);
-        let output = command.arg(env!("CARGO_BIN_EXE_wavex")).current_dir(place.path("")).output().unwrap();
+        let output = command.arg(wavex_testkit::program()).current_dir(place.path("")).output().unwrap();
         let err = String::from_utf8(output.stderr).unwrap();
         is_whole(&place, &whole);
         if output.status.code() == Some(0) {
@@ -165,7 +155,7 @@ fn a_full_disk_leaves_whole_files_only() {
         }
     }
     assert!(failed >= 3, "{failed} of 6 runs ran out of disk space");
-    assert_eq!(run(&place, &[]), succeeded());
+    assert_eq!(run(&place, &[]), Outcome::success());
     assert!(products(&place) == whole);
 }
 
@@ -177,7 +167,7 @@ const LONG: &str = "[job]\noutput_dir = 'out'\n[[stage]]\ntype = 'simulate'\nlin
 fn a_folder_that_is_removed_under_a_run_leaves_nothing_and_says_so() {
     let place = TestFolder::new();
     place.write("job.toml", LONG.replace("lines = 4000", "lines = 60").as_bytes());
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    let mut command = wavex_testkit::wavex();
     command.args(["--quiet", "run", "job.toml"]).current_dir(place.path("")).stderr(Stdio::piped());
     let child = command.spawn().unwrap();
     let is_begun = |name: &String| name.starts_with(".simulated.arrow.");
@@ -188,7 +178,7 @@ fn a_folder_that_is_removed_under_a_run_leaves_nothing_and_says_so() {
     assert_eq!(output.status.code(), Some(1), "{err}");
     assert!(err.contains("simulated.arrow: cannot rename to the final name: "), "{err}");
     assert_eq!(names(&place.path("out")), Vec::<String>::new());
-    assert_eq!(run(&place, &[]), succeeded());
+    assert_eq!(run(&place, &[]), Outcome::success());
     assert_eq!(
         names(&place.path("out")),
         ["report.json", "simulated.arrow", "simulated_stat.log", "wavex.log"]
@@ -217,7 +207,10 @@ fn a_second_run_on_the_same_outputs_is_refused_while_the_first_lives() {
     );
     assert!(silent.err.contains("out/simulated.arrow is being written by another run"), "{}", silent.err);
     // Other runs succeed: to another folder, and to this folder under another name.
-    assert_eq!(run(&place, &[&shorter[..], &["--set", "job.output_dir=elsewhere"]].concat()), succeeded());
+    assert_eq!(
+        run(&place, &[&shorter[..], &["--set", "job.output_dir=elsewhere"]].concat()),
+        Outcome::success()
+    );
     let other_names = [
         "--set",
         "job.report='b.json'",
@@ -228,10 +221,10 @@ fn a_second_run_on_the_same_outputs_is_refused_while_the_first_lives() {
         "--set",
         "write_arrow.path='b.arrow'",
     ];
-    assert_eq!(run(&place, &[&shorter[..], &other_names].concat()), succeeded());
+    assert_eq!(run(&place, &[&shorter[..], &other_names].concat()), Outcome::success());
     first.kill().unwrap();
     first.wait().unwrap();
-    assert_eq!(run(&place, &shorter), succeeded(), "a killed run holds no lock");
+    assert_eq!(run(&place, &shorter), Outcome::success(), "a killed run holds no lock");
     let expected =
         ["b.arrow", "b.json", "b.log", "report.json", "simulated.arrow", "simulated_stat.log", "wavex.log"];
     assert_eq!(names(&place.path("out")), expected);

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use crate::{Outcome, TestFolder, outcome};
+use crate::{Outcome, TestFolder};
 
 /// Makes the recording `in/a.arrow` and its sensor model.
 const MAKE: &str = "\
@@ -57,22 +57,20 @@ pub const OUTPUTS: [&str; 5] = ["a.csv", "a.laz", "a.parquet", "a_lstat.txt", "a
 /// A folder with only the recording and its sensor model, in `in`.
 pub fn flight() -> TestFolder {
     let place = TestFolder::new();
-    assert_eq!(place.run(MAKE), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(MAKE), Outcome::success());
     fs::remove_dir_all(place.path("out")).unwrap();
     place
 }
 
 /// Runs the program in the folder; returns exit code and all messages.
 pub fn wavex(place: &TestFolder, arguments: &[&str]) -> (Option<i32>, String) {
-    let mut command = crate::wavex();
-    let output = command.args(arguments).arg("--quiet").current_dir(place.path("")).output().unwrap();
-    (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    let Outcome { code, err, .. } = place.wavex(&[arguments, &["--quiet"]].concat());
+    (code, err)
 }
 
 /// Runs a job that is already in its file.
 pub fn run(place: &TestFolder, arguments: &[&str]) -> Outcome {
-    let mut command = crate::wavex();
-    outcome(command.args(["--quiet", "run", "job.toml"]).args(arguments).current_dir(place.path("")))
+    place.wavex(&[&["--quiet", "run", "job.toml"], arguments].concat())
 }
 
 /// Files of a folder by name, without those in subfolders.

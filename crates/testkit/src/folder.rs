@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
-use crate::program;
+use crate::{program, wavex};
 
 /// End of a job that finds points, writes them as a table, and needs few waveforms.
 pub const TO_TABLE: &str = "\
@@ -28,13 +28,27 @@ pub struct TestFolder {
     folder: tempfile::TempDir,
 }
 
-/// Result of a run of the program.
+/// Result of a command.
 #[derive(Debug, PartialEq)]
 pub struct Outcome {
     /// `None` if a signal ended the program.
     pub code: Option<i32>,
+    /// Text on standard output.
+    pub out: String,
     /// Text on standard error.
     pub err: String,
+}
+
+impl Outcome {
+    /// Exit code 0 without any text.
+    pub fn success() -> Outcome {
+        Outcome { code: Some(0), out: String::new(), err: String::new() }
+    }
+
+    /// This exit code with text on standard error only.
+    pub fn failure(code: i32, err: impl Into<String>) -> Outcome {
+        Outcome { code: Some(code), out: String::new(), err: err.into() }
+    }
 }
 
 impl TestFolder {
@@ -79,6 +93,11 @@ impl TestFolder {
         command
     }
 
+    /// Runs the program with these arguments in this folder.
+    pub fn wavex(&self, arguments: &[&str]) -> Outcome {
+        outcome(wavex().args(arguments).current_dir(self.path("")))
+    }
+
     /// Runs the job of these stages.
     pub fn run(&self, stages: &str) -> Outcome {
         outcome(&mut self.command(stages))
@@ -101,7 +120,7 @@ impl TestFolder {
     /// The statistics contain the message.
     #[track_caller]
     pub fn left_nothing(&self, outcome: Outcome, message: &str) {
-        assert_eq!(outcome, Outcome { code: Some(1), err: format!("error: {message}\n") });
+        assert_eq!(outcome, Outcome::failure(1, format!("error: {message}\n")));
         assert_eq!(self.products(), Vec::<String>::new(), "a failed run leaves no outputs");
         for name in self.outputs() {
             let statistics = self.text(&format!("out/{name}"));
@@ -116,7 +135,7 @@ impl TestFolder {
     #[track_caller]
     pub fn succeeds(&self, reader: &str, input: &str, stages: &str) -> Value {
         let outcome = self.read(reader, input, stages);
-        assert_eq!(outcome, Outcome { code: Some(0), err: String::new() });
+        assert_eq!(outcome, Outcome::success());
         let report: Value = serde_json::from_str(&self.text("out/report.json")).unwrap();
         assert_eq!(report["inputs"].as_array().unwrap().len(), 1);
         report["inputs"][0].clone()
@@ -148,8 +167,9 @@ impl TestFolder {
 
 /// Runs a command to its end.
 pub fn outcome(command: &mut Command) -> Outcome {
-    let output = command.stdout(Stdio::null()).stderr(Stdio::piped()).output().unwrap();
-    Outcome { code: output.status.code(), err: String::from_utf8(output.stderr).unwrap() }
+    let output = command.output().unwrap();
+    let text = |bytes| String::from_utf8(bytes).unwrap();
+    Outcome { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) }
 }
 
 fn collect(folder: &Path, prefix: &str, names: &mut Vec<String>) {

@@ -1,15 +1,13 @@
 //! Recordings that the stand-in can serve without loss, and jobs that read them.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::OnceLock;
 
 use serde_json::Value;
 use wavex::scan_line::emission_flags::{EDGE_OF_FLIGHT_LINE, SCAN_DIRECTION_POSITIVE};
-use wavex_formats::container::{
-    Compression, ContainerBlock, ContainerHeader, ContainerReader, ContainerShot, ContainerWriter,
-    EmissionReference, LineBuilder, TimeScale, channel,
-};
+use wavex_formats::container::{ContainerHeader, ContainerShot, EmissionReference, TimeScale, channel};
 
+use crate::container::{Row, container, rows};
 use crate::{Outcome, TestFolder};
 
 /// Name of a recording with the start time of the simulator.
@@ -19,15 +17,6 @@ pub const NAME: &str = "250506_100000.sdf";
 pub fn stand_in() -> PathBuf {
     let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
     crate::built(&format!("examples/{before}sdf_stand_in{after}"))
-}
-
-/// A row of a container.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Row {
-    /// Shot of the row.
-    pub shot: ContainerShot,
-    /// Channel, time of the first sample after the clock (ns), samples.
-    pub blocks: Vec<(u8, f64, Vec<u16>)>,
 }
 
 /// Header of a recording as SDF can store it: only what the interface provides.
@@ -48,47 +37,6 @@ pub fn header() -> ContainerHeader {
     }
 }
 
-/// Lines of a container, one record batch each.
-pub fn container(header: &ContainerHeader, lines: &[Vec<Row>]) -> Vec<u8> {
-    let mut writer = ContainerWriter::file(Vec::new(), Path::new("made"), header, Compression::None).unwrap();
-    for rows in lines {
-        let mut line = LineBuilder::new();
-        for row in rows {
-            line.shot(&row.shot);
-            for (channel, start_ns, samples) in &row.blocks {
-                let block = ContainerBlock {
-                    channel: *channel,
-                    start_ns: *start_ns,
-                    interval_ns: None,
-                    zone: None,
-                    gain: None,
-                    samples,
-                };
-                line.block(&block);
-            }
-        }
-        writer.write(line).unwrap();
-    }
-    writer.finish().unwrap()
-}
-
-/// Rows of a container by line.
-pub fn rows(path: &Path) -> Vec<Vec<Row>> {
-    let mut reader = ContainerReader::open(path).unwrap();
-    let mut lines = Vec::new();
-    while let Some(line) = reader.next_line().unwrap() {
-        let row = |row| Row {
-            shot: line.shot(row),
-            blocks: line
-                .blocks(row)
-                .map(|block| (block.channel, block.start_ns, block.samples.to_vec()))
-                .collect(),
-        };
-        lines.push((0..line.rows()).map(row).collect());
-    }
-    lines
-}
-
 /// A simulated flight of six lines of 200 shots, as an instrument with two receivers records it.
 ///
 /// In the scanner's frame, with unknown zones, several blocks per channel, and each echo also in
@@ -99,7 +47,7 @@ pub fn flight() -> &'static [Vec<Row>] {
         let place = TestFolder::new();
         let job = "[[stage]]\ntype = 'simulate'\nlines = 6\nshots_per_line = 200\nseed = 3\n\
                    [[stage]]\ntype = 'write_arrow'\npath = 'flight.arrow'\n";
-        assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
+        assert_eq!(place.run(job), Outcome::success());
         let mut lines = rows(&place.path("out/flight.arrow"));
         lines.iter_mut().flatten().for_each(as_sdf);
         lines
@@ -148,7 +96,7 @@ pub fn copy(keys: &str) -> String {
 /// Copies a recording successfully; returns the report of the input and the rows.
 #[track_caller]
 pub fn read(place: &TestFolder, keys: &str) -> (Value, Vec<Vec<Row>>) {
-    assert_eq!(place.run(&copy(keys)), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(&copy(keys)), Outcome::success());
     let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
     (report["inputs"][0].clone(), rows(&place.path("out/sdf.arrow")))
 }

@@ -45,7 +45,7 @@ impl Flight {
              {keys}\n\
              [[stage]]\ntype = 'write_arrow'\n"
         );
-        assert_eq!(place.run(&job), Outcome { code: Some(0), err: String::new() });
+        assert_eq!(place.run(&job), Outcome::success());
         let [recording, sbet, pof] = ["arrow", "out", "pof"]
             .map(|ending| std::fs::read(place.path(&format!("out/data.{ending}"))).unwrap());
         Flight { recording, sbet, pof, truth: place.text("out/data.csv") }

@@ -1,41 +1,19 @@
 //! Command lines of the documents, run on simulated inputs.
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 
 use wavex_testkit::las::Las;
-use wavex_testkit::{Outcome, TestFolder};
-
-/// Result of a command: exit code, standard output and standard error.
-#[derive(Debug, PartialEq)]
-pub(crate) struct Ended {
-    pub(crate) code: Option<i32>,
-    pub(crate) out: String,
-    pub(crate) err: String,
-}
+use wavex_testkit::sdf::stand_in;
+use wavex_testkit::{Outcome, TestFolder, outcome};
 
 /// Runs `wavex import` with these words in a folder, with the stand-in for RIEGL's library.
-pub(crate) fn wavex(place: &TestFolder, line: &str) -> Ended {
-    let mut program = Command::new(env!("CARGO_BIN_EXE_wavex"));
+pub(crate) fn wavex(place: &TestFolder, line: &str) -> Outcome {
+    let mut program = wavex_testkit::wavex();
     program.arg("import").args(line.split_whitespace()).current_dir(place.path(""));
-    program.stdin(Stdio::null()).env_remove("RUST_LOG");
     if place.path("data.sdf").exists() || place.path("indir").exists() {
         program.env("WAVEX_RIWAVELIB", stand_in());
     }
-    let output = program.output().unwrap();
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    Ended { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) }
-}
-
-/// The stand-in, which cargo builds with the other examples before the tests.
-fn stand_in() -> PathBuf {
-    let test = std::env::current_exe().unwrap();
-    let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
-    let library =
-        test.parent().and_then(Path::parent).unwrap().join(format!("examples/{before}sdf_stand_in{after}"));
-    assert!(library.is_file(), "{} is missing: `cargo build --example sdf_stand_in`", library.display());
-    library
+    outcome(&mut program)
 }
 
 /// Asserts that the line runs without messages and leaves these files besides inputs, log and
@@ -67,7 +45,7 @@ fn data_sdf() -> TestFolder {
                    as_recorded = true\npulse_rate_hz = 300000\nmodulation_ns = 15.0\nflying_height_m = 1000.0\n\
                    pof = 'file.pof'\n\
                    [[stage]]\ntype = 'write_arrow'\n";
-        assert_eq!(place.run(job), Outcome { code: Some(0), err: String::new() });
+        assert_eq!(place.run(job), Outcome::success());
         ["data.arrow", "file.pof"].map(|name| std::fs::read(place.path("out").join(name)).unwrap())
     });
     TestFolder::with(&[("data.sdf", recording), ("file.pof", trajectory)])
@@ -163,7 +141,7 @@ fn a_line_that_asks_for_information_gets_it() {
     let place = TestFolder::new();
     let ended = wavex(&place, "--run -- wavex -v");
     let version = format!("wavex {}\n", env!("CARGO_PKG_VERSION"));
-    assert_eq!(ended, Ended { code: Some(0), out: version, err: String::new() });
+    assert_eq!(ended, Outcome { code: Some(0), out: version, err: String::new() });
     let help = wavex(&place, "--run -- -h").out;
     assert!(help.contains("Usage: wavex [OPTIONS] <COMMAND>"), "{help}");
     let cleared = wavex(&place, "--run -- -clear_log").out;
@@ -180,7 +158,7 @@ fn a_job_is_printed_or_written_and_what_is_there_is_left_alone() {
     assert_eq!(place.text("job.toml"), printed.out);
     let again = wavex(&place, &format!("-o job.toml {line}"));
     let expected = "error: job.toml: the file already exists; choose another name or remove it\n";
-    assert_eq!(again, Ended { code: Some(2), out: String::new(), err: expected.to_owned() });
+    assert_eq!(again, Outcome::failure(2, expected));
     std::fs::create_dir(place.path("jobs")).unwrap();
     assert_eq!(wavex(&place, &format!("--run -o jobs/job.toml {line}")).code, Some(0));
     assert!(place.path("points.laz").is_file(), "paths start where the line was typed");
@@ -204,7 +182,7 @@ fn a_wrong_line_is_refused() {
     let ended = wavex(&TestFolder::new(), "-- -i a.sdf -dett 5");
     let expected = "error: version 1.1 has no option `-dett`\n  | wavex -i a.sdf -dett 5\n  |                ^^^^^\n  \
                     = help: did you mean `-det`?\n";
-    assert_eq!(ended, Ended { code: Some(2), out: String::new(), err: expected.to_owned() });
+    assert_eq!(ended, Outcome::failure(2, expected));
 }
 
 #[test]

@@ -5,6 +5,7 @@ use wavex_formats::trajectory::sbet::RECORD_BYTES;
 
 use super::flights::QUIET;
 use wavex_testkit::georeferenced_flight::{Flight, distance_m, fly, run};
+use wavex_testkit::{Outcome, outcome, wavex};
 
 const GEOREFERENCE: &str = "[[stage]]\ntype = 'calibrate'\nwaveforms = 500\nresponse = 'gaussian'\n\
                             [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n";
@@ -233,11 +234,9 @@ fn explain_reads_the_trajectory_of_the_job() {
             "[job.geometry]\ntrajectory = '{trajectory}'\n[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{GEOREFERENCE}"
         );
         std::fs::write(flight.path("job.toml"), job).unwrap();
-        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_wavex"));
-        command.current_dir(flight.folder());
-        command.args(["--quiet", "explain", "a.arrow", "--shot", "5", "--job", "job.toml"]);
-        let output = command.output().unwrap();
-        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+        let arguments = ["--quiet", "explain", "a.arrow", "--shot", "5", "--job", "job.toml"];
+        let Outcome { code, err, .. } = outcome(wavex().args(arguments).current_dir(flight.folder()));
+        (code, err)
     };
     assert_eq!(explain("a.out"), (Some(0), String::new()));
     let (code, error) = explain("b.out");

@@ -4,7 +4,7 @@ use wavex_formats::container::{ContainerHeader, ContainerReader};
 
 use super::flights::{Found, lines_of, recorded, refused, resolve, score, stage};
 use wavex_testkit::TestFolder;
-use wavex_testkit::sdf::{Row, container};
+use wavex_testkit::container::{Row, container};
 
 fn header() -> ContainerHeader {
     let place = TestFolder::with(&[("a.arrow", &recorded().recording)]);

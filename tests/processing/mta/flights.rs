@@ -9,7 +9,8 @@ use std::time::Duration;
 use serde_json::Value;
 use wavex::scan_line::emission_flags::SCAN_DIRECTION_POSITIVE;
 
-use wavex_testkit::sdf::{Row, container, header, rows};
+use wavex_testkit::container::{Row, container, rows};
+use wavex_testkit::sdf::header;
 use wavex_testkit::{Outcome, TestFolder};
 
 /// Keys of a flight with three to five pulses in the air.
@@ -44,7 +45,7 @@ pub fn fly(keys: &str) -> Flight {
         "[[stage]]\ntype = 'simulate'\ntruth = 'truth.csv'\n{keys}\n\
          [[stage]]\ntype = 'write_arrow'\npath = 'recording.arrow'\ncompression = 'none'\n"
     );
-    assert_eq!(place.run(&job), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(&job), Outcome::success());
     Flight {
         recording: std::fs::read(place.path("out/recording.arrow")).unwrap(),
         truth: place.text("out/truth.csv"),
@@ -229,5 +230,5 @@ pub fn peak_kb(command: &mut Command) -> (Outcome, u64) {
     }
     let output = child.wait_with_output().unwrap();
     let err = String::from_utf8_lossy(&output.stderr).into_owned();
-    (Outcome { code: output.status.code(), err }, peak_kb)
+    (Outcome { code: output.status.code(), out: String::new(), err }, peak_kb)
 }

@@ -8,7 +8,8 @@ use serde_json::Value;
 use wavex_formats::container::{ContainerShot, channel};
 
 use super::flights::{Table, peak_kb, text};
-use wavex_testkit::sdf::{NAME, Row, container, header, rows, stand_in};
+use wavex_testkit::container::{Row, container, rows};
+use wavex_testkit::sdf::{NAME, header, stand_in};
 use wavex_testkit::{Outcome, TestFolder, notes};
 
 const INTERVAL_PS: f64 = 2.5e6;
@@ -174,7 +175,7 @@ fn run(place: &TestFolder, job: &str, memory_mb: u64) -> Result<Vec<u8>, u64> {
         println!("  {memory_mb} MB: refused, {needed} MB asked for");
         return Err(needed.parse().unwrap());
     }
-    assert_eq!(outcome, Outcome { code: Some(0), err: String::new() });
+    assert_eq!(outcome, Outcome::success());
     let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
     let said = notes(&report["inputs"][0]);
     assert!(!said.iter().any(|note| note.contains("memory_mb")), "{said:?}");

@@ -11,7 +11,8 @@ use super::flights::{
     score, stage,
 };
 use wavex_testkit::TestFolder;
-use wavex_testkit::sdf::{container, header};
+use wavex_testkit::container::container;
+use wavex_testkit::sdf::header;
 
 /// The flight at a constant rate.
 fn constant() -> &'static Flight {

@@ -103,7 +103,7 @@ fn sdf_and_container_give_the_same_returns() {
         text(&stand_in()),
         chain("")
     );
-    assert_eq!(place.run(&reader), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(place.run(&reader), Outcome::success());
     assert!(by_container.returns == place.text("out/returns.csv"), "to the byte");
     let score = score(&flight.truth, &by_container.returns);
     println!("{} of {} right", score.right, score.true_returns);
@@ -173,7 +173,7 @@ fn resolved_and_unresolved_lines_may_follow_one_another() {
     .unwrap()
     .header()
     .clone();
-    let mixed = wavex_testkit::sdf::container(&header, &lines);
+    let mixed = wavex_testkit::container::container(&header, &lines);
     let found = resolve(&mixed, "");
     let lines_out = &stage(&found.report, "resolve_mta")["lines_out"];
     assert_eq!(lines_out, 64);

@@ -1,6 +1,7 @@
 //! All failures of the library and the resulting messages.
 
-use wavex_testkit::sdf::{NAME, container, fails, header, lengths, place, plain_line, read};
+use wavex_testkit::container::container;
+use wavex_testkit::sdf::{NAME, fails, header, lengths, place, plain_line, read};
 use wavex_testkit::{TestFolder, notes, rejected};
 
 /// Two lines of five shots: records 1 to 5, end of line, 7 to 11, end of line.

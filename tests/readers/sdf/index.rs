@@ -1,6 +1,7 @@
 //! The index required by the library: made once, in a writable folder.
 
-use wavex_testkit::sdf::{NAME, container, copy, fails, header, lengths, place, plain_line, read};
+use wavex_testkit::container::container;
+use wavex_testkit::sdf::{NAME, copy, fails, header, lengths, place, plain_line, read};
 
 fn recording() -> Vec<u8> {
     container(&header(), &[plain_line(0..5, 0), plain_line(5..10, 1)])

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use wavex_testkit::sdf::{NAME, container, copy, header, lengths, place, plain_line, read, rows, stand_in};
+use wavex_testkit::container::{container, rows};
+use wavex_testkit::sdf::{NAME, copy, header, lengths, place, plain_line, read, stand_in};
 use wavex_testkit::{Outcome, TestFolder, outcome};
 
 fn recording() -> Vec<u8> {
@@ -55,7 +56,7 @@ fn the_variable_names_the_library_or_its_folder() {
     std::fs::create_dir(&folder).unwrap();
     std::fs::copy(stand_in(), folder.join(library_file("sdfifc"))).unwrap();
     for value in [&stand_in(), &folder] {
-        assert_eq!(with_variable(&place, Some(value)), Outcome { code: Some(0), err: String::new() });
+        assert_eq!(with_variable(&place, Some(value)), Outcome::success());
         assert_eq!(lengths(&rows(&place.path("out/sdf.arrow"))), [(0, 5)]);
     }
 }
@@ -138,11 +139,11 @@ fn the_version_is_not_kept_from_the_library_that_fits() {
 #[test]
 fn convert_reads_it_by_its_name() {
     let place = place(&recording(), "");
-    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_wavex"));
+    let mut command = wavex_testkit::wavex();
     command
         .args(["-q", "convert", NAME, "copy.arrow"])
         .current_dir(place.path(""))
         .env("WAVEX_RIWAVELIB", stand_in());
-    assert_eq!(outcome(&mut command), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(outcome(&mut command), Outcome::success());
     assert_eq!(lengths(&rows(&place.path("copy.arrow"))), [(0, 5)]);
 }

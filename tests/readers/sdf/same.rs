@@ -5,7 +5,8 @@ use std::thread;
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 
-use wavex_testkit::sdf::{NAME, container, copy, flight, flight_container, header, place, read, stand_in};
+use wavex_testkit::container::container;
+use wavex_testkit::sdf::{NAME, copy, flight, flight_container, header, place, read, stand_in};
 use wavex_testkit::{TestFolder, notes, rejected};
 
 /// Result of `read_arrow` for the same file.
@@ -21,7 +22,7 @@ fn a_recording_comes_out_as_read_arrow_gives_it_to_the_byte() {
     let place = place(&flight_container(), "");
     let (report, lines) = read(&place, "");
     assert_eq!(lines, flight());
-    let several = |row: &wavex_testkit::sdf::Row| row.blocks.len() > 3;
+    let several = |row: &wavex_testkit::container::Row| row.blocks.len() > 3;
     assert!(lines.iter().flatten().any(several), "several blocks of a channel are part of it");
     assert_eq!(rejected(&report).len(), 0, "{report}");
     assert_eq!(notes(&report), Vec::<String>::new());

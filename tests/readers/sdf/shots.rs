@@ -3,7 +3,8 @@
 use wavex::scan_line::emission_flags::EDGE_OF_FLIGHT_LINE;
 use wavex_formats::container::{ContainerHeader, EmissionReference, channel};
 
-use wavex_testkit::sdf::{Row, container, header, lengths, place, plain, plain_line, read, with_edges};
+use wavex_testkit::container::{Row, container};
+use wavex_testkit::sdf::{header, lengths, place, plain, plain_line, read, with_edges};
 use wavex_testkit::{notes, rejected};
 
 #[test]

@@ -6,7 +6,8 @@ use std::os::raw::c_int;
 
 use wavex_formats::sdf::{SdfReader, SdfRecord};
 
-use wavex_testkit::sdf::{NAME, container, header, place, plain_line, stand_in};
+use wavex_testkit::container::container;
+use wavex_testkit::sdf::{NAME, header, place, plain_line, stand_in};
 
 type Open = unsafe extern "C" fn(*const c_char, *mut *mut c_void) -> c_int;
 type Close = unsafe extern "C" fn(*mut c_void) -> c_int;

@@ -2,9 +2,8 @@
 
 use wavex_formats::container::{ContainerHeader, ContainerReader, TimeScale};
 
-use wavex_testkit::sdf::{
-    NAME, Row, container, copy, header, lengths, place, plain_line, read, rows, with_edges,
-};
+use wavex_testkit::container::{Row, container, rows};
+use wavex_testkit::sdf::{NAME, copy, header, lengths, place, plain_line, read, with_edges};
 use wavex_testkit::{TestFolder, notes, rejected};
 
 fn lines() -> Vec<Vec<Row>> {

@@ -18,7 +18,7 @@ fn place(pulses: usize) -> TestFolder {
 #[track_caller]
 fn fails(place: &TestFolder, command: &mut Command, message: &str) {
     let before = place.products();
-    assert_eq!(outcome(command), Outcome { code: Some(1), err: format!("error: {message}\n") });
+    assert_eq!(outcome(command), Outcome::failure(1, format!("error: {message}\n")));
     assert_eq!(place.products(), before);
 }
 

@@ -65,9 +65,9 @@ fn a_folder_whose_name_is_no_unicode_is_reported_all_the_same() {
     fs::write(folder.join("a.las"), las.las()).unwrap();
     fs::write(folder.join("a.wdp"), &las.packets).unwrap();
     fs::write(folder.join("job.toml"), "[[stage]]\ntype = 'read_las'\npath = 'a.las'\n").unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wavex"));
+    let mut command = wavex_testkit::wavex();
     command.args(["-q", "run"]).arg(folder.join("job.toml"));
-    assert_eq!(outcome(&mut command), Outcome { code: Some(0), err: String::new() });
+    assert_eq!(outcome(&mut command), Outcome::success());
     let report: Value = serde_json::from_slice(&fs::read(folder.join("report.json")).unwrap()).unwrap();
     assert!(report["inputs"][0]["path"].as_str().unwrap().ends_with("caf\u{fffd}/a.las"), "{report}");
 }

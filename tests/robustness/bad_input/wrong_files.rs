@@ -109,7 +109,7 @@ fn the_outputs_of_inputs_before_a_bad_one_stay_and_those_behind_it_are_not_begun
     let outcome = place.read("read_las", "*.las", "[[stage]]\ntype = 'write_arrow'\n");
     let message = "error: stage read_las: b.las: byte 4: file source ID: 2 bytes needed, 0 left; \
                    the file is cut off: copy it again from its source\n";
-    assert_eq!(outcome, Outcome { code: Some(1), err: message.into() });
+    assert_eq!(outcome, Outcome::failure(1, message));
     assert_eq!(place.outputs(), ["a.arrow", "a_stat.log", "b_stat.log"]);
     let row = |name: &str, value: &str| format!("{name:<36} {value}\n");
     let message = message.strip_prefix("error: ").unwrap().trim_end();
