@@ -3,6 +3,7 @@
 
 use wavex_formats::container::EmissionReference;
 use wavex_testkit::container::{Shot, of_shots};
+use wavex_testkit::table::{self, Row};
 use wavex_testkit::{Outcome, TestFolder, shots};
 
 /// Runs `wavex explain` in a folder.
@@ -32,11 +33,8 @@ fn simulated() -> TestFolder {
 }
 
 /// Rows of a table of returns for one shot, as cells by name.
-fn rows_of(table: &str, shot: &str) -> Vec<std::collections::BTreeMap<String, String>> {
-    let mut lines = table.lines().map(|line| line.split(',').map(str::to_owned));
-    let heads: Vec<String> = lines.next().unwrap().collect();
-    let rows = lines.map(|cells| heads.iter().cloned().zip(cells).collect());
-    rows.filter(|row: &std::collections::BTreeMap<String, String>| row["shot"] == shot).collect()
+fn rows_of(table: &str, shot: &str) -> Vec<Row> {
+    table::rows(table).into_iter().filter(|row| row["shot"] == shot).collect()
 }
 
 /// Asserts that elements are properly nested and attributes are quoted.

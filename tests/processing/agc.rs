@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 
 use wavex_formats::container::{ContainerHeader, GainControl};
-use wavex_testkit::container::{Row, container, nadir_shot};
+use wavex_testkit::container::{self, container, nadir_shot};
 use wavex_testkit::las::{HEADER, Las, descriptor, vlr};
+use wavex_testkit::table::{self, number, rows};
 use wavex_testkit::{Outcome, TestFolder, notes};
 
 /// Level ground; no echo overdrives the receiver at gain 4, and noise never clips at 0.
@@ -21,17 +22,6 @@ canopy_height_m = 0
 /// Gain from 0.5 to 4 and back, 20 times per second.
 const GAINS: &str = "gain_range = [0.5, 4.0]\ngain_period_s = 0.05\n";
 const TABLE: &str = "[[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
-
-/// Rows of a table by column name.
-fn rows(text: &str) -> Vec<BTreeMap<&str, &str>> {
-    let mut lines = text.lines();
-    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
-    lines.map(|line| names.iter().copied().zip(line.split(',')).collect()).collect()
-}
-
-fn number(row: &BTreeMap<&str, &str>, name: &str) -> f64 {
-    row[name].parse().unwrap()
-}
 
 /// A single true return and the only return found for its shot.
 #[derive(Clone, Copy)]
@@ -60,12 +50,12 @@ fn fly(lines: u32, keys: &str, between: &str, decompose: &str) -> Found {
     assert_eq!(place.run(&stages), Outcome::success());
     let (truth, found) = (place.text("out/simulated.truth.csv"), place.text("out/simulated.csv"));
     let (truth, found) = (rows(&truth), rows(&found));
-    let mut of_shot: BTreeMap<&str, Vec<&BTreeMap<&str, &str>>> = BTreeMap::new();
-    found.iter().for_each(|row| of_shot.entry(row["shot"]).or_default().push(row));
+    let mut of_shot: BTreeMap<&str, Vec<&table::Row>> = BTreeMap::new();
+    found.iter().for_each(|row| of_shot.entry(&row["shot"]).or_default().push(row));
     let mut all = Found { pairs: Vec::new(), false_returns: 0, shots: truth.len() };
     for row in &truth {
         assert_eq!(row["number_of_returns"], "1", "level ground gives one return");
-        let found = of_shot.get(row["shot"]).map_or(&[][..], |found| found);
+        let found = of_shot.get(row["shot"].as_str()).map_or(&[][..], |found| found);
         all.false_returns += found.len().saturating_sub(1);
         let [one] = found else { continue };
         let z = |name: &str, sd: &str| (number(one, name) - number(row, name)) / number(one, sd);
@@ -178,15 +168,15 @@ fn two_receivers_go_together_at_every_gain() {
     );
     assert_eq!(place.run(&stages), Outcome::success());
     let (truth, found) = (place.text("out/simulated.truth.csv"), place.text("out/simulated.csv"));
-    let truth: BTreeMap<&str, _> = rows(&truth).into_iter().map(|row| (row["shot"], row)).collect();
-    let mut errors: BTreeMap<&str, Vec<[f64; 2]>> = BTreeMap::new();
+    let truth: BTreeMap<String, _> = rows(&truth).into_iter().map(|row| (row["shot"].clone(), row)).collect();
+    let mut errors: BTreeMap<String, Vec<[f64; 2]>> = BTreeMap::new();
     for row in rows(&found).iter().filter(|row| row["number_of_returns"] == "1") {
-        let linear_dn = number(&truth[row["shot"]], "linear_dn");
+        let linear_dn = number(&truth[&row["shot"]], "linear_dn");
         // Tables are in decibels above 7 DN.
         let intensity = 7.0 * 10f64.powf(0.1 * number(row, "amplitude_db"));
         let range_z =
-            (number(row, "range_m") - number(&truth[row["shot"]], "range_m")) / number(row, "range_sd_m");
-        errors.entry(row["channel"]).or_default().push([intensity / linear_dn - 1.0, range_z]);
+            (number(row, "range_m") - number(&truth[&row["shot"]], "range_m")) / number(row, "range_sd_m");
+        errors.entry(row["channel"].clone()).or_default().push([intensity / linear_dn - 1.0, range_z]);
     }
     for channel in ["low", "joint"] {
         let errors = &errors[channel];
@@ -226,7 +216,7 @@ fn a_recording_that_does_not_say_its_gains_is_warned_of() {
         gain_control: Some(GainControl::NotRecorded),
         ..ContainerHeader::new(1.0, 2.997e8)
     };
-    let row = Row { shot: nadir_shot(0, 0), blocks: vec![(1, 4000.0, vec![2, 3, 40, 3, 2])] };
+    let row = container::Row { shot: nadir_shot(0, 0), blocks: vec![(1, 4000.0, vec![2, 3, 40, 3, 2])] };
     let place = TestFolder::with(&[("made.arrow", &container(&header, &[vec![row]]))]);
     let copy = "[[stage]]\ntype = 'write_arrow'\npath = '*_copy.arrow'\n";
     let input = place.succeeds("read_arrow", "made.arrow", copy);

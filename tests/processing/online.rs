@@ -1,6 +1,5 @@
 //! Instrument returns: when they become points, and comparison with computed ones.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use wavex::scan_line::flags::INSTRUMENT;
@@ -10,6 +9,7 @@ use wavex_formats::container::{
 };
 use wavex_testkit::container::{Shot, block, nadir_shot, of_shots};
 use wavex_testkit::shots::{echo, peak, time_s};
+use wavex_testkit::table::{self, Row, number};
 use wavex_testkit::{Outcome, TestFolder};
 
 const SHOTS: usize = 320;
@@ -57,24 +57,15 @@ fn job(keys: &str) -> String {
     )
 }
 
-type Row = BTreeMap<String, String>;
-
 /// Rows of the table, and the input's part of the report.
 #[track_caller]
 fn run(keys: &str) -> (Vec<Row>, serde_json::Value) {
     let place = recording(Some(0));
     let outcome = place.run(&job(keys));
     assert_eq!(outcome, Outcome::success());
-    let table = place.text("out/a.csv");
-    let mut lines = table.lines().map(|line| line.split(',').map(str::to_owned));
-    let heads: Vec<String> = lines.next().unwrap().collect();
-    let rows = lines.map(|cells| heads.iter().cloned().zip(cells).collect()).collect();
+    let rows = table::rows(&place.text("out/a.csv"));
     let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
     (rows, report["inputs"][0].clone())
-}
-
-fn number(row: &Row, column: &str) -> f64 {
-    row[column].parse().unwrap_or(f64::NAN)
 }
 
 fn is_own(row: &&Row) -> bool {

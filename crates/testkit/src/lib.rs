@@ -12,6 +12,7 @@
 //! | [`instrument`], [`waveform_decomposer`] | waveforms with known truth and noise bounds, and their decomposition |
 //! | [`waveforms`], [`clock`] | waveforms of the benches, and their clock |
 //! | [`recordings`], [`neon`] | real recordings below `WAVEX_DATA`, with reference results |
+//! | [`table`] | rows of text tables |
 //! | [`engine_stages`] | no-op stages for tests of the engine |
 //! | [`job_stages`] | stages with keys of every shape, for tests of jobs |
 //!
@@ -39,6 +40,7 @@ pub mod pulsewaves;
 pub mod recordings;
 pub mod sdf;
 pub mod shots;
+pub mod table;
 pub mod waveform_decomposer;
 pub mod waveforms;
 

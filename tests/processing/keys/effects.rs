@@ -1,7 +1,8 @@
 //! Effects on returns of the keys of `-t_err`, `-bge`, `-min_width` and `-max_width`.
 
-use super::{LOW, Row, SHOTS, number, of_shot, recording, run};
+use super::{LOW, SHOTS, of_shot, recording, run};
 use wavex_testkit::shots;
+use wavex_testkit::table::{Row, number};
 
 /// Samples of an echo at sample 24, with its FWHM relative to that of the others.
 fn wider(shot: usize, ratio: f64) -> Vec<u16> {
