@@ -23,6 +23,7 @@
     clippy::print_stdout,
     reason = "a test fails by panicking, and prints what it skips"
 )]
+#![allow(clippy::new_without_default, clippy::len_without_is_empty, reason = "only tests use it")]
 
 pub mod clock;
 pub mod container;
