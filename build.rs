@@ -1,14 +1,15 @@
-//! Tells the program what it is made of: the commit, where that is known, the compiler, and what it is made for.
+//! Passes the commit, compiler, target and profile of the build to the program.
 //!
-//! The commit is that of the environment variable `WAVEX_COMMIT`, else of git, in release builds only: others would be built
-//! anew after every commit. What follows it says whether the program is made of that commit and nothing else.
-#![allow(clippy::print_stdout, reason = "cargo listens to standard output")]
+//! The commit comes from the environment variable `WAVEX_COMMIT`, else from git in release builds.
+//! Other builds have none, because each new commit would rebuild them. A `+` after it marks sources
+//! that differ from that commit.
+#![allow(clippy::print_stdout, reason = "cargo reads instructions from standard output")]
 
 use std::env;
 use std::process::Command;
 
-/// What the program is made of.
-const SOURCES: [&str; 4] = ["src", "build.rs", "Cargo.toml", "Cargo.lock"];
+/// Paths whose changes mark the commit as modified.
+const SOURCES: [&str; 5] = ["src", "crates", "build.rs", "Cargo.toml", "Cargo.lock"];
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
@@ -24,11 +25,11 @@ fn main() {
     println!("cargo:rustc-env=WAVEX_BUILD_PROFILE={profile}");
 }
 
-/// The commit that is checked out, with a `+` where a file differs from it that the program is made of.
+/// The checked-out commit, followed by `+` if one of [`SOURCES`] differs from it.
 fn commit_of_git() -> Option<String> {
     let log = output("git", &["rev-parse", "--git-path", "logs/HEAD"])?;
     println!("cargo:rerun-if-changed={log}");
-    // Without these, a file that is edited behind a build would leave the commit as it was told then.
+    // An edit without a new commit changes the mark.
     SOURCES.iter().for_each(|source| println!("cargo:rerun-if-changed={source}"));
     let commit = output("git", &["rev-parse", "HEAD"])?;
     let status = ["status", "--porcelain", "--untracked-files=no", "--"];
@@ -36,7 +37,7 @@ fn commit_of_git() -> Option<String> {
     Some(if changed.is_empty() { commit } else { format!("{commit}+") })
 }
 
-/// What a program prints, if it is there and succeeds.
+/// Standard output of a program; `None` if it cannot run or fails.
 fn output(program: &str, arguments: &[&str]) -> Option<String> {
     let output = Command::new(program).args(arguments).output().ok()?;
     let text = String::from_utf8(output.stdout).ok()?;

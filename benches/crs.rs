@@ -16,7 +16,7 @@ use std::time::Instant;
 
 use wavex_geodesy::crs::{Crs, Named};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
-use wavex_geodesy::geoid::{Geoid, Grid};
+use wavex_geodesy::geoid::{Geoid, GeoidGrid};
 
 const POINTS: usize = 100_000;
 const ROUNDS: usize = 15;
@@ -57,7 +57,7 @@ fn system(word: &str, with_geoid: bool) -> Crs {
 /// Steps of one arc-minute.
 fn geoid() -> Arc<Geoid> {
     let (rows, columns) = (601, 1201);
-    let grid = Grid {
+    let grid = GeoidGrid {
         south_deg: 45.0,
         west_deg: 5.0,
         latitude_step_deg: 1.0 / 60.0,

@@ -7,9 +7,9 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use wavex::georef::pose_source::Posed;
 use wavex::scan_line::{Blocks, Content, Return, ScanLine};
 use wavex::stage::{Context, RunContext, Source};
+use wavex::stages::pose_source::Posed;
 use wavex_testkit::georeferenced_flight::{Flight, fly, georeference, return_of, site, source};
 
 const GOAL_PER_S: f64 = 2e6;

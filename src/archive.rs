@@ -3,7 +3,7 @@
 //! An archive is a folder, or the same folder as `.tar.zst`, of text files that can be read without
 //! wavex:
 //!
-//! | file | what it is |
+//! | file | content |
 //! |---|---|
 //! | `archive.json` | [`Archive`]: digests of all inputs and outputs, the program, the machine |
 //! | `job.toml` | the job as written |

@@ -155,9 +155,10 @@ fn run_inputs(
     };
     let sites: Vec<RunContext> = inputs(job, &options.input_dir)?.into_iter().map(site).collect();
     let begin = || {
-        let geometry = Loader::new(&job.settings.geometry, &options.input_dir).map_err(RunError::of_job)?;
+        let geometry = Loader::new(&job.settings.geometry, &options.input_dir)
+            .map_err(|error| RunError::of_job(error.into()))?;
         inputs::keep_from_outputs(job, &sites)?;
-        let lock = OutputLock::take(&inputs::outputs(job, &sites)).map_err(RunError::of_job)?;
+        let lock = OutputLock::acquire(&inputs::outputs(job, &sites)).map_err(RunError::of_job)?;
         Ok((geometry, lock))
     };
     // The lock is held until the end of the run.
@@ -175,7 +176,11 @@ fn run_inputs(
             Ok(its_geometry) => site.geometry = Arc::new(its_geometry),
             Err(error) => {
                 unfinished.push(InputReport::not_begun(&site, started));
-                return Err(RunError { stage: None, input: Some(site.input), cause: Cause::Stage(error) });
+                return Err(RunError {
+                    stage: None,
+                    input: Some(site.input),
+                    cause: Cause::Stage(error.into()),
+                });
             }
         }
         match chain::run(job, &Arc::new(site), options, &mut progress, &cx) {

@@ -1,21 +1,22 @@
 //! Georeferencing: the table `[job.geometry]` with trajectory, mounting and output coordinates.
 //!
 //! With a trajectory, each shot gets its pose as soon as the source delivers it
-//! ([`pose_source`]). Its beam is then given in the earth-centred frame (ECEF), so later stages need
+//! ([`crate::stages::pose_source`]). Its beam is then given in the earth-centred frame (ECEF), so later stages need
 //! only the emission. `georeference` converts the result to output coordinates ([`output_crs`]).
 //! `docs/explanation/georeferencing.md` gives the formulas.
 
 pub mod calibration;
 mod context;
 pub mod declared;
+mod error;
 pub mod keys;
 pub mod mount;
 pub mod output_crs;
-pub mod pose_source;
 pub mod scan_angles;
 mod trajectory_file;
 pub mod transform;
 
-pub use context::{Geometry, Loader};
+pub use context::{Geometry, Loader, ShotPoses};
+pub use error::{Error, Result};
 pub use keys::GeometryKeys;
 pub use output_crs::check_crs;

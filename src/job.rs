@@ -9,9 +9,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::georef::GeometryKeys;
+use crate::keys::{InvalidKey, Keys};
 use crate::registry;
 use crate::scan_line::Kind;
-use crate::stage::{InvalidKey, Keys, Paths, Planned, StageSpec};
+use crate::stage::{Paths, Planned, StageSpec};
 use wavex_signal::lockstep;
 
 mod chain;

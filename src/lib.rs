@@ -9,6 +9,7 @@ pub mod engine;
 pub mod georef;
 pub mod inspect;
 pub mod job;
+pub mod keys;
 pub mod overview;
 pub mod registry;
 pub mod scan_line;

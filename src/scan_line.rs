@@ -17,7 +17,7 @@ mod points;
 mod shots;
 
 pub use budget::{AtWork, Budget, NoRoom, Ticket};
-pub use input::{AmplitudeTable, EmissionReference, GainControl, InputInfo, LinearAmplitude};
+pub use input::{AmplitudeTable, EmissionReference, FirstShot, GainControl, InputInfo, LinearAmplitude};
 pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};
 pub use shots::{Block, Blocks, Channel, Emission, OnlineReturn, emission_flags};

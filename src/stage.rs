@@ -1,30 +1,27 @@
 //! The four roles of stages, and the interface that the engine gives them.
 //!
 //! A stage sees no channels, threads or clocks. It drops items through [`Context::reject`], records
-//! measurements through [`Context::observe`], and warns the user through [`Context::note`].
+//! measurements through [`Context::observe`], and warns the user through [`Context::warn`].
 
+use crate::georef;
 use crate::scan_line::ScanLine;
 
 mod context;
-mod keys;
 mod lookahead;
 mod output_file;
 mod output_lock;
-mod schema_prose;
 mod site;
 mod spec;
 
 pub use context::{Context, Counters, Distribution, Item};
-pub use keys::{FileMark, Key, Keys};
 pub use lookahead::Survey;
 pub(crate) use output_file::partial_path;
 pub use output_file::{FinishedFile, OutputFile, remove_unfinished_files};
-pub use output_lock::{OutputLock, Outputs, give_up_claims};
-pub use schema_prose::{bounds, choices, listed, takes};
+pub use output_lock::{OutputLock, Outputs, release_all};
 pub use site::{Paths, RunContext, fixed_folder};
 pub use spec::{
-    Config, ConfigError, Holds, InvalidKey, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig,
-    SourcePlan, StageSpec, TransformConfig,
+    Config, ConfigError, Holds, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig, SourcePlan,
+    StageSpec, TransformConfig,
 };
 
 /// Failure of a stage.
@@ -33,6 +30,9 @@ pub enum StageError {
     /// A file is invalid.
     #[error(transparent)]
     Format(#[from] wavex_formats::Error),
+    /// The input cannot be georeferenced.
+    #[error(transparent)]
+    Georef(georef::Error),
     /// Any other problem, with its remedy.
     #[error("{problem}; {remedy}")]
     Failed {
@@ -50,6 +50,15 @@ impl StageError {
     /// Creates an error from a problem and its remedy.
     pub fn failed(problem: impl Into<String>, remedy: impl Into<String>) -> StageError {
         StageError::Failed { problem: problem.into(), remedy: remedy.into() }
+    }
+}
+
+impl From<georef::Error> for StageError {
+    fn from(error: georef::Error) -> StageError {
+        match error {
+            georef::Error::Format(error) => StageError::Format(error),
+            error => StageError::Georef(error),
+        }
     }
 }
 
@@ -91,7 +100,7 @@ pub trait Sink {
 
     /// Completes the files.
     ///
-    /// Hands each finished file to [`Context::keep`]; it gets its final name after the whole run
+    /// Hands each finished file to [`Context::publish`]; it gets its final name after the whole run
     /// has succeeded.
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()>;
 }

@@ -13,7 +13,9 @@
 
 use wavex_signal::mta::{Cause, Echo, Emission, Line, Method, Prior, Resolved, Resolver, Settings};
 
-use wavex_simulation::mta_scenes::{Class, RecordedEcho, RecordedLine, Recording, SCENES, Scene};
+use wavex_simulation::mta_scenes::{
+    EchoScene, RecordedEcho, RecordedLine, RecordingSettings, SCENES, TargetClass,
+};
 use wavex_testkit::clock::cpu_s;
 use wavex_testkit::mta::{chain, recording};
 
@@ -92,11 +94,11 @@ impl Tally {
             for (echo, assigned) in line.echoes.iter().zip(&resolved.echoes) {
                 self.echoes += 1;
                 let class = match echo.class {
-                    Class::Ground => 2,
-                    Class::Vegetation => 3,
-                    Class::Building => 4,
-                    Class::Wire => 5,
-                    Class::FalseAlarm => continue,
+                    TargetClass::Ground => 2,
+                    TargetClass::Vegetation => 3,
+                    TargetClass::Building => 4,
+                    TargetClass::Wire => 5,
+                    TargetClass::FalseAlarm => continue,
                 };
                 let cause = Cause { line: u64::from(echo.cause.0), emission: echo.cause.1 };
                 let wrong = u64::from(assigned.cause != Some(cause));
@@ -111,7 +113,7 @@ impl Tally {
     }
 }
 
-fn lines(scene: &Scene, recorded: &[RecordedLine]) -> Vec<Line> {
+fn lines(scene: &EchoScene, recorded: &[RecordedLine]) -> Vec<Line> {
     let mut shot = 0;
     let mut emission = |line: usize, index: usize, recorded: &RecordedLine| {
         shot += 1;
@@ -148,7 +150,7 @@ fn resolve(settings: &Settings, lines: &[Line]) -> Option<(Vec<Resolved>, f64)> 
     Some((resolved, cpu_s() - before))
 }
 
-fn settings(row: &Row, scene: &Scene, method: Method) -> Settings {
+fn settings(row: &Row, scene: &EchoScene, method: Method) -> Settings {
     let prior = match row.known {
         Known::Nothing => Prior::None,
         Known::Terrain => Prior::PerEmission { sd_m: TERRAIN_ERROR_M },
@@ -161,10 +163,10 @@ fn settings(row: &Row, scene: &Scene, method: Method) -> Settings {
 }
 
 /// Measures one row, with the block method and with the variance method.
-fn measure(row: &Row, scenes: &[Scene]) -> [Tally; 2] {
+fn measure(row: &Row, scenes: &[EchoScene]) -> [Tally; 2] {
     let mut tallies = [Tally::default(), Tally::default()];
     for scene in scenes {
-        let how = Recording {
+        let how = RecordingSettings {
             pulse_rate_hz: row.pulse_rate_hz,
             modulation_ns: row.modulation_ns,
             blind_ns: 15.0,
@@ -221,11 +223,12 @@ fn print(row: &Row, [blocks, variance]: &[Tally; 2]) {
 
 /// Runs the scenes with a modulation of ±17 ns through the whole chain with both readers.
 fn through_the_chain(seed: u64) {
-    let how = Recording { pulse_rate_hz: 400e3, modulation_ns: 17.0, blind_ns: 15.0, lost_records: 0.0 };
+    let how =
+        RecordingSettings { pulse_rate_hz: 400e3, modulation_ns: 17.0, blind_ns: 15.0, lost_records: 0.0 };
     let (mut echoes, mut right) = (0, 0);
     for (seed, spec) in (seed..).zip(SCENES) {
         let folder = tempfile::tempdir().expect("a folder");
-        let scene = Scene::new(spec, seed, LINES, 1.0);
+        let scene = EchoScene::new(spec, seed, LINES, 1.0);
         let truth = recording::write(&scene, &scene.record(&how), folder.path());
         chain::run(folder.path(), "");
         let (are_same, score) = chain::compare(folder.path(), &truth);
@@ -254,14 +257,14 @@ fn main() {
         if rows.is_empty() {
             continue;
         }
-        let scenes: Vec<Scene> = (0u64..)
+        let scenes: Vec<EchoScene> = (0u64..)
             .zip(SCENES)
             .map(|(i, mut spec)| {
                 // At 1 MHz the flying height is 1200 to 2000 m, with half the relief.
                 if fast {
                     (spec.agl_m, spec.relief_m) = (1200.0 + 800.0 / 9.0 * i as f64, 0.5 * spec.relief_m);
                 }
-                Scene::new(spec, seed + i, LINES, 1.0)
+                EchoScene::new(spec, seed + i, LINES, 1.0)
             })
             .collect();
         for row in rows {

@@ -3,7 +3,7 @@
 //! It implements the thirteen functions of the interface on any waveform container (`.arrow`)
 //! renamed to `.sdf`. It cannot read SDF.
 //!
-//! It is as strict as the interface allows: the memory behind its pointers is overwritten at the
+//! It is as strict as the interface allows: the memory of its pointers is overwritten at the
 //! next call, and a concurrent call from a second thread fails. A file `NAME.sdf.txt` next to the
 //! data injects faults, one per line (see `mischief.rs`). The environment variable
 //! `SDF_STAND_IN_MAJOR` changes its version.
@@ -53,7 +53,7 @@ struct File {
     is_relative: bool,
 }
 
-/// Memory behind the pointers returned to the caller.
+/// Memory of the pointers returned to the caller.
 #[derive(Default)]
 struct Shared {
     error: CString,

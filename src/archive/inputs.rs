@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::paths::plain;
 use crate::engine::{self, Input};
 use crate::job::{Job, JobSettings};
-use crate::stage::{FileMark, Key, Keys};
+use crate::keys::{FileMark, Key, Keys};
 use wavex_formats::companions;
 use wavex_geodesy::crs::Named;
 
@@ -93,7 +93,7 @@ fn geoid_pointers() -> Option<(String, String)> {
 
 /// Sets the geoid folder if the job names a geoid.
 ///
-/// `place` converts the folder that the job gives; an empty text stands for the input folder.
+/// `place` maps a folder of the job to a path; the empty text is the input folder.
 ///
 /// # Errors
 /// Errors of `place`.
@@ -133,7 +133,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::stage::choices;
+    use crate::keys::choices;
 
     fn input(path: &Path, stem: &str) -> Input {
         Input { path: path.to_owned(), stem: stem.to_owned() }

@@ -18,7 +18,7 @@ pub(crate) fn plain(path: &Path) -> PathBuf {
     steps
 }
 
-/// Deepest common parent folder; `None` for no folders or if there is none.
+/// Deepest common parent folder; `None` without folders or without a common one.
 pub(super) fn common<'p>(folders: impl IntoIterator<Item = &'p Path>) -> Option<PathBuf> {
     let mut folders = folders.into_iter();
     let mut common = folders.next()?.to_path_buf();
@@ -34,7 +34,7 @@ pub(super) fn common<'p>(folders: impl IntoIterator<Item = &'p Path>) -> Option<
 
 /// Path from one absolute path to another, with `/` as separator; `.` if equal.
 ///
-/// `None` if there is none (another drive) or a component is not valid Unicode.
+/// `None` on another drive, or if a component is not valid Unicode.
 pub(super) fn relative(from: &Path, to: &Path) -> Option<String> {
     let shared = common([from, to])?;
     let up = from.strip_prefix(&shared).ok()?.components().map(|_| Some(".."));

@@ -10,7 +10,8 @@ use super::inputs;
 use super::paths::{common, plain, relative};
 use crate::engine::{self, Input, Options};
 use crate::job::{Job, JobStage, Simd};
-use crate::stage::{FileMark, Paths, Plan, Result, StageError};
+use crate::keys::FileMark;
+use crate::stage::{Paths, Plan, Result, StageError};
 use wavex_formats::Error;
 
 /// A portable job with its files.

@@ -22,7 +22,7 @@ pub(super) fn copc(input: &Path, out: Option<PathBuf>, quiet: bool) -> Result<()
     // The claim lets a later process remove what a killed process left.
     let written = (0..CLAIMED_RUNS).map(|number| run_path(&out, number)).chain([out.clone()]);
     let claimed = Outputs::from([(folder.to_path_buf(), written.collect::<BTreeSet<_>>())]);
-    let lock = OutputLock::take(&claimed).map_err(|error| Failure::Run(error.to_string()))?;
+    let lock = OutputLock::acquire(&claimed).map_err(|error| Failure::Run(error.to_string()))?;
     let summary = write(input, &out).map_err(|error| Failure::Run(error.to_string()))?;
     drop(lock);
     if quiet { Ok(()) } else { terminal::print(&told(&out, &summary)) }
@@ -56,7 +56,7 @@ fn write(input: &Path, out: &Path) -> Result<CopcSummary, Error> {
         Ok(Box::new(input) as Box<dyn Read>)
     };
     let summary = write_copc(input, &mut file, out, &mut keep)?;
-    file.finish()?.instead_of(indexes_beside(out)).publish()?;
+    file.finish()?.replacing(indexes_beside(out)).publish()?;
     Ok(summary)
 }
 

@@ -8,7 +8,6 @@ use serde::de::DeserializeOwned;
 
 use super::{ExplainArgs, Failure, JobArgs, run, terminal};
 use crate::georef::Loader;
-use crate::georef::pose_source::Posed;
 use crate::job::{Job, JobStage, Override};
 use crate::registry::reader_of;
 use crate::scan_line::{Emission, Returns, ScanLine};
@@ -17,6 +16,7 @@ use crate::stages::calibrate::Calibrate;
 use crate::stages::decompose::{
     Decompose, Line, Seen, SeenBlock, SeenPulse, SensorTables, Shot, ShotDecomposer,
 };
+use crate::stages::pose_source::Posed;
 use upstream::{Step, Upstream};
 use wavex_formats::Error;
 use wavex_signal::sensor_model::SensorModel;

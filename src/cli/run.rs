@@ -13,7 +13,7 @@ use crate::engine::{
 use crate::georef::check_crs;
 use crate::job::{Job, Override};
 use crate::stage::{
-    OutputFile, OutputLock, Outputs, StageError, fixed_folder, give_up_claims, remove_unfinished_files,
+    OutputFile, OutputLock, Outputs, StageError, fixed_folder, release_all, remove_unfinished_files,
 };
 use wavex_formats::Error;
 
@@ -54,7 +54,7 @@ fn run_archived(
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
     // Claim the outputs before opening the log, which would truncate the log of another run.
     let own = own_outputs(job, [&input_dir, &output_dir], machine.profile, archive);
-    let _lock = OutputLock::take(&own).map_err(|error| failed(&error))?;
+    let _lock = OutputLock::acquire(&own).map_err(|error| failed(&error))?;
     if archive.is_some() {
         log::keep();
     }
@@ -186,7 +186,7 @@ pub(super) fn stop_on_signals(cancel: &Cancel) {
     let handler = move || {
         if cancel.is_cancelled() {
             remove_unfinished_files();
-            give_up_claims();
+            release_all();
             let error = RunError { stage: None, input: None, cause: Cause::Interrupted };
             let interrupted = Failure::Run(error.to_string());
             terminal::print_error(&interrupted.message(terminal::colour()));

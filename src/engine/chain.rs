@@ -12,11 +12,11 @@ use super::meter::Meter;
 use super::report::{InputReport, StageReport, Totals};
 use super::worker::{Downstream, Gauge, Shared, WorkerContext, run_map, run_sink, run_source, run_transform};
 use super::{Cause, Options, Progress};
-use crate::georef::pose_source::Posed;
 use crate::job::{Job, JobStage};
 use crate::overview::Gallery;
 use crate::scan_line::Budget;
 use crate::stage::{Context, FinishedFile, Holds, Plan, Result, RunContext, StageError};
+use crate::stages::pose_source::Posed;
 
 /// Results of a stage's workers, one entry per worker.
 type WorkerResult = Mutex<Vec<(Meter, Context)>>;
@@ -207,7 +207,7 @@ fn publish(
     mut whole: Vec<(String, FinishedFile)>,
 ) -> std::result::Result<Vec<PathBuf>, (String, StageError)> {
     for (stage, file) in &mut whole {
-        file.make_way().map_err(|error| (stage.clone(), error.into()))?;
+        file.remove_stale().map_err(|error| (stage.clone(), error.into()))?;
     }
     whole.into_iter().map(|(stage, file)| file.publish().map_err(|error| (stage, error.into()))).collect()
 }

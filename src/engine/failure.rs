@@ -75,7 +75,8 @@ impl std::fmt::Display for RunError {
         match &self.cause {
             Cause::Stage(error) => {
                 // Errors of formats already name their file.
-                if let (StageError::Failed { .. }, Some(input)) = (error, self.input.as_deref().filter(named))
+                if let (StageError::Failed { .. } | StageError::Georef(_), Some(input)) =
+                    (error, self.input.as_deref().filter(named))
                 {
                     write!(f, "{}: ", input.display())?;
                 }

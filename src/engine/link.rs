@@ -97,7 +97,7 @@ impl Outlet {
         self.channel.send(Message::Line(place, batch)).map_err(|_| StageError::Stopped)
     }
 
-    /// Tells each receiver that this sender is finished.
+    /// Sends the end mark to each receiver.
     pub(super) fn end(&self) -> Result<()> {
         (0..self.receivers).try_for_each(|_| self.channel.send(Message::End).map_err(|_| StageError::Stopped))
     }

@@ -233,7 +233,9 @@ impl Totals {
             *self.counts.entry(name).or_default() += count;
         }
         self.gathering.iter_mut().for_each(|gathering| gathering.add(batch));
-        self.input.get_or_insert_with(|| Arc::clone(&batch.input));
+        if self.input.as_ref().is_none_or(|input| input.first_shot.is_none()) {
+            self.input = Some(Arc::clone(&batch.input));
+        }
         if self.model.is_none() {
             self.model.clone_from(&batch.model);
         }
@@ -364,7 +366,11 @@ impl InputReport {
             overview: totals.gathering.map(|gathering| gathering.finish(totals.gallery)),
             trajectory: site.geometry.trajectory().map(TrajectoryReport::from),
             // An error here would already have ended the run.
-            coordinates: site.geometry.target().ok().flatten().map(|target| target.name().to_owned()),
+            coordinates: totals
+                .input
+                .as_deref()
+                .and_then(|input| site.geometry.target(input).ok().flatten())
+                .map(|target| target.name().to_owned()),
             stages,
             outputs,
         }

@@ -133,7 +133,7 @@ fn extraction(text: &mut Text, input: &InputReport) {
     }
 }
 
-/// The stage with a section of its own.
+/// The stage with a separate section.
 const GEOREFERENCE: &str = "georeference";
 
 /// Calibration results of each receiver, by name.

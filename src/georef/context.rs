@@ -1,17 +1,17 @@
 //! Georeferencing context of a run: the keys with their files read, shared by its stages.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 use super::calibration::Calibration;
 use super::keys::{CalibrationKey, GeometryKeys};
-use super::output_crs::{CrsRequest, Target, failed};
+use super::output_crs::{CrsRequest, OutputCrs};
 use super::trajectory_file::Track;
 use super::transform::Installation;
-use crate::scan_line::{Emission, Frame, InputInfo};
-use crate::stage::{Result, StageError};
+use super::{Error, Result};
+use crate::scan_line::{Frame, InputInfo};
 use wavex_geodesy::frames::Vector;
-use wavex_geodesy::time_axis::{Alignment, Clock, Misaligned, Times};
+use wavex_geodesy::time_axis::{Alignment, Clock, TimeSpan};
 use wavex_geodesy::trajectory::{Pose, Poses, Trajectory};
 
 /// Georeferencing context of a run.
@@ -21,23 +21,6 @@ pub struct Geometry {
     installation: Installation,
     track: Option<Arc<Track>>,
     wanted: CrsRequest,
-    /// Maps times of the recording to those of the trajectory.
-    alignment: OnceLock<Alignment>,
-    /// First shot of the recording.
-    first: OnceLock<First>,
-    target: OnceLock<Cached<Arc<Target>>>,
-    is_own_map: OnceLock<bool>,
-}
-
-/// A cached result; an error is kept as text with problem and remedy.
-type Cached<T> = std::result::Result<T, String>;
-
-/// Position and time of the start of a recording.
-#[derive(Clone, Copy, Debug)]
-struct First {
-    frame: Frame,
-    place_m: Vector,
-    time_s: f64,
 }
 
 /// Reads the files of `[job.geometry]`.
@@ -106,14 +89,14 @@ impl Loader {
 }
 
 /// Poses at shot times; fastest for nearby consecutive times.
-pub(super) struct ShotPoses<'a> {
+pub struct ShotPoses<'a> {
     poses: Poses<'a>,
-    alignment: &'a Alignment,
+    alignment: Alignment,
 }
 
 impl ShotPoses<'_> {
     /// Pose of the aircraft; `None` outside the trajectory or in a gap.
-    pub(super) fn at(&mut self, gps_time_s: f64) -> Option<Pose> {
+    pub fn at(&mut self, gps_time_s: f64) -> Option<Pose> {
         self.poses.at(self.alignment.on_trajectory(gps_time_s))
     }
 }
@@ -125,16 +108,7 @@ impl Geometry {
         wanted: CrsRequest,
         track: Option<Arc<Track>>,
     ) -> Geometry {
-        Geometry {
-            keys,
-            installation,
-            track,
-            wanted,
-            alignment: OnceLock::new(),
-            first: OnceLock::new(),
-            target: OnceLock::new(),
-            is_own_map: OnceLock::new(),
-        }
+        Geometry { keys, installation, track, wanted }
     }
 
     /// The keys of the job.
@@ -163,77 +137,34 @@ impl Geometry {
     }
 
     /// Notes on the trajectory.
-    pub(super) fn notes(&self) -> &[String] {
+    pub fn notes(&self) -> &[String] {
         self.track.as_ref().map_or(&[], |track| &track.notes)
     }
 
-    /// Aligns the times of a recording with those of the trajectory, once.
+    /// Aligns the times of a recording with those of the trajectory; `None` without a trajectory.
     ///
     /// # Errors
     /// The time scale of the recording is unknown, or its times are ambiguous on the trajectory.
-    pub(super) fn align(&self, input: &InputInfo, first_s: f64) -> Result<()> {
-        let (Some(track), None) = (&self.track, self.alignment.get()) else { return Ok(()) };
+    pub fn align(&self, input: &InputInfo, first_s: f64) -> Result<Option<Alignment>> {
+        let Some(track) = &self.track else { return Ok(None) };
         let Some(clock) = Clock::of(input.time_scale) else {
-            return Err(StageError::failed(
+            return Err(Error::unusable(
                 "the time scale of the recording is unknown: its shots cannot be located on the trajectory",
                 "use a recording with GPS times, or remove `trajectory` from `[job.geometry]`",
             ));
         };
-        let recording = Times { clock, first_s, last_s: first_s };
-        let found = Alignment::between(recording, track.times).map_err(|error| failed(&error))?;
-        let _ = self.alignment.set(found);
-        Ok(())
+        let recording = TimeSpan { clock, first_s, last_s: first_s };
+        Ok(Some(Alignment::between(recording, track.times)?))
     }
 
     /// Pose of the aircraft at the time of a shot; `None` outside the trajectory or in a gap.
-    pub fn pose(&self, gps_time_s: f64) -> Option<Pose> {
-        self.poses()?.at(gps_time_s)
+    pub fn pose(&self, input: &InputInfo, gps_time_s: f64) -> Option<Pose> {
+        self.poses(input.first_shot?.alignment?)?.at(gps_time_s)
     }
 
-    /// Poses for a sequence of times; `None` without an aligned trajectory.
-    pub(super) fn poses(&self) -> Option<ShotPoses<'_>> {
-        Some(ShotPoses { poses: self.track.as_ref()?.trajectory.poses(), alignment: self.alignment.get()? })
-    }
-
-    /// Whether the trajectory ends before a time of the recording.
-    pub(super) fn has_ended_before(&self, gps_time_s: f64) -> bool {
-        self.alignment.get().is_some_and(|found| found.trajectory.last_s < found.on_trajectory(gps_time_s))
-    }
-
-    /// Error if the trajectory covers none of the shots, which span `shots_s`.
-    pub(super) fn no_overlap(&self, shots_s: [f64; 2]) -> StageError {
-        let Some(Alignment { recording, trajectory, .. }) = self.alignment.get() else {
-            return StageError::failed("there is no trajectory", "set `trajectory` in `[job.geometry]`");
-        };
-        let [first_s, last_s] = shots_s;
-        let (recording, trajectory) = (Times { first_s, last_s, ..*recording }, *trajectory);
-        failed(&Misaligned::NoOverlap { recording, trajectory })
-    }
-
-    /// Note if the trajectory covers only some of the shots.
-    pub(super) fn partly_covered(&self, n: u64, [first_s, last_s]: [f64; 2]) -> String {
-        let Some(Alignment { recording, trajectory, .. }) = self.alignment.get() else {
-            return String::new();
-        };
-        let missing = Times { first_s, last_s, ..*recording };
-        format!(
-            "{n} shots are rejected, because the trajectory has no pose for them: they last from {missing}, the trajectory from {trajectory}"
-        )
-    }
-
-    /// Sets the first shot of the recording; later calls have no effect.
-    pub(super) fn meet(&self, first: &Emission, frame: Frame) {
-        let _ = self.first.set(First { frame, place_m: first.origin_m, time_s: time_s(first) });
-    }
-
-    /// Time since the first shot, s.
-    pub fn since_first_s(&self, emission: &Emission) -> f64 {
-        time_s(emission) - self.first.get().map_or(0.0, |first| first.time_s)
-    }
-
-    /// Position of the first shot, m, if the recording is in this frame.
-    fn first_place_m(&self, frame: Frame) -> Option<Vector> {
-        self.first.get().filter(|first| first.frame == frame).map(|first| first.place_m)
+    /// Poses for a sequence of times; `None` without a trajectory.
+    pub fn poses(&self, alignment: Alignment) -> Option<ShotPoses<'_>> {
+        Some(ShotPoses { poses: self.track.as_ref()?.trajectory.poses(), alignment })
     }
 
     /// The output CRS, with the zone of the first shot; `None` before the first shot in the
@@ -241,10 +172,8 @@ impl Geometry {
     ///
     /// # Errors
     /// A CRS that is not usable there.
-    pub fn target(&self) -> Result<Option<Arc<Target>>> {
-        let Some(first_m) = self.first_place_m(Frame::Earth) else { return Ok(None) };
-        let make = || self.wanted.at(first_m).map(Arc::new).map_err(|error| error.to_string());
-        self.target.get_or_init(make).clone().map(Some).map_err(|error| failed(&error))
+    pub fn target(&self, input: &InputInfo) -> Result<Option<OutputCrs>> {
+        origin_m(input, Frame::Earth).map(|first_m| self.wanted.at(first_m)).transpose()
     }
 
     /// The CRS of a terrain model: that of its EPSG code, else that of the points.
@@ -253,10 +182,10 @@ impl Geometry {
     ///
     /// # Errors
     /// A CRS that cannot be used.
-    pub fn map_of(&self, epsg: Option<u16>) -> Result<Option<Arc<Target>>> {
-        match (epsg, self.first_place_m(Frame::Earth)) {
-            (Some(code), Some(first_m)) => self.wanted.in_map(code).at(first_m).map(Arc::new).map(Some),
-            _ => self.target(),
+    pub fn map_of(&self, input: &InputInfo, epsg: Option<u16>) -> Result<Option<OutputCrs>> {
+        match (epsg, origin_m(input, Frame::Earth)) {
+            (Some(code), Some(first_m)) => self.wanted.in_map(code).at(first_m).map(Some),
+            _ => self.target(input),
         }
     }
 
@@ -264,11 +193,12 @@ impl Geometry {
     ///
     /// # Errors
     /// The job requests other coordinates.
-    pub fn keep_map(&self, crs_wkt: Option<&str>) -> Result<()> {
-        let Some(point) = self.first_place_m(Frame::Map).filter(|_| self.keys.wants_coordinates()) else {
+    pub fn keep_map(&self, input: &InputInfo) -> Result<()> {
+        let Some(point) = origin_m(input, Frame::Map).filter(|_| self.keys.wants_coordinates()) else {
             return Ok(());
         };
-        if *self.is_own_map.get_or_init(|| crs_wkt.is_some_and(|wkt| self.wanted.is_map(wkt, point))) {
+        let crs_wkt = input.crs_wkt.as_deref();
+        if crs_wkt.is_some_and(|wkt| self.wanted.is_map(wkt, point)) {
             return Ok(());
         }
         let (name, remedy) = match crs_wkt.and_then(|wkt| wkt.split('"').nth(1)) {
@@ -284,7 +214,7 @@ impl Geometry {
         let problem = format!(
             "the beams of this recording are already in {name}, but `[job.geometry]` requests other coordinates"
         );
-        Err(StageError::failed(problem, remedy))
+        Err(Error::unusable(problem, remedy))
     }
 
     /// Checks that a recording without georeferencing may stay so.
@@ -295,17 +225,14 @@ impl Geometry {
         if !self.keys.wants_coordinates() {
             return Ok(());
         }
-        Err(StageError::failed(
+        Err(Error::unusable(
             "`[job.geometry]` requests coordinates, but this recording is not georeferenced",
             "set its `trajectory`, or remove `crs`, `geoid` and `unit`",
         ))
     }
 }
 
-/// Time of a shot, s: GPS time if it has one, else the instrument clock.
-fn time_s(emission: &Emission) -> f64 {
-    match emission.gps_time_s {
-        time_s if time_s.is_finite() => time_s,
-        _ => emission.clock_ps as f64 * 1e-12,
-    }
+/// Origin of the first shot, m, if the recording is in this frame.
+fn origin_m(input: &InputInfo, frame: Frame) -> Option<Vector> {
+    input.first_shot.filter(|_| input.frame == frame).map(|first| first.origin_m)
 }

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use super::output_crs::{ANYWHERE, CrsRequest, failed, read_wkt};
-use crate::stage::Result;
+use super::Result;
+use super::output_crs::{ANYWHERE, CrsRequest, read_wkt};
 use wavex_geodesy::crs::{Crs, CrsError, Named};
 use wavex_geodesy::frames::Vector;
 
@@ -33,7 +33,7 @@ pub fn is_file(word: &str) -> bool {
 /// # Errors
 /// An unknown code, a file that cannot be read, or text that is not WKT.
 pub fn wkt(word: &str, input_dir: &Path) -> Result<String> {
-    let (named, of_file) = match Named::parse(word).map_err(|error| failed(&error))? {
+    let (named, of_file) = match Named::parse(word)? {
         Some(named) => (named, None),
         None => {
             let text = read_wkt(&input_dir.join(word))?;
@@ -45,7 +45,7 @@ pub fn wkt(word: &str, input_dir: &Path) -> Result<String> {
         (Ok(_), Some(text)) => Ok(text),
         (Err(error), Some(text)) if !matches!(error, CrsError::Wkt(_)) => Ok(text),
         (Ok(crs), None) => Ok(crs.wkt()),
-        (Err(error), _) => Err(failed(&error)),
+        (Err(error), _) => Err(error.into()),
     }
 }
 

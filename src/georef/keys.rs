@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::calibration::Calibration;
 use super::mount::Mount;
-use crate::stage::{InvalidKey, Keys};
+use crate::keys::{InvalidKey, Keys};
 
 /// Table `[job.geometry]`: trajectory, mounting of the scanner, and output coordinates.
 ///

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::keys::{GeometryKeys, UnitKey};
-use crate::stage::{Result, StageError};
+use super::{Error as GeorefError, Result};
 use wavex_formats::{Error, geoid};
 use wavex_geodesy::crs::{Crs, CrsError, Named, Unit};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
@@ -21,7 +21,7 @@ pub struct CrsRequest {
 
 /// The output CRS of a recording.
 #[derive(Debug)]
-pub struct Target {
+pub struct OutputCrs {
     crs: Crs,
     wkt: String,
     first_place: Geodetic,
@@ -63,7 +63,7 @@ impl CrsRequest {
             UnitKey::Ft => Unit::foot(),
         });
         let wanted = CrsRequest { named, geoid, unit };
-        wanted.crs(ANYWHERE).map_err(|error| unusable(&error, file.as_deref()))?;
+        wanted.crs(ANYWHERE).map_err(|source| GeorefError::Crs { file, source })?;
         Ok(wanted)
     }
 
@@ -96,10 +96,10 @@ impl CrsRequest {
     }
 
     /// The CRS for a recording whose first shot is at this earth-centred position, m.
-    pub(super) fn at(&self, first_m: Vector) -> Result<Target> {
+    pub(super) fn at(&self, first_m: Vector) -> Result<OutputCrs> {
         let first_place = WGS84.geodetic_of(first_m);
-        let crs = self.crs(first_place).map_err(|error| failed(&error))?;
-        Ok(Target { wkt: crs.wkt(), crs, first_place })
+        let crs = self.crs(first_place)?;
+        Ok(OutputCrs { wkt: crs.wkt(), crs, first_place })
     }
 
     /// Whether this CRS is equivalent to that of a recording, judged by one point.
@@ -116,19 +116,12 @@ impl CrsRequest {
 /// The coordinate system named by the keys, and its file if it is WKT.
 fn named(keys: &GeometryKeys, input_dir: &Path) -> Result<(Named, Option<PathBuf>)> {
     let Some(word) = &keys.crs else { return Ok((Named::Utm, None)) };
-    match Named::parse(word).map_err(|error| failed(&error))? {
+    match Named::parse(word)? {
         Some(named) => Ok((named, None)),
         None => {
             let file = input_dir.join(word);
             Ok((Named::Wkt(read_wkt(&file)?), Some(file)))
         }
-    }
-}
-
-fn unusable(error: &CrsError, file: Option<&Path>) -> StageError {
-    match file {
-        Some(file) => failed(&format_args!("{}: {error}", file.display())),
-        None => failed(error),
     }
 }
 
@@ -145,7 +138,7 @@ pub fn check_crs(keys: &GeometryKeys, input_dir: &Path) -> Result<()> {
         return Ok(());
     }
     let (named, file) = named(keys, input_dir)?;
-    Crs::new(&named, ANYWHERE, None, None).map_err(|error| unusable(&error, file.as_deref()))?;
+    Crs::new(&named, ANYWHERE, None, None).map_err(|source| GeorefError::Crs { file, source })?;
     Ok(())
 }
 
@@ -163,21 +156,21 @@ pub(super) fn read_wkt(path: &Path) -> Result<String> {
     Ok(std::fs::read_to_string(path).map_err(Error::io(path, "read the WKT of `crs`"))?)
 }
 
-impl Target {
+impl OutputCrs {
     /// Coordinates of an earth-centred position, m.
     ///
     /// # Errors
     /// A point that cannot be projected, or outside the geoid; the message names it.
     pub fn coordinates(&self, ecef_m: Vector) -> Result<Vector> {
-        self.crs.from_ecef(ecef_m).map_err(|error| failed(&error))
+        Ok(self.crs.from_ecef(ecef_m)?)
     }
 
     /// Converts earth-centred positions, m, to coordinates in place.
     ///
     /// # Errors
-    /// As [`Target::coordinates`].
+    /// As [`OutputCrs::coordinates`].
     pub fn replace(&self, ecef_m: &mut [Vector]) -> Result<()> {
-        self.crs.replace_ecef(ecef_m).map_err(|error| failed(&error))
+        Ok(self.crs.replace_ecef(ecef_m)?)
     }
 
     /// WKT 1 for outputs, with a vertical part for heights above a geoid.
@@ -199,11 +192,4 @@ impl Target {
             .is_geodetic()
             .then_some(([DEGREES_STEP, DEGREES_STEP, LENGTH_STEP], [longitude, latitude, 0.0]))
     }
-}
-
-/// Converts an error of `geo`, whose text has problem and remedy.
-pub(super) fn failed(error: &dyn std::fmt::Display) -> StageError {
-    let text = error.to_string();
-    let (problem, remedy) = text.split_once("; ").unwrap_or((&text, "check `[job.geometry]`"));
-    StageError::failed(problem, remedy)
 }

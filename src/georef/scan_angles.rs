@@ -19,14 +19,14 @@ use wavex_signal::sensor_path::{Beam, Window};
 const REACH: usize = 4;
 
 /// Whether any shot of a line lacks a scan angle.
-pub(super) fn are_unknown(emissions: &[Emission]) -> bool {
+pub fn are_unknown(emissions: &[Emission]) -> bool {
     emissions.iter().any(|emission| emission.scan_angle_deg.is_nan())
 }
 
 /// Sets the mirror direction of a line's shots from their scan angles.
 ///
 /// A shot whose angle is constant or unknown keeps its flag.
-pub(super) fn set_directions(emissions: &mut [Emission]) {
+pub fn set_directions(emissions: &mut [Emission]) {
     let sign = |pair: &[Emission]| match pair {
         [from, to] if to.scan_angle_deg > from.scan_angle_deg => 1,
         [from, to] if to.scan_angle_deg < from.scan_angle_deg => -1,
@@ -87,7 +87,7 @@ const MOST_HELD_LINES: usize = 256;
 /// Completes scan angles of lines in a projected CRS or on the earth; holds lines until the course
 /// is known.
 #[derive(Debug, Default)]
-pub(super) struct ScanAngles {
+pub struct ScanAngles {
     course: Course,
     held: VecDeque<ScanLine>,
     held_bytes: usize,
@@ -99,7 +99,7 @@ pub(super) struct ScanAngles {
 
 impl ScanAngles {
     /// Adds a line.
-    pub(super) fn push(&mut self, batch: ScanLine) {
+    pub fn push(&mut self, batch: ScanLine) {
         let is_placed = matches!(batch.input.frame, Frame::Map | Frame::Earth);
         if !is_placed || !are_unknown(&batch.emissions) {
             self.release();
@@ -116,18 +116,18 @@ impl ScanAngles {
     }
 
     /// The next line to emit.
-    pub(super) fn pop(&mut self) -> Option<ScanLine> {
+    pub fn pop(&mut self) -> Option<ScanLine> {
         self.ready.pop_front()
     }
 
     /// Ends the input.
-    pub(super) fn finish(&mut self) {
+    pub fn finish(&mut self) {
         self.course.settle();
         self.release();
     }
 
     /// Whether any line was emitted without scan angles.
-    pub(super) fn gave_up(&self) -> bool {
+    pub fn gave_up(&self) -> bool {
         self.gave_up
     }
 

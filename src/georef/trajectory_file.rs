@@ -2,12 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
+use super::Result;
 use super::keys::{AnglesKey, GeometryKeys, HeightsKey, TimeKey};
-use super::output_crs::{CrsRequest, failed};
-use crate::stage::Result;
+use super::output_crs::CrsRequest;
 use wavex_formats::trajectory::{self, Angles, Options, Records, Unproject};
+use wavex_geodesy::crs::CrsError;
 use wavex_geodesy::ellipsoid::Geodetic;
-use wavex_geodesy::time_axis::{Clock, Times};
+use wavex_geodesy::time_axis::{Clock, TimeSpan};
 use wavex_geodesy::trajectory::{Gap, Trajectory};
 
 /// A trajectory and its files.
@@ -17,7 +18,7 @@ pub(super) struct Track {
     accuracy: Option<PathBuf>,
     pub(super) trajectory: Trajectory,
     /// Time span.
-    pub(super) times: Times,
+    pub(super) times: TimeSpan,
     pub(super) knows_accuracy: bool,
     /// Notes for the user.
     pub(super) notes: Vec<String>,
@@ -55,8 +56,7 @@ impl Track {
                     let place = &mut sample.place;
                     let [latitude, longitude] =
                         [place.latitude_rad, place.longitude_rad].map(f64::to_degrees);
-                    place.height_m +=
-                        wanted.undulation_m(latitude, longitude).map_err(|error| failed(&error))?;
+                    place.height_m += wanted.undulation_m(latitude, longitude).map_err(CrsError::from)?;
                 }
             }
             Records::Projected(_) if keys.trajectory_heights.is_none() => notes.push(heights_note(keys)),

@@ -8,9 +8,10 @@ use toml::de::DeValue;
 
 use super::JobError;
 use super::draft::DraftStage;
+use crate::keys::listed;
 use crate::registry::find_in;
 use crate::scan_line::Kind;
-use crate::stage::{RoleName, StageSpec, listed};
+use crate::stage::{RoleName, StageSpec};
 
 /// A stage as far as the check of the chain needs it.
 pub(super) struct Link {

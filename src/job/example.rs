@@ -2,8 +2,9 @@
 
 use super::JobSettings;
 use super::manual::{first_sentence, summary, toml_text};
+use crate::keys::Keys;
 use crate::registry::find_in;
-use crate::stage::{Keys, StageSpec};
+use crate::stage::StageSpec;
 
 /// Stages of the job; unknown ones are omitted.
 const CHAIN: &[&str] = &["read_las", "calibrate", "decompose", "georeference", "write_las", "write_lstat"];

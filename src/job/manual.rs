@@ -6,7 +6,8 @@ use serde_json::Value;
 
 use super::JobSettings;
 use crate::georef::GeometryKeys;
-use crate::stage::{Key, Keys, RoleName, StageSpec, listed};
+use crate::keys::{Key, Keys, listed};
+use crate::stage::{RoleName, StageSpec};
 
 /// Renders the manual of these stages in Markdown (`docs/stages.md`).
 pub fn manual(stages: &[&'static StageSpec]) -> String {

@@ -9,7 +9,8 @@ use super::draft::{Draft, DraftStage, syntax_error};
 use super::sources::Sources;
 use super::validate::only_text;
 use super::{JobError, JobSettings};
-use crate::stage::{Keys, StageSpec, listed};
+use crate::keys::{Keys, listed};
+use crate::stage::StageSpec;
 
 /// A value set from outside the text: `STAGE.KEY=VALUE`.
 ///
@@ -108,7 +109,7 @@ fn bare<'t>(key: &'t str, written: &'t str, padded: &str) -> Option<(Key<'t>, Sp
         Spanned::new(start..start + name.len(), Cow::Borrowed(name))
     });
     let mut names: Vec<Key> = spanned.collect();
-    // A dotted path stands for nested tables.
+    // A dotted path names nested tables.
     let inner = names.split_off(1);
     let value = inner.into_iter().rfold(value, |value, name| {
         Spanned::new(name.span().start..value_end, DeValue::Table(DeTable::from_iter([(name, value)])))

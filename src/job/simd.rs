@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::stage::listed;
+use crate::keys::listed;
 use wavex_signal::lockstep::SimdLevel;
 
 /// SIMD instruction set of a processor.

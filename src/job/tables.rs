@@ -9,7 +9,8 @@ use toml::de::{DeTable, DeValue};
 use super::draft::DraftStage;
 use super::page::REPORT_IS_A_NAME;
 use super::{JobError, JobSettings, JobStage, validate};
-use crate::stage::{ConfigError, InvalidKey, Keys};
+use crate::keys::{InvalidKey, Keys};
+use crate::stage::ConfigError;
 
 /// A parsed stage with the positions of its texts.
 pub(super) struct Stage {

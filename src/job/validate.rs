@@ -12,7 +12,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::JobError;
 use super::manual::first_sentence;
-use crate::stage::{Keys, bounds, choices, takes};
+use crate::keys::{Keys, bounds, choices, takes};
 
 /// Finds errors in the keys of `table`; errors call the table `owner`, such as "`decompose`".
 pub(super) fn check(owner: &str, keys: &Keys, table: &Spanned<DeTable>) -> Vec<JobError> {

@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
+use wavex_geodesy::frames::Vector;
 use wavex_geodesy::time::TimeScale;
+use wavex_geodesy::time_axis::Alignment;
 use wavex_geodesy::vertical::Frame;
 
 /// Metadata of an input, shared by all stages of a run.
@@ -58,6 +60,8 @@ pub struct InputInfo {
     /// They are then the origin of ranges. Otherwise they are points on the beams near the
     /// waveforms, and ranges count from there.
     pub origin_is_sensor: bool,
+    /// First shot; `None` before it.
+    pub first_shot: Option<FirstShot>,
     /// Amplitude table of the low-power channel: digitiser steps to dB.
     pub amplitude_low: Option<AmplitudeTable>,
     /// Amplitude table of the high-power channel: digitiser steps to dB.
@@ -98,12 +102,24 @@ impl Default for InputInfo {
             coordinate_grid: None,
             emission_reference: EmissionReference::Clock,
             origin_is_sensor: true,
+            first_shot: None,
             amplitude_low: None,
             amplitude_high: None,
             range_low: None,
             range_high: None,
         }
     }
+}
+
+/// First shot of a recording.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FirstShot {
+    /// Origin in the frame of the recording, m.
+    pub origin_m: Vector,
+    /// GPS time if it has one, else time of the instrument clock, s.
+    pub time_s: f64,
+    /// Maps times of the recording to those of its trajectory.
+    pub alignment: Option<Alignment>,
 }
 
 /// Automatic gain control of a recording.

@@ -9,7 +9,7 @@ pub enum Channel {
     HighPower,
     /// Low-power receiver, for weak echoes (RIEGL: LO).
     LowPower,
-    /// A receiver that only tells of saturation.
+    /// A receiver that only indicates saturation.
     Saturation,
     /// The outgoing pulse.
     Reference,
@@ -42,6 +42,13 @@ pub struct Emission {
     pub mta_zone: Option<i16>,
     /// Scan angle, degrees, NaN where unknown; positive to the right of the flight direction.
     pub scan_angle_deg: f32,
+}
+
+impl Emission {
+    /// GPS time if it has one, else time of the instrument clock, s.
+    pub fn time_s(&self) -> f64 {
+        if self.gps_time_s.is_finite() { self.gps_time_s } else { self.clock_ps as f64 * 1e-12 }
+    }
 }
 
 impl Default for Emission {

@@ -51,7 +51,7 @@ pub struct Context {
     /// Finished files that get their final names at the end of the run.
     pub(crate) whole: Vec<FinishedFile>,
     /// Messages of all workers and inputs of the run, so that each is logged once.
-    said: Arc<Mutex<BTreeSet<String>>>,
+    logged: Arc<Mutex<BTreeSet<String>>>,
     /// Shots to show on the report page, if there is one.
     pub(crate) gallery: Option<Gallery>,
 }
@@ -75,13 +75,13 @@ impl Context {
     /// Context of another worker of the same run.
     pub(crate) fn another(&self) -> Context {
         let gallery = self.gallery.is_some().then(Gallery::default);
-        Context { said: Arc::clone(&self.said), gallery, ..Context::default() }
+        Context { logged: Arc::clone(&self.logged), gallery, ..Context::default() }
     }
 
     /// Context of one input of the same run, with or without a gallery.
     pub(crate) fn of_input(&self, with_gallery: bool) -> Context {
         let gallery = with_gallery.then(Gallery::default);
-        Context { said: Arc::clone(&self.said), gallery, ..Context::default() }
+        Context { logged: Arc::clone(&self.logged), gallery, ..Context::default() }
     }
 
     /// Gallery of shots for the report page, if there is one.
@@ -91,7 +91,7 @@ impl Context {
 
     /// Drops `n` items for a reason.
     ///
-    /// This and [`Context::set_aside`] are the only ways to drop items.
+    /// This and [`Context::reject_expected`] are the only ways to drop items.
     pub fn reject(&mut self, item: Item, reason: &'static str, n: u64) {
         if n > 0 {
             *self.counters.rejected.entry((item, reason)).or_default() += n;
@@ -101,7 +101,7 @@ impl Context {
     /// Drops `n` items whose loss is expected.
     ///
     /// Counted as rejected, but no reason for a warning.
-    pub fn set_aside(&mut self, item: Item, reason: &'static str, n: u64) {
+    pub fn reject_expected(&mut self, item: Item, reason: &'static str, n: u64) {
         if n > 0 {
             self.counters.set_aside.insert((item, reason));
         }
@@ -121,8 +121,8 @@ impl Context {
     }
 
     /// Warns the user once per run: in the log and in the report.
-    pub fn note(&mut self, text: impl AsRef<str> + Into<String>) {
-        if self.counters.notes.iter().any(|said| said == text.as_ref()) {
+    pub fn warn(&mut self, text: impl AsRef<str> + Into<String>) {
+        if self.counters.notes.iter().any(|note| note == text.as_ref()) {
             return;
         }
         let text = text.into();
@@ -132,8 +132,8 @@ impl Context {
         self.counters.notes.push(text);
     }
 
-    /// Reports a finding like [`Context::note`], but not as a warning.
-    pub fn tell(&mut self, text: impl Into<String>) {
+    /// Reports a finding like [`Context::warn`], but not as a warning.
+    pub fn info(&mut self, text: impl Into<String>) {
         let text = text.into();
         if self.counters.findings.contains(&text) {
             return;
@@ -146,11 +146,11 @@ impl Context {
 
     /// Returns whether no worker of the run has given this message before.
     fn is_new(&self, text: &str) -> bool {
-        self.said.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).insert(text.to_owned())
+        self.logged.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).insert(text.to_owned())
     }
 
     /// Keeps a finished file until every stage has succeeded; it then gets its final name.
-    pub fn keep(&mut self, file: FinishedFile) {
+    pub fn publish(&mut self, file: FinishedFile) {
         self.whole.push(file);
     }
 
@@ -297,19 +297,19 @@ mod tests {
     #[test]
     fn a_note_is_said_once() {
         let mut cx = Context::default();
-        cx.note("no outgoing pulse");
-        cx.note("no outgoing pulse");
+        cx.warn("no outgoing pulse");
+        cx.warn("no outgoing pulse");
         assert_eq!(cx.counters.notes, ["no outgoing pulse"]);
     }
 
     #[test]
     fn what_is_no_warning_is_told_apart() {
         let mut cx = Context::default();
-        cx.tell("3 echoes in zone 1");
-        cx.tell("3 echoes in zone 1");
+        cx.info("3 echoes in zone 1");
+        cx.info("3 echoes in zone 1");
         cx.reject(Item::Blocks, "cut off", 1);
-        cx.set_aside(Item::Blocks, "recorded twice", 2);
-        cx.set_aside(Item::Shots, "recorded twice", 0);
+        cx.reject_expected(Item::Blocks, "recorded twice", 2);
+        cx.reject_expected(Item::Shots, "recorded twice", 0);
         let mut counters = Counters::default();
         counters.merge(cx.counters);
         assert_eq!(

@@ -29,7 +29,7 @@ impl Survey {
         self.lines.push(batch);
         let is_full = self.bytes > out.may_hold_bytes();
         if is_full && self.waveforms < self.wanted {
-            out.cx.note(format!(
+            out.cx.warn(format!(
                 "{done} from {} waveforms instead of {}: more do not fit into memory_mb",
                 self.waveforms, self.wanted
             ));

@@ -116,7 +116,7 @@ impl FinishedFile {
     /// Names companion files of the earlier output, such as its index.
     ///
     /// They are removed before this file gets its final name, so they never appear next to it.
-    pub fn instead_of(self, stale: impl IntoIterator<Item = PathBuf>) -> FinishedFile {
+    pub fn replacing(self, stale: impl IntoIterator<Item = PathBuf>) -> FinishedFile {
         FinishedFile { stale: stale.into_iter().collect(), ..self }
     }
 
@@ -127,7 +127,7 @@ impl FinishedFile {
     ///
     /// # Errors
     /// If the system refuses.
-    pub fn make_way(&mut self) -> Result<()> {
+    pub fn remove_stale(&mut self) -> Result<()> {
         for path in std::mem::take(&mut self.stale) {
             match fs::remove_file(&path) {
                 // A folder of this name is not a companion file.
@@ -145,7 +145,7 @@ impl FinishedFile {
     /// # Errors
     /// If the system refuses.
     pub fn publish(mut self) -> Result<PathBuf> {
-        self.make_way()?;
+        self.remove_stale()?;
         let partial = &mut self.partial;
         fs::rename(&partial.temporary, &partial.path)
             .map_err(Error::io(&partial.path, "rename to the final name"))?;
@@ -214,7 +214,7 @@ mod tests {
         let (path, index) = (folder.path().join("a.laz"), folder.path().join("a.lax"));
         let whole = || {
             let whole = OutputFile::create(&path).unwrap().finish().unwrap();
-            whole.instead_of([index.clone(), folder.path().join("never.lax"), folder.path().to_path_buf()])
+            whole.replacing([index.clone(), folder.path().join("never.lax"), folder.path().to_path_buf()])
         };
         fs::write(&index, b"old").unwrap();
         // A failing rename shows what was done before it.
@@ -228,7 +228,7 @@ mod tests {
 
         fs::write(&index, b"old").unwrap();
         let mut file = whole();
-        file.make_way().unwrap();
+        file.remove_stale().unwrap();
         assert!(!index.exists());
         fs::write(&index, b"new").unwrap();
         file.publish().unwrap();

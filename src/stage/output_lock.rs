@@ -49,7 +49,7 @@ fn claimed() -> MutexGuard<'static, BTreeSet<PathBuf>> {
 }
 
 /// Releases all claims of this process before an immediate exit.
-pub fn give_up_claims() {
+pub fn release_all() {
     let paths = claimed().clone();
     for path in &paths {
         give_up(path);
@@ -73,7 +73,7 @@ impl OutputLock {
     ///
     /// # Errors
     /// If another run is writing one of the outputs, or a folder is not writable.
-    pub fn take(outputs: &Outputs) -> Result<OutputLock> {
+    pub fn acquire(outputs: &Outputs) -> Result<OutputLock> {
         let mut lock = OutputLock::default();
         for (folder, paths) in outputs {
             fs::create_dir_all(folder).map_err(Error::io(folder, "create the folder"))?;
@@ -277,17 +277,17 @@ mod tests {
     fn the_same_output_is_refused_while_its_run_lives_and_others_are_not() {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path();
-        let first = OutputLock::take(&outputs(folder, &["a.laz", "lines/a.txt"])).unwrap();
-        let error = OutputLock::take(&outputs(folder, &["b.laz", "lines/a.txt"])).unwrap_err().to_string();
+        let first = OutputLock::acquire(&outputs(folder, &["a.laz", "lines/a.txt"])).unwrap();
+        let error = OutputLock::acquire(&outputs(folder, &["b.laz", "lines/a.txt"])).unwrap_err().to_string();
         let expected = format!(
             "{} is being written by another run (process {}); wait until it ends, or choose another folder with `output_dir`",
             folder.join("lines/a.txt").display(),
             std::process::id()
         );
         assert_eq!(error, expected);
-        let other = OutputLock::take(&outputs(folder, &["b.laz"])).unwrap();
+        let other = OutputLock::acquire(&outputs(folder, &["b.laz"])).unwrap();
         drop(first);
-        let again = OutputLock::take(&outputs(folder, &["a.laz"])).unwrap();
+        let again = OutputLock::acquire(&outputs(folder, &["a.laz"])).unwrap();
         drop((other, again));
         assert_eq!(names(folder), Vec::<String>::new(), "no files remain");
     }
@@ -302,7 +302,7 @@ mod tests {
         fs::create_dir(folder.join(".archive.77.partial")).unwrap();
         fs::write(folder.join(".archive.77.partial/job.toml"), "half").unwrap();
         fs::write(folder.join(".b.laz.78.partial"), "of somebody else").unwrap();
-        drop(OutputLock::take(&outputs(folder, &["a.laz"])).unwrap());
+        drop(OutputLock::acquire(&outputs(folder, &["a.laz"])).unwrap());
         assert_eq!(names(folder), [".b.laz.78.partial"]);
     }
 
@@ -313,7 +313,7 @@ mod tests {
         fs::write(&path, "[").unwrap();
         let held = File::open(&path).unwrap();
         held.lock().unwrap();
-        let error = OutputLock::take(&outputs(folder.path(), &["a.laz"])).unwrap_err().to_string();
+        let error = OutputLock::acquire(&outputs(folder.path(), &["a.laz"])).unwrap_err().to_string();
         assert!(error.contains("a.laz is being written by another run (process 77); "), "{error}");
     }
 
@@ -321,7 +321,7 @@ mod tests {
     fn a_gate_that_was_given_up_and_not_removed_is_in_nobodys_way() {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join(GATE), "given up\n").unwrap();
-        drop(OutputLock::take(&outputs(folder.path(), &["a.laz"])).unwrap());
+        drop(OutputLock::acquire(&outputs(folder.path(), &["a.laz"])).unwrap());
         assert_eq!(names(folder.path()), Vec::<String>::new());
     }
 
@@ -331,7 +331,7 @@ mod tests {
         let folder = folder.path();
         let won: usize = std::thread::scope(|scope| {
             let take = || {
-                let tries = (0..40).map(|_| OutputLock::take(&outputs(folder, &["a.laz"])));
+                let tries = (0..40).map(|_| OutputLock::acquire(&outputs(folder, &["a.laz"])));
                 tries.filter(|taken| taken.is_ok()).count()
             };
             let threads: Vec<_> = (0..4).map(|_| scope.spawn(take)).collect();

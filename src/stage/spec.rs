@@ -6,7 +6,8 @@ use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{Keys, Map, Paths, Result, RunContext, Sink, Source, Transform};
+use super::{Map, Paths, Result, RunContext, Sink, Source, Transform};
+use crate::keys::{InvalidKey, Keys};
 use crate::scan_line::Kind;
 
 /// Keys of a stage.
@@ -34,27 +35,6 @@ pub trait Config: DeserializeOwned + Serialize + JsonSchema + Send + Sync + 'sta
     /// Keys that concern only this machine and do not affect results; archives omit them.
     fn local_keys(&self) -> &'static [&'static str] {
         &[]
-    }
-}
-
-/// A key with an invalid value.
-#[derive(Debug, PartialEq)]
-pub struct InvalidKey {
-    /// Name of the key.
-    pub key: &'static str,
-    /// The problem with its value.
-    pub problem: String,
-}
-
-impl InvalidKey {
-    /// Creates an error for a key.
-    pub fn new(key: &'static str, problem: impl Into<String>) -> InvalidKey {
-        InvalidKey { key, problem: problem.into() }
-    }
-
-    /// Returns an error unless `holds`.
-    pub fn unless(holds: bool, key: &'static str, problem: &str) -> std::result::Result<(), InvalidKey> {
-        if holds { Ok(()) } else { Err(InvalidKey::new(key, problem)) }
     }
 }
 

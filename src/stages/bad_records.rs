@@ -32,7 +32,7 @@ impl BrokenRun {
             Err(error) => {
                 cx.reject(item, reason, 1);
                 if !std::mem::replace(&mut self.told, true) {
-                    cx.note(format!("{reason} was rejected; further ones are only counted: {error}"));
+                    cx.warn(format!("{reason} was rejected; further ones are only counted: {error}"));
                 }
                 self.first.get_or_insert(error);
                 Ok(false)

@@ -7,10 +7,11 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::keys::InvalidKey;
 use crate::scan_line::{Channel, InputInfo, Kind, ScanLine};
 use crate::stage::{
-    Config, Holds, InvalidKey, Output, OutputFile, Result, RunContext, StageError, StageSpec, Survey,
-    Transform, TransformConfig,
+    Config, Holds, Output, OutputFile, Result, RunContext, StageError, StageSpec, Survey, Transform,
+    TransformConfig,
 };
 pub use presets::Preset;
 use wavex_formats::Error;
@@ -243,7 +244,7 @@ impl Calibrator {
             let text = serde_json::to_string_pretty(&**model)
                 .map_err(|error| StageError::failed(error.to_string(), "please report this bug in wavex"))?;
             writeln!(file, "{text}").map_err(Error::io(file.path(), "write"))?;
-            out.cx.keep(file.finish()?);
+            out.cx.publish(file.finish()?);
         }
         Ok(())
     }
@@ -267,7 +268,7 @@ impl Calibrator {
         })
     }
 
-    /// Completes a channel's model: without a response of its own, it gets that of the other
+    /// Completes a channel's model: without its own response, it gets that of the other
     /// receiver, or a Gaussian.
     fn completed(
         &self,
@@ -285,7 +286,7 @@ impl Calibrator {
             Some(_) => "use the system response of the other receiver".to_owned(),
             None => format!("are modelled as Gaussians with a width of {:.2} ns", model.pulse_fwhm_ns),
         };
-        out.cx.note(format!(
+        out.cx.warn(format!(
             "{}: pulses {pulses}: {}",
             name(channel),
             match *usable_echoes {
@@ -306,7 +307,7 @@ impl Calibrator {
             echoes.into_iter().flat_map(|channel| self.blocks(channel)).flat_map(|block| block.samples);
         if let (false, Some(&highest)) = (is_known, samples.max()) {
             let scale = (u32::from(highest) + 1).next_power_of_two().max(256) - 1;
-            out.cx.note(format!(
+            out.cx.warn(format!(
                 "the full scale of the digitiser is unknown: no pulse counts as clipped or overdriven; \
                  the highest sample is {highest} DN: set the reader's key `full_scale_dn` ({scale} for {} bits)",
                 (scale + 1).ilog2()
@@ -331,7 +332,7 @@ impl Calibrator {
             Ok(found) => Ok(Some(found)),
             Err(CalibrationError::TooFewBlocks { found: 0, .. }) => Ok(None),
             Err(error @ CalibrationError::TooFewBlocks { .. }) => {
-                out.cx.note(format!("{} was not calibrated and is not used: {error}", name(channel)));
+                out.cx.warn(format!("{} was not calibrated and is not used: {error}", name(channel)));
                 Ok(None)
             }
             Err(error) => Err(failed(channel, &error)),
@@ -376,7 +377,7 @@ impl Calibrator {
             return Ok(());
         }
         if self.config.preset.is_some() {
-            out.cx.note("the sensor model is a preset, measured on another instrument of this type: background, noise and pulse shape may differ; calibrate if the recording has 200 waveforms");
+            out.cx.warn("the sensor model is a preset, measured on another instrument of this type: background, noise and pulse shape may differ; calibrate if the recording has 200 waveforms");
         }
         let input = &batch.input;
         let channels = [
@@ -391,7 +392,7 @@ impl Calibrator {
                         .blocks()
                         .is_some_and(|blocks| blocks.iter().any(|block| block.channel == channel))
                 {
-                    out.cx.note(format!(
+                    out.cx.warn(format!(
                         "the loaded model lacks {}: its waveforms are not decomposed; recalibrate",
                         name(channel)
                     ));
@@ -409,10 +410,10 @@ impl Calibrator {
                 ));
             }
             if known.digitiser != self.digitiser(channel, input) {
-                out.cx.note("the loaded model was calibrated with an odd_sample_shift, decay_amplitude or decay_time_ns that differs from this job: the values of the model are used");
+                out.cx.warn("the loaded model was calibrated with an odd_sample_shift, decay_amplitude or decay_time_ns that differs from this job: the values of the model are used");
             }
             if input.full_scale_dn.is_some_and(|dn| f64::from(dn) != known.full_scale_dn) {
-                out.cx.note("the loaded model was calibrated with a full scale that differs from the recording: the value of the model is used");
+                out.cx.warn("the loaded model was calibrated with a full scale that differs from the recording: the value of the model is used");
             }
         }
         let (config, default) = (&self.config, Calibrate::default());
@@ -420,7 +421,7 @@ impl Calibrator {
             || config.background != default.background
             || config.response != default.response;
         if is_asked {
-            out.cx.note("`waveforms`, `background` and `response` of calibrate have no effect with `load` or `preset`: remove them, or recalibrate");
+            out.cx.warn("`waveforms`, `background` and `response` of calibrate have no effect with `load` or `preset`: remove them, or recalibrate");
         }
         Ok(())
     }

@@ -78,6 +78,7 @@ pub(super) fn info_of(
         format,
         instrument: header.instrument.clone(),
         serial: header.serial.clone(),
+        first_shot: None,
         sampling_interval_ns: header.sampling_interval_ns,
         odd_sample_shift: 0.0,
         full_scale_dn: header.full_scale_dn,

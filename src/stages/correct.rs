@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize};
 
 use super::calibrate::Auto;
 use super::decompose::Threshold;
+use crate::keys::InvalidKey;
 use crate::scan_line::{Content, Kind, ScanLine};
 use crate::stage::{
-    Config, Holds, InvalidKey, Output, Result, RunContext, StageError, StageSpec, Survey, Transform,
-    TransformConfig,
+    Config, Holds, Output, Result, RunContext, StageError, StageSpec, Survey, Transform, TransformConfig,
 };
 use wavex_formats::lookup_tables::LookupTables;
 

@@ -5,9 +5,10 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::keys::InvalidKey;
 use crate::overview::{Gallery, ShownReturn, ShownShot};
 use crate::scan_line::{Blocks, Content, Emission, Kind, LineStats, Return, Returns, ScanLine};
-use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, RunContext, StageError, StageSpec};
+use crate::stage::{Config, Context, Map, MapConfig, Result, RunContext, StageError, StageSpec};
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::lockstep::SimdLevel;
 use wavex_signal::sensor_model::SensorModel;

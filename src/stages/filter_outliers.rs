@@ -3,8 +3,9 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::keys::InvalidKey;
 use crate::scan_line::{Kind, ScanLine};
-use crate::stage::{Config, InvalidKey, Output, Result, RunContext, StageSpec, Transform, TransformConfig};
+use crate::stage::{Config, Output, Result, RunContext, StageSpec, Transform, TransformConfig};
 
 mod geometry;
 mod line_window;

@@ -6,9 +6,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::calibrate::AutoOrNumber;
+use crate::keys::InvalidKey;
 use crate::scan_line::{Block, Blocks, Channel, Content, Kind, ScanLine};
 use crate::stage::{
-    Config, Holds, InvalidKey, Output, Result, RunContext, StageSpec, Survey, Transform, TransformConfig,
+    Config, Holds, Output, Result, RunContext, StageSpec, Survey, Transform, TransformConfig,
 };
 use wavex_signal::decompose::OVERDRIVEN_PART;
 use wavex_signal::fusion::{ChannelFusion, MIN_PAIRS, Pair, estimate, lead_noise_sd_dn, plain_peak};
@@ -152,7 +153,7 @@ impl Fuser {
     fn found(&self, out: &mut Output) -> Option<ChannelFusion> {
         let one = |channel| self.survey.samples(channel).next().is_none();
         if one(Channel::LowPower) || one(Channel::HighPower) {
-            out.cx.note("the recording has one receiver: there is nothing to fuse");
+            out.cx.warn("the recording has one receiver: there is nothing to fuse");
             return None;
         }
         let lines = self.survey.lines();
@@ -167,7 +168,7 @@ impl Fuser {
         match estimate(&pairs, f64::from(full_scale_dn), noise_dn) {
             Some(found) => Some(self.with_given(found)),
             None => {
-                out.cx.note(format!(
+                out.cx.warn(format!(
                     "the receivers are not fused: {MIN_PAIRS} strong unsaturated echoes in both receivers are needed, but fewer of the \
                      {} unsaturated echoes were strong enough in the high power receiver; set \
                      `gain_ratio` and `delay_ns`",

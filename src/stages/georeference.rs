@@ -7,10 +7,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::georef::Geometry;
 use crate::georef::calibration::is_on_low_power_scale;
-use crate::georef::output_crs::Target;
+use crate::georef::output_crs::OutputCrs;
 use crate::georef::scan_angles::complete_in_own_axes;
+use crate::keys::InvalidKey;
 use crate::scan_line::{Content, Emission, Frame, InputInfo, Kind, Return, ScanLine};
-use crate::stage::{Config, Context, InvalidKey, Map, MapConfig, Result, RunContext, StageError, StageSpec};
+use crate::stage::{Config, Context, Map, MapConfig, Result, RunContext, StageError, StageSpec};
 use wavex_geodesy::frames::Vector;
 
 mod above_ground;
@@ -65,6 +66,7 @@ impl MapConfig for Georeference {
         Ok(Box::new(Georeferencer {
             geometry: Arc::clone(&site.geometry),
             dummy_velocity_mps: self.dummy_velocity_mps,
+            target: None,
             input: None,
         }))
     }
@@ -73,6 +75,8 @@ impl MapConfig for Georeference {
 struct Georeferencer {
     geometry: Arc<Geometry>,
     dummy_velocity_mps: f64,
+    /// Output CRS.
+    target: Option<OutputCrs>,
     /// Metadata of the incoming lines, and of the outgoing lines.
     input: Option<[Arc<InputInfo>; 2]>,
 }
@@ -92,21 +96,21 @@ impl Map for Georeferencer {
             .filter(|_| batch.input.origin_is_sensor)
             .and_then(|level| level.agl_m(&batch.emissions, &returns, &points));
         match frame {
-            Frame::Map => self.geometry.keep_map(batch.input.crs_wkt.as_deref())?,
+            Frame::Map => self.keep_map(&batch.input)?,
             Frame::Earth => {
-                Uncertainty::new(&self.geometry).tell(&batch.emissions, &points, &mut returns);
+                Uncertainty::new(&self.geometry, &batch.input).set(&batch.emissions, &points, &mut returns);
                 self.project(&mut batch.input, &mut points)?;
             }
             Frame::Scanner | Frame::Body => {
                 self.geometry.keep_frame()?;
-                cx.note(match frame {
+                cx.warn(match frame {
                     Frame::Body => {
                         "the input is not georeferenced: its points are in the body frame of the aircraft"
                     }
                     _ => "the input is not georeferenced: its points are in the scanner frame",
                 });
                 complete_in_own_axes(frame, &mut batch.emissions);
-                self.spread(&batch.emissions, &returns, &mut points);
+                self.spread(&batch.input, &batch.emissions, &returns, &mut points);
             }
         }
         batch.stats.n_georef = points.len() as u64;
@@ -120,7 +124,7 @@ impl Georeferencer {
     fn correct_ranges(&self, input: &InputInfo, returns: &mut [Return], fused: bool, cx: &mut Context) {
         let mut calibration = *self.geometry.installation().calibration();
         if !input.origin_is_sensor && calibration.e1 != 0.0 {
-            cx.note(
+            cx.warn(
                 "ranges are not corrected by `e1`: the recording does not contain the sensor position, and ranges count \
                  from a point near the waveform; remove `e1` from the calibration",
             );
@@ -134,33 +138,40 @@ impl Georeferencer {
     /// Converts points from the earth-centred frame to the output CRS.
     fn project(&mut self, input: &mut Arc<InputInfo>, points: &mut [Vector]) -> Result<()> {
         // Without a first shot there are no points.
-        let Some(target) = self.geometry.target()? else { return Ok(()) };
+        if self.target.is_none() {
+            self.target = self.geometry.target(input)?;
+        }
+        let Some(target) = &self.target else { return Ok(()) };
         target.replace(points)?;
-        *input = self.info(input, &target);
+        *input = match &self.input {
+            Some([from, to]) if Arc::ptr_eq(from, input) => Arc::clone(to),
+            _ => {
+                let (crs_wkt, coordinate_grid) = (Some(target.wkt().to_owned()), target.grid());
+                let to = Arc::new(InputInfo { crs_wkt, coordinate_grid, ..InputInfo::clone(input) });
+                self.input = Some([Arc::clone(input), Arc::clone(&to)]);
+                to
+            }
+        };
         Ok(())
     }
 
-    /// Metadata of the recording with the CRS of its points.
-    fn info(&mut self, input: &Arc<InputInfo>, target: &Target) -> Arc<InputInfo> {
-        if let Some([from, to]) = &self.input
-            && Arc::ptr_eq(from, input)
-        {
-            return Arc::clone(to);
+    /// Checks once that points in a projected CRS may stay there.
+    fn keep_map(&mut self, input: &Arc<InputInfo>) -> Result<()> {
+        if !self.input.as_ref().is_some_and(|[from, _]| Arc::ptr_eq(from, input)) {
+            self.geometry.keep_map(input)?;
+            self.input = Some([Arc::clone(input), Arc::clone(input)]);
         }
-        let coordinate_grid = target.grid();
-        let crs_wkt = Some(target.wkt().to_owned());
-        let to = Arc::new(InputInfo { crs_wkt, coordinate_grid, ..InputInfo::clone(input) });
-        self.input = Some([Arc::clone(input), Arc::clone(&to)]);
-        to
+        Ok(())
     }
 
     /// Spreads points along a straight flight at the dummy velocity.
-    fn spread(&self, emissions: &[Emission], returns: &[Return], points: &mut [Vector]) {
+    fn spread(&self, input: &InputInfo, emissions: &[Emission], returns: &[Return], points: &mut [Vector]) {
         if self.dummy_velocity_mps == 0.0 {
             return;
         }
+        let first_s = input.first_shot.map_or(0.0, |first| first.time_s);
         for (point, r) in points.iter_mut().zip(returns) {
-            let since_s = self.geometry.since_first_s(&emissions[r.emission as usize]);
+            let since_s = emissions[r.emission as usize].time_s() - first_s;
             point[0] += self.dummy_velocity_mps * since_s;
         }
     }

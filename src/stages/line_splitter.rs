@@ -3,8 +3,8 @@
 use std::f64::consts::PI;
 use std::sync::Arc;
 
+use crate::keys::InvalidKey;
 use crate::scan_line::{Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, ScanLine, emission_flags};
-use crate::stage::InvalidKey;
 use wavex_geodesy::cone::{Cone, Turning};
 
 /// Checks the reader key `odd_sample_shift`.

@@ -9,13 +9,12 @@ use serde::{Deserialize, Serialize};
 use super::container_info::{channel_of, info_of};
 use super::line_splitter::Sampling;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
+use crate::keys::InvalidKey;
 use crate::scan_line::{
     Blocks, Emission, EmissionReference, GainControl, InputInfo, Kind, MAX_SHOTS_PER_LINE, OnlineReturn,
     ScanLine,
 };
-use crate::stage::{
-    self, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
-};
+use crate::stage::{self, Context, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 use wavex_formats::container::{
     self, ContainerBlock, ContainerLine, ContainerOnline, ContainerReader, ContainerShot,
 };
@@ -218,7 +217,7 @@ impl Source for ReadArrow {
             self.at = Some((line, 0));
         }
         if self.reader.ended_without_mark() {
-            cx.note("the Arrow stream ends without its end mark: lines may be missing");
+            cx.warn("the Arrow stream ends without its end mark: lines may be missing");
         }
         Ok(None)
     }

@@ -12,13 +12,12 @@ use serde::{Deserialize, Serialize};
 use super::bad_records::BrokenRun;
 use super::line_splitter::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
+use crate::keys::InvalidKey;
 use crate::scan_line::{
     Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, OnlineReturn, ScanLine,
     TimeScale, emission_flags,
 };
-use crate::stage::{
-    Config, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
-};
+use crate::stage::{Config, Context, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 use pulse::same_pulse;
 use wavex_formats::geokeys;
 use wavex_formats::las::{Descriptor, GpsTime, Point, Reader, Wave};
@@ -349,7 +348,7 @@ impl Source for LasSource {
                 }
                 self.broken.check_at_end()?;
                 if self.without_waveform > 0 {
-                    cx.note(without_waveform(self.without_waveform));
+                    cx.warn(without_waveform(self.without_waveform));
                 }
                 return Ok(None);
             }

@@ -10,13 +10,12 @@ use serde::{Deserialize, Serialize};
 use super::bad_records::BrokenRun;
 use super::line_splitter::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
+use crate::keys::InvalidKey;
 use crate::scan_line::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
     TimeScale, emission_flags,
 };
-use crate::stage::{
-    Config, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
-};
+use crate::stage::{Config, Context, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 use wavex_formats::geokeys;
 use wavex_formats::pulsewaves::{Kind as SegmentKind, Pulse, Reader, Segment, TimeAxis, Waves};
 use wavex_geodesy::beam_length::BeamLength;
@@ -257,7 +256,7 @@ impl Source for PulseWavesSource {
                 self.reader.check_complete()?;
                 if self.reader.stray_bytes() > 0 {
                     let stray = self.reader.stray_bytes();
-                    cx.note(format!("the {stray} bytes after the last pulse are not valid records: the file may be truncated and lack its coordinate system or tables"));
+                    cx.warn(format!("the {stray} bytes after the last pulse are not valid records: the file may be truncated and lack its coordinate system or tables"));
                 }
                 return Ok(None);
             }
@@ -362,6 +361,7 @@ fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength, around
         coordinate_grid: Some((header.scale, header.offset)),
         emission_reference,
         origin_is_sensor: anchors_are_sensor(reader),
+        first_shot: None,
         amplitude_low: amplitude_table(reader, 1),
         amplitude_high: amplitude_table(reader, 0),
         range_low: None,

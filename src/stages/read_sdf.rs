@@ -10,12 +10,11 @@ use serde::{Deserialize, Serialize};
 use super::line_splitter::{Lines, check_odd_sample_shift};
 use super::recording::time::{self, Axis, Scale, Times};
 use super::recording::{self, NO_TIME, with_time_keys};
+use crate::keys::InvalidKey;
 use crate::scan_line::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
 };
-use crate::stage::{
-    self, Context, InvalidKey, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
-};
+use crate::stage::{self, Context, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 use wavex_formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
 
 mod shot;
@@ -291,7 +290,7 @@ impl ReadSdf {
     fn last_line(&mut self, cx: &mut Context) -> Option<ScanLine> {
         let line = self.lines.take();
         if line.is_some() && self.ends_are_marked && self.window.is_none() {
-            cx.note("the file ends within a scan line: it may be truncated");
+            cx.warn("the file ends within a scan line: it may be truncated");
         }
         line
     }
@@ -362,6 +361,7 @@ fn describe(
             false => EmissionReference::Clock,
         },
         origin_is_sensor: true,
+        first_shot: None,
         amplitude_low: AmplitudeTable::new(tables.amplitude_low),
         amplitude_high: AmplitudeTable::new(tables.amplitude_high),
         range_low: AmplitudeTable::new(tables.range_low),
@@ -371,7 +371,7 @@ fn describe(
 
 impl Source for ReadSdf {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
-        self.remarks.drain(..).for_each(|remark| cx.note(remark));
+        self.remarks.drain(..).for_each(|remark| cx.warn(remark));
         loop {
             if let Some(emission) = self.waiting.take() {
                 self.add(emission);

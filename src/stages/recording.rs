@@ -7,8 +7,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::georef::declared;
+use crate::keys::InvalidKey;
 use crate::scan_line::{Content, Emission, Frame, GainControl, InputInfo, ScanLine};
-use crate::stage::{Context, InvalidKey, Item, Result, RunContext, Source, StageError};
+use crate::stage::{Context, Item, Result, RunContext, Source, StageError};
 use wavex_geodesy::time::WEEK_S;
 
 pub(super) mod time;
@@ -212,10 +213,10 @@ impl<S: Source> AsDeclared<S> {
             if keys.needs_scale() {
                 return Err(StageError::failed(problem, time::SAY_SCALE));
             }
-            cx.note(format!("{problem}; {}", time::SAY_SCALE));
+            cx.warn(format!("{problem}; {}", time::SAY_SCALE));
         }
         if from.gain_control == GainControl::NotRecorded {
-            cx.note(UNKNOWN_GAINS);
+            cx.warn(UNKNOWN_GAINS);
         }
         let about = keys.gps_date.as_deref().and_then(time::noon);
         let times = match (keys.recording_time, about) {
@@ -263,7 +264,7 @@ impl<S: Source> AsDeclared<S> {
         let place_m = first.emissions.first().map(|shot| shot.origin_m).unwrap_or_default();
         if let Some(other) = of_file.as_deref().filter(|wkt| declared::differ(wkt, declared, place_m)) {
             let [file, job] = [other, declared].map(|wkt| wkt.split('"').nth(1).unwrap_or("an unnamed CRS"));
-            cx.note(format!("the file gives {file} as its CRS; `crs_of_input` overrides it with {job}"));
+            cx.warn(format!("the file gives {file} as its CRS; `crs_of_input` overrides it with {job}"));
         }
         Ok(Some(declared.clone()))
     }

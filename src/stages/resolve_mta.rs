@@ -8,10 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use super::calibrate::Auto;
 use crate::georef::Geometry;
+use crate::keys::InvalidKey;
 use crate::scan_line::{Kind, ScanLine};
-use crate::stage::{
-    Config, InvalidKey, Output, Result, RunContext, StageError, StageSpec, Transform, TransformConfig,
-};
+use crate::stage::{Config, Output, Result, RunContext, StageError, StageSpec, Transform, TransformConfig};
 use wavex_formats::terrain::Terrain;
 use wavex_signal::mta::{Method, MtaError, Prior, Settings};
 
@@ -236,7 +235,7 @@ impl Transform for Resolving {
     fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
         let is_unresolved = batch.emissions.iter().any(|emission| emission.mta_zone.is_none());
         if !is_unresolved && !batch.emissions.is_empty() {
-            out.cx.note("lines with known zones pass through unchanged");
+            out.cx.warn("lines with known zones pass through unchanged");
             self.finish(out)?;
             return out.emit(batch);
         }

@@ -63,7 +63,7 @@ impl Source for Simulator {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         if self.line == self.lines {
             if let Some(truth) = self.truth.take() {
-                cx.keep(truth.finish()?);
+                cx.publish(truth.finish()?);
             }
             if let Some(trajectory) = self.trajectory.take() {
                 trajectory.finish(cx)?;

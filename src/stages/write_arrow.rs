@@ -7,10 +7,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::{code_of, header_of};
+use crate::keys::InvalidKey;
 use crate::scan_line::{Block, Blocks, Emission, InputInfo, Kind, ScanLine};
-use crate::stage::{
-    self, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
-};
+use crate::stage::{self, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec};
 use wavex_formats::container::{
     self, ContainerBlock, ContainerOnline, ContainerShot, ContainerWriter, LineBuilder,
 };
@@ -171,10 +170,10 @@ impl Sink for WriteArrow {
         match self.state {
             State::Open(writer) => {
                 if let Target::File(file) = writer.finish()? {
-                    cx.keep(file.finish()?);
+                    cx.publish(file.finish()?);
                 }
             }
-            State::Waiting(_) => cx.note("no container is written: there were no shots"),
+            State::Waiting(_) => cx.warn("no container is written: there were no shots"),
             State::Failed => {}
         }
         Ok(())

@@ -6,10 +6,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::write_las::{AttributeLayout, WriteLas, offsets, point};
+use crate::keys::InvalidKey;
 use crate::scan_line::{InputInfo, Kind, ScanLine};
-use crate::stage::{
-    Config, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec,
-};
+use crate::stage::{Config, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec};
 use wavex_formats::Error;
 
 mod columns;
@@ -180,9 +179,9 @@ impl Sink for AsciiWriter {
 
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()> {
         if self.n_points == 0 {
-            cx.note("no points were found");
+            cx.warn("no points were found");
         }
-        cx.keep(self.file.finish()?);
+        cx.publish(self.file.finish()?);
         Ok(())
     }
 }

@@ -12,12 +12,12 @@ use std::sync::{Arc, OnceLock};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::keys::InvalidKey;
 use crate::scan_line::{
     Emission, Frame, GainControl, InputInfo, Kind, Return, ScanLine, TimeScale, emission_flags,
 };
 use crate::stage::{
-    Config, Context, InvalidKey, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError,
-    StageSpec,
+    Config, Context, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };
 use attributes::Attributes;
 use files::Files;
@@ -354,17 +354,17 @@ impl LasSink {
     /// Notes on the input, issued once.
     fn note(&self, input: &InputInfo, cx: &mut Context) {
         match &input.crs_wkt {
-            None if input.frame == Frame::Map => cx.note(
+            None if input.frame == Frame::Map => cx.warn(
                 "the input has no coordinate reference system (WKT or EPSG code), so the file has none; set it with the \
                  reader's key `crs_of_input`",
             ),
-            None => cx.note(
+            None => cx.warn(
                 "the points are not georeferenced: the file has no coordinate reference system; give [job.geometry] a \
                  `trajectory` and a `crs`",
             ),
             Some(wkt) if self.config.version != VersionKey::V1_4 => {
                 if geokeys::of_wkt(wkt).is_none() {
-                    cx.note(
+                    cx.warn(
                         "the coordinate reference system has neither an EPSG code nor GeoTIFF keys: the file stores it as \
                          WKT, which is defined for LAS 1.4",
                     );
@@ -378,11 +378,11 @@ impl LasSink {
     fn note_times(input: &InputInfo, time_s: f64, cx: &mut Context) {
         match input.time_scale {
             _ if time_s.is_nan() => {}
-            TimeScale::Day => cx.note(
+            TimeScale::Day => cx.warn(
                 "the times of the points are seconds of the day, but the LAS header can only declare seconds of \
                  the GPS week; set the day with the reader's key `gps_date`",
             ),
-            TimeScale::Unknown => cx.note(
+            TimeScale::Unknown => cx.warn(
                 "the time scale of the recording is unknown, and the LAS header declares seconds of the GPS \
                  week; set it with the reader's key `recording_time`",
             ),
@@ -411,7 +411,7 @@ impl Sink for LasSink {
             return Err(StageError::Stopped);
         };
         if self.waves.is_some() && input.gain_control == GainControl::Recorded {
-            cx.note("waveform packets do not contain the gain of their blocks, so their amplitudes are not comparable; keep the container of the recording");
+            cx.warn("waveform packets do not contain the gain of their blocks, so their amplitudes are not comparable; keep the container of the recording");
         }
         let blocks = self.waves.as_mut().map(|waves| waves.begin_line(batch)).transpose()?;
         let wave_of = |(waves, blocks): (&mut Waves, &_)| {
@@ -437,7 +437,7 @@ impl Sink for LasSink {
         )?;
         cx.reject(Item::Returns, TOO_FAR, n_refused);
         if let (Some(error), None) = (refused, &self.refused) {
-            cx.note(format!("{TOO_FAR} was rejected; further ones are only counted: {error}"));
+            cx.warn(format!("{TOO_FAR} was rejected; further ones are only counted: {error}"));
             self.refused = Some(error);
         }
         cx.observe("points_per_line", points.len() as f64);
@@ -451,10 +451,10 @@ impl Sink for LasSink {
             if writer.n_points() == 0 {
                 // If no point fits, the coordinates of the file are wrong.
                 self.refused.map_or(Ok(()), Err)?;
-                cx.note("no points were found");
+                cx.warn("no points were found");
             }
             if writer.n_points() > u64::from(u32::MAX) && self.config.index != IndexKey::None {
-                cx.note("the index format cannot address this many points: the file has no index");
+                cx.warn("the index format cannot address this many points: the file has no index");
             }
             let files = Files { index: self.index, waves: self.waves, place: self.config.wave_packets };
             files.finish(*writer, cx)?;

@@ -167,7 +167,7 @@ impl Sink for LstatWriter {
     }
 
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()> {
-        cx.keep(self.file.finish()?);
+        cx.publish(self.file.finish()?);
         Ok(())
     }
 }

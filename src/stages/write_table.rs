@@ -4,9 +4,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::time_scale_of;
+use crate::keys::InvalidKey;
 use crate::scan_line::{Kind, ScanLine, TimeScale};
 use crate::stage::{
-    self, Context, InvalidKey, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
+    self, Context, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };
 
 mod columns;
@@ -135,7 +136,7 @@ impl Sink for WriteTable {
         // A table without lines still has its columns.
         self.writer(TimeScale::Unknown)?;
         if let State::Open(writer) = self.state {
-            cx.keep(writer.finish()?.finish()?);
+            cx.publish(writer.finish()?.finish()?);
         }
         Ok(())
     }

@@ -7,10 +7,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::georef::Geometry;
+use crate::georef::output_crs::OutputCrs;
+use crate::keys::InvalidKey;
 use crate::scan_line::{Emission, Frame, InputInfo, Kind, ScanLine};
-use crate::stage::{
-    Config, Context, InvalidKey, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec,
-};
+use crate::stage::{Config, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec};
 use wavex_formats::Error;
 use wavex_geodesy::ellipsoid::WGS84;
 use wavex_geodesy::frames::{Attitude, ecef_from_ned, inverse, then};
@@ -108,6 +108,7 @@ impl SinkConfig for WriteTrajectory {
         Ok(Box::new(TrajectoryWriter {
             file: site.create(&self.path)?,
             geometry: Arc::clone(&site.geometry),
+            target: None,
             sensor: self.sensor,
             header: self.header,
             frame: Frame::Scanner,
@@ -121,6 +122,8 @@ impl SinkConfig for WriteTrajectory {
 struct TrajectoryWriter {
     file: OutputFile,
     geometry: Arc<Geometry>,
+    /// Output CRS of positions from the earth-centred frame.
+    target: Option<OutputCrs>,
     sensor: Sensor,
     /// Whether the header line is still to be written.
     header: bool,
@@ -139,7 +142,7 @@ impl Sink for TrajectoryWriter {
             return Ok(());
         }
         if matches!(batch.input.frame, Frame::Scanner | Frame::Body) {
-            cx.note(
+            cx.warn(
                 "the input is not georeferenced: the sensor position is unknown, and its path has no rows",
             );
             return Ok(());
@@ -174,11 +177,11 @@ impl Sink for TrajectoryWriter {
         }
         let without = self.met.n_without_place();
         if without > 0 {
-            cx.note(format!(
+            cx.warn(format!(
                 "the beams of {without} sections of the flight do not intersect near one position: the path of the sensor has no rows there"
             ));
         }
-        cx.keep(self.file.finish()?);
+        cx.publish(self.file.finish()?);
         Ok(())
     }
 }
@@ -196,9 +199,12 @@ impl TrajectoryWriter {
 
     /// Writes a row for an input time and a position in the input frame.
     fn row(&mut self, input: &InputInfo, gps_time_s: f64, place_m: [f64; 3]) -> Result<()> {
+        if self.target.is_none() {
+            self.target = self.geometry.target(input)?;
+        }
         let mut text = number(input.adjusted_gps_time(gps_time_s).unwrap_or(gps_time_s), 6);
         let (place, grid) = match input.frame {
-            Frame::Earth => match self.geometry.target()? {
+            Frame::Earth => match &self.target {
                 Some(target) => (target.coordinates(place_m)?, target.grid()),
                 None => return Ok(()),
             },
@@ -209,7 +215,7 @@ impl TrajectoryWriter {
             text += &format!(" {}", number(coordinate, if is_degrees { 10 } else { 4 }));
         }
         if input.frame == Frame::Earth {
-            let [roll, pitch, heading] = self.attitude_deg(gps_time_s).map(|angle| number(angle, 6));
+            let [roll, pitch, heading] = self.attitude_deg(input, gps_time_s).map(|angle| number(angle, 6));
             text += &format!(" {roll} {pitch} {heading}");
         }
         writeln!(self.file, "{text}").map_err(|error| Error::io(self.file.path(), "write")(error))?;
@@ -217,8 +223,8 @@ impl TrajectoryWriter {
     }
 
     /// Roll, pitch and heading of the aircraft, degrees; NaN outside the trajectory.
-    fn attitude_deg(&self, gps_time_s: f64) -> [f64; 3] {
-        let Some(pose) = self.geometry.pose(gps_time_s) else { return [f64::NAN; 3] };
+    fn attitude_deg(&self, input: &InputInfo, gps_time_s: f64) -> [f64; 3] {
+        let Some(pose) = self.geometry.pose(input, gps_time_s) else { return [f64::NAN; 3] };
         let place = WGS84.geodetic_of(pose.origin_in_ecef_m);
         let ned_from_ecef = inverse(&ecef_from_ned(place.latitude_rad, place.longitude_rad));
         let attitude = Attitude::of(&then(&pose.ecef_from_body, &ned_from_ecef));

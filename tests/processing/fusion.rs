@@ -14,9 +14,9 @@ use wavex::engine::{self, InputReport};
 use wavex::registry;
 use wavex::scan_line::{Blocks, Channel, Emission, EmissionReference, InputInfo, Kind, ScanLine};
 use wavex::stage::{Config, Context, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
-use wavex_simulation::pulse::Shape;
+use wavex_simulation::pulse::PulseShape;
 use wavex_simulation::random::{Purpose, Random};
-use wavex_simulation::receiver::{Echo, HighPower, Receiver, Settings};
+use wavex_simulation::receiver::{HighPower, ReceivedEcho, Receiver, ReceiverSettings};
 use wavex_testkit::engine_stages::{into, job};
 
 const FULL_SCALE_DN: f64 = 255.0;
@@ -74,15 +74,15 @@ impl SourceConfig for TwoReceivers {
 
 const TWO_RECEIVERS: StageSpec = StageSpec::source::<TwoReceivers>("two_receivers", Kind::Shots);
 
-fn settings() -> Settings {
-    Settings {
+fn settings() -> ReceiverSettings {
+    ReceiverSettings {
         interval_ns: 1.0,
         full_scale_dn: FULL_SCALE_DN as u16,
         background_dn: BACKGROUND_DN,
         noise_sd_dn: LOW_NOISE_DN,
         noise_autocorrelation: AUTOCORRELATION.to_vec(),
-        response: Shape::riegl(),
-        reference: Shape::riegl_reference(),
+        response: PulseShape::riegl(),
+        reference: PulseShape::riegl_reference(),
         high_power: Some(HighPower { from_dn: 100.0, noise_sd_dn: HIGH_NOISE_DN, delay_ns: DELAY_NS }),
     }
 }
@@ -122,16 +122,18 @@ fn early_ns(config: &TwoReceivers, height_dn: f64) -> f64 {
 
 impl Recording {
     /// Adds the blocks of both receivers for a shot.
-    fn record(&mut self, index: u32, echoes: &[Echo], blocks: &mut Blocks) {
+    fn record(&mut self, index: u32, echoes: &[ReceivedEcho], blocks: &mut Blocks) {
         let mut windows = Vec::new();
         self.receiver.windows(echoes, &mut windows);
         let mut random = [Purpose::Noise, Purpose::HighPowerNoise]
             .map(|p| Random::of_shot(self.config.seed, self.line, index, p));
         // A block without samples gives the exact emission time.
         blocks.push(index, Channel::Reference, None, 0.0, 1.0, &[]);
-        let early =
-            |echo: &Echo| Echo { time_ns: echo.time_ns - early_ns(&self.config, echo.amplitude_dn), ..*echo };
-        let seen: Vec<Echo> = echoes.iter().map(early).collect();
+        let early = |echo: &ReceivedEcho| ReceivedEcho {
+            time_ns: echo.time_ns - early_ns(&self.config, echo.amplitude_dn),
+            ..*echo
+        };
+        let seen: Vec<ReceivedEcho> = echoes.iter().map(early).collect();
         let (start_ns, samples) = self.receiver.record(&windows[0], &seen, &mut random[0]);
         blocks.push(index, Channel::LowPower, None, start_ns, 1.0, samples);
         if self.receiver.is_strong(&windows[0], echoes) {
@@ -151,14 +153,14 @@ impl Source for Recording {
         let width = self.receiver.response().width(0.0);
         for index in 0..SHOTS_PER_LINE {
             let shot = self.line * SHOTS_PER_LINE + index;
-            let echo = |(amplitude_dn, time_ns): (f64, f64)| Echo {
+            let echo = |(amplitude_dn, time_ns): (f64, f64)| ReceivedEcho {
                 time_ns,
                 amplitude_dn,
                 high_power_dn: amplitude_dn / GAIN,
                 linear_dn: amplitude_dn,
                 width,
             };
-            let echoes: Vec<Echo> = truths(&self.config, shot).into_iter().map(echo).collect();
+            let echoes: Vec<ReceivedEcho> = truths(&self.config, shot).into_iter().map(echo).collect();
             self.record(index, &echoes, &mut blocks);
             emissions.push(Emission {
                 shot: u64::from(shot),
@@ -225,7 +227,7 @@ fn autocovariance(sd_dn: f64, lags: usize) -> Vec<f64> {
 ///
 /// The first sample is taken `first_ns` before the peak.
 fn information(height_dn: f64, first_ns: f64, sd_dn: f64) -> Matrix3<f64> {
-    let shape = Shape::riegl();
+    let shape = PulseShape::riegl();
     let times: Vec<f64> = (0..60).map(|k| f64::from(k) - first_ns).collect();
     let level = |k: usize| BACKGROUND_DN[k % 2] + height_dn * shape.at(times[k], 0.0);
     let used: Vec<usize> = (0..60).filter(|&k| level(k) < FULL_SCALE_DN - 0.5).collect();

@@ -9,7 +9,7 @@ use std::path::Path;
 use wavex::engine;
 use wavex::registry;
 use wavex_signal::sensor_model::ChannelModel;
-use wavex_simulation::pulse::Shape;
+use wavex_simulation::pulse::PulseShape;
 use wavex_testkit::engine_stages::{into, job};
 
 const NOISE_DN: f64 = 0.93;
@@ -117,7 +117,7 @@ fn flown(scene: &Scene) -> (ChannelModel, Rows, Rows) {
 
 #[test]
 fn the_instrument_is_found_over_every_land() {
-    let fwhm_ns = Shape::riegl().fwhm_ns();
+    let fwhm_ns = PulseShape::riegl().fwhm_ns();
     for scene in &SCENES {
         let (model, truth, returns) = flown(scene);
         let (mut echoes, mut missed, mut scores) = (0, 0, Vec::new());

@@ -8,7 +8,7 @@ apart by their metadata. Ends with an error at the first thing that is not as th
 
     python tests/python/read_container.py --write FOLDER
 
-writes the same container as pyarrow does it: `src/formats/container/tests/*.arrow*` were made so, and the tests of the
+writes the same container as pyarrow does it: `crates/wavex-formats/src/container/tests/*.arrow*` were made so, and the tests of the
 reader open them.
 """
 

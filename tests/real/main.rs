@@ -360,7 +360,7 @@ fn returns_beside_riegls_stand_where_other_pulses_hit() {
             of.fold([0; 2], |[extra, count], pulse| [extra + pulse.extra().count(), count + 1])
         });
         println!(
-            "{name}: beside RIEGL's, and pulses: where it has one {of_one:?}, where it has several {of_several:?}"
+            "{name}: extra returns, and pulses: where it has one {of_one:?}, where it has several {of_several:?}"
         );
         let rate = |[extra, count]: [usize; 2]| extra as f64 / count as f64;
         assert!(rate(of_several) >= 4.0 * rate(of_one));
@@ -599,7 +599,7 @@ fn nothing_is_left_behind_echoes() {
     let mean = statistics.iter().sum::<f64>() / statistics.len() as f64;
     let sd = (statistics.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / statistics.len() as f64).sqrt();
     println!(
-        "matched filter from 30 ns behind echoes on: mean {mean:+.3} (goal 0.1), sd {sd:.3} (goal 0.95-1.05)"
+        "matched filter from 30 ns after echoes: mean {mean:+.3} (goal 0.1), sd {sd:.3} (goal 0.95-1.05)"
     );
     assert!(mean.abs() <= 0.1 && (0.95..=1.05).contains(&sd), "{mean} {sd}");
 }

@@ -9,11 +9,11 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use wavex::engine::{self, InputReport};
 use wavex::job::{Job, JobStage};
+use wavex::keys::{Key, choices};
 use wavex::registry::{self, STAGES};
 use wavex::scan_line::{Blocks, InputInfo, Kind, ScanLine};
 use wavex::stage::{
-    Config, Context, Item, Key, Paths, Plan, Result, RoleName, RunContext, Source, SourceConfig, StageSpec,
-    choices,
+    Config, Context, Item, Paths, Plan, Result, RoleName, RunContext, Source, SourceConfig, StageSpec,
 };
 use wavex_testkit::engine_stages::{into, stage};
 

@@ -12,5 +12,6 @@ mod contract;
 mod engine;
 #[cfg(unix)]
 mod killed;
+mod layers;
 mod repeatable;
 mod truncation;

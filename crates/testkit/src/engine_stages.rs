@@ -217,7 +217,7 @@ impl Sink for Numbers {
         writeln!(self.file, "{}", batch.line).map_err(|e| StageError::failed(e.to_string(), "check the disk"))
     }
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()> {
-        cx.keep(self.file.finish()?);
+        cx.publish(self.file.finish()?);
         Ok(())
     }
 }

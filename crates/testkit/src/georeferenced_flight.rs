@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use wavex::engine::{self, Options, RunReport};
-use wavex::georef::pose_source::Posed;
 use wavex::georef::{GeometryKeys, Loader};
 use wavex::job::Job;
 use wavex::registry;
 use wavex::scan_line::{Content, Emission, Frame, InputInfo, LineStats, Return, ScanLine, TimeScale};
 use wavex::stage::{Context, Map, Plan, RunContext, Source};
+use wavex::stages::pose_source::Posed;
 use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex_geodesy::frames::{IDENTITY, Rotation, rotate};
 use wavex_signal::lockstep;

@@ -5,9 +5,10 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use wavex::keys::InvalidKey;
 use wavex::scan_line::{Kind, ScanLine};
 use wavex::stage::{
-    Config, Context, InvalidKey, Map, MapConfig, Output, Paths, Result, RunContext, Sink, SinkConfig, Source,
+    Config, Context, Map, MapConfig, Output, Paths, Result, RunContext, Sink, SinkConfig, Source,
     SourceConfig, StageSpec, Transform, TransformConfig,
 };
 

@@ -7,7 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::{Error, Result};
-use wavex_geodesy::geoid::{Geoid, Grid};
+use wavex_geodesy::geoid::{Geoid, GeoidGrid};
 
 /// Largest accepted number of grid values.
 ///
@@ -139,7 +139,7 @@ impl Header {
         bytes: &[u8],
         header_length: usize,
         value: impl Fn([u8; 4]) -> f32,
-    ) -> Result<Grid> {
+    ) -> Result<GeoidGrid> {
         let (rows, columns) = (self.rows.max(0) as usize, self.columns.max(0) as usize);
         let bad = |problem| {
             Error::unusable(path, problem, "copy the file again from its source, or check its format")
@@ -168,7 +168,7 @@ impl Header {
                 values.len()
             )));
         }
-        Ok(Grid {
+        Ok(GeoidGrid {
             south_deg: self.south_deg,
             west_deg: self.west_deg,
             latitude_step_deg: self.latitude_step_deg,

@@ -10,8 +10,8 @@ use super::{Error, Result};
 use input::Input;
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_geodesy::frames::{Attitude, ecef_from_ned, inverse, rotate};
-use wavex_geodesy::time_axis::{Clock, Times};
-use wavex_geodesy::trajectory::{AccuracySample, Problem, Sample, Trajectory};
+use wavex_geodesy::time_axis::{Clock, TimeSpan};
+use wavex_geodesy::trajectory::{AccuracySample, Sample, Trajectory, TrajectoryError};
 
 mod accuracies;
 mod ascii;
@@ -186,10 +186,10 @@ fn unknown(path: &Path, length: u64) -> Error {
 
 impl Recorded {
     /// Returns the time span.
-    pub fn times(&self) -> Times {
+    pub fn times(&self) -> TimeSpan {
         let mut times = self.records.times_s();
         let first_s = times.next().unwrap_or(f64::NAN);
-        Times { clock: self.clock, first_s, last_s: times.last().unwrap_or(first_s) }
+        TimeSpan { clock: self.clock, first_s, last_s: times.last().unwrap_or(first_s) }
     }
 
     /// Converts to a trajectory, with accuracies if present.
@@ -217,13 +217,14 @@ impl Recorded {
                 samples.iter().enumerate().map(place).collect::<Result<_>>()?
             }
         };
-        let refused = |problem: Problem| Error::unusable(file, problem.to_string(), problem.remedy());
+        let refused = |problem: TrajectoryError| Error::unusable(file, problem.to_string(), problem.remedy());
         let trajectory = Trajectory::new(samples).map_err(refused)?;
         if self.accuracies.is_empty() {
             return Ok(trajectory);
         }
-        let refused =
-            |problem: Problem| Error::unusable(file, format!("its accuracies: {problem}"), problem.remedy());
+        let refused = |problem: TrajectoryError| {
+            Error::unusable(file, format!("its accuracies: {problem}"), problem.remedy())
+        };
         trajectory.with_accuracies(self.accuracies).map_err(refused)
     }
 }

@@ -10,8 +10,6 @@
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BeamLength {
     model: Option<Line>,
-    rms_m_per_ns: f64,
-    rounding_m_per_ns: f64,
 }
 
 /// Squared length as a linear function of the squared vertical cosine.
@@ -50,7 +48,7 @@ impl BeamLength {
         let fitted = fit(&sound, projected);
         let rms_m_per_ns = fitted.map_or(f64::INFINITY, |line| line.rms_m_per_ns(&sound));
         let explained = enough && rms_m_per_ns <= TOLERANCE * rounding_m_per_ns;
-        BeamLength { model: fitted.filter(|_| explained), rms_m_per_ns, rounding_m_per_ns }
+        BeamLength { model: fitted.filter(|_| explained) }
     }
 
     /// Length per nanosecond of a beam, m: from the model if there is one, else its own.
@@ -66,11 +64,6 @@ impl BeamLength {
     /// a model.
     pub fn vertical(&self) -> Option<f64> {
         self.model.map(|line| line.square(1.0).sqrt())
-    }
-
-    /// Residual of the model and expected rounding error, m per ns.
-    pub fn residual_and_rounding(&self) -> (f64, f64) {
-        (self.rms_m_per_ns, self.rounding_m_per_ns)
     }
 }
 
@@ -165,7 +158,7 @@ mod tests {
     /// Oblique beams only, as in a geocentric frame: the vertical is far outside the sampled
     /// directions.
     #[test]
-    fn a_slope_that_rounding_explains_is_none() {
+    fn a_slope_within_rounding_is_ignored() {
         let oblique: Vec<[f64; 3]> = beams(1.0, 0.01)
             .iter()
             .map(|b| [b[0], 0.8 * b[1] - 0.6 * b[2], 0.6 * b[1] + 0.8 * b[2]])
@@ -189,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn a_few_damaged_records_change_nothing_and_many_are_not_passed_over() {
+    fn few_damaged_records_are_tolerated() {
         let whole = beams(1.0, 0.01);
         let vertical = |beams: &[[f64; 3]]| BeamLength::learn(beams, [0.01; 3], 1000.0, true).vertical();
         for stray in [[0.0; 3], [f64::NAN; 3], [f64::INFINITY, 0.0, 1.0], [1e9, 0.0, 0.1], [1e-9, 0.0, 0.0]] {
@@ -202,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn no_beams_no_model() {
+    fn without_beams_there_is_no_model() {
         let length = BeamLength::learn(&[], [0.01; 3], 1000.0, true);
         assert_eq!(length.of([3.0, 0.0, 4.0]), 5.0);
         assert_eq!(BeamLength::learn(&[[0.0; 3]; 50], [0.01; 3], 1000.0, true).vertical(), None);

@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn beams_of_a_cone_have_azimuths_that_grow() {
+    fn azimuths_on_a_cone_increase() {
         for (half_deg, tilt_deg) in [([20.0, 20.0], 0.0), ([20.0, 14.0], 12.0), ([5.0, 5.0], 30.0)] {
             for sense in [1.0, -1.0] {
                 let beams = circle(1500, half_deg, sense, tilt_deg);
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn sweeps_are_no_cones() {
+    fn plane_sweeps_are_not_cones() {
         let at = |across_deg: f64, along: f64| -> Vector {
             let (sin, cos) = across_deg.to_radians().sin_cos();
             [along, sin, cos]

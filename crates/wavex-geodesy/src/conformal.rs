@@ -10,36 +10,33 @@ use super::frames::Vector;
 ///
 /// Projections need these and not the angles themselves.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Normal {
+pub(crate) struct EllipsoidNormal {
     /// Sine and cosine of the geodetic latitude; the cosine is not negative.
     pub latitude: [f64; 2],
     /// Sine and cosine of the longitude.
     pub longitude: [f64; 2],
 }
 
-impl Normal {
+impl EllipsoidNormal {
     /// Normal at a latitude and longitude, rad.
-    pub fn new(latitude_rad: f64, longitude_rad: f64) -> Normal {
-        Normal { latitude: libm::sincos(latitude_rad).into(), longitude: libm::sincos(longitude_rad).into() }
+    pub(crate) fn new(latitude_rad: f64, longitude_rad: f64) -> EllipsoidNormal {
+        EllipsoidNormal {
+            latitude: libm::sincos(latitude_rad).into(),
+            longitude: libm::sincos(longitude_rad).into(),
+        }
     }
 
-    /// Normal through an earth-centred position, m, and its height, m.
+    /// Normals through earth-centred positions, m, and their heights, m.
     ///
-    /// Valid for heights from -1000 km to 10 000 km. On the axis the longitude is 0.
-    pub fn through(ellipsoid: Ellipsoid, ecef_m: Vector) -> (Normal, f64) {
-        let ([normal], [height_m]) = Normal::through_each(ellipsoid, &[ecef_m]);
-        (normal, height_m)
-    }
-
-    /// [`Normal::through`] for several positions: bit-identical and faster, as each step handles
-    /// all positions.
+    /// Valid for heights from -1000 km to 10 000 km. On the axis the longitude is 0. Each step
+    /// handles all positions, which is faster.
     ///
     /// Bowring 1976, as in [`Ellipsoid::geodetic_of`], with tangents instead of angles; after three
     /// steps the result is exact to double precision.
-    pub fn through_each<const N: usize>(
+    pub(crate) fn through<const N: usize>(
         ellipsoid: Ellipsoid,
         ecef_m: &[Vector; N],
-    ) -> ([Normal; N], [f64; N]) {
+    ) -> ([EllipsoidNormal; N], [f64; N]) {
         let (a, f, e2) = (ellipsoid.semi_major_m, ellipsoid.flattening, ellipsoid.eccentricity_squared());
         let (b, second_e2) = (a * (1.0 - f), e2 / (1.0 - e2));
         let [x, y, z]: [[f64; N]; 3] = std::array::from_fn(|axis| std::array::from_fn(|i| ecef_m[i][axis]));
@@ -65,31 +62,31 @@ impl Normal {
             latitude.set(i, [sine, cosine]);
             height_m[i] = from_axis[i] * cosine + z[i] * sine - a * (1.0 - e2 * sine * sine).sqrt();
         }
-        let normal = |i| Normal { latitude: latitude.get(i), longitude: longitude.get(i) };
+        let normal = |i| EllipsoidNormal { latitude: latitude.get(i), longitude: longitude.get(i) };
         (std::array::from_fn(normal), height_m)
     }
 
     /// Tangent of the latitude; large but finite at the poles.
-    pub fn tangent(&self) -> f64 {
+    pub(crate) fn tangent(&self) -> f64 {
         let [sine, cosine] = self.latitude;
         sine / cosine.max(1e-20)
     }
 
     /// Latitude and longitude, rad; the longitude from -π to π.
-    pub fn angles_rad(&self) -> (f64, f64) {
+    pub(crate) fn angles_rad(&self) -> (f64, f64) {
         (libm::atan2(self.latitude[0], self.latitude[1]), libm::atan2(self.longitude[0], self.longitude[1]))
     }
 
     /// Sine and cosine of the longitude relative to a meridian, given likewise.
-    pub fn longitude_from(&self, [sine_0, cosine_0]: [f64; 2]) -> [f64; 2] {
+    pub(crate) fn longitude_from(&self, [sine_0, cosine_0]: [f64; 2]) -> [f64; 2] {
         let [sine, cosine] = self.longitude;
         [sine * cosine_0 - cosine * sine_0, cosine * cosine_0 + sine * sine_0]
     }
 }
 
-impl From<Geodetic> for Normal {
-    fn from(place: Geodetic) -> Normal {
-        Normal::new(place.latitude_rad, place.longitude_rad)
+impl From<Geodetic> for EllipsoidNormal {
+    fn from(place: Geodetic) -> EllipsoidNormal {
+        EllipsoidNormal::new(place.latitude_rad, place.longitude_rad)
     }
 }
 
@@ -127,13 +124,13 @@ fn unit(sine: f64, cosine: f64) -> [f64; 2] {
 ///
 /// `eccentricity` is the first eccentricity of the ellipsoid (Karney 2011, J. Geod. 85:475,
 /// equations 7 to 9).
-pub fn conformal_tangent(eccentricity: f64, tangent: f64) -> f64 {
+pub(crate) fn conformal_tangent(eccentricity: f64, tangent: f64) -> f64 {
     let [conformal] = conformal_tangents(eccentricity, &[tangent]);
     conformal
 }
 
 /// [`conformal_tangent`] for several latitudes.
-pub fn conformal_tangents<const N: usize>(eccentricity: f64, tangents: &[f64; N]) -> [f64; N] {
+pub(crate) fn conformal_tangents<const N: usize>(eccentricity: f64, tangents: &[f64; N]) -> [f64; N] {
     let secants = tangents.map(|tangent| (1.0 + tangent * tangent).sqrt());
     let mut sigmas: [f64; N] = std::array::from_fn(|i| eccentricity * tangents[i] / secants[i]);
     for sigma in &mut sigmas {
@@ -145,7 +142,7 @@ pub fn conformal_tangents<const N: usize>(eccentricity: f64, tangents: &[f64; N]
 
 /// Inverse of [`conformal_tangent`] by Newton's method; converges in three steps (Karney 2011,
 /// equations 19 to 21).
-pub fn geographic_tangent(eccentricity: f64, conformal: f64) -> f64 {
+pub(crate) fn geographic_tangent(eccentricity: f64, conformal: f64) -> f64 {
     let e2 = eccentricity * eccentricity;
     let mut tangent = conformal / (1.0 - e2);
     for _ in 0..5 {
@@ -167,21 +164,22 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn the_axis_has_its_normals() {
+    fn positions_on_the_axis_have_normals() {
         for z in [6_356_752.314_245_179f64, -6_356_752.314_245_179] {
-            let (normal, height_m) = Normal::through(WGS84, [0.0, 0.0, z + 100.0 * z.signum()]);
-            assert_eq!(normal, Normal { latitude: [z.signum(), 0.0], longitude: [0.0, 1.0] });
+            let place_m = [0.0, 0.0, z + 100.0 * z.signum()];
+            let ([normal], [height_m]) = EllipsoidNormal::through(WGS84, &[place_m]);
+            assert_eq!(normal, EllipsoidNormal { latitude: [z.signum(), 0.0], longitude: [0.0, 1.0] });
             assert!((height_m - 100.0).abs() < 2e-9);
         }
     }
 
     proptest! {
         #[test]
-        fn normals_are_those_of_the_angles(
+        fn normals_equal_sines_and_cosines_of_the_angles(
             latitude_rad in -1.57..1.57, longitude_rad in -3.1..3.1, height_m in -1e6..1e7,
         ) {
             let place = Geodetic { latitude_rad, longitude_rad, height_m };
-            let (normal, found_m) = Normal::through(WGS84, WGS84.ecef_of(place));
+            let ([normal], [found_m]) = EllipsoidNormal::through(WGS84, &[WGS84.ecef_of(place)]);
             let (latitude, longitude) = normal.angles_rad();
             prop_assert!((latitude - latitude_rad).abs() < 1e-15, "{}", latitude - latitude_rad);
             prop_assert!((longitude - longitude_rad).abs() * latitude_rad.cos() < 1e-15);
@@ -189,7 +187,7 @@ mod tests {
         }
 
         #[test]
-        fn conformal_latitudes_come_back(latitude_rad in -1.57..1.57f64) {
+        fn conformal_latitudes_round_trip(latitude_rad in -1.57..1.57f64) {
             let tangent = latitude_rad.tan();
             let back = geographic_tangent(0.0818, conformal_tangent(0.0818, tangent));
             prop_assert!((back.atan() - latitude_rad).abs() < 1e-15);

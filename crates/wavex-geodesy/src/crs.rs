@@ -20,14 +20,15 @@ mod wkt;
 
 use std::sync::Arc;
 
-use super::conformal::Normal;
+use super::conformal::EllipsoidNormal;
 use super::ellipsoid::{Ellipsoid, Geodetic};
 use super::frames::Vector;
 use super::geoid::Geoid;
-use definition::{Definition, Method};
+use definition::{Definition, ProjectionMethod};
 pub use error::CrsError;
 pub use geotiff::{GeoKeys, geotiff_keys_of_wkt};
-pub use named::{Named, utm_zone_at, wkt_of_epsg};
+use named::utm_zone_at;
+pub use named::{Named, wkt_of_epsg};
 use projection::Projection;
 pub use unit::Unit;
 
@@ -36,6 +37,24 @@ pub use unit::Unit;
 const TOGETHER: usize = 16;
 
 /// Coordinate reference system with its height reference and units.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_geodesy::crs::{Crs, Named};
+/// use wavex_geodesy::ellipsoid::Geodetic;
+///
+/// let place = Geodetic {
+///     latitude_rad: 48.8_f64.to_radians(),
+///     longitude_rad: 2.3_f64.to_radians(),
+///     height_m: 100.0,
+/// };
+/// let lambert_93 = Crs::new(&Named::Epsg(2154), place, None, None)?;
+/// let [x, y, height_m] = lambert_93.from_geodetic(place)?;
+/// assert!((x - 648_583.262).abs() < 1e-3 && (y - 6_855_774.716).abs() < 1e-3);
+/// assert_eq!(height_m, 100.0);
+/// # Ok::<(), wavex_geodesy::crs::CrsError>(())
+/// ```
 #[derive(Debug)]
 pub struct Crs {
     definition: Definition,
@@ -148,7 +167,7 @@ impl Crs {
         if self.is_ecef() {
             return Ok(ecef_m.map(|place| place.map(|metres| metres / self.unit.metres)));
         }
-        let (normals, heights_m) = Normal::through_each(self.definition.ellipsoid, ecef_m);
+        let (normals, heights_m) = EllipsoidNormal::through(self.definition.ellipsoid, ecef_m);
         self.of_normals(&normals, &heights_m)
     }
 
@@ -160,7 +179,7 @@ impl Crs {
         if self.is_ecef() {
             return self.from_ecef(self.definition.ellipsoid.ecef_of(place));
         }
-        let [coordinates] = self.of_normals(&[Normal::from(place)], &[place.height_m])?;
+        let [coordinates] = self.of_normals(&[EllipsoidNormal::from(place)], &[place.height_m])?;
         Ok(coordinates)
     }
 
@@ -203,14 +222,9 @@ impl Crs {
         describe::wkt(self)
     }
 
-    /// The CRS as GeoTIFF keys, for LAS before 1.4; `None` if they cannot express it.
-    pub fn geotiff_keys(&self) -> Option<GeoKeys> {
-        geotiff::keys(self)
-    }
-
     fn of_normals<const N: usize>(
         &self,
-        normals: &[Normal; N],
+        normals: &[EllipsoidNormal; N],
         heights_m: &[f64; N],
     ) -> Result<[Vector; N], CrsError> {
         let on_map = self.projection.project_each(normals, heights_m);
@@ -222,7 +236,12 @@ impl Crs {
     }
 
     /// Coordinates from a position and its projection.
-    fn of_point(&self, on_map: Option<[f64; 2]>, normal: &Normal, height_m: f64) -> Result<Vector, CrsError> {
+    fn of_point(
+        &self,
+        on_map: Option<[f64; 2]>,
+        normal: &EllipsoidNormal,
+        height_m: f64,
+    ) -> Result<Vector, CrsError> {
         let undulation_m = match &self.geoid {
             None => 0.0,
             Some(geoid) => {
@@ -297,7 +316,7 @@ fn by_proj(_: &Named, refused: CrsError) -> Result<Definition, CrsError> {
 /// coordinates have no heights.
 fn check_heights(definition: &Definition, geoid: Option<&Geoid>) -> Result<(), CrsError> {
     match (geoid, definition.vertical_name()) {
-        (Some(geoid), _) if definition.method == Method::Ecef => Err(CrsError::Unsupported {
+        (Some(geoid), _) if definition.method == ProjectionMethod::Ecef => Err(CrsError::Unsupported {
             name: definition.name.clone(),
             problem: format!(
                 "earth-centred coordinates have no height to which the geoid {} could apply",

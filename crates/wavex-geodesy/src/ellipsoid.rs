@@ -18,7 +18,8 @@ pub const WGS84: Ellipsoid = Ellipsoid { semi_major_m: 6_378_137.0, flattening: 
 /// Geodetic Reference System 1980 (Moritz 2000, J. Geod. 74:128).
 ///
 /// The ellipsoid of ETRS89 and NAD 83.
-pub const GRS80: Ellipsoid = Ellipsoid { semi_major_m: 6_378_137.0, flattening: 1.0 / 298.257_222_101 };
+pub(crate) const GRS80: Ellipsoid =
+    Ellipsoid { semi_major_m: 6_378_137.0, flattening: 1.0 / 298.257_222_101 };
 
 /// Geodetic coordinates of a position.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,7 +34,7 @@ pub struct Geodetic {
 
 impl Ellipsoid {
     /// Square of the first eccentricity.
-    pub fn eccentricity_squared(&self) -> f64 {
+    pub(crate) fn eccentricity_squared(&self) -> f64 {
         self.flattening * (2.0 - self.flattening)
     }
 
@@ -61,6 +62,16 @@ impl Ellipsoid {
     ///
     /// Bowring 1976, "Transformation from spatial to geographical coordinates", Survey Review
     /// 23(181): the parametric latitude is iterated to double precision.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
+    ///
+    /// let place = Geodetic { latitude_rad: 0.8, longitude_rad: 0.2, height_m: 500.0 };
+    /// let back = WGS84.geodetic_of(WGS84.ecef_of(place));
+    /// assert!((back.height_m - 500.0).abs() < 1e-8);
+    /// ```
     pub fn geodetic_of(&self, ecef_m: [f64; 3]) -> Geodetic {
         let [x, y, z] = ecef_m;
         let (a, f, e2) = (self.semi_major_m, self.flattening, self.eccentricity_squared());
@@ -99,7 +110,7 @@ mod tests {
 
     /// Closed form in 40 digits; half a unit in the last place of an angle or coordinate is 0.4 nm.
     #[test]
-    fn places_have_their_earth_centred_coordinates() {
+    fn positions_have_reference_ecef_coordinates() {
         let cases = [
             ((0.0, 0.0, 0.0), [6_378_137.0, 0.0, 0.0]),
             ((90.0, 0.0, 0.0), [0.0, 0.0, 6_356_752.314_245_179]),
@@ -117,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn the_poles_and_the_equator_come_back() {
+    fn poles_and_equator_round_trip() {
         for (latitude, longitude) in [(90.0, 0.0), (-90.0, 0.0), (0.0, 180.0), (0.0, -90.0)] {
             let place = WGS84.geodetic_of(WGS84.ecef_of(degrees(latitude, longitude, 1234.5)));
             assert!((place.latitude_rad.to_degrees() - latitude).abs() < 1e-14, "{place:?}");
@@ -135,7 +146,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_place_comes_back(
+        fn positions_round_trip(
             latitude in -90.0..90.0, longitude in -180.0..180.0, height_m in -1e4..1e5,
         ) {
             let ecef = WGS84.ecef_of(degrees(latitude, longitude, height_m));

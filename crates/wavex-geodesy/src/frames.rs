@@ -70,7 +70,7 @@ pub fn ecef_from_ned(latitude_rad: f64, longitude_rad: f64) -> Rotation {
 }
 
 /// Rotation from east, north, up at a position to the earth-centred frame.
-pub fn ecef_from_enu(latitude_rad: f64, longitude_rad: f64) -> Rotation {
+pub(crate) fn ecef_from_enu(latitude_rad: f64, longitude_rad: f64) -> Rotation {
     ecef_from_ned(latitude_rad, longitude_rad).map(|[north, east, down]| [east, north, -down])
 }
 
@@ -91,6 +91,17 @@ pub fn inverse(rotation: &Rotation) -> Rotation {
 }
 
 /// Local Cartesian frame: east, north, up, tangential to the ellipsoid's horizon.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
+/// use wavex_geodesy::frames::LocalFrame;
+///
+/// let origin = Geodetic { latitude_rad: 0.8, longitude_rad: 0.2, height_m: 500.0 };
+/// let above = LocalFrame::at(WGS84, origin).geodetic_of([0.0, 0.0, 20.0]);
+/// assert!((above.height_m - 520.0).abs() < 1e-8);
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalFrame {
     ellipsoid: Ellipsoid,
@@ -140,7 +151,7 @@ mod tests {
 
     /// Forward, right and down of an aircraft for each angle alone.
     #[test]
-    fn angles_turn_as_pilots_say() {
+    fn angles_have_the_signs_of_aviation() {
         let body = |roll_rad, pitch_rad, heading_rad| {
             let rotation = Attitude { roll_rad, pitch_rad, heading_rad }.ned_from_body();
             [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|axis| rotate(&rotation, axis))
@@ -156,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn straight_up_the_heading_takes_all() {
+    fn roll_is_zero_if_the_nose_points_up() {
         let up = Attitude { roll_rad: 0.3, pitch_rad: FRAC_PI_2, heading_rad: 1.0 };
         let found = Attitude::of(&up.ned_from_body());
         assert!(near([found.roll_rad, found.pitch_rad, found.heading_rad], [0.0, FRAC_PI_2, 0.7], 1e-9));
@@ -164,7 +175,7 @@ mod tests {
 
     /// At 0 N 0 E, north is z, east is y, and down points to the centre.
     #[test]
-    fn horizons_of_known_places() {
+    fn horizons_at_known_positions() {
         let rotation = ecef_from_ned(0.0, 0.0);
         assert_eq!(rotate(&rotation, [1.0, 2.0, 3.0]), [-3.0, 2.0, 1.0]);
         let rotation = ecef_from_enu(0.0, FRAC_PI_2);
@@ -187,7 +198,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn attitudes_come_back(roll in -3.0..3.0, pitch in -1.5..1.5, heading in -3.0..3.0) {
+        fn attitudes_round_trip(roll in -3.0..3.0, pitch in -1.5..1.5, heading in -3.0..3.0) {
             let attitude = Attitude { roll_rad: roll, pitch_rad: pitch, heading_rad: heading };
             let found = Attitude::of(&attitude.ned_from_body());
             prop_assert!((found.roll_rad - roll).abs() < 1e-13);
@@ -196,7 +207,7 @@ mod tests {
         }
 
         #[test]
-        fn rotations_go_there_and_back(roll in -3.0..3.0, pitch in -1.5..1.5, yaw in -3.0..3.0, x in -1e3..1e3) {
+        fn inverse_rotations_cancel(roll in -3.0..3.0, pitch in -1.5..1.5, yaw in -3.0..3.0, x in -1e3..1e3) {
             let rotation = rotation_of_angles([roll, pitch, yaw]);
             let back = then(&rotation, &inverse(&rotation));
             for (row, unit) in back.iter().zip(IDENTITY) {
@@ -209,7 +220,7 @@ mod tests {
         }
 
         #[test]
-        fn points_of_a_local_frame_come_back(
+        fn local_coordinates_round_trip(
             latitude in -1.5..1.5, longitude in -3.1..3.1, east in -5e4..5e4, north in -5e4..5e4, up in -1e3..1e4,
         ) {
             let origin = Geodetic { latitude_rad: latitude, longitude_rad: longitude, height_m: 100.0 };

@@ -4,12 +4,12 @@
 #[derive(Clone, Debug, PartialEq)]
 pub struct Geoid {
     name: String,
-    grid: Grid,
+    grid: GeoidGrid,
 }
 
 /// Layout and values of a grid.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Grid {
+pub struct GeoidGrid {
     /// Latitude of the southernmost row, degrees.
     pub south_deg: f64,
     /// Longitude of the westernmost column, degrees east of Greenwich, modulo 360.
@@ -52,7 +52,27 @@ impl Geoid {
     ///
     /// A grid is invalid with fewer than two rows or columns, steps that are not positive, or
     /// another number of heights.
-    pub fn new(name: &str, grid: Grid) -> Option<Geoid> {
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use wavex_geodesy::geoid::{Geoid, GeoidGrid};
+    ///
+    /// let grid = GeoidGrid {
+    ///     south_deg: 47.0,
+    ///     west_deg: 8.0,
+    ///     latitude_step_deg: 1.0,
+    ///     longitude_step_deg: 1.0,
+    ///     rows: 2,
+    ///     columns: 2,
+    ///     heights_m: vec![46.0, 48.0, 48.0, 50.0],
+    /// };
+    /// let geoid = Geoid::new("plane", grid).ok_or("invalid grid")?;
+    /// assert_eq!(geoid.height_m(47.5, 8.5)?, 48.0);
+    /// assert!(geoid.height_m(50.0, 8.5).is_err());
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn new(name: &str, grid: GeoidGrid) -> Option<Geoid> {
         let steps = [grid.latitude_step_deg, grid.longitude_step_deg];
         let sound = steps.iter().all(|step| step.is_finite() && *step > 0.0)
             && grid.south_deg.is_finite()
@@ -69,7 +89,7 @@ impl Geoid {
     }
 
     /// The grid.
-    pub fn grid(&self) -> &Grid {
+    pub fn grid(&self) -> &GeoidGrid {
         &self.grid
     }
 
@@ -165,9 +185,9 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn grid(south_deg: f64, west_deg: f64, step_deg: f64, rows: usize, columns: usize) -> Grid {
+    fn grid(south_deg: f64, west_deg: f64, step_deg: f64, rows: usize, columns: usize) -> GeoidGrid {
         let heights_m = (0..rows * columns).map(|place| place as f32).collect();
-        Grid {
+        GeoidGrid {
             south_deg,
             west_deg,
             latitude_step_deg: step_deg,
@@ -178,7 +198,7 @@ mod tests {
         }
     }
 
-    fn geoid(grid: Grid) -> Geoid {
+    fn geoid(grid: GeoidGrid) -> Geoid {
         Geoid::new("g", grid).unwrap()
     }
 
@@ -194,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_of_the_longitude_changes_nothing() {
+    fn longitudes_are_modulo_360_degrees() {
         for west_deg in [-60.0, 300.0] {
             let geoid = geoid(grid(14.0, west_deg, 0.5, 3, 3));
             for longitude in [-59.25, 300.75] {
@@ -245,15 +265,15 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_grid_is_no_geoid() {
+    fn invalid_grids_are_rejected() {
         let whole = grid(40.0, 10.0, 0.5, 3, 3);
         for damage in [
-            |grid: &mut Grid| grid.rows = 1,
-            |grid: &mut Grid| grid.columns = 4,
-            |grid: &mut Grid| grid.latitude_step_deg = 0.0,
-            |grid: &mut Grid| grid.longitude_step_deg = f64::NAN,
-            |grid: &mut Grid| grid.south_deg = f64::INFINITY,
-            |grid: &mut Grid| grid.rows = usize::MAX,
+            |grid: &mut GeoidGrid| grid.rows = 1,
+            |grid: &mut GeoidGrid| grid.columns = 4,
+            |grid: &mut GeoidGrid| grid.latitude_step_deg = 0.0,
+            |grid: &mut GeoidGrid| grid.longitude_step_deg = f64::NAN,
+            |grid: &mut GeoidGrid| grid.south_deg = f64::INFINITY,
+            |grid: &mut GeoidGrid| grid.rows = usize::MAX,
         ] {
             let mut damaged = whole.clone();
             damage(&mut damaged);
@@ -263,7 +283,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_point_is_too_strange(latitude in -1e3..1e3, longitude in -1e4..1e4) {
+        fn any_point_gives_a_height_or_an_error(latitude in -1e3..1e3, longitude in -1e4..1e4) {
             let (part, whole) = (geoid(grid(40.0, 10.0, 0.5, 3, 3)), geoid(grid(-90.0, 0.0, 30.0, 7, 12)));
             prop_assert_eq!(whole.height_m(latitude, longitude).is_ok(), latitude.abs() <= 90.0);
             let inside = (40.0..=41.0).contains(&latitude) && (10.0..=11.0).contains(&longitude.rem_euclid(360.0));

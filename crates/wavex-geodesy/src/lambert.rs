@@ -5,12 +5,12 @@
 //! Only `+ - * /`, square roots and the crate `libm` are used, so results are bit-identical on
 //! every machine.
 
-use super::conformal::{Normal, conformal_tangent, geographic_tangent};
+use super::conformal::{EllipsoidNormal, conformal_tangent, geographic_tangent};
 use super::ellipsoid::Ellipsoid;
 
 /// Lambert conformal conic projection of an ellipsoid.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LambertConformal {
+pub(crate) struct LambertConformal {
     central_meridian_rad: f64,
     /// Sine and cosine of the central meridian.
     central_meridian: [f64; 2],
@@ -30,7 +30,7 @@ pub struct LambertConformal {
 
 /// Parameters of a Lambert conformal conic projection (EPSG methods 9801 and 9802).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Parameters {
+pub(crate) struct LambertParameters {
     /// Standard parallels, rad, along which the scale is constant; equal for one parallel.
     pub standard_parallels_rad: [f64; 2],
     /// Latitude of the false northing, rad.
@@ -50,7 +50,7 @@ impl LambertConformal {
     ///
     /// These are standard parallels at the same distance on both sides of the equator, or at a
     /// pole.
-    pub fn new(ellipsoid: Ellipsoid, parameters: Parameters) -> Option<LambertConformal> {
+    pub(crate) fn new(ellipsoid: Ellipsoid, parameters: LambertParameters) -> Option<LambertConformal> {
         let e2 = ellipsoid.eccentricity_squared();
         let eccentricity = e2.sqrt();
         let [first_rad, second_rad] = parameters.standard_parallels_rad;
@@ -88,13 +88,8 @@ impl LambertConformal {
         projection.origin_m.is_finite().then_some(projection)
     }
 
-    /// Easting and northing, m, of a latitude and longitude, rad.
-    pub fn project(&self, latitude_rad: f64, longitude_rad: f64) -> (f64, f64) {
-        self.project_normal(&Normal::new(latitude_rad, longitude_rad))
-    }
-
     /// Easting and northing, m, of a position; not finite at the pole on the open side of the cone.
-    pub fn project_normal(&self, normal: &Normal) -> (f64, f64) {
+    pub(crate) fn project_normal(&self, normal: &EllipsoidNormal) -> (f64, f64) {
         let radius_m = self.radius_m(normal.tangent());
         let [sine, cosine] = normal.longitude_from(self.central_meridian);
         let (sine, cosine) = libm::sincos(self.cone * libm::atan2(sine, cosine));
@@ -103,7 +98,7 @@ impl LambertConformal {
 
     /// Latitude and longitude, rad, of easting and northing, m; the longitude is continuous from
     /// the central meridian.
-    pub fn unproject(&self, easting_m: f64, northing_m: f64) -> (f64, f64) {
+    pub(crate) fn unproject(&self, easting_m: f64, northing_m: f64) -> (f64, f64) {
         let east = easting_m - self.false_easting_m;
         let south = self.origin_m - (northing_m - self.false_northing_m);
         let sign = self.cone.signum();
@@ -139,7 +134,7 @@ mod tests {
         scale: f64,
         false_m: [f64; 2],
     ) -> LambertConformal {
-        let parameters = Parameters {
+        let parameters = LambertParameters {
             standard_parallels_rad: parallels.map(f64::to_radians),
             latitude_of_origin_rad: origin.to_radians(),
             central_meridian_rad: meridian.to_radians(),
@@ -164,7 +159,7 @@ mod tests {
 
     /// Snyder's formulas in 40 digits.
     #[test]
-    fn places_have_their_coordinates_on_the_map() {
+    fn positions_project_to_reference_coordinates() {
         let cases = [
             (france(), 48.8, 2.3, 648_583.262_125_228_5, 6_855_774.715_696_833),
             (france(), 41.4, 9.5, 1_244_531.122_920_276_4, 6_055_557.061_014_082),
@@ -177,7 +172,8 @@ mod tests {
             (one_parallel(), 49.1, 7.9, 994_612.521_485_960_3, 2_569_280.644_402_324),
         ];
         for (map, latitude, longitude, easting, northing) in cases {
-            let (x, y) = map.project(f64::to_radians(latitude), f64::to_radians(longitude));
+            let (x, y) = map
+                .project_normal(&EllipsoidNormal::new(f64::to_radians(latitude), f64::to_radians(longitude)));
             assert!(
                 (x - easting).abs() < 1e-8 && (y - northing).abs() < 1e-8,
                 "{x} {y}: {easting} {northing}"
@@ -186,9 +182,9 @@ mod tests {
     }
 
     #[test]
-    fn parallels_without_a_cone_make_no_projection() {
+    fn parallels_without_a_cone_are_rejected() {
         for parallels in [[30.0, -30.0], [0.0, 0.0], [90.0, 40.0], [f64::NAN, 3.0], [100.0, 3.0]] {
-            let parameters = Parameters {
+            let parameters = LambertParameters {
                 standard_parallels_rad: parallels.map(f64::to_radians),
                 latitude_of_origin_rad: 0.0,
                 central_meridian_rad: 0.0,
@@ -205,7 +201,7 @@ mod tests {
         fn places_come_back(latitude in 0.1..1.4f64, longitude in -1.0..1.0f64) {
             for (map, sign) in [(france(), 1.0f64), (australia(), -1.0), (one_parallel(), 1.0)] {
                 let longitude = map.central_meridian_rad + longitude;
-                let (x, y) = map.project(sign * latitude, longitude);
+                let (x, y) = map.project_normal(&EllipsoidNormal::new(sign * latitude, longitude));
                 let (back, along) = map.unproject(x, y);
                 prop_assert!((back - sign * latitude).abs() * 6.4e6 < 1e-8, "{} m", (back - sign * latitude) * 6.4e6);
                 prop_assert!((along - longitude).abs() * 6.4e6 < 1e-8, "{} m", (along - longitude) * 6.4e6);

@@ -1,13 +1,14 @@
-//! Time scales and geodesy, as pure computations.
+#![doc = include_str!("../README.md")]
+#![warn(unreachable_pub)]
 
 pub mod beam_length;
 pub mod cone;
-pub mod conformal;
+mod conformal;
 pub mod crs;
 pub mod ellipsoid;
 pub mod frames;
 pub mod geoid;
-pub mod lambert;
+mod lambert;
 pub mod time;
 pub mod time_axis;
 pub mod trajectory;

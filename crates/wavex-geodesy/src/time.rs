@@ -23,6 +23,15 @@ pub enum TimeScale {
 
 impl TimeScale {
     /// Converts a time to adjusted GPS time, s; `None` if the week is unknown.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use wavex_geodesy::time::TimeScale;
+    ///
+    /// assert_eq!(TimeScale::Week.adjusted_s(Some(2365), 208_800.5), Some(430_560_800.5));
+    /// assert_eq!(TimeScale::Week.adjusted_s(None, 208_800.5), None);
+    /// ```
     pub fn adjusted_s(self, gps_week: Option<u32>, gps_time_s: f64) -> Option<f64> {
         match (self, gps_week) {
             (TimeScale::Adjusted, _) => Some(gps_time_s),

@@ -8,16 +8,20 @@
 //! are bit-identical on every machine: only `+ - * /`, square roots and the crate `libm` are used.
 //!
 //! A step of over twice the median is a [`Gap`]. Short gaps are interpolated, up to
-//! [`LONGEST_BRIDGED_S`] or five median steps, whichever is longer. Inside longer gaps, and outside
+//! 0.2 s or five median steps, whichever is longer. Inside longer gaps, and outside
 //! the records, there is no pose.
 
 use core::ops::Range;
 
 use super::ellipsoid::{Geodetic, WGS84};
 use super::frames::{Attitude, Rotation, Vector, ecef_from_ned, then};
+use accuracies::Accuracies;
+pub use error::TrajectoryError;
 use quaternion::Quaternion;
 use time_index::TimeIndex;
 
+mod accuracies;
+mod error;
 mod quaternion;
 #[cfg(test)]
 mod tests;
@@ -28,7 +32,7 @@ mod time_index;
 /// The error of the cubic across a gap `T`, for a sway of amplitude `A` and angular frequency `w`,
 /// is up to `A (w T)^4 / 384`. For 3 degrees at 0.5 Hz this is 0.0012 degrees at 0.2 s, or 3 cm at
 /// 1500 m, and sixteen times as much for twice the gap.
-pub const LONGEST_BRIDGED_S: f64 = 0.2;
+const LONGEST_BRIDGED_S: f64 = 0.2;
 /// Gaps of up to this many median steps are also interpolated; a trajectory of 1 Hz has no shorter
 /// ones.
 const LONGEST_BRIDGED_STEPS: f64 = 5.0;
@@ -96,95 +100,11 @@ impl Gap {
     }
 }
 
-/// Reason why records are not a valid trajectory. Records count from 1 in messages, from 0 in
-/// fields.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum Problem {
-    /// Too few records to interpolate.
-    #[error("{count} record(s): at least two are needed")]
-    TooFew {
-        /// Number of records.
-        count: usize,
-    },
-    /// Too many records to index.
-    #[error("{count} records: at most {} are supported", u32::MAX)]
-    TooMany {
-        /// Number of records.
-        count: usize,
-    },
-    /// NaN, infinite, or a latitude beyond the poles.
-    #[error("record {}: its {field} is {value}", record + 1)]
-    Implausible {
-        /// Index of the record.
-        record: usize,
-        /// Name of the field.
-        field: &'static str,
-        /// Value of the field.
-        value: f64,
-    },
-    /// Times run backwards.
-    #[error(
-        "record {}: its time {time_s} s is before the {before_s} s of record {record}{}",
-        record + 1,
-        and_more(*more)
-    )]
-    Disorder {
-        /// Index of the record that is out of order.
-        record: usize,
-        /// Time of the previous record, s.
-        before_s: f64,
-        /// Time of the record, s.
-        time_s: f64,
-        /// Number of further such records.
-        more: usize,
-    },
-    /// Two records have the same time.
-    #[error(
-        "records {record} and {} have the same time {time_s} s{}",
-        record + 1,
-        and_more(*more)
-    )]
-    Duplicate {
-        /// Index of the second record.
-        record: usize,
-        /// Time of both, s.
-        time_s: f64,
-        /// Number of further such records.
-        more: usize,
-    },
-}
-
-impl Problem {
-    /// Index of the faulty record, if there is one.
-    pub fn record(&self) -> Option<usize> {
-        match *self {
-            Problem::TooFew { .. } | Problem::TooMany { .. } => None,
-            Problem::Implausible { record, .. }
-            | Problem::Disorder { record, .. }
-            | Problem::Duplicate { record, .. } => Some(record),
-        }
-    }
-
-    /// Remedy for the user.
-    pub fn remedy(&self) -> &'static str {
-        match self {
-            Problem::TooFew { .. } | Problem::Implausible { .. } => "export it again from its source",
-            Problem::TooMany { .. } => "cut it into parts",
-            Problem::Disorder { .. } => "sort its records by time",
-            Problem::Duplicate { .. } => "keep one record of each time",
-        }
-    }
-}
-
-fn and_more(more: usize) -> String {
-    if more == 0 { String::new() } else { format!(" (and {more} more like this)") }
-}
-
 /// A trajectory: see the [module](self). Takes 124 bytes of memory per record.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     samples: Vec<Sample>,
-    nodes: Vec<Node>,
+    nodes: Vec<EcefSample>,
     index: TimeIndex,
     median_step_s: f64,
     longest_bridged_s: f64,
@@ -194,7 +114,7 @@ pub struct Trajectory {
 
 /// A sample in the earth-centred frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Node {
+struct EcefSample {
     position_m: Vector,
     ecef_from_body: Quaternion,
 }
@@ -205,12 +125,12 @@ impl Trajectory {
     /// # Errors
     /// Fewer than two samples, values that are not finite, latitudes beyond the poles, unordered or
     /// duplicate times.
-    pub fn new(samples: Vec<Sample>) -> Result<Trajectory, Problem> {
+    pub fn new(samples: Vec<Sample>) -> Result<Trajectory, TrajectoryError> {
         for (record, sample) in samples.iter().enumerate() {
             check_sample(record, sample)?;
         }
         let index = index(samples.iter().map(|sample| sample.time_s).collect())?;
-        let nodes = samples.iter().map(Node::of).collect();
+        let nodes = samples.iter().map(EcefSample::of).collect();
         let median_step_s = median_step_s(index.times_s());
         let longest_bridged_s = LONGEST_BRIDGED_S.max(LONGEST_BRIDGED_STEPS * median_step_s);
         let gaps = gaps(index.times_s(), median_step_s, longest_bridged_s);
@@ -223,7 +143,7 @@ impl Trajectory {
     ///
     /// # Errors
     /// As for [`Trajectory::new`]; record numbers refer to the accuracies.
-    pub fn with_accuracies(mut self, samples: Vec<AccuracySample>) -> Result<Trajectory, Problem> {
+    pub fn with_accuracies(mut self, samples: Vec<AccuracySample>) -> Result<Trajectory, TrajectoryError> {
         self.accuracies = Some(Accuracies::new(&samples)?);
         Ok(self)
     }
@@ -259,6 +179,25 @@ impl Trajectory {
     }
 
     /// Poses for a sequence of times; neighbours are cached between nearby times.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use wavex_geodesy::ellipsoid::Geodetic;
+    /// use wavex_geodesy::frames::Attitude;
+    /// use wavex_geodesy::trajectory::{Sample, Trajectory};
+    ///
+    /// let sample = |time_s: f64| Sample {
+    ///     time_s,
+    ///     place: Geodetic { latitude_rad: 0.8 + 1e-5 * time_s, longitude_rad: 0.2, height_m: 1000.0 },
+    ///     attitude: Attitude::default(),
+    /// };
+    /// let trajectory = Trajectory::new((0..10).map(|k| sample(f64::from(k))).collect())?;
+    /// let mut poses = trajectory.poses();
+    /// assert!(poses.at(4.25).is_some());
+    /// assert!(poses.at(9.5).is_none(), "after the last record");
+    /// # Ok::<(), wavex_geodesy::trajectory::TrajectoryError>(())
+    /// ```
     pub fn poses(&self) -> Poses<'_> {
         Poses { trajectory: self, last: None }
     }
@@ -276,10 +215,11 @@ impl Trajectory {
             let at = if time_s == start_s { Some(before) } else { (time_s == end_s).then_some(before + 1) };
             return at.map(|record| record..record + 1);
         }
-        let tells = |step: f64| step <= self.longest_bridged_s && step >= CLOSEST * step_s;
-        let first = before.checked_sub(1).filter(|&first| tells(start_s - times_s[first])).unwrap_or(before);
-        let behind = times_s.get(before + 2).is_some_and(|time_s| tells(time_s - end_s));
-        Some(first..before + 2 + usize::from(behind))
+        let is_useful = |step: f64| step <= self.longest_bridged_s && step >= CLOSEST * step_s;
+        let first =
+            before.checked_sub(1).filter(|&first| is_useful(start_s - times_s[first])).unwrap_or(before);
+        let has_after = times_s.get(before + 2).is_some_and(|time_s| is_useful(time_s - end_s));
+        Some(first..before + 2 + usize::from(has_after))
     }
 }
 
@@ -348,12 +288,15 @@ impl Neighbours {
     }
 }
 
-impl Node {
-    fn of(sample: &Sample) -> Node {
+impl EcefSample {
+    fn of(sample: &Sample) -> EcefSample {
         let Geodetic { latitude_rad, longitude_rad, .. } = sample.place;
         let ecef_from_body =
             then(&sample.attitude.ned_from_body(), &ecef_from_ned(latitude_rad, longitude_rad));
-        Node { position_m: WGS84.ecef_of(sample.place), ecef_from_body: Quaternion::of(&ecef_from_body) }
+        EcefSample {
+            position_m: WGS84.ecef_of(sample.place),
+            ecef_from_body: Quaternion::of(&ecef_from_body),
+        }
     }
 }
 
@@ -373,50 +316,7 @@ fn weights(times_s: &[f64], time_s: f64) -> [f64; 4] {
     weights
 }
 
-/// Accuracies over time.
-#[derive(Clone, Debug, PartialEq)]
-struct Accuracies {
-    index: TimeIndex,
-    values: Vec<Accuracy>,
-}
-
-impl Accuracies {
-    fn new(samples: &[AccuracySample]) -> Result<Accuracies, Problem> {
-        for (record, AccuracySample { time_s, accuracy }) in samples.iter().enumerate() {
-            let [n, e, d] = accuracy.position_sd_m;
-            let [roll, pitch, heading] = accuracy.attitude_sd_rad;
-            let fields = [
-                ("time", *time_s),
-                ("standard deviation to the north", n),
-                ("standard deviation to the east", e),
-                ("standard deviation in height", d),
-                ("standard deviation of the roll", roll),
-                ("standard deviation of the pitch", pitch),
-                ("standard deviation of the heading", heading),
-            ];
-            let is_bad =
-                |&(field, value): &(&str, f64)| !value.is_finite() || (field != "time" && value < 0.0);
-            if let Some((field, value)) = fields.into_iter().find(is_bad) {
-                return Err(Problem::Implausible { record, field, value });
-            }
-        }
-        let index = index(samples.iter().map(|sample| sample.time_s).collect())?;
-        Ok(Accuracies { index, values: samples.iter().map(|sample| sample.accuracy).collect() })
-    }
-
-    fn at(&self, time_s: f64) -> Option<Accuracy> {
-        let before = self.index.before(time_s)?;
-        let (times_s, a, b) = (self.index.times_s(), &self.values[before], &self.values[before + 1]);
-        let part = (time_s - times_s[before]) / (times_s[before + 1] - times_s[before]);
-        let between = |a: [f64; 3], b: [f64; 3]| core::array::from_fn(|k| a[k] + part * (b[k] - a[k]));
-        Some(Accuracy {
-            position_sd_m: between(a.position_sd_m, b.position_sd_m),
-            attitude_sd_rad: between(a.attitude_sd_rad, b.attitude_sd_rad),
-        })
-    }
-}
-
-fn check_sample(record: usize, sample: &Sample) -> Result<(), Problem> {
+fn check_sample(record: usize, sample: &Sample) -> Result<(), TrajectoryError> {
     let Sample { time_s, place, attitude } = sample;
     let fields = [
         ("time", *time_s, f64::MAX),
@@ -428,27 +328,29 @@ fn check_sample(record: usize, sample: &Sample) -> Result<(), Problem> {
         ("heading", attitude.heading_rad, f64::MAX),
     ];
     match fields.into_iter().find(|(_, value, most)| !matches!(value.abs(), size if size <= *most)) {
-        Some((field, value, _)) => Err(Problem::Implausible { record, field, value }),
+        Some((field, value, _)) => Err(TrajectoryError::Implausible { record, field, value }),
         None => Ok(()),
     }
 }
 
 /// Index of times that must be strictly ascending.
-fn index(times_s: Vec<f64>) -> Result<TimeIndex, Problem> {
+fn index(times_s: Vec<f64>) -> Result<TimeIndex, TrajectoryError> {
     let count = times_s.len();
     if count < 2 {
-        return Err(Problem::TooFew { count });
+        return Err(TrajectoryError::TooFew { count });
     }
     if u32::try_from(count).is_err() {
-        return Err(Problem::TooMany { count });
+        return Err(TrajectoryError::TooMany { count });
     }
     let steps = || times_s.windows(2).enumerate().map(|(k, pair)| (k + 1, pair[0], pair[1]));
     let many = |is: fn(f64, f64) -> bool| steps().filter(|&(_, a, b)| is(a, b)).count() - 1;
     match steps().find(|(_, before_s, time_s)| time_s <= before_s) {
         Some((record, before_s, time_s)) if time_s < before_s => {
-            Err(Problem::Disorder { record, before_s, time_s, more: many(|a, b| b < a) })
+            Err(TrajectoryError::Disorder { record, before_s, time_s, more: many(|a, b| b < a) })
         }
-        Some((record, _, time_s)) => Err(Problem::Duplicate { record, time_s, more: many(|a, b| a == b) }),
+        Some((record, _, time_s)) => {
+            Err(TrajectoryError::Duplicate { record, time_s, more: many(|a, b| a == b) })
+        }
         None => Ok(TimeIndex::new(times_s)),
     }
 }

@@ -5,10 +5,21 @@
 //! below 5 nm within 4000 km of the central meridian. Only `+ - * /`, square roots and the crate
 //! `libm` are used, so results are bit-identical on every machine.
 
-use super::conformal::{Normal, conformal_tangents, geographic_tangent};
+use super::conformal::{EllipsoidNormal, conformal_tangents, geographic_tangent};
 use super::ellipsoid::Ellipsoid;
 
 /// Transverse Mercator projection of an ellipsoid.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_geodesy::ellipsoid::WGS84;
+/// use wavex_geodesy::transverse_mercator::{TransverseMercator, TransverseMercatorParameters};
+///
+/// let zone_33 = TransverseMercator::new(WGS84, TransverseMercatorParameters::utm(33, true));
+/// let (easting_m, _) = zone_33.project(48_f64.to_radians(), 15_f64.to_radians());
+/// assert_eq!(easting_m, 500_000.0);
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransverseMercator {
     central_meridian_rad: f64,
@@ -27,7 +38,7 @@ pub struct TransverseMercator {
 
 /// Parameters of a transverse Mercator projection (EPSG method 9807).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Parameters {
+pub struct TransverseMercatorParameters {
     /// Latitude of the false northing, rad.
     pub latitude_of_origin_rad: f64,
     /// Central meridian, along which the scale is constant, rad.
@@ -40,10 +51,10 @@ pub struct Parameters {
     pub false_northing_m: f64,
 }
 
-impl Parameters {
+impl TransverseMercatorParameters {
     /// Parameters of a UTM zone, 1 to 60; `north`: northern hemisphere.
-    pub fn utm(zone: u8, north: bool) -> Parameters {
-        Parameters {
+    pub fn utm(zone: u8, north: bool) -> TransverseMercatorParameters {
+        TransverseMercatorParameters {
             latitude_of_origin_rad: 0.0,
             central_meridian_rad: (6.0 * f64::from(zone) - 183.0).to_radians(),
             scale: 0.9996,
@@ -55,7 +66,7 @@ impl Parameters {
 
 impl TransverseMercator {
     /// Creates the projection of an ellipsoid.
-    pub fn new(ellipsoid: Ellipsoid, parameters: Parameters) -> TransverseMercator {
+    pub fn new(ellipsoid: Ellipsoid, parameters: TransverseMercatorParameters) -> TransverseMercator {
         let n = ellipsoid.flattening / (2.0 - ellipsoid.flattening);
         let n2 = n * n;
         let rectifying_m = ellipsoid.semi_major_m / (1.0 + n)
@@ -80,18 +91,18 @@ impl TransverseMercator {
     /// Whether coordinates are in the valid area of the series.
     ///
     /// That is within 4000 km of the central meridian, and not far beyond the poles.
-    pub fn reaches(&self, easting_m: f64, northing_m: f64) -> bool {
+    pub(crate) fn reaches(&self, easting_m: f64, northing_m: f64) -> bool {
         let from_equator_m = northing_m - self.false_northing_m + self.origin_m;
         (easting_m - self.false_easting_m).abs() < 4e6 && from_equator_m.abs() < 1.2e7
     }
 
     /// Easting and northing, m, of a latitude and longitude, rad.
     pub fn project(&self, latitude_rad: f64, longitude_rad: f64) -> (f64, f64) {
-        self.project_normal(&Normal::new(latitude_rad, longitude_rad))
+        self.project_normal(&EllipsoidNormal::new(latitude_rad, longitude_rad))
     }
 
     /// Easting and northing, m, of a position.
-    pub fn project_normal(&self, normal: &Normal) -> (f64, f64) {
+    pub(crate) fn project_normal(&self, normal: &EllipsoidNormal) -> (f64, f64) {
         let [coordinates] = self.project_each(&[*normal]);
         coordinates
     }
@@ -100,8 +111,9 @@ impl TransverseMercator {
     ///
     /// Each step handles all positions. The harmonics need only the sines of the angles xi and eta,
     /// which are known before the angles.
-    pub fn project_each<const N: usize>(&self, normals: &[Normal; N]) -> [(f64, f64); N] {
-        let conformal = conformal_tangents(self.eccentricity, &normals.each_ref().map(Normal::tangent));
+    pub(crate) fn project_each<const N: usize>(&self, normals: &[EllipsoidNormal; N]) -> [(f64, f64); N] {
+        let conformal =
+            conformal_tangents(self.eccentricity, &normals.each_ref().map(EllipsoidNormal::tangent));
         let (mut cosines, mut across) = ([0.0; N], [0.0; N]);
         let (mut xi, mut eta) = ([[0.0; N]; 2], [[0.0; N]; 2]);
         for i in 0..N {
@@ -212,13 +224,19 @@ mod tests {
 
     fn utm(central_meridian: f64) -> TransverseMercator {
         let central_meridian_rad = central_meridian.to_radians();
-        TransverseMercator::new(WGS84, Parameters { central_meridian_rad, ..Parameters::utm(31, true) })
+        TransverseMercator::new(
+            WGS84,
+            TransverseMercatorParameters {
+                central_meridian_rad,
+                ..TransverseMercatorParameters::utm(31, true)
+            },
+        )
     }
 
     /// The projection as the complex continuation of the meridian arc length, integrated in 40
     /// digits.
     #[test]
-    fn places_have_their_coordinates_on_the_map() {
+    fn positions_project_to_reference_coordinates() {
         let cases = [
             ((0.0, 0.0, 0.0), (500_000.0, 0.0)),
             ((45.0, 3.0, 0.0), (736_446.026_101_208, 4_987_329.504_698_915)),
@@ -241,17 +259,18 @@ mod tests {
 
     #[test]
     fn zones_have_their_meridians_and_their_false_origins() {
-        let south = TransverseMercator::new(WGS84, Parameters::utm(56, false));
+        let south = TransverseMercator::new(WGS84, TransverseMercatorParameters::utm(56, false));
         let (x, y) = south.project((-33.9f64).to_radians(), 151.2f64.to_radians());
         assert!((x - 333_568.941_011_554).abs() < 3e-9 && (y - 6_247_473.336_844_018).abs() < 3e-9);
-        let degrees = [1, 33, 60].map(|zone| Parameters::utm(zone, true).central_meridian_rad.to_degrees());
+        let degrees = [1, 33, 60]
+            .map(|zone| TransverseMercatorParameters::utm(zone, true).central_meridian_rad.to_degrees());
         assert!(degrees.iter().zip([-177.0, 15.0, 177.0]).all(|(a, b): (&f64, f64)| (a - b).abs() < 1e-12));
     }
 
     /// The northing counts from the latitude of origin.
     #[test]
-    fn a_latitude_of_origin_is_where_the_false_northing_is() {
-        let parameters = Parameters {
+    fn the_latitude_of_origin_has_the_false_northing() {
+        let parameters = TransverseMercatorParameters {
             latitude_of_origin_rad: 0.9,
             central_meridian_rad: -0.03,
             scale: 0.999_601_271_7,

@@ -30,15 +30,6 @@ pub fn down_at(frame: Frame, place_m: Vector) -> Option<Vector> {
     }
 }
 
-/// Height of a position (m in `frame`), projected or ellipsoidal; `None` for instrument frames.
-pub fn height_m(frame: Frame, place_m: Vector) -> Option<f64> {
-    match frame {
-        Frame::Map => Some(place_m[2]),
-        Frame::Earth => Some(WGS84.geodetic_of(place_m).height_m),
-        Frame::Scanner | Frame::Body => None,
-    }
-}
-
 /// Signed axis nearest to the mean of some directions.
 ///
 /// Serves as down in instrument frames: scanners are mounted in various ways, but look down on
@@ -60,15 +51,14 @@ mod tests {
     use crate::ellipsoid::Geodetic;
 
     #[test]
-    fn down_is_the_way_a_place_loses_height() {
+    fn moving_down_reduces_the_height() {
         for (latitude_rad, longitude_rad) in [(0.0, 0.0), (0.8, 0.2), (-0.6, 2.9), (1.5, -1.2)] {
             let place_m = WGS84.ecef_of(Geodetic { latitude_rad, longitude_rad, height_m: 900.0 });
             let down = down_at(Frame::Earth, place_m).unwrap();
             let below = std::array::from_fn(|axis| place_m[axis] + 100.0 * down[axis]);
-            assert!((height_m(Frame::Earth, below).unwrap() - 800.0).abs() < 1e-6);
+            assert!((WGS84.geodetic_of(below).height_m - 800.0).abs() < 1e-6);
         }
         assert_eq!(down_at(Frame::Map, [5e5, 5e6, 100.0]), Some([0.0, 0.0, -1.0]));
-        assert_eq!(height_m(Frame::Map, [5e5, 5e6, 100.0]), Some(100.0));
-        assert_eq!((down_at(Frame::Body, [0.0; 3]), height_m(Frame::Scanner, [0.0; 3])), (None, None));
+        assert_eq!([Frame::Body, Frame::Scanner].map(|frame| down_at(frame, [0.0; 3])), [None; 2]);
     }
 }

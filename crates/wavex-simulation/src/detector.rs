@@ -6,7 +6,7 @@
 //! with the linear amplitude `a`.
 
 /// Linear amplitude of 0 dB, DN.
-pub const ZERO_DB_DN: f64 = 7.0;
+const ZERO_DB_DN: f64 = 7.0;
 
 /// Upper limit of the linear range of the measured sensitive receiver, DN above the background.
 const LINEAR_TO_DN: f64 = 66.0;
@@ -47,6 +47,15 @@ use Sensitivity::{Coarse, Sensitive};
 
 impl Detector {
     /// Peak amplitude of an echo in a receiver, DN above the background.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use wavex_simulation::detector::{Detector, Sensitivity};
+    ///
+    /// assert_eq!(Detector::Linear.height_dn(Sensitivity::Coarse, 200.0), 20.0);
+    /// assert!(Detector::Riegl.height_dn(Sensitivity::Sensitive, 200.0) < 200.0);
+    /// ```
     pub fn height_dn(self, receiver: Sensitivity, linear_dn: f64) -> f64 {
         match (self, receiver) {
             (Detector::Linear, Sensitive) => linear_dn,
@@ -69,7 +78,7 @@ impl Detector {
     }
 
     /// Inverse of [`Detector::height_dn`]: decibels of an echo with this peak amplitude.
-    pub fn decibels(self, receiver: Sensitivity, height_dn: f64) -> f64 {
+    fn decibels(self, receiver: Sensitivity, height_dn: f64) -> f64 {
         match (self, receiver) {
             (Detector::Linear, Sensitive) => decibels(height_dn),
             (Detector::Linear, Coarse) => decibels(height_dn / COARSE_GAIN),

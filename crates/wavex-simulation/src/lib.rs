@@ -1,17 +1,5 @@
-//! A simulated lidar: the components of the stage `simulate`.
-//!
-//! Each component can be replaced independently. The [`scanner`] defines emission time and angle of
-//! each pulse, the [`platform`] the position and attitude of the scanner, the [`scene`] the targets
-//! of the pulse, the [`detector`] the amplitude of an echo, the [`receiver`] the recorded samples,
-//! the [`world`] the position of the scene on the earth, and [`truth`] the result of a perfect
-//! evaluation.
-//!
-//! # Reproducible bytes
-//! Random numbers come from our own generator ([`random`]), seeded for each shot with the seed, the
-//! scan line and the index of the shot in it, so no line depends on another. Sines, exponentials,
-//! logarithms and error functions come from the crate `libm`, because the results of `std` differ
-//! between platforms in the last bit. All other operations (`+ - * /`, square root, rounding) are
-//! defined bit by bit by IEEE 754.
+#![doc = include_str!("../README.md")]
+#![warn(unreachable_pub)]
 
 pub mod detector;
 pub mod mta_scenes;
@@ -48,7 +36,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_number_is_its_whole_and_its_part() {
+    fn whole_and_part_add_up() {
         for x in [0.0, 0.25, -0.25, -1.0, 7.0, -7.5, 1e15 + 0.5, -1e15 - 0.5, 5_300_000.1, -1e-300] {
             let (whole, part) = whole_and_part(x);
             assert_eq!((whole as f64, part), (x.floor(), x - x.floor()), "{x}");

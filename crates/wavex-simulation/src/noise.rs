@@ -119,7 +119,7 @@ mod tests {
 
     /// The specialised recursion of order four gives the same bits as the general one.
     #[test]
-    fn order_four_is_no_different() {
+    fn order_four_reproduces_the_autocorrelation() {
         let noise = Noise::new(0.93, &MEASURED).unwrap();
         let (weights, sd) = &noise.orders[4];
         for length in [0, 3, 5, 6, 60] {
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_process_can_have_is_refused() {
+    fn impossible_autocorrelations_are_rejected() {
         for impossible in [&[1.0][..], &[-1.2], &[0.9, 0.1], &[f64::NAN], &[0.5, f64::INFINITY]] {
             assert!(Noise::new(1.0, impossible).is_none(), "{impossible:?}");
         }

@@ -76,7 +76,7 @@ impl Platform {
     }
 
     /// Position of the body's centre in the scene, m.
-    pub fn position_m(&self, since_start_s: f64) -> [f64; 3] {
+    pub(crate) fn position_m(&self, since_start_s: f64) -> [f64; 3] {
         let [x, y] = START_M;
         let height_m = GROUND_HEIGHT_M + self.flying_height_m;
         if self.turn_radius_m == 0.0 {
@@ -162,7 +162,7 @@ mod tests {
 
     /// A quarter circle to the right ends one radius ahead and one to the right, and points right.
     #[test]
-    fn a_circle_leads_around() {
+    fn a_circular_track_turns_to_its_side() {
         let quarter_s = core::f64::consts::FRAC_PI_2 * 900.0 / 60.0;
         let circling = platform([0.0; 3], [0.0; 3], [0.0; 3]).turning(900.0);
         let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn a_swaying_aircraft_keeps_within_its_angles_and_reaches_them() {
+    fn attitude_angles_stay_within_their_maximum_and_reach_it() {
         let swaying = platform([0.05, 0.03, 0.02], [0.0; 3], [0.0; 3]);
         let mut largest = [0.0f64; 3];
         for k in 0..20_000 {

@@ -2,7 +2,7 @@
 
 mod table;
 
-pub use table::{PulseTable, Width};
+pub use table::{PulseTable, WidthIndex};
 
 /// FWHM of a normal distribution of SD 1: `2 sqrt(2 ln 2)`.
 pub const FWHM_OF_NORMAL: f64 = 2.354_820_045_030_949_3;
@@ -14,7 +14,7 @@ pub const FWHM_OF_NORMAL: f64 = 2.354_820_045_030_949_3;
 /// widened response also has a closed form (docs/explanation/method.md, signal model: response convolved with a
 /// Gaussian).
 #[derive(Clone, Debug, PartialEq)]
-pub struct Shape {
+pub struct PulseShape {
     /// Variance of the normal distribution, ns².
     variance_ns2: f64,
     terms: Vec<Term>,
@@ -43,26 +43,26 @@ const AFTER_PULSE: Term = Term { area: 0.0265, delay_ns: 10.75, decay_ns: LOBE.d
 /// Slow recovery of the receiver: 1.6 % of the peak 20 ns after it.
 const TAIL: Term = Term { area: 0.198, delay_ns: 0.0, decay_ns: 23.0 };
 
-impl Shape {
+impl PulseShape {
     /// A normal distribution with this FWHM, ns.
-    pub fn gaussian(fwhm_ns: f64) -> Shape {
+    pub fn gaussian(fwhm_ns: f64) -> PulseShape {
         let sd_ns = fwhm_ns / FWHM_OF_NORMAL;
-        Shape::new(sd_ns, vec![Term { area: 1.0, delay_ns: 0.0, decay_ns: 0.0 }])
+        PulseShape::new(sd_ns, vec![Term { area: 1.0, delay_ns: 0.0, decay_ns: 0.0 }])
     }
 
     /// Response of a low-power receiver, as recorded by a RIEGL LMS-Q680i: FWHM 4.5 ns, with
     /// after-pulse and slow tail.
-    pub fn riegl() -> Shape {
-        Shape::new(LOBE_SD_NS, vec![LOBE, AFTER_PULSE, TAIL])
+    pub fn riegl() -> PulseShape {
+        PulseShape::new(LOBE_SD_NS, vec![LOBE, AFTER_PULSE, TAIL])
     }
 
     /// Outgoing pulse of the same instrument; its recording has neither after-pulse nor tail.
-    pub fn riegl_reference() -> Shape {
-        Shape::new(LOBE_SD_NS, vec![LOBE])
+    pub fn riegl_reference() -> PulseShape {
+        PulseShape::new(LOBE_SD_NS, vec![LOBE])
     }
 
-    fn new(sd_ns: f64, terms: Vec<Term>) -> Shape {
-        let mut shape = Shape { variance_ns2: sd_ns * sd_ns, terms, peak_ns: 0.0, scale: 1.0 };
+    fn new(sd_ns: f64, terms: Vec<Term>) -> PulseShape {
+        let mut shape = PulseShape { variance_ns2: sd_ns * sd_ns, terms, peak_ns: 0.0, scale: 1.0 };
         shape.peak_ns = shape.peak_ns(0.0);
         shape.scale = 1.0 / shape.at(0.0, 0.0);
         shape
@@ -159,7 +159,7 @@ mod tests {
 
     #[test]
     fn a_gaussian_is_one() {
-        let shape = Shape::gaussian(4.5);
+        let shape = PulseShape::gaussian(4.5);
         assert!((shape.fwhm_ns() - 4.5).abs() < 1e-12);
         assert!((shape.at(2.25, 0.0) - 0.5).abs() < 1e-12);
         assert!(shape.peak_ns(3.0).abs() < 1e-12);
@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn the_peak_has_height_one_at_time_zero() {
-        for shape in [Shape::gaussian(3.0), Shape::riegl(), Shape::riegl_reference()] {
+        for shape in [PulseShape::gaussian(3.0), PulseShape::riegl(), PulseShape::riegl_reference()] {
             assert!((shape.at(0.0, 0.0) - 1.0).abs() < 1e-15);
             assert!(shape.peak_ns(0.0).abs() < 1e-12, "{}", shape.peak_ns(0.0));
             assert!(shape.at(-0.01, 0.0) < 1.0 && shape.at(0.01, 0.0) < 1.0);
@@ -180,7 +180,7 @@ mod tests {
     /// Values measured on recordings of RIEGL LMS-Q680i and LMS-Q680.
     #[test]
     fn the_response_has_the_measured_width_after_pulse_and_tail() {
-        let shape = Shape::riegl();
+        let shape = PulseShape::riegl();
         assert!((shape.fwhm_ns() - 4.5).abs() < 0.005, "{}", shape.fwhm_ns());
         let at = |time_ns| shape.at(time_ns, 0.0);
         assert!((at(10.5) - 0.05).abs() < 0.001, "{}", at(10.5));
@@ -188,13 +188,13 @@ mod tests {
         for (time_ns, height) in [(20.0, 0.0160), (30.0, 0.0100), (40.0, 0.0065)] {
             assert!((at(time_ns) - height).abs() < 0.0007, "{time_ns} ns: {}", at(time_ns));
         }
-        assert!(Shape::riegl_reference().at(10.5, 0.0) < 1e-5);
+        assert!(PulseShape::riegl_reference().at(10.5, 0.0) < 1e-5);
     }
 
     /// The closed form equals a direct sum of the convolution.
     #[test]
     fn widening_is_a_convolution_with_a_gaussian() {
-        let (shape, sd, step) = (Shape::riegl(), 1.7, 0.01);
+        let (shape, sd, step) = (PulseShape::riegl(), 1.7, 0.01);
         for time_ns in [-4.0, 0.0, 1.3, 6.0, 11.0, 40.0] {
             let sum: f64 = (-1500..=1500)
                 .map(|k| f64::from(k) * step)
@@ -207,11 +207,11 @@ mod tests {
     #[test]
     fn beyond_its_end_the_response_is_one_exponential() {
         for widening in [0.0, 16.0] {
-            let shape = Shape::riegl();
+            let shape = PulseShape::riegl();
             let (decay, end) = shape.end(widening);
             let ratio = shape.at(end + 5.0, widening) / shape.at(end, widening);
             assert!((ratio - (-5.0 / decay).exp()).abs() < 1e-6, "{ratio}");
-            let gaussian = Shape::gaussian(4.5);
+            let gaussian = PulseShape::gaussian(4.5);
             let (decay, end) = gaussian.end(widening);
             assert!(decay == 0.0 && gaussian.at(end, widening) < 1e-7);
         }

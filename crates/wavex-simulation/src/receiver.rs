@@ -1,11 +1,11 @@
 //! Recorded sample blocks of the digitisers.
 
 use super::noise::Noise;
-use super::pulse::{PulseTable, Shape, Width};
+use super::pulse::{PulseShape, PulseTable, WidthIndex};
 use super::random::Random;
 
 /// Number of samples of the outgoing pulse's block.
-pub const REFERENCE_SAMPLES: usize = 24;
+const REFERENCE_SAMPLES: usize = 24;
 /// Samples from the start of that block to the shot's clock, on the same raster.
 const REFERENCE_LEAD: i64 = 10;
 /// Peak amplitude of the outgoing pulse above the background, DN.
@@ -33,7 +33,7 @@ const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
 
 /// Settings of a [`Receiver`].
 #[derive(Clone, Debug)]
-pub struct Settings {
+pub struct ReceiverSettings {
     /// Sampling interval, ns.
     pub interval_ns: f64,
     /// Full scale of the digitiser, DN.
@@ -45,9 +45,9 @@ pub struct Settings {
     /// Autocorrelation of the recorded noise at lags 1, 2, ... samples.
     pub noise_autocorrelation: Vec<f64>,
     /// Response to a flat target.
-    pub response: Shape,
+    pub response: PulseShape,
     /// Shape of the outgoing pulse.
-    pub reference: Shape,
+    pub reference: PulseShape,
     /// Second receiver, for strong echoes, if any.
     pub high_power: Option<HighPower>,
 }
@@ -88,7 +88,7 @@ struct Scratch {
 
 /// An echo as it arrives.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Echo {
+pub struct ReceivedEcho {
     /// Peak time after the shot's clock, ns; for a widened echo, of the flat target's response.
     pub time_ns: f64,
     /// Peak amplitude above the background at gain 1, DN, before digitiser limits.
@@ -98,17 +98,17 @@ pub struct Echo {
     /// Peak amplitude in a receiver without limits, DN.
     pub linear_dn: f64,
     /// Width.
-    pub width: Width,
+    pub width: WidthIndex,
 }
 
 /// A range of the echo digitiser's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Window {
+pub struct SampleWindow {
     start: i64,
     len: i64,
 }
 
-impl Settings {
+impl ReceiverSettings {
     /// Noise before the digitiser, which adds rounding errors; `None` for no noise.
     ///
     /// # Errors
@@ -141,7 +141,8 @@ impl Settings {
 }
 
 /// No process has the requested SD and autocorrelation after rounding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("no noise process has this standard deviation and autocorrelation after rounding")]
 pub struct NoSuchNoise;
 
 impl Receiver {
@@ -149,7 +150,7 @@ impl Receiver {
     ///
     /// # Errors
     /// If no process has the requested SD and autocorrelation.
-    pub fn new(settings: &Settings) -> Result<Receiver, NoSuchNoise> {
+    pub fn new(settings: &ReceiverSettings) -> Result<Receiver, NoSuchNoise> {
         let high_power_noise = settings.high_power_noise()?;
         Ok(Receiver {
             interval_ns: settings.interval_ns,
@@ -198,7 +199,7 @@ impl Receiver {
     ///
     /// Each starts on an even sample of the digitiser, so even and odd samples keep their
     /// backgrounds.
-    pub fn windows(&self, echoes: &[Echo], windows: &mut Vec<Window>) {
+    pub fn windows(&self, echoes: &[ReceivedEcho], windows: &mut Vec<SampleWindow>) {
         windows.clear();
         for echo in echoes.iter().filter(|echo| echo.amplitude_dn >= TRIGGER_DN) {
             let peak = self.position(echo.time_ns).floor() as i64;
@@ -207,20 +208,25 @@ impl Receiver {
                     let missing = peak + ECHO_HOLD - open.end();
                     open.len += (missing + BLOCK_SAMPLES - 1).max(0) / BLOCK_SAMPLES * BLOCK_SAMPLES;
                 }
-                None => windows.push(Window { start: (peak - ECHO_LEAD) & !1, len: BLOCK_SAMPLES }),
+                None => windows.push(SampleWindow { start: (peak - ECHO_LEAD) & !1, len: BLOCK_SAMPLES }),
             }
         }
     }
 
     /// Returns whether an echo's peak is inside a block.
-    pub fn is_in(&self, window: &Window, echo: &Echo) -> bool {
+    pub fn is_in(&self, window: &SampleWindow, echo: &ReceivedEcho) -> bool {
         let position = self.position(echo.time_ns);
         (window.start as f64..window.end() as f64).contains(&position)
     }
 
     /// Records a block; returns the time of its first sample after the shot's clock, ns, and the
     /// samples.
-    pub fn record(&mut self, window: &Window, echoes: &[Echo], random: &mut Random) -> (f64, &[u16]) {
+    pub fn record(
+        &mut self,
+        window: &SampleWindow,
+        echoes: &[ReceivedEcho],
+        random: &mut Random,
+    ) -> (f64, &[u16]) {
         self.clear(window.len as usize);
         for echo in echoes {
             let position = self.position(echo.time_ns) - window.start as f64;
@@ -232,7 +238,7 @@ impl Receiver {
     }
 
     /// Returns whether the high-power receiver records its block of this window.
-    pub fn is_strong(&self, window: &Window, echoes: &[Echo]) -> bool {
+    pub fn is_strong(&self, window: &SampleWindow, echoes: &[ReceivedEcho]) -> bool {
         let Some((receiver, _)) = &self.high_power else { return false };
         echoes.iter().any(|echo| echo.amplitude_dn >= receiver.from_dn && self.is_in(window, echo))
     }
@@ -240,8 +246,8 @@ impl Receiver {
     /// Records the window with the high-power receiver, if there is one.
     pub fn record_high_power(
         &mut self,
-        window: &Window,
-        echoes: &[Echo],
+        window: &SampleWindow,
+        echoes: &[ReceivedEcho],
         random: &mut Random,
     ) -> Option<(f64, &[u16])> {
         let delay_ns = self.high_power.as_ref()?.0.delay_ns;
@@ -258,7 +264,7 @@ impl Receiver {
     }
 
     /// Time of a window's first sample after the shot's clock, ns.
-    pub fn start_ns(&self, window: &Window) -> f64 {
+    pub fn start_ns(&self, window: &SampleWindow) -> f64 {
         window.start as f64 * self.interval_ns + ECHO_RASTER_NS
     }
 
@@ -299,15 +305,15 @@ fn digitise<'s>(
     samples
 }
 
-impl Window {
+impl SampleWindow {
     /// Start and end on the digitiser's raster, ns.
     pub fn limits_ns(&self, interval_ns: f64) -> [f64; 2] {
         [self.start, self.end()].map(|sample| sample as f64 * interval_ns + ECHO_RASTER_NS)
     }
 
     /// The same window relative to a clock that is ahead by this many samples.
-    pub fn by_clock_ahead(&self, samples: i64) -> Window {
-        Window { start: self.start - samples, len: self.len }
+    pub fn by_clock_ahead(&self, samples: i64) -> SampleWindow {
+        SampleWindow { start: self.start - samples, len: self.len }
     }
 
     /// Index after the last sample.
@@ -317,129 +323,4 @@ impl Window {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::random::Purpose;
-    use super::*;
-
-    fn settings() -> Settings {
-        Settings {
-            interval_ns: 1.0,
-            full_scale_dn: 255,
-            background_dn: [2.0, 4.0],
-            noise_sd_dn: 0.0,
-            noise_autocorrelation: Vec::new(),
-            response: Shape::gaussian(4.5),
-            reference: Shape::gaussian(4.5),
-            high_power: None,
-        }
-    }
-
-    fn receiver() -> Receiver {
-        Receiver::new(&settings()).unwrap()
-    }
-
-    fn random() -> Random {
-        Random::of_shot(1, 0, 0, Purpose::Noise)
-    }
-
-    /// Echoes of flat targets at these times with these amplitudes.
-    fn echoes(receiver: &Receiver, echoes: &[(f64, f64)]) -> Vec<Echo> {
-        let width = receiver.response().width(0.0);
-        echoes.iter().map(|&(time_ns, amplitude_dn)| echo(time_ns, amplitude_dn, width)).collect()
-    }
-
-    fn echo(time_ns: f64, amplitude_dn: f64, width: Width) -> Echo {
-        Echo { time_ns, amplitude_dn, high_power_dn: 0.1 * amplitude_dn, linear_dn: amplitude_dn, width }
-    }
-
-    /// Start and length of the blocks opened by echoes of 100 DN at these times.
-    fn windows(times_ns: &[f64]) -> Vec<(i64, i64)> {
-        let (receiver, mut windows) = (receiver(), Vec::new());
-        let strong: Vec<(f64, f64)> = times_ns.iter().map(|&time_ns| (time_ns, 100.0)).collect();
-        receiver.windows(&echoes(&receiver, &strong), &mut windows);
-        windows.iter().map(|window| (window.start, window.len)).collect()
-    }
-
-    #[test]
-    fn a_block_grows_while_echoes_come() {
-        assert_eq!(windows(&[]), []);
-        assert_eq!(windows(&[100.0]), [(82, 60)]);
-        assert_eq!(windows(&[101.0]), [(84, 60)], "blocks start on even samples");
-        assert_eq!(windows(&[100.0, 118.0]), [(82, 60)]);
-        assert_eq!(windows(&[100.0, 120.0]), [(82, 120)], "24 samples are required after the second");
-        assert_eq!(windows(&[100.0, 157.0]), [(82, 120)], "blocks do not overlap");
-        assert_eq!(windows(&[100.0, 159.0]), [(82, 60), (142, 60)]);
-        assert_eq!(windows(&[100.0, 150.0, 200.0]), [(82, 180)]);
-    }
-
-    #[test]
-    fn a_weak_echo_opens_no_block_but_stands_in_one() {
-        let (receiver, mut windows) = (receiver(), Vec::new());
-        let weak = echoes(&receiver, &[(60.0, 5.0), (100.0, 6.0), (120.0, 5.0), (300.0, 5.0)]);
-        receiver.windows(&weak, &mut windows);
-        assert_eq!(windows, [Window { start: 82, len: 60 }]);
-        let inside: Vec<bool> = weak.iter().map(|echo| receiver.is_in(&windows[0], echo)).collect();
-        assert_eq!(inside, [false, true, true, false]);
-    }
-
-    #[test]
-    fn a_block_without_noise_spelled_out() {
-        let (mut receiver, mut windows) = (receiver(), Vec::new());
-        let one = echoes(&receiver, &[(100.375, 100.0)]);
-        receiver.windows(&one, &mut windows);
-        let (start_ns, samples) = receiver.record(&windows[0], &one, &mut random());
-        assert_eq!((start_ns, samples.len()), (84.375, 60));
-        // 100 DN at sample 16, above a background of 2 DN, and 100 * 2^-(2 k / 4.5)^2 at k samples
-        // from it.
-        assert_eq!(samples[8..25], [2, 4, 3, 7, 13, 33, 60, 91, 102, 91, 60, 33, 13, 7, 3, 4, 2]);
-        assert!(samples[..8].chunks(2).chain(samples[26..].chunks(2)).all(|pair| pair == [2, 4]));
-    }
-
-    #[test]
-    fn an_echo_beyond_the_digitisers_end_is_clipped() {
-        let (mut receiver, mut windows) = (receiver(), Vec::new());
-        let strong = echoes(&receiver, &[(100.375, 1000.0)]);
-        receiver.windows(&strong, &mut windows);
-        let (_, samples) = receiver.record(&windows[0], &strong, &mut random());
-        assert_eq!(samples[12..21], [114, 255, 255, 255, 255, 255, 255, 255, 114]);
-    }
-
-    #[test]
-    fn the_outgoing_pulse_begins_on_the_raster_and_lies_between_samples() {
-        let mut receiver = receiver();
-        let (start_ns, samples) = receiver.record_emission(0.5, 1.0, &mut random());
-        assert_eq!((start_ns, samples.len()), (-10.0, 24));
-        // 177 DN * 2^-(2 k / 4.5)^2 at k = 0.5, 1.5 and 2.5 samples from the peak, above 2 and 4
-        // DN.
-        assert_eq!(samples[8..14], [77, 134, 173, 175, 132, 79]);
-    }
-
-    #[test]
-    fn the_second_receiver_sees_strong_echoes_later_and_on_its_own_raster() {
-        let high_power = HighPower { from_dn: 150.0, noise_sd_dn: 0.0, delay_ns: 0.43 };
-        let mut receiver = Receiver::new(&Settings { high_power: Some(high_power), ..settings() }).unwrap();
-        let mut windows = Vec::new();
-        let strong = echoes(&receiver, &[(101.375, 1000.0)]);
-        receiver.windows(&strong, &mut windows);
-        assert!(receiver.is_strong(&windows[0], &strong));
-        let (start_ns, samples) = receiver.record_high_power(&windows[0], &strong, &mut random()).unwrap();
-        assert_eq!((start_ns, samples.len()), (84.375 + 1.43, 60));
-        // 100 DN at 101.805 ns, which is sample 16.
-        assert_eq!(samples[12..21], [13, 33, 60, 91, 102, 91, 60, 33, 13]);
-        let weak = echoes(&receiver, &[(101.375, 149.0), (400.0, 500.0)]);
-        assert!(!receiver.is_strong(&windows[0], &weak));
-        assert!(self::receiver().record_high_power(&windows[0], &strong, &mut random()).is_none());
-    }
-
-    #[test]
-    fn rounding_is_part_of_the_recorded_noise() {
-        let settings =
-            |noise_sd_dn, rho| Settings { noise_sd_dn, noise_autocorrelation: vec![rho], ..settings() };
-        assert!(settings(0.0, 0.5).noise().unwrap().is_none());
-        assert!(settings(0.93, 0.5).noise().unwrap().is_some());
-        assert_eq!(settings(0.28, 0.0).noise().unwrap_err(), NoSuchNoise);
-        // A correlation of 0.9 at 0.25 DN² would require 1.35 of the variance without rounding
-        // (1/12).
-        assert_eq!(settings(0.5, 0.9).noise().unwrap_err(), NoSuchNoise);
-    }
-}
+mod tests;

@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pendulum_goes_there_and_back_and_is_slowest_where_it_turns() {
+    fn an_oscillating_mirror_is_slowest_at_its_turning_points() {
         let (there, back) = (line(Mirror::Oscillating, 0), line(Mirror::Oscillating, 1));
         assert!(there.is_sorted_by(|a, b| a.scan_angle_rad < b.scan_angle_rad));
         assert!(back.is_sorted_by(|a, b| a.scan_angle_rad > b.scan_angle_rad));
@@ -233,7 +233,7 @@ mod tests {
 
     /// 150 kHz and 100 revolutions per second: 1500 shots per revolution, independent of the lines.
     #[test]
-    fn a_circular_scanner_turns_around_straight_down() {
+    fn a_circular_scanner_rotates_about_nadir() {
         let shots: Vec<Shot> = (0..4).flat_map(|number| line(Mirror::Circular, number)).collect();
         for (number, shot) in shots.iter().enumerate() {
             let [forward, right, down] = shot.direction_in_scanner;
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn time_goes_on_by_the_pulse_rate_and_pauses_between_lines() {
+    fn times_follow_the_pulse_rate_with_pauses_between_lines() {
         let at = |line, index| scanner().shot(line, index);
         // 6666.67 ns between pulses: the sample clock counts whole nanoseconds.
         assert_eq!(at(0, 1).clock_ps() - at(0, 0).clock_ps(), 6_666_000);

@@ -66,6 +66,21 @@ pub struct Hit {
 }
 
 /// The land below a flight.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_simulation::scene::{Area, Beam, Class, Scene};
+/// use wavex_simulation::world::{GROUND_HEIGHT_M, START_M};
+///
+/// let [x, y] = START_M;
+/// let swath = Area { x: [x - 300.0, x + 300.0], y: [y, y + 100.0] };
+/// let scene = Scene::strips(1, swath, 600.0, 0.0, 0.0);
+/// let beam = Beam { origin_m: [x, y, GROUND_HEIGHT_M + 600.0], direction: [0.0, 0.0, -1.0] };
+/// let mut hits = Vec::new();
+/// scene.hits(&beam, &mut hits);
+/// assert_eq!((hits[0].class, hits[0].range_m), (Class::Ground, 600.0));
+/// ```
 #[derive(Clone, Debug)]
 pub struct Scene {
     land: Land,
@@ -141,18 +156,25 @@ impl Scene {
     pub fn hits(&self, beam: &Beam, hits: &mut Vec<Hit>) {
         hits.clear();
         match &self.land {
-            Land::Strips(strips) => strips.hits(beam, self.reference_range_m, hits),
-            Land::Country(country) => country.hits(beam, self.reference_range_m, hits),
+            Land::Strips(strips) => {
+                strips.trace(&mut self.pulse(beam, beam.range_to(GROUND_HEIGHT_M), hits));
+            }
+            Land::Country(country) => {
+                country.trace(&mut self.pulse(beam, country.range_to_ground(beam), hits));
+            }
         }
         hits.sort_by(|a, b| a.range_m.total_cmp(&b.range_m));
+    }
+
+    fn pulse<'a>(&self, beam: &'a Beam, ground_m: f64, hits: &'a mut Vec<Hit>) -> TracedPulse<'a> {
+        TracedPulse { beam, ground_m, reference_range_m: self.reference_range_m, left: 1.0, hits }
     }
 }
 
 impl Strips {
-    fn hits(&self, beam: &Beam, reference_range_m: f64, hits: &mut Vec<Hit>) {
-        let mut left = 1.0;
-        let ground_m = beam.range_to(GROUND_HEIGHT_M);
-        let [x, ..] = beam.at(ground_m);
+    fn trace(&self, pulse: &mut TracedPulse) {
+        let beam = pulse.beam;
+        let [x, ..] = beam.at(pulse.ground_m);
         if let Some((area, canopy)) = self.canopy.as_ref().filter(|(area, canopy)| {
             // Most beams miss the wood over the whole distance below its top.
             let [x_high, ..] = beam.at(beam.range_to(GROUND_HEIGHT_M + canopy.height_m()));
@@ -160,13 +182,13 @@ impl Strips {
         }) {
             let level = |_, _| GROUND_HEIGHT_M;
             let is_wood = |x, y| area.depth_m(x, y) >= 0.0;
-            left = canopy.hits(beam, left, reference_range_m, GROUND_HEIGHT_M, level, is_wood, hits);
+            canopy.trace(pulse, GROUND_HEIGHT_M, level, is_wood);
         }
         if let Some(building) = &self.building {
-            left = building.hits(beam, ground_m, left, reference_range_m, hits);
+            building.trace(pulse);
         }
-        if left >= LEAST_SHARE {
-            hits.push(self.ground.hit(beam, ground_m, beam.cosine(), left, reference_range_m));
+        if pulse.left >= LEAST_SHARE {
+            pulse.reflect(&self.ground, pulse.ground_m, beam.cosine(), pulse.left);
         }
     }
 }
@@ -174,6 +196,25 @@ impl Strips {
 /// Material of the ground.
 fn ground(seed: u64) -> Surface {
     Surface { class: Class::Ground, reflectance: 1.0, roughness_m: 0.02, texture: Texture::new(seed, 1, 6.0) }
+}
+
+/// A pulse on its way down.
+struct TracedPulse<'a> {
+    beam: &'a Beam,
+    /// Range to the ground, m.
+    ground_m: f64,
+    /// Range at which level ground returns energy 1, m.
+    reference_range_m: f64,
+    /// Fraction that is not yet reflected.
+    left: f64,
+    hits: &'a mut Vec<Hit>,
+}
+
+impl TracedPulse<'_> {
+    /// Adds the echo of the fraction `share` that reaches a surface: see [`Surface::hit`].
+    fn reflect(&mut self, surface: &Surface, range_m: f64, cosine: f64, share: f64) {
+        self.hits.push(surface.hit(self.beam, range_m, cosine, share, self.reference_range_m));
+    }
 }
 
 impl Surface {
@@ -277,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn a_roof_stands_above_the_ground_and_throws_a_shadow() {
+    fn a_roof_casts_a_shadow() {
         let scene = Scene::strips(1, SWATH, 600.0, 8.0, 0.0);
         // The building extends from -250 to -100: one wall faces the aircraft, the other is in
         // shadow.
@@ -293,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn a_footprint_across_the_roofs_edge_comes_back_twice() {
+    fn a_footprint_across_a_roof_edge_gives_two_echoes() {
         let scene = Scene::strips(1, SWATH, 600.0, 8.0, 0.0);
         // The beam axis passes the far edge of the roof (at x = -250) at 2 cm outside.
         let at_ground = -250.02 * 600.0 / 592.0;
@@ -305,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wood_lets_one_to_four_echoes_come_back() {
+    fn a_wood_gives_one_to_four_echoes() {
         let scene = Scene::strips(1, SWATH, 600.0, 0.0, 18.0);
         let mut counts = [0; 6];
         for k in 0..4000 {

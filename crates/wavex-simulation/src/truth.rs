@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_row_reads_back_to_the_bit() {
+    fn rows_round_trip_to_the_bit() {
         let truth = TrueReturn {
             shot: 7,
             return_number: 2,

@@ -20,7 +20,7 @@ use wavex_geodesy::ellipsoid::WGS84;
 use wavex_geodesy::frames::{
     Attitude, LocalFrame, Rotation, ecef_from_ned, inverse, rotate, rotation_of_angles, then,
 };
-use wavex_geodesy::transverse_mercator::{Parameters, TransverseMercator};
+use wavex_geodesy::transverse_mercator::{TransverseMercator, TransverseMercatorParameters};
 
 /// Initial position of the aircraft, m: easting and northing in UTM zone 33 north.
 ///
@@ -43,6 +43,17 @@ pub const CRS_WKT: &str = concat!(
 );
 
 /// Position of the scene on the earth.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_simulation::world::{START_M, World};
+///
+/// let [x, y] = START_M;
+/// let [easting_m, northing_m, height_m] = World::new(0.0).on_earth([x, y, 400.0]);
+/// assert!((easting_m - x).abs() < 1e-6 && (northing_m - y).abs() < 1e-6);
+/// assert!((height_m - 400.0).abs() < 1e-6);
+/// ```
 #[derive(Clone, Debug)]
 pub struct World {
     heading_rad: f64,
@@ -54,7 +65,7 @@ pub struct World {
 
 /// Position and attitude in a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pose {
+pub struct GeodeticPose {
     /// Centre of the body.
     pub place: Geodetic,
     /// Attitude of the body relative to the local horizon.
@@ -66,7 +77,7 @@ pub struct Pose {
 impl World {
     /// A scene whose track has this heading, rad, clockwise from north.
     pub fn new(heading_rad: f64) -> World {
-        let map = TransverseMercator::new(WGS84, Parameters::utm(33, true));
+        let map = TransverseMercator::new(WGS84, TransverseMercatorParameters::utm(33, true));
         let (latitude_rad, longitude_rad) = map.unproject(START_M[0], START_M[1]);
         World::with(map, [longitude_rad, latitude_rad], heading_rad)
     }
@@ -75,7 +86,7 @@ impl World {
     pub fn starting_at(start_rad: [f64; 2], heading_rad: f64) -> World {
         let [longitude_rad, latitude_rad] = start_rad;
         let zone = (longitude_rad.to_degrees() / 6.0).floor() + 31.0;
-        let parameters = Parameters::utm(zone.clamp(1.0, 60.0) as u8, latitude_rad >= 0.0);
+        let parameters = TransverseMercatorParameters::utm(zone.clamp(1.0, 60.0) as u8, latitude_rad >= 0.0);
         World::with(TransverseMercator::new(WGS84, parameters), start_rad, heading_rad)
     }
 
@@ -116,14 +127,14 @@ impl World {
     }
 
     /// Position and attitude of a platform on the earth.
-    pub fn pose(&self, platform: &Platform, since_start_s: f64) -> Pose {
+    pub fn pose(&self, platform: &Platform, since_start_s: f64) -> GeodeticPose {
         let place = self.geodetic_of(platform.position_m(since_start_s));
         let ecef_from_ned_here = ecef_from_ned(place.latitude_rad, place.longitude_rad);
         let here_from_start = then(&self.ecef_from_start(), &inverse(&ecef_from_ned_here));
         let start_from_track = rotation_of_angles([0.0, 0.0, self.heading_rad]);
         let here_from_track = then(&start_from_track, &here_from_start);
         let track_from_body = platform.attitude(since_start_s).ned_from_body();
-        Pose {
+        GeodeticPose {
             place,
             attitude: Attitude::of(&then(&track_from_body, &here_from_track)),
             velocity_mps: rotate(&here_from_track, platform.velocity_mps(since_start_s)),
@@ -146,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn the_start_is_where_the_map_says() {
+    fn the_start_has_its_map_coordinates() {
         let world = World::new(0.0);
         let start = world.geodetic_of([START_M[0], START_M[1], 0.0]);
         // Computed by inverting the projection with 40 digits.
@@ -196,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn a_start_has_the_map_of_its_zone() {
+    fn the_zone_follows_from_the_start() {
         let south = World::starting_at([151.2f64.to_radians(), (-33.9f64).to_radians()], 1.0);
         // Zone 56 south, as in the tests of the projection.
         let start = south.on_earth([START_M[0], START_M[1], 12.0]);
@@ -204,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn the_velocity_is_the_change_of_place() {
+    fn the_velocity_is_the_derivative_of_the_position() {
         let world = World::new(0.6);
         let platform = Platform::new(60.0, 1000.0, Motion::default(), [0.0; 3], [0.0; 3]).turning(1000.0);
         let [before, now, after] = [9.99, 10.0, 10.01].map(|time_s| world.pose(&platform, time_s));

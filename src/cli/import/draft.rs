@@ -38,7 +38,7 @@ struct Entry {
     why: String,
     /// Additional remark for the user.
     remark: &'static str,
-    /// Reason why the key must be commented out; empty if there is none.
+    /// Reason why the key must be commented out, or empty.
     obstacle: String,
     /// Whether the command line requests it.
     ///

@@ -155,7 +155,7 @@ fn find(version: &Version, body: &str, place: &Place) -> Result<(&'static Opt, O
     }
 }
 
-/// Options with an attached argument that a word may stand for, longest name first.
+/// Options with an attached argument that match a word, longest name first.
 ///
 /// A text argument counts only after the short name, and only if it contains a character that no
 /// option name has.

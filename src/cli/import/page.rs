@@ -18,7 +18,7 @@ wavex import --classic 1.1 -- -i data.laz                   # default version: 1
 ```
 
 A comment at each key names its option. Defaults in which a version differs from wavex are written to the job. Options
-without a key, options without effect in this command line, and options that stand for a command become comments above the
+without a key, options without effect in this command line, and options that run another command become comments above the
 job. Options that this build does not support become comments in the job, and so do trajectory columns that do not suffice
 for a pose. `--run` refuses a command line that requests either.
 

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::map::Map;
 use wavex_geodesy::ellipsoid::WGS84;
-use wavex_geodesy::time_axis::{Clock, Times};
+use wavex_geodesy::time_axis::{Clock, TimeSpan};
 use wavex_geodesy::trajectory::{Accuracy, Sample, Trajectory};
 
 /// Maximum number of gaps listed individually.
@@ -29,7 +29,7 @@ pub(super) fn text(about: &About, trajectory: &Trajectory, map: &Map) -> String 
     };
     let [first_s, last_s] = trajectory.span_s();
     row("clock", about.counts.to_owned());
-    row("times", Times { clock: about.clock, first_s, last_s }.to_string());
+    row("times", TimeSpan { clock: about.clock, first_s, last_s }.to_string());
     row("duration", format!("{:.3} s", last_s - first_s));
     let step_s = trajectory.median_step_s();
     row("rate", format!("{:.2} Hz, one record every {:.3} ms", 1.0 / step_s, 1e3 * step_s));

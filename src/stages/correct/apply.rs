@@ -86,7 +86,7 @@ impl Corrections {
                 Incidence::Flat => match emission.and_then(|emission| cos_to_vertical(frame, emission)) {
                     Some(cosine) => cosine.max(LEAST_COS_INCIDENCE),
                     None => {
-                        cx.note("intensities are not corrected for incidence: without a trajectory the angle between beam and vertical is unknown");
+                        cx.warn("intensities are not corrected for incidence: without a trajectory the angle between beam and vertical is unknown");
                         1.0
                     }
                 },
@@ -108,7 +108,7 @@ impl Corrections {
         if input.origin_is_sensor || self.range_and_air == RangeAndAir::default() {
             return self.range_and_air;
         }
-        cx.note(
+        cx.warn(
             "intensities are not corrected for range and attenuation: the recording does not contain the sensor position, \
              and ranges count from a point near the waveform; read the original recording of the instrument, or set \
              `reference_range_m` and `attenuation_db_per_km` to false",
@@ -128,7 +128,7 @@ fn note_what_is_missing(wanted: [bool; 2], tables: &Tables, returns: &[Return], 
             let receiver = receiver_of(channel);
             let is_of = |r: &Return| receiver_of(r.channel) == receiver;
             if is_wanted && both[receiver].is_none() && returns.iter().any(is_of) {
-                cx.note(format!(
+                cx.warn(format!(
                     "{}: there is no {kind} table: {so}; set {kind}_table to a file, or to false if none is wanted",
                     name(channel)
                 ));

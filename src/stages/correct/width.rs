@@ -1,8 +1,9 @@
 //! Correction of widths for amplitude.
 
 use super::WidthKey;
+use crate::keys::InvalidKey;
 use crate::scan_line::{Return, ReturnChannel, ScanLine, flags};
-use crate::stage::{Context, InvalidKey};
+use crate::stage::Context;
 use wavex_signal::width_by_amplitude::{Node, Pulse, width_by_amplitude};
 
 /// Receivers with a width correction, in the order of the keys.
@@ -76,7 +77,7 @@ impl WidthCorrection {
         };
         let pulses: Vec<Pulse> = of_channel.iter().filter(plain).map(pulse).collect();
         let Some(nodes) = width_by_amplitude(&pulses) else {
-            cx.note(format!(
+            cx.warn(format!(
                 "{}: widths are not corrected for amplitude: the width of flat targets cannot be estimated \
                  from its single returns ({})",
                 name(channel),

@@ -138,11 +138,11 @@ impl Shot<'_> {
         match self.input.emission_reference {
             EmissionReference::ReturnLocations => {}
             EmissionReference::Clock => {
-                cx.note("the input has neither outgoing pulses nor return locations: the sub-sample emission offset is unknown, and the standard deviations of ranges include it");
+                cx.warn("the input has neither outgoing pulses nor return locations: the sub-sample emission offset is unknown, and the standard deviations of ranges include it");
                 return unknown;
             }
             EmissionReference::OutgoingPulse | EmissionReference::OutgoingPulseFraction => {
-                cx.note("the outgoing pulse of some shots cannot be fitted: their ranges count from the clock, with the standard deviation of a position within one sample");
+                cx.warn("the outgoing pulse of some shots cannot be fitted: their ranges count from the clock, with the standard deviation of a position within one sample");
                 return unknown;
             }
         }
@@ -158,10 +158,10 @@ impl Shot<'_> {
             }
         }
         if weights == 0.0 {
-            cx.note("the return locations of some waveforms match no computed return: their sub-sample emission offset is unknown, and the standard deviations of ranges include it");
+            cx.warn("the return locations of some waveforms match no computed return: their sub-sample emission offset is unknown, and the standard deviations of ranges include it");
             return unknown;
         }
-        // The offset is computed from the same echoes, so it adds no error of its own.
+        // The offset is computed from the same echoes, so it adds no error.
         EmissionTime { time_ns: sum / weights, sd_ns: 0.0, flags: 0 }
     }
 }
@@ -410,7 +410,7 @@ impl ShotDecomposer {
             match lot {
                 BlockRoute::Unused(why) => cx.reject(Item::Blocks, why, 1),
                 BlockRoute::Covered => {
-                    cx.set_aside(Item::Blocks, "the low-power receiver recorded it as well", 1)
+                    cx.reject_expected(Item::Blocks, "the low-power receiver recorded it as well", 1)
                 }
                 _ => {}
             }

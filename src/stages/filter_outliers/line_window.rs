@@ -62,7 +62,7 @@ impl Strip {
             self.judge_next(out)?;
         }
         while self.bytes > out.may_hold_bytes() && !self.lines.is_empty() {
-            out.cx.note(
+            out.cx.warn(
                 "outliers are detected with fewer neighbouring lines than wanted: more do not fit into memory_mb",
             );
             // Keep as many lines before as after.
@@ -86,7 +86,7 @@ impl Strip {
         if has_vertical(batch.input.frame) {
             return LINES_APART;
         }
-        out.cx.note("outliers are detected within each line only: without a trajectory, lines cannot be compared with their neighbours, and wires across them are marked as outliers");
+        out.cx.warn("outliers are detected within each line only: without a trajectory, lines cannot be compared with their neighbours, and wires across them are marked as outliers");
         0
     }
 

@@ -2,7 +2,7 @@
 
 use crate::georef::Geometry;
 use crate::georef::transform::variance_m2;
-use crate::scan_line::{Emission, Frame, Return};
+use crate::scan_line::{Emission, Frame, InputInfo, Return};
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::trajectory::{Accuracy, Pose};
 use wavex_geodesy::vertical::down_at;
@@ -10,15 +10,16 @@ use wavex_geodesy::vertical::down_at;
 /// Computes the uncertainties of a line.
 pub(super) struct Uncertainty<'g> {
     geometry: &'g Geometry,
+    input: &'g InputInfo,
 }
 
 impl<'g> Uncertainty<'g> {
-    pub(super) fn new(geometry: &'g Geometry) -> Uncertainty<'g> {
-        Uncertainty { geometry }
+    pub(super) fn new(geometry: &'g Geometry, input: &'g InputInfo) -> Uncertainty<'g> {
+        Uncertainty { geometry, input }
     }
 
     /// Sets the total standard deviation of each return, if the trajectory has accuracies.
-    pub(super) fn tell(&self, emissions: &[Emission], points: &[Vector], returns: &mut [Return]) {
+    pub(super) fn set(&self, emissions: &[Emission], points: &[Vector], returns: &mut [Return]) {
         if !self.geometry.knows_accuracy() {
             return;
         }
@@ -40,7 +41,7 @@ impl<'g> Uncertainty<'g> {
     }
 
     fn pose(&self, emission: &Emission) -> Option<(Pose, Accuracy)> {
-        let pose = self.geometry.pose(emission.gps_time_s)?;
+        let pose = self.geometry.pose(self.input, emission.gps_time_s)?;
         pose.accuracy.map(|accuracy| (pose, accuracy))
     }
 }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::georef::Geometry as Placed;
-use crate::georef::output_crs::Target;
+use crate::georef::output_crs::OutputCrs;
 use crate::scan_line::{Emission, Frame, ScanLine};
 use crate::stage::{Result, StageError};
 use wavex_formats::terrain::Terrain;
@@ -27,7 +27,7 @@ pub(super) struct Geometry {
     /// Straight down, or the best estimate in frames without a vertical.
     down: [f64; 3],
     /// Projected CRS of the terrain model, if beams are in the earth-centred frame.
-    map: Option<Arc<Target>>,
+    map: Option<Arc<OutputCrs>>,
     /// Direction across the line: from the first shot of a line to its last, or between consecutive
     /// lines of one shot; `None` until there were two shots.
     across: Option<[f64; 3]>,
@@ -51,7 +51,9 @@ impl Geometry {
     ) -> Result<Geometry> {
         let frame = batch.input.frame;
         let map = match terrain {
-            Some(terrain) if frame == Frame::Earth => placed.map_of(terrain.epsg())?,
+            Some(terrain) if frame == Frame::Earth => {
+                placed.map_of(&batch.input, terrain.epsg())?.map(Arc::new)
+            }
             _ => None,
         };
         if terrain.is_some() && frame != Frame::Map && map.is_none() {

@@ -161,7 +161,7 @@ impl Strip {
         self.pushed += 1;
         if held.known.len() < held.batch.emissions.len() {
             out.cx
-                .note("shots with duplicate timestamps are indistinguishable; their echoes go to the first");
+                .warn("shots with duplicate timestamps are indistinguishable; their echoes go to the first");
         }
         held.count();
         self.held_bytes += held.bytes;
@@ -464,7 +464,7 @@ impl HeldLine {
                     let time_ns = returned.time_ns + later_ns;
                     moves.push((line, OnlineReturn { emission, time_ns, ..returned }));
                 }
-                _ => out.cx.note("online returns without an assigned shot are skipped"),
+                _ => out.cx.warn("online returns without an assigned shot are skipped"),
             }
         }
         moves
@@ -479,7 +479,7 @@ fn terrain_elsewhere(terrain: &Terrain, first: &ScanLine, out: &mut Output) {
     if let (Some(terrain), Some(recording)) = (of_terrain, of_recording)
         && terrain != recording
     {
-        out.cx.note(format!(
+        out.cx.warn(format!(
             "the terrain model is in {terrain} but the recording is in {recording}: coordinates are used without conversion"
         ));
     }

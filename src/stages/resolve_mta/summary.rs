@@ -35,7 +35,7 @@ impl MtaCounts {
         let zones = summary.zones.iter().enumerate().filter(|(_, count)| **count > 0);
         let zones: Vec<String> = zones.map(|(zone, count)| format!("{count} in {zone}")).collect();
         let percent = |count: u64| 100.0 * count as f64 / summary.echoes as f64;
-        cx.tell(format!(
+        cx.info(format!(
             "echoes by zone: {}; {} without a cause, {:.2} % uncertain, {:.2} % within {} ns of an emission",
             zones.join(", "),
             summary.without_cause,
@@ -43,6 +43,6 @@ impl MtaCounts {
             percent(summary.in_blind_gap),
             self.blind_gap_ns
         ));
-        resolver.warnings().iter().for_each(|warning| cx.note(warning.to_string()));
+        resolver.warnings().iter().for_each(|warning| cx.warn(warning.to_string()));
     }
 }

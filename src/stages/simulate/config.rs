@@ -4,13 +4,14 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{FULL_SCALE_DN, INTERVAL_NS};
+use crate::keys::InvalidKey;
 use crate::scan_line::MAX_SHOTS_PER_LINE;
-use crate::stage::{Config, InvalidKey};
+use crate::stage::Config;
 use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year};
 use wavex_simulation::detector::Detector;
 use wavex_simulation::platform::{Motion, Platform};
-use wavex_simulation::pulse::Shape;
-use wavex_simulation::receiver::{HighPower, Settings};
+use wavex_simulation::pulse::PulseShape;
+use wavex_simulation::receiver::{HighPower, ReceiverSettings};
 use wavex_simulation::scanner::{GPS_WEEK, Mirror, START_S, Scanner};
 use wavex_simulation::scene::{CountrySettings, Scene};
 use wavex_simulation::world::World;
@@ -400,7 +401,7 @@ impl Simulate {
             }
             Landscape::Country => {
                 let lowest = self.relief_m + stands.max(self.wire_height_m + 4.0) + 30.0;
-                let flight = "must lie between 30 m above hills and all that stands on them, and 10000";
+                let flight = "must lie between 30 m above all terrain and objects, and 10000";
                 unless(within(self.flying_height_m, lowest, 10_000.0), "flying_height_m", flight)?;
             }
         }
@@ -529,12 +530,14 @@ impl Simulate {
         }
     }
 
-    pub(super) fn receiver(&self) -> Settings {
+    pub(super) fn receiver(&self) -> ReceiverSettings {
         let (response, reference) = match self.response {
-            Response::Gaussian => (Shape::gaussian(GAUSSIAN_FWHM_NS), Shape::gaussian(GAUSSIAN_FWHM_NS)),
-            Response::Riegl => (Shape::riegl(), Shape::riegl_reference()),
+            Response::Gaussian => {
+                (PulseShape::gaussian(GAUSSIAN_FWHM_NS), PulseShape::gaussian(GAUSSIAN_FWHM_NS))
+            }
+            Response::Riegl => (PulseShape::riegl(), PulseShape::riegl_reference()),
         };
-        Settings {
+        ReceiverSettings {
             interval_ns: INTERVAL_NS,
             full_scale_dn: FULL_SCALE_DN,
             background_dn: self.background_dn,

@@ -9,7 +9,7 @@ use wavex_formats::trajectory::pof::{PofHeader, PofRecord};
 use wavex_formats::trajectory::sbet::SbetRecord;
 use wavex_simulation::platform::Platform;
 use wavex_simulation::truth::{COLUMNS, GAIN_COLUMN, TrueReturn};
-use wavex_simulation::world::{Pose, World};
+use wavex_simulation::world::{GeodeticPose, World};
 
 /// Trajectory records per second.
 const RATE_HZ: f64 = 200.0;
@@ -93,14 +93,14 @@ impl TrajectoryFiles {
             for (time_s, pose) in trajectory.poses() {
                 write(&mut file, &sbet_record(trajectory.start_time_s + time_s, &pose).encode())?;
             }
-            cx.keep(file.finish()?);
+            cx.publish(file.finish()?);
         }
         if let Some(mut file) = pof {
             write(&mut file, &trajectory.pof_header().encode())?;
             for (time_s, pose) in trajectory.poses() {
                 write(&mut file, &trajectory.pof_record(time_s, &pose).encode())?;
             }
-            cx.keep(file.finish()?);
+            cx.publish(file.finish()?);
         }
         Ok(())
     }
@@ -113,7 +113,7 @@ fn write(file: &mut OutputFile, bytes: &[u8]) -> Result<()> {
 
 impl Trajectory {
     /// Times since the start of the flight, s, with the aircraft's pose.
-    fn poses(&self) -> impl Iterator<Item = (f64, Pose)> + '_ {
+    fn poses(&self) -> impl Iterator<Item = (f64, GeodeticPose)> + '_ {
         (0..self.records).map(|k| {
             let time_s = k as f64 / RATE_HZ - MARGIN_S;
             (time_s, self.world.pose(&self.platform, time_s))
@@ -145,7 +145,7 @@ impl Trajectory {
         header
     }
 
-    fn pof_record(&self, time_s: f64, pose: &Pose) -> PofRecord {
+    fn pof_record(&self, time_s: f64, pose: &GeodeticPose) -> PofRecord {
         PofRecord {
             time_s: self.start_time_s + time_s,
             longitude_deg: pose.place.longitude_rad.to_degrees(),
@@ -160,7 +160,7 @@ impl Trajectory {
 }
 
 /// Accelerations and angular rates are 0.
-fn sbet_record(time_s: f64, pose: &Pose) -> SbetRecord {
+fn sbet_record(time_s: f64, pose: &GeodeticPose) -> SbetRecord {
     let [north, east, down] = pose.velocity_mps;
     let (sine, cosine) = libm::sincos(WANDER_ANGLE_RAD);
     SbetRecord {

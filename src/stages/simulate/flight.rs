@@ -11,9 +11,9 @@ use crate::scan_line::{
 use crate::stage::{Result, StageError};
 use wavex_simulation::detector::{Detector, Sensitivity};
 use wavex_simulation::platform::Platform;
-use wavex_simulation::pulse::Width;
+use wavex_simulation::pulse::WidthIndex;
 use wavex_simulation::random::{Normal, Purpose, Random};
-use wavex_simulation::receiver::{Echo, Receiver, TRIGGER_DN, Window};
+use wavex_simulation::receiver::{ReceivedEcho, Receiver, SampleWindow, TRIGGER_DN};
 use wavex_simulation::scanner::{self, Mirror, Scanner, Shot};
 use wavex_simulation::scene::{Beam, Class, Hit, Scene};
 use wavex_simulation::truth::TrueReturn;
@@ -54,8 +54,8 @@ pub(super) struct Flight {
     agc: Option<Agc>,
     /// Buffers for one shot: hits, echoes (in the same order) and blocks.
     pub(super) hits: Vec<Hit>,
-    pub(super) echoes: Vec<Echo>,
-    windows: Vec<Window>,
+    pub(super) echoes: Vec<ReceivedEcho>,
+    windows: Vec<SampleWindow>,
 }
 
 /// An emitted pulse.
@@ -117,7 +117,7 @@ impl Agc {
 }
 
 /// Highest of these echoes at gain 1, DN.
-pub(super) fn strongest(echoes: &[Echo]) -> Option<f64> {
+pub(super) fn strongest(echoes: &[ReceivedEcho]) -> Option<f64> {
     echoes.iter().map(|echo| echo.amplitude_dn).reduce(f64::max)
 }
 
@@ -242,8 +242,8 @@ impl Flight {
     }
 
     /// Echo of a target at a range, with this linear peak amplitude.
-    fn echo(&self, cast: &Cast, range_m: f64, linear_dn: f64, width: Width) -> Echo {
-        Echo {
+    fn echo(&self, cast: &Cast, range_m: f64, linear_dn: f64, width: WidthIndex) -> ReceivedEcho {
+        ReceivedEcho {
             time_ns: cast.pulse.emission_ns + time_of_flight_ns(range_m),
             amplitude_dn: self.detector.height_dn(Sensitivity::Sensitive, linear_dn),
             high_power_dn: self.detector.height_dn(Sensitivity::Coarse, linear_dn),
@@ -337,7 +337,13 @@ impl Flight {
     }
 
     /// Truth of an echo; [`number`] sets the return numbers.
-    pub(super) fn true_return(&self, cast: &Cast, hit: &Hit, echo: &Echo, recorded: Recorded) -> TrueReturn {
+    pub(super) fn true_return(
+        &self,
+        cast: &Cast,
+        hit: &Hit,
+        echo: &ReceivedEcho,
+        recorded: Recorded,
+    ) -> TrueReturn {
         let point_m = cast.beam.at(hit.range_m);
         TrueReturn {
             shot: cast.shot.number,
@@ -444,8 +450,8 @@ impl Recorder {
         receiver: &mut Receiver,
         index: u32,
         zone: Option<i16>,
-        window: &Window,
-        echoes: &[Echo],
+        window: &SampleWindow,
+        echoes: &[ReceivedEcho],
         blocks: &mut Blocks,
     ) {
         let (start_ns, samples) = receiver.record(window, echoes, &mut self.low_power);
@@ -486,6 +492,7 @@ fn input(config: &Simulate) -> InputInfo {
         coordinate_grid: None,
         emission_reference: EmissionReference::OutgoingPulse,
         origin_is_sensor: true,
+        first_shot: None,
         amplitude_low: table(Sensitivity::Sensitive),
         amplitude_high: config.high_power.then(|| table(Sensitivity::Coarse)).flatten(),
         range_low: None,

@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::INTERVAL_NS;
 use super::flight::{Cast, Flight, Recorded, Recorder, number, strongest};
 use crate::scan_line::{Blocks, Emission};
-use wavex_simulation::receiver::{Echo, Window};
+use wavex_simulation::receiver::{ReceivedEcho, SampleWindow};
 use wavex_simulation::scene::Hit;
 use wavex_simulation::truth::TrueReturn;
 
@@ -24,10 +24,10 @@ struct Stream {
     casts: Vec<Cast>,
     /// Time origin of the stream, ns from the start of the flight.
     base_ns: i64,
-    echoes: Vec<Echo>,
+    echoes: Vec<ReceivedEcho>,
     /// Hit of each echo and the index of its shot in `casts`.
     origins: Vec<(Hit, usize)>,
-    windows: Vec<Window>,
+    windows: Vec<SampleWindow>,
     /// Highest echo of each shot in `casts`, DN.
     strongest: Vec<Option<f64>>,
 }
@@ -93,18 +93,16 @@ impl Flight {
             windows: Vec::new(),
             strongest: Vec::new(),
         };
-        let mut arrived: Vec<(Echo, Hit, usize)> = Vec::new();
+        let mut arrived: Vec<(ReceivedEcho, Hit, usize)> = Vec::new();
         for number in first..end {
             let (line, index) = self.scanner.place(number);
             let cast = self.cast(line, index);
             self.receive(&cast);
             let after_base_ns = (cast.shot.since_start_ns - base_ns) as f64;
             let place = stream.casts.len();
-            arrived.extend(
-                self.echoes.iter().zip(&self.hits).map(|(echo, hit)| {
-                    (Echo { time_ns: echo.time_ns + after_base_ns, ..*echo }, *hit, place)
-                }),
-            );
+            arrived.extend(self.echoes.iter().zip(&self.hits).map(|(echo, hit)| {
+                (ReceivedEcho { time_ns: echo.time_ns + after_base_ns, ..*echo }, *hit, place)
+            }));
             stream.strongest.push(strongest(&self.echoes));
             stream.casts.push(cast);
         }
@@ -152,7 +150,7 @@ impl Stream {
     ///
     /// The last shot emitted before the window begins.
     fn received(&self, receiver: &wavex_simulation::receiver::Receiver) -> Vec<usize> {
-        let began = |window: &Window| {
+        let began = |window: &SampleWindow| {
             let start_ns = receiver.start_ns(window);
             let out = |cast: &Cast| (cast.shot.since_start_ns - self.base_ns) as f64 <= start_ns;
             self.casts.partition_point(out).saturating_sub(1)
@@ -167,11 +165,11 @@ impl Stream {
     }
 
     /// Echoes that contribute to a window, with times from a clock `ahead_ns` later.
-    fn near(&self, window: &Window, ahead_ns: i64, near: &mut Vec<Echo>) {
+    fn near(&self, window: &SampleWindow, ahead_ns: i64, near: &mut Vec<ReceivedEcho>) {
         let [from_ns, to_ns] = window.limits_ns(INTERVAL_NS);
         let first = self.echoes.partition_point(|echo| echo.time_ns < from_ns - DECAY_NS);
         let arrived = self.echoes[first..].iter().take_while(|echo| echo.time_ns < to_ns + RISE_NS);
         near.clear();
-        near.extend(arrived.map(|echo| Echo { time_ns: echo.time_ns - ahead_ns as f64, ..*echo }));
+        near.extend(arrived.map(|echo| ReceivedEcho { time_ns: echo.time_ns - ahead_ns as f64, ..*echo }));
     }
 }

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::scan_line::{Block, Blocks, Channel, emission_flags};
 use crate::stage::Config;
-use wavex_simulation::pulse::{FWHM_OF_NORMAL, Shape};
+use wavex_simulation::pulse::{FWHM_OF_NORMAL, PulseShape};
 use wavex_simulation::truth::{COLUMNS, TrueReturn};
 use wavex_simulation::{GROUP_VELOCITY_MPS, time_of_flight_ns};
 
@@ -93,7 +93,9 @@ fn signal_free_samples_have_the_spread_and_correlation_that_were_asked_for() {
 /// Samples minus background and true echoes have a mean of 0 at every distance from the echo.
 #[test]
 fn the_mean_of_many_echoes_is_the_response() {
-    for (response, shape) in [(Response::Riegl, Shape::riegl()), (Response::Gaussian, Shape::gaussian(4.5))] {
+    for (response, shape) in
+        [(Response::Riegl, PulseShape::riegl()), (Response::Gaussian, PulseShape::gaussian(4.5))]
+    {
         let config = Simulate { response, background_dn: [20.18, 20.41], ..bare() };
         let variance = (shape.fwhm_ns() / FWHM_OF_NORMAL).powi(2);
         let (mut sums, mut counts) = (vec![0.0; 140], vec![0.0; 140]);

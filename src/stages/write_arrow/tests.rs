@@ -1,4 +1,4 @@
-//! Round trip: what is written is read back unchanged.
+//! Round trip: written lines are read back unchanged.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -109,6 +109,7 @@ prop_compose! {
             coordinate_grid: None,
             emission_reference,
             origin_is_sensor,
+            first_shot: None,
             amplitude_low: tables.0,
             amplitude_high: tables.1,
             range_low: tables.2,
@@ -263,6 +264,7 @@ fn plain_info() -> Arc<InputInfo> {
         coordinate_grid: None,
         emission_reference: EmissionReference::Clock,
         origin_is_sensor: true,
+        first_shot: None,
         amplitude_low: table,
         amplitude_high: None,
         range_low: None,

@@ -33,8 +33,8 @@ impl Files {
             Some(waves) => finish_with_waveforms(writer, waves, self.place, cx)?,
         };
         let stale = indexes_beside(points.path());
-        cx.keep(points.finish()?.instead_of(stale));
-        index.into_iter().for_each(|index| cx.keep(index));
+        cx.publish(points.finish()?.replacing(stale));
+        index.into_iter().for_each(|index| cx.publish(index));
         Ok(())
     }
 }
@@ -59,6 +59,6 @@ fn finish_with_waveforms(
         return Ok(writer.finish_with_waveforms(&kinds, Some(&mut waves::open(&packets)?))?);
     }
     let points = writer.finish_with_waveforms(&kinds, None)?;
-    cx.keep(packets.instead_of([points.path().to_path_buf()]));
+    cx.publish(packets.replacing([points.path().to_path_buf()]));
     Ok(points)
 }

@@ -243,7 +243,7 @@ fn points_never_stand_beside_what_belongs_to_others() {
     };
     let mut states = vec![state()];
     for whole in &mut cx.whole {
-        whole.make_way().unwrap();
+        whole.remove_stale().unwrap();
         states.push(state());
     }
     for whole in cx.whole.drain(..) {

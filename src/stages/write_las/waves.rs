@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::georef::Geometry;
+use crate::georef::output_crs::OutputCrs;
 use crate::scan_line::{Block, Blocks, Channel, Emission, Frame, Return, ReturnChannel, ScanLine};
 use crate::stage::{FinishedFile, OutputFile, Result, StageError};
 use wavex_formats::Error;
@@ -16,6 +17,8 @@ const BEAM_M: f64 = 10.0;
 pub(super) struct Waves {
     packets: PacketWriter<OutputFile>,
     geometry: Arc<Geometry>,
+    /// Output CRS of points from the earth-centred frame.
+    target: Option<OutputCrs>,
     /// Packet of each block of the current line, once a return has requested it.
     written: Vec<Option<Option<Packet>>>,
     /// Number of blocks that could not be written.
@@ -27,7 +30,7 @@ impl Waves {
     pub(super) fn new(file: OutputFile, geometry: &Arc<Geometry>) -> Result<Waves> {
         let path = file.path().to_path_buf();
         let packets = PacketWriter::new(file, &path)?;
-        Ok(Waves { packets, geometry: Arc::clone(geometry), written: Vec::new(), n_refused: 0 })
+        Ok(Waves { packets, geometry: Arc::clone(geometry), target: None, written: Vec::new(), n_refused: 0 })
     }
 
     /// Returns the recorded blocks of a line.
@@ -55,6 +58,9 @@ impl Waves {
         let time_ns = emission.emission_ns + r.time_of_flight_ns;
         let Some((index, block)) = block_of(blocks, r, time_ns) else { return Ok(Wave::default()) };
         let Some(packet) = self.packet(index, blocks, block)? else { return Ok(Wave::default()) };
+        if self.target.is_none() {
+            self.target = self.geometry.target(&batch.input)?;
+        }
         let to_sensor = self.to_sensor(batch.input.frame, emission, r, point)?;
         let metres_per_ps = batch.input.group_velocity_mps * 0.5e-12;
         Ok(Wave {
@@ -85,7 +91,7 @@ impl Waves {
         if frame != Frame::Earth {
             return Ok(emission.direction.map(|along| -along * emission.frame_scale));
         }
-        let Some(target) = self.geometry.target()? else { return Ok([0.0; 3]) };
+        let Some(target) = &self.target else { return Ok([0.0; 3]) };
         let nearer_m = r.range_m - BEAM_M;
         let nearer =
             std::array::from_fn(|axis| emission.origin_m[axis] + emission.direction[axis] * nearer_m);

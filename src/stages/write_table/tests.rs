@@ -43,6 +43,7 @@ fn info() -> Arc<InputInfo> {
         coordinate_grid: None,
         emission_reference: EmissionReference::Clock,
         origin_is_sensor: true,
+        first_shot: None,
         amplitude_low: None,
         amplitude_high: None,
         range_low: None,

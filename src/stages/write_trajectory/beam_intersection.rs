@@ -1,6 +1,6 @@
 //! Sensor positions from beam intersections, section by section.
 
-use super::decimation::{Pace, time_s};
+use super::decimation::Pace;
 use crate::scan_line::Emission;
 use wavex_signal::sensor_path::{Beam, Window};
 
@@ -35,7 +35,7 @@ impl Met {
 
     /// Adds a shot; returns the position of the section that ends with it.
     pub(super) fn add(&mut self, emission: &Emission) -> Option<MetPlace> {
-        let time_s = time_s(emission);
+        let time_s = emission.time_s();
         self.window.add(&Beam { time_s, through_m: emission.origin_m, direction: emission.direction });
         self.has_gps_time &= emission.gps_time_s.is_finite();
         let (n, length_s) = (self.window.n_beams(), self.window.length_s());

@@ -23,7 +23,7 @@ impl Pace {
 
     /// Whether the next shot is selected; the first is. Restarts if the clock runs backwards.
     pub(super) fn is_due(&mut self, emission: &Emission) -> bool {
-        let time_s = time_s(emission);
+        let time_s = emission.time_s();
         let is_due = match self.last_s {
             None => true,
             Some(last_s) => self.is_over(self.since, time_s - last_s) || time_s < last_s,
@@ -40,14 +40,6 @@ impl Pace {
     pub(super) fn is_over(&self, shots: u64, elapsed_s: f64) -> bool {
         // The tolerance of 1 ns is below the rounding of times.
         self.every.map_or(elapsed_s >= self.interval_s - 1e-9, |every| shots >= every)
-    }
-}
-
-/// Time of a shot, s: GPS time if it has one, else the instrument clock.
-pub(super) fn time_s(emission: &Emission) -> f64 {
-    match emission.gps_time_s {
-        time_s if time_s.is_finite() => time_s,
-        _ => emission.clock_ps as f64 * 1e-12,
     }
 }
 
@@ -91,7 +83,7 @@ mod tests {
     #[test]
     fn without_gps_time_the_clock_counts() {
         let shot = Emission { clock_ps: 2_500_000_000_000, ..Emission::default() };
-        assert_eq!(time_s(&shot), 2.5);
-        assert_eq!(time_s(&Emission { gps_time_s: 1.5, ..shot }), 1.5);
+        assert_eq!(shot.time_s(), 2.5);
+        assert_eq!(Emission { gps_time_s: 1.5, ..shot }.time_s(), 1.5);
     }
 }

@@ -3,7 +3,7 @@
 use wavex_formats::trajectory::sbet::RECORD_BYTES;
 use wavex_geodesy::crs::{Crs, Named};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
-use wavex_geodesy::transverse_mercator::{Parameters, TransverseMercator};
+use wavex_geodesy::transverse_mercator::{TransverseMercator, TransverseMercatorParameters};
 
 use super::flights::QUIET;
 use wavex_testkit::georeferenced_flight::{Flight, Placed, distance_m, fly, write_geoid};
@@ -19,7 +19,7 @@ fn flight() -> Flight {
 
 /// Positions of the true returns: UTM zone 10 north, in which the flight starts.
 fn places(flight: &Flight) -> Vec<Geodetic> {
-    let map = TransverseMercator::new(WGS84, Parameters::utm(10, true));
+    let map = TransverseMercator::new(WGS84, TransverseMercatorParameters::utm(10, true));
     let place = |[x, y, height_m]: [f64; 3]| {
         let (latitude_rad, longitude_rad) = map.unproject(x, y);
         Geodetic { latitude_rad, longitude_rad, height_m }
@@ -69,7 +69,7 @@ fn earth_centred_coordinates_are_metres() {
 fn a_zone_and_a_unit_can_be_chosen() {
     let flight = flight();
     let placed = placed(&flight, "crs = 'utm:11N'\nunit = 'ft'");
-    let map = TransverseMercator::new(WGS84, Parameters::utm(11, true));
+    let map = TransverseMercator::new(WGS84, TransverseMercatorParameters::utm(11, true));
     let expected = places(&flight).into_iter().map(|place| {
         let (x, y) = map.project(place.latitude_rad, place.longitude_rad);
         [x, y, place.height_m].map(|metres| metres / 0.3048)
@@ -110,7 +110,7 @@ fn a_conic_in_feet_with_a_geoid() {
 fn write_trj(flight: &Flight, name: &str, height_m: impl Fn(Geodetic) -> f64) {
     let bytes = std::fs::read(flight.path("a.out")).unwrap();
     let (records, _) = bytes.as_chunks::<RECORD_BYTES>();
-    let map = TransverseMercator::new(WGS84, Parameters::utm(10, true));
+    let map = TransverseMercator::new(WGS84, TransverseMercatorParameters::utm(10, true));
     let mut trj = b"TSCANTRJ".to_vec();
     for field in [20_010_715, 1376, records.len() as i32, 64] {
         trj.extend(field.to_le_bytes());
@@ -143,7 +143,7 @@ fn heights_of_a_trajectory_count_from_what_the_job_says() {
         |place: Geodetic| plane(place.latitude_rad.to_degrees(), place.longitude_rad.to_degrees());
     write_trj(&flight, "ellipsoid.trj", |place| place.height_m);
     write_trj(&flight, "geoid.trj", |place| place.height_m - undulation_m(place));
-    let map = TransverseMercator::new(WGS84, Parameters::utm(10, true));
+    let map = TransverseMercator::new(WGS84, TransverseMercatorParameters::utm(10, true));
     let above_geoid: Vec<[f64; 3]> = flight
         .truth
         .iter()

@@ -6,7 +6,7 @@
 use std::path::Path;
 
 use super::flights::text;
-use wavex_simulation::mta_scenes::{Recording, SCENES, Scene, Spec};
+use wavex_simulation::mta_scenes::{EchoScene, EchoSceneSpec, RecordingSettings, SCENES};
 use wavex_testkit::TestFolder;
 use wavex_testkit::mta::chain::{self, Score, quantile};
 use wavex_testkit::mta::recording;
@@ -14,16 +14,16 @@ use wavex_testkit::mta::recording;
 /// Lines per scene, and fraction of the swath.
 const LINES: u32 = 16;
 const PART: f64 = 0.015;
-const HOW: Recording =
-    Recording { pulse_rate_hz: 400e3, modulation_ns: 17.0, blind_ns: 15.0, lost_records: 0.0 };
+const HOW: RecordingSettings =
+    RecordingSettings { pulse_rate_hz: 400e3, modulation_ns: 17.0, blind_ns: 15.0, lost_records: 0.0 };
 
 /// Runs a scene through both readers, which must give the same bytes.
 ///
 /// The first scene calibrates; the others use its sensor model, because all ten have the same
 /// receiver.
-fn through(spec: Spec, seed: u64, model: &Path) -> Score {
+fn through(spec: EchoSceneSpec, seed: u64, model: &Path) -> Score {
     let place = TestFolder::new();
-    let scene = Scene::new(spec, seed, LINES, PART);
+    let scene = EchoScene::new(spec, seed, LINES, PART);
     let truth = recording::write(&scene, &scene.record(&HOW), &place.path(""));
     let calibrate = match model.exists() {
         false => format!("waveforms = 1000\nsave = '{}'", text(model)),

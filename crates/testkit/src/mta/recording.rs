@@ -13,7 +13,7 @@ use wavex_formats::container::{
 };
 use wavex_formats::trajectory::sbet::SbetRecord;
 
-use wavex_simulation::mta_scenes::{Class, METRES_PER_NS, RecordedEcho, RecordedLine, Scene, hash};
+use wavex_simulation::mta_scenes::{EchoScene, METRES_PER_NS, RecordedEcho, RecordedLine, TargetClass, hash};
 
 /// Name of a recording that began on 6 May 2025, a Tuesday, at 10:00:00.
 pub const NAME: &str = "250506_100000.sdf";
@@ -68,7 +68,7 @@ fn header() -> ContainerHeader {
 /// Writes the recording as [`NAME`] and the trajectory as `flight.sbet` into `folder`.
 ///
 /// Returns the truth in order of reception.
-pub fn write(scene: &Scene, lines: &[RecordedLine], folder: &Path) -> Vec<Truth> {
+pub fn write(scene: &EchoScene, lines: &[RecordedLine], folder: &Path) -> Vec<Truth> {
     let path = folder.join(NAME);
     let file = BufWriter::new(std::fs::File::create(&path).expect("a new file"));
     let mut writer = ContainerWriter::file(file, &path, &header(), Compression::None).expect("a header");
@@ -117,12 +117,12 @@ fn leaves_ns(seed: u64, shot: u64) -> f64 {
 /// Returns the height of an echo, DN: lowest for wires.
 ///
 /// False alarms barely trigger a block.
-fn height_dn([seed, shot, echo]: [u64; 3], class: Class) -> f64 {
+fn height_dn([seed, shot, echo]: [u64; 3], class: TargetClass) -> f64 {
     let (least, most) = match class {
-        Class::Ground | Class::Building => (40.0, 160.0),
-        Class::Vegetation => (25.0, 90.0),
-        Class::Wire => (15.0, 40.0),
-        Class::FalseAlarm => (6.0, 9.0),
+        TargetClass::Ground | TargetClass::Building => (40.0, 160.0),
+        TargetClass::Vegetation => (25.0, 90.0),
+        TargetClass::Wire => (15.0, 40.0),
+        TargetClass::FalseAlarm => (6.0, 9.0),
     };
     least + (most - least) * unit([seed, 22, shot, echo])
 }
@@ -244,7 +244,7 @@ fn ecef_m(clock_ps: i64, angle_rad: f64, range_m: f64) -> [f64; 3] {
 }
 
 /// Returns the isolated echoes, in order of reception.
-fn truth(scene: &Scene, lines: &[RecordedLine]) -> Vec<Truth> {
+fn truth(scene: &EchoScene, lines: &[RecordedLine]) -> Vec<Truth> {
     let shots = scene.angles_rad.len() as u64;
     let mut found = Vec::new();
     for (number, line) in (0u64..).zip(lines) {
@@ -265,7 +265,7 @@ fn truth(scene: &Scene, lines: &[RecordedLine]) -> Vec<Truth> {
         for (index, echo) in line.echoes.iter().enumerate() {
             let beside = [index.checked_sub(1), Some(index + 1)].into_iter().flatten();
             let alone = beside.filter_map(|beside| line.echoes.get(beside)).all(|other| apart(echo, other));
-            if alone && echo.class != Class::FalseAlarm {
+            if alone && echo.class != TargetClass::FalseAlarm {
                 found.extend(of(echo));
             }
         }

@@ -9,7 +9,7 @@ use std::path::Path;
 use super::Header;
 use crate::Result;
 use crate::bytes::Fields;
-use wavex_geodesy::geoid::Grid;
+use wavex_geodesy::geoid::GeoidGrid;
 
 const HEADER: usize = 40;
 const NO_VALUE: f32 = -88.8888;
@@ -18,7 +18,7 @@ const NO_VALUE: f32 = -88.8888;
 ///
 /// # Errors
 /// The header is truncated or invalid, or the number of values does not match it.
-pub fn parse(path: &Path, bytes: &[u8]) -> Result<Grid> {
+pub fn parse(path: &Path, bytes: &[u8]) -> Result<GeoidGrid> {
     let mut fields = Fields::new(path, 0, bytes);
     let mut number = |field: &str| fields.array(field).map(f64::from_be_bytes);
     let [south_deg, west_deg, latitude_step_deg, longitude_step_deg] = [

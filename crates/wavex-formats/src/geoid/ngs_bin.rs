@@ -11,7 +11,7 @@ use std::path::Path;
 use super::Header;
 use crate::bytes::Fields;
 use crate::{Error, Result};
-use wavex_geodesy::geoid::Grid;
+use wavex_geodesy::geoid::GeoidGrid;
 
 const HEADER: usize = 44;
 /// Largest geoid height, m; larger values mark missing data.
@@ -24,7 +24,7 @@ const HIGHEST_M: f32 = 200.0;
 /// # Errors
 /// The header is truncated or invalid, its kind is 1 in neither byte order, or the number of values
 /// does not match it.
-pub fn parse(path: &Path, bytes: &[u8]) -> Result<Grid> {
+pub fn parse(path: &Path, bytes: &[u8]) -> Result<GeoidGrid> {
     let mut fields = Fields::new(path, 0, bytes);
     let mut number = |field: &str| fields.array::<8>(field);
     let numbers = [

@@ -6,7 +6,7 @@ use super::super::{Error, Result};
 use super::axis::{Placed, may_be};
 use super::input::Input;
 use super::{Options, Recorded, poq, smrmsg};
-use wavex_geodesy::time_axis::{Clock, Times, Unwrap, align};
+use wavex_geodesy::time_axis::{Clock, TimeSpan, Unwrap, align};
 use wavex_geodesy::trajectory::AccuracySample;
 
 /// Reads the accuracies of a trajectory, on its time axis.
@@ -45,7 +45,7 @@ fn read(path: &Path) -> Result<Vec<AccuracySample>> {
 ///
 /// They use its clock, unless the trajectory has adjusted times and the accuracies fit seconds of
 /// the week.
-fn place(path: &Path, samples: &mut [AccuracySample], trajectory: Times, placed: Placed) -> Result<()> {
+fn place(path: &Path, samples: &mut [AccuracySample], trajectory: TimeSpan, placed: Placed) -> Result<()> {
     let times_s = samples.iter().map(|sample| sample.time_s);
     let limits_s = times_s.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], t| [a.min(t), b.max(t)]);
     let is_week = placed.clock == Clock::Adjusted && may_be(Clock::Week, limits_s);
@@ -56,7 +56,7 @@ fn place(path: &Path, samples: &mut [AccuracySample], trajectory: Times, placed:
     }
     let ends_s =
         [samples.first(), samples.last()].map(|sample| sample.map_or(f64::NAN, |sample| sample.time_s));
-    let own = Times { clock, first_s: ends_s[0], last_s: ends_s[1] };
+    let own = TimeSpan { clock, first_s: ends_s[0], last_s: ends_s[1] };
     let alignment = align(own, trajectory).map_err(|_| {
         let problem = format!("its accuracies cover {own}, but the trajectory covers {trajectory}");
         Error::unusable(path, problem, "give the accuracies of this trajectory")

@@ -6,7 +6,7 @@ use super::sbet::SbetRecord;
 use super::*;
 use wavex_geodesy::time::WEEK_S;
 use wavex_geodesy::time_axis::DAY_S;
-use wavex_geodesy::transverse_mercator::{Parameters, TransverseMercator};
+use wavex_geodesy::transverse_mercator::{TransverseMercator, TransverseMercatorParameters};
 
 mod refused;
 
@@ -80,7 +80,7 @@ fn sol(samples: &[Sample]) -> Vec<u8> {
 }
 
 fn utm33() -> TransverseMercator {
-    TransverseMercator::new(WGS84, Parameters::utm(33, true))
+    TransverseMercator::new(WGS84, TransverseMercatorParameters::utm(33, true))
 }
 
 fn unproject(place: [f64; 3]) -> std::result::Result<Geodetic, String> {

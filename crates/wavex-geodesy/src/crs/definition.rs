@@ -4,10 +4,11 @@
 //! projection parameters of any dialect to a PROJ string in degrees and metres; names, datum and
 //! vertical part are taken from the text itself.
 
-use super::wkt::Node;
+use super::wkt::WktNode;
 use super::{CrsError, Unit, methods};
 use crate::ellipsoid::{Ellipsoid, GRS80, WGS84};
-use crate::{lambert, transverse_mercator};
+use crate::lambert::LambertParameters;
+use crate::transverse_mercator::TransverseMercatorParameters;
 
 /// Definition of a CRS, before the choice of heights and units.
 #[derive(Clone, Debug)]
@@ -16,24 +17,24 @@ pub(super) struct Definition {
     pub name: String,
     /// EPSG code.
     pub epsg: Option<u32>,
-    pub method: Method,
+    pub method: ProjectionMethod,
     pub ellipsoid: Ellipsoid,
     /// Unit of eastings and northings, or of earth-centred coordinates; metre for geodetic
     /// coordinates.
     pub unit: Unit,
     /// Horizontal part, in the source's dialect.
-    pub horizontal: Node,
+    pub horizontal: WktNode,
     /// Vertical part, in the source's dialect.
-    pub vertical: Option<Node>,
+    pub vertical: Option<WktNode>,
 }
 
 /// Projection method.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Method {
+pub(super) enum ProjectionMethod {
     Geodetic,
     Ecef,
-    TransverseMercator(transverse_mercator::Parameters),
-    Lambert(lambert::Parameters),
+    TransverseMercator(TransverseMercatorParameters),
+    Lambert(LambertParameters),
     /// Any other projection, as a PROJ string in metres without a datum.
     Other(String),
     /// Computed by PROJ, in the unit of the CRS.
@@ -66,20 +67,20 @@ const ELSEWHERE: [&str; 7] = [
 
 impl Definition {
     /// The CRS of an EPSG code.
-    pub fn of_epsg(code: u32) -> Result<Definition, CrsError> {
+    pub(super) fn of_epsg(code: u32) -> Result<Definition, CrsError> {
         let known = u16::try_from(code).ok().and_then(crs_definitions::from_code);
         // A few rows of the table are empty.
         let known = known.filter(|known| !known.wkt.is_empty()).ok_or(CrsError::UnknownEpsg(code))?;
-        let tree = Node::parse(known.wkt).map_err(CrsError::Wkt)?;
+        let tree = WktNode::parse(known.wkt).map_err(CrsError::Wkt)?;
         Definition::of(&tree, Some(code))
     }
 
     /// The CRS of a WKT.
-    pub fn of_wkt(text: &str) -> Result<Definition, CrsError> {
-        Definition::of(&Node::parse(text).map_err(CrsError::Wkt)?, None)
+    pub(super) fn of_wkt(text: &str) -> Result<Definition, CrsError> {
+        Definition::of(&WktNode::parse(text).map_err(CrsError::Wkt)?, None)
     }
 
-    fn of(tree: &Node, epsg: Option<u32>) -> Result<Definition, CrsError> {
+    fn of(tree: &WktNode, epsg: Option<u32>) -> Result<Definition, CrsError> {
         let keywords = [PROJECTED.as_slice(), &GEODETIC, &GEOCENTRIC].concat();
         let horizontal = tree.find(&keywords).ok_or_else(|| {
             CrsError::Wkt(format!("{} is not a projected, geodetic or earth-centred system", tree.keyword))
@@ -111,7 +112,7 @@ impl Definition {
 /// The projected CRS of a definition read by PROJ: `EPSG:27700`, or WKT.
 #[cfg(feature = "proj")]
 pub(super) fn of_proj(words: &str) -> Option<Definition> {
-    let tree = Node::parse(&super::proj::Foreign::new(words)?.wkt()?).ok()?;
+    let tree = WktNode::parse(&super::proj::Foreign::new(words)?.wkt()?).ok()?;
     let horizontal = tree.find(&PROJECTED)?.clone();
     let unit = unit_node(&horizontal)?;
     let unit = Unit::of_metres(unit.name().unwrap_or("unit"), unit.value(1).filter(|metres| *metres > 0.0)?);
@@ -119,28 +120,28 @@ pub(super) fn of_proj(words: &str) -> Option<Definition> {
     let title = horizontal.name().unwrap_or("an unnamed system");
     let name = epsg.map_or(title.to_string(), |code| format!("EPSG:{code} ({title})"));
     let vertical = tree.find(&VERTICAL).cloned();
-    let method = Method::Foreign(words.into());
+    let method = ProjectionMethod::Foreign(words.into());
     Some(Definition { name, epsg, method, ellipsoid: WGS84, unit, horizontal, vertical })
 }
 
 /// The embedded PROJ string, if any.
 ///
 /// GDAL adds it if WKT 1 cannot express a projection.
-fn own_proj_string(horizontal: &Node) -> Option<String> {
+fn own_proj_string(horizontal: &WktNode) -> Option<String> {
     let own = horizontal.child(&["EXTENSION"]).filter(|extension| extension.name() == Some("PROJ4"));
     own.and_then(|extension| extension.text(1)).map(str::to_owned)
 }
 
 /// A PROJ string generated from the text.
-fn proj_string(horizontal: &Node) -> Result<String, CrsError> {
+fn proj_string(horizontal: &WktNode) -> Result<String, CrsError> {
     let made = proj4wkt::wkt_to_projstring(&horizontal.to_string());
     made.map_err(|error| CrsError::Wkt(error.to_string()))
 }
 
 /// Returns the ellipsoid, if the datum is equivalent to the earth-centred frame.
-fn check_datum(name: &str, horizontal: &Node, bound: Option<&Node>) -> Result<Ellipsoid, CrsError> {
+fn check_datum(name: &str, horizontal: &WktNode, bound: Option<&WktNode>) -> Result<Ellipsoid, CrsError> {
     let datum = horizontal.find(&DATUM);
-    let datum_name = datum.and_then(Node::name).unwrap_or("unnamed");
+    let datum_name = datum.and_then(WktNode::name).unwrap_or("unnamed");
     let refused = |reason: String| CrsError::Datum { name: name.into(), datum: datum_name.into(), reason };
     let figure = horizontal.find(&ELLIPSOID);
     let axis_m = figure.and_then(|node| node.value(1)).unwrap_or(f64::NAN);
@@ -150,7 +151,7 @@ fn check_datum(name: &str, horizontal: &Node, bound: Option<&Node>) -> Result<El
             && (inverse_flattening * known.flattening - 1.0).abs() < 1e-12
     };
     let Some(ellipsoid) = [WGS84, GRS80].iter().find(same).copied() else {
-        let figure = figure.and_then(Node::name).unwrap_or("unnamed");
+        let figure = figure.and_then(WktNode::name).unwrap_or("unnamed");
         return Err(refused(format!("uses another ellipsoid ({figure})")));
     };
     let plain = datum_name.replace('_', " ").to_lowercase();
@@ -163,12 +164,12 @@ fn check_datum(name: &str, horizontal: &Node, bound: Option<&Node>) -> Result<El
     Ok(ellipsoid)
 }
 
-fn is_null_shift(node: &Node) -> bool {
+fn is_null_shift(node: &WktNode) -> bool {
     (0..node.values.len()).all(|place| node.value(place) == Some(0.0))
 }
 
 /// Whether a WKT 2 transformation to WGS 84 is null.
-fn is_null_transformation(shift: &Node) -> bool {
+fn is_null_transformation(shift: &WktNode) -> bool {
     let mut parameters = shift.nodes().filter(|node| node.keyword == "PARAMETER").peekable();
     parameters.peek().is_some() && parameters.all(|parameter| parameter.value(1) == Some(0.0))
 }
@@ -189,12 +190,12 @@ fn pairs(text: &str) -> Vec<(&str, &str)> {
 
 impl ProjString<'_> {
     /// Value of a parameter as written.
-    pub fn text(&self, key: &str) -> Option<&str> {
+    pub(super) fn text(&self, key: &str) -> Option<&str> {
         self.pairs.iter().find(|pair| pair.0 == key).map(|pair| pair.1)
     }
 
     /// A numeric parameter, or its default.
-    pub fn number(&self, key: &str, otherwise: f64) -> Result<f64, CrsError> {
+    pub(super) fn number(&self, key: &str, otherwise: f64) -> Result<f64, CrsError> {
         let Some(text) = self.text(key) else { return Ok(otherwise) };
         text.parse().ok().filter(|number: &f64| number.is_finite()).ok_or_else(|| {
             self.unsupported(
@@ -208,12 +209,12 @@ impl ProjString<'_> {
         Ok(self.number(key, otherwise_deg)?.to_radians())
     }
 
-    pub fn unsupported(&self, problem: String, remedy: &'static str) -> CrsError {
+    pub(super) fn unsupported(&self, problem: String, remedy: &'static str) -> CrsError {
         CrsError::Unsupported { name: self.name.into(), problem, remedy }
     }
 
     /// Rejects axes other than east and north, and prime meridians other than Greenwich.
-    fn check_axes(&self, horizontal: &Node) -> Result<(), CrsError> {
+    fn check_axes(&self, horizontal: &WktNode) -> Result<(), CrsError> {
         const REMEDY: &str =
             "choose a CRS with eastings and northings from Greenwich, or build wavex with the feature `proj`";
         if let Some(axes) = self.text("axis").filter(|axes| *axes != "enu") {
@@ -228,20 +229,20 @@ impl ProjString<'_> {
         }
     }
 
-    fn method(&self, ellipsoid: Ellipsoid) -> Result<Method, CrsError> {
+    fn method(&self, ellipsoid: Ellipsoid) -> Result<ProjectionMethod, CrsError> {
         let scale = match self.text("k") {
             Some(_) => self.number("k", 1.0)?,
             None => self.number("k_0", 1.0)?,
         };
         let (false_easting_m, false_northing_m) = (self.number("x_0", 0.0)?, self.number("y_0", 0.0)?);
         Ok(match self.text("proj").unwrap_or_default() {
-            "longlat" => Method::Geodetic,
-            "geocent" => Method::Ecef,
-            "utm" => Method::TransverseMercator(transverse_mercator::Parameters::utm(
+            "longlat" => ProjectionMethod::Geodetic,
+            "geocent" => ProjectionMethod::Ecef,
+            "utm" => ProjectionMethod::TransverseMercator(TransverseMercatorParameters::utm(
                 self.number("zone", f64::NAN)? as u8,
                 self.text("south").is_none(),
             )),
-            "tmerc" => Method::TransverseMercator(transverse_mercator::Parameters {
+            "tmerc" => ProjectionMethod::TransverseMercator(TransverseMercatorParameters {
                 latitude_of_origin_rad: self.radians("lat_0", 0.0)?,
                 central_meridian_rad: self.radians("lon_0", 0.0)?,
                 scale,
@@ -253,7 +254,7 @@ impl ProjString<'_> {
                 let second_deg = self.number("lat_2", first_deg)?;
                 // With one parallel, the latitude of origin defaults to it.
                 let origin_deg = if self.text("lat_2").is_some() { 0.0 } else { first_deg };
-                Method::Lambert(lambert::Parameters {
+                ProjectionMethod::Lambert(LambertParameters {
                     standard_parallels_rad: [first_deg, second_deg].map(f64::to_radians),
                     latitude_of_origin_rad: self.radians("lat_0", origin_deg)?,
                     central_meridian_rad: self.radians("lon_0", 0.0)?,
@@ -262,7 +263,7 @@ impl ProjString<'_> {
                     false_northing_m,
                 })
             }
-            _ => Method::Other(self.without_datum(ellipsoid)),
+            _ => ProjectionMethod::Other(self.without_datum(ellipsoid)),
         })
     }
 
@@ -294,7 +295,7 @@ impl ProjString<'_> {
         text + "+units=m +no_defs"
     }
 
-    fn unit(&self, horizontal: &Node) -> Result<Unit, CrsError> {
+    fn unit(&self, horizontal: &WktNode) -> Result<Unit, CrsError> {
         let metres = match self.text("units") {
             None => self.number("to_meter", 1.0)?,
             Some("m") => 1.0,
@@ -306,13 +307,13 @@ impl ProjString<'_> {
         if !(metres.is_finite() && metres > 0.0) {
             return Err(self.unsupported("its unit of length is unknown".into(), "use a WKT file"));
         }
-        let name = unit_node(horizontal).and_then(Node::name).unwrap_or("unit");
+        let name = unit_node(horizontal).and_then(WktNode::name).unwrap_or("unit");
         Ok(Unit::of_metres(name, metres))
     }
 }
 
 /// Unit node of a horizontal or vertical part, or of its first axis.
-pub(super) fn unit_node(part: &Node) -> Option<&Node> {
+pub(super) fn unit_node(part: &WktNode) -> Option<&WktNode> {
     part.child(&LENGTH_UNIT).or_else(|| part.child(&["AXIS"])?.child(&LENGTH_UNIT))
 }
 
@@ -321,7 +322,7 @@ const ELLIPSOIDAL: f64 = 2002.0;
 
 impl Definition {
     /// Name of the vertical part, unless heights are ellipsoidal.
-    pub fn vertical_name(&self) -> Option<String> {
+    pub(super) fn vertical_name(&self) -> Option<String> {
         let vertical = self.vertical.as_ref()?;
         let datum = vertical.child(&["VERT_DATUM", "VDATUM", "VERTICALDATUM"]);
         let above_ellipsoid = datum.is_some_and(|datum| {
@@ -332,7 +333,7 @@ impl Definition {
     }
 
     /// Unit of the vertical part.
-    pub fn vertical_unit(&self) -> Option<Unit> {
+    pub(super) fn vertical_unit(&self) -> Option<Unit> {
         let unit = unit_node(self.vertical.as_ref()?)?;
         let metres = unit.value(1).filter(|metres| *metres > 0.0)?;
         Some(Unit::of_metres(unit.name().unwrap_or("unit"), metres))

@@ -1,10 +1,11 @@
 //! Formats a coordinate reference system as WKT 1 (OGC 01-009).
 
-use super::definition::{DATUM, Definition, ELLIPSOID, GEODETIC, Method};
-use super::wkt::{Node, Value};
+use super::definition::{DATUM, Definition, ELLIPSOID, GEODETIC, ProjectionMethod};
+use super::wkt::{WktNode, WktValue};
 use super::{Crs, Unit};
 use crate::ellipsoid::{Ellipsoid, WGS84};
-use crate::{lambert, transverse_mercator};
+use crate::lambert::LambertParameters;
+use crate::transverse_mercator::TransverseMercatorParameters;
 
 /// The whole CRS; compound for heights above a geoid or not in metres.
 pub(super) fn wkt(crs: &Crs) -> String {
@@ -13,14 +14,14 @@ pub(super) fn wkt(crs: &Crs) -> String {
         None => horizontal.to_string(),
         Some(vertical) => {
             let names = [&horizontal, &vertical].map(|part| part.name().unwrap_or_default().to_string());
-            Node::named("COMPD_CS", &names.join(" + ")).with(horizontal).with(vertical).to_string()
+            WktNode::named("COMPD_CS", &names.join(" + ")).with(horizontal).with(vertical).to_string()
         }
     }
 }
 
 /// Horizontal part: the source text if it is WKT 1 or ESRI WKT, with the unit replaced if
 /// requested.
-fn horizontal(definition: &Definition, unit: &Unit) -> Node {
+fn horizontal(definition: &Definition, unit: &Unit) -> WktNode {
     let source = &definition.horizontal;
     match source.keyword.as_str() {
         "GEOGCS" => source.clone(),
@@ -31,24 +32,24 @@ fn horizontal(definition: &Definition, unit: &Unit) -> Node {
 }
 
 /// A projected or earth-centred WKT 1 CRS in another unit; it loses its EPSG code.
-fn in_unit(source: &Node, from: &Unit, to: &Unit) -> Node {
+fn in_unit(source: &WktNode, from: &Unit, to: &Unit) -> WktNode {
     let mut node = source.clone();
     let name = format!("{} ({})", source.name().unwrap_or_default(), to.name);
     if let Some(first) = node.values.first_mut() {
-        *first = Value::Text(name);
+        *first = WktValue::Text(name);
     }
-    node.values.retain(|value| !matches!(value, Value::Node(part) if part.keyword == "AUTHORITY"));
+    node.values.retain(|value| !matches!(value, WktValue::Node(part) if part.keyword == "AUTHORITY"));
     for part in node.nodes_mut() {
         let of_length = part.name().is_some_and(|name| name.to_lowercase().starts_with("false_"));
         match part.keyword.as_str() {
             "UNIT" => *part = to.wkt(),
             "PARAMETER" if of_length => {
                 if let (Some(length), Some(place)) = (part.value(1), part.values.get_mut(1)) {
-                    *place = Value::Bare((length * from.metres / to.metres).to_string());
+                    *place = WktValue::Bare((length * from.metres / to.metres).to_string());
                 }
             }
             "EXTENSION" => {
-                if let Some(Value::Text(text)) = part.values.get_mut(1) {
+                if let Some(WktValue::Text(text)) = part.values.get_mut(1) {
                     *text = text.replace("+units=m ", &format!("+to_meter={} ", to.metres));
                 }
             }
@@ -59,52 +60,52 @@ fn in_unit(source: &Node, from: &Unit, to: &Unit) -> Node {
 }
 
 /// Generates WKT 1 for a CRS given as WKT 2.
-fn generated(definition: &Definition, unit: &Unit) -> Node {
+fn generated(definition: &Definition, unit: &Unit) -> WktNode {
     let title = definition.horizontal.name().unwrap_or("unnamed");
     let code = definition.epsg.filter(|_| unit.is_as_long_as(&definition.unit));
     let in_unit = |metres: f64| metres / unit.metres;
     let projected = |projection: &str, parameters: &[(&str, f64)]| {
-        let mut node = Node::named("PROJCS", title).with(geodetic(definition));
-        node = node.with(Node::named("PROJECTION", projection));
+        let mut node = WktNode::named("PROJCS", title).with(geodetic(definition));
+        node = node.with(WktNode::named("PROJECTION", projection));
         for (name, value) in parameters {
-            node = node.with(Node::named("PARAMETER", name).number(*value));
+            node = node.with(WktNode::named("PARAMETER", name).number(*value));
         }
         node.with(unit.wkt())
     };
-    let axes = |node: Node| {
-        let axis = |name: &str, to: &str| Node::named("AXIS", name).bare(to);
+    let axes = |node: WktNode| {
+        let axis = |name: &str, to: &str| WktNode::named("AXIS", name).bare(to);
         node.with(axis("Easting", "EAST")).with(axis("Northing", "NORTH")).authority(code)
     };
     match &definition.method {
-        Method::Geodetic => geodetic(definition),
-        Method::Ecef => earth_centred(definition, unit).authority(code),
-        Method::TransverseMercator(p) => {
+        ProjectionMethod::Geodetic => geodetic(definition),
+        ProjectionMethod::Ecef => earth_centred(definition, unit).authority(code),
+        ProjectionMethod::TransverseMercator(p) => {
             axes(projected("Transverse_Mercator", &transverse_mercator_parameters(p, &in_unit)))
         }
-        Method::Lambert(p) => match lambert_parameters(p, &in_unit) {
+        ProjectionMethod::Lambert(p) => match lambert_parameters(p, &in_unit) {
             Some((projection, parameters)) => axes(projected(projection, &parameters)),
             None => {
                 projected("custom_proj4", &[]).with(extension(&lambert_text(p, definition.ellipsoid), unit))
             }
         },
-        Method::Other(text) => projected("custom_proj4", &[]).with(extension(text, unit)),
+        ProjectionMethod::Other(text) => projected("custom_proj4", &[]).with(extension(text, unit)),
         // PROJ already returned it as WKT 1.
         #[cfg(feature = "proj")]
-        Method::Foreign(_) => definition.horizontal.clone(),
+        ProjectionMethod::Foreign(_) => definition.horizontal.clone(),
     }
 }
 
 /// GDAL's extension for projections that WKT 1 cannot express.
-fn extension(proj: &str, unit: &Unit) -> Node {
+fn extension(proj: &str, unit: &Unit) -> WktNode {
     let text = proj.replace("+units=m ", &format!("+to_meter={} ", unit.metres));
-    let mut node = Node::named("EXTENSION", "PROJ4");
-    node.values.push(Value::Text(text));
+    let mut node = WktNode::named("EXTENSION", "PROJ4");
+    node.values.push(WktValue::Text(text));
     node
 }
 
 /// Names and values of the parameters, in degrees and projection units.
 pub(super) fn transverse_mercator_parameters(
-    p: &transverse_mercator::Parameters,
+    p: &TransverseMercatorParameters,
     in_unit: &impl Fn(f64) -> f64,
 ) -> [(&'static str, f64); 5] {
     [
@@ -120,7 +121,7 @@ pub(super) fn transverse_mercator_parameters(
 ///
 /// These are a scale factor with two parallels, or an origin away from a single parallel.
 pub(super) fn lambert_parameters(
-    p: &lambert::Parameters,
+    p: &LambertParameters,
     in_unit: &impl Fn(f64) -> f64,
 ) -> Option<(&'static str, Vec<(&'static str, f64)>)> {
     let [first, second] = p.standard_parallels_rad.map(degrees);
@@ -139,7 +140,7 @@ pub(super) fn lambert_parameters(
     (p.scale.to_bits() == 1f64.to_bits()).then_some(("Lambert_Conformal_Conic_2SP", parameters))
 }
 
-fn lambert_text(p: &lambert::Parameters, ellipsoid: Ellipsoid) -> String {
+fn lambert_text(p: &LambertParameters, ellipsoid: Ellipsoid) -> String {
     let [first, second] = p.standard_parallels_rad.map(degrees);
     format!(
         "+proj=lcc +lat_1={first} +lat_2={second} +lat_0={} +lon_0={} +k_0={} +x_0={} +y_0={} +a={} +rf={} +units=m +no_defs",
@@ -159,21 +160,21 @@ pub(super) fn degrees(angle_rad: f64) -> f64 {
     (angle_rad.to_degrees() * 1e13).round() / 1e13
 }
 
-fn geodetic(definition: &Definition) -> Node {
+fn geodetic(definition: &Definition) -> WktNode {
     let source = definition.horizontal.find(&GEODETIC);
-    let name = source.and_then(Node::name).unwrap_or("unnamed");
-    Node::named("GEOGCS", name)
+    let name = source.and_then(WktNode::name).unwrap_or("unnamed");
+    WktNode::named("GEOGCS", name)
         .with(datum(definition))
-        .with(Node::named("PRIMEM", "Greenwich").number(0.0).authority(Some(8901)))
-        .with(Node::named("UNIT", "degree").bare("0.0174532925199433").authority(Some(9122)))
-        .authority(source.and_then(Node::epsg))
+        .with(WktNode::named("PRIMEM", "Greenwich").number(0.0).authority(Some(8901)))
+        .with(WktNode::named("UNIT", "degree").bare("0.0174532925199433").authority(Some(9122)))
+        .authority(source.and_then(WktNode::epsg))
 }
 
-fn earth_centred(definition: &Definition, unit: &Unit) -> Node {
-    let axis = |name: &str, to: &str| Node::named("AXIS", name).bare(to);
-    Node::named("GEOCCS", definition.horizontal.name().unwrap_or("unnamed"))
+fn earth_centred(definition: &Definition, unit: &Unit) -> WktNode {
+    let axis = |name: &str, to: &str| WktNode::named("AXIS", name).bare(to);
+    WktNode::named("GEOCCS", definition.horizontal.name().unwrap_or("unnamed"))
         .with(datum(definition))
-        .with(Node::named("PRIMEM", "Greenwich").number(0.0).authority(Some(8901)))
+        .with(WktNode::named("PRIMEM", "Greenwich").number(0.0).authority(Some(8901)))
         .with(unit.wkt())
         .with(axis("Geocentric X", "OTHER"))
         .with(axis("Geocentric Y", "OTHER"))
@@ -181,9 +182,9 @@ fn earth_centred(definition: &Definition, unit: &Unit) -> Node {
 }
 
 /// The datum, with its WKT 1 name.
-fn datum(definition: &Definition) -> Node {
+fn datum(definition: &Definition) -> WktNode {
     let source = definition.horizontal.find(&DATUM);
-    let name = source.and_then(Node::name).unwrap_or("unknown");
+    let name = source.and_then(WktNode::name).unwrap_or("unknown");
     let name = match name.trim_end_matches(" ensemble") {
         "World Geodetic System 1984" => "WGS_1984".to_string(),
         // As GDAL writes names: other characters than letters, digits and plus become one
@@ -193,14 +194,14 @@ fn datum(definition: &Definition) -> Node {
             words.filter(|word| !word.is_empty()).collect::<Vec<_>>().join("_")
         }
     };
-    let figure = definition.horizontal.find(&ELLIPSOID).and_then(Node::name);
+    let figure = definition.horizontal.find(&ELLIPSOID).and_then(WktNode::name);
     let (inverse_flattening, code) =
         if definition.ellipsoid == WGS84 { (298.257_223_563, 7030) } else { (298.257_222_101, 7019) };
-    let spheroid = Node::named("SPHEROID", figure.unwrap_or("unnamed"))
+    let spheroid = WktNode::named("SPHEROID", figure.unwrap_or("unnamed"))
         .number(definition.ellipsoid.semi_major_m)
         .number(inverse_flattening)
         .authority(Some(code));
-    Node::named("DATUM", &name).with(spheroid).authority(source.and_then(Node::epsg))
+    WktNode::named("DATUM", &name).with(spheroid).authority(source.and_then(WktNode::epsg))
 }
 
 /// Types of vertical datums (OGC 01-009, section 12.3.4).
@@ -208,33 +209,28 @@ const GEOID_MODEL: f64 = 2005.0;
 const ELLIPSOIDAL: f64 = 2002.0;
 
 /// Vertical part; `None` for ellipsoidal heights in metres and for earth-centred coordinates.
-fn vertical(crs: &Crs) -> Option<Node> {
+fn vertical(crs: &Crs) -> Option<WktNode> {
     let unit = &crs.height_unit;
-    let part = |name: &str, datum: Node, code: Option<u32>| {
-        let up = Node::named("AXIS", "Up").bare("UP");
-        Node::named("VERT_CS", name).with(datum).with(unit.wkt()).with(up).authority(code)
+    let part = |name: &str, datum: WktNode, code: Option<u32>| {
+        let up = WktNode::named("AXIS", "Up").bare("UP");
+        WktNode::named("VERT_CS", name).with(datum).with(unit.wkt()).with(up).authority(code)
     };
     let Some(geoid) = &crs.geoid else {
         let needed = !crs.is_ecef() && !unit.is_as_long_as(&Unit::metre());
-        let datum = Node::named("VERT_DATUM", "Ellipsoid").number(ELLIPSOIDAL);
+        let datum = WktNode::named("VERT_DATUM", "Ellipsoid").number(ELLIPSOIDAL);
         return needed.then(|| part("Ellipsoidal height", datum, None));
     };
-    let datum = |name: &str, code| Node::named("VERT_DATUM", name).number(GEOID_MODEL).authority(code);
+    let datum = |name: &str, code| WktNode::named("VERT_DATUM", name).number(GEOID_MODEL).authority(code);
     if let (Some(name), Some(own)) = (crs.definition.vertical_name(), &crs.definition.vertical) {
         let source = own.child(&["VERT_DATUM", "VDATUM", "VERTICALDATUM"]);
         let same = crs.definition.vertical_unit().is_some_and(|own| own.is_as_long_as(unit));
-        let of = datum(source.and_then(Node::name).unwrap_or(&name), source.and_then(Node::epsg));
+        let of = datum(source.and_then(WktNode::name).unwrap_or(&name), source.and_then(WktNode::epsg));
         return Some(part(&name, of, own.epsg().filter(|_| same)));
     }
     Some(match known(geoid.name()) {
         Some(known) => part(known.name, datum(known.datum, Some(known.datum_code)), known.code(unit)),
         None => part(&format!("{} height", geoid.name()), datum(geoid.name(), None), None),
     })
-}
-
-/// EPSG code of heights above the CRS's geoid in its unit, if known.
-pub(super) fn vertical_epsg(crs: &Crs) -> Option<u32> {
-    vertical(crs)?.epsg()
 }
 
 /// Vertical CRS of EPSG that is realised by a geoid model.

@@ -2,10 +2,10 @@
 //!
 //! GeoTIFF 1.0, sections 2.4 and 6.
 
-use super::definition::{Definition, GEODETIC, Method};
-use super::describe::{lambert_parameters, transverse_mercator_parameters, vertical_epsg};
-use super::wkt::Node;
-use super::{Crs, Unit};
+use super::Unit;
+use super::definition::{Definition, GEODETIC, ProjectionMethod};
+use super::describe::{lambert_parameters, transverse_mercator_parameters};
+use super::wkt::WktNode;
 use crate::ellipsoid::WGS84;
 
 /// The three records of GeoTIFF keys, with user ID `LASF_Projection`.
@@ -38,32 +38,18 @@ const LINEAR_UNIT_SIZE: u16 = 3077;
 const VERTICAL: u16 = 4096;
 const VERTICAL_UNIT: u16 = 4099;
 
-/// Keys of a CRS; `None` without a code and with a projection not covered here.
-pub(super) fn keys(crs: &Crs) -> Option<GeoKeys> {
-    of_parts(&crs.definition, &crs.unit, &crs.height_unit, vertical_epsg(crs))
-}
-
 /// Keys of a CRS given as WKT; `None` if unsupported, or without a code and with a projection not
 /// covered here.
 pub fn geotiff_keys_of_wkt(text: &str) -> Option<GeoKeys> {
     let definition = Definition::of_wkt(text).ok()?;
-    let height_unit = definition.vertical_unit().unwrap_or_else(|| definition.unit.clone());
-    let vertical = definition.vertical.as_ref().and_then(Node::epsg);
-    of_parts(&definition, &definition.unit, &height_unit, vertical)
-}
-
-fn of_parts(
-    definition: &Definition,
-    unit: &Unit,
-    height_unit: &Unit,
-    vertical: Option<u32>,
-) -> Option<GeoKeys> {
+    let unit = &definition.unit;
+    let height_unit = definition.vertical_unit().unwrap_or_else(|| unit.clone());
+    let vertical = definition.vertical.as_ref().and_then(WktNode::epsg);
     let mut keys = Keys::default();
-    let own_unit = unit.is_as_long_as(&definition.unit);
-    let code = definition.epsg.filter(|_| own_unit).and_then(|code| u16::try_from(code).ok());
+    let code = definition.epsg.and_then(|code| u16::try_from(code).ok());
     let model = match definition.method {
-        Method::Geodetic => 2,
-        Method::Ecef => 3,
+        ProjectionMethod::Geodetic => 2,
+        ProjectionMethod::Ecef => 3,
         _ => 1,
     };
     keys.short(MODEL_TYPE, model);
@@ -71,9 +57,9 @@ fn of_parts(
     keys.text(CITATION, definition.horizontal.name().unwrap_or("unnamed"));
     match (model, code) {
         (1, Some(code)) => keys.short(PROJECTED, code),
-        (1, None) => projection(&mut keys, definition, unit)?,
+        (1, None) => projection(&mut keys, &definition)?,
         (_, Some(code)) => keys.short(GEOGRAPHIC, code),
-        (_, None) => geographic(&mut keys, definition),
+        (_, None) => geographic(&mut keys, &definition),
     }
     if model == 2 {
         keys.short(ANGULAR_UNIT, 9102);
@@ -109,13 +95,13 @@ fn geographic(keys: &mut Keys, definition: &Definition) {
     }
 }
 
-fn projection(keys: &mut Keys, definition: &Definition, unit: &Unit) -> Option<()> {
-    let in_unit = |metres: f64| metres / unit.metres;
+fn projection(keys: &mut Keys, definition: &Definition) -> Option<()> {
+    let in_unit = |metres: f64| metres / definition.unit.metres;
     // Method codes: 1 transverse Mercator, 8 Lambert with two parallels, 9 with one (section
     // 6.3.3.3).
     let (method, parameters) = match &definition.method {
-        Method::TransverseMercator(p) => (1, transverse_mercator_parameters(p, &in_unit).to_vec()),
-        Method::Lambert(p) => match lambert_parameters(p, &in_unit)? {
+        ProjectionMethod::TransverseMercator(p) => (1, transverse_mercator_parameters(p, &in_unit).to_vec()),
+        ProjectionMethod::Lambert(p) => match lambert_parameters(p, &in_unit)? {
             ("Lambert_Conformal_Conic_2SP", parameters) => (8, parameters),
             (_, parameters) => (9, parameters),
         },

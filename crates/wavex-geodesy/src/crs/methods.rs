@@ -5,7 +5,7 @@
 
 use super::CrsError;
 use super::definition::ProjString;
-use super::wkt::{Node, Value};
+use super::wkt::{WktNode, WktValue};
 
 const PROJ_REMEDY: &str = "choose another system, or build wavex with the feature `proj`";
 
@@ -48,11 +48,11 @@ const EVERYWHERE: &str = "proj type datum ellps a b rf R R_A towgs84 nadgrids ge
                           no_defs wktext axis pm";
 
 /// Checks that a PROJ string represents its horizontal part.
-pub(super) fn check(proj: &ProjString, horizontal: &Node) -> Result<(), CrsError> {
+pub(super) fn check(proj: &ProjString, horizontal: &WktNode) -> Result<(), CrsError> {
     let method = proj.text("proj").unwrap_or_default();
     let row = METHODS.iter().find(|row| row.0 == method).filter(|_| !differs(proj, horizontal));
     let Some(&(_, needed, optional)) = row else {
-        let named = horizontal.find(&["PROJECTION", "METHOD"]).and_then(Node::name).unwrap_or(method);
+        let named = horizontal.find(&["PROJECTION", "METHOD"]).and_then(WktNode::name).unwrap_or(method);
         let problem = format!("its projection method, {named}, is not known to agree with PROJ");
         return Err(proj.unsupported(problem, PROJ_REMEDY));
     };
@@ -107,8 +107,8 @@ fn check_own(proj: &ProjString, method: &str) -> Result<(), CrsError> {
 
 /// Variants for which PROJ and `proj4rs` differ: spherical equal-area, and oblique Mercator through
 /// two points.
-fn differs(proj: &ProjString, horizontal: &Node) -> bool {
-    let name = || horizontal.find(&["METHOD"]).and_then(Node::name).unwrap_or_default().to_lowercase();
+fn differs(proj: &ProjString, horizontal: &WktNode) -> bool {
+    let name = || horizontal.find(&["METHOD"]).and_then(WktNode::name).unwrap_or_default().to_lowercase();
     match proj.text("proj") {
         Some("cea") => name().contains("spherical"),
         Some("omerc") => proj.text("lon_1").is_some(),
@@ -116,16 +116,16 @@ fn differs(proj: &ProjString, horizontal: &Node) -> bool {
     }
 }
 
-fn is_of_two_parallels(horizontal: &Node) -> bool {
+fn is_of_two_parallels(horizontal: &WktNode) -> bool {
     let method = horizontal.find(&["PROJECTION", "METHOD"]);
-    method.and_then(Node::name).is_some_and(|name| name.to_uppercase().contains("2SP"))
+    method.and_then(WktNode::name).is_some_and(|name| name.to_uppercase().contains("2SP"))
 }
 
 /// Name of a parameter that has no effect although it is neither 0 nor 1, so is not recognised.
 ///
 /// Parameters of the Krovak projection are fixed, whatever the text.
-fn ignored_parameter(horizontal: &Node, method: &str) -> Option<String> {
-    let text = |node: &Node| proj4wkt::wkt_to_projstring(&node.to_string()).ok();
+fn ignored_parameter(horizontal: &WktNode, method: &str) -> Option<String> {
+    let text = |node: &WktNode| proj4wkt::wkt_to_projstring(&node.to_string()).ok();
     let as_is = text(horizontal);
     let mut names = Vec::new();
     for_each_parameter(&mut horizontal.clone(), &mut |parameter| {
@@ -136,7 +136,7 @@ fn ignored_parameter(horizontal: &Node, method: &str) -> Option<String> {
         let (mut changed, mut at) = (horizontal.clone(), 0);
         for_each_parameter(&mut changed, &mut |parameter| {
             if let (true, Some(value)) = (at == place, parameter.values.get_mut(1)) {
-                *value = Value::Bare((names[place].1 / 2.0).to_string());
+                *value = WktValue::Bare((names[place].1 / 2.0).to_string());
             }
             at += 1;
         });
@@ -148,7 +148,7 @@ fn ignored_parameter(horizontal: &Node, method: &str) -> Option<String> {
     Some(names.swap_remove(place).0)
 }
 
-fn for_each_parameter(node: &mut Node, act: &mut impl FnMut(&mut Node)) {
+fn for_each_parameter(node: &mut WktNode, act: &mut impl FnMut(&mut WktNode)) {
     if node.keyword == "PARAMETER" {
         act(node);
     }
@@ -158,12 +158,12 @@ fn for_each_parameter(node: &mut Node, act: &mut impl FnMut(&mut Node)) {
 }
 
 /// Whether axes point east and north, or to or from a pole.
-pub(super) fn has_plain_axes(horizontal: &Node) -> bool {
+pub(super) fn has_plain_axes(horizontal: &WktNode) -> bool {
     let axes = horizontal.nodes().filter(|node| node.keyword == "AXIS");
     let directions: Vec<String> = axes
         .filter_map(|axis| match axis.values.get(1)? {
-            Value::Bare(word) | Value::Text(word) => Some(word.to_lowercase()),
-            Value::Node(_) => None,
+            WktValue::Bare(word) | WktValue::Text(word) => Some(word.to_lowercase()),
+            WktValue::Node(_) => None,
         })
         .take(2)
         .collect();

@@ -29,6 +29,16 @@ impl Named {
     ///
     /// # Errors
     /// An invalid UTM zone or EPSG code.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use wavex_geodesy::crs::Named;
+    ///
+    /// assert_eq!(Named::parse("utm:33N")?, Some(Named::UtmZone { zone: 33, north: true }));
+    /// assert_eq!(Named::parse("site.wkt")?, None);
+    /// # Ok::<(), wavex_geodesy::crs::CrsError>(())
+    /// ```
     pub fn parse(word: &str) -> Result<Option<Named>, CrsError> {
         let error = |problem| CrsError::Word { word: word.into(), problem };
         let lower = word.trim().to_lowercase();
@@ -71,7 +81,7 @@ pub fn wkt_of_epsg(code: u16) -> Option<String> {
 ///
 /// Zones are 6 degrees wide everywhere: the wider zones of Norway and Svalbard belong to the
 /// military grid reference system, not to the projection.
-pub fn utm_zone_at(longitude_rad: f64) -> u8 {
+pub(super) fn utm_zone_at(longitude_rad: f64) -> u8 {
     let zone = ((longitude_rad.to_degrees() + 180.0) / 6.0).floor().rem_euclid(60.0);
     zone as u8 + 1
 }
@@ -94,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn words_that_almost_name_a_system_are_errors() {
+    fn misspelled_names_are_errors() {
         for word in ["utm:0N", "utm:61S", "utm:33", "utm:", "utm:N"] {
             assert_eq!(
                 Named::parse(word).unwrap_err().to_string(),

@@ -6,7 +6,8 @@
 //! whose grids it finds. Heights stay above the WGS 84 ellipsoid, or above the geoid: on another
 //! datum's ellipsoid they would be meaningless.
 //!
-//! PROJ objects belong to one thread, so each thread has its own.
+//! PROJ objects belong to one thread, so each thread has its own. The crate `proj` takes every
+//! height as 0, which shifts positions on other datums; hence the bindings of `proj-sys`.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -33,14 +34,14 @@ impl Foreign {
     /// The CRS of a PROJ definition: `EPSG:27700`, or WKT.
     ///
     /// `None` if PROJ does not understand it, or has no transformation from WGS 84.
-    pub fn new(definition: &str) -> Option<Foreign> {
+    pub(super) fn new(definition: &str) -> Option<Foreign> {
         let definition = CString::new(definition.trim_end_matches('\0')).ok()?;
         let foreign = Foreign { definition, number: NEXT.fetch_add(1, Ordering::Relaxed) };
         foreign.with(|_| ()).map(|()| foreign)
     }
 
     /// The CRS as WKT 1.
-    pub fn wkt(&self) -> Option<String> {
+    pub(super) fn wkt(&self) -> Option<String> {
         let context = Context::new()?;
         let system = Object::of(&context, &self.definition)?;
         let options = [c"MULTILINE=NO".as_ptr(), std::ptr::null()];
@@ -57,7 +58,7 @@ impl Foreign {
     }
 
     /// x and y of longitude and latitude, degrees, and ellipsoidal height on WGS 84, m.
-    pub fn project(&self, longitude_deg: f64, latitude_deg: f64, height_m: f64) -> Option<[f64; 2]> {
+    pub(super) fn project(&self, longitude_deg: f64, latitude_deg: f64, height_m: f64) -> Option<[f64; 2]> {
         let point = [longitude_deg, latitude_deg, height_m, f64::INFINITY];
         self.with(|opened| opened.transform(sys::PJ_DIRECTION_PJ_FWD, point))?.map(|[x, y, ..]| [x, y])
     }
@@ -66,7 +67,7 @@ impl Foreign {
     ///
     /// PROJ's inverse of a seven-parameter datum shift is off by 1 mm; the residual of the forward
     /// transformation corrects it.
-    pub fn unproject(&self, x: f64, y: f64, height_m: f64) -> Option<[f64; 2]> {
+    pub(super) fn unproject(&self, x: f64, y: f64, height_m: f64) -> Option<[f64; 2]> {
         self.with(|opened| {
             let inverse = |[x, y]: [f64; 2]| {
                 opened.transform(sys::PJ_DIRECTION_PJ_INV, [x, y, height_m, f64::INFINITY])

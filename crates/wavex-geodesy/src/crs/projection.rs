@@ -5,8 +5,8 @@ use std::fmt;
 use proj4rs::Proj;
 
 use super::CrsError;
-use super::definition::{Definition, Method};
-use crate::conformal::Normal;
+use super::definition::{Definition, ProjectionMethod};
+use crate::conformal::EllipsoidNormal;
 use crate::lambert::LambertConformal;
 use crate::transverse_mercator::TransverseMercator;
 
@@ -28,30 +28,30 @@ pub(super) enum Projection {
 }
 
 impl Projection {
-    pub fn new(definition: &Definition) -> Result<Projection, CrsError> {
+    pub(super) fn new(definition: &Definition) -> Result<Projection, CrsError> {
         let unsupported = |problem: String| CrsError::Unsupported {
             name: definition.name.clone(),
             problem,
             remedy: "choose another system, or build wavex with the feature `proj`",
         };
         Ok(match &definition.method {
-            Method::Geodetic => Projection::Geodetic,
-            Method::Ecef => Projection::Ecef,
-            Method::TransverseMercator(parameters) => {
+            ProjectionMethod::Geodetic => Projection::Geodetic,
+            ProjectionMethod::Ecef => Projection::Ecef,
+            ProjectionMethod::TransverseMercator(parameters) => {
                 Projection::TransverseMercator(TransverseMercator::new(definition.ellipsoid, *parameters))
             }
-            Method::Lambert(parameters) => {
+            ProjectionMethod::Lambert(parameters) => {
                 let projection = LambertConformal::new(definition.ellipsoid, *parameters);
                 Projection::Lambert(
                     projection.ok_or_else(|| unsupported("its standard parallels define no cone".into()))?,
                 )
             }
             #[cfg(feature = "proj")]
-            Method::Foreign(text) => Projection::Foreign(
+            ProjectionMethod::Foreign(text) => Projection::Foreign(
                 super::proj::Foreign::new(text)
                     .ok_or_else(|| unsupported("PROJ has no transformation to it from WGS 84".into()))?,
             ),
-            Method::Other(text) => Projection::Other(Box::new(
+            ProjectionMethod::Other(text) => Projection::Other(Box::new(
                 Other::new(text).map_err(|problem| unsupported(format!("its projection: {problem}")))?,
             )),
         })
@@ -61,7 +61,7 @@ impl Projection {
     ///
     /// `height_m`: ellipsoidal height of the position.
     #[cfg_attr(not(feature = "proj"), allow(unused_variables, reason = "only PROJ asks for the height"))]
-    pub fn project(&self, normal: &Normal, height_m: f64) -> Option<[f64; 2]> {
+    pub(super) fn project(&self, normal: &EllipsoidNormal, height_m: f64) -> Option<[f64; 2]> {
         let (x, y) = match self {
             Projection::Geodetic | Projection::Ecef => {
                 let (latitude_rad, longitude_rad) = normal.angles_rad();
@@ -83,9 +83,9 @@ impl Projection {
     }
 
     /// [`Projection::project`] for several positions.
-    pub fn project_each<const N: usize>(
+    pub(super) fn project_each<const N: usize>(
         &self,
-        normals: &[Normal; N],
+        normals: &[EllipsoidNormal; N],
         heights_m: &[f64; N],
     ) -> [Option<[f64; 2]>; N] {
         match self {
@@ -98,7 +98,7 @@ impl Projection {
 
     /// Inverse of [`Projection::project`]: latitude and longitude, rad.
     #[cfg_attr(not(feature = "proj"), allow(unused_variables, reason = "only PROJ asks for the height"))]
-    pub fn unproject(&self, [x, y]: [f64; 2], height_m: f64) -> Option<(f64, f64)> {
+    pub(super) fn unproject(&self, [x, y]: [f64; 2], height_m: f64) -> Option<(f64, f64)> {
         if !(x.abs() < FARTHEST_M && y.abs() < FARTHEST_M) {
             return None;
         }
@@ -140,7 +140,7 @@ impl Other {
         })
     }
 
-    fn project(&self, normal: &Normal) -> Option<(f64, f64)> {
+    fn project(&self, normal: &EllipsoidNormal) -> Option<(f64, f64)> {
         let (latitude_rad, longitude_rad) = normal.angles_rad();
         proj4rs::adaptors::transform_xy(&self.from, &self.to, longitude_rad, latitude_rad).ok()
     }

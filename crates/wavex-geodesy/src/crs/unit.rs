@@ -1,6 +1,6 @@
 //! Units of length.
 
-use super::wkt::Node;
+use super::wkt::WktNode;
 
 /// Unit of length of coordinates.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,7 +48,7 @@ impl Unit {
     /// A unit of this length; a known unit if they agree within 1e-11.
     ///
     /// That is 0.1 mm in the largest possible coordinates.
-    pub fn of_metres(name: &str, metres: f64) -> Unit {
+    pub(crate) fn of_metres(name: &str, metres: f64) -> Unit {
         let same = |known: &&(&str, f64, u16)| (known.1 / metres - 1.0).abs() < 1e-11;
         match KNOWN.iter().find(same) {
             Some(known) => Unit::known(*known),
@@ -57,13 +57,13 @@ impl Unit {
     }
 
     /// Whether two units have the same length.
-    pub fn is_as_long_as(&self, other: &Unit) -> bool {
+    pub(crate) fn is_as_long_as(&self, other: &Unit) -> bool {
         self.metres.to_bits() == other.metres.to_bits()
     }
 
     /// The unit as WKT 1.
-    pub fn wkt(&self) -> Node {
-        Node::named("UNIT", &self.name).number(self.metres).authority(self.epsg.map(u32::from))
+    pub(crate) fn wkt(&self) -> WktNode {
+        WktNode::named("UNIT", &self.name).number(self.metres).authority(self.epsg.map(u32::from))
     }
 
     fn known((name, metres, epsg): (&str, f64, u16)) -> Unit {

@@ -5,33 +5,33 @@
 
 /// A keyword with its values: `UNIT["metre",1]`.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Node {
+pub(crate) struct WktNode {
     /// Keyword, in capitals.
     pub keyword: String,
     /// Values in its brackets.
-    pub values: Vec<Value>,
+    pub values: Vec<WktValue>,
 }
 
 /// A value in the brackets of a keyword.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Value {
+pub(crate) enum WktValue {
     /// Quoted text, without the quotation marks.
     Text(String),
     /// A number or a bare word, as written.
     Bare(String),
     /// A keyword with values.
-    Node(Node),
+    Node(WktNode),
 }
 
 /// Depth limit, which protects the stack; text in use is nested up to 12 deep.
 const DEEPEST: usize = 32;
 
-impl Node {
+impl WktNode {
     /// Parses text that is one keyword with its values.
     ///
     /// # Errors
     /// The problem and the character position, as the end of a sentence.
-    pub fn parse(text: &str) -> Result<Node, String> {
+    pub(crate) fn parse(text: &str) -> Result<WktNode, String> {
         let mut reader = Reader { text: text.trim_start_matches('\u{feff}'), at: 0 };
         let node = reader.node(0)?;
         reader.blanks();
@@ -42,72 +42,74 @@ impl Node {
     }
 
     /// A node whose first value is a name.
-    pub fn named(keyword: &str, name: &str) -> Node {
-        Node { keyword: keyword.into(), values: vec![Value::Text(name.into())] }
+    pub(crate) fn named(keyword: &str, name: &str) -> WktNode {
+        WktNode { keyword: keyword.into(), values: vec![WktValue::Text(name.into())] }
     }
 
     /// Appends a number.
-    pub fn number(mut self, number: f64) -> Node {
-        self.values.push(Value::Bare(number.to_string()));
+    pub(crate) fn number(mut self, number: f64) -> WktNode {
+        self.values.push(WktValue::Bare(number.to_string()));
         self
     }
 
     /// Appends a bare word.
-    pub fn bare(mut self, word: &str) -> Node {
-        self.values.push(Value::Bare(word.into()));
+    pub(crate) fn bare(mut self, word: &str) -> WktNode {
+        self.values.push(WktValue::Bare(word.into()));
         self
     }
 
     /// Appends a node.
-    pub fn with(mut self, node: Node) -> Node {
-        self.values.push(Value::Node(node));
+    pub(crate) fn with(mut self, node: WktNode) -> WktNode {
+        self.values.push(WktValue::Node(node));
         self
     }
 
     /// The first value, if it is text.
-    pub fn name(&self) -> Option<&str> {
+    pub(crate) fn name(&self) -> Option<&str> {
         self.text(0)
     }
 
     /// A text value by index from 0.
-    pub fn text(&self, place: usize) -> Option<&str> {
+    pub(crate) fn text(&self, place: usize) -> Option<&str> {
         match self.values.get(place)? {
-            Value::Text(text) => Some(text),
+            WktValue::Text(text) => Some(text),
             _ => None,
         }
     }
 
     /// A numeric value by index from 0.
-    pub fn value(&self, place: usize) -> Option<f64> {
+    pub(crate) fn value(&self, place: usize) -> Option<f64> {
         match self.values.get(place)? {
-            Value::Bare(number) | Value::Text(number) => number.parse().ok().filter(|n: &f64| n.is_finite()),
-            Value::Node(_) => None,
+            WktValue::Bare(number) | WktValue::Text(number) => {
+                number.parse().ok().filter(|n: &f64| n.is_finite())
+            }
+            WktValue::Node(_) => None,
         }
     }
 
     /// The nodes among the values.
-    pub fn nodes(&self) -> impl Iterator<Item = &Node> {
+    pub(crate) fn nodes(&self) -> impl Iterator<Item = &WktNode> {
         self.values.iter().filter_map(|value| match value {
-            Value::Node(node) => Some(node),
+            WktValue::Node(node) => Some(node),
             _ => None,
         })
     }
 
     /// The nodes among the values, mutable.
-    pub fn nodes_mut(&mut self) -> impl Iterator<Item = &mut Node> {
+    pub(crate) fn nodes_mut(&mut self) -> impl Iterator<Item = &mut WktNode> {
         self.values.iter_mut().filter_map(|value| match value {
-            Value::Node(node) => Some(node),
+            WktValue::Node(node) => Some(node),
             _ => None,
         })
     }
 
     /// The first child node with one of these keywords.
-    pub fn child(&self, keywords: &[&str]) -> Option<&Node> {
+    pub(crate) fn child(&self, keywords: &[&str]) -> Option<&WktNode> {
         self.nodes().find(|node| keywords.contains(&node.keyword.as_str()))
     }
 
     /// The first node with one of these keywords, here or below, depth first.
-    pub fn find(&self, keywords: &[&str]) -> Option<&Node> {
+    pub(crate) fn find(&self, keywords: &[&str]) -> Option<&WktNode> {
         if keywords.contains(&self.keyword.as_str()) {
             return Some(self);
         }
@@ -115,32 +117,32 @@ impl Node {
     }
 
     /// Removes the nodes for which `unwanted` holds, here and below.
-    pub fn remove(&mut self, unwanted: &impl Fn(&Node) -> bool) {
-        self.values.retain(|value| !matches!(value, Value::Node(node) if unwanted(node)));
+    pub(crate) fn remove(&mut self, unwanted: &impl Fn(&WktNode) -> bool) {
+        self.values.retain(|value| !matches!(value, WktValue::Node(node) if unwanted(node)));
         self.nodes_mut().for_each(|node| node.remove(unwanted));
     }
 
     /// EPSG code of this node, from `AUTHORITY["EPSG","2154"]` or `ID["EPSG",2154]`.
-    pub fn epsg(&self) -> Option<u32> {
+    pub(crate) fn epsg(&self) -> Option<u32> {
         let authority = self.child(&["AUTHORITY", "ID"])?;
         let code = match authority.values.get(1)? {
-            Value::Text(code) | Value::Bare(code) => code.parse().ok()?,
-            Value::Node(_) => return None,
+            WktValue::Text(code) | WktValue::Bare(code) => code.parse().ok()?,
+            WktValue::Node(_) => return None,
         };
         authority.name()?.eq_ignore_ascii_case("EPSG").then_some(code)
     }
 
     /// Appends an EPSG code.
-    pub fn authority(self, epsg: Option<u32>) -> Node {
+    pub(crate) fn authority(self, epsg: Option<u32>) -> WktNode {
         let Some(code) = epsg else { return self };
-        let mut authority = Node::named("AUTHORITY", "EPSG");
-        authority.values.push(Value::Text(code.to_string()));
+        let mut authority = WktNode::named("AUTHORITY", "EPSG");
+        authority.values.push(WktValue::Text(code.to_string()));
         self.with(authority)
     }
 }
 
 /// Formats the tree on one line.
-impl std::fmt::Display for Node {
+impl std::fmt::Display for WktNode {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}[", self.keyword)?;
         for (place, value) in self.values.iter().enumerate() {
@@ -148,9 +150,9 @@ impl std::fmt::Display for Node {
                 f.write_str(",")?;
             }
             match value {
-                Value::Text(text) => write!(f, "\"{}\"", text.replace('"', "\"\""))?,
-                Value::Bare(word) => f.write_str(word)?,
-                Value::Node(node) => write!(f, "{node}")?,
+                WktValue::Text(text) => write!(f, "\"{}\"", text.replace('"', "\"\""))?,
+                WktValue::Bare(word) => f.write_str(word)?,
+                WktValue::Node(node) => write!(f, "{node}")?,
             }
         }
         f.write_str("]")
@@ -194,7 +196,7 @@ impl Reader<'_> {
         word
     }
 
-    fn node(&mut self, depth: usize) -> Result<Node, String> {
+    fn node(&mut self, depth: usize) -> Result<WktNode, String> {
         let keyword = self.word();
         if keyword.is_empty() {
             return Err(self.problem("a keyword is expected"));
@@ -206,7 +208,7 @@ impl Reader<'_> {
     }
 
     /// Reads the values after the opening bracket of a keyword.
-    fn values(&mut self, keyword: String, depth: usize) -> Result<Node, String> {
+    fn values(&mut self, keyword: String, depth: usize) -> Result<WktNode, String> {
         if depth > DEEPEST {
             return Err(self.problem("it is nested too deeply"));
         }
@@ -214,7 +216,7 @@ impl Reader<'_> {
         loop {
             values.push(self.one_value(depth)?);
             if self.eat(&[']', ')']) {
-                return Ok(Node { keyword: keyword.to_uppercase(), values });
+                return Ok(WktNode { keyword: keyword.to_uppercase(), values });
             }
             if !self.eat(&[',']) {
                 return Err(self.problem("a comma or a closing bracket is expected"));
@@ -222,15 +224,15 @@ impl Reader<'_> {
         }
     }
 
-    fn one_value(&mut self, depth: usize) -> Result<Value, String> {
+    fn one_value(&mut self, depth: usize) -> Result<WktValue, String> {
         if self.eat(&['"']) {
-            return self.quoted().map(Value::Text);
+            return self.quoted().map(WktValue::Text);
         }
         let word = self.word();
         match (word.is_empty(), self.eat(&['[', '('])) {
             (true, _) => Err(self.problem("a value is expected")),
-            (false, true) => self.values(word, depth + 1).map(Value::Node),
-            (false, false) => Ok(Value::Bare(word)),
+            (false, true) => self.values(word, depth + 1).map(WktValue::Node),
+            (false, false) => Ok(WktValue::Bare(word)),
         }
     }
 
@@ -263,16 +265,16 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn a_text_is_a_tree_and_a_tree_is_a_text() {
+    fn wkt_round_trips() {
         let text = r#"GEOGCS["a ""b""",PRIMEM["Greenwich",0],AXIS["Lon",EAST],AUTHORITY["EPSG","4326"]]"#;
-        let node = Node::parse(text).unwrap();
+        let node = WktNode::parse(text).unwrap();
         assert_eq!(node.name(), Some("a \"b\""));
         assert_eq!(node.child(&["PRIMEM"]).unwrap().value(1), Some(0.0));
         assert_eq!(node.epsg(), Some(4326));
         assert_eq!(node.to_string(), text);
         let spaced = " \u{feff}geogcs ( \"a \"\"b\"\"\" ,\n PRIMEM[\"Greenwich\", 0 ], AXIS[\"Lon\",EAST] ,AUTHORITY[\"EPSG\",\"4326\"])\0";
-        assert_eq!(Node::parse(spaced.trim_start()).unwrap(), node);
-        assert_eq!(Node::parse(r#"A["x",ID["EPSG",7]]"#).unwrap().epsg(), Some(7));
+        assert_eq!(WktNode::parse(spaced.trim_start()).unwrap(), node);
+        assert_eq!(WktNode::parse(r#"A["x",ID["EPSG",7]]"#).unwrap().epsg(), Some(7));
     }
 
     #[test]
@@ -287,15 +289,15 @@ mod tests {
             (r#"A["x"] B"#, "unexpected text after the last bracket at character 8"),
             (&deep, "it is nested too deeply at character 69"),
         ] {
-            assert_eq!(Node::parse(text).unwrap_err(), problem);
+            assert_eq!(WktNode::parse(text).unwrap_err(), problem);
         }
     }
 
     proptest! {
         #[test]
-        fn no_text_is_too_strange(text in "[A-C\\[\\]\\(\\)\",.0-9äö \\n]{0,60}") {
-            if let Ok(node) = Node::parse(&text) {
-                prop_assert_eq!(Node::parse(&node.to_string()).unwrap(), node);
+        fn any_text_is_a_tree_or_an_error(text in "[A-C\\[\\]\\(\\)\",.0-9äö \\n]{0,60}") {
+            if let Ok(node) = WktNode::parse(&text) {
+                prop_assert_eq!(WktNode::parse(&node.to_string()).unwrap(), node);
             }
         }
     }

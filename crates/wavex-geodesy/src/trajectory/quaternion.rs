@@ -113,7 +113,7 @@ mod tests {
 
     /// Half turns, in which each component in turn is the largest and w is 0.
     #[test]
-    fn half_turns_come_back() {
+    fn half_turns_round_trip() {
         for angles in [[PI, 0.0, 0.0], [0.0, 0.0, PI], [PI, 0.0, PI], [0.0; 3]] {
             let rotation = rotation_of_angles(angles);
             assert!(near(&Quaternion::of(&rotation).rotation(), &rotation), "{angles:?}");
@@ -123,7 +123,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn rotations_come_back(roll in -3.1..3.1, pitch in -1.5..1.5, yaw in -3.1..3.1) {
+        fn rotations_round_trip(roll in -3.1..3.1, pitch in -1.5..1.5, yaw in -3.1..3.1) {
             let rotation = rotation_of_angles([roll, pitch, yaw]);
             let q = Quaternion::of(&rotation);
             prop_assert!(near(&q.rotation(), &rotation));
@@ -132,7 +132,7 @@ mod tests {
         }
 
         #[test]
-        fn products_are_rotations_one_after_the_other(a in -3.0..3.0, b in -1.5..1.5, c in -3.0..3.0) {
+        fn products_compose_rotations(a in -3.0..3.0, b in -1.5..1.5, c in -3.0..3.0) {
             let (first, second) = (rotation_of_angles([a, b, c]), rotation_of_angles([c, b, a]));
             let product = Quaternion::of(&second).after(&Quaternion::of(&first));
             prop_assert!(near(&product.rotation(), &then(&first, &second)));

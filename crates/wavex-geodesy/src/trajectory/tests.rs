@@ -127,7 +127,7 @@ fn poses_between_records_are_those_of_the_flight() {
 /// Across the 180-degree meridian, across headings of 360 and 180 degrees, near a pole, and upside
 /// down.
 #[test]
-fn no_angle_is_special() {
+fn attitudes_near_singularities_are_interpolated() {
     let flights = [
         Flight::at(-17.0, 179.9999, 90.0),
         Flight::at(52.0, 5.0, 0.0),
@@ -142,7 +142,7 @@ fn no_angle_is_special() {
 }
 
 #[test]
-fn records_come_back_at_their_times() {
+fn poses_at_records_equal_the_records() {
     let flight = Flight::at(48.0, 11.0, 70.0);
     let trajectory = flight.flown((0..50).map(|k| 0.01 * f64::from(k)));
     for sample in trajectory.samples() {
@@ -171,13 +171,13 @@ fn two_records_are_a_straight_line() {
 }
 
 #[test]
-fn gaps_are_told_and_the_short_ones_bridged() {
+fn gaps_are_listed_and_short_ones_bridged() {
     let flight = Flight { sway_rad: 3f64.to_radians(), ..Flight::at(48.0, 11.0, 70.0) };
     // 100 Hz without the records from 1.00 to 1.17 s and from 3.00 to 4.99 s.
     let missing = |k: &i32| !(100..118).contains(k) && !(300..500).contains(k);
     let trajectory = flight.flown((0..800).filter(missing).map(|k| 0.01 * f64::from(k)));
-    let told: Vec<(usize, bool)> = trajectory.gaps().iter().map(|gap| (gap.record, gap.is_bridged)).collect();
-    assert_eq!(told, [(99, true), (281, false)]);
+    let gaps: Vec<(usize, bool)> = trajectory.gaps().iter().map(|gap| (gap.record, gap.is_bridged)).collect();
+    assert_eq!(gaps, [(99, true), (281, false)]);
     assert!((trajectory.gaps()[0].length_s() - 0.19).abs() < 1e-12);
     assert_eq!(trajectory.gaps()[1].between_s, [2.99, 5.0]);
     assert!((trajectory.median_step_s() - 0.01).abs() < 1e-12);
@@ -204,7 +204,7 @@ fn a_single_lost_record_is_no_gap() {
 
 /// A slow trajectory has no gaps merely because its steps are long.
 #[test]
-fn a_gap_is_one_against_the_usual_step() {
+fn gaps_are_relative_to_the_median_step() {
     let trajectory =
         Flight::at(48.0, 11.0, 70.0).flown([0, 1, 2, 3, 8, 9, 10, 11, 17, 18].into_iter().map(f64::from));
     assert_eq!(trajectory.gaps().iter().map(|gap| gap.is_bridged).collect::<Vec<_>>(), [true, false]);
@@ -214,12 +214,12 @@ fn a_gap_is_one_against_the_usual_step() {
 /// A record of a second system 1 µs and 1 mm away from another: its "velocity" of 1 km/s is
 /// ignored.
 #[test]
-fn records_that_almost_coincide_do_not_shake_their_neighbours() {
+fn nearly_coincident_records_do_not_disturb_neighbours() {
     let flight = Flight { shake_m: 0.0, sway_rad: 0.0, ..Flight::at(48.0, 11.0, 70.0) };
     let mut samples: Vec<Sample> = (0..20).map(|k| flight.sample(0.005 * f64::from(k))).collect();
-    let mut beside = flight.sample(0.05 + 1e-6);
-    beside.place.height_m += 1e-3;
-    samples.insert(11, beside);
+    let mut duplicate = flight.sample(0.05 + 1e-6);
+    duplicate.place.height_m += 1e-3;
+    samples.insert(11, duplicate);
     let trajectory = Trajectory::new(samples).unwrap();
     for k in 0..=1000 {
         let time_s = 0.045 + 1e-5 * f64::from(k);
@@ -229,7 +229,7 @@ fn records_that_almost_coincide_do_not_shake_their_neighbours() {
 }
 
 #[test]
-fn accuracies_are_linear_between_theirs() {
+fn accuracies_are_interpolated_linearly() {
     let accuracy = |k: f64| Accuracy { position_sd_m: [k, 2.0 * k, 3.0 * k], attitude_sd_rad: [0.0, k, 5.0] };
     let samples = [(10.0, 1.0), (11.0, 2.0), (13.0, 4.0)];
     let samples = samples.map(|(time_s, k)| AccuracySample { time_s, accuracy: accuracy(k) });
@@ -242,7 +242,7 @@ fn accuracies_are_linear_between_theirs() {
 }
 
 #[test]
-fn records_that_are_no_trajectory_are_refused() {
+fn invalid_records_are_errors() {
     type Change = fn(&mut Vec<Sample>);
     let flight = Flight::at(48.0, 11.0, 70.0);
     let problem = |change: Change| {
@@ -267,13 +267,13 @@ fn records_that_are_no_trajectory_are_refused() {
         assert_eq!(problem(change), (record, message.to_owned()));
     }
     assert_eq!(
-        Problem::TooMany { count: 5_000_000_000 }.to_string(),
+        TrajectoryError::TooMany { count: 5_000_000_000 }.to_string(),
         "5000000000 records: at most 4294967295 are supported"
     );
 }
 
 #[test]
-fn accuracies_that_are_none_are_refused() {
+fn invalid_accuracies_are_errors() {
     let trajectory = Flight::at(48.0, 11.0, 70.0).flown((0..3).map(f64::from));
     let mut samples = vec![AccuracySample { time_s: 0.0, accuracy: Accuracy::default() }; 2];
     samples[1].time_s = 1.0;
@@ -282,24 +282,24 @@ fn accuracies_that_are_none_are_refused() {
     assert_eq!(problem.to_string(), "record 2: its standard deviation of the heading is -1");
     samples[1] = samples[0];
     let problem = trajectory.with_accuracies(samples).unwrap_err();
-    assert_eq!(problem, Problem::Duplicate { record: 1, time_s: 0.0, more: 0 });
+    assert_eq!(problem, TrajectoryError::Duplicate { record: 1, time_s: 0.0, more: 0 });
 }
 
 /// In any order of times, at records, in gaps that are not interpolated, and outside the span.
 #[test]
-fn many_poses_are_the_single_ones() {
+fn sequential_poses_equal_single_poses() {
     let records = (0..40).chain(600..640).chain(660..700).map(|k| f64::from(k) / 100.0);
     let trajectory = Flight::at(48.0, 11.0, 70.0).flown(records);
     let mut poses = trajectory.poses();
     let forth = (-20..1500).map(|k| f64::from(k) / 200.0);
     let back = (-20..1500).rev().step_by(7).map(|k| f64::from(k) / 200.0);
-    let mut told = 0;
+    let mut found = 0;
     for time_s in forth.chain(back) {
         let pose = poses.at(time_s);
-        told += usize::from(pose.is_some());
+        found += usize::from(pose.is_some());
         assert_eq!(pose, trajectory.pose(time_s), "{time_s}");
     }
-    assert!((200..1700).contains(&told), "{told}");
+    assert!((200..1700).contains(&found), "{found}");
 }
 
 proptest! {

@@ -65,7 +65,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn times_lie_behind_the_last_that_is_not_later() {
+    fn the_index_is_that_of_the_last_time_not_later() {
         let index = TimeIndex::new(vec![1.0, 2.0, 3.0, 1e6, 1e6 + 0.5]);
         let found = [1.0, 1.999, 2.0, 3.0, 4.0, 999_999.9, 1e6, 1e6 + 0.5].map(|t| index.before(t).unwrap());
         assert_eq!(found, [0, 0, 1, 2, 2, 2, 3, 3]);
@@ -75,7 +75,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn it_finds_what_a_search_through_all_finds(
+        fn lookup_equals_linear_search(
             steps in proptest::collection::vec(prop_oneof![4 => 0.004..0.006, 1 => 1e-9..1e5], 1..200),
             start in -1e9..1e9f64, part in 0.0..=1.0f64,
         ) {

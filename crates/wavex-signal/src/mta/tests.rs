@@ -4,7 +4,9 @@ use super::*;
 
 mod sweeps;
 
-use wavex_simulation::mta_scenes::{Class, METRES_PER_NS, RecordedLine, Recording, SCENES, Scene};
+use wavex_simulation::mta_scenes::{
+    EchoScene, METRES_PER_NS, RecordedLine, RecordingSettings, SCENES, TargetClass,
+};
 
 const INTERVAL_PS: i64 = 2_500_000;
 const LINE_PS: i64 = 1_000_000_000;
@@ -229,7 +231,7 @@ fn the_variance_method_is_right_on_bare_ground_and_poisoned_by_false_alarms() {
     assert!(right_of(Method::Variance { buffer: 50 }) > 500);
 }
 
-fn recorded(scene: &Scene, recorded: &[RecordedLine]) -> Vec<Line> {
+fn recorded(scene: &EchoScene, recorded: &[RecordedLine]) -> Vec<Line> {
     let mut shot = 0;
     let mut emission = |line: usize, index: usize, recorded: &RecordedLine| {
         shot += 1;
@@ -254,17 +256,17 @@ fn recorded(scene: &Scene, recorded: &[RecordedLine]) -> Vec<Line> {
 
 /// Echoes and wrong ones: away from transitions, near transitions, and in the first and last eight
 /// lines.
-fn tally(how: &Recording, prior: Prior, lines: u32, part: f64) -> [(u64, u64); 3] {
+fn tally(how: &RecordingSettings, prior: Prior, lines: u32, part: f64) -> [(u64, u64); 3] {
     let mut tally = [(0, 0); 3];
     for (i, spec) in (0u64..).zip(SCENES) {
-        let scene = Scene::new(spec, 500 + i, lines, part);
+        let scene = EchoScene::new(spec, 500 + i, lines, part);
         let truth = scene.record(how);
         let (resolved, _) =
             resolve(&Settings { prior, ..settings(Method::Blocks) }, &recorded(&scene, &truth));
         for (line, resolved) in truth.iter().zip(&resolved) {
             let is_end = resolved.line < 8 || resolved.line + 8 >= u64::from(lines);
             let echoes = line.echoes.iter().zip(&resolved.echoes);
-            for (echo, assigned) in echoes.filter(|(echo, _)| echo.class != Class::FalseAlarm) {
+            for (echo, assigned) in echoes.filter(|(echo, _)| echo.class != TargetClass::FalseAlarm) {
                 let cause = Cause { line: u64::from(echo.cause.0), emission: echo.cause.1 };
                 let wrong = u64::from(assigned.cause != Some(cause));
                 for group in [Some(usize::from(echo.near)), is_end.then_some(2)].into_iter().flatten() {
@@ -277,8 +279,8 @@ fn tally(how: &Recording, prior: Prior, lines: u32, part: f64) -> [(u64, u64); 3
     tally
 }
 
-fn recording(modulation_ns: f64) -> Recording {
-    Recording { pulse_rate_hz: 400e3, modulation_ns, blind_ns: 15.0, lost_records: 0.0 }
+fn recording(modulation_ns: f64) -> RecordingSettings {
+    RecordingSettings { pulse_rate_hz: 400e3, modulation_ns, blind_ns: 15.0, lost_records: 0.0 }
 }
 
 fn assert_right(tally: [(u64, u64); 3], percent: f64) {
@@ -301,7 +303,7 @@ fn scenes_are_right_by_a_terrain_model_where_the_rate_is_constant() {
 
 #[test]
 fn lost_records_harm_none_but_their_own_echoes() {
-    let how = Recording { lost_records: 0.01, ..recording(15.0) };
+    let how = RecordingSettings { lost_records: 0.01, ..recording(15.0) };
     assert_right(tally(&how, Prior::None, 24, 0.2), 99.8);
 }
 

@@ -2,7 +2,7 @@ use super::*;
 use crate::calibrate::calibrate;
 use crate::noise::ArNoise;
 use crate::simulated::{Random, digitised, moments, noise};
-use wavex_simulation::pulse::Shape as Truth;
+use wavex_simulation::pulse::PulseShape as Truth;
 
 /// Single echoes of the simulated receiver on a background of 5 DN.
 fn waveforms(count: usize) -> Vec<Vec<u16>> {

@@ -3,7 +3,7 @@
 use std::cell::OnceCell;
 
 use super::super::whole_and_part;
-use super::{FWHM_OF_NORMAL, Shape};
+use super::{FWHM_OF_NORMAL, PulseShape};
 
 /// Table steps per sample. The error of linear interpolation is below 1e-5 of the peak.
 const PHASES: usize = 64;
@@ -12,13 +12,13 @@ const WIDTH_STEP: f64 = 0.01;
 /// Index of the maximum width ratio, 2.5.
 const WIDTHS: usize = 92;
 
-/// A [`Shape`] tabulated finely in time, for width ratios from 1 to 2.5 in steps of 1 %.
+/// A [`PulseShape`] tabulated finely in time, for width ratios from 1 to 2.5 in steps of 1 %.
 ///
 /// A target uses the nearest of these widths, and the ground truth reports that width, so the
 /// recorded pulse is exact for it. The table of a width is computed on first use.
 #[derive(Clone, Debug)]
 pub struct PulseTable {
-    shape: Shape,
+    shape: PulseShape,
     interval_ns: f64,
     /// Variance of a normal distribution with the FWHM of the shape, ns².
     variance_ns2: f64,
@@ -43,11 +43,11 @@ struct Row {
 
 /// Index of a width in a [`PulseTable`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Width(usize);
+pub struct WidthIndex(usize);
 
 impl PulseTable {
     /// Tabulates a response for this sampling interval, ns.
-    pub fn new(shape: Shape, interval_ns: f64) -> PulseTable {
+    pub fn new(shape: PulseShape, interval_ns: f64) -> PulseTable {
         let sd_ns = shape.fwhm_ns() / FWHM_OF_NORMAL;
         let (decay_ns, _) = shape.end(0.0);
         let tail_factor = if decay_ns > 0.0 { libm::exp(-interval_ns / decay_ns) } else { 0.0 };
@@ -56,21 +56,21 @@ impl PulseTable {
     }
 
     /// Nearest width for a target that spreads the pulse by this standard deviation, ns.
-    pub fn width(&self, spread_ns: f64) -> Width {
+    pub fn width(&self, spread_ns: f64) -> WidthIndex {
         let log_ratio = 0.5 * libm::log1p(spread_ns * spread_ns / self.variance_ns2);
-        Width(((log_ratio / WIDTH_STEP + 0.5) as usize).min(WIDTHS))
+        WidthIndex(((log_ratio / WIDTH_STEP + 0.5) as usize).min(WIDTHS))
     }
 
     /// Width ratio relative to a flat target.
     ///
     /// `sqrt(1 + v / v0)` with the variance `v` of the target and the variance `v0` of a normal
     /// distribution with the FWHM of the response.
-    pub fn width_ratio(&self, width: Width) -> f64 {
+    pub fn width_ratio(&self, width: WidthIndex) -> f64 {
         libm::exp(WIDTH_STEP * width.0 as f64)
     }
 
     /// Peak amplitude relative to a flat target's echo of the same energy.
-    pub fn peak(&self, width: Width) -> f64 {
+    pub fn peak(&self, width: WidthIndex) -> f64 {
         self.row(width).peak
     }
 
@@ -78,7 +78,7 @@ impl PulseTable {
     ///
     /// `energy` is the peak amplitude for a flat target; `position` is time 0 of the response,
     /// samples from the first one.
-    pub fn add(&self, width: Width, position: f64, energy: f64, samples: &mut [f64]) {
+    pub fn add(&self, width: WidthIndex, position: f64, energy: f64, samples: &mut [f64]) {
         let row = self.row(width);
         let (whole, phase) = whole_and_part(position);
         let phase = phase * PHASES as f64;
@@ -115,7 +115,7 @@ impl PulseTable {
         }
     }
 
-    fn row(&self, width: Width) -> &Row {
+    fn row(&self, width: WidthIndex) -> &Row {
         self.rows[width.0].get_or_init(|| {
             let ratio = self.width_ratio(width);
             let widening_ns2 = self.variance_ns2 * (ratio * ratio - 1.0);
@@ -139,8 +139,8 @@ mod tests {
 
     /// The table agrees with the closed form at any phase, width and position in a block.
     #[test]
-    fn what_is_added_is_the_response() {
-        for shape in [Shape::riegl(), Shape::gaussian(4.5), Shape::riegl_reference()] {
+    fn the_table_equals_the_response() {
+        for shape in [PulseShape::riegl(), PulseShape::gaussian(4.5), PulseShape::riegl_reference()] {
             let table = PulseTable::new(shape.clone(), 1.0);
             for (spread, position) in [(0.0, 16.0), (0.3, 16.37), (1.0, 3.992), (2.5, -7.01), (4.0, 70.6)] {
                 let width = table.width(spread);
@@ -157,22 +157,22 @@ mod tests {
 
     #[test]
     fn a_pulse_far_outside_the_block_leaves_its_tail_at_most() {
-        let table = PulseTable::new(Shape::riegl(), 1.0);
+        let table = PulseTable::new(PulseShape::riegl(), 1.0);
         let mut samples = [0.0; 4];
         table.add(table.width(0.0), 1000.0, 100.0, &mut samples);
         assert_eq!(samples, [0.0; 4]);
         table.add(table.width(0.0), -200.0, 100.0, &mut samples);
-        let expected = [200.0, 201.0, 202.0, 203.0].map(|t| 100.0 * Shape::riegl().at(t, 0.0));
+        let expected = [200.0, 201.0, 202.0, 203.0].map(|t| 100.0 * PulseShape::riegl().at(t, 0.0));
         assert!(samples.iter().zip(expected).all(|(s, e)| (s / e - 1.0).abs() < 1e-4), "{samples:?}");
     }
 
     #[test]
-    fn widths_are_the_nearest_of_the_table() {
-        let table = PulseTable::new(Shape::gaussian(4.5), 1.0);
-        assert_eq!(table.width(0.0), Width(0));
-        assert_eq!(table.width_ratio(Width(0)), 1.0);
-        assert_eq!(table.width(1e6), Width(WIDTHS));
-        assert!((table.width_ratio(Width(WIDTHS)) - 2.5).abs() < 0.01);
+    fn widths_are_rounded_to_the_table() {
+        let table = PulseTable::new(PulseShape::gaussian(4.5), 1.0);
+        assert_eq!(table.width(0.0), WidthIndex(0));
+        assert_eq!(table.width_ratio(WidthIndex(0)), 1.0);
+        assert_eq!(table.width(1e6), WidthIndex(WIDTHS));
+        assert!((table.width_ratio(WidthIndex(WIDTHS)) - 2.5).abs() < 0.01);
         let sd = 4.5 / FWHM_OF_NORMAL;
         let width = table.width(sd);
         assert!((table.width_ratio(width) / 2f64.sqrt() - 1.0).abs() < 0.5 * WIDTH_STEP);

@@ -127,7 +127,7 @@ mod tests {
 
     /// Tail probabilities, including the tail beyond the layers, agree with the error function.
     #[test]
-    fn each_part_of_the_distribution_has_its_share() {
+    fn tail_probabilities_agree_with_the_error_function() {
         let n = 2_000_000;
         let places = [0.1, 0.5, 1.0, 2.0, 3.0, TAIL, 4.0];
         let mut beyond = [[0u32; 7]; 2];

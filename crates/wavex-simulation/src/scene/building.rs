@@ -1,6 +1,6 @@
 //! A block with a flat roof.
 
-use super::{Area, Beam, Class, HALF_DIVERGENCE_RAD, Hit, LEAST_SHARE, Surface, Texture};
+use super::{Area, Beam, Class, HALF_DIVERGENCE_RAD, LEAST_SHARE, Surface, Texture, TracedPulse};
 
 /// A block with a flat roof, whose brightest spots saturate a receiver set for the ground.
 #[derive(Clone, Debug)]
@@ -39,36 +39,24 @@ impl Building {
         Building { area, roof_height_m, roof: materials.roof, wall: materials.wall }
     }
 
-    /// Adds the echoes of a beam and returns the fraction that reaches the ground.
-    ///
-    /// `left` is the fraction that arrives, `ground_m` the range at which the beam would reach the
-    /// ground.
-    pub(super) fn hits(
-        &self,
-        beam: &Beam,
-        ground_m: f64,
-        left: f64,
-        reference_range_m: f64,
-        hits: &mut Vec<Hit>,
-    ) -> f64 {
+    /// Adds the echoes of a pulse.
+    pub(super) fn trace(&self, pulse: &mut TracedPulse) {
+        let beam = pulse.beam;
         let range_m = beam.range_to(self.roof_height_m);
         let [x, y, _] = beam.at(range_m);
         let depth_m = self.area.depth_m(x, y);
-        let on_roof = left * coverage(depth_m, HALF_DIVERGENCE_RAD * range_m);
+        let on_roof = pulse.left * coverage(depth_m, HALF_DIVERGENCE_RAD * range_m);
         if on_roof >= LEAST_SHARE {
-            hits.push(self.roof.hit(beam, range_m, beam.cosine(), on_roof, reference_range_m));
+            pulse.reflect(&self.roof, range_m, beam.cosine(), on_roof);
         }
-        let left = left - on_roof;
-        match self.wall(beam, ground_m) {
-            None => left,
-            Some((range_m, cosine)) => {
-                // The part of the footprint past the edge of a roof above a wall that faces the
-                // beam grazes the wall and is lost.
-                if depth_m < 0.0 && left >= LEAST_SHARE {
-                    hits.push(self.wall.hit(beam, range_m, cosine, left, reference_range_m));
-                }
-                0.0
+        pulse.left -= on_roof;
+        if let Some((range_m, cosine)) = self.wall(beam, pulse.ground_m) {
+            // The part of the footprint past the edge of a roof above a wall that faces the beam
+            // grazes the wall and is lost.
+            if depth_m < 0.0 && pulse.left >= LEAST_SHARE {
+                pulse.reflect(&self.wall, range_m, cosine, pulse.left);
             }
+            pulse.left = 0.0;
         }
     }
 

@@ -1,6 +1,6 @@
 //! A wood: layers of leaves with gaps.
 
-use super::{Beam, Class, Hit, LEAST_SHARE, Surface, Texture};
+use super::{Beam, Class, LEAST_SHARE, Surface, Texture, TracedPulse};
 
 /// Layers of leaves from the top down, each with its own gaps.
 #[derive(Clone, Debug)]
@@ -53,35 +53,30 @@ impl Canopy {
         self.layers[0].height_m
     }
 
-    /// Adds the echoes of a beam and returns the fraction below the canopy.
+    /// Adds the echoes of a pulse.
     ///
-    /// `left` is the fraction that arrives. The wood grows where `is_wood(x, y)`, on ground of
-    /// height `ground_m(x, y)`, which is about `near_m` near the beam.
-    #[allow(clippy::too_many_arguments, reason = "a beam, what it carries, and two fields of the land")]
-    pub(super) fn hits(
+    /// The wood grows where `is_wood(x, y)`, on ground of height `ground_m(x, y)`, which is about
+    /// `near_m` near the beam.
+    pub(super) fn trace(
         &self,
-        beam: &Beam,
-        mut left: f64,
-        reference_range_m: f64,
+        pulse: &mut TracedPulse,
         near_m: f64,
         ground_m: impl Fn(f64, f64) -> f64,
         is_wood: impl Fn(f64, f64) -> bool,
-        hits: &mut Vec<Hit>,
-    ) -> f64 {
+    ) {
         for layer in &self.layers {
-            let range_m = layer.range_m(beam, near_m, &ground_m);
-            let [x, y, _] = beam.at(range_m);
+            let range_m = layer.range_m(pulse.beam, near_m, &ground_m);
+            let [x, y, _] = pulse.beam.at(range_m);
             if !is_wood(x, y) {
                 continue;
             }
-            let taken = left * layer.cover(x, y);
+            let taken = pulse.left * layer.cover(x, y);
             if taken >= LEAST_SHARE {
                 // Leaves reflect equally in all directions: no cosine.
-                hits.push(layer.leaves.hit(beam, range_m, 1.0, taken, reference_range_m));
-                left -= taken;
+                pulse.reflect(&layer.leaves, range_m, 1.0, taken);
+                pulse.left -= taken;
             }
         }
-        left
     }
 }
 

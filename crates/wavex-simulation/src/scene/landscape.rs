@@ -3,9 +3,9 @@
 use super::super::random::cell;
 use super::building::{Building, Materials};
 use super::canopy::Canopy;
-use super::terrain::Terrain;
+use super::terrain::SimulatedTerrain;
 use super::wires::Wires;
-use super::{Area, Beam, Hit, LEAST_SHARE, Surface, Texture};
+use super::{Area, Beam, LEAST_SHARE, Surface, Texture, TracedPulse};
 
 /// Size of woods and clearings, m.
 const WOOD_M: f64 = 150.0;
@@ -39,7 +39,7 @@ pub struct CountrySettings {
 #[derive(Clone, Debug)]
 pub(super) struct Country {
     settings: CountrySettings,
-    terrain: Terrain,
+    terrain: SimulatedTerrain,
     ground: Surface,
     /// Woods grow where this field is below this value.
     woods: (Texture, f64),
@@ -54,7 +54,7 @@ impl Country {
         let woods = Texture::new(seed, 41, WOOD_M);
         Country {
             settings,
-            terrain: Terrain::new(seed, settings.relief_m, settings.water_ratio),
+            terrain: SimulatedTerrain::new(seed, settings.relief_m, settings.water_ratio),
             ground,
             woods: (woods, woods.quantile(settings.wood_ratio)),
             canopy: Canopy::new(seed, settings.wood_height_m),
@@ -64,27 +64,30 @@ impl Country {
         }
     }
 
-    /// Finds the hits of a beam, in any order.
-    pub(super) fn hits(&self, beam: &Beam, reference_range_m: f64, hits: &mut Vec<Hit>) {
-        let ground_m = self.terrain.range_to(beam);
-        let mut left = 1.0;
+    /// Range at which a beam reaches the ground, m.
+    pub(super) fn range_to_ground(&self, beam: &Beam) -> f64 {
+        self.terrain.range_to(beam)
+    }
+
+    /// Adds the echoes of a pulse, in any order.
+    pub(super) fn trace(&self, pulse: &mut TracedPulse) {
+        let (beam, ground_m) = (pulse.beam, pulse.ground_m);
         if let Some(wires) = &self.wires {
-            left = wires.hits(beam, ground_m, &self.terrain, left, reference_range_m, hits);
+            wires.trace(pulse, &self.terrain);
         }
         if self.settings.wood_ratio > 0.0 {
             let height_m = |x: f64, y: f64| self.terrain.height_m(x, y);
             let [_, _, near_m] = beam.at(ground_m);
             let is_wood = |x: f64, y: f64| self.is_wood(x, y);
-            left = self.canopy.hits(beam, left, reference_range_m, near_m, height_m, is_wood, hits);
+            self.canopy.trace(pulse, near_m, height_m, is_wood);
         }
         if self.settings.house_ratio > 0.0 {
-            left = self.houses(beam, ground_m, left, reference_range_m, hits);
+            self.trace_houses(pulse);
         }
         let [x, y, _] = beam.at(ground_m);
         // Still water reflects all light away from the aircraft.
-        if left >= LEAST_SHARE && !self.terrain.is_water(x, y) {
-            let cosine = self.terrain.cosine(beam, ground_m);
-            hits.push(self.ground.hit(beam, ground_m, cosine, left, reference_range_m));
+        if pulse.left >= LEAST_SHARE && !self.terrain.is_water(x, y) {
+            pulse.reflect(&self.ground, ground_m, self.terrain.cosine(beam, ground_m), pulse.left);
         }
     }
 
@@ -93,38 +96,27 @@ impl Country {
         field.at(x, y) < *limit && !self.terrain.is_water(x, y)
     }
 
-    /// Adds the echoes of houses and returns the fraction that reaches the ground.
-    fn houses(
-        &self,
-        beam: &Beam,
-        ground_m: f64,
-        left: f64,
-        reference_range_m: f64,
-        hits: &mut Vec<Hit>,
-    ) -> f64 {
+    /// Adds the echoes of the first house that the beam hits; it shades those behind it.
+    fn trace_houses(&self, pulse: &mut TracedPulse) {
+        let (beam, ground_m) = (pulse.beam, pulse.ground_m);
         // Upper bound of roofs above the ground at the beam's end: the maximum house height plus a
         // slope of 1:1 on the way there.
         let [x, y, z] = beam.at(ground_m);
         let [x_high, y_high, _] = beam.at(beam.range_to(z + 2.0 * self.settings.house_height_m).max(0.0));
         let plots = |a: f64, b: f64| (a.min(b) / PLOT_M).floor() as i64..=(a.max(b) / PLOT_M).floor() as i64;
-        let mut nearest = Vec::new();
-        for (column, row) in plots(x, x_high).flat_map(|i| plots(y, y_high).map(move |j| (i, j))) {
-            let Some(house) = self.house(column, row) else { continue };
-            let mut met = Vec::new();
-            let behind = house.hits(beam, ground_m, left, reference_range_m, &mut met);
-            if !met.is_empty() || behind < left {
-                let range_m = met.first().map_or(ground_m, |hit| hit.range_m);
-                nearest.push((range_m, behind, met));
-            }
-        }
-        nearest.sort_by(|a, b| a.0.total_cmp(&b.0));
-        // The first house shades those behind it.
-        match nearest.into_iter().next() {
-            None => left,
-            Some((_, behind, met)) => {
-                hits.extend(met);
-                behind
-            }
+        let houses = plots(x, x_high)
+            .flat_map(|column| plots(y, y_high).filter_map(move |row| self.house(column, row)));
+        let met = houses.filter_map(|house| {
+            let mut hits = Vec::new();
+            let mut past = TracedPulse { hits: &mut hits, ..*pulse };
+            house.trace(&mut past);
+            let left = past.left;
+            let range_m = hits.first().map_or(ground_m, |hit| hit.range_m);
+            (!hits.is_empty() || left < pulse.left).then_some((range_m, left, hits))
+        });
+        if let Some((_, left, hits)) = met.min_by(|a, b| a.0.total_cmp(&b.0)) {
+            pulse.hits.extend(hits);
+            pulse.left = left;
         }
     }
 
@@ -154,7 +146,7 @@ impl Country {
 #[cfg(test)]
 mod tests {
     use super::super::super::world::GROUND_HEIGHT_M;
-    use super::super::Class;
+    use super::super::{Class, Hit, Scene};
     use super::*;
 
     const SETTINGS: CountrySettings = CountrySettings {
@@ -167,18 +159,9 @@ mod tests {
         wire_height_m: 20.0,
     };
 
-    fn country(settings: CountrySettings) -> Country {
-        let texture = Texture::new(1, 1, 6.0);
-        Country::new(
-            1,
-            Surface { class: Class::Ground, reflectance: 1.0, roughness_m: 0.02, texture },
-            settings,
-        )
-    }
-
     /// Hits of 40 000 beams at angles up to 35 degrees.
     fn flown(settings: CountrySettings) -> Vec<(Beam, Vec<Hit>)> {
-        let country = country(settings);
+        let scene = Scene::country(1, 900.0, settings);
         let beam = |k: u32| {
             let across = 1.4 * (f64::from(k % 500) / 499.0 - 0.5);
             let length = (1.0 + across * across).sqrt();
@@ -189,15 +172,16 @@ mod tests {
         (0..40_000)
             .map(|k| {
                 let mut hits = Vec::new();
-                country.hits(&beam(k), 900.0, &mut hits);
-                (beam(k), hits)
+                let beam = beam(k);
+                scene.hits(&beam, &mut hits);
+                (beam, hits)
             })
             .collect()
     }
 
     #[test]
-    fn everything_is_met_and_stands_on_the_ground() {
-        let terrain = country(SETTINGS).terrain;
+    fn all_targets_are_hit_on_or_above_the_ground() {
+        let terrain = SimulatedTerrain::new(1, SETTINGS.relief_m, SETTINGS.water_ratio);
         let mut counts = std::collections::HashMap::new();
         let mut empty = 0;
         for (beam, hits) in flown(SETTINGS) {
@@ -217,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_but_ground_is_level_or_not_as_was_asked_for() {
+    fn without_relief_and_targets_the_land_is_level() {
         let bare = CountrySettings {
             relief_m: 0.0,
             water_ratio: 0.0,

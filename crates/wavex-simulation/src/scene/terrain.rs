@@ -14,19 +14,19 @@ const PRECISION_M: f64 = 1e-7;
 
 /// Ground between [`GROUND_HEIGHT_M`] and `relief_m` above it.
 #[derive(Clone, Debug)]
-pub(super) struct Terrain {
+pub(super) struct SimulatedTerrain {
     relief_m: f64,
     hills: Texture,
     /// Value of the field at the shores.
     shore: f64,
 }
 
-impl Terrain {
+impl SimulatedTerrain {
     /// Hills of this height; the lowest fraction `water_ratio` of the land is under water.
-    pub(super) fn new(seed: u64, relief_m: f64, water_ratio: f64) -> Terrain {
+    pub(super) fn new(seed: u64, relief_m: f64, water_ratio: f64) -> SimulatedTerrain {
         let hills = Texture::new(seed, 40, HILL_M);
         let shore = hills.quantile(water_ratio).max(0.0);
-        Terrain { relief_m, hills, shore }
+        SimulatedTerrain { relief_m, hills, shore }
     }
 
     /// Height of the ground, or of the water surface, m.
@@ -128,8 +128,8 @@ mod tests {
     }
 
     #[test]
-    fn a_beam_ends_on_the_ground_and_not_before_or_behind() {
-        let terrain = Terrain::new(5, 200.0, 0.1);
+    fn a_beam_ends_on_the_ground() {
+        let terrain = SimulatedTerrain::new(5, 200.0, 0.1);
         for k in 0..2000 {
             let beam = beam(3.7 * f64::from(k), [0.9 * (f64::from(k % 21) / 10.0 - 1.0), 0.1, -1.0]);
             let range_m = terrain.range_to(&beam);
@@ -146,7 +146,7 @@ mod tests {
 
     #[test]
     fn lakes_are_level_and_have_their_share() {
-        let terrain = Terrain::new(5, 100.0, 0.3);
+        let terrain = SimulatedTerrain::new(5, 100.0, 0.3);
         let places = (0..200).flat_map(|i| (0..200).map(move |j| (40.0 * f64::from(i), 40.0 * f64::from(j))));
         let (mut water, mut heights) = (0, Vec::new());
         for (x, y) in places {
@@ -161,7 +161,7 @@ mod tests {
 
     #[test]
     fn without_relief_the_ground_is_level() {
-        let terrain = Terrain::new(1, 0.0, 0.0);
+        let terrain = SimulatedTerrain::new(1, 0.0, 0.0);
         let beam = beam(0.0, [0.3, 0.0, -1.0]);
         assert_eq!(terrain.range_to(&beam), beam.range_to(GROUND_HEIGHT_M));
         assert_eq!((terrain.height_m(1.0, 2.0), terrain.is_water(1.0, 2.0)), (GROUND_HEIGHT_M, false));

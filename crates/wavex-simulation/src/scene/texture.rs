@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quantile_has_its_share_of_the_places_below_it() {
+    fn quantiles_have_their_share_of_values_below() {
         let texture = Texture::new(3, 4, 5.0);
         let places = (0..300).flat_map(|i| (0..300).map(move |j| (7.3 * f64::from(i), 7.3 * f64::from(j))));
         let values: Vec<f64> = places.map(|(x, y)| texture.at(x, y)).collect();
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn a_field_is_not_that_of_another_name_or_seed() {
+    fn fields_differ_by_name_and_seed() {
         let at = |seed, name| Texture::new(seed, name, 5.0).at(12.3, 45.6);
         assert!(at(1, 2) != at(1, 3) && at(1, 2) != at(2, 2));
     }

@@ -1,7 +1,7 @@
 //! Power lines: wires between pylons.
 
-use super::terrain::Terrain;
-use super::{Beam, Class, HALF_DIVERGENCE_RAD, Hit, LEAST_SHARE, Surface, Texture};
+use super::terrain::SimulatedTerrain;
+use super::{Beam, Class, HALF_DIVERGENCE_RAD, LEAST_SHARE, Surface, Texture, TracedPulse};
 
 /// Distance between power lines, which run along the track, m.
 const LINE_SPACING_M: f64 = 150.0;
@@ -31,21 +31,12 @@ impl Wires {
         }
     }
 
-    /// Adds the echoes of a beam and returns the fraction below the wires.
-    ///
-    /// `left` is the fraction that arrives, `ground_m` the range to the ground.
-    pub(super) fn hits(
-        &self,
-        beam: &Beam,
-        ground_m: f64,
-        terrain: &Terrain,
-        mut left: f64,
-        reference_range_m: f64,
-        hits: &mut Vec<Hit>,
-    ) -> f64 {
+    /// Adds the echoes of a pulse.
+    pub(super) fn trace(&self, pulse: &mut TracedPulse, terrain: &SimulatedTerrain) {
+        let beam = pulse.beam;
         let [_, highest] = terrain.bounds_m();
         let top_m = beam.range_to(highest + self.height_m + WIRES_M[3][1]).max(0.0);
-        let [x_top, x_ground] = [top_m, ground_m].map(|range_m| beam.at(range_m)[0]);
+        let [x_top, x_ground] = [top_m, pulse.ground_m].map(|range_m| beam.at(range_m)[0]);
         let (west, east) = (x_top.min(x_ground) - 5.0, x_top.max(x_ground) + 5.0);
         let lines = (west / LINE_SPACING_M).ceil() as i64..=(east / LINE_SPACING_M).floor() as i64;
         for line_x in lines.map(|line| line as f64 * LINE_SPACING_M) {
@@ -54,20 +45,19 @@ impl Wires {
                 let Some((range_m, off_m)) = self.nearest(beam, terrain, line_x + aside, lowest) else {
                     continue;
                 };
-                let taken = left * covered(off_m, HALF_DIVERGENCE_RAD * range_m);
-                if taken >= LEAST_SHARE && range_m < ground_m {
-                    hits.push(self.surface.hit(beam, range_m, 1.0, taken, reference_range_m));
-                    left -= taken;
+                let taken = pulse.left * covered(off_m, HALF_DIVERGENCE_RAD * range_m);
+                if taken >= LEAST_SHARE && range_m < pulse.ground_m {
+                    pulse.reflect(&self.surface, range_m, 1.0, taken);
+                    pulse.left -= taken;
                 }
             }
         }
-        left
     }
 
     /// Range of closest approach of a beam to a wire, and their distance there, m.
     ///
     /// The wire is at `x` and, at its pylons, `above_m` above the ground.
-    fn nearest(&self, beam: &Beam, terrain: &Terrain, x: f64, above_m: f64) -> Option<(f64, f64)> {
+    fn nearest(&self, beam: &Beam, terrain: &SimulatedTerrain, x: f64, above_m: f64) -> Option<(f64, f64)> {
         let [dx, _, dz] = beam.direction;
         let across2 = dx * dx + dz * dz;
         let along = |z: f64| ((x - beam.origin_m[0]) * dx + (z - beam.origin_m[2]) * dz) / across2;
@@ -94,7 +84,7 @@ impl Wires {
 }
 
 /// Height of a wire at a position along it: a parabola between pylons on the ground.
-fn hanging_m(terrain: &Terrain, x: f64, y: f64, above_m: f64) -> f64 {
+fn hanging_m(terrain: &SimulatedTerrain, x: f64, y: f64, above_m: f64) -> f64 {
     let span = (y / SPAN_M).floor();
     let part = y / SPAN_M - span;
     let pylon = |k: f64| terrain.height_m(x, SPAN_M * k) + above_m;
@@ -116,6 +106,7 @@ fn covered(off_m: f64, radius_m: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::super::super::world::GROUND_HEIGHT_M;
+    use super::super::Hit;
     use super::*;
 
     /// A beam from 500 m that passes through a point.
@@ -126,14 +117,23 @@ mod tests {
         Beam { origin_m, direction: offset.map(|d| d / length) }
     }
 
+    /// Hits of a beam, and the fraction of the pulse below the wires.
+    fn traced(wires: &Wires, beam: &Beam, ground_m: f64, terrain: &SimulatedTerrain) -> (Vec<Hit>, f64) {
+        let mut hits = Vec::new();
+        let mut pulse = TracedPulse { beam, ground_m, reference_range_m: 500.0, left: 1.0, hits: &mut hits };
+        wires.trace(&mut pulse, terrain);
+        let left = pulse.left;
+        (hits, left)
+    }
+
     #[test]
-    fn a_beam_through_a_wire_meets_it_there() {
-        let (wires, terrain) = (Wires::new(1, 20.0), Terrain::new(1, 0.0, 0.0));
+    fn a_beam_through_a_wire_hits_it_there() {
+        let (wires, terrain) = (Wires::new(1, 20.0), SimulatedTerrain::new(1, 0.0, 0.0));
         // A quarter of the span from a pylon, the wire hangs three quarters of the sag lower.
         for (aside, z) in [(-4.0, 15.5), (0.0, 15.5), (4.0, 15.5), (0.0, 19.5)] {
             let point_m = [150.0 + aside, 62.5, GROUND_HEIGHT_M + z];
-            let (beam, mut hits) = (through(point_m), Vec::new());
-            let left = wires.hits(&beam, beam.range_to(GROUND_HEIGHT_M), &terrain, 1.0, 500.0, &mut hits);
+            let beam = through(point_m);
+            let (hits, left) = traced(&wires, &beam, beam.range_to(GROUND_HEIGHT_M), &terrain);
             assert_eq!(hits.len(), 1, "{aside} {z}");
             let met = beam.at(hits[0].range_m);
             assert!(met.iter().zip(point_m).all(|(a, b)| (a - b).abs() < 2e-3), "{met:?} for {point_m:?}");
@@ -142,27 +142,23 @@ mod tests {
     }
 
     #[test]
-    fn a_beam_beside_the_wires_goes_on() {
-        let (wires, terrain) = (Wires::new(1, 20.0), Terrain::new(1, 50.0, 0.0));
+    fn a_beam_that_misses_the_wires_loses_nothing() {
+        let (wires, terrain) = (Wires::new(1, 20.0), SimulatedTerrain::new(1, 50.0, 0.0));
         for x in [100.0, 152.0, 157.0, 230.0] {
-            let (beam, mut hits) = (through([x, 62.5, GROUND_HEIGHT_M]), Vec::new());
-            let ground_m = terrain.range_to(&beam);
-            if wires.hits(&beam, ground_m, &terrain, 1.0, 500.0, &mut hits) == 1.0 {
+            let beam = through([x, 62.5, GROUND_HEIGHT_M]);
+            let (hits, left) = traced(&wires, &beam, terrain.range_to(&beam), &terrain);
+            if left == 1.0 {
                 assert!(hits.is_empty());
             } else {
                 assert!(beam.at(hits[0].range_m)[2] > terrain.height_m(x, 62.5));
             }
         }
-        let (beam, mut hits) = (through([75.0, 62.5, GROUND_HEIGHT_M]), Vec::new());
-        assert_eq!(
-            wires.hits(&beam, 480.0, &terrain, 1.0, 500.0, &mut hits),
-            1.0,
-            "half way between two lines"
-        );
+        let beam = through([75.0, 62.5, GROUND_HEIGHT_M]);
+        assert_eq!(traced(&wires, &beam, 480.0, &terrain).1, 1.0, "half way between two lines");
     }
 
     #[test]
-    fn a_wire_takes_most_from_the_middle_of_a_footprint() {
+    fn a_wire_covers_most_in_the_middle_of_a_footprint() {
         assert_eq!(covered(0.2, 0.15), 0.0);
         assert!((covered(0.0, 0.15) - 0.03 * 2.0 / (core::f64::consts::PI * 0.15)).abs() < 1e-12);
         assert!(covered(0.1, 0.15) < covered(0.0, 0.15));

@@ -113,7 +113,7 @@ fn nothing_is_recorded_around_an_emission() {
     let (gapped, all) = (rows(&config), rows(&Simulate { blind_gap_ns: 0.0, ..config }));
     assert!(gapped.iter().all(|row| to_emission_ns(row) > 100.0));
     let outside = all.iter().filter(|row| to_emission_ns(row) > 100.0).count();
-    // A weak echo beside one in the gap may have stood in its block only.
+    // A weak echo next to one in the gap may have been in that block only.
     assert!(
         gapped.len() <= outside && gapped.len() > outside - outside / 50,
         "{} {outside} {}",

@@ -1,7 +1,7 @@
 //! What the keys may be.
 
 use super::*;
-use crate::stage::InvalidKey;
+use crate::keys::InvalidKey;
 
 #[test]
 fn each_limit_has_its_message() {
@@ -56,7 +56,7 @@ fn each_limit_has_its_message() {
         (
             |c| (c.landscape, c.relief_m, c.flying_height_m) = (Landscape::Country, 100.0, 153.9),
             "flying_height_m",
-            "must lie between 30 m above hills and all that stands on them, and 10000",
+            "must lie between 30 m above all terrain and objects, and 10000",
         ),
         (|c| c.false_alarm_rate = 2.0, "false_alarm_rate", "must lie between 0 and 1"),
         (|c| c.blind_gap_ns = -1.0, "blind_gap_ns", "must lie between 0 and 1000"),

@@ -1,4 +1,4 @@
-//! Lines whose blocks stand with the shot after whose emission they were received.
+//! Lines whose blocks belong to the latest shot before their reception.
 
 use std::collections::BTreeSet;
 
@@ -32,7 +32,7 @@ fn blocks_stand_with_the_last_shot_before_them() {
     }
 }
 
-/// Every true return stands in a block of the shot that its zone leads to, and the emitting shot and the range say
+/// Every true return is in a block of the shot given by its zone, and the emitting shot and the range say
 /// where.
 #[test]
 fn truth_leads_to_the_block() {
@@ -51,7 +51,7 @@ fn truth_leads_to_the_block() {
         };
         assert!(covers(Channel::LowPower), "{row:?}");
         assert_eq!(row.in_high_power, covers(Channel::HighPower), "{row:?}");
-        // Behind the last shots no pulse leaves any more, and a false alarm comes at any time.
+        // No pulse is emitted after the last shots; false alarms occur at any time.
         if row.shot < 2390 && row.class != Class::FalseAlarm {
             zones[row.zone as usize] += 1;
         }
@@ -92,7 +92,7 @@ fn recorded_and_resolved_are_the_same_flight() {
     assert!(a.len() > 1500 && met > a.len() - a.len() / 200, "{met} of {} and {}", a.len(), b.len());
 }
 
-/// A short line receives what shots of many lines before it have sent; nothing is lost or doubled.
+/// A short line receives echoes of shots of many earlier lines; none is lost or doubled.
 #[test]
 fn lines_of_one_shot_are_lines_like_others() {
     let config = Simulate { shots_per_line: 1, lines: 300, as_recorded: true, blind_gap_ns: 0.0, ..rich() };

@@ -5,7 +5,7 @@ use crate::scan_line::Frame;
 use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_geodesy::frames::{Attitude, ecef_from_ned, rotate, rotation_of_angles};
-use wavex_geodesy::transverse_mercator::{Parameters, TransverseMercator};
+use wavex_geodesy::transverse_mercator::{TransverseMercator, TransverseMercatorParameters};
 
 /// Flies to the end and gives the lines, and the files by their names.
 fn flown(config: &Simulate) -> (Vec<ScanLine>, std::collections::BTreeMap<String, Vec<u8>>) {
@@ -58,7 +58,7 @@ fn georeferenced_returns_are_the_truth_to_a_millimetre() {
     let (batches, files) = flown(&config);
     let trajectory = records(&files["simulated.sbet"]);
     assert!(batches.iter().all(|batch| batch.input.frame == Frame::Scanner && batch.input.crs_wkt.is_none()));
-    let map = TransverseMercator::new(WGS84, Parameters::utm(33, true));
+    let map = TransverseMercator::new(WGS84, TransverseMercatorParameters::utm(33, true));
     let boresight = rotation_of_angles(config.boresight_deg.map(f64::to_radians));
     let truth = String::from_utf8(files["simulated_truth.csv"].clone()).unwrap();
     let (mut n, mut worst) = (0, 0.0f64);
@@ -121,7 +121,7 @@ fn a_trajectory_begins_before_the_flight_and_ends_after_it() {
     }
 }
 
-/// Without a trajectory the same scene stands in the map: level ground is level there.
+/// Without a trajectory the same scene is in map coordinates: level ground is level there.
 #[test]
 fn without_a_trajectory_beams_stand_in_the_map() {
     let config = Simulate { heading_deg: 90.0, roll_deg: 3.0, lever_arm_m: [1.0, 2.0, 3.0], ..bare() };

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use super::context::Geometry;
-use super::scan_angles::{ScanAngles, are_unknown, set_directions};
-use super::transform::{scan_angle_deg, to_earth};
-use crate::scan_line::{Content, Emission, Frame, InputInfo, ScanLine};
+use crate::georef::scan_angles::{ScanAngles, are_unknown, set_directions};
+use crate::georef::transform::{scan_angle_deg, to_earth};
+use crate::georef::{self, Geometry};
+use crate::scan_line::{Content, Emission, FirstShot, Frame, InputInfo, ScanLine};
 use crate::stage::{Context, Item, Result, Source, StageError};
-use wavex_geodesy::time_axis::{Clock, Unwrap};
+use wavex_geodesy::time_axis::{Alignment, Clock, Misaligned, TimeSpan, Unwrap};
 use wavex_geodesy::trajectory::Pose;
 use wavex_geodesy::vertical::down_at;
 
@@ -19,6 +19,8 @@ pub struct Posed {
     source: Box<dyn Source>,
     geometry: Arc<Geometry>,
     times: Option<Unwrap>,
+    alignment: Option<Alignment>,
+    first_shot: Option<FirstShot>,
     coverage: Coverage,
     /// Metadata from the source, and as emitted.
     input: Option<[Arc<InputInfo>; 2]>,
@@ -29,8 +31,17 @@ pub struct Posed {
 impl Posed {
     /// Wraps a source with a georeferencing context.
     pub fn new(source: Box<dyn Source>, geometry: Arc<Geometry>) -> Posed {
-        let (coverage, angles) = (Coverage::default(), ScanAngles::default());
-        Posed { source, geometry, times: None, coverage, input: None, angles, has_ended: false }
+        Posed {
+            source,
+            geometry,
+            times: None,
+            alignment: None,
+            first_shot: None,
+            coverage: Coverage::default(),
+            input: None,
+            angles: ScanAngles::default(),
+            has_ended: false,
+        }
     }
 }
 
@@ -64,38 +75,43 @@ impl Source for Posed {
 impl Posed {
     fn finish(&self, cx: &mut Context) -> Result<()> {
         if self.angles.gave_up() {
-            cx.note(
+            cx.warn(
                 "scan angles are unknown, and are 0 in outputs: the recording has none, and its beams do not define the \
                  direction of flight",
             );
         }
-        self.coverage.finish(&self.geometry, cx)
+        self.coverage.finish(self.alignment.as_ref(), cx)
     }
 
     fn place(&mut self, mut batch: ScanLine, cx: &mut Context) -> Result<ScanLine> {
-        match batch.input.frame {
+        let mut frame = batch.input.frame;
+        match frame {
             Frame::Map if self.geometry.keys().places_scanners() => {
-                cx.note("the recording is already in a projected CRS: trajectory, mount and calibration are not used");
+                cx.warn("the recording is already in a projected CRS: trajectory, mount and calibration are not used");
             }
-            Frame::Earth if self.geometry.keys().places_scanners() => cx.note(
+            Frame::Earth if self.geometry.keys().places_scanners() => cx.warn(
                 "the beams of the recording are already georeferenced: of `[job.geometry]`, only the keys for \
                  ranges and coordinates are used",
             ),
             Frame::Scanner | Frame::Body if self.geometry.has_trajectory() => {
-                self.check_frame(batch.input.frame)?;
+                self.check_frame(frame)?;
                 self.pose(&mut batch, cx)?;
+                frame = Frame::Earth;
             }
             Frame::Scanner | Frame::Body if !self.geometry.installation().is_plain() => {
-                self.check_frame(batch.input.frame)?;
+                self.check_frame(frame)?;
                 let installation = *self.geometry.installation();
                 batch.emissions.iter_mut().for_each(|emission| installation.to_body(emission));
-                batch.input = self.info(&batch, Frame::Body);
+                frame = Frame::Body;
             }
             _ => {}
         }
-        if let Some(first) = batch.emissions.first() {
-            self.geometry.meet(first, batch.input.frame);
+        if let (None, Some(first)) = (self.first_shot, batch.emissions.first()) {
+            let (origin_m, time_s, alignment) = (first.origin_m, first.time_s(), self.alignment);
+            self.first_shot = Some(FirstShot { origin_m, time_s, alignment });
+            self.input = None;
         }
+        batch.input = self.info(&batch.input, frame);
         Ok(batch)
     }
 
@@ -113,20 +129,19 @@ impl Posed {
     /// Applies the pose to every shot of a line; shots without a pose are rejected.
     fn pose(&mut self, batch: &mut ScanLine, cx: &mut Context) -> Result<()> {
         unwrap_times(&mut self.times, batch)?;
-        let Some(first) = batch.emissions.first() else {
-            batch.input = self.info(batch, Frame::Earth);
-            return Ok(());
-        };
-        self.geometry.align(&batch.input, first.gps_time_s)?;
+        let Some(first) = batch.emissions.first() else { return Ok(()) };
+        if self.alignment.is_none() {
+            self.alignment = self.geometry.align(&batch.input, first.gps_time_s)?;
+        }
         if self.coverage.span_s.is_none() {
-            self.geometry.notes().iter().for_each(|note| cx.note(note));
+            self.geometry.notes().iter().for_each(|note| cx.warn(note));
         }
         let without_angles = are_unknown(&batch.emissions);
         let mut down = None;
         let mut place = Vec::with_capacity(batch.emissions.len());
         let mut kept = 0;
         let geometry = Arc::clone(&self.geometry);
-        let mut poses = geometry.poses();
+        let mut poses = self.alignment.and_then(|alignment| geometry.poses(alignment));
         batch.emissions.retain_mut(|emission| {
             let pose = poses.as_mut().and_then(|poses| poses.at(emission.gps_time_s));
             self.coverage.add(emission.gps_time_s, pose.is_some());
@@ -138,27 +153,28 @@ impl Posed {
             pose.is_some()
         });
         if (kept as usize) < place.len() {
-            self.coverage.check(&self.geometry)?;
+            self.coverage.check(self.alignment.as_ref())?;
             reject(batch, &place, cx);
         }
         if without_angles {
             set_directions(&mut batch.emissions);
         }
-        batch.input = self.info(batch, Frame::Earth);
         batch.stats.gps_time_s = batch.emissions.first().map_or(f64::NAN, |first| first.gps_time_s);
         Ok(())
     }
 
-    /// Metadata of the recording, changed to another frame.
-    fn info(&mut self, batch: &ScanLine, frame: Frame) -> Arc<InputInfo> {
+    /// Metadata of the recording in this frame, with its first shot.
+    fn info(&mut self, of_source: &Arc<InputInfo>, frame: Frame) -> Arc<InputInfo> {
         if let Some([from, to]) = &self.input
-            && Arc::ptr_eq(from, &batch.input)
+            && Arc::ptr_eq(from, of_source)
         {
             return Arc::clone(to);
         }
-        let placed =
-            InputInfo { frame, crs_wkt: None, coordinate_grid: None, ..InputInfo::clone(&batch.input) };
-        let [_, to] = self.input.insert([Arc::clone(&batch.input), Arc::new(placed)]);
+        let mut info = InputInfo { frame, first_shot: self.first_shot, ..InputInfo::clone(of_source) };
+        if frame != of_source.frame {
+            (info.crs_wkt, info.coordinate_grid) = (None, None);
+        }
+        let [_, to] = self.input.insert([Arc::clone(of_source), Arc::new(info)]);
         Arc::clone(to)
     }
 }
@@ -228,25 +244,42 @@ impl Coverage {
     }
 
     /// Fails if the trajectory has ended without covering any shot.
-    fn check(&self, geometry: &Geometry) -> Result<()> {
+    fn check(&self, alignment: Option<&Alignment>) -> Result<()> {
+        let has_ended_before =
+            |time_s| alignment.is_some_and(|found| found.trajectory.last_s < found.on_trajectory(time_s));
         match self.span_s {
-            Some(span_s) if self.covered == 0 && geometry.has_ended_before(span_s[0]) => {
-                Err(geometry.no_overlap(span_s))
+            Some(span_s) if self.covered == 0 && has_ended_before(span_s[0]) => {
+                Err(no_overlap(alignment, span_s))
             }
             _ => Ok(()),
         }
     }
 
     /// Notes shots that were not covered.
-    fn finish(&self, geometry: &Geometry, cx: &mut Context) -> Result<()> {
+    fn finish(&self, alignment: Option<&Alignment>, cx: &mut Context) -> Result<()> {
         if let (0, Some(span_s)) = (self.covered, self.span_s) {
-            return Err(geometry.no_overlap(span_s));
+            return Err(no_overlap(alignment, span_s));
         }
-        if let Some(missing_s) = self.missing_s {
-            cx.note(geometry.partly_covered(self.missing, missing_s));
+        if let (Some([first_s, last_s]), Some(Alignment { recording, trajectory, .. })) =
+            (self.missing_s, alignment)
+        {
+            let (n, missing) = (self.missing, TimeSpan { first_s, last_s, ..*recording });
+            cx.warn(format!(
+                "{n} shots are rejected, because the trajectory has no pose for them: they last from {missing}, the \
+                 trajectory from {trajectory}"
+            ));
         }
         Ok(())
     }
+}
+
+/// Error if the trajectory covers none of the shots, which span `shots_s`.
+fn no_overlap(alignment: Option<&Alignment>, [first_s, last_s]: [f64; 2]) -> StageError {
+    let Some(Alignment { recording, trajectory, .. }) = alignment else {
+        return StageError::failed("there is no trajectory", "set `trajectory` in `[job.geometry]`");
+    };
+    let (recording, trajectory) = (TimeSpan { first_s, last_s, ..*recording }, *trajectory);
+    georef::Error::from(Misaligned::NoOverlap { recording, trajectory }).into()
 }
 
 fn extend(span_s: &mut Option<[f64; 2]>, time_s: f64) {

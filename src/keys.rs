@@ -8,7 +8,9 @@ use schemars::{Schema, SchemaGenerator};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::schema_prose;
+mod schema_prose;
+
+pub use schema_prose::{bounds, choices, listed, takes};
 
 /// The keys of a stage, or of the table `[job]`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -105,7 +107,7 @@ impl<'k> Key<'k> {
 /// Schema keyword that declares which file a text names.
 ///
 /// Usage: `#[schemars(extend("x-file" = "input"))]`. Keys of stages do not need it, because their
-/// [`Config`](super::Config) lists the files.
+/// [`Config`](crate::stage::Config) lists the files.
 const FILE_MARK: &str = "x-file";
 
 /// File that the text of a key of `[job]` names.
@@ -214,6 +216,27 @@ fn without_null(value: &mut Value) {
         }
         Value::Array(items) => items.iter_mut().for_each(without_null),
         _ => {}
+    }
+}
+
+/// A key with an invalid value.
+#[derive(Debug, PartialEq)]
+pub struct InvalidKey {
+    /// Name of the key.
+    pub key: &'static str,
+    /// The problem with its value.
+    pub problem: String,
+}
+
+impl InvalidKey {
+    /// Creates an error for a key.
+    pub fn new(key: &'static str, problem: impl Into<String>) -> InvalidKey {
+        InvalidKey { key, problem: problem.into() }
+    }
+
+    /// Returns an error unless `holds`.
+    pub fn unless(holds: bool, key: &'static str, problem: &str) -> std::result::Result<(), InvalidKey> {
+        if holds { Ok(()) } else { Err(InvalidKey::new(key, problem)) }
     }
 }
 
