@@ -4,14 +4,11 @@
 //! table; the goal is below 5 microseconds.
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
-#[path = "../tests/common/mod.rs"]
-mod common;
-
 use std::time::Instant;
 
-use common::{COUNT, WORK, WRITE_NUMBERS, into, job};
 use wavex::engine::{self, Options};
 use wavex::stage::StageSpec;
+use wavex_testkit::engine_stages::{COUNT, WORK, WRITE_NUMBERS, into, job};
 
 const LINES: usize = 100_000;
 

@@ -4,17 +4,13 @@
 //! rates, and their ratio to the goal of 2 million points per second.
 #![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
-#[path = "../tests/georeference/made.rs"]
-#[allow(dead_code, clippy::unwrap_used, reason = "written for tests, which use the rest")]
-mod made;
-
 use std::sync::Arc;
 use std::time::Instant;
 
-use made::{Flight, fly, georeference, return_of, site, source};
 use wavex::scan_line::{Blocks, Content, Return, ScanLine};
 use wavex::stage::{Context, RunContext, Source};
 use wavex::stages::pose_source::Posed;
+use wavex_testkit::georeferenced_flight::{Flight, fly, georeference, return_of, site, source};
 
 const GOAL_PER_S: f64 = 2e6;
 const RUNS: usize = 9;
@@ -99,8 +95,8 @@ fn main() {
     let keys = "lines = 200\nshots_per_line = 1000\nroll_deg = 5.0\npitch_deg = 3.0\nheading_deg = 40.0\n\
                 lever_arm_m = [0.8, -0.35, 1.1]\nboresight_deg = [0.4, -0.7, 1.3]\n";
     let flight = fly(keys);
-    made::write_geoid(&flight.path("plane.gtx"), [46.0, 11.0], |_, _| 46.5);
-    made::write_accuracy(&flight, [0.02; 3], [0.003; 3]);
+    wavex_testkit::georeferenced_flight::write_geoid(&flight.path("plane.gtx"), [46.0, 11.0], |_, _| 46.5);
+    wavex_testkit::georeferenced_flight::write_accuracy(&flight, [0.02; 3], [0.003; 3]);
     println!("{:<44} {:>14} {:>8}   goal: 1", "one core", "million per s", "ratio");
     for (what, geometry) in [
         ("points, UTM", ""),

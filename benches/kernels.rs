@@ -7,10 +7,6 @@
 //! "mixed, refined"`) measures only that run.
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
 
-mod clock;
-#[allow(dead_code, reason = "each bench uses a part")]
-mod scenes;
-
 use std::sync::Arc;
 
 use wavex_signal::decompose::Waveform;
@@ -20,8 +16,8 @@ use wavex_signal::noise::ArNoise;
 use wavex_signal::sensor_model::{Background, ChannelModel};
 use wavex_signal::simd::SimdLevel;
 
-use clock::cpu_s;
-use scenes::{Random, SAMPLES, Scene, Waveforms, model};
+use wavex_testkit::clock::cpu_s;
+use wavex_testkit::waveforms::{Random, SAMPLES, Scene, Waveforms, model};
 
 const WAVEFORMS: usize = 20_000;
 /// Waveforms per call, as `decompose` gets them from the engine.
@@ -355,7 +351,7 @@ fn report(rounds: &[[Rate; 8]], yards: &[[Rate; 5]]) {
 }
 
 fn main() {
-    let noise = scenes::noise();
+    let noise = wavex_testkit::waveforms::noise();
     let model = model(&noise);
     let tables = Arc::new(Tables::new(&model).expect("tables"));
     let sets = [Scene::One, Scene::Two, Scene::Mixed].map(|scene| waveforms(&model, &noise, scene));

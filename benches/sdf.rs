@@ -6,22 +6,15 @@
 //! container and copies every record twice, which counts against `read_sdf`.
 #![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use wavex::engine::{self, Options};
 use wavex::job::Job;
+use wavex_testkit::sdf::stand_in;
 
 const LINES: u32 = 200;
 const SHOTS_PER_LINE: u32 = 1000;
 const RUNS: usize = 7;
-
-/// Returns the path of the stand-in, in the build folder of this bench.
-fn stand_in() -> PathBuf {
-    let program = std::env::current_exe().unwrap_or_default();
-    let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
-    let folder = program.parent().and_then(Path::parent).unwrap_or(Path::new(".")).join("examples");
-    folder.join(format!("{before}sdf_stand_in{after}"))
-}
 
 /// Runs a job and returns its duration, s.
 fn run(text: &str, folder: &Path) -> f64 {
@@ -38,11 +31,6 @@ fn median(mut times: Vec<f64>) -> f64 {
 
 fn main() {
     let library = stand_in();
-    if !library.is_file() {
-        println!("NOTHING WAS MEASURED: {} is missing.", library.display());
-        println!("Build it with the same profile: cargo build --release --example sdf_stand_in");
-        std::process::exit(1);
-    }
     let folder = std::env::temp_dir().join(format!("wavex-bench-sdf-{}", std::process::id()));
     let sink = |name: &str| format!("[[stage]]\ntype = 'write_lstat'\npath = '{name}.txt'\n");
     run(

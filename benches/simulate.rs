@@ -4,15 +4,11 @@
 //! --bench simulate` prints a table; the goal for the first row is 300 000.
 #![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
-mod clock;
-#[path = "../tests/common/mod.rs"]
-mod common;
-
-use clock::cpu_s;
-use common::{COUNT, WORK, WRITE_NUMBERS, job};
 use wavex::registry;
 use wavex::stage::{Context, Plan, RunContext};
 use wavex_signal::simd::SimdLevel;
+use wavex_testkit::clock::cpu_s;
+use wavex_testkit::engine_stages::{COUNT, WORK, WRITE_NUMBERS, job};
 
 /// Name and `simulate` keys of each case.
 const CASES: &[(&str, &str)] = &[

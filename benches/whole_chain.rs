@@ -12,9 +12,6 @@
 #![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 #![allow(clippy::unwrap_used, reason = "a bench panics on failure")]
 
-#[allow(dead_code, reason = "each bench uses a part")]
-mod scenes;
-
 use std::fs::{self, File};
 use std::io::{BufWriter, Cursor, Write};
 use std::path::Path;
@@ -23,7 +20,6 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use laz::{LasZipCompressor, LasZipDecompressor, LazVlr};
-use scenes::{SAMPLES, Scene, Waveforms, model, noise};
 use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerShot, ContainerWriter, EmissionReference,
     LineBuilder, TimeScale, channel,
@@ -33,6 +29,7 @@ use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
 use wavex_signal::simd::SimdLevel;
+use wavex_testkit::waveforms::{SAMPLES, Scene, Waveforms, model, noise};
 
 const WAVEFORMS: usize = 3_000_000;
 const SHOTS_PER_LINE: usize = 2000;

@@ -5,9 +5,6 @@
 //! thread at most 10 % slower than `laz` alone, on two at least 1.6 times as fast as on one.
 #![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
-#[path = "../tests/common/mod.rs"]
-mod common;
-
 use std::io::Cursor;
 use std::path::Path;
 use std::sync::Arc;
@@ -41,7 +38,8 @@ impl Noise {
 }
 
 fn lines() -> Vec<ScanLine> {
-    let input = Arc::new(InputInfo { time_scale: TimeScale::Adjusted, ..common::input_info() });
+    let input =
+        Arc::new(InputInfo { time_scale: TimeScale::Adjusted, ..wavex_testkit::engine_stages::input_info() });
     let mut noise = Noise(1);
     (0..LINES).map(|line| scan_line(&input, line, &mut noise)).collect()
 }
@@ -51,7 +49,7 @@ fn scan_line(input: &Arc<InputInfo>, line: usize, noise: &mut Noise) -> ScanLine
     let (mut returns, mut points) = (Vec::new(), Vec::new());
     for shot in 0..SHOTS {
         let number = line * SHOTS + shot;
-        let mut emission = common::emission(number as u64);
+        let mut emission = wavex_testkit::engine_stages::emission(number as u64);
         emission.gps_time_s = 3e8 + number as f64 * 2.5e-6;
         emission.scan_angle_deg = -30.0 + shot as f32 * 0.03;
         batch.emissions.push(emission);
@@ -96,7 +94,9 @@ fn sink(folder: &Path, path: &str, threads: usize) -> Box<dyn Sink> {
         geometry: Arc::default(),
     };
     let spec = registry::find("write_las").unwrap_or_else(|| panic!("write_las is a stage"));
-    let Plan::Sink(keys) = common::stage(spec, &format!("path = '{path}'")).planned.plan else {
+    let Plan::Sink(keys) =
+        wavex_testkit::engine_stages::stage(spec, &format!("path = '{path}'")).planned.plan
+    else {
         panic!("write_las is a sink")
     };
     keys.make(&site).unwrap_or_else(|error| panic!("{error}"))

@@ -15,10 +15,3 @@ pub mod report;
 pub mod scan_line;
 pub mod stage;
 pub mod stages;
-
-// Unit tests share the stages of the integration tests, which name the crate `wavex`.
-#[cfg(test)]
-extern crate self as wavex;
-#[cfg(test)]
-#[path = "../tests/stages/mod.rs"]
-mod test_stages;

@@ -22,16 +22,11 @@ use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{DecomposeSettings, Return};
 use wavex_signal::sensor_model::ChannelModel;
 
-#[path = "common/engine.rs"]
-mod engine;
-#[path = "common/instrument.rs"]
-mod instrument;
-
-use engine::Engine;
-use instrument::{
+use wavex_testkit::instrument::{
     BACKGROUND_DN, EIGHT_BITS, Echo, Instrument, NOISE_SD_DN, Response, TWELVE_BITS, autocorrelation, bound,
     mean_bound, moments, noise_sd_dn,
 };
+use wavex_testkit::waveform_decomposer::WaveformDecomposer;
 
 /// Number of waveforms for calibration.
 const CALIBRATION: usize = 10_000;
@@ -77,15 +72,15 @@ fn model() -> &'static ChannelModel {
     MODEL.get_or_init(|| calibrated(instrument(1), EIGHT_BITS))
 }
 
-fn decomposer(settings: DecomposeSettings) -> Engine {
-    Engine::new(model(), &settings, Mode::Refined)
+fn decomposer(settings: DecomposeSettings) -> WaveformDecomposer {
+    WaveformDecomposer::new(model(), &settings, Mode::Refined)
 }
 
 /// A decomposer with a full scale that no pair of strong echoes reaches.
-fn decomposer_of_twelve_bits(split_evidence: f64) -> Engine {
+fn decomposer_of_twelve_bits(split_evidence: f64) -> WaveformDecomposer {
     let model = ChannelModel { full_scale_dn: TWELVE_BITS, ..model().clone() };
     let settings = DecomposeSettings { split_evidence: Some(split_evidence), ..DecomposeSettings::default() };
-    Engine::new(&model, &settings, Mode::Refined)
+    WaveformDecomposer::new(&model, &settings, Mode::Refined)
 }
 
 fn share(count: usize, all: usize) -> f64 {
@@ -191,7 +186,7 @@ fn isolated_returns_reach_the_bound() {
 fn fastest_reaches_the_bound_too() {
     const COUNT: usize = 2500;
     let mut instrument = instrument(10);
-    let mut engine = Engine::new(model(), &DecomposeSettings::default(), Mode::Fastest);
+    let mut engine = WaveformDecomposer::new(model(), &DecomposeSettings::default(), Mode::Fastest);
     for (snr, width) in [1.0, 1.5, 2.5].map(|width| [15.0, 50.0, 100.0].map(|snr| (snr, width))).concat() {
         let (mut squares, mut heights) = (Vec::new(), Vec::new());
         for _ in 0..COUNT {
@@ -326,7 +321,7 @@ fn late_returns_are_true_ones() {
         instrument
     };
     let model = calibrated(varying(8), TWELVE_BITS);
-    let mut decomposer = Engine::new(&model, &DecomposeSettings::default(), Mode::Refined);
+    let mut decomposer = WaveformDecomposer::new(&model, &DecomposeSettings::default(), Mode::Refined);
     let mut instrument = varying(9);
     let (mut false_returns, mut kept) = (0, 0);
     for i in 0..COUNT {

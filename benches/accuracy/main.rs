@@ -28,21 +28,17 @@ use wavex_signal::shape::Pulse;
 use wavex_signal::shape::Shape;
 use wavex_signal::whitening::Whitener;
 
-#[path = "../../tests/common/engine.rs"]
-mod engine;
-#[path = "../../tests/common/instrument.rs"]
-mod instrument;
 mod isolated;
 mod noise;
 mod pairs;
 mod strong;
 mod timing;
 
-use engine::Engine;
-use instrument::{
+use wavex_testkit::instrument::{
     BACKGROUND_DN, EIGHT_BITS, Echo, Instrument, NOISE_SD_DN, Response, SAMPLES, TWELVE_BITS,
     autocorrelation, bound, mean_bound, moments, noise_sd_dn,
 };
+use wavex_testkit::waveform_decomposer::WaveformDecomposer;
 
 const THREADS: u32 = 2;
 /// Waveforms per seed.
@@ -103,12 +99,12 @@ impl Bench {
     fn observe<T: Send>(
         &self,
         cell: &Cell<'_>,
-        observe: impl Fn(&mut Instrument, &mut Engine) -> T + Sync,
+        observe: impl Fn(&mut Instrument, &mut WaveformDecomposer) -> T + Sync,
     ) -> Vec<T> {
         let parts = cell.count.div_ceil(PART);
         let next = AtomicU32::new(0);
         let work = || {
-            let mut engine = Engine::new(cell.model, cell.settings, cell.mode);
+            let mut engine = WaveformDecomposer::new(cell.model, cell.settings, cell.mode);
             let mut done = Vec::new();
             loop {
                 let part = next.fetch_add(1, Ordering::Relaxed);
@@ -217,7 +213,7 @@ fn speed(bench: &Bench, model: &ChannelModel) {
                 instrument.record(&[echo], EIGHT_BITS)
             })
             .collect();
-        let mut engine = Engine::new(model, &settings, Mode::Refined);
+        let mut engine = WaveformDecomposer::new(model, &settings, Mode::Refined);
         let started = Instant::now();
         let found: usize = waveforms.iter().map(|samples| engine.decompose(samples).0.len()).sum();
         let each = 1e6 * started.elapsed().as_secs_f64() / waveforms.len() as f64;

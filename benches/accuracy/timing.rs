@@ -2,18 +2,14 @@
 
 use super::*;
 
-#[path = "../../tests/common/recordings.rs"]
-#[allow(dead_code, reason = "the tests use more of it")]
-mod recordings;
-
 /// Calibrates from simulated waveforms, and from recorded ones if available.
 pub fn calibration(bench: &Bench) {
     let mut instrument = Instrument::new(&bench.response, 1, 0);
     let waveforms: Vec<Vec<u16>> = (0..CALIBRATION).map(|_| instrument.record_any(EIGHT_BITS)).collect();
     calibrating(bench, "simulated", &waveforms);
-    if let Some(data) = recordings::data() {
+    if let Some(data) = wavex_testkit::data() {
         let path = data.join("pulsewaves/riegl_example3.pls");
-        calibrating(bench, "riegl_example3", &recordings::samples("read_pulsewaves", &path));
+        calibrating(bench, "riegl_example3", &wavex_testkit::recordings::samples("read_pulsewaves", &path));
     }
 }
 

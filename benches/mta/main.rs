@@ -11,18 +11,13 @@
 #![allow(missing_docs, reason = "a bench is never imported")]
 #![allow(clippy::print_stdout, clippy::expect_used, reason = "a bench prints its figures")]
 
-#[path = "../clock/mod.rs"]
-mod clock;
-
 use wavex_signal::mta::{Cause, Echo, Emission, Line, Method, Prior, Resolved, Resolver, Settings};
 
-mod chain;
-mod waveforms;
-
-use clock::cpu_s;
 use wavex_simulation::mta_scenes::{
     EchoScene, RecordedEcho, RecordedLine, RecordingSettings, SCENES, TargetClass,
 };
+use wavex_testkit::clock::cpu_s;
+use wavex_testkit::mta::{chain, recording};
 
 const LINES: u32 = 120;
 const SEED: u64 = 100;
@@ -226,28 +221,16 @@ fn print(row: &Row, [blocks, variance]: &[Tally; 2]) {
     );
 }
 
-/// Returns the path of the stand-in, in the build folder of this bench.
-fn stand_in() -> Option<std::path::PathBuf> {
-    let program = std::env::current_exe().ok()?;
-    let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);
-    let library = program.parent()?.parent()?.join(format!("examples/{before}sdf_stand_in{after}"));
-    library.is_file().then_some(library)
-}
-
 /// Runs the scenes with a modulation of ±17 ns through the whole chain with both readers.
 fn through_the_chain(seed: u64) {
-    let Some(library) = stand_in() else {
-        println!("NOTHING WAS MEASURED: build the stand-in: cargo build --release --example sdf_stand_in");
-        std::process::exit(1);
-    };
     let how =
         RecordingSettings { pulse_rate_hz: 400e3, modulation_ns: 17.0, blind_ns: 15.0, lost_records: 0.0 };
     let (mut echoes, mut right) = (0, 0);
     for (seed, spec) in (seed..).zip(SCENES) {
         let folder = tempfile::tempdir().expect("a folder");
         let scene = EchoScene::new(spec, seed, LINES, 1.0);
-        let truth = waveforms::write(&scene, &scene.record(&how), folder.path());
-        chain::run(folder.path(), &library, "");
+        let truth = recording::write(&scene, &scene.record(&how), folder.path());
+        chain::run(folder.path(), "");
         let (are_same, score) = chain::compare(folder.path(), &truth);
         let same = if are_same { "identical bytes from both readers" } else { "THE READERS DIFFER" };
         println!(

@@ -6,12 +6,9 @@
 #![allow(clippy::print_stdout, clippy::expect_used, clippy::panic, reason = "a bench prints its figures")]
 #![allow(dead_code, reason = "the tests use the rest of the scenes' module")]
 
-#[path = "../../tests/common/false_returns.rs"]
-mod false_returns;
-
 use std::collections::HashSet;
 
-use false_returns::{Flight, SCENES, Score, copy, filtered, fly, score, score_of_stage};
+use wavex_testkit::false_returns::{Flight, SCENES, Score, copy, filtered, fly, score, score_of_stage};
 
 const GOAL_TOLD: f64 = 95.0;
 const GOAL_LOST: f64 = 0.1;
@@ -49,15 +46,15 @@ fn main() {
             scene.name,
             s.outliers[0],
             s.among[0],
-            s.told(),
-            s.lost(None),
-            s.lost(Some("wire")),
-            s.lost(Some("roof")),
-            s.lost(Some("leaves")),
+            s.detected_percent(),
+            s.lost_percent(None),
+            s.lost_percent(Some("wire")),
+            s.lost_percent(Some("roof")),
+            s.lost_percent(Some("leaves")),
             s.rejected,
-            plain.told(),
-            plain.lost(None),
-            plain.lost(Some("wire")),
+            plain.detected_percent(),
+            plain.lost_percent(None),
+            plain.lost_percent(Some("wire")),
         );
     }
 }

@@ -73,19 +73,18 @@ fn try_file_in(folder: &Path) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_stages;
 
     #[test]
     fn what_a_job_will_do_is_said_without_its_data() {
         let folder = tempfile::tempdir().unwrap();
         let text = "[job]\noutput_dir = \"out\"\n\n[[stage]]\ntype = \"simulate\"\n\n\
                     [[stage]]\ntype = \"write_lstat\"\npath = \"lines/*.txt\"\n\n\
-                    [[stage]]\ntype = \"write_shots\"\npath = \"*.arrow\"\n";
-        let job = Job::parse_with(test_stages::STAGES, "a.toml", text, &[], &[]).unwrap();
+                    [[stage]]\ntype = \"write_arrow\"\npath = \"*.arrow\"\n";
+        let job = Job::parse("a.toml", text, &[]).unwrap();
         let said = report(&job, folder.path()).unwrap().replace(&folder.path().display().to_string(), "HERE");
         let expected = "\
 a.toml is valid
-  chain:  simulate -> Shots -> write_lstat -> write_shots
+  chain:  simulate -> Shots -> write_lstat -> write_arrow
   inputs: HERE
   output: HERE/out (will be created)
   output: HERE/out/lines (will be created)
@@ -130,7 +129,7 @@ a.toml is valid
     #[test]
     fn a_job_that_writes_nothing_is_noted() {
         let text = "[[stage]]\ntype = \"simulate\"\n";
-        let job = Job::parse_with(test_stages::STAGES, "a.toml", text, &[], &[]).unwrap();
+        let job = Job::parse("a.toml", text, &[]).unwrap();
         let expected = "\
 a.toml is valid
   chain:  simulate -> Shots

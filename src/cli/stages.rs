@@ -46,29 +46,33 @@ fn page(known: &[&'static StageSpec], name: &str) -> Result<String, Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::test_stages;
+    use crate::registry::{STAGES, find};
+
+    fn known<const N: usize>(names: [&str; N]) -> [&'static StageSpec; N] {
+        names.map(|name| find(name).unwrap())
+    }
 
     #[test]
     fn the_list_has_a_line_for_each_stage() {
-        let listed = list(&test_stages::STAGES[..5]);
-        let expected = "\
-read_las      -> Shots           Reads waveforms from LAS files.
-simulate      -> Shots           Makes waveforms of a known scene.
-calibrate     Shots              Learns the sensor from the first waveforms.
-decompose     Shots -> Returns   Finds the returns in each waveform.
-georeference  Returns -> Points  Computes coordinates.
-";
-        assert_eq!(listed, expected);
+        let known = known(["read_las", "calibrate", "decompose"]);
+        let [read_las, calibrate, decompose] = known.map(summary);
+        let expected = format!(
+            "read_las   -> Shots          {read_las}\n\
+             calibrate  Shots             {calibrate}\n\
+             decompose  Shots -> Returns  {decompose}\n"
+        );
+        assert_eq!(list(&known), expected);
     }
 
     #[test]
     fn a_stage_has_a_page_and_a_misspelt_one_has_not() {
-        assert_eq!(page(test_stages::STAGES, "simulate").unwrap(), manual_of(&test_stages::SIMULATE));
-        let error = page(&test_stages::STAGES[..2], "simulat").unwrap_err();
+        assert_eq!(page(STAGES, "simulate").unwrap(), manual_of(find("simulate").unwrap()));
+        let known = known(["read_las", "simulate"]);
+        let error = page(&known, "simulat").unwrap_err();
         let expected =
             "error: unknown stage `simulat`; did you mean `simulate`? (stages: read_las, simulate)\n";
         assert_eq!(error.message(false), expected);
-        let error = page(&test_stages::STAGES[..2], "fly").unwrap_err();
+        let error = page(&known, "fly").unwrap_err();
         assert_eq!(error.message(false), "error: unknown stage `fly` (stages: read_las, simulate)\n");
     }
 }

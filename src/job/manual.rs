@@ -41,7 +41,7 @@ const INTRODUCTION: &str = "\
 # The stages
 
 A job is a list of stages: a source produces scan lines, maps and transforms process them, and sinks write them and pass
-them on. This page is generated from the code by `cargo test --test generated`; `wavex stages NAME` prints one section.
+them on. This page is generated from the code by `cargo test --test command_line generated`; `wavex stages NAME` prints one section.
 
 There are three kinds of scan lines: Shots (emissions and recorded waveforms), Returns (echoes reported by the
 decomposition) and Points (returns with coordinates).

@@ -27,7 +27,7 @@ the last one counts. An ambiguous word such as `-awc10` is an error. Unknown opt
 them). An options file in the current folder is read first, with one `name=argument` per line; the command line overrides it.
 Relative paths start at the current folder, or at the folders of `-I` and `-O`.
 
-This page is generated from the code by `cargo test --test generated`.
+This page is generated from the code by `cargo test --test command_line generated`.
 ";
 
 /// Renders the page in Markdown.

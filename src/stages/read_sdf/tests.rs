@@ -1,4 +1,4 @@
-//! Configuration keys. `tests/sdf` covers reading.
+//! Configuration keys. `tests/readers/sdf` covers reading.
 
 use super::*;
 use crate::stage::Config as _;

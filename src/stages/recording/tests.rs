@@ -1,4 +1,4 @@
-//! Time windows, implausible time scales, and CRSs. `tests/declared.rs` covers whole jobs.
+//! Time windows, implausible time scales, and CRSs. `tests/readers/declared.rs` covers whole jobs.
 
 use super::*;
 use crate::scan_line::{Blocks, Channel, TimeScale};

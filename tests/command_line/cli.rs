@@ -1,0 +1,365 @@
+//! The command line: output, streams and exit codes.
+
+use std::fs;
+use std::io::Write;
+use std::process::Stdio;
+
+use wavex_testkit::{Outcome, outcome};
+
+/// Runs the program with these arguments and this standard input.
+fn wavex_with_input(arguments: &[&str], input: &str) -> Outcome {
+    let mut program = wavex_testkit::wavex();
+    program.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = program.spawn().unwrap();
+    // A program that does not read its input may already have exited.
+    let _ = child.stdin.take().unwrap().write_all(input.as_bytes());
+    let output = child.wait_with_output().unwrap();
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    Outcome { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) }
+}
+
+fn wavex(arguments: &[&str]) -> Outcome {
+    wavex_with_input(arguments, "")
+}
+
+/// Asserts that the arguments are refused with this message and no other output.
+fn refused(outcome: Outcome, expected: &str) {
+    assert_eq!(outcome, Outcome::failure(2, expected));
+}
+
+#[test]
+fn the_help_names_every_command() {
+    let expected = "\
+Turn full-waveform lidar recordings into point clouds
+
+Usage: wavex [OPTIONS] <COMMAND>
+
+Commands:
+  run           Run a job
+  replay        Run an archived job again and compare the outputs bit by bit
+  verify        Verify an archive, its inputs and its outputs by their digests
+  check         Validate a job without reading data: keys, chain, output folders, missing inputs
+  stages        List the stages, or describe one stage and its keys
+  schema        Print the JSON Schema of jobs, for editors that validate and complete TOML
+  init          Write a commented starter job
+  calibrate     Calibrate from a recording and save the sensor model
+  convert       Copy recorded waveforms into the open container format (Arrow)
+  copc          Convert points to a cloud-optimised point cloud (COPC)
+  false-alarms  Print the false-return rate of pure noise for each threshold
+  explain       Explain one shot: samples, fit, residuals and returns
+  scan          Summarise a recording: times, rates, lines, channels, noise, integrity
+  report        Render a run's report as a page: timing, counts, sensor model, warnings
+  trajectory    Project and decimate a trajectory: SBET, POF, SOL, TRJ or text
+  import        Translate a command line of BayesWavEx 1.0 or 1.1 into a job
+  completions   Print a shell completion script
+  help          Print this message or the help of the given subcommand(s)
+
+Options:
+  -v, --verbose...  Print more messages: -v for progress, -vv for details
+  -q, --quiet       Print errors only
+  -h, --help        Print help
+  -V, --version     Print version
+
+Exit status: 0 success; 1 the run failed; 2 the job or the command line is invalid
+";
+    let asked = wavex(&["--help"]);
+    assert_eq!(asked, Outcome { code: Some(0), out: expected.to_owned(), err: String::new() });
+    let without_a_command = wavex(&[]);
+    assert_eq!(without_a_command, Outcome::failure(2, expected));
+}
+
+#[test]
+fn the_help_of_run_explains_its_options() {
+    let help = wavex(&["run", "--help"]);
+    assert_eq!((help.code, help.err.as_str()), (Some(0), ""));
+    for part in [
+        "Usage: wavex run [OPTIONS] <JOB>",
+        "Job file (TOML); `-` for standard input",
+        "--set <STAGE.KEY=VALUE>",
+        "--threads <N>",
+        "--profile",
+        "--archive <ARCHIVE>",
+        "--progress <WHEN>",
+        "- auto:   A bar on a terminal, lines elsewhere",
+    ] {
+        assert!(help.out.contains(part), "{part}\nis not in\n{}", help.out);
+    }
+}
+
+#[test]
+fn the_version_is_that_of_the_crate() {
+    let version = wavex(&["--version"]);
+    assert_eq!(version.out, format!("wavex {}\n", env!("CARGO_PKG_VERSION")));
+}
+
+#[test]
+fn the_version_tells_licence_and_features_where_more_is_asked_for() {
+    for words in [&["--version", "--verbose"][..], &["-v", "-V"], &["-vV"]] {
+        let details = wavex(words);
+        assert_eq!((details.code, details.err.as_str()), (Some(0), ""), "{words:?}");
+        assert!(
+            details.out.starts_with(&format!("wavex {}\n", env!("CARGO_PKG_VERSION"))),
+            "{}",
+            details.out
+        );
+        for part in ["\nlicence: MIT OR Apache-2.0\n", "\nfeatures: ", "\ncommit: ", "\ncompiler: rustc "] {
+            assert!(details.out.contains(part), "{part}: {}", details.out);
+        }
+    }
+}
+
+#[test]
+fn the_help_of_every_command_ends_with_examples() {
+    let help = wavex(&["--help"]).out;
+    let commands = help.lines().skip_while(|line| *line != "Commands:").skip(1);
+    let commands: Vec<&str> = commands.map_while(|line| line.split_whitespace().next()).collect();
+    assert_eq!(commands.len(), 18, "{commands:?}");
+    for command in commands.into_iter().filter(|command| *command != "help") {
+        let help = wavex(&[command, "--help"]).out;
+        let examples = help.split_once("\nExample").map(|(_, examples)| examples).unwrap_or_default();
+        assert!(examples.contains(&format!("\n  wavex {command}")), "{command}: {help}");
+    }
+}
+
+#[test]
+fn a_command_line_that_is_wrong_is_refused() {
+    for arguments in
+        [&["fly"][..], &["run"], &["run", "a.toml", "--progress", "often"], &["check", "-q", "-v", "a.toml"]]
+    {
+        let outcome = wavex(arguments);
+        assert_eq!((outcome.code, outcome.out.as_str()), (Some(2), ""), "{arguments:?}");
+        assert!(outcome.err.starts_with("error: "), "{}", outcome.err);
+    }
+}
+
+#[test]
+fn a_job_that_cannot_be_read_is_refused() {
+    let outcome = wavex(&["run", "no/such/job.toml"]);
+    assert_eq!((outcome.code, outcome.out.as_str()), (Some(2), ""));
+    assert!(outcome.err.starts_with("error: no/such/job.toml: cannot read the job: "), "{}", outcome.err);
+}
+
+#[test]
+fn a_wrong_job_is_refused_in_plain_text() {
+    let folder = tempfile::tempdir().unwrap();
+    let job = folder.path().join("job.toml");
+    fs::write(&job, "[job]\nmemory_mb = 8\n").unwrap();
+    let job = job.to_str().unwrap();
+    let expected = format!(
+        "error: the job has no stage\n--> {job}\n = help: `wavex init` writes a starter job; `wavex stages` lists the stages\n\n\
+         error: `memory_mb` must be at least 64 and at most 1000000000, got 8\n \
+         --> {job}:2:13\n  |\n2 | memory_mb = 8\n  |             ^\n"
+    );
+    for command in ["run", "check"] {
+        refused(wavex(&[command, job]), &expected);
+    }
+}
+
+#[test]
+fn a_job_may_come_from_standard_input() {
+    let expected = "\
+error: `threads` must be at least 0, got -1
+ --> standard input:4:11
+  |
+4 | threads = -1
+  |           ^^
+";
+    let outcome = wavex_with_input(&["check", "-"], "[[stage]]\ntype = \"read_las\"\n[job]\nthreads = -1\n");
+    assert_eq!((outcome.code, outcome.out.as_str()), (Some(2), ""));
+    assert!(outcome.err.contains(expected), "{}", outcome.err);
+}
+
+#[test]
+fn values_set_on_the_command_line_are_checked_like_those_of_the_job() {
+    let outcome = wavex(&["run", "-", "--set", "job.thread=2", "--threads", "4"]);
+    let expected = "\
+error: `[job]` has no key `thread`
+ --> --set:1:5
+  |
+1 | job.thread=2
+  |     ^^^^^^
+  |
+  = help: did you mean `threads`?
+  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, geometry
+";
+    assert_eq!(outcome.code, Some(2));
+    assert!(outcome.err.ends_with(expected), "{}", outcome.err);
+}
+
+#[test]
+fn the_stages_of_the_registry_are_listed_and_explained() {
+    let listed = wavex(&["stages"]);
+    assert_eq!((listed.code, listed.err.as_str()), (Some(0), ""));
+    assert_eq!(listed.out.lines().count(), wavex::registry::STAGES.len());
+    for spec in wavex::registry::STAGES {
+        assert!(listed.out.lines().any(|line| line.starts_with(spec.name)), "{}", listed.out);
+        assert_eq!(wavex(&["stages", spec.name]).out, wavex::job::manual_of(spec));
+    }
+}
+
+#[test]
+fn a_stage_that_does_not_exist_is_refused() {
+    let outcome = wavex(&["stages", "fly_home"]);
+    assert_eq!((outcome.code, outcome.out.as_str()), (Some(2), ""));
+    assert!(outcome.err.starts_with("error: unknown stage `fly_home`"), "{}", outcome.err);
+}
+
+#[test]
+fn the_schema_is_json() {
+    let outcome = wavex(&["schema"]);
+    assert_eq!((outcome.code, outcome.err.as_str()), (Some(0), ""));
+    let schema: serde_json::Value = serde_json::from_str(&outcome.out).unwrap();
+    assert_eq!(schema, wavex::job::job_schema(wavex::registry::STAGES));
+}
+
+#[test]
+fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
+    let printed = wavex(&["init"]);
+    assert_eq!((printed.code, printed.err.as_str()), (Some(0), ""));
+    assert_eq!(printed.out, wavex::job::example_job(wavex::registry::STAGES));
+
+    let folder = tempfile::tempdir().unwrap();
+    let [file, schema] = ["job.toml", "job.schema.json"].map(|name| folder.path().join(name));
+    let (file, schema) = (file.to_str().unwrap(), schema.to_str().unwrap());
+    let written = wavex(&["init", file]);
+    let remark = "the job reads RECORDING.las: edit `type` and `path` of the first stage, or use `wavex init --from RECORDING`\n";
+    let expected = format!("wrote {file}\nwrote {schema}\n{remark}");
+    assert_eq!(written, Outcome { code: Some(0), out: expected, err: String::new() });
+    assert_eq!(fs::read_to_string(file).unwrap(), printed.out);
+    assert_eq!(fs::read_to_string(schema).unwrap(), wavex(&["schema"]).out);
+    assert!(printed.out.starts_with("#:schema job.schema.json\n"), "{}", printed.out);
+    let checked = wavex(&["check", file]);
+    assert_eq!((checked.code, checked.err.as_str()), (Some(0), ""));
+    let warning = format!("  warning: {}: no such file\n", folder.path().join("RECORDING.las").display());
+    assert!(checked.out.contains(&warning), "{}", checked.out);
+
+    fs::write(file, "mine").unwrap();
+    let expected = format!("error: {file}: the file already exists; choose another name or remove it\n");
+    refused(wavex(&["init", file]), &expected);
+    assert_eq!(fs::read_to_string(file).unwrap(), "mine");
+}
+
+#[test]
+fn an_input_of_an_unknown_kind_is_not_converted() {
+    let expected = "error: flight.dat: unknown recording format; \
+                    supported extensions: .las, .laz, .pls, .sdf, .wfm and .arrow\n";
+    refused(wavex(&["convert", "flight.dat", "flight.arrow"]), expected);
+}
+
+#[test]
+fn a_container_has_the_name_of_what_it_is() {
+    let expected = "error: flight.parquet: the container is Arrow; give a name that ends in .arrow. To write tables of returns (Parquet, CSV or Arrow), use the stage write_table in a job\n";
+    refused(wavex(&["convert", "flight.pls", "flight.parquet"]), expected);
+}
+
+#[test]
+fn a_format_that_cannot_be_read_is_named_with_the_way_round_wherever_it_is_tried() {
+    for (file, problem) in [
+        ("flight.rxp", "RIEGL RXP is not supported; export the waveforms with RIEGL's software "),
+        ("flight.h5", "HDF5 (F5) is not supported; copy its waveforms into the open waveform container "),
+        ("flight.plz", "compressed PulseWaves (.plz, .wvz) is not supported; uncompress the pair "),
+    ] {
+        for words in [
+            &["convert", file, "a.arrow"][..],
+            &["scan", file],
+            &["explain", file, "--shot", "1"],
+            &["init", "--from", file],
+            &["calibrate", file],
+        ] {
+            let outcome = wavex(words);
+            assert_eq!((outcome.code, outcome.out.as_str()), (Some(2), ""), "{words:?}");
+            let begins = format!("error: {file}: {problem}");
+            assert!(outcome.err.starts_with(&begins), "{words:?}: {}", outcome.err);
+        }
+        let job = format!("[job]\nlog = ''\n[[stage]]\ntype = 'read_las'\npath = '{file}'\n");
+        let run = wavex_with_input(&["run", "-"], &job);
+        assert!(run.code == Some(1) && run.err.contains(&format!("{file}: {problem}")), "{}", run.err);
+        let checked = wavex_with_input(&["check", "-"], &job);
+        assert!(checked.code == Some(0) && checked.out.contains(problem), "{}", checked.out);
+    }
+}
+
+#[test]
+fn completions_are_those_of_the_shell() {
+    for (shell, begins) in [("bash", "_wavex() {"), ("zsh", "#compdef wavex"), ("fish", "# Print an optspec")]
+    {
+        let outcome = wavex(&["completions", shell]);
+        assert_eq!((outcome.code, outcome.err.as_str()), (Some(0), ""), "{shell}");
+        assert!(outcome.out.starts_with(begins), "{shell}: {}", outcome.out);
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_reader_that_has_seen_enough_is_no_failure() {
+    let mut program = wavex_testkit::wavex();
+    let mut child = program.args(["completions", "zsh"]).stdout(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+}
+
+/// Folder with a job whose `crs` is the WKT in `site.prj`.
+fn place_with_wkt(wkt: &str) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let job = "[job]\noutput_dir = 'out'\ngeometry = { crs = 'site.prj' }\n\
+               [[stage]]\ntype = 'simulate'\nlines = 1\nshots_per_line = 10\n[[stage]]\ntype = 'write_arrow'\n";
+    fs::write(folder.path().join("job.toml"), job).unwrap();
+    fs::write(folder.path().join("site.prj"), wkt).unwrap();
+    folder
+}
+
+fn wavex_in(folder: &std::path::Path, arguments: &[&str]) -> Outcome {
+    outcome(wavex_testkit::wavex().args(arguments).current_dir(folder))
+}
+
+/// The projection library takes missing parameters as 0.
+#[test]
+fn a_system_with_missing_parameters_is_a_wrong_job() {
+    let parameters = |names: &[&str]| -> String {
+        names.iter().map(|name| format!(r#"PARAMETER["{name}",1],"#)).collect::<String>()
+    };
+    let centred = ["latitude_of_center", "longitude_of_center"];
+    for (method, given, missing) in [
+        ("Krovak", &centred[..], "azimuth, scale_factor, false_easting, false_northing"),
+        ("Mercator_1SP", &["scale_factor", "false_easting"], "central_meridian, false_northing"),
+        (
+            "Stereographic",
+            &["latitude_of_origin", "false_easting", "false_northing"],
+            "central_meridian, scale_factor or standard_parallel_1",
+        ),
+        ("Polyconic", &["false_easting"], "latitude_of_origin, central_meridian, false_northing"),
+    ] {
+        let wkt = format!(
+            r#"PROJCS["site",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["{method}"],{}UNIT["metre",1]]"#,
+            parameters(given)
+        );
+        let folder = place_with_wkt(&wkt);
+        let expected = format!(
+            "error: ./site.prj: site: its projection has no {missing}; complete the parameters in its WKT, or use an EPSG \
+             code\n"
+        );
+        for command in ["check", "run"] {
+            refused(wavex_in(folder.path(), &[command, "job.toml"]), &expected);
+        }
+        assert!(!folder.path().join("out").exists(), "a wrong job makes nothing");
+    }
+}
+
+/// A shared file may set the geoid folder, also for jobs without a geoid.
+#[test]
+fn a_shared_file_may_name_the_folder_of_geoids() {
+    let folder = tempfile::tempdir().unwrap();
+    let job = "[job]\ninclude = 'site.toml'\noutput_dir = 'out'\n\
+               [[stage]]\ntype = 'simulate'\nlines = 1\nshots_per_line = 10\n[[stage]]\ntype = 'write_arrow'\n";
+    fs::write(folder.path().join("job.toml"), job).unwrap();
+    fs::write(folder.path().join("site.toml"), "[job.geometry]\ngeoid_dir = 'geoids'\n").unwrap();
+    let checked = wavex_in(folder.path(), &["check", "job.toml"]);
+    assert_eq!((checked.code, checked.err.as_str()), (Some(0), ""));
+    assert!(
+        checked.out.starts_with("./job.toml is valid\n") || checked.out.starts_with("job.toml is valid\n")
+    );
+    assert!(!checked.out.contains("warning"), "{}", checked.out);
+    let run = wavex_in(folder.path(), &["--quiet", "run", "job.toml"]);
+    assert_eq!(run, Outcome::success());
+    assert!(folder.path().join("out/simulated.arrow").is_file());
+}

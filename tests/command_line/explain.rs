@@ -1,0 +1,184 @@
+//! `wavex explain`: the table agrees with that of a run, the picture is complete, and errors are
+//! reported.
+
+use wavex_formats::container::EmissionReference;
+use wavex_testkit::container::{Shot, of_shots};
+use wavex_testkit::table::{self, Row};
+use wavex_testkit::{Outcome, TestFolder, shots};
+
+/// Runs `wavex explain` in a folder.
+fn explain(place: &TestFolder, arguments: &[&str]) -> Outcome {
+    place.wavex(&[&["explain"], arguments].concat())
+}
+
+/// Asserts that the command fails with this message, without output or files.
+#[track_caller]
+fn refused(place: &TestFolder, arguments: &[&str], code: i32, message: &str) {
+    let Outcome { code: found, out, err } = explain(place, arguments);
+    assert_eq!((found, out.as_str(), err), (Some(code), "", format!("error: {message}\n")));
+}
+
+/// A simulated recording, its model and its returns, in `out`.
+fn simulated() -> TestFolder {
+    let place = TestFolder::new();
+    let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 2\nshots_per_line = 300\n\
+               [[stage]]\ntype = 'write_arrow'\n\
+               [[stage]]\ntype = 'calibrate'\nsave = 'model.json'\n\
+               [[stage]]\ntype = 'decompose'\n\
+               [[stage]]\ntype = 'write_table'\npath = '*.csv'\n\
+               [[stage]]\ntype = 'georeference'\n\
+               [[stage]]\ntype = 'write_las'\npath = '*.las'\n";
+    assert_eq!(place.run(job), Outcome::success());
+    place
+}
+
+/// Rows of a table of returns for one shot, as cells by name.
+fn rows_of(table: &str, shot: &str) -> Vec<Row> {
+    table::rows(table).into_iter().filter(|row| row["shot"] == shot).collect()
+}
+
+/// Asserts that elements are properly nested and attributes are quoted.
+fn assert_well_formed(svg: &str) {
+    let mut open: Vec<&str> = Vec::new();
+    let mut rest = svg;
+    let mut elements = 0;
+    while let Some(start) = rest.find('<') {
+        assert!(!rest[..start].contains('>'), "a stray `<` or `>` before {}", &rest[start..]);
+        let end = start + rest[start..].find('>').unwrap();
+        let tag = &rest[start + 1..end];
+        match tag.strip_prefix('/') {
+            Some(closed) => assert_eq!(open.pop(), Some(closed)),
+            None => {
+                assert_eq!(tag.matches('"').count() % 2, 0, "{tag}");
+                elements += 1;
+                if !tag.ends_with('/') {
+                    open.push(tag.split_whitespace().next().unwrap());
+                }
+            }
+        }
+        rest = &rest[end + 1..];
+    }
+    assert!(open.is_empty() && elements > 50, "{open:?} {elements}");
+}
+
+#[test]
+fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
+    let place = simulated();
+    let table = place.text("out/flight.csv");
+    let many = table.lines().skip(1).find(|row| row.split(',').nth(3) == Some("3")).unwrap();
+    let shot = many.split(',').next().unwrap();
+    let with_model =
+        ["out/flight.arrow", "--shot", shot, "--model", "out/model.json", "--out", "picture.svg"];
+    let Outcome { code, out, err } = explain(&place, &with_model);
+    assert_eq!((code, err.as_str()), (Some(0), ""));
+
+    let printed: Vec<&str> = out.lines().skip(3).take_while(|line| !line.is_empty()).collect();
+    let rows = rows_of(&table, shot);
+    assert_eq!(printed.len(), rows.len());
+    for (line, row) in printed.iter().zip(&rows) {
+        let number = |column: &str| row[column].parse::<f64>().unwrap();
+        let pair = |value: &str, digits: usize| {
+            let sd = match value.rsplit_once('_') {
+                Some((quantity, unit)) if ["m", "ns", "dn"].contains(&unit) => {
+                    format!("{quantity}_sd_{unit}")
+                }
+                _ => format!("{value}_sd"),
+            };
+            format!("{:.digits$} ± {:.digits$}", number(value), number(&sd))
+        };
+        let flags = wavex::scan_line::flags::words(row["flags"].parse().unwrap());
+        let expected = [
+            row["return_number"].clone(),
+            row["channel"].clone(),
+            pair("time_of_flight_ns", 4),
+            pair("range_m", 4),
+            pair("amplitude_dn", 2),
+            pair("width_ratio", 4),
+            pair("thickness_m", 4),
+            format!("{:.2}", number("deviation_ratio")),
+            flags,
+        ];
+        let cells: Vec<&str> = line.split("  ").map(str::trim).filter(|cell| !cell.is_empty()).collect();
+        assert_eq!(cells, expected);
+    }
+    assert!(out.contains("\n  candidates: ") && out.contains("degrees of freedom"), "{out}");
+    assert!(out.ends_with("wrote picture.svg\n"), "{out}");
+
+    let svg = place.text("picture.svg");
+    assert_well_formed(&svg);
+    assert!(svg.contains("prefers-color-scheme:dark") && !svg.contains("<script"));
+    for text in
+        ["time of flight, ns", "digitiser steps, DN", "residual, std. dev.", "outgoing pulse", ">3</text>"]
+    {
+        assert!(svg.contains(text), "{text}");
+    }
+
+    // Calibration from the same waveforms gives the model that the run saved.
+    let Outcome { code, out: by_itself, err } = explain(&place, &["out/flight.arrow", "--shot", shot]);
+    assert_eq!((code, err.as_str()), (Some(0), ""));
+    let name = format!("flight_shot_{shot}.svg");
+    assert_eq!(by_itself, out.replace("picture.svg", &name));
+    assert_eq!(place.text(&name), svg);
+
+    // Points without waveforms cannot be explained.
+    let message = "out/flight.las: byte 104: point data record format: no waveforms in point data format 6; \
+                   export the flight with waveforms, as LAS point format 4, 5, 9 or 10";
+    refused(&place, &["out/flight.las", "--shot", shot], 1, message);
+
+    // The time of the shot selects it, and the keys of a job apply.
+    let time = rows[0]["gps_time_s"].clone();
+    let Outcome { code, out: by_time, .. } =
+        explain(&place, &["out/flight.arrow", "--time", &time, "--job", "job.toml"]);
+    assert_eq!((code, by_time), (Some(0), by_itself));
+    let set = ["--job", "job.toml", "--set", "decompose.detection_sigma=100"];
+    let Outcome { code, out: none, .. } = explain(&place, &[&with_model[..], &set].concat());
+    assert_eq!(code, Some(0));
+    let nothing = "0 detected + 0 added = 0 kept";
+    assert!(none.contains(nothing) && !out.contains(nothing), "{none}");
+}
+
+/// Shots with one echo each, except the third, which has only an outgoing pulse.
+fn by_hand(timed: bool) -> Vec<u8> {
+    let block = |shot: usize| shots::echo(shot).into_iter().map(u16::from).collect::<Vec<u16>>();
+    let shot = |number: usize| Shot {
+        clock_ps: number as i64 * 5_000_000,
+        blocks: vec![if number == 2 { (3, 0.0, block(number)) } else { (1, 1000.0, block(number)) }],
+    };
+    of_shots(&(0..260).map(shot).collect::<Vec<_>>(), EmissionReference::Clock, timed)
+}
+
+#[test]
+fn what_cannot_be_explained_is_said() {
+    let place =
+        TestFolder::with(&[("a.arrow", &by_hand(true)), ("timeless.arrow", &by_hand(false)), ("a.dat", b"")]);
+    let message = "a.arrow: no shot 99; the 260 shots are numbered 100 to 359";
+    refused(&place, &["-q", "a.arrow", "--shot", "99"], 2, message);
+    let message = "--out a.arrow: the picture is SVG; give a name that ends in .svg";
+    refused(&place, &["a.arrow", "--shot", "101", "--out", "a.arrow"], 2, message);
+    let message = "a.arrow: shot 102 has no recorded echoes; choose another one";
+    refused(&place, &["-q", "a.arrow", "--shot", "102"], 2, message);
+    let message = "timeless.arrow: its shots have no times; select one with --shot";
+    refused(&place, &["-q", "timeless.arrow", "--time", "1"], 2, message);
+    let message =
+        "a.dat: unknown recording format; supported extensions: .las, .laz, .pls, .sdf, .wfm and .arrow";
+    refused(&place, &["a.dat", "--shot", "1"], 2, message);
+    place.write("short.toml", b"[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n");
+    let message = "short.toml: the job has no stage `calibrate`; add one";
+    refused(&place, &["a.arrow", "--shot", "1", "--job", "short.toml"], 2, message);
+}
+
+#[test]
+fn a_file_without_waveforms_is_told() {
+    let empty = of_shots(
+        &[Shot { clock_ps: 0, blocks: Vec::new() }, Shot { clock_ps: 5, blocks: Vec::new() }],
+        EmissionReference::Clock,
+        true,
+    );
+    let place = TestFolder::with(&[("empty.arrow", &empty)]);
+    let message = "the low power receiver: calibration needs 200 waveforms of the channel and there were 0; \
+                   give it more data, or load a saved sensor model";
+    refused(&place, &["empty.arrow", "--shot", "100"], 1, message);
+    let Outcome { code, err, .. } = explain(&place, &["empty.arrow", "--shot", "1", "--time", "2"]);
+    assert_eq!(code, Some(2));
+    assert!(err.contains("cannot be used with"), "{err}");
+}

@@ -1,0 +1,249 @@
+//! `wavex scan`: the summary matches the recording, and read errors are reported.
+
+use std::fs;
+
+use wavex_formats::container::EmissionReference;
+use wavex_testkit::container::{Shot, of_shots};
+use wavex_testkit::las::Las;
+use wavex_testkit::pulsewaves::PulseWaves;
+use wavex_testkit::{Outcome, TestFolder, data};
+
+/// Runs `wavex scan` in a folder.
+fn scan(place: &TestFolder, arguments: &[&str]) -> Outcome {
+    place.wavex(&[&["scan"], arguments].concat())
+}
+
+/// Summary of a successful scan without messages on standard error.
+#[track_caller]
+fn summary(place: &TestFolder, arguments: &[&str]) -> String {
+    let Outcome { code, out, err } = scan(place, arguments);
+    assert_eq!((code, err.as_str()), (Some(0), ""));
+    out
+}
+
+/// Value of a row in a section of the summary.
+#[track_caller]
+fn said<'a>(summary: &'a str, section: &str, name: &str) -> &'a str {
+    let from = summary.find(&format!("\n{section}\n")).unwrap_or_else(|| panic!("{section}:\n{summary}"));
+    let lines = summary[from + 1..].lines().skip(1).take_while(|line| !line.is_empty());
+    let found = lines.filter_map(|line| line.trim_start().strip_prefix(name)).next();
+    found.unwrap_or_else(|| panic!("{section}: {name}:\n{summary}")).trim()
+}
+
+/// Counts of a histogram file.
+fn counts(text: &str) -> Vec<(f64, u64)> {
+    let rows = text.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
+    rows.map(|row| row.split_once('\t').unwrap())
+        .map(|(a, b)| (a.parse().unwrap(), b.parse().unwrap()))
+        .collect()
+}
+
+fn files(place: &TestFolder) -> Vec<String> {
+    let entries = fs::read_dir(place.path("")).unwrap();
+    let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.retain(|name| name.contains('_'));
+    names.sort();
+    names
+}
+
+/// A simulated recording, `out/flight.arrow`.
+fn simulated(keys: &str) -> TestFolder {
+    let place = TestFolder::new();
+    let job = format!(
+        "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 20\nshots_per_line = 500\npulse_rate_hz = 400000\n\
+         {keys}\n[[stage]]\ntype = 'write_arrow'\n"
+    );
+    assert_eq!(place.run(&job), Outcome::success());
+    place
+}
+
+#[test]
+fn a_simulated_flight_is_told_as_it_was_made() {
+    let place =
+        simulated("modulation_ns = 30\nhigh_power = true\nground_amplitude_dn = 180\nflying_height_m = 800");
+    let out = summary(&place, &["out/flight.arrow"]);
+    assert_eq!(said(&out, "Times", "shots"), "10 000");
+    assert_eq!(said(&out, "Times", "gaps within lines"), "none");
+    assert_eq!(said(&out, "Times", "clock runs backwards"), "never");
+    assert_eq!(said(&out, "Rates", "pulse rate, nominal"), "400000 Hz");
+    // Each pulse is up to 15 ns early or late: intervals have an RMS of 30 ns / √6.
+    let modulation = said(&out, "Rates", "modulation of the interval").strip_suffix(" ns RMS").unwrap();
+    assert!((modulation.parse::<f64>().unwrap() - 30.0 / 6f64.sqrt()).abs() < 0.3, "{modulation}");
+    assert_eq!(said(&out, "Lines", "scan lines"), "20");
+    assert_eq!(said(&out, "Lines", "facets"), "4");
+    let noise = said(&out, "Channel: low power", "noise").split_once(" DN").unwrap().0;
+    assert!((noise.parse::<f64>().unwrap() - 0.93).abs() < 0.02, "{noise}");
+    let lags = said(&out, "Channel: low power", "noise autocorrelation");
+    for (got, exact) in lags.split(' ').zip([0.63, 0.42, 0.22, 0.11]) {
+        assert!((got.parse::<f64>().unwrap() - exact).abs() < 0.03, "{lags}");
+    }
+    assert!(said(&out, "Channel: high power", "blocks").len() >= 4, "{out}");
+    assert_eq!(said(&out, "Channel: outgoing pulse", "blocks"), "10 000");
+    assert_eq!(said(&out, "Integrity", "read to the end"), "yes");
+    assert_eq!(said(&out, "Integrity", "rejected"), "nothing");
+
+    let written = ["amplitudes.txt", "angles.txt", "noise.txt", "ranges.txt", "scan.html", "scan.txt"];
+    assert_eq!(files(&place), written.map(|what| format!("flight_{what}")));
+    let (text, last) = out.rsplit_once("\nwrote ").unwrap();
+    assert_eq!(text, place.text("flight_scan.txt"));
+    assert!(last.starts_with("flight_scan.txt, flight_amplitudes.txt, "), "{last}");
+    let angles = place.text("flight_angles.txt");
+    assert!(angles.starts_with("# scan angles: 10000 values, bins 0.25 wide\n# centre of the bin: angle of a shot, degrees\tcount\n"), "{angles}");
+    assert_eq!(counts(&angles).iter().map(|bin| bin.1).sum::<u64>(), 10_000);
+    // At nadir, the range to the ground equals the flying height.
+    let ranges = counts(&place.text("flight_ranges.txt"));
+    assert!(ranges.iter().all(|(centre, _)| (740.0..960.0).contains(centre)), "{:?}", ranges.first());
+
+    let page = place.text("flight_scan.html");
+    assert!(page.starts_with("<!DOCTYPE html>") && page.contains("prefers-color-scheme:dark"));
+    assert!(!page.contains("<script") && !page.contains("http"), "no script or external resource");
+    for title in ["amplitudes, low power", "ranges", "echo blocks over time", "angles of ", "shot 0, "] {
+        assert!(page.contains(&format!("<h3>{title}")), "{title}");
+    }
+    assert_eq!(page.matches("<figure>").count(), page.matches("</svg>").count());
+}
+
+#[test]
+fn fast_leaves_the_samples_out_and_says_the_same_else() {
+    let place = simulated("as_recorded = true");
+    let whole = summary(&place, &["out/flight.arrow", "--name", "checks/whole"]);
+    let fast = summary(&place, &["--fast", "out/flight.arrow"]);
+    assert_eq!(files(&place), ["flight_angles.txt", "flight_scan.html", "flight_scan.txt"]);
+    assert!(place.path("checks/whole_ranges.txt").exists());
+    assert!(!fast.contains("noise") && whole.contains("noise"));
+    for (section, name) in [
+        ("Times", "shots"),
+        ("Rates", "pulse rate, measured"),
+        ("Echoes", "shots by number of blocks"),
+        ("Channel: low power", "samples per block"),
+        ("Channel: low power", "first sample after the clock"),
+        ("Beams", "scan angles"),
+    ] {
+        assert_eq!(said(&fast, section, name), said(&whole, section, name), "{section}: {name}");
+    }
+    assert!(said(&fast, "Echoes", "pulses in the air").starts_with("unresolved: "), "{fast}");
+    let remedy = "zones are unresolved: put `resolve_mta` before `decompose`";
+    assert_eq!(said(&fast, "Integrity", "note"), remedy);
+    assert!(
+        said(&whole, "Echoes", "ranges")
+            .ends_with("from the latest emission before reception: zones are unresolved")
+    );
+}
+
+#[test]
+fn fast_reads_no_waveforms_of_las_and_pulsewaves() {
+    let las = Las::new(300);
+    let waves = PulseWaves::new(300);
+    let place = TestFolder::with(&[
+        ("a.las", &las.las()),
+        ("a.wdp", &las.packets),
+        ("b.pls", &waves.pls()),
+        ("b.wvs", &waves.waves),
+    ]);
+    let (whole, fast) = (summary(&place, &["a.las"]), summary(&place, &["a.las", "--fast"]));
+    for name in ["blocks", "samples per block", "first sample after the clock"] {
+        assert_eq!(said(&fast, "Channel: low power", name), said(&whole, "Channel: low power", name));
+    }
+    // Without waveform bytes, all pulse attributes are still available.
+    fs::write(place.path("b.wvs"), &waves.waves[..60]).unwrap();
+    let fast = summary(&place, &["b.pls", "--fast"]);
+    assert_eq!(
+        (said(&fast, "Times", "shots"), said(&fast, "Echoes", "blocks")),
+        ("300", "not read (--fast)")
+    );
+}
+
+#[test]
+fn gaps_rejects_and_missing_times_are_told() {
+    let place = TestFolder::new();
+    let block = |height: u16| vec![(3, -2.0, vec![2, 50, 2]), (1, 1000.0, vec![2, 2, 2, height, 2, 2])];
+    let clocks = [0, 10, 20, 30, 80, 90].map(|us| us * 1_000_000);
+    let mut shots: Vec<Shot> = clocks.iter().map(|&clock_ps| Shot { clock_ps, blocks: block(90) }).collect();
+    shots.push(Shot { clock_ps: 100_000_000, blocks: vec![(7, 0.0, vec![1])] });
+    shots.push(Shot { clock_ps: 110_000_000, blocks: block(255) });
+    place.write("x.arrow", &of_shots(&shots, EmissionReference::OutgoingPulse, false));
+    let out = summary(&place, &["x.arrow"]);
+    assert_eq!(said(&out, "Times", "shots without a time"), "7 (100.0 %)");
+    let gap = "1 of more than 2.5 shot intervals, the longest 50.000 µs (5 shot intervals) before shot 104";
+    assert!(said(&out, "Times", "gaps within lines").starts_with(gap.split(" (5").next().unwrap()), "{out}");
+    assert_eq!(said(&out, "Integrity", "rejected blocks"), "1: a block of an unknown channel");
+    assert_eq!(said(&out, "Integrity", "rejected shots"), "1: a block of an unknown channel");
+    assert_eq!(
+        said(&out, "Channel: low power", "saturated"),
+        "1 (2.381 %) of the samples, 1 (14.3 %) of the blocks"
+    );
+    // From the middle of the outgoing pulse, 1 ns before the clock, to the fourth sample.
+    let range_m = (1003.0 + 1.0) * 0.5e-9 * 299_707_502.0;
+    assert_eq!(
+        said(&out, "Echoes", "ranges"),
+        format!("{range_m:.1} to {range_m:.1} m, median {range_m:.1} m")
+    );
+}
+
+#[test]
+fn a_file_that_is_cut_off_is_an_error_behind_what_it_holds() {
+    let waves = PulseWaves::new(300);
+    let pls = waves.pls();
+    let cut = &pls[..waves.offset_of(200)];
+    let place = TestFolder::with(&[("b.pls", cut), ("b.wvs", &waves.waves)]);
+    let Outcome { code, out, err } = scan(&place, &["b.pls"]);
+    let offset = waves.offset_of(200);
+    let message = format!(
+        "b.pls: byte {offset}: pulse 200: the header declares 300 pulses, but the file has 200; \
+         the file is cut off: copy it again from its source"
+    );
+    assert_eq!((code, err), (Some(1), format!("error: {message}\n")));
+    assert_eq!(said(&out, "Times", "shots"), "200");
+    assert_eq!(said(&out, "Integrity", "read to the end"), format!("no: {message}"));
+    assert!(place.text("b_scan.txt").contains(&message) && place.path("b_scan.html").exists());
+}
+
+#[test]
+fn what_cannot_be_scanned_is_said() {
+    let place = TestFolder::with(&[("x.dat", b"")]);
+    let refused = |arguments: &[&str], code: i32, message: &str| {
+        let Outcome { code: found, out, err } = scan(&place, arguments);
+        assert_eq!((found, out.as_str()), (Some(code), ""), "{err}");
+        assert!(err.starts_with(&format!("error: {message}")), "{err}");
+    };
+    refused(&["x.dat"], 2, "x.dat: unknown recording format; supported extensions");
+    refused(&["gone.arrow"], 1, "gone.arrow: cannot open: ");
+    refused(
+        &["x.arrow", "--set", "read_arrow.odd_sample_shift=3"],
+        2,
+        "`odd_sample_shift`: it must lie between -0.5 and 0.5\n",
+    );
+    assert_eq!(files(&place), Vec::<String>::new());
+}
+
+#[test]
+fn quiet_prints_nothing_and_files_are_the_same_again() {
+    let place = simulated("");
+    let Outcome { code, out, err } = scan(&place, &["-q", "out/flight.arrow"]);
+    assert_eq!((code, out.as_str(), err.as_str()), (Some(0), "", ""));
+    let (text, page) = (place.text("flight_scan.txt"), place.text("flight_scan.html"));
+    summary(&place, &["out/flight.arrow"]);
+    assert_eq!((place.text("flight_scan.txt"), place.text("flight_scan.html")), (text, page));
+}
+
+#[test]
+fn real_recordings_are_told_as_they_are_known() {
+    let Some(data) = data() else { return };
+    let place = TestFolder::new();
+    let path = |name: &str| data.join(name).to_str().unwrap().to_owned();
+    let out = summary(&place, &[&path("riegl_q680i_dev/riegl_q680i_dev.pls")]);
+    assert_eq!((said(&out, "File", "instrument"), said(&out, "Times", "shots")), ("Q680i", "607"));
+    assert_eq!(said(&out, "Rates", "pulse rate, nominal"), "400000 Hz");
+    assert_eq!(said(&out, "Channel: low power", "blocks"), "608");
+    let noise = said(&out, "Channel: low power", "noise").split_once(" DN").unwrap().0;
+    assert!((noise.parse::<f64>().unwrap() - 0.93).abs() < 0.03, "{noise}");
+    let lags = said(&out, "Channel: low power", "noise autocorrelation");
+    for (got, known) in lags.split(' ').zip([0.63, 0.42, 0.22, 0.11]) {
+        assert!((got.parse::<f64>().unwrap() - known).abs() < 0.03, "{lags}");
+    }
+    let las = summary(&place, &[&path("riegl_q680i_dev/riegl_q680i_dev.las")]);
+    assert_eq!(said(&las, "Echoes", "instrument returns"), "667 in 607 shots");
+    let third = summary(&place, &[&path("pulsewaves/riegl_example3.pls")]);
+    assert_eq!((said(&third, "File", "instrument"), said(&third, "Times", "shots")), ("Q680", "16 486"));
+    assert_eq!(said(&third, "Rates", "pulse rate, nominal"), "150000 Hz");
+}

@@ -1,0 +1,99 @@
+//! `wavex copc`: converts the points of a run to COPC, or reports an error.
+
+use wavex_formats::las::RawPoints;
+use wavex_testkit::{Outcome, TestFolder, outcome, wavex};
+
+const POINTS: &str = "\
+[[stage]]
+type = 'simulate'
+stem = 'a'
+lines = 5
+shots_per_line = 60
+[[stage]]
+type = 'calibrate'
+waveforms = 250
+response = 'gaussian'
+[[stage]]
+type = 'decompose'
+mode = 'fastest'
+[[stage]]
+type = 'georeference'
+[[stage]]
+type = 'write_las'
+path = '*.laz'
+[[stage]]
+type = 'write_las'
+id = 'old'
+path = '*_old.las'
+version = '1.2'
+";
+
+/// Output of the program, or exit code and message if it fails.
+fn copc(place: &TestFolder, arguments: &[&str]) -> Result<String, (Option<i32>, String)> {
+    let command = &mut wavex();
+    let Outcome { code, out, err } =
+        outcome(command.arg("copc").args(arguments).current_dir(place.path("out")));
+    if code == Some(0) { Ok(out) } else { Err((code, err)) }
+}
+
+fn n_points(place: &TestFolder, name: &str) -> u64 {
+    let mut file = RawPoints::open(&place.path("out").join(name)).unwrap();
+    let mut n = 0;
+    while file.next_record().unwrap().is_some() {
+        n += 1;
+    }
+    assert_eq!(file.header().n_points, n);
+    n
+}
+
+#[test]
+fn points_of_a_run_become_a_file_beside_them() {
+    let place = TestFolder::new();
+    assert_eq!(place.run(POINTS).code, Some(0));
+    let n = n_points(&place, "a.laz");
+    assert!(n > 100);
+    let told = copc(&place, &["a.laz"]).unwrap();
+    assert_eq!(told, format!("wrote a.copc.laz: {n} points, 1 node on 1 level\n"));
+    assert_eq!(n_points(&place, "a.copc.laz"), n);
+    assert_eq!(copc(&place, &["a.laz", "--quiet", "-o", "new/b.laz"]).unwrap(), "");
+    assert_eq!(n_points(&place, "new/b.laz"), n);
+    let first = std::fs::read(place.path("out/a.copc.laz")).unwrap();
+    assert!(first == std::fs::read(place.path("out/new/b.laz")).unwrap(), "the same bytes every time");
+}
+
+#[test]
+fn what_cannot_be_converted_is_told_and_leaves_nothing() {
+    let place = TestFolder::new();
+    assert_eq!(place.run(POINTS).code, Some(0));
+    let mut cut = std::fs::read(place.path("out/a.laz")).unwrap();
+    cut.truncate(cut.len() / 2);
+    std::fs::write(place.path("out/cut.laz"), cut).unwrap();
+    let before = place.outputs();
+    let refused = |arguments: &[&str], code, problem: &str| {
+        assert_eq!(copc(&place, arguments), Err((Some(code), format!("error: {problem}\n"))));
+        assert_eq!(place.outputs(), before);
+    };
+    refused(
+        &["a_old.las"],
+        1,
+        "a_old.las: COPC needs point format 6 to 10, but this is format 1; write the points with \
+         `version = \"1.4\"`",
+    );
+    refused(&["a.laz", "-o", "a.laz"], 2, "a.laz: this is the input; give another name with --out");
+    refused(&["a.laz", "-o", "b.las"], 2, "b.las: COPC is LAZ; give a name that ends in .copc.laz");
+    refused(&["c.laz"], 1, "c.laz: cannot open: No such file or directory (os error 2); check the path");
+    let (code, problem) = copc(&place, &["cut.laz"]).unwrap_err();
+    assert_eq!(code, Some(1));
+    assert!(problem.contains("copy it again from its source"), "{problem}");
+    assert_eq!(place.outputs(), before);
+}
+
+/// An existing file is replaced as a whole or not at all.
+#[test]
+fn a_file_that_is_there_stays_until_the_new_one_is_whole() {
+    let place = TestFolder::new();
+    place.write("out/a.laz", b"LASF");
+    place.write("out/a.copc.laz", b"the old one");
+    assert_eq!(copc(&place, &["a.laz"]).unwrap_err().0, Some(1));
+    assert_eq!(place.text("out/a.copc.laz"), "the old one");
+}

@@ -1,0 +1,8 @@
+//! Georeferencing of recordings in the scanner's frame with a trajectory.
+
+mod chain;
+mod coordinates;
+mod elsewhere;
+mod flights;
+mod times;
+mod uncertainty;

@@ -1,0 +1,82 @@
+//! Effects on returns of the keys of `-t_err`, `-bge`, `-min_width` and `-max_width`.
+
+use super::{LOW, SHOTS, of_shot, recording, run};
+use wavex_testkit::shots;
+use wavex_testkit::table::{Row, number};
+
+/// Samples of an echo at sample 24, with its FWHM relative to that of the others.
+fn wider(shot: usize, ratio: f64) -> Vec<u16> {
+    let noise = shots::waveform(shot, 1e6, 0.0);
+    let signal = |k: usize| {
+        let x = (k as f64 - 24.0) / (ratio * 4.5 / 2.354_82);
+        120.0 * f64::exp(-0.5 * x * x)
+    };
+    noise.iter().enumerate().map(|(k, &n)| (f64::from(n) + signal(k)).round() as u16).collect()
+}
+
+/// The timing error is added to the variance of every time and changes nothing else.
+#[test]
+fn a_timing_error_widens_the_deviation_of_every_range() {
+    let place = recording(|_, _| {});
+    let of = |error_ns: f64| run(&place, "", "", &format!("timing_error_ns = {error_ns}")).0;
+    let (without, with) = (of(0.0), of(0.5));
+    assert!(without.len() >= SHOTS && without.len() == with.len());
+    for (a, b) in without.iter().zip(&with) {
+        let [time, range, range_sd] =
+            ["time_of_flight_sd_ns", "range_m", "range_sd_m"].map(|name| [number(a, name), number(b, name)]);
+        let added_ns2 = time[1].powi(2) - time[0].powi(2);
+        assert!((added_ns2 - 0.25).abs() < 1e-3 * 0.25, "{a:?} {b:?}");
+        let metres_per_ns = range_sd[1] / time[1];
+        assert!((metres_per_ns - shots::METRES_PER_NS).abs() < 1e-3 * metres_per_ns, "{b:?}");
+        assert_eq!(range[0], range[1]);
+        assert_eq!((&a["amplitude_sd_dn"], &a["width_ratio"]), (&b["amplitude_sd_dn"], &b["width_ratio"]));
+    }
+}
+
+/// Every eighth waveform is raised by 2 DN; only a background per waveform corrects its echo.
+#[test]
+fn a_background_per_waveform_keeps_its_level_out_of_the_amplitude() {
+    const RAISED_DN: u16 = 2;
+    let place = recording(|number, shot| {
+        if number.is_multiple_of(8) {
+            shot.blocks[1].2.iter_mut().for_each(|sample| *sample += RAISED_DN);
+        }
+    });
+    let raised_by_dn = |background: &str| {
+        let (rows, _) = run(&place, "", &format!("background = '{background}'"), "");
+        let is_raised = |row: &&Row| (number(row, "shot") as usize - 100).is_multiple_of(8);
+        let mean = |rows: Vec<&Row>| {
+            rows.iter().map(|row| number(row, "amplitude_dn")).sum::<f64>() / rows.len() as f64
+        };
+        // Each shot has one echo of 120 DN; spurious returns of a raised level are ignored.
+        let strong: Vec<&Row> = rows.iter().filter(|row| number(row, "amplitude_dn") > 60.0).collect();
+        assert_eq!(strong.len(), SHOTS, "{background}");
+        let (raised, others): (Vec<&Row>, Vec<&Row>) = strong.into_iter().partition(is_raised);
+        mean(raised) - mean(others)
+    };
+    let (fixed, own) = (raised_by_dn("fixed"), raised_by_dn("per_waveform"));
+    println!(
+        "amplitudes of raised waveforms are {fixed:.2} DN higher, and {own:.2} DN with a background of their own"
+    );
+    // With noise of 1 DN, the mean of 40 amplitudes has an SD of about 0.1 DN.
+    assert!(fixed > 1.0 && own.abs() < 0.4, "{fixed} {own}");
+}
+
+/// Echoes outside the range of widths are no returns.
+#[test]
+fn returns_beyond_the_range_of_widths_are_dropped() {
+    let place = recording(|number, shot| match number {
+        20 => shot.blocks[1] = (LOW, 1000.0, wider(number, 2.0)),
+        30 => shot.blocks[1] = (LOW, 1000.0, wider(number, 0.6)),
+        _ => {}
+    });
+    let found = |keys: &str| {
+        let (rows, totals) = run(&place, "", "", &format!("split_evidence = false\n{keys}"));
+        let count = |shot: usize| of_shot(&rows, shot).len();
+        ([20, 30, 40].map(count), totals["np_filtered"].as_u64().unwrap())
+    };
+    let (both, none) = found("width_ratio = [0.1, 10.0]");
+    assert_eq!((both, none), ([1, 1, 1], 0));
+    assert_eq!(found("width_ratio = [0.1, 1.5]"), ([0, 1, 1], 1));
+    assert_eq!(found("width_ratio = [0.8, 10.0]"), ([1, 0, 1], 1));
+}

@@ -1,0 +1,17 @@
+//! Processing stages through the whole chain, against the truth of simulated recordings.
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    reason = "a test fails by panicking, and prints its figures and what it skips"
+)]
+
+mod agc;
+mod fusion;
+mod georeference;
+mod keys;
+mod mta;
+mod online;
+mod outliers;
+mod scenes;

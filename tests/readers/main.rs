@@ -1,0 +1,12 @@
+//! Readers: SDF, and properties that a recording lacks or states wrongly.
+#![allow(
+    clippy::panic,
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    reason = "a test fails by panicking, and prints its figures and what it skips"
+)]
+
+mod declared;
+mod scan_angles;
+mod sdf;
+mod sensor_position;

@@ -1,0 +1,17 @@
+//! Rules that always hold: bad input, truncation, killed runs, repetition, every stage.
+#![allow(
+    clippy::panic,
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    clippy::zombie_processes,
+    reason = "a test fails by panicking, and prints its figures and what it skips"
+)]
+
+mod bad_input;
+mod contract;
+mod engine;
+#[cfg(unix)]
+mod killed;
+mod layers;
+mod repeatable;
+mod truncation;
