@@ -1,6 +1,6 @@
 //! Inspection of a recording: statistics of its shots, lines, blocks and samples.
 //!
-//! [`Survey`] receives the lines of a reader in a single pass. Everything it keeps has a fixed
+//! [`Inspection`] receives the lines of a reader in a single pass. Everything it keeps has a fixed
 //! size: counts, histograms whose bins double their width, and a few shots. The result depends only
 //! on the lines.
 
@@ -12,17 +12,24 @@ use crate::scan_line::{
 };
 use wavex_geodesy::vertical::down_at;
 
+mod figures;
 mod histogram;
+mod histogram_files;
 mod intervals;
+mod page;
 mod reservoir;
 mod samples;
+mod summary;
 #[cfg(test)]
 mod tests;
 
 pub use histogram::Histogram;
+pub use histogram_files::files as histogram_files;
 pub use intervals::{Intervals, LongInterval};
+pub use page::page;
 pub use reservoir::Thinned;
 pub use samples::{Peak, Samples, peak_of};
+pub use summary::{Section, Summary};
 
 /// Maximum number of bins of a histogram.
 const BINS: usize = 400;
@@ -36,7 +43,7 @@ const NO_MAP_M: f64 = 5e6;
 
 /// Statistics of a recording.
 #[derive(Debug)]
-pub struct Survey {
+pub struct Inspection {
     /// Metadata of the recording; `None` before the first line.
     pub input: Option<Arc<InputInfo>>,
     /// Whether samples are inspected.
@@ -48,7 +55,7 @@ pub struct Survey {
     /// Scan lines.
     pub lines: Lines,
     /// Channels, in the order of [`Channel`].
-    pub channels: [ChannelSurvey; 4],
+    pub channels: [ChannelInspection; 4],
     /// Echo blocks per shot.
     pub blocks_per_shot: Histogram,
     /// Echo blocks by zone; `None` means unresolved.
@@ -119,7 +126,7 @@ pub struct Lines {
 
 /// Statistics of one channel.
 #[derive(Debug)]
-pub struct ChannelSurvey {
+pub struct ChannelInspection {
     /// Number of sample blocks.
     pub blocks: u64,
     /// Number of samples.
@@ -167,10 +174,10 @@ pub struct ShownBlock {
     pub samples_dn: Vec<u16>,
 }
 
-impl Survey {
+impl Inspection {
     /// Creates empty statistics; samples are inspected if `with_samples`.
-    pub fn new(with_samples: bool) -> Survey {
-        let channel = || ChannelSurvey {
+    pub fn new(with_samples: bool) -> Inspection {
+        let channel = || ChannelInspection {
             blocks: 0,
             samples: 0,
             lengths: Histogram::of_whole_numbers(BINS),
@@ -178,7 +185,7 @@ impl Survey {
             gains: [f64::INFINITY, f64::NEG_INFINITY],
             values: None,
         };
-        Survey {
+        Inspection {
             input: None,
             with_samples,
             shots: Shots::default(),
@@ -228,7 +235,7 @@ impl Survey {
     }
 
     /// Statistics of a channel.
-    pub fn channel(&self, channel: Channel) -> &ChannelSurvey {
+    pub fn channel(&self, channel: Channel) -> &ChannelInspection {
         &self.channels[channel as usize]
     }
 
@@ -289,7 +296,7 @@ impl Survey {
     }
 }
 
-impl ChannelSurvey {
+impl ChannelInspection {
     fn add(&mut self, block: &Block, samples: &[u16]) -> Option<Peak> {
         self.blocks += 1;
         self.samples += block.len() as u64;

@@ -18,7 +18,7 @@ mod spec;
 
 pub use context::{Context, Counters, Distribution, Item};
 pub use fitted::{CURVE_POINTS_PER_SAMPLE, FittedBlock, FittedPeak, FittedSamples, FittedShot};
-pub use lookahead::Survey;
+pub use lookahead::LookAhead;
 pub use observer::{DecomposedLine, FitShot, RunObserver};
 pub(crate) use output_file::partial_path;
 pub use output_file::{FinishedFile, OutputFile, remove_unfinished_files};

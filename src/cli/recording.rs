@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{Failure, scan};
-use crate::inspect::Survey;
+use crate::inspect::Inspection;
 use crate::registry::reader_of;
 use crate::scan_line::{Channel, Frame};
 
@@ -87,21 +87,21 @@ impl Recording {
                 facts: "RIEGL SDF or WFM, by its extension".into(),
             });
         }
-        let (survey, _, ended) = scan::look_at(path, &[], true, LOOKED_AT)?;
-        if survey.shots.count == 0 {
+        let (inspection, _, ended) = scan::look_at(path, &[], true, LOOKED_AT)?;
+        if inspection.shots.count == 0 {
             let problem =
                 ended.err().map_or(format!("{name}: the recording has no shots"), |error| error.to_string());
             return Err(Failure::Run(problem));
         }
-        let (kind, reason) = kind_of(reader, &survey);
-        Ok(Recording { reader, kind, facts: facts(&survey) + reason })
+        let (kind, reason) = kind_of(reader, &inspection);
+        Ok(Recording { reader, kind, facts: facts(&inspection) + reason })
     }
 }
 
 /// Selects the kind, with the reason if the format alone does not decide.
-fn kind_of(reader: &str, survey: &Survey) -> (Kind, &'static str) {
-    let input = survey.input.as_deref();
-    if is_large_footprint(survey) {
+fn kind_of(reader: &str, inspection: &Inspection) -> (Kind, &'static str) {
+    let input = inspection.input.as_deref();
+    if is_large_footprint(inspection) {
         return (Kind::LargeFootprint, ": a large footprint");
     }
     match (reader, input.map(|input| input.frame)) {
@@ -112,31 +112,31 @@ fn kind_of(reader: &str, survey: &Survey) -> (Kind, &'static str) {
     }
 }
 
-fn is_large_footprint(survey: &Survey) -> bool {
-    let instrument = survey.input.as_deref().and_then(|input| input.instrument.as_deref());
+fn is_large_footprint(inspection: &Inspection) -> bool {
+    let instrument = inspection.input.as_deref().and_then(|input| input.instrument.as_deref());
     let words = instrument.unwrap_or_default().split(|letter: char| !letter.is_alphanumeric());
     let is_named = words.into_iter().any(|word| LARGE_FOOTPRINTS.contains(&word));
-    let is_slow = rate_hz(survey).is_some_and(|hz| hz < LARGE_FOOTPRINT_RATE_HZ);
-    is_named || (is_slow && samples(survey).is_some_and(|samples| samples >= LARGE_FOOTPRINT_SAMPLES))
+    let is_slow = rate_hz(inspection).is_some_and(|hz| hz < LARGE_FOOTPRINT_RATE_HZ);
+    is_named || (is_slow && samples(inspection).is_some_and(|samples| samples >= LARGE_FOOTPRINT_SAMPLES))
 }
 
 /// Measured pulse rate, Hz.
-fn rate_hz(survey: &Survey) -> Option<f64> {
-    let [mean_ps, _] = survey.times.shots.usual_ps()?;
+fn rate_hz(inspection: &Inspection) -> Option<f64> {
+    let [mean_ps, _] = inspection.times.shots.usual_ps()?;
     (mean_ps > 0.0).then(|| 1e12 / mean_ps)
 }
 
 /// Median waveform length, samples.
-fn samples(survey: &Survey) -> Option<f64> {
-    survey.channel(Channel::LowPower).lengths.median()
+fn samples(inspection: &Inspection) -> Option<f64> {
+    inspection.channel(Channel::LowPower).lengths.median()
 }
 
-fn facts(survey: &Survey) -> String {
-    let input = survey.input.as_deref();
+fn facts(inspection: &Inspection) -> String {
+    let input = inspection.input.as_deref();
     let format = input.map_or(String::new(), |input| input.format.clone());
     let instrument = input.and_then(|input| input.instrument.clone()).filter(|name| !name.is_empty());
-    let rate = rate_hz(survey).map(|hz| format!("{hz:.0} pulses per second"));
-    let samples = samples(survey).map(|samples| format!("waveforms of {samples:.0} samples"));
+    let rate = rate_hz(inspection).map(|hz| format!("{hz:.0} pulses per second"));
+    let samples = samples(inspection).map(|samples| format!("waveforms of {samples:.0} samples"));
     let facts = [Some(format), instrument, rate, samples];
     // The text must fit in one comment line, whatever characters the instrument's name contains.
     facts.into_iter().flatten().collect::<Vec<_>>().join(", ").replace(char::is_control, " ")

@@ -5,17 +5,11 @@ use std::path::Path;
 
 use super::{Failure, ScanArgs, terminal};
 use crate::engine::{self, Input};
-use crate::inspect::Survey;
+use crate::inspect::{Inspection, Summary, histogram_files, page};
 use crate::job::{Job, Override};
 use crate::registry::reader_of;
 use crate::stage::{Context, FinishedFile, OutputFile, Paths, Plan, RunContext, StageError};
-use summary::Summary;
 use wavex_formats::Error;
-
-mod figures;
-mod histograms;
-mod page;
-mod summary;
 
 /// Inspects recordings, writes the results, and prints the summaries.
 ///
@@ -43,20 +37,20 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
 ///
 /// If it cannot be read to its end, prints and writes the readable part before returning the error.
 fn scan_one(file: &Path, name: &str, args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
-    let (survey, cx, ended) = look_at(file, &args.set, !args.fast, u64::MAX)?;
+    let (inspection, cx, ended) = look_at(file, &args.set, !args.fast, u64::MAX)?;
     if let Err(error) = &ended
-        && survey.shots.count == 0
+        && inspection.shots.count == 0
     {
         return Err(failed(error));
     }
     let cut = ended.as_ref().err().map(ToString::to_string);
-    let summary = Summary::of(file, &survey, cx.counters(), cut.as_deref());
+    let summary = Summary::of(file, &inspection, cx.counters(), cut.as_deref());
     let text = summary.text();
     let mut files = vec![(format!("{name}_scan.txt"), text.clone())];
     files.extend(
-        histograms::files(&survey).into_iter().map(|(what, text)| (format!("{name}_{what}.txt"), text)),
+        histogram_files(&inspection).into_iter().map(|(what, text)| (format!("{name}_{what}.txt"), text)),
     );
-    files.push((format!("{name}_scan.html"), page::page(&summary, &survey)));
+    files.push((format!("{name}_scan.html"), page(&summary, &inspection)));
     let written = write(&files).map_err(|error| failed(&error))?;
     if !quiet {
         terminal::print(&format!("{text}\nwrote {}\n", written.join(", ")))?;
@@ -70,7 +64,7 @@ pub(super) fn look_at(
     set: &[String],
     with_samples: bool,
     shots: u64,
-) -> Result<(Survey, Context, Result<(), StageError>), Failure> {
+) -> Result<(Inspection, Context, Result<(), StageError>), Failure> {
     let name = file.display().to_string();
     let reader = reader_of(&name).map_err(Failure::Wrong)?;
     let text = format!("[[stage]]\ntype = \"{reader}\"\npath = {}\n", toml::Value::String(name));
@@ -80,18 +74,18 @@ pub(super) fn look_at(
         return Err(Failure::Run("the job has no source; please report this bug in wavex".into()));
     };
     let mut source =
-        source.make_survey(&RunContext::alone(file), with_samples).map_err(|error| failed(&error))?;
-    let (mut survey, mut cx) = (Survey::new(with_samples), Context::default());
+        source.make_for_inspection(&RunContext::alone(file), with_samples).map_err(|error| failed(&error))?;
+    let (mut inspection, mut cx) = (Inspection::new(with_samples), Context::default());
     let ended = loop {
         match source.next(&mut cx) {
-            Ok(Some(_)) if survey.shots.count >= shots => break Ok(()),
-            Ok(Some(line)) => survey.add(&line),
+            Ok(Some(_)) if inspection.shots.count >= shots => break Ok(()),
+            Ok(Some(line)) => inspection.add(&line),
             Ok(None) => break Ok(()),
             Err(error) => break Err(error),
         }
     };
-    survey.finish();
-    Ok((survey, cx, ended))
+    inspection.finish();
+    Ok((inspection, cx, ended))
 }
 
 /// Writes files; they get their final names when all are complete.

@@ -34,7 +34,7 @@ fn input() -> Arc<InputInfo> {
 }
 
 /// Two lines; shot 0 has a reference block and two echo blocks, shot 3 a saturated block of zone 1.
-fn surveyed(with_samples: bool) -> Survey {
+fn surveyed(with_samples: bool) -> Inspection {
     let input = input();
     let mut first = Blocks::default();
     first.push(0, Channel::Reference, None, -2.0, 1.0, &[0, 10, 40, 30, 5]);
@@ -43,44 +43,44 @@ fn surveyed(with_samples: bool) -> Survey {
     first.online.push(crate::scan_line::OnlineReturn { emission: 0, time_ns: 1002.0, amplitude: 3.0 });
     let mut second = Blocks::default();
     second.push(0, Channel::LowPower, Some(1), 2000.0, 1.0, &[7, 255, 255, 7]);
-    let mut survey = Survey::new(with_samples);
-    survey.add(&line(&input, 0, 0..3, 0, first));
-    survey.add(&line(&input, 1, 3..5, 20_000_000, second));
-    survey.finish();
-    survey
+    let mut inspection = Inspection::new(with_samples);
+    inspection.add(&line(&input, 0, 0..3, 0, first));
+    inspection.add(&line(&input, 1, 3..5, 20_000_000, second));
+    inspection.finish();
+    inspection
 }
 
 #[test]
 fn shots_lines_and_times_are_counted() {
-    let survey = surveyed(true);
-    let shots = &survey.shots;
+    let inspection = surveyed(true);
+    let shots = &inspection.shots;
     assert_eq!((shots.count, shots.with_echoes, shots.synchronised, shots.online), (5, 2, 5, [1, 1]));
     assert_eq!(shots.by_facet, BTreeMap::from([(0, 3), (1, 2)]));
-    assert_eq!((survey.lines.count, survey.lines.shots.range()), (2, Some([2.0, 3.0])));
-    assert_eq!(survey.times.first_last_s, Some([100.0, 100.0 + 22.5e-6]));
-    assert_eq!(survey.times.shots.usual_ps(), Some([2_500_000.0, 0.0]));
-    assert_eq!(survey.times.lines.usual_ps(), Some([20_000_000.0, 0.0]));
-    assert_eq!((survey.times.without, survey.times.backwards), (0, (0, None)));
-    assert_eq!((survey.angle, survey.angles_deg.range()), (Some(Angle::Scan), Some([-2.0, 2.0])));
-    assert_eq!(survey.angles_over_time.items()[1][1], -1.0);
+    assert_eq!((inspection.lines.count, inspection.lines.shots.range()), (2, Some([2.0, 3.0])));
+    assert_eq!(inspection.times.first_last_s, Some([100.0, 100.0 + 22.5e-6]));
+    assert_eq!(inspection.times.shots.usual_ps(), Some([2_500_000.0, 0.0]));
+    assert_eq!(inspection.times.lines.usual_ps(), Some([20_000_000.0, 0.0]));
+    assert_eq!((inspection.times.without, inspection.times.backwards), (0, (0, None)));
+    assert_eq!((inspection.angle, inspection.angles_deg.range()), (Some(Angle::Scan), Some([-2.0, 2.0])));
+    assert_eq!(inspection.angles_over_time.items()[1][1], -1.0);
 }
 
 #[test]
 fn channels_zones_and_ranges_are_told() {
-    let survey = surveyed(true);
-    let low = survey.channel(Channel::LowPower);
+    let inspection = surveyed(true);
+    let low = inspection.channel(Channel::LowPower);
     assert_eq!((low.blocks, low.samples, low.lengths.range()), (2, 10, Some([4.0, 6.0])));
     assert_eq!(low.starts_ns.range(), Some([1000.0, 2000.0]));
     assert_eq!(low.values.as_ref().unwrap().saturated(), Some([2, 1]));
-    assert_eq!(survey.channel(Channel::Saturation).blocks, 0);
-    assert_eq!(survey.zones, BTreeMap::from([(Some(0), 2), (Some(1), 1)]));
-    assert_eq!(survey.blocks_per_shot.bins().collect::<Vec<_>>(), [(0.0, 3), (1.0, 1), (2.0, 1)]);
+    assert_eq!(inspection.channel(Channel::Saturation).blocks, 0);
+    assert_eq!(inspection.zones, BTreeMap::from([(Some(0), 2), (Some(1), 1)]));
+    assert_eq!(inspection.blocks_per_shot.bins().collect::<Vec<_>>(), [(0.0, 3), (1.0, 1), (2.0, 1)]);
     // The parabola of the outgoing pulse peaks at sample 2.25, 0.25 ns after the clock; that of the
     // low-power echo is at 1002 ns.
-    let [nearest_m, farthest_m] = survey.ranges_m.range().unwrap();
+    let [nearest_m, farthest_m] = inspection.ranges_m.range().unwrap();
     assert!((nearest_m - (1002.0 - 0.25) * 0.15).abs() < 1e-9, "{nearest_m}");
     assert!((farthest_m - 2001.5 * 0.15).abs() < 1e-9, "{farthest_m}");
-    let shown = survey.waveforms.items();
+    let shown = inspection.waveforms.items();
     assert_eq!((shown.len(), shown[0].shot, shown[0].blocks.len()), (2, 0, 2));
     assert_eq!(shown[1].blocks[0].samples_dn, [7, 255, 255, 7]);
 }
@@ -102,26 +102,26 @@ fn without_samples_all_else_is_the_same() {
 #[test]
 fn a_clock_that_runs_backwards_and_shots_without_time_are_counted() {
     let input = input();
-    let mut survey = Survey::new(false);
-    survey.add(&line(&input, 0, 0..3, 50_000_000, Blocks::default()));
+    let mut inspection = Inspection::new(false);
+    inspection.add(&line(&input, 0, 0..3, 50_000_000, Blocks::default()));
     let mut back = line(&input, 1, 3..6, 0, Blocks::default());
     back.emissions.iter_mut().for_each(|emission| emission.gps_time_s = f64::NAN);
-    survey.add(&back);
-    survey.finish();
-    assert_eq!((survey.times.backwards, survey.times.without), ((1, Some(3)), 3));
-    assert_eq!(survey.times.lines.count(), 0, "a backward step is not an interval");
-    assert_eq!(survey.blocks_per_shot.bins().collect::<Vec<_>>(), [(0.0, 6)]);
+    inspection.add(&back);
+    inspection.finish();
+    assert_eq!((inspection.times.backwards, inspection.times.without), ((1, Some(3)), 3));
+    assert_eq!(inspection.times.lines.count(), 0, "a backward step is not an interval");
+    assert_eq!(inspection.blocks_per_shot.bins().collect::<Vec<_>>(), [(0.0, 6)]);
 }
 
 #[test]
 fn parts_of_a_line_are_one_line() {
     let input = input();
-    let mut survey = Survey::new(false);
-    survey.add(&line(&input, 7, 0..3, 0, Blocks::default()));
-    survey.add(&line(&input, 7, 3..5, 7_500_000, Blocks::default()));
-    survey.finish();
-    assert_eq!((survey.lines.count, survey.lines.shots.range()), (1, Some([5.0, 5.0])));
-    assert_eq!(survey.times.shots.count(), 4, "including the step between the parts");
+    let mut inspection = Inspection::new(false);
+    inspection.add(&line(&input, 7, 0..3, 0, Blocks::default()));
+    inspection.add(&line(&input, 7, 3..5, 7_500_000, Blocks::default()));
+    inspection.finish();
+    assert_eq!((inspection.lines.count, inspection.lines.shots.range()), (1, Some([5.0, 5.0])));
+    assert_eq!(inspection.times.shots.count(), 4, "including the step between the parts");
 }
 
 #[test]

@@ -6,17 +6,17 @@ use wavex_signal::gain::Recorded;
 
 /// Lines held back until they contain enough waveforms.
 #[derive(Debug)]
-pub struct Survey {
+pub struct LookAhead {
     lines: Vec<ScanLine>,
     bytes: usize,
     waveforms: u64,
     wanted: u64,
 }
 
-impl Survey {
+impl LookAhead {
     /// Creates a buffer for `wanted` waveforms.
-    pub fn new(wanted: u64) -> Survey {
-        Survey { lines: Vec::new(), bytes: 0, waveforms: 0, wanted }
+    pub fn new(wanted: u64) -> LookAhead {
+        LookAhead { lines: Vec::new(), bytes: 0, waveforms: 0, wanted }
     }
 
     /// Holds back a line; returns whether the buffer is full.

@@ -60,7 +60,7 @@ pub trait SourceConfig: Config {
     ///
     /// Unless `with_samples`, blocks may lack their samples or be missing, as the format permits. A
     /// truncated file may yield its readable part before the error.
-    fn make_survey(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
+    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         let _ = with_samples;
         self.make(site)
     }
@@ -200,8 +200,8 @@ pub trait SourcePlan: Send + Sync {
     fn outputs(&self) -> Vec<&str>;
     /// See [`SourceConfig::make`].
     fn make(&self, site: &RunContext) -> Result<Box<dyn Source>>;
-    /// See [`SourceConfig::make_survey`].
-    fn make_survey(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>>;
+    /// See [`SourceConfig::make_for_inspection`].
+    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>>;
 }
 
 /// The object-safe part of [`MapConfig`].
@@ -243,8 +243,8 @@ impl<C: SourceConfig> SourcePlan for C {
     fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
         SourceConfig::make(self, site)
     }
-    fn make_survey(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        SourceConfig::make_survey(self, site, with_samples)
+    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
+        SourceConfig::make_for_inspection(self, site, with_samples)
     }
 }
 

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::keys::InvalidKey;
 use crate::scan_line::{Channel, InputInfo, Kind, ScanLine};
 use crate::stage::{
-    Config, Holds, Output, OutputFile, Result, RunContext, StageError, StageSpec, Survey, Transform,
+    Config, Holds, LookAhead, Output, OutputFile, Result, RunContext, StageError, StageSpec, Transform,
     TransformConfig,
 };
 pub use presets::Preset;
@@ -195,13 +195,18 @@ impl TransformConfig for Calibrate {
             (None, None) => None,
         };
         let save = self.save.as_ref().map(|pattern| site.create(pattern)).transpose()?;
-        Ok(Box::new(Calibrator { config: self.clone(), survey: Survey::new(self.waveforms), model, save }))
+        Ok(Box::new(Calibrator {
+            config: self.clone(),
+            look_ahead: LookAhead::new(self.waveforms),
+            model,
+            save,
+        }))
     }
 }
 
 struct Calibrator {
     config: Calibrate,
-    survey: Survey,
+    look_ahead: LookAhead,
     model: Option<Arc<SensorModel>>,
     /// File for the model; `None` once written.
     save: Option<OutputFile>,
@@ -215,12 +220,12 @@ impl Transform for Calibrator {
             batch.model = Some(Arc::clone(model));
             return out.emit(batch);
         }
-        let is_enough = self.survey.hold(batch, "calibrated", out);
+        let is_enough = self.look_ahead.hold(batch, "calibrated", out);
         if is_enough { self.release(out) } else { Ok(()) }
     }
 
     fn finish(&mut self, out: &mut Output) -> Result<()> {
-        if self.survey.lines().is_empty() { Ok(()) } else { self.release(out) }
+        if self.look_ahead.lines().is_empty() { Ok(()) } else { self.release(out) }
     }
 }
 
@@ -230,7 +235,7 @@ impl Calibrator {
         let model = Arc::new(self.calibrate(out)?);
         self.model = Some(Arc::clone(&model));
         self.save(out)?;
-        for mut batch in self.survey.release() {
+        for mut batch in self.look_ahead.release() {
             batch.model = Some(Arc::clone(&model));
             out.emit(batch)?;
         }
@@ -302,7 +307,8 @@ impl Calibrator {
 
     /// Warns if the full scale is unknown; it may be far below the range of the sample type.
     fn tell_unknown_scale(&self, out: &mut Output) {
-        let is_known = self.survey.lines().first().is_none_or(|batch| batch.input.full_scale_dn.is_some());
+        let is_known =
+            self.look_ahead.lines().first().is_none_or(|batch| batch.input.full_scale_dn.is_some());
         let echoes = [Channel::LowPower, Channel::HighPower];
         let samples =
             echoes.into_iter().flat_map(|channel| self.blocks(channel)).flat_map(|block| block.samples);
@@ -320,9 +326,9 @@ impl Calibrator {
     fn channel(&self, channel: Channel, out: &mut Output) -> Result<Option<Calibrated>> {
         let settings = self.settings(channel);
         let with_response = self.config.response != ResponseKey::Gaussian;
-        let gain_changes = self.survey.recorded(channel).any(|block| block.gain != 1.0);
+        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
         let found = if gain_changes {
-            calibrate_at_unit_gain(self.survey.recorded(channel), &settings, with_response)
+            calibrate_at_unit_gain(self.look_ahead.recorded(channel), &settings, with_response)
         } else {
             calibrate::calibrate(self.blocks(channel), &settings).and_then(|model| match with_response {
                 true => calibrate_response(self.blocks(channel), &model, &settings),
@@ -342,7 +348,7 @@ impl Calibrator {
 
     fn settings(&self, channel: Channel) -> CalibrationSettings {
         let unknown = InputInfo::default();
-        let input = self.survey.lines().first().map_or(&unknown, |batch| &batch.input);
+        let input = self.look_ahead.lines().first().map_or(&unknown, |batch| &batch.input);
         let full_scale_dn = f64::from(input.full_scale_dn.unwrap_or(u16::MAX));
         let settings = match channel {
             Channel::Reference => CalibrationSettings::reference(input.sampling_interval_ns, full_scale_dn),
@@ -429,7 +435,7 @@ impl Calibrator {
 
     /// Blocks of one receiver in the held lines.
     fn blocks(&self, channel: Channel) -> impl Iterator<Item = Waveform<'_>> + Clone {
-        self.survey.samples(channel).map(|samples| Waveform { samples, start_phase: 0 })
+        self.look_ahead.samples(channel).map(|samples| Waveform { samples, start_phase: 0 })
     }
 
     fn count(&self, channel: Channel) -> u64 {
@@ -494,7 +500,7 @@ mod tests {
     fn too_few_waveforms_say_how_many_there_were() {
         let mut calibrator = Calibrator {
             config: Calibrate::default(),
-            survey: Survey::new(100_000),
+            look_ahead: LookAhead::new(100_000),
             model: None,
             save: None,
         };

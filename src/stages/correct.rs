@@ -10,7 +10,7 @@ use super::decompose::Threshold;
 use crate::keys::InvalidKey;
 use crate::scan_line::{Content, Kind, ScanLine};
 use crate::stage::{
-    Config, Holds, Output, Result, RunContext, StageError, StageSpec, Survey, Transform, TransformConfig,
+    Config, Holds, LookAhead, Output, Result, RunContext, StageError, StageSpec, Transform, TransformConfig,
 };
 use wavex_formats::lookup_tables::LookupTables;
 
@@ -170,7 +170,7 @@ impl TransformConfig for Correct {
         let corrections = Corrections::new(self, open(&self.range_table)?, open(&self.amplitude_table)?)?;
         let [low, high] =
             [&self.width_correction_low, &self.width_correction_high].map(WidthCorrection::given);
-        Ok(Box::new(Correcting { corrections, widths: [low, high], survey: Survey::new(WAVEFORMS) }))
+        Ok(Box::new(Correcting { corrections, widths: [low, high], look_ahead: LookAhead::new(WAVEFORMS) }))
     }
 }
 
@@ -178,7 +178,7 @@ struct Correcting {
     corrections: Corrections,
     /// For the low-power and the high-power receiver; `None` until estimated.
     widths: [Option<WidthCorrection>; 2],
-    survey: Survey,
+    look_ahead: LookAhead,
 }
 
 impl Transform for Correcting {
@@ -186,12 +186,12 @@ impl Transform for Correcting {
         if let [Some(low), Some(high)] = &self.widths {
             return correct(&mut self.corrections, [low, high], batch, out);
         }
-        let is_enough = self.survey.hold(batch, "widths of flat targets were estimated", out);
+        let is_enough = self.look_ahead.hold(batch, "widths of flat targets were estimated", out);
         if is_enough { self.release(out) } else { Ok(()) }
     }
 
     fn finish(&mut self, out: &mut Output) -> Result<()> {
-        if self.survey.lines().is_empty() { Ok(()) } else { self.release(out) }
+        if self.look_ahead.lines().is_empty() { Ok(()) } else { self.release(out) }
     }
 }
 
@@ -200,9 +200,9 @@ impl Correcting {
     fn release(&mut self, out: &mut Output) -> Result<()> {
         let [low, high] = width::CHANNELS.map(|channel| {
             let given = self.widths[usize::from(channel == width::CHANNELS[1])].take();
-            given.unwrap_or_else(|| WidthCorrection::learnt(self.survey.lines(), channel, out.cx))
+            given.unwrap_or_else(|| WidthCorrection::learnt(self.look_ahead.lines(), channel, out.cx))
         });
-        for batch in self.survey.release() {
+        for batch in self.look_ahead.release() {
             correct(&mut self.corrections, [&low, &high], batch, out)?;
         }
         self.widths = [Some(low), Some(high)];

@@ -9,7 +9,7 @@ use super::calibrate::AutoOrNumber;
 use crate::keys::InvalidKey;
 use crate::scan_line::{Block, Blocks, Channel, Content, Kind, ScanLine};
 use crate::stage::{
-    Config, Holds, Output, Result, RunContext, StageSpec, Survey, Transform, TransformConfig,
+    Config, Holds, LookAhead, Output, Result, RunContext, StageSpec, Transform, TransformConfig,
 };
 use wavex_signal::decompose::OVERDRIVEN_PART;
 use wavex_signal::fusion::{ChannelFusion, MIN_PAIRS, Pair, estimate, lead_noise_sd_dn, plain_peak};
@@ -96,13 +96,13 @@ impl TransformConfig for FuseChannels {
 
     fn make(&self, _site: &RunContext) -> Result<Box<dyn Transform>> {
         let state = self.given().map_or(State::Surveying, |fusion| State::Known(Arc::new(fusion)));
-        Ok(Box::new(Fuser { config: self.clone(), survey: Survey::new(self.waveforms), state }))
+        Ok(Box::new(Fuser { config: self.clone(), look_ahead: LookAhead::new(self.waveforms), state }))
     }
 }
 
 struct Fuser {
     config: FuseChannels,
-    survey: Survey,
+    look_ahead: LookAhead,
     state: State,
 }
 
@@ -119,12 +119,12 @@ impl Transform for Fuser {
         if !matches!(self.state, State::Surveying) {
             return out.emit(self.fused(batch));
         }
-        let is_enough = self.survey.hold(batch, "gain and delay of the receivers were estimated", out);
+        let is_enough = self.look_ahead.hold(batch, "gain and delay of the receivers were estimated", out);
         if is_enough { self.release(out) } else { Ok(()) }
     }
 
     fn finish(&mut self, out: &mut Output) -> Result<()> {
-        if self.survey.lines().is_empty() { Ok(()) } else { self.release(out) }
+        if self.look_ahead.lines().is_empty() { Ok(()) } else { self.release(out) }
     }
 }
 
@@ -135,7 +135,7 @@ impl Fuser {
             Some(fusion) => State::Known(Arc::new(fusion)),
             None => State::Alone,
         };
-        self.survey.release().into_iter().try_for_each(|batch| out.emit(self.fused(batch)))
+        self.look_ahead.release().into_iter().try_for_each(|batch| out.emit(self.fused(batch)))
     }
 
     /// Shifts the times of the high-power blocks of a line.
@@ -151,12 +151,12 @@ impl Fuser {
 
     /// Gain and delay from the held lines; `None`, with a note, if they cannot be estimated.
     fn found(&self, out: &mut Output) -> Option<ChannelFusion> {
-        let one = |channel| self.survey.samples(channel).next().is_none();
+        let one = |channel| self.look_ahead.samples(channel).next().is_none();
         if one(Channel::LowPower) || one(Channel::HighPower) {
             out.cx.warn("the recording has one receiver: there is nothing to fuse");
             return None;
         }
-        let lines = self.survey.lines();
+        let lines = self.look_ahead.lines();
         let full_scale_dn = lines.first().and_then(|batch| batch.input.full_scale_dn).unwrap_or(u16::MAX);
         let mut pairs = Vec::new();
         for blocks in lines.iter().filter_map(ScanLine::blocks) {
@@ -164,7 +164,7 @@ impl Fuser {
                 add_pairs(blocks, of_shot, f64::from(full_scale_dn), &mut pairs);
             });
         }
-        let noise_dn = lead_noise_sd_dn(self.survey.samples(Channel::HighPower));
+        let noise_dn = lead_noise_sd_dn(self.look_ahead.samples(Channel::HighPower));
         match estimate(&pairs, f64::from(full_scale_dn), noise_dn) {
             Some(found) => Some(self.with_given(found)),
             None => {
@@ -253,7 +253,7 @@ mod tests {
     fn run(config: &FuseChannels, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
         let mut stage = Fuser {
             config: config.clone(),
-            survey: Survey::new(config.waveforms),
+            look_ahead: LookAhead::new(config.waveforms),
             state: config.given().map_or(State::Surveying, |fusion| State::Known(Arc::new(fusion))),
         };
         let (mut cx, mut given_on) = (Context::default(), Vec::new());

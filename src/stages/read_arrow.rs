@@ -98,10 +98,10 @@ impl SourceConfig for Config {
     }
 
     fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        self.make_survey(site, true)
+        self.make_for_inspection(site, true)
     }
 
-    fn make_survey(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
+    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         let source = ReadArrow::open(&site.input, &site.stem, self.sampling())?;
         let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
         let declared = Declared::new(times, crs, self.refractive_index_ppm, site)?;

@@ -106,10 +106,10 @@ impl SourceConfig for ReadLas {
     }
 
     fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        self.make_survey(site, true)
+        self.make_for_inspection(site, true)
     }
 
-    fn make_survey(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
+    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         let mut source = LasSource::open(&site.input, &site.stem, self.sampling())?;
         (source.with_samples, source.range_time_offset_ns) = (with_samples, self.range_time_offset_ns);
         if self.recording_time.is_some() {

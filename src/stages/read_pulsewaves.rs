@@ -107,7 +107,7 @@ impl SourceConfig for ReadPulseWaves {
         self.declare(source, site)
     }
 
-    fn make_survey(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
+    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         self.declare(PulseWavesSource { with_samples, ..self.open(site)? }, site)
     }
 }

@@ -63,7 +63,7 @@ pub fn channel(process: &ArNoise, fwhm_samples: f64, background_dn: f64) -> Chan
     let mut lags = [0.0; 6];
     process.autocovariance_into(&mut lags);
     lags[0] += 1.0 / 12.0;
-    let noise = fit_by_bic(&lags, 1_000_000, 4).unwrap();
+    let noise = fit_by_bic(&lags, 1_000_000, 4).expect("a process has a noise model");
     ChannelModel {
         sampling_interval_ns: 1.0,
         full_scale_dn: 255.0,

@@ -1,8 +1,8 @@
 //! Figures of a recording: histograms, blocks and angles over time, some waveforms.
 
-use super::histograms::{Part, amplitudes, angles, name_of, noise, ranges};
+use super::histogram_files::{Part, amplitudes, angles, name_of, noise, ranges};
 use super::summary::grouped;
-use crate::inspect::{Histogram, ShownBlock, Survey, Waveform};
+use super::{Histogram, Inspection, ShownBlock, Waveform};
 use crate::report::svg::{Anchor, Scale, Svg};
 use crate::scan_line::Channel;
 
@@ -25,12 +25,12 @@ const WAVEFORMS: usize = 6;
 const TAIL: f64 = 0.0005;
 
 /// Draws all figures that have data.
-pub(super) fn figures(survey: &Survey) -> Vec<Figure> {
-    let parts = [amplitudes(survey), ranges(survey), noise(survey), angles(survey)];
+pub(super) fn figures(inspection: &Inspection) -> Vec<Figure> {
+    let parts = [amplitudes(inspection), ranges(inspection), noise(inspection), angles(inspection)];
     let mut figures: Vec<Figure> = parts.iter().flatten().map(histogram).collect();
-    figures.extend(over_time(&survey.blocks_over_time_s));
-    figures.extend(angles_over_time(survey));
-    figures.extend(survey.waveforms.items().iter().take(WAVEFORMS).map(waveform));
+    figures.extend(over_time(&inspection.blocks_over_time_s));
+    figures.extend(angles_over_time(inspection));
+    figures.extend(inspection.waveforms.items().iter().take(WAVEFORMS).map(waveform));
     figures
 }
 
@@ -138,8 +138,8 @@ fn over_time(times_s: &Histogram) -> Option<Figure> {
     Some(axes.finish(svg, "echo blocks over time", "time since the first shot, s", "blocks per second"))
 }
 
-fn angles_over_time(survey: &Survey) -> Option<Figure> {
-    let points = survey.angles_over_time.items();
+fn angles_over_time(inspection: &Inspection) -> Option<Figure> {
+    let points = inspection.angles_over_time.items();
     let range = |axis: usize| {
         let values = points.iter().map(move |point| point[axis]);
         let low = values.clone().fold(f64::INFINITY, f64::min);

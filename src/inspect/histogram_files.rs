@@ -2,16 +2,16 @@
 
 use std::fmt::Write;
 
-use crate::inspect::{Angle, Histogram, Samples, Survey};
+use super::{Angle, Histogram, Inspection, Samples};
 use crate::scan_line::Channel;
 
 /// Non-empty histograms: suffix of the file name, and text.
-pub(super) fn files(survey: &Survey) -> Vec<(&'static str, String)> {
+pub fn files(inspection: &Inspection) -> Vec<(&'static str, String)> {
     let all = [
-        ("amplitudes", amplitudes(survey)),
-        ("noise", noise(survey)),
-        ("angles", angles(survey)),
-        ("ranges", ranges(survey)),
+        ("amplitudes", amplitudes(inspection)),
+        ("noise", noise(inspection)),
+        ("angles", angles(inspection)),
+        ("ranges", ranges(inspection)),
     ];
     let text = |parts: Vec<Part>| parts.iter().map(Part::text).collect::<Vec<_>>().join("\n\n");
     all.into_iter().filter(|(_, parts)| !parts.is_empty()).map(|(what, parts)| (what, text(parts))).collect()
@@ -68,13 +68,13 @@ pub(super) fn name_of(channel: Channel) -> &'static str {
 }
 
 /// Channels with inspected samples.
-pub(super) fn with_samples(survey: &Survey) -> impl Iterator<Item = (Channel, &Samples)> {
-    let values = |channel| survey.channel(channel).values.as_ref().map(|values| (channel, values));
+pub(super) fn with_samples(inspection: &Inspection) -> impl Iterator<Item = (Channel, &Samples)> {
+    let values = |channel| inspection.channel(channel).values.as_ref().map(|values| (channel, values));
     CHANNELS.into_iter().filter_map(values).filter(|(_, values)| !values.peaks_dn().is_empty())
 }
 
 /// Histograms of the highest sample of each block above background, by channel.
-pub(super) fn amplitudes(survey: &Survey) -> Vec<Part<'_>> {
+pub(super) fn amplitudes(inspection: &Inspection) -> Vec<Part<'_>> {
     let part = |(channel, values): (Channel, &'_ Samples)| {
         let level_dn = values.level_dn();
         let quantity = match level_dn {
@@ -83,13 +83,14 @@ pub(super) fn amplitudes(survey: &Survey) -> Vec<Part<'_>> {
         };
         (format!("amplitudes, {}", name_of(channel)), quantity, level_dn.unwrap_or(0.0))
     };
-    let parts = with_samples(survey).map(|found| (part(found), found.1.peaks_dn()));
+    let parts = with_samples(inspection).map(|found| (part(found), found.1.peaks_dn()));
     parts.map(|((title, quantity, zero), histogram)| Part { title, quantity, histogram, zero }).collect()
 }
 
 /// Histograms of signal-free samples of the echo receivers, by channel.
-pub(super) fn noise(survey: &Survey) -> Vec<Part<'_>> {
-    let receivers = with_samples(survey).filter(|(channel, values)| channel.is_echo() && values.free() > 0);
+pub(super) fn noise(inspection: &Inspection) -> Vec<Part<'_>> {
+    let receivers =
+        with_samples(inspection).filter(|(channel, values)| channel.is_echo() && values.free() > 0);
     let part =
         |(channel, values): (Channel, _)| (format!("signal-free samples, {}", name_of(channel)), values);
     let quantity = "sample, DN";
@@ -105,23 +106,23 @@ pub(super) fn noise(survey: &Survey) -> Vec<Part<'_>> {
 }
 
 /// Histogram of beam angles.
-pub(super) fn angles(survey: &Survey) -> Vec<Part<'_>> {
-    let title = match survey.angle {
+pub(super) fn angles(inspection: &Inspection) -> Vec<Part<'_>> {
+    let title = match inspection.angle {
         Some(Angle::Scan) | None => "scan angles",
         Some(Angle::FromNadir) => "angles of the beams from nadir",
         Some(Angle::FromAxis) => "angles of the beams from the frame's third axis",
     };
-    one(&survey.angles_deg, title, "angle of a shot, degrees")
+    one(&inspection.angles_deg, title, "angle of a shot, degrees")
 }
 
 /// Histogram of the range of each block's highest peak.
-pub(super) fn ranges(survey: &Survey) -> Vec<Part<'_>> {
-    let title = match (survey.ranges_from_first_sample(), survey.zones.contains_key(&None)) {
+pub(super) fn ranges(inspection: &Inspection) -> Vec<Part<'_>> {
+    let title = match (inspection.ranges_from_first_sample(), inspection.zones.contains_key(&None)) {
         (true, _) => "ranges from the first sample of each shot",
         (false, true) => "ranges from the latest emission before reception",
         (false, false) => "ranges",
     };
-    one(&survey.ranges_m, title, "range of a block's highest peak, m")
+    one(&inspection.ranges_m, title, "range of a block's highest peak, m")
 }
 
 fn one<'a>(histogram: &'a Histogram, title: &str, quantity: &'static str) -> Vec<Part<'a>> {

@@ -2,13 +2,13 @@
 
 use maud::{DOCTYPE, PreEscaped, html};
 
+use super::Inspection;
 use super::figures::figures;
 use super::summary::Summary;
-use crate::inspect::Survey;
 use crate::report::style::STYLE;
 
 /// Renders the page as HTML.
-pub(super) fn page(summary: &Summary, survey: &Survey) -> String {
+pub fn page(summary: &Summary, inspection: &Inspection) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -30,7 +30,7 @@ pub(super) fn page(summary: &Summary, survey: &Survey) -> String {
                     }
                 }
                 div.figures {
-                    @for figure in figures(survey) {
+                    @for figure in figures(inspection) {
                         figure { h3 { (figure.title) } (PreEscaped(figure.svg)) }
                     }
                 }

@@ -2,42 +2,44 @@
 
 use std::path::Path;
 
-use super::histograms::{CHANNELS, name_of};
-use crate::inspect::{Angle, ChannelSurvey, Histogram, Intervals, Samples, Survey};
+use super::histogram_files::{CHANNELS, name_of};
+use super::{Angle, ChannelInspection, Histogram, Inspection, Intervals, Samples};
 use crate::scan_line::{Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
 use crate::stage::Counters;
 use wavex_geodesy::time;
 
 /// Summary of one recording.
-pub(super) struct Summary {
+pub struct Summary {
     /// File name without its folder.
-    pub(super) file: String,
-    pub(super) sections: Vec<Section>,
+    pub file: String,
+    /// Sections of the text.
+    pub sections: Vec<Section>,
 }
 
 /// A titled group of rows.
-pub(super) struct Section {
-    pub(super) title: String,
+pub struct Section {
+    /// Heading.
+    pub title: String,
     /// Pairs of name and value.
-    pub(super) rows: Vec<(String, String)>,
+    pub rows: Vec<(String, String)>,
 }
 
 impl Summary {
     /// `cut`: reason why the recording could not be read to its end.
-    pub(super) fn of(file: &Path, survey: &Survey, counters: &Counters, cut: Option<&str>) -> Summary {
-        let mut sections = vec![about_file(file, survey)];
-        if survey.shots.count > 0 {
-            sections.extend([times(survey), rates(survey), lines(survey), blocks(survey)]);
-            sections.extend(CHANNELS.iter().filter_map(|channel| receiver(survey, *channel)));
-            sections.push(flight(survey));
+    pub fn of(file: &Path, inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> Summary {
+        let mut sections = vec![about_file(file, inspection)];
+        if inspection.shots.count > 0 {
+            sections.extend([times(inspection), rates(inspection), lines(inspection), blocks(inspection)]);
+            sections.extend(CHANNELS.iter().filter_map(|channel| receiver(inspection, *channel)));
+            sections.push(flight(inspection));
         }
-        sections.push(integrity(survey, counters, cut));
+        sections.push(integrity(inspection, counters, cut));
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         Summary { file: name, sections }
     }
 
     /// Summary as text with aligned columns.
-    pub(super) fn text(&self) -> String {
+    pub fn text(&self) -> String {
         let rows = || self.sections.iter().flat_map(|section| &section.rows);
         let width = rows().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
         let mut text = format!("{}\n", self.file);
@@ -67,12 +69,12 @@ impl Section {
     }
 }
 
-fn about_file(file: &Path, survey: &Survey) -> Section {
+fn about_file(file: &Path, inspection: &Inspection) -> Section {
     let mut section = Section::new("File");
     section.say("file", file.display().to_string());
     section
         .say_if("size", std::fs::metadata(file).ok().map(|about| format!("{} bytes", grouped(about.len()))));
-    let Some(input) = &survey.input else {
+    let Some(input) = &inspection.input else {
         section.say("content", "no shots");
         return section;
     };
@@ -151,13 +153,13 @@ fn tables(input: &InputInfo) -> String {
     if there.is_empty() { "none".into() } else { there.join(", ") }
 }
 
-fn times(survey: &Survey) -> Section {
+fn times(inspection: &Inspection) -> Section {
     let mut section = Section::new("Times");
-    let (times, shots) = (&survey.times, survey.shots.count);
+    let (times, shots) = (&inspection.times, inspection.shots.count);
     section.say("shots", grouped(shots));
     if let (Some([first_s, last_s]), Some([least_s, largest_s])) = (times.first_last_s, times.range_s) {
         let date = |time_s: f64| {
-            let adjusted = survey.input.as_ref().and_then(|input| input.adjusted_gps_time(time_s));
+            let adjusted = inspection.input.as_ref().and_then(|input| input.adjusted_gps_time(time_s));
             let day = adjusted.and_then(time::day_of_year);
             day.map_or(String::new(), |(year, day)| format!(" (day {day} of {year})"))
         };
@@ -201,13 +203,13 @@ const COARSE_LAS_PS: f64 = 1e6;
 /// Minimum number of line periods to determine the typical one.
 const LEAST_LINES: u64 = 3;
 
-fn rates(survey: &Survey) -> Section {
+fn rates(inspection: &Inspection) -> Section {
     let mut section = Section::new("Rates");
-    let input = survey.input.as_ref();
+    let input = inspection.input.as_ref();
     let nominal = input.and_then(|input| input.pulse_rate_hz);
     section
         .say("pulse rate, nominal", nominal.map_or("not given".into(), |hz| format!("{} Hz", number(hz, 3))));
-    let shots = &survey.times.shots;
+    let shots = &inspection.times.shots;
     if let Some([mean_ps, sd_ps]) = shots.usual_ps().filter(|[mean_ps, _]| *mean_ps > 0.0) {
         section.say("pulse rate, measured", format!("{:.1} Hz ({:.6} µs)", 1e12 / mean_ps, mean_ps * 1e-6));
         let step_ps = shots.step_ps().unwrap_or(0) as f64;
@@ -223,35 +225,35 @@ fn rates(survey: &Survey) -> Section {
     } else {
         section.say("pulse rate, measured", "cannot be determined");
     }
-    let lines = &survey.times.lines;
+    let lines = &inspection.times.lines;
     let line_ps = lines.usual_ps().filter(|[mean_ps, _]| *mean_ps > 0.0 && lines.count() >= LEAST_LINES);
     section.say_if("scan line rate", line_ps.map(|[mean_ps, _]| format!("{:.3} lines/s", 1e12 / mean_ps)));
     section
 }
 
-fn lines(survey: &Survey) -> Section {
+fn lines(inspection: &Inspection) -> Section {
     const SHOWN: usize = 8;
     let mut section = Section::new("Lines");
-    section.say("scan lines", grouped(survey.lines.count));
-    section.say("shots per line", of(&survey.lines.shots, "", 0));
-    let facets = &survey.shots.by_facet;
+    section.say("scan lines", grouped(inspection.lines.count));
+    section.say("shots per line", of(&inspection.lines.shots, "", 0));
+    let facets = &inspection.shots.by_facet;
     section.say("facets", facets.len().to_string());
     for (facet, shots) in facets.iter().take(SHOWN).filter(|_| facets.len() > 1) {
-        section.say(&format!("facet {facet}"), share(*shots, survey.shots.count) + " of the shots");
+        section.say(&format!("facet {facet}"), share(*shots, inspection.shots.count) + " of the shots");
     }
-    let positive = survey.shots.positive_direction;
-    section.say("mirror in positive direction", share(positive, survey.shots.count) + " of the shots");
+    let positive = inspection.shots.positive_direction;
+    section.say("mirror in positive direction", share(positive, inspection.shots.count) + " of the shots");
     section
 }
 
-fn blocks(survey: &Survey) -> Section {
+fn blocks(inspection: &Inspection) -> Section {
     let mut section = Section::new("Echoes");
-    if !survey.with_samples && survey.channels.iter().all(|channel| channel.blocks == 0) {
+    if !inspection.with_samples && inspection.channels.iter().all(|channel| channel.blocks == 0) {
         section.say("blocks", "not read (--fast)");
         return section;
     }
-    section.say("shots with echoes", share(survey.shots.with_echoes, survey.shots.count));
-    let few: Vec<String> = survey
+    section.say("shots with echoes", share(inspection.shots.with_echoes, inspection.shots.count));
+    let few: Vec<String> = inspection
         .blocks_per_shot
         .bins()
         .filter(|(_, count)| *count > 0)
@@ -259,28 +261,28 @@ fn blocks(survey: &Survey) -> Section {
         .map(|(blocks, count)| format!("{blocks}: {}", grouped(count)))
         .collect();
     section.say("shots by number of blocks", few.join("   "));
-    let online = survey.shots.online;
+    let online = inspection.shots.online;
     let told = || format!("{} in {} shots", grouped(online[0]), grouped(online[1]));
     section.say("instrument returns", if online[0] > 0 { told() } else { "none".into() });
-    section.say("pulses in the air", zones(survey));
-    if let Some(range) = survey.ranges_m.range() {
-        let from = if survey.ranges_from_first_sample() {
+    section.say("pulses in the air", zones(inspection));
+    if let Some(range) = inspection.ranges_m.range() {
+        let from = if inspection.ranges_from_first_sample() {
             "; from the first sample of each shot: the recording has no sensor position"
-        } else if survey.zones.contains_key(&None) {
+        } else if inspection.zones.contains_key(&None) {
             "; from the latest emission before reception: zones are unresolved"
         } else {
             ""
         };
-        let median = survey.ranges_m.median().unwrap_or(range[0]);
+        let median = inspection.ranges_m.median().unwrap_or(range[0]);
         section.say("ranges", format!("{:.1} to {:.1} m, median {median:.1} m{from}", range[0], range[1]));
     }
     section
 }
 
-fn zones(survey: &Survey) -> String {
-    let unresolved = survey.zones.get(&None).copied().unwrap_or(0);
-    let total: u64 = survey.zones.values().sum();
-    let resolved = survey.zones.iter().filter_map(|(zone, count)| zone.map(|zone| (zone, *count)));
+fn zones(inspection: &Inspection) -> String {
+    let unresolved = inspection.zones.get(&None).copied().unwrap_or(0);
+    let total: u64 = inspection.zones.values().sum();
+    let resolved = inspection.zones.iter().filter_map(|(zone, count)| zone.map(|zone| (zone, *count)));
     let mut told: Vec<String> =
         resolved.take(12).map(|(zone, count)| format!("zone {zone}: {}", share(count, total))).collect();
     if unresolved > 0 {
@@ -289,8 +291,8 @@ fn zones(survey: &Survey) -> String {
     if told.is_empty() { "no blocks".into() } else { told.join("   ") }
 }
 
-fn receiver(survey: &Survey, channel: Channel) -> Option<Section> {
-    let seen = survey.channel(channel);
+fn receiver(inspection: &Inspection, channel: Channel) -> Option<Section> {
+    let seen = inspection.channel(channel);
     if seen.blocks == 0 {
         return None;
     }
@@ -311,7 +313,7 @@ fn receiver(survey: &Survey, channel: Channel) -> Option<Section> {
 /// Minimum number of signal-free samples for noise statistics.
 const LEAST_FREE: u64 = 200;
 
-fn sample_rows(section: &mut Section, seen: &ChannelSurvey, values: &Samples, channel: Channel) {
+fn sample_rows(section: &mut Section, seen: &ChannelInspection, values: &Samples, channel: Channel) {
     let level_dn = values.level_dn();
     if channel.is_echo() {
         match (values.background_dn(), values.noise_sd_dn()) {
@@ -350,15 +352,15 @@ fn sample_rows(section: &mut Section, seen: &ChannelSurvey, values: &Samples, ch
     );
 }
 
-fn flight(survey: &Survey) -> Section {
+fn flight(inspection: &Inspection) -> Section {
     let mut section = Section::new("Beams");
-    let title = match survey.angle {
+    let title = match inspection.angle {
         Some(Angle::Scan) | None => "scan angles",
         Some(Angle::FromNadir) => "angles from nadir",
         Some(Angle::FromAxis) => "angles from the third axis",
     };
-    section.say(title, of(&survey.angles_deg, "°", 2));
-    let shots = &survey.shots;
+    section.say(title, of(&inspection.angles_deg, "°", 2));
+    let shots = &inspection.shots;
     let synchronised = match (shots.synchronised, shots.synchronised_within_last_second) {
         (0, 0) => "not reported by any shot (LAS and PulseWaves cannot)".to_owned(),
         (ever, lately) => format!(
@@ -371,7 +373,7 @@ fn flight(survey: &Survey) -> Section {
     section
 }
 
-fn integrity(survey: &Survey, counters: &Counters, cut: Option<&str>) -> Section {
+fn integrity(inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> Section {
     let mut section = Section::new("Integrity");
     section.say("read to the end", cut.map_or("yes".into(), |problem| format!("no: {problem}")));
     if counters.rejected.is_empty() {
@@ -383,7 +385,7 @@ fn integrity(survey: &Survey, counters: &Counters, cut: Option<&str>) -> Section
     for note in &counters.notes {
         section.say("note", note.clone());
     }
-    if survey.zones.contains_key(&None) {
+    if inspection.zones.contains_key(&None) {
         section.say("note", "zones are unresolved: put `resolve_mta` before `decompose`");
     }
     section
@@ -464,7 +466,8 @@ mod tests {
 
     #[test]
     fn a_recording_without_shots_has_little_to_tell() {
-        let summary = Summary::of(Path::new("gone/a.arrow"), &Survey::new(true), &Counters::default(), None);
+        let summary =
+            Summary::of(Path::new("gone/a.arrow"), &Inspection::new(true), &Counters::default(), None);
         let expected = "a.arrow\n\nFile\n  file             gone/a.arrow\n  content          no shots\n\n\
                         Integrity\n  read to the end  yes\n  rejected         nothing\n";
         assert_eq!(summary.text(), expected);
