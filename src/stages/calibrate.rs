@@ -20,6 +20,7 @@ use wavex_signal::calibrate::{self, BackgroundChoice, CalibrationError, Calibrat
 use wavex_signal::decompose::Waveform;
 use wavex_signal::gain::calibrate_at_unit_gain;
 use wavex_signal::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
+use wavex_signal::simd::SimdLevel;
 
 mod presets;
 
@@ -197,6 +198,7 @@ impl TransformConfig for Calibrate {
         let save = self.save.as_ref().map(|pattern| site.create(pattern)).transpose()?;
         Ok(Box::new(Calibrator {
             config: self.clone(),
+            simd: site.simd,
             look_ahead: LookAhead::new(self.waveforms),
             model,
             save,
@@ -206,6 +208,7 @@ impl TransformConfig for Calibrate {
 
 struct Calibrator {
     config: Calibrate,
+    simd: SimdLevel,
     look_ahead: LookAhead,
     model: Option<Arc<SensorModel>>,
     /// File for the model; `None` once written.
@@ -354,7 +357,8 @@ impl Calibrator {
             Channel::Reference => CalibrationSettings::reference(input.sampling_interval_ns, full_scale_dn),
             _ => CalibrationSettings::echoes(input.sampling_interval_ns, full_scale_dn),
         };
-        let settings = CalibrationSettings { digitiser: self.digitiser(channel, input), ..settings };
+        let digitiser = self.digitiser(channel, input);
+        let settings = CalibrationSettings { digitiser, simd: self.simd, ..settings };
         match (channel, self.config.background) {
             (Channel::Reference, _) | (_, BackgroundKey::Auto) => settings,
             (_, BackgroundKey::Fixed) => {
@@ -499,6 +503,7 @@ mod tests {
     #[test]
     fn too_few_waveforms_say_how_many_there_were() {
         let mut calibrator = Calibrator {
+            simd: SimdLevel::Portable,
             config: Calibrate::default(),
             look_ahead: LookAhead::new(100_000),
             model: None,

@@ -12,6 +12,7 @@
 use crate::decompose::{DecomposeSettings, Waveform};
 use crate::noise::{ArNoise, fit_by_bic};
 use crate::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
+use crate::simd::SimdLevel;
 use free_samples::NoiseEstimate;
 use initial_estimate::FirstLook;
 use pass_stats::Survey;
@@ -91,10 +92,12 @@ pub struct CalibrationSettings {
     /// Decomposition settings during calibration; the calibration controls the adding and splitting
     /// of pulses.
     pub decompose: DecomposeSettings,
+    /// Instruction set of the kernels.
+    pub simd: SimdLevel,
 }
 
 impl CalibrationSettings {
-    /// Settings for an echo channel: at least 200 blocks, order at most 4.
+    /// Settings for an echo channel: at least 200 blocks, order at most 4, fastest instruction set.
     pub fn echoes(sampling_interval_ns: f64, full_scale_dn: f64) -> CalibrationSettings {
         CalibrationSettings {
             sampling_interval_ns,
@@ -104,6 +107,7 @@ impl CalibrationSettings {
             background: BackgroundChoice::Auto,
             digitiser: Digitiser::default(),
             decompose: DecomposeSettings::default(),
+            simd: SimdLevel::best(),
         }
     }
 
@@ -226,13 +230,14 @@ fn survey<'a>(
     settings: &CalibrationSettings,
 ) -> Result<Survey, ModelError> {
     let overlooked = free && model.background == Background::PerWaveform;
+    let simd = settings.simd;
     let settings = DecomposeSettings {
         max_added: if overlooked { MAX_OVERLOOKED } else { 0 },
         split_evidence: None,
         ..settings.decompose.clone()
     };
     let mut survey = Survey::of(model, blocks.clone().count() as u64)?;
-    decompose_each(blocks, model, &settings, |block, outcome| survey.add(model, block, outcome))?;
+    decompose_each(blocks, model, &settings, simd, |block, outcome| survey.add(model, block, outcome))?;
     Ok(survey)
 }
 

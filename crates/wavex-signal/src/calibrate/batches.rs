@@ -20,11 +20,12 @@ pub(crate) fn decompose_each<'a>(
     mut blocks: impl Iterator<Item = Waveform<'a>>,
     model: &ChannelModel,
     settings: &DecomposeSettings,
+    simd: SimdLevel,
     mut take: impl FnMut(Waveform<'a>, &Decomposition<'_>),
 ) -> Result<(), ModelError> {
     let is_fixed = model.offset_precision().is_none();
     let tables = if is_fixed { Tables::new(model).map(Arc::new) } else { None };
-    let mut decomposer = BatchDecomposer::new(model, tables, settings, Mode::Refined, SimdLevel::best())?;
+    let mut decomposer = BatchDecomposer::new(model, tables, settings, Mode::Refined, simd)?;
     let (mut chunk, mut outcomes) = (Vec::with_capacity(CHUNK), Decompositions::default());
     loop {
         chunk.clear();

@@ -179,6 +179,7 @@ fn singles<'a>(
     minor_part: f64,
     template_error: f64,
 ) -> Result<Vec<Single<'a>>, ModelError> {
+    let simd = settings.simd;
     let settings = DecomposeSettings {
         max_added: if model.response.is_some() { 4 } else { 0 },
         split_evidence: None,
@@ -187,7 +188,7 @@ fn singles<'a>(
     };
     let heights = STRONG_SD * model.noise_sd_dn..OVERDRIVEN_PART * model.full_scale_dn;
     let mut found = Vec::new();
-    decompose_each(blocks.iter().copied(), model, &settings, |block, outcome| {
+    decompose_each(blocks.iter().copied(), model, &settings, simd, |block, outcome| {
         let single = strongest(outcome, minor_part, model.fwhm_samples());
         if let Some(fitted) = single.filter(|r| heights.contains(&r.amplitude_dn)) {
             found.push(Single { block, fitted: *fitted });
