@@ -204,22 +204,22 @@ impl Inspection {
     }
 
     /// Adds a line.
-    pub fn add(&mut self, batch: &ScanLine) {
+    pub fn add(&mut self, scan_line: &ScanLine) {
         if self.input.is_none() {
-            let full_scale_dn = batch.input.full_scale_dn;
+            let full_scale_dn = scan_line.input.full_scale_dn;
             for channel in self.channels.iter_mut().filter(|_| self.with_samples) {
                 channel.values = Some(Samples::new(full_scale_dn));
             }
-            self.input = Some(Arc::clone(&batch.input));
+            self.input = Some(Arc::clone(&scan_line.input));
         }
         let none = Blocks::default();
-        let blocks = batch.blocks().unwrap_or(&none);
+        let blocks = scan_line.blocks().unwrap_or(&none);
         let mut by_emission = blocks.by_emission().peekable();
-        let is_new_line = self.lines.at.is_none_or(|(line, _)| line != batch.line);
-        for (index, emission) in batch.emissions.iter().enumerate() {
-            self.add_shot(batch, emission, is_new_line && index == 0);
+        let is_new_line = self.lines.at.is_none_or(|(line, _)| line != scan_line.line);
+        for (index, emission) in scan_line.emissions.iter().enumerate() {
+            self.add_shot(scan_line, emission, is_new_line && index == 0);
             let of_shot = by_emission.next_if(|(of, _)| *of as usize == index).map_or(&[][..], |(_, of)| of);
-            self.add_blocks(batch, emission, blocks, of_shot);
+            self.add_blocks(scan_line, emission, blocks, of_shot);
             let online = blocks.online_of(index as u32).len() as u64;
             self.shots.online[0] += online;
             self.shots.online[1] += u64::from(online > 0);
@@ -244,9 +244,9 @@ impl Inspection {
         self.input.as_ref().is_some_and(|input| !input.origin_is_sensor)
     }
 
-    fn add_shot(&mut self, batch: &ScanLine, emission: &Emission, begins_line: bool) {
+    fn add_shot(&mut self, scan_line: &ScanLine, emission: &Emission, begins_line: bool) {
         if begins_line {
-            self.lines.begin(batch.line);
+            self.lines.begin(scan_line.line);
         }
         self.lines.add_shot();
         self.times.add(emission, begins_line);
@@ -257,7 +257,7 @@ impl Inspection {
         shots.synchronised += has(emission_flags::SYNCHRONISED);
         shots.synchronised_within_last_second += has(emission_flags::SYNCHRONISED_WITHIN_LAST_SECOND);
         shots.positive_direction += has(emission_flags::SCAN_DIRECTION_POSITIVE);
-        let (angle, deg) = angle_of(emission, batch.input.frame);
+        let (angle, deg) = angle_of(emission, scan_line.input.frame);
         self.angle = self.angle.or(Some(angle)).filter(|_| deg.is_finite()).or(self.angle);
         self.angles_deg.add(deg);
         let time_s = self.times.since_first_s(emission);
@@ -266,7 +266,7 @@ impl Inspection {
         }
     }
 
-    fn add_blocks(&mut self, batch: &ScanLine, emission: &Emission, blocks: &Blocks, of_shot: &[Block]) {
+    fn add_blocks(&mut self, scan_line: &ScanLine, emission: &Emission, blocks: &Blocks, of_shot: &[Block]) {
         let echoes = of_shot.iter().filter(|block| block.channel.is_echo()).count();
         self.blocks_per_shot.add(echoes as f64);
         self.shots.with_echoes += u64::from(echoes > 0);
@@ -274,7 +274,7 @@ impl Inspection {
         if self.with_samples {
             let reference = of_shot.iter().find(|block| block.channel == Channel::Reference);
             emission_ns =
-                reference.map_or(0.0, |block| emission_ns_of(block, blocks.samples(block), &batch.input));
+                reference.map_or(0.0, |block| emission_ns_of(block, blocks.samples(block), &scan_line.input));
         }
         let time_s = self.times.since_first_s(emission);
         for block in of_shot {
@@ -287,7 +287,7 @@ impl Inspection {
             self.blocks_over_time_s.add(time_s);
             if let Some(peak) = peak {
                 let flight_ns = block.time_ns(peak.position_samples) - emission_ns;
-                self.ranges_m.add(flight_ns * 0.5e-9 * batch.input.group_velocity_mps);
+                self.ranges_m.add(flight_ns * 0.5e-9 * scan_line.input.group_velocity_mps);
             }
         }
         if self.with_samples && echoes > 0 {

@@ -13,7 +13,7 @@ mod observer;
 mod output_file;
 mod output_lock;
 pub(crate) mod packed;
-mod site;
+mod run_context;
 mod spec;
 
 pub use context::{Context, Counters, Distribution, Item};
@@ -23,7 +23,7 @@ pub use observer::{DecomposedLine, FitShot, RunObserver};
 pub(crate) use output_file::partial_path;
 pub use output_file::{FinishedFile, OutputFile, remove_unfinished_files};
 pub use output_lock::{OutputLock, Outputs, release_all};
-pub use site::{Paths, RunContext, fixed_folder};
+pub use run_context::{Paths, RunContext, fixed_folder};
 pub use spec::{
     Config, ConfigError, Holds, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig, SourcePlan,
     StageSpec, TransformConfig,
@@ -86,13 +86,13 @@ pub trait Source {
 /// The engine may run several instances in parallel.
 pub trait Map {
     /// Processes a line. Keeps its emissions; rejects what it drops.
-    fn map(&mut self, batch: ScanLine, cx: &mut Context) -> Result<ScanLine>;
+    fn map(&mut self, line: ScanLine, cx: &mut Context) -> Result<ScanLine>;
 }
 
 /// Holds lines back, for look-ahead or to learn from the first lines.
 pub trait Transform {
     /// Accepts a line and emits the lines that are ready.
-    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()>;
+    fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()>;
 
     /// Emits all lines held back.
     fn finish(&mut self, out: &mut Output) -> Result<()>;
@@ -101,7 +101,7 @@ pub trait Transform {
 /// Writes lines; the engine passes each on, so several sinks may follow each other.
 pub trait Sink {
     /// Writes a line.
-    fn write(&mut self, batch: &ScanLine, cx: &mut Context) -> Result<()>;
+    fn write(&mut self, line: &ScanLine, cx: &mut Context) -> Result<()>;
 
     /// Completes the files.
     ///
@@ -130,8 +130,8 @@ impl<'a> Output<'a> {
     }
 
     /// Emits a line.
-    pub fn emit(&mut self, batch: ScanLine) -> Result<()> {
-        (self.emit)(batch)
+    pub fn emit(&mut self, line: ScanLine) -> Result<()> {
+        (self.emit)(line)
     }
 
     /// Maximum memory of lines held back, bytes, for a stage that can work with fewer lines.

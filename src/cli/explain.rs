@@ -138,9 +138,9 @@ impl Chain {
         let source = self.posed()?;
         let mut upstream = Upstream::new(source, self.steps()?, crate::engine::may_hold_bytes(&self.job));
         let mut seen = Numbers::default();
-        let holds = |batch: &ScanLine| {
-            batch.emissions.iter().for_each(|emission| seen.add(emission.shot));
-            batch.emissions.iter().any(|emission| emission.shot == shot)
+        let holds = |scan_line: &ScanLine| {
+            scan_line.emissions.iter().for_each(|emission| seen.add(emission.shot));
+            scan_line.emissions.iter().any(|emission| emission.shot == shot)
         };
         let line = upstream.first(holds).map_err(|error| failed(&error))?;
         line.ok_or_else(|| Failure::Wrong(seen.without(shot, self.file())))
@@ -150,8 +150,8 @@ impl Chain {
     fn nearest(&self, time_s: f64) -> Result<u64, Failure> {
         let source = self.posed()?;
         let mut nearest: Option<(f64, u64)> = None;
-        let mut look = |batch: &ScanLine| {
-            for emission in &batch.emissions {
+        let mut look = |scan_line: &ScanLine| {
+            for emission in &scan_line.emissions {
                 let distance_s = (emission.gps_time_s - time_s).abs();
                 if distance_s.is_finite() && nearest.is_none_or(|(least_s, _)| distance_s < least_s) {
                     nearest = Some((distance_s, emission.shot));

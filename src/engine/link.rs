@@ -64,10 +64,10 @@ impl Inlet {
     pub(super) fn next(&mut self) -> Result<Option<(u64, ScanLine)>> {
         loop {
             if let Order::Sequence { next, early } = &mut self.order
-                && let Some(batch) = early.remove(next)
+                && let Some(line) = early.remove(next)
             {
                 *next += 1;
-                return Ok(Some((*next - 1, batch)));
+                return Ok(Some((*next - 1, line)));
             }
             if self.senders == 0 {
                 return Ok(None);
@@ -75,10 +75,10 @@ impl Inlet {
             // A disconnect without `End` is a consequence of a failure elsewhere.
             match self.channel.recv().map_err(|_| StageError::Stopped)? {
                 Message::End => self.senders -= 1,
-                Message::Line(place, batch) => match &mut self.order {
-                    Order::Any => return Ok(Some((place, batch))),
+                Message::Line(place, line) => match &mut self.order {
+                    Order::Any => return Ok(Some((place, line))),
                     Order::Sequence { early, .. } => {
-                        early.insert(place, batch);
+                        early.insert(place, line);
                     }
                 },
             }
@@ -93,8 +93,8 @@ impl Outlet {
     }
 
     /// Sends a line; blocks while the channel is full.
-    pub(super) fn send(&self, place: u64, batch: ScanLine) -> Result<()> {
-        self.channel.send(Message::Line(place, batch)).map_err(|_| StageError::Stopped)
+    pub(super) fn send(&self, place: u64, line: ScanLine) -> Result<()> {
+        self.channel.send(Message::Line(place, line)).map_err(|_| StageError::Stopped)
     }
 
     /// Sends the end mark to each receiver.

@@ -95,14 +95,14 @@ impl Meter {
         self.line_working = Duration::ZERO;
     }
 
-    pub(super) fn took(&mut self, batch: &ScanLine) {
+    pub(super) fn took(&mut self, line: &ScanLine) {
         self.lines_in += 1;
-        count(&mut self.items_in, batch);
+        count(&mut self.items_in, line);
     }
 
-    pub(super) fn gave(&mut self, batch: &ScanLine) {
+    pub(super) fn gave(&mut self, line: &ScanLine) {
         self.lines_out += 1;
-        count(&mut self.items_out, batch);
+        count(&mut self.items_out, line);
     }
 
     /// Adds the measurements of another worker of the same stage.
@@ -122,8 +122,8 @@ impl Meter {
     }
 }
 
-fn count(items: &mut [u64; 3], batch: &ScanLine) {
+fn count(items: &mut [u64; 3], line: &ScanLine) {
     for (count, item) in items.iter_mut().zip(Item::ALL) {
-        *count += item.count(batch);
+        *count += item.count(line);
     }
 }

@@ -17,18 +17,18 @@ pub(super) struct Totals {
 }
 
 impl Totals {
-    pub(super) fn add(&mut self, batch: &ScanLine) {
-        for (name, count) in batch.stats.counts() {
+    pub(super) fn add(&mut self, line: &ScanLine) {
+        for (name, count) in line.stats.counts() {
             *self.counts.entry(name).or_default() += count;
         }
         if self.input.as_ref().is_none_or(|input| input.first_shot.is_none()) {
-            self.input = Some(Arc::clone(&batch.input));
+            self.input = Some(Arc::clone(&line.input));
         }
         if self.model.is_none() {
-            self.model.clone_from(&batch.model);
+            self.model.clone_from(&line.model);
         }
         if self.fusion.is_none() {
-            self.fusion.clone_from(&batch.fusion);
+            self.fusion.clone_from(&line.fusion);
         }
     }
 }

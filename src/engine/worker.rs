@@ -56,12 +56,12 @@ pub(super) struct WorkerContext<'a> {
 
 impl WorkerContext<'_> {
     /// Sends a line to the next stage or out of the chain.
-    fn send(&mut self, place: u64, mut batch: ScanLine) -> Result<()> {
-        batch.recount();
-        self.meter.gave(&batch);
+    fn send(&mut self, place: u64, mut scan_line: ScanLine) -> Result<()> {
+        scan_line.recount();
+        self.meter.gave(&scan_line);
         match &self.exit {
-            Downstream::To(outlet) => outlet.send(place, batch)?,
-            Downstream::Out => self.leave(&batch),
+            Downstream::To(outlet) => outlet.send(place, scan_line)?,
+            Downstream::Out => self.leave(&scan_line),
         }
         if self.shared.cx.observer().is_some() && matches!(self.exit, Downstream::Out) {
             // Observing a line that leaves is work: no stage follows that could block.
@@ -72,12 +72,12 @@ impl WorkerContext<'_> {
     }
 
     /// Adds the counters of a line that leaves the chain to the totals, and shows it to the observer.
-    fn leave(&self, batch: &ScanLine) {
+    fn leave(&self, scan_line: &ScanLine) {
         self.shared.gauge.lines.fetch_add(1, Ordering::Relaxed);
-        self.shared.gauge.shots.fetch_add(batch.emissions.len() as u64, Ordering::Relaxed);
-        self.shared.totals.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).add(batch);
+        self.shared.gauge.shots.fetch_add(scan_line.emissions.len() as u64, Ordering::Relaxed);
+        self.shared.totals.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).add(scan_line);
         if let Some(observer) = self.shared.cx.observer() {
-            observer.line(batch);
+            observer.line(scan_line);
         }
     }
 
@@ -105,8 +105,8 @@ impl WorkerContext<'_> {
         if self.shared.failure.stopping() {
             return Err(StageError::Stopped);
         }
-        if let Some((_, batch)) = &next {
-            self.meter.took(batch);
+        if let Some((_, scan_line)) = &next {
+            self.meter.took(scan_line);
         }
         Ok(next)
     }
@@ -119,22 +119,22 @@ pub(super) fn run_source(mut source: Box<dyn Source>, desk: &mut WorkerContext) 
         let next = source.next(&mut desk.cx);
         desk.meter.worked();
         desk.meter.line_done();
-        let Some(mut batch) = next? else { break };
+        let Some(mut scan_line) = next? else { break };
         let read = source.progress().map_or(u64::MAX, |part| (part.clamp(0.0, 1.0) * 1e6) as u64);
         desk.shared.gauge.read_ppm.store(read, Ordering::Relaxed);
-        batch.waveforms = desk.shared.keeps_waveforms.then(Blocks::default);
-        let bytes = batch.bytes();
+        scan_line.waveforms = desk.shared.keeps_waveforms.then(Blocks::default);
+        let bytes = scan_line.bytes();
         if bytes > desk.shared.largest_line_bytes {
-            return Err(too_large(batch.line, bytes, desk.shared));
+            return Err(too_large(scan_line.line, bytes, desk.shared));
         }
         let failure = &desk.shared.failure;
         match desk.shared.budget.take(bytes, || failure.stopping()) {
             Ok(_) | Err(NoRoom::Cancelled) if failure.stopping() => return Err(StageError::Stopped),
-            Ok(ticket) => batch.ticket = Some(ticket),
+            Ok(ticket) => scan_line.ticket = Some(ticket),
             Err(NoRoom::Cancelled) => return Err(StageError::Stopped),
-            Err(NoRoom::Full(held)) => return Err(no_room(batch.line, bytes, held, desk.shared)),
+            Err(NoRoom::Full(held)) => return Err(no_room(scan_line.line, bytes, held, desk.shared)),
         }
-        desk.send(place, batch)?;
+        desk.send(place, scan_line)?;
         place += 1;
     }
     desk.end()
@@ -171,8 +171,8 @@ fn no_room(line: u32, bytes: usize, held: usize, shared: &Shared) -> StageError 
 
 /// Maps lines one by one; one of several workers.
 pub(super) fn run_map(mut map: Box<dyn Map>, inlet: &mut Inlet, desk: &mut WorkerContext) -> Result<()> {
-    while let Some((place, batch)) = desk.take(inlet)? {
-        let result = map.map(batch, &mut desk.cx);
+    while let Some((place, scan_line)) = desk.take(inlet)? {
+        let result = map.map(scan_line, &mut desk.cx);
         desk.meter.worked();
         desk.meter.line_done();
         desk.send(place, result?)?;
@@ -192,19 +192,19 @@ pub(super) fn run_transform(
         let ended = next.is_none();
         let budget = Arc::clone(&desk.shared.budget);
         let at_work = budget.at_work();
-        set_inside(next.as_mut().map(|(_, batch)| batch), true);
+        set_inside(next.as_mut().map(|(_, scan_line)| scan_line), true);
         // The stage borrows the context while it emits lines, so take it out of the worker's state.
         let mut cx = std::mem::take(&mut desk.cx);
         let may_hold_bytes = desk.shared.may_hold_bytes;
-        let mut emit = |mut batch: ScanLine| {
+        let mut emit = |mut scan_line: ScanLine| {
             desk.meter.worked();
             place += 1;
-            set_inside(Some(&mut batch), false);
-            desk.send(place - 1, batch)
+            set_inside(Some(&mut scan_line), false);
+            desk.send(place - 1, scan_line)
         };
         let mut out = Output::new(&mut cx, may_hold_bytes, &mut emit);
         let result = match next {
-            Some((_, batch)) => stage.process(batch, &mut out),
+            Some((_, scan_line)) => stage.process(scan_line, &mut out),
             None => stage.finish(&mut out),
         };
         let foreseen_bytes = out.foreseen_bytes();
@@ -221,20 +221,20 @@ pub(super) fn run_transform(
 }
 
 /// Marks whether a transform holds a line.
-fn set_inside(batch: Option<&mut ScanLine>, is_inside: bool) {
-    if let Some(ticket) = batch.and_then(|batch| batch.ticket.as_mut()) {
+fn set_inside(scan_line: Option<&mut ScanLine>, is_inside: bool) {
+    if let Some(ticket) = scan_line.and_then(|scan_line| scan_line.ticket.as_mut()) {
         ticket.set_inside(is_inside);
     }
 }
 
 /// Writes lines and passes them on.
 pub(super) fn run_sink(mut sink: Box<dyn Sink>, inlet: &mut Inlet, desk: &mut WorkerContext) -> Result<()> {
-    while let Some((place, batch)) = desk.take(inlet)? {
-        let result = sink.write(&batch, &mut desk.cx);
+    while let Some((place, scan_line)) = desk.take(inlet)? {
+        let result = sink.write(&scan_line, &mut desk.cx);
         desk.meter.worked();
         desk.meter.line_done();
         result?;
-        desk.send(place, batch)?;
+        desk.send(place, scan_line)?;
     }
     sink.finish(&mut desk.cx)?;
     desk.meter.worked();

@@ -99,16 +99,16 @@ pub struct ScanAngles {
 
 impl ScanAngles {
     /// Adds a line.
-    pub fn push(&mut self, batch: ScanLine) {
-        let is_placed = matches!(batch.input.frame, Frame::Map | Frame::Earth);
-        if !is_placed || !are_unknown(&batch.emissions) {
+    pub fn push(&mut self, scan_line: ScanLine) {
+        let is_placed = matches!(scan_line.input.frame, Frame::Map | Frame::Earth);
+        if !is_placed || !are_unknown(&scan_line.emissions) {
             self.release();
-            self.ready.push_back(batch);
+            self.ready.push_back(scan_line);
             return;
         }
-        self.course.add(&batch);
-        self.held_bytes += batch.bytes();
-        self.held.push_back(batch);
+        self.course.add(&scan_line);
+        self.held_bytes += scan_line.bytes();
+        self.held.push_back(scan_line);
         let is_full = self.held_bytes > MOST_HELD_BYTES || self.held.len() > MOST_HELD_LINES;
         if self.course.forward.is_some() || is_full {
             self.release();
@@ -133,18 +133,18 @@ impl ScanAngles {
 
     fn release(&mut self) {
         self.held_bytes = 0;
-        for mut batch in self.held.drain(..) {
-            let frame = batch.input.frame;
+        for mut scan_line in self.held.drain(..) {
+            let frame = scan_line.input.frame;
             let Some(forward) = self.course.forward else {
                 self.gave_up = true;
-                self.ready.push_back(batch);
+                self.ready.push_back(scan_line);
                 continue;
             };
-            let down = batch.emissions.first().and_then(|first| down_at(frame, first.origin_m));
+            let down = scan_line.emissions.first().and_then(|first| down_at(frame, first.origin_m));
             let down = down.unwrap_or_default();
             let right = unit(cross(down, forward));
-            set_angles(&mut batch.emissions, |_| (right, down));
-            self.ready.push_back(batch);
+            set_angles(&mut scan_line.emissions, |_| (right, down));
+            self.ready.push_back(scan_line);
         }
     }
 }
@@ -173,11 +173,11 @@ const LEAST_WINDOW_S: f64 = 0.1;
 const DEGREES_FINER: f64 = 1000.0;
 
 impl Course {
-    fn add(&mut self, batch: &ScanLine) {
+    fn add(&mut self, scan_line: &ScanLine) {
         let time_s = |emission: &Emission| 1e-12 * emission.clock_ps as f64;
-        let Some(grid_m) = grid_m(&batch.input) else { return };
-        if !batch.input.origin_is_sensor {
-            for emission in &batch.emissions {
+        let Some(grid_m) = grid_m(&scan_line.input) else { return };
+        if !scan_line.input.origin_is_sensor {
+            for emission in &scan_line.emissions {
                 let (through_m, direction) = (emission.origin_m, emission.direction);
                 self.window.add(&Beam { time_s: time_s(emission), through_m, direction });
             }
@@ -187,7 +187,9 @@ impl Course {
             return;
         }
         let way_m = LEAST_WAY_M.max(LEAST_WAY_STEPS * grid_m);
-        let (Some(first), Some(last)) = (batch.emissions.first(), batch.emissions.last()) else { return };
+        let (Some(first), Some(last)) = (scan_line.emissions.first(), scan_line.emissions.last()) else {
+            return;
+        };
         for emission in [first, last] {
             let (time_s, origin_m) = (time_s(emission), emission.origin_m);
             let (from_s, from_m) = *self.from.get_or_insert((time_s, origin_m));
@@ -301,10 +303,10 @@ mod tests {
                 crate::scan_line::Blocks::default(),
             ));
             held = held.max(angles.held.len());
-            while let Some(batch) = angles.pop() {
+            while let Some(scan_line) = angles.pop() {
                 let expected: Vec<(f32, bool)> =
                     (0..1000).map(|index| ((-20.0 + 0.04 * index as f32).round(), true)).collect();
-                let wrong = found(&batch.emissions).iter().zip(&expected).filter(|(a, b)| a != b).count();
+                let wrong = found(&scan_line.emissions).iter().zip(&expected).filter(|(a, b)| a != b).count();
                 assert!(wrong <= 2, "line {line}: {wrong} differ (in rounding)");
             }
         }

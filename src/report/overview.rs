@@ -134,15 +134,15 @@ impl Default for Gathering {
 
 impl Gathering {
     /// Adds a line that leaves the chain.
-    fn add(&mut self, batch: &ScanLine) {
-        self.lines.add(batch);
-        let Some(returns) = batch.returns() else { return };
+    fn add(&mut self, scan_line: &ScanLine) {
+        self.lines.add(scan_line);
+        let Some(returns) = scan_line.returns() else { return };
         for quantity in &mut self.quantities {
             returns.iter().for_each(|found| quantity.bins.add((quantity.of)(found)));
         }
-        self.zones.add(batch, returns);
-        if let Some(points) = batch.points() {
-            self.grid.add_line(batch.line, &batch.input, returns, points);
+        self.zones.add(scan_line, returns);
+        if let Some(points) = scan_line.points() {
+            self.grid.add_line(scan_line.line, &scan_line.input, returns, points);
         }
     }
 

@@ -33,11 +33,11 @@ impl Item {
     }
 
     /// Number of such items in a scan line.
-    pub fn count(self, batch: &ScanLine) -> u64 {
+    pub fn count(self, line: &ScanLine) -> u64 {
         match self {
-            Item::Shots => batch.emissions.len() as u64,
-            Item::Blocks => batch.blocks().map_or(0, |blocks| blocks.len()) as u64,
-            Item::Returns => batch.n_returns() as u64,
+            Item::Shots => line.emissions.len() as u64,
+            Item::Blocks => line.blocks().map_or(0, |blocks| blocks.len()) as u64,
+            Item::Returns => line.n_returns() as u64,
         }
     }
 }

@@ -23,10 +23,10 @@ impl LookAhead {
     ///
     /// It is full when it contains enough waveforms or has reached its memory limit. In the second
     /// case, notes that `done` was based on fewer waveforms.
-    pub fn hold(&mut self, batch: ScanLine, done: &str, out: &mut Output) -> bool {
-        self.waveforms += batch.stats.nw;
-        self.bytes += batch.bytes();
-        self.lines.push(batch);
+    pub fn hold(&mut self, line: ScanLine, done: &str, out: &mut Output) -> bool {
+        self.waveforms += line.stats.nw;
+        self.bytes += line.bytes();
+        self.lines.push(line);
         let is_full = self.bytes > out.may_hold_bytes();
         if is_full && self.waveforms < self.wanted {
             out.cx.warn(format!(

@@ -216,14 +216,14 @@ struct Calibrator {
 }
 
 impl Transform for Calibrator {
-    fn process(&mut self, mut batch: ScanLine, out: &mut Output) -> Result<()> {
+    fn process(&mut self, mut line: ScanLine, out: &mut Output) -> Result<()> {
         self.save(out)?;
         if let Some(model) = &self.model {
-            self.compare(model, &batch, out)?;
-            batch.model = Some(Arc::clone(model));
-            return out.emit(batch);
+            self.compare(model, &line, out)?;
+            line.model = Some(Arc::clone(model));
+            return out.emit(line);
         }
-        let is_enough = self.look_ahead.hold(batch, "calibrated", out);
+        let is_enough = self.look_ahead.hold(line, "calibrated", out);
         if is_enough { self.release(out) } else { Ok(()) }
     }
 
@@ -238,9 +238,9 @@ impl Calibrator {
         let model = Arc::new(self.calibrate(out)?);
         self.model = Some(Arc::clone(&model));
         self.save(out)?;
-        for mut batch in self.look_ahead.release() {
-            batch.model = Some(Arc::clone(&model));
-            out.emit(batch)?;
+        for mut line in self.look_ahead.release() {
+            line.model = Some(Arc::clone(&model));
+            out.emit(line)?;
         }
         Ok(())
     }
@@ -310,8 +310,7 @@ impl Calibrator {
 
     /// Warns if the full scale is unknown; it may be far below the range of the sample type.
     fn tell_unknown_scale(&self, out: &mut Output) {
-        let is_known =
-            self.look_ahead.lines().first().is_none_or(|batch| batch.input.full_scale_dn.is_some());
+        let is_known = self.look_ahead.lines().first().is_none_or(|line| line.input.full_scale_dn.is_some());
         let echoes = [Channel::LowPower, Channel::HighPower];
         let samples =
             echoes.into_iter().flat_map(|channel| self.blocks(channel)).flat_map(|block| block.samples);

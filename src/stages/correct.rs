@@ -182,11 +182,11 @@ struct Correcting {
 }
 
 impl Transform for Correcting {
-    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
+    fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
         if let [Some(low), Some(high)] = &self.widths {
-            return correct(&mut self.corrections, [low, high], batch, out);
+            return correct(&mut self.corrections, [low, high], line, out);
         }
-        let is_enough = self.look_ahead.hold(batch, "widths of flat targets were estimated", out);
+        let is_enough = self.look_ahead.hold(line, "widths of flat targets were estimated", out);
         if is_enough { self.release(out) } else { Ok(()) }
     }
 
@@ -202,8 +202,8 @@ impl Correcting {
             let given = self.widths[usize::from(channel == width::CHANNELS[1])].take();
             given.unwrap_or_else(|| WidthCorrection::learnt(self.look_ahead.lines(), channel, out.cx))
         });
-        for batch in self.look_ahead.release() {
-            correct(&mut self.corrections, [&low, &high], batch, out)?;
+        for line in self.look_ahead.release() {
+            correct(&mut self.corrections, [&low, &high], line, out)?;
         }
         self.widths = [Some(low), Some(high)];
         Ok(())
@@ -214,14 +214,14 @@ impl Correcting {
 fn correct(
     corrections: &mut Corrections,
     widths: [&WidthCorrection; 2],
-    mut batch: ScanLine,
+    mut line: ScanLine,
     out: &mut Output,
 ) -> Result<()> {
-    let Content::Returns(mut returns) = std::mem::replace(&mut batch.content, Content::Returns(Vec::new()))
+    let Content::Returns(mut returns) = std::mem::replace(&mut line.content, Content::Returns(Vec::new()))
     else {
         return Err(StageError::failed("correct received no returns", "put it after decompose"));
     };
-    corrections.apply(&mut batch, &mut returns, widths, out.cx);
-    batch.content = Content::Returns(returns);
-    out.emit(batch)
+    corrections.apply(&mut line, &mut returns, widths, out.cx);
+    line.content = Content::Returns(returns);
+    out.emit(line)
 }

@@ -279,13 +279,14 @@ impl Worker {
 }
 
 impl Map for DecomposeLine {
-    fn map(&mut self, mut batch: ScanLine, cx: &mut Context) -> Result<ScanLine> {
+    fn map(&mut self, mut scan_line: ScanLine, cx: &mut Context) -> Result<ScanLine> {
         let choice = self.config.online_points;
-        let model = batch.model.clone();
+        let model = scan_line.model.clone();
         if model.is_none() && choice != OnlinePoints::Only {
             return Err(StageError::failed("the line has no sensor model", "put calibrate before decompose"));
         }
-        let Content::Shots(blocks) = std::mem::replace(&mut batch.content, Content::Returns(Returns::new()))
+        let Content::Shots(blocks) =
+            std::mem::replace(&mut scan_line.content, Content::Returns(Returns::new()))
         else {
             return Err(StageError::failed(
                 "decompose received no waveforms",
@@ -294,21 +295,21 @@ impl Map for DecomposeLine {
         };
         let mut returns = Returns::new();
         match &model {
-            Some(model) => self.decompose(model, &mut batch, &blocks, &mut returns, cx)?,
-            None => online::date_without_model(&mut batch.emissions, &blocks)?,
+            Some(model) => self.decompose(model, &mut scan_line, &blocks, &mut returns, cx)?,
+            None => online::date_without_model(&mut scan_line.emissions, &blocks)?,
         }
         if let Some(model) =
             model.as_ref().filter(|_| choice != OnlinePoints::Only && !blocks.online.is_empty())
         {
-            online::compare(&blocks, &batch, &returns, model, cx);
+            online::compare(&blocks, &scan_line, &returns, model, cx);
         }
-        online::add(choice, &mut batch, &blocks, &mut returns)?;
-        batch.stats.np += returns.len() as u64;
-        batch.content = Content::Returns(returns);
-        if let Some(kept) = &mut batch.waveforms {
+        online::add(choice, &mut scan_line, &blocks, &mut returns)?;
+        scan_line.stats.np += returns.len() as u64;
+        scan_line.content = Content::Returns(returns);
+        if let Some(kept) = &mut scan_line.waveforms {
             *kept = blocks;
         }
-        Ok(batch)
+        Ok(scan_line)
     }
 }
 
@@ -319,16 +320,16 @@ impl DecomposeLine {
     fn decompose(
         &mut self,
         model: &Arc<SensorModel>,
-        batch: &mut ScanLine,
+        scan_line: &mut ScanLine,
         blocks: &Blocks,
         returns: &mut Returns,
         cx: &mut Context,
     ) -> Result<()> {
         let mut worker = match self.worker.take() {
-            Some(worker) if worker.is_for(model, batch.fusion.as_ref()) => worker,
-            _ => Worker::new(model, batch.fusion.as_ref(), &self.config, self.path)?,
+            Some(worker) if worker.is_for(model, scan_line.fusion.as_ref()) => worker,
+            _ => Worker::new(model, scan_line.fusion.as_ref(), &self.config, self.path)?,
         };
-        let shot = |(index, of_shot)| Shot { index, blocks, of_shot, input: &batch.input };
+        let shot = |(index, of_shot)| Shot { index, blocks, of_shot, input: &scan_line.input };
         let is_only = self.config.online_points == OnlinePoints::Only;
         let outgoing = if is_only { online::outgoing_only(blocks) } else { Vec::new() };
         let shots: Vec<Shot> = match is_only {
@@ -338,10 +339,10 @@ impl DecomposeLine {
                 .collect(),
             false => blocks.by_emission().map(shot).collect(),
         };
-        let mut line = Line { emissions: &mut batch.emissions, returns, stats: &mut batch.stats };
+        let mut line = Line { emissions: &mut scan_line.emissions, returns, stats: &mut scan_line.stats };
         worker.shots.decompose(&shots, &mut line, cx, &mut ())?;
         if let Some(observer) = cx.observer() {
-            let line = DecomposedLine { line: batch.line, emissions: &batch.emissions, returns };
+            let line = DecomposedLine { line: scan_line.line, emissions: &scan_line.emissions, returns };
             let of_emission = |index: u32| shots.iter().find(|shot| shot.index == index);
             let mut fit = |index| of_emission(index).map_or(Ok(None), |shot| worker.fit(shot, &line));
             observer.decomposed(&line, &mut fit)?;

@@ -90,8 +90,8 @@ struct Filter {
 }
 
 impl Transform for Filter {
-    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
-        self.strip.push(batch, out)
+    fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
+        self.strip.push(line, out)
     }
 
     fn finish(&mut self, out: &mut Output) -> Result<()> {

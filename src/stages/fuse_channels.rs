@@ -115,11 +115,11 @@ enum State {
 }
 
 impl Transform for Fuser {
-    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
+    fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
         if !matches!(self.state, State::Surveying) {
-            return out.emit(self.fused(batch));
+            return out.emit(self.fused(line));
         }
-        let is_enough = self.look_ahead.hold(batch, "gain and delay of the receivers were estimated", out);
+        let is_enough = self.look_ahead.hold(line, "gain and delay of the receivers were estimated", out);
         if is_enough { self.release(out) } else { Ok(()) }
     }
 
@@ -135,18 +135,18 @@ impl Fuser {
             Some(fusion) => State::Known(Arc::new(fusion)),
             None => State::Alone,
         };
-        self.look_ahead.release().into_iter().try_for_each(|batch| out.emit(self.fused(batch)))
+        self.look_ahead.release().into_iter().try_for_each(|line| out.emit(self.fused(line)))
     }
 
     /// Shifts the times of the high-power blocks of a line.
-    fn fused(&self, mut batch: ScanLine) -> ScanLine {
+    fn fused(&self, mut line: ScanLine) -> ScanLine {
         if let State::Known(fusion) = &self.state {
-            if let Content::Shots(blocks) = &mut batch.content {
+            if let Content::Shots(blocks) = &mut line.content {
                 blocks.shift(Channel::HighPower, -fusion.delay_ns);
             }
-            batch.fusion = Some(Arc::clone(fusion));
+            line.fusion = Some(Arc::clone(fusion));
         }
-        batch
+        line
     }
 
     /// Gain and delay from the held lines; `None`, with a note, if they cannot be estimated.
@@ -157,7 +157,7 @@ impl Fuser {
             return None;
         }
         let lines = self.look_ahead.lines();
-        let full_scale_dn = lines.first().and_then(|batch| batch.input.full_scale_dn).unwrap_or(u16::MAX);
+        let full_scale_dn = lines.first().and_then(|line| line.input.full_scale_dn).unwrap_or(u16::MAX);
         let mut pairs = Vec::new();
         for blocks in lines.iter().filter_map(ScanLine::blocks) {
             blocks.by_emission().for_each(|(_, of_shot)| {

@@ -82,24 +82,24 @@ struct Georeferencer {
 }
 
 impl Map for Georeferencer {
-    fn map(&mut self, mut batch: ScanLine, cx: &mut Context) -> Result<ScanLine> {
-        let Content::Returns(mut returns) = batch.content else {
+    fn map(&mut self, mut line: ScanLine, cx: &mut Context) -> Result<ScanLine> {
+        let Content::Returns(mut returns) = line.content else {
             return Err(StageError::failed("georeference received no returns", "put decompose before it"));
         };
-        let frame = batch.input.frame;
+        let frame = line.input.frame;
         if frame != Frame::Map {
-            self.correct_ranges(&batch.input, &mut returns, batch.fusion.is_some(), cx);
+            self.correct_ranges(&line.input, &mut returns, line.fusion.is_some(), cx);
         }
         let mut points: Vec<Vector> =
-            returns.iter().map(|r| position(&batch.emissions[r.emission as usize], r)).collect();
-        batch.stats.agl_m = Level::of(frame, &batch.emissions)
-            .filter(|_| batch.input.origin_is_sensor)
-            .and_then(|level| level.agl_m(&batch.emissions, &returns, &points));
+            returns.iter().map(|r| position(&line.emissions[r.emission as usize], r)).collect();
+        line.stats.agl_m = Level::of(frame, &line.emissions)
+            .filter(|_| line.input.origin_is_sensor)
+            .and_then(|level| level.agl_m(&line.emissions, &returns, &points));
         match frame {
-            Frame::Map => self.keep_map(&batch.input)?,
+            Frame::Map => self.keep_map(&line.input)?,
             Frame::Earth => {
-                Uncertainty::new(&self.geometry, &batch.input).set(&batch.emissions, &points, &mut returns);
-                self.project(&mut batch.input, &mut points)?;
+                Uncertainty::new(&self.geometry, &line.input).set(&line.emissions, &points, &mut returns);
+                self.project(&mut line.input, &mut points)?;
             }
             Frame::Scanner | Frame::Body => {
                 self.geometry.keep_frame()?;
@@ -109,13 +109,13 @@ impl Map for Georeferencer {
                     }
                     _ => "the input is not georeferenced: its points are in the scanner frame",
                 });
-                complete_in_own_axes(frame, &mut batch.emissions);
-                self.spread(&batch.input, &batch.emissions, &returns, &mut points);
+                complete_in_own_axes(frame, &mut line.emissions);
+                self.spread(&line.input, &line.emissions, &returns, &mut points);
             }
         }
-        batch.stats.n_georef = points.len() as u64;
-        batch.content = Content::Points(returns, points);
-        Ok(batch)
+        line.stats.n_georef = points.len() as u64;
+        line.content = Content::Points(returns, points);
+        Ok(line)
     }
 }
 

@@ -48,16 +48,16 @@ impl Posed {
 impl Source for Posed {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
-            if let Some(batch) = self.angles.pop() {
-                return Ok(Some(batch));
+            if let Some(line) = self.angles.pop() {
+                return Ok(Some(line));
             }
             if self.has_ended {
                 return self.finish(cx).map(|()| None);
             }
             match self.source.next(cx)? {
-                Some(batch) => {
-                    let batch = self.place(batch, cx)?;
-                    self.angles.push(batch);
+                Some(line) => {
+                    let line = self.place(line, cx)?;
+                    self.angles.push(line);
                 }
                 None => {
                     self.has_ended = true;

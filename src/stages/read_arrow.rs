@@ -25,7 +25,7 @@ pub const STAGE: StageSpec = StageSpec::source::<Config>("read_arrow", Kind::Sho
 with_time_keys! {
 /// Reads recorded waveforms from the open waveform container (Arrow IPC).
 ///
-/// The container has one record batch per scan line and one row per shot, as written by pyarrow,
+/// The container has one record line per scan line and one row per shot, as written by pyarrow,
 /// Polars, DuckDB and R. `schemas/container.json` describes the columns and metadata keys.
 ///
 /// The file format and the stream format are detected from the content; both may be compressed with
@@ -33,11 +33,11 @@ with_time_keys! {
 /// another type, an invalid null, or a list that points outside its items ends the run with an
 /// error that names the column and the row.
 ///
-/// A scan line ends with its record batch, where the column `line` changes, and after 4096 shots;
-/// the parts of a longer line keep its number. Record batches are limited to 1 GiB.
+/// A scan line ends with its record line, where the column `line` changes, and after 4096 shots;
+/// the parts of a longer line keep its number. Record lines are limited to 1 GiB.
 ///
 /// Without the key `wavex.emission_reference`, the time of emission is taken from the outgoing
-/// pulse if the first record batch has a block of channel 3, otherwise from the shot's clock.
+/// pulse if the first record line has a block of channel 3, otherwise from the shot's clock.
 ///
 /// Rejected, and counted with their blocks, are shots with: an origin or direction that is not
 /// finite, a direction that is not a unit vector (to 1e-6: 1 mm at 1 km), an infinite time, a clock
@@ -116,7 +116,7 @@ struct ReadArrow {
     /// columns can be skipped, and samples are part of the column `blocks`.
     with_samples: bool,
     info: Arc<InputInfo>,
-    /// The current record batch, and its first row not yet emitted.
+    /// The current record line, and its first row not yet emitted.
     at: Option<(ContainerLine, usize)>,
 }
 
@@ -146,7 +146,7 @@ impl ReadArrow {
         Ok(ReadArrow { reader, with_samples: true, info, at: first.map(|line| (line, 0)) })
     }
 
-    /// Takes the next rows that form a line from the current record batch.
+    /// Takes the next rows that form a line from the current record line.
     fn part(&mut self, cx: &mut Context) -> Option<ScanLine> {
         let (line, from) = self.at.take()?;
         if from >= line.rows() {
@@ -208,7 +208,7 @@ impl Source for ReadArrow {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
             match self.part(cx) {
-                Some(batch) if !batch.emissions.is_empty() => return Ok(Some(batch)),
+                Some(scan_line) if !scan_line.emissions.is_empty() => return Ok(Some(scan_line)),
                 // All shots of this line were rejected.
                 Some(_) => continue,
                 None => {}

@@ -232,22 +232,22 @@ struct Resolving {
 }
 
 impl Transform for Resolving {
-    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
-        let is_unresolved = batch.emissions.iter().any(|emission| emission.mta_zone.is_none());
-        if !is_unresolved && !batch.emissions.is_empty() {
+    fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
+        let is_unresolved = line.emissions.iter().any(|emission| emission.mta_zone.is_none());
+        if !is_unresolved && !line.emissions.is_empty() {
             out.cx.warn("lines with known zones pass through unchanged");
             self.finish(out)?;
-            return out.emit(batch);
+            return out.emit(line);
         }
         let strip = match &mut self.strip {
             Some(strip) => strip,
             // A line without shots is held back only if earlier lines are.
-            None if !is_unresolved => return out.emit(batch),
+            None if !is_unresolved => return out.emit(line),
             None => {
-                self.strip.insert(Strip::new(&self.config, &batch, self.terrain.as_ref(), &self.placed, out)?)
+                self.strip.insert(Strip::new(&self.config, &line, self.terrain.as_ref(), &self.placed, out)?)
             }
         };
-        strip.push(batch, self.terrain.as_ref(), out)
+        strip.push(line, self.terrain.as_ref(), out)
     }
 
     fn finish(&mut self, out: &mut Output) -> Result<()> {

@@ -70,12 +70,12 @@ impl Source for Simulator {
             }
             return Ok(None);
         }
-        let (batch, returns) = self.flight.line(self.line);
+        let (scan_line, returns) = self.flight.line(self.line);
         self.line += 1;
         if let Some(truth) = &mut self.truth {
             truth.write(&returns)?;
         }
-        Ok(Some(batch))
+        Ok(Some(scan_line))
     }
 
     fn progress(&self) -> Option<f64> {

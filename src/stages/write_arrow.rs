@@ -20,7 +20,7 @@ pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_arrow", &[Kind::Sh
 /// Writes recorded waveforms as the open waveform container (Arrow IPC).
 ///
 /// pyarrow, Polars, DuckDB and R open it without wavex, and `read_arrow` reads it. It is an Arrow
-/// file with one record batch per scan line and one row per shot. `schemas/container.json`
+/// file with one record line per scan line and one row per shot. `schemas/container.json`
 /// describes the columns and metadata keys.
 ///
 /// `read_arrow` restores the data bit by bit: emissions, blocks, samples, online returns, and the
@@ -152,18 +152,18 @@ impl WriteArrow {
 }
 
 impl Sink for WriteArrow {
-    fn write(&mut self, batch: &ScanLine, _cx: &mut Context) -> Result<()> {
-        let Some(blocks) = batch.blocks() else {
+    fn write(&mut self, scan_line: &ScanLine, _cx: &mut Context) -> Result<()> {
+        let Some(blocks) = scan_line.blocks() else {
             return Err(StageError::failed(
-                format!("write_arrow received {}, but writes Shots", batch.kind()),
+                format!("write_arrow received {}, but writes Shots", scan_line.kind()),
                 "put it before `decompose`",
             ));
         };
-        if batch.emissions.is_empty() {
+        if scan_line.emissions.is_empty() {
             return Ok(());
         }
-        let line = line_of(batch, blocks);
-        Ok(self.writer(&batch.input)?.write(line)?)
+        let line = line_of(scan_line, blocks);
+        Ok(self.writer(&scan_line.input)?.write(line)?)
     }
 
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()> {
@@ -180,14 +180,14 @@ impl Sink for WriteArrow {
     }
 }
 
-fn line_of(batch: &ScanLine, blocks: &Blocks) -> LineBuilder {
+fn line_of(scan_line: &ScanLine, blocks: &Blocks) -> LineBuilder {
     let mut line = LineBuilder::new();
     let mut rest = blocks.iter().peekable();
     let mut online = blocks.online.iter().peekable();
-    for (index, emission) in (0..).zip(&batch.emissions) {
-        line.shot(&shot_of(emission, batch.line));
+    for (index, emission) in (0..).zip(&scan_line.emissions) {
+        line.shot(&shot_of(emission, scan_line.line));
         while let Some(block) = rest.next_if(|block| block.emission == index) {
-            line.block(&block_of(block, blocks, &batch.input));
+            line.block(&block_of(block, blocks, &scan_line.input));
         }
         while let Some(found) = online.next_if(|online| online.emission == index) {
             line.online(&ContainerOnline { time_ns: found.time_ns, amplitude: found.amplitude });

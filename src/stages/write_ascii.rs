@@ -154,16 +154,16 @@ impl AsciiWriter {
 }
 
 impl Sink for AsciiWriter {
-    fn write(&mut self, batch: &ScanLine, cx: &mut Context) -> Result<()> {
-        let (Some(returns), Some(points)) = (batch.returns(), batch.points()) else {
+    fn write(&mut self, scan_line: &ScanLine, cx: &mut Context) -> Result<()> {
+        let (Some(returns), Some(points)) = (scan_line.returns(), scan_line.points()) else {
             return Ok(());
         };
         let Some(first) = points.first() else { return Ok(()) };
-        let steps = self.steps(&batch.input, *first);
+        let steps = self.steps(&scan_line.input, *first);
         self.text.clear();
         for (found, position) in returns.iter().zip(points) {
-            let emission = &batch.emissions[found.emission as usize];
-            let point = point(&batch.input, emission, found, *position, AttributeLayout::V1_1);
+            let emission = &scan_line.emissions[found.emission as usize];
+            let point = point(&scan_line.input, emission, found, *position, AttributeLayout::V1_1);
             let row = Row { point: &point, found, steps: &steps, attribute_steps: &self.attribute_steps };
             for (index, column) in self.columns.iter().enumerate() {
                 self.text.push_str(if index == 0 { "" } else { self.separator });
@@ -222,10 +222,10 @@ mod tests {
             class: 20,
             ..found
         };
-        let mut batch = ScanLine::of_shots(input, 0, vec![emission], Blocks::default());
+        let mut scan_line = ScanLine::of_shots(input, 0, vec![emission], Blocks::default());
         let points = vec![[540_123.456_7, 5_200_001.0, -0.000_2], [540_124.0, 5_200_001.999_6, f64::NAN]];
-        batch.content = Content::Points(vec![found, second], points);
-        batch
+        scan_line.content = Content::Points(vec![found, second], points);
+        scan_line
     }
 
     /// Text that a sink with these keys writes for the line.

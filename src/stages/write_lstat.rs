@@ -156,12 +156,12 @@ struct LstatWriter {
 }
 
 impl Sink for LstatWriter {
-    fn write(&mut self, batch: &ScanLine, _cx: &mut Context) -> Result<()> {
-        let time = batch.stats.gps_time_s;
-        let time = batch.input.adjusted_gps_time(time).unwrap_or(time);
+    fn write(&mut self, scan_line: &ScanLine, _cx: &mut Context) -> Result<()> {
+        let time = scan_line.stats.gps_time_s;
+        let time = scan_line.input.adjusted_gps_time(time).unwrap_or(time);
         let refined = |found: &&Return| found.flags & flags::REFINED != 0;
-        let n_refined = batch.returns().map_or(0, |returns| returns.iter().filter(refined).count());
-        let row = row(self.columns, &batch.stats, time, n_refined as u64);
+        let n_refined = scan_line.returns().map_or(0, |returns| returns.iter().filter(refined).count());
+        let row = row(self.columns, &scan_line.stats, time, n_refined as u64);
         writeln!(self.file, "{row}").map_err(|error| Error::io(self.file.path(), "write")(error))?;
         Ok(())
     }

@@ -108,17 +108,17 @@ impl WriteTable {
 }
 
 impl Sink for WriteTable {
-    fn write(&mut self, batch: &ScanLine, cx: &mut Context) -> Result<()> {
-        let Some(returns) = batch.returns() else {
+    fn write(&mut self, line: &ScanLine, cx: &mut Context) -> Result<()> {
+        let Some(returns) = line.returns() else {
             return Err(StageError::failed(
-                format!("write_table received {}, but writes Returns or Points", batch.kind()),
+                format!("write_table received {}, but writes Returns or Points", line.kind()),
                 "put it after `decompose`",
             ));
         };
-        let writer = self.writer(batch.input.time_scale)?;
-        let points = batch.points().unwrap_or_default();
+        let writer = self.writer(line.input.time_scale)?;
+        let points = line.points().unwrap_or_default();
         for (index, found) in returns.iter().enumerate() {
-            let Some(emission) = batch.emissions.get(found.emission as usize) else {
+            let Some(emission) = line.emissions.get(found.emission as usize) else {
                 cx.reject(Item::Returns, "its shot is not in the line", 1);
                 continue;
             };

@@ -136,12 +136,12 @@ struct TrajectoryWriter {
 }
 
 impl Sink for TrajectoryWriter {
-    fn write(&mut self, batch: &ScanLine, cx: &mut Context) -> Result<()> {
-        self.frame = batch.input.frame;
-        if batch.emissions.is_empty() {
+    fn write(&mut self, line: &ScanLine, cx: &mut Context) -> Result<()> {
+        self.frame = line.input.frame;
+        if line.emissions.is_empty() {
             return Ok(());
         }
-        if matches!(batch.input.frame, Frame::Scanner | Frame::Body) {
+        if matches!(line.input.frame, Frame::Scanner | Frame::Body) {
             cx.warn(
                 "the input is not georeferenced: the sensor position is unknown, and its path has no rows",
             );
@@ -149,21 +149,21 @@ impl Sink for TrajectoryWriter {
         }
         self.begin()?;
         let from_beams = match self.sensor {
-            Sensor::Auto => !batch.input.origin_is_sensor,
+            Sensor::Auto => !line.input.origin_is_sensor,
             Sensor::Origins => false,
             Sensor::Beams => true,
         };
-        for emission in &batch.emissions {
+        for emission in &line.emissions {
             if from_beams {
                 if let Some(place) = self.met.add(emission) {
                     cx.observe("trajectory_sd_m", place.sd_m);
-                    self.row(&batch.input, place.gps_time_s, place.position_m)?;
+                    self.row(&line.input, place.gps_time_s, place.position_m)?;
                 }
             } else if self.pace.is_due(emission) {
                 self.last = None;
-                self.row(&batch.input, emission.gps_time_s, emission.origin_m)?;
+                self.row(&line.input, emission.gps_time_s, emission.origin_m)?;
             } else {
-                self.last = Some((Arc::clone(&batch.input), *emission));
+                self.last = Some((Arc::clone(&line.input), *emission));
             }
         }
         Ok(())

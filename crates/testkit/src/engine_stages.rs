@@ -113,16 +113,16 @@ impl MapConfig for Work {
 }
 
 impl Map for Work {
-    fn map(&mut self, mut batch: ScanLine, cx: &mut Context) -> Result<ScanLine> {
-        assert!(self.panic_at == 0 || batch.line != self.panic_at, "line {} is a bug", batch.line);
+    fn map(&mut self, mut scan_line: ScanLine, cx: &mut Context) -> Result<ScanLine> {
+        assert!(self.panic_at == 0 || scan_line.line != self.panic_at, "line {} is a bug", scan_line.line);
         if self.longest_us > 0 {
-            let pseudo_random = u64::from(batch.line).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
+            let pseudo_random = u64::from(scan_line.line).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;
             std::thread::sleep(Duration::from_micros(pseudo_random % self.longest_us));
         }
-        if self.drop_one && batch.emissions.pop().is_some() {
+        if self.drop_one && scan_line.emissions.pop().is_some() {
             cx.reject(Item::Shots, "last of its line", 1);
         }
-        Ok(batch)
+        Ok(scan_line)
     }
 }
 
@@ -155,11 +155,11 @@ struct Holding {
 }
 
 impl Transform for Holding {
-    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
+    fn process(&mut self, scan_line: ScanLine, out: &mut Output) -> Result<()> {
         if self.released {
-            return out.emit(batch);
+            return out.emit(scan_line);
         }
-        self.held.push(batch);
+        self.held.push(scan_line);
         let bytes: usize = self.held.iter().map(ScanLine::bytes).sum();
         if self.held.len() >= self.lines || bytes > out.may_hold_bytes() {
             self.released = true;
@@ -169,7 +169,7 @@ impl Transform for Holding {
     }
 
     fn finish(&mut self, out: &mut Output) -> Result<()> {
-        self.held.drain(..).try_for_each(|batch| out.emit(batch))
+        self.held.drain(..).try_for_each(|scan_line| out.emit(scan_line))
     }
 }
 
@@ -208,13 +208,14 @@ struct Numbers {
 }
 
 impl Sink for Numbers {
-    fn write(&mut self, batch: &ScanLine, _cx: &mut Context) -> Result<()> {
+    fn write(&mut self, scan_line: &ScanLine, _cx: &mut Context) -> Result<()> {
         use std::io::Write;
         std::thread::sleep(Duration::from_micros(self.config.slow_us));
-        if self.config.fail_at > 0 && batch.line == self.config.fail_at {
+        if self.config.fail_at > 0 && scan_line.line == self.config.fail_at {
             return Err(StageError::failed("the disk is full", "make room"));
         }
-        writeln!(self.file, "{}", batch.line).map_err(|e| StageError::failed(e.to_string(), "check the disk"))
+        writeln!(self.file, "{}", scan_line.line)
+            .map_err(|e| StageError::failed(e.to_string(), "check the disk"))
     }
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()> {
         cx.publish(self.file.finish()?);

@@ -263,14 +263,14 @@ impl Source for Nothing {
 }
 
 impl Map for Nothing {
-    fn map(&mut self, batch: ScanLine, _: &mut Context) -> Result<ScanLine> {
-        Ok(batch)
+    fn map(&mut self, line: ScanLine, _: &mut Context) -> Result<ScanLine> {
+        Ok(line)
     }
 }
 
 impl Transform for Nothing {
-    fn process(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
-        out.emit(batch)
+    fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
+        out.emit(line)
     }
     fn finish(&mut self, _: &mut Output) -> Result<()> {
         Ok(())

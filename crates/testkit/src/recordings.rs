@@ -95,10 +95,10 @@ pub fn samples_of(channel: Channel, reader: &str, path: &Path) -> Vec<(u64, Vec<
     let mut source = source.make(&site).unwrap_or_else(|error| panic!("{error}"));
     let mut cx = Context::default();
     let mut found = Vec::new();
-    while let Some(batch) = source.next(&mut cx).unwrap_or_else(|error| panic!("{error}")) {
-        let blocks = batch.blocks().expect("a reader gives waveforms");
+    while let Some(scan_line) = source.next(&mut cx).unwrap_or_else(|error| panic!("{error}")) {
+        let blocks = scan_line.blocks().expect("a reader gives waveforms");
         for block in blocks.iter().filter(|block| block.channel == channel) {
-            let shot = batch.emissions[block.emission as usize].shot;
+            let shot = scan_line.emissions[block.emission as usize].shot;
             found.push((shot, blocks.samples(block).to_vec()));
         }
     }

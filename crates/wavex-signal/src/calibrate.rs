@@ -14,8 +14,8 @@ use crate::noise::{ArNoise, fit_by_bic};
 use crate::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
 use crate::simd::SimdLevel;
 use free_samples::NoiseEstimate;
-use initial_estimate::FirstLook;
-use pass_stats::Survey;
+use initial_estimate::InitialEstimate;
+use pass_stats::PassStats;
 
 mod batches;
 mod free_samples;
@@ -187,7 +187,7 @@ where
     if found < settings.min_blocks {
         return Err(CalibrationError::TooFewBlocks { found, needed: settings.min_blocks });
     }
-    let look = FirstLook::of(blocks.clone(), settings.full_scale_dn);
+    let look = InitialEstimate::of(blocks.clone(), settings.full_scale_dn);
     if look.pulses < MIN_PULSES {
         let (found_pulses, needed) = (look.pulses as u64, MIN_PULSES as u64);
         return Err(CalibrationError::TooFewPulses { found: found_pulses, needed, blocks: found });
@@ -228,7 +228,7 @@ fn survey<'a>(
     model: &ChannelModel,
     free: bool,
     settings: &CalibrationSettings,
-) -> Result<Survey, ModelError> {
+) -> Result<PassStats, ModelError> {
     let overlooked = free && model.background == Background::PerWaveform;
     let simd = settings.simd;
     let settings = DecomposeSettings {
@@ -236,20 +236,20 @@ fn survey<'a>(
         split_evidence: None,
         ..settings.decompose.clone()
     };
-    let mut survey = Survey::of(model, blocks.clone().count() as u64)?;
+    let mut survey = PassStats::of(model, blocks.clone().count() as u64)?;
     decompose_each(blocks, model, &settings, simd, |block, outcome| survey.add(model, block, outcome))?;
     Ok(survey)
 }
 
 /// Whether the level varies between blocks by as much as the noise.
-fn drifts(survey: &Survey) -> bool {
+fn drifts(survey: &PassStats) -> bool {
     let (variance, drift) = survey.free.variance_and_drift();
     drift > DRIFT_PART * variance
 }
 
 /// Whether enough blocks begin before their pulses; with a fixed background by setting, whether any
 /// does.
-fn has_free_samples(survey: &Survey, settings: &CalibrationSettings) -> bool {
+fn has_free_samples(survey: &PassStats, settings: &CalibrationSettings) -> bool {
     match settings.background {
         BackgroundChoice::Fixed => survey.free.samples() > 0,
         _ => survey.free_blocks > 0 && survey.free_blocks as f64 >= FREE_PART * survey.told_blocks as f64,
@@ -258,7 +258,7 @@ fn has_free_samples(survey: &Survey, settings: &CalibrationSettings) -> bool {
 
 /// Model from the initial estimate: white noise, no phases.
 fn first_model(
-    look: &FirstLook,
+    look: &InitialEstimate,
     background: Background,
     settings: &CalibrationSettings,
     blocks: u64,
@@ -292,8 +292,8 @@ fn first_model(
 
 /// Model from a pass with the previous one.
 fn better_model(
-    survey: &Survey,
-    look: &FirstLook,
+    survey: &PassStats,
+    look: &InitialEstimate,
     last: &ChannelModel,
     free: bool,
     settings: &CalibrationSettings,
@@ -316,9 +316,9 @@ fn better_model(
 }
 
 /// Estimates background and noise from samples before the first pulse.
-fn from_free_samples(model: &mut ChannelModel, survey: &Survey, settings: &CalibrationSettings) {
+fn from_free_samples(model: &mut ChannelModel, survey: &PassStats, settings: &CalibrationSettings) {
     let drift_sd = survey.free.variance_and_drift().1.sqrt();
-    let NoiseEstimate { background_dn, mut autocovariance } = survey.free.told();
+    let NoiseEstimate { background_dn, mut autocovariance } = survey.free.estimate();
     autocovariance[0] = autocovariance[0].max(QUANTISATION_VARIANCE);
     let noise = fit_by_bic(&autocovariance, survey.free.samples(), settings.max_ar_order);
     model.background_dn = background_dn;
@@ -337,7 +337,7 @@ fn from_free_samples(model: &mut ChannelModel, survey: &Survey, settings: &Calib
 /// Residuals contain the deviation of the pulse from a Gaussian, so their correlation is not that
 /// of the noise. If they exceed the noise, a free level has absorbed the skirt of the pulse; then
 /// the smallest samples of the blocks give a better level.
-fn from_residuals(model: &mut ChannelModel, survey: &Survey, look: &FirstLook) {
+fn from_residuals(model: &mut ChannelModel, survey: &PassStats, look: &InitialEstimate) {
     let residual_sd_dn = model.noise_sd_dn * survey.residual_sd();
     if residual_sd_dn <= MISSHAPEN * look.white_sd_dn.max(QUANTISATION_VARIANCE.sqrt()) {
         let (offset, spread) = survey.offset_dn();

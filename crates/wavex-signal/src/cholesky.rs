@@ -11,8 +11,8 @@ pub(super) fn factor(matrix: &mut [f64], n: usize) -> bool {
         for i in j..n {
             let (above, row_i) = matrix.split_at_mut(i * n);
             let row_j = if i == j { &row_i[..j] } else { &above[j * n..j * n + j] };
-            let told: f64 = row_i[..j].iter().zip(row_j).map(|(a, b)| a * b).sum();
-            let rest = row_i[j] - told;
+            let known: f64 = row_i[..j].iter().zip(row_j).map(|(a, b)| a * b).sum();
+            let rest = row_i[j] - known;
             if i == j {
                 if !(rest > 0.0 && rest.is_finite()) {
                     return false;
@@ -29,12 +29,12 @@ pub(super) fn factor(matrix: &mut [f64], n: usize) -> bool {
 /// Replaces `b` by the solution of `L Lᵀ x = b`.
 pub(super) fn solve(factor: &[f64], n: usize, b: &mut [f64]) {
     for i in 0..n {
-        let told: f64 = factor[i * n..i * n + i].iter().zip(b.iter()).map(|(l, x)| l * x).sum();
-        b[i] = (b[i] - told) / factor[i * n + i];
+        let known: f64 = factor[i * n..i * n + i].iter().zip(b.iter()).map(|(l, x)| l * x).sum();
+        b[i] = (b[i] - known) / factor[i * n + i];
     }
     for i in (0..n).rev() {
-        let told: f64 = (i + 1..n).map(|k| factor[k * n + i] * b[k]).sum();
-        b[i] = (b[i] - told) / factor[i * n + i];
+        let known: f64 = (i + 1..n).map(|k| factor[k * n + i] * b[k]).sum();
+        b[i] = (b[i] - known) / factor[i * n + i];
     }
 }
 

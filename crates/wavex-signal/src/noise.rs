@@ -109,8 +109,8 @@ pub fn fit_by_bic(autocovariance: &[f64], samples: u64, max_order: usize) -> Opt
     let mut predictor: [f64; MAX_ORDER] = [0.0; MAX_ORDER];
     let mut error = variance;
     for m in 1..=max_order.min(MAX_ORDER).min(lags.len()) {
-        let told: f64 = (0..m - 1).map(|j| predictor[j] * autocovariance[m - 1 - j]).sum();
-        let k = (autocovariance[m] - told) / error;
+        let product: f64 = (0..m - 1).map(|j| predictor[j] * autocovariance[m - 1 - j]).sum();
+        let k = (autocovariance[m] - product) / error;
         if k.is_nan() || k.abs() >= 1.0 {
             break;
         }

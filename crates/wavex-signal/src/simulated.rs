@@ -51,8 +51,8 @@ pub fn noise(random: &mut Random, noise: &ArNoise, samples: usize) -> Vec<f64> {
     let sd = noise.innovation_variance().sqrt();
     let mut out: Vec<f64> = Vec::with_capacity(run_in + samples);
     for k in 0..run_in + samples {
-        let told: f64 = noise.coefficients().iter().zip(out[..k].iter().rev()).map(|(c, x)| c * x).sum();
-        out.push(told + sd * random.normal());
+        let product: f64 = noise.coefficients().iter().zip(out[..k].iter().rev()).map(|(c, x)| c * x).sum();
+        out.push(product + sd * random.normal());
     }
     out.split_off(run_in)
 }

@@ -171,7 +171,7 @@ impl Whitener {
         for (i, value) in cross.iter_mut().enumerate().take(n) {
             *value = self.noise.coefficients().iter().zip(covariance.iter()).map(|(c, row)| c * row[i]).sum();
         }
-        let told: f64 = self.noise.coefficients().iter().zip(&cross).map(|(c, v)| c * v).sum();
+        let known: f64 = self.noise.coefficients().iter().zip(&cross).map(|(c, v)| c * v).sum();
         for i in (1..n).rev() {
             for j in (1..n).rev() {
                 covariance[i][j] = covariance[i - 1][j - 1];
@@ -181,7 +181,7 @@ impl Whitener {
             covariance[0][i] = cross[i - 1];
             covariance[i][0] = cross[i - 1];
         }
-        covariance[0][0] = told + self.noise.innovation_variance();
+        covariance[0][0] = known + self.noise.innovation_variance();
     }
 }
 
@@ -191,8 +191,8 @@ fn update(covariance: &mut [[f64; MAX_ORDER]; MAX_ORDER], states: usize) -> Row 
     let mut row = Row { weight: 1.0 / first[0].sqrt(), gain: [0.0; MAX_ORDER], is_steady: false };
     for (i, line) in covariance.iter_mut().enumerate().take(states) {
         row.gain[i] = first[i] / first[0];
-        for (value, told) in line.iter_mut().zip(&first).take(states) {
-            *value -= row.gain[i] * told;
+        for (value, known) in line.iter_mut().zip(&first).take(states) {
+            *value -= row.gain[i] * known;
         }
     }
     row

@@ -41,11 +41,11 @@ impl Upstream {
     /// Returns the first scan line that is wanted, and reads no further.
     pub(super) fn first(&mut self, mut wanted: impl FnMut(&ScanLine) -> bool) -> Result<Option<ScanLine>> {
         let mut found = None;
-        let mut take = |batch: ScanLine| {
-            if !wanted(&batch) {
+        let mut take = |line: ScanLine| {
+            if !wanted(&line) {
                 return Ok(());
             }
-            found = Some(batch);
+            found = Some(line);
             Err(StageError::Stopped)
         };
         match self.run(&mut take) {
@@ -55,13 +55,13 @@ impl Upstream {
     }
 
     fn run(&mut self, take: &mut dyn FnMut(ScanLine) -> Result<()>) -> Result<()> {
-        while let Some(batch) = self.source.next(&mut self.cx)? {
-            push(&mut self.steps, batch, self.may_hold_bytes, take)?;
+        while let Some(line) = self.source.next(&mut self.cx)? {
+            push(&mut self.steps, line, self.may_hold_bytes, take)?;
         }
         for i in 0..self.steps.len() {
             let (step, behind) = self.steps[i..].split_at_mut(1);
             if let Some(Step { stage: Stage::Transform(transform), cx }) = step.first_mut() {
-                let mut emit = |batch| push(behind, batch, self.may_hold_bytes, take);
+                let mut emit = |line| push(behind, line, self.may_hold_bytes, take);
                 transform.finish(&mut Output::new(cx, self.may_hold_bytes, &mut emit))?;
             }
         }
@@ -72,18 +72,18 @@ impl Upstream {
 /// Passes a line through these stages and each result to the next stage.
 fn push(
     steps: &mut [Step],
-    batch: ScanLine,
+    line: ScanLine,
     may_hold_bytes: usize,
     take: &mut dyn FnMut(ScanLine) -> Result<()>,
 ) -> Result<()> {
     let Some((step, behind)) = steps.split_first_mut() else {
-        return take(batch);
+        return take(line);
     };
     match &mut step.stage {
-        Stage::Map(map) => push(behind, map.map(batch, &mut step.cx)?, may_hold_bytes, take),
+        Stage::Map(map) => push(behind, map.map(line, &mut step.cx)?, may_hold_bytes, take),
         Stage::Transform(transform) => {
-            let mut emit = |batch| push(behind, batch, may_hold_bytes, take);
-            transform.process(batch, &mut Output::new(&mut step.cx, may_hold_bytes, &mut emit))
+            let mut emit = |line| push(behind, line, may_hold_bytes, take);
+            transform.process(line, &mut Output::new(&mut step.cx, may_hold_bytes, &mut emit))
         }
     }
 }

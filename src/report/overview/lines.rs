@@ -46,11 +46,11 @@ impl Default for Groups {
 }
 
 impl Groups {
-    pub(super) fn add(&mut self, batch: &ScanLine) {
+    pub(super) fn add(&mut self, scan_line: &ScanLine) {
         let kept =
             |returns: &[crate::scan_line::Return]| returns.iter().filter(|found| !found.withheld).count();
-        let points = batch.points().and(batch.returns()).map_or(0, |returns| kept(returns));
-        self.count(batch.line, [1, batch.stats.nw, batch.n_returns() as u64, points as u64]);
+        let points = scan_line.points().and(scan_line.returns()).map_or(0, |returns| kept(returns));
+        self.count(scan_line.line, [1, scan_line.stats.nw, scan_line.n_returns() as u64, points as u64]);
     }
 
     fn count(&mut self, line: u32, counted: [u64; 4]) {

@@ -80,17 +80,17 @@ struct Window {
 }
 
 impl Counted {
-    pub(super) fn add(&mut self, batch: &ScanLine, returns: &[Return]) {
+    pub(super) fn add(&mut self, scan_line: &ScanLine, returns: &[Return]) {
         for found in returns {
             let share = self.shares.entry(found.mta_zone).or_default();
             share[0] += 1;
             share[1] += u64::from(found.flags & ZONE_UNCERTAIN != 0);
         }
         let is_better = |(most, window): &(usize, Window)| {
-            returns.len() > *most || (returns.len() == *most && batch.line < window.line)
+            returns.len() > *most || (returns.len() == *most && scan_line.line < window.line)
         };
         if self.best.as_ref().is_none_or(is_better) && returns.iter().any(|found| found.mta_zone > 0) {
-            self.best = Some((returns.len(), Window::of(batch, returns)));
+            self.best = Some((returns.len(), Window::of(scan_line, returns)));
         }
     }
 
@@ -110,8 +110,8 @@ impl Counted {
 }
 
 impl Window {
-    fn of(batch: &ScanLine, returns: &[Return]) -> Window {
-        let emissions = &batch.emissions;
+    fn of(scan_line: &ScanLine, returns: &[Return]) -> Window {
+        let emissions = &scan_line.emissions;
         let from = emissions.len().saturating_sub(SHOTS) / 2;
         let until = (from + SHOTS).min(emissions.len());
         let first_ps = emissions.get(from).map_or(0, |first| first.clock_ps);
@@ -127,10 +127,10 @@ impl Window {
             (from..until).contains(&shot).then(|| (shot - from, found.mta_zone, found.range_m))
         });
         Window {
-            line: batch.line,
+            line: scan_line.line,
             shots: emissions[from..until].iter().map(left).collect(),
             returns: within.collect(),
-            m_per_ns: 0.5e-9 * batch.input.group_velocity_mps,
+            m_per_ns: 0.5e-9 * scan_line.input.group_velocity_mps,
         }
     }
 

@@ -45,42 +45,42 @@ impl Corrections {
     /// Corrects the returns of a line.
     pub(super) fn apply(
         &mut self,
-        batch: &mut ScanLine,
+        line: &mut ScanLine,
         returns: &mut [Return],
         widths: [&WidthCorrection; 2],
         cx: &mut Context,
     ) {
         let tables = match self.tables.take() {
-            Some(tables) if Arc::ptr_eq(&tables.input, &batch.input) => tables,
+            Some(tables) if Arc::ptr_eq(&tables.input, &line.input) => tables,
             _ => Tables {
-                input: Arc::clone(&batch.input),
-                range: self.sources.range(&batch.input),
-                amplitude: self.sources.amplitude(&batch.input),
+                input: Arc::clone(&line.input),
+                range: self.sources.range(&line.input),
+                amplitude: self.sources.amplitude(&line.input),
             },
         };
         note_what_is_missing(self.sources.wanted(), &tables, returns, cx);
-        let told_s = match (&batch.fusion, &batch.model) {
+        let told_s = match (&line.fusion, &line.model) {
             (Some(fusion), Some(model)) => told_by_fusion_s(&tables.range, model, fusion.gain_ratio),
             _ => 0.0,
         };
-        let half_speed_m_per_ns = 0.5e-9 * batch.input.group_velocity_mps;
+        let half_speed_m_per_ns = 0.5e-9 * line.input.group_velocity_mps;
         // Tables and widths apply to computed returns only, not to those of the instrument.
         for r in returns.iter_mut().filter(|r| r.flags & flags::INSTRUMENT == 0) {
-            correct_range(r, &tables.range, told_s, half_speed_m_per_ns, &mut batch.stats);
+            correct_range(r, &tables.range, told_s, half_speed_m_per_ns, &mut line.stats);
             correct_width(r, widths, half_speed_m_per_ns);
-            take_amplitude(r, &tables.amplitude, &mut batch.stats);
+            take_amplitude(r, &tables.amplitude, &mut line.stats);
         }
         put_in_order(returns);
-        self.correct_intensities(batch, returns, cx);
+        self.correct_intensities(line, returns, cx);
         self.tables = Some(tables);
     }
 
     /// Corrects intensities for range, attenuation and incidence.
-    fn correct_intensities(&self, batch: &mut ScanLine, returns: &mut [Return], cx: &mut Context) {
-        let frame = batch.input.frame;
-        let range_and_air = self.range_and_air(&batch.input, cx);
+    fn correct_intensities(&self, line: &mut ScanLine, returns: &mut [Return], cx: &mut Context) {
+        let frame = line.input.frame;
+        let range_and_air = self.range_and_air(&line.input, cx);
         for of_shot in returns.chunk_by_mut(|a, b| a.emission == b.emission) {
-            let emission = of_shot.first().and_then(|r| batch.emissions.get(r.emission as usize));
+            let emission = of_shot.first().and_then(|r| line.emissions.get(r.emission as usize));
             let cos_incidence = match self.incidence {
                 Incidence::None => 1.0,
                 Incidence::Flat => match emission.and_then(|emission| cos_to_vertical(frame, emission)) {
@@ -99,8 +99,8 @@ impl Corrections {
             }
         }
         let n = returns.len() as u64;
-        batch.stats.np_range += if range_and_air.reference_range_m.is_some() { n } else { 0 };
-        batch.stats.np_atm += if range_and_air.attenuation_db_per_km.is_some() { n } else { 0 };
+        line.stats.np_range += if range_and_air.reference_range_m.is_some() { n } else { 0 };
+        line.stats.np_atm += if range_and_air.attenuation_db_per_km.is_some() { n } else { 0 };
     }
 
     /// The range and attenuation corrections; none if the sensor position is unknown.

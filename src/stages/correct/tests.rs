@@ -37,10 +37,10 @@ fn found(channel: ReturnChannel, time_of_flight_ns: f64, amplitude_dn: f64) -> R
 fn line_of(input: InputInfo, returns: Vec<Return>) -> ScanLine {
     let emissions =
         vec![emission([0.0, 0.0, -1.0]); returns.iter().map(|r| r.emission as usize + 1).max().unwrap_or(1)];
-    let mut batch = ScanLine::of_shots(Arc::new(input), 0, emissions, Blocks::default());
-    batch.stats.nw = returns.len() as u64;
-    batch.content = Content::Returns(returns);
-    batch
+    let mut scan_line = ScanLine::of_shots(Arc::new(input), 0, emissions, Blocks::default());
+    scan_line.stats.nw = returns.len() as u64;
+    scan_line.content = Content::Returns(returns);
+    scan_line
 }
 
 fn map() -> InputInfo {
@@ -73,8 +73,8 @@ fn run(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
     };
     let mut stage = keys.make(&site).unwrap();
     let (mut cx, mut given_on) = (Context::default(), Vec::new());
-    let mut emit = |batch: ScanLine| {
-        given_on.push(batch);
+    let mut emit = |scan_line: ScanLine| {
+        given_on.push(scan_line);
         Ok(())
     };
     let mut out = Output::new(&mut cx, usize::MAX, &mut emit);

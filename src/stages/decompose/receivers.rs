@@ -117,15 +117,15 @@ struct Receiver {
 
 /// The channel of outgoing pulses at one gain.
 struct Reference {
-    batch: OutgoingBatch,
+    line: OutgoingBatch,
     outgoing: Vec<Option<Outgoing>>,
     /// Common properties of the outgoing pulses of the line.
     usual: Option<Usual>,
 }
 
 impl Reference {
-    fn new(batch: OutgoingBatch) -> Reference {
-        Reference { batch, outgoing: Vec::new(), usual: None }
+    fn new(line: OutgoingBatch) -> Reference {
+        Reference { line, outgoing: Vec::new(), usual: None }
     }
 }
 
@@ -271,12 +271,12 @@ impl Receivers {
             at_gain.outgoing.clear();
         }
         for (level, waveforms) in queue.iter() {
-            let Reference { batch, outgoing, .. } = reference.need(level, |unit| {
-                let model = unit.batch.model().at_gain(level.gain()).map_err(unusable)?;
+            let Reference { line, outgoing, .. } = reference.need(level, |unit| {
+                let model = unit.line.model().at_gain(level.gain()).map_err(unusable)?;
                 let tables = tables.as_ref().and_then(|tables| tables.of(Channel::Reference, level, &model));
                 OutgoingBatch::new(&model, tables, *path).map(Reference::new).map_err(unusable)
             })?;
-            batch.fit(waveforms, outgoing);
+            line.fit(waveforms, outgoing);
         }
         Ok(())
     }
@@ -308,16 +308,16 @@ impl Receivers {
                 (ReferenceBlock { samples: shot.blocks.samples(block), start_samples }, shot.index),
             );
         }
-        for (level, Reference { batch, outgoing, usual }) in reference.iter_mut() {
+        for (level, Reference { line, outgoing, usual }) in reference.iter_mut() {
             let of_gain = recorded.of(level);
             if is_line {
                 let blocks: Vec<ReferenceBlock> = of_gain.iter().map(|(block, _)| *block).collect();
-                *usual = batch.usual(&blocks, outgoing);
+                *usual = line.usual(&blocks, outgoing);
             }
             let Some(usual) = usual else { continue };
             for ((block, index), outgoing) in of_gain.iter().zip(outgoing) {
                 if let Some(outgoing) = outgoing {
-                    batch.judge(block, outgoing, usual, is_expected(*index));
+                    line.judge(block, outgoing, usual, is_expected(*index));
                 }
             }
         }
@@ -345,7 +345,7 @@ impl Receivers {
     pub(super) fn outgoing(&self, lot: BlockRoute) -> Option<(&Outgoing, &ChannelModel)> {
         let BlockRoute::Outgoing(level, number) = lot else { return None };
         let reference = self.reference.as_ref()?.get(level)?;
-        Some((reference.outgoing.get(number)?.as_ref()?, reference.batch.model()))
+        Some((reference.outgoing.get(number)?.as_ref()?, reference.line.model()))
     }
 }
 

@@ -10,7 +10,7 @@ const LEAST_SWEEP: f64 = 1e-9;
 /// Positions of the returns of a line.
 #[derive(Debug)]
 pub(super) struct Places {
-    /// The returns, in their order in the batch.
+    /// The returns, in their order in the line.
     pub(super) line: PointLine,
     /// Spacing to the neighbouring shot at each return, m.
     pub(super) spacing_m: Vec<f32>,
@@ -26,11 +26,11 @@ pub(super) fn has_vertical(frame: Frame) -> bool {
 }
 
 impl Places {
-    pub(super) fn of(batch: &ScanLine) -> Places {
-        let emissions = &batch.emissions;
-        let down = emissions.first().and_then(|first| down_at(batch.input.frame, first.origin_m));
+    pub(super) fn of(scan_line: &ScanLine) -> Places {
+        let emissions = &scan_line.emissions;
+        let down = emissions.first().and_then(|first| down_at(scan_line.input.frame, first.origin_m));
         let down = down.unwrap_or_else(|| main_axis(emissions.iter().map(|emission| emission.direction)));
-        let returns = batch.returns().map(Vec::as_slice).unwrap_or_default();
+        let returns = scan_line.returns().map(Vec::as_slice).unwrap_or_default();
         let mut points = Vec::with_capacity(returns.len());
         let mut spacing_m = Vec::with_capacity(returns.len());
         let mut height_m = Vec::with_capacity(returns.len());
@@ -41,7 +41,7 @@ impl Places {
             let position_m: [f64; 3] =
                 std::array::from_fn(|axis| emission.origin_m[axis] + emission.direction[axis] * reach_m);
             points.push(LinePoint { position_m, waveform: r.emission });
-            let apart_m = match batch.input.origin_is_sensor {
+            let apart_m = match scan_line.input.origin_is_sensor {
                 true => reach_m.abs() * turn(emissions, r.emission as usize),
                 false => to_next_beam_m(emissions, r.emission as usize, position_m),
             };
@@ -127,9 +127,9 @@ mod tests {
             let found = |emission| Return { emission, range_m: 1000.0 - before_m, ..Return::default() };
             let input = InputInfo { frame: Frame::Map, origin_is_sensor, ..InputInfo::default() };
             let emissions = (0..3).map(emission).collect();
-            let mut batch = ScanLine::of_shots(Arc::new(input), 0, emissions, Blocks::default());
-            batch.content = Content::Returns((0..3).map(found).collect());
-            Places::of(&batch).spacing_m
+            let mut scan_line = ScanLine::of_shots(Arc::new(input), 0, emissions, Blocks::default());
+            scan_line.content = Content::Returns((0..3).map(found).collect());
+            Places::of(&scan_line).spacing_m
         };
         for origin_is_sensor in [true, false] {
             let spacings_m = spacings(origin_is_sensor);

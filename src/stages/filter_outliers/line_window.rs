@@ -28,9 +28,9 @@ pub(super) struct Strip {
     search: SupportSearch,
 }
 
-/// A line; its batch is taken when it is emitted.
+/// A line; its line is taken when it is emitted.
 struct Held {
-    batch: Option<ScanLine>,
+    scan_line: Option<ScanLine>,
     places: Places,
     bytes: usize,
 }
@@ -52,12 +52,12 @@ impl Strip {
     }
 
     /// Adds the next line and emits those that can be classified.
-    pub(super) fn push(&mut self, batch: ScanLine, out: &mut Output) -> Result<()> {
-        let places = Places::of(&batch);
-        let apart = self.lines_apart(&batch, out);
-        let bytes = batch.bytes() + places.bytes();
+    pub(super) fn push(&mut self, scan_line: ScanLine, out: &mut Output) -> Result<()> {
+        let places = Places::of(&scan_line);
+        let apart = self.lines_apart(&scan_line, out);
+        let bytes = scan_line.bytes() + places.bytes();
         self.bytes += bytes;
-        self.lines.push_back(Held { batch: Some(batch), places, bytes });
+        self.lines.push_back(Held { scan_line: Some(scan_line), places, bytes });
         while self.lines.len() - self.next > apart {
             self.judge_next(out)?;
         }
@@ -82,8 +82,8 @@ impl Strip {
         Ok(())
     }
 
-    fn lines_apart(&self, batch: &ScanLine, out: &mut Output) -> usize {
-        if has_vertical(batch.input.frame) {
+    fn lines_apart(&self, scan_line: &ScanLine, out: &mut Output) -> usize {
+        if has_vertical(scan_line.input.frame) {
             return LINES_APART;
         }
         out.cx.warn("outliers are detected within each line only: without a trajectory, lines cannot be compared with their neighbours, and wires across them are marked as outliers");
@@ -96,15 +96,15 @@ impl Strip {
         self.next += 1;
         let verdicts = self.verdicts(at);
         let Some(held) = self.lines.get_mut(at) else { return Ok(()) };
-        let Some(mut batch) = held.batch.take() else { return Ok(()) };
+        let Some(mut scan_line) = held.scan_line.take() else { return Ok(()) };
         let left = held.places.bytes();
         self.bytes = self.bytes - held.bytes + left;
         held.bytes = left;
         if self.next > LINES_APART {
             self.forget_first();
         }
-        apply(&mut batch, &verdicts, &self.config, out);
-        out.emit(batch)
+        apply(&mut scan_line, &verdicts, &self.config, out);
+        out.emit(scan_line)
     }
 
     /// Drops the first line, which has been classified.
@@ -117,7 +117,7 @@ impl Strip {
     /// Classifies the returns of a line.
     fn verdicts(&mut self, at: usize) -> Verdicts {
         let Some(held) = self.lines.get(at) else { return Verdicts::default() };
-        let is_alone = held.batch.as_ref().is_none_or(|batch| !has_vertical(batch.input.frame));
+        let is_alone = held.scan_line.as_ref().is_none_or(|scan_line| !has_vertical(scan_line.input.frame));
         let (from, until) = match is_alone {
             true => (at, at + 1),
             false => (at.saturating_sub(LINES_APART), (at + LINES_APART + 1).min(self.lines.len())),
@@ -205,9 +205,9 @@ fn reject_jumps(places: &Places, verdicts: &mut Verdicts, config: &FilterOutlier
 }
 
 /// Rejects and marks the returns of a line, and counts them.
-fn apply(batch: &mut ScanLine, verdicts: &Verdicts, config: &FilterOutliers, out: &mut Output) {
-    let stats = &mut batch.stats;
-    let Content::Returns(returns) = &mut batch.content else { return };
+fn apply(scan_line: &mut ScanLine, verdicts: &Verdicts, config: &FilterOutliers, out: &mut Output) {
+    let stats = &mut scan_line.stats;
+    let Content::Returns(returns) = &mut scan_line.content else { return };
     let is_out = |index: usize| verdicts.rejected[index] || (config.points && verdicts.outliers[index]);
     for (index, r) in returns.iter_mut().enumerate().filter(|(index, _)| is_out(*index)) {
         match verdicts.sides[index] {

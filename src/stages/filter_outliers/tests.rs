@@ -49,14 +49,14 @@ fn line(lying: &Lying, line: u32, other: impl Fn(u32) -> Option<Vec<f64>>) -> Sc
         returns.extend(ranges.into_iter().map(|range_m| found(shot, range_m)));
     }
     let input = Arc::new(InputInfo { frame: lying.frame, ..InputInfo::default() });
-    let mut batch = ScanLine::of_shots(input, line, emissions, Blocks::default());
-    batch.stats.nw = u64::from(SHOTS);
-    batch.stats.nw_with_points =
+    let mut scan_line = ScanLine::of_shots(input, line, emissions, Blocks::default());
+    scan_line.stats.nw = u64::from(SHOTS);
+    scan_line.stats.nw_with_points =
         (0..SHOTS).filter(|shot| returns.iter().any(|r| r.emission == *shot)).count() as u64;
-    batch.stats.nw_empty = batch.stats.nw - batch.stats.nw_with_points;
-    (batch.stats.np, batch.stats.n_candidates) = (returns.len() as u64, returns.len() as u64);
-    batch.content = Content::Returns(returns);
-    batch
+    scan_line.stats.nw_empty = scan_line.stats.nw - scan_line.stats.nw_with_points;
+    (scan_line.stats.np, scan_line.stats.n_candidates) = (returns.len() as u64, returns.len() as u64);
+    scan_line.content = Content::Returns(returns);
+    scan_line
 }
 
 /// A false return 30 m above the ground in line 4, one 20 m below it in line 9, a wire across all
@@ -76,8 +76,8 @@ fn scene(lying: &Lying) -> Vec<ScanLine> {
 fn run(keys: &FilterOutliers, lines: Vec<ScanLine>, may_hold_bytes: usize) -> (Vec<ScanLine>, Context) {
     let mut stage = Filter { strip: Strip::new(keys.clone()) };
     let (mut cx, mut given_on) = (Context::default(), Vec::new());
-    let mut emit = |batch: ScanLine| {
-        given_on.push(batch);
+    let mut emit = |scan_line: ScanLine| {
+        given_on.push(scan_line);
         Ok(())
     };
     let mut out = Output::new(&mut cx, may_hold_bytes, &mut emit);
@@ -88,9 +88,9 @@ fn run(keys: &FilterOutliers, lines: Vec<ScanLine>, may_hold_bytes: usize) -> (V
 
 /// Line and shot of every marked return.
 fn marked(lines: &[ScanLine]) -> Vec<(u32, u32)> {
-    let of_line = |batch: &ScanLine| {
-        let marked = batch.returns().unwrap().iter().filter(|r| r.withheld && r.class == 20);
-        marked.map(|r| (batch.line, r.emission)).collect::<Vec<_>>()
+    let of_line = |scan_line: &ScanLine| {
+        let marked = scan_line.returns().unwrap().iter().filter(|r| r.withheld && r.class == 20);
+        marked.map(|r| (scan_line.line, r.emission)).collect::<Vec<_>>()
     };
     lines.iter().flat_map(of_line).collect()
 }
@@ -98,14 +98,14 @@ fn marked(lines: &[ScanLine]) -> Vec<(u32, u32)> {
 #[test]
 fn false_returns_are_marked_and_waveforms_that_jump_rejected() {
     let (lines, cx) = run(&FilterOutliers::default(), scene(&MAP), usize::MAX);
-    assert_eq!(lines.iter().map(|batch| batch.line).collect::<Vec<_>>(), (0..20).collect::<Vec<_>>());
+    assert_eq!(lines.iter().map(|scan_line| scan_line.line).collect::<Vec<_>>(), (0..20).collect::<Vec<_>>());
     assert_eq!(marked(&lines), [(4, 10), (9, 30)], "the wire is not marked");
     let sides = |at: usize| (lines[at].stats.np_air, lines[at].stats.np_low);
     assert_eq!([sides(4), sides(6), sides(9), sides(12)], [(1, 0), (1, 0), (0, 1), (0, 0)]);
     let rejected = &lines[6].stats;
     assert_eq!((rejected.nw_deleted, rejected.np, rejected.np_filtered), (1, u64::from(SHOTS) - 1, 1));
     assert_eq!(lines[6].n_returns() as u64, rejected.np);
-    assert!(lines.iter().all(|batch| batch.stats.laws_hold()));
+    assert!(lines.iter().all(|scan_line| scan_line.stats.laws_hold()));
     let rejected: Vec<_> = cx.counters().rejected.iter().collect();
     assert_eq!(rejected, [(&(Item::Returns, "a return of a waveform that deviates from its line"), &1)]);
     assert!(cx.counters().notes.is_empty());

@@ -67,9 +67,12 @@ fn read(bytes: &[u8]) -> (Vec<ScanLine>, Context) {
     (batches, cx)
 }
 
-/// (line, first shot, number of shots) of each batch.
+/// (line, first shot, number of shots) of each line.
 fn lines(batches: &[ScanLine]) -> Vec<(u32, u64, usize)> {
-    batches.iter().map(|batch| (batch.line, batch.emissions[0].shot, batch.emissions.len())).collect()
+    batches
+        .iter()
+        .map(|scan_line| (scan_line.line, scan_line.emissions[0].shot, scan_line.emissions.len()))
+        .collect()
 }
 
 #[test]
@@ -98,11 +101,11 @@ fn a_line_ends_with_its_record_batch_its_number_or_its_4096th_shot() {
     ];
     assert_eq!(lines(&batches), expected);
     assert!(cx.counters().rejected.is_empty());
-    for batch in &batches {
-        assert_eq!(batch.stats.nw, batch.emissions.len() as u64);
-        assert_eq!(batch.stats.gps_time_s, batch.emissions[0].gps_time_s);
-        let blocks = batch.blocks().unwrap();
-        assert!(blocks.iter().map(|block| block.emission).eq(0..batch.emissions.len() as u32));
+    for scan_line in &batches {
+        assert_eq!(scan_line.stats.nw, scan_line.emissions.len() as u64);
+        assert_eq!(scan_line.stats.gps_time_s, scan_line.emissions[0].gps_time_s);
+        let blocks = scan_line.blocks().unwrap();
+        assert!(blocks.iter().map(|block| block.emission).eq(0..scan_line.emissions.len() as u32));
     }
 }
 

@@ -44,15 +44,15 @@ impl Geometry {
     ///
     /// In the scanner frame, down is the axis nearest to the mean direction of the line.
     pub fn of(
-        batch: &ScanLine,
+        line: &ScanLine,
         range_m: [f64; 2],
         terrain: Option<&Terrain>,
         placed: &Placed,
     ) -> Result<Geometry> {
-        let frame = batch.input.frame;
+        let frame = line.input.frame;
         let map = match terrain {
             Some(terrain) if frame == Frame::Earth => {
-                placed.map_of(&batch.input, terrain.epsg())?.map(Arc::new)
+                placed.map_of(&line.input, terrain.epsg())?.map(Arc::new)
             }
             _ => None,
         };
@@ -66,13 +66,13 @@ impl Geometry {
                 "give the `trajectory` in `[job.geometry]`, or `agl_m` instead of `terrain`",
             ));
         }
-        let down = match (frame, batch.emissions.first()) {
+        let down = match (frame, line.emissions.first()) {
             (Frame::Map | Frame::Earth, Some(first)) => down_at(frame, first.origin_m),
             _ => None,
         };
         let down = down.unwrap_or_else(|| match frame {
             Frame::Body => [0.0, 0.0, 1.0],
-            _ => main_axis(batch.emissions.iter().map(|emission| emission.direction)),
+            _ => main_axis(line.emissions.iter().map(|emission| emission.direction)),
         });
         Ok(Geometry {
             frame,

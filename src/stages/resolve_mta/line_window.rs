@@ -52,7 +52,7 @@ pub(super) struct Strip {
 
 /// A pending line.
 struct HeldLine {
-    batch: ScanLine,
+    scan_line: ScanLine,
     received: Received,
     /// Index in the line of each emission known to the resolver.
     known: Vec<u32>,
@@ -124,9 +124,9 @@ impl Strip {
     }
 
     /// Adds the next line and emits complete ones.
-    pub fn push(&mut self, batch: ScanLine, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
-        let is_known = self.geometry.follow(&batch.emissions);
-        self.first_lines.push(batch);
+    pub fn push(&mut self, scan_line: ScanLine, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
+        let is_known = self.geometry.follow(&scan_line.emissions);
+        self.first_lines.push(scan_line);
         let bytes: usize = self.first_lines.iter().map(ScanLine::bytes).sum();
         match is_known || bytes > out.may_hold_bytes() / 2 {
             true => self.take_first_lines(terrain, out),
@@ -143,12 +143,12 @@ impl Strip {
         std::mem::take(&mut self.first_lines).into_iter().try_for_each(|line| self.take(line, terrain, out))
     }
 
-    fn take(&mut self, batch: ScanLine, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
-        self.geometry.learn(&batch.emissions);
+    fn take(&mut self, scan_line: ScanLine, terrain: Option<&Terrain>, out: &mut Output) -> Result<()> {
+        self.geometry.learn(&scan_line.emissions);
         let empty = Blocks::default();
-        let received = Received::of(&batch.emissions, batch.blocks().unwrap_or(&empty));
+        let received = Received::of(&scan_line.emissions, scan_line.blocks().unwrap_or(&empty));
         let mut held = HeldLine {
-            batch,
+            scan_line,
             received,
             known: Vec::new(),
             group_of_echo: Vec::new(),
@@ -159,7 +159,7 @@ impl Strip {
         let line = held.for_kernel(&self.geometry, terrain, &mut self.outgoing_ps);
         self.pushed_bytes += line.bytes;
         self.pushed += 1;
-        if held.known.len() < held.batch.emissions.len() {
+        if held.known.len() < held.scan_line.emissions.len() {
             out.cx
                 .warn("shots with duplicate timestamps are indistinguishable; their echoes go to the first");
         }
@@ -198,10 +198,10 @@ impl Strip {
             let Some(held) = self.held.pop_front() else { break };
             self.held_bytes -= held.bytes;
             self.first += 1;
-            let mut batch = held.batch;
-            batch.stats.nw = blocks.waveforms() as u64;
-            batch.content = Content::Shots(blocks);
-            out.emit(batch)?;
+            let mut scan_line = held.scan_line;
+            scan_line.stats.nw = blocks.waveforms() as u64;
+            scan_line.content = Content::Shots(blocks);
+            out.emit(scan_line)?;
         }
         Ok(())
     }
@@ -213,21 +213,21 @@ impl Strip {
         let mut online = std::mem::take(&mut line.online);
         incoming.sort_by(|a, b| a.to.cmp(&b.to).then(a.start_ns.total_cmp(&b.start_ns)));
         online.sort_by(|a, b| a.emission.cmp(&b.emission).then(a.time_ns.total_cmp(&b.time_ns)));
-        let mut first_zones = vec![None; line.batch.emissions.len()];
+        let mut first_zones = vec![None; line.scan_line.emissions.len()];
         for moved in &incoming {
             if let Some(first) = first_zones.get_mut(moved.to as usize) {
                 *first = first.or(moved.zone);
             }
         }
-        for (emission, first) in line.batch.emissions.iter_mut().zip(first_zones) {
+        for (emission, first) in line.scan_line.emissions.iter_mut().zip(first_zones) {
             // A shot without echoes has no zone; 0 marks it as resolved.
             emission.mta_zone = emission.mta_zone.or(first).or(Some(0));
         }
         let mut blocks = Blocks::default();
-        let emissions = &self.held[0].batch.emissions;
+        let emissions = &self.held[0].scan_line.emissions;
         for moved in &incoming {
             let source =
-                self.held.get((moved.line - self.first) as usize).and_then(|held| held.batch.blocks());
+                self.held.get((moved.line - self.first) as usize).and_then(|held| held.scan_line.blocks());
             let found = source.and_then(|source| Some((source, source.get(moved.block as usize)?)));
             let Some((source, block)) = found else { continue };
             let of_shot = emissions.get(moved.to as usize).and_then(|emission| emission.mta_zone);
@@ -287,8 +287,8 @@ impl Strip {
         let cause = best.cause?;
         let cause_line = self.held.get(cause.line.checked_sub(self.first)? as usize)?;
         let emission = *cause_line.known.get(cause.emission as usize)?;
-        let causing = cause_line.batch.emissions.get(emission as usize)?;
-        let record = line.batch.emissions.get(group.record as usize)?;
+        let causing = cause_line.scan_line.emissions.get(emission as usize)?;
+        let record = line.scan_line.emissions.get(group.record as usize)?;
         let zone = line.received_with(group).saturating_sub(causing.shot).min(i16::MAX as u64) as i16;
         let is_split = votes().any(|(echo, _)| echo.cause != best.cause);
         let verdict = Assignment {
@@ -321,11 +321,11 @@ impl HeldLine {
         outgoing_ps: &mut i64,
     ) -> mta::Line {
         let mut line = mta::Line { bytes: self.window_bytes(), ..mta::Line::default() };
-        let has_outgoing = self.batch.input.emission_reference == EmissionReference::OutgoingPulse;
+        let has_outgoing = self.scan_line.input.emission_reference == EmissionReference::OutgoingPulse;
         // For each shot, its index among those known to the kernel.
-        let mut places = Vec::with_capacity(self.batch.emissions.len());
+        let mut places = Vec::with_capacity(self.scan_line.emissions.len());
         for ((index, emission), outgoing_ns) in
-            (0u32..).zip(&self.batch.emissions).zip(&self.received.outgoing_ns)
+            (0u32..).zip(&self.scan_line.emissions).zip(&self.received.outgoing_ns)
         {
             // A pulse leaves at its recorded peak, not at its time stamp. If a peak is unusable,
             // the last delay is used.
@@ -342,7 +342,7 @@ impl HeldLine {
             places.push(line.emissions.len() as u32 - 1);
         }
         for (number, group) in (0u32..).zip(&self.received.groups) {
-            let record = self.batch.emissions.get(group.record as usize);
+            let record = self.scan_line.emissions.get(group.record as usize);
             let (Some(&place), Some(record)) = (places.get(group.record as usize), record) else { continue };
             let left = line.emissions.get(place as usize);
             let after_ns =
@@ -358,31 +358,31 @@ impl HeldLine {
     /// Nominal size of the line in the kernel's window, bytes; depends on the data only, not on the
     /// reader.
     fn window_bytes(&self) -> usize {
-        let blocks = self.batch.blocks();
+        let blocks = self.scan_line.blocks();
         let samples: usize = blocks.map_or(0, |blocks| blocks.iter().map(Block::len).sum());
-        self.batch.emissions.len() * WINDOW_BYTES_PER_SHOT
+        self.scan_line.emissions.len() * WINDOW_BYTES_PER_SHOT
             + blocks.map_or(0, |blocks| blocks.len() + blocks.online.len()) * WINDOW_BYTES_PER_BLOCK
             + samples * size_of::<u16>()
     }
 
     /// Charges the memory of the pending line to the budget.
     fn count(&mut self) {
-        let shots = self.batch.emissions.len();
+        let shots = self.scan_line.emissions.len();
         let received = &self.received;
-        self.bytes = self.batch.bytes()
+        self.bytes = self.scan_line.bytes()
             + shots * (BYTES_PER_SHOT + CELL_BYTES_PER_SHOT + size_of::<u32>() + size_of::<f64>())
             + received.echoes.len() * (BYTES_PER_ECHO + size_of::<Peak>() + size_of::<u32>())
             + received.groups.len() * (size_of::<Group>() + size_of::<Option<Assignment>>())
             + received.blocks.len() * (size_of::<Place>() + 2 * size_of::<Relocation>())
             + received.online.len() * (size_of::<Place>() + 2 * size_of::<OnlineReturn>());
-        if let Some(ticket) = &mut self.batch.ticket {
+        if let Some(ticket) = &mut self.scan_line.ticket {
             ticket.resize(self.bytes);
         }
     }
 
     /// Number of the last shot fired before a group begins.
     fn received_with(&self, group: &Group) -> u64 {
-        let emissions = &self.batch.emissions;
+        let emissions = &self.scan_line.emissions;
         let mut at = group.record as usize;
         let clock_ps = emissions.get(at).map_or(0, |record| record.clock_ps);
         let is_out = |next: usize| {
@@ -403,7 +403,7 @@ impl HeldLine {
         verdicts: &[Option<Assignment>],
         out: &mut Output,
     ) -> (Vec<(u64, Relocation)>, Vec<(u64, OnlineReturn)>) {
-        let Some(blocks) = self.batch.blocks() else { return (Vec::new(), Vec::new()) };
+        let Some(blocks) = self.scan_line.blocks() else { return (Vec::new(), Vec::new()) };
         let verdict = |place: Place| match place {
             Place::Group(group) => verdicts.get(group as usize).copied().flatten(),
             _ => None,
@@ -426,7 +426,7 @@ impl HeldLine {
                     verdict.line
                 }
                 (Place::Stays, _) => {
-                    let Some(emission) = self.batch.emissions.get(block.emission as usize) else {
+                    let Some(emission) = self.scan_line.emissions.get(block.emission as usize) else {
                         out.cx.reject(Item::Blocks, NO_SHOT, 1);
                         continue;
                     };
@@ -455,7 +455,7 @@ impl HeldLine {
         verdict: impl Fn(Place) -> Option<Assignment>,
         out: &mut Output,
     ) -> Vec<(u64, OnlineReturn)> {
-        let online = self.batch.blocks().map_or(&[][..], |blocks| &blocks.online);
+        let online = self.scan_line.blocks().map_or(&[][..], |blocks| &blocks.online);
         let mut moves = Vec::with_capacity(online.len());
         for (&returned, &place) in online.iter().zip(&self.received.online) {
             match (place, verdict(place)) {

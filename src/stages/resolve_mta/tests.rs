@@ -26,8 +26,8 @@ fn run(
     let terrain = config.terrain.as_ref().map(|path| Terrain::open(path).unwrap());
     let mut stage = Resolving { config: config.clone(), terrain, placed: Arc::default(), strip: None };
     let (mut cx, mut given) = (Context::default(), Vec::new());
-    let mut emit = |batch: ScanLine| {
-        given.push(batch);
+    let mut emit = |scan_line: ScanLine| {
+        given.push(scan_line);
         Ok(())
     };
     let mut out = Output::new(&mut cx, may_hold_bytes, &mut emit);
@@ -43,9 +43,9 @@ fn fixed(zone: u16) -> ResolveMta {
 }
 
 /// Shot, channel, zone and start of each block.
-fn blocks_of(batch: &ScanLine) -> Vec<(u64, Channel, Option<i16>, f64)> {
-    let shot = |block: &crate::scan_line::Block| batch.emissions[block.emission as usize].shot;
-    batch
+fn blocks_of(scan_line: &ScanLine) -> Vec<(u64, Channel, Option<i16>, f64)> {
+    let shot = |block: &crate::scan_line::Block| scan_line.emissions[block.emission as usize].shot;
+    scan_line
         .blocks()
         .unwrap()
         .iter()

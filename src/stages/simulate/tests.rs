@@ -40,8 +40,8 @@ fn gaussian_peak_ns(samples: &[u16], block: &Block, background_dn: f64) -> f64 {
 
 #[test]
 fn the_first_shot_spelled_out() {
-    let (batch, truth) = &lines(&Simulate::default(), 0..1)[0];
-    let blocks = batch.blocks().unwrap();
+    let (scan_line, truth) = &lines(&Simulate::default(), 0..1)[0];
+    let blocks = scan_line.blocks().unwrap();
     let first: Vec<_> = blocks.iter().take(2).map(|block| (block.start_ns, blocks.samples(block))).collect();
     let pulse: &[u16] =
         &[3, 3, 2, 2, 2, 4, 12, 37, 84, 141, 179, 172, 126, 72, 32, 13, 5, 4, 3, 2, 2, 2, 2, 3];
@@ -50,7 +50,7 @@ fn the_first_shot_spelled_out() {
         5, 4, 5, 5, 3, 4, 3, 3, 3, 4, 4, 4, 3, 4, 4, 3, 4, 3, 4, 3, 4, 3, 3, 3, 2, 1, 2, 2, 2,
     ];
     assert_eq!(first, [(-10.0, pulse), (4606.375, echo)]);
-    let emission = batch.emissions[0];
+    let emission = scan_line.emissions[0];
     assert_eq!(
         (emission.shot, emission.clock_ps, emission.gps_time_s),
         (0, 1_000_000_000_000_000, 208_800.0)
@@ -65,8 +65,8 @@ fn signal_free_samples_have_the_spread_and_correlation_that_were_asked_for() {
     // A background that keeps the noise above 0.
     let config = Simulate { background_dn: [20.18, 20.41], ..bare() };
     let (mut n, mut mean, mut products) = (0.0, [0.0; 2], [0.0; 5]);
-    for (batch, _) in lines(&config, 0..60) {
-        let blocks = batch.blocks().unwrap();
+    for (scan_line, _) in lines(&config, 0..60) {
+        let blocks = scan_line.blocks().unwrap();
         for block in blocks.iter().filter(|block| block.channel == Channel::LowPower) {
             // Echoes are at sample 16 or later, and contribute nothing 8 samples before.
             let noise: [f64; 8] =
@@ -99,8 +99,8 @@ fn the_mean_of_many_echoes_is_the_response() {
         let config = Simulate { response, background_dn: [20.18, 20.41], ..bare() };
         let variance = (shape.fwhm_ns() / FWHM_OF_NORMAL).powi(2);
         let (mut sums, mut counts) = (vec![0.0; 140], vec![0.0; 140]);
-        for (batch, truth) in lines(&config, 0..20) {
-            let blocks = batch.blocks().unwrap();
+        for (scan_line, truth) in lines(&config, 0..20) {
+            let blocks = scan_line.blocks().unwrap();
             for (truth, block) in truth.iter().zip(blocks.iter().filter(|b| b.channel == Channel::LowPower)) {
                 let echo_ns = truth.emission_ns + truth.time_of_flight_ns;
                 let widening = variance * (truth.width_ratio.powi(2) - 1.0);
@@ -132,8 +132,8 @@ fn without_noise_pulse_and_echo_peak_at_their_true_times() {
         ..bare()
     };
     let (mut n, mut sums) = (0.0, [0.0; 2]);
-    for (batch, truth) in lines(&config, 0..3) {
-        let blocks = batch.blocks().unwrap();
+    for (scan_line, truth) in lines(&config, 0..3) {
+        let blocks = scan_line.blocks().unwrap();
         for truth in truth.iter().filter(|truth| truth.amplitude_dn < 230.0) {
             let emission = (truth.shot % 1000) as usize;
             let peak_ns = |channel| {
@@ -155,9 +155,9 @@ fn without_noise_pulse_and_echo_peak_at_their_true_times() {
 fn truth_agrees_with_the_geometry() {
     let config = Simulate::default();
     let mut returns = [0; 5];
-    for (batch, truth) in lines(&config, 0..20) {
+    for (scan_line, truth) in lines(&config, 0..20) {
         for truth in truth {
-            let emission = &batch.emissions[(truth.shot % 1000) as usize];
+            let emission = &scan_line.emissions[(truth.shot % 1000) as usize];
             assert_eq!(emission.shot, truth.shot);
             for axis in 0..3 {
                 let at = emission.origin_m[axis] + truth.range_m * emission.direction[axis];
@@ -176,11 +176,11 @@ fn truth_agrees_with_the_geometry() {
 fn every_emission_has_its_pulse_its_blocks_and_its_truth() {
     let config = Simulate { dropout_rate: 0.1, ..Simulate::default() };
     let (mut lost, mut saturated) = (0, 0);
-    for (batch, truth) in lines(&config, 100..110) {
-        let blocks = batch.blocks().unwrap();
-        assert_eq!(batch.emissions.len(), 1000);
-        assert_eq!(batch.stats.nw, blocks.waveforms() as u64);
-        for (index, emission) in batch.emissions.iter().enumerate() {
+    for (scan_line, truth) in lines(&config, 100..110) {
+        let blocks = scan_line.blocks().unwrap();
+        assert_eq!(scan_line.emissions.len(), 1000);
+        assert_eq!(scan_line.stats.nw, blocks.waveforms() as u64);
+        for (index, emission) in scan_line.emissions.iter().enumerate() {
             let rows: Vec<_> = truth.iter().filter(|truth| truth.shot == emission.shot).collect();
             let references: Vec<_> = blocks_of(blocks, index, Channel::Reference).collect();
             assert_eq!((references.len(), references[0].len()), (1, 24));
@@ -255,13 +255,13 @@ fn rich() -> Simulate {
 }
 
 /// FNV-1a hash of a line's times, directions, samples and truth.
-fn digest((batch, truth): &(ScanLine, Vec<TrueReturn>)) -> u64 {
+fn digest((scan_line, truth): &(ScanLine, Vec<TrueReturn>)) -> u64 {
     let mut bytes = Vec::new();
-    for emission in &batch.emissions {
+    for emission in &scan_line.emissions {
         bytes.extend(emission.clock_ps.to_le_bytes());
         emission.direction.iter().for_each(|d| bytes.extend(d.to_le_bytes()));
     }
-    let blocks = batch.blocks().unwrap();
+    let blocks = scan_line.blocks().unwrap();
     for block in blocks.iter() {
         bytes.extend(block.start_ns.to_le_bytes());
         blocks.samples(block).iter().for_each(|sample| bytes.extend(sample.to_le_bytes()));
@@ -306,9 +306,9 @@ fn changing_the_noise_leaves_the_scene_as_it_was() {
 fn pulses_in_the_air_are_resolved() {
     let config = Simulate { flying_height_m: 2000.0, pulse_rate_hz: 400_000.0, ..Simulate::default() };
     let mut zones = [0; 10];
-    for (batch, truth) in lines(&config, 0..2) {
+    for (scan_line, truth) in lines(&config, 0..2) {
         for truth in truth.iter().filter(|truth| truth.return_number == 1) {
-            let zone = batch.emissions[(truth.shot % 1000) as usize].mta_zone.unwrap();
+            let zone = scan_line.emissions[(truth.shot % 1000) as usize].mta_zone.unwrap();
             let pulses = truth.time_of_flight_ns / 2500.0;
             // A block begins 16 samples before its echo.
             assert!((f64::from(zone)..f64::from(zone) + 1.01).contains(&pulses), "{zone} {pulses}");
@@ -320,8 +320,8 @@ fn pulses_in_the_air_are_resolved() {
 
 #[test]
 fn the_recording_says_what_it_is() {
-    let (batch, _) = &lines(&Simulate { stem: "demo".to_owned(), ..bare() }, 0..1)[0];
-    let input = &batch.input;
+    let (scan_line, _) = &lines(&Simulate { stem: "demo".to_owned(), ..bare() }, 0..1)[0];
+    let input = &scan_line.input;
     assert_eq!(
         (input.stem.as_str(), input.gps_week, input.recorded),
         ("demo", Some(2365), Some((126, 2025)))
@@ -331,9 +331,9 @@ fn the_recording_says_what_it_is() {
     // is linear.
     assert!((table.at(2.295 + 70.0) - 10.0).abs() < 1e-3);
     assert!((table.at(9.0) - 10.0 * (6.705f64 / 7.0).log10()).abs() < 1e-12);
-    let last = batch.emissions.last().unwrap();
+    let last = scan_line.emissions.last().unwrap();
     assert!(last.flags & emission_flags::EDGE_OF_FLIGHT_LINE != 0);
-    assert!(batch.emissions[0].flags & emission_flags::EDGE_OF_FLIGHT_LINE == 0);
+    assert!(scan_line.emissions[0].flags & emission_flags::EDGE_OF_FLIGHT_LINE == 0);
     assert_eq!(last.scan_angle_deg, 30.0);
 }
 
@@ -355,10 +355,10 @@ fn the_table_of_truth_is_handed_over_once_it_is_whole() {
     let config = Simulate { lines: 3, shots_per_line: 50, truth: Some("*_truth.csv".to_owned()), ..bare() };
     let (mut source, mut cx) = (config.make(&site(folder.path())).unwrap(), Context::default());
     let mut shots = 0;
-    while let Some(batch) = source.next(&mut cx).unwrap() {
-        shots += batch.emissions.len();
+    while let Some(scan_line) = source.next(&mut cx).unwrap() {
+        shots += scan_line.emissions.len();
         assert!(cx.whole.is_empty());
-        assert_eq!(source.progress(), Some(f64::from(batch.line + 1) / 3.0));
+        assert_eq!(source.progress(), Some(f64::from(scan_line.line + 1) / 3.0));
     }
     assert!(source.next(&mut cx).unwrap().is_none(), "the end stays the end");
     assert_eq!((shots, cx.whole.len()), (150, 1));
@@ -416,10 +416,10 @@ proptest! {
             ..Simulate::default()
         };
         prop_assert_eq!(config.check(), Ok(()));
-        let (batch, truth) = Flight::new(&config).unwrap().line(line);
-        let blocks = batch.blocks().unwrap();
-        prop_assert_eq!(batch.emissions.len(), shots_per_line as usize);
-        prop_assert!(batch.emissions.windows(2).all(|pair| pair[0].clock_ps <= pair[1].clock_ps));
+        let (scan_line, truth) = Flight::new(&config).unwrap().line(line);
+        let blocks = scan_line.blocks().unwrap();
+        prop_assert_eq!(scan_line.emissions.len(), shots_per_line as usize);
+        prop_assert!(scan_line.emissions.windows(2).all(|pair| pair[0].clock_ps <= pair[1].clock_ps));
         prop_assert!(blocks.iter().all(|block| blocks.samples(block).iter().all(|&dn| dn <= FULL_SCALE_DN)));
         for truth in truth {
             prop_assert!((time_of_flight_ns(truth.range_m) - truth.time_of_flight_ns).abs() < 1e-9);

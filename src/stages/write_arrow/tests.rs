@@ -26,11 +26,11 @@ fn site(folder: &Path, input: &str) -> RunContext {
     }
 }
 
-/// Writes batches as a job does; returns the notes and counters.
+/// Writes lines as a job does; returns the notes and counters.
 fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
     let mut cx = Context::default();
     let mut sink = config.make(&site(folder, "")).unwrap();
-    batches.iter().for_each(|batch| sink.write(batch, &mut cx).unwrap());
+    batches.iter().for_each(|scan_line| sink.write(scan_line, &mut cx).unwrap());
     sink.finish(&mut cx).unwrap();
     for whole in cx.whole.drain(..) {
         whole.publish().unwrap();
@@ -184,7 +184,7 @@ fn shot() -> impl Strategy<Value = MadeShot> {
     (emission(), any::<u32>(), vec(block(), 0..4), vec((number(), amplitude), 0..3))
 }
 
-fn batch(info: &Arc<InputInfo>, line: u32, shots: Vec<MadeShot>) -> ScanLine {
+fn scan_line(info: &Arc<InputInfo>, line: u32, shots: Vec<MadeShot>) -> ScanLine {
     let mut emissions = Vec::new();
     let mut blocks = Blocks::default();
     let mut clock_ps = i64::from(line) - 7_000_000_000;
@@ -209,10 +209,10 @@ fn batch(info: &Arc<InputInfo>, line: u32, shots: Vec<MadeShot>) -> ScanLine {
     ScanLine::of_shots(Arc::clone(info), line, emissions, blocks)
 }
 
-/// All contents of a batch as text, with every bit of its numbers: NaN equals NaN, and -0 differs
+/// All contents of a line as text, with every bit of its numbers: NaN equals NaN, and -0 differs
 /// from 0.
-fn words(batch: &ScanLine) -> String {
-    format!("{} {:?} {:?} {:?}", batch.line, batch.emissions, batch.content, batch.stats)
+fn words(scan_line: &ScanLine) -> String {
+    format!("{} {:?} {:?} {:?}", scan_line.line, scan_line.emissions, scan_line.content, scan_line.stats)
 }
 
 proptest! {
@@ -226,7 +226,7 @@ proptest! {
     ) {
         let info = Arc::new(info);
         let batches: Vec<ScanLine> =
-            lines.into_iter().map(|(line, shots)| batch(&info, line, shots)).collect();
+            lines.into_iter().map(|(line, shots)| scan_line(&info, line, shots)).collect();
         let folder = tempfile::tempdir().unwrap();
         let cx = write(folder.path(), &Config { compression, ..Config::default() }, &batches);
         prop_assert!(cx.counters().rejected.is_empty());
@@ -301,8 +301,8 @@ fn an_abandoned_container_leaves_no_file() {
         mta_zone: None,
         scan_angle_deg: 0.0,
     };
-    let batch = ScanLine::of_shots(plain_info(), 0, vec![shot], Blocks::default());
-    sink.write(&batch, &mut Context::default()).unwrap();
+    let scan_line = ScanLine::of_shots(plain_info(), 0, vec![shot], Blocks::default());
+    sink.write(&scan_line, &mut Context::default()).unwrap();
     drop(sink);
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
@@ -327,9 +327,9 @@ fn keys_have_defaults_and_limits() {
 fn other_kinds_of_batches_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let mut sink = Config::default().make(&site(folder.path(), "")).unwrap();
-    let mut batch = ScanLine::of_shots(plain_info(), 0, vec![], Blocks::default());
-    batch.content = crate::scan_line::Content::Returns(vec![]);
-    let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
+    let mut scan_line = ScanLine::of_shots(plain_info(), 0, vec![], Blocks::default());
+    scan_line.content = crate::scan_line::Content::Returns(vec![]);
+    let error = sink.write(&scan_line, &mut Context::default()).unwrap_err().to_string();
     assert_eq!(error, "write_arrow received Returns, but writes Shots; put it before `decompose`");
 }
 
@@ -359,8 +359,8 @@ fn a_gain_that_the_header_does_not_announce_is_an_error() {
     let mut blocks = Blocks::default();
     blocks.push(0, Channel::LowPower, None, 0.0, 1.0, &[1, 2]);
     blocks.set_last_gain(2.0);
-    let batch = ScanLine::of_shots(plain_info(), 0, vec![Emission::default()], blocks);
+    let scan_line = ScanLine::of_shots(plain_info(), 0, vec![Emission::default()], blocks);
     let mut sink = Config::default().make(&site(folder.path(), "")).unwrap();
-    let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
+    let error = sink.write(&scan_line, &mut Context::default()).unwrap_err().to_string();
     assert!(error.contains("a block has a gain, but the container header declares none"), "{error}");
 }

@@ -46,10 +46,10 @@ fn info(crs_wkt: Option<&str>) -> InputInfo {
 fn line(input: InputInfo, returns: Vec<Return>) -> ScanLine {
     let flags = emission_flags::SCAN_DIRECTION_POSITIVE | emission_flags::EDGE_OF_FLIGHT_LINE;
     let emission = Emission { gps_time_s: 2e8, flags, scan_angle_deg: -12.6, ..Emission::default() };
-    let mut batch = ScanLine::of_shots(Arc::new(input), 0, vec![emission], Blocks::default());
+    let mut scan_line = ScanLine::of_shots(Arc::new(input), 0, vec![emission], Blocks::default());
     let points = returns.iter().map(|r| [1.0, 2.0, f64::from(r.return_number)]).collect();
-    batch.content = Content::Points(returns, points);
-    batch
+    scan_line.content = Content::Points(returns, points);
+    scan_line
 }
 
 fn site(folder: &Path) -> RunContext {

@@ -34,8 +34,8 @@ impl Waves {
     }
 
     /// Returns the recorded blocks of a line.
-    pub(super) fn begin_line<'a>(&mut self, batch: &'a ScanLine) -> Result<&'a Blocks> {
-        let Some(blocks) = &batch.waveforms else {
+    pub(super) fn begin_line<'a>(&mut self, line: &'a ScanLine) -> Result<&'a Blocks> {
+        let Some(blocks) = &line.waveforms else {
             return Err(StageError::failed(
                 "the line has no waveforms",
                 "put write_las with wave_packets after decompose, in the same job",
@@ -47,22 +47,16 @@ impl Waves {
     }
 
     /// The waveform of a return at `point`; written with the first return that uses it.
-    pub(super) fn of(
-        &mut self,
-        batch: &ScanLine,
-        blocks: &Blocks,
-        r: &Return,
-        point: Vector,
-    ) -> Result<Wave> {
-        let emission = &batch.emissions[r.emission as usize];
+    pub(super) fn of(&mut self, line: &ScanLine, blocks: &Blocks, r: &Return, point: Vector) -> Result<Wave> {
+        let emission = &line.emissions[r.emission as usize];
         let time_ns = emission.emission_ns + r.time_of_flight_ns;
         let Some((index, block)) = block_of(blocks, r, time_ns) else { return Ok(Wave::default()) };
         let Some(packet) = self.packet(index, blocks, block)? else { return Ok(Wave::default()) };
         if self.target.is_none() {
-            self.target = self.geometry.target(&batch.input)?;
+            self.target = self.geometry.target(&line.input)?;
         }
-        let to_sensor = self.to_sensor(batch.input.frame, emission, r, point)?;
-        let metres_per_ps = batch.input.group_velocity_mps * 0.5e-12;
+        let to_sensor = self.to_sensor(line.input.frame, emission, r, point)?;
+        let metres_per_ps = line.input.group_velocity_mps * 0.5e-12;
         Ok(Wave {
             descriptor: packet.descriptor,
             offset: packet.offset,

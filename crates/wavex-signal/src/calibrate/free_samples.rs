@@ -51,7 +51,7 @@ impl Sums {
         self
     }
 
-    fn told(&self, background: Background) -> NoiseEstimate {
+    fn estimate(&self, background: Background) -> NoiseEstimate {
         let all = |autocovariance| NoiseEstimate { background_dn: self.all.background_dn(), autocovariance };
         if background == Background::PerWaveform {
             // The free background removes the drift, so it does not count as noise.
@@ -116,8 +116,8 @@ impl FreeSamples {
     }
 
     /// Background and noise from all groups.
-    pub(super) fn told(&self) -> NoiseEstimate {
-        self.sums_but(None).told(self.background)
+    pub(super) fn estimate(&self) -> NoiseEstimate {
+        self.sums_but(None).estimate(self.background)
     }
 
     /// Variance of one sample, and of the level between blocks, DN².
@@ -133,18 +133,20 @@ impl FreeSamples {
     pub(super) fn uncertainty(&self) -> ModelUncertainty {
         let seen = (0..self.groups.len()).filter(|&i| self.groups[i].all.samples() > 0);
         let without: Vec<NoiseEstimate> =
-            seen.map(|i| self.sums_but(Some(i)).told(self.background)).collect();
+            seen.map(|i| self.sums_but(Some(i)).estimate(self.background)).collect();
         let spread = |value: &dyn Fn(&NoiseEstimate) -> f64| {
             jackknife_sd(&without.iter().map(value).collect::<Vec<_>>())
         };
-        let of_phases: f64 = (0..4).map(|phase| spread(&|told| told.background_dn[phase]).powi(2)).sum();
-        let lags = without.iter().map(|told| told.autocovariance.len()).min().unwrap_or(1);
-        let variance = |told: &NoiseEstimate| told.autocovariance[0].max(QUANTISATION_VARIANCE);
-        let correlation = |told: &NoiseEstimate, lag: usize| told.autocovariance[lag] / variance(told);
+        let of_phases: f64 =
+            (0..4).map(|phase| spread(&|estimate| estimate.background_dn[phase]).powi(2)).sum();
+        let lags = without.iter().map(|estimate| estimate.autocovariance.len()).min().unwrap_or(1);
+        let variance = |estimate: &NoiseEstimate| estimate.autocovariance[0].max(QUANTISATION_VARIANCE);
+        let correlation =
+            |estimate: &NoiseEstimate, lag: usize| estimate.autocovariance[lag] / variance(estimate);
         ModelUncertainty {
             background_dn: (of_phases / 4.0).sqrt(),
-            noise_sd_dn: spread(&|told| variance(told).sqrt()),
-            autocorrelation: (1..lags).map(|lag| spread(&|told| correlation(told, lag))).collect(),
+            noise_sd_dn: spread(&|estimate| variance(estimate).sqrt()),
+            autocorrelation: (1..lags).map(|lag| spread(&|estimate| correlation(estimate, lag))).collect(),
             ..ModelUncertainty::default()
         }
     }
@@ -173,15 +175,15 @@ mod tests {
             let mut exact = [0.0; 6];
             process.autocovariance_into(&mut exact);
             exact[0] += QUANTISATION_VARIANCE;
-            let (told, known) = (free.told(), free.uncertainty());
-            let got = &told.autocovariance;
+            let (estimate, known) = (free.estimate(), free.uncertainty());
+            let got = &estimate.autocovariance;
             println!("{level}: {got:?} {exact:?} {known:?}");
             assert!(((got[0] / exact[0]).sqrt() - 1.0).abs() < 0.015, "{level}: {got:?} {exact:?}");
             for lag in 1..6 {
                 let (got, exact) = (got[lag] / got[0], exact[lag] / exact[0]);
                 assert!((got - exact).abs() < 0.02, "{level}, lag {lag}: {got} {exact}");
             }
-            assert!(told.background_dn.iter().all(|got| (got - level).abs() < 0.1), "{told:?}");
+            assert!(estimate.background_dn.iter().all(|got| (got - level).abs() < 0.1), "{estimate:?}");
             assert_eq!((free.samples(), free.groups.len()), (20_000 * length as u64, 25));
         }
     }

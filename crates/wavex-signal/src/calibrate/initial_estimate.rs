@@ -15,7 +15,7 @@ const SD_OF_MEDIAN: f64 = 1.482_602_218_505_602;
 
 /// Initial levels, spreads and width.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct FirstLook {
+pub(super) struct InitialEstimate {
     /// Median of the first samples of the blocks, DN.
     pub(super) start_level_dn: f64,
     /// Their standard deviation from the part below the median, which contains no signal, DN.
@@ -32,11 +32,11 @@ pub(super) struct FirstLook {
     pub(super) pulses: usize,
 }
 
-impl FirstLook {
+impl InitialEstimate {
     pub(super) fn of<'a>(
         blocks: impl Iterator<Item = Waveform<'a>> + Clone,
         full_scale_dn: f64,
-    ) -> FirstLook {
+    ) -> InitialEstimate {
         let mut starts = Histogram::default();
         let mut floors = Histogram::default();
         let mut differences = Histogram::default();
@@ -52,7 +52,7 @@ impl FirstLook {
             .filter_map(|block| width_of_highest(block.samples, start_level_dn, threshold, full_scale_dn))
             .collect();
         widths.sort_by(f64::total_cmp);
-        FirstLook {
+        InitialEstimate {
             start_level_dn,
             start_sd_dn,
             floor_level_dn: floors.quantile(0.5),

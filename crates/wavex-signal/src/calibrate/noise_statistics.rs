@@ -115,8 +115,9 @@ impl NoiseStatistics {
         };
         let (_, overall) = level(&[0, 1, 2, 3]);
         std::array::from_fn(|phase| {
-            let told = [level(&[phase]), level(&[phase, (phase + 2) % 4])];
-            told.into_iter()
+            let known = [level(&[phase]), level(&[phase, (phase + 2) % 4])];
+            known
+                .into_iter()
                 .find(|(count, _)| *count >= MIN_PHASE_SAMPLES)
                 .map_or(overall, |(_, level)| level)
         })

@@ -19,7 +19,7 @@ const APART_WIDTHS: f64 = 2.0;
 
 /// Statistics of a pass.
 #[derive(Debug, Clone)]
-pub(super) struct Survey {
+pub(super) struct PassStats {
     pub(super) blocks: u64,
     /// Blocks whose pulse positions are known because no sample is saturated, and those of them
     /// that begin well before their pulses.
@@ -32,10 +32,10 @@ pub(super) struct Survey {
     residual_parts: Vec<f64>,
 }
 
-impl Survey {
+impl PassStats {
     /// Starts a pass over `blocks` blocks with a model.
-    pub(super) fn of(model: &ChannelModel, blocks: u64) -> Result<Survey, ModelError> {
-        Ok(Survey {
+    pub(super) fn of(model: &ChannelModel, blocks: u64) -> Result<PassStats, ModelError> {
+        Ok(PassStats {
             blocks: 0,
             told_blocks: 0,
             free_blocks: 0,

@@ -147,13 +147,13 @@ pub fn with_response_of(model: &ChannelModel, other: &ChannelModel) -> Option<Ch
     if is_other_pulse && model.pulses > 0 {
         return None;
     }
-    let error = |(k, &told): (usize, &f64)| {
+    let error = |(k, &measured): (usize, &f64)| {
         // Values within half a sample of the time of the error.
         let (from, to) =
             ((k * STEPS_PER_SAMPLE).saturating_sub(STEPS_PER_SAMPLE / 2), (2 * k + 1) * STEPS_PER_SAMPLE / 2);
         let values = &node.values[from.min(node.values.len())..to.min(node.values.len())];
         let is_high = values.iter().any(|value| value.abs() >= BORROWED_ERROR);
-        if is_high { told.max(BORROWED_ERROR) } else { told }
+        if is_high { measured.max(BORROWED_ERROR) } else { measured }
     };
     let template_error = known.template_error.iter().enumerate().map(error).collect();
     let response = SystemResponse { nodes: vec![node], template_error, echoes: 0, ..known.clone() };

@@ -1,13 +1,13 @@
 //! Uncertainty of a model from the amount of data.
 
-use super::pass_stats::Survey;
+use super::pass_stats::PassStats;
 use crate::sensor_model::{ChannelModel, ModelUncertainty};
 
 /// SD of the median of normal values, times the root of the count, in their SD: `√(π/2)`.
 const SPREAD_OF_MEDIAN: f64 = 1.253_314_137_315_500_3;
 
 /// Uncertainty of background and noise estimated from residuals: medians over the blocks.
-pub(super) fn of_residuals(model: &ChannelModel, survey: &Survey) -> ModelUncertainty {
+pub(super) fn of_residuals(model: &ChannelModel, survey: &PassStats) -> ModelUncertainty {
     let of_median = |spread: f64| SPREAD_OF_MEDIAN * spread / (survey.blocks.max(1) as f64).sqrt();
     ModelUncertainty {
         background_dn: of_median(model.background_sd_dn),
@@ -48,7 +48,7 @@ mod tests {
         let mut random = Random::new(77);
         let process = ArNoise::new(&[0.6], 0.7).unwrap();
         let mut values: [Vec<f64>; 5] = Default::default();
-        let mut told: [Vec<f64>; 5] = Default::default();
+        let mut reported: [Vec<f64>; 5] = Default::default();
         for _ in 0..60 {
             let blocks: Vec<Vec<u16>> = (0..250)
                 .map(|_| {
@@ -68,14 +68,14 @@ mod tests {
             ];
             for (k, (value, sd)) in pairs.into_iter().enumerate() {
                 values[k].push(value);
-                told[k].push(sd);
+                reported[k].push(sd);
             }
         }
-        for (k, (values, told)) in values.iter().zip(&told).enumerate() {
-            let (spread, told) = (moments(values).1, moments(told).0);
-            println!("{k}: spread {spread:.5}, reported {told:.5}");
+        for (k, (values, reported)) in values.iter().zip(&reported).enumerate() {
+            let (spread, reported) = (moments(values).1, moments(reported).0);
+            println!("{k}: spread {spread:.5}, reported {reported:.5}");
             // The relative uncertainty of an SD of sixty values is 9 %.
-            assert!((0.7..1.35).contains(&(spread / told)), "{k}: {spread} {told}");
+            assert!((0.7..1.35).contains(&(spread / reported)), "{k}: {spread} {reported}");
         }
     }
 }

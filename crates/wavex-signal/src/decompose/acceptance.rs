@@ -10,7 +10,7 @@ pub(crate) mod response_error;
 
 /// Distance after a stronger pulse, in widths, beyond which its filter response is subtracted from a
 /// candidate's statistic.
-pub(crate) const TOLD_WIDTHS: f64 = 1.5;
+pub(crate) const TAIL_START_WIDTHS: f64 = 1.5;
 /// Start of a pulse before its peak, in its widths (8 ns for 4.25).
 pub(crate) const BEGINS_WIDTHS: f64 = 1.9;
 /// Distance in widths below which pulses are fitted jointly.

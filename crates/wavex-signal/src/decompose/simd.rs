@@ -129,7 +129,7 @@ pub struct BatchDecomposer {
     plain: Decomposer,
     work: Workspace,
     /// Pulse models of the fast pass while some waveforms are refined.
-    first_look: Vec<PulseModel>,
+    first_pass: Vec<PulseModel>,
     left_to_plain: u64,
 }
 
@@ -158,7 +158,7 @@ impl BatchDecomposer {
             thresholds,
             plain: Decomposer::new(model, settings, 0)?,
             work: Workspace::new(0),
-            first_look: Vec::new(),
+            first_pass: Vec::new(),
             left_to_plain: 0,
         })
     }
@@ -270,24 +270,24 @@ impl BatchDecomposer {
 
     /// Refines the waveforms of a fast pass that need it; outputs all in order.
     fn refine_some(&mut self, tables: &Tables, blocks: &[Waveform<'_>], outcomes: &mut Decompositions) {
-        std::mem::swap(&mut self.first_look, &mut self.work.pulse_models);
+        std::mem::swap(&mut self.first_pass, &mut self.work.pulse_models);
         let (mut needy, mut which) = (Vec::with_capacity(blocks.len()), Vec::with_capacity(blocks.len()));
-        for (block, pulse_model) in blocks.iter().zip(&self.first_look) {
+        for (block, pulse_model) in blocks.iter().zip(&self.first_pass) {
             let is_needy = self.needs_refinement(pulse_model, block.samples.len());
             which.push(if is_needy { needy.len() } else { usize::MAX });
             needy.extend(is_needy.then_some(*block));
         }
         self.run(tables, &needy, Mode::Refined);
         let mut refined = std::mem::take(&mut self.work.pulse_models);
-        let mut first_look = std::mem::take(&mut self.first_look);
+        let mut first_pass = std::mem::take(&mut self.first_pass);
         for (i, block) in blocks.iter().enumerate() {
             let (mode, pulse_model) = match refined.get_mut(which[i]) {
                 Some(pulse_model) => (Mode::Refined, pulse_model),
-                None => (self.mode, &mut first_look[i]),
+                None => (self.mode, &mut first_pass[i]),
             };
-            self.finish(mode).give(block.samples, block.start_phase, pulse_model, outcomes);
+            self.finish(mode).push_returns(block.samples, block.start_phase, pulse_model, outcomes);
         }
-        (self.work.pulse_models, self.first_look) = (refined, first_look);
+        (self.work.pulse_models, self.first_pass) = (refined, first_pass);
     }
 
     fn needs_refinement(&self, pulse_model: &PulseModel, samples: usize) -> bool {

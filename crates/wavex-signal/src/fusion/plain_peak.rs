@@ -45,19 +45,19 @@ pub(crate) fn plain_peak_of(signal: &[f64]) -> Option<PlainPeak> {
         return None;
     }
     // Sums of the normal equations about the highest sample.
-    let (mut powers, mut told) = ([0.0; 5], [0.0; 3]);
+    let (mut powers, mut weighted) = ([0.0; 5], [0.0; 3]);
     for (k, &value) in signal.iter().enumerate().take(end).skip(first) {
         let (x, weight) = (k as f64 - top as f64, value * value);
         let mut power = weight;
         for (i, sum) in powers.iter_mut().enumerate() {
             *sum += power;
-            if let Some(sum) = told.get_mut(i) {
+            if let Some(sum) = weighted.get_mut(i) {
                 *sum += power * value.ln();
             }
             power *= x;
         }
     }
-    let [c0, c1, c2] = solve(powers, told)?;
+    let [c0, c1, c2] = solve(powers, weighted)?;
     let place = -0.5 * c1 / c2;
     let is_peak = c2 < 0.0 && place.abs() <= half_width + 1.0;
     let peak = PlainPeak { position_samples: top as f64 + place, height_dn: (c0 + 0.5 * c1 * place).exp() };

@@ -8,8 +8,8 @@ fn the_second_receiver_begins_later_by_a_constant_and_changes_nothing_in_the_fir
     let config = Simulate { as_recorded: false, ..rich() };
     let alone = lines(&Simulate { high_power: false, ..config.clone() }, 0..2);
     let mut strong = 0;
-    for ((batch, truth), (one, _)) in lines(&config, 0..2).iter().zip(&alone) {
-        let blocks = batch.blocks().unwrap();
+    for ((scan_line, truth), (one, _)) in lines(&config, 0..2).iter().zip(&alone) {
+        let blocks = scan_line.blocks().unwrap();
         let low = |b: &&Block| b.channel == Channel::LowPower;
         let mut low_blocks = blocks.iter().filter(low).map(|b| (b.start_ns, blocks.samples(b).to_vec()));
         let one = one.blocks().unwrap();
@@ -46,8 +46,8 @@ fn both_receivers_see_the_same_echo() {
         ..bare()
     };
     let (mut n, mut off_ns, mut gain) = (0.0, 0.0, 0.0);
-    for (batch, truth) in lines(&config, 0..3) {
-        let blocks = batch.blocks().unwrap();
+    for (scan_line, truth) in lines(&config, 0..3) {
+        let blocks = scan_line.blocks().unwrap();
         for truth in truth.iter().filter(|truth| (800.0..2000.0).contains(&truth.linear_dn)) {
             let block = blocks_of(blocks, (truth.shot % 1000) as usize, Channel::HighPower).next().unwrap();
             let samples = blocks.samples(block);
@@ -81,10 +81,10 @@ fn zones_of_modulated_pulses_are_counted() {
     let config = Simulate { as_recorded: false, false_alarm_rate: 0.0, ..rich() };
     let scanner = config.scanner();
     let tick = |number: u64| scanner.tick_ns((number / 400) as u32, (number % 400) as u32);
-    for (batch, truth) in lines(&config, 0..3) {
-        let blocks = batch.blocks().unwrap();
+    for (scan_line, truth) in lines(&config, 0..3) {
+        let blocks = scan_line.blocks().unwrap();
         for block in blocks.iter().filter(|block| block.channel == Channel::LowPower) {
-            let emission = &batch.emissions[block.emission as usize];
+            let emission = &scan_line.emissions[block.emission as usize];
             let zone = block.zone.or(emission.mta_zone).unwrap() as u64;
             let at_ns = tick(emission.shot) as f64 + block.start_ns;
             assert!(

@@ -6,10 +6,10 @@ use super::*;
 use wavex_simulation::scene::Class;
 
 /// Times of a line's blocks, ns on the instrument's clock, by channel.
-fn starts_ns(batch: &ScanLine) -> Vec<(Channel, f64)> {
+fn starts_ns(line: &ScanLine) -> Vec<(Channel, f64)> {
     let absolute =
-        |block: &Block| batch.emissions[block.emission as usize].clock_ps as f64 / 1000.0 + block.start_ns;
-    batch.blocks().unwrap().iter().map(|block| (block.channel, absolute(block))).collect()
+        |block: &Block| line.emissions[block.emission as usize].clock_ps as f64 / 1000.0 + block.start_ns;
+    line.blocks().unwrap().iter().map(|block| (block.channel, absolute(block))).collect()
 }
 
 #[test]
@@ -17,11 +17,11 @@ fn blocks_stand_with_the_last_shot_before_them() {
     for scanner in [ScannerKind::Oscillating, ScannerKind::RotatingPolygon] {
         let flown = lines(&Simulate { as_recorded: true, scanner, ..rich() }, 0..6);
         let clocks: Vec<i64> =
-            flown.iter().flat_map(|(batch, _)| batch.emissions.iter().map(|e| e.clock_ps)).collect();
-        for (batch, _) in &flown {
-            assert!(batch.emissions.iter().all(|emission| emission.mta_zone.is_none()));
-            for block in batch.blocks().unwrap().iter().filter(|block| block.channel == Channel::LowPower) {
-                let shot = batch.emissions[block.emission as usize].shot as usize;
+            flown.iter().flat_map(|(line, _)| line.emissions.iter().map(|e| e.clock_ps)).collect();
+        for (line, _) in &flown {
+            assert!(line.emissions.iter().all(|emission| emission.mta_zone.is_none()));
+            for block in line.blocks().unwrap().iter().filter(|block| block.channel == Channel::LowPower) {
+                let shot = line.emissions[block.emission as usize].shot as usize;
                 let next_ns = clocks
                     .get(shot + 1)
                     .map_or(f64::INFINITY, |clock| (clock - clocks[shot]) as f64 / 1000.0);
@@ -76,8 +76,8 @@ fn recorded_and_resolved_are_the_same_flight() {
 
     let blocks = |flown: &[(ScanLine, Vec<TrueReturn>)]| {
         let mut all: Vec<f64> = Vec::new();
-        for (batch, _) in flown {
-            let low = starts_ns(batch).into_iter().filter(|block| block.0 == Channel::LowPower);
+        for (line, _) in flown {
+            let low = starts_ns(line).into_iter().filter(|block| block.0 == Channel::LowPower);
             all.extend(low.map(|block| block.1));
         }
         all.sort_by(f64::total_cmp);
@@ -99,7 +99,7 @@ fn lines_of_one_shot_are_lines_like_others() {
     let short = lines(&config, 0..300);
     let long = lines(&Simulate { shots_per_line: 1, lines: 300, blind_gap_ns: 0.0, ..rich() }, 0..300);
     let count = |flown: &[(ScanLine, Vec<TrueReturn>)]| {
-        let blocks = flown.iter().flat_map(|(batch, _)| batch.blocks().unwrap().iter());
+        let blocks = flown.iter().flat_map(|(line, _)| line.blocks().unwrap().iter());
         let echoes = blocks.filter(|block| block.channel == Channel::LowPower).count();
         (echoes, flown.iter().map(|(_, truth)| truth.len()).sum::<usize>())
     };

@@ -12,8 +12,8 @@ fn flown(config: &Simulate) -> (Vec<ScanLine>, std::collections::BTreeMap<String
     let folder = tempfile::tempdir().unwrap();
     let (mut source, mut cx) = (config.make(&site(folder.path())).unwrap(), Context::default());
     let mut batches = Vec::new();
-    while let Some(batch) = source.next(&mut cx).unwrap() {
-        batches.push(batch);
+    while let Some(line) = source.next(&mut cx).unwrap() {
+        batches.push(line);
     }
     let files = std::mem::take(&mut cx.whole).into_iter().map(|file| {
         let path = file.publish().unwrap();
@@ -57,7 +57,7 @@ fn georeferenced_returns_are_the_truth_to_a_millimetre() {
     };
     let (batches, files) = flown(&config);
     let trajectory = records(&files["simulated.sbet"]);
-    assert!(batches.iter().all(|batch| batch.input.frame == Frame::Scanner && batch.input.crs_wkt.is_none()));
+    assert!(batches.iter().all(|line| line.input.frame == Frame::Scanner && line.input.crs_wkt.is_none()));
     let map = TransverseMercator::new(WGS84, TransverseMercatorParameters::utm(33, true));
     let boresight = rotation_of_angles(config.boresight_deg.map(f64::to_radians));
     let truth = String::from_utf8(files["simulated_truth.csv"].clone()).unwrap();
@@ -98,7 +98,7 @@ fn a_trajectory_begins_before_the_flight_and_ends_after_it() {
     let trajectory = records(&files["simulated.out"]);
     let steps = trajectory.windows(2).map(|pair| pair[1].time_s - pair[0].time_s);
     assert!(steps.into_iter().all(|step| (step - 0.005).abs() < 1e-9));
-    let last_s = batches.last().and_then(|batch| batch.emissions.last()).unwrap().gps_time_s;
+    let last_s = batches.last().and_then(|line| line.emissions.last()).unwrap().gps_time_s;
     assert_eq!(trajectory[0].time_s, 208_799.0);
     assert!(trajectory.last().unwrap().time_s > last_s + 0.9);
     // North from 47.828 N, 600 m above level ground of 400 m; the horizon of the start is straight.
@@ -127,7 +127,7 @@ fn without_a_trajectory_beams_stand_in_the_map() {
     let config = Simulate { heading_deg: 90.0, roll_deg: 3.0, lever_arm_m: [1.0, 2.0, 3.0], ..bare() };
     let (batches, files) = flown(&Simulate { lines: 2, ..config });
     assert!(files.is_empty());
-    for emission in batches.iter().flat_map(|batch| &batch.emissions) {
+    for emission in batches.iter().flat_map(|line| &line.emissions) {
         let length = emission.direction.iter().map(|d| d * d).sum::<f64>();
         assert!((length - 1.0).abs() < 1e-13);
         // The lever arm's right is south of a flight to the east.

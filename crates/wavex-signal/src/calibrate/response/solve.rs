@@ -125,9 +125,9 @@ impl<'a> Problem<'a> {
         let shares = shares(self.nodes, height_dn);
         let column = |j: usize, extent: Range<usize>| &self.columns[j * samples..][extent];
         for (i, extent) in self.extents.iter().enumerate().filter(|(_, extent)| !extent.is_empty()) {
-            let told = dot(column(i, extent.clone()), &self.target[extent.clone()]);
+            let known = dot(column(i, extent.clone()), &self.target[extent.clone()]);
             for &(node, share) in &shares {
-                self.right[node * count + i] += share * told;
+                self.right[node * count + i] += share * known;
             }
             // Splines are ordered by time, so overlapping ones are adjacent.
             for j in (0..=i).rev() {
@@ -205,8 +205,8 @@ impl<'a> Problem<'a> {
         let nodes = &self.nodes[..1];
         let mut normal = vec![0.0; count * count];
         let mut right = vec![0.0; count];
-        for (i, told) in self.right.iter().enumerate() {
-            right[i % count] += told;
+        for (i, known) in self.right.iter().enumerate() {
+            right[i % count] += known;
             for j in 0..unknowns {
                 normal[(i % count) * count + j % count] += self.normal[i * unknowns + j];
             }
@@ -228,12 +228,12 @@ impl<'a> Problem<'a> {
     fn solve_all(mut self) -> Option<Solution> {
         self.add_priors();
         let (count, unknowns) = (self.basis.len(), self.right.len());
-        let told = self.right.clone();
+        let known = self.right.clone();
         if !cholesky::factor(&mut self.normal, unknowns) {
             return None;
         }
         cholesky::solve(&self.normal, unknowns, &mut self.right);
-        let decrease = dot(&told, &self.right);
+        let decrease = dot(&known, &self.right);
         let lobe = self.basis.lobe.max(1);
         let variance = |i: usize| {
             let mut unit = vec![0.0; unknowns];

@@ -76,7 +76,8 @@ fn too_few_single_echoes_leave_the_gaussian() {
 #[test]
 fn responses_of_repeated_recordings_spread_as_they_say() {
     let mut random = Random::new(21);
-    let (mut widths, mut values, mut told) = (Vec::new(), [Vec::new(), Vec::new()], [Vec::new(), Vec::new()]);
+    let (mut widths, mut values, mut reported) =
+        (Vec::new(), [Vec::new(), Vec::new()], [Vec::new(), Vec::new()]);
     for _ in 0..16 {
         let waveforms = waveforms_of(&mut random, 400);
         let settings = CalibrationSettings::echoes(1.0, 255.0);
@@ -88,10 +89,10 @@ fn responses_of_repeated_recordings_spread_as_they_say() {
             let at = (time - response.first_sample) as usize * STEPS_PER_SAMPLE;
             values.push(response.nodes[0].values[at]);
         }
-        told[0].push(model.uncertainty.pulse_fwhm_ns);
-        told[1].push(response.shape_sd);
+        reported[0].push(model.uncertainty.pulse_fwhm_ns);
+        reported[1].push(response.shape_sd);
     }
-    let [width_sd, shape_sd] = told.each_ref().map(|told| moments(told).0);
+    let [width_sd, shape_sd] = reported.each_ref().map(|reported| moments(reported).0);
     let spreads = values.each_ref().map(|values| moments(values).1);
     println!(
         "width {:.5}, reported {width_sd:.5}; values {spreads:.5?}, reported {shape_sd:.5}",

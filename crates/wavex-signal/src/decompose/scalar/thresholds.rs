@@ -1,7 +1,7 @@
 //! Thresholds near strong pulses, raised by the response error.
 
 use super::Decomposer;
-use crate::decompose::acceptance::TOLD_WIDTHS;
+use crate::decompose::acceptance::TAIL_START_WIDTHS;
 use crate::shape::Pulse;
 
 impl Decomposer {
@@ -51,13 +51,13 @@ impl Decomposer {
         if self.model.response.is_none() {
             return;
         }
-        let told = TOLD_WIDTHS * self.model.fwhm_samples();
+        let tail_start = TAIL_START_WIDTHS * self.model.fwhm_samples();
         let mut kept = 0;
         for i in 0..self.candidates.len() {
             let candidate = self.candidates[i];
             let left = self.candidates[..kept].iter().fold(0.0, |sum, stronger| {
                 let lag = candidate.position_samples - stronger.position_samples;
-                sum + if lag > told { stronger.height_dn * self.detector.echo(lag) } else { 0.0 }
+                sum + if lag > tail_start { stronger.height_dn * self.detector.echo(lag) } else { 0.0 }
             });
             if candidate.statistic - left >= self.sigma.least {
                 self.candidates[kept] = candidate;

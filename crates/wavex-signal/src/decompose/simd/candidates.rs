@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::columns::Columns;
 use super::pulse_model::MAX_PULSES;
-use crate::decompose::acceptance::TOLD_WIDTHS;
+use crate::decompose::acceptance::TAIL_START_WIDTHS;
 use crate::detect::DIP_PART;
 use crate::simd::Simd;
 
@@ -181,7 +181,7 @@ pub(super) struct LeftBehind {
 impl LeftBehind {
     /// Creates it from the statistic by whole samples after the peak.
     pub(super) fn new(echo: Vec<f32>, fwhm_samples: f64) -> LeftBehind {
-        let from_samples = TOLD_WIDTHS as f32 * fwhm_samples as f32;
+        let from_samples = TAIL_START_WIDTHS as f32 * fwhm_samples as f32;
         let behind = echo.get(from_samples as usize..).unwrap_or_default();
         let most = behind.iter().copied().fold(0.0, f32::max);
         LeftBehind { echo, from_samples, most }

@@ -366,8 +366,8 @@ fn one_step<S: Simd>(
     // In units of the height for position and width: the table is for a pulse of height 1.
     let row = |x, y, z| s.fma(x, right[0], s.fma(y, right[1], s.mul(z, right[2])));
     let mut unit = [row(aa, at, au), row(at, tt, tu), row(au, tu, uu)];
-    let told = s.fma(unit[0], right[0], s.fma(unit[1], right[1], s.mul(unit[2], right[2])));
-    let mut chi_square = s.sub(s.sum_each(&sums[3]), told);
+    let known = s.fma(unit[0], right[0], s.fma(unit[1], right[1], s.mul(unit[2], right[2])));
+    let mut chi_square = s.sub(s.sum_each(&sums[3]), known);
     let mut variances = [aa, tt, uu];
     let (mut level_dn, mut level_variance) = ([0.0; LANES], [0.0; LANES]);
     if let Some(levels) = levels {

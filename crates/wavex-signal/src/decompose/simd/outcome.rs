@@ -82,7 +82,7 @@ impl Kernel for Give<'_> {
     #[inline(always)]
     fn run<S: Simd>(mut self, _: S) {
         for (block, pulse_model) in self.blocks.iter().zip(self.pulse_models) {
-            self.finish.give(block.samples, block.start_phase, pulse_model, self.outcomes);
+            self.finish.push_returns(block.samples, block.start_phase, pulse_model, self.outcomes);
         }
     }
 }
@@ -90,7 +90,7 @@ impl Kernel for Give<'_> {
 impl Finish<'_> {
     /// Outputs the returns of a waveform.
     #[inline(always)]
-    pub(super) fn give(
+    pub(super) fn push_returns(
         &mut self,
         samples: &[u16],
         start_phase: u8,
@@ -98,7 +98,9 @@ impl Finish<'_> {
         outcomes: &mut Decompositions,
     ) {
         let is_fast = pulse_model.way == Way::Fast;
-        if !(is_fast && (self.stands(pulse_model, samples.len()) || self.drop(pulse_model, samples.len()))) {
+        if !(is_fast
+            && (self.all_acceptable(pulse_model, samples.len()) || self.drop(pulse_model, samples.len())))
+        {
             *self.left_to_plain += 1;
             outcomes.push(&self.plain.decompose(samples, start_phase));
             return;
@@ -139,18 +141,18 @@ impl Finish<'_> {
 
     /// Whether the pulse is fitted, and its row holds enough of it.
     #[inline(always)]
-    fn is_told(&self, pulse: &PulseComponent) -> bool {
+    fn is_determined(&self, pulse: &PulseComponent) -> bool {
         pulse.is_fitted() && (!self.is_refined || self.thresholds.is_held(pulse))
     }
 
     /// Whether all pulses are acceptable as returns and sufficiently separated.
     #[inline(always)]
-    fn stands(&mut self, pulse_model: &PulseModel, samples: usize) -> bool {
+    fn all_acceptable(&mut self, pulse_model: &PulseModel, samples: usize) -> bool {
         let mut before = f32::NEG_INFINITY;
         pulse_model.pulses().iter().all(|pulse| {
             let is_apart = pulse.position() - before >= self.thresholds.least_separation;
             before = pulse.position();
-            is_apart && self.is_told(pulse) && self.thresholds.is_return(pulse_model, pulse, samples)
+            is_apart && self.is_determined(pulse) && self.thresholds.is_return(pulse_model, pulse, samples)
         })
     }
 
@@ -159,7 +161,7 @@ impl Finish<'_> {
     /// Returns `false` if the scalar kernels must decompose the waveform.
     #[inline(never)]
     fn drop(&mut self, pulse_model: &mut PulseModel, samples: usize) -> bool {
-        if self.is_refined || !pulse_model.pulses().iter().all(|pulse| self.is_told(pulse)) {
+        if self.is_refined || !pulse_model.pulses().iter().all(|pulse| self.is_determined(pulse)) {
             return false;
         }
         let least = self.thresholds.least_separation;

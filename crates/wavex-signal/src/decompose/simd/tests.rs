@@ -148,17 +148,17 @@ fn difference(a: &Return, b: &Return) -> f64 {
 
 /// Formats all results of each waveform; `{:?}` distinguishes every value.
 fn everything(model: &ChannelModel, path: SimdLevel, waveforms: &[Vec<u16>]) -> Vec<String> {
-    let mut told = vec![String::new(); waveforms.len()];
+    let mut decomposed = vec![String::new(); waveforms.len()];
     for mode in [Mode::Fastest, Mode::FastSeparated, Mode::Refined] {
         for refine in [false, true] {
             let mut kernels = fast(model, mode, path).refine_when_needed(refine);
             let outcomes = decompose(&mut kernels, waveforms);
-            for (told, outcome) in told.iter_mut().zip(outcomes.iter()) {
-                *told += &format!("{outcome:?}");
+            for (decomposed, outcome) in decomposed.iter_mut().zip(outcomes.iter()) {
+                *decomposed += &format!("{outcome:?}");
             }
         }
     }
-    told
+    decomposed
 }
 
 /// Blocks of every kind: empty, short, truncated, saturated, long, and mixed.
@@ -202,10 +202,10 @@ fn large_samples_are_decomposed_as_small_ones() {
             waveforms.iter().map(|samples| samples.iter().map(|sample| sample + by).collect()).collect();
         (model, waveforms)
     };
-    let told = |(model, waveforms): &(ChannelModel, Vec<Vec<u16>>)| {
+    let decomposed = |(model, waveforms): &(ChannelModel, Vec<Vec<u16>>)| {
         decompose(&mut fast(model, Mode::Refined, SimdLevel::best()), waveforms)
     };
-    let (low, high) = (told(&lifted(0)), told(&lifted(20_000)));
+    let (low, high) = (decomposed(&lifted(0)), decomposed(&lifted(20_000)));
     for (low, high) in low.iter().zip(high.iter()) {
         assert_eq!(low.returns.len(), high.returns.len());
         for (low, high) in low.returns.iter().zip(high.returns) {
@@ -215,7 +215,7 @@ fn large_samples_are_decomposed_as_small_ones() {
     let beyond = lifted(HIGHEST - 60);
     let mut plain = Decomposer::new(&beyond.0, &DecomposeSettings::default(), SAMPLES).unwrap();
     let mut left = 0;
-    for (outcome, samples) in told(&beyond).iter().zip(&beyond.1) {
+    for (outcome, samples) in decomposed(&beyond).iter().zip(&beyond.1) {
         if samples.iter().any(|sample| *sample >= HIGHEST) {
             assert_eq!(outcome, plain.decompose(samples, 0));
             left += 1;
