@@ -16,7 +16,7 @@ pub(crate) mod packed;
 mod run_context;
 mod spec;
 
-pub use context::{Context, Counters, Distribution, Item};
+pub use context::{Context, Counters, Distribution, Item, counted};
 pub use fitted::{CURVE_POINTS_PER_SAMPLE, FittedBlock, FittedPeak, FittedSamples, FittedShot};
 pub use lookahead::LookAhead;
 pub use observer::{DecomposedLine, FitShot, RunObserver};

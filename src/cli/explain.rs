@@ -11,7 +11,7 @@ use crate::georef::Loader;
 use crate::job::{Job, JobStage, Override};
 use crate::registry::reader_of;
 use crate::scan_line::{Emission, Returns, ScanLine};
-use crate::stage::{Context, OutputFile, Plan, RunContext, Source, SourcePlan, TransformConfig};
+use crate::stage::{Context, OutputFile, Plan, RunContext, Source, SourcePlan, TransformConfig, counted};
 use crate::stages::calibrate::Calibrate;
 use crate::stages::decompose::{
     Decompose, Line, Seen, SeenBlock, SeenPulse, SensorTables, Shot, ShotDecomposer,
@@ -252,7 +252,9 @@ fn decompose(mut line: ScanLine, shot: u64, chain: &Chain) -> Result<Explained, 
 /// Rejections and notes of a context as text.
 fn remarks(cx: &Context) -> Vec<String> {
     let rejected = &cx.counters().rejected;
-    let dropped = rejected.iter().map(|((item, why), n)| format!("rejected {n} {}: {why}", item.name()));
+    let dropped = rejected
+        .iter()
+        .map(|((item, why), n)| format!("rejected {}", counted(*n, &format!("{}: {why}", item.name()))));
     dropped.chain(cx.counters().notes.iter().cloned()).collect()
 }
 

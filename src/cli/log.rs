@@ -14,6 +14,9 @@ use tracing_subscriber::{EnvFilter, Layer, fmt};
 use super::terminal;
 use wavex_formats::{Error, Result};
 
+/// Target of the error that ends a command.
+const FATAL: &str = "wavex_fatal";
+
 /// The log file of the run, opened after logging has started.
 static FILE: Mutex<Option<File>> = Mutex::new(None);
 
@@ -30,7 +33,10 @@ pub(super) fn begin(verbose: u8, quiet: bool) {
         (false, 1) => LevelFilter::INFO,
         (false, _) => LevelFilter::DEBUG,
     };
-    let wanted = EnvFilter::builder().with_default_directive(level.into()).from_env_lossy();
+    let mut wanted = EnvFilter::builder().with_default_directive(level.into()).from_env_lossy();
+    if let Ok(off) = format!("{FATAL}=off").parse() {
+        wanted = wanted.add_directive(off);
+    }
     let on_terminal =
         fmt::layer().with_writer(io::stderr).with_ansi(terminal::colour()).without_time().with_target(false);
     let in_file = fmt::layer().with_writer(ToFile).with_ansi(false).with_target(false);
@@ -39,6 +45,13 @@ pub(super) fn begin(verbose: u8, quiet: bool) {
         .with(in_file.with_filter(LevelFilter::DEBUG));
     // An existing subscriber is kept; only tests install one earlier.
     let _ = log.try_init();
+}
+
+/// Writes the error that ends the command to the log, at ERROR.
+///
+/// The terminal gets it once, when the command ends.
+pub(super) fn fatal(error: &dyn std::fmt::Display) {
+    tracing::error!(target: FATAL, "{error}");
 }
 
 /// Also writes the log to this file from now on.

@@ -14,7 +14,7 @@ use crate::georef::check_crs;
 use crate::job::{Job, Override};
 use crate::report::{self, Overviews, RunReport};
 use crate::stage::{
-    OutputFile, OutputLock, Outputs, RunObserver, StageError, fixed_folder, release_all,
+    OutputFile, OutputLock, Outputs, RunObserver, StageError, counted, fixed_folder, release_all,
     remove_unfinished_files,
 };
 use wavex_formats::Error;
@@ -88,7 +88,7 @@ fn run_archived(
     };
     let (report_file, page_file) = (begin(&job.settings.report)?, begin(&job.settings.report_page)?);
     let logged = |error: &dyn std::fmt::Display| {
-        tracing::debug!("{error}");
+        log::fatal(error);
         failed(error)
     };
     let recorder = archive.map(|archive| Recorder::begin(job, &options, archive)).transpose();
@@ -230,7 +230,7 @@ fn stat_log_path(run: &RunSummary, input: &InputSummary, output_dir: &Path) -> P
 /// the run already has an error.
 fn ended_with(error: &dyn std::fmt::Display, run: &RunSummary, output_dir: &Path) -> Failure {
     let failure = error.to_string();
-    tracing::debug!("{failure}");
+    log::fatal(&failure);
     let job = &run.job;
     let log = Some(&job.log).filter(|log| !log.is_empty()).map(|log| output_dir.join(log));
     for input in run.inputs.iter().filter(|_| !job.stat_log.is_empty()) {
@@ -269,7 +269,7 @@ fn summary(run: &RunSummary, own: &[PathBuf], profile: bool) -> String {
         }
         for stage in &input.stages {
             for (what, n) in &stage.rejected {
-                let _ = writeln!(text, "{}: rejected {n} {what}", stage.id);
+                let _ = writeln!(text, "{}: rejected {}", stage.id, counted(*n, what));
             }
         }
         wrote(&mut text, &input.outputs);

@@ -42,6 +42,14 @@ impl Item {
     }
 }
 
+/// Number of rejected items with their name and the reason: `1 block: too short`, `2 blocks: too short`.
+pub fn counted(n: u64, what: &str) -> String {
+    match what.split_once(':') {
+        Some((items, reason)) if n == 1 => format!("1 {}:{reason}", items.trim_end_matches('s')),
+        _ => format!("{n} {what}"),
+    }
+}
+
 /// Interface of a stage to the run.
 #[derive(Debug, Default)]
 pub struct Context {

@@ -28,8 +28,8 @@ pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_table", &[Kind::Re
 /// The columns, in this order, are: shot, gps_time_s, return_number, number_of_returns, channel,
 /// mta_zone, range_m, range_sd_m, time_of_flight_ns, time_of_flight_sd_ns, amplitude_dn,
 /// amplitude_sd_dn, amplitude_db, width_ratio, width_ratio_sd, fwhm_ns, thickness_m,
-/// thickness_sd_m, deviation_ratio, intensity, intensity_sd, flags, withheld, class, x, y, z.
-/// `schemas/return_table.json` gives their types and meanings. gps_time_s, mta_zone and
+/// thickness_sd_m, deviation_ratio, intensity, intensity_sd, flags, withheld, class, x, y, z,
+/// total_uncertainty_m. `schemas/return_table.json` gives their types and meanings. gps_time_s, mta_zone and
 /// amplitude_db are null if unknown; x, y and z are null before `georeference`; other unknown
 /// quantities are NaN.
 ///
