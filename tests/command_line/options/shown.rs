@@ -169,7 +169,10 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
     ("geo", &["geodetic_coordinates_are_degrees", "the_lines_with_a_trajectory_in_text"]),
     ("ecef", &["earth_centred_coordinates_are_metres"]),
     ("geoid", &["a_conic_in_feet_with_a_geoid", "a_geoid_is_found_in_any_case"]),
-    ("metre feet int_feet", &["a_zone_and_a_unit_can_be_chosen", "a_unit_of_the_job_holds_for_all_three"]),
+    (
+        "metre feet int_feet",
+        &["a_zone_and_a_unit_can_be_chosen", "a_requested_unit_applies_to_all_coordinates"],
+    ),
     ("dumv", &["a_dummy_velocity_lays_lines_side_by_side"]),
 ];
 
@@ -220,7 +223,7 @@ pub const FEATURES: &[(&str, &str, &[&str])] = &[
     (
         "open container",
         "`read_arrow`, `write_arrow`",
-        &["what_pyarrow_writes_is_read", "what_is_written_comes_back"],
+        &["containers_of_pyarrow_are_read", "what_is_written_comes_back"],
     ),
     (
         "online points",
