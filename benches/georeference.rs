@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use wavex::scan_line::{Blocks, Content, Return, ScanLine};
 use wavex::stage::{Context, RunContext, Source};
-use wavex::stages::pose_source::Posed;
+use wavex::stages::pose_source::PoseSource;
 use wavex_testkit::georeferenced_flight::{Flight, fly, georeference, return_of, site, source};
 
 const GOAL_PER_S: f64 = 2e6;
@@ -22,7 +22,7 @@ struct Line {
 }
 
 fn lines(site: &RunContext) -> Vec<Line> {
-    let mut posed = Posed::new(source(site), Arc::clone(&site.geometry));
+    let mut posed = PoseSource::new(source(site), Arc::clone(&site.geometry));
     let mut cx = Context::default();
     let mut lines = Vec::new();
     while let Some(batch) = posed.next(&mut cx).unwrap_or_else(|error| panic!("{error}")) {
@@ -81,7 +81,7 @@ fn shots_per_s(flight: &Flight) -> f64 {
         .map(|_| {
             let site = site(flight, "trajectory = 'a.out'").unwrap_or_else(|error| panic!("{error}"));
             let fresh: Vec<ScanLine> = lines.iter().map(fresh).collect();
-            let mut posed = Posed::new(Box::new(Read(fresh.into_iter())), Arc::clone(&site.geometry));
+            let mut posed = PoseSource::new(Box::new(Read(fresh.into_iter())), Arc::clone(&site.geometry));
             let (started, mut cx) = (Instant::now(), Context::default());
             while posed.next(&mut cx).unwrap_or_else(|error| panic!("{error}")).is_some() {}
             shots as f64 / started.elapsed().as_secs_f64()

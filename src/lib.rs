@@ -2,6 +2,28 @@
 //!
 //! `ARCHITECTURE.md` describes the structure of the crate. `docs/stages.md` and `wavex stages`
 //! document the stages.
+//!
+//! ```
+//! use wavex::engine::{self, Options};
+//! use wavex::job::Job;
+//!
+//! let text = "
+//! [[stage]]
+//! type = 'simulate'
+//! lines = 2
+//! shots_per_line = 100
+//!
+//! [[stage]]
+//! type = 'write_arrow'
+//! path = 'flight.arrow'
+//! ";
+//! let job = Job::parse("flight.toml", text, &[])?;
+//! let folder = tempfile::tempdir()?;
+//! let run = engine::run(&job, &Options::of_job(&job, ".", folder.path()))?;
+//! assert!(run.inputs[0].totals["nw"] >= 200);
+//! assert!(folder.path().join("flight.arrow").is_file());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod archive;
 pub mod cli;

@@ -16,7 +16,7 @@ use crate::stages::calibrate::Calibrate;
 use crate::stages::decompose::{
     Decompose, Line, Seen, SeenBlock, SeenPulse, SensorTables, Shot, ShotDecomposer,
 };
-use crate::stages::pose_source::Posed;
+use crate::stages::pose_source::PoseSource;
 use upstream::{Step, Upstream};
 use wavex_formats::Error;
 use wavex_signal::sensor_model::SensorModel;
@@ -112,7 +112,7 @@ impl Chain {
     /// The reader's scan lines, with a pose for each shot.
     fn posed(&self) -> Result<Box<dyn Source>, Failure> {
         let source = self.source.make(&self.site).map_err(|error| failed(&error))?;
-        Ok(Box::new(Posed::new(source, Arc::clone(&self.site.geometry))))
+        Ok(Box::new(PoseSource::new(source, Arc::clone(&self.site.geometry))))
     }
 
     /// The stages between the reader and `decompose`, without sinks.

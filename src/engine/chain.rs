@@ -16,7 +16,7 @@ use super::{Cause, Options, Progress};
 use crate::job::{Job, JobStage};
 use crate::scan_line::Budget;
 use crate::stage::{Context, FinishedFile, Holds, Plan, Result, RunContext, StageError};
-use crate::stages::pose_source::Posed;
+use crate::stages::pose_source::PoseSource;
 
 /// Results of a stage's workers, one entry per worker.
 type WorkerResult = Mutex<Vec<(Meter, Context)>>;
@@ -166,7 +166,7 @@ fn run_worker(
 fn work(stage: &JobStage, site: &RunContext, inlet: Option<Inlet>, desk: &mut WorkerContext) -> Result<()> {
     match (&stage.planned.plan, inlet) {
         (Plan::Source(plan), None) => {
-            let posed = Posed::new(plan.make(site)?, Arc::clone(&site.geometry));
+            let posed = PoseSource::new(plan.make(site)?, Arc::clone(&site.geometry));
             run_source(Box::new(posed), desk)
         }
         (Plan::Map(plan), Some(mut inlet)) => run_map(plan.make(site)?, &mut inlet, desk),

@@ -170,18 +170,18 @@ impl TransformConfig for Correct {
         let corrections = Corrections::new(self, open(&self.range_table)?, open(&self.amplitude_table)?)?;
         let [low, high] =
             [&self.width_correction_low, &self.width_correction_high].map(WidthCorrection::given);
-        Ok(Box::new(Correcting { corrections, widths: [low, high], look_ahead: LookAhead::new(WAVEFORMS) }))
+        Ok(Box::new(Corrector { corrections, widths: [low, high], look_ahead: LookAhead::new(WAVEFORMS) }))
     }
 }
 
-struct Correcting {
+struct Corrector {
     corrections: Corrections,
     /// For the low-power and the high-power receiver; `None` until estimated.
     widths: [Option<WidthCorrection>; 2],
     look_ahead: LookAhead,
 }
 
-impl Transform for Correcting {
+impl Transform for Corrector {
     fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
         if let [Some(low), Some(high)] = &self.widths {
             return correct(&mut self.corrections, [low, high], line, out);
@@ -195,7 +195,7 @@ impl Transform for Correcting {
     }
 }
 
-impl Correcting {
+impl Corrector {
     /// Estimates the widths from the held lines and emits these.
     fn release(&mut self, out: &mut Output) -> Result<()> {
         let [low, high] = width::CHANNELS.map(|channel| {

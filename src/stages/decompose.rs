@@ -219,12 +219,12 @@ impl Config for Decompose {
 
 impl MapConfig for Decompose {
     fn make(&self, site: &RunContext) -> Result<Box<dyn Map>> {
-        Ok(Box::new(DecomposeLine { config: self.clone(), path: site.simd, worker: None }))
+        Ok(Box::new(LineDecomposer { config: self.clone(), path: site.simd, worker: None }))
     }
 }
 
 /// One worker; its kernels are created when the first line brings the sensor model.
-struct DecomposeLine {
+struct LineDecomposer {
     config: Decompose,
     path: SimdLevel,
     worker: Option<Worker>,
@@ -278,7 +278,7 @@ impl Worker {
     }
 }
 
-impl Map for DecomposeLine {
+impl Map for LineDecomposer {
     fn map(&mut self, mut scan_line: ScanLine, cx: &mut Context) -> Result<ScanLine> {
         let choice = self.config.online_points;
         let model = scan_line.model.clone();
@@ -313,7 +313,7 @@ impl Map for DecomposeLine {
     }
 }
 
-impl DecomposeLine {
+impl LineDecomposer {
     /// Decomposes the blocks of a line.
     ///
     /// With `online_points = "only"`, only the outgoing pulses.

@@ -81,15 +81,15 @@ impl Config for FilterOutliers {
 
 impl TransformConfig for FilterOutliers {
     fn make(&self, _site: &RunContext) -> Result<Box<dyn Transform>> {
-        Ok(Box::new(Filter { strip: Strip::new(self.clone()) }))
+        Ok(Box::new(OutlierFilter { strip: Strip::new(self.clone()) }))
     }
 }
 
-struct Filter {
+struct OutlierFilter {
     strip: Strip,
 }
 
-impl Transform for Filter {
+impl Transform for OutlierFilter {
     fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
         self.strip.push(line, out)
     }

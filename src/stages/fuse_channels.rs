@@ -96,11 +96,11 @@ impl TransformConfig for FuseChannels {
 
     fn make(&self, _site: &RunContext) -> Result<Box<dyn Transform>> {
         let state = self.given().map_or(State::Surveying, |fusion| State::Known(Arc::new(fusion)));
-        Ok(Box::new(Fuser { config: self.clone(), look_ahead: LookAhead::new(self.waveforms), state }))
+        Ok(Box::new(ChannelFuser { config: self.clone(), look_ahead: LookAhead::new(self.waveforms), state }))
     }
 }
 
-struct Fuser {
+struct ChannelFuser {
     config: FuseChannels,
     look_ahead: LookAhead,
     state: State,
@@ -114,7 +114,7 @@ enum State {
     Alone,
 }
 
-impl Transform for Fuser {
+impl Transform for ChannelFuser {
     fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
         if !matches!(self.state, State::Surveying) {
             return out.emit(self.fused(line));
@@ -128,7 +128,7 @@ impl Transform for Fuser {
     }
 }
 
-impl Fuser {
+impl ChannelFuser {
     /// Estimates gain and delay from the held lines and emits these.
     fn release(&mut self, out: &mut Output) -> Result<()> {
         self.state = match self.found(out) {
@@ -251,7 +251,7 @@ mod tests {
 
     /// The lines that the stage emits, and its notes.
     fn run(config: &FuseChannels, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
-        let mut stage = Fuser {
+        let mut stage = ChannelFuser {
             config: config.clone(),
             look_ahead: LookAhead::new(config.waveforms),
             state: config.given().map_or(State::Surveying, |fusion| State::Known(Arc::new(fusion))),

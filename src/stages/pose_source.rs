@@ -15,7 +15,7 @@ use wavex_geodesy::vertical::down_at;
 ///
 /// Only shots in the scanner or body frame are converted. Georeferenced shots get scan angles and
 /// directions.
-pub struct Posed {
+pub struct PoseSource {
     source: Box<dyn Source>,
     geometry: Arc<Geometry>,
     times: Option<Unwrap>,
@@ -28,10 +28,10 @@ pub struct Posed {
     has_ended: bool,
 }
 
-impl Posed {
+impl PoseSource {
     /// Wraps a source with a georeferencing context.
-    pub fn new(source: Box<dyn Source>, geometry: Arc<Geometry>) -> Posed {
-        Posed {
+    pub fn new(source: Box<dyn Source>, geometry: Arc<Geometry>) -> PoseSource {
+        PoseSource {
             source,
             geometry,
             times: None,
@@ -45,7 +45,7 @@ impl Posed {
     }
 }
 
-impl Source for Posed {
+impl Source for PoseSource {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
             if let Some(line) = self.angles.pop() {
@@ -72,7 +72,7 @@ impl Source for Posed {
     }
 }
 
-impl Posed {
+impl PoseSource {
     fn finish(&self, cx: &mut Context) -> Result<()> {
         if self.angles.gave_up() {
             cx.warn(

@@ -102,15 +102,15 @@ impl SourceConfig for Config {
     }
 
     fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        let source = ReadArrow::open(&site.input, &site.stem, self.sampling())?;
+        let source = ArrowLineReader::open(&site.input, &site.stem, self.sampling())?;
         let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
         let declared = Declared::new(times, crs, self.refractive_index_ppm, site)?;
-        Ok(Box::new(AsDeclared::new(ReadArrow { with_samples, ..source }, declared)))
+        Ok(Box::new(AsDeclared::new(ArrowLineReader { with_samples, ..source }, declared)))
     }
 }
 
 /// A container being read.
-struct ReadArrow {
+struct ArrowLineReader {
     reader: ContainerReader,
     /// If false, blocks have a sample count but no samples. Samples are decoded anyway: only whole
     /// columns can be skipped, and samples are part of the column `blocks`.
@@ -125,8 +125,8 @@ const GAINS: std::ops::RangeInclusive<f64> = 1.0 / 1024.0..=1024.0;
 /// Largest deviation of the length of a direction from 1.
 const UNIT_TOLERANCE: f64 = 1e-6;
 
-impl ReadArrow {
-    fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<ReadArrow> {
+impl ArrowLineReader {
+    fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<ArrowLineReader> {
         let mut reader = match path.as_os_str() == "-" {
             true => ContainerReader::from_stream(path, Box::new(std::io::stdin()))?,
             false => ContainerReader::open(path)?,
@@ -143,7 +143,7 @@ impl ReadArrow {
             info.gain_control = GainControl::Recorded;
         }
         let info = Arc::new(info);
-        Ok(ReadArrow { reader, with_samples: true, info, at: first.map(|line| (line, 0)) })
+        Ok(ArrowLineReader { reader, with_samples: true, info, at: first.map(|line| (line, 0)) })
     }
 
     /// Takes the next rows that form a line from the current record line.
@@ -204,7 +204,7 @@ impl ReadArrow {
     }
 }
 
-impl Source for ReadArrow {
+impl Source for ArrowLineReader {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
             match self.part(cx) {

@@ -110,7 +110,7 @@ impl SourceConfig for ReadLas {
     }
 
     fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        let mut source = LasSource::open(&site.input, &site.stem, self.sampling())?;
+        let mut source = LasReader::open(&site.input, &site.stem, self.sampling())?;
         (source.with_samples, source.range_time_offset_ns) = (with_samples, self.range_time_offset_ns);
         if self.recording_time.is_some() {
             source.time_shift_s = 0.0;
@@ -121,7 +121,7 @@ impl SourceConfig for ReadLas {
     }
 }
 
-struct LasSource {
+struct LasReader {
     reader: Reader,
     /// If false, waveform packets are not read.
     with_samples: bool,
@@ -190,12 +190,12 @@ const POINTS_LOOKED_AT: usize = 10_000;
 /// pulses.
 const MOST_RETURNS: usize = 15;
 
-impl LasSource {
-    fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<LasSource> {
+impl LasReader {
+    fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<LasReader> {
         let geometry = Geometry::learn(&mut Reader::open(path)?)?;
         let reader = Reader::open(path)?;
         let input = sampling.with(describe(&reader, path, stem, &geometry));
-        Ok(LasSource {
+        Ok(LasReader {
             with_samples: true,
             range_time_offset_ns: 0.0,
             time_shift_s: time_shift_s(&reader),
@@ -334,7 +334,7 @@ impl LasSource {
     }
 }
 
-impl Source for LasSource {
+impl Source for LasReader {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
             if let Some(shot) = self.waiting.take() {

@@ -108,27 +108,27 @@ impl SourceConfig for ReadPulseWaves {
     }
 
     fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        self.declare(PulseWavesSource { with_samples, ..self.open(site)? }, site)
+        self.declare(PulseWavesReader { with_samples, ..self.open(site)? }, site)
     }
 }
 
 impl ReadPulseWaves {
-    fn open(&self, site: &RunContext) -> Result<PulseWavesSource> {
-        let mut source = PulseWavesSource::open(&site.input, &site.stem, self.sampling())?;
+    fn open(&self, site: &RunContext) -> Result<PulseWavesReader> {
+        let mut source = PulseWavesReader::open(&site.input, &site.stem, self.sampling())?;
         if self.recording_time.is_some() {
             source.time_shift_s = 0.0;
         }
         Ok(source)
     }
 
-    fn declare(&self, source: PulseWavesSource, site: &RunContext) -> Result<Box<dyn Source>> {
+    fn declare(&self, source: PulseWavesReader, site: &RunContext) -> Result<Box<dyn Source>> {
         let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
         let declared = Declared::new(times, crs, self.refractive_index_ppm, site)?;
         Ok(Box::new(AsDeclared::new(source, declared)))
     }
 }
 
-struct PulseWavesSource {
+struct PulseWavesReader {
     reader: Reader,
     /// If false, the waves file is not read and shots have no blocks.
     with_samples: bool,
@@ -173,8 +173,8 @@ const NO_HEIGHT_M: f64 = 50_000.0;
 /// Distance of ground and aircraft from the centre of the earth, m.
 const EARTH_M: std::ops::Range<f64> = 6.35e6..6.41e6;
 
-impl PulseWavesSource {
-    fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<PulseWavesSource> {
+impl PulseWavesReader {
+    fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<PulseWavesReader> {
         let mut reader = Reader::open(path)?;
         let (beams, around_earth) = look_at_beams(&mut reader)?;
         let single = returning_channels(&reader).len() < 2;
@@ -185,7 +185,7 @@ impl PulseWavesSource {
             TimeAxis::Standard => -wavex_geodesy::time::ADJUSTMENT_S,
             TimeAxis::WeekSeconds | TimeAxis::Undecided => 0.0,
         };
-        Ok(PulseWavesSource {
+        Ok(PulseWavesReader {
             reader,
             with_samples: true,
             time_shift_s,
@@ -240,7 +240,7 @@ impl PulseWavesSource {
     }
 }
 
-impl Source for PulseWavesSource {
+impl Source for PulseWavesReader {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
             if let Some(shot) = self.last_seen.take() {

@@ -118,12 +118,12 @@ impl SourceConfig for Config {
     }
 
     fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        Ok(Box::new(ReadSdf::open(self, site)?))
+        Ok(Box::new(SdfLineReader::open(self, site)?))
     }
 }
 
 /// A file being read.
-struct ReadSdf {
+struct SdfLineReader {
     reader: SdfReader,
     lines: Lines,
     window: Option<Window>,
@@ -163,8 +163,8 @@ const SAMPLES_LOOKED_AT: usize = 1 << 22;
 /// Consecutive late shots that end a window; fewer may have wrong times.
 const LATE_SHOTS: u32 = 100;
 
-impl ReadSdf {
-    fn open(config: &Config, site: &RunContext) -> Result<ReadSdf> {
+impl SdfLineReader {
+    fn open(config: &Config, site: &RunContext) -> Result<SdfLineReader> {
         let path = &site.input;
         let library = config.library.as_ref().map(|library| {
             let in_folder = site.input_path(Path::new(library));
@@ -205,7 +205,7 @@ impl ReadSdf {
                 false => reader.seek_time(window.from_s)?,
             };
         }
-        Ok(ReadSdf {
+        Ok(SdfLineReader {
             reader,
             lines: Lines::new(Arc::new(input)).marking_edges(),
             window,
@@ -369,7 +369,7 @@ fn describe(
     }
 }
 
-impl Source for ReadSdf {
+impl Source for SdfLineReader {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         self.remarks.drain(..).for_each(|remark| cx.warn(remark));
         loop {

@@ -218,11 +218,11 @@ impl TransformConfig for ResolveMta {
             None => None,
         };
         let placed = Arc::clone(&site.geometry);
-        Ok(Box::new(Resolving { config: self.clone(), terrain, placed, strip: None }))
+        Ok(Box::new(MtaResolver { config: self.clone(), terrain, placed, strip: None }))
     }
 }
 
-struct Resolving {
+struct MtaResolver {
     config: ResolveMta,
     terrain: Option<Terrain>,
     /// Positions of the shots on the earth.
@@ -231,7 +231,7 @@ struct Resolving {
     strip: Option<Strip>,
 }
 
-impl Transform for Resolving {
+impl Transform for MtaResolver {
     fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
         let is_unresolved = line.emissions.iter().any(|emission| emission.mta_zone.is_none());
         if !is_unresolved && !line.emissions.is_empty() {

@@ -86,12 +86,12 @@ impl SinkConfig for Config {
             Compression::Lz4 => container::Compression::Lz4,
             Compression::Zstd => container::Compression::Zstd,
         };
-        Ok(Box::new(WriteArrow { state: State::Waiting(to), compression }))
+        Ok(Box::new(ArrowLineWriter { state: State::Waiting(to), compression }))
     }
 }
 
 /// A container being written.
-struct WriteArrow {
+struct ArrowLineWriter {
     state: State,
     compression: container::Compression,
 }
@@ -126,7 +126,7 @@ impl Write for Target {
     }
 }
 
-impl WriteArrow {
+impl ArrowLineWriter {
     /// The writer, started with the metadata of the first line.
     fn writer(&mut self, info: &InputInfo) -> Result<&mut ContainerWriter<Target>> {
         if let State::Waiting(_) = self.state
@@ -151,7 +151,7 @@ impl WriteArrow {
     }
 }
 
-impl Sink for WriteArrow {
+impl Sink for ArrowLineWriter {
     fn write(&mut self, scan_line: &ScanLine, _cx: &mut Context) -> Result<()> {
         let Some(blocks) = scan_line.blocks() else {
             return Err(StageError::failed(

@@ -207,7 +207,7 @@ impl SinkConfig for WriteLas {
 
     fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
         let file = site.create(&self.path)?;
-        Ok(Box::new(LasSink {
+        Ok(Box::new(LasWriter {
             attributes: self.attributes(),
             config: self.clone(),
             threads: site.threads,
@@ -315,7 +315,7 @@ const USUAL_STEP: f64 = 0.001;
 /// Smaller steps are in degrees; 1e-6 degree is about 1 dm.
 const DEGREES_STEP: f64 = 1e-5;
 
-struct LasSink {
+struct LasWriter {
     config: WriteLas,
     attributes: Attributes,
     threads: usize,
@@ -339,7 +339,7 @@ enum State {
     Broken,
 }
 
-impl LasSink {
+impl LasWriter {
     /// Starts the file, unless already started.
     fn begin(&mut self, input: &InputInfo, first: Option<[f64; 3]>, time_s: f64) -> Result<()> {
         if let State::Empty(_) = self.state
@@ -391,7 +391,7 @@ impl LasSink {
     }
 }
 
-impl Sink for LasSink {
+impl Sink for LasWriter {
     fn write(&mut self, batch: &ScanLine, cx: &mut Context) -> Result<()> {
         let (Some(returns), Some(points)) = (batch.returns(), batch.points()) else {
             return Ok(());
@@ -404,7 +404,7 @@ impl Sink for LasSink {
         }
         if let State::Empty(_) = self.state {
             self.note(input, cx);
-            LasSink::note_times(input, batch.stats.gps_time_s, cx);
+            LasWriter::note_times(input, batch.stats.gps_time_s, cx);
         }
         self.begin(input, points.first().copied(), batch.stats.gps_time_s)?;
         let State::Open(writer) = &mut self.state else {

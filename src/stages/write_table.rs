@@ -73,12 +73,12 @@ impl SinkConfig for Config {
 
     fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
         let format = self.format().unwrap_or(Format::Parquet);
-        Ok(Box::new(WriteTable { state: State::Waiting(site.create(&self.path)?), format }))
+        Ok(Box::new(ReturnTableWriter { state: State::Waiting(site.create(&self.path)?), format }))
     }
 }
 
 /// A table being written.
-struct WriteTable {
+struct ReturnTableWriter {
     state: State,
     format: Format,
 }
@@ -91,7 +91,7 @@ enum State {
     Failed,
 }
 
-impl WriteTable {
+impl ReturnTableWriter {
     fn writer(&mut self, time_scale: TimeScale) -> Result<&mut TableWriter<OutputFile>> {
         if let State::Waiting(_) = self.state
             && let State::Waiting(to) = std::mem::replace(&mut self.state, State::Failed)
@@ -107,7 +107,7 @@ impl WriteTable {
     }
 }
 
-impl Sink for WriteTable {
+impl Sink for ReturnTableWriter {
     fn write(&mut self, line: &ScanLine, cx: &mut Context) -> Result<()> {
         let Some(returns) = line.returns() else {
             return Err(StageError::failed(

@@ -10,7 +10,7 @@ use wavex::job::Job;
 use wavex::registry;
 use wavex::scan_line::{Content, Emission, Frame, InputInfo, LineStats, Return, ScanLine, TimeScale};
 use wavex::stage::{Context, Map, Plan, RunContext, Source};
-use wavex::stages::pose_source::Posed;
+use wavex::stages::pose_source::PoseSource;
 use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex_geodesy::frames::{IDENTITY, Rotation, rotate};
 use wavex_signal::simd::SimdLevel;
@@ -135,7 +135,7 @@ impl Flight {
         let site = site(self, geometry)?;
         let (source, mut stage) = (source(&site), georeference(&site, ""));
         let source = Box::new(Changed { source, turned: self.turned, unsaid: self.unsaid });
-        let mut source = Posed::new(source, Arc::clone(&site.geometry));
+        let mut source = PoseSource::new(source, Arc::clone(&site.geometry));
         let mut by_shot: BTreeMap<u64, Vec<&Truth>> = BTreeMap::new();
         self.truth.iter().for_each(|truth| by_shot.entry(truth.shot).or_default().push(truth));
         let mut cx = Context::default();

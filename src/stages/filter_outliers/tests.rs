@@ -74,7 +74,7 @@ fn scene(lying: &Lying) -> Vec<ScanLine> {
 
 /// Runs the stage; returns its lines, counters and notes.
 fn run(keys: &FilterOutliers, lines: Vec<ScanLine>, may_hold_bytes: usize) -> (Vec<ScanLine>, Context) {
-    let mut stage = Filter { strip: Strip::new(keys.clone()) };
+    let mut stage = OutlierFilter { strip: Strip::new(keys.clone()) };
     let (mut cx, mut given_on) = (Context::default(), Vec::new());
     let mut emit = |scan_line: ScanLine| {
         given_on.push(scan_line);

@@ -24,7 +24,7 @@ fn run(
     may_hold_bytes: usize,
 ) -> (Result<()>, Vec<ScanLine>, Context) {
     let terrain = config.terrain.as_ref().map(|path| Terrain::open(path).unwrap());
-    let mut stage = Resolving { config: config.clone(), terrain, placed: Arc::default(), strip: None };
+    let mut stage = MtaResolver { config: config.clone(), terrain, placed: Arc::default(), strip: None };
     let (mut cx, mut given) = (Context::default(), Vec::new());
     let mut emit = |scan_line: ScanLine| {
         given.push(scan_line);
@@ -152,7 +152,7 @@ fn what_is_held_back_is_foreseen_with_the_terrain_model() {
         (0..50).for_each(|shot| blocks.push(shot, Channel::LowPower, None, 700.0, 1.0, &PULSE));
         ScanLine::of_shots(input(), number, shots(u64::from(number) * 50, 50), blocks)
     };
-    let mut stage = Resolving {
+    let mut stage = MtaResolver {
         terrain: Some(Terrain::open(config.terrain.as_deref().unwrap()).unwrap()),
         config,
         placed: Arc::default(),
