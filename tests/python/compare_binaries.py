@@ -77,7 +77,7 @@ LINES = [
 ]
 
 # Reader and modes of the real recordings.
-MODES = ["refined", "fast_separated", "fastest", "fastest_then_refined"]
+MODES = ["refined", "fast_separated", "fastest", "slow"]
 
 # Members of a report that differ from run to run.
 VOLATILE = re.compile(r"(wall|working|waiting|blocked)_s$|^(line_us|started|ended|commit|threads|stages_s)$|peak")
