@@ -5,7 +5,7 @@
 Runs with each binary, in a folder of its own:
 
 - the jobs of `jobs/`, on a simulated flight as container, SDF (by the stand-in library) and trajectory;
-- the example command lines of BayesWavEx through `wavex import --run`, on that flight and on a LAS recording;
+- the example command lines of BayesWavEx through `wavex import --run`, on that flight;
 - the real recordings of `--data` (default: `WAVEX_DATA`), by `read_pulsewaves` and `read_las`, in the four modes.
 
 Lists every difference of an exit status, message or output and exits with 1 if there is one. Times, digests of outputs
