@@ -25,7 +25,7 @@ pub(super) fn copc(input: &Path, out: Option<PathBuf>, quiet: bool) -> Result<()
     let lock = OutputLock::acquire(&claimed).map_err(|error| Failure::Run(error.to_string()))?;
     let summary = write(input, &out).map_err(|error| Failure::Run(error.to_string()))?;
     drop(lock);
-    if quiet { Ok(()) } else { terminal::print(&told(&out, &summary)) }
+    if quiet { Ok(()) } else { terminal::print(&summary_text(&out, &summary)) }
 }
 
 fn check_name(input: &Path, out: &Path) -> Result<(), String> {
@@ -66,7 +66,7 @@ fn run_path(out: &Path, number: usize) -> PathBuf {
     out.with_file_name(format!("{name}.sorted_{number}"))
 }
 
-fn told(out: &Path, summary: &CopcSummary) -> String {
+fn summary_text(out: &Path, summary: &CopcSummary) -> String {
     let without = if summary.is_without_waveforms { ", without their waveforms" } else { "" };
     let plural = |n: u64| if n == 1 { "" } else { "s" };
     format!(

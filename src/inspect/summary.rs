@@ -262,8 +262,8 @@ fn blocks(inspection: &Inspection) -> Section {
         .collect();
     section.say("shots by number of blocks", few.join("   "));
     let online = inspection.shots.online;
-    let told = || format!("{} in {} shots", grouped(online[0]), grouped(online[1]));
-    section.say("instrument returns", if online[0] > 0 { told() } else { "none".into() });
+    let both = || format!("{} in {} shots", grouped(online[0]), grouped(online[1]));
+    section.say("instrument returns", if online[0] > 0 { both() } else { "none".into() });
     section.say("pulses in the air", zones(inspection));
     if let Some(range) = inspection.ranges_m.range() {
         let from = if inspection.ranges_from_first_sample() {
@@ -283,12 +283,12 @@ fn zones(inspection: &Inspection) -> String {
     let unresolved = inspection.zones.get(&None).copied().unwrap_or(0);
     let total: u64 = inspection.zones.values().sum();
     let resolved = inspection.zones.iter().filter_map(|(zone, count)| zone.map(|zone| (zone, *count)));
-    let mut told: Vec<String> =
+    let mut parts: Vec<String> =
         resolved.take(12).map(|(zone, count)| format!("zone {zone}: {}", share(count, total))).collect();
     if unresolved > 0 {
-        told.push(format!("unresolved: {} of the blocks", share(unresolved, total)));
+        parts.push(format!("unresolved: {} of the blocks", share(unresolved, total)));
     }
-    if told.is_empty() { "no blocks".into() } else { told.join("   ") }
+    if parts.is_empty() { "no blocks".into() } else { parts.join("   ") }
 }
 
 fn receiver(inspection: &Inspection, channel: Channel) -> Option<Section> {

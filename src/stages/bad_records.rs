@@ -8,7 +8,7 @@ use wavex_formats::{Error, Result};
 #[derive(Debug, Default)]
 pub(super) struct BrokenRun {
     first: Option<Error>,
-    told: bool,
+    warned: bool,
 }
 
 impl BrokenRun {
@@ -31,7 +31,7 @@ impl BrokenRun {
             Err(error @ Error::Io { .. }) => Err(error),
             Err(error) => {
                 cx.reject(item, reason, 1);
-                if !std::mem::replace(&mut self.told, true) {
+                if !std::mem::replace(&mut self.warned, true) {
                     cx.warn(format!("{reason} was rejected; further ones are only counted: {error}"));
                 }
                 self.first.get_or_insert(error);

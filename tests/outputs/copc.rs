@@ -52,8 +52,8 @@ fn points_of_a_run_become_a_file_beside_them() {
     assert_eq!(place.run(POINTS).code, Some(0));
     let n = n_points(&place, "a.laz");
     assert!(n > 100);
-    let told = copc(&place, &["a.laz"]).unwrap();
-    assert_eq!(told, format!("wrote a.copc.laz: {n} points, 1 node on 1 level\n"));
+    let printed = copc(&place, &["a.laz"]).unwrap();
+    assert_eq!(printed, format!("wrote a.copc.laz: {n} points, 1 node on 1 level\n"));
     assert_eq!(n_points(&place, "a.copc.laz"), n);
     assert_eq!(copc(&place, &["a.laz", "--quiet", "-o", "new/b.laz"]).unwrap(), "");
     assert_eq!(n_points(&place, "new/b.laz"), n);

@@ -230,10 +230,10 @@ fn zones_are_shown_where_several_pulses_are_in_the_air() {
     assert_eq!(smooth["zone"], most, "{clouds:?}");
     let page = place.text("out/page.html");
     elements(&page);
-    for told in
+    for part in
         ["Returns by MTA zone", "Points by MTA zone", "Range with each MTA zone", "Multiple time around"]
     {
-        assert!(page.contains(told), "{told}");
+        assert!(page.contains(part), "{part}");
     }
     assert!(page.contains(&format!("zone {most}: ")));
     // A page made from the report alone is identical.

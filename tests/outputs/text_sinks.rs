@@ -153,24 +153,24 @@ fn the_path_is_told_by_origins_and_found_again_from_beams() {
 fn path_from_beams(flight: &str) {
     let folder = tempfile::tempdir().unwrap();
     let job = format!(
-        "{flight}[[stage]]\ntype = 'write_trajectory'\nid = 'told'\ninterval_s = 0\n\
+        "{flight}[[stage]]\ntype = 'write_trajectory'\nid = 'message'\ninterval_s = 0\n\
          [[stage]]\ntype = 'write_trajectory'\nid = 'met'\nsensor = 'beams'\npath = 'met.txt'\n\
          [[stage]]\ntype = 'write_trajectory'\nid = 'some'\nevery = 5000\npath = 'some.txt'\nheader = false\n"
     );
     let job = Job::parse("job.toml", &job, &[]).unwrap_or_else(|e| panic!("{e}"));
     engine::run(&job, &engine::Options::of_job(&job, folder.path(), folder.path())).unwrap();
-    let told = numbers(folder.path(), "a_traj.txt");
+    let rows = numbers(folder.path(), "a_traj.txt");
     let met = numbers(folder.path(), "met.txt");
     assert_eq!(names(folder.path(), "met.txt"), ["gps_time", "X", "Y", "Z"]);
-    assert_eq!(told.len(), 12_000);
+    assert_eq!(rows.len(), 12_000);
     let some = numbers(folder.path(), "some.txt");
-    assert_eq!(some, [0, 5000, 10_000, 11_999].map(|index: usize| told[index].clone()), "and the last shot");
+    assert_eq!(some, [0, 5000, 10_000, 11_999].map(|index: usize| rows[index].clone()), "and the last shot");
     assert!(met.len() >= 15, "{}", met.len());
     let mut worst_m = 0.0f64;
     for row in &met {
         // The scanner pauses between lines; the path continues straight.
-        let after = told.partition_point(|other| other[0] <= row[0]);
-        let (from, to) = (&told[after - 1], &told[after]);
+        let after = rows.partition_point(|other| other[0] <= row[0]);
+        let (from, to) = (&rows[after - 1], &rows[after]);
         let share = (row[0] - from[0]) / (to[0] - from[0]);
         let off = |axis: usize| from[axis] + share * (to[axis] - from[axis]) - row[axis];
         let error_m = (1..4).map(|axis| off(axis).powi(2)).sum::<f64>().sqrt();

@@ -9,7 +9,7 @@ fn trajectory(place: &TestFolder, arguments: &[&str]) -> Outcome {
 
 /// Standard output for a valid trajectory.
 #[track_caller]
-fn told(place: &TestFolder, arguments: &[&str]) -> String {
+fn printed(place: &TestFolder, arguments: &[&str]) -> String {
     let Outcome { code, out, err } = trajectory(place, arguments);
     assert_eq!((code, err.as_str()), (Some(0), ""));
     out
@@ -40,7 +40,7 @@ fn rows(text: &str) -> Vec<Vec<f64>> {
 #[test]
 fn a_flight_is_told_projected_and_thinned() {
     let place = flown();
-    let out = told(&place, &["out/flight.sbet", "--every", "10", "-o", "po.txt", "--svg", "po.svg"]);
+    let out = printed(&place, &["out/flight.sbet", "--every", "10", "-o", "po.txt", "--svg", "po.svg"]);
     assert!(out.starts_with("out/flight.sbet: SBET, "), "{out}");
     assert_eq!(said(&out, "clock"), "seconds of the week, GPS");
     assert!(said(&out, "times").starts_with("Tuesday 09:59:59.0 to "), "{out}");
@@ -78,9 +78,9 @@ fn a_flight_is_told_projected_and_thinned() {
 #[test]
 fn what_is_written_can_be_read() {
     let place = flown();
-    told(&place, &["out/flight.pof", "-o", "po.txt"]);
+    printed(&place, &["out/flight.pof", "-o", "po.txt"]);
     let options = ["po.txt", "--columns", "txyz___wpk", "--time", "adjusted", "-o", "again.txt"];
-    let out = told(&place, &options);
+    let out = printed(&place, &options);
     assert!(out.starts_with("po.txt: text, "), "{out}");
     let (first, again) = (rows(&place.text("po.txt")), rows(&place.text("again.txt")));
     assert_eq!(first.len(), again.len());
@@ -91,10 +91,10 @@ fn what_is_written_can_be_read() {
 #[test]
 fn both_formats_of_a_flight_agree() {
     let place = flown();
-    let out = told(&place, &["out/flight.pof", "--crs", "geodetic", "-o", "pof.txt"]);
+    let out = printed(&place, &["out/flight.pof", "--crs", "geodetic", "-o", "pof.txt"]);
     assert_eq!(said(&out, "clock"), "seconds of the week, GPS, 2025-05-06");
     assert!(said(&out, "times").starts_with("2025-05-06 09:59:59.0 to 10:00:0"), "{out}");
-    told(&place, &["out/flight.sbet", "--crs", "geodetic", "-o", "sbet.txt"]);
+    printed(&place, &["out/flight.sbet", "--crs", "geodetic", "-o", "sbet.txt"]);
     let (pof, sbet) = (rows(&place.text("pof.txt")), rows(&place.text("sbet.txt")));
     assert_eq!(pof.len(), sbet.len());
     for (a, b) in pof.iter().zip(&sbet) {
@@ -111,7 +111,7 @@ fn gaps_are_told() {
     let text: String =
         rows.map(|k| format!("{},179.99{k:02},-17,500,0,0,90\n", 0.1 * f64::from(k))).collect();
     place.write("t.csv", text.as_bytes());
-    let out = told(&place, &["t.csv", "--columns", "txyzwpk", "--svg", "t.svg"]);
+    let out = printed(&place, &["t.csv", "--columns", "txyzwpk", "--svg", "t.svg"]);
     assert_eq!(said(&out, "gaps"), "2, the longest 0.800 s; 2 exceed the 0.500 s limit of bridging");
     assert!(out.contains("0.600 s after 1.900 s: no poses in it"), "{out}");
     assert_eq!(said(&out, "longitude"), "179.9900000 to 179.9939000");

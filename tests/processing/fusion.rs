@@ -212,8 +212,8 @@ fn autocovariance(sd_dn: f64, lags: usize) -> Vec<f64> {
     let mut covariance = vec![analog];
     covariance.extend(AUTOCORRELATION.iter().map(|rho| rho * recorded));
     let matrix = DMatrix::from_fn(order, order, |i, j| covariance[i.abs_diff(j)]);
-    let told = DVector::from_fn(order, |i, _| covariance[i + 1]);
-    let phi = matrix.lu().solve(&told).unwrap();
+    let message = DVector::from_fn(order, |i, _| covariance[i + 1]);
+    let phi = matrix.lu().solve(&message).unwrap();
     while covariance.len() < lags {
         let next = (0..order).map(|i| phi[i] * covariance[covariance.len() - 1 - i]).sum();
         covariance.push(next);

@@ -12,7 +12,7 @@ fn false_returns_are_told_and_true_ones_kept() {
         let (lines, cx, _) = filtered(flight.lines.iter().map(copy).collect(), "", usize::MAX);
         let score = score_of_stage(&flight, &lines, scene.margin_m);
         println!(
-            "{}: {:.2} % of {} told, {:.3} % of the true returns taken for outliers {:?}",
+            "{}: {:.2} % of {} detected, {:.3} % of the true returns taken for outliers {:?}",
             scene.name,
             score.detected_percent(),
             score.outliers[0],
@@ -25,11 +25,11 @@ fn false_returns_are_told_and_true_ones_kept() {
         assert!(cx.counters().notes.is_empty());
         // Marked and rejected returns are counted, and no return is lost.
         let total = |of: fn(&ScanLine) -> u64| lines.iter().map(of).sum::<u64>();
-        let told: usize = [score.outliers, score.among].iter().map(|[_, told]| told).sum();
+        let detected: usize = [score.outliers, score.among].iter().map(|[_, detected]| detected).sum();
         let lost: usize = score.true_returns.values().map(|[_, lost]| lost).sum();
         assert_eq!(
             total(|line| line.stats.np_air + line.stats.np_low),
-            (told + lost) as u64,
+            (detected + lost) as u64,
             "{}",
             scene.name
         );

@@ -63,7 +63,7 @@ impl Pulse {
     }
 
     /// The pairs; `index` is that of the pulse.
-    pub fn told(&self, index: usize) -> impl Iterator<Item = VendorReturn> {
+    pub fn reported(&self, index: usize) -> impl Iterator<Item = VendorReturn> {
         self.pairs.iter().map(move |&(i, j)| VendorReturn {
             pulse: index,
             vendor: self.vendor[i],

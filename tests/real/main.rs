@@ -434,7 +434,7 @@ fn returns_agree_with_riegls_to_their_uncertainty() {
     let Some(data) = data() else { return };
     let pulses = agreement(&data, &[]);
     let pairs: Vec<agreement::VendorReturn> =
-        pulses.iter().enumerate().flat_map(|(index, pulse)| pulse.told(index)).collect();
+        pulses.iter().enumerate().flat_map(|(index, pulse)| pulse.reported(index)).collect();
     let raw: Vec<f64> = pairs.iter().map(|pair| 1000.0 * (pair.ours.time_ns - pair.vendor.time_ns)).collect();
     let left = agreement::without_trend(&pairs, &raw, |pulse| pulse % 10);
     let of = |values: &[f64], wanted: &dyn Fn(&agreement::VendorReturn) -> bool| -> Vec<f64> {
@@ -542,20 +542,20 @@ fn superposed_echoes_are_told_apart() {
         ("weak + strong", &weak, &strong),
     ] {
         for separation_ns in [2.5, 3.0, 3.5, 4.5, 5.5, 6.5, 8.0] {
-            let told = superposition.told(first, second, separation_ns, PAIRS);
+            let reported = superposition.reported(first, second, separation_ns, PAIRS);
             println!(
                 "{name} at {separation_ns} ns: both found {:.1} % (goal 99 from 3.5 ns on), more {:.1} %; bias {:+.0} and \
                  {:+.0} ps, z {:.2} and {:.2} (goal 0.75-1.25)",
-                100.0 * told.both,
-                100.0 * told.more,
-                told.bias_ps[0],
-                told.bias_ps[1],
-                told.z[0],
-                told.z[1]
+                100.0 * reported.both,
+                100.0 * reported.more,
+                reported.bias_ps[0],
+                reported.bias_ps[1],
+                reported.z[0],
+                reported.z[1]
             );
             if separation_ns >= 3.5 {
-                assert!(told.both >= 0.99 && told.more <= 0.01);
-                assert!(told.z.iter().all(|z| (0.75..=1.25).contains(z)), "{:?}", told.z);
+                assert!(reported.both >= 0.99 && reported.more <= 0.01);
+                assert!(reported.z.iter().all(|z| (0.75..=1.25).contains(z)), "{:?}", reported.z);
             }
         }
     }

@@ -124,7 +124,7 @@ impl<'a> Superposition<'a> {
     }
 
     /// Tests this many pairs with this separation, within a fifth of a sample.
-    pub fn told(
+    pub fn reported(
         &mut self,
         first: &[Single<'_>],
         second: &[Single<'_>],

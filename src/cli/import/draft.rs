@@ -187,13 +187,13 @@ impl Draft {
             }
             let is_usable = entry.obstacle.is_empty();
             let obstacle = if is_usable { "not supported by this build" } else { &entry.obstacle };
-            let told = format!("{why}: {obstacle}");
+            let noted = format!("{why}: {obstacle}");
             match (entry.is_asked, is_usable) {
                 (true, true) => text.missing.push(format!("{} (`{}` of `{section}`)", entry.why, entry.key)),
-                (true, false) => text.obstacles.push(told.clone()),
+                (true, false) => text.obstacles.push(noted.clone()),
                 (false, _) => {}
             }
-            lines.push((format!("#{line}"), told));
+            lines.push((format!("#{line}"), noted));
         }
         let width = lines.iter().map(|(line, _)| line.chars().count()).max().unwrap_or(0).min(44);
         for (line, why) in lines {

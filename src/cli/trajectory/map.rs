@@ -20,17 +20,17 @@ impl Map {
     /// `word` is `utm` (zone of `place`), `utm:33N`, `EPSG:2154`, `geodetic`, `ecef`, or the path
     /// of a WKT file.
     pub(super) fn of(word: &str, place: Option<Geodetic>) -> Result<Option<Map>, String> {
-        let told = |problem: &dyn std::fmt::Display| format!("--crs {word}: {problem}");
-        let named = match Named::parse(word).map_err(|error| told(&error))? {
+        let message = |problem: &dyn std::fmt::Display| format!("--crs {word}: {problem}");
+        let named = match Named::parse(word).map_err(|error| message(&error))? {
             Some(Named::Utm) if place.is_none() => return Ok(None),
             Some(named) => named,
             None => Named::Wkt(std::fs::read_to_string(Path::new(word)).map_err(|error| {
-                told(&format!(
+                message(&format!(
                     "no such file ({error}); give utm, utm:33N, EPSG:2154, geodetic, ecef or a WKT file"
                 ))
             })?),
         };
-        let crs = Crs::new(&named, place.unwrap_or(ANYWHERE), None, None).map_err(|error| told(&error))?;
+        let crs = Crs::new(&named, place.unwrap_or(ANYWHERE), None, None).map_err(|error| message(&error))?;
         Ok(Some(Map { crs }))
     }
 
@@ -108,9 +108,9 @@ mod tests {
 
     #[test]
     fn a_word_that_names_nothing_is_told() {
-        let told = Map::of("nowhere.wkt", None).err().unwrap();
-        assert!(told.starts_with("--crs nowhere.wkt: no such file ("), "{told}");
-        let told = Map::of("EPSG:1", None).err().unwrap();
-        assert!(told.starts_with("--crs EPSG:1: "), "{told}");
+        let message = Map::of("nowhere.wkt", None).err().unwrap();
+        assert!(message.starts_with("--crs nowhere.wkt: no such file ("), "{message}");
+        let message = Map::of("EPSG:1", None).err().unwrap();
+        assert!(message.starts_with("--crs EPSG:1: "), "{message}");
     }
 }

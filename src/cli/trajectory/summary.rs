@@ -39,17 +39,17 @@ pub(super) fn text(about: &About, trajectory: &Trajectory, map: &Map) -> String 
         row("", format!("{:.3} s after {:.3} s: {bridged}", gap.length_s(), gap.between_s[0]));
     }
     let degrees = |of: fn(&Sample) -> f64| range(samples.iter().map(|sample| of(sample).to_degrees()));
-    row("latitude", told(degrees(|s| s.place.latitude_rad), 7));
-    row("longitude", told(longitudes(samples), 7));
-    row("height", format!("{} m", told(range(samples.iter().map(|s| s.place.height_m)), 2)));
-    row("roll", told(degrees(|s| s.attitude.roll_rad), 2));
-    row("pitch", told(degrees(|s| s.attitude.pitch_rad), 2));
+    row("latitude", span(degrees(|s| s.place.latitude_rad), 7));
+    row("longitude", span(longitudes(samples), 7));
+    row("height", format!("{} m", span(range(samples.iter().map(|s| s.place.height_m)), 2)));
+    row("roll", span(degrees(|s| s.attitude.roll_rad), 2));
+    row("pitch", span(degrees(|s| s.attitude.pitch_rad), 2));
     let length_m = length_m(samples);
     row("path", format!("{:.3} km, {:.1} m/s", 1e-3 * length_m, length_m / (last_s - first_s)));
     row("map", map.name().to_owned());
     let places: Vec<[f64; 3]> = samples.iter().map(|sample| map.project(sample.place)).collect();
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
-        row(name, told(range(places.iter().map(|place| place[axis])), map.digits().min(7)));
+        row(name, span(range(places.iter().map(|place| place[axis])), map.digits().min(7)));
     }
     if !about.accuracies.is_empty() {
         row("accuracy", accuracy(about.accuracies));
@@ -77,7 +77,7 @@ fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
 }
 
-fn told([low, high]: [f64; 2], digits: usize) -> String {
+fn span([low, high]: [f64; 2], digits: usize) -> String {
     format!("{low:.digits$} to {high:.digits$}")
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::tables::{Both, Sources, receiver_of, told_by_fusion_s};
+use super::tables::{Both, Sources, delay_in_fusion_s, receiver_of};
 use super::width::{WidthCorrection, name};
 use super::{Correct, Incidence};
 use crate::scan_line::{Emission, InputInfo, LineStats, Return, ReturnChannel, ScanLine, flags};
@@ -59,14 +59,14 @@ impl Corrections {
             },
         };
         note_what_is_missing(self.sources.wanted(), &tables, returns, cx);
-        let told_s = match (&line.fusion, &line.model) {
-            (Some(fusion), Some(model)) => told_by_fusion_s(&tables.range, model, fusion.gain_ratio),
+        let in_fusion_s = match (&line.fusion, &line.model) {
+            (Some(fusion), Some(model)) => delay_in_fusion_s(&tables.range, model, fusion.gain_ratio),
             _ => 0.0,
         };
         let half_speed_m_per_ns = 0.5e-9 * line.input.group_velocity_mps;
         // Tables and widths apply to computed returns only, not to those of the instrument.
         for r in returns.iter_mut().filter(|r| r.flags & flags::INSTRUMENT == 0) {
-            correct_range(r, &tables.range, told_s, half_speed_m_per_ns, &mut line.stats);
+            correct_range(r, &tables.range, in_fusion_s, half_speed_m_per_ns, &mut line.stats);
             correct_width(r, widths, half_speed_m_per_ns);
             take_amplitude(r, &tables.amplitude, &mut line.stats);
         }
@@ -147,14 +147,14 @@ fn cos_to_vertical(frame: crate::scan_line::Frame, emission: &Emission) -> Optio
 fn correct_range(
     r: &mut Return,
     ranges: &Both,
-    told_s: f64,
+    in_fusion_s: f64,
     half_speed_m_per_ns: f64,
     stats: &mut LineStats,
 ) {
     let receiver = receiver_of(r.channel);
     let Some(table) = &ranges[receiver] else { return };
-    let told_s = if receiver == 1 { told_s } else { 0.0 };
-    let late_ns = 1e9 * (table.at(r.peak_dn) - told_s);
+    let in_fusion_s = if receiver == 1 { in_fusion_s } else { 0.0 };
+    let late_ns = 1e9 * (table.at(r.peak_dn) - in_fusion_s);
     let late_sd_ns = 1e9 * table.slope(r.peak_dn) * r.peak_sd_dn;
     r.time_of_flight_ns -= late_ns;
     r.time_of_flight_sd_ns = r.time_of_flight_sd_ns.hypot(late_sd_ns);

@@ -120,7 +120,7 @@ fn smoothed(mut rows: Vec<Row>) -> Vec<Row> {
 ///
 /// `fuse_channels` has shifted the times of the high-power receiver so that both agree for such
 /// echoes as recorded. That shift already contains the difference of the two tables there.
-pub(super) fn told_by_fusion_s(ranges: &Both, model: &SensorModel, gain_ratio: f64) -> f64 {
+pub(super) fn delay_in_fusion_s(ranges: &Both, model: &SensorModel, gain_ratio: f64) -> f64 {
     let (Some(low), Some(high)) = (&model.low_power, &model.high_power) else { return 0.0 };
     let background_dn = |channel: &ChannelModel| channel.background_dn.iter().sum::<f64>() / 4.0;
     let height_dn = OVERDRIVEN_PART * low.full_scale_dn;

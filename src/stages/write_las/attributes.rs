@@ -58,30 +58,31 @@ const UNDEFINED: u8 = 20;
 /// The extra attributes of a file: storage, and quantities.
 pub(super) struct Attributes {
     pub(super) stored: Vec<ExtraAttribute>,
-    told: Vec<Quantity>,
+    quantities: Vec<Quantity>,
 }
 
 impl Attributes {
     /// The attributes of a layout, with or without standard deviations.
     pub(super) fn of(layout: AttributeLayout, uncertainty: bool) -> Attributes {
-        let (stored, told) = match layout {
+        let (stored, quantities) = match layout {
             AttributeLayout::V1_1 => (ATTRIBUTES_1_1, QUANTITIES_1_1),
             AttributeLayout::V1_0 => (ATTRIBUTES_1_0, QUANTITIES_1_0),
         };
-        let all = stored.into_iter().zip(told);
-        let (stored, told) = all.filter(|(_, quantity)| uncertainty || !quantity.is_uncertainty()).unzip();
-        Attributes { stored, told }
+        let all = stored.into_iter().zip(quantities);
+        let (stored, quantities) =
+            all.filter(|(_, quantity)| uncertainty || !quantity.is_uncertainty()).unzip();
+        Attributes { stored, quantities }
     }
 
     pub(super) fn none() -> Attributes {
-        Attributes { stored: Vec::new(), told: Vec::new() }
+        Attributes { stored: Vec::new(), quantities: Vec::new() }
     }
 
     /// Writes the attributes of at most [`TOGETHER`] returns.
     pub(super) fn put(&self, returns: &[Return], columns: &mut ExtraColumns) {
         let mut values = [0.0; TOGETHER];
         let values = &mut values[..returns.len().min(TOGETHER)];
-        for (attribute, quantity) in self.stored.iter().zip(&self.told) {
+        for (attribute, quantity) in self.stored.iter().zip(&self.quantities) {
             quantity.column(returns, values);
             columns.put(attribute, values);
         }
@@ -225,7 +226,7 @@ mod tests {
     fn amplitudes_are_stored_as_whole_numbers() {
         for layout in [AttributeLayout::V1_0, AttributeLayout::V1_1] {
             let attributes = Attributes::of(layout, true);
-            let at = attributes.told.iter().position(|quantity| *quantity == LinearAmplitude).unwrap();
+            let at = attributes.quantities.iter().position(|quantity| *quantity == LinearAmplitude).unwrap();
             let amplitude = &attributes.stored[at];
             assert_eq!((amplitude.scale, amplitude.offset), (Some(1.0), Some(0.0)));
         }

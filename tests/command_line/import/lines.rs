@@ -301,11 +301,11 @@ fn columns_without_the_roll_are_enough() {
 #[test]
 fn columns_of_a_trajectory_that_are_not_enough_are_told_and_not_run() {
     let import = here("-i a.sdf -po a.txt -po_parse xyztwk");
-    let told = "-po_parse xyztwk: the pitch (`p`) is missing, and points cannot be georeferenced without it: give a trajectory \
+    let message = "-po_parse xyztwk: the pitch (`p`) is missing, and points cannot be georeferenced without it: give a trajectory \
                 that has it, or add the column to the text file and its letter here";
-    let line = format!("#trajectory_columns = \"xyztwk\"  # {told}\n");
+    let line = format!("#trajectory_columns = \"xyztwk\"  # {message}\n");
     assert!(import.text.contains(&line), "{}", import.text);
-    assert_eq!(import.obstacles, [told]);
+    assert_eq!(import.obstacles, [message]);
     assert_eq!(import.missing, [] as [&str; 0]);
     let obstacles = |columns: &str| here(&format!("-i a.sdf -po a.txt -po_parse {columns}")).obstacles;
     assert_eq!(

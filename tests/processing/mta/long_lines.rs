@@ -168,8 +168,8 @@ fn run(place: &TestFolder, job: &str, memory_mb: u64) -> Result<Vec<u8>, u64> {
     }
     let (outcome, peak_kb) = peak_kb(&mut command);
     if outcome.code == Some(1) {
-        let told = " does not fit into memory_mb: stages hold back ";
-        assert!(outcome.err.contains(told), "{}", outcome.err);
+        let message = " does not fit into memory_mb: stages hold back ";
+        assert!(outcome.err.contains(message), "{}", outcome.err);
         assert!(outcome.err.contains(", and `resolve_mta` needs up to "), "{}", outcome.err);
         let needed = outcome.err.split("; set memory_mb to ").nth(1).unwrap().split(' ').next().unwrap();
         println!("  {memory_mb} MB: refused, {needed} MB asked for");

@@ -64,16 +64,17 @@ fn stamps_that_jitter_are_no_modulation() {
         let outcome = place.read("read_arrow", "a.arrow", &chain(""));
         assert_eq!(outcome.code, Some(1));
         println!("{}", outcome.err);
-        let told =
+        let expected =
             "stage resolve_mta: ./a.arrow: the pulse rate is constant: intervals of 2500.000 ns vary by 0.";
-        assert!(outcome.err.contains(told), "outgoing pulses give the emission times: {}", outcome.err);
+        assert!(outcome.err.contains(expected), "outgoing pulses give the emission times: {}", outcome.err);
         let recording = with_jitter(constant(), jitter_ns, false);
         let place = TestFolder::with(&[("a.arrow", &recording)]);
         let outcome = place.read("read_arrow", "a.arrow", &chain(""));
         assert_eq!(outcome.code, Some(1));
         println!("{}", outcome.err);
-        let told = "stage resolve_mta: ./a.arrow: the time stamps jitter, not the pulses: intervals vary by ";
-        assert!(outcome.err.contains(told), "ranges do not follow the stamps: {}", outcome.err);
+        let expected =
+            "stage resolve_mta: ./a.arrow: the time stamps jitter, not the pulses: intervals vary by ";
+        assert!(outcome.err.contains(expected), "ranges do not follow the stamps: {}", outcome.err);
         assert!(
             outcome.err.contains("set a prior (`agl_m`, `terrain`), or a fixed `zone`"),
             "{}",

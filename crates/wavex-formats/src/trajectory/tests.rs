@@ -25,7 +25,7 @@ fn the_two_sbet_records_of_pdal_are_read() {
     let Records::Geodetic(samples) = &recorded.records else { panic!("{recorded:?}") };
     // Time, latitude, longitude, height, roll and pitch as in PDAL's SBET reader; heading minus
     // wander angle.
-    let told = samples.iter().map(|sample| {
+    let message = samples.iter().map(|sample| {
         let Sample { time_s, place, attitude } = sample;
         let place = [place.latitude_rad, place.longitude_rad, place.height_m];
         (*time_s, place, [attitude.roll_rad, attitude.pitch_rad])
@@ -42,7 +42,7 @@ fn the_two_sbet_records_of_pdal_are_read() {
             [-0.028_138_566_314_230_94, -0.024_252_156_693_921_688],
         ),
     ];
-    assert_eq!(told.collect::<Vec<_>>(), expected);
+    assert_eq!(message.collect::<Vec<_>>(), expected);
     let headings = [
         3.046_773_230_278_662_3 + 0.021_984_147_369_226_575,
         3.047_131_105_236_810_6 + 0.021_984_160_079_321_084,
@@ -199,15 +199,15 @@ fn the_clock_of_the_options_wins() {
         recorded.notes,
         ["the file says that times are seconds of the week; they are read as adjusted seconds"]
     );
-    let told =
+    let message =
         |bytes: Vec<u8>, time| read_bytes(&bytes, &Options { time, ..Options::default() }).unwrap_err();
     assert_eq!(
-        told(sbet(&samples, week), Some(Clock::Day)),
+        message(sbet(&samples, week), Some(Clock::Day)),
         "t.dat: its times, from 208800.000 to 208801.500 s, are not seconds of the day; set \
          `trajectory_time` to week, day or adjusted"
     );
     assert_eq!(
-        told(sbet(&samples, |t| t + 1e9), None),
+        message(sbet(&samples, |t| t + 1e9), None),
         "t.dat: its times, from 1430560800.000 to 1430560801.500 s, are not adjusted seconds; set \
          `trajectory_time` to week, day or adjusted"
     );

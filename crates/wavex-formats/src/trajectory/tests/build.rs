@@ -123,10 +123,10 @@ impl Folder {
     }
 
     pub(super) fn read(&self, name: &str, options: &Options) -> std::result::Result<Recorded, String> {
-        read(&self.path(name), options).map_err(|error| self.told(&error))
+        read(&self.path(name), options).map_err(|error| self.message(&error))
     }
 
-    pub(super) fn told(&self, error: &Error) -> String {
+    pub(super) fn message(&self, error: &Error) -> String {
         error.to_string().replace(&format!("{}/", self.0.path().display()), "")
     }
 

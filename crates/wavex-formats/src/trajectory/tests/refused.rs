@@ -27,7 +27,7 @@ fn companions_of_something_else_are_refused() {
     );
     let error = folder.read("b.sbet", &with("twice.out")).unwrap().into_trajectory(None).unwrap_err();
     assert_eq!(
-        folder.told(&error),
+        folder.message(&error),
         "b.sbet: its accuracies: records 1 and 2 have the same time 208800 s; keep one record of each time"
     );
 }
@@ -63,53 +63,53 @@ fn files_of_other_formats_are_refused() {
 
 #[test]
 fn texts_that_are_no_trajectory_are_refused() {
-    let told = |text: &str, letters: &str| read_bytes(text.as_bytes(), &columns(letters)).unwrap_err();
+    let message = |text: &str, letters: &str| read_bytes(text.as_bytes(), &columns(letters)).unwrap_err();
     let rows = "head\n1 11 48 500 0 0 90\n";
     let cases = [
         (
-            told(rows, "txyz"),
+            message(rows, "txyz"),
             "t.dat: `trajectory_columns` is `txyz`, which lacks the pitch (p); use t for time, x \
              for longitude, y for latitude, z for height, w for roll, p for pitch and k for \
              heading",
         ),
         (
-            told(rows, "txyzwpkx"),
+            message(rows, "txyzwpkx"),
             "t.dat: `trajectory_columns` is `txyzwpkx`, which has two columns for longitude (x); \
              use t for time, x for longitude, y for latitude, z for height, w for roll, p for \
              pitch and k for heading",
         ),
         (
-            told(&format!("{rows}2 11 48 500 0 x 90\n"), "txyzwpk"),
+            message(&format!("{rows}2 11 48 500 0 x 90\n"), "txyzwpk"),
             "t.dat: byte 24: line 3: the pitch (column 6) is `x`; check `trajectory_columns`",
         ),
         (
-            told(&format!("{rows}2 11 48 500\n"), "txyzwpk"),
+            message(&format!("{rows}2 11 48 500\n"), "txyzwpk"),
             "t.dat: byte 24: line 3: there are 4 columns, but roll is column 5; check \
              `trajectory_columns`",
         ),
         (
-            told("a\nb c\n", "txyzwpk"),
+            message("a\nb c\n", "txyzwpk"),
             "t.dat: none of its 2 lines has numbers in all columns of `txyzwpk`: in the last, the time (column 1) is `b`; \
              check `trajectory_columns`",
         ),
         (
-            told("1 320000 5300000 500 0 0 90\n", "txyzwpk"),
+            message("1 320000 5300000 500 0 0 90\n", "txyzwpk"),
             "t.dat: byte 0: latitude of line 1: 5300000 degrees is out of range; give geodetic \
              positions, and check `trajectory_columns`",
         ),
         (
-            told(&format!("1 {}\n", "9".repeat(70_000)), "txyzwpk"),
+            message(&format!("1 {}\n", "9".repeat(70_000)), "txyzwpk"),
             "t.dat: byte 0: line: it is longer than 65536 bytes; give a table with one line per \
              record",
         ),
         (
-            told("1 11 48 5e7 0 0 90\n", "txyzwpk"),
+            message("1 11 48 5e7 0 0 90\n", "txyzwpk"),
             "t.dat: byte 0: height of record 1: invalid value 50000000.000000; the file is \
              damaged, or its positions are not geodetic: export it again",
         ),
     ];
-    for (told, expected) in cases {
-        assert_eq!(told, expected);
+    for (message, expected) in cases {
+        assert_eq!(message, expected);
     }
 }
 
@@ -172,8 +172,8 @@ fn damaged_records_are_refused_where_they_stand() {
              again".to_owned(),
         ),
     ];
-    for (told, expected) in cases {
-        assert_eq!(told, expected);
+    for (message, expected) in cases {
+        assert_eq!(message, expected);
     }
 }
 
@@ -183,19 +183,20 @@ fn disorder_names_the_file_and_the_records() {
     samples.swap(1, 2);
     let folder =
         Folder::with(&[("t.sbet", &sbet(&samples, |t| t)), ("t.trj", &trj(&flight(100.0, 2), |t| t))]);
-    let told = |name: &str, unproject: Option<&Unproject>| {
-        folder.told(&folder.read(name, &Options::default()).unwrap().into_trajectory(unproject).unwrap_err())
+    let message = |name: &str, unproject: Option<&Unproject>| {
+        folder
+            .message(&folder.read(name, &Options::default()).unwrap().into_trajectory(unproject).unwrap_err())
     };
     assert_eq!(
-        told("t.sbet", None),
+        message("t.sbet", None),
         "t.sbet: record 3: its time 100.5 s is before the 101 s of record 2; sort its records by time"
     );
     assert_eq!(
-        told("t.trj", None),
+        message("t.trj", None),
         "t.trj: its positions are projected, but it does not name their CRS; set `crs`"
     );
     assert_eq!(
-        told("t.trj", Some(&|_| Err("outside of the map".to_owned()))),
+        message("t.trj", Some(&|_| Err("outside of the map".to_owned()))),
         "t.trj: record 1: outside of the map; check that `crs` is the CRS of the trajectory"
     );
 }
@@ -216,7 +217,7 @@ fn files_may_be_cut_off_anywhere() {
         fs::write(folder.path("cut"), bytes).unwrap();
         match folder.read(name, options) {
             Ok(recorded) => assert!(recorded.records.len() <= 2 && recorded.accuracies.len() <= 2),
-            Err(told) => assert!(told.contains("; "), "{told}: no remedy"),
+            Err(message) => assert!(message.contains("; "), "{message}: no remedy"),
         }
     };
     for bytes in files {
@@ -236,10 +237,10 @@ fn counts_are_not_believed() {
     let samples = flight(MIDNIGHT_S + 36_000.0, 4);
     let mut bytes = pof(&samples, 2, 0, week);
     bytes[41..49].copy_from_slice(&i64::MAX.to_le_bytes());
-    let told = read_bytes(&bytes, &Options::default()).unwrap_err();
-    assert!(told.contains("record 5: 64 bytes needed, 0 left"), "{told}");
+    let message = read_bytes(&bytes, &Options::default()).unwrap_err();
+    assert!(message.contains("record 5: 64 bytes needed, 0 left"), "{message}");
     let mut bytes = trj(&samples, week);
     bytes[16..20].copy_from_slice(&i32::MAX.to_le_bytes());
-    let told = read_bytes(&bytes, &Options::default()).unwrap_err();
-    assert!(told.contains("record 5: 64 bytes needed, 0 left"), "{told}");
+    let message = read_bytes(&bytes, &Options::default()).unwrap_err();
+    assert!(message.contains("record 5: 64 bytes needed, 0 left"), "{message}");
 }

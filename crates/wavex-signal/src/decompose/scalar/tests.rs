@@ -277,7 +277,7 @@ fn widths_out_of_range_are_filtered() {
     assert!(returns.is_empty() && counts.np_filtered == counts.n_candidates, "{returns:?}");
 }
 
-/// Two pulses that were told apart by nothing become one again, and are counted.
+/// Two inseparable pulses are merged and counted.
 #[test]
 fn returns_nearer_than_a_sample_are_merged() {
     let model = channel(&process(), FWHM, 20.0);
@@ -306,7 +306,7 @@ fn of_too_many_candidates_the_strongest_are_kept() {
     assert_eq!((counts.n_candidates, counts.np_filtered, counts.np), (3, 1, 2));
 }
 
-/// The last of several returns has a threshold of its own; the first and a lonely one have not.
+/// Only the last of several returns has a separate threshold.
 #[test]
 fn the_last_of_several_returns_has_its_own_threshold() {
     let found = |pulses: &[Pulse], detection_sigma: f64, detection_sigma_last: Option<f64>| {
@@ -328,7 +328,7 @@ fn the_last_of_several_returns_has_its_own_threshold() {
     assert_eq!(found(&[lonely], 8.0, Some(5.0)), [0.0; 0]);
 }
 
-/// One widened pulse passes the score as often as noise lets expect; pairs that can be told apart always do.
+/// One widened pulse passes the score test at the rate of noise; separable pairs always pass.
 #[test]
 fn the_score_tells_pairs_from_widened_pulses() {
     let mut simulation = Simulation::new(41, 4095);
