@@ -37,7 +37,7 @@ fn shots_per_second(keys: &str) -> f64 {
         stem: "simulated".into(),
         input_dir: std::env::temp_dir(),
         output_dir: std::env::temp_dir(),
-        threads: 1,
+        pool: None,
         simd: SimdLevel::best(),
         geometry: Default::default(),
     };

@@ -83,13 +83,18 @@ fn found(emission: u32, return_number: u8, noise: &mut Noise) -> Return {
     }
 }
 
+fn pool(threads: usize) -> rayon::ThreadPool {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.unwrap_or_else(|error| panic!("cannot start a thread: {error}"))
+}
+
 fn sink(folder: &Path, path: &str, threads: usize) -> Box<dyn Sink> {
     let site = RunContext {
         input: "made".into(),
         stem: "made".into(),
         input_dir: folder.into(),
         output_dir: folder.into(),
-        threads,
+        pool: (threads > 1).then(|| Arc::new(pool(threads))),
         simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Arc::default(),
     };

@@ -10,6 +10,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
+use rayon::ThreadPool;
+
 use crate::georef::Loader;
 use crate::job::Job;
 use crate::stage::{Context, OutputLock, Plan, RunContext, RunObserver, StageError};
@@ -20,6 +22,8 @@ mod failure;
 mod inputs;
 mod link;
 mod meter;
+mod observe;
+mod pool;
 mod progress;
 mod stage_summary;
 mod summary;
@@ -27,10 +31,10 @@ mod totals;
 mod trace;
 mod worker;
 
-pub(crate) use chain::may_hold_bytes;
 pub use failure::{Cancel, Cause, RunError};
 pub use inputs::Input;
 pub(crate) use inputs::expand;
+pub(crate) use observe::observe;
 pub use progress::{Progress, ProgressMode};
 pub use stage_summary::{ItemCounts, Percentiles, StageSummary};
 pub use summary::{InputSummary, RunSummary, StageKeys, TrajectorySummary};
@@ -145,15 +149,8 @@ fn run_inputs(
     unfinished: &mut Vec<InputSummary>,
 ) -> Result<(), RunError> {
     let started = Instant::now();
-    let site = |input: inputs::Input| RunContext {
-        input: input.path,
-        stem: input.stem,
-        input_dir: options.input_dir.clone(),
-        output_dir: options.output_dir.clone(),
-        threads: options.workers(),
-        simd: options.simd,
-        geometry: Arc::default(),
-    };
+    let pool = pool::start(options)?;
+    let site = |input| run_context(options, input, pool.clone());
     let sites: Vec<RunContext> = inputs(job, &options.input_dir)?.into_iter().map(site).collect();
     let begin = || {
         let geometry = Loader::new(&job.settings.geometry, &options.input_dir)
@@ -172,19 +169,8 @@ fn run_inputs(
     };
     let mut progress = Progress::new(options.progress, sites.len());
     let cx = Context::of_run(options.observer.clone());
-    for mut site in sites {
-        match geometry.load(&site.stem) {
-            Ok(its_geometry) => site.geometry = Arc::new(its_geometry),
-            Err(error) => {
-                unfinished.push(InputSummary::not_begun(&site, started));
-                return Err(RunError {
-                    stage: None,
-                    input: Some(site.input),
-                    cause: Cause::Stage(error.into()),
-                });
-            }
-        }
-        match chain::run(job, &Arc::new(site), options, &mut progress, &cx) {
+    for site in sites {
+        match run_input(job, site, &mut geometry, options, &mut progress, &cx) {
             Ok(result) => summary.add(result),
             Err((error, result)) => {
                 unfinished.push(*result);
@@ -193,6 +179,42 @@ fn run_inputs(
         }
     }
     Ok(())
+}
+
+/// Runs the chain over one input.
+///
+/// # Errors
+/// The first cause, with the work done before it.
+fn run_input(
+    job: &Job,
+    mut site: RunContext,
+    geometry: &mut Loader,
+    options: &Options,
+    progress: &mut Progress,
+    cx: &Context,
+) -> Result<InputSummary, (RunError, Box<InputSummary>)> {
+    match geometry.load(&site.stem) {
+        Ok(its_geometry) => site.geometry = Arc::new(its_geometry),
+        Err(error) => {
+            let not_begun = InputSummary::not_begun(&site, Instant::now());
+            let cause = Cause::Stage(error.into());
+            return Err((RunError { stage: None, input: Some(site.input), cause }, Box::new(not_begun)));
+        }
+    }
+    chain::run(job, &Arc::new(site), options, progress, cx)
+}
+
+/// Context of a run over one input, still without geometry.
+fn run_context(options: &Options, input: Input, pool: Option<Arc<ThreadPool>>) -> RunContext {
+    RunContext {
+        input: input.path,
+        stem: input.stem,
+        input_dir: options.input_dir.clone(),
+        output_dir: options.output_dir.clone(),
+        pool,
+        simd: options.simd,
+        geometry: Arc::default(),
+    }
 }
 
 /// Writes the trace of a profiled run in Trace Event Format (JSON).

@@ -1,29 +1,27 @@
 //! `wavex explain`: one shot as a table and a picture.
 
 use std::io::Write;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::de::DeserializeOwned;
 
 use super::{ExplainArgs, Failure, JobArgs, run, terminal};
-use crate::georef::Loader;
+use crate::engine::{Input, Options, observe};
 use crate::job::{Job, JobStage, Override};
 use crate::registry::reader_of;
-use crate::scan_line::{Emission, Returns, ScanLine};
-use crate::stage::{Context, OutputFile, Plan, RunContext, Source, SourcePlan, TransformConfig, counted};
+use crate::scan_line::{Content, Emission, Returns, ScanLine};
+use crate::stage::{Context, OutputFile, Plan, counted};
 use crate::stages::calibrate::Calibrate;
 use crate::stages::decompose::{
     Decompose, Line, Seen, SeenBlock, SeenPulse, SensorTables, Shot, ShotDecomposer,
 };
-use crate::stages::pose_source::PoseSource;
-use upstream::{Step, Upstream};
 use wavex_formats::Error;
 use wavex_signal::sensor_model::SensorModel;
 
 mod picture;
 mod table;
-mod upstream;
 
 /// Prints the returns of a shot and writes its picture.
 pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
@@ -33,14 +31,13 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
         let problem = "the picture is SVG; give a name that ends in .svg";
         return Err(Failure::Wrong(format!("--out {}: {problem}", out.display())));
     }
-    let chain = Chain::of(args)?;
+    let chain = Arc::new(Chain::of(args)?);
     let shot = match (args.shot, args.time) {
         (Some(shot), _) => shot,
         (None, time) => chain.nearest(time.unwrap_or_default())?,
     };
-    let line = chain.line_of(shot)?;
-    let explained = decompose(line, shot, &chain)?;
-    let path = args.out.clone().unwrap_or_else(|| format!("{}_shot_{shot}.svg", chain.site.stem).into());
+    let explained = chain.explain(shot)?;
+    let path = args.out.clone().unwrap_or_else(|| format!("{}_shot_{shot}.svg", chain.stem).into());
     write(&path, &picture::draw(&explained)).map_err(|error| failed(&error))?;
     let said = format!("{}\nwrote {}\n", table::table(&explained), path.display());
     if quiet { Ok(()) } else { terminal::print(&said) }
@@ -54,15 +51,14 @@ fn write(path: &Path, picture: &str) -> wavex_formats::Result<()> {
     Ok(())
 }
 
-/// A job's stages up to `decompose`, applied to one recording.
+/// A recording and the stages of a job that apply to it.
 struct Chain {
+    /// The reader of the recording and the stages before `decompose`, without sinks.
     job: Job,
-    site: RunContext,
-    /// Keys of `calibrate`, with `save` removed.
-    calibrate: Calibrate,
+    options: Options,
+    file: PathBuf,
+    stem: String,
     decompose: Decompose,
-    /// Reader of the recording.
-    source: Arc<dyn SourcePlan>,
 }
 
 impl Chain {
@@ -70,98 +66,76 @@ impl Chain {
         let file = args.file.display().to_string();
         let reader = reader_of(&file).map_err(Failure::Wrong)?;
         let default_job = default_job(reader, &file, if args.job.is_some() { &[] } else { &args.set })?;
-        let (job, folder) = match &args.job {
+        let (mut job, folder) = match &args.job {
             None => (default_job.clone(), PathBuf::from(".")),
             Some(path) => {
                 let job = JobArgs { job: path.clone(), set: args.set.clone() };
                 (job.read(None)?, job.folder())
             }
         };
-        let reads_file = job.stages.first().is_some_and(|stage| stage.spec.name == reader);
-        let reading = if reads_file { &job } else { &default_job };
-        let Some(Plan::Source(source)) = reading.stages.first().map(|stage| stage.planned.plan.clone())
-        else {
-            return Err(Failure::Wrong(format!(
-                "{}: the job has no source; start it with a reader",
-                job.name
-            )));
-        };
         let mut calibrate: Calibrate = keys_of(&job, "calibrate")?;
+        let decompose = keys_of(&job, "decompose")?;
         calibrate.save = None;
         if let Some(model) = &args.model {
             // Relative paths in the job start at its input folder, paths on the command line at the
             // current folder.
             calibrate.load = Some(std::path::absolute(model).unwrap_or_else(|_| model.clone()));
         }
-        let decompose = keys_of(&job, "decompose")?;
-        let (input_dir, output_dir) = run::folders(&job, &folder);
-        let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let simd = job.settings.simd.path();
-        let geometry =
-            Loader::new(&job.settings.geometry, &input_dir).and_then(|mut files| files.load(&stem));
-        let geometry = Arc::new(geometry.map_err(|error| failed(&error))?);
-        let input = args.file.clone();
-        let site = RunContext { input, stem, input_dir, output_dir, threads: 1, simd, geometry };
-        Ok(Chain { job, site, calibrate, decompose, source })
-    }
-
-    fn file(&self) -> &Path {
-        &self.site.input
-    }
-
-    /// The reader's scan lines, with a pose for each shot.
-    fn posed(&self) -> Result<Box<dyn Source>, Failure> {
-        let source = self.source.make(&self.site).map_err(|error| failed(&error))?;
-        Ok(Box::new(PoseSource::new(source, Arc::clone(&self.site.geometry))))
-    }
-
-    /// The stages between the reader and `decompose`, without sinks.
-    fn steps(&self) -> Result<Vec<Step>, Failure> {
-        let until_decompose = self.job.stages.iter().take_while(|stage| stage.spec.name != "decompose");
-        let mut steps = Vec::new();
-        for stage in until_decompose {
-            let made = match &stage.planned.plan {
-                _ if stage.spec.name == "calibrate" => {
-                    TransformConfig::make(&self.calibrate, &self.site).map(Step::transform)
-                }
-                Plan::Transform(plan) => plan.make(&self.site).map(Step::transform),
-                Plan::Map(plan) => plan.make(&self.site).map(Step::map),
-                Plan::Source(_) | Plan::Sink(_) => continue,
-            };
-            steps.push(made.map_err(|error| failed(&error))?);
+        let mut stages = job.stages.iter_mut();
+        match (stages.next(), default_job.stages.into_iter().next()) {
+            (Some(first), Some(default)) if first.spec.name != reader => *first = default,
+            _ => {}
         }
-        Ok(steps)
+        if let Some(stage) = stages.find(|stage| stage.spec.name == "calibrate") {
+            stage.planned.plan = Plan::Transform(Arc::new(calibrate));
+        }
+        let until_decompose = job.stages.iter().position(|stage| stage.spec.name == "decompose");
+        job.stages.truncate(until_decompose.unwrap_or_default());
+        job.stages.retain(|stage| !matches!(stage.planned.plan, Plan::Sink(_)));
+        let (input_dir, output_dir) = run::folders(&job, &folder);
+        let options = Options::of_job(&job, input_dir, output_dir);
+        let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        Ok(Chain { job, options, file: args.file.clone(), stem, decompose })
     }
 
-    /// Returns the scan line that contains a shot, ready for decomposition.
-    fn line_of(&self, shot: u64) -> Result<ScanLine, Failure> {
-        let source = self.posed()?;
-        let mut upstream = Upstream::new(source, self.steps()?, crate::engine::may_hold_bytes(&self.job));
-        let mut seen = Numbers::default();
-        let holds = |scan_line: &ScanLine| {
-            scan_line.emissions.iter().for_each(|emission| seen.add(emission.shot));
-            scan_line.emissions.iter().any(|emission| emission.shot == shot)
+    fn input(&self) -> Input {
+        Input { path: self.file.clone(), stem: self.stem.clone() }
+    }
+
+    /// Decomposes a shot of the recording.
+    fn explain(self: &Arc<Self>, shot: u64) -> Result<Explained, Failure> {
+        let chain = Arc::clone(self);
+        let look = move |(seen, explained): &mut (Numbers, _), line: &ScanLine| {
+            line.emissions.iter().for_each(|emission| seen.add(emission.shot));
+            if !line.emissions.iter().any(|emission| emission.shot == shot) {
+                return ControlFlow::Continue(());
+            }
+            *explained = Some(decompose(line, shot, &chain));
+            ControlFlow::Break(())
         };
-        let line = upstream.first(holds).map_err(|error| failed(&error))?;
-        line.ok_or_else(|| Failure::Wrong(seen.without(shot, self.file())))
+        let observed = observe(&self.job, self.input(), &self.options, (Numbers::default(), None), look);
+        match observed.map_err(|error| failed(&error))? {
+            (_, Some(explained)) => explained,
+            (seen, None) => Err(Failure::Wrong(seen.without(shot, &self.file))),
+        }
     }
 
     /// Returns the number of the shot nearest to a time.
     fn nearest(&self, time_s: f64) -> Result<u64, Failure> {
-        let source = self.posed()?;
-        let mut nearest: Option<(f64, u64)> = None;
-        let mut look = |scan_line: &ScanLine| {
-            for emission in &scan_line.emissions {
+        let look = move |nearest: &mut Option<(f64, u64)>, line: &ScanLine| {
+            for emission in &line.emissions {
                 let distance_s = (emission.gps_time_s - time_s).abs();
                 if distance_s.is_finite() && nearest.is_none_or(|(least_s, _)| distance_s < least_s) {
-                    nearest = Some((distance_s, emission.shot));
+                    *nearest = Some((distance_s, emission.shot));
                 }
             }
-            false
+            ControlFlow::Continue(())
         };
-        Upstream::new(source, Vec::new(), 0).first(&mut look).map_err(|error| failed(&error))?;
-        nearest.map(|(_, shot)| shot).ok_or_else(|| {
-            let file = self.file().display();
+        let mut reader = self.job.clone();
+        reader.stages.truncate(1);
+        let nearest = observe(&reader, self.input(), &self.options, None, look);
+        nearest.map_err(|error| failed(&error))?.map(|(_, shot)| shot).ok_or_else(|| {
+            let file = self.file.display();
             Failure::Wrong(format!("{file}: its shots have no times; select one with --shot"))
         })
     }
@@ -209,14 +183,14 @@ struct Explained {
 }
 
 /// Decomposes one shot of a scan line and records the intermediate results.
-fn decompose(mut line: ScanLine, shot: u64, chain: &Chain) -> Result<Explained, Failure> {
+fn decompose(line: &ScanLine, shot: u64, chain: &Chain) -> Result<Explained, Failure> {
     let without = |what: &str| {
-        let file = chain.file().display();
+        let file = chain.file.display();
         Failure::Wrong(format!("{file}: shot {shot} has {what}; choose another one"))
     };
     let model = line.model.clone().ok_or_else(|| without("no sensor model"))?;
     let index = line.emissions.iter().position(|emission| emission.shot == shot).unwrap_or_default();
-    let crate::scan_line::Content::Shots(blocks) = line.content else {
+    let Content::Shots(blocks) = &line.content else {
         return Err(without("no samples"));
     };
     let of_shot = blocks.by_emission().find(|(emission, _)| *emission as usize == index);
@@ -224,23 +198,24 @@ fn decompose(mut line: ScanLine, shot: u64, chain: &Chain) -> Result<Explained, 
     let Some((index, of_shot)) = echoes else {
         return Err(without("no recorded echoes"));
     };
-    let mut seen = Seen::new(&blocks);
+    let mut seen = Seen::new(blocks);
     let (mut returns, mut cx) = (Returns::new(), Context::default());
     let tables = SensorTables::new(&model, chain.decompose.mode);
-    let mut shots = ShotDecomposer::new(&model, &tables, &chain.decompose, chain.site.simd)
+    let mut shots = ShotDecomposer::new(&model, &tables, &chain.decompose, chain.options.simd)
         .and_then(|shots| shots.fusing(line.fusion.as_deref()))
         .map_err(|error| failed(&error))?;
-    let of_line = Shot { index, blocks: &blocks, of_shot, input: &line.input };
+    let of_line = Shot { index, blocks, of_shot, input: &line.input };
     // The whole line is decomposed first: it defines the usual outgoing pulse.
-    let shot_of = |(index, of_shot)| Shot { index, blocks: &blocks, of_shot, input: &line.input };
+    let shot_of = |(index, of_shot)| Shot { index, blocks, of_shot, input: &line.input };
     let all: Vec<Shot> = blocks.by_emission().map(shot_of).collect();
-    let (mut emissions, mut others) = (line.emissions.clone(), Returns::new());
-    let mut whole = Line { emissions: &mut emissions, returns: &mut others, stats: &mut line.stats.clone() };
+    let (mut emissions, mut stats) = (line.emissions.clone(), line.stats.clone());
+    let mut whole = Line { emissions: &mut emissions, returns: &mut Returns::new(), stats: &mut stats };
     shots.decompose(&all, &mut whole, &mut Context::default(), &mut ()).map_err(|error| failed(&error))?;
-    let mut into = Line { emissions: &mut line.emissions, returns: &mut returns, stats: &mut line.stats };
+    let mut emissions = line.emissions.clone();
+    let mut into = Line { emissions: &mut emissions, returns: &mut returns, stats: &mut stats };
     shots.decompose_again(&of_line, &mut into, &mut cx, &mut seen).map_err(|error| failed(&error))?;
-    let emission = line.emissions[index as usize];
-    let file = chain.file().display().to_string();
+    let emission = emissions[index as usize];
+    let file = chain.file.display().to_string();
     let (blocks, outgoing) = seen.finish(&emission, &returns);
     let mut remarks = remarks(&cx);
     if !line.input.origin_is_sensor {

@@ -120,7 +120,7 @@ fn memory(job: &Job) -> (usize, usize) {
 }
 
 /// Memory that each transform may hold back if it can do with less, bytes.
-pub(crate) fn may_hold_bytes(job: &Job) -> usize {
+fn may_hold_bytes(job: &Job) -> usize {
     let (limit, holders) = memory(job);
     limit / (2 * holders)
 }

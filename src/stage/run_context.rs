@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use rayon::ThreadPool;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -22,8 +23,8 @@ pub struct RunContext {
     pub input_dir: PathBuf,
     /// Folder at which relative output paths start.
     pub output_dir: PathBuf,
-    /// Number of threads that a stage may use itself.
-    pub threads: usize,
+    /// The engine's threads for tasks within a stage; `None`: the stage's own thread does them.
+    pub pool: Option<Arc<ThreadPool>>,
     /// SIMD instructions of the kernels.
     pub simd: SimdLevel,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
@@ -33,14 +34,14 @@ pub struct RunContext {
 impl RunContext {
     /// Context for one input outside of a run.
     ///
-    /// Paths start at the current folder; one thread; no geometry.
+    /// Paths start at the current folder; no pool; no geometry.
     pub fn alone(input: &Path) -> RunContext {
         RunContext {
             input: input.to_owned(),
             stem: input.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
             input_dir: ".".into(),
             output_dir: ".".into(),
-            threads: 1,
+            pool: None,
             simd: SimdLevel::Portable,
             geometry: Arc::default(),
         }
@@ -103,7 +104,7 @@ mod tests {
             stem: "flight7".into(),
             input_dir: "in".into(),
             output_dir: "out".into(),
-            threads: 1,
+            pool: None,
             simd: SimdLevel::Portable,
             geometry: Arc::default(),
         };

@@ -240,7 +240,7 @@ mod tests {
             stem: "a".into(),
             input_dir: folder.path().into(),
             output_dir: folder.path().into(),
-            threads: 1,
+            pool: None,
             simd: SimdLevel::Portable,
             geometry: Arc::new(Geometry::default()),
         };

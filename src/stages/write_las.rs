@@ -9,6 +9,7 @@ mod waves;
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
+use rayon::ThreadPool;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -210,7 +211,7 @@ impl SinkConfig for WriteLas {
         Ok(Box::new(LasWriter {
             attributes: self.attributes(),
             config: self.clone(),
-            threads: site.threads,
+            pool: site.pool.clone(),
             index: (self.index == IndexKey::File).then(|| site.create(&self.beside().index)).transpose()?,
             waves: self.waves(site)?,
             state: State::Empty(file),
@@ -272,7 +273,7 @@ impl WriteLas {
         first: Option<[f64; 3]>,
         time_s: f64,
         attributes: &Attributes,
-        threads: usize,
+        pool: Option<Arc<ThreadPool>>,
     ) -> Result<Writer<OutputFile>> {
         let adjusted = input.adjusted_gps_time(time_s);
         let recorded = adjusted.and_then(day_of_year).map(|(year, day)| (day, year)).or(input.recorded);
@@ -303,7 +304,7 @@ impl WriteLas {
                 IndexKey::File => IndexPlace::Beside,
                 IndexKey::Appended => IndexPlace::Appended,
             },
-            threads,
+            pool,
         };
         let path = file.path().to_path_buf();
         Ok(Writer::new(file, &path, &options)?)
@@ -318,7 +319,7 @@ const DEGREES_STEP: f64 = 1e-5;
 struct LasWriter {
     config: WriteLas,
     attributes: Attributes,
-    threads: usize,
+    pool: Option<Arc<ThreadPool>>,
     /// File of the spatial index.
     index: Option<OutputFile>,
     /// The waveforms of the points.
@@ -345,7 +346,8 @@ impl LasWriter {
         if let State::Empty(_) = self.state
             && let State::Empty(file) = std::mem::replace(&mut self.state, State::Broken)
         {
-            let writer = self.config.begin(file, input, first, time_s, &self.attributes, self.threads)?;
+            let writer =
+                self.config.begin(file, input, first, time_s, &self.attributes, self.pool.clone())?;
             self.state = State::Open(Box::new(writer));
         }
         Ok(())

@@ -146,7 +146,7 @@ fn site() -> RunContext {
         stem: String::new(),
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
-        threads: 1,
+        pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Default::default(),
     }

@@ -223,7 +223,7 @@ pub fn site(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
         stem: "a".into(),
         input_dir: flight.folder().into(),
         output_dir: flight.folder().into(),
-        threads: 1,
+        pool: None,
         simd: SimdLevel::best(),
         geometry: Arc::new(loaded.map_err(|error| error.to_string())?),
     })

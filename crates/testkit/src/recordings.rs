@@ -88,7 +88,7 @@ pub fn samples_of(channel: Channel, reader: &str, path: &Path) -> Vec<(u64, Vec<
         stem: String::new(),
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
-        threads: 1,
+        pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Default::default(),
     };

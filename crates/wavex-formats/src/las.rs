@@ -29,7 +29,7 @@
 //!     file_source_id: 0,
 //!     waveforms: WavePlace::Inside,
 //!     index: IndexPlace::None,
-//!     threads: 1,
+//!     pool: None,
 //! };
 //! let mut writer = Writer::new(File::create(&path)?, &path, &options)?;
 //! let mut packets = PacketWriter::new(Cursor::new(Vec::new()), &path)?;

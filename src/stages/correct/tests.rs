@@ -67,7 +67,7 @@ fn run(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
         stem: String::new(),
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
-        threads: 1,
+        pool: None,
         simd: wavex_signal::simd::SimdLevel::Portable,
         geometry: Arc::default(),
     };

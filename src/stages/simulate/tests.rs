@@ -343,7 +343,7 @@ fn site(folder: &std::path::Path) -> RunContext {
         stem: "simulated".to_owned(),
         input_dir: folder.to_path_buf(),
         output_dir: folder.to_path_buf(),
-        threads: 1,
+        pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Default::default(),
     }

@@ -20,7 +20,7 @@ fn site(folder: &Path, input: &str) -> RunContext {
         stem: "made".into(),
         input_dir: folder.to_path_buf(),
         output_dir: folder.to_path_buf(),
-        threads: 1,
+        pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Default::default(),
     }

@@ -58,7 +58,7 @@ fn site(folder: &Path) -> RunContext {
         stem: "made".into(),
         input_dir: folder.into(),
         output_dir: folder.into(),
-        threads: 1,
+        pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Arc::default(),
     }

@@ -123,7 +123,7 @@ fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
         stem: "made".into(),
         input_dir: folder.into(),
         output_dir: folder.into(),
-        threads: 1,
+        pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Default::default(),
     };
@@ -303,7 +303,7 @@ fn shots_are_refused() {
         stem: "made".into(),
         input_dir: folder.path().into(),
         output_dir: folder.path().into(),
-        threads: 1,
+        pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Default::default(),
     };

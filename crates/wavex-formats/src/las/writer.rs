@@ -103,7 +103,7 @@ impl<W: Write + Seek> Writer<W> {
             slab_bytes: slab * record_length,
             compression: laz.map(|laz| {
                 let special_evlrs_at = (header_bytes + records.special_evlrs_at) as u64;
-                ChunkCompressor::new(laz, offset_to_points as u64, special_evlrs_at, options.threads)
+                ChunkCompressor::new(laz, offset_to_points as u64, special_evlrs_at, options.pool.clone())
             }),
             index: (options.index != IndexPlace::None).then(|| Lax::new(options.scale[0])),
             totals: Totals::new(),

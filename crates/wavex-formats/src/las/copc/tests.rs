@@ -50,7 +50,7 @@ fn options(waveforms: WavePlace, index: IndexPlace) -> WriterOptions<'static> {
         file_source_id: 17,
         waveforms,
         index,
-        threads: 1,
+        pool: None,
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::io::{Cursor, Seek};
 use std::path::Path;
+use std::sync::Arc;
 
 use proptest::prelude::*;
 
@@ -33,7 +34,7 @@ pub(super) fn options(extra_attributes: &[ExtraAttribute]) -> WriterOptions<'_> 
         file_source_id: 17,
         waveforms: WavePlace::None,
         index: IndexPlace::None,
-        threads: 2,
+        pool: None,
     }
 }
 
@@ -204,7 +205,11 @@ fn records(bytes: &[u8]) -> (Header, Vec<u8>) {
 fn las_and_laz_hold_the_same_records_whatever_the_threads() {
     let points = cloud(230_000);
     let extra = [1, 2, 3];
-    let with = |threads| WriterOptions { threads, ..options(&[AMP, CHANNEL]) };
+    let with = |threads| {
+        let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = (threads > 0).then(|| Arc::new(pool(threads)));
+        WriterOptions { pool, ..options(&[AMP, CHANNEL]) }
+    };
     let las = write("a.las", &with(1), &points, &extra);
     let laz = [0, 1, 2, 3].map(|threads| write("a.laz", &with(threads), &points, &extra));
     assert!(laz.iter().all(|other| *other == laz[0]));

@@ -1,18 +1,19 @@
-//! Compresses chunks on worker threads while further points are gathered.
+//! Compresses chunks on a thread pool while further points are gathered.
 
 use std::collections::VecDeque;
 use std::io::{self, Seek, SeekFrom, Write};
-use std::thread::{self, JoinHandle};
+use std::sync::Arc;
 
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::{Receiver, bounded};
 use laz::laszip::{ChunkTable, ChunkTableEntry};
 use laz::{LasZipError, LazVlr};
+use rayon::ThreadPool;
 
 use super::chunk::{self, Chunk};
 use crate::las::lax;
 use crate::las::vlr::Vlr;
 
-/// ChunkCompressor state of a LAZ file.
+/// Compression state of a LAZ file.
 pub(super) struct ChunkCompressor {
     pub(super) laz: LazVlr,
     table: ChunkTable,
@@ -20,21 +21,20 @@ pub(super) struct ChunkCompressor {
     table_offset_at: u64,
     /// Offset of the field for the location of the index.
     special_evlrs_at: u64,
-    /// Worker threads; without any, the writing thread compresses.
     workers: Workers,
 }
 
 impl ChunkCompressor {
     /// Creates the state for a file whose points begin at `table_offset_at`.
     ///
-    /// With more than one thread, chunks are compressed in the background.
+    /// With a pool, chunks are compressed on its threads.
     pub(super) fn new(
         laz: LazVlr,
         table_offset_at: u64,
         special_evlrs_at: u64,
-        threads: usize,
+        pool: Option<Arc<ThreadPool>>,
     ) -> ChunkCompressor {
-        let workers = Workers::start(&laz, threads);
+        let workers = Workers::new(laz.clone(), pool);
         ChunkCompressor { laz, table: ChunkTable::default(), table_offset_at, special_evlrs_at, workers }
     }
 
@@ -92,52 +92,29 @@ impl ChunkCompressor {
     }
 }
 
-/// Records of a chunk, and the channel for the result.
-///
-/// The result is the chunk and the buffer for reuse.
-type Job = (Vec<u8>, Sender<(Chunk, Vec<u8>)>);
+/// A compressed chunk and the buffer of its records, for reuse.
+type Compressed = (Chunk, Vec<u8>);
 
-/// Worker threads that compress chunks.
+/// Compresses chunks on a thread pool and returns them in order.
 struct Workers {
-    /// Job queue; `None` without threads.
-    jobs: Option<Sender<Job>>,
+    /// `None`: the writing thread compresses.
+    pool: Option<Arc<ThreadPool>>,
+    laz: LazVlr,
     /// Chunks not yet written, in order.
-    waiting: VecDeque<Receiver<(Chunk, Vec<u8>)>>,
-    /// Maximum number of chunks in flight.
-    ///
-    /// Two per thread, including the one being gathered.
-    most: usize,
-    threads: Vec<JoinHandle<()>>,
+    waiting: VecDeque<Receiver<Compressed>>,
     /// Record buffers for reuse.
     spare: Vec<Vec<u8>>,
 }
 
 impl Workers {
-    /// Starts the threads; none if one thread has to suffice.
-    fn start(laz: &LazVlr, n_threads: usize) -> Workers {
-        let n_threads = if n_threads > 1 { n_threads } else { 0 };
-        let (jobs, to_do) = bounded::<Job>(2 * n_threads);
-        let start = |_| {
-            let (laz, to_do) = (laz.clone(), to_do.clone());
-            let work = move || {
-                for (mut records, done) in to_do {
-                    let chunk = chunk::compress(&records, &laz);
-                    records.clear();
-                    // Sending fails only if the receiver was dropped after a write error.
-                    let _ = done.send((chunk, records));
-                }
-            };
-            thread::Builder::new().name("compress".into()).spawn(work).ok()
-        };
-        // Starting fewer threads than requested only reduces speed.
-        let threads: Vec<JoinHandle<()>> = (0..n_threads).filter_map(start).collect();
-        let jobs = (!threads.is_empty()).then_some(jobs);
-        let most = 2 * threads.len();
-        Workers { jobs, waiting: VecDeque::new(), most, threads, spare: Vec::new() }
+    fn new(laz: LazVlr, pool: Option<Arc<ThreadPool>>) -> Workers {
+        Workers { pool, laz, waiting: VecDeque::new(), spare: Vec::new() }
     }
 
+    /// Returns whether there are two chunks per thread, including the one being gathered.
     fn is_full(&self) -> bool {
-        self.is_busy() && self.waiting.len() + 1 >= self.most
+        let most = self.pool.as_ref().map_or(0, |pool| 2 * pool.current_num_threads());
+        self.is_busy() && self.waiting.len() + 1 >= most
     }
 
     fn is_busy(&self) -> bool {
@@ -146,14 +123,19 @@ impl Workers {
 
     /// Queues records and replaces them with an empty buffer.
     ///
-    /// `false` without threads.
+    /// `false` without a pool.
     fn send(&mut self, records: &mut Vec<u8>) -> bool {
-        let Some(jobs) = &self.jobs else { return false };
+        let Some(pool) = &self.pool else { return false };
         let next = self.spare.pop().unwrap_or_else(|| Vec::with_capacity(records.capacity()));
-        let full = std::mem::replace(records, next);
+        let mut full = std::mem::replace(records, next);
         let (done, chunk) = bounded(1);
-        // If all threads have died, the error is reported when the chunk is received.
-        let _ = jobs.send((full, done));
+        let laz = self.laz.clone();
+        pool.spawn(move || {
+            let chunk = chunk::compress(&full, &laz);
+            full.clear();
+            // Sending fails only if the receiver was dropped after a write error.
+            let _ = done.send((chunk, full));
+        });
         self.waiting.push_back(chunk);
         true
     }
@@ -163,24 +145,14 @@ impl Workers {
     /// `None` if there is none.
     fn next(&mut self) -> Option<Chunk> {
         let received = self.waiting.pop_front()?.recv();
-        let Ok((chunk, records)) = received else { return Some(Err(has_ended())) };
+        let Ok((chunk, records)) = received else { return Some(Err(has_panicked())) };
         self.spare.push(records);
         Some(chunk)
     }
 }
 
-impl Drop for Workers {
-    fn drop(&mut self) {
-        self.jobs = None;
-        for thread in self.threads.drain(..) {
-            // A panic was already reported when its chunk was received.
-            let _ = thread.join();
-        }
-    }
-}
-
-fn has_ended() -> io::Error {
-    io::Error::other("a compression thread has ended")
+fn has_panicked() -> io::Error {
+    io::Error::other("the compression of points panicked, which is a bug in wavex")
 }
 
 pub(in crate::las) fn into_io(error: LasZipError) -> io::Error {

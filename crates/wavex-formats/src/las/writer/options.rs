@@ -1,6 +1,9 @@
 //! Options of a written file.
 
 use std::path::Path;
+use std::sync::Arc;
+
+use rayon::ThreadPool;
 
 use crate::las::ExtraAttribute;
 use crate::las::encoding;
@@ -100,11 +103,11 @@ pub struct WriterOptions<'a> {
     pub waveforms: WavePlace,
     /// Location of the spatial index.
     pub index: IndexPlace,
-    /// Number of compression threads.
+    /// Threads that compress; `None`: the writing thread.
     ///
     /// Does not affect the bytes of the file. Each thread needs memory for at most 100 000 points
     /// and their compressed form.
-    pub threads: usize,
+    pub pool: Option<Arc<ThreadPool>>,
 }
 
 impl WriterOptions<'_> {

@@ -1,0 +1,89 @@
+//! Runs a chain without sinks over one input, as far as an observer wants.
+
+use std::fmt;
+use std::ops::ControlFlow;
+use std::sync::{Arc, Mutex};
+
+use super::{
+    Cancel, Cause, Input, Loader, Options, Progress, RunError, failure, pool, run_context, run_input,
+};
+use crate::job::Job;
+use crate::scan_line::ScanLine;
+use crate::stage::{Context, DecomposedLine, FitShot, Result, RunObserver};
+
+/// Shows each line that leaves the chain to `look`, together with a state that is returned.
+///
+/// `Break` ends the run: the source reads no further.
+///
+/// # Errors
+/// The first cause, with its stage.
+pub(crate) fn observe<T, L>(
+    job: &Job,
+    input: Input,
+    options: &Options,
+    state: T,
+    look: L,
+) -> std::result::Result<T, RunError>
+where
+    T: Send + 'static,
+    L: Fn(&mut T, &ScanLine) -> ControlFlow<()> + Send + Sync + 'static,
+{
+    failure::catch_panic_messages();
+    let cancel = Cancel::default();
+    let state = Arc::new(Mutex::new(Some(state)));
+    let probe = Probe { state: Arc::clone(&state), look, cancel: cancel.clone() };
+    let options = Options { cancel, observer: Some(Arc::new(probe)), ..options.clone() };
+    let mut geometry = Loader::new(&job.settings.geometry, &options.input_dir)
+        .map_err(|error| RunError::of_job(error.into()))?;
+    let mut progress = Progress::new(options.progress, 1);
+    let cx = Context::of_run(options.observer.clone());
+    let site = run_context(&options, input, pool::start(&options)?);
+    let result = run_input(job, site, &mut geometry, &options, &mut progress, &cx);
+    let state = state.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take();
+    match (result, state) {
+        (Ok(_) | Err((RunError { cause: Cause::Interrupted, .. }, _)), Some(state)) => Ok(state),
+        (Err((error, _)), _) => Err(error),
+        (Ok(_), None) => Err(RunError {
+            stage: None,
+            input: None,
+            cause: Cause::Panic("the observer of a run lost its state".into()),
+        }),
+    }
+}
+
+struct Probe<T, L> {
+    state: Arc<Mutex<Option<T>>>,
+    look: L,
+    cancel: Cancel,
+}
+
+impl<T, L> fmt::Debug for Probe<T, L> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Probe")
+    }
+}
+
+impl<T, L> RunObserver for Probe<T, L>
+where
+    T: Send,
+    L: Fn(&mut T, &ScanLine) -> ControlFlow<()> + Send + Sync,
+{
+    fn begin_input(&self) {}
+
+    fn line(&self, line: &ScanLine) {
+        let mut state = self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        // Further lines may leave the chain while it ends.
+        if self.cancel.is_cancelled() {
+            return;
+        }
+        if let Some(state) = state.as_mut()
+            && (self.look)(state, line).is_break()
+        {
+            self.cancel.cancel();
+        }
+    }
+
+    fn decomposed(&self, _: &DecomposedLine, _: &mut FitShot) -> Result<()> {
+        Ok(())
+    }
+}
