@@ -13,6 +13,10 @@ pub mod simd;
 pub use scalar::Decomposer;
 pub use simd::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
 
+/// Deviation ratio above which a waveform is not explained: it is decomposed more thoroughly, and its
+/// standard deviations are raised.
+pub const DEVIANT: f64 = 3.0;
+
 /// One waveform: the samples of a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Waveform<'a> {
@@ -175,6 +179,16 @@ impl Decomposition<'_> {
                 let expected = self.expected_chi_square();
                 (self.chi_square - expected) / (2.0 * expected).sqrt()
             }
+        }
+    }
+
+    /// Factor by which the misfit raises standard deviations: `√(χ²/ν)` of a waveform whose
+    /// deviation ratio exceeds [`DEVIANT`], else 1.
+    #[inline(always)]
+    pub(crate) fn misfit_factor(&self) -> f64 {
+        match self.deviation_ratio() > DEVIANT {
+            true => (self.chi_square / self.expected_chi_square()).sqrt(),
+            false => 1.0,
         }
     }
 

@@ -65,6 +65,7 @@ mod tests;
 use std::sync::Arc;
 
 use super::{DecomposeSettings, Decomposer, Waveform};
+use crate::decompose::DEVIANT;
 use crate::decompose::acceptance::CLEAR_OF_ZERO_SD;
 use crate::sensor_model::{ChannelModel, ModelError};
 
@@ -79,9 +80,6 @@ use outcome::{Finish, Give};
 use pulse_model::{PulseModel, Way};
 use rows::{BATCH, FAST_BATCH};
 use thresholds::Thresholds;
-
-/// Deviation ratio above which a waveform is refined.
-const DEVIANT: f64 = 3.0;
 
 /// Thoroughness of the decomposition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
