@@ -72,6 +72,11 @@ pub struct DecomposeSettings {
     pub recovery_samples: usize,
     /// Maximum number of returns per waveform; the strongest candidates are kept.
     pub max_returns: usize,
+    /// What happens to waveforms with a deviation ratio above [`DEVIANT`].
+    ///
+    /// They are decomposed more thoroughly, their clear peaks are kept, and their standard
+    /// deviations are raised; `false`: nothing.
+    pub explains_all: bool,
 }
 
 impl Default for DecomposeSettings {
@@ -89,6 +94,7 @@ impl Default for DecomposeSettings {
             overdriven_part: OVERDRIVEN_PART,
             recovery_samples: 1,
             max_returns: 24,
+            explains_all: true,
         }
     }
 }
@@ -185,8 +191,8 @@ impl Decomposition<'_> {
     /// Factor by which the misfit raises standard deviations: `√(χ²/ν)` of a waveform whose
     /// deviation ratio exceeds [`DEVIANT`], else 1.
     #[inline(always)]
-    pub(crate) fn misfit_factor(&self) -> f64 {
-        match self.deviation_ratio() > DEVIANT {
+    pub(crate) fn misfit_factor(&self, settings: &DecomposeSettings) -> f64 {
+        match settings.explains_all && self.deviation_ratio() > DEVIANT {
             true => (self.chi_square / self.expected_chi_square()).sqrt(),
             false => 1.0,
         }

@@ -94,11 +94,13 @@ impl Decomposer {
         }
         self.find_returns(samples, self.settings.split_score);
         let outcome = self.outcome(samples);
-        if outcome.deviation_ratio() > DEVIANT && self.settings.split_score > 0.0 {
-            self.find_more_returns(samples, &outcome);
-        }
-        if self.outcome(samples).deviation_ratio() > DEVIANT {
-            self.keep_clear_peaks();
+        if self.settings.explains_all && outcome.deviation_ratio() > DEVIANT {
+            if self.settings.split_score > 0.0 {
+                self.find_more_returns(samples, &outcome);
+            }
+            if self.outcome(samples).deviation_ratio() > DEVIANT {
+                self.keep_clear_peaks();
+            }
         }
         self.report(samples)
     }
@@ -193,7 +195,7 @@ impl Decomposer {
     fn report(&mut self, samples: &[u16]) -> Decomposition<'_> {
         let outcome = self.outcome(samples);
         let deviation_ratio = outcome.deviation_ratio();
-        let misfit_factor = outcome.misfit_factor();
+        let misfit_factor = outcome.misfit_factor(&self.settings);
         for f in &self.scene.found {
             let width_ratio = f.pulse.ln_width_ratio.exp();
             let factor = misfit_factor * self.model.pulse_error_factor;

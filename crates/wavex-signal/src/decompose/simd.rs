@@ -259,6 +259,7 @@ impl BatchDecomposer {
     fn finish(&mut self, mode: Mode) -> Finish<'_> {
         Finish {
             model: &self.model,
+            settings: &self.settings,
             thresholds: &mut self.thresholds,
             plain: &mut self.plain,
             left_to_plain: &mut self.left_to_plain,

@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::pulse_model::{PulseComponent, PulseModel, Way};
 use super::thresholds::Thresholds;
 use crate::decompose::Waveform;
-use crate::decompose::{DEVIANT, Decomposer, Decomposition, Return, truncation_flag};
+use crate::decompose::{DEVIANT, DecomposeSettings, Decomposer, Decomposition, Return, truncation_flag};
 use crate::flags;
 use crate::sensor_model::ChannelModel;
 use crate::simd::{Kernel, Simd};
@@ -57,6 +57,7 @@ impl Decompositions {
 /// Converts the pulses of waveforms to returns.
 pub(super) struct Finish<'a> {
     pub(super) model: &'a ChannelModel,
+    pub(super) settings: &'a DecomposeSettings,
     pub(super) thresholds: &'a mut Thresholds,
     pub(super) plain: &'a mut Decomposer,
     pub(super) left_to_plain: &'a mut u64,
@@ -102,12 +103,12 @@ impl Finish<'_> {
             && (self.all_acceptable(pulse_model, samples.len()) || self.drop(pulse_model, samples.len()));
         let mut outcome = self.thresholds.outcome(pulse_model, samples.len());
         let deviation_ratio = outcome.deviation_ratio();
-        if !is_done || (self.is_refined && deviation_ratio > DEVIANT) {
+        if !is_done || (self.is_refined && self.settings.explains_all && deviation_ratio > DEVIANT) {
             *self.left_to_plain += 1;
             outcomes.push(&self.plain.decompose(samples, start_phase));
             return;
         }
-        let misfit_factor = outcome.misfit_factor();
+        let misfit_factor = outcome.misfit_factor(self.settings);
         outcome.refined_once |= self.is_refined && pulse_model.counts.n_candidates > 0;
         let first = outcomes.returns.len();
         let fwhm_samples = self.model.fwhm_samples();
