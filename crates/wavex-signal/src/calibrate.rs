@@ -232,6 +232,7 @@ fn survey<'a>(
     let overlooked = free && model.background == Background::PerWaveform;
     let simd = settings.simd;
     let settings = DecomposeSettings {
+        explains_all: false,
         max_added: if overlooked { MAX_OVERLOOKED } else { 0 },
         split_evidence: None,
         ..settings.decompose.clone()

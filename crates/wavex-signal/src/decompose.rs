@@ -13,6 +13,10 @@ pub mod simd;
 pub use scalar::Decomposer;
 pub use simd::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
 
+/// Deviation ratio above which a waveform is not explained: it is decomposed more thoroughly, and its
+/// standard deviations are raised.
+pub const DEVIANT: f64 = 3.0;
+
 /// One waveform: the samples of a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Waveform<'a> {
@@ -68,6 +72,11 @@ pub struct DecomposeSettings {
     pub recovery_samples: usize,
     /// Maximum number of returns per waveform; the strongest candidates are kept.
     pub max_returns: usize,
+    /// What happens to waveforms with a deviation ratio above [`DEVIANT`].
+    ///
+    /// They are decomposed more thoroughly, their clear peaks are kept, and their standard
+    /// deviations are raised; `false`: nothing.
+    pub explains_all: bool,
 }
 
 impl Default for DecomposeSettings {
@@ -85,6 +94,7 @@ impl Default for DecomposeSettings {
             overdriven_part: OVERDRIVEN_PART,
             recovery_samples: 1,
             max_returns: 24,
+            explains_all: true,
         }
     }
 }
@@ -175,6 +185,16 @@ impl Decomposition<'_> {
                 let expected = self.expected_chi_square();
                 (self.chi_square - expected) / (2.0 * expected).sqrt()
             }
+        }
+    }
+
+    /// Factor by which the misfit raises standard deviations: `√(χ²/ν)` of a waveform whose
+    /// deviation ratio exceeds [`DEVIANT`], else 1.
+    #[inline(always)]
+    pub(crate) fn misfit_factor(&self, settings: &DecomposeSettings) -> f64 {
+        match settings.explains_all && self.deviation_ratio() > DEVIANT {
+            true => (self.chi_square / self.expected_chi_square()).sqrt(),
+            false => 1.0,
         }
     }
 

@@ -29,11 +29,16 @@ pub const ZONE_UNCERTAIN: u16 = 1 << 11;
 /// A return of the instrument, not computed from a waveform.
 pub const INSTRUMENT: u16 = 1 << 12;
 
+/// The waveform is not explained to its noise: its standard deviations are raised by the misfit.
+pub const MISFIT: u16 = 1 << 13;
+/// A clear pulse that the rules for width or separation would drop, or that no fit determines.
+pub const UNUSUAL: u16 = 1 << 14;
+
 /// Flags of crosstalk between emissions and echoes.
 pub const CROSSTALK: u16 = EMISSION_ON_ECHO | EMISSION_IN_BLOCK | ECHO_ON_OUTGOING;
 
 /// All flags and their names, by bit.
-pub const NAMES: [(u16, &str); 13] = [
+pub const NAMES: [(u16, &str); 15] = [
     (REFINED, "refined"),
     (OVERLAP, "overlap"),
     (DIVERGED, "diverged"),
@@ -47,6 +52,8 @@ pub const NAMES: [(u16, &str); 13] = [
     (SPLIT, "split"),
     (ZONE_UNCERTAIN, "zone uncertain"),
     (INSTRUMENT, "instrument's own return"),
+    (MISFIT, "misfit"),
+    (UNUSUAL, "unusual"),
 ];
 
 /// Names of the flags that are set: `refined, overlap`; `none` without flags.
@@ -84,6 +91,8 @@ mod tests {
             SPLIT,
             ZONE_UNCERTAIN,
             INSTRUMENT,
+            MISFIT,
+            UNUSUAL,
         ];
         for (bit, flag) in all.into_iter().enumerate() {
             assert_eq!(flag, 1 << bit);

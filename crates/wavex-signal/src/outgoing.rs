@@ -41,7 +41,12 @@ impl OutgoingFitter {
     /// Blocks longer than `max_samples` allocate.
     pub fn new(model: &ChannelModel, max_samples: usize) -> Result<OutgoingFitter, ModelError> {
         let finder = Decomposer::new(model, &one_pulse(), max_samples)?;
-        let settings = DecomposeSettings { max_returns: 2, max_added: 1, ..DecomposeSettings::default() };
+        let settings = DecomposeSettings {
+            max_returns: 2,
+            max_added: 1,
+            explains_all: false,
+            ..DecomposeSettings::default()
+        };
         let two =
             model.response.as_ref().map(|_| Decomposer::new(model, &settings, max_samples)).transpose()?;
         Ok(OutgoingFitter { fitter: finder.clone(), finder, window: 0..0, two })
@@ -84,7 +89,13 @@ impl OutgoingFitter {
 
 /// Settings for a single pulse.
 fn one_pulse() -> DecomposeSettings {
-    DecomposeSettings { max_returns: 1, max_added: 0, split_evidence: None, ..DecomposeSettings::default() }
+    DecomposeSettings {
+        max_returns: 1,
+        max_added: 0,
+        split_evidence: None,
+        explains_all: false,
+        ..DecomposeSettings::default()
+    }
 }
 
 /// Samples around a pulse to which it is fitted.

@@ -6,7 +6,7 @@ use super::echo::{Found, HighPowerView};
 use super::shots::Shot;
 use crate::scan_line::{Block, Channel, LineStats, ReturnChannel, flags};
 use crate::stage::{Result, StageError};
-use wavex_signal::decompose::OVERDRIVEN_PART;
+use wavex_signal::decompose::{DEVIANT, OVERDRIVEN_PART};
 use wavex_signal::fusion::{ChannelFusion, Expected, JointFit, JointFitted, JointPulse};
 use wavex_signal::gain::GainLevel;
 use wavex_signal::sensor_model::SensorModel;
@@ -392,6 +392,8 @@ impl Both {
         }
         let nu = outcome.degrees_of_freedom.max(1) as f64;
         let deviation_ratio = (outcome.chi_square - nu) / (2.0 * nu).sqrt();
+        // The fit's covariances include the misfit.
+        let misfit = if deviation_ratio > DEVIANT { flags::MISFIT } else { 0 };
         for (candidate, fitted) in candidates.iter().zip(self.low.fitted()) {
             let was_low = joined.iter().find(|(of_high, _)| Some(*of_high) == candidate.high);
             let flags = was_low.and_then(|(_, of_low)| *of_low).map_or(0, |i| all[i].fitted.flags);
@@ -404,7 +406,7 @@ impl Both {
                 found.channel = ReturnChannel::Joint;
                 found.gain = low.gain;
             }
-            found.fitted.flags |= flags;
+            found.fitted.flags = (found.fitted.flags | flags) & !flags::MISFIT | misfit;
             found.fitted.deviation_ratio = deviation_ratio;
             write(&self.low, &candidate.on_common_axis(fitted), low, found);
         }

@@ -181,6 +181,7 @@ fn singles<'a>(
 ) -> Result<Vec<Single<'a>>, ModelError> {
     let simd = settings.simd;
     let settings = DecomposeSettings {
+        explains_all: false,
         max_added: if model.response.is_some() { 4 } else { 0 },
         split_evidence: None,
         template_error,

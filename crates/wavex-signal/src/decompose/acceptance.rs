@@ -23,6 +23,12 @@ pub(crate) const GAIN_PART: f64 = 0.8;
 pub(crate) const TRIAL_PART: f64 = 0.75;
 /// Width ratio above which a pulse may hide two.
 pub(crate) const HIDING_WIDTH_RATIO: f64 = 1.04;
+/// Width ratio above which a pulse that overdrives the receiver may hide two.
+///
+/// Overdrive widens single echoes of a RIEGL LMS-Q680i by up to 1.09.
+pub(crate) const OVERDRIVEN_HIDING_WIDTH_RATIO: f64 = 1.2;
+/// Significance relative to the threshold above which no rule drops a pulse.
+pub(crate) const CLEAR_PART: f64 = 4.0;
 /// Initial energy fractions of the first half of a split pulse.
 pub(crate) const DIVIDED_PARTS: [f64; 3] = [0.5, 0.8, 0.2];
 /// Background above which samples of 0 are excluded, in standard deviations of the noise: they are
@@ -72,18 +78,18 @@ where
     gaps.filter(|&(right, left)| right - left < least).count()
 }
 
-/// Whether a pulse has an invalid width or its peak is outside the block.
-///
-/// The width must be outside `ln_width_bounds` by more than two standard deviations.
+/// Whether the peak of a pulse is outside the block.
 #[inline(always)]
-pub(crate) fn is_misshapen<T>(
-    [position, ln_width, ln_width_sd]: [T; 3],
-    [narrowest, widest]: [T; 2],
-    [first, last]: [T; 2],
-) -> bool
+pub(crate) fn is_outside<T: Copy + PartialOrd>(position: T, [first, last]: [T; 2]) -> bool {
+    position < first || position > last
+}
+
+/// Whether a width is outside `ln_width_bounds` by more than two standard deviations.
+#[inline(always)]
+pub(crate) fn is_misshapen<T>([ln_width, ln_width_sd]: [T; 2], [narrowest, widest]: [T; 2]) -> bool
 where
     T: Copy + PartialOrd + Add<Output = T> + Sub<Output = T>,
 {
     let reach = ln_width_sd + ln_width_sd;
-    ln_width + reach < narrowest || ln_width - reach > widest || position < first || position > last
+    ln_width + reach < narrowest || ln_width - reach > widest
 }

@@ -5,7 +5,7 @@
 
 use super::acceptance::DetectionSigma;
 use super::acceptance::response_error::Allowance;
-use super::{Counts, DecomposeSettings, Decomposition, Return, truncation_flag};
+use super::{Counts, DEVIANT, DecomposeSettings, Decomposition, Return, truncation_flag};
 use crate::detect::{Candidate, Detector, next_plateau, plateau_candidate};
 use crate::flags;
 use crate::sensor_model::{ChannelModel, ModelError};
@@ -44,6 +44,8 @@ pub struct Decomposer {
     detector: Detector,
     candidates: Vec<Candidate>,
     returns: Vec<Return>,
+    /// Pulses of the first of two attempts.
+    first: Vec<Found>,
     counts: Counts,
     refined_twice: bool,
 }
@@ -73,6 +75,7 @@ impl Decomposer {
             detector,
             candidates: Vec::with_capacity(max_samples),
             returns: Vec::with_capacity(settings.max_returns),
+            first: Vec::with_capacity(settings.max_returns),
             counts: Counts::default(),
             refined_twice: false,
         })
@@ -85,19 +88,48 @@ impl Decomposer {
 
     /// Decomposes one block; `start_phase` is the index of its first sample modulo 4.
     pub fn decompose(&mut self, samples: &[u16], start_phase: u8) -> Decomposition<'_> {
-        self.counts = Counts::default();
-        self.refined_twice = false;
         self.returns.clear();
         if self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples) {
             self.detector.prepare(self.scene.whitener());
         }
+        self.find_returns(samples, self.settings.split_score);
+        let outcome = self.outcome(samples);
+        if self.settings.explains_all && outcome.deviation_ratio() > DEVIANT {
+            if self.settings.split_score > 0.0 {
+                self.find_more_returns(samples, &outcome);
+            }
+            if self.outcome(samples).deviation_ratio() > DEVIANT {
+                self.keep_clear_peaks();
+            }
+        }
+        self.report(samples)
+    }
+
+    /// Finds and fits the pulses of the loaded waveform.
+    ///
+    /// Widened pulses with a score below `split_score` are not tried as two.
+    fn find_returns(&mut self, samples: &[u16], split_score: f64) {
+        self.counts = Counts::default();
+        self.refined_twice = false;
         self.find_candidates(samples);
         if !self.scene.found.is_empty() {
             self.scene.fit_all();
-            self.add_from_residual();
+            self.add_from_residual(split_score);
             self.prune();
         }
-        self.report(samples)
+    }
+
+    /// Tries every widened pulse of an unexplained waveform as two; keeps the better result.
+    fn find_more_returns(&mut self, samples: &[u16], first: &Decomposition<'static>) {
+        self.first.clear();
+        self.first.extend_from_slice(&self.scene.found);
+        let refined_twice = self.refined_twice;
+        self.scene.clear();
+        self.find_returns(samples, 0.0);
+        if self.outcome(samples).deviation_ratio() >= first.deviation_ratio() {
+            self.scene.show(self.first.drain(..), first.background_offset_dn);
+            (self.counts, self.refined_twice) = (first.counts, refined_twice);
+        }
     }
 
     /// Chi-square after fitting pulses from these start values.
@@ -142,13 +174,12 @@ impl Decomposer {
         scene.found.extend(self.candidates.iter().take(kept).map(Found::from_candidate));
     }
 
-    /// Converts the remaining pulses to returns.
-    fn report(&mut self, samples: &[u16]) -> Decomposition<'_> {
+    /// Returns the decomposition without its returns.
+    fn outcome(&self, samples: &[u16]) -> Decomposition<'static> {
         let found = &self.scene.found;
-        self.counts.np = found.len() as u32;
-        let outcome = Decomposition {
+        Decomposition {
             returns: &[],
-            counts: self.counts,
+            counts: Counts { np: found.len() as u32, ..self.counts },
             chi_square: self.scene.chi_square(),
             expected_excess: self.expected_excess(),
             samples: self.scene.whitener().used_count(),
@@ -157,11 +188,17 @@ impl Decomposer {
             saturated: samples.iter().any(|&s| f64::from(s) >= self.model.full_scale_dn),
             refined_once: self.counts.n_candidates > 0,
             refined_twice: self.refined_twice || found.iter().any(|f| f.flags & flags::DIVERGED != 0),
-        };
+        }
+    }
+
+    /// Converts the remaining pulses to returns.
+    fn report(&mut self, samples: &[u16]) -> Decomposition<'_> {
+        let outcome = self.outcome(samples);
         let deviation_ratio = outcome.deviation_ratio();
-        for f in found {
+        let misfit_factor = outcome.misfit_factor(&self.settings);
+        for f in &self.scene.found {
             let width_ratio = f.pulse.ln_width_ratio.exp();
-            let factor = self.model.pulse_error_factor;
+            let factor = misfit_factor * self.model.pulse_error_factor;
             self.returns.push(Return {
                 position_samples: f.pulse.position_samples,
                 position_sd_samples: factor * f.sd[1],
@@ -176,7 +213,9 @@ impl Decomposer {
                 flags: f.flags
                     | flags::REFINED
                     | block_flags(samples, &self.model, f.pulse.position_samples, f.pulse.ln_width_ratio)
-                    | if self.allowance.overdrives(f.pulse.height_dn) { flags::OVERDRIVEN } else { 0 },
+                    | if self.allowance.overdrives(f.pulse.height_dn) { flags::OVERDRIVEN } else { 0 }
+                    | if misfit_factor > 1.0 { flags::MISFIT } else { 0 }
+                    | if self.is_misshapen(f) { flags::UNUSUAL } else { 0 },
             });
         }
         self.set_overlaps();

@@ -65,6 +65,7 @@ mod tests;
 use std::sync::Arc;
 
 use super::{DecomposeSettings, Decomposer, Waveform};
+use crate::decompose::DEVIANT;
 use crate::decompose::acceptance::CLEAR_OF_ZERO_SD;
 use crate::sensor_model::{ChannelModel, ModelError};
 
@@ -79,9 +80,6 @@ use outcome::{Finish, Give};
 use pulse_model::{PulseModel, Way};
 use rows::{BATCH, FAST_BATCH};
 use thresholds::Thresholds;
-
-/// Deviation ratio above which a waveform is refined.
-const DEVIANT: f64 = 3.0;
 
 /// Thoroughness of the decomposition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -261,6 +259,7 @@ impl BatchDecomposer {
     fn finish(&mut self, mode: Mode) -> Finish<'_> {
         Finish {
             model: &self.model,
+            settings: &self.settings,
             thresholds: &mut self.thresholds,
             plain: &mut self.plain,
             left_to_plain: &mut self.left_to_plain,

@@ -2,7 +2,10 @@
 
 use super::scene::Found;
 use super::{Counts, Decomposer};
-use crate::decompose::acceptance::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, TRIAL_PART, is_misshapen};
+use crate::decompose::acceptance::{
+    CLEAR_PART, DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, OVERDRIVEN_HIDING_WIDTH_RATIO, TRIAL_PART,
+    is_misshapen, is_outside,
+};
 use crate::detect::Candidate;
 use crate::flags;
 use crate::shape::SD_OF_FWHM;
@@ -27,11 +30,11 @@ impl Decomposer {
     /// Adds pulses while they justify their parameters.
     ///
     /// At maxima of the residual, or by dividing widened pulses.
-    pub(super) fn add_from_residual(&mut self) {
+    pub(super) fn add_from_residual(&mut self, split_score: f64) {
         let room = |d: &Decomposer| {
             d.scene.found.len() < d.settings.max_returns && d.counts.n_added < d.settings.max_added
         };
-        while room(self) && (self.add_one() || self.split_one()) {
+        while room(self) && (self.add_one() || self.split_one(split_score)) {
             self.counts.n_added += 1;
             self.refined_twice = true;
         }
@@ -56,12 +59,15 @@ impl Decomposer {
     }
 
     /// Divides the first widened pulse that two pulses fit better.
-    fn split_one(&mut self) -> bool {
+    fn split_one(&mut self, split_score: f64) -> bool {
         let Some(gain) = self.settings.split_evidence else { return false };
         let starts = DIVIDED_PARTS.map(Start::Apart);
         (0..self.scene.found.len()).any(|i| {
             let p = self.scene.found[i].pulse;
-            if self.allowance.overdrives(p.height_dn) || !self.may_hide_two(i) {
+            let overdrives = self.allowance.overdrives(p.height_dn);
+            if overdrives && p.ln_width_ratio.exp() < OVERDRIVEN_HIDING_WIDTH_RATIO
+                || !self.may_hide_two(i, split_score)
+            {
                 return false;
             }
             let half = Candidate {
@@ -70,16 +76,28 @@ impl Decomposer {
                 height_dn: p.height_dn,
                 ln_width_ratio: 0.0,
             };
-            // A decrease within the response error is no evidence.
-            let allowed = self.allowance_at(p.position_samples, f64::INFINITY);
+            // A decrease within the response error is no evidence. Two pulses that overdrive the
+            // receiver only together have the response error of weaker ones.
+            let allowed = match overdrives {
+                true => self.allowance_if_divided(i),
+                false => self.allowance_at(p.position_samples, f64::INFINITY),
+            };
             self.try_starts(&starts, &half, i, gain * allowed * allowed)
         })
     }
 
     /// Whether a pulse is wide enough for two, and its score indicates two.
-    fn may_hide_two(&mut self, index: usize) -> bool {
+    fn may_hide_two(&mut self, index: usize, split_score: f64) -> bool {
         self.scene.found[index].pulse.ln_width_ratio.exp() > HIDING_WIDTH_RATIO
-            && (self.settings.split_score <= 0.0 || self.scene.score(index) > self.settings.split_score)
+            && (split_score <= 0.0 || self.scene.score(index) > split_score)
+    }
+
+    fn overdrives(&self, index: usize) -> bool {
+        self.allowance.overdrives(self.scene.found[index].pulse.height_dn)
+    }
+
+    fn count_overdriven(&self) -> usize {
+        (0..self.scene.found.len()).filter(|&i| self.overdrives(i)).count()
     }
 
     fn nearest(&self, position_samples: f64) -> Option<usize> {
@@ -92,11 +110,19 @@ impl Decomposer {
     /// Keeps the best if it lowers chi-square enough.
     fn try_starts(&mut self, starts: &[Start], candidate: &Candidate, nearest: usize, gain: f64) -> bool {
         self.scene.save();
+        // Of an overdriven pulse, a division must leave none.
+        let divides = starts.iter().all(|start| matches!(start, Start::Apart(_)));
+        let overdriven = match divides && self.overdrives(nearest) {
+            true => self.count_overdriven() - 1,
+            false => usize::MAX,
+        };
         for &start in starts {
             self.scene.restore();
             if let Some(added) = self.start_with(candidate, nearest, start) {
                 self.scene.fit_around(added, matches!(start, Start::CalibratedWidth), gain);
-                self.scene.keep_if_best();
+                if self.count_overdriven() <= overdriven {
+                    self.scene.keep_if_best();
+                }
             }
         }
         self.scene.settle(gain)
@@ -179,16 +205,10 @@ impl Decomposer {
     }
 
     /// Returns the weakest pulse below the threshold.
-    ///
-    /// Its significance is that of a pulse of calibrated width with the same energy.
     fn remove_weakest(&mut self) -> bool {
         let mut weakest = (1.0, None);
         for i in 0..self.scene.found.len() {
-            let p = self.scene.found[i].pulse;
-            let per_dn = self.detector.significance_per_dn(self.scene.whitener(), p.position_samples);
-            let energy = p.height_dn * p.ln_width_ratio.exp();
-            let threshold = self.threshold_at(p.position_samples, p.height_dn);
-            let part = per_dn * energy / threshold;
+            let part = self.relative_significance(i);
             if part < weakest.0 {
                 weakest = (part, Some(i));
             }
@@ -196,15 +216,78 @@ impl Decomposer {
         Self::filter_out(&mut self.counts, &mut self.scene.found, weakest.1)
     }
 
-    /// Returns the first pulse with an invalid width or a peak outside the block.
-    ///
-    /// The width must be out of range by more than two standard deviations.
+    /// Returns the first pulse with a peak outside the block, or of unusual width and not far above
+    /// the threshold.
     fn remove_misshapen(&mut self) -> bool {
-        let bounds = self.settings.width_ratio.map(f64::ln);
         let block = [-1.0, self.scene.target_dn().len() as f64];
-        let misshapen = self.scene.found.iter().position(|f| {
-            is_misshapen([f.pulse.position_samples, f.pulse.ln_width_ratio, f.sd[2]], bounds, block)
+        let misshapen = (0..self.scene.found.len()).find(|&i| {
+            let found = &self.scene.found[i];
+            is_outside(found.pulse.position_samples, block)
+                || self.is_misshapen(found) && self.relative_significance(i) < CLEAR_PART
         });
         Self::filter_out(&mut self.counts, &mut self.scene.found, misshapen)
     }
+
+    /// Whether a pulse has an unusual width.
+    pub(super) fn is_misshapen(&self, found: &Found) -> bool {
+        let bounds = self.settings.width_ratio.map(f64::ln);
+        is_misshapen([found.pulse.ln_width_ratio, found.sd[2]], bounds)
+    }
+
+    /// Significance over the threshold.
+    ///
+    /// That of a pulse of calibrated width with the same energy.
+    fn relative_significance(&mut self, index: usize) -> f64 {
+        let p = self.scene.found[index].pulse;
+        let per_dn = self.detector.significance_per_dn(self.scene.whitener(), p.position_samples);
+        per_dn * p.height_dn * p.ln_width_ratio.exp() / self.threshold_at(p.position_samples, p.height_dn)
+    }
+
+    /// Adds the clear peaks of the samples that no pulse explains, with the uncertainty of a width.
+    ///
+    /// They are far above the threshold and at least half of their height above the dips on both
+    /// sides.
+    pub(super) fn keep_clear_peaks(&mut self) {
+        let width = self.scene.fwhm_samples();
+        self.detector.filter(self.scene.whitener(), self.scene.residual_dn());
+        self.candidates.clear();
+        self.detector.maxima(CLEAR_PART * self.sigma.least, &mut self.candidates);
+        self.candidates.sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
+        for i in 0..self.candidates.len() {
+            let candidate = self.candidates[i];
+            let position = candidate.position_samples;
+            let threshold = self.threshold_at(position, f64::INFINITY);
+            let is_explained = self.nearest(position).is_some_and(|nearest| {
+                (self.scene.found[nearest].pulse.position_samples - position).abs() < width
+            });
+            if is_explained
+                || candidate.statistic < CLEAR_PART * threshold
+                || self.scene.found.len() >= self.settings.max_returns
+                || !is_peak(self.scene.target_dn(), position, self.scene.offset_dn())
+            {
+                continue;
+            }
+            let mut clear = Found::from_candidate(&candidate);
+            clear.sd = [SD_OF_FWHM * candidate.height_dn, SD_OF_FWHM * width, 1.0];
+            clear.flags = flags::UNUSUAL | flags::DIVERGED;
+            self.scene.insert(clear);
+            self.counts.n_added += 1;
+        }
+        self.scene.update_residual();
+    }
+}
+
+/// Whether the samples near a position have a maximum of at least twice the dips on both sides.
+fn is_peak(target_dn: &[f64], position_samples: f64, offset_dn: f64) -> bool {
+    let near = (position_samples.round().max(0.0) as usize).min(target_dn.len().saturating_sub(1));
+    let around = near.saturating_sub(2)..(near + 3).min(target_dn.len());
+    let Some(peak) = around.max_by(|&i, &j| target_dn[i].total_cmp(&target_dn[j])) else { return false };
+    let height_dn = target_dn[peak] - offset_dn;
+    // The lowest sample before one that is higher than the peak.
+    let dip = |samples: &mut dyn Iterator<Item = f64>| {
+        samples.take_while(|&y| y <= target_dn[peak]).fold(f64::INFINITY, f64::min) - offset_dn
+    };
+    let left = dip(&mut target_dn[..peak].iter().rev().copied());
+    let right = dip(&mut target_dn[peak + 1..].iter().copied());
+    height_dn > 0.0 && left.max(right) <= 0.5 * height_dn
 }

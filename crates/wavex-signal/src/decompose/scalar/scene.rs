@@ -171,6 +171,12 @@ impl Scene {
     }
 
     /// Removes all pulses.
+    pub(super) fn clear(&mut self) {
+        self.found.clear();
+        self.fit_offset_alone();
+    }
+
+    /// Fits the offset to the samples without pulses.
     fn fit_offset_alone(&mut self) {
         self.offset_dn = 0.0;
         if self.offset_is_free {

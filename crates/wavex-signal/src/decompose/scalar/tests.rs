@@ -267,14 +267,19 @@ fn flags_tell_truncation_overlap_and_saturation() {
 
 /// A needle is too narrow, a hill too wide, and neither is lost from the counts.
 #[test]
-fn widths_out_of_range_are_filtered() {
+fn weak_pulses_of_unusual_width_are_filtered_and_clear_ones_flagged() {
     let settings = DecomposeSettings { max_added: 0, ..DecomposeSettings::default() };
-    let (returns, counts) = decompose_exact(&[pulse(150.0, 30.0, 0.3)], 255, &settings);
-    assert!(returns.is_empty(), "{returns:?}");
-    assert_eq!((counts.n_candidates, counts.np_filtered), (1, 1));
-    let narrow = DecomposeSettings { width_ratio: [0.8, 1.5], ..settings };
-    let (returns, counts) = decompose_exact(&[pulse(150.0, 30.0, 2.0)], 255, &narrow);
-    assert!(returns.is_empty() && counts.np_filtered == counts.n_candidates, "{returns:?}");
+    let narrow = DecomposeSettings { width_ratio: [0.8, 1.5], ..settings.clone() };
+    for (height, width, settings) in [(150.0, 0.3, &settings), (150.0, 2.0, &narrow)] {
+        let (returns, counts) = decompose_exact(&[pulse(height, 30.0, width)], 255, settings);
+        assert_eq!((returns.len(), counts.np_filtered), (1, counts.n_candidates - 1), "{returns:?}");
+        assert!(returns[0].flags & flags::UNUSUAL != 0, "{returns:?}");
+        assert!((returns[0].position_samples - 30.0).abs() < 0.5, "{returns:?}");
+    }
+    for (height, width, settings) in [(45.0, 0.3, &settings), (12.0, 2.5, &narrow)] {
+        let (returns, counts) = decompose_exact(&[pulse(height, 30.0, width)], 255, settings);
+        assert!(returns.is_empty() && counts.np_filtered == counts.n_candidates, "{returns:?}");
+    }
 }
 
 /// Two inseparable pulses are merged and counted.

@@ -43,6 +43,16 @@ impl Decomposer {
         self.allowance.raise(position_samples, height_dn, per_dn, pulses)
     }
 
+    /// As [`Decomposer::allowance_at`] a pulse, if that pulse were two of half its height.
+    pub(super) fn allowance_if_divided(&self, index: usize) -> f64 {
+        let per_dn = self.detector.full_significance_per_dn();
+        let found = &self.scene.found;
+        let height_dn = |i: usize| found[i].pulse.height_dn * if i == index { 0.5 } else { 1.0 };
+        let of = |i: usize| (found[i].pulse.position_samples, height_dn(i));
+        let pulses = (0..found.len()).chain([index]).map(of);
+        self.allowance.raise(found[index].pulse.position_samples, f64::INFINITY, per_dn, pulses)
+    }
+
     /// Drops candidates within the response error of stronger ones.
     ///
     /// Candidates are sorted by their statistic. A candidate dropped wrongly appears in the

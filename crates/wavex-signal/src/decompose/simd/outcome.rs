@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::pulse_model::{PulseComponent, PulseModel, Way};
 use super::thresholds::Thresholds;
 use crate::decompose::Waveform;
-use crate::decompose::{Decomposer, Decomposition, Return, truncation_flag};
+use crate::decompose::{DEVIANT, DecomposeSettings, Decomposer, Decomposition, Return, truncation_flag};
 use crate::flags;
 use crate::sensor_model::ChannelModel;
 use crate::simd::{Kernel, Simd};
@@ -57,6 +57,7 @@ impl Decompositions {
 /// Converts the pulses of waveforms to returns.
 pub(super) struct Finish<'a> {
     pub(super) model: &'a ChannelModel,
+    pub(super) settings: &'a DecomposeSettings,
     pub(super) thresholds: &'a mut Thresholds,
     pub(super) plain: &'a mut Decomposer,
     pub(super) left_to_plain: &'a mut u64,
@@ -98,16 +99,17 @@ impl Finish<'_> {
         outcomes: &mut Decompositions,
     ) {
         let is_fast = pulse_model.way == Way::Fast;
-        if !(is_fast
-            && (self.all_acceptable(pulse_model, samples.len()) || self.drop(pulse_model, samples.len())))
-        {
+        let is_done = is_fast
+            && (self.all_acceptable(pulse_model, samples.len()) || self.drop(pulse_model, samples.len()));
+        let mut outcome = self.thresholds.outcome(pulse_model, samples.len());
+        let deviation_ratio = outcome.deviation_ratio();
+        if !is_done || (self.is_refined && self.settings.explains_all && deviation_ratio > DEVIANT) {
             *self.left_to_plain += 1;
             outcomes.push(&self.plain.decompose(samples, start_phase));
             return;
         }
-        let mut outcome = self.thresholds.outcome(pulse_model, samples.len());
+        let misfit_factor = outcome.misfit_factor(self.settings);
         outcome.refined_once |= self.is_refined && pulse_model.counts.n_candidates > 0;
-        let deviation_ratio = outcome.deviation_ratio();
         let first = outcomes.returns.len();
         let fwhm_samples = self.model.fwhm_samples();
         let fwhm = fwhm_samples as f32;
@@ -116,7 +118,7 @@ impl Finish<'_> {
             let overlaps_next = i + 1 < pulse_model.pulses().len() && pulse_model.overlap(i, i + 1, fwhm);
             let overlaps = std::mem::replace(&mut overlaps_last, overlaps_next) || overlaps_next;
             let [height, position, _] = pulse.values().map(f64::from);
-            let sds = pulse.sds.map(|sd| self.model.pulse_error_factor * f64::from(sd));
+            let sds = pulse.sds.map(|sd| misfit_factor * self.model.pulse_error_factor * f64::from(sd));
             let width_ratio = f64::from(pulse.width_ratio());
             let overdriven = self.thresholds.allowance.overdrives(height);
             outcomes.returns.push(Return {
@@ -133,7 +135,9 @@ impl Finish<'_> {
                 flags: pulse.flags
                     | truncation_flag(position, width_ratio * fwhm_samples, samples.len())
                     | if overlaps { flags::OVERLAP } else { 0 }
-                    | if overdriven { flags::OVERDRIVEN } else { 0 },
+                    | if overdriven { flags::OVERDRIVEN } else { 0 }
+                    | if misfit_factor > 1.0 { flags::MISFIT } else { 0 }
+                    | if self.thresholds.is_misshapen(pulse) { flags::UNUSUAL } else { 0 },
             });
         }
         outcomes.waveforms.push((first..outcomes.returns.len(), outcome));

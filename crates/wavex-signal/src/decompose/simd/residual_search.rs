@@ -378,8 +378,9 @@ impl Decompose<'_> {
         }
         let samples = work.rows.length(trial.row);
         if !trial.pulses().iter().all(|pulse| self.thresholds.is_return(pulse_model, pulse, samples)) {
-            // Its pulses would be rejected as returns.
+            // One of its pulses would be dropped as a return, and the others fitted again.
             *pulse_model = before;
+            pulse_model.give_up();
             return;
         }
         for pulse in &before.pulses()[trial.old()] {

@@ -4,7 +4,9 @@ use super::candidates::LeftBehind;
 use super::pulse_model::{PulseComponent, PulseModel};
 use super::tables::BEFORE_PEAK;
 use crate::decompose::acceptance::response_error::Allowance;
-use crate::decompose::acceptance::{DetectionSigma, is_misshapen, least_separation_samples};
+use crate::decompose::acceptance::{
+    CLEAR_PART, DetectionSigma, is_misshapen, is_outside, least_separation_samples,
+};
 use crate::decompose::{Counts, DecomposeSettings, Decomposition};
 use crate::detect::Detector;
 use crate::detect::ECHO_SAMPLES;
@@ -132,8 +134,8 @@ impl Thresholds {
 
     /// Whether a fitted pulse is acceptable as a return.
     ///
-    /// It must be inside the block, of permitted width, and strong enough when given the calibrated
-    /// width and its own energy.
+    /// It must be inside the block and strong enough when given the calibrated width and its own
+    /// energy; of unusual width, far above the threshold.
     #[inline(always)]
     pub(super) fn is_return(
         &mut self,
@@ -141,14 +143,26 @@ impl Thresholds {
         pulse: &PulseComponent,
         samples: usize,
     ) -> bool {
-        let [_, position, ln_width] = pulse.values();
-        let block = [-1.0, samples as f32];
-        !is_misshapen([position, ln_width, pulse.sds[2]], self.ln_width_ratio, block)
-            && self.is_significant(pulse_model, pulse, samples)
+        let least = if self.is_misshapen(pulse) { CLEAR_PART } else { 1.0 };
+        !is_outside(pulse.position(), [-1.0, samples as f32])
+            && self.is_significant(pulse_model, pulse, samples, least)
     }
 
+    /// Whether a pulse has an unusual width.
     #[inline(always)]
-    fn is_significant(&mut self, pulse_model: &PulseModel, pulse: &PulseComponent, samples: usize) -> bool {
+    pub(super) fn is_misshapen(&self, pulse: &PulseComponent) -> bool {
+        is_misshapen([pulse.values()[2], pulse.sds[2]], self.ln_width_ratio)
+    }
+
+    /// Whether its significance is at least `least` times the threshold.
+    #[inline(always)]
+    fn is_significant(
+        &mut self,
+        pulse_model: &PulseModel,
+        pulse: &PulseComponent,
+        samples: usize,
+        least: f64,
+    ) -> bool {
         let [before, behind] = self.whole_from_ends;
         let is_whole = pulse.position() >= before && pulse.position() <= samples as f32 - 1.0 - behind;
         let per_dn = if is_whole {
@@ -158,7 +172,7 @@ impl Thresholds {
         };
         let energy = f64::from(pulse.height() * pulse.width_ratio());
         let statistic = per_dn * energy;
-        let sigma = self.sigma(pulse_model, pulse.position());
+        let sigma = least * self.sigma(pulse_model, pulse.position());
         // A single pulse, or a strong one among others, passes without computing the response
         // errors of the others.
         let heights = pulse_model.pulses().iter().map(|p| f64::from(p.height()));
