@@ -90,7 +90,8 @@ pub struct Decompose {
     /// `false`: same threshold.
     pub detection_sigma_last: Threshold,
     /// Smallest and largest width of a return relative to the calibrated pulse. A return is dropped
-    /// only if its width is outside the range by more than two standard deviations.
+    /// only if its width is outside the range by more than two standard deviations and it is less than
+    /// four times above its threshold; stronger ones are kept with flag bit 14.
     pub width_ratio: [f64; 2],
     /// Timing error that the fit cannot estimate, such as clock and cables, ns. Added to the standard
     /// deviation of ranges.

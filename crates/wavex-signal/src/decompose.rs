@@ -17,6 +17,11 @@ pub use simd::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
 /// standard deviations are raised.
 pub const DEVIANT: f64 = 3.0;
 
+/// Least decrease of the deviation ratio by further returns of an unexplained waveform.
+///
+/// For 60 samples a decrease of chi-square by 22.
+const LEAST_IMPROVEMENT: f64 = 2.0;
+
 /// One waveform: the samples of a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Waveform<'a> {
@@ -186,6 +191,14 @@ impl Decomposition<'_> {
                 (self.chi_square - expected) / (2.0 * expected).sqrt()
             }
         }
+    }
+
+    /// Whether it explains the waveform better than another decomposition.
+    ///
+    /// More returns must lower the deviation ratio by at least [`LEAST_IMPROVEMENT`].
+    pub(crate) fn is_better_than(&self, other: &Decomposition) -> bool {
+        let improvement = other.deviation_ratio() - self.deviation_ratio();
+        improvement > 0.0 && (self.counts.np <= other.counts.np || improvement >= LEAST_IMPROVEMENT)
     }
 
     /// Factor by which the misfit raises standard deviations: `√(χ²/ν)` of a waveform whose

@@ -70,7 +70,7 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
     ("d", &["noise_alone_gives_no_more_returns_than_theory", "lines_of_version_1_0"]),
     (
         "min_width max_width",
-        &["returns_beyond_the_range_of_widths_are_dropped", "one_end_of_a_range_leaves_the_other_open"],
+        &["clear_returns_beyond_the_range_of_widths_are_flagged", "one_end_of_a_range_leaves_the_other_open"],
     ),
     (
         "out_min_a out_max_h",

@@ -1,6 +1,7 @@
 //! Effects on returns of the keys of `-t_err`, `-bge`, `-min_width` and `-max_width`.
 
 use super::{LOW, SHOTS, of_shot, recording, run};
+use wavex::scan_line::flags::UNUSUAL;
 use wavex_testkit::shots;
 use wavex_testkit::table::{Row, number};
 
@@ -62,9 +63,9 @@ fn a_background_per_waveform_keeps_its_level_out_of_the_amplitude() {
     assert!(fixed > 1.0 && own.abs() < 0.4, "{fixed} {own}");
 }
 
-/// Echoes outside the range of widths are no returns.
+/// Clear echoes outside the range of widths are kept and flagged.
 #[test]
-fn returns_beyond_the_range_of_widths_are_dropped() {
+fn clear_returns_beyond_the_range_of_widths_are_flagged() {
     let place = recording(|number, shot| match number {
         20 => shot.blocks[1] = (LOW, 1000.0, wider(number, 2.0)),
         30 => shot.blocks[1] = (LOW, 1000.0, wider(number, 0.6)),
@@ -72,11 +73,12 @@ fn returns_beyond_the_range_of_widths_are_dropped() {
     });
     let found = |keys: &str| {
         let (rows, totals) = run(&place, "", "", &format!("split_evidence = false\n{keys}"));
-        let count = |shot: usize| of_shot(&rows, shot).len();
-        ([20, 30, 40].map(count), totals["np_filtered"].as_u64().unwrap())
+        let is_unusual = |row: &&Row| number(row, "flags") as u16 & UNUSUAL != 0;
+        let unusual = |shot: usize| of_shot(&rows, shot).iter().map(is_unusual).collect::<Vec<_>>();
+        ([20, 30, 40].map(unusual), totals["np_filtered"].as_u64().unwrap())
     };
-    let (both, none) = found("width_ratio = [0.1, 10.0]");
-    assert_eq!((both, none), ([1, 1, 1], 0));
-    assert_eq!(found("width_ratio = [0.1, 1.5]"), ([0, 1, 1], 1));
-    assert_eq!(found("width_ratio = [0.8, 10.0]"), ([1, 0, 1], 1));
+    let expected = |unusual: [bool; 3]| (unusual.map(|unusual| vec![unusual]), 0);
+    assert_eq!(found("width_ratio = [0.1, 10.0]"), expected([false, false, false]));
+    assert_eq!(found("width_ratio = [0.1, 1.5]"), expected([true, false, false]));
+    assert_eq!(found("width_ratio = [0.8, 10.0]"), expected([false, true, false]));
 }

@@ -126,7 +126,7 @@ impl Decomposer {
         let refined_twice = self.refined_twice;
         self.scene.clear();
         self.find_returns(samples, 0.0);
-        if self.outcome(samples).deviation_ratio() >= first.deviation_ratio() {
+        if !self.outcome(samples).is_better_than(first) {
             self.scene.show(self.first.drain(..), first.background_offset_dn);
             (self.counts, self.refined_twice) = (first.counts, refined_twice);
         }

@@ -103,10 +103,14 @@ impl Finish<'_> {
             && (self.all_acceptable(pulse_model, samples.len()) || self.drop(pulse_model, samples.len()));
         let mut outcome = self.thresholds.outcome(pulse_model, samples.len());
         let deviation_ratio = outcome.deviation_ratio();
-        if !is_done || (self.is_refined && self.settings.explains_all && deviation_ratio > DEVIANT) {
+        let is_unexplained = self.is_refined && self.settings.explains_all && deviation_ratio > DEVIANT;
+        if !is_done || is_unexplained {
             *self.left_to_plain += 1;
-            outcomes.push(&self.plain.decompose(samples, start_phase));
-            return;
+            let plain = self.plain.decompose(samples, start_phase);
+            if !is_done || plain.is_better_than(&outcome) {
+                outcomes.push(&plain);
+                return;
+            }
         }
         let misfit_factor = outcome.misfit_factor(self.settings);
         outcome.refined_once |= self.is_refined && pulse_model.counts.n_candidates > 0;
