@@ -378,9 +378,9 @@ impl Decompose<'_> {
         }
         let samples = work.rows.length(trial.row);
         if !trial.pulses().iter().all(|pulse| self.thresholds.is_return(pulse_model, pulse, samples)) {
-            // One of its pulses would be dropped as a return, and the others fitted again.
+            // One of its pulses would be dropped as a return. If that leaves the waveform unexplained,
+            // the scalar kernels decompose it.
             *pulse_model = before;
-            pulse_model.give_up();
             return;
         }
         for pulse in &before.pulses()[trial.old()] {
