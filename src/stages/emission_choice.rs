@@ -10,11 +10,8 @@ use crate::stage::{Context, Source};
 use wavex_signal::fusion::peak_above_half;
 
 /// References between which recordings with outgoing pulses decide, in order of preference.
-pub(super) const WITH_OUTGOING: &[EmissionReference] = &[
-    EmissionReference::OutgoingPulse,
-    EmissionReference::OutgoingPulseFraction,
-    EmissionReference::Clock,
-];
+pub(super) const WITH_OUTGOING: &[EmissionReference] =
+    &[EmissionReference::OutgoingPulse, EmissionReference::OutgoingPulseFraction, EmissionReference::Clock];
 /// References between which recordings with return locations decide, in order of preference.
 pub(super) const WITH_LOCATIONS: &[EmissionReference] =
     &[EmissionReference::ReturnLocations, EmissionReference::Clock];
@@ -190,7 +187,9 @@ impl Smoothness {
         let figures = self.figures(&self.ranges_ns);
         let of = |wanted| figures.iter().find(|(reference, _)| *reference == wanted).map(|(_, of)| *of);
         match (of(EmissionReference::OutgoingPulse), of(EmissionReference::Clock)) {
-            (Some(pulse), Some(clock)) => self.ranges_ns.len() >= LEAST_TRIPLES && pulse.is_clearly_below(&clock),
+            (Some(pulse), Some(clock)) => {
+                self.ranges_ns.len() >= LEAST_TRIPLES && pulse.is_clearly_below(&clock)
+            }
             _ => false,
         }
     }

@@ -337,8 +337,8 @@ impl ShotDecomposer {
             Departures::of(line.emissions, shot, departure.map_or(0.0, |departure| departure.time_ns));
         self.found.clear();
         self.find(turn, &others, line.stats, cx, watch)?;
-        let departure = departure
-            .unwrap_or_else(|| shot.anchored_departure(&self.found, self.emission_jitter_ns, cx));
+        let departure =
+            departure.unwrap_or_else(|| shot.anchored_departure(&self.found, self.emission_jitter_ns, cx));
         if let Some(emission) = line.emissions.get_mut(shot.index as usize) {
             (emission.emission_ns, emission.emission_sd_ns) = (departure.time_ns, departure.sd_ns);
         }
