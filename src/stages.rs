@@ -5,6 +5,7 @@ pub mod calibrate;
 mod container_info;
 pub mod correct;
 pub mod decompose;
+mod emission_choice;
 pub mod filter_outliers;
 pub mod fuse_channels;
 pub mod georeference;

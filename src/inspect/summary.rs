@@ -385,6 +385,9 @@ fn integrity(inspection: &Inspection, counters: &Counters, cut: Option<&str>) ->
     for note in &counters.notes {
         section.say("note", note.clone());
     }
+    for finding in &counters.findings {
+        section.say("finding", finding.clone());
+    }
     if inspection.zones.contains_key(&None) {
         section.say("note", "zones are unresolved: put `resolve_mta` before `decompose`");
     }

@@ -32,12 +32,7 @@ pub(super) fn header_of(info: &InputInfo) -> ContainerHeader {
         recorded: info.recorded,
         full_scale_dn: info.full_scale_dn,
         coordinate_grid: info.coordinate_grid,
-        emission_reference: Some(match info.emission_reference {
-            EmissionReference::OutgoingPulse => container::EmissionReference::OutgoingPulse,
-            EmissionReference::OutgoingPulseFraction => container::EmissionReference::OutgoingPulseFraction,
-            EmissionReference::ReturnLocations => container::EmissionReference::ReturnLocations,
-            EmissionReference::Clock => container::EmissionReference::Clock,
-        }),
+        emission_reference: Some(reference_of(info.emission_reference)),
         gain_control: match info.gain_control {
             GainControl::Off => None,
             GainControl::Recorded => Some(container::GainControl::Recorded),
@@ -48,6 +43,16 @@ pub(super) fn header_of(info: &InputInfo) -> ContainerHeader {
             (true, EmissionReference::ReturnLocations) => Some(container::Origin::Sensor),
             (true, _) => None,
         },
+    }
+}
+
+/// Converts an emission reference to that of the container.
+pub(super) fn reference_of(reference: EmissionReference) -> container::EmissionReference {
+    match reference {
+        EmissionReference::OutgoingPulse => container::EmissionReference::OutgoingPulse,
+        EmissionReference::OutgoingPulseFraction => container::EmissionReference::OutgoingPulseFraction,
+        EmissionReference::ReturnLocations => container::EmissionReference::ReturnLocations,
+        EmissionReference::Clock => container::EmissionReference::Clock,
     }
 }
 

@@ -42,8 +42,8 @@ pub const STAGE: StageSpec = StageSpec::map::<Decompose>("decompose", &[Kind::Sh
 /// correlated as estimated by `calibrate`. The residual is then searched for further pulses. The
 /// outgoing pulse of each shot is fitted with the same estimator; times of flight are from peak to
 /// peak. If a file has return locations but no outgoing pulse (LAS), times are tied to these
-/// locations. If it has neither, the unknown sub-sample emission offset is included in the standard
-/// deviations.
+/// locations. If it has neither, the jitter of the clock is included in the standard deviations
+/// (`emission_jitter_ns`).
 ///
 /// With two receivers, the low-power receiver is used, and the high-power receiver where the first
 /// is saturated or did not record. After `fuse_channels`, both are fitted together if the low-power
@@ -96,6 +96,12 @@ pub struct Decompose {
     /// Timing error that the fit cannot estimate, such as clock and cables, ns. Added to the standard
     /// deviation of ranges.
     pub timing_error_ns: f64,
+    /// Standard deviation of the emission time of shots without outgoing pulse or return location, ns:
+    /// the jitter of the recording's clock relative to the emissions. Defaults to that of a position
+    /// within one sample, its interval over the square root of 12. Added to the standard deviation of
+    /// ranges.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub emission_jitter_ns: Option<f64>,
     /// Decrease of chi-square required to replace a widened return by two; `false`: widened returns
     /// are not divided. At most 0.1 % of single returns are divided at 16, and 0.4 % at 11, where
     /// closer pairs are resolved. Without effect for Gaussian pulses.
@@ -167,6 +173,7 @@ impl Default for Decompose {
             detection_sigma_last: Threshold::Without(false),
             width_ratio: [0.8, 10.0],
             timing_error_ns: 0.004,
+            emission_jitter_ns: None,
             split_evidence: Threshold::Number(16.0),
             template_error: 0.005,
             drop_emission_crosstalk: false,
@@ -199,6 +206,11 @@ impl Config for Decompose {
             (0.0..=1.0).contains(&self.timing_error_ns),
             "timing_error_ns",
             "it must lie between 0 and 1",
+        )?;
+        InvalidKey::unless(
+            self.emission_jitter_ns.is_none_or(|ns| (0.0..=1000.0).contains(&ns)),
+            "emission_jitter_ns",
+            "it must lie between 0 and 1000",
         )?;
         InvalidKey::unless(
             self.detection_sigma_last.is_within(self.detection_sigma..=1000.0),

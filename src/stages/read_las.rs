@@ -10,6 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::bad_records::BrokenRun;
+use super::emission_choice::{self, Message, Smoothness};
 use super::line_splitter::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::keys::InvalidKey;
@@ -40,7 +41,10 @@ with_time_keys! {
 /// The points of the file are used for one purpose only. The format has no outgoing pulse; only the
 /// return locations of the points within their waveforms preserve the sub-sample offset of the
 /// emission. Where a file has these locations, times of flight are tied to them (see `decompose`);
-/// where it has none, the report says so.
+/// where it has none, the report says so. Locations can be less exact than the waveforms, for example
+/// whole samples: then points of neighbouring single echoes are smoother by the waveforms' own
+/// positions, and locations are not used. The reader decides this from the first 100 000 shots at
+/// most, as `read_pulsewaves` does, and the report gives the figures.
 ///
 /// The format does not store the scanner position, so ranges count from the first sample of the
 /// shot's first waveform. Coordinates are not affected, but `correct` cannot correct intensities
@@ -74,7 +78,24 @@ pub struct ReadLas {
     /// one: `utm:33N`, `EPSG:2154`, or a file with WKT. Overrides the one in the file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crs_of_input: Option<String>,
+    /// Time of emission: decided from the data, from the return locations, or from the positions of
+    /// the waveforms alone. Without effect for files without return locations.
+    #[serde(default)]
+    pub emission: LasEmission,
 }
+}
+
+/// Time of emission of a LAS file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LasEmission {
+    /// The return locations, unless points are clearly smoother without them.
+    #[default]
+    Auto,
+    /// The return locations of the points.
+    ReturnLocations,
+    /// The positions of the waveforms.
+    Clock,
 }
 
 /// Largest correction of times of flight, ns; larger values are input errors.
@@ -110,8 +131,12 @@ impl SourceConfig for ReadLas {
     }
 
     fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        let mut source = LasReader::open(&site.input, &site.stem, self.sampling())?;
+        let open = || LasReader::open(&site.input, &site.stem, self.sampling());
+        let mut source = open()?;
         (source.with_samples, source.range_time_offset_ns) = (with_samples, self.range_time_offset_ns);
+        if with_samples && source.geometry.has_locations {
+            source.choose_emission(self.emission, &mut open()?);
+        }
         if self.recording_time.is_some() {
             source.time_shift_s = 0.0;
         }
@@ -143,6 +168,8 @@ struct LasReader {
     broken: BrokenRun,
     /// Number of points without a waveform.
     without_waveform: u64,
+    /// Message about the emission reference, until it is reported.
+    message: Option<Message>,
 }
 
 /// A shot assembled from its points.
@@ -209,9 +236,23 @@ impl LasReader {
             recent: Recent::default(),
             broken: BrokenRun::default(),
             without_waveform: 0,
+            message: None,
             reader,
             geometry,
         })
+    }
+
+    /// Decides on the emission reference from the first shots of a second reader.
+    fn choose_emission(&mut self, key: LasEmission, ahead: &mut LasReader) {
+        let smoothness = Smoothness::look_ahead(ahead, emission_choice::WITH_LOCATIONS);
+        let choice = match key {
+            LasEmission::Auto => smoothness.choose(EmissionReference::ReturnLocations, true),
+            LasEmission::ReturnLocations => smoothness.take(EmissionReference::ReturnLocations),
+            LasEmission::Clock => smoothness.take(EmissionReference::Clock),
+        };
+        self.message = choice.message;
+        let input = InputInfo { emission_reference: choice.reference, ..self.lines.input().clone() };
+        self.lines = Lines::new(Arc::new(input));
     }
 
     /// Collects the points of the next pulse; false at the end of the file.
@@ -336,6 +377,9 @@ impl LasReader {
 
 impl Source for LasReader {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
+        if let Some(message) = self.message.take() {
+            message.report(cx);
+        }
         loop {
             if let Some(shot) = self.waiting.take() {
                 self.add(shot);

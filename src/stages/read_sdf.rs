@@ -49,6 +49,9 @@ with_time_keys! {
 /// millionth of a nanosecond. A reference block without samples (`.wfm`) carries the time of
 /// emission: it sets the shot's clock, and the times of the other blocks count from it.
 ///
+/// The time of emission is the peak of the reference block. SDF gives every block its time on the
+/// instrument clock, so there is nothing to decide, unlike in `read_pulsewaves`.
+///
 /// Seconds of the week or day that wrap around within a recording are unwrapped. The GPS week is
 /// taken from the recording's epoch and from a file name of the form `YYMMDD_HHMMSS`, or from the
 /// key `gps_date`. Amplitude and range tables are adopted; if the library has none, or no licence

@@ -11,7 +11,7 @@ use crate::decompose::OVERDRIVEN_PART;
 use crate::sensor_model::{ChannelModel, ModelError};
 pub use joint::{Expected, JointFit, JointFitted, JointPulse, Outcome};
 pub(crate) use plain_peak::plain_peak_of;
-pub use plain_peak::{PlainPeak, lead_noise_sd_dn, plain_peak};
+pub use plain_peak::{PlainPeak, lead_noise_sd_dn, peak_above_half, plain_peak};
 use robust::{pooled, robust_mean};
 
 mod joint;

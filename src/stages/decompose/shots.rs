@@ -35,6 +35,13 @@ pub(super) struct EmissionTime {
     pub(super) flags: u16,
 }
 
+impl EmissionTime {
+    /// Emission at the clock, with this SD, ns.
+    fn of_clock(sd_ns: f64) -> EmissionTime {
+        EmissionTime { time_ns: 0.0, sd_ns, flags: 0 }
+    }
+}
+
 /// Standard deviation of a uniform distribution over one sample, ns.
 fn unknown_within_a_sample_ns(interval_ns: f64) -> f64 {
     interval_ns / 12f64.sqrt()
@@ -131,19 +138,22 @@ impl Shot<'_> {
     ///
     /// Return locations of the file count from the true emission. Their mean difference from the
     /// echoes is the sub-sample emission offset.
-    fn anchored_departure(&self, found: &[Found], cx: &mut Context) -> EmissionTime {
+    /// `jitter_ns` is the SD of the clock; by default that of a position within one sample.
+    fn anchored_departure(&self, found: &[Found], jitter_ns: Option<f64>, cx: &mut Context) -> EmissionTime {
         let interval_ns = self.input.sampling_interval_ns;
-        let sd_ns = unknown_within_a_sample_ns(interval_ns);
-        let unknown = EmissionTime { time_ns: 0.0, sd_ns, flags: 0 };
+        let within_a_sample = EmissionTime::of_clock(unknown_within_a_sample_ns(interval_ns));
+        let unknown = jitter_ns.map_or(within_a_sample, EmissionTime::of_clock);
         match self.input.emission_reference {
             EmissionReference::ReturnLocations => {}
             EmissionReference::Clock => {
-                cx.warn("the input has neither outgoing pulses nor return locations: the sub-sample emission offset is unknown, and the standard deviations of ranges include it");
+                if jitter_ns.is_none() {
+                    cx.warn("emission times are those of the clock: standard deviations of ranges include a jitter of one sample; set `emission_jitter_ns` of `decompose` if the clock is more exact");
+                }
                 return unknown;
             }
             EmissionReference::OutgoingPulse | EmissionReference::OutgoingPulseFraction => {
                 cx.warn("the outgoing pulse of some shots cannot be fitted: their ranges count from the clock, with the standard deviation of a position within one sample");
-                return unknown;
+                return within_a_sample;
             }
         }
         let nearest = |time_ns: f64| {
@@ -197,6 +207,7 @@ pub(crate) struct ShotDecomposer {
     receivers: Receivers,
     both: Option<BothReceivers>,
     timing_error_ns: f64,
+    emission_jitter_ns: Option<f64>,
     drop_emission_crosstalk: bool,
     found: Vec<Found>,
     /// By emission index: whether an echo was received during the emission.
@@ -218,6 +229,7 @@ impl ShotDecomposer {
             both: None,
             receivers: Receivers::new(model, tables, config, path)?,
             timing_error_ns: config.timing_error_ns,
+            emission_jitter_ns: config.emission_jitter_ns,
             drop_emission_crosstalk: config.drop_emission_crosstalk,
             found: Vec::new(),
             expected: Vec::new(),
@@ -325,7 +337,8 @@ impl ShotDecomposer {
             Departures::of(line.emissions, shot, departure.map_or(0.0, |departure| departure.time_ns));
         self.found.clear();
         self.find(turn, &others, line.stats, cx, watch)?;
-        let departure = departure.unwrap_or_else(|| shot.anchored_departure(&self.found, cx));
+        let departure =
+            departure.unwrap_or_else(|| shot.anchored_departure(&self.found, self.emission_jitter_ns, cx));
         if let Some(emission) = line.emissions.get_mut(shot.index as usize) {
             (emission.emission_ns, emission.emission_sd_ns) = (departure.time_ns, departure.sd_ns);
         }
@@ -350,7 +363,7 @@ impl ShotDecomposer {
         }
     }
 
-    /// Emission time from the outgoing pulse, if the shot has one.
+    /// Emission time from the outgoing pulse, if the shot has one and it is the reference.
     fn departure(
         &self,
         turn: &CurrentShot,
@@ -358,11 +371,19 @@ impl ShotDecomposer {
         watch: &mut impl Observer,
     ) -> Option<EmissionTime> {
         let shot = turn.shot;
+        let is_reference = shot.input.emission_reference != EmissionReference::Clock;
         let (time_ns, block, outgoing) = self.outgoing(shot, self.receivers.lots(turn.first_block))?;
         let Some((outgoing, model)) = outgoing else {
+            if !is_reference {
+                return None;
+            }
             // A block without samples contains the fitted time (RIEGL files made from RXP).
             return Some(EmissionTime { time_ns, sd_ns: 0.0, flags: 0 });
         };
+        watch.outgoing(block, outgoing, model);
+        if !is_reference {
+            return None;
+        }
         let flags = outgoing.pulse.flags & flags::ECHO_ON_OUTGOING;
         let mut sd_ns = outgoing.pulse.position_sd_samples * block.interval_ns;
         if flags != 0 && !outgoing.is_explained {
@@ -370,13 +391,12 @@ impl ShotDecomposer {
             sd_ns = sd_ns.max(UNRELIABLE_RANGE_SD_M / (shot.input.group_velocity_mps * 0.5e-9));
         }
         cx.observe("emission_sd_ns", sd_ns);
-        watch.outgoing(block, outgoing, model);
         Some(EmissionTime { time_ns, sd_ns, flags })
     }
 
     /// Outgoing pulse of a shot, with its fit if the block has samples.
     ///
-    /// Time after the clock, ns.
+    /// Emission time after the clock, ns.
     fn outgoing<'a>(&'a self, shot: &Shot<'a>, lots: &[BlockRoute]) -> Option<OutgoingBlock<'a>> {
         let mut with_lots = shot.of_shot.iter().zip(lots);
         let (block, &lot) = with_lots.find(|(block, _)| block.channel == Channel::Reference)?;
@@ -387,6 +407,7 @@ impl ShotDecomposer {
         let position = fitted.0.pulse.position_samples;
         let time_ns = match shot.input.emission_reference {
             EmissionReference::OutgoingPulseFraction => (position - position.round()) * block.interval_ns,
+            EmissionReference::Clock => 0.0,
             _ => block.time_ns(position),
         };
         Some((time_ns, block, Some(fitted)))

@@ -134,8 +134,8 @@ fn a_shot_that_cannot_be_is_counted_and_passed_over() {
     let expected: Vec<String> = (0..250).filter(|i| *i != 100).map(|i| format!("{:?}", time_s(i))).collect();
     assert_eq!(place.times("out/a.csv"), expected);
     let expected = [
-        "the input has neither outgoing pulses nor return locations: the sub-sample emission offset is \
-         unknown, and the standard deviations of ranges include it",
+        "emission times are those of the clock: standard deviations of ranges include a jitter of one \
+         sample; set `emission_jitter_ns` of `decompose` if the clock is more exact",
         "the input is not georeferenced: its points are in the scanner frame",
     ];
     assert_eq!(notes(&input), expected);

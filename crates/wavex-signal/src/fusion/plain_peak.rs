@@ -1,5 +1,7 @@
 //! Peak of a block by a parabola.
 
+use std::ops::Range;
+
 /// Number of initial samples for the background: one per phase.
 const LEAD_SAMPLES: usize = 4;
 /// Smallest distance of the peak from these samples, in half widths at half maximum.
@@ -29,11 +31,27 @@ pub fn plain_peak(samples: &[u16], full_scale_dn: f64) -> Option<PlainPeak> {
 
 /// Finds the peak of a signal without background.
 ///
-/// It is the vertex of a weighted least-squares parabola through the logarithms of the samples
-/// above half maximum, with squared samples as weights (Guo 2011, "A simple algorithm for fitting a
-/// Gaussian function", eq. 8). It is exact for a Gaussian.
+/// `None` if it is too near to the first samples; see [`peak_above_half`].
 pub(crate) fn plain_peak_of(signal: &[f64]) -> Option<PlainPeak> {
-    let top = (0..signal.len()).max_by(|&a, &b| signal[a].total_cmp(&signal[b]))?;
+    let (peak, above_half) = peak_above_half(signal)?;
+    let half_width = 0.5 * above_half.len() as f64;
+    let clear = LEAD_SAMPLES as f64 + CLEAR_HALF_WIDTHS * half_width;
+    (highest(signal)? as f64 >= clear).then_some(peak)
+}
+
+/// Index of the highest value; the last of equal ones.
+fn highest(signal: &[f64]) -> Option<usize> {
+    (0..signal.len()).max_by(|&a, &b| signal[a].total_cmp(&signal[b]))
+}
+
+/// Finds the highest peak of a signal without background, and its samples above half maximum.
+///
+/// The peak is the vertex of a weighted least-squares parabola through the logarithms of these
+/// samples, with squared samples as weights (Guo 2011, "A simple algorithm for fitting a Gaussian
+/// function", eq. 8). It is exact for a Gaussian. `None` if the signal does not fall to half maximum
+/// on both sides, or with fewer than three samples above it.
+pub fn peak_above_half(signal: &[f64]) -> Option<(PlainPeak, Range<usize>)> {
+    let top = highest(signal)?;
     let half = 0.5 * signal[top];
     if half <= 0.0 {
         return None;
@@ -41,7 +59,7 @@ pub(crate) fn plain_peak_of(signal: &[f64]) -> Option<PlainPeak> {
     let first = signal[..top].iter().rposition(|&value| value <= half)? + 1;
     let end = top + signal[top..].iter().position(|&value| value <= half)?;
     let half_width = 0.5 * (end - first) as f64;
-    if (top as f64) < LEAD_SAMPLES as f64 + CLEAR_HALF_WIDTHS * half_width || end - first < 3 {
+    if end - first < 3 {
         return None;
     }
     // Sums of the normal equations about the highest sample.
@@ -61,7 +79,7 @@ pub(crate) fn plain_peak_of(signal: &[f64]) -> Option<PlainPeak> {
     let place = -0.5 * c1 / c2;
     let is_peak = c2 < 0.0 && place.abs() <= half_width + 1.0;
     let peak = PlainPeak { position_samples: top as f64 + place, height_dn: (c0 + 0.5 * c1 * place).exp() };
-    (is_peak && peak.height_dn.is_finite()).then_some(peak)
+    (is_peak && peak.height_dn.is_finite()).then_some((peak, first..end))
 }
 
 /// Solves `Σ_j s_(i+j) c_j = t_i` for three unknowns by Cramer's rule.
