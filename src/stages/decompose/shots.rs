@@ -6,6 +6,7 @@ use super::dual_channel::BothReceivers;
 use super::echo::{Found, UNRELIABLE_RANGE_SD_M};
 use super::online::unresolved;
 use super::receivers::{BlockRoute, Receivers, SensorTables};
+use super::unexplained::Explained;
 use crate::scan_line::{
     Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LineStats, OnlineReturn, ReturnChannel,
     Returns, flags,
@@ -199,6 +200,7 @@ pub(crate) struct ShotDecomposer {
     timing_error_ns: f64,
     drop_emission_crosstalk: bool,
     found: Vec<Found>,
+    explained: Explained,
     /// By emission index: whether an echo was received during the emission.
     expected: Vec<bool>,
 }
@@ -220,6 +222,7 @@ impl ShotDecomposer {
             timing_error_ns: config.timing_error_ns,
             drop_emission_crosstalk: config.drop_emission_crosstalk,
             found: Vec::new(),
+            explained: Explained::default(),
             expected: Vec::new(),
         })
     }
@@ -246,7 +249,9 @@ impl ShotDecomposer {
         cx.observe("left_to_plain_kernels", (self.receivers.left_to_plain() - before) as f64);
         self.expect_echoes_on_outgoing(shots, line.emissions);
         self.receivers.judge_outgoing(shots, true, |index| is_set(&self.expected, index));
-        self.finish_shots(shots, line, cx, watch)
+        self.finish_shots(shots, line, cx, watch)?;
+        self.explained.report(cx);
+        Ok(())
     }
 
     /// Decomposes one shot of the last line again, with the same result.
@@ -260,7 +265,9 @@ impl ShotDecomposer {
         let shots = std::slice::from_ref(shot);
         self.receivers.decompose(shots, self.both.as_ref())?;
         self.receivers.judge_outgoing(shots, false, |index| is_set(&self.expected, index));
-        self.finish_shots(shots, line, cx, watch)
+        self.finish_shots(shots, line, cx, watch)?;
+        self.explained = Explained::default();
+        Ok(())
     }
 
     /// Finds the emissions of the line during which echoes were received.
@@ -420,6 +427,7 @@ impl ShotDecomposer {
             };
             waveform.used = true;
             waveform.add(&result, stats);
+            self.explained.add(&result);
             let mut fit = BlockFit::of(channel, &result);
             // A waveform's deviation from the digitiser's background scales with the gain.
             let background_dn = mean(&model.background_dn) + result.background_offset_dn / block.gain;

@@ -67,7 +67,7 @@ impl Decomposer {
             allowance: Allowance::new(
                 model,
                 settings.template_error,
-                settings.overdriven_part * model.full_scale_dn,
+                model.overdriven_dn(settings.overdriven_part),
             ),
             scene,
             detector,
@@ -83,12 +83,17 @@ impl Decomposer {
         &self.model
     }
 
+    /// Samples unusable after saturation.
+    fn recovery_samples(&self) -> usize {
+        self.model.limits.recovery_samples.unwrap_or(self.settings.recovery_samples)
+    }
+
     /// Decomposes one block; `start_phase` is the index of its first sample modulo 4.
     pub fn decompose(&mut self, samples: &[u16], start_phase: u8) -> Decomposition<'_> {
         self.counts = Counts::default();
         self.refined_twice = false;
         self.returns.clear();
-        if self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples) {
+        if self.scene.load(&self.model, samples, start_phase, self.recovery_samples()) {
             self.detector.prepare(self.scene.whitener());
         }
         self.find_candidates(samples);
@@ -110,7 +115,7 @@ impl Decomposer {
         start_phase: u8,
         pulses: impl Iterator<Item = [f64; 3]>,
     ) -> f64 {
-        if self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples) {
+        if self.scene.load(&self.model, samples, start_phase, self.recovery_samples()) {
             self.detector.prepare(self.scene.whitener());
         }
         self.scene.found.extend(pulses.map(|[height, position, width]| Found::new(height, position, width)));
