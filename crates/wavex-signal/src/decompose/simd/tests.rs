@@ -132,6 +132,40 @@ fn returns_are_those_of_the_plain_kernels() {
     assert!(at(0.5) < 0.02 && at(0.95) < 0.1 && at(0.99) < 0.5);
 }
 
+/// Two echoes of 195 DN, one width apart, overdrive the receiver only together: they are divided. A
+/// single echo that overdrives it is not.
+#[test]
+fn pairs_that_overdrive_the_receiver_together_are_divided() {
+    let model = model();
+    let (shape, mut random) = (Shape::of(&model).unwrap(), Random::new(7));
+    let truth: Vec<[Pulse; 2]> = (0..400)
+        .map(|_| {
+            let position = 15.0 + random.uniform();
+            [pulse(195.0, position, 1.0), pulse(195.0, position + model.fwhm_samples(), 1.0)]
+        })
+        .collect();
+    let mut blocks = |n: usize| -> Vec<Vec<u16>> {
+        truth.iter().map(|pair| block(&model, &shape, &mut random, SAMPLES, &pair[..n])).collect()
+    };
+    let (pairs, singles) = (blocks(2), blocks(1));
+    let peak = pairs.iter().flatten().max();
+    assert!(peak.is_some_and(|&peak| peak > 212 && peak < FULL_SCALE), "{peak:?}");
+    let mut fast = fast(&model, Mode::Refined, SimdLevel::best());
+    let (mut divided, mut z) = (0, Vec::new());
+    for (found, truth) in decompose(&mut fast, &pairs).iter().zip(&truth) {
+        if found.returns.len() == 2 {
+            divided += 1;
+            let of =
+                |(r, p): (&Return, &Pulse)| (r.position_samples - p.position_samples) / r.position_sd_samples;
+            z.extend(found.returns.iter().zip(truth).map(of));
+        }
+    }
+    let z = (z.iter().map(|z| z * z).sum::<f64>() / z.len().max(1) as f64).sqrt();
+    let single = decompose(&mut fast, &singles).iter().filter(|found| found.returns.len() == 1).count();
+    println!("{divided} of 400 pairs divided, z of positions {z:.2}; {single} of 400 singles stay");
+    assert!(divided >= 390 && (0.8..1.25).contains(&z) && single == 400);
+}
+
 /// Largest difference of two returns in any value, in standard deviations.
 ///
 /// For the standard deviations themselves, in units of 0.3 of their value.
