@@ -3,8 +3,8 @@
 //! The reference of the SIMD form [`super::simd`], which leaves it the waveforms it does not
 //! support. docs/explanation/method.md describes the steps from Detection to Uncertainties.
 
-use super::acceptance::DetectionSigma;
 use super::acceptance::response_error::Allowance;
+use super::acceptance::{DetectionSigma, HIDING_WIDTH_RATIO};
 use super::{Counts, DEVIANT, DecomposeSettings, Decomposition, Return, truncation_flag};
 use crate::detect::{Candidate, Detector, next_plateau, plateau_candidate};
 use crate::flags;
@@ -95,13 +95,25 @@ impl Decomposer {
         self.find_returns(samples, self.settings.split_score);
         let outcome = self.outcome(samples);
         if self.settings.explains_all && outcome.deviation_ratio() > DEVIANT {
-            if self.settings.split_score > 0.0 {
+            let widened = |found: &Found| found.pulse.ln_width_ratio.exp() > HIDING_WIDTH_RATIO;
+            if self.settings.split_score > 0.0 && self.scene.found.iter().any(widened) {
                 self.find_more_returns(samples, &outcome);
             }
-            if self.outcome(samples).deviation_ratio() > DEVIANT {
-                self.keep_clear_peaks();
-            }
+            self.keep_clear_peaks(samples);
         }
+        self.report(samples)
+    }
+
+    /// As [`Decomposer::decompose`] for a waveform that others left unexplained.
+    ///
+    /// Every widened pulse is tried as two.
+    pub(crate) fn decompose_thoroughly(&mut self, samples: &[u16], start_phase: u8) -> Decomposition<'_> {
+        self.returns.clear();
+        if self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples) {
+            self.detector.prepare(self.scene.whitener());
+        }
+        self.find_returns(samples, 0.0);
+        self.keep_clear_peaks(samples);
         self.report(samples)
     }
 

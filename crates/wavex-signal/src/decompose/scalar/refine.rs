@@ -1,7 +1,7 @@
 //! Residual search, split test and pruning.
 
 use super::scene::Found;
-use super::{Counts, Decomposer};
+use super::{Counts, DEVIANT, Decomposer};
 use crate::decompose::acceptance::{
     CLEAR_PART, DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, OVERDRIVEN_HIDING_WIDTH_RATIO, TRIAL_PART,
     is_misshapen, is_outside,
@@ -243,11 +243,15 @@ impl Decomposer {
         per_dn * p.height_dn * p.ln_width_ratio.exp() / self.threshold_at(p.position_samples, p.height_dn)
     }
 
-    /// Adds the clear peaks of the samples that no pulse explains, with the uncertainty of a width.
+    /// Adds the clear peaks of an unexplained waveform that no pulse explains, with the uncertainty of
+    /// a width.
     ///
     /// They are far above the threshold and at least half of their height above the dips on both
     /// sides.
-    pub(super) fn keep_clear_peaks(&mut self) {
+    pub(super) fn keep_clear_peaks(&mut self, samples: &[u16]) {
+        if self.outcome(samples).deviation_ratio() <= DEVIANT {
+            return;
+        }
         let width = self.scene.fwhm_samples();
         self.detector.filter(self.scene.whitener(), self.scene.residual_dn());
         self.candidates.clear();
