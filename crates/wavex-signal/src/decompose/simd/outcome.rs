@@ -5,16 +5,15 @@ use std::ops::Range;
 use super::pulse_model::{PulseComponent, PulseModel, Way};
 use super::thresholds::Thresholds;
 use crate::decompose::Waveform;
-use crate::decompose::acceptance::HIDING_WIDTH_RATIO;
-use crate::decompose::{DEVIANT, DecomposeSettings, Decomposer, Decomposition, Return, truncation_flag};
+use crate::decompose::{DecomposeSettings, Decomposer, Decomposition, Return, truncation_flag};
 use crate::flags;
 use crate::sensor_model::ChannelModel;
 use crate::simd::{Kernel, Simd};
 
-/// Deviation ratio that noise alone does not reach.
+/// Deviation ratio above which the scalar kernels decompose a waveform again.
 ///
-/// Of 60 samples, it exceeds 3 once in 220 waveforms, and 6 once in 400 000.
-const BY_CHANCE: f64 = 6.0;
+/// They take 27 us for each: with a limit of 3 they would take most of the time.
+const GROSS: f64 = 10.0;
 
 /// Returns of many waveforms; reuses its memory.
 #[derive(Debug, Clone, Default)]
@@ -114,7 +113,7 @@ impl Finish<'_> {
             outcomes.push(&self.plain.decompose(samples, start_phase));
             return;
         }
-        if deviation_ratio > DEVIANT && self.may_be_explained(pulse_model, deviation_ratio) {
+        if deviation_ratio > GROSS && self.is_refined && self.settings.explains_all {
             *self.left_to_plain += 1;
             let thorough = self.plain.decompose_thoroughly(samples, start_phase);
             if thorough.is_better_than(&outcome) {
@@ -155,17 +154,6 @@ impl Finish<'_> {
             });
         }
         outcomes.waveforms.push((first..outcomes.returns.len(), outcome));
-    }
-
-    /// Whether the scalar kernels may explain a waveform with a deviation ratio above [`DEVIANT`].
-    ///
-    /// Up to [`BY_CHANCE`] only a widened pulse gives them something to divide.
-    #[inline(never)]
-    fn may_be_explained(&self, pulse_model: &PulseModel, deviation_ratio: f64) -> bool {
-        let is_widened = |pulse: &PulseComponent| pulse.width_ratio() > HIDING_WIDTH_RATIO as f32;
-        self.is_refined
-            && self.settings.explains_all
-            && (deviation_ratio > BY_CHANCE || pulse_model.pulses().iter().any(is_widened))
     }
 
     /// Whether the pulse is fitted, and its row holds enough of it.
