@@ -87,7 +87,7 @@ impl Message {
 impl Smoothness {
     /// Reads a recording ahead, until it suffices for a decision.
     ///
-    /// Errors end the look-ahead; the run reports them when it comes to the same place.
+    /// A read error ends the look-ahead; the run reports it.
     pub(super) fn look_ahead(
         source: &mut dyn Source,
         references: &'static [EmissionReference],

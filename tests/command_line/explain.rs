@@ -121,8 +121,8 @@ fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
     assert_eq!(place.text(&name), svg);
 
     // Points without waveforms cannot be explained.
-    let message = "stage read_las: out/flight.las: byte 104: point data record format: no waveforms in point data format 6; \
-                   export the flight with waveforms, as LAS point format 4, 5, 9 or 10";
+    let message = "stage read_las: out/flight.las: byte 104: point data record format: no waveforms in \
+                   point data format 6; export the flight with waveforms, as LAS point format 4, 5, 9 or 10";
     refused(&place, &["out/flight.las", "--shot", shot], 1, message);
 
     // The time of the shot selects it, and the keys of a job apply.
@@ -175,8 +175,8 @@ fn a_file_without_waveforms_is_refused() {
         true,
     );
     let place = TestFolder::with(&[("empty.arrow", &empty)]);
-    let message = "stage calibrate: empty.arrow: the low power receiver: calibration needs 200 waveforms of the channel and there were 0; \
-                   give it more data, or load a saved sensor model";
+    let message = "stage calibrate: empty.arrow: the low power receiver: calibration needs 200 \
+                   waveforms of the channel and there were 0; give it more data, or load a saved sensor model";
     refused(&place, &["empty.arrow", "--shot", "100"], 1, message);
     let Outcome { code, err, .. } = explain(&place, &["empty.arrow", "--shot", "1", "--time", "2"]);
     assert_eq!(code, Some(2));

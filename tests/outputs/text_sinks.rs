@@ -153,7 +153,7 @@ fn the_path_is_told_by_origins_and_found_again_from_beams() {
 fn path_from_beams(flight: &str) {
     let folder = tempfile::tempdir().unwrap();
     let job = format!(
-        "{flight}[[stage]]\ntype = 'write_trajectory'\nid = 'message'\ninterval_s = 0\n\
+        "{flight}[[stage]]\ntype = 'write_trajectory'\nid = 'origins'\ninterval_s = 0\n\
          [[stage]]\ntype = 'write_trajectory'\nid = 'met'\nsensor = 'beams'\npath = 'met.txt'\n\
          [[stage]]\ntype = 'write_trajectory'\nid = 'some'\nevery = 5000\npath = 'some.txt'\nheader = false\n"
     );

@@ -132,8 +132,8 @@ impl Waveforms {
         let mut values = [BACKGROUND_DN; SAMPLES];
         let mut past = [0.0; 2];
         for value in values.iter_mut() {
-            let reported: f64 = past.iter().zip(noise.coefficients()).map(|(p, c)| p * c).sum();
-            let now = reported + *noise_sd_dn * random.normal();
+            let predicted: f64 = past.iter().zip(noise.coefficients()).map(|(p, c)| p * c).sum();
+            let now = predicted + *noise_sd_dn * random.normal();
             past = [now, past[0]];
             *value += now;
         }

@@ -88,10 +88,7 @@ impl Decomposer {
 
     /// Decomposes one block; `start_phase` is the index of its first sample modulo 4.
     pub fn decompose(&mut self, samples: &[u16], start_phase: u8) -> Decomposition<'_> {
-        self.returns.clear();
-        if self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples) {
-            self.detector.prepare(self.scene.whitener());
-        }
+        self.load(samples, start_phase);
         self.find_returns(samples, self.settings.split_score);
         let outcome = self.outcome(samples);
         if self.settings.explains_all && outcome.deviation_ratio() > DEVIANT {
@@ -108,13 +105,18 @@ impl Decomposer {
     ///
     /// Every widened pulse is tried as two.
     pub(crate) fn decompose_thoroughly(&mut self, samples: &[u16], start_phase: u8) -> Decomposition<'_> {
+        self.load(samples, start_phase);
+        self.find_returns(samples, 0.0);
+        self.keep_clear_peaks(samples);
+        self.report(samples)
+    }
+
+    /// Loads a waveform without pulses.
+    fn load(&mut self, samples: &[u16], start_phase: u8) {
         self.returns.clear();
         if self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples) {
             self.detector.prepare(self.scene.whitener());
         }
-        self.find_returns(samples, 0.0);
-        self.keep_clear_peaks(samples);
-        self.report(samples)
     }
 
     /// Finds and fits the pulses of the loaded waveform.
@@ -154,9 +156,7 @@ impl Decomposer {
         start_phase: u8,
         pulses: impl Iterator<Item = [f64; 3]>,
     ) -> f64 {
-        if self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples) {
-            self.detector.prepare(self.scene.whitener());
-        }
+        self.load(samples, start_phase);
         self.scene.found.extend(pulses.map(|[height, position, width]| Found::new(height, position, width)));
         self.scene.fit_all_roughly();
         self.scene.chi_square()

@@ -34,7 +34,7 @@ impl ChunkCompressor {
         special_evlrs_at: u64,
         pool: Option<Arc<ThreadPool>>,
     ) -> ChunkCompressor {
-        let workers = Workers::new(laz.clone(), pool);
+        let workers = Workers::new(pool);
         ChunkCompressor { laz, table: ChunkTable::default(), table_offset_at, special_evlrs_at, workers }
     }
 
@@ -45,7 +45,7 @@ impl ChunkCompressor {
         if self.workers.is_full() {
             self.write_next(sink)?;
         }
-        if self.workers.send(records) {
+        if self.workers.send(records, &self.laz) {
             return Ok(());
         }
         let chunk = chunk::compress(records, &self.laz);
@@ -99,7 +99,6 @@ type Compressed = (Chunk, Vec<u8>);
 struct Workers {
     /// `None`: the writing thread compresses.
     pool: Option<Arc<ThreadPool>>,
-    laz: LazVlr,
     /// Chunks not yet written, in order.
     waiting: VecDeque<Receiver<Compressed>>,
     /// Record buffers for reuse.
@@ -107,8 +106,8 @@ struct Workers {
 }
 
 impl Workers {
-    fn new(laz: LazVlr, pool: Option<Arc<ThreadPool>>) -> Workers {
-        Workers { pool, laz, waiting: VecDeque::new(), spare: Vec::new() }
+    fn new(pool: Option<Arc<ThreadPool>>) -> Workers {
+        Workers { pool, waiting: VecDeque::new(), spare: Vec::new() }
     }
 
     /// Returns whether there are two chunks per thread, including the one being gathered.
@@ -124,12 +123,12 @@ impl Workers {
     /// Queues records and replaces them with an empty buffer.
     ///
     /// `false` without a pool.
-    fn send(&mut self, records: &mut Vec<u8>) -> bool {
+    fn send(&mut self, records: &mut Vec<u8>, laz: &LazVlr) -> bool {
         let Some(pool) = &self.pool else { return false };
         let next = self.spare.pop().unwrap_or_else(|| Vec::with_capacity(records.capacity()));
         let mut full = std::mem::replace(records, next);
         let (done, chunk) = bounded(1);
-        let laz = self.laz.clone();
+        let laz = laz.clone();
         pool.spawn(move || {
             let chunk = chunk::compress(&full, &laz);
             full.clear();
