@@ -204,8 +204,8 @@ impl Decomposition<'_> {
     /// Factor by which the misfit raises standard deviations: `√(χ²/ν)` of a waveform whose
     /// deviation ratio exceeds [`DEVIANT`], else 1.
     #[inline(always)]
-    pub(crate) fn misfit_factor(&self, settings: &DecomposeSettings) -> f64 {
-        match settings.explains_all && self.deviation_ratio() > DEVIANT {
+    pub(crate) fn misfit_factor(&self, deviation_ratio: f64, settings: &DecomposeSettings) -> f64 {
+        match settings.explains_all && deviation_ratio > DEVIANT {
             true => (self.chi_square / self.expected_chi_square()).sqrt(),
             false => 1.0,
         }

@@ -207,7 +207,7 @@ impl Decomposer {
     fn report(&mut self, samples: &[u16]) -> Decomposition<'_> {
         let outcome = self.outcome(samples);
         let deviation_ratio = outcome.deviation_ratio();
-        let misfit_factor = outcome.misfit_factor(&self.settings);
+        let misfit_factor = outcome.misfit_factor(deviation_ratio, &self.settings);
         for f in &self.scene.found {
             let width_ratio = f.pulse.ln_width_ratio.exp();
             let factor = misfit_factor * self.model.pulse_error_factor;

@@ -108,20 +108,13 @@ impl Finish<'_> {
             && (self.all_acceptable(pulse_model, samples.len()) || self.drop(pulse_model, samples.len()));
         let mut outcome = self.thresholds.outcome(pulse_model, samples.len());
         let deviation_ratio = outcome.deviation_ratio();
-        if !is_done {
-            *self.left_to_plain += 1;
-            outcomes.push(&self.plain.decompose(samples, start_phase));
+        let is_unexplained = deviation_ratio > GROSS && self.is_refined && self.settings.explains_all;
+        if (!is_done || is_unexplained)
+            && self.push_plain(samples, start_phase, is_done.then_some(&outcome), outcomes)
+        {
             return;
         }
-        if deviation_ratio > GROSS && self.is_refined && self.settings.explains_all {
-            *self.left_to_plain += 1;
-            let thorough = self.plain.decompose_thoroughly(samples, start_phase);
-            if thorough.is_better_than(&outcome) {
-                outcomes.push(&thorough);
-                return;
-            }
-        }
-        let misfit_factor = outcome.misfit_factor(self.settings);
+        let misfit_factor = outcome.misfit_factor(deviation_ratio, self.settings);
         outcome.refined_once |= self.is_refined && pulse_model.counts.n_candidates > 0;
         let first = outcomes.returns.len();
         let fwhm_samples = self.model.fwhm_samples();
@@ -154,6 +147,29 @@ impl Finish<'_> {
             });
         }
         outcomes.waveforms.push((first..outcomes.returns.len(), outcome));
+    }
+
+    /// Outputs the returns of the scalar kernels; `false` if they explain the waveform no better than
+    /// `outcome`.
+    #[cold]
+    #[inline(never)]
+    fn push_plain(
+        &mut self,
+        samples: &[u16],
+        start_phase: u8,
+        outcome: Option<&Decomposition<'_>>,
+        outcomes: &mut Decompositions,
+    ) -> bool {
+        *self.left_to_plain += 1;
+        let plain = match outcome {
+            Some(_) => self.plain.decompose_thoroughly(samples, start_phase),
+            None => self.plain.decompose(samples, start_phase),
+        };
+        let is_better = outcome.is_none_or(|outcome| plain.is_better_than(outcome));
+        if is_better {
+            outcomes.push(&plain);
+        }
+        is_better
     }
 
     /// Whether the pulse is fitted, and its row holds enough of it.

@@ -143,9 +143,18 @@ impl Thresholds {
         pulse: &PulseComponent,
         samples: usize,
     ) -> bool {
-        let least = if self.is_misshapen(pulse) { CLEAR_PART } else { 1.0 };
+        if self.is_misshapen(pulse) || is_outside(pulse.position(), [-1.0, samples as f32]) {
+            return self.is_clear(pulse_model, pulse, samples);
+        }
+        self.is_significant(pulse_model, pulse, samples, 1.0)
+    }
+
+    /// Whether a pulse inside the block is far above the threshold.
+    #[cold]
+    #[inline(never)]
+    fn is_clear(&mut self, pulse_model: &PulseModel, pulse: &PulseComponent, samples: usize) -> bool {
         !is_outside(pulse.position(), [-1.0, samples as f32])
-            && self.is_significant(pulse_model, pulse, samples, least)
+            && self.is_significant(pulse_model, pulse, samples, CLEAR_PART)
     }
 
     /// Whether a pulse has an unusual width.
