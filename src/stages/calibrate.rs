@@ -191,7 +191,7 @@ impl TransformConfig for Calibrate {
 
     fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
         let model = match (&self.load, self.preset) {
-            (Some(path), _) => Some(Arc::new(load(&site.input_path(path))?)),
+            (Some(path), _) => Some(Arc::new(load_model(&site.input_path(path))?)),
             (None, Some(preset)) => Some(Arc::new(preset.model()?)),
             (None, None) => None,
         };
@@ -248,12 +248,9 @@ impl Calibrator {
     /// Writes the model file, if one is wanted and not yet written.
     fn save(&mut self, out: &mut Output) -> Result<()> {
         if let Some(model) = &self.model
-            && let Some(mut file) = self.save.take()
+            && let Some(file) = self.save.take()
         {
-            let text = serde_json::to_string_pretty(&**model)
-                .map_err(|error| StageError::failed(error.to_string(), "please report this bug in wavex"))?;
-            writeln!(file, "{text}").map_err(Error::io(file.path(), "write"))?;
-            out.cx.publish(file.finish()?);
+            write_model(model, file, out)?;
         }
         Ok(())
     }
@@ -274,6 +271,7 @@ impl Calibrator {
             high_power: self.completed(Channel::HighPower, &high, &low, out),
             saturation: None,
             reference: self.completed(Channel::Reference, &reference, &None, out),
+            ..SensorModel::default()
         })
     }
 
@@ -455,8 +453,17 @@ fn name(channel: Channel) -> &'static str {
     }
 }
 
+/// Writes a model to its file and publishes it.
+pub(super) fn write_model(model: &SensorModel, mut file: OutputFile, out: &mut Output) -> Result<()> {
+    let text = serde_json::to_string_pretty(model)
+        .map_err(|error| StageError::failed(error.to_string(), "please report this bug in wavex"))?;
+    writeln!(file, "{text}").map_err(Error::io(file.path(), "write"))?;
+    out.cx.publish(file.finish()?);
+    Ok(())
+}
+
 /// Loads a saved model.
-fn load(path: &Path) -> Result<SensorModel> {
+pub(super) fn load_model(path: &Path) -> Result<SensorModel> {
     const REMEDY: &str = "load a file written by `save` of calibrate, or recalibrate";
     let size = std::fs::metadata(path).map_err(Error::io(path, "open"))?.len();
     if size > MAX_MODEL_BYTES {
@@ -470,6 +477,11 @@ fn load(path: &Path) -> Result<SensorModel> {
     let channels = [&model.low_power, &model.high_power, &model.saturation, &model.reference];
     for channel in channels.into_iter().flatten() {
         channel.check().map_err(|error| Error::unusable(path, error.to_string(), REMEDY))?;
+    }
+    for walk in [&model.low_power_range_walk, &model.high_power_range_walk].into_iter().flatten() {
+        if !walk.is_valid() {
+            return Err(Error::unusable(path, "its range walk has invalid numbers", REMEDY).into());
+        }
     }
     if model.low_power.is_none() && model.high_power.is_none() {
         return Err(Error::unusable(path, "the sensor model has no echo receiver", REMEDY).into());

@@ -1,16 +1,16 @@
 //! `correct`: removes amplitude, range and angle effects from returns.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::calibrate::Auto;
+use super::calibrate::{Auto, write_model};
 use super::decompose::Threshold;
 use crate::keys::InvalidKey;
 use crate::scan_line::{Content, Kind, ScanLine};
 use crate::stage::{
-    Config, Holds, LookAhead, Output, Result, RunContext, StageError, StageSpec, Transform, TransformConfig,
+    Config, Holds, LookAhead, Output, OutputFile, Result, RunContext, StageError, StageSpec, Transform, TransformConfig,
 };
 use wavex_formats::lookup_tables::LookupTables;
 
@@ -18,9 +18,12 @@ mod apply;
 mod tables;
 #[cfg(test)]
 mod tests;
+mod walk;
 mod width;
 
 use apply::Corrections;
+pub use walk::WalkKey;
+use walk::Walks;
 use width::WidthCorrection;
 
 /// Registry entry of the stage.
@@ -44,7 +47,12 @@ const WAVEFORMS: u64 = 50_000;
 /// Without this stage, intensities are those that `decompose` computes with the instrument's
 /// amplitude table.
 ///
-/// If a width correction is `"auto"`, holds back the first lines until it has 50 000 waveforms.
+/// A receiver without a range table has its range walk, the delay by amplitude, learnt from the
+/// recording: neighbouring single returns on a smooth surface differ in amplitude, not in range.
+/// `save_model` saves it with the sensor model, for other recordings of the instrument.
+///
+/// If `range_walk` or a width correction is `"auto"`, holds back the first lines until it has 50 000
+/// waveforms.
 ///
 /// Counts `np_range np_atm np_ibrc np_ibic`.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -56,6 +64,13 @@ pub struct Correct {
     /// Smooth the range table first, with a penalised cubic in the logarithm of the digitiser
     /// steps.
     pub range_table_fit: bool,
+    /// Delay of a receiver by amplitude, where it has no range table: `"auto"`, that of the sensor
+    /// model that `calibrate` loaded, otherwise learnt from the first waveforms and used if both
+    /// halves agree; the path of a model saved by `save_model`; or `false`.
+    pub range_walk: WalkKey,
+    /// Save the sensor model with the range walk to this JSON file; `*` is the name of the recording.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub save_model: Option<String>,
     /// Derive amplitudes in dB, and intensities from them: with the recording's own table (`true`),
     /// not at all (`false`: the intensity is the pulse height), or with the tables of this file, in
     /// dB above the detection limit.
@@ -117,6 +132,8 @@ impl Default for Correct {
         Correct {
             range_table: TableKey::Own(true),
             range_table_fit: true,
+            range_walk: WalkKey::Auto(Auto::Auto),
+            save_model: None,
             amplitude_table: TableKey::Own(true),
             width_correction_low: WidthKey::Auto(Auto::Auto),
             width_correction_high: WidthKey::Auto(Auto::Auto),
@@ -132,6 +149,11 @@ impl Config for Correct {
         width::check("width_correction_low", &self.width_correction_low)?;
         width::check("width_correction_high", &self.width_correction_high)?;
         InvalidKey::unless(
+            self.range_walk != WalkKey::Without(true),
+            "range_walk",
+            "it must be \"auto\", the path of a saved sensor model, or `false`",
+        )?;
+        InvalidKey::unless(
             self.reference_range_m.is_within(1.0..=100_000.0),
             "reference_range_m",
             "it must lie between 1 and 100000, or be `false`",
@@ -144,7 +166,8 @@ impl Config for Correct {
     }
 
     fn inputs(&self) -> Vec<&str> {
-        [&self.range_table, &self.amplitude_table].into_iter().filter_map(TableKey::file).collect()
+        let tables = [&self.range_table, &self.amplitude_table].into_iter().filter_map(TableKey::file);
+        tables.chain(self.range_walk.file().and_then(Path::to_str)).collect()
     }
 }
 
@@ -158,6 +181,10 @@ impl TableKey {
 }
 
 impl TransformConfig for Correct {
+    fn outputs(&self) -> Vec<&str> {
+        self.save_model.as_deref().into_iter().collect()
+    }
+
     fn holds(&self) -> Holds {
         Holds::First
     }
@@ -170,7 +197,13 @@ impl TransformConfig for Correct {
         let corrections = Corrections::new(self, open(&self.range_table)?, open(&self.amplitude_table)?)?;
         let [low, high] =
             [&self.width_correction_low, &self.width_correction_high].map(WidthCorrection::given);
-        Ok(Box::new(Corrector { corrections, widths: [low, high], look_ahead: LookAhead::new(WAVEFORMS) }))
+        let walks = match self.range_walk.file() {
+            Some(path) => Some(Walks::open(&site.input_path(path))?),
+            None => (!self.range_walk.is_auto()).then(Walks::default),
+        };
+        let save_model = self.save_model.as_ref().map(|pattern| site.create(pattern)).transpose()?;
+        let look_ahead = LookAhead::new(WAVEFORMS);
+        Ok(Box::new(Corrector { corrections, widths: [low, high], walks, save_model, look_ahead }))
     }
 }
 
@@ -178,15 +211,20 @@ struct Corrector {
     corrections: Corrections,
     /// For the low-power and the high-power receiver; `None` until estimated.
     widths: [Option<WidthCorrection>; 2],
+    /// `None` until learnt.
+    walks: Option<Walks>,
+    /// File for the model; `None` once written.
+    save_model: Option<OutputFile>,
     look_ahead: LookAhead,
 }
 
 impl Transform for Corrector {
     fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
-        if let [Some(low), Some(high)] = &self.widths {
-            return correct(&mut self.corrections, [low, high], line, out);
+        if let ([Some(low), Some(high)], Some(walks)) = (&self.widths, &self.walks) {
+            save(&mut self.save_model, walks, &line, out)?;
+            return correct(&mut self.corrections, [low, high], walks, line, out);
         }
-        let is_enough = self.look_ahead.hold(line, "widths of flat targets were estimated", out);
+        let is_enough = self.look_ahead.hold(line, "corrections were estimated", out);
         if is_enough { self.release(out) } else { Ok(()) }
     }
 
@@ -202,11 +240,29 @@ impl Corrector {
             let given = self.widths[usize::from(channel == width::CHANNELS[1])].take();
             given.unwrap_or_else(|| WidthCorrection::learnt(self.look_ahead.lines(), channel, out.cx))
         });
+        let walks = self.walks.take().unwrap_or_else(|| {
+            let lines = self.look_ahead.lines();
+            let tables = lines.first().map(|line| self.corrections.range_tables(&line.input));
+            Walks::learnt(lines, &tables.unwrap_or_default(), out.cx)
+        });
         for line in self.look_ahead.release() {
-            correct(&mut self.corrections, [&low, &high], line, out)?;
+            save(&mut self.save_model, &walks, &line, out)?;
+            correct(&mut self.corrections, [&low, &high], &walks, line, out)?;
         }
         self.widths = [Some(low), Some(high)];
+        self.walks = Some(walks);
         Ok(())
+    }
+}
+
+/// Saves the sensor model of a line with the walks, unless done.
+fn save(file: &mut Option<OutputFile>, walks: &Walks, line: &ScanLine, out: &mut Output) -> Result<()> {
+    match (&line.model, file.take()) {
+        (_, None) => Ok(()),
+        (Some(model), Some(file)) => write_model(&walks.added_to(model), file, out),
+        (None, Some(_)) => {
+            Err(StageError::failed("`save_model` needs a sensor model", "add calibrate and decompose before correct"))
+        }
     }
 }
 
@@ -214,6 +270,7 @@ impl Corrector {
 fn correct(
     corrections: &mut Corrections,
     widths: [&WidthCorrection; 2],
+    walks: &Walks,
     mut line: ScanLine,
     out: &mut Output,
 ) -> Result<()> {
@@ -221,7 +278,7 @@ fn correct(
     else {
         return Err(StageError::failed("correct received no returns", "put it after decompose"));
     };
-    corrections.apply(&mut line, &mut returns, widths, out.cx);
+    corrections.apply(&mut line, &mut returns, widths, walks, out.cx);
     line.content = Content::Returns(returns);
     out.emit(line)
 }

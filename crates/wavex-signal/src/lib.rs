@@ -60,7 +60,7 @@
 //! - [`gain`]: receivers with automatic gain control.
 //!
 //! [`mta`] assigns echoes to emissions if several pulses are in the air. [`radiometry`],
-//! [`penalised_spline`] and [`width_by_amplitude`] serve the corrections of returns. [`outliers`]
+//! [`penalised_spline`], [`range_walk`] and [`width_by_amplitude`] serve the corrections of returns. [`outliers`]
 //! finds isolated points, [`sensor_path`] estimates the sensor position from its beams, and
 //! [`false_alarms`] predicts the returns caused by noise.
 //!
@@ -84,6 +84,7 @@ pub mod outliers;
 pub mod penalised_spline;
 mod pulse_fit;
 pub mod radiometry;
+pub mod range_walk;
 pub mod sensor_model;
 pub mod sensor_path;
 pub mod shape;

@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::noise::{ArNoise, MAX_ORDER};
+use crate::range_walk::RangeWalk;
 pub use response::{ResponseNode, SystemResponse};
 
 /// Sensor model with one entry per calibrated channel.
@@ -24,6 +25,12 @@ pub struct SensorModel {
     /// Channel of the outgoing pulse.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference: Option<ChannelModel>,
+    /// Range walk of the sensitive channel, learnt by `correct`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub low_power_range_walk: Option<RangeWalk>,
+    /// Range walk of the less sensitive channel.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub high_power_range_walk: Option<RangeWalk>,
 }
 
 /// Source of the background of a waveform.

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::tables::{Both, Sources, delay_in_fusion_s, receiver_of};
+use super::walk::Walks;
 use super::width::{WidthCorrection, name};
 use super::{Correct, Incidence};
 use crate::scan_line::{Emission, InputInfo, LineStats, Return, ReturnChannel, ScanLine, flags};
@@ -42,12 +43,18 @@ impl Corrections {
         Ok(Corrections { sources, range_and_air, incidence: keys.incidence, tables: None })
     }
 
+    /// Range tables of a recording.
+    pub(super) fn range_tables(&self, input: &InputInfo) -> Both {
+        self.sources.range(input)
+    }
+
     /// Corrects the returns of a line.
     pub(super) fn apply(
         &mut self,
         line: &mut ScanLine,
         returns: &mut [Return],
         widths: [&WidthCorrection; 2],
+        walks: &Walks,
         cx: &mut Context,
     ) {
         let tables = match self.tables.take() {
@@ -58,7 +65,7 @@ impl Corrections {
                 amplitude: self.sources.amplitude(&line.input),
             },
         };
-        note_what_is_missing(self.sources.wanted(), &tables, returns, cx);
+        note_what_is_missing(self.sources.wanted(), &tables, walks, returns, cx);
         let in_fusion_s = match (&line.fusion, &line.model) {
             (Some(fusion), Some(model)) => delay_in_fusion_s(&tables.range, model, fusion.gain_ratio),
             _ => 0.0,
@@ -66,7 +73,10 @@ impl Corrections {
         let half_speed_m_per_ns = 0.5e-9 * line.input.group_velocity_mps;
         // Tables and widths apply to computed returns only, not to those of the instrument.
         for r in returns.iter_mut().filter(|r| r.flags & flags::INSTRUMENT == 0) {
-            correct_range(r, &tables.range, in_fusion_s, half_speed_m_per_ns, &mut line.stats);
+            match tables.range[receiver_of(r.channel)] {
+                Some(_) => correct_range(r, &tables.range, in_fusion_s, half_speed_m_per_ns, &mut line.stats),
+                None => walks.correct(r, half_speed_m_per_ns, &mut line.stats),
+            }
             correct_width(r, widths, half_speed_m_per_ns);
             take_amplitude(r, &tables.amplitude, &mut line.stats);
         }
@@ -118,7 +128,7 @@ impl Corrections {
 }
 
 /// Notes tables that are requested but missing.
-fn note_what_is_missing(wanted: [bool; 2], tables: &Tables, returns: &[Return], cx: &mut Context) {
+fn note_what_is_missing(wanted: [bool; 2], tables: &Tables, walks: &Walks, returns: &[Return], cx: &mut Context) {
     let kinds = [
         (wanted[0], &tables.range, "range", "ranges are not corrected for amplitude"),
         (wanted[1], &tables.amplitude, "amplitude", "intensities are pulse heights"),
@@ -126,6 +136,9 @@ fn note_what_is_missing(wanted: [bool; 2], tables: &Tables, returns: &[Return], 
     for (is_wanted, both, kind, so) in kinds {
         for channel in [ReturnChannel::Low, ReturnChannel::High] {
             let receiver = receiver_of(channel);
+            if kind == "range" && walks.has(receiver) {
+                continue;
+            }
             let is_of = |r: &Return| receiver_of(r.channel) == receiver;
             if is_wanted && both[receiver].is_none() && returns.iter().any(is_of) {
                 cx.warn(format!(

@@ -10,8 +10,8 @@ use wavex_signal::width_by_amplitude::{IsolatedPulse, WidthNode, width_by_amplit
 pub(super) const CHANNELS: [ReturnChannel; 2] = [ReturnChannel::Low, ReturnChannel::High];
 /// Reference amplitude of a power, DN.
 const POWER_FROM_DN: f64 = 100.0;
-/// Returns with any of these flags are unsuitable for the width of flat targets.
-const NOT_PLAIN: u16 = flags::INSTRUMENT
+/// Returns with any of these flags are unsuitable for the width of flat targets and the range walk.
+pub(super) const NOT_PLAIN: u16 = flags::INSTRUMENT
     | flags::OVERLAP
     | flags::DIVERGED
     | flags::EMISSION_ON_ECHO
