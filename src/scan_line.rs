@@ -14,12 +14,14 @@ mod budget;
 mod input;
 mod line_stats;
 mod points;
+mod profiles;
 mod shots;
 
 pub use budget::{AtWork, Budget, NoRoom, Ticket};
 pub use input::{AmplitudeTable, EmissionReference, FirstShot, GainControl, InputInfo, LinearAmplitude};
 pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};
+pub use profiles::ShotProfile;
 pub use shots::{Block, Blocks, Channel, Emission, OnlineReturn, emission_flags};
 pub use wavex_geodesy::{time::TimeScale, vertical::Frame};
 
@@ -49,6 +51,8 @@ pub struct ScanLine {
     pub emissions: Vec<Emission>,
     /// Sample blocks, returns or points of the shots.
     pub content: Content,
+    /// Profiles of shots with distributed targets, ordered by shot; set by `decompose`.
+    pub profiles: Vec<ShotProfile>,
     /// Sample blocks kept after `decompose`, if a sink needs them.
     pub waveforms: Option<Blocks>,
     /// Share of the memory budget.
@@ -112,9 +116,16 @@ impl ScanLine {
             fusion: None,
             emissions,
             content,
+            profiles: Vec::new(),
             waveforms: None,
             ticket: None,
         }
+    }
+
+    /// Profile of a shot's target, if it has one.
+    pub fn profile(&self, emission: u32) -> Option<&ShotProfile> {
+        let found = self.profiles.binary_search_by_key(&emission, |profile| profile.emission);
+        self.profiles.get(found.ok()?)
     }
 
     /// Returns the kind of content.

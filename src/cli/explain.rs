@@ -209,10 +209,18 @@ fn decompose(line: &ScanLine, shot: u64, chain: &Chain) -> Result<Explained, Fai
     let shot_of = |(index, of_shot)| Shot { index, blocks, of_shot, input: &line.input };
     let all: Vec<Shot> = blocks.by_emission().map(shot_of).collect();
     let (mut emissions, mut stats) = (line.emissions.clone(), line.stats.clone());
-    let mut whole = Line { emissions: &mut emissions, returns: &mut Returns::new(), stats: &mut stats };
+    let mut profiles = Vec::new();
+    let mut whole = Line {
+        emissions: &mut emissions,
+        returns: &mut Returns::new(),
+        profiles: &mut profiles,
+        stats: &mut stats,
+    };
     shots.decompose(&all, &mut whole, &mut Context::default(), &mut ()).map_err(|error| failed(&error))?;
     let mut emissions = line.emissions.clone();
-    let mut into = Line { emissions: &mut emissions, returns: &mut returns, stats: &mut stats };
+    profiles.clear();
+    let mut into =
+        Line { emissions: &mut emissions, returns: &mut returns, profiles: &mut profiles, stats: &mut stats };
     shots.decompose_again(&of_line, &mut into, &mut cx, &mut seen).map_err(|error| failed(&error))?;
     let emission = emissions[index as usize];
     let file = chain.file.display().to_string();

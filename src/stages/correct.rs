@@ -10,7 +10,8 @@ use super::decompose::Threshold;
 use crate::keys::InvalidKey;
 use crate::scan_line::{Content, Kind, ScanLine};
 use crate::stage::{
-    Config, Holds, LookAhead, Output, OutputFile, Result, RunContext, StageError, StageSpec, Transform, TransformConfig,
+    Config, Holds, LookAhead, Output, OutputFile, Result, RunContext, StageError, StageSpec, Transform,
+    TransformConfig,
 };
 use wavex_formats::lookup_tables::LookupTables;
 
@@ -260,9 +261,10 @@ fn save(file: &mut Option<OutputFile>, walks: &Walks, line: &ScanLine, out: &mut
     match (&line.model, file.take()) {
         (_, None) => Ok(()),
         (Some(model), Some(file)) => write_model(&walks.added_to(model), file, out),
-        (None, Some(_)) => {
-            Err(StageError::failed("`save_model` needs a sensor model", "add calibrate and decompose before correct"))
-        }
+        (None, Some(_)) => Err(StageError::failed(
+            "`save_model` needs a sensor model",
+            "add calibrate and decompose before correct",
+        )),
     }
 }
 

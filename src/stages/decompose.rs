@@ -20,6 +20,7 @@ mod dual_channel;
 mod echo;
 mod observer;
 mod online;
+mod profiles;
 mod receivers;
 mod shots;
 
@@ -112,6 +113,10 @@ pub struct Decompose {
     pub template_error: f64,
     /// Drop returns that overlap leakage from the emission of another shot (flag bit 3).
     pub drop_emission_crosstalk: bool,
+    /// Describe waveforms that pulses do not explain (deviation ratio above 3, not overdriven) by a
+    /// continuous profile of the target along the beam as well: dense vegetation, large footprints.
+    /// `write_table` has its first and last peak, relative heights and energy.
+    pub distributed_targets: bool,
     /// Use of the instrument's own returns: for shots without a recorded waveform, never, or instead
     /// of computed returns.
     pub online_points: OnlinePoints,
@@ -177,6 +182,7 @@ impl Default for Decompose {
             split_evidence: Threshold::Number(16.0),
             template_error: 0.005,
             drop_emission_crosstalk: false,
+            distributed_targets: true,
             online_points: OnlinePoints::default(),
             tables: SharedTables::default(),
         }
@@ -279,9 +285,14 @@ impl Worker {
     /// Decomposes one shot of the last line again, with an observer.
     fn fit(&mut self, shot: &Shot, line: &DecomposedLine) -> Result<Option<FittedShot>> {
         let mut seen = Seen::new(shot.blocks);
-        let (mut emissions, mut returns) = (line.emissions.to_vec(), Returns::new());
-        let mut of_shot =
-            Line { emissions: &mut emissions, returns: &mut returns, stats: &mut LineStats::default() };
+        let (mut emissions, mut returns, mut profiles) =
+            (line.emissions.to_vec(), Returns::new(), Vec::new());
+        let mut of_shot = Line {
+            emissions: &mut emissions,
+            returns: &mut returns,
+            profiles: &mut profiles,
+            stats: &mut LineStats::default(),
+        };
         self.shots.decompose_again(shot, &mut of_shot, &mut Context::default(), &mut seen)?;
         let emission = emissions.get(shot.index as usize).copied();
         Ok(emission.map(|emission| {
@@ -352,7 +363,12 @@ impl LineDecomposer {
                 .collect(),
             false => blocks.by_emission().map(shot).collect(),
         };
-        let mut line = Line { emissions: &mut scan_line.emissions, returns, stats: &mut scan_line.stats };
+        let mut line = Line {
+            emissions: &mut scan_line.emissions,
+            returns,
+            profiles: &mut scan_line.profiles,
+            stats: &mut scan_line.stats,
+        };
         worker.shots.decompose(&shots, &mut line, cx, &mut ())?;
         if let Some(observer) = cx.observer() {
             let line = DecomposedLine { line: scan_line.line, emissions: &scan_line.emissions, returns };

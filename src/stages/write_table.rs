@@ -127,6 +127,7 @@ impl Sink for ReturnTableWriter {
                 gps_time_s: emission.gps_time_s,
                 found: *found,
                 point: points.get(index).copied(),
+                profile: line.profile(found.emission).copied(),
             })?;
         }
         Ok(())

@@ -7,7 +7,7 @@ const LAYERS: &[&[&str]] = &[
     &["cholesky", "flags", "fourier", "levenberg_marquardt", "noise", "range_walk", "simd"],
     &["sensor_model", "penalised_spline", "mta", "outliers", "radiometry", "sensor_path"],
     &["whitening", "shape", "width_by_amplitude"],
-    &["detect", "pulse_fit", "false_alarms"],
+    &["detect", "distributed", "pulse_fit", "false_alarms"],
     &["decompose"],
     &["calibrate", "outgoing", "fusion"],
     &["gain"],

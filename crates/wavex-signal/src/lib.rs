@@ -58,6 +58,7 @@
 //! - [`calibrate`] estimates models; [`outgoing`] fits the outgoing pulses; [`fusion`] combines two
 //!   receivers of the same echoes.
 //! - [`gain`]: receivers with automatic gain control.
+//! - [`distributed`]: continuous profiles of targets that are not a few echoes.
 //!
 //! [`mta`] assigns echoes to emissions if several pulses are in the air. [`radiometry`],
 //! [`penalised_spline`], [`range_walk`] and [`width_by_amplitude`] serve the corrections of returns. [`outliers`]
@@ -71,6 +72,7 @@ pub mod calibrate;
 mod cholesky;
 pub mod decompose;
 pub mod detect;
+pub mod distributed;
 pub mod false_alarms;
 pub mod flags;
 mod fourier;

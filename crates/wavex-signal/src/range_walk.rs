@@ -23,8 +23,10 @@ const PASSES: usize = 15;
 const ROUGHNESS_EVERY: usize = 5;
 /// Number of consecutive parts of the recording, of which the jackknife leaves out one at a time.
 const PARTS: usize = 20;
-/// Part of the amplitudes beyond which the walk stays constant, at either end.
-const BEYOND_PART: f64 = 0.01;
+/// Part of the amplitudes beyond which the cubic ends, at either end, and factor by which it is
+/// continued from there: so near, its standard deviation still covers its error.
+const BEYOND_PART: f64 = 0.001;
+const CONTINUED: f64 = 1.1;
 /// Largest `χ²` of the difference of both halves: exceeded by chance in 1 of 100 recordings.
 const MOST_DIFFERENCE: f64 = 11.34;
 /// Smallest `χ²` of a walk: exceeded by chance in 1 of 1000 recordings.
@@ -128,12 +130,13 @@ impl RangeWalk {
         if triples.len() < LEAST_TRIPLES {
             return Err(NoWalk::TooFew(triples.len()));
         }
-        let mut amplitudes_dn: Vec<f64> = triples.iter().map(|triple| triple.echoes[1].amplitude_dn).collect();
+        let mut amplitudes_dn: Vec<f64> =
+            triples.iter().map(|triple| triple.echoes[1].amplitude_dn).collect();
         amplitudes_dn.sort_by(f64::total_cmp);
         let at = |part: f64| amplitudes_dn[(part * (amplitudes_dn.len() - 1) as f64) as usize];
         let mut walk = RangeWalk {
             reference_dn: at(0.5),
-            amplitudes_dn: [at(BEYOND_PART), at(1.0 - BEYOND_PART)],
+            amplitudes_dn: [at(BEYOND_PART) / CONTINUED, at(1.0 - BEYOND_PART) * CONTINUED],
             coefficients_ns: [0.0; 3],
             covariance_ns2: [[0.0; 3]; 3],
             triples: triples.len() as u64,
@@ -193,7 +196,8 @@ struct Row {
 impl Row {
     fn of(triple: &Triple, walk: &RangeWalk) -> Option<Row> {
         let [a, b, c] = triple.echoes;
-        let [x, y, z] = [walk.powers(a.amplitude_dn)?, walk.powers(b.amplitude_dn)?, walk.powers(c.amplitude_dn)?];
+        let [x, y, z] =
+            [walk.powers(a.amplitude_dn)?, walk.powers(b.amplitude_dn)?, walk.powers(c.amplitude_dn)?];
         let noise_ns2 = a.flight_sd_ns.powi(2) + 4.0 * b.flight_sd_ns.powi(2) + c.flight_sd_ns.powi(2);
         Some(Row {
             shot: triple.shot,
@@ -218,10 +222,7 @@ impl NormalEquations {
     }
 
     fn plus(self, other: &NormalEquations, sign: f64) -> NormalEquations {
-        NormalEquations {
-            matrix: self.matrix + sign * other.matrix,
-            right: self.right + sign * other.right,
-        }
+        NormalEquations { matrix: self.matrix + sign * other.matrix, right: self.right + sign * other.right }
     }
 
     fn solve(&self) -> Option<Vector3<f64>> {

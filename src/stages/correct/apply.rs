@@ -128,7 +128,13 @@ impl Corrections {
 }
 
 /// Notes tables that are requested but missing.
-fn note_what_is_missing(wanted: [bool; 2], tables: &Tables, walks: &Walks, returns: &[Return], cx: &mut Context) {
+fn note_what_is_missing(
+    wanted: [bool; 2],
+    tables: &Tables,
+    walks: &Walks,
+    returns: &[Return],
+    cx: &mut Context,
+) {
     let kinds = [
         (wanted[0], &tables.range, "range", "ranges are not corrected for amplitude"),
         (wanted[1], &tables.amplitude, "amplitude", "intensities are pulse heights"),

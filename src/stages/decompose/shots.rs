@@ -5,10 +5,11 @@ use super::crosstalk::Departures;
 use super::dual_channel::BothReceivers;
 use super::echo::{Found, UNRELIABLE_RANGE_SD_M};
 use super::online::unresolved;
+use super::profiles::Profiles;
 use super::receivers::{BlockRoute, Receivers, SensorTables};
 use crate::scan_line::{
     Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LineStats, OnlineReturn, ReturnChannel,
-    Returns, flags,
+    Returns, ShotProfile, flags,
 };
 use crate::stage::{Context, Item, Result};
 use wavex_signal::decompose::{Counts, Decomposition};
@@ -187,6 +188,8 @@ pub(crate) struct Line<'a> {
     pub(crate) emissions: &'a mut [Emission],
     /// Returns; those of each shot are appended in order of time.
     pub(crate) returns: &'a mut Returns,
+    /// Profiles of unexplained waveforms; those of each shot are appended.
+    pub(crate) profiles: &'a mut Vec<ShotProfile>,
     /// Counts of candidates are added.
     pub(crate) stats: &'a mut LineStats,
 }
@@ -210,6 +213,7 @@ pub(crate) struct ShotDecomposer {
     emission_jitter_ns: Option<f64>,
     drop_emission_crosstalk: bool,
     found: Vec<Found>,
+    profiles: Profiles,
     /// By emission index: whether an echo was received during the emission.
     expected: Vec<bool>,
 }
@@ -232,6 +236,7 @@ impl ShotDecomposer {
             emission_jitter_ns: config.emission_jitter_ns,
             drop_emission_crosstalk: config.drop_emission_crosstalk,
             found: Vec::new(),
+            profiles: Profiles::new(model, config)?,
             expected: Vec::new(),
         })
     }
@@ -342,6 +347,7 @@ impl ShotDecomposer {
         if let Some(emission) = line.emissions.get_mut(shot.index as usize) {
             (emission.emission_ns, emission.emission_sd_ns) = (departure.time_ns, departure.sd_ns);
         }
+        line.profiles.extend(self.profiles.take(shot.index, departure, shot.input));
         let first = line.returns.len();
         self.finish(shot, departure, line.returns);
         let touched =
@@ -462,6 +468,7 @@ impl ShotDecomposer {
             let dropped = others.mark(block, fwhm_ns, drops, &mut self.found, in_block);
             stats.np_xtalk_dropped += dropped;
             fit.drop(dropped);
+            self.profiles.add(shot.blocks, block, channel, &result);
             watch.echoes(block, fit, &result, model);
         }
         if let Some(both) = &mut self.both {

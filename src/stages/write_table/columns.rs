@@ -9,7 +9,7 @@ use arrow_array::{
 use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef};
 use serde_json::{Value, json};
 
-use crate::scan_line::Return;
+use crate::scan_line::{Return, ShotProfile};
 
 /// One return, with the fields of its shot that the table needs.
 #[derive(Clone, Copy, Debug)]
@@ -22,6 +22,8 @@ pub struct Row {
     pub found: Return,
     /// Position in the output frame, if known.
     pub point: Option<[f64; 3]>,
+    /// Profile of the target of its shot, if it is distributed.
+    pub profile: Option<ShotProfile>,
 }
 
 /// A column.
@@ -45,6 +47,10 @@ enum Values {
 
 fn known(value: f64) -> Option<f64> {
     Some(value).filter(|value| !value.is_nan())
+}
+
+fn of_profile<T>(row: &Row, value: fn(&ShotProfile) -> T) -> Option<T> {
+    row.profile.as_ref().map(value)
 }
 
 const fn column(name: &'static str, values: Values, meaning: &'static str) -> Column {
@@ -81,6 +87,22 @@ pub(super) static COLUMNS: &[Column] = &[
     column("y", Values::MaybeF64(|row| row.point.map(|point| point[1])), "see x"),
     column("z", Values::MaybeF64(|row| row.point.map(|point| point[2])), "see x"),
     column("total_uncertainty_m", Values::MaybeF64(|row| known(row.found.total_sd_m)), "square root of the trace of the covariance of the point, m: position, attitude × range and range; null if the trajectory has no accuracies"),
+    column("profile_peaks", Values::MaybeI16(|row| of_profile(row, |p| p.peaks.min(9999) as i16)), "number of clear peaks in the profile of the shot's target; null, as all columns of the profile, where pulses explain the waveform"),
+    column("profile_first_range_m", Values::MaybeF64(|row| of_profile(row, |p| p.first_range_m.value)), "range of the first clear peak of the profile, m"),
+    column("profile_first_range_sd_m", Values::MaybeF64(|row| of_profile(row, |p| p.first_range_m.sd)), "standard deviation of profile_first_range_m"),
+    column("profile_last_range_m", Values::MaybeF64(|row| of_profile(row, |p| p.last_range_m.value)), "range of the last clear peak of the profile, m: usually the ground"),
+    column("profile_last_range_sd_m", Values::MaybeF64(|row| of_profile(row, |p| p.last_range_m.sd)), "standard deviation of profile_last_range_m"),
+    column("rh25_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[0].value)), "relative height along the beam: 25 % of the energy of the profile lies below it, counted from its last peak, m"),
+    column("rh25_sd_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[0].sd)), "standard deviation of rh25_m"),
+    column("rh50_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[1].value)), "as rh25_m, of 50 %"),
+    column("rh50_sd_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[1].sd)), "standard deviation of rh50_m"),
+    column("rh75_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[2].value)), "as rh25_m, of 75 %"),
+    column("rh75_sd_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[2].sd)), "standard deviation of rh75_m"),
+    column("rh98_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[3].value)), "as rh25_m, of 98 %: the top of the canopy"),
+    column("rh98_sd_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[3].sd)), "standard deviation of rh98_m"),
+    column("profile_energy_dn", Values::MaybeF64(|row| of_profile(row, |p| p.energy_dn.value)), "sum of the echo heights along the profile, digitiser steps"),
+    column("profile_energy_sd_dn", Values::MaybeF64(|row| of_profile(row, |p| p.energy_dn.sd)), "standard deviation of profile_energy_dn"),
+    column("profile_deviation_ratio", Values::MaybeF64(|row| of_profile(row, |p| p.deviation_ratio)), "as deviation_ratio, of the profile"),
 ];
 
 impl Values {

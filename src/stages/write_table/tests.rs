@@ -349,6 +349,7 @@ fn a_full_disk_is_an_error_in_each_format() {
                 gps_time_s: shot as f64,
                 found: found(0, shot as f64),
                 point: None,
+                profile: None,
             });
             let written =
                 TableWriter::new(Full(room), Path::new("a.table"), format, "week").and_then(|mut table| {
