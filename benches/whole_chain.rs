@@ -5,7 +5,11 @@
 //! two threads, and prints waveforms per second, the peak memory of each run, and the table of
 //! stages. `-- 10000000` sets the number of waveforms (default three million).
 //!
-//! The result is compared with two ceilings. Each adds up the time of decomposition, of compressing
+//! Then it does the same with what is recorded in the field: a forest and a city by `simulate`, with
+//! outgoing pulses, two receivers and blocks of the length of their echoes, and the recording
+//! `riegl_example3` below `WAVEX_DATA`, calibration included. `-- scenes` measures these alone.
+//!
+//! The result of the mixed scene is compared with two ceilings. Each adds up the time of decomposition, of compressing
 //! the same records with the `laz` crate, and of georeferencing, divided by two cores without loss.
 //! Decomposition is measured by the yardstick in C (`WAVEX_YARDSTICK`), or by the kernels of the
 //! stage alone.
@@ -18,6 +22,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+
+use serde_json::Value;
 
 use laz::{LasZipCompressor, LasZipDecompressor, LazVlr};
 use wavex_formats::container::{
@@ -43,6 +49,13 @@ const GOAL: f64 = 0.7;
 ///
 /// Arithmetic of one rotation and one projection.
 const GEOREFERENCE_NS: f64 = 75.0;
+/// Scenes of `simulate`, by name and keys, and the number of lines of 1000 shots.
+const SCENES: [(&str, &str); 2] = [
+    ("forest", "wood_ratio = 1.0\nwater_ratio = 0.0\ncanopy_height_m = 30.0"),
+    ("city", "wood_ratio = 0.05\nwater_ratio = 0.0\nhouse_ratio = 0.8\nbuilding_height_m = 25.0"),
+];
+const SCENE_LINES: usize = 300;
+const REAL: &str = "pulsewaves/riegl_example3";
 const CALIBRATE: &str = "[[stage]]\ntype = 'calibrate'\n";
 
 /// Writes a straight, level flight northwards at 700 m above ground.
@@ -134,6 +147,61 @@ fn job(calibrate: &str) -> String {
          [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n\
          [[stage]]\ntype = 'write_las'\npath = '*.laz'\n[[stage]]\ntype = 'write_lstat'\n"
     )
+}
+
+/// Runs the scenes of `simulate` and the real recording.
+fn scenes(folder: &Path) {
+    println!("\n{:<16}{:>14}{:>14}{:>12}{:>16}", "scene", "M wf/s saved", "calibrating", "returns/wf", "to scalar, %");
+    for (name, keys) in SCENES {
+        let folder = folder.join(name);
+        fs::create_dir_all(&folder).unwrap();
+        let recording = format!(
+            "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlandscape = 'country'\nlines = {SCENE_LINES}\n\
+             high_power = true\nsbet = '*.out'\n{keys}\n[[stage]]\ntype = 'write_arrow'\npath = '*.arrow'\n"
+        );
+        run(&folder, &recording);
+        let first = run(&folder, &job(&format!("{CALIBRATE}save = '*_model.json'\n")));
+        let saved = run(&folder, &job(&format!("{CALIBRATE}load = 'flight_model.json'\n")));
+        print_scene(name, &folder, Some(&saved), &first);
+    }
+    let Some(data) = std::env::var_os("WAVEX_DATA") else {
+        println!("skipped: WAVEX_DATA not set: no real recording");
+        return;
+    };
+    let folder = folder.join("real");
+    fs::create_dir_all(&folder).unwrap();
+    let path = Path::new(&data).join(REAL).with_extension("pls");
+    let job = |calibrate: &str| {
+        format!(
+            "[job]\nthreads = {THREADS}\n[[stage]]\ntype = 'read_pulsewaves'\npath = '{}'\n{calibrate}\
+             [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n\
+             [[stage]]\ntype = 'write_las'\npath = '*.laz'\n",
+            path.display()
+        )
+    };
+    let first = run(&folder, &job(&format!("{CALIBRATE}save = 'model.json'\n")));
+    let saved = run(&folder, &job(&format!("{CALIBRATE}load = 'model.json'\n")));
+    print_scene("riegl_example3", &folder, Some(&saved), &first);
+}
+
+/// Prints the figures of a scene from the report of its last run.
+fn print_scene(name: &str, folder: &Path, saved: Option<&Ran>, first: &Ran) {
+    let report: Value = serde_json::from_slice(&fs::read(folder.join("report.json")).unwrap()).unwrap();
+    let stages = report["inputs"][0]["stages"].as_array().unwrap();
+    let decompose = stages.iter().find(|stage| stage["type"] == "decompose").unwrap();
+    let of = |name: &str| {
+        let observed = &decompose["observed"][name];
+        observed["count"].as_f64().unwrap_or(0.0) * observed["mean"].as_f64().unwrap_or(0.0)
+    };
+    let waveforms = decompose["observed"]["returns_per_waveform"]["count"].as_f64().unwrap();
+    let rate = |ran: &Ran| waveforms / ran.seconds * 1e-6;
+    println!(
+        "{name:<16}{:>14.3}{:>14.3}{:>12.2}{:>16.2}",
+        saved.map_or(f64::NAN, rate),
+        rate(first),
+        of("returns_per_waveform") / waveforms,
+        100.0 * of("left_to_plain_kernels") / waveforms
+    );
 }
 
 /// Measurements of a run.
@@ -244,9 +312,21 @@ fn kernels_ns() -> f64 {
 }
 
 fn main() {
+    let folder = std::env::temp_dir().join(format!("wavex-bench-chain-{}", std::process::id()));
+    if !std::env::args().any(|argument| argument == "scenes") {
+        mixed_scene(&folder);
+    }
+    scenes(&folder);
+    // A failure to remove the temporary folder is harmless.
+    if std::env::var_os("WAVEX_BENCH_KEEP").is_none() {
+        let _ = fs::remove_dir_all(&folder);
+    }
+}
+
+/// Runs the mixed scene and compares it with the ceilings.
+fn mixed_scene(folder: &Path) {
     let told = std::env::args().skip(1).find_map(|argument| argument.parse::<usize>().ok());
     let lines = told.unwrap_or(WAVEFORMS) / SHOTS_PER_LINE;
-    let folder = std::env::temp_dir().join(format!("wavex-bench-chain-{}", std::process::id()));
     let mut ran = Vec::new();
     for (name, lines) in [("tenth", lines / 10), ("whole", lines)] {
         let folder = folder.join(name);
@@ -285,9 +365,5 @@ fn main() {
     match yardstick_ns() {
         Some(decompose_ns) => tell("the yardstick", decompose_ns),
         None => println!("NO YARDSTICK: set WAVEX_YARDSTICK to its run script."),
-    }
-    // A failure to remove the temporary folder is harmless.
-    if std::env::var_os("WAVEX_BENCH_KEEP").is_none() {
-        let _ = fs::remove_dir_all(&folder);
     }
 }

@@ -22,15 +22,17 @@ const REACH_SD: f64 = 4.0;
 const PASSES: usize = 15;
 const ROUGHNESS_EVERY: usize = 5;
 /// Number of consecutive parts of the recording, of which the jackknife leaves out one at a time.
-const PARTS: usize = 20;
+const PARTS: usize = 40;
 /// Part of the amplitudes beyond which the cubic ends, at either end, and factor by which it is
 /// continued from there: so near, its standard deviation still covers its error.
 const BEYOND_PART: f64 = 0.001;
 const CONTINUED: f64 = 1.1;
-/// Largest `χ²` of the difference of both halves: exceeded by chance in 1 of 100 recordings.
-const MOST_DIFFERENCE: f64 = 11.34;
-/// Smallest `χ²` of a walk: exceeded by chance in 1 of 1000 recordings.
-const LEAST_WALK: f64 = 16.27;
+/// Largest `T²` of the difference of both halves: exceeded by chance in 1 of 100 recordings.
+///
+/// Hotelling's distribution of 3 coefficients with a covariance of 39 degrees of freedom.
+const MOST_DIFFERENCE: f64 = 13.8;
+/// Smallest `T²` of a walk: exceeded by chance in 1 of 1000 recordings.
+const LEAST_WALK: f64 = 21.2;
 /// Standard deviation of a normal distribution over its median absolute deviation.
 const SD_OF_MEDIAN: f64 = 1.4826;
 
@@ -83,10 +85,10 @@ pub enum NoWalk {
     #[error("the amplitudes of neighbouring single echoes do not differ enough")]
     OneAmplitude,
     /// Both halves of the recording differ by more than chance.
-    #[error("both halves of the recording differ: chi-square {0:.1}, at most {MOST_DIFFERENCE} by chance")]
+    #[error("both halves of the recording differ: T² {0:.1}, at most {MOST_DIFFERENCE} by chance")]
     HalvesDiffer(f64),
     /// No walk is visible.
-    #[error("no walk is visible: chi-square {0:.1}, at least {LEAST_WALK} needed")]
+    #[error("no walk is visible: T² {0:.1}, at least {LEAST_WALK} needed")]
     Insignificant(f64),
 }
 

@@ -20,6 +20,10 @@ const MODE_PART: f64 = 0.5;
 /// Steps of the density per bandwidth, and half extent of the kernel in bandwidths.
 const STEPS_PER_BANDWIDTH: f64 = 4.0;
 const REACH_BANDWIDTHS: f64 = 3.0;
+/// SD of a mode over that of the widths divided by the root of their number.
+const SD_OF_MODE: f64 = 1.35;
+/// Standard deviations of `χ²` by which the modes must differ from a constant.
+const SIGNIFICANT_SD: f64 = 3.0;
 /// Largest log width, relative to the response, of flat targets.
 const MOST_LN_WIDTH: f64 = 0.7;
 
@@ -43,10 +47,22 @@ pub struct WidthNode {
     pub ln_width: f64,
 }
 
+/// Reason why widths have no curve.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NoCurve {
+    /// Fewer than three bins, of width 0.1 in log amplitude, with at least 100 pulses.
+    #[error("the width of flat targets cannot be estimated from its single returns")]
+    TooFewPulses,
+    /// Chance explains the differences between the bins.
+    #[error("the widths of its single returns do not depend on the amplitude")]
+    Constant,
+}
+
 /// Width of flat targets by ascending amplitude.
 ///
-/// `None` for fewer than three bins, of width 0.1 in log amplitude, with at least 100 pulses.
-pub fn width_by_amplitude(pulses: &[IsolatedPulse]) -> Option<Vec<WidthNode>> {
+/// # Errors
+/// [`NoCurve`]: too few pulses, or no significant dependence.
+pub fn width_by_amplitude(pulses: &[IsolatedPulse]) -> Result<Vec<WidthNode>, NoCurve> {
     let usable = |pulse: &&IsolatedPulse| {
         pulse.ln_amplitude.is_finite()
             && pulse.ln_width.abs() <= MOST_LN_WIDTH
@@ -64,16 +80,23 @@ pub fn width_by_amplitude(pulses: &[IsolatedPulse]) -> Option<Vec<WidthNode>> {
     let bins = sorted.chunk_by(|a, b| bin(a) == bin(b)).filter(|bin| bin.len() >= LEAST_PULSES);
     let modes: Vec<DataPoint> = bins.map(lower_mode).collect();
     if modes.len() < LEAST_BINS {
-        return None;
+        return Err(NoCurve::TooFewPulses);
+    }
+    if !depends_on_amplitude(&modes) {
+        return Err(NoCurve::Constant);
     }
     let curve = smooth(&modes);
-    Some(
-        modes
-            .iter()
-            .zip(curve)
-            .map(|(mode, ln_width)| WidthNode { ln_amplitude: mode.x, ln_width })
-            .collect(),
-    )
+    let node = |(mode, ln_width): (&DataPoint, f64)| WidthNode { ln_amplitude: mode.x, ln_width };
+    Ok(modes.iter().zip(curve).map(node).collect())
+}
+
+/// Whether the modes differ from their mean by more than chance.
+fn depends_on_amplitude(modes: &[DataPoint]) -> bool {
+    let weights = modes.iter().map(|mode| mode.weight).sum::<f64>();
+    let mean = modes.iter().map(|mode| mode.weight * mode.y).sum::<f64>() / weights;
+    let squares = modes.iter().map(|mode| mode.weight * (mode.y - mean).powi(2)).sum::<f64>();
+    let freedom = modes.len() as f64 - 1.0;
+    squares / SD_OF_MODE.powi(2) > freedom + SIGNIFICANT_SD * (2.0 * freedom).sqrt()
 }
 
 /// Lowest mode of the widths of a bin, sorted by ascending width.
@@ -143,7 +166,7 @@ mod tests {
 
     #[test]
     fn the_order_of_the_pulses_does_not_matter() {
-        let some = pulses(|_| 0.01);
+        let some = pulses(|ln_amplitude| 0.01 * ln_amplitude);
         let backwards: Vec<IsolatedPulse> = some.iter().rev().copied().collect();
         let (a, b) = (width_by_amplitude(&some).unwrap(), width_by_amplitude(&backwards).unwrap());
         for (a, b) in a.iter().zip(&b) {
@@ -152,11 +175,16 @@ mod tests {
     }
 
     #[test]
+    fn widths_without_dependence_have_no_curve() {
+        assert_eq!(width_by_amplitude(&pulses(|_| 0.01)), Err(NoCurve::Constant));
+    }
+
+    #[test]
     fn too_few_pulses_tell_nothing() {
         let few: Vec<IsolatedPulse> = pulses(|_| 0.0).into_iter().take(500).collect();
-        assert_eq!(width_by_amplitude(&few), None);
+        assert_eq!(width_by_amplitude(&few), Err(NoCurve::TooFewPulses));
         let unsure: Vec<IsolatedPulse> =
             pulses(|_| 0.0).into_iter().map(|p| IsolatedPulse { ln_width_sd: 0.2, ..p }).collect();
-        assert_eq!(width_by_amplitude(&unsure), None);
+        assert_eq!(width_by_amplitude(&unsure), Err(NoCurve::TooFewPulses));
     }
 }

@@ -4,7 +4,8 @@ use super::WidthKey;
 use crate::keys::InvalidKey;
 use crate::scan_line::{Return, ReturnChannel, ScanLine, flags};
 use crate::stage::Context;
-use wavex_signal::width_by_amplitude::{IsolatedPulse, WidthNode, width_by_amplitude};
+use wavex_signal::sensor_model::SensorModel;
+use wavex_signal::width_by_amplitude::{IsolatedPulse, NoCurve, WidthNode, width_by_amplitude};
 
 /// Receivers with a width correction, in the order of the keys.
 pub(super) const CHANNELS: [ReturnChannel; 2] = [ReturnChannel::Low, ReturnChannel::High];
@@ -62,11 +63,21 @@ impl WidthCorrection {
         }
     }
 
-    /// Estimates the correction from single returns; none, with a note, if they are insufficient.
+    /// Estimates the correction from single returns.
+    ///
+    /// None, with a note, if they are insufficient, do not depend on the amplitude, or if the response
+    /// of the sensor model already does.
     pub(super) fn learnt(lines: &[ScanLine], channel: ReturnChannel, cx: &mut Context) -> WidthCorrection {
         let returns = lines.iter().filter_map(ScanLine::returns).flatten();
         let of_channel: Vec<&Return> = returns.filter(|r| r.channel == channel).collect();
         if of_channel.is_empty() {
+            return WidthCorrection::None;
+        }
+        if lines.iter().find_map(|line| line.model.as_deref()).is_some_and(|model| has_heights(model, channel)) {
+            cx.info(format!(
+                "{}: widths need no correction for amplitude: the response of the sensor model depends on it",
+                name(channel)
+            ));
             return WidthCorrection::None;
         }
         let plain = |r: &&&Return| r.number_of_returns == 1 && r.flags & NOT_PLAIN == 0;
@@ -76,14 +87,20 @@ impl WidthCorrection {
             ln_width_sd: r.width_ratio_sd / r.width_ratio,
         };
         let pulses: Vec<IsolatedPulse> = of_channel.iter().filter(plain).map(pulse).collect();
-        let Some(nodes) = width_by_amplitude(&pulses) else {
-            cx.warn(format!(
-                "{}: widths are not corrected for amplitude: the width of flat targets cannot be estimated \
-                 from its single returns ({})",
-                name(channel),
-                pulses.len()
-            ));
-            return WidthCorrection::None;
+        let nodes = match width_by_amplitude(&pulses) {
+            Ok(nodes) => nodes,
+            Err(reason) => {
+                let text = format!(
+                    "{}: widths are not corrected for amplitude: {reason} ({})",
+                    name(channel),
+                    pulses.len()
+                );
+                match reason {
+                    NoCurve::TooFewPulses => cx.warn(text),
+                    NoCurve::Constant => cx.info(text),
+                }
+                return WidthCorrection::None;
+            }
         };
         let quantity = match channel {
             ReturnChannel::Low => "flat_target_width_ratio_low",
@@ -115,6 +132,16 @@ fn at(nodes: &[WidthNode], ln_amplitude: f64) -> f64 {
         (Some(node), None) | (None, Some(node)) => node.ln_width,
         (None, None) => 0.0,
     }
+}
+
+/// Whether the response of a receiver has several heights.
+fn has_heights(model: &SensorModel, channel: ReturnChannel) -> bool {
+    let of_channel = match channel {
+        ReturnChannel::Low => &model.low_power,
+        _ => &model.high_power,
+    };
+    let response = of_channel.as_ref().and_then(|channel| channel.response.as_ref());
+    response.is_some_and(|response| response.nodes.len() > 1)
 }
 
 /// Name of the receiver in notes.

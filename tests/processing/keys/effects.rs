@@ -82,3 +82,25 @@ fn clear_returns_beyond_the_range_of_widths_are_flagged() {
     assert_eq!(found("width_ratio = [0.1, 1.5]"), expected([true, false, false]));
     assert_eq!(found("width_ratio = [0.8, 10.0]"), expected([false, true, false]));
 }
+
+#[test]
+fn the_jitter_of_the_clock_replaces_that_of_a_sample() {
+    let shot = |number: usize| Shot {
+        clock_ps: (number as f64 * INTERVAL_NS * 1000.0) as i64,
+        blocks: vec![(LOW, 1000.0, samples(number, &[(24.0, 120.0)]))],
+    };
+    let all: Vec<Shot> = (0..SHOTS).map(shot).collect();
+    let place = TestFolder::with(&[("a.arrow", &of_shots(&all, EmissionReference::Clock, true))]);
+    let sds_ns = |keys: &str| -> Vec<f64> {
+        let (rows, _) = run(&place, "", "", keys);
+        rows.iter().map(|row| row["time_of_flight_sd_ns"].parse().unwrap()).collect()
+    };
+    let (of_a_sample, exact, known) =
+        (sds_ns(""), sds_ns("emission_jitter_ns = 0.0"), sds_ns("emission_jitter_ns = 0.2"));
+    assert!(exact.len() >= SHOTS);
+    for ((of_a_sample, exact), known) in of_a_sample.iter().zip(&exact).zip(&known) {
+        assert!((of_a_sample.powi(2) - exact.powi(2) - 1.0 / 12.0).abs() < 1e-6, "{of_a_sample} {exact}");
+        assert!((known.powi(2) - exact.powi(2) - 0.04).abs() < 1e-6, "{known} {exact}");
+        assert!(*exact < 0.1, "{exact}");
+    }
+}
