@@ -151,7 +151,10 @@ fn job(calibrate: &str) -> String {
 
 /// Runs the scenes of `simulate` and the real recording.
 fn scenes(folder: &Path) {
-    println!("\n{:<16}{:>14}{:>14}{:>12}{:>16}", "scene", "M wf/s saved", "calibrating", "returns/wf", "to scalar, %");
+    println!(
+        "\n{:<16}{:>14}{:>14}{:>12}{:>16}",
+        "scene", "M wf/s saved", "calibrating", "returns/wf", "to scalar, %"
+    );
     for (name, keys) in SCENES {
         let folder = folder.join(name);
         fs::create_dir_all(&folder).unwrap();

@@ -73,7 +73,11 @@ impl WidthCorrection {
         if of_channel.is_empty() {
             return WidthCorrection::None;
         }
-        if lines.iter().find_map(|line| line.model.as_deref()).is_some_and(|model| has_heights(model, channel)) {
+        if lines
+            .iter()
+            .find_map(|line| line.model.as_deref())
+            .is_some_and(|model| has_heights(model, channel))
+        {
             cx.info(format!(
                 "{}: widths need no correction for amplitude: the response of the sensor model depends on it",
                 name(channel)

@@ -1,9 +1,12 @@
-//! Effects on returns of the keys of `-t_err`, `-bge`, `-min_width` and `-max_width`.
+//! Effects on returns of `emission_jitter_ns` and the keys of `-t_err`, `-bge`, `-min_width` and
+//! `-max_width`.
 
-use super::{LOW, SHOTS, of_shot, recording, run};
+use super::{INTERVAL_NS, LOW, SHOTS, of_shot, recording, run, samples};
 use wavex::scan_line::flags::UNUSUAL;
-use wavex_testkit::shots;
+use wavex_formats::container::EmissionReference;
+use wavex_testkit::container::{Shot, of_shots};
 use wavex_testkit::table::{Row, number};
+use wavex_testkit::{TestFolder, shots};
 
 /// Samples of an echo at sample 24, with its FWHM relative to that of the others.
 fn wider(shot: usize, ratio: f64) -> Vec<u16> {

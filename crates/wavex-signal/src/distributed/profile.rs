@@ -60,24 +60,33 @@ pub(super) fn of(solution: &Solution, grid: Grid) -> Option<TargetProfile> {
     let peaks: Vec<Peak> = peaks(values).into_iter().filter(is_clear).collect();
     let (first, last) = (peaks.first()?, peaks.last()?);
     let ground = Vertex::of(values, last.top);
-    let position = |vertex: &Vertex| WithSd {
-        value: grid.position(vertex.top) + vertex.offset * grid.step_samples,
-        sd: grid.step_samples * sd_of(&|i| vertex.slope(i)),
+    // What the next stiffer penalty changes is uncertain as well.
+    let stiffer = &solution.stiffer;
+    let stiffer_energy = stiffer.iter().sum::<f64>();
+    let stiffer_ground = Vertex::near(stiffer, last.top);
+    let with_sd = |value: f64, by_noise: f64, stiffer: f64| WithSd {
+        value: grid.step_samples * value,
+        sd: grid.step_samples * by_noise.hypot(value - stiffer),
+    };
+    let position = |vertex: &Vertex, stiffer: &Vertex| {
+        with_sd(vertex.position(), sd_of(&|i| vertex.slope(i)), stiffer.position())
     };
     let heights_samples = RELATIVE_HEIGHTS.map(|part| {
         // Beams travel downwards: the part of the energy from below is the rest of that from above.
         let level = Quantile::of(values, energy, 1.0 - part);
-        WithSd {
-            value: grid.step_samples * (ground.top as f64 + ground.offset - level.position),
-            sd: grid.step_samples * sd_of(&|i| ground.slope(i) - level.slope(i)),
-        }
+        let stiffer_level = Quantile::of(stiffer, stiffer_energy, 1.0 - part);
+        with_sd(
+            ground.position() - level.position,
+            sd_of(&|i| ground.slope(i) - level.slope(i)),
+            stiffer_ground.position() - stiffer_level.position,
+        )
     });
     Some(TargetProfile {
-        first_peak_samples: position(&Vertex::of(values, first.top)),
-        last_peak_samples: position(&ground),
+        first_peak_samples: position(&Vertex::of(values, first.top), &Vertex::near(stiffer, first.top)),
+        last_peak_samples: position(&ground, &stiffer_ground),
         peaks: peaks.len() as u32,
         heights_samples,
-        energy_dn: WithSd { value: energy, sd: sd_of(&|_| 1.0) },
+        energy_dn: WithSd { value: energy, sd: sd_of(&|_| 1.0).hypot(energy - stiffer_energy) },
         deviation_ratio,
     })
 }
@@ -126,6 +135,24 @@ impl Vertex {
         let offset = 0.5 * (before - behind) / bend;
         let slopes = [(0.5 - offset) / bend, 2.0 * offset / bend, (-0.5 - offset) / bend];
         Vertex { top, offset, slopes }
+    }
+
+    /// Vertex of the maximum uphill of a point.
+    fn near(values: &[f64], from: usize) -> Vertex {
+        let at = |i: usize| values.get(i).copied().unwrap_or(0.0);
+        let mut top = from;
+        while at(top + 1) > at(top) {
+            top += 1;
+        }
+        while top > 0 && at(top - 1) > at(top) {
+            top -= 1;
+        }
+        Vertex::of(values, top)
+    }
+
+    /// In points.
+    fn position(&self) -> f64 {
+        self.top as f64 + self.offset
     }
 
     fn slope(&self, point: usize) -> f64 {

@@ -31,6 +31,8 @@ pub(super) struct Solver {
 pub(super) struct Solution {
     /// Non-negative values of the points.
     pub(super) values: Vec<f64>,
+    /// Values with the next stiffer penalty; equal to `values` for the stiffest.
+    pub(super) stiffer: Vec<f64>,
     /// Indices of the positive points.
     pub(super) free: Vec<usize>,
     /// Covariance of the positive points, by rows.
@@ -39,6 +41,14 @@ pub(super) struct Solution {
     pub(super) chi_square: f64,
     /// Usable samples minus effective parameters.
     pub(super) degrees_of_freedom: f64,
+}
+
+/// The fit with one penalty.
+struct Fit {
+    chi_square: f64,
+    stiffness: f64,
+    values: Vec<f64>,
+    stiffer: Vec<f64>,
 }
 
 impl Solution {
@@ -77,24 +87,24 @@ impl Solver {
         let square = whitened.iter().map(|value| value * value).sum::<f64>();
         let mean_diagonal = (0..points).map(|i| self.normal[i * points + i]).sum::<f64>() / points as f64;
         let mut values = vec![0.0; points];
-        let mut best: Option<(f64, f64, Vec<f64>)> = None;
+        let mut best: Option<Fit> = None;
         for step in 0..STEPS {
             let power = f64::from(STIFFEST) - f64::from(step) / STEPS_PER_DECADE;
             let stiffness = mean_diagonal * libm::exp(power * std::f64::consts::LN_10);
             self.penalise(stiffness, points);
             self.descend(&mut values);
             let chi_square = self.chi_square(square, &values);
-            let is_worth = best.as_ref().is_none_or(|(least, ..)| chi_square < (1.0 - WORTH) * least);
+            let is_worth = best.as_ref().is_none_or(|best| chi_square < (1.0 - WORTH) * best.chi_square);
             if is_worth {
-                best = Some((chi_square, stiffness, values.clone()));
+                let stiffer = best.map_or_else(|| values.clone(), |best| best.values);
+                best = Some(Fit { chi_square, stiffness, values: values.clone(), stiffer });
             }
             // Morozov's principle: no smaller penalty than the noise asks for.
             if chi_square <= used as f64 {
                 break;
             }
         }
-        let (chi_square, stiffness, values) = best?;
-        self.covariance(chi_square, stiffness, values, used)
+        self.solution(best?, used)
     }
 
     /// Normal equations and the band that each row couples.
@@ -179,14 +189,9 @@ impl Solver {
         square + (0..points).filter(|&i| values[i] > 0.0).map(of_row).sum::<f64>()
     }
 
-    /// Covariance of the positive points, and the effective number of parameters.
-    fn covariance(
-        &mut self,
-        chi_square: f64,
-        stiffness: f64,
-        values: Vec<f64>,
-        used: usize,
-    ) -> Option<Solution> {
+    /// Adds the covariance of the positive points, and the effective number of parameters.
+    fn solution(&mut self, fit: Fit, used: usize) -> Option<Solution> {
+        let Fit { chi_square, stiffness, values, stiffer } = fit;
         let points = values.len();
         self.penalise(stiffness, points);
         let free: Vec<usize> = (0..points).filter(|&i| values[i] > 0.0).collect();
@@ -205,6 +210,6 @@ impl Solver {
         cholesky::invert(&factor, m, &mut covariance);
         let parameters = covariance.iter().zip(&normal).map(|(c, a)| c * a).sum::<f64>();
         let degrees_of_freedom = (used as f64 - parameters).max(1.0);
-        Some(Solution { values, free, covariance, chi_square, degrees_of_freedom })
+        Some(Solution { values, stiffer, free, covariance, chi_square, degrees_of_freedom })
     }
 }
