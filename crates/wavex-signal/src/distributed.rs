@@ -20,7 +20,7 @@ pub use profile::{RELATIVE_HEIGHTS, TargetProfile, WithSd};
 use solve::Solver;
 
 /// Grid points per pulse width.
-const POINTS_PER_WIDTH: f64 = 4.0;
+const POINTS_PER_WIDTH: f64 = 6.0;
 /// Largest number of grid points; wider steps are used for longer blocks.
 const MOST_POINTS: usize = 400;
 /// Fewest usable samples of a waveform.

@@ -144,7 +144,7 @@ impl RangeWalk {
             triples: triples.len() as u64,
         };
         let rows: Vec<Row> = triples.iter().filter_map(|triple| Row::of(triple, &walk)).collect();
-        let parts = robust_fit(&rows).ok_or(NoWalk::OneAmplitude)?;
+        let RobustFit { parts, variance_factor } = robust_fit(&rows).ok_or(NoWalk::OneAmplitude)?;
         let all = parts.iter().fold(NormalEquations::default(), |sum, part| sum.plus(part, 1.0));
         let solve = |equations: NormalEquations| equations.solve().ok_or(NoWalk::OneAmplitude);
         let coefficients = solve(all)?;
@@ -153,7 +153,7 @@ impl RangeWalk {
             let difference = solve(all.plus(part, -1.0))? - coefficients;
             covariance += difference * difference.transpose();
         }
-        covariance *= (PARTS - 1) as f64 / PARTS as f64;
+        covariance *= variance_factor * (PARTS - 1) as f64 / PARTS as f64;
         let [first, second] = [&parts[..PARTS / 2], &parts[PARTS / 2..]]
             .map(|half| half.iter().fold(NormalEquations::default(), |sum, part| sum.plus(part, 1.0)));
         // Either half has twice the variance of the whole.
@@ -233,11 +233,20 @@ impl NormalEquations {
     }
 }
 
-/// Sums of the equations of each part of the recording, with their final weights.
-fn robust_fit(rows: &[Row]) -> Option<Vec<NormalEquations>> {
+/// Result of the robust fit.
+struct RobustFit {
+    /// Sums of the equations of each part of the recording, with their final weights.
+    parts: Vec<NormalEquations>,
+    /// Variance over that with fixed weights, because the weights follow the residuals (P. J. Huber,
+    /// Robust Statistics, 1981, section 7.6).
+    variance_factor: f64,
+}
+
+fn robust_fit(rows: &[Row]) -> Option<RobustFit> {
     let mut coefficients = Vector3::zeros();
     let mut sds_ns = Vec::new();
     let mut parts = vec![NormalEquations::default(); PARTS];
+    let (mut weights, mut slopes) = (0.0, 0.0);
     for pass in 0..PASSES {
         let residuals_ns: Vec<f64> =
             rows.iter().map(|row| row.difference_ns - row.powers.dot(&coefficients)).collect();
@@ -245,16 +254,19 @@ fn robust_fit(rows: &[Row]) -> Option<Vec<NormalEquations>> {
             sds_ns = roughness_ns(rows, &residuals_ns);
         }
         parts.fill(NormalEquations::default());
+        (weights, slopes) = (0.0, 0.0);
         for (i, ((row, residual_ns), sd_ns)) in rows.iter().zip(&residuals_ns).zip(&sds_ns).enumerate() {
             let u = residual_ns / (REACH_SD * sd_ns);
             if u.abs() < 1.0 {
+                weights += (1.0 - u * u).powi(2);
+                slopes += (1.0 - u * u) * (1.0 - 5.0 * u * u);
                 parts[i * PARTS / rows.len()].add(row, ((1.0 - u * u) / sd_ns).powi(2));
             }
         }
         let all = parts.iter().fold(NormalEquations::default(), |sum, part| sum.plus(part, 1.0));
         coefficients = all.solve()?;
     }
-    Some(parts)
+    Some(RobustFit { parts, variance_factor: (weights / slopes.max(0.1 * weights)).powi(2) })
 }
 
 /// SD of the second difference of every row, from its neighbours and its noise, ns.

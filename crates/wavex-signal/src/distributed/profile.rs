@@ -1,12 +1,14 @@
 //! Peaks and relative heights of a profile.
 
+use std::ops::Range;
+
 use super::Grid;
 use super::solve::Solution;
 
 /// Parts of the energy whose heights above the last peak are given.
 pub const RELATIVE_HEIGHTS: [f64; 4] = [0.25, 0.5, 0.75, 0.98];
-/// Energy of a peak over its standard deviation from which it counts.
-const CLEAR_PEAK: f64 = 4.5;
+/// Energy of a peak or stretch over its standard deviation from which it counts.
+const CLEAR: f64 = 4.5;
 /// Depth of a valley between two peaks, relative to the lower of them.
 const VALLEY: f64 = 0.7;
 
@@ -46,22 +48,36 @@ struct Peak {
 
 /// Peaks and relative heights; `None` without a clear peak.
 pub(super) fn of(solution: &Solution, grid: Grid) -> Option<TargetProfile> {
-    let values = &solution.values;
-    let energy = values.iter().sum::<f64>();
     let nu = solution.degrees_of_freedom;
     let deviation_ratio = (solution.chi_square - nu) / (2.0 * nu).sqrt();
     // A profile that does not explain the waveform is uncertain by its misfit.
     let misfit = if deviation_ratio > 3.0 { (solution.chi_square / nu).sqrt() } else { 1.0 };
     let sd_of = |weights: &dyn Fn(usize) -> f64| misfit * solution.variance(weights).max(0.0).sqrt();
-    let is_clear = |peak: &Peak| {
-        let energy = values[peak.first..peak.end].iter().sum::<f64>();
-        energy > CLEAR_PEAK * sd_of(&|i| f64::from(u8::from((peak.first..peak.end).contains(&i))))
+    let is_clear = |part: Range<usize>| {
+        let energy = solution.values[part.clone()].iter().sum::<f64>();
+        energy > CLEAR * sd_of(&|i| f64::from(u8::from(part.contains(&i))))
     };
-    let peaks: Vec<Peak> = peaks(values).into_iter().filter(is_clear).collect();
+    // Values without negative ones follow the noise where there is no target.
+    let mut values = solution.values.clone();
+    for stretch in stretches(&solution.values, super::POINTS_PER_WIDTH as usize) {
+        if !is_clear(stretch.clone()) {
+            values[stretch].fill(0.0);
+        }
+    }
+    let values = &values;
+    let energy = values.iter().sum::<f64>();
+    let stiffer: Vec<f64> = solution
+        .stiffer
+        .iter()
+        .zip(values)
+        .map(|(stiffer, value)| if *value > 0.0 { *stiffer } else { 0.0 })
+        .collect();
+    let is_clear_peak = |peak: &Peak| is_clear(peak.first..peak.end);
+    let peaks: Vec<Peak> = peaks(values).into_iter().filter(is_clear_peak).collect();
     let (first, last) = (peaks.first()?, peaks.last()?);
     let ground = Vertex::of(values, last.top);
     // What the next stiffer penalty changes is uncertain as well.
-    let stiffer = &solution.stiffer;
+    let stiffer = &stiffer;
     let stiffer_energy = stiffer.iter().sum::<f64>();
     let stiffer_ground = Vertex::near(stiffer, last.top);
     let with_sd = |value: f64, by_noise: f64, stiffer: f64| WithSd {
@@ -89,6 +105,18 @@ pub(super) fn of(solution: &Solution, grid: Grid) -> Option<TargetProfile> {
         energy_dn: WithSd { value: energy, sd: sd_of(&|_| 1.0).hypot(energy - stiffer_energy) },
         deviation_ratio,
     })
+}
+
+/// Stretches of positive values, without gaps of more than `gap` points.
+fn stretches(values: &[f64], gap: usize) -> Vec<Range<usize>> {
+    let mut found: Vec<Range<usize>> = Vec::new();
+    for (point, _) in values.iter().enumerate().filter(|(_, value)| **value > 0.0) {
+        match found.last_mut() {
+            Some(last) if point - last.end <= gap => last.end = point + 1,
+            _ => found.push(point..point + 1),
+        }
+    }
+    found
 }
 
 /// Local maxima separated by valleys.

@@ -5,13 +5,13 @@ use std::ops::Range;
 use crate::cholesky;
 
 /// Penalties tried, as powers of ten of the mean diagonal, from the stiffest; steps per decade.
-const STIFFEST: i32 = 4;
+const STIFFEST: i32 = 2;
 const STEPS_PER_DECADE: f64 = 2.0;
-const STEPS: i32 = 24;
+const STEPS: i32 = 20;
 /// Largest number of sweeps over the points for one penalty.
-const SWEEPS: usize = 400;
+const SWEEPS: usize = 60;
 /// Largest change of a point in its last sweep, in its standard deviations.
-const CONVERGED: f64 = 1e-3;
+const CONVERGED: f64 = 1e-2;
 /// A penalty that explains this much more than the next stiffer one is still worth it.
 const WORTH: f64 = 0.01;
 
