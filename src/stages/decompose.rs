@@ -22,6 +22,7 @@ mod observer;
 mod online;
 mod receivers;
 mod shots;
+mod unexplained;
 
 use receivers::SharedTables;
 
@@ -233,6 +234,10 @@ impl Config for Decompose {
 impl MapConfig for Decompose {
     fn make(&self, site: &RunContext) -> Result<Box<dyn Map>> {
         Ok(Box::new(LineDecomposer { config: self.clone(), path: site.simd, worker: None }))
+    }
+
+    fn conclude(&self, cx: &mut Context) {
+        unexplained::conclude(&self.tables, cx);
     }
 }
 

@@ -12,16 +12,22 @@
 use crate::decompose::{DecomposeSettings, Waveform};
 use crate::noise::{ArNoise, fit_by_bic};
 use crate::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
+use crate::sensor_model::{NoiseSource, Provenance, ReceiverLimits, ResponseSource};
 use crate::simd::SimdLevel;
 use free_samples::NoiseEstimate;
 use initial_estimate::InitialEstimate;
 use pass_stats::PassStats;
 
 mod batches;
+mod clipping;
+mod differences;
 mod free_samples;
+mod histogram;
 mod initial_estimate;
+mod limits;
 mod noise_statistics;
 mod pass_stats;
+pub(crate) mod quiet;
 pub mod response;
 mod sign_flip;
 #[cfg(test)]
@@ -30,7 +36,10 @@ mod uncertainty;
 mod width;
 
 pub(crate) use batches::decompose_each;
+pub use clipping::clipping_level_dn;
+pub use limits::receiver_limits;
 pub use noise_statistics::NoiseStatistics;
+pub use quiet::separate_noise;
 pub(crate) use uncertainty::jackknife_sd;
 pub(crate) use width::{Narrow, Width};
 
@@ -269,6 +278,11 @@ fn first_model(
         Background::PerWaveform => (look.floor_level_dn, WIDE * look.floor_sd_dn, look.white_sd_dn),
     };
     let noise_sd_dn = sd.max(QUANTISATION_VARIANCE.sqrt());
+    let provenance = Provenance {
+        noise_by_differences_dn: look.white_sd_dn,
+        response: ResponseSource::Gaussian,
+        ..Provenance::default()
+    };
     ChannelModel {
         sampling_interval_ns: settings.sampling_interval_ns,
         full_scale_dn: settings.full_scale_dn,
@@ -286,6 +300,8 @@ fn first_model(
         response: None,
         digitiser: settings.digitiser,
         uncertainty: ModelUncertainty::default(),
+        provenance,
+        limits: ReceiverLimits::default(),
         waveforms: blocks,
         pulses: 0,
     }
@@ -302,8 +318,10 @@ fn better_model(
     let mut model = ChannelModel { waveforms: survey.blocks, ..last.clone() };
     if free {
         from_free_samples(&mut model, survey, settings);
+        model.provenance.noise = NoiseSource::FreeSamples;
     } else {
         from_residuals(&mut model, survey, look);
+        model.provenance.noise = NoiseSource::Residuals;
     }
     model.uncertainty =
         if free { survey.free.uncertainty() } else { uncertainty::of_residuals(&model, survey) };
@@ -336,11 +354,11 @@ fn from_free_samples(model: &mut ChannelModel, survey: &PassStats, settings: &Ca
 ///
 /// The noise is white with the variance of the residuals, and the levels are those of the fits.
 /// Residuals contain the deviation of the pulse from a Gaussian, so their correlation is not that
-/// of the noise. If they exceed the noise, a free level has absorbed the skirt of the pulse; then
+/// of the noise; [`separate_noise`] removes it. If they exceed the noise, a free level has absorbed the skirt of the pulse; then
 /// the smallest samples of the blocks give a better level.
 fn from_residuals(model: &mut ChannelModel, survey: &PassStats, look: &InitialEstimate) {
     let residual_sd_dn = model.noise_sd_dn * survey.residual_sd();
-    if residual_sd_dn <= MISSHAPEN * look.white_sd_dn.max(QUANTISATION_VARIANCE.sqrt()) {
+    if residual_sd_dn <= MISSHAPEN * look.white_sd_dn {
         let (offset, spread) = survey.offset_dn();
         model.background_dn = model.background_dn.map(|level| level + offset);
         model.background_sd_dn = WIDE * spread;

@@ -7,18 +7,19 @@
 //! the widths.
 
 use crate::calibrate::{
-    CalibrationError, CalibrationSettings, GROUPS, Narrow, Width, decompose_each, jackknife_sd,
+    CalibrationError, CalibrationSettings, GROUPS, Narrow, Width, decompose_each, jackknife_sd, quiet,
 };
 use crate::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Return, Waveform};
 use crate::flags;
 use crate::sensor_model::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse, normalised};
-use crate::sensor_model::{ChannelModel, ModelError};
+use crate::sensor_model::{ChannelModel, ModelError, NoiseSource, ResponseSource};
 use crate::shape::Shape;
 use quality::Quality;
 use solve::Problem;
 use spline::Basis;
 
 mod even_odd;
+mod outgoing;
 mod quality;
 mod solve;
 mod spline;
@@ -26,6 +27,7 @@ mod spline;
 mod tests;
 
 pub use even_odd::EvenOdd;
+pub use outgoing::with_outgoing_pulse;
 
 /// Fewest usable single echoes for a response.
 pub const MIN_ECHOES: usize = 150;
@@ -98,32 +100,32 @@ pub fn calibrate_response<'a>(
     let longest = blocks.iter().map(|block| block.samples.len()).max().unwrap_or(0);
     let mut model = ChannelModel { response: None, pulse_error_factor: 1.0, ..model.clone() };
     let gaussian = model.clone();
+    let all = blocks.clone();
+    let without_response = |usable_echoes| -> Result<Calibrated, CalibrationError> {
+        let model = quiet::separate_noise(all.iter().copied(), &gaussian, settings)?;
+        Ok(Calibrated { model, usable_echoes })
+    };
     let mut usable_echoes = 0;
     for ((minor_part, error), most) in MINOR_PARTS.into_iter().zip(ERRORS).zip(MOST_ECHOES) {
         let singles = singles(&blocks, &model, settings, minor_part, error)?;
         usable_echoes = singles.len();
         if usable_echoes < MIN_ECHOES {
-            return Ok(Calibrated { model: gaussian, usable_echoes });
+            return without_response(usable_echoes);
         }
         // Blocks without a nearly single echo are not used again.
         blocks = singles.iter().map(|single| single.block).collect();
         match better_response(&singles, &model, longest, most)? {
             Some(response) => model = with_response(&model, response),
-            None => return Ok(Calibrated { model: gaussian, usable_echoes }),
+            None => return without_response(usable_echoes),
         }
     }
+    model.provenance.response = ResponseSource::Echoes;
+    model = quiet::separate_noise(all.iter().copied(), &model, settings)?;
     let singles = self::singles(&blocks, &model, settings, 0.0, ERRORS[3])?;
     let mut quality = Quality::new(&model, longest)?;
-    let scored = singles.len().div_ceil(MOST_SCORED).max(1);
-    singles.iter().enumerate().for_each(|(i, single)| quality.add(single, i % scored == 0));
-    let (factor, factor_sd) = quality.pulse_error_factor();
-    let template_error = quality.template_error();
-    model.pulse_error_factor = factor;
-    model.uncertainty.pulse_error_factor = factor_sd;
+    quality.add_all(&singles);
+    quality.apply_to(&mut model);
     model.uncertainty.pulse_fwhm_ns = fwhm_sd_ns(&model, &singles);
-    if let Some(response) = &mut model.response {
-        response.template_error = template_error;
-    }
     Ok(Calibrated { model, usable_echoes })
 }
 
@@ -147,21 +149,29 @@ pub fn with_response_of(model: &ChannelModel, other: &ChannelModel) -> Option<Ch
     if is_other_pulse && model.pulses > 0 {
         return None;
     }
-    let error = |(k, &measured): (usize, &f64)| {
-        // Values within half a sample of the time of the error.
-        let (from, to) =
-            ((k * STEPS_PER_SAMPLE).saturating_sub(STEPS_PER_SAMPLE / 2), (2 * k + 1) * STEPS_PER_SAMPLE / 2);
-        let values = &node.values[from.min(node.values.len())..to.min(node.values.len())];
-        let is_high = values.iter().any(|value| value.abs() >= BORROWED_ERROR);
-        if is_high { measured.max(BORROWED_ERROR) } else { measured }
-    };
-    let template_error = known.template_error.iter().enumerate().map(error).collect();
-    let response = SystemResponse { nodes: vec![node], template_error, echoes: 0, ..known.clone() };
+    let mut response = SystemResponse { nodes: vec![node], echoes: 0, ..known.clone() };
+    response.template_error = least_errors(&response, BORROWED_ERROR);
     let mut borrowed = with_response(model, response);
+    borrowed.provenance.response = ResponseSource::OtherReceiver;
     borrowed.pulse_error_factor = other.pulse_error_factor;
     borrowed.uncertainty.pulse_error_factor = other.uncertainty.pulse_error_factor;
     borrowed.uncertainty.pulse_fwhm_ns = BORROWED_ERROR * borrowed.pulse_fwhm_ns;
     Some(borrowed)
+}
+
+/// Template error of a response, at least this where the response exceeds it.
+fn least_errors(response: &SystemResponse, least: f64) -> Vec<f64> {
+    let values = response.nodes.first().map_or(&[][..], |node| &node.values);
+    let error = |k: usize| {
+        // Values within half a sample of the time of the error.
+        let (from, to) =
+            ((k * STEPS_PER_SAMPLE).saturating_sub(STEPS_PER_SAMPLE / 2), (2 * k + 1) * STEPS_PER_SAMPLE / 2);
+        let is_high =
+            values[from.min(values.len())..to.min(values.len())].iter().any(|value| value.abs() >= least);
+        let measured = response.template_error.get(k).copied().unwrap_or(0.0);
+        if is_high { measured.max(least) } else { measured }
+    };
+    (0..values.len() / STEPS_PER_SAMPLE).map(error).collect()
 }
 
 fn with_response(model: &ChannelModel, response: SystemResponse) -> ChannelModel {
@@ -169,6 +179,18 @@ fn with_response(model: &ChannelModel, response: SystemResponse) -> ChannelModel
     let fwhm_ns = response.fwhm_samples() * model.sampling_interval_ns;
     let pulse_fwhm_ns = if fwhm_ns > 0.0 { fwhm_ns } else { model.pulse_fwhm_ns };
     ChannelModel { response: Some(response), pulse_fwhm_ns, pulses, ..model.clone() }
+}
+
+/// Smallest height of usable echoes, DN.
+///
+/// The residuals of fits contain the shape error, which grows with the height. Noise estimated from
+/// them gives no threshold.
+fn strong_dn(model: &ChannelModel) -> f64 {
+    let by_differences_dn = model.provenance.noise_by_differences_dn;
+    match model.provenance.noise {
+        NoiseSource::Residuals if by_differences_dn > 0.0 => STRONG_SD * by_differences_dn,
+        _ => STRONG_SD * model.noise_sd_dn,
+    }
 }
 
 /// Selects the usable single echoes of the blocks.
@@ -187,7 +209,7 @@ fn singles<'a>(
         template_error,
         ..settings.decompose.clone()
     };
-    let heights = STRONG_SD * model.noise_sd_dn..OVERDRIVEN_PART * model.full_scale_dn;
+    let heights = strong_dn(model)..OVERDRIVEN_PART * model.full_scale_dn;
     let mut found = Vec::new();
     decompose_each(blocks.iter().copied(), model, &settings, simd, |block, outcome| {
         let single = strongest(outcome, minor_part, model.fwhm_samples());
@@ -199,7 +221,11 @@ fn singles<'a>(
 }
 
 /// The strongest return, if it is complete and others are minor and well after it.
-fn strongest<'a>(outcome: &Decomposition<'a>, minor_part: f64, fwhm_samples: f64) -> Option<&'a Return> {
+pub(super) fn strongest<'a>(
+    outcome: &Decomposition<'a>,
+    minor_part: f64,
+    fwhm_samples: f64,
+) -> Option<&'a Return> {
     let returns = outcome.returns;
     let strongest = returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))?;
     let minor = |r: &Return| {

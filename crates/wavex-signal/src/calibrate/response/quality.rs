@@ -1,7 +1,7 @@
 //! Accuracy of the response: template error by time, and error factor by the even/odd test.
 
-use super::Single;
 use super::even_odd::EvenOdd;
+use super::{MOST_SCORED, Single};
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
 use crate::shape::Shape;
@@ -11,8 +11,8 @@ const PERCENTILES: [f64; 2] = [0.158_655, 0.841_345];
 /// Significance threshold of a mean or a spread, in its standard deviations.
 const SIGNIFICANT: f64 = 2.0;
 
-pub(super) struct Quality<'a> {
-    model: &'a ChannelModel,
+pub(super) struct Quality {
+    model: ChannelModel,
     shape: Shape,
     even_odd: EvenOdd,
     /// Difference of the positions from even and odd samples, over its expected standard deviation.
@@ -22,8 +22,8 @@ pub(super) struct Quality<'a> {
     excess: Vec<[f64; 3]>,
 }
 
-impl<'a> Quality<'a> {
-    pub(super) fn new(model: &'a ChannelModel, longest: usize) -> Result<Quality<'a>, ModelError> {
+impl Quality {
+    pub(super) fn new(model: &ChannelModel, longest: usize) -> Result<Quality, ModelError> {
         let samples = model
             .response
             .as_ref()
@@ -31,12 +31,26 @@ impl<'a> Quality<'a> {
             .map_or(0, |node| node.values.len() / crate::sensor_model::response::STEPS_PER_SAMPLE);
         let shape = Shape::of(model)?;
         Ok(Quality {
-            model,
+            model: model.clone(),
             even_odd: EvenOdd::of_shape(shape.clone(), model, longest)?,
             shape,
             scores: Vec::new(),
             excess: vec![[0.0; 3]; samples],
         })
+    }
+
+    /// Adds echoes, at most [`MOST_SCORED`] of them to the even/odd test.
+    pub(super) fn add_all(&mut self, singles: &[Single<'_>]) {
+        let scored = singles.len().div_ceil(MOST_SCORED).max(1);
+        singles.iter().enumerate().for_each(|(i, single)| self.add(single, i % scored == 0));
+    }
+
+    /// Writes template error and error factor to a model.
+    pub(super) fn apply_to(&self, model: &mut ChannelModel) {
+        (model.pulse_error_factor, model.uncertainty.pulse_error_factor) = self.pulse_error_factor();
+        if let Some(response) = &mut model.response {
+            response.template_error = self.template_error();
+        }
     }
 
     /// Adds an echo; `is_scored` includes it in the even/odd test.
