@@ -55,7 +55,7 @@ pub(super) fn conclude(tables: &SharedTables, cx: &mut Context) {
         cx.warn(format!(
             "the returns do not explain the waveforms: chi-square per degree of freedom is above {CHI_SQUARE} \
              in {:.0} % of them, and the deviation ratio above {DEVIATION_RATIO} in {:.0} %; \
-             standard deviations are too small there. Used: {}. {REMEDY}",
+             standard deviations may be too small there. Used: {}. {REMEDY}",
             100.0 * part(by_chi_square),
             100.0 * part(by_deviation_ratio),
             pulse_shape(&tables.provenance()),
