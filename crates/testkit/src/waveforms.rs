@@ -60,6 +60,7 @@ pub fn model(noise: &ArNoise) -> ChannelModel {
         nodes: vec![ResponseNode { peak_dn: 155.0, values }],
         template_error: vec![0.001; 80],
         echoes: 1000,
+        excess_part: 1.0,
         shape_sd: 1e-3,
     };
     ChannelModel {

@@ -69,6 +69,8 @@ const BORROWED_WIDTH: f64 = 0.15;
 struct Single<'a> {
     block: Waveform<'a>,
     fitted: Return,
+    /// Chi-square of the block less its degrees of freedom.
+    excess: f64,
 }
 
 impl Single<'_> {
@@ -214,7 +216,8 @@ fn singles<'a>(
     decompose_each(blocks.iter().copied(), model, &settings, simd, |block, outcome| {
         let single = strongest(outcome, minor_part, model.fwhm_samples());
         if let Some(fitted) = single.filter(|r| heights.contains(&r.amplitude_dn)) {
-            found.push(Single { block, fitted: *fitted });
+            let excess = outcome.chi_square - outcome.degrees_of_freedom() as f64;
+            found.push(Single { block, fitted: *fitted, excess });
         }
     })?;
     Ok(found)
@@ -334,6 +337,7 @@ fn better_response(
         nodes: Vec::new(),
         template_error: Vec::new(),
         echoes: narrow.len() as u64,
+        excess_part: 1.0,
         shape_sd: solution.shape_sd,
     };
     for (&peak_dn, coefficients) in nodes.iter().zip(&solution.coefficients) {

@@ -17,11 +17,18 @@ use crate::sensor_model::{ChannelModel, ModelError, ModelUncertainty, ResponseSo
 const MAX_COMPARED: usize = 2_000;
 /// Fewest blocks of the comparison.
 const MIN_COMPARED: usize = 50;
+/// Largest residual with the outgoing pulse, relative to that with the response of the echoes, for
+/// it to replace that. The response of the echoes contains the echo receiver.
+const LARGEST_PART: f64 = 0.93;
+/// Width of the echoes over that of the outgoing pulse from which targets have widened them; any
+/// smaller residual then suffices.
+const WIDENED: f64 = 1.25;
 
-/// Uses the outgoing pulse as response if it explains the echoes better.
+/// Uses the outgoing pulse as response if it explains the echoes clearly better.
 ///
 /// The measure is the median residual of strong echoes over their peak; the model states it for
-/// both responses. `outgoing` is the calibrated channel of the outgoing pulse.
+/// both responses. It must decrease by 7 %, or at all if the echoes gave no response or are a quarter
+/// wider than the outgoing pulse. `outgoing` is the calibrated channel of the outgoing pulse.
 pub fn with_outgoing_pulse<'a>(
     blocks: impl Iterator<Item = Waveform<'a>> + Clone,
     own: &Calibrated,
@@ -33,7 +40,10 @@ pub fn with_outgoing_pulse<'a>(
     let step = blocks.len().div_ceil(MAX_COMPARED).max(1);
     let compared: Vec<Waveform<'a>> = blocks.iter().copied().step_by(step).collect();
     let candidate = candidate(&own.model, outgoing, recorded);
-    let residuals = [&own.model, &candidate].map(|model| residuals_over_peak(&compared, model, settings));
+    let mut compared_own = own.model.clone();
+    // The candidate has no template error yet, and thresholds depend on it.
+    compared_own.response.iter_mut().for_each(|response| response.template_error.clear());
+    let residuals = [&compared_own, &candidate].map(|model| residuals_over_peak(&compared, model, settings));
     let [of_echoes, of_outgoing] = residuals;
     let pairs = of_echoes?.into_iter().zip(of_outgoing?);
     let common: Vec<(f64, f64)> = pairs.filter_map(|(a, b)| a.zip(b)).collect();
@@ -43,7 +53,9 @@ pub fn with_outgoing_pulse<'a>(
     let medians =
         [common.iter().map(|pair| pair.0).collect(), common.iter().map(|pair| pair.1).collect()].map(median);
     let mut chosen = own.clone();
-    if medians[1] < medians[0] {
+    let is_widened = own.model.pulse_fwhm_ns > WIDENED * outgoing.pulse_fwhm_ns;
+    let largest_part = if is_widened || own.model.response.is_none() { 1.0 } else { LARGEST_PART };
+    if medians[1] < largest_part * medians[0] {
         chosen.model = finished(&blocks, &candidate, settings)?;
     }
     chosen.model.provenance.residual_over_peak = medians;

@@ -2,6 +2,8 @@
 
 use super::even_odd::EvenOdd;
 use super::{MOST_SCORED, Single};
+use crate::decompose::Return;
+use crate::decompose::acceptance::response_error::Allowance;
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
 use crate::shape::Shape;
@@ -20,6 +22,8 @@ pub(super) struct Quality {
     /// Excess of the squared residual over the noise, relative to the squared height, by sample
     /// since the start of the response: number, sum, sum of squares.
     excess: Vec<[f64; 3]>,
+    /// Of each echo: position, height, number of samples, and excess of chi-square.
+    fits: Vec<(f64, f64, usize, f64)>,
 }
 
 impl Quality {
@@ -36,6 +40,7 @@ impl Quality {
             shape,
             scores: Vec::new(),
             excess: vec![[0.0; 3]; samples],
+            fits: Vec::new(),
         })
     }
 
@@ -50,6 +55,11 @@ impl Quality {
         (model.pulse_error_factor, model.uncertainty.pulse_error_factor) = self.pulse_error_factor();
         if let Some(response) = &mut model.response {
             response.template_error = self.template_error();
+            response.excess_part = 1.0;
+        }
+        let part = self.excess_part(model);
+        if let Some(response) = &mut model.response {
+            response.excess_part = part;
         }
     }
 
@@ -65,6 +75,8 @@ impl Quality {
             ln_width_precision: 0.0,
         };
         self.add_residual(&target, start);
+        let Return { position_samples, amplitude_dn, .. } = single.fitted;
+        self.fits.push((position_samples, amplitude_dn, block.samples.len(), single.excess));
         if is_scored {
             self.scores.extend(self.even_odd.score(&target, start));
         }
@@ -99,6 +111,19 @@ impl Quality {
             (mean - SIGNIFICANT * sd).max(0.0).sqrt()
         };
         self.excess.iter().map(error).collect()
+    }
+
+    /// Median ratio of the observed excess of chi-square to that expected from the template error of
+    /// `model`; 1 if that is 0.
+    fn excess_part(&self, model: &ChannelModel) -> f64 {
+        let allowance = Allowance::new(model, 0.0, f64::INFINITY);
+        let ratio = |&(position, height, samples, excess): &(f64, f64, usize, f64)| {
+            let expected = allowance.expected_excess(position, height, samples);
+            (expected > 0.0).then(|| excess / expected)
+        };
+        let mut ratios: Vec<f64> = self.fits.iter().filter_map(ratio).collect();
+        ratios.sort_by(f64::total_cmp);
+        ratios.get(ratios.len() / 2).map_or(1.0, |part| part.max(0.0))
     }
 
     /// Spread of the scores and its standard deviation; 1 if not significant.

@@ -322,7 +322,7 @@ mod tests {
                 let values = analogue(&mut random, &process, SAMPLES, 5.0, 4.4, &[echo]);
                 let samples = digitised(&values, 255);
                 let block = Waveform { samples: &samples, start_phase: 0 };
-                let single = Single { block, fitted: found(height, place) };
+                let single = Single { block, fitted: found(height, place), excess: 0.0 };
                 problem.add(&single);
                 add_densely(&problem, &single, &mut normal, &mut right);
             }
