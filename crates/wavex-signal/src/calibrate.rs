@@ -45,11 +45,11 @@ pub(crate) use width::{Narrow, Width};
 
 /// Fewest pulses for a width estimate.
 const MIN_PULSES: usize = 10;
-/// Largest number of blocks in each round of decomposition and estimation, evenly spaced.
+/// Number of blocks in each round of decomposition and estimation, relative to the most allowed.
 ///
 /// The first model only serves to make the second. The first round decides whether free samples
 /// exist and whether the level drifts.
-const MOST_BLOCKS: [u64; 2] = [5_000, 20_000];
+const ROUND_PARTS: [f64; 2] = [0.2, 1.0];
 /// Fraction of blocks with free samples needed to use these.
 ///
 /// Only unsaturated blocks with samples well before their pulses count.
@@ -92,6 +92,8 @@ pub struct CalibrationSettings {
     pub full_scale_dn: f64,
     /// Fewest blocks; fewer are an error.
     pub min_blocks: u64,
+    /// Largest number of blocks used, evenly spaced; more would not change the model measurably.
+    pub max_blocks: usize,
     /// Largest order of the autoregressive noise model.
     pub max_ar_order: usize,
     /// Source of the background.
@@ -106,12 +108,13 @@ pub struct CalibrationSettings {
 }
 
 impl CalibrationSettings {
-    /// Settings for an echo channel: at least 200 blocks, order at most 4, fastest instruction set.
+    /// Settings for an echo channel: 200 to 10 000 blocks, order at most 4, fastest instruction set.
     pub fn echoes(sampling_interval_ns: f64, full_scale_dn: f64) -> CalibrationSettings {
         CalibrationSettings {
             sampling_interval_ns,
             full_scale_dn,
             min_blocks: 200,
+            max_blocks: 10_000,
             max_ar_order: 4,
             background: BackgroundChoice::Auto,
             digitiser: Digitiser::default(),
@@ -120,14 +123,16 @@ impl CalibrationSettings {
         }
     }
 
-    /// Settings for the outgoing pulse: at least 20 blocks, order at most 2, fixed background.
+    /// Settings for the outgoing pulse: 20 to 2000 blocks, order at most 2, fixed background.
     ///
-    /// Every block contains the same strong pulse, and only a few samples precede it.
+    /// Every block contains one strong pulse, always the same, and only a few samples precede it.
     pub fn reference(sampling_interval_ns: f64, full_scale_dn: f64) -> CalibrationSettings {
         CalibrationSettings {
             min_blocks: 20,
+            max_blocks: 2_000,
             max_ar_order: 2,
             background: BackgroundChoice::Fixed,
+            decompose: DecomposeSettings { max_returns: 1, ..DecomposeSettings::default() },
             ..CalibrationSettings::echoes(sampling_interval_ns, full_scale_dn)
         }
     }
@@ -207,7 +212,8 @@ where
     };
     let mut model = first_model(&look, background, settings, found);
     let mut free = true;
-    for (pass, most) in MOST_BLOCKS.into_iter().enumerate() {
+    for (pass, part) in ROUND_PARTS.into_iter().enumerate() {
+        let most = (part * settings.max_blocks as f64).max(1.0) as u64;
         // An odd step covers all phases of the first samples if these alternate.
         let step = found.div_ceil(most) as usize | 1;
         let chosen = || blocks.clone().step_by(step);

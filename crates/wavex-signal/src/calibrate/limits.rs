@@ -10,8 +10,12 @@ use crate::shape::{Pulse, Shape};
 
 /// Heights of pulses that are certainly not overdriven, relative to full scale.
 const NORMAL_PARTS: std::ops::Range<f64> = 0.4..OVERDRIVEN_PART;
-/// Fewest of them.
+/// Fewest of them, and most blocks decomposed for them.
 const MIN_NORMAL: usize = 50;
+const MAX_NORMAL: usize = 500;
+/// Highest sample of blocks that may hold a higher pulse, relative to full scale, and most of them.
+const NEAR_FULL: f64 = 0.75;
+const MAX_HIGH: usize = 2_000;
 /// Number of higher pulses in each step of the search; at least two steps are needed.
 const STEP: usize = 20;
 /// Chi-square over its expectation, relative to that of normal pulses, of overdriven pulses.
@@ -35,7 +39,11 @@ pub fn receiver_limits<'a>(
     let limits = ReceiverLimits { overdriven_dn: Some(f64::INFINITY), ..model.limits };
     let model = ChannelModel { limits, ..model.clone() };
     let strong_dn = NORMAL_PARTS.start * model.full_scale_dn;
-    let strong = blocks.filter(|block| block.samples.iter().any(|&sample| f64::from(sample) >= strong_dn));
+    let highest = |block: &Waveform| f64::from(block.samples.iter().copied().max().unwrap_or(0));
+    let (near_full, strong): (Vec<_>, Vec<_>) = blocks
+        .filter(|block| highest(block) >= strong_dn)
+        .partition(|block| highest(block) >= NEAR_FULL * model.full_scale_dn);
+    let strong = evenly(&strong, MAX_NORMAL).chain(evenly(&near_full, MAX_HIGH));
     let shape = Shape::of(&model)?;
     let (mut normal, mut high, mut clipped) = (Vec::new(), Vec::new(), Clipped::default());
     let simd = settings.simd;
@@ -60,6 +68,11 @@ pub fn receiver_limits<'a>(
         recovery_samples: clipped.recovers_at_once(model.noise_sd_dn).then_some(0),
         ..model.limits
     })
+}
+
+/// At most `most` blocks, evenly spaced.
+fn evenly<'a>(blocks: &[Waveform<'a>], most: usize) -> impl Iterator<Item = Waveform<'a>> {
+    blocks.iter().copied().step_by(blocks.len().div_ceil(most).max(1))
 }
 
 /// Height from which chi-square exceeds that of normal pulses, DN; `None` with too few pulses.

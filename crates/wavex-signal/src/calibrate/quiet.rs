@@ -19,6 +19,9 @@ const MIN_STRETCH: usize = 6;
 const MIN_SAMPLES: u64 = 1000;
 /// Largest variance of a block over the median of all; others contain a pulse without a fit.
 const LARGEST_VARIANCE: f64 = 4.0;
+/// Largest noise over that by differences. More is signal without a fit: correlated noise of six
+/// instruments exceeds it by at most 1.8.
+const STRUCTURED: f64 = 4.0;
 /// Largest number of blocks, evenly spaced.
 const MAX_BLOCKS: usize = 5_000;
 /// The first estimate finds the weak pulses that the second one leaves out.
@@ -47,7 +50,11 @@ pub fn separate_noise<'a>(
         set_noise(&mut model, fit_by_bic(&autocovariance, samples, settings.max_ar_order));
         model.provenance.noise = NoiseSource::QuietResiduals;
     }
-    if model.provenance.noise == NoiseSource::Residuals && model.noise_sd_dn > MISSHAPEN * white_dn {
+    let limit = match model.provenance.noise {
+        NoiseSource::Residuals => MISSHAPEN,
+        _ => STRUCTURED,
+    };
+    if model.noise_sd_dn > limit * white_dn {
         model.autocorrelation.clear();
         set_noise(&mut model, ArNoise::new(&[], white_dn));
         model.provenance.noise = NoiseSource::Differences;
@@ -135,7 +142,8 @@ impl QuietBlocks {
     fn autocovariance(&self, background: Background) -> Option<(Vec<f64>, u64)> {
         let mut variances: Vec<f64> = self.0.iter().map(QuietBlock::variance).collect();
         variances.sort_by(f64::total_cmp);
-        let largest = LARGEST_VARIANCE * variances.get(variances.len() / 2)?.max(QUANTISATION_VARIANCE);
+        let median = variances.get(variances.len() / 2)?.max(QUANTISATION_VARIANCE);
+        let largest = LARGEST_VARIANCE * median;
         let mut statistics = NoiseStatistics::about(0.0);
         for block in self.0.iter().filter(|block| block.variance() <= largest) {
             block.stretches.iter().for_each(|(values, phase)| statistics.add(values, *phase));

@@ -31,8 +31,6 @@ pub use outgoing::with_outgoing_pulse;
 
 /// Fewest usable single echoes for a response.
 pub const MIN_ECHOES: usize = 150;
-/// Largest number of blocks, evenly spaced; more would not change the response measurably.
-const MAX_BLOCKS: usize = 12_000;
 /// Largest height of further echoes of a block relative to the strongest, by round.
 ///
 /// A Gaussian model reports the after-pulse as an echo, and a first response may leave some of it.
@@ -42,9 +40,13 @@ const ERRORS: [f64; 4] = [0.02, 0.02, 0.01, 0.005];
 /// Largest number of echoes per height node, by round.
 ///
 /// All but the last response only serve to select and locate the echoes of the next round.
-const MOST_ECHOES: [usize; 4] = [1_500, 1_500, 1_500, usize::MAX];
-/// Largest number of echoes in the even/odd test; they determine the factor to 1.3 %.
-const MOST_SCORED: usize = 6_000;
+const MOST_ECHOES: [usize; 4] = [500, 500, 1_000, usize::MAX];
+/// Number of usable echoes in the first rounds below which all blocks are decomposed.
+const ENOUGH_FIRST: usize = 1_000;
+/// Largest number of blocks in the first rounds, evenly spaced, if enough of their echoes are single.
+const MOST_FIRST: usize = 2_000;
+/// Largest number of echoes in the even/odd test; they determine the factor to 2.2 %.
+const MOST_SCORED: usize = 2_000;
 /// Smallest height of usable echoes, in standard deviations of the noise; they must also not
 /// overdrive the receiver.
 const STRONG_SD: f64 = 30.0;
@@ -98,7 +100,7 @@ pub fn calibrate_response<'a>(
     model: &ChannelModel,
     settings: &CalibrationSettings,
 ) -> Result<Calibrated, CalibrationError> {
-    let mut blocks = chosen_evenly(blocks);
+    let mut blocks = chosen_evenly(blocks, settings.max_blocks);
     let longest = blocks.iter().map(|block| block.samples.len()).max().unwrap_or(0);
     let mut model = ChannelModel { response: None, pulse_error_factor: 1.0, ..model.clone() };
     let gaussian = model.clone();
@@ -107,15 +109,25 @@ pub fn calibrate_response<'a>(
         let model = quiet::separate_noise(all.iter().copied(), &gaussian, settings)?;
         Ok(Calibrated { model, usable_echoes })
     };
+    // The first responses only serve to select the echoes of the last.
+    let few = chosen_evenly(blocks.iter().copied(), MOST_FIRST);
     let mut usable_echoes = 0;
-    for ((minor_part, error), most) in MINOR_PARTS.into_iter().zip(ERRORS).zip(MOST_ECHOES) {
-        let singles = singles(&blocks, &model, settings, minor_part, error)?;
+    for (round, ((minor_part, error), most)) in
+        MINOR_PARTS.into_iter().zip(ERRORS).zip(MOST_ECHOES).enumerate()
+    {
+        let is_first = round < 2;
+        let mut singles = self::singles(if is_first { &few } else { &blocks }, &model, settings, minor_part, error)?;
+        if is_first && singles.len() < ENOUGH_FIRST && few.len() < blocks.len() {
+            singles = self::singles(&blocks, &model, settings, minor_part, error)?;
+        }
         usable_echoes = singles.len();
         if usable_echoes < MIN_ECHOES {
             return without_response(usable_echoes);
         }
-        // Blocks without a nearly single echo are not used again.
-        blocks = singles.iter().map(|single| single.block).collect();
+        if !is_first {
+            // Blocks without a nearly single echo are not used again.
+            blocks = singles.iter().map(|single| single.block).collect();
+        }
         match better_response(&singles, &model, longest, most)? {
             Some(response) => model = with_response(&model, response),
             None => return without_response(usable_echoes),
@@ -131,10 +143,13 @@ pub fn calibrate_response<'a>(
     Ok(Calibrated { model, usable_echoes })
 }
 
-/// Selects [`MAX_BLOCKS`] evenly spaced blocks, or all.
-fn chosen_evenly<'a>(blocks: impl Iterator<Item = Waveform<'a>> + Clone) -> Vec<Waveform<'a>> {
+/// Selects at most `most` evenly spaced blocks.
+fn chosen_evenly<'a>(
+    blocks: impl Iterator<Item = Waveform<'a>> + Clone,
+    most: usize,
+) -> Vec<Waveform<'a>> {
     let count = blocks.clone().count().max(1);
-    let most = MAX_BLOCKS.min(count);
+    let most = most.min(count);
     let is_chosen = |i: usize| (i + 1) * most / count > i * most / count;
     blocks.enumerate().filter(|(i, _)| is_chosen(*i)).map(|(_, block)| block).collect()
 }

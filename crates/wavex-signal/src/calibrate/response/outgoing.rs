@@ -14,7 +14,7 @@ use crate::decompose::Waveform;
 use crate::sensor_model::{ChannelModel, ModelError, ModelUncertainty, ResponseSource, SystemResponse};
 
 /// Largest number of blocks of the comparison, evenly spaced.
-const MAX_COMPARED: usize = 2_000;
+const MAX_COMPARED: usize = 500;
 /// Fewest blocks of the comparison.
 const MIN_COMPARED: usize = 50;
 /// Largest residual with the outgoing pulse, relative to that with the response of the echoes, for
@@ -36,7 +36,7 @@ pub fn with_outgoing_pulse<'a>(
     settings: &CalibrationSettings,
 ) -> Result<Calibrated, CalibrationError> {
     let Some(recorded) = &outgoing.response else { return Ok(own.clone()) };
-    let blocks = chosen_evenly(blocks);
+    let blocks = chosen_evenly(blocks, settings.max_blocks);
     let step = blocks.len().div_ceil(MAX_COMPARED).max(1);
     let compared: Vec<Waveform<'a>> = blocks.iter().copied().step_by(step).collect();
     let candidate = candidate(&own.model, outgoing, recorded);
