@@ -9,6 +9,9 @@
 //! of the noise. A peak from pulses too weak to be fitted is replaced by a sign-flipped dip of the
 //! noise.
 
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
 use crate::decompose::{DecomposeSettings, Waveform};
 use crate::noise::{ArNoise, fit_by_bic};
 use crate::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
@@ -35,7 +38,7 @@ mod tests;
 mod uncertainty;
 mod width;
 
-pub(crate) use batches::decompose_each;
+pub(crate) use batches::{decompose_each, map_parts};
 pub use clipping::clipping_level_dn;
 pub use limits::receiver_limits;
 pub use noise_statistics::NoiseStatistics;
@@ -84,7 +87,7 @@ pub enum BackgroundChoice {
 }
 
 /// Settings of the calibration of a channel.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct CalibrationSettings {
     /// Sampling interval, ns.
     pub sampling_interval_ns: f64,
@@ -105,21 +108,24 @@ pub struct CalibrationSettings {
     pub decompose: DecomposeSettings,
     /// Instruction set of the kernels.
     pub simd: SimdLevel,
+    /// Ends the calibration with [`CalibrationError::Cancelled`] once set.
+    pub cancelled: Arc<AtomicBool>,
 }
 
 impl CalibrationSettings {
-    /// Settings for an echo channel: 200 to 10 000 blocks, order at most 4, fastest instruction set.
+    /// Settings for an echo channel: 200 to 6000 blocks, order at most 4, fastest instruction set.
     pub fn echoes(sampling_interval_ns: f64, full_scale_dn: f64) -> CalibrationSettings {
         CalibrationSettings {
             sampling_interval_ns,
             full_scale_dn,
             min_blocks: 200,
-            max_blocks: 10_000,
+            max_blocks: 6_000,
             max_ar_order: 4,
             background: BackgroundChoice::Auto,
             digitiser: Digitiser::default(),
             decompose: DecomposeSettings::default(),
             simd: SimdLevel::best(),
+            cancelled: Arc::default(),
         }
     }
 
@@ -165,6 +171,9 @@ pub enum CalibrationError {
         /// Number of blocks.
         blocks: u64,
     },
+    /// [`CalibrationSettings::cancelled`] was set.
+    #[error("the calibration was cancelled")]
+    Cancelled,
     /// The settings or the samples give no usable model.
     #[error(transparent)]
     Model(#[from] ModelError),
@@ -173,7 +182,8 @@ pub enum CalibrationError {
 /// Calibrates one channel.
 ///
 /// The blocks are read several times, so the iterator must be cheap to clone: over samples in
-/// memory.
+/// memory. In a thread of a `rayon` pool, the other threads share the work; the result does not
+/// depend on their number.
 ///
 /// ```
 /// use wavex_signal::calibrate::{CalibrationSettings, calibrate};
@@ -201,7 +211,8 @@ where
     if found < settings.min_blocks {
         return Err(CalibrationError::TooFewBlocks { found, needed: settings.min_blocks });
     }
-    let look = InitialEstimate::of(blocks.clone(), settings.full_scale_dn);
+    let step = found.div_ceil(settings.max_blocks as u64) as usize | 1;
+    let look = InitialEstimate::of(blocks.clone().step_by(step), settings.full_scale_dn);
     if look.pulses < MIN_PULSES {
         let (found_pulses, needed) = (look.pulses as u64, MIN_PULSES as u64);
         return Err(CalibrationError::TooFewPulses { found: found_pulses, needed, blocks: found });
@@ -243,17 +254,16 @@ fn survey<'a>(
     model: &ChannelModel,
     free: bool,
     settings: &CalibrationSettings,
-) -> Result<PassStats, ModelError> {
+) -> Result<PassStats, CalibrationError> {
     let overlooked = free && model.background == Background::PerWaveform;
-    let simd = settings.simd;
-    let settings = DecomposeSettings {
+    let decompose = DecomposeSettings {
         explains_all: false,
         max_added: if overlooked { MAX_OVERLOOKED } else { 0 },
         split_evidence: None,
         ..settings.decompose.clone()
     };
     let mut survey = PassStats::of(model, blocks.clone().count() as u64)?;
-    decompose_each(blocks, model, &settings, simd, |block, outcome| survey.add(model, block, outcome))?;
+    decompose_each(blocks, model, &decompose, settings, |block, outcome| survey.add(model, block, outcome))?;
     Ok(survey)
 }
 

@@ -2,10 +2,10 @@
 //! recovers from clipping.
 
 use super::response::strongest;
-use super::{CalibrationSettings, decompose_each};
+use super::{CalibrationError, CalibrationSettings, decompose_each};
 use crate::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Waveform};
 use crate::flags;
-use crate::sensor_model::{ChannelModel, ModelError, ReceiverLimits};
+use crate::sensor_model::{ChannelModel, ReceiverLimits};
 use crate::shape::{Pulse, Shape};
 
 /// Heights of pulses that are certainly not overdriven, relative to full scale.
@@ -34,7 +34,7 @@ pub fn receiver_limits<'a>(
     blocks: impl Iterator<Item = Waveform<'a>>,
     model: &ChannelModel,
     settings: &CalibrationSettings,
-) -> Result<ReceiverLimits, ModelError> {
+) -> Result<ReceiverLimits, CalibrationError> {
     // Saturation, and heights up to full scale, as if nothing overdrove the receiver.
     let limits = ReceiverLimits { overdriven_dn: Some(f64::INFINITY), ..model.limits };
     let model = ChannelModel { limits, ..model.clone() };
@@ -46,9 +46,8 @@ pub fn receiver_limits<'a>(
     let strong = evenly(&strong, MAX_NORMAL).chain(evenly(&near_full, MAX_HIGH));
     let shape = Shape::of(&model)?;
     let (mut normal, mut high, mut clipped) = (Vec::new(), Vec::new(), Clipped::default());
-    let simd = settings.simd;
-    let settings = DecomposeSettings { split_evidence: None, ..settings.decompose.clone() };
-    decompose_each(strong, &model, &settings, simd, |block, outcome| {
+    let decompose = DecomposeSettings { split_evidence: None, ..settings.decompose.clone() };
+    decompose_each(strong, &model, &decompose, settings, |block, outcome| {
         if outcome.saturated {
             clipped.add(&model, &shape, block, outcome);
         } else if let Some(single) = strongest(outcome, 0.1, model.fwhm_samples())

@@ -5,10 +5,10 @@
 //! remaining residual, near the peaks, is shape error.
 
 use super::noise_statistics::NoiseStatistics;
-use super::{CalibrationSettings, MISSHAPEN, QUANTISATION_VARIANCE, decompose_each, set_noise};
+use super::{CalibrationError, CalibrationSettings, MISSHAPEN, QUANTISATION_VARIANCE, decompose_each, set_noise};
 use crate::decompose::{DecomposeSettings, Decomposition, Waveform};
 use crate::noise::{ArNoise, fit_by_bic};
-use crate::sensor_model::{Background, ChannelModel, ModelError, NoiseSource};
+use crate::sensor_model::{Background, ChannelModel, NoiseSource};
 use crate::shape::{Pulse, Shape};
 
 /// Largest fitted signal of quiet samples, in standard deviations of the noise by differences.
@@ -36,7 +36,7 @@ pub fn separate_noise<'a>(
     blocks: impl Iterator<Item = Waveform<'a>> + Clone,
     model: &ChannelModel,
     settings: &CalibrationSettings,
-) -> Result<ChannelModel, ModelError> {
+) -> Result<ChannelModel, CalibrationError> {
     let mut model = model.clone();
     if !matches!(model.provenance.noise, NoiseSource::Residuals | NoiseSource::QuietResiduals) {
         return Ok(model);
@@ -84,13 +84,12 @@ impl QuietBlocks {
         blocks: impl Iterator<Item = Waveform<'a>>,
         model: &ChannelModel,
         settings: &CalibrationSettings,
-    ) -> Result<QuietBlocks, ModelError> {
+    ) -> Result<QuietBlocks, CalibrationError> {
         let shape = Shape::of(model)?;
         let quiet_dn = QUIET_SD * model.provenance.noise_by_differences_dn;
-        let simd = settings.simd;
-        let settings = DecomposeSettings { split_evidence: None, ..settings.decompose.clone() };
+        let decompose = DecomposeSettings { split_evidence: None, ..settings.decompose.clone() };
         let mut quiet = QuietBlocks::default();
-        decompose_each(blocks, model, &settings, simd, |block, outcome| {
+        decompose_each(blocks, model, &decompose, settings, |block, outcome| {
             if !outcome.saturated && !outcome.returns.is_empty() {
                 quiet.add(model, &shape, quiet_dn, block, outcome);
             }

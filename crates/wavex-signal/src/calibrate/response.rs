@@ -7,7 +7,8 @@
 //! the widths.
 
 use crate::calibrate::{
-    CalibrationError, CalibrationSettings, GROUPS, Narrow, Width, decompose_each, jackknife_sd, quiet,
+    CalibrationError, CalibrationSettings, GROUPS, Narrow, Width, decompose_each, jackknife_sd,
+    map_parts, quiet,
 };
 use crate::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Return, Waveform};
 use crate::flags;
@@ -40,13 +41,15 @@ const ERRORS: [f64; 4] = [0.02, 0.02, 0.01, 0.005];
 /// Largest number of echoes per height node, by round.
 ///
 /// All but the last response only serve to select and locate the echoes of the next round.
-const MOST_ECHOES: [usize; 4] = [500, 500, 1_000, usize::MAX];
+const MOST_ECHOES: [usize; 4] = [500, 500, 500, 2_000];
 /// Number of usable echoes in the first rounds below which all blocks are decomposed.
 const ENOUGH_FIRST: usize = 1_000;
 /// Largest number of blocks in the first rounds, evenly spaced, if enough of their echoes are single.
 const MOST_FIRST: usize = 2_000;
-/// Largest number of echoes in the even/odd test; they determine the factor to 2.2 %.
-const MOST_SCORED: usize = 2_000;
+/// Largest number of echoes in the even/odd test; they determine the factor to 3 %.
+const MOST_SCORED: usize = 1_000;
+/// Number of partial sums of the equations of a response, each by one thread.
+const SUMS: usize = 8;
 /// Smallest height of usable echoes, in standard deviations of the noise; they must also not
 /// overdrive the receiver.
 const STRONG_SD: f64 = 30.0;
@@ -217,9 +220,8 @@ fn singles<'a>(
     settings: &CalibrationSettings,
     minor_part: f64,
     template_error: f64,
-) -> Result<Vec<Single<'a>>, ModelError> {
-    let simd = settings.simd;
-    let settings = DecomposeSettings {
+) -> Result<Vec<Single<'a>>, CalibrationError> {
+    let decompose = DecomposeSettings {
         explains_all: false,
         max_added: if model.response.is_some() { 4 } else { 0 },
         split_evidence: None,
@@ -228,7 +230,7 @@ fn singles<'a>(
     };
     let heights = strong_dn(model)..OVERDRIVEN_PART * model.full_scale_dn;
     let mut found = Vec::new();
-    decompose_each(blocks.iter().copied(), model, &settings, simd, |block, outcome| {
+    decompose_each(blocks.iter().copied(), model, &decompose, settings, |block, outcome| {
         let single = strongest(outcome, minor_part, model.fwhm_samples());
         if let Some(fitted) = single.filter(|r| heights.contains(&r.amplitude_dn)) {
             let excess = outcome.chi_square - outcome.degrees_of_freedom() as f64;
@@ -340,8 +342,13 @@ fn better_response(
     let narrow: Vec<_> =
         groups.iter().flat_map(|group| evenly(narrow_population(&group.singles), most)).collect();
     let nodes: Vec<f64> = groups.iter().map(|group| group.peak_dn).collect();
-    let mut problem = Problem::new(model, &basis, &nodes, Shape::of(model)?, longest)?;
-    narrow.iter().for_each(|single| problem.add(single));
+    let problems = map_parts(&narrow, narrow.len().div_ceil(SUMS), |part| {
+        let mut problem = Problem::new(model, &basis, &nodes, Shape::of(model)?, longest)?;
+        part.iter().for_each(|single| problem.add(single));
+        Ok(problem)
+    });
+    let problems = problems.into_iter().collect::<Result<Vec<_>, ModelError>>()?;
+    let Some(problem) = problems.into_iter().reduce(Problem::merged) else { return Ok(None) };
     let Some(solution) = problem.solve() else { return Ok(None) };
     let first_sample = basis.extent().start.floor() as i32;
     let last_sample = basis.extent().end.ceil() as i32;

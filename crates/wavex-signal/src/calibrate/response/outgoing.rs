@@ -11,7 +11,7 @@ use super::{
 };
 use crate::calibrate::{CalibrationError, CalibrationSettings, decompose_each, quiet};
 use crate::decompose::Waveform;
-use crate::sensor_model::{ChannelModel, ModelError, ModelUncertainty, ResponseSource, SystemResponse};
+use crate::sensor_model::{ChannelModel, ModelUncertainty, ResponseSource, SystemResponse};
 
 /// Largest number of blocks of the comparison, evenly spaced.
 const MAX_COMPARED: usize = 500;
@@ -84,10 +84,10 @@ fn residuals_over_peak(
     blocks: &[Waveform<'_>],
     model: &ChannelModel,
     settings: &CalibrationSettings,
-) -> Result<Vec<Option<f64>>, ModelError> {
+) -> Result<Vec<Option<f64>>, CalibrationError> {
     let strong_dn = super::strong_dn(model);
     let mut residuals = Vec::with_capacity(blocks.len());
-    decompose_each(blocks.iter().copied(), model, &settings.decompose, settings.simd, |block, outcome| {
+    decompose_each(blocks.iter().copied(), model, &settings.decompose, settings, |block, outcome| {
         let highest = block.samples.iter().max().map_or(0.0, |&sample| f64::from(sample));
         let peak_dn = highest - model.background_dn[0] - outcome.background_offset_dn;
         let freedom = outcome.degrees_of_freedom();

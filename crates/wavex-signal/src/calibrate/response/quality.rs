@@ -2,7 +2,8 @@
 
 use super::even_odd::EvenOdd;
 use super::{MOST_SCORED, Single};
-use crate::decompose::Return;
+use crate::calibrate::map_parts;
+use crate::decompose::{Return, Waveform};
 use crate::decompose::acceptance::response_error::Allowance;
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
@@ -12,6 +13,9 @@ use crate::shape::Shape;
 const PERCENTILES: [f64; 2] = [0.158_655, 0.841_345];
 /// Significance threshold of a mean or a spread, in its standard deviations.
 const SIGNIFICANT: f64 = 2.0;
+
+/// Number of echoes per task of the even/odd test.
+const SCORED_PER_TASK: usize = 64;
 
 pub(super) struct Quality {
     model: ChannelModel,
@@ -46,8 +50,15 @@ impl Quality {
 
     /// Adds echoes, at most [`MOST_SCORED`] of them to the even/odd test.
     pub(super) fn add_all(&mut self, singles: &[Single<'_>]) {
-        let scored = singles.len().div_ceil(MOST_SCORED).max(1);
-        singles.iter().enumerate().for_each(|(i, single)| self.add(single, i % scored == 0));
+        singles.iter().for_each(|single| self.add(single));
+        let step = singles.len().div_ceil(MOST_SCORED).max(1);
+        let scored: Vec<Single<'_>> = singles.iter().copied().step_by(step).collect();
+        let scores = map_parts(&scored, SCORED_PER_TASK, |part| {
+            let mut even_odd = self.even_odd.clone();
+            let score = |single: &Single<'_>| even_odd.score(&self.target(single), start(single));
+            part.iter().filter_map(score).collect::<Vec<_>>()
+        });
+        self.scores.extend(scores.into_iter().flatten());
     }
 
     /// Writes template error and error factor to a model.
@@ -63,23 +74,19 @@ impl Quality {
         }
     }
 
-    /// Adds an echo; `is_scored` includes it in the even/odd test.
-    pub(super) fn add(&mut self, single: &Single<'_>, is_scored: bool) {
-        let block = single.block;
-        let mut target = Vec::with_capacity(block.samples.len());
-        self.model.signal_into(block.samples, block.start_phase, &mut target);
-        let start = Pulse {
-            height_dn: single.fitted.amplitude_dn,
-            position_samples: single.fitted.position_samples,
-            ln_width_ratio: single.width().ln_width,
-            ln_width_precision: 0.0,
-        };
-        self.add_residual(&target, start);
+    /// Adds the residual of an echo.
+    fn add(&mut self, single: &Single<'_>) {
+        self.add_residual(&self.target(single), start(single));
         let Return { position_samples, amplitude_dn, .. } = single.fitted;
-        self.fits.push((position_samples, amplitude_dn, block.samples.len(), single.excess));
-        if is_scored {
-            self.scores.extend(self.even_odd.score(&target, start));
-        }
+        self.fits.push((position_samples, amplitude_dn, single.block.samples.len(), single.excess));
+    }
+
+    /// Samples less the background, DN.
+    fn target(&self, single: &Single<'_>) -> Vec<f64> {
+        let Waveform { samples, start_phase } = single.block;
+        let mut target = Vec::with_capacity(samples.len());
+        self.model.signal_into(samples, start_phase, &mut target);
+        target
     }
 
     fn add_residual(&mut self, target: &[f64], pulse: Pulse) {
@@ -131,6 +138,16 @@ impl Quality {
         let spread = spread(&self.scores);
         let sd = factor_sd(spread.max(1.0), self.scores.len());
         (if spread > 1.0 + SIGNIFICANT * sd { spread } else { 1.0 }, sd)
+    }
+}
+
+/// The fitted pulse of an echo.
+fn start(single: &Single<'_>) -> Pulse {
+    Pulse {
+        height_dn: single.fitted.amplitude_dn,
+        position_samples: single.fitted.position_samples,
+        ln_width_ratio: single.width().ln_width,
+        ln_width_precision: 0.0,
     }
 }
 
