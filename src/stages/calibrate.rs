@@ -3,7 +3,9 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
+use rayon::ThreadPool;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -46,8 +48,13 @@ pub const STAGE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Ki
 /// a pulse from a flat target with its after-pulse and tail, from single echoes. It also estimates
 /// the error of the response, and the factor by which errors on a pulse exceed those expected from
 /// the noise. Signal is separated from noise by fitted pulses, never by a threshold on samples. At
-/// most 20 000 evenly chosen waveforms are used for background and noise, and 12 000 for the
-/// response.
+/// most 6000 evenly chosen waveforms of an echo receiver and 2000 of the outgoing pulse are used.
+///
+/// Where the recorded outgoing pulse explains the echoes clearly better than their own response, it
+/// is used instead: over vegetation under a large footprint few echoes are single and narrow. The
+/// level at which a receiver clips, the height from which it is overdriven, and whether it recovers
+/// from clipping at once are measured where enough strong echoes exist. The report has the residuals
+/// with both responses, the source of the noise, and these limits.
 ///
 /// Holds back the first lines until it has enough waveforms, then lets everything through. The
 /// model travels with every line and is included in the report. A receiver with fewer than 200
@@ -205,6 +212,8 @@ impl TransformConfig for Calibrate {
         Ok(Box::new(Calibrator {
             config: self.clone(),
             simd: site.simd,
+            pool: site.pool.clone(),
+            cancelled: Arc::clone(&site.cancelled),
             look_ahead: LookAhead::new(self.waveforms),
             model,
             save,
@@ -215,6 +224,8 @@ impl TransformConfig for Calibrate {
 struct Calibrator {
     config: Calibrate,
     simd: SimdLevel,
+    pool: Option<Arc<ThreadPool>>,
+    cancelled: Arc<AtomicBool>,
     look_ahead: LookAhead,
     model: Option<Arc<SensorModel>>,
     /// File for the model; `None` once written.
@@ -309,7 +320,9 @@ impl Calibrator {
             return Ok(Some(own.clone()));
         }
         let settings = self.settings(channel);
-        let chosen = with_outgoing_pulse(self.blocks(channel), own, &reference.model, &settings)
+        let blocks = self.blocks(channel);
+        let chosen = self
+            .in_pool(|| with_outgoing_pulse(blocks, own, &reference.model, &settings))
             .map_err(|error| failed(channel, &error))?;
         let provenance = chosen.model.provenance;
         let [of_echoes, of_outgoing] = provenance.residual_over_peak.map(|part| 100.0 * part);
@@ -337,8 +350,10 @@ impl Calibrator {
         let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
         if found.model.response.is_some() && !gain_changes {
             let settings = self.settings(channel);
-            found.model.limits = receiver_limits(self.blocks(channel), &found.model, &settings)
-                .map_err(|error| failed(channel, &error.into()))?;
+            let (blocks, model) = (self.blocks(channel), &found.model);
+            found.model.limits = self
+                .in_pool(|| receiver_limits(blocks, model, &settings))
+                .map_err(|error| failed(channel, &error))?;
         }
         let ReceiverLimits { overdriven_dn, recovery_samples, .. } = found.model.limits;
         let findings = [
@@ -449,17 +464,18 @@ impl Calibrator {
         let settings = self.settings(channel);
         let with_response = self.config.response != ResponseKey::Gaussian;
         let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
-        let found = if gain_changes {
-            calibrate_at_unit_gain(self.look_ahead.recorded(channel), &settings, with_response)
-        } else {
-            calibrate::calibrate(self.blocks(channel), &settings).and_then(|model| match with_response {
-                true => calibrate_response(self.blocks(channel), &model, &settings),
-                false => {
-                    let model = calibrate::separate_noise(self.blocks(channel), &model, &settings)?;
-                    Ok(Calibrated { model, usable_echoes: 0 })
-                }
-            })
-        };
+        let (recorded, blocks) = (self.look_ahead.recorded(channel), self.blocks(channel));
+        let found = self.in_pool(|| {
+            if gain_changes {
+                return calibrate_at_unit_gain(recorded, &settings, with_response);
+            }
+            let model = calibrate::calibrate(blocks.clone(), &settings)?;
+            if with_response {
+                return calibrate_response(blocks, &model, &settings);
+            }
+            let model = calibrate::separate_noise(blocks, &model, &settings)?;
+            Ok(Calibrated { model, usable_echoes: 0 })
+        });
         match found {
             Ok(found) => Ok(Some(found)),
             Err(CalibrationError::TooFewBlocks { found: 0, .. }) => Ok(None),
@@ -468,6 +484,14 @@ impl Calibrator {
                 Ok(None)
             }
             Err(error) => Err(failed(channel, &error)),
+        }
+    }
+
+    /// Runs a task in the engine's pool, or in this thread if there is none.
+    fn in_pool<R: Send>(&self, task: impl FnOnce() -> R + Send) -> R {
+        match &self.pool {
+            Some(pool) => pool.install(task),
+            None => task(),
         }
     }
 
@@ -481,7 +505,8 @@ impl Calibrator {
             _ => CalibrationSettings::echoes(input.sampling_interval_ns, full_scale_dn),
         };
         let digitiser = self.digitiser(channel, input);
-        let settings = CalibrationSettings { digitiser, simd: self.simd, ..settings };
+        let cancelled = Arc::clone(&self.cancelled);
+        let settings = CalibrationSettings { digitiser, simd: self.simd, cancelled, ..settings };
         match (channel, self.config.background) {
             (Channel::Reference, _) | (_, BackgroundKey::Auto) => settings,
             (_, BackgroundKey::Fixed) => {
@@ -603,6 +628,9 @@ fn load(path: &Path) -> Result<SensorModel> {
 }
 
 fn failed(channel: Channel, error: &CalibrationError) -> StageError {
+    if *error == CalibrationError::Cancelled {
+        return StageError::Stopped;
+    }
     let text = format!("{}: {error}", name(channel));
     match text.rsplit_once("; ") {
         Some((problem, remedy)) => StageError::failed(problem, remedy),
@@ -628,6 +656,8 @@ mod tests {
     fn too_few_waveforms_say_how_many_there_were() {
         let mut calibrator = Calibrator {
             simd: SimdLevel::Portable,
+            pool: None,
+            cancelled: Arc::default(),
             config: Calibrate::default(),
             look_ahead: LookAhead::new(100_000),
             model: None,
