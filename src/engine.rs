@@ -213,6 +213,7 @@ fn run_context(options: &Options, input: Input, pool: Option<Arc<ThreadPool>>) -
         output_dir: options.output_dir.clone(),
         pool,
         simd: options.simd,
+        cancelled: options.cancel.flag(),
         geometry: Arc::default(),
     }
 }

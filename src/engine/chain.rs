@@ -193,6 +193,9 @@ fn collect(job: &Job, leavings: Vec<WorkerResult>) -> (Vec<StageSummary>, Vec<(S
             cx.counters.merge(its_cx.counters);
             whole.extend(its_cx.whole.into_iter().map(|file| (stage.id.clone(), file)));
         }
+        if let Plan::Map(plan) = &stage.planned.plan {
+            plan.conclude(&mut cx);
+        }
         summaries.push(StageSummary::new(stage, count, meter, cx.counters));
     }
     (summaries, whole)

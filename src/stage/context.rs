@@ -70,6 +70,8 @@ pub struct Counters {
     pub rejected: BTreeMap<(Item, &'static str), u64>,
     /// Measured quantities, by name.
     pub observed: BTreeMap<&'static str, Distribution>,
+    /// Counted items, by name; for [`MapConfig::conclude`](super::MapConfig::conclude).
+    pub counts: BTreeMap<&'static str, u64>,
     /// Entries of `rejected` that lose no data.
     pub set_aside: BTreeSet<(Item, &'static str)>,
     /// Warnings in order, each once.
@@ -118,6 +120,11 @@ impl Context {
     /// Negative values count as 0.
     pub fn observe(&mut self, name: &'static str, value: f64) {
         self.counters.observed.entry(name).or_default().add(value);
+    }
+
+    /// Adds to the count `name`, which is not part of the report.
+    pub fn count(&mut self, name: &'static str, n: u64) {
+        *self.counters.counts.entry(name).or_default() += n;
     }
 
     /// Adds a signed value to the distribution `name`; see [`Context::observe`].
@@ -173,6 +180,9 @@ impl Counters {
         }
         for (name, distribution) in other.observed {
             self.observed.entry(name).or_default().merge(&distribution);
+        }
+        for (name, n) in other.counts {
+            *self.counts.entry(name).or_default() += n;
         }
         self.set_aside.extend(other.set_aside);
         add_new(&mut self.notes, other.notes);

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use rayon::ThreadPool;
 use schemars::JsonSchema;
@@ -27,6 +28,8 @@ pub struct RunContext {
     pub pool: Option<Arc<ThreadPool>>,
     /// SIMD instructions of the kernels.
     pub simd: SimdLevel,
+    /// Set once the user interrupts the run; long tasks of a stage then end.
+    pub cancelled: Arc<AtomicBool>,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
     pub geometry: Arc<Geometry>,
 }
@@ -43,6 +46,7 @@ impl RunContext {
             output_dir: ".".into(),
             pool: None,
             simd: SimdLevel::Portable,
+            cancelled: Arc::default(),
             geometry: Arc::default(),
         }
     }

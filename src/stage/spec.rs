@@ -6,7 +6,7 @@ use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{Map, Paths, Result, RunContext, Sink, Source, Transform};
+use super::{Context, Map, Paths, Result, RunContext, Sink, Source, Transform};
 use crate::keys::{InvalidKey, Keys};
 use crate::scan_line::Kind;
 
@@ -70,6 +70,11 @@ pub trait SourceConfig: Config {
 pub trait MapConfig: Config {
     /// Creates one worker.
     fn make(&self, site: &RunContext) -> Result<Box<dyn Map>>;
+
+    /// Called at the end of a successful run with the counters of all workers.
+    ///
+    /// For warnings that need the whole recording.
+    fn conclude(&self, _cx: &mut Context) {}
 }
 
 /// Keys of a [`Transform`].
@@ -208,6 +213,8 @@ pub trait SourcePlan: Send + Sync {
 pub trait MakeMap: Send + Sync {
     /// See [`MapConfig::make`].
     fn make(&self, site: &RunContext) -> Result<Box<dyn Map>>;
+    /// See [`MapConfig::conclude`].
+    fn conclude(&self, cx: &mut Context);
 }
 
 /// The object-safe part of [`TransformConfig`].
@@ -251,6 +258,9 @@ impl<C: SourceConfig> SourcePlan for C {
 impl<C: MapConfig> MakeMap for C {
     fn make(&self, site: &RunContext) -> Result<Box<dyn Map>> {
         MapConfig::make(self, site)
+    }
+    fn conclude(&self, cx: &mut Context) {
+        MapConfig::conclude(self, cx);
     }
 }
 

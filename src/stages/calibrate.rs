@@ -3,7 +3,9 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
+use rayon::ThreadPool;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -15,11 +17,17 @@ use crate::stage::{
 };
 pub use presets::Preset;
 use wavex_formats::Error;
-use wavex_signal::calibrate::response::{Calibrated, MIN_ECHOES, calibrate_response, with_response_of};
-use wavex_signal::calibrate::{self, BackgroundChoice, CalibrationError, CalibrationSettings};
+use wavex_signal::calibrate::response::{
+    Calibrated, MIN_ECHOES, calibrate_response, with_outgoing_pulse, with_response_of,
+};
+use wavex_signal::calibrate::{
+    self, BackgroundChoice, CalibrationError, CalibrationSettings, receiver_limits,
+};
 use wavex_signal::decompose::Waveform;
 use wavex_signal::gain::calibrate_at_unit_gain;
-use wavex_signal::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
+use wavex_signal::sensor_model::{
+    ChannelModel, Decay, Digitiser, NoiseSource, ReceiverLimits, ResponseSource, SensorModel,
+};
 use wavex_signal::simd::SimdLevel;
 
 mod presets;
@@ -40,8 +48,13 @@ pub const STAGE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Ki
 /// a pulse from a flat target with its after-pulse and tail, from single echoes. It also estimates
 /// the error of the response, and the factor by which errors on a pulse exceed those expected from
 /// the noise. Signal is separated from noise by fitted pulses, never by a threshold on samples. At
-/// most 20 000 evenly chosen waveforms are used for background and noise, and 12 000 for the
-/// response.
+/// most 6000 evenly chosen waveforms of an echo receiver and 2000 of the outgoing pulse are used.
+///
+/// Where the recorded outgoing pulse explains the echoes clearly better than their own response, it
+/// is used instead: over vegetation under a large footprint few echoes are single and narrow. The
+/// level at which a receiver clips, the height from which it is overdriven, and whether it recovers
+/// from clipping at once are measured where enough strong echoes exist. The report has the residuals
+/// with both responses, the source of the noise, and these limits.
 ///
 /// Holds back the first lines until it has enough waveforms, then lets everything through. The
 /// model travels with every line and is included in the report. A receiver with fewer than 200
@@ -199,6 +212,8 @@ impl TransformConfig for Calibrate {
         Ok(Box::new(Calibrator {
             config: self.clone(),
             simd: site.simd,
+            pool: site.pool.clone(),
+            cancelled: Arc::clone(&site.cancelled),
             look_ahead: LookAhead::new(self.waveforms),
             model,
             save,
@@ -209,6 +224,8 @@ impl TransformConfig for Calibrate {
 struct Calibrator {
     config: Calibrate,
     simd: SimdLevel,
+    pool: Option<Arc<ThreadPool>>,
+    cancelled: Arc<AtomicBool>,
     look_ahead: LookAhead,
     model: Option<Arc<SensorModel>>,
     /// File for the model; `None` once written.
@@ -260,11 +277,20 @@ impl Calibrator {
         let low = self.channel(Channel::LowPower, out)?;
         let high = self.channel(Channel::HighPower, out)?;
         let reference = self.channel(Channel::Reference, out)?;
+        let low = self.with_outgoing_pulse(Channel::LowPower, low, &reference, out)?;
+        let high = self.with_outgoing_pulse(Channel::HighPower, high, &reference, out)?;
         if low.is_none() && high.is_none() {
             let found = self.count(Channel::LowPower).max(self.count(Channel::HighPower));
             let needed = self.settings(Channel::LowPower).min_blocks;
             let error = CalibrationError::TooFewBlocks { found, needed };
             return Err(failed(Channel::LowPower, &error));
+        }
+        let low = self.with_limits(Channel::LowPower, low, out)?;
+        let high = self.with_limits(Channel::HighPower, high, out)?;
+        for (channel, found) in
+            [(Channel::LowPower, &low), (Channel::HighPower, &high), (Channel::Reference, &reference)]
+        {
+            found.iter().for_each(|found| Calibrator::report_noise(channel, &found.model, out));
         }
         Ok(SensorModel {
             low_power: self.completed(Channel::LowPower, &low, &high, out),
@@ -273,6 +299,113 @@ impl Calibrator {
             reference: self.completed(Channel::Reference, &reference, &None, out),
             ..SensorModel::default()
         })
+    }
+
+    /// Uses the outgoing pulse as the response of a receiver if it explains the echoes better.
+    ///
+    /// A clipped outgoing pulse has lost its shape, and gains that change would need their own
+    /// comparison.
+    fn with_outgoing_pulse(
+        &self,
+        channel: Channel,
+        own: Option<Calibrated>,
+        reference: &Option<Calibrated>,
+        out: &mut Output,
+    ) -> Result<Option<Calibrated>> {
+        let (Some(own), Some(reference)) = (&own, reference) else { return Ok(own) };
+        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
+        if self.config.response == ResponseKey::Gaussian || gain_changes || self.is_outgoing_pulse_clipped() {
+            return Ok(Some(own.clone()));
+        }
+        let settings = self.settings(channel);
+        let blocks = self.blocks(channel);
+        let chosen = self
+            .in_pool(|| with_outgoing_pulse(blocks, own, &reference.model, &settings))
+            .map_err(|error| failed(channel, &error))?;
+        let provenance = chosen.model.provenance;
+        let [of_echoes, of_outgoing] = provenance.residual_over_peak.map(|part| 100.0 * part);
+        if of_outgoing > 0.0 {
+            out.cx.info(format!(
+                "{}: residual over peak {of_echoes:.2} % with {}, {of_outgoing:.2} % with the outgoing pulse: {} is used",
+                name(channel),
+                if own.model.response.is_some() { "the response of its echoes" } else { "a Gaussian" },
+                if provenance.response == ResponseSource::OutgoingPulse { "the second" } else { "the first" },
+            ));
+        }
+        Ok(Some(chosen))
+    }
+
+    /// Adds the measured behaviour of a receiver near full scale.
+    fn with_limits(
+        &self,
+        channel: Channel,
+        found: Option<Calibrated>,
+        out: &mut Output,
+    ) -> Result<Option<Calibrated>> {
+        let Some(mut found) = found else { return Ok(None) };
+        let clipping_dn = self.clipping_level_dn(channel);
+        found.model.limits.full_scale_is_measured = clipping_dn.is_some();
+        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
+        if found.model.response.is_some() && !gain_changes {
+            let settings = self.settings(channel);
+            let (blocks, model) = (self.blocks(channel), &found.model);
+            found.model.limits = self
+                .in_pool(|| receiver_limits(blocks, model, &settings))
+                .map_err(|error| failed(channel, &error))?;
+        }
+        let ReceiverLimits { overdriven_dn, recovery_samples, .. } = found.model.limits;
+        let findings = [
+            clipping_dn.map(|dn| format!("clips at {dn} DN")),
+            overdriven_dn.map(|dn| format!("is overdriven by pulses above {dn:.0} DN")),
+            recovery_samples.map(|n| format!("loses {n} samples after clipping")),
+        ];
+        for finding in findings.into_iter().flatten() {
+            out.cx.info(format!("{} {finding}", name(channel)));
+        }
+        Ok(Some(found))
+    }
+
+    /// Level at which a receiver clips, if its samples show it.
+    fn clipping_level_dn(&self, channel: Channel) -> Option<u16> {
+        if channel.is_echo() { calibrate::clipping_level_dn(self.blocks(channel)) } else { None }
+    }
+
+    /// Whether more than a tenth of the outgoing pulses reach full scale.
+    fn is_outgoing_pulse_clipped(&self) -> bool {
+        let full_scale_dn = self.settings(Channel::Reference).full_scale_dn;
+        let is_clipped = |block: &Waveform| block.samples.iter().any(|&dn| f64::from(dn) >= full_scale_dn);
+        let clipped = self.blocks(Channel::Reference).filter(is_clipped).count() as u64;
+        10 * clipped > self.count(Channel::Reference)
+    }
+
+    /// Reports the noise of a receiver, and warns if fourth differences contradict it.
+    fn report_noise(channel: Channel, model: &ChannelModel, out: &mut Output) {
+        let measured_dn = model.provenance.noise_by_differences_dn;
+        let Ok(noise) = model.noise() else { return };
+        let expected_dn = noise.difference_sd();
+        let source = match model.provenance.noise {
+            NoiseSource::FreeSamples => "from samples before the pulses",
+            NoiseSource::QuietResiduals => "from residuals where the pulses are low",
+            NoiseSource::Differences => "from fourth differences, without correlation",
+            NoiseSource::Residuals => "from the residuals of the pulses",
+            NoiseSource::Unknown => return,
+        };
+        out.cx.info(format!(
+            "{}: noise {:.2} DN {source}; its white part by fourth differences is {measured_dn:.2} DN, \
+             {expected_dn:.2} DN expected",
+            name(channel),
+            model.noise_sd_dn,
+        ));
+        if measured_dn > 0.0 && !(0.5..2.0).contains(&(expected_dn / measured_dn)) {
+            out.cx.warn(format!(
+                "{}: the noise of {:.2} DN contradicts fourth differences of the samples: standard deviations \
+                 may be wrong by a factor of {:.1}; calibrate from a part of the recording with longer blocks, \
+                 or load a saved sensor model",
+                name(channel),
+                model.noise_sd_dn,
+                (expected_dn / measured_dn).max(measured_dn / expected_dn),
+            ));
+        }
     }
 
     /// Completes a channel's model: without its own response, it gets that of the other
@@ -308,7 +441,9 @@ impl Calibrator {
 
     /// Warns if the full scale is unknown; it may be far below the range of the sample type.
     fn tell_unknown_scale(&self, out: &mut Output) {
-        let is_known = self.look_ahead.lines().first().is_none_or(|line| line.input.full_scale_dn.is_some());
+        let is_recorded =
+            self.look_ahead.lines().first().is_none_or(|line| line.input.full_scale_dn.is_some());
+        let is_known = is_recorded || self.clipping_level_dn(Channel::LowPower).is_some();
         let echoes = [Channel::LowPower, Channel::HighPower];
         let samples =
             echoes.into_iter().flat_map(|channel| self.blocks(channel)).flat_map(|block| block.samples);
@@ -327,14 +462,18 @@ impl Calibrator {
         let settings = self.settings(channel);
         let with_response = self.config.response != ResponseKey::Gaussian;
         let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
-        let found = if gain_changes {
-            calibrate_at_unit_gain(self.look_ahead.recorded(channel), &settings, with_response)
-        } else {
-            calibrate::calibrate(self.blocks(channel), &settings).and_then(|model| match with_response {
-                true => calibrate_response(self.blocks(channel), &model, &settings),
-                false => Ok(Calibrated { model, usable_echoes: 0 }),
-            })
-        };
+        let (recorded, blocks) = (self.look_ahead.recorded(channel), self.blocks(channel));
+        let found = self.in_pool(|| {
+            if gain_changes {
+                return calibrate_at_unit_gain(recorded, &settings, with_response);
+            }
+            let model = calibrate::calibrate(blocks.clone(), &settings)?;
+            if with_response {
+                return calibrate_response(blocks, &model, &settings);
+            }
+            let model = calibrate::separate_noise(blocks, &model, &settings)?;
+            Ok(Calibrated { model, usable_echoes: 0 })
+        });
         match found {
             Ok(found) => Ok(Some(found)),
             Err(CalibrationError::TooFewBlocks { found: 0, .. }) => Ok(None),
@@ -346,16 +485,26 @@ impl Calibrator {
         }
     }
 
+    /// Runs a task in the engine's pool, or in this thread if there is none.
+    fn in_pool<R: Send>(&self, task: impl FnOnce() -> R + Send) -> R {
+        match &self.pool {
+            Some(pool) => pool.install(task),
+            None => task(),
+        }
+    }
+
     fn settings(&self, channel: Channel) -> CalibrationSettings {
         let unknown = InputInfo::default();
         let input = self.look_ahead.lines().first().map_or(&unknown, |batch| &batch.input);
-        let full_scale_dn = f64::from(input.full_scale_dn.unwrap_or(u16::MAX));
+        let measured_dn = self.clipping_level_dn(channel);
+        let full_scale_dn = f64::from(measured_dn.or(input.full_scale_dn).unwrap_or(u16::MAX));
         let settings = match channel {
             Channel::Reference => CalibrationSettings::reference(input.sampling_interval_ns, full_scale_dn),
             _ => CalibrationSettings::echoes(input.sampling_interval_ns, full_scale_dn),
         };
         let digitiser = self.digitiser(channel, input);
-        let settings = CalibrationSettings { digitiser, simd: self.simd, ..settings };
+        let cancelled = Arc::clone(&self.cancelled);
+        let settings = CalibrationSettings { digitiser, simd: self.simd, cancelled, ..settings };
         match (channel, self.config.background) {
             (Channel::Reference, _) | (_, BackgroundKey::Auto) => settings,
             (_, BackgroundKey::Fixed) => {
@@ -420,7 +569,8 @@ impl Calibrator {
             if known.digitiser != self.digitiser(channel, input) {
                 out.cx.warn("the loaded model was calibrated with an odd_sample_shift, decay_amplitude or decay_time_ns that differs from this job: the values of the model are used");
             }
-            if input.full_scale_dn.is_some_and(|dn| f64::from(dn) != known.full_scale_dn) {
+            let is_other_scale = input.full_scale_dn.is_some_and(|dn| f64::from(dn) != known.full_scale_dn);
+            if is_other_scale && !known.limits.full_scale_is_measured {
                 out.cx.warn("the loaded model was calibrated with a full scale that differs from the recording: the value of the model is used");
             }
         }
@@ -490,6 +640,9 @@ pub(super) fn load_model(path: &Path) -> Result<SensorModel> {
 }
 
 fn failed(channel: Channel, error: &CalibrationError) -> StageError {
+    if *error == CalibrationError::Cancelled {
+        return StageError::Stopped;
+    }
     let text = format!("{}: {error}", name(channel));
     match text.rsplit_once("; ") {
         Some((problem, remedy)) => StageError::failed(problem, remedy),
@@ -515,6 +668,8 @@ mod tests {
     fn too_few_waveforms_say_how_many_there_were() {
         let mut calibrator = Calibrator {
             simd: SimdLevel::Portable,
+            pool: None,
+            cancelled: Arc::default(),
             config: Calibrate::default(),
             look_ahead: LookAhead::new(100_000),
             model: None,

@@ -23,6 +23,7 @@ mod online;
 mod profiles;
 mod receivers;
 mod shots;
+mod unexplained;
 
 use receivers::SharedTables;
 
@@ -239,6 +240,10 @@ impl Config for Decompose {
 impl MapConfig for Decompose {
     fn make(&self, site: &RunContext) -> Result<Box<dyn Map>> {
         Ok(Box::new(LineDecomposer { config: self.clone(), path: site.simd, worker: None }))
+    }
+
+    fn conclude(&self, cx: &mut Context) {
+        unexplained::conclude(&self.tables, cx);
     }
 }
 

@@ -182,6 +182,10 @@ struct PulseWavesReader {
     clock: ClockShift,
     /// Message about the emission reference, until it is reported.
     message: Option<Message>,
+    /// Whether the writer of the file stores outgoing pulses of 16 bits in 8 …
+    has_outgoing_bytes: bool,
+    /// … and the number of such pulses read.
+    outgoing_bytes_pulses: u64,
 }
 
 /// Shift of a shot's clock to its emission.
@@ -215,6 +219,9 @@ impl Receivers {
 const BEAMS_LOOKED_AT: u64 = 10_000;
 /// Sampling units between the anchor and the target of a pulse (PulseWaves 0.3, "Pulse Record").
 const UNITS_TO_TARGET: f64 = 1000.0;
+/// Writer whose files declare the outgoing and the returning samples of bright pulses with 16 bits
+/// but store the outgoing ones with 8.
+const OUTGOING_BYTES_WRITER: &str = "PULSEreaderGCW";
 
 /// Largest plausible height, m; a larger third coordinate means a geocentric frame.
 const NO_HEIGHT_M: f64 = 50_000.0;
@@ -229,6 +236,7 @@ impl PulseWavesReader {
         let input = sampling.with(describe(&reader, path, stem, &beams, around_earth));
         let input = Arc::new(input);
         let first_t = reader.header().min_t;
+        let has_outgoing_bytes = reader.header().generating_software.contains(OUTGOING_BYTES_WRITER);
         let time_shift_s = match reader.header().time_axis() {
             TimeAxis::Standard => -wavex_geodesy::time::ADJUSTMENT_S,
             TimeAxis::WeekSeconds | TimeAxis::Undecided => 0.0,
@@ -247,6 +255,8 @@ impl PulseWavesReader {
             broken: BrokenRun::default(),
             clock: ClockShift::Constant(0.0),
             message: None,
+            has_outgoing_bytes,
+            outgoing_bytes_pulses: 0,
         })
     }
 
@@ -278,7 +288,7 @@ impl PulseWavesReader {
         let input = InputInfo { emission_reference: choice.reference, ..self.lines.input().clone() };
         self.lines = Lines::new(Arc::new(input)).marking_edges();
         self.broken = BrokenRun::default();
-        (self.next_pulse, self.last_seen) = (0, None);
+        (self.next_pulse, self.last_seen, self.outgoing_bytes_pulses) = (0, None, 0);
     }
 
     /// Time from the anchor of the current pulse to its clock, ns.
@@ -359,6 +369,9 @@ impl Source for PulseWavesReader {
                 }
                 self.broken.check_at_end()?;
                 self.reader.check_complete()?;
+                if self.outgoing_bytes_pulses > 0 {
+                    cx.warn(format!("the file declares the outgoing pulses of {} pulses with 16 bits but stores them with 8 (an error of {OUTGOING_BYTES_WRITER}): they and their echoes were read accordingly", self.outgoing_bytes_pulses));
+                }
                 if self.reader.stray_bytes() > 0 {
                     let stray = self.reader.stray_bytes();
                     cx.warn(format!("the {stray} bytes after the last pulse are not valid records: the file may be truncated and lack its coordinate system or tables"));
@@ -373,6 +386,9 @@ impl Source for PulseWavesReader {
             };
             if !self.broken.accepts(read, cx, Item::Shots, "a pulse whose waves cannot be read")? {
                 continue;
+            }
+            if self.has_outgoing_bytes && self.waves.read_outgoing_as_bytes() {
+                self.outgoing_bytes_pulses += 1;
             }
             let unit_ns = unit_ns(&self.reader, &pulse);
             let emission = self.emission(&pulse, unit_ns);

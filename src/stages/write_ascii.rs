@@ -242,6 +242,7 @@ mod tests {
             output_dir: folder.path().into(),
             pool: None,
             simd: SimdLevel::Portable,
+            cancelled: Default::default(),
             geometry: Arc::new(Geometry::default()),
         };
         let mut sink = config.make(&site).unwrap();

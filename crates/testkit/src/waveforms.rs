@@ -3,7 +3,9 @@
 use std::f64::consts::TAU;
 
 use wavex_signal::noise::ArNoise;
-use wavex_signal::sensor_model::{Background, ChannelModel, Digitiser, ModelUncertainty};
+use wavex_signal::sensor_model::{
+    Background, ChannelModel, Digitiser, ModelUncertainty, Provenance, ReceiverLimits,
+};
 use wavex_signal::sensor_model::{ResponseNode, SystemResponse};
 use wavex_signal::shape::Pulse;
 use wavex_signal::shape::Shape;
@@ -58,6 +60,7 @@ pub fn model(noise: &ArNoise) -> ChannelModel {
         nodes: vec![ResponseNode { peak_dn: 155.0, values }],
         template_error: vec![0.001; 80],
         echoes: 1000,
+        excess_part: 1.0,
         shape_sd: 1e-3,
     };
     ChannelModel {
@@ -77,6 +80,8 @@ pub fn model(noise: &ArNoise) -> ChannelModel {
         response: Some(response),
         digitiser: Digitiser::default(),
         uncertainty: ModelUncertainty::default(),
+        provenance: Provenance::default(),
+        limits: ReceiverLimits::default(),
         waveforms: 1000,
         pulses: 1000,
     }

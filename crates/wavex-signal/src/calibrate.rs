@@ -9,19 +9,28 @@
 //! of the noise. A peak from pulses too weak to be fitted is replaced by a sign-flipped dip of the
 //! noise.
 
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
 use crate::decompose::{DecomposeSettings, Waveform};
 use crate::noise::{ArNoise, fit_by_bic};
 use crate::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
+use crate::sensor_model::{NoiseSource, Provenance, ReceiverLimits, ResponseSource};
 use crate::simd::SimdLevel;
 use free_samples::NoiseEstimate;
 use initial_estimate::InitialEstimate;
 use pass_stats::PassStats;
 
 mod batches;
+mod clipping;
+mod differences;
 mod free_samples;
+mod histogram;
 mod initial_estimate;
+mod limits;
 mod noise_statistics;
 mod pass_stats;
+pub(crate) mod quiet;
 pub mod response;
 mod sign_flip;
 #[cfg(test)]
@@ -29,18 +38,21 @@ mod tests;
 mod uncertainty;
 mod width;
 
-pub(crate) use batches::decompose_each;
+pub(crate) use batches::{decompose_each, map_parts};
+pub use clipping::clipping_level_dn;
+pub use limits::receiver_limits;
 pub use noise_statistics::NoiseStatistics;
+pub use quiet::separate_noise;
 pub(crate) use uncertainty::jackknife_sd;
 pub(crate) use width::{Narrow, Width};
 
 /// Fewest pulses for a width estimate.
 const MIN_PULSES: usize = 10;
-/// Largest number of blocks in each round of decomposition and estimation, evenly spaced.
+/// Number of blocks in each round of decomposition and estimation, relative to the most allowed.
 ///
 /// The first model only serves to make the second. The first round decides whether free samples
 /// exist and whether the level drifts.
-const MOST_BLOCKS: [u64; 2] = [5_000, 20_000];
+const ROUND_PARTS: [f64; 2] = [0.2, 1.0];
 /// Fraction of blocks with free samples needed to use these.
 ///
 /// Only unsaturated blocks with samples well before their pulses count.
@@ -75,7 +87,7 @@ pub enum BackgroundChoice {
 }
 
 /// Settings of the calibration of a channel.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct CalibrationSettings {
     /// Sampling interval, ns.
     pub sampling_interval_ns: f64,
@@ -83,6 +95,8 @@ pub struct CalibrationSettings {
     pub full_scale_dn: f64,
     /// Fewest blocks; fewer are an error.
     pub min_blocks: u64,
+    /// Largest number of blocks used, evenly spaced; more would not change the model measurably.
+    pub max_blocks: usize,
     /// Largest order of the autoregressive noise model.
     pub max_ar_order: usize,
     /// Source of the background.
@@ -94,31 +108,37 @@ pub struct CalibrationSettings {
     pub decompose: DecomposeSettings,
     /// Instruction set of the kernels.
     pub simd: SimdLevel,
+    /// Ends the calibration with [`CalibrationError::Cancelled`] once set.
+    pub cancelled: Arc<AtomicBool>,
 }
 
 impl CalibrationSettings {
-    /// Settings for an echo channel: at least 200 blocks, order at most 4, fastest instruction set.
+    /// Settings for an echo channel: 200 to 6000 blocks, order at most 4, fastest instruction set.
     pub fn echoes(sampling_interval_ns: f64, full_scale_dn: f64) -> CalibrationSettings {
         CalibrationSettings {
             sampling_interval_ns,
             full_scale_dn,
             min_blocks: 200,
+            max_blocks: 6_000,
             max_ar_order: 4,
             background: BackgroundChoice::Auto,
             digitiser: Digitiser::default(),
             decompose: DecomposeSettings::default(),
             simd: SimdLevel::best(),
+            cancelled: Arc::default(),
         }
     }
 
-    /// Settings for the outgoing pulse: at least 20 blocks, order at most 2, fixed background.
+    /// Settings for the outgoing pulse: 20 to 2000 blocks, order at most 2, fixed background.
     ///
-    /// Every block contains the same strong pulse, and only a few samples precede it.
+    /// Every block contains one strong pulse, always the same, and only a few samples precede it.
     pub fn reference(sampling_interval_ns: f64, full_scale_dn: f64) -> CalibrationSettings {
         CalibrationSettings {
             min_blocks: 20,
+            max_blocks: 2_000,
             max_ar_order: 2,
             background: BackgroundChoice::Fixed,
+            decompose: DecomposeSettings { max_returns: 1, ..DecomposeSettings::default() },
             ..CalibrationSettings::echoes(sampling_interval_ns, full_scale_dn)
         }
     }
@@ -151,6 +171,9 @@ pub enum CalibrationError {
         /// Number of blocks.
         blocks: u64,
     },
+    /// [`CalibrationSettings::cancelled`] was set.
+    #[error("the calibration was cancelled")]
+    Cancelled,
     /// The settings or the samples give no usable model.
     #[error(transparent)]
     Model(#[from] ModelError),
@@ -159,7 +182,8 @@ pub enum CalibrationError {
 /// Calibrates one channel.
 ///
 /// The blocks are read several times, so the iterator must be cheap to clone: over samples in
-/// memory.
+/// memory. In a thread of a `rayon` pool, the other threads share the work; the result does not
+/// depend on their number.
 ///
 /// ```
 /// use wavex_signal::calibrate::{CalibrationSettings, calibrate};
@@ -187,7 +211,8 @@ where
     if found < settings.min_blocks {
         return Err(CalibrationError::TooFewBlocks { found, needed: settings.min_blocks });
     }
-    let look = InitialEstimate::of(blocks.clone(), settings.full_scale_dn);
+    let step = found.div_ceil(settings.max_blocks as u64) as usize | 1;
+    let look = InitialEstimate::of(blocks.clone().step_by(step), settings.full_scale_dn);
     if look.pulses < MIN_PULSES {
         let (found_pulses, needed) = (look.pulses as u64, MIN_PULSES as u64);
         return Err(CalibrationError::TooFewPulses { found: found_pulses, needed, blocks: found });
@@ -198,7 +223,8 @@ where
     };
     let mut model = first_model(&look, background, settings, found);
     let mut free = true;
-    for (pass, most) in MOST_BLOCKS.into_iter().enumerate() {
+    for (pass, part) in ROUND_PARTS.into_iter().enumerate() {
+        let most = (part * settings.max_blocks as f64).max(1.0) as u64;
         // An odd step covers all phases of the first samples if these alternate.
         let step = found.div_ceil(most) as usize | 1;
         let chosen = || blocks.clone().step_by(step);
@@ -228,17 +254,16 @@ fn survey<'a>(
     model: &ChannelModel,
     free: bool,
     settings: &CalibrationSettings,
-) -> Result<PassStats, ModelError> {
+) -> Result<PassStats, CalibrationError> {
     let overlooked = free && model.background == Background::PerWaveform;
-    let simd = settings.simd;
-    let settings = DecomposeSettings {
+    let decompose = DecomposeSettings {
         explains_all: false,
         max_added: if overlooked { MAX_OVERLOOKED } else { 0 },
         split_evidence: None,
         ..settings.decompose.clone()
     };
     let mut survey = PassStats::of(model, blocks.clone().count() as u64)?;
-    decompose_each(blocks, model, &settings, simd, |block, outcome| survey.add(model, block, outcome))?;
+    decompose_each(blocks, model, &decompose, settings, |block, outcome| survey.add(model, block, outcome))?;
     Ok(survey)
 }
 
@@ -269,6 +294,11 @@ fn first_model(
         Background::PerWaveform => (look.floor_level_dn, WIDE * look.floor_sd_dn, look.white_sd_dn),
     };
     let noise_sd_dn = sd.max(QUANTISATION_VARIANCE.sqrt());
+    let provenance = Provenance {
+        noise_by_differences_dn: look.white_sd_dn,
+        response: ResponseSource::Gaussian,
+        ..Provenance::default()
+    };
     ChannelModel {
         sampling_interval_ns: settings.sampling_interval_ns,
         full_scale_dn: settings.full_scale_dn,
@@ -286,6 +316,8 @@ fn first_model(
         response: None,
         digitiser: settings.digitiser,
         uncertainty: ModelUncertainty::default(),
+        provenance,
+        limits: ReceiverLimits::default(),
         waveforms: blocks,
         pulses: 0,
     }
@@ -302,8 +334,10 @@ fn better_model(
     let mut model = ChannelModel { waveforms: survey.blocks, ..last.clone() };
     if free {
         from_free_samples(&mut model, survey, settings);
+        model.provenance.noise = NoiseSource::FreeSamples;
     } else {
         from_residuals(&mut model, survey, look);
+        model.provenance.noise = NoiseSource::Residuals;
     }
     model.uncertainty =
         if free { survey.free.uncertainty() } else { uncertainty::of_residuals(&model, survey) };
@@ -336,11 +370,11 @@ fn from_free_samples(model: &mut ChannelModel, survey: &PassStats, settings: &Ca
 ///
 /// The noise is white with the variance of the residuals, and the levels are those of the fits.
 /// Residuals contain the deviation of the pulse from a Gaussian, so their correlation is not that
-/// of the noise. If they exceed the noise, a free level has absorbed the skirt of the pulse; then
+/// of the noise; [`separate_noise`] removes it. If they exceed the noise, a free level has absorbed the skirt of the pulse; then
 /// the smallest samples of the blocks give a better level.
 fn from_residuals(model: &mut ChannelModel, survey: &PassStats, look: &InitialEstimate) {
     let residual_sd_dn = model.noise_sd_dn * survey.residual_sd();
-    if residual_sd_dn <= MISSHAPEN * look.white_sd_dn.max(QUANTISATION_VARIANCE.sqrt()) {
+    if residual_sd_dn <= MISSHAPEN * look.white_sd_dn {
         let (offset, spread) = survey.offset_dn();
         model.background_dn = model.background_dn.map(|level| level + offset);
         model.background_sd_dn = WIDE * spread;

@@ -68,12 +68,14 @@ pub struct DecomposeSettings {
     /// Thresholds near a strong pulse are raised by this fraction of its height. Without effect for
     /// Gaussians.
     pub template_error: f64,
-    /// Fraction of full scale above which pulses overdrive the receiver.
+    /// Fraction of full scale above which pulses overdrive the receiver, if the model has no
+    /// measured limit.
     ///
     /// No sample needs to be saturated. Such pulses are flagged and not divided, and the response
     /// error is 6 % of their height up to the after-pulse. Only for models with a response.
     pub overdriven_part: f64,
-    /// Samples unusable after saturation, while the receiver recovers.
+    /// Samples unusable after saturation, while the receiver recovers, if the model has no measured
+    /// number.
     pub recovery_samples: usize,
     /// Maximum number of returns per waveform; the strongest candidates are kept.
     pub max_returns: usize,

@@ -78,6 +78,7 @@ impl ChannelModel {
         for value in [&mut model.background_sd_dn, &mut model.noise_sd_dn, &mut model.innovation_sd_dn] {
             *value *= factor;
         }
+        model.provenance.noise_by_differences_dn *= factor;
         model.uncertainty.background_dn *= factor;
         model.uncertainty.noise_sd_dn *= factor;
         if let Some(response) = &mut model.response {

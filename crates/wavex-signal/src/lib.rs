@@ -6,7 +6,7 @@
 //!
 //! ```
 //! use wavex_signal::decompose::{DecomposeSettings, Decomposer};
-//! use wavex_signal::sensor_model::{Background, ChannelModel, Digitiser, ModelUncertainty};
+//! use wavex_signal::sensor_model::{Background, ChannelModel, Digitiser, ModelUncertainty, Provenance, ReceiverLimits};
 //!
 //! let model = ChannelModel {
 //!     sampling_interval_ns: 1.0,
@@ -25,6 +25,8 @@
 //!     response: None,
 //!     digitiser: Digitiser::default(),
 //!     uncertainty: ModelUncertainty::default(),
+//!     provenance: Provenance::default(),
+//!     limits: ReceiverLimits::default(),
 //!     waveforms: 1000,
 //!     pulses: 1000,
 //! };

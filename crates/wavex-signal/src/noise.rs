@@ -85,6 +85,16 @@ impl ArNoise {
         self.autocovariance[0].sqrt()
     }
 
+    /// SD of the fourth differences of the process, over that of white noise of unit variance.
+    ///
+    /// It is the SD of white noise itself; a smooth process has less.
+    pub fn difference_sd(&self) -> f64 {
+        let mut r = [0.0; 5];
+        self.autocovariance_into(&mut r);
+        // Autocorrelation of the filter 1, -4, 6, -4, 1.
+        ((70.0 * r[0] - 112.0 * r[1] + 56.0 * r[2] - 16.0 * r[3] + 2.0 * r[4]) / 70.0).max(0.0).sqrt()
+    }
+
     /// Fills `out[k]` with the autocovariance at lag `k`.
     pub fn autocovariance_into(&self, out: &mut [f64]) {
         for k in 0..out.len() {
@@ -159,6 +169,14 @@ mod tests {
         assert!((r[0] - r0).abs() < 1e-12);
         assert!((r[1] / r[0] - a / (1.0 - b)).abs() < 1e-12);
         assert!((r[5] - a * r[4] - b * r[3]).abs() < 1e-12);
+    }
+
+    #[test]
+    fn differences_of_a_process_have_their_closed_form() {
+        assert!((ArNoise::new(&[], 1.7).unwrap().difference_sd() - 1.7).abs() < 1e-12);
+        // Lags 0 to 4 of 0.5^k, variance 4/3.
+        let exact = ((70.0 - 56.0 + 14.0 - 2.0 + 0.125) / 70.0 * 4.0 / 3.0f64).sqrt();
+        assert!((ArNoise::new(&[0.5], 1.0).unwrap().difference_sd() - exact).abs() < 1e-12);
     }
 
     #[test]

@@ -92,6 +92,12 @@ pub struct ChannelModel {
     /// Standard deviations of these parameters.
     #[serde(default)]
     pub uncertainty: ModelUncertainty,
+    /// Data from which noise and response were estimated.
+    #[serde(default, skip_serializing_if = "Provenance::is_unknown")]
+    pub provenance: Provenance,
+    /// Behaviour of the receiver near full scale.
+    #[serde(default, skip_serializing_if = "ReceiverLimits::is_unknown")]
+    pub limits: ReceiverLimits,
     /// Number of blocks used for calibration.
     pub waveforms: u64,
     /// Number of single, unsaturated pulses used for the width.
@@ -183,6 +189,85 @@ pub struct ModelUncertainty {
     pub pulse_error_factor: f64,
 }
 
+/// Data from which the parts of a [`ChannelModel`] were estimated.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Provenance {
+    /// Data of the noise.
+    pub noise: NoiseSource,
+    /// Noise SD from fourth differences of quiet samples, DN; 0 if not measured.
+    ///
+    /// Independent of the pulse model. For correlated noise it is smaller than `noise_sd_dn`;
+    /// [`ArNoise::difference_sd`](crate::noise::ArNoise::difference_sd) is the value expected from
+    /// the noise model.
+    pub noise_by_differences_dn: f64,
+    /// Data of the pulse shape.
+    pub response: ResponseSource,
+    /// Median residual of strong echoes over their peak, with the response of the echoes or a
+    /// Gaussian, and with that of the outgoing pulse; 0 if not compared.
+    pub residual_over_peak: [f64; 2],
+}
+
+/// Data of a noise estimate.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum NoiseSource {
+    /// Not recorded.
+    #[default]
+    Unknown,
+    /// Samples before the first pulse of a block.
+    FreeSamples,
+    /// Residuals of fits, at all samples.
+    Residuals,
+    /// Residuals of fits, at samples where the fitted pulses are low.
+    QuietResiduals,
+    /// Fourth differences of quiet samples; correlation is unknown.
+    Differences,
+}
+
+/// Data of a pulse shape.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ResponseSource {
+    /// Not recorded.
+    #[default]
+    Unknown,
+    /// A Gaussian of the width of the echoes.
+    Gaussian,
+    /// Single echoes of the channel.
+    Echoes,
+    /// Single echoes of the other receiver.
+    OtherReceiver,
+    /// Recorded outgoing pulses.
+    OutgoingPulse,
+}
+
+/// Behaviour of a receiver near full scale.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ReceiverLimits {
+    /// Whether `full_scale_dn` was measured, from an accumulation of the highest samples.
+    pub full_scale_is_measured: bool,
+    /// Height above which pulses overdrive the receiver, DN; absent if not measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub overdriven_dn: Option<f64>,
+    /// Samples unusable after saturation; absent if not measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recovery_samples: Option<usize>,
+}
+
+impl Provenance {
+    fn is_unknown(&self) -> bool {
+        *self == Provenance::default()
+    }
+}
+
+impl ReceiverLimits {
+    fn is_unknown(&self) -> bool {
+        *self == ReceiverLimits::default()
+    }
+}
+
 fn one() -> f64 {
     1.0
 }
@@ -235,6 +320,13 @@ impl ChannelModel {
         self.noise()?;
         self.digitiser.check()?;
         self.response.as_ref().map_or(Ok(()), SystemResponse::check)
+    }
+
+    /// Height above which pulses overdrive the receiver, DN.
+    ///
+    /// As measured, or else this fraction of full scale.
+    pub fn overdriven_dn(&self, part: f64) -> f64 {
+        self.limits.overdriven_dn.unwrap_or(part * self.full_scale_dn)
     }
 
     /// Calibrated pulse width, samples.
@@ -301,6 +393,8 @@ mod tests {
             response: None,
             digitiser: Digitiser::default(),
             uncertainty: ModelUncertainty { noise_sd_dn: 0.01, ..ModelUncertainty::default() },
+            provenance: Provenance::default(),
+            limits: ReceiverLimits::default(),
             waveforms: 200,
             pulses: 150,
         }

@@ -81,6 +81,8 @@ pub fn channel(process: &ArNoise, fwhm_samples: f64, background_dn: f64) -> Chan
         response: None,
         digitiser: Digitiser::default(),
         uncertainty: Default::default(),
+        provenance: Default::default(),
+        limits: Default::default(),
         waveforms: 1000,
         pulses: 1000,
     }

@@ -192,7 +192,7 @@ impl Both {
                 between,
                 low: JointFit::new(low, template_error)?,
                 high: JointFit::new(high, template_error)?,
-                overdriven_dn: OVERDRIVEN_PART * low.full_scale_dn,
+                overdriven_dn: low.overdriven_dn(OVERDRIVEN_PART),
                 detection_sigma,
             })
         };

@@ -14,7 +14,7 @@ use wavex_signal::decompose::{
 };
 use wavex_signal::gain::GainLevel;
 use wavex_signal::outgoing::{Outgoing, OutgoingBatch, ReferenceBlock, Usual};
-use wavex_signal::sensor_model::{ChannelModel, ModelError, SensorModel};
+use wavex_signal::sensor_model::{ChannelModel, ModelError, Provenance, SensorModel};
 use wavex_signal::simd::SimdLevel;
 
 /// Maximum number of iterations of one fit in the mode `slow`.
@@ -70,19 +70,36 @@ impl SensorTables {
 ///
 /// The first worker that needs them creates them. They are dropped with the last worker.
 #[derive(Clone, Default)]
-pub(super) struct SharedTables(Arc<Mutex<(Weak<SensorModel>, Weak<SensorTables>)>>);
+pub(super) struct SharedTables(Arc<Mutex<Shared>>);
+
+#[derive(Default)]
+struct Shared {
+    model: Weak<SensorModel>,
+    tables: Weak<SensorTables>,
+    /// Data of the model of the first echo receiver.
+    provenance: Provenance,
+}
 
 impl SharedTables {
     /// Returns the tables of this model.
     pub(super) fn of(&self, model: &Arc<SensorModel>, mode: Mode) -> Arc<SensorTables> {
         let mut shared = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_theirs = std::ptr::eq(shared.0.as_ptr(), Arc::as_ptr(model));
-        if let Some(tables) = shared.1.upgrade().filter(|_| is_theirs) {
+        let is_theirs = std::ptr::eq(shared.model.as_ptr(), Arc::as_ptr(model));
+        if let Some(tables) = shared.tables.upgrade().filter(|_| is_theirs) {
             return tables;
         }
         let tables = Arc::new(SensorTables::new(model, mode));
-        *shared = (Arc::downgrade(model), Arc::downgrade(&tables));
+        *shared = Shared {
+            model: Arc::downgrade(model),
+            tables: Arc::downgrade(&tables),
+            provenance: echo_receiver(model).map(|channel| channel.provenance).unwrap_or_default(),
+        };
         tables
+    }
+
+    /// Data of the model last used.
+    pub(super) fn provenance(&self) -> Provenance {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).provenance
     }
 }
 
@@ -90,6 +107,10 @@ impl std::fmt::Debug for SharedTables {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("SharedTables")
     }
+}
+
+fn echo_receiver(model: &SensorModel) -> Option<&ChannelModel> {
+    model.low_power.as_ref().or(model.high_power.as_ref())
 }
 
 /// Routing of a block and the index of its result.

@@ -7,6 +7,7 @@ use super::echo::{Found, UNRELIABLE_RANGE_SD_M};
 use super::online::unresolved;
 use super::profiles::Profiles;
 use super::receivers::{BlockRoute, Receivers, SensorTables};
+use super::unexplained::Explained;
 use crate::scan_line::{
     Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LineStats, OnlineReturn, ReturnChannel,
     Returns, ShotProfile, flags,
@@ -214,6 +215,7 @@ pub(crate) struct ShotDecomposer {
     drop_emission_crosstalk: bool,
     found: Vec<Found>,
     profiles: Profiles,
+    explained: Explained,
     /// By emission index: whether an echo was received during the emission.
     expected: Vec<bool>,
 }
@@ -237,6 +239,7 @@ impl ShotDecomposer {
             drop_emission_crosstalk: config.drop_emission_crosstalk,
             found: Vec::new(),
             profiles: Profiles::new(model, config)?,
+            explained: Explained::default(),
             expected: Vec::new(),
         })
     }
@@ -263,7 +266,9 @@ impl ShotDecomposer {
         cx.observe("left_to_plain_kernels", (self.receivers.left_to_plain() - before) as f64);
         self.expect_echoes_on_outgoing(shots, line.emissions);
         self.receivers.judge_outgoing(shots, true, |index| is_set(&self.expected, index));
-        self.finish_shots(shots, line, cx, watch)
+        self.finish_shots(shots, line, cx, watch)?;
+        self.explained.report(cx);
+        Ok(())
     }
 
     /// Decomposes one shot of the last line again, with the same result.
@@ -277,7 +282,9 @@ impl ShotDecomposer {
         let shots = std::slice::from_ref(shot);
         self.receivers.decompose(shots, self.both.as_ref())?;
         self.receivers.judge_outgoing(shots, false, |index| is_set(&self.expected, index));
-        self.finish_shots(shots, line, cx, watch)
+        self.finish_shots(shots, line, cx, watch)?;
+        self.explained = Explained::default();
+        Ok(())
     }
 
     /// Finds the emissions of the line during which echoes were received.
@@ -447,6 +454,7 @@ impl ShotDecomposer {
             };
             waveform.used = true;
             waveform.add(&result, stats);
+            self.explained.add(&result);
             let mut fit = BlockFit::of(channel, &result);
             // A waveform's deviation from the digitiser's background scales with the gain.
             let background_dn = mean(&model.background_dn) + result.background_offset_dn / block.gain;

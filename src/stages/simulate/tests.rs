@@ -345,6 +345,7 @@ fn site(folder: &std::path::Path) -> RunContext {
         output_dir: folder.to_path_buf(),
         pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
+        cancelled: Default::default(),
         geometry: Default::default(),
     }
 }

@@ -22,6 +22,7 @@ fn site(folder: &Path, input: &str) -> RunContext {
         output_dir: folder.to_path_buf(),
         pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
+        cancelled: Default::default(),
         geometry: Default::default(),
     }
 }

@@ -60,6 +60,7 @@ fn site(folder: &Path) -> RunContext {
         output_dir: folder.into(),
         pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
+        cancelled: Default::default(),
         geometry: Arc::default(),
     }
 }

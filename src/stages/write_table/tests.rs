@@ -125,6 +125,7 @@ fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
         output_dir: folder.into(),
         pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
+        cancelled: Default::default(),
         geometry: Default::default(),
     };
     let mut cx = Context::default();
@@ -305,6 +306,7 @@ fn shots_are_refused() {
         output_dir: folder.path().into(),
         pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
+        cancelled: Default::default(),
         geometry: Default::default(),
     };
     let mut sink = config("*.csv").make(&site).unwrap();

@@ -125,3 +125,24 @@ fn an_unknown_full_scale_is_said_and_can_be_given() {
     let model: serde_json::Value = serde_json::from_str(&place.text("out/model.json")).unwrap();
     assert_eq!(model["low_power"]["full_scale_dn"], 255.0);
 }
+
+/// A model with a quarter of the noise explains no waveform: the run says so, what it used, and what
+/// to set.
+#[test]
+fn a_recording_that_its_returns_do_not_explain_ends_with_a_warning() {
+    let place = recording(|_, _| {});
+    let warning = "the returns do not explain the waveforms";
+    run(&place, "", "save = 'model.json'", "");
+    assert!(!place.text("out/report.json").contains(warning));
+    let mut model: serde_json::Value = serde_json::from_str(&place.text("out/model.json")).unwrap();
+    for key in ["noise_sd_dn", "innovation_sd_dn"] {
+        let value = &mut model["low_power"][key];
+        *value = (0.25 * value.as_f64().unwrap()).into();
+    }
+    place.write("out/quiet.json", model.to_string().as_bytes());
+    run(&place, "", &format!("load = '{}'", place.path("out/quiet.json").display()), "");
+    let report = place.text("out/report.json");
+    for text in [warning, "Used: the response of single echoes", "`wavex explain`", "`response` of calibrate"] {
+        assert!(report.contains(text), "{text}: {report}");
+    }
+}

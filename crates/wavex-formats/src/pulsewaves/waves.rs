@@ -83,6 +83,28 @@ impl Waves {
         self.samples.get(segment.range.clone()).unwrap_or(&[])
     }
 
+    /// Reads an outgoing and a returning segment of 16 bits again, with 8 bits for the first.
+    ///
+    /// For writers that declare 16 bits for both but store the outgoing pulse in 8. `false`, and
+    /// nothing changes, for waves of other segments.
+    pub fn read_outgoing_as_bytes(&mut self) -> bool {
+        let [outgoing, returning] = &mut self.segments[..] else { return false };
+        let kinds = (outgoing.kind, returning.kind);
+        let is_declared = kinds == (SegmentKind::Outgoing, SegmentKind::Returning)
+            && (outgoing.bits, returning.bits) == (16, 16);
+        if !is_declared {
+            return false;
+        }
+        let bytes: Vec<u8> = self.samples.iter().flat_map(|sample| sample.to_le_bytes()).collect();
+        let (of_outgoing, rest) = bytes.split_at(outgoing.range.len());
+        let of_returning = &rest[..2 * returning.range.len()];
+        self.samples.clear();
+        self.samples.extend(of_outgoing.iter().map(|&byte| u16::from(byte)));
+        self.samples.extend(of_returning.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])));
+        outgoing.bits = 8;
+        true
+    }
+
     /// Removes all segments but keeps the memory.
     pub(super) fn clear(&mut self) {
         self.segments.clear();

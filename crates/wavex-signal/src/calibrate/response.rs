@@ -8,17 +8,19 @@
 
 use crate::calibrate::{
     CalibrationError, CalibrationSettings, GROUPS, Narrow, Width, decompose_each, jackknife_sd,
+    map_parts, quiet,
 };
 use crate::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Return, Waveform};
 use crate::flags;
 use crate::sensor_model::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse, normalised};
-use crate::sensor_model::{ChannelModel, ModelError};
+use crate::sensor_model::{ChannelModel, ModelError, NoiseSource, ResponseSource};
 use crate::shape::Shape;
 use quality::Quality;
 use solve::Problem;
 use spline::Basis;
 
 mod even_odd;
+mod outgoing;
 mod quality;
 mod solve;
 mod spline;
@@ -26,11 +28,10 @@ mod spline;
 mod tests;
 
 pub use even_odd::EvenOdd;
+pub use outgoing::with_outgoing_pulse;
 
 /// Fewest usable single echoes for a response.
 pub const MIN_ECHOES: usize = 150;
-/// Largest number of blocks, evenly spaced; more would not change the response measurably.
-const MAX_BLOCKS: usize = 12_000;
 /// Largest height of further echoes of a block relative to the strongest, by round.
 ///
 /// A Gaussian model reports the after-pulse as an echo, and a first response may leave some of it.
@@ -40,9 +41,15 @@ const ERRORS: [f64; 4] = [0.02, 0.02, 0.01, 0.005];
 /// Largest number of echoes per height node, by round.
 ///
 /// All but the last response only serve to select and locate the echoes of the next round.
-const MOST_ECHOES: [usize; 4] = [1_500, 1_500, 1_500, usize::MAX];
-/// Largest number of echoes in the even/odd test; they determine the factor to 1.3 %.
-const MOST_SCORED: usize = 6_000;
+const MOST_ECHOES: [usize; 4] = [500, 500, 500, 2_000];
+/// Number of usable echoes in the first rounds below which all blocks are decomposed.
+const ENOUGH_FIRST: usize = 1_000;
+/// Largest number of blocks in the first rounds, evenly spaced, if enough of their echoes are single.
+const MOST_FIRST: usize = 2_000;
+/// Largest number of echoes in the even/odd test; they determine the factor to 3 %.
+const MOST_SCORED: usize = 1_000;
+/// Number of partial sums of the equations of a response, each by one thread.
+const SUMS: usize = 8;
 /// Smallest height of usable echoes, in standard deviations of the noise; they must also not
 /// overdrive the receiver.
 const STRONG_SD: f64 = 30.0;
@@ -67,6 +74,8 @@ const BORROWED_WIDTH: f64 = 0.15;
 struct Single<'a> {
     block: Waveform<'a>,
     fitted: Return,
+    /// Chi-square of the block less its degrees of freedom.
+    excess: f64,
 }
 
 impl Single<'_> {
@@ -94,43 +103,56 @@ pub fn calibrate_response<'a>(
     model: &ChannelModel,
     settings: &CalibrationSettings,
 ) -> Result<Calibrated, CalibrationError> {
-    let mut blocks = chosen_evenly(blocks);
+    let mut blocks = chosen_evenly(blocks, settings.max_blocks);
     let longest = blocks.iter().map(|block| block.samples.len()).max().unwrap_or(0);
     let mut model = ChannelModel { response: None, pulse_error_factor: 1.0, ..model.clone() };
     let gaussian = model.clone();
+    let all = blocks.clone();
+    let without_response = |usable_echoes| -> Result<Calibrated, CalibrationError> {
+        let model = quiet::separate_noise(all.iter().copied(), &gaussian, settings)?;
+        Ok(Calibrated { model, usable_echoes })
+    };
+    // The first responses only serve to select the echoes of the last.
+    let few = chosen_evenly(blocks.iter().copied(), MOST_FIRST);
     let mut usable_echoes = 0;
-    for ((minor_part, error), most) in MINOR_PARTS.into_iter().zip(ERRORS).zip(MOST_ECHOES) {
-        let singles = singles(&blocks, &model, settings, minor_part, error)?;
+    for (round, ((minor_part, error), most)) in
+        MINOR_PARTS.into_iter().zip(ERRORS).zip(MOST_ECHOES).enumerate()
+    {
+        let is_first = round < 2;
+        let mut singles = self::singles(if is_first { &few } else { &blocks }, &model, settings, minor_part, error)?;
+        if is_first && singles.len() < ENOUGH_FIRST && few.len() < blocks.len() {
+            singles = self::singles(&blocks, &model, settings, minor_part, error)?;
+        }
         usable_echoes = singles.len();
         if usable_echoes < MIN_ECHOES {
-            return Ok(Calibrated { model: gaussian, usable_echoes });
+            return without_response(usable_echoes);
         }
-        // Blocks without a nearly single echo are not used again.
-        blocks = singles.iter().map(|single| single.block).collect();
+        if !is_first {
+            // Blocks without a nearly single echo are not used again.
+            blocks = singles.iter().map(|single| single.block).collect();
+        }
         match better_response(&singles, &model, longest, most)? {
             Some(response) => model = with_response(&model, response),
-            None => return Ok(Calibrated { model: gaussian, usable_echoes }),
+            None => return without_response(usable_echoes),
         }
     }
+    model.provenance.response = ResponseSource::Echoes;
+    model = quiet::separate_noise(all.iter().copied(), &model, settings)?;
     let singles = self::singles(&blocks, &model, settings, 0.0, ERRORS[3])?;
     let mut quality = Quality::new(&model, longest)?;
-    let scored = singles.len().div_ceil(MOST_SCORED).max(1);
-    singles.iter().enumerate().for_each(|(i, single)| quality.add(single, i % scored == 0));
-    let (factor, factor_sd) = quality.pulse_error_factor();
-    let template_error = quality.template_error();
-    model.pulse_error_factor = factor;
-    model.uncertainty.pulse_error_factor = factor_sd;
+    quality.add_all(&singles);
+    quality.apply_to(&mut model);
     model.uncertainty.pulse_fwhm_ns = fwhm_sd_ns(&model, &singles);
-    if let Some(response) = &mut model.response {
-        response.template_error = template_error;
-    }
     Ok(Calibrated { model, usable_echoes })
 }
 
-/// Selects [`MAX_BLOCKS`] evenly spaced blocks, or all.
-fn chosen_evenly<'a>(blocks: impl Iterator<Item = Waveform<'a>> + Clone) -> Vec<Waveform<'a>> {
+/// Selects at most `most` evenly spaced blocks.
+fn chosen_evenly<'a>(
+    blocks: impl Iterator<Item = Waveform<'a>> + Clone,
+    most: usize,
+) -> Vec<Waveform<'a>> {
     let count = blocks.clone().count().max(1);
-    let most = MAX_BLOCKS.min(count);
+    let most = most.min(count);
     let is_chosen = |i: usize| (i + 1) * most / count > i * most / count;
     blocks.enumerate().filter(|(i, _)| is_chosen(*i)).map(|(_, block)| block).collect()
 }
@@ -147,21 +169,29 @@ pub fn with_response_of(model: &ChannelModel, other: &ChannelModel) -> Option<Ch
     if is_other_pulse && model.pulses > 0 {
         return None;
     }
-    let error = |(k, &measured): (usize, &f64)| {
-        // Values within half a sample of the time of the error.
-        let (from, to) =
-            ((k * STEPS_PER_SAMPLE).saturating_sub(STEPS_PER_SAMPLE / 2), (2 * k + 1) * STEPS_PER_SAMPLE / 2);
-        let values = &node.values[from.min(node.values.len())..to.min(node.values.len())];
-        let is_high = values.iter().any(|value| value.abs() >= BORROWED_ERROR);
-        if is_high { measured.max(BORROWED_ERROR) } else { measured }
-    };
-    let template_error = known.template_error.iter().enumerate().map(error).collect();
-    let response = SystemResponse { nodes: vec![node], template_error, echoes: 0, ..known.clone() };
+    let mut response = SystemResponse { nodes: vec![node], echoes: 0, ..known.clone() };
+    response.template_error = least_errors(&response, BORROWED_ERROR);
     let mut borrowed = with_response(model, response);
+    borrowed.provenance.response = ResponseSource::OtherReceiver;
     borrowed.pulse_error_factor = other.pulse_error_factor;
     borrowed.uncertainty.pulse_error_factor = other.uncertainty.pulse_error_factor;
     borrowed.uncertainty.pulse_fwhm_ns = BORROWED_ERROR * borrowed.pulse_fwhm_ns;
     Some(borrowed)
+}
+
+/// Template error of a response, at least this where the response exceeds it.
+fn least_errors(response: &SystemResponse, least: f64) -> Vec<f64> {
+    let values = response.nodes.first().map_or(&[][..], |node| &node.values);
+    let error = |k: usize| {
+        // Values within half a sample of the time of the error.
+        let (from, to) =
+            ((k * STEPS_PER_SAMPLE).saturating_sub(STEPS_PER_SAMPLE / 2), (2 * k + 1) * STEPS_PER_SAMPLE / 2);
+        let is_high =
+            values[from.min(values.len())..to.min(values.len())].iter().any(|value| value.abs() >= least);
+        let measured = response.template_error.get(k).copied().unwrap_or(0.0);
+        if is_high { measured.max(least) } else { measured }
+    };
+    (0..values.len() / STEPS_PER_SAMPLE).map(error).collect()
 }
 
 fn with_response(model: &ChannelModel, response: SystemResponse) -> ChannelModel {
@@ -171,6 +201,18 @@ fn with_response(model: &ChannelModel, response: SystemResponse) -> ChannelModel
     ChannelModel { response: Some(response), pulse_fwhm_ns, pulses, ..model.clone() }
 }
 
+/// Smallest height of usable echoes, DN.
+///
+/// The residuals of fits contain the shape error, which grows with the height. Noise estimated from
+/// them gives no threshold.
+fn strong_dn(model: &ChannelModel) -> f64 {
+    let by_differences_dn = model.provenance.noise_by_differences_dn;
+    match model.provenance.noise {
+        NoiseSource::Residuals if by_differences_dn > 0.0 => STRONG_SD * by_differences_dn,
+        _ => STRONG_SD * model.noise_sd_dn,
+    }
+}
+
 /// Selects the usable single echoes of the blocks.
 fn singles<'a>(
     blocks: &[Waveform<'a>],
@@ -178,28 +220,32 @@ fn singles<'a>(
     settings: &CalibrationSettings,
     minor_part: f64,
     template_error: f64,
-) -> Result<Vec<Single<'a>>, ModelError> {
-    let simd = settings.simd;
-    let settings = DecomposeSettings {
+) -> Result<Vec<Single<'a>>, CalibrationError> {
+    let decompose = DecomposeSettings {
         explains_all: false,
         max_added: if model.response.is_some() { 4 } else { 0 },
         split_evidence: None,
         template_error,
         ..settings.decompose.clone()
     };
-    let heights = STRONG_SD * model.noise_sd_dn..OVERDRIVEN_PART * model.full_scale_dn;
+    let heights = strong_dn(model)..OVERDRIVEN_PART * model.full_scale_dn;
     let mut found = Vec::new();
-    decompose_each(blocks.iter().copied(), model, &settings, simd, |block, outcome| {
+    decompose_each(blocks.iter().copied(), model, &decompose, settings, |block, outcome| {
         let single = strongest(outcome, minor_part, model.fwhm_samples());
         if let Some(fitted) = single.filter(|r| heights.contains(&r.amplitude_dn)) {
-            found.push(Single { block, fitted: *fitted });
+            let excess = outcome.chi_square - outcome.degrees_of_freedom() as f64;
+            found.push(Single { block, fitted: *fitted, excess });
         }
     })?;
     Ok(found)
 }
 
 /// The strongest return, if it is complete and others are minor and well after it.
-fn strongest<'a>(outcome: &Decomposition<'a>, minor_part: f64, fwhm_samples: f64) -> Option<&'a Return> {
+pub(super) fn strongest<'a>(
+    outcome: &Decomposition<'a>,
+    minor_part: f64,
+    fwhm_samples: f64,
+) -> Option<&'a Return> {
     let returns = outcome.returns;
     let strongest = returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))?;
     let minor = |r: &Return| {
@@ -296,8 +342,13 @@ fn better_response(
     let narrow: Vec<_> =
         groups.iter().flat_map(|group| evenly(narrow_population(&group.singles), most)).collect();
     let nodes: Vec<f64> = groups.iter().map(|group| group.peak_dn).collect();
-    let mut problem = Problem::new(model, &basis, &nodes, Shape::of(model)?, longest)?;
-    narrow.iter().for_each(|single| problem.add(single));
+    let problems = map_parts(&narrow, narrow.len().div_ceil(SUMS), |part| {
+        let mut problem = Problem::new(model, &basis, &nodes, Shape::of(model)?, longest)?;
+        part.iter().for_each(|single| problem.add(single));
+        Ok(problem)
+    });
+    let problems = problems.into_iter().collect::<Result<Vec<_>, ModelError>>()?;
+    let Some(problem) = problems.into_iter().reduce(Problem::merged) else { return Ok(None) };
     let Some(solution) = problem.solve() else { return Ok(None) };
     let first_sample = basis.extent().start.floor() as i32;
     let last_sample = basis.extent().end.ceil() as i32;
@@ -308,6 +359,7 @@ fn better_response(
         nodes: Vec::new(),
         template_error: Vec::new(),
         echoes: narrow.len() as u64,
+        excess_part: 1.0,
         shape_sd: solution.shape_sd,
     };
     for (&peak_dn, coefficients) in nodes.iter().zip(&solution.coefficients) {

@@ -69,7 +69,7 @@ impl Decomposer {
             allowance: Allowance::new(
                 model,
                 settings.template_error,
-                settings.overdriven_part * model.full_scale_dn,
+                model.overdriven_dn(settings.overdriven_part),
             ),
             scene,
             detector,
@@ -84,6 +84,11 @@ impl Decomposer {
     /// Returns the model of its channel.
     pub fn model(&self) -> &ChannelModel {
         &self.model
+    }
+
+    /// Samples unusable after saturation.
+    fn recovery_samples(&self) -> usize {
+        self.model.limits.recovery_samples.unwrap_or(self.settings.recovery_samples)
     }
 
     /// Decomposes one block; `start_phase` is the index of its first sample modulo 4.
@@ -114,7 +119,7 @@ impl Decomposer {
     /// Loads a waveform without pulses.
     fn load(&mut self, samples: &[u16], start_phase: u8) {
         self.returns.clear();
-        if self.scene.load(&self.model, samples, start_phase, self.settings.recovery_samples) {
+        if self.scene.load(&self.model, samples, start_phase, self.recovery_samples()) {
             self.detector.prepare(self.scene.whitener());
         }
     }

@@ -121,7 +121,7 @@ impl JointFit {
     /// Fails if the model describes no channel.
     pub fn new(model: &ChannelModel, template_error: f64) -> Result<JointFit, ModelError> {
         let (shape, mut whitener) = (Shape::of(model)?, Whitener::new(model.noise()?, 0));
-        let allowance = Allowance::new(model, template_error, OVERDRIVEN_PART * model.full_scale_dn);
+        let allowance = Allowance::new(model, template_error, model.overdriven_dn(OVERDRIVEN_PART));
         let per_dn = significance_per_dn(&shape, &mut whitener);
         Ok(JointFit {
             shape,

@@ -6,7 +6,7 @@
 
 use super::QUANTISATION_VARIANCE;
 use crate::calibrate::response::{Calibrated, calibrate_response};
-use crate::calibrate::{CalibrationError, CalibrationSettings, calibrate};
+use crate::calibrate::{CalibrationError, CalibrationSettings, calibrate, separate_noise};
 use crate::decompose::Waveform;
 use crate::sensor_model::{ChannelModel, ModelError};
 
@@ -44,7 +44,10 @@ pub fn calibrate_at_unit_gain<'a>(
     let model = calibrate(second.blocks(), &settings)?;
     let found = match with_response {
         true => calibrate_response(second.blocks(), &model, &settings)?,
-        false => Calibrated { model, usable_echoes: 0 },
+        false => {
+            let model = separate_noise(second.blocks(), &model, &settings)?;
+            Calibrated { model, usable_echoes: 0 }
+        }
     };
     Ok(Calibrated { model: second.at_unit_gain(&found.model)?, ..found })
 }

@@ -33,6 +33,12 @@ pub struct SystemResponse {
     ///
     /// One value per sample of time from `first_sample`; 0 if not significant.
     pub template_error: Vec<f64>,
+    /// Chi-square that the template error adds to a fit, relative to that in uncorrelated noise.
+    ///
+    /// Shape errors are smooth. Correlated noise hides them, and free widths and further returns
+    /// absorb part of them.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub excess_part: f64,
     /// Number of single echoes used; 0 if copied from another receiver.
     pub echoes: u64,
     /// RMS uncertainty of the first node's values, relative to the peak.
@@ -49,6 +55,14 @@ pub struct ResponseNode {
     pub values: Vec<f64>,
 }
 
+fn one() -> f64 {
+    1.0
+}
+
+fn is_one(part: &f64) -> bool {
+    *part == 1.0
+}
+
 impl SystemResponse {
     /// Checks that the values form a response.
     pub fn check(&self) -> Result<(), ModelError> {
@@ -61,6 +75,9 @@ impl SystemResponse {
         }
         if peak <= 0 || peak >= length as i64 {
             return fail(format!("first_sample {} puts the peak outside the values", self.first_sample));
+        }
+        if !(self.excess_part >= 0.0 && self.excess_part.is_finite()) {
+            return fail(format!("excess_part {} is not a factor", self.excess_part));
         }
         let mut last_dn = 0.0;
         for node in &self.nodes {
@@ -200,6 +217,7 @@ mod tests {
             nodes: vec![ResponseNode { peak_dn: 155.0, values: bell(96.0) }],
             template_error: vec![0.0, 0.001, 0.002],
             echoes: 200,
+            excess_part: 1.0,
             shape_sd: 1e-3,
         }
     }

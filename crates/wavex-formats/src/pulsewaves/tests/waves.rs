@@ -77,6 +77,24 @@ fn a_segment_carries_what_its_sampling_says() {
 }
 
 #[test]
+fn an_outgoing_pulse_of_bytes_declared_as_words_is_read_again() {
+    let mut samplings = [SegmentKind::Outgoing, SegmentKind::Returning].map(|kind| sampling(kind, 1, 4));
+    samplings.iter_mut().for_each(|s| s.bits_per_sample = 16);
+    let mut pair = Pair::new(&descriptor(samplings.to_vec()));
+    // Four bytes, four words, and the next four bytes in the source of the writer.
+    let b = Bytes::default().raw(&[1, 9, 200, 2]).u16(3).u16(300).u16(258).u16(4).raw(&[7; 4]);
+    pair.add(1, &b.0);
+    let (mut reader, _dir) = pair.open();
+    let (pulse, mut waves) = (reader.pulse(0).unwrap(), Waves::new());
+    reader.waves(&pulse, &mut waves).unwrap();
+    assert!(waves.read_outgoing_as_bytes());
+    let read: Vec<_> = waves.segments().iter().map(|s| (s.bits, waves.samples(s).to_vec())).collect();
+    assert_eq!(read, [(8, vec![1, 9, 200, 2]), (16, vec![3, 300, 258, 4])]);
+    assert!(!waves.read_outgoing_as_bytes());
+    assert!(!Waves::new().read_outgoing_as_bytes());
+}
+
+#[test]
 fn warm_waves_keep_their_memory() {
     let (mut reader, _dir) = Pair::plain(50).open();
     let mut waves = Waves::new();

@@ -1,7 +1,10 @@
 //! Accuracy of the response: template error by time, and error factor by the even/odd test.
 
-use super::Single;
 use super::even_odd::EvenOdd;
+use super::{MOST_SCORED, Single};
+use crate::calibrate::map_parts;
+use crate::decompose::{Return, Waveform};
+use crate::decompose::acceptance::response_error::Allowance;
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
 use crate::shape::Shape;
@@ -11,8 +14,11 @@ const PERCENTILES: [f64; 2] = [0.158_655, 0.841_345];
 /// Significance threshold of a mean or a spread, in its standard deviations.
 const SIGNIFICANT: f64 = 2.0;
 
-pub(super) struct Quality<'a> {
-    model: &'a ChannelModel,
+/// Number of echoes per task of the even/odd test.
+const SCORED_PER_TASK: usize = 64;
+
+pub(super) struct Quality {
+    model: ChannelModel,
     shape: Shape,
     even_odd: EvenOdd,
     /// Difference of the positions from even and odd samples, over its expected standard deviation.
@@ -20,10 +26,12 @@ pub(super) struct Quality<'a> {
     /// Excess of the squared residual over the noise, relative to the squared height, by sample
     /// since the start of the response: number, sum, sum of squares.
     excess: Vec<[f64; 3]>,
+    /// Of each echo: position, height, number of samples, and excess of chi-square.
+    fits: Vec<(f64, f64, usize, f64)>,
 }
 
-impl<'a> Quality<'a> {
-    pub(super) fn new(model: &'a ChannelModel, longest: usize) -> Result<Quality<'a>, ModelError> {
+impl Quality {
+    pub(super) fn new(model: &ChannelModel, longest: usize) -> Result<Quality, ModelError> {
         let samples = model
             .response
             .as_ref()
@@ -31,29 +39,54 @@ impl<'a> Quality<'a> {
             .map_or(0, |node| node.values.len() / crate::sensor_model::response::STEPS_PER_SAMPLE);
         let shape = Shape::of(model)?;
         Ok(Quality {
-            model,
+            model: model.clone(),
             even_odd: EvenOdd::of_shape(shape.clone(), model, longest)?,
             shape,
             scores: Vec::new(),
             excess: vec![[0.0; 3]; samples],
+            fits: Vec::new(),
         })
     }
 
-    /// Adds an echo; `is_scored` includes it in the even/odd test.
-    pub(super) fn add(&mut self, single: &Single<'_>, is_scored: bool) {
-        let block = single.block;
-        let mut target = Vec::with_capacity(block.samples.len());
-        self.model.signal_into(block.samples, block.start_phase, &mut target);
-        let start = Pulse {
-            height_dn: single.fitted.amplitude_dn,
-            position_samples: single.fitted.position_samples,
-            ln_width_ratio: single.width().ln_width,
-            ln_width_precision: 0.0,
-        };
-        self.add_residual(&target, start);
-        if is_scored {
-            self.scores.extend(self.even_odd.score(&target, start));
+    /// Adds echoes, at most [`MOST_SCORED`] of them to the even/odd test.
+    pub(super) fn add_all(&mut self, singles: &[Single<'_>]) {
+        singles.iter().for_each(|single| self.add(single));
+        let step = singles.len().div_ceil(MOST_SCORED).max(1);
+        let scored: Vec<Single<'_>> = singles.iter().copied().step_by(step).collect();
+        let scores = map_parts(&scored, SCORED_PER_TASK, |part| {
+            let mut even_odd = self.even_odd.clone();
+            let score = |single: &Single<'_>| even_odd.score(&self.target(single), start(single));
+            part.iter().filter_map(score).collect::<Vec<_>>()
+        });
+        self.scores.extend(scores.into_iter().flatten());
+    }
+
+    /// Writes template error and error factor to a model.
+    pub(super) fn apply_to(&self, model: &mut ChannelModel) {
+        (model.pulse_error_factor, model.uncertainty.pulse_error_factor) = self.pulse_error_factor();
+        if let Some(response) = &mut model.response {
+            response.template_error = self.template_error();
+            response.excess_part = 1.0;
         }
+        let part = self.excess_part(model);
+        if let Some(response) = &mut model.response {
+            response.excess_part = part;
+        }
+    }
+
+    /// Adds the residual of an echo.
+    fn add(&mut self, single: &Single<'_>) {
+        self.add_residual(&self.target(single), start(single));
+        let Return { position_samples, amplitude_dn, .. } = single.fitted;
+        self.fits.push((position_samples, amplitude_dn, single.block.samples.len(), single.excess));
+    }
+
+    /// Samples less the background, DN.
+    fn target(&self, single: &Single<'_>) -> Vec<f64> {
+        let Waveform { samples, start_phase } = single.block;
+        let mut target = Vec::with_capacity(samples.len());
+        self.model.signal_into(samples, start_phase, &mut target);
+        target
     }
 
     fn add_residual(&mut self, target: &[f64], pulse: Pulse) {
@@ -87,11 +120,34 @@ impl<'a> Quality<'a> {
         self.excess.iter().map(error).collect()
     }
 
+    /// Median ratio of the observed excess of chi-square to that expected from the template error of
+    /// `model`; 1 if that is 0.
+    fn excess_part(&self, model: &ChannelModel) -> f64 {
+        let allowance = Allowance::new(model, 0.0, f64::INFINITY);
+        let ratio = |&(position, height, samples, excess): &(f64, f64, usize, f64)| {
+            let expected = allowance.expected_excess(position, height, samples);
+            (expected > 0.0).then(|| excess / expected)
+        };
+        let mut ratios: Vec<f64> = self.fits.iter().filter_map(ratio).collect();
+        ratios.sort_by(f64::total_cmp);
+        ratios.get(ratios.len() / 2).map_or(1.0, |part| part.max(0.0))
+    }
+
     /// Spread of the scores and its standard deviation; 1 if not significant.
     pub(super) fn pulse_error_factor(&self) -> (f64, f64) {
         let spread = spread(&self.scores);
         let sd = factor_sd(spread.max(1.0), self.scores.len());
         (if spread > 1.0 + SIGNIFICANT * sd { spread } else { 1.0 }, sd)
+    }
+}
+
+/// The fitted pulse of an echo.
+fn start(single: &Single<'_>) -> Pulse {
+    Pulse {
+        height_dn: single.fitted.amplitude_dn,
+        position_samples: single.fitted.position_samples,
+        ln_width_ratio: single.width().ln_width,
+        ln_width_precision: 0.0,
     }
 }
 

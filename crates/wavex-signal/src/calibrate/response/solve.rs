@@ -70,6 +70,14 @@ impl<'a> Problem<'a> {
         })
     }
 
+    /// Adds the equations of another problem with the same splines.
+    pub(super) fn merged(mut self, other: Problem<'a>) -> Problem<'a> {
+        let add = |sums: &mut [f64], more: &[f64]| sums.iter_mut().zip(more).for_each(|(a, b)| *a += b);
+        add(&mut self.normal, &other.normal);
+        add(&mut self.right, &other.right);
+        self
+    }
+
     /// Adds an echo; fits its height and position with the calibrated width.
     pub(super) fn add(&mut self, single: &Single<'_>) {
         let samples = single.block.samples;
@@ -322,7 +330,7 @@ mod tests {
                 let values = analogue(&mut random, &process, SAMPLES, 5.0, 4.4, &[echo]);
                 let samples = digitised(&values, 255);
                 let block = Waveform { samples: &samples, start_phase: 0 };
-                let single = Single { block, fitted: found(height, place) };
+                let single = Single { block, fitted: found(height, place), excess: 0.0 };
                 problem.add(&single);
                 add_densely(&problem, &single, &mut normal, &mut right);
             }

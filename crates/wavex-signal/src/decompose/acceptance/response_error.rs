@@ -37,7 +37,8 @@ pub(crate) struct Allowance {
     /// Largest of these errors, without and with overdriven pulses.
     greatest_known_error: f64,
     greatest_error: f64,
-    /// Cumulative sums of the squared measured errors before each sample.
+    /// Cumulative sums of the squared measured errors before each sample, times their part of the
+    /// excess.
     squares: Vec<f64>,
 }
 
@@ -73,6 +74,7 @@ impl Allowance {
             greatest_error: 0.0,
             squares: vec![0.0],
         };
+        let excess_part = model.response.as_ref().map_or(1.0, |response| response.excess_part);
         let mut sum = 0.0;
         for lag in (0..known + 2 * margin).map(|k| allowance.first_lag + k) {
             let widths = lag as f64 / fwhm;
@@ -87,7 +89,7 @@ impl Allowance {
             };
             allowance.errors.push(error);
             allowance.overdriven_errors.push(overdriven.max(error));
-            sum += measured(lag).powi(2);
+            sum += excess_part * measured(lag).powi(2);
             allowance.squares.push(sum);
         }
         let greatest = |errors: &[f64]| errors.iter().copied().fold(far_error, f64::max);
@@ -153,7 +155,8 @@ impl Allowance {
 
     /// `Σ (κ_k a/σ)²` of one pulse over the samples of a block, with the calibrated template error.
     ///
-    /// It is the mean contribution of the response error to chi-square.
+    /// Times the response's `excess_part` it is the expected contribution of the response error to
+    /// chi-square.
     #[inline(always)]
     pub(crate) fn expected_excess(&self, position_samples: f64, height_dn: f64, samples: usize) -> f64 {
         let first = -(position_samples.round() as i64) - self.first_lag;
@@ -181,6 +184,7 @@ mod tests {
             }],
             template_error: errors.to_vec(),
             echoes: 200,
+            excess_part: 1.0,
             shape_sd: 1e-3,
         };
         model.response = Some(response);

@@ -40,6 +40,7 @@ fn model() -> ChannelModel {
         nodes: vec![node(150.0, 1.0), node(180.0, 1.3)],
         template_error: vec![0.001; 80],
         echoes: 1000,
+        excess_part: 1.0,
         shape_sd: 1e-3,
     };
     let pulse_fwhm_ns = response.fwhm_samples();

@@ -56,7 +56,7 @@ impl Thresholds {
         let held_height_dn = 2.0 * model.full_scale_dn;
         let left_out = f64::from(LEFT_OUT_SD) * model.noise_sd_dn / held_height_dn;
         let held_sd_samples = f64::from(BEFORE_PEAK) / (-2.0 * left_out.min(0.5).ln()).sqrt();
-        let overdriven_dn = settings.overdriven_part * model.full_scale_dn;
+        let overdriven_dn = model.overdriven_dn(settings.overdriven_part);
         let echo = (0..ECHO_SAMPLES).map(|lag| detector.echo(lag as f64) as f32).collect();
         Ok(Thresholds {
             left_behind: LeftBehind::new(echo, model.fwhm_samples()),

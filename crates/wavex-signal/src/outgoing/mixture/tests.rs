@@ -34,7 +34,8 @@ fn model() -> ChannelModel {
         nodes: vec![ResponseNode { peak_dn: 100.0, values }],
         template_error: vec![0.0; samples],
         echoes: 1000,
-        shape_sd: 1e-4,
+        excess_part: 1.0,
+            shape_sd: 1e-4,
     });
     model
 }

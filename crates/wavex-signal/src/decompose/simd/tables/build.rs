@@ -213,6 +213,7 @@ pub(super) fn gaussian_response(fwhm_samples: f64) -> SystemResponse {
         nodes: vec![ResponseNode { peak_dn: 1.0, values }],
         template_error: Vec::new(),
         echoes: 0,
-        shape_sd: 0.0,
+        excess_part: 1.0,
+            shape_sd: 0.0,
     }
 }

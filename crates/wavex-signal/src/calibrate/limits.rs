@@ -1,0 +1,201 @@
+//! Behaviour of a receiver near full scale: from which height it is overdriven, and how fast it
+//! recovers from clipping.
+
+use super::response::strongest;
+use super::{CalibrationError, CalibrationSettings, decompose_each};
+use crate::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Waveform};
+use crate::flags;
+use crate::sensor_model::{ChannelModel, ReceiverLimits};
+use crate::shape::{Pulse, Shape};
+
+/// Heights of pulses that are certainly not overdriven, relative to full scale.
+const NORMAL_PARTS: std::ops::Range<f64> = 0.4..OVERDRIVEN_PART;
+/// Fewest of them, and most blocks decomposed for them.
+const MIN_NORMAL: usize = 50;
+const MAX_NORMAL: usize = 500;
+/// Highest sample of blocks that may hold a higher pulse, relative to full scale, and most of them.
+const NEAR_FULL: f64 = 0.75;
+const MAX_HIGH: usize = 2_000;
+/// Number of higher pulses in each step of the search; at least two steps are needed.
+const STEP: usize = 20;
+/// Chi-square over its expectation, relative to that of normal pulses, of overdriven pulses.
+const OVERDRIVEN_RATIO: f64 = 2.0;
+/// Height up to which the highest pulses represent full scale, relative to it.
+const NEARLY_FULL: f64 = 0.9;
+/// Fewest clipped pulses for an estimate of the recovery.
+const MIN_CLIPPED: usize = 20;
+/// Largest residual just after a clipped sample, relative to those further away.
+const RECOVERED_RATIO: f64 = 2.0;
+
+/// Estimates the limits of a receiver from its echoes and its calibrated response.
+///
+/// Limits without enough strong pulses are absent.
+pub fn receiver_limits<'a>(
+    blocks: impl Iterator<Item = Waveform<'a>>,
+    model: &ChannelModel,
+    settings: &CalibrationSettings,
+) -> Result<ReceiverLimits, CalibrationError> {
+    // Saturation, and heights up to full scale, as if nothing overdrove the receiver.
+    let limits = ReceiverLimits { overdriven_dn: Some(f64::INFINITY), ..model.limits };
+    let model = ChannelModel { limits, ..model.clone() };
+    let strong_dn = NORMAL_PARTS.start * model.full_scale_dn;
+    let highest = |block: &Waveform| f64::from(block.samples.iter().copied().max().unwrap_or(0));
+    let (near_full, strong): (Vec<_>, Vec<_>) = blocks
+        .filter(|block| highest(block) >= strong_dn)
+        .partition(|block| highest(block) >= NEAR_FULL * model.full_scale_dn);
+    let strong = evenly(&strong, MAX_NORMAL).chain(evenly(&near_full, MAX_HIGH));
+    let shape = Shape::of(&model)?;
+    let (mut normal, mut high, mut clipped) = (Vec::new(), Vec::new(), Clipped::default());
+    let decompose = DecomposeSettings { split_evidence: None, ..settings.decompose.clone() };
+    decompose_each(strong, &model, &decompose, settings, |block, outcome| {
+        if outcome.saturated {
+            clipped.add(&model, &shape, block, outcome);
+        } else if let Some(single) = strongest(outcome, 0.1, model.fwhm_samples())
+            && outcome.degrees_of_freedom() > 0
+        {
+            let ratio = outcome.chi_square / outcome.expected_chi_square();
+            let part = single.amplitude_dn / model.full_scale_dn;
+            if NORMAL_PARTS.contains(&part) {
+                normal.push(ratio);
+            } else if part >= OVERDRIVEN_PART {
+                high.push((single.amplitude_dn, ratio));
+            }
+        }
+    })?;
+    Ok(ReceiverLimits {
+        overdriven_dn: overdriven_dn(normal, high, model.full_scale_dn),
+        recovery_samples: clipped.recovers_at_once(model.noise_sd_dn).then_some(0),
+        ..model.limits
+    })
+}
+
+/// At most `most` blocks, evenly spaced.
+fn evenly<'a>(blocks: &[Waveform<'a>], most: usize) -> impl Iterator<Item = Waveform<'a>> {
+    blocks.iter().copied().step_by(blocks.len().div_ceil(most).max(1))
+}
+
+/// Height from which chi-square exceeds that of normal pulses, DN; `None` with too few pulses.
+///
+/// `high` has heights and ratios of chi-square to its expectation.
+fn overdriven_dn(normal: Vec<f64>, mut high: Vec<(f64, f64)>, full_scale_dn: f64) -> Option<f64> {
+    if normal.len() < MIN_NORMAL || high.len() < 2 * STEP {
+        return None;
+    }
+    let limit = OVERDRIVEN_RATIO * median(normal).max(1.0);
+    high.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let is_overdriven = |step: &&[(f64, f64)]| median(step.iter().map(|(_, ratio)| *ratio).collect()) > limit;
+    let highest_dn = high.last()?.0;
+    match high.chunks(STEP).filter(|step| 2 * step.len() > STEP).find(is_overdriven) {
+        Some(step) => step.first().map(|(height_dn, _)| *height_dn),
+        None if highest_dn > NEARLY_FULL * full_scale_dn => Some(full_scale_dn),
+        None => Some(highest_dn),
+    }
+}
+
+/// Residuals after clipped samples.
+#[derive(Default)]
+struct Clipped {
+    /// Magnitudes at the first unclipped sample, DN.
+    first_dn: Vec<f64>,
+    /// Magnitudes at the second and third, DN.
+    next_dn: Vec<f64>,
+}
+
+impl Clipped {
+    /// Adds a block with one clipped pulse.
+    fn add(&mut self, model: &ChannelModel, shape: &Shape, block: Waveform<'_>, outcome: &Decomposition<'_>) {
+        let is_clipped =
+            |k: usize| block.samples.get(k).is_some_and(|&s| f64::from(s) >= model.full_scale_dn);
+        let bad = flags::EXTREMELY_SATURATED | flags::TRUNCATED | flags::DIVERGED | flags::OVERLAP;
+        if outcome.returns.iter().any(|r| r.flags & flags::SATURATED != 0 && r.flags & bad != 0) {
+            return;
+        }
+        let mut residual_dn = Vec::with_capacity(block.samples.len());
+        model.signal_into(block.samples, block.start_phase, &mut residual_dn);
+        for found in outcome.returns {
+            let pulse = Pulse {
+                height_dn: found.amplitude_dn,
+                position_samples: found.position_samples,
+                ln_width_ratio: found.width_ratio.ln(),
+                ln_width_precision: 0.0,
+            };
+            shape.add(&pulse, -1.0, &mut residual_dn);
+        }
+        let at = |k: usize| (residual_dn[k] - outcome.background_offset_dn).abs();
+        let ends = (1..block.samples.len().saturating_sub(2)).filter(|&k| is_clipped(k - 1));
+        for k in ends.filter(|&k| (k..k + 3).all(|k| !is_clipped(k))) {
+            self.first_dn.push(at(k));
+            self.next_dn.extend([at(k + 1), at(k + 2)]);
+        }
+    }
+
+    /// Whether the first sample after clipping is as good as the following.
+    fn recovers_at_once(self, noise_sd_dn: f64) -> bool {
+        self.first_dn.len() >= MIN_CLIPPED
+            && median(self.first_dn) <= RECOVERED_RATIO * median(self.next_dn).max(noise_sd_dn)
+    }
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::calibrate;
+    use crate::calibrate::response::calibrate_response;
+    use crate::noise::ArNoise;
+    use crate::simulated::{Random, digitised, noise};
+    use wavex_simulation::pulse::PulseShape as Truth;
+
+    /// Limits of a receiver that flattens heights above `linear_dn`, clips at 255, and loses
+    /// `dip_dn` after clipping.
+    fn limits(linear_dn: f64, dip_dn: f64) -> ReceiverLimits {
+        let (truth, process) = (Truth::riegl(), ArNoise::new(&[], 0.7).unwrap());
+        let mut random = Random::new(91);
+        let blocks: Vec<Vec<u16>> = (0..1500)
+            .map(|_| {
+                let (height, place) = (40.0 + 280.0 * random.uniform(), 14.0 + 8.0 * random.uniform());
+                let mut values = noise(&mut random, &process, 60);
+                for (k, value) in values.iter_mut().enumerate() {
+                    let signal = height * truth.at(k as f64 - place, 0.0);
+                    *value += 5.0 + signal.min(linear_dn + 0.5 * (signal - linear_dn).max(0.0));
+                }
+                let clipped = |k: usize| values[k] > 255.0;
+                let ends = (1..60).filter(|&k| clipped(k - 1) && !clipped(k)).collect::<Vec<_>>();
+                ends.into_iter().for_each(|k| values[k] -= dip_dn);
+                digitised(&values, 255)
+            })
+            .collect();
+        let views = || blocks.iter().map(|samples| Waveform { samples, start_phase: 0 });
+        let settings = CalibrationSettings::echoes(1.0, 255.0);
+        let gaussian = calibrate(views(), &settings).unwrap();
+        let model = calibrate_response(views(), &gaussian, &settings).unwrap().model;
+        assert!(model.response.is_some());
+        receiver_limits(views(), &model, &settings).unwrap()
+    }
+
+    #[test]
+    fn a_linear_receiver_is_not_overdriven_and_recovers_at_once() {
+        let limits = limits(1000.0, 0.0);
+        println!("{limits:?}");
+        assert_eq!((limits.overdriven_dn, limits.recovery_samples), (Some(255.0), Some(0)));
+    }
+
+    #[test]
+    fn a_receiver_that_flattens_and_dips_has_its_limits() {
+        let limits = limits(225.0, 20.0);
+        println!("{limits:?}");
+        assert!((215.0..245.0).contains(&limits.overdriven_dn.unwrap()), "{limits:?}");
+        assert_eq!(limits.recovery_samples, None);
+    }
+
+    #[test]
+    fn few_strong_pulses_give_no_limit() {
+        assert_eq!(overdriven_dn(vec![1.0; 49], vec![(220.0, 1.0); 100], 255.0), None);
+        assert_eq!(overdriven_dn(vec![1.0; 50], vec![(220.0, 1.0); 39], 255.0), None);
+        assert_eq!(overdriven_dn(vec![1.0; 50], vec![(220.0, 1.0); 40], 255.0), Some(220.0));
+    }
+}

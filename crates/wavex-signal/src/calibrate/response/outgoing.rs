@@ -1,0 +1,127 @@
+//! The recorded outgoing pulse as the response of an echo receiver.
+//!
+//! Where clean single echoes are rare or widened by the target, as over vegetation under a large
+//! footprint, the outgoing pulse describes the response better than the echoes. Both are compared
+//! on the same echoes.
+
+use super::quality::Quality;
+use super::{
+    BORROWED_ERROR, Calibrated, ERRORS, MIN_ECHOES, Single, chosen_evenly, least_errors, singles,
+    with_response,
+};
+use crate::calibrate::{CalibrationError, CalibrationSettings, decompose_each, quiet};
+use crate::decompose::Waveform;
+use crate::sensor_model::{ChannelModel, ModelUncertainty, ResponseSource, SystemResponse};
+
+/// Largest number of blocks of the comparison, evenly spaced.
+const MAX_COMPARED: usize = 500;
+/// Fewest blocks of the comparison.
+const MIN_COMPARED: usize = 50;
+/// Largest residual with the outgoing pulse, relative to that with the response of the echoes, for
+/// it to replace that. The response of the echoes contains the echo receiver.
+const LARGEST_PART: f64 = 0.93;
+/// Width of the echoes over that of the outgoing pulse from which targets have widened them; any
+/// smaller residual then suffices.
+const WIDENED: f64 = 1.25;
+
+/// Uses the outgoing pulse as response if it explains the echoes clearly better.
+///
+/// The measure is the median residual of strong echoes over their peak; the model states it for
+/// both responses. It must decrease by 7 %, or at all if the echoes gave no response or are a quarter
+/// wider than the outgoing pulse. `outgoing` is the calibrated channel of the outgoing pulse.
+pub fn with_outgoing_pulse<'a>(
+    blocks: impl Iterator<Item = Waveform<'a>> + Clone,
+    own: &Calibrated,
+    outgoing: &ChannelModel,
+    settings: &CalibrationSettings,
+) -> Result<Calibrated, CalibrationError> {
+    let Some(recorded) = &outgoing.response else { return Ok(own.clone()) };
+    let blocks = chosen_evenly(blocks, settings.max_blocks);
+    let step = blocks.len().div_ceil(MAX_COMPARED).max(1);
+    let compared: Vec<Waveform<'a>> = blocks.iter().copied().step_by(step).collect();
+    let candidate = candidate(&own.model, outgoing, recorded);
+    let mut compared_own = own.model.clone();
+    // The candidate has no template error yet, and thresholds depend on it.
+    compared_own.response.iter_mut().for_each(|response| response.template_error.clear());
+    let residuals = [&compared_own, &candidate].map(|model| residuals_over_peak(&compared, model, settings));
+    let [of_echoes, of_outgoing] = residuals;
+    let pairs = of_echoes?.into_iter().zip(of_outgoing?);
+    let common: Vec<(f64, f64)> = pairs.filter_map(|(a, b)| a.zip(b)).collect();
+    if common.len() < MIN_COMPARED {
+        return Ok(own.clone());
+    }
+    let medians =
+        [common.iter().map(|pair| pair.0).collect(), common.iter().map(|pair| pair.1).collect()].map(median);
+    let mut chosen = own.clone();
+    let is_widened = own.model.pulse_fwhm_ns > WIDENED * outgoing.pulse_fwhm_ns;
+    let largest_part = if is_widened || own.model.response.is_none() { 1.0 } else { LARGEST_PART };
+    if medians[1] < largest_part * medians[0] {
+        chosen.model = finished(&blocks, &candidate, settings)?;
+    }
+    chosen.model.provenance.residual_over_peak = medians;
+    Ok(chosen)
+}
+
+/// The echo receiver with the response of the outgoing pulse.
+fn candidate(own: &ChannelModel, outgoing: &ChannelModel, recorded: &SystemResponse) -> ChannelModel {
+    // Outgoing pulses are strong: the highest node has the most of them.
+    let nodes = recorded.nodes.last().cloned().into_iter().collect();
+    let response = SystemResponse { nodes, template_error: Vec::new(), ..recorded.clone() };
+    let mut model = with_response(own, response);
+    model.pulse_error_factor = 1.0;
+    model.pulse_fwhm_sd_ns = outgoing.pulse_fwhm_sd_ns;
+    model.uncertainty = ModelUncertainty {
+        pulse_fwhm_ns: outgoing.uncertainty.pulse_fwhm_ns,
+        pulse_error_factor: 0.0,
+        ..own.uncertainty.clone()
+    };
+    model.provenance.response = ResponseSource::OutgoingPulse;
+    model
+}
+
+/// Residual of each block over its peak; `None` without an unsaturated strong echo.
+fn residuals_over_peak(
+    blocks: &[Waveform<'_>],
+    model: &ChannelModel,
+    settings: &CalibrationSettings,
+) -> Result<Vec<Option<f64>>, CalibrationError> {
+    let strong_dn = super::strong_dn(model);
+    let mut residuals = Vec::with_capacity(blocks.len());
+    decompose_each(blocks.iter().copied(), model, &settings.decompose, settings, |block, outcome| {
+        let highest = block.samples.iter().max().map_or(0.0, |&sample| f64::from(sample));
+        let peak_dn = highest - model.background_dn[0] - outcome.background_offset_dn;
+        let freedom = outcome.degrees_of_freedom();
+        let is_usable = !outcome.saturated && !outcome.returns.is_empty() && freedom > 0;
+        residuals.push(
+            (is_usable && peak_dn > strong_dn)
+                .then(|| model.noise_sd_dn * (outcome.chi_square / freedom as f64).sqrt() / peak_dn),
+        );
+    })?;
+    Ok(residuals)
+}
+
+/// Estimates noise, template error and error factor with the chosen response.
+fn finished(
+    blocks: &[Waveform<'_>],
+    candidate: &ChannelModel,
+    settings: &CalibrationSettings,
+) -> Result<ChannelModel, CalibrationError> {
+    let longest = blocks.iter().map(|block| block.samples.len()).max().unwrap_or(0);
+    let mut model = quiet::separate_noise(blocks.iter().copied(), candidate, settings)?;
+    let singles: Vec<Single<'_>> = singles(blocks, &model, settings, 0.0, ERRORS[3])?;
+    if singles.len() < MIN_ECHOES {
+        if let Some(response) = &mut model.response {
+            response.template_error = least_errors(response, BORROWED_ERROR);
+        }
+        return Ok(model);
+    }
+    let mut quality = Quality::new(&model, longest)?;
+    quality.add_all(&singles);
+    quality.apply_to(&mut model);
+    Ok(model)
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
