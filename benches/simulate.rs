@@ -38,6 +38,7 @@ fn shots_per_second(keys: &str) -> f64 {
         input_dir: std::env::temp_dir(),
         output_dir: std::env::temp_dir(),
         pool: None,
+        cancelled: Default::default(),
         simd: SimdLevel::best(),
         geometry: Default::default(),
     };

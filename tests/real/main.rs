@@ -7,6 +7,7 @@
 )]
 
 mod agreement;
+mod geometry_alone;
 mod instruments;
 mod planes;
 mod vendor_free;

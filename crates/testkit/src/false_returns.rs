@@ -148,6 +148,7 @@ fn site() -> RunContext {
         output_dir: PathBuf::new(),
         pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
+        cancelled: Default::default(),
         geometry: Default::default(),
     }
 }

@@ -225,6 +225,7 @@ pub fn site(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
         output_dir: flight.folder().into(),
         pool: None,
         simd: SimdLevel::best(),
+        cancelled: Default::default(),
         geometry: Arc::new(loaded.map_err(|error| error.to_string())?),
     })
 }

@@ -68,6 +68,7 @@ fn run(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
         pool: None,
+        cancelled: Default::default(),
         simd: wavex_signal::simd::SimdLevel::Portable,
         geometry: Arc::default(),
     };

@@ -142,7 +142,8 @@ fn a_recording_that_its_returns_do_not_explain_ends_with_a_warning() {
     place.write("out/quiet.json", model.to_string().as_bytes());
     run(&place, "", &format!("load = '{}'", place.path("out/quiet.json").display()), "");
     let report = place.text("out/report.json");
-    for text in [warning, "Used: the response of single echoes", "`wavex explain`", "`response` of calibrate"] {
+    for text in [warning, "Used: the response of single echoes", "`wavex explain`", "`response` of calibrate"]
+    {
         assert!(report.contains(text), "{text}: {report}");
     }
 }

@@ -5,7 +5,9 @@
 //! remaining residual, near the peaks, is shape error.
 
 use super::noise_statistics::NoiseStatistics;
-use super::{CalibrationError, CalibrationSettings, MISSHAPEN, QUANTISATION_VARIANCE, decompose_each, set_noise};
+use super::{
+    CalibrationError, CalibrationSettings, MISSHAPEN, QUANTISATION_VARIANCE, decompose_each, set_noise,
+};
 use crate::decompose::{DecomposeSettings, Decomposition, Waveform};
 use crate::noise::{ArNoise, fit_by_bic};
 use crate::sensor_model::{Background, ChannelModel, NoiseSource};

@@ -7,8 +7,8 @@
 //! the widths.
 
 use crate::calibrate::{
-    CalibrationError, CalibrationSettings, GROUPS, Narrow, Width, decompose_each, jackknife_sd,
-    map_parts, quiet,
+    CalibrationError, CalibrationSettings, GROUPS, Narrow, Width, decompose_each, jackknife_sd, map_parts,
+    quiet,
 };
 use crate::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Return, Waveform};
 use crate::flags;
@@ -119,7 +119,8 @@ pub fn calibrate_response<'a>(
         MINOR_PARTS.into_iter().zip(ERRORS).zip(MOST_ECHOES).enumerate()
     {
         let is_first = round < 2;
-        let mut singles = self::singles(if is_first { &few } else { &blocks }, &model, settings, minor_part, error)?;
+        let mut singles =
+            self::singles(if is_first { &few } else { &blocks }, &model, settings, minor_part, error)?;
         if is_first && singles.len() < ENOUGH_FIRST && few.len() < blocks.len() {
             singles = self::singles(&blocks, &model, settings, minor_part, error)?;
         }
@@ -147,10 +148,7 @@ pub fn calibrate_response<'a>(
 }
 
 /// Selects at most `most` evenly spaced blocks.
-fn chosen_evenly<'a>(
-    blocks: impl Iterator<Item = Waveform<'a>> + Clone,
-    most: usize,
-) -> Vec<Waveform<'a>> {
+fn chosen_evenly<'a>(blocks: impl Iterator<Item = Waveform<'a>> + Clone, most: usize) -> Vec<Waveform<'a>> {
     let count = blocks.clone().count().max(1);
     let most = most.min(count);
     let is_chosen = |i: usize| (i + 1) * most / count > i * most / count;

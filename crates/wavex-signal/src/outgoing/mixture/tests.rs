@@ -35,7 +35,7 @@ fn model() -> ChannelModel {
         template_error: vec![0.0; samples],
         echoes: 1000,
         excess_part: 1.0,
-            shape_sd: 1e-4,
+        shape_sd: 1e-4,
     });
     model
 }

@@ -214,6 +214,6 @@ pub(super) fn gaussian_response(fwhm_samples: f64) -> SystemResponse {
         template_error: Vec::new(),
         echoes: 0,
         excess_part: 1.0,
-            shape_sd: 0.0,
+        shape_sd: 0.0,
     }
 }

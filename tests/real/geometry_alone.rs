@@ -1,0 +1,83 @@
+//! Results that need no returns of the vendor: the range walk, and profiles of large footprints.
+
+use std::path::Path;
+
+use wavex_testkit::data;
+use wavex_testkit::recordings::{Table, median, robust};
+
+use super::agreement::share;
+use super::{Comparison, corrected};
+
+/// Robust SD of the times of single returns about RIEGL's, ps.
+///
+/// RIEGL's time is the start of the segment plus the location in it, which has more digits than its
+/// coordinates.
+fn spread_ps(comparison: &Comparison) -> f64 {
+    let [start, location_ps] =
+        ["segment_start_units", "wave_location_ps"].map(|name| comparison.vendor.column(name));
+    let ours_ns = comparison.ours.column("time_of_flight_ns");
+    let difference_ps =
+        |pair: &super::Pair| 1000.0 * (ours_ns[pair.ours] - start[pair.vendor]) - location_ps[pair.vendor];
+    robust(&comparison.singles().iter().map(difference_ps).collect::<Vec<f64>>()).1
+}
+
+#[test]
+fn a_range_walk_learnt_from_geometry_agrees_with_riegls_times() {
+    let Some(data) = data() else { return };
+    let out = tempfile::tempdir().unwrap();
+    let job = Path::new(env!("CARGO_MANIFEST_DIR")).join("jobs/example3.toml");
+    let text = std::fs::read_to_string(job).unwrap();
+    let georeference = "[[stage]]\ntype = \"georeference\"";
+    let correct = format!("[[stage]]\ntype = \"correct\"\nsave_model = \"model.json\"\n{georeference}");
+    let text = text.replace(georeference, &correct);
+    let report = wavex_testkit::recordings::run("walk.toml", &text, &data, out.path(), &[]);
+    let stage = report.stages.iter().find(|stage| stage.r#type == "correct").unwrap();
+    println!("LMS-Q680: {}", stage.findings.join("\n"));
+
+    let model = out.path().join("model.json");
+    let raw_ps = spread_ps(&corrected(&data, "range_walk = false").0);
+    let walk_ps = spread_ps(&corrected(&data, &format!("range_walk = '{}'", model.display())).0);
+    println!(
+        "single returns of the LMS-Q680i about RIEGL's: {raw_ps:.1} ps, with the walk of an LMS-Q680 \
+         learnt from geometry alone {walk_ps:.1} ps (goal 10)"
+    );
+    assert!(walk_ps <= 10.0, "{walk_ps}");
+}
+
+/// NASA LVIS: footprints of 20 m and more in forest.
+#[test]
+fn large_footprints_have_profiles() {
+    let Some(data) = data() else { return };
+    let out = tempfile::tempdir().unwrap();
+    let job = "[[stage]]\ntype = 'read_pulsewaves'\npath = 'pulsewaves/lvis_example1.pls'\n\
+               [[stage]]\ntype = 'calibrate'\n[[stage]]\ntype = 'decompose'\n\
+               [[stage]]\ntype = 'write_table'\npath = 'lvis.csv'\n";
+    wavex_testkit::recordings::run("lvis", job, &data, out.path(), &[]);
+    let returns = Table::read(&out.path().join("lvis.csv"));
+    let number = returns.column("return_number");
+    let [pulses, profile, last_m, last_sd_m] =
+        ["deviation_ratio", "profile_deviation_ratio", "profile_last_range_m", "profile_last_range_sd_m"]
+            .map(|name| returns.column(name));
+    let [rh50_m, rh98_m, rh98_sd_m] = ["rh50_m", "rh98_m", "rh98_sd_m"].map(|name| returns.column(name));
+    let unexplained: Vec<usize> =
+        (0..returns.len()).filter(|&i| number[i] == 1.0 && pulses[i] > 3.0).collect();
+    let with: Vec<usize> = unexplained.iter().copied().filter(|&i| profile[i].is_finite()).collect();
+    let of = |column: &[f64]| with.iter().map(|&i| column[i]).collect::<Vec<f64>>();
+    let explained = share(&of(&profile), |ratio| ratio < 3.0);
+    println!(
+        "LVIS: {} waveforms unexplained by pulses, {} with a profile, {:.1} % of them explained; median deviation \
+         ratio {:.1} by pulses, {:.1} by profiles; last peak +- {:.2} m, RH50 {:.1} m, RH98 {:.1} +- {:.2} m",
+        unexplained.len(),
+        with.len(),
+        100.0 * explained,
+        median(&of(&pulses)),
+        median(&of(&profile)),
+        median(&of(&last_sd_m)),
+        median(&of(&rh50_m)),
+        median(&of(&rh98_m)),
+        median(&of(&rh98_sd_m))
+    );
+    assert!(with.len() * 10 >= unexplained.len() * 9, "{} of {}", with.len(), unexplained.len());
+    assert!(of(&last_m).iter().all(|m| m.is_finite()));
+    assert!(median(&of(&profile)) < median(&of(&pulses)));
+}
