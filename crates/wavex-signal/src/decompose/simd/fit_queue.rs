@@ -1,7 +1,9 @@
 //! Queues of fits, run in groups of the same kind.
 
 use super::fit::{Fit, Job};
+use super::fit_many::FitMany;
 use super::fitted::{Fitted, FittedPulse, Values};
+use super::pulse_model::{MAX_CLUSTER, MAX_TRIAL};
 use super::rows::{BATCH, Rows};
 use super::tables::Tables;
 use super::template::Site;
@@ -58,9 +60,30 @@ impl<const P: usize> Queue<P> {
         }
     }
 
-    /// Outputs a finished fit, or keeps it for more iterations.
+}
+
+impl Queue<MAX_CLUSTER> {
+    fn fit_many<const STRONG: bool>(
+        &mut self,
+        on: Processor,
+        tables: &Tables,
+        rows: &Rows,
+        count: usize,
+        precision: f32,
+        iterations: usize,
+    ) {
+        self.unsettled = 0;
+        if !self.jobs.is_empty() {
+            let Queue { jobs, fitted: out, .. } = self;
+            on.run(FitMany::<STRONG> { tables, rows, jobs, count, precision, iterations, out });
+        }
+    }
+}
+
+impl<const P: usize> Queue<P> {
+    /// Outputs a finished fit of `count` pulses, or keeps it for more iterations.
     #[inline]
-    fn settle(&mut self, i: usize, iterations: usize, race: &Race, done: &mut Results) {
+    fn settle(&mut self, i: usize, count: usize, iterations: usize, race: &Race, done: &mut Results) {
         let (fitted, tag) = (&self.fitted[i], self.tags[i]);
         let Job { row, aim, .. } = self.jobs[i];
         let is_dropped = fitted.may_go_on && aim.is_out_of_reach(fitted.objective, fitted.promised, race);
@@ -69,7 +92,7 @@ impl<const P: usize> Queue<P> {
             self.tags[self.unsettled] = tag;
             self.unsettled += 1;
         } else {
-            done.push(row, tag, fitted, is_dropped);
+            done.push(row, tag, count, fitted, is_dropped);
         }
     }
 
@@ -148,6 +171,8 @@ pub(super) struct Queues {
     /// Two pulses too far apart for the smaller frame.
     far: [Queue<2>; 2],
     pub(super) three: [Queue<3>; 2],
+    /// By number of pulses, from one more than in the queues above.
+    many: [[Queue<MAX_CLUSTER>; 2]; MAX_CLUSTER - MAX_TRIAL],
     race: Race,
 }
 
@@ -191,15 +216,22 @@ impl Results {
     }
 
     #[inline]
-    fn push<const P: usize>(&mut self, row: usize, tag: usize, fitted: &Fitted<P>, is_dropped: bool) {
+    fn push<const P: usize>(
+        &mut self,
+        row: usize,
+        tag: usize,
+        count: usize,
+        fitted: &Fitted<P>,
+        is_dropped: bool,
+    ) {
         let (first, is_optimum, beyond) = (self.pulses.len(), fitted.is_optimum, fitted.beyond);
-        self.list.push(Done { row, tag, is_optimum, is_dropped, beyond, first, count: P });
-        self.pulses.extend_from_slice(&fitted.pulses);
+        self.list.push(Done { row, tag, is_optimum, is_dropped, beyond, first, count });
+        self.pulses.extend_from_slice(&fitted.pulses[..count]);
     }
 }
 
 impl Queues {
-    /// Queues a fit of at most three pulses.
+    /// Queues a fit of at most [`MAX_CLUSTER`] pulses.
     pub(super) fn push(&mut self, tables: &Tables, row: usize, pulses: &[Values], aim: Aim, tag: usize) {
         let strong = usize::from(is_strong(tables, pulses));
         match *pulses {
@@ -207,7 +239,13 @@ impl Queues {
             [a, b] if b[1] - a[1] > FAR => self.far[strong].push(Job { row, pulses: [a, b], aim }, tag),
             [a, b] => self.two[strong].push(Job { row, pulses: [a, b], aim }, tag),
             [a, b, c] => self.three[strong].push(Job { row, pulses: [a, b, c], aim }, tag),
-            _ => {}
+            _ => {
+                let mut job = Job { row, aim, ..Job::IDLE };
+                if let Some(queue) = self.many.get_mut(pulses.len().wrapping_sub(MAX_TRIAL + 1)) {
+                    job.pulses[..pulses.len()].copy_from_slice(pulses);
+                    queue[strong].push(job, tag);
+                }
+            }
         }
     }
 
@@ -229,34 +267,57 @@ impl Queues {
         drain::<2, 6, 3, 28>(on, &mut self.two, tables, rows, precision, race, done);
         drain::<2, 6, 4, 28>(on, &mut self.far, tables, rows, precision, race, done);
         drain::<3, 9, 4, 55>(on, &mut self.three, tables, rows, precision, race, done);
+        for (count, queues) in (MAX_TRIAL + 1..).zip(&mut self.many) {
+            drain_with(queues, tables, count, race, done, |queue, is_strong, iterations| match is_strong {
+                false => queue.fit_many::<false>(on, tables, rows, count, precision, iterations),
+                true => queue.fit_many::<true>(on, tables, rows, count, precision, iterations),
+            });
+        }
     }
 }
 
 fn drain<const P: usize, const N: usize, const C: usize, const D: usize>(
     on: Processor,
-    [weak, strong]: &mut [Queue<P>; 2],
+    queues: &mut [Queue<P>; 2],
     tables: &Tables,
     rows: &Rows,
     precision: f32,
     race: &mut Race,
     done: &mut Results,
 ) {
+    drain_with(queues, tables, P, race, done, |queue, is_strong, iterations| match is_strong {
+        false => queue.fit::<N, C, D, false>(on, tables, rows, precision, iterations),
+        true => queue.fit::<N, C, D, true>(on, tables, rows, precision, iterations),
+    });
+}
+
+/// Runs the fits of `count` pulses; `fit` gets a queue, whether it is the strong one, and the number
+/// of iterations.
+#[inline]
+fn drain_with<const P: usize>(
+    [weak, strong]: &mut [Queue<P>; 2],
+    tables: &Tables,
+    count: usize,
+    race: &mut Race,
+    done: &mut Results,
+    fit: impl Fn(&mut Queue<P>, bool, usize),
+) {
     for iterations in ITERATIONS {
-        weak.fit::<N, C, D, false>(on, tables, rows, precision, iterations);
+        fit(weak, false, iterations);
         weak.report(race);
         for i in 0..weak.jobs.len() {
             let fitted = &weak.fitted[i];
-            if fitted.pulses.iter().any(|pulse| pulse.values[0] > tables.strong_dn()) {
+            if fitted.pulses[..count].iter().any(|pulse| pulse.values[0] > tables.strong_dn()) {
                 strong.push(Job { pulses: fitted.values(), ..weak.jobs[i] }, weak.tags[i]);
             } else {
-                weak.settle(i, iterations, race, done);
+                weak.settle(i, count, iterations, race, done);
             }
         }
         weak.go_on();
-        strong.fit::<N, C, D, true>(on, tables, rows, precision, iterations);
+        fit(strong, true, iterations);
         strong.report(race);
         for i in 0..strong.jobs.len() {
-            strong.settle(i, iterations, race, done);
+            strong.settle(i, count, iterations, race, done);
         }
         strong.go_on();
     }

@@ -8,9 +8,13 @@ use crate::decompose::acceptance::CLUSTER_WIDTHS;
 use crate::flags;
 
 /// Maximum number of pulses per waveform; waveforms with more go to the scalar kernels.
-pub(super) const MAX_PULSES: usize = 8;
-/// Maximum number of pulses in a joint fit.
-pub(super) const MAX_CLUSTER: usize = 3;
+pub(super) const MAX_PULSES: usize = 12;
+/// Maximum number of pulses in a joint fit; waveforms with larger clusters go to the scalar kernels.
+pub(super) const MAX_CLUSTER: usize = 8;
+/// Maximum number of pulses in a trial of the residual search.
+///
+/// In larger clusters the others are held, and the cluster is fitted again once a trial is accepted.
+pub(super) const MAX_TRIAL: usize = 3;
 
 /// A pulse: values, uncertainties and flags.
 #[derive(Clone, Copy)]

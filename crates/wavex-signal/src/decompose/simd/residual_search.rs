@@ -11,7 +11,7 @@ use super::detection::FilterResiduals;
 use super::fit_queue::{Aim, add, take_off};
 use super::fitted::FittedPulse;
 use super::level::JointSquares;
-use super::pulse_model::{MAX_CLUSTER, PulseComponent, PulseModel, Way};
+use super::pulse_model::{MAX_TRIAL, PulseComponent, PulseModel, Way};
 use super::rows::BATCH;
 use super::score_test::Scores;
 use super::tables::U_MAX;
@@ -22,7 +22,7 @@ pub(super) use trial::Trial;
 use trial::{Change, divided};
 
 /// Maximum number of rounds; a waveform that still changes goes to the scalar kernels.
-const ROUNDS: usize = 4;
+const ROUNDS: usize = 8;
 /// Fraction of the required gain that a trial must reach with a fixed level.
 ///
 /// With several pulses, chi-square may decrease by only this fraction of the decrease with a free
@@ -99,8 +99,8 @@ impl Decompose<'_> {
         active.retain(|&row| pulse_models[row].has_changed && pulse_models[row].way == Way::Fast);
         for &row in active.iter() {
             pulse_models[row].set_clusters(fwhm);
-            // A single cluster has just been fitted.
-            if pulse_models[row].cluster(1).is_some() {
+            // A single cluster of a trial's size has just been fitted.
+            if pulse_models[row].cluster(1).is_some() || pulse_models[row].pulses().len() > MAX_TRIAL {
                 due.push(row);
             }
         }
@@ -310,7 +310,7 @@ impl Decompose<'_> {
             for pulse in &work.pulse_models[trial.row].pulses()[trial.old()] {
                 add(on, tables, &mut work.rows, row, pulse.values(), 1.0);
             }
-            let mut values = [[0.0; 3]; MAX_CLUSTER];
+            let mut values = [[0.0; 3]; MAX_TRIAL];
             for (values, pulse) in values.iter_mut().zip(trial.pulses()) {
                 *values = pulse.values();
             }
@@ -372,7 +372,7 @@ impl Decompose<'_> {
         let work = &mut *self.work;
         let pulse_model = &mut work.pulse_models[trial.row];
         let before = *pulse_model;
-        if trial.is_part || !pulse_model.replace(trial.old(), trial.pulses()) {
+        if !pulse_model.replace(trial.old(), trial.pulses()) {
             pulse_model.give_up();
             return;
         }
