@@ -96,11 +96,13 @@ impl<const P: usize> Queue<P> {
         }
     }
 
-    /// Updates the lowest promised chi-square of each waveform.
+    /// Updates the lowest chi-square reached on each waveform.
+    ///
+    /// A promise does not count: if the leader missed its own, all trials would be stopped.
     fn report(&self, race: &mut Race) {
         for (job, fitted) in self.jobs.iter().zip(&self.fitted) {
             if let Some(best) = race.best.get_mut(job.aim.rivals) {
-                *best = best.min(fitted.objective - fitted.promised);
+                *best = best.min(fitted.objective);
             }
         }
     }
@@ -146,12 +148,12 @@ impl Aim {
         let reach = if promised < LITTLE { NEAR_REACH } else { REACH };
         let best = race.best.get(self.rivals).copied().unwrap_or(f32::INFINITY);
         // The leading fit has itself set `best`.
-        let leads = objective - promised <= best;
+        let leads = objective <= best;
         objective - REACH * promised > self.enough || (!leads && objective - reach * promised > best - BETTER)
     }
 }
 
-/// Lowest chi-square promised by any trial on each waveform.
+/// Lowest chi-square reached by any trial on each waveform.
 #[derive(Clone)]
 struct Race {
     best: Vec<f32>,

@@ -4,15 +4,13 @@ use std::ops::Range;
 
 use super::pulse_model::{PulseComponent, PulseModel, Way};
 use super::thresholds::Thresholds;
-use crate::decompose::Waveform;
+use crate::decompose::{DEVIANT, Waveform};
 use crate::decompose::{DecomposeSettings, Decomposer, Decomposition, Return, truncation_flag};
 use crate::flags;
 use crate::sensor_model::ChannelModel;
 use crate::simd::{Kernel, Simd};
 
 /// Deviation ratio above which the scalar kernels decompose a waveform again.
-///
-/// They take 27 us for each: with a limit of 3 they would take most of the time.
 const GROSS: f64 = 10.0;
 
 /// Returns of many waveforms; reuses its memory.
@@ -108,7 +106,11 @@ impl Finish<'_> {
             && (self.all_acceptable(pulse_model, samples.len()) || self.drop(pulse_model, samples.len()));
         let mut outcome = self.thresholds.outcome(pulse_model, samples.len());
         let deviation_ratio = outcome.deviation_ratio();
-        let is_unexplained = deviation_ratio > GROSS && self.is_refined && self.settings.explains_all;
+        let limit = if pulse_model.is_open { DEVIANT } else { GROSS };
+        let is_unexplained = deviation_ratio > limit
+            && self.is_refined
+            && self.settings.explains_all
+            && self.settings.max_added > 0;
         if (!is_done || is_unexplained)
             && self.push_plain(samples, start_phase, is_done.then_some(&outcome), outcomes)
         {

@@ -119,6 +119,8 @@ pub(super) struct PulseModel {
     /// Whether a trial was accepted in this round.
     pub(super) has_changed: bool,
     pub(super) refined_twice: bool,
+    /// Whether a trial without an optimum might have been accepted.
+    pub(super) is_open: bool,
     /// Whether the only pulse is fitted and subtracted, and chi-square computed.
     pub(super) is_settled: bool,
     pub(super) chi_square: f32,
@@ -163,13 +165,15 @@ impl PulseModel {
             counts,
             refined_twice,
             is_settled,
+            is_open,
             level_dn,
             level_variance,
             is_levelled,
             ..
         } = self;
         (*way, *count, *ends) = (Way::Fast, 0, [0; MAX_PULSES]);
-        (*taken_off, *has_changed, *refined_twice, *is_settled) = (false, false, false, false);
+        (*taken_off, *has_changed, *refined_twice) = (false, false, false);
+        (*is_settled, *is_open) = (false, false);
         (*chi_square, *beyond, *samples, *counts) = (0.0, 0.0, 0, Counts::default());
         (*level_dn, *level_variance, *is_levelled) = (0.0, 0.0, false);
     }

@@ -99,8 +99,10 @@ impl Decompose<'_> {
         active.retain(|&row| pulse_models[row].has_changed && pulse_models[row].way == Way::Fast);
         for &row in active.iter() {
             pulse_models[row].set_clusters(fwhm);
+            let pulses = pulse_models[row].pulses();
+            let is_fitted = pulses.len() <= MAX_TRIAL && pulses.iter().all(PulseComponent::is_fitted);
             // A single cluster of a trial's size has just been fitted.
-            if pulse_models[row].cluster(1).is_some() || pulse_models[row].pulses().len() > MAX_TRIAL {
+            if !is_fitted || pulse_models[row].cluster(1).is_some() {
                 due.push(row);
             }
         }
@@ -285,7 +287,10 @@ impl Decompose<'_> {
         self.work.trials.clear();
     }
 
-    /// Accepts the best of a waveform's trials, or passes the waveform to the scalar kernels.
+    /// Accepts the best of a waveform's trials.
+    ///
+    /// If none is acceptable, but one without an optimum might be, the scalar kernels decompose the
+    /// waveform unless it is explained.
     fn judge(&mut self, trials: Range<usize>, best: usize) {
         let trial = self.work.trials[best];
         let pulse_model = &self.work.pulse_models[trial.row];
@@ -293,11 +298,18 @@ impl Decompose<'_> {
             return;
         }
         let gained = |trial: &Trial| pulse_model.chi_square - trial.chi_square - trial.gain;
-        let is_open = |trial: &Trial| !trial.has_ended && !trial.is_dropped && gained(trial) > -OPEN_GAIN;
+        let is_open = |trial: &Trial| !trial.has_ended && !trial.is_dropped;
         if trial.objective.is_finite() && gained(&trial) >= 0.0 {
             self.take_up(&trial);
-        } else if self.work.trials[trials].iter().any(is_open) {
-            self.work.pulse_models[trial.row].give_up();
+            return;
+        }
+        let open = self.work.trials[trials].iter().filter(|trial| is_open(trial));
+        let Some(best) = open.min_by(|a, b| a.chi_square.total_cmp(&b.chi_square)).copied() else { return };
+        if gained(&best) >= 0.0 {
+            // A further pulse may give it an optimum.
+            self.take_up(&best);
+        } else if gained(&best) > -OPEN_GAIN {
+            self.work.pulse_models[trial.row].is_open = true;
         }
     }
 
@@ -330,7 +342,7 @@ impl Decompose<'_> {
             let fitted = work.done.pulses(done);
             let trial = &mut work.trials[done.tag];
             trial.is_dropped = done.is_dropped;
-            trial.has_ended = done.is_optimum && fitted.iter().all(FittedPulse::is_held);
+            trial.has_ended = done.is_optimum;
             for (pulse, fitted) in trial.pulses.iter_mut().zip(fitted) {
                 pulse.take(fitted);
                 pulse.sds = fitted.sds;
@@ -383,6 +395,11 @@ impl Decompose<'_> {
             *pulse_model = before;
             return;
         }
+        if !trial.has_ended {
+            // It counts as not fitted until its cluster is.
+            let fitted = trial.old.0..trial.old.0 + trial.count;
+            pulse_model.pulses_mut()[fitted].iter_mut().for_each(|pulse| pulse.sds = [0.0; 3]);
+        }
         for pulse in &before.pulses()[trial.old()] {
             add(self.on, self.tables, &mut work.rows, trial.row, pulse.values(), 1.0);
         }
@@ -394,7 +411,7 @@ impl Decompose<'_> {
         pulse_model.counts.n_added += 1;
         pulse_model.refined_twice = true;
         pulse_model.has_changed = true;
-        pulse_model.is_levelled = false;
+        (pulse_model.is_levelled, pulse_model.is_open) = (false, false);
     }
 }
 
