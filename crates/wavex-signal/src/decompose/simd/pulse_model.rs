@@ -129,6 +129,8 @@ pub(super) struct PulseModel {
     pub(super) counts: Counts,
     /// Decrease of chi-square promised by widths beyond the tables.
     pub(super) beyond: f32,
+    /// Least chi-square of the pulses before the residual search, had the tables wider ones.
+    pub(super) rival: f32,
     /// Background of the waveform minus that of the channel, DN, and its variance, DN².
     ///
     /// Both are 0 for a fixed background.
@@ -161,6 +163,7 @@ impl PulseModel {
             has_changed,
             chi_square,
             beyond,
+            rival,
             samples,
             counts,
             refined_twice,
@@ -175,7 +178,7 @@ impl PulseModel {
         (*taken_off, *has_changed, *refined_twice) = (false, false, false);
         (*is_settled, *is_open) = (false, false);
         (*chi_square, *beyond, *samples, *counts) = (0.0, 0.0, 0, Counts::default());
-        (*level_dn, *level_variance, *is_levelled) = (0.0, 0.0, false);
+        (*level_dn, *level_variance, *is_levelled, *rival) = (0.0, 0.0, false, f32::INFINITY);
     }
 
     /// Information on the level that the pulses absorb, 1/DN².

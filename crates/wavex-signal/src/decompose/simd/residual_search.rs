@@ -41,13 +41,12 @@ impl Decompose<'_> {
         work.active.clear();
         for (pulse_model, block) in work.pulse_models.iter_mut().zip(self.blocks) {
             if pulse_model.way == Way::Fast && is_cut_short(pulse_model) {
-                pulse_model.chi_square = match least_beyond(pulse_model) {
+                pulse_model.rival = match least_beyond(pulse_model) {
                     Some(least) => least,
                     // Near a good fit, only the scalar form can evaluate pulses of any width.
                     None => {
                         let pulses = pulse_model.pulses().iter().map(|p| p.values().map(f64::from));
-                        let rival = self.plain.chi_square_of(block.samples, block.start_phase, pulses);
-                        pulse_model.chi_square.min(rival as f32)
+                        self.plain.chi_square_of(block.samples, block.start_phase, pulses) as f32
                     }
                 };
             }
@@ -79,7 +78,9 @@ impl Decompose<'_> {
             self.work.pulse_models[row].give_up();
         }
         for pulse_model in &mut self.work.pulse_models {
-            if pulse_model.way == Way::Fast && is_cut_short(pulse_model) {
+            if pulse_model.way == Way::Fast
+                && (is_cut_short(pulse_model) || pulse_model.chi_square > pulse_model.rival)
+            {
                 pulse_model.give_up();
             }
         }
@@ -406,6 +407,10 @@ impl Decompose<'_> {
         for pulse in trial.pulses() {
             add(self.on, self.tables, &mut work.rows, trial.row, pulse.values(), -1.0);
         }
+        // What pulses wider than the tables could reach, with as many other pulses.
+        let replaces_wide = before.pulses()[trial.old()].iter().any(is_widest);
+        let decrease = pulse_model.chi_square - trial.chi_square;
+        pulse_model.rival -= if replaces_wide { trial.gain } else { decrease };
         pulse_model.chi_square = trial.chi_square;
         pulse_model.sort();
         pulse_model.counts.n_added += 1;
@@ -417,7 +422,11 @@ impl Decompose<'_> {
 
 /// Whether a pulse is at the width limit of the tables.
 fn is_cut_short(pulse_model: &PulseModel) -> bool {
-    pulse_model.pulses().iter().any(|p| p.values()[2] >= U_MAX as f32)
+    pulse_model.pulses().iter().any(is_widest)
+}
+
+fn is_widest(pulse: &PulseComponent) -> bool {
+    pulse.values()[2] >= U_MAX as f32
 }
 
 /// Bound on the decrease of chi-square by widths beyond the tables.
@@ -433,8 +442,8 @@ const NO_GOOD_FIT: f32 = 64.0;
 
 /// Lower bound of chi-square with widths beyond the limit of the tables.
 ///
-/// `None` if it could be a good fit. A trial below the bound is better than the wide pulses could
-/// be.
+/// `None` if it could be a good fit. A waveform below the bound in the end is explained better than
+/// by the wide pulses.
 fn least_beyond(pulse_model: &PulseModel) -> Option<f32> {
     let least = (1.0 - BEYOND_PART) * pulse_model.chi_square - BEYOND_REACH * pulse_model.beyond;
     (least > pulse_model.samples as f32 + NO_GOOD_FIT).then_some(least)
