@@ -41,14 +41,15 @@ impl Decompose<'_> {
         work.active.clear();
         for (pulse_model, block) in work.pulse_models.iter_mut().zip(self.blocks) {
             if pulse_model.way == Way::Fast && is_cut_short(pulse_model) {
-                pulse_model.rival = match least_beyond(pulse_model) {
-                    Some(least) => least,
+                match least_beyond(pulse_model) {
+                    Some(least) => pulse_model.rival = least,
                     // Near a good fit, only the scalar form can evaluate pulses of any width.
                     None => {
                         let pulses = pulse_model.pulses().iter().map(|p| p.values().map(f64::from));
-                        self.plain.chi_square_of(block.samples, block.start_phase, pulses) as f32
+                        let rival = self.plain.chi_square_of(block.samples, block.start_phase, pulses);
+                        pulse_model.chi_square = pulse_model.chi_square.min(rival as f32);
                     }
-                };
+                }
             }
         }
         let room = 1..self.settings.max_returns;
@@ -79,7 +80,7 @@ impl Decompose<'_> {
         }
         for pulse_model in &mut self.work.pulse_models {
             if pulse_model.way == Way::Fast
-                && (is_cut_short(pulse_model) || pulse_model.chi_square > pulse_model.rival)
+                && (is_cut_short(pulse_model) || is_undecided(pulse_model))
             {
                 pulse_model.give_up();
             }
@@ -425,6 +426,14 @@ fn is_cut_short(pulse_model: &PulseModel) -> bool {
     pulse_model.pulses().iter().any(is_widest)
 }
 
+/// Whether pulses wider than the tables might explain the waveform better than those that replaced
+/// them.
+fn is_undecided(pulse_model: &PulseModel) -> bool {
+    let is_resolved = pulse_model.chi_square < pulse_model.samples as f32 + NO_GOOD_FIT
+        && pulse_model.pulses().iter().all(|pulse| pulse.width_ratio() < RESOLVED_WIDTH_RATIO);
+    pulse_model.chi_square > pulse_model.rival && !is_resolved
+}
+
 fn is_widest(pulse: &PulseComponent) -> bool {
     pulse.values()[2] >= U_MAX as f32
 }
@@ -439,6 +448,11 @@ const BEYOND_PART: f32 = 0.1;
 ///
 /// It is six standard deviations for 60 samples.
 const NO_GOOD_FIT: f32 = 64.0;
+
+/// Width ratio below which the pulses of a good fit cannot be parts of one beyond the tables.
+///
+/// Two pulses that imitate one of 2.3 calibrated widths have 1.7 each.
+const RESOLVED_WIDTH_RATIO: f32 = 1.5;
 
 /// Lower bound of chi-square with widths beyond the limit of the tables.
 ///
