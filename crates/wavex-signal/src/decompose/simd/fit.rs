@@ -27,6 +27,10 @@ impl<const P: usize> Job<P> {
 ///
 /// It is the square of the remaining distance in standard deviations. The step is still made.
 pub(super) const DECREASE: f32 = ROUGH_DECREASE as f32;
+/// Increase of the objective that rounding and the interpolation of the tables may cause.
+///
+/// Without it, steps near an optimum are made in turns with ever larger damping.
+pub(super) const ROUNDING: f32 = 0.5 * DECREASE;
 /// Initial, smallest and largest damping factor of Marquardt.
 pub(super) const DAMPING: [f32; 3] = [FIRST_DAMPING as f32, 1e-6, 1e6];
 /// Damping at which no step lowers the objective.
@@ -219,7 +223,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Fi
         let mut damping = s.splat(if P == 1 { 0.0 } else { 10.0 * DAMPING[0] });
         for _ in 0..=iterations {
             let next = self.evaluate::<STRONG>(&trial, active, &mut inside);
-            let better = active & s.ge(point.objective, next.objective);
+            let better = active & s.ge(s.add(point.objective, s.splat(ROUNDING)), next.objective);
             for p in 0..P {
                 pulses[p] = trial[p].select(s, better, pulses[p]);
             }

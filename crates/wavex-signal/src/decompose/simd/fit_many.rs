@@ -4,7 +4,7 @@
 //! its own row only, and products are computed for pulses whose rows overlap.
 
 use super::fit::{
-    DAMPING, DECREASE, HELD, Job, NO_DECREASE, ProductSums, beyond_limits, results_of_lanes, start_of,
+    DAMPING, DECREASE, HELD, Job, NO_DECREASE, ProductSums, ROUNDING, beyond_limits, results_of_lanes, start_of,
 };
 use super::fitted::Fitted;
 use super::pulse_model::MAX_CLUSTER;
@@ -130,7 +130,7 @@ impl<S: Simd> ManyGroup<'_, S> {
         let mut damping = s.splat(10.0 * DAMPING[0]);
         for _ in 0..=iterations {
             self.evaluate::<STRONG>(&trial, active, &mut inside, &mut next);
-            let better = active & s.ge(point.objective, next.objective);
+            let better = active & s.ge(s.add(point.objective, s.splat(ROUNDING)), next.objective);
             for p in 0..count {
                 pulses[p] = trial[p].select(s, better, pulses[p]);
             }

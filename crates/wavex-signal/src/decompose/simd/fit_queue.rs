@@ -3,7 +3,7 @@
 use super::fit::{Fit, Job};
 use super::fit_many::FitMany;
 use super::fitted::{Fitted, FittedPulse, Values};
-use super::pulse_model::{MAX_CLUSTER, MAX_TRIAL};
+use super::pulse_model::MAX_CLUSTER;
 use super::rows::{BATCH, Rows};
 use super::tables::Tables;
 use super::template::Site;
@@ -18,6 +18,9 @@ pub(super) const ITERATIONS: [usize; 4] = [3, 4, 6, 16];
 ///
 /// Three vectors hold two pulses up to 16 samples apart.
 const FAR: f32 = 14.0;
+/// Distance of the first from the last pulse above which a frame of four vectors may be too short,
+/// samples.
+const FARTHEST: f32 = 28.0;
 /// Heights above this fraction of the first node's may end above it.
 ///
 /// Above the first node the response depends on height.
@@ -173,8 +176,8 @@ pub(super) struct Queues {
     /// Two pulses too far apart for the smaller frame.
     far: [Queue<2>; 2],
     pub(super) three: [Queue<3>; 2],
-    /// By number of pulses, from one more than in the queues above.
-    many: [[Queue<MAX_CLUSTER>; 2]; MAX_CLUSTER - MAX_TRIAL],
+    /// Four and more pulses, or fewer that are too far apart; by number of pulses, from two.
+    many: [[Queue<MAX_CLUSTER>; 2]; MAX_CLUSTER - 1],
     race: Race,
 }
 
@@ -237,17 +240,20 @@ impl Queues {
     pub(super) fn push(&mut self, tables: &Tables, row: usize, pulses: &[Values], aim: Aim, tag: usize) {
         let strong = usize::from(is_strong(tables, pulses));
         match *pulses {
+            [a, .., b] if b[1] - a[1] > FARTHEST => self.push_many(row, pulses, aim, tag, strong),
             [a] => self.one[strong].push(Job { row, pulses: [a], aim }, tag),
             [a, b] if b[1] - a[1] > FAR => self.far[strong].push(Job { row, pulses: [a, b], aim }, tag),
             [a, b] => self.two[strong].push(Job { row, pulses: [a, b], aim }, tag),
             [a, b, c] => self.three[strong].push(Job { row, pulses: [a, b, c], aim }, tag),
-            _ => {
-                let mut job = Job { row, aim, ..Job::IDLE };
-                if let Some(queue) = self.many.get_mut(pulses.len().wrapping_sub(MAX_TRIAL + 1)) {
-                    job.pulses[..pulses.len()].copy_from_slice(pulses);
-                    queue[strong].push(job, tag);
-                }
-            }
+            _ => self.push_many(row, pulses, aim, tag, strong),
+        }
+    }
+
+    fn push_many(&mut self, row: usize, pulses: &[Values], aim: Aim, tag: usize, strong: usize) {
+        let mut job = Job { row, aim, ..Job::IDLE };
+        if let Some(queues) = self.many.get_mut(pulses.len().wrapping_sub(2)) {
+            job.pulses[..pulses.len()].copy_from_slice(pulses);
+            queues[strong].push(job, tag);
         }
     }
 
@@ -269,7 +275,7 @@ impl Queues {
         drain::<2, 6, 3, 28>(on, &mut self.two, tables, rows, precision, race, done);
         drain::<2, 6, 4, 28>(on, &mut self.far, tables, rows, precision, race, done);
         drain::<3, 9, 4, 55>(on, &mut self.three, tables, rows, precision, race, done);
-        for (count, queues) in (MAX_TRIAL + 1..).zip(&mut self.many) {
+        for (count, queues) in (2..).zip(&mut self.many) {
             drain_with(queues, tables, count, race, done, |queue, is_strong, iterations| match is_strong {
                 false => queue.fit_many::<false>(on, tables, rows, count, precision, iterations),
                 true => queue.fit_many::<true>(on, tables, rows, count, precision, iterations),
