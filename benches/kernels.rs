@@ -37,8 +37,8 @@ const GOAL: f64 = 0.6;
 const LEVEL_SD_DN: f64 = 3.0;
 
 /// Returns the blocks of a scene and the positions of their pulses.
-fn waveforms(model: &ChannelModel, noise: &ArNoise, scene: Scene) -> (Vec<u16>, Vec<Vec<f64>>) {
-    let mut made = Waveforms::new(model, noise, scene, 7 + scene as u64);
+fn waveforms(model: &ChannelModel, noise: &ArNoise, scene: Scene, seed: u64) -> (Vec<u16>, Vec<Vec<f64>>) {
+    let mut made = Waveforms::new(model, noise, scene, seed);
     let mut samples = Vec::with_capacity(WAVEFORMS * SAMPLES);
     let truths = (0..WAVEFORMS).map(|_| made.next(&mut samples)).collect();
     (samples, truths)
@@ -242,6 +242,66 @@ fn own_background(
     }
 }
 
+/// Measures waveforms of one to eight echoes, and the forest scene, in each mode.
+///
+/// Prints the time per waveform and the fraction left to the scalar kernels. The goals: four echoes at
+/// most 1.6 times as long as three, eight at most 4 times; at most 0.5 % of the forest left.
+fn many_echoes(path: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &Arc<Tables>) {
+    let only = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
+    if only.is_some_and(|only| only != "echoes") {
+        return;
+    }
+    let modes = [
+        ("refined", Mode::Refined),
+        ("fast_separated", Mode::FastSeparated),
+        ("fastest", Mode::Fastest),
+    ];
+    let echoes = [1, 2, 3, 4, 6, 8].map(|count| (format!("{count} echoes"), Scene::Echoes(count)));
+    let scenes: Vec<_> = echoes.into_iter().chain([("forest".to_owned(), Scene::Forest)]).collect();
+    for (mode_name, mode) in modes {
+        let mut of_three = f64::NAN;
+        for (name, scene) in &scenes {
+            let mut made = Waveforms::new(model, noise, *scene, 9);
+            let (mut samples, mut ends, mut truths) = (Vec::new(), vec![0], Vec::new());
+            for _ in 0..WAVEFORMS {
+                truths.push(made.next(&mut samples));
+                ends.push(samples.len());
+            }
+            let block = |ends: &[usize]| Waveform { samples: &samples[ends[0]..ends[1]], start_phase: 0 };
+            let blocks: Vec<_> = ends.windows(2).map(block).collect();
+            let settings = DecomposeSettings::default();
+            let kernels = BatchDecomposer::new(model, Some(Arc::clone(tables)), &settings, mode, path);
+            let mut kernels = kernels.expect("a channel");
+            let mut outcomes = Decompositions::default();
+            let rate = rate(|| {
+                for line in blocks.chunks(SCAN_LINE) {
+                    kernels.decompose(line, &mut outcomes);
+                }
+            });
+            let before = kernels.left_to_plain();
+            kernels.decompose(&blocks, &mut outcomes);
+            let left = 100.0 * (kernels.left_to_plain() - before) as f64 / blocks.len() as f64;
+            let (z, right) = quality(&outcomes, &truths);
+            let spent_us = 1.0 / rate.best;
+            if matches!(scene, Scene::Echoes(3)) {
+                of_three = spent_us;
+            }
+            let relative = spent_us / of_three;
+            let verdict = match scene {
+                Scene::Echoes(4) => verdict(1.6, relative),
+                Scene::Echoes(8) => verdict(4.0, relative),
+                Scene::Forest if mode == Mode::Refined => verdict(0.5, left),
+                _ => "",
+            };
+            println!(
+                "{mode_name}, {name}: {spent_us:.3} us per waveform ({relative:.2} of three echoes), left to \
+                 scalar kernels {left:.2} % {verdict}; correct number of returns {:.2} %, z {z:.3}",
+                100.0 * right
+            );
+        }
+    }
+}
+
 /// Result of a mode.
 ///
 /// Rate, quality (normalised error SD, fraction of right counts), and fraction left to the plain
@@ -354,7 +414,8 @@ fn main() {
     let noise = wavex_testkit::waveforms::noise();
     let model = model(&noise);
     let tables = Arc::new(Tables::new(&model).expect("tables"));
-    let sets = [Scene::One, Scene::Two, Scene::Mixed].map(|scene| waveforms(&model, &noise, scene));
+    let sets = [(Scene::One, 7), (Scene::Two, 8), (Scene::Mixed, 9)]
+        .map(|(scene, seed)| waveforms(&model, &noise, scene, seed));
     let mut has_yardstick = true;
     for path in [SimdLevel::Avx512, SimdLevel::Avx2, SimdLevel::Portable]
         .into_iter()
@@ -378,6 +439,7 @@ fn main() {
         if path == SimdLevel::best() {
             own_background(path, &model, &tables, &sets[2]);
         }
+        many_echoes(path, &model, &noise, &tables);
         report(&rounds, if has_yardstick { &yards } else { &[] });
     }
     println!(
