@@ -9,7 +9,6 @@ use super::batch::{ChiSquares, Decompose, Workspace};
 use super::candidates::{Candidates, FilterPeak};
 use super::detection::FilterResiduals;
 use super::fit_queue::{Aim, add, take_off};
-use super::fitted::FittedPulse;
 use super::level::JointSquares;
 use super::pulse_model::{MAX_TRIAL, PulseComponent, PulseModel, Way};
 use super::rows::BATCH;
