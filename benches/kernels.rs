@@ -251,11 +251,8 @@ fn many_echoes(path: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &
     if only.is_some_and(|only| only != "echoes") {
         return;
     }
-    let modes = [
-        ("refined", Mode::Refined),
-        ("fast_separated", Mode::FastSeparated),
-        ("fastest", Mode::Fastest),
-    ];
+    let modes =
+        [("refined", Mode::Refined), ("fast_separated", Mode::FastSeparated), ("fastest", Mode::Fastest)];
     let echoes = [1, 2, 3, 4, 6, 8].map(|count| (format!("{count} echoes"), Scene::Echoes(count)));
     let scenes: Vec<_> = echoes.into_iter().chain([("forest".to_owned(), Scene::Forest)]).collect();
     for (mode_name, mode) in modes {

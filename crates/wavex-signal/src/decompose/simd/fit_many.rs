@@ -4,7 +4,8 @@
 //! its own row only, and products are computed for pulses whose rows overlap.
 
 use super::fit::{
-    DAMPING, DECREASE, HELD, Job, NO_DECREASE, ProductSums, ROUNDING, beyond_limits, results_of_lanes, start_of,
+    DAMPING, DECREASE, HELD, Job, NO_DECREASE, ProductSums, ROUNDING, beyond_limits, results_of_lanes,
+    start_of,
 };
 use super::fitted::Fitted;
 use super::pulse_model::MAX_CLUSTER;
@@ -157,7 +158,13 @@ impl<S: Simd> ManyGroup<'_, S> {
                 break;
             }
         }
-        self.results::<STRONG>(&pulses, &point, &mut factors, [lanes & !active & inside, active & inside], out);
+        self.results::<STRONG>(
+            &pulses,
+            &point,
+            &mut factors,
+            [lanes & !active & inside, active & inside],
+            out,
+        );
         let (mut objectives, mut promises) = ([0.0; LANES], [0.0; LANES]);
         s.store(point.objective, &mut objectives);
         s.store(promised, &mut promises);

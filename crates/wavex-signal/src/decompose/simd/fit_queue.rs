@@ -62,7 +62,6 @@ impl<const P: usize> Queue<P> {
             on.run(Fit::<P, N, C, D, STRONG> { tables, rows, jobs, precision, iterations, out });
         }
     }
-
 }
 
 impl Queue<MAX_CLUSTER> {

@@ -111,16 +111,20 @@ impl Finish<'_> {
         let mut outcome = self.thresholds.outcome(pulse_model, samples.len());
         let deviation_ratio = outcome.deviation_ratio();
         let limit = if pulse_model.is_open { DEVIANT } else { GROSS };
-        let is_unexplained = deviation_ratio > limit
-            && self.is_refined
+        let is_unexplained = self.is_refined
+            && deviation_ratio > limit
             && self.settings.explains_all
             && self.settings.max_added > 0;
-        if (!is_done || is_unexplained)
-            && self.push_plain(samples, start_phase, is_done.then_some(&outcome), outcomes)
-        {
-            return;
+        if !is_done || is_unexplained {
+            // By value: a reference would keep `outcome` in memory.
+            let done = is_done.then_some([deviation_ratio, f64::from(outcome.counts.np)]);
+            if self.push_plain(samples, start_phase, done, outcomes) {
+                return;
+            }
         }
         let misfit_factor = outcome.misfit_factor(deviation_ratio, self.settings);
+        let sd_factor = misfit_factor * self.model.pulse_error_factor;
+        let misfit_flag = if misfit_factor > 1.0 { flags::MISFIT } else { 0 };
         outcome.refined_once |= self.is_refined && pulse_model.counts.n_candidates > 0;
         let first = outcomes.returns.len();
         let fwhm_samples = self.model.fwhm_samples();
@@ -130,7 +134,7 @@ impl Finish<'_> {
             let overlaps_next = i + 1 < pulse_model.pulses().len() && pulse_model.overlap(i, i + 1, fwhm);
             let overlaps = std::mem::replace(&mut overlaps_last, overlaps_next) || overlaps_next;
             let [height, position, _] = pulse.values().map(f64::from);
-            let sds = pulse.sds.map(|sd| misfit_factor * self.model.pulse_error_factor * f64::from(sd));
+            let sds = pulse.sds.map(|sd| sd_factor * f64::from(sd));
             let width_ratio = f64::from(pulse.width_ratio());
             let overdriven = self.thresholds.allowance.overdrives(height);
             outcomes.returns.push(Return {
@@ -148,30 +152,31 @@ impl Finish<'_> {
                     | truncation_flag(position, width_ratio * fwhm_samples, samples.len())
                     | if overlaps { flags::OVERLAP } else { 0 }
                     | if overdriven { flags::OVERDRIVEN } else { 0 }
-                    | if misfit_factor > 1.0 { flags::MISFIT } else { 0 }
+                    | misfit_flag
                     | if self.thresholds.is_misshapen(pulse) { flags::UNUSUAL } else { 0 },
             });
         }
         outcomes.waveforms.push((first..outcomes.returns.len(), outcome));
     }
 
-    /// Outputs the returns of the scalar kernels; `false` if they explain the waveform no better than
-    /// `outcome`.
+    /// Outputs the returns of the scalar kernels; `false` if they explain the waveform no better.
+    ///
+    /// `done` holds the deviation ratio and the number of returns so far; `None` if there are none.
     #[cold]
     #[inline(never)]
     fn push_plain(
         &mut self,
         samples: &[u16],
         start_phase: u8,
-        outcome: Option<&Decomposition<'_>>,
+        done: Option<[f64; 2]>,
         outcomes: &mut Decompositions,
     ) -> bool {
         *self.left_to_plain += 1;
-        let plain = match outcome {
+        let plain = match done {
             Some(_) => self.plain.decompose_thoroughly(samples, start_phase),
             None => self.plain.decompose(samples, start_phase),
         };
-        let is_better = outcome.is_none_or(|outcome| plain.is_better_than(outcome));
+        let is_better = done.is_none_or(|done| plain.is_better(done));
         if is_better {
             outcomes.push(&plain);
         }

@@ -78,9 +78,7 @@ impl Decompose<'_> {
             self.work.pulse_models[row].give_up();
         }
         for pulse_model in &mut self.work.pulse_models {
-            if pulse_model.way == Way::Fast
-                && (is_cut_short(pulse_model) || is_undecided(pulse_model))
-            {
+            if pulse_model.way == Way::Fast && (is_cut_short(pulse_model) || is_undecided(pulse_model)) {
                 pulse_model.give_up();
             }
         }

@@ -254,7 +254,10 @@ mod tests {
                     let exact = inverse * b;
                     for i in 0..6 {
                         assert!((f64::from(x[i][w]) - exact[i]).abs() < 1e-4, "{path:?} {w} {i}");
-                        assert!((f64::from(diagonal[i][w]) - inverse[(i, i)]).abs() < 1e-5, "{path:?} {w} {i}");
+                        assert!(
+                            (f64::from(diagonal[i][w]) - inverse[(i, i)]).abs() < 1e-5,
+                            "{path:?} {w} {i}"
+                        );
                     }
                 }
             }
