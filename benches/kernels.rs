@@ -2,7 +2,8 @@
 //!
 //! Million waveforms per core-second, by thread CPU time, medians. `cargo bench --bench kernels`
 //! prints a table. If `WAVEX_YARDSTICK` names the run script of the yardstick, it runs before each
-//! round, and ratios to it are printed: medians of the rounds, and ratios of the best runs.
+//! round, and ratios to it are printed: medians of the rounds, and ratios of the best runs. The AVX2
+//! level is compared with the yardstick of `WAVEX_YARDSTICK_AVX2`, compiled for AVX2, if it is set.
 //! Absolute figures depend on the core, ratios much less. The name of a run as an argument (`--
 //! "mixed, refined"`) measures only that run.
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
@@ -320,11 +321,22 @@ const MIXED: [(&str, f64); 3] =
 const MIXED_LINE: &str = "detect, two returns";
 const MIXED_REFERENCE: f64 = 28.0;
 
+/// Environment variable with the run script of the yardstick for a SIMD level.
+///
+/// That for AVX2 is compiled for AVX2; without it the usual one serves, and the report says so.
+fn yardstick_variable(path: SimdLevel) -> &'static str {
+    const FOR_AVX2: &str = "WAVEX_YARDSTICK_AVX2";
+    match path {
+        SimdLevel::Avx2 if std::env::var_os(FOR_AVX2).is_some() => FOR_AVX2,
+        _ => "WAVEX_YARDSTICK",
+    }
+}
+
 /// Runs the yardstick.
 ///
 /// Returns the rate of each line, that of [`MIXED_LINE`] last.
-fn yardstick() -> Option<[Rate; 5]> {
-    let script = std::env::var_os("WAVEX_YARDSTICK")?;
+fn yardstick(path: SimdLevel) -> Option<[Rate; 5]> {
+    let script = std::env::var_os(yardstick_variable(path))?;
     let output = std::process::Command::new(script).output().ok()?;
     let text = String::from_utf8(output.stdout).ok()?;
     let mut rates = [Rate::default(); 5];
@@ -429,10 +441,13 @@ fn main() {
         println!("{path:?}{}", if path == SimdLevel::best() { ", the SIMD level in use" } else { "" });
         let (mut rounds, mut yards) = (Vec::new(), Vec::new());
         for round in 0..if path == SimdLevel::best() { ROUNDS } else { 3 } {
-            yards.extend(yardstick());
+            yards.extend(yardstick(path));
             rounds.push(measure(path, &model, &tables, &sets, round == 0));
         }
         has_yardstick = yards.len() == rounds.len();
+        if has_yardstick {
+            println!("yardstick: {}", yardstick_variable(path));
+        }
         if path == SimdLevel::best() {
             own_background(path, &model, &tables, &sets[2]);
         }
