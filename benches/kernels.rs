@@ -2,7 +2,8 @@
 //!
 //! Million waveforms per core-second, by thread CPU time, medians. `cargo bench --bench kernels`
 //! prints a table. If `WAVEX_YARDSTICK` names the run script of the yardstick, it runs before each
-//! round, and ratios to it are printed: medians of the rounds, and ratios of the best runs.
+//! round, and ratios to it are printed: medians of the rounds, and ratios of the best runs. The AVX2
+//! level is compared with the yardstick of `WAVEX_YARDSTICK_AVX2`, compiled for AVX2, if it is set.
 //! Absolute figures depend on the core, ratios much less. The name of a run as an argument (`--
 //! "mixed, refined"`) measures only that run.
 #![allow(clippy::print_stdout, reason = "a bench prints its figures")]
@@ -37,8 +38,8 @@ const GOAL: f64 = 0.6;
 const LEVEL_SD_DN: f64 = 3.0;
 
 /// Returns the blocks of a scene and the positions of their pulses.
-fn waveforms(model: &ChannelModel, noise: &ArNoise, scene: Scene) -> (Vec<u16>, Vec<Vec<f64>>) {
-    let mut made = Waveforms::new(model, noise, scene, 7 + scene as u64);
+fn waveforms(model: &ChannelModel, noise: &ArNoise, scene: Scene, seed: u64) -> (Vec<u16>, Vec<Vec<f64>>) {
+    let mut made = Waveforms::new(model, noise, scene, seed);
     let mut samples = Vec::with_capacity(WAVEFORMS * SAMPLES);
     let truths = (0..WAVEFORMS).map(|_| made.next(&mut samples)).collect();
     (samples, truths)
@@ -242,6 +243,63 @@ fn own_background(
     }
 }
 
+/// Measures waveforms of one to eight echoes, and the forest scene, in each mode.
+///
+/// Prints the time per waveform and the fraction left to the scalar kernels. The goals: four echoes at
+/// most 1.6 times as long as three, eight at most 4 times; at most 0.5 % of the forest left.
+fn many_echoes(path: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &Arc<Tables>) {
+    let only = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
+    if only.is_some_and(|only| only != "echoes") {
+        return;
+    }
+    let modes =
+        [("refined", Mode::Refined), ("fast_separated", Mode::FastSeparated), ("fastest", Mode::Fastest)];
+    let echoes = [1, 2, 3, 4, 6, 8].map(|count| (format!("{count} echoes"), Scene::Echoes(count)));
+    let scenes: Vec<_> = echoes.into_iter().chain([("forest".to_owned(), Scene::Forest)]).collect();
+    for (mode_name, mode) in modes {
+        let mut of_three = f64::NAN;
+        for (name, scene) in &scenes {
+            let mut made = Waveforms::new(model, noise, *scene, 9);
+            let (mut samples, mut ends, mut truths) = (Vec::new(), vec![0], Vec::new());
+            for _ in 0..WAVEFORMS {
+                truths.push(made.next(&mut samples));
+                ends.push(samples.len());
+            }
+            let block = |ends: &[usize]| Waveform { samples: &samples[ends[0]..ends[1]], start_phase: 0 };
+            let blocks: Vec<_> = ends.windows(2).map(block).collect();
+            let settings = DecomposeSettings::default();
+            let kernels = BatchDecomposer::new(model, Some(Arc::clone(tables)), &settings, mode, path);
+            let mut kernels = kernels.expect("a channel");
+            let mut outcomes = Decompositions::default();
+            let rate = rate(|| {
+                for line in blocks.chunks(SCAN_LINE) {
+                    kernels.decompose(line, &mut outcomes);
+                }
+            });
+            let before = kernels.left_to_plain();
+            kernels.decompose(&blocks, &mut outcomes);
+            let left = 100.0 * (kernels.left_to_plain() - before) as f64 / blocks.len() as f64;
+            let (z, right) = quality(&outcomes, &truths);
+            let spent_us = 1.0 / rate.best;
+            if matches!(scene, Scene::Echoes(3)) {
+                of_three = spent_us;
+            }
+            let relative = spent_us / of_three;
+            let verdict = match scene {
+                Scene::Echoes(4) => verdict(1.6, relative),
+                Scene::Echoes(8) => verdict(4.0, relative),
+                Scene::Forest if mode == Mode::Refined => verdict(0.5, left),
+                _ => "",
+            };
+            println!(
+                "{mode_name}, {name}: {spent_us:.3} us per waveform ({relative:.2} of three echoes), left to \
+                 scalar kernels {left:.2} % {verdict}; correct number of returns {:.2} %, z {z:.3}",
+                100.0 * right
+            );
+        }
+    }
+}
+
 /// Result of a mode.
 ///
 /// Rate, quality (normalised error SD, fraction of right counts), and fraction left to the plain
@@ -263,11 +321,22 @@ const MIXED: [(&str, f64); 3] =
 const MIXED_LINE: &str = "detect, two returns";
 const MIXED_REFERENCE: f64 = 28.0;
 
+/// Environment variable with the run script of the yardstick for a SIMD level.
+///
+/// That for AVX2 is compiled for AVX2; without it the usual one serves, and the report says so.
+fn yardstick_variable(path: SimdLevel) -> &'static str {
+    const FOR_AVX2: &str = "WAVEX_YARDSTICK_AVX2";
+    match path {
+        SimdLevel::Avx2 if std::env::var_os(FOR_AVX2).is_some() => FOR_AVX2,
+        _ => "WAVEX_YARDSTICK",
+    }
+}
+
 /// Runs the yardstick.
 ///
 /// Returns the rate of each line, that of [`MIXED_LINE`] last.
-fn yardstick() -> Option<[Rate; 5]> {
-    let script = std::env::var_os("WAVEX_YARDSTICK")?;
+fn yardstick(path: SimdLevel) -> Option<[Rate; 5]> {
+    let script = std::env::var_os(yardstick_variable(path))?;
     let output = std::process::Command::new(script).output().ok()?;
     let text = String::from_utf8(output.stdout).ok()?;
     let mut rates = [Rate::default(); 5];
@@ -354,7 +423,8 @@ fn main() {
     let noise = wavex_testkit::waveforms::noise();
     let model = model(&noise);
     let tables = Arc::new(Tables::new(&model).expect("tables"));
-    let sets = [Scene::One, Scene::Two, Scene::Mixed].map(|scene| waveforms(&model, &noise, scene));
+    let sets = [(Scene::One, 7), (Scene::Two, 8), (Scene::Mixed, 9)]
+        .map(|(scene, seed)| waveforms(&model, &noise, scene, seed));
     let mut has_yardstick = true;
     for path in [SimdLevel::Avx512, SimdLevel::Avx2, SimdLevel::Portable]
         .into_iter()
@@ -371,13 +441,17 @@ fn main() {
         println!("{path:?}{}", if path == SimdLevel::best() { ", the SIMD level in use" } else { "" });
         let (mut rounds, mut yards) = (Vec::new(), Vec::new());
         for round in 0..if path == SimdLevel::best() { ROUNDS } else { 3 } {
-            yards.extend(yardstick());
+            yards.extend(yardstick(path));
             rounds.push(measure(path, &model, &tables, &sets, round == 0));
         }
         has_yardstick = yards.len() == rounds.len();
+        if has_yardstick {
+            println!("yardstick: {}", yardstick_variable(path));
+        }
         if path == SimdLevel::best() {
             own_background(path, &model, &tables, &sets[2]);
         }
+        many_echoes(path, &model, &noise, &tables);
         report(&rounds, if has_yardstick { &yards } else { &[] });
     }
     println!(

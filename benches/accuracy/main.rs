@@ -259,6 +259,9 @@ fn main() {
         pairs::overlapping(&mut bench, &model);
         pairs::false_splits(&mut bench, &model);
     }
+    if wanted("C2") {
+        pairs::bright(&mut bench, &model);
+    }
     if wanted("A9") {
         strong::late_returns(&mut bench);
     }

@@ -83,6 +83,54 @@ pub fn overlapping(bench: &mut Bench, model: &ChannelModel) {
     );
 }
 
+/// C2: two equal returns in eight bits, up to full scale.
+///
+/// Clipped ones have no goal: they lose the dip between the returns. Overdriven receivers are not
+/// simulated: the response is that of weaker returns.
+pub fn bright(bench: &mut Bench, model: &ChannelModel) {
+    let settings = DecomposeSettings::default();
+    let kinds = [
+        (100.0, 0.8),
+        (100.0, 1.0),
+        (150.0, 1.0),
+        (150.0, 1.5),
+        (200.0, 1.0),
+        (200.0, 1.5),
+        (230.0, 1.0),
+        (230.0, 1.5),
+        (245.0, 1.5),
+    ];
+    for (height_dn, widths) in kinds {
+        let snr = height_dn / NOISE_SD_DN;
+        let cell = bench.cell(7900 + (height_dn + 1000.0 * widths) as u64, model, &settings);
+        let separation = widths * bench.response.fwhm_ns;
+        let all = bench.observe(&cell, |instrument, engine| {
+            let first = instrument.echo(snr, 1.0);
+            let echoes = [first, Echo { place: first.place + separation, ..first }];
+            let samples = instrument.record(&echoes, EIGHT_BITS);
+            let is_clipped = samples.iter().any(|&sample| f64::from(sample) >= EIGHT_BITS);
+            (is_clipped, pair_scores(engine.decompose(&samples).0, &echoes))
+        });
+        for clipped in [false, true] {
+            let of_kind: Vec<_> = all.iter().filter(|(is_clipped, _)| *is_clipped == clipped).collect();
+            if of_kind.len() * 20 < all.len() {
+                continue;
+            }
+            let found: Vec<_> = of_kind.iter().filter_map(|(_, scores)| *scores).collect();
+            let part = 100.0 * found.len() as f64 / of_kind.len() as f64;
+            let z = spread(&found.iter().flat_map(|p| [p[0][0], p[1][0]]).collect::<Vec<Score>>());
+            let what = format!("two of {height_dn} DN, {widths} widths: both found; z of range");
+            let figure = format!("{part:.1} %; {z:.3}");
+            if clipped {
+                bench.beside("C2", &format!("clipped: {what}"), figure);
+            } else {
+                let reached = part >= 95.0 && within(z, 0.85, 1.15);
+                bench.goal("C2", &what, figure, ">= 95 %; 0.85-1.15", reached);
+            }
+        }
+    }
+}
+
 /// A7: false splits of single returns.
 pub fn false_splits(bench: &mut Bench, model: &ChannelModel) {
     for width in [1.0, 1.5, 2.0] {

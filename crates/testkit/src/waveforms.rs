@@ -41,8 +41,10 @@ impl Random {
 /// Creates an 8-bit channel at 1 GHz.
 ///
 /// The response is a Gaussian of 1.65 ns convolved with a decay of 0.9 ns, with an after-pulse of 4
-/// % and a tail of 1.5 % that decays over 30 ns. The noise is autoregressive of order 2.
+/// % and a tail of 1.5 % that decays over 30 ns. The noise is autoregressive of order 2, that of the
+/// receiver and of rounding to whole steps.
 pub fn model(noise: &ArNoise) -> ChannelModel {
+    let noise = &recorded(noise);
     let narrow = |t: f64| (-0.5 * (t / 1.65).powi(2)).exp();
     let main =
         |t: f64| (0..200).map(|i| f64::from(i) * 0.05).map(|d| (-d / 0.9).exp() * narrow(t - d)).sum::<f64>();
@@ -87,6 +89,21 @@ pub fn model(noise: &ArNoise) -> ChannelModel {
     }
 }
 
+/// Noise of the recorded samples: that of the receiver, and the rounding to whole steps.
+///
+/// Without the rounding chi-square per degree of freedom is 1.3.
+fn recorded(noise: &ArNoise) -> ArNoise {
+    let mut covariance = [0.0; 3];
+    noise.autocovariance_into(&mut covariance);
+    covariance[0] += 1.0 / 12.0;
+    // Yule-Walker equations of order 2.
+    let [c0, c1, c2] = covariance;
+    let determinant = c0 * c0 - c1 * c1;
+    let coefficients = [(c1 * c0 - c1 * c2) / determinant, (c0 * c2 - c1 * c1) / determinant];
+    let innovation_variance = c0 - coefficients[0] * c1 - coefficients[1] * c2;
+    ArNoise::new(&coefficients, innovation_variance.sqrt()).expect("stationary noise")
+}
+
 /// Content of a set of waveforms.
 #[derive(Clone, Copy)]
 pub enum Scene {
@@ -99,6 +116,12 @@ pub enum Scene {
     /// 15 % have no pulse, 55 % one, 20 % two, 10 % three; 40 % of the pulses are widened by up to
     /// 40 %.
     Mixed,
+    /// This many pulses of calibrated width, 5 to 12 samples apart, in blocks of 120 samples.
+    Echoes(usize),
+    /// One to seven pulses, as many as fit, in blocks of 60 to 240 samples.
+    ///
+    /// They are 3 to 20 samples apart; 40 % are widened by up to 40 %.
+    Forest,
 }
 
 /// Returns the noise of the channel.
@@ -134,7 +157,12 @@ impl Waveforms {
     /// Returns the positions of its pulses.
     pub fn next(&mut self, samples: &mut Vec<u16>) -> Vec<f64> {
         let Waveforms { scene, random, shape, noise, noise_sd_dn } = self;
-        let mut values = [BACKGROUND_DN; SAMPLES];
+        let length = match scene {
+            Scene::Echoes(_) => 120,
+            Scene::Forest => 60 + 20 * (10.0 * random.uniform()) as usize,
+            _ => SAMPLES,
+        };
+        let mut values = vec![BACKGROUND_DN; length];
         let mut past = [0.0; 2];
         for value in values.iter_mut() {
             let predicted: f64 = past.iter().zip(noise.coefficients()).map(|(p, c)| p * c).sum();
@@ -146,12 +174,14 @@ impl Waveforms {
         let count = match scene {
             Scene::One => 1,
             Scene::Two => 2,
+            Scene::Echoes(count) => *count,
+            Scene::Forest => (1 + (7.0 * random.uniform()) as usize).min(1 + (length - 40) / 14),
             Scene::Mixed => [0.15, 0.70, 0.90].iter().filter(|&&limit| kind >= limit).count(),
         };
         let mut place = 12.0 + 12.0 * random.uniform();
         let mut truth = Vec::new();
         for _ in 0..count {
-            let widened = matches!(scene, Scene::Mixed) && random.uniform() < 0.4;
+            let widened = matches!(scene, Scene::Mixed | Scene::Forest) && random.uniform() < 0.4;
             let pulse = Pulse {
                 height_dn: 20.0 + 130.0 * random.uniform(),
                 position_samples: place,
@@ -162,6 +192,7 @@ impl Waveforms {
             truth.push(place);
             place += match scene {
                 Scene::Two => 7.0 + 6.0 * random.uniform(),
+                Scene::Echoes(_) => 5.0 + 7.0 * random.uniform(),
                 _ => 3.0 + 17.0 * random.uniform(),
             };
         }

@@ -199,8 +199,14 @@ impl Decomposition<'_> {
     ///
     /// More returns must lower the deviation ratio by at least [`LEAST_IMPROVEMENT`].
     pub(crate) fn is_better_than(&self, other: &Decomposition) -> bool {
-        let improvement = other.deviation_ratio() - self.deviation_ratio();
-        improvement > 0.0 && (self.counts.np <= other.counts.np || improvement >= LEAST_IMPROVEMENT)
+        self.is_better([other.deviation_ratio(), f64::from(other.counts.np)])
+    }
+
+    /// As [`Decomposition::is_better_than`]; `other` holds its deviation ratio and number of returns.
+    pub(crate) fn is_better(&self, other: [f64; 2]) -> bool {
+        let [deviation_ratio, returns] = other;
+        let improvement = deviation_ratio - self.deviation_ratio();
+        improvement > 0.0 && (f64::from(self.counts.np) <= returns || improvement >= LEAST_IMPROVEMENT)
     }
 
     /// Factor by which the misfit raises standard deviations: `√(χ²/ν)` of a waveform whose

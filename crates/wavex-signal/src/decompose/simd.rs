@@ -5,7 +5,7 @@
 //! whole cache lines at any pulse position. The results of a waveform are identical to the bit
 //! alone, in any batch and on every [`SimdLevel`].
 //!
-//! A batch passes through detection ([`FilterPeak`]), the fit of all clusters of up to three pulses,
+//! A batch passes through detection ([`FilterPeak`]), the fit of all clusters of up to eight pulses,
 //! a search of their residuals, and the score test of widened pulses. If each waveform has its own
 //! background, it is estimated before detection and brought to the joint optimum with the pulses
 //! after their fits (`level`). The scalar kernels take the waveforms that the SIMD kernels cannot
@@ -43,6 +43,7 @@ mod columns;
 mod detection;
 mod filter;
 mod fit;
+mod fit_many;
 mod fit_queue;
 mod fitted;
 mod fourier_response;

@@ -267,6 +267,7 @@ impl Decomposer {
             if is_explained
                 || candidate.statistic < CLEAR_PART * threshold
                 || self.scene.found.len() >= self.settings.max_returns
+                || self.counts.n_added >= self.settings.max_added
                 || !is_peak(self.scene.target_dn(), position, self.scene.offset_dn())
             {
                 continue;

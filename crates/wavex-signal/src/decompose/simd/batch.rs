@@ -320,6 +320,9 @@ impl Decompose<'_> {
             }
             for &row in &round {
                 let Some(cluster) = self.work.pulse_models[row].cluster(number) else { continue };
+                if number == 0 {
+                    self.work.pulse_models[row].beyond = 0.0;
+                }
                 if cluster.len() > MAX_CLUSTER {
                     self.work.pulse_models[row].give_up();
                 } else if cluster.len() >= least

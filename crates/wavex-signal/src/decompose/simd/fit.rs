@@ -26,15 +26,19 @@ impl<const P: usize> Job<P> {
 /// Promised decrease of chi-square below which a fit has converged.
 ///
 /// It is the square of the remaining distance in standard deviations. The step is still made.
-const DECREASE: f32 = ROUGH_DECREASE as f32;
+pub(super) const DECREASE: f32 = ROUGH_DECREASE as f32;
+/// Increase of the objective that rounding and the interpolation of the tables may cause.
+///
+/// Without it, steps near an optimum are made in turns with ever larger damping.
+pub(super) const ROUNDING: f32 = 0.5 * DECREASE;
 /// Initial, smallest and largest damping factor of Marquardt.
-const DAMPING: [f32; 3] = [FIRST_DAMPING as f32, 1e-6, 1e6];
+pub(super) const DAMPING: [f32; 3] = [FIRST_DAMPING as f32, 1e-6, 1e6];
 /// Damping at which no step lowers the objective.
 ///
 /// The fit is then at the optimum, at a kink of the response's dependence on height.
-const NO_DECREASE: f32 = 1e2;
+pub(super) const NO_DECREASE: f32 = 1e2;
 /// Diagonal of the matrix for a value held fixed.
-const HELD: f32 = 1e30;
+pub(super) const HELD: f32 = 1e30;
 
 /// The normal equations at a point, and the objective.
 #[derive(Clone, Copy)]
@@ -103,7 +107,7 @@ struct FitGroup<'a, S: Simd, const P: usize, const N: usize, const C: usize, con
 }
 
 /// Products before summation: half a vector per product and row.
-type ProductSums<H, const D: usize> = [[H; LANES]; D];
+pub(super) type ProductSums<H, const D: usize> = [[H; LANES]; D];
 
 /// Maximum offset of a pulse's row in a frame, samples.
 ///
@@ -134,17 +138,21 @@ pub(super) fn fit<
     out: &mut [Fitted<P>],
 ) {
     const { assert!(N == 3 * P && D == (N + 1) * (N + 2) / 2 && C * LANES >= ROW) };
-    let mut group: FitGroup<'_, S, P, N, C, D> = FitGroup {
-        s,
-        tables,
-        rows,
-        row: std::array::from_fn(|w| jobs.get(w).unwrap_or(&Job::IDLE).row),
-        last: s.splat(0.0),
-        precision,
-        sums,
-    };
-    let lengths: [f32; LANES] = std::array::from_fn(|w| rows.length(group.row[w]).saturating_sub(1) as f32);
-    group.last = s.load(&lengths);
+    let (row, last, start) = start_of(s, rows, jobs);
+    let mut group: FitGroup<'_, S, P, N, C, D> = FitGroup { s, tables, rows, row, last, precision, sums };
+    group.descend::<STRONG>(start, (1u32 << jobs.len().min(LANES)).wrapping_sub(1) as u16, iterations, out);
+}
+
+/// Rows of up to sixteen jobs, the last sample of each, and the start values within the tables.
+#[inline(always)]
+pub(super) fn start_of<S: Simd, const P: usize>(
+    s: S,
+    rows: &Rows,
+    jobs: &[Job<P>],
+) -> ([usize; LANES], S::V, [Pulses<S::V>; P]) {
+    let row: [usize; LANES] = std::array::from_fn(|w| jobs.get(w).unwrap_or(&Job::IDLE).row);
+    let lengths: [f32; LANES] = std::array::from_fn(|w| rows.length(row[w]).saturating_sub(1) as f32);
+    let last = s.load(&lengths);
     let zero = s.splat(0.0);
     let mut start = [Pulses { height: zero, position: zero, width: zero }; P];
     for (p, pulse) in start.iter_mut().enumerate() {
@@ -156,9 +164,43 @@ pub(super) fn fit<
             }
         }
         let [height, position, width] = [s.load(&values[0]), s.load(&values[1]), s.load(&values[2])];
-        *pulse = Pulses { height, position, width }.within(s, group.last);
+        *pulse = Pulses { height, position, width }.within(s, last);
     }
-    group.descend::<STRONG>(start, (1u32 << jobs.len().min(LANES)).wrapping_sub(1) as u16, iterations, out);
+    (row, last, start)
+}
+
+/// Sixteen fitted pulses.
+///
+/// If the tables limit a width, a step from the limit is closer to the true values than the limit.
+#[inline(always)]
+pub(super) fn beyond_limits<S: Simd>(
+    s: S,
+    pulses: &Pulses<S::V>,
+    step: [S::V; 3],
+    variances: [S::V; 3],
+) -> FittedLanes {
+    let is_cut = s.ge(pulses.width, s.splat(U_MAX as f32));
+    FittedLanes::of(s, &pulses.moved(s, step).select(s, is_cut, *pulses), variances)
+}
+
+/// Stores how the fits of sixteen jobs of `count` pulses ended.
+///
+/// `ended` are the lanes at an optimum and those that may go on, `beyond` the promised decreases
+/// beyond the limits of the tables.
+#[inline(always)]
+pub(super) fn results_of_lanes<const P: usize>(
+    count: usize,
+    ended: [u16; 2],
+    beyond: &[f32; LANES],
+    out: &mut [Fitted<P>],
+) {
+    let [optimum, active] = ended;
+    for (w, fitted) in out.iter_mut().enumerate() {
+        let known = fitted.pulses[..count].iter().all(FittedPulse::is_known);
+        fitted.is_optimum = known && optimum & (1 << w) != 0;
+        fitted.may_go_on = active & (1 << w) != 0;
+        fitted.beyond = beyond[w];
+    }
 }
 
 impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> FitGroup<'_, S, P, N, C, D> {
@@ -181,7 +223,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Fi
         let mut damping = s.splat(if P == 1 { 0.0 } else { 10.0 * DAMPING[0] });
         for _ in 0..=iterations {
             let next = self.evaluate::<STRONG>(&trial, active, &mut inside);
-            let better = active & s.ge(point.objective, next.objective);
+            let better = active & s.ge(s.add(point.objective, s.splat(ROUNDING)), next.objective);
             for p in 0..P {
                 pulses[p] = trial[p].select(s, better, pulses[p]);
             }
@@ -390,23 +432,13 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Fi
         let mut step = point.side;
         factors.solve(s, &mut step);
         for (p, pulses) in pulses.iter().enumerate() {
-            // If the tables limit a width, a step from the limit is closer to the true values than
-            // the limit.
-            let is_cut = s.ge(pulses.width, s.splat(U_MAX as f32));
-            let free = pulses.moved(s, [step[3 * p], step[3 * p + 1], step[3 * p + 2]]);
-            let pulses = free.select(s, is_cut, *pulses);
-            let lanes =
-                FittedLanes::of(s, &pulses, [variances[3 * p], variances[3 * p + 1], variances[3 * p + 2]]);
+            let of_pulse = [3 * p, 3 * p + 1, 3 * p + 2];
+            let lanes = beyond_limits(s, pulses, of_pulse.map(|i| step[i]), of_pulse.map(|i| variances[i]));
             for (w, fitted) in out.iter_mut().enumerate() {
                 fitted.pulses[p] = lanes.get(w);
             }
         }
-        for (w, fitted) in out.iter_mut().enumerate() {
-            let known = fitted.pulses.iter().all(FittedPulse::is_known);
-            fitted.is_optimum = known && optimum & (1 << w) != 0;
-            fitted.may_go_on = active & (1 << w) != 0;
-            fitted.beyond = beyonds[w];
-        }
+        results_of_lanes(P, [optimum, active], &beyonds, out);
         if let Some(level) = &self.tables.level {
             self.tell_level::<STRONG>(pulses, &factors, level.steady, out);
         }

@@ -1,7 +1,9 @@
 //! Queues of fits, run in groups of the same kind.
 
 use super::fit::{Fit, Job};
+use super::fit_many::FitMany;
 use super::fitted::{Fitted, FittedPulse, Values};
+use super::pulse_model::MAX_CLUSTER;
 use super::rows::{BATCH, Rows};
 use super::tables::Tables;
 use super::template::Site;
@@ -16,6 +18,9 @@ pub(super) const ITERATIONS: [usize; 4] = [3, 4, 6, 16];
 ///
 /// Three vectors hold two pulses up to 16 samples apart.
 const FAR: f32 = 14.0;
+/// Distance of the first from the last pulse above which a frame of four vectors may be too short,
+/// samples.
+const FARTHEST: f32 = 28.0;
 /// Heights above this fraction of the first node's may end above it.
 ///
 /// Above the first node the response depends on height.
@@ -57,10 +62,30 @@ impl<const P: usize> Queue<P> {
             on.run(Fit::<P, N, C, D, STRONG> { tables, rows, jobs, precision, iterations, out });
         }
     }
+}
 
-    /// Outputs a finished fit, or keeps it for more iterations.
+impl Queue<MAX_CLUSTER> {
+    fn fit_many<const STRONG: bool>(
+        &mut self,
+        on: Processor,
+        tables: &Tables,
+        rows: &Rows,
+        count: usize,
+        precision: f32,
+        iterations: usize,
+    ) {
+        self.unsettled = 0;
+        if !self.jobs.is_empty() {
+            let Queue { jobs, fitted: out, .. } = self;
+            on.run(FitMany::<STRONG> { tables, rows, jobs, count, precision, iterations, out });
+        }
+    }
+}
+
+impl<const P: usize> Queue<P> {
+    /// Outputs a finished fit of `count` pulses, or keeps it for more iterations.
     #[inline]
-    fn settle(&mut self, i: usize, iterations: usize, race: &Race, done: &mut Results) {
+    fn settle(&mut self, i: usize, count: usize, iterations: usize, race: &Race, done: &mut Results) {
         let (fitted, tag) = (&self.fitted[i], self.tags[i]);
         let Job { row, aim, .. } = self.jobs[i];
         let is_dropped = fitted.may_go_on && aim.is_out_of_reach(fitted.objective, fitted.promised, race);
@@ -69,15 +94,17 @@ impl<const P: usize> Queue<P> {
             self.tags[self.unsettled] = tag;
             self.unsettled += 1;
         } else {
-            done.push(row, tag, fitted, is_dropped);
+            done.push(row, tag, count, fitted, is_dropped);
         }
     }
 
-    /// Updates the lowest promised chi-square of each waveform.
+    /// Updates the lowest chi-square reached on each waveform.
+    ///
+    /// A promise does not count: if the leader missed its own, all trials would be stopped.
     fn report(&self, race: &mut Race) {
         for (job, fitted) in self.jobs.iter().zip(&self.fitted) {
             if let Some(best) = race.best.get_mut(job.aim.rivals) {
-                *best = best.min(fitted.objective - fitted.promised);
+                *best = best.min(fitted.objective);
             }
         }
     }
@@ -123,12 +150,12 @@ impl Aim {
         let reach = if promised < LITTLE { NEAR_REACH } else { REACH };
         let best = race.best.get(self.rivals).copied().unwrap_or(f32::INFINITY);
         // The leading fit has itself set `best`.
-        let leads = objective - promised <= best;
+        let leads = objective <= best;
         objective - REACH * promised > self.enough || (!leads && objective - reach * promised > best - BETTER)
     }
 }
 
-/// Lowest chi-square promised by any trial on each waveform.
+/// Lowest chi-square reached by any trial on each waveform.
 #[derive(Clone)]
 struct Race {
     best: Vec<f32>,
@@ -148,6 +175,8 @@ pub(super) struct Queues {
     /// Two pulses too far apart for the smaller frame.
     far: [Queue<2>; 2],
     pub(super) three: [Queue<3>; 2],
+    /// Four and more pulses, or fewer that are too far apart; by number of pulses, from two.
+    many: [[Queue<MAX_CLUSTER>; 2]; MAX_CLUSTER - 1],
     race: Race,
 }
 
@@ -191,23 +220,39 @@ impl Results {
     }
 
     #[inline]
-    fn push<const P: usize>(&mut self, row: usize, tag: usize, fitted: &Fitted<P>, is_dropped: bool) {
+    fn push<const P: usize>(
+        &mut self,
+        row: usize,
+        tag: usize,
+        count: usize,
+        fitted: &Fitted<P>,
+        is_dropped: bool,
+    ) {
         let (first, is_optimum, beyond) = (self.pulses.len(), fitted.is_optimum, fitted.beyond);
-        self.list.push(Done { row, tag, is_optimum, is_dropped, beyond, first, count: P });
-        self.pulses.extend_from_slice(&fitted.pulses);
+        self.list.push(Done { row, tag, is_optimum, is_dropped, beyond, first, count });
+        self.pulses.extend_from_slice(&fitted.pulses[..count]);
     }
 }
 
 impl Queues {
-    /// Queues a fit of at most three pulses.
+    /// Queues a fit of at most [`MAX_CLUSTER`] pulses.
     pub(super) fn push(&mut self, tables: &Tables, row: usize, pulses: &[Values], aim: Aim, tag: usize) {
         let strong = usize::from(is_strong(tables, pulses));
         match *pulses {
+            [a, .., b] if b[1] - a[1] > FARTHEST => self.push_many(row, pulses, aim, tag, strong),
             [a] => self.one[strong].push(Job { row, pulses: [a], aim }, tag),
             [a, b] if b[1] - a[1] > FAR => self.far[strong].push(Job { row, pulses: [a, b], aim }, tag),
             [a, b] => self.two[strong].push(Job { row, pulses: [a, b], aim }, tag),
             [a, b, c] => self.three[strong].push(Job { row, pulses: [a, b, c], aim }, tag),
-            _ => {}
+            _ => self.push_many(row, pulses, aim, tag, strong),
+        }
+    }
+
+    fn push_many(&mut self, row: usize, pulses: &[Values], aim: Aim, tag: usize, strong: usize) {
+        let mut job = Job { row, aim, ..Job::IDLE };
+        if let Some(queues) = self.many.get_mut(pulses.len().wrapping_sub(2)) {
+            job.pulses[..pulses.len()].copy_from_slice(pulses);
+            queues[strong].push(job, tag);
         }
     }
 
@@ -229,34 +274,57 @@ impl Queues {
         drain::<2, 6, 3, 28>(on, &mut self.two, tables, rows, precision, race, done);
         drain::<2, 6, 4, 28>(on, &mut self.far, tables, rows, precision, race, done);
         drain::<3, 9, 4, 55>(on, &mut self.three, tables, rows, precision, race, done);
+        for (count, queues) in (2..).zip(&mut self.many) {
+            drain_with(queues, tables, count, race, done, |queue, is_strong, iterations| match is_strong {
+                false => queue.fit_many::<false>(on, tables, rows, count, precision, iterations),
+                true => queue.fit_many::<true>(on, tables, rows, count, precision, iterations),
+            });
+        }
     }
 }
 
 fn drain<const P: usize, const N: usize, const C: usize, const D: usize>(
     on: Processor,
-    [weak, strong]: &mut [Queue<P>; 2],
+    queues: &mut [Queue<P>; 2],
     tables: &Tables,
     rows: &Rows,
     precision: f32,
     race: &mut Race,
     done: &mut Results,
 ) {
+    drain_with(queues, tables, P, race, done, |queue, is_strong, iterations| match is_strong {
+        false => queue.fit::<N, C, D, false>(on, tables, rows, precision, iterations),
+        true => queue.fit::<N, C, D, true>(on, tables, rows, precision, iterations),
+    });
+}
+
+/// Runs the fits of `count` pulses; `fit` gets a queue, whether it is the strong one, and the number
+/// of iterations.
+#[inline]
+fn drain_with<const P: usize>(
+    [weak, strong]: &mut [Queue<P>; 2],
+    tables: &Tables,
+    count: usize,
+    race: &mut Race,
+    done: &mut Results,
+    fit: impl Fn(&mut Queue<P>, bool, usize),
+) {
     for iterations in ITERATIONS {
-        weak.fit::<N, C, D, false>(on, tables, rows, precision, iterations);
+        fit(weak, false, iterations);
         weak.report(race);
         for i in 0..weak.jobs.len() {
             let fitted = &weak.fitted[i];
-            if fitted.pulses.iter().any(|pulse| pulse.values[0] > tables.strong_dn()) {
+            if fitted.pulses[..count].iter().any(|pulse| pulse.values[0] > tables.strong_dn()) {
                 strong.push(Job { pulses: fitted.values(), ..weak.jobs[i] }, weak.tags[i]);
             } else {
-                weak.settle(i, iterations, race, done);
+                weak.settle(i, count, iterations, race, done);
             }
         }
         weak.go_on();
-        strong.fit::<N, C, D, true>(on, tables, rows, precision, iterations);
+        fit(strong, true, iterations);
         strong.report(race);
         for i in 0..strong.jobs.len() {
-            strong.settle(i, iterations, race, done);
+            strong.settle(i, count, iterations, race, done);
         }
         strong.go_on();
     }

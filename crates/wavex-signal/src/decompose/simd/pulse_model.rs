@@ -8,9 +8,13 @@ use crate::decompose::acceptance::CLUSTER_WIDTHS;
 use crate::flags;
 
 /// Maximum number of pulses per waveform; waveforms with more go to the scalar kernels.
-pub(super) const MAX_PULSES: usize = 8;
-/// Maximum number of pulses in a joint fit.
-pub(super) const MAX_CLUSTER: usize = 3;
+pub(super) const MAX_PULSES: usize = 12;
+/// Maximum number of pulses in a joint fit; waveforms with larger clusters go to the scalar kernels.
+pub(super) const MAX_CLUSTER: usize = 8;
+/// Maximum number of pulses in a trial of the residual search.
+///
+/// In larger clusters the others are held, and the cluster is fitted again once a trial is accepted.
+pub(super) const MAX_TRIAL: usize = 3;
 
 /// A pulse: values, uncertainties and flags.
 #[derive(Clone, Copy)]
@@ -115,6 +119,8 @@ pub(super) struct PulseModel {
     /// Whether a trial was accepted in this round.
     pub(super) has_changed: bool,
     pub(super) refined_twice: bool,
+    /// Whether a trial without an optimum might have been accepted.
+    pub(super) is_open: bool,
     /// Whether the only pulse is fitted and subtracted, and chi-square computed.
     pub(super) is_settled: bool,
     pub(super) chi_square: f32,
@@ -123,6 +129,8 @@ pub(super) struct PulseModel {
     pub(super) counts: Counts,
     /// Decrease of chi-square promised by widths beyond the tables.
     pub(super) beyond: f32,
+    /// Least chi-square of the pulses before the residual search, had the tables wider ones.
+    pub(super) rival: f32,
     /// Background of the waveform minus that of the channel, DN, and its variance, DN².
     ///
     /// Both are 0 for a fixed background.
@@ -155,19 +163,22 @@ impl PulseModel {
             has_changed,
             chi_square,
             beyond,
+            rival,
             samples,
             counts,
             refined_twice,
             is_settled,
+            is_open,
             level_dn,
             level_variance,
             is_levelled,
             ..
         } = self;
         (*way, *count, *ends) = (Way::Fast, 0, [0; MAX_PULSES]);
-        (*taken_off, *has_changed, *refined_twice, *is_settled) = (false, false, false, false);
+        (*taken_off, *has_changed, *refined_twice) = (false, false, false);
+        (*is_settled, *is_open) = (false, false);
         (*chi_square, *beyond, *samples, *counts) = (0.0, 0.0, 0, Counts::default());
-        (*level_dn, *level_variance, *is_levelled) = (0.0, 0.0, false);
+        (*level_dn, *level_variance, *is_levelled, *rival) = (0.0, 0.0, false, f32::INFINITY);
     }
 
     /// Information on the level that the pulses absorb, 1/DN².

@@ -9,9 +9,8 @@ use super::batch::{ChiSquares, Decompose, Workspace};
 use super::candidates::{Candidates, FilterPeak};
 use super::detection::FilterResiduals;
 use super::fit_queue::{Aim, add, take_off};
-use super::fitted::FittedPulse;
 use super::level::JointSquares;
-use super::pulse_model::{MAX_CLUSTER, PulseComponent, PulseModel, Way};
+use super::pulse_model::{MAX_TRIAL, PulseComponent, PulseModel, Way};
 use super::rows::BATCH;
 use super::score_test::Scores;
 use super::tables::U_MAX;
@@ -22,7 +21,7 @@ pub(super) use trial::Trial;
 use trial::{Change, divided};
 
 /// Maximum number of rounds; a waveform that still changes goes to the scalar kernels.
-const ROUNDS: usize = 4;
+const ROUNDS: usize = 8;
 /// Fraction of the required gain that a trial must reach with a fixed level.
 ///
 /// With several pulses, chi-square may decrease by only this fraction of the decrease with a free
@@ -41,15 +40,15 @@ impl Decompose<'_> {
         work.active.clear();
         for (pulse_model, block) in work.pulse_models.iter_mut().zip(self.blocks) {
             if pulse_model.way == Way::Fast && is_cut_short(pulse_model) {
-                pulse_model.chi_square = match least_beyond(pulse_model) {
-                    Some(least) => least,
+                match least_beyond(pulse_model) {
+                    Some(least) => pulse_model.rival = least,
                     // Near a good fit, only the scalar form can evaluate pulses of any width.
                     None => {
                         let pulses = pulse_model.pulses().iter().map(|p| p.values().map(f64::from));
                         let rival = self.plain.chi_square_of(block.samples, block.start_phase, pulses);
-                        pulse_model.chi_square.min(rival as f32)
+                        pulse_model.chi_square = pulse_model.chi_square.min(rival as f32);
                     }
-                };
+                }
             }
         }
         let room = 1..self.settings.max_returns;
@@ -79,7 +78,7 @@ impl Decompose<'_> {
             self.work.pulse_models[row].give_up();
         }
         for pulse_model in &mut self.work.pulse_models {
-            if pulse_model.way == Way::Fast && is_cut_short(pulse_model) {
+            if pulse_model.way == Way::Fast && (is_cut_short(pulse_model) || is_undecided(pulse_model)) {
                 pulse_model.give_up();
             }
         }
@@ -99,8 +98,10 @@ impl Decompose<'_> {
         active.retain(|&row| pulse_models[row].has_changed && pulse_models[row].way == Way::Fast);
         for &row in active.iter() {
             pulse_models[row].set_clusters(fwhm);
-            // A single cluster has just been fitted.
-            if pulse_models[row].cluster(1).is_some() {
+            let pulses = pulse_models[row].pulses();
+            let is_fitted = pulses.len() <= MAX_TRIAL && pulses.iter().all(PulseComponent::is_fitted);
+            // A single cluster of a trial's size has just been fitted.
+            if !is_fitted || pulse_models[row].cluster(1).is_some() {
                 due.push(row);
             }
         }
@@ -285,7 +286,10 @@ impl Decompose<'_> {
         self.work.trials.clear();
     }
 
-    /// Accepts the best of a waveform's trials, or passes the waveform to the scalar kernels.
+    /// Accepts the best of a waveform's trials.
+    ///
+    /// If none is acceptable, but one without an optimum might be, the scalar kernels decompose the
+    /// waveform unless it is explained.
     fn judge(&mut self, trials: Range<usize>, best: usize) {
         let trial = self.work.trials[best];
         let pulse_model = &self.work.pulse_models[trial.row];
@@ -293,11 +297,18 @@ impl Decompose<'_> {
             return;
         }
         let gained = |trial: &Trial| pulse_model.chi_square - trial.chi_square - trial.gain;
-        let is_open = |trial: &Trial| !trial.has_ended && !trial.is_dropped && gained(trial) > -OPEN_GAIN;
+        let is_open = |trial: &Trial| !trial.has_ended && !trial.is_dropped;
         if trial.objective.is_finite() && gained(&trial) >= 0.0 {
             self.take_up(&trial);
-        } else if self.work.trials[trials].iter().any(is_open) {
-            self.work.pulse_models[trial.row].give_up();
+            return;
+        }
+        let open = self.work.trials[trials].iter().filter(|trial| is_open(trial));
+        let Some(best) = open.min_by(|a, b| a.chi_square.total_cmp(&b.chi_square)).copied() else { return };
+        if gained(&best) >= 0.0 {
+            // A further pulse may give it an optimum.
+            self.take_up(&best);
+        } else if gained(&best) > -OPEN_GAIN {
+            self.work.pulse_models[trial.row].is_open = true;
         }
     }
 
@@ -310,7 +321,7 @@ impl Decompose<'_> {
             for pulse in &work.pulse_models[trial.row].pulses()[trial.old()] {
                 add(on, tables, &mut work.rows, row, pulse.values(), 1.0);
             }
-            let mut values = [[0.0; 3]; MAX_CLUSTER];
+            let mut values = [[0.0; 3]; MAX_TRIAL];
             for (values, pulse) in values.iter_mut().zip(trial.pulses()) {
                 *values = pulse.values();
             }
@@ -330,7 +341,7 @@ impl Decompose<'_> {
             let fitted = work.done.pulses(done);
             let trial = &mut work.trials[done.tag];
             trial.is_dropped = done.is_dropped;
-            trial.has_ended = done.is_optimum && fitted.iter().all(FittedPulse::is_held);
+            trial.has_ended = done.is_optimum;
             for (pulse, fitted) in trial.pulses.iter_mut().zip(fitted) {
                 pulse.take(fitted);
                 pulse.sds = fitted.sds;
@@ -372,7 +383,7 @@ impl Decompose<'_> {
         let work = &mut *self.work;
         let pulse_model = &mut work.pulse_models[trial.row];
         let before = *pulse_model;
-        if trial.is_part || !pulse_model.replace(trial.old(), trial.pulses()) {
+        if !pulse_model.replace(trial.old(), trial.pulses()) {
             pulse_model.give_up();
             return;
         }
@@ -383,24 +394,45 @@ impl Decompose<'_> {
             *pulse_model = before;
             return;
         }
+        if !trial.has_ended {
+            // It counts as not fitted until its cluster is.
+            let fitted = trial.old.0..trial.old.0 + trial.count;
+            pulse_model.pulses_mut()[fitted].iter_mut().for_each(|pulse| pulse.sds = [0.0; 3]);
+        }
         for pulse in &before.pulses()[trial.old()] {
             add(self.on, self.tables, &mut work.rows, trial.row, pulse.values(), 1.0);
         }
         for pulse in trial.pulses() {
             add(self.on, self.tables, &mut work.rows, trial.row, pulse.values(), -1.0);
         }
+        // What pulses wider than the tables could reach, with as many other pulses.
+        let replaces_wide = before.pulses()[trial.old()].iter().any(is_widest);
+        let decrease = pulse_model.chi_square - trial.chi_square;
+        pulse_model.rival -= if replaces_wide { trial.gain } else { decrease };
         pulse_model.chi_square = trial.chi_square;
         pulse_model.sort();
         pulse_model.counts.n_added += 1;
         pulse_model.refined_twice = true;
         pulse_model.has_changed = true;
-        pulse_model.is_levelled = false;
+        (pulse_model.is_levelled, pulse_model.is_open) = (false, false);
     }
 }
 
 /// Whether a pulse is at the width limit of the tables.
 fn is_cut_short(pulse_model: &PulseModel) -> bool {
-    pulse_model.pulses().iter().any(|p| p.values()[2] >= U_MAX as f32)
+    pulse_model.pulses().iter().any(is_widest)
+}
+
+/// Whether pulses wider than the tables might explain the waveform better than those that replaced
+/// them.
+fn is_undecided(pulse_model: &PulseModel) -> bool {
+    let is_resolved = pulse_model.chi_square < pulse_model.samples as f32 + NO_GOOD_FIT
+        && pulse_model.pulses().iter().all(|pulse| pulse.width_ratio() < RESOLVED_WIDTH_RATIO);
+    pulse_model.chi_square > pulse_model.rival && !is_resolved
+}
+
+fn is_widest(pulse: &PulseComponent) -> bool {
+    pulse.values()[2] >= U_MAX as f32
 }
 
 /// Bound on the decrease of chi-square by widths beyond the tables.
@@ -414,10 +446,15 @@ const BEYOND_PART: f32 = 0.1;
 /// It is six standard deviations for 60 samples.
 const NO_GOOD_FIT: f32 = 64.0;
 
+/// Width ratio below which the pulses of a good fit cannot be parts of one beyond the tables.
+///
+/// Two pulses that imitate one of 2.3 calibrated widths have 1.7 each.
+const RESOLVED_WIDTH_RATIO: f32 = 1.5;
+
 /// Lower bound of chi-square with widths beyond the limit of the tables.
 ///
-/// `None` if it could be a good fit. A trial below the bound is better than the wide pulses could
-/// be.
+/// `None` if it could be a good fit. A waveform below the bound in the end is explained better than
+/// by the wide pulses.
 fn least_beyond(pulse_model: &PulseModel) -> Option<f32> {
     let least = (1.0 - BEYOND_PART) * pulse_model.chi_square - BEYOND_REACH * pulse_model.beyond;
     (least > pulse_model.samples as f32 + NO_GOOD_FIT).then_some(least)

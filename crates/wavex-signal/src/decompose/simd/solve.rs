@@ -93,6 +93,99 @@ impl<V: Copy, const P: usize> Factors<V, P> {
     }
 }
 
+/// Factors of sixteen matrices of order at most `N`, as packed lower triangles of `PACKED` values.
+pub(super) struct PackedFactors<V, const N: usize, const PACKED: usize> {
+    /// The matrices before [`PackedFactors::factor`], the unit triangles below the diagonal after it.
+    pub(super) lower: [V; PACKED],
+    inverse_pivots: [V; N],
+}
+
+impl<V: Copy, const N: usize, const PACKED: usize> PackedFactors<V, N, PACKED> {
+    #[inline(always)]
+    pub(super) fn none(zero: V) -> PackedFactors<V, N, PACKED> {
+        const { assert!(PACKED == N * (N + 1) / 2) };
+        PackedFactors { lower: [zero; PACKED], inverse_pivots: [zero; N] }
+    }
+
+    /// Index of the first element of a row of the triangle.
+    #[inline(always)]
+    const fn row(row: usize) -> usize {
+        row * (row + 1) / 2
+    }
+
+    /// Factors the matrices of order `n` in `lower`.
+    #[inline(always)]
+    pub(super) fn factor<S: Simd<V = V>>(&mut self, s: S, n: usize) {
+        for i in 0..n.min(N) {
+            let (above, from_i) = self.lower.split_at_mut(Self::row(i));
+            // Row i times the pivots: `L D`.
+            for j in 0..i {
+                let of_j = &above[Self::row(j)..];
+                let mut value = from_i[j];
+                for k in 0..j {
+                    value = s.fnma(from_i[k], of_j[k], value);
+                }
+                from_i[j] = value;
+            }
+            let mut pivot = from_i[i];
+            for j in 0..i {
+                let scaled = s.mul(from_i[j], self.inverse_pivots[j]);
+                pivot = s.fnma(scaled, from_i[j], pivot);
+                from_i[j] = scaled;
+            }
+            self.inverse_pivots[i] = s.div(s.splat(1.0), pivot);
+        }
+    }
+
+    /// Replaces the right side by the solution; returns the sum of squares that it explains.
+    #[inline(always)]
+    pub(super) fn solve<S: Simd<V = V>>(&self, s: S, n: usize, b: &mut [V; N]) -> V {
+        let mut explained = s.splat(0.0);
+        for i in 0..n.min(N) {
+            let row = &self.lower[Self::row(i)..][..i];
+            let mut value = b[i];
+            for (&lower, &b) in row.iter().zip(b.iter()) {
+                value = s.fnma(lower, b, value);
+            }
+            b[i] = value;
+        }
+        for (value, &inverse) in b[..n].iter_mut().zip(&self.inverse_pivots) {
+            let scaled = s.mul(*value, inverse);
+            explained = s.fma(scaled, *value, explained);
+            *value = scaled;
+        }
+        for i in (0..n.min(N)).rev() {
+            let solved = b[i];
+            for (value, &lower) in b[..i].iter_mut().zip(&self.lower[Self::row(i)..]) {
+                *value = s.fnma(lower, solved, *value);
+            }
+        }
+        explained
+    }
+
+    /// Returns the diagonal of the inverse.
+    #[inline(always)]
+    pub(super) fn inverse_diagonal<S: Simd<V = V>>(&self, s: S, n: usize) -> [V; N] {
+        let zero = s.splat(0.0);
+        let mut diagonal = [zero; N];
+        for c in 0..n.min(N) {
+            // Column c of L⁻¹: sums its squares divided by the pivots.
+            let mut column = [zero; N];
+            column[c] = s.splat(1.0);
+            for i in c..n.min(N) {
+                let row = &self.lower[Self::row(i)..];
+                let mut value = column[i];
+                for k in c..i {
+                    value = s.fnma(row[k], column[k], value);
+                }
+                column[i] = value;
+                diagonal[c] = s.fma(s.mul(value, value), self.inverse_pivots[i], diagonal[c]);
+            }
+        }
+        diagonal
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use nalgebra::{SMatrix, SVector};
@@ -107,12 +200,24 @@ mod tests {
     }
 
     impl Kernel for Solve {
-        type Output = ([Sixteen; 6], [Sixteen; 6]);
+        /// Solution and diagonal of the inverse, by either form.
+        type Output = [([Sixteen; 6], [Sixteen; 6]); 2];
 
         fn run<S: Simd>(self, s: S) -> Self::Output {
             let factors = factor(s, self.matrix.map(|row| row.map(|v| s.load(&v))));
             let mut b = self.side.map(|v| s.load(&v));
             factors.solve(s, &mut b);
+            let mut packed = PackedFactors::<S::V, 8, 36>::none(s.splat(0.0));
+            for i in 0..6 {
+                for j in 0..=i {
+                    packed.lower[i * (i + 1) / 2 + j] = s.load(&self.matrix[i][j]);
+                }
+            }
+            packed.factor(s, 6);
+            let mut of_packed = [s.splat(0.0); 8];
+            of_packed[..6].copy_from_slice(&self.side.map(|v| s.load(&v)));
+            packed.solve(s, 6, &mut of_packed);
+            let diagonal = packed.inverse_diagonal(s, 6);
             let stored = |values: [S::V; 6]| {
                 values.map(|v| {
                     let mut out = [0.0; 16];
@@ -120,7 +225,11 @@ mod tests {
                     out
                 })
             };
-            (stored(b), stored(factors.inverse_diagonal(s)))
+            let first = |values: [S::V; 8]| std::array::from_fn(|i| values[i]);
+            [
+                (stored(b), stored(factors.inverse_diagonal(s))),
+                (stored(first(of_packed)), stored(first(diagonal))),
+            ]
         }
     }
 
@@ -139,13 +248,17 @@ mod tests {
         let matrix = std::array::from_fn(|i| std::array::from_fn(|j| lanes(&|w| systems[w].0[(i, j)])));
         let side = std::array::from_fn(|i| lanes(&|w| systems[w].1[i]));
         for path in SimdLevel::ALL {
-            let (x, diagonal) = path.run(Solve { matrix, side });
-            for (w, (a, b)) in systems.iter().enumerate() {
-                let inverse = a.try_inverse().unwrap();
-                let exact = inverse * b;
-                for i in 0..6 {
-                    assert!((f64::from(x[i][w]) - exact[i]).abs() < 1e-4, "{path:?} {w} {i}");
-                    assert!((f64::from(diagonal[i][w]) - inverse[(i, i)]).abs() < 1e-5, "{path:?} {w} {i}");
+            for (x, diagonal) in path.run(Solve { matrix, side }) {
+                for (w, (a, b)) in systems.iter().enumerate() {
+                    let inverse = a.try_inverse().unwrap();
+                    let exact = inverse * b;
+                    for i in 0..6 {
+                        assert!((f64::from(x[i][w]) - exact[i]).abs() < 1e-4, "{path:?} {w} {i}");
+                        assert!(
+                            (f64::from(diagonal[i][w]) - inverse[(i, i)]).abs() < 1e-5,
+                            "{path:?} {w} {i}"
+                        );
+                    }
                 }
             }
         }

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::super::pulse_model::{MAX_CLUSTER, PulseComponent, PulseModel};
+use super::super::pulse_model::{MAX_TRIAL, PulseComponent, PulseModel};
 use crate::flags;
 use crate::shape::SD_OF_FWHM;
 
@@ -11,12 +11,8 @@ use crate::shape::SD_OF_FWHM;
 pub(in super::super) struct Trial {
     pub(super) row: usize,
     pub(super) old: (usize, usize),
-    pub(super) pulses: [PulseComponent; MAX_CLUSTER],
+    pub(super) pulses: [PulseComponent; MAX_TRIAL],
     pub(super) count: usize,
-    /// Whether the cluster is part of one that is too large.
-    ///
-    /// If it is accepted, the scalar kernels take the waveform.
-    pub(super) is_part: bool,
     /// Required decrease of chi-square.
     pub(super) gain: f32,
     pub(super) chi_square: f32,
@@ -40,13 +36,12 @@ impl Trial {
         gain: f32,
     ) -> Trial {
         let whole = pulse_model.cluster_around(position, fwhm_samples);
-        let old = part_of(pulse_model, whole.clone(), position);
+        let old = part_of(pulse_model, whole, position);
         Trial {
             row,
             old: (old.start, old.end),
-            pulses: [PulseComponent::default(); MAX_CLUSTER],
+            pulses: [PulseComponent::default(); MAX_TRIAL],
             count: 0,
-            is_part: old.len() < whole.len(),
             has_ended: false,
             is_dropped: false,
             gain,
@@ -86,11 +81,11 @@ pub(super) enum Change {
     Divide(usize, f32),
 }
 
-/// Returns the cluster, or two pulses of one that is too large.
+/// Returns the cluster, or two pulses of one that is too large for a trial.
 ///
 /// The two are the neighbours nearest to `position`.
 fn part_of(pulse_model: &PulseModel, cluster: Range<usize>, position: f32) -> Range<usize> {
-    if cluster.len() < MAX_CLUSTER {
+    if cluster.len() < MAX_TRIAL {
         return cluster;
     }
     let distance = |i: &usize| {
