@@ -39,6 +39,7 @@ fn shots_per_second(keys: &str) -> f64 {
         output_dir: std::env::temp_dir(),
         pool: None,
         simd: SimdLevel::best(),
+        cancelled: Default::default(),
         geometry: Default::default(),
     };
     let mut rates: Vec<f64> = (0..5)

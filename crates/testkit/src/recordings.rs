@@ -89,6 +89,7 @@ pub fn samples_of(channel: Channel, reader: &str, path: &Path) -> Vec<(u64, Vec<
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
         pool: None,
+        cancelled: Default::default(),
         simd: wavex_signal::simd::SimdLevel::best(),
         geometry: Default::default(),
     };

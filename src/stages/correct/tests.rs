@@ -69,6 +69,7 @@ fn run(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
         output_dir: PathBuf::new(),
         pool: None,
         simd: wavex_signal::simd::SimdLevel::Portable,
+        cancelled: Default::default(),
         geometry: Arc::default(),
     };
     let mut stage = keys.make(&site).unwrap();
