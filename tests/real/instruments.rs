@@ -347,8 +347,8 @@ const EXPECTED: &[Bounds] = &[
     Bounds::of("riegl_q680i_dev", "outgoing_pulse", 0.99, [0.3, 0.3]),
     Bounds::of("riegl_example3", "outgoing_pulse_fraction", 0.999, [0.2, 0.2]),
     Bounds::of("optech_example1", "outgoing_pulse", 1.0, [0.9, 0.9]),
-    Bounds::of("geolas_example1", "clock", 0.84, [0.3, 0.3]),
+    Bounds::of("geolas_example1", "clock", 0.999, [0.3, 0.3]),
     Bounds::of("lvis_example1", "clock", 1.0, [1.2, f64::NAN]),
     Bounds::of("las13fwf_example1", "clock", 1.0, [f64::NAN, f64::NAN]),
-    Bounds::of("neon", "outgoing_pulse", 0.97, [f64::NAN, f64::NAN]),
+    Bounds::of("neon", "outgoing_pulse", 0.99, [f64::NAN, f64::NAN]),
 ];
