@@ -96,6 +96,7 @@ fn sink(folder: &Path, path: &str, threads: usize) -> Box<dyn Sink> {
         output_dir: folder.into(),
         pool: (threads > 1).then(|| Arc::new(pool(threads))),
         simd: wavex_signal::simd::SimdLevel::best(),
+        cancelled: Default::default(),
         geometry: Arc::default(),
     };
     let spec = registry::find("write_las").unwrap_or_else(|| panic!("write_las is a stage"));

@@ -110,6 +110,7 @@ mod tests {
             output_dir: "out".into(),
             pool: None,
             simd: SimdLevel::Portable,
+            cancelled: Default::default(),
             geometry: Arc::default(),
         };
         assert_eq!(site.output_path("las/*_ex.laz"), Path::new("out/las/flight7_ex.laz"));

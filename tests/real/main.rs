@@ -628,13 +628,16 @@ fn points_lie_on_planes_and_waveforms_fit() {
 }
 
 /// NEON, Optech Gemini: pulses of 15 ns, blocks that start on the rise, 250 waveforms.
+///
+/// With Gaussian pulses, as the R package has them. By default the response is the outgoing pulse,
+/// whose peak is not the centre of a Gaussian.
 #[test]
 fn long_pulses_without_free_samples_come_through_unattended() {
     let Some(data) = data() else { return };
     let folder = data.join("neon");
     let out = tempfile::tempdir().unwrap();
     wavex_testkit::neon::to_container(&folder, &out.path().join("neon.arrow"));
-    let job = "[job]\noutput_dir = '.'\n[[stage]]\ntype = 'read_arrow'\npath = 'neon.arrow'\n[[stage]]\ntype = 'calibrate'\n\
+    let job = "[job]\noutput_dir = '.'\n[[stage]]\ntype = 'read_arrow'\npath = 'neon.arrow'\n[[stage]]\ntype = 'calibrate'\nresponse = 'gaussian'\n\
                [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
     let report = wavex_testkit::recordings::run("neon", job, out.path(), out.path(), &[]);
     let model = report.sensor_model.unwrap();

@@ -147,6 +147,7 @@ fn site() -> RunContext {
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
         pool: None,
+        cancelled: Default::default(),
         simd: wavex_signal::simd::SimdLevel::best(),
         cancelled: Default::default(),
         geometry: Default::default(),

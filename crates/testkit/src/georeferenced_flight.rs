@@ -224,6 +224,7 @@ pub fn site(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
         input_dir: flight.folder().into(),
         output_dir: flight.folder().into(),
         pool: None,
+        cancelled: Default::default(),
         simd: SimdLevel::best(),
         cancelled: Default::default(),
         geometry: Arc::new(loaded.map_err(|error| error.to_string())?),
