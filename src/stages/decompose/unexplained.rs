@@ -5,7 +5,8 @@ use crate::stage::Context;
 use wavex_signal::decompose::Decomposition;
 use wavex_signal::sensor_model::{Provenance, ResponseSource};
 
-/// Chi-square per degree of freedom of a waveform that is not explained …
+/// Chi-square over the expected one, with the error of the response, of a waveform that is not
+/// explained …
 const CHI_SQUARE: f64 = 2.0;
 /// … and the largest fraction of such waveforms: the median is then the limit.
 const CHI_SQUARE_PART: f64 = 0.5;
@@ -29,7 +30,8 @@ impl Explained {
         let freedom = result.degrees_of_freedom();
         if freedom > 0 {
             self.waveforms += 1;
-            self.by_chi_square += u64::from(result.chi_square > CHI_SQUARE * freedom as f64);
+            let expected = freedom as f64 + result.expected_excess;
+            self.by_chi_square += u64::from(result.chi_square > CHI_SQUARE * expected);
             self.by_deviation_ratio += u64::from(result.deviation_ratio() > DEVIATION_RATIO);
         }
     }
