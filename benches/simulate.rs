@@ -40,7 +40,6 @@ fn shots_per_second(keys: &str) -> f64 {
         pool: None,
         cancelled: Default::default(),
         simd: SimdLevel::best(),
-        cancelled: Default::default(),
         geometry: Default::default(),
     };
     let mut rates: Vec<f64> = (0..5)

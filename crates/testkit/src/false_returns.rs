@@ -149,7 +149,6 @@ fn site() -> RunContext {
         pool: None,
         cancelled: Default::default(),
         simd: wavex_signal::simd::SimdLevel::best(),
-        cancelled: Default::default(),
         geometry: Default::default(),
     }
 }

@@ -226,7 +226,6 @@ pub fn site(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
         pool: None,
         cancelled: Default::default(),
         simd: SimdLevel::best(),
-        cancelled: Default::default(),
         geometry: Arc::new(loaded.map_err(|error| error.to_string())?),
     })
 }

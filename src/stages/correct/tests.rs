@@ -70,7 +70,6 @@ fn run(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
         pool: None,
         cancelled: Default::default(),
         simd: wavex_signal::simd::SimdLevel::Portable,
-        cancelled: Default::default(),
         geometry: Arc::default(),
     };
     let mut stage = keys.make(&site).unwrap();
