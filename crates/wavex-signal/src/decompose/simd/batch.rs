@@ -38,6 +38,9 @@ pub(super) struct Workspace {
     /// Rows and pulses that may be two; `suspect_numbers` holds their indices in the waveform.
     pub(super) suspects: Vec<(usize, PulseComponent)>,
     pub(super) suspect_numbers: Vec<usize>,
+    /// By waveform, least chi-square of its pulses before the residual search, had the tables wider
+    /// ones.
+    pub(super) rivals: Vec<f32>,
     pub(super) candidates: Vec<Candidates>,
     /// Waveforms by number of detected pulses.
     by_count: ByCount,
@@ -82,6 +85,7 @@ impl Workspace {
             active: Vec::with_capacity(BATCH),
             suspects: Vec::with_capacity(BATCH),
             suspect_numbers: Vec::with_capacity(BATCH),
+            rivals: Vec::with_capacity(BATCH),
             candidates: Vec::with_capacity(BATCH),
             by_count: ByCount::new(),
             squares: Vec::with_capacity(BATCH),

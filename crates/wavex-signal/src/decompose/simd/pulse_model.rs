@@ -8,7 +8,9 @@ use crate::decompose::acceptance::CLUSTER_WIDTHS;
 use crate::flags;
 
 /// Maximum number of pulses per waveform; waveforms with more go to the scalar kernels.
-pub(super) const MAX_PULSES: usize = 12;
+///
+/// With 11 the first pulse and all before it take two cache lines.
+pub(super) const MAX_PULSES: usize = 11;
 /// Maximum number of pulses in a joint fit; waveforms with larger clusters go to the scalar kernels.
 pub(super) const MAX_CLUSTER: usize = 8;
 /// Maximum number of pulses in a trial of the residual search.
@@ -129,8 +131,6 @@ pub(super) struct PulseModel {
     pub(super) counts: Counts,
     /// Decrease of chi-square promised by widths beyond the tables.
     pub(super) beyond: f32,
-    /// Least chi-square of the pulses before the residual search, had the tables wider ones.
-    pub(super) rival: f32,
     /// Background of the waveform minus that of the channel, DN, and its variance, DN².
     ///
     /// Both are 0 for a fixed background.
@@ -142,6 +142,8 @@ pub(super) struct PulseModel {
     ends: [u8; MAX_PULSES],
     pulses: [PulseComponent; MAX_PULSES],
 }
+
+const _: () = assert!(std::mem::offset_of!(PulseModel, pulses) + size_of::<PulseComponent>() <= 128);
 
 impl PulseModel {
     pub(super) fn pulses(&self) -> &[PulseComponent] {
@@ -163,7 +165,6 @@ impl PulseModel {
             has_changed,
             chi_square,
             beyond,
-            rival,
             samples,
             counts,
             refined_twice,
@@ -178,7 +179,7 @@ impl PulseModel {
         (*taken_off, *has_changed, *refined_twice) = (false, false, false);
         (*is_settled, *is_open) = (false, false);
         (*chi_square, *beyond, *samples, *counts) = (0.0, 0.0, 0, Counts::default());
-        (*level_dn, *level_variance, *is_levelled, *rival) = (0.0, 0.0, false, f32::INFINITY);
+        (*level_dn, *level_variance, *is_levelled) = (0.0, 0.0, false);
     }
 
     /// Information on the level that the pulses absorb, 1/DN².

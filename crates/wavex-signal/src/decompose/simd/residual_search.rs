@@ -38,15 +38,18 @@ impl Decompose<'_> {
         }
         let work = &mut *self.work;
         work.active.clear();
-        for (pulse_model, block) in work.pulse_models.iter_mut().zip(self.blocks) {
+        work.rivals.clear();
+        work.rivals.resize(work.pulse_models.len(), f32::INFINITY);
+        let waveforms = work.pulse_models.iter_mut().zip(&mut work.rivals);
+        for ((pulse_model, rival), block) in waveforms.zip(self.blocks) {
             if pulse_model.way == Way::Fast && is_cut_short(pulse_model) {
                 match least_beyond(pulse_model) {
-                    Some(least) => pulse_model.rival = least,
+                    Some(least) => *rival = least,
                     // Near a good fit, only the scalar form can evaluate pulses of any width.
                     None => {
                         let pulses = pulse_model.pulses().iter().map(|p| p.values().map(f64::from));
-                        let rival = self.plain.chi_square_of(block.samples, block.start_phase, pulses);
-                        pulse_model.chi_square = pulse_model.chi_square.min(rival as f32);
+                        let of_wide = self.plain.chi_square_of(block.samples, block.start_phase, pulses);
+                        pulse_model.chi_square = pulse_model.chi_square.min(of_wide as f32);
                     }
                 }
             }
@@ -77,8 +80,9 @@ impl Decompose<'_> {
             let row = self.work.active[i];
             self.work.pulse_models[row].give_up();
         }
-        for pulse_model in &mut self.work.pulse_models {
-            if pulse_model.way == Way::Fast && (is_cut_short(pulse_model) || is_undecided(pulse_model)) {
+        for (pulse_model, &rival) in self.work.pulse_models.iter_mut().zip(&self.work.rivals) {
+            if pulse_model.way == Way::Fast && (is_cut_short(pulse_model) || is_undecided(pulse_model, rival))
+            {
                 pulse_model.give_up();
             }
         }
@@ -408,7 +412,7 @@ impl Decompose<'_> {
         // What pulses wider than the tables could reach, with as many other pulses.
         let replaces_wide = before.pulses()[trial.old()].iter().any(is_widest);
         let decrease = pulse_model.chi_square - trial.chi_square;
-        pulse_model.rival -= if replaces_wide { trial.gain } else { decrease };
+        work.rivals[trial.row] -= if replaces_wide { trial.gain } else { decrease };
         pulse_model.chi_square = trial.chi_square;
         pulse_model.sort();
         pulse_model.counts.n_added += 1;
@@ -424,11 +428,11 @@ fn is_cut_short(pulse_model: &PulseModel) -> bool {
 }
 
 /// Whether pulses wider than the tables might explain the waveform better than those that replaced
-/// them.
-fn is_undecided(pulse_model: &PulseModel) -> bool {
+/// them: `rival` is the least chi-square they could reach.
+fn is_undecided(pulse_model: &PulseModel, rival: f32) -> bool {
     let is_resolved = pulse_model.chi_square < pulse_model.samples as f32 + NO_GOOD_FIT
         && pulse_model.pulses().iter().all(|pulse| pulse.width_ratio() < RESOLVED_WIDTH_RATIO);
-    pulse_model.chi_square > pulse_model.rival && !is_resolved
+    pulse_model.chi_square > rival && !is_resolved
 }
 
 fn is_widest(pulse: &PulseComponent) -> bool {
