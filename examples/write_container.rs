@@ -124,6 +124,7 @@ fn returns(n: u64) -> impl Iterator<Item = Row> {
         gps_time_s: if n % 5 == 4 { f64::NAN } else { 1000.0 + n as f64 / 2.0 },
         found: found(n, index, count),
         point: n.is_multiple_of(2).then(|| [n as f64, 0.1 + f64::from(index), -0.125]),
+        profile: None,
     })
 }
 

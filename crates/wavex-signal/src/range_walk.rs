@@ -23,10 +23,8 @@ const PASSES: usize = 15;
 const ROUGHNESS_EVERY: usize = 5;
 /// Number of consecutive parts of the recording, of which the jackknife leaves out one at a time.
 const PARTS: usize = 40;
-/// Part of the amplitudes beyond which the cubic ends, at either end, and factor by which it is
-/// continued from there: so near, its standard deviation still covers its error.
+/// Part of the amplitudes beyond which the walk stays constant, at either end.
 const BEYOND_PART: f64 = 0.001;
-const CONTINUED: f64 = 1.1;
 /// Largest `T²` of the difference of both halves: exceeded by chance in 1 of 100 recordings.
 ///
 /// Hotelling's distribution of 3 coefficients with a covariance of 39 degrees of freedom.
@@ -138,7 +136,7 @@ impl RangeWalk {
         let at = |part: f64| amplitudes_dn[(part * (amplitudes_dn.len() - 1) as f64) as usize];
         let mut walk = RangeWalk {
             reference_dn: at(0.5),
-            amplitudes_dn: [at(BEYOND_PART) / CONTINUED, at(1.0 - BEYOND_PART) * CONTINUED],
+            amplitudes_dn: [at(BEYOND_PART), at(1.0 - BEYOND_PART)],
             coefficients_ns: [0.0; 3],
             covariance_ns2: [[0.0; 3]; 3],
             triples: triples.len() as u64,

@@ -35,8 +35,8 @@ pub(super) struct Solution {
     pub(super) stiffer: Vec<f64>,
     /// Indices of the positive points.
     pub(super) free: Vec<usize>,
-    /// Covariance of the positive points, by rows.
-    covariance: Vec<f64>,
+    /// Cholesky factor of the inverse covariance of the positive points, by rows.
+    factor: Vec<f64>,
     /// `χ²` of the fit.
     pub(super) chi_square: f64,
     /// Usable samples minus effective parameters.
@@ -54,10 +54,8 @@ struct Fit {
 impl Solution {
     /// Variance of the sum of `weights` times the points.
     pub(super) fn variance(&self, weights: impl Fn(usize) -> f64) -> f64 {
-        let weights: Vec<f64> = self.free.iter().map(|&point| weights(point)).collect();
-        let row_sum = |row: &[f64]| row.iter().zip(&weights).map(|(c, w)| c * w).sum::<f64>();
-        let rows = self.covariance.chunks_exact(self.free.len().max(1));
-        rows.zip(&weights).map(|(row, weight)| weight * row_sum(row)).sum()
+        let mut weights: Vec<f64> = self.free.iter().map(|&point| weights(point)).collect();
+        half_solve(&self.factor, &mut weights)
     }
 }
 
@@ -182,8 +180,8 @@ impl Solver {
     fn chi_square(&self, square: f64, values: &[f64]) -> f64 {
         let points = values.len();
         let of_row = |i: usize| {
-            let row = &self.normal[i * points..(i + 1) * points];
-            let known = row.iter().zip(values).map(|(a, x)| a * x).sum::<f64>();
+            let (row, band) = (&self.normal[i * points..(i + 1) * points], self.bands[i].clone());
+            let known = row[band.clone()].iter().zip(&values[band]).map(|(a, x)| a * x).sum::<f64>();
             values[i] * (known - 2.0 * self.right[i])
         };
         square + (0..points).filter(|&i| values[i] > 0.0).map(of_row).sum::<f64>()
@@ -199,17 +197,37 @@ impl Solver {
         if m == 0 {
             return None;
         }
-        let part = |matrix: &[f64]| -> Vec<f64> {
-            free.iter().flat_map(|&i| free.iter().map(move |&j| matrix[i * points + j])).collect()
-        };
-        let (mut factor, normal) = (part(&self.penalised), part(&self.normal));
+        let of_row = |&i: &usize| free.iter().map(move |&j| i * points + j);
+        let mut factor: Vec<f64> = free.iter().flat_map(of_row).map(|at| self.penalised[at]).collect();
         if !cholesky::factor(&mut factor, m) {
             return None;
         }
-        let mut covariance = vec![0.0; m * m];
-        cholesky::invert(&factor, m, &mut covariance);
-        let parameters = covariance.iter().zip(&normal).map(|(c, a)| c * a).sum::<f64>();
-        let degrees_of_freedom = (used as f64 - parameters).max(1.0);
-        Some(Solution { values, stiffer, free, covariance, chi_square, degrees_of_freedom })
+        // The penalty takes from the number of points what it decides itself: λ tr(C Dᵀ D).
+        let mut taken = 0.0;
+        for middle in 1..points - 1 {
+            let bend = |point: &usize| match (point + 1).wrapping_sub(middle) {
+                0 | 2 => 1.0,
+                1 => -2.0,
+                _ => 0.0,
+            };
+            let mut bend: Vec<f64> = free.iter().map(bend).collect();
+            taken += stiffness * half_solve(&factor, &mut bend);
+        }
+        let degrees_of_freedom = (used as f64 - (m as f64 - taken)).max(1.0);
+        Some(Solution { values, stiffer, free, factor, chi_square, degrees_of_freedom })
     }
+}
+
+/// Replaces `b` by `L⁻¹ b` and returns its square, `bᵀ (L Lᵀ)⁻¹ b`.
+fn half_solve(factor: &[f64], b: &mut [f64]) -> f64 {
+    let n = b.len();
+    let first = b.iter().position(|value| *value != 0.0).unwrap_or(n);
+    let mut square = 0.0;
+    for i in first..n {
+        let row = &factor[i * n..i * n + i];
+        let known = row[first..].iter().zip(&b[first..i]).map(|(l, x)| l * x).sum::<f64>();
+        b[i] = (b[i] - known) / factor[i * n + i];
+        square += b[i] * b[i];
+    }
+    square
 }
