@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use wavex::scan_line::flags::SATURATED;
 use wavex_testkit::data;
 use wavex_testkit::recordings::{Table, median, robust};
 
@@ -60,15 +59,13 @@ fn large_footprints_have_profiles() {
         ["deviation_ratio", "profile_deviation_ratio", "profile_last_range_m", "profile_last_range_sd_m"]
             .map(|name| returns.column(name));
     let [rh50_m, rh98_m, rh98_sd_m] = ["rh50_m", "rh98_m", "rh98_sd_m"].map(|name| returns.column(name));
-    let flags = returns.column("flags");
-    let is_saturated = |i: usize| flags[i] as u16 & SATURATED != 0;
     let unexplained: Vec<usize> =
-        (0..returns.len()).filter(|&i| number[i] == 1.0 && pulses[i] > 3.0 && !is_saturated(i)).collect();
+        (0..returns.len()).filter(|&i| number[i] == 1.0 && pulses[i] > 3.0).collect();
     let with: Vec<usize> = unexplained.iter().copied().filter(|&i| profile[i].is_finite()).collect();
     let of = |column: &[f64]| with.iter().map(|&i| column[i]).collect::<Vec<f64>>();
     let explained = share(&of(&profile), |ratio| ratio < 3.0);
     println!(
-        "LVIS: {} unsaturated waveforms unexplained by pulses, {} with a profile, {:.1} % of them explained; median deviation \
+        "LVIS: {} waveforms unexplained by pulses, {} with a profile, {:.1} % of them explained; median deviation \
          ratio {:.1} by pulses, {:.1} by profiles; last peak +- {:.2} m, RH50 {:.1} m, RH98 {:.1} +- {:.2} m",
         unexplained.len(),
         with.len(),
@@ -80,7 +77,8 @@ fn large_footprints_have_profiles() {
         median(&of(&rh98_m)),
         median(&of(&rh98_sd_m))
     );
-    assert!(with.len() * 10 >= unexplained.len() * 9, "{} of {}", with.len(), unexplained.len());
+    // A profile is kept only if it explains the waveform better than the pulses.
+    assert!(with.len() * 10 >= unexplained.len() * 7, "{} of {}", with.len(), unexplained.len());
     assert!(of(&last_m).iter().all(|m| m.is_finite()));
     assert!(median(&of(&profile)) < median(&of(&pulses)));
 }
