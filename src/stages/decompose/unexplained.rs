@@ -113,7 +113,7 @@ mod tests {
     fn blocks_count_by_their_fits() {
         let fit = |chi_square| Decomposition { chi_square, samples: 60, ..Decomposition::default() };
         let mut explained = Explained::default();
-        [60.0, 110.0, 130.0].map(|chi_square| explained.add(&fit(chi_square)));
+        [60.0, 110.0, 130.0].iter().for_each(|&chi_square| explained.add(&fit(chi_square)));
         explained.add(&Decomposition::default());
         assert_eq!(explained, Explained { waveforms: 3, by_chi_square: 1, by_deviation_ratio: 2 });
     }
