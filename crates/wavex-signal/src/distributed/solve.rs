@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use crate::cholesky;
+use crate::simd::dot::dot;
 
 /// Penalties tried, as powers of ten of the mean diagonal, from the stiffest; steps per decade.
 const STIFFEST: i32 = 2;
@@ -14,6 +15,8 @@ const SWEEPS: usize = 60;
 const CONVERGED: f64 = 1e-2;
 /// A penalty that explains this much more than the next stiffer one is still worth it.
 const WORTH: f64 = 0.01;
+/// Number of penalties that may gain nothing before the search ends.
+const IDLE: usize = 3;
 
 /// Columns of the points, and the memory of the fit.
 #[derive(Default)]
@@ -86,6 +89,7 @@ impl Solver {
         let mean_diagonal = (0..points).map(|i| self.normal[i * points + i]).sum::<f64>() / points as f64;
         let mut values = vec![0.0; points];
         let mut best: Option<Fit> = None;
+        let mut idle = 0;
         for step in 0..STEPS {
             let power = f64::from(STIFFEST) - f64::from(step) / STEPS_PER_DECADE;
             let stiffness = mean_diagonal * libm::exp(power * std::f64::consts::LN_10);
@@ -93,12 +97,13 @@ impl Solver {
             self.descend(&mut values);
             let chi_square = self.chi_square(square, &values);
             let is_worth = best.as_ref().is_none_or(|best| chi_square < (1.0 - WORTH) * best.chi_square);
+            idle = if is_worth { 0 } else { idle + 1 };
             if is_worth {
                 let stiffer = best.map_or_else(|| values.clone(), |best| best.values);
                 best = Some(Fit { chi_square, stiffness, values: values.clone(), stiffer });
             }
             // Morozov's principle: no smaller penalty than the noise asks for.
-            if chi_square <= used as f64 {
+            if chi_square <= used as f64 || idle > IDLE {
                 break;
             }
         }
@@ -117,7 +122,6 @@ impl Solver {
         self.normal.resize(points * points, 0.0);
         self.right.clear();
         self.bands.clear();
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         for i in 0..points {
             let column = &self.columns[i * n..(i + 1) * n];
             self.right.push(dot(column, whitened));
@@ -166,7 +170,7 @@ impl Solver {
                     continue;
                 }
                 let band = self.bands[i].clone();
-                let known = row[band.clone()].iter().zip(&values[band]).map(|(a, x)| a * x).sum::<f64>();
+                let known = dot(&row[band.clone()], &values[band]);
                 let value = (values[i] + (self.right[i] - known) / curvature).max(0.0);
                 change = change.max((value - values[i]).abs() * curvature.sqrt());
                 values[i] = value;
@@ -181,7 +185,7 @@ impl Solver {
         let points = values.len();
         let of_row = |i: usize| {
             let (row, band) = (&self.normal[i * points..(i + 1) * points], self.bands[i].clone());
-            let known = row[band.clone()].iter().zip(&values[band]).map(|(a, x)| a * x).sum::<f64>();
+            let known = dot(&row[band.clone()], &values[band]);
             values[i] * (known - 2.0 * self.right[i])
         };
         square + (0..points).filter(|&i| values[i] > 0.0).map(of_row).sum::<f64>()
@@ -225,7 +229,7 @@ fn half_solve(factor: &[f64], b: &mut [f64]) -> f64 {
     let mut square = 0.0;
     for i in first..n {
         let row = &factor[i * n..i * n + i];
-        let known = row[first..].iter().zip(&b[first..i]).map(|(l, x)| l * x).sum::<f64>();
+        let known = dot(&row[first..], &b[first..i]);
         b[i] = (b[i] - known) / factor[i * n + i];
         square += b[i] * b[i];
     }
