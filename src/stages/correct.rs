@@ -65,7 +65,7 @@ pub struct Correct {
     /// Smooth the range table first, with a penalised cubic in the logarithm of the digitiser
     /// steps.
     pub range_table_fit: bool,
-    /// Delay of a receiver by amplitude, where it has no range table: `"auto"`, that of the sensor
+    /// Delay of a receiver by amplitude, where it has no range table and `range_table` is not `false`: `"auto"`, that of the sensor
     /// model that `calibrate` loaded, otherwise learnt from the first waveforms and used if both
     /// halves agree; the path of a model saved by `save_model`; or `false`.
     pub range_walk: WalkKey,
@@ -155,6 +155,11 @@ impl Config for Correct {
             "it must be \"auto\", the path of a saved sensor model, or `false`",
         )?;
         InvalidKey::unless(
+            self.save_model.is_none() || self.range_walk != WalkKey::Without(false),
+            "save_model",
+            "it saves the range walk: set `range_walk`, or save the model with `save` of calibrate",
+        )?;
+        InvalidKey::unless(
             self.reference_range_m.is_within(1.0..=100_000.0),
             "reference_range_m",
             "it must lie between 1 and 100000, or be `false`",
@@ -200,6 +205,8 @@ impl TransformConfig for Correct {
             [&self.width_correction_low, &self.width_correction_high].map(WidthCorrection::given);
         let walks = match self.range_walk.file() {
             Some(path) => Some(Walks::open(&site.input_path(path))?),
+            // Without a correction of ranges for amplitude, none is learnt either.
+            None if self.range_table == TableKey::Own(false) => Some(Walks::default()),
             None => (!self.range_walk.is_auto()).then(Walks::default),
         };
         let save_model = self.save_model.as_ref().map(|pattern| site.create(pattern)).transpose()?;
@@ -260,7 +267,12 @@ impl Corrector {
 fn save(file: &mut Option<OutputFile>, walks: &Walks, line: &ScanLine, out: &mut Output) -> Result<()> {
     match (&line.model, file.take()) {
         (_, None) => Ok(()),
-        (Some(model), Some(file)) => write_model(&walks.added_to(model), file, out),
+        (Some(model), Some(file)) => {
+            if walks.is_empty() {
+                out.cx.warn("the saved sensor model has no range walk: none was learnt");
+            }
+            write_model(&walks.with_walks(model), file, out)
+        }
         (None, Some(_)) => Err(StageError::failed(
             "`save_model` needs a sensor model",
             "add calibrate and decompose before correct",

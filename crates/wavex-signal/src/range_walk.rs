@@ -31,6 +31,8 @@ const BEYOND_PART: f64 = 0.001;
 const MOST_DIFFERENCE: f64 = 13.8;
 /// Smallest `T²` of a walk: exceeded by chance in 1 of 1000 recordings.
 const LEAST_WALK: f64 = 21.2;
+/// Largest plausible delay, ns (150 m).
+const MOST_DELAY_NS: f64 = 1000.0;
 /// Standard deviation of a normal distribution over its median absolute deviation.
 const SD_OF_MEDIAN: f64 = 1.4826;
 
@@ -114,7 +116,9 @@ impl RangeWalk {
         let [least, most] = self.amplitudes_dn;
         let numbers = self.coefficients_ns.iter().chain(self.covariance_ns2.iter().flatten());
         let positive = [self.reference_dn, least, most].iter().all(|dn| *dn > 0.0 && dn.is_finite());
-        positive && least <= most && numbers.copied().all(f64::is_finite)
+        let is_delay = |dn: &f64| self.late_ns(*dn).0.abs() <= MOST_DELAY_NS;
+        let is_known = positive && least <= most && numbers.copied().all(f64::is_finite);
+        is_known && self.amplitudes_dn.iter().all(is_delay)
     }
 
     /// Learns the walk of a receiver from triples in the order of the recording.
@@ -255,7 +259,7 @@ fn robust_fit(rows: &[Row]) -> Option<RobustFit> {
         (weights, slopes) = (0.0, 0.0);
         for (i, ((row, residual_ns), sd_ns)) in rows.iter().zip(&residuals_ns).zip(&sds_ns).enumerate() {
             let u = residual_ns / (REACH_SD * sd_ns);
-            if u.abs() < 1.0 {
+            if sd_ns.is_finite() && u.abs() < 1.0 {
                 weights += (1.0 - u * u).powi(2);
                 slopes += (1.0 - u * u) * (1.0 - 5.0 * u * u);
                 parts[i * PARTS / rows.len()].add(row, ((1.0 - u * u) / sd_ns).powi(2));
@@ -378,5 +382,6 @@ mod tests {
         assert_eq!(walk.late_ns(walk.reference_dn), (0.0, 0.0));
         assert!(walk.is_valid());
         assert!(!RangeWalk { reference_dn: 0.0, ..walk }.is_valid());
+        assert!(!RangeWalk { coefficients_ns: [1e9; 3], ..walk }.is_valid());
     }
 }

@@ -263,10 +263,26 @@ impl Provenance {
 }
 
 impl ReceiverLimits {
+    fn check(&self) -> Result<(), ModelError> {
+        match (self.overdriven_dn, self.recovery_samples) {
+            (Some(dn), _) if !(dn > 0.0 && dn.is_finite()) => {
+                Err(ModelError { field: "overdriven_dn", problem: format!("{dn} is not a positive number") })
+            }
+            (_, Some(samples)) if samples > MOST_RECOVERY_SAMPLES => {
+                let problem = format!("{samples} is more than {MOST_RECOVERY_SAMPLES} samples");
+                Err(ModelError { field: "recovery_samples", problem })
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn is_unknown(&self) -> bool {
         *self == ReceiverLimits::default()
     }
 }
+
+/// Longest plausible recovery after saturation, samples.
+const MOST_RECOVERY_SAMPLES: usize = 10_000;
 
 fn one() -> f64 {
     1.0
@@ -319,6 +335,7 @@ impl ChannelModel {
     pub fn check(&self) -> Result<(), ModelError> {
         self.noise()?;
         self.digitiser.check()?;
+        self.limits.check()?;
         self.response.as_ref().map_or(Ok(()), SystemResponse::check)
     }
 
@@ -484,6 +501,16 @@ mod tests {
         check(
             |m| m.digitiser.decay = Some(Decay { amplitude: 0.1, time_samples: 0.0 }),
             "sensor model: decay: amplitude 0.1 must be within ±1, and time_samples 0 positive; \
+             recalibrate, or correct the saved model",
+        );
+        check(
+            |m| m.limits.overdriven_dn = Some(-1.0),
+            "sensor model: overdriven_dn: -1 is not a positive number; \
+             recalibrate, or correct the saved model",
+        );
+        check(
+            |m| m.limits.recovery_samples = Some(usize::MAX),
+            "sensor model: recovery_samples: 18446744073709551615 is more than 10000 samples; \
              recalibrate, or correct the saved model",
         );
         check(

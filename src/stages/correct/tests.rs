@@ -368,3 +368,52 @@ fn a_range_table_in_other_units_is_noticed() {
         "the range table has 1e-2 s, which is too large for a range correction; give its values in seconds"
     );
 }
+
+/// Lines of single returns on level ground whose times follow a delay by amplitude.
+fn delayed_lines(late_ns: impl Fn(f64) -> f64) -> Vec<ScanLine> {
+    let single = |line: u32, shot: u32| {
+        let k = f64::from(line * 100 + shot);
+        let amplitude_dn = 90.0 + 60.0 * (1.7 * k).sin();
+        let noise_ns = 0.02 * ((k * 7.31).sin() + (k * 3.77).cos());
+        let mut r = found(ReturnChannel::Low, 6000.0 + late_ns(amplitude_dn) + noise_ns, amplitude_dn);
+        (r.emission, r.amplitude_dn, r.width_ratio) = (shot, amplitude_dn, 1.0);
+        r
+    };
+    let line = |line: u32| {
+        let mut scan_line = line_of(map(), (0..100).map(|shot| single(line, shot)).collect());
+        scan_line.emissions = vec![emission([0.0, 0.0, -1.0]); 100];
+        scan_line
+    };
+    (0..30).map(line).collect()
+}
+
+#[test]
+fn a_delay_by_amplitude_is_learnt_and_removed() {
+    let late_ns = |dn: f64| -0.2 * (dn / 90.0).ln();
+    let spread_ns = |keys: &Correct| {
+        let (lines, _) = run(keys, delayed_lines(late_ns));
+        let times = lines.iter().flat_map(|line| line.returns().unwrap()).map(|r| r.time_of_flight_ns);
+        let times: Vec<f64> = times.collect();
+        let mean = times.iter().sum::<f64>() / times.len() as f64;
+        (times.iter().map(|t| (t - mean).powi(2)).sum::<f64>() / times.len() as f64).sqrt()
+    };
+    let auto =
+        Correct { range_table: TableKey::Own(true), range_walk: WalkKey::Auto(Auto::Auto), ..nothing() };
+    let without = Correct { range_walk: WalkKey::Without(false), ..auto.clone() };
+    let no_table = Correct { range_table: TableKey::Own(false), ..auto.clone() };
+    assert!(spread_ns(&auto) < 0.03, "{}", spread_ns(&auto));
+    assert!(spread_ns(&without) > 0.08 && spread_ns(&no_table) > 0.08);
+}
+
+#[test]
+fn keys_of_the_walk_are_checked() {
+    let error = |keys: Correct| keys.check().unwrap_err().to_string();
+    let wrong = Correct { range_walk: WalkKey::Without(true), ..Correct::default() };
+    assert!(error(wrong).contains("it must be \"auto\", the path of a saved sensor model, or `false`"));
+    let unsaved = Correct {
+        range_walk: WalkKey::Without(false),
+        save_model: Some("model.json".into()),
+        ..Correct::default()
+    };
+    assert!(error(unsaved).contains("it saves the range walk"));
+}

@@ -48,15 +48,15 @@ pub(super) struct Walks([Option<RangeWalk>; 2]);
 
 impl Walks {
     /// The walks of a sensor model.
-    pub(super) fn of(model: &SensorModel) -> Walks {
+    fn from_model(model: &SensorModel) -> Walks {
         Walks([model.low_power_range_walk, model.high_power_range_walk])
     }
 
     /// The walks of a saved sensor model.
     pub(super) fn open(path: &Path) -> Result<Walks> {
-        let walks = Walks::of(&load_model(path)?);
+        let walks = Walks::from_model(&load_model(path)?);
         if walks.is_empty() {
-            let remedy = "give a model written by `save_model` of correct, or leave `range_walk` at \"auto\"";
+            let remedy = "give a model that `save_model` of correct wrote with a walk, or leave `range_walk` at \"auto\"";
             return Err(Error::unusable(path, "the sensor model has no range walk", remedy).into());
         }
         Ok(walks)
@@ -67,18 +67,26 @@ impl Walks {
     }
 
     /// The model with these walks.
-    pub(super) fn added_to(&self, model: &SensorModel) -> SensorModel {
+    pub(super) fn with_walks(&self, model: &SensorModel) -> SensorModel {
         let [low_power_range_walk, high_power_range_walk] = self.0;
         SensorModel { low_power_range_walk, high_power_range_walk, ..model.clone() }
     }
 
     /// Walks of the model of the lines, otherwise those learnt from them, for receivers without a
     /// range table.
+    ///
+    /// None if both receivers are fused: their ranges are aligned already, and each walk has its own
+    /// zero.
     pub(super) fn learnt(lines: &[ScanLine], tables: &Both, cx: &mut Context) -> Walks {
-        if let Some(walks) = lines.iter().find_map(|line| line.model.as_deref()).map(Walks::of)
+        if let Some(walks) = lines.iter().find_map(|line| line.model.as_deref()).map(Walks::from_model)
             && !walks.is_empty()
         {
+            cx.info("ranges are corrected for the delay by amplitude of the loaded sensor model");
             return walks;
+        }
+        if lines.iter().any(|line| line.fusion.is_some()) {
+            cx.info("no delay by amplitude was learnt: both receivers are fused");
+            return Walks::default();
         }
         let mut walks = Walks::default();
         for channel in CHANNELS {
@@ -103,8 +111,9 @@ impl Walks {
             channel => &self.0[receiver_of(channel)],
         };
         let Some(walk) = walk else { return };
-        let (late_ns, walk_sd_ns) = walk.late_ns(r.amplitude_dn);
-        let late_sd_ns = walk_sd_ns.hypot(walk.slope_ns_per_dn(r.amplitude_dn) * r.amplitude_sd_dn);
+        let (amplitude_dn, amplitude_sd_dn) = r.amplitude_at_unit_gain_dn();
+        let (late_ns, walk_sd_ns) = walk.late_ns(amplitude_dn);
+        let late_sd_ns = walk_sd_ns.hypot(walk.slope_ns_per_dn(amplitude_dn) * amplitude_sd_dn);
         r.time_of_flight_ns -= late_ns;
         r.time_of_flight_sd_ns = r.time_of_flight_sd_ns.hypot(late_sd_ns);
         r.range_m -= half_speed_m_per_ns * late_ns;
@@ -158,7 +167,7 @@ fn triples(lines: &[ScanLine], channel: ReturnChannel) -> Vec<Triple> {
                 *single = Some(SingleEcho {
                     flight_ns: r.time_of_flight_ns,
                     flight_sd_ns: r.time_of_flight_sd_ns,
-                    amplitude_dn: r.amplitude_dn,
+                    amplitude_dn: r.amplitude_at_unit_gain_dn().0,
                 });
             }
         }

@@ -476,7 +476,10 @@ impl ShotDecomposer {
             let dropped = others.mark(block, fwhm_ns, drops, &mut self.found, in_block);
             stats.np_xtalk_dropped += dropped;
             fit.drop(dropped);
-            self.profiles.add(shot.blocks, block, channel, &result);
+            // Fused receivers move the times of the high-power receiver afterwards.
+            if self.both.is_none() || channel == ReturnChannel::Low {
+                self.profiles.add(shot.blocks, block, channel, &result);
+            }
             watch.echoes(block, fit, &result, model);
         }
         if let Some(both) = &mut self.both {
