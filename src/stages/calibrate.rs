@@ -23,6 +23,7 @@ use wavex_signal::calibrate::response::{
 use wavex_signal::calibrate::{
     self, BackgroundChoice, CalibrationError, CalibrationSettings, receiver_limits,
 };
+use wavex_signal::decompose::OVERDRIVEN_PART;
 use wavex_signal::decompose::Waveform;
 use wavex_signal::gain::calibrate_at_unit_gain;
 use wavex_signal::sensor_model::{
@@ -48,7 +49,7 @@ pub const STAGE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Ki
 /// a pulse from a flat target with its after-pulse and tail, from single echoes. It also estimates
 /// the error of the response, and the factor by which errors on a pulse exceed those expected from
 /// the noise. Signal is separated from noise by fitted pulses, never by a threshold on samples. At
-/// most 6000 evenly chosen waveforms of an echo receiver and 2000 of the outgoing pulse are used.
+/// most 20 000 evenly chosen waveforms of an echo receiver and 2000 of the outgoing pulse are used.
 ///
 /// Where the recorded outgoing pulse explains the echoes clearly better than their own response, it
 /// is used instead: over vegetation under a large footprint few echoes are single and narrow. The
@@ -354,9 +355,13 @@ impl Calibrator {
                 .map_err(|error| failed(channel, &error))?;
         }
         let ReceiverLimits { overdriven_dn, recovery_samples, .. } = found.model.limits;
+        // Chi-square does not show the range error of an overdriven receiver: a higher limit than the
+        // usual one is reported, but not used.
+        let usual_dn = OVERDRIVEN_PART * found.model.full_scale_dn;
+        found.model.limits.overdriven_dn = overdriven_dn.filter(|dn| *dn < usual_dn);
         let findings = [
             clipping_dn.map(|dn| format!("clips at {dn} DN")),
-            overdriven_dn.map(|dn| format!("is overdriven by pulses above {dn:.0} DN")),
+            overdriven_dn.map(|dn| format!("shows overdrive by chi-square above {dn:.0} DN; pulses above {usual_dn:.0} DN stay flagged")),
             recovery_samples.map(|n| format!("loses {n} samples after clipping")),
         ];
         for finding in findings.into_iter().flatten() {

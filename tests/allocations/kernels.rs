@@ -10,7 +10,7 @@ use wavex_testkit::waveforms::{SAMPLES, Scene, Waveforms, model, noise};
 
 use super::{REQUESTS, RUNNING};
 
-const WARM_UP: usize = 12_000;
+const WARM_UP: usize = 32_000;
 const COUNTED: usize = 8_000;
 
 /// In the mixed scene, the plain kernels decompose one in 500 waveforms.

@@ -113,13 +113,13 @@ pub struct CalibrationSettings {
 }
 
 impl CalibrationSettings {
-    /// Settings for an echo channel: 200 to 6000 blocks, order at most 4, fastest instruction set.
+    /// Settings for an echo channel: 200 to 20 000 blocks, order at most 4, fastest instruction set.
     pub fn echoes(sampling_interval_ns: f64, full_scale_dn: f64) -> CalibrationSettings {
         CalibrationSettings {
             sampling_interval_ns,
             full_scale_dn,
             min_blocks: 200,
-            max_blocks: 6_000,
+            max_blocks: 20_000,
             max_ar_order: 4,
             background: BackgroundChoice::Auto,
             digitiser: Digitiser::default(),

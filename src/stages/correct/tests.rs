@@ -407,7 +407,7 @@ fn a_delay_by_amplitude_is_learnt_and_removed() {
 
 #[test]
 fn keys_of_the_walk_are_checked() {
-    let error = |keys: Correct| keys.check().unwrap_err().to_string();
+    let error = |keys: Correct| format!("{:?}", keys.check().unwrap_err());
     let wrong = Correct { range_walk: WalkKey::Without(true), ..Correct::default() };
     assert!(error(wrong).contains("it must be \"auto\", the path of a saved sensor model, or `false`"));
     let unsaved = Correct {
