@@ -72,8 +72,9 @@ fn every_key_that_names_a_file_is_an_input_or_an_output() {
     };
     // Same extension as the default, if any: some stages require a certain extension.
     let file = |key: &Key| match key.default().and_then(serde_json::Value::as_str) {
-        Some(pattern) => pattern.replace('*', key.name),
-        None => format!("{}.csv", key.name),
+        Some(pattern) if pattern.contains('.') => pattern.replace('*', key.name),
+        // None, or a word such as "auto".
+        _ => format!("{}.csv", key.name),
     };
     let line = |key: &Key| format!("{} = '{}'\n", key.name, file(key));
     for spec in STAGES {
