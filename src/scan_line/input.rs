@@ -28,6 +28,8 @@ pub struct InputInfo {
     ///
     /// Samples of this value are saturated.
     pub full_scale_dn: Option<u16>,
+    /// Whether the job gives `full_scale_dn`, not the recording.
+    pub full_scale_is_set: bool,
     /// Automatic gain control of the recording.
     pub gain_control: GainControl,
     /// Group velocity of the pulse in air, m/s.
@@ -91,6 +93,7 @@ impl Default for InputInfo {
             sampling_interval_ns: 1.0,
             odd_sample_shift: 0.0,
             full_scale_dn: None,
+            full_scale_is_set: false,
             gain_control: GainControl::Off,
             group_velocity_mps: 299_792_458.0,
             pulse_rate_hz: None,

@@ -1,7 +1,6 @@
 //! `calibrate`: estimates the sensor model from the recording itself.
 
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -15,29 +14,21 @@ use crate::stage::{
     Config, Holds, LookAhead, Output, OutputFile, Result, RunContext, StageError, StageSpec, Transform,
     TransformConfig,
 };
+pub(super) use model_file::{load_model, write_model};
 pub use presets::Preset;
-use wavex_formats::Error;
-use wavex_signal::calibrate::response::{
-    Calibrated, MIN_ECHOES, calibrate_response, with_outgoing_pulse, with_response_of,
-};
-use wavex_signal::calibrate::{
-    self, BackgroundChoice, CalibrationError, CalibrationSettings, receiver_limits,
-};
-use wavex_signal::decompose::OVERDRIVEN_PART;
+use wavex_signal::calibrate::response::{Calibrated, calibrate_response};
+use wavex_signal::calibrate::{self, BackgroundChoice, CalibrationError, CalibrationSettings};
 use wavex_signal::decompose::Waveform;
 use wavex_signal::gain::calibrate_at_unit_gain;
-use wavex_signal::sensor_model::{
-    ChannelModel, Decay, Digitiser, NoiseSource, ReceiverLimits, ResponseSource, SensorModel,
-};
+use wavex_signal::sensor_model::{Decay, Digitiser, SensorModel};
 use wavex_signal::simd::SimdLevel;
 
+mod model_file;
 mod presets;
+mod response_and_limits;
 
-/// Size limit of a sensor model file, bytes; a model has a few thousand numbers.
-const MAX_MODEL_BYTES: u64 = 1 << 26;
-
-/// Relative tolerance within which sampling intervals are equal.
-const SAME_INTERVAL: f64 = 1e-3;
+/// Receivers of echoes.
+const ECHOES: [Channel; 2] = [Channel::LowPower, Channel::HighPower];
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Kind::Shots]);
@@ -216,6 +207,7 @@ impl TransformConfig for Calibrate {
             pool: site.pool.clone(),
             cancelled: Arc::clone(&site.cancelled),
             look_ahead: LookAhead::new(self.waveforms),
+            clipping_dn: [None; 2],
             model,
             save,
         }))
@@ -228,6 +220,8 @@ struct Calibrator {
     pool: Option<Arc<ThreadPool>>,
     cancelled: Arc<AtomicBool>,
     look_ahead: LookAhead,
+    /// Levels at which the samples of the low-power and the high-power receiver are clipped, DN.
+    clipping_dn: [Option<u16>; 2],
     model: Option<Arc<SensorModel>>,
     /// File for the model; `None` once written.
     save: Option<OutputFile>,
@@ -253,6 +247,7 @@ impl Transform for Calibrator {
 impl Calibrator {
     /// Calibrates from the held lines and emits them.
     fn release(&mut self, out: &mut Output) -> Result<()> {
+        self.clipping_dn = ECHOES.map(|channel| self.clipping_level_dn(channel));
         let model = Arc::new(self.calibrate(out)?);
         self.model = Some(Arc::clone(&model));
         self.save(out)?;
@@ -274,7 +269,7 @@ impl Calibrator {
     }
 
     fn calibrate(&self, out: &mut Output) -> Result<SensorModel> {
-        self.tell_unknown_scale(out);
+        self.warn_of_unknown_scale(out);
         let low = self.channel(Channel::LowPower, out)?;
         let high = self.channel(Channel::HighPower, out)?;
         let reference = self.channel(Channel::Reference, out)?;
@@ -302,156 +297,13 @@ impl Calibrator {
         })
     }
 
-    /// Uses the outgoing pulse as the response of a receiver if it explains the echoes better.
-    ///
-    /// A clipped outgoing pulse has lost its shape, and gains that change would need their own
-    /// comparison.
-    fn with_outgoing_pulse(
-        &self,
-        channel: Channel,
-        own: Option<Calibrated>,
-        reference: &Option<Calibrated>,
-        out: &mut Output,
-    ) -> Result<Option<Calibrated>> {
-        let (Some(own), Some(reference)) = (&own, reference) else { return Ok(own) };
-        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
-        if self.config.response == ResponseKey::Gaussian || gain_changes || self.is_outgoing_pulse_clipped() {
-            return Ok(Some(own.clone()));
-        }
-        let settings = self.settings(channel);
-        let blocks = self.blocks(channel);
-        let chosen = self
-            .in_pool(|| with_outgoing_pulse(blocks, own, &reference.model, &settings))
-            .map_err(|error| failed(channel, &error))?;
-        let provenance = chosen.model.provenance;
-        let [of_echoes, of_outgoing] = provenance.residual_over_peak.map(|part| 100.0 * part);
-        if of_outgoing > 0.0 {
-            out.cx.info(format!(
-                "{}: residual over peak {of_echoes:.2} % with {}, {of_outgoing:.2} % with the outgoing pulse: {} is used",
-                name(channel),
-                if own.model.response.is_some() { "the response of its echoes" } else { "a Gaussian" },
-                if provenance.response == ResponseSource::OutgoingPulse { "the second" } else { "the first" },
-            ));
-        }
-        Ok(Some(chosen))
-    }
-
-    /// Adds the measured behaviour of a receiver near full scale.
-    fn with_limits(
-        &self,
-        channel: Channel,
-        found: Option<Calibrated>,
-        out: &mut Output,
-    ) -> Result<Option<Calibrated>> {
-        let Some(mut found) = found else { return Ok(None) };
-        let clipping_dn = self.clipping_level_dn(channel);
-        found.model.limits.full_scale_is_measured = clipping_dn.is_some();
-        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
-        if found.model.response.is_some() && !gain_changes {
-            let settings = self.settings(channel);
-            let (blocks, model) = (self.blocks(channel), &found.model);
-            found.model.limits = self
-                .in_pool(|| receiver_limits(blocks, model, &settings))
-                .map_err(|error| failed(channel, &error))?;
-        }
-        let ReceiverLimits { overdriven_dn, recovery_samples, .. } = found.model.limits;
-        // Chi-square does not show the range error of an overdriven receiver: a higher limit than the
-        // usual one is reported, but not used.
-        let usual_dn = OVERDRIVEN_PART * found.model.full_scale_dn;
-        found.model.limits.overdriven_dn = overdriven_dn.filter(|dn| *dn < usual_dn);
-        let findings = [
-            clipping_dn.map(|dn| format!("clips at {dn} DN")),
-            overdriven_dn.map(|dn| format!("shows overdrive by chi-square above {dn:.0} DN; pulses above {usual_dn:.0} DN stay flagged")),
-            recovery_samples.map(|n| format!("loses {n} samples after clipping")),
-        ];
-        for finding in findings.into_iter().flatten() {
-            out.cx.info(format!("{} {finding}", name(channel)));
-        }
-        Ok(Some(found))
-    }
-
-    /// Level at which a receiver clips, if its samples show it.
-    fn clipping_level_dn(&self, channel: Channel) -> Option<u16> {
-        if channel.is_echo() { calibrate::clipping_level_dn(self.blocks(channel)) } else { None }
-    }
-
-    /// Whether more than a tenth of the outgoing pulses reach full scale.
-    fn is_outgoing_pulse_clipped(&self) -> bool {
-        let full_scale_dn = self.settings(Channel::Reference).full_scale_dn;
-        let is_clipped = |block: &Waveform| block.samples.iter().any(|&dn| f64::from(dn) >= full_scale_dn);
-        let clipped = self.blocks(Channel::Reference).filter(is_clipped).count() as u64;
-        10 * clipped > self.count(Channel::Reference)
-    }
-
-    /// Reports the noise of a receiver, and warns if fourth differences contradict it.
-    fn report_noise(channel: Channel, model: &ChannelModel, out: &mut Output) {
-        let measured_dn = model.provenance.noise_by_differences_dn;
-        let Ok(noise) = model.noise() else { return };
-        let expected_dn = noise.difference_sd();
-        let source = match model.provenance.noise {
-            NoiseSource::FreeSamples => "from samples before the pulses",
-            NoiseSource::QuietResiduals => "from residuals where the pulses are low",
-            NoiseSource::Differences => "from fourth differences, without correlation",
-            NoiseSource::Residuals => "from the residuals of the pulses",
-            NoiseSource::Unknown => return,
-        };
-        out.cx.info(format!(
-            "{}: noise {:.2} DN {source}; its white part by fourth differences is {measured_dn:.2} DN, \
-             {expected_dn:.2} DN expected",
-            name(channel),
-            model.noise_sd_dn,
-        ));
-        if measured_dn > 0.0 && !(0.5..2.0).contains(&(expected_dn / measured_dn)) {
-            out.cx.warn(format!(
-                "{}: the noise of {:.2} DN contradicts fourth differences of the samples: standard deviations \
-                 may be wrong by a factor of {:.1}; calibrate from a part of the recording with longer blocks, \
-                 or load a saved sensor model",
-                name(channel),
-                model.noise_sd_dn,
-                (expected_dn / measured_dn).max(measured_dn / expected_dn),
-            ));
-        }
-    }
-
-    /// Completes a channel's model: without its own response, it gets that of the other
-    /// receiver, or a Gaussian.
-    fn completed(
-        &self,
-        channel: Channel,
-        own: &Option<Calibrated>,
-        other: &Option<Calibrated>,
-        out: &mut Output,
-    ) -> Option<ChannelModel> {
-        let Calibrated { model, usable_echoes } = own.as_ref()?;
-        if model.response.is_some() || self.config.response == ResponseKey::Gaussian {
-            return Some(model.clone());
-        }
-        let borrowed = other.as_ref().and_then(|other| with_response_of(model, &other.model));
-        let pulses = match &borrowed {
-            Some(_) => "use the system response of the other receiver".to_owned(),
-            None => format!("are modelled as Gaussians with a width of {:.2} ns", model.pulse_fwhm_ns),
-        };
-        out.cx.warn(format!(
-            "{}: pulses {pulses}: {}",
-            name(channel),
-            match *usable_echoes {
-                enough if enough >= MIN_ECHOES =>
-                    format!("its {enough} strong single pulses do not share a common response"),
-                few =>
-                    format!("estimating its own response needs {MIN_ECHOES} strong single pulses, but there were {few}"),
-            }
-        ));
-        Some(borrowed.unwrap_or_else(|| model.clone()))
-    }
-
     /// Warns if the full scale is unknown; it may be far below the range of the sample type.
-    fn tell_unknown_scale(&self, out: &mut Output) {
+    fn warn_of_unknown_scale(&self, out: &mut Output) {
         let is_recorded =
             self.look_ahead.lines().first().is_none_or(|line| line.input.full_scale_dn.is_some());
-        let is_known = is_recorded || self.clipping_level_dn(Channel::LowPower).is_some();
-        let echoes = [Channel::LowPower, Channel::HighPower];
+        let is_known = is_recorded || self.clipping_dn(Channel::LowPower).is_some();
         let samples =
-            echoes.into_iter().flat_map(|channel| self.blocks(channel)).flat_map(|block| block.samples);
+            ECHOES.into_iter().flat_map(|channel| self.blocks(channel)).flat_map(|block| block.samples);
         if let (false, Some(&highest)) = (is_known, samples.max()) {
             let scale = (u32::from(highest) + 1).next_power_of_two().max(256) - 1;
             out.cx.warn(format!(
@@ -490,7 +342,7 @@ impl Calibrator {
         }
     }
 
-    /// Runs a task in the engine's pool, or in this thread if there is none.
+    /// Runs a task in the engine's pool; without a pool, in the current thread.
     fn in_pool<R: Send>(&self, task: impl FnOnce() -> R + Send) -> R {
         match &self.pool {
             Some(pool) => pool.install(task),
@@ -498,11 +350,24 @@ impl Calibrator {
         }
     }
 
+    /// Level at which the samples of a receiver are clipped, if they show it.
+    ///
+    /// `full_scale_dn` of the reader's job table wins.
+    fn clipping_level_dn(&self, channel: Channel) -> Option<u16> {
+        let is_set = self.look_ahead.lines().first().is_some_and(|line| line.input.full_scale_is_set);
+        if is_set { None } else { calibrate::clipping_level_dn(self.blocks(channel)) }
+    }
+
+    /// The same, found once before the calibration; none for the outgoing pulse.
+    fn clipping_dn(&self, channel: Channel) -> Option<u16> {
+        let index = ECHOES.iter().position(|echoes| *echoes == channel)?;
+        self.clipping_dn[index]
+    }
+
     fn settings(&self, channel: Channel) -> CalibrationSettings {
         let unknown = InputInfo::default();
         let input = self.look_ahead.lines().first().map_or(&unknown, |batch| &batch.input);
-        let measured_dn = self.clipping_level_dn(channel);
-        let full_scale_dn = f64::from(measured_dn.or(input.full_scale_dn).unwrap_or(u16::MAX));
+        let full_scale_dn = f64::from(self.clipping_dn(channel).or(input.full_scale_dn).unwrap_or(u16::MAX));
         let settings = match channel {
             Channel::Reference => CalibrationSettings::reference(input.sampling_interval_ns, full_scale_dn),
             _ => CalibrationSettings::echoes(input.sampling_interval_ns, full_scale_dn),
@@ -531,64 +396,6 @@ impl Calibrator {
         Digitiser { odd_sample_shift: input.odd_sample_shift, decay }
     }
 
-    /// Compares a loaded model with a line.
-    ///
-    /// A different sampling interval is an error; other differences are noted.
-    fn compare(&self, model: &SensorModel, batch: &ScanLine, out: &mut Output) -> Result<()> {
-        if self.config.load.is_none() && self.config.preset.is_none() {
-            return Ok(());
-        }
-        if self.config.preset.is_some() {
-            out.cx.warn("the sensor model is a preset, measured on another instrument of this type: background, noise and pulse shape may differ; calibrate if the recording has 200 waveforms");
-        }
-        let input = &batch.input;
-        let channels = [
-            (Channel::LowPower, &model.low_power),
-            (Channel::HighPower, &model.high_power),
-            (Channel::Reference, &model.reference),
-        ];
-        for (channel, known) in channels {
-            let Some(known) = known else {
-                if channel == Channel::LowPower
-                    && batch
-                        .blocks()
-                        .is_some_and(|blocks| blocks.iter().any(|block| block.channel == channel))
-                {
-                    out.cx.warn(format!(
-                        "the loaded model lacks {}: its waveforms are not decomposed; recalibrate",
-                        name(channel)
-                    ));
-                }
-                continue;
-            };
-            let (of_model_ns, interval_ns) = (known.sampling_interval_ns, input.sampling_interval_ns);
-            if (of_model_ns / interval_ns - 1.0).abs() > SAME_INTERVAL {
-                return Err(StageError::failed(
-                    format!(
-                        "the loaded model has a sampling interval of {of_model_ns} ns ({}), but that of the recording is {interval_ns} ns",
-                        name(channel)
-                    ),
-                    "load a model of this instrument and setting, or recalibrate",
-                ));
-            }
-            if known.digitiser != self.digitiser(channel, input) {
-                out.cx.warn("the loaded model was calibrated with an odd_sample_shift, decay_amplitude or decay_time_ns that differs from this job: the values of the model are used");
-            }
-            let is_other_scale = input.full_scale_dn.is_some_and(|dn| f64::from(dn) != known.full_scale_dn);
-            if is_other_scale && !known.limits.full_scale_is_measured {
-                out.cx.warn("the loaded model was calibrated with a full scale that differs from the recording: the value of the model is used");
-            }
-        }
-        let (config, default) = (&self.config, Calibrate::default());
-        let is_asked = config.waveforms != default.waveforms
-            || config.background != default.background
-            || config.response != default.response;
-        if is_asked {
-            out.cx.warn("`waveforms`, `background` and `response` of calibrate have no effect with `load` or `preset`: remove them, or recalibrate");
-        }
-        Ok(())
-    }
-
     /// Blocks of one receiver in the held lines.
     fn blocks(&self, channel: Channel) -> impl Iterator<Item = Waveform<'_>> + Clone {
         self.look_ahead.samples(channel).map(|samples| Waveform { samples, start_phase: 0 })
@@ -606,42 +413,6 @@ fn name(channel: Channel) -> &'static str {
         Channel::Saturation => "the saturation receiver",
         Channel::Reference => "the outgoing pulse",
     }
-}
-
-/// Writes a model to its file and publishes it.
-pub(super) fn write_model(model: &SensorModel, mut file: OutputFile, out: &mut Output) -> Result<()> {
-    let text = serde_json::to_string_pretty(model)
-        .map_err(|error| StageError::failed(error.to_string(), "please report this bug in wavex"))?;
-    writeln!(file, "{text}").map_err(Error::io(file.path(), "write"))?;
-    out.cx.publish(file.finish()?);
-    Ok(())
-}
-
-/// Loads a saved model.
-pub(super) fn load_model(path: &Path) -> Result<SensorModel> {
-    const REMEDY: &str = "load a file written by `save` of calibrate, or recalibrate";
-    let size = std::fs::metadata(path).map_err(Error::io(path, "open"))?.len();
-    if size > MAX_MODEL_BYTES {
-        return Err(
-            Error::unusable(path, format!("{size} bytes is too large for a sensor model"), REMEDY).into()
-        );
-    }
-    let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
-    let model: SensorModel = serde_json::from_str(&text)
-        .map_err(|error| Error::unusable(path, format!("not a sensor model: {error}"), REMEDY))?;
-    let channels = [&model.low_power, &model.high_power, &model.saturation, &model.reference];
-    for channel in channels.into_iter().flatten() {
-        channel.check().map_err(|error| Error::unusable(path, error.to_string(), REMEDY))?;
-    }
-    for walk in [&model.low_power_range_walk, &model.high_power_range_walk].into_iter().flatten() {
-        if !walk.is_valid() {
-            return Err(Error::unusable(path, "its range walk has invalid numbers", REMEDY).into());
-        }
-    }
-    if model.low_power.is_none() && model.high_power.is_none() {
-        return Err(Error::unusable(path, "the sensor model has no echo receiver", REMEDY).into());
-    }
-    Ok(model)
 }
 
 fn failed(channel: Channel, error: &CalibrationError) -> StageError {
@@ -669,17 +440,41 @@ mod tests {
         ScanLine::of_shots(Arc::new(InputInfo::default()), line, emissions, blocks)
     }
 
-    #[test]
-    fn too_few_waveforms_say_how_many_there_were() {
-        let mut calibrator = Calibrator {
+    fn calibrator() -> Calibrator {
+        Calibrator {
             simd: SimdLevel::Portable,
             pool: None,
             cancelled: Arc::default(),
             config: Calibrate::default(),
             look_ahead: LookAhead::new(100_000),
+            clipping_dn: [None; 2],
             model: None,
             save: None,
+        }
+    }
+
+    #[test]
+    fn a_full_scale_of_the_job_is_not_replaced_by_a_measured_one() {
+        let level_dn = |full_scale_is_set: bool| {
+            let mut blocks = Blocks::default();
+            for shot in 0..2000u16 {
+                let highest_dn = if shot % 3 == 0 { 200 } else { 50 + shot % 150 };
+                blocks.push(shot.into(), Channel::LowPower, None, 0.0, 1.0, &[2, highest_dn, 2, 1]);
+            }
+            let input = Arc::new(InputInfo { full_scale_is_set, ..InputInfo::default() });
+            let line = ScanLine::of_shots(input, 0, vec![Emission::default(); 2000], blocks);
+            let mut calibrator = calibrator();
+            let (mut cx, mut emit) = (Context::default(), |_: ScanLine| Ok(()));
+            let mut out = Output::new(&mut cx, usize::MAX, &mut emit);
+            calibrator.look_ahead.hold(line, "calibrated", &mut out);
+            calibrator.clipping_level_dn(Channel::LowPower)
         };
+        assert_eq!((level_dn(false), level_dn(true)), (Some(200), None));
+    }
+
+    #[test]
+    fn too_few_waveforms_say_how_many_there_were() {
+        let mut calibrator = calibrator();
         let mut cx = Context::default();
         let mut emit = |_: ScanLine| Ok(());
         let mut out = Output::new(&mut cx, usize::MAX, &mut emit);

@@ -78,6 +78,7 @@ pub(super) fn info_of(
     // Return locations come from LAS, which does not contain the sensor position.
     let is_from_las = header.emission_reference == Some(container::EmissionReference::ReturnLocations);
     InputInfo {
+        full_scale_is_set: false,
         path,
         stem,
         format,

@@ -33,7 +33,8 @@ impl Sampling {
     /// Applies the declared properties to those of a file.
     pub(super) fn with(self, info: InputInfo) -> InputInfo {
         let full_scale_dn = self.full_scale_dn.or(info.full_scale_dn);
-        InputInfo { odd_sample_shift: self.odd_sample_shift, full_scale_dn, ..info }
+        let full_scale_is_set = self.full_scale_dn.is_some();
+        InputInfo { odd_sample_shift: self.odd_sample_shift, full_scale_dn, full_scale_is_set, ..info }
     }
 }
 

@@ -459,6 +459,7 @@ fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength, around
     let wkt = || wkt.clone().or_else(|| geokeys::wkt(keys?));
     let bits = samplings().map(|sampling| sampling.bits_per_sample).max();
     InputInfo {
+        full_scale_is_set: false,
         path: path.to_path_buf(),
         stem: stem.to_string(),
         format: format!("PulseWaves {}.{}", header.version.0, header.version.1),

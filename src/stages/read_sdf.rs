@@ -334,6 +334,7 @@ fn describe(
     let text = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
     let is_wfm = site.input.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("wfm"));
     InputInfo {
+        full_scale_is_set: false,
         path: site.input.clone(),
         stem: site.stem.clone(),
         format: format!(

@@ -387,7 +387,7 @@ fn ranges_across_the_hand_over_reach_the_joint_bound_without_a_step() {
     for (part, what, cells) in [(0, "range", &cells[..]), (1, "width", &cells[..widths])] {
         let all: Vec<f64> = cells.iter().flat_map(|cell| cell.own_scores[part].iter().copied()).collect();
         println!("{what}: errors are {:.3} of their standard deviations (0.95 to 1.05)", rms(&all));
-        // The root mean square of so many scores is known to this.
+        // Standard error of the root mean square.
         let margin = (2.0 * all.len() as f64).sqrt().recip();
         assert!((rms(&all) - 1.0).abs() <= 0.05 + margin, "{what}: {}", rms(&all));
         for cell in cells {

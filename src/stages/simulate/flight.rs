@@ -473,6 +473,7 @@ fn input(config: &Simulate) -> InputInfo {
         |receiver| AmplitudeTable::new(config.detector().table(receiver, background_dn, FULL_SCALE_DN));
     let frame = if config.has_trajectory() { Frame::Scanner } else { Frame::Map };
     InputInfo {
+        full_scale_is_set: false,
         path: PathBuf::new(),
         stem: config.stem.clone(),
         format: "simulation".to_owned(),

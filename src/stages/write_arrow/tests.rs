@@ -91,6 +91,7 @@ prop_compose! {
         tables in (table(), table(), table(), table()),
     ) -> InputInfo {
         InputInfo {
+        full_scale_is_set: false,
             path: PathBuf::from("made.sdf"),
             stem: "made".into(),
             format: "made".into(),
@@ -246,6 +247,7 @@ proptest! {
 fn plain_info() -> Arc<InputInfo> {
     let table = AmplitudeTable::new([(9.0, 0.0), (255.0, 19.7)]);
     Arc::new(InputInfo {
+        full_scale_is_set: false,
         path: "made.sdf".into(),
         stem: "made".into(),
         format: "made".into(),

@@ -26,6 +26,7 @@ const NAMES: &str = "shot,gps_time_s,return_number,number_of_returns,channel,mta
 
 fn info() -> Arc<InputInfo> {
     Arc::new(InputInfo {
+        full_scale_is_set: false,
         gain_control: crate::scan_line::GainControl::Off,
         path: "made.sdf".into(),
         stem: "made".into(),
