@@ -7,26 +7,23 @@
 //! method of regularization, Soviet Mathematics Doklady 7, 1966). Peaks and relative heights follow
 //! from the profile, their standard deviations from its covariance.
 
+mod band;
+mod columns;
 mod profile;
 mod solve;
 #[cfg(test)]
 mod tests;
 
 use crate::sensor_model::{ChannelModel, ModelError};
-use crate::shape::{Pulse, Shape};
+use crate::shape::Shape;
 use crate::whitening::Whitener;
 
+use columns::{Columns, Grid};
 pub use profile::{RELATIVE_HEIGHTS, TargetProfile, WithSd};
 use solve::Solver;
 
-/// Grid points per pulse width.
-const POINTS_PER_WIDTH: f64 = 6.0;
-/// Largest number of grid points; wider steps are used for longer blocks.
-const MOST_POINTS: usize = 400;
 /// Fewest usable samples of a waveform.
 const LEAST_SAMPLES: usize = 8;
-/// Samples of a column below this part of its peak count as zero.
-const NEGLIGIBLE: f64 = 1e-5;
 
 /// Estimates profiles of the waveforms of one channel.
 pub struct DistributedTargets {
@@ -35,29 +32,11 @@ pub struct DistributedTargets {
     whitener: Whitener,
     /// Error of the response relative to its height.
     shape_error: f64,
+    columns: Columns,
     solver: Solver,
     used: Vec<bool>,
     signal_dn: Vec<f64>,
     weights: Vec<f64>,
-}
-
-/// Grid of the profile, samples from the first of the block.
-#[derive(Clone, Copy, Debug)]
-struct Grid {
-    step_samples: f64,
-    points: usize,
-}
-
-impl Grid {
-    fn of(samples: usize, fwhm_samples: f64) -> Grid {
-        let length = samples as f64 - 1.0;
-        let step_samples = (fwhm_samples / POINTS_PER_WIDTH).max(length / (MOST_POINTS - 1) as f64);
-        Grid { step_samples, points: (length / step_samples) as usize + 1 }
-    }
-
-    fn position(&self, point: usize) -> f64 {
-        point as f64 * self.step_samples
-    }
 }
 
 impl DistributedTargets {
@@ -72,6 +51,7 @@ impl DistributedTargets {
             whitener: Whitener::new(model.noise()?, 0),
             shape_error: template_error.hypot(model.pulse_shape_error),
             model: model.clone(),
+            columns: Columns::default(),
             solver: Solver::default(),
             used: Vec::new(),
             signal_dn: Vec::new(),
@@ -84,7 +64,6 @@ impl DistributedTargets {
     /// `start_phase` is the index of its first sample modulo 4, `offset_dn` its background above that
     /// of the channel, DN.
     pub fn profile(&mut self, samples: &[u16], start_phase: u8, offset_dn: f64) -> Option<TargetProfile> {
-        let n = samples.len();
         self.used.clear();
         self.used.extend(samples.iter().map(|&sample| f64::from(sample) < self.model.full_scale_dn));
         let used = self.used.iter().filter(|used| **used).count();
@@ -100,26 +79,11 @@ impl DistributedTargets {
             return None;
         }
         self.weigh();
-        let grid = Grid::of(n, self.shape.fwhm_samples());
-        self.solver.begin(n);
-        for point in 0..grid.points {
-            let pulse = Pulse {
-                height_dn: highest_dn,
-                position_samples: grid.position(point),
-                ln_width_ratio: 0.0,
-                ln_width_precision: 0.0,
-            };
-            let column = self.solver.add_column();
-            self.shape.add(&pulse, 1.0, column);
-            column.iter_mut().for_each(|value| *value /= highest_dn);
-            let first = column.iter().position(|value| value.abs() > NEGLIGIBLE).unwrap_or(n);
-            column[..first].fill(0.0);
-            self.whitener.whiten_from(first, column);
-            column.iter_mut().zip(&self.weights).for_each(|(value, weight)| *value *= weight);
-        }
+        let grid = Grid::of(samples.len(), self.shape.fwhm_samples());
+        self.columns.set(grid, &self.shape, highest_dn, &self.whitener, &self.weights);
         self.whitener.whiten(&mut self.signal_dn);
         self.signal_dn.iter_mut().zip(&self.weights).for_each(|(value, weight)| *value *= weight);
-        let solution = self.solver.solve(&self.signal_dn, used)?;
+        let solution = self.solver.solve(&self.columns, &self.signal_dn, used)?;
         profile::of(&solution, grid)
     }
 

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::Grid;
+use super::columns::{Grid, POINTS_PER_WIDTH};
 use super::solve::Solution;
 
 /// Parts of the energy whose heights above the last peak are given.
@@ -58,8 +58,8 @@ pub(super) fn of(solution: &Solution, grid: Grid) -> Option<TargetProfile> {
         energy > CLEAR * sd_of(&|i| f64::from(u8::from(part.contains(&i))))
     };
     // Values without negative ones follow the noise where there is no target.
-    let mut values = solution.values.clone();
-    for stretch in stretches(&solution.values, super::POINTS_PER_WIDTH as usize) {
+    let mut values = solution.values.to_vec();
+    for stretch in stretches(solution.values, POINTS_PER_WIDTH as usize) {
         if !is_clear(stretch.clone()) {
             values[stretch].fill(0.0);
         }
@@ -81,8 +81,8 @@ pub(super) fn of(solution: &Solution, grid: Grid) -> Option<TargetProfile> {
     let stiffer_energy = stiffer.iter().sum::<f64>();
     let stiffer_ground = Vertex::near(stiffer, last.top);
     let with_sd = |value: f64, by_noise: f64, stiffer: f64| WithSd {
-        value: grid.step_samples * value,
-        sd: grid.step_samples * by_noise.hypot(value - stiffer),
+        value: grid.step_samples() * value,
+        sd: grid.step_samples() * by_noise.hypot(value - stiffer),
     };
     let position = |vertex: &Vertex, stiffer: &Vertex| {
         with_sd(vertex.position(), sd_of(&|i| vertex.slope(i)), stiffer.position())

@@ -1,237 +1,259 @@
 //! Non-negative least squares with a penalty on bending.
+//!
+//! The positive points of a penalty are found by block principal pivoting (L. F. Portugal, J. J.
+//! Júdice and L. N. Vicente, A comparison of block pivoting and interior-point algorithms for linear
+//! least squares problems with nonnegative variables, Mathematics of Computation 63, 1994) from
+//! those of the penalty before. Both matrices of the fit have a band.
 
-use std::ops::Range;
-
-use crate::cholesky;
+use super::band::{BandFactor, LANES, product, subtract};
+use super::columns::Columns;
 use crate::simd::dot::dot;
+use crate::simd::{Kernel, Simd, SimdLevel};
 
-/// Penalties tried, as powers of ten of the mean diagonal, from the stiffest; steps per decade.
-const STIFFEST: i32 = 2;
+/// Penalties, as powers of ten of the mean diagonal, from the stiffest; steps per decade.
+const STIFFEST: f64 = 2.0;
 const STEPS_PER_DECADE: f64 = 2.0;
-const STEPS: i32 = 20;
-/// Largest number of sweeps over the points for one penalty.
-const SWEEPS: usize = 60;
-/// Largest change of a point in its last sweep, in its standard deviations.
-const CONVERGED: f64 = 1e-2;
-/// A penalty that explains this much more than the next stiffer one is still worth it.
+const STEPS: usize = 12;
+/// Penalty that is tried first.
+const FIRST_STEP: usize = 8;
+/// A penalty that leaves this much more than the smallest one is preferred to it.
 const WORTH: f64 = 0.01;
-/// Number of penalties that may gain nothing before the search ends.
-const IDLE: usize = 3;
+/// Gradient of a point at zero from which it is freed, in its standard deviations.
+const CONVERGED: f64 = 1e-3;
+/// Largest number of exchanges for one penalty.
+const EXCHANGES: usize = 200;
+/// Number of exchanges of all points that may gain nothing; then one is exchanged at a time.
+const PATIENCE: usize = 3;
+/// Relative change of the penalty for the effective number of parameters.
+const PENALTY_CHANGE: f64 = 1e-4;
 
-/// Columns of the points, and the memory of the fit.
+/// Equations of the fit, and their memory.
 #[derive(Default)]
 pub(super) struct Solver {
-    samples: usize,
-    columns: Vec<f64>,
-    /// By row of the normal equations, the points that it couples.
-    bands: Vec<Range<usize>>,
+    /// Largest distance of two coupled points.
+    reach: usize,
+    /// Entries of a row of the matrices, from the diagonal, with padding.
+    width: usize,
     normal: Vec<f64>,
     penalised: Vec<f64>,
     right: Vec<f64>,
+    /// Square of the whitened samples.
+    square: f64,
+    mean_diagonal: f64,
+    /// Fits by penalty: values of the points, and `χ²` if fitted.
+    fits: Vec<f64>,
+    chi_squares: [Option<f64>; STEPS],
+    is_free: Vec<bool>,
+    free: Vec<usize>,
+    reduced: Vec<f64>,
+    /// Values of all points, and the descent there, with padding.
+    values: Vec<f64>,
+    descent: Vec<f64>,
+    /// Points to be exchanged.
+    wrong: Vec<usize>,
+    factor: BandFactor,
 }
 
 /// A profile on the grid, with its covariance.
-pub(super) struct Solution {
+pub(super) struct Solution<'a> {
     /// Non-negative values of the points.
-    pub(super) values: Vec<f64>,
+    pub(super) values: &'a [f64],
     /// Values with the next stiffer penalty; equal to `values` for the stiffest.
-    pub(super) stiffer: Vec<f64>,
+    pub(super) stiffer: &'a [f64],
     /// Indices of the positive points.
-    pub(super) free: Vec<usize>,
-    /// Cholesky factor of the inverse covariance of the positive points, by rows.
-    factor: Vec<f64>,
+    free: &'a [usize],
+    /// Of the inverse covariance of the positive points.
+    factor: &'a BandFactor,
     /// `χ²` of the fit.
     pub(super) chi_square: f64,
     /// Usable samples minus effective parameters.
     pub(super) degrees_of_freedom: f64,
 }
 
-/// The fit with one penalty.
-struct Fit {
-    chi_square: f64,
-    stiffness: f64,
-    values: Vec<f64>,
-    stiffer: Vec<f64>,
-}
-
-impl Solution {
+impl Solution<'_> {
     /// Variance of the sum of `weights` times the points.
     pub(super) fn variance(&self, weights: impl Fn(usize) -> f64) -> f64 {
         let mut weights: Vec<f64> = self.free.iter().map(|&point| weights(point)).collect();
-        half_solve(&self.factor, &mut weights)
+        let first = weights.iter().position(|weight| *weight != 0.0).unwrap_or(weights.len());
+        weights.resize(weights.len() + LANES, 0.0);
+        self.factor.half_solve(first, &mut weights);
+        dot(&weights, &weights)
     }
 }
 
 impl Solver {
-    /// Begins a fit to this number of samples.
-    pub(super) fn begin(&mut self, samples: usize) {
-        self.samples = samples;
-        self.columns.clear();
-    }
-
-    /// Adds a column of zeros and returns it.
-    pub(super) fn add_column(&mut self) -> &mut [f64] {
-        let first = self.columns.len();
-        self.columns.resize(first + self.samples, 0.0);
-        &mut self.columns[first..]
-    }
-
     /// Fits the columns to the whitened samples, of which `used` are usable.
     ///
     /// `None` if nothing is positive.
-    pub(super) fn solve(&mut self, whitened: &[f64], used: usize) -> Option<Solution> {
-        let points = self.columns.len() / self.samples;
+    pub(super) fn solve(&mut self, columns: &Columns, whitened: &[f64], used: usize) -> Option<Solution<'_>> {
+        columns.project_into(whitened, &mut self.right);
+        let points = self.right.len();
         if points < 3 {
             return None;
         }
-        self.prepare(whitened, points);
-        let square = whitened.iter().map(|value| value * value).sum::<f64>();
-        let mean_diagonal = (0..points).map(|i| self.normal[i * points + i]).sum::<f64>() / points as f64;
-        let mut values = vec![0.0; points];
-        let mut best: Option<Fit> = None;
-        let mut idle = 0;
-        for step in 0..STEPS {
-            let power = f64::from(STIFFEST) - f64::from(step) / STEPS_PER_DECADE;
-            let stiffness = mean_diagonal * libm::exp(power * std::f64::consts::LN_10);
-            self.penalise(stiffness, points);
-            self.descend(&mut values);
-            let chi_square = self.chi_square(square, &values);
-            let is_worth = best.as_ref().is_none_or(|best| chi_square < (1.0 - WORTH) * best.chi_square);
-            idle = if is_worth { 0 } else { idle + 1 };
-            if is_worth {
-                let stiffer = best.map_or_else(|| values.clone(), |best| best.values);
-                best = Some(Fit { chi_square, stiffness, values: values.clone(), stiffer });
-            }
-            // Morozov's principle: no smaller penalty than the noise asks for.
-            if chi_square <= used as f64 || idle > IDLE {
+        self.reach = columns.reach().max(2);
+        self.width = (self.reach + 1).next_multiple_of(LANES);
+        columns.multiply_into(self.width, &mut self.normal);
+        self.mean_diagonal = self.normal.iter().step_by(self.width).sum::<f64>() / points as f64;
+        self.square = dot(whitened, whitened);
+        self.is_free.clear();
+        self.is_free.extend(self.right.iter().map(|right| *right > 0.0));
+        self.chi_squares = [None; STEPS];
+        self.fits.resize(STEPS * points, 0.0);
+        // Morozov's principle: no smaller penalty than the noise asks for.
+        let mut step = FIRST_STEP;
+        let mut chi_square = self.fit(step)?;
+        while chi_square > used as f64 && step + 1 < STEPS {
+            step += 1;
+            chi_square = self.fit(step)?;
+        }
+        let target = if chi_square > used as f64 { (1.0 + WORTH) * chi_square } else { used as f64 };
+        while step > 0 {
+            let stiffer = self.fit(step - 1)?;
+            if stiffer > target {
                 break;
             }
+            (step, chi_square) = (step - 1, stiffer);
         }
-        self.solution(best?, used)
+        self.solution(step, chi_square, used)
     }
 
-    /// Normal equations and the band that each row couples.
-    fn prepare(&mut self, whitened: &[f64], points: usize) {
-        let n = self.samples;
-        let extent = |column: &[f64]| {
-            let first = column.iter().position(|value| *value != 0.0).unwrap_or(0);
-            first..column.iter().rposition(|value| *value != 0.0).map_or(first, |last| last + 1)
-        };
-        let extents: Vec<Range<usize>> = self.columns.chunks_exact(n).map(extent).collect();
-        self.normal.clear();
-        self.normal.resize(points * points, 0.0);
-        self.right.clear();
-        self.bands.clear();
-        for i in 0..points {
-            let column = &self.columns[i * n..(i + 1) * n];
-            self.right.push(dot(column, whitened));
-            let couples = |j: &usize| {
-                extents[*j].start < extents[i].end && extents[i].start < extents[*j].end
-                    || i.abs_diff(*j) <= 2
-            };
-            let first = (0..points).find(couples).unwrap_or(i);
-            let last = (0..points).rfind(couples).unwrap_or(i);
-            self.bands.push(first..last + 1);
-            for j in first..=i {
-                let common = extents[i].start.max(extents[j].start)..extents[i].end.min(extents[j].end);
-                if common.is_empty() {
-                    continue;
-                }
-                let other = &self.columns[j * n..(j + 1) * n];
-                let product = dot(&column[common.clone()], &other[common]);
-                self.normal[i * points + j] = product;
-                self.normal[j * points + i] = product;
-            }
+    fn stiffness(&self, step: usize) -> f64 {
+        let power = STIFFEST - step as f64 / STEPS_PER_DECADE;
+        self.mean_diagonal * libm::exp(power * std::f64::consts::LN_10)
+    }
+
+    /// Fits with a penalty, unless that is done, and returns `χ²`.
+    fn fit(&mut self, step: usize) -> Option<f64> {
+        if let Some(chi_square) = self.chi_squares[step] {
+            return Some(chi_square);
         }
+        let stiffness = self.stiffness(step);
+        self.penalise(stiffness);
+        self.minimise()?;
+        let points = self.right.len();
+        let values = &mut self.fits[step * points..(step + 1) * points];
+        values.iter_mut().zip(&self.values).for_each(|(to, value)| *to = value.max(0.0));
+        // At the minimum the residual is orthogonal to the fit, but for the penalty.
+        let bend = values.windows(3).map(|v| (v[0] - 2.0 * v[1] + v[2]).powi(2)).sum::<f64>();
+        let chi_square = self.square - dot(&self.right, values) - stiffness * bend;
+        self.chi_squares[step] = Some(chi_square);
+        Some(chi_square)
     }
 
     /// Normal equations with the penalty on second differences.
-    fn penalise(&mut self, stiffness: f64, points: usize) {
-        self.penalised.clear();
-        self.penalised.extend_from_slice(&self.normal);
-        for middle in 1..points - 1 {
-            for (a, x) in [(middle - 1, 1.0), (middle, -2.0), (middle + 1, 1.0)] {
-                for (b, y) in [(middle - 1, 1.0), (middle, -2.0), (middle + 1, 1.0)] {
-                    self.penalised[a * points + b] += stiffness * x * y;
+    fn penalise(&mut self, stiffness: f64) {
+        const BEND: [f64; 3] = [1.0, -2.0, 1.0];
+        self.penalised.clone_from(&self.normal);
+        for first in 0..self.right.len() - 2 {
+            for a in 0..BEND.len() {
+                let row = &mut self.penalised[(first + a) * self.width..];
+                for b in a..BEND.len() {
+                    row[b - a] += stiffness * BEND[a] * BEND[b];
                 }
             }
         }
     }
 
-    /// Minimises over one point at a time, from the given values.
-    fn descend(&self, values: &mut [f64]) {
-        let points = values.len();
-        for _ in 0..SWEEPS {
-            let mut change = 0.0f64;
-            for i in 0..points {
-                let row = &self.penalised[i * points..(i + 1) * points];
-                let curvature = row[i];
-                if curvature <= 0.0 {
-                    continue;
-                }
-                let band = self.bands[i].clone();
-                let known = dot(&row[band.clone()], &values[band]);
-                let value = (values[i] + (self.right[i] - known) / curvature).max(0.0);
-                change = change.max((value - values[i]).abs() * curvature.sqrt());
-                values[i] = value;
+    /// Minimises over the non-negative values, from the present free points.
+    fn minimise(&mut self) -> Option<()> {
+        let (mut fewest, mut patience) = (usize::MAX, PATIENCE);
+        for _ in 0..EXCHANGES {
+            self.solve_free()?;
+            SimdLevel::best().processor().run(Descent(self));
+            let falls = self.free.iter().zip(&self.reduced).filter(|(_, value)| **value < 0.0);
+            self.wrong.clear();
+            self.wrong.extend(falls.map(|(&point, _)| point));
+            let rises = |point: &usize| {
+                let sd = self.penalised[point * self.width].sqrt();
+                !self.is_free[*point] && self.descent[*point] > CONVERGED * sd
+            };
+            self.wrong.extend((0..self.right.len()).filter(rises));
+            let Some(&last) = self.wrong.iter().max() else { break };
+            if self.wrong.len() < fewest {
+                (fewest, patience) = (self.wrong.len(), PATIENCE);
+            } else if patience > 0 {
+                patience -= 1;
+            } else {
+                self.wrong.clear();
+                self.wrong.push(last);
             }
-            if change < CONVERGED {
-                break;
-            }
+            self.wrong.iter().for_each(|&point| self.is_free[point] = !self.is_free[point]);
         }
+        Some(())
     }
 
-    fn chi_square(&self, square: f64, values: &[f64]) -> f64 {
-        let points = values.len();
-        let of_row = |i: usize| {
-            let (row, band) = (&self.normal[i * points..(i + 1) * points], self.bands[i].clone());
-            let known = dot(&row[band.clone()], &values[band]);
-            values[i] * (known - 2.0 * self.right[i])
-        };
-        square + (0..points).filter(|&i| values[i] > 0.0).map(of_row).sum::<f64>()
+    /// Solves for the free points.
+    fn solve_free(&mut self) -> Option<()> {
+        self.factor_free()?;
+        self.reduced.clear();
+        self.reduced.extend(self.free.iter().map(|&point| self.right[point]));
+        self.reduced.resize(self.free.len() + LANES, 0.0);
+        self.factor.solve(&mut self.reduced);
+        self.values.clear();
+        self.values.resize(self.right.len() + self.width, 0.0);
+        self.free.iter().zip(&self.reduced).for_each(|(&point, value)| self.values[point] = *value);
+        Some(())
+    }
+
+    /// Factor of the rows and columns of the free points.
+    fn factor_free(&mut self) -> Option<()> {
+        self.free.clear();
+        self.free.extend((0..self.right.len()).filter(|&point| self.is_free[point]));
+        self.factor.begin(self.free.len().min(self.reach + 1));
+        for (i, &point) in self.free.iter().enumerate() {
+            let row = &self.penalised[point * self.width..];
+            let coupled = self.free[i..].iter().map(|other| other - point);
+            self.factor.push(coupled.take_while(|apart| *apart <= self.reach).map(|apart| row[apart]));
+        }
+        self.factor.factor().then_some(())
     }
 
     /// Adds the covariance of the positive points, and the effective number of parameters.
-    fn solution(&mut self, fit: Fit, used: usize) -> Option<Solution> {
-        let Fit { chi_square, stiffness, values, stiffer } = fit;
-        let points = values.len();
-        self.penalise(stiffness, points);
-        let free: Vec<usize> = (0..points).filter(|&i| values[i] > 0.0).collect();
-        let m = free.len();
-        if m == 0 {
-            return None;
-        }
-        let of_row = |&i: &usize| free.iter().map(move |&j| i * points + j);
-        let mut factor: Vec<f64> = free.iter().flat_map(of_row).map(|at| self.penalised[at]).collect();
-        if !cholesky::factor(&mut factor, m) {
-            return None;
-        }
-        // The penalty takes from the number of points what it decides itself: λ tr(C Dᵀ D).
-        let mut taken = 0.0;
-        for middle in 1..points - 1 {
-            let bend = |point: &usize| match (point + 1).wrapping_sub(middle) {
-                0 | 2 => 1.0,
-                1 => -2.0,
-                _ => 0.0,
-            };
-            let mut bend: Vec<f64> = free.iter().map(bend).collect();
-            taken += stiffness * half_solve(&factor, &mut bend);
-        }
-        let degrees_of_freedom = (used as f64 - (m as f64 - taken)).max(1.0);
-        Some(Solution { values, stiffer, free, factor, chi_square, degrees_of_freedom })
+    fn solution(&mut self, step: usize, chi_square: f64, used: usize) -> Option<Solution<'_>> {
+        let points = self.right.len();
+        let fit = |step: usize| step * points..(step + 1) * points;
+        self.is_free.clear();
+        self.is_free.extend(self.fits[fit(step)].iter().map(|value| *value > 0.0));
+        let stiffness = self.stiffness(step);
+        self.penalise(stiffness * (1.0 + PENALTY_CHANGE));
+        self.factor_free()?;
+        let stiffer_ln_determinant = self.factor.ln_determinant();
+        self.penalise(stiffness);
+        self.factor_free()?;
+        // The penalty takes from the number of points what it decides itself: d ln det / d ln λ.
+        let taken = (stiffer_ln_determinant - self.factor.ln_determinant()) / PENALTY_CHANGE;
+        let degrees_of_freedom = (used as f64 - (self.free.len() as f64 - taken)).max(1.0);
+        (!self.free.is_empty()).then_some(Solution {
+            values: &self.fits[fit(step)],
+            stiffer: &self.fits[fit(step.saturating_sub(1))],
+            free: &self.free,
+            factor: &self.factor,
+            chi_square,
+            degrees_of_freedom,
+        })
     }
 }
 
-/// Replaces `b` by `L⁻¹ b` and returns its square, `bᵀ (L Lᵀ)⁻¹ b`.
-fn half_solve(factor: &[f64], b: &mut [f64]) -> f64 {
-    let n = b.len();
-    let first = b.iter().position(|value| *value != 0.0).unwrap_or(n);
-    let mut square = 0.0;
-    for i in first..n {
-        let row = &factor[i * n..i * n + i];
-        let known = dot(&row[first..], &b[first..i]);
-        b[i] = (b[i] - known) / factor[i * n + i];
-        square += b[i] * b[i];
+/// Half the steepest descent of `χ²` at the points at zero.
+struct Descent<'a>(&'a mut Solver);
+
+impl Kernel for Descent<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let Solver { width, penalised, right, values, is_free, descent, .. } = self.0;
+        descent.clear();
+        descent.extend_from_slice(right);
+        descent.resize(right.len() + *width, 0.0);
+        for (point, row) in penalised.chunks_exact(*width).enumerate() {
+            // The rows hold one half of the matrix: that of the later points.
+            if is_free[point] {
+                subtract(&mut descent[point..], values[point], row);
+            } else {
+                descent[point] -= product(row, &values[point..]);
+            }
+        }
     }
-    square
 }
