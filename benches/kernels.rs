@@ -13,9 +13,12 @@ use std::sync::Arc;
 use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
 use wavex_signal::decompose::{DecomposeSettings, Decomposer};
+use wavex_signal::distributed::DistributedTargets;
 use wavex_signal::noise::ArNoise;
 use wavex_signal::sensor_model::{Background, ChannelModel};
+use wavex_signal::shape::Shape;
 use wavex_signal::simd::SimdLevel;
+use wavex_signal::simulated;
 
 use wavex_testkit::clock::cpu_s;
 use wavex_testkit::waveforms::{Random, SAMPLES, Scene, Waveforms, model};
@@ -300,6 +303,47 @@ fn many_echoes(path: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &
     }
 }
 
+/// Measures profiles of waveforms that pulses do not explain: a canopy, and the ground behind it.
+///
+/// Prints the time per waveform.
+fn profiles(model: &ChannelModel, noise: &ArNoise) {
+    let only = std::env::args().skip(1).find(|argument| !argument.starts_with('-'));
+    if only.is_some_and(|only| only != "profiles") {
+        return;
+    }
+    const CANOPIES: usize = 200;
+    let model = ChannelModel { full_scale_dn: 4095.0, ..model.clone() };
+    let shape = Shape::of(&model).expect("a channel");
+    for (samples, top, depth) in [(432, 120.0, 160.0), (120, 20.0, 50.0)] {
+        let mut random = simulated::Random::new(10);
+        let mut canopy = || {
+            let mut values = simulated::noise(&mut random, noise, samples);
+            values.iter_mut().enumerate().for_each(|(k, value)| *value += model.background_dn[k % 4]);
+            for echo in 0..300 {
+                let part = (random.uniform() + random.uniform() + random.uniform()) / 3.0;
+                let (height_dn, position) = if echo == 0 { (110.0, 1.2) } else { (0.0125 * depth, part) };
+                let pulse = simulated::pulse(height_dn, top + depth * position, 1.0);
+                shape.add(&pulse, 1.0, &mut values);
+            }
+            simulated::digitised(&values, 4095)
+        };
+        let canopies: Vec<Vec<u16>> = (0..CANOPIES).map(|_| canopy()).collect();
+        let mut targets = DistributedTargets::new(&model, 0.0).expect("a channel");
+        let mut found = 0;
+        let rate = rate(|| {
+            found = canopies.iter().filter(|samples| targets.profile(samples, 0, 0.0).is_some()).count();
+        });
+        // `rate` counts runs of `WAVEFORMS` waveforms.
+        let us = |rate: f64| WAVEFORMS as f64 / CANOPIES as f64 / rate;
+        println!(
+            "profile of an unexplained waveform, {samples} samples: {:.0} us per waveform, best run {:.0}; \
+             {found} of {CANOPIES} found",
+            us(rate.median),
+            us(rate.best)
+        );
+    }
+}
+
 /// Result of a mode.
 ///
 /// Rate, quality (normalised error SD, fraction of right counts), and fraction left to the plain
@@ -452,6 +496,9 @@ fn main() {
             own_background(path, &model, &tables, &sets[2]);
         }
         many_echoes(path, &model, &noise, &tables);
+        if path == SimdLevel::best() {
+            profiles(&model, &noise);
+        }
         report(&rounds, if has_yardstick { &yards } else { &[] });
     }
     println!(
