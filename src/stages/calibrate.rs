@@ -20,7 +20,7 @@ use wavex_signal::calibrate::response::{Calibrated, calibrate_response};
 use wavex_signal::calibrate::{self, BackgroundChoice, CalibrationError, CalibrationSettings};
 use wavex_signal::decompose::Waveform;
 use wavex_signal::gain::calibrate_at_unit_gain;
-use wavex_signal::sensor_model::{Decay, Digitiser, SensorModel};
+use wavex_signal::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
 use wavex_signal::simd::SimdLevel;
 
 mod model_file;
@@ -288,9 +288,14 @@ impl Calibrator {
         {
             found.iter().for_each(|found| Calibrator::report_noise(channel, &found.model, out));
         }
+        let low_power = self.completed(Channel::LowPower, &low, &high, out);
+        let high_power = match self.completed(Channel::HighPower, &high, &low, out) {
+            Some(model) => Some(model),
+            None => low_power.as_ref().and_then(|low| self.of_few_blocks(low, out)),
+        };
         Ok(SensorModel {
-            low_power: self.completed(Channel::LowPower, &low, &high, out),
-            high_power: self.completed(Channel::HighPower, &high, &low, out),
+            low_power,
+            high_power,
             saturation: None,
             reference: self.completed(Channel::Reference, &reference, &None, out),
             ..SensorModel::default()
@@ -334,12 +339,40 @@ impl Calibrator {
         match found {
             Ok(found) => Ok(Some(found)),
             Err(CalibrationError::TooFewBlocks { found: 0, .. }) => Ok(None),
+            Err(CalibrationError::TooFewBlocks { .. })
+                if channel == Channel::HighPower && self.is_fused() =>
+            {
+                Ok(None)
+            }
             Err(error @ CalibrationError::TooFewBlocks { .. }) => {
                 out.cx.warn(format!("{} was not calibrated and is not used: {error}", name(channel)));
                 Ok(None)
             }
             Err(error) => Err(failed(channel, &error)),
         }
+    }
+
+    /// Whether gain and delay of the receivers are known.
+    fn is_fused(&self) -> bool {
+        self.look_ahead.lines().first().is_some_and(|line| line.fusion.is_some())
+    }
+
+    /// Model of a high-power receiver with too few blocks to calibrate, whose gain and delay are known.
+    fn of_few_blocks(&self, low: &ChannelModel, out: &mut Output) -> Option<ChannelModel> {
+        let channel = Channel::HighPower;
+        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
+        if gain_changes || !self.is_fused() {
+            return None;
+        }
+        let model = calibrate::of_few_blocks(self.blocks(channel), low, &self.settings(channel))?;
+        out.cx.warn(format!(
+            "{} has {} blocks, too few to calibrate: it has their noise of {:.2} DN and the response of {}",
+            name(channel),
+            model.waveforms,
+            model.noise_sd_dn,
+            name(Channel::LowPower),
+        ));
+        Some(model)
     }
 
     /// Runs a task in the engine's pool; without a pool, in the current thread.

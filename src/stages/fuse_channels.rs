@@ -85,6 +85,7 @@ impl FuseChannels {
             delay_ns,
             delay_sd_ns: 0.0,
             walk: Vec::new(),
+            walk_is_known: false,
         })
     }
 }
@@ -187,6 +188,7 @@ impl ChannelFuser {
         if let Some(delay_ns) = self.config.delay_ns.number() {
             (fusion.delay_ns, fusion.delay_sd_ns) = (delay_ns, 0.0);
             fusion.walk.clear();
+            fusion.walk_is_known = false;
         }
         fusion
     }

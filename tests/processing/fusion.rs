@@ -45,11 +45,21 @@ struct TwoReceivers {
     walks: bool,
     /// Whether every second shot has two echoes that share a plateau in the sensitive receiver.
     shares_plateau: bool,
+    /// Whether only one shot in 128 is strong, which alone the other receiver records; the others
+    /// have 30 to 180 DN.
+    few_strong: bool,
 }
 
 impl Default for TwoReceivers {
     fn default() -> TwoReceivers {
-        TwoReceivers { lines: 6, seed: 1, heights_dn: [60.0, 4400.0], walks: false, shares_plateau: false }
+        TwoReceivers {
+            lines: 6,
+            seed: 1,
+            heights_dn: [60.0, 4400.0],
+            walks: false,
+            shares_plateau: false,
+            few_strong: false,
+        }
     }
 }
 
@@ -67,7 +77,11 @@ impl SourceConfig for TwoReceivers {
             emission_reference: EmissionReference::OutgoingPulse,
             ..InputInfo::default()
         };
-        let receiver = Receiver::new(&settings()).unwrap();
+        let mut settings = settings();
+        if let (true, Some(high)) = (self.few_strong, &mut settings.high_power) {
+            high.from_dn = 226.0;
+        }
+        let receiver = Receiver::new(&settings).unwrap();
         Ok(Box::new(Recording { config: self.clone(), line: 0, input: Arc::new(input), receiver }))
     }
 }
@@ -98,7 +112,8 @@ struct Recording {
 fn truth(config: &TwoReceivers, shot: u32) -> (f64, f64) {
     let mut random =
         Random::of_shot(config.seed, shot / SHOTS_PER_LINE, shot % SHOTS_PER_LINE, Purpose::FalseAlarms);
-    let [least, most] = config.heights_dn;
+    let is_weak = config.few_strong && shot % 128 != 0;
+    let [least, most] = if is_weak { [30.0, 180.0] } else { config.heights_dn };
     (least * (most / least).powf(random.uniform()), 4000.0 + 200.0 * random.uniform())
 }
 

@@ -244,6 +244,39 @@ where
     Ok(model)
 }
 
+/// Model of a receiver with too few blocks to calibrate: level and standard deviation of the noise
+/// are those of the first samples of its blocks, everything else is another receiver's.
+///
+/// `None` with fewer than 3 blocks.
+pub fn of_few_blocks<'a>(
+    blocks: impl Iterator<Item = Waveform<'a>> + Clone,
+    other: &ChannelModel,
+    settings: &CalibrationSettings,
+) -> Option<ChannelModel> {
+    const LEAST: u64 = 3;
+    let found = blocks.clone().count() as u64;
+    if found < LEAST {
+        return None;
+    }
+    let look = InitialEstimate::of(blocks, settings.full_scale_dn);
+    let first = first_model(&look, Background::Fixed, settings, found);
+    let ratio = first.noise_sd_dn / other.noise_sd_dn;
+    let model = ChannelModel {
+        autocorrelation: other.autocorrelation.clone(),
+        ar: other.ar.clone(),
+        innovation_sd_dn: ratio * other.innovation_sd_dn,
+        pulse_fwhm_ns: other.pulse_fwhm_ns,
+        pulse_fwhm_sd_ns: other.pulse_fwhm_sd_ns,
+        // The samples at the start of one block are hardly independent.
+        uncertainty: ModelUncertainty {
+            noise_sd_dn: first.noise_sd_dn / (2.0 * found as f64).sqrt(),
+            ..first.uncertainty
+        },
+        ..first
+    };
+    Some(response::with_response_of(&model, other).unwrap_or(model))
+}
+
 /// Decomposes blocks with the current model.
 ///
 /// Only detected pulses are used: on a non-Gaussian pulse a residual search would add components

@@ -67,8 +67,11 @@ pub struct ChannelFusion {
     pub delay_sd_ns: f64,
     /// Delay by ascending height where the low-power receiver is overdriven.
     ///
-    /// Empty if it does not change.
+    /// Empty if it does not change, or is not known.
     pub walk: Vec<WalkNode>,
+    /// Whether enough echoes overdrive the low-power receiver to know whether the delay changes.
+    #[serde(default)]
+    pub walk_is_known: bool,
 }
 
 /// Delay at one height.
@@ -119,6 +122,7 @@ pub fn estimate(pairs: &[Pair], full_scale_dn: f64, high_noise_dn: f64) -> Optio
         delay_ns,
         delay_sd_ns,
         walk: walk(base, weight(&linear), &overdriven),
+        walk_is_known: overdriven.len() >= MIN_PAIRS,
     })
 }
 

@@ -63,14 +63,15 @@ impl Calibrator {
                 .in_pool(|| receiver_limits(blocks, model, &settings))
                 .map_err(|error| failed(channel, &error))?;
         }
-        let ReceiverLimits { overdriven_dn, recovery_samples, .. } = found.model.limits;
+        let ReceiverLimits { overdriven_dn, recovery_samples, is_linear, .. } = found.model.limits;
         // Chi-square does not show the range error of an overdriven receiver: pulses above the usual
         // limit stay flagged, and the height where it does show overdrive is only reported.
         found.model.limits.overdriven_dn = None;
         let usual_dn = OVERDRIVEN_PART * found.model.full_scale_dn;
         let findings = [
             clipping_dn.map(|dn| format!("clips at {dn} DN")),
-            overdriven_dn.map(|dn| format!("shows overdrive by chi-square above {dn:.0} DN; pulses above {usual_dn:.0} DN stay flagged")),
+            overdriven_dn.filter(|_| !is_linear).map(|dn| format!("shows overdrive by chi-square above {dn:.0} DN; pulses above {usual_dn:.0} DN stay flagged")),
+            is_linear.then(|| "is linear up to full scale".to_owned()),
             recovery_samples.map(|_| "recovers at once after clipping".to_owned()),
         ];
         for finding in findings.into_iter().flatten() {

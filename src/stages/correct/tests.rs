@@ -165,6 +165,7 @@ fn what_fusion_has_told_of_the_tables_is_not_told_twice() {
         delay_ns: 0.8,
         delay_sd_ns: 0.0,
         walk: Vec::new(),
+        walk_is_known: false,
     }));
     let (lines, _) = run(&keys, vec![line]);
     let returns = lines[0].returns().unwrap();

@@ -18,7 +18,7 @@ const SAME_WIDTHS: f64 = 0.5;
 /// Distance from a saturated sample within which the low-power receiver may miss an echo, widths.
 const NEAR_WIDTHS: f64 = 1.0;
 /// Flags of returns for which the low-power receiver is not sufficient.
-const BLINDED: u16 = flags::SATURATED | flags::EXTREMELY_SATURATED | flags::OVERDRIVEN;
+pub(super) const BLINDED: u16 = flags::SATURATED | flags::EXTREMELY_SATURATED | flags::OVERDRIVEN;
 /// Squared distance of the joint fit from the high-power fit that counts as a contradiction.
 ///
 /// In standard deviations, with three degrees of freedom; exceeded once in 100 000 by chance.
@@ -209,10 +209,19 @@ impl Both {
         self.high_gain = high;
     }
 
+    /// Change of the delay for an echo of this height in the low-power receiver, and its standard
+    /// deviation, ns.
+    fn walk_ns(&self, low_power_dn: f64) -> (f64, f64) {
+        if self.between.walk_is_known || low_power_dn < self.overdriven_dn {
+            return self.between.walk_ns(low_power_dn);
+        }
+        (0.0, self.low.model().overdrive_errors().0)
+    }
+
     /// Converts the time of a return to the common axis and adds the uncertainty.
     fn align(&self, found: &mut Found) {
         let (shift_ns, sd_ns) = match found.channel {
-            ReturnChannel::Low => self.between.walk_ns(found.fitted.amplitude_dn),
+            ReturnChannel::Low => self.walk_ns(found.fitted.amplitude_dn),
             _ => (-self.left_ns, self.between.delay_sd_ns),
         };
         found.time_ns += shift_ns;
@@ -374,7 +383,7 @@ impl Both {
             let Some(fitted) = self.high.fitted().get(place) else { continue };
             let height_dn = (fitted.value[0].exp() * self.between.gain_ratio)
                 .max(of_low.map_or(0.0, |i| 0.5 * all[i].fitted.amplitude_dn));
-            let (walk_ns, walk_sd_ns) = self.between.walk_ns(height_dn);
+            let (walk_ns, walk_sd_ns) = self.walk_ns(height_dn);
             let expected = self.expected(fitted, [low, high], (walk_ns, walk_sd_ns));
             candidates.push(Candidate {
                 found: of_high,
@@ -398,6 +407,7 @@ impl Both {
             let was_low = joined.iter().find(|(of_high, _)| Some(*of_high) == candidate.high);
             let flags = was_low.and_then(|(_, of_low)| *of_low).map_or(0, |i| all[i].fitted.flags);
             let found = &mut all[candidate.found];
+            let was_blinded = found.channel == ReturnChannel::High && found.fitted.flags & BLINDED != 0;
             if candidate.high.is_some() {
                 found.high_power = Some(HighPowerView {
                     gain_ratio: self.between.gain_ratio * self.high_gain,
@@ -409,6 +419,10 @@ impl Both {
             found.fitted.flags = (found.fitted.flags | flags) & !flags::MISFIT | misfit;
             found.fitted.deviation_ratio = deviation_ratio;
             write(&self.low, &candidate.on_common_axis(fitted), low, found);
+            // Very strong echoes overdrive the high-power receiver as well.
+            if was_blinded {
+                found.add_errors(self.high.model().overdrive_errors());
+            }
         }
     }
 

@@ -1,9 +1,11 @@
 //! Echoes: fitted pulses before they become returns of their shot.
 
+use super::dual_channel::BLINDED;
 use super::shots::EmissionTime;
 use crate::scan_line::{AmplitudeTable, InputInfo, Return, ReturnChannel};
 use wavex_signal::decompose::Return as Pulse;
 use wavex_signal::radiometry::target_thickness_m;
+use wavex_signal::sensor_model::ChannelModel;
 
 /// Standard deviation of an unreliable range, m.
 ///
@@ -41,6 +43,25 @@ pub(super) struct HighPowerView {
 }
 
 impl Found {
+    /// Adds the errors of overdriven and clipped pulses.
+    ///
+    /// In fused receivers, the time of the low-power one has the error of its walk instead.
+    pub(super) fn add_overdrive_errors(&mut self, model: &ChannelModel, is_fused: bool) {
+        if self.fitted.flags & BLINDED == 0 {
+            return;
+        }
+        let (time_ns, relative_height) = model.overdrive_errors();
+        let is_of_walk = is_fused && self.channel == ReturnChannel::Low;
+        self.add_errors((if is_of_walk { 0.0 } else { time_ns }, relative_height));
+    }
+
+    /// Adds standard deviations of time, ns, and of the height relative to it.
+    pub(super) fn add_errors(&mut self, (time_ns, relative_height): (f64, f64)) {
+        let fitted = &mut self.fitted;
+        fitted.amplitude_sd_dn = fitted.amplitude_sd_dn.hypot(relative_height * fitted.amplitude_dn);
+        self.time_sd_ns = self.time_sd_ns.hypot(time_ns);
+    }
+
     pub(super) fn into_return(
         self,
         departure: EmissionTime,

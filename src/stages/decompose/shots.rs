@@ -27,6 +27,8 @@ type OutgoingBlock<'a> = (f64, &'a Block, Option<(&'a Outgoing, &'a ChannelModel
 /// Largest distance of an emission from an echo of another shot to expect that echo on the outgoing
 /// pulse, widths.
 const EXPECTED_WIDTHS: f64 = 3.0;
+/// Standard deviation of an unknown delay between receivers, pulse widths (LMS-Q680i: 0.52 of 4.24 ns).
+const UNKNOWN_DELAY_WIDTHS: f64 = 0.12;
 
 /// Emission time of a shot after its clock.
 #[derive(Clone, Copy)]
@@ -426,6 +428,12 @@ impl ShotDecomposer {
         Some((time_ns, block, Some(fitted)))
     }
 
+    /// Standard deviation of the delay of a receiver that is not fused with the other one, ns.
+    fn delay_sd_ns(&self, channel: ReturnChannel, model: &ChannelModel) -> f64 {
+        let is_alone = channel != ReturnChannel::High || self.model.low_power.is_none();
+        if is_alone || self.both.is_some() { 0.0 } else { UNKNOWN_DELAY_WIDTHS * model.pulse_fwhm_ns }
+    }
+
     /// Collects the echoes of a shot's blocks.
     fn find(
         &mut self,
@@ -460,17 +468,22 @@ impl ShotDecomposer {
             let background_dn = mean(&model.background_dn) + result.background_offset_dn / block.gain;
             let in_block = self.found.len();
             let flags = if block.is_zone_uncertain { flags::ZONE_UNCERTAIN } else { 0 };
-            self.found.extend(result.returns.iter().map(|fitted| Found {
-                time_ns: block.time_ns(fitted.position_samples),
-                time_sd_ns: fitted.position_sd_samples * block.interval_ns,
-                channel,
-                block: index,
-                zone,
-                background_dn,
-                gain: block.gain,
-                high_power: None,
-                fitted: *fitted,
-                flags,
+            let delay_sd_ns = self.delay_sd_ns(channel, model);
+            self.found.extend(result.returns.iter().map(|fitted| {
+                let mut found = Found {
+                    time_ns: block.time_ns(fitted.position_samples),
+                    time_sd_ns: (fitted.position_sd_samples * block.interval_ns).hypot(delay_sd_ns),
+                    channel,
+                    block: index,
+                    zone,
+                    background_dn,
+                    gain: block.gain,
+                    high_power: None,
+                    fitted: *fitted,
+                    flags,
+                };
+                found.add_overdrive_errors(model, self.both.is_some());
+                found
             }));
             let (fwhm_ns, drops) = (model.pulse_fwhm_ns, self.drop_emission_crosstalk);
             let dropped = others.mark(block, fwhm_ns, drops, &mut self.found, in_block);

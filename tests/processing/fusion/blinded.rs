@@ -107,3 +107,47 @@ fn a_receiver_without_single_echoes_has_the_response_of_the_other() {
         assert!(notes.any(|note| note.contains("the system response of the other receiver")));
     }
 }
+
+/// Fourteen strong echoes in 1792 shots: too few to calibrate or to fuse the receiver that records them.
+///
+/// Alone, the sensitive receiver sees them early by 80 to 200 ps (12 to 30 mm). With gain and delay of
+/// another recording, the other receiver's blocks are used, which are accurate to 10 mm here.
+#[test]
+fn few_strong_echoes_are_true_to_their_standard_deviations() {
+    let keys = "lines = 4\nwalks = true\nfew_strong = true\nheights_dn = [226.0, 289.0]";
+    let config = TwoReceivers {
+        lines: 4,
+        walks: true,
+        few_strong: true,
+        heights_dn: [226.0, 289.0],
+        ..TwoReceivers::default()
+    };
+    for (given, is_given) in [("", false), ("gain_ratio = 10.0\ndelay_ns = 0.52", true)] {
+        let folder = tempfile::tempdir().unwrap();
+        let report = run(keys, Some(given), "timing_error_ns = 0.0", folder.path());
+        let notes: Vec<&String> = report.stages.iter().flat_map(|stage| &stage.notes).collect();
+        println!("{notes:#?}");
+        let rows = rows(&folder.path().join("returns.csv"));
+        let (errors_m, scores) = errors(&config, &rows, [226.0, 1e4]);
+        let (weak_m, weak_scores) = errors(&config, &rows, [30.0, 180.0]);
+        let strong: Vec<&Row> = rows.iter().filter(|row| row.shot % 128 == 0).collect();
+        let sd_mm = 1e3 * rms(&strong.iter().map(|row| row.range_sd_m).collect::<Vec<f64>>());
+        println!(
+            "given {is_given}: {} strong, mean {:+.1} mm, sd stated {sd_mm:.1} mm, score {:.2}; weak score {:.2}",
+            errors_m.len(),
+            1e3 * moments(&errors_m).0,
+            rms(&scores),
+            rms(&weak_scores)
+        );
+        assert_eq!(strong.len(), 16);
+        assert!((0.95..1.05).contains(&rms(&weak_scores)) && weak_m.len() > 1900);
+        if is_given {
+            assert!(strong.iter().all(|row| row.channel == "joint"));
+            assert!(moments(&errors_m).0.abs() < 0.016 && rms(&scores) < 1.5);
+            assert!(notes.iter().any(|note| note.contains("too few to calibrate")));
+        } else {
+            assert!(strong.iter().all(|row| row.channel == "low"));
+            assert!((0.5..1.5).contains(&rms(&scores)));
+        }
+    }
+}

@@ -62,8 +62,10 @@ pub fn receiver_limits<'a>(
             }
         }
     })?;
+    let overdriven_dn = overdriven_dn(normal, high, model.full_scale_dn);
     Ok(ReceiverLimits {
-        overdriven_dn: overdriven_dn(normal, high, model.full_scale_dn),
+        overdriven_dn,
+        is_linear: overdriven_dn == Some(model.full_scale_dn),
         recovery_samples: clipped.recovers_at_once(model.noise_sd_dn).then_some(0),
         ..model.limits
     })
