@@ -14,6 +14,8 @@ use crate::simd::{Kernel, Processor, Simd};
 ///
 /// Most fits need fewer than the first number. The others continue in groups.
 pub(super) const ITERATIONS: [usize; 4] = [3, 4, 6, 16];
+/// The same for fits of many pulses, whose first evaluation costs as much as the others.
+const ITERATIONS_OF_MANY: [usize; 4] = [5, 5, 6, 16];
 /// Separation above which two pulses get a frame of four vectors, samples.
 ///
 /// Three vectors hold two pulses up to 16 samples apart.
@@ -85,11 +87,11 @@ impl Queue<MAX_CLUSTER> {
 impl<const P: usize> Queue<P> {
     /// Outputs a finished fit of `count` pulses, or keeps it for more iterations.
     #[inline]
-    fn settle(&mut self, i: usize, count: usize, iterations: usize, race: &Race, done: &mut Results) {
+    fn settle(&mut self, i: usize, count: usize, is_last: bool, race: &Race, done: &mut Results) {
         let (fitted, tag) = (&self.fitted[i], self.tags[i]);
         let Job { row, aim, .. } = self.jobs[i];
         let is_dropped = fitted.may_go_on && aim.is_out_of_reach(fitted.objective, fitted.promised, race);
-        if fitted.may_go_on && !is_dropped && iterations < ITERATIONS[3] {
+        if fitted.may_go_on && !is_dropped && !is_last {
             self.jobs[self.unsettled] = Job { row, pulses: fitted.values(), aim };
             self.tags[self.unsettled] = tag;
             self.unsettled += 1;
@@ -275,10 +277,18 @@ impl Queues {
         drain::<2, 6, 4, 28>(on, &mut self.far, tables, rows, precision, race, done);
         drain::<3, 9, 4, 55>(on, &mut self.three, tables, rows, precision, race, done);
         for (count, queues) in (2..).zip(&mut self.many) {
-            drain_with(queues, tables, count, race, done, |queue, is_strong, iterations| match is_strong {
-                false => queue.fit_many::<false>(on, tables, rows, count, precision, iterations),
-                true => queue.fit_many::<true>(on, tables, rows, count, precision, iterations),
-            });
+            drain_with(
+                queues,
+                tables,
+                count,
+                ITERATIONS_OF_MANY,
+                race,
+                done,
+                |queue, is_strong, iterations| match is_strong {
+                    false => queue.fit_many::<false>(on, tables, rows, count, precision, iterations),
+                    true => queue.fit_many::<true>(on, tables, rows, count, precision, iterations),
+                },
+            );
         }
     }
 }
@@ -292,7 +302,7 @@ fn drain<const P: usize, const N: usize, const C: usize, const D: usize>(
     race: &mut Race,
     done: &mut Results,
 ) {
-    drain_with(queues, tables, P, race, done, |queue, is_strong, iterations| match is_strong {
+    drain_with(queues, tables, P, ITERATIONS, race, done, |queue, is_strong, iterations| match is_strong {
         false => queue.fit::<N, C, D, false>(on, tables, rows, precision, iterations),
         true => queue.fit::<N, C, D, true>(on, tables, rows, precision, iterations),
     });
@@ -305,11 +315,13 @@ fn drain_with<const P: usize>(
     [weak, strong]: &mut [Queue<P>; 2],
     tables: &Tables,
     count: usize,
+    schedule: [usize; 4],
     race: &mut Race,
     done: &mut Results,
     fit: impl Fn(&mut Queue<P>, bool, usize),
 ) {
-    for iterations in ITERATIONS {
+    for (round, iterations) in schedule.into_iter().enumerate() {
+        let is_last = round + 1 == schedule.len();
         fit(weak, false, iterations);
         weak.report(race);
         for i in 0..weak.jobs.len() {
@@ -317,14 +329,14 @@ fn drain_with<const P: usize>(
             if fitted.pulses[..count].iter().any(|pulse| pulse.values[0] > tables.strong_dn()) {
                 strong.push(Job { pulses: fitted.values(), ..weak.jobs[i] }, weak.tags[i]);
             } else {
-                weak.settle(i, count, iterations, race, done);
+                weak.settle(i, count, is_last, race, done);
             }
         }
         weak.go_on();
         fit(strong, true, iterations);
         strong.report(race);
         for i in 0..strong.jobs.len() {
-            strong.settle(i, count, iterations, race, done);
+            strong.settle(i, count, is_last, race, done);
         }
         strong.go_on();
     }

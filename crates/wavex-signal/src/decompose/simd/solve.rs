@@ -97,6 +97,8 @@ impl<V: Copy, const P: usize> Factors<V, P> {
 pub(super) struct PackedFactors<V, const N: usize, const PACKED: usize> {
     /// The matrices before [`PackedFactors::factor`], the unit triangles below the diagonal after it.
     pub(super) lower: [V; PACKED],
+    /// By row, the first column that is not 0 in all matrices; at most the row.
+    pub(super) first: [usize; N],
     inverse_pivots: [V; N],
 }
 
@@ -104,7 +106,7 @@ impl<V: Copy, const N: usize, const PACKED: usize> PackedFactors<V, N, PACKED> {
     #[inline(always)]
     pub(super) fn none(zero: V) -> PackedFactors<V, N, PACKED> {
         const { assert!(PACKED == N * (N + 1) / 2) };
-        PackedFactors { lower: [zero; PACKED], inverse_pivots: [zero; N] }
+        PackedFactors { lower: [zero; PACKED], first: [0; N], inverse_pivots: [zero; N] }
     }
 
     /// Index of the first element of a row of the triangle.
@@ -118,17 +120,18 @@ impl<V: Copy, const N: usize, const PACKED: usize> PackedFactors<V, N, PACKED> {
     pub(super) fn factor<S: Simd<V = V>>(&mut self, s: S, n: usize) {
         for i in 0..n.min(N) {
             let (above, from_i) = self.lower.split_at_mut(Self::row(i));
+            let first = self.first[i];
             // Row i times the pivots: `L D`.
-            for j in 0..i {
+            for j in first..i {
                 let of_j = &above[Self::row(j)..];
                 let mut value = from_i[j];
-                for k in 0..j {
+                for k in first.max(self.first[j])..j {
                     value = s.fnma(from_i[k], of_j[k], value);
                 }
                 from_i[j] = value;
             }
             let mut pivot = from_i[i];
-            for j in 0..i {
+            for j in first..i {
                 let scaled = s.mul(from_i[j], self.inverse_pivots[j]);
                 pivot = s.fnma(scaled, from_i[j], pivot);
                 from_i[j] = scaled;
@@ -142,9 +145,9 @@ impl<V: Copy, const N: usize, const PACKED: usize> PackedFactors<V, N, PACKED> {
     pub(super) fn solve<S: Simd<V = V>>(&self, s: S, n: usize, b: &mut [V; N]) -> V {
         let mut explained = s.splat(0.0);
         for i in 0..n.min(N) {
-            let row = &self.lower[Self::row(i)..][..i];
+            let (row, first) = (&self.lower[Self::row(i)..][..i], self.first[i]);
             let mut value = b[i];
-            for (&lower, &b) in row.iter().zip(b.iter()) {
+            for (&lower, &b) in row[first..].iter().zip(&b[first..]) {
                 value = s.fnma(lower, b, value);
             }
             b[i] = value;
@@ -156,7 +159,8 @@ impl<V: Copy, const N: usize, const PACKED: usize> PackedFactors<V, N, PACKED> {
         }
         for i in (0..n.min(N)).rev() {
             let solved = b[i];
-            for (value, &lower) in b[..i].iter_mut().zip(&self.lower[Self::row(i)..]) {
+            let first = self.first[i];
+            for (value, &lower) in b[first..i].iter_mut().zip(&self.lower[Self::row(i) + first..]) {
                 *value = s.fnma(lower, solved, *value);
             }
         }
@@ -175,7 +179,7 @@ impl<V: Copy, const N: usize, const PACKED: usize> PackedFactors<V, N, PACKED> {
             for i in c..n.min(N) {
                 let row = &self.lower[Self::row(i)..];
                 let mut value = column[i];
-                for k in c..i {
+                for k in c.max(self.first[i])..i {
                     value = s.fnma(row[k], column[k], value);
                 }
                 column[i] = value;
