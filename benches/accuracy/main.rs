@@ -28,6 +28,7 @@ use wavex_signal::shape::Pulse;
 use wavex_signal::shape::Shape;
 use wavex_signal::whitening::Whitener;
 
+mod every;
 mod isolated;
 mod noise;
 mod pairs;
@@ -261,6 +262,9 @@ fn main() {
     }
     if wanted("C2") {
         pairs::bright(&mut bench, &model);
+    }
+    if wanted("C3") {
+        every::every_return(&mut bench, &model);
     }
     if wanted("A9") {
         strong::late_returns(&mut bench);

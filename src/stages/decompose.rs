@@ -116,7 +116,8 @@ pub struct Decompose {
     pub drop_emission_crosstalk: bool,
     /// Describe waveforms that pulses do not explain (deviation ratio above 3, not overdriven) by a
     /// continuous profile of the target along the beam as well: dense vegetation, large footprints.
-    /// `write_table` has its first and last peak, relative heights and energy.
+    /// `write_table` has its first and last peak, relative heights and energy. Not in the fast modes,
+    /// which leave misfits that are not the target's.
     pub distributed_targets: bool,
     /// Use of the instrument's own returns: for shots without a recorded waveform, never, or instead
     /// of computed returns.

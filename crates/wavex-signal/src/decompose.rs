@@ -211,11 +211,18 @@ impl Decomposition<'_> {
 
     /// Factor by which the misfit raises standard deviations: `√(χ²/ν)` of a waveform whose
     /// deviation ratio exceeds [`DEVIANT`], else 1.
+    ///
+    /// Where the response leaves far more than the noise, even as expected, its error also moves the
+    /// pulses: `ν` then counts without [`Decomposition::expected_excess`].
     #[inline(always)]
     pub(crate) fn misfit_factor(&self, deviation_ratio: f64, settings: &DecomposeSettings) -> f64 {
-        match settings.explains_all && deviation_ratio > DEVIANT {
-            true => (self.chi_square / self.expected_chi_square()).sqrt(),
-            false => 1.0,
+        /// Chi-square per degree of freedom from which the error of the response dominates the noise.
+        const DOMINATED: f64 = 4.0;
+        let by_noise = self.chi_square / self.degrees_of_freedom().max(1) as f64;
+        match (settings.explains_all, by_noise > DOMINATED, deviation_ratio > DEVIANT) {
+            (true, true, _) => by_noise.sqrt(),
+            (true, false, true) => (self.chi_square / self.expected_chi_square()).sqrt(),
+            _ => 1.0,
         }
     }
 

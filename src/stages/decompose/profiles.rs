@@ -1,7 +1,7 @@
 //! Profiles of waveforms that pulses do not explain.
 
-use super::Decompose;
 use super::shots::EmissionTime;
+use super::{Decompose, Mode};
 use crate::scan_line::{Block, Blocks, InputInfo, ReturnChannel, ShotProfile, flags};
 use crate::stage::{Result, StageError};
 use wavex_signal::decompose::Decomposition;
@@ -20,10 +20,11 @@ pub(super) struct Profiles {
 }
 
 impl Profiles {
-    /// Estimators for a sensor; none if the job does not want profiles.
+    /// Estimators for a sensor; none if the job does not want profiles, or in a fast mode.
     pub(super) fn new(model: &SensorModel, config: &Decompose) -> Result<Profiles> {
+        let is_wanted = config.distributed_targets && matches!(config.mode, Mode::Refined | Mode::Slow);
         let estimator = |channel: &Option<ChannelModel>| {
-            let wanted = channel.as_ref().filter(|_| config.distributed_targets);
+            let wanted = channel.as_ref().filter(|_| is_wanted);
             let made = wanted.map(|channel| DistributedTargets::new(channel, config.template_error));
             made.transpose().map_err(|error| StageError::failed(error.to_string(), "recalibrate"))
         };
