@@ -284,9 +284,11 @@ pub(super) fn outgoing_peak(samples: &[u16]) -> Option<f64> {
 /// With `is_alone`, `None` if other samples are high as well.
 fn single_peak(samples: &[u16], is_alone: bool) -> Option<f64> {
     // A quarter of the samples is free of signal even in short blocks.
+    if samples.is_empty() {
+        return None;
+    }
     let mut sorted = samples.to_vec();
-    sorted.sort_unstable();
-    let background = f64::from(*sorted.get(samples.len() / 4)?);
+    let background = f64::from(*sorted.select_nth_unstable(samples.len() / 4).1);
     let signal: Vec<f64> = samples.iter().map(|&sample| f64::from(sample) - background).collect();
     let (peak, above_half) = peak_above_half(&signal)?;
     if peak.height_dn < LEAST_SNR * noise_sd_dn(&signal) {

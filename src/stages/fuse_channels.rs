@@ -33,6 +33,11 @@ const MOST_DELAY_NS: f64 = 10.0;
 /// saturated nor overdriven, both jointly where it is and the high-power receiver sees the same
 /// echo, and the high-power receiver alone where the low-power receiver gives no information.
 ///
+/// With fewer than 20 echoes that overdrive the low-power receiver, its delay there is unknown: the
+/// standard deviations of such returns contain 0.03 pulse widths, unless `calibrate` finds the receiver
+/// linear. A high-power receiver with too few blocks to calibrate is used if both keys are numbers: it
+/// then has the response of the other one.
+///
 /// Place it before `calibrate`. Holds back the first lines until it has enough waveforms, then lets
 /// everything through. A recording with one receiver, or with fewer than 20 suitable echoes in
 /// both, passes unchanged, and the report says so: the receivers are then used as without this

@@ -218,9 +218,9 @@ impl Decomposition<'_> {
     pub(crate) fn misfit_factor(&self, deviation_ratio: f64, settings: &DecomposeSettings) -> f64 {
         /// Chi-square per degree of freedom from which the error of the response dominates the noise.
         const DOMINATED: f64 = 4.0;
-        let by_noise = self.chi_square / self.degrees_of_freedom().max(1) as f64;
-        match (settings.explains_all, by_noise > DOMINATED, deviation_ratio > DEVIANT) {
-            (true, true, _) => by_noise.sqrt(),
+        let nu = self.degrees_of_freedom().max(1) as f64;
+        match (settings.explains_all, self.chi_square > DOMINATED * nu, deviation_ratio > DEVIANT) {
+            (true, true, _) => (self.chi_square / nu).sqrt(),
             (true, false, true) => (self.chi_square / self.expected_chi_square()).sqrt(),
             _ => 1.0,
         }
