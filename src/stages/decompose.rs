@@ -114,7 +114,7 @@ pub struct Decompose {
     pub template_error: f64,
     /// Drop returns that overlap leakage from the emission of another shot (flag bit 3).
     pub drop_emission_crosstalk: bool,
-    /// Describe waveforms that pulses do not explain (deviation ratio above 3, not overdriven) by a
+    /// Describe waveforms that pulses do not explain (deviation ratio above 5, not overdriven) by a
     /// continuous profile of the target along the beam as well: dense vegetation, large footprints.
     /// `write_table` has its first and last peak, relative heights and energy. Not in the fast modes,
     /// which leave misfits that are not the target's.
