@@ -112,7 +112,7 @@ struct Recording {
 fn truth(config: &TwoReceivers, shot: u32) -> (f64, f64) {
     let mut random =
         Random::of_shot(config.seed, shot / SHOTS_PER_LINE, shot % SHOTS_PER_LINE, Purpose::FalseAlarms);
-    let is_weak = config.few_strong && shot % 128 != 0;
+    let is_weak = config.few_strong && !shot.is_multiple_of(128);
     let [least, most] = if is_weak { [30.0, 180.0] } else { config.heights_dn };
     (least * (most / least).powf(random.uniform()), 4000.0 + 200.0 * random.uniform())
 }
