@@ -291,7 +291,7 @@ impl Calibrator {
         let low_power = self.completed(Channel::LowPower, &low, &high, out);
         let high_power = match self.completed(Channel::HighPower, &high, &low, out) {
             Some(model) => Some(model),
-            None => low_power.as_ref().and_then(|low| self.of_few_blocks(low, out)),
+            None => self.with_borrowed_response(low_power.as_ref(), out),
         };
         Ok(SensorModel {
             low_power,
@@ -358,21 +358,29 @@ impl Calibrator {
     }
 
     /// Model of a high-power receiver with too few blocks to calibrate, whose gain and delay are known.
-    fn of_few_blocks(&self, low: &ChannelModel, out: &mut Output) -> Option<ChannelModel> {
+    fn with_borrowed_response(&self, low: Option<&ChannelModel>, out: &mut Output) -> Option<ChannelModel> {
         let channel = Channel::HighPower;
-        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
-        if gain_changes || !self.is_fused() {
+        let blocks = self.count(channel);
+        if blocks == 0 || !self.is_fused() {
             return None;
         }
-        let model = calibrate::of_few_blocks(self.blocks(channel), low, &self.settings(channel))?;
-        out.cx.warn(format!(
-            "{} has {} blocks, too few to calibrate: it has their noise of {:.2} DN and the response of {}",
-            name(channel),
-            model.waveforms,
-            model.noise_sd_dn,
-            name(Channel::LowPower),
-        ));
-        Some(model)
+        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
+        let model = low.filter(|_| !gain_changes).and_then(|low| {
+            calibrate::with_borrowed_response(self.blocks(channel), low, &self.settings(channel))
+        });
+        out.cx.warn(match &model {
+            None => {
+                format!("{} was not calibrated and is not used: {blocks} blocks are too few", name(channel))
+            }
+            Some(model) => format!(
+                "{} has {blocks} blocks, too few to calibrate: it has their noise of {:.2} DN and {} of {}",
+                name(channel),
+                model.noise_sd_dn,
+                if model.response.is_some() { "the response" } else { "the Gaussian pulses" },
+                name(Channel::LowPower),
+            ),
+        });
+        model
     }
 
     /// Runs a task in the engine's pool; without a pool, in the current thread.

@@ -248,14 +248,14 @@ where
 /// are those of the first samples of its blocks, everything else is another receiver's.
 ///
 /// `None` with fewer than 3 blocks.
-pub fn of_few_blocks<'a>(
+pub fn with_borrowed_response<'a>(
     blocks: impl Iterator<Item = Waveform<'a>> + Clone,
     other: &ChannelModel,
     settings: &CalibrationSettings,
 ) -> Option<ChannelModel> {
-    const LEAST: u64 = 3;
+    const MIN_BLOCKS: u64 = 3;
     let found = blocks.clone().count() as u64;
-    if found < LEAST {
+    if found < MIN_BLOCKS {
         return None;
     }
     let look = InitialEstimate::of(blocks, settings.full_scale_dn);

@@ -71,8 +71,8 @@ pub struct DecomposeSettings {
     /// Fraction of full scale above which pulses overdrive the receiver, if the model has no
     /// measured limit.
     ///
-    /// No sample needs to be saturated. Such pulses are flagged and not divided, and the response
-    /// error is 6 % of their height up to the after-pulse. Only for models with a response.
+    /// No sample needs to be saturated. Such pulses are flagged and divided only if they are wide, and
+    /// the response error is 6 % of their height up to the after-pulse. Only for models with a response.
     pub overdriven_part: f64,
     /// Samples unusable after saturation, while the receiver recovers, if the model has no measured
     /// number.
@@ -212,8 +212,8 @@ impl Decomposition<'_> {
     /// Factor by which the misfit raises standard deviations: `√(χ²/ν)` of a waveform whose
     /// deviation ratio exceeds [`DEVIANT`], else 1.
     ///
-    /// Where the response leaves far more than the noise, even as expected, its error also moves the
-    /// pulses: `ν` then counts without [`Decomposition::expected_excess`].
+    /// If `χ²` exceeds four times the degrees of freedom, the error of the response dominates the noise
+    /// and moves the pulses: `ν` is then without [`Decomposition::expected_excess`], whatever the ratio.
     #[inline(always)]
     pub(crate) fn misfit_factor(&self, deviation_ratio: f64, settings: &DecomposeSettings) -> f64 {
         /// Chi-square per degree of freedom from which the error of the response dominates the noise.
@@ -240,4 +240,28 @@ impl Decomposition<'_> {
 pub(crate) fn truncation_flag(position: f64, width: f64, samples: usize) -> u16 {
     let is_whole = position >= 0.7 * width && position <= samples as f64 - 1.0 - 0.25 * width;
     if is_whole { 0 } else { flags::TRUNCATED }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_misfit_raises_standard_deviations_by_its_root() {
+        let factor = |chi_square: f64, expected_excess: f64| {
+            let found = Decomposition {
+                chi_square,
+                expected_excess,
+                samples: 53,
+                parameters: 3,
+                ..Default::default()
+            };
+            found.misfit_factor(found.deviation_ratio(), &DecomposeSettings::default())
+        };
+        assert_eq!(factor(79.0, 0.0), 1.0, "deviation ratio 2.9");
+        assert_eq!(factor(81.0, 0.0), (81.0_f64 / 50.0).sqrt(), "deviation ratio 3.1");
+        // The response explains these, but up to four times the noise.
+        assert_eq!(factor(199.0, 150.0), 1.0);
+        assert_eq!(factor(201.0, 150.0), (201.0_f64 / 50.0).sqrt());
+    }
 }

@@ -352,10 +352,11 @@ impl ChannelModel {
     /// of its time, ns, and of its height relative to it.
     ///
     /// 0 for a receiver found to be linear. The others are the errors of 14 overdriven pulses of an
-    /// LMS-Q680i, which its high-power receiver recorded as well: -44 to -186 ps and -1.33 dB.
+    /// LMS-Q680i, which its high-power receiver recorded as well: -44 to -186 ps, and -1.33 dB of the
+    /// amplitude `10 lg`, which is -26 %.
     pub fn overdrive_errors(&self) -> (f64, f64) {
         const TIME_WIDTHS: f64 = 0.03;
-        const RELATIVE_HEIGHT: f64 = 0.15;
+        const RELATIVE_HEIGHT: f64 = 0.26;
         if self.limits.is_linear { (0.0, 0.0) } else { (TIME_WIDTHS * self.pulse_fwhm_ns, RELATIVE_HEIGHT) }
     }
 
@@ -428,6 +429,14 @@ mod tests {
             waveforms: 200,
             pulses: 150,
         }
+    }
+
+    #[test]
+    fn overdriven_pulses_of_a_receiver_not_known_to_be_linear_have_errors() {
+        let mut model = model();
+        assert_eq!(model.overdrive_errors(), (0.03 * model.pulse_fwhm_ns, 0.26));
+        model.limits.is_linear = true;
+        assert_eq!(model.overdrive_errors(), (0.0, 0.0));
     }
 
     #[test]

@@ -211,8 +211,10 @@ impl Both {
 
     /// Change of the delay for an echo of this height in the low-power receiver, and its standard
     /// deviation, ns.
-    fn walk_ns(&self, low_power_dn: f64) -> (f64, f64) {
-        if self.between.walk_is_known || low_power_dn < self.overdriven_dn {
+    ///
+    /// `is_blinded`: the receiver is overdriven or clipped at the echo, whatever its fitted height.
+    fn walk_ns(&self, low_power_dn: f64, is_blinded: bool) -> (f64, f64) {
+        if self.between.walk_is_known || !is_blinded && low_power_dn < self.overdriven_dn {
             return self.between.walk_ns(low_power_dn);
         }
         (0.0, self.low.model().overdrive_errors().0)
@@ -221,7 +223,7 @@ impl Both {
     /// Converts the time of a return to the common axis and adds the uncertainty.
     fn align(&self, found: &mut Found) {
         let (shift_ns, sd_ns) = match found.channel {
-            ReturnChannel::Low => self.walk_ns(found.fitted.amplitude_dn),
+            ReturnChannel::Low => self.walk_ns(found.fitted.amplitude_dn, found.fitted.flags & BLINDED != 0),
             _ => (-self.left_ns, self.between.delay_sd_ns),
         };
         found.time_ns += shift_ns;
@@ -383,7 +385,7 @@ impl Both {
             let Some(fitted) = self.high.fitted().get(place) else { continue };
             let height_dn = (fitted.value[0].exp() * self.between.gain_ratio)
                 .max(of_low.map_or(0.0, |i| 0.5 * all[i].fitted.amplitude_dn));
-            let (walk_ns, walk_sd_ns) = self.walk_ns(height_dn);
+            let (walk_ns, walk_sd_ns) = self.walk_ns(height_dn, true);
             let expected = self.expected(fitted, [low, high], (walk_ns, walk_sd_ns));
             candidates.push(Candidate {
                 found: of_high,
@@ -419,9 +421,19 @@ impl Both {
             found.fitted.flags = (found.fitted.flags | flags) & !flags::MISFIT | misfit;
             found.fitted.deviation_ratio = deviation_ratio;
             write(&self.low, &candidate.on_common_axis(fitted), low, found);
+            if candidate.high.is_none() {
+                found.add_overdrive_sd(self.low.model(), true);
+                self.align(found);
+                continue;
+            }
             // Very strong echoes overdrive the high-power receiver as well.
             if was_blinded {
-                found.add_errors(self.high.model().overdrive_errors());
+                found.add_sd(self.high.model().overdrive_errors());
+            }
+            // Below full scale the low-power receiver determines the height.
+            let is_unclipped = flags & BLINDED == flags::OVERDRIVEN;
+            if is_unclipped && !self.between.walk_is_known {
+                found.add_sd((0.0, self.low.model().overdrive_errors().1));
             }
         }
     }

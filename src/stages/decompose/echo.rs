@@ -43,20 +43,20 @@ pub(super) struct HighPowerView {
 }
 
 impl Found {
-    /// Adds the errors of overdriven and clipped pulses.
+    /// Adds the standard deviations of overdriven and clipped pulses.
     ///
     /// In fused receivers, the time of the low-power one has the error of its walk instead.
-    pub(super) fn add_overdrive_errors(&mut self, model: &ChannelModel, is_fused: bool) {
+    pub(super) fn add_overdrive_sd(&mut self, model: &ChannelModel, is_fused: bool) {
         if self.fitted.flags & BLINDED == 0 {
             return;
         }
         let (time_ns, relative_height) = model.overdrive_errors();
         let is_of_walk = is_fused && self.channel == ReturnChannel::Low;
-        self.add_errors((if is_of_walk { 0.0 } else { time_ns }, relative_height));
+        self.add_sd((if is_of_walk { 0.0 } else { time_ns }, relative_height));
     }
 
     /// Adds standard deviations of time, ns, and of the height relative to it.
-    pub(super) fn add_errors(&mut self, (time_ns, relative_height): (f64, f64)) {
+    pub(super) fn add_sd(&mut self, (time_ns, relative_height): (f64, f64)) {
         let fitted = &mut self.fitted;
         fitted.amplitude_sd_dn = fitted.amplitude_sd_dn.hypot(relative_height * fitted.amplitude_dn);
         self.time_sd_ns = self.time_sd_ns.hypot(time_ns);

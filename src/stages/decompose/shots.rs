@@ -430,8 +430,9 @@ impl ShotDecomposer {
 
     /// Standard deviation of the delay of a receiver that is not fused with the other one, ns.
     fn delay_sd_ns(&self, channel: ReturnChannel, model: &ChannelModel) -> f64 {
-        let is_alone = channel != ReturnChannel::High || self.model.low_power.is_none();
-        if is_alone || self.both.is_some() { 0.0 } else { UNKNOWN_DELAY_WIDTHS * model.pulse_fwhm_ns }
+        let has_unknown_delay =
+            channel == ReturnChannel::High && self.model.low_power.is_some() && self.both.is_none();
+        if has_unknown_delay { UNKNOWN_DELAY_WIDTHS * model.pulse_fwhm_ns } else { 0.0 }
     }
 
     /// Collects the echoes of a shot's blocks.
@@ -482,7 +483,7 @@ impl ShotDecomposer {
                     fitted: *fitted,
                     flags,
                 };
-                found.add_overdrive_errors(model, self.both.is_some());
+                found.add_overdrive_sd(model, self.both.is_some());
                 found
             }));
             let (fwhm_ns, drops) = (model.pulse_fwhm_ns, self.drop_emission_crosstalk);

@@ -184,6 +184,7 @@ mod tests {
         let limits = limits(1000.0, 0.0);
         println!("{limits:?}");
         assert_eq!((limits.overdriven_dn, limits.recovery_samples), (Some(255.0), Some(0)));
+        assert!(limits.is_linear);
     }
 
     #[test]
@@ -192,6 +193,7 @@ mod tests {
         println!("{limits:?}");
         assert!((215.0..245.0).contains(&limits.overdriven_dn.unwrap()), "{limits:?}");
         assert_eq!(limits.recovery_samples, None);
+        assert!(!limits.is_linear);
     }
 
     #[test]

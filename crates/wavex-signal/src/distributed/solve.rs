@@ -50,7 +50,7 @@ pub(super) struct Solver {
     values: Vec<f64>,
     descent: Vec<f64>,
     /// Points to be exchanged.
-    wrong: Vec<usize>,
+    to_exchange: Vec<usize>,
     factor: BandFactor,
 }
 
@@ -162,25 +162,25 @@ impl Solver {
             self.solve_free()?;
             SimdLevel::best().processor().run(Descent(self));
             let falls = self.free.iter().zip(&self.reduced).filter(|(_, value)| **value < 0.0);
-            self.wrong.clear();
-            self.wrong.extend(falls.map(|(&point, _)| point));
+            self.to_exchange.clear();
+            self.to_exchange.extend(falls.map(|(&point, _)| point));
             let rises = |point: &usize| {
                 let sd = self.penalised[point * self.width].sqrt();
                 !self.is_free[*point] && self.descent[*point] > CONVERGED * sd
             };
-            self.wrong.extend((0..self.right.len()).filter(rises));
-            let Some(&last) = self.wrong.iter().max() else { break };
-            if self.wrong.len() < fewest {
-                (fewest, patience) = (self.wrong.len(), PATIENCE);
+            self.to_exchange.extend((0..self.right.len()).filter(rises));
+            let Some(&last) = self.to_exchange.iter().max() else { return Some(()) };
+            if self.to_exchange.len() < fewest {
+                (fewest, patience) = (self.to_exchange.len(), PATIENCE);
             } else if patience > 0 {
                 patience -= 1;
             } else {
-                self.wrong.clear();
-                self.wrong.push(last);
+                self.to_exchange.clear();
+                self.to_exchange.push(last);
             }
-            self.wrong.iter().for_each(|&point| self.is_free[point] = !self.is_free[point]);
+            self.to_exchange.iter().for_each(|&point| self.is_free[point] = !self.is_free[point]);
         }
-        Some(())
+        None
     }
 
     /// Solves for the free points.

@@ -227,3 +227,15 @@ fn what_is_no_covariance_is_refused() {
     let pulse = JointPulse { start: [4.0, 20.0, 0.0], expected, ln_width_precision: 0.0 };
     assert_eq!(fit.fit(&[10; 60], [pulse].into_iter()), None);
 }
+
+#[test]
+fn twenty_overdriven_echoes_make_the_walk_known() {
+    let of_height =
+        |low_power_dn: f64| Pair { low_power_dn, high_power_dn: low_power_dn / 9.0, delay_ns: 0.5 };
+    let known = |overdriven: usize| {
+        let linear = (0..40).map(|k| of_height(100.0 + f64::from(k)));
+        let pairs: Vec<Pair> = linear.chain((0..overdriven).map(|_| of_height(240.0))).collect();
+        estimate(&pairs, FULL_SCALE_DN, 0.3).unwrap().walk_is_known
+    };
+    assert_eq!([19, 20].map(known), [false, true]);
+}

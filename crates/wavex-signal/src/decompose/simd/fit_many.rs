@@ -258,7 +258,7 @@ impl<S: Simd> ManyGroup<'_, S> {
             first[p] = 3 * p;
             for q in 0..=p {
                 let near = lanes & self.near(&pulses[p], &pulses[q]);
-                if near == 0 {
+                if near == 0 && q < p {
                     for i in 0..3 {
                         out.matrix[packed(3 * p + i, 3 * q)..][..3].fill(s.splat(0.0));
                     }

@@ -14,7 +14,7 @@ use crate::simd::{Kernel, Processor, Simd};
 ///
 /// Most fits need fewer than the first number. The others continue in groups.
 pub(super) const ITERATIONS: [usize; 4] = [3, 4, 6, 16];
-/// The same for fits of many pulses, whose first evaluation costs as much as the others.
+/// The same for fits of many pulses: each restart costs one more evaluation of all products.
 const ITERATIONS_OF_MANY: [usize; 4] = [5, 5, 6, 16];
 /// Separation above which two pulses get a frame of four vectors, samples.
 ///

@@ -237,6 +237,52 @@ mod tests {
         }
     }
 
+    /// Solution and diagonal of the inverse with the first columns given, and without.
+    struct Banded {
+        matrix: [[Sixteen; 6]; 6],
+        first: [usize; 8],
+    }
+
+    impl Kernel for Banded {
+        type Output = [Sixteen; 12];
+
+        fn run<S: Simd>(self, s: S) -> Self::Output {
+            let mut factors = PackedFactors::<S::V, 8, 36>::none(s.splat(0.0));
+            factors.first = self.first;
+            for i in 0..6 {
+                for j in 0..=i {
+                    factors.lower[i * (i + 1) / 2 + j] = s.load(&self.matrix[i][j]);
+                }
+            }
+            factors.factor(s, 6);
+            let mut b = [s.splat(1.0); 8];
+            factors.solve(s, 6, &mut b);
+            let diagonal = factors.inverse_diagonal(s, 6);
+            std::array::from_fn(|i| {
+                let mut out = [0.0; 16];
+                s.store(if i < 6 { b[i] } else { diagonal[i - 6] }, &mut out);
+                out
+            })
+        }
+    }
+
+    #[test]
+    fn a_band_gives_what_its_zeros_give() {
+        let mut random = Random::new(6);
+        let first = [0, 0, 1, 1, 3, 3, 0, 0];
+        let mut matrix = [[[0.0; 16]; 6]; 6];
+        for (i, row) in matrix.iter_mut().enumerate() {
+            for value in &mut row[first[i]..i] {
+                *value = std::array::from_fn(|_| random.normal() as f32);
+            }
+            row[i] = [9.0; 16];
+        }
+        for path in SimdLevel::ALL.into_iter().filter(|path| path.is_available()) {
+            let [banded, full] = [first, [0; 8]].map(|first| path.run(Banded { matrix, first }));
+            assert_eq!(banded, full, "{path:?}");
+        }
+    }
+
     #[test]
     fn sixteen_systems_are_solved_as_nalgebra_solves_them() {
         let mut random = Random::new(5);
