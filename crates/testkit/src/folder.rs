@@ -85,8 +85,8 @@ impl TestFolder {
     pub fn command(&self, stages: &str) -> Command {
         self.write("job.toml", format!("[job]\noutput_dir = 'out'\nthreads = 2\n{stages}").as_bytes());
         // Limits memory, so that trusting a wrong size fails. The allocator reserves 64 MB of
-        // addresses for each of up to sixteen arenas. If the shell does not support the limit, there
-        // is none.
+        // addresses for each of up to sixteen arenas. A shell without `ulimit -v` runs the program
+        // without a limit.
         let mut command = Command::new("sh");
         command.args(["-c", "ulimit -v 2000000 2>/dev/null; exec \"$0\" \"$@\""]).arg(program());
         command.args(["--quiet", "run", "job.toml"]).current_dir(self.folder.path());
