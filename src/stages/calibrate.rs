@@ -20,7 +20,7 @@ use wavex_signal::calibrate::response::{Calibrated, calibrate_response};
 use wavex_signal::calibrate::{self, BackgroundChoice, CalibrationError, CalibrationSettings};
 use wavex_signal::decompose::Waveform;
 use wavex_signal::gain::calibrate_at_unit_gain;
-use wavex_signal::sensor_model::{ChannelModel, Decay, Digitiser, SensorModel};
+use wavex_signal::sensor_model::{Decay, Digitiser, SensorModel};
 use wavex_signal::simd::SimdLevel;
 
 mod model_file;
@@ -355,32 +355,6 @@ impl Calibrator {
     /// Whether gain and delay of the receivers are known.
     fn is_fused(&self) -> bool {
         self.look_ahead.lines().first().is_some_and(|line| line.fusion.is_some())
-    }
-
-    /// Model of a high-power receiver with too few blocks to calibrate, whose gain and delay are known.
-    fn with_borrowed_response(&self, low: Option<&ChannelModel>, out: &mut Output) -> Option<ChannelModel> {
-        let channel = Channel::HighPower;
-        let blocks = self.count(channel);
-        if blocks == 0 || !self.is_fused() {
-            return None;
-        }
-        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
-        let model = low.filter(|_| !gain_changes).and_then(|low| {
-            calibrate::with_borrowed_response(self.blocks(channel), low, &self.settings(channel))
-        });
-        out.cx.warn(match &model {
-            None => {
-                format!("{} was not calibrated and is not used: {blocks} blocks are too few", name(channel))
-            }
-            Some(model) => format!(
-                "{} has {blocks} blocks, too few to calibrate: it has their noise of {:.2} DN and {} of {}",
-                name(channel),
-                model.noise_sd_dn,
-                if model.response.is_some() { "the response" } else { "the Gaussian pulses" },
-                name(Channel::LowPower),
-            ),
-        });
-        model
     }
 
     /// Runs a task in the engine's pool; without a pool, in the current thread.

@@ -3,8 +3,8 @@
 use super::{Calibrator, ResponseKey, failed, name};
 use crate::scan_line::Channel;
 use crate::stage::{Output, Result};
-use wavex_signal::calibrate::receiver_limits;
 use wavex_signal::calibrate::response::{Calibrated, MIN_ECHOES, with_outgoing_pulse, with_response_of};
+use wavex_signal::calibrate::{self, receiver_limits};
 use wavex_signal::decompose::{OVERDRIVEN_PART, Waveform};
 use wavex_signal::sensor_model::{ChannelModel, NoiseSource, ReceiverLimits, ResponseSource};
 
@@ -147,5 +147,35 @@ impl Calibrator {
             }
         ));
         Some(borrowed.unwrap_or_else(|| model.clone()))
+    }
+
+    /// Model of a high-power receiver with too few blocks to calibrate, whose gain and delay are known.
+    pub(super) fn with_borrowed_response(
+        &self,
+        low: Option<&ChannelModel>,
+        out: &mut Output,
+    ) -> Option<ChannelModel> {
+        let channel = Channel::HighPower;
+        let blocks = self.count(channel);
+        if blocks == 0 || !self.is_fused() {
+            return None;
+        }
+        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
+        let model = low.filter(|_| !gain_changes).and_then(|low| {
+            calibrate::with_borrowed_response(self.blocks(channel), low, &self.settings(channel))
+        });
+        out.cx.warn(match &model {
+            None => {
+                format!("{} was not calibrated and is not used: {blocks} blocks are too few", name(channel))
+            }
+            Some(model) => format!(
+                "{} has {blocks} blocks, too few to calibrate: it has their noise of {:.2} DN and {} of {}",
+                name(channel),
+                model.noise_sd_dn,
+                if model.response.is_some() { "the response" } else { "the Gaussian pulses" },
+                name(Channel::LowPower),
+            ),
+        });
+        model
     }
 }
