@@ -38,7 +38,7 @@ mod tests;
 mod uncertainty;
 mod width;
 
-pub(crate) use batches::{decompose_each, map_parts};
+pub(crate) use batches::decompose_each;
 pub use clipping::clipping_level_dn;
 pub use limits::receiver_limits;
 pub use noise_statistics::NoiseStatistics;

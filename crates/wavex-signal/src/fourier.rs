@@ -3,6 +3,8 @@
 use std::f64::consts::TAU;
 use std::sync::OnceLock;
 
+use crate::simd::{Kernel, Simd, SimdLevel};
+
 /// A complex number: real and imaginary part.
 pub(super) type Complex = [f64; 2];
 
@@ -53,9 +55,129 @@ fn roots(n: usize) -> &'static [Complex] {
     })
 }
 
+/// Evaluates real Fourier series at `P` phases of each sample.
+///
+/// The frequencies of a series are low compared with `P` per sample. One transform of a value per
+/// sample and phase is therefore `P` transforms of a value per sample, in lock-step.
+pub(super) struct Synthesis<const P: usize> {
+    /// Period, a power of two.
+    samples: usize,
+    /// Real and imaginary part of `exp(2πi j p/(P samples))` of each term `j`, by phase `p`.
+    turns: Vec<[[f64; P]; 2]>,
+}
+
+/// Values of a series: row `k` has the times `k + p/P`, in samples.
+pub(super) type ByPhase<const P: usize> = Vec<[f64; P]>;
+
+impl<const P: usize> Synthesis<P> {
+    /// For series of at most `terms` terms.
+    pub(super) fn new(samples: usize, terms: usize) -> Synthesis<P> {
+        let steps = P * samples;
+        let roots = roots(steps);
+        let turn = |step: usize| match roots.get(step % steps) {
+            Some(root) => *root,
+            None => roots[step % steps - roots.len()].map(|part| -part),
+        };
+        let of_term = |j: usize| [0, 1].map(|part| std::array::from_fn(|p| turn(j * p)[part]));
+        Synthesis { samples, turns: (0..terms).map(of_term).collect() }
+    }
+
+    /// Two series `Σ_j c_j exp(2πi jt/samples)`, with the conjugates of the terms at `-j`.
+    ///
+    /// `terms` are the `c_j` of both.
+    pub(super) fn of(&self, terms: &[[Complex; 2]]) -> [ByPhase<P>; 2] {
+        let mut parts = [vec![[0.0; P]; self.samples], vec![[0.0; P]; self.samples]];
+        let [re, im] = &mut parts;
+        SimdLevel::best().processor().run(Transforms { re, im, terms, turns: &self.turns });
+        parts
+    }
+}
+
+/// `P` transforms in lock-step.
+struct Transforms<'a, const P: usize> {
+    re: &'a mut [[f64; P]],
+    im: &'a mut [[f64; P]],
+    terms: &'a [[Complex; 2]],
+    turns: &'a [[[f64; P]; 2]],
+}
+
+impl<const P: usize> Kernel for Transforms<'_, P> {
+    type Output = ();
+
+    /// One complex transform gives `f + i g`: its term is `a + i b` at `j`, and `a* + i b*` at `-j`.
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) {
+        let Transforms { re, im, terms, turns } = self;
+        let n = re.len();
+        let place = |k: usize| ((k % n) << 1).reverse_bits() >> n.leading_zeros();
+        for (j, ([a, b], [cos, sin])) in terms.iter().zip(turns).enumerate() {
+            let (at, mirrored) = (place(j), place(n - j % n));
+            let turned = |c: &Complex| -> [[f64; P]; 2] {
+                [
+                    std::array::from_fn(|p| c[0] * cos[p] - c[1] * sin[p]),
+                    std::array::from_fn(|p| c[0] * sin[p] + c[1] * cos[p]),
+                ]
+            };
+            let (a, b) = (turned(a), turned(b));
+            re[at] = std::array::from_fn(|p| re[at][p] + (a[0][p] - b[1][p]));
+            im[at] = std::array::from_fn(|p| im[at][p] + (a[1][p] + b[0][p]));
+            if j > 0 {
+                re[mirrored] = std::array::from_fn(|p| re[mirrored][p] + (a[0][p] + b[1][p]));
+                im[mirrored] = std::array::from_fn(|p| im[mirrored][p] + (b[0][p] - a[1][p]));
+            }
+        }
+        let roots = roots(n);
+        // A part is combined as soon as both its halves are ready: they are still in the cache.
+        for end in (2..=n).step_by(2) {
+            let mut size = 2;
+            while end % size == 0 && size <= n {
+                let (re_low, re_high) = re[end - size..end].split_at_mut(size / 2);
+                let (im_low, im_high) = im[end - size..end].split_at_mut(size / 2);
+                let low = re_low.iter_mut().zip(im_low);
+                let high = re_high.iter_mut().zip(im_high);
+                for ((low, high), root) in low.zip(high).zip(roots.iter().step_by(n / size)) {
+                    // Copies, which cannot overlap, are computed in registers.
+                    let (a, b) = ([*low.0, *low.1], [*high.0, *high.1]);
+                    let turned: [[f64; P]; 2] = [
+                        std::array::from_fn(|p| b[0][p] * root[0] - b[1][p] * root[1]),
+                        std::array::from_fn(|p| b[1][p] * root[0] + b[0][p] * root[1]),
+                    ];
+                    *low.0 = std::array::from_fn(|p| a[0][p] + turned[0][p]);
+                    *low.1 = std::array::from_fn(|p| a[1][p] + turned[1][p]);
+                    *high.0 = std::array::from_fn(|p| a[0][p] - turned[0][p]);
+                    *high.1 = std::array::from_fn(|p| a[1][p] - turned[1][p]);
+                }
+                size *= 2;
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn series_by_phase_are_their_sums() {
+        let coefficient = |j: usize, of: usize| [1.0 / (j + of) as f64, ((j * of) as f64).sin()];
+        for samples in [1, 2, 16] {
+            // Frequencies above half the sampling rate count too.
+            let terms: Vec<[Complex; 2]> =
+                (0..samples / 2 + 2).map(|j| [coefficient(j, 1), coefficient(j, 2)]).collect();
+            let both = Synthesis::<4>::new(samples, terms.len()).of(&terms);
+            for (series, k, p) in (0..2 * samples * 4).map(|i| (i / 4 / samples, i / 4 % samples, i % 4)) {
+                let time = k as f64 + p as f64 / 4.0;
+                let term = |(j, terms): (usize, &[Complex; 2])| {
+                    let (sin, cos) = (TAU * j as f64 * time / samples as f64).sin_cos();
+                    let twice = if j > 0 { 2.0 } else { 1.0 };
+                    twice * times(terms[series], [cos, sin])[0]
+                };
+                let exact: f64 = terms.iter().enumerate().map(term).sum();
+                let value = both[series][k][p];
+                assert!((value - exact).abs() < 1e-12, "{samples} {k} {p}: {value} {exact}");
+            }
+        }
+    }
 
     #[test]
     fn there_and_back_and_a_pure_oscillation() {

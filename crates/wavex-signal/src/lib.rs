@@ -85,6 +85,7 @@ pub mod mta;
 pub mod noise;
 pub mod outgoing;
 pub mod outliers;
+mod parallel;
 pub mod penalised_spline;
 mod pulse_fit;
 pub mod radiometry;

@@ -1,15 +1,13 @@
 //! Decomposes many blocks with the SIMD kernels, in batches.
 
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
-
-use rayon::iter::ParallelIterator;
-use rayon::slice::ParallelSlice;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use super::{CalibrationError, CalibrationSettings};
 use crate::decompose::Waveform;
 use crate::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
 use crate::decompose::{DecomposeSettings, Decomposition};
+use crate::parallel::map_parts;
 use crate::sensor_model::ChannelModel;
 
 /// Number of blocks per batch: these and their samples fit into the cache.
@@ -32,9 +30,13 @@ pub(crate) fn decompose_each<'a>(
     let is_fixed = model.offset_precision().is_none();
     let tables = if is_fixed { Tables::new(model).map(Arc::new) } else { None };
     let blocks: Vec<Waveform<'a>> = blocks.collect();
+    let first = BatchDecomposer::new(model, tables, decompose, Mode::Refined, settings.simd)?;
+    // One for each thread at work.
+    let idle = Mutex::new(Vec::new());
+    let idle = || idle.lock().unwrap_or_else(PoisonError::into_inner);
     let results = map_parts(&blocks, BLOCKS_PER_TASK, |part| -> Result<Vec<_>, CalibrationError> {
-        let mut decomposer =
-            BatchDecomposer::new(model, tables.clone(), decompose, Mode::Refined, settings.simd)?;
+        let waiting = idle().pop();
+        let mut decomposer = waiting.unwrap_or_else(|| first.another());
         let decompose_batch = |batch| {
             if settings.cancelled.load(Ordering::Relaxed) {
                 return Err(CalibrationError::Cancelled);
@@ -43,7 +45,9 @@ pub(crate) fn decompose_each<'a>(
             decomposer.decompose(batch, &mut outcomes);
             Ok(outcomes)
         };
-        part.chunks(CHUNK).map(decompose_batch).collect()
+        let outcomes = part.chunks(CHUNK).map(decompose_batch).collect();
+        idle().push(decomposer);
+        outcomes
     });
     let mut of_batches = blocks.chunks(CHUNK);
     for part in results {
@@ -52,20 +56,4 @@ pub(crate) fn decompose_each<'a>(
         }
     }
     Ok(())
-}
-
-/// Maps consecutive parts of a list; in parallel if called from a thread of a `rayon` pool.
-///
-/// Parts have `length` items, the last one possibly fewer. Neither they nor the order of the results
-/// depend on the number of threads.
-pub(crate) fn map_parts<T: Sync, R: Send>(
-    items: &[T],
-    length: usize,
-    map: impl Fn(&[T]) -> R + Sync + Send,
-) -> Vec<R> {
-    let length = length.max(1);
-    match rayon::current_thread_index() {
-        Some(_) => items.par_chunks(length).map(map).collect(),
-        None => items.chunks(length).map(map).collect(),
-    }
 }

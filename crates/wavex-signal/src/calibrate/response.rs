@@ -7,11 +7,11 @@
 //! the widths.
 
 use crate::calibrate::{
-    CalibrationError, CalibrationSettings, GROUPS, Narrow, Width, decompose_each, jackknife_sd, map_parts,
-    quiet,
+    CalibrationError, CalibrationSettings, GROUPS, Narrow, Width, decompose_each, jackknife_sd, quiet,
 };
 use crate::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Return, Waveform};
 use crate::flags;
+use crate::parallel::map_parts;
 use crate::sensor_model::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse, normalised};
 use crate::sensor_model::{ChannelModel, ModelError, NoiseSource, ResponseSource};
 use crate::shape::Shape;
@@ -308,13 +308,14 @@ fn narrow_population<'a>(singles: &[Single<'a>]) -> Vec<Single<'a>> {
 /// a new selection each time.
 fn fwhm_sd_ns(model: &ChannelModel, singles: &[Single<'_>]) -> f64 {
     let per_group = singles.len().div_ceil(GROUPS).max(1);
-    let groups = singles.len().div_ceil(per_group);
-    let mean_without = |group: usize| {
-        let (before, after) = (group * per_group, ((group + 1) * per_group).min(singles.len()));
+    let groups: Vec<usize> = (0..singles.len().div_ceil(per_group)).collect();
+    let mean_without = |group: &[usize]| {
+        let before = group[0] * per_group;
+        let after = (before + per_group).min(singles.len());
         let narrow = narrow_population(&[&singles[..before], &singles[after..]].concat());
         narrow.iter().map(|single| single.width().ln_width).sum::<f64>() / narrow.len().max(1) as f64
     };
-    jackknife_sd(&(0..groups).map(mean_without).collect::<Vec<_>>()) * model.pulse_fwhm_ns
+    jackknife_sd(&map_parts(&groups, 1, mean_without)) * model.pulse_fwhm_ns
 }
 
 /// At most `most` echoes, evenly spaced.
@@ -340,8 +341,9 @@ fn better_response(
     let narrow: Vec<_> =
         groups.iter().flat_map(|group| evenly(narrow_population(&group.singles), most)).collect();
     let nodes: Vec<f64> = groups.iter().map(|group| group.peak_dn).collect();
+    let shape = Shape::of(model)?;
     let problems = map_parts(&narrow, narrow.len().div_ceil(SUMS), |part| {
-        let mut problem = Problem::new(model, &basis, &nodes, Shape::of(model)?, longest)?;
+        let mut problem = Problem::new(model, &basis, &nodes, shape.clone(), longest)?;
         part.iter().for_each(|single| problem.add(single));
         Ok(problem)
     });

@@ -9,6 +9,7 @@ use super::{Counts, DEVIANT, DecomposeSettings, Decomposition, Return, truncatio
 use crate::detect::{Candidate, Detector, next_plateau, plateau_candidate};
 use crate::flags;
 use crate::sensor_model::{ChannelModel, ModelError};
+use crate::shape::Shape;
 use scene::{Found, Scene};
 
 mod refine;
@@ -84,6 +85,11 @@ impl Decomposer {
     /// Returns the model of its channel.
     pub fn model(&self) -> &ChannelModel {
         &self.model
+    }
+
+    /// The pulse shape; clones share its tables.
+    pub(super) fn shape(&self) -> &Shape {
+        self.scene.shape()
     }
 
     /// Samples unusable after saturation.

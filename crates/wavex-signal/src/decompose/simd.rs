@@ -144,7 +144,8 @@ impl BatchDecomposer {
         mode: Mode,
         path: SimdLevel,
     ) -> Result<BatchDecomposer, ModelError> {
-        let mut thresholds = Thresholds::new(model, settings)?;
+        let plain = Decomposer::new(model, settings, 0)?;
+        let mut thresholds = Thresholds::new(model, settings, plain.shape().clone())?;
         let level = tables.as_ref().and_then(|tables| tables.level.as_ref());
         thresholds.level_response = level.map_or(0.0, |level| level.response());
         Ok(BatchDecomposer {
@@ -155,11 +156,26 @@ impl BatchDecomposer {
             path,
             tables,
             thresholds,
-            plain: Decomposer::new(model, settings, 0)?,
+            plain,
             work: Workspace::new(0),
             first_pass: Vec::new(),
             left_to_plain: 0,
         })
+    }
+
+    /// Creates the same decomposer for another thread; both share their tables.
+    pub fn another(&self) -> BatchDecomposer {
+        BatchDecomposer {
+            model: self.model.clone(),
+            settings: self.settings.clone(),
+            tables: self.tables.clone(),
+            thresholds: self.thresholds.clone(),
+            plain: self.plain.clone(),
+            work: Workspace::new(0),
+            first_pass: Vec::new(),
+            left_to_plain: 0,
+            ..*self
+        }
     }
 
     /// Enables refinement in the fast modes.

@@ -2,7 +2,7 @@
 
 use super::even_odd::EvenOdd;
 use super::{MOST_SCORED, Single};
-use crate::calibrate::map_parts;
+use crate::parallel::map_parts;
 use crate::decompose::acceptance::response_error::Allowance;
 use crate::decompose::{Return, Waveform};
 use crate::sensor_model::{ChannelModel, ModelError};

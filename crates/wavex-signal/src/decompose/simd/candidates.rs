@@ -169,6 +169,7 @@ impl Candidates {
 }
 
 /// Filter response after a pulse of height 1 DN: the statistic by lag.
+#[derive(Clone)]
 pub(super) struct LeftBehind {
     /// By whole samples after the peak.
     echo: Vec<f32>,

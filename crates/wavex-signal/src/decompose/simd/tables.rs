@@ -3,7 +3,7 @@
 mod build;
 
 use super::filter::Filter;
-use super::fourier_response::{Series, Widened};
+use super::fourier_response::{BEFORE, Series, Widened};
 use super::level::LevelTables;
 use crate::detect::LEAST_ENERGY_PART;
 use crate::noise::ArNoise;
@@ -21,6 +21,8 @@ use build::*;
 pub(super) const ROW: usize = 32;
 /// Samples of a row before that of the peak.
 pub(super) const BEFORE_PEAK: i32 = 11;
+/// The same with the samples before it that whitening needs.
+const ROW_AND_BEFORE: usize = ROW + MAX_ORDER;
 /// Table positions per sample.
 pub(super) const PHASES: usize = 16;
 /// Number of tabulated widths.
@@ -170,7 +172,7 @@ impl Tables {
             let series = Series::new(&node.values, response.first_sample, fwhm, reach);
             tables.add_node(&series, node.peak_dn, &filter, i == 0);
             if i == 0 {
-                tables.set_filter(&series.widened(0.0), &filter, &noise, &model.background_dn);
+                tables.set_filter(&series.widened(0.0, ROW_AND_BEFORE), &filter, &noise, &model.background_dn);
             }
         }
         tables.fill_bank();

@@ -23,6 +23,7 @@ const WHOLE_WIDTHS: [f64; 2] = [2.0, 2.5];
 const LEFT_OUT_SD: f32 = 0.5;
 
 /// Thresholds of one channel.
+#[derive(Clone)]
 pub(super) struct Thresholds {
     /// Matched-filter statistic after a pulse of height 1 DN.
     pub(super) left_behind: LeftBehind,
@@ -49,9 +50,13 @@ pub(super) struct Thresholds {
 }
 
 impl Thresholds {
-    pub(super) fn new(model: &ChannelModel, settings: &DecomposeSettings) -> Result<Thresholds, ModelError> {
+    /// `shape` is that of the model.
+    pub(super) fn new(
+        model: &ChannelModel,
+        settings: &DecomposeSettings,
+        shape: Shape,
+    ) -> Result<Thresholds, ModelError> {
         let whitener = Whitener::new(model.noise()?, 0);
-        let shape = Shape::of(model)?;
         let detector = Detector::new(shape.clone(), model.offset_precision(), &whitener, 0);
         let held_height_dn = 2.0 * model.full_scale_dn;
         let left_out = f64::from(LEFT_OUT_SD) * model.noise_sd_dn / held_height_dn;

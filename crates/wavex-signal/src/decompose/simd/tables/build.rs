@@ -1,6 +1,7 @@
 //! Computation of the tables.
 
 use super::*;
+use crate::parallel::map_parts;
 
 impl Tables {
     pub(super) fn add_node(&mut self, series: &Series, peak_dn: f64, filter: &Whitening, is_first: bool) {
@@ -9,17 +10,16 @@ impl Tables {
             entries: Aligned::zeros(KNOTS * PHASES * ENTRY),
             tails: Aligned::zeros(PHASES * self.tail_stride),
         };
-        let calibrated = series.widened(0.0);
         let tail_samples = self.tail_stride - 2 * LANES;
+        let calibrated = series.widened(0.0, ROW_AND_BEFORE + tail_samples);
         for (phase, tail) in node.tails.as_mut_slice().chunks_exact_mut(self.tail_stride).enumerate() {
-            let from = ROW as i64 - i64::from(BEFORE_PEAK);
-            for (k, value) in tail[LANES..].iter_mut().enumerate().take(tail_samples) {
-                *value = filter.at(&calibrated, 0, from + k as i64, phase) as f32;
-            }
+            let whitened = filter.of(&calibrated.row(phase, 0)[ROW..]);
+            tail[LANES..].iter_mut().zip(whitened).for_each(|(out, value)| *out = value as f32);
         }
-        for (knot, entries) in node.entries.as_mut_slice().chunks_exact_mut(ENTRY * PHASES).enumerate() {
-            let u = U_MIN + knot as f64 * U_STEP;
-            let widened = series.widened(u);
+        let ln_widths: Vec<f64> = (0..KNOTS).map(|knot| U_MIN + knot as f64 * U_STEP).collect();
+        let widened = map_parts(&ln_widths, 1, |u| series.widened(u[0], ROW_AND_BEFORE));
+        let of_knots = node.entries.as_mut_slice().chunks_exact_mut(ENTRY * PHASES);
+        for (knot, (entries, widened)) in of_knots.zip(widened).enumerate() {
             if is_first {
                 self.tail_gain[knot] = (calibrated.top / widened.top) as f32;
             }
@@ -77,8 +77,10 @@ impl Tables {
         noise: &ArNoise,
         background_dn: &[f64; 4],
     ) {
-        let template: [f64; FILTER_LAGS] =
-            std::array::from_fn(|k| filter.at(pulse, 0, k as i64 - i64::from(FILTER_BEFORE), 0));
+        let on_time = pulse.row(0, 0);
+        let mut template = [0.0; FILTER_LAGS];
+        let whitened = filter.of(&on_time[BEFORE - MAX_ORDER - FILTER_BEFORE as usize..]);
+        template.iter_mut().zip(whitened).for_each(|(out, value)| *out = value);
         let norm = template.iter().map(|v| v * v).sum::<f64>().sqrt().recip();
         let mut taps = [0.0; TAPS];
         for (i, value) in template.iter().enumerate() {
@@ -88,7 +90,7 @@ impl Tables {
         }
         let mut lags = [0.0; TAPS];
         noise.autocovariance_into(&mut lags);
-        let at = |i: usize| pulse.at(0, (i as i64 - TAPS_BEFORE as i64) * PHASES as i64);
+        let at = |i: usize| on_time[BEFORE - TAPS_BEFORE + i];
         let part = |used: std::ops::Range<usize>| {
             let signal: f64 = used.clone().map(|i| taps[i] * at(i)).sum();
             let pairs = used.clone().flat_map(|i| used.clone().map(move |j| (i, j)));
@@ -153,12 +155,12 @@ pub(super) struct Whitening {
 }
 
 impl Whitening {
-    /// Whitened shape at `sample` whole samples after that of the peak.
-    ///
-    /// The peak is `phase` steps late.
-    fn at(&self, shapes: &Widened, shape: usize, sample: i64, phase: usize) -> f64 {
-        let step = |lag: usize| (sample - lag as i64) * PHASES as i64 - phase as i64;
-        self.taps.iter().enumerate().map(|(lag, tap)| tap * shapes.at(shape, step(lag))).sum()
+    /// Whitened samples of a row, from the first with all earlier ones that count.
+    fn of<'a>(&'a self, row: &'a [f64]) -> impl Iterator<Item = f64> + 'a {
+        let whitened = |from: &[f64; MAX_ORDER + 1]| -> f64 {
+            self.taps.iter().zip(from.iter().rev()).map(|(tap, value)| tap * value).sum()
+        };
+        row.array_windows().map(whitened)
     }
 }
 
@@ -166,14 +168,16 @@ impl Whitening {
 ///
 /// Of height, position and width, lower triangle.
 fn fill_entry(entry: &mut [f32], widened: &Widened, phase: usize, filter: &Whitening) -> [f64; 6] {
+    let mut whitened = [[0.0; ROW]; TEMPLATES];
+    for (shape, values) in whitened.iter_mut().enumerate() {
+        let to = &mut entry[LANES + shape * ROW_STRIDE..];
+        for ((value, to), of_row) in values.iter_mut().zip(to).zip(filter.of(widened.row(phase, shape))) {
+            (*value, *to) = (of_row, of_row as f32);
+        }
+    }
     let mut fisher = [0.0; 6];
     for k in 0..ROW {
-        let sample = k as i64 - i64::from(BEFORE_PEAK);
-        let values: [f64; TEMPLATES] = std::array::from_fn(|shape| filter.at(widened, shape, sample, phase));
-        for (template, value) in values.iter().enumerate() {
-            entry[LANES + template * ROW_STRIDE + k] = *value as f32;
-        }
-        let row = [values[0], -values[1], values[3]];
+        let row = [whitened[0][k], -whitened[1][k], whitened[3][k]];
         for (f, (i, j)) in fisher.iter_mut().zip(LOWER) {
             *f += row[i] * row[j];
         }
