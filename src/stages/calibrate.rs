@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use rayon::ThreadPool;
+use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -270,9 +271,17 @@ impl Calibrator {
 
     fn calibrate(&self, out: &mut Output) -> Result<SensorModel> {
         self.warn_of_unknown_scale(out);
-        let low = self.channel(Channel::LowPower, out)?;
-        let high = self.channel(Channel::HighPower, out)?;
-        let reference = self.channel(Channel::Reference, out)?;
+        let channels = [Channel::LowPower, Channel::HighPower, Channel::Reference];
+        let found: Vec<_> = match &self.pool {
+            Some(pool) => pool.install(|| channels.par_iter().map(|of| self.calibrated(*of)).collect()),
+            None => channels.iter().map(|of| self.calibrated(*of)).collect(),
+        };
+        let mut found = channels.into_iter().zip(found);
+        let mut next = || match found.next() {
+            Some((channel, found)) => self.sufficient(channel, found, out),
+            None => Ok(None),
+        };
+        let (low, high, reference) = (next()?, next()?, next()?);
         let low = self.with_outgoing_pulse(Channel::LowPower, low, &reference, out)?;
         let high = self.with_outgoing_pulse(Channel::HighPower, high, &reference, out)?;
         if low.is_none() && high.is_none() {
@@ -319,23 +328,30 @@ impl Calibrator {
         }
     }
 
-    /// Calibrates one receiver; `None`, with a note, if it recorded too little.
-    fn channel(&self, channel: Channel, out: &mut Output) -> Result<Option<Calibrated>> {
+    /// Calibrates one receiver.
+    fn calibrated(&self, channel: Channel) -> std::result::Result<Calibrated, CalibrationError> {
         let settings = self.settings(channel);
         let with_response = self.config.response != ResponseKey::Gaussian;
         let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
-        let (recorded, blocks) = (self.look_ahead.recorded(channel), self.blocks(channel));
-        let found = self.in_pool(|| {
-            if gain_changes {
-                return calibrate_at_unit_gain(recorded, &settings, with_response);
-            }
-            let model = calibrate::calibrate(blocks.clone(), &settings)?;
-            if with_response {
-                return calibrate_response(blocks, &model, &settings);
-            }
-            // Requested Gaussians have no template error: their misfit stays in the noise.
-            Ok(Calibrated { model, usable_echoes: 0 })
-        });
+        let blocks = self.blocks(channel);
+        if gain_changes {
+            return calibrate_at_unit_gain(self.look_ahead.recorded(channel), &settings, with_response);
+        }
+        let model = calibrate::calibrate(blocks.clone(), &settings)?;
+        if with_response {
+            return calibrate_response(blocks, &model, &settings);
+        }
+        // Requested Gaussians have no template error: their misfit stays in the noise.
+        Ok(Calibrated { model, usable_echoes: 0 })
+    }
+
+    /// The calibration of a receiver; `None`, with a note, if it recorded too little.
+    fn sufficient(
+        &self,
+        channel: Channel,
+        found: std::result::Result<Calibrated, CalibrationError>,
+        out: &mut Output,
+    ) -> Result<Option<Calibrated>> {
         match found {
             Ok(found) => Ok(Some(found)),
             Err(CalibrationError::TooFewBlocks { found: 0, .. }) => Ok(None),

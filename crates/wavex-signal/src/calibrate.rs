@@ -52,7 +52,7 @@ const MIN_PULSES: usize = 10;
 ///
 /// The first model only serves to make the second. The first round decides whether free samples
 /// exist and whether the level drifts.
-const ROUND_PARTS: [f64; 2] = [0.2, 1.0];
+const ROUND_PARTS: [f64; 2] = [0.05, 1.0];
 /// Fraction of blocks with free samples needed to use these.
 ///
 /// Only unsaturated blocks with samples well before their pulses count.

@@ -280,7 +280,7 @@ impl BatchDecomposer {
             thresholds: &mut self.thresholds,
             plain: &mut self.plain,
             left_to_plain: &mut self.left_to_plain,
-            is_refined: mode == Mode::Refined,
+            is_refined: mode == Mode::Refined && self.settings.explains_all,
         }
     }
 
