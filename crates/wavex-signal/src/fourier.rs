@@ -59,6 +59,7 @@ fn roots(n: usize) -> &'static [Complex] {
 ///
 /// The frequencies of a series are low compared with `P` per sample. One transform of a value per
 /// sample and phase is therefore `P` transforms of a value per sample, in lock-step.
+#[derive(Debug, Clone)]
 pub(super) struct Synthesis<const P: usize> {
     /// Period, a power of two.
     samples: usize,
@@ -80,6 +81,11 @@ impl<const P: usize> Synthesis<P> {
         };
         let of_term = |j: usize| [0, 1].map(|part| std::array::from_fn(|p| turn(j * p)[part]));
         Synthesis { samples, turns: (0..terms).map(of_term).collect() }
+    }
+
+    /// Angular frequency of a term, radians per sample.
+    pub(super) fn omega(&self, j: usize) -> f64 {
+        TAU * j as f64 / self.samples as f64
     }
 
     /// Two series `Σ_j c_j exp(2πi jt/samples)`, with the conjugates of the terms at `-j`.

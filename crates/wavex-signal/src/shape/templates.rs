@@ -7,10 +7,9 @@
 //! interpolation is bicubic Hermite: values, slopes and mixed slope are exact at the nodes, and
 //! value and slopes are continuous everywhere, as the minimisation requires.
 
-use std::f64::consts::PI;
 use std::sync::OnceLock;
 
-use crate::fourier::{self, Complex};
+use crate::fourier::{ByPhase, Complex, Synthesis};
 use crate::sensor_model::response::{STEPS_PER_SAMPLE, bins, spectrum};
 use crate::shape::Lane;
 use crate::simd::dot::{ROWS, add_rows};
@@ -46,8 +45,7 @@ impl Knot {
 #[derive(Debug, Clone)]
 pub(crate) struct Templates {
     series: Vec<Complex>,
-    /// Period of the series, in steps of the response.
-    steps: usize,
+    synthesis: Synthesis<STEPS_PER_SAMPLE>,
     /// Variance of a Gaussian of the response's width, samples².
     v0: f64,
     first_sample: i64,
@@ -78,9 +76,10 @@ impl Templates {
         let steps = (longest * STEPS_PER_SAMPLE).next_power_of_two();
         let first_step = i64::from(first_sample) * STEPS_PER_SAMPLE as i64;
         let series = spectrum(values, first_step, steps, bins(steps));
+        let synthesis = Synthesis::new(steps / STEPS_PER_SAMPLE, series.len());
         let count = ((LN_WIDTH_RANGE[1] - LN_WIDTH_RANGE[0]) / LN_WIDTH_STEP).round() as usize + 1;
         let knots = vec![OnceLock::new(); count];
-        Templates { series, steps, v0, first_sample: i64::from(first_sample), samples, knots }
+        Templates { series, synthesis, v0, first_sample: i64::from(first_sample), samples, knots }
     }
 
     /// Rows of one width of the table, computed on first use.
@@ -89,7 +88,7 @@ impl Templates {
             let u = LN_WIDTH_RANGE[0] + index as f64 * LN_WIDTH_STEP;
             let margin = if u > 0.0 { reach(self.v0, u) } else { reach(self.v0, 0.0) };
             let extent = (self.first_sample - margin, (self.samples + 2 * margin) as usize);
-            knot(&self.series, self.steps, self.v0, u, extent)
+            knot(&self.series, &self.synthesis, self.v0, u, extent)
         })
     }
 
@@ -220,58 +219,61 @@ pub(crate) fn widening_gain(omega: f64, v0: f64, u: f64) -> [f64; 3] {
     [gain, gain * first, gain * (first * first + bend * by_u * by_u + slope * 2.0 * by_u)]
 }
 
+/// Values of a periodic series at a step.
+fn at(series: &ByPhase<STEPS_PER_SAMPLE>, step: i64) -> f64 {
+    let step = step.rem_euclid((series.len() * STEPS_PER_SAMPLE) as i64) as usize;
+    series[step / STEPS_PER_SAMPLE][step % STEPS_PER_SAMPLE]
+}
+
 /// Computes the rows of one width: `extent` is their first sample and their length.
-fn knot(series: &[Complex], steps: usize, v0: f64, u: f64, extent: (i64, usize)) -> Knot {
-    let mut shape = vec![[0.0, 0.0]; steps];
-    let mut by_width = vec![[0.0, 0.0]; steps];
+fn knot(
+    series: &[Complex],
+    synthesis: &Synthesis<STEPS_PER_SAMPLE>,
+    v0: f64,
+    u: f64,
+    extent: (i64, usize),
+) -> Knot {
+    let (mut shape, mut by_width) = (Vec::new(), Vec::new());
     for (j, c) in series.iter().enumerate() {
-        let omega = 2.0 * PI * j as f64 * STEPS_PER_SAMPLE as f64 / steps as f64;
+        let omega = synthesis.omega(j);
         let [gain, gain_by_width, _] = widening_gain(omega, v0, u);
-        put(&mut shape, j, [c[0] * gain, c[1] * gain], omega);
-        put(&mut by_width, j, [c[0] * gain_by_width, c[1] * gain_by_width], omega);
+        for (terms, gain) in [(&mut shape, gain), (&mut by_width, gain_by_width)] {
+            let term = [c[0] * gain, c[1] * gain];
+            terms.push([term, [-omega * term[1], omega * term[0]]]);
+        }
     }
-    fourier::transform(&mut shape, 1.0);
-    fourier::transform(&mut by_width, 1.0);
-    let (top, top_by_width) = peak(&shape, &by_width);
+    let ([shape, by_time], [by_width, by_both]) = (synthesis.of(&shape), synthesis.of(&by_width));
+    let (top, top_by_width) = peak(&shape, &by_time, &by_width, &by_both);
     let (first, length) = extent;
     let mut rows = Vec::with_capacity((STEPS_PER_SAMPLE + 1) * CHANNELS * length);
     for phase in 0..=STEPS_PER_SAMPLE {
-        for channel in 0..CHANNELS {
-            rows.extend((0..length).map(|k| {
-                let step = (first + k as i64) * STEPS_PER_SAMPLE as i64 + phase as i64;
-                let at = step.rem_euclid(steps as i64) as usize;
-                let part = channel % 2;
-                let value = shape[at][part] / top;
-                if channel < 2 { value } else { (by_width[at][part] - value * top_by_width) / top }
-            }));
+        let steps = |k: usize| (first + k as i64) * STEPS_PER_SAMPLE as i64 + phase as i64;
+        for values in [&shape, &by_time] {
+            rows.extend((0..length).map(|k| at(values, steps(k)) / top));
+        }
+        for (values, by_width) in [(&shape, &by_width), (&by_time, &by_both)] {
+            let value = |k| (at(by_width, steps(k)) - at(values, steps(k)) / top * top_by_width) / top;
+            rows.extend((0..length).map(value));
         }
     }
     Knot { first, length, rows }
 }
 
-/// Adds term `j` of a real series and of its time derivative to one complex series.
-///
-/// After the transform the real part is the series, the imaginary part its derivative.
-fn put(target: &mut [Complex], j: usize, c: Complex, omega: f64) {
-    // f + i g with g's coefficient iω c: at j it is c + i (iω c) = (1 - ω) c, at -j it is (1 + ω)
-    // c*.
-    target[j] = [c[0] * (1.0 - omega), c[1] * (1.0 - omega)];
-    if j > 0 {
-        let mirrored = target.len() - j;
-        target[mirrored] = [c[0] * (1.0 + omega), -c[1] * (1.0 + omega)];
-    }
-}
-
 /// Largest value of a shape, and its derivative by log width.
-fn peak(shape: &[Complex], by_width: &[Complex]) -> (f64, f64) {
-    let n = shape.len();
-    let at = (0..n).fold(0, |best, k| if shape[k][0] > shape[best][0] { k } else { best });
-    let (before, after) = (shape[(at + n - 1) % n][1], shape[(at + 1) % n][1]);
+fn peak(
+    shape: &ByPhase<STEPS_PER_SAMPLE>,
+    by_time: &ByPhase<STEPS_PER_SAMPLE>,
+    by_width: &ByPhase<STEPS_PER_SAMPLE>,
+    by_both: &ByPhase<STEPS_PER_SAMPLE>,
+) -> (f64, f64) {
+    let steps = (shape.len() * STEPS_PER_SAMPLE) as i64;
+    let highest = (0..steps).fold(0, |best, k| if at(shape, k) > at(shape, best) { k } else { best });
     let step = 1.0 / STEPS_PER_SAMPLE as f64;
-    let curvature = (after - before) / (2.0 * step);
-    let shift = if curvature < 0.0 { (-shape[at][1] / curvature).clamp(-step, step) } else { 0.0 };
-    let top = shape[at][0] + 0.5 * shape[at][1] * shift;
-    (top, by_width[at][0] + by_width[at][1] * shift)
+    let curvature = (at(by_time, highest + 1) - at(by_time, highest - 1)) / (2.0 * step);
+    let slope = at(by_time, highest);
+    let shift = if curvature < 0.0 { (-slope / curvature).clamp(-step, step) } else { 0.0 };
+    let top = at(shape, highest) + 0.5 * slope * shift;
+    (top, at(by_width, highest) + at(by_both, highest) * shift)
 }
 
 #[cfg(test)]

@@ -2,9 +2,9 @@
 
 use super::even_odd::EvenOdd;
 use super::{MOST_SCORED, Single};
-use crate::parallel::map_parts;
 use crate::decompose::acceptance::response_error::Allowance;
 use crate::decompose::{Return, Waveform};
+use crate::parallel::map_parts;
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
 use crate::shape::Shape;

@@ -2,8 +2,6 @@
 //!
 //! Computes its shapes and their derivatives at sixteen positions per sample.
 
-use std::f64::consts::PI;
-
 use crate::fourier::{ByPhase, Complex, Synthesis};
 use crate::sensor_model::response::{STEPS_PER_SAMPLE, bins, spectrum};
 use crate::shape::templates::widening_gain;
@@ -100,7 +98,7 @@ impl Series {
     fn transformed(&self, ln_width_ratio: f64) -> [[ByPhase<PHASES>; 2]; 3] {
         let mut terms = [const { Vec::new() }; 3];
         for (j, c) in self.terms.iter().enumerate() {
-            let omega = 2.0 * PI * j as f64 / self.samples as f64;
+            let omega = self.synthesis.omega(j);
             let [gain, by_u, by_uu] = widening_gain(omega, self.variance, ln_width_ratio);
             let scaled = |factor: f64| [c[0] * factor, c[1] * factor];
             let turned = |factor: f64| [-omega * c[1] * factor, omega * c[0] * factor];

@@ -172,7 +172,12 @@ impl Tables {
             let series = Series::new(&node.values, response.first_sample, fwhm, reach);
             tables.add_node(&series, node.peak_dn, &filter, i == 0);
             if i == 0 {
-                tables.set_filter(&series.widened(0.0, ROW_AND_BEFORE), &filter, &noise, &model.background_dn);
+                tables.set_filter(
+                    &series.widened(0.0, ROW_AND_BEFORE),
+                    &filter,
+                    &noise,
+                    &model.background_dn,
+                );
             }
         }
         tables.fill_bank();
