@@ -139,6 +139,11 @@ impl Blocks {
         Blocks { list: Vec::with_capacity(blocks), arena: Vec::with_capacity(samples), online: Vec::new() }
     }
 
+    /// Creates an empty list with room for as many blocks and samples.
+    pub(crate) fn of_same_size(&self) -> Blocks {
+        Blocks::with_capacity(self.list.len(), self.arena.len())
+    }
+
     /// Adds a block of `samples` (digitiser steps).
     ///
     /// Blocks must be added in order of their emissions.

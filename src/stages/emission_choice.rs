@@ -291,7 +291,7 @@ fn single_peak(samples: &[u16], is_alone: bool) -> Option<f64> {
     let background = f64::from(*sorted.select_nth_unstable(samples.len() / 4).1);
     let signal: Vec<f64> = samples.iter().map(|&sample| f64::from(sample) - background).collect();
     let (peak, above_half) = peak_above_half(&signal)?;
-    if peak.height_dn < LEAST_SNR * noise_sd_dn(&signal) {
+    if !is_above_noise(peak.height_dn, &signal) {
         return None;
     }
     let near = above_half.start.saturating_sub(above_half.len())..above_half.end + above_half.len();
@@ -300,10 +300,15 @@ fn single_peak(samples: &[u16], is_alone: bool) -> Option<f64> {
     (!is_alone || !is_disturbed).then_some(peak.position_samples)
 }
 
-/// Noise SD from second differences of the samples, DN.
-fn noise_sd_dn(signal: &[f64]) -> f64 {
-    let second = signal.windows(3).map(|of| (of[0] - 2.0 * of[1] + of[2]).abs());
-    (SD_OF_MEDIAN * median(second) / 6f64.sqrt()).max(LEAST_NOISE_DN)
+/// Whether a height is at least [`LEAST_SNR`] times the noise SD.
+///
+/// The SD is that of the median of the samples' second differences: it is small enough if more than
+/// half of them are.
+fn is_above_noise(height_dn: f64, signal: &[f64]) -> bool {
+    let largest_dn = height_dn * 6f64.sqrt() / (LEAST_SNR * SD_OF_MEDIAN);
+    let is_small = |of: &[f64; 3]| (of[0] - 2.0 * of[1] + of[2]).abs() <= largest_dn;
+    let small = signal.array_windows().filter(|of| is_small(of)).count();
+    height_dn >= LEAST_SNR * LEAST_NOISE_DN && 2 * small > signal.len().saturating_sub(2)
 }
 
 /// Robust SD; NaN without values.

@@ -171,8 +171,11 @@ impl Lines {
         self.sweep = Sweep::default();
         let line = self.next_line;
         self.next_line += 1;
-        let emissions = std::mem::take(&mut self.emissions);
-        Some(ScanLine::of_shots(Arc::clone(&self.input), line, emissions, std::mem::take(&mut self.blocks)))
+        // The next line is about as long.
+        let next = (Vec::with_capacity(self.emissions.len()), self.blocks.of_same_size());
+        let emissions = std::mem::replace(&mut self.emissions, next.0);
+        let blocks = std::mem::replace(&mut self.blocks, next.1);
+        Some(ScanLine::of_shots(Arc::clone(&self.input), line, emissions, blocks))
     }
 }
 
