@@ -79,6 +79,18 @@ pub struct Archive {
     pub inputs: Files,
     /// All files that its stages wrote.
     pub outputs: Files,
+    /// Inputs that failed and have no outputs.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub failed: Vec<FailedInput>,
+}
+
+/// An input that failed.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct FailedInput {
+    /// Stem of the input.
+    pub stem: String,
+    /// Error message.
+    pub reason: String,
 }
 
 /// Files below one folder.

@@ -25,6 +25,7 @@ mod log;
 mod recording;
 mod report;
 mod run;
+mod run_files;
 mod scan;
 mod stages;
 mod terminal;

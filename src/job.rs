@@ -110,15 +110,29 @@ pub struct JobSettings {
     #[schemars(with = "page::PageKey", extend("x-file" = "output"))]
     pub report_page: String,
     /// Text statistics of each input in the output folder; `*` is replaced by the stem of the input
-    /// and is required for several inputs; empty: none. A failed run writes them with its error
+    /// and is required for several inputs; empty: none. Those of a failed input have its error
     /// message.
     #[schemars(extend("x-file" = "output"))]
     pub stat_log: String,
     /// Log of the run in the output folder; empty: none.
     #[schemars(extend("x-file" = "output"))]
     pub log: String,
+    /// What follows when an input fails: `continue` with the next one, or `stop` the run. Problems
+    /// that are not of one input, such as a full disk, always stop it.
+    pub on_error: OnError,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
     pub geometry: GeometryKeys,
+}
+
+/// What follows when an input fails.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OnError {
+    /// The next input.
+    #[default]
+    Continue,
+    /// The end of the run.
+    Stop,
 }
 
 impl Default for JobSettings {
@@ -135,6 +149,7 @@ impl Default for JobSettings {
             report_page: String::new(),
             stat_log: "*_stat.log".into(),
             log: "wavex.log".into(),
+            on_error: OnError::default(),
             geometry: GeometryKeys::default(),
         }
     }

@@ -24,7 +24,7 @@ pub use overview::{
     ShownReturn, ShownShot, ZoneCloud, ZoneClouds, ZoneShare, Zones,
 };
 pub use stat_log::{geometry_words, sensor_model_words, stat_log};
-pub use tables::{latency_table, stage_table};
+pub use tables::{input_table, latency_table, stage_table};
 
 /// Report of a run (`report.json`).
 #[derive(Clone, Debug, Serialize, JsonSchema)]
@@ -62,11 +62,11 @@ fn paths_as_text<S: Serializer>(paths: &[PathBuf], to: S) -> std::result::Result
 const MOST_REPORT_BYTES: u64 = 200_000_000;
 
 impl<'r> RunReport<'r> {
-    /// Creates the report of a run; `overviews` has one entry per input, or none.
-    pub fn new(run: &'r RunSummary, overviews: &'r [Overview]) -> RunReport<'r> {
+    /// Creates the report of a run; `overviews` are those of the first inputs.
+    pub fn new(run: &'r RunSummary, overviews: &'r [Option<Overview>]) -> RunReport<'r> {
         let report = |(i, input): (usize, &'r InputSummary)| InputReport {
             input,
-            overview: overviews.get(i),
+            overview: overviews.get(i).and_then(Option::as_ref),
             stages: &input.stages,
             outputs: &input.outputs,
         };

@@ -105,8 +105,8 @@ pub trait Sink {
 
     /// Completes the files.
     ///
-    /// Hands each finished file to [`Context::publish`]; it gets its final name after the whole run
-    /// has succeeded.
+    /// Hands each finished file to [`Context::publish`]; it gets its final name after all
+    /// stages have succeeded.
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()>;
 }
 

@@ -2,7 +2,23 @@
 
 use std::fmt::Write;
 
-use crate::engine::InputSummary;
+use crate::engine::{InputStatus, InputSummary, RunSummary};
+
+/// Table of the inputs of a run: status, points, time, reason of a failure.
+pub fn input_table(run: &RunSummary) -> String {
+    let width = run.inputs.iter().map(|input| input.stem.chars().count()).max().unwrap_or(0).max(5);
+    let mut text = format!("{:width$} {:7} {:>11} {:>9} reason\n", "input", "status", "points", "time s");
+    for input in &run.inputs {
+        let (points, time) = match input.status {
+            InputStatus::NotRun => (String::new(), String::new()),
+            _ => (input.points().to_string(), format!("{:.1}", input.wall_s)),
+        };
+        let reason = input.failure.as_deref().unwrap_or_default();
+        let row = format!("{:width$} {:7} {points:>11} {time:>9} {reason}", input.stem, input.status.words());
+        let _ = writeln!(text, "{}", row.trim_end());
+    }
+    text
+}
 
 /// Table of the stages: items and times.
 pub fn stage_table(input: &InputSummary) -> String {

@@ -227,6 +227,8 @@ fn the_example_in_full() {
 #stat_log = "*_stat.log"
 # Log of the run in the output folder; empty: none.
 #log = "wavex.log"
+# What follows when an input fails: `continue` with the next one, or `stop` the run.
+#on_error = "continue"
 # Not set: include, input_dir, output_dir, geometry
 
 # Reads waveforms from LAS files.

@@ -14,4 +14,5 @@ mod engine;
 mod killed;
 mod layers;
 mod repeatable;
+mod survey;
 mod truncation;

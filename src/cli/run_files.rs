@@ -1,0 +1,150 @@
+//! Files of a run besides the outputs of its stages: report, page, trace, statistics.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::engine::{self, InputStatus, InputSummary, RunSummary};
+use crate::job::{Job, JobSettings};
+use crate::report::{self, Overview, Overviews, RunReport};
+use crate::stage::{OutputFile, Outputs, Result, RunObserver, fixed_folder};
+use wavex_formats::Error;
+
+/// Trace that `--profile` writes to the output folder.
+const TRACE: &str = "trace.json";
+
+/// Writes the files of a run, and again after each input.
+pub(super) struct RunFiles<'j> {
+    settings: &'j JobSettings,
+    output_dir: PathBuf,
+    profile: bool,
+    /// Collects the overview of the current input, if the job requests a page.
+    collected: Option<Arc<Overviews>>,
+    /// Overview of each earlier input.
+    overviews: Vec<Option<Overview>>,
+}
+
+impl<'j> RunFiles<'j> {
+    /// Files that the job requests in this folder.
+    pub(super) fn new(settings: &'j JobSettings, output_dir: &Path, profile: bool) -> RunFiles<'j> {
+        let collected = (!settings.report_page.is_empty()).then(Arc::default);
+        let output_dir = output_dir.to_owned();
+        RunFiles { settings, output_dir, profile, collected, overviews: Vec::new() }
+    }
+
+    /// Observer that collects the data of the page.
+    pub(super) fn observer(&self) -> Option<Arc<dyn RunObserver>> {
+        self.collected.clone().map(|collected| collected as Arc<dyn RunObserver>)
+    }
+
+    /// Checks that report and page can be created.
+    ///
+    /// Problems with them should be reported before the run, not after its first input.
+    pub(super) fn check(&self) -> Result<()> {
+        for path in [&self.settings.report, &self.settings.report_page] {
+            self.path(path).map_or(Ok(()), |path| OutputFile::create(&path).map(drop))?;
+        }
+        Ok(())
+    }
+
+    /// Files of the run as a whole.
+    pub(super) fn of_run(&self) -> Vec<PathBuf> {
+        let trace = if self.profile { TRACE } else { "" };
+        let names = [&self.settings.report, &self.settings.report_page, trace, &self.settings.log];
+        names.into_iter().filter_map(|name| self.path(name)).collect()
+    }
+
+    /// Statistics of an input, if the job requests them.
+    pub(super) fn stat_log(&self, stem: &str) -> Option<PathBuf> {
+        self.path(&self.settings.stat_log.replace('*', stem))
+    }
+
+    fn path(&self, name: &str) -> Option<PathBuf> {
+        (!name.is_empty()).then(|| self.output_dir.join(name))
+    }
+
+    /// Files to claim; the engine claims the outputs of the stages.
+    pub(super) fn claims(&self, job: &Job, input_dir: &Path, archive: Option<&Path>) -> Outputs {
+        // The engine reports inputs that cannot be found.
+        let inputs = engine::inputs(job, input_dir).unwrap_or_default();
+        let stat_logs = inputs.iter().filter_map(|input| self.stat_log(&input.stem));
+        let mut outputs = Outputs::new();
+        for path in self.of_run().into_iter().chain(stat_logs) {
+            let name = path.strip_prefix(&self.output_dir).unwrap_or(&path).to_string_lossy();
+            let folder = fixed_folder(&self.output_dir, &name);
+            outputs.entry(folder).or_default().insert(path);
+        }
+        if let Some(archive) = archive {
+            let folder = fixed_folder(Path::new(""), &archive.to_string_lossy());
+            let path = folder.join(archive.file_name().unwrap_or_default());
+            outputs.entry(folder).or_default().insert(path);
+        }
+        outputs
+    }
+
+    /// Writes the statistics of an input that has just ended, and updates report and page.
+    ///
+    /// After a failure, writes only to folders that exist.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub(super) fn update(&mut self, run: &RunSummary, number: usize) -> Result<()> {
+        let Some(input) = run.inputs.get(number) else { return Ok(()) };
+        let is_done = input.status == InputStatus::Done;
+        let overview = self.collected.as_ref().and_then(|collected| collected.take());
+        self.overviews.resize(number, None);
+        self.overviews.push(overview.filter(|_| is_done));
+        let file =
+            |path: Option<PathBuf>| path.filter(|path| is_done || path.parent().is_some_and(Path::is_dir));
+        if let Some(path) = file(self.stat_log(&input.stem)) {
+            report::write_stat_log(&path, run, input, &self.of_run(), input.failure.as_deref())?;
+        }
+        let report = RunReport::new(run, &self.overviews);
+        if let Some(path) = file(self.path(&self.settings.report)) {
+            report.write_json(OutputFile::create(&path)?)?;
+        }
+        if let Some(path) = file(self.path(&self.settings.report_page)) {
+            report.write_page(OutputFile::create(&path)?)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the statistics of a run that failed before its first input.
+    ///
+    /// Only to folders that exist. Errors are only logged, because the run already has an error.
+    pub(super) fn not_begun(&self, run: &RunSummary, failure: &str) {
+        let log = self.path(&self.settings.log);
+        for input in &run.inputs {
+            let path = self.stat_log(&input.stem);
+            let Some(path) = path.filter(|path| path.parent().is_some_and(Path::is_dir)) else { continue };
+            if let Err(error) = report::write_stat_log(&path, run, input, log.as_slice(), Some(failure)) {
+                tracing::warn!("cannot write the statistics of the failed run: {error}");
+            }
+        }
+    }
+
+    /// Writes the trace of a profiled run.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub(super) fn write_trace(&self, run: &RunSummary) -> Result<()> {
+        if self.profile {
+            let path = self.output_dir.join(TRACE);
+            let mut file = OutputFile::create(&path)?;
+            engine::write_trace(run, &mut file).map_err(Error::io(&path, "write the trace"))?;
+            file.finish()?.publish()?;
+        }
+        Ok(())
+    }
+
+    /// Report of the run so far.
+    pub(super) fn report<'r>(&'r self, run: &'r RunSummary) -> RunReport<'r> {
+        RunReport::new(run, &self.overviews)
+    }
+
+    /// Files written for the run and its inputs.
+    pub(super) fn written(&self, run: &RunSummary) -> Vec<PathBuf> {
+        let was_run = |input: &&InputSummary| input.status != InputStatus::NotRun;
+        let stat_logs = run.inputs.iter().filter(was_run).filter_map(|input| self.stat_log(&input.stem));
+        self.of_run().into_iter().chain(stat_logs).collect()
+    }
+}
