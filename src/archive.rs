@@ -31,7 +31,7 @@ mod replay;
 mod resolved;
 mod verify;
 
-pub(crate) use inputs::missing_inputs;
+pub(crate) use inputs::missing_files;
 pub use origin::{Machine, Package, Program};
 pub(crate) use paths::plain;
 pub use recorder::{Recorder, check_destination};

@@ -15,6 +15,7 @@ mod archive;
 mod args;
 mod calibrate;
 mod check;
+mod check_inputs;
 mod convert;
 mod copc;
 mod explain;
@@ -34,8 +35,8 @@ mod usage;
 mod version;
 
 use args::{
-    ArchiveArgs, CalibrateArgs, Classic, Cli, Command, ExplainArgs, FalseAlarmArgs, ImportArgs, JobArgs,
-    Machine, ScanArgs, TrajectoryArgs, When,
+    ArchiveArgs, CalibrateArgs, Classic, Cli, Command, ExplainArgs, FalseAlarmArgs, ImportArgs, InputRule,
+    JobArgs, Machine, ScanArgs, TrajectoryArgs, When,
 };
 use terminal::print;
 
@@ -116,7 +117,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
             archive::replay(archived, threads, progress, quiet)
         }
         Command::Verify { archived, seal } => archive::verify(&archived, seal.as_deref(), quiet),
-        Command::Check { job } => check::check(&job),
+        Command::Check { job, inputs } => check::check(&job, inputs),
         Command::Stages { name } => stages::stages(STAGES, name.as_deref()),
         Command::Schema => print(&format!("{:#}\n", job_schema(STAGES))),
         Command::Init { file, from } => init::init(file.as_deref(), from.as_deref(), quiet),

@@ -100,10 +100,19 @@ pub fn cores() -> Option<usize> {
 /// # Errors
 /// If a pattern matches no file, or the outputs of two inputs would have the same names.
 pub fn inputs(job: &Job, input_dir: &Path) -> Result<Vec<Input>, RunError> {
-    let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
-        return Err(RunError::of_job(StageError::failed("the job has no source", "start it with a reader")));
-    };
-    inputs::expand(source.paths(), source.stem(), input_dir)
+    let (inputs, errors) = find_inputs(job, input_dir);
+    errors.into_iter().next().map_or(Ok(inputs), Err)
+}
+
+/// Lists the inputs of a job like [`inputs`], and the problems of others.
+pub(crate) fn find_inputs(job: &Job, input_dir: &Path) -> (Vec<Input>, Vec<RunError>) {
+    match job.stages.first().map(|stage| &stage.planned.plan) {
+        Some(Plan::Source(source)) => inputs::find(source.paths(), source.stem(), input_dir),
+        _ => {
+            let error = StageError::failed("the job has no source", "start it with a reader");
+            (Vec::new(), vec![RunError::of_job(error)])
+        }
+    }
 }
 
 /// Receives the results of a run after each input.

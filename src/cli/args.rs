@@ -36,7 +36,8 @@ pub(super) enum Command {
     /// Run a job
     ///
     /// Relative paths start at the job's folder, or at its `input_dir` and `output_dir`. Outputs
-    /// get their final names only after the whole run has succeeded.
+    /// get their final names only after all stages have succeeded on their input. If an input fails,
+    /// the next one follows, unless the job has `on_error = "stop"`.
     #[command(after_help = usage::RUN)]
     Run {
         #[command(flatten)]
@@ -78,11 +79,17 @@ pub(super) enum Command {
         #[arg(long, value_name = "HEX", value_parser = seal)]
         seal: Option<String>,
     },
-    /// Validate a job without reading data: keys, chain, output folders, missing inputs
+    /// Validate a job without reading data: keys, chain, folders, inputs
+    ///
+    /// Prints number and size of the input files, their pulses and the expected number of points if
+    /// the headers have them, and the free disk space. Warns about missing and damaged inputs.
     #[command(after_help = usage::CHECK)]
     Check {
         #[command(flatten)]
         job: JobArgs,
+        /// Whether all inputs must be there
+        #[arg(long, value_name = "RULE", default_value = "optional")]
+        inputs: InputRule,
     },
     /// List the stages, or describe one stage and its keys
     #[command(after_help = usage::STAGES)]
@@ -433,6 +440,15 @@ pub(super) struct Machine {
     /// When to show progress; auto: a bar on a terminal, lines elsewhere
     #[arg(long, value_name = "WHEN", default_value = "auto")]
     pub(super) progress: When,
+}
+
+/// Whether all inputs of a job must be there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum InputRule {
+    /// A problem with an input is a warning
+    Optional,
+    /// A problem with an input is an error: exit status 2
+    Required,
 }
 
 /// When to show progress.

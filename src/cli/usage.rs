@@ -19,7 +19,8 @@ Examples:
 pub(super) const CHECK: &str = "\
 Examples:
   wavex check flight.toml
-  wavex check flight.toml --set job.output_dir=/data/out";
+  wavex check flight.toml --set job.output_dir=/data/out
+  wavex check survey.toml --inputs=required";
 
 pub(super) const STAGES: &str = "\
 Examples:

@@ -38,7 +38,7 @@ Commands:
   run           Run a job
   replay        Run an archived job again and compare the outputs bit by bit
   verify        Verify an archive, its inputs and its outputs by their digests
-  check         Validate a job without reading data: keys, chain, output folders, missing inputs
+  check         Validate a job without reading data: keys, chain, folders, inputs
   stages        List the stages, or describe one stage and its keys
   schema        Print the JSON Schema of jobs, for editors that validate and complete TOML
   init          Write a commented starter job
