@@ -1,4 +1,4 @@
-//! Reports of a run: `report.json`, the page, and the statistics of each input.
+//! Reports of a run: `*_report.json`, the page, and the statistics of each input.
 
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ pub use overview::{
 pub use stat_log::{geometry_words, sensor_model_words, stat_log};
 pub use tables::{input_table, latency_table, stage_table};
 
-/// Report of a run (`report.json`).
+/// Report of a run (`*_report.json`).
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct RunReport<'r> {
     /// Results of the run as a whole.
@@ -81,7 +81,7 @@ impl<'r> RunReport<'r> {
         Ok(serde_json::to_string_pretty(self)? + "\n")
     }
 
-    /// Writes `report.json`.
+    /// Writes `*_report.json`.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -133,7 +133,7 @@ fn read(path: &Path) -> Result<Value> {
     let file = std::fs::File::open(path).map_err(Error::io(path, "open the report"))?;
     let mut text = String::new();
     file.take(MOST_REPORT_BYTES).read_to_string(&mut text).map_err(Error::io(path, "read the report"))?;
-    let remedy = "give the report.json of a run or the folder that contains it";
+    let remedy = "give the report of a run or the folder that contains it";
     let report: Value = serde_json::from_str(&text)
         .map_err(|error| Error::unusable(path, format!("not a report of a run: {error}"), remedy))?;
     match report["inputs"].is_array() {

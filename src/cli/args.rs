@@ -166,9 +166,9 @@ pub(super) enum Command {
     /// The page is one HTML file without scripts or network access.
     #[command(after_help = usage::REPORT)]
     Report {
-        /// The report.json of a run, or the folder that contains it
+        /// The report of a run (JOB_report.json), or the folder that contains it
         place: PathBuf,
-        /// Page to write [default: report.html next to the report]
+        /// Page to write [default: JOB_report.html next to the report]
         #[arg(short, long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
@@ -434,7 +434,7 @@ pub(super) struct Machine {
     #[arg(long, value_name = "N")]
     pub(super) threads: Option<usize>,
     /// Print the time of each stage per scan line at the end, and write a Perfetto trace
-    /// (trace.json)
+    /// (JOB_trace.json)
     #[arg(long)]
     pub(super) profile: bool,
     /// When to show progress; auto: a bar on a terminal, lines elsewhere

@@ -13,7 +13,7 @@ use crate::engine::{
 use crate::georef::check_crs;
 use crate::job::{Job, Override};
 use crate::report;
-use crate::stage::{OutputLock, StageError, counted, release_all, remove_unfinished_files};
+use crate::stage::{StageError, counted, release_all, remove_unfinished_files};
 use wavex_formats::Error;
 
 /// Reads and runs the job; `archive` names the archive to make.
@@ -53,15 +53,14 @@ fn run_archived(
     let (input_dir, output_dir) = folders(job, folder);
     check_crs(&job.settings.geometry, &input_dir).map_err(|error| Failure::Wrong(error.to_string()))?;
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
-    let mut files = RunFiles::new(&job.settings, &output_dir, machine.profile);
+    let mut files = RunFiles::new(job, &output_dir, machine.profile);
     // Claim the files before opening the log, which would truncate the log of another run.
-    let _lock =
-        OutputLock::acquire(&files.claims(job, &input_dir, archive)).map_err(|error| failed(&error))?;
+    let _locks = files.claim(job, &input_dir, archive).map_err(|error| failed(&error))?;
     if archive.is_some() {
         log::keep();
     }
-    if !job.settings.log.is_empty() {
-        log::to_file(&output_dir.join(&job.settings.log)).map_err(|error| failed(&error))?;
+    if let Some(path) = files.log() {
+        log::to_file(&path).map_err(|error| failed(&error))?;
     }
     tracing::info!("wavex {}: {} ({})", env!("CARGO_PKG_VERSION"), job.name, job.chain());
     for (name, words) in report::geometry_words(&job.settings.geometry) {

@@ -6,15 +6,17 @@ use std::sync::Arc;
 use crate::engine::{self, InputStatus, InputSummary, RunSummary};
 use crate::job::{Job, JobSettings};
 use crate::report::{self, Overview, Overviews, RunReport};
-use crate::stage::{OutputFile, Outputs, Result, RunObserver, fixed_folder};
+use crate::stage::{OutputFile, OutputLock, Outputs, Result, RunObserver, StageError, fixed_folder};
 use wavex_formats::Error;
 
-/// Trace that `--profile` writes to the output folder.
-const TRACE: &str = "trace.json";
+/// Trace that `--profile` writes to the output folder; `*` is the name of the run.
+const TRACE: &str = "*_trace.json";
 
 /// Writes the files of a run, and again after each input.
 pub(super) struct RunFiles<'j> {
     settings: &'j JobSettings,
+    /// Stem of the job file; with a number if a live run has that name.
+    name: String,
     output_dir: PathBuf,
     profile: bool,
     /// Collects the overview of the current input, if the job requests a page.
@@ -25,10 +27,63 @@ pub(super) struct RunFiles<'j> {
 
 impl<'j> RunFiles<'j> {
     /// Files that the job requests in this folder.
-    pub(super) fn new(settings: &'j JobSettings, output_dir: &Path, profile: bool) -> RunFiles<'j> {
-        let collected = (!settings.report_page.is_empty()).then(Arc::default);
+    pub(super) fn new(job: &'j Job, output_dir: &Path, profile: bool) -> RunFiles<'j> {
+        let collected = (!job.settings.report_page.is_empty()).then(Arc::default);
         let output_dir = output_dir.to_owned();
-        RunFiles { settings, output_dir, profile, collected, overviews: Vec::new() }
+        let (settings, name) = (&job.settings, job.stem());
+        RunFiles { settings, name, output_dir, profile, collected, overviews: Vec::new() }
+    }
+
+    /// Claims the files; the engine claims the outputs of the stages.
+    ///
+    /// Runs of one job over different inputs do not conflict: each gets its own name.
+    ///
+    /// # Errors
+    /// If another run writes statistics of one of the inputs or the archive, or a folder is not
+    /// writable.
+    pub(super) fn claim(
+        &mut self,
+        job: &Job,
+        input_dir: &Path,
+        archive: Option<&Path>,
+    ) -> Result<[OutputLock; 2]> {
+        // The engine reports inputs that cannot be found.
+        let inputs = engine::inputs(job, input_dir).unwrap_or_default();
+        let stat_logs = inputs.iter().filter_map(|input| self.stat_log(&input.stem));
+        let mut of_inputs = self.outputs(stat_logs);
+        if let Some(archive) = archive {
+            let folder = fixed_folder(Path::new(""), &archive.to_string_lossy());
+            let path = folder.join(archive.file_name().unwrap_or_default());
+            of_inputs.entry(folder).or_default().insert(path);
+        }
+        let of_inputs = OutputLock::acquire(&of_inputs)?;
+        for number in 2.. {
+            let of_run = self.outputs(self.of_run().into_iter());
+            match OutputLock::acquire(&of_run) {
+                Err(StageError::InUse { .. }) if self.has_own_names() => {
+                    self.name = format!("{}-{number}", job.stem());
+                }
+                of_run => return Ok([of_inputs, of_run?]),
+            }
+        }
+        Ok([of_inputs, OutputLock::default()])
+    }
+
+    /// Whether all files of the run have its name.
+    fn has_own_names(&self) -> bool {
+        let names = [&self.settings.report, &self.settings.report_page, &self.settings.log];
+        names.into_iter().all(|name| name.is_empty() || name.contains('*'))
+    }
+
+    /// Files by the folder in which they are claimed.
+    fn outputs(&self, paths: impl Iterator<Item = PathBuf>) -> Outputs {
+        let mut outputs = Outputs::new();
+        for path in paths {
+            let name = path.strip_prefix(&self.output_dir).unwrap_or(&path).to_string_lossy();
+            let folder = fixed_folder(&self.output_dir, &name);
+            outputs.entry(folder).or_default().insert(path);
+        }
+        outputs
     }
 
     /// Observer that collects the data of the page.
@@ -41,7 +96,7 @@ impl<'j> RunFiles<'j> {
     /// Problems with them should be reported before the run, not after its first input.
     pub(super) fn check(&self) -> Result<()> {
         for path in [&self.settings.report, &self.settings.report_page] {
-            self.path(path).map_or(Ok(()), |path| OutputFile::create(&path).map(drop))?;
+            self.of_name(path).map_or(Ok(()), |path| OutputFile::create(&path).map(drop))?;
         }
         Ok(())
     }
@@ -50,7 +105,7 @@ impl<'j> RunFiles<'j> {
     pub(super) fn of_run(&self) -> Vec<PathBuf> {
         let trace = if self.profile { TRACE } else { "" };
         let names = [&self.settings.report, &self.settings.report_page, trace, &self.settings.log];
-        names.into_iter().filter_map(|name| self.path(name)).collect()
+        names.into_iter().filter_map(|name| self.of_name(name)).collect()
     }
 
     /// Statistics of an input, if the job requests them.
@@ -58,27 +113,18 @@ impl<'j> RunFiles<'j> {
         self.path(&self.settings.stat_log.replace('*', stem))
     }
 
-    fn path(&self, name: &str) -> Option<PathBuf> {
-        (!name.is_empty()).then(|| self.output_dir.join(name))
+    /// Log of the run, if the job requests one.
+    pub(super) fn log(&self) -> Option<PathBuf> {
+        self.of_name(&self.settings.log)
     }
 
-    /// Files to claim; the engine claims the outputs of the stages.
-    pub(super) fn claims(&self, job: &Job, input_dir: &Path, archive: Option<&Path>) -> Outputs {
-        // The engine reports inputs that cannot be found.
-        let inputs = engine::inputs(job, input_dir).unwrap_or_default();
-        let stat_logs = inputs.iter().filter_map(|input| self.stat_log(&input.stem));
-        let mut outputs = Outputs::new();
-        for path in self.of_run().into_iter().chain(stat_logs) {
-            let name = path.strip_prefix(&self.output_dir).unwrap_or(&path).to_string_lossy();
-            let folder = fixed_folder(&self.output_dir, &name);
-            outputs.entry(folder).or_default().insert(path);
-        }
-        if let Some(archive) = archive {
-            let folder = fixed_folder(Path::new(""), &archive.to_string_lossy());
-            let path = folder.join(archive.file_name().unwrap_or_default());
-            outputs.entry(folder).or_default().insert(path);
-        }
-        outputs
+    /// File of the run with this pattern.
+    fn of_name(&self, pattern: &str) -> Option<PathBuf> {
+        self.path(&pattern.replace('*', &self.name))
+    }
+
+    fn path(&self, name: &str) -> Option<PathBuf> {
+        (!name.is_empty()).then(|| self.output_dir.join(name))
     }
 
     /// Writes the statistics of an input that has just ended, and updates report and page.
@@ -99,10 +145,10 @@ impl<'j> RunFiles<'j> {
             report::write_stat_log(&path, run, input, &self.of_run(), input.failure.as_deref())?;
         }
         let report = RunReport::new(run, &self.overviews);
-        if let Some(path) = file(self.path(&self.settings.report)) {
+        if let Some(path) = file(self.of_name(&self.settings.report)) {
             report.write_json(OutputFile::create(&path)?)?;
         }
-        if let Some(path) = file(self.path(&self.settings.report_page)) {
+        if let Some(path) = file(self.of_name(&self.settings.report_page)) {
             report.write_page(OutputFile::create(&path)?)?;
         }
         Ok(())
@@ -112,7 +158,7 @@ impl<'j> RunFiles<'j> {
     ///
     /// Only to folders that exist. Errors are only logged, because the run already has an error.
     pub(super) fn not_begun(&self, run: &RunSummary, failure: &str) {
-        let log = self.path(&self.settings.log);
+        let log = self.log();
         for input in &run.inputs {
             let path = self.stat_log(&input.stem);
             let Some(path) = path.filter(|path| path.parent().is_some_and(Path::is_dir)) else { continue };
@@ -127,8 +173,7 @@ impl<'j> RunFiles<'j> {
     /// # Errors
     /// If it cannot be written.
     pub(super) fn write_trace(&self, run: &RunSummary) -> Result<()> {
-        if self.profile {
-            let path = self.output_dir.join(TRACE);
+        if let Some(path) = self.of_name(TRACE).filter(|_| self.profile) {
             let mut file = OutputFile::create(&path)?;
             engine::write_trace(run, &mut file).map_err(Error::io(&path, "write the trace"))?;
             file.finish()?.publish()?;

@@ -72,7 +72,7 @@ Examples:
 
 pub(super) const REPORT: &str = "\
 Examples:
-  wavex report out/report.json
+  wavex report out/flight7_report.json
   wavex report out --out flight7.html";
 
 pub(super) const TRAJECTORY: &str = "\

@@ -28,7 +28,7 @@ const CUT_OFF: &str = "stage read_las: b.las: byte 4: file source ID: 2 bytes ne
                        the file is cut off: copy it again from its source";
 
 fn report(place: &TestFolder) -> Value {
-    serde_json::from_str(&place.text("out/report.json")).unwrap()
+    serde_json::from_str(&place.text("out/job_report.json")).unwrap()
 }
 
 /// Stem, status and reason of each input in the report.
@@ -49,12 +49,19 @@ fn a_bad_input_costs_only_its_own_outputs() {
     let mut command = place.command(COPY);
     command.args(["--set", "job.report_page=true"]);
     assert_eq!(outcome(&mut command), Outcome::failure(1, failed));
-    let expected =
-        ["a.arrow", "a_stat.log", "b_stat.log", "c.arrow", "c_stat.log", "report.html", "report.json"];
+    let expected = [
+        "a.arrow",
+        "a_stat.log",
+        "b_stat.log",
+        "c.arrow",
+        "c_stat.log",
+        "job_report.html",
+        "job_report.json",
+    ];
     assert_eq!(place.outputs(), expected);
     assert_eq!(inputs(&report(&place)), [["a", "done", ""], ["b", "failed", CUT_OFF], ["c", "done", ""]]);
     let row_of = |stem: &str, rest: &str| format!("<tr><td>{stem}</td><td>{rest}</td>");
-    let page = place.text("out/report.html");
+    let page = place.text("out/job_report.html");
     for row in [row_of("a", "done"), row_of("b", "failed"), row_of("c", "done")] {
         assert!(page.contains(&row), "{row} is not in {page}");
     }
@@ -64,7 +71,7 @@ fn a_bad_input_costs_only_its_own_outputs() {
         assert!(rows.iter().all(|row| statistics.contains(row)), "{rows:?} {statistics}");
     }
     assert!(place.text("out/b_stat.log").contains(&row("failure", CUT_OFF)));
-    let log = place.text("out/wavex.log");
+    let log = place.text("out/job.log");
     assert!(log.contains(&format!("ERROR {CUT_OFF}\n")), "{log}");
     assert!(log.contains("ERROR 1 of 3 inputs failed: b\n"), "{log}");
 
@@ -109,9 +116,9 @@ fn a_run_may_stop_at_the_first_bad_input() {
     let place = strips();
     let stopping = format!("on_error = 'stop'\n{COPY}");
     assert_eq!(place.run(&stopping), Outcome::failure(1, format!("error: {CUT_OFF}\n")));
-    assert_eq!(place.outputs(), ["a.arrow", "a_stat.log", "b_stat.log", "report.json"]);
+    assert_eq!(place.outputs(), ["a.arrow", "a_stat.log", "b_stat.log", "job_report.json"]);
     assert_eq!(inputs(&report(&place)), [["a", "done", ""], ["b", "failed", CUT_OFF], ["c", "not_run", ""]]);
-    let log = place.text("out/wavex.log");
+    let log = place.text("out/job.log");
     assert!(log.contains(&format!("ERROR {CUT_OFF}\n")), "{log}");
 }
 
@@ -168,7 +175,8 @@ fn the_report_is_written_after_each_input() {
     let mut child = command.spawn().unwrap();
     let started = Instant::now();
     let statuses = || {
-        let report: Value = serde_json::from_slice(&fs::read(place.path("out/report.json")).ok()?).unwrap();
+        let report: Value =
+            serde_json::from_slice(&fs::read(place.path("out/job_report.json")).ok()?).unwrap();
         Some(inputs(&report).into_iter().map(|[_, status, _]| status).collect::<Vec<_>>())
     };
     while statuses().is_none_or(|statuses| statuses != ["done", "failed", "not_run"]) {

@@ -134,7 +134,7 @@ impl TestFolder {
                 assert_eq!((&input["status"], &input["failure"]), (&"failed".into(), &message.into()));
             }
         }
-        let log = self.text("out/wavex.log");
+        let log = self.text("out/job.log");
         assert!(log.contains(message), "the log lacks the cause of the failure:\n{log}");
     }
 
@@ -143,7 +143,7 @@ impl TestFolder {
     pub fn succeeds(&self, reader: &str, input: &str, stages: &str) -> Value {
         let outcome = self.read(reader, input, stages);
         assert_eq!(outcome, Outcome::success());
-        let report: Value = serde_json::from_str(&self.text("out/report.json")).unwrap();
+        let report: Value = serde_json::from_str(&self.text("out/job_report.json")).unwrap();
         assert_eq!(report["inputs"].as_array().unwrap().len(), 1);
         report["inputs"][0].clone()
     }
@@ -152,14 +152,14 @@ impl TestFolder {
     pub fn outputs(&self) -> Vec<String> {
         let mut names = Vec::new();
         collect(&self.path("out"), "", &mut names);
-        names.retain(|name| name != "wavex.log");
+        names.retain(|name| name != "job.log");
         names.sort();
         names
     }
 
     /// Output files except statistics and report, which a failed run also leaves.
     pub fn products(&self) -> Vec<String> {
-        let is_about_the_run = |name: &String| name.ends_with("_stat.log") || name == "report.json";
+        let is_about_the_run = |name: &String| name.ends_with("_stat.log") || name == "job_report.json";
         self.outputs().into_iter().filter(|name| !is_about_the_run(name)).collect()
     }
 
