@@ -31,7 +31,8 @@ mod replay;
 mod resolved;
 mod verify;
 
-pub(crate) use inputs::missing_files;
+pub(crate) use digest::digest_of;
+pub(crate) use inputs::{files_read, missing_files};
 pub use origin::{Machine, Package, Program};
 pub(crate) use paths::plain;
 pub use recorder::{Recorder, check_destination};

@@ -25,6 +25,7 @@ mod init;
 mod log;
 mod recording;
 mod report;
+mod resume;
 mod run;
 mod run_files;
 mod scan;
@@ -112,7 +113,9 @@ fn asks_for_more() -> bool {
 fn dispatch(cli: Cli) -> Result<(), Failure> {
     let quiet = cli.loudness.quiet;
     match cli.command {
-        Command::Run { job, machine, archive } => run::run(&job, machine, archive.as_deref(), quiet),
+        Command::Run { job, machine, archive, resume } => {
+            run::run(&job, machine, archive.as_deref(), resume, quiet)
+        }
         Command::Replay { archived, threads, progress } => {
             archive::replay(archived, threads, progress, quiet)
         }

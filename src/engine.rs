@@ -7,6 +7,7 @@
 //! * No file gets its final name before every stage has succeeded on its input.
 //! * An input that fails does not affect the others.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -63,6 +64,8 @@ pub struct Options {
     pub progress: ProgressMode,
     /// Observer of the lines, such as that of the report page.
     pub observer: Option<Arc<dyn RunObserver>>,
+    /// Stems of the inputs to skip.
+    pub skip: BTreeSet<String>,
 }
 
 impl Options {
@@ -78,6 +81,7 @@ impl Options {
             cancel: Cancel::default(),
             progress: ProgressMode::Hidden,
             observer: None,
+            skip: BTreeSet::new(),
         }
     }
 
@@ -165,9 +169,13 @@ pub fn run_each(
     // The lock is held until the end of the run.
     let _lock = OutputLock::acquire(&outputs).map_err(RunError::of_job)?;
     let shared = SharedFiles::new(job, options, &outputs);
-    let mut progress = Progress::new(options.progress, sites.len());
+    let mut progress = Progress::new(options.progress, sites.len() - options.skip.len().min(sites.len()));
     let cx = Context::of_run(options.observer.clone());
     for (number, site) in sites.into_iter().enumerate() {
+        if options.skip.contains(&site.stem) {
+            summary.inputs[number].status = InputStatus::Skipped;
+            continue;
+        }
         let (input, error) = run_input(job, site, &mut geometry, options, &mut progress, &cx);
         summary.inputs[number] = input;
         summary.wall_s = started.elapsed().as_secs_f64();

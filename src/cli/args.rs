@@ -51,6 +51,14 @@ pub(super) enum Command {
         /// and the log.
         #[arg(long, value_name = "ARCHIVE")]
         archive: Option<PathBuf>,
+        /// Skip inputs with complete outputs of an earlier run with the same version, job and files
+        ///
+        /// Reads the report of the earlier run. Prints which inputs are skipped, and why the others
+        /// are not. --resume=digest compares files by content instead of size and time, and takes
+        /// digests for the next run with --resume=digest.
+        #[arg(long, value_name = "CHECK", num_args = 0..=1, require_equals = true)]
+        #[arg(default_missing_value = "time", conflicts_with = "archive")]
+        resume: Option<ResumeCheck>,
     },
     /// Run an archived job again and compare the outputs bit by bit
     ///
@@ -440,6 +448,15 @@ pub(super) struct Machine {
     /// When to show progress; auto: a bar on a terminal, lines elsewhere
     #[arg(long, value_name = "WHEN", default_value = "auto")]
     pub(super) progress: When,
+}
+
+/// What files are compared by to recognise changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum ResumeCheck {
+    /// Size and modification time
+    Time,
+    /// BLAKE3 digest
+    Digest,
 }
 
 /// Whether all inputs of a job must be there.

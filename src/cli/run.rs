@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
+use super::args::ResumeCheck;
 use super::run_files::RunFiles;
 use super::{Failure, JobArgs, Machine, When, log, terminal};
 use crate::archive::{Recorder, check_destination};
@@ -16,18 +17,24 @@ use crate::report;
 use crate::stage::{StageError, counted, release_all, remove_unfinished_files};
 use wavex_formats::Error;
 
-/// Reads and runs the job; `archive` names the archive to make.
+/// Reads and runs the job; `archive` names the archive to make, `resume` skips complete inputs.
 pub(super) fn run(
     args: &JobArgs,
     machine: Machine,
     archive: Option<&Path>,
+    resume: Option<ResumeCheck>,
     quiet: bool,
 ) -> Result<(), Failure> {
     let job = args.read(machine.overrides())?;
     if let Some(archive) = archive {
         check_destination(archive).map_err(|error| Failure::Wrong(error.to_string()))?;
     }
-    run_archived(&job, &args.folder(), machine, archive, quiet).map(drop)
+    if resume.is_some() && job.settings.report.is_empty() {
+        let problem =
+            "--resume reads the report of the earlier run, but this job writes none; set `report` in `[job]`";
+        return Err(Failure::Wrong(problem.to_owned()));
+    }
+    run_archived(&job, &args.folder(), machine, archive, resume, quiet).map(drop)
 }
 
 /// Runs a job whose relative paths start at `folder`.
@@ -37,7 +44,7 @@ pub(super) fn run_job(
     machine: Machine,
     quiet: bool,
 ) -> Result<RunSummary, Failure> {
-    run_archived(job, folder, machine, None, quiet)
+    run_archived(job, folder, machine, None, None, quiet)
 }
 
 fn run_archived(
@@ -45,6 +52,7 @@ fn run_archived(
     folder: &Path,
     machine: Machine,
     archive: Option<&Path>,
+    resume: Option<ResumeCheck>,
     quiet: bool,
 ) -> Result<RunSummary, Failure> {
     for note in &job.notes {
@@ -53,7 +61,7 @@ fn run_archived(
     let (input_dir, output_dir) = folders(job, folder);
     check_crs(&job.settings.geometry, &input_dir).map_err(|error| Failure::Wrong(error.to_string()))?;
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
-    let mut files = RunFiles::new(job, &output_dir, machine.profile);
+    let mut files = RunFiles::new(job, [&input_dir, &output_dir], machine.profile, resume);
     // Claim the files before opening the log, which would truncate the log of another run.
     let _locks = files.claim(job, &input_dir, archive).map_err(|error| failed(&error))?;
     if archive.is_some() {
@@ -66,7 +74,7 @@ fn run_archived(
     for (name, words) in report::geometry_words(&job.settings.geometry) {
         tracing::info!("{name}: {words}");
     }
-    let options = Options {
+    let mut options = Options {
         observer: files.observer(),
         profile: machine.profile,
         progress: machine.progress(quiet, std::io::stderr().is_terminal()),
@@ -83,6 +91,14 @@ fn run_archived(
     let archived = recorder.as_ref().map(|recorder| recorder.job(job)).transpose();
     let archived = archived.map_err(|error| logged(&error))?;
     let mut run = RunSummary::new(job, &options);
+    let messages;
+    (options.skip, messages) = files.plan(job, &options.input_dir, &run, resume.is_some());
+    for message in &messages {
+        tracing::info!("{message}");
+        if !quiet {
+            terminal::print(&format!("{message}\n"))?;
+        }
+    }
     let ended = engine::run_each(
         archived.as_ref().unwrap_or(job),
         &options,
@@ -110,6 +126,9 @@ fn run_archived(
             tracing::warn!("{inputs} of {} inputs: {note}", run.inputs.len());
         }
         let mut said = summary(&run, &files.written(&run), machine.profile);
+        if run.inputs.len() > 1 {
+            said.push_str(&report::input_table(&files.report(&run)));
+        }
         let is_done = |input: &InputSummary| input.status == InputStatus::Done;
         if let (Some(recorder), Some(archive), true) =
             (recorder, archive, ended.is_ok() && run.inputs.iter().any(is_done))
@@ -192,9 +211,6 @@ fn summary(run: &RunSummary, own: &[PathBuf], profile: bool) -> String {
         wrote(&mut text, &input.outputs);
     }
     wrote(&mut text, own);
-    if run.inputs.len() > 1 {
-        text.push_str(&report::input_table(run));
-    }
     text
 }
 

@@ -1,11 +1,16 @@
 //! Files of a run besides the outputs of its stages: report, page, trace, statistics.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use serde_json::Value;
+
+use super::args::ResumeCheck;
+use super::resume::{Comparison, EarlierRun};
 use crate::engine::{self, InputStatus, InputSummary, RunSummary};
 use crate::job::{Job, JobSettings};
-use crate::report::{self, Overview, Overviews, RunReport};
+use crate::report::{self, FileState, InputFiles, InputReport, Overviews, RunReport};
 use crate::stage::{OutputFile, OutputLock, Outputs, Result, RunObserver, StageError, fixed_folder};
 use wavex_formats::Error;
 
@@ -21,17 +26,27 @@ pub(super) struct RunFiles<'j> {
     profile: bool,
     /// Collects the overview of the current input, if the job requests a page.
     collected: Option<Arc<Overviews>>,
-    /// Overview of each earlier input.
-    overviews: Vec<Option<Overview>>,
+    comparison: Comparison,
+    /// Files read for each input, before the run.
+    read: Vec<Vec<FileState>>,
+    /// Entries of the report, one per input.
+    entries: Vec<Value>,
 }
 
 impl<'j> RunFiles<'j> {
     /// Files that the job requests in this folder.
-    pub(super) fn new(job: &'j Job, output_dir: &Path, profile: bool) -> RunFiles<'j> {
+    pub(super) fn new(
+        job: &'j Job,
+        [input_dir, output_dir]: [&Path; 2],
+        profile: bool,
+        check: Option<ResumeCheck>,
+    ) -> RunFiles<'j> {
         let collected = (!job.settings.report_page.is_empty()).then(Arc::default);
         let output_dir = output_dir.to_owned();
         let (settings, name) = (&job.settings, job.stem());
-        RunFiles { settings, name, output_dir, profile, collected, overviews: Vec::new() }
+        let comparison = Comparison::new(check, input_dir, &output_dir);
+        let (read, entries) = (Vec::new(), Vec::new());
+        RunFiles { settings, name, output_dir, profile, collected, comparison, read, entries }
     }
 
     /// Claims the files; the engine claims the outputs of the stages.
@@ -91,6 +106,39 @@ impl<'j> RunFiles<'j> {
         self.collected.clone().map(|collected| collected as Arc<dyn RunObserver>)
     }
 
+    /// Takes the state of all inputs and returns those to skip, with messages about each.
+    ///
+    /// Skips none unless `resume`.
+    pub(super) fn plan(
+        &mut self,
+        job: &Job,
+        input_dir: &Path,
+        next: &RunSummary,
+        resume: bool,
+    ) -> (BTreeSet<String>, Vec<String>) {
+        // The engine reports inputs that cannot be found.
+        let inputs = engine::inputs(job, input_dir).unwrap_or_default();
+        self.read = inputs.iter().map(|input| self.comparison.read(job, input)).collect();
+        let (mut skipped, mut messages) = (BTreeSet::new(), Vec::new());
+        if resume {
+            let report = self.of_name(&self.settings.report).filter(|path| path.exists());
+            let report = report.map(|path| report::read_report(&path).map_err(|error| error.to_string()));
+            let earlier = EarlierRun::new(report, job, next);
+            self.entries = vec![Value::Null; inputs.len()];
+            for ((input, read), entry) in inputs.iter().zip(&self.read).zip(&mut self.entries) {
+                messages.push(match earlier.results(input, read, &self.comparison) {
+                    Ok(results) => {
+                        *entry = results.clone();
+                        skipped.insert(input.stem.clone());
+                        format!("{}: skipped, its outputs are complete", input.stem)
+                    }
+                    Err(reason) => format!("{}: not skipped: {reason}", input.stem),
+                });
+            }
+        }
+        (skipped, messages)
+    }
+
     /// Checks that report and page can be created.
     ///
     /// Problems with them should be reported before the run, not after its first input.
@@ -136,15 +184,23 @@ impl<'j> RunFiles<'j> {
     pub(super) fn update(&mut self, run: &RunSummary, number: usize) -> Result<()> {
         let Some(input) = run.inputs.get(number) else { return Ok(()) };
         let is_done = input.status == InputStatus::Done;
-        let overview = self.collected.as_ref().and_then(|collected| collected.take());
-        self.overviews.resize(number, None);
-        self.overviews.push(overview.filter(|_| is_done));
+        let overview = self.collected.as_ref().and_then(|collected| collected.take()).filter(|_| is_done);
+        let written = self.comparison.written(&input.outputs);
+        let read = self.read.get(number).cloned().unwrap_or_default();
+        self.entries.resize(run.inputs.len(), Value::Null);
+        for (input, entry) in run.inputs.iter().zip(&mut self.entries) {
+            if entry.is_null() {
+                *entry = defect(InputReport::new(input, None, InputFiles::default()).to_value())?;
+            }
+        }
+        self.entries[number] =
+            defect(InputReport::new(input, overview.as_ref(), InputFiles { read, written }).to_value())?;
         let file =
             |path: Option<PathBuf>| path.filter(|path| is_done || path.parent().is_some_and(Path::is_dir));
         if let Some(path) = file(self.stat_log(&input.stem)) {
             report::write_stat_log(&path, run, input, &self.of_run(), input.failure.as_deref())?;
         }
-        let report = RunReport::new(run, &self.overviews);
+        let report = self.report(run);
         if let Some(path) = file(self.of_name(&self.settings.report)) {
             report.write_json(OutputFile::create(&path)?)?;
         }
@@ -183,13 +239,22 @@ impl<'j> RunFiles<'j> {
 
     /// Report of the run so far.
     pub(super) fn report<'r>(&'r self, run: &'r RunSummary) -> RunReport<'r> {
-        RunReport::new(run, &self.overviews)
+        RunReport { run, inputs: &self.entries }
     }
 
     /// Files written for the run and its inputs.
     pub(super) fn written(&self, run: &RunSummary) -> Vec<PathBuf> {
-        let was_run = |input: &&InputSummary| input.status != InputStatus::NotRun;
-        let stat_logs = run.inputs.iter().filter(was_run).filter_map(|input| self.stat_log(&input.stem));
-        self.of_run().into_iter().chain(stat_logs).collect()
+        let was_run = |input: &&InputSummary| matches!(input.status, InputStatus::Done | InputStatus::Failed);
+        let inputs: Vec<&InputSummary> = run.inputs.iter().filter(was_run).collect();
+        let of_run = if inputs.is_empty() { Vec::from_iter(self.log()) } else { self.of_run() };
+        let stat_logs = inputs.into_iter().filter_map(|input| self.stat_log(&input.stem));
+        of_run.into_iter().chain(stat_logs).collect()
     }
+}
+
+/// Entry of a report, which JSON can always represent.
+fn defect(entry: serde_json::Result<Value>) -> Result<Value> {
+    entry.map_err(|error| {
+        StageError::failed(format!("cannot write the report: {error}"), "please report this bug in wavex")
+    })
 }

@@ -4,7 +4,8 @@ pub(super) const RUN: &str = "\
 Examples:
   wavex run flight.toml
   wavex run flight.toml --set decompose.detection_sigma=5 --threads 8
-  wavex run flight.toml --profile --archive archives/flight7";
+  wavex run flight.toml --profile --archive archives/flight7
+  wavex run survey.toml --resume";
 
 pub(super) const REPLAY: &str = "\
 Examples:

@@ -59,6 +59,8 @@ pub enum InputStatus {
     Failed,
     /// The run has not come to it.
     NotRun,
+    /// An earlier run has completed its outputs.
+    Skipped,
 }
 
 impl InputStatus {
@@ -68,6 +70,7 @@ impl InputStatus {
             InputStatus::Done => "done",
             InputStatus::Failed => "failed",
             InputStatus::NotRun => "not run",
+            InputStatus::Skipped => "skipped",
         }
     }
 }
@@ -210,11 +213,6 @@ impl InputSummary {
     /// The same for an input that failed.
     pub(super) fn failed(self, error: &RunError) -> InputSummary {
         InputSummary { status: InputStatus::Failed, failure: Some(error.to_string()), ..self }
-    }
-
-    /// Number of returns or points that left the chain.
-    pub fn points(&self) -> u64 {
-        self.stages.last().map_or(0, |stage| stage.items_out.returns)
     }
 
     /// Returns the stage with the busiest workers.

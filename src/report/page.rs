@@ -5,6 +5,7 @@ use serde_json::Value;
 
 use super::overview::Overview;
 use super::style::{RUN_STYLE, STYLE};
+use super::tables::points;
 use plot::{label, short};
 
 mod plot;
@@ -73,10 +74,10 @@ fn all_keys(report: &Value) -> Markup {
 /// Table of several inputs: status, points, time, reason of a failure.
 fn of_inputs(inputs: &[Value]) -> Markup {
     let row = |input: &Value| {
-        let points = list(input, "stages").last().map(|stage| plain(&stage["items_out"]["returns"]));
+        let points = points(input).to_string();
         let status = plain(&input["status"]).replace('_', " ");
         let reason = input["failure"].as_str().unwrap_or_default().to_owned();
-        vec![plain(&input["stem"]), status, points.unwrap_or_default(), seconds(&input["wall_s"]), reason]
+        vec![plain(&input["stem"]), status, points, seconds(&input["wall_s"]), reason]
     };
     let several = if inputs.len() > 1 { inputs } else { &[] };
     table("Inputs", &["input", "status", "points", "time, s", "reason"], several.iter().map(row))
