@@ -169,7 +169,8 @@ pub fn run_each(
     // The lock is held until the end of the run.
     let _lock = OutputLock::acquire(&outputs).map_err(RunError::of_job)?;
     let shared = SharedFiles::new(job, options, &outputs);
-    let mut progress = Progress::new(options.progress, sites.len() - options.skip.len().min(sites.len()));
+    let to_run = sites.iter().filter(|site| !options.skip.contains(&site.stem));
+    let mut progress = Progress::new(options.progress, to_run.map(inputs::size).collect());
     let cx = Context::of_run(options.observer.clone());
     for (number, site) in sites.into_iter().enumerate() {
         if options.skip.contains(&site.stem) {
@@ -178,6 +179,7 @@ pub fn run_each(
         }
         let (input, error) = run_input(job, site, &mut geometry, options, &mut progress, &cx);
         summary.inputs[number] = input;
+        progress.count(error.is_some());
         summary.wall_s = started.elapsed().as_secs_f64();
         let ends = |error: &RunError| job.settings.on_error == OnError::Stop || shared.concern(error);
         match error {

@@ -475,6 +475,8 @@ pub(super) enum When {
     Auto,
     /// A bar
     Always,
+    /// A JSON object per second
+    Json,
     /// Nothing
     Never,
 }

@@ -112,7 +112,15 @@ fn run_archived(
                 log::fatal(&error);
                 terminal::print_error(&failed(&error).message(terminal::colour()));
             }
-            files.update(run, number)
+            let has_failed = run.inputs[number].status == InputStatus::Failed;
+            files.update(run, number).or_else(|error| match has_failed {
+                true => {
+                    // The run already has an error.
+                    tracing::warn!("{error}");
+                    Ok(())
+                }
+                false => Err(error),
+            })
         },
     );
     if let Err(error) = &ended
@@ -120,38 +128,48 @@ fn run_archived(
     {
         files.not_begun(&run, &error.to_string());
     }
-    let finish = || -> Result<String, StageError> {
-        files.write_trace(&run)?;
-        for (note, inputs) in run.repeated_notes() {
-            tracing::warn!("{inputs} of {} inputs: {note}", run.inputs.len());
-        }
-        let mut said = summary(&run, &files.written(&run), machine.profile);
-        if run.inputs.len() > 1 {
-            said.push_str(&report::input_table(&files.report(&run)));
-        }
-        let is_done = |input: &InputSummary| input.status == InputStatus::Done;
-        if let (Some(recorder), Some(archive), true) =
-            (recorder, archive, ended.is_ok() && run.inputs.iter().any(is_done))
-        {
-            let text = files.report(&run).to_json().map_err(std::io::Error::from);
-            let text = text.map_err(Error::io(archive, "write the report"))?;
-            let seal = recorder.finish(&run, text, &log::kept())?;
-            let _ = writeln!(said, "archived in {}; seal {seal}", archive.display());
-        }
-        Ok(said)
+    let is_done = |input: &InputSummary| input.status == InputStatus::Done;
+    let to_archive = recorder.zip(archive).filter(|_| ended.is_ok() && run.inputs.iter().any(is_done));
+    let finished = finish(&run, &files, to_archive, machine.profile);
+    let failure = match (&ended, &finished) {
+        (Err(error), _) => Some(error.to_string()),
+        (Ok(()), Err(error)) => Some(error.to_string()),
+        (Ok(()), Ok(_)) => failed_inputs(&run),
     };
-    let (finished, problem) = match finish() {
-        Ok(said) => (said, None),
-        Err(error) => (String::new(), Some(error.to_string())),
-    };
-    let failure = ended.err().map(|error| error.to_string()).or(problem).or_else(|| failed_inputs(&run));
-    if !quiet && (failure.is_none() || run.inputs.len() > 1) {
-        terminal::print(&finished)?;
+    if let Ok(said) = &finished
+        && !quiet
+        && (failure.is_none() || run.inputs.len() > 1)
+    {
+        terminal::print(said)?;
     }
     match failure {
         Some(failure) => Err(logged(&failure)),
         None => Ok(run),
     }
+}
+
+/// Completes trace and archive of a run; returns its summary for the user.
+fn finish(
+    run: &RunSummary,
+    files: &RunFiles,
+    archive: Option<(Recorder, &Path)>,
+    profile: bool,
+) -> Result<String, StageError> {
+    files.write_trace(run)?;
+    for (note, inputs) in run.repeated_notes() {
+        tracing::warn!("{inputs} of {} inputs: {note}", run.inputs.len());
+    }
+    let mut said = summary(run, &files.written(run), profile);
+    if run.inputs.len() > 1 {
+        said.push_str(&report::input_table(&files.report(run)));
+    }
+    if let Some((recorder, archive)) = archive {
+        let text = files.report(run).to_json().map_err(std::io::Error::from);
+        let text = text.map_err(Error::io(archive, "write the report"))?;
+        let seal = recorder.finish(run, text, &log::kept())?;
+        let _ = writeln!(said, "archived in {}; seal {seal}", archive.display());
+    }
+    Ok(said)
 }
 
 /// Error of a run with failed inputs.
@@ -246,6 +264,7 @@ impl When {
             _ if quiet => ProgressMode::Hidden,
             When::Never => ProgressMode::Hidden,
             When::Always => ProgressMode::Bar,
+            When::Json => ProgressMode::Json,
             When::Auto if on_terminal => ProgressMode::Bar,
             When::Auto => ProgressMode::Lines,
         }
@@ -281,6 +300,7 @@ mod tests {
         assert_eq!(shown(When::Always, false, false), ProgressMode::Bar);
         assert_eq!(shown(When::Never, false, true), ProgressMode::Hidden);
         assert_eq!(shown(When::Always, true, true), ProgressMode::Hidden);
+        assert_eq!(shown(When::Json, false, true), ProgressMode::Json);
     }
 
     #[test]

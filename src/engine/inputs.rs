@@ -96,6 +96,12 @@ fn matches(pattern: &str, input_dir: &Path) -> Result<Vec<PathBuf>, RunError> {
     Ok(paths)
 }
 
+/// Size of an input with its companion files, bytes; at least 1.
+pub(super) fn size(site: &RunContext) -> u64 {
+    let files = companions(&site.input).into_iter().chain([site.input.clone()]);
+    files.filter_map(|path| path.metadata().ok()).map(|about| about.len()).sum::<u64>().max(1)
+}
+
 /// Output files of all runs, by the folder in which they are claimed.
 pub(super) fn outputs(job: &Job, sites: &[RunContext]) -> Outputs {
     let mut outputs = Outputs::new();

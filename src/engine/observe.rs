@@ -35,7 +35,7 @@ where
     let options = Options { cancel, observer: Some(Arc::new(probe)), ..options.clone() };
     let mut geometry = Loader::new(&job.settings.geometry, &options.input_dir)
         .map_err(|error| RunError::of_job(error.into()))?;
-    let mut progress = Progress::new(options.progress, 1);
+    let mut progress = Progress::new(options.progress, vec![1]);
     let cx = Context::of_run(options.observer.clone());
     let site = run_context(&options, input, pool::start(&options)?);
     let (_, error) = run_input(job, site, &mut geometry, &options, &mut progress, &cx);

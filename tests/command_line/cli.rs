@@ -79,6 +79,7 @@ fn the_help_of_run_explains_its_options() {
         "--threads <N>",
         "--profile",
         "--archive <ARCHIVE>",
+        "--resume[=<CHECK>]",
         "--progress <WHEN>",
         "- auto:   A bar on a terminal, lines elsewhere",
     ] {

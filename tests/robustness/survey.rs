@@ -158,6 +158,34 @@ fn a_full_disk_ends_the_run() {
     assert_eq!(place.products(), Vec::<String>::new());
 }
 
+#[cfg(unix)]
+#[test]
+fn an_interruption_ends_the_run() {
+    let place = TestFolder::new();
+    let make = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 400\nshots_per_line = 200\n\
+                [[stage]]\ntype = 'write_arrow'\npath = '../in/*.arrow'\n";
+    assert_eq!(place.run(make), Outcome::success());
+    fs::remove_dir_all(place.path("out")).unwrap();
+    fs::copy(place.path("in/a.arrow"), place.path("in/b.arrow")).unwrap();
+    let job = "[[stage]]\ntype = 'read_arrow'\npath = 'in/*.arrow'\n[[stage]]\ntype = 'calibrate'\n\
+               [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
+    let mut child = place.command(job).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let is_begun = |name: &String| name.starts_with(".a.csv.");
+    while !place.outputs().iter().any(is_begun) {
+        assert_eq!(child.try_wait().unwrap(), None, "the run ended before it was interrupted");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(
+        String::from_utf8(output.stderr).unwrap(),
+        "error: interrupted; unfinished outputs were removed\n"
+    );
+    let statuses: Vec<String> = inputs(&report(&place)).into_iter().map(|[_, status, _]| status).collect();
+    assert_eq!(statuses, ["failed", "not_run"]);
+    assert_eq!(place.products(), Vec::<String>::new());
+}
+
 /// The last input is standard input, which holds the run until the test ends it.
 #[test]
 fn the_report_is_written_after_each_input() {
@@ -187,4 +215,21 @@ fn the_report_is_written_after_each_input() {
     child.stdin.take().unwrap().write_all(&fs::read(place.path("a.arrow")).unwrap()).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(1));
     assert_eq!(statuses().unwrap(), ["done", "failed", "done"]);
+}
+
+#[test]
+fn the_progress_of_a_survey_is_one_json_object_per_line() {
+    let place = strips();
+    place.write("job.toml", format!("[job]\noutput_dir = 'out'\n{COPY}").as_bytes());
+    let Outcome { code, err, .. } = place.wavex(&["run", "job.toml", "--progress=json"]);
+    assert_eq!(code, Some(1));
+    let (objects, others): (Vec<&str>, Vec<&str>) = err.lines().partition(|line| line.starts_with('{'));
+    assert_eq!(others, [format!("error: {CUT_OFF}"), "error: 1 of 3 inputs failed: b".to_owned()]);
+    let objects: Vec<Value> = objects.into_iter().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let first = &objects[0];
+    assert_eq!((&first["input"], &first["number"], &first["inputs"]), (&"a".into(), &1.into(), &3.into()));
+    assert_eq!((first["fraction"].as_f64(), &first["left_s"]), (Some(0.0), &Value::Null));
+    let last = objects.last().unwrap();
+    assert_eq!((&last["done"], &last["failed"], &last["shots"]), (&2.into(), &1.into(), &6.into()));
+    assert_eq!((last["fraction"].as_f64(), last["left_s"].as_f64()), (Some(1.0), Some(0.0)));
 }
