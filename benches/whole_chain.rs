@@ -189,7 +189,7 @@ fn scenes(folder: &Path) {
 
 /// Prints the figures of a scene from the report of its last run.
 fn print_scene(name: &str, folder: &Path, saved: Option<&Ran>, first: &Ran) {
-    let report: Value = serde_json::from_slice(&fs::read(folder.join("report.json")).unwrap()).unwrap();
+    let report: Value = serde_json::from_slice(&fs::read(folder.join("job_report.json")).unwrap()).unwrap();
     let stages = report["inputs"][0]["stages"].as_array().unwrap();
     let decompose = stages.iter().find(|stage| stage["type"] == "decompose").unwrap();
     let of = |name: &str| {

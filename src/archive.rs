@@ -31,7 +31,8 @@ mod replay;
 mod resolved;
 mod verify;
 
-pub(crate) use inputs::missing_inputs;
+pub(crate) use digest::digest_of;
+pub(crate) use inputs::{files_read, missing_files};
 pub use origin::{Machine, Package, Program};
 pub(crate) use paths::plain;
 pub use recorder::{Recorder, check_destination};
@@ -79,6 +80,18 @@ pub struct Archive {
     pub inputs: Files,
     /// All files that its stages wrote.
     pub outputs: Files,
+    /// Inputs that failed and have no outputs.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub failed: Vec<FailedInput>,
+}
+
+/// An input that failed.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct FailedInput {
+    /// Stem of the input.
+    pub stem: String,
+    /// Error message.
+    pub reason: String,
 }
 
 /// Files below one folder.

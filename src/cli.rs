@@ -15,6 +15,7 @@ mod archive;
 mod args;
 mod calibrate;
 mod check;
+mod check_inputs;
 mod convert;
 mod copc;
 mod explain;
@@ -24,7 +25,9 @@ mod init;
 mod log;
 mod recording;
 mod report;
+mod resume;
 mod run;
+mod run_files;
 mod scan;
 mod stages;
 mod terminal;
@@ -33,8 +36,8 @@ mod usage;
 mod version;
 
 use args::{
-    ArchiveArgs, CalibrateArgs, Classic, Cli, Command, ExplainArgs, FalseAlarmArgs, ImportArgs, JobArgs,
-    Machine, ScanArgs, TrajectoryArgs, When,
+    ArchiveArgs, CalibrateArgs, Classic, Cli, Command, ExplainArgs, FalseAlarmArgs, ImportArgs, InputRule,
+    JobArgs, Machine, ScanArgs, TrajectoryArgs, When,
 };
 use terminal::print;
 
@@ -110,12 +113,14 @@ fn asks_for_more() -> bool {
 fn dispatch(cli: Cli) -> Result<(), Failure> {
     let quiet = cli.loudness.quiet;
     match cli.command {
-        Command::Run { job, machine, archive } => run::run(&job, machine, archive.as_deref(), quiet),
+        Command::Run { job, machine, archive, resume } => {
+            run::run(&job, machine, archive.as_deref(), resume, quiet)
+        }
         Command::Replay { archived, threads, progress } => {
             archive::replay(archived, threads, progress, quiet)
         }
         Command::Verify { archived, seal } => archive::verify(&archived, seal.as_deref(), quiet),
-        Command::Check { job } => check::check(&job),
+        Command::Check { job, inputs } => check::check(&job, inputs),
         Command::Stages { name } => stages::stages(STAGES, name.as_deref()),
         Command::Schema => print(&format!("{:#}\n", job_schema(STAGES))),
         Command::Init { file, from } => init::init(file.as_deref(), from.as_deref(), quiet),

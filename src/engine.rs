@@ -4,8 +4,10 @@
 //! * An `End` message ends a stream. A disconnected channel means that the run has failed; the
 //!   first cause is reported, not its consequences.
 //! * Lines leave in the order in which they entered, whatever the number of workers.
-//! * No file gets its final name before every stage has succeeded.
+//! * No file gets its final name before every stage has succeeded on its input.
+//! * An input that fails does not affect the others.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -13,7 +15,7 @@ use std::time::Instant;
 use rayon::ThreadPool;
 
 use crate::georef::Loader;
-use crate::job::Job;
+use crate::job::{Job, OnError};
 use crate::stage::{Context, OutputLock, Plan, RunContext, RunObserver, StageError};
 use wavex_signal::simd::SimdLevel;
 
@@ -37,7 +39,9 @@ pub(crate) use inputs::expand;
 pub(crate) use observe::observe;
 pub use progress::{Progress, ProgressMode};
 pub use stage_summary::{ItemCounts, Percentiles, StageSummary};
-pub use summary::{InputSummary, RunSummary, StageKeys, TrajectorySummary};
+pub use summary::{InputStatus, InputSummary, RunSummary, StageKeys, TrajectorySummary};
+
+use failure::SharedFiles;
 
 /// Folders, resources and observers of a run.
 #[derive(Clone, Debug)]
@@ -60,6 +64,8 @@ pub struct Options {
     pub progress: ProgressMode,
     /// Observer of the lines, such as that of the report page.
     pub observer: Option<Arc<dyn RunObserver>>,
+    /// Stems of the inputs to skip.
+    pub skip: BTreeSet<String>,
 }
 
 impl Options {
@@ -75,6 +81,7 @@ impl Options {
             cancel: Cancel::default(),
             progress: ProgressMode::Hidden,
             observer: None,
+            skip: BTreeSet::new(),
         }
     }
 
@@ -97,94 +104,98 @@ pub fn cores() -> Option<usize> {
 /// # Errors
 /// If a pattern matches no file, or the outputs of two inputs would have the same names.
 pub fn inputs(job: &Job, input_dir: &Path) -> Result<Vec<Input>, RunError> {
-    let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
-        return Err(RunError::of_job(StageError::failed("the job has no source", "start it with a reader")));
-    };
-    inputs::expand(source.paths(), source.stem(), input_dir)
+    let (inputs, errors) = find_inputs(job, input_dir);
+    errors.into_iter().next().map_or(Ok(inputs), Err)
 }
 
-/// A failed run: the cause and the work done before it.
-#[derive(Debug)]
-pub struct FailedRun {
-    /// The first true cause, with its stage and input.
-    pub error: RunError,
-    /// Results of the inputs finished before the failure; their outputs remain.
-    pub summary: RunSummary,
-    /// The input that failed.
-    ///
-    /// All inputs if the run failed before the first one.
-    pub unfinished: Vec<InputSummary>,
+/// Lists the inputs of a job like [`inputs`], and the problems of others.
+pub(crate) fn find_inputs(job: &Job, input_dir: &Path) -> (Vec<Input>, Vec<RunError>) {
+    match job.stages.first().map(|stage| &stage.planned.plan) {
+        Some(Plan::Source(source)) => inputs::find(source.paths(), source.stem(), input_dir),
+        _ => {
+            let error = StageError::failed("the job has no source", "start it with a reader");
+            (Vec::new(), vec![RunError::of_job(error)])
+        }
+    }
 }
+
+/// Receives the results of a run after each input.
+///
+/// The number is that of the input in [`RunSummary::inputs`]; the error is its failure, unless that
+/// ends the run.
+pub type InputDone<'a> = dyn FnMut(&mut RunSummary, usize, Option<RunError>) -> Result<(), StageError> + 'a;
 
 /// Runs the chain once per input and returns the results.
 ///
 /// # Errors
-/// The first cause, with its stage and input. Outputs of earlier inputs remain; no file of the
-/// failed input remains.
+/// The first failure, with its stage and input. Outputs of other inputs remain; no file of a failed
+/// input remains.
 pub fn run(job: &Job, options: &Options) -> Result<RunSummary, RunError> {
-    run_or_report(job, options).map_err(|failed| failed.error)
-}
-
-/// Runs the chain once per input and also reports failed runs.
-///
-/// # Errors
-/// As [`run`], with the work done before the failure.
-pub fn run_or_report(job: &Job, options: &Options) -> Result<RunSummary, Box<FailedRun>> {
-    failure::catch_panic_messages();
-    let started = Instant::now();
     let mut summary = RunSummary::new(job, options);
-    let mut unfinished = Vec::new();
-    let done = run_inputs(job, options, &mut summary, &mut unfinished);
-    summary.wall_s = started.elapsed().as_secs_f64();
-    match done {
-        Ok(()) => Ok(summary),
-        Err(error) => Err(Box::new(FailedRun { error, summary, unfinished })),
+    let mut first = None;
+    let ended = run_each(job, options, &mut summary, &mut |_, _, failure| {
+        first = first.take().or(failure);
+        Ok(())
+    });
+    match first.or(ended.err()) {
+        Some(error) => Err(error),
+        None => Ok(summary),
     }
 }
 
-fn run_inputs(
+/// Runs the chain once per input and updates the results after each.
+///
+/// An input that fails is recorded, and the next one follows unless the job has `on_error = "stop"`.
+///
+/// # Errors
+/// What ends the run before the last input: a failure that concerns all inputs, an interruption, or
+/// an error of `done`.
+pub fn run_each(
     job: &Job,
     options: &Options,
     summary: &mut RunSummary,
-    unfinished: &mut Vec<InputSummary>,
+    done: &mut InputDone,
 ) -> Result<(), RunError> {
+    failure::catch_panic_messages();
     let started = Instant::now();
     let pool = pool::start(options)?;
     let site = |input| run_context(options, input, pool.clone());
     let sites: Vec<RunContext> = inputs(job, &options.input_dir)?.into_iter().map(site).collect();
-    let begin = || {
-        let geometry = Loader::new(&job.settings.geometry, &options.input_dir)
-            .map_err(|error| RunError::of_job(error.into()))?;
-        inputs::keep_from_outputs(job, &sites)?;
-        let lock = OutputLock::acquire(&inputs::outputs(job, &sites)).map_err(RunError::of_job)?;
-        Ok((geometry, lock))
-    };
+    summary.inputs = sites.iter().map(InputSummary::not_run).collect();
+    let mut geometry = Loader::new(&job.settings.geometry, &options.input_dir)
+        .map_err(|error| RunError::of_job(error.into()))?;
+    inputs::keep_from_outputs(job, &sites)?;
+    let outputs = inputs::outputs(job, &sites);
     // The lock is held until the end of the run.
-    let (mut geometry, _lock) = match begin() {
-        Ok(begun) => begun,
-        Err(error) => {
-            unfinished.extend(sites.iter().map(|site| InputSummary::not_begun(site, started)));
-            return Err(error);
-        }
-    };
-    let mut progress = Progress::new(options.progress, sites.len());
+    let _lock = OutputLock::acquire(&outputs).map_err(RunError::of_job)?;
+    let shared = SharedFiles::new(job, options, &outputs);
+    let to_run = sites.iter().filter(|site| !options.skip.contains(&site.stem));
+    let mut progress = Progress::new(options.progress, to_run.map(inputs::size).collect());
     let cx = Context::of_run(options.observer.clone());
-    for site in sites {
-        match run_input(job, site, &mut geometry, options, &mut progress, &cx) {
-            Ok(result) => summary.add(result),
-            Err((error, result)) => {
-                unfinished.push(*result);
+    for (number, site) in sites.into_iter().enumerate() {
+        if options.skip.contains(&site.stem) {
+            summary.inputs[number].status = InputStatus::Skipped;
+            continue;
+        }
+        let (input, error) = run_input(job, site, &mut geometry, options, &mut progress, &cx);
+        summary.inputs[number] = input;
+        progress.count(error.is_some());
+        summary.wall_s = started.elapsed().as_secs_f64();
+        let ends = |error: &RunError| job.settings.on_error == OnError::Stop || shared.concern(error);
+        match error {
+            Some(error) if ends(&error) => {
+                if let Err(another) = done(summary, number, None) {
+                    tracing::warn!("{another}");
+                }
                 return Err(error);
             }
+            failure => done(summary, number, failure).map_err(RunError::of_job)?,
         }
     }
     Ok(())
 }
 
-/// Runs the chain over one input.
-///
-/// # Errors
-/// The first cause, with the work done before it.
+/// Runs the chain over one input; returns the work done and the first cause of a failure.
 fn run_input(
     job: &Job,
     mut site: RunContext,
@@ -192,16 +203,24 @@ fn run_input(
     options: &Options,
     progress: &mut Progress,
     cx: &Context,
-) -> Result<InputSummary, (RunError, Box<InputSummary>)> {
+) -> (InputSummary, Option<RunError>) {
+    if let Some(observer) = cx.observer() {
+        observer.begin_input();
+    }
     match geometry.load(&site.stem) {
         Ok(its_geometry) => site.geometry = Arc::new(its_geometry),
         Err(error) => {
-            let not_begun = InputSummary::not_begun(&site, Instant::now());
+            let not_run = InputSummary::not_run(&site);
             let cause = Cause::Stage(error.into());
-            return Err((RunError { stage: None, input: Some(site.input), cause }, Box::new(not_begun)));
+            let error = RunError { stage: None, input: Some(site.input), cause };
+            return (not_run.failed(&error), Some(error));
         }
     }
-    chain::run(job, &Arc::new(site), options, progress, cx)
+    let (input, error) = chain::run(job, &Arc::new(site), options, progress, cx);
+    match error {
+        Some(error) => (input.failed(&error), Some(error)),
+        None => (input, None),
+    }
 }
 
 /// Context of a run over one input, still without geometry.

@@ -5,6 +5,8 @@
 //! rest of its keys. A serde enum tagged by `type` would be shorter, but would report errors at the
 //! wrong stage.
 
+use std::path::Path;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -100,25 +102,40 @@ pub struct JobSettings {
     pub channel_capacity: usize,
     /// SIMD instructions of the fast kernels. Does not affect results.
     pub simd: Simd,
-    /// Report of the run (JSON) in the output folder; empty: none.
+    /// Report of the run (JSON) in the output folder; `*` is replaced by the stem of the job file;
+    /// empty: none.
     #[schemars(extend("x-file" = "output"))]
     pub report: String,
     /// Report as a page for browsers and printing (one HTML file) in the output folder: a name, or
-    /// `true` for `report.html`; `false` or empty: none. With a page, the JSON report also contains
+    /// `true` for `*_report.html`; `false` or empty: none. With a page, the JSON report also contains
     /// histograms, map views and some waveforms.
     #[serde(deserialize_with = "page::name")]
     #[schemars(with = "page::PageKey", extend("x-file" = "output"))]
     pub report_page: String,
     /// Text statistics of each input in the output folder; `*` is replaced by the stem of the input
-    /// and is required for several inputs; empty: none. A failed run writes them with its error
+    /// and is required for several inputs; empty: none. Those of a failed input have its error
     /// message.
     #[schemars(extend("x-file" = "output"))]
     pub stat_log: String,
-    /// Log of the run in the output folder; empty: none.
+    /// Log of the run in the output folder; `*` is replaced by the stem of the job file; empty: none.
     #[schemars(extend("x-file" = "output"))]
     pub log: String,
+    /// What follows when an input fails: `continue` with the next one, or `stop` the run. Problems
+    /// that are not of one input, such as a full disk, always stop it.
+    pub on_error: OnError,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
     pub geometry: GeometryKeys,
+}
+
+/// What follows when an input fails.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OnError {
+    /// The next input.
+    #[default]
+    Continue,
+    /// The end of the run.
+    Stop,
 }
 
 impl Default for JobSettings {
@@ -131,10 +148,11 @@ impl Default for JobSettings {
             output_dir: None,
             channel_capacity: 16,
             simd: Simd::Auto,
-            report: "report.json".into(),
+            report: "*_report.json".into(),
             report_page: String::new(),
             stat_log: "*_stat.log".into(),
-            log: "wavex.log".into(),
+            log: "*.log".into(),
+            on_error: OnError::default(),
             geometry: GeometryKeys::default(),
         }
     }
@@ -195,6 +213,12 @@ impl Job {
             }),
             Err(errors) => Err(JobErrors::new(errors, sources)),
         }
+    }
+
+    /// Name of its runs: the stem of the job file, or `wavex` if it was not read from a file.
+    pub fn stem(&self) -> String {
+        let stem = Path::new(&self.name).file_stem().filter(|_| Path::new(&self.name).extension().is_some());
+        stem.map_or_else(|| "wavex".to_owned(), |stem| stem.to_string_lossy().into_owned())
     }
 
     /// The chain on one line, with the kind of lines wherever it changes.

@@ -1,10 +1,10 @@
-//! Reports of a run: `report.json`, the page, and the statistics of each input.
+//! Reports of a run: `*_report.json`, the page, and the statistics of each input.
 
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 use serde_json::Value;
 
 use crate::engine::{InputSummary, RunSummary, StageSummary};
@@ -24,16 +24,17 @@ pub use overview::{
     ShownReturn, ShownShot, ZoneCloud, ZoneClouds, ZoneShare, Zones,
 };
 pub use stat_log::{geometry_words, sensor_model_words, stat_log};
-pub use tables::{latency_table, stage_table};
+pub use tables::{input_table, latency_table, stage_table};
 
-/// Report of a run (`report.json`).
+/// Report of a run (`*_report.json`).
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct RunReport<'r> {
     /// Results of the run as a whole.
     #[serde(flatten)]
     pub run: &'r RunSummary,
-    /// One entry per input.
-    pub inputs: Vec<InputReport<'r>>,
+    /// One entry per input: an [`InputReport`].
+    #[schemars(with = "Vec<InputReport>")]
+    pub inputs: &'r [Value],
 }
 
 /// Results of the chain for one input.
@@ -51,6 +52,52 @@ pub struct InputReport<'r> {
     #[serde(serialize_with = "paths_as_text")]
     #[schemars(with = "Vec<String>")]
     pub outputs: &'r [PathBuf],
+    /// State of its files, for `--resume`.
+    pub files: InputFiles,
+}
+
+/// Files of an input and their states.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct InputFiles {
+    /// Files read, before the run.
+    pub read: Vec<FileState>,
+    /// Files written.
+    pub written: Vec<FileState>,
+}
+
+/// State of a file, to recognise changes.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct FileState {
+    /// Path, relative to the folder of the inputs or outputs if it is in it.
+    pub path: String,
+    /// Size, bytes.
+    pub bytes: u64,
+    /// Modification time, s since 1970.
+    pub modified_s: f64,
+    /// BLAKE3 digest, 64 hexadecimal digits; only with `--resume=digest`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub blake3: Option<String>,
+}
+
+impl InputReport<'_> {
+    /// Entry of the report.
+    ///
+    /// # Errors
+    /// If a value cannot be represented as JSON.
+    pub fn to_value(&self) -> serde_json::Result<Value> {
+        serde_json::to_value(self)
+    }
+}
+
+impl<'r> InputReport<'r> {
+    /// Results of an input, with the data of the page and its files.
+    pub fn new(
+        input: &'r InputSummary,
+        overview: Option<&'r Overview>,
+        files: InputFiles,
+    ) -> InputReport<'r> {
+        InputReport { input, overview, stages: &input.stages, outputs: &input.outputs, files }
+    }
 }
 
 /// Serialises paths as text; replaces invalid Unicode.
@@ -61,18 +108,7 @@ fn paths_as_text<S: Serializer>(paths: &[PathBuf], to: S) -> std::result::Result
 /// Maximum size of a report, bytes.
 const MOST_REPORT_BYTES: u64 = 200_000_000;
 
-impl<'r> RunReport<'r> {
-    /// Creates the report of a run; `overviews` has one entry per input, or none.
-    pub fn new(run: &'r RunSummary, overviews: &'r [Overview]) -> RunReport<'r> {
-        let report = |(i, input): (usize, &'r InputSummary)| InputReport {
-            input,
-            overview: overviews.get(i),
-            stages: &input.stages,
-            outputs: &input.outputs,
-        };
-        RunReport { run, inputs: run.inputs.iter().enumerate().map(report).collect() }
-    }
-
+impl RunReport<'_> {
     /// Formats the report as indented JSON; ends with a line feed.
     ///
     /// # Errors
@@ -81,7 +117,7 @@ impl<'r> RunReport<'r> {
         Ok(serde_json::to_string_pretty(self)? + "\n")
     }
 
-    /// Writes `report.json`.
+    /// Writes `*_report.json`.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -123,17 +159,21 @@ pub fn write_stat_log(
 /// # Errors
 /// If the report cannot be read or is invalid, or the page cannot be written.
 pub fn write_page_of(report: &Path, page: &Path) -> Result<()> {
-    let html = page::page(&read(report)?).map_err(|error| {
+    let html = page::page(&read_report(report)?).map_err(|error| {
         Error::unusable(report, error.to_string(), "run the job again to make a new report")
     })?;
     write(OutputFile::create(page)?, &html, "write the page").map(drop)
 }
 
-fn read(path: &Path) -> Result<Value> {
+/// Reads a stored report.
+///
+/// # Errors
+/// If it cannot be read or is invalid.
+pub(crate) fn read_report(path: &Path) -> Result<Value> {
     let file = std::fs::File::open(path).map_err(Error::io(path, "open the report"))?;
     let mut text = String::new();
     file.take(MOST_REPORT_BYTES).read_to_string(&mut text).map_err(Error::io(path, "read the report"))?;
-    let remedy = "give the report.json of a run or the folder that contains it";
+    let remedy = "give the report of a run or the folder that contains it";
     let report: Value = serde_json::from_str(&text)
         .map_err(|error| Error::unusable(path, format!("not a report of a run: {error}"), remedy))?;
     match report["inputs"].is_array() {

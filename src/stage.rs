@@ -3,6 +3,8 @@
 //! A stage sees no channels, threads or clocks. It drops items through [`Context::reject`], records
 //! measurements through [`Context::observe`], and warns the user through [`Context::warn`].
 
+use std::path::PathBuf;
+
 use crate::georef;
 use crate::scan_line::ScanLine;
 
@@ -45,6 +47,17 @@ pub enum StageError {
         problem: String,
         /// The remedy.
         remedy: String,
+    },
+    /// Another run writes an output.
+    #[error(
+        "{} is being written by another run (process {process}); wait until it ends, or choose another folder with `output_dir`",
+        output.display()
+    )]
+    InUse {
+        /// The output.
+        output: PathBuf,
+        /// Process id of the other run.
+        process: u32,
     },
     /// The run ends because of another stage.
     #[error("the run is being stopped")]
@@ -105,8 +118,8 @@ pub trait Sink {
 
     /// Completes the files.
     ///
-    /// Hands each finished file to [`Context::publish`]; it gets its final name after the whole run
-    /// has succeeded.
+    /// Hands each finished file to [`Context::publish`]; it gets its final name after all
+    /// stages have succeeded.
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()>;
 }
 

@@ -25,6 +25,11 @@ pub(super) fn of_file(path: &Path) -> Result<(u64, String)> {
     Ok((hasher.count(), hasher.finalize().to_hex().to_string()))
 }
 
+/// BLAKE3 digest of a file.
+pub(crate) fn digest_of(path: &Path) -> Result<String> {
+    of_file(path).map(|(_, digest)| digest)
+}
+
 /// BLAKE3 digest of bytes in memory.
 pub(super) fn of_bytes(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()

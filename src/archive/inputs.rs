@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::paths::plain;
-use crate::engine::{self, Input};
+use crate::engine::Input;
 use crate::job::{Job, JobSettings};
 use crate::keys::{FileMark, Key, Keys};
 use wavex_formats::companions;
@@ -53,15 +53,16 @@ pub(super) fn of_job(job: &Job, settings: &Value, inputs: &[Input], input_dir: &
     files
 }
 
-/// Describes missing inputs of a job; `input_dir` is absolute.
-pub(crate) fn missing_inputs(job: &Job, input_dir: &Path) -> Vec<String> {
-    let inputs = match engine::inputs(job, input_dir) {
-        Ok(inputs) => inputs,
-        Err(error) => return vec![error.to_string()],
-    };
+/// All files that a run of the job over these inputs reads; `input_dir` is absolute.
+pub(crate) fn files_read(job: &Job, inputs: &[Input], input_dir: &Path) -> BTreeSet<PathBuf> {
+    of_job(job, &serde_json::to_value(&job.settings).unwrap_or_default(), inputs, input_dir)
+}
+
+/// Describes missing files of a job over these inputs; `input_dir` is absolute.
+pub(crate) fn missing_files(job: &Job, inputs: &[Input], input_dir: &Path) -> Vec<String> {
     let settings = serde_json::to_value(&job.settings).unwrap_or_default();
     let is_standard_input = |path: &PathBuf| path.file_name().is_some_and(|name| name == "-");
-    let files = of_job(job, &settings, &inputs, input_dir);
+    let files = files_read(job, inputs, input_dir);
     let files = files.into_iter().filter(|path| !is_standard_input(path) && !path.exists());
     let mut missing: Vec<String> = files.map(|path| format!("{}: no such file", path.display())).collect();
     let geometry = &job.settings.geometry;

@@ -11,9 +11,10 @@ use super::origin::{Machine, Program};
 use super::paths::relative;
 use super::resolved::Resolved;
 use super::{
-    ARCHIVE, Archive, DigestedFile, FORMAT, Files, INCLUDED, JOB, LINES, LOG, MODELS, REPORT, RESOLVED, SEAL,
+    ARCHIVE, Archive, DigestedFile, FORMAT, FailedInput, Files, INCLUDED, JOB, LINES, LOG, MODELS, REPORT,
+    RESOLVED, SEAL,
 };
-use crate::engine::{Options, RunSummary};
+use crate::engine::{InputStatus, InputSummary, Options, RunSummary};
 use crate::job::{Include, Job, JobStage};
 use crate::stage::{ConfigError, OutputFile, Result, StageError, partial_path};
 use crate::stages::write_lstat;
@@ -34,8 +35,8 @@ pub struct Recorder {
     job: String,
     includes: Vec<Include>,
     resolved: Resolved,
-    /// State of the inputs when their digests were taken.
-    stamps: Vec<Stamp>,
+    /// State of the inputs when their digests were taken; `None` if missing.
+    stamps: Vec<Option<Stamp>>,
     /// Folder that the archive will be, or unpacks to.
     folder: PathBuf,
 }
@@ -78,6 +79,8 @@ pub fn check_destination(path: &Path) -> Result<()> {
 impl Recorder {
     /// Starts the archive of a run: resolves the job and computes the digests of all inputs.
     ///
+    /// Omits missing inputs: the run fails or does without them.
+    ///
     /// # Errors
     /// If the archive exists already or an input cannot be read.
     pub fn begin(job: &Job, options: &Options, path: &Path) -> Result<Recorder> {
@@ -91,9 +94,10 @@ impl Recorder {
         // Remove remains of a dead process with the same id.
         drop(Gathering(gathering.0.clone()));
         fs::create_dir_all(gathering.0.join(LINES)).map_err(Error::io(&gathering.0, "create the folder"))?;
-        let stamps: Result<Vec<Stamp>> = resolved.inputs.iter().map(|path| Ok(Stamp::of(path)?)).collect();
-        let digested = |path: &PathBuf| digested(&resolved.input_root, path, None);
-        let inputs: Result<Vec<DigestedFile>> = resolved.inputs.iter().map(digested).collect();
+        let stamps: Vec<Option<Stamp>> = resolved.inputs.iter().map(|path| stamp(path)).collect();
+        let existing = resolved.inputs.iter().zip(&stamps).filter(|(_, stamp)| stamp.is_some());
+        let digested = |(path, _): (&PathBuf, _)| digested(&resolved.input_root, path, None);
+        let inputs: Result<Vec<DigestedFile>> = existing.map(digested).collect();
         let archive = Archive {
             format: FORMAT,
             made: utc(made),
@@ -103,8 +107,9 @@ impl Recorder {
             machine: Machine::this(),
             inputs: files(&folder, &resolved.input_root, inputs?),
             outputs: files(&folder, &resolved.output_root, Vec::new()),
+            failed: Vec::new(),
         };
-        let (path, stamps) = (path.to_owned(), stamps?);
+        let path = path.to_owned();
         let (job, includes) = (job.text.clone(), job.includes.clone());
         Ok(Recorder { path, gathering, made, archive, job, includes, resolved, stamps, folder })
     }
@@ -131,14 +136,11 @@ impl Recorder {
         Ok(job)
     }
 
-    /// Removes the archive's own stage from the results of the run.
-    pub fn strip(&self, run: &mut RunSummary) {
-        run.stages.pop();
+    /// Removes the archive's own stage from the results of an input.
+    pub fn strip(&self, input: &mut InputSummary) {
         let own = std::path::absolute(&self.gathering.0).unwrap_or_default();
-        for input in &mut run.inputs {
-            input.stages.pop();
-            input.outputs.retain(|output| !output.starts_with(&own));
-        }
+        input.stages.pop();
+        input.outputs.retain(|output| !output.starts_with(&own));
     }
 
     /// Completes the archive, gives it its name, and returns its seal.
@@ -151,6 +153,11 @@ impl Recorder {
     pub fn finish(mut self, run: &RunSummary, report: String, log: &[u8]) -> Result<String> {
         self.check_inputs()?;
         self.archive.outputs.files = self.outputs(run)?;
+        let failed = |input: &InputSummary| {
+            let reason = input.failure.clone()?;
+            Some(FailedInput { stem: input.stem.clone(), reason })
+        };
+        self.archive.failed = run.inputs.iter().filter_map(failed).collect();
         let mut files = self.texts(run, report, log)?;
         files.extend(contents::read_files(&self.gathering.0)?);
         files.insert(SEAL.to_owned(), contents::seal(&files).into_bytes());
@@ -180,7 +187,7 @@ impl Recorder {
 
     fn check_inputs(&self) -> Result<()> {
         for (path, stamp) in self.resolved.inputs.iter().zip(&self.stamps) {
-            if Stamp::of(path)? != *stamp {
+            if self::stamp(path) != *stamp {
                 let problem = "it was changed during the run: no archive was made";
                 return Err(Error::unusable(path, problem, "run the job again").into());
             }
@@ -213,13 +220,18 @@ impl Recorder {
             let name = Path::new(&include.name).file_name().unwrap_or_default().to_string_lossy();
             files.insert(format!("{INCLUDED}/{number}_{name}"), include.text.clone().into_bytes());
         }
-        for input in &run.inputs {
+        for input in run.inputs.iter().filter(|input| input.status == InputStatus::Done) {
             if let Some(model) = &input.sensor_model {
                 files.insert(format!("{MODELS}/{}.json", input.stem), json(model)?);
             }
         }
         Ok(files)
     }
+}
+
+/// State of an input; `None` if there is no such file.
+fn stamp(path: &Path) -> Option<Stamp> {
+    Stamp::of(path).ok().filter(|_| path.is_file())
 }
 
 fn defect(error: &dyn std::fmt::Display) -> StageError {

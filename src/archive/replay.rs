@@ -11,7 +11,7 @@ use super::origin::Program;
 use super::paths::relative;
 use super::verify::{self, Folders};
 use super::{Archive, DigestedFile, RESOLVED, digest};
-use crate::engine::{self, Cancel, Options, ProgressMode, RunSummary};
+use crate::engine::{self, Cancel, InputSummary, Options, ProgressMode, RunSummary};
 use crate::job::{Job, Override, Simd};
 use crate::stage::{Result, StageError};
 use wavex_formats::Error;
@@ -38,6 +38,8 @@ pub struct Replayed {
     pub notes: Vec<String>,
     /// Number of compared outputs.
     pub outputs: usize,
+    /// Stems of the inputs that failed, as in the archived run.
+    pub failed: Vec<String>,
     /// Seal of the archive: the BLAKE3 digest of `archive.b3`; empty if missing.
     pub seal: String,
 }
@@ -52,7 +54,8 @@ pub struct Replayed {
 pub fn replay(path: &Path, replay: &Replay) -> Result<Replayed> {
     let contents = Contents::read(path)?;
     let seal = contents.seal();
-    let stopped = |seal, problems| Ok(Replayed { problems, notes: Vec::new(), outputs: 0, seal });
+    let stopped =
+        |seal, problems| Ok(Replayed { problems, notes: Vec::new(), outputs: 0, failed: Vec::new(), seal });
     let tampering = contents.tampering();
     if !tampering.is_empty() {
         return stopped(seal, tampering);
@@ -68,13 +71,17 @@ pub fn replay(path: &Path, replay: &Replay) -> Result<Replayed> {
     let mut options = Options::of_job(&job, input_dir, &folder.0);
     options.progress = replay.progress;
     options.cancel = replay.cancel.clone();
-    let report = engine::run(&job, &options).map_err(|error| error.into_stage_error())?;
+    let mut run = RunSummary::new(&job, &options);
+    engine::run_each(&job, &options, &mut run, &mut |_, _, _| Ok(()))
+        .map_err(|error| error.into_stage_error())?;
     let then = verify::place(&archive.outputs, &contents, replay.folders.outputs.as_deref());
-    let problems = compare(&archive, &report, &folder.0, &then)?;
+    let mut problems = compare_failures(&archive, &run);
+    problems.extend(compare(&archive, &run, &folder.0, &then)?);
     if !problems.is_empty() {
         notes.extend(other_program(&archive));
     }
-    Ok(Replayed { problems, notes, outputs: archive.outputs.files.len(), seal })
+    let (outputs, failed) = (archive.outputs.files.len(), verify::failed(&archive));
+    Ok(Replayed { problems, notes, outputs, failed, seal })
 }
 
 /// The archived job, and notes on differences to the archived run.
@@ -111,6 +118,23 @@ fn other_program(archive: &Archive) -> Option<String> {
     let (then, now) = (&archive.program, Program::this());
     (*then != now)
         .then(|| format!("the archive was made by wavex {}, this is wavex {}", then.words(), now.words()))
+}
+
+/// Compares the inputs that failed with those of the archived run.
+fn compare_failures(archive: &Archive, run: &RunSummary) -> Vec<String> {
+    let compare = |input: &InputSummary| {
+        let failed_then = archive.failed.iter().any(|failed| failed.stem == input.stem);
+        match &input.failure {
+            Some(reason) if !failed_then => {
+                Some(format!("input {}: failed in the replay: {reason}", input.stem))
+            }
+            None if failed_then => {
+                Some(format!("input {}: failed in the archived run, but not in the replay", input.stem))
+            }
+            _ => None,
+        }
+    };
+    run.inputs.iter().filter_map(compare).collect()
 }
 
 /// Compares new outputs in `now` with the archived ones, which may still exist in `then`.

@@ -24,6 +24,8 @@ pub struct Verified {
     pub problems: Vec<String>,
     /// Number of verified archive files, inputs and outputs.
     pub counts: [usize; 3],
+    /// Stems of the inputs that failed in the archived run.
+    pub failed: Vec<String>,
     /// Seal of the archive: the BLAKE3 digest of `archive.b3`; empty if missing.
     pub seal: String,
 }
@@ -44,14 +46,19 @@ pub fn verify(path: &Path, folders: &Folders, seal_noted: Option<&str>) -> Resul
     // only.
     let archive = match contents.archive() {
         Err(_) if !problems.is_empty() => {
-            return Ok(Verified { problems, counts: [contents.count(), 0, 0], seal });
+            return Ok(Verified { problems, counts: [contents.count(), 0, 0], failed: Vec::new(), seal });
         }
         archive => archive?,
     };
     problems.extend(inputs(&archive, &contents, folders));
     problems.extend(outputs(&archive, &contents, folders));
     let counts = [contents.count(), archive.inputs.files.len(), archive.outputs.files.len()];
-    Ok(Verified { problems, counts, seal })
+    Ok(Verified { problems, counts, failed: failed(&archive), seal })
+}
+
+/// Stems of the inputs that failed in the archived run.
+pub(super) fn failed(archive: &Archive) -> Vec<String> {
+    archive.failed.iter().map(|input| input.stem.clone()).collect()
 }
 
 /// Message for a seal that differs from the noted one.

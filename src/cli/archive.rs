@@ -25,7 +25,8 @@ pub(super) fn replay(
     }
     failed(&args.archive, &found.problems, &found.seal)?;
     let (archive, outputs, seal) = (args.archive.display(), found.outputs, &found.seal);
-    let said = format!("{archive}: {outputs} outputs are identical bit by bit; seal {seal}\n");
+    let failed = failed_inputs(&found.failed);
+    let said = format!("{archive}: {outputs} outputs are identical bit by bit{failed}; seal {seal}\n");
     if quiet { Ok(()) } else { print(&said) }
 }
 
@@ -37,10 +38,20 @@ pub(super) fn verify(args: &ArchiveArgs, seal_noted: Option<&str>, quiet: bool) 
     let [files, inputs, outputs] = found.counts;
     let archive = args.archive.display();
     let said = format!(
-        "{archive}: {files} archive files, {inputs} inputs and {outputs} outputs are unchanged; seal {}\n",
+        "{archive}: {files} archive files, {inputs} inputs and {outputs} outputs are unchanged{}; seal {}\n",
+        failed_inputs(&found.failed),
         found.seal
     );
     if quiet { Ok(()) } else { print(&said) }
+}
+
+/// Mentions the inputs that failed in the archived run.
+fn failed_inputs(stems: &[String]) -> String {
+    match stems {
+        [] => String::new(),
+        [stem] => format!("; 1 input failed in the run: {stem}"),
+        _ => format!("; {} inputs failed in the run: {}", stems.len(), stems.join(", ")),
+    }
 }
 
 fn folders(args: &ArchiveArgs) -> Folders {

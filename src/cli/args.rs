@@ -36,7 +36,8 @@ pub(super) enum Command {
     /// Run a job
     ///
     /// Relative paths start at the job's folder, or at its `input_dir` and `output_dir`. Outputs
-    /// get their final names only after the whole run has succeeded.
+    /// get their final names only after all stages have succeeded on their input. If an input fails,
+    /// the next one follows, unless the job has `on_error = "stop"`.
     #[command(after_help = usage::RUN)]
     Run {
         #[command(flatten)]
@@ -50,6 +51,14 @@ pub(super) enum Command {
         /// and the log.
         #[arg(long, value_name = "ARCHIVE")]
         archive: Option<PathBuf>,
+        /// Skip inputs with complete outputs of an earlier run with the same version, job and files
+        ///
+        /// Reads the report of the earlier run. Prints which inputs are skipped, and why the others
+        /// are not. --resume=digest compares files by content instead of size and time, and takes
+        /// digests for the next run with --resume=digest.
+        #[arg(long, value_name = "CHECK", num_args = 0..=1, require_equals = true)]
+        #[arg(default_missing_value = "time", conflicts_with = "archive")]
+        resume: Option<ResumeCheck>,
     },
     /// Run an archived job again and compare the outputs bit by bit
     ///
@@ -78,11 +87,17 @@ pub(super) enum Command {
         #[arg(long, value_name = "HEX", value_parser = seal)]
         seal: Option<String>,
     },
-    /// Validate a job without reading data: keys, chain, output folders, missing inputs
+    /// Validate a job without reading data: keys, chain, folders, inputs
+    ///
+    /// Prints number and size of the input files, their pulses and the expected number of points if
+    /// the headers have them, and the free disk space. Warns about missing and damaged inputs.
     #[command(after_help = usage::CHECK)]
     Check {
         #[command(flatten)]
         job: JobArgs,
+        /// Whether all inputs must be there
+        #[arg(long, value_name = "RULE", default_value = "optional")]
+        inputs: InputRule,
     },
     /// List the stages, or describe one stage and its keys
     #[command(after_help = usage::STAGES)]
@@ -159,9 +174,9 @@ pub(super) enum Command {
     /// The page is one HTML file without scripts or network access.
     #[command(after_help = usage::REPORT)]
     Report {
-        /// The report.json of a run, or the folder that contains it
+        /// The report of a run (JOB_report.json), or the folder that contains it
         place: PathBuf,
-        /// Page to write [default: report.html next to the report]
+        /// Page to write [default: JOB_report.html next to the report]
         #[arg(short, long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
@@ -427,12 +442,30 @@ pub(super) struct Machine {
     #[arg(long, value_name = "N")]
     pub(super) threads: Option<usize>,
     /// Print the time of each stage per scan line at the end, and write a Perfetto trace
-    /// (trace.json)
+    /// (JOB_trace.json)
     #[arg(long)]
     pub(super) profile: bool,
     /// When to show progress; auto: a bar on a terminal, lines elsewhere
     #[arg(long, value_name = "WHEN", default_value = "auto")]
     pub(super) progress: When,
+}
+
+/// What files are compared by to recognise changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum ResumeCheck {
+    /// Size and modification time
+    Time,
+    /// BLAKE3 digest
+    Digest,
+}
+
+/// Whether all inputs of a job must be there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum InputRule {
+    /// A problem with an input is a warning
+    Optional,
+    /// A problem with an input is an error: exit status 2
+    Required,
 }
 
 /// When to show progress.
@@ -442,6 +475,8 @@ pub(super) enum When {
     Auto,
     /// A bar
     Always,
+    /// A JSON object per second
+    Json,
     /// Nothing
     Never,
 }

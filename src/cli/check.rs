@@ -5,31 +5,35 @@ use std::fs::{self, OpenOptions};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{Failure, JobArgs, print, run};
-use crate::archive::missing_inputs;
+use super::{Failure, InputRule, JobArgs, check_inputs, print, run};
 use crate::georef::check_crs;
 use crate::job::Job;
 use crate::stage::fixed_folder;
 
-/// Prints the job's chain and folders, or its errors.
-pub(super) fn check(args: &JobArgs) -> Result<(), Failure> {
+/// Prints the job's chain, inputs and folders, or its errors.
+pub(super) fn check(args: &JobArgs, rule: InputRule) -> Result<(), Failure> {
     let job = args.read(None)?;
-    print(&report(&job, &args.folder()).map_err(Failure::Wrong)?)
+    print(&report(&job, &args.folder(), rule).map_err(Failure::Wrong)?)
 }
 
-/// Describes the job in `folder`, or the first folder that cannot be written.
-fn report(job: &Job, folder: &Path) -> Result<String, String> {
+/// Describes the job in `folder`, or the first problem.
+fn report(job: &Job, folder: &Path, rule: InputRule) -> Result<String, String> {
     let (input_dir, output_dir) = run::folders(job, folder);
     check_crs(&job.settings.geometry, &input_dir).map_err(|error| error.to_string())?;
     let mut said = format!("{} is valid\n  chain:  {}\n", job.name, job.chain());
     said += &format!("  inputs: {}\n", input_dir.display());
+    let absolute = std::path::absolute(&input_dir).unwrap_or(input_dir);
+    let (about_inputs, problems) = check_inputs::inspect(job, &absolute);
+    if rule == InputRule::Required && !problems.is_empty() {
+        return Err(check_inputs::required(job, &problems));
+    }
+    said += &about_inputs;
     for folder in output_folders(job, &output_dir) {
         let found = writable(&folder)?;
         said += &format!("  output: {} ({found})\n", folder.display());
     }
-    let absolute = std::path::absolute(&input_dir).unwrap_or(input_dir);
-    for missing in missing_inputs(job, &absolute) {
-        said += &format!("  warning: {missing}\n");
+    for problem in problems {
+        said += &format!("  warning: {problem}\n");
     }
     for note in &job.notes {
         said += &format!("  note:   {note}\n");
@@ -46,15 +50,25 @@ fn output_folders(job: &Job, output_dir: &Path) -> BTreeSet<PathBuf> {
     folders
 }
 
-/// Checks that a folder is writable or can be created.
+/// Formats a number of bytes.
+pub(super) fn size(bytes: u64) -> String {
+    let units = [(1e12, "TB"), (1e9, "GB"), (1e6, "MB")];
+    let (unit, name) = units.into_iter().find(|(unit, _)| bytes as f64 >= *unit).unwrap_or((1e3, "kB"));
+    format!("{:.1} {name}", bytes as f64 / unit)
+}
+
+/// Checks that a folder is writable or can be created; returns which, with the free disk space.
 ///
 /// Leaves no file in the folder.
-fn writable(folder: &Path) -> Result<&'static str, String> {
+fn writable(folder: &Path) -> Result<String, String> {
     let exists = folder.exists();
     let existing = folder.ancestors().find(|folder| folder.exists()).unwrap_or(Path::new("."));
     match try_file_in(existing) {
-        Ok(()) if exists => Ok("is writable"),
-        Ok(()) => Ok("will be created"),
+        Ok(()) => {
+            let found = if exists { "is writable" } else { "will be created" };
+            let free = fs4::available_space(existing).map(|bytes| format!(", {} free", size(bytes)));
+            Ok(format!("{found}{}", free.unwrap_or_default()))
+        }
         Err(error) => {
             let action = if exists { "cannot write to this folder" } else { "cannot create this folder" };
             let remedy = "choose another one with `output_dir` or in the `path` of the sink";
@@ -74,6 +88,15 @@ fn try_file_in(folder: &Path) -> io::Result<()> {
 mod tests {
     use super::*;
 
+    /// The text without the names of this folder and the free disk space.
+    fn here(said: &str, folder: &Path) -> String {
+        let line = |line: &str| match line.strip_suffix(" free)").and_then(|line| line.rsplit_once(", ")) {
+            Some((begin, _)) => format!("{begin})\n"),
+            None => format!("{line}\n"),
+        };
+        said.lines().map(line).collect::<String>().replace(&folder.display().to_string(), "HERE")
+    }
+
     #[test]
     fn what_a_job_will_do_is_said_without_its_data() {
         let folder = tempfile::tempdir().unwrap();
@@ -81,7 +104,7 @@ mod tests {
                     [[stage]]\ntype = \"write_lstat\"\npath = \"lines/*.txt\"\n\n\
                     [[stage]]\ntype = \"write_arrow\"\npath = \"*.arrow\"\n";
         let job = Job::parse("a.toml", text, &[]).unwrap();
-        let said = report(&job, folder.path()).unwrap().replace(&folder.path().display().to_string(), "HERE");
+        let said = here(&report(&job, folder.path(), InputRule::Required).unwrap(), folder.path());
         let expected = "\
 a.toml is valid
   chain:  simulate -> Shots -> write_lstat -> write_arrow
@@ -101,8 +124,7 @@ a.toml is valid
                  [[stage]]\ntype = 'calibrate'\nload = 'model.json'\n[[stage]]\ntype = 'write_arrow'\npath = 'out/*.arrow'\n"
             );
             let job = Job::parse("a.toml", &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
-            let said = report(&job, folder.path()).unwrap();
-            let said = said.replace(&folder.path().display().to_string(), "HERE");
+            let said = here(&report(&job, folder.path(), InputRule::Optional).unwrap(), folder.path());
             let warnings = said.lines().filter_map(|line| line.strip_prefix("  warning: "));
             warnings.map(str::to_owned).collect::<Vec<_>>()
         };
@@ -119,7 +141,7 @@ a.toml is valid
         );
         let pattern =
             "no file matches `HERE/lines/*.arrow`; check `path` of the reader and `input_dir` of the job";
-        assert_eq!(of("lines/*.arrow", ""), [pattern]);
+        assert_eq!(of("lines/*.arrow", ""), [pattern, "HERE/model.json: no such file"]);
         for name in ["flight.arrow", "model.json"] {
             fs::write(folder.path().join(name), "").unwrap();
         }
@@ -136,14 +158,15 @@ a.toml is valid
   inputs: .
   note:   no stage of this job writes a file: a run produces only the report
 ";
-        assert_eq!(report(&job, Path::new(".")).unwrap(), expected);
+        assert_eq!(report(&job, Path::new("."), InputRule::Required).unwrap(), expected);
     }
 
     #[test]
     fn a_folder_is_tried_and_nothing_stays_behind() {
         let folder = tempfile::tempdir().unwrap();
-        assert_eq!(writable(folder.path()), Ok("is writable"));
-        assert_eq!(writable(&folder.path().join("new/las")), Ok("will be created"));
+        let begins = |folder: &Path, found: &str| writable(folder).unwrap().starts_with(found);
+        assert!(begins(folder.path(), "is writable, "));
+        assert!(begins(&folder.path().join("new/las"), "will be created, "));
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 

@@ -3,37 +3,38 @@
 use std::fmt::Write as _;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
+use super::args::ResumeCheck;
+use super::run_files::RunFiles;
 use super::{Failure, JobArgs, Machine, When, log, terminal};
 use crate::archive::{Recorder, check_destination};
 use crate::engine::{
-    self, Cancel, Cause, FailedRun, InputSummary, Options, ProgressMode, RunError, RunSummary,
+    self, Cancel, Cause, InputStatus, InputSummary, Options, ProgressMode, RunError, RunSummary,
 };
 use crate::georef::check_crs;
 use crate::job::{Job, Override};
-use crate::report::{self, Overviews, RunReport};
-use crate::stage::{
-    OutputFile, OutputLock, Outputs, RunObserver, StageError, counted, fixed_folder, release_all,
-    remove_unfinished_files,
-};
+use crate::report;
+use crate::stage::{StageError, counted, release_all, remove_unfinished_files};
 use wavex_formats::Error;
 
-/// Trace that `--profile` writes to the output folder.
-const TRACE: &str = "trace.json";
-
-/// Reads and runs the job; `archive` names the archive to make.
+/// Reads and runs the job; `archive` names the archive to make, `resume` skips complete inputs.
 pub(super) fn run(
     args: &JobArgs,
     machine: Machine,
     archive: Option<&Path>,
+    resume: Option<ResumeCheck>,
     quiet: bool,
 ) -> Result<(), Failure> {
     let job = args.read(machine.overrides())?;
     if let Some(archive) = archive {
         check_destination(archive).map_err(|error| Failure::Wrong(error.to_string()))?;
     }
-    run_archived(&job, &args.folder(), machine, archive, quiet).map(drop)
+    if resume.is_some() && job.settings.report.is_empty() {
+        let problem =
+            "--resume reads the report of the earlier run, but this job writes none; set `report` in `[job]`";
+        return Err(Failure::Wrong(problem.to_owned()));
+    }
+    run_archived(&job, &args.folder(), machine, archive, resume, quiet).map(drop)
 }
 
 /// Runs a job whose relative paths start at `folder`.
@@ -43,7 +44,7 @@ pub(super) fn run_job(
     machine: Machine,
     quiet: bool,
 ) -> Result<RunSummary, Failure> {
-    run_archived(job, folder, machine, None, quiet)
+    run_archived(job, folder, machine, None, None, quiet)
 }
 
 fn run_archived(
@@ -51,6 +52,7 @@ fn run_archived(
     folder: &Path,
     machine: Machine,
     archive: Option<&Path>,
+    resume: Option<ResumeCheck>,
     quiet: bool,
 ) -> Result<RunSummary, Failure> {
     for note in &job.notes {
@@ -59,34 +61,27 @@ fn run_archived(
     let (input_dir, output_dir) = folders(job, folder);
     check_crs(&job.settings.geometry, &input_dir).map_err(|error| Failure::Wrong(error.to_string()))?;
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
-    // Claim the outputs before opening the log, which would truncate the log of another run.
-    let own = own_outputs(job, [&input_dir, &output_dir], machine.profile, archive);
-    let _lock = OutputLock::acquire(&own).map_err(|error| failed(&error))?;
+    let mut files = RunFiles::new(job, [&input_dir, &output_dir], machine.profile, resume);
+    // Claim the files before opening the log, which would truncate the log of another run.
+    let _locks = files.claim(job, &input_dir, archive).map_err(|error| failed(&error))?;
     if archive.is_some() {
         log::keep();
     }
-    if !job.settings.log.is_empty() {
-        log::to_file(&output_dir.join(&job.settings.log)).map_err(|error| failed(&error))?;
+    if let Some(path) = files.log() {
+        log::to_file(&path).map_err(|error| failed(&error))?;
     }
     tracing::info!("wavex {}: {} ({})", env!("CARGO_PKG_VERSION"), job.name, job.chain());
     for (name, words) in report::geometry_words(&job.settings.geometry) {
         tracing::info!("{name}: {words}");
     }
-    let overviews = (!job.settings.report_page.is_empty()).then(|| Arc::new(Overviews::default()));
-    let observer = overviews.clone().map(|overviews| overviews as Arc<dyn RunObserver>);
-    let options = Options {
-        observer,
+    let mut options = Options {
+        observer: files.observer(),
         profile: machine.profile,
         progress: machine.progress(quiet, std::io::stderr().is_terminal()),
         ..Options::of_job(job, input_dir, &output_dir)
     };
     stop_on_signals(&options.cancel);
-    // Open these files early: problems with them should be reported before the run, not after it.
-    let begin = |name: &str| match name {
-        "" => Ok(None),
-        name => OutputFile::create(&output_dir.join(name)).map(Some).map_err(|error| failed(&error)),
-    };
-    let (report_file, page_file) = (begin(&job.settings.report)?, begin(&job.settings.report_page)?);
+    files.check().map_err(|error| failed(&error))?;
     let logged = |error: &dyn std::fmt::Display| {
         log::fatal(error);
         failed(error)
@@ -95,107 +90,100 @@ fn run_archived(
     let recorder = recorder.map_err(|error| logged(&error))?;
     let archived = recorder.as_ref().map(|recorder| recorder.job(job)).transpose();
     let archived = archived.map_err(|error| logged(&error))?;
-    let run = engine::run_or_report(archived.as_ref().unwrap_or(job), &options);
-    let mut run = run.map_err(|failed| {
-        let FailedRun { error, mut summary, unfinished } = *failed;
-        summary.inputs.extend(unfinished);
-        if let Some(recorder) = &recorder {
-            recorder.strip(&mut summary);
+    let mut run = RunSummary::new(job, &options);
+    let messages;
+    (options.skip, messages) = files.plan(job, &options.input_dir, &run, resume.is_some());
+    for message in &messages {
+        tracing::info!("{message}");
+        if !quiet {
+            terminal::print(&format!("{message}\n"))?;
         }
-        ended_with(&error, &summary, &output_dir)
-    })?;
-    if let Some(recorder) = &recorder {
-        recorder.strip(&mut run);
     }
-    let overviews = overviews.map_or_else(Vec::new, |overviews| overviews.take());
-    let report = RunReport::new(&run, &overviews);
-    let finish = || {
-        let own = write_own(&report, report_file, page_file, machine.profile, &output_dir)?;
-        for (note, inputs) in run.repeated_notes() {
-            tracing::warn!("{inputs} of {} inputs: {note}", run.inputs.len());
-        }
-        let mut said = summary(&run, &own, machine.profile);
-        if let (Some(recorder), Some(archive)) = (recorder, archive) {
-            let text = report.to_json().map_err(std::io::Error::from);
-            let text = text.map_err(Error::io(archive, "write the report"))?;
-            let seal = recorder.finish(&run, text, &log::kept())?;
-            let _ = writeln!(said, "archived in {}; seal {seal}", archive.display());
-        }
-        Ok(said)
+    let ended = engine::run_each(
+        archived.as_ref().unwrap_or(job),
+        &options,
+        &mut run,
+        &mut |run: &mut RunSummary, number, failure| {
+            if let Some(recorder) = &recorder {
+                recorder.strip(&mut run.inputs[number]);
+            }
+            // The error of a single input is that of the command.
+            if let Some(error) = failure.filter(|_| run.inputs.len() > 1) {
+                log::fatal(&error);
+                terminal::print_error(&failed(&error).message(terminal::colour()));
+            }
+            let has_failed = run.inputs[number].status == InputStatus::Failed;
+            files.update(run, number).or_else(|error| match has_failed {
+                true => {
+                    // The run already has an error.
+                    tracing::warn!("{error}");
+                    Ok(())
+                }
+                false => Err(error),
+            })
+        },
+    );
+    if let Err(error) = &ended
+        && run.inputs.iter().all(|input| input.status == InputStatus::NotRun)
+    {
+        files.not_begun(&run, &error.to_string());
+    }
+    let is_done = |input: &InputSummary| input.status == InputStatus::Done;
+    let to_archive = recorder.zip(archive).filter(|_| ended.is_ok() && run.inputs.iter().any(is_done));
+    let finished = finish(&run, &files, to_archive, machine.profile);
+    let failure = match (&ended, &finished) {
+        (Err(error), _) => Some(error.to_string()),
+        (Ok(()), Err(error)) => Some(error.to_string()),
+        (Ok(()), Ok(_)) => failed_inputs(&run),
     };
-    let said = finish().map_err(|error: StageError| ended_with(&error, &run, &output_dir))?;
-    if !quiet {
-        terminal::print(&said)?;
+    if let Ok(said) = &finished
+        && !quiet
+        && (failure.is_none() || run.inputs.len() > 1)
+    {
+        terminal::print(said)?;
     }
-    Ok(run)
+    match failure {
+        Some(failure) => Err(logged(&failure)),
+        None => Ok(run),
+    }
 }
 
-/// Writes the files of the run as a whole and the statistics of each input.
-///
-/// Returns the paths.
-fn write_own(
-    report: &RunReport,
-    report_file: Option<OutputFile>,
-    page_file: Option<OutputFile>,
+/// Completes trace and archive of a run; returns its summary for the user.
+fn finish(
+    run: &RunSummary,
+    files: &RunFiles,
+    archive: Option<(Recorder, &Path)>,
     profile: bool,
-    output_dir: &Path,
-) -> Result<Vec<PathBuf>, StageError> {
-    let (run, mut own) = (report.run, Vec::new());
-    if let Some(file) = report_file {
-        own.push(file.path().to_owned());
-        report.write_json(file)?;
+) -> Result<String, StageError> {
+    files.write_trace(run)?;
+    for (note, inputs) in run.repeated_notes() {
+        tracing::warn!("{inputs} of {} inputs: {note}", run.inputs.len());
     }
-    if let Some(file) = page_file {
-        own.push(file.path().to_owned());
-        report.write_page(file)?;
+    let mut said = summary(run, &files.written(run), profile);
+    if run.inputs.len() > 1 {
+        said.push_str(&report::input_table(&files.report(run)));
     }
-    if profile {
-        own.push(output_dir.join(TRACE));
-        write_trace(run, &output_dir.join(TRACE))?;
+    if let Some((recorder, archive)) = archive {
+        let text = files.report(run).to_json().map_err(std::io::Error::from);
+        let text = text.map_err(Error::io(archive, "write the report"))?;
+        let seal = recorder.finish(run, text, &log::kept())?;
+        let _ = writeln!(said, "archived in {}; seal {seal}", archive.display());
     }
-    if !run.job.log.is_empty() {
-        own.push(output_dir.join(&run.job.log));
-    }
-    let mut stat_logs = Vec::new();
-    for input in run.inputs.iter().filter(|_| !run.job.stat_log.is_empty()) {
-        stat_logs.push(report::write_stat_log(
-            &stat_log_path(run, input, output_dir),
-            run,
-            input,
-            &own,
-            None,
-        )?);
-    }
-    own.extend(stat_logs);
-    Ok(own)
+    Ok(said)
 }
 
-/// Files that a run writes besides the outputs of its stages.
-///
-/// The engine claims the outputs of the stages.
-fn own_outputs(
-    job: &Job,
-    [input_dir, output_dir]: [&Path; 2],
-    profile: bool,
-    archive: Option<&Path>,
-) -> Outputs {
-    let settings = &job.settings;
-    // The engine reports inputs that cannot be found.
-    let inputs = engine::inputs(job, input_dir).unwrap_or_default();
-    let stat_logs = inputs.iter().map(|input| settings.stat_log.replace('*', &input.stem));
-    let of_run = [&settings.log, &settings.report, &settings.report_page];
-    let others = of_run.into_iter().cloned().chain(stat_logs);
-    let names = others.chain(profile.then(|| TRACE.to_owned())).filter(|name| !name.is_empty());
-    let mut outputs = Outputs::new();
-    for name in names {
-        outputs.entry(fixed_folder(output_dir, &name)).or_default().insert(output_dir.join(name));
+/// Error of a run with failed inputs.
+fn failed_inputs(run: &RunSummary) -> Option<String> {
+    let failed: Vec<&InputSummary> =
+        run.inputs.iter().filter(|input| input.status == InputStatus::Failed).collect();
+    match failed.as_slice() {
+        [] => None,
+        [only] if run.inputs.len() == 1 => only.failure.clone(),
+        _ => {
+            let stems: Vec<&str> = failed.iter().map(|input| input.stem.as_str()).collect();
+            Some(format!("{} of {} inputs failed: {}", failed.len(), run.inputs.len(), stems.join(", ")))
+        }
     }
-    if let Some(archive) = archive {
-        let folder = fixed_folder(Path::new(""), &archive.to_string_lossy());
-        let path = folder.join(archive.file_name().unwrap_or_default());
-        outputs.entry(folder).or_default().insert(path);
-    }
-    outputs
 }
 
 /// Ends the run in order on Ctrl-C or a termination request.
@@ -219,46 +207,12 @@ pub(super) fn stop_on_signals(cancel: &Cancel) {
     }
 }
 
-/// Path of the statistics of an input.
-fn stat_log_path(run: &RunSummary, input: &InputSummary, output_dir: &Path) -> PathBuf {
-    output_dir.join(run.job.stat_log.replace('*', &input.stem))
-}
-
-/// Logs the error of a failed run and writes the statistics of its inputs.
-///
-/// Statistics are written if their folder exists. Errors in writing them are only logged, because
-/// the run already has an error.
-fn ended_with(error: &dyn std::fmt::Display, run: &RunSummary, output_dir: &Path) -> Failure {
-    let failure = error.to_string();
-    log::fatal(&failure);
-    let job = &run.job;
-    let log = Some(&job.log).filter(|log| !log.is_empty()).map(|log| output_dir.join(log));
-    for input in run.inputs.iter().filter(|_| !job.stat_log.is_empty()) {
-        let path = stat_log_path(run, input, output_dir);
-        if !path.parent().is_some_and(Path::is_dir) {
-            continue;
-        }
-        let written = report::write_stat_log(&path, run, input, log.as_slice(), Some(&failure));
-        if let Err(error) = written {
-            tracing::warn!("cannot write the statistics of the failed run: {error}");
-        }
-    }
-    Failure::Run(failure)
-}
-
-fn write_trace(run: &RunSummary, path: &Path) -> Result<(), StageError> {
-    let mut file = OutputFile::create(path)?;
-    engine::write_trace(run, &mut file).map_err(Error::io(path, "write the trace"))?;
-    file.finish()?.publish()?;
-    Ok(())
-}
-
 /// Summary for the user: times, rejections and outputs of each input.
 ///
 /// `own` are the files of the run as a whole.
 fn summary(run: &RunSummary, own: &[PathBuf], profile: bool) -> String {
     let mut text = String::new();
-    for input in &run.inputs {
+    for input in run.inputs.iter().filter(|input| input.status == InputStatus::Done) {
         let totals = |name: &str| input.totals.get(name).copied().unwrap_or(0);
         let (waveforms, returns) = (totals("nw"), totals("np"));
         let _ =
@@ -310,6 +264,7 @@ impl When {
             _ if quiet => ProgressMode::Hidden,
             When::Never => ProgressMode::Hidden,
             When::Always => ProgressMode::Bar,
+            When::Json => ProgressMode::Json,
             When::Auto if on_terminal => ProgressMode::Bar,
             When::Auto => ProgressMode::Lines,
         }
@@ -345,6 +300,7 @@ mod tests {
         assert_eq!(shown(When::Always, false, false), ProgressMode::Bar);
         assert_eq!(shown(When::Never, false, true), ProgressMode::Hidden);
         assert_eq!(shown(When::Always, true, true), ProgressMode::Hidden);
+        assert_eq!(shown(When::Json, false, true), ProgressMode::Json);
     }
 
     #[test]

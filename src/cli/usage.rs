@@ -4,7 +4,8 @@ pub(super) const RUN: &str = "\
 Examples:
   wavex run flight.toml
   wavex run flight.toml --set decompose.detection_sigma=5 --threads 8
-  wavex run flight.toml --profile --archive archives/flight7";
+  wavex run flight.toml --profile --archive archives/flight7
+  wavex run survey.toml --resume";
 
 pub(super) const REPLAY: &str = "\
 Examples:
@@ -19,7 +20,8 @@ Examples:
 pub(super) const CHECK: &str = "\
 Examples:
   wavex check flight.toml
-  wavex check flight.toml --set job.output_dir=/data/out";
+  wavex check flight.toml --set job.output_dir=/data/out
+  wavex check survey.toml --inputs=required";
 
 pub(super) const STAGES: &str = "\
 Examples:
@@ -71,7 +73,7 @@ Examples:
 
 pub(super) const REPORT: &str = "\
 Examples:
-  wavex report out/report.json
+  wavex report out/flight7_report.json
   wavex report out --out flight7.html";
 
 pub(super) const TRAJECTORY: &str = "\

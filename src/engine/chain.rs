@@ -23,19 +23,15 @@ type WorkerResult = Mutex<Vec<(Meter, Context)>>;
 
 /// Runs the chain over one input; `cx` is the context of the whole run.
 ///
-/// # Errors
-/// The first true cause, with the work done before it.
+/// Returns the work done, and the first true cause of a failure.
 pub(super) fn run(
     job: &Job,
     site: &Arc<RunContext>,
     options: &Options,
     progress: &mut Progress,
     cx: &Context,
-) -> std::result::Result<InputSummary, (RunError, Box<InputSummary>)> {
+) -> (InputSummary, Option<RunError>) {
     let started = Instant::now();
-    if let Some(observer) = cx.observer() {
-        observer.begin_input();
-    }
     let shared = shared(job, options, cx);
     let leavings: Vec<WorkerResult> = job.stages.iter().map(|_| WorkerResult::default()).collect();
     progress.begin(&site.stem);
@@ -55,7 +51,8 @@ pub(super) fn run(
                         format!("cannot start a thread: {error}"),
                         "lower `threads` or raise the process limit of the system",
                     );
-                    shared.failure.fail(&stage.id, &site.input, Cause::Stage(failed));
+                    // Not of this input: the others would have no threads either.
+                    shared.failure.fail(&stage.id, None, Cause::Stage(failed));
                 }
             }
         }
@@ -78,8 +75,8 @@ pub(super) fn run(
     };
     let summary = |outputs| InputSummary::new(site, started, totals, stages, outputs, budget_peak);
     match published {
-        Ok(outputs) => Ok(summary(outputs)),
-        Err(error) => Err((error, Box::new(summary(Vec::new())))),
+        Ok(outputs) => (summary(outputs), None),
+        Err(error) => (summary(Vec::new()), Some(error)),
     }
 }
 
@@ -157,7 +154,7 @@ fn run_worker(
         WorkerContext { stage: &stage.id, shared, exit, meter: Meter::new(profile), cx: shared.cx.another() };
     let result = guarded(|| work(stage, site, inlet, &mut desk));
     if let Err(cause) = result {
-        shared.failure.fail(&stage.id, &site.input, cause);
+        shared.failure.fail(&stage.id, Some(&site.input), cause);
     }
     let WorkerContext { meter, cx, .. } = desk;
     leavings.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push((meter, cx));

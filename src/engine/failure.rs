@@ -1,12 +1,15 @@
 //! Early end of a run: keeps the first cause and stops all threads.
 
 use std::cell::RefCell;
+use std::io::ErrorKind;
 use std::panic;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, Once};
 
-use crate::stage::StageError;
+use super::Options;
+use crate::job::Job;
+use crate::stage::{Outputs, StageError};
 
 /// A flag that ends a run early; clones share it.
 #[derive(Clone, Debug, Default)]
@@ -34,7 +37,7 @@ impl Cancel {
 pub struct RunError {
     /// Name of the stage in the job.
     pub stage: Option<String>,
-    /// Input that was being processed.
+    /// Input that was being processed; `None` if the error does not depend on it.
     pub input: Option<PathBuf>,
     /// The cause.
     pub cause: Cause,
@@ -104,6 +107,45 @@ fn named(path: &&Path) -> bool {
     !path.as_os_str().is_empty()
 }
 
+/// Files whose errors concern all inputs of a run.
+#[derive(Debug)]
+pub(super) struct SharedFiles<'r> {
+    /// Files that stages read for every input.
+    read: Vec<PathBuf>,
+    written: &'r Outputs,
+}
+
+impl<'r> SharedFiles<'r> {
+    pub(super) fn new(job: &Job, options: &Options, written: &'r Outputs) -> SharedFiles<'r> {
+        let names = job.stages.iter().flat_map(|stage| &stage.planned.inputs);
+        let trajectory = job.settings.geometry.trajectory.as_ref().filter(|name| !name.contains('*'));
+        let read = names.chain(trajectory).map(|name| options.input_dir.join(name)).collect();
+        SharedFiles { read, written }
+    }
+
+    /// Returns whether an error is not of one input, so that the others would fail as well.
+    pub(super) fn concern(&self, error: &RunError) -> bool {
+        match &error.cause {
+            Cause::Interrupted => true,
+            Cause::Panic(_) => false,
+            Cause::Stage(StageError::Format(error)) => {
+                self.read.iter().any(|file| file == error.file()) || self.cannot_be_written(error)
+            }
+            Cause::Stage(_) => error.input.is_none(),
+        }
+    }
+
+    /// Returns whether the disk is full, or the system refuses an output or its folder.
+    fn cannot_be_written(&self, error: &wavex_formats::Error) -> bool {
+        let wavex_formats::Error::Io { file, source, .. } = error else { return false };
+        let is_full = matches!(
+            source.kind(),
+            ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge
+        );
+        is_full || self.written.values().flatten().any(|output| output.starts_with(file))
+    }
+}
+
 /// Shared failure state of the threads of one chain.
 #[derive(Debug)]
 pub(super) struct Failure {
@@ -125,12 +167,12 @@ impl Failure {
     /// Records the first cause and stops all threads.
     ///
     /// `StageError::Stopped` is a consequence of another failure and is not recorded.
-    pub(super) fn fail(&self, stage: &str, input: &Path, cause: Cause) {
+    pub(super) fn fail(&self, stage: &str, input: Option<&Path>, cause: Cause) {
         if !matches!(cause, Cause::Stage(StageError::Stopped)) {
             let mut first = self.first.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
             first.get_or_insert(RunError {
                 stage: Some(stage.to_string()),
-                input: Some(input.to_path_buf()),
+                input: input.map(Path::to_path_buf),
                 cause,
             });
         }

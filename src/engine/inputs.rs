@@ -19,22 +19,33 @@ pub struct Input {
 
 /// Lists the inputs in the order of the job; matches of a pattern are sorted by name.
 pub(crate) fn expand(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> Result<Vec<Input>, RunError> {
+    let (inputs, errors) = find(paths, stem, input_dir);
+    errors.into_iter().next().map_or(Ok(inputs), Err)
+}
+
+/// Lists the inputs like [`expand`], and the problems of others.
+pub(super) fn find(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> (Vec<Input>, Vec<RunError>) {
     let Some(paths) = paths else {
-        return Ok(vec![Input { path: PathBuf::new(), stem: stem.to_string() }]);
+        return (vec![Input { path: PathBuf::new(), stem: stem.to_string() }], Vec::new());
     };
-    let mut inputs = Vec::new();
+    let (mut inputs, mut errors): (Vec<Input>, _) = (Vec::new(), Vec::new());
     let mut stems: BTreeMap<String, PathBuf> = BTreeMap::new();
     for pattern in paths.patterns() {
-        for path in matches(pattern, input_dir)? {
+        let found = matches(pattern, input_dir).unwrap_or_else(|error| {
+            errors.push(error);
+            Vec::new()
+        });
+        for path in found {
             if let Some(error) = unsupported(&path) {
-                return Err(RunError::of_job(error.into()));
+                errors.push(RunError::of_job(error.into()));
+                continue;
             }
-            if inputs.iter().any(|input: &Input| input.path == path) {
+            if inputs.iter().any(|input| input.path == path) {
                 continue;
             }
             let stem = stem_of(&path);
             if let Some(other) = stems.insert(stem.clone(), path.clone()) {
-                return Err(RunError::of_job(StageError::failed(
+                errors.push(RunError::of_job(StageError::failed(
                     format!(
                         "the outputs of {} and {} would have the same names",
                         other.display(),
@@ -46,7 +57,7 @@ pub(crate) fn expand(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> Res
             inputs.push(Input { path, stem });
         }
     }
-    Ok(inputs)
+    (inputs, errors)
 }
 
 fn stem_of(path: &Path) -> String {
@@ -83,6 +94,12 @@ fn matches(pattern: &str, input_dir: &Path) -> Result<Vec<PathBuf>, RunError> {
     }
     paths.sort();
     Ok(paths)
+}
+
+/// Size of an input with its companion files, bytes; at least 1.
+pub(super) fn size(site: &RunContext) -> u64 {
+    let files = companions(&site.input).into_iter().chain([site.input.clone()]);
+    files.filter_map(|path| path.metadata().ok()).map(|about| about.len()).sum::<u64>().max(1)
 }
 
 /// Output files of all runs, by the folder in which they are claimed.

@@ -35,15 +35,15 @@ where
     let options = Options { cancel, observer: Some(Arc::new(probe)), ..options.clone() };
     let mut geometry = Loader::new(&job.settings.geometry, &options.input_dir)
         .map_err(|error| RunError::of_job(error.into()))?;
-    let mut progress = Progress::new(options.progress, 1);
+    let mut progress = Progress::new(options.progress, vec![1]);
     let cx = Context::of_run(options.observer.clone());
     let site = run_context(&options, input, pool::start(&options)?);
-    let result = run_input(job, site, &mut geometry, &options, &mut progress, &cx);
+    let (_, error) = run_input(job, site, &mut geometry, &options, &mut progress, &cx);
     let state = state.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take();
-    match (result, state) {
-        (Ok(_) | Err((RunError { cause: Cause::Interrupted, .. }, _)), Some(state)) => Ok(state),
-        (Err((error, _)), _) => Err(error),
-        (Ok(_), None) => Err(RunError {
+    match (error, state) {
+        (None | Some(RunError { cause: Cause::Interrupted, .. }), Some(state)) => Ok(state),
+        (Some(error), _) => Err(error),
+        (None, None) => Err(RunError {
             stage: None,
             input: None,
             cause: Cause::Panic("the observer of a run lost its state".into()),

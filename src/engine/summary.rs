@@ -7,9 +7,9 @@ use std::time::{Instant, SystemTime};
 use schemars::JsonSchema;
 use serde::{Serialize, Serializer};
 
-use super::Options;
 use super::stage_summary::StageSummary;
 use super::totals::Totals;
+use super::{Options, RunError};
 use crate::job::{Job, JobSettings, JobStage, Simd};
 use crate::scan_line::{EmissionReference, Frame, TimeScale};
 use crate::stage::RunContext;
@@ -49,6 +49,32 @@ pub struct StageKeys {
     pub keys: serde_json::Value,
 }
 
+/// What has become of an input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum InputStatus {
+    /// Its outputs are complete.
+    Done,
+    /// It failed and has no outputs.
+    Failed,
+    /// The run has not come to it.
+    NotRun,
+    /// An earlier run has completed its outputs.
+    Skipped,
+}
+
+impl InputStatus {
+    /// Name in texts.
+    pub fn words(self) -> &'static str {
+        match self {
+            InputStatus::Done => "done",
+            InputStatus::Failed => "failed",
+            InputStatus::NotRun => "not run",
+            InputStatus::Skipped => "skipped",
+        }
+    }
+}
+
 /// Results of the chain for one input.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct InputSummary {
@@ -58,6 +84,10 @@ pub struct InputSummary {
     pub path: PathBuf,
     /// Stem after which its outputs are named.
     pub stem: String,
+    /// What has become of it: `done`, `failed` or `not_run`.
+    pub status: InputStatus,
+    /// Error message of a failed input.
+    pub failure: Option<String>,
     /// Format, as reported by the reader.
     pub format: Option<String>,
     /// Name of the instrument.
@@ -77,9 +107,9 @@ pub struct InputSummary {
     pub emission_reference: Option<String>,
     /// Origin of ranges: `sensor`, or `first_sample` if the recording has no sensor position.
     pub ranges_count_from: Option<String>,
-    /// Start of this run, UTC, ISO 8601.
+    /// Start of this run, UTC, ISO 8601; empty if it was not run.
     pub started: String,
-    /// End of this run, UTC, ISO 8601.
+    /// End of this run, UTC, ISO 8601; empty if it was not run.
     pub ended: String,
     /// Duration of this run, s.
     pub wall_s: f64,
@@ -144,6 +174,8 @@ impl InputSummary {
         InputSummary {
             path: site.input.clone(),
             stem: site.stem.clone(),
+            status: InputStatus::Done,
+            failure: None,
             format: input.map(|input| input.format.clone()),
             instrument: input.and_then(|input| input.instrument.clone()),
             serial: input.and_then(|input| input.serial.clone()),
@@ -171,9 +203,16 @@ impl InputSummary {
         }
     }
 
-    /// Report of an input that no stage has started.
-    pub(super) fn not_begun(site: &RunContext, started: Instant) -> InputSummary {
-        InputSummary::new(site, started, Totals::default(), Vec::new(), Vec::new(), 0)
+    /// Results of an input that no stage has started.
+    pub(super) fn not_run(site: &RunContext) -> InputSummary {
+        let nothing = InputSummary::new(site, Instant::now(), Totals::default(), Vec::new(), Vec::new(), 0);
+        let (started, ended) = (String::new(), String::new());
+        InputSummary { status: InputStatus::NotRun, started, ended, wall_s: 0.0, ..nothing }
+    }
+
+    /// The same for an input that failed.
+    pub(super) fn failed(self, error: &RunError) -> InputSummary {
+        InputSummary { status: InputStatus::Failed, failure: Some(error.to_string()), ..self }
     }
 
     /// Returns the stage with the busiest workers.
@@ -183,7 +222,8 @@ impl InputSummary {
 }
 
 impl RunSummary {
-    pub(super) fn new(job: &Job, options: &Options) -> RunSummary {
+    /// Results of a job before its first input.
+    pub fn new(job: &Job, options: &Options) -> RunSummary {
         let keys = |stage: &JobStage| StageKeys {
             id: stage.id.clone(),
             r#type: stage.spec.name.to_string(),
@@ -198,10 +238,6 @@ impl RunSummary {
             wall_s: 0.0,
             inputs: Vec::new(),
         }
-    }
-
-    pub(super) fn add(&mut self, input: InputSummary) {
-        self.inputs.push(input);
     }
 
     /// Notes that several inputs share, with the number of inputs.

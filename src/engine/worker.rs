@@ -34,6 +34,9 @@ pub(super) struct Shared {
 pub(super) struct Gauge {
     /// Fraction of the input read, ppm; `u64::MAX` if unknown.
     pub(super) read_ppm: AtomicU64,
+    pub(super) lines_read: AtomicU64,
+    pub(super) shots_read: AtomicU64,
+    /// Lines and shots that have left the chain.
     pub(super) lines: AtomicU64,
     pub(super) shots: AtomicU64,
 }
@@ -121,7 +124,10 @@ pub(super) fn run_source(mut source: Box<dyn Source>, desk: &mut WorkerContext) 
         desk.meter.line_done();
         let Some(mut scan_line) = next? else { break };
         let read = source.progress().map_or(u64::MAX, |part| (part.clamp(0.0, 1.0) * 1e6) as u64);
-        desk.shared.gauge.read_ppm.store(read, Ordering::Relaxed);
+        let gauge = &desk.shared.gauge;
+        gauge.read_ppm.store(read, Ordering::Relaxed);
+        gauge.lines_read.fetch_add(1, Ordering::Relaxed);
+        gauge.shots_read.fetch_add(scan_line.emissions.len() as u64, Ordering::Relaxed);
         scan_line.waveforms = desk.shared.keeps_waveforms.then(Blocks::default);
         let bytes = scan_line.bytes();
         if bytes > desk.shared.largest_line_bytes {

@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
 
-/// Default name of the page, as in `wavex report`.
-const USUAL_NAME: &str = "report.html";
+/// Default name of the page, as in `wavex report`; `*` is the stem of the job file.
+const USUAL_NAME: &str = "*_report.html";
 
 /// Message if `report` is given a Boolean value.
 pub(super) const REPORT_IS_A_NAME: &str = "it is the name of the JSON report, or \"\" for none; to get the report as a page, set \

@@ -53,38 +53,35 @@ pub struct Overview {
 /// Collects the overview of each input of a run.
 #[derive(Debug, Default)]
 pub struct Overviews {
-    gatherings: Mutex<Vec<Gathering>>,
-    galleries: Mutex<Vec<Gallery>>,
+    gathering: Mutex<Option<Gathering>>,
+    gallery: Mutex<Option<Gallery>>,
 }
 
 impl Overviews {
-    /// Returns the overviews, in the order of the inputs.
-    pub fn take(&self) -> Vec<Overview> {
-        let (gatherings, galleries) =
-            (locked(&self.gatherings).split_off(0), locked(&self.galleries).split_off(0));
-        gatherings.into_iter().zip(galleries).map(|(gathering, gallery)| gathering.finish(gallery)).collect()
+    /// Returns the overview of the current input.
+    pub fn take(&self) -> Option<Overview> {
+        let gallery = locked(&self.gallery).take()?;
+        locked(&self.gathering).take().map(|gathering| gathering.finish(gallery))
     }
 }
 
 impl RunObserver for Overviews {
     fn begin_input(&self) {
-        locked(&self.gatherings).push(Gathering::default());
-        locked(&self.galleries).push(Gallery::default());
+        *locked(&self.gathering) = Some(Gathering::default());
+        *locked(&self.gallery) = Some(Gallery::default());
     }
 
     fn line(&self, line: &ScanLine) {
-        if let Some(gathering) = locked(&self.gatherings).last_mut() {
+        if let Some(gathering) = locked(&self.gathering).as_mut() {
             gathering.add(line);
         }
     }
 
     /// Fits the shots to show, without holding the lock.
     fn decomposed(&self, line: &DecomposedLine, fit: &mut FitShot) -> Result<()> {
-        let candidates = locked(&self.galleries).last().map(|gallery| gallery.candidates(line));
+        let candidates = locked(&self.gallery).as_ref().map(|gallery| gallery.candidates(line));
         for candidate in candidates.into_iter().flatten() {
-            if let (Some(shot), Some(gallery)) =
-                (fit(candidate.emission)?, locked(&self.galleries).last_mut())
-            {
+            if let (Some(shot), Some(gallery)) = (fit(candidate.emission)?, locked(&self.gallery).as_mut()) {
                 gallery.show(&candidate, shot);
             }
         }

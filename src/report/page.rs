@@ -5,6 +5,7 @@ use serde_json::Value;
 
 use super::overview::Overview;
 use super::style::{RUN_STYLE, STYLE};
+use super::tables::points;
 use plot::{label, short};
 
 mod plot;
@@ -31,7 +32,8 @@ pub(super) fn page(report: &Value) -> Result<String, InvalidOverview> {
     let inputs = list(report, "inputs");
     let names: Vec<String> = inputs.iter().map(|input| plain(&input["stem"])).collect();
     let chain: Vec<String> = list(report, "stages").iter().map(name).collect();
-    let parts: Vec<Markup> = (0..).zip(inputs).map(of_input).collect::<Result<_, _>>()?;
+    let was_run = (0..).zip(inputs).filter(|(_, input)| input["status"] != "not_run");
+    let parts: Vec<Markup> = was_run.map(of_input).collect::<Result<_, _>>()?;
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -49,6 +51,7 @@ pub(super) fn page(report: &Value) -> Result<String, InvalidOverview> {
                     (seconds(&report["wall_s"])) " s"
                 }
                 p.chain { (chain.join(" → ")) }
+                (of_inputs(inputs))
                 @for part in parts { (part) }
                 div.job { (all_keys(report)) }
             }
@@ -68,6 +71,18 @@ fn all_keys(report: &Value) -> Markup {
     section("Job with all keys", job.into_iter().chain(stages))
 }
 
+/// Table of several inputs: status, points, time, reason of a failure.
+fn of_inputs(inputs: &[Value]) -> Markup {
+    let row = |input: &Value| {
+        let points = points(input).to_string();
+        let status = plain(&input["status"]).replace('_', " ");
+        let reason = input["failure"].as_str().unwrap_or_default().to_owned();
+        vec![plain(&input["stem"]), status, points, seconds(&input["wall_s"]), reason]
+    };
+    let several = if inputs.len() > 1 { inputs } else { &[] };
+    table("Inputs", &["input", "status", "points", "time, s", "reason"], several.iter().map(row))
+}
+
 fn of_input((number, input): (usize, &Value)) -> Result<Markup, InvalidOverview> {
     let stem = plain(&input["stem"]);
     let overview: Option<Overview> = match &input["overview"] {
@@ -79,6 +94,7 @@ fn of_input((number, input): (usize, &Value)) -> Result<Markup, InvalidOverview>
     };
     Ok(html! {
         h1.input { (stem) }
+        @if let Some(failure) = input["failure"].as_str() { section { h2 { "Failed" } p { (failure) } } }
         (key_figures(input))
         (notes(input))
         @if let Some(overview) = &overview {

@@ -2,7 +2,35 @@
 
 use std::fmt::Write;
 
-use crate::engine::InputSummary;
+use serde_json::Value;
+
+use super::RunReport;
+use crate::engine::{InputStatus, InputSummary};
+
+/// Table of the inputs of a run: status, points, time, reason of a failure.
+pub fn input_table(report: &RunReport) -> String {
+    let inputs = &report.run.inputs;
+    let width = inputs.iter().map(|input| input.stem.chars().count()).max().unwrap_or(0).max(5);
+    let mut text = format!("{:width$} {:7} {:>11} {:>9} reason\n", "input", "status", "points", "time s");
+    for (number, input) in inputs.iter().enumerate() {
+        let entry = report.inputs.get(number).unwrap_or(&Value::Null);
+        let (points, time) = match input.status {
+            InputStatus::NotRun => (String::new(), String::new()),
+            _ => (points(entry).to_string(), format!("{:.1}", entry["wall_s"].as_f64().unwrap_or(0.0))),
+        };
+        let reason = input.failure.as_deref().unwrap_or_default();
+        let status = input.status.words();
+        let row = format!("{:width$} {status:7} {points:>11} {time:>9} {reason}", input.stem);
+        let _ = writeln!(text, "{}", row.trim_end());
+    }
+    text
+}
+
+/// Number of returns or points of an input that left the chain.
+pub(super) fn points(entry: &Value) -> u64 {
+    let last = entry["stages"].as_array().and_then(|stages| stages.last());
+    last.and_then(|stage| stage["items_out"]["returns"].as_u64()).unwrap_or(0)
+}
 
 /// Table of the stages: items and times.
 pub fn stage_table(input: &InputSummary) -> String {

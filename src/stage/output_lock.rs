@@ -198,14 +198,7 @@ impl Other {
         };
         match meets {
             None => Ok(()),
-            Some(output) => Err(StageError::failed(
-                format!(
-                    "{} is being written by another run (process {})",
-                    folder.join(output).display(),
-                    self.process
-                ),
-                "wait until it ends, or choose another folder with `output_dir`",
-            )),
+            Some(output) => Err(StageError::InUse { output: folder.join(output), process: self.process }),
         }
     }
 }

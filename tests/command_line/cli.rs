@@ -38,7 +38,7 @@ Commands:
   run           Run a job
   replay        Run an archived job again and compare the outputs bit by bit
   verify        Verify an archive, its inputs and its outputs by their digests
-  check         Validate a job without reading data: keys, chain, output folders, missing inputs
+  check         Validate a job without reading data: keys, chain, folders, inputs
   stages        List the stages, or describe one stage and its keys
   schema        Print the JSON Schema of jobs, for editors that validate and complete TOML
   init          Write a commented starter job
@@ -79,6 +79,7 @@ fn the_help_of_run_explains_its_options() {
         "--threads <N>",
         "--profile",
         "--archive <ARCHIVE>",
+        "--resume[=<CHECK>]",
         "--progress <WHEN>",
         "- auto:   A bar on a terminal, lines elsewhere",
     ] {
@@ -180,7 +181,7 @@ error: `[job]` has no key `thread`
   |     ^^^^^^
   |
   = help: did you mean `threads`?
-  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, geometry
+  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, on_error, geometry
 ";
     assert_eq!(outcome.code, Some(2));
     assert!(outcome.err.ends_with(expected), "{}", outcome.err);

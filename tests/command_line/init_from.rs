@@ -136,7 +136,7 @@ fn a_model_is_saved_and_serves_another_recording() {
         out.ends_with("wrote model.json; use it in a job: `load = \"model.json\"` of calibrate\n"),
         "{out}"
     );
-    assert!(!place.path("report.json").exists() && !place.path("wavex.log").exists());
+    assert!(!place.path("wavex_report.json").exists() && !place.path("wavex.log").exists());
     // Ten waveforms are too few for calibration.
     let job = "[[stage]]\ntype = 'simulate'\nlines = 1\nshots_per_line = 10\n[[stage]]\ntype = 'calibrate'\nload = 'model.json'\n\
                [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'write_table'\n";
@@ -155,10 +155,10 @@ fn a_run_names_all_that_it_wrote_by_short_paths() {
     let Outcome { code, out, err } = place.wavex(&["run", "jobs/a.toml", "--profile", "--progress", "never"]);
     assert_eq!((code, err.as_str()), (Some(0), ""));
     let written: Vec<&str> = out.lines().filter_map(|line| line.strip_prefix("wrote ")).collect();
-    let expected = ["a.arrow", "report.json", "report.html", "trace.json", "wavex.log", "a_stat.log"]
+    let expected = ["a.arrow", "a_report.json", "a_report.html", "a_trace.json", "a.log", "a_stat.log"]
         .map(|name| format!("out/{name}"));
     assert_eq!(written, expected);
-    let log = place.text("out/wavex.log");
+    let log = place.text("out/a.log");
     for part in ["mount: level", "geoid: none", "unit: ", "calibration: none", "wrote out/a.arrow"] {
         assert!(log.contains(part), "{part}: {log}");
     }
@@ -169,7 +169,7 @@ fn a_run_names_all_that_it_wrote_by_short_paths() {
 fn a_failed_run_ends_its_log_with_its_exit_status() {
     let place = TestFolder::with(&[("a.las", b"no LAS")]);
     assert_eq!(place.read("read_las", "a.las", "[[stage]]\ntype = 'write_arrow'\n").code, Some(1));
-    let log = place.text("out/wavex.log");
+    let log = place.text("out/job.log");
     assert!(log.trim_end().ends_with("exit status 1"), "{log}");
 }
 

@@ -219,14 +219,16 @@ fn the_example_in_full() {
 #channel_capacity = 16
 # SIMD instructions of the fast kernels.
 #simd = "auto"
-# Report of the run (JSON) in the output folder; empty: none.
-#report = "report.json"
-# Report as a page for browsers and printing (one HTML file) in the output folder: a name, or `true` for `report.html`; `false` or empty: none.
+# Report of the run (JSON) in the output folder; `*` is replaced by the stem of the job file; empty: none.
+#report = "*_report.json"
+# Report as a page for browsers and printing (one HTML file) in the output folder: a name, or `true` for `*_report.html`; `false` or empty: none.
 #report_page = ""
 # Text statistics of each input in the output folder; `*` is replaced by the stem of the input and is required for several inputs; empty: none.
 #stat_log = "*_stat.log"
-# Log of the run in the output folder; empty: none.
-#log = "wavex.log"
+# Log of the run in the output folder; `*` is replaced by the stem of the job file; empty: none.
+#log = "*.log"
+# What follows when an input fails: `continue` with the next one, or `stop` the run.
+#on_error = "continue"
 # Not set: include, input_dir, output_dir, geometry
 
 # Reads waveforms from LAS files.

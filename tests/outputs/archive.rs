@@ -99,7 +99,7 @@ fn an_archive_holds_what_it_takes_and_is_replayed_elsewhere() {
         (OUTPUTS.map(String::from).to_vec(), Some("../../out"))
     );
     let report: Value = serde_json::from_str(&place.text("archives/a/report.json")).unwrap();
-    assert_eq!(report, serde_json::from_str::<Value>(&place.text("out/report.json")).unwrap());
+    assert_eq!(report, serde_json::from_str::<Value>(&place.text("out/job_report.json")).unwrap());
     assert_eq!(report["stages"].as_array().unwrap().len(), 9, "the archive's own stage does not appear");
     let outputs = report["inputs"][0]["outputs"].as_array().unwrap();
     assert!(outputs.len() == 5 && outputs.iter().all(|path| path.as_str().unwrap().starts_with("./out/")));

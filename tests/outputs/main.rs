@@ -8,6 +8,7 @@
 )]
 
 mod archive;
+mod archive_of_failures;
 mod copc;
 mod report_page;
 mod text_sinks;

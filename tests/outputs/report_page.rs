@@ -49,14 +49,14 @@ fn with_page(keys: &str) -> String {
 fn run() -> (TestFolder, Value) {
     let place = TestFolder::new();
     assert_eq!(place.run(&with_page("")), Outcome::success());
-    let report = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let report = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
     (place, report)
 }
 
 #[test]
 fn the_page_is_whole_and_needs_nothing_else() {
     let (place, _) = run();
-    assert_eq!(place.outputs(), ["a<b&c.las", "a<b&c_stat.log", "page.html", "report.json"]);
+    assert_eq!(place.outputs(), ["a<b&c.las", "a<b&c_stat.log", "job_report.json", "page.html"]);
     let page = place.text("out/page.html");
     let count = elements(&page);
     assert_eq!(count["image"], 2, "heights and intensities");
@@ -144,8 +144,8 @@ fn the_page_is_made_again_without_the_inputs() {
     let (place, _) = run();
     let page = place.text("out/page.html");
     assert_eq!(report(&place, &["out"]), Outcome::success());
-    assert_eq!(place.text("out/report.html"), page);
-    assert_eq!(report(&place, &["out/report.json", "-o", "other.html"]), Outcome::success());
+    assert_eq!(place.text("out/job_report.html"), page);
+    assert_eq!(report(&place, &["out/job_report.json", "-o", "other.html"]), Outcome::success());
     assert_eq!(place.text("other.html"), page);
 }
 
@@ -154,13 +154,13 @@ fn a_run_without_a_page_gathers_nothing_and_writes_the_same() {
     let (with, _) = run();
     let without = TestFolder::new();
     assert_eq!(without.run(JOB), Outcome::success());
-    assert_eq!(without.outputs(), ["a<b&c.las", "a<b&c_stat.log", "report.json"]);
+    assert_eq!(without.outputs(), ["a<b&c.las", "a<b&c_stat.log", "job_report.json"]);
     let las = |place: &TestFolder| std::fs::read(place.path("out/a<b&c.las")).unwrap();
     assert!(las(&with) == las(&without), "the page changes an output");
-    let found: Value = serde_json::from_str(&without.text("out/report.json")).unwrap();
+    let found: Value = serde_json::from_str(&without.text("out/job_report.json")).unwrap();
     assert!(found["inputs"][0].get("overview").is_none());
     assert_eq!(report(&without, &["out"]), Outcome::success());
-    let page = without.text("out/report.html");
+    let page = without.text("out/job_report.html");
     let count = elements(&page);
     assert_eq!(count["svg"], 5, "times, and responses and noise of two receivers");
 }
@@ -171,7 +171,7 @@ fn what_is_gathered_does_not_depend_on_threads() {
         let place = TestFolder::new();
         let mut command = place.command(&with_page(""));
         assert_eq!(outcome(command.args(["--threads", threads])), Outcome::success());
-        let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+        let report: Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
         report["inputs"][0]["overview"].clone()
     };
     let one = overview("1");
@@ -214,7 +214,7 @@ fn zones_are_shown_where_several_pulses_are_in_the_air() {
                [[stage]]\ntype = 'write_table'\npath = 'points.csv'\n";
     let place = TestFolder::new();
     assert_eq!(place.run(job), Outcome::success());
-    let run: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let run: Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
     let overview = &run["inputs"][0]["overview"];
     let shares = overview["zones"]["shares"].as_array().unwrap();
     let returns = |share: &Value| share["returns"].as_u64().unwrap();
@@ -252,7 +252,7 @@ fn the_fits_shown_are_those_of_the_run() {
     let place = TestFolder::new();
     let table = "[[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
     assert_eq!(place.run(&(with_page("") + table)), Outcome::success());
-    let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let report: Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
     let text = place.text("out/a<b&c.csv");
     let mut rows = text.lines().map(|row| row.split(',').collect::<Vec<&str>>());
     let heads = rows.next().unwrap();
@@ -307,7 +307,7 @@ fn a_run_with_several_inputs_has_one_page() {
     let parts: Vec<&str> = page.split("<h1 class=\"input\">").skip(1).collect();
     let names: Vec<&str> = parts.iter().map(|part| part.split_once("</h1>").unwrap().0).collect();
     assert_eq!(names, ["a&lt;b", "second"]);
-    let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let report: Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
     for (part, input) in parts.iter().zip(report["inputs"].as_array().unwrap()) {
         let headings = [
             "<h3>Points by height<",
@@ -335,7 +335,7 @@ fn a_run_with_several_inputs_has_one_page() {
     assert!(within.iter().all(|id| ids.contains(id)), "{ids:?}");
 
     assert_eq!(self::report(&place, &["out"]), Outcome::success());
-    assert_eq!(place.text("out/report.html"), page);
+    assert_eq!(place.text("out/job_report.html"), page);
 }
 
 #[test]
@@ -345,7 +345,7 @@ fn the_key_asks_for_a_page() {
     assert_eq!(refused.code, Some(2));
     assert!(refused.err.contains("`report_page`: it must end in .html"), "{}", refused.err);
     assert_eq!(place.run(&format!("report_page = true\n{JOB}")), Outcome::success());
-    assert!(place.text("out/report.html").starts_with("<!DOCTYPE html>"));
+    assert!(place.text("out/job_report.html").starts_with("<!DOCTYPE html>"));
 }
 
 /// The page in a browser: readable, with all pictures and without console messages.
@@ -405,8 +405,15 @@ fn what_is_no_report_is_said() {
         let Outcome { code, err, .. } = report(&place, &[path]);
         assert!(code == Some(1) && err.starts_with(&format!("error: {problem}")), "{err}");
     };
-    refused("a.json", "a.json: not a report of a run: no `inputs`; give the report.json of a run");
+    refused("a.json", "a.json: not a report of a run: no `inputs`; give the report of a run");
     refused("b.json", "b.json: not a report of a run: expected");
     refused("c.json", "c.json: the overview of \"s\" is invalid: invalid type: integer `7`");
     refused("gone.json", "gone.json: cannot open the report: ");
+    refused(".", ".: no report of a run in this folder; give the report of a run");
+    for name in ["a_report.json", "b_report.json"] {
+        place.write(name, b"{}");
+    }
+    let several =
+        ".: several reports in this folder: a_report.json and b_report.json; give the report of a run";
+    refused(".", several);
 }

@@ -248,7 +248,7 @@ fn the_statistics_in_words_have_every_part() {
     let folder = tempfile::tempdir().unwrap();
     let report = run(folder.path(), "[[stage]]\ntype = 'write_lstat'\n");
     let input = &report.inputs[0];
-    let text = wavex::report::stat_log(&report, input, &["out/report.json".into()], None);
+    let text = wavex::report::stat_log(&report, input, &["out/job_report.json".into()], None);
     let titles = ["Run time", "Input", "Decoding", "Extraction", "Trajectory", "Georeferencing", "Output"];
     let place =
         |title: &&str| text.find(&format!("\n{title}\n---")).unwrap_or_else(|| panic!("{title}: {text}"));
@@ -262,7 +262,7 @@ fn the_statistics_in_words_have_every_part() {
     assert_eq!(value("points with coordinates"), input.totals["n_georef"].to_string());
     assert_eq!((value("scan lines"), value("shots")), ("6".into(), "900".into()));
     assert!(value("calibration, low power").starts_with("noise "));
-    assert!(text.contains("a_lstat.txt") && text.contains("out/report.json"), "{text}");
+    assert!(text.contains("a_lstat.txt") && text.contains("out/job_report.json"), "{text}");
     for name in ["start", "end"] {
         assert!(value(name).ends_with('Z') && value(name).len() == 20, "{name}: {}", value(name));
     }

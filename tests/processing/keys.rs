@@ -30,7 +30,7 @@ fn run(place: &TestFolder, reader: &str, calibrate: &str, decompose: &str) -> (V
     );
     assert_eq!(place.run(&job), Outcome::success());
     let rows = table::rows(&place.text("out/a.csv"));
-    let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
     (rows, report["inputs"][0]["totals"].clone())
 }
 

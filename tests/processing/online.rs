@@ -64,7 +64,7 @@ fn run(keys: &str) -> (Vec<Row>, serde_json::Value) {
     let outcome = place.run(&job(keys));
     assert_eq!(outcome, Outcome::success());
     let rows = table::rows(&place.text("out/a.csv"));
-    let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
     (rows, report["inputs"][0].clone())
 }
 
@@ -122,7 +122,7 @@ fn without_decomposition_there_is_no_need_to_calibrate() {
     let without = with.replace(calibrate, "");
     assert_eq!(place.run(&without), Outcome::success());
     assert_eq!(place.text("out/a.csv"), expected);
-    let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
     assert_eq!(report["inputs"][0]["totals"]["nw_with_points"], SHOTS - WITHOUT);
 
     for keys in ["", "online_points = 'fallback'"] {

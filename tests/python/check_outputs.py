@@ -190,10 +190,10 @@ def check_survey(checks, name, program, source, tells_origins=True):
     with checks.of(name), tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         run(program, folder, source + SINKS)
-        report = json.loads((folder / "report.json").read_text())
+        report = json.loads((folder / "job_report.json").read_text())
         stem = report["inputs"][0]["stem"]
         output = lambda ending: folder / f"{stem}{ending}"
-        with checks.of(f"{name}, report.json"):
+        with checks.of(f"{name}, job_report.json"):
             check_report(checks, report, folder)
         report = report["inputs"][0]
         container = read_container(output(".arrow"))
@@ -240,7 +240,7 @@ def check_report(checks, report, folder):
         checks.equal("has a sensor model as its schema says", errors("sensor_model", report["sensor_model"]), [])
     (of_input,) = report["inputs"]
     written = sorted(Path(path).name for path in of_input["outputs"])
-    about_the_run = {"job.toml", "wavex.log", "report.json", f"{of_input['stem']}_stat.log"}
+    about_the_run = {"job.toml", "job.log", "job_report.json", f"{of_input['stem']}_stat.log"}
     there = {path.name for path in folder.iterdir()}
     checks.equal("stands beside the other files about the run", sorted(about_the_run - there), [])
     checks.equal("names every file that was written", written, sorted(there - about_the_run))

@@ -190,7 +190,7 @@ def outputs(binary, folder, arguments):
     for name, text in messages.items():
         found[f"messages of {name}"] = hashlib.sha256(text.encode()).hexdigest()[:16]
     for path in sorted(folder.rglob("*")):
-        if path.is_file() and not path.is_symlink() and path.suffix not in (".toml", ".html") and path.name != "wavex.log":
+        if path.is_file() and not path.is_symlink() and path.suffix not in (".toml", ".html") and path.name not in ("job.log", "wavex.log"):
             found[str(path.relative_to(folder))] = digest(path)
     return found, messages
 

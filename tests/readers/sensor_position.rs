@@ -188,7 +188,7 @@ fn a_part_of_the_range_is_not_added_where_ranges_do_not_count_from_the_sensor() 
         let (before, after) = text.split_at(text.find("[job.geometry]").unwrap());
         let (table, stages) = after.split_at(after.find("[[stage]]").unwrap());
         assert_eq!(place.run(&format!("{table}{before}{stages}")), Outcome::success());
-        let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+        let report: Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
         let report = &report["inputs"][0];
         assert_eq!(
             (notes(report).contains(&said), notes(report).contains(&NOT_CORRECTED)),

@@ -25,7 +25,7 @@ fn place() -> (TestFolder, BTreeMap<String, Vec<u8>>) {
 fn products(place: &TestFolder) -> BTreeMap<String, Vec<u8>> {
     let mut files = files(&place.path("out"));
     let is_about_the_run =
-        |name: &String| ["wavex.log", "report.json", "a_stat.log"].contains(&name.as_str());
+        |name: &String| ["job.log", "job_report.json", "a_stat.log"].contains(&name.as_str());
     files.retain(|name, _| !name.starts_with('.') && !is_about_the_run(name));
     files
 }
@@ -35,7 +35,7 @@ fn is_whole(place: &TestFolder, whole: &BTreeMap<String, Vec<u8>>) {
     for (name, bytes) in products(place) {
         assert!(whole[&name] == bytes, "{name} is not complete");
     }
-    if let Ok(report) = fs::read(place.path("out/report.json")) {
+    if let Ok(report) = fs::read(place.path("out/job_report.json")) {
         serde_json::from_slice::<serde_json::Value>(&report).expect("a report is complete");
     }
 }
@@ -109,7 +109,7 @@ fn leavings_of_killed_runs_are_swept_up_by_the_next() {
         child.wait().unwrap();
     }
     let mut expected: Vec<String> =
-        whole.keys().cloned().chain(["a_stat.log", "report.json", "wavex.log"].map(String::from)).collect();
+        whole.keys().cloned().chain(["a_stat.log", "job_report.json", "job.log"].map(String::from)).collect();
     expected.sort();
     assert_ne!(names(&place.path("out")), expected, "a killed run leaves its unfinished files");
     assert_eq!(run(&place, &["--archive", "archives/last"]), Outcome::success());
@@ -181,7 +181,7 @@ fn a_folder_that_is_removed_under_a_run_leaves_nothing_and_says_so() {
     assert_eq!(run(&place, &[]), Outcome::success());
     assert_eq!(
         names(&place.path("out")),
-        ["report.json", "simulated.arrow", "simulated_stat.log", "wavex.log"]
+        ["job.log", "job_report.json", "simulated.arrow", "simulated_stat.log"]
     );
 }
 
@@ -196,15 +196,11 @@ fn a_second_run_on_the_same_outputs_is_refused_while_the_first_lives() {
     assert_eq!(second.code, Some(1), "{}", second.err);
     let process = first.id();
     let problem = format!(
-        "error: ./out/report.json is being written by another run (process {process}); wait until it ends, or choose another folder with `output_dir`\n"
+        "error: ./out/simulated_stat.log is being written by another run (process {process}); wait until it ends, or choose another folder with `output_dir`\n"
     );
     assert_eq!(second.err, problem);
-    // Without a report and a log, both runs conflict on the output itself.
-    let silent = run(
-        &place,
-        &[&shorter[..], &["--set", "job.report=''", "--set", "job.log=''", "--set", "job.stat_log=''"]]
-            .concat(),
-    );
+    // Without statistics, both runs conflict on the output itself.
+    let silent = run(&place, &[&shorter[..], &["--set", "job.stat_log=''"]].concat());
     assert!(silent.err.contains("out/simulated.arrow is being written by another run"), "{}", silent.err);
     // Other runs succeed: to another folder, and to this folder under another name.
     assert_eq!(
@@ -225,7 +221,49 @@ fn a_second_run_on_the_same_outputs_is_refused_while_the_first_lives() {
     first.kill().unwrap();
     first.wait().unwrap();
     assert_eq!(run(&place, &shorter), Outcome::success(), "a killed run holds no lock");
-    let expected =
-        ["b.arrow", "b.json", "b.log", "report.json", "simulated.arrow", "simulated_stat.log", "wavex.log"];
+    let expected = [
+        "b.arrow",
+        "b.json",
+        "b.log",
+        "job-2.log",
+        "job.log",
+        "job_report.json",
+        "simulated.arrow",
+        "simulated_stat.log",
+    ];
     assert_eq!(names(&place.path("out")), expected);
+}
+
+#[test]
+fn runs_over_other_inputs_do_not_block_each_other() {
+    let place = TestFolder::new();
+    place.write("job.toml", LONG.as_bytes());
+    place.write("other.toml", LONG.as_bytes());
+    let mut first = spawn(&place, &[]);
+    wait_for(|| names(&place.path("out")).iter().any(|name| name.starts_with(".simulated.arrow.")));
+    let of = |job: &str, stem: &str| {
+        let stem = format!("simulate.stem={stem}");
+        place.wavex(&["--quiet", "run", job, "--set", "simulate.lines=1", "--set", &stem])
+    };
+    assert_eq!(of("other.toml", "b"), Outcome::success(), "another job");
+    assert_eq!(of("job.toml", "c"), Outcome::success(), "the same job");
+    first.kill().unwrap();
+    first.wait().unwrap();
+    assert_eq!(of("job.toml", "d"), Outcome::success(), "the killed run has left its name");
+    let mut expected: Vec<String> = ["b", "c", "d"]
+        .iter()
+        .flat_map(|stem| [format!("{stem}.arrow"), format!("{stem}_stat.log")])
+        .collect();
+    for name in ["job", "job-2", "other"] {
+        expected.extend([format!("{name}.log"), format!("{name}_report.json")]);
+    }
+    expected.sort();
+    let partial = |name: &String| name.starts_with('.');
+    let found: Vec<String> = names(&place.path("out")).into_iter().filter(|name| !partial(name)).collect();
+    assert_eq!(found, expected);
+    let stem_in = |report: &str| -> serde_json::Value {
+        let report: serde_json::Value = serde_json::from_str(&place.text(&format!("out/{report}"))).unwrap();
+        report["inputs"][0]["stem"].clone()
+    };
+    assert_eq!(["other_report.json", "job-2_report.json", "job_report.json"].map(stem_in), ["b", "c", "d"]);
 }

@@ -14,4 +14,7 @@ mod engine;
 mod killed;
 mod layers;
 mod repeatable;
+#[cfg(unix)]
+mod resumed;
+mod survey;
 mod truncation;

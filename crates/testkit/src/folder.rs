@@ -109,26 +109,32 @@ impl TestFolder {
         self.run(&format!("[[stage]]\ntype = '{reader}'\npath = '{input}'\n{stages}"))
     }
 
-    /// Asserts that a job fails with this message and leaves only its log and statistics.
+    /// Asserts that a job fails with this message and leaves no outputs.
     #[track_caller]
     pub fn fails(&self, reader: &str, input: &str, message: &str) {
         let stages = "[[stage]]\ntype = 'write_arrow'\npath = '*_copy.arrow'\n";
         self.left_nothing(self.read(reader, input, stages), message);
     }
 
-    /// Asserts that the run failed with this message and left only its log and statistics.
+    /// Asserts that the run of one input failed with this message and left no outputs.
     ///
-    /// The statistics contain the message.
+    /// Log, statistics and report contain the message.
     #[track_caller]
     pub fn left_nothing(&self, outcome: Outcome, message: &str) {
         assert_eq!(outcome, Outcome::failure(1, format!("error: {message}\n")));
         assert_eq!(self.products(), Vec::<String>::new(), "a failed run leaves no outputs");
         for name in self.outputs() {
-            let statistics = self.text(&format!("out/{name}"));
-            let failure = format!("{:<36} 1, failed\n{:<36} {message}\n", "exit status", "failure");
-            assert!(statistics.contains(&failure), "{name}: {statistics}");
+            let text = self.text(&format!("out/{name}"));
+            if name.ends_with("_stat.log") {
+                let failure = format!("{:<36} 1, failed\n{:<36} {message}\n", "exit status", "failure");
+                assert!(text.contains(&failure), "{name}: {text}");
+            } else {
+                let report: Value = serde_json::from_str(&text).unwrap();
+                let input = &report["inputs"][0];
+                assert_eq!((&input["status"], &input["failure"]), (&"failed".into(), &message.into()));
+            }
         }
-        let log = self.text("out/wavex.log");
+        let log = self.text("out/job.log");
         assert!(log.contains(message), "the log lacks the cause of the failure:\n{log}");
     }
 
@@ -137,7 +143,7 @@ impl TestFolder {
     pub fn succeeds(&self, reader: &str, input: &str, stages: &str) -> Value {
         let outcome = self.read(reader, input, stages);
         assert_eq!(outcome, Outcome::success());
-        let report: Value = serde_json::from_str(&self.text("out/report.json")).unwrap();
+        let report: Value = serde_json::from_str(&self.text("out/job_report.json")).unwrap();
         assert_eq!(report["inputs"].as_array().unwrap().len(), 1);
         report["inputs"][0].clone()
     }
@@ -146,14 +152,15 @@ impl TestFolder {
     pub fn outputs(&self) -> Vec<String> {
         let mut names = Vec::new();
         collect(&self.path("out"), "", &mut names);
-        names.retain(|name| name != "wavex.log");
+        names.retain(|name| name != "job.log");
         names.sort();
         names
     }
 
-    /// Output files except statistics, which a failed run also leaves.
+    /// Output files except statistics and report, which a failed run also leaves.
     pub fn products(&self) -> Vec<String> {
-        self.outputs().into_iter().filter(|name| !name.ends_with("_stat.log")).collect()
+        let is_about_the_run = |name: &String| name.ends_with("_stat.log") || name == "job_report.json";
+        self.outputs().into_iter().filter(|name| !is_about_the_run(name)).collect()
     }
 
     /// Times of the shots with returns in a table, in its order and format.

@@ -97,7 +97,7 @@ pub fn copy(keys: &str) -> String {
 #[track_caller]
 pub fn read(place: &TestFolder, keys: &str) -> (Value, Vec<Vec<Row>>) {
     assert_eq!(place.run(&copy(keys)), Outcome::success());
-    let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let report: Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
     (report["inputs"][0].clone(), rows(&place.path("out/sdf.arrow")))
 }
 

@@ -306,9 +306,9 @@ fn the_lines_without_a_trajectory() {
 #[test]
 fn the_line_that_writes_nothing() {
     let (place, truth) = inputs("1.1-14");
-    leaves(&place, "wavex -i data.sdf -fastest -oext 0 -nil", &["report.json"]);
+    leaves(&place, "wavex -i data.sdf -fastest -oext 0 -nil", &["wavex_report.json"]);
     assert!(!place.path("data.laz").exists());
-    let report: serde_json::Value = serde_json::from_str(&place.text("report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&place.text("wavex_report.json")).unwrap();
     let total = |name: &str| report["inputs"][0]["totals"][name].as_u64().unwrap();
     assert_eq!([total("nw"), total("n_georef")], [FLOWN, truth.len() as u64]);
 }

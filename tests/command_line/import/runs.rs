@@ -79,7 +79,7 @@ fn lines_of_version_1_1() {
     assert_eq!(minor, 2);
     assert!(points >= 250, "{points} points of 300 pulses");
     assert!((100_000.0..900_000.0).contains(&easting), "no easting of UTM: {easting}");
-    leaves(&place, "wavex -i data.sdf -fastest -oext 0 -O nothing -nil", &["nothing/report.json"]);
+    leaves(&place, "wavex -i data.sdf -fastest -oext 0 -O nothing -nil", &["nothing/wavex_report.json"]);
     assert!(!place.path("nothing/data.laz").exists());
     // Only LAZ can contain an index.
     leaves(&place, "-i data.sdf -fastest -olas -lax_append", &["data.las", "data.lax", "data_stat.log"]);

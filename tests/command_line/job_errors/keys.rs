@@ -69,7 +69,7 @@ error: `[job]` has no key `thread`
   | ^^^^^^
   |
   = help: did you mean `threads`?
-  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, geometry
+  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, on_error, geometry
 "#,
     );
 }
@@ -423,7 +423,7 @@ fn a_page_is_asked_for_by_its_name_or_by_a_truth_value() {
     let page =
         |text: &str, set: &[&str]| parse(&format!("{text}\n{FULL}"), set).unwrap().settings.report_page;
     assert_eq!(page("", &[]), "");
-    for (value, expected) in [("true", "report.html"), ("false", ""), ("'a.html'", "a.html"), ("''", "")] {
+    for (value, expected) in [("true", "*_report.html"), ("false", ""), ("'a.html'", "a.html"), ("''", "")] {
         assert_eq!(page(&format!("[job]\nreport_page = {value}"), &[]), expected);
         assert_eq!(page("", &[&format!("job.report_page={value}")]), expected);
     }

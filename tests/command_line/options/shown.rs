@@ -199,7 +199,7 @@ pub const FEATURES: &[(&str, &str, &[&str])] = &[
         &[
             "the_statistics_in_words_have_every_part",
             "what_the_geometry_says_stands_in_the_statistics",
-            "the_outputs_of_inputs_before_a_bad_one_stay_and_those_behind_it_are_not_begun",
+            "a_bad_input_costs_only_its_own_outputs",
         ],
     ),
     ("errors of appendix A1", "messages", &["the_table_of_errors_names_tests_that_there_are"]),

@@ -13,7 +13,7 @@ fn a_model_for_other_samples_is_used_as_it_is_and_said_so() {
     let load = format!("load = '{}'", model.display());
     let (_, _) = run(&place, "", &load, "");
     let notes = |place: &TestFolder| {
-        place.text("out/report.json").matches("the values of the model are used").count()
+        place.text("out/job_report.json").matches("the values of the model are used").count()
     };
     assert_eq!(notes(&place), 0);
     run(&place, "odd_sample_shift = 0.2", &load, "");
@@ -49,7 +49,7 @@ fn a_preset_serves_where_there_is_too_little_to_calibrate_from() {
 
     assert_eq!(place.run(&job("preset = 'riegl_lms_q680i'")).code, Some(0));
     assert_eq!(place.text("out/a.csv").lines().count(), 101);
-    assert_eq!(place.text("out/report.json").matches("the sensor model is a preset").count(), 1);
+    assert_eq!(place.text("out/job_report.json").matches("the sensor model is a preset").count(), 1);
 }
 
 /// A job that loads `model.json`, with further keys of `calibrate`.
@@ -76,7 +76,7 @@ fn a_model_is_held_against_the_recording() {
         let outcome = load(&place, keys);
         (outcome.code, outcome.err)
     };
-    let notes = |text: &str| place.text("out/report.json").matches(text).count();
+    let notes = |text: &str| place.text("out/job_report.json").matches(text).count();
 
     assert_eq!(said(&model, ""), (Some(0), String::new()));
     assert_eq!(notes("the loaded model"), 0);
@@ -116,8 +116,9 @@ fn an_unknown_full_scale_is_said_and_can_be_given() {
         bytes[at..at + ours.len()].copy_from_slice(theirs);
     }
     place.write("a.arrow", &bytes);
-    let notes =
-        || place.text("out/report.json").matches("the reader's key `full_scale_dn` (255 for 8 bits)").count();
+    let notes = || {
+        place.text("out/job_report.json").matches("the reader's key `full_scale_dn` (255 for 8 bits)").count()
+    };
     run(&place, "", "", "");
     let unknown = notes();
     run(&place, "full_scale_dn = 255", "save = 'model.json'", "");
@@ -133,7 +134,7 @@ fn a_recording_that_its_returns_do_not_explain_ends_with_a_warning() {
     let place = recording(|_, _| {});
     let warning = "the returns do not explain the waveforms";
     run(&place, "", "save = 'model.json'", "");
-    assert!(!place.text("out/report.json").contains(warning));
+    assert!(!place.text("out/job_report.json").contains(warning));
     let mut model: serde_json::Value = serde_json::from_str(&place.text("out/model.json")).unwrap();
     for key in ["noise_sd_dn", "innovation_sd_dn"] {
         let value = &mut model["low_power"][key];
@@ -141,7 +142,7 @@ fn a_recording_that_its_returns_do_not_explain_ends_with_a_warning() {
     }
     place.write("out/quiet.json", model.to_string().as_bytes());
     run(&place, "", &format!("load = '{}'", place.path("out/quiet.json").display()), "");
-    let report = place.text("out/report.json");
+    let report = place.text("out/job_report.json");
     for text in [warning, "Used: the response of single echoes", "`wavex explain`", "`response` of calibrate"]
     {
         assert!(report.contains(text), "{text}: {report}");

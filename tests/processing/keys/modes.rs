@@ -27,7 +27,7 @@ fn modes_differ_where_each_waveform_has_a_background_of_its_own() {
     let place = modes_differ_as_their_names_say("background = 'per_waveform'", 3);
     for mode in ["fastest", "fast_separated", "refined"] {
         run(&place, "", "background = 'per_waveform'", &format!("mode = '{mode}'"));
-        let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+        let report: serde_json::Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
         let stages = report["inputs"][0]["stages"].as_array().unwrap();
         let observed = |stage: &serde_json::Value| stage["observed"]["left_to_plain_kernels"].clone();
         let left = stages.iter().map(observed).find(|left| !left.is_null()).unwrap();

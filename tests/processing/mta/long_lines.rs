@@ -176,7 +176,7 @@ fn run(place: &TestFolder, job: &str, memory_mb: u64) -> Result<Vec<u8>, u64> {
         return Err(needed.parse().unwrap());
     }
     assert_eq!(outcome, Outcome::success());
-    let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let report: Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
     let said = notes(&report["inputs"][0]);
     assert!(!said.iter().any(|note| note.contains("memory_mb")), "{said:?}");
     let in_flight_mb = report["inputs"][0]["peak_in_flight_bytes"].as_f64().unwrap() / 1e6;

@@ -113,6 +113,6 @@ fn an_empty_recording_has_no_lines() {
     let place = place(&container(&header(), &[]), "");
     let outcome = place.run(&wavex_testkit::sdf::copy(""));
     assert_eq!((outcome.code, outcome.err.as_str()), (Some(0), ""));
-    let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
     assert_eq!(notes(&report["inputs"][0]), ["no container is written: there were no shots"]);
 }

@@ -77,7 +77,7 @@ fn a_file_without_its_date_lacks_the_week_unless_the_job_says_the_day() {
     let job = |keys: &str| copy(keys).replace(NAME, "flight.sdf");
     let run = |keys: &str| {
         assert_eq!(place.run(&job(keys)).err, "");
-        let report: serde_json::Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+        let report: serde_json::Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
         (notes(&report["inputs"][0]), header_of(&place).gps_week, header_of(&place).recorded)
     };
     let remark = "the GPS week is unknown: the file name does not begin with its date as in \

@@ -98,13 +98,13 @@ fn a_stream_that_ends_between_two_lines_is_noted() {
         place.command("[[stage]]\ntype = 'read_arrow'\npath = '-'\n[[stage]]\ntype = 'write_lstat'\n");
     command.stdin(File::open(place.path("a.arrows")).unwrap());
     assert_eq!(outcome(&mut command), Outcome::success());
-    let report: Value = serde_json::from_str(&place.text("out/report.json")).unwrap();
+    let report: Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
     assert_eq!(
         notes(&report["inputs"][0]),
         ["the Arrow stream ends without its end mark: lines may be missing"]
     );
     assert_eq!(report["inputs"][0]["totals"]["nw"], json!(250));
-    assert_eq!(place.outputs(), ["report.json", "stdin_lstat.txt", "stdin_stat.log"]);
+    assert_eq!(place.outputs(), ["job_report.json", "stdin_lstat.txt", "stdin_stat.log"]);
 }
 
 #[test]
@@ -140,7 +140,7 @@ fn a_shot_that_cannot_be_is_counted_and_passed_over() {
     ];
     assert_eq!(notes(&input), expected);
     // One message, regardless of the number of workers that reported the problem.
-    let log = place.text("out/wavex.log");
+    let log = place.text("out/job.log");
     expected.iter().for_each(|note| assert_eq!(log.matches(note).count(), 1, "{log}"));
 }
 

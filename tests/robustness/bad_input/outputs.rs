@@ -54,7 +54,7 @@ fn a_folder_of_the_name_of_an_output() {
     let problem = "a folder with the name of this output exists; choose another name or remove the folder";
     for (folder, message) in [
         ("a.arrow", format!("stage write_arrow: ./out/a.arrow: {problem}")),
-        ("report.json", format!("./out/report.json: {problem}")),
+        ("job_report.json", format!("./out/job_report.json: {problem}")),
     ] {
         let place = place(3);
         place.write(&format!("out/{folder}/mine"), b"");
@@ -75,7 +75,7 @@ fn a_folder_that_must_not_be_written_to() {
         skipped("this user may write to folders that are read-only (root?)");
         return;
     }
-    let message = "./out/wavex.log: cannot create the log: Permission denied (os error 13); \
+    let message = "./out/job.log: cannot create the log: Permission denied (os error 13); \
                    check the permissions, or choose another folder";
     fails(&place, &mut place.command(&format!("{READ}{COPY}")), message);
 }

@@ -68,7 +68,7 @@ fn a_folder_whose_name_is_no_unicode_is_reported_all_the_same() {
     let mut command = wavex_testkit::wavex();
     command.args(["-q", "run"]).arg(folder.join("job.toml"));
     assert_eq!(outcome(&mut command), Outcome::success());
-    let report: Value = serde_json::from_slice(&fs::read(folder.join("report.json")).unwrap()).unwrap();
+    let report: Value = serde_json::from_slice(&fs::read(folder.join("job_report.json")).unwrap()).unwrap();
     assert!(report["inputs"][0]["path"].as_str().unwrap().ends_with("caf\u{fffd}/a.las"), "{report}");
 }
 

@@ -4,7 +4,7 @@ use std::fs;
 
 use wavex_testkit::las::Las;
 use wavex_testkit::pulsewaves::PulseWaves;
-use wavex_testkit::{Outcome, TO_TABLE, TestFolder};
+use wavex_testkit::{TO_TABLE, TestFolder};
 
 /// Every reader with the name of an input.
 const READERS: [(&str, &str); 4] =
@@ -95,34 +95,6 @@ fn inputs_whose_outputs_would_have_the_same_names() {
     let message = "the outputs of a/x.las and b/x.las would have the same names; \
                    run them as two jobs with different output folders";
     place.fails("read_las", "*/x.las", message);
-}
-
-#[test]
-fn the_outputs_of_inputs_before_a_bad_one_stay_and_those_behind_it_are_not_begun() {
-    let las = Las::new(3);
-    let place = TestFolder::with(&[
-        ("a.las", &las.las()),
-        ("a.wdp", &las.packets),
-        ("b.las", b"LASF"),
-        ("c.las", b""),
-    ]);
-    let outcome = place.read("read_las", "*.las", "[[stage]]\ntype = 'write_arrow'\n");
-    let message = "error: stage read_las: b.las: byte 4: file source ID: 2 bytes needed, 0 left; \
-                   the file is cut off: copy it again from its source\n";
-    assert_eq!(outcome, Outcome::failure(1, message));
-    assert_eq!(place.outputs(), ["a.arrow", "a_stat.log", "b_stat.log"]);
-    let row = |name: &str, value: &str| format!("{name:<36} {value}\n");
-    let message = message.strip_prefix("error: ").unwrap().trim_end();
-    for (name, file, lines) in [("a", "a.las", "1"), ("b", "b.las", "0")] {
-        let statistics = place.text(&format!("out/{name}_stat.log"));
-        let rows = [
-            row("exit status", "1, failed") + &row("failure", message),
-            row("file", file),
-            row("scan lines", lines),
-        ];
-        assert!(rows.iter().all(|row| statistics.contains(row)), "{rows:?} {statistics}");
-    }
-    assert!(place.text("out/a_stat.log").contains("./out/a.arrow\n"));
 }
 
 #[test]

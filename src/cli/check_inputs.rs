@@ -1,0 +1,76 @@
+//! Inputs of a job for `wavex check`: number, size, pulses, problems.
+
+use std::path::Path;
+
+use super::check::size;
+use crate::archive::missing_files;
+use crate::engine;
+use crate::job::Job;
+use wavex_formats::{Result, companions, las, pulsewaves};
+
+/// Usual number of points per pulse, at least and at most.
+const POINTS_PER_PULSE: [u64; 2] = [1, 3];
+
+/// Describes the inputs of a job and lists their problems; `input_dir` is absolute.
+///
+/// Reads headers only.
+pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
+    let (inputs, errors) = engine::find_inputs(job, input_dir);
+    let mut problems: Vec<String> = errors.iter().map(ToString::to_string).collect();
+    problems.extend(missing_files(job, &inputs, input_dir));
+    let files: Vec<&Path> =
+        inputs.iter().map(|input| input.path.as_path()).filter(|path| path.is_file()).collect();
+    let Some(reader) = job.stages.first().filter(|_| !files.is_empty()) else {
+        return (String::new(), problems);
+    };
+    let length = |path: &Path| path.metadata().map_or(0, |about| about.len());
+    let with_companions =
+        |path: &&Path| length(path) + companions(path).iter().map(|path| length(path)).sum::<u64>();
+    let mut text = format!("  files:  {}, {}\n", files.len(), size(files.iter().map(with_companions).sum()));
+    let mut total = Some(0);
+    for path in files {
+        match pulses(reader.spec.name, path) {
+            Ok(pulses) => total = total.zip(pulses).map(|(total, pulses)| total + pulses),
+            Err(error) => problems.push(error.to_string()),
+        }
+    }
+    text += &match total {
+        Some(pulses) => {
+            let points: Vec<String> =
+                POINTS_PER_PULSE.iter().map(|each| (each * pulses).to_string()).collect();
+            format!("  pulses: {pulses}; about {} points\n", points.join(" to "))
+        }
+        None => format!(
+            "  pulses: unknown, and so are the points: {} counts pulses only by reading the data\n",
+            reader.id
+        ),
+    };
+    (text, problems)
+}
+
+/// Number of pulses according to the header; `None` if the format has no such number.
+fn pulses(reader: &str, path: &Path) -> Result<Option<u64>> {
+    Ok(match reader {
+        "read_las" => {
+            let reader = las::Reader::open(path)?;
+            let header = reader.header();
+            // Some writers do not count by return.
+            Some(
+                header
+                    .n_points_by_return
+                    .first()
+                    .copied()
+                    .filter(|first| *first > 0)
+                    .unwrap_or(header.n_points),
+            )
+        }
+        "read_pulsewaves" => Some(pulsewaves::Reader::open(path)?.pulse_count()),
+        _ => None,
+    })
+}
+
+/// Error for inputs that must be there.
+pub(super) fn required(job: &Job, problems: &[String]) -> String {
+    let what = if problems.len() == 1 { "1 problem" } else { &format!("{} problems", problems.len()) };
+    format!("{}: {what} with the inputs\n  {}", job.name, problems.join("\n  "))
+}

@@ -1,0 +1,173 @@
+//! `wavex run --resume`: inputs whose outputs an earlier run has completed.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use serde_json::Value;
+
+use super::args::ResumeCheck;
+use crate::archive::{digest_of, files_read};
+use crate::engine::{Input, RunSummary};
+use crate::job::Job;
+use crate::report::{FileState, InputFiles};
+use crate::stage::Plan;
+
+/// Keys of `[job]` that may differ: they do not affect outputs or reports.
+const FREE_KEYS: [&str; 6] = ["include", "threads", "channel_capacity", "simd", "log", "on_error"];
+
+/// What files are compared by, and the folders in which they are.
+#[derive(Clone, Debug)]
+pub(super) struct Comparison {
+    check: Option<ResumeCheck>,
+    /// Absolute folder of the inputs.
+    input_dir: PathBuf,
+    /// Absolute folder of the outputs.
+    output_dir: PathBuf,
+}
+
+impl Comparison {
+    /// Compares files in these folders by this check.
+    pub(super) fn new(check: Option<ResumeCheck>, input_dir: &Path, output_dir: &Path) -> Comparison {
+        let absolute = |folder: &Path| std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
+        Comparison { check, input_dir: absolute(input_dir), output_dir: absolute(output_dir) }
+    }
+
+    /// State of a file in or outside of a folder; `None` if it cannot be read.
+    fn state(&self, folder: &Path, path: &Path) -> Option<FileState> {
+        let about = path.metadata().ok()?;
+        let modified = about.modified().ok()?.duration_since(SystemTime::UNIX_EPOCH).ok()?;
+        let blake3 = match self.check {
+            Some(ResumeCheck::Digest) => Some(digest_of(path).ok()?),
+            _ => None,
+        };
+        let absolute = std::path::absolute(path).ok()?;
+        let shown = absolute.strip_prefix(folder).unwrap_or(&absolute);
+        let path = shown.to_string_lossy().into_owned();
+        Some(FileState { path, bytes: about.len(), modified_s: modified.as_secs_f64(), blake3 })
+    }
+
+    /// States of the existing ones of these outputs.
+    pub(super) fn written<'p>(&self, paths: impl IntoIterator<Item = &'p PathBuf>) -> Vec<FileState> {
+        paths.into_iter().filter_map(|path| self.state(&self.output_dir, path)).collect()
+    }
+
+    /// States of the files that a run reads for an input.
+    pub(super) fn read(&self, job: &Job, input: &Input) -> Vec<FileState> {
+        let files = files_read(job, std::slice::from_ref(input), &self.input_dir);
+        files.iter().filter_map(|path| self.state(&self.input_dir, path)).collect()
+    }
+
+    /// First file whose state differs from an earlier one.
+    fn changed(&self, now: &[FileState], then: &[FileState]) -> Option<String> {
+        let is_same = |now: &FileState, then: &FileState| match self.check {
+            Some(ResumeCheck::Digest) => now.blake3.is_some() && now.blake3 == then.blake3,
+            _ => (now.bytes, now.modified_s) == (then.bytes, then.modified_s),
+        };
+        let find = |among: &[FileState], path: &str| among.iter().find(|file| file.path == path).cloned();
+        for file in then {
+            match find(now, &file.path) {
+                None => return Some(format!("{} is missing", file.path)),
+                Some(_) if self.check == Some(ResumeCheck::Digest) && file.blake3.is_none() => {
+                    return Some(format!("the earlier run took no digest of {}", file.path));
+                }
+                Some(now) if !is_same(&now, file) => return Some(format!("{} was changed", file.path)),
+                Some(_) => {}
+            }
+        }
+        let new = now.iter().find(|file| find(then, &file.path).is_none());
+        new.map(|file| format!("{} is new", file.path))
+    }
+}
+
+/// Earlier report of the job, as far as it applies to the next run.
+pub(super) struct EarlierRun {
+    report: Value,
+    /// Why no input can be skipped.
+    obstacle: Option<String>,
+}
+
+impl EarlierRun {
+    /// Compares an earlier report with the next run; `None`: there is none.
+    pub(super) fn new(report: Option<Result<Value, String>>, job: &Job, next: &RunSummary) -> EarlierRun {
+        let none = || Err("there is no report of an earlier run".to_owned());
+        match report.unwrap_or_else(none) {
+            Ok(report) => EarlierRun { obstacle: obstacle(&report, job, next), report },
+            Err(problem) => EarlierRun { report: Value::Null, obstacle: Some(problem) },
+        }
+    }
+
+    /// Returns the earlier results of an input with complete outputs.
+    ///
+    /// # Errors
+    /// The reason to run it again.
+    pub(super) fn results(
+        &self,
+        input: &Input,
+        read: &[FileState],
+        comparison: &Comparison,
+    ) -> Result<&Value, String> {
+        if let Some(obstacle) = &self.obstacle {
+            return Err(obstacle.clone());
+        }
+        if input.path == Path::new("-") {
+            return Err("standard input cannot be compared".to_owned());
+        }
+        let inputs = self.report["inputs"].as_array().map_or(&[][..], Vec::as_slice);
+        let entry = inputs.iter().find(|entry| entry["stem"] == *input.stem);
+        let entry = entry.ok_or("it was no input of the earlier run")?;
+        match entry["status"].as_str() {
+            Some("done") => {}
+            Some("failed") => return Err("it failed in the earlier run".to_owned()),
+            _ => return Err("the earlier run did not come to it".to_owned()),
+        }
+        let files: InputFiles = serde_json::from_value(entry["files"].clone())
+            .map_err(|_| "the earlier report does not describe its files".to_owned())?;
+        let paths: Vec<PathBuf> =
+            files.written.iter().map(|file| comparison.output_dir.join(&file.path)).collect();
+        let changed = comparison
+            .changed(read, &files.read)
+            .or_else(|| comparison.changed(&comparison.written(&paths), &files.written));
+        changed.map_or(Ok(entry), Err)
+    }
+}
+
+/// First difference of an earlier run that affects all inputs.
+fn obstacle(report: &Value, job: &Job, next: &RunSummary) -> Option<String> {
+    let writes_no_file = |plan: &Plan| matches!(plan, Plan::Sink(_)) && plan.outputs().is_empty();
+    if job.stages.iter().any(|stage| writes_no_file(&stage.planned.plan)) {
+        return Some("an output goes to standard output".to_owned());
+    }
+    let next = serde_json::to_value(next).ok()?;
+    if report["wavex"] != next["wavex"] {
+        return Some(format!(
+            "the earlier run was made by wavex {}",
+            report["wavex"].as_str().unwrap_or("?")
+        ));
+    }
+    let differs = |table: &str, then: &Value, now: &Value, free: &[&str]| {
+        let keys = |value: &Value| -> BTreeSet<String> {
+            value.as_object().into_iter().flatten().map(|(key, _)| key.clone()).collect()
+        };
+        let mut keys = keys(then).into_iter().chain(keys(now));
+        let key = keys.find(|key| !free.contains(&key.as_str()) && then[key] != now[key])?;
+        Some(format!("`{key}` of {table} was different"))
+    };
+    if let Some(different) = differs("`[job]`", &report["job"], &next["job"], &FREE_KEYS) {
+        return Some(different);
+    }
+    let stages = |report: &Value| report["stages"].as_array().cloned().unwrap_or_default();
+    let (then, now) = (stages(report), stages(&next));
+    let chain =
+        |stages: &[Value]| -> Vec<Value> { stages.iter().map(|stage| stage["type"].clone()).collect() };
+    if chain(&then) != chain(&now) {
+        return Some("the stages were different".to_owned());
+    }
+    then.iter().zip(&now).zip(&job.stages).find_map(|((then, now), stage)| {
+        // The files of a reader are compared one by one.
+        let is_source = matches!(stage.planned.plan, Plan::Source(_));
+        let mut free = stage.planned.local_keys.to_vec();
+        free.extend(is_source.then_some("path"));
+        differs(&format!("`{}`", stage.id), &then["keys"], &now["keys"], &free)
+    })
+}

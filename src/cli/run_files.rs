@@ -1,0 +1,260 @@
+//! Files of a run besides the outputs of its stages: report, page, trace, statistics.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde_json::Value;
+
+use super::args::ResumeCheck;
+use super::resume::{Comparison, EarlierRun};
+use crate::engine::{self, InputStatus, InputSummary, RunSummary};
+use crate::job::{Job, JobSettings};
+use crate::report::{self, FileState, InputFiles, InputReport, Overviews, RunReport};
+use crate::stage::{OutputFile, OutputLock, Outputs, Result, RunObserver, StageError, fixed_folder};
+use wavex_formats::Error;
+
+/// Trace that `--profile` writes to the output folder; `*` is the name of the run.
+const TRACE: &str = "*_trace.json";
+
+/// Writes the files of a run, and again after each input.
+pub(super) struct RunFiles<'j> {
+    settings: &'j JobSettings,
+    /// Stem of the job file; with a number if a live run has that name.
+    name: String,
+    output_dir: PathBuf,
+    profile: bool,
+    /// Collects the overview of the current input, if the job requests a page.
+    collected: Option<Arc<Overviews>>,
+    comparison: Comparison,
+    /// Files read for each input, before the run.
+    read: Vec<Vec<FileState>>,
+    /// Entries of the report, one per input.
+    entries: Vec<Value>,
+}
+
+impl<'j> RunFiles<'j> {
+    /// Files that the job requests in this folder.
+    pub(super) fn new(
+        job: &'j Job,
+        [input_dir, output_dir]: [&Path; 2],
+        profile: bool,
+        check: Option<ResumeCheck>,
+    ) -> RunFiles<'j> {
+        let collected = (!job.settings.report_page.is_empty()).then(Arc::default);
+        let output_dir = output_dir.to_owned();
+        let (settings, name) = (&job.settings, job.stem());
+        let comparison = Comparison::new(check, input_dir, &output_dir);
+        let (read, entries) = (Vec::new(), Vec::new());
+        RunFiles { settings, name, output_dir, profile, collected, comparison, read, entries }
+    }
+
+    /// Claims the files; the engine claims the outputs of the stages.
+    ///
+    /// Runs of one job over different inputs do not conflict: each gets its own name.
+    ///
+    /// # Errors
+    /// If another run writes statistics of one of the inputs or the archive, or a folder is not
+    /// writable.
+    pub(super) fn claim(
+        &mut self,
+        job: &Job,
+        input_dir: &Path,
+        archive: Option<&Path>,
+    ) -> Result<[OutputLock; 2]> {
+        // The engine reports inputs that cannot be found.
+        let inputs = engine::inputs(job, input_dir).unwrap_or_default();
+        let stat_logs = inputs.iter().filter_map(|input| self.stat_log(&input.stem));
+        let mut of_inputs = self.outputs(stat_logs);
+        if let Some(archive) = archive {
+            let folder = fixed_folder(Path::new(""), &archive.to_string_lossy());
+            let path = folder.join(archive.file_name().unwrap_or_default());
+            of_inputs.entry(folder).or_default().insert(path);
+        }
+        let of_inputs = OutputLock::acquire(&of_inputs)?;
+        for number in 2.. {
+            let of_run = self.outputs(self.of_run().into_iter());
+            match OutputLock::acquire(&of_run) {
+                Err(StageError::InUse { .. }) if self.has_own_names() => {
+                    self.name = format!("{}-{number}", job.stem());
+                }
+                of_run => return Ok([of_inputs, of_run?]),
+            }
+        }
+        Ok([of_inputs, OutputLock::default()])
+    }
+
+    /// Whether all files of the run have its name.
+    fn has_own_names(&self) -> bool {
+        let names = [&self.settings.report, &self.settings.report_page, &self.settings.log];
+        names.into_iter().all(|name| name.is_empty() || name.contains('*'))
+    }
+
+    /// Files by the folder in which they are claimed.
+    fn outputs(&self, paths: impl Iterator<Item = PathBuf>) -> Outputs {
+        let mut outputs = Outputs::new();
+        for path in paths {
+            let name = path.strip_prefix(&self.output_dir).unwrap_or(&path).to_string_lossy();
+            let folder = fixed_folder(&self.output_dir, &name);
+            outputs.entry(folder).or_default().insert(path);
+        }
+        outputs
+    }
+
+    /// Observer that collects the data of the page.
+    pub(super) fn observer(&self) -> Option<Arc<dyn RunObserver>> {
+        self.collected.clone().map(|collected| collected as Arc<dyn RunObserver>)
+    }
+
+    /// Takes the state of all inputs and returns those to skip, with messages about each.
+    ///
+    /// Skips none unless `resume`.
+    pub(super) fn plan(
+        &mut self,
+        job: &Job,
+        input_dir: &Path,
+        next: &RunSummary,
+        resume: bool,
+    ) -> (BTreeSet<String>, Vec<String>) {
+        // The engine reports inputs that cannot be found.
+        let inputs = engine::inputs(job, input_dir).unwrap_or_default();
+        self.read = inputs.iter().map(|input| self.comparison.read(job, input)).collect();
+        let (mut skipped, mut messages) = (BTreeSet::new(), Vec::new());
+        if resume {
+            let report = self.of_name(&self.settings.report).filter(|path| path.exists());
+            let report = report.map(|path| report::read_report(&path).map_err(|error| error.to_string()));
+            let earlier = EarlierRun::new(report, job, next);
+            self.entries = vec![Value::Null; inputs.len()];
+            for ((input, read), entry) in inputs.iter().zip(&self.read).zip(&mut self.entries) {
+                messages.push(match earlier.results(input, read, &self.comparison) {
+                    Ok(results) => {
+                        *entry = results.clone();
+                        skipped.insert(input.stem.clone());
+                        format!("{}: skipped, its outputs are complete", input.stem)
+                    }
+                    Err(reason) => format!("{}: not skipped: {reason}", input.stem),
+                });
+            }
+        }
+        (skipped, messages)
+    }
+
+    /// Checks that report and page can be created.
+    ///
+    /// Problems with them should be reported before the run, not after its first input.
+    pub(super) fn check(&self) -> Result<()> {
+        for path in [&self.settings.report, &self.settings.report_page] {
+            self.of_name(path).map_or(Ok(()), |path| OutputFile::create(&path).map(drop))?;
+        }
+        Ok(())
+    }
+
+    /// Files of the run as a whole.
+    pub(super) fn of_run(&self) -> Vec<PathBuf> {
+        let trace = if self.profile { TRACE } else { "" };
+        let names = [&self.settings.report, &self.settings.report_page, trace, &self.settings.log];
+        names.into_iter().filter_map(|name| self.of_name(name)).collect()
+    }
+
+    /// Statistics of an input, if the job requests them.
+    pub(super) fn stat_log(&self, stem: &str) -> Option<PathBuf> {
+        self.path(&self.settings.stat_log.replace('*', stem))
+    }
+
+    /// Log of the run, if the job requests one.
+    pub(super) fn log(&self) -> Option<PathBuf> {
+        self.of_name(&self.settings.log)
+    }
+
+    /// File of the run with this pattern.
+    fn of_name(&self, pattern: &str) -> Option<PathBuf> {
+        self.path(&pattern.replace('*', &self.name))
+    }
+
+    fn path(&self, name: &str) -> Option<PathBuf> {
+        (!name.is_empty()).then(|| self.output_dir.join(name))
+    }
+
+    /// Writes the statistics of an input that has just ended, and updates report and page.
+    ///
+    /// After a failure, writes only to folders that exist.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub(super) fn update(&mut self, run: &RunSummary, number: usize) -> Result<()> {
+        let Some(input) = run.inputs.get(number) else { return Ok(()) };
+        let is_done = input.status == InputStatus::Done;
+        let overview = self.collected.as_ref().and_then(|collected| collected.take()).filter(|_| is_done);
+        let written = self.comparison.written(&input.outputs);
+        let read = self.read.get(number).cloned().unwrap_or_default();
+        self.entries.resize(run.inputs.len(), Value::Null);
+        for (input, entry) in run.inputs.iter().zip(&mut self.entries) {
+            if entry.is_null() {
+                *entry = defect(InputReport::new(input, None, InputFiles::default()).to_value())?;
+            }
+        }
+        self.entries[number] =
+            defect(InputReport::new(input, overview.as_ref(), InputFiles { read, written }).to_value())?;
+        let file =
+            |path: Option<PathBuf>| path.filter(|path| is_done || path.parent().is_some_and(Path::is_dir));
+        if let Some(path) = file(self.stat_log(&input.stem)) {
+            report::write_stat_log(&path, run, input, &self.of_run(), input.failure.as_deref())?;
+        }
+        let report = self.report(run);
+        if let Some(path) = file(self.of_name(&self.settings.report)) {
+            report.write_json(OutputFile::create(&path)?)?;
+        }
+        if let Some(path) = file(self.of_name(&self.settings.report_page)) {
+            report.write_page(OutputFile::create(&path)?)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the statistics of a run that failed before its first input.
+    ///
+    /// Only to folders that exist. Errors are only logged, because the run already has an error.
+    pub(super) fn not_begun(&self, run: &RunSummary, failure: &str) {
+        let log = self.log();
+        for input in &run.inputs {
+            let path = self.stat_log(&input.stem);
+            let Some(path) = path.filter(|path| path.parent().is_some_and(Path::is_dir)) else { continue };
+            if let Err(error) = report::write_stat_log(&path, run, input, log.as_slice(), Some(failure)) {
+                tracing::warn!("cannot write the statistics of the failed run: {error}");
+            }
+        }
+    }
+
+    /// Writes the trace of a profiled run.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub(super) fn write_trace(&self, run: &RunSummary) -> Result<()> {
+        if let Some(path) = self.of_name(TRACE).filter(|_| self.profile) {
+            let mut file = OutputFile::create(&path)?;
+            engine::write_trace(run, &mut file).map_err(Error::io(&path, "write the trace"))?;
+            file.finish()?.publish()?;
+        }
+        Ok(())
+    }
+
+    /// Report of the run so far.
+    pub(super) fn report<'r>(&'r self, run: &'r RunSummary) -> RunReport<'r> {
+        RunReport { run, inputs: &self.entries }
+    }
+
+    /// Files written for the run and its inputs.
+    pub(super) fn written(&self, run: &RunSummary) -> Vec<PathBuf> {
+        let was_run = |input: &&InputSummary| matches!(input.status, InputStatus::Done | InputStatus::Failed);
+        let inputs: Vec<&InputSummary> = run.inputs.iter().filter(was_run).collect();
+        let of_run = if inputs.is_empty() { Vec::from_iter(self.log()) } else { self.of_run() };
+        let stat_logs = inputs.into_iter().filter_map(|input| self.stat_log(&input.stem));
+        of_run.into_iter().chain(stat_logs).collect()
+    }
+}
+
+/// Entry of a report, which JSON can always represent.
+fn defect(entry: serde_json::Result<Value>) -> Result<Value> {
+    entry.map_err(|error| {
+        StageError::failed(format!("cannot write the report: {error}"), "please report this bug in wavex")
+    })
+}

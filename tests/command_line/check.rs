@@ -1,0 +1,89 @@
+//! `wavex check`: inputs, sizes, pulses, free space.
+
+use std::fs;
+
+use wavex_testkit::las::Las;
+use wavex_testkit::pulsewaves::PulseWaves;
+use wavex_testkit::{Outcome, TestFolder};
+
+/// A folder with a job of this reader.
+fn place(reader: &str, paths: &str) -> TestFolder {
+    let place = TestFolder::new();
+    let job = format!(
+        "[job]\noutput_dir = 'out'\n[[stage]]\ntype = '{reader}'\npath = {paths}\n[[stage]]\ntype = 'write_arrow'\n"
+    );
+    place.write("job.toml", job.as_bytes());
+    place
+}
+
+fn check(place: &TestFolder, arguments: &[&str]) -> Outcome {
+    let outcome = place.wavex(&[&["check", "job.toml"], arguments].concat());
+    let folder = place.path("").canonicalize().unwrap();
+    let here = |text: String| text.replace(&folder.display().to_string(), "HERE");
+    Outcome { code: outcome.code, out: here(outcome.out), err: here(outcome.err) }
+}
+
+/// Lines of the output with this name.
+fn lines<'o>(outcome: &'o Outcome, name: &str) -> Vec<&'o str> {
+    let name = format!("  {name}:");
+    outcome.out.lines().filter_map(|line| line.strip_prefix(&name)).map(str::trim).collect()
+}
+
+#[test]
+fn the_size_of_the_inputs_and_the_number_of_points_are_printed() {
+    let place = place("read_las", "'*.las'");
+    let las = Las::new(7);
+    for stem in ["a", "b"] {
+        place.write(&format!("{stem}.las"), &las.las());
+        place.write(&format!("{stem}.wdp"), &las.packets);
+    }
+    let outcome = check(&place, &["--inputs=required"]);
+    assert_eq!(outcome.code, Some(0), "{}", outcome.err);
+    let kilobytes = 2.0 * (las.las().len() + las.packets.len()) as f64 / 1e3;
+    assert_eq!(lines(&outcome, "files"), [format!("2, {kilobytes:.1} kB")]);
+    assert_eq!(lines(&outcome, "pulses"), ["14; about 14 to 42 points"]);
+    let output = lines(&outcome, "output");
+    assert!(
+        output[0].starts_with("./out (will be created, ") && output[0].ends_with("B free)"),
+        "{output:?}"
+    );
+
+    let place = self::place("read_pulsewaves", "'a.pls'");
+    let pulses = PulseWaves::new(5);
+    place.write("a.pls", &pulses.pls());
+    place.write("a.wvs", &pulses.waves);
+    assert_eq!(lines(&check(&place, &[]), "pulses"), ["5; about 5 to 15 points"]);
+}
+
+#[test]
+fn a_format_without_a_number_of_pulses_is_named() {
+    let place = place("read_arrow", "'a.arrow'");
+    place.write("a.arrow", b"");
+    let expected = "unknown, and so are the points: read_arrow counts pulses only by reading the data";
+    assert_eq!(lines(&check(&place, &[]), "pulses"), [expected]);
+}
+
+#[test]
+fn inputs_that_are_missing_or_damaged_are_warnings_or_errors() {
+    let place = place("read_las", "['a.las', 'none/*.las', 'b.las', 'more/*.laz']");
+    place.write("a.las", b"LASF");
+    let problems = [
+        "no file matches `HERE/none/*.las`; check `path` of the reader and `input_dir` of the job",
+        "no file matches `HERE/more/*.laz`; check `path` of the reader and `input_dir` of the job",
+        "HERE/b.las: no such file",
+        "HERE/a.las: byte 4: file source ID: 2 bytes needed, 0 left; the file is cut off: copy it again from its source",
+    ];
+    for arguments in [&[][..], &["--inputs=optional"]] {
+        let outcome = check(&place, arguments);
+        assert_eq!((outcome.code, outcome.err.as_str()), (Some(0), ""));
+        assert_eq!(lines(&outcome, "warning"), problems);
+    }
+    let expected = format!("error: job.toml: 4 problems with the inputs\n  {}\n", problems.join("\n  "));
+    assert_eq!(check(&place, &["--inputs=required"]), Outcome::failure(2, expected));
+    assert!(!place.path("out").exists());
+
+    fs::remove_file(place.path("job.toml")).unwrap();
+    place.write("job.toml", b"[[stage]]\ntype = 'read_las'\npath = 'b.las'\n");
+    let expected = "error: job.toml: 1 problem with the inputs\n  HERE/b.las: no such file\n";
+    assert_eq!(check(&place, &["--inputs=required"]), Outcome::failure(2, expected));
+}
