@@ -207,6 +207,7 @@ fn run_input(
     if let Some(observer) = cx.observer() {
         observer.begin_input();
     }
+    progress.begin(&site.stem);
     match geometry.load(&site.stem) {
         Ok(its_geometry) => site.geometry = Arc::new(its_geometry),
         Err(error) => {

@@ -30,14 +30,16 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
     let mut total = Some(0);
     for path in files {
         match pulses(reader.spec.name, path) {
-            Ok(pulses) => total = total.zip(pulses).map(|(total, pulses)| total + pulses),
+            Ok(pulses) => {
+                total = total.zip(pulses).map(|(total, pulses): (u64, u64)| total.saturating_add(pulses))
+            }
             Err(error) => problems.push(error.to_string()),
         }
     }
     text += &match total {
         Some(pulses) => {
             let points: Vec<String> =
-                POINTS_PER_PULSE.iter().map(|each| (each * pulses).to_string()).collect();
+                POINTS_PER_PULSE.iter().map(|each| each.saturating_mul(pulses).to_string()).collect();
             format!("  pulses: {pulses}; about {} points\n", points.join(" to "))
         }
         None => format!(
@@ -60,7 +62,7 @@ fn pulses(reader: &str, path: &Path) -> Result<Option<u64>> {
                     .n_points_by_return
                     .first()
                     .copied()
-                    .filter(|first| *first > 0)
+                    .filter(|first| *first > 0 && *first <= header.n_points)
                     .unwrap_or(header.n_points),
             )
         }

@@ -1,6 +1,7 @@
 //! `wavex run --resume`: inputs whose outputs an earlier run has completed.
 
 use std::collections::BTreeSet;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -54,7 +55,10 @@ impl Comparison {
 
     /// States of the files that a run reads for an input.
     pub(super) fn read(&self, job: &Job, input: &Input) -> Vec<FileState> {
-        let files = files_read(job, std::slice::from_ref(input), &self.input_dir);
+        // The paths of inputs contain the folder.
+        let path = std::path::absolute(&input.path).unwrap_or_else(|_| input.path.clone());
+        let input = Input { path, stem: input.stem.clone() };
+        let files = files_read(job, std::slice::from_ref(&input), &self.input_dir);
         files.iter().filter_map(|path| self.state(&self.input_dir, path)).collect()
     }
 
@@ -119,12 +123,18 @@ impl EarlierRun {
         match entry["status"].as_str() {
             Some("done") => {}
             Some("failed") => return Err("it failed in the earlier run".to_owned()),
-            _ => return Err("the earlier run did not come to it".to_owned()),
+            _ => return Err("the earlier run ended before it".to_owned()),
         }
         let files: InputFiles = serde_json::from_value(entry["files"].clone())
             .map_err(|_| "the earlier report does not describe its files".to_owned())?;
         let paths: Vec<PathBuf> =
             files.written.iter().map(|file| comparison.output_dir.join(&file.path)).collect();
+        let name = input.path.file_name().map(OsStr::to_string_lossy);
+        let is_input =
+            |file: &FileState| Path::new(&file.path).file_name().map(OsStr::to_string_lossy) == name;
+        if !input.path.as_os_str().is_empty() && !read.iter().any(is_input) {
+            return Err(format!("{} cannot be read", input.path.display()));
+        }
         let changed = comparison
             .changed(read, &files.read)
             .or_else(|| comparison.changed(&comparison.written(&paths), &files.written));
@@ -139,11 +149,9 @@ fn obstacle(report: &Value, job: &Job, next: &RunSummary) -> Option<String> {
         return Some("an output goes to standard output".to_owned());
     }
     let next = serde_json::to_value(next).ok()?;
-    if report["wavex"] != next["wavex"] {
-        return Some(format!(
-            "the earlier run was made by wavex {}",
-            report["wavex"].as_str().unwrap_or("?")
-        ));
+    if (&report["wavex"], &report["commit"]) != (&next["wavex"], &next["commit"]) {
+        let of = |key: &str| report[key].as_str().unwrap_or("?").to_owned();
+        return Some(format!("the earlier run was made by wavex {} ({})", of("wavex"), of("commit")));
     }
     let differs = |table: &str, then: &Value, now: &Value, free: &[&str]| {
         let keys = |value: &Value| -> BTreeSet<String> {

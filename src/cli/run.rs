@@ -96,7 +96,7 @@ fn run_archived(
     for message in &messages {
         tracing::info!("{message}");
         if !quiet {
-            terminal::print(&format!("{message}\n"))?;
+            terminal::print_error(&format!("{message}\n"));
         }
     }
     let ended = engine::run_each(
@@ -130,7 +130,7 @@ fn run_archived(
     }
     let is_done = |input: &InputSummary| input.status == InputStatus::Done;
     let to_archive = recorder.zip(archive).filter(|_| ended.is_ok() && run.inputs.iter().any(is_done));
-    let finished = finish(&run, &files, to_archive, machine.profile);
+    let finished = finish(&run, &mut files, to_archive, machine.profile);
     let failure = match (&ended, &finished) {
         (Err(error), _) => Some(error.to_string()),
         (Ok(()), Err(error)) => Some(error.to_string()),
@@ -148,13 +148,14 @@ fn run_archived(
     }
 }
 
-/// Completes trace and archive of a run; returns its summary for the user.
+/// Completes report, trace and archive of a run; returns its summary for the user.
 fn finish(
     run: &RunSummary,
-    files: &RunFiles,
+    files: &mut RunFiles,
     archive: Option<(Recorder, &Path)>,
     profile: bool,
 ) -> Result<String, StageError> {
+    files.complete(run)?;
     files.write_trace(run)?;
     for (note, inputs) in run.repeated_notes() {
         tracing::warn!("{inputs} of {} inputs: {note}", run.inputs.len());

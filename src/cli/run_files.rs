@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
@@ -31,6 +32,10 @@ pub(super) struct RunFiles<'j> {
     read: Vec<Vec<FileState>>,
     /// Entries of the report, one per input.
     entries: Vec<Value>,
+    /// Time from which report and page are written again; `None` if they have all entries.
+    due: Option<Instant>,
+    /// Time that writing them last took.
+    effort: Duration,
 }
 
 impl<'j> RunFiles<'j> {
@@ -45,8 +50,18 @@ impl<'j> RunFiles<'j> {
         let output_dir = output_dir.to_owned();
         let (settings, name) = (&job.settings, job.stem());
         let comparison = Comparison::new(check, input_dir, &output_dir);
-        let (read, entries) = (Vec::new(), Vec::new());
-        RunFiles { settings, name, output_dir, profile, collected, comparison, read, entries }
+        RunFiles {
+            settings,
+            name,
+            output_dir,
+            profile,
+            collected,
+            comparison,
+            read: Vec::new(),
+            entries: Vec::new(),
+            due: None,
+            effort: Duration::ZERO,
+        }
     }
 
     /// Claims the files; the engine claims the outputs of the stages.
@@ -177,6 +192,7 @@ impl<'j> RunFiles<'j> {
 
     /// Writes the statistics of an input that has just ended, and updates report and page.
     ///
+    /// These grow with each input: they are written again after twenty times as long as that takes.
     /// After a failure, writes only to folders that exist.
     ///
     /// # Errors
@@ -195,11 +211,27 @@ impl<'j> RunFiles<'j> {
         }
         self.entries[number] =
             defect(InputReport::new(input, overview.as_ref(), InputFiles { read, written }).to_value())?;
-        let file =
-            |path: Option<PathBuf>| path.filter(|path| is_done || path.parent().is_some_and(Path::is_dir));
-        if let Some(path) = file(self.stat_log(&input.stem)) {
+        if let Some(path) = self.stat_log(&input.stem).filter(|path| is_done || is_in_folder(path)) {
             report::write_stat_log(&path, run, input, &self.of_run(), input.failure.as_deref())?;
         }
+        if Instant::now() >= *self.due.get_or_insert_with(Instant::now) {
+            self.write_report(run, is_done)?;
+            self.due = Some(Instant::now() + 20 * self.effort);
+        }
+        Ok(())
+    }
+
+    /// Writes report and page of a run that has ended.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub(super) fn complete(&mut self, run: &RunSummary) -> Result<()> {
+        if self.due.take().is_some() { self.write_report(run, false) } else { Ok(()) }
+    }
+
+    fn write_report(&mut self, run: &RunSummary, makes_folders: bool) -> Result<()> {
+        let started = Instant::now();
+        let file = |path: Option<PathBuf>| path.filter(|path| makes_folders || is_in_folder(path));
         let report = self.report(run);
         if let Some(path) = file(self.of_name(&self.settings.report)) {
             report.write_json(OutputFile::create(&path)?)?;
@@ -207,6 +239,7 @@ impl<'j> RunFiles<'j> {
         if let Some(path) = file(self.of_name(&self.settings.report_page)) {
             report.write_page(OutputFile::create(&path)?)?;
         }
+        self.effort = started.elapsed();
         Ok(())
     }
 
@@ -250,6 +283,11 @@ impl<'j> RunFiles<'j> {
         let stat_logs = inputs.into_iter().filter_map(|input| self.stat_log(&input.stem));
         of_run.into_iter().chain(stat_logs).collect()
     }
+}
+
+/// Whether the folder of a file exists.
+fn is_in_folder(path: &Path) -> bool {
+    path.parent().is_some_and(Path::is_dir)
 }
 
 /// Entry of a report, which JSON can always represent.

@@ -34,7 +34,6 @@ pub(super) fn run(
     let started = Instant::now();
     let shared = shared(job, options, cx);
     let leavings: Vec<WorkerResult> = job.stages.iter().map(|_| WorkerResult::default()).collect();
-    progress.begin(&site.stem);
     std::thread::scope(|scope| {
         let (alive, all_gone) = crossbeam_channel::bounded::<()>(0);
         for (index, work) in plan(job, options).into_iter().enumerate() {

@@ -118,7 +118,9 @@ pub(super) struct SharedFiles<'r> {
 impl<'r> SharedFiles<'r> {
     pub(super) fn new(job: &Job, options: &Options, written: &'r Outputs) -> SharedFiles<'r> {
         let names = job.stages.iter().flat_map(|stage| &stage.planned.inputs);
-        let trajectory = job.settings.geometry.trajectory.as_ref().filter(|name| !name.contains('*'));
+        let geometry = &job.settings.geometry;
+        let trajectory = [&geometry.trajectory, &geometry.trajectory_accuracy];
+        let trajectory = trajectory.into_iter().flatten().filter(|name| !name.contains('*'));
         let read = names.chain(trajectory).map(|name| options.input_dir.join(name)).collect();
         SharedFiles { read, written }
     }

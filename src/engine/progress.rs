@@ -132,6 +132,7 @@ impl Progress {
 
     /// Counts an input that has ended.
     pub(super) fn count(&mut self, has_failed: bool) {
+        self.bar.take().inspect(ProgressBar::finish_and_clear);
         if has_failed {
             self.failed += 1
         } else {

@@ -23,6 +23,8 @@ use wavex_signal::sensor_model::SensorModel;
 pub struct RunSummary {
     /// Version of wavex.
     pub wavex: String,
+    /// Commit from which it was built; empty if unknown.
+    pub commit: String,
     /// The table `[job]` with all defaults.
     pub job: JobSettings,
     /// Stages with their keys and all defaults.
@@ -49,7 +51,7 @@ pub struct StageKeys {
     pub keys: serde_json::Value,
 }
 
-/// What has become of an input.
+/// Status of an input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum InputStatus {
@@ -57,7 +59,7 @@ pub enum InputStatus {
     Done,
     /// It failed and has no outputs.
     Failed,
-    /// The run has not come to it.
+    /// Not started.
     NotRun,
     /// An earlier run has completed its outputs.
     Skipped,
@@ -84,7 +86,7 @@ pub struct InputSummary {
     pub path: PathBuf,
     /// Stem after which its outputs are named.
     pub stem: String,
-    /// What has become of it: `done`, `failed` or `not_run`.
+    /// Status: `done`, `failed` or `not_run`.
     pub status: InputStatus,
     /// Error message of a failed input.
     pub failure: Option<String>,
@@ -231,6 +233,7 @@ impl RunSummary {
         };
         RunSummary {
             wavex: env!("CARGO_PKG_VERSION").to_string(),
+            commit: env!("WAVEX_BUILD_COMMIT").to_string(),
             job: job.settings.clone(),
             stages: job.stages.iter().map(keys).collect(),
             threads: options.workers(),

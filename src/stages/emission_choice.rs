@@ -302,8 +302,8 @@ fn single_peak(samples: &[u16], is_alone: bool) -> Option<f64> {
 
 /// Whether a height is at least [`LEAST_SNR`] times the noise SD.
 ///
-/// The SD is that of the median of the samples' second differences: it is small enough if more than
-/// half of them are.
+/// The noise SD is that from the median absolute second difference of the samples. Counting those
+/// below the limit compares it without sorting.
 fn is_above_noise(height_dn: f64, signal: &[f64]) -> bool {
     let largest_dn = height_dn * 6f64.sqrt() / (LEAST_SNR * SD_OF_MEDIAN);
     let is_small = |of: &[f64; 3]| (of[0] - 2.0 * of[1] + of[2]).abs() <= largest_dn;

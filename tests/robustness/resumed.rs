@@ -57,9 +57,9 @@ fn spawn(place: &TestFolder) -> Child {
 #[track_caller]
 fn resumed(place: &TestFolder, arguments: &[&str]) -> Vec<String> {
     let all = [&["run", "job.toml", "--progress", "never"], arguments].concat();
-    let Outcome { code, out, err } = place.wavex(&all);
+    let Outcome { code, err, .. } = place.wavex(&all);
     assert_eq!(code, Some(0), "{err}");
-    out.lines()
+    err.lines()
         .filter(|line| line.contains("skipped"))
         .filter(|line| line.contains(": "))
         .map(str::to_owned)
@@ -133,6 +133,30 @@ fn finished_inputs_of_a_killed_run_are_skipped() {
     assert_eq!(messages[0], format!("a: {COMPLETE}"), "{messages:?}");
     assert!(products(&place) == whole);
     assert_eq!(report(&place), whole_report);
+}
+
+#[test]
+fn the_folder_of_the_inputs_does_not_matter() {
+    let place = survey();
+    let job = format!("[job]\ninput_dir = '..'\noutput_dir = '../out'\nthreads = 2\n{STAGES}");
+    fs::create_dir(place.path("jobs")).unwrap();
+    place.write("jobs/job.toml", job.as_bytes());
+    let resume = || {
+        let Outcome { code, err, .. } =
+            place.wavex(&["run", "jobs/job.toml", "--progress", "never", "--resume"]);
+        assert_eq!(code, Some(0), "{err}");
+        err.lines().filter(|line| line.contains("skipped")).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(resume(), none("there is no report of an earlier run"));
+    assert_eq!(resume(), ["a", "b", "c"].map(|stem| format!("{stem}: {COMPLETE}")));
+    let file = File::options().append(true).open(place.path("in/b.arrow")).unwrap();
+    file.set_modified(SystemTime::now()).unwrap();
+    let again = resume();
+    assert!(
+        again[1].starts_with("b: not skipped: ") && again[1].ends_with("b.arrow was changed"),
+        "{again:?}"
+    );
+    assert!(again[0].ends_with(COMPLETE) && again[2].ends_with(COMPLETE), "{again:?}");
 }
 
 #[test]
@@ -234,7 +258,7 @@ fn a_run_that_stopped_is_resumed_where_it_stopped() {
     assert_eq!(run(&place, &["--set", "job.on_error=stop"]).code, Some(1));
     place.write("in/b.arrow", &whole);
     let messages = resumed(&place, &["--resume"]);
-    assert_eq!(messages[2], "c: not skipped: the earlier run did not come to it");
+    assert_eq!(messages[2], "c: not skipped: the earlier run ended before it");
     let log = place.text("out/job.log");
     assert!(log.contains(&format!("INFO a: {COMPLETE}\n")), "{log}");
 }

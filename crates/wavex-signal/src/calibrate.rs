@@ -38,7 +38,7 @@ mod tests;
 mod uncertainty;
 mod width;
 
-pub(crate) use batches::decompose_each;
+pub(crate) use batches::{WeakPulses, decompose_each};
 pub use clipping::clipping_level_dn;
 pub use limits::receiver_limits;
 pub use noise_statistics::NoiseStatistics;
@@ -296,7 +296,9 @@ fn survey<'a>(
         ..settings.decompose.clone()
     };
     let mut survey = PassStats::of(model, blocks.clone().count() as u64)?;
-    decompose_each(blocks, model, &decompose, settings, |block, outcome| survey.add(model, block, outcome))?;
+    decompose_each(blocks, model, &decompose, settings, WeakPulses::Drop, |block, outcome| {
+        survey.add(model, block, outcome)
+    })?;
     Ok(survey)
 }
 

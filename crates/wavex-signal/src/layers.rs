@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 /// Modules from bottom to top; modules of one row do not import each other.
 const LAYERS: &[&[&str]] = &[
-    &["cholesky", "flags", "fourier", "levenberg_marquardt", "noise", "parallel", "range_walk", "simd"],
+    &["cholesky", "flags", "levenberg_marquardt", "noise", "parallel", "range_walk", "simd"],
+    &["fourier"],
     &["sensor_model", "penalised_spline", "mta", "outliers", "radiometry", "sensor_path"],
     &["whitening", "shape", "width_by_amplitude"],
     &["detect", "distributed", "pulse_fit", "false_alarms"],

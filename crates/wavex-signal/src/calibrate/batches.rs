@@ -15,6 +15,15 @@ const CHUNK: usize = 256;
 /// Number of blocks per task.
 const BLOCKS_PER_TASK: usize = 4 * CHUNK;
 
+/// Pulses that are no returns.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum WeakPulses {
+    /// They are dropped; chi-square and their neighbours are those with them.
+    Drop,
+    /// Their neighbours are fitted again.
+    FitAgain,
+}
+
 /// Decomposes blocks and passes each result to `take`, in the order of the blocks.
 ///
 /// The scalar kernels decompose blocks unsuitable for the SIMD kernels, and all blocks if each
@@ -25,12 +34,14 @@ pub(crate) fn decompose_each<'a>(
     model: &ChannelModel,
     decompose: &DecomposeSettings,
     settings: &CalibrationSettings,
+    weak: WeakPulses,
     mut take: impl FnMut(Waveform<'a>, &Decomposition<'_>),
 ) -> Result<(), CalibrationError> {
     let is_fixed = model.offset_precision().is_none();
     let tables = if is_fixed { Tables::new(model).map(Arc::new) } else { None };
     let blocks: Vec<Waveform<'a>> = blocks.collect();
-    let first = BatchDecomposer::new(model, tables, decompose, Mode::Refined, settings.simd)?;
+    let first = BatchDecomposer::new(model, tables, decompose, Mode::Refined, settings.simd)?
+        .dropping_weak(weak == WeakPulses::Drop);
     // One for each thread at work.
     let idle = Mutex::new(Vec::new());
     let idle = || idle.lock().unwrap_or_else(PoisonError::into_inner);

@@ -2,7 +2,7 @@
 //! recovers from clipping.
 
 use super::response::strongest;
-use super::{CalibrationError, CalibrationSettings, decompose_each};
+use super::{CalibrationError, CalibrationSettings, WeakPulses, decompose_each};
 use crate::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Waveform};
 use crate::flags;
 use crate::sensor_model::{ChannelModel, ReceiverLimits};
@@ -47,7 +47,7 @@ pub fn receiver_limits<'a>(
     let shape = Shape::of(&model)?;
     let (mut normal, mut high, mut clipped) = (Vec::new(), Vec::new(), Clipped::default());
     let decompose = DecomposeSettings { split_evidence: None, ..settings.decompose.clone() };
-    decompose_each(strong, &model, &decompose, settings, |block, outcome| {
+    decompose_each(strong, &model, &decompose, settings, WeakPulses::FitAgain, |block, outcome| {
         if outcome.saturated {
             clipped.add(&model, &shape, block, outcome);
         } else if let Some(single) = strongest(outcome, 0.1, model.fwhm_samples())

@@ -6,7 +6,8 @@
 
 use super::noise_statistics::NoiseStatistics;
 use super::{
-    CalibrationError, CalibrationSettings, MISSHAPEN, QUANTISATION_VARIANCE, decompose_each, set_noise,
+    CalibrationError, CalibrationSettings, MISSHAPEN, QUANTISATION_VARIANCE, WeakPulses, decompose_each,
+    set_noise,
 };
 use crate::decompose::{DecomposeSettings, Decomposition, Waveform};
 use crate::noise::{ArNoise, fit_by_bic};
@@ -91,7 +92,7 @@ impl QuietBlocks {
         let quiet_dn = QUIET_SD * model.provenance.noise_by_differences_dn;
         let decompose = DecomposeSettings { split_evidence: None, ..settings.decompose.clone() };
         let mut quiet = QuietBlocks::default();
-        decompose_each(blocks, model, &decompose, settings, |block, outcome| {
+        decompose_each(blocks, model, &decompose, settings, WeakPulses::FitAgain, |block, outcome| {
             if !outcome.saturated && !outcome.returns.is_empty() {
                 quiet.add(model, &shape, quiet_dn, block, outcome);
             }

@@ -7,7 +7,8 @@
 //! the widths.
 
 use crate::calibrate::{
-    CalibrationError, CalibrationSettings, GROUPS, Narrow, Width, decompose_each, jackknife_sd, quiet,
+    CalibrationError, CalibrationSettings, GROUPS, Narrow, WeakPulses, Width, decompose_each, jackknife_sd,
+    quiet,
 };
 use crate::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Return, Waveform};
 use crate::flags;
@@ -228,7 +229,9 @@ fn singles<'a>(
     };
     let heights = strong_dn(model)..OVERDRIVEN_PART * model.full_scale_dn;
     let mut found = Vec::new();
-    decompose_each(blocks.iter().copied(), model, &decompose, settings, |block, outcome| {
+    // The last rounds determine the response.
+    let weak = if minor_part > 0.0 { WeakPulses::Drop } else { WeakPulses::FitAgain };
+    decompose_each(blocks.iter().copied(), model, &decompose, settings, weak, |block, outcome| {
         let single = strongest(outcome, minor_part, model.fwhm_samples());
         if let Some(fitted) = single.filter(|r| heights.contains(&r.amplitude_dn)) {
             let excess = outcome.chi_square - outcome.degrees_of_freedom() as f64;

@@ -122,6 +122,7 @@ pub struct BatchDecomposer {
     settings: DecomposeSettings,
     mode: Mode,
     refine_when_needed: bool,
+    drops_weak: bool,
     path: SimdLevel,
     tables: Option<Arc<Tables>>,
     thresholds: Thresholds,
@@ -153,6 +154,7 @@ impl BatchDecomposer {
             settings: settings.clone(),
             mode,
             refine_when_needed: false,
+            drops_weak: false,
             path,
             tables,
             thresholds,
@@ -183,6 +185,12 @@ impl BatchDecomposer {
     /// Waveforms with overlapping pulses or a deviation ratio above 3 are refined.
     pub fn refine_when_needed(mut self, refine: bool) -> BatchDecomposer {
         self.refine_when_needed = refine && self.mode != Mode::Refined;
+        self
+    }
+
+    /// Drops pulses that are no returns without fitting their neighbours again, as the fast modes do.
+    pub(crate) fn dropping_weak(mut self, drops: bool) -> BatchDecomposer {
+        self.drops_weak = drops;
         self
     }
 
@@ -280,7 +288,7 @@ impl BatchDecomposer {
             thresholds: &mut self.thresholds,
             plain: &mut self.plain,
             left_to_plain: &mut self.left_to_plain,
-            is_refined: mode == Mode::Refined && self.settings.explains_all,
+            is_refined: mode == Mode::Refined && !self.drops_weak,
         }
     }
 

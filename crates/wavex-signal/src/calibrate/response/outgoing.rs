@@ -9,7 +9,7 @@ use super::{
     BORROWED_ERROR, Calibrated, ERRORS, MIN_ECHOES, Single, chosen_evenly, least_errors, singles,
     with_response,
 };
-use crate::calibrate::{CalibrationError, CalibrationSettings, decompose_each, quiet};
+use crate::calibrate::{CalibrationError, CalibrationSettings, WeakPulses, decompose_each, quiet};
 use crate::decompose::Waveform;
 use crate::sensor_model::{ChannelModel, ModelUncertainty, ResponseSource, SystemResponse};
 
@@ -87,7 +87,8 @@ fn residuals_over_peak(
 ) -> Result<Vec<Option<f64>>, CalibrationError> {
     let strong_dn = super::strong_dn(model);
     let mut residuals = Vec::with_capacity(blocks.len());
-    decompose_each(blocks.iter().copied(), model, &settings.decompose, settings, |block, outcome| {
+    let (blocks, weak) = (blocks.iter().copied(), WeakPulses::FitAgain);
+    decompose_each(blocks, model, &settings.decompose, settings, weak, |block, outcome| {
         let highest = block.samples.iter().max().map_or(0.0, |&sample| f64::from(sample));
         let peak_dn = highest - model.background_dn[0] - outcome.background_offset_dn;
         let freedom = outcome.degrees_of_freedom();

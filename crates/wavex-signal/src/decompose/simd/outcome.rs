@@ -70,7 +70,7 @@ pub(super) struct Finish<'a> {
     pub(super) left_to_plain: &'a mut u64,
     /// Whether rejecting a pulse requires a new fit of its neighbours by the scalar kernels.
     ///
-    /// The fast modes and calibration, which does not use weak pulses, only drop the pulse.
+    /// The fast modes, and calibration where it does not use weak pulses, only drop the pulse.
     pub(super) is_refined: bool,
 }
 
