@@ -149,9 +149,10 @@ fn obstacle(report: &Value, job: &Job, next: &RunSummary) -> Option<String> {
         return Some("an output goes to standard output".to_owned());
     }
     let next = serde_json::to_value(next).ok()?;
-    if (&report["wavex"], &report["commit"]) != (&next["wavex"], &next["commit"]) {
-        let of = |key: &str| report[key].as_str().unwrap_or("?").to_owned();
-        return Some(format!("the earlier run was made by wavex {} ({})", of("wavex"), of("commit")));
+    for (key, made) in [("wavex", "by wavex"), ("commit", "by wavex of commit")] {
+        if report[key] != next[key] {
+            return Some(format!("the earlier run was made {made} {}", report[key].as_str().unwrap_or("?")));
+        }
     }
     let differs = |table: &str, then: &Value, now: &Value, free: &[&str]| {
         let keys = |value: &Value| -> BTreeSet<String> {

@@ -199,6 +199,10 @@ fn what_is_complete_is_skipped_and_what_was_changed_is_not() {
     let version = format!("\"wavex\": \"{}\"", env!("CARGO_PKG_VERSION"));
     place.write("out/job_report.json", text.replacen(&version, "\"wavex\": \"0.0.7\"", 1).as_bytes());
     assert_eq!(resumed(&place, &["--resume"]), none("the earlier run was made by wavex 0.0.7"));
+    let mut other: Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
+    other["commit"] = "0ther".into();
+    place.write("out/job_report.json", other.to_string().as_bytes());
+    assert_eq!(resumed(&place, &["--resume"]), none("the earlier run was made by wavex of commit 0ther"));
     place.write(
         "job.toml",
         place.text("job.toml").replace("[[stage]]\ntype = 'write_lstat'\n", "").as_bytes(),
