@@ -1,6 +1,6 @@
 //! Files of a run besides the outputs of its stages: report, page, trace, statistics.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::args::ResumeCheck;
 use super::resume::{Comparison, EarlierRun};
-use crate::engine::{self, InputStatus, InputSummary, RunSummary};
+use crate::engine::{self, Input, InputStatus, InputSummary, RunSummary};
 use crate::job::{Job, JobSettings};
 use crate::report::{self, FileState, InputFiles, InputReport, Overviews, RunReport};
 use crate::stage::{OutputFile, OutputLock, Outputs, Result, RunObserver, StageError, fixed_folder};
@@ -28,8 +28,10 @@ pub(super) struct RunFiles<'j> {
     /// Collects the overview of the current input, if the job requests a page.
     collected: Option<Arc<Overviews>>,
     comparison: Comparison,
-    /// Files read for each input, before the run.
-    read: Vec<Vec<FileState>>,
+    /// Files read for each input, before the run, by its stem.
+    read: BTreeMap<String, Vec<FileState>>,
+    /// Entries of inputs to skip, by their stems.
+    skipped: BTreeMap<String, Value>,
     /// Entries of the report, one per input.
     entries: Vec<Value>,
     /// Time from which report and page are written again; `None` if they have all entries.
@@ -57,7 +59,8 @@ impl<'j> RunFiles<'j> {
             profile,
             collected,
             comparison,
-            read: Vec::new(),
+            read: BTreeMap::new(),
+            skipped: BTreeMap::new(),
             entries: Vec::new(),
             due: None,
             effort: Duration::ZERO,
@@ -133,25 +136,25 @@ impl<'j> RunFiles<'j> {
     ) -> (BTreeSet<String>, Vec<String>) {
         // The engine reports inputs that cannot be found.
         let inputs = engine::inputs(job, input_dir).unwrap_or_default();
-        self.read = inputs.iter().map(|input| self.comparison.read(job, input)).collect();
-        let (mut skipped, mut messages) = (BTreeSet::new(), Vec::new());
+        let read = |input: &Input| (input.stem.clone(), self.comparison.read(job, input));
+        self.read = inputs.iter().map(read).collect();
+        let mut messages = Vec::new();
         if resume {
             let report = self.of_name(&self.settings.report).filter(|path| path.exists());
             let report = report.map(|path| report::read_report(&path).map_err(|error| error.to_string()));
             let earlier = EarlierRun::new(report, job, next);
-            self.entries = vec![Value::Null; inputs.len()];
-            for ((input, read), entry) in inputs.iter().zip(&self.read).zip(&mut self.entries) {
+            for input in &inputs {
+                let read = self.read.get(&input.stem).map_or(&[][..], Vec::as_slice);
                 messages.push(match earlier.results(input, read, &self.comparison) {
                     Ok(results) => {
-                        *entry = results.clone();
-                        skipped.insert(input.stem.clone());
+                        self.skipped.insert(input.stem.clone(), results.clone());
                         format!("{}: skipped, its outputs are complete", input.stem)
                     }
                     Err(reason) => format!("{}: not skipped: {reason}", input.stem),
                 });
             }
         }
-        (skipped, messages)
+        (self.skipped.keys().cloned().collect(), messages)
     }
 
     /// Checks that report and page can be created.
@@ -202,13 +205,8 @@ impl<'j> RunFiles<'j> {
         let is_done = input.status == InputStatus::Done;
         let overview = self.collected.as_ref().and_then(|collected| collected.take()).filter(|_| is_done);
         let written = self.comparison.written(&input.outputs);
-        let read = self.read.get(number).cloned().unwrap_or_default();
-        self.entries.resize(run.inputs.len(), Value::Null);
-        for (input, entry) in run.inputs.iter().zip(&mut self.entries) {
-            if entry.is_null() {
-                *entry = defect(InputReport::new(input, None, InputFiles::default()).to_value())?;
-            }
-        }
+        let read = self.read.get(&input.stem).cloned().unwrap_or_default();
+        self.fill_entries(run)?;
         self.entries[number] =
             defect(InputReport::new(input, overview.as_ref(), InputFiles { read, written }).to_value())?;
         if let Some(path) = self.stat_log(&input.stem).filter(|path| is_done || is_in_folder(path)) {
@@ -226,7 +224,22 @@ impl<'j> RunFiles<'j> {
     /// # Errors
     /// If a file cannot be written.
     pub(super) fn complete(&mut self, run: &RunSummary) -> Result<()> {
+        self.fill_entries(run)?;
         if self.due.take().is_some() { self.write_report(run, false) } else { Ok(()) }
+    }
+
+    /// Adds entries for inputs without one: skipped or not run.
+    fn fill_entries(&mut self, run: &RunSummary) -> Result<()> {
+        self.entries.resize(run.inputs.len(), Value::Null);
+        for (input, entry) in run.inputs.iter().zip(&mut self.entries) {
+            if entry.is_null() {
+                *entry = match self.skipped.get(&input.stem) {
+                    Some(earlier) => earlier.clone(),
+                    None => defect(InputReport::new(input, None, InputFiles::default()).to_value())?,
+                };
+            }
+        }
+        Ok(())
     }
 
     fn write_report(&mut self, run: &RunSummary, makes_folders: bool) -> Result<()> {
