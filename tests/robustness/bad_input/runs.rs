@@ -103,7 +103,8 @@ fn a_signal_ends_a_run_in_order() {
 #[test]
 fn a_second_signal_ends_a_stage_that_takes_its_time() {
     let place = TestFolder::new();
-    let child = begin(&place, &LONG.replace("waveforms = 300", "waveforms = 20000"));
+    // Calibration of so many waveforms takes seconds.
+    let mut child = begin(&place, &LONG.replace("waveforms = 300", "waveforms = 500000"));
     // Nothing more is written once calibration has started and all queues before it are full.
     let written = || {
         let outputs = place.outputs();
@@ -111,6 +112,7 @@ fn a_second_signal_ends_a_stage_that_takes_its_time() {
     };
     let mut before = 0;
     while before != written() {
+        assert_eq!(child.try_wait().unwrap(), None, "calibration ended before it was interrupted");
         before = written();
         std::thread::sleep(Duration::from_millis(500));
     }
