@@ -15,7 +15,8 @@ use crate::report::{FileState, InputFiles};
 use crate::stage::Plan;
 
 /// Keys of `[job]` that may differ: they do not affect outputs or reports.
-const FREE_KEYS: [&str; 6] = ["include", "threads", "channel_capacity", "simd", "log", "on_error"];
+const FREE_KEYS: [&str; 8] =
+    ["include", "threads", "channel_capacity", "simd", "log", "on_error", "model", "survey_model"];
 
 /// What files are compared by, and the folders in which they are.
 #[derive(Clone, Debug)]
@@ -162,6 +163,9 @@ fn obstacle(report: &Value, job: &Job, next: &RunSummary) -> Option<String> {
         let key = keys.find(|key| !free.contains(&key.as_str()) && then[key] != now[key])?;
         Some(format!("`{key}` of {table} was different"))
     };
+    if report["survey"] != next["survey"] {
+        return Some("the sensor models of the survey were different".to_owned());
+    }
     if let Some(different) = differs("`[job]`", &report["job"], &next["job"], &FREE_KEYS) {
         return Some(different);
     }
