@@ -15,8 +15,17 @@ use crate::report::{FileState, InputFiles};
 use crate::stage::Plan;
 
 /// Keys of `[job]` that may differ: they do not affect outputs or reports.
-const FREE_KEYS: [&str; 8] =
-    ["include", "threads", "channel_capacity", "simd", "log", "on_error", "model", "survey_model"];
+const FREE_KEYS: [&str; 9] = [
+    "include",
+    "threads",
+    "channel_capacity",
+    "simd",
+    "log",
+    "on_error",
+    "inputs_at_once",
+    "model",
+    "survey_model",
+];
 
 /// What files are compared by, and the folders in which they are.
 #[derive(Clone, Debug)]
