@@ -301,6 +301,9 @@ pub(super) struct ScanArgs {
     /// Override a key of the reader for this run, as for `wavex run`; may be repeated
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     pub(super) set: Vec<String>,
+    /// When to show progress; auto: a bar on a terminal
+    #[arg(long, value_name = "WHEN", default_value = "auto")]
+    pub(super) progress: When,
 }
 
 /// Trajectory to read and outputs to write.

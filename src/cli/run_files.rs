@@ -203,7 +203,8 @@ impl<'j> RunFiles<'j> {
     pub(super) fn update(&mut self, run: &RunSummary, number: usize) -> Result<()> {
         let Some(input) = run.inputs.get(number) else { return Ok(()) };
         let is_done = input.status == InputStatus::Done;
-        let overview = self.collected.as_ref().and_then(|collected| collected.take(&input.stem)).filter(|_| is_done);
+        let overview =
+            self.collected.as_ref().and_then(|collected| collected.take(&input.stem)).filter(|_| is_done);
         let written = self.comparison.written(&input.outputs);
         let read = self.read.get(&input.stem).cloned().unwrap_or_default();
         self.fill_entries(run)?;

@@ -42,7 +42,7 @@ Commands:
   stages        List the stages, or describe one stage and its keys
   schema        Print the JSON Schema of jobs, for editors that validate and complete TOML
   init          Write a commented starter job
-  calibrate     Calibrate from a recording and save the sensor model
+  calibrate     Calibrate from a recording, or from all inputs of a job, and save the sensor model
   convert       Copy recorded waveforms into the open container format (Arrow)
   copc          Convert points to a cloud-optimised point cloud (COPC)
   false-alarms  Print the false-return rate of pure noise for each threshold
@@ -181,7 +181,7 @@ error: `[job]` has no key `thread`
   |     ^^^^^^
   |
   = help: did you mean `threads`?
-  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, on_error, geometry
+  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, on_error, inputs_at_once, model, survey_model, geometry
 ";
     assert_eq!(outcome.code, Some(2));
     assert!(outcome.err.ends_with(expected), "{}", outcome.err);
