@@ -187,7 +187,7 @@ pub fn run_each(
         None => survey_models(job, options)?.map(Arc::new),
     };
     let options = &Options { survey, ..options.clone() };
-    summary.survey = options.survey.clone();
+    summary.survey_models = options.survey.clone();
     let pool = pool::start(options)?;
     let site = |input| run_context(options, input, pool.clone());
     let sites: Vec<RunContext> = inputs(job, &options.input_dir)?.into_iter().map(site).collect();

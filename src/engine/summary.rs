@@ -39,7 +39,7 @@ pub struct RunSummary {
     /// Sensor models of the survey, if its inputs share them.
     #[serde(serialize_with = "shared")]
     #[schemars(with = "Option<SurveyModels>")]
-    pub survey: Option<Arc<SurveyModels>>,
+    pub survey_models: Option<Arc<SurveyModels>>,
     /// One entry per input.
     #[serde(skip)]
     pub inputs: Vec<InputSummary>,
@@ -126,7 +126,7 @@ pub struct InputSummary {
     pub totals: BTreeMap<&'static str, u64>,
     /// Channel fusion, as estimated by or given to `fuse_channels`.
     pub channel_fusion: Option<ChannelFusion>,
-    /// Index of the instrument in `survey` whose sensor model it has.
+    /// Index of the instrument in `survey_models` whose sensor model it has.
     pub survey_instrument: Option<usize>,
     /// Sensor model of `calibrate`, if it is not that of the survey.
     pub sensor_model: Option<SensorModel>,
@@ -248,7 +248,7 @@ impl RunSummary {
             threads: options.workers(),
             simd: options.simd.into(),
             wall_s: 0.0,
-            survey: options.survey.clone(),
+            survey_models: options.survey.clone(),
             inputs: Vec::new(),
         }
     }
@@ -256,7 +256,7 @@ impl RunSummary {
     /// Sensor model of an input: its own or that of the survey.
     pub fn sensor_model<'a>(&'a self, input: &'a InputSummary) -> Option<&'a SensorModel> {
         let of_survey = || {
-            let instruments = &self.survey.as_ref()?.instruments;
+            let instruments = &self.survey_models.as_ref()?.instruments;
             instruments.get(input.survey_instrument?)?.sensor_model.as_deref()
         };
         input.sensor_model.as_ref().or_else(of_survey)

@@ -178,8 +178,14 @@ impl Survey<'_> {
             if is_enough { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
         let survey = Some(Arc::new(self.models.clone()));
-        let options =
-            Options { survey, progress: ProgressMode::Hidden, profile: false, ..self.options.clone() };
+        // A single worker, so that lines leave in order: those taken depend on nothing else.
+        let options = Options {
+            survey,
+            threads: 1,
+            progress: ProgressMode::Hidden,
+            profile: false,
+            ..self.options.clone()
+        };
         let input_again = Input { path: input.path.clone(), stem: input.stem.clone() };
         let seen = observe::quietly(&upstream, input_again, &options, Sample::default(), look);
         if self.options.cancel.is_cancelled() {

@@ -53,7 +53,7 @@ pub(super) fn page(report: &Value) -> Result<String, InvalidOverview> {
                 }
                 p.chain { (chain.join(" → ")) }
                 (of_inputs(inputs))
-                (drift::of_survey(&report["survey"]))
+                (drift::of_survey(&report["survey_models"]))
                 @for part in parts { (part) }
                 div.job { (all_keys(report)) }
             }

@@ -66,13 +66,13 @@ fn the_inputs_of_a_survey_share_a_model_unless_one_contradicts() {
     let shared = tables(&place, &[]);
     assert_eq!(shared.keys().collect::<Vec<_>>(), ["a.csv", "b.csv", "c.csv", "e.csv"]);
     let report = report(&place);
-    let inputs = report["survey"]["inputs"].as_array().unwrap();
+    let inputs = report["survey_models"]["inputs"].as_array().unwrap();
     let own: Vec<(&str, bool)> =
         inputs.iter().map(|input| (input["stem"].as_str().unwrap(), !input["own_model"].is_null())).collect();
     assert_eq!(own, [("a", false), ("b", false), ("c", true), ("d", false), ("e", false)]);
     let reason = inputs[2]["own_model"].as_str().unwrap();
     assert!(reason.starts_with("low power noise 1.5"), "{reason}");
-    assert_eq!(report["survey"]["instruments"][0]["inputs"], 3);
+    assert_eq!(report["survey_models"]["instruments"][0]["inputs"], 3);
     let input = |number: usize| &report["inputs"][number];
     assert!([0, 1, 4].iter().all(|number| input(*number)["survey_instrument"] == 0));
     assert!([0, 1, 4].iter().all(|number| input(*number)["sensor_model"].is_null()));
