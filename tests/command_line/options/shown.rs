@@ -274,7 +274,7 @@ pub const FEATURES: &[(&str, &str, &[&str])] = &[
     ),
     (
         "saved and preset models",
-        "`save`, `load`, `preset` of `calibrate`, `wavex calibrate`",
+        "`save`, `load`, `preset` of `calibrate`, `wavex calibrate`, `survey_model`",
         &[
             "a_saved_sensor_model_gives_the_same_returns_again",
             "a_preset_serves_where_there_is_too_little_to_calibrate_from",
