@@ -11,7 +11,7 @@ use super::paths::plain;
 use crate::engine::Input;
 use crate::job::{Job, JobSettings};
 use crate::keys::{FileMark, Key, Keys};
-use wavex_formats::companions;
+use wavex_formats::CompanionIndex;
 use wavex_geodesy::crs::Named;
 
 /// JSON pointers of the keys in `[job]` with this mark.
@@ -36,10 +36,20 @@ fn collect(key: Key, table: &str, mark: FileMark, found: &mut Vec<String>) {
 
 /// All files that a run of the job over these inputs reads; `input_dir` is absolute.
 pub(super) fn of_job(job: &Job, settings: &Value, inputs: &[Input], input_dir: &Path) -> BTreeSet<PathBuf> {
+    of_job_by(job, settings, inputs, input_dir, &mut CompanionIndex::default())
+}
+
+fn of_job_by(
+    job: &Job,
+    settings: &Value,
+    inputs: &[Input],
+    input_dir: &Path,
+    index: &mut CompanionIndex,
+) -> BTreeSet<PathBuf> {
     let mut files = BTreeSet::new();
     for input in inputs.iter().filter(|input| !input.path.as_os_str().is_empty()) {
         let path = plain(&input_dir.join(&input.path));
-        files.extend(companions(&path));
+        files.extend(index.of(&path));
         files.insert(path);
     }
     for text in job.stages.iter().flat_map(|stage| &stage.planned.inputs) {
@@ -55,7 +65,29 @@ pub(super) fn of_job(job: &Job, settings: &Value, inputs: &[Input], input_dir: &
 
 /// All files that a run of the job over these inputs reads; `input_dir` is absolute.
 pub(crate) fn files_read(job: &Job, inputs: &[Input], input_dir: &Path) -> BTreeSet<PathBuf> {
-    of_job(job, &serde_json::to_value(&job.settings).unwrap_or_default(), inputs, input_dir)
+    FilesRead::new(job, input_dir).of(inputs)
+}
+
+/// Lists the files that runs of a job read; lists each folder once.
+pub(crate) struct FilesRead<'j> {
+    job: &'j Job,
+    settings: Value,
+    /// Absolute folder of the inputs.
+    input_dir: PathBuf,
+    index: CompanionIndex,
+}
+
+impl<'j> FilesRead<'j> {
+    /// Lists files of this job; `input_dir` is absolute.
+    pub(crate) fn new(job: &'j Job, input_dir: &Path) -> FilesRead<'j> {
+        let settings = serde_json::to_value(&job.settings).unwrap_or_default();
+        FilesRead { job, settings, input_dir: input_dir.to_owned(), index: CompanionIndex::default() }
+    }
+
+    /// All files that a run over these inputs reads.
+    pub(crate) fn of(&mut self, inputs: &[Input]) -> BTreeSet<PathBuf> {
+        of_job_by(self.job, &self.settings, inputs, &self.input_dir, &mut self.index)
+    }
 }
 
 /// Describes missing files of a job over these inputs; `input_dir` is absolute.

@@ -60,6 +60,18 @@ pub(super) enum Command {
         #[arg(default_missing_value = "time", conflicts_with = "archive")]
         resume: Option<ResumeCheck>,
     },
+    /// Plan a survey as tasks for several machines, one per input
+    ///
+    /// Writes a folder with the job of each input, its estimated cores, memory and time, and rules
+    /// for Snakemake with profiles for one machine and for Slurm. All paths in it are relative.
+    #[command(after_help = usage::PLAN)]
+    Plan(PlanArgs),
+    /// Check and merge the results of planned tasks
+    ///
+    /// Names every task that failed, was not run, or lacks an output. Merges reports, line
+    /// statistics, digests and the archive of the others.
+    #[command(after_help = usage::COLLECT)]
+    Collect(CollectArgs),
     /// Run an archived job again and compare the outputs bit by bit
     ///
     /// First verifies the archive and its inputs, then runs into a temporary folder (see TMPDIR).
@@ -211,6 +223,38 @@ pub(super) struct ArchiveArgs {
     /// Current folder of the outputs [default: as recorded in the archive]
     #[arg(long, value_name = "FOLDER")]
     pub(super) outputs: Option<PathBuf>,
+}
+
+/// Job to plan, folder of the plan and resources of its tasks.
+#[derive(Args)]
+pub(super) struct PlanArgs {
+    #[command(flatten)]
+    pub(super) job: JobArgs,
+    /// Folder to write: a new one, or that of an earlier plan of the job
+    #[arg(short, long, value_name = "FOLDER")]
+    pub(super) output: PathBuf,
+    /// Cores per task [default: the job's `threads`, or 4]
+    #[arg(long, value_name = "N", value_parser = every)]
+    pub(super) cores: Option<usize>,
+    /// Throughput of one core, MB of input per second, for the estimated time
+    #[arg(long, value_name = "RATE", default_value_t = 1.0, value_parser = rate)]
+    pub(super) mb_per_s: f64,
+    /// Archive of the whole survey that `wavex collect` makes, as `wavex run --archive`
+    #[arg(long, value_name = "ARCHIVE")]
+    pub(super) archive: Option<PathBuf>,
+}
+
+/// Plan to collect.
+#[derive(Args)]
+pub(super) struct CollectArgs {
+    /// Folder of the plan
+    pub(super) plan: PathBuf,
+    /// Compare inputs and outputs by content instead of size
+    #[arg(long)]
+    pub(super) digest: bool,
+    /// Make no archive yet
+    #[arg(long)]
+    pub(super) no_archive: bool,
 }
 
 /// Recording to calibrate from and sensor model to write.
@@ -377,6 +421,12 @@ fn seal(text: &str) -> Result<String, String> {
     is_digest.then(|| text.to_ascii_lowercase()).ok_or_else(|| {
         "a seal has 64 hexadecimal digits, as `wavex run --archive` prints them at the end".to_owned()
     })
+}
+
+/// Parses a positive number.
+fn rate(text: &str) -> Result<f64, String> {
+    let positive = text.parse().ok().filter(|rate: &f64| *rate > 0.0 && rate.is_finite());
+    positive.ok_or_else(|| "give a positive number".to_owned())
 }
 
 /// Parses a count of at least 1.

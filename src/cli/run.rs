@@ -167,8 +167,9 @@ fn finish(
     if let Some((recorder, archive)) = archive {
         let text = files.report(run).to_json().map_err(std::io::Error::from);
         let text = text.map_err(Error::io(archive, "write the report"))?;
-        let seal = recorder.finish(run, text, &log::kept())?;
-        let _ = writeln!(said, "archived in {}; seal {seal}", archive.display());
+        let seals = recorder.finish(run, text, &log::kept())?;
+        let _ = writeln!(said, "results {}", seals.results);
+        let _ = writeln!(said, "archived in {}; seal {}", archive.display(), seals.seal);
     }
     Ok(said)
 }

@@ -1,0 +1,91 @@
+//! `wavex plan` and `wavex collect`: a survey as tasks of a cluster.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use super::args::{CollectArgs, PlanArgs};
+use super::{Failure, print, run, terminal};
+use crate::archive::check_destination;
+use crate::cluster::{self, PlanOptions, SurveyPlan};
+use crate::georef::check_crs;
+
+/// Cores per task if neither the job nor the command line has a number.
+const CORES: usize = 4;
+
+/// Writes the plan of a job.
+pub(super) fn plan(args: &PlanArgs, quiet: bool) -> Result<(), Failure> {
+    let job = args.job.read(None)?;
+    for note in &job.notes {
+        tracing::warn!("{note}");
+    }
+    let folder = args.job.folder();
+    let (input_dir, output_dir) = run::folders(&job, &folder);
+    check_crs(&job.settings.geometry, &input_dir).map_err(|error| Failure::Wrong(error.to_string()))?;
+    if args.job.is_stdin() {
+        let problem = "a job on standard input cannot be planned; save it to a file and plan that";
+        return Err(Failure::Wrong(problem.to_owned()));
+    }
+    if let Some(archive) = &args.archive {
+        check_destination(archive).map_err(|error| Failure::Wrong(error.to_string()))?;
+    }
+    let options = PlanOptions {
+        folder: &args.output,
+        job_dir: &folder,
+        input_dir: &input_dir,
+        output_dir: &output_dir,
+        archive: args.archive.as_deref(),
+        cores: args.cores.unwrap_or(match job.settings.threads {
+            0 => CORES,
+            threads => threads,
+        }),
+        mb_per_s: args.mb_per_s,
+    };
+    let plan = cluster::plan(&job, &options).map_err(|error| Failure::Run(error.to_string()))?;
+    if quiet { Ok(()) } else { print(&words(&plan, &args.output)) }
+}
+
+/// Describes a plan and how to run it.
+fn words(plan: &SurveyPlan, folder: &Path) -> String {
+    let bytes: u64 = plan.tasks.iter().flat_map(|task| &task.inputs).map(|file| file.bytes).sum();
+    let most = |of: fn(&cluster::Estimate) -> u64| plan.tasks.iter().map(|task| of(&task.estimate)).max();
+    let mut text = format!("{} tasks, {}\n", plan.tasks.len(), super::check::size(bytes));
+    if let (Some(memory_mb), Some(minutes), Some(task)) =
+        (most(|estimate| estimate.memory_mb), most(|estimate| estimate.minutes), plan.tasks.first())
+    {
+        let cores = task.estimate.cores;
+        let _ = writeln!(text, "each: {cores} cores, up to {memory_mb} MB and {minutes} min");
+    }
+    if plan.calibration.is_some() {
+        text += "first: calibration from all inputs\n";
+    }
+    let folder = terminal::shown(folder);
+    let folder = folder.display();
+    let _ = writeln!(text, "wrote {folder}");
+    let _ = writeln!(text, "run: snakemake -s {folder}/Snakefile --profile {folder}/profiles/local --cores all");
+    text
+}
+
+/// Checks and merges the results of a plan.
+pub(super) fn collect(args: &CollectArgs, quiet: bool) -> Result<(), Failure> {
+    let found = cluster::collect(&args.plan, args.digest, !args.no_archive);
+    let found = found.map_err(|error| Failure::Run(error.to_string()))?;
+    if !quiet {
+        let mut said = found.table;
+        for path in &found.written {
+            let _ = writeln!(said, "wrote {}", terminal::shown(path).display());
+        }
+        if let Some((path, seals)) = &found.archive {
+            let _ = writeln!(said, "results {}", seals.results);
+            let _ = writeln!(said, "archived in {}; seal {}", terminal::shown(path).display(), seals.seal);
+        }
+        print(&said)?;
+    }
+    if found.problems.is_empty() {
+        return Ok(());
+    }
+    let mut text = format!("{} of {} tasks are not complete", found.problems.len(), found.tasks);
+    for (name, reason) in &found.problems {
+        let _ = write!(text, "\n  {name}: {reason}");
+    }
+    Err(Failure::Run(text))
+}
