@@ -96,8 +96,7 @@ fn sink(folder: &Path, path: &str, threads: usize) -> Box<dyn Sink> {
         output_dir: folder.into(),
         pool: (threads > 1).then(|| Arc::new(pool(threads))),
         simd: wavex_signal::simd::SimdLevel::best(),
-        cancelled: Default::default(),
-        geometry: Arc::default(),
+        ..RunContext::alone("".as_ref())
     };
     let spec = registry::find("write_las").unwrap_or_else(|| panic!("write_las is a stage"));
     let Plan::Sink(keys) =

@@ -16,7 +16,7 @@ use rayon::ThreadPool;
 
 use crate::georef::Loader;
 use crate::job::{Job, OnError};
-use crate::stage::{Context, OutputLock, Plan, RunContext, RunObserver, StageError};
+use crate::stage::{Context, OutputLock, Plan, RunContext, RunObserver, StageError, SurveyModels};
 use wavex_signal::simd::SimdLevel;
 
 mod chain;
@@ -29,6 +29,7 @@ mod pool;
 mod progress;
 mod stage_summary;
 mod summary;
+mod survey;
 mod totals;
 mod trace;
 mod worker;
@@ -40,6 +41,7 @@ pub(crate) use observe::observe;
 pub use progress::{Progress, ProgressMode};
 pub use stage_summary::{ItemCounts, Percentiles, StageSummary};
 pub use summary::{InputStatus, InputSummary, RunSummary, StageKeys, TrajectorySummary};
+pub use survey::{learn_survey_models, survey_models};
 
 use failure::SharedFiles;
 
@@ -66,6 +68,8 @@ pub struct Options {
     pub observer: Option<Arc<dyn RunObserver>>,
     /// Stems of the inputs to skip.
     pub skip: BTreeSet<String>,
+    /// Sensor models of the survey; `None`: as the job requests.
+    pub survey: Option<Arc<SurveyModels>>,
 }
 
 impl Options {
@@ -82,6 +86,7 @@ impl Options {
             progress: ProgressMode::Hidden,
             observer: None,
             skip: BTreeSet::new(),
+            survey: None,
         }
     }
 
@@ -158,6 +163,12 @@ pub fn run_each(
 ) -> Result<(), RunError> {
     failure::catch_panic_messages();
     let started = Instant::now();
+    let survey = match &options.survey {
+        Some(models) => Some(Arc::clone(models)),
+        None => survey_models(job, options)?.map(Arc::new),
+    };
+    let options = &Options { survey, ..options.clone() };
+    summary.survey = options.survey.clone();
     let pool = pool::start(options)?;
     let site = |input| run_context(options, input, pool.clone());
     let sites: Vec<RunContext> = inputs(job, &options.input_dir)?.into_iter().map(site).collect();
@@ -171,7 +182,7 @@ pub fn run_each(
     let shared = SharedFiles::new(job, options, &outputs);
     let to_run = sites.iter().filter(|site| !options.skip.contains(&site.stem));
     let mut progress = Progress::new(options.progress, to_run.map(inputs::size).collect());
-    let cx = Context::of_run(options.observer.clone());
+    let cx = Context::default().observed(options.observer.clone());
     for (number, site) in sites.into_iter().enumerate() {
         if options.skip.contains(&site.stem) {
             summary.inputs[number].status = InputStatus::Skipped;
@@ -235,6 +246,8 @@ fn run_context(options: &Options, input: Input, pool: Option<Arc<ThreadPool>>) -
         simd: options.simd,
         cancelled: options.cancel.flag(),
         geometry: Arc::default(),
+        survey: options.survey.clone(),
+        has_outputs: true,
     }
 }
 

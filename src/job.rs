@@ -123,8 +123,27 @@ pub struct JobSettings {
     /// What follows when an input fails: `continue` with the next one, or `stop` the run. Problems
     /// that are not of one input, such as a full disk, always stop it.
     pub on_error: OnError,
+    /// Sensor model of several inputs: common to the `survey`, from waveforms of all inputs, or from
+    /// each `input` alone. An input that contradicts the survey has its own model.
+    pub model: ModelScope,
+    /// File written by `wavex calibrate JOB.toml -o FILE.json`, whose sensor models are used instead
+    /// of those of this run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("x-file" = "input"))]
+    pub survey_model: Option<String>,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
     pub geometry: GeometryKeys,
+}
+
+/// Inputs that share a sensor model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ModelScope {
+    /// All inputs of an instrument.
+    #[default]
+    Survey,
+    /// None.
+    Input,
 }
 
 /// What follows when an input fails.
@@ -153,6 +172,8 @@ impl Default for JobSettings {
             stat_log: "*_stat.log".into(),
             log: "*.log".into(),
             on_error: OnError::default(),
+            model: ModelScope::default(),
+            survey_model: None,
             geometry: GeometryKeys::default(),
         }
     }

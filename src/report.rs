@@ -26,7 +26,7 @@ pub use overview::{
     ShownReturn, ShownShot, ZoneCloud, ZoneClouds, ZoneShare, Zones,
 };
 pub use stat_log::{geometry_words, sensor_model_words, stat_log};
-pub use tables::{input_table, latency_table, stage_table};
+pub use tables::{input_table, latency_table, stage_table, survey_table};
 
 /// Report of a run (`*_report.json`).
 #[derive(Clone, Debug, Serialize, JsonSchema)]

@@ -122,6 +122,27 @@ impl ScanLine {
         }
     }
 
+    /// Copy without its share of the memory budget.
+    pub(crate) fn copied(&self) -> ScanLine {
+        let content = match &self.content {
+            Content::Shots(blocks) => Content::Shots(blocks.clone()),
+            Content::Returns(returns) => Content::Returns(returns.clone()),
+            Content::Points(returns, points) => Content::Points(returns.clone(), points.clone()),
+        };
+        ScanLine {
+            input: Arc::clone(&self.input),
+            line: self.line,
+            stats: self.stats.clone(),
+            model: self.model.clone(),
+            fusion: self.fusion.clone(),
+            emissions: self.emissions.clone(),
+            content,
+            profiles: self.profiles.clone(),
+            waveforms: self.waveforms.clone(),
+            ticket: None,
+        }
+    }
+
     /// Profile of a shot's target, if it has one.
     pub fn profile(&self, emission: u32) -> Option<&ShotProfile> {
         let found = self.profiles.binary_search_by_key(&emission, |profile| profile.emission);

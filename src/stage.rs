@@ -17,6 +17,7 @@ mod output_lock;
 pub(crate) mod packed;
 mod run_context;
 mod spec;
+mod survey_models;
 
 pub use context::{Context, Counters, Distribution, Item, counted};
 pub use fitted::{CURVE_POINTS_PER_SAMPLE, FittedBlock, FittedPeak, FittedSamples, FittedShot};
@@ -27,9 +28,11 @@ pub use output_file::{FinishedFile, OutputFile, remove_unfinished_files};
 pub use output_lock::{OutputLock, Outputs, release_all};
 pub use run_context::{Paths, RunContext, fixed_folder};
 pub use spec::{
-    Config, ConfigError, Holds, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig, SourcePlan,
-    StageSpec, TransformConfig,
+    Config, ConfigError, Holds, Learns, MapConfig, Plan, Planned, RoleName, SinkConfig, SourceConfig,
+    SourcePlan, StageSpec, TransformConfig,
 };
+pub(crate) use survey_models::check_model;
+pub use survey_models::{ChannelDrift, Instrument, InstrumentModel, Measured, SurveyInput, SurveyModels};
 
 /// Failure of a stage.
 #[derive(Debug, thiserror::Error)]

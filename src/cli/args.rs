@@ -134,11 +134,12 @@ pub(super) enum Command {
         #[arg(long, value_name = "RECORDING")]
         from: Option<PathBuf>,
     },
-    /// Calibrate from a recording and save the sensor model
+    /// Calibrate from a recording, or from all inputs of a job, and save the sensor model
     ///
-    /// Reads the whole recording, prints noise, background and pulse width of each receiver, and
-    /// writes the model as JSON. A job uses it with the key `load` of `calibrate`. docs/how-to/calibrate-once.md
-    /// describes how to make and share presets.
+    /// With a recording, reads all of it, prints noise, background and pulse width of each receiver,
+    /// and writes the model as JSON. A job uses it with the key `load` of `calibrate`. With a job
+    /// (.toml), takes waveforms from all its inputs and writes one model per instrument, which jobs use
+    /// with the key `survey_model` of `[job]`. docs/how-to/calibrate-once.md describes both.
     #[command(after_help = usage::CALIBRATE)]
     Calibrate(CalibrateArgs),
     /// Copy recorded waveforms into the open container format (Arrow)
@@ -260,11 +261,14 @@ pub(super) struct CollectArgs {
 /// Recording to calibrate from and sensor model to write.
 #[derive(Args)]
 pub(super) struct CalibrateArgs {
-    /// Recording: .las, .laz, .pls, .sdf, .wfm or .arrow
+    /// Recording: .las, .laz, .pls, .sdf, .wfm or .arrow; or the job of a survey: .toml
     pub(super) file: PathBuf,
-    /// Sensor model to write (.json)
+    /// Sensor model of the recording to write (.json)
     #[arg(long, value_name = "NAME.json")]
     pub(super) save_preset: Option<PathBuf>,
+    /// Sensor models of the job's inputs to write (.json)
+    #[arg(short, long, value_name = "NAME.json", conflicts_with = "save_preset")]
+    pub(super) out: Option<PathBuf>,
     /// Override a key of the reader or of calibrate for this run, as for `wavex run`; may be
     /// repeated
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]

@@ -1,14 +1,25 @@
 //! `wavex calibrate`: runs a reader and `calibrate` to make a sensor model.
 
+use std::io::{IsTerminal, Write};
 use std::path::Path;
 
-use super::{CalibrateArgs, Failure, run, terminal};
+use super::{CalibrateArgs, Failure, JobArgs, run, terminal};
+use crate::engine::{self, Options};
 use crate::job::{Job, Override};
 use crate::registry::reader_of;
-use crate::report::sensor_model_words;
+use crate::report::{sensor_model_words, survey_table};
+use crate::stage::{FinishedFile, OutputFile};
+use wavex_formats::Error;
 
-/// Calibrates from a recording, saves the model if requested, prints it.
+/// Calibrates from a recording or a survey, saves the model if requested, prints it.
 pub(super) fn calibrate(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure> {
+    if args.file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
+        return of_survey(args, quiet);
+    }
+    if args.out.is_some() {
+        let problem = "--out is for the models of a job; to save the model of a recording, use --save-preset";
+        return Err(Failure::Wrong(problem.to_owned()));
+    }
     let text = job_text(args).map_err(Failure::Wrong)?;
     let set = args.set.iter().map(Override::new).chain(args.machine.overrides());
     let mut job = Job::parse("the job of `wavex calibrate`", &text, &set.collect::<Vec<_>>())?;
@@ -30,6 +41,41 @@ pub(super) fn calibrate(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure
         );
     }
     terminal::print(&said)
+}
+
+/// Calibrates from all inputs of a job.
+fn of_survey(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure> {
+    if args.save_preset.is_some() {
+        let problem = "--save-preset is for the model of a recording; to save the models of a job, use --out";
+        return Err(Failure::Wrong(problem.to_owned()));
+    }
+    let job_args = JobArgs { job: args.file.clone(), set: args.set.clone() };
+    let job = job_args.read(args.machine.overrides())?;
+    let (input_dir, output_dir) = run::folders(&job, &job_args.folder());
+    let progress = args.machine.progress(quiet, std::io::stderr().is_terminal());
+    let options = Options { progress, ..Options::of_job(&job, input_dir, output_dir) };
+    run::stop_on_signals(&options.cancel);
+    let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
+    let models = engine::learn_survey_models(&job, &options).map_err(|error| failed(&error))?;
+    if models.instruments.iter().all(|instrument| instrument.sensor_model.is_none()) {
+        let reason = models.instruments.iter().flat_map(|instrument| &instrument.notes).next();
+        let reason = reason.map_or("no input could be read; run the job to see why", String::as_str);
+        return Err(Failure::Run(reason.to_owned()));
+    }
+    let mut said = survey_table(&models);
+    if let Some(path) = &args.out {
+        let mut file = OutputFile::create(path).map_err(|error| failed(&error))?;
+        let written = models.to_json().map_err(std::io::Error::from);
+        let written = written.and_then(|text| file.write_all(text.as_bytes()));
+        written.map_err(|error| failed(&Error::io(path, "write the models")(error)))?;
+        file.finish().and_then(FinishedFile::publish).map_err(|error| failed(&error))?;
+        let path = terminal::shown(path).display().to_string();
+        said += &format!(
+            "wrote {path}; use it in a job: `survey_model = {}` of `[job]`, relative to `input_dir`\n",
+            toml::Value::String(path.clone())
+        );
+    }
+    if quiet { Ok(()) } else { terminal::print(&said) }
 }
 
 /// TOML of a job that reads the recording and calibrates.

@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::args::ResumeCheck;
 use super::run_files::RunFiles;
@@ -90,6 +91,8 @@ fn run_archived(
     let recorder = recorder.map_err(|error| logged(&error))?;
     let archived = recorder.as_ref().map(|recorder| recorder.job(job)).transpose();
     let archived = archived.map_err(|error| logged(&error))?;
+    let survey = engine::survey_models(job, &options).map_err(|error| logged(&error))?;
+    options.survey = survey.map(Arc::new);
     let mut run = RunSummary::new(job, &options);
     let messages;
     (options.skip, messages) = files.plan(job, &options.input_dir, &run, resume.is_some());
@@ -254,7 +257,7 @@ impl Machine {
         self.threads.map(|threads| Override::new(format!("job.threads={threads}")))
     }
 
-    fn progress(self, quiet: bool, on_terminal: bool) -> ProgressMode {
+    pub(super) fn progress(self, quiet: bool, on_terminal: bool) -> ProgressMode {
         self.progress.mode(quiet, on_terminal)
     }
 }

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::job::Job;
 use crate::scan_line::ScanLine;
-use crate::stage::{Context, DecomposedLine, FitShot, Result, RunObserver};
+use crate::stage::{Context, DecomposedLine, FitShot, Result, RunContext, RunObserver};
 
 /// Shows each line that leaves the chain to `look`, together with a state that is returned.
 ///
@@ -28,6 +28,35 @@ where
     T: Send + 'static,
     L: Fn(&mut T, &ScanLine) -> ControlFlow<()> + Send + Sync + 'static,
 {
+    show(job, input, options, (state, look), Context::default())
+}
+
+/// The same without messages in the log.
+pub(super) fn quietly<T, L>(
+    job: &Job,
+    input: Input,
+    options: &Options,
+    state: T,
+    look: L,
+) -> std::result::Result<T, RunError>
+where
+    T: Send + 'static,
+    L: Fn(&mut T, &ScanLine) -> ControlFlow<()> + Send + Sync + 'static,
+{
+    show(job, input, options, (state, look), Context::quiet())
+}
+
+fn show<T, L>(
+    job: &Job,
+    input: Input,
+    options: &Options,
+    (state, look): (T, L),
+    cx: Context,
+) -> std::result::Result<T, RunError>
+where
+    T: Send + 'static,
+    L: Fn(&mut T, &ScanLine) -> ControlFlow<()> + Send + Sync + 'static,
+{
     failure::catch_panic_messages();
     let cancel = Cancel::default();
     let state = Arc::new(Mutex::new(Some(state)));
@@ -36,8 +65,8 @@ where
     let mut geometry = Loader::new(&job.settings.geometry, &options.input_dir)
         .map_err(|error| RunError::of_job(error.into()))?;
     let mut progress = Progress::new(options.progress, vec![1]);
-    let cx = Context::of_run(options.observer.clone());
-    let site = run_context(&options, input, pool::start(&options)?);
+    let cx = cx.observed(options.observer.clone());
+    let site = RunContext { has_outputs: false, ..run_context(&options, input, pool::start(&options)?) };
     let (_, error) = run_input(job, site, &mut geometry, &options, &mut progress, &cx);
     let state = state.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take();
     match (error, state) {

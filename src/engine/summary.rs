@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 
 use schemars::JsonSchema;
@@ -12,7 +13,7 @@ use super::totals::Totals;
 use super::{Options, RunError};
 use crate::job::{Job, JobSettings, JobStage, Simd};
 use crate::scan_line::{EmissionReference, Frame, TimeScale};
-use crate::stage::RunContext;
+use crate::stage::{RunContext, SurveyModels};
 use wavex_geodesy::time::utc;
 use wavex_geodesy::trajectory::Trajectory;
 use wavex_signal::fusion::ChannelFusion;
@@ -35,6 +36,10 @@ pub struct RunSummary {
     pub simd: Simd,
     /// Duration of the whole run, s.
     pub wall_s: f64,
+    /// Sensor models of the survey, if its inputs share them.
+    #[serde(serialize_with = "shared")]
+    #[schemars(with = "Option<SurveyModels>")]
+    pub survey: Option<Arc<SurveyModels>>,
     /// One entry per input.
     #[serde(skip)]
     pub inputs: Vec<InputSummary>,
@@ -244,6 +249,7 @@ impl RunSummary {
             threads: options.workers(),
             simd: options.simd.into(),
             wall_s: 0.0,
+            survey: options.survey.clone(),
             inputs: Vec::new(),
         }
     }
@@ -261,6 +267,11 @@ impl RunSummary {
         inputs_of.retain(|_, inputs| *inputs > 1);
         inputs_of
     }
+}
+
+/// Serialises what an `Arc` holds.
+fn shared<S: Serializer>(models: &Option<Arc<SurveyModels>>, to: S) -> Result<S::Ok, S::Error> {
+    models.as_deref().serialize(to)
 }
 
 /// Serialises a path as text; replaces invalid Unicode.

@@ -9,7 +9,8 @@ use crate::job::Job;
 use crate::stage::Plan;
 
 /// Keys of `[job]` that may differ: they do not affect outputs or reports.
-const FREE_KEYS: [&str; 6] = ["include", "threads", "channel_capacity", "simd", "log", "on_error"];
+const FREE_KEYS: [&str; 8] =
+    ["include", "threads", "channel_capacity", "simd", "log", "on_error", "model", "survey_model"];
 
 /// First difference of an earlier run that affects all inputs.
 ///
@@ -33,6 +34,9 @@ pub fn difference(report: &Value, job: &Job, next: &RunSummary, free: &[&str]) -
         let key = keys.find(|key| !free.contains(&key.as_str()) && then[key] != now[key])?;
         Some(format!("`{key}` of {table} was different"))
     };
+    if report["survey"] != next["survey"] {
+        return Some("the sensor models of the survey were different".to_owned());
+    }
     if let Some(different) = differs("`[job]`", &report["job"], &next["job"], &[&FREE_KEYS, free].concat()) {
         return Some(different);
     }

@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::RunReport;
 use crate::engine::{InputStatus, InputSummary};
+use crate::stage::{Measured, SurveyModels};
 
 /// Table of the inputs of a run: status, points, time, reason of a failure.
 pub fn input_table(report: &RunReport) -> String {
@@ -22,6 +23,48 @@ pub fn input_table(report: &RunReport) -> String {
         let status = input.status.words();
         let row = format!("{:width$} {status:7} {points:>11} {time:>9} {reason}", input.stem);
         let _ = writeln!(text, "{}", row.trim_end());
+    }
+    text
+}
+
+/// Table of a survey's sensor models: each receiver by each input alone, and which model it has.
+pub fn survey_table(models: &SurveyModels) -> String {
+    let mut text = String::new();
+    for (number, instrument) in models.instruments.iter().enumerate() {
+        let _ = writeln!(text, "{}: model from {} inputs", instrument.instrument, instrument.inputs);
+        let rows = || models.inputs.iter().filter(|input| input.instrument == Some(number));
+        let width = rows().map(|input| input.stem.chars().count()).max().unwrap_or(0).max(5);
+        let _ = writeln!(
+            text,
+            "  {:width$} {:14} {:>16} {:>14} {:>16} model",
+            "input", "receiver", "background DN", "noise DN", "pulse width ns"
+        );
+        for input in rows() {
+            let model = match &input.own_model {
+                Some(reason) => format!("its own: {reason}"),
+                None => "of the survey".to_owned(),
+            };
+            let known = input.channels().into_iter().filter_map(|(name, found)| Some((name, found?)));
+            for (name, found) in known {
+                let words = |measured: Measured, digits| {
+                    format!("{:.digits$} ± {:.digits$}", measured.value, measured.sd)
+                };
+                let _ = writeln!(
+                    text,
+                    "  {:width$} {name:14} {:>16} {:>14} {:>16} {model}",
+                    input.stem,
+                    words(found.background_dn, 3),
+                    words(found.noise_sd_dn, 3),
+                    words(found.pulse_fwhm_ns, 3)
+                );
+            }
+        }
+        for note in &instrument.notes {
+            let _ = writeln!(text, "  {note}");
+        }
+    }
+    for input in models.inputs.iter().filter(|input| input.instrument.is_none()) {
+        let _ = writeln!(text, "{}: could not be read", input.stem);
     }
     text
 }

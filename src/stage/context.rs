@@ -61,6 +61,8 @@ pub struct Context {
     logged: Arc<Mutex<BTreeSet<String>>>,
     /// Observer of the run, if there is one.
     observer: Option<Arc<dyn RunObserver>>,
+    /// Whether messages are not logged.
+    is_quiet: bool,
 }
 
 /// Counts, measurements and messages of a stage.
@@ -81,14 +83,20 @@ pub struct Counters {
 }
 
 impl Context {
-    /// Context of a run with this observer.
-    pub(crate) fn of_run(observer: Option<Arc<dyn RunObserver>>) -> Context {
-        Context { observer, ..Context::default() }
+    /// The same with this observer.
+    pub(crate) fn observed(self, observer: Option<Arc<dyn RunObserver>>) -> Context {
+        Context { observer, ..self }
+    }
+
+    /// The same without messages in the log.
+    pub(crate) fn quiet() -> Context {
+        Context { is_quiet: true, ..Context::default() }
     }
 
     /// Context of another worker of the same run.
     pub(crate) fn another(&self) -> Context {
-        Context { logged: Arc::clone(&self.logged), observer: self.observer.clone(), ..Context::default() }
+        let (logged, observer) = (Arc::clone(&self.logged), self.observer.clone());
+        Context { logged, observer, is_quiet: self.is_quiet, ..Context::default() }
     }
 
     /// Observer of the run, if there is one.
@@ -158,7 +166,8 @@ impl Context {
 
     /// Returns whether no worker of the run has given this message before.
     fn is_new(&self, text: &str) -> bool {
-        self.logged.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).insert(text.to_owned())
+        !self.is_quiet
+            && self.logged.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).insert(text.to_owned())
     }
 
     /// Keeps a finished file until every stage has succeeded; it then gets its final name.

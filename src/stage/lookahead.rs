@@ -19,6 +19,11 @@ impl LookAhead {
         LookAhead { lines: Vec::new(), bytes: 0, waveforms: 0, wanted }
     }
 
+    /// A full buffer of these lines.
+    pub fn of(lines: Vec<ScanLine>) -> LookAhead {
+        LookAhead { lines, ..LookAhead::new(0) }
+    }
+
     /// Holds back a line; returns whether the buffer is full.
     ///
     /// It is full when it contains enough waveforms or has reached its memory limit. In the second

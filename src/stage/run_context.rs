@@ -8,7 +8,7 @@ use rayon::ThreadPool;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{OutputFile, Result};
+use super::{OutputFile, Result, SurveyModels};
 use crate::georef::Geometry;
 use wavex_signal::simd::SimdLevel;
 
@@ -32,6 +32,10 @@ pub struct RunContext {
     pub cancelled: Arc<AtomicBool>,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
     pub geometry: Arc<Geometry>,
+    /// Sensor models of the survey; `None`: the recording has its own.
+    pub survey: Option<Arc<SurveyModels>>,
+    /// Whether stages write files; if not, their lines are only observed.
+    pub has_outputs: bool,
 }
 
 impl RunContext {
@@ -48,6 +52,8 @@ impl RunContext {
             simd: SimdLevel::Portable,
             cancelled: Arc::default(),
             geometry: Arc::default(),
+            survey: None,
+            has_outputs: true,
         }
     }
 
@@ -108,10 +114,8 @@ mod tests {
             stem: "flight7".into(),
             input_dir: "in".into(),
             output_dir: "out".into(),
-            pool: None,
             simd: SimdLevel::Portable,
-            cancelled: Default::default(),
-            geometry: Arc::default(),
+            ..RunContext::alone("".as_ref())
         };
         assert_eq!(site.output_path("las/*_ex.laz"), Path::new("out/las/flight7_ex.laz"));
         assert_eq!(site.output_path("/abs/all.laz"), Path::new("/abs/all.laz"));

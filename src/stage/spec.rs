@@ -6,9 +6,9 @@ use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::{Context, Map, Paths, Result, RunContext, Sink, Source, Transform};
+use super::{Context, InstrumentModel, Map, Paths, Result, RunContext, Sink, Source, Transform};
 use crate::keys::{InvalidKey, Keys};
-use crate::scan_line::Kind;
+use crate::scan_line::{Kind, ScanLine};
 
 /// Keys of a stage.
 ///
@@ -89,8 +89,51 @@ pub trait TransformConfig: Config {
         Holds::Window
     }
 
+    /// Whether it learns from the first lines of a recording.
+    fn learns(&self) -> Option<Learns> {
+        None
+    }
+
+    /// Learns the same from lines of one or several recordings of an instrument, and adds it to
+    /// `known`.
+    ///
+    /// # Errors
+    /// If the lines are insufficient.
+    fn learn(
+        &self,
+        _lines: &mut Vec<ScanLine>,
+        _site: &RunContext,
+        _known: &mut InstrumentModel,
+        _cx: &mut Context,
+    ) -> Result<()> {
+        Ok(())
+    }
+
+    /// The same, quicker, with values that are only compared with each other.
+    ///
+    /// # Errors
+    /// As [`TransformConfig::learn`].
+    fn compare(
+        &self,
+        lines: &mut Vec<ScanLine>,
+        site: &RunContext,
+        known: &mut InstrumentModel,
+        cx: &mut Context,
+    ) -> Result<()> {
+        self.learn(lines, site, known, cx)
+    }
+
     /// Creates the stage.
     fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>>;
+}
+
+/// What a transform learns from the first lines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Learns {
+    /// Number of waveforms from which it learns.
+    pub waveforms: u64,
+    /// Whether it makes the sensor model, so that a run cannot do without.
+    pub makes_model: bool,
 }
 
 /// Lines that a transform holds back.
@@ -223,6 +266,24 @@ pub trait MakeTransform: Send + Sync {
     fn outputs(&self) -> Vec<&str>;
     /// See [`TransformConfig::holds`].
     fn holds(&self) -> Holds;
+    /// See [`TransformConfig::learns`].
+    fn learns(&self) -> Option<Learns>;
+    /// See [`TransformConfig::learn`].
+    fn learn(
+        &self,
+        lines: &mut Vec<ScanLine>,
+        site: &RunContext,
+        known: &mut InstrumentModel,
+        cx: &mut Context,
+    ) -> Result<()>;
+    /// See [`TransformConfig::compare`].
+    fn compare(
+        &self,
+        lines: &mut Vec<ScanLine>,
+        site: &RunContext,
+        known: &mut InstrumentModel,
+        cx: &mut Context,
+    ) -> Result<()>;
     /// See [`TransformConfig::make`].
     fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>>;
 }
@@ -270,6 +331,27 @@ impl<C: TransformConfig> MakeTransform for C {
     }
     fn holds(&self) -> Holds {
         TransformConfig::holds(self)
+    }
+    fn learns(&self) -> Option<Learns> {
+        TransformConfig::learns(self)
+    }
+    fn learn(
+        &self,
+        lines: &mut Vec<ScanLine>,
+        site: &RunContext,
+        known: &mut InstrumentModel,
+        cx: &mut Context,
+    ) -> Result<()> {
+        TransformConfig::learn(self, lines, site, known, cx)
+    }
+    fn compare(
+        &self,
+        lines: &mut Vec<ScanLine>,
+        site: &RunContext,
+        known: &mut InstrumentModel,
+        cx: &mut Context,
+    ) -> Result<()> {
+        TransformConfig::compare(self, lines, site, known, cx)
     }
     fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
         TransformConfig::make(self, site)

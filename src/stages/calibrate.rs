@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 use crate::keys::InvalidKey;
 use crate::scan_line::{Channel, InputInfo, Kind, ScanLine};
 use crate::stage::{
-    Config, Holds, LookAhead, Output, OutputFile, Result, RunContext, StageError, StageSpec, Transform,
-    TransformConfig,
+    Config, Context, Holds, InstrumentModel, Learns, LookAhead, Output, OutputFile, Result, RunContext,
+    StageError, StageSpec, SurveyModels, Transform, TransformConfig,
 };
 pub(super) use model_file::{load_model, write_model};
 pub use presets::Preset;
@@ -201,17 +201,59 @@ impl TransformConfig for Calibrate {
             (None, Some(preset)) => Some(Arc::new(preset.model()?)),
             (None, None) => None,
         };
-        let save = self.save.as_ref().map(|pattern| site.create(pattern)).transpose()?;
-        Ok(Box::new(Calibrator {
+        let save = self.save.as_ref().filter(|_| site.has_outputs);
+        let save = save.map(|pattern| site.create(pattern)).transpose()?;
+        Ok(Box::new(Calibrator { model, save, ..self.calibrator(site) }))
+    }
+
+    fn learns(&self) -> Option<Learns> {
+        let is_given = self.load.is_some() || self.preset.is_some();
+        (!is_given).then_some(Learns { waveforms: self.waveforms, makes_model: true })
+    }
+
+    fn learn(
+        &self,
+        lines: &mut Vec<ScanLine>,
+        site: &RunContext,
+        known: &mut InstrumentModel,
+        cx: &mut Context,
+    ) -> Result<()> {
+        let mut calibrator = self.calibrator(site);
+        calibrator.look_ahead = LookAhead::of(std::mem::take(lines));
+        let mut emit = |_: ScanLine| Ok(());
+        let model = calibrator.calibrate(&mut Output::new(cx, usize::MAX, &mut emit));
+        *lines = calibrator.look_ahead.release();
+        known.sensor_model = Some(model?);
+        Ok(())
+    }
+
+    fn compare(
+        &self,
+        lines: &mut Vec<ScanLine>,
+        site: &RunContext,
+        known: &mut InstrumentModel,
+        cx: &mut Context,
+    ) -> Result<()> {
+        // The response takes most of the time.
+        Calibrate { response: ResponseKey::Gaussian, ..self.clone() }.learn(lines, site, known, cx)
+    }
+}
+
+impl Calibrate {
+    /// The stage without a model.
+    fn calibrator(&self, site: &RunContext) -> Calibrator {
+        Calibrator {
             config: self.clone(),
             simd: site.simd,
             pool: site.pool.clone(),
             cancelled: Arc::clone(&site.cancelled),
             look_ahead: LookAhead::new(self.waveforms),
             clipping_dn: [None; 2],
-            model,
-            save,
-        }))
+            survey: site.survey.clone().filter(|_| self.learns().is_some()),
+            stem: site.stem.clone(),
+            model: None,
+            save: None,
+        }
     }
 }
 
@@ -223,6 +265,9 @@ struct Calibrator {
     look_ahead: LookAhead,
     /// Levels at which the samples of the low-power and the high-power receiver are clipped, DN.
     clipping_dn: [Option<u16>; 2],
+    /// Models of the survey, which are used instead of calibrating.
+    survey: Option<Arc<SurveyModels>>,
+    stem: String,
     model: Option<Arc<SensorModel>>,
     /// File for the model; `None` once written.
     save: Option<OutputFile>,
@@ -230,6 +275,7 @@ struct Calibrator {
 
 impl Transform for Calibrator {
     fn process(&mut self, mut line: ScanLine, out: &mut Output) -> Result<()> {
+        self.take_from_survey(&line, out);
         self.save(out)?;
         if let Some(model) = &self.model {
             self.compare(model, &line, out)?;
@@ -246,9 +292,18 @@ impl Transform for Calibrator {
 }
 
 impl Calibrator {
+    /// Uses the model that the survey has for the recording, before the first line.
+    fn take_from_survey(&mut self, line: &ScanLine, out: &mut Output) {
+        let Some(survey) = self.survey.take() else { return };
+        let found = survey.of_recording(&self.stem, &line.input);
+        if let Some((model, inputs)) = found.and_then(|of| Some((of.sensor_model.as_ref()?, of.inputs))) {
+            out.cx.info(format!("the sensor model is that of the survey, from {inputs} inputs"));
+            self.model = Some(Arc::new(model.clone()));
+        }
+    }
+
     /// Calibrates from the held lines and emits them.
     fn release(&mut self, out: &mut Output) -> Result<()> {
-        self.clipping_dn = ECHOES.map(|channel| self.clipping_level_dn(channel));
         let model = Arc::new(self.calibrate(out)?);
         self.model = Some(Arc::clone(&model));
         self.save(out)?;
@@ -269,7 +324,8 @@ impl Calibrator {
         Ok(())
     }
 
-    fn calibrate(&self, out: &mut Output) -> Result<SensorModel> {
+    fn calibrate(&mut self, out: &mut Output) -> Result<SensorModel> {
+        self.clipping_dn = ECHOES.map(|channel| self.clipping_level_dn(channel));
         self.warn_of_unknown_scale(out);
         let channels = [Channel::LowPower, Channel::HighPower, Channel::Reference];
         let found: Vec<_> = match &self.pool {
@@ -479,6 +535,8 @@ mod tests {
             config: Calibrate::default(),
             look_ahead: LookAhead::new(100_000),
             clipping_dn: [None; 2],
+            survey: None,
+            stem: String::new(),
             model: None,
             save: None,
         }

@@ -10,8 +10,8 @@ use super::decompose::Threshold;
 use crate::keys::InvalidKey;
 use crate::scan_line::{Content, Kind, ScanLine};
 use crate::stage::{
-    Config, Holds, LookAhead, Output, OutputFile, Result, RunContext, StageError, StageSpec, Transform,
-    TransformConfig,
+    Config, Context, Holds, InstrumentModel, Learns, LookAhead, Output, OutputFile, Result, RunContext,
+    StageError, StageSpec, Transform, TransformConfig,
 };
 use wavex_formats::lookup_tables::LookupTables;
 
@@ -195,12 +195,28 @@ impl TransformConfig for Correct {
         Holds::First
     }
 
+    fn learns(&self) -> Option<Learns> {
+        let learns_walk = self.range_walk.is_auto() && self.range_table != TableKey::Own(false);
+        learns_walk.then_some(Learns { waveforms: WAVEFORMS, makes_model: false })
+    }
+
+    fn learn(
+        &self,
+        lines: &mut Vec<ScanLine>,
+        site: &RunContext,
+        known: &mut InstrumentModel,
+        cx: &mut Context,
+    ) -> Result<()> {
+        let tables = self.corrections(site)?;
+        let tables = lines.first().map(|line| tables.range_tables(&line.input)).unwrap_or_default();
+        if let Some(model) = &mut known.sensor_model {
+            *model = Walks::learnt(lines, &tables, cx).with_walks(model);
+        }
+        Ok(())
+    }
+
     fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
-        let open = |key: &TableKey| match key {
-            TableKey::File(path) => LookupTables::open(&site.input_path(path)).map(Some),
-            TableKey::Own(_) => Ok(None),
-        };
-        let corrections = Corrections::new(self, open(&self.range_table)?, open(&self.amplitude_table)?)?;
+        let corrections = self.corrections(site)?;
         let [low, high] =
             [&self.width_correction_low, &self.width_correction_high].map(WidthCorrection::given);
         let walks = match self.range_walk.file() {
@@ -212,6 +228,17 @@ impl TransformConfig for Correct {
         let save_model = self.save_model.as_ref().map(|pattern| site.create(pattern)).transpose()?;
         let look_ahead = LookAhead::new(WAVEFORMS);
         Ok(Box::new(Corrector { corrections, widths: [low, high], walks, save_model, look_ahead }))
+    }
+}
+
+impl Correct {
+    /// The corrections, with the tables of the job.
+    fn corrections(&self, site: &RunContext) -> Result<Corrections> {
+        let open = |key: &TableKey| match key {
+            TableKey::File(path) => LookupTables::open(&site.input_path(path)).map(Some),
+            TableKey::Own(_) => Ok(None),
+        };
+        Corrections::new(self, open(&self.range_table)?, open(&self.amplitude_table)?)
     }
 }
 

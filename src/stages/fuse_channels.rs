@@ -9,7 +9,8 @@ use super::calibrate::AutoOrNumber;
 use crate::keys::InvalidKey;
 use crate::scan_line::{Block, Blocks, Channel, Content, Kind, ScanLine};
 use crate::stage::{
-    Config, Holds, LookAhead, Output, Result, RunContext, StageSpec, Transform, TransformConfig,
+    Config, Context, Holds, InstrumentModel, Learns, LookAhead, Output, Result, RunContext, StageSpec,
+    SurveyModels, Transform, TransformConfig,
 };
 use wavex_signal::decompose::OVERDRIVEN_PART;
 use wavex_signal::fusion::{ChannelFusion, MIN_PAIRS, Pair, estimate, lead_noise_sd_dn, plain_peak};
@@ -100,9 +101,36 @@ impl TransformConfig for FuseChannels {
         Holds::First
     }
 
-    fn make(&self, _site: &RunContext) -> Result<Box<dyn Transform>> {
+    fn learns(&self) -> Option<Learns> {
+        self.given().is_none().then_some(Learns { waveforms: self.waveforms, makes_model: false })
+    }
+
+    fn learn(
+        &self,
+        lines: &mut Vec<ScanLine>,
+        _site: &RunContext,
+        known: &mut InstrumentModel,
+        cx: &mut Context,
+    ) -> Result<()> {
+        let look_ahead = LookAhead::of(std::mem::take(lines));
+        let mut fuser = self.fuser(look_ahead);
+        let mut emit = |_: ScanLine| Ok(());
+        known.fusion = fuser.found(&mut Output::new(cx, usize::MAX, &mut emit));
+        *lines = fuser.look_ahead.release();
+        Ok(())
+    }
+
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
+        let survey = site.survey.clone().filter(|_| self.learns().is_some());
+        let fuser = self.fuser(LookAhead::new(self.waveforms));
+        Ok(Box::new(ChannelFuser { survey, stem: site.stem.clone(), ..fuser }))
+    }
+}
+
+impl FuseChannels {
+    fn fuser(&self, look_ahead: LookAhead) -> ChannelFuser {
         let state = self.given().map_or(State::Surveying, |fusion| State::Known(Arc::new(fusion)));
-        Ok(Box::new(ChannelFuser { config: self.clone(), look_ahead: LookAhead::new(self.waveforms), state }))
+        ChannelFuser { config: self.clone(), look_ahead, state, survey: None, stem: String::new() }
     }
 }
 
@@ -110,6 +138,9 @@ struct ChannelFuser {
     config: FuseChannels,
     look_ahead: LookAhead,
     state: State,
+    /// Models of the survey, which are used instead of estimating.
+    survey: Option<Arc<SurveyModels>>,
+    stem: String,
 }
 
 /// State of the estimation.
@@ -122,6 +153,13 @@ enum State {
 
 impl Transform for ChannelFuser {
     fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
+        if let Some(survey) = self.survey.take()
+            && let Some(fusion) =
+                survey.of_recording(&self.stem, &line.input).and_then(|model| model.fusion.clone())
+        {
+            out.cx.info("gain and delay of the receivers are those of the survey");
+            self.state = State::Known(Arc::new(fusion));
+        }
         if !matches!(self.state, State::Surveying) {
             return out.emit(self.fused(line));
         }

@@ -240,10 +240,8 @@ mod tests {
             stem: "a".into(),
             input_dir: folder.path().into(),
             output_dir: folder.path().into(),
-            pool: None,
             simd: SimdLevel::Portable,
-            cancelled: Default::default(),
-            geometry: Arc::new(Geometry::default()),
+            ..RunContext::alone("".as_ref())
         };
         let mut sink = config.make(&site).unwrap();
         let mut cx = Context::default();

@@ -146,10 +146,8 @@ fn site() -> RunContext {
         stem: String::new(),
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
-        pool: None,
-        cancelled: Default::default(),
         simd: wavex_signal::simd::SimdLevel::best(),
-        geometry: Default::default(),
+        ..RunContext::alone("".as_ref())
     }
 }
 

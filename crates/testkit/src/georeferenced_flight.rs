@@ -223,10 +223,9 @@ pub fn site(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
         stem: "a".into(),
         input_dir: flight.folder().into(),
         output_dir: flight.folder().into(),
-        pool: None,
-        cancelled: Default::default(),
         simd: SimdLevel::best(),
         geometry: Arc::new(loaded.map_err(|error| error.to_string())?),
+        ..RunContext::alone("".as_ref())
     })
 }
 

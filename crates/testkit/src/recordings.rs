@@ -88,10 +88,8 @@ pub fn samples_of(channel: Channel, reader: &str, path: &Path) -> Vec<(u64, Vec<
         stem: String::new(),
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
-        pool: None,
-        cancelled: Default::default(),
         simd: wavex_signal::simd::SimdLevel::best(),
-        geometry: Default::default(),
+        ..RunContext::alone("".as_ref())
     };
     let mut source = source.make(&site).unwrap_or_else(|error| panic!("{error}"));
     let mut cx = Context::default();

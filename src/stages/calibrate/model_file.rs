@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::{Calibrate, Calibrator, name};
 use crate::scan_line::{Channel, ScanLine};
-use crate::stage::{Output, OutputFile, Result, StageError};
+use crate::stage::{Output, OutputFile, Result, StageError, check_model};
 use wavex_formats::Error;
 use wavex_signal::sensor_model::SensorModel;
 
@@ -100,17 +100,6 @@ pub(in crate::stages) fn load_model(path: &Path) -> Result<SensorModel> {
     let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
     let model: SensorModel = serde_json::from_str(&text)
         .map_err(|error| Error::unusable(path, format!("not a sensor model: {error}"), REMEDY))?;
-    let channels = [&model.low_power, &model.high_power, &model.saturation, &model.reference];
-    for channel in channels.into_iter().flatten() {
-        channel.check().map_err(|error| Error::unusable(path, error.to_string(), REMEDY))?;
-    }
-    for walk in [&model.low_power_range_walk, &model.high_power_range_walk].into_iter().flatten() {
-        if !walk.is_valid() {
-            return Err(Error::unusable(path, "its range walk has invalid numbers", REMEDY).into());
-        }
-    }
-    if model.low_power.is_none() && model.high_power.is_none() {
-        return Err(Error::unusable(path, "the sensor model has no echo receiver", REMEDY).into());
-    }
+    check_model(&model).map_err(|problem| Error::unusable(path, problem, REMEDY))?;
     Ok(model)
 }

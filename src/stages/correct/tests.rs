@@ -67,10 +67,8 @@ fn run(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
         stem: String::new(),
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
-        pool: None,
-        cancelled: Default::default(),
         simd: wavex_signal::simd::SimdLevel::Portable,
-        geometry: Arc::default(),
+        ..RunContext::alone("".as_ref())
     };
     let mut stage = keys.make(&site).unwrap();
     let (mut cx, mut given_on) = (Context::default(), Vec::new());

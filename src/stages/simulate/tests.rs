@@ -343,10 +343,8 @@ fn site(folder: &std::path::Path) -> RunContext {
         stem: "simulated".to_owned(),
         input_dir: folder.to_path_buf(),
         output_dir: folder.to_path_buf(),
-        pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
-        cancelled: Default::default(),
-        geometry: Default::default(),
+        ..RunContext::alone("".as_ref())
     }
 }
 

@@ -20,10 +20,8 @@ fn site(folder: &Path, input: &str) -> RunContext {
         stem: "made".into(),
         input_dir: folder.to_path_buf(),
         output_dir: folder.to_path_buf(),
-        pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
-        cancelled: Default::default(),
-        geometry: Default::default(),
+        ..RunContext::alone("".as_ref())
     }
 }
 

@@ -58,10 +58,8 @@ fn site(folder: &Path) -> RunContext {
         stem: "made".into(),
         input_dir: folder.into(),
         output_dir: folder.into(),
-        pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
-        cancelled: Default::default(),
-        geometry: Arc::default(),
+        ..RunContext::alone("".as_ref())
     }
 }
 

@@ -126,10 +126,8 @@ fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
         stem: "made".into(),
         input_dir: folder.into(),
         output_dir: folder.into(),
-        pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
-        cancelled: Default::default(),
-        geometry: Default::default(),
+        ..RunContext::alone("".as_ref())
     };
     let mut cx = Context::default();
     let mut sink = config.make(&site).unwrap();
@@ -307,10 +305,8 @@ fn shots_are_refused() {
         stem: "made".into(),
         input_dir: folder.path().into(),
         output_dir: folder.path().into(),
-        pool: None,
         simd: wavex_signal::simd::SimdLevel::best(),
-        cancelled: Default::default(),
-        geometry: Default::default(),
+        ..RunContext::alone("".as_ref())
     };
     let mut sink = config("*.csv").make(&site).unwrap();
     let batch = ScanLine::of_shots(info(), 0, vec![], Blocks::default());
