@@ -9,6 +9,7 @@
 //! | `job.toml`, `included/N_NAME` | the job as written, with the files that it includes |
 //! | `job.resolved.toml` | the whole job with all defaults and relative paths |
 //! | `tasks/STEM.toml` | the job of each input |
+//! | `model.json` | sensor models of the survey, written by the calibration task |
 //! | `Snakefile`, `profiles/NAME/config.yaml` | rules and settings of Snakemake |
 //! | `reports/`, `logs/`, `lines/`, `done/` | written by the tasks |
 //!
@@ -43,6 +44,8 @@ const JOB: &str = "job.toml";
 const INCLUDED: &str = "included";
 /// Job with all defaults.
 const RESOLVED: &str = "job.resolved.toml";
+/// Sensor models of the survey, which the calibration task writes.
+const MODEL: &str = "model.json";
 /// Remedy for a plan that cannot be used.
 const REMEDY: &str = "make it again with `wavex plan`";
 

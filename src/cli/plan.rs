@@ -83,7 +83,7 @@ pub(super) fn collect(args: &CollectArgs, quiet: bool) -> Result<(), Failure> {
     if found.problems.is_empty() {
         return Ok(());
     }
-    let mut text = format!("{} of {} tasks are not complete", found.problems.len(), found.tasks);
+    let mut text = format!("incomplete: {} of {} tasks", found.problems.len(), found.tasks);
     for (name, reason) in &found.problems {
         let _ = write!(text, "\n  {name}: {reason}");
     }

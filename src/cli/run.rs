@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 use std::io::IsTerminal;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use super::args::ResumeCheck;
@@ -247,7 +247,16 @@ fn wrote(text: &mut String, paths: &[PathBuf]) {
 
 /// Input and output folders of a job stored in `folder`.
 pub(super) fn folders(job: &Job, folder: &Path) -> (PathBuf, PathBuf) {
-    let from = |dir: &Option<String>| dir.as_ref().map_or(folder.to_path_buf(), |dir| folder.join(dir));
+    let from = |dir: &Option<String>| {
+        let Some(dir) = dir else { return folder.to_path_buf() };
+        let path = folder.join(dir);
+        // Messages are easier to read without `plan/tasks/../..`.
+        match terminal::shown(&path) {
+            short if short.as_os_str().is_empty() => ".".into(),
+            short if path.components().any(|step| step == Component::ParentDir) => short,
+            _ => path,
+        }
+    };
     (from(&job.settings.input_dir), from(&job.settings.output_dir))
 }
 

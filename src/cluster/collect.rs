@@ -1,8 +1,9 @@
 //! Checks the results of all tasks and merges them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde_json::Value;
 
@@ -10,10 +11,10 @@ use super::merge::Merge;
 use super::{INCLUDED, JOB, REMEDY, SurveyPlan, Task};
 use crate::archive::{Seals, digest_of, plain};
 use crate::engine::{self, InputStatus, InputSummary, Options, RunSummary};
-use crate::job::{Include, Job, Override};
+use crate::job::{Include, Job, JobStage, Override};
 use crate::registry::STAGES;
 use crate::report::{self, FileState, InputFiles, InputReport, RunReport};
-use crate::stage::{Result, StageError};
+use crate::stage::{Result, StageError, SurveyModels};
 use wavex_formats::Error;
 
 /// Results of a survey.
@@ -50,9 +51,10 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
     if let Some(task) = plan.tasks.first() {
         options.threads = task.estimate.cores;
     }
+    options.survey = survey(&plan, root, &job, &options)?;
     let mut run = RunSummary::new(&job, &options);
     let merge = Merge::new(&plan, root, &dirs)?;
-    let checker = Checker { root, job: &job, next: &run, by_digest };
+    let checker = Checker::new(root, &job, &options, by_digest);
     let results: Vec<TaskResult> = plan.tasks.iter().map(|task| checker.check(task)).collect();
     let mut entries = Vec::new();
     let mut problems = Vec::new();
@@ -115,6 +117,23 @@ fn check_inputs(plan: &SurveyPlan, job: &Job, input_dir: &Path) -> Result<()> {
     Err(StageError::failed(problem, "run `wavex plan` again, and then the new tasks"))
 }
 
+/// Sensor models of the survey; none if there are none, or not yet.
+fn survey(
+    plan: &SurveyPlan,
+    root: &Path,
+    job: &Job,
+    options: &Options,
+) -> Result<Option<Arc<SurveyModels>>> {
+    let models = match &plan.calibration {
+        None => engine::survey_models(job, options).map_err(|error| error.into_stage_error())?,
+        Some(task) => {
+            let path = root.join(&task.model);
+            path.exists().then(|| SurveyModels::read(&path)).transpose()?
+        }
+    };
+    Ok(models.map(Arc::new))
+}
+
 /// Result of a task.
 pub(super) struct TaskResult {
     pub status: InputStatus,
@@ -130,12 +149,48 @@ pub(super) struct TaskResult {
 struct Checker<'c> {
     root: &'c Path,
     job: &'c Job,
-    /// The run that the tasks are parts of.
-    next: &'c RunSummary,
+    /// The run that the tasks are parts of, without sensor models of the survey.
+    next: RunSummary,
+    /// Paths in the keys of its stages.
+    paths: BTreeSet<String>,
+    /// Sensor models of the survey, without inputs.
+    models: Option<Value>,
+    /// Inputs of the survey by stem.
+    inputs: BTreeMap<&'c str, Value>,
     by_digest: bool,
 }
 
-impl Checker<'_> {
+impl<'c> Checker<'c> {
+    fn new(root: &'c Path, job: &'c Job, options: &'c Options, by_digest: bool) -> Checker<'c> {
+        let of_stage = |stage: &JobStage| -> Vec<String> {
+            let outputs = stage.planned.plan.outputs().into_iter().map(str::to_owned);
+            outputs.chain(stage.planned.inputs.iter().map(ToString::to_string)).collect()
+        };
+        let value = |value: &dyn Fn() -> serde_json::Result<Value>| value().unwrap_or_default();
+        let models = options.survey.as_deref();
+        let inputs = models.into_iter().flat_map(|models| &models.inputs);
+        Checker {
+            root,
+            job,
+            next: RunSummary::new(job, &Options { survey: None, ..options.clone() }),
+            paths: job.stages.iter().flat_map(of_stage).collect(),
+            models: models.map(|models| {
+                let without = models.clone().only(&BTreeSet::new());
+                value(&|| serde_json::to_value(&without))
+            }),
+            inputs: inputs.map(|input| (input.stem.as_str(), value(&|| serde_json::to_value(input)))).collect(),
+            by_digest,
+        }
+    }
+
+    /// Sensor models of the survey as in the report of a task.
+    fn models_of(&self, task: &Task) -> Value {
+        let Some(mut models) = self.models.clone() else { return Value::Null };
+        let inputs: Vec<&Value> = self.inputs.get(task.name.as_str()).into_iter().collect();
+        models["inputs"] = serde_json::to_value(inputs).unwrap_or_default();
+        models
+    }
+
     fn check(&self, task: &Task) -> TaskResult {
         let missing = |problem: String| TaskResult {
             status: InputStatus::NotRun,
@@ -151,7 +206,7 @@ impl Checker<'_> {
             Ok(report) => report,
             Err(error) => return missing(error.to_string()),
         };
-        if let Some(difference) = self.difference(&report) {
+        if let Some(difference) = self.difference(&report, task) {
             return missing(format!("out of date: {difference}"));
         }
         let entry = report["inputs"].get(0).cloned().unwrap_or_default();
@@ -170,19 +225,23 @@ impl Checker<'_> {
     }
 
     /// First difference between the job of a task and that of the plan.
-    fn difference(&self, report: &Value) -> Option<String> {
+    fn difference(&self, report: &Value, task: &Task) -> Option<String> {
         let mut report = report.clone();
+        if report["survey"] != self.models_of(task) {
+            return Some("the sensor models of the survey were different".to_owned());
+        }
+        report["survey"] = Value::Null;
         // The task has further stages for the archive.
         if let Some(stages) = report["stages"].as_array_mut() {
             stages.retain(|stage| stage["id"] != super::tasks::ARCHIVE_STAGE);
             // Paths of a task start at another folder.
             for (stage, planned) in stages.iter_mut().zip(&self.next.stages) {
-                same_paths(&mut stage["keys"], &planned.keys, self.job);
+                same_paths(&mut stage["keys"], &planned.keys, &self.paths);
             }
         }
         report["job"]["geometry"] = serde_json::to_value(&self.next.job.geometry).unwrap_or_default();
-        let free = ["input_dir", "output_dir", "report", "report_page", "stat_log", "survey_model"];
-        report::difference(&report, self.job, self.next, &free)
+        let free = ["input_dir", "output_dir", "report", "report_page", "stat_log"];
+        report::difference(&report, self.job, &self.next, &free)
     }
 
     /// First file that differs from the report of its task.
@@ -209,23 +268,14 @@ impl Checker<'_> {
 }
 
 /// Replaces the paths of files in the keys of a stage by those of the job.
-fn same_paths(keys: &mut Value, planned: &Value, job: &Job) {
-    let files: BTreeMap<&str, ()> = job
-        .stages
-        .iter()
-        .flat_map(|stage| {
-            let outputs = stage.planned.plan.outputs();
-            outputs.into_iter().chain(stage.planned.inputs.iter().map(AsRef::as_ref))
-        })
-        .map(|path| (path, ()))
-        .collect();
+fn same_paths(keys: &mut Value, planned: &Value, paths: &BTreeSet<String>) {
     match (keys, planned) {
         (Value::Object(keys), Value::Object(planned)) => {
             for (key, value) in keys {
-                same_paths(value, planned.get(key).unwrap_or(&Value::Null), job);
+                same_paths(value, planned.get(key).unwrap_or(&Value::Null), paths);
             }
         }
-        (keys @ Value::String(_), Value::String(path)) if files.contains_key(path.as_str()) => {
+        (keys @ Value::String(_), Value::String(path)) if paths.contains(path) => {
             *keys = Value::String(path.clone());
         }
         _ => {}

@@ -44,6 +44,11 @@ impl Estimator {
         Estimate { cores: self.cores, memory_mb, minutes }
     }
 
+    /// Resources of the task that calibrates from this many inputs.
+    pub(super) fn calibration(&self, inputs: usize) -> Estimate {
+        Estimate { minutes: 10 + inputs as u64 / 20, ..self.task(0) }
+    }
+
     /// Resources of the task that collects the results of this many tasks.
     pub(super) fn collect(tasks: usize) -> Estimate {
         let tasks = tasks as u64;

@@ -1,6 +1,6 @@
 //! Writes the plan of a survey.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,9 +9,9 @@ use serde_json::{Value, json};
 
 use super::estimate::Estimator;
 use super::tasks::{LINES, TaskWriter};
-use super::{FORMAT, INCLUDED, JOB, PLAN, PlannedFile, RESOLVED, SurveyPlan, Task};
+use super::{CalibrationTask, FORMAT, INCLUDED, JOB, MODEL, PLAN, PlannedFile, RESOLVED, SurveyPlan, Task};
 use crate::archive::{FilesRead, Resolved, common, plain, way};
-use crate::engine::Input;
+use crate::engine::{self, Input};
 use crate::job::Job;
 use crate::stage::{OutputFile, Result, StageError};
 use wavex_formats::Error;
@@ -70,15 +70,21 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
     let shared = resolved.inputs.iter().filter(|path| !of_tasks.contains(path));
     let shared_inputs: Vec<PlannedFile> =
         shared.map(|path| planned_file(&root, path)).collect::<Result<_>>()?;
+    let plan_dir = from_root(&folder)?;
     let estimator = Estimator {
         cores: options.cores,
         mb_per_s: options.mb_per_s,
         line_memory_mb: job.settings.memory_mb,
         shared_bytes: shared_inputs.iter().map(|file| file.bytes).sum(),
     };
+    let calibration = engine::shares_models(job, resolved.sources.len()).then(|| CalibrationTask {
+        job: in_folder(&plan_dir, RESOLVED),
+        model: in_folder(&plan_dir, MODEL),
+        estimate: estimator.calibration(resolved.sources.len()),
+    });
     let below_root = Resolved::below(job, dirs, &folder.join("tasks"), Some(&root))?;
-    let plan_dir = from_root(&folder)?;
-    let writer = TaskWriter::new(&below_root, &plan_dir, options.cores, archive.is_some());
+    let model = calibration.as_ref().map(|task| task.model.as_str());
+    let writer = TaskWriter::new(&below_root, &plan_dir, options.cores, archive.is_some(), model);
     let mut output_patterns = writer.patterns();
     if archive.is_some() {
         output_patterns.push(in_folder(&plan_dir, LINES));
@@ -112,7 +118,7 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
         archive: archive.as_deref().map(from_root).transpose()?,
         shared_inputs,
         output_patterns,
-        calibration: None,
+        calibration,
         collect: Estimator::collect(tasks.len()),
         tasks,
     };
@@ -172,7 +178,7 @@ fn own_files(job: &Job, resolved: &Resolved) -> Result<Vec<Vec<PathBuf>>> {
     };
     let mut all: Vec<Vec<PathBuf>> = resolved.sources.iter().map(of_source).collect();
     if let [_, _, ..] = all.as_slice() {
-        let mut seen: std::collections::BTreeMap<PathBuf, usize> = std::collections::BTreeMap::new();
+        let mut seen: BTreeMap<PathBuf, usize> = BTreeMap::new();
         for path in all.iter().flatten() {
             *seen.entry(path.clone()).or_default() += 1;
         }

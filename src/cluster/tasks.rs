@@ -24,9 +24,20 @@ pub(super) struct TaskWriter<'r> {
 
 impl<'r> TaskWriter<'r> {
     /// Tasks of a job whose files are all below one folder.
-    pub(super) fn new(resolved: &'r Resolved, plan_dir: &'r str, cores: usize, archives: bool) -> Self {
+    ///
+    /// `model` is the file with the sensor models of the survey.
+    pub(super) fn new(
+        resolved: &'r Resolved,
+        plan_dir: &'r str,
+        cores: usize,
+        archives: bool,
+        model: Option<&str>,
+    ) -> Self {
         let mut table = resolved.table.clone();
         table["job"]["threads"] = json!(cores);
+        if let Some(model) = model {
+            table["job"]["survey_model"] = json!(model);
+        }
         if let Some(key) = &resolved.path_key {
             table["stage"][0][key] = Value::Null;
         }
