@@ -37,10 +37,10 @@ pub(crate) use inputs::{FilesRead, missing_files};
 pub use origin::{Machine, Package, Program};
 pub(crate) use paths::{common, plain, relative};
 pub use recorder::{KnownDigests, Recorder, Seals, check_destination};
-pub(crate) use resolved::{Resolved, job_text, way};
 pub use replay::{Replay, Replayed, replay};
-pub use verify::{Folders, Verified, verify};
+pub(crate) use resolved::{Resolved, job_text, way};
 pub(crate) use verify::existing;
+pub use verify::{Folders, Verified, verify};
 
 /// Version of the format; archives of other versions are refused.
 pub const FORMAT: u32 = 1;

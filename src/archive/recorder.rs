@@ -316,12 +316,7 @@ fn absolute(path: &Path) -> Result<PathBuf> {
     Ok(folder.join(path.file_name().unwrap_or_default()))
 }
 
-fn digested(
-    root: &Path,
-    path: &Path,
-    stage: Option<String>,
-    known: &KnownDigests,
-) -> Result<DigestedFile> {
+fn digested(root: &Path, path: &Path, stage: Option<String>, known: &KnownDigests) -> Result<DigestedFile> {
     let (bytes, blake3) = known.get(path).map_or_else(|| digest::of_file(path), |known| Ok(known.clone()))?;
     let name = relative(root, path).ok_or_else(|| {
         StageError::failed(format!("{}: the name is not valid Unicode", path.display()), "rename it")

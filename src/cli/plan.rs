@@ -61,7 +61,8 @@ fn words(plan: &SurveyPlan, folder: &Path) -> String {
     let folder = terminal::shown(folder);
     let folder = folder.display();
     let _ = writeln!(text, "wrote {folder}");
-    let _ = writeln!(text, "run: snakemake -s {folder}/Snakefile --profile {folder}/profiles/local --cores all");
+    let _ =
+        writeln!(text, "run: snakemake -s {folder}/Snakefile --profile {folder}/profiles/local --cores all");
     text
 }
 

@@ -252,7 +252,6 @@ pub(super) fn folders(job: &Job, folder: &Path) -> (PathBuf, PathBuf) {
         let path = folder.join(dir);
         // Messages are easier to read without `plan/tasks/../..`.
         match terminal::shown(&path) {
-            short if short.as_os_str().is_empty() => ".".into(),
             short if path.components().any(|step| step == Component::ParentDir) => short,
             _ => path,
         }

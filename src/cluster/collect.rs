@@ -118,12 +118,7 @@ fn check_inputs(plan: &SurveyPlan, job: &Job, input_dir: &Path) -> Result<()> {
 }
 
 /// Sensor models of the survey; none if there are none, or not yet.
-fn survey(
-    plan: &SurveyPlan,
-    root: &Path,
-    job: &Job,
-    options: &Options,
-) -> Result<Option<Arc<SurveyModels>>> {
+fn survey(plan: &SurveyPlan, root: &Path, job: &Job, options: &Options) -> Result<Option<Arc<SurveyModels>>> {
     let models = match &plan.calibration {
         None => engine::survey_models(job, options).map_err(|error| error.into_stage_error())?,
         Some(task) => {
@@ -178,7 +173,9 @@ impl<'c> Checker<'c> {
                 let without = models.clone().only(&BTreeSet::new());
                 value(&|| serde_json::to_value(&without))
             }),
-            inputs: inputs.map(|input| (input.stem.as_str(), value(&|| serde_json::to_value(input)))).collect(),
+            inputs: inputs
+                .map(|input| (input.stem.as_str(), value(&|| serde_json::to_value(input))))
+                .collect(),
             by_digest,
         }
     }
@@ -246,7 +243,9 @@ impl<'c> Checker<'c> {
 
     /// First file that differs from the report of its task.
     fn changed(&self, files: &InputFiles) -> Option<String> {
-        if files.written.is_empty() && !self.job.stages.iter().all(|stage| stage.planned.plan.outputs().is_empty()) {
+        if files.written.is_empty()
+            && !self.job.stages.iter().all(|stage| stage.planned.plan.outputs().is_empty())
+        {
             return Some("its report names no outputs".to_owned());
         }
         files.read.iter().chain(&files.written).find_map(|file| self.file_changed(file))

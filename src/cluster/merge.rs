@@ -69,7 +69,11 @@ impl<'m> Merge<'m> {
 
     /// Path that starts at a folder as given, if it is in it.
     fn shown(&self, path: &Path, absolute: &Path, given: &Path) -> PathBuf {
-        path.strip_prefix(absolute).map_or_else(|_| path.to_owned(), |rest| given.join(rest))
+        match path.strip_prefix(absolute) {
+            Ok(rest) if given == Path::new(".") => rest.to_owned(),
+            Ok(rest) => given.join(rest),
+            Err(_) => path.to_owned(),
+        }
     }
 
     /// Entry of a task in the report of the survey; completes its summary.
@@ -79,9 +83,8 @@ impl<'m> Merge<'m> {
         if input.status == InputStatus::Done {
             let outputs = files.written.iter().map(|file| self.absolute(&file.path));
             let outputs = outputs.filter(|path| !path.starts_with(&self.plan_dir));
-            input.outputs = outputs
-                .map(|path| self.shown(&path, &self.absolute_output_dir, self.output_dir))
-                .collect();
+            input.outputs =
+                outputs.map(|path| self.shown(&path, &self.absolute_output_dir, self.output_dir)).collect();
             input.sensor_model = serde_json::from_value(entry["sensor_model"].clone()).ok();
         }
         input.wall_s = entry["wall_s"].as_f64().unwrap_or_default();
@@ -158,7 +161,8 @@ impl<'m> Merge<'m> {
         let files = done.flat_map(|result| &result.files.written);
         let line = |file: &FileState| {
             let path = self.absolute(&file.path);
-            let name = relative(&self.absolute_output_dir, &path).filter(|_| !path.starts_with(&self.plan_dir))?;
+            let name =
+                relative(&self.absolute_output_dir, &path).filter(|_| !path.starts_with(&self.plan_dir))?;
             Some(format!("{}  {name}\n", file.blake3.as_ref()?))
         };
         files.filter_map(line).collect()

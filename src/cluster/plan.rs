@@ -56,10 +56,13 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
     let from_root = |path: &Path| way(&root, path);
     let write = |name: &str, text: &str| write_if_changed(&folder.join(name), text);
     write(JOB, &job.text)?;
-    let included: Vec<String> = (1..).zip(&job.includes).map(|(number, file)| {
-        let name = Path::new(&file.name).file_name().unwrap_or_default().to_string_lossy();
-        format!("{INCLUDED}/{number}_{name}")
-    }).collect();
+    let included: Vec<String> = (1..)
+        .zip(&job.includes)
+        .map(|(number, file)| {
+            let name = Path::new(&file.name).file_name().unwrap_or_default().to_string_lossy();
+            format!("{INCLUDED}/{number}_{name}")
+        })
+        .collect();
     for (name, file) in included.iter().zip(&job.includes) {
         write(name, &file.text)?;
     }
@@ -150,10 +153,13 @@ fn absolute(path: &Path) -> Result<PathBuf> {
     let path = plain(&std::path::absolute(path).map_err(Error::io(path, "find"))?);
     let existing = path.ancestors().find_map(|folder| Some((folder, folder.canonicalize().ok()?)));
     let Some((folder, canonical)) = existing else { return Ok(path) };
-    Ok(path.strip_prefix(folder).map_or_else(|_| path.clone(), |rest| match rest.as_os_str().is_empty() {
-        true => canonical.clone(),
-        false => canonical.join(rest),
-    }))
+    Ok(path.strip_prefix(folder).map_or_else(
+        |_| path.clone(),
+        |rest| match rest.as_os_str().is_empty() {
+            true => canonical.clone(),
+            false => canonical.join(rest),
+        },
+    ))
 }
 
 /// Deepest folder that contains plan, inputs, outputs and archive.
@@ -173,9 +179,8 @@ fn root(folder: &Path, resolved: &Resolved, archive: Option<&Path>) -> Result<Pa
 /// If one is missing.
 fn own_files(job: &Job, resolved: &Resolved) -> Result<Vec<Vec<PathBuf>>> {
     let mut files = FilesRead::new(job, &resolved.job_input_dir);
-    let of_source = |source: &Input| -> Vec<PathBuf> {
-        files.of(std::slice::from_ref(source)).into_iter().collect()
-    };
+    let of_source =
+        |source: &Input| -> Vec<PathBuf> { files.of(std::slice::from_ref(source)).into_iter().collect() };
     let mut all: Vec<Vec<PathBuf>> = resolved.sources.iter().map(of_source).collect();
     if let [_, _, ..] = all.as_slice() {
         let mut seen: BTreeMap<PathBuf, usize> = BTreeMap::new();

@@ -120,9 +120,8 @@ pub(super) fn outputs(job: &Job, sites: &[RunContext]) -> Outputs {
 /// `job` compares patterns; this compares actual files.
 pub(super) fn keep_from_outputs(job: &Job, sites: &[RunContext]) -> Result<(), RunError> {
     let mut index = CompanionIndex::default();
-    let with_companions = |site: &RunContext| {
-        index.of(&site.input).into_iter().chain([site.input.clone()]).collect::<Vec<_>>()
-    };
+    let with_companions =
+        |site: &RunContext| index.of(&site.input).into_iter().chain([site.input.clone()]).collect::<Vec<_>>();
     let inputs: BTreeSet<PathBuf> =
         sites.iter().flat_map(with_companions).filter_map(|path| path.canonicalize().ok()).collect();
     let patterns = || job.stages.iter().flat_map(|stage| stage.planned.plan.outputs());
