@@ -225,7 +225,10 @@ fn write_if_changed(path: &Path, text: &str) -> Result<()> {
     if fs::read(path).is_ok_and(|found| found == text.as_bytes()) {
         return Ok(());
     }
-    write_text(path, text)
+    let mut file = OutputFile::create(path)?;
+    file.write_all(text.as_bytes()).map_err(Error::io(path, "write"))?;
+    file.finish_without_sync()?.publish()?;
+    Ok(())
 }
 
 /// Writes a text file.
