@@ -157,18 +157,20 @@ def main(wavex):
         by_input = Survey(folder / "by_input", wavex, model="input")
         checks.subject = "wavex run"
         expected = reference(survey, checks)
-        check_local(survey, checks, expected)
-        check_restart(by_input, checks)
+        with checks.of("one machine"):
+            check_local(survey, checks, expected)
+            check_restart(by_input, checks)
         why = obstacle()
         if why:
             print(f"skipped: Slurm: {why}")
         else:
-            with Slurm(folder / "slurm") as slurm:
+            with checks.of("Slurm"), Slurm(folder / "slurm") as slurm:
                 check_slurm(survey, checks, expected, slurm)
                 check_slurm_restart(by_input, checks, slurm)
                 check_array(survey, checks, expected)
-    print(f"{checks.passed} checks passed, {checks.failed} failed")
-    return 1 if checks.failed else 0
+        if checks.failed:
+            print(survey.log()[-5000:], by_input.log()[-5000:], sep="\n")
+    return checks.end()
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ import hashlib
 import os
 import re
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -88,7 +89,9 @@ class Survey:
         self.recording(DAMAGED).write_bytes(self.whole)
 
     def environment(self):
-        return {**os.environ, "PATH": f"{self.programs}:{os.environ['PATH']}"}
+        # Snakemake is next to the Python that runs this.
+        folders = [str(self.programs), str(Path(sys.executable).parent), os.environ["PATH"]]
+        return {**os.environ, "PATH": ":".join(folders)}
 
     def wavex(self, *arguments, expected=0):
         """Runs wavex; returns standard output and standard error."""

@@ -95,7 +95,9 @@ class Slurm:
             time.sleep(0.2)
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, kind=None, *_):
+        if kind:
+            print(self.ask("sinfo", "--long", "--list-reasons"), self.ask("squeue", "--long"), self.messages(), sep="\n")
         for daemon in reversed(self.daemons):
             daemon.terminate()
         for daemon in reversed(self.daemons):
