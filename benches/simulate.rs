@@ -37,10 +37,8 @@ fn shots_per_second(keys: &str) -> f64 {
         stem: "simulated".into(),
         input_dir: std::env::temp_dir(),
         output_dir: std::env::temp_dir(),
-        pool: None,
-        cancelled: Default::default(),
         simd: SimdLevel::best(),
-        geometry: Default::default(),
+        ..RunContext::alone("".as_ref())
     };
     let mut rates: Vec<f64> = (0..5)
         .map(|_| {

@@ -9,14 +9,14 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use rayon::ThreadPool;
 
 use crate::georef::Loader;
 use crate::job::{Job, OnError};
-use crate::stage::{Context, OutputLock, Plan, RunContext, RunObserver, StageError, SurveyModels};
+use crate::stage::{Context, OutputLock, Plan, RunContext, RunObservers, StageError, SurveyModels};
 use wavex_signal::simd::SimdLevel;
 
 mod chain;
@@ -27,6 +27,7 @@ mod meter;
 mod observe;
 mod pool;
 mod progress;
+mod schedule;
 mod stage_summary;
 mod summary;
 mod survey;
@@ -64,8 +65,10 @@ pub struct Options {
     pub cancel: Cancel,
     /// Progress display.
     pub progress: ProgressMode,
-    /// Observer of the lines, such as that of the report page.
-    pub observer: Option<Arc<dyn RunObserver>>,
+    /// Observers of the lines, such as those of the report page.
+    pub observers: Option<Arc<dyn RunObservers>>,
+    /// Number of inputs that run at the same time; 0: as many as help.
+    pub inputs_at_once: usize,
     /// Stems of the inputs to skip.
     pub skip: BTreeSet<String>,
     /// Sensor models of the survey; `None`: as the job requests.
@@ -84,7 +87,8 @@ impl Options {
             profile: false,
             cancel: Cancel::default(),
             progress: ProgressMode::Hidden,
-            observer: None,
+            observers: None,
+            inputs_at_once: job.settings.inputs_at_once,
             skip: BTreeSet::new(),
             survey: None,
         }
@@ -95,6 +99,20 @@ impl Options {
         match self.threads {
             0 => cores().unwrap_or(1),
             threads => threads,
+        }
+    }
+}
+
+impl Options {
+    /// Number of inputs that run at the same time.
+    ///
+    /// While one is opened, calibrated or completed, the workers of another are busy. More than two
+    /// help where workers are many, because readers and writers have one thread each.
+    pub fn at_once(&self) -> usize {
+        match self.inputs_at_once {
+            0 if self.workers() == 1 => 1,
+            0 => (self.workers() / 4).max(2),
+            inputs => inputs,
         }
     }
 }
@@ -173,66 +191,56 @@ pub fn run_each(
     let site = |input| run_context(options, input, pool.clone());
     let sites: Vec<RunContext> = inputs(job, &options.input_dir)?.into_iter().map(site).collect();
     summary.inputs = sites.iter().map(InputSummary::not_run).collect();
-    let mut geometry = Loader::new(&job.settings.geometry, &options.input_dir)
+    let geometry = Loader::new(&job.settings.geometry, &options.input_dir)
         .map_err(|error| RunError::of_job(error.into()))?;
     inputs::keep_from_outputs(job, &sites)?;
     let outputs = inputs::outputs(job, &sites);
     // The lock is held until the end of the run.
     let _lock = OutputLock::acquire(&outputs).map_err(RunError::of_job)?;
-    let shared = SharedFiles::new(job, options, &outputs);
-    let to_run = sites.iter().filter(|site| !options.skip.contains(&site.stem));
-    let mut progress = Progress::new(options.progress, to_run.map(inputs::size).collect());
-    let cx = Context::default().observed(options.observer.clone());
-    for (number, site) in sites.into_iter().enumerate() {
-        if options.skip.contains(&site.stem) {
-            summary.inputs[number].status = InputStatus::Skipped;
-            continue;
-        }
-        let (input, error) = run_input(job, site, &mut geometry, options, &mut progress, &cx);
-        summary.inputs[number] = input;
-        progress.count(error.is_some());
-        summary.wall_s = started.elapsed().as_secs_f64();
-        let ends = |error: &RunError| job.settings.on_error == OnError::Stop || shared.concern(error);
-        match error {
-            Some(error) if ends(&error) => {
-                if let Err(another) = done(summary, number, None) {
-                    tracing::warn!("{another}");
+    let files = SharedFiles::new(job, options, &outputs);
+    let (to_skip, to_run): (Vec<_>, Vec<_>) =
+        sites.into_iter().enumerate().partition(|(_, site)| options.skip.contains(&site.stem));
+    to_skip.iter().for_each(|(number, _)| summary.inputs[*number].status = InputStatus::Skipped);
+    let sizes = to_run.iter().map(|(number, site)| (*number, inputs::size(site)));
+    let mut progress = Progress::new(options.progress, sizes.collect());
+    let common = chain::Common::new(job, options);
+    let shared = schedule::Shared {
+        job,
+        options,
+        common: &common,
+        geometry: Mutex::new(geometry),
+        cx: Context::default(),
+    };
+    let mut result = Ok(());
+    let others = schedule::run(
+        &shared,
+        to_run,
+        options.at_once(),
+        &mut progress,
+        |progress, number, (input, error)| {
+            summary.inputs[number] = input;
+            progress.count(error.is_some());
+            summary.wall_s = started.elapsed().as_secs_f64();
+            let ends = |error: &RunError| job.settings.on_error == OnError::Stop || files.concern(error);
+            result = match error {
+                Some(error) if ends(&error) => {
+                    if let Err(another) = done(summary, number, None) {
+                        tracing::warn!("{another}");
+                    }
+                    Err(error)
                 }
-                return Err(error);
-            }
-            failure => done(summary, number, failure).map_err(RunError::of_job)?,
+                failure => done(summary, number, failure).map_err(RunError::of_job),
+            };
+            result.is_err()
+        },
+    );
+    for (number, input) in others {
+        summary.inputs[number] = input;
+        if let Err(another) = done(summary, number, None) {
+            tracing::warn!("{another}");
         }
     }
-    Ok(())
-}
-
-/// Runs the chain over one input; returns the work done and the first cause of a failure.
-fn run_input(
-    job: &Job,
-    mut site: RunContext,
-    geometry: &mut Loader,
-    options: &Options,
-    progress: &mut Progress,
-    cx: &Context,
-) -> (InputSummary, Option<RunError>) {
-    if let Some(observer) = cx.observer() {
-        observer.begin_input();
-    }
-    progress.begin(&site.stem);
-    match geometry.load(&site.stem) {
-        Ok(its_geometry) => site.geometry = Arc::new(its_geometry),
-        Err(error) => {
-            let not_run = InputSummary::not_run(&site);
-            let cause = Cause::Stage(error.into());
-            let error = RunError { stage: None, input: Some(site.input), cause };
-            return (not_run.failed(&error), Some(error));
-        }
-    }
-    let (input, error) = chain::run(job, &Arc::new(site), options, progress, cx);
-    match error {
-        Some(error) => (input.failed(&error), Some(error)),
-        None => (input, None),
-    }
+    result
 }
 
 /// Context of a run over one input, still without geometry.

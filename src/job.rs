@@ -123,6 +123,8 @@ pub struct JobSettings {
     /// What follows when an input fails: `continue` with the next one, or `stop` the run. Problems
     /// that are not of one input, such as a full disk, always stop it.
     pub on_error: OnError,
+    /// Number of inputs that run at the same time; 0: as many as help. Does not affect results.
+    pub inputs_at_once: usize,
     /// Sensor model of several inputs: common to the `survey`, from waveforms of all inputs, or from
     /// each `input` alone. An input that contradicts the survey has its own model.
     pub model: ModelScope,
@@ -172,6 +174,7 @@ impl Default for JobSettings {
             stat_log: "*_stat.log".into(),
             log: "*.log".into(),
             on_error: OnError::default(),
+            inputs_at_once: 0,
             model: ModelScope::default(),
             survey_model: None,
             geometry: GeometryKeys::default(),

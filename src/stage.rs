@@ -22,7 +22,7 @@ mod survey_models;
 pub use context::{Context, Counters, Distribution, Item, counted};
 pub use fitted::{CURVE_POINTS_PER_SAMPLE, FittedBlock, FittedPeak, FittedSamples, FittedShot};
 pub use lookahead::LookAhead;
-pub use observer::{DecomposedLine, FitShot, RunObserver};
+pub use observer::{DecomposedLine, FitShot, RunObserver, RunObservers};
 pub(crate) use output_file::partial_path;
 pub use output_file::{FinishedFile, OutputFile, remove_unfinished_files};
 pub use output_lock::{OutputLock, Outputs, release_all};

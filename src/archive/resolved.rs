@@ -16,9 +16,10 @@ use crate::stage::{Paths, Plan, Result, StageError};
 use wavex_formats::Error;
 
 /// Keys of `[job]` that do not affect results, and its folders.
-const WITHOUT_EFFECT: [&str; 10] = [
+const WITHOUT_EFFECT: [&str; 11] = [
     "channel_capacity",
     "input_dir",
+    "inputs_at_once",
     "log",
     "on_error",
     "output_dir",

@@ -76,7 +76,7 @@ fn run_archived(
         tracing::info!("{name}: {words}");
     }
     let mut options = Options {
-        observer: files.observer(),
+        observers: files.observers(),
         profile: machine.profile,
         progress: machine.progress(quiet, std::io::stderr().is_terminal()),
         ..Options::of_job(job, input_dir, &output_dir)

@@ -12,7 +12,7 @@ use super::resume::{Comparison, EarlierRun};
 use crate::engine::{self, InputStatus, InputSummary, RunSummary};
 use crate::job::{Job, JobSettings};
 use crate::report::{self, FileState, InputFiles, InputReport, Overviews, RunReport};
-use crate::stage::{OutputFile, OutputLock, Outputs, Result, RunObserver, StageError, fixed_folder};
+use crate::stage::{OutputFile, OutputLock, Outputs, Result, RunObservers, StageError, fixed_folder};
 use wavex_formats::Error;
 
 /// Trace that `--profile` writes to the output folder; `*` is the name of the run.
@@ -25,7 +25,7 @@ pub(super) struct RunFiles<'j> {
     name: String,
     output_dir: PathBuf,
     profile: bool,
-    /// Collects the overview of the current input, if the job requests a page.
+    /// Collects the overviews of the inputs, if the job requests a page.
     collected: Option<Arc<Overviews>>,
     comparison: Comparison,
     /// Files read for each input, before the run, by its stem.
@@ -119,9 +119,9 @@ impl<'j> RunFiles<'j> {
         outputs
     }
 
-    /// Observer that collects the data of the page.
-    pub(super) fn observer(&self) -> Option<Arc<dyn RunObserver>> {
-        self.collected.clone().map(|collected| collected as Arc<dyn RunObserver>)
+    /// Observers that collect the data of the page.
+    pub(super) fn observers(&self) -> Option<Arc<dyn RunObservers>> {
+        self.collected.clone().map(|collected| collected as Arc<dyn RunObservers>)
     }
 
     /// Takes the state of all inputs and returns those to skip, with messages about each.
@@ -202,7 +202,8 @@ impl<'j> RunFiles<'j> {
     pub(super) fn update(&mut self, run: &RunSummary, number: usize) -> Result<()> {
         let Some(input) = run.inputs.get(number) else { return Ok(()) };
         let is_done = input.status == InputStatus::Done;
-        let overview = self.collected.as_ref().and_then(|collected| collected.take()).filter(|_| is_done);
+        let overview =
+            self.collected.as_ref().and_then(|collected| collected.take(&input.stem)).filter(|_| is_done);
         let written = self.comparison.written(&input.outputs);
         let read = self.read.get(&input.stem).cloned().unwrap_or_default();
         self.fill_entries(run)?;

@@ -2,17 +2,16 @@
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
-
-use crossbeam_channel::RecvTimeoutError;
+use std::time::Instant;
 
 use super::failure::{Failure, RunError, THREAD_PREFIX, guarded};
 use super::link::{Inlet, Outlet, link};
 use super::meter::Meter;
+use super::pool::Permits;
 use super::stage_summary::StageSummary;
 use super::summary::InputSummary;
 use super::worker::{Downstream, Gauge, Shared, WorkerContext, run_map, run_sink, run_source, run_transform};
-use super::{Cause, Options, Progress};
+use super::{Cause, Options};
 use crate::job::{Job, JobStage};
 use crate::scan_line::Budget;
 use crate::stage::{Context, FinishedFile, Holds, Plan, Result, RunContext, StageError};
@@ -28,22 +27,18 @@ pub(super) fn run(
     job: &Job,
     site: &Arc<RunContext>,
     options: &Options,
-    progress: &mut Progress,
+    common: &Common,
+    gauge: &Gauge,
     cx: &Context,
 ) -> (InputSummary, Option<RunError>) {
     let started = Instant::now();
-    let shared = shared(job, options, cx);
+    let shared = shared(job, options, common, gauge, cx);
     let leavings: Vec<WorkerResult> = job.stages.iter().map(|_| WorkerResult::default()).collect();
     std::thread::scope(|scope| {
-        let (alive, all_gone) = crossbeam_channel::bounded::<()>(0);
         for (index, work) in plan(job, options).into_iter().enumerate() {
             for (worker, (inlet, exit)) in work.into_iter().enumerate() {
-                let (stage, shared, leavings, alive) =
-                    (&job.stages[index], &shared, &leavings[index], alive.clone());
-                let body = move || {
-                    run_worker(stage, site, shared, inlet, exit, options.profile, leavings);
-                    drop(alive);
-                };
+                let (stage, shared, leavings) = (&job.stages[index], &shared, &leavings[index]);
+                let body = move || run_worker(stage, site, shared, inlet, exit, options.profile, leavings);
                 let name = format!("{THREAD_PREFIX}{}-{worker}", stage.id);
                 if let Err(error) = std::thread::Builder::new().name(name).spawn_scoped(scope, body) {
                     let failed = StageError::failed(
@@ -55,12 +50,7 @@ pub(super) fn run(
                 }
             }
         }
-        drop(alive);
-        while all_gone.recv_timeout(Duration::from_millis(100)) == Err(RecvTimeoutError::Timeout) {
-            progress.show(&shared.gauge);
-        }
     });
-    progress.end(&shared.gauge);
     let budget_peak = shared.budget.peak();
     let totals = shared.totals.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
     let (stages, whole) = collect(job, leavings);
@@ -121,11 +111,32 @@ fn may_hold_bytes(job: &Job) -> usize {
     limit / (2 * holders)
 }
 
-fn shared(job: &Job, options: &Options, cx: &Context) -> Shared {
+/// What the chains of all inputs share.
+pub(super) struct Common {
+    /// Memory of all lines.
+    budget: Arc<Budget>,
+    /// Workers of maps that may work at the same time.
+    workers: Permits,
+}
+
+impl Common {
+    pub(super) fn new(job: &Job, options: &Options) -> Common {
+        Common { budget: Budget::new(memory(job).0), workers: Permits::new(options.workers()) }
+    }
+}
+
+fn shared<'a>(
+    job: &Job,
+    options: &Options,
+    common: &'a Common,
+    gauge: &'a Gauge,
+    cx: &Context,
+) -> Shared<'a> {
     let (limit, holders) = memory(job);
     Shared {
         failure: Failure::new(options.cancel.clone()),
-        budget: Budget::new(limit),
+        budget: Budget::within(&common.budget),
+        workers: &common.workers,
         may_hold_bytes: may_hold_bytes(job),
         holders,
         // Such transforms stay within one half, so there is always room for one more line. Only
@@ -133,7 +144,7 @@ fn shared(job: &Job, options: &Options, cx: &Context) -> Shared {
         largest_line_bytes: limit / 2,
         foreseen: Mutex::default(),
         keeps_waveforms: job.stages.iter().any(|stage| stage.planned.plan.needs_waveforms()),
-        gauge: Gauge::default(),
+        gauge,
         totals: Mutex::default(),
         cx: cx.another(),
     }

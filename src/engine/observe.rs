@@ -4,12 +4,13 @@ use std::fmt;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
 
-use super::{
-    Cancel, Cause, Input, Loader, Options, Progress, RunError, failure, pool, run_context, run_input,
-};
+use super::chain::Common;
+use super::worker::Gauge;
+use super::{Cancel, Cause, Input, Options, RunError, failure, pool, run_context, schedule};
+use crate::georef::Loader;
 use crate::job::Job;
 use crate::scan_line::ScanLine;
-use crate::stage::{Context, DecomposedLine, FitShot, Result, RunContext, RunObserver};
+use crate::stage::{Context, DecomposedLine, FitShot, Result, RunContext, RunObserver, RunObservers};
 
 /// Shows each line that leaves the chain to `look`, together with a state that is returned.
 ///
@@ -61,13 +62,14 @@ where
     let cancel = Cancel::default();
     let state = Arc::new(Mutex::new(Some(state)));
     let probe = Probe { state: Arc::clone(&state), look, cancel: cancel.clone() };
-    let options = Options { cancel, observer: Some(Arc::new(probe)), ..options.clone() };
-    let mut geometry = Loader::new(&job.settings.geometry, &options.input_dir)
+    let options = Options { cancel, observers: Some(Arc::new(One(Arc::new(probe)))), ..options.clone() };
+    let geometry = Loader::new(&job.settings.geometry, &options.input_dir)
         .map_err(|error| RunError::of_job(error.into()))?;
-    let mut progress = Progress::new(options.progress, vec![1]);
-    let cx = cx.observed(options.observer.clone());
+    let common = Common::new(job, &options);
+    let shared =
+        schedule::Shared { job, options: &options, common: &common, geometry: Mutex::new(geometry), cx };
     let site = RunContext { has_outputs: false, ..run_context(&options, input, pool::start(&options)?) };
-    let (_, error) = run_input(job, site, &mut geometry, &options, &mut progress, &cx);
+    let (_, error) = schedule::run_input(&shared, site, &options, &Gauge::default());
     let state = state.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take();
     match (error, state) {
         (None | Some(RunError { cause: Cause::Interrupted, .. }), Some(state)) => Ok(state),
@@ -77,6 +79,16 @@ where
             input: None,
             cause: Cause::Panic("the observer of a run lost its state".into()),
         }),
+    }
+}
+
+/// Observer of the only input.
+#[derive(Debug)]
+struct One(Arc<dyn RunObserver>);
+
+impl RunObservers for One {
+    fn of_input(&self, _: &str) -> Arc<dyn RunObserver> {
+        Arc::clone(&self.0)
     }
 }
 
@@ -97,8 +109,6 @@ where
     T: Send,
     L: Fn(&mut T, &ScanLine) -> ControlFlow<()> + Send + Sync,
 {
-    fn begin_input(&self) {}
-
     fn line(&self, line: &ScanLine) {
         let mut state = self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         // Further lines may leave the chain while it ends.

@@ -1,7 +1,8 @@
-//! Threads for tasks within a stage, such as the compression of points.
+//! Threads for tasks within a stage, such as the compression of points, and permits for workers.
 
 use std::sync::Arc;
 
+use crossbeam_channel::{Receiver, Sender};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use super::failure::THREAD_PREFIX;
@@ -28,5 +29,38 @@ pub(super) fn start(options: &Options) -> Result<Option<Arc<ThreadPool>>, RunErr
             format!("cannot start a thread: {error}"),
             "lower `threads` or raise the process limit of the system",
         ))),
+    }
+}
+
+/// Permits to work, so that the workers of several inputs together keep no more cores busy than those
+/// of one.
+pub(super) struct Permits {
+    free: Receiver<()>,
+    back: Sender<()>,
+}
+
+/// A permit; returned when dropped.
+pub(super) struct Permit<'a>(&'a Sender<()>);
+
+impl Permits {
+    pub(super) fn new(permits: usize) -> Permits {
+        let (back, free) = crossbeam_channel::bounded(permits.max(1));
+        for _ in 0..permits.max(1) {
+            let _ = back.try_send(());
+        }
+        Permits { free, back }
+    }
+
+    /// Waits for a permit.
+    pub(super) fn take(&self) -> Permit<'_> {
+        // Cannot fail: both ends live as long as `self`.
+        let _ = self.free.recv();
+        Permit(&self.back)
+    }
+}
+
+impl Drop for Permit<'_> {
+    fn drop(&mut self) {
+        let _ = self.0.try_send(());
     }
 }

@@ -1,6 +1,8 @@
 //! Progress display: a bar on a terminal, plain lines elsewhere, JSON for programs.
 
+use std::collections::BTreeMap;
 use std::io::Write;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
@@ -27,25 +29,46 @@ pub enum ProgressMode {
 #[derive(Debug)]
 pub struct Progress {
     mode: ProgressMode,
-    /// Size of each input, bytes, at least 1.
-    sizes: Vec<u64>,
+    /// Size of each input to run by its number, bytes, at least 1.
+    sizes: BTreeMap<usize, u64>,
+    /// Sum of the sizes of the inputs that have ended, bytes.
+    ended_bytes: u64,
     begun: usize,
     done: usize,
     failed: usize,
-    stem: String,
+    running: BTreeMap<usize, Running>,
+    /// Stem and place of the last input that ended.
+    last: (String, usize),
     run_started: Instant,
-    started: Instant,
-    /// Shots of earlier inputs.
+    /// Shots of inputs that have ended.
     shots_before: u64,
     bar: Option<ProgressBar>,
     next: Duration,
 }
 
-/// State of an input.
+/// An input that is running.
+#[derive(Debug)]
+struct Running {
+    stem: String,
+    /// Its place among the inputs to run, from 1.
+    place: usize,
+    started: Instant,
+    gauge: Arc<Gauge>,
+}
+
+impl Running {
+    fn state(&self) -> State {
+        let state = State::of(&self.gauge);
+        State { shots_per_s: state.shots as f64 / self.started.elapsed().as_secs_f64().max(1e-3), ..state }
+    }
+}
+
+/// State of an input, or the sum of several.
 #[derive(Clone, Copy, Debug, Default)]
 struct State {
     shots: u64,
     shots_read: u64,
+    shots_per_s: f64,
     /// Part of the input that has passed the whole chain, if known.
     fraction: Option<f64>,
 }
@@ -57,156 +80,182 @@ impl State {
         // What is read is not done: a stage may hold the first lines, such as `calibrate`.
         let passed = get(&gauge.lines) as f64 / get(&gauge.lines_read).max(1) as f64;
         let fraction = read.map(|read| read as f64 * 1e-6 * passed.min(1.0));
-        State { shots: get(&gauge.shots), shots_read: get(&gauge.shots_read), fraction }
+        State { shots: get(&gauge.shots), shots_read: get(&gauge.shots_read), shots_per_s: 0.0, fraction }
     }
 }
 
 impl Progress {
-    /// Creates a display for inputs of these sizes, bytes.
-    pub fn new(mode: ProgressMode, sizes: Vec<u64>) -> Progress {
-        let now = Instant::now();
+    /// Creates a display for inputs with these numbers.
+    pub(super) fn new(mode: ProgressMode, sizes: BTreeMap<usize, u64>) -> Progress {
         Progress {
             mode,
             sizes,
+            ended_bytes: 0,
             begun: 0,
             done: 0,
             failed: 0,
-            stem: String::new(),
-            run_started: now,
-            started: now,
+            running: BTreeMap::new(),
+            last: (String::new(), 0),
+            run_started: Instant::now(),
             shots_before: 0,
             bar: None,
-            next: Duration::ZERO,
+            next: interval(mode),
         }
     }
 
-    pub(super) fn begin(&mut self, stem: &str) {
-        self.begun = self.done + self.failed + 1;
-        self.stem = stem.to_string();
-        self.started = Instant::now();
-        self.next = self.interval();
-        self.bar = (self.mode == ProgressMode::Bar).then(|| {
-            let bar = ProgressBar::with_draw_target(Some(1_000_000), ProgressDrawTarget::stderr());
-            let style = ProgressStyle::with_template("{prefix} [{bar:30}] {percent:>3}% {msg}");
-            bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
-            bar.set_prefix(self.label());
-            bar
-        });
-        if self.mode == ProgressMode::Json {
-            self.json(State::default());
+    pub(super) fn begin(&mut self, number: usize, stem: &str, gauge: &Arc<Gauge>) {
+        self.begun += 1;
+        let (stem, started, gauge) = (stem.to_string(), Instant::now(), Arc::clone(gauge));
+        self.running.insert(number, Running { stem, place: self.begun, started, gauge });
+        match self.mode {
+            ProgressMode::Bar => {
+                let bar = self.bar.get_or_insert_with(bar);
+                bar.set_prefix(label(self.running.values(), self.sizes.len(), self.failed));
+            }
+            ProgressMode::Json => self.json(),
+            ProgressMode::Lines | ProgressMode::Hidden => {}
         }
     }
 
-    pub(super) fn show(&mut self, gauge: &Gauge) {
-        let state = State::of(gauge);
+    pub(super) fn show(&mut self) {
+        let state = self.state();
         if let Some(bar) = &self.bar {
-            bar.set_position((self.fraction(state).unwrap_or(0.0) * 1e6) as u64);
-            bar.set_message(format!("{}{}", self.rate(state), self.left(state)));
+            bar.set_position((self.fraction().unwrap_or(0.0) * 1e6) as u64);
+            bar.set_message(format!("{}{}", rate(state), self.left()));
             return;
         }
-        if self.started.elapsed() < self.next {
+        if self.run_started.elapsed() < self.next {
             return;
         }
-        self.next += self.interval();
+        self.next += interval(self.mode);
         match self.mode {
             ProgressMode::Lines => {
-                let part =
-                    self.fraction(state).map_or(String::new(), |part| format!("{:.0} %, ", 100.0 * part));
-                self.line(&format!("{part}{}{}", self.rate(state), self.left(state)));
+                let part = self.fraction().map_or(String::new(), |part| format!("{:.0} %, ", 100.0 * part));
+                let label = label(self.running.values(), self.sizes.len(), self.failed);
+                line(&label, &format!("{part}{}{}", rate(state), self.left()));
             }
-            ProgressMode::Json => self.json(state),
+            ProgressMode::Json => self.json(),
             ProgressMode::Bar | ProgressMode::Hidden => {}
         }
     }
 
-    pub(super) fn end(&mut self, gauge: &Gauge) {
-        let state = State::of(gauge);
-        if let Some(bar) = self.bar.take() {
-            bar.finish_and_clear();
-        }
+    /// Shows the result of an input.
+    pub(super) fn end(&mut self, number: usize) {
+        self.bar.take().inspect(ProgressBar::finish_and_clear);
+        let Some(ended) = self.running.remove(&number) else { return };
+        let state = ended.state();
         if matches!(self.mode, ProgressMode::Bar | ProgressMode::Lines) {
-            self.line(&format!("{}, {:.1} s", self.rate(state), self.started.elapsed().as_secs_f64()));
+            let label = label([&ended].into_iter(), self.sizes.len(), self.failed);
+            line(&label, &format!("{}, {:.1} s", rate(state), ended.started.elapsed().as_secs_f64()));
         }
         self.shots_before += state.shots;
+        self.ended_bytes += self.sizes.get(&number).copied().unwrap_or(0);
+        self.last = (ended.stem, ended.place);
     }
 
     /// Counts an input that has ended.
     pub(super) fn count(&mut self, has_failed: bool) {
-        self.bar.take().inspect(ProgressBar::finish_and_clear);
         if has_failed {
             self.failed += 1
         } else {
             self.done += 1
         }
         if self.mode == ProgressMode::Json {
-            self.json(State::default());
+            self.json();
+        }
+        if self.mode == ProgressMode::Bar && !self.running.is_empty() {
+            let bar = self.bar.get_or_insert_with(bar);
+            bar.set_prefix(label(self.running.values(), self.sizes.len(), self.failed));
         }
     }
 
-    fn interval(&self) -> Duration {
-        Duration::from_secs(if self.mode == ProgressMode::Json { 1 } else { 10 })
-    }
-
-    fn label(&self) -> String {
-        let failed = if self.failed > 0 { format!(", {} failed", self.failed) } else { String::new() };
-        match self.sizes.len() {
-            1 => self.stem.clone(),
-            inputs => format!("{} ({} of {inputs}{failed})", self.stem, self.begun),
-        }
-    }
-
-    fn rate(&self, state: State) -> String {
-        if state.shots == 0 && state.shots_read > 0 {
-            return format!("{} shots read", state.shots_read);
-        }
-        let per_s = state.shots as f64 / self.started.elapsed().as_secs_f64().max(1e-3);
-        format!("{} shots, {:.3} M shots/s", state.shots, per_s / 1e6)
+    /// Sum of the running inputs.
+    fn state(&self) -> State {
+        let states = self.running.values().map(Running::state);
+        states.fold(State::default(), |sum, state| State {
+            shots: sum.shots + state.shots,
+            shots_read: sum.shots_read + state.shots_read,
+            shots_per_s: sum.shots_per_s + state.shots_per_s,
+            fraction: None,
+        })
     }
 
     /// Part of the run that is done, by the size of the inputs, if known.
-    fn fraction(&self, state: State) -> Option<f64> {
-        let ended = self.done + self.failed;
-        let size = |sizes: &[u64]| sizes.iter().sum::<u64>() as f64;
-        let before = size(self.sizes.get(..ended).unwrap_or(&self.sizes));
-        let current = match self.sizes.get(ended) {
-            Some(current) if state.shots_read > 0 => *current as f64 * state.fraction?,
-            _ => 0.0,
-        };
-        Some((before + current) / size(&self.sizes).max(1.0))
+    fn fraction(&self) -> Option<f64> {
+        let mut bytes = self.ended_bytes as f64;
+        for (number, running) in &self.running {
+            let state = running.state();
+            if state.shots_read > 0 {
+                bytes += self.sizes.get(number).copied().unwrap_or(0) as f64 * state.fraction?;
+            }
+        }
+        Some(bytes / (self.sizes.values().sum::<u64>() as f64).max(1.0))
     }
 
     /// Time until the end of the run, s, if known.
-    fn left_s(&self, state: State) -> Option<f64> {
-        let fraction = self.fraction(state).filter(|fraction| *fraction > 0.0)?;
+    fn left_s(&self) -> Option<f64> {
+        let fraction = self.fraction().filter(|fraction| *fraction > 0.0)?;
         Some(self.run_started.elapsed().as_secs_f64() * (1.0 / fraction - 1.0))
     }
 
-    fn left(&self, state: State) -> String {
-        self.left_s(state).map_or(String::new(), |left_s| format!(", {left_s:.0} s left"))
+    fn left(&self) -> String {
+        self.left_s().map_or(String::new(), |left_s| format!(", {left_s:.0} s left"))
     }
 
-    fn line(&self, text: &str) {
-        // A closed standard error does not end a run.
-        let _ = writeln!(std::io::stderr(), "{}: {text}", self.label());
-    }
-
-    fn json(&self, state: State) {
+    fn json(&self) {
         let elapsed_s = self.run_started.elapsed().as_secs_f64();
-        let shots = self.shots_before + state.shots;
+        let shots = self.shots_before + self.state().shots;
+        let first = self.running.values().next();
+        let (stem, place) = first.map_or((&self.last.0, self.last.1), |first| (&first.stem, first.place));
         let object = json!({
-            "input": self.stem,
-            "number": self.begun,
+            "input": stem,
+            "number": place,
             "inputs": self.sizes.len(),
+            "running": self.running.len(),
             "done": self.done,
             "failed": self.failed,
-            "fraction": self.fraction(state),
+            "fraction": self.fraction(),
             "shots": shots,
             "shots_per_s": shots as f64 / elapsed_s.max(1e-3),
             "elapsed_s": elapsed_s,
-            "left_s": self.left_s(state),
+            "left_s": self.left_s(),
         });
         let _ = writeln!(std::io::stderr(), "{object}");
     }
+}
+
+fn interval(mode: ProgressMode) -> Duration {
+    Duration::from_secs(if mode == ProgressMode::Json { 1 } else { 10 })
+}
+
+fn bar() -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(1_000_000), ProgressDrawTarget::stderr());
+    let style = ProgressStyle::with_template("{prefix} [{bar:30}] {percent:>3}% {msg}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
+    bar
+}
+
+/// Names of running inputs, their places, and how many have failed.
+fn label<'a>(running: impl Iterator<Item = &'a Running>, inputs: usize, failed: usize) -> String {
+    let (stems, places): (Vec<&str>, Vec<String>) =
+        running.map(|input| (input.stem.as_str(), input.place.to_string())).unzip();
+    let failed = if failed > 0 { format!(", {failed} failed") } else { String::new() };
+    match inputs {
+        1 => stems.join(", "),
+        inputs => format!("{} ({} of {inputs}{failed})", stems.join(", "), places.join(", ")),
+    }
+}
+
+fn rate(state: State) -> String {
+    match state {
+        State { shots: 0, shots_read: 1.., .. } => format!("{} shots read", state.shots_read),
+        _ => format!("{} shots, {:.3} M shots/s", state.shots, state.shots_per_s / 1e6),
+    }
+}
+
+fn line(label: &str, text: &str) {
+    // A closed standard error does not end a run.
+    let _ = writeln!(std::io::stderr(), "{label}: {text}");
 }
 
 #[cfg(test)]
@@ -224,30 +273,52 @@ mod tests {
         gauge
     }
 
+    fn progress(sizes: &[u64]) -> Progress {
+        Progress::new(ProgressMode::Hidden, sizes.iter().copied().enumerate().collect())
+    }
+
     #[test]
     fn what_is_read_but_held_is_not_done() {
-        let progress = Progress::new(ProgressMode::Hidden, vec![1]);
-        let fraction = |gauge: &Gauge| progress.fraction(State::of(gauge));
-        assert_eq!(fraction(&gauge(1_000_000, 40, 0)), Some(0.0));
-        assert_eq!(fraction(&gauge(500_000, 40, 20)), Some(0.25));
-        assert_eq!(fraction(&gauge(1_000_000, 40, 40)), Some(1.0));
-        assert_eq!(fraction(&gauge(u64::MAX, 40, 20)), None);
-        assert_eq!(progress.rate(State::of(&gauge(1_000_000, 40, 0))), "4000 shots read");
-        assert_eq!(progress.left(State::of(&gauge(1_000_000, 40, 0))), "", "the time left is unknown");
+        let running = |gauge: Gauge| {
+            let mut progress = progress(&[1]);
+            progress.begin(0, "a", &Arc::new(gauge));
+            progress
+        };
+        let fraction = |gauge| running(gauge).fraction();
+        assert_eq!(fraction(gauge(1_000_000, 40, 0)), Some(0.0));
+        assert_eq!(fraction(gauge(500_000, 40, 20)), Some(0.25));
+        assert_eq!(fraction(gauge(1_000_000, 40, 40)), Some(1.0));
+        assert_eq!(fraction(gauge(u64::MAX, 40, 20)), None);
+        let held = running(gauge(1_000_000, 40, 0));
+        assert_eq!(rate(held.state()), "4000 shots read");
+        assert_eq!(held.left(), "", "the time left is unknown");
     }
 
     #[test]
     fn inputs_count_by_their_size() {
-        let mut progress = Progress::new(ProgressMode::Hidden, vec![30, 10, 60]);
-        let half = gauge(500_000, 2, 2);
+        let mut progress = progress(&[30, 10, 60]);
+        let half = || Arc::new(gauge(500_000, 2, 2));
         let mut fractions = Vec::new();
-        for has_failed in [false, true, false] {
-            progress.begin("a");
-            fractions.push(progress.fraction(State::of(&half)));
+        for (number, has_failed) in [false, true, false].into_iter().enumerate() {
+            progress.begin(number, "a", &half());
+            fractions.push(progress.fraction());
+            progress.end(number);
             progress.count(has_failed);
         }
         assert_eq!(fractions, [0.15, 0.35, 0.7].map(Some));
-        assert_eq!(progress.fraction(State::default()), Some(1.0));
-        assert_eq!(progress.label(), "a (3 of 3, 1 failed)");
+        assert_eq!(progress.fraction(), Some(1.0));
+    }
+
+    #[test]
+    fn inputs_that_run_at_once_add_up() {
+        let mut progress = progress(&[30, 10, 60]);
+        progress.begin(0, "a", &Arc::new(gauge(500_000, 2, 2)));
+        progress.begin(1, "b", &Arc::new(gauge(1_000_000, 3, 3)));
+        assert_eq!((progress.fraction(), progress.state().shots), (Some(0.25), 500));
+        assert_eq!(label(progress.running.values(), 3, 1), "a, b (1, 2 of 3, 1 failed)");
+        progress.end(1);
+        progress.begin(2, "c", &Arc::new(gauge(0, 0, 0)));
+        assert_eq!(progress.fraction(), Some(0.25));
+        assert_eq!(label(progress.running.values(), 3, 0), "a, c (1, 3 of 3)");
     }
 }

@@ -7,14 +7,17 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use super::failure::Failure;
 use super::link::{Inlet, Outlet};
 use super::meter::Meter;
+use super::pool::Permits;
 use super::totals::Totals;
 use crate::scan_line::{Blocks, Budget, NoRoom, ScanLine};
 use crate::stage::{Context, Map, Output, Result, Sink, Source, StageError, Transform};
 
 /// State shared by the threads of one chain.
-pub(super) struct Shared {
+pub(super) struct Shared<'a> {
     pub(super) failure: Failure,
     pub(super) budget: Arc<Budget>,
+    /// Workers of maps, those of other inputs included, that may work at the same time.
+    pub(super) workers: &'a Permits,
     pub(super) may_hold_bytes: usize,
     /// Maximum number of transforms that hold lines at the same time.
     pub(super) holders: usize,
@@ -23,7 +26,7 @@ pub(super) struct Shared {
     pub(super) foreseen: Mutex<(usize, String)>,
     /// Whether lines keep their sample blocks after `decompose`.
     pub(super) keeps_waveforms: bool,
-    pub(super) gauge: Gauge,
+    pub(super) gauge: &'a Gauge,
     pub(super) totals: Mutex<Totals>,
     /// Parent of all workers' contexts.
     pub(super) cx: Context,
@@ -51,7 +54,7 @@ pub(super) enum Downstream {
 pub(super) struct WorkerContext<'a> {
     /// Name of the stage in the job.
     pub(super) stage: &'a str,
-    pub(super) shared: &'a Shared,
+    pub(super) shared: &'a Shared<'a>,
     pub(super) exit: Downstream,
     pub(super) meter: Meter,
     pub(super) cx: Context,
@@ -178,7 +181,10 @@ fn no_room(line: u32, bytes: usize, held: usize, shared: &Shared) -> StageError 
 /// Maps lines one by one; one of several workers.
 pub(super) fn run_map(mut map: Box<dyn Map>, inlet: &mut Inlet, desk: &mut WorkerContext) -> Result<()> {
     while let Some((place, scan_line)) = desk.take(inlet)? {
+        let permit = desk.shared.workers.take();
+        desk.meter.waited();
         let result = map.map(scan_line, &mut desk.cx);
+        drop(permit);
         desk.meter.worked();
         desk.meter.line_done();
         desk.send(place, result?)?;

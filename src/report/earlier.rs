@@ -9,8 +9,17 @@ use crate::job::Job;
 use crate::stage::Plan;
 
 /// Keys of `[job]` that may differ: they do not affect outputs or reports.
-const FREE_KEYS: [&str; 8] =
-    ["include", "threads", "channel_capacity", "simd", "log", "on_error", "model", "survey_model"];
+const FREE_KEYS: [&str; 9] = [
+    "include",
+    "threads",
+    "channel_capacity",
+    "simd",
+    "log",
+    "on_error",
+    "inputs_at_once",
+    "model",
+    "survey_model",
+];
 
 /// First difference of an earlier run that affects all inputs.
 ///

@@ -5,13 +5,14 @@
 //! not on their order: sums are of integers, bins and cells double on a fixed grid, and of several
 //! equally suitable shots the first is shown.
 
-use std::sync::{Mutex, MutexGuard};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::scan_line::{Return, ScanLine};
-use crate::stage::{DecomposedLine, FitShot, Result, RunObserver};
+use crate::stage::{DecomposedLine, FitShot, Result, RunObserver, RunObservers};
 
 mod gallery;
 mod histogram;
@@ -52,37 +53,44 @@ pub struct Overview {
 
 /// Collects the overview of each input of a run.
 #[derive(Debug, Default)]
-pub struct Overviews {
-    gathering: Mutex<Option<Gathering>>,
-    gallery: Mutex<Option<Gallery>>,
+pub struct Overviews(Mutex<BTreeMap<String, Arc<Collector>>>);
+
+/// Collects the overview of one input.
+#[derive(Debug, Default)]
+struct Collector {
+    gathering: Mutex<Gathering>,
+    gallery: Mutex<Gallery>,
 }
 
 impl Overviews {
-    /// Returns the overview of the current input.
-    pub fn take(&self) -> Option<Overview> {
-        let gallery = locked(&self.gallery).take()?;
-        locked(&self.gathering).take().map(|gathering| gathering.finish(gallery))
+    /// Returns the overview of an input that has ended.
+    pub fn take(&self, stem: &str) -> Option<Overview> {
+        let collector = locked(&self.0).remove(stem)?;
+        let gallery = std::mem::take(&mut *locked(&collector.gallery));
+        let gathering = std::mem::take(&mut *locked(&collector.gathering));
+        Some(gathering.finish(gallery))
     }
 }
 
-impl RunObserver for Overviews {
-    fn begin_input(&self) {
-        *locked(&self.gathering) = Some(Gathering::default());
-        *locked(&self.gallery) = Some(Gallery::default());
+impl RunObservers for Overviews {
+    fn of_input(&self, stem: &str) -> Arc<dyn RunObserver> {
+        let collector = Arc::<Collector>::default();
+        locked(&self.0).insert(stem.to_owned(), Arc::clone(&collector));
+        collector
     }
+}
 
+impl RunObserver for Collector {
     fn line(&self, line: &ScanLine) {
-        if let Some(gathering) = locked(&self.gathering).as_mut() {
-            gathering.add(line);
-        }
+        locked(&self.gathering).add(line);
     }
 
     /// Fits the shots to show, without holding the lock.
     fn decomposed(&self, line: &DecomposedLine, fit: &mut FitShot) -> Result<()> {
-        let candidates = locked(&self.gallery).as_ref().map(|gallery| gallery.candidates(line));
-        for candidate in candidates.into_iter().flatten() {
-            if let (Some(shot), Some(gallery)) = (fit(candidate.emission)?, locked(&self.gallery).as_mut()) {
-                gallery.show(&candidate, shot);
+        let candidates = locked(&self.gallery).candidates(line);
+        for candidate in candidates {
+            if let Some(shot) = fit(candidate.emission)? {
+                locked(&self.gallery).show(&candidate, shot);
             }
         }
         Ok(())

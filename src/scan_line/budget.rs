@@ -10,6 +10,8 @@ use std::time::Duration;
 #[derive(Debug)]
 pub struct Budget {
     limit: usize,
+    /// Limit common to several budgets, if there is one.
+    common: Option<Arc<Budget>>,
     state: Mutex<State>,
     freed: Condvar,
 }
@@ -64,7 +66,16 @@ pub enum NoRoom {
 impl Budget {
     /// Creates a budget of `limit` bytes.
     pub fn new(limit: usize) -> Arc<Budget> {
-        Arc::new(Budget { limit, state: Mutex::default(), freed: Condvar::new() })
+        Arc::new(Budget { limit, common: None, state: Mutex::default(), freed: Condvar::new() })
+    }
+
+    /// Creates a budget with the limit of `common`, whose users also share that limit.
+    ///
+    /// A budget that stands still may exceed the common limit, but not its own: so that the lines which
+    /// one input holds back never block another.
+    pub fn within(common: &Arc<Budget>) -> Arc<Budget> {
+        let (limit, common) = (common.limit, Some(Arc::clone(common)));
+        Arc::new(Budget { limit, common, state: Mutex::default(), freed: Condvar::new() })
     }
 
     /// Returns the limit, bytes.
@@ -91,12 +102,19 @@ impl Budget {
                 return Err(NoRoom::Full(state.used));
             }
             // The wait times out regularly so that cancellation is noticed.
-            let waited = self.freed.wait_timeout(state, Duration::from_millis(50));
-            state = waited.unwrap_or_else(|poisoned| poisoned.into_inner()).0;
+            state = self.wait(state);
         }
-        state.used += bytes;
-        state.peak = state.peak.max(state.used);
-        state.lines += 1;
+        drop(state);
+        if let Some(common) = &self.common {
+            let mut of_all = common.lock();
+            while of_all.used > 0 && of_all.used + bytes > common.limit && !self.lock().stands_still() {
+                if cancelled() {
+                    return Err(NoRoom::Cancelled);
+                }
+                of_all = common.wait(of_all);
+            }
+        }
+        self.replace(0, bytes).lines += 1;
         Ok(Ticket { budget: Arc::clone(self), bytes, is_line: true, is_inside: false })
     }
 
@@ -104,6 +122,24 @@ impl Budget {
     pub fn at_work(&self) -> AtWork<'_> {
         self.lock().busy += 1;
         AtWork(self)
+    }
+
+    /// Waits until memory is released; times out regularly so that cancellation is noticed.
+    fn wait<'a>(&self, state: MutexGuard<'a, State>) -> MutexGuard<'a, State> {
+        let waited = self.freed.wait_timeout(state, Duration::from_millis(50));
+        waited.unwrap_or_else(|poisoned| poisoned.into_inner()).0
+    }
+
+    /// Replaces a share of `before` bytes by one of `after`, here and in the common budget.
+    fn replace(&self, before: usize, after: usize) -> MutexGuard<'_, State> {
+        if let Some(common) = &self.common {
+            drop(common.replace(before, after));
+        }
+        let mut state = self.lock();
+        state.used = state.used - before + after;
+        state.peak = state.peak.max(state.used);
+        self.freed.notify_all();
+        state
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -146,23 +182,16 @@ impl Ticket {
         if bytes == self.bytes {
             return;
         }
-        let mut state = self.budget.lock();
-        state.used = state.used - self.bytes + bytes;
-        state.peak = state.peak.max(state.used);
+        drop(self.budget.replace(self.bytes, bytes));
         self.bytes = bytes;
-        drop(state);
-        self.budget.freed.notify_all();
     }
 }
 
 impl Drop for Ticket {
     fn drop(&mut self) {
-        let mut state = self.budget.lock();
-        state.used -= self.bytes;
+        let mut state = self.budget.replace(self.bytes, 0);
         state.lines -= usize::from(self.is_line);
         state.inside -= usize::from(self.is_inside);
-        drop(state);
-        self.budget.freed.notify_all();
     }
 }
 
@@ -198,6 +227,23 @@ mod tests {
         drop(beside);
         assert_eq!(budget.lock().used, 0);
         assert_eq!(budget.peak(), 90);
+    }
+
+    #[test]
+    fn budgets_share_a_limit_unless_they_stand_still() {
+        let common = Budget::new(100);
+        let [one, other] = [(); 2].map(|()| Budget::within(&common));
+        let mut held = one.take(80, || true).unwrap();
+        let first = other.take(30, || true).unwrap();
+        assert_eq!(other.take(30, || true).unwrap_err(), NoRoom::Cancelled, "another line is in flight");
+        drop(first);
+        assert_eq!(common.lock().used, 80);
+        held.set_inside(true);
+        assert_eq!(one.take(30, || false).unwrap_err(), NoRoom::Full(80), "its own limit holds");
+        let next = one.take(20, || true).unwrap();
+        drop((held, next));
+        assert_eq!([common.lock().used, one.lock().used], [0, 0]);
+        assert_eq!(common.peak(), 110);
     }
 
     #[test]

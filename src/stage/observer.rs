@@ -1,18 +1,21 @@
 //! Observation of a run, without influence on its results.
 
 use std::fmt::Debug;
+use std::sync::Arc;
 
 use super::{FittedShot, Result};
 use crate::scan_line::{Emission, Return, ScanLine};
 
-/// Observes the lines of a run.
-///
-/// Engine and stages call it from several threads, so lines arrive in any order. Inputs run one
-/// after another.
-pub trait RunObserver: Debug + Send + Sync {
-    /// Starts the next input.
-    fn begin_input(&self);
+/// Makes the observers of a run.
+pub trait RunObservers: Debug + Send + Sync {
+    /// Observer of the input with this stem. Several inputs may run at the same time.
+    fn of_input(&self, stem: &str) -> Arc<dyn RunObserver>;
+}
 
+/// Observes the lines of an input.
+///
+/// Engine and stages call it from several threads, so lines arrive in any order.
+pub trait RunObserver: Debug + Send + Sync {
     /// Observes a scan line that leaves the chain.
     fn line(&self, line: &ScanLine);
 

@@ -296,11 +296,7 @@ mod tests {
 
     /// The lines that the stage emits, and its notes.
     fn run(config: &FuseChannels, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
-        let mut stage = ChannelFuser {
-            config: config.clone(),
-            look_ahead: LookAhead::new(config.waveforms),
-            state: config.given().map_or(State::Surveying, |fusion| State::Known(Arc::new(fusion))),
-        };
+        let mut stage = config.fuser(LookAhead::new(config.waveforms));
         let (mut cx, mut given_on) = (Context::default(), Vec::new());
         let mut emit = |batch: ScanLine| {
             given_on.push(batch);

@@ -189,7 +189,6 @@ impl Sink for AsciiWriter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::georef::Geometry;
     use crate::scan_line::{Blocks, Content, Emission, Return, ReturnChannel, TimeScale, emission_flags};
     use std::sync::Arc;
     use wavex_signal::simd::SimdLevel;

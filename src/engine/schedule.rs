@@ -1,0 +1,114 @@
+//! Runs the chain over the inputs of a job, several at once.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use crossbeam_channel::Sender;
+
+use super::chain::{self, Common};
+use super::worker::Gauge;
+use super::{Cancel, Cause, InputSummary, Options, Progress, RunError};
+use crate::georef::Loader;
+use crate::job::Job;
+use crate::stage::{Context, RunContext};
+
+/// Results of an input: the work done, and the first cause of a failure.
+pub(super) type Ended = (InputSummary, Option<RunError>);
+
+/// What inputs that run at the same time share.
+pub(super) struct Shared<'a> {
+    pub(super) job: &'a Job,
+    pub(super) options: &'a Options,
+    pub(super) common: &'a Common,
+    pub(super) geometry: Mutex<Loader>,
+    pub(super) cx: Context,
+}
+
+/// Runs inputs, at most `at_once` at the same time, and gives their results to `take` in their order.
+///
+/// `take` returns whether the run ends. Inputs behind are then cancelled; returns the results of those
+/// that had completed.
+pub(super) fn run(
+    shared: &Shared,
+    inputs: Vec<(usize, RunContext)>,
+    at_once: usize,
+    progress: &mut Progress,
+    mut take: impl FnMut(&mut Progress, usize, Ended) -> bool,
+) -> Vec<(usize, InputSummary)> {
+    let mut due = inputs.iter().map(|(number, _)| *number).collect::<VecDeque<usize>>();
+    let mut waiting = inputs.into_iter();
+    let mut running: BTreeMap<usize, Cancel> = BTreeMap::new();
+    let mut ended: BTreeMap<usize, Ended> = BTreeMap::new();
+    std::thread::scope(|scope| {
+        let (sender, receiver) = crossbeam_channel::unbounded();
+        while !due.is_empty() || !running.is_empty() {
+            let is_cancelled = shared.options.cancel.is_cancelled();
+            // After a cancellation, the next input only reports it.
+            while !due.is_empty() && running.len() < if is_cancelled { 1 } else { at_once } {
+                let Some((number, site)) = waiting.next() else { break };
+                let (cancel, gauge) = (Cancel::default(), Arc::<Gauge>::default());
+                progress.begin(number, &site.stem, &gauge);
+                running.insert(number, cancel.clone());
+                let sender = sender.clone();
+                scope.spawn(move || one(shared, number, site, cancel, &gauge, &sender));
+            }
+            if is_cancelled || due.is_empty() {
+                running.values().for_each(Cancel::cancel);
+            }
+            match receiver.recv_timeout(Duration::from_millis(100)) {
+                Ok((number, result)) => {
+                    running.remove(&number);
+                    ended.insert(number, result);
+                }
+                Err(_) => progress.show(),
+            }
+            while let Some(result) = due.front().and_then(|number| ended.remove(number)) {
+                let Some(number) = due.pop_front() else { break };
+                progress.end(number);
+                if take(progress, number, result) {
+                    due.clear();
+                }
+            }
+        }
+    });
+    let complete = ended.into_iter().filter(|(_, (_, error))| error.is_none());
+    complete.map(|(number, (input, _))| (number, input)).collect()
+}
+
+/// Runs the chain over one input and sends its results.
+fn one(
+    shared: &Shared,
+    number: usize,
+    site: RunContext,
+    cancel: Cancel,
+    gauge: &Gauge,
+    ended: &Sender<(usize, Ended)>,
+) {
+    let site = RunContext { cancelled: cancel.flag(), ..site };
+    let options = Options { cancel, ..shared.options.clone() };
+    let result = run_input(shared, site, &options, gauge);
+    // The receiver is gone if the run ends because of another input.
+    let _ = ended.send((number, result));
+}
+
+/// Runs the chain over one input; returns the work done and the first cause of a failure.
+pub(super) fn run_input(shared: &Shared, mut site: RunContext, options: &Options, gauge: &Gauge) -> Ended {
+    let loaded = shared.geometry.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).load(&site.stem);
+    match loaded {
+        Ok(its_geometry) => site.geometry = Arc::new(its_geometry),
+        Err(error) => {
+            let not_run = InputSummary::not_run(&site);
+            let cause = Cause::Stage(error.into());
+            let error = RunError { stage: None, input: Some(site.input), cause };
+            return (not_run.failed(&error), Some(error));
+        }
+    }
+    let observer = options.observers.as_ref().map(|observers| observers.of_input(&site.stem));
+    let cx = shared.cx.another().observed(observer);
+    let (input, error) = chain::run(shared.job, &Arc::new(site), options, shared.common, gauge, &cx);
+    match error {
+        Some(error) => (input.failed(&error), Some(error)),
+        None => (input, None),
+    }
+}
