@@ -238,7 +238,7 @@ pub(super) struct PlanArgs {
     #[arg(long, value_name = "N", value_parser = every)]
     pub(super) cores: Option<usize>,
     /// Throughput of one core, MB of input per second, for the estimated time
-    #[arg(long, value_name = "RATE", default_value_t = 1.0, value_parser = rate)]
+    #[arg(long, value_name = "RATE", default_value_t = 5.0, value_parser = rate)]
     pub(super) mb_per_s: f64,
     /// Archive of the whole survey that `wavex collect` makes, as `wavex run --archive`
     #[arg(long, value_name = "ARCHIVE")]

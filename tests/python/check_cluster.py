@@ -71,7 +71,7 @@ def check_local(survey, checks, expected):
 def check_restart(survey, checks):
     """Kills Snakemake with its tasks, starts it again, repairs the damaged strip."""
     checks.subject = "restart"
-    survey.run("plan")
+    checks.equal("plan", survey.run("plan"), [0])
     snakemake = survey.start(commands("local")[0], "--retries 0")
     wait_until("complete task", lambda: len(survey.marks()) >= 3)
     os.killpg(snakemake.pid, signal.SIGKILL)
@@ -97,7 +97,7 @@ def check_slurm(survey, checks, expected, slurm):
     (survey.programs / "wavex").unlink()
     survey.write("bin/wavex", FAULTY.replace("WAVEX", str(wavex)))
     (survey.programs / "wavex").chmod(0o755)
-    survey.run("plan")
+    checks.equal("plan", survey.run("plan"), [0])
     started = time.monotonic()
     snakemake = survey.start(commands("slurm")[0], QUICK)
     wait_until("job that sleeps", (survey.folder / "faults" / "time").exists)
@@ -124,7 +124,7 @@ def check_slurm_restart(survey, checks, slurm):
     """Kills Snakemake; its jobs go on; what they complete is not made again."""
     checks.subject = "Slurm, restart"
     survey.remove("out", "plan", ".snakemake", "commands.log")
-    survey.run("plan")
+    checks.equal("plan", survey.run("plan"), [0])
     snakemake = survey.start(commands("batch")[0], QUICK)
     wait_until("report", lambda: list((survey.folder / "plan" / "reports").glob("*_report.json")))
     os.killpg(snakemake.pid, signal.SIGKILL)
@@ -143,7 +143,7 @@ def check_slurm_restart(survey, checks, slurm):
 def check_array(survey, checks, expected):
     """An array job, without Snakemake."""
     checks.subject = "array job"
-    survey.run("plan")
+    checks.equal("plan", survey.run("plan"), [0])
     checks.equal("exit status", survey.run("array"), [0, 1, 1])
     checks.equal("bytes of all products", survey.products(), expected[0])
     checks.equal("results of the archive", survey.results("survey"), expected[1])

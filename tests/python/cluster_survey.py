@@ -116,7 +116,8 @@ class Survey:
         return [self.start(command, more).wait(timeout=300) for command in commands(name)]
 
     def log(self):
-        return (self.folder / "commands.log").read_text(encoding="utf-8")
+        log = self.folder / "commands.log"
+        return log.read_text(encoding="utf-8") if log.exists() else ""
 
     def remove(self, *names):
         subprocess.run(["rm", "-rf", *names], cwd=self.folder, check=True)
