@@ -36,13 +36,15 @@ Usage: wavex [OPTIONS] <COMMAND>
 
 Commands:
   run           Run a job
+  plan          Plan a survey as tasks for several machines, one per input
+  collect       Check and merge the results of planned tasks
   replay        Run an archived job again and compare the outputs bit by bit
   verify        Verify an archive, its inputs and its outputs by their digests
   check         Validate a job without reading data: keys, chain, folders, inputs
   stages        List the stages, or describe one stage and its keys
   schema        Print the JSON Schema of jobs, for editors that validate and complete TOML
   init          Write a commented starter job
-  calibrate     Calibrate from a recording and save the sensor model
+  calibrate     Calibrate from a recording, or from all inputs of a job, and save the sensor model
   convert       Copy recorded waveforms into the open container format (Arrow)
   copc          Convert points to a cloud-optimised point cloud (COPC)
   false-alarms  Print the false-return rate of pure noise for each threshold
