@@ -37,8 +37,8 @@ mod usage;
 mod version;
 
 use args::{
-    ArchiveArgs, CalibrateArgs, Classic, Cli, Command, ExplainArgs, FalseAlarmArgs, ImportArgs, InputRule,
-    JobArgs, Machine, ScanArgs, TrajectoryArgs, When,
+    ArchiveArgs, CalibrateArgs, Classic, Cli, Command, ExplainArgs, ImportArgs, InputRule, JobArgs, Machine,
+    ScanArgs, TrajectoryArgs, When,
 };
 use terminal::print;
 

@@ -37,12 +37,13 @@ mod worker;
 
 pub use failure::{Cancel, Cause, RunError};
 pub use inputs::Input;
-pub(crate) use inputs::expand;
+pub(crate) use inputs::{expand, size};
 pub(crate) use observe::observe;
 pub use progress::{Progress, ProgressMode};
 pub use stage_summary::{ItemCounts, Percentiles, StageSummary};
 pub use summary::{InputStatus, InputSummary, RunSummary, StageKeys, TrajectorySummary};
 pub use survey::{learn_survey_models, shares_models, survey_models};
+pub use worker::Gauge;
 
 use failure::SharedFiles;
 
@@ -186,7 +187,7 @@ pub fn run_each(
         None => survey_models(job, options)?.map(Arc::new),
     };
     let options = &Options { survey, ..options.clone() };
-    summary.survey = options.survey.clone();
+    summary.survey_models = options.survey.clone();
     let pool = pool::start(options)?;
     let site = |input| run_context(options, input, pool.clone());
     let sites: Vec<RunContext> = inputs(job, &options.input_dir)?.into_iter().map(site).collect();
@@ -201,7 +202,7 @@ pub fn run_each(
     let (to_skip, to_run): (Vec<_>, Vec<_>) =
         sites.into_iter().enumerate().partition(|(_, site)| options.skip.contains(&site.stem));
     to_skip.iter().for_each(|(number, _)| summary.inputs[*number].status = InputStatus::Skipped);
-    let sizes = to_run.iter().map(|(number, site)| (*number, inputs::size(site)));
+    let sizes = to_run.iter().map(|(number, site)| (*number, inputs::size(&site.input)));
     let mut progress = Progress::new(options.progress, sizes.collect());
     let common = chain::Common::new(job, options);
     let shared = schedule::Shared {
@@ -212,28 +213,23 @@ pub fn run_each(
         cx: Context::default(),
     };
     let mut result = Ok(());
-    let others = schedule::run(
-        &shared,
-        to_run,
-        options.at_once(),
-        &mut progress,
-        |progress, number, (input, error)| {
-            summary.inputs[number] = input;
-            progress.count(error.is_some());
-            summary.wall_s = started.elapsed().as_secs_f64();
-            let ends = |error: &RunError| job.settings.on_error == OnError::Stop || files.concern(error);
-            result = match error {
-                Some(error) if ends(&error) => {
-                    if let Err(another) = done(summary, number, None) {
-                        tracing::warn!("{another}");
-                    }
-                    Err(error)
+    let ends = |error: &RunError| job.settings.on_error == OnError::Stop || files.concern(error);
+    let take = |progress: &mut Progress, number: usize, (input, error): schedule::Ended| {
+        summary.inputs[number] = input;
+        progress.count(error.is_some());
+        summary.wall_s = started.elapsed().as_secs_f64();
+        result = match error {
+            Some(error) if ends(&error) => {
+                if let Err(another) = done(summary, number, None) {
+                    tracing::warn!("{another}");
                 }
-                failure => done(summary, number, failure).map_err(RunError::of_job),
-            };
-            result.is_err()
-        },
-    );
+                Err(error)
+            }
+            failure => done(summary, number, failure).map_err(RunError::of_job),
+        };
+        result.is_err()
+    };
+    let others = schedule::run(&shared, to_run, &mut progress, ends, take);
     for (number, input) in others {
         summary.inputs[number] = input;
         if let Err(another) = done(summary, number, None) {

@@ -230,9 +230,9 @@ mod tests {
             let found = marks.iter().filter(|(_, mark)| *mark == wanted);
             found.map(|(pointer, _)| pointer.as_str()).collect::<Vec<_>>()
         };
-        let geometry =
+        let inputs =
             ["trajectory", "trajectory_accuracy", "calibration"].map(|key| format!("/geometry/{key}"));
-        assert_eq!(with(FileMark::Input), geometry);
+        assert_eq!(with(FileMark::Input), [&["/survey_model".to_owned()][..], &inputs].concat());
         assert_eq!(with(FileMark::Geoid), ["/geometry/geoid"]);
         assert_eq!(with(FileMark::GeoidFolder), ["/geometry/geoid_dir"]);
         assert_eq!(with(FileMark::Output), ["/report", "/report_page", "/stat_log", "/log"]);

@@ -285,7 +285,7 @@ impl Recorder {
             files.insert(format!("{INCLUDED}/{number}_{name}"), include.text.clone().into_bytes());
         }
         for input in run.inputs.iter().filter(|input| input.status == InputStatus::Done) {
-            if let Some(model) = &input.sensor_model {
+            if let Some(model) = run.sensor_model(input) {
                 files.insert(format!("{MODELS}/{}.json", input.stem), json(model)?);
             }
         }

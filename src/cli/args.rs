@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 
+use super::false_alarms::FalseAlarmArgs;
+use super::plan::{CollectArgs, PlanArgs};
 use super::usage;
 use wavex_formats::trajectory::Angles;
 use wavex_geodesy::time_axis::Clock;
@@ -226,38 +228,6 @@ pub(super) struct ArchiveArgs {
     pub(super) outputs: Option<PathBuf>,
 }
 
-/// Job to plan, folder of the plan and resources of its tasks.
-#[derive(Args)]
-pub(super) struct PlanArgs {
-    #[command(flatten)]
-    pub(super) job: JobArgs,
-    /// Folder to write: a new one, or that of an earlier plan of the job
-    #[arg(short, long, value_name = "FOLDER")]
-    pub(super) output: PathBuf,
-    /// Cores per task [default: the job's `threads`, or 4]
-    #[arg(long, value_name = "N", value_parser = every)]
-    pub(super) cores: Option<usize>,
-    /// Throughput of one core, MB of input per second, for the estimated time
-    #[arg(long, value_name = "RATE", default_value_t = 5.0, value_parser = rate)]
-    pub(super) mb_per_s: f64,
-    /// Archive of the whole survey that `wavex collect` makes, as `wavex run --archive`
-    #[arg(long, value_name = "ARCHIVE")]
-    pub(super) archive: Option<PathBuf>,
-}
-
-/// Plan to collect.
-#[derive(Args)]
-pub(super) struct CollectArgs {
-    /// Folder of the plan
-    pub(super) plan: PathBuf,
-    /// Compare inputs and outputs by content instead of size
-    #[arg(long)]
-    pub(super) digest: bool,
-    /// Make no archive yet
-    #[arg(long)]
-    pub(super) no_archive: bool,
-}
-
 /// Recording to calibrate from and sensor model to write.
 #[derive(Args)]
 pub(super) struct CalibrateArgs {
@@ -275,26 +245,6 @@ pub(super) struct CalibrateArgs {
     pub(super) set: Vec<String>,
     #[command(flatten)]
     pub(super) machine: Machine,
-}
-
-/// Noise correlations, thresholds and waveform size of the table.
-#[derive(Args)]
-pub(super) struct FalseAlarmArgs {
-    /// Noise correlations, one column each: 0.6 at a lag of one sample, or 0.63:0.42:0.22 at lags
-    /// of 1, 2, 3 samples
-    #[arg(long, num_args = 1.., value_delimiter = ',', allow_negative_numbers = true)]
-    #[arg(value_name = "RHO", default_values = ["0", "0.3", "0.6", "0.63:0.42:0.22:0.11"])]
-    pub(super) correlation: Vec<String>,
-    /// Thresholds, one row each
-    #[arg(long, num_args = 1.., value_delimiter = ',', allow_negative_numbers = true)]
-    #[arg(value_name = "SIGMA", default_values_t = [3.5, 4.0, 4.5, 5.0, 5.5, 6.0])]
-    pub(super) sigma: Vec<f64>,
-    /// Full width at half maximum of a pulse, samples
-    #[arg(long, default_value_t = 4.5, allow_negative_numbers = true)]
-    pub(super) fwhm: f64,
-    /// Samples per waveform
-    #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
-    pub(super) samples: f64,
 }
 
 /// Shot to explain and stages to decompose it with.
@@ -345,6 +295,9 @@ pub(super) struct ScanArgs {
     /// Override a key of the reader for this run, as for `wavex run`; may be repeated
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     pub(super) set: Vec<String>,
+    /// When to show progress; auto: a bar on a terminal
+    #[arg(long, value_name = "WHEN", default_value = "auto")]
+    pub(super) progress: When,
 }
 
 /// Trajectory to read and outputs to write.
@@ -427,14 +380,8 @@ fn seal(text: &str) -> Result<String, String> {
     })
 }
 
-/// Parses a positive number.
-fn rate(text: &str) -> Result<f64, String> {
-    let positive = text.parse().ok().filter(|rate: &f64| *rate > 0.0 && rate.is_finite());
-    positive.ok_or_else(|| "give a positive number".to_owned())
-}
-
 /// Parses a count of at least 1.
-fn every(text: &str) -> Result<usize, String> {
+pub(super) fn every(text: &str) -> Result<usize, String> {
     text.parse()
         .ok()
         .filter(|every| *every >= 1)

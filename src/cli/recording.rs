@@ -87,7 +87,7 @@ impl Recording {
                 facts: "RIEGL SDF or WFM, by its extension".into(),
             });
         }
-        let (inspection, _, ended) = scan::look_at(path, &[], true, LOOKED_AT)?;
+        let (inspection, _, ended) = scan::look_at(path, &[], true, LOOKED_AT, |_, _| ())?;
         if inspection.shots.count == 0 {
             let problem =
                 ended.err().map_or(format!("{name}: the recording has no shots"), |error| error.to_string());

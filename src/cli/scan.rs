@@ -1,13 +1,15 @@
 //! `wavex scan`: inspects recordings; writes a summary, histograms and a page.
 
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::path::Path;
+use std::sync::Arc;
 
 use super::{Failure, ScanArgs, terminal};
-use crate::engine::{self, Input};
+use crate::engine::{self, Gauge, Input, Progress, ProgressMode};
 use crate::inspect::{Inspection, Summary, histogram_files, page};
 use crate::job::{Job, Override};
 use crate::registry::reader_of;
+use crate::scan_line::ScanLine;
 use crate::stage::{Context, FinishedFile, OutputFile, Paths, Plan, RunContext, StageError};
 use wavex_formats::Error;
 
@@ -22,22 +24,41 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
         unreadable.map_or_else(|| failed(&error), Failure::Wrong)
     })?;
     let are_many = inputs.len() > 1;
-    let scans = inputs.into_iter().map(|Input { path, stem }| {
+    let sizes = inputs.iter().enumerate().map(|(number, input)| (number, engine::size(&input.path)));
+    let mode = match args.progress.mode(quiet, std::io::stderr().is_terminal()) {
+        ProgressMode::Lines => ProgressMode::Hidden,
+        mode => mode,
+    };
+    let mut progress = Progress::new(mode, sizes.collect());
+    let scans = inputs.into_iter().enumerate().map(|(number, Input { path, stem })| {
         let name = match &args.name {
             None => stem,
             Some(name) if are_many => format!("{name}_{stem}"),
             Some(name) => name.clone(),
         };
-        scan_one(&path, &name, args, quiet)
+        let gauge = Arc::<Gauge>::default();
+        progress.begin(number, &name, &gauge);
+        let read = look_at(&path, &args.set, !args.fast, u64::MAX, |line, fraction| {
+            let shots = line.emissions.len() as u64;
+            gauge.read(shots, fraction);
+            gauge.passed(shots);
+            progress.show();
+        });
+        progress.end(number);
+        progress.count(!matches!(read, Ok((_, _, Ok(())))));
+        write_scan(&path, &name, read?, quiet)
     });
     super::do_all(scans)
 }
 
-/// Inspects one recording.
+/// Results of an inspection, and the error that ended it.
+pub(super) type Read = (Inspection, Context, Result<(), StageError>);
+
+/// Prints and writes the results of an inspection.
 ///
-/// If it cannot be read to its end, prints and writes the readable part before returning the error.
-fn scan_one(file: &Path, name: &str, args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
-    let (inspection, cx, ended) = look_at(file, &args.set, !args.fast, u64::MAX)?;
+/// If the recording could not be read to its end, these are of the readable part; then returns the
+/// error.
+fn write_scan(file: &Path, name: &str, (inspection, cx, ended): Read, quiet: bool) -> Result<(), Failure> {
     if let Err(error) = &ended
         && inspection.shots.count == 0
     {
@@ -59,12 +80,15 @@ fn scan_one(file: &Path, name: &str, args: &ScanArgs, quiet: bool) -> Result<(),
 }
 
 /// Inspects up to `shots` shots, or up to the first read error.
+///
+/// `watch` is called with each line and the part of the recording read so far.
 pub(super) fn look_at(
     file: &Path,
     set: &[String],
     with_samples: bool,
     shots: u64,
-) -> Result<(Inspection, Context, Result<(), StageError>), Failure> {
+    mut watch: impl FnMut(&ScanLine, Option<f64>),
+) -> Result<Read, Failure> {
     let name = file.display().to_string();
     let reader = reader_of(&name).map_err(Failure::Wrong)?;
     let text = format!("[[stage]]\ntype = \"{reader}\"\npath = {}\n", toml::Value::String(name));
@@ -79,7 +103,10 @@ pub(super) fn look_at(
     let ended = loop {
         match source.next(&mut cx) {
             Ok(Some(_)) if inspection.shots.count >= shots => break Ok(()),
-            Ok(Some(line)) => inspection.add(&line),
+            Ok(Some(line)) => {
+                inspection.add(&line);
+                watch(&line, source.progress());
+            }
             Ok(None) => break Ok(()),
             Err(error) => break Err(error),
         }

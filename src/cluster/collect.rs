@@ -224,10 +224,10 @@ impl<'c> Checker<'c> {
     /// First difference between the job of a task and that of the plan.
     fn difference(&self, report: &Value, task: &Task) -> Option<String> {
         let mut report = report.clone();
-        if report["survey"] != self.models_of(task) {
+        if report["survey_models"] != self.models_of(task) {
             return Some("the sensor models of the survey were different".to_owned());
         }
-        report["survey"] = Value::Null;
+        report["survey_models"] = Value::Null;
         // The task has further stages for the archive.
         if let Some(stages) = report["stages"].as_array_mut() {
             stages.retain(|stage| stage["id"] != super::tasks::ARCHIVE_STAGE);

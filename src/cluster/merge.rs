@@ -85,6 +85,8 @@ impl<'m> Merge<'m> {
             let outputs = outputs.filter(|path| !path.starts_with(&self.plan_dir));
             input.outputs =
                 outputs.map(|path| self.shown(&path, &self.absolute_output_dir, self.output_dir)).collect();
+            let instrument = entry["survey_instrument"].as_u64();
+            input.survey_instrument = instrument.and_then(|number| usize::try_from(number).ok());
             input.sensor_model = serde_json::from_value(entry["sensor_model"].clone()).ok();
         }
         input.wall_s = entry["wall_s"].as_f64().unwrap_or_default();

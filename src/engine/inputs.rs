@@ -98,8 +98,8 @@ fn matches(pattern: &str, input_dir: &Path) -> Result<Vec<PathBuf>, RunError> {
 }
 
 /// Size of an input with its companion files, bytes; at least 1.
-pub(super) fn size(site: &RunContext) -> u64 {
-    let files = companions(&site.input).into_iter().chain([site.input.clone()]);
+pub(crate) fn size(input: &Path) -> u64 {
+    let files = companions(input).into_iter().chain([input.to_owned()]);
     files.filter_map(|path| path.metadata().ok()).map(|about| about.len()).sum::<u64>().max(1)
 }
 

@@ -85,8 +85,8 @@ impl State {
 }
 
 impl Progress {
-    /// Creates a display for inputs with these numbers.
-    pub(super) fn new(mode: ProgressMode, sizes: BTreeMap<usize, u64>) -> Progress {
+    /// Creates a display for inputs with these numbers and sizes, bytes.
+    pub fn new(mode: ProgressMode, sizes: BTreeMap<usize, u64>) -> Progress {
         Progress {
             mode,
             sizes,
@@ -103,7 +103,8 @@ impl Progress {
         }
     }
 
-    pub(super) fn begin(&mut self, number: usize, stem: &str, gauge: &Arc<Gauge>) {
+    /// Shows an input that begins.
+    pub fn begin(&mut self, number: usize, stem: &str, gauge: &Arc<Gauge>) {
         self.begun += 1;
         let (stem, started, gauge) = (stem.to_string(), Instant::now(), Arc::clone(gauge));
         self.running.insert(number, Running { stem, place: self.begun, started, gauge });
@@ -117,7 +118,8 @@ impl Progress {
         }
     }
 
-    pub(super) fn show(&mut self) {
+    /// Shows the state of the running inputs, if it is time.
+    pub fn show(&mut self) {
         let state = self.state();
         if let Some(bar) = &self.bar {
             bar.set_position((self.fraction().unwrap_or(0.0) * 1e6) as u64);
@@ -140,7 +142,7 @@ impl Progress {
     }
 
     /// Shows the result of an input.
-    pub(super) fn end(&mut self, number: usize) {
+    pub fn end(&mut self, number: usize) {
         self.bar.take().inspect(ProgressBar::finish_and_clear);
         let Some(ended) = self.running.remove(&number) else { return };
         let state = ended.state();
@@ -154,7 +156,7 @@ impl Progress {
     }
 
     /// Counts an input that has ended.
-    pub(super) fn count(&mut self, has_failed: bool) {
+    pub fn count(&mut self, has_failed: bool) {
         if has_failed {
             self.failed += 1
         } else {
@@ -208,6 +210,7 @@ impl Progress {
         let first = self.running.values().next();
         let (stem, place) = first.map_or((&self.last.0, self.last.1), |first| (&first.stem, first.place));
         let object = json!({
+            "phase": "run",
             "input": stem,
             "number": place,
             "inputs": self.sizes.len(),
@@ -221,6 +224,56 @@ impl Progress {
             "left_s": self.left_s(),
         });
         let _ = writeln!(std::io::stderr(), "{object}");
+    }
+}
+
+/// Displays the progress of the calibration before a survey.
+pub(super) struct Calibrating {
+    mode: ProgressMode,
+    inputs: usize,
+    started: Instant,
+    bar: Option<ProgressBar>,
+    next: Duration,
+}
+
+impl Calibrating {
+    pub(super) fn new(mode: ProgressMode, inputs: usize) -> Calibrating {
+        let bar = (mode == ProgressMode::Bar).then(bar);
+        Calibrating { mode, inputs, started: Instant::now(), bar, next: Duration::ZERO }
+    }
+
+    /// Shows that waveforms of an input are taken next; `number` counts from 0.
+    pub(super) fn show(&mut self, stem: &str, number: usize) {
+        let place = number + 1;
+        if let Some(bar) = &self.bar {
+            bar.set_position(1_000_000 * number as u64 / self.inputs.max(1) as u64);
+            bar.set_prefix(format!("calibrating: {stem} ({place} of {})", self.inputs));
+        }
+        let elapsed = self.started.elapsed();
+        if elapsed < self.next {
+            return;
+        }
+        self.next = elapsed + interval(self.mode);
+        match self.mode {
+            ProgressMode::Lines => line("calibrating", &format!("{stem} ({place} of {})", self.inputs)),
+            ProgressMode::Json => {
+                let object = json!({
+                    "phase": "calibrate",
+                    "input": stem,
+                    "number": place,
+                    "inputs": self.inputs,
+                    "elapsed_s": elapsed.as_secs_f64(),
+                });
+                let _ = writeln!(std::io::stderr(), "{object}");
+            }
+            ProgressMode::Bar | ProgressMode::Hidden => {}
+        }
+    }
+}
+
+impl Drop for Calibrating {
+    fn drop(&mut self) {
+        self.bar.take().inspect(ProgressBar::finish_and_clear);
     }
 }
 

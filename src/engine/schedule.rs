@@ -25,17 +25,18 @@ pub(super) struct Shared<'a> {
     pub(super) cx: Context,
 }
 
-/// Runs inputs, at most `at_once` at the same time, and gives their results to `take` in their order.
+/// Runs inputs, several at the same time, and gives their results to `take` in their order.
 ///
-/// `take` returns whether the run ends. Inputs behind are then cancelled; returns the results of those
-/// that had completed.
+/// `ends` tells errors that end the run, of which `take` returns true. Inputs behind are then
+/// cancelled; returns the results of those that had completed.
 pub(super) fn run(
     shared: &Shared,
     inputs: Vec<(usize, RunContext)>,
-    at_once: usize,
     progress: &mut Progress,
+    ends: impl Fn(&RunError) -> bool,
     mut take: impl FnMut(&mut Progress, usize, Ended) -> bool,
 ) -> Vec<(usize, InputSummary)> {
+    let at_once = shared.options.at_once();
     let mut due = inputs.iter().map(|(number, _)| *number).collect::<VecDeque<usize>>();
     let mut waiting = inputs.into_iter();
     let mut running: BTreeMap<usize, Cancel> = BTreeMap::new();
@@ -45,7 +46,8 @@ pub(super) fn run(
         while !due.is_empty() || !running.is_empty() {
             let is_cancelled = shared.options.cancel.is_cancelled();
             // After a cancellation, the next input only reports it.
-            while !due.is_empty() && running.len() < if is_cancelled { 1 } else { at_once } {
+            let is_ending = ended.values().any(|(_, error)| error.as_ref().is_some_and(&ends));
+            while !due.is_empty() && !is_ending && running.len() < if is_cancelled { 1 } else { at_once } {
                 let Some((number, site)) = waiting.next() else { break };
                 let (cancel, gauge) = (Cancel::default(), Arc::<Gauge>::default());
                 progress.begin(number, &site.stem, &gauge);

@@ -13,7 +13,7 @@ use super::totals::Totals;
 use super::{Options, RunError};
 use crate::job::{Job, JobSettings, JobStage, Simd};
 use crate::scan_line::{EmissionReference, Frame, TimeScale};
-use crate::stage::{RunContext, SurveyModels};
+use crate::stage::{InstrumentModel, RunContext, SurveyModels};
 use wavex_geodesy::time::utc;
 use wavex_geodesy::trajectory::Trajectory;
 use wavex_signal::fusion::ChannelFusion;
@@ -39,7 +39,7 @@ pub struct RunSummary {
     /// Sensor models of the survey, if its inputs share them.
     #[serde(serialize_with = "shared")]
     #[schemars(with = "Option<SurveyModels>")]
-    pub survey: Option<Arc<SurveyModels>>,
+    pub survey_models: Option<Arc<SurveyModels>>,
     /// One entry per input.
     #[serde(skip)]
     pub inputs: Vec<InputSummary>,
@@ -126,7 +126,9 @@ pub struct InputSummary {
     pub totals: BTreeMap<&'static str, u64>,
     /// Channel fusion, as estimated by or given to `fuse_channels`.
     pub channel_fusion: Option<ChannelFusion>,
-    /// Sensor model of `calibrate`.
+    /// Index of the instrument in `survey_models` whose sensor model it has.
+    pub survey_instrument: Option<usize>,
+    /// Sensor model of `calibrate`, if it is not that of the survey.
     pub sensor_model: Option<SensorModel>,
     /// Trajectory of `[job.geometry]`.
     pub trajectory: Option<TrajectorySummary>,
@@ -177,6 +179,7 @@ impl InputSummary {
         peak_in_flight_bytes: usize,
     ) -> InputSummary {
         let input = totals.input.as_deref();
+        let survey_instrument = survey_instrument(site, &totals);
         let (now, elapsed) = (SystemTime::now(), started.elapsed());
         InputSummary {
             path: site.input.clone(),
@@ -199,7 +202,8 @@ impl InputSummary {
             peak_in_flight_bytes,
             totals: totals.counts,
             channel_fusion: totals.fusion.as_deref().cloned(),
-            sensor_model: totals.model.as_deref().cloned(),
+            survey_instrument,
+            sensor_model: totals.model.as_deref().filter(|_| survey_instrument.is_none()).cloned(),
             trajectory: site.geometry.trajectory().map(TrajectorySummary::from),
             // An error here would already have ended the run.
             coordinates: input
@@ -249,9 +253,18 @@ impl RunSummary {
             threads: options.workers(),
             simd: options.simd.into(),
             wall_s: 0.0,
-            survey: options.survey.clone(),
+            survey_models: options.survey.clone(),
             inputs: Vec::new(),
         }
+    }
+
+    /// Sensor model of an input: its own or that of the survey.
+    pub fn sensor_model<'a>(&'a self, input: &'a InputSummary) -> Option<&'a SensorModel> {
+        let of_survey = || {
+            let instruments = &self.survey_models.as_ref()?.instruments;
+            instruments.get(input.survey_instrument?)?.sensor_model.as_deref()
+        };
+        input.sensor_model.as_ref().or_else(of_survey)
     }
 
     /// Notes that several inputs share, with the number of inputs.
@@ -267,6 +280,13 @@ impl RunSummary {
         inputs_of.retain(|_, inputs| *inputs > 1);
         inputs_of
     }
+}
+
+/// Index of the instrument in the survey whose model the input has.
+fn survey_instrument(site: &RunContext, totals: &Totals) -> Option<usize> {
+    let model = totals.model.as_ref()?;
+    let is_same = |of: &InstrumentModel| of.sensor_model.as_ref().is_some_and(|of| Arc::ptr_eq(of, model));
+    site.survey.as_ref()?.instruments.iter().position(is_same)
 }
 
 /// Serialises what an `Arc` holds.

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use rayon::ThreadPool;
 
+use super::progress::Calibrating;
 use super::{Cause, Input, Options, ProgressMode, RunError, inputs, observe, pool, run_context};
 use crate::job::{Job, ModelScope};
 use crate::scan_line::ScanLine;
@@ -91,9 +92,6 @@ fn learn(job: &Job, options: &Options, inputs: Vec<Input>) -> Result<SurveyModel
     let rows = inputs.iter().map(|input| SurveyInput { stem: input.stem.clone(), ..SurveyInput::default() });
     let models = SurveyModels { inputs: rows.collect(), ..SurveyModels::new() };
     let mut survey = Survey { job, options, models, pool: pool::start(options)? };
-    if !matches!(options.progress, ProgressMode::Hidden) {
-        tracing::info!("calibrating from {} inputs", inputs.len());
-    }
     for stage in 0..job.stages.len() {
         if let Some(learns) = learns(job, stage) {
             survey.learn(stage, learns, &inputs)?;
@@ -117,18 +115,19 @@ struct Survey<'a> {
 impl Survey<'_> {
     /// Learns what a stage learns, from the lines that reach it.
     fn learn(&mut self, stage: usize, learns: Learns, inputs: &[Input]) -> Result<(), RunError> {
-        let wanted = learns.waveforms.div_ceil(inputs.len().max(1) as u64).max(MIN_WAVEFORMS);
+        let inputs_n = inputs.len().max(1);
+        let pooled = learns.waveforms.div_ceil(inputs_n as u64);
         let limit = usize::try_from(self.job.settings.memory_mb).unwrap_or(usize::MAX / 1_000_000);
-        let bytes = limit.saturating_mul(500_000) / inputs.len().max(1);
+        let bytes = limit.saturating_mul(500_000) / inputs_n;
         let mut samples: Vec<Vec<ScanLine>> = Vec::with_capacity(inputs.len());
-        for input in inputs {
-            samples.push(self.sample(stage, input, wanted, bytes)?);
-        }
-        for (number, lines) in samples.iter().enumerate() {
-            self.assign(number, lines);
-        }
-        for (number, lines) in samples.iter_mut().enumerate() {
-            self.measure(stage, number, lines)?;
+        let mut progress = Calibrating::new(self.options.progress, inputs.len());
+        for (number, input) in inputs.iter().enumerate() {
+            progress.show(&input.stem, number);
+            let mut lines = self.sample(stage, input, pooled.max(MIN_WAVEFORMS), bytes)?;
+            self.assign(number, &lines);
+            self.measure(stage, number, &mut lines)?;
+            let step = waveforms(&lines) / pooled;
+            samples.push(thinned(lines, step).0);
         }
         for instrument in 0..self.models.instruments.len() {
             let of_instrument: Vec<usize> = (0..inputs.len())
@@ -186,8 +185,14 @@ impl Survey<'_> {
             if is_enough { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
         let survey = Some(Arc::new(self.models.clone()));
-        let options =
-            Options { survey, progress: ProgressMode::Hidden, profile: false, ..self.options.clone() };
+        // A single worker, so that lines leave in order: those taken depend on nothing else.
+        let options = Options {
+            survey,
+            threads: 1,
+            progress: ProgressMode::Hidden,
+            profile: false,
+            ..self.options.clone()
+        };
         let input_again = Input { path: input.path.clone(), stem: input.stem.clone() };
         let seen = observe::quietly(&upstream, input_again, &options, Sample::default(), look);
         if self.options.cancel.is_cancelled() {
@@ -226,7 +231,7 @@ impl Survey<'_> {
         let row = &mut self.models.inputs[number];
         row.waveforms = row.waveforms.max(waveforms);
         if learnt.is_ok() {
-            row.measured(&alone, of_survey.as_ref());
+            row.measured(&alone, of_survey.as_deref());
         }
         Ok(())
     }

@@ -32,9 +32,9 @@ pub(super) struct Shared<'a> {
     pub(super) cx: Context,
 }
 
-/// Progress of a run.
+/// Progress of an input.
 #[derive(Debug, Default)]
-pub(super) struct Gauge {
+pub struct Gauge {
     /// Fraction of the input read, ppm; `u64::MAX` if unknown.
     pub(super) read_ppm: AtomicU64,
     pub(super) lines_read: AtomicU64,
@@ -42,6 +42,22 @@ pub(super) struct Gauge {
     /// Lines and shots that have left the chain.
     pub(super) lines: AtomicU64,
     pub(super) shots: AtomicU64,
+}
+
+impl Gauge {
+    /// Counts a line that was read; `fraction` is the part of the input read so far, if known.
+    pub fn read(&self, shots: u64, fraction: Option<f64>) {
+        let ppm = fraction.map_or(u64::MAX, |part| (part.clamp(0.0, 1.0) * 1e6) as u64);
+        self.read_ppm.store(ppm, Ordering::Relaxed);
+        self.lines_read.fetch_add(1, Ordering::Relaxed);
+        self.shots_read.fetch_add(shots, Ordering::Relaxed);
+    }
+
+    /// Counts a line that is done.
+    pub fn passed(&self, shots: u64) {
+        self.lines.fetch_add(1, Ordering::Relaxed);
+        self.shots.fetch_add(shots, Ordering::Relaxed);
+    }
 }
 
 /// Destination of a worker's lines: the next stage, or the end of the chain.
@@ -79,8 +95,7 @@ impl WorkerContext<'_> {
 
     /// Adds the counters of a line that leaves the chain to the totals, and shows it to the observer.
     fn leave(&self, scan_line: &ScanLine) {
-        self.shared.gauge.lines.fetch_add(1, Ordering::Relaxed);
-        self.shared.gauge.shots.fetch_add(scan_line.emissions.len() as u64, Ordering::Relaxed);
+        self.shared.gauge.passed(scan_line.emissions.len() as u64);
         self.shared.totals.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).add(scan_line);
         if let Some(observer) = self.shared.cx.observer() {
             observer.line(scan_line);
@@ -126,11 +141,7 @@ pub(super) fn run_source(mut source: Box<dyn Source>, desk: &mut WorkerContext) 
         desk.meter.worked();
         desk.meter.line_done();
         let Some(mut scan_line) = next? else { break };
-        let read = source.progress().map_or(u64::MAX, |part| (part.clamp(0.0, 1.0) * 1e6) as u64);
-        let gauge = &desk.shared.gauge;
-        gauge.read_ppm.store(read, Ordering::Relaxed);
-        gauge.lines_read.fetch_add(1, Ordering::Relaxed);
-        gauge.shots_read.fetch_add(scan_line.emissions.len() as u64, Ordering::Relaxed);
+        desk.shared.gauge.read(scan_line.emissions.len() as u64, source.progress());
         scan_line.waveforms = desk.shared.keeps_waveforms.then(Blocks::default);
         let bytes = scan_line.bytes();
         if bytes > desk.shared.largest_line_bytes {

@@ -43,7 +43,7 @@ pub fn difference(report: &Value, job: &Job, next: &RunSummary, free: &[&str]) -
         let key = keys.find(|key| !free.contains(&key.as_str()) && then[key] != now[key])?;
         Some(format!("`{key}` of {table} was different"))
     };
-    if report["survey"] != next["survey"] {
+    if report["survey_models"] != next["survey_models"] {
         return Some("the sensor models of the survey were different".to_owned());
     }
     if let Some(different) = differs("`[job]`", &report["job"], &next["job"], &[&FREE_KEYS, free].concat()) {

@@ -8,6 +8,7 @@ use super::style::{RUN_STYLE, STYLE};
 use super::tables::points;
 use plot::{label, short};
 
+pub(super) mod drift;
 mod plot;
 mod results;
 mod stages_and_sensor;
@@ -52,6 +53,7 @@ pub(super) fn page(report: &Value) -> Result<String, InvalidOverview> {
                 }
                 p.chain { (chain.join(" → ")) }
                 (of_inputs(inputs))
+                (drift::of_survey(&report["survey_models"]))
                 @for part in parts { (part) }
                 div.job { (all_keys(report)) }
             }

@@ -66,7 +66,7 @@ pub fn stat_log(run: &RunSummary, input: &InputSummary, own: &[PathBuf], failure
     run_time(&mut text, run, input, failure);
     about_input(&mut text, input);
     decoding(&mut text, input);
-    extraction(&mut text, input);
+    extraction(&mut text, run, input);
     trajectory(&mut text, input.trajectory.as_ref());
     georeferencing(&mut text, run, input);
     output(&mut text, input, own);
@@ -120,12 +120,12 @@ fn decoding(text: &mut Text, input: &InputSummary) {
     }
 }
 
-fn extraction(text: &mut Text, input: &InputSummary) {
+fn extraction(text: &mut Text, run: &RunSummary, input: &InputSummary) {
     text.title("Extraction");
     for (name, words) in COUNTS.iter().filter(|(name, _)| *name != "n_georef") {
         text.known(words, input.totals.get(name));
     }
-    for (name, words) in input.sensor_model.iter().flat_map(sensor_model_words) {
+    for (name, words) in run.sensor_model(input).into_iter().flat_map(sensor_model_words) {
         text.row(&format!("calibration, {name}"), words);
     }
     let between = |stage: &&StageSummary| stage.role != RoleName::Source && stage.role != RoleName::Sink;

@@ -3,9 +3,10 @@
 use std::collections::BTreeSet;
 use std::fmt;
 use std::path::Path;
+use std::sync::Arc;
 
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Result;
 use crate::scan_line::InputInfo;
@@ -63,7 +64,9 @@ pub struct InstrumentModel {
     /// Gain ratio and delay of the receivers, if `fuse_channels` estimates them.
     pub fusion: Option<ChannelFusion>,
     /// Sensor model, with the range walk that `correct` learnt.
-    pub sensor_model: Option<SensorModel>,
+    #[serde(serialize_with = "write_shared", deserialize_with = "read_shared")]
+    #[schemars(with = "Option<SensorModel>")]
+    pub sensor_model: Option<Arc<SensorModel>>,
     /// Warnings and findings of the calibration.
     pub notes: Vec<String>,
 }
@@ -231,11 +234,24 @@ impl SurveyModels {
             let problem = format!("format {} is not {FORMAT}, that of this version", models.format);
             return Err(Error::unusable(path, problem, REMEDY).into());
         }
-        for model in models.instruments.iter().filter_map(|instrument| instrument.sensor_model.as_ref()) {
+        for model in models.instruments.iter().filter_map(|instrument| instrument.sensor_model.as_deref()) {
             check_model(model).map_err(|problem| Error::unusable(path, problem, REMEDY))?;
         }
         Ok(models)
     }
+}
+
+fn write_shared<S: Serializer>(
+    model: &Option<Arc<SensorModel>>,
+    to: S,
+) -> std::result::Result<S::Ok, S::Error> {
+    model.as_deref().serialize(to)
+}
+
+fn read_shared<'de, D: Deserializer<'de>>(
+    from: D,
+) -> std::result::Result<Option<Arc<SensorModel>>, D::Error> {
+    Option::<SensorModel>::deserialize(from).map(|model| model.map(Arc::new))
 }
 
 /// Checks the numbers of a sensor model from a file.

@@ -54,6 +54,9 @@ pub const STAGE: StageSpec = StageSpec::transform::<Calibrate>("calibrate", &[Ki
 /// waveforms, or an outgoing pulse recorded fewer than 20 times, is left out, and the report says
 /// so. If no echo receiver has enough waveforms, the run fails.
 ///
+/// A job over several inputs calibrates once for all inputs of an instrument, before the first of them
+/// (`[job] model`).
+///
 /// A saved model (`save` writes to `output_dir`, `load` reads from `input_dir`) is used unchanged,
 /// in another run or on another recording, even for a single waveform. It may lack channels, which
 /// are then not used, and may be written by hand; `schemas/sensor_model.schema.json` describes its
@@ -223,7 +226,7 @@ impl TransformConfig for Calibrate {
         let mut emit = |_: ScanLine| Ok(());
         let model = calibrator.calibrate(&mut Output::new(cx, usize::MAX, &mut emit));
         *lines = calibrator.look_ahead.release();
-        known.sensor_model = Some(model?);
+        known.sensor_model = Some(Arc::new(model?));
         Ok(())
     }
 
@@ -298,7 +301,7 @@ impl Calibrator {
         let found = survey.of_recording(&self.stem, &line.input);
         if let Some((model, inputs)) = found.and_then(|of| Some((of.sensor_model.as_ref()?, of.inputs))) {
             out.cx.info(format!("the sensor model is that of the survey, from {inputs} inputs"));
-            self.model = Some(Arc::new(model.clone()));
+            self.model = Some(Arc::clone(model));
         }
     }
 

@@ -1,6 +1,7 @@
 //! `correct`: removes amplitude, range and angle effects from returns.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -210,7 +211,7 @@ impl TransformConfig for Correct {
         let tables = self.corrections(site)?;
         let tables = lines.first().map(|line| tables.range_tables(&line.input)).unwrap_or_default();
         if let Some(model) = &mut known.sensor_model {
-            *model = Walks::learnt(lines, &tables, cx).with_walks(model);
+            *model = Arc::new(Walks::learnt(lines, &tables, cx).with_walks(model));
         }
         Ok(())
     }

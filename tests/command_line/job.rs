@@ -229,7 +229,11 @@ fn the_example_in_full() {
 #log = "*.log"
 # What follows when an input fails: `continue` with the next one, or `stop` the run.
 #on_error = "continue"
-# Not set: include, input_dir, output_dir, geometry
+# Number of inputs that run at the same time; 0: as many as help.
+#inputs_at_once = 0
+# Sensor model of several inputs: common to the `survey`, from waveforms of all inputs, or from each `input` alone.
+#model = "survey"
+# Not set: include, input_dir, output_dir, survey_model, geometry
 
 # Reads waveforms from LAS files.
 [[stage]]

@@ -17,4 +17,5 @@ mod repeatable;
 #[cfg(unix)]
 mod resumed;
 mod survey;
+mod survey_model;
 mod truncation;
