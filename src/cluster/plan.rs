@@ -127,8 +127,12 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
     };
     write("tasks.tsv", &table(&plan))?;
     write("Snakefile", SNAKEFILE)?;
+    // Profiles are edited by the user.
     for (name, text) in PROFILES {
-        write(&format!("profiles/{name}/config.yaml"), text)?;
+        let name = format!("profiles/{name}/config.yaml");
+        if !folder.join(&name).exists() {
+            write(&name, text)?;
+        }
     }
     // The description comes last: a folder with it is a complete plan.
     write(PLAN, &json_text(&json!(plan))?)?;

@@ -254,7 +254,9 @@ fn a_second_plan_replaces_only_what_changed() {
     plan(&place, &[]);
     let (before, tasks) = (times(&place.path("s/plan")), times(&place.path("s/plan/tasks")));
     fs::copy(place.path("s/in/a.arrow"), place.path("s/in/d.arrow")).unwrap();
+    place.write("s/plan/profiles/slurm/config.yaml", b"edited");
     plan(&place, &[]);
+    assert_eq!(place.text("s/plan/profiles/slurm/config.yaml"), "edited");
     let (after, tasks_after) = (times(&place.path("s/plan")), times(&place.path("s/plan/tasks")));
     let changed: Vec<&String> = before.keys().filter(|name| before[*name] != after[*name]).collect();
     assert_eq!(changed, ["job.resolved.toml", "plan.json", "tasks.tsv"]);
