@@ -107,7 +107,7 @@ pub struct Task {
     pub name: String,
     /// Job file.
     pub job: String,
-    /// The input and files that only this task reads.
+    /// The input, and after it other files that only this task reads.
     pub inputs: Vec<PlannedFile>,
     /// Files that its stages write.
     pub outputs: Vec<String>,

@@ -61,9 +61,10 @@ impl<'m> Merge<'m> {
 
     /// Path of a task's input as a run of the whole job shows it.
     pub(super) fn input_path(&self, task: &Task) -> PathBuf {
-        let is_input = |path: &&PathBuf| path.file_stem().is_some_and(|stem| *stem == *task.name);
-        let paths: Vec<PathBuf> = task.inputs.iter().map(|file| PathBuf::from(&file.path)).collect();
-        let Some(path) = paths.iter().find(is_input) else { return PathBuf::new() };
+        let is_input = |path: &&Path| path.file_stem().is_some_and(|stem| *stem == *task.name);
+        // The first file is the input, unless that is simulated.
+        let first = task.inputs.first().map(|file| Path::new(&file.path));
+        let Some(path) = first.filter(is_input) else { return PathBuf::new() };
         self.shown(&self.absolute_root.join(path), &self.absolute_input_dir, self.input_dir)
     }
 

@@ -195,6 +195,10 @@ fn own_files(job: &Job, resolved: &Resolved) -> Result<Vec<Vec<PathBuf>>> {
             files.retain(|path| seen.get(path) == Some(&1));
         }
     }
+    for (source, files) in resolved.sources.iter().zip(&mut all) {
+        // The input is the first of its files.
+        files.sort_by_key(|path| *path != source.path);
+    }
     Ok(all)
 }
 
