@@ -68,7 +68,7 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
     }
     write(RESOLVED, &resolved.text(&job.name)?)?;
 
-    let own_files = own_files(job, &resolved)?;
+    let own_files = own_files(job, &resolved);
     let of_tasks: BTreeSet<&PathBuf> = own_files.iter().flatten().collect();
     let shared = resolved.inputs.iter().filter(|path| !of_tasks.contains(path));
     let shared_inputs: Vec<PlannedFile> =
@@ -178,10 +178,7 @@ fn root(folder: &Path, resolved: &Resolved, archive: Option<&Path>) -> Result<Pa
 }
 
 /// The input of each task, with files that only this task reads.
-///
-/// # Errors
-/// If one is missing.
-fn own_files(job: &Job, resolved: &Resolved) -> Result<Vec<Vec<PathBuf>>> {
+fn own_files(job: &Job, resolved: &Resolved) -> Vec<Vec<PathBuf>> {
     let mut files = FilesRead::new(job, &resolved.job_input_dir);
     let of_source =
         |source: &Input| -> Vec<PathBuf> { files.of(std::slice::from_ref(source)).into_iter().collect() };
@@ -199,7 +196,7 @@ fn own_files(job: &Job, resolved: &Resolved) -> Result<Vec<Vec<PathBuf>>> {
         // The input is the first of its files.
         files.sort_by_key(|path| *path != source.path);
     }
-    Ok(all)
+    all
 }
 
 fn planned_file(root: &Path, path: &Path) -> Result<PlannedFile> {
