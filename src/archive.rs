@@ -12,6 +12,7 @@
 //! | `wavex.log` | its log |
 //! | `sensor_model/STEM.json` | the calibrated sensor model of each input |
 //! | `lines/STEM_lstat.txt` | the scan-line statistics of each input |
+//! | `results.b3` | digests of all that does not depend on time and machine |
 //! | `archive.b3` | the seal: BLAKE3 digests of all these files, in the format of `b3sum` |
 //!
 //! Inputs and outputs are not copied: the archive lists each by its path below one folder, with its
@@ -32,11 +33,13 @@ mod resolved;
 mod verify;
 
 pub(crate) use digest::digest_of;
-pub(crate) use inputs::{files_read, missing_files};
+pub(crate) use inputs::{FilesRead, missing_files};
 pub use origin::{Machine, Package, Program};
-pub(crate) use paths::plain;
-pub use recorder::{Recorder, check_destination};
+pub(crate) use paths::{common, plain, relative};
+pub use recorder::{KnownDigests, Recorder, Seals, check_destination};
 pub use replay::{Replay, Replayed, replay};
+pub(crate) use resolved::{Resolved, job_text, way};
+pub(crate) use verify::existing;
 pub use verify::{Folders, Verified, verify};
 
 /// Version of the format; archives of other versions are refused.
@@ -44,6 +47,8 @@ pub const FORMAT: u32 = 1;
 
 /// File that describes the archive.
 const ARCHIVE: &str = "archive.json";
+/// File with the digests of inputs, outputs, sensor models, scan-line statistics and job.
+const RESULTS: &str = "results.b3";
 /// File with the digests of all others.
 const SEAL: &str = "archive.b3";
 /// Job as written.

@@ -23,6 +23,7 @@ mod false_alarms;
 pub mod import;
 mod init;
 mod log;
+mod plan;
 mod recording;
 mod report;
 mod resume;
@@ -36,8 +37,8 @@ mod usage;
 mod version;
 
 use args::{
-    ArchiveArgs, CalibrateArgs, Classic, Cli, Command, ExplainArgs, FalseAlarmArgs, ImportArgs, InputRule,
-    JobArgs, Machine, ScanArgs, TrajectoryArgs, When,
+    ArchiveArgs, CalibrateArgs, Classic, Cli, Command, ExplainArgs, ImportArgs, InputRule, JobArgs, Machine,
+    ScanArgs, TrajectoryArgs, When,
 };
 use terminal::print;
 
@@ -116,6 +117,8 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Run { job, machine, archive, resume } => {
             run::run(&job, machine, archive.as_deref(), resume, quiet)
         }
+        Command::Plan(args) => plan::plan(&args, quiet),
+        Command::Collect(args) => plan::collect(&args, quiet),
         Command::Replay { archived, threads, progress } => {
             archive::replay(archived, threads, progress, quiet)
         }

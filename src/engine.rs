@@ -42,7 +42,7 @@ pub(crate) use observe::observe;
 pub use progress::{Progress, ProgressMode};
 pub use stage_summary::{ItemCounts, Percentiles, StageSummary};
 pub use summary::{InputStatus, InputSummary, RunSummary, StageKeys, TrajectorySummary};
-pub use survey::{learn_survey_models, survey_models};
+pub use survey::{learn_survey_models, shares_models, survey_models};
 pub use worker::Gauge;
 
 use failure::SharedFiles;

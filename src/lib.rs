@@ -27,6 +27,7 @@
 
 pub mod archive;
 pub mod cli;
+pub mod cluster;
 pub mod engine;
 pub mod georef;
 pub mod inspect;

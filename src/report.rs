@@ -11,6 +11,7 @@ use crate::engine::{InputSummary, RunSummary, StageSummary};
 use crate::stage::OutputFile;
 use wavex_formats::{Error, Result};
 
+mod earlier;
 mod overview;
 mod page;
 pub(crate) mod panel;
@@ -19,6 +20,7 @@ pub(crate) mod style;
 pub(crate) mod svg;
 mod tables;
 
+pub use earlier::difference;
 pub use overview::{
     LineGroups, MapAxes, MapLine, MapPicture, Overview, Overviews, Picture, QuantityHistogram, ShownKind,
     ShownReturn, ShownShot, ZoneCloud, ZoneClouds, ZoneShare, Zones,

@@ -7,7 +7,7 @@ use std::path::{Component, Path, PathBuf};
 
 use super::digest;
 use super::paths::plain;
-use super::{ARCHIVE, Archive, FORMAT, JOB, RESOLVED, SEAL};
+use super::{ARCHIVE, Archive, FORMAT, JOB, RESOLVED, RESULTS, SEAL};
 use wavex_formats::{Error, Result};
 
 /// Extension of a packed archive.
@@ -147,6 +147,11 @@ impl Contents {
     /// Seal: the digest of the seal file, which covers the whole archive; empty if missing.
     pub(super) fn seal(&self) -> String {
         self.files.get(SEAL).map(|text| digest::of_bytes(text)).unwrap_or_default()
+    }
+
+    /// Digest of the results; none in archives without it.
+    pub(super) fn results(&self) -> Option<String> {
+        self.files.get(RESULTS).map(|text| digest::of_bytes(text))
     }
 
     /// Number of sealed files.

@@ -11,7 +11,7 @@ use super::paths::plain;
 use crate::engine::Input;
 use crate::job::{Job, JobSettings};
 use crate::keys::{FileMark, Key, Keys};
-use wavex_formats::companions;
+use wavex_formats::CompanionIndex;
 use wavex_geodesy::crs::Named;
 
 /// JSON pointers of the keys in `[job]` with this mark.
@@ -36,33 +36,57 @@ fn collect(key: Key, table: &str, mark: FileMark, found: &mut Vec<String>) {
 
 /// All files that a run of the job over these inputs reads; `input_dir` is absolute.
 pub(super) fn of_job(job: &Job, settings: &Value, inputs: &[Input], input_dir: &Path) -> BTreeSet<PathBuf> {
-    let mut files = BTreeSet::new();
-    for input in inputs.iter().filter(|input| !input.path.as_os_str().is_empty()) {
-        let path = plain(&input_dir.join(&input.path));
-        files.extend(companions(&path));
-        files.insert(path);
-    }
-    for text in job.stages.iter().flat_map(|stage| &stage.planned.inputs) {
-        files.insert(plain(&input_dir.join(text)));
-    }
-    let named = pointers(settings, input_dir);
-    for text in named.iter().filter_map(|pointer| settings.pointer(pointer)?.as_str()) {
-        files.extend(inputs.iter().map(|input| plain(&input_dir.join(text.replace('*', &input.stem)))));
-    }
-    files.extend(geoid(settings, input_dir));
-    files
+    FilesRead::with(job, settings, input_dir).of(inputs)
 }
 
-/// All files that a run of the job over these inputs reads; `input_dir` is absolute.
-pub(crate) fn files_read(job: &Job, inputs: &[Input], input_dir: &Path) -> BTreeSet<PathBuf> {
-    of_job(job, &serde_json::to_value(&job.settings).unwrap_or_default(), inputs, input_dir)
+/// Lists the files that runs of a job read; lists each folder once.
+pub(crate) struct FilesRead {
+    /// Absolute folder of the inputs.
+    input_dir: PathBuf,
+    /// Files that do not depend on the input.
+    fixed: BTreeSet<PathBuf>,
+    /// Names of files in `[job]`; `*` is the stem of the input.
+    named: Vec<String>,
+    index: CompanionIndex,
+}
+
+impl FilesRead {
+    /// Lists files of this job; `input_dir` is absolute.
+    pub(crate) fn new(job: &Job, input_dir: &Path) -> FilesRead {
+        FilesRead::with(job, &serde_json::to_value(&job.settings).unwrap_or_default(), input_dir)
+    }
+
+    fn with(job: &Job, settings: &Value, input_dir: &Path) -> FilesRead {
+        let of_stages = job.stages.iter().flat_map(|stage| &stage.planned.inputs);
+        let mut fixed: BTreeSet<PathBuf> = of_stages.map(|text| plain(&input_dir.join(text))).collect();
+        fixed.extend(geoid(settings, input_dir));
+        let pointers = pointers(settings, input_dir);
+        let named = pointers.iter().filter_map(|pointer| settings.pointer(pointer)?.as_str());
+        let named = named.map(str::to_owned).collect();
+        FilesRead { input_dir: input_dir.to_owned(), fixed, named, index: CompanionIndex::default() }
+    }
+
+    /// All files that a run over these inputs reads.
+    pub(crate) fn of(&mut self, inputs: &[Input]) -> BTreeSet<PathBuf> {
+        let mut files = self.fixed.clone();
+        for input in inputs.iter().filter(|input| !input.path.as_os_str().is_empty()) {
+            let path = plain(&self.input_dir.join(&input.path));
+            files.extend(self.index.of(&path));
+            files.insert(path);
+        }
+        for text in &self.named {
+            let file = |input: &Input| plain(&self.input_dir.join(text.replace('*', &input.stem)));
+            files.extend(inputs.iter().map(file));
+        }
+        files
+    }
 }
 
 /// Describes missing files of a job over these inputs; `input_dir` is absolute.
 pub(crate) fn missing_files(job: &Job, inputs: &[Input], input_dir: &Path) -> Vec<String> {
     let settings = serde_json::to_value(&job.settings).unwrap_or_default();
     let is_standard_input = |path: &PathBuf| path.file_name().is_some_and(|name| name == "-");
-    let files = files_read(job, inputs, input_dir);
+    let files = of_job(job, &settings, inputs, input_dir);
     let files = files.into_iter().filter(|path| !is_standard_input(path) && !path.exists());
     let mut missing: Vec<String> = files.map(|path| format!("{}: no such file", path.display())).collect();
     let geometry = &job.settings.geometry;

@@ -19,7 +19,7 @@ pub(crate) fn plain(path: &Path) -> PathBuf {
 }
 
 /// Deepest common parent folder; `None` without folders or without a common one.
-pub(super) fn common<'p>(folders: impl IntoIterator<Item = &'p Path>) -> Option<PathBuf> {
+pub(crate) fn common<'p>(folders: impl IntoIterator<Item = &'p Path>) -> Option<PathBuf> {
     let mut folders = folders.into_iter();
     let mut common = folders.next()?.to_path_buf();
     for folder in folders {
@@ -35,7 +35,7 @@ pub(super) fn common<'p>(folders: impl IntoIterator<Item = &'p Path>) -> Option<
 /// Path from one absolute path to another, with `/` as separator; `.` if equal.
 ///
 /// `None` on another drive, or if a component is not valid Unicode.
-pub(super) fn relative(from: &Path, to: &Path) -> Option<String> {
+pub(crate) fn relative(from: &Path, to: &Path) -> Option<String> {
     let shared = common([from, to])?;
     let up = from.strip_prefix(&shared).ok()?.components().map(|_| Some(".."));
     let down = to.strip_prefix(&shared).ok()?.components().map(|step| OsStr::to_str(step.as_os_str()));

@@ -12,7 +12,7 @@ use super::paths::relative;
 use super::resolved::Resolved;
 use super::{
     ARCHIVE, Archive, DigestedFile, FORMAT, FailedInput, Files, INCLUDED, JOB, LINES, LOG, MODELS, REPORT,
-    RESOLVED, SEAL,
+    RESOLVED, RESULTS, SEAL,
 };
 use crate::engine::{InputStatus, InputSummary, Options, RunSummary};
 use crate::job::{Include, Job, JobStage};
@@ -35,10 +35,26 @@ pub struct Recorder {
     job: String,
     includes: Vec<Include>,
     resolved: Resolved,
+    /// `job.resolved.toml`.
+    resolved_text: String,
     /// State of the inputs when their digests were taken; `None` if missing.
     stamps: Vec<Option<Stamp>>,
+    /// Digests that are already known.
+    known: KnownDigests,
     /// Folder that the archive will be, or unpacks to.
     folder: PathBuf,
+}
+
+/// Sizes and digests of files by absolute path.
+pub type KnownDigests = BTreeMap<PathBuf, (u64, String)>;
+
+/// A completed archive.
+#[derive(Clone, Debug)]
+pub struct Seals {
+    /// BLAKE3 digest of `archive.b3`: unique to this archive.
+    pub seal: String,
+    /// BLAKE3 digest of `results.b3`: the same for every run with the same results.
+    pub results: String,
 }
 
 /// A temporary folder, removed on drop.
@@ -84,19 +100,29 @@ impl Recorder {
     /// # Errors
     /// If the archive exists already or an input cannot be read.
     pub fn begin(job: &Job, options: &Options, path: &Path) -> Result<Recorder> {
+        Recorder::begin_with(job, options, path, KnownDigests::new())
+    }
+
+    /// Starts the archive like [`Recorder::begin`]; does not read files whose digests are known.
+    ///
+    /// # Errors
+    /// See [`Recorder::begin`].
+    pub fn begin_with(job: &Job, options: &Options, path: &Path, known: KnownDigests) -> Result<Recorder> {
         check_destination(path)?;
         let made = SystemTime::now();
         let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         fs::create_dir_all(parent).map_err(Error::io(parent, "create the folder"))?;
         let folder = contents::folder_of(path)?;
-        let resolved = Resolved::new(job, options, &folder)?;
+        let resolved =
+            Resolved::new(job, &options.input_dir, &options.output_dir, &folder)?.run_with(options);
+        let resolved_text = resolved.text(&job.name)?;
         let gathering = Gathering(partial_path(path, std::process::id()));
         // Remove remains of a dead process with the same id.
         drop(Gathering(gathering.0.clone()));
         fs::create_dir_all(gathering.0.join(LINES)).map_err(Error::io(&gathering.0, "create the folder"))?;
         let stamps: Vec<Option<Stamp>> = resolved.inputs.iter().map(|path| stamp(path)).collect();
         let existing = resolved.inputs.iter().zip(&stamps).filter(|(_, stamp)| stamp.is_some());
-        let digested = |(path, _): (&PathBuf, _)| digested(&resolved.input_root, path, None);
+        let digested = |(path, _): (&PathBuf, _)| digested(&resolved.input_root, path, None, &known);
         let inputs: Result<Vec<DigestedFile>> = existing.map(digested).collect();
         let archive = Archive {
             format: FORMAT,
@@ -111,7 +137,19 @@ impl Recorder {
         };
         let path = path.to_owned();
         let (job, includes) = (job.text.clone(), job.includes.clone());
-        Ok(Recorder { path, gathering, made, archive, job, includes, resolved, stamps, folder })
+        Ok(Recorder {
+            path,
+            gathering,
+            made,
+            archive,
+            job,
+            includes,
+            resolved,
+            resolved_text,
+            stamps,
+            known,
+            folder,
+        })
     }
 
     /// The job to run: with an additional stage that writes scan-line statistics for the archive.
@@ -143,14 +181,23 @@ impl Recorder {
         input.outputs.retain(|output| !output.starts_with(&own));
     }
 
-    /// Completes the archive, gives it its name, and returns its seal.
+    /// Adds the scan-line statistics of an input whose run did not use [`Recorder::job`].
+    ///
+    /// # Errors
+    /// If they cannot be written.
+    pub fn add_lines(&self, stem: &str, lines: &Path) -> Result<()> {
+        let path = self.gathering.0.join(LINES).join(format!("{stem}_lstat.txt"));
+        fs::copy(lines, &path).map(drop).map_err(Error::io(lines, "copy"))?;
+        Ok(())
+    }
+
+    /// Completes the archive, gives it its name, and returns its seals.
     ///
     /// `report` is the text of `report.json`.
-    /// The seal is the BLAKE3 digest of `archive.b3`.
     ///
     /// # Errors
     /// If an input was changed during the run, or the archive cannot be written.
-    pub fn finish(mut self, run: &RunSummary, report: String, log: &[u8]) -> Result<String> {
+    pub fn finish(mut self, run: &RunSummary, report: String, log: &[u8]) -> Result<Seals> {
         self.check_inputs()?;
         self.archive.outputs.files = self.outputs(run)?;
         let failed = |input: &InputSummary| {
@@ -160,6 +207,9 @@ impl Recorder {
         self.archive.failed = run.inputs.iter().filter_map(failed).collect();
         let mut files = self.texts(run, report, log)?;
         files.extend(contents::read_files(&self.gathering.0)?);
+        let of_results = self.results(&files)?;
+        let results = digest::of_bytes(of_results.as_bytes());
+        files.insert(RESULTS.to_owned(), of_results.into_bytes());
         files.insert(SEAL.to_owned(), contents::seal(&files).into_bytes());
         let seal = files.get(SEAL).map(|text| digest::of_bytes(text)).unwrap_or_default();
         check_destination(&self.path)?;
@@ -170,7 +220,7 @@ impl Recorder {
             fs::rename(&self.gathering.0, &self.path)
                 .map_err(Error::io(&self.path, "rename to the final name"))?;
         }
-        Ok(seal)
+        Ok(Seals { seal, results })
     }
 
     fn pack(&self, files: &BTreeMap<String, Vec<u8>>) -> Result<()> {
@@ -200,11 +250,25 @@ impl Recorder {
         let mut files = Vec::new();
         for output in run.inputs.iter().flat_map(|input| &input.outputs) {
             let path = super::paths::plain(&absolute(output)?);
-            let stage = self.resolved.outputs.iter().find(|(other, _)| *other == path);
-            files.push(digested(&self.resolved.output_root, &path, stage.map(|(_, stage)| stage.clone()))?);
+            let stage = self.resolved.outputs.get(&path).cloned();
+            files.push(digested(&self.resolved.output_root, &path, stage, &self.known)?);
         }
         files.sort_by(|a, b| a.path.cmp(&b.path));
         Ok(files)
+    }
+
+    /// Text of `results.b3`: digests of everything that does not depend on time and machine.
+    fn results(&self, files: &BTreeMap<String, Vec<u8>>) -> Result<String> {
+        let mut lines: Vec<String> = Vec::new();
+        for (kind, of_kind) in [("inputs", &self.archive.inputs), ("outputs", &self.archive.outputs)] {
+            let line = |file: &DigestedFile| format!("{}  {kind}/{}\n", file.blake3, file.path);
+            lines.extend(of_kind.files.iter().map(line));
+        }
+        let is_result = |name: &str| name.starts_with(MODELS) || name.starts_with(LINES);
+        let of_archive = files.iter().filter(|(name, _)| is_result(name));
+        lines.extend(of_archive.map(|(name, bytes)| format!("{}  {name}\n", digest::of_bytes(bytes))));
+        lines.push(format!("{}  job\n", digest::of_bytes(self.resolved.essence()?.as_bytes())));
+        Ok(lines.concat())
     }
 
     /// Files generated here, by path.
@@ -212,7 +276,7 @@ impl Recorder {
         let mut files = BTreeMap::from([
             (ARCHIVE.to_owned(), json(&self.archive)?),
             (JOB.to_owned(), self.job.clone().into_bytes()),
-            (RESOLVED.to_owned(), self.resolved.text.clone().into_bytes()),
+            (RESOLVED.to_owned(), self.resolved_text.clone().into_bytes()),
             (REPORT.to_owned(), report.into_bytes()),
             (LOG.to_owned(), log.to_vec()),
         ]);
@@ -252,8 +316,8 @@ fn absolute(path: &Path) -> Result<PathBuf> {
     Ok(folder.join(path.file_name().unwrap_or_default()))
 }
 
-fn digested(root: &Path, path: &Path, stage: Option<String>) -> Result<DigestedFile> {
-    let (bytes, blake3) = digest::of_file(path)?;
+fn digested(root: &Path, path: &Path, stage: Option<String>, known: &KnownDigests) -> Result<DigestedFile> {
+    let (bytes, blake3) = known.get(path).map_or_else(|| digest::of_file(path), |known| Ok(known.clone()))?;
     let name = relative(root, path).ok_or_else(|| {
         StageError::failed(format!("{}: the name is not valid Unicode", path.display()), "rename it")
     })?;

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use super::contents::Contents;
 use super::digest;
 use super::paths::plain;
-use super::{Archive, DigestedFile, Files};
+use super::{Archive, DigestedFile, Files, Seals};
 use crate::stage::Result;
+use wavex_formats::Error;
 
 /// Current folders of inputs and outputs, if different from those in the archive.
 #[derive(Clone, Debug, Default)]
@@ -28,6 +29,8 @@ pub struct Verified {
     pub failed: Vec<String>,
     /// Seal of the archive: the BLAKE3 digest of `archive.b3`; empty if missing.
     pub seal: String,
+    /// BLAKE3 digest of `results.b3`; none in archives without it.
+    pub results: Option<String>,
 }
 
 /// Verifies the digests of an archive's files, inputs and outputs.
@@ -46,14 +49,28 @@ pub fn verify(path: &Path, folders: &Folders, seal_noted: Option<&str>) -> Resul
     // only.
     let archive = match contents.archive() {
         Err(_) if !problems.is_empty() => {
-            return Ok(Verified { problems, counts: [contents.count(), 0, 0], failed: Vec::new(), seal });
+            let counts = [contents.count(), 0, 0];
+            return Ok(Verified { problems, counts, failed: Vec::new(), seal, results: None });
         }
         archive => archive?,
     };
     problems.extend(inputs(&archive, &contents, folders));
     problems.extend(outputs(&archive, &contents, folders));
     let counts = [contents.count(), archive.inputs.files.len(), archive.outputs.files.len()];
-    Ok(Verified { problems, counts, failed: failed(&archive), seal })
+    Ok(Verified { problems, counts, failed: failed(&archive), seal, results: contents.results() })
+}
+
+/// Description and seals of an existing archive.
+///
+/// # Errors
+/// If it is not an archive with `results.b3`.
+pub(crate) fn existing(path: &Path) -> Result<(Archive, Seals)> {
+    let contents = Contents::read(path)?;
+    let results = contents.results().ok_or_else(|| {
+        let problem = "an archive of an older version, without results.b3";
+        Error::unusable(path, problem, "move it away")
+    })?;
+    Ok((contents.archive()?, Seals { seal: contents.seal(), results }))
 }
 
 /// Stems of the inputs that failed in the archived run.

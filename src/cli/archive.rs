@@ -42,7 +42,8 @@ pub(super) fn verify(args: &ArchiveArgs, seal_noted: Option<&str>, quiet: bool) 
         failed_inputs(&found.failed),
         found.seal
     );
-    if quiet { Ok(()) } else { print(&said) }
+    let results = found.results.map(|results| format!("results {results}\n")).unwrap_or_default();
+    if quiet { Ok(()) } else { print(&(results + &said)) }
 }
 
 /// Mentions the inputs that failed in the archived run.

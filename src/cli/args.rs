@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 
+use super::false_alarms::FalseAlarmArgs;
+use super::plan::{CollectArgs, PlanArgs};
 use super::usage;
 use wavex_formats::trajectory::Angles;
 use wavex_geodesy::time_axis::Clock;
@@ -60,6 +62,18 @@ pub(super) enum Command {
         #[arg(default_missing_value = "time", conflicts_with = "archive")]
         resume: Option<ResumeCheck>,
     },
+    /// Plan a survey as tasks for several machines, one per input
+    ///
+    /// Writes a folder with the job of each input, its estimated cores, memory and time, and rules
+    /// for Snakemake with profiles for one machine and for Slurm. All paths in it are relative.
+    #[command(after_help = usage::PLAN)]
+    Plan(PlanArgs),
+    /// Check and merge the results of planned tasks
+    ///
+    /// Names every task that failed, was not run, or lacks an output. Merges reports, line
+    /// statistics, digests and the archive of the others.
+    #[command(after_help = usage::COLLECT)]
+    Collect(CollectArgs),
     /// Run an archived job again and compare the outputs bit by bit
     ///
     /// First verifies the archive and its inputs, then runs into a temporary folder (see TMPDIR).
@@ -233,26 +247,6 @@ pub(super) struct CalibrateArgs {
     pub(super) machine: Machine,
 }
 
-/// Noise correlations, thresholds and waveform size of the table.
-#[derive(Args)]
-pub(super) struct FalseAlarmArgs {
-    /// Noise correlations, one column each: 0.6 at a lag of one sample, or 0.63:0.42:0.22 at lags
-    /// of 1, 2, 3 samples
-    #[arg(long, num_args = 1.., value_delimiter = ',', allow_negative_numbers = true)]
-    #[arg(value_name = "RHO", default_values = ["0", "0.3", "0.6", "0.63:0.42:0.22:0.11"])]
-    pub(super) correlation: Vec<String>,
-    /// Thresholds, one row each
-    #[arg(long, num_args = 1.., value_delimiter = ',', allow_negative_numbers = true)]
-    #[arg(value_name = "SIGMA", default_values_t = [3.5, 4.0, 4.5, 5.0, 5.5, 6.0])]
-    pub(super) sigma: Vec<f64>,
-    /// Full width at half maximum of a pulse, samples
-    #[arg(long, default_value_t = 4.5, allow_negative_numbers = true)]
-    pub(super) fwhm: f64,
-    /// Samples per waveform
-    #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
-    pub(super) samples: f64,
-}
-
 /// Shot to explain and stages to decompose it with.
 #[derive(Args)]
 #[command(group = clap::ArgGroup::new("which").required(true))]
@@ -387,7 +381,7 @@ fn seal(text: &str) -> Result<String, String> {
 }
 
 /// Parses a count of at least 1.
-fn every(text: &str) -> Result<usize, String> {
+pub(super) fn every(text: &str) -> Result<usize, String> {
     text.parse()
         .ok()
         .filter(|every| *every >= 1)

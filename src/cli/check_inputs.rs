@@ -6,7 +6,7 @@ use super::check::size;
 use crate::archive::missing_files;
 use crate::engine;
 use crate::job::Job;
-use wavex_formats::{Result, companions, las, pulsewaves};
+use wavex_formats::{CompanionIndex, Result, las, pulsewaves};
 
 /// Usual number of points per pulse, at least and at most.
 const POINTS_PER_PULSE: [u64; 2] = [1, 3];
@@ -24,8 +24,9 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
         return (String::new(), problems);
     };
     let length = |path: &Path| path.metadata().map_or(0, |about| about.len());
+    let mut index = CompanionIndex::default();
     let with_companions =
-        |path: &&Path| length(path) + companions(path).iter().map(|path| length(path)).sum::<u64>();
+        |path: &&Path| length(path) + index.of(path).iter().map(|path| length(path)).sum::<u64>();
     let mut text = format!("  files:  {}, {}\n", files.len(), size(files.iter().map(with_companions).sum()));
     let mut total = Some(0);
     for path in files {

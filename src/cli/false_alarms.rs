@@ -2,10 +2,32 @@
 
 use std::fmt::Write;
 
+use clap::Args;
+
+use super::Failure;
 use super::terminal::print;
-use super::{Failure, FalseAlarmArgs};
 use wavex_signal::false_alarms::FilteredNoise;
 use wavex_signal::noise::{ArNoise, fit_by_bic};
+
+/// Noise correlations, thresholds and waveform size of the table.
+#[derive(Args)]
+pub(super) struct FalseAlarmArgs {
+    /// Noise correlations, one column each: 0.6 at a lag of one sample, or 0.63:0.42:0.22 at lags
+    /// of 1, 2, 3 samples
+    #[arg(long, num_args = 1.., value_delimiter = ',', allow_negative_numbers = true)]
+    #[arg(value_name = "RHO", default_values = ["0", "0.3", "0.6", "0.63:0.42:0.22:0.11"])]
+    pub(super) correlation: Vec<String>,
+    /// Thresholds, one row each
+    #[arg(long, num_args = 1.., value_delimiter = ',', allow_negative_numbers = true)]
+    #[arg(value_name = "SIGMA", default_values_t = [3.5, 4.0, 4.5, 5.0, 5.5, 6.0])]
+    pub(super) sigma: Vec<f64>,
+    /// Full width at half maximum of a pulse, samples
+    #[arg(long, default_value_t = 4.5, allow_negative_numbers = true)]
+    pub(super) fwhm: f64,
+    /// Samples per waveform
+    #[arg(long, default_value_t = 60.0, allow_negative_numbers = true)]
+    pub(super) samples: f64,
+}
 
 /// Tolerance for equal correlations.
 const SAME_CORRELATION: f64 = 1e-3;

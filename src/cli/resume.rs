@@ -1,6 +1,6 @@
 //! `wavex run --resume`: inputs whose outputs an earlier run has completed.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -8,24 +8,10 @@ use std::time::SystemTime;
 use serde_json::Value;
 
 use super::args::ResumeCheck;
-use crate::archive::{digest_of, files_read};
+use crate::archive::{FilesRead, digest_of};
 use crate::engine::{Input, RunSummary};
 use crate::job::Job;
-use crate::report::{FileState, InputFiles};
-use crate::stage::Plan;
-
-/// Keys of `[job]` that may differ: they do not affect outputs or reports.
-const FREE_KEYS: [&str; 9] = [
-    "include",
-    "threads",
-    "channel_capacity",
-    "simd",
-    "log",
-    "on_error",
-    "inputs_at_once",
-    "model",
-    "survey_model",
-];
+use crate::report::{FileState, InputFiles, difference};
 
 /// What files are compared by, and the folders in which they are.
 #[derive(Clone, Debug)]
@@ -63,13 +49,16 @@ impl Comparison {
         paths.into_iter().filter_map(|path| self.state(&self.output_dir, path)).collect()
     }
 
-    /// States of the files that a run reads for an input.
-    pub(super) fn read(&self, job: &Job, input: &Input) -> Vec<FileState> {
-        // The paths of inputs contain the folder.
-        let path = std::path::absolute(&input.path).unwrap_or_else(|_| input.path.clone());
-        let input = Input { path, stem: input.stem.clone() };
-        let files = files_read(job, std::slice::from_ref(&input), &self.input_dir);
-        files.iter().filter_map(|path| self.state(&self.input_dir, path)).collect()
+    /// States of the files that a run reads, by the stem of the input.
+    pub(super) fn read(&self, job: &Job, inputs: &[Input]) -> BTreeMap<String, Vec<FileState>> {
+        let mut files = FilesRead::new(job, &self.input_dir);
+        let mut of_input = |input: &Input| {
+            // The paths of inputs contain the folder.
+            let path = std::path::absolute(&input.path).unwrap_or_else(|_| input.path.clone());
+            let read = files.of(&[Input { path, stem: input.stem.clone() }]);
+            read.iter().filter_map(|path| self.state(&self.input_dir, path)).collect()
+        };
+        inputs.iter().map(|input| (input.stem.clone(), of_input(input))).collect()
     }
 
     /// First file whose state differs from an earlier one.
@@ -106,7 +95,7 @@ impl EarlierRun {
     pub(super) fn new(report: Option<Result<Value, String>>, job: &Job, next: &RunSummary) -> EarlierRun {
         let none = || Err("there is no report of an earlier run".to_owned());
         match report.unwrap_or_else(none) {
-            Ok(report) => EarlierRun { obstacle: obstacle(&report, job, next), report },
+            Ok(report) => EarlierRun { obstacle: difference(&report, job, next, &[]), report },
             Err(problem) => EarlierRun { report: Value::Null, obstacle: Some(problem) },
         }
     }
@@ -150,46 +139,4 @@ impl EarlierRun {
             .or_else(|| comparison.changed(&comparison.written(&paths), &files.written));
         changed.map_or(Ok(entry), Err)
     }
-}
-
-/// First difference of an earlier run that affects all inputs.
-fn obstacle(report: &Value, job: &Job, next: &RunSummary) -> Option<String> {
-    let writes_no_file = |plan: &Plan| matches!(plan, Plan::Sink(_)) && plan.outputs().is_empty();
-    if job.stages.iter().any(|stage| writes_no_file(&stage.planned.plan)) {
-        return Some("an output goes to standard output".to_owned());
-    }
-    let next = serde_json::to_value(next).ok()?;
-    for (key, made) in [("wavex", "by wavex"), ("commit", "by wavex of commit")] {
-        if report[key] != next[key] {
-            return Some(format!("the earlier run was made {made} {}", report[key].as_str().unwrap_or("?")));
-        }
-    }
-    let differs = |table: &str, then: &Value, now: &Value, free: &[&str]| {
-        let keys = |value: &Value| -> BTreeSet<String> {
-            value.as_object().into_iter().flatten().map(|(key, _)| key.clone()).collect()
-        };
-        let mut keys = keys(then).into_iter().chain(keys(now));
-        let key = keys.find(|key| !free.contains(&key.as_str()) && then[key] != now[key])?;
-        Some(format!("`{key}` of {table} was different"))
-    };
-    if report["survey_models"] != next["survey_models"] {
-        return Some("the sensor models of the survey were different".to_owned());
-    }
-    if let Some(different) = differs("`[job]`", &report["job"], &next["job"], &FREE_KEYS) {
-        return Some(different);
-    }
-    let stages = |report: &Value| report["stages"].as_array().cloned().unwrap_or_default();
-    let (then, now) = (stages(report), stages(&next));
-    let chain =
-        |stages: &[Value]| -> Vec<Value> { stages.iter().map(|stage| stage["type"].clone()).collect() };
-    if chain(&then) != chain(&now) {
-        return Some("the stages were different".to_owned());
-    }
-    then.iter().zip(&now).zip(&job.stages).find_map(|((then, now), stage)| {
-        // The files of a reader are compared one by one.
-        let is_source = matches!(stage.planned.plan, Plan::Source(_));
-        let mut free = stage.planned.local_keys.to_vec();
-        free.extend(is_source.then_some("path"));
-        differs(&format!("`{}`", stage.id), &then["keys"], &now["keys"], &free)
-    })
 }

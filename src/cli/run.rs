@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 use std::io::IsTerminal;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use super::args::ResumeCheck;
@@ -170,8 +170,9 @@ fn finish(
     if let Some((recorder, archive)) = archive {
         let text = files.report(run).to_json().map_err(std::io::Error::from);
         let text = text.map_err(Error::io(archive, "write the report"))?;
-        let seal = recorder.finish(run, text, &log::kept())?;
-        let _ = writeln!(said, "archived in {}; seal {seal}", archive.display());
+        let seals = recorder.finish(run, text, &log::kept())?;
+        let _ = writeln!(said, "results {}", seals.results);
+        let _ = writeln!(said, "archived in {}; seal {}", archive.display(), seals.seal);
     }
     Ok(said)
 }
@@ -246,7 +247,15 @@ fn wrote(text: &mut String, paths: &[PathBuf]) {
 
 /// Input and output folders of a job stored in `folder`.
 pub(super) fn folders(job: &Job, folder: &Path) -> (PathBuf, PathBuf) {
-    let from = |dir: &Option<String>| dir.as_ref().map_or(folder.to_path_buf(), |dir| folder.join(dir));
+    let from = |dir: &Option<String>| {
+        let Some(dir) = dir else { return folder.to_path_buf() };
+        let path = folder.join(dir);
+        // Messages are easier to read without `plan/tasks/../..`.
+        match terminal::shown(&path) {
+            short if path.components().any(|step| step == Component::ParentDir) => short,
+            _ => path,
+        }
+    };
     (from(&job.settings.input_dir), from(&job.settings.output_dir))
 }
 

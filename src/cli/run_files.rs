@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::args::ResumeCheck;
 use super::resume::{Comparison, EarlierRun};
-use crate::engine::{self, Input, InputStatus, InputSummary, RunSummary};
+use crate::engine::{self, InputStatus, InputSummary, RunSummary};
 use crate::job::{Job, JobSettings};
 use crate::report::{self, FileState, InputFiles, InputReport, Overviews, RunReport};
 use crate::stage::{OutputFile, OutputLock, Outputs, Result, RunObservers, StageError, fixed_folder};
@@ -136,8 +136,7 @@ impl<'j> RunFiles<'j> {
     ) -> (BTreeSet<String>, Vec<String>) {
         // The engine reports inputs that cannot be found.
         let inputs = engine::inputs(job, input_dir).unwrap_or_default();
-        let read = |input: &Input| (input.stem.clone(), self.comparison.read(job, input));
-        self.read = inputs.iter().map(read).collect();
+        self.read = self.comparison.read(job, &inputs);
         let mut messages = Vec::new();
         if resume {
             let report = self.of_name(&self.settings.report).filter(|path| path.exists());

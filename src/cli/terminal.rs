@@ -23,7 +23,10 @@ pub(super) fn print(text: &str) -> Result<(), Failure> {
 ///
 /// Keeps the path if a symbolic link makes the short form a different place.
 pub(super) fn shown(path: &Path) -> PathBuf {
-    let plain = plain(path);
+    let plain = match plain(path) {
+        empty if empty.as_os_str().is_empty() => PathBuf::from("."),
+        plain => plain,
+    };
     match (plain.canonicalize(), path.canonicalize()) {
         (Ok(short), Ok(long)) if short == long => plain,
         _ => path.to_owned(),

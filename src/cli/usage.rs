@@ -7,6 +7,18 @@ Examples:
   wavex run flight.toml --profile --archive archives/flight7
   wavex run survey.toml --resume";
 
+pub(super) const PLAN: &str = "\
+Examples:
+  wavex plan survey.toml -o plan
+  wavex plan survey.toml -o plan --cores 8 --archive archives/survey
+
+Run it: snakemake -s plan/Snakefile --profile plan/profiles/slurm";
+
+pub(super) const COLLECT: &str = "\
+Examples:
+  wavex collect plan
+  wavex collect plan --digest";
+
 pub(super) const REPLAY: &str = "\
 Examples:
   wavex replay archives/flight7

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::RunError;
 use crate::job::Job;
 use crate::stage::{Outputs, Paths, RunContext, StageError, fixed_folder};
-use wavex_formats::{companions, unsupported};
+use wavex_formats::{CompanionIndex, companions, unsupported};
 
 /// Input of one run.
 #[derive(Debug, PartialEq)]
@@ -30,6 +30,7 @@ pub(super) fn find(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> (Vec<
     };
     let (mut inputs, mut errors): (Vec<Input>, _) = (Vec::new(), Vec::new());
     let mut stems: BTreeMap<String, PathBuf> = BTreeMap::new();
+    let mut seen: BTreeSet<PathBuf> = BTreeSet::new();
     for pattern in paths.patterns() {
         let found = matches(pattern, input_dir).unwrap_or_else(|error| {
             errors.push(error);
@@ -40,7 +41,7 @@ pub(super) fn find(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> (Vec<
                 errors.push(RunError::of_job(error.into()));
                 continue;
             }
-            if inputs.iter().any(|input| input.path == path) {
+            if !seen.insert(path.clone()) {
                 continue;
             }
             let stem = stem_of(&path);
@@ -118,9 +119,9 @@ pub(super) fn outputs(job: &Job, sites: &[RunContext]) -> Outputs {
 ///
 /// `job` compares patterns; this compares actual files.
 pub(super) fn keep_from_outputs(job: &Job, sites: &[RunContext]) -> Result<(), RunError> {
-    let with_companions = |site: &RunContext| {
-        companions(&site.input).into_iter().chain([site.input.clone()]).collect::<Vec<_>>()
-    };
+    let mut index = CompanionIndex::default();
+    let with_companions =
+        |site: &RunContext| index.of(&site.input).into_iter().chain([site.input.clone()]).collect::<Vec<_>>();
     let inputs: BTreeSet<PathBuf> =
         sites.iter().flat_map(with_companions).filter_map(|path| path.canonicalize().ok()).collect();
     let patterns = || job.stages.iter().flat_map(|stage| stage.planned.plan.outputs());

@@ -221,6 +221,11 @@ impl InputSummary {
         InputSummary { status: InputStatus::NotRun, started, ended, wall_s: 0.0, ..nothing }
     }
 
+    /// Results of an input that no run has started yet.
+    pub fn pending(path: &Path, stem: &str) -> InputSummary {
+        InputSummary::not_run(&RunContext { stem: stem.to_owned(), ..RunContext::alone(path) })
+    }
+
     /// The same for an input that failed.
     pub(super) fn failed(self, error: &RunError) -> InputSummary {
         InputSummary { status: InputStatus::Failed, failure: Some(error.to_string()), ..self }

@@ -1,5 +1,6 @@
 //! Sensor models of a survey, learnt from waveforms of all its inputs.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -46,13 +47,19 @@ pub fn survey_models(job: &Job, options: &Options) -> Result<Option<SurveyModels
     }
     if let Some(name) = &job.settings.survey_model {
         let models = SurveyModels::read(&options.input_dir.join(name)).map_err(RunError::of_job)?;
-        return Ok(Some(models));
+        // A report has only its own inputs: a survey may have a run for each of thousands.
+        let inputs = inputs(job, &options.input_dir)?;
+        let stems: BTreeSet<&str> = inputs.iter().map(|input| input.stem.as_str()).collect();
+        return Ok(Some(models.only(&stems)));
     }
     let inputs = inputs(job, &options.input_dir)?;
-    match job.settings.model {
-        ModelScope::Survey if inputs.len() > 1 => learn(job, options, inputs).map(Some),
-        _ => Ok(None),
-    }
+    if shares_models(job, inputs.len()) { learn(job, options, inputs).map(Some) } else { Ok(None) }
+}
+
+/// Whether a run over this many inputs learns sensor models from all of them.
+pub fn shares_models(job: &Job, inputs: usize) -> bool {
+    let is_survey = job.settings.model == ModelScope::Survey && job.settings.survey_model.is_none();
+    is_survey && inputs > 1 && calibrates(job)
 }
 
 /// Learns the sensor models from all inputs of a job, even from a single one.

@@ -1,5 +1,6 @@
 //! Sensor models of a survey: one per instrument, from all inputs.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
@@ -181,6 +182,12 @@ impl SurveyInput {
 }
 
 impl SurveyModels {
+    /// The models with only these inputs.
+    pub fn only(mut self, stems: &BTreeSet<&str>) -> SurveyModels {
+        self.inputs.retain(|input| stems.contains(input.stem.as_str()));
+        self
+    }
+
     /// An empty survey of this version.
     pub fn new() -> SurveyModels {
         SurveyModels {

@@ -36,6 +36,8 @@ Usage: wavex [OPTIONS] <COMMAND>
 
 Commands:
   run           Run a job
+  plan          Plan a survey as tasks for several machines, one per input
+  collect       Check and merge the results of planned tasks
   replay        Run an archived job again and compare the outputs bit by bit
   verify        Verify an archive, its inputs and its outputs by their digests
   check         Validate a job without reading data: keys, chain, folders, inputs

@@ -8,6 +8,7 @@ use std::path::Path;
 
 use schemars::generate::SchemaSettings;
 use wavex::archive::Archive;
+use wavex::cluster::SurveyPlan;
 use wavex::job::{Job, JobSettings, example_job, job_schema, manual};
 use wavex::registry::{STAGES, find};
 use wavex::report::RunReport;
@@ -44,6 +45,13 @@ fn the_schema_of_archives_is_up_to_date() {
     let settings = SchemaSettings::draft2020_12();
     let schema = settings.into_generator().into_root_schema_for::<Archive>();
     check("schemas/archive.schema.json", &format!("{:#}\n", schema.to_value()));
+}
+
+#[test]
+fn the_schema_of_plans_is_up_to_date() {
+    let settings = SchemaSettings::draft2020_12();
+    let schema = settings.into_generator().into_root_schema_for::<SurveyPlan>();
+    check("schemas/plan.schema.json", &format!("{:#}\n", schema.to_value()));
 }
 
 #[test]

@@ -75,6 +75,7 @@ fn an_archive_holds_what_it_takes_and_is_replayed_elsewhere() {
         "/lines",
         "/lines/a_lstat.txt",
         "/report.json",
+        "/results.b3",
         "/sensor_model",
         "/sensor_model/a.json",
         "/wavex.log",
@@ -370,8 +371,11 @@ fn the_seal_is_told_and_compared() {
     let run = said(&place, &["run", "job.toml", "--archive", "archive"]);
     let (_, seal) = run.trim_end().rsplit_once("archived in archive; seal ").expect("a seal");
     assert_eq!(seal, blake3::hash(place.text("archive/archive.b3").as_bytes()).to_hex().as_str());
-    let expected = "7 archive files, 2 inputs and 5 outputs are unchanged; seal";
-    assert_eq!(said(&place, &["verify", "archive"]), format!("archive: {expected} {seal}\n"));
+    let results = blake3::hash(place.text("archive/results.b3").as_bytes()).to_hex();
+    assert!(run.contains(&format!("\nresults {results}\n")), "{run}");
+    let expected = "8 archive files, 2 inputs and 5 outputs are unchanged; seal";
+    let verified = format!("results {results}\narchive: {expected} {seal}\n");
+    assert_eq!(said(&place, &["verify", "archive"]), verified);
     let replayed = said(&place, &["replay", "archive"]);
     assert_eq!(replayed, format!("archive: 5 outputs are identical bit by bit; seal {seal}\n"));
     holds(&place, &["verify", "archive", "--seal", seal]);

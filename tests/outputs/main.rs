@@ -9,6 +9,7 @@
 
 mod archive;
 mod archive_of_failures;
+mod cluster;
 mod copc;
 mod report_page;
 mod text_sinks;

@@ -4,9 +4,10 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Top-level modules from top to bottom; each may import those below it.
-const LAYERS: [&str; 13] = [
+const LAYERS: [&str; 14] = [
     "main",
     "cli",
+    "cluster",
     "archive",
     "inspect",
     "report",

@@ -29,6 +29,8 @@
 //! # Ok::<(), std::io::Error>(())
 //! ```
 
+use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -146,16 +148,46 @@ fn remedy_of(kind: io::ErrorKind) -> &'static str {
 ///
 /// These are `.wdp` for LAS and LAZ, and `.wvs` for PulseWaves. Extensions match in any case.
 pub fn companions(path: &Path) -> Vec<PathBuf> {
-    let extension = |path: &Path| path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    let wanted = match extension(path).as_str() {
-        "las" | "laz" => "wdp",
-        "pls" => "wvs",
-        _ => return Vec::new(),
-    };
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let belongs = |other: &PathBuf| other.file_stem() == path.file_stem() && extension(other) == wanted;
-    let entries = folder.read_dir().into_iter().flatten().flatten();
-    entries.map(|entry| folder.join(entry.file_name())).filter(belongs).collect()
+    CompanionIndex::default().of(path)
+}
+
+/// Companion files of many recordings; lists each folder once.
+#[derive(Clone, Debug, Default)]
+pub struct CompanionIndex {
+    /// Files that can be companions, by folder and stem.
+    folders: BTreeMap<PathBuf, BTreeMap<OsString, Vec<PathBuf>>>,
+}
+
+impl CompanionIndex {
+    /// Companion files of a recording; see [`companions`].
+    pub fn of(&mut self, path: &Path) -> Vec<PathBuf> {
+        let wanted = match extension(path).as_str() {
+            "las" | "laz" => "wdp",
+            "pls" => "wvs",
+            _ => return Vec::new(),
+        };
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let files = self.folders.entry(folder.to_owned()).or_insert_with(|| by_stem(folder));
+        let of_stem = files.get(path.file_stem().unwrap_or_default()).map_or(&[][..], Vec::as_slice);
+        of_stem.iter().filter(|other| extension(other) == wanted).cloned().collect()
+    }
+}
+
+/// Files of a folder that can be companions, by stem.
+fn by_stem(folder: &Path) -> BTreeMap<OsString, Vec<PathBuf>> {
+    let mut files: BTreeMap<OsString, Vec<PathBuf>> = BTreeMap::new();
+    for entry in folder.read_dir().into_iter().flatten().flatten() {
+        let path = folder.join(entry.file_name());
+        if let ("wdp" | "wvs", Some(stem)) = (extension(&path).as_str(), path.file_stem()) {
+            files.entry(stem.to_owned()).or_default().push(path.clone());
+        }
+    }
+    files
+}
+
+/// Extension of a path in lower case.
+fn extension(path: &Path) -> String {
+    path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
 }
 
 /// Result of this module.

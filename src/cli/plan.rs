@@ -1,0 +1,133 @@
+//! `wavex plan` and `wavex collect`: a survey as tasks of a cluster.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use super::args::every;
+use super::{Failure, JobArgs, print, run, terminal};
+use crate::archive::check_destination;
+use crate::cluster::{self, PlanOptions, SurveyPlan};
+use crate::georef::check_crs;
+
+/// Cores per task if neither the job nor the command line has a number.
+const CORES: usize = 4;
+
+/// Job to plan, folder of the plan and resources of its tasks.
+#[derive(Args)]
+pub(super) struct PlanArgs {
+    #[command(flatten)]
+    pub(super) job: JobArgs,
+    /// Folder to write: a new one, or that of an earlier plan of the job
+    #[arg(short, long, value_name = "FOLDER")]
+    pub(super) output: PathBuf,
+    /// Cores per task [default: the job's `threads`, or 4]
+    #[arg(long, value_name = "N", value_parser = every)]
+    pub(super) cores: Option<usize>,
+    /// Throughput of one core, MB of input per second, for the estimated time
+    #[arg(long, value_name = "RATE", default_value_t = 5.0, value_parser = rate)]
+    pub(super) mb_per_s: f64,
+    /// Archive of the whole survey that `wavex collect` makes, as `wavex run --archive`
+    #[arg(long, value_name = "ARCHIVE")]
+    pub(super) archive: Option<PathBuf>,
+}
+
+/// Plan to collect.
+#[derive(Args)]
+pub(super) struct CollectArgs {
+    /// Folder of the plan
+    pub(super) plan: PathBuf,
+    /// Compare inputs and outputs by content instead of size
+    #[arg(long)]
+    pub(super) digest: bool,
+    /// Make no archive yet
+    #[arg(long)]
+    pub(super) no_archive: bool,
+}
+
+/// Parses a positive number.
+fn rate(text: &str) -> Result<f64, String> {
+    let positive = text.parse().ok().filter(|rate: &f64| *rate > 0.0 && rate.is_finite());
+    positive.ok_or_else(|| "give a positive number".to_owned())
+}
+
+/// Writes the plan of a job.
+pub(super) fn plan(args: &PlanArgs, quiet: bool) -> Result<(), Failure> {
+    let job = args.job.read(None)?;
+    for note in &job.notes {
+        tracing::warn!("{note}");
+    }
+    let folder = args.job.folder();
+    let (input_dir, output_dir) = run::folders(&job, &folder);
+    check_crs(&job.settings.geometry, &input_dir).map_err(|error| Failure::Wrong(error.to_string()))?;
+    if args.job.is_stdin() {
+        let problem = "a job on standard input cannot be planned; save it to a file and plan that";
+        return Err(Failure::Wrong(problem.to_owned()));
+    }
+    // An existing archive may be that of this plan: `collect` compares them.
+    if let Some(archive) = args.archive.as_ref().filter(|archive| !archive.exists()) {
+        check_destination(archive).map_err(|error| Failure::Wrong(error.to_string()))?;
+    }
+    let options = PlanOptions {
+        folder: &args.output,
+        job_dir: &folder,
+        input_dir: &input_dir,
+        output_dir: &output_dir,
+        archive: args.archive.as_deref(),
+        cores: args.cores.unwrap_or(match job.settings.threads {
+            0 => CORES,
+            threads => threads,
+        }),
+        mb_per_s: args.mb_per_s,
+    };
+    let plan = cluster::plan(&job, &options).map_err(|error| Failure::Run(error.to_string()))?;
+    if quiet { Ok(()) } else { print(&words(&plan, &args.output)) }
+}
+
+/// Describes a plan and how to run it.
+fn words(plan: &SurveyPlan, folder: &Path) -> String {
+    let bytes: u64 = plan.tasks.iter().flat_map(|task| &task.inputs).map(|file| file.bytes).sum();
+    let most = |of: fn(&cluster::Estimate) -> u64| plan.tasks.iter().map(|task| of(&task.estimate)).max();
+    let mut text = format!("{} tasks, {}\n", plan.tasks.len(), super::check::size(bytes));
+    if let (Some(memory_mb), Some(minutes), Some(task)) =
+        (most(|estimate| estimate.memory_mb), most(|estimate| estimate.minutes), plan.tasks.first())
+    {
+        let cores = task.estimate.cores;
+        let _ = writeln!(text, "each: {cores} cores, up to {memory_mb} MB and {minutes} min");
+    }
+    if plan.calibration.is_some() {
+        text += "first: calibration from all inputs\n";
+    }
+    let folder = terminal::shown(folder);
+    let folder = folder.display();
+    let _ = writeln!(text, "wrote {folder}");
+    let _ =
+        writeln!(text, "run: snakemake -s {folder}/Snakefile --profile {folder}/profiles/local --cores all");
+    text
+}
+
+/// Checks and merges the results of a plan.
+pub(super) fn collect(args: &CollectArgs, quiet: bool) -> Result<(), Failure> {
+    let found = cluster::collect(&args.plan, args.digest, !args.no_archive);
+    let found = found.map_err(|error| Failure::Run(error.to_string()))?;
+    if !quiet {
+        let mut said = found.table;
+        for path in &found.written {
+            let _ = writeln!(said, "wrote {}", terminal::shown(path).display());
+        }
+        if let Some((path, seals)) = &found.archive {
+            let _ = writeln!(said, "results {}", seals.results);
+            let _ = writeln!(said, "archived in {}; seal {}", terminal::shown(path).display(), seals.seal);
+        }
+        print(&said)?;
+    }
+    if found.problems.is_empty() {
+        return Ok(());
+    }
+    let mut text = format!("incomplete: {} of {} tasks", found.problems.len(), found.tasks);
+    for (name, reason) in &found.problems {
+        let _ = write!(text, "\n  {name}: {reason}");
+    }
+    Err(Failure::Run(text))
+}

@@ -1,0 +1,74 @@
+//! Cores, memory and time of a task, estimated from the sizes of its files.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Memory besides the scan lines in the pipeline, MB: program, threads, buffers of writers.
+const BASE_MEMORY_MB: u64 = 500;
+/// Memory of a shared file such as a trajectory per byte of the file.
+const SHARED_BYTES_FACTOR: u64 = 3;
+/// Factor on the expected time, for slow machines and disks.
+const TIME_MARGIN: f64 = 2.0;
+
+/// Estimated resources of a task.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct Estimate {
+    /// Number of cores.
+    pub cores: usize,
+    /// Memory, MB.
+    pub memory_mb: u64,
+    /// Time, minutes.
+    pub minutes: u64,
+}
+
+/// What tasks are estimated by.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Estimator {
+    /// Number of cores per task.
+    pub cores: usize,
+    /// Throughput of one core, MB of input per second.
+    pub mb_per_s: f64,
+    /// Memory limit of the scan lines in the pipeline, MB.
+    pub line_memory_mb: u64,
+    /// Size of the files that all tasks read, bytes.
+    pub shared_bytes: u64,
+}
+
+impl Estimator {
+    /// Resources of a task with this much input.
+    pub(super) fn task(&self, bytes: u64) -> Estimate {
+        let shared_mb = self.shared_bytes.saturating_mul(SHARED_BYTES_FACTOR).div_ceil(1_000_000);
+        let memory_mb = self.line_memory_mb.saturating_add(BASE_MEMORY_MB).saturating_add(shared_mb);
+        let seconds = bytes as f64 / 1e6 / self.mb_per_s / self.cores as f64;
+        let minutes = 1 + (TIME_MARGIN * seconds / 60.0).ceil() as u64;
+        Estimate { cores: self.cores, memory_mb, minutes }
+    }
+
+    /// Resources of the task that calibrates from this many inputs.
+    pub(super) fn calibration(&self, inputs: usize) -> Estimate {
+        Estimate { minutes: 10 + inputs as u64 / 20, ..self.task(0) }
+    }
+
+    /// Resources of the task that collects the results of this many tasks.
+    pub(super) fn collect(tasks: usize) -> Estimate {
+        let tasks = tasks as u64;
+        Estimate { cores: 1, memory_mb: 500 + tasks / 2, minutes: 5 + tasks / 500 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn resources_grow_with_the_files() {
+        let estimator = Estimator { cores: 4, mb_per_s: 2.0, line_memory_mb: 1024, shared_bytes: 0 };
+        let small = Estimate { cores: 4, memory_mb: 1524, minutes: 1 };
+        assert_eq!(estimator.task(0), small);
+        // 4.8 GB by 4 cores of 2 MB/s: 10 min, twice as long with the margin.
+        assert_eq!(estimator.task(4_800_000_000), Estimate { minutes: 21, ..small });
+        let with_trajectory = Estimator { shared_bytes: 100_000_000, ..estimator };
+        assert_eq!(with_trajectory.task(0), Estimate { memory_mb: 1824, ..small });
+        assert_eq!(Estimator::collect(10_000), Estimate { cores: 1, memory_mb: 5500, minutes: 25 });
+    }
+}
