@@ -30,6 +30,7 @@ mod run;
 mod run_files;
 mod scan;
 mod stages;
+mod survey_files;
 mod terminal;
 mod trajectory;
 mod usage;

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::keys::InvalidKey;
+use crate::keys::{InvalidKey, Keys};
 
 /// Cells and limits of the survey's page: the table `[job.survey]`.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -51,6 +51,11 @@ impl Default for SurveyKeys {
 }
 
 impl SurveyKeys {
+    /// The keys of the table with their documentation.
+    pub(super) fn keys() -> Keys {
+        Keys::of(SurveyKeys::json_schema)
+    }
+
     pub(super) fn check(&self) -> Result<(), InvalidKey> {
         let within = |value: f64, key: &'static str, [low, high]: [f64; 2]| {
             let problem = format!("it must lie between {low} and {high}");

@@ -11,6 +11,7 @@ mod archive;
 mod archive_of_failures;
 mod copc;
 mod report_page;
+mod survey_page;
 mod text_sinks;
 mod trajectory;
 mod wave_packets;

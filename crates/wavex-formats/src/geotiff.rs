@@ -151,8 +151,7 @@ impl SpooledRaster {
     /// # Errors
     /// If it would exceed 4 GiB, or a file cannot be read or written.
     pub fn assemble(&self, spool: &mut (impl Read + Seek), to: &mut impl Write) -> io::Result<()> {
-        let directories: Vec<Directory> =
-            (0..self.levels.len()).map(|level| self.directory(level)).collect();
+        let directories: Vec<Directory> = (0..self.levels.len()).map(|level| self.directory(level)).collect();
         let mut starts = Vec::new();
         let mut end = 8;
         for directory in &directories {

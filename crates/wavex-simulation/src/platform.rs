@@ -131,7 +131,11 @@ impl Platform {
     pub fn attitude(&self, since_start_s: f64) -> Attitude {
         let [roll_rad, pitch_rad, heading_rad] =
             core::array::from_fn(|axis| self.motion.angle(axis, since_start_s));
-        Attitude { roll_rad, pitch_rad, heading_rad: heading_rad + self.track_direction_rad + self.turned_rad(since_start_s) }
+        Attitude {
+            roll_rad,
+            pitch_rad,
+            heading_rad: heading_rad + self.track_direction_rad + self.turned_rad(since_start_s),
+        }
     }
 
     /// Beam in the scene for a direction in the scanner.

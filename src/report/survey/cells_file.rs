@@ -4,6 +4,7 @@
 //! record batches of at most [`ROWS_PER_BATCH`]. The schema's metadata have the version
 //! (`wavex.cells`) and the strip's [`StripFacts`] as JSON (`wavex.strip`).
 
+use std::collections::HashMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -51,13 +52,15 @@ pub fn write_cells(strip: &Strip, mut file: OutputFile) -> Result<PathBuf> {
 }
 
 fn write(strip: &Strip, file: &mut (impl Write + Send)) -> std::result::Result<(), ArrowError> {
-    let facts = serde_json::to_string(&strip.facts).map_err(|error| ArrowError::JsonError(error.to_string()))?;
+    let facts =
+        serde_json::to_string(&strip.facts).map_err(|error| ArrowError::JsonError(error.to_string()))?;
     let small = SMALL.iter().enumerate().map(|(i, name)| {
         Field::new(*name, if i < SIGNED { DataType::Int32 } else { DataType::UInt32 }, false)
     });
     let sums = SUMS.iter().map(|name| Field::new(*name, DataType::Int64, false));
     let metadata = [(VERSION_KEY.to_owned(), VERSION.to_owned()), (STRIP_KEY.to_owned(), facts)];
-    let schema = Schema::new(small.chain(sums).collect::<Vec<Field>>()).with_metadata(metadata.into());
+    let schema =
+        Schema::new(small.chain(sums).collect::<Vec<Field>>()).with_metadata(HashMap::from(metadata));
     let schema = Arc::new(schema);
     let options = IpcWriteOptions::default().try_with_compression(Some(CompressionType::ZSTD))?;
     let mut writer = FileWriter::try_new_with_options(file, &schema, options)?;
@@ -169,7 +172,8 @@ impl CellsReader {
             let mut merged: Vec<PlacedCell> = to.split_off(first);
             merged.sort_by_key(|cell| cell.column);
             for cell in merged {
-                match to.get_mut(first..).and_then(<[_]>::last_mut).filter(|last| last.column == cell.column) {
+                match to.get_mut(first..).and_then(<[_]>::last_mut).filter(|last| last.column == cell.column)
+                {
                     Some(last) => last.sums.merge(&cell.sums),
                     None => to.push(cell),
                 }
@@ -210,7 +214,8 @@ impl CellsReader {
         }
         let mut unsigned = Vec::new();
         for name in &SMALL[SIGNED..] {
-            let column = batch.column_by_name(name).and_then(|column| column.as_primitive_opt::<UInt32Type>());
+            let column =
+                batch.column_by_name(name).and_then(|column| column.as_primitive_opt::<UInt32Type>());
             unsigned.push(column.ok_or_else(|| missing(name))?.values());
         }
         let mut sums = Vec::new();

@@ -275,8 +275,7 @@ impl State {
 }
 
 const WITHOUT_POINTS: &str = "it has no points with coordinates; add the stage `georeference`";
-const NOT_PROJECTED: &str =
-    "its coordinates are not those of a map; set `crs` of `[job.geometry]` to a projected system such as `utm`";
+const NOT_PROJECTED: &str = "its coordinates are not those of a map; set `crs` of `[job.geometry]` to a projected system such as `utm`";
 
 /// Lowest column and row, and highest ones.
 fn extent(cells: &[PlacedCell]) -> Option<[[i32; 2]; 2]> {
@@ -322,8 +321,10 @@ mod tests {
 
     fn line(number: u32, crs_wkt: Option<&str>, place: [f64; 2]) -> ScanLine {
         let input = InputInfo { crs_wkt: crs_wkt.map(str::to_owned), ..InputInfo::default() };
-        let mut line = ScanLine::of_shots(Arc::new(input), number, vec![Emission::default()], Blocks::default());
-        let first = Return { number_of_returns: 2, deviation_ratio: 6.0, range_sd_m: 0.01, ..Return::default() };
+        let mut line =
+            ScanLine::of_shots(Arc::new(input), number, vec![Emission::default()], Blocks::default());
+        let first =
+            Return { number_of_returns: 2, deviation_ratio: 6.0, range_sd_m: 0.01, ..Return::default() };
         let second = Return { return_number: 2, withheld: true, ..first };
         let point = [place[0], place[1], 10.0];
         line.content = Content::Points(vec![first, second], vec![point, point]);
@@ -343,7 +344,10 @@ mod tests {
         assert_eq!((facts.unexplained_waveforms, facts.shots_by_returns[1]), (200, 200));
         assert_eq!(facts.extent, Some([[0, 2], [99, 2]]));
         assert_eq!((facts.track.len(), facts.track[1]), (50, [4.0, 5.0]));
-        assert!(facts.range_sd_m.is_some_and(|sd_m| (sd_m / 0.01 - 1.0).abs() < 0.09) && facts.total_sd_m.is_none());
+        assert!(
+            facts.range_sd_m.is_some_and(|sd_m| (sd_m / 0.01 - 1.0).abs() < 0.09)
+                && facts.total_sd_m.is_none()
+        );
     }
 
     #[test]
