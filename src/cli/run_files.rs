@@ -86,8 +86,9 @@ impl<'j> RunFiles<'j> {
         // The engine reports inputs that cannot be found.
         let inputs = engine::inputs(job, input_dir).unwrap_or_default();
         let stat_logs = inputs.iter().filter_map(|input| self.stat_log(&input.stem));
-        let cells = inputs.iter().filter_map(|input| Some(self.survey.as_ref()?.cells(&input.stem)));
-        let mut of_inputs = self.outputs(stat_logs.chain(cells));
+        let of_strip = |input: &Input| Some(self.survey.as_ref()?.of_input(&input.stem));
+        let of_strips = inputs.iter().filter_map(of_strip).flatten();
+        let mut of_inputs = self.outputs(stat_logs.chain(of_strips));
         if let Some(archive) = archive {
             let folder = fixed_folder(Path::new(""), &archive.to_string_lossy());
             let path = folder.join(archive.file_name().unwrap_or_default());
@@ -217,9 +218,9 @@ impl<'j> RunFiles<'j> {
         let collected = self.collected.as_ref();
         let overview = collected.and_then(|collected| collected.overview()).filter(|_| is_done);
         let strip = collected.and_then(|collected| collected.strip(&input.stem)).filter(|_| is_done);
-        let cells = self.survey.as_ref().zip(strip).map(|(survey, strip)| survey.write_cells(&strip));
-        let cells = cells.transpose()?;
-        let written = self.comparison.written(input.outputs.iter().chain(&cells));
+        let of_strip = self.survey.as_ref().zip(strip).map(|(survey, strip)| survey.write_strip(&strip));
+        let of_strip = of_strip.transpose()?.unwrap_or_default();
+        let written = self.comparison.written(input.outputs.iter().chain(&of_strip));
         let read = self.read.get(&input.stem).cloned().unwrap_or_default();
         self.fill_entries(run)?;
         self.entries[number] =

@@ -6,7 +6,8 @@ use serde_json::Value;
 
 use crate::job::JobSettings;
 use crate::report::survey::{
-    Strip, StripCollector, StripTrajectory, SurveyInput, survey_files, write_cells, write_survey,
+    Strip, StripCollector, StripTrajectory, SurveyInput, survey_files, write_cells, write_density,
+    write_survey,
 };
 use crate::report::{Overview, Overviews};
 use crate::scan_line::ScanLine;
@@ -14,6 +15,28 @@ use crate::stage::{DecomposedLine, FitShot, OutputFile, Result, RunObserver};
 
 /// Name of the cells of a strip; `*` is the stem of the input.
 const CELLS: &str = "*_cells.arrow";
+/// Name of the pulse density of a strip.
+const DENSITY: &str = "*_pulse_density.tif";
+
+/// End of the names of cells.
+pub(super) fn ending_of_cells() -> &'static str {
+    CELLS.trim_start_matches('*')
+}
+
+/// Input of a survey from its entry of a report.
+pub(super) fn input_of(entry: &Value, cells: Option<PathBuf>) -> SurveyInput {
+    let trajectory = &entry["trajectory"];
+    SurveyInput {
+        stem: entry["stem"].as_str().unwrap_or_default().to_owned(),
+        failure: entry["failure"].as_str().map(str::to_owned),
+        cells,
+        trajectory: trajectory["path"].as_str().map(|path| StripTrajectory {
+            path: path.to_owned(),
+            median_step_s: trajectory["median_step_s"].as_f64().unwrap_or(0.0),
+            gaps: trajectory["gaps"].as_u64().unwrap_or(0),
+        }),
+    }
+}
 
 /// Collects the data of the pages that a job requests.
 #[derive(Debug)]
@@ -86,8 +109,13 @@ impl SurveyFiles {
     }
 
     /// Cells of the input with this stem.
-    pub(super) fn cells(&self, stem: &str) -> PathBuf {
+    fn cells(&self, stem: &str) -> PathBuf {
         self.output_dir.join(CELLS.replace('*', stem))
+    }
+
+    /// Files of the input with this stem.
+    pub(super) fn of_input(&self, stem: &str) -> [PathBuf; 2] {
+        [self.cells(stem), self.output_dir.join(DENSITY.replace('*', stem))]
     }
 
     /// Files written by [`SurveyFiles::write`].
@@ -95,13 +123,15 @@ impl SurveyFiles {
         &self.written
     }
 
-    /// Writes the cells of a strip; returns their path.
+    /// Writes the cells of a strip and the raster of its pulse density; returns their paths.
     ///
     /// # Errors
-    /// If the file cannot be written.
-    pub(super) fn write_cells(&self, strip: &Strip) -> Result<PathBuf> {
-        let file = OutputFile::create(&self.cells(&strip.facts.stem))?;
-        Ok(write_cells(strip, file)?)
+    /// If a file cannot be written.
+    pub(super) fn write_strip(&self, strip: &Strip) -> Result<Vec<PathBuf>> {
+        let [cells, density] = self.of_input(&strip.facts.stem);
+        let mut written = vec![write_cells(strip, OutputFile::create(&cells)?)?];
+        written.extend(write_density(strip, &density)?);
+        Ok(written)
     }
 
     /// Writes the survey of the inputs with these entries of the report.
@@ -110,19 +140,9 @@ impl SurveyFiles {
     /// If the cells of a strip cannot be read, or a file cannot be written.
     pub(super) fn write(&mut self, settings: &JobSettings, entries: &[Value], page: &Path) -> Result<()> {
         let input = |entry: &Value| {
-            let stem = entry["stem"].as_str().unwrap_or_default().to_owned();
             let is_done = matches!(entry["status"].as_str(), Some("done" | "skipped"));
-            let trajectory = &entry["trajectory"];
-            SurveyInput {
-                cells: is_done.then(|| self.cells(&stem)),
-                failure: entry["failure"].as_str().map(str::to_owned),
-                trajectory: trajectory["path"].as_str().map(|path| StripTrajectory {
-                    path: path.to_owned(),
-                    median_step_s: trajectory["median_step_s"].as_f64().unwrap_or(f64::NAN),
-                    gaps: trajectory["gaps"].as_u64().unwrap_or(0),
-                }),
-                stem,
-            }
+            let stem = entry["stem"].as_str().filter(|_| is_done);
+            input_of(entry, stem.map(|stem| self.cells(stem)))
         };
         let inputs: Vec<SurveyInput> = entries.iter().map(input).collect();
         self.written = write_survey(&inputs, &settings.survey, page)?;

@@ -32,7 +32,7 @@ pub use strip::{Strip, StripCollector, StripFacts};
 use cells_file::CellsReader;
 use measures::{Lengths, Link, offsets};
 use mosaic::Pictures;
-use rasters::Frame;
+use rasters::{Frame, Layer, Rasters};
 use sweep::{Measures, Scale, StripMeasures};
 
 /// An input of a survey.
@@ -202,6 +202,23 @@ pub fn write_survey(inputs: &[SurveyInput], keys: &SurveyKeys, page: &Path) -> R
     Ok(written)
 }
 
+/// Writes the pulse density of a strip as a raster.
+///
+/// Returns its path; `None` if the strip has no cells, or is too long for a raster.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write_density(strip: &Strip, path: &Path) -> Result<Option<PathBuf>> {
+    let Some(frame) = frame([&strip.facts]).filter(Frame::is_possible) else { return Ok(None) };
+    let area_m2 = (frame.cell * strip.facts.unit_m).powi(2);
+    let mut rasters = Rasters::of_strip(frame, path)?;
+    for cell in &strip.cells {
+        rasters.begin_row(cell.row)?;
+        rasters.set(Layer::Pulses, cell.row, cell.column, f64::from(cell.sums.pulses) / area_m2);
+    }
+    Ok(rasters.finish()?.pop())
+}
+
 fn publish(path: &Path, text: &str) -> Result<PathBuf> {
     let mut file = OutputFile::create(path)?;
     file.write_all(text.as_bytes()).map_err(Error::io(path, "write"))?;
@@ -230,9 +247,9 @@ fn survey(
         strips.push(strip);
     }
     let mut survey = Survey::new(keys, strips);
-    let Some(frame) = frame(&readers) else { return Ok((survey, None)) };
+    let Some(frame) = frame(readers.iter().map(|reader| &reader.facts)) else { return Ok((survey, None)) };
     let cell_m = readers.first().map_or(keys.cell_m, |reader| reader.facts.cell * reader.facts.unit_m);
-    let scale = Scale::new(keys, level(&readers), cell_m);
+    let scale = Scale::new(keys, frame.level, cell_m);
     let stem = stem.filter(|_| frame.is_possible());
     let measures = sweep::sweep(&mut readers, &scale, &frame, stem)?;
     let pictures = survey.fill(&measures, &scale, &frame, &places);
@@ -252,28 +269,26 @@ fn mismatch(reader: &CellsReader, first: Option<&CellsReader>) -> Option<String>
         .then(|| format!("its cells are not those of {}; run it again with the same `cell_m`", first.stem))
 }
 
-fn level(readers: &[CellsReader]) -> u8 {
-    readers.iter().map(|reader| reader.facts.level).max().unwrap_or(0)
-}
-
 /// Frame of all cells at the level of the coarsest strip.
-fn frame(readers: &[CellsReader]) -> Option<Frame> {
-    let level = level(readers);
-    let extents = readers.iter().filter_map(|reader| {
-        let shift = level - reader.facts.level;
-        reader.facts.extent.map(|extent| extent.map(|corner| corner.map(|at| at >> shift)))
+fn frame<'f>(strips: impl IntoIterator<Item = &'f StripFacts>) -> Option<Frame> {
+    let strips: Vec<&StripFacts> = strips.into_iter().collect();
+    let level = strips.iter().map(|facts| facts.level).max()?;
+    let extents = strips.iter().filter_map(|facts| {
+        let shift = level - facts.level;
+        facts.extent.map(|extent| extent.map(|corner| corner.map(|at| at >> shift)))
     });
     let [low, high] = extents.reduce(|[low, high], [other_low, other_high]| {
         let both = |f: fn(i32, i32) -> i32, a: [i32; 2], b: [i32; 2]| [f(a[0], b[0]), f(a[1], b[1])];
         [both(i32::min, low, other_low), both(i32::max, high, other_high)]
     })?;
-    let facts = &readers.first()?.facts;
+    let facts = strips.first()?;
     let size = |axis: usize| u32::try_from(i64::from(high[axis]) - i64::from(low[axis]) + 1).ok();
     Some(Frame {
         west: low[0],
         north: high[1],
         columns: size(0)?,
         rows: size(1)?,
+        level,
         cell: facts.cell * f64::from(level).exp2(),
         crs_wkt: facts.crs_wkt.clone(),
     })
@@ -381,7 +396,7 @@ impl Survey {
         self.overlap_m2 = measures.overlap_cells as f64 * area_m2;
         let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         self.rasters = measures.rasters.iter().map(name).collect();
-        measures.mosaic.pictures(&mask, 2.0 * self.limits.max_difference_rms_m)
+        measures.mosaic.pictures(&mask, &self.limits)
     }
 }
 

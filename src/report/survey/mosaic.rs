@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::rasters::Frame;
+use crate::job::SurveyKeys;
 use crate::report::overview::Picture;
 use crate::report::overview::picture::{HEIGHTS, Ramp};
 
@@ -11,7 +12,7 @@ use crate::report::overview::picture::{HEIGHTS, Ramp};
 const MOST_CELLS: u32 = 640;
 /// Maximum number of listed gaps.
 const MOST_LISTED: usize = 20;
-/// A gap is larger than the square of this many pulse spacings, as a data void of the Lidar Base
+/// A gap contains a square of this many pulse spacings, as a data void of the Lidar Base
 /// Specification of the USGS.
 const VOID_SPACINGS: f64 = 4.0;
 /// Differences: blue where the later strip is lower, orange where it is higher.
@@ -75,6 +76,8 @@ pub(super) struct Pictures {
     pub(super) strips: (Picture, [f64; 2]),
     pub(super) differences: Option<Picture>,
     pub(super) gaps: Option<Picture>,
+    /// Cells below the required pulse density.
+    pub(super) below_target: Option<Picture>,
 }
 
 /// CSS colours of the differences.
@@ -117,8 +120,11 @@ impl Mosaic {
         let is_gap: Vec<bool> =
             covered.iter().zip(&inside).map(|(covered, inside)| *inside && !covered).collect();
         let area_m2 = self.edge_m() * self.edge_m();
-        let spacing_m = (1.0 / pulses_per_m2.max(1e-6)).sqrt();
-        let smallest_m2 = (VOID_SPACINGS * spacing_m).powi(2).max(area_m2);
+        let void_m = VOID_SPACINGS * (1.0 / pulses_per_m2.max(1e-6)).sqrt();
+        let side = ((void_m / self.edge_m()).ceil() as usize).max(1);
+        // Ragged edges of strips and cells that pulses miss by chance are narrower than a void.
+        let is_gap = self.opened(&is_gap, side);
+        let smallest_m2 = (side * side) as f64 * area_m2;
         let mut gaps = Gaps { smallest_m2, ..Gaps::default() };
         let mut shown = vec![false; is_gap.len()];
         let mut seen = vec![false; is_gap.len()];
@@ -181,6 +187,29 @@ impl Mosaic {
         [f64::from(self.frame.west) * self.frame.cell, (f64::from(self.frame.north) + 1.0) * self.frame.cell]
     }
 
+    /// Opening of a mask: the squares of `side` cells that it contains.
+    fn opened(&self, mask: &[bool], side: usize) -> Vec<bool> {
+        // Number of cells of the mask north-west of each corner.
+        let width = self.columns + 1;
+        let mut sums = vec![0u32; width * (self.rows + 1)];
+        for (at, set) in mask.iter().enumerate() {
+            let corner = (at / self.columns + 1) * width + at % self.columns + 1;
+            sums[corner] =
+                u32::from(*set) + sums[corner - 1] + sums[corner - width] - sums[corner - width - 1];
+        }
+        let mut opened = vec![false; mask.len()];
+        for y in 0..(self.rows + 1).saturating_sub(side) {
+            for x in 0..(self.columns + 1).saturating_sub(side) {
+                let (first, last) = (y * width + x, (y + side) * width + x);
+                let n = sums[last + side] + sums[first] - sums[first + side] - sums[last];
+                if n as usize == side * side {
+                    (y..y + side).for_each(|y| opened[y * self.columns + x..][..side].fill(true));
+                }
+            }
+        }
+        opened
+    }
+
     /// Closing of a mask by a square of `2 radius + 1` cells, and its holes.
     fn closed(&self, mask: &[bool], radius: usize) -> Vec<bool> {
         // The frame has a margin, so that its edges are not inside.
@@ -220,7 +249,7 @@ impl Mosaic {
     }
 
     /// Pictures, with `gaps` as a mask.
-    pub(super) fn pictures(&self, gaps: &[bool], difference_m: f64) -> Pictures {
+    pub(super) fn pictures(&self, gaps: &[bool], limits: &SurveyKeys) -> Pictures {
         let picture_area_m2 = |sums: &Sums| f64::from(sums.cells) * self.cell_area_m2;
         let values = |of: &dyn Fn(&Sums) -> f64| -> Vec<Option<f64>> {
             self.sums.iter().map(|sums| (sums.cells > 0).then(|| of(sums))).collect()
@@ -230,7 +259,11 @@ impl Mosaic {
         let difference =
             |sums: &Sums| (sums.differences > 0).then(|| sums.difference_m / f64::from(sums.differences));
         let differences: Vec<Option<f64>> = self.sums.iter().map(difference).collect();
-        let limits = [-difference_m, difference_m];
+        let limit_m = limits.max_difference_rms_m;
+        let target = limits.target_pulses_per_m2.unwrap_or(0.0);
+        let density = |sums: &Sums| sums.pulses as f64 / picture_area_m2(sums);
+        let is_below = |sums: &Sums| sums.cells > 0 && density(sums) < target;
+        let below: Vec<Option<f64>> = self.sums.iter().map(|sums| is_below(sums).then_some(1.0)).collect();
         let has_differences = differences.iter().any(Option::is_some);
         let is_gap: Vec<Option<f64>> = gaps.iter().map(|gap| gap.then_some(1.0)).collect();
         let step = f64::from(self.factor) * self.frame.cell;
@@ -239,15 +272,14 @@ impl Mosaic {
             west,
             north,
             size: [self.columns as f64 * step, self.rows as f64 * step],
-            pulses: Picture::of(
-                &values(&|sums| sums.pulses as f64 / picture_area_m2(sums)),
-                self.columns,
-                &HEIGHTS,
-            ),
+            pulses: Picture::of(&values(&density), self.columns, &HEIGHTS),
             strips: (Picture::within(&strips, self.columns, &HEIGHTS, [1.0, most]), [1.0, most]),
             differences: has_differences
-                .then(|| Picture::within(&differences, self.columns, &DIFFERENCES, limits)),
+                .then(|| Picture::within(&differences, self.columns, &DIFFERENCES, [-limit_m, limit_m])),
             gaps: gaps.contains(&true).then(|| Picture::within(&is_gap, self.columns, &GAPS, [0.0, 1.0])),
+            below_target: limits
+                .target_pulses_per_m2
+                .map(|_| Picture::within(&below, self.columns, &GAPS, [0.0, 1.0])),
         }
     }
 }
@@ -279,7 +311,7 @@ mod tests {
 
     fn mosaic(rows: &[&str]) -> Mosaic {
         let (columns, n) = (rows[0].len() as u32, rows.len() as u32);
-        let frame = Frame { west: 100, north: 50, columns, rows: n, cell: 10.0, crs_wkt: None };
+        let frame = Frame { west: 100, north: 50, columns, rows: n, level: 0, cell: 10.0, crs_wkt: None };
         let mut mosaic = Mosaic::new(frame, 100.0);
         for (y, row) in (0..).zip(rows) {
             for (x, cell) in (0..).zip(row.chars()) {

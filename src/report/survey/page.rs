@@ -15,6 +15,8 @@ mod figures;
 const MOST_PAIRS: usize = 500;
 /// Fraction of a strip's waveforms without explanation, or of its returns withheld, for a warning.
 const MANY: f64 = 0.05;
+/// Offset of a strip for a warning, relative to the limit of the RMS of differences.
+const OFFSET: f64 = 0.25;
 
 /// Renders a survey; `pictures` exist if any strip has cells.
 pub(super) fn page(survey: &Survey, pictures: Option<&Pictures>) -> String {
@@ -107,7 +109,11 @@ fn warnings(survey: &Survey) -> Markup {
         if let Some(failure) = &strip.failure {
             items.push((strip.stem.clone(), failure.clone()));
         }
-        items.extend(unusual(strip).into_iter().map(|words| (strip.stem.clone(), words)));
+        items.extend(
+            unusual(strip, survey.limits.max_difference_rms_m)
+                .into_iter()
+                .map(|words| (strip.stem.clone(), words)),
+        );
     }
     let limit = metres(survey.limits.max_difference_rms_m);
     let exceeding = survey.pairs.iter().filter(|pair| pair.exceeds_limit).count();
@@ -131,11 +137,18 @@ fn warnings(survey: &Survey) -> Markup {
     }
 }
 
-/// Unusual shares of a strip, as text.
-fn unusual(strip: &SurveyStrip) -> Vec<String> {
+/// Unusual offset and shares of a strip, as text.
+fn unusual(strip: &SurveyStrip, limit_m: f64) -> Vec<String> {
     let Some(facts) = &strip.facts else { return Vec::new() };
     let share = |part: u64, of: u64| part as f64 / of.max(1) as f64;
     let mut found = Vec::new();
+    if let Some(offset_m) = strip.offset_m.filter(|offset_m| offset_m.abs() > OFFSET * limit_m) {
+        let side = if offset_m > 0.0 { "above" } else { "below" };
+        found.push(format!(
+            "lies {} m {side} the others; check its trajectory and boresight",
+            metres(offset_m.abs())
+        ));
+    }
     let unexplained = share(facts.unexplained_waveforms, facts.waveforms);
     if unexplained > MANY {
         found.push(format!("the returns do not explain {:.1} % of the waveforms", 100.0 * unexplained));
@@ -156,8 +169,11 @@ fn maps(survey: &Survey, pictures: Option<&Pictures>) -> Markup {
         label(survey.gaps.smallest_m2, 0)
     );
     let mut figures = vec![figure("Strips and gaps", figures::strips(survey, pictures), &words)];
-    let words = "first returns of all strips, means of cells with points";
-    figures.push(figure("Pulse density", figures::pulses(pictures), words));
+    let mut words = "first returns of all strips, means of cells with points".to_owned();
+    if let Some(target) = survey.limits.target_pulses_per_m2 {
+        words += &format!("; red: below the required {} pulses per m²", short(target));
+    }
+    figures.push(figure("Pulse density", figures::pulses(pictures), &words));
     let limit_m = survey.limits.max_difference_rms_m;
     if let Some(svg) = figures::differences(pictures, limit_m) {
         let words = "later strip minus earlier one; of several pairs the largest difference";
@@ -184,7 +200,7 @@ fn differences(survey: &Survey) -> Markup {
             format!("{} − {}", pair.strips[1], pair.strips[0]),
             label(of.cells as f64, 0),
             metres(of.median_m),
-            format!("{} ± {}", metres(of.mean_m), label(of.mean_sd_m, 4)),
+            format!("{} ± {}", label(of.mean_m, 4), label(of.mean_sd_m, 4)),
             metres(of.rms_m),
             metres(of.noise_rms_m),
             metres(of.magnitude_95_m),

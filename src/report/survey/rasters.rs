@@ -17,8 +17,7 @@ pub(super) enum Layer {
     Roughness,
 }
 
-/// Layers in the order of their discriminants.
-pub(super) const LAYERS: [(Layer, &str, &str); 5] = [
+const LAYERS: [(Layer, &str, &str); 5] = [
     (Layer::Pulses, "pulse_density", "pulse density (first returns of all strips), 1/m2"),
     (Layer::Points, "point_density", "point density (returns of all strips), 1/m2"),
     (Layer::Strips, "strips", "number of strips"),
@@ -41,6 +40,8 @@ pub(super) struct Frame {
     pub(super) north: i32,
     pub(super) columns: u32,
     pub(super) rows: u32,
+    /// Level of the cells.
+    pub(super) level: u8,
     /// Cell size in units of the CRS.
     pub(super) cell: f64,
     pub(super) crs_wkt: Option<String>,
@@ -75,26 +76,41 @@ pub(super) struct Rasters {
 }
 
 struct Raster {
+    layer: Layer,
     writer: RasterWriter<OutputFile>,
     tiles: BTreeMap<u32, Tile>,
     path: PathBuf,
 }
 
 impl Rasters {
-    /// Starts the rasters `STEM_LAYER.tif`; `stem` is a path.
+    /// Starts rasters of all layers, `STEM_LAYER.tif`; `stem` is a path.
     ///
     /// # Errors
     /// If a file cannot be created.
     pub(super) fn create(frame: Frame, stem: &Path) -> Result<Rasters> {
-        let mut rasters = Vec::new();
-        for path in paths(stem) {
-            let (_, _, description) = LAYERS[rasters.len()];
-            // The tiles are spooled next to the file; the spool is never published.
-            let spool = OutputFile::create(&path.with_extension("tif.tiles"))?;
-            let writer = RasterWriter::new(frame.grid(description), spool);
-            rasters.push(Raster { writer, tiles: BTreeMap::new(), path });
+        let mut rasters = Rasters { frame, rasters: Vec::new(), row: 0 };
+        for ((layer, _, description), path) in LAYERS.into_iter().zip(paths(stem)) {
+            rasters.add(layer, description, path)?;
         }
-        Ok(Rasters { frame, rasters, row: 0 })
+        Ok(rasters)
+    }
+
+    /// Starts the raster of the pulse density of one strip.
+    ///
+    /// # Errors
+    /// If the file cannot be created.
+    pub(super) fn of_strip(frame: Frame, path: &Path) -> Result<Rasters> {
+        let mut rasters = Rasters { frame, rasters: Vec::new(), row: 0 };
+        rasters.add(Layer::Pulses, "pulse density (first returns), 1/m2", path.to_owned())?;
+        Ok(rasters)
+    }
+
+    fn add(&mut self, layer: Layer, description: &str, path: PathBuf) -> Result<()> {
+        // The tiles are spooled next to the file; the spool is never published.
+        let spool = OutputFile::create(&path.with_extension("tif.tiles"))?;
+        let writer = RasterWriter::new(self.frame.grid(description), spool);
+        self.rasters.push(Raster { layer, writer, tiles: BTreeMap::new(), path });
+        Ok(())
     }
 
     /// Starts a row of cells; rows come from north to south.
@@ -113,7 +129,7 @@ impl Rasters {
     /// Sets a value of the current row.
     pub(super) fn set(&mut self, layer: Layer, row: i32, column: i32, value: f64) {
         let (y, x) = (self.from_north(row) as usize % TILE, column.wrapping_sub(self.frame.west) as u32);
-        if let Some(raster) = self.rasters.get_mut(layer as usize) {
+        if let Some(raster) = self.rasters.iter_mut().find(|raster| raster.layer == layer) {
             let tile = raster.tiles.entry(x / TILE as u32).or_insert_with(empty_tile);
             tile[y * TILE + x as usize % TILE] = value as f32;
         }

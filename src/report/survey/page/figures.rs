@@ -73,8 +73,8 @@ pub(super) fn strips(survey: &Survey, pictures: &Pictures) -> String {
     for (i, strip) in survey.strips.iter().enumerate().filter(|(_, strip)| strip.failure.is_none()) {
         let track = strip.facts.as_ref().map_or(&[][..], |facts| &facts.track);
         svg.curve("track", track.iter().map(|place| map.plot.at(*place)));
-        if let Some(first) = track.first().filter(|_| is_numbered) {
-            let [x, y] = map.plot.at(*first);
+        if let Some(middle) = track.get(track.len() / 2).filter(|_| is_numbered) {
+            let [x, y] = map.plot.at(*middle);
             svg.text("strip", [x, y + 4.0], Anchor::Middle, &(i + 1).to_string());
         }
     }
@@ -88,6 +88,9 @@ pub(super) fn pulses(pictures: &Pictures) -> String {
     let mut svg = Svg::new();
     let (picture, [low, high]) = &pictures.pulses;
     map.image(&mut svg, "pulses", picture);
+    if let Some(below) = &pictures.below_target {
+        map.image(&mut svg, "below-target", below);
+    }
     map.finish(svg, &MapPicture::height_colours(), [*low, *high].map(short), "pulses per m²")
 }
 
@@ -96,7 +99,7 @@ pub(super) fn differences(pictures: &Pictures, limit_m: f64) -> Option<String> {
     let map = Map::new(pictures);
     let mut svg = Svg::new();
     map.image(&mut svg, "differences", pictures.differences.as_ref()?);
-    let ends = [-2.0 * limit_m, 2.0 * limit_m].map(short);
+    let ends = [-limit_m, limit_m].map(short);
     Some(map.finish(svg, &difference_colours(), ends, "height difference, m"))
 }
 
