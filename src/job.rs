@@ -188,7 +188,6 @@ impl JobSettings {
         InvalidKey::unless(fits, "report_page", "it must end in .html, such as \"report.html\"")?;
         let fits = self.survey_page.is_empty() || self.survey_page.ends_with(".html");
         InvalidKey::unless(fits, "survey_page", "it must end in .html, such as \"survey.html\"")?;
-        self.survey.check()?;
         self.geometry.check()
     }
 }

@@ -211,7 +211,7 @@ mod tests {
         assert_eq!(with(FileMark::Input), geometry);
         assert_eq!(with(FileMark::Geoid), ["/geometry/geoid"]);
         assert_eq!(with(FileMark::GeoidFolder), ["/geometry/geoid_dir"]);
-        assert_eq!(with(FileMark::Output), ["/report", "/report_page", "/stat_log", "/log"]);
+        assert_eq!(with(FileMark::Output), ["/report", "/report_page", "/survey_page", "/stat_log", "/log"]);
     }
 
     #[test]

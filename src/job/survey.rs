@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::keys::{InvalidKey, Keys};
+use crate::keys::Keys;
 
 /// Cells and limits of the survey's page: the table `[job.survey]`.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -54,19 +54,5 @@ impl SurveyKeys {
     /// The keys of the table with their documentation.
     pub(super) fn keys() -> Keys {
         Keys::of(SurveyKeys::json_schema)
-    }
-
-    pub(super) fn check(&self) -> Result<(), InvalidKey> {
-        let within = |value: f64, key: &'static str, [low, high]: [f64; 2]| {
-            let problem = format!("it must lie between {low} and {high}");
-            if (low..=high).contains(&value) { Ok(()) } else { Err(InvalidKey::new(key, problem)) }
-        };
-        within(self.cell_m, "survey.cell_m", [0.1, 100.0])?;
-        within(self.target_pulses_per_m2.unwrap_or(1.0), "survey.target_pulses_per_m2", [0.001, 10_000.0])?;
-        within(self.max_slope_deg, "survey.max_slope_deg", [0.1, 60.0])?;
-        within(self.max_roughness_m, "survey.max_roughness_m", [0.001, 10.0])?;
-        within(f64::from(self.min_points), "survey.min_points", [4.0, 1000.0])?;
-        within(self.max_difference_rms_m, "survey.max_difference_rms_m", [0.001, 10.0])?;
-        within(self.gap_width_m, "survey.gap_width_m", [1.0, 10_000.0])
     }
 }

@@ -1,5 +1,6 @@
 //! `survey_page`: densities, gaps and height differences of overlapping strips.
 
+use crate::report_page::browser::{self, Look};
 use serde_json::Value;
 use wavex_testkit::{Outcome, TestFolder, outcome};
 
@@ -82,6 +83,26 @@ fn a_misaligned_strip_is_shown_and_quantified() {
         println!("   scatter {scatter_m:.4} m, by noise {noise_m:.4} m");
         assert!((0.8..1.6).contains(&(scatter_m / noise_m)), "{pair}");
     }
+    let warning = "<li><b>b</b>: lies 0.050 m above the others; check its trajectory and boresight</li>";
+    assert!(place.text("out/job_survey.html").contains(warning));
+    look_at(&place);
+}
+
+/// The page in a browser: readable, with all pictures and without console messages.
+fn look_at(place: &TestFolder) {
+    let Some(browser) = browser::find() else { return };
+    let page = place.text("out/job_survey.html");
+    for look in [Look::Light, Look::Dark] {
+        let (_, said) = browser::show(&browser, &place.path("out/job_survey.html"), look);
+        assert_eq!(said, [] as [&str; 0], "{look:?}: the console");
+        let found = browser::measured(&browser, &page, look);
+        for nothing in ["empty", "faint", "small", "overlapping", "loaded"] {
+            assert_eq!(found[nothing], serde_json::json!([]), "{look:?}: {nothing}");
+        }
+        assert_eq!(found["wide"], false, "{look:?}: the page scrolls horizontally");
+        let images = found["images"].as_array().unwrap();
+        assert!(images.len() >= 3 && images.iter().all(|size| size[0].as_u64() > Some(20)), "{images:?}");
+    }
 }
 
 /// Two small strips side by side.
@@ -96,7 +117,8 @@ fn small_survey() -> TestFolder {
 
 /// Files of the survey with their content.
 fn survey_files(place: &TestFolder) -> Vec<(String, Vec<u8>)> {
-    let is_of_survey = |name: &String| name.contains("survey") || name.contains("cells") || name.ends_with("tif");
+    let is_of_survey =
+        |name: &String| name.contains("survey") || name.contains("cells") || name.ends_with("tif");
     let names = place.outputs().into_iter().filter(is_of_survey);
     names.map(|name| (name.clone(), std::fs::read(place.path(&format!("out/{name}"))).unwrap())).collect()
 }
@@ -176,7 +198,7 @@ fn keys_and_commands_without_a_survey_are_refused() {
     let refused = place.run(&format!("survey_page = 'page.pdf'\n{JOB}"));
     assert!(refused.err.contains("`survey_page`: it must end in .html"), "{}", refused.err);
     let refused = place.run(&format!("[job.survey]\ncell_m = 0.0\n{JOB}"));
-    assert!(refused.err.contains("must lie between 0.1 and 100"), "{}", refused.err);
+    assert!(refused.err.contains("`cell_m` must be at least 0.1 and at most 100"), "{}", refused.err);
     let none = place.wavex(&["survey", "."]);
     let remedy = "no cells of strips (*_cells.arrow); run the job with `survey_page = true`";
     assert!(none.code == Some(1) && none.err.contains(remedy), "{none:?}");
@@ -192,5 +214,7 @@ fn a_run_without_points_has_a_page() {
     assert_eq!(place.run(job), Outcome::success());
     let why = "it has no points with coordinates; add the stage `georeference`";
     assert!(place.text("out/page.html").contains(why));
-    assert_eq!(place.outputs(), ["page.html", "page.json", "raw.arrow", "raw_cells.arrow", "raw_stat.log"]);
+    let expected =
+        ["job_report.json", "page.html", "page.json", "raw.arrow", "raw_cells.arrow", "raw_stat.log"];
+    assert_eq!(place.outputs(), expected);
 }
