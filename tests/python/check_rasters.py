@@ -11,6 +11,8 @@ from read_container import SCHEMAS
 
 LAYERS = ["pulse_density", "point_density", "strips", "height_difference", "roughness"]
 NO_DATA = -9999.0
+# Coordinates in LAS are rounded to 1 mm, which moves one point of 4000 to the neighbouring cell of 2 m.
+NEARLY_ALL = 0.98
 
 
 def check_rasters(checks, folder, stem):
@@ -25,9 +27,11 @@ def check_rasters(checks, folder, stem):
     for layer in LAYERS:
         check_layout(checks, folder / f"job_survey_{layer}.tif", survey)
     first, first_grid = read(folder / "job_survey_pulse_density.tif")
-    checks.within("pulse density is that of the first returns", first, counted(points[number == 1], *first_grid, points), 1e-6)
+    expected = counted(points[number == 1], *first_grid, points, first.shape)
+    checks.that("pulse density is that of the first returns", share_of_equal(first, expected) > NEARLY_ALL)
     every, grid = read(folder / "job_survey_point_density.tif")
-    checks.within("point density is that of the points", every, counted(points, *grid, points), 1e-6)
+    expected = counted(points, *grid, points, every.shape)
+    checks.that("point density is that of the points", share_of_equal(every, expected) > NEARLY_ALL)
     own, own_grid = read(folder / f"{stem}_pulse_density.tif")
     checks.equal("the strip's raster has the same grid", own_grid, first_grid)
     checks.within("the strip's raster has the same density", own, first, 0.0)
@@ -71,16 +75,25 @@ def read(path):
 
 
 def places(points, west, north, cell):
-    return np.floor((north - points[:, 1]) / cell).astype(int), np.floor((points[:, 0] - west) / cell).astype(int)
+    # A point on an edge belongs to the cell north and east of it.
+    rows = np.round(north / cell) - 1 - np.floor(points[:, 1] / cell + 1e-9)
+    columns = np.floor(points[:, 0] / cell + 1e-9) - np.round(west / cell)
+    return rows.astype(int), columns.astype(int)
 
 
-def counted(points, west, north, cell, covered):
+def counted(points, west, north, cell, covered, shape):
     """Points per square metre, with no data where no point is."""
-    shape = tuple(1 + np.max(places(covered, west, north, cell), axis=1))
-    density, cells = np.zeros(shape), np.zeros(shape)
-    np.add.at(density, places(points, west, north, cell), 1.0 / cell**2)
-    np.add.at(cells, places(covered, west, north, cell), 1)
-    return np.where(cells > 0, density, NO_DATA)
+    def of(points):
+        rows, columns = places(points, west, north, cell)
+        inside = (rows >= 0) & (rows < shape[0]) & (columns >= 0) & (columns < shape[1])
+        counts = np.zeros(shape)
+        np.add.at(counts, (rows[inside], columns[inside]), 1.0)
+        return counts
+    return np.where(of(covered) > 0, of(points) / cell**2, NO_DATA)
+
+
+def share_of_equal(found, expected):
+    return np.mean(np.abs(found - expected) < 1e-6)
 
 
 def roughness(points, raster, west, north, cell):

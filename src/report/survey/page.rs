@@ -36,6 +36,7 @@ pub(super) fn page(survey: &Survey, pictures: Option<&Pictures>) -> String {
                 (key_figures(survey))
                 (warnings(survey))
                 (maps(survey, pictures))
+                (gaps(survey))
                 (differences(survey))
                 (strips(survey))
                 (quality(survey))
@@ -188,6 +189,15 @@ fn maps(survey: &Survey, pictures: Option<&Pictures>) -> Markup {
         false => format!("The same as GeoTIFF in full resolution: {}", survey.rasters.join(", ")),
     };
     group("Map views", &rasters, &figures)
+}
+
+fn gaps(survey: &Survey) -> Markup {
+    let row = |gap: &super::Gap| {
+        let [east, north] = gap.centre.map(|coordinate| label(coordinate, 0));
+        vec![east, north, label(gap.area_m2, 0)]
+    };
+    let rows = survey.gaps.largest.iter().map(row);
+    html! { div.scroll { (table("Largest gaps", &["east of the centre", "north", "area, m²"], rows)) } }
 }
 
 fn differences(survey: &Survey) -> Markup {
