@@ -272,7 +272,7 @@ fn halve(fine: &[f32], coarse: &mut [f32], [down, across]: [usize; 2]) {
             let (mut sum, mut n) = (0.0f64, 0u32);
             for at in [0, 1, TILE, TILE + 1] {
                 let value = fine[2 * row * TILE + 2 * column + at];
-                if value != NO_DATA {
+                if value.to_bits() != NO_DATA.to_bits() {
                     sum += f64::from(value);
                     n += 1;
                 }

@@ -82,10 +82,9 @@ impl StripGrid {
     }
 
     fn tile(&mut self, at: [i32; 2]) -> &mut Tile {
-        if self.current.as_ref().is_none_or(|(place, _)| *place != at) {
-            if let Some((place, tile)) = self.current.take() {
-                self.tiles.insert(place, tile);
-            }
+        let is_other = |(place, _): &mut ([i32; 2], Tile)| *place != at;
+        if let Some((place, tile)) = self.current.take_if(is_other) {
+            self.tiles.insert(place, tile);
         }
         let tiles = &mut self.tiles;
         let current = self.current.get_or_insert_with(|| {

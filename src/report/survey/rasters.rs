@@ -118,7 +118,7 @@ impl Rasters {
     /// # Errors
     /// If a file cannot be written.
     pub(super) fn begin_row(&mut self, row: i32) -> Result<()> {
-        let tile_row = self.from_north(row) / TILE as u32;
+        let tile_row = self.row_index(row) / TILE as u32;
         if tile_row != self.row {
             self.store()?;
             self.row = tile_row;
@@ -128,14 +128,14 @@ impl Rasters {
 
     /// Sets a value of the current row.
     pub(super) fn set(&mut self, layer: Layer, row: i32, column: i32, value: f64) {
-        let (y, x) = (self.from_north(row) as usize % TILE, column.wrapping_sub(self.frame.west) as u32);
+        let (y, x) = (self.row_index(row) as usize % TILE, column.wrapping_sub(self.frame.west) as u32);
         if let Some(raster) = self.rasters.iter_mut().find(|raster| raster.layer == layer) {
             let tile = raster.tiles.entry(x / TILE as u32).or_insert_with(empty_tile);
             tile[y * TILE + x as usize % TILE] = value as f32;
         }
     }
 
-    fn from_north(&self, row: i32) -> u32 {
+    fn row_index(&self, row: i32) -> u32 {
         self.frame.north.wrapping_sub(row) as u32
     }
 
