@@ -244,7 +244,8 @@ impl<'j> RunFiles<'j> {
         if self.due.take().is_some() {
             self.write_report(run, false)?;
         }
-        let page = self.survey_page().filter(|path| is_in_folder(path));
+        let was_run = run.inputs.iter().any(|input| input.status != InputStatus::NotRun);
+        let page = self.survey_page().filter(|path| was_run && is_in_folder(path));
         if let Some((survey, page)) = self.survey.as_mut().zip(page) {
             survey.write(self.settings, &self.entries, &page)?;
         }
