@@ -31,6 +31,8 @@ mod run;
 mod run_files;
 mod scan;
 mod stages;
+mod survey;
+mod survey_files;
 mod terminal;
 mod trajectory;
 mod usage;
@@ -134,6 +136,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Explain(args) => explain::explain(&args, quiet),
         Command::Scan(args) => scan::scan(&args, quiet),
         Command::Report { place, out } => report::report(&place, out.as_deref(), quiet),
+        Command::Survey(args) => survey::survey(&args, quiet),
         Command::Trajectory(args) => trajectory::trajectory(&args, quiet),
         Command::Import(args) => import::run_import(&args, quiet),
         Command::Completions { shell } => {

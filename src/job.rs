@@ -29,6 +29,7 @@ mod page;
 mod schema;
 mod simd;
 mod sources;
+mod survey;
 mod tables;
 mod validate;
 
@@ -39,6 +40,7 @@ pub use manual::{manual, manual_of, summary};
 pub use overrides::Override;
 pub use schema::job_schema;
 pub use simd::Simd;
+pub use survey::SurveyKeys;
 
 use sources::Sources;
 
@@ -112,6 +114,12 @@ pub struct JobSettings {
     #[serde(deserialize_with = "page::name")]
     #[schemars(with = "page::PageKey", extend("x-file" = "output"))]
     pub report_page: String,
+    /// Page of the survey in the output folder, for inputs that are strips of one survey: a name, or
+    /// `true` for `*_survey.html`; `false` or empty: none. Next to it are a JSON file and rasters of
+    /// the same name, and for each input a file of its cells, `*_cells.arrow`.
+    #[serde(deserialize_with = "page::survey_name")]
+    #[schemars(with = "page::PageKey", extend("x-file" = "output"))]
+    pub survey_page: String,
     /// Text statistics of each input in the output folder; `*` is replaced by the stem of the input
     /// and is required for several inputs; empty: none. Those of a failed input have its error
     /// message.
@@ -135,6 +143,8 @@ pub struct JobSettings {
     pub survey_model: Option<String>,
     /// Trajectory, mount and coordinates: the table `[job.geometry]`.
     pub geometry: GeometryKeys,
+    /// Cells and limits of the survey's page: the table `[job.survey]`.
+    pub survey: SurveyKeys,
 }
 
 /// Inputs that share a sensor model.
@@ -171,6 +181,7 @@ impl Default for JobSettings {
             simd: Simd::Auto,
             report: "*_report.json".into(),
             report_page: String::new(),
+            survey_page: String::new(),
             stat_log: "*_stat.log".into(),
             log: "*.log".into(),
             on_error: OnError::default(),
@@ -178,6 +189,7 @@ impl Default for JobSettings {
             model: ModelScope::default(),
             survey_model: None,
             geometry: GeometryKeys::default(),
+            survey: SurveyKeys::default(),
         }
     }
 }
@@ -198,6 +210,8 @@ impl JobSettings {
         InvalidKey::unless(is_name, "report", page::REPORT_IS_A_NAME)?;
         let fits = self.report_page.is_empty() || self.report_page.ends_with(".html");
         InvalidKey::unless(fits, "report_page", "it must end in .html, such as \"report.html\"")?;
+        let fits = self.survey_page.is_empty() || self.survey_page.ends_with(".html");
+        InvalidKey::unless(fits, "survey_page", "it must end in .html, such as \"survey.html\"")?;
         self.geometry.check()
     }
 }

@@ -17,6 +17,7 @@ mod page;
 pub(crate) mod panel;
 mod stat_log;
 pub(crate) mod style;
+pub mod survey;
 pub(crate) mod svg;
 mod tables;
 

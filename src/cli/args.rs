@@ -6,6 +6,7 @@ use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 
 use super::false_alarms::FalseAlarmArgs;
 use super::plan::{CollectArgs, PlanArgs};
+use super::survey::SurveyArgs;
 use super::usage;
 use wavex_formats::trajectory::Angles;
 use wavex_geodesy::time_axis::Clock;
@@ -195,6 +196,11 @@ pub(super) enum Command {
         #[arg(short, long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
+    /// Make the page of a survey from the strips of one or more runs
+    ///
+    /// The runs must have had `survey_page`. Writes page, JSON and rasters.
+    #[command(after_help = usage::SURVEY)]
+    Survey(SurveyArgs),
     /// Project and decimate a trajectory: SBET, POF, SOL, TRJ or text
     ///
     /// Prints a summary. Optionally writes a table with the columns t lon lat h x y z w p k, and a

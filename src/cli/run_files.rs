@@ -9,9 +9,10 @@ use serde_json::Value;
 
 use super::args::ResumeCheck;
 use super::resume::{Comparison, EarlierRun};
-use crate::engine::{self, InputStatus, InputSummary, RunSummary};
+use super::survey_files::{Collected, SurveyFiles};
+use crate::engine::{self, Input, InputStatus, InputSummary, RunSummary};
 use crate::job::{Job, JobSettings};
-use crate::report::{self, FileState, InputFiles, InputReport, Overviews, RunReport};
+use crate::report::{self, FileState, InputFiles, InputReport, RunReport};
 use crate::stage::{OutputFile, OutputLock, Outputs, Result, RunObservers, StageError, fixed_folder};
 use wavex_formats::Error;
 
@@ -25,8 +26,10 @@ pub(super) struct RunFiles<'j> {
     name: String,
     output_dir: PathBuf,
     profile: bool,
-    /// Collects the overviews of the inputs, if the job requests a page.
-    collected: Option<Arc<Overviews>>,
+    /// Data of the pages about the inputs, if the job requests any.
+    collected: Option<Arc<Collected>>,
+    /// Files of the survey, if the job requests its page.
+    survey: Option<SurveyFiles>,
     comparison: Comparison,
     /// Files read for each input, before the run, by its stem.
     read: BTreeMap<String, Vec<FileState>>,
@@ -48,16 +51,16 @@ impl<'j> RunFiles<'j> {
         profile: bool,
         check: Option<ResumeCheck>,
     ) -> RunFiles<'j> {
-        let collected = (!job.settings.report_page.is_empty()).then(Arc::default);
         let output_dir = output_dir.to_owned();
         let (settings, name) = (&job.settings, job.stem());
         let comparison = Comparison::new(check, input_dir, &output_dir);
         RunFiles {
             settings,
             name,
-            output_dir,
             profile,
-            collected,
+            collected: Collected::new(settings).map(Arc::new),
+            survey: SurveyFiles::new(settings, &output_dir),
+            output_dir,
             comparison,
             read: BTreeMap::new(),
             skipped: BTreeMap::new(),
@@ -83,7 +86,9 @@ impl<'j> RunFiles<'j> {
         // The engine reports inputs that cannot be found.
         let inputs = engine::inputs(job, input_dir).unwrap_or_default();
         let stat_logs = inputs.iter().filter_map(|input| self.stat_log(&input.stem));
-        let mut of_inputs = self.outputs(stat_logs);
+        let of_strip = |input: &Input| Some(self.survey.as_ref()?.of_input(&input.stem));
+        let of_strips = inputs.iter().filter_map(of_strip).flatten();
+        let mut of_inputs = self.outputs(stat_logs.chain(of_strips));
         if let Some(archive) = archive {
             let folder = fixed_folder(Path::new(""), &archive.to_string_lossy());
             let path = folder.join(archive.file_name().unwrap_or_default());
@@ -104,7 +109,8 @@ impl<'j> RunFiles<'j> {
 
     /// Whether all files of the run have its name.
     fn has_own_names(&self) -> bool {
-        let names = [&self.settings.report, &self.settings.report_page, &self.settings.log];
+        let settings = self.settings;
+        let names = [&settings.report, &settings.report_page, &settings.survey_page, &settings.log];
         names.into_iter().all(|name| name.is_empty() || name.contains('*'))
     }
 
@@ -119,7 +125,7 @@ impl<'j> RunFiles<'j> {
         outputs
     }
 
-    /// Observers that collect the data of the page.
+    /// Observers that collect the data of the pages.
     pub(super) fn observers(&self) -> Option<Arc<dyn RunObservers>> {
         self.collected.clone().map(|collected| collected as Arc<dyn RunObservers>)
     }
@@ -156,11 +162,11 @@ impl<'j> RunFiles<'j> {
         (self.skipped.keys().cloned().collect(), messages)
     }
 
-    /// Checks that report and page can be created.
+    /// Checks that report and pages can be created.
     ///
     /// Problems with them should be reported before the run, not after its first input.
     pub(super) fn check(&self) -> Result<()> {
-        for path in [&self.settings.report, &self.settings.report_page] {
+        for path in [&self.settings.report, &self.settings.report_page, &self.settings.survey_page] {
             self.of_name(path).map_or(Ok(()), |path| OutputFile::create(&path).map(drop))?;
         }
         Ok(())
@@ -170,7 +176,8 @@ impl<'j> RunFiles<'j> {
     pub(super) fn of_run(&self) -> Vec<PathBuf> {
         let trace = if self.profile { TRACE } else { "" };
         let names = [&self.settings.report, &self.settings.report_page, trace, &self.settings.log];
-        names.into_iter().filter_map(|name| self.of_name(name)).collect()
+        let survey = self.survey_page().into_iter().flat_map(|page| SurveyFiles::of_page(&page));
+        names.into_iter().filter_map(|name| self.of_name(name)).chain(survey).collect()
     }
 
     /// Statistics of an input, if the job requests them.
@@ -181,6 +188,11 @@ impl<'j> RunFiles<'j> {
     /// Log of the run, if the job requests one.
     pub(super) fn log(&self) -> Option<PathBuf> {
         self.of_name(&self.settings.log)
+    }
+
+    /// Page of the survey, if the job requests one.
+    fn survey_page(&self) -> Option<PathBuf> {
+        self.of_name(&self.settings.survey_page)
     }
 
     /// File of the run with this pattern.
@@ -202,9 +214,12 @@ impl<'j> RunFiles<'j> {
     pub(super) fn update(&mut self, run: &RunSummary, number: usize) -> Result<()> {
         let Some(input) = run.inputs.get(number) else { return Ok(()) };
         let is_done = input.status == InputStatus::Done;
-        let overview =
-            self.collected.as_ref().and_then(|collected| collected.take(&input.stem)).filter(|_| is_done);
-        let written = self.comparison.written(&input.outputs);
+        let collected = self.collected.as_ref();
+        let overview = collected.and_then(|collected| collected.overview(&input.stem)).filter(|_| is_done);
+        let strip = collected.and_then(|collected| collected.strip(&input.stem)).filter(|_| is_done);
+        let of_strip = self.survey.as_ref().zip(strip).map(|(survey, strip)| survey.write_strip(&strip));
+        let of_strip = of_strip.transpose()?.unwrap_or_default();
+        let written = self.comparison.written(input.outputs.iter().chain(&of_strip));
         let read = self.read.get(&input.stem).cloned().unwrap_or_default();
         self.fill_entries(run)?;
         self.entries[number] =
@@ -219,13 +234,21 @@ impl<'j> RunFiles<'j> {
         Ok(())
     }
 
-    /// Writes report and page of a run that has ended.
+    /// Writes report and pages of a run that has ended.
     ///
     /// # Errors
     /// If a file cannot be written.
     pub(super) fn complete(&mut self, run: &RunSummary) -> Result<()> {
         self.fill_entries(run)?;
-        if self.due.take().is_some() { self.write_report(run, false) } else { Ok(()) }
+        if self.due.take().is_some() {
+            self.write_report(run, false)?;
+        }
+        let was_run = run.inputs.iter().any(|input| input.status != InputStatus::NotRun);
+        let page = self.survey_page().filter(|path| was_run && is_in_folder(path));
+        if let Some((survey, page)) = self.survey.as_mut().zip(page) {
+            survey.write(self.settings, &self.entries, &page)?;
+        }
+        Ok(())
     }
 
     /// Adds entries for inputs without one: skipped or not run.
@@ -292,7 +315,12 @@ impl<'j> RunFiles<'j> {
     pub(super) fn written(&self, run: &RunSummary) -> Vec<PathBuf> {
         let was_run = |input: &&InputSummary| matches!(input.status, InputStatus::Done | InputStatus::Failed);
         let inputs: Vec<&InputSummary> = run.inputs.iter().filter(was_run).collect();
-        let of_run = if inputs.is_empty() { Vec::from_iter(self.log()) } else { self.of_run() };
+        let mut of_run = if inputs.is_empty() { Vec::from_iter(self.log()) } else { self.of_run() };
+        if let Some(survey) = &self.survey {
+            let requested = self.survey_page().map(|page| SurveyFiles::of_page(&page)).unwrap_or_default();
+            of_run.retain(|path| !requested.contains(path));
+            of_run.extend_from_slice(survey.written());
+        }
         let stat_logs = inputs.into_iter().filter_map(|input| self.stat_log(&input.stem));
         of_run.into_iter().chain(stat_logs).collect()
     }

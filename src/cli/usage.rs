@@ -88,6 +88,11 @@ Examples:
   wavex report out/flight7_report.json
   wavex report out --out flight7.html";
 
+pub(super) const SURVEY: &str = "\
+Examples:
+  wavex survey out
+  wavex survey node1 node2 node3 --job survey.toml --out all.html";
+
 pub(super) const TRAJECTORY: &str = "\
 Examples:
   wavex trajectory flight7.sbet

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde_json::Value;
 
-use super::JobSettings;
+use super::{JobSettings, SurveyKeys};
 use crate::georef::GeometryKeys;
 use crate::keys::{Key, Keys, listed};
 use crate::stage::{RoleName, StageSpec};
@@ -23,6 +23,8 @@ pub fn manual(stages: &[&'static StageSpec]) -> String {
     page += &key_table(&JobSettings::keys());
     let geometry = GeometryKeys::keys();
     let _ = write!(page, "\n## `[job.geometry]`\n\n{}\n\n{}", geometry.doc(), key_table(&geometry));
+    let survey = SurveyKeys::keys();
+    let _ = write!(page, "\n## `[job.survey]`\n\n{}\n\n{}", survey.doc(), key_table(&survey));
     for spec in stages {
         let keys = spec.keys();
         let _ = write!(

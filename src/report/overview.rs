@@ -15,11 +15,11 @@ use crate::scan_line::{Return, ScanLine};
 use crate::stage::{DecomposedLine, FitShot, Result, RunObserver, RunObservers};
 
 mod gallery;
-mod histogram;
+pub(in crate::report) mod histogram;
 mod lines;
 mod map;
-mod picture;
-mod view;
+pub(in crate::report) mod picture;
+pub(in crate::report) mod view;
 mod zones;
 
 pub use gallery::{ShownKind, ShownReturn, ShownShot};

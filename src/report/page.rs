@@ -9,13 +9,13 @@ use super::tables::points;
 use plot::{label, short};
 
 pub(super) mod drift;
-mod plot;
+pub(super) mod plot;
 mod results;
 mod stages_and_sensor;
 mod waveforms;
 
 /// Content security policy: only styles and pictures embedded in the page.
-const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:";
+pub(super) const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:";
 
 /// An input whose overview cannot be shown.
 #[derive(Debug, thiserror::Error)]
@@ -281,7 +281,7 @@ fn tables(input: &Value) -> Markup {
 }
 
 /// A titled group of figures; empty if there are none.
-fn group(title: &str, about: &str, figures: &[Markup]) -> Markup {
+pub(super) fn group(title: &str, about: &str, figures: &[Markup]) -> Markup {
     html! {
         @if !figures.is_empty() {
             h2.group { (title) }
@@ -292,7 +292,7 @@ fn group(title: &str, about: &str, figures: &[Markup]) -> Markup {
 }
 
 /// A figure with title and caption.
-fn figure(title: &str, svg: String, words: &str) -> Markup {
+pub(super) fn figure(title: &str, svg: String, words: &str) -> Markup {
     html! {
         figure {
             h3 { (title) }
@@ -303,7 +303,7 @@ fn figure(title: &str, svg: String, words: &str) -> Markup {
 }
 
 /// A titled table of names and values; empty without rows.
-fn section(title: &str, rows: impl Iterator<Item = (String, String)>) -> Markup {
+pub(super) fn section(title: &str, rows: impl Iterator<Item = (String, String)>) -> Markup {
     let mut rows = rows.peekable();
     html! {
         @if rows.peek().is_some() {
@@ -351,7 +351,7 @@ fn observed(input: &Value) -> Markup {
 }
 
 /// A titled table with header; empty without rows.
-fn table(title: &str, heads: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Markup {
+pub(super) fn table(title: &str, heads: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Markup {
     let mut rows = rows.peekable();
     html! {
         @if rows.peek().is_some() { section { h2 { (title) } (wide_table(heads, rows)) } }

@@ -51,6 +51,7 @@ Commands:
   explain       Explain one shot: samples, fit, residuals and returns
   scan          Summarise a recording: times, rates, lines, channels, noise, integrity
   report        Render a run's report as a page: timing, counts, sensor model, warnings
+  survey        Make the page of a survey from the strips of one or more runs
   trajectory    Project and decimate a trajectory: SBET, POF, SOL, TRJ or text
   import        Translate a command line of BayesWavEx 1.0 or 1.1 into a job
   completions   Print a shell completion script
@@ -116,7 +117,7 @@ fn the_help_of_every_command_ends_with_examples() {
     let help = wavex(&["--help"]).out;
     let commands = help.lines().skip_while(|line| *line != "Commands:").skip(1);
     let commands: Vec<&str> = commands.map_while(|line| line.split_whitespace().next()).collect();
-    assert_eq!(commands.len(), 18, "{commands:?}");
+    assert_eq!(commands.len(), 19, "{commands:?}");
     for command in commands.into_iter().filter(|command| *command != "help") {
         let help = wavex(&[command, "--help"]).out;
         let examples = help.split_once("\nExample").map(|(_, examples)| examples).unwrap_or_default();
@@ -183,7 +184,7 @@ error: `[job]` has no key `thread`
   |     ^^^^^^
   |
   = help: did you mean `threads`?
-  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, on_error, inputs_at_once, model, survey_model, geometry
+  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, survey_page, stat_log, log, on_error, inputs_at_once, model, survey_model, geometry, survey
 ";
     assert_eq!(outcome.code, Some(2));
     assert!(outcome.err.ends_with(expected), "{}", outcome.err);

@@ -12,6 +12,7 @@ use wavex::cluster::SurveyPlan;
 use wavex::job::{Job, JobSettings, example_job, job_schema, manual};
 use wavex::registry::{STAGES, find};
 use wavex::report::RunReport;
+use wavex::report::survey::Survey;
 use wavex::scan_line::flags::NAMES;
 use wavex::stages::write_lstat;
 use wavex_signal::sensor_model::SensorModel;
@@ -38,6 +39,13 @@ fn the_schema_of_reports_is_up_to_date() {
     let settings = SchemaSettings::draft2020_12().for_serialize();
     let schema = settings.into_generator().into_root_schema_for::<RunReport>();
     check("schemas/report.schema.json", &format!("{:#}\n", schema.to_value()));
+}
+
+#[test]
+fn the_schema_of_surveys_is_up_to_date() {
+    let settings = SchemaSettings::draft2020_12().for_serialize();
+    let schema = settings.into_generator().into_root_schema_for::<Survey>();
+    check("schemas/survey.schema.json", &format!("{:#}\n", schema.to_value()));
 }
 
 #[test]

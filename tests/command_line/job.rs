@@ -223,6 +223,8 @@ fn the_example_in_full() {
 #report = "*_report.json"
 # Report as a page for browsers and printing (one HTML file) in the output folder: a name, or `true` for `*_report.html`; `false` or empty: none.
 #report_page = ""
+# Page of the survey in the output folder, for inputs that are strips of one survey: a name, or `true` for `*_survey.html`; `false` or empty: none.
+#survey_page = ""
 # Text statistics of each input in the output folder; `*` is replaced by the stem of the input and is required for several inputs; empty: none.
 #stat_log = "*_stat.log"
 # Log of the run in the output folder; `*` is replaced by the stem of the job file; empty: none.
@@ -233,6 +235,8 @@ fn the_example_in_full() {
 #inputs_at_once = 0
 # Sensor model of several inputs: common to the `survey`, from waveforms of all inputs, or from each `input` alone.
 #model = "survey"
+# Cells and limits of the survey's page: the table `[job.survey]`.
+#survey = { cell_m = 2.0, max_slope_deg = 10.0, max_roughness_m = 0.1, min_points = 6, max_difference_rms_m = 0.08, gap_width_m = 200.0 }
 # Not set: include, input_dir, output_dir, survey_model, geometry
 
 # Reads waveforms from LAS files.

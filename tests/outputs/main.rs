@@ -12,6 +12,7 @@ mod archive_of_failures;
 mod cluster;
 mod copc;
 mod report_page;
+mod survey_page;
 mod text_sinks;
 mod trajectory;
 mod wave_packets;

@@ -1,6 +1,6 @@
 //! `wavex report`: the page of a run.
 
-mod browser;
+pub(crate) mod browser;
 
 use browser::Look;
 use serde_json::Value;

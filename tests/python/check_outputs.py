@@ -1,4 +1,4 @@
-"""Runs the program and reads its outputs with other programs: pyarrow, DuckDB, laspy, LASzip, pyproj.
+"""Runs the program and reads its outputs with other programs: pyarrow, DuckDB, laspy, LASzip, pyproj, rasterio.
 
     python3 -m venv venv
     venv/bin/pip install -r tests/python/requirements.txt
@@ -27,6 +27,7 @@ from check_copc import check_copc
 from check_laszip import check_laszip
 from check_packets import check_packets
 from check_points import check_points, check_same_points
+from check_rasters import check_rasters
 from check_text import COLUMNS, check_ascii, check_beams, check_flown, check_origins
 from check_units import SYSTEMS, check_units
 from check_waveforms import check_against_dump, check_container, check_same_waveforms, read_container, read_dump
@@ -56,6 +57,35 @@ sbet = "*.sbet"
 
 [[stage]]
 type = "write_arrow"
+"""
+SURVEYED = """
+[job]
+survey_page = true
+
+[[stage]]
+type = "simulate"
+stem = "strip"
+landscape = "country"
+lines = 650
+shots_per_line = 150
+pulse_rate_hz = 20000.0
+speed_mps = 80.0
+flying_height_m = 200.0
+scan_angle_deg = [-20.0, 20.0]
+
+[[stage]]
+type = "calibrate"
+waveforms = 2000
+
+[[stage]]
+type = "decompose"
+
+[[stage]]
+type = "georeference"
+
+[[stage]]
+type = "write_las"
+path = "*.las"
 """
 # Every sink, after any source of shots.
 SINKS = """
@@ -337,6 +367,14 @@ def check_systems(checks, program):
                 check_units(checks, path, keys, np.asarray(geodetic))
 
 
+def check_rasters_of_survey(checks, program):
+    """Rasters of a survey of one strip, 1 km long."""
+    with checks.of("rasters of a survey"), tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        run(program, folder, SURVEYED)
+        check_rasters(checks, folder, "strip")
+
+
 def check_many_points(checks, program):
     """Checks COPC with enough points for several octree levels."""
     with checks.of("COPC of many points"), tempfile.TemporaryDirectory() as folder:
@@ -390,6 +428,7 @@ def main():
     check_survey(checks, "simulated", program, SIMULATED)
     check_flight(checks, program)
     check_systems(checks, program)
+    check_rasters_of_survey(checks, program)
     check_many_points(checks, program)
     data = os.environ.get("WAVEX_DATA")
     if data is None:

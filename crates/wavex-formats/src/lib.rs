@@ -38,6 +38,7 @@ mod bytes;
 pub mod container;
 pub mod geoid;
 pub mod geokeys;
+pub mod geotiff;
 pub mod las;
 pub mod lookup_tables;
 pub mod pulsewaves;

@@ -19,6 +19,10 @@ pub struct Platform {
     body_from_scanner: Rotation,
     /// Radius of the circle, m, positive to the right; 0: straight track.
     turn_radius_m: f64,
+    /// Start of the track relative to [`START_M`], m: right, along.
+    track_offset_m: [f64; 2],
+    /// Direction of the initial track, rad, clockwise from the y axis of the scene.
+    track_direction_rad: f64,
     /// Level, with the scanner at the centre of the body: beams need no rotation.
     is_steady: bool,
 }
@@ -61,8 +65,19 @@ impl Platform {
             lever_arm_m,
             body_from_scanner,
             turn_radius_m,
+            track_offset_m: [0.0; 2],
+            track_direction_rad: 0.0,
             is_steady,
         }
+    }
+
+    /// Moves the track in the scene: offset of its start to the right and along, m, and direction,
+    /// rad clockwise.
+    ///
+    /// Flights over one scene form a survey.
+    pub fn on_track(self, track_offset_m: [f64; 2], track_direction_rad: f64) -> Platform {
+        let is_steady = self.is_steady && track_direction_rad == 0.0;
+        Platform { track_offset_m, track_direction_rad, is_steady, ..self }
     }
 
     /// Changes the track to a circle of this radius, m: positive to the right, 0: straight.
@@ -77,19 +92,34 @@ impl Platform {
 
     /// Position of the body's centre in the scene, m.
     pub(crate) fn position_m(&self, since_start_s: f64) -> [f64; 3] {
-        let [x, y] = START_M;
+        let x = START_M[0] + self.track_offset_m[0];
+        let y = START_M[1] + self.track_offset_m[1];
         let height_m = GROUND_HEIGHT_M + self.flying_height_m;
-        if self.turn_radius_m == 0.0 {
-            return [x, y + self.speed_mps * since_start_s, height_m];
-        }
-        let (sine, cosine) = libm::sincos(self.turned_rad(since_start_s));
-        [x + self.turn_radius_m * (1.0 - cosine), y + self.turn_radius_m * sine, height_m]
+        let [right_m, along_m] = match self.turn_radius_m {
+            0.0 => [0.0, self.speed_mps * since_start_s],
+            radius_m => {
+                let (sine, cosine) = libm::sincos(self.turned_rad(since_start_s));
+                [radius_m * (1.0 - cosine), radius_m * sine]
+            }
+        };
+        let [right_m, along_m] = self.in_scene([right_m, along_m]);
+        [x + right_m, y + along_m, height_m]
     }
 
-    /// Velocity along the initial track, to its right, and down, m/s.
+    /// Rotates a horizontal vector from right and along the initial track to the scene.
+    fn in_scene(&self, [right, along]: [f64; 2]) -> [f64; 2] {
+        if self.track_direction_rad == 0.0 {
+            return [right, along];
+        }
+        let (sine, cosine) = libm::sincos(self.track_direction_rad);
+        [right * cosine + along * sine, along * cosine - right * sine]
+    }
+
+    /// Velocity along the y axis of the scene, to its right, and down, m/s.
     pub fn velocity_mps(&self, since_start_s: f64) -> [f64; 3] {
         let (sine, cosine) = libm::sincos(self.turned_rad(since_start_s));
-        [self.speed_mps * cosine, self.speed_mps * sine, 0.0]
+        let [right, along] = self.in_scene([self.speed_mps * sine, self.speed_mps * cosine]);
+        [along, right, 0.0]
     }
 
     /// Rotation of the track to the right since its start, rad.
@@ -97,11 +127,15 @@ impl Platform {
         if self.turn_radius_m == 0.0 { 0.0 } else { self.speed_mps * since_start_s / self.turn_radius_m }
     }
 
-    /// Attitude of the body; heading is relative to the initial track.
+    /// Attitude of the body; heading is relative to the y axis of the scene.
     pub fn attitude(&self, since_start_s: f64) -> Attitude {
         let [roll_rad, pitch_rad, heading_rad] =
             core::array::from_fn(|axis| self.motion.angle(axis, since_start_s));
-        Attitude { roll_rad, pitch_rad, heading_rad: heading_rad + self.turned_rad(since_start_s) }
+        Attitude {
+            roll_rad,
+            pitch_rad,
+            heading_rad: heading_rad + self.track_direction_rad + self.turned_rad(since_start_s),
+        }
     }
 
     /// Beam in the scene for a direction in the scanner.
@@ -171,6 +205,17 @@ mod tests {
         assert!(near(circling.beam(quarter_s, [0.6, 0.0, 0.8]).direction, [0.6, 0.0, -0.8]));
         let left = platform([0.0; 3], [0.0; 3], [0.0; 3]).turning(-900.0);
         assert!(near(left.position_m(quarter_s), [319_100.0, 5_300_900.0, 1000.0]));
+    }
+
+    /// To the east from 100 m right and 50 m ahead of the start.
+    #[test]
+    fn a_track_can_start_anywhere_in_any_direction() {
+        let crossing =
+            platform([0.0; 3], [0.0; 3], [0.0; 3]).on_track([100.0, 50.0], core::f64::consts::FRAC_PI_2);
+        let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
+        assert!(near(crossing.position_m(2.0), [320_220.0, 5_300_050.0, 1000.0]));
+        assert!(near(crossing.velocity_mps(2.0), [0.0, 60.0, 0.0]));
+        assert!(near(crossing.beam(2.0, [0.0, 0.6, 0.8]).direction, [0.0, -0.6, -0.8]));
     }
 
     #[test]

@@ -45,7 +45,7 @@ const OCTAVES: [i64; 2] = [-20, 20];
 
 /// A histogram being filled.
 #[derive(Clone, Debug)]
-pub(super) struct Bins {
+pub(in crate::report) struct Bins {
     scale: Scale,
     counts: Vec<u64>,
     below: u64,
@@ -60,18 +60,18 @@ enum Scale {
 
 impl Bins {
     /// Creates `bins` bins of equal width.
-    pub(super) fn linear(first_edge: f64, width: f64, bins: usize) -> Bins {
+    pub(in crate::report) fn linear(first_edge: f64, width: f64, bins: usize) -> Bins {
         Bins { scale: Scale::Linear { first_edge, width }, counts: vec![0; bins], below: 0, above: 0 }
     }
 
     /// Creates [`PER_OCTAVE`] bins per factor of two.
-    pub(super) fn logarithmic() -> Bins {
+    pub(in crate::report) fn logarithmic() -> Bins {
         let bins = (OCTAVES[1] - OCTAVES[0]) as usize * PER_OCTAVE;
         Bins { scale: Scale::Logarithmic, counts: vec![0; bins], below: 0, above: 0 }
     }
 
     /// Counts a value; NaN is ignored.
-    pub(super) fn add(&mut self, value: f64) {
+    pub(in crate::report) fn add(&mut self, value: f64) {
         if value.is_nan() {
             return;
         }
@@ -87,7 +87,7 @@ impl Bins {
     }
 
     /// Returns the histogram; `None` if empty.
-    pub(super) fn finish(self, quantity: &str, unit: &str) -> Option<QuantityHistogram> {
+    pub(in crate::report) fn finish(self, quantity: &str, unit: &str) -> Option<QuantityHistogram> {
         let first = self.counts.iter().position(|count| *count > 0);
         let (first, counts) = match first {
             None if self.below + self.above == 0 => return None,

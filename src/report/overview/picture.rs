@@ -29,37 +29,47 @@ impl TryFrom<String> for Picture {
 }
 
 /// Equally spaced colours, interpolated linearly.
-pub(super) type Ramp = [[u8; 3]; 6];
+pub(in crate::report) type Ramp = [[u8; 3]; 6];
 
 /// Heights from low to high: blue, green, yellow.
 ///
 /// Lightness increases at every step, so that they can be distinguished in grey. Both ends are
 /// visible on white and on black.
-pub(super) const HEIGHTS: Ramp =
+pub(in crate::report) const HEIGHTS: Ramp =
     [[62, 54, 130], [48, 98, 146], [34, 138, 141], [62, 172, 112], [142, 200, 66], [226, 205, 38]];
 /// Intensities from weak to strong: greys.
-pub(super) const INTENSITIES: Ramp =
+pub(in crate::report) const INTENSITIES: Ramp =
     [[52, 52, 54], [86, 86, 88], [120, 120, 121], [154, 154, 154], [188, 188, 186], [222, 222, 218]];
 
 /// Fraction of the cells beyond either end of the colours.
 const BEYOND: f64 = 0.01;
 
 impl Picture {
+    /// Converts rows of cells from the top to colours from `low` to `high`.
+    pub(in crate::report) fn within(
+        cells: &[Option<f64>],
+        columns: usize,
+        ramp: &Ramp,
+        [low, high]: [f64; 2],
+    ) -> Picture {
+        // The cast saturates.
+        let level = |value: f64| {
+            1 + (254.0 * (value.min(high).max(low) - low) / (high - low).max(1e-9)).round() as u8
+        };
+        let levels: Vec<u8> = cells.iter().map(|cell| cell.map_or(0, level)).collect();
+        // Encoding into memory cannot fail: there is at least one cell.
+        let file = encoded(&levels, columns, ramp).unwrap_or_default();
+        Picture(BASE64_STANDARD.encode(file))
+    }
+
     /// Converts rows of cells from the top to colours; also returns the values of the first and
     /// last colour.
-    pub(super) fn of(cells: &[Option<f64>], columns: usize, ramp: &Ramp) -> (Picture, [f64; 2]) {
+    pub(in crate::report) fn of(cells: &[Option<f64>], columns: usize, ramp: &Ramp) -> (Picture, [f64; 2]) {
         let mut known: Vec<f64> = cells.iter().flatten().copied().collect();
         known.sort_by(f64::total_cmp);
         let at = |part: f64| known.get((part * known.len().saturating_sub(1) as f64).round() as usize);
         let range = [BEYOND, 1.0 - BEYOND].map(|part| at(part).copied().unwrap_or(0.0));
-        let [low, high] = range;
-        // The cast saturates.
-        let level = |value: f64| 1 + (254.0 * (value - low) / (high - low).max(1e-9)).round() as u8;
-        let levels: Vec<u8> =
-            cells.iter().map(|cell| cell.map_or(0, |value| level(value.min(high)))).collect();
-        // Encoding into memory cannot fail: there is at least one cell.
-        let file = encoded(&levels, columns, ramp).unwrap_or_default();
-        (Picture(BASE64_STANDARD.encode(file)), range)
+        (Picture::within(cells, columns, ramp, range), range)
     }
 
     /// The image as a data URL.
@@ -79,7 +89,7 @@ fn mixed(ramp: &Ramp, i: usize) -> [u8; 3] {
 }
 
 /// Colours of a ramp in CSS notation.
-pub(super) fn css(ramp: &Ramp) -> Vec<String> {
+pub(in crate::report) fn css(ramp: &Ramp) -> Vec<String> {
     ramp.iter().map(|[red, green, blue]| format!("#{red:02x}{green:02x}{blue:02x}")).collect()
 }
 

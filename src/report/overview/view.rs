@@ -20,7 +20,7 @@ pub enum MapAxes {
 
 /// Conversion of coordinates to map positions.
 #[derive(Clone, Debug)]
-pub(super) enum View {
+pub(in crate::report) enum View {
     Map { axes: MapAxes, unit: &'static str },
     Plane { origin: [f64; 3], axes: [[f64; 3]; 3] },
 }
@@ -34,7 +34,7 @@ const PLANES_M: f64 = 20_000.0;
 
 impl View {
     /// The view for a recording with this point.
-    pub(super) fn of(input: &InputInfo, point: [f64; 3]) -> View {
+    pub(in crate::report) fn of(input: &InputInfo, point: [f64; 3]) -> View {
         let length = dot(point, point).sqrt();
         if point[2].abs() > MAP_HEIGHT_M && EARTH_M[0] < length && length < EARTH_M[1] {
             return View::plane(point.map(|coordinate| (coordinate / PLANES_M).round() * PLANES_M));
@@ -61,7 +61,7 @@ impl View {
     }
 
     /// Map position of a point: east, north, height.
-    pub(super) fn place(&self, point: [f64; 3]) -> [f64; 3] {
+    pub(in crate::report) fn place(&self, point: [f64; 3]) -> [f64; 3] {
         match self {
             View::Map { .. } => point,
             View::Plane { origin, axes } => {
@@ -71,7 +71,7 @@ impl View {
         }
     }
 
-    pub(super) fn axes(&self) -> MapAxes {
+    pub(in crate::report) fn axes(&self) -> MapAxes {
         match self {
             View::Map { axes, .. } => *axes,
             View::Plane { .. } => MapAxes::Plane,
@@ -79,7 +79,7 @@ impl View {
     }
 
     /// Unit of the east and north coordinates.
-    pub(super) fn unit(&self) -> &'static str {
+    pub(in crate::report) fn unit(&self) -> &'static str {
         match self {
             View::Map { unit, .. } => unit,
             View::Plane { .. } => "m",

@@ -3,36 +3,39 @@
 use crate::report::svg::{Anchor, Scale, Svg};
 
 /// Width of a figure, SVG units.
-pub(super) const WIDTH: f64 = 560.0;
+pub(in crate::report) const WIDTH: f64 = 560.0;
 
 /// A framed area with its scales; logarithmic scales are in decades.
-pub(super) struct Plot {
-    pub(super) x: Scale,
-    pub(super) y: Scale,
+pub(in crate::report) struct Plot {
+    pub(in crate::report) x: Scale,
+    pub(in crate::report) y: Scale,
 }
 
 /// Axis position and its label.
-pub(super) type Tick = (f64, String);
+pub(in crate::report) type Tick = (f64, String);
 
 impl Plot {
     /// Creates a plot of the usual size with these axis ranges.
-    pub(super) fn new(x: [f64; 2], y: [f64; 2]) -> Plot {
+    pub(in crate::report) fn new(x: [f64; 2], y: [f64; 2]) -> Plot {
         Plot { x: Scale { from: x, to: [70.0, 546.0] }, y: Scale { from: y, to: [214.0, 14.0] } }
     }
 
-    pub(super) fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+    pub(in crate::report) fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let within = |value: f64, [a, b]: [f64; 2]| value.clamp(a.min(b), a.max(b));
         [within(self.x.at(x), self.x.to), within(self.y.at(y), self.y.to)]
     }
 
     /// Keeps points within the horizontal axis range and scales them.
-    pub(super) fn inside(&self, points: impl Iterator<Item = [f64; 2]>) -> impl Iterator<Item = [f64; 2]> {
+    pub(in crate::report) fn inside(
+        &self,
+        points: impl Iterator<Item = [f64; 2]>,
+    ) -> impl Iterator<Item = [f64; 2]> {
         let [low, high] = self.x.from;
         points.filter(move |[x, _]| (low..=high).contains(x)).map(|point| self.at(point))
     }
 
     /// Draws grid lines and labels of the horizontal axis.
-    pub(super) fn grid_x(&self, svg: &mut Svg, ticks: Vec<Tick>) {
+    pub(in crate::report) fn grid_x(&self, svg: &mut Svg, ticks: Vec<Tick>) {
         let [bottom, top] = self.y.to;
         for (value, text) in ticks {
             let x = self.x.at(value);
@@ -42,7 +45,7 @@ impl Plot {
     }
 
     /// Draws grid lines and labels of the vertical axis.
-    pub(super) fn grid_y(&self, svg: &mut Svg, ticks: Vec<Tick>) {
+    pub(in crate::report) fn grid_y(&self, svg: &mut Svg, ticks: Vec<Tick>) {
         let [left, right] = self.x.to;
         for (value, text) in ticks {
             let y = self.y.at(value);
@@ -52,13 +55,13 @@ impl Plot {
     }
 
     /// Draws grid lines at round values of both axes.
-    pub(super) fn grid(&self, svg: &mut Svg) {
+    pub(in crate::report) fn grid(&self, svg: &mut Svg) {
         self.grid_y(svg, ticks(&self.y, 5.0));
         self.grid_x(svg, ticks(&self.x, 6.0));
     }
 
     /// Draws the frame and the axis titles.
-    pub(super) fn frame(&self, svg: &mut Svg, x: &str, y: &str) {
+    pub(in crate::report) fn frame(&self, svg: &mut Svg, x: &str, y: &str) {
         let ([left, right], [bottom, top]) = (self.x.to, self.y.to);
         svg.rect("frame", [left, top], [right, bottom]);
         svg.text("", [0.5 * (left + right), bottom + 38.0], Anchor::Middle, x);
@@ -66,14 +69,14 @@ impl Plot {
     }
 
     /// Draws the frame and returns the figure.
-    pub(super) fn finish(&self, mut svg: Svg, title: &str, x: &str, y: &str) -> String {
+    pub(in crate::report) fn finish(&self, mut svg: Svg, title: &str, x: &str, y: &str) -> String {
         self.frame(&mut svg, x, y);
         svg.inline(WIDTH, self.y.to[0] + 50.0, title)
     }
 }
 
 /// Round values on a scale, about `wanted`.
-pub(super) fn ticks(scale: &Scale, wanted: f64) -> Vec<Tick> {
+pub(in crate::report) fn ticks(scale: &Scale, wanted: f64) -> Vec<Tick> {
     let (values, digits) = scale.ticks(wanted);
     values.into_iter().map(|value| (value, label(value, digits))).collect()
 }
@@ -81,7 +84,7 @@ pub(super) fn ticks(scale: &Scale, wanted: f64) -> Vec<Tick> {
 /// Powers of ten within these decades.
 ///
 /// Short ranges also get 2 and 5 times each power.
-pub(super) fn decades([low, high]: [f64; 2]) -> Vec<Tick> {
+pub(in crate::report) fn decades([low, high]: [f64; 2]) -> Vec<Tick> {
     let steps: &[f64] = if high - low > 2.5 { &[1.0] } else { &[1.0, 2.0, 5.0] };
     let powers = (low.floor().max(-300.0) as i32)..=(high.ceil().min(300.0) as i32);
     let all = powers
@@ -96,7 +99,7 @@ pub(super) fn decades([low, high]: [f64; 2]) -> Vec<Tick> {
 }
 
 /// Axis label; groups thousands from five digits on.
-pub(super) fn label(value: f64, digits: usize) -> String {
+pub(in crate::report) fn label(value: f64, digits: usize) -> String {
     let text = format!("{:.digits$}", value.abs());
     let is_zero = text.chars().all(|character| matches!(character, '0' | '.'));
     let (whole, rest) =
@@ -113,7 +116,7 @@ pub(super) fn label(value: f64, digits: usize) -> String {
 }
 
 /// Formats a value with about three significant digits.
-pub(super) fn short(value: f64) -> String {
+pub(in crate::report) fn short(value: f64) -> String {
     let size = value.abs().max(1e-12).log10().floor();
     let digits = (2.0 - size).clamp(0.0, 6.0) as usize;
     let text = label(value, digits);

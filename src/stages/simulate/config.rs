@@ -52,6 +52,10 @@ pub struct Simulate {
     pub stem: String,
     /// Seed of the random numbers, which determine noise and details of the scene.
     pub seed: u64,
+    /// Seed of the scene, by default `seed`. Flights of a survey have the same `scene_seed` and
+    /// `country`, and each its own `seed`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scene_seed: Option<u64>,
     /// Number of scan lines.
     #[schemars(range(min = 1))]
     pub lines: u32,
@@ -89,6 +93,16 @@ pub struct Simulate {
     /// Radius of a circular flight with level wings, positive to the right; 0: straight. At least
     /// 100 m.
     pub turn_radius_m: f64,
+    /// Start of the track in the scene relative to the start of the scene: right and along
+    /// `heading_deg`. Flights with different tracks over one scene form a survey.
+    pub track_offset_m: [f64; 2],
+    /// Direction of the track, clockwise from `heading_deg`; 90 crosses strips of direction 0.
+    #[schemars(range(min = -360.0, max = 360.0))]
+    pub track_direction_deg: f64,
+    /// Error of the recorded sensor height: of the trajectory, or of the beams without one. The truth
+    /// is not affected.
+    #[schemars(range(min = -10.0, max = 10.0))]
+    pub height_error_m: f64,
     /// Longitude and latitude of the first position. Default without a trajectory: 12.59489 and
     /// 47.82814, in UTM zone 33 north.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -266,6 +280,7 @@ impl Default for Simulate {
         Simulate {
             stem: "simulated".to_owned(),
             seed: 1,
+            scene_seed: None,
             lines: 200,
             shots_per_line: 1000,
             scanner: ScannerKind::RotatingPolygon,
@@ -277,6 +292,9 @@ impl Default for Simulate {
             speed_mps: 60.0,
             heading_deg: 0.0,
             turn_radius_m: 0.0,
+            track_offset_m: [0.0; 2],
+            track_direction_deg: 0.0,
+            height_error_m: 0.0,
             start_deg: None,
             start_time_s: START_S,
             roll_deg: 0.0,
@@ -359,6 +377,11 @@ impl Simulate {
         unless(within(self.heading_deg, -360.0, 360.0), "heading_deg", "must lie between -360 and 360")?;
         let turns = self.turn_radius_m == 0.0 || within(self.turn_radius_m.abs(), 100.0, 1e6);
         unless(turns, "turn_radius_m", "must be 0, or 100 to 1000000 to either side")?;
+        let near = self.track_offset_m.iter().all(|&offset| within(offset, -100_000.0, 100_000.0));
+        unless(near, "track_offset_m", "must be two lengths between -100000 and 100000")?;
+        let direction = within(self.track_direction_deg, -360.0, 360.0);
+        unless(direction, "track_direction_deg", "must lie between -360 and 360")?;
+        unless(within(self.height_error_m, -10.0, 10.0), "height_error_m", "must lie between -10 and 10")?;
         if let Some([longitude, latitude]) = self.start_deg {
             let on_earth = within(longitude, -180.0, 180.0) && within(latitude, -89.0, 89.0);
             unless(on_earth, "start_deg", "must be a longitude, and a latitude between -89 and 89")?;
@@ -484,6 +507,7 @@ impl Simulate {
         let boresight_rad = self.boresight_deg.map(f64::to_radians);
         Platform::new(self.speed_mps, self.flying_height_m, motion, self.lever_arm_m, boresight_rad)
             .turning(self.turn_radius_m)
+            .on_track(self.track_offset_m, self.track_direction_deg.to_radians())
     }
 
     /// Day of the year and year of the flight.
@@ -501,12 +525,13 @@ impl Simulate {
     }
 
     pub(super) fn scene(&self) -> Scene {
+        let seed = self.scene_seed.unwrap_or(self.seed);
         match self.landscape {
             Landscape::Strips => {
                 let scanner = self.scanner();
                 let swath = self.platform().swath(scanner.scan_angle_rad, scanner.time_s(self.lines, 0));
                 let (building, wood) = (self.building_height_m, self.canopy_height_m);
-                Scene::strips(self.seed, swath, self.flying_height_m, building, wood)
+                Scene::strips(seed, swath, self.flying_height_m, building, wood)
             }
             Landscape::Country => {
                 let settings = CountrySettings {
@@ -518,7 +543,7 @@ impl Simulate {
                     house_height_m: self.building_height_m,
                     wire_height_m: self.wire_height_m,
                 };
-                Scene::country(self.seed, self.flying_height_m, settings)
+                Scene::country(seed, self.flying_height_m, settings)
             }
         }
     }

@@ -69,6 +69,8 @@ struct Trajectory {
     start_time_s: f64,
     platform: Platform,
     world: World,
+    /// Error of the height, m.
+    height_error_m: f64,
     records: u64,
 }
 
@@ -81,8 +83,13 @@ impl TrajectoryFiles {
         let flight_s = config.scanner().time_s(config.lines, 0) + 2.0 * MARGIN_S;
         let records = (flight_s * RATE_HZ).ceil() as u64 + 1;
         let start_time_s = config.start_time_s;
-        let trajectory =
-            Trajectory { start_time_s, platform: config.platform(), world: config.world(), records };
+        let trajectory = Trajectory {
+            start_time_s,
+            platform: config.platform(),
+            world: config.world(),
+            height_error_m: config.height_error_m,
+            records,
+        };
         Ok(TrajectoryFiles { sbet: create(&config.sbet)?, pof: create(&config.pof)?, trajectory })
     }
 
@@ -116,7 +123,9 @@ impl Trajectory {
     fn poses(&self) -> impl Iterator<Item = (f64, GeodeticPose)> + '_ {
         (0..self.records).map(|k| {
             let time_s = k as f64 / RATE_HZ - MARGIN_S;
-            (time_s, self.world.pose(&self.platform, time_s))
+            let mut pose = self.world.pose(&self.platform, time_s);
+            pose.place.height_m += self.height_error_m;
+            (time_s, pose)
         })
     }
 

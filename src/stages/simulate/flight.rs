@@ -40,6 +40,8 @@ pub(super) struct Flight {
     /// Start of the flight, s of the GPS week.
     start_time_s: f64,
     as_recorded: bool,
+    /// Error of the recorded sensor height, m, if there is no trajectory.
+    height_error_m: f64,
     /// Whether the truth is requested.
     pub(super) tells_truth: bool,
     /// Largest time of flight of an echo, ns.
@@ -141,6 +143,7 @@ impl Flight {
             ground_amplitude_dn: config.ground_amplitude_dn,
             start_time_s: config.start_time_s,
             as_recorded: config.as_recorded,
+            height_error_m: config.height_error_m,
             tells_truth: true,
             longest_ns: FALSE_ALARM_REACH * time_of_flight_ns(furthest_m),
             scanner: config.scanner(),
@@ -374,7 +377,10 @@ impl Flight {
         let to_the_right = if shot.to_the_right { emission_flags::SCAN_DIRECTION_POSITIVE } else { 0 };
         let synchronised = emission_flags::SYNCHRONISED | emission_flags::SYNCHRONISED_WITHIN_LAST_SECOND;
         let (origin_m, direction) = match self.input.frame {
-            Frame::Map => (self.world.on_flat_map(beam.origin_m), self.world.turned(beam.direction)),
+            Frame::Map => {
+                let [x, y, z] = self.world.on_flat_map(beam.origin_m);
+                ([x, y, z + self.height_error_m], self.world.turned(beam.direction))
+            }
             Frame::Scanner | Frame::Body | Frame::Earth => ([0.0; 3], shot.direction_in_scanner),
         };
         Emission {

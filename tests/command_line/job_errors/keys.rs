@@ -69,7 +69,7 @@ error: `[job]` has no key `thread`
   | ^^^^^^
   |
   = help: did you mean `threads`?
-  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, on_error, inputs_at_once, model, survey_model, geometry
+  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, survey_page, stat_log, log, on_error, inputs_at_once, model, survey_model, geometry, survey
 "#,
     );
 }

@@ -271,7 +271,7 @@ error: `[job]` has no key `memory`
 2 | memory = 8
   | ^^^^^^
   |
-  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, stat_log, log, on_error, inputs_at_once, model, survey_model, geometry
+  = help: keys: include, threads, memory_mb, input_dir, output_dir, channel_capacity, simd, report, report_page, survey_page, stat_log, log, on_error, inputs_at_once, model, survey_model, geometry, survey
 
 error: `threads` must be a whole number, at least 0, got text
  --> job.toml:3:11

@@ -1,0 +1,170 @@
+//! Files of a survey: cells of each strip, and the survey's page.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard};
+
+use serde_json::Value;
+
+use crate::job::JobSettings;
+use crate::report::survey::{
+    Strip, StripCollector, StripTrajectory, SurveyInput, survey_files, write_cells, write_density,
+    write_survey,
+};
+use crate::report::{Overview, Overviews};
+use crate::scan_line::ScanLine;
+use crate::stage::{DecomposedLine, FitShot, OutputFile, Result, RunObserver, RunObservers};
+
+/// Name of the cells of a strip; `*` is the stem of the input.
+const CELLS: &str = "*_cells.arrow";
+/// Name of the pulse density of a strip.
+const DENSITY: &str = "*_pulse_density.tif";
+
+/// End of the names of cells.
+pub(super) fn ending_of_cells() -> &'static str {
+    CELLS.trim_start_matches('*')
+}
+
+/// Input of a survey from its entry of a report.
+pub(super) fn input_of(entry: &Value, cells: Option<PathBuf>) -> SurveyInput {
+    let trajectory = &entry["trajectory"];
+    SurveyInput {
+        stem: entry["stem"].as_str().unwrap_or_default().to_owned(),
+        failure: entry["failure"].as_str().map(str::to_owned),
+        cells,
+        trajectory: trajectory["path"].as_str().map(|path| StripTrajectory {
+            path: path.to_owned(),
+            median_step_s: trajectory["median_step_s"].as_f64().unwrap_or(0.0),
+            gaps: trajectory["gaps"].as_u64().unwrap_or(0),
+        }),
+    }
+}
+
+/// Collects the data of the pages that a job requests.
+#[derive(Debug)]
+pub(super) struct Collected {
+    overviews: Option<Overviews>,
+    /// Cell size of the strips, m, if the job requests the page of the survey.
+    cell_m: Option<f64>,
+    strips: Mutex<BTreeMap<String, Arc<StripCollector>>>,
+}
+
+impl Collected {
+    /// `None` if the job requests no page.
+    pub(super) fn new(settings: &JobSettings) -> Option<Collected> {
+        let overviews = (!settings.report_page.is_empty()).then(Overviews::default);
+        let cell_m = (!settings.survey_page.is_empty()).then_some(settings.survey.cell_m);
+        let strips = Mutex::default();
+        (overviews.is_some() || cell_m.is_some()).then_some(Collected { overviews, cell_m, strips })
+    }
+
+    /// Takes the overview of an input that has ended.
+    pub(super) fn overview(&self, stem: &str) -> Option<Overview> {
+        self.overviews.as_ref()?.take(stem)
+    }
+
+    /// Takes the strip of an input that has ended.
+    pub(super) fn strip(&self, stem: &str) -> Option<Strip> {
+        let strip = self.strips().remove(stem)?;
+        Some(strip.take(stem))
+    }
+
+    fn strips(&self) -> MutexGuard<'_, BTreeMap<String, Arc<StripCollector>>> {
+        self.strips.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+}
+
+impl RunObservers for Collected {
+    fn of_input(&self, stem: &str) -> Arc<dyn RunObserver> {
+        let overview = self.overviews.as_ref().map(|overviews| overviews.of_input(stem));
+        let strip = self.cell_m.map(|cell_m| Arc::new(StripCollector::new(cell_m)));
+        if let Some(strip) = &strip {
+            self.strips().insert(stem.to_owned(), Arc::clone(strip));
+        }
+        Arc::new(OfInput { overview, strip })
+    }
+}
+
+/// Collects the data of one input.
+#[derive(Debug)]
+struct OfInput {
+    overview: Option<Arc<dyn RunObserver>>,
+    strip: Option<Arc<StripCollector>>,
+}
+
+impl RunObserver for OfInput {
+    fn line(&self, line: &ScanLine) {
+        if let Some(overview) = &self.overview {
+            overview.line(line);
+        }
+        if let Some(strip) = &self.strip {
+            strip.add(line);
+        }
+    }
+
+    fn decomposed(&self, line: &DecomposedLine, fit: &mut FitShot) -> Result<()> {
+        self.overview.as_ref().map_or(Ok(()), |overview| overview.decomposed(line, fit))
+    }
+}
+
+/// Files of a survey in an output folder.
+#[derive(Debug)]
+pub(super) struct SurveyFiles {
+    output_dir: PathBuf,
+    /// Written files, apart from those of strips.
+    written: Vec<PathBuf>,
+}
+
+impl SurveyFiles {
+    /// `None` if the job requests no page of a survey.
+    pub(super) fn new(settings: &JobSettings, output_dir: &Path) -> Option<SurveyFiles> {
+        let files = SurveyFiles { output_dir: output_dir.to_owned(), written: Vec::new() };
+        (!settings.survey_page.is_empty()).then_some(files)
+    }
+
+    /// All files of a survey whose page has this path.
+    pub(super) fn of_page(page: &Path) -> Vec<PathBuf> {
+        [page.to_owned()].into_iter().chain(survey_files(page)).collect()
+    }
+
+    /// Cells of the input with this stem.
+    fn cells(&self, stem: &str) -> PathBuf {
+        self.output_dir.join(CELLS.replace('*', stem))
+    }
+
+    /// Files of the input with this stem.
+    pub(super) fn of_input(&self, stem: &str) -> [PathBuf; 2] {
+        [self.cells(stem), self.output_dir.join(DENSITY.replace('*', stem))]
+    }
+
+    /// Files written by [`SurveyFiles::write`].
+    pub(super) fn written(&self) -> &[PathBuf] {
+        &self.written
+    }
+
+    /// Writes the cells of a strip and the raster of its pulse density; returns their paths.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub(super) fn write_strip(&self, strip: &Strip) -> Result<Vec<PathBuf>> {
+        let [cells, density] = self.of_input(&strip.facts.stem);
+        let mut written = vec![write_cells(strip, OutputFile::create(&cells)?)?];
+        written.extend(write_density(strip, &density)?);
+        Ok(written)
+    }
+
+    /// Writes the survey of the inputs with these entries of the report.
+    ///
+    /// # Errors
+    /// If the cells of a strip cannot be read, or a file cannot be written.
+    pub(super) fn write(&mut self, settings: &JobSettings, entries: &[Value], page: &Path) -> Result<()> {
+        let input = |entry: &Value| {
+            let is_done = matches!(entry["status"].as_str(), Some("done" | "skipped"));
+            let stem = entry["stem"].as_str().filter(|_| is_done);
+            input_of(entry, stem.map(|stem| self.cells(stem)))
+        };
+        let inputs: Vec<SurveyInput> = entries.iter().map(input).collect();
+        self.written = write_survey(&inputs, &settings.survey, page)?;
+        Ok(())
+    }
+}
