@@ -8,6 +8,9 @@ use crate::engine;
 use crate::job::Job;
 use wavex_formats::{CompanionIndex, Result, las, pulsewaves};
 
+/// Usual throughput of one core, MB of input per second, at most and at least: `fastest` on single
+/// pulses, `refined` on vegetation.
+const MB_PER_S: [f64; 2] = [30.0, 5.0];
 /// Usual number of points per pulse, at least and at most.
 const POINTS_PER_PULSE: [u64; 2] = [1, 3];
 
@@ -27,7 +30,13 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
     let mut index = CompanionIndex::default();
     let with_companions =
         |path: &&Path| length(path) + index.of(path).iter().map(|path| length(path)).sum::<u64>();
-    let mut text = format!("  files:  {}, {}\n", files.len(), size(files.iter().map(with_companions).sum()));
+    let bytes: u64 = files.iter().map(with_companions).sum();
+    let mut text = format!("  files:  {}, {}\n", files.len(), size(bytes));
+    let cores = match job.settings.threads {
+        0 => engine::cores().unwrap_or(1),
+        threads => threads,
+    };
+    text += &format!("  time:   {} on {cores} cores\n", time(bytes, cores));
     let mut total = Some(0);
     for path in files {
         match pulses(reader.spec.name, path) {
@@ -49,6 +58,16 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
         ),
     };
     (text, problems)
+}
+
+/// Usual time for inputs of this size, in words.
+fn time(bytes: u64, cores: usize) -> String {
+    let minutes = MB_PER_S.map(|rate| (bytes as f64 / 1e6 / rate / cores as f64 / 60.0).ceil());
+    match minutes {
+        [least, most] if most <= 1.0 || least == most => format!("about {most} min"),
+        [least, most] if most <= 120.0 => format!("about {least} to {most} min"),
+        [least, most] => format!("about {:.1} to {:.1} h", least / 60.0, most / 60.0),
+    }
 }
 
 /// Number of pulses according to the header; `None` if the format has no such number.
@@ -76,4 +95,16 @@ fn pulses(reader: &str, path: &Path) -> Result<Option<u64>> {
 pub(super) fn required(job: &Job, problems: &[String]) -> String {
     let what = if problems.len() == 1 { "1 problem" } else { &format!("{} problems", problems.len()) };
     format!("{}: {what} with the inputs\n  {}", job.name, problems.join("\n  "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::time;
+
+    #[test]
+    fn times_are_a_range() {
+        assert_eq!(time(1_000_000, 2), "about 1 min");
+        assert_eq!(time(40_000_000_000, 4), "about 6 to 34 min");
+        assert_eq!(time(2_000_000_000_000, 2), "about 9.3 to 55.6 h");
+    }
 }

@@ -60,8 +60,10 @@ Examples:
   wavex calibrate flight7.pls
   wavex calibrate level_ground.sdf --save-preset vq780i_1234.json
   wavex calibrate flight7.las --set read_las.full_scale_dn=255 --save-preset model.json
+  wavex calibrate survey.toml --out models.json
 
-To use the model in a job, set `load = \"model.json\"` in the stage `calibrate`.";
+To use the model of a recording in a job, set `load = \"model.json\"` in the stage `calibrate`; to use
+those of a survey, `survey_model = \"models.json\"` in `[job]`.";
 
 pub(super) const COPC: &str = "\
 Examples:

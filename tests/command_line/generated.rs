@@ -14,6 +14,7 @@ use wavex::registry::{STAGES, find};
 use wavex::report::RunReport;
 use wavex::report::survey::Survey;
 use wavex::scan_line::flags::NAMES;
+use wavex::stage::SurveyModels;
 use wavex::stages::write_lstat;
 use wavex_signal::sensor_model::SensorModel;
 
@@ -67,6 +68,13 @@ fn the_schema_of_sensor_models_is_up_to_date() {
     let settings = SchemaSettings::draft2020_12();
     let schema = settings.into_generator().into_root_schema_for::<SensorModel>();
     check("schemas/sensor_model.schema.json", &format!("{:#}\n", schema.to_value()));
+}
+
+#[test]
+fn the_schema_of_survey_models_is_up_to_date() {
+    let settings = SchemaSettings::draft2020_12();
+    let schema = settings.into_generator().into_root_schema_for::<SurveyModels>();
+    check("schemas/survey_models.schema.json", &format!("{:#}\n", schema.to_value()));
 }
 
 #[test]
