@@ -42,7 +42,7 @@ pub(super) fn run(
     let mut running: BTreeMap<usize, Cancel> = BTreeMap::new();
     let mut ended: BTreeMap<usize, Ended> = BTreeMap::new();
     std::thread::scope(|scope| {
-        let (sender, receiver) = crossbeam_channel::unbounded();
+        let (sender, receiver) = crossbeam_channel::bounded(at_once);
         while !due.is_empty() || !running.is_empty() {
             let is_cancelled = shared.options.cancel.is_cancelled();
             // After a cancellation, the next input only reports it.
