@@ -257,24 +257,29 @@ fn of_sensor(model: &Value) -> Markup {
     group("Sensor model", "", &figures)
 }
 
-/// Shows tables of the remaining values.
-fn tables(input: &Value) -> Markup {
-    let facts = ["path", "format", "instrument", "serial", "sampling_interval_ns", "time_scale", "frame"];
-    let more = ["emission_reference", "ranges_count_from", "coordinates", "wall_s", "peak_in_flight_bytes"];
-    let known = facts.iter().chain(&more).filter(|key| !input[**key].is_null());
+/// Shows a table of each channel of a sensor model.
+fn of_channels(model: &Value) -> Markup {
     let of_channel = |(key, channel): (&str, &str)| {
-        let model = &input["sensor_model"][key];
+        let model = &model[key];
         let keys = ["noise_sd_dn", "autocorrelation", "background_dn", "pulse_fwhm_ns", "waveforms"];
         let rows = keys.iter().filter(|_| model.is_object());
         let rows = rows.map(|key| (key.replace('_', " "), rounded(&model[*key])));
         section(&format!("Sensor model, {channel}"), rows)
     };
+    html! { @for channel in CHANNELS { (of_channel(channel)) } }
+}
+
+/// Shows tables of the remaining values.
+fn tables(input: &Value) -> Markup {
+    let facts = ["path", "format", "instrument", "serial", "sampling_interval_ns", "time_scale", "frame"];
+    let more = ["emission_reference", "ranges_count_from", "coordinates", "wall_s", "peak_in_flight_bytes"];
+    let known = facts.iter().chain(&more).filter(|key| !input[**key].is_null());
     html! {
         div.sections {
             (section("Input", known.map(|key| (key.replace('_', " "), plain(&input[*key])))))
             (section("Totals", entries(&input["totals"])))
             (section("Trajectory", entries(&input["trajectory"])))
-            @for channel in CHANNELS { (of_channel(channel)) }
+            (of_channels(&input["sensor_model"]))
             (section("Outputs", list(input, "outputs").iter().map(|file| ("file".to_owned(), plain(file)))))
         }
     }

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use serde_json::Value;
 
 use super::plot::{Plot, short, ticks};
-use super::{figure, group, list, of_sensor, plain, table};
+use super::{figure, group, list, of_channels, of_sensor, plain, table};
 use crate::report::svg::Svg;
 
 /// A measured quantity: path in the entry of an input, title, unit.
@@ -70,7 +70,10 @@ pub(in crate::report) fn of_survey(survey: &Value) -> Markup {
         "sensor model",
     ];
     html! {
-        @for instrument in instruments { (of_sensor(&instrument["sensor_model"])) }
+        @for instrument in instruments {
+            (of_sensor(&instrument["sensor_model"]))
+            div.sections { (of_channels(&instrument["sensor_model"])) }
+        }
         (group("Drift of the sensor", "", &figures))
         (table("Sensor model by input (low-power receiver)", &heads, rows))
     }
