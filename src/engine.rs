@@ -108,11 +108,12 @@ impl Options {
     /// Number of inputs that run at the same time.
     ///
     /// While one is opened, calibrated or completed, the workers of another are busy. More than two
-    /// help where workers are many, because readers and writers have one thread each.
+    /// help where workers are many, because readers and writers have one thread each. At most four: each
+    /// has as many threads as workers.
     pub fn at_once(&self) -> usize {
         match self.inputs_at_once {
             0 if self.workers() == 1 => 1,
-            0 => (self.workers() / 4).max(2),
+            0 => (self.workers() / 4).clamp(2, 4),
             inputs => inputs,
         }
     }
@@ -230,9 +231,9 @@ pub fn run_each(
         result.is_err()
     };
     let others = schedule::run(&shared, to_run, &mut progress, ends, take);
-    for (number, input) in others {
+    for (number, (input, error)) in others {
         summary.inputs[number] = input;
-        if let Err(another) = done(summary, number, None) {
+        if let Err(another) = done(summary, number, error) {
             tracing::warn!("{another}");
         }
     }

@@ -109,7 +109,7 @@ fn paths_as_text<S: Serializer>(paths: &[PathBuf], to: S) -> std::result::Result
 }
 
 /// Maximum size of a report, bytes.
-const MOST_REPORT_BYTES: u64 = 200_000_000;
+const MOST_REPORT_BYTES: u64 = 2_000_000_000;
 
 impl RunReport<'_> {
     /// Formats the report as indented JSON; ends with a line feed.
@@ -174,6 +174,11 @@ pub fn write_page_of(report: &Path, page: &Path) -> Result<()> {
 /// If it cannot be read or is invalid.
 pub(crate) fn read_report(path: &Path) -> Result<Value> {
     let file = std::fs::File::open(path).map_err(Error::io(path, "open the report"))?;
+    let bytes = file.metadata().map_or(0, |about| about.len());
+    if bytes > MOST_REPORT_BYTES {
+        let problem = format!("{bytes} bytes is too large for a report");
+        return Err(Error::unusable(path, problem, "give the report of a run"));
+    }
     let mut text = String::new();
     file.take(MOST_REPORT_BYTES).read_to_string(&mut text).map_err(Error::io(path, "read the report"))?;
     let remedy = "give the report of a run or the folder that contains it";

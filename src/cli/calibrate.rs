@@ -57,7 +57,9 @@ fn of_survey(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure> {
     run::stop_on_signals(&options.cancel);
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
     let models = engine::learn_survey_models(&job, &options).map_err(|error| failed(&error))?;
-    if models.instruments.iter().all(|instrument| instrument.sensor_model.is_none()) {
+    // Inputs that contradict each other have their own models, which their runs make.
+    let has_own = models.inputs.iter().any(|input| input.own_model.is_some());
+    if !has_own && models.instruments.iter().all(|instrument| instrument.sensor_model.is_none()) {
         let reason = models.instruments.iter().flat_map(|instrument| &instrument.notes).next();
         let reason = reason.map_or("no input could be read; run the job to see why", String::as_str);
         return Err(Failure::Run(reason.to_owned()));

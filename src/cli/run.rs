@@ -159,6 +159,8 @@ fn finish(
     profile: bool,
 ) -> Result<String, StageError> {
     files.complete(run)?;
+    // A problem with this page costs neither trace nor archive.
+    let survey = files.write_survey(run);
     files.write_trace(run)?;
     for (note, inputs) in run.repeated_notes() {
         tracing::warn!("{inputs} of {} inputs: {note}", run.inputs.len());
@@ -174,7 +176,7 @@ fn finish(
         let _ = writeln!(said, "results {}", seals.results);
         let _ = writeln!(said, "archived in {}; seal {}", archive.display(), seals.seal);
     }
-    Ok(said)
+    survey.map(|()| said)
 }
 
 /// Error of a run with failed inputs.

@@ -234,7 +234,7 @@ impl<'j> RunFiles<'j> {
         Ok(())
     }
 
-    /// Writes report and pages of a run that has ended.
+    /// Writes report and page of a run that has ended.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -243,6 +243,14 @@ impl<'j> RunFiles<'j> {
         if self.due.take().is_some() {
             self.write_report(run, false)?;
         }
+        Ok(())
+    }
+
+    /// Writes the page of the survey.
+    ///
+    /// # Errors
+    /// If it cannot be made.
+    pub(super) fn write_survey(&mut self, run: &RunSummary) -> Result<()> {
         let was_run = run.inputs.iter().any(|input| input.status != InputStatus::NotRun);
         let page = self.survey_page().filter(|path| was_run && is_in_folder(path));
         if let Some((survey, page)) = self.survey.as_mut().zip(page) {

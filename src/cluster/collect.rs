@@ -34,7 +34,7 @@ pub struct Collected {
 
 /// Checks the files of all tasks, and merges reports, line statistics, digests and archive.
 ///
-/// Compares sizes, or with `by_digest` contents. Makes the archive only if every task has ended.
+/// Compares sizes; with `by_digest`, and for an archive, contents. Makes the archive only if every task has ended.
 ///
 /// # Errors
 /// If the plan cannot be read or a file cannot be written.
@@ -54,6 +54,8 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
     options.survey = survey(&plan, root, &job, &options)?;
     let mut run = RunSummary::new(&job, &options);
     let merge = Merge::new(&plan, root, &dirs)?;
+    // An archive states what files contain.
+    let by_digest = by_digest || (archives && plan.archive.is_some());
     let checker = Checker::new(root, &job, &options, by_digest);
     let results: Vec<TaskResult> = plan.tasks.iter().map(|task| checker.check(task)).collect();
     let mut entries = Vec::new();
@@ -209,7 +211,7 @@ impl<'c> Checker<'c> {
         let entry = report["inputs"].get(0).cloned().unwrap_or_default();
         let files: InputFiles = serde_json::from_value(entry["files"].clone()).unwrap_or_default();
         match (entry["status"].as_str(), entry["failure"].as_str()) {
-            (Some("done"), _) => match self.changed(&files) {
+            (Some("done"), _) => match self.other_files(task, &files).or_else(|| self.changed(&files)) {
                 Some(problem) => missing(problem),
                 None => TaskResult { status: InputStatus::Done, problem: None, entry: Some(entry), files },
             },
@@ -229,16 +231,37 @@ impl<'c> Checker<'c> {
         }
         report["survey_models"] = Value::Null;
         // The task has further stages for the archive.
+        // Paths of a task start at another folder.
         if let Some(stages) = report["stages"].as_array_mut() {
             stages.retain(|stage| stage["id"] != super::tasks::ARCHIVE_STAGE);
-            // Paths of a task start at another folder.
             for (stage, planned) in stages.iter_mut().zip(&self.next.stages) {
-                same_paths(&mut stage["keys"], &planned.keys, &self.paths);
+                if let Some(keys) = stage.get_mut("keys") {
+                    same_paths(keys, &planned.keys, &self.paths);
+                }
             }
         }
-        report["job"]["geometry"] = serde_json::to_value(&self.next.job.geometry).unwrap_or_default();
+        if let Some(found) = report.pointer_mut("/job/geometry") {
+            let planned = &self.next.job.geometry;
+            // The job of a task has all defaults.
+            let mut spelled_out = planned.clone();
+            spelled_out.spell_out();
+            let spelled_out = serde_json::to_value(&spelled_out).unwrap_or_default();
+            same_paths(found, &spelled_out, &texts(&spelled_out));
+            if *found == spelled_out {
+                *found = serde_json::to_value(planned).unwrap_or_default();
+            }
+        }
         let free = ["input_dir", "output_dir", "report", "report_page", "stat_log"];
         report::difference(&report, self.job, &self.next, &free)
+    }
+
+    /// First planned file that the task has not read or written.
+    fn other_files(&self, task: &Task, files: &InputFiles) -> Option<String> {
+        let has = |among: &[FileState], path: &str| among.iter().any(|file| file.path == path);
+        let input = task.inputs.iter().find(|file| !has(&files.read, &file.path));
+        let output = task.outputs.iter().find(|path| !has(&files.written, path));
+        let input = input.map(|file| format!("out of date: it has not read {}", file.path));
+        input.or_else(|| output.map(|path| format!("out of date: it has not written {path}")))
     }
 
     /// First file that differs from the report of its task.
@@ -266,7 +289,17 @@ impl<'c> Checker<'c> {
     }
 }
 
-/// Replaces the paths of files in the keys of a stage by those of the job.
+/// All texts in a table.
+fn texts(table: &Value) -> BTreeSet<String> {
+    match table {
+        Value::String(text) => BTreeSet::from([text.clone()]),
+        Value::Object(keys) => keys.values().flat_map(texts).collect(),
+        Value::Array(items) => items.iter().flat_map(texts).collect(),
+        _ => BTreeSet::new(),
+    }
+}
+
+/// Replaces the paths of files in a table by those of the job, if the files have the same names.
 fn same_paths(keys: &mut Value, planned: &Value, paths: &BTreeSet<String>) {
     match (keys, planned) {
         (Value::Object(keys), Value::Object(planned)) => {
@@ -274,8 +307,10 @@ fn same_paths(keys: &mut Value, planned: &Value, paths: &BTreeSet<String>) {
                 same_paths(value, planned.get(key).unwrap_or(&Value::Null), paths);
             }
         }
-        (keys @ Value::String(_), Value::String(path)) if paths.contains(path) => {
-            *keys = Value::String(path.clone());
+        (Value::String(found), Value::String(path))
+            if paths.contains(path) && Path::new(found).file_name() == Path::new(path).file_name() =>
+        {
+            found.clone_from(path);
         }
         _ => {}
     }

@@ -229,7 +229,8 @@ fn same_results(path: &Path, report: &RunReport, known: &KnownDigests, output_di
     let outputs = report.run.inputs.iter().flat_map(|input| &input.outputs);
     let now: Option<BTreeMap<String, &str>> = outputs
         .map(|output| {
-            let output = plain(&std::path::absolute(output).ok()?);
+            let folder = output.parent()?.canonicalize().ok()?;
+            let output = plain(&folder.join(output.file_name()?));
             let (_, blake3) = known.get(&output)?;
             Some((relative(output_dir, &output)?, blake3.as_str()))
         })

@@ -48,6 +48,10 @@ pub struct PlanOptions<'p> {
 /// # Errors
 /// If the folder belongs to something else, an input is missing, or a file cannot be written.
 pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
+    if !job.settings.survey_page.is_empty() {
+        let problem = "the tasks of a plan do not make the page of the survey";
+        return Err(StageError::failed(problem, "remove `survey_page`, or use `wavex run`"));
+    }
     let folder = own_folder(options.folder)?;
     let dirs = [options.input_dir, options.output_dir];
     let resolved = Resolved::new(job, dirs[0], dirs[1], &folder)?;

@@ -41,12 +41,8 @@ pub(super) fn run(
                 let body = move || run_worker(stage, site, shared, inlet, exit, options.profile, leavings);
                 let name = format!("{THREAD_PREFIX}{}-{worker}", stage.id);
                 if let Err(error) = std::thread::Builder::new().name(name).spawn_scoped(scope, body) {
-                    let failed = StageError::failed(
-                        format!("cannot start a thread: {error}"),
-                        "lower `threads` or raise the process limit of the system",
-                    );
                     // Not of this input: the others would have no threads either.
-                    shared.failure.fail(&stage.id, None, Cause::Stage(failed));
+                    shared.failure.fail(&stage.id, None, no_thread(&error).cause);
                 }
             }
         }
@@ -109,6 +105,14 @@ fn memory(job: &Job) -> (usize, usize) {
 fn may_hold_bytes(job: &Job) -> usize {
     let (limit, holders) = memory(job);
     limit / (2 * holders)
+}
+
+/// Error if the system refuses a thread.
+pub(super) fn no_thread(error: &dyn std::fmt::Display) -> RunError {
+    RunError::of_job(StageError::failed(
+        format!("cannot start a thread: {error}"),
+        "lower `threads` or raise the process limit of the system",
+    ))
 }
 
 /// What the chains of all inputs share.

@@ -13,12 +13,17 @@ use crate::stage::{Outputs, StageError};
 
 /// A flag that ends a run early; clones share it.
 #[derive(Clone, Debug, Default)]
-pub struct Cancel(Arc<AtomicBool>);
+pub struct Cancel(Arc<AtomicBool>, Option<Arc<AtomicBool>>);
 
 impl Cancel {
     /// Requests the end of the run.
     pub fn cancel(&self) {
         self.0.store(true, Ordering::SeqCst);
+    }
+
+    /// A flag of its own that is also set with this one.
+    pub(super) fn child(&self) -> Cancel {
+        Cancel(Arc::default(), Some(Arc::clone(&self.0)))
     }
 
     /// Returns the flag itself, set once the end of the run is requested.
@@ -28,7 +33,8 @@ impl Cancel {
 
     /// Returns whether the end of the run was requested.
     pub fn is_cancelled(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
+        let is_set = |flag: &Arc<AtomicBool>| flag.load(Ordering::Relaxed);
+        is_set(&self.0) || self.1.as_ref().is_some_and(is_set)
     }
 }
 

@@ -59,7 +59,7 @@ where
     L: Fn(&mut T, &ScanLine) -> ControlFlow<()> + Send + Sync + 'static,
 {
     failure::catch_panic_messages();
-    let cancel = Cancel::default();
+    let cancel = options.cancel.child();
     let state = Arc::new(Mutex::new(Some(state)));
     let probe = Probe { state: Arc::clone(&state), look, cancel: cancel.clone() };
     let options = Options { cancel, observers: Some(Arc::new(One(Arc::new(probe)))), ..options.clone() };

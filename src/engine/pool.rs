@@ -5,9 +5,9 @@ use std::sync::Arc;
 use crossbeam_channel::{Receiver, Sender};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
+use super::chain::no_thread;
 use super::failure::THREAD_PREFIX;
 use super::{Options, RunError};
-use crate::stage::StageError;
 
 /// Starts one thread per worker; `None` with one worker: stages do such tasks themselves.
 ///
@@ -25,10 +25,7 @@ pub(super) fn start(options: &Options) -> Result<Option<Arc<ThreadPool>>, RunErr
         .build();
     match pool {
         Ok(pool) => Ok(Some(Arc::new(pool))),
-        Err(error) => Err(RunError::of_job(StageError::failed(
-            format!("cannot start a thread: {error}"),
-            "lower `threads` or raise the process limit of the system",
-        ))),
+        Err(error) => Err(no_thread(&error)),
     }
 }
 

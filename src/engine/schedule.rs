@@ -6,12 +6,13 @@ use std::time::Duration;
 
 use crossbeam_channel::Sender;
 
-use super::chain::{self, Common};
+use super::chain::{self, Common, no_thread};
+use super::failure::{THREAD_PREFIX, guarded};
 use super::worker::Gauge;
 use super::{Cancel, Cause, InputSummary, Options, Progress, RunError};
 use crate::georef::Loader;
 use crate::job::Job;
-use crate::stage::{Context, RunContext};
+use crate::stage::{Context, RunContext, StageError};
 
 /// Results of an input: the work done, and the first cause of a failure.
 pub(super) type Ended = (InputSummary, Option<RunError>);
@@ -28,14 +29,14 @@ pub(super) struct Shared<'a> {
 /// Runs inputs, several at the same time, and gives their results to `take` in their order.
 ///
 /// `ends` tells errors that end the run, of which `take` returns true. Inputs behind are then
-/// cancelled; returns the results of those that had completed.
+/// cancelled; returns the results of those that had ended.
 pub(super) fn run(
     shared: &Shared,
     inputs: Vec<(usize, RunContext)>,
     progress: &mut Progress,
     ends: impl Fn(&RunError) -> bool,
     mut take: impl FnMut(&mut Progress, usize, Ended) -> bool,
-) -> Vec<(usize, InputSummary)> {
+) -> Vec<(usize, Ended)> {
     let at_once = shared.options.at_once();
     let mut due = inputs.iter().map(|(number, _)| *number).collect::<VecDeque<usize>>();
     let mut waiting = inputs.into_iter();
@@ -43,17 +44,31 @@ pub(super) fn run(
     let mut ended: BTreeMap<usize, Ended> = BTreeMap::new();
     std::thread::scope(|scope| {
         let (sender, receiver) = crossbeam_channel::bounded(at_once);
+        // `sender` lives as long as the loop, so nothing but a timeout ends `recv_timeout` early.
         while !due.is_empty() || !running.is_empty() {
             let is_cancelled = shared.options.cancel.is_cancelled();
             // After a cancellation, the next input only reports it.
             let is_ending = ended.values().any(|(_, error)| error.as_ref().is_some_and(&ends));
-            while !due.is_empty() && !is_ending && running.len() < if is_cancelled { 1 } else { at_once } {
+            let may_run = if is_cancelled { 1 } else { at_once };
+            // What has ended behind a slow input is kept in memory until that ends.
+            let may_wait = 2 * at_once;
+            while !due.is_empty()
+                && !is_ending
+                && running.len() < may_run
+                && running.len() + ended.len() < may_wait
+            {
                 let Some((number, site)) = waiting.next() else { break };
                 let (cancel, gauge) = (Cancel::default(), Arc::<Gauge>::default());
                 progress.begin(number, &site.stem, &gauge);
                 running.insert(number, cancel.clone());
-                let sender = sender.clone();
-                scope.spawn(move || one(shared, number, site, cancel, &gauge, &sender));
+                let (sender, not_run) = (sender.clone(), InputSummary::not_run(&site));
+                let name = format!("{THREAD_PREFIX}{}", site.stem);
+                let body = move || one(shared, number, site, cancel, &gauge, &sender);
+                if let Err(error) = std::thread::Builder::new().name(name).spawn_scoped(scope, body) {
+                    running.remove(&number);
+                    let error = no_thread(&error);
+                    ended.insert(number, (not_run.failed(&error), Some(error)));
+                }
             }
             if is_cancelled || due.is_empty() {
                 running.values().for_each(Cancel::cancel);
@@ -74,8 +89,10 @@ pub(super) fn run(
             }
         }
     });
-    let complete = ended.into_iter().filter(|(_, (_, error))| error.is_none());
-    complete.map(|(number, (input, _))| (number, input)).collect()
+    let is_interrupted =
+        |error: &RunError| matches!(error.cause, Cause::Interrupted | Cause::Stage(StageError::Stopped));
+    ended.retain(|_, (_, error)| !error.as_ref().is_some_and(is_interrupted));
+    ended.into_iter().collect()
 }
 
 /// Runs the chain over one input and sends its results.
@@ -89,7 +106,11 @@ fn one(
 ) {
     let site = RunContext { cancelled: cancel.flag(), ..site };
     let options = Options { cancel, ..shared.options.clone() };
-    let result = run_input(shared, site, &options, gauge);
+    let (input, not_run) = (site.input.clone(), InputSummary::not_run(&site));
+    let result = guarded(|| Ok(run_input(shared, site, &options, gauge))).unwrap_or_else(|cause| {
+        let error = RunError { stage: None, input: Some(input), cause };
+        (not_run.failed(&error), Some(error))
+    });
     // The receiver is gone if the run ends because of another input.
     let _ = ended.send((number, result));
 }

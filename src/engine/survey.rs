@@ -119,6 +119,7 @@ impl Survey<'_> {
         let pooled = learns.waveforms.div_ceil(inputs_n as u64);
         let limit = usize::try_from(self.job.settings.memory_mb).unwrap_or(usize::MAX / 1_000_000);
         let bytes = limit.saturating_mul(500_000) / inputs_n;
+        let mut pooled_bytes = 0;
         let mut samples: Vec<Vec<ScanLine>> = Vec::with_capacity(inputs.len());
         let mut progress = Calibrating::new(self.options.progress, inputs.len());
         for (number, input) in inputs.iter().enumerate() {
@@ -127,7 +128,12 @@ impl Survey<'_> {
             self.assign(number, &lines);
             self.measure(stage, number, &mut lines)?;
             let step = waveforms(&lines) / pooled;
-            samples.push(thinned(lines, step).0);
+            let (kept, _) = thinned(lines, step);
+            let kept_bytes: usize = kept.iter().map(ScanLine::bytes).sum();
+            // A line may be larger than the share of its input: the first inputs then fill the memory.
+            let has_room = pooled_bytes + kept_bytes <= inputs_n * bytes;
+            pooled_bytes += if has_room { kept_bytes } else { 0 };
+            samples.push(if has_room { kept } else { Vec::new() });
         }
         for instrument in 0..self.models.instruments.len() {
             let of_instrument: Vec<usize> = (0..inputs.len())

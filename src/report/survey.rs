@@ -235,7 +235,14 @@ fn survey(
     for input in inputs {
         let mut strip = SurveyStrip::new(input);
         if let Some(path) = &input.cells {
-            let reader = CellsReader::open(path)?;
+            let reader = match CellsReader::open(path) {
+                Ok(reader) => reader,
+                Err(error) => {
+                    strip.failure = Some(error.to_string());
+                    strips.push(strip);
+                    continue;
+                }
+            };
             strip.facts = Some(reader.facts.clone());
             let first: Option<&CellsReader> = readers.first();
             strip.failure = reader.facts.without_map.clone().or_else(|| mismatch(&reader, first));

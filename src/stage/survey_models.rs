@@ -17,6 +17,9 @@ use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 /// Version of the format.
 const FORMAT: u32 = 1;
 
+/// Largest delay of a receiver, ns.
+const MAX_DELAY_NS: f64 = 100.0;
+
 /// Amplitudes between which the range walk is compared, DN.
 const WALK_DN: [f64; 2] = [20.0, 100.0];
 
@@ -208,6 +211,11 @@ impl SurveyModels {
         self.instruments.iter().find(|model| model.instrument == instrument)
     }
 
+    /// Whether the models were made with the input of this stem.
+    pub fn has_input(&self, stem: &str) -> bool {
+        self.inputs.iter().any(|input| input.stem == stem)
+    }
+
     /// Formats the models as indented JSON; ends with a line feed.
     ///
     /// # Errors
@@ -237,6 +245,14 @@ impl SurveyModels {
         for model in models.instruments.iter().filter_map(|instrument| instrument.sensor_model.as_deref()) {
             check_model(model).map_err(|problem| Error::unusable(path, problem, REMEDY))?;
         }
+        let mut fusions = models.instruments.iter().filter_map(|instrument| instrument.fusion.as_ref());
+        if !fusions.all(is_valid) {
+            return Err(Error::unusable(path, "gain ratio or delay has invalid numbers", REMEDY).into());
+        }
+        let instruments = models.instruments.len();
+        if models.inputs.iter().any(|input| input.instrument.is_some_and(|index| index >= instruments)) {
+            return Err(Error::unusable(path, "an input has an instrument that is missing", REMEDY).into());
+        }
         Ok(models)
     }
 }
@@ -252,6 +268,19 @@ fn read_shared<'de, D: Deserializer<'de>>(
     from: D,
 ) -> std::result::Result<Option<Arc<SensorModel>>, D::Error> {
     Option::<SensorModel>::deserialize(from).map(|model| model.map(Arc::new))
+}
+
+/// Whether gain and delay are possible, and the delays are in the order of their heights.
+fn is_valid(fusion: &ChannelFusion) -> bool {
+    let is_sd = |sd: f64| sd.is_finite() && sd >= 0.0;
+    let is_delay = |delay_ns: f64| delay_ns.abs() <= MAX_DELAY_NS;
+    fusion.gain_ratio > 0.0
+        && fusion.gain_ratio.is_finite()
+        && is_delay(fusion.delay_ns)
+        && is_sd(fusion.gain_ratio_sd)
+        && is_sd(fusion.delay_sd_ns)
+        && fusion.walk.iter().all(|node| is_delay(node.delay_ns) && is_sd(node.delay_sd_ns))
+        && fusion.walk.is_sorted_by(|a, b| a.low_power_dn < b.low_power_dn)
 }
 
 /// Checks the numbers of a sensor model from a file.
@@ -291,6 +320,18 @@ mod tests {
             inputs: vec![input("a", None), input("b", Some("noise"))],
             ..SurveyModels::new()
         };
+        let fusion = |gain_ratio: f64, delay_ns: f64| ChannelFusion {
+            pairs: 30,
+            gain_ratio,
+            gain_ratio_sd: 0.01,
+            delay_ns,
+            delay_sd_ns: 0.01,
+            walk: Vec::new(),
+            walk_is_known: false,
+        };
+        let valid =
+            [(5.0, 0.2), (0.0, 0.2), (f64::NAN, 0.2), (5.0, 1e6)].map(|(g, d)| is_valid(&fusion(g, d)));
+        assert_eq!(valid, [true, false, false, false]);
         let found = |stem, info: &InputInfo| models.of_recording(stem, info).is_some();
         assert!(found("a", &info) && found("new", &info) && !found("b", &info));
         assert!(!found("a", &InputInfo { sampling_interval_ns: 2.0, ..info }));

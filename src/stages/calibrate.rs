@@ -301,6 +301,9 @@ impl Calibrator {
         let found = survey.of_recording(&self.stem, &line.input);
         if let Some((model, inputs)) = found.and_then(|of| Some((of.sensor_model.as_ref()?, of.inputs))) {
             out.cx.info(format!("the sensor model is that of the survey, from {inputs} inputs"));
+            if !survey.has_input(&self.stem) {
+                out.cx.warn("the recording was not among those from which `survey_model` was made: it has the model of an instrument of the same name, serial number and sampling interval, as far as recorded; run `wavex calibrate` for the whole survey");
+            }
             self.model = Some(Arc::clone(model));
         }
     }

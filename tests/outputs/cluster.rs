@@ -227,6 +227,25 @@ fn results_of_another_plan_are_out_of_date() {
 }
 
 #[test]
+fn a_task_with_another_geometry_is_out_of_date() {
+    let place = survey();
+    plan(&place, &["--set", "job.geometry.crs='utm:33N'"]);
+    run_tasks(&place, "s");
+    plan(&place, &["--set", "job.geometry.crs='utm:32N'"]);
+    let (code, said) = collect(&place, &[]);
+    assert_eq!(code, Some(1));
+    assert!(said.contains("out of date: `geometry` of `[job]` was different"), "{said}");
+}
+
+#[test]
+fn a_plan_makes_no_page_of_the_survey() {
+    let place = survey();
+    let problem = "error: the tasks of a plan do not make the page of the survey; remove `survey_page`, or use `wavex run`\n";
+    let arguments = ["plan", "s/job.toml", "-o", "s/plan", "--set", "job.survey_page=true"];
+    assert_eq!(wavex(&place, &arguments), (Some(1), problem.to_owned()));
+}
+
+#[test]
 fn a_plan_moves_with_its_data() {
     let place = survey();
     plan(&place, &["--archive", "s/archive"]);

@@ -193,6 +193,13 @@ impl CellsReader {
                     let problem = "its cells are not sorted from north to south";
                     return Err(Error::unusable(&self.path, problem, REMEDY));
                 }
+                let is_inside = self.facts.extent.is_some_and(|[[west, south], [east, north]]| {
+                    (west..=east).contains(&cell.column) && (south..=north).contains(&cell.row)
+                });
+                if !is_inside {
+                    let problem = "a cell is outside of the extent of the strip";
+                    return Err(Error::unusable(&self.path, problem, REMEDY));
+                }
                 return Ok(());
             }
             match self.table.next_batch()? {

@@ -212,6 +212,8 @@ impl Mosaic {
 
     /// Closing of a mask by a square of `2 radius + 1` cells, and its holes.
     fn closed(&self, mask: &[bool], radius: usize) -> Vec<bool> {
+        // A larger square closes no more.
+        let radius = radius.min(self.columns.max(self.rows));
         // The frame has a margin, so that its edges are not inside.
         let margin = radius + 1;
         let [columns, rows] = [self.columns + 2 * margin, self.rows + 2 * margin];
