@@ -133,7 +133,7 @@ impl SurveyPlan {
     /// Reads the plan in a folder.
     ///
     /// # Errors
-    /// If there is none, or it has another version.
+    /// If the folder has no plan, or the plan has another version.
     pub fn read(folder: &Path) -> Result<SurveyPlan> {
         let path = folder.join(PLAN);
         let text = std::fs::read_to_string(&path).map_err(Error::io(&path, "read the plan"))?;

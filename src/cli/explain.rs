@@ -113,7 +113,14 @@ impl Chain {
             *explained = Some(decompose(line, shot, &chain));
             ControlFlow::Break(())
         };
-        let observed = observe(&self.job, self.input(), &self.options, (Numbers::default(), None), look);
+        let observed = observe(
+            &self.job,
+            self.input(),
+            &self.options,
+            Context::default(),
+            (Numbers::default(), None),
+            look,
+        );
         match observed.map_err(|error| failed(&error))? {
             (_, Some(explained)) => explained,
             (seen, None) => Err(Failure::Wrong(seen.without(shot, &self.file))),
@@ -133,7 +140,8 @@ impl Chain {
         };
         let mut reader = self.job.clone();
         reader.stages.truncate(1);
-        let nearest = observe(&reader, self.input(), &self.options, None, look);
+        // The shot is explained by a second run, which logs the warnings.
+        let nearest = observe(&reader, self.input(), &self.options, Context::quiet(), None, look);
         nearest.map_err(|error| failed(&error))?.map(|(_, shot)| shot).ok_or_else(|| {
             let file = self.file.display();
             Failure::Wrong(format!("{file}: its shots have no times; select one with --shot"))

@@ -254,7 +254,7 @@ impl<'j> RunFiles<'j> {
         let was_run = run.inputs.iter().any(|input| input.status != InputStatus::NotRun);
         let page = self.survey_page().filter(|path| was_run && is_in_folder(path));
         if let Some((survey, page)) = self.survey.as_mut().zip(page) {
-            survey.write(self.settings, &self.entries, &page)?;
+            survey.write(self.settings, &self.entries, run.survey_models.as_deref(), &page)?;
         }
         Ok(())
     }

@@ -67,7 +67,7 @@ fn add_strips(folder: &Path, inputs: &mut BTreeMap<String, SurveyInput>) -> Resu
         // A JSON file that is no report of a run does not concern the survey.
         let Ok(report) = read_report(&folder.join(name)) else { continue };
         for entry in report["inputs"].as_array().into_iter().flatten() {
-            add(inputs, entry);
+            add(inputs, entry, &report["survey_models"]);
         }
     }
     for name in &names {
@@ -87,8 +87,8 @@ fn add_strips(folder: &Path, inputs: &mut BTreeMap<String, SurveyInput>) -> Resu
 }
 
 /// Adds an input of a report, without its cells.
-fn add(inputs: &mut BTreeMap<String, SurveyInput>, entry: &Value) {
-    let input = input_of(entry, None);
+fn add(inputs: &mut BTreeMap<String, SurveyInput>, entry: &Value, models: &Value) {
+    let input = input_of(entry, models, None);
     let earlier = inputs.entry(input.stem.clone()).or_default();
     let cells = earlier.cells.take();
     let failure = input.failure.clone().filter(|_| cells.is_none());

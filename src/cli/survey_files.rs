@@ -13,7 +13,7 @@ use crate::report::survey::{
 };
 use crate::report::{Overview, Overviews};
 use crate::scan_line::ScanLine;
-use crate::stage::{DecomposedLine, FitShot, OutputFile, Result, RunObserver, RunObservers};
+use crate::stage::{DecomposedLine, FitShot, OutputFile, Result, RunObserver, RunObservers, SurveyModels};
 
 /// Name of the cells of a strip; `*` is the stem of the input.
 const CELLS: &str = "*_cells.arrow";
@@ -25,8 +25,10 @@ pub(super) fn ending_of_cells() -> &'static str {
     CELLS.trim_start_matches('*')
 }
 
-/// Input of a survey from its entry of a report.
-pub(super) fn input_of(entry: &Value, cells: Option<PathBuf>) -> SurveyInput {
+/// Input of a survey from its entry of a report and the report's sensor models.
+pub(super) fn input_of(entry: &Value, models: &Value, cells: Option<PathBuf>) -> SurveyInput {
+    let mut rows = models["inputs"].as_array().into_iter().flatten();
+    let sensor = rows.find(|row| row["stem"] == entry["stem"]).cloned();
     let trajectory = &entry["trajectory"];
     SurveyInput {
         stem: entry["stem"].as_str().unwrap_or_default().to_owned(),
@@ -37,6 +39,7 @@ pub(super) fn input_of(entry: &Value, cells: Option<PathBuf>) -> SurveyInput {
             median_step_s: trajectory["median_step_s"].as_f64().unwrap_or(0.0),
             gaps: trajectory["gaps"].as_u64().unwrap_or(0),
         }),
+        sensor: sensor.and_then(|row| serde_json::from_value(row).ok()),
     }
 }
 
@@ -153,15 +156,22 @@ impl SurveyFiles {
         Ok(written)
     }
 
-    /// Writes the survey of the inputs with these entries of the report.
+    /// Writes the survey of the inputs with these entries of the report, and its sensor models.
     ///
     /// # Errors
     /// If the cells of a strip cannot be read, or a file cannot be written.
-    pub(super) fn write(&mut self, settings: &JobSettings, entries: &[Value], page: &Path) -> Result<()> {
+    pub(super) fn write(
+        &mut self,
+        settings: &JobSettings,
+        entries: &[Value],
+        models: Option<&SurveyModels>,
+        page: &Path,
+    ) -> Result<()> {
+        let models = models.and_then(|models| serde_json::to_value(models).ok()).unwrap_or_default();
         let input = |entry: &Value| {
             let is_done = matches!(entry["status"].as_str(), Some("done" | "skipped"));
             let stem = entry["stem"].as_str().filter(|_| is_done);
-            input_of(entry, stem.map(|stem| self.cells(stem)))
+            input_of(entry, &models, stem.map(|stem| self.cells(stem)))
         };
         let inputs: Vec<SurveyInput> = entries.iter().map(input).collect();
         self.written = write_survey(&inputs, &settings.survey, page)?;

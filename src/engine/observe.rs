@@ -22,37 +22,9 @@ pub(crate) fn observe<T, L>(
     job: &Job,
     input: Input,
     options: &Options,
-    state: T,
-    look: L,
-) -> std::result::Result<T, RunError>
-where
-    T: Send + 'static,
-    L: Fn(&mut T, &ScanLine) -> ControlFlow<()> + Send + Sync + 'static,
-{
-    show(job, input, options, (state, look), Context::default())
-}
-
-/// The same without messages in the log.
-pub(super) fn quietly<T, L>(
-    job: &Job,
-    input: Input,
-    options: &Options,
-    state: T,
-    look: L,
-) -> std::result::Result<T, RunError>
-where
-    T: Send + 'static,
-    L: Fn(&mut T, &ScanLine) -> ControlFlow<()> + Send + Sync + 'static,
-{
-    show(job, input, options, (state, look), Context::quiet())
-}
-
-fn show<T, L>(
-    job: &Job,
-    input: Input,
-    options: &Options,
-    (state, look): (T, L),
     cx: Context,
+    state: T,
+    look: L,
 ) -> std::result::Result<T, RunError>
 where
     T: Send + 'static,

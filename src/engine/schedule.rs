@@ -28,8 +28,8 @@ pub(super) struct Shared<'a> {
 
 /// Runs inputs, several at the same time, and gives their results to `take` in their order.
 ///
-/// `ends` tells errors that end the run, of which `take` returns true. Inputs behind are then
-/// cancelled; returns the results of those that had ended.
+/// `ends` decides whether an error ends the run; `take` returns whether the run ends. Later inputs are
+/// then cancelled. Returns the results of those that had already ended.
 pub(super) fn run(
     shared: &Shared,
     inputs: Vec<(usize, RunContext)>,
@@ -50,7 +50,7 @@ pub(super) fn run(
             // After a cancellation, the next input only reports it.
             let is_ending = ended.values().any(|(_, error)| error.as_ref().is_some_and(&ends));
             let may_run = if is_cancelled { 1 } else { at_once };
-            // What has ended behind a slow input is kept in memory until that ends.
+            // Results of later inputs are kept in memory until a slow one ends.
             let may_wait = 2 * at_once;
             while !due.is_empty()
                 && !is_ending

@@ -12,8 +12,8 @@ use super::{Cause, Input, Options, ProgressMode, RunError, inputs, observe, pool
 use crate::job::{Job, ModelScope};
 use crate::scan_line::ScanLine;
 use crate::stage::{
-    Context, Instrument, InstrumentModel, Learns, Measured, Plan, RunContext, StageError, SurveyInput,
-    SurveyModels,
+    Context, Instrument, InstrumentModel, Learning, Learns, Measured, Plan, RunContext, SensorDrift,
+    StageError, SurveyModels,
 };
 
 /// Minimum number of waveforms taken from each input.
@@ -89,7 +89,7 @@ fn calibrates(job: &Job) -> bool {
 fn learn(job: &Job, options: &Options, inputs: Vec<Input>) -> Result<SurveyModels, RunError> {
     // Standard input and pipes cannot be read twice.
     let inputs: Vec<Input> = inputs.into_iter().filter(|input| input.path.is_file()).collect();
-    let rows = inputs.iter().map(|input| SurveyInput { stem: input.stem.clone(), ..SurveyInput::default() });
+    let rows = inputs.iter().map(|input| SensorDrift { stem: input.stem.clone(), ..SensorDrift::default() });
     let models = SurveyModels { inputs: rows.collect(), ..SurveyModels::new() };
     let mut survey = Survey { job, options, models, pool: pool::start(options)? };
     for stage in 0..job.stages.len() {
@@ -121,10 +121,14 @@ impl Survey<'_> {
         let bytes = limit.saturating_mul(500_000) / inputs_n;
         let mut pooled_bytes = 0;
         let mut samples: Vec<Vec<ScanLine>> = Vec::with_capacity(inputs.len());
+        let known = Arc::new(self.models.clone());
         let mut progress = Calibrating::new(self.options.progress, inputs.len());
         for (number, input) in inputs.iter().enumerate() {
             progress.show(&input.stem, number);
-            let mut lines = self.sample(stage, input, pooled.max(MIN_WAVEFORMS), bytes)?;
+            let mut lines = match self.models.inputs[number].own_model {
+                None => self.sample(stage, input, &known, [pooled.max(MIN_WAVEFORMS), bytes as u64])?,
+                Some(_) => Vec::new(),
+            };
             self.assign(number, &lines);
             self.measure(stage, number, &mut lines)?;
             let step = waveforms(&lines) / pooled;
@@ -167,40 +171,37 @@ impl Survey<'_> {
         Ok(())
     }
 
-    /// First lines of an input that reach a stage; none if it fails, which its own run will report.
+    /// First lines of an input that reach a stage, up to this number of waveforms or bytes.
+    ///
+    /// None if the input fails: its own run reports the error.
     fn sample(
         &self,
         stage: usize,
         input: &Input,
-        wanted: u64,
-        bytes: usize,
+        known: &Arc<SurveyModels>,
+        [wanted, bytes]: [u64; 2],
     ) -> Result<Vec<ScanLine>, RunError> {
-        let row = self.models.inputs.iter().find(|row| row.stem == input.stem);
-        if row.is_some_and(|row| row.own_model.is_some()) {
-            return Ok(Vec::new());
-        }
         let mut upstream = self.job.clone();
         upstream.stages.truncate(stage);
         upstream.stages.retain(|stage| !matches!(stage.planned.plan, Plan::Sink(_)));
         let user = self.options.cancel.clone();
         let look = move |sample: &mut Sample, line: &ScanLine| {
             sample.waveforms += line.stats.nw;
-            sample.bytes += line.bytes();
+            sample.bytes += line.bytes() as u64;
             sample.lines.push(line.copied());
             let is_enough = sample.waveforms >= wanted || sample.bytes >= bytes || user.is_cancelled();
             if is_enough { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
-        let survey = Some(Arc::new(self.models.clone()));
         // A single worker, so that lines leave in order: those taken depend on nothing else.
         let options = Options {
-            survey,
+            survey: Some(Arc::clone(known)),
             threads: 1,
             progress: ProgressMode::Hidden,
             profile: false,
             ..self.options.clone()
         };
         let input_again = Input { path: input.path.clone(), stem: input.stem.clone() };
-        let seen = observe::quietly(&upstream, input_again, &options, Sample::default(), look);
+        let seen = observe(&upstream, input_again, &options, Context::quiet(), Sample::default(), look);
         if self.options.cancel.is_cancelled() {
             return Err(RunError { stage: None, input: None, cause: Cause::Interrupted });
         }
@@ -254,10 +255,7 @@ impl Survey<'_> {
         let Plan::Transform(plan) = &self.job.stages[stage].planned.plan else { return Ok(Ok(())) };
         let input = Input { path: Default::default(), stem: String::new() };
         let site: RunContext = run_context(self.options, input, self.pool.clone());
-        let learnt = match only_compares {
-            true => plan.compare(lines, &site, known, cx),
-            false => plan.learn(lines, &site, known, cx),
-        };
+        let learnt = plan.learn(lines, &mut Learning { site: &site, known, cx, only_compares });
         match learnt {
             _ if self.options.cancel.is_cancelled() => {
                 Err(RunError { stage: None, input: None, cause: Cause::Interrupted })
@@ -284,13 +282,13 @@ fn thinned(lines: Vec<ScanLine>, step: u64) -> (Vec<ScanLine>, Vec<ScanLine>) {
 struct Sample {
     lines: Vec<ScanLine>,
     waveforms: u64,
-    bytes: usize,
+    bytes: u64,
 }
 
 /// Marks inputs that differ from the median of these inputs of an instrument.
 ///
 /// If more than half of them do, all have their own models.
-fn mark_contradictions(rows: &mut [SurveyInput], of_instrument: &[usize]) {
+fn mark_contradictions(rows: &mut [SensorDrift], of_instrument: &[usize]) {
     let noise_dn: Vec<f64> = (0..3)
         .map(|channel| {
             let of_channel =
@@ -342,7 +340,7 @@ impl Tolerance {
     }
 }
 
-type OfRow = Box<dyn Fn(&SurveyInput) -> Option<Measured>>;
+type OfRow = Box<dyn Fn(&SensorDrift) -> Option<Measured>>;
 
 /// Compared quantities: name, unit, value, allowed difference.
 fn quantities(noise_dn: &[f64]) -> Vec<(String, &'static str, OfRow, Tolerance)> {
@@ -350,7 +348,7 @@ fn quantities(noise_dn: &[f64]) -> Vec<(String, &'static str, OfRow, Tolerance)>
         ("gain ratio".into(), "", Box::new(|row| row.gain_ratio), Tolerance::Relative(GAIN)),
         ("delay".into(), " ns", Box::new(|row| row.delay_ns), Tolerance::Absolute(DELAY_NS)),
     ];
-    for (channel, (name, _)) in SurveyInput::default().channels().into_iter().enumerate() {
+    for (channel, (name, _)) in SensorDrift::default().channels().into_iter().enumerate() {
         let background: OfRow =
             Box::new(move |row| row.channels()[channel].1.map(|found| found.background_dn));
         let noise: OfRow = Box::new(move |row| row.channels()[channel].1.map(|found| found.noise_sd_dn));
@@ -377,14 +375,14 @@ mod tests {
     use super::*;
     use crate::stage::ChannelDrift;
 
-    fn row(noise_dn: f64, background_dn: f64) -> SurveyInput {
+    fn row(noise_dn: f64, background_dn: f64) -> SensorDrift {
         let measured = |value| Measured { value, sd: 0.01 };
         let low_power = ChannelDrift {
             background_dn: measured(background_dn),
             noise_sd_dn: measured(noise_dn),
             pulse_fwhm_ns: measured(4.4),
         };
-        SurveyInput { low_power: Some(low_power), ..SurveyInput::default() }
+        SensorDrift { low_power: Some(low_power), ..SensorDrift::default() }
     }
 
     #[test]

@@ -15,7 +15,7 @@ mod stages_and_sensor;
 mod waveforms;
 
 /// Content security policy: only styles and pictures embedded in the page.
-pub(super) const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:";
+const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:";
 
 /// An input whose overview cannot be shown.
 #[derive(Debug, thiserror::Error)]
@@ -38,13 +38,7 @@ pub(super) fn page(report: &Value) -> Result<String, InvalidOverview> {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta http-equiv="Content-Security-Policy" content=(POLICY);
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                title { "wavex report: " (names.join(", ")) }
-                style { (PreEscaped(STYLE)) (PreEscaped(RUN_STYLE)) }
-            }
+            (head(&format!("wavex report: {}", names.join(", ")), ""))
             body {
                 h1 { "Report of a run" }
                 p.about {
@@ -60,6 +54,19 @@ pub(super) fn page(report: &Value) -> Result<String, InvalidOverview> {
         }
     };
     Ok(page.into_string())
+}
+
+/// Head of a page about a run or a survey, with further styles.
+pub(super) fn head(title: &str, style: &str) -> Markup {
+    html! {
+        head {
+            meta charset="utf-8";
+            meta http-equiv="Content-Security-Policy" content=(POLICY);
+            meta name="viewport" content="width=device-width, initial-scale=1";
+            title { (title) }
+            style { (PreEscaped(STYLE)) (PreEscaped(RUN_STYLE)) (PreEscaped(style)) }
+        }
+    }
 }
 
 /// Lists the keys of the job and of its stages.

@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::job::SurveyKeys;
-use crate::stage::OutputFile;
+use crate::stage::{OutputFile, SensorDrift};
 use wavex_formats::{Error, Result};
 
 mod cell;
@@ -46,6 +46,8 @@ pub struct SurveyInput {
     pub cells: Option<PathBuf>,
     /// Its trajectory.
     pub trajectory: Option<StripTrajectory>,
+    /// What its waveforms show about the sensor, if the strips share a sensor model.
+    pub sensor: Option<SensorDrift>,
 }
 
 /// Trajectory of a strip.
@@ -164,6 +166,8 @@ pub struct SurveyStrip {
     pub offset_m: Option<f64>,
     /// Its trajectory.
     pub trajectory: Option<StripTrajectory>,
+    /// What its waveforms show about the sensor, if the strips share a sensor model.
+    pub sensor: Option<SensorDrift>,
 }
 
 /// Two strips with smooth cells in common.
@@ -315,6 +319,7 @@ impl SurveyStrip {
             roughness: None,
             offset_m: None,
             trajectory: input.trajectory.clone(),
+            sensor: input.sensor.clone(),
         }
     }
 

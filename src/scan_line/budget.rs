@@ -71,8 +71,8 @@ impl Budget {
 
     /// Creates a budget with the limit of `common`, whose users also share that limit.
     ///
-    /// A budget that stands still may exceed the common limit, but not its own: so that the lines which
-    /// one input holds back never block another.
+    /// If transforms hold all lines of a budget, it may exceed the common limit, but not its own.
+    /// Otherwise inputs that hold lines back could block each other.
     pub fn within(common: &Arc<Budget>) -> Arc<Budget> {
         let (limit, common) = (common.limit, Some(Arc::clone(common)));
         Arc::new(Budget { limit, common, state: Mutex::default(), freed: Condvar::new() })

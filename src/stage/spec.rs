@@ -94,37 +94,31 @@ pub trait TransformConfig: Config {
         None
     }
 
-    /// Learns the same from lines of one or several recordings of an instrument, and adds it to
-    /// `known`.
+    /// Learns the same from lines of one or several recordings of an instrument.
+    ///
+    /// The lines are unchanged on return.
     ///
     /// # Errors
     /// If the lines are insufficient.
-    fn learn(
-        &self,
-        _lines: &mut Vec<ScanLine>,
-        _site: &RunContext,
-        _known: &mut InstrumentModel,
-        _cx: &mut Context,
-    ) -> Result<()> {
+    fn learn(&self, _lines: &mut Vec<ScanLine>, _learning: &mut Learning) -> Result<()> {
         Ok(())
-    }
-
-    /// The same, quicker, with values that are only compared with each other.
-    ///
-    /// # Errors
-    /// As [`TransformConfig::learn`].
-    fn compare(
-        &self,
-        lines: &mut Vec<ScanLine>,
-        site: &RunContext,
-        known: &mut InstrumentModel,
-        cx: &mut Context,
-    ) -> Result<()> {
-        self.learn(lines, site, known, cx)
     }
 
     /// Creates the stage.
     fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>>;
+}
+
+/// Context in which a transform learns, see [`TransformConfig::learn`].
+#[derive(Debug)]
+pub struct Learning<'a> {
+    /// Folders and threads.
+    pub site: &'a RunContext,
+    /// Model of the instrument; receives what is learnt.
+    pub known: &'a mut InstrumentModel,
+    /// Counters and notes.
+    pub cx: &'a mut Context,
+    /// Whether values are only compared between recordings: a quicker estimate is sufficient.
+    pub only_compares: bool,
 }
 
 /// What a transform learns from the first lines.
@@ -269,21 +263,7 @@ pub trait MakeTransform: Send + Sync {
     /// See [`TransformConfig::learns`].
     fn learns(&self) -> Option<Learns>;
     /// See [`TransformConfig::learn`].
-    fn learn(
-        &self,
-        lines: &mut Vec<ScanLine>,
-        site: &RunContext,
-        known: &mut InstrumentModel,
-        cx: &mut Context,
-    ) -> Result<()>;
-    /// See [`TransformConfig::compare`].
-    fn compare(
-        &self,
-        lines: &mut Vec<ScanLine>,
-        site: &RunContext,
-        known: &mut InstrumentModel,
-        cx: &mut Context,
-    ) -> Result<()>;
+    fn learn(&self, lines: &mut Vec<ScanLine>, learning: &mut Learning) -> Result<()>;
     /// See [`TransformConfig::make`].
     fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>>;
 }
@@ -335,23 +315,8 @@ impl<C: TransformConfig> MakeTransform for C {
     fn learns(&self) -> Option<Learns> {
         TransformConfig::learns(self)
     }
-    fn learn(
-        &self,
-        lines: &mut Vec<ScanLine>,
-        site: &RunContext,
-        known: &mut InstrumentModel,
-        cx: &mut Context,
-    ) -> Result<()> {
-        TransformConfig::learn(self, lines, site, known, cx)
-    }
-    fn compare(
-        &self,
-        lines: &mut Vec<ScanLine>,
-        site: &RunContext,
-        known: &mut InstrumentModel,
-        cx: &mut Context,
-    ) -> Result<()> {
-        TransformConfig::compare(self, lines, site, known, cx)
+    fn learn(&self, lines: &mut Vec<ScanLine>, learning: &mut Learning) -> Result<()> {
+        TransformConfig::learn(self, lines, learning)
     }
     fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
         TransformConfig::make(self, site)

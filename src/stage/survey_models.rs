@@ -37,10 +37,10 @@ pub struct SurveyModels {
     /// One model per instrument.
     pub instruments: Vec<InstrumentModel>,
     /// The inputs, in the order of the job.
-    pub inputs: Vec<SurveyInput>,
+    pub inputs: Vec<SensorDrift>,
 }
 
-/// Properties by which instruments and their settings are told apart.
+/// Properties that identify an instrument and its settings.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Instrument {
@@ -77,7 +77,7 @@ pub struct InstrumentModel {
 /// An input of a survey and what its own waveforms show.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct SurveyInput {
+pub struct SensorDrift {
     /// Stem of the input.
     pub stem: String,
     /// Index of its instrument; absent if it could not be read or calibrated.
@@ -157,7 +157,7 @@ impl From<&ChannelModel> for ChannelDrift {
     }
 }
 
-impl SurveyInput {
+impl SensorDrift {
     /// Adds what the input alone shows.
     ///
     /// `of_survey` is the sensor model of the survey, if `alone` has it with a range walk of its own.
@@ -310,10 +310,10 @@ mod tests {
     fn an_input_with_its_own_model_has_none_of_the_survey() {
         let info = InputInfo::default();
         let instrument = Instrument::of(&info);
-        let input = |stem: &str, own_model: Option<&str>| SurveyInput {
+        let input = |stem: &str, own_model: Option<&str>| SensorDrift {
             stem: stem.into(),
             own_model: own_model.map(str::to_owned),
-            ..SurveyInput::default()
+            ..SensorDrift::default()
         };
         let models = SurveyModels {
             instruments: vec![InstrumentModel { instrument, ..InstrumentModel::default() }],

@@ -11,8 +11,8 @@ use super::decompose::Threshold;
 use crate::keys::InvalidKey;
 use crate::scan_line::{Content, Kind, ScanLine};
 use crate::stage::{
-    Config, Context, Holds, InstrumentModel, Learns, LookAhead, Output, OutputFile, Result, RunContext,
-    StageError, StageSpec, Transform, TransformConfig,
+    Config, Holds, Learning, Learns, LookAhead, Output, OutputFile, Result, RunContext, StageError,
+    StageSpec, Transform, TransformConfig,
 };
 use wavex_formats::lookup_tables::LookupTables;
 
@@ -201,17 +201,11 @@ impl TransformConfig for Correct {
         learns_walk.then_some(Learns { waveforms: WAVEFORMS, makes_model: false })
     }
 
-    fn learn(
-        &self,
-        lines: &mut Vec<ScanLine>,
-        site: &RunContext,
-        known: &mut InstrumentModel,
-        cx: &mut Context,
-    ) -> Result<()> {
-        let tables = self.corrections(site)?;
+    fn learn(&self, lines: &mut Vec<ScanLine>, learning: &mut Learning) -> Result<()> {
+        let tables = self.corrections(learning.site)?;
         let tables = lines.first().map(|line| tables.range_tables(&line.input)).unwrap_or_default();
-        if let Some(model) = &mut known.sensor_model {
-            *model = Arc::new(Walks::learnt(lines, &tables, cx).with_walks(model));
+        if let Some(model) = &mut learning.known.sensor_model {
+            *model = Arc::new(Walks::learnt(lines, &tables, learning.cx).with_walks(model));
         }
         Ok(())
     }

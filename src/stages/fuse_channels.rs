@@ -9,8 +9,8 @@ use super::calibrate::AutoOrNumber;
 use crate::keys::InvalidKey;
 use crate::scan_line::{Block, Blocks, Channel, Content, Kind, ScanLine};
 use crate::stage::{
-    Config, Context, Holds, InstrumentModel, Learns, LookAhead, Output, Result, RunContext, StageSpec,
-    SurveyModels, Transform, TransformConfig,
+    Config, Holds, Learning, Learns, LookAhead, Output, Result, RunContext, StageSpec, SurveyModels,
+    Transform, TransformConfig,
 };
 use wavex_signal::decompose::OVERDRIVEN_PART;
 use wavex_signal::fusion::{ChannelFusion, MIN_PAIRS, Pair, estimate, lead_noise_sd_dn, plain_peak};
@@ -105,17 +105,11 @@ impl TransformConfig for FuseChannels {
         self.given().is_none().then_some(Learns { waveforms: self.waveforms, makes_model: false })
     }
 
-    fn learn(
-        &self,
-        lines: &mut Vec<ScanLine>,
-        _site: &RunContext,
-        known: &mut InstrumentModel,
-        cx: &mut Context,
-    ) -> Result<()> {
+    fn learn(&self, lines: &mut Vec<ScanLine>, learning: &mut Learning) -> Result<()> {
         let look_ahead = LookAhead::of(std::mem::take(lines));
         let mut fuser = self.fuser(look_ahead);
         let mut emit = |_: ScanLine| Ok(());
-        known.fusion = fuser.found(&mut Output::new(cx, usize::MAX, &mut emit));
+        learning.known.fusion = fuser.found(&mut Output::new(learning.cx, usize::MAX, &mut emit));
         *lines = fuser.look_ahead.release();
         Ok(())
     }

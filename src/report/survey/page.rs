@@ -1,13 +1,13 @@
 //! HTML page of a survey; needs no network or scripts.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{DOCTYPE, Markup, html};
+use serde_json::json;
 
 use super::mosaic::Pictures;
 use super::strip::{MOST_RETURNS, UNEXPLAINED};
 use super::{StripFacts, Survey, SurveyStrip};
 use crate::report::page::plot::{label, short};
-use crate::report::page::{POLICY, figure, group, section, table};
-use crate::report::style::{RUN_STYLE, STYLE};
+use crate::report::page::{drift, figure, group, head, section, table};
 
 mod figures;
 
@@ -23,13 +23,7 @@ pub(super) fn page(survey: &Survey, pictures: Option<&Pictures>) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta http-equiv="Content-Security-Policy" content=(POLICY);
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                title { "wavex survey" }
-                style { (PreEscaped(STYLE)) (PreEscaped(RUN_STYLE)) (PreEscaped(OWN_STYLE)) }
-            }
+            (head("wavex survey", OWN_STYLE))
             body {
                 h1 { "Survey" }
                 p.about { "wavex " (survey.wavex) "; " (coordinates(survey)) }
@@ -41,6 +35,7 @@ pub(super) fn page(survey: &Survey, pictures: Option<&Pictures>) -> String {
                 (strips(survey))
                 (quality(survey))
                 (uncertainty(survey))
+                (drift_of_sensor(survey))
                 (limits(survey))
             }
         }
@@ -56,6 +51,11 @@ polyline.track{stroke:var(--text);stroke-width:1;stroke-opacity:.7}
 text.strip{font-weight:600;paint-order:stroke;stroke:var(--card);stroke-width:3px}
 image.gap{image-rendering:pixelated}
 ";
+
+fn drift_of_sensor(survey: &Survey) -> Markup {
+    let rows = survey.strips.iter().filter_map(|strip| serde_json::to_value(strip.sensor.as_ref()?).ok());
+    html! { div.scroll { (drift::of_survey(&json!({"inputs": rows.collect::<Vec<_>>()}))) } }
+}
 
 fn coordinates(survey: &Survey) -> String {
     let crs = survey.crs_wkt.as_deref().and_then(|wkt| wkt.split('"').nth(1));

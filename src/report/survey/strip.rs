@@ -125,7 +125,7 @@ struct Mapped {
 #[derive(Debug)]
 struct State {
     cell_m: f64,
-    /// The grid, or why there is none; set by the first point.
+    /// Grid, or the reason why points cannot be mapped; set by the first point.
     map: Option<Result<Mapped, &'static str>>,
     lines: u64,
     shots: u64,

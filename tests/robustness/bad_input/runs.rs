@@ -103,7 +103,7 @@ fn a_signal_ends_a_run_in_order() {
 #[test]
 fn a_second_signal_ends_a_stage_that_takes_its_time() {
     let place = TestFolder::new();
-    // Calibration of so many waveforms takes seconds.
+    // Calibration from 500 000 waveforms takes seconds.
     let mut child = begin(&place, &LONG.replace("waveforms = 300", "waveforms = 500000"));
     // Nothing more is written once calibration has started and all queues before it are full.
     let written = || {
