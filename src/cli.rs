@@ -131,7 +131,9 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Init { file, from } => init::init(file.as_deref(), from.as_deref(), quiet),
         Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
         Command::Calibrate(args) => calibrate::calibrate(&args, quiet),
-        Command::Copc { input, out } => copc::copc(&input, out, quiet),
+        Command::Copc { input, out, progress } => {
+            copc::copc(&input, out, progress.without_lines(quiet), quiet)
+        }
         Command::FalseAlarms(args) => false_alarms::false_alarms(&args),
         Command::Explain(args) => explain::explain(&args, quiet),
         Command::Scan(args) => scan::scan(&args, quiet),

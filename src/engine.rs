@@ -39,7 +39,7 @@ pub use failure::{Cancel, Cause, RunError};
 pub use inputs::Input;
 pub(crate) use inputs::{expand, size};
 pub(crate) use observe::observe;
-pub use progress::{Progress, ProgressMode};
+pub use progress::{Phase, Progress, ProgressMode};
 pub use stage_summary::{ItemCounts, Percentiles, StageSummary};
 pub use summary::{InputStatus, InputSummary, RunSummary, StageKeys, TrajectorySummary};
 pub use survey::{learn_survey_models, shares_models, survey_models};

@@ -40,7 +40,7 @@ pub use manual::{manual, manual_of, summary};
 pub use overrides::Override;
 pub use schema::job_schema;
 pub use simd::Simd;
-pub use survey::SurveyKeys;
+pub use survey::{CELLS, SurveyKeys};
 
 use sources::Sources;
 
@@ -116,7 +116,7 @@ pub struct JobSettings {
     pub report_page: String,
     /// Page of the survey in the output folder, for inputs that are strips of one survey: a name, or
     /// `true` for `*_survey.html`; `false` or empty: none. Next to it are a JSON file and rasters of
-    /// the same name, and for each input a file of its cells, `*_cells.arrow`.
+    /// the same name, and for each input a file of its cells.
     #[serde(deserialize_with = "page::survey_name")]
     #[schemars(with = "page::PageKey", extend("x-file" = "output"))]
     pub survey_page: String,
@@ -212,7 +212,21 @@ impl JobSettings {
         InvalidKey::unless(fits, "report_page", "it must end in .html, such as \"report.html\"")?;
         let fits = self.survey_page.is_empty() || self.survey_page.ends_with(".html");
         InvalidKey::unless(fits, "survey_page", "it must end in .html, such as \"survey.html\"")?;
+        let fits = self.survey.cells.is_empty() || self.survey.cells.ends_with(CELLS);
+        InvalidKey::unless(
+            fits,
+            "survey.cells",
+            "it must end in *_cells.arrow, such as \"qc/*_cells.arrow\"",
+        )?;
         self.geometry.check()
+    }
+
+    /// Pattern of the files of cells, if the job requests them.
+    pub fn cells(&self) -> Option<&str> {
+        match self.survey.cells.as_str() {
+            "" => (!self.survey_page.is_empty()).then_some(CELLS),
+            cells => Some(cells),
+        }
     }
 }
 

@@ -235,7 +235,8 @@ mod tests {
         assert_eq!(with(FileMark::Input), [&["/survey_model".to_owned()][..], &inputs].concat());
         assert_eq!(with(FileMark::Geoid), ["/geometry/geoid"]);
         assert_eq!(with(FileMark::GeoidFolder), ["/geometry/geoid_dir"]);
-        assert_eq!(with(FileMark::Output), ["/report", "/report_page", "/survey_page", "/stat_log", "/log"]);
+        let outputs = ["/report", "/report_page", "/survey_page", "/stat_log", "/log", "/survey/cells"];
+        assert_eq!(with(FileMark::Output), outputs);
     }
 
     #[test]

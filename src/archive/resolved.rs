@@ -90,6 +90,7 @@ impl Resolved {
         }
         let mut settings = job.settings.clone();
         settings.geometry.spell_out();
+        settings.survey.cells = settings.cells().unwrap_or_default().to_owned();
         let settings = serde_json::to_value(&settings).unwrap_or(Value::Null);
         let files: Vec<PathBuf> = inputs::of_job(job, &settings, &sources, &input_dir).into_iter().collect();
         let outputs = outputs_of(job, &sources, &output_dir);
@@ -116,6 +117,12 @@ impl Resolved {
             inputs: files,
             outputs,
         })
+    }
+
+    /// Pattern of the cells of strips, if the job requests them.
+    pub(crate) fn cells(&self) -> Option<String> {
+        let cells = self.table["job"]["survey"]["cells"].as_str()?;
+        (!cells.is_empty()).then(|| cells.to_owned())
     }
 
     /// The job as these options run it.

@@ -166,6 +166,9 @@ pub(super) enum Command {
         /// COPC file to write [default: NAME.copc.laz next to the input]
         #[arg(short, long, value_name = "FILE")]
         out: Option<PathBuf>,
+        /// When to show progress; auto: a bar on a terminal
+        #[arg(long, value_name = "WHEN", default_value = "auto")]
+        progress: When,
     },
     /// Print the false-return rate of pure noise for each threshold
     ///
@@ -278,6 +281,9 @@ pub(super) struct ExplainArgs {
     /// Picture to write [default: STEM_shot_N.svg in the current folder]
     #[arg(long, value_name = "FILE")]
     pub(super) out: Option<PathBuf>,
+    /// When to show progress; auto: a bar on a terminal
+    #[arg(long, value_name = "WHEN", default_value = "auto")]
+    pub(super) progress: When,
 }
 
 /// Recordings to inspect and files to write.

@@ -5,6 +5,7 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 use super::{Failure, terminal};
+use crate::engine::{Phase, ProgressMode};
 use crate::stage::{FinishedFile, OutputFile, OutputLock, Outputs};
 use wavex_formats::Error;
 use wavex_formats::las::{CopcSummary, indexes_beside, write_copc};
@@ -15,7 +16,12 @@ use wavex_formats::las::{CopcSummary, indexes_beside, write_copc};
 const CLAIMED_RUNS: usize = 512;
 
 /// Writes the points of `input` to `out`, which appears only when complete.
-pub(super) fn copc(input: &Path, out: Option<PathBuf>, quiet: bool) -> Result<(), Failure> {
+pub(super) fn copc(
+    input: &Path,
+    out: Option<PathBuf>,
+    progress: ProgressMode,
+    quiet: bool,
+) -> Result<(), Failure> {
     let out = out.unwrap_or_else(|| input.with_extension("copc.laz"));
     check_name(input, &out).map_err(Failure::Wrong)?;
     let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -23,7 +29,7 @@ pub(super) fn copc(input: &Path, out: Option<PathBuf>, quiet: bool) -> Result<()
     let written = (0..CLAIMED_RUNS).map(|number| run_path(&out, number)).chain([out.clone()]);
     let claimed = Outputs::from([(folder.to_path_buf(), written.collect::<BTreeSet<_>>())]);
     let lock = OutputLock::acquire(&claimed).map_err(|error| Failure::Run(error.to_string()))?;
-    let summary = write(input, &out).map_err(|error| Failure::Run(error.to_string()))?;
+    let summary = write(input, &out, progress).map_err(|error| Failure::Run(error.to_string()))?;
     drop(lock);
     if quiet { Ok(()) } else { terminal::print(&summary_text(&out, &summary)) }
 }
@@ -42,7 +48,7 @@ fn check_name(input: &Path, out: &Path) -> Result<(), String> {
     }
 }
 
-fn write(input: &Path, out: &Path) -> Result<CopcSummary, Error> {
+fn write(input: &Path, out: &Path, progress: ProgressMode) -> Result<CopcSummary, Error> {
     let mut file = OutputFile::create(out)?;
     // Runs are removed when dropped.
     let mut runs: Vec<FinishedFile> = Vec::new();
@@ -55,7 +61,11 @@ fn write(input: &Path, out: &Path) -> Result<CopcSummary, Error> {
         runs.push(whole);
         Ok(Box::new(input) as Box<dyn Read>)
     };
-    let summary = write_copc(input, &mut file, out, &mut keep)?;
+    let stem = input.file_stem().unwrap_or_default().to_string_lossy();
+    let mut phase = Phase::new("copc", "converting", progress, 1);
+    let mut watch = |part| phase.show(&stem, 0, part);
+    let summary = write_copc(input, &mut file, out, &mut keep, &mut watch)?;
+    drop(phase);
     file.finish()?.replacing(indexes_beside(out)).publish()?;
     Ok(summary)
 }

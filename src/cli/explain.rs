@@ -31,7 +31,7 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
         let problem = "the picture is SVG; give a name that ends in .svg";
         return Err(Failure::Wrong(format!("--out {}: {problem}", out.display())));
     }
-    let chain = Arc::new(Chain::of(args)?);
+    let chain = Arc::new(Chain::of(args, quiet)?);
     let shot = match (args.shot, args.time) {
         (Some(shot), _) => shot,
         (None, time) => chain.nearest(time.unwrap_or_default())?,
@@ -62,7 +62,7 @@ struct Chain {
 }
 
 impl Chain {
-    fn of(args: &ExplainArgs) -> Result<Chain, Failure> {
+    fn of(args: &ExplainArgs, quiet: bool) -> Result<Chain, Failure> {
         let file = args.file.display().to_string();
         let reader = reader_of(&file).map_err(Failure::Wrong)?;
         let default_job = default_job(reader, &file, if args.job.is_some() { &[] } else { &args.set })?;
@@ -93,7 +93,8 @@ impl Chain {
         job.stages.truncate(until_decompose.unwrap_or_default());
         job.stages.retain(|stage| !matches!(stage.planned.plan, Plan::Sink(_)));
         let (input_dir, output_dir) = run::folders(&job, &folder);
-        let options = Options::of_job(&job, input_dir, output_dir);
+        let progress = args.progress.without_lines(quiet);
+        let options = Options { progress, ..Options::of_job(&job, input_dir, output_dir) };
         let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         Ok(Chain { job, options, file: args.file.clone(), stem, decompose })
     }

@@ -284,6 +284,14 @@ impl When {
             When::Auto => ProgressMode::Lines,
         }
     }
+
+    /// Progress display for this setting of a command that prints its result soon.
+    pub(super) fn without_lines(self, quiet: bool) -> ProgressMode {
+        match self.mode(quiet, std::io::stderr().is_terminal()) {
+            ProgressMode::Lines => ProgressMode::Hidden,
+            mode => mode,
+        }
+    }
 }
 
 #[cfg(test)]

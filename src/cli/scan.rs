@@ -1,11 +1,11 @@
 //! `wavex scan`: inspects recordings; writes a summary, histograms and a page.
 
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 
 use super::{Failure, ScanArgs, terminal};
-use crate::engine::{self, Gauge, Input, Progress, ProgressMode};
+use crate::engine::{self, Gauge, Input, Progress};
 use crate::inspect::{Inspection, Summary, histogram_files, page};
 use crate::job::{Job, Override};
 use crate::registry::reader_of;
@@ -25,11 +25,7 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
     })?;
     let are_many = inputs.len() > 1;
     let sizes = inputs.iter().enumerate().map(|(number, input)| (number, engine::size(&input.path)));
-    let mode = match args.progress.mode(quiet, std::io::stderr().is_terminal()) {
-        ProgressMode::Lines => ProgressMode::Hidden,
-        mode => mode,
-    };
-    let mut progress = Progress::new(mode, sizes.collect());
+    let mut progress = Progress::new(args.progress.without_lines(quiet), sizes.collect());
     let scans = inputs.into_iter().enumerate().map(|(number, Input { path, stem })| {
         let name = match &args.name {
             None => stem,

@@ -6,11 +6,10 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde_json::Value;
 
-use super::survey_files::{ending_of_cells, input_of};
 use super::{Failure, JobArgs, terminal};
 use crate::job::SurveyKeys;
 use crate::report::read_report;
-use crate::report::survey::{SurveyInput, write_survey};
+use crate::report::survey::{SurveyInput, ending_of_cells, write_survey};
 
 /// Folders and limits of a survey.
 #[derive(Args)]
@@ -88,7 +87,7 @@ fn add_strips(folder: &Path, inputs: &mut BTreeMap<String, SurveyInput>) -> Resu
 
 /// Adds an input of a report, without its cells.
 fn add(inputs: &mut BTreeMap<String, SurveyInput>, entry: &Value, models: &Value) {
-    let input = input_of(entry, models, None);
+    let input = SurveyInput::of_entry(entry, models);
     let earlier = inputs.entry(input.stem.clone()).or_default();
     let cells = earlier.cells.take();
     let failure = input.failure.clone().filter(|_| cells.is_none());

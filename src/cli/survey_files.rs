@@ -8,46 +8,17 @@ use serde_json::Value;
 
 use crate::job::JobSettings;
 use crate::report::survey::{
-    Strip, StripCollector, StripTrajectory, SurveyInput, survey_files, write_cells, write_density,
-    write_survey,
+    Strip, StripCollector, StripPaths, survey_files, write_cells, write_density, write_survey,
 };
 use crate::report::{Overview, Overviews};
 use crate::scan_line::ScanLine;
 use crate::stage::{DecomposedLine, FitShot, OutputFile, Result, RunObserver, RunObservers, SurveyModels};
 
-/// Name of the cells of a strip; `*` is the stem of the input.
-const CELLS: &str = "*_cells.arrow";
-/// Name of the pulse density of a strip.
-const DENSITY: &str = "*_pulse_density.tif";
-
-/// End of the names of cells.
-pub(super) fn ending_of_cells() -> &'static str {
-    CELLS.trim_start_matches('*')
-}
-
-/// Input of a survey from its entry of a report and the report's sensor models.
-pub(super) fn input_of(entry: &Value, models: &Value, cells: Option<PathBuf>) -> SurveyInput {
-    let mut rows = models["inputs"].as_array().into_iter().flatten();
-    let sensor = rows.find(|row| row["stem"] == entry["stem"]).cloned();
-    let trajectory = &entry["trajectory"];
-    SurveyInput {
-        stem: entry["stem"].as_str().unwrap_or_default().to_owned(),
-        failure: entry["failure"].as_str().map(str::to_owned),
-        cells,
-        trajectory: trajectory["path"].as_str().map(|path| StripTrajectory {
-            path: path.to_owned(),
-            median_step_s: trajectory["median_step_s"].as_f64().unwrap_or(0.0),
-            gaps: trajectory["gaps"].as_u64().unwrap_or(0),
-        }),
-        sensor: sensor.and_then(|row| serde_json::from_value(row).ok()),
-    }
-}
-
 /// Collects the data of the pages that a job requests.
 #[derive(Debug)]
 pub(super) struct Collected {
     overviews: Option<Overviews>,
-    /// Cell size of the strips, m, if the job requests the page of the survey.
+    /// Cell size of the strips, m, if the job requests their cells.
     cell_m: Option<f64>,
     strips: Mutex<BTreeMap<String, Arc<StripCollector>>>,
 }
@@ -56,7 +27,7 @@ impl Collected {
     /// `None` if the job requests no page.
     pub(super) fn new(settings: &JobSettings) -> Option<Collected> {
         let overviews = (!settings.report_page.is_empty()).then(Overviews::default);
-        let cell_m = (!settings.survey_page.is_empty()).then_some(settings.survey.cell_m);
+        let cell_m = settings.cells().map(|_| settings.survey.cell_m);
         let strips = Mutex::default();
         (overviews.is_some() || cell_m.is_some()).then_some(Collected { overviews, cell_m, strips })
     }
@@ -110,19 +81,18 @@ impl RunObserver for OfInput {
     }
 }
 
-/// Files of a survey in an output folder.
+/// Files of a survey.
 #[derive(Debug)]
 pub(super) struct SurveyFiles {
-    output_dir: PathBuf,
+    strips: StripPaths,
     /// Written files, apart from those of strips.
     written: Vec<PathBuf>,
 }
 
 impl SurveyFiles {
-    /// `None` if the job requests no page of a survey.
+    /// `None` if the job requests none.
     pub(super) fn new(settings: &JobSettings, output_dir: &Path) -> Option<SurveyFiles> {
-        let files = SurveyFiles { output_dir: output_dir.to_owned(), written: Vec::new() };
-        (!settings.survey_page.is_empty()).then_some(files)
+        Some(SurveyFiles { strips: StripPaths::new(settings, output_dir)?, written: Vec::new() })
     }
 
     /// All files of a survey whose page has this path.
@@ -130,14 +100,9 @@ impl SurveyFiles {
         [page.to_owned()].into_iter().chain(survey_files(page)).collect()
     }
 
-    /// Cells of the input with this stem.
-    fn cells(&self, stem: &str) -> PathBuf {
-        self.output_dir.join(CELLS.replace('*', stem))
-    }
-
     /// Files of the input with this stem.
     pub(super) fn of_input(&self, stem: &str) -> [PathBuf; 2] {
-        [self.cells(stem), self.output_dir.join(DENSITY.replace('*', stem))]
+        [self.strips.cells(stem), self.strips.density(stem)]
     }
 
     /// Files written by [`SurveyFiles::write`].
@@ -168,13 +133,7 @@ impl SurveyFiles {
         page: &Path,
     ) -> Result<()> {
         let models = models.and_then(|models| serde_json::to_value(models).ok()).unwrap_or_default();
-        let input = |entry: &Value| {
-            let is_done = matches!(entry["status"].as_str(), Some("done" | "skipped"));
-            let stem = entry["stem"].as_str().filter(|_| is_done);
-            input_of(entry, &models, stem.map(|stem| self.cells(stem)))
-        };
-        let inputs: Vec<SurveyInput> = entries.iter().map(input).collect();
-        self.written = write_survey(&inputs, &settings.survey, page)?;
+        self.written = write_survey(&self.strips.inputs(entries, &models), &settings.survey, page)?;
         Ok(())
     }
 }

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::merge::Merge;
 use super::{INCLUDED, JOB, REMEDY, SurveyPlan, Task};
@@ -53,7 +53,7 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
     }
     options.survey = survey(&plan, root, &job, &options)?;
     let mut run = RunSummary::new(&job, &options);
-    let merge = Merge::new(&plan, root, &dirs)?;
+    let merge = Merge::new(&plan, &job, root, &dirs)?;
     // An archive states what files contain.
     let by_digest = by_digest || (archives && plan.archive.is_some());
     let checker = Checker::new(root, &job, &options, by_digest);
@@ -251,7 +251,11 @@ impl<'c> Checker<'c> {
                 *found = serde_json::to_value(planned).unwrap_or_default();
             }
         }
-        let free = ["input_dir", "output_dir", "report", "report_page", "stat_log"];
+        // The cells are compared as outputs.
+        if let Some(cells) = report.pointer_mut("/job/survey/cells") {
+            *cells = json!(self.job.settings.survey.cells);
+        }
+        let free = ["input_dir", "output_dir", "report", "report_page", "stat_log", "survey_page"];
         report::difference(&report, self.job, &self.next, &free)
     }
 

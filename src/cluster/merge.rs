@@ -13,6 +13,7 @@ use super::{SurveyPlan, Task};
 use crate::archive::{self, KnownDigests, Recorder, Seals, check_destination, plain, relative};
 use crate::engine::{InputStatus, InputSummary, Options};
 use crate::job::Job;
+use crate::report::survey::{StripPaths, write_survey};
 use crate::report::{FileState, InputFiles, RunReport};
 use crate::stage::{OutputFile, Plan, Result, StageError};
 use wavex_formats::Error;
@@ -36,10 +37,17 @@ pub(super) struct Merge<'m> {
     /// The same, absolute.
     absolute_input_dir: PathBuf,
     absolute_output_dir: PathBuf,
+    /// Files of each strip, if the job requests them.
+    strips: Option<StripPaths>,
 }
 
 impl<'m> Merge<'m> {
-    pub(super) fn new(plan: &SurveyPlan, root: &'m Path, dirs: &'m [PathBuf; 2]) -> Result<Merge<'m>> {
+    pub(super) fn new(
+        plan: &SurveyPlan,
+        job: &Job,
+        root: &'m Path,
+        dirs: &'m [PathBuf; 2],
+    ) -> Result<Merge<'m>> {
         let [input_dir, output_dir] = dirs;
         fs::create_dir_all(output_dir).map_err(Error::io(output_dir, "create the folder"))?;
         let absolute = |path: &Path| path.canonicalize().map_err(Error::io(path, "find the folder"));
@@ -52,6 +60,7 @@ impl<'m> Merge<'m> {
             output_dir,
             absolute_input_dir: absolute(input_dir)?,
             absolute_output_dir: absolute(output_dir)?,
+            strips: StripPaths::new(&job.settings, output_dir),
         })
     }
 
@@ -84,8 +93,11 @@ impl<'m> Merge<'m> {
         if input.status == InputStatus::Done {
             let outputs = files.written.iter().map(|file| self.absolute(&file.path));
             let outputs = outputs.filter(|path| !path.starts_with(&self.plan_dir));
-            input.outputs =
-                outputs.map(|path| self.shown(&path, &self.absolute_output_dir, self.output_dir)).collect();
+            let outputs = outputs.map(|path| self.shown(&path, &self.absolute_output_dir, self.output_dir));
+            // Cells and densities are files of the survey.
+            let of_strip = |strips: &StripPaths| [strips.cells(&input.stem), strips.density(&input.stem)];
+            let of_strip = self.strips.as_ref().map(of_strip).unwrap_or_default();
+            input.outputs = outputs.filter(|path| !of_strip.contains(path)).collect();
             let instrument = entry["survey_instrument"].as_u64();
             input.survey_instrument = instrument.and_then(|number| usize::try_from(number).ok());
             input.sensor_model = serde_json::from_value(entry["sensor_model"].clone()).ok();
@@ -141,6 +153,11 @@ impl<'m> Merge<'m> {
             let path = file(&settings.log);
             write_text(&path, &self.log(plan))?;
             written.push(path);
+        }
+        if let Some(strips) = self.strips.as_ref().filter(|_| !settings.survey_page.is_empty()) {
+            let models = serde_json::to_value(report.run.survey_models.as_deref()).unwrap_or_default();
+            let inputs = strips.inputs(report.inputs, &models);
+            written.extend(write_survey(&inputs, &settings.survey, &file(&settings.survey_page))?);
         }
         let mut texts = vec![(DIGESTS, self.digests(results))];
         texts.extend(self.lines(job, report)?.map(|text| (ALL_LINES, text)));

@@ -48,10 +48,6 @@ pub struct PlanOptions<'p> {
 /// # Errors
 /// If the folder belongs to something else, an input is missing, or a file cannot be written.
 pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
-    if !job.settings.survey_page.is_empty() {
-        let problem = "the tasks of a plan do not make the page of the survey";
-        return Err(StageError::failed(problem, "remove `survey_page`, or use `wavex run`"));
-    }
     let folder = own_folder(options.folder)?;
     let dirs = [options.input_dir, options.output_dir];
     let resolved = Resolved::new(job, dirs[0], dirs[1], &folder)?;
@@ -93,6 +89,7 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
     let model = calibration.as_ref().map(|task| task.model.as_str());
     let writer = TaskWriter::new(&below_root, &plan_dir, options.cores, archive.is_some(), model);
     let mut output_patterns = writer.patterns();
+    output_patterns.extend(below_root.cells());
     if archive.is_some() {
         output_patterns.push(in_folder(&plan_dir, LINES));
     }

@@ -63,6 +63,8 @@ impl<'r> TaskWriter<'r> {
         if table["job"]["report_page"] != "" {
             table["job"]["report_page"] = in_plan(format!("reports/{name}_report.html"));
         }
+        // The survey's page is made of the cells of all tasks.
+        table["job"]["survey_page"] = json!("");
         if let Some(key) = &self.resolved.path_key {
             table["stage"][0][key] = json!(way(root, &source.path)?);
         }

@@ -1,12 +1,20 @@
 //! Runs a chain without sinks over one input, as far as an observer wants.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
-use super::chain::Common;
+use crossbeam_channel::RecvTimeoutError;
+
+use super::chain::{Common, no_thread};
+use super::failure::THREAD_PREFIX;
 use super::worker::Gauge;
-use super::{Cancel, Cause, Input, Options, RunError, failure, pool, run_context, schedule};
+use super::{
+    Cancel, Cause, Input, Options, Progress, ProgressMode, RunError, failure, pool, run_context, schedule,
+    size,
+};
 use crate::georef::Loader;
 use crate::job::Job;
 use crate::scan_line::ScanLine;
@@ -41,17 +49,46 @@ where
     let shared =
         schedule::Shared { job, options: &options, common: &common, geometry: Mutex::new(geometry), cx };
     let site = RunContext { has_outputs: false, ..run_context(&options, input, pool::start(&options)?) };
-    let (_, error) = schedule::run_input(&shared, site, &options, &Gauge::default());
+    let error = run(&shared, site, &options)?;
     let state = state.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take();
     match (error, state) {
         (None | Some(RunError { cause: Cause::Interrupted, .. }), Some(state)) => Ok(state),
         (Some(error), _) => Err(error),
-        (None, None) => Err(RunError {
-            stage: None,
-            input: None,
-            cause: Cause::Panic("the observer of a run lost its state".into()),
-        }),
+        (None, None) => Err(no_state()),
     }
+}
+
+/// Runs the chain over an input and shows the progress; returns what ended it.
+fn run(
+    shared: &schedule::Shared,
+    site: RunContext,
+    options: &Options,
+) -> std::result::Result<Option<RunError>, RunError> {
+    let gauge = Arc::<Gauge>::default();
+    if options.progress == ProgressMode::Hidden {
+        return Ok(schedule::run_input(shared, site, options, &gauge).1);
+    }
+    let mut progress = Progress::new(options.progress, BTreeMap::from([(0, size(&site.input))]));
+    progress.begin(0, &site.stem, &gauge);
+    std::thread::scope(|scope| {
+        let (sender, ended) = crossbeam_channel::bounded(1);
+        let gauge = &gauge;
+        let body = move || sender.send(schedule::run_input(shared, site, options, gauge).1);
+        let thread = std::thread::Builder::new().name(THREAD_PREFIX.to_owned()).spawn_scoped(scope, body);
+        thread.map_err(|error| no_thread(&error))?;
+        loop {
+            match ended.recv_timeout(Duration::from_millis(100)) {
+                Ok(error) => break Ok(error),
+                Err(RecvTimeoutError::Timeout) => progress.show(),
+                Err(RecvTimeoutError::Disconnected) => break Err(no_state()),
+            }
+        }
+    })
+}
+
+/// Error of a chain that ended without a result.
+fn no_state() -> RunError {
+    RunError { stage: None, input: None, cause: Cause::Panic("the observer of a run lost its state".into()) }
 }
 
 /// Observer of the only input.

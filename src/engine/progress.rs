@@ -11,6 +11,10 @@ use serde_json::json;
 
 use super::worker::Gauge;
 
+mod phase;
+
+pub use phase::Phase;
+
 /// Progress display of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum ProgressMode {
@@ -196,8 +200,7 @@ impl Progress {
 
     /// Time until the end of the run, s, if known.
     fn left_s(&self) -> Option<f64> {
-        let fraction = self.fraction().filter(|fraction| *fraction > 0.0)?;
-        Some(self.run_started.elapsed().as_secs_f64() * (1.0 / fraction - 1.0))
+        left(self.run_started.elapsed(), self.fraction()?)
     }
 
     fn left(&self) -> String {
@@ -227,54 +230,15 @@ impl Progress {
     }
 }
 
-/// Displays the progress of the calibration before a survey.
-pub(super) struct Calibrating {
-    mode: ProgressMode,
-    inputs: usize,
-    started: Instant,
-    bar: Option<ProgressBar>,
-    next: Duration,
-}
-
-impl Calibrating {
-    pub(super) fn new(mode: ProgressMode, inputs: usize) -> Calibrating {
-        let bar = (mode == ProgressMode::Bar).then(bar);
-        Calibrating { mode, inputs, started: Instant::now(), bar, next: Duration::ZERO }
-    }
-
-    /// Shows that waveforms of an input are taken next; `number` counts from 0.
-    pub(super) fn show(&mut self, stem: &str, number: usize) {
-        let place = number + 1;
-        if let Some(bar) = &self.bar {
-            bar.set_position(1_000_000 * number as u64 / self.inputs.max(1) as u64);
-            bar.set_prefix(format!("calibrating: {stem} ({place} of {})", self.inputs));
-        }
-        let elapsed = self.started.elapsed();
-        if elapsed < self.next {
-            return;
-        }
-        self.next = elapsed + interval(self.mode);
-        match self.mode {
-            ProgressMode::Lines => line("calibrating", &format!("{stem} ({place} of {})", self.inputs)),
-            ProgressMode::Json => {
-                let object = json!({
-                    "phase": "calibrate",
-                    "input": stem,
-                    "number": place,
-                    "inputs": self.inputs,
-                    "elapsed_s": elapsed.as_secs_f64(),
-                });
-                let _ = writeln!(std::io::stderr(), "{object}");
-            }
-            ProgressMode::Bar | ProgressMode::Hidden => {}
-        }
-    }
-}
-
-impl Drop for Calibrating {
+impl Drop for Progress {
     fn drop(&mut self) {
         self.bar.take().inspect(ProgressBar::finish_and_clear);
     }
+}
+
+/// Time that the rest takes if it takes as long as this part, s.
+fn left(elapsed: Duration, fraction: f64) -> Option<f64> {
+    (fraction > 0.0).then(|| elapsed.as_secs_f64() * (1.0 / fraction - 1.0))
 }
 
 fn interval(mode: ProgressMode) -> Duration {

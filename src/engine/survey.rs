@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use rayon::ThreadPool;
 
-use super::progress::Calibrating;
+use super::progress::Phase;
 use super::{Cause, Input, Options, ProgressMode, RunError, inputs, observe, pool, run_context};
 use crate::job::{Job, ModelScope};
 use crate::scan_line::ScanLine;
@@ -122,9 +122,9 @@ impl Survey<'_> {
         let mut pooled_bytes = 0;
         let mut samples: Vec<Vec<ScanLine>> = Vec::with_capacity(inputs.len());
         let known = Arc::new(self.models.clone());
-        let mut progress = Calibrating::new(self.options.progress, inputs.len());
+        let mut progress = Phase::new("calibrate", "calibrating", self.options.progress, inputs.len());
         for (number, input) in inputs.iter().enumerate() {
-            progress.show(&input.stem, number);
+            progress.show(&input.stem, number, 0.0);
             let mut lines = match self.models.inputs[number].own_model {
                 None => self.sample(stage, input, &known, [pooled.max(MIN_WAVEFORMS), bytes as u64])?,
                 Some(_) => Vec::new(),

@@ -9,6 +9,11 @@ use crate::keys::Keys;
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SurveyKeys {
+    /// Files of the cells of each strip in the output folder, for `wavex survey`: ends in
+    /// `*_cells.arrow`, such as `qc/*_cells.arrow`; empty: `*_cells.arrow` with `survey_page`, else
+    /// none. The pulse density of the strip is next to it.
+    #[schemars(extend("x-file" = "output"))]
+    pub cells: String,
     /// Cell size of densities, roughness and height differences, m. A strip with more than a million
     /// cells doubles it as often as necessary. A cell should have 6 points or more.
     #[schemars(range(min = 0.1, max = 100.0))]
@@ -39,6 +44,7 @@ impl Default for SurveyKeys {
     /// Limits of quality level 2 of the Lidar Base Specification of the USGS.
     fn default() -> SurveyKeys {
         SurveyKeys {
+            cells: String::new(),
             cell_m: 2.0,
             target_pulses_per_m2: None,
             max_slope_deg: 10.0,
@@ -49,6 +55,9 @@ impl Default for SurveyKeys {
         }
     }
 }
+
+/// Name of the cells of a strip; `*` is the stem of the input.
+pub const CELLS: &str = "*_cells.arrow";
 
 impl SurveyKeys {
     /// The keys of the table with their documentation.

@@ -17,6 +17,7 @@ use wavex_formats::{Error, Result};
 mod cell;
 mod cells_file;
 mod grid;
+mod inputs;
 mod measures;
 mod mosaic;
 mod page;
@@ -25,6 +26,7 @@ mod strip;
 mod sweep;
 
 pub use cells_file::write_cells;
+pub use inputs::{StripPaths, ending_of_cells};
 pub use measures::Density;
 pub use mosaic::{Gap, Gaps};
 pub use strip::{Strip, StripCollector, StripFacts};

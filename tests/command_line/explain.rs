@@ -32,6 +32,36 @@ fn simulated() -> TestFolder {
     place
 }
 
+/// Objects of `--progress=json` in the messages of a successful command.
+fn objects(outcome: &Outcome) -> Vec<serde_json::Value> {
+    assert_eq!(outcome.code, Some(0), "{}", outcome.err);
+    let objects: Vec<_> =
+        outcome.err.lines().map(|line| serde_json::from_str(line).expect("only objects")).collect();
+    assert!(!objects.is_empty(), "the first object comes at once");
+    objects
+}
+
+#[test]
+fn explain_copc_and_scan_show_their_progress_to_programs() {
+    let place = simulated();
+    for (arguments, phase, input) in [
+        (["explain", "out/flight.arrow", "--shot", "7"].as_slice(), "run", "flight"),
+        (&["copc", "out/flight.las"], "copc", "flight"),
+        (&["scan", "out/flight.arrow"], "run", "flight"),
+    ] {
+        let objects = objects(&place.wavex(&[arguments, &["--progress=json"]].concat()));
+        for object in &objects {
+            assert_eq!((object["phase"].as_str(), object["input"].as_str()), (Some(phase), Some(input)));
+            assert_eq!((object["number"].as_u64(), object["inputs"].as_u64()), (Some(1), Some(1)));
+            assert!(object["elapsed_s"].as_f64() >= Some(0.0), "{object}");
+        }
+        assert_eq!(objects[0]["fraction"].as_f64(), Some(0.0), "{objects:?}");
+        // Without an option, a log or a file has no lines of progress.
+        let Outcome { err, .. } = place.wavex(arguments);
+        assert_eq!(err, "");
+    }
+}
+
 /// Rows of a table of returns for one shot, as cells by name.
 fn rows_of(table: &str, shot: &str) -> Vec<Row> {
     table::rows(table).into_iter().filter(|row| row["shot"] == shot).collect()

@@ -236,7 +236,7 @@ fn the_example_in_full() {
 # Sensor model of several inputs: common to the `survey`, from waveforms of all inputs, or from each `input` alone.
 #model = "survey"
 # Cells and limits of the survey's page: the table `[job.survey]`.
-#survey = { cell_m = 2.0, max_slope_deg = 10.0, max_roughness_m = 0.1, min_points = 6, max_difference_rms_m = 0.08, gap_width_m = 200.0 }
+#survey = { cells = "", cell_m = 2.0, max_slope_deg = 10.0, max_roughness_m = 0.1, min_points = 6, max_difference_rms_m = 0.08, gap_width_m = 200.0 }
 # Not set: include, input_dir, output_dir, survey_model, geometry
 
 # Reads waveforms from LAS files.

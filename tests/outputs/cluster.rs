@@ -238,11 +238,41 @@ fn a_task_with_another_geometry_is_out_of_date() {
 }
 
 #[test]
-fn a_plan_makes_no_page_of_the_survey() {
+fn the_page_of_the_survey_is_collected() {
     let place = survey();
-    let problem = "error: the tasks of a plan do not make the page of the survey; remove `survey_page`, or use `wavex run`\n";
-    let arguments = ["plan", "s/job.toml", "-o", "s/plan", "--set", "job.survey_page=true"];
-    assert_eq!(wavex(&place, &arguments), (Some(1), problem.to_owned()));
+    let page = ["--set", "job.survey_page=true"];
+    let archive = |name: &str| ["--archive".to_owned(), format!("s/archives/{name}")];
+    let [option, path] = archive("run");
+    let job = ["run", "s/job.toml", "--progress", "never", &option, &path];
+    wavex_ok(&place, &[&job[..], &page].concat());
+    let of_survey = || -> BTreeMap<String, Vec<u8>> {
+        let mut all = files(&place.path("s/out"));
+        all.retain(|name, _| {
+            name.starts_with("job_survey") || name.ends_with(".tif") || name.ends_with(".arrow")
+        });
+        all
+    };
+    let (whole, of_run) = (of_survey(), report(&place, "s/out/job_report.json"));
+    let names: Vec<&String> = whole.keys().collect();
+    for name in ["job_survey.html", "job_survey.json", "a_cells.arrow", "c_pulse_density.tif"] {
+        assert!(whole.contains_key(name), "{names:?}");
+    }
+    fs::remove_dir_all(place.path("s/out")).unwrap();
+
+    let [option, path] = archive("tasks");
+    plan(&place, &[&page[..], &[option.as_str(), path.as_str()]].concat());
+    run_tasks(&place, "s");
+    assert!(!place.path("s/out/job_survey.html").exists(), "a task has no page of the survey");
+    assert_eq!(collect(&place, &["--digest"]), (Some(0), String::new()));
+    let found = of_survey();
+    assert!(found == whole, "{:?} instead of {names:?}", found.keys());
+    assert_eq!(report(&place, "s/out/job_report.json"), of_run);
+    let results = |name: &str| place.text(&format!("s/archives/{name}/results.b3"));
+    assert_eq!(results("tasks"), results("run"));
+
+    fs::remove_file(place.path("s/out/b_cells.arrow")).unwrap();
+    let problem = "error: incomplete: 1 of 3 tasks\n  b: out/b_cells.arrow is missing\n";
+    assert_eq!(collect(&place, &["--no-archive"]), (Some(1), problem.to_owned()));
 }
 
 #[test]

@@ -32,6 +32,7 @@ SURVEY = """
 [job]
 output_dir = "out"
 report_page = true
+survey_page = true
 memory_mb = 64
 model = "MODEL"
 [[stage]]
@@ -124,7 +125,8 @@ class Survey:
 
     def products(self):
         """Digests of the products by name."""
-        files = (self.folder / "out").glob("strip*")
+        out = self.folder / "out"
+        files = [*out.glob("strip*"), *out.glob("survey_survey*")]
         return {file.name: hashlib.sha256(file.read_bytes()).hexdigest()
                 for file in files if not file.name.endswith(".log")}
 

@@ -69,7 +69,7 @@ mod totals;
 mod vlr;
 mod writer;
 
-pub use copc::{CopcSummary, Keep, write_copc};
+pub use copc::{CopcSummary, Keep, Watch, write_copc};
 pub use descriptor::Descriptor;
 #[cfg(test)]
 use extra_bytes::{AMP, CHANNEL};

@@ -12,6 +12,7 @@
 mod cube;
 mod header;
 mod octree;
+mod passes;
 mod sort;
 
 use std::io::{self, Cursor, Seek, SeekFrom, Write};
@@ -33,8 +34,10 @@ use crate::{Error, Result};
 use cube::Cube;
 use header::{Entry, Metadata};
 use octree::{Node, Octree};
+use passes::Passes;
 use sort::Sorter;
 
+pub use passes::Watch;
 pub use sort::Keep;
 
 /// User ID of the records defined by COPC.
@@ -67,15 +70,21 @@ struct Limits {
 /// Copies the points of a LAS or LAZ file as COPC.
 ///
 /// `sink` starts at the first byte of the file; `path` names it in errors. `keep` stores sorted
-/// runs that exceed the memory limit. Needs about 512 MiB plus the nodes on the path to a point,
+/// runs that exceed the memory limit; `watch` gets the part done from time to time. Needs about 512 MiB plus the nodes on the path to a point,
 /// about 50 000 points each. More points than that within 1 / 2^14 of the cube's edge form one
 /// node, which is held in memory.
 ///
 /// # Errors
 /// The source is not LAS, is damaged, has no points, or has content that COPC cannot store: point
 /// formats 0 to 5, or LAS 1.5 times with another offset. Or writing or `keep` fails.
-pub fn write_copc(source: &Path, sink: impl Write + Seek, path: &Path, keep: Keep) -> Result<CopcSummary> {
-    write_within(source, sink, path, keep, Limits { leaf_points: LEAF_POINTS, sort_bytes: SORT_BYTES })
+pub fn write_copc(
+    source: &Path,
+    sink: impl Write + Seek,
+    path: &Path,
+    keep: Keep,
+    watch: Watch,
+) -> Result<CopcSummary> {
+    write_within(source, sink, path, keep, watch, Limits { leaf_points: LEAF_POINTS, sort_bytes: SORT_BYTES })
 }
 
 fn write_within(
@@ -83,9 +92,11 @@ fn write_within(
     sink: impl Write + Seek,
     path: &Path,
     keep: Keep,
+    watch: Watch,
     limits: Limits,
 ) -> Result<CopcSummary> {
-    let extent = Extent::of(source)?;
+    let mut passes = Passes::new(watch);
+    let extent = Extent::of(source, &mut passes)?;
     let mut points = RawPoints::open(source)?;
     let records = Reshape::of(source, points.header())?;
     let header = points.header().clone();
@@ -95,13 +106,17 @@ fn write_within(
     while let Some(record) = points.next_record()? {
         records.reshape(record, &mut out);
         sorter.push(cube.key(header.coordinates(raw(record))), &out)?;
+        passes.count();
     }
     let metadata = Metadata::new(source, &header, (points.vlrs(), &records), &extent)?;
     drop(points);
     let mut writer = CopcWriter::new(sink, path, &records, metadata)?;
     let mut octree = Octree::new(limits.leaf_points);
     let mut done = |node: Node| writer.write_node(&node);
-    sorter.finish(path, |key, record| octree.push(key, record, &mut done))?;
+    sorter.finish(path, |key, record| {
+        passes.count();
+        octree.push(key, record, &mut done)
+    })?;
     octree.finish(&mut done)?;
     let (n_nodes, n_levels) = (writer.entries.len(), writer.n_levels());
     writer.finish(&cube)?;
@@ -119,9 +134,10 @@ struct Extent {
 
 impl Extent {
     /// Reads all points of a file.
-    fn of(source: &Path) -> Result<Extent> {
+    fn of(source: &Path, passes: &mut Passes) -> Result<Extent> {
         let mut points = RawPoints::open(source)?;
         check(source, points.header())?;
+        passes.expect(points.header().n_points);
         let mut totals = Totals::new();
         let mut times = [f64::INFINITY, f64::NEG_INFINITY];
         while let Some(record) = points.next_record()? {
@@ -132,6 +148,7 @@ impl Extent {
             if time.is_finite() {
                 times = [times[0].min(time), times[1].max(time)];
             }
+            passes.count();
         }
         if totals.points == 0 {
             return Err(Error::unusable(source, "it has no points", "give a file with points"));

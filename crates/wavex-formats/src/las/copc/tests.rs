@@ -68,7 +68,7 @@ fn write(path: &Path, points: &[PointOut], options: &WriterOptions) {
 
 fn convert(source: &Path, out: &Path, limits: Limits) -> Result<CopcSummary> {
     let mut keep = |run: &[u8]| Ok(Box::new(Cursor::new(run.to_vec())) as Box<dyn io::Read>);
-    write_within(source, fs::File::create(out).unwrap(), out, &mut keep, limits)
+    write_within(source, fs::File::create(out).unwrap(), out, &mut keep, &mut |_| (), limits)
 }
 
 /// Returns all records of a file, sorted.
