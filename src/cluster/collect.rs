@@ -64,11 +64,11 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
         let mut input = InputSummary::pending(&merge.input_path(task), &task.name);
         input.failure = result.problem.clone();
         input.status = result.status;
-        problems.extend(result.problem.clone().map(|problem| (task.name.clone(), problem)));
         entries.push(match &result.entry {
             Some(entry) => merge.entry(entry, &mut input, &result.files),
             None => InputReport::new(&input, None, InputFiles::default()).to_value().unwrap_or_default(),
         });
+        problems.extend(input.failure.clone().map(|problem| (task.name.clone(), problem)));
         run.inputs.push(input);
     }
     run.wall_s = entries.iter().filter_map(|entry| entry["wall_s"].as_f64()).sum();

@@ -89,7 +89,14 @@ impl<'m> Merge<'m> {
     /// Entry of a task in the report of the survey; completes its summary.
     pub(super) fn entry(&self, entry: &Value, input: &mut InputSummary, files: &InputFiles) -> Value {
         let mut entry = entry.clone();
-        entry["path"] = json!(input.path.to_string_lossy());
+        let path = input.path.to_string_lossy().into_owned();
+        // A task starts at another folder: its messages name the input from there.
+        if let (Some(of_task), Some(failure)) = (entry["path"].as_str(), entry["failure"].as_str()) {
+            let failure = failure.replace(of_task, &path);
+            entry["failure"] = json!(failure);
+            input.failure = Some(failure);
+        }
+        entry["path"] = json!(path);
         if input.status == InputStatus::Done {
             let outputs = files.written.iter().map(|file| self.absolute(&file.path));
             let outputs = outputs.filter(|path| !path.starts_with(&self.plan_dir));

@@ -51,7 +51,9 @@ def reference(survey, checks):
 def check_results(survey, checks, expected):
     """Compares products and results with those of one run; only the damaged strip is incomplete."""
     products, results = expected
-    checks.equal("bytes of all products", survey.products(), products)
+    found = survey.products()
+    different = sorted(name for name in found | products if found.get(name) != products.get(name))
+    checks.equal("products whose bytes differ", different, [])
     checks.that("the damaged strip is named", survey.log().count(f"\n  {DAMAGED}: stage read_arrow: ") == 1
                 and "error: incomplete: 1 of 12 tasks\n" in survey.log(), survey.log()[-3000:])
     checks.that("no archive yet", not (survey.folder / "archives" / "survey").exists())
