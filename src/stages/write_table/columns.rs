@@ -1,5 +1,6 @@
 //! Columns of the return table: names, types, meanings and sources.
 
+use std::fmt::Write as _;
 use std::sync::Arc;
 
 use arrow_array::{
@@ -135,6 +136,45 @@ impl Values {
             Values::Text(value) => Arc::new(StringArray::from_iter_values(rows.map(value))),
         }
     }
+}
+
+impl Values {
+    /// Adds the value of a row as text, nothing for null; a number is read back exactly.
+    fn add_text(&self, row: &Row, text: &mut String) {
+        let added = match self {
+            Values::U8(value) => write!(text, "{}", value(row)),
+            Values::U16(value) => write!(text, "{}", value(row)),
+            Values::U64(value) => write!(text, "{}", value(row)),
+            Values::MaybeI16(value) => value(row).map_or(Ok(()), |value| write!(text, "{value}")),
+            Values::F64(value) => write!(text, "{:?}", value(row)),
+            Values::MaybeF64(value) => value(row).map_or(Ok(()), |value| write!(text, "{value:?}")),
+            Values::Bool(value) => write!(text, "{}", value(row)),
+            // Names without commas or quotes.
+            Values::Text(value) => write!(text, "{}", value(row)),
+        };
+        debug_assert!(added.is_ok(), "a string accepts text");
+    }
+}
+
+/// Header line of a table in CSV.
+pub(super) fn csv_header() -> String {
+    let names: Vec<&str> = COLUMNS.iter().map(|column| column.name).collect();
+    names.join(",") + "\n"
+}
+
+/// Formats the rows as lines of CSV.
+pub(super) fn csv(rows: &[Row]) -> String {
+    let mut text = String::new();
+    for row in rows {
+        for (number, column) in COLUMNS.iter().enumerate() {
+            if number > 0 {
+                text.push(',');
+            }
+            column.values.add_text(row, &mut text);
+        }
+        text.push('\n');
+    }
+    text
 }
 
 /// Schema of a table with this time scale.

@@ -4,7 +4,6 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use arrow_array::RecordBatch;
 use arrow_ipc::CompressionType;
 use arrow_ipc::writer::{FileWriter, IpcWriteOptions};
 use arrow_schema::{ArrowError, SchemaRef};
@@ -58,15 +57,14 @@ pub struct TableWriter<W: Write + Send> {
 enum Form<W: Write + Send> {
     Arrow(Box<FileWriter<W>>),
     Parquet(Box<ArrowWriter<W>>),
-    /// The flag is set once the header line is written.
-    Csv(W, bool),
+    Csv(W),
 }
 
 impl<W: Write + Send> TableWriter<W> {
     /// Starts a table with a time scale (`week`, `day`, `adjusted`, `unknown`).
     ///
     /// `file` is the name used in errors.
-    pub fn new(to: W, file: &Path, format: Format, time_scale: &str) -> Result<TableWriter<W>> {
+    pub fn new(mut to: W, file: &Path, format: Format, time_scale: &str) -> Result<TableWriter<W>> {
         let schema = columns::schema(time_scale);
         let form = match format {
             Format::Arrow => IpcWriteOptions::default()
@@ -76,15 +74,12 @@ impl<W: Write + Send> TableWriter<W> {
             Format::Parquet => ArrowWriter::try_new(to, Arc::clone(&schema), Some(properties(&schema)))
                 .map(|writer| Form::Parquet(Box::new(writer)))
                 .map_err(arrow_error),
-            Format::Csv => Ok(Form::Csv(to, false)),
+            Format::Csv => {
+                to.write_all(columns::csv_header().as_bytes()).map(|()| Form::Csv(to)).map_err(ArrowError::from)
+            }
         };
         let form = form.map_err(|error| failed(file, error))?;
-        let mut table = TableWriter { form, schema, rows: Vec::new(), file: file.to_path_buf() };
-        if format == Format::Csv {
-            // The header line is written with the first rows, even if there are none.
-            table.write_rows()?;
-        }
-        Ok(table)
+        Ok(TableWriter { form, schema, rows: Vec::new(), file: file.to_path_buf() })
     }
 
     /// Adds a return.
@@ -95,20 +90,17 @@ impl<W: Write + Send> TableWriter<W> {
 
     /// Writes the buffered rows.
     fn write_rows(&mut self) -> Result<()> {
-        let batch = columns::record_batch(&self.schema, &self.rows);
+        let rows = std::mem::take(&mut self.rows);
+        let batch = || columns::record_batch(&self.schema, &rows);
+        let written = match &mut self.form {
+            Form::Arrow(writer) => batch().and_then(|batch| writer.write(&batch)),
+            Form::Csv(to) => to.write_all(columns::csv(&rows).as_bytes()).map_err(ArrowError::from),
+            Form::Parquet(writer) => batch()
+                .and_then(|batch| writer.write(&batch).and_then(|()| writer.flush()).map_err(arrow_error)),
+        };
+        self.rows = rows;
         self.rows.clear();
-        batch
-            .and_then(|batch| match &mut self.form {
-                Form::Arrow(writer) => writer.write(&batch),
-                Form::Csv(to, has_header) => {
-                    let header = !std::mem::replace(has_header, true);
-                    to.write_all(&csv(&batch, header)?).map_err(ArrowError::from)
-                }
-                Form::Parquet(writer) => {
-                    writer.write(&batch).and_then(|()| writer.flush()).map_err(arrow_error)
-                }
-            })
-            .map_err(|error| failed(&self.file, error))
+        written.map_err(|error| failed(&self.file, error))
     }
 
     /// Writes the remaining rows and the footer, and returns the writer.
@@ -119,17 +111,10 @@ impl<W: Write + Send> TableWriter<W> {
         match self.form {
             Form::Arrow(writer) => writer.into_inner(),
             Form::Parquet(writer) => writer.into_inner().map_err(arrow_error),
-            Form::Csv(to, _) => Ok(to),
+            Form::Csv(to) => Ok(to),
         }
         .map_err(|error| failed(&self.file, error))
     }
-}
-
-/// Formats rows as CSV. In memory, because the CSV writer does not preserve I/O errors.
-fn csv(batch: &RecordBatch, header: bool) -> std::result::Result<Vec<u8>, ArrowError> {
-    let mut writer = arrow_csv::WriterBuilder::new().with_header(header).build(Vec::new());
-    writer.write(batch)?;
-    Ok(writer.into_inner())
 }
 
 /// Writer properties. Dictionaries are off: few numbers repeat, and ZSTD finds those that do. The
@@ -160,8 +145,6 @@ fn arrow_error(error: ParquetError) -> ArrowError {
 fn failed(file: &Path, error: ArrowError) -> Error {
     match error {
         ArrowError::IoError(_, source) => Error::io(file, "write")(source),
-        // The columns are valid CSV, so only I/O can fail; the error preserves only its text.
-        ArrowError::CsvError(words) => Error::io(file, "write")(std::io::Error::other(words)),
         other => Error::unusable(file, other.to_string(), "write the table in another format"),
     }
 }
