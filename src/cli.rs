@@ -18,11 +18,13 @@ mod check;
 mod check_inputs;
 mod convert;
 mod copc;
+mod doctor;
 mod explain;
 mod false_alarms;
 pub mod import;
 mod init;
 mod log;
+mod man;
 mod plan;
 mod recording;
 mod report;
@@ -141,6 +143,8 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Survey(args) => survey::survey(&args, quiet),
         Command::Trajectory(args) => trajectory::trajectory(&args, quiet),
         Command::Import(args) => import::run_import(&args, quiet),
+        Command::Doctor => doctor::doctor(),
+        Command::Man { folder } => man::man(&folder, quiet),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "wavex", &mut script);

@@ -216,6 +216,16 @@ pub(super) enum Command {
     /// comments. docs/import.md lists all options.
     #[command(after_help = usage::IMPORT)]
     Import(ImportArgs),
+    /// Check this machine: instructions, memory, disk space, libraries
+    ///
+    /// States what to do about what is missing. Fails if runs in this folder will fail.
+    Doctor,
+    /// Write the manual pages, one per command
+    #[command(after_help = usage::MAN)]
+    Man {
+        /// Folder of the pages; it is created
+        folder: PathBuf,
+    },
     /// Print a shell completion script
     #[command(after_help = usage::COMPLETIONS)]
     Completions {

@@ -78,7 +78,7 @@ fn writable(folder: &Path) -> Result<String, String> {
 }
 
 /// Creates an empty file in a folder and removes it.
-fn try_file_in(folder: &Path) -> io::Result<()> {
+pub(super) fn try_file_in(folder: &Path) -> io::Result<()> {
     let file = folder.join(format!(".wavex-check.{}.partial", std::process::id()));
     OpenOptions::new().write(true).create_new(true).open(&file)?;
     fs::remove_file(&file)

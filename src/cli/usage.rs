@@ -107,6 +107,10 @@ Examples:
   wavex import -o job.toml -- -i waveform.las -o points.laz
   wavex import --run -- -i waveform.las -o points.laz";
 
+pub(super) const MAN: &str = "\
+Examples:
+  wavex man ~/.local/share/man/man1";
+
 pub(super) const COMPLETIONS: &str = "\
 Examples:
   wavex completions bash > ~/.local/share/bash-completion/completions/wavex

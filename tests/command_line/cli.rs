@@ -54,6 +54,8 @@ Commands:
   survey        Make the page of a survey from the strips of one or more runs
   trajectory    Project and decimate a trajectory: SBET, POF, SOL, TRJ or text
   import        Translate a command line of BayesWavEx 1.0 or 1.1 into a job
+  doctor        Check this machine: instructions, memory, disk space, libraries
+  man           Write the manual pages, one per command
   completions   Print a shell completion script
   help          Print this message or the help of the given subcommand(s)
 
@@ -291,6 +293,41 @@ fn completions_are_those_of_the_shell() {
         assert_eq!((outcome.code, outcome.err.as_str()), (Some(0), ""), "{shell}");
         assert!(outcome.out.starts_with(begins), "{shell}: {}", outcome.out);
     }
+}
+
+#[test]
+fn manual_pages_are_one_per_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let outcome = wavex_in(folder.path(), &["--quiet", "man", "share/man1"]);
+    assert_eq!((outcome.code, outcome.err.as_str()), (Some(0), ""));
+    let page = |name: &str| fs::read_to_string(folder.path().join("share/man1").join(name)).unwrap();
+    assert!(page("wavex.1").contains("wavex\\-run(1)"), "{}", page("wavex.1"));
+    let run = page("wavex-run.1");
+    assert!(run.starts_with(".ie") && run.contains(".TH wavex-run 1"), "{run}");
+    assert!(run.contains("\\-\\-archive"), "{run}");
+
+    fs::write(folder.path().join("file"), "").unwrap();
+    let outcome = wavex_in(folder.path(), &["man", "file/man1"]);
+    assert_eq!(outcome.code, Some(1));
+    let error = "error: file/man1: cannot write the manual pages: Not a directory (os error 20); choose another folder\n";
+    assert_eq!(outcome.err, error);
+}
+
+#[test]
+fn the_doctor_states_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let outcome = outcome(
+        wavex_testkit::wavex().arg("doctor").env_remove("WAVEX_RIWAVELIB").current_dir(folder.path()),
+    );
+    assert_eq!((outcome.code, outcome.err.as_str()), (Some(0), ""));
+    for subject in ["wavex", "instructions", "cores", "memory", "disk", "RIEGL library", "PROJ"] {
+        let state = |line: &str| line.starts_with("ok") || line.starts_with("note");
+        let of_subject = |line: &&str| line.get(9..).is_some_and(|rest| rest.starts_with(subject));
+        assert!(outcome.out.lines().find(of_subject).is_some_and(state), "{subject}: {}", outcome.out);
+    }
+    let named = wavex_testkit::wavex().arg("doctor").env("WAVEX_RIWAVELIB", "none.so").output().unwrap();
+    let text = String::from_utf8(named.stdout).unwrap();
+    assert!(text.contains("the environment variable WAVEX_RIWAVELIB names, cannot be loaded"), "{text}");
 }
 
 #[cfg(unix)]

@@ -8,6 +8,7 @@
 
 mod definition;
 mod describe;
+mod epsg_table;
 mod error;
 mod geotiff;
 mod methods;
@@ -25,10 +26,11 @@ use super::ellipsoid::{Ellipsoid, Geodetic};
 use super::frames::Vector;
 use super::geoid::Geoid;
 use definition::{Definition, ProjectionMethod};
+pub use epsg_table::wkt_of_epsg;
 pub use error::CrsError;
 pub use geotiff::{GeoKeys, geotiff_keys_of_wkt};
+pub use named::Named;
 use named::utm_zone_at;
-pub use named::{Named, wkt_of_epsg};
 use projection::Projection;
 pub use unit::Unit;
 

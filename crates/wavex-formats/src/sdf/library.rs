@@ -63,6 +63,40 @@ pub(super) fn find(data: &Path, key: Option<&Path>) -> Result<(Functions, Librar
     }
 }
 
+/// RIEGL's library for SDF on this machine.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Installed {
+    /// It was loaded.
+    Loaded(LibraryVersion),
+    /// It is in none of the usual places, and [`VARIABLE`] is not set.
+    Missing,
+    /// It was found, but cannot be used: the reason.
+    Unusable(String),
+}
+
+/// Looks for the library for SDF where readers do without a key.
+pub fn installed() -> Installed {
+    let data = Path::new("recording.sdf");
+    match find(data, None) {
+        Ok((_, version)) => Installed::Loaded(version),
+        Err(Error::Unusable { problem, .. }) if is_there(data) => Installed::Unusable(problem),
+        Err(_) => Installed::Missing,
+    }
+}
+
+/// Whether a library is named or in one of the usual folders.
+fn is_there(data: &Path) -> bool {
+    let is_named = std::env::var_os(VARIABLE).is_some_and(|variable| !variable.is_empty());
+    is_named || usual_folders().any(|folder| names(data).iter().any(|name| folder.join(name).is_file()))
+}
+
+/// Folders that are searched: that of the program, then the common ones.
+fn usual_folders() -> impl Iterator<Item = PathBuf> {
+    let program = std::env::current_exe().ok();
+    let beside = program.and_then(|program| program.parent().map(Path::to_path_buf));
+    beside.into_iter().chain(FOLDERS.iter().map(PathBuf::from))
+}
+
 /// Loads the library named by the user.
 fn named(data: &Path, path: &Path, said: Said) -> Result<Functions> {
     let whose = match said {
@@ -98,9 +132,7 @@ fn named(data: &Path, path: &Path, said: Said) -> Result<Functions> {
 
 fn in_usual_places(data: &Path) -> Result<Functions> {
     let names = names(data);
-    let beside = std::env::current_exe().ok().and_then(|program| program.parent().map(Path::to_path_buf));
-    let folders = || beside.clone().into_iter().chain(FOLDERS.iter().map(PathBuf::from));
-    for file in folders().flat_map(|folder| names.clone().map(|name| folder.join(name))) {
+    for file in usual_folders().flat_map(|folder| names.clone().map(|name| folder.join(name))) {
         if file.is_file() {
             return Functions::load(&file).map_err(|error| {
                 let problem = format!("the library {} cannot be loaded: {}", file.display(), reason(&error));
@@ -113,7 +145,7 @@ fn in_usual_places(data: &Path) -> Result<Functions> {
             return Ok(functions);
         }
     }
-    let looked: Vec<String> = folders().map(|folder| folder.display().to_string()).collect();
+    let looked: Vec<String> = usual_folders().map(|folder| folder.display().to_string()).collect();
     Err(Error::unusable(
         data,
         format!(

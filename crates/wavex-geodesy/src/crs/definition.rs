@@ -5,7 +5,7 @@
 //! vertical part are taken from the text itself.
 
 use super::wkt::WktNode;
-use super::{CrsError, Unit, methods};
+use super::{CrsError, Unit, methods, wkt_of_epsg};
 use crate::ellipsoid::{Ellipsoid, GRS80, WGS84};
 use crate::lambert::LambertParameters;
 use crate::transverse_mercator::TransverseMercatorParameters;
@@ -68,10 +68,8 @@ const ELSEWHERE: [&str; 7] = [
 impl Definition {
     /// The CRS of an EPSG code.
     pub(super) fn of_epsg(code: u32) -> Result<Definition, CrsError> {
-        let known = u16::try_from(code).ok().and_then(crs_definitions::from_code);
-        // A few rows of the table are empty.
-        let known = known.filter(|known| !known.wkt.is_empty()).ok_or(CrsError::UnknownEpsg(code))?;
-        let tree = WktNode::parse(known.wkt).map_err(CrsError::Wkt)?;
+        let wkt = u16::try_from(code).ok().and_then(wkt_of_epsg).ok_or(CrsError::UnknownEpsg(code))?;
+        let tree = WktNode::parse(&wkt).map_err(CrsError::Wkt)?;
         Definition::of(&tree, Some(code))
     }
 

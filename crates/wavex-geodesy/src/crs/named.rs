@@ -72,11 +72,6 @@ fn utm_zone(text: &str) -> Option<Named> {
     Some(Named::UtmZone { zone, north })
 }
 
-/// Returns the CRS of an EPSG code as WKT 1; `None` if the table lacks it.
-pub fn wkt_of_epsg(code: u16) -> Option<String> {
-    crs_definitions::from_code(code).map(|definition| definition.wkt.to_string())
-}
-
 /// UTM zone, 1 to 60, of a longitude, rad.
 ///
 /// Zones are 6 degrees wide everywhere: the wider zones of Norway and Svalbard belong to the
