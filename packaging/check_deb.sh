@@ -6,6 +6,8 @@ set -euo pipefail
 package="$(realpath "$1")"
 root="$(mktemp -d)"
 trap 'rm -rf "$root"' EXIT
+# Programs of packages run as other users, too.
+chmod 755 "$root"
 
 debootstrap --variant=minbase --include=man-db bookworm "$root" > "$root.log" 2>&1 ||
     { tail -5 "$root.log"; exit 1; }
