@@ -5,6 +5,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::scan_line::InputInfo;
 
+/// Name of a coordinate reference system: the first string in its WKT.
+pub(crate) fn crs_name(wkt: &str) -> String {
+    wkt.split('"').nth(1).filter(|name| !name.is_empty()).unwrap_or("unnamed").to_owned()
+}
+
 /// Coordinates of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -29,6 +34,10 @@ pub(in crate::report) enum View {
 const EARTH_M: [f64; 2] = [6.33e6, 6.39e6];
 /// Upper limit of projected heights, m; geocentric z values are below it only near the equator.
 const MAP_HEIGHT_M: f64 = 1e5;
+/// Length of a degree on the sphere, m: areas are accurate to 1 %.
+const DEGREE_M: f64 = 111_195.0;
+/// Length of a foot, m; that of the US survey differs by 2e-6.
+const FOOT_M: f64 = 0.3048;
 /// Spacing of the possible tangent points, m, so that all points of a site share one.
 const PLANES_M: f64 = 20_000.0;
 
@@ -83,6 +92,15 @@ impl View {
         match self {
             View::Map { unit, .. } => unit,
             View::Plane { .. } => "m",
+        }
+    }
+
+    /// Area of a square unit at this north coordinate, m².
+    pub(in crate::report) fn square_unit_m2(&self, north: f64) -> f64 {
+        match (self.axes(), self.unit()) {
+            (MapAxes::Degrees, _) => DEGREE_M * DEGREE_M * libm::cos(north.to_radians()),
+            (_, "ft") => FOOT_M * FOOT_M,
+            _ => 1.0,
         }
     }
 }
