@@ -13,13 +13,14 @@ use wavex_formats::{Error, Result};
 
 mod earlier;
 mod overview;
-mod page;
+pub(crate) mod page;
 pub(crate) mod panel;
 mod stat_log;
 pub(crate) mod style;
 pub mod survey;
 pub(crate) mod svg;
 mod tables;
+pub(crate) mod verdict;
 
 pub use earlier::difference;
 pub(crate) use overview::view::crs_name;

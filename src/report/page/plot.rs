@@ -17,7 +17,7 @@ pub(in crate::report) type Tick = (f64, String);
 impl Plot {
     /// Creates a plot of the usual size with these axis ranges.
     pub(in crate::report) fn new(x: [f64; 2], y: [f64; 2]) -> Plot {
-        Plot { x: Scale { from: x, to: [70.0, 546.0] }, y: Scale { from: y, to: [214.0, 14.0] } }
+        Plot { x: Scale { from: x, to: [92.0, 546.0] }, y: Scale { from: y, to: [214.0, 14.0] } }
     }
 
     pub(in crate::report) fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {

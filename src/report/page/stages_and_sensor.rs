@@ -5,7 +5,7 @@ use serde_json::Value;
 use super::plot::{Plot, WIDTH, ticks};
 use crate::report::svg::{Anchor, Scale, Svg};
 
-const LEFT: f64 = 110.0;
+const LEFT: f64 = 150.0;
 const RIGHT: f64 = 546.0;
 /// Height of a stage's row, SVG units.
 const ROW: f64 = 26.0;
@@ -72,10 +72,10 @@ pub(super) fn response(response: &Value) -> Option<String> {
     let errors = numbers(&response["template_error"]);
     let points = errors.iter().enumerate().map(|(i, error)| [first + i as f64, *error]);
     svg.curve("found", plot.inside(points));
-    svg.curve("returns", [[400.0, 28.0], [422.0, 28.0]].into_iter());
-    svg.text("", [428.0, 32.0], Anchor::Start, "response");
-    svg.curve("found", [[400.0, 46.0], [422.0, 46.0]].into_iter());
-    svg.text("", [428.0, 50.0], Anchor::Start, "shape error");
+    svg.curve("returns", [[380.0, 28.0], [402.0, 28.0]].into_iter());
+    svg.text("", [408.0, 32.0], Anchor::Start, "response");
+    svg.curve("found", [[380.0, 48.0], [402.0, 48.0]].into_iter());
+    svg.text("", [408.0, 52.0], Anchor::Start, "shape error");
     Some(plot.finish(svg, "system response", "samples from the peak", "fraction of the peak"))
 }
 
