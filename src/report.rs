@@ -12,7 +12,7 @@ use crate::stage::OutputFile;
 use wavex_formats::{Error, Result};
 
 mod earlier;
-mod overview;
+pub(crate) mod overview;
 pub(crate) mod page;
 pub(crate) mod panel;
 mod stat_log;

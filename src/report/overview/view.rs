@@ -25,7 +25,7 @@ pub enum MapAxes {
 
 /// Conversion of coordinates to map positions.
 #[derive(Clone, Debug)]
-pub(in crate::report) enum View {
+pub(crate) enum View {
     Map { axes: MapAxes, unit: &'static str },
     Plane { origin: [f64; 3], axes: [[f64; 3]; 3] },
 }
@@ -43,7 +43,7 @@ const PLANES_M: f64 = 20_000.0;
 
 impl View {
     /// The view for a recording with this point.
-    pub(in crate::report) fn of(input: &InputInfo, point: [f64; 3]) -> View {
+    pub(crate) fn of(input: &InputInfo, point: [f64; 3]) -> View {
         let length = dot(point, point).sqrt();
         if point[2].abs() > MAP_HEIGHT_M && EARTH_M[0] < length && length < EARTH_M[1] {
             return View::plane(point.map(|coordinate| (coordinate / PLANES_M).round() * PLANES_M));
@@ -70,7 +70,7 @@ impl View {
     }
 
     /// Map position of a point: east, north, height.
-    pub(in crate::report) fn place(&self, point: [f64; 3]) -> [f64; 3] {
+    pub(crate) fn place(&self, point: [f64; 3]) -> [f64; 3] {
         match self {
             View::Map { .. } => point,
             View::Plane { origin, axes } => {
@@ -80,7 +80,7 @@ impl View {
         }
     }
 
-    pub(in crate::report) fn axes(&self) -> MapAxes {
+    pub(crate) fn axes(&self) -> MapAxes {
         match self {
             View::Map { axes, .. } => *axes,
             View::Plane { .. } => MapAxes::Plane,
@@ -88,7 +88,7 @@ impl View {
     }
 
     /// Unit of the east and north coordinates.
-    pub(in crate::report) fn unit(&self) -> &'static str {
+    pub(crate) fn unit(&self) -> &'static str {
         match self {
             View::Map { unit, .. } => unit,
             View::Plane { .. } => "m",
@@ -96,7 +96,7 @@ impl View {
     }
 
     /// Area of a square unit at this north coordinate, m².
-    pub(in crate::report) fn square_unit_m2(&self, north: f64) -> f64 {
+    pub(crate) fn square_unit_m2(&self, north: f64) -> f64 {
         match (self.axes(), self.unit()) {
             (MapAxes::Degrees, _) => DEGREE_M * DEGREE_M * libm::cos(north.to_radians()),
             (_, "ft") => FOOT_M * FOOT_M,

@@ -16,14 +16,14 @@ const LEAST_WIDTH: f64 = 300.0;
 const COLOURS: f64 = 150.0;
 
 /// Frame of a map view.
-pub(in crate::report) struct MapFrame {
-    pub(in crate::report) plot: Plot,
+pub(crate) struct MapFrame {
+    pub(crate) plot: Plot,
     axes: [String; 2],
 }
 
 impl MapFrame {
     /// A map of this extent; `slimmer`: length of a unit of x relative to a unit of y.
-    pub(in crate::report) fn new(x: [f64; 2], y: [f64; 2], slimmer: f64, axes: [String; 2]) -> MapFrame {
+    pub(crate) fn new(x: [f64; 2], y: [f64; 2], slimmer: f64, axes: [String; 2]) -> MapFrame {
         let (width, height) = (slimmer * (x[1] - x[0]).max(1e-12), (y[1] - y[0]).max(1e-12));
         let size = (MAP[0] / width).min(MAP[1] / height);
         let (right, bottom) = (LEFT + (width * size).max(40.0), TOP + (height * size).max(40.0));
@@ -34,18 +34,18 @@ impl MapFrame {
     }
 
     /// Width of the picture, SVG units.
-    pub(in crate::report) fn width(&self) -> f64 {
+    pub(crate) fn width(&self) -> f64 {
         (self.plot.x.to[1] + MARGIN).clamp(LEAST_WIDTH, WIDTH)
     }
 
     /// Draws an image that fills the map.
-    pub(in crate::report) fn image(&self, svg: &mut Svg, id: &str, picture: &Picture) {
+    pub(crate) fn image(&self, svg: &mut Svg, id: &str, picture: &Picture) {
         let ([left, right], [bottom, top]) = (self.plot.x.to, self.plot.y.to);
         svg.image(id, &picture.data_url(), [left, top], [right, bottom]);
     }
 
     /// Draws the grid of the coordinates.
-    pub(in crate::report) fn grid(&self, svg: &mut Svg) {
+    pub(crate) fn grid(&self, svg: &mut Svg) {
         let ([left, right], [bottom, top]) = (self.plot.x.to, self.plot.y.to);
         let (width, height) = (right - left, bottom - top);
         self.plot.grid_y(svg, ticks(&self.plot.y, (height / 60.0).max(1.0)));
@@ -59,7 +59,7 @@ impl MapFrame {
     }
 
     /// Draws frame, axis titles, and the colours with their first and last value.
-    pub(in crate::report) fn finish(
+    pub(crate) fn finish(
         &self,
         mut svg: Svg,
         title: &str,
