@@ -68,7 +68,7 @@ impl Axes {
     fn finish(&self, mut svg: Svg, title: &str, x: &str, y: &str) -> Figure {
         svg.rect("frame", [LEFT, TOP], [RIGHT, BOTTOM]);
         svg.text("", [0.5 * (LEFT + RIGHT), BOTTOM + 40.0], Anchor::Middle, x);
-        svg.upright_text("", [14.0, 0.5 * (TOP + BOTTOM)], y);
+        svg.upright_text("", [17.0, 0.5 * (TOP + BOTTOM)], y);
         Figure { title: title.to_owned(), svg: svg.inline(WIDTH, HEIGHT, title) }
     }
 }

@@ -62,7 +62,7 @@ impl Plot {
         let ([left, right], [bottom, top]) = (self.x.to, self.y.to);
         svg.rect("frame", [left, top], [right, bottom]);
         svg.text("", [0.5 * (left + right), bottom + 38.0], Anchor::Middle, x);
-        svg.upright_text("", [13.0, 0.5 * (top + bottom)], y);
+        svg.upright_text("", [17.0, 0.5 * (top + bottom)], y);
     }
 
     /// Draws the frame and returns the figure.

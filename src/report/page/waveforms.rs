@@ -19,8 +19,8 @@ pub(super) fn figure(shot: &ShownShot) -> Markup {
     let blocks: Vec<&FittedBlock> = shot.blocks.iter().collect();
     panels.draw(&mut svg, &blocks);
     svg.text("", [305.0, 344.0], Anchor::Middle, "time of flight, ns");
-    svg.upright_text("", [13.0, 110.0], "digitiser steps, DN");
-    svg.upright_text("", [13.0, 268.0], "residual, SD");
+    svg.upright_text("", [17.0, 110.0], "digitiser steps, DN");
+    svg.upright_text("", [17.0, 268.0], "residual, SD");
     let title = title(shot);
     let picture = svg.inline(WIDTH, 352.0, &title);
     let rows = shot.returns.iter().take(MOST_RETURNS).map(cells);
