@@ -289,12 +289,9 @@ fn of_waveforms(overview: &Overview, input: &Value) -> Part {
 fn of_run(input: &Value) -> Part {
     let words = "sum over all workers of a stage; waiting: for input lines; blocked: by the next stage";
     let stages = list(input, "stages");
-    let times = figure("Time per stage", stages_and_sensor::times(stages), words);
-    let shown = if stages.is_empty() { &[][..] } else { std::slice::from_ref(&times) };
-    Part::new(
-        "Processing",
-        html! { (figures("", shown)) (details::stages(input)) (details::observed(input)) },
-    )
+    let times = stages_and_sensor::times(stages).map(|svg| figure("Time per stage", svg, words));
+    let tables = html! { (details::stages(input)) (details::observed(input)) };
+    Part::new("Processing", html! { (figures("", times.as_slice())) (tables) })
 }
 
 /// Channels of a sensor model that are shown, with their names.

@@ -49,7 +49,7 @@ h2.group{font-size:18px;margin:26px 0 4px}
 .tiles div{background:var(--soft);border:1px solid var(--rule);border-radius:6px;padding:8px 14px;min-width:86px}
 .tiles b{display:block;font-size:20px;font-weight:600}.tiles span{color:var(--faint);font-size:13px}
 nav ol{columns:3;column-gap:24px;margin:10px 0 16px;padding-left:24px}nav li{margin:2px 0;break-inside:avoid}
-.badge{display:inline-block;border-radius:9px;padding:0 8px;font-size:12px;font-weight:600;line-height:18px;
+.keep{break-inside:avoid}.badge{display:inline-block;border-radius:9px;padding:0 8px;font-size:12px;font-weight:600;line-height:18px;
 white-space:nowrap;vertical-align:middle}.badge.good{background:var(--good);color:var(--on-good)}
 .badge.look{background:var(--look);color:var(--on-look)}.badge.bad{background:var(--bad);color:var(--on-bad)}
 .badge.none{background:var(--none);color:var(--on-none)}

@@ -97,6 +97,11 @@ pub(crate) fn difference_rms(limit_m: f64) -> Rule {
     at_most("RMS of height differences", "m", [limit_m, 2.0 * limit_m]).from(100, "cells")
 }
 
+/// Offset of a strip: good up to a quarter of the limit of the RMS, look up to all of it.
+pub(crate) fn strip_offset(limit_m: f64) -> Rule {
+    at_most("largest offset of a strip", "m", [0.25 * limit_m, limit_m])
+}
+
 /// Pulse density that a job requires: good from it, look from three quarters of it.
 pub(crate) fn target_density(target_per_m2: f64) -> Rule {
     Rule { limits: [target_per_m2, 0.75 * target_per_m2], ..PULSE_DENSITY }

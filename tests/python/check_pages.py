@@ -130,7 +130,7 @@ MEASURE = r"""(print) => {
       }
       for (const row of rows.values()) {
         const sorted = row.sort((a, b) => a[1] - b[1]).map(([text]) => text);
-        sorted.slice(1).forEach((text, i) => text === sorted[i] && found.push(`repeated label: ${text}`));
+        sorted.slice(1).forEach((text, i) => text === sorted[i] && found.push(`repeated label: ${text} in ${group.getAttribute("aria-label")}`));
       }
     }
   }

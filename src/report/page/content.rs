@@ -106,8 +106,10 @@ fn shots_by_returns(points: &PointSummary) -> Markup {
     };
     let mean = returns as f64 / with_returns.max(1) as f64;
     html! {
+        div.keep {
         (table("Returns per pulse", &["returns", "pulses", "%"], points.shots_by_returns.iter().enumerate().map(row)))
         @if with_returns > 0 { p.about { "mean of the pulses with returns: " (short(mean)) } }
+        }
     }
 }
 
@@ -126,8 +128,10 @@ fn by_class(points: &PointSummary) -> Markup {
     });
     let withheld = (points.withheld, percent(points.withheld, all));
     html! {
+        div.keep {
         (table("Returns by class", &["class", "returns", "%"], rows))
         @if all > 0 { p.about { "withheld: " (label(withheld.0 as f64, 0)) " (" (withheld.1) " %)" } }
+        }
     }
 }
 

@@ -1,5 +1,7 @@
 //! Times, scan angles and trajectory on a run's page.
 
+use std::collections::BTreeMap;
+
 use maud::Markup;
 
 use super::part::{Part, figure, figures};
@@ -43,18 +45,27 @@ pub(super) fn part(overview: &Overview) -> Part {
     Part::new("Times and flight", figures("", &drawn)).judged(checks)
 }
 
+/// Maximum number of bars of the shots over time.
+const MOST_BARS: u64 = 120;
+
 /// Draws the rate of shots; empty bins are gaps.
 fn shots_over_time(times: &TimeCoverage) -> String {
-    let rate = |shots: &u64| *shots as f64 / times.bin_s;
-    let highest = times.shots.iter().map(rate).fold(1.0, f64::max);
+    let last = times.bins.last().copied().unwrap_or(0).saturating_add(1);
+    let bins_per_bar = last.div_ceil(MOST_BARS).max(1);
+    let mut bars: BTreeMap<u64, u64> = BTreeMap::new();
+    for (bin, shots) in times.bins.iter().zip(&times.shots) {
+        *bars.entry(bin / bins_per_bar).or_default() += shots;
+    }
+    let bar_s = times.bin_s * bins_per_bar as f64;
+    let rate = |shots: u64| shots as f64 / bar_s;
+    let highest = bars.values().map(|shots| rate(*shots)).fold(1.0, f64::max);
     let from = (times.span_s[0] / times.bin_s).floor() * times.bin_s - times.span_s[0];
-    let last = times.bins.last().copied().unwrap_or(0) + 1;
     let plot = Plot::new([from, from + last as f64 * times.bin_s], [0.0, 1.06 * highest]);
     let mut svg = Svg::new();
     plot.grid(&mut svg);
-    for (bin, shots) in times.bins.iter().zip(&times.shots) {
-        let left = from + *bin as f64 * times.bin_s;
-        let [[x0, y0], [x1, y1]] = [plot.at([left, rate(shots)]), plot.at([left + times.bin_s, 0.0])];
+    for (bar, shots) in bars {
+        let left = from + bar as f64 * bar_s;
+        let [[x0, y0], [x1, y1]] = [plot.at([left, rate(shots)]), plot.at([left + bar_s, 0.0])];
         svg.rect("bars", [x0, y0], [x1.max(x0 + 0.5), y1]);
     }
     plot.finish(svg, "Shots over time", "time since the first shot, s", "shots per second")

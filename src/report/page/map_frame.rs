@@ -11,9 +11,9 @@ const TOP: f64 = 10.0;
 /// Margin right of a map, SVG units.
 const MARGIN: f64 = 16.0;
 /// Minimum width of a map view: room for its colour scale.
-const LEAST_WIDTH: f64 = 300.0;
+const LEAST_WIDTH: f64 = 334.0;
 /// Length of a colour scale, SVG units.
-const COLOURS: f64 = 150.0;
+const COLOURS: f64 = 130.0;
 
 /// Frame of a map view.
 pub(crate) struct MapFrame {

@@ -11,11 +11,13 @@ const RIGHT: f64 = 546.0;
 const ROW: f64 = 26.0;
 
 /// Draws working, waiting and blocked time of each stage as stacked bars.
-pub(super) fn times(stages: &[Value]) -> String {
+///
+/// `None` if no stage worked.
+pub(super) fn times(stages: &[Value]) -> Option<String> {
     let seconds = |stage: &Value, key: &str| stage[key].as_f64().unwrap_or(0.0).max(0.0);
     let parts = ["working", "waiting", "blocked"];
     let sum = |stage: &Value| parts.iter().map(|part| seconds(stage, &format!("{part}_s"))).sum::<f64>();
-    let longest = stages.iter().map(sum).fold(1e-9, f64::max);
+    let longest = stages.iter().map(sum).reduce(f64::max).filter(|longest| *longest > 1e-6)?;
     let x = Scale { from: [0.0, longest], to: [LEFT, RIGHT] };
     let mut svg = Svg::new();
     for (index, part) in parts.iter().enumerate() {
@@ -39,7 +41,7 @@ pub(super) fn times(stages: &[Value]) -> String {
             from = until;
         }
     }
-    svg.inline(WIDTH, bottom + 26.0, "time per stage")
+    Some(svg.inline(WIDTH, bottom + 26.0, "time per stage"))
 }
 
 /// A response is drawn as far as it exceeds this fraction of its peak.

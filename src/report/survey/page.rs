@@ -88,7 +88,10 @@ fn difference_checks(survey: &Survey) -> Vec<Check> {
 fn strip_checks(survey: &Survey) -> Vec<Check> {
     let failed = survey.strips.len() - processed(survey);
     let roughness = survey.roughness.as_ref();
+    let offsets = || survey.strips.iter().filter_map(|strip| strip.offset_m.map(f64::abs));
+    let offset = verdict::strip_offset(survey.limits.max_difference_rms_m);
     vec![
+        offset.check(offsets().reduce(f64::max), offsets().count() as u64),
         verdict::FAILED_STRIPS.check(Some(failed as f64), survey.strips.len() as u64),
         verdict::ROUGHNESS.check(roughness.map(|of| of.median_m), roughness.map_or(0, |of| of.cells)),
     ]
