@@ -125,7 +125,7 @@ MEASURE = r"""(print) => {
     for (const [side, along] of [["top", "left"], ["right", "top"]]) {
       const rows = new Map();
       for (const { text, box } of members.filter(({ text }) => /^[−\d]/.test(text))) {
-        const key = Math.round(box[side]);
+        const key = [...rows.keys()].find((at) => Math.abs(at - box[side]) < 2) ?? box[side];
         rows.set(key, [...(rows.get(key) || []), [text, box[along]]]);
       }
       for (const row of rows.values()) {
