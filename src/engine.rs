@@ -41,7 +41,7 @@ pub(crate) use inputs::{expand, size};
 pub(crate) use observe::observe;
 pub use progress::{Phase, Progress, ProgressMode};
 pub use stage_summary::{ItemCounts, Percentiles, StageSummary};
-pub use summary::{InputStatus, InputSummary, RunSummary, StageKeys, TrajectorySummary};
+pub use summary::{InputStatus, InputSummary, RunSummary, StageKeys, TrajectorySummary, host};
 pub use survey::{learn_survey_models, shares_models, survey_models};
 pub use worker::Gauge;
 

@@ -17,6 +17,7 @@ mod histogram;
 mod histogram_files;
 mod intervals;
 mod page;
+mod plan_view;
 mod reservoir;
 mod samples;
 mod summary;
@@ -27,6 +28,7 @@ pub use histogram::Histogram;
 pub use histogram_files::files as histogram_files;
 pub use intervals::{Intervals, LongInterval};
 pub use page::page;
+pub use plan_view::PlanView;
 pub use reservoir::Thinned;
 pub use samples::{Peak, Samples, peak_of};
 pub use summary::{Section, Summary};
@@ -70,6 +72,8 @@ pub struct Inspection {
     pub blocks_over_time_s: Histogram,
     /// Ranges of the highest peak of each echo block, m.
     pub ranges_m: Histogram,
+    /// Echoes and sensor from above.
+    pub plan: PlanView,
     /// Selected shots with their blocks.
     pub waveforms: Thinned<Waveform>,
 }
@@ -199,6 +203,7 @@ impl Inspection {
             angles_over_time: Thinned::new(ANGLES),
             blocks_over_time_s: Histogram::new(1.0 / 1024.0, BINS),
             ranges_m: Histogram::new(0.125, BINS),
+            plan: PlanView::default(),
             waveforms: Thinned::new(WAVEFORMS),
         }
     }
@@ -285,8 +290,10 @@ impl Inspection {
             }
             *self.zones.entry(block.zone.or(emission.mta_zone)).or_default() += 1;
             self.blocks_over_time_s.add(time_s);
-            if let Some(peak) = peak {
-                let flight_ns = block.time_ns(peak.position_samples) - emission_ns;
+            let position = peak.as_ref().map_or(0.0, |peak| peak.position_samples);
+            let flight_ns = block.time_ns(position) - emission_ns;
+            self.plan.add(&scan_line.input, emission, flight_ns);
+            if peak.is_some() {
                 self.ranges_m.add(flight_ns * 0.5e-9 * scan_line.input.group_velocity_mps);
             }
         }

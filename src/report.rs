@@ -12,19 +12,22 @@ use crate::stage::OutputFile;
 use wavex_formats::{Error, Result};
 
 mod earlier;
-mod overview;
-mod page;
+pub(crate) mod overview;
+pub(crate) mod page;
 pub(crate) mod panel;
 mod stat_log;
 pub(crate) mod style;
 pub mod survey;
 pub(crate) mod svg;
 mod tables;
+pub(crate) mod verdict;
 
 pub use earlier::difference;
+pub(crate) use overview::view::crs_name;
 pub use overview::{
-    LineGroups, MapAxes, MapLine, MapPicture, Overview, Overviews, Picture, QuantityHistogram, ShownKind,
-    ShownReturn, ShownShot, ZoneCloud, ZoneClouds, ZoneShare, Zones,
+    Densities, Density, Flight, LineGroups, MapAxes, MapLine, MapPicture, Overview, Overviews, Picture,
+    PointSummary, QuantityHistogram, ShownKind, ShownReturn, ShownShot, TimeCoverage, ZoneCloud, ZoneClouds,
+    ZoneShare, Zones,
 };
 pub use stat_log::{geometry_words, sensor_model_words, stat_log};
 pub use tables::{input_table, latency_table, stage_table, survey_table};

@@ -82,14 +82,11 @@ impl Machine {
     /// This machine.
     pub fn this() -> Machine {
         let read = |path: &str| std::fs::read_to_string(path).ok();
-        let host = read("/proc/sys/kernel/hostname").map(|text| text.trim().to_owned());
-        let by_variable =
-            || ["HOSTNAME", "COMPUTERNAME"].into_iter().find_map(|name| std::env::var(name).ok());
         let processor = read("/proc/cpuinfo").and_then(|text| value(&text, "model name").map(str::to_owned));
         let memory_kb =
             read("/proc/meminfo").and_then(|text| value(&text, "MemTotal")?.split(' ').next()?.parse().ok());
         Machine {
-            host: host.or_else(by_variable),
+            host: crate::engine::host(),
             os: std::env::consts::OS.to_owned(),
             architecture: std::env::consts::ARCH.to_owned(),
             processor,

@@ -67,7 +67,7 @@ fn write_scan(file: &Path, name: &str, (inspection, cx, ended): Read, quiet: boo
     files.extend(
         histogram_files(&inspection).into_iter().map(|(what, text)| (format!("{name}_{what}.txt"), text)),
     );
-    files.push((format!("{name}_scan.html"), page(&summary, &inspection)));
+    files.push((format!("{name}_scan.html"), page(&summary, &inspection, cx.counters(), cut.as_deref())));
     let written = write(&files).map_err(|error| failed(&error))?;
     if !quiet {
         terminal::print(&format!("{text}\nwrote {}\n", written.join(", ")))?;

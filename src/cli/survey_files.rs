@@ -13,6 +13,8 @@ use crate::report::survey::{
 use crate::report::{Overview, Overviews};
 use crate::scan_line::ScanLine;
 use crate::stage::{DecomposedLine, FitShot, OutputFile, Result, RunObserver, RunObservers, SurveyModels};
+use wavex_geodesy::time_axis::Alignment;
+use wavex_geodesy::trajectory::Trajectory;
 
 /// Collects the data of the pages that a job requests.
 #[derive(Debug)]
@@ -73,6 +75,12 @@ impl RunObserver for OfInput {
         }
         if let Some(strip) = &self.strip {
             strip.add(line);
+        }
+    }
+
+    fn trajectory(&self, trajectory: &Trajectory, alignment: &Alignment) {
+        if let Some(overview) = &self.overview {
+            overview.trajectory(trajectory, alignment);
         }
     }
 

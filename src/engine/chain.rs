@@ -49,6 +49,11 @@ pub(super) fn run(
     });
     let budget_peak = shared.budget.peak();
     let totals = shared.totals.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
+    let flown = site.geometry.trajectory().map(|(_, trajectory)| trajectory);
+    let aligned = totals.input.as_ref().and_then(|input| input.first_shot?.alignment);
+    if let (Some(observer), Some(trajectory), Some(alignment)) = (cx.observer(), flown, aligned) {
+        observer.trajectory(trajectory, &alignment);
+    }
     let (stages, whole) = collect(job, leavings);
     let published = match shared.failure.into_error(&site.input) {
         Some(error) => Err(error),

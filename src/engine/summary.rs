@@ -34,6 +34,8 @@ pub struct RunSummary {
     pub threads: usize,
     /// SIMD instructions that the kernels used.
     pub simd: Simd,
+    /// Name of the computer, if known.
+    pub host: Option<String>,
     /// Duration of the whole run, s.
     pub wall_s: f64,
     /// Sensor models of the survey, if its inputs share them.
@@ -252,6 +254,7 @@ impl RunSummary {
             stages: job.stages.iter().map(keys).collect(),
             threads: options.workers(),
             simd: options.simd.into(),
+            host: host(),
             wall_s: 0.0,
             survey_models: options.survey.clone(),
             inputs: Vec::new(),
@@ -280,6 +283,13 @@ impl RunSummary {
         inputs_of.retain(|_, inputs| *inputs > 1);
         inputs_of
     }
+}
+
+/// Name of the computer, if known.
+pub fn host() -> Option<String> {
+    let read = std::fs::read_to_string("/proc/sys/kernel/hostname").ok().map(|text| text.trim().to_owned());
+    let by_variable = || ["HOSTNAME", "COMPUTERNAME"].into_iter().find_map(|name| std::env::var(name).ok());
+    read.or_else(by_variable)
 }
 
 /// Index of the instrument in the survey whose model the input has.

@@ -15,7 +15,7 @@ pub(super) struct Figure {
 /// Size of a picture and of the frame in it, SVG units.
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 270.0;
-const LEFT: f64 = 86.0;
+const LEFT: f64 = 100.0;
 const RIGHT: f64 = 546.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 218.0;
@@ -28,6 +28,7 @@ const TAIL: f64 = 0.0005;
 pub(super) fn figures(inspection: &Inspection) -> Vec<Figure> {
     let parts = [amplitudes(inspection), ranges(inspection), noise(inspection), angles(inspection)];
     let mut figures: Vec<Figure> = parts.iter().flatten().map(histogram).collect();
+    figures.splice(0..0, inspection.plan.figure());
     figures.extend(over_time(&inspection.blocks_over_time_s));
     figures.extend(angles_over_time(inspection));
     figures.extend(inspection.waveforms.items().iter().take(WAVEFORMS).map(waveform));
@@ -67,7 +68,7 @@ impl Axes {
     fn finish(&self, mut svg: Svg, title: &str, x: &str, y: &str) -> Figure {
         svg.rect("frame", [LEFT, TOP], [RIGHT, BOTTOM]);
         svg.text("", [0.5 * (LEFT + RIGHT), BOTTOM + 40.0], Anchor::Middle, x);
-        svg.upright_text("", [14.0, 0.5 * (TOP + BOTTOM)], y);
+        svg.upright_text("", [17.0, 0.5 * (TOP + BOTTOM)], y);
         Figure { title: title.to_owned(), svg: svg.inline(WIDTH, HEIGHT, title) }
     }
 }

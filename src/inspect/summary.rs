@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::histogram_files::{CHANNELS, name_of};
 use super::{Angle, ChannelInspection, Histogram, Inspection, Intervals, Samples};
+use crate::report::crs_name;
 use crate::scan_line::{Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
 use crate::stage::Counters;
 use wavex_geodesy::time;
@@ -121,11 +122,6 @@ fn about_file(file: &Path, inspection: &Inspection) -> Section {
 fn recorded(input: &InputInfo) -> Option<String> {
     let (day, year) = input.recorded?;
     Some(format!("day {day} of {year}"))
-}
-
-/// Name of a coordinate system: the first string in its WKT.
-fn crs_name(wkt: &str) -> String {
-    wkt.split('"').nth(1).filter(|name| !name.is_empty()).unwrap_or("unnamed").to_owned()
 }
 
 fn time_scale(input: &InputInfo) -> String {

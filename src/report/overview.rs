@@ -1,5 +1,5 @@
-//! Overview of a run over one input: histograms, a map, counts along the flight, and a few
-//! waveforms with their fits.
+//! Overview of a run over one input: histograms, a map, classes, times, counts along the flight, the
+//! flight itself, and a few waveforms with their fits.
 //!
 //! It is collected while lines leave the chain, in constant memory, and depends only on the lines,
 //! not on their order: sums are of integers, bins and cells double on a fixed grid, and of several
@@ -13,20 +13,28 @@ use serde::{Deserialize, Serialize};
 
 use crate::scan_line::{Return, ScanLine};
 use crate::stage::{DecomposedLine, FitShot, Result, RunObserver, RunObservers};
+use wavex_geodesy::time_axis::Alignment;
+use wavex_geodesy::trajectory::Trajectory;
 
+mod flight;
 mod gallery;
 pub(in crate::report) mod histogram;
 mod lines;
 mod map;
 pub(in crate::report) mod picture;
-pub(in crate::report) mod view;
+mod points;
+mod times;
+pub(crate) mod view;
 mod zones;
 
+pub use flight::Flight;
 pub use gallery::{ShownKind, ShownReturn, ShownShot};
 pub use histogram::QuantityHistogram;
 pub use lines::LineGroups;
-pub use map::{MapLine, MapPicture};
+pub use map::{Densities, Density, MapLine, MapPicture};
 pub use picture::Picture;
+pub use points::PointSummary;
+pub use times::TimeCoverage;
 pub use view::MapAxes;
 pub use zones::{ZoneCloud, ZoneClouds, ZoneShare, Zones};
 
@@ -47,6 +55,15 @@ pub struct Overview {
     /// Returns by MTA zone, if there is a zone other than 0.
     #[serde(default)]
     pub zones: Option<Zones>,
+    /// Extent, classes, return numbers and scan angles.
+    #[serde(default)]
+    pub points: Option<PointSummary>,
+    /// Times of the shots, if they have any.
+    #[serde(default)]
+    pub times: Option<TimeCoverage>,
+    /// Flight during the recording, with a trajectory.
+    #[serde(default)]
+    pub flight: Option<Flight>,
     /// Selected waveforms with their fits.
     pub waveforms: Vec<ShownShot>,
 }
@@ -85,6 +102,13 @@ impl RunObserver for Collector {
         locked(&self.gathering).add(line);
     }
 
+    fn trajectory(&self, trajectory: &Trajectory, alignment: &Alignment) {
+        let mut gathering = locked(&self.gathering);
+        let span_s =
+            gathering.times.span_s().map(|span_s| span_s.map(|time_s| alignment.on_trajectory(time_s)));
+        gathering.flight = span_s.and_then(|span_s| Flight::of(trajectory, span_s));
+    }
+
     /// Fits the shots to show, without holding the lock.
     fn decomposed(&self, line: &DecomposedLine, fit: &mut FitShot) -> Result<()> {
         let candidates = locked(&self.gallery).candidates(line);
@@ -108,6 +132,9 @@ struct Gathering {
     lines: Groups,
     grid: Grid,
     zones: zones::Counted,
+    points: points::Counted,
+    times: times::Counted,
+    flight: Option<Flight>,
 }
 
 /// A quantity of returns with its histogram.
@@ -133,6 +160,9 @@ impl Default for Gathering {
             lines: Groups::default(),
             grid: Grid::default(),
             zones: zones::Counted::default(),
+            points: points::Counted::default(),
+            times: times::Counted::default(),
+            flight: None,
         }
     }
 }
@@ -141,6 +171,8 @@ impl Gathering {
     /// Adds a line that leaves the chain.
     fn add(&mut self, scan_line: &ScanLine) {
         self.lines.add(scan_line);
+        self.points.add(scan_line);
+        self.times.add(scan_line);
         let Some(returns) = scan_line.returns() else { return };
         for quantity in &mut self.quantities {
             returns.iter().for_each(|found| quantity.bins.add((quantity.of)(found)));
@@ -159,6 +191,9 @@ impl Gathering {
             lines: self.lines.finish(),
             map: self.grid.finish(),
             zones: self.zones.finish(),
+            points: self.points.finish(),
+            times: self.times.finish(),
+            flight: self.flight,
             waveforms: gallery.finish(),
         }
     }

@@ -31,6 +31,8 @@ pub use measures::Density;
 pub use mosaic::{Gap, Gaps};
 pub use strip::{Strip, StripCollector, StripFacts};
 
+pub(super) use strip::UNEXPLAINED;
+
 use cells_file::CellsReader;
 use measures::{Lengths, Link, offsets};
 use mosaic::Pictures;

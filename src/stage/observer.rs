@@ -5,6 +5,8 @@ use std::sync::Arc;
 
 use super::{FittedShot, Result};
 use crate::scan_line::{Emission, Return, ScanLine};
+use wavex_geodesy::time_axis::Alignment;
+use wavex_geodesy::trajectory::Trajectory;
 
 /// Makes the observers of a run.
 pub trait RunObservers: Debug + Send + Sync {
@@ -18,6 +20,10 @@ pub trait RunObservers: Debug + Send + Sync {
 pub trait RunObserver: Debug + Send + Sync {
     /// Observes a scan line that leaves the chain.
     fn line(&self, line: &ScanLine);
+
+    /// Observes the trajectory of the input, after its last line; `alignment` converts the times of
+    /// shots to its axis.
+    fn trajectory(&self, _trajectory: &Trajectory, _alignment: &Alignment) {}
 
     /// Observes the results of `decompose` for a line; fits shots again for display.
     ///

@@ -59,20 +59,19 @@ fn the_page_is_whole_and_needs_nothing_else() {
     assert_eq!(place.outputs(), ["a<b&c.las", "a<b&c_stat.log", "job_report.json", "page.html"]);
     let page = place.text("out/page.html");
     let count = elements(&page);
-    assert_eq!(count["image"], 2, "heights and intensities");
-    assert_eq!(count["svg"], 18, "{count:?}");
-    assert!(count["rect"] >= 5 * 5 && count["polyline"] >= 30 && count["polygon"] == 4, "{count:?}");
+    assert_eq!(count["image"], 4, "heights, intensities and two densities");
+    assert!(count["rect"] >= 5 * 5 && count["polyline"] >= 30 && count["polygon"] == 5, "{count:?}");
     for forbidden in ["<script", "http:", "https:", "url(", "src=", "@import", "<link"] {
         assert!(!page.contains(forbidden), "{forbidden}");
     }
-    let links = page.split("href=\"").skip(1).filter_map(|rest| rest.split(['"', ',']).next());
-    assert_eq!(
-        links.collect::<Vec<&str>>(),
-        ["data:image/png;base64", "data:image/png;base64", "#intensities-0"]
-    );
+    let links = || page.split("href=\"").skip(1).filter_map(|rest| rest.split(['"', ',']).next());
+    assert_eq!(links().filter(|link| *link == "data:image/png;base64").count(), 4);
+    let within: Vec<&str> = links().filter_map(|link| link.strip_prefix('#')).collect();
+    assert!(within.len() > 8 && links().count() == within.len() + 4, "{within:?}");
+    assert!(within.iter().all(|id| page.contains(&format!(" id=\"{id}\""))), "{within:?}");
     assert!(page.contains("content=\"default-src 'none'; style-src 'unsafe-inline'; img-src data:\""));
     assert!(page.contains("prefers-color-scheme:dark") && page.contains("@media print"));
-    assert!(page.contains("<h1 class=\"input\">a&lt;b&amp;c</h1>"));
+    assert!(page.contains("<h1 class=\"input\" id=\"input-0\">a&lt;b&amp;c</h1>"));
 }
 
 #[test]
@@ -98,7 +97,13 @@ fn the_page_tells_all_of_a_run() {
         "System response, low power",
         "Noise, low power",
         "System response, outgoing pulse",
-        "Totals",
+        "Counters",
+        "Extent",
+        "Returns per pulse",
+        "Returns by class",
+        "Pulse density",
+        "Shots over time",
+        "Scan angle",
         "Sensor model, low power",
         "Outputs",
     ];
@@ -163,6 +168,7 @@ fn a_run_without_a_page_gathers_nothing_and_writes_the_same() {
     let page = without.text("out/job_report.html");
     let count = elements(&page);
     assert_eq!(count["svg"], 5, "times, and responses and noise of two receivers");
+    assert!(!page.contains("withheld returns") && page.contains("class=\"badge"));
 }
 
 #[test]
@@ -199,6 +205,18 @@ fn what_is_gathered_adds_up() {
     let map = &overview["map"];
     assert_eq!(map["points"].as_u64().unwrap() + map["outside"].as_u64().unwrap(), wanted[2]);
     assert_eq!(map["lines"].as_array().unwrap().len(), 8);
+    let returns = totals["np"].as_u64().unwrap();
+    let points = &overview["points"];
+    assert_eq!(sum(&points["by_return_number"]), returns);
+    assert_eq!(points["by_class"]["0"].as_u64(), Some(returns));
+    let shots = sum(&points["shots_by_returns"]);
+    assert_eq!(
+        (shots, sum(&overview["times"]["shots"]), sum(&points["scan_angles"]["counts"])),
+        (1200, 1200, 1200)
+    );
+    let densities = &map["densities"];
+    assert_eq!(densities["points"]["count"], map["points"]);
+    assert!(densities["pulses"]["count"].as_u64() <= Some(wanted[0]));
     let kinds: Vec<&str> =
         overview["waveforms"].as_array().unwrap().iter().map(|shot| shot["kind"].as_str().unwrap()).collect();
     assert_eq!(kinds, ["good", "overlapping", "saturated", "worst"]);
@@ -280,7 +298,8 @@ fn a_recording_without_returns_has_a_page_of_its_own() {
                [[stage]]\ntype = 'write_arrow'\n";
     assert_eq!(place.run(job), Outcome::success());
     let page = place.text("out/page.html");
-    assert_eq!(elements(&page)["svg"], 2, "waveforms along the flight, and times");
+    elements(&page);
+    assert!(page.contains("<h3>Shots over time") && !page.contains("Points by height"));
     assert!(page.contains("None: no warnings and no rejected items"));
 }
 
@@ -302,20 +321,20 @@ fn a_run_with_several_inputs_has_one_page() {
 
     let page = place.text("out/page.html");
     let count = elements(&page);
-    assert_eq!((count["image"], count["svg"], count["h1"]), (4, 38, 3), "{count:?}");
-    let of_all = page.split("<h1 class=\"input\">").next().unwrap();
-    assert!(of_all.contains("<h2>Sensor model, low power") && of_all.contains("<h3>Noise, outgoing pulse"));
+    assert_eq!((count["image"], count["h1"]), (8, 3), "{count:?}");
+    let of_all = page.split("<h1 class=\"input\"").next().unwrap();
+    assert!(of_all.contains("<h3>Sensor model, low power") && of_all.contains("<h3>Noise, outgoing pulse"));
     assert!(page.contains("<title>wavex report: a&lt;b, second</title>"));
-    let parts: Vec<&str> = page.split("<h1 class=\"input\">").skip(1).collect();
+    let parts: Vec<&str> = page.split("<h1 class=\"input\"").skip(1).collect();
     let names: Vec<&str> = parts.iter().map(|part| part.split_once("</h1>").unwrap().0).collect();
-    assert_eq!(names, ["a&lt;b", "second"]);
+    assert_eq!(names, [" id=\"input-0\">a&lt;b", " id=\"input-1\">second"]);
     let report: Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
     for (part, input) in parts.iter().zip(report["inputs"].as_array().unwrap()) {
-        let headings = ["<h3>Points by height<", "<h3>Worst fit: shot ", "<h3>Time per stage", "<h2>Outputs"];
+        let headings = ["<h3>Points by height<", "<h3>Worst fit: shot ", "<h3>Time per stage", "<h3>Outputs"];
         for heading in headings {
             assert_eq!(part.matches(heading).count(), 1, "{heading}");
         }
-        let returns = format!("<td>np</td><td>{}</td>", input["totals"]["np"]);
+        let returns = format!("<td>returns</td><td>{}</td>", input["totals"]["np"]);
         assert!(part.contains(&returns), "{returns}");
     }
     let values = |name: &str| -> Vec<&str> {
@@ -327,7 +346,7 @@ fn a_run_with_several_inputs_has_one_page() {
     ids.sort_unstable();
     assert!(ids.windows(2).all(|pair| pair[0] != pair[1]), "{ids:?}");
     let within: Vec<&str> = values("href").iter().filter_map(|href| href.strip_prefix('#')).collect();
-    assert_eq!(within, ["intensities-0", "intensities-1"]);
+    assert!(["intensities-0", "intensities-1", "input-0", "input-1"].iter().all(|id| within.contains(id)));
     assert!(within.iter().all(|id| ids.contains(id)), "{ids:?}");
 
     assert_eq!(self::report(&place, &["out"]), Outcome::success());
@@ -360,7 +379,7 @@ fn a_browser_shows_the_page() {
         }
         assert_eq!(found["wide"], false, "{look:?}: the page scrolls horizontally");
         let images = found["images"].as_array().unwrap();
-        assert!(images.len() == 2 && images.iter().all(|size| size[0].as_u64() > Some(20)), "{images:?}");
+        assert!(images.len() == 4 && images.iter().all(|size| size[0].as_u64() > Some(20)), "{images:?}");
         assert!(found["texts"].as_u64().unwrap() > 200, "{}", found["texts"]);
         let wanted = match look {
             Look::Light => "rgb(255, 255, 255)",
@@ -412,4 +431,20 @@ fn what_is_no_report_is_said() {
     let several =
         ".: several reports in this folder: a_report.json and b_report.json; give the report of a run";
     refused(".", several);
+}
+
+/// A report of an earlier version, without the newer parts of the overview, still makes a page.
+#[test]
+fn a_report_without_newer_fields_has_a_page() {
+    let (place, mut report) = run();
+    let overview = report["inputs"][0]["overview"].as_object_mut().unwrap();
+    let newer = ["points", "times", "flight"];
+    assert!(newer.iter().all(|field| overview.remove(*field).is_some()));
+    assert!(overview["map"].as_object_mut().unwrap().remove("densities").is_some());
+    place.write("old.json", serde_json::to_string(&report).unwrap().as_bytes());
+    assert_eq!(self::report(&place, &["old.json", "-o", "old.html"]), Outcome::success());
+    let page = place.text("old.html");
+    elements(&page);
+    assert!(page.contains("mean pulse density: 0 pulses, 100 needed"));
+    assert!(page.contains("<h3>Points by height") && !page.contains("<h3>Extent"));
 }

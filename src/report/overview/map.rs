@@ -49,8 +49,69 @@ pub struct MapPicture {
     pub zone_range: [f64; 2],
     /// Median density of the cells with points, points per square unit.
     pub median_density: f64,
+    /// Densities per square metre.
+    #[serde(default)]
+    pub densities: Option<Densities>,
     /// Some scan lines, in order.
     pub lines: Vec<MapLine>,
+}
+
+/// Densities of the cells with points.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct Densities {
+    /// Area of these cells, m².
+    pub area_m2: f64,
+    /// Number of these cells.
+    pub cells: u64,
+    /// Pulses: first returns.
+    pub pulses: Density,
+    /// Points: all returns.
+    pub points: Density,
+}
+
+/// Density of one kind.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct Density {
+    /// Number in all cells.
+    pub count: u64,
+    /// Mean, per m².
+    pub mean_per_m2: f64,
+    /// Density that 5 %, 50 % and 95 % of the cells do not exceed, per m².
+    pub quantiles_per_m2: [f64; 3],
+    /// Densities of the cells as colours.
+    pub picture: Picture,
+    /// Densities of the first and last colour, per m².
+    pub range_per_m2: [f64; 2],
+}
+
+impl Densities {
+    fn of(cells: &[Cell], columns: usize, cell_m2: f64) -> Densities {
+        let with_points: Vec<&Cell> = cells.iter().filter(|cell| cell.points > 0).collect();
+        let area_m2 = with_points.len() as f64 * cell_m2;
+        let density = |count: fn(&Cell) -> u64| {
+            let mut counts: Vec<u64> = with_points.iter().map(|cell| count(cell)).collect();
+            counts.sort_unstable();
+            let at = |part: f64| counts.get((part * counts.len().saturating_sub(1) as f64).round() as usize);
+            let sum: u64 = counts.iter().sum();
+            let values: Vec<Option<f64>> =
+                cells.iter().map(|cell| (cell.points > 0).then(|| count(cell) as f64 / cell_m2)).collect();
+            let (picture, range_per_m2) = Picture::of(&values, columns, &HEIGHTS);
+            Density {
+                count: sum,
+                mean_per_m2: sum as f64 / area_m2.max(f64::MIN_POSITIVE),
+                quantiles_per_m2: [0.05, 0.5, 0.95]
+                    .map(|part| at(part).copied().unwrap_or(0) as f64 / cell_m2),
+                picture,
+                range_per_m2,
+            }
+        };
+        Densities {
+            area_m2,
+            cells: with_points.len() as u64,
+            pulses: density(|cell| cell.pulses),
+            points: density(|cell| cell.points),
+        }
+    }
 }
 
 /// A scan line in the map.
@@ -114,6 +175,8 @@ impl Grid {
         let all: u64 = self.cells.iter().map(|cell| cell.points).sum();
         let edge = self.edge();
         let (west, south) = (x[0] as f64 * edge, y[0] as f64 * edge);
+        let middle = 0.5 * (y[0] + y[1] + 1) as f64 * edge;
+        let cell_m2 = edge * edge * view.square_unit_m2(middle);
         let scan_line = |(line, places): (u32, Vec<[f64; 2]>)| MapLine {
             line,
             places: places.into_iter().flat_map(|[x, y]| [(x - west) / edge, (y - south) / edge]).collect(),
@@ -135,6 +198,7 @@ impl Grid {
             zones: zones.map(|(picture, _)| picture),
             zone_range,
             median_density: self.median_points(bulk) as f64 / (edge * edge),
+            densities: Some(Densities::of(&cells, columns as usize, cell_m2)),
             lines: self.lines.into_iter().map(scan_line).collect(),
         })
     }
@@ -275,6 +339,30 @@ mod tests {
         assert_eq!(filled([2.0, 2.0]), Some((2.0, 0.25)));
         // Lines 3 m apart: cells between them stay empty until they are larger than that.
         assert_eq!(filled([1.0, 3.0]).map(|(cell, _)| cell), Some(4.0));
+    }
+
+    #[test]
+    fn densities_are_per_square_metre() {
+        let of = |wkt: &str| {
+            let input = InputInfo { crs_wkt: Some(wkt.to_owned()), ..InputInfo::default() };
+            let mut grid = Grid::default();
+            let numbers = [1, 2, 1];
+            let returns = numbers.map(|return_number| Return { return_number, ..Return::default() });
+            grid.add_line(0, &input, &returns, &[[0.5, 0.5, 0.0], [0.5, 0.5, 1.0], [1.5, 0.5, 0.0]]);
+            let mut finished = grid;
+            while finished.edge() < 1.0 {
+                finished.coarsen();
+            }
+            finished.finish().and_then(|picture| picture.densities).unwrap()
+        };
+        let found = of("");
+        assert_eq!((found.area_m2, found.cells), (2.0, 2));
+        assert_eq!((found.pulses.count, found.pulses.mean_per_m2), (2, 1.0));
+        assert_eq!((found.points.mean_per_m2, found.points.quantiles_per_m2), (1.5, [1.0, 2.0, 2.0]));
+        let in_feet = of("PROJCS[UNIT[\"US survey foot\",0.3048]]");
+        assert!((in_feet.area_m2 - 2.0 * 0.092_903_04).abs() < 1e-12);
+        let in_degrees = of("GEOGCS[]");
+        assert!((in_degrees.area_m2 / 2.47e10 - 1.0).abs() < 0.01, "{}", in_degrees.area_m2);
     }
 
     /// The cell size is 4.

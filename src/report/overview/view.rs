@@ -5,6 +5,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::scan_line::InputInfo;
 
+/// Name of a coordinate reference system: the first string in its WKT.
+pub(crate) fn crs_name(wkt: &str) -> String {
+    wkt.split('"').nth(1).filter(|name| !name.is_empty()).unwrap_or("unnamed").to_owned()
+}
+
 /// Coordinates of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -20,7 +25,7 @@ pub enum MapAxes {
 
 /// Conversion of coordinates to map positions.
 #[derive(Clone, Debug)]
-pub(in crate::report) enum View {
+pub(crate) enum View {
     Map { axes: MapAxes, unit: &'static str },
     Plane { origin: [f64; 3], axes: [[f64; 3]; 3] },
 }
@@ -29,12 +34,16 @@ pub(in crate::report) enum View {
 const EARTH_M: [f64; 2] = [6.33e6, 6.39e6];
 /// Upper limit of projected heights, m; geocentric z values are below it only near the equator.
 const MAP_HEIGHT_M: f64 = 1e5;
+/// Length of a degree on the sphere, m: areas are accurate to 1 %.
+const DEGREE_M: f64 = 111_195.0;
+/// Length of a foot, m; that of the US survey differs by 2e-6.
+const FOOT_M: f64 = 0.3048;
 /// Spacing of the possible tangent points, m, so that all points of a site share one.
 const PLANES_M: f64 = 20_000.0;
 
 impl View {
     /// The view for a recording with this point.
-    pub(in crate::report) fn of(input: &InputInfo, point: [f64; 3]) -> View {
+    pub(crate) fn of(input: &InputInfo, point: [f64; 3]) -> View {
         let length = dot(point, point).sqrt();
         if point[2].abs() > MAP_HEIGHT_M && EARTH_M[0] < length && length < EARTH_M[1] {
             return View::plane(point.map(|coordinate| (coordinate / PLANES_M).round() * PLANES_M));
@@ -61,7 +70,7 @@ impl View {
     }
 
     /// Map position of a point: east, north, height.
-    pub(in crate::report) fn place(&self, point: [f64; 3]) -> [f64; 3] {
+    pub(crate) fn place(&self, point: [f64; 3]) -> [f64; 3] {
         match self {
             View::Map { .. } => point,
             View::Plane { origin, axes } => {
@@ -71,7 +80,7 @@ impl View {
         }
     }
 
-    pub(in crate::report) fn axes(&self) -> MapAxes {
+    pub(crate) fn axes(&self) -> MapAxes {
         match self {
             View::Map { axes, .. } => *axes,
             View::Plane { .. } => MapAxes::Plane,
@@ -79,10 +88,19 @@ impl View {
     }
 
     /// Unit of the east and north coordinates.
-    pub(in crate::report) fn unit(&self) -> &'static str {
+    pub(crate) fn unit(&self) -> &'static str {
         match self {
             View::Map { unit, .. } => unit,
             View::Plane { .. } => "m",
+        }
+    }
+
+    /// Area of a square unit at this north coordinate, m².
+    pub(crate) fn square_unit_m2(&self, north: f64) -> f64 {
+        match (self.axes(), self.unit()) {
+            (MapAxes::Degrees, _) => DEGREE_M * DEGREE_M * libm::cos(north.to_radians()),
+            (_, "ft") => FOOT_M * FOOT_M,
+            _ => 1.0,
         }
     }
 }

@@ -3,8 +3,9 @@
 use maud::{Markup, html};
 use serde_json::Value;
 
+use super::details::of_channels;
 use super::plot::{Plot, short, ticks};
-use super::{figure, group, list, of_channels, of_sensor, plain, table};
+use super::{figure, figures, list, of_sensor, plain, table};
 use crate::report::svg::Svg;
 
 /// A measured quantity: path in the entry of an input, title, unit.
@@ -26,7 +27,7 @@ const QUANTITIES: [(&str, &str, &str); 12] = [
 /// Shows how the sensor model changes along a survey; empty without a model of the survey.
 pub(in crate::report) fn of_survey(survey: &Value) -> Markup {
     let inputs = list(survey, "inputs");
-    let figures: Vec<Markup> = QUANTITIES
+    let drawn: Vec<Markup> = QUANTITIES
         .iter()
         .filter_map(|(path, title, unit)| {
             let svg = along(inputs, path, title, unit)?;
@@ -71,10 +72,11 @@ pub(in crate::report) fn of_survey(survey: &Value) -> Markup {
     ];
     html! {
         @for instrument in instruments {
-            (of_sensor(&instrument["sensor_model"]))
+            h2.group { "Sensor model of the survey" }
+            (of_sensor(&instrument["sensor_model"]).body)
             div.sections { (of_channels(&instrument["sensor_model"])) }
         }
-        (group("Drift of the sensor", "", &figures))
+        @if !drawn.is_empty() { h2.group { "Drift of the sensor" } (figures("", &drawn)) }
         (table("Sensor model by input (low-power receiver)", &heads, rows))
     }
 }

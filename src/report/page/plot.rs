@@ -3,39 +3,36 @@
 use crate::report::svg::{Anchor, Scale, Svg};
 
 /// Width of a figure, SVG units.
-pub(in crate::report) const WIDTH: f64 = 560.0;
+pub(crate) const WIDTH: f64 = 560.0;
 
 /// A framed area with its scales; logarithmic scales are in decades.
-pub(in crate::report) struct Plot {
-    pub(in crate::report) x: Scale,
-    pub(in crate::report) y: Scale,
+pub(crate) struct Plot {
+    pub(crate) x: Scale,
+    pub(crate) y: Scale,
 }
 
 /// Axis position and its label.
-pub(in crate::report) type Tick = (f64, String);
+pub(crate) type Tick = (f64, String);
 
 impl Plot {
     /// Creates a plot of the usual size with these axis ranges.
-    pub(in crate::report) fn new(x: [f64; 2], y: [f64; 2]) -> Plot {
-        Plot { x: Scale { from: x, to: [70.0, 546.0] }, y: Scale { from: y, to: [214.0, 14.0] } }
+    pub(crate) fn new(x: [f64; 2], y: [f64; 2]) -> Plot {
+        Plot { x: Scale { from: x, to: [92.0, 546.0] }, y: Scale { from: y, to: [214.0, 14.0] } }
     }
 
-    pub(in crate::report) fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+    pub(crate) fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let within = |value: f64, [a, b]: [f64; 2]| value.clamp(a.min(b), a.max(b));
         [within(self.x.at(x), self.x.to), within(self.y.at(y), self.y.to)]
     }
 
     /// Keeps points within the horizontal axis range and scales them.
-    pub(in crate::report) fn inside(
-        &self,
-        points: impl Iterator<Item = [f64; 2]>,
-    ) -> impl Iterator<Item = [f64; 2]> {
+    pub(crate) fn inside(&self, points: impl Iterator<Item = [f64; 2]>) -> impl Iterator<Item = [f64; 2]> {
         let [low, high] = self.x.from;
         points.filter(move |[x, _]| (low..=high).contains(x)).map(|point| self.at(point))
     }
 
     /// Draws grid lines and labels of the horizontal axis.
-    pub(in crate::report) fn grid_x(&self, svg: &mut Svg, ticks: Vec<Tick>) {
+    pub(crate) fn grid_x(&self, svg: &mut Svg, ticks: Vec<Tick>) {
         let [bottom, top] = self.y.to;
         for (value, text) in ticks {
             let x = self.x.at(value);
@@ -45,7 +42,7 @@ impl Plot {
     }
 
     /// Draws grid lines and labels of the vertical axis.
-    pub(in crate::report) fn grid_y(&self, svg: &mut Svg, ticks: Vec<Tick>) {
+    pub(crate) fn grid_y(&self, svg: &mut Svg, ticks: Vec<Tick>) {
         let [left, right] = self.x.to;
         for (value, text) in ticks {
             let y = self.y.at(value);
@@ -55,28 +52,28 @@ impl Plot {
     }
 
     /// Draws grid lines at round values of both axes.
-    pub(in crate::report) fn grid(&self, svg: &mut Svg) {
+    pub(crate) fn grid(&self, svg: &mut Svg) {
         self.grid_y(svg, ticks(&self.y, 5.0));
         self.grid_x(svg, ticks(&self.x, 6.0));
     }
 
     /// Draws the frame and the axis titles.
-    pub(in crate::report) fn frame(&self, svg: &mut Svg, x: &str, y: &str) {
+    pub(crate) fn frame(&self, svg: &mut Svg, x: &str, y: &str) {
         let ([left, right], [bottom, top]) = (self.x.to, self.y.to);
         svg.rect("frame", [left, top], [right, bottom]);
         svg.text("", [0.5 * (left + right), bottom + 38.0], Anchor::Middle, x);
-        svg.upright_text("", [13.0, 0.5 * (top + bottom)], y);
+        svg.upright_text("", [17.0, 0.5 * (top + bottom)], y);
     }
 
     /// Draws the frame and returns the figure.
-    pub(in crate::report) fn finish(&self, mut svg: Svg, title: &str, x: &str, y: &str) -> String {
+    pub(crate) fn finish(&self, mut svg: Svg, title: &str, x: &str, y: &str) -> String {
         self.frame(&mut svg, x, y);
         svg.inline(WIDTH, self.y.to[0] + 50.0, title)
     }
 }
 
 /// Round values on a scale, about `wanted`.
-pub(in crate::report) fn ticks(scale: &Scale, wanted: f64) -> Vec<Tick> {
+pub(crate) fn ticks(scale: &Scale, wanted: f64) -> Vec<Tick> {
     let (values, digits) = scale.ticks(wanted);
     values.into_iter().map(|value| (value, label(value, digits))).collect()
 }
@@ -84,7 +81,7 @@ pub(in crate::report) fn ticks(scale: &Scale, wanted: f64) -> Vec<Tick> {
 /// Powers of ten within these decades.
 ///
 /// Short ranges also get 2 and 5 times each power.
-pub(in crate::report) fn decades([low, high]: [f64; 2]) -> Vec<Tick> {
+pub(crate) fn decades([low, high]: [f64; 2]) -> Vec<Tick> {
     let steps: &[f64] = if high - low > 2.5 { &[1.0] } else { &[1.0, 2.0, 5.0] };
     let powers = (low.floor().max(-300.0) as i32)..=(high.ceil().min(300.0) as i32);
     let all = powers
@@ -99,7 +96,7 @@ pub(in crate::report) fn decades([low, high]: [f64; 2]) -> Vec<Tick> {
 }
 
 /// Axis label; groups thousands from five digits on.
-pub(in crate::report) fn label(value: f64, digits: usize) -> String {
+pub(crate) fn label(value: f64, digits: usize) -> String {
     let text = format!("{:.digits$}", value.abs());
     let is_zero = text.chars().all(|character| matches!(character, '0' | '.'));
     let (whole, rest) =
@@ -116,7 +113,7 @@ pub(in crate::report) fn label(value: f64, digits: usize) -> String {
 }
 
 /// Formats a value with about three significant digits.
-pub(in crate::report) fn short(value: f64) -> String {
+pub(crate) fn short(value: f64) -> String {
     let size = value.abs().max(1e-12).log10().floor();
     let digits = (2.0 - size).clamp(0.0, 6.0) as usize;
     let text = label(value, digits);

@@ -1,8 +1,9 @@
 //! Figures of a run's results: counts along the flight, histograms, map views.
 
+use super::map_frame::MapFrame;
 use super::plot::{Plot, WIDTH, decades, label, short, ticks};
 use crate::report::overview::{
-    LineGroups, MapAxes, MapLine, MapPicture, Picture, QuantityHistogram, ZoneCloud, ZoneClouds,
+    Density, LineGroups, MapAxes, MapLine, MapPicture, Picture, QuantityHistogram, ZoneCloud, ZoneClouds,
 };
 use crate::report::svg::{Anchor, Scale, Svg};
 
@@ -33,7 +34,7 @@ pub(super) fn along(groups: &LineGroups) -> Option<String> {
             [[left, *value], [left + width, *value]]
         });
         svg.curve(class, steps.map(|corner| plot.at(corner)));
-        let x = 86.0 + 110.0 * i as f64;
+        let x = 104.0 + 140.0 * i as f64;
         svg.curve(class, [[x, 26.0], [x + 22.0, 26.0]].into_iter());
         svg.text("", [x + 28.0, 30.0], Anchor::Start, name);
     }
@@ -45,7 +46,9 @@ pub(super) fn along(groups: &LineGroups) -> Option<String> {
 const TAIL: f64 = 0.0005;
 
 /// Draws a histogram with its statistics as text; `None` if all values are outside its bins.
-pub(super) fn histogram(histogram: &QuantityHistogram) -> Option<(String, String)> {
+///
+/// `items`: what is counted.
+pub(super) fn histogram(histogram: &QuantityHistogram, items: &str) -> Option<(String, String)> {
     let on_axis = |value: f64| if histogram.logarithmic { value.log10() } else { value };
     let ends = [TAIL, 1.0 - TAIL].map(|part| histogram.quantile(part));
     let first = histogram.bins().next()?.0[0];
@@ -74,29 +77,24 @@ pub(super) fn histogram(histogram: &QuantityHistogram) -> Option<(String, String
     }
     let unit = if histogram.unit.is_empty() { String::new() } else { format!(", {}", histogram.unit) };
     let name = format!("{}{unit}", histogram.quantity);
-    Some((plot.finish(svg, &name, &name, "returns"), in_words(histogram)))
+    Some((plot.finish(svg, &name, &name, items), in_words(histogram, items)))
 }
 
-fn in_words(histogram: &QuantityHistogram) -> String {
+fn in_words(histogram: &QuantityHistogram, items: &str) -> String {
     let at = |part: f64| histogram.quantile(part).map(short);
     let count = label(histogram.total() as f64, 0);
     match (at(0.05), at(0.5), at(0.95)) {
         (Some(low), Some(median), Some(high)) => {
             let unit = format!(" {}", histogram.unit);
             let unit = unit.trim_end();
-            format!("{count} returns; median {median}{unit} (dashed), 90 % interval {low} to {high}{unit}")
+            format!("{count} {items}; median {median}{unit} (dashed), 90 % interval {low} to {high}{unit}")
         }
-        _ => format!("{count} returns"),
+        _ => format!("{count} {items}"),
     }
 }
 
-/// Maximum size of a map view, SVG units.
-const MAP: [f64; 2] = [460.0, 420.0];
-const MAP_LEFT: f64 = 86.0;
-const MAP_TOP: f64 = 10.0;
-
 /// Axis labels of a map view; `frame` is the frame of the input.
-pub(super) fn axes(map: &MapPicture, frame: Option<&str>) -> [String; 2] {
+fn axes(map: &MapPicture, frame: Option<&str>) -> [String; 2] {
     let names = match (map.axes, frame) {
         (MapAxes::Degrees, _) => return ["longitude, degrees", "latitude, degrees"].map(str::to_owned),
         (MapAxes::Coordinates, Some("scanner" | "body")) => ["x", "y"],
@@ -105,14 +103,15 @@ pub(super) fn axes(map: &MapPicture, frame: Option<&str>) -> [String; 2] {
     names.map(|name| format!("{name}, {}", map.unit))
 }
 
-/// Frame of a map view, with the grid of its coordinates.
-struct MapFrame<'m> {
-    axes: &'m [String; 2],
-    plot: Plot,
+/// Map views of an input.
+pub(super) struct MapView<'m> {
+    map: &'m MapPicture,
+    frame: MapFrame,
 }
 
-impl<'m> MapFrame<'m> {
-    fn new(map: &MapPicture, axes: &'m [String; 2]) -> MapFrame<'m> {
+impl<'m> MapView<'m> {
+    /// The views of a map; `frame` is the frame of the input.
+    pub(super) fn new(map: &'m MapPicture, frame: Option<&str>) -> MapView<'m> {
         let [width, height] = [map.columns, map.rows].map(|cells| f64::from(cells.max(1)));
         let [east, north] = [map.west + width * map.cell, map.south + height * map.cell];
         // A degree of longitude is shorter than a degree of latitude.
@@ -120,87 +119,76 @@ impl<'m> MapFrame<'m> {
             MapAxes::Degrees => (0.5 * (map.south + north)).to_radians().cos().max(0.02),
             MapAxes::Coordinates | MapAxes::Plane => 1.0,
         };
-        let size = (MAP[0] / (width * slimmer)).min(MAP[1] / height);
-        let (right, bottom) = (MAP_LEFT + width * slimmer * size, MAP_TOP + height * size);
-        let plot = Plot {
-            x: Scale { from: [map.west, east], to: [MAP_LEFT, right.max(MAP_LEFT + 40.0)] },
-            y: Scale { from: [map.south, north], to: [bottom.max(MAP_TOP + 40.0), MAP_TOP] },
+        let frame = MapFrame::new([map.west, east], [map.south, north], slimmer, axes(map, frame));
+        MapView { map, frame }
+    }
+
+    /// Width of each picture, SVG units.
+    pub(super) fn width(&self) -> f64 {
+        self.frame.width()
+    }
+
+    /// Draws the map coloured by one attribute.
+    fn coloured(
+        &self,
+        id: &str,
+        picture: &Picture,
+        colours: &[String],
+        range: [f64; 2],
+        name: &str,
+    ) -> String {
+        let mut svg = Svg::new();
+        self.frame.image(&mut svg, id, picture);
+        self.frame.grid(&mut svg);
+        let [low, high] = range.map(short);
+        let unit = name.rsplit_once(", ").map_or(String::new(), |(_, unit)| format!(" {unit}"));
+        self.frame.finish(svg, &format!("Points by {name}"), Some((colours, [low, high + &unit])))
+    }
+
+    /// Coloured by height.
+    pub(super) fn heights(&self, id: &str) -> String {
+        let (picture, range) = (&self.map.heights, self.map.height_range_m);
+        self.coloured(id, picture, &MapPicture::height_colours(), range, "height, m")
+    }
+
+    /// Coloured by intensity; other figures reuse the image as `id`.
+    pub(super) fn intensities(&self, id: &str) -> String {
+        let (picture, range) = (&self.map.intensities, self.map.intensity_range);
+        self.coloured(id, picture, &MapPicture::intensity_colours(), range, "intensity")
+    }
+
+    /// Coloured by the density of pulses or points.
+    pub(super) fn density(&self, density: &Density, kind: &str, id: &str) -> String {
+        let name = format!("{kind} density, per m²");
+        self.coloured(id, &density.picture, &MapPicture::height_colours(), density.range_per_m2, &name)
+    }
+
+    /// Coloured by MTA zone; `None` if all points are in zone 0.
+    pub(super) fn zones(&self, id: &str) -> Option<String> {
+        let picture = self.map.zones.as_ref()?;
+        Some(self.coloured(id, picture, &MapPicture::height_colours(), self.map.zone_range, "MTA zone"))
+    }
+
+    /// Draws some scan lines over the image with the id `below`.
+    pub(super) fn swath(&self, below: &str) -> Option<String> {
+        let map = self.map;
+        let place = |places: &[f64]| match places {
+            [x, y] => Some(self.frame.plot.at([map.west + x * map.cell, map.south + y * map.cell])),
+            _ => None,
         };
-        MapFrame { axes, plot }
-    }
-
-    /// Draws the grid lines above the image.
-    fn grid(&self, svg: &mut Svg) {
-        let [width, height] = [self.plot.x, self.plot.y].map(|scale| (scale.to[1] - scale.to[0]).abs());
-        self.plot.grid_x(svg, ticks(&self.plot.x, (width / 95.0).max(1.0)));
-        self.plot.grid_y(svg, ticks(&self.plot.y, (height / 60.0).max(1.0)));
-    }
-
-    fn finish(&self, mut svg: Svg, title: &str, below: f64) -> String {
-        let [x, y] = self.axes;
-        self.plot.frame(&mut svg, x, y);
-        svg.inline(WIDTH, self.plot.y.to[0] + 46.0 + below, title)
-    }
-
-    /// Draws the colour scale.
-    fn colours(&self, svg: &mut Svg, colours: &[String], [low, high]: [f64; 2], name: &str) {
-        let top = self.plot.y.to[0] + 52.0;
-        let each = 180.0 / colours.len().max(1) as f64;
-        for (i, colour) in colours.iter().enumerate() {
-            let left = MAP_LEFT + each * i as f64;
-            svg.swatch(colour, [left, top], [left + each, top + 12.0]);
+        let places = |line: &MapLine| line.places.chunks(2).filter_map(place).collect::<Vec<[f64; 2]>>();
+        let lines: Vec<Vec<[f64; 2]>> = map.lines.iter().map(places).collect();
+        let mut svg = Svg::new();
+        svg.again("under", below);
+        self.frame.grid(&mut svg);
+        for line in lines.iter().step_by(lines.len().div_ceil(MOST_LINES).max(1)) {
+            svg.curve("scan", line.iter().copied());
         }
-        svg.text("", [MAP_LEFT - 7.0, top + 10.5], Anchor::End, &short(low));
-        svg.text("", [MAP_LEFT + 187.0, top + 10.5], Anchor::Start, &format!("{}   {name}", short(high)));
+        let middle = |line: &Vec<[f64; 2]>| line.get(line.len() / 2).copied();
+        let first = lines.first().and_then(middle)?;
+        svg.circle("begin", first, 5.0);
+        Some(self.frame.finish(svg, "Swath on the map grid", None))
     }
-}
-
-/// Draws a map view coloured by one attribute.
-fn coloured(
-    frame: &MapFrame,
-    id: &str,
-    picture: &Picture,
-    colours: &[String],
-    range: [f64; 2],
-    name: &str,
-) -> String {
-    let mut svg = Svg::new();
-    let ([left, right], [bottom, top]) = (frame.plot.x.to, frame.plot.y.to);
-    svg.image(id, &picture.data_url(), [left, top], [right, bottom]);
-    frame.grid(&mut svg);
-    frame.colours(&mut svg, colours, range, name);
-    frame.finish(svg, &format!("Points by {name}"), 34.0)
-}
-
-/// Draws the map view coloured by height.
-pub(super) fn heights(map: &MapPicture, axes: &[String; 2], id: &str) -> String {
-    coloured(
-        &MapFrame::new(map, axes),
-        id,
-        &map.heights,
-        &MapPicture::height_colours(),
-        map.height_range_m,
-        "height, m",
-    )
-}
-
-/// Draws the map view coloured by intensity; other figures reuse the image as `id`.
-pub(super) fn intensities(map: &MapPicture, axes: &[String; 2], id: &str) -> String {
-    coloured(
-        &MapFrame::new(map, axes),
-        id,
-        &map.intensities,
-        &MapPicture::intensity_colours(),
-        map.intensity_range,
-        "intensity",
-    )
-}
-
-/// Draws the map view coloured by MTA zone; `None` if all points are in zone 0.
-pub(super) fn zones(map: &MapPicture, axes: &[String; 2], id: &str) -> Option<String> {
-    let (frame, colours) = (MapFrame::new(map, axes), MapPicture::height_colours());
-    let picture = map.zones.as_ref()?;
-    Some(coloured(&frame, id, picture, &colours, map.zone_range, "MTA zone"))
 }
 
 /// Cell size of one small scatter plot, SVG units.
@@ -249,27 +237,6 @@ fn one_cloud(svg: &mut Svg, cloud: &ZoneCloud, [left, top]: [f64; 2], [right, bo
 /// Maximum number of scan lines drawn.
 const MOST_LINES: usize = 16;
 
-/// Draws some scan lines over the image with the id `below`.
-pub(super) fn swath(map: &MapPicture, axes: &[String; 2], below: &str) -> Option<String> {
-    let frame = MapFrame::new(map, axes);
-    let place = |places: &[f64]| match places {
-        [x, y] => Some(frame.plot.at([map.west + x * map.cell, map.south + y * map.cell])),
-        _ => None,
-    };
-    let places = |line: &MapLine| line.places.chunks(2).filter_map(place).collect::<Vec<[f64; 2]>>();
-    let lines: Vec<Vec<[f64; 2]>> = map.lines.iter().map(places).collect();
-    let mut svg = Svg::new();
-    svg.again("under", below);
-    frame.grid(&mut svg);
-    for line in lines.iter().step_by(lines.len().div_ceil(MOST_LINES).max(1)) {
-        svg.curve("scan", line.iter().copied());
-    }
-    let middle = |line: &Vec<[f64; 2]>| line.get(line.len() / 2).copied();
-    let first = lines.first().and_then(middle)?;
-    svg.circle("begin", first, 5.0);
-    Some(frame.finish(svg, "Swath on the map grid", 0.0))
-}
-
 /// Caption of a map view: coordinates, cell size, density.
 pub(super) fn about(map: &MapPicture, coordinates: Option<&str>) -> String {
     let mut text = match (map.axes, coordinates) {
@@ -281,9 +248,6 @@ pub(super) fn about(map: &MapPicture, coordinates: Option<&str>) -> String {
     };
     let unit = &map.unit;
     text += &format!("; cells of {} {unit}", short(map.cell));
-    if map.axes != MapAxes::Degrees {
-        text += &format!(", median density {} points per {unit}²", short(map.median_density));
-    }
     if map.outside > 0 {
         text += &format!("; points outside the picture: {}", label(map.outside as f64, 0));
     }

@@ -5,17 +5,19 @@ use serde_json::Value;
 use super::plot::{Plot, WIDTH, ticks};
 use crate::report::svg::{Anchor, Scale, Svg};
 
-const LEFT: f64 = 110.0;
+const LEFT: f64 = 150.0;
 const RIGHT: f64 = 546.0;
 /// Height of a stage's row, SVG units.
 const ROW: f64 = 26.0;
 
 /// Draws working, waiting and blocked time of each stage as stacked bars.
-pub(super) fn times(stages: &[Value]) -> String {
+///
+/// `None` if no stage worked.
+pub(super) fn times(stages: &[Value]) -> Option<String> {
     let seconds = |stage: &Value, key: &str| stage[key].as_f64().unwrap_or(0.0).max(0.0);
     let parts = ["working", "waiting", "blocked"];
     let sum = |stage: &Value| parts.iter().map(|part| seconds(stage, &format!("{part}_s"))).sum::<f64>();
-    let longest = stages.iter().map(sum).fold(1e-9, f64::max);
+    let longest = stages.iter().map(sum).reduce(f64::max).filter(|longest| *longest > 1e-6)?;
     let x = Scale { from: [0.0, longest], to: [LEFT, RIGHT] };
     let mut svg = Svg::new();
     for (index, part) in parts.iter().enumerate() {
@@ -39,7 +41,7 @@ pub(super) fn times(stages: &[Value]) -> String {
             from = until;
         }
     }
-    svg.inline(WIDTH, bottom + 26.0, "time per stage")
+    Some(svg.inline(WIDTH, bottom + 26.0, "time per stage"))
 }
 
 /// A response is drawn as far as it exceeds this fraction of its peak.
@@ -72,10 +74,10 @@ pub(super) fn response(response: &Value) -> Option<String> {
     let errors = numbers(&response["template_error"]);
     let points = errors.iter().enumerate().map(|(i, error)| [first + i as f64, *error]);
     svg.curve("found", plot.inside(points));
-    svg.curve("returns", [[400.0, 28.0], [422.0, 28.0]].into_iter());
-    svg.text("", [428.0, 32.0], Anchor::Start, "response");
-    svg.curve("found", [[400.0, 46.0], [422.0, 46.0]].into_iter());
-    svg.text("", [428.0, 50.0], Anchor::Start, "shape error");
+    svg.curve("returns", [[380.0, 28.0], [402.0, 28.0]].into_iter());
+    svg.text("", [408.0, 32.0], Anchor::Start, "response");
+    svg.curve("found", [[380.0, 48.0], [402.0, 48.0]].into_iter());
+    svg.text("", [408.0, 52.0], Anchor::Start, "shape error");
     Some(plot.finish(svg, "system response", "samples from the peak", "fraction of the peak"))
 }
 

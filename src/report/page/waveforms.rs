@@ -19,8 +19,8 @@ pub(super) fn figure(shot: &ShownShot) -> Markup {
     let blocks: Vec<&FittedBlock> = shot.blocks.iter().collect();
     panels.draw(&mut svg, &blocks);
     svg.text("", [305.0, 344.0], Anchor::Middle, "time of flight, ns");
-    svg.upright_text("", [13.0, 110.0], "digitiser steps, DN");
-    svg.upright_text("", [13.0, 268.0], "residual, SD");
+    svg.upright_text("", [17.0, 110.0], "digitiser steps, DN");
+    svg.upright_text("", [17.0, 268.0], "residual, SD");
     let title = title(shot);
     let picture = svg.inline(WIDTH, 352.0, &title);
     let rows = shot.returns.iter().take(MOST_RETURNS).map(cells);
@@ -29,7 +29,7 @@ pub(super) fn figure(shot: &ShownShot) -> Markup {
         figure {
             h3 { (title) }
             (PreEscaped(picture))
-            (wide_table(&["", "range, m", "amplitude, DN", "width ratio", "flags"], rows))
+            (wide_table("Returns of the shot", &["return", "range, m", "amplitude, DN", "width ratio", "flags"], rows))
             @if more > 0 { p.about { "and " (more) " more" } }
         }
     }
@@ -61,24 +61,31 @@ fn cells(found: &ShownReturn) -> Vec<String> {
     ]
 }
 
-/// Draws the legend of the waveform figures.
+/// Legend of the waveform figures: a small picture and a text for each mark.
 pub(super) fn legend() -> Markup {
-    let mut svg = Svg::new();
-    let lines =
-        [("fit", "fit"), ("pulse", "one return's pulse"), ("level", "background"), ("limit", FAR_LABEL)];
-    let mut x = 6.0;
-    for (class, text) in lines {
-        svg.line(class, [x, 14.0], [x + 24.0, 14.0]);
-        svg.text("", [x + 31.0, 18.0], Anchor::Start, text);
-        x += 58.0 + 6.6 * text.len() as f64;
+    let line = |class: &str| {
+        let mut svg = Svg::new();
+        svg.line(class, [2.0, 8.0], [30.0, 8.0]);
+        svg
+    };
+    let dot = |class: &str| {
+        let mut svg = Svg::new();
+        svg.circle(class, [16.0, 8.0], 3.4);
+        svg
+    };
+    let mut band = Svg::new();
+    band.rect("one", [2.0, 2.0], [30.0, 14.0]);
+    let marks = [
+        (line("fit"), "fit"),
+        (line("pulse"), "pulse of one return"),
+        (line("level"), "background"),
+        (line("limit"), FAR_LABEL),
+        (dot("sample"), "sample"),
+        (dot("sat"), "saturated sample"),
+        (dot("left"), "sample not used"),
+        (band, "± 1 standard deviation"),
+    ];
+    html! {
+        ul.legend { @for (mark, text) in marks { li { (PreEscaped(mark.inline(32.0, 16.0, text))) (text) } } }
     }
-    for (class, text) in [("sample", "sample"), ("sat", "saturated sample"), ("left", "sample not used")] {
-        svg.circle(class, [x + 5.0, 14.0], 3.4);
-        svg.text("", [x + 15.0, 18.0], Anchor::Start, text);
-        x += 42.0 + 6.6 * text.len() as f64;
-    }
-    svg.rect("one", [x, 7.0], [x + 24.0, 21.0]);
-    svg.text("", [x + 31.0, 18.0], Anchor::Start, "± 1 standard deviation");
-    let picture = svg.inline(x + 190.0, 28.0, "legend of the waveform figures");
-    html! { div.legend { (PreEscaped(picture)) } }
 }

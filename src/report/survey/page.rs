@@ -6,8 +6,13 @@ use serde_json::json;
 use super::mosaic::Pictures;
 use super::strip::{MOST_RETURNS, UNEXPLAINED};
 use super::{StripFacts, Survey, SurveyStrip};
+use crate::report::page::drift;
+use crate::report::page::part::{
+    Part, figure, head, maps as map_figures, section, table, tiles, with_contents,
+};
 use crate::report::page::plot::{label, short};
-use crate::report::page::{drift, figure, group, head, section, table};
+use crate::report::page::words;
+use crate::report::verdict::{self, Check};
 
 mod figures;
 
@@ -20,41 +25,108 @@ const OFFSET: f64 = 0.25;
 
 /// Renders a survey; `pictures` exist if any strip has cells.
 pub(super) fn page(survey: &Survey, pictures: Option<&Pictures>) -> String {
+    let parts = [
+        Part::new("Coverage and density", html! { (maps(survey, pictures)) (gaps(survey)) })
+            .judged(coverage_checks(survey)),
+        Part::new("Height differences", differences(survey)).judged(difference_checks(survey)),
+        Part::new("Strips", strips(survey)).judged(strip_checks(survey)),
+        Part::new("Waveforms and returns", quality(survey)).judged(quality_checks(survey)),
+        Part::new("Uncertainty and trajectories", uncertainty(survey)).judged(uncertainty_checks(survey)),
+        Part::new("Sensor", drift_of_sensor(survey)),
+        Part::new("Limits", limits(survey)),
+    ];
+    let first = html! { (key_figures(survey)) (warnings(survey)) };
     let page = html! {
         (DOCTYPE)
         html lang="en" {
             (head("wavex survey", OWN_STYLE))
             body {
-                h1 { "Survey" }
-                p.about { "wavex " (survey.wavex) "; " (coordinates(survey)) }
-                (key_figures(survey))
-                (warnings(survey))
-                (maps(survey, pictures))
-                (gaps(survey))
-                (differences(survey))
-                (strips(survey))
-                (quality(survey))
-                (uncertainty(survey))
-                (drift_of_sensor(survey))
-                (limits(survey))
+                header {
+                    h1 { "Survey" }
+                    p.about { "wavex " (survey.wavex) "; " (coordinates(survey)) }
+                }
+                main { (with_contents(&parts, "", &first)) }
             }
         }
     };
     page.into_string()
 }
 
-/// Additions for this page: wide tables scroll on narrow screens.
+/// Additions for this page.
 const OWN_STYLE: &str = "\
-.scroll{overflow-x:auto}.scroll section{break-inside:auto}.scroll table{font-size:13px}
-.scroll td,.scroll th{white-space:nowrap}.scroll td:last-child{white-space:normal}
 polyline.track{stroke:var(--text);stroke-width:1;stroke-opacity:.7}
 text.strip{font-weight:600;paint-order:stroke;stroke:var(--card);stroke-width:3px}
 image.gap{image-rendering:pixelated}
 ";
 
+fn coverage_checks(survey: &Survey) -> Vec<Check> {
+    let cells = |area_m2: f64| (area_m2 / (survey.cell_m * survey.cell_m)).round() as u64;
+    let area = (survey.area_m2 > 0.0).then_some(survey.area_m2);
+    let percent = |part_m2: f64| area.map(|area_m2| 100.0 * part_m2 / area_m2);
+    let mut checks = vec![verdict::GAPS.check(percent(survey.gaps.area_m2), cells(survey.area_m2))];
+    match survey.below_target_m2 {
+        Some(below_m2) => checks.push(verdict::BELOW_TARGET.check(percent(below_m2), cells(survey.area_m2))),
+        None => {
+            let mean = survey.pulses.as_ref().map(|density| density.mean_per_m2);
+            let pulses = mean.map_or(0, |mean| (mean * survey.area_m2) as u64);
+            checks.push(verdict::PULSE_DENSITY.check(mean, pulses));
+        }
+    }
+    checks
+}
+
+fn difference_checks(survey: &Survey) -> Vec<Check> {
+    let of = survey.differences.as_ref();
+    let exceeding = survey.pairs.iter().filter(|pair| pair.exceeds_limit).count();
+    let rms = verdict::difference_rms(survey.limits.max_difference_rms_m);
+    vec![
+        rms.check(of.map(|of| of.rms_m), of.map_or(0, |of| of.cells)),
+        verdict::PAIRS.check(Some(exceeding as f64), survey.pairs.len() as u64),
+    ]
+}
+
+fn strip_checks(survey: &Survey) -> Vec<Check> {
+    let failed = survey.strips.len() - processed(survey);
+    let roughness = survey.roughness.as_ref();
+    let offsets = || survey.strips.iter().filter_map(|strip| strip.offset_m.map(f64::abs));
+    let offset = verdict::strip_offset(survey.limits.max_difference_rms_m);
+    vec![
+        offset.check(offsets().reduce(f64::max), offsets().count() as u64),
+        verdict::FAILED_STRIPS.check(Some(failed as f64), survey.strips.len() as u64),
+        verdict::ROUGHNESS.check(roughness.map(|of| of.median_m), roughness.map_or(0, |of| of.cells)),
+    ]
+}
+
+fn quality_checks(survey: &Survey) -> Vec<Check> {
+    let sum =
+        |of: fn(&StripFacts) -> u64| processed_facts(survey).map(|(_, _, facts)| of(facts)).sum::<u64>();
+    vec![
+        verdict::UNEXPLAINED_WAVEFORMS
+            .share(sum(|facts| facts.unexplained_waveforms), sum(|facts| facts.waveforms)),
+        verdict::WITHHELD.share(sum(|facts| facts.withheld), sum(|facts| facts.returns)),
+        verdict::WITHOUT_RETURN
+            .share(sum(|facts| facts.waveforms_without_return), sum(|facts| facts.waveforms)),
+    ]
+}
+
+/// Checks the strip with the largest median uncertainty.
+fn uncertainty_checks(survey: &Survey) -> Vec<Check> {
+    let worst = |of: fn(&StripFacts) -> Option<f64>| {
+        let known = processed_facts(survey).filter_map(|(_, _, facts)| Some((of(facts)?, facts.returns)));
+        known.max_by(|a, b| a.0.total_cmp(&b.0))
+    };
+    let check = |rule: verdict::Rule, found: Option<(f64, u64)>| {
+        rule.check(found.map(|(sd_m, _)| sd_m), found.map_or(0, |(_, returns)| returns))
+    };
+    vec![
+        check(verdict::RANGE_SD, worst(|facts| facts.range_sd_m)),
+        check(verdict::TOTAL_SD, worst(|facts| facts.total_sd_m)),
+    ]
+}
+
 fn drift_of_sensor(survey: &Survey) -> Markup {
     let rows = survey.strips.iter().filter_map(|strip| serde_json::to_value(strip.sensor.as_ref()?).ok());
-    html! { div.scroll { (drift::of_survey(&json!({"inputs": rows.collect::<Vec<_>>()}))) } }
+    drift::of_survey(&json!({"inputs": rows.collect::<Vec<_>>()}))
 }
 
 fn coordinates(survey: &Survey) -> String {
@@ -94,13 +166,7 @@ fn key_figures(survey: &Survey) -> Markup {
         ("m within 95 %", differences.map(|of| metres(of.magnitude_95_m))),
         ("m roughness, median", survey.roughness.as_ref().map(|of| metres(of.median_m))),
     ];
-    html! {
-        div.tiles {
-            @for (what, value) in figures {
-                @if let Some(value) = value { div { b { (value) } span { (what) } } }
-            }
-        }
-    }
+    tiles(figures)
 }
 
 /// What needs attention, with numbers.
@@ -188,7 +254,7 @@ fn maps(survey: &Survey, pictures: Option<&Pictures>) -> Markup {
         true => String::new(),
         false => format!("The same as GeoTIFF in full resolution: {}", survey.rasters.join(", ")),
     };
-    group("Map views", &rasters, &figures)
+    map_figures(&rasters, figures::frame(pictures).width(), &figures)
 }
 
 fn gaps(survey: &Survey) -> Markup {
@@ -197,7 +263,7 @@ fn gaps(survey: &Survey) -> Markup {
         vec![east, north, label(gap.area_m2, 0)]
     };
     let rows = survey.gaps.largest.iter().map(row);
-    html! { div.scroll { (table("Largest gaps", &["east of the centre", "north", "area, m²"], rows)) } }
+    html! { (table("Largest gaps", &["east of the centre", "north", "area, m²"], rows)) }
 }
 
 fn differences(survey: &Survey) -> Markup {
@@ -219,7 +285,7 @@ fn differences(survey: &Survey) -> Markup {
     };
     let left_out = pairs.len().saturating_sub(MOST_PAIRS);
     html! {
-        div.scroll { (table("Height differences by pair", &heads, pairs.iter().take(MOST_PAIRS).map(row))) }
+        (table("Height differences by pair", &heads, pairs.iter().take(MOST_PAIRS).map(row)))
         @if left_out > 0 { p.about { "The other " (left_out) " pairs, with smaller RMS, are in the JSON file." } }
         @if !pairs.is_empty() { (method(survey)) }
     }
@@ -270,7 +336,7 @@ fn strips(survey: &Survey) -> Markup {
         ]
     };
     html! {
-        div.scroll { (table("Strips", &heads, survey.strips.iter().enumerate().map(row))) }
+        (table("Strips", &heads, survey.strips.iter().enumerate().map(row)))
         p.about {
             "Densities are medians of the cells with points. Offset: height above the median strip that reproduces the median differences of all pairs best. "
             "Roughness: standard deviation of the single returns from the plane of a smooth cell. Range less slope: highest minus lowest of these points, "
@@ -307,7 +373,7 @@ fn quality(survey: &Survey) -> Markup {
         row
     };
     html! {
-        div.scroll { (table("Waveforms and returns", &heads, processed_facts(survey).map(row))) }
+        (table("Waveforms and returns", &heads, processed_facts(survey).map(row)))
         p.about {
             "Unexplained: deviation ratio above " (short(UNEXPLAINED)) ". Columns 1 to " (MOST_RETURNS)
             "+: share of the shots with returns that have this number of returns."
@@ -343,7 +409,7 @@ fn uncertainty(survey: &Survey) -> Markup {
         ]
     };
     html! {
-        div.scroll { (table("Uncertainty and trajectories", &heads, processed_facts(survey).map(row))) }
+        (table("Uncertainty and trajectories", &heads, processed_facts(survey).map(row)))
         p.about {
             "Total SD: median of the points, known with a trajectory accuracy. Position and attitude: the part of the total SD that is not of the range."
         }
@@ -352,6 +418,15 @@ fn uncertainty(survey: &Survey) -> Markup {
 
 fn limits(survey: &Survey) -> Markup {
     let keys = serde_json::to_value(&survey.limits).unwrap_or_default();
-    let rows = keys.as_object().into_iter().flatten().map(|(key, value)| (key.clone(), value.to_string()));
-    html! { div.sections { (section("Limits", rows)) } }
+    let rows = keys.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null() && *value != "");
+    let rows = rows.map(|(key, value)| {
+        let (name, unit) = words::of_key(key);
+        (
+            name,
+            format!("{} {unit}", value.as_f64().map_or_else(|| value.to_string(), short))
+                .trim_end()
+                .to_owned(),
+        )
+    });
+    html! { div.sections { (section("Limits of the job", rows)) } }
 }

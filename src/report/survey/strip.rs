@@ -13,7 +13,7 @@ use crate::report::overview::view::{MapAxes, View};
 use crate::scan_line::{InputInfo, Return, ScanLine};
 
 /// Deviation ratio above which returns do not explain their waveform.
-pub(super) const UNEXPLAINED: f64 = 5.0;
+pub(in crate::report) const UNEXPLAINED: f64 = 5.0;
 /// Number of classes of returns per pulse; the last class has this number or more.
 pub(super) const MOST_RETURNS: usize = 8;
 /// Maximum number of positions along a strip.

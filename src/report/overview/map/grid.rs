@@ -24,6 +24,8 @@ pub(super) const PER_LINE: usize = 9;
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Cell {
     pub(super) points: u64,
+    /// First returns.
+    pub(super) pulses: u64,
     pub(super) height_steps: i64,
     pub(super) intensity_steps: i64,
     pub(super) zone_steps: i64,
@@ -32,6 +34,7 @@ pub(super) struct Cell {
 impl Cell {
     fn add(&mut self, other: Cell) {
         self.points += other.points;
+        self.pulses += other.pulses;
         self.height_steps = self.height_steps.saturating_add(other.height_steps);
         self.intensity_steps = self.intensity_steps.saturating_add(other.intensity_steps);
         self.zone_steps = self.zone_steps.saturating_add(other.zone_steps);
@@ -100,7 +103,7 @@ impl Grid {
                 continue;
             }
             let place = self.view.get_or_insert_with(|| View::of(input, *point)).place(*point);
-            self.add(&place, found.intensity, found.mta_zone);
+            self.add(&place, found);
             if is_kept {
                 places.push([place[0], place[1]]);
             }
@@ -108,7 +111,7 @@ impl Grid {
         self.keep(line, &places);
     }
 
-    fn add(&mut self, [x, y, z]: &[f64; 3], intensity: f64, zone: i16) {
+    fn add(&mut self, [x, y, z]: &[f64; 3], found: &Return) {
         let cells_per_unit = edge_of(-self.size);
         let mut at = [(x * cells_per_unit).floor() as i64, (y * cells_per_unit).floor() as i64];
         let within = |span: [[i64; 2]; 2]| (0..2).all(|i| span[i][0] <= at[i] && at[i] <= span[i][1]);
@@ -119,9 +122,10 @@ impl Grid {
         let steps = |value: f64| (value.clamp(-HIGHEST, HIGHEST) * STEPS).round() as i64;
         let cell = Cell {
             points: 1,
+            pulses: u64::from(found.return_number == 1),
             height_steps: steps(*z),
-            intensity_steps: steps(intensity),
-            zone_steps: steps(f64::from(zone.max(0))),
+            intensity_steps: steps(found.intensity),
+            zone_steps: steps(f64::from(found.mta_zone.max(0))),
         };
         if let Some(at) = self.cells.get_mut(place(at)) {
             at.add(cell);

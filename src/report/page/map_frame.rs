@@ -1,0 +1,82 @@
+//! Frame of a map view, with grid and colour scale.
+
+use super::plot::{Plot, WIDTH, ticks};
+use crate::report::overview::Picture;
+use crate::report::svg::{Anchor, Scale, Svg};
+
+/// Maximum size of a map, SVG units.
+const MAP: [f64; 2] = [440.0, 420.0];
+const LEFT: f64 = 104.0;
+const TOP: f64 = 10.0;
+/// Margin right of a map, SVG units.
+const MARGIN: f64 = 16.0;
+/// Minimum width of a map view: room for its colour scale.
+const LEAST_WIDTH: f64 = 334.0;
+/// Length of a colour scale, SVG units.
+const COLOURS: f64 = 130.0;
+
+/// Frame of a map view.
+pub(crate) struct MapFrame {
+    pub(crate) plot: Plot,
+    axes: [String; 2],
+}
+
+impl MapFrame {
+    /// A map of this extent; `slimmer`: length of a unit of x relative to a unit of y.
+    pub(crate) fn new(x: [f64; 2], y: [f64; 2], slimmer: f64, axes: [String; 2]) -> MapFrame {
+        let (width, height) = (slimmer * (x[1] - x[0]).max(1e-12), (y[1] - y[0]).max(1e-12));
+        let size = (MAP[0] / width).min(MAP[1] / height);
+        let (right, bottom) = (LEFT + (width * size).max(40.0), TOP + (height * size).max(40.0));
+        MapFrame {
+            plot: Plot { x: Scale { from: x, to: [LEFT, right] }, y: Scale { from: y, to: [bottom, TOP] } },
+            axes,
+        }
+    }
+
+    /// Width of the picture, SVG units.
+    pub(crate) fn width(&self) -> f64 {
+        (self.plot.x.to[1] + MARGIN).clamp(LEAST_WIDTH, WIDTH)
+    }
+
+    /// Draws an image that fills the map.
+    pub(crate) fn image(&self, svg: &mut Svg, id: &str, picture: &Picture) {
+        let ([left, right], [bottom, top]) = (self.plot.x.to, self.plot.y.to);
+        svg.image(id, &picture.data_url(), [left, top], [right, bottom]);
+    }
+
+    /// Draws the grid of the coordinates.
+    pub(crate) fn grid(&self, svg: &mut Svg) {
+        let ([left, right], [bottom, top]) = (self.plot.x.to, self.plot.y.to);
+        let (width, height) = (right - left, bottom - top);
+        self.plot.grid_y(svg, ticks(&self.plot.y, (height / 60.0).max(1.0)));
+        // The last label must not exceed the picture, nor the first one the axis title.
+        let room = |(value, text): &(f64, String)| {
+            let half = 4.5 * text.chars().count() as f64;
+            (half..self.width() - half).contains(&self.plot.x.at(*value))
+        };
+        let labels = ticks(&self.plot.x, (width / 110.0).max(1.0)).into_iter().filter(room).collect();
+        self.plot.grid_x(svg, labels);
+    }
+
+    /// Draws frame, axis titles, and the colours with their first and last value.
+    pub(crate) fn finish(
+        &self,
+        mut svg: Svg,
+        title: &str,
+        colours: Option<(&[String], [String; 2])>,
+    ) -> String {
+        let [x, y] = &self.axes;
+        self.plot.frame(&mut svg, x, y);
+        let below = self.plot.y.to[0] + 46.0;
+        let Some((colours, [low, high])) = colours else { return svg.inline(self.width(), below, title) };
+        let top = below + 8.0;
+        let each = COLOURS / colours.len().max(1) as f64;
+        for (i, colour) in colours.iter().enumerate() {
+            let left = LEFT + each * i as f64;
+            svg.swatch(colour, [left, top], [left + each, top + 12.0]);
+        }
+        svg.text("", [LEFT - 7.0, top + 10.5], Anchor::End, &low);
+        svg.text("", [LEFT + COLOURS + 5.0, top + 10.5], Anchor::Start, &high);
+        svg.inline(self.width(), top + 20.0, title)
+    }
+}

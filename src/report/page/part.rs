@@ -1,0 +1,181 @@
+//! Building blocks of a page: parts with verdicts, contents, figures and tables.
+
+use maud::{Markup, PreEscaped, html};
+
+use crate::report::style::{RUN_STYLE, STYLE};
+use crate::report::verdict::{Check, Grade, Verdict};
+
+/// Content security policy: only styles and pictures embedded in the page.
+const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:";
+
+/// A part of a page, which the contents list.
+pub(crate) struct Part {
+    pub(crate) title: String,
+    /// Checks of the part; `None` if there is nothing to judge.
+    pub(crate) verdict: Option<Verdict>,
+    pub(crate) body: Markup,
+}
+
+impl Part {
+    /// A part without verdict.
+    pub(crate) fn new(title: &str, body: Markup) -> Part {
+        Part { title: title.to_owned(), verdict: None, body }
+    }
+
+    /// The part with the verdict of these checks.
+    pub(crate) fn judged(self, checks: Vec<Check>) -> Part {
+        Part { verdict: Some(Verdict(checks)), ..self }
+    }
+
+    fn id(&self, prefix: &str) -> String {
+        let letters =
+            self.title.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' });
+        format!("{prefix}{}", letters.collect::<String>())
+    }
+}
+
+/// Worst grade of some parts.
+pub(crate) fn worst(parts: &[Part]) -> Grade {
+    let grades = parts.iter().filter_map(|part| Some(part.verdict.as_ref()?.grade()));
+    grades.max().unwrap_or(Grade::NotAssessed)
+}
+
+/// Contents, then `first`, then the parts; empty parts are omitted. Their names begin with `prefix`.
+pub(crate) fn with_contents(parts: &[Part], prefix: &str, first: &Markup) -> Markup {
+    let shown: Vec<&Part> = parts.iter().filter(|part| !part.body.0.is_empty()).collect();
+    html! {
+        nav aria-label="Contents" {
+            ol {
+                @for part in &shown {
+                    li { a href={ "#" (part.id(prefix)) } { (part.title) } @if let Some(verdict) = &part.verdict { " " (badge(verdict.grade())) } }
+                }
+            }
+        }
+        (first)
+        @for part in &shown {
+            div.part id=(part.id(prefix)) {
+                h2.group { (part.title) @if let Some(verdict) = &part.verdict { " " (badge(verdict.grade())) } }
+                @if let Some(verdict) = &part.verdict { (checks(verdict)) }
+                (part.body)
+            }
+        }
+    }
+}
+
+/// Grade as a coloured word.
+pub(crate) fn badge(grade: Grade) -> Markup {
+    let class = match grade {
+        Grade::NotAssessed => "badge none",
+        Grade::Good => "badge good",
+        Grade::Look => "badge look",
+        Grade::Bad => "badge bad",
+    };
+    html! { span class=(class) { (grade.words()) } }
+}
+
+fn checks(verdict: &Verdict) -> Markup {
+    html! {
+        ul.checks {
+            @for check in &verdict.0 {
+                li { (badge(check.grade)) " " b { (check.measured) } " " span.about { "(" (check.rule) ")" } }
+            }
+        }
+    }
+}
+
+/// Head of a page, with further styles.
+pub(crate) fn head(title: &str, style: &str) -> Markup {
+    html! {
+        head {
+            meta charset="utf-8";
+            meta http-equiv="Content-Security-Policy" content=(POLICY);
+            meta name="viewport" content="width=device-width, initial-scale=1";
+            title { (title) }
+            style { (PreEscaped(STYLE)) (PreEscaped(RUN_STYLE)) (PreEscaped(style)) }
+        }
+    }
+}
+
+/// Figures with an introduction; empty if there are none.
+pub(crate) fn figures(about: &str, figures: &[Markup]) -> Markup {
+    html! {
+        @if !figures.is_empty() {
+            @if !about.is_empty() { p.about { (about) } }
+            div.figures { @for figure in figures { (figure) } }
+        }
+    }
+}
+
+/// Pictures of `width` SVG units: as many side by side as there is room.
+pub(crate) fn maps(about: &str, width: f64, figures: &[Markup]) -> Markup {
+    let columns =
+        format!("grid-template-columns:repeat(auto-fill,minmax(min(100%,{:.0}px),1fr))", 0.92 * width);
+    html! {
+        @if !figures.is_empty() {
+            @if !about.is_empty() { p.about { (about) } }
+            div.figures style=(columns) { @for figure in figures { (figure) } }
+        }
+    }
+}
+
+/// A figure with title and caption.
+pub(crate) fn figure(title: &str, svg: String, words: &str) -> Markup {
+    html! {
+        figure {
+            h3 { (title) }
+            (PreEscaped(svg))
+            @if !words.is_empty() { figcaption { (words) } }
+        }
+    }
+}
+
+/// A titled table of names and values; empty without rows.
+pub(crate) fn section(title: &str, rows: impl Iterator<Item = (String, String)>) -> Markup {
+    let mut rows = rows.peekable();
+    html! {
+        @if rows.peek().is_some() {
+            section {
+                h3 { (title) }
+                table { @for (name, value) in rows { tr { td { (name) } td { (value) } } } }
+            }
+        }
+    }
+}
+
+/// A titled table with header; empty without rows.
+pub(crate) fn table(title: &str, heads: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Markup {
+    let mut rows = rows.peekable();
+    html! {
+        @if rows.peek().is_some() { section.data { h3 { (title) } (wide_table(title, heads, rows)) } }
+    }
+}
+
+/// Cells with more characters are text, which wraps.
+const TEXT: usize = 30;
+
+/// A table with header, which scrolls on narrow screens.
+pub(crate) fn wide_table(title: &str, heads: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Markup {
+    html! {
+        div.scroll tabindex="0" role="region" aria-label=(title) {
+            table.wide {
+                thead { tr { @for head in heads { th scope="col" { (head) } } } }
+                tbody {
+                    @for row in rows {
+                        tr { @for cell in row { @if cell.chars().count() > TEXT { td.text { (cell) } } @else { td { (cell) } } } }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Key figures as tiles; unknown ones are omitted.
+pub(crate) fn tiles<'t>(figures: impl IntoIterator<Item = (&'t str, Option<String>)>) -> Markup {
+    html! {
+        div.tiles {
+            @for (what, value) in figures {
+                @if let Some(value) = value { div { b { (value) } span { (what) } } }
+            }
+        }
+    }
+}
