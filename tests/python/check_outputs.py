@@ -100,6 +100,9 @@ waveforms = 600
 type = "decompose"
 
 [[stage]]
+type = "filter_outliers"
+
+[[stage]]
 type = "georeference"
 
 [[stage]]
@@ -116,6 +119,7 @@ index = "file"
 [[stage]]
 type = "write_las"
 id = "las_1_2"
+attribute_layout = "1.1"
 path = "*_12.las"
 version = "1.2"
 index = "file"
@@ -123,6 +127,7 @@ index = "file"
 [[stage]]
 type = "write_las"
 id = "laz_1_2"
+attribute_layout = "1.1"
 path = "*_12_appended.laz"
 version = "1.2"
 index = "appended"
@@ -144,6 +149,7 @@ index = "appended"
 [[stage]]
 type = "write_las"
 id = "waves_beside"
+attribute_layout = "1.1"
 path = "*_waves_13.las"
 version = "1.3"
 wave_packets = "external"
@@ -151,6 +157,7 @@ wave_packets = "external"
 [[stage]]
 type = "write_las"
 id = "laz_waves_beside"
+attribute_layout = "1.1"
 path = "*_waves_13_compressed.laz"
 version = "1.3"
 wave_packets = "external"
@@ -186,12 +193,12 @@ every = 50
 """.replace("{columns}", COLUMNS)
 # Point outputs: extension, version, attribute layout, location of the index; "waves" includes waveforms.
 POINTS = [
-    (".las", "1.4", "1.1", None),
-    (".laz", "1.4", "1.1", "file"),
+    (".las", "1.4", "standard", None),
+    (".laz", "1.4", "standard", "file"),
     ("_12.las", "1.2", "1.1", "file"),
     ("_12_appended.laz", "1.2", "1.1", "appended"),
     ("_layout_10.laz", "1.4", "1.0", "appended"),
-    ("_waves.laz", "1.4", "1.1", "appended"),
+    ("_waves.laz", "1.4", "standard", "appended"),
     ("_waves_13.las", "1.3", "1.1", None),
     ("_waves_13_compressed.laz", "1.3", "1.1", None),
 ]

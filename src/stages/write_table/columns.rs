@@ -83,7 +83,7 @@ pub(super) static COLUMNS: &[Column] = &[
     column("intensity_sd", Values::F64(|row| row.found.intensity_sd), "standard deviation of intensity"),
     column("flags", Values::U16(|row| row.found.flags), "low byte: the LAS user data; 8 overdriven, 9 truncated, 10 split, 11 zone uncertain"),
     column("withheld", Values::Bool(|row| row.found.withheld), "marked as an outlier"),
-    column("class", Values::U8(|row| row.found.class), "LAS class: 0, or 20 for outliers"),
+    column("class", Values::U8(|row| row.found.class), "LAS class: 0; of outliers 7 (low) or 18 (high)"),
     column("x", Values::MaybeF64(|row| row.point.map(|point| point[0])), "coordinate in the output frame; null before `georeference`"),
     column("y", Values::MaybeF64(|row| row.point.map(|point| point[1])), "see x"),
     column("z", Values::MaybeF64(|row| row.point.map(|point| point[2])), "see x"),

@@ -74,9 +74,10 @@ impl<W: Write + Send> TableWriter<W> {
             Format::Parquet => ArrowWriter::try_new(to, Arc::clone(&schema), Some(properties(&schema)))
                 .map(|writer| Form::Parquet(Box::new(writer)))
                 .map_err(arrow_error),
-            Format::Csv => {
-                to.write_all(columns::csv_header().as_bytes()).map(|()| Form::Csv(to)).map_err(ArrowError::from)
-            }
+            Format::Csv => to
+                .write_all(columns::csv_header().as_bytes())
+                .map(|()| Form::Csv(to))
+                .map_err(ArrowError::from),
         };
         let form = form.map_err(|error| failed(file, error))?;
         Ok(TableWriter { form, schema, rows: Vec::new(), file: file.to_path_buf() })
