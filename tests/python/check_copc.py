@@ -1,5 +1,6 @@
 """Compares COPC queries of laspy by area and by level with the source file."""
 
+import copclib
 import laspy
 import numpy as np
 from laspy.copc import Bounds
@@ -14,6 +15,7 @@ def check_copc(checks, path, source):
     plain = laspy.read(path, laz_backend=laspy.LazBackend.Lazrs)
     by_laszip = laspy.read(path, laz_backend=laspy.LazBackend.Laszip)
     checks.that("LASzip reads the same points as lazrs", np.array_equal(by_laszip.points.array, plain.points.array))
+    check_by_copclib(checks, path, plain)
     with laspy.CopcReader.open(path) as reader:
         header, everything = reader.header, reader.query()
         expected = WITHOUT_WAVEFORMS.get(before.point_format.id, before.point_format.id)
@@ -23,6 +25,16 @@ def check_copc(checks, path, source):
         check_same_records(checks, "the chunks in their order hold all points", plain.points.array, source.points.array)
         check_places(checks, reader, source)
         check_levels(checks, reader, everything)
+
+
+def check_by_copclib(checks, path, plain):
+    """Checks the octree with another library, which shares no code with laspy."""
+    reader = copclib.FileReader(str(path))
+    checks.that("copclib finds all points within their nodes", reader.ValidateSpatialBounds(False))
+    nodes = reader.GetAllNodes()
+    checks.equal("copclib counts the points of all nodes", sum(node.point_count for node in nodes), len(plain.points))
+    x = np.sort([x for node in nodes for x in reader.GetPoints(node).x])
+    checks.within("copclib reads their coordinates", x, np.sort(plain.x), 1e-9)
 
 
 def check_same_header(checks, header, before):

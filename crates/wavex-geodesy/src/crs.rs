@@ -15,6 +15,7 @@ mod named;
 #[cfg(feature = "proj")]
 mod proj;
 mod projection;
+mod projjson;
 mod unit;
 mod wkt;
 
@@ -30,6 +31,7 @@ pub use geotiff::{GeoKeys, geotiff_keys_of_wkt};
 use named::utm_zone_at;
 pub use named::{Named, wkt_of_epsg};
 use projection::Projection;
+pub use projjson::projjson_of_wkt;
 pub use unit::Unit;
 
 /// Number of positions processed together: their intermediate values fit into registers and the

@@ -177,13 +177,32 @@ pub(super) fn csv(rows: &[Row]) -> String {
     text
 }
 
-/// Schema of a table with this time scale.
-pub(super) fn schema(time_scale: &str) -> SchemaRef {
-    let field =
-        |column: &Column| Field::new(column.name, column.values.data_type(), column.values.nullable());
+/// Unit of a column, which is part of its name; `None` for pure numbers and for coordinates.
+fn unit(name: &str) -> Option<&'static str> {
+    Some(match name.rsplit('_').next()? {
+        "s" => "s",
+        "ns" => "ns",
+        "m" => "m",
+        "db" => "dB",
+        "dn" => "digitiser steps",
+        _ => return None,
+    })
+}
+
+/// Schema of a table with this time scale and coordinate reference system.
+///
+/// Each field has its `description`, and its `unit` if it has one.
+pub(super) fn schema(time_scale: &str, crs_wkt: Option<&str>) -> SchemaRef {
+    let field = |column: &Column| {
+        let about = [("description", Some(column.meaning)), ("unit", unit(column.name))];
+        let about = about.into_iter().filter_map(|(key, text)| Some((key.to_owned(), text?.to_owned())));
+        let data_type = column.values.data_type();
+        Field::new(column.name, data_type, column.values.nullable()).with_metadata(about.collect())
+    };
     let fields: Vec<Field> = COLUMNS.iter().map(field).collect();
-    let metadata = [("wavex.table", "1"), ("wavex.time_scale", time_scale)];
-    Arc::new(Schema::new_with_metadata(fields, metadata))
+    let metadata = [("wavex.table", Some("1")), ("wavex.time_scale", Some(time_scale)), ("wavex.crs", crs_wkt)];
+    let metadata = metadata.into_iter().filter_map(|(key, text)| Some((key.to_owned(), text?.to_owned())));
+    Arc::new(Schema::new_with_metadata(fields, metadata.collect()))
 }
 
 /// Converts the rows to a record batch.
@@ -209,6 +228,7 @@ pub fn description() -> Value {
             json!({
                 "name": column.name,
                 "type": name(&column.values),
+                "unit": unit(column.name),
                 "nullable": column.values.nullable(),
                 "meaning": column.meaning,
             })
@@ -226,6 +246,13 @@ pub fn description() -> Value {
                 "form": "`week`, `day`, `adjusted` or `unknown`",
                 "meaning": "time scale of `gps_time_s`: seconds of the GPS week, of the day, or since 1980-01-06 minus 1e9; \
                             not in CSV",
+            },
+            {"key": "wavex.crs", "form": "WKT", "meaning": "coordinate reference system of x, y and z, if known; not in CSV"},
+            {
+                "key": "geo",
+                "form": "JSON",
+                "meaning": "GeoParquet 1.1: the column `geometry` (WKB of x, y and z), which follows the others in \
+                            Parquet after `georeference`",
             },
         ],
     })

@@ -1,0 +1,58 @@
+"""Opens the Parquet table of returns as GeoParquet with GeoPandas and with DuckDB's spatial extension."""
+
+import json
+
+import duckdb
+import geopandas
+import numpy as np
+import pyarrow.parquet
+import pyproj
+
+from checks import numbers
+
+
+def check_geoparquet(checks, path, table, wkt):
+    """`table` is the table of returns, `wkt` the coordinate reference system of its points."""
+    file = pyarrow.parquet.ParquetFile(path)
+    geo = json.loads(file.schema_arrow.metadata[b"geo"])
+    about = geo["columns"][geo["primary_column"]]
+    found = (geo["version"], geo["primary_column"], about["encoding"], about["geometry_types"])
+    checks.equal("is GeoParquet 1.1 with points", found, ("1.1.0", "geometry", "WKB", ["Point Z"]))
+    xyz = np.stack([numbers(table, axis) for axis in "xyz"], axis=1)
+    checks.within("has the box of its points", about["bbox"], np.concatenate([xyz.min(axis=0), xyz.max(axis=0)]), 0)
+    check_fields(checks, file, table)
+    points = geopandas.read_parquet(path)
+    for axis, column in zip("xyz", xyz.T):
+        checks.within(f"GeoPandas reads {axis}", getattr(points.geometry, axis), column, 0)
+    if wkt:
+        expected = pyproj.CRS(wkt)
+        same = points.crs is not None and points.crs.is_exact_same(expected) or points.crs == expected
+        codes = (points.crs and points.crs.to_epsg(), expected.to_epsg())
+        checks.that("GeoPandas knows the coordinate reference system", same or (codes[0] == codes[1] != None), codes)
+    else:
+        checks.equal("GeoPandas knows no coordinate reference system", points.crs, None)
+    check_duckdb(checks, path, xyz)
+
+
+def check_fields(checks, file, table):
+    names = table.schema.names
+    without = [name for name in names if not (table.schema.field(name).metadata or {}).get(b"description")]
+    checks.equal("columns have descriptions", without, [])
+    units = {name: (file.schema_arrow.field(name).metadata or {}).get(b"unit") for name in names}
+    expected = {"range_sd_m": b"m", "fwhm_ns": b"ns", "amplitude_db": b"dB", "gps_time_s": b"s", "flags": None}
+    checks.equal("columns have units", {name: units[name] for name in expected}, expected)
+    groups = [file.metadata.row_group(number).column(names.index("x")).statistics for number in range(file.num_row_groups)]
+    checks.that("row groups have statistics of x", all(group is not None and group.has_min_max for group in groups))
+
+
+def check_duckdb(checks, path, xyz):
+    database = duckdb.connect()
+    try:
+        database.execute("install spatial")
+        database.execute("load spatial")
+    except duckdb.Error as error:
+        print(f"skipped: DuckDB's spatial extension cannot be fetched: {str(error).splitlines()[0]}")
+        return
+    query = f"select count(*), min(st_x(geometry)), max(st_y(geometry)) from read_parquet('{path}')"
+    found = database.execute(query).fetchone()
+    checks.within("DuckDB reads points", found, [len(xyz), xyz[:, 0].min(), xyz[:, 1].max()], 0)
