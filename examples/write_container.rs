@@ -44,7 +44,8 @@ fn main() -> Result<()> {
     {
         let path = folder.join(name);
         let to = BufWriter::new(File::create(&path)?);
-        let mut table = TableWriter::new(to, &path, format, TableInfo { time_scale: "week", ..TableInfo::default() })?;
+        let mut table =
+            TableWriter::new(to, &path, format, TableInfo { time_scale: "week", ..TableInfo::default() })?;
         (0..LINES * SHOTS_PER_LINE).flat_map(returns).try_for_each(|row| table.push(row))?;
         table.finish()?.into_inner()?.sync_all()?;
     }

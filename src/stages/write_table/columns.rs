@@ -7,7 +7,7 @@ use arrow_array::{
     ArrayRef, BooleanArray, Float64Array, Int16Array, RecordBatch, StringArray, UInt8Array, UInt16Array,
     UInt64Array,
 };
-use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef};
+use arrow_schema::{ArrowError, DataType, Field, Metadata, Schema, SchemaRef};
 use serde_json::{Value, json};
 
 use crate::scan_line::{Return, ShotProfile};
@@ -195,14 +195,16 @@ fn unit(name: &str) -> Option<&'static str> {
 pub(super) fn schema(time_scale: &str, crs_wkt: Option<&str>) -> SchemaRef {
     let field = |column: &Column| {
         let about = [("description", Some(column.meaning)), ("unit", unit(column.name))];
-        let about = about.into_iter().filter_map(|(key, text)| Some((key.to_owned(), text?.to_owned())));
+        let about = about.into_iter().filter_map(|(key, text)| Some((key, text?)));
         let data_type = column.values.data_type();
-        Field::new(column.name, data_type, column.values.nullable()).with_metadata(about.collect())
+        Field::new(column.name, data_type, column.values.nullable())
+            .with_metadata(about.collect::<Metadata>())
     };
     let fields: Vec<Field> = COLUMNS.iter().map(field).collect();
-    let metadata = [("wavex.table", Some("1")), ("wavex.time_scale", Some(time_scale)), ("wavex.crs", crs_wkt)];
-    let metadata = metadata.into_iter().filter_map(|(key, text)| Some((key.to_owned(), text?.to_owned())));
-    Arc::new(Schema::new_with_metadata(fields, metadata.collect()))
+    let metadata =
+        [("wavex.table", Some("1")), ("wavex.time_scale", Some(time_scale)), ("wavex.crs", crs_wkt)];
+    let metadata = metadata.into_iter().filter_map(|(key, text)| Some((key, text?)));
+    Arc::new(Schema::new_with_metadata(fields, metadata.collect::<Metadata>()))
 }
 
 /// Converts the rows to a record batch.

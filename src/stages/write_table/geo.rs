@@ -3,7 +3,6 @@
 //! Points are WKB, which every reader knows. A covering (a column of boxes) would repeat x and y,
 //! whose columns already have statistics for each row group.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
 use arrow_array::builder::BinaryBuilder;
@@ -35,7 +34,7 @@ impl Geometry {
 
     /// Adds the column to a schema.
     pub(super) fn extend(schema: &Schema) -> SchemaRef {
-        let description = HashMap::from([("description".to_owned(), "x, y and z as WKB".to_owned())]);
+        let description = [("description", "x, y and z as WKB")];
         let field = Field::new(COLUMN, DataType::Binary, true).with_metadata(description);
         let fields = schema.fields().iter().cloned().chain([Arc::new(field)]);
         Arc::new(Schema::new_with_metadata(fields.collect::<Vec<_>>(), schema.metadata().clone()))

@@ -352,8 +352,8 @@ fn a_full_disk_is_an_error_in_each_format() {
                 point: None,
                 profile: None,
             });
-            let written =
-                TableWriter::new(Full(room), Path::new("a.table"), format, TableInfo::default()).and_then(|mut table| {
+            let written = TableWriter::new(Full(room), Path::new("a.table"), format, TableInfo::default())
+                .and_then(|mut table| {
                     rows.into_iter().try_for_each(|row| table.push(row))?;
                     table.finish()
                 });

@@ -150,7 +150,6 @@ fn every_field_of_the_header_is_read() {
     by_return[0] = 2;
     let expected = Header {
         file_source_id: 7,
-        project_id: [0; 16],
         global_encoding: 81,
         guid: [9; 16],
         version: (1, 5),
