@@ -14,7 +14,7 @@ from checks import numbers
 def check_geoparquet(checks, path, table, wkt):
     """`table` is the table of returns, `wkt` the coordinate reference system of its points."""
     file = pyarrow.parquet.ParquetFile(path)
-    geo = json.loads(file.schema_arrow.metadata[b"geo"])
+    geo = json.loads(file.metadata.metadata[b"geo"])
     about = geo["columns"][geo["primary_column"]]
     found = (geo["version"], geo["primary_column"], about["encoding"], about["geometry_types"])
     checks.equal("is GeoParquet 1.1 with points", found, ("1.1.0", "geometry", "WKB", ["Point Z"]))
@@ -41,12 +41,13 @@ def check_fields(checks, file, table):
     units = {name: (file.schema_arrow.field(name).metadata or {}).get(b"unit") for name in names}
     expected = {"range_sd_m": b"m", "fwhm_ns": b"ns", "amplitude_db": b"dB", "gps_time_s": b"s", "flags": None}
     checks.equal("columns have units", {name: units[name] for name in expected}, expected)
-    groups = [file.metadata.row_group(number).column(names.index("x")).statistics for number in range(file.num_row_groups)]
-    checks.that("row groups have statistics of x", all(group is not None and group.has_min_max for group in groups))
 
 
 def check_duckdb(checks, path, xyz):
     database = duckdb.connect()
+    # The order of floats is IEEE 754's total order, which pyarrow does not use yet.
+    query = f"select min(stats_min_value::double), max(stats_max_value::double) from parquet_metadata('{path}') where path_in_schema = 'x'"
+    checks.within("row groups have statistics of x", database.execute(query).fetchone(), [xyz[:, 0].min(), xyz[:, 0].max()], 0)
     try:
         database.execute("install spatial")
         database.execute("load spatial")

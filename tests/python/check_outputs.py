@@ -399,6 +399,8 @@ def check_many_points(checks, program):
         folder = Path(folder)
         points = laspy.LasData(laspy.LasHeader(point_format=8, version="1.4"))
         points.header.scales = [0.01, 0.01, 0.001]
+        # LAS 1.4 requires it of these formats, and copclib refuses files without.
+        points.header.global_encoding.wkt = True
         random = np.random.default_rng(6)
         n = 400_000
         # A steep surface, denser towards a corner.
