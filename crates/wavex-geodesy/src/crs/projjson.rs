@@ -27,8 +27,8 @@ const TWO_PARALLELS: [(&str, &str, u32); 6] = [
 
 /// PROJJSON of the system of a WKT.
 ///
-/// `None` for texts that are no supported system, and for projections other than transverse
-/// Mercator and Lambert conformal conic.
+/// `None` for texts that are no supported system or have impossible angles, and for projections
+/// other than transverse Mercator and Lambert conformal conic.
 pub fn projjson_of_wkt(text: &str) -> Option<Value> {
     let definition = Definition::of_wkt(text).ok()?;
     let horizontal = horizontal(&definition)?;
@@ -63,7 +63,8 @@ fn horizontal(definition: &Definition) -> Option<Value> {
             let unit = match *wkt {
                 "scale_factor" => json!("unity"),
                 "false_easting" | "false_northing" => linear(unit),
-                _ => json!("degree"),
+                // The angular unit of some files is wrong.
+                _ => (value.abs() <= 360.0).then(|| json!("degree"))?,
             };
             Some(json!({"name": name, "value": value, "unit": unit, "id": id(*code)}))
         })
@@ -157,7 +158,8 @@ fn id(code: u32) -> Value {
 }
 
 fn with_id(mut value: Value, code: Option<u32>) -> Value {
-    if let Some(code) = code {
+    // Some files write code 0 for none.
+    if let Some(code) = code.filter(|code| *code > 0) {
         value["id"] = id(code);
     }
     value
@@ -183,7 +185,10 @@ mod tests {
 
     #[test]
     fn other_texts_have_none() {
-        for text in ["", "PROJCS[\"x\"]", &wkt_of_epsg(3035).unwrap()] {
+        let utm = wkt_of_epsg(32633).unwrap();
+        let in_radians = utm.replace("0.0174532925199433", "1.0");
+        assert_ne!(utm, in_radians);
+        for text in ["", "PROJCS[\"x\"]", &wkt_of_epsg(3035).unwrap(), &in_radians] {
             assert_eq!(projjson_of_wkt(text), None, "{text}");
         }
     }
