@@ -14,7 +14,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use wavex::scan_line::{Return, ReturnChannel};
-use wavex::stages::write_table::{Format, Row, TableWriter};
+use wavex::stages::write_table::{Format, Row, TableInfo, TableWriter};
 use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerOnline, ContainerShot, ContainerWriter,
     EmissionReference, LineBuilder, TimeScale, channel,
@@ -44,7 +44,8 @@ fn main() -> Result<()> {
     {
         let path = folder.join(name);
         let to = BufWriter::new(File::create(&path)?);
-        let mut table = TableWriter::new(to, &path, format, "week")?;
+        let mut table =
+            TableWriter::new(to, &path, format, TableInfo { time_scale: "week", ..TableInfo::default() })?;
         (0..LINES * SHOTS_PER_LINE).flat_map(returns).try_for_each(|row| table.push(row))?;
         table.finish()?.into_inner()?.sync_all()?;
     }

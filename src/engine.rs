@@ -190,8 +190,8 @@ pub fn run_each(
     let options = &Options { survey, ..options.clone() };
     summary.survey_models = options.survey.clone();
     let pool = pool::start(options)?;
-    let site = |input| run_context(options, input, pool.clone());
-    let sites: Vec<RunContext> = inputs(job, &options.input_dir)?.into_iter().map(site).collect();
+    let site = |(number, input)| RunContext { number, ..run_context(options, input, pool.clone()) };
+    let sites: Vec<RunContext> = (1..).zip(inputs(job, &options.input_dir)?).map(site).collect();
     summary.inputs = sites.iter().map(InputSummary::not_run).collect();
     let geometry = Loader::new(&job.settings.geometry, &options.input_dir)
         .map_err(|error| RunError::of_job(error.into()))?;
@@ -245,6 +245,7 @@ fn run_context(options: &Options, input: Input, pool: Option<Arc<ThreadPool>>) -
     RunContext {
         input: input.path,
         stem: input.stem,
+        number: 1,
         input_dir: options.input_dir.clone(),
         output_dir: options.output_dir.clone(),
         pool,

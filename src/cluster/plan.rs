@@ -94,9 +94,9 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
         output_patterns.push(in_folder(&plan_dir, LINES));
     }
     let mut tasks = Vec::new();
-    for (source, files) in resolved.sources.iter().zip(&own_files) {
+    for (number, (source, files)) in (1..).zip(resolved.sources.iter().zip(&own_files)) {
         let name = &source.stem;
-        write(&format!("tasks/{name}.toml"), &writer.text(source, &root)?)?;
+        write(&format!("tasks/{name}.toml"), &writer.text(number, source, &root)?)?;
         let inputs: Vec<PlannedFile> =
             files.iter().map(|path| planned_file(&root, path)).collect::<Result<_>>()?;
         tasks.push(Task {

@@ -53,9 +53,15 @@ impl<'r> TaskWriter<'r> {
         self.resolved.patterns.clone()
     }
 
-    /// Text of the job of one input.
-    pub(super) fn text(&self, source: &Input, root: &Path) -> Result<String> {
+    /// Text of the job of one input; `number` is that of the input in the whole job, from 1.
+    pub(super) fn text(&self, number: usize, source: &Input, root: &Path) -> Result<String> {
         let mut table = self.table.clone();
+        // A task has one input, so it cannot count flight lines.
+        for stage in table["stage"].as_array_mut().into_iter().flatten() {
+            if stage["type"] == "write_las" && stage["point_source_id"] == "line" {
+                stage["point_source_id"] = json!(number);
+            }
+        }
         let in_plan = |path: String| json!(in_folder(self.plan_dir, &path));
         let name = &source.stem;
         table["job"]["report"] = in_plan(format!("reports/{name}_report.json"));

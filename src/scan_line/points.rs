@@ -76,7 +76,7 @@ pub struct Return {
     ///
     /// It is kept.
     pub withheld: bool,
-    /// LAS class: 0, or 20 for outliers.
+    /// LAS class: 0; of outliers 7 (low) or 18 (high).
     pub class: u8,
 }
 

@@ -20,6 +20,8 @@ pub struct RunContext {
     pub input: PathBuf,
     /// Stem after which outputs are named.
     pub stem: String,
+    /// Number of the input in the job, from 1.
+    pub number: u32,
     /// Folder at which relative input paths start.
     pub input_dir: PathBuf,
     /// Folder at which relative output paths start.
@@ -46,6 +48,7 @@ impl RunContext {
         RunContext {
             input: input.to_owned(),
             stem: input.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+            number: 1,
             input_dir: ".".into(),
             output_dir: ".".into(),
             pool: None,

@@ -23,7 +23,7 @@ pub const STAGE: StageSpec = StageSpec::transform::<FilterOutliers>("filter_outl
 /// `max_range_m`, or of 2.5 times the shot or line spacing if that is larger. The search covers the
 /// return's own line and sixteen lines on each side. Wires form chains of returns, and ground and
 /// roofs form surfaces; false returns have at most a few neighbours of their kind. Unsupported
-/// returns are marked as withheld, class 20; they are never removed.
+/// returns are marked as withheld, class 7 (below their neighbours) or 18; they are never removed.
 ///
 /// A waveform is rejected if all of its returns are unsupported and lie more than `max_height_m`
 /// above both neighbours in its line, or below both, at an acute angle.

@@ -48,7 +48,7 @@ const USUAL_AGL_SD_M: f64 = 100.0;
 ///
 /// Lines are emitted in order, and the blocks of a shot in order of time. The zone of a shot is the
 /// number of emissions between it and the first sample of its first block, from 0; blocks of other
-/// zones carry their own. In LAS the zone is the point source id. Returns whose zone was decided on
+/// zones carry their own. In LAS the attribute `MTA zone` is the zone. Returns whose zone was decided on
 /// weak evidence have flag bit 11 (a container written in between does not preserve it). Outgoing
 /// pulses stay with their shot. Blocks of both receivers that overlap in time are treated as one,
 /// as are all pulses of a block: they go to the shot with the largest total height of supporting

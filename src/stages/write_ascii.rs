@@ -5,7 +5,7 @@ use std::io::Write;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::write_las::{AttributeLayout, WriteLas, offsets, point};
+use super::write_las::{WriteLas, offsets, point};
 use crate::keys::InvalidKey;
 use crate::scan_line::{InputInfo, Kind, ScanLine};
 use crate::stage::{Config, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec};
@@ -163,7 +163,7 @@ impl Sink for AsciiWriter {
         self.text.clear();
         for (found, position) in returns.iter().zip(points) {
             let emission = &scan_line.emissions[found.emission as usize];
-            let point = point(&scan_line.input, emission, found, *position, AttributeLayout::V1_1);
+            let point = point(&scan_line.input, emission, found, *position);
             let row = Row { point: &point, found, steps: &steps, attribute_steps: &self.attribute_steps };
             for (index, column) in self.columns.iter().enumerate() {
                 self.text.push_str(if index == 0 { "" } else { self.separator });

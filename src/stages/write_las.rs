@@ -2,6 +2,7 @@
 
 pub(super) mod attributes;
 mod files;
+mod identity;
 #[cfg(test)]
 mod tests;
 mod waves;
@@ -22,6 +23,7 @@ use crate::stage::{
 };
 use attributes::Attributes;
 use files::Files;
+use identity::{PointSourceKey, PointSourceRule};
 use waves::Waves;
 use wavex_formats::Error;
 use wavex_formats::geokeys;
@@ -36,19 +38,26 @@ pub const STAGE: StageSpec =
 ///
 /// Intensity is the corrected intensity, rounded. Return numbers, scan angle, scan direction and
 /// edge-of-flight-line flag are those of the shot. Times are adjusted GPS time if the input gives
-/// the week, otherwise those of the input; the header says which. The point source id is the MTA
-/// zone. The user data byte holds the flags of the fit (bit 0 refined, 1 overlap, 2 diverged at
-/// first, 3 to 5 cross-talk, 6 saturated, 7 extremely saturated). Outliers are withheld and of
-/// class 20. The scanner channel is the receiver that gave the intensity (0 low power, 1 high
-/// power).
+/// the week, otherwise those of the input; the header says which. The scanner channel is the
+/// receiver that gave the intensity (0 low power, 1 high power). The user data byte holds the flags
+/// of the fit (bit 0 refined, 1 overlap, 2 diverged at first, 3 to 5 cross-talk, 6 saturated, 7
+/// extremely saturated).
 ///
 /// LAS 1.4 uses point format 6 and the coordinate reference system of the points as WKT. LAS 1.2
 /// and 1.3, for older programs, use point format 1 (at most 7 returns per pulse, whole degrees, no
 /// channel) and GeoTIFF keys, or WKT if the CRS has no EPSG code.
 ///
-/// Extra attributes: `WideRatio`, `TargetThick`, `Amp`, `DevRatio`, `RangeErr`, `IntErr`,
-/// `WideErr`, `ThickErr` and `Channel` (0 low, 1 high power), with the scales, offsets and types of
-/// BayesWavEx 1.1. All values are clamped to the range of their type, never wrapped.
+/// The standard layout has the extra attributes `Amplitude`, `Reflectance`, `Pulse width`,
+/// `Deviation`, `Raw amplitude`, `Width ratio`, `Target thickness`, `Range SD`, `Amplitude SD`,
+/// `Width SD`, `Thickness SD`, `Intensity SD`, `Total uncertainty`, `Channel`, `MTA zone` and
+/// `Quality flags`, with units in their descriptions, limits and no-data values. The point source
+/// ID is the flight line. Outliers are withheld and of class 7 (low) or 18 (high); of class 7 before
+/// LAS 1.4. `docs/reference/las.md` lists types and scales.
+///
+/// The layouts of BayesWavEx have the zone as point source ID, and outliers of class 20. Layout 1.1
+/// has `WideRatio`, `TargetThick`, `Amp`, `DevRatio`, `RangeErr`, `IntErr`, `WideErr`, `ThickErr`
+/// and `Channel` (0 low, 1 high power). All values are clamped to the range of their type, never
+/// wrapped.
 ///
 /// Layout 1.0 has the names and scales of BayesWavEx 1.0 (2016): `Widening`, `Target Thickness`,
 /// `Amplitude`, `Raw Amplitude`, `Deviation Ratio`, `Range Error`, `Intensity Error`, `Widening
@@ -81,6 +90,14 @@ pub struct WriteLas {
     pub uncertainty: bool,
     /// Names and scales of the extra attributes, and meaning of class and user data.
     pub attribute_layout: AttributeLayout,
+    /// Point source ID, which is also the file source ID: `"line"`, the number of the input in the job,
+    /// from 1; `"name"`, the last number in the input's file name; a number; or `"zone"`, the
+    /// multiple-time-around zone of each point, without a file source ID. Defaults to `"line"` in the
+    /// standard layout, to `"zone"` in the others.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub point_source_id: Option<PointSourceKey>,
+    /// Project ID of the header, a GUID such as `943FA8B0-9E3C-4E8A-8F65-0A7B1C2D3E4F`; empty: none.
+    pub project_id: String,
     /// Destination of the waveforms of the points.
     pub wave_packets: WavePacketsKey,
     /// Destination of the spatial index for LAStools.
@@ -144,6 +161,9 @@ pub enum IndexKey {
 /// Layout of the attributes of points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 pub enum AttributeLayout {
+    /// Names, types and units of RIEGL and PDAL, with standard deviations within 0.2 %.
+    #[serde(rename = "standard")]
+    Standard,
     /// Layout of BayesWavEx 1.1.
     #[serde(rename = "1.1")]
     V1_1,
@@ -159,7 +179,9 @@ impl Default for WriteLas {
             version: VersionKey::V1_4,
             extra_attributes: true,
             uncertainty: true,
-            attribute_layout: AttributeLayout::V1_1,
+            attribute_layout: AttributeLayout::Standard,
+            point_source_id: None,
+            project_id: String::new(),
             wave_packets: WavePacketsKey::None,
             index: IndexKey::None,
             coordinate_step: None,
@@ -178,6 +200,11 @@ impl Config for WriteLas {
         )?;
         self.check_step()?;
         InvalidKey::unless(
+            self.project_id.is_empty() || identity::guid(&self.project_id).is_some(),
+            "project_id",
+            "it must be a GUID of 32 hexadecimal digits, such as 943FA8B0-9E3C-4E8A-8F65-0A7B1C2D3E4F",
+        )?;
+        InvalidKey::unless(
             self.wave_packets == WavePacketsKey::None || self.version != VersionKey::V1_2,
             "wave_packets",
             "LAS 1.2 has no waveforms: write version 1.3 or 1.4",
@@ -187,6 +214,10 @@ impl Config for WriteLas {
             "index",
             "an index can only be appended to .laz: write it as a file",
         )
+    }
+
+    fn spell_out(&mut self) {
+        self.point_source_id = Some(self.point_source());
     }
 }
 
@@ -217,6 +248,7 @@ impl SinkConfig for WriteLas {
             state: State::Empty(file),
             input: None,
             refused: None,
+            flight_line: self.point_source().flight_line(site)?,
         }))
     }
 }
@@ -229,6 +261,15 @@ impl WriteLas {
             "coordinate_step",
             "it must lie between 1e-9 and 1",
         )
+    }
+
+    /// Source of the point source ID, by default that of the layout.
+    fn point_source(&self) -> PointSourceKey {
+        let usual = match self.attribute_layout {
+            AttributeLayout::Standard => PointSourceRule::Line,
+            _ => PointSourceRule::Zone,
+        };
+        self.point_source_id.unwrap_or(PointSourceKey::Rule(usual))
     }
 
     fn attributes(&self) -> Attributes {
@@ -272,6 +313,7 @@ impl WriteLas {
         input: &InputInfo,
         first: Option<[f64; 3]>,
         time_s: f64,
+        flight_line: Option<u16>,
         attributes: &Attributes,
         pool: Option<Arc<ThreadPool>>,
     ) -> Result<Writer<OutputFile>> {
@@ -293,7 +335,8 @@ impl WriteLas {
             creation_year,
             system_identifier: input.instrument.as_deref().unwrap_or("EXTRACTION"),
             generating_software: concat!("wavex ", env!("CARGO_PKG_VERSION")),
-            file_source_id: 0,
+            file_source_id: flight_line.unwrap_or(0),
+            project_id: identity::guid(&self.project_id).unwrap_or_default(),
             waveforms: match self.wave_packets {
                 WavePacketsKey::None => WavePlace::None,
                 WavePacketsKey::External => WavePlace::Beside,
@@ -328,6 +371,8 @@ struct LasWriter {
     input: Option<Arc<InputInfo>>,
     /// Error of the first rejected point, outside the range of the file's coordinates.
     refused: Option<Error>,
+    /// Source ID of all points; `None`: their zones.
+    flight_line: Option<u16>,
 }
 
 /// Rejection reason of a point with an impossible position; the others are kept.
@@ -346,8 +391,8 @@ impl LasWriter {
         if let State::Empty(_) = self.state
             && let State::Empty(file) = std::mem::replace(&mut self.state, State::Broken)
         {
-            let writer =
-                self.config.begin(file, input, first, time_s, &self.attributes, self.pool.clone())?;
+            let (line, pool) = (self.flight_line, self.pool.clone());
+            let writer = self.config.begin(file, input, first, time_s, line, &self.attributes, pool)?;
             self.state = State::Open(Box::new(writer));
         }
         Ok(())
@@ -421,11 +466,18 @@ impl Sink for LasWriter {
             points.map(|(r, position)| waves.of(batch, blocks, r, *position)).collect::<Result<Vec<Wave>>>()
         };
         let waves = self.waves.as_mut().zip(blocks).map_or(Ok(Vec::new()), wave_of)?;
-        let layout = self.config.attribute_layout;
+        let (layout, line) = (self.config.attribute_layout, self.flight_line);
+        let is_legacy = self.config.version != VersionKey::V1_4;
         let made = |number: usize| {
             let r = &returns[number];
-            let point = point(input, &batch.emissions[r.emission as usize], r, points[number], layout);
-            PointOut { wave: waves.get(number).copied().unwrap_or_default(), ..point }
+            let point = point(input, &batch.emissions[r.emission as usize], r, points[number]);
+            PointOut {
+                classification: attributes::class(layout, is_legacy, r),
+                user_data: attributes::user_data(layout, r),
+                point_source_id: line.unwrap_or(point.point_source_id),
+                wave: waves.get(number).copied().unwrap_or_default(),
+                ..point
+            }
         };
         let (mut refused, mut n_refused) = (None, 0);
         writer.write_points(
@@ -472,15 +524,9 @@ pub(super) fn offsets(input: &InputInfo, first: Option<[f64; 3]>) -> [f64; 3] {
     own.unwrap_or_else(|| first.unwrap_or_default().map(near))
 }
 
-/// Converts a return to a LAS point.
+/// Converts a return to a LAS point of layout 1.1.
 #[inline]
-pub(super) fn point(
-    input: &InputInfo,
-    emission: &Emission,
-    r: &Return,
-    [x, y, z]: [f64; 3],
-    layout: AttributeLayout,
-) -> PointOut {
+pub(super) fn point(input: &InputInfo, emission: &Emission, r: &Return, [x, y, z]: [f64; 3]) -> PointOut {
     let flag = |bit: u16| emission.flags & bit != 0;
     PointOut {
         x,
@@ -492,11 +538,11 @@ pub(super) fn point(
         number_of_returns: r.number_of_returns,
         scan_direction: flag(emission_flags::SCAN_DIRECTION_POSITIVE),
         edge_of_flight_line: flag(emission_flags::EDGE_OF_FLIGHT_LINE),
-        classification: attributes::class(layout, r),
+        classification: attributes::class(AttributeLayout::V1_1, false, r),
         withheld: r.withheld,
         scanner_channel: attributes::power_channel(r),
         scan_angle_deg: if emission.scan_angle_deg.is_nan() { 0.0 } else { emission.scan_angle_deg },
-        user_data: attributes::user_data(layout, r),
+        user_data: attributes::user_data(AttributeLayout::V1_1, r),
         point_source_id: r.mta_zone.max(0) as u16,
         gps_time: gps_time(input, emission),
         wave: Wave::default(),

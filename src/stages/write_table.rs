@@ -11,10 +11,11 @@ use crate::stage::{
 };
 
 mod columns;
+mod geo;
 mod writer;
 
 pub use columns::{Row, description};
-pub use writer::{Format, ROWS_PER_GROUP, TableWriter};
+pub use writer::{Format, ROWS_PER_GROUP, TableInfo, TableWriter};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_table", &[Kind::Returns, Kind::Points]);
@@ -29,9 +30,14 @@ pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_table", &[Kind::Re
 /// mta_zone, range_m, range_sd_m, time_of_flight_ns, time_of_flight_sd_ns, amplitude_dn,
 /// amplitude_sd_dn, amplitude_db, width_ratio, width_ratio_sd, fwhm_ns, thickness_m,
 /// thickness_sd_m, deviation_ratio, intensity, intensity_sd, flags, withheld, class, x, y, z,
-/// total_uncertainty_m. `schemas/return_table.json` gives their types and meanings. gps_time_s, mta_zone and
+/// total_uncertainty_m. `schemas/return_table.json` gives their types, units and meanings, which are
+/// also metadata of the columns. gps_time_s, mta_zone and
 /// amplitude_db are null if unknown; x, y and z are null before `georeference`; other unknown
 /// quantities are NaN.
+///
+/// Parquet of points is GeoParquet 1.1: a last column, `geometry`, repeats x, y and z as WKB, with the
+/// coordinate reference system as PROJJSON (geodetic, transverse Mercator and Lambert systems; for
+/// others, only as WKT in the metadata `wavex.crs`). GeoPandas and DuckDB's spatial extension open it.
 ///
 /// Rows are written in groups of 65 536, so that memory is bounded and the same returns give the
 /// same bytes. Withheld returns are written, and marked. A table without returns has its columns
@@ -92,13 +98,20 @@ enum State {
 }
 
 impl ReturnTableWriter {
-    fn writer(&mut self, time_scale: TimeScale) -> Result<&mut TableWriter<OutputFile>> {
+    /// The table, started with what the first line has.
+    fn writer(
+        &mut self,
+        time_scale: TimeScale,
+        crs_wkt: Option<&str>,
+        has_points: bool,
+    ) -> Result<&mut TableWriter<OutputFile>> {
         if let State::Waiting(_) = self.state
             && let State::Waiting(to) = std::mem::replace(&mut self.state, State::Failed)
         {
             let path = to.path().to_path_buf();
             let time_scale = time_scale_of(time_scale).name();
-            self.state = State::Open(Box::new(TableWriter::new(to, &path, self.format, time_scale)?));
+            let info = TableInfo { time_scale, crs_wkt, has_points };
+            self.state = State::Open(Box::new(TableWriter::new(to, &path, self.format, info)?));
         }
         match &mut self.state {
             State::Open(writer) => Ok(writer),
@@ -115,7 +128,8 @@ impl Sink for ReturnTableWriter {
                 "put it after `decompose`",
             ));
         };
-        let writer = self.writer(line.input.time_scale)?;
+        let crs_wkt = line.input.crs_wkt.as_deref();
+        let writer = self.writer(line.input.time_scale, crs_wkt, line.points().is_some())?;
         let points = line.points().unwrap_or_default();
         for (index, found) in returns.iter().enumerate() {
             let Some(emission) = line.emissions.get(found.emission as usize) else {
@@ -135,7 +149,7 @@ impl Sink for ReturnTableWriter {
 
     fn finish(mut self: Box<Self>, cx: &mut Context) -> Result<()> {
         // A table without lines still has its columns.
-        self.writer(TimeScale::Unknown)?;
+        self.writer(TimeScale::Unknown, None, false)?;
         if let State::Open(writer) = self.state {
             cx.publish(writer.finish()?.finish()?);
         }

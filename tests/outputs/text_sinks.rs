@@ -34,7 +34,7 @@ fn text_says_what_las_says() {
     let folder = tempfile::tempdir().unwrap();
     run(
         folder.path(),
-        "[[stage]]\ntype = 'write_las'\npath = '*.las'\n\
+        "[[stage]]\ntype = 'write_las'\npath = '*.las'\nattribute_layout = '1.1'\n\
          [[stage]]\ntype = 'write_ascii'\ncolumns = 'txyzirncuaedph0123'\nseparator = 'tab'\n",
     );
     let text = std::fs::read_to_string(folder.path().join("a.txt")).unwrap();

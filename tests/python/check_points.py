@@ -6,14 +6,32 @@ import laspy
 import numpy as np
 import pyarrow.compute as pc
 
-from checks import numbers
+from checks import numbers, same_bytes
 
 WEEK_S = 604_800
 ADJUSTMENT_S = 1_000_000_000
 SCAN_ANGLE_STEP_DEG = 0.006
-# Name, quantity, type, step and value of 0 of each extra attribute, and what NaN is stored as: BayesWavEx 1.1, section 3,
-# and BayesWavEx 1.0, section 2.
+# Name, quantity, type, step and value of 0 of each extra attribute, and what NaN is stored as: docs/reference/las.md;
+# BayesWavEx 1.1, section 3, and BayesWavEx 1.0, section 2.
 LAYOUTS = {
+    "standard": [
+        ("Amplitude", "amplitude_db", "u2", 0.01, 0.0, 65_535),
+        ("Reflectance", "reflectance_db", "i2", 0.01, 0.0, -32_768),
+        ("Pulse width", "fwhm", "u2", 0.01, 0.0, 65_535),
+        ("Deviation", "deviation", "i2", 0.1, 0.0, -32_768),
+        ("Raw amplitude", "raw_amplitude", "u4", 0.01, 0.0, 2**32 - 1),
+        ("Width ratio", "width", "u2", 0.001, 0.0, 65_535),
+        ("Target thickness", "thickness", "u2", 0.001, 0.0, 65_535),
+        ("Range SD", "range_sd", "f4", 1.0, 0.0, np.nan),
+        ("Amplitude SD", "amplitude_sd", "f4", 1.0, 0.0, np.nan),
+        ("Width SD", "fwhm_sd", "f4", 1.0, 0.0, np.nan),
+        ("Thickness SD", "thickness_sd", "f4", 1.0, 0.0, np.nan),
+        ("Intensity SD", "intensity_sd", "f4", 1.0, 0.0, np.nan),
+        ("Total uncertainty", "total_sd", "f4", 1.0, 0.0, np.nan),
+        ("Channel", "receivers", "u1", 1.0, 0.0, 0),
+        ("MTA zone", "zone", "u1", 1.0, 0.0, 255),
+        ("Quality flags", "flags", "u2", 1.0, 0.0, 0),
+    ],
     "1.1": [
         ("WideRatio", "width", "u1", 0.025, 0.5, 0),
         ("TargetThick", "thickness", "u1", 0.008, 0.0, 0),
@@ -47,6 +65,15 @@ def attribute_values(table):
     return {
         "width": numbers(table, "width_ratio"),
         "thickness": numbers(table, "thickness_m"),
+        "amplitude_db": db,
+        "reflectance_db": np.where(np.isnan(db), np.nan, 10.0 * np.log10(np.maximum(numbers(table, "intensity"), 1e-300) / 7.0)),
+        "fwhm": numbers(table, "fwhm_ns"),
+        "fwhm_sd": numbers(table, "width_ratio_sd") * numbers(table, "fwhm_ns") / numbers(table, "width_ratio"),
+        "amplitude_sd": numbers(table, "amplitude_sd_dn"),
+        "total_sd": numbers(table, "total_uncertainty_m").astype(float),
+        "receivers": np.array([["low", "high", "joint"].index(name) for name in table.column("channel").to_pylist()]),
+        "zone": numbers(table, "mta_zone").astype(float),
+        "flags": numbers(table, "flags"),
         "amplitude": np.where(np.isnan(db), dn, 7.0 * 10.0 ** (db / 10.0)),
         "raw_amplitude": dn,
         "deviation": numbers(table, "deviation_ratio"),
@@ -63,14 +90,14 @@ def power_channel(table):
     return pc.not_equal(table.column("channel"), "low").to_numpy().astype(float)
 
 
-def check_points(checks, path, table, container, version="1.4", layout="1.1"):
+def check_points(checks, path, table, container, version="1.4", layout="standard"):
     las = laspy.read(path, laz_backend=laspy.LazBackend.Lazrs)
     header = las.header
     with_waveforms = {"1.4": 9, "1.3": 4} if "waves" in path.name else {"1.4": 6, "1.2": 1}
     expected = (version, with_waveforms[version])
     checks.equal("has its version and point format", (str(header.version), header.point_format.id), expected)
     checks.equal("has a point for each return of the table", len(las.points), table.num_rows)
-    check_header(checks, las)
+    check_header(checks, las, layout)
     check_crs(checks, header, container.schema.metadata)
     for axis, step in zip("xyz", header.scales):
         # Half a step, plus the rounding of coordinates as doubles.
@@ -79,11 +106,14 @@ def check_points(checks, path, table, container, version="1.4", layout="1.1"):
     check_emissions(checks, las, table, container)
     check_times(checks, las, table, container.schema.metadata)
     check_attributes(checks, las, table, LAYOUTS[layout])
+    if layout == "standard":
+        check_declared(checks, las, LAYOUTS[layout])
     return las
 
 
-def check_header(checks, las):
+def check_header(checks, las, layout):
     header = las.header
+    checks.equal("has the flight line as file source ID", header.file_source_id, 1 if layout == "standard" else 0)
     by_return = np.bincount(np.asarray(las.return_number), minlength=16)[1:16]
     columns = 5 if is_old(las) else 15
     found = list(header.number_of_points_by_return)[:columns]
@@ -128,13 +158,17 @@ def check_fields(checks, las, table, layout):
         expected = np.minimum(numbers(table, column).astype(int), most)
         checks.within(f"{field} is that of the table", las[field], expected, 0)
     classes, flags = numbers(table, "class").astype(int), numbers(table, "flags").astype(int) & 0xFF
+    if layout == "standard":
+        classes = np.where(is_old(las) & (classes == 18), 7, classes)
+    else:
+        classes = np.where(classes > 0, 20, classes)
     if layout == "1.0":
         classes = np.where(numbers(table, "deviation_ratio") > 3.0, 20, classes)
         flags = sum((flags >> bit & 1) << place for bit, place in USER_DATA_1_0.items())
     checks.within("classification is that of the table", las.classification, classes, 0)
     checks.within("user_data holds the flags of the fit", las.user_data, flags, 0)
-    zone = np.maximum(numbers(table, "mta_zone", null=0), 0)
-    checks.within("point_source_id is the multiple-time-around zone", las.point_source_id, zone, 0)
+    source = np.ones(len(las.points)) if layout == "standard" else np.maximum(numbers(table, "mta_zone", null=0), 0)
+    checks.within("point_source_id is the flight line, or the zone", las.point_source_id, source, 0)
     for field in ["synthetic", "key_point"] + ([] if is_old(las) else ["overlap"]):
         checks.that(f"{field} is not set", not np.any(las[field]))
     if not is_old(las):
@@ -167,18 +201,45 @@ def check_attributes(checks, las, table, layout):
     checks.equal("has the extra attributes in their order", names, [name for name, *_ in layout])
     values = attribute_values(table)
     for name, quantity, kind, step, zero, unknown in layout:
+        if kind == "f4":
+            check_single(checks, las, name, values[quantity])
+            continue
         stored = las.points.array[name]
         about = las.point_format.dimension_by_name(name)
         scale = 1.0 if about.scales is None else about.scales[0]
         offset = 0.0 if about.offsets is None else about.offsets[0]
         found = (stored.dtype.str[1:], scale, offset)
         checks.equal(f"{name} has its type and step", found, (kind, step, zero))
-        steps = np.clip((values[quantity] - zero) / step, 0, np.iinfo(stored.dtype).max)
+        limits = np.iinfo(stored.dtype)
+        steps = np.clip((values[quantity] - zero) / step, limits.min, limits.max)
         steps = np.where(np.isnan(steps), unknown, steps)
-        checks.within(f"{name} is that of the table", stored, steps, 0.5 + 1e-9)
+        checks.within(f"{name} is that of the table", stored, steps, 0.5 + 1e-6)
+
+
+def check_single(checks, las, name, expected):
+    """Checks a standard deviation in single precision: within 1 % of the table, and NaN where unknown."""
+    stored = np.asarray(las[name])
+    checks.equal(f"{name} has its type and step", (stored.dtype.str[1:], las.point_format.dimension_by_name(name).scales), ("f4", None))
+    checks.that(f"{name} is unknown where it is in the table", np.array_equal(np.isnan(stored), np.isnan(expected)))
+    # A column without any known value has nothing to compare.
+    off = np.abs(stored - expected) / np.maximum(expected, 1e-30)
+    checks.that(f"{name} is within 1 % of the table", np.nanmax(off, initial=0.0) <= 0.01, np.nanmax(off, initial=0.0))
+
+
+def check_declared(checks, las, layout):
+    """Checks no-data values and limits in the record of the extra attributes."""
+    (record,) = [vlr for vlr in las.header.vlrs if (vlr.user_id, vlr.record_id) == ("LASF_Spec", 4)]
+    for about, (name, _, kind, *_, unknown) in zip(record.extra_bytes_structs, layout):
+        if name not in ("Channel", "Quality flags"):
+            checks.that(f"{name} declares its no-data value", np.array_equal(about.no_data, [unknown], equal_nan=kind == "f4"))
+        if name != "Quality flags":
+            stored = las.points.array[name]
+            known = np.asarray(las[name], dtype=float)[(stored != unknown) & ~np.isnan(stored)]
+            inside = (known >= about.min[0] - 1e-9) & (known <= about.max[0] + 1e-9)
+            checks.that(f"{name} is within its limits", np.all(inside), (about.min, about.max))
 
 
 def check_same_points(checks, las, laz):
-    checks.that("holds the same points as LAS", np.array_equal(las.points.array, laz.points.array))
+    checks.that("holds the same points as LAS", same_bytes(las.points.array, laz.points.array))
     records = lambda file: [(vlr.user_id, vlr.record_id) for vlr in file.header.vlrs if vlr.user_id != "laszip encoded"]
     checks.equal("has the same records as LAS", json.dumps(records(laz)), json.dumps(records(las)))

@@ -31,8 +31,9 @@ def check_ascii(checks, path, table, container):
     intensity = np.clip(np.floor(numbers(table, "intensity") + 0.5), 0, 65535)
     checks.within("intensity is that of the table, rounded", column["intensity"], intensity, 0)
     for name, of_table in [("return_number", "return_number"), ("number_of_returns", "number_of_returns"),
-                           ("classification", "class"), ("withheld", "withheld")]:
+                           ("withheld", "withheld")]:
         checks.within(f"{name} is that of the table", column[name], np.minimum(numbers(table, of_table).astype(int), 255), 0)
+    checks.within("classification is 20 for outliers", column["classification"], np.where(numbers(table, "class") > 0, 20, 0), 0)
     checks.within("user_data holds the flags of the fit", column["user_data"], numbers(table, "flags").astype(int) & 0xFF, 0)
     zone = np.maximum(numbers(table, "mta_zone", null=0), 0)
     checks.within("point_source_id is the multiple-time-around zone", column["point_source_id"], zone, 0)

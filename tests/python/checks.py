@@ -71,3 +71,8 @@ def same_column(a, b):
         a, b = (column.drop_null().to_numpy() for column in (a, b))
         return bool(np.array_equal(a, b, equal_nan=True))
     return a.equals(b)
+
+
+def same_bytes(a, b):
+    """Whether two arrays of records are equal bit by bit."""
+    return a.dtype == b.dtype and a.tobytes() == b.tobytes()

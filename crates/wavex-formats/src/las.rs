@@ -27,6 +27,7 @@
 //!     system_identifier: "",
 //!     generating_software: "an example",
 //!     file_source_id: 0,
+//!     project_id: [0; 16],
 //!     waveforms: WavePlace::Inside,
 //!     index: IndexPlace::None,
 //!     pool: None,
@@ -74,7 +75,8 @@ pub use descriptor::Descriptor;
 #[cfg(test)]
 use extra_bytes::{AMP, CHANNEL};
 pub use extra_bytes::{
-    ATTRIBUTES_1_0, ATTRIBUTES_1_1, DataType, ExtraAttribute, ExtraBytes, RAW_AMP, quantise,
+    ATTRIBUTES_1_0, ATTRIBUTES_1_1, ATTRIBUTES_STANDARD, DataType, ExtraAttribute, ExtraBytes, RAW_AMP,
+    quantise,
 };
 pub use header::{GpsTime, Header};
 pub use lax::beside as indexes_beside;

@@ -16,6 +16,7 @@ mod named;
 #[cfg(feature = "proj")]
 mod proj;
 mod projection;
+mod projjson;
 mod unit;
 mod wkt;
 
@@ -32,6 +33,7 @@ pub use geotiff::{GeoKeys, geotiff_keys_of_wkt};
 pub use named::Named;
 use named::utm_zone_at;
 use projection::Projection;
+pub use projjson::projjson_of_wkt;
 pub use unit::Unit;
 
 /// Number of positions processed together: their intermediate values fit into registers and the

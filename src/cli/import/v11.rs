@@ -27,7 +27,7 @@ pub const V11: Version = Version {
         "write_trajectory",
         "write_lstat",
     ],
-    always: &[],
+    always: &[("write_las", "attribute_layout", "\"1.1\"", "1.1")],
     option_files: &["wavex.opt.txt", "wavex.opt", "stripalign.opt"],
     output: "*.laz",
     line_stats: "_lstat.txt",

@@ -15,8 +15,9 @@ const LINES_APART: usize = 16;
 const OTHERS: usize = 3;
 /// Minimum step length, as a multiple of the shot or line spacing.
 const SPACINGS: f64 = 2.5;
-/// LAS class of outliers, as in BayesWavEx 1.1.
-const OUTLIER_CLASS: u8 = 20;
+/// LAS 1.4 classes of low and of high noise.
+const LOW_NOISE: u8 = 7;
+const HIGH_NOISE: u8 = 18;
 
 /// Pending lines, and emitted lines still needed for others.
 pub(super) struct Strip {
@@ -210,11 +211,12 @@ fn apply(scan_line: &mut ScanLine, verdicts: &Verdicts, config: &FilterOutliers,
     let Content::Returns(returns) = &mut scan_line.content else { return };
     let is_out = |index: usize| verdicts.rejected[index] || (config.points && verdicts.outliers[index]);
     for (index, r) in returns.iter_mut().enumerate().filter(|(index, _)| is_out(*index)) {
-        match verdicts.sides[index] {
-            Some(Side::Low) => stats.np_low += 1,
-            _ => stats.np_air += 1,
-        }
-        (r.withheld, r.class) = (true, OUTLIER_CLASS);
+        let (count, class) = match verdicts.sides[index] {
+            Some(Side::Low) => (&mut stats.np_low, LOW_NOISE),
+            _ => (&mut stats.np_air, HIGH_NOISE),
+        };
+        *count += 1;
+        (r.withheld, r.class) = (true, class);
     }
     let gone: Vec<&Return> =
         returns.iter().zip(&verdicts.rejected).filter(|(_, rejected)| **rejected).map(|(r, _)| r).collect();

@@ -89,7 +89,7 @@ fn run(keys: &FilterOutliers, lines: Vec<ScanLine>, may_hold_bytes: usize) -> (V
 /// Line and shot of every marked return.
 fn marked(lines: &[ScanLine]) -> Vec<(u32, u32)> {
     let of_line = |scan_line: &ScanLine| {
-        let marked = scan_line.returns().unwrap().iter().filter(|r| r.withheld && r.class == 20);
+        let marked = scan_line.returns().unwrap().iter().filter(|r| r.withheld && matches!(r.class, 7 | 18));
         marked.map(|r| (scan_line.line, r.emission)).collect::<Vec<_>>()
     };
     lines.iter().flat_map(of_line).collect()

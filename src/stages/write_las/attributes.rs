@@ -1,30 +1,69 @@
-//! Extra attributes, class and user data of points, in both layouts.
+//! Extra attributes, class and user data of points, in all layouts.
 
 use crate::scan_line::{Return, ReturnChannel, flags};
-use wavex_formats::las::{ATTRIBUTES_1_0, ATTRIBUTES_1_1, ExtraAttribute, ExtraColumns, RAW_AMP, TOGETHER};
+use wavex_formats::las::{
+    ATTRIBUTES_1_0, ATTRIBUTES_1_1, ATTRIBUTES_STANDARD, ExtraAttribute, ExtraColumns, RAW_AMP, TOGETHER,
+};
 use wavex_signal::simd::quantise::{ROUNDING, power_ratios};
 
 use super::AttributeLayout;
 
-/// Quantity of a return stored in an extra attribute.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Quantity {
-    WidthRatio,
-    Thickness,
-    LinearAmplitude,
-    RawAmplitude,
-    DeviationRatio,
-    RangeSd,
-    IntensitySd,
-    WidthSd,
-    ThicknessSd,
-    Channel,
+/// Defines the quantities that extra attributes store, each by its value of a return.
+macro_rules! quantities {
+    ($($name:ident: $of:expr,)+) => {
+        /// Quantity of a return stored in an extra attribute.
+        #[derive(Clone, Copy, Debug, PartialEq)]
+        enum Quantity { $($name,)+ }
+
+        use Quantity::{$($name,)+};
+
+        impl Quantity {
+            #[inline]
+            fn of(self, r: &Return) -> f64 {
+                match self { $($name => value_of(r, $of),)+ }
+            }
+
+            /// Applies [`Quantity::of`] to each return.
+            ///
+            /// Linear amplitudes are approximate, but accurate enough for rounding to whole numbers.
+            fn column(self, returns: &[Return], values: &mut [f64]) {
+                if self == LinearAmplitude {
+                    return linear_amplitudes(values, returns);
+                }
+                // The quantity is matched once, not per value.
+                match self { $($name => fill(values, returns, |r| value_of(r, $of)),)+ }
+            }
+        }
+    };
 }
 
-use Quantity::{
-    Channel, DeviationRatio, IntensitySd, LinearAmplitude, RangeSd, RawAmplitude, Thickness, ThicknessSd,
-    WidthRatio, WidthSd,
-};
+quantities! {
+    WidthRatio: |r| r.width_ratio,
+    Thickness: |r| r.thickness_m,
+    LinearAmplitude: linear_amplitude,
+    RawAmplitude: |r| r.amplitude_dn,
+    DeviationRatio: |r| r.deviation_ratio,
+    RangeSd: |r| r.range_sd_m,
+    IntensitySd: |r| r.intensity_sd,
+    WidthSd: |r| r.width_ratio_sd,
+    ThicknessSd: |r| r.thickness_sd_m,
+    Channel: |r| f64::from(power_channel(r)),
+    AmplitudeDb: |r| r.amplitude_db,
+    ReflectanceDb: reflectance_db,
+    FwhmNs: |r| r.fwhm_ns,
+    FwhmSdNs: |r| r.width_ratio_sd * (r.fwhm_ns / r.width_ratio),
+    AmplitudeSd: |r| r.amplitude_sd_dn,
+    TotalSd: |r| r.total_sd_m,
+    Receivers: receivers,
+    Zone: |r| if r.mta_zone < 0 { f64::NAN } else { f64::from(r.mta_zone) },
+    Flags: |r| f64::from(r.flags),
+}
+
+/// Calls `of`; it gives closures their argument type.
+#[inline]
+fn value_of(r: &Return, of: impl Fn(&Return) -> f64) -> f64 {
+    of(r)
+}
 
 /// Quantities of the attributes of each layout, in their order.
 const QUANTITIES_1_1: [Quantity; 9] = [
@@ -50,10 +89,32 @@ const QUANTITIES_1_0: [Quantity; 9] = [
     ThicknessSd,
 ];
 
+const QUANTITIES_STANDARD: [Quantity; 16] = [
+    AmplitudeDb,
+    ReflectanceDb,
+    FwhmNs,
+    DeviationRatio,
+    RawAmplitude,
+    WidthRatio,
+    Thickness,
+    RangeSd,
+    AmplitudeSd,
+    FwhmSdNs,
+    ThicknessSd,
+    IntensitySd,
+    TotalSd,
+    Receivers,
+    Zone,
+    Flags,
+];
+
 /// Deviation ratio above which points of layout 1.0 are of class 20.
 const UNDEFINED_DEVIATION_RATIO: f64 = 3.0;
 /// "Undefined" (BayesWavEx 1.1, section 3).
 const UNDEFINED: u8 = 20;
+/// Classes of noise (LAS 1.4, "ASPRS Standard Point Classes"); before LAS 1.4, only the first.
+const LOW_NOISE: u8 = 7;
+const HIGH_NOISE: u8 = 18;
 
 /// The extra attributes of a file: storage, and quantities.
 pub(super) struct Attributes {
@@ -64,11 +125,12 @@ pub(super) struct Attributes {
 impl Attributes {
     /// The attributes of a layout, with or without standard deviations.
     pub(super) fn of(layout: AttributeLayout, uncertainty: bool) -> Attributes {
-        let (stored, quantities) = match layout {
-            AttributeLayout::V1_1 => (ATTRIBUTES_1_1, QUANTITIES_1_1),
-            AttributeLayout::V1_0 => (ATTRIBUTES_1_0, QUANTITIES_1_0),
+        let (stored, quantities): (&[ExtraAttribute], &[Quantity]) = match layout {
+            AttributeLayout::Standard => (&ATTRIBUTES_STANDARD, &QUANTITIES_STANDARD),
+            AttributeLayout::V1_1 => (&ATTRIBUTES_1_1, &QUANTITIES_1_1),
+            AttributeLayout::V1_0 => (&ATTRIBUTES_1_0, &QUANTITIES_1_0),
         };
-        let all = stored.into_iter().zip(quantities);
+        let all = stored.iter().copied().zip(quantities.iter().copied());
         let (stored, quantities) =
             all.filter(|(_, quantity)| uncertainty || !quantity.is_uncertainty()).unzip();
         Attributes { stored, quantities }
@@ -91,42 +153,7 @@ impl Attributes {
 
 impl Quantity {
     fn is_uncertainty(self) -> bool {
-        matches!(self, RangeSd | IntensitySd | WidthSd | ThicknessSd)
-    }
-
-    /// Applies [`Quantity::of`] to each return.
-    ///
-    /// Linear amplitudes are approximate, but accurate enough for rounding to whole numbers.
-    fn column(self, returns: &[Return], values: &mut [f64]) {
-        // Each closure names its quantity as a constant, so that it is not matched per value.
-        match self {
-            WidthRatio => fill(values, returns, |r| WidthRatio.of(r)),
-            Thickness => fill(values, returns, |r| Thickness.of(r)),
-            LinearAmplitude => linear_amplitudes(values, returns),
-            RawAmplitude => fill(values, returns, |r| RawAmplitude.of(r)),
-            DeviationRatio => fill(values, returns, |r| DeviationRatio.of(r)),
-            RangeSd => fill(values, returns, |r| RangeSd.of(r)),
-            IntensitySd => fill(values, returns, |r| IntensitySd.of(r)),
-            WidthSd => fill(values, returns, |r| WidthSd.of(r)),
-            ThicknessSd => fill(values, returns, |r| ThicknessSd.of(r)),
-            Channel => fill(values, returns, |r| Channel.of(r)),
-        }
-    }
-
-    #[inline]
-    fn of(self, r: &Return) -> f64 {
-        match self {
-            WidthRatio => r.width_ratio,
-            Thickness => r.thickness_m,
-            LinearAmplitude => linear_amplitude(r),
-            RawAmplitude => r.amplitude_dn,
-            DeviationRatio => r.deviation_ratio,
-            RangeSd => r.range_sd_m,
-            IntensitySd => r.intensity_sd,
-            WidthSd => r.width_ratio_sd,
-            ThicknessSd => r.thickness_sd_m,
-            Channel => f64::from(power_channel(r)),
-        }
+        matches!(self, RangeSd | IntensitySd | WidthSd | ThicknessSd | FwhmSdNs | AmplitudeSd | TotalSd)
     }
 }
 
@@ -174,6 +201,23 @@ fn linear_amplitude(r: &Return) -> f64 {
     }
 }
 
+/// Relative reflectance: the intensity on the scale of amplitudes in dB; NaN without a table.
+fn reflectance_db(r: &Return) -> f64 {
+    match r.amplitude_db.is_nan() || r.intensity <= 0.0 {
+        true => f64::NAN,
+        false => 10.0 * (r.intensity / 7.0).log10(),
+    }
+}
+
+/// Receivers of the return: 0 low power, 1 high power, 2 both.
+fn receivers(r: &Return) -> f64 {
+    match r.channel {
+        ReturnChannel::Low => 0.0,
+        ReturnChannel::High => 1.0,
+        ReturnChannel::Joint => 2.0,
+    }
+}
+
 /// The receiver that gave the intensity: 0 low power, 1 high power.
 pub(super) fn power_channel(r: &Return) -> u8 {
     u8::from(r.channel != ReturnChannel::Low)
@@ -185,16 +229,20 @@ pub(super) fn power_channel(r: &Return) -> u8 {
 pub(super) fn user_data(layout: AttributeLayout, r: &Return) -> u8 {
     let bit = |flag: u16, bit: u8| u8::from(r.flags & flag != 0) << bit;
     match layout {
-        AttributeLayout::V1_1 => r.flags as u8,
+        AttributeLayout::Standard | AttributeLayout::V1_1 => r.flags as u8,
         AttributeLayout::V1_0 => bit(flags::REFINED, 0) | bit(flags::OVERLAP, 6) | bit(flags::DIVERGED, 7),
     }
 }
 
 /// Class; in layout 1.0, poor fits are also undefined.
-pub(super) fn class(layout: AttributeLayout, r: &Return) -> u8 {
-    match layout {
-        AttributeLayout::V1_0 if r.deviation_ratio > UNDEFINED_DEVIATION_RATIO => UNDEFINED,
-        _ => r.class,
+///
+/// Legacy versions have only one class of noise.
+pub(super) fn class(layout: AttributeLayout, is_legacy: bool, r: &Return) -> u8 {
+    match (layout, r.class) {
+        (AttributeLayout::V1_0, _) if r.deviation_ratio > UNDEFINED_DEVIATION_RATIO => UNDEFINED,
+        (AttributeLayout::Standard, HIGH_NOISE) if is_legacy => LOW_NOISE,
+        (AttributeLayout::V1_0 | AttributeLayout::V1_1, LOW_NOISE | HIGH_NOISE) => UNDEFINED,
+        (_, class) => class,
     }
 }
 

@@ -92,7 +92,7 @@ fn points(bytes: &[u8]) -> (las::Header, Vec<las::Point>) {
 }
 
 fn keys(path: &str) -> WriteLas {
-    WriteLas { path: path.into(), ..WriteLas::default() }
+    WriteLas { path: path.into(), attribute_layout: AttributeLayout::V1_1, ..WriteLas::default() }
 }
 
 /// Stored steps of the attributes.
@@ -109,7 +109,7 @@ fn stored(point: &las::Point, layout: AttributeLayout) -> Vec<u16> {
 
 #[test]
 fn a_point_tells_of_its_return_in_version_1_4() {
-    let outlier = Return { channel: ReturnChannel::Joint, withheld: true, class: 20, ..found(8) };
+    let outlier = Return { channel: ReturnChannel::Joint, withheld: true, class: 18, ..found(8) };
     let lines = [line(info(Some("PROJCS[\"x\"]")), vec![found(1), outlier])];
     let (bytes, notes) = write(&keys("*.las"), &lines);
     assert!(notes.is_empty(), "{notes:?}");
@@ -263,4 +263,81 @@ fn keys_that_cannot_be_are_told() {
     assert!(said(old).unwrap().contains("LAS 1.2 has no waveforms: write version 1.3 or 1.4"));
     let coarse = WriteLas { coordinate_step: Some(2.0), ..WriteLas::default() };
     assert!(said(coarse).unwrap().contains("it must lie between 1e-9 and 1"));
+}
+
+#[test]
+fn the_standard_layout_has_the_flight_line_and_noise_classes() {
+    let noise = |class| Return { withheld: true, class, ..found(2) };
+    let keys = WriteLas {
+        attribute_layout: AttributeLayout::Standard,
+        project_id: "00112233-4455-6677-8899-aabbccddeeff".into(),
+        ..keys("*.las")
+    };
+    let lines = [line(info(None), vec![found(1), noise(7), noise(18)])];
+    let (bytes, _) = write(&keys, &lines);
+    let (header, read) = points(&bytes);
+    // Three little-endian numbers, which the crate reads as bytes.
+    let guid = "33221100-5544-7766-8899-aabbccddeeff";
+    assert_eq!((header.file_source_id(), header.guid().to_string().as_str()), (1, guid));
+    let classes =
+        |points: &[las::Point]| points.iter().map(|p| u8::from(p.classification)).collect::<Vec<_>>();
+    assert_eq!(classes(&read), [0, 7, 18]);
+    assert!(read.iter().all(|point| point.point_source_id == 1));
+    let legacy = WriteLas { version: VersionKey::V1_2, ..keys.clone() };
+    assert_eq!(classes(&points(&write(&legacy, &lines).0).1), [0, 7, 7]);
+    let zones = PointSourceKey::Rule(PointSourceRule::Zone);
+    let (header, read) = points(&write(&WriteLas { point_source_id: Some(zones), ..keys }, &lines).0);
+    assert_eq!((header.file_source_id(), read[0].point_source_id), (0, 2));
+}
+
+/// Extra bytes of a return in the standard layout.
+fn standard_bytes(r: Return) -> Vec<u8> {
+    let keys = WriteLas { attribute_layout: AttributeLayout::Standard, ..keys("*.las") };
+    let (_, points) = points(&write(&keys, &[line(info(None), vec![r])]).0);
+    points[0].extra_bytes.clone()
+}
+
+#[test]
+fn the_standard_layout_stores_values_and_their_uncertainties() {
+    let bytes = standard_bytes(Return { total_sd_m: 0.04, channel: ReturnChannel::Joint, ..found(1) });
+    let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
+    // 20 dB; 10 log10(70.6 / 7) dB; 4.5 ns; 2.0; 120.4 steps; 1.25; 0.24 m.
+    assert_eq!([0, 2, 4, 6].map(u16_at), [2000, 1004, 450, 20]);
+    assert_eq!((u16_at(8), u16_at(10), u16_at(12), u16_at(14)), (12_040, 0, 1250, 240));
+    let sd = |number: usize| f32::from_le_bytes(*bytes[16 + 4 * number..].first_chunk().unwrap());
+    let expected: [f32; 6] = [0.003, 0.9, 0.05 * 4.5 / 1.25, 0.125, 10.0, 0.04];
+    for (number, expected) in expected.into_iter().enumerate() {
+        assert!((sd(number) / expected - 1.0).abs() < 1.0 / 256.0, "{number}: {}", sd(number));
+    }
+    let flags = flags::REFINED | flags::OVERLAP | flags::SATURATED | flags::SPLIT;
+    assert_eq!((bytes[40], bytes[41], u16_at(42), bytes.len()), (2, 2, flags, 44));
+}
+
+#[test]
+fn unknown_quantities_are_no_data_in_the_standard_layout() {
+    let bytes = standard_bytes(Return { mta_zone: -1, deviation_ratio: f64::NAN, ..Return::default() });
+    let u16_at = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
+    assert_eq!([0, 2, 4, 6, 8, 10].map(u16_at), [65_535, 32_768, 65_535, 32_768, 65_535, 65_535]);
+    for sd in bytes[16..40].chunks_exact(4) {
+        assert!(f32::from_le_bytes(*sd.first_chunk().unwrap()).is_nan());
+    }
+    assert_eq!(bytes[41], 255);
+}
+
+#[test]
+fn classic_layouts_stay_as_they_are_to_the_bit() {
+    let returns = vec![found(1), Return { class: 7, withheld: true, ..found(2) }, Return::default()];
+    let digest = |attribute_layout, path: &str| {
+        let keys = WriteLas { attribute_layout, ..keys(path) };
+        let mut bytes = write(&keys, &[line(info(None), returns.clone())]).0;
+        // The generating software contains the version of wavex.
+        bytes[58..90].fill(0);
+        blake3::hash(&bytes).to_hex()[..16].to_owned()
+    };
+    let digests = [
+        digest(AttributeLayout::V1_1, "*.las"),
+        digest(AttributeLayout::V1_1, "*.laz"),
+        digest(AttributeLayout::V1_0, "*.laz"),
+    ];
+    assert_eq!(digests, ["733ff784635a16f9", "V11LAZ", "V10LAZ"]);
 }

@@ -7,7 +7,7 @@ use arrow_array::{
     ArrayRef, BooleanArray, Float64Array, Int16Array, RecordBatch, StringArray, UInt8Array, UInt16Array,
     UInt64Array,
 };
-use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef};
+use arrow_schema::{ArrowError, DataType, Field, Metadata, Schema, SchemaRef};
 use serde_json::{Value, json};
 
 use crate::scan_line::{Return, ShotProfile};
@@ -83,7 +83,7 @@ pub(super) static COLUMNS: &[Column] = &[
     column("intensity_sd", Values::F64(|row| row.found.intensity_sd), "standard deviation of intensity"),
     column("flags", Values::U16(|row| row.found.flags), "low byte: the LAS user data; 8 overdriven, 9 truncated, 10 split, 11 zone uncertain"),
     column("withheld", Values::Bool(|row| row.found.withheld), "marked as an outlier"),
-    column("class", Values::U8(|row| row.found.class), "LAS class: 0, or 20 for outliers"),
+    column("class", Values::U8(|row| row.found.class), "LAS class: 0; of outliers 7 (low) or 18 (high)"),
     column("x", Values::MaybeF64(|row| row.point.map(|point| point[0])), "coordinate in the output frame; null before `georeference`"),
     column("y", Values::MaybeF64(|row| row.point.map(|point| point[1])), "see x"),
     column("z", Values::MaybeF64(|row| row.point.map(|point| point[2])), "see x"),
@@ -177,13 +177,34 @@ pub(super) fn csv(rows: &[Row]) -> String {
     text
 }
 
-/// Schema of a table with this time scale.
-pub(super) fn schema(time_scale: &str) -> SchemaRef {
-    let field =
-        |column: &Column| Field::new(column.name, column.values.data_type(), column.values.nullable());
+/// Unit of a column, which is part of its name; `None` for pure numbers and for coordinates.
+fn unit(name: &str) -> Option<&'static str> {
+    Some(match name.rsplit('_').next()? {
+        "s" => "s",
+        "ns" => "ns",
+        "m" => "m",
+        "db" => "dB",
+        "dn" => "digitiser steps",
+        _ => return None,
+    })
+}
+
+/// Schema of a table with this time scale and coordinate reference system.
+///
+/// Each field has its `description`, and its `unit` if it has one.
+pub(super) fn schema(time_scale: &str, crs_wkt: Option<&str>) -> SchemaRef {
+    let field = |column: &Column| {
+        let about = [("description", Some(column.meaning)), ("unit", unit(column.name))];
+        let about = about.into_iter().filter_map(|(key, text)| Some((key, text?)));
+        let data_type = column.values.data_type();
+        Field::new(column.name, data_type, column.values.nullable())
+            .with_metadata(about.collect::<Metadata>())
+    };
     let fields: Vec<Field> = COLUMNS.iter().map(field).collect();
-    let metadata = [("wavex.table", "1"), ("wavex.time_scale", time_scale)];
-    Arc::new(Schema::new_with_metadata(fields, metadata))
+    let metadata =
+        [("wavex.table", Some("1")), ("wavex.time_scale", Some(time_scale)), ("wavex.crs", crs_wkt)];
+    let metadata = metadata.into_iter().filter_map(|(key, text)| Some((key, text?)));
+    Arc::new(Schema::new_with_metadata(fields, metadata.collect::<Metadata>()))
 }
 
 /// Converts the rows to a record batch.
@@ -209,6 +230,7 @@ pub fn description() -> Value {
             json!({
                 "name": column.name,
                 "type": name(&column.values),
+                "unit": unit(column.name),
                 "nullable": column.values.nullable(),
                 "meaning": column.meaning,
             })
@@ -226,6 +248,13 @@ pub fn description() -> Value {
                 "form": "`week`, `day`, `adjusted` or `unknown`",
                 "meaning": "time scale of `gps_time_s`: seconds of the GPS week, of the day, or since 1980-01-06 minus 1e9; \
                             not in CSV",
+            },
+            {"key": "wavex.crs", "form": "WKT", "meaning": "coordinate reference system of x, y and z, if known; not in CSV"},
+            {
+                "key": "geo",
+                "form": "JSON",
+                "meaning": "GeoParquet 1.1: the column `geometry` (WKB of x, y and z), which follows the others in \
+                            Parquet after `georeference`",
             },
         ],
     })

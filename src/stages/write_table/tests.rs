@@ -99,7 +99,7 @@ fn found(emission: u32, value: f64) -> Return {
         intensity: 1e-7,
         intensity_sd: f64::NAN,
         withheld: true,
-        class: 20,
+        class: 18,
     }
 }
 
@@ -197,11 +197,11 @@ fn csv_is_text_with_all_digits_and_nothing_for_null() {
     assert_eq!(
         lines[1],
         "10,3.3333333333333335,1,2,low,3,150.0,0.003,1000.0,0.02,0.30000000000000004,0.9,12.5,1.25,0.5,4.5,\
-         0.25,0.125,-1.5,1e-7,NaN,513,true,20,,,,,,,,,,,,,,,,,,,,"
+         0.25,0.125,-1.5,1e-7,NaN,513,true,18,,,,,,,,,,,,,,,,,,,,"
     );
     assert!(lines[2].starts_with("11,,1,2,high,3,300.0,"), "{}", lines[2]);
     assert!(lines[3].starts_with("11,,1,2,joint,,"), "{}", lines[3]);
-    assert!(lines[6].ends_with(",513,true,20,7.0,8.0,-9.125,0.0625,,,,,,,,,,,,,,,,"), "{}", lines[6]);
+    assert!(lines[6].ends_with(",513,true,18,7.0,8.0,-9.125,0.0625,,,,,,,,,,,,,,,,"), "{}", lines[6]);
 }
 
 #[test]
@@ -352,8 +352,8 @@ fn a_full_disk_is_an_error_in_each_format() {
                 point: None,
                 profile: None,
             });
-            let written =
-                TableWriter::new(Full(room), Path::new("a.table"), format, "week").and_then(|mut table| {
+            let written = TableWriter::new(Full(room), Path::new("a.table"), format, TableInfo::default())
+                .and_then(|mut table| {
                     rows.into_iter().try_for_each(|row| table.push(row))?;
                     table.finish()
                 });

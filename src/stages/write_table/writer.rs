@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use arrow_array::RecordBatch;
 use arrow_ipc::CompressionType;
 use arrow_ipc::writer::{FileWriter, IpcWriteOptions};
 use arrow_schema::{ArrowError, SchemaRef};
@@ -11,12 +12,15 @@ use parquet::arrow::ArrowWriter;
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
-use parquet::file::properties::WriterProperties;
+use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::columns::{self, Row};
-use wavex_formats::{Error, Result};
+use super::geo::{self, Geometry};
+use wavex_formats::Error;
+
+type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// Rows buffered before writing: a Parquet row group, or an Arrow record batch.
 pub const ROWS_PER_GROUP: usize = 1 << 16;
@@ -46,7 +50,7 @@ impl Format {
     }
 }
 
-/// Writes a table to `W`. The bytes depend only on the rows and the time scale.
+/// Writes a table to `W`. The bytes depend only on the rows and the info.
 pub struct TableWriter<W: Write + Send> {
     form: Form<W>,
     schema: SchemaRef,
@@ -56,24 +60,66 @@ pub struct TableWriter<W: Write + Send> {
 
 enum Form<W: Write + Send> {
     Arrow(Box<FileWriter<W>>),
-    Parquet(Box<ArrowWriter<W>>),
+    Parquet(Box<ParquetForm<W>>),
     Csv(W),
 }
 
+struct ParquetForm<W: Write + Send> {
+    writer: ArrowWriter<W>,
+    schema: SchemaRef,
+    geometry: Option<Geometry>,
+}
+
+impl<W: Write + Send> ParquetForm<W> {
+    fn new(to: W, table: &SchemaRef, geometry: Option<Geometry>) -> Result<ParquetForm<W>, ArrowError> {
+        let schema = if geometry.is_some() { Geometry::extend(table) } else { Arc::clone(table) };
+        let writer = ArrowWriter::try_new(to, Arc::clone(&schema), Some(properties(&schema)));
+        Ok(ParquetForm { writer: writer.map_err(arrow_error)?, schema, geometry })
+    }
+
+    /// Writes a row group.
+    fn write(&mut self, batch: &RecordBatch, rows: &[Row]) -> Result<(), ArrowError> {
+        let with_points = self.geometry.as_mut().map(|points| points.add(&self.schema, batch, rows));
+        let with_points = with_points.transpose()?;
+        self.writer.write(with_points.as_ref().unwrap_or(batch)).map_err(arrow_error)?;
+        self.writer.flush().map_err(arrow_error)
+    }
+
+    fn finish(mut self) -> Result<W, ArrowError> {
+        if let Some(geometry) = &self.geometry {
+            let value = KeyValue::new("geo".to_owned(), geometry.metadata());
+            self.writer.append_key_value_metadata(value);
+        }
+        self.writer.into_inner().map_err(arrow_error)
+    }
+}
+
+/// Time scale, coordinate reference system and points of a table.
+#[derive(Debug, Default, Clone, Copy)]
+pub struct TableInfo<'a> {
+    /// Time scale: `week`, `day`, `adjusted` or `unknown`.
+    pub time_scale: &'a str,
+    /// Coordinate reference system of the points, WKT.
+    pub crs_wkt: Option<&'a str>,
+    /// Whether rows have points; Parquet then has the column `geometry`.
+    pub has_points: bool,
+}
+
 impl<W: Write + Send> TableWriter<W> {
-    /// Starts a table with a time scale (`week`, `day`, `adjusted`, `unknown`).
+    /// Starts a table.
     ///
     /// `file` is the name used in errors.
-    pub fn new(mut to: W, file: &Path, format: Format, time_scale: &str) -> Result<TableWriter<W>> {
-        let schema = columns::schema(time_scale);
+    pub fn new(mut to: W, file: &Path, format: Format, info: TableInfo) -> Result<TableWriter<W>> {
+        let schema = columns::schema(info.time_scale, info.crs_wkt.filter(|_| info.has_points));
         let form = match format {
             Format::Arrow => IpcWriteOptions::default()
                 .try_with_compression(Some(CompressionType::LZ4_FRAME))
                 .and_then(|options| FileWriter::try_new_with_options(to, &schema, options))
                 .map(|writer| Form::Arrow(Box::new(writer))),
-            Format::Parquet => ArrowWriter::try_new(to, Arc::clone(&schema), Some(properties(&schema)))
-                .map(|writer| Form::Parquet(Box::new(writer)))
-                .map_err(arrow_error),
+            Format::Parquet => {
+                let geometry = info.has_points.then(|| Geometry::new(info.crs_wkt));
+                ParquetForm::new(to, &schema, geometry).map(|form| Form::Parquet(Box::new(form)))
+            }
             Format::Csv => to
                 .write_all(columns::csv_header().as_bytes())
                 .map(|()| Form::Csv(to))
@@ -96,8 +142,7 @@ impl<W: Write + Send> TableWriter<W> {
         let written = match &mut self.form {
             Form::Arrow(writer) => batch().and_then(|batch| writer.write(&batch)),
             Form::Csv(to) => to.write_all(columns::csv(&rows).as_bytes()).map_err(ArrowError::from),
-            Form::Parquet(writer) => batch()
-                .and_then(|batch| writer.write(&batch).and_then(|()| writer.flush()).map_err(arrow_error)),
+            Form::Parquet(form) => batch().and_then(|batch| form.write(&batch, &rows)),
         };
         self.rows = rows;
         self.rows.clear();
@@ -111,7 +156,7 @@ impl<W: Write + Send> TableWriter<W> {
         }
         match self.form {
             Form::Arrow(writer) => writer.into_inner(),
-            Form::Parquet(writer) => writer.into_inner().map_err(arrow_error),
+            Form::Parquet(form) => form.finish(),
             Form::Csv(to) => Ok(to),
         }
         .map_err(|error| failed(&self.file, error))
@@ -129,6 +174,8 @@ fn properties(schema: &SchemaRef) -> WriterProperties {
         .set_dictionary_enabled(false)
         .set_key_value_metadata(Some(metadata))
         .set_max_row_group_row_count(Some(ROWS_PER_GROUP))
+        // Smallest and largest bytes of WKB say nothing; x, y and z have statistics.
+        .set_column_statistics_enabled(geo::COLUMN.into(), EnabledStatistics::None)
         .set_created_by(concat!("wavex ", env!("CARGO_PKG_VERSION")).to_string())
         .build()
 }

@@ -13,10 +13,12 @@ use wavex_signal::simd::quantise::Steps;
 /// Length of an attribute's descriptor, bytes.
 pub(super) const DESCRIPTOR: usize = 192;
 const HAS_NO_DATA: u8 = 1;
+const HAS_MIN: u8 = 1 << 1;
+const HAS_MAX: u8 = 1 << 2;
 const HAS_SCALE: u8 = 1 << 3;
 const HAS_OFFSET: u8 = 1 << 4;
 
-/// Integer types of written attributes, with their codes in the specification.
+/// Types of written attributes, with their codes in the specification.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum DataType {
@@ -32,6 +34,10 @@ pub enum DataType {
     U32 = 5,
     /// Signed, four bytes.
     I32 = 6,
+    /// Single-precision number, rounded to 8 significant bits (0.2 %).
+    ///
+    /// Its two lower bytes are 0, which LAZ stores for nothing.
+    F32 = 9,
 }
 
 impl DataType {
@@ -40,18 +46,18 @@ impl DataType {
         match self {
             DataType::U8 | DataType::I8 => 1,
             DataType::U16 | DataType::I16 => 2,
-            DataType::U32 | DataType::I32 => 4,
+            DataType::U32 | DataType::I32 | DataType::F32 => 4,
         }
     }
 
-    /// Returns the smallest and largest value.
+    /// Returns the smallest and largest stored integer; of [`DataType::F32`], of its bits.
     const fn range(self) -> (i64, i64) {
         match self {
             DataType::U8 => (0, u8::MAX as i64),
             DataType::I8 => (i8::MIN as i64, i8::MAX as i64),
             DataType::U16 => (0, u16::MAX as i64),
             DataType::I16 => (i16::MIN as i64, i16::MAX as i64),
-            DataType::U32 => (0, u32::MAX as i64),
+            DataType::U32 | DataType::F32 => (0, u32::MAX as i64),
             DataType::I32 => (i32::MIN as i64, i32::MAX as i64),
         }
     }
@@ -59,14 +65,14 @@ impl DataType {
 
 /// Extra attribute for output.
 ///
-/// Value = stored integer * scale + offset.
+/// Value = stored integer * scale + offset; a [`DataType::F32`] is the value itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExtraAttribute {
     /// Unique name, at most 32 bytes.
     pub name: &'static str,
     /// Quantity and unit, at most 32 bytes.
     pub description: &'static str,
-    /// Type of the stored integer.
+    /// Type of the stored number.
     pub data_type: DataType,
     /// Step size; `None` means 1, not declared in the file.
     pub scale: Option<f64>,
@@ -75,24 +81,64 @@ pub struct ExtraAttribute {
     /// `None` means 0, not declared in the file.
     pub offset: Option<f64>,
     /// Stored integer for NaN, within the range of the type.
+    ///
+    /// A [`DataType::F32`] stores NaN.
     pub nan: i64,
     /// Whether the file declares [`ExtraAttribute::nan`] as its no-data value.
     pub nan_is_no_data: bool,
+    /// Smallest and largest valid stored number, declared in the file; values are clamped to them.
+    pub limits: Option<(f64, f64)>,
 }
 
 /// Quantises a value to the nearest step.
 ///
-/// Clamped to the range of the type. NaN becomes [`ExtraAttribute::nan`].
+/// Clamped to the limits, or to the range of the type. NaN becomes [`ExtraAttribute::nan`]. For
+/// [`DataType::F32`], returns the bits of the rounded number.
 pub fn quantise(value: f64, attribute: &ExtraAttribute) -> i64 {
-    let (least, largest) = attribute.data_type.range();
+    if attribute.data_type == DataType::F32 {
+        return rounded_bits(attribute.limits.map_or(value, |(least, largest)| value.clamp(least, largest)));
+    }
+    let (least, largest) = attribute.bounds();
     if value.is_nan() {
-        return attribute.nan.clamp(least, largest);
+        return attribute.stored_nan();
     }
     let steps = (value - attribute.offset.unwrap_or(0.0)) / attribute.scale.unwrap_or(1.0);
     nearest(steps).clamp(least, largest)
 }
 
+/// Returns the bits of the nearest single-precision number with 8 significant bits.
+fn rounded_bits(value: f64) -> i64 {
+    const HALF: u32 = 1 << 15;
+    if value.is_nan() {
+        return f32::NAN.to_bits().into();
+    }
+    let bits = (value as f32).clamp(-MOST, MOST).to_bits();
+    ((bits + HALF) & !(2 * HALF - 1)).into()
+}
+
+/// Largest number of 8 significant bits in single precision.
+const MOST: f32 = f32::from_bits(0x7f7f_0000);
+
 impl ExtraAttribute {
+    /// Returns the smallest and largest stored integer.
+    fn bounds(&self) -> (i64, i64) {
+        self.limits.map_or(self.data_type.range(), |(least, largest)| (least as i64, largest as i64))
+    }
+
+    /// Returns the stored integer for NaN.
+    fn stored_nan(&self) -> i64 {
+        let (least, largest) = self.data_type.range();
+        self.nan.clamp(least, largest)
+    }
+
+    /// Encodes a stored number as in descriptors: as a double, or an integer of 8 bytes.
+    fn wide(&self, number: f64) -> [u8; 8] {
+        match self.data_type {
+            DataType::F32 => number.to_le_bytes(),
+            _ => (number as i64).to_le_bytes(),
+        }
+    }
+
     /// Appends the stored bytes of `value` to a point's extra bytes.
     pub fn push(&self, value: f64, extra: &mut Vec<u8>) {
         let bytes = quantise(value, self).to_le_bytes();
@@ -101,10 +147,12 @@ impl ExtraAttribute {
 
     /// Quantises a column of values like [`quantise`].
     ///
-    /// Stops at the end of the shorter slice. Values of [`DataType::U32`] are stored as their bits.
+    /// Stops at the end of the shorter slice. Numbers beyond `i32` are stored as their bits.
     pub(super) fn quantise_column(&self, values: &[f64], stored: &mut [i32]) {
-        let (least, largest) = self.data_type.range();
-        let (Ok(least), Ok(largest)) = (i32::try_from(least), i32::try_from(largest)) else {
+        let (least, largest) = self.bounds();
+        let is_integer = self.data_type != DataType::F32;
+        let (Ok(least), Ok(largest), true) = (i32::try_from(least), i32::try_from(largest), is_integer)
+        else {
             for (stored, value) in stored.iter_mut().zip(values) {
                 *stored = quantise(*value, self) as i32;
             }
@@ -123,12 +171,18 @@ impl ExtraAttribute {
         let text = |text: &'static str| &text.as_bytes()[..text.len().min(32)];
         let bit = |set: bool, bit: u8| if set { bit } else { 0 };
         let options = bit(self.nan_is_no_data, HAS_NO_DATA)
+            | bit(self.limits.is_some(), HAS_MIN | HAS_MAX)
             | bit(self.scale.is_some(), HAS_SCALE)
             | bit(self.offset.is_some(), HAS_OFFSET);
         put(2, &[self.data_type as u8, options]);
         put(4, text(self.name));
         if self.nan_is_no_data {
-            put(40, &quantise(f64::NAN, self).to_le_bytes());
+            let nan = if self.data_type == DataType::F32 { f64::NAN } else { self.stored_nan() as f64 };
+            put(40, &self.wide(nan));
+        }
+        if let Some((least, largest)) = self.limits {
+            put(64, &self.wide(least));
+            put(88, &self.wide(largest));
         }
         put(112, &self.scale.unwrap_or(0.0).to_le_bytes());
         put(136, &self.offset.unwrap_or(0.0).to_le_bytes());
@@ -226,7 +280,7 @@ const fn attribute(
     offset: Option<f64>,
     nan: i64,
 ) -> ExtraAttribute {
-    ExtraAttribute { name, description, data_type, scale, offset, nan, nan_is_no_data: false }
+    ExtraAttribute { name, description, data_type, scale, offset, nan, nan_is_no_data: false, limits: None }
 }
 
 /// Stored NaN of a measured quantity: the smallest value.
@@ -292,5 +346,8 @@ pub const ATTRIBUTES_1_0: [ExtraAttribute; 9] = [
     ExtraAttribute { name: "Thickness Error", ..THICK_ERR },
 ];
 
+mod standard;
 #[cfg(test)]
 mod tests;
+
+pub use standard::*;

@@ -48,6 +48,7 @@ fn options(waveforms: WavePlace, index: IndexPlace) -> WriterOptions<'static> {
         system_identifier: "a scanner",
         generating_software: "a program",
         file_source_id: 17,
+        project_id: [0; 16],
         waveforms,
         index,
         pool: None,

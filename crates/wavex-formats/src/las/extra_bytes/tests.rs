@@ -83,18 +83,55 @@ fn values_are_rounded_and_clamped() {
     assert_eq!(quantise(-1e300, &wide), -128);
 }
 
+#[test]
+fn the_standard_layout_declares_limits_and_no_data() {
+    let bytes = |number: i64| number.to_le_bytes();
+    let amplitude = AMPLITUDE.descriptor();
+    assert_eq!(amplitude[..4], [0, 0, 3, 0b1111]);
+    assert_eq!(&amplitude[4..14], b"Amplitude\0");
+    assert_eq!((&amplitude[40..48], &amplitude[64..72]), (&bytes(65_535)[..], &bytes(0)[..]));
+    assert_eq!((&amplitude[88..96], &amplitude[112..120]), (&bytes(10_000)[..], &0.01f64.to_le_bytes()[..]));
+    let reflectance = REFLECTANCE.descriptor();
+    assert_eq!((&reflectance[40..48], &reflectance[64..72]), (&bytes(-32_768)[..], &bytes(-5000)[..]));
+    let sd = RANGE_SD.descriptor();
+    assert_eq!(sd[..4], [0, 0, 9, 0b111]);
+    assert!(f64::from_le_bytes(*sd[40..].first_chunk().unwrap()).is_nan());
+    assert_eq!(&sd[64..72], &0.0f64.to_le_bytes());
+    for attribute in ATTRIBUTES_STANDARD {
+        assert!(attribute.name.len() < 32 && attribute.description.len() < 32, "{}", attribute.name);
+        let is_outside = |(least, largest): (f64, f64)| !(least..=largest).contains(&(attribute.nan as f64));
+        let no_data = attribute.nan_is_no_data && attribute.data_type != DataType::F32;
+        assert!(!no_data || attribute.limits.is_some_and(is_outside), "{}", attribute.name);
+    }
+}
+
+#[test]
+fn standard_attributes_clamp_values_to_their_limits() {
+    assert_eq!(quantise(23.456, &AMPLITUDE), 2346);
+    assert_eq!(quantise(1e9, &AMPLITUDE), 10_000);
+    assert_eq!(quantise(f64::NAN, &AMPLITUDE), 65_535);
+    assert_eq!(quantise(-1e9, &REFLECTANCE), -5000);
+    assert_eq!(quantise(f64::NAN, &REFLECTANCE), -32_768);
+    assert_eq!(quantise(1e9, &MTA_ZONE), 254);
+    assert_eq!(quantise(f64::NAN, &RAW_AMPLITUDE), i64::from(u32::MAX));
+    let sd = |value: f64| f32::from_bits(quantise(value, &RANGE_SD) as u32);
+    assert_eq!((sd(0.0), sd(-1.0), sd(0.5)), (0.0, 0.0, 0.5));
+    assert!(sd(f64::NAN).is_nan() && sd(f64::INFINITY).is_finite());
+}
+
 proptest! {
     #[test]
     fn a_column_is_stored_as_its_values(
         values in prop::collection::vec(prop_oneof![-10.0..10.0f64, -1e5..1e5f64, any::<f64>()], 0..40),
         attribute in prop::sample::select([ATTRIBUTES_1_1, ATTRIBUTES_1_0].concat()),
         data_type in prop::sample::select(vec![
-            DataType::U8, DataType::I8, DataType::U16, DataType::I16, DataType::U32, DataType::I32,
+            DataType::U8, DataType::I8, DataType::U16, DataType::I16, DataType::U32, DataType::I32, DataType::F32,
         ]),
         is_as_declared in any::<bool>(),
     ) {
         let data_type = if is_as_declared { attribute.data_type } else { data_type };
-        let attribute = ExtraAttribute { data_type, ..attribute };
+        let limits = attribute.limits.filter(|_| data_type == attribute.data_type);
+        let attribute = ExtraAttribute { data_type, limits, ..attribute };
         let mut stored = vec![0; values.len()];
         attribute.quantise_column(&values, &mut stored);
         for (stored, value) in stored.into_iter().zip(values) {
@@ -152,8 +189,16 @@ proptest! {
     }
 
     #[test]
+    fn single_precision_keeps_a_value_within_a_250th(value in 1e-9..1e9f64) {
+        let bits = quantise(value, &RANGE_SD) as u32;
+        let back = f64::from(f32::from_bits(bits));
+        prop_assert!((back - value).abs() <= value / 256.0, "{back} for {value}");
+        prop_assert_eq!(bits & 0xffff, 0);
+    }
+
+    #[test]
     fn nothing_leaves_the_range_of_its_type(value in any::<f64>()) {
-        for attribute in ATTRIBUTES_1_1.into_iter().chain(ATTRIBUTES_1_0) {
+        for attribute in ATTRIBUTES_1_1.into_iter().chain(ATTRIBUTES_1_0).chain(ATTRIBUTES_STANDARD) {
             let (least, largest) = attribute.data_type.range();
             prop_assert!((least..=largest).contains(&quantise(value, &attribute)));
         }

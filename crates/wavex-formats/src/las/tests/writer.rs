@@ -32,6 +32,7 @@ pub(super) fn options(extra_attributes: &[ExtraAttribute]) -> WriterOptions<'_> 
         system_identifier: "wavex",
         generating_software: "a name that is longer than the 32 bytes it may have",
         file_source_id: 17,
+        project_id: [0; 16],
         waveforms: WavePlace::None,
         index: IndexPlace::None,
         pool: None,

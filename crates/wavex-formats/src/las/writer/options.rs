@@ -99,6 +99,8 @@ pub struct WriterOptions<'a> {
     pub generating_software: &'a str,
     /// File source ID (flight line), 0 if unassigned.
     pub file_source_id: u16,
+    /// Project GUID as stored; zeros if unassigned.
+    pub project_id: [u8; 16],
     /// Location of the waveforms; also determines the point format.
     pub waveforms: WavePlace,
     /// Location of the spatial index.
@@ -132,6 +134,7 @@ impl WriterOptions<'_> {
         };
         Header {
             file_source_id: self.file_source_id,
+            guid: self.project_id,
             global_encoding: waves
                 | bit(self.adjusted_gps_time, encoding::ADJUSTED_TIME)
                 | bit(self.wkt.is_some() && !self.version.is_legacy(), encoding::WKT),
