@@ -121,11 +121,15 @@ MEASURE = r"""(print) => {
       }
     });
     if (group.tagName !== "svg") continue;
+    const frames = [...group.querySelectorAll("rect.frame")].map((frame) => frame.getBoundingClientRect());
     // Labels of one axis differ: those in a row below a frame, or in a column left of it.
     for (const [side, along] of [["top", "left"], ["right", "top"]]) {
       const rows = new Map();
       for (const { text, box } of members.filter(({ text }) => /^[−\d]/.test(text))) {
-        const key = [...rows.keys()].find((at) => Math.abs(at - box[side]) < 2) ?? box[side];
+        const middle = (box.top + box.bottom) / 2;
+        const frame = frames.findIndex(({ top, bottom }) => top - 5 < middle && middle < bottom + 5);
+        const place = box[side] + (side === "right" ? 1e5 * frame : 0);
+        const key = [...rows.keys()].find((at) => Math.abs(at - place) < 2) ?? place;
         rows.set(key, [...(rows.get(key) || []), [text, box[along]]]);
       }
       for (const row of rows.values()) {

@@ -37,7 +37,7 @@ impl Plot {
         for (value, text) in ticks {
             let x = self.x.at(value);
             svg.line("grid", [x, top], [x, bottom]);
-            svg.text("", [x, bottom + 17.0], Anchor::Middle, &text);
+            svg.text("", [x, bottom + 20.0], Anchor::Middle, &text);
         }
     }
 
@@ -61,7 +61,7 @@ impl Plot {
     pub(crate) fn frame(&self, svg: &mut Svg, x: &str, y: &str) {
         let ([left, right], [bottom, top]) = (self.x.to, self.y.to);
         svg.rect("frame", [left, top], [right, bottom]);
-        svg.text("", [0.5 * (left + right), bottom + 38.0], Anchor::Middle, x);
+        svg.text("", [0.5 * (left + right), bottom + 40.0], Anchor::Middle, x);
         svg.upright_text("", [17.0, 0.5 * (top + bottom)], y);
     }
 
