@@ -57,7 +57,8 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
     // An archive states what files contain.
     let by_digest = by_digest || (archives && plan.archive.is_some());
     let checker = Checker::new(root, &job, &options, by_digest);
-    let results: Vec<TaskResult> = plan.tasks.iter().map(|task| checker.check(task)).collect();
+    let results: Vec<TaskResult> =
+        (1..).zip(&plan.tasks).map(|(number, task)| checker.check(number, task)).collect();
     let mut entries = Vec::new();
     let mut problems = Vec::new();
     for (task, result) in plan.tasks.iter().zip(&results) {
@@ -190,7 +191,8 @@ impl<'c> Checker<'c> {
         models
     }
 
-    fn check(&self, task: &Task) -> TaskResult {
+    /// Result of a task; `number` is that of its input in the survey, from 1.
+    fn check(&self, number: usize, task: &Task) -> TaskResult {
         let missing = |problem: String| TaskResult {
             status: InputStatus::NotRun,
             problem: Some(problem),
@@ -205,7 +207,7 @@ impl<'c> Checker<'c> {
             Ok(report) => report,
             Err(error) => return missing(error.to_string()),
         };
-        if let Some(difference) = self.difference(&report, task) {
+        if let Some(difference) = self.difference(&report, number, task) {
             return missing(format!("out of date: {difference}"));
         }
         let entry = report["inputs"].get(0).cloned().unwrap_or_default();
@@ -224,7 +226,7 @@ impl<'c> Checker<'c> {
     }
 
     /// First difference between the job of a task and that of the plan.
-    fn difference(&self, report: &Value, task: &Task) -> Option<String> {
+    fn difference(&self, report: &Value, number: usize, task: &Task) -> Option<String> {
         let mut report = report.clone();
         if report["survey_models"] != self.models_of(task) {
             return Some("the sensor models of the survey were different".to_owned());
@@ -237,6 +239,10 @@ impl<'c> Checker<'c> {
             for (stage, planned) in stages.iter_mut().zip(&self.next.stages) {
                 if let Some(keys) = stage.get_mut("keys") {
                     same_paths(keys, &planned.keys, &self.paths);
+                    // A task has one input, so its job numbers the flight line.
+                    if planned.keys["point_source_id"] == "line" && keys["point_source_id"] == number {
+                        keys["point_source_id"] = json!("line");
+                    }
                 }
             }
         }

@@ -204,7 +204,7 @@ mod tests {
             [Grade::Good, Grade::Look, Grade::Look]
         );
         assert_eq!([0.0, 1.0].map(|value| grade(FAILED_STRIPS, value)), [Grade::Good, Grade::Bad]);
-        let found = PULSE_DENSITY.check(Some(3.14159), 100);
+        let found = PULSE_DENSITY.check(Some(3.1378), 100);
         assert_eq!(found.measured, "mean pulse density: 3.14 per m²");
         assert_eq!(found.rule, "good from 2 per m², look from 0.5 per m², else bad");
         assert_eq!(WARNINGS.check(Some(0.0), 1).rule, "good if none, else look");

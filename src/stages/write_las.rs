@@ -305,53 +305,6 @@ impl WriteLas {
         });
         self.coordinate_step.map_or(usual, |step| [step; 3])
     }
-
-    /// Writes the header and the records before the points.
-    fn begin(
-        &self,
-        file: OutputFile,
-        input: &InputInfo,
-        first: Option<[f64; 3]>,
-        time_s: f64,
-        flight_line: Option<u16>,
-        attributes: &Attributes,
-        pool: Option<Arc<ThreadPool>>,
-    ) -> Result<Writer<OutputFile>> {
-        let adjusted = input.adjusted_gps_time(time_s);
-        let recorded = adjusted.and_then(day_of_year).map(|(year, day)| (day, year)).or(input.recorded);
-        let (creation_day, creation_year) = recorded.unwrap_or((0, 0));
-        let options = WriterOptions {
-            version: match self.version {
-                VersionKey::V1_4 => Version::V1_4,
-                VersionKey::V1_3 => Version::V1_3,
-                VersionKey::V1_2 => Version::V1_2,
-            },
-            scale: self.steps(input),
-            offset: offsets(input, first),
-            wkt: input.crs_wkt.as_deref(),
-            extra_attributes: &attributes.stored,
-            adjusted_gps_time: adjusted.is_some(),
-            creation_day,
-            creation_year,
-            system_identifier: input.instrument.as_deref().unwrap_or("EXTRACTION"),
-            generating_software: concat!("wavex ", env!("CARGO_PKG_VERSION")),
-            file_source_id: flight_line.unwrap_or(0),
-            project_id: identity::guid(&self.project_id).unwrap_or_default(),
-            waveforms: match self.wave_packets {
-                WavePacketsKey::None => WavePlace::None,
-                WavePacketsKey::External => WavePlace::Beside,
-                WavePacketsKey::Internal => WavePlace::Inside,
-            },
-            index: match self.index {
-                IndexKey::None => IndexPlace::None,
-                IndexKey::File => IndexPlace::Beside,
-                IndexKey::Appended => IndexPlace::Appended,
-            },
-            pool,
-        };
-        let path = file.path().to_path_buf();
-        Ok(Writer::new(file, &path, &options)?)
-    }
 }
 
 /// Default coordinate step in metres and feet.
@@ -391,11 +344,54 @@ impl LasWriter {
         if let State::Empty(_) = self.state
             && let State::Empty(file) = std::mem::replace(&mut self.state, State::Broken)
         {
-            let (line, pool) = (self.flight_line, self.pool.clone());
-            let writer = self.config.begin(file, input, first, time_s, line, &self.attributes, pool)?;
-            self.state = State::Open(Box::new(writer));
+            self.state = State::Open(Box::new(self.header(file, input, first, time_s)?));
         }
         Ok(())
+    }
+
+    /// Writes the header and the records before the points.
+    fn header(
+        &self,
+        file: OutputFile,
+        input: &InputInfo,
+        first: Option<[f64; 3]>,
+        time_s: f64,
+    ) -> Result<Writer<OutputFile>> {
+        let config = &self.config;
+        let adjusted = input.adjusted_gps_time(time_s);
+        let recorded = adjusted.and_then(day_of_year).map(|(year, day)| (day, year)).or(input.recorded);
+        let (creation_day, creation_year) = recorded.unwrap_or((0, 0));
+        let options = WriterOptions {
+            version: match config.version {
+                VersionKey::V1_4 => Version::V1_4,
+                VersionKey::V1_3 => Version::V1_3,
+                VersionKey::V1_2 => Version::V1_2,
+            },
+            scale: config.steps(input),
+            offset: offsets(input, first),
+            wkt: input.crs_wkt.as_deref(),
+            extra_attributes: &self.attributes.stored,
+            adjusted_gps_time: adjusted.is_some(),
+            creation_day,
+            creation_year,
+            system_identifier: input.instrument.as_deref().unwrap_or("EXTRACTION"),
+            generating_software: concat!("wavex ", env!("CARGO_PKG_VERSION")),
+            file_source_id: self.flight_line.unwrap_or(0),
+            project_id: identity::guid(&config.project_id).unwrap_or_default(),
+            waveforms: match config.wave_packets {
+                WavePacketsKey::None => WavePlace::None,
+                WavePacketsKey::External => WavePlace::Beside,
+                WavePacketsKey::Internal => WavePlace::Inside,
+            },
+            index: match config.index {
+                IndexKey::None => IndexPlace::None,
+                IndexKey::File => IndexPlace::Beside,
+                IndexKey::Appended => IndexPlace::Appended,
+            },
+            pool: self.pool.clone(),
+        };
+        let path = file.path().to_path_buf();
+        Ok(Writer::new(file, &path, &options)?)
     }
 
     /// Notes on the input, issued once.

@@ -56,7 +56,7 @@ impl Counted {
 
     /// Counts a shot; skips times that are unknown or invalid.
     fn count(&mut self, time_s: f64) {
-        if !(time_s.abs() < LATEST_S) {
+        if time_s.is_nan() || time_s.abs() >= LATEST_S {
             return;
         }
         let time_s = time_s + 0.0;
