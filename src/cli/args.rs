@@ -219,6 +219,7 @@ pub(super) enum Command {
     /// Check this machine: instructions, memory, disk space, libraries
     ///
     /// States what to do about what is missing. Fails if runs in this folder will fail.
+    #[command(after_help = usage::DOCTOR)]
     Doctor,
     /// Write the manual pages, one per command
     #[command(after_help = usage::MAN)]

@@ -107,6 +107,10 @@ Examples:
   wavex import -o job.toml -- -i waveform.las -o points.laz
   wavex import --run -- -i waveform.las -o points.laz";
 
+pub(super) const DOCTOR: &str = "\
+Examples:
+  wavex doctor";
+
 pub(super) const MAN: &str = "\
 Examples:
   wavex man ~/.local/share/man/man1";

@@ -60,7 +60,7 @@ impl Axes {
         let (values, digits) = self.x.ticks(7.0);
         for value in values {
             svg.line("grid", [self.x.at(value), TOP], [self.x.at(value), BOTTOM]);
-            svg.text("", [self.x.at(value), BOTTOM + 20.0], Anchor::Middle, &label(value, digits));
+            svg.text("", [self.x.at(value), BOTTOM + 22.0], Anchor::Middle, &label(value, digits));
         }
     }
 

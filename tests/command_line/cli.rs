@@ -119,7 +119,7 @@ fn the_help_of_every_command_ends_with_examples() {
     let help = wavex(&["--help"]).out;
     let commands = help.lines().skip_while(|line| *line != "Commands:").skip(1);
     let commands: Vec<&str> = commands.map_while(|line| line.split_whitespace().next()).collect();
-    assert_eq!(commands.len(), 21, "{commands:?}");
+    assert_eq!(commands.len(), 23, "{commands:?}");
     for command in commands.into_iter().filter(|command| *command != "help") {
         let help = wavex(&[command, "--help"]).out;
         let examples = help.split_once("\nExample").map(|(_, examples)| examples).unwrap_or_default();

@@ -59,7 +59,7 @@ fn every_quantity_carries_its_unit_in_its_name() {
 }
 
 /// Text keys that do not name a file.
-const NAMES: [&str; 3] = ["stem", "gps_date", "columns"];
+const NAMES: [&str; 4] = ["stem", "gps_date", "columns", "project_id"];
 
 /// Archives and locks learn about files from the stage's own declarations.
 #[test]

@@ -187,6 +187,6 @@ fn three_hundred_inputs_take_little_more_memory_than_thirty() {
     }
     let [few, many] = ["s??0.arrow", "s*.arrow"].map(|pattern| peak_bytes(&place, pattern));
     println!("peak memory: {} MB for 30 inputs, {} MB for 300", few / 1_000_000, many / 1_000_000);
-    // The report has an entry per input.
-    assert!(many < few + 270 * 300_000, "{few} {many}");
+    // The report has an entry per input, with the data of its page.
+    assert!(many < few + 270 * 400_000, "{few} {many}");
 }

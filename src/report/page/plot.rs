@@ -37,7 +37,7 @@ impl Plot {
         for (value, text) in ticks {
             let x = self.x.at(value);
             svg.line("grid", [x, top], [x, bottom]);
-            svg.text("", [x, bottom + 20.0], Anchor::Middle, &text);
+            svg.text("", [x, bottom + 22.0], Anchor::Middle, &text);
         }
     }
 

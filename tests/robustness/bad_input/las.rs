@@ -7,7 +7,7 @@ use wavex_testkit::shots::{SAMPLES, time_s};
 use wavex_testkit::{TO_TABLE, TestFolder, notes, outcome, rejected};
 
 /// Size of a point written by `write_las`, bytes: format 6 and the extra attributes.
-const WRITTEN_POINT: usize = 30 + 10;
+const WRITTEN_POINT: usize = 30 + 44;
 
 const CUT: &str = "the file is cut off: copy it again from its source";
 const LIES: &str = "the header is wrong or the file is cut off: copy it again from its source";
