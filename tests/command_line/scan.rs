@@ -98,7 +98,7 @@ fn a_simulated_flight_is_told_as_it_was_made() {
     assert!(page.starts_with("<!DOCTYPE html>") && page.contains("prefers-color-scheme:dark"));
     let without_namespace = page.replace("xmlns=\"http://www.w3.org/2000/svg\"", "");
     assert!(
-        !page.contains("<script") && !without_namespace.contains("http"),
+        !page.contains("<script") && !without_namespace.contains("://"),
         "no script or external resource"
     );
     for title in ["amplitudes, low power", "ranges", "echo blocks over time", "angles of ", "shot 0, "] {

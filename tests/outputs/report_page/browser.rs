@@ -58,7 +58,7 @@ pub fn measured(browser: &Path, page: &str, look: Look) -> Value {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("measured.html");
     let from = page.find("<meta http-equiv=").unwrap();
-    let until = from + page[from..].find("/>").unwrap() + 2;
+    let until = from + page[from..].find('>').unwrap() + 1;
     let script = include_str!("measure.js");
     let page = format!("{}{}", &page[..from], &page[until..])
         .replace("</body>", &format!("<script>\n{script}</script>\n</body>"));
