@@ -33,6 +33,7 @@ pub mod georef;
 pub mod inspect;
 pub mod job;
 pub mod keys;
+pub mod recording;
 pub mod registry;
 pub mod report;
 pub mod scan_line;

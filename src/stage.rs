@@ -3,6 +3,7 @@
 //! A stage sees no channels, threads or clocks. It drops items through [`Context::reject`], records
 //! measurements through [`Context::observe`], and warns the user through [`Context::warn`].
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use crate::georef;
@@ -86,14 +87,47 @@ impl From<georef::Error> for StageError {
 /// Result of a stage.
 pub type Result<T> = std::result::Result<T, StageError>;
 
+/// Location of a scan line in its recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LineLocation {
+    /// Records of the file: pulses, points or record batches, from 0.
+    pub records: Range<u64>,
+    /// First row in the first record.
+    pub row: u32,
+    /// Number of the line.
+    pub line: u32,
+    /// Number of its first shot.
+    pub first_shot: u64,
+    /// Whether the recording ends the line, not a limit of its size.
+    pub is_complete: bool,
+}
+
 /// Produces scan lines: a reader, or the simulator.
-pub trait Source {
+pub trait Source: Send {
     /// Returns the next line, or `None` at the end of the input.
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>>;
 
     /// Fraction of the input read, 0 to 1, if known.
     fn progress(&self) -> Option<f64> {
         None
+    }
+
+    /// Location of the line that [`Source::next`] returned last.
+    ///
+    /// `None` if the source cannot return to it.
+    fn location(&self) -> Option<LineLocation> {
+        None
+    }
+
+    /// Reads the line at a location of the same recording again.
+    ///
+    /// [`Source::next`] continues after it, but may cut lines elsewhere. `None` if the source cannot
+    /// seek or has no shot there.
+    ///
+    /// # Errors
+    /// The recording cannot be read.
+    fn line_at(&mut self, _location: &LineLocation, _cx: &mut Context) -> Result<Option<ScanLine>> {
+        Ok(None)
     }
 }
 

@@ -4,15 +4,17 @@ use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::de::DeserializeOwned;
 
 use super::{ExplainArgs, Failure, JobArgs, run, terminal};
 use crate::engine::{Input, Options, observe};
 use crate::job::{Job, JobStage, Override};
+use crate::recording::{Excerpt, LineIndex, Recording};
 use crate::registry::reader_of;
 use crate::scan_line::{Content, Emission, Returns, ScanLine};
-use crate::stage::{Context, OutputFile, Plan, counted};
+use crate::stage::{Context, OutputFile, Plan, RunContext, SourcePlan, counted};
 use crate::stages::calibrate::Calibrate;
 use crate::stages::decompose::{
     Decompose, Line, Seen, SeenBlock, SeenPulse, SensorTables, Shot, ShotDecomposer,
@@ -103,10 +105,37 @@ impl Chain {
         Input { path: self.file.clone(), stem: self.stem.clone() }
     }
 
+    /// The reader of the recording, and its keys.
+    fn reader(&self) -> Result<(Arc<dyn SourcePlan>, serde_json::Value), Failure> {
+        match self.job.stages.first().map(|stage| (&stage.planned.plan, &stage.planned.resolved)) {
+            Some((Plan::Source(reader), keys)) => Ok((Arc::clone(reader), keys.clone())),
+            _ => Err(Failure::Wrong(format!("{}: the job has no reader; add one", self.job.name))),
+        }
+    }
+
+    /// Opens the recording for random access.
+    fn recording(&self) -> Result<Recording, Failure> {
+        let (reader, keys) = self.reader()?;
+        let input_dir = self.options.input_dir.clone();
+        let site = RunContext { stem: self.stem.clone(), input_dir, ..RunContext::alone(&self.file) };
+        Recording::of_reader(reader, &keys, site).map_err(|error| failed(&error))
+    }
+
+    /// Number of lines before and after that of a shot on which its blocks depend.
+    fn margin(&self) -> usize {
+        let resolves = self.job.stages.iter().any(|stage| stage.spec.name == "resolve_mta");
+        if resolves { LINES_OF_ZONES } else { 2 }
+    }
+
     /// Decomposes a shot of the recording.
+    ///
+    /// Reads the lines from which the stages learn, then those around the shot.
     fn explain(self: &Arc<Self>, shot: u64) -> Result<Explained, Failure> {
         let chain = Arc::clone(self);
+        let may_skip = Arc::<AtomicBool>::default();
+        let have_learnt = Arc::clone(&may_skip);
         let look = move |(seen, explained): &mut (Numbers, _), line: &ScanLine| {
+            have_learnt.store(true, Ordering::Relaxed);
             line.emissions.iter().for_each(|emission| seen.add(emission.shot));
             if !line.emissions.iter().any(|emission| emission.shot == shot) {
                 return ControlFlow::Continue(());
@@ -114,8 +143,14 @@ impl Chain {
             *explained = Some(decompose(line, shot, &chain));
             ControlFlow::Break(())
         };
+        let (reader, keys) = self.reader()?;
+        let mut job = self.job.clone();
+        let excerpt = Excerpt { reader, keys, shot, margin: self.margin(), may_skip };
+        if let Some(first) = job.stages.first_mut() {
+            first.planned.plan = Plan::Source(Arc::new(excerpt));
+        }
         let observed = observe(
-            &self.job,
+            &job,
             self.input(),
             &self.options,
             Context::default(),
@@ -124,31 +159,27 @@ impl Chain {
         );
         match observed.map_err(|error| failed(&error))? {
             (_, Some(explained)) => explained,
-            (seen, None) => Err(Failure::Wrong(seen.without(shot, &self.file))),
+            (seen, None) => {
+                // Only parts of the recording may have been read.
+                let index = self.recording()?.index(&mut |_| Ok(()));
+                let numbers = index.map_or(seen, |index| Numbers::of(&index));
+                Err(Failure::Wrong(numbers.without(shot, &self.file)))
+            }
         }
     }
 
     /// Returns the number of the shot nearest to a time.
     fn nearest(&self, time_s: f64) -> Result<u64, Failure> {
-        let look = move |nearest: &mut Option<(f64, u64)>, line: &ScanLine| {
-            for emission in &line.emissions {
-                let distance_s = (emission.gps_time_s - time_s).abs();
-                if distance_s.is_finite() && nearest.is_none_or(|(least_s, _)| distance_s < least_s) {
-                    *nearest = Some((distance_s, emission.shot));
-                }
-            }
-            ControlFlow::Continue(())
-        };
-        let mut reader = self.job.clone();
-        reader.stages.truncate(1);
-        // The shot is explained by a second run, which logs the warnings.
-        let nearest = observe(&reader, self.input(), &self.options, Context::quiet(), None, look);
-        nearest.map_err(|error| failed(&error))?.map(|(_, shot)| shot).ok_or_else(|| {
+        let nearest = self.recording()?.nearest_shot(time_s).map_err(|error| failed(&error))?;
+        nearest.ok_or_else(|| {
             let file = self.file.display();
             Failure::Wrong(format!("{file}: its shots have no times; select one with --shot"))
         })
     }
 }
+
+/// Number of scan lines before and after a shot from which `resolve_mta` decides on its zone.
+const LINES_OF_ZONES: usize = 200;
 
 /// Count and range of the shot numbers of a recording.
 #[derive(Default)]
@@ -158,6 +189,10 @@ struct Numbers {
 }
 
 impl Numbers {
+    fn of(index: &LineIndex) -> Numbers {
+        Numbers { count: index.shots(), range: index.shot_range().map(Into::into) }
+    }
+
     fn add(&mut self, shot: u64) {
         self.count += 1;
         let (first, last) = self.range.unwrap_or((shot, shot));

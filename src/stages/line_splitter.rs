@@ -1,10 +1,12 @@
 //! Splits shots into scan lines for formats that do not mark line ends.
 
 use std::f64::consts::PI;
+use std::ops::Range;
 use std::sync::Arc;
 
 use crate::keys::InvalidKey;
 use crate::scan_line::{Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, ScanLine, emission_flags};
+use crate::stage::LineLocation;
 use wavex_geodesy::cone::{Cone, Turning};
 
 /// Checks the reader key `odd_sample_shift`.
@@ -63,6 +65,10 @@ pub(super) struct Lines {
     marks_edges: bool,
     /// Whether the current line is complete rather than only full.
     is_complete: bool,
+    /// Records of the current line.
+    records: Range<u64>,
+    /// Location of the line taken last.
+    location: Option<LineLocation>,
 }
 
 /// Mean beam movement from shot to shot.
@@ -94,7 +100,24 @@ impl Lines {
             has_ends: false,
             marks_edges: false,
             is_complete: false,
+            records: 0..0,
+            location: None,
         }
+    }
+
+    /// Location of the line taken last.
+    pub(super) fn location(&self) -> Option<LineLocation> {
+        self.location.clone()
+    }
+
+    /// Begins the line at a location, in place of the current one.
+    ///
+    /// The caller adds its shots and takes it.
+    pub(super) fn begin_at(&mut self, location: &LineLocation) {
+        self.emissions.clear();
+        self.blocks = self.blocks.of_same_size();
+        self.sweep = Sweep::default();
+        (self.last, self.next_line, self.is_complete) = (None, location.line, location.is_complete);
     }
 
     /// Sets the edge-of-flight-line flag on the last shot of complete lines.
@@ -136,8 +159,14 @@ impl Lines {
         self.take()
     }
 
-    /// Adds a shot; its blocks go to [`Lines::blocks`] with the returned index.
-    pub(super) fn add(&mut self, emission: Emission) -> u32 {
+    /// Adds the shot of a record; its blocks go to [`Lines::blocks`] with the returned index.
+    ///
+    /// Records of the file are numbered from 0, in its order.
+    pub(super) fn add(&mut self, record: u64, emission: Emission) -> u32 {
+        if self.emissions.is_empty() {
+            self.records.start = record;
+        }
+        self.records.end = record + 1;
         if let Some(last) = self.emissions.last() {
             self.sweep.learn(last.direction, emission.direction);
         }
@@ -171,6 +200,9 @@ impl Lines {
         self.sweep = Sweep::default();
         let line = self.next_line;
         self.next_line += 1;
+        let first_shot = self.emissions.first().map_or(0, |first| first.shot);
+        let records = self.records.clone();
+        self.location = Some(LineLocation { records, row: 0, line, first_shot, is_complete });
         // The next line is about as long.
         let next = (Vec::with_capacity(self.emissions.len()), self.blocks.of_same_size());
         let emissions = std::mem::replace(&mut self.emissions, next.0);
@@ -226,7 +258,7 @@ mod tests {
             if lines.ends_before(&shot) {
                 lengths.extend(lines.take().map(|line| line.emissions.len()));
             }
-            lines.add(shot);
+            lines.add(0, shot);
         }
         lengths.extend(lines.take().map(|line| line.emissions.len()));
         lengths
@@ -293,7 +325,7 @@ mod tests {
             let ended = if shot.clock_ps > 0 && shot.clock_ps % 333 == 0 { lines.end() } else { None };
             lengths
                 .extend(ended.or_else(|| if ends { lines.take() } else { None }).map(|l| l.emissions.len()));
-            lines.add(shot);
+            lines.add(0, shot);
         }
         assert_eq!(lengths, [333; 6]);
     }
@@ -314,7 +346,7 @@ mod tests {
                 if lines.ends_before(&shot) {
                     look(lines.take());
                 }
-                lines.add(shot);
+                lines.add(0, shot);
             }
             look(lines.take());
             edges
@@ -337,7 +369,7 @@ mod tests {
         let mut lines = Lines::new(Arc::new(InputInfo::default()));
         let megabytes = vec![0; 10 << 20];
         for shot_is_last in [false, false, true] {
-            let index = lines.add(shot(3.0));
+            let index = lines.add(0, shot(3.0));
             lines.blocks().push(index, Channel::LowPower, None, 0.0, 1.0, &megabytes);
             assert_eq!(lines.ends_before(&shot(3.0)), shot_is_last);
         }

@@ -14,7 +14,9 @@ use crate::scan_line::{
     Blocks, Emission, EmissionReference, GainControl, InputInfo, Kind, MAX_SHOTS_PER_LINE, OnlineReturn,
     ScanLine,
 };
-use crate::stage::{self, Context, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
+use crate::stage::{
+    self, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+};
 use wavex_formats::container::{
     self, ContainerBlock, ContainerLine, ContainerOnline, ContainerReader, ContainerShot,
 };
@@ -118,6 +120,10 @@ struct ArrowLineReader {
     info: Arc<InputInfo>,
     /// The current record line, and its first row not yet emitted.
     at: Option<(ContainerLine, usize)>,
+    /// Number of the current record line.
+    number: u64,
+    /// Location of the line emitted last.
+    location: Option<LineLocation>,
 }
 
 /// Valid gains, relative to the reference gain.
@@ -143,7 +149,8 @@ impl ArrowLineReader {
             info.gain_control = GainControl::Recorded;
         }
         let info = Arc::new(info);
-        Ok(ArrowLineReader { reader, with_samples: true, info, at: first.map(|line| (line, 0)) })
+        let at = first.map(|line| (line, 0));
+        Ok(ArrowLineReader { reader, with_samples: true, info, at, number: 0, location: None })
     }
 
     /// Takes the next rows that form a line from the current record line.
@@ -173,6 +180,13 @@ impl ArrowLineReader {
         }
         let blocks = self.blocks(&line, &rows);
         self.at = Some((line, row));
+        self.location = (self.reader.form() == "file").then(|| LineLocation {
+            records: self.number..self.number + 1,
+            row: from as u32,
+            line: number,
+            first_shot: emissions.first().map_or(0, |first| first.shot),
+            is_complete: true,
+        });
         Some(ScanLine::of_shots(Arc::clone(&self.info), number, emissions, blocks))
     }
 
@@ -214,6 +228,7 @@ impl Source for ArrowLineReader {
                 None => {}
             }
             let Some(line) = self.reader.next_line()? else { break };
+            self.number += 1;
             self.at = Some((line, 0));
         }
         if self.reader.ended_without_mark() {
@@ -224,6 +239,26 @@ impl Source for ArrowLineReader {
 
     fn progress(&self) -> Option<f64> {
         self.reader.progress()
+    }
+
+    fn location(&self) -> Option<LineLocation> {
+        self.location.clone()
+    }
+
+    fn line_at(&mut self, location: &LineLocation, cx: &mut Context) -> Result<Option<ScanLine>> {
+        let number = location.records.start;
+        let is_there = self.number == number && self.at.is_some();
+        if !is_there {
+            if !self.reader.seek(number) {
+                return Ok(None);
+            }
+            self.number = number;
+            self.at = self.reader.next_line()?.map(|line| (line, 0));
+        }
+        if let Some((_, row)) = &mut self.at {
+            *row = location.row as usize;
+        }
+        Ok(self.part(cx))
     }
 }
 

@@ -18,7 +18,9 @@ use crate::scan_line::{
     Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, OnlineReturn, ScanLine,
     TimeScale, emission_flags,
 };
-use crate::stage::{Config, Context, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
+use crate::stage::{
+    Config, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+};
 use pulse::same_pulse;
 use wavex_formats::geokeys;
 use wavex_formats::las::{Descriptor, GpsTime, Point, Reader, Wave};
@@ -156,9 +158,11 @@ struct LasReader {
     time_shift_s: f64,
     points_read: u64,
     points: u64,
-    /// The point read last: the first of the next pulse.
-    ahead: Option<Point>,
+    /// The point read last, the first of the next pulse, and its number.
+    ahead: Option<(u64, Point)>,
     pulse: Vec<Point>,
+    /// Number of the first point of the current pulse.
+    first_point: u64,
     /// A complete shot that begins the next line.
     waiting: Option<Shot>,
     next_shot: u64,
@@ -174,6 +178,7 @@ struct LasReader {
 
 /// A shot assembled from its points.
 struct Shot {
+    first_point: u64,
     emission: Emission,
     waveforms: Waveforms,
 }
@@ -230,6 +235,7 @@ impl LasReader {
             points: reader.header().n_points,
             ahead: None,
             pulse: Vec::new(),
+            first_point: 0,
             waiting: None,
             next_shot: 0,
             lines: Lines::new(Arc::new(input)),
@@ -258,7 +264,10 @@ impl LasReader {
     /// Collects the points of the next pulse; false at the end of the file.
     fn next_pulse(&mut self, cx: &mut Context) -> Result<bool> {
         self.pulse.clear();
-        self.pulse.extend(self.ahead.take());
+        if let Some((number, point)) = self.ahead.take() {
+            self.first_point = number;
+            self.pulse.push(point);
+        }
         loop {
             let mut point = Point::default();
             if !self.reader.next_point(&mut point)? {
@@ -275,10 +284,14 @@ impl LasReader {
                 continue;
             }
             let has_room = self.pulse.len() < MOST_RETURNS;
-            if self.pulse.is_empty() || has_room && same_pulse(&self.pulse, &point) {
+            let number = self.points_read - 1;
+            if self.pulse.is_empty() {
+                self.first_point = number;
+                self.pulse.push(point);
+            } else if has_room && same_pulse(&self.pulse, &point) {
                 self.pulse.push(point);
             } else {
-                self.ahead = Some(point);
+                self.ahead = Some((number, point));
                 return Ok(true);
             }
         }
@@ -311,7 +324,7 @@ impl LasReader {
             ..Emission::default()
         };
         self.next_shot += 1;
-        Ok(Some(Shot { emission, waveforms }))
+        Ok(Some(Shot { first_point: self.first_point, emission, waveforms }))
     }
 
     /// Reads the waveforms of the current pulse.
@@ -356,7 +369,7 @@ impl LasReader {
     }
 
     fn add(&mut self, shot: Shot) {
-        let index = self.lines.add(shot.emission);
+        let index = self.lines.add(shot.first_point, shot.emission);
         let blocks = self.lines.blocks();
         for packet in &shot.waveforms.packets {
             let (start_ns, interval_ns) = (packet.start_ns, packet.interval_ns);
@@ -407,6 +420,24 @@ impl Source for LasReader {
 
     fn progress(&self) -> Option<f64> {
         Some(self.points_read as f64 / self.points.max(1) as f64)
+    }
+
+    fn location(&self) -> Option<LineLocation> {
+        self.lines.location()
+    }
+
+    fn line_at(&mut self, location: &LineLocation, cx: &mut Context) -> Result<Option<ScanLine>> {
+        self.reader.seek(location.records.start)?;
+        (self.ahead, self.waiting) = (None, None);
+        (self.points_read, self.next_shot) = (location.records.start, location.first_shot);
+        (self.recent, self.broken) = (Recent::default(), BrokenRun::default());
+        self.lines.begin_at(location);
+        while self.next_pulse(cx)? && self.first_point < location.records.end {
+            if let Some(shot) = self.shot(cx)? {
+                self.add(shot);
+            }
+        }
+        Ok(self.lines.take())
     }
 }
 

@@ -16,7 +16,9 @@ use crate::scan_line::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
     TimeScale, emission_flags,
 };
-use crate::stage::{Config, Context, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
+use crate::stage::{
+    Config, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+};
 use wavex_formats::geokeys;
 use wavex_formats::pulsewaves::{Pulse, Reader, Segment, SegmentKind, TimeAxis, Waves};
 use wavex_geodesy::beam_length::BeamLength;
@@ -307,6 +309,29 @@ impl PulseWavesReader {
         }
     }
 
+    /// Reads the next pulse: its shot and its sampling unit, ns; `None` if it is unusable.
+    fn shot(&mut self, cx: &mut Context) -> Result<Option<(Emission, f64)>> {
+        let pulse = self.reader.pulse(self.next_pulse)?;
+        self.next_pulse += 1;
+        let read = match self.with_samples {
+            true => self.reader.waves(&pulse, &mut self.waves),
+            false => self.reader.check_waves(&pulse),
+        };
+        if !self.broken.accepts(read, cx, Item::Shots, "a pulse whose waves cannot be read")? {
+            return Ok(None);
+        }
+        if self.has_outgoing_bytes && self.waves.read_outgoing_as_bytes() {
+            self.outgoing_bytes_pulses += 1;
+        }
+        let unit_ns = unit_ns(&self.reader, &pulse);
+        let emission = self.emission(&pulse, unit_ns);
+        if !emission.direction.iter().all(|x| x.is_finite()) {
+            cx.reject(Item::Shots, "a pulse without direction", 1);
+            return Ok(None);
+        }
+        Ok(Some((emission, unit_ns)))
+    }
+
     /// Adds a pulse to the current line.
     fn add(&mut self, (mut emission, unit_ns): (Emission, f64), cx: &mut Context) {
         let clock_ns = self.clock_ns(unit_ns);
@@ -314,7 +339,7 @@ impl PulseWavesReader {
             let along_m = clock_ns * emission.frame_scale * self.input_speed();
             (0..3).for_each(|axis| emission.origin_m[axis] += along_m * emission.direction[axis]);
         }
-        let index = self.lines.add(emission);
+        let index = self.lines.add(emission.shot, emission);
         for segment in self.waves.segments() {
             let Some(channel) = self.receivers.of(segment) else {
                 cx.reject(Item::Blocks, "a block of an unknown channel", 1);
@@ -378,26 +403,9 @@ impl Source for PulseWavesReader {
                 }
                 return Ok(None);
             }
-            let pulse = self.reader.pulse(self.next_pulse)?;
-            self.next_pulse += 1;
-            let read = match self.with_samples {
-                true => self.reader.waves(&pulse, &mut self.waves),
-                false => Ok(()),
-            };
-            if !self.broken.accepts(read, cx, Item::Shots, "a pulse whose waves cannot be read")? {
-                continue;
-            }
-            if self.has_outgoing_bytes && self.waves.read_outgoing_as_bytes() {
-                self.outgoing_bytes_pulses += 1;
-            }
-            let unit_ns = unit_ns(&self.reader, &pulse);
-            let emission = self.emission(&pulse, unit_ns);
-            if !emission.direction.iter().all(|x| x.is_finite()) {
-                cx.reject(Item::Shots, "a pulse without direction", 1);
-                continue;
-            }
-            self.last_seen = Some((emission, unit_ns));
-            if self.lines.ends_before(&emission) {
+            let Some(shot) = self.shot(cx)? else { continue };
+            self.last_seen = Some(shot);
+            if self.lines.ends_before(&shot.0) {
                 return Ok(self.lines.take());
             }
         }
@@ -405,6 +413,22 @@ impl Source for PulseWavesReader {
 
     fn progress(&self) -> Option<f64> {
         Some(self.next_pulse as f64 / self.reader.pulse_count().max(1) as f64)
+    }
+
+    fn location(&self) -> Option<LineLocation> {
+        self.lines.location()
+    }
+
+    fn line_at(&mut self, location: &LineLocation, cx: &mut Context) -> Result<Option<ScanLine>> {
+        (self.last_seen, self.broken) = (None, BrokenRun::default());
+        self.lines.begin_at(location);
+        self.next_pulse = location.records.start;
+        while self.next_pulse < location.records.end {
+            if let Some(shot) = self.shot(cx)? {
+                self.add(shot, cx);
+            }
+        }
+        Ok(self.lines.take())
     }
 }
 

@@ -14,7 +14,9 @@ use crate::keys::InvalidKey;
 use crate::scan_line::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
 };
-use crate::stage::{self, Context, Item, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
+use crate::stage::{
+    self, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+};
 use wavex_formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
 
 mod shot;
@@ -140,6 +142,8 @@ struct SdfLineReader {
     waiting: Option<Emission>,
     /// Number of shots emitted.
     shots: u64,
+    /// Number of records read.
+    records: u64,
     /// Notes not yet issued.
     remarks: Vec<String>,
     /// Whether any end-of-line mark was seen.
@@ -217,6 +221,7 @@ impl SdfLineReader {
             record: SdfRecord::default(),
             waiting: None,
             shots: 0,
+            records: 0,
             remarks,
             ends_are_marked: false,
             at_end,
@@ -232,6 +237,7 @@ impl SdfLineReader {
             Some(record) => self.record = record,
             None => self.at_end = !self.reader.next(&mut self.record)?,
         }
+        self.records += 1;
         Ok(!self.at_end)
     }
 
@@ -277,7 +283,7 @@ impl SdfLineReader {
         emission.shot = self.shots;
         self.shots += 1;
         let interval_ns = self.lines.input().sampling_interval_ns;
-        let index = self.lines.add(emission);
+        let index = self.lines.add(self.records - 1, emission);
         for block in &self.record.blocks {
             let Some(channel) = channel_of(block.channel) else { continue };
             if zero_s.is_some() && channel == Channel::Reference && block.is_empty() {
@@ -408,6 +414,29 @@ impl Source for SdfLineReader {
         let window = self.window.as_ref()?;
         let length_s = (window.to_s - window.from_s).max(f64::MIN_POSITIVE);
         Some(((window.now_s - window.from_s) / length_s).clamp(0.0, 1.0))
+    }
+
+    fn location(&self) -> Option<LineLocation> {
+        // A time window begins at an unknown record.
+        self.lines.location().filter(|_| self.window.is_none())
+    }
+
+    fn line_at(&mut self, location: &LineLocation, cx: &mut Context) -> Result<Option<ScanLine>> {
+        (self.waiting, self.at_end) = (None, false);
+        self.ahead.clear();
+        (self.records, self.shots) = (location.records.start, location.first_shot);
+        self.lines.begin_at(location);
+        let first = u32::try_from(location.records.start + 1).unwrap_or(u32::MAX);
+        if !self.reader.seek(first)? {
+            return Ok(None);
+        }
+        while self.records < location.records.end && self.read()? {
+            match what_is(&self.record) {
+                What::Shot => self.shot(cx).into_iter().for_each(|emission| self.add(emission)),
+                What::Housekeeping | What::EndOfLine => self.pass_over(cx),
+            }
+        }
+        Ok(self.lines.take())
     }
 }
 

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::georef::declared;
 use crate::keys::InvalidKey;
 use crate::scan_line::{Content, Emission, Frame, GainControl, InputInfo, ScanLine};
-use crate::stage::{Context, Item, Result, RunContext, Source, StageError};
+use crate::stage::{Context, Item, LineLocation, Result, RunContext, Source, StageError};
 use wavex_geodesy::time::WEEK_S;
 
 pub(super) mod time;
@@ -198,6 +198,13 @@ impl<S: Source> AsDeclared<S> {
         AsDeclared { source, declared, begun: None }
     }
 
+    /// The state of a line's recording, determined from the line if there is none yet.
+    fn begun(&mut self, line: &ScanLine, cx: &mut Context) -> Result<&mut Begun> {
+        let known = self.begun.take().filter(|begun| Arc::ptr_eq(&begun.info[0], &line.input));
+        let begun = known.map_or_else(|| self.begin(line, cx), Ok)?;
+        Ok(self.begun.insert(begun))
+    }
+
     /// Determines the time scale from the first line.
     fn begin(&self, first: &ScanLine, cx: &mut Context) -> Result<Begun> {
         let (keys, from) = (&self.declared.times, &first.input);
@@ -327,12 +334,7 @@ impl<S: Source> Source for AsDeclared<S> {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
             let Some(line) = self.source.next(cx)? else { return Ok(None) };
-            let is_known = self.begun.as_ref().is_some_and(|begun| Arc::ptr_eq(&begun.info[0], &line.input));
-            if !is_known {
-                self.begun = Some(self.begin(&line, cx)?);
-            }
-            let Some(begun) = &mut self.begun else { continue };
-            let line = begun.line(line, cx);
+            let line = self.begun(&line, cx)?.line(line, cx);
             if !line.emissions.is_empty() {
                 return Ok(Some(line));
             }
@@ -341,6 +343,16 @@ impl<S: Source> Source for AsDeclared<S> {
 
     fn progress(&self) -> Option<f64> {
         self.source.progress()
+    }
+
+    fn location(&self) -> Option<LineLocation> {
+        self.source.location()
+    }
+
+    fn line_at(&mut self, location: &LineLocation, cx: &mut Context) -> Result<Option<ScanLine>> {
+        let Some(line) = self.source.line_at(location, cx)? else { return Ok(None) };
+        let line = self.begun(&line, cx)?.line(line, cx);
+        Ok(Some(line).filter(|line| !line.emissions.is_empty()))
     }
 }
 

@@ -34,9 +34,9 @@ const MAX_METADATA_BYTES: usize = 1 << 24;
 const MAX_AHEAD: usize = 1 << 22;
 
 /// Bytes with random access.
-pub(super) trait Searchable: Read + Seek {}
+pub(super) trait Searchable: Read + Seek + Send {}
 
-impl<T: Read + Seek> Searchable for T {}
+impl<T: Read + Seek + Send> Searchable for T {}
 
 /// One message: a record batch, or a dictionary.
 pub(super) struct Message {
@@ -85,7 +85,7 @@ impl Messages {
     }
 
     /// Reads a stream, or a file sequentially, and its schema.
-    pub(super) fn stream(name: &Path, from: Box<dyn Read>) -> Result<(Messages, Schema)> {
+    pub(super) fn stream(name: &Path, from: Box<dyn Read + Send>) -> Result<(Messages, Schema)> {
         let (messages, schema) = StreamMessages::open(name, from)?;
         Ok((Messages::Stream(messages), schema))
     }
@@ -127,6 +127,11 @@ impl FileMessages {
         let schema = schema_of(schema, location)?;
         let blocks = blocks_of(&footer, offset, location)?;
         Ok((FileMessages { name: name.to_path_buf(), file, blocks, next: 0, last: None }, schema))
+    }
+
+    /// Continues with message `index`, from 0.
+    pub(super) fn seek(&mut self, index: u64) {
+        self.next = usize::try_from(index).unwrap_or(usize::MAX);
     }
 
     fn next(&mut self) -> Result<Option<Message>> {

@@ -31,7 +31,7 @@ impl ContainerReader {
     /// Reads either format sequentially, such as from standard input.
     ///
     /// `name` is for errors.
-    pub fn from_stream(name: &Path, from: Box<dyn Read>) -> Result<ContainerReader> {
+    pub fn from_stream(name: &Path, from: Box<dyn Read + Send>) -> Result<ContainerReader> {
         let (messages, schema) = Messages::stream(name, from)?;
         ContainerReader::new(name, messages, &schema)
     }
@@ -76,6 +76,16 @@ impl ContainerReader {
             }
         }
         Ok(None)
+    }
+
+    /// Continues with record batch `index`, from 0; `false` if the container is a stream.
+    ///
+    /// Rows in later errors count from this record batch.
+    pub fn seek(&mut self, index: u64) -> bool {
+        let Messages::File(messages) = &mut self.messages else { return false };
+        messages.seek(index);
+        self.rows = 0;
+        true
     }
 
     /// Fraction of the container that was read, 0 to 1, if its length is known.

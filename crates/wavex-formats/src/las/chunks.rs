@@ -31,6 +31,8 @@ const LAYERED: u16 = 3;
 ///
 /// The decoder needs 10 kB for each.
 const EXTRA_BYTES_LIMIT: u16 = 4096;
+/// Number of records decoded at once on the way to another.
+const SKIPPED_AT_ONCE: u64 = 1024;
 const CUT: &str = "the file is cut off or damaged: copy it again from its source";
 
 /// Compressed points of a file.
@@ -43,8 +45,11 @@ pub(super) struct Chunks {
     ///
     /// `None` if points are not layered.
     layers: Option<usize>,
-    /// Chunks after the current one.
-    table: std::vec::IntoIter<ChunkSize>,
+    table: Vec<ChunkSize>,
+    /// Number of chunks started.
+    started: usize,
+    /// Offset of the first chunk in the file.
+    start: u64,
     /// Offset of the current chunk in the file.
     at: u64,
     /// Offset of the next chunk in the file.
@@ -54,6 +59,7 @@ pub(super) struct Chunks {
     decoder: Option<ChunkDecoder>,
 }
 
+#[derive(Clone, Copy)]
 struct ChunkSize {
     bytes: u64,
     points: u64,
@@ -91,7 +97,9 @@ impl Chunks {
             laz,
             record_length: header.record_length.into(),
             layers,
-            table: table.into_iter(),
+            table,
+            started: 0,
+            start,
             at: start,
             next_at: start,
             left: 0,
@@ -115,19 +123,40 @@ impl Chunks {
         Ok(())
     }
 
+    /// Continues with record `index`, from 0.
+    ///
+    /// Decodes the records before it in its chunk.
+    pub(super) fn seek(&mut self, index: u64) -> Result<()> {
+        (self.started, self.left, self.next_at) = (0, 0, self.start);
+        let mut before = index;
+        while let Some(chunk) = self.table.get(self.started).filter(|chunk| before >= chunk.points) {
+            before -= chunk.points;
+            self.next_at += chunk.bytes;
+            self.started += 1;
+        }
+        let mut skipped = vec![0; self.record_length * SKIPPED_AT_ONCE.min(before) as usize];
+        while before > 0 {
+            let count = before.min(SKIPPED_AT_ONCE);
+            self.fill(&mut skipped[..count as usize * self.record_length])?;
+            before -= count;
+        }
+        Ok(())
+    }
+
     fn start_chunk(&mut self) -> Result<()> {
-        let Some(chunk) = self.table.next() else {
+        let Some(&ChunkSize { bytes: length, points }) = self.table.get(self.started) else {
             return Err(self.damaged("the chunks hold fewer points than the header declares"));
         };
+        self.started += 1;
         self.at = self.next_at;
-        self.next_at += chunk.bytes;
-        self.left = chunk.points;
-        if chunk.points == 0 {
+        self.next_at += length;
+        self.left = points;
+        if points == 0 {
             return Ok(());
         }
         // One buffer serves all chunks; the sizes in the table add up to less than the file.
         let mut bytes = self.decoder.take().map(|old| old.box_into_inner().into_inner()).unwrap_or_default();
-        bytes.resize(chunk.bytes as usize, 0);
+        bytes.resize(length as usize, 0);
         let read = self.file.seek(SeekFrom::Start(self.at)).and_then(|_| self.file.read_exact(&mut bytes));
         read.map_err(Error::io(&self.path, "read the compressed points"))?;
         if let Some(layers) = self.layers {

@@ -116,6 +116,14 @@ impl Reader {
         Ok(found)
     }
 
+    /// Continues with point `index`, from 0; at the end if the file has fewer.
+    ///
+    /// # Errors
+    /// The file cannot be read, or its compressed points are damaged.
+    pub fn seek(&mut self, index: u64) -> Result<()> {
+        self.records.seek(index)
+    }
+
     /// Returns the extra bytes of the last point.
     ///
     /// All bytes after the format's fields.

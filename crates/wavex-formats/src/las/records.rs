@@ -16,6 +16,8 @@ const SLAB: u64 = 1024;
 pub(super) struct RecordReader {
     source: Source,
     record_length: usize,
+    /// Number of records in the file.
+    count: u64,
     /// Number of records not yet in a slab.
     left: u64,
     slab: Vec<u8>,
@@ -24,7 +26,8 @@ pub(super) struct RecordReader {
 }
 
 enum Source {
-    Plain(File, PathBuf),
+    /// The file, its path and the offset of its first point.
+    Plain(File, PathBuf, u64),
     Compressed(Box<Chunks>),
 }
 
@@ -38,12 +41,32 @@ impl RecordReader {
         let source = if header.compressed {
             Source::Compressed(Box::new(Chunks::open(file, path, header, vlrs, file_length)?))
         } else {
-            let start = SeekFrom::Start(header.offset_to_points.into());
-            file.seek(start).map_err(Error::io(path, "seek to the points"))?;
-            Source::Plain(file, path.to_path_buf())
+            let start = u64::from(header.offset_to_points);
+            file.seek(SeekFrom::Start(start)).map_err(Error::io(path, "seek to the points"))?;
+            Source::Plain(file, path.to_path_buf(), start)
         };
         let record_length = header.record_length.into();
-        Ok(RecordReader { source, record_length, left: header.n_points, slab: Vec::new(), at: 0 })
+        let count = header.n_points;
+        Ok(RecordReader { source, record_length, count, left: count, slab: Vec::new(), at: 0 })
+    }
+
+    /// Continues with record `index`, from 0; at the end if there are fewer.
+    ///
+    /// # Errors
+    /// The file cannot be read, or the compressed points before the record in its chunk are damaged.
+    pub(super) fn seek(&mut self, index: u64) -> Result<()> {
+        self.slab.clear();
+        (self.at, self.left) = (0, 0);
+        let Some(left) = self.count.checked_sub(index) else { return Ok(()) };
+        match &mut self.source {
+            Source::Plain(file, path, start) => {
+                let to = SeekFrom::Start(*start + index * self.record_length as u64);
+                file.seek(to).map_err(Error::io(path, "seek to a point"))?;
+            }
+            Source::Compressed(chunks) => chunks.seek(index)?,
+        }
+        self.left = left;
+        Ok(())
     }
 
     /// Advances to the next record.
@@ -63,7 +86,7 @@ impl RecordReader {
         self.slab.resize(count as usize * self.record_length, 0);
         self.left -= count;
         let filled = match &mut self.source {
-            Source::Plain(file, path) => {
+            Source::Plain(file, path, _) => {
                 file.read_exact(&mut self.slab).map_err(Error::io(path, "read the points"))
             }
             Source::Compressed(chunks) => chunks.fill(&mut self.slab),

@@ -206,6 +206,10 @@ pub(super) struct Handle {
     file: RawFile,
 }
 
+// SAFETY: every call holds the process-wide lock of `alone`, whatever its thread, and a handle is no
+// reference to data of a thread: the library's interface passes it as a plain pointer.
+unsafe impl Send for Handle {}
+
 impl Drop for Handle {
     fn drop(&mut self) {
         let _alone = alone();

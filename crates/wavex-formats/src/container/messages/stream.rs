@@ -16,7 +16,7 @@ use crate::{Error, Result};
 /// Messages of a stream, or of a file read sequentially.
 pub(in crate::container) struct StreamMessages {
     name: PathBuf,
-    from: BufReader<Box<dyn Read>>,
+    from: BufReader<Box<dyn Read + Send>>,
     /// Number of bytes read.
     pub(super) at: u64,
     /// Total number of bytes, if known.
@@ -37,13 +37,13 @@ enum State {
 
 impl StreamMessages {
     /// Reads the schema at the start of `from`.
-    pub(super) fn open(name: &Path, mut from: Box<dyn Read>) -> Result<(StreamMessages, Schema)> {
+    pub(super) fn open(name: &Path, mut from: Box<dyn Read + Send>) -> Result<(StreamMessages, Schema)> {
         let start = read_up_to(&mut from, 8).map_err(Error::io(name, "read"))?;
         if start.is_empty() {
             return Err(Error::unusable(name, "the file is empty", "copy it again from its source"));
         }
         let is_file = start.starts_with(MAGIC);
-        let (from, at): (Box<dyn Read>, u64) = match is_file {
+        let (from, at): (Box<dyn Read + Send>, u64) = match is_file {
             true => (from, 8),
             false => (Box::new(Cursor::new(start).chain(from)), 0),
         };
