@@ -32,6 +32,9 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
             Some(name) if are_many => format!("{name}_{stem}"),
             Some(name) => name.clone(),
         };
+        if !quiet && engine::size(&path) >= LARGE_BYTES {
+            print_first_look(&path, args)?;
+        }
         let gauge = Arc::<Gauge>::default();
         progress.begin(number, &name, &gauge);
         let read = look_at(&path, &args.set, !args.fast, u64::MAX, |line, fraction| {
@@ -45,6 +48,21 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
         write_scan(&path, &name, read?, quiet)
     });
     super::do_all(scans)
+}
+
+/// Size from which the first shots are summarised before all others are read, bytes.
+const LARGE_BYTES: u64 = 256 << 20;
+/// Number of these shots.
+const FIRST_SHOTS: u64 = 2000;
+
+/// Prints the summary of the first shots to standard error.
+fn print_first_look(file: &Path, args: &ScanArgs) -> Result<(), Failure> {
+    let (inspection, cx, _) = look_at(file, &args.set, !args.fast, FIRST_SHOTS, |_, _| ())?;
+    let shots = inspection.shots.count;
+    let text = Summary::of(file, &inspection, cx.counters(), None).text();
+    terminal::print_error(&format!("The first {shots} shots of {text}
+Reading all of the recording.\n\n"));
+    Ok(())
 }
 
 /// Results of an inspection, and the error that ended it.

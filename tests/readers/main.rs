@@ -1,4 +1,4 @@
-//! Readers: SDF, and properties that a recording lacks or states wrongly.
+//! Readers: SDF, random access, and properties that a recording lacks or states wrongly.
 #![allow(
     clippy::panic,
     clippy::print_stdout,
@@ -7,6 +7,7 @@
 )]
 
 mod declared;
+mod random_access;
 mod scan_angles;
 mod sdf;
 mod sensor_position;

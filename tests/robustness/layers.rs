@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Top-level modules from top to bottom; each may import those below it.
-const LAYERS: [&str; 14] = [
+const LAYERS: [&str; 15] = [
     "main",
     "cli",
     "cluster",
@@ -12,6 +12,7 @@ const LAYERS: [&str; 14] = [
     "inspect",
     "report",
     "engine",
+    "recording",
     "job",
     "registry",
     "stages",

@@ -1,0 +1,112 @@
+//! Scan lines read in any order equal those of a run.
+
+use std::path::Path;
+
+use wavex::job::Job;
+use wavex::recording::{OpenError, Recording};
+use wavex::scan_line::{Content, ScanLine};
+use wavex::stage::{Context, Plan, RunContext};
+use wavex_testkit::{Outcome, TestFolder, sdf};
+
+/// Shots and blocks of a line as text, in which NaN equals NaN.
+fn text(line: &ScanLine) -> String {
+    let Content::Shots(blocks) = &line.content else { panic!("readers make shots") };
+    format!("{} {:?} {blocks:?}", line.line, line.emissions)
+}
+
+/// All lines as a run reads them.
+fn lines_of_run(path: &Path, reader: &str, keys: &str) -> Vec<String> {
+    let text_of_job = format!("[[stage]]\ntype = '{reader}'\npath = '{}'\n{keys}", path.display());
+    let job = Job::parse("job", &text_of_job, &[]).unwrap();
+    let Plan::Source(source) = &job.stages[0].planned.plan else { panic!("a reader") };
+    let mut source = source.make(&RunContext::alone(path)).unwrap();
+    let mut cx = Context::default();
+    std::iter::from_fn(|| source.next(&mut cx).unwrap()).map(|line| text(&line)).collect()
+}
+
+/// Asserts that random access gives the lines of a run; returns their number.
+#[track_caller]
+fn assert_same_lines(path: &Path, reader: &str, set: &[String]) -> usize {
+    let keys: String = set.iter().map(|set| format!("{}\n", set.split_once('.').unwrap().1)).collect();
+    let expected = lines_of_run(path, reader, &keys);
+    let mut recording = Recording::open(path, set).unwrap();
+    let index = recording.index(&mut |_| Ok(())).unwrap();
+    assert_eq!(index.lines().len(), expected.len(), "{}", path.display());
+    let mut order: Vec<usize> = (0..expected.len()).rev().collect();
+    // Backwards, then every third line forwards.
+    order.extend((0..expected.len()).step_by(3));
+    for number in order {
+        let line = recording.line(number).unwrap().unwrap();
+        assert_eq!(text(&line), expected[number], "line {number} of {}", path.display());
+        let last = line.emissions[line.emissions.len() - 1];
+        let of_shot = recording.line_of_shot(last.shot).unwrap().unwrap();
+        assert!(of_shot.emissions.iter().any(|emission| emission.shot == last.shot));
+        let nearest = recording.nearest_shot(last.gps_time_s).unwrap().unwrap();
+        let time_of = |line: &ScanLine, shot| line.emissions.iter().find(|e| e.shot == shot).unwrap().gps_time_s;
+        let line = recording.line_of_shot(nearest).unwrap().unwrap();
+        assert_eq!(time_of(&line, nearest), last.gps_time_s);
+    }
+    assert!(recording.line(expected.len()).unwrap().is_none());
+    assert!(recording.line_of_shot(u64::MAX).unwrap().is_none());
+    expected.len()
+}
+
+#[test]
+fn containers_and_las_are_read_in_any_order() {
+    let place = TestFolder::new();
+    let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 9\nshots_per_line = 1300\n\
+               [[stage]]\ntype = 'write_arrow'\npath = 'plain.arrow'\ncompression = 'none'\n\
+               [[stage]]\ntype = 'write_arrow'\npath = 'packed.arrow'\ncompression = 'zstd'\n\
+               [[stage]]\ntype = 'calibrate'\n[[stage]]\ntype = 'decompose'\nmode = 'fastest'\n\
+               [[stage]]\ntype = 'georeference'\n\
+               [[stage]]\ntype = 'write_las'\npath = 'points.las'\nwave_packets = 'internal'\n\
+               [[stage]]\ntype = 'write_las'\npath = 'points.laz'\nwave_packets = 'external'\n";
+    assert_eq!(place.run(job), Outcome::success());
+    for (file, reader) in [
+        ("plain.arrow", "read_arrow"),
+        ("packed.arrow", "read_arrow"),
+        ("points.las", "read_las"),
+        ("points.laz", "read_las"),
+    ] {
+        assert!(assert_same_lines(&place.path(&format!("out/{file}")), reader, &[]) >= 3, "{file}");
+    }
+    // Small recordings are read in no time: their folders stay as they are.
+    assert!(std::fs::read_dir(place.path("out")).unwrap().all(|entry| {
+        entry.unwrap().path().extension().is_none_or(|extension| extension != "wvxi")
+    }));
+}
+
+#[test]
+fn sdf_is_read_in_any_order() {
+    let place = sdf::place(&sdf::flight_container(), "");
+    let set = [format!("read_sdf.library = '{}'", sdf::stand_in().display())];
+    assert!(assert_same_lines(&place.path(sdf::NAME), "read_sdf", &set) > 1);
+}
+
+#[test]
+fn real_recordings_are_read_in_any_order() {
+    let Some(folder) = std::env::var_os("WAVEX_DATA").map(std::path::PathBuf::from) else {
+        println!("skipped: real recordings, because WAVEX_DATA is not set");
+        return;
+    };
+    for name in ["riegl_example3", "optech_example1", "geolas_example1", "lvis_example1"] {
+        assert_same_lines(&folder.join(format!("pulsewaves/{name}.pls")), "read_pulsewaves", &[]);
+    }
+    assert_same_lines(&folder.join("las_wavepackets/fullwave.laz"), "read_las", &[]);
+    assert_same_lines(&folder.join("riegl_q680i_dev/riegl_q680i_dev.las"), "read_las", &[]);
+}
+
+#[test]
+fn a_stream_and_an_unknown_format_are_refused() {
+    let place = TestFolder::with(&[("notes.txt", b"")]);
+    let job = "[[stage]]\ntype = 'simulate'\nlines = 2\nshots_per_line = 300\n\
+               [[stage]]\ntype = 'write_arrow'\npath = '-'\n";
+    let stream = place.command(job).output().unwrap().stdout;
+    place.write("stream.arrow", &stream);
+    let mut recording = Recording::open(&place.path("stream.arrow"), &[]).unwrap();
+    let error = recording.line(0).err().unwrap().to_string();
+    let remedy = "use a container in the file format of Arrow, or a reader without `time_s`";
+    let path = place.path("stream.arrow");
+    assert_eq!(error, format!("{}: scan lines cannot be read in any order; {remedy}", path.display()));
+    assert!(matches!(Recording::open(&place.path("notes.txt"), &[]), Err(OpenError::Format(_))));
+}
