@@ -96,7 +96,7 @@ fn rows(path: &Path, columns: [&str; 3]) -> Rows {
 /// Model of the sensitive receiver, truth and returns of a scene.
 fn flown(scene: &Scene) -> (ChannelModel, Rows, Rows) {
     let folder = tempfile::tempdir().unwrap();
-    let simulate = format!("stem = \"scene\"\nlines = 5\ntruth = \"truth.csv\"\n{}", scene.keys);
+    let simulate = format!("stem = \"scene\"\nlines = 8\ntruth = \"truth.csv\"\n{}", scene.keys);
     let of = |name| registry::find(name).unwrap();
     let mut stages = vec![(of("simulate"), simulate.as_str())];
     if scene.two_receivers {
