@@ -180,7 +180,7 @@ fn peak_bytes(place: &TestFolder, pattern: &str) -> u64 {
 #[test]
 fn three_hundred_inputs_take_little_more_memory_than_thirty() {
     let place = TestFolder::new();
-    strip(&place, "s000", 1, 0.9, 3);
+    strip(&place, "s000", 1, 0.9, 12);
     let first = place.path("strips/s000.arrow");
     for number in 1..300 {
         fs::copy(&first, place.path(&format!("strips/s{number:03}.arrow"))).unwrap();
