@@ -6,10 +6,11 @@ use std::path::Path;
 use std::sync::{Mutex, MutexGuard};
 
 use tracing::level_filters::LevelFilter;
+use tracing_subscriber::filter::Targets;
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
-use tracing_subscriber::{EnvFilter, Layer, fmt};
+use tracing_subscriber::{Layer, fmt};
 
 use super::terminal;
 use wavex_formats::{Error, Result};
@@ -25,7 +26,8 @@ static KEPT: Mutex<Option<Vec<u8>>> = Mutex::new(None);
 
 /// Starts logging to standard error.
 ///
-/// The level is WARN by default. `RUST_LOG` overrides the arguments.
+/// The level is WARN by default. `RUST_LOG` overrides the arguments: levels, or `TARGET=LEVEL`, by commas.
+/// A value that is neither is ignored.
 pub(super) fn begin(verbose: u8, quiet: bool) {
     let level = match (quiet, verbose) {
         (true, _) => LevelFilter::ERROR,
@@ -33,10 +35,10 @@ pub(super) fn begin(verbose: u8, quiet: bool) {
         (false, 1) => LevelFilter::INFO,
         (false, _) => LevelFilter::DEBUG,
     };
-    let mut wanted = EnvFilter::builder().with_default_directive(level.into()).from_env_lossy();
-    if let Ok(off) = format!("{FATAL}=off").parse() {
-        wanted = wanted.add_directive(off);
-    }
+    let given = std::env::var("RUST_LOG").ok().filter(|given| !given.is_empty());
+    let wanted: Option<Targets> = given.and_then(|given| given.parse().ok());
+    let wanted =
+        wanted.unwrap_or_else(|| Targets::new().with_default(level)).with_target(FATAL, LevelFilter::OFF);
     let on_terminal =
         fmt::layer().with_writer(io::stderr).with_ansi(terminal::colour()).without_time().with_target(false);
     let in_file = fmt::layer().with_writer(ToFile).with_ansi(false).with_target(false);
