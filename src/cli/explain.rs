@@ -149,14 +149,8 @@ impl Chain {
         if let Some(first) = job.stages.first_mut() {
             first.planned.plan = Plan::Source(Arc::new(excerpt));
         }
-        let observed = observe(
-            &job,
-            self.input(),
-            &self.options,
-            Context::default(),
-            (Numbers::default(), None),
-            look,
-        );
+        let observed =
+            observe(&job, self.input(), &self.options, Context::default(), (Numbers::default(), None), look);
         match observed.map_err(|error| failed(&error))? {
             (_, Some(explained)) => explained,
             (seen, None) => {

@@ -80,7 +80,8 @@ struct ExcerptSource {
 
 impl Source for ExcerptSource {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
-        let may_skip = |skip: &mut Skip| skip.may_skip.load(Ordering::Relaxed) && self.source.location().is_some();
+        let may_skip =
+            |skip: &mut Skip| skip.may_skip.load(Ordering::Relaxed) && self.source.location().is_some();
         if let Some(skip) = self.skip.take_if(may_skip) {
             let mut recording = Recording::of_reader(skip.reader, &skip.keys, skip.site)?;
             let index = recording.index(&mut |_| Ok(()))?;

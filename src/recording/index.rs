@@ -19,8 +19,8 @@ use arrow_schema::{ArrowError, Schema};
 use super::index_path;
 use crate::scan_line::ScanLine;
 use crate::stage::{Context, LineLocation, OutputFile, Result, RunContext, SourcePlan, StageError};
-use wavex_formats::container::TableReader;
 use wavex_formats::Error;
+use wavex_formats::container::TableReader;
 
 /// Called with the fraction of a recording that has been read; an error ends the reading.
 pub type Watch<'a> = dyn FnMut(f64) -> Result<()> + 'a;
@@ -202,12 +202,10 @@ fn identity(recording: &Path, keys: &str) -> Option<String> {
 }
 
 fn columns(lines: &[IndexedLine]) -> std::result::Result<RecordBatch, ArrowError> {
-    let u64s = |of: fn(&IndexedLine) -> u64| -> ArrayRef {
-        Arc::new(lines.iter().map(of).collect::<UInt64Array>())
-    };
-    let u32s = |of: fn(&IndexedLine) -> u32| -> ArrayRef {
-        Arc::new(lines.iter().map(of).collect::<UInt32Array>())
-    };
+    let u64s =
+        |of: fn(&IndexedLine) -> u64| -> ArrayRef { Arc::new(lines.iter().map(of).collect::<UInt64Array>()) };
+    let u32s =
+        |of: fn(&IndexedLine) -> u32| -> ArrayRef { Arc::new(lines.iter().map(of).collect::<UInt32Array>()) };
     let f64s = |of: fn(&IndexedLine) -> f64| -> ArrayRef {
         Arc::new(lines.iter().map(of).map(Some).collect::<Float64Array>())
     };
