@@ -3,7 +3,7 @@
 //! A verdict is the worst of its checks. A check with too little data is not assessed, and a section
 //! without any assessed check neither: missing data is never good.
 
-use super::page::plot::{label, short};
+use super::page::plot::{label, short, with_unit};
 
 /// Grade of a check or a section, from good to bad.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -182,11 +182,7 @@ impl Rule {
     }
 
     fn with_unit(&self, text: &str) -> String {
-        match self.unit {
-            "" => text.to_owned(),
-            "°" => format!("{text}°"),
-            unit => format!("{text} {unit}"),
-        }
+        with_unit(text, self.unit)
     }
 }
 

@@ -117,6 +117,15 @@ pub(crate) fn label(value: f64, digits: usize) -> String {
     rest.map_or_else(|| format!("{sign}{grouped}"), |rest| format!("{sign}{grouped}.{rest}"))
 }
 
+/// A number with its unit; degrees follow without a space.
+pub(crate) fn with_unit(text: &str, unit: &str) -> String {
+    match unit {
+        "" => text.to_owned(),
+        "°" => format!("{text}°"),
+        unit => format!("{text} {unit}"),
+    }
+}
+
 /// Formats a value with about three significant digits.
 pub(crate) fn short(value: f64) -> String {
     let size = value.abs().max(1e-12).log10().floor();
