@@ -5,6 +5,7 @@ fields are read by pystac's classes and compared with the points.
 """
 
 import json
+from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pyproj
@@ -46,6 +47,10 @@ def check_stac(checks, path, las, encoding, name):
     ranges = {one.to_dict()["name"]: one for one in points.statistics}
     times = [ranges["GpsTime"].minimum, ranges["GpsTime"].maximum]
     checks.within("times are those of the points", times, [np.min(las.gps_time), np.max(las.gps_time)], 0)
+    if las.header.global_encoding.gps_time_type == 1:
+        # 18 leap seconds since 2017.
+        gps = datetime(1980, 1, 6, tzinfo=timezone.utc) + timedelta(seconds=1e9 + float(np.min(las.gps_time)) - 18.0)
+        checks.that("datetime is UTC", gps.year >= 2017 and abs((item.datetime - gps).total_seconds()) < 1e-3, item.datetime)
     check_place(checks, item, projection, las)
 
 
