@@ -133,8 +133,8 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Init { file, from } => init::init(file.as_deref(), from.as_deref(), quiet),
         Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
         Command::Calibrate(args) => calibrate::calibrate(&args, quiet),
-        Command::Copc { input, out, progress } => {
-            copc::copc(&input, out, progress.without_lines(quiet), quiet)
+        Command::Copc { input, out, stac, progress } => {
+            copc::copc(&input, out, stac, progress.without_lines(quiet), quiet)
         }
         Command::FalseAlarms(args) => false_alarms::false_alarms(&args),
         Command::Explain(args) => explain::explain(&args, quiet),

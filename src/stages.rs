@@ -18,6 +18,7 @@ pub mod read_sdf;
 mod recording;
 pub mod resolve_mta;
 pub mod simulate;
+pub(crate) mod stac;
 pub mod write_arrow;
 pub mod write_ascii;
 pub mod write_las;

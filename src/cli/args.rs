@@ -166,6 +166,9 @@ pub(super) enum Command {
         /// COPC file to write [default: NAME.copc.laz next to the input]
         #[arg(short, long, value_name = "FILE")]
         out: Option<PathBuf>,
+        /// Write a STAC item next to it: NAME.copc.json
+        #[arg(long)]
+        stac: bool,
         /// When to show progress; auto: a bar on a terminal
         #[arg(long, value_name = "WHEN", default_value = "auto")]
         progress: When,

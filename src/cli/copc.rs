@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use super::{Failure, terminal};
 use crate::engine::{Phase, ProgressMode};
 use crate::stage::{FinishedFile, OutputFile, OutputLock, Outputs};
+use crate::stages::stac;
 use wavex_formats::Error;
 use wavex_formats::las::{CopcSummary, indexes_beside, write_copc};
 
@@ -15,10 +16,11 @@ use wavex_formats::las::{CopcSummary, indexes_beside, write_copc};
 /// Enough for 3e9 points of 40 bytes.
 const CLAIMED_RUNS: usize = 512;
 
-/// Writes the points of `input` to `out`, which appears only when complete.
+/// Writes the points of `input` to `out`, which appears only when complete; on request with a STAC item.
 pub(super) fn copc(
     input: &Path,
     out: Option<PathBuf>,
+    with_item: bool,
     progress: ProgressMode,
     quiet: bool,
 ) -> Result<(), Failure> {
@@ -26,11 +28,17 @@ pub(super) fn copc(
     check_name(input, &out).map_err(Failure::Wrong)?;
     let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // The claim lets a later process remove what a killed process left.
-    let written = (0..CLAIMED_RUNS).map(|number| run_path(&out, number)).chain([out.clone()]);
+    let item = with_item.then(|| stac::item_path(&out));
+    let runs = (0..CLAIMED_RUNS).map(|number| run_path(&out, number));
+    let written = runs.chain([out.clone()]).chain(item.clone());
     let claimed = Outputs::from([(folder.to_path_buf(), written.collect::<BTreeSet<_>>())]);
     let lock = OutputLock::acquire(&claimed).map_err(|error| Failure::Run(error.to_string()))?;
-    let summary = write(input, &out, progress).map_err(|error| Failure::Run(error.to_string()))?;
+    let written = write(input, &out, item.as_deref(), progress);
+    let (summary, has_item) = written.map_err(|error| Failure::Run(error.to_string()))?;
     drop(lock);
+    if with_item && !has_item {
+        tracing::warn!("{}", stac::NO_DATE);
+    }
     if quiet { Ok(()) } else { terminal::print(&summary_text(&out, &summary)) }
 }
 
@@ -48,7 +56,13 @@ fn check_name(input: &Path, out: &Path) -> Result<(), String> {
     }
 }
 
-fn write(input: &Path, out: &Path, progress: ProgressMode) -> Result<CopcSummary, Error> {
+/// Writes the points, and the item if it has a path; returns whether there is an item.
+fn write(
+    input: &Path,
+    out: &Path,
+    item: Option<&Path>,
+    progress: ProgressMode,
+) -> Result<(CopcSummary, bool), Error> {
     let mut file = OutputFile::create(out)?;
     // Runs are removed when dropped.
     let mut runs: Vec<FinishedFile> = Vec::new();
@@ -66,8 +80,25 @@ fn write(input: &Path, out: &Path, progress: ProgressMode) -> Result<CopcSummary
     let mut watch = |part| phase.show(&stem, 0, part);
     let summary = write_copc(input, &mut file, out, &mut keep, &mut watch)?;
     drop(phase);
-    file.finish()?.replacing(indexes_beside(out)).publish()?;
-    Ok(summary)
+    let points = file.finish()?;
+    let item = item.map(|path| finish_item(path, &points, &summary)).transpose()?.flatten();
+    let has_item = item.is_some();
+    let stale = indexes_beside(out).into_iter().chain(item.iter().map(|item| item.path().to_path_buf()));
+    points.replacing(stale.collect::<Vec<_>>()).publish()?;
+    item.map(FinishedFile::publish).transpose()?;
+    Ok((summary, has_item))
+}
+
+/// Completes the STAC item of complete points; `None` if they have no date.
+fn finish_item(
+    path: &Path,
+    points: &FinishedFile,
+    summary: &CopcSummary,
+) -> Result<Option<FinishedFile>, Error> {
+    let about = stac::describe(points)?;
+    let (wkt, times_s) = (about.wkt(), Some(summary.times_s).filter(|times_s| *times_s != [0.0; 2]));
+    let points = stac::Points { about: &about, path: points.path(), wkt: wkt.as_deref(), times_s };
+    stac::finish(OutputFile::create(path)?, &points)
 }
 
 /// Path of a sorted run.

@@ -68,7 +68,7 @@ those of a survey, `survey_model = \"models.json\"` in `[job]`.";
 pub(super) const COPC: &str = "\
 Examples:
   wavex copc flight7.laz
-  wavex copc flight7.las --out web/flight7.copc.laz";
+  wavex copc flight7.las --out web/flight7.copc.laz --stac";
 
 pub(super) const FALSE_ALARMS: &str = "\
 Examples:

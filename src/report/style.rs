@@ -23,9 +23,9 @@ svg{display:block;width:100%;height:auto}text{font:12px 'Segoe UI','Helvetica Ne
 Arial,sans-serif;fill:var(--text)}.frame{fill:none;stroke:var(--frame)}.grid{stroke:var(--grid)}
 .bars{fill:var(--bar);stroke:none}.dot{fill:var(--low)}polyline{fill:none;stroke-width:1.3}
 polyline.low{stroke:var(--low)}polyline.high{stroke:var(--high)}.high.dot{fill:var(--high)}
-@media (max-width:800px){.sections{columns:1}}
+@media (max-width:800px){.sections{columns:auto}}
 @media (max-width:560px){body{padding:14px 12px 30px}figure{padding:6px}text{font-size:16px}}
-@media print{body{max-width:none;padding:0}.figures{grid-template-columns:1fr 1fr!important;gap:10px}
+@media print{body{max-width:none;padding:0}.sections{columns:auto}.figures{grid-template-columns:1fr 1fr!important;gap:10px}
 figure{padding:6px}text{font-size:16px}@page{margin:12mm}}
 ";
 
@@ -82,7 +82,7 @@ line.level{stroke:var(--faint);stroke-dasharray:5 4}.pulse{stroke:var(--pulse);s
 section p{margin:4px 0}.job{margin-top:34px}summary{font-weight:600;cursor:pointer;margin-bottom:8px}
 .job td{font-size:13px}.job td:first-child{width:14%}
 @media (max-width:800px){nav ol{columns:1}.job td:first-child{width:36%}}
-@media print{h2,h3,h2.group,.checks{break-after:avoid}figure,tr{break-inside:avoid}section.data{break-inside:auto}
+@media print{h2,h3,h2.group,.checks,summary{break-after:avoid}figure,tr,.checks{break-inside:avoid}section.data{break-inside:auto}
 .tiles b{font-size:16px}.scroll{overflow:visible}.wide{font-size:10px}
 .wide th,.wide td{padding:2px 3px;white-space:normal}.wide td:first-child{overflow-wrap:anywhere}
 .wide td.text{min-width:10em}figure .wide{font-size:9px}

@@ -3,7 +3,7 @@
 //! A verdict is the worst of its checks. A check with too little data is not assessed, and a section
 //! without any assessed check neither: missing data is never good.
 
-use super::page::plot::{label, short};
+use super::page::plot::{label, short, with_unit};
 
 /// Grade of a check or a section, from good to bad.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -58,8 +58,11 @@ impl Rule {
 /// Limits without a grade: look at most.
 const NEVER_BAD: f64 = f64::INFINITY;
 
-/// Rules of the page of a run. Densities: nominal pulse densities of quality levels 2 and 3 of the
-/// USGS; uncertainty: their vertical accuracy. The others are limits by experience.
+/// Rules of the page of a run.
+///
+/// Densities and total SD: aggregate nominal pulse density and absolute vertical accuracy (RMSEz) of
+/// quality levels 2 and 3 (USGS, Lidar Base Specification, tables 1 and 4). The others are limits by
+/// experience.
 pub(crate) const WARNINGS: Rule = at_most("warnings and kinds of rejected items", "", [0.0, NEVER_BAD]);
 pub(crate) const PULSE_DENSITY: Rule =
     Rule { is_minimum: true, ..at_most("mean pulse density", "per m²", [2.0, 0.5]) }.from(100, "pulses");
@@ -84,13 +87,16 @@ pub(crate) const SHAPE_ERROR: Rule =
     at_most("largest shape error of the response", "% of the peak", [1.0, 3.0]);
 
 /// Rules of the page of a survey.
+///
+/// Roughness: smooth surface repeatability of quality levels 2 and 3 (USGS, Lidar Base Specification,
+/// table 2). Differences between strips: the default of the job is their swath overlap difference.
 pub(crate) const FAILED_STRIPS: Rule = at_most("failed strips", "", [0.0, 0.0]);
 pub(crate) const BELOW_TARGET: Rule = at_most("area below the required density", "%", [5.0, 20.0]);
 pub(crate) const GAPS: Rule = at_most("area of gaps", "% of the area", [0.0, 1.0]);
 pub(crate) const UNEXPLAINED_WAVEFORMS: Rule =
     at_most("waveforms that the returns do not explain", "%", [5.0, 20.0]).from(100, "waveforms");
 pub(crate) const PAIRS: Rule = at_most("pairs of strips beyond the limit", "", [0.0, NEVER_BAD]);
-pub(crate) const ROUGHNESS: Rule = at_most("median roughness", "m", [0.06, 0.16]).from(100, "smooth cells");
+pub(crate) const ROUGHNESS: Rule = at_most("median roughness", "m", [0.06, 0.12]).from(100, "smooth cells");
 
 /// RMS of height differences between strips: good up to the limit of the job, look up to twice that.
 pub(crate) fn difference_rms(limit_m: f64) -> Rule {
@@ -176,11 +182,7 @@ impl Rule {
     }
 
     fn with_unit(&self, text: &str) -> String {
-        match self.unit {
-            "" => text.to_owned(),
-            "°" => format!("{text}°"),
-            unit => format!("{text} {unit}"),
-        }
+        with_unit(text, self.unit)
     }
 }
 

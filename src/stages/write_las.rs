@@ -14,6 +14,7 @@ use rayon::ThreadPool;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::stac;
 use crate::keys::InvalidKey;
 use crate::scan_line::{
     Emission, Frame, GainControl, InputInfo, Kind, Return, ScanLine, TimeScale, emission_flags,
@@ -22,7 +23,7 @@ use crate::stage::{
     Config, Context, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };
 use attributes::Attributes;
-use files::Files;
+use files::{Files, StacFile};
 use identity::{PointSourceKey, PointSourceRule};
 use waves::Waves;
 use wavex_formats::Error;
@@ -102,6 +103,9 @@ pub struct WriteLas {
     pub wave_packets: WavePacketsKey,
     /// Destination of the spatial index for LAStools.
     pub index: IndexKey,
+    /// Write a STAC item (STAC 1.1, extensions pointcloud and projection) in a file of the same name with
+    /// the extension `.json`.
+    pub stac: bool,
     /// Coordinate step, in units of the coordinate reference system. Defaults to 0.001, or to the
     /// step of the input or of `georeference` if that is below 0.00001, as required for degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -115,6 +119,7 @@ pub struct WriteLas {
 #[derive(Clone, Debug)]
 struct Beside {
     index: String,
+    stac: String,
     packets: String,
     /// Temporary file, unique to this output, for packets that become part of it.
     packets_inside: String,
@@ -184,6 +189,7 @@ impl Default for WriteLas {
             project_id: String::new(),
             wave_packets: WavePacketsKey::None,
             index: IndexKey::None,
+            stac: false,
             coordinate_step: None,
             beside: OnceLock::new(),
         }
@@ -230,6 +236,9 @@ impl SinkConfig for WriteLas {
         if self.index == IndexKey::File {
             outputs.push(&self.beside().index);
         }
+        if self.stac {
+            outputs.push(&self.beside().stac);
+        }
         outputs
     }
 
@@ -244,6 +253,8 @@ impl SinkConfig for WriteLas {
             config: self.clone(),
             pool: site.pool.clone(),
             index: (self.index == IndexKey::File).then(|| site.create(&self.beside().index)).transpose()?,
+            stac: self.stac.then(|| site.create(&self.beside().stac)).transpose()?,
+            times_s: [f64::INFINITY, f64::NEG_INFINITY],
             waves: self.waves(site)?,
             state: State::Empty(file),
             input: None,
@@ -284,6 +295,7 @@ impl WriteLas {
             |ending: &str| Path::new(&self.path).with_extension(ending).to_string_lossy().into_owned();
         self.beside.get_or_init(|| Beside {
             index: other("lax"),
+            stac: stac::item_path(Path::new(&self.path)).to_string_lossy().into_owned(),
             packets: other("wdp"),
             packets_inside: format!("{}.wdp", self.path),
         })
@@ -318,6 +330,10 @@ struct LasWriter {
     pool: Option<Arc<ThreadPool>>,
     /// File of the spatial index.
     index: Option<OutputFile>,
+    /// File of the STAC item.
+    stac: Option<OutputFile>,
+    /// Smallest and largest time of the points, for the STAC item, s.
+    times_s: [f64; 2],
     /// The waveforms of the points.
     waves: Option<Waves>,
     state: State,
@@ -475,6 +491,11 @@ impl Sink for LasWriter {
                 ..point
             }
         };
+        if self.stac.is_some() {
+            let times = returns.iter().map(|r| gps_time(input, &batch.emissions[r.emission as usize]));
+            self.times_s =
+                times.fold(self.times_s, |[least, most], time_s| [least.min(time_s), most.max(time_s)]);
+        }
         let (mut refused, mut n_refused) = (None, 0);
         writer.write_points(
             returns.len().min(points.len()),
@@ -506,7 +527,13 @@ impl Sink for LasWriter {
             if writer.n_points() > u64::from(u32::MAX) && self.config.index != IndexKey::None {
                 cx.warn("the index format cannot address this many points: the file has no index");
             }
-            let files = Files { index: self.index, waves: self.waves, place: self.config.wave_packets };
+            let [first_s, last_s] = self.times_s;
+            let item = self.stac.map(|file| StacFile {
+                file,
+                wkt: input.crs_wkt.clone(),
+                times_s: (first_s <= last_s).then_some(self.times_s),
+            });
+            let files = Files { index: self.index, waves: self.waves, place: self.config.wave_packets, item };
             files.finish(*writer, cx)?;
         }
         Ok(())

@@ -62,6 +62,24 @@ fn points_of_a_run_become_a_file_beside_them() {
 }
 
 #[test]
+fn a_stac_item_is_written_on_request() {
+    let place = TestFolder::new();
+    assert_eq!(place.run(POINTS).code, Some(0));
+    copc(&place, &["a.laz"]).unwrap();
+    assert!(!place.path("out/a.copc.json").exists());
+    copc(&place, &["a.laz", "--stac"]).unwrap();
+    let text = place.text("out/a.copc.json");
+    let item: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let about = &item["properties"];
+    assert_eq!(about["pc:count"], n_points(&place, "a.laz"));
+    assert_eq!((&about["pc:encoding"], &about["proj:code"]), (&"COPC".into(), &"EPSG:32633".into()));
+    assert_eq!(item["assets"]["data"]["href"], "./a.copc.laz");
+    assert_eq!(about["start_datetime"], "2025-05-06T09:59:42.000Z");
+    copc(&place, &["a.laz", "--stac"]).unwrap();
+    assert_eq!(place.text("out/a.copc.json"), text, "the same bytes every time");
+}
+
+#[test]
 fn what_cannot_be_converted_is_told_and_leaves_nothing() {
     let place = TestFolder::new();
     assert_eq!(place.run(POINTS).code, Some(0));

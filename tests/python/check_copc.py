@@ -1,5 +1,11 @@
 """Compares COPC queries of laspy by area and by level with the source file."""
 
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
 import copclib
 import laspy
 import numpy as np
@@ -18,6 +24,7 @@ def check_copc(checks, path, source):
     by_laszip = laspy.read(path, laz_backend=laspy.LazBackend.Laszip)
     checks.that("LASzip reads the same points as lazrs", same_bytes(by_laszip.points.array, plain.points.array))
     check_by_copclib(checks, path, plain)
+    check_by_node(checks, path, plain)
     with laspy.CopcReader.open(path) as reader:
         header, everything = reader.header, reader.query()
         expected = WITHOUT_WAVEFORMS.get(before.point_format.id, before.point_format.id)
@@ -50,6 +57,27 @@ def check_by_copclib(checks, path, plain):
         found.append(xyz[:, 0])
     checks.equal("copclib finds all points within their nodes", outside, 0)
     checks.within("copclib reads their coordinates", np.sort(np.concatenate(found)), np.sort(plain.x), 1e-9)
+
+
+def check_by_node(checks, path, plain):
+    """Checks header, octree and points with the npm package `copc`, which viewers in browsers use."""
+    folder = os.environ.get("WAVEX_NODE_COPC")
+    if folder is None or shutil.which("node") is None:
+        print("SKIPPED: the npm package `copc`; it needs node, and its folder in WAVEX_NODE_COPC")
+        return
+    program = Path(__file__).with_suffix(".mjs")
+    done = subprocess.run(["node", program, folder, path], capture_output=True, text=True)
+    checks.equal(f"node reads {path.name}", (done.returncode, done.stderr), (0, ""))
+    if done.returncode != 0:
+        return
+    found, n = json.loads(done.stdout), len(plain.points)
+    checks.equal("node counts points in header, octree and nodes", [found[of] for of in ("header", "nodes", "points")], [n] * 3)
+    checks.within("node reads coordinates", found["least"] + found["most"], [*plain.header.mins, *plain.header.maxs], 1e-9)
+    checks.that("node's cube has all points", all(a <= b for a, b in zip(found["cube"][:3], found["least"]))
+                and all(a >= b for a, b in zip(found["cube"][3:], found["most"])))
+    checks.equal("node reads the extra attributes", found["extra"], list(plain.point_format.extra_dimension_names))
+    checks.equal("node finds the coordinate reference system", found["has_wkt"],
+                 any((vlr.user_id, vlr.record_id) == ("LASF_Projection", 2112) for vlr in plain.header.vlrs))
 
 
 def check_same_header(checks, header, before):

@@ -1,4 +1,5 @@
-"""Runs the program and reads its outputs with other programs: pyarrow, DuckDB, laspy, LASzip, pyproj, rasterio.
+"""Runs the program and reads its outputs with other programs: pyarrow, DuckDB, laspy, LASzip, pyproj, rasterio, pystac,
+and the npm package `copc` if WAVEX_NODE_COPC names the folder that has it in node_modules.
 
     python3 -m venv venv
     venv/bin/pip install -r tests/python/requirements.txt
@@ -30,6 +31,7 @@ from check_packets import check_packets
 from check_pdal import check_pdal
 from check_points import check_points, check_same_points
 from check_rasters import check_rasters
+from check_stac import check_stac
 from check_text import COLUMNS, check_ascii, check_beams, check_flown, check_origins
 from check_units import SYSTEMS, check_units
 from check_waveforms import check_against_dump, check_container, check_same_waveforms, read_container, read_dump
@@ -117,6 +119,7 @@ type = "write_las"
 id = "laz"
 path = "*.laz"
 index = "file"
+stac = true
 
 [[stage]]
 type = "write_las"
@@ -260,8 +263,12 @@ def check_survey(checks, name, program, source, tells_origins=True):
         for ending in (".las", ".laz", "_waves.laz"):
             with checks.of(f"{name}, COPC of {ending}"):
                 copc = folder / f"of{ending}.copc.laz"
-                command([program, "--quiet", "copc", output(ending), "-o", copc])
+                command([program, "--quiet", "copc", output(ending), "-o", copc, "--stac"])
                 check_copc(checks, copc, las[ending])
+                item = folder / f"of{ending}.copc.json"
+                check_stac(checks, item, laspy.read(copc), "COPC", copc.name)
+        with checks.of(f"{name}, STAC"):
+            check_stac(checks, output(".json"), las[".laz"], "LAZ", f"{stem}.laz")
         with checks.of(f"{name}, points as text"):
             check_ascii(checks, output("_points.txt"), table, container)
         with checks.of(f"{name}, the sensor's path"):

@@ -3,11 +3,15 @@
     python check_pages.py WAVEX
 
 For each page, in light, dark, narrow (390 px) and print: no horizontal scroll, no overlapping or
-broken texts, no clipped table, contrast AA, keyboard access, and less than 4 MB. Skipped with a
-message if there is no Chromium.
+broken texts, no clipped table, contrast AA, keyboard access, and less than 4 MB. The printed sheets
+are checked by `pdftotext` (poppler-utils), if it is there: no overlapping words, none outside of the
+margins, no heading at the end of a sheet. With WAVEX_DATA, also the page of a recording. Skipped with
+a message if there is no Chromium.
 """
 
 import json
+import os
+import re
 import shutil
 import subprocess
 import sys
@@ -155,6 +159,45 @@ KEYBOARD = """() => {
 }"""
 
 
+WORD = re.compile(r'<word xMin="([\d.]+)" yMin="([\d.]+)" xMax="([\d.]+)" yMax="([\d.]+)">(.*?)</word>')
+SHEET = re.compile(r'<page width="([\d.]+)" height="([\d.]+)">(.*?)</page>', re.DOTALL)
+# Margin of a sheet, points (12 mm), and the tolerance of boxes of words.
+MARGIN_PT, TOLERANCE_PT = 34.0, 3.0
+
+
+def sheets(pdf):
+    """Width, height and words (box and text) of each sheet of a PDF."""
+    boxes = subprocess.run(["pdftotext", "-bbox", pdf, "-"], check=True, capture_output=True, text=True).stdout
+    return [(float(width), float(height), [([float(at) for at in word[:4]], word[4]) for word in WORD.findall(text)])
+            for width, height, text in SHEET.findall(boxes)]
+
+
+def sheet_defects(pdf, headings):
+    """Words that overlap or lie in the margins, and headings at the end of a sheet."""
+    defects = []
+    of_pdf = sheets(pdf)
+    for number, (width, _, words) in enumerate(of_pdf, 1):
+        words.sort(key=lambda word: word[0][1])
+        for i, ((left, top, right, bottom), text) in enumerate(words):
+            if left < MARGIN_PT - TOLERANCE_PT or right > width - MARGIN_PT + TOLERANCE_PT:
+                defects.append(f"sheet {number}: in the margin: {text}")
+            for (other_left, other_top, other_right, other_bottom), other in words[i + 1:]:
+                if other_top >= bottom:
+                    break
+                wide = min(right, other_right) - max(left, other_left)
+                high = min(bottom, other_bottom) - max(top, other_top)
+                # Boxes of lines are as high as their font and overlap by less than this.
+                is_halo = text == other and abs(left - other_left) < 1
+                if not is_halo and wide > 1 and high > 0.4 * min(bottom - top, other_bottom - other_top):
+                    defects.append(f"sheet {number}: overlapping: {text} | {other}")
+        if words and number < len(of_pdf):
+            lowest = max(box[3] for box, _ in words)
+            last = " ".join(text for box, text in sorted(words) if lowest - box[3] < 3)
+            if any(last.startswith(heading) and len(last) < len(heading) + 15 for heading in headings):
+                defects.append(f"sheet {number}: ends with a heading: {last}")
+    return defects
+
+
 def browser_path():
     """Path of an installed Chromium; None if there is none."""
     return next((path for path in map(shutil.which, BROWSERS) if path), None)
@@ -190,6 +233,14 @@ def make_pages(wavex, folder):
     scan = [wavex, "--quiet", "scan", folder / "in/flight.arrow", "--name", folder / "out/flight"]
     subprocess.run(scan, check=True, capture_output=True)
     names = ["run_report", "flight_report", "strips_report", "strips_survey", "flight_scan"]
+    data = os.environ.get("WAVEX_DATA")
+    if data is None:
+        print("skipped: the page of a real recording, because WAVEX_DATA is not set")
+    else:
+        pulses = Path(data).resolve() / "riegl_q680i_dev/riegl_q680i_dev.pls"
+        run(wavex, folder, "real", f"[job]\noutput_dir = 'out'\nreport_page = true\n"
+            f"[[stage]]\ntype = 'read_pulsewaves'\npath = '{pulses}'\n" + STAGES)
+        names.append("real_report")
     return [folder / f"out/{name}.html" for name in names]
 
 
@@ -226,6 +277,11 @@ def check_page(browser, page):
         tab.goto(page.resolve().as_uri())
         found = tab.evaluate(MEASURE, look == "print") + errors
         defects += [f"{page.name}, {look}, {width} px: {text}" for text in found]
+        if look == "print" and shutil.which("pdftotext"):
+            pdf = page.with_suffix(".pdf")
+            tab.pdf(path=pdf, prefer_css_page_size=True, format="A4")
+            headings = [text.strip() for text in tab.locator("h1, h2, h3, summary").all_inner_texts() if text.strip()]
+            defects += [f"{page.name}, {text}" for text in sheet_defects(pdf, headings)]
         if (look, width) == ("light", 1280):
             check_keyboard(tab, page.name)
         context.close()
@@ -255,6 +311,8 @@ def check_measure(browser, folder):
 
 def main(wavex):
     """Checks all pages."""
+    if shutil.which("pdftotext") is None:
+        print("SKIPPED: the printed sheets, because there is no pdftotext (poppler-utils)")
     path = browser_path()
     if path is None:
         print("SKIPPED: the pages, because there is no Chromium")

@@ -53,6 +53,7 @@
 
 mod chunks;
 mod copc;
+mod description;
 mod descriptor;
 mod encoding;
 mod extra_bytes;
@@ -71,6 +72,7 @@ mod vlr;
 mod writer;
 
 pub use copc::{CopcSummary, Keep, Watch, write_copc};
+pub use description::Description;
 pub use descriptor::Descriptor;
 #[cfg(test)]
 use extra_bytes::{AMP, CHANNEL};

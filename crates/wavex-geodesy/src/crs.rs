@@ -13,6 +13,7 @@ mod error;
 mod geotiff;
 mod methods;
 mod named;
+mod outline;
 #[cfg(feature = "proj")]
 mod proj;
 mod projection;
@@ -32,6 +33,7 @@ pub use error::CrsError;
 pub use geotiff::{GeoKeys, geotiff_keys_of_wkt};
 pub use named::Named;
 use named::utm_zone_at;
+pub use outline::Outline;
 use projection::Projection;
 pub use projjson::projjson_of_wkt;
 pub use unit::Unit;

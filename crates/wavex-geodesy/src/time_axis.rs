@@ -203,6 +203,37 @@ pub fn leap_seconds(adjusted_utc_s: f64) -> f64 {
     LEAPS.iter().filter(begun).count() as f64
 }
 
+/// Formats an adjusted GPS time as ISO 8601, UTC, rounded to a millisecond.
+///
+/// `None` before 1980-01-06 and after about 2700 years. A moment within a leap second gets the second
+/// after it.
+///
+/// # Examples
+///
+/// ```
+/// use wavex_geodesy::time_axis::utc_of_gps;
+///
+/// // 18 leap seconds.
+/// assert_eq!(utc_of_gps(430_560_818.25).as_deref(), Some("2025-05-06T10:00:00.250Z"));
+/// ```
+pub fn utc_of_gps(adjusted_s: f64) -> Option<String> {
+    let mut utc_s = adjusted_s;
+    // The second step is for the seconds about a leap second.
+    for _ in 0..2 {
+        utc_s = adjusted_s - leap_seconds(utc_s);
+    }
+    let utc_s = (utc_s * 1000.0).round() / 1000.0;
+    let [year, month, day] = date(utc_s)?;
+    let milliseconds = ((utc_s + ADJUSTMENT_S).rem_euclid(DAY_S) * 1000.0).round() as u64;
+    let second = milliseconds / 1000;
+    let (hour, minute) = (second / 3600, second / 60 % 60);
+    Some(format!(
+        "{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{:02}.{:03}Z",
+        second % 60,
+        milliseconds % 1000
+    ))
+}
+
 /// Conversion of recording times to the axis of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alignment {

@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::plot::{label, short};
+use super::plot::{label, short, with_unit};
 use super::{CHANNELS, list, name, plain, section, table, words};
 
 /// Lists the keys of the job and of its stages.
@@ -76,7 +76,7 @@ fn row(key: &str, value: &Value) -> (String, String) {
         Value::String(text) => words::of_choice(text),
         other => plain(other),
     };
-    (name, format!("{text} {unit}").trim_end().to_owned())
+    (name, with_unit(&text, unit))
 }
 
 /// Formats a number: whole ones and those from 1000 on in full, others with three significant digits.

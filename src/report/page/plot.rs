@@ -5,6 +5,9 @@ use crate::report::svg::{Anchor, Scale, Svg};
 /// Width of a figure, SVG units.
 pub(crate) const WIDTH: f64 = 560.0;
 
+/// Half of the width of a digit in the largest text of a figure, on narrow screens and in print.
+const HALF_DIGIT: f64 = 4.6;
+
 /// A framed area with its scales; logarithmic scales are in decades.
 pub(crate) struct Plot {
     pub(crate) x: Scale,
@@ -37,7 +40,9 @@ impl Plot {
         for (value, text) in ticks {
             let x = self.x.at(value);
             svg.line("grid", [x, top], [x, bottom]);
-            svg.text("", [x, bottom + 22.0], Anchor::Middle, &text);
+            // The last label stays within the picture.
+            let middle = x.min(WIDTH - HALF_DIGIT * text.chars().count() as f64);
+            svg.text("", [middle, bottom + 22.0], Anchor::Middle, &text);
         }
     }
 
@@ -112,6 +117,15 @@ pub(crate) fn label(value: f64, digits: usize) -> String {
     rest.map_or_else(|| format!("{sign}{grouped}"), |rest| format!("{sign}{grouped}.{rest}"))
 }
 
+/// A number with its unit; degrees follow without a space.
+pub(crate) fn with_unit(text: &str, unit: &str) -> String {
+    match unit {
+        "" => text.to_owned(),
+        "°" => format!("{text}°"),
+        unit => format!("{text} {unit}"),
+    }
+}
+
 /// Formats a value with about three significant digits.
 pub(crate) fn short(value: f64) -> String {
     let size = value.abs().max(1e-12).log10().floor();
@@ -133,6 +147,15 @@ mod tests {
         assert_eq!(label(5_338_200.0, 0), "5\u{202f}338\u{202f}200");
         assert_eq!(label(-1234.5, 1), "−1234.5");
         assert_eq!([short(0.012_345), short(1.0), short(123.46), short(0.0)], ["0.0123", "1", "123", "0"]);
+    }
+
+    #[test]
+    fn the_last_label_stays_within_the_picture() {
+        let mut svg = Svg::new();
+        let plot = Plot::new([0.0, 1.0], [0.0, 1.0]);
+        plot.grid_x(&mut svg, vec![(0.5, "0.5".into()), (1.0, "−4.500".into())]);
+        let picture = svg.inline(WIDTH, 100.0, "");
+        assert!(picture.contains("x=\"319.0\"") && picture.contains("x=\"532.4\""), "{picture}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Figures of a run's results: counts along the flight, histograms, map views.
 
 use super::map_frame::MapFrame;
-use super::plot::{Plot, WIDTH, decades, label, short, ticks};
+use super::plot::{Plot, WIDTH, decades, label, short, ticks, with_unit};
 use crate::report::overview::{
     Density, LineGroups, MapAxes, MapLine, MapPicture, Picture, QuantityHistogram, ZoneCloud, ZoneClouds,
 };
@@ -24,7 +24,8 @@ pub(super) fn along(groups: &LineGroups) -> Option<String> {
     let highest = curves.iter().flat_map(|(_, _, values)| values).copied().fold(1.0, f64::max);
     let width = f64::from(groups.lines_per_group);
     let until = groups.lines.len() as f64 * width;
-    let plot = Plot::new([0.0, until], [0.0, 1.12 * highest]);
+    // Room for the legend above the curves, also with the large text of narrow screens.
+    let plot = Plot::new([0.0, until], [0.0, 1.2 * highest]);
     let mut svg = Svg::new();
     plot.grid(&mut svg);
     let shown = curves.iter().take(if with_points { 3 } else { 2 });
@@ -85,9 +86,8 @@ fn in_words(histogram: &QuantityHistogram, items: &str) -> String {
     let count = label(histogram.total() as f64, 0);
     match (at(0.05), at(0.5), at(0.95)) {
         (Some(low), Some(median), Some(high)) => {
-            let unit = format!(" {}", histogram.unit);
-            let unit = unit.trim_end();
-            format!("{count} {items}; median {median}{unit} (dashed), 90 % interval {low} to {high}{unit}")
+            let (median, high) = (with_unit(&median, &histogram.unit), with_unit(&high, &histogram.unit));
+            format!("{count} {items}; median {median} (dashed), 90 % interval {low} to {high}")
         }
         _ => format!("{count} {items}"),
     }

@@ -4,13 +4,14 @@
 //! indexes by name only. Therefore no step may leave points next to packets or an index of another
 //! run. Files of an earlier run are removed first: its index and, with external packets, its
 //! points. Packets are then published before the points that refer to them, and the index after the
-//! points that it counts.
+//! points that it counts. A STAC item is published last; an earlier one is removed with the index.
 
 use std::io::Write;
 
 use super::WavePacketsKey;
 use super::waves::{self, Waves};
 use crate::stage::{Context, FinishedFile, Item, OutputFile, Result};
+use crate::stages::stac;
 use wavex_formats::Error;
 use wavex_formats::las::{Writer, indexes_beside};
 
@@ -22,6 +23,17 @@ pub(super) struct Files {
     pub waves: Option<Waves>,
     /// Destination of the waveforms.
     pub place: WavePacketsKey,
+    /// STAC item of the points.
+    pub item: Option<StacFile>,
+}
+
+/// File of a STAC item, and what the points' file does not contain.
+pub(super) struct StacFile {
+    pub file: OutputFile,
+    /// Coordinate reference system as WKT.
+    pub wkt: Option<String>,
+    /// Smallest and largest time of the points, as stored, s.
+    pub times_s: Option<[f64; 2]>,
 }
 
 impl Files {
@@ -32,9 +44,12 @@ impl Files {
             None => writer.finish()?,
             Some(waves) => finish_with_waveforms(writer, waves, self.place, cx)?,
         };
-        let stale = indexes_beside(points.path());
-        cx.publish(points.finish()?.replacing(stale));
-        index.into_iter().for_each(|index| cx.publish(index));
+        let earlier = self.item.iter().map(|item| item.file.path().to_path_buf());
+        let stale: Vec<_> = indexes_beside(points.path()).into_iter().chain(earlier).collect();
+        let points = points.finish()?;
+        let item = self.item.map(|item| finish_item(item, &points, cx)).transpose()?.flatten();
+        cx.publish(points.replacing(stale));
+        index.into_iter().chain(item).for_each(|file| cx.publish(file));
         Ok(())
     }
 }
@@ -45,6 +60,18 @@ fn finish_index(mut file: OutputFile, writer: &mut Writer<OutputFile>) -> Result
     let path = file.path().to_path_buf();
     file.write_all(&index).map_err(Error::io(&path, "write"))?;
     Ok(Some(file.finish()?))
+}
+
+/// Completes the STAC item of complete points; `None` if they have no date.
+fn finish_item(item: StacFile, points: &FinishedFile, cx: &mut Context) -> Result<Option<FinishedFile>> {
+    let about = stac::describe(points)?;
+    let points =
+        stac::Points { about: &about, path: points.path(), wkt: item.wkt.as_deref(), times_s: item.times_s };
+    let finished = stac::finish(item.file, &points)?;
+    if finished.is_none() {
+        cx.warn(stac::NO_DATE);
+    }
+    Ok(finished)
 }
 
 fn finish_with_waveforms(

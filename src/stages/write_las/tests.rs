@@ -324,15 +324,107 @@ fn unknown_quantities_are_no_data_in_the_standard_layout() {
     assert_eq!(bytes[41], 255);
 }
 
+/// Files of the classic layouts, which other programs' results depend on.
 #[test]
-fn layout_1_1_stays_as_it_is_to_the_bit() {
+fn classic_layouts_stay_as_they_are_to_the_bit() {
     let returns = vec![found(1), Return { class: 7, withheld: true, ..found(2) }, Return::default()];
-    let digest = |attribute_layout, path: &str| {
-        let keys = WriteLas { attribute_layout, ..keys(path) };
+    let digest = |(attribute_layout, version, path): (AttributeLayout, VersionKey, &str)| {
+        let keys = WriteLas { attribute_layout, version, ..keys(path) };
         let mut bytes = write(&keys, &[line(info(None), returns.clone())]).0;
         // The generating software contains the version of wavex.
         bytes[58..90].fill(0);
         blake3::hash(&bytes).to_hex()[..16].to_owned()
     };
-    assert_eq!(digest(AttributeLayout::V1_1, "*.las"), "733ff784635a16f9");
+    let (new, old) = (VersionKey::V1_4, VersionKey::V1_2);
+    let files = [
+        (AttributeLayout::V1_1, new, "*.las"),
+        (AttributeLayout::V1_1, new, "*.laz"),
+        (AttributeLayout::V1_1, old, "*.las"),
+        (AttributeLayout::V1_1, old, "*.laz"),
+        (AttributeLayout::V1_0, new, "*.las"),
+        (AttributeLayout::V1_0, new, "*.laz"),
+        (AttributeLayout::V1_0, old, "*.las"),
+        (AttributeLayout::V1_0, old, "*.laz"),
+    ];
+    let expected = [
+        "733ff784635a16f9",
+        "1cc60f225df0bdfd",
+        "997fa09a4489aa41",
+        "fe070823c7332cfa",
+        "5df8eea0b16dc409",
+        "411a630cb0c8ef77",
+        "1079ec829fa115e8",
+        "578b08cac320d251",
+    ];
+    assert_eq!(files.map(digest), expected);
+}
+
+/// The item of points at UTM 33N, and the notes of the stage.
+fn written_item(keys: &WriteLas, input: InputInfo) -> (Option<serde_json::Value>, Vec<String>) {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("made.json"), b"old").unwrap();
+    let mut points = line(input, vec![found(1), found(2)]);
+    if let Content::Points(_, places) = &mut points.content {
+        *places = vec![[500_000.0, 5_300_000.0, 100.0], [500_100.0, 5_300_200.0, 150.0]];
+    }
+    let mut cx = run(keys, &site(folder.path()), &[points]);
+    cx.whole.drain(..).for_each(|whole| drop(whole.publish().unwrap()));
+    let text = std::fs::read_to_string(folder.path().join("made.json")).ok();
+    let item = text.map(|text| serde_json::from_str(&text).unwrap());
+    (item, cx.counters().notes.clone())
+}
+
+#[test]
+fn a_stac_item_describes_the_points() {
+    let keys = WriteLas { stac: true, attribute_layout: AttributeLayout::Standard, ..keys("*.laz") };
+    assert_eq!(keys.outputs(), ["*.laz", "*.json"]);
+    let utm_33 = wavex_geodesy::crs::wkt_of_epsg(32633).unwrap();
+    let input = InputInfo { instrument: Some("an instrument".into()), ..info(Some(&utm_33)) };
+    let (item, notes) = written_item(&keys, input);
+    let item = item.unwrap();
+    assert!(notes.is_empty(), "{notes:?}");
+    let about = &item["properties"];
+    assert_eq!((&item["id"], &item["assets"]["data"]["href"]), (&"made".into(), &"./made.laz".into()));
+    assert_eq!(item["assets"]["data"]["type"], "application/vnd.laszip");
+    // 2e8 s after 2011-09-14T01:46:40 GPS, 18 leap seconds.
+    assert_eq!(about["datetime"], "2018-01-14T21:19:42.000Z");
+    assert_eq!((&about["start_datetime"], &about["end_datetime"]), (&about["datetime"], &about["datetime"]));
+    assert_eq!((&about["pc:count"], &about["pc:encoding"]), (&2.into(), &"LAZ".into()));
+    assert_eq!(
+        (&about["proj:code"], &about["instruments"][0]),
+        (&"EPSG:32633".into(), &"an instrument".into())
+    );
+    assert_eq!(about["proj:bbox"], serde_json::json!([5e5, 5.3e6, 100.0, 500_100.0, 5_300_200.0, 150.0]));
+    let bbox: Vec<f64> = item["bbox"].as_array().unwrap().iter().map(|n| n.as_f64().unwrap()).collect();
+    assert!((bbox[0] - 15.0).abs() < 1e-6 && (bbox[1] - 47.85).abs() < 0.01, "{bbox:?}");
+    assert_eq!(item["geometry"]["coordinates"][0].as_array().unwrap().len(), 17);
+    let schemas = about["pc:schemas"].as_array().unwrap();
+    let dimension = |name: &str| schemas.iter().find(|one| one["name"] == name).unwrap();
+    assert_eq!(dimension("Range SD")["size"], 4);
+    assert_eq!(
+        (&dimension("Amplitude")["type"], &dimension("GpsTime")["size"]),
+        (&"floating".into(), &8.into())
+    );
+    assert_eq!(about["pc:statistics"][3]["minimum"], 2e8);
+}
+
+#[test]
+fn a_stac_item_has_no_place_without_a_coordinate_reference_system() {
+    let keys = WriteLas { stac: true, ..keys("*.las") };
+    let (item, _) = written_item(&keys, info(None));
+    let item = item.unwrap();
+    assert!(item["geometry"].is_null() && item.get("bbox").is_none());
+    assert!(item["properties"]["proj:code"].is_null());
+    assert_eq!(item["assets"]["data"]["type"], "application/vnd.las");
+}
+
+#[test]
+fn a_stac_item_needs_a_date() {
+    let keys = WriteLas { stac: true, ..keys("*.las") };
+    let week = |recorded| InputInfo { time_scale: TimeScale::Week, recorded, ..info(None) };
+    let (item, _) = written_item(&keys, week(Some((33, 2024))));
+    assert_eq!(item.unwrap()["properties"]["datetime"], "2024-02-02T00:00:00Z");
+    let (item, notes) = written_item(&keys, week(None));
+    assert_eq!(item, None, "the item of earlier points is removed");
+    assert!(notes.iter().any(|note| note.starts_with("no STAC item is written")), "{notes:?}");
 }

@@ -58,6 +58,8 @@ pub struct CopcSummary {
     pub n_levels: u32,
     /// Whether waveforms of formats 9 and 10 were dropped.
     pub is_without_waveforms: bool,
+    /// Smallest and largest finite time of the points, as stored, s; both 0 without any.
+    pub times_s: [f64; 2],
 }
 
 /// Memory limits.
@@ -121,7 +123,8 @@ fn write_within(
     let (n_nodes, n_levels) = (writer.entries.len(), writer.n_levels());
     writer.finish(&cube)?;
     let is_without_waveforms = records.format != header.point_format;
-    Ok(CopcSummary { n_points: extent.totals.points, n_nodes, n_levels, is_without_waveforms })
+    let (n_points, times_s) = (extent.totals.points, extent.times);
+    Ok(CopcSummary { n_points, n_nodes, n_levels, is_without_waveforms, times_s })
 }
 
 /// Sums over all points, for the header and the `copc` record.

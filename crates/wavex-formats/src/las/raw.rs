@@ -6,17 +6,17 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-use super::extra_bytes;
+use super::description::Description;
+use super::extra_bytes::ExtraBytes;
 use super::header::Header;
 use super::point::Layout;
 use super::records::RecordReader;
-use super::vlr::{self, SPEC, Vlr};
+use super::vlr::Vlr;
 use crate::{Error, Result};
 
 /// Reader of header, VLRs and raw records of a file.
 pub struct RawPoints {
-    header: Header,
-    vlrs: Vec<Vlr>,
+    description: Description,
     fields: Vec<RawField>,
     records: RecordReader,
 }
@@ -54,26 +54,22 @@ impl RawPoints {
         let file = File::open(path).map_err(Error::io(path, "open"))?;
         let file_length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
         let mut input = BufReader::new(file);
-        let header = Header::read(&mut input, path, file_length)?;
-        let mut vlrs = vlr::read_vlrs(&mut input, path, &header)?;
-        let evlrs = vlr::read_evlrs(&mut input, path, &header, file_length)?;
+        let description = Description::read(&mut input, path, file_length)?;
+        let header = &description.header;
         let mut fields = standard(header.point_format);
-        if let Some(record) = vlrs.iter().chain(&evlrs).find(|vlr| vlr.is(SPEC, vlr::EXTRA_BYTES)) {
-            fields.extend(extra(path, record, Layout::of(header.point_format).length)?);
-        }
-        let records = RecordReader::open(path, &header, &vlrs, file_length)?;
-        vlrs.extend(evlrs);
-        Ok(RawPoints { header, vlrs, fields, records })
+        fields.extend(extra(&description.extra_bytes(path)?, Layout::of(header.point_format).length));
+        let records = RecordReader::open(path, header, &description.vlrs, file_length)?;
+        Ok(RawPoints { description, fields, records })
     }
 
     /// Returns the public header block.
     pub fn header(&self) -> &Header {
-        &self.header
+        &self.description.header
     }
 
     /// Returns the VLRs and EVLRs.
     pub fn vlrs(&self) -> &[Vlr] {
-        &self.vlrs
+        &self.description.vlrs
     }
 
     /// Returns the fields of a point record.
@@ -187,9 +183,8 @@ fn standard(format: u8) -> Vec<RawField> {
 /// Returns the extra attributes declared by a file.
 ///
 /// They follow `length` bytes of standard fields.
-fn extra(path: &Path, record: &Vlr, length: usize) -> Result<Vec<RawField>> {
-    let attributes = extra_bytes::parse(path, record)?;
-    let field = |attribute: &extra_bytes::ExtraBytes| {
+fn extra(attributes: &[ExtraBytes], length: usize) -> Vec<RawField> {
+    let field = |attribute: &ExtraBytes| {
         let kind = match attribute.data_type {
             1 | 3 | 5 | 7 => Some(Unsigned(attribute.bytes)),
             2 | 4 | 6 | 8 => Some(Signed(attribute.bytes)),
@@ -201,7 +196,7 @@ fn extra(path: &Path, record: &Vlr, length: usize) -> Result<Vec<RawField>> {
         };
         kind.map(|kind| RawField::new(attribute.name.clone(), length + attribute.start, kind))
     };
-    Ok(attributes.iter().filter_map(field).collect())
+    attributes.iter().filter_map(field).collect()
 }
 
 #[cfg(test)]

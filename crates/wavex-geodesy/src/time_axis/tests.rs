@@ -181,3 +181,16 @@ proptest! {
         prop_assert_eq!(alignment.on_trajectory(recorded_s), begin_s + moment_s);
     }
 }
+
+#[test]
+fn gps_times_become_utc_about_a_leap_second() {
+    // 18 seconds from 2017-01-01 on.
+    let begin = adjusted_of_date([2017, 1, 1]).unwrap();
+    let at = |gps_s: f64| utc_of_gps(begin + gps_s).unwrap();
+    assert_eq!(at(18.0), "2017-01-01T00:00:00.000Z");
+    assert_eq!(at(16.5), "2016-12-31T23:59:59.500Z");
+    assert_eq!(at(17.25), "2017-01-01T00:00:00.250Z", "within the leap second");
+    assert_eq!(at(18.9996), "2017-01-01T00:00:01.000Z");
+    assert_eq!(utc_of_gps(f64::NAN), None);
+    assert_eq!(utc_of_gps(-2e9), None);
+}

@@ -1,0 +1,49 @@
+//! Everything about a file but its points.
+
+use std::io::{BufRead, Seek};
+use std::path::Path;
+
+use super::extra_bytes::{self, ExtraBytes};
+use super::header::Header;
+use super::vlr::{self, PROJECTION, SPEC, Vlr};
+use crate::{Result, geokeys};
+
+/// Header and records of a LAS, LAZ or COPC file.
+#[derive(Debug, Clone)]
+pub struct Description {
+    /// Public header block.
+    pub header: Header,
+    /// VLRs and EVLRs.
+    pub vlrs: Vec<Vlr>,
+}
+
+impl Description {
+    /// Reads a file of `file_length` bytes from its first byte; `path` names it in errors.
+    ///
+    /// # Errors
+    /// The file is not LAS, is cut off, or has contradictory sizes.
+    pub fn read(input: &mut (impl BufRead + Seek), path: &Path, file_length: u64) -> Result<Description> {
+        let header = Header::read(input, path, file_length)?;
+        let mut vlrs = vlr::read_vlrs(input, path, &header)?;
+        vlrs.extend(vlr::read_evlrs(input, path, &header, file_length)?);
+        Ok(Description { header, vlrs })
+    }
+
+    /// Returns the descriptors of the extra bytes.
+    ///
+    /// # Errors
+    /// A descriptor is cut off.
+    pub fn extra_bytes(&self, path: &Path) -> Result<Vec<ExtraBytes>> {
+        let record = self.vlrs.iter().find(|vlr| vlr.is(SPEC, vlr::EXTRA_BYTES));
+        record.map_or(Ok(Vec::new()), |record| extra_bytes::parse(path, record))
+    }
+
+    /// Returns the coordinate system as WKT, from WKT or from the EPSG code of GeoTIFF keys.
+    pub fn wkt(&self) -> Option<String> {
+        let record = |id| self.vlrs.iter().find(|vlr| vlr.is(PROJECTION, id));
+        match record(vlr::WKT) {
+            Some(wkt) => Some(wkt.text()),
+            None => geokeys::wkt(&record(vlr::GEO_KEYS)?.data),
+        }
+    }
+}
