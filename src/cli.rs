@@ -2,6 +2,7 @@
 //!
 //! Exit codes: 0 success; 1 the run failed; 2 the job or the command line is invalid.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -40,6 +41,9 @@ mod trajectory;
 mod usage;
 mod version;
 
+pub use explain::{Explanation, explain_shot};
+pub use run::{FinishedRun, RunFailure, RunRequest, read_job, run_quietly};
+
 use args::{
     ArchiveArgs, CalibrateArgs, Classic, Cli, Command, ExplainArgs, ImportArgs, InputRule, JobArgs, Machine,
     ScanArgs, TrajectoryArgs, When,
@@ -48,7 +52,7 @@ use terminal::print;
 
 /// Reason why a command failed.
 #[derive(Debug)]
-enum Failure {
+pub enum Failure {
     /// The job is invalid.
     Job(JobErrors),
     /// The command line or a file named on it is invalid: problem and remedy.
@@ -63,6 +67,14 @@ impl Failure {
         match self {
             Failure::Run(_) => 1,
             Failure::Job(_) | Failure::Wrong(_) => 2,
+        }
+    }
+
+    /// The problem and its remedy.
+    pub fn text(&self) -> String {
+        match self {
+            Failure::Job(errors) => errors.to_string(),
+            Failure::Wrong(problem) | Failure::Run(problem) => problem.clone(),
         }
     }
 
@@ -85,10 +97,17 @@ impl From<JobErrors> for Failure {
 
 /// Runs the program: parses the process arguments, dispatches, reports errors.
 pub fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    ExitCode::from(main_with(std::env::args_os().collect()))
+}
+
+/// Runs the program with these arguments, the first of which is its name; returns the exit code.
+///
+/// Help, the version and invalid arguments end the process.
+pub fn main_with(arguments: Vec<OsString>) -> u8 {
+    let cli = match Cli::try_parse_from(&arguments) {
         Ok(cli) => cli,
-        Err(answer) if answer.kind() == ErrorKind::DisplayVersion && asks_for_more() => {
-            return ExitCode::from(print(&version::details()).map_or_else(|error| error.exit_code(), |()| 0));
+        Err(answer) if answer.kind() == ErrorKind::DisplayVersion && asks_for_more(&arguments) => {
+            return print(&version::details()).map_or_else(|error| error.exit_code(), |()| 0);
         }
         Err(answer) => answer.exit(),
     };
@@ -102,17 +121,17 @@ pub fn main() -> ExitCode {
     };
     // The last line of a run's log states the exit status.
     tracing::debug!("exit status {exit_code}");
-    ExitCode::from(exit_code)
+    exit_code
 }
 
 /// Returns whether the arguments contain `--verbose` or `-v`.
 ///
 /// clap handles `--version` before it parses the other arguments.
-fn asks_for_more() -> bool {
-    let is_verbose = |word: String| {
+fn asks_for_more(arguments: &[OsString]) -> bool {
+    let is_verbose = |word: &str| {
         word == "--verbose" || (word.starts_with('-') && !word.starts_with("--") && word.contains('v'))
     };
-    std::env::args_os().skip(1).filter_map(|word| word.into_string().ok()).any(is_verbose)
+    arguments.iter().skip(1).filter_map(|word| word.to_str()).any(is_verbose)
 }
 
 fn dispatch(cli: Cli) -> Result<(), Failure> {

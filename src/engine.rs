@@ -29,6 +29,7 @@ mod pool;
 mod progress;
 mod schedule;
 mod stage_summary;
+mod stream;
 mod summary;
 mod survey;
 mod totals;
@@ -38,9 +39,10 @@ mod worker;
 pub use failure::{Cancel, Cause, RunError};
 pub use inputs::Input;
 pub(crate) use inputs::{expand, size};
-pub(crate) use observe::observe;
-pub use progress::{Phase, Progress, ProgressMode};
+pub use observe::observe;
+pub use progress::{Phase, Progress, ProgressMode, ProgressWatch};
 pub use stage_summary::{ItemCounts, Percentiles, StageSummary};
+pub use stream::{Convert, Next, Stream, stream};
 pub use summary::{InputStatus, InputSummary, RunSummary, StageKeys, TrajectorySummary, host};
 pub use survey::{learn_survey_models, shares_models, survey_models};
 pub use worker::Gauge;
@@ -66,6 +68,8 @@ pub struct Options {
     pub cancel: Cancel,
     /// Progress display.
     pub progress: ProgressMode,
+    /// Receives the progress, whether it is displayed or not.
+    pub watch: Option<ProgressWatch>,
     /// Observers of the lines, such as those of the report page.
     pub observers: Option<Arc<dyn RunObservers>>,
     /// Number of inputs that run at the same time; 0: as many as help.
@@ -88,6 +92,7 @@ impl Options {
             profile: false,
             cancel: Cancel::default(),
             progress: ProgressMode::Hidden,
+            watch: None,
             observers: None,
             inputs_at_once: job.settings.inputs_at_once,
             skip: BTreeSet::new(),
@@ -204,7 +209,7 @@ pub fn run_each(
         sites.into_iter().enumerate().partition(|(_, site)| options.skip.contains(&site.stem));
     to_skip.iter().for_each(|(number, _)| summary.inputs[*number].status = InputStatus::Skipped);
     let sizes = to_run.iter().map(|(number, site)| (*number, inputs::size(&site.input)));
-    let mut progress = Progress::new(options.progress, sizes.collect());
+    let mut progress = Progress::new(options.progress, sizes.collect()).watched(options.watch.clone());
     let common = chain::Common::new(job, options);
     let shared = schedule::Shared {
         job,

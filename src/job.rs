@@ -22,6 +22,7 @@ mod draft;
 mod errors;
 mod example;
 mod include;
+mod insert;
 mod manual;
 mod outputs;
 mod overrides;

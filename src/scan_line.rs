@@ -15,6 +15,7 @@ mod input;
 mod line_stats;
 mod points;
 mod profiles;
+mod removal;
 mod shots;
 
 pub use budget::{AtWork, Budget, NoRoom, Ticket};

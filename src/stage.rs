@@ -29,8 +29,8 @@ pub use output_file::{FinishedFile, OutputFile, remove_unfinished_files};
 pub use output_lock::{OutputLock, Outputs, release_all};
 pub use run_context::{Paths, RunContext, fixed_folder};
 pub use spec::{
-    Config, ConfigError, Holds, Learning, Learns, MapConfig, Plan, Planned, RoleName, SinkConfig,
-    SourceConfig, SourcePlan, StageSpec, TransformConfig,
+    Config, ConfigError, Holds, Learning, Learns, MakeMap, MakeTransform, MapConfig, Plan, Planned, RoleName,
+    SinkConfig, SinkPlan, SourceConfig, SourcePlan, StageSpec, TransformConfig,
 };
 pub(crate) use survey_models::check_model;
 pub use survey_models::{ChannelDrift, Instrument, InstrumentModel, Measured, SensorDrift, SurveyModels};

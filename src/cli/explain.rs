@@ -8,13 +8,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde::de::DeserializeOwned;
 
-use super::{ExplainArgs, Failure, JobArgs, run, terminal};
-use crate::engine::{Input, Options, observe};
+use super::{ExplainArgs, Failure, JobArgs, When, run, terminal};
+use crate::engine::{Cancel, Input, Options, observe};
 use crate::job::{Job, JobStage, Override};
 use crate::recording::{Excerpt, LineIndex, Recording};
 use crate::registry::reader_of;
-use crate::scan_line::{Content, Emission, Returns, ScanLine};
-use crate::stage::{Context, OutputFile, Plan, RunContext, SourcePlan, counted};
+use crate::scan_line::{Content, Emission, InputInfo, Returns, ScanLine};
+use crate::stage::{Context, FittedBlock, OutputFile, Plan, RunContext, SourcePlan, counted};
 use crate::stages::calibrate::Calibrate;
 use crate::stages::decompose::{
     Decompose, Line, Seen, SeenBlock, SeenPulse, SensorTables, Shot, ShotDecomposer,
@@ -43,6 +43,63 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
     write(&path, &picture::draw(&explained)).map_err(|error| failed(&error))?;
     let said = format!("{}\nwrote {}\n", table::table(&explained), path.display());
     if quiet { Ok(()) } else { terminal::print(&said) }
+}
+
+/// A shot with its fit, for programs; see [`explain_shot`].
+#[derive(Debug)]
+pub struct Explanation {
+    /// The shot, with its fitted emission time.
+    pub emission: Emission,
+    /// Its returns, in order of time.
+    pub returns: Returns,
+    /// Its echo blocks with their fits, in order of time.
+    pub blocks: Vec<FittedBlock>,
+    /// Metadata of the recording.
+    pub input: Arc<InputInfo>,
+    /// The table that `wavex explain` prints.
+    pub text: String,
+    /// The picture that `wavex explain` writes, SVG.
+    pub svg: String,
+}
+
+/// Decomposes one shot of a recording like `wavex explain`, but writes and prints nothing.
+///
+/// `set` are overrides of the keys of `calibrate` and `decompose`; `model` replaces the calibration.
+/// `cancel` ends the search for the shot.
+///
+/// # Errors
+/// If the recording cannot be read, the keys are invalid, or the recording has no such shot or no
+/// echoes of it.
+pub fn explain_shot(
+    file: &Path,
+    shot: u64,
+    set: &[String],
+    model: Option<Arc<SensorModel>>,
+    cancel: Cancel,
+) -> Result<Explanation, Failure> {
+    let args = ExplainArgs {
+        file: file.to_owned(),
+        shot: Some(shot),
+        time: None,
+        job: None,
+        set: set.to_owned(),
+        model: None,
+        out: None,
+        progress: When::Never,
+    };
+    let mut chain = Chain::of(&args, true)?;
+    chain.options.cancel = cancel;
+    if let Some(model) = model {
+        let calibrate: Calibrate = keys_of(&chain.job, "calibrate")?;
+        if let Some(stage) = chain.job.stages.iter_mut().find(|stage| stage.spec.name == "calibrate") {
+            stage.planned.plan = calibrate.with_model(model);
+        }
+    }
+    let explained = Arc::new(chain).explain(shot)?;
+    let (text, svg) = (table::table(&explained), picture::draw(&explained));
+    let blocks = explained.blocks.into_iter().map(|block| block.shown).collect();
+    let Explained { emission, returns, input, .. } = explained;
+    Ok(Explanation { emission, returns, blocks, input, text, svg })
 }
 
 /// Writes a picture, which gets its final name only when complete.
@@ -210,6 +267,7 @@ impl Numbers {
 struct Explained {
     file: String,
     emission: Emission,
+    input: Arc<InputInfo>,
     /// Sorted by time.
     returns: Returns,
     /// Sorted by time.
@@ -267,7 +325,16 @@ fn decompose(line: &ScanLine, shot: u64, chain: &Chain) -> Result<Explained, Fai
     if !line.input.origin_is_sensor {
         remarks.push("ranges start at the first sample: the recording has no sensor position".into());
     }
-    Ok(Explained { file, emission, returns, blocks, outgoing, model, remarks })
+    Ok(Explained {
+        file,
+        emission,
+        input: Arc::clone(&line.input),
+        returns,
+        blocks,
+        outgoing,
+        model,
+        remarks,
+    })
 }
 
 /// Rejections and notes of a context as text.

@@ -66,6 +66,11 @@ pub(super) fn to_file(path: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Ends the log file.
+pub(super) fn end_file() {
+    *lock() = None;
+}
+
 /// Also keeps the log in memory from now on.
 pub(super) fn keep() {
     *lock_kept() = Some(Vec::new());

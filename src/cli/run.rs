@@ -3,14 +3,16 @@
 use std::fmt::Write as _;
 use std::io::IsTerminal;
 use std::path::{Component, Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, TryLockError};
+use std::time::Duration;
 
 use super::args::ResumeCheck;
 use super::run_files::RunFiles;
 use super::{Failure, JobArgs, Machine, When, log, terminal};
 use crate::archive::{Recorder, check_destination};
 use crate::engine::{
-    self, Cancel, Cause, InputStatus, InputSummary, Options, ProgressMode, RunError, RunSummary,
+    self, Cancel, Cause, InputStatus, InputSummary, Options, ProgressMode, ProgressWatch, RunError,
+    RunSummary,
 };
 use crate::georef::check_crs;
 use crate::job::{Job, Override};
@@ -35,7 +37,120 @@ pub(super) fn run(
             "--resume reads the report of the earlier run, but this job writes none; set `report` in `[job]`";
         return Err(Failure::Wrong(problem.to_owned()));
     }
-    run_archived(&job, &args.folder(), machine, archive, resume, quiet).map(drop)
+    let asked = Asked { archive, resume, ..Asked::of(machine, quiet) };
+    run_archived(&job, &args.folder(), asked).map(drop).map_err(Failure::from)
+}
+
+/// How a job is run.
+struct Asked<'a> {
+    machine: Machine,
+    archive: Option<&'a Path>,
+    resume: Option<ResumeCheck>,
+    quiet: bool,
+    /// Flag that ends the run; `None`: signals end it.
+    cancel: Option<Cancel>,
+    watch: Option<ProgressWatch>,
+}
+
+impl Asked<'_> {
+    fn of(machine: Machine, quiet: bool) -> Self {
+        Asked { machine, archive: None, resume: None, quiet, cancel: None, watch: None }
+    }
+}
+
+/// A run that a program requests; see [`run_quietly`].
+#[derive(Debug)]
+pub struct RunRequest<'a> {
+    /// The job.
+    pub job: &'a Job,
+    /// Folder at which its relative paths start.
+    pub folder: &'a Path,
+    /// Whether to write a trace.
+    pub profile: bool,
+    /// Ends the run early when set.
+    pub cancel: Cancel,
+    /// Receives the progress.
+    pub watch: ProgressWatch,
+}
+
+/// Results of a run.
+#[derive(Debug)]
+pub struct FinishedRun {
+    /// The run.
+    pub run: RunSummary,
+    /// Its report, JSON.
+    pub report: String,
+    /// Files of the run as a whole: report, log, statistics.
+    pub written: Vec<PathBuf>,
+}
+
+/// Failure of a run.
+#[derive(Debug)]
+pub struct RunFailure {
+    /// Message for the user: problem and remedy.
+    pub message: String,
+    /// Whether the job is invalid, so that nothing was run.
+    pub is_invalid: bool,
+    /// First failure with its stage and input, if it is one of the engine.
+    pub error: Option<RunError>,
+}
+
+impl RunFailure {
+    fn of(error: impl std::fmt::Display) -> RunFailure {
+        RunFailure { message: error.to_string(), is_invalid: false, error: None }
+    }
+
+    fn of_engine(error: RunError) -> RunFailure {
+        RunFailure { message: error.to_string(), is_invalid: false, error: Some(error) }
+    }
+}
+
+impl From<RunFailure> for Failure {
+    fn from(failure: RunFailure) -> Failure {
+        match failure.is_invalid {
+            true => Failure::Wrong(failure.message),
+            false => Failure::Run(failure.message),
+        }
+    }
+}
+
+/// Runs a job like `wavex run`, with the same files, but prints nothing and ignores signals.
+///
+/// One run of the process at a time writes its log: another one waits.
+///
+/// # Errors
+/// As `wavex run`.
+pub fn run_quietly(request: RunRequest) -> Result<FinishedRun, RunFailure> {
+    static ONE: Mutex<()> = Mutex::new(());
+    let _one = loop {
+        match ONE.try_lock() {
+            Ok(one) => break one,
+            Err(TryLockError::Poisoned(one)) => break one.into_inner(),
+            Err(TryLockError::WouldBlock) if request.cancel.is_cancelled() => {
+                let error = RunError { stage: None, input: None, cause: Cause::Interrupted };
+                return Err(RunFailure::of_engine(error));
+            }
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(20)),
+        }
+    };
+    log::begin(0, true);
+    let machine = Machine { threads: None, profile: request.profile, progress: When::Never };
+    let asked =
+        Asked { cancel: Some(request.cancel), watch: Some(request.watch), ..Asked::of(machine, true) };
+    let done = run_archived(request.job, request.folder, asked);
+    log::end_file();
+    done
+}
+
+/// Reads a job file with the files that it includes; `set` are overrides such as `decompose.mode=slow`.
+///
+/// Returns the folder at which its relative paths start, too.
+///
+/// # Errors
+/// If a file cannot be read or the job is invalid.
+pub fn read_job(path: &Path, set: &[String]) -> Result<(Job, PathBuf), Failure> {
+    let args = JobArgs { job: path.to_owned(), set: set.to_owned() };
+    Ok((args.read(None)?, args.folder()))
 }
 
 /// Runs a job whose relative paths start at `folder`.
@@ -45,23 +160,20 @@ pub(super) fn run_job(
     machine: Machine,
     quiet: bool,
 ) -> Result<RunSummary, Failure> {
-    run_archived(job, folder, machine, None, None, quiet)
+    let done = run_archived(job, folder, Asked::of(machine, quiet))?;
+    Ok(done.run)
 }
 
-fn run_archived(
-    job: &Job,
-    folder: &Path,
-    machine: Machine,
-    archive: Option<&Path>,
-    resume: Option<ResumeCheck>,
-    quiet: bool,
-) -> Result<RunSummary, Failure> {
+fn run_archived(job: &Job, folder: &Path, asked: Asked) -> Result<FinishedRun, RunFailure> {
+    let Asked { machine, archive, resume, quiet, cancel, watch } = asked;
+    let silent = cancel.is_some();
     for note in &job.notes {
         tracing::warn!("{note}");
     }
     let (input_dir, output_dir) = folders(job, folder);
-    check_crs(&job.settings.geometry, &input_dir).map_err(|error| Failure::Wrong(error.to_string()))?;
-    let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
+    check_crs(&job.settings.geometry, &input_dir)
+        .map_err(|error| RunFailure { is_invalid: true, ..RunFailure::of(error) })?;
+    let failed = |error: &dyn std::fmt::Display| RunFailure::of(error);
     let mut files = RunFiles::new(job, [&input_dir, &output_dir], machine.profile, resume);
     // Claim the files before opening the log, which would truncate the log of another run.
     let _locks = files.claim(job, &input_dir, archive).map_err(|error| failed(&error))?;
@@ -79,9 +191,13 @@ fn run_archived(
         observers: files.observers(),
         profile: machine.profile,
         progress: machine.progress(quiet, std::io::stderr().is_terminal()),
+        watch,
         ..Options::of_job(job, input_dir, &output_dir)
     };
-    stop_on_signals(&options.cancel);
+    match cancel {
+        Some(cancel) => options.cancel = cancel,
+        None => stop_on_signals(&options.cancel),
+    }
     files.check().map_err(|error| failed(&error))?;
     let logged = |error: &dyn std::fmt::Display| {
         log::fatal(error);
@@ -91,9 +207,13 @@ fn run_archived(
     let recorder = recorder.map_err(|error| logged(&error))?;
     let archived = recorder.as_ref().map(|recorder| recorder.job(job)).transpose();
     let archived = archived.map_err(|error| logged(&error))?;
-    let survey = engine::survey_models(job, &options).map_err(|error| logged(&error))?;
+    let survey = engine::survey_models(job, &options).map_err(|error| {
+        log::fatal(&error);
+        RunFailure::of_engine(error)
+    })?;
     options.survey = survey.map(Arc::new);
     let mut run = RunSummary::new(job, &options);
+    let mut first = None;
     let messages;
     (options.skip, messages) = files.plan(job, &options.input_dir, &run, resume.is_some());
     for message in &messages {
@@ -111,9 +231,14 @@ fn run_archived(
                 recorder.strip(&mut run.inputs[number]);
             }
             // The error of a single input is that of the command.
-            if let Some(error) = failure.filter(|_| run.inputs.len() > 1) {
-                log::fatal(&error);
-                terminal::print_error(&failed(&error).message(terminal::colour()));
+            if let Some(error) = failure {
+                if run.inputs.len() > 1 {
+                    log::fatal(&error);
+                    if !silent {
+                        terminal::print_error(&Failure::from(failed(&error)).message(terminal::colour()));
+                    }
+                }
+                first.get_or_insert(error);
             }
             let has_failed = run.inputs[number].status == InputStatus::Failed;
             files.update(run, number).or_else(|error| match has_failed {
@@ -143,12 +268,16 @@ fn run_archived(
         && !quiet
         && (failure.is_none() || run.inputs.len() > 1)
     {
-        terminal::print(said)?;
+        terminal::print(said).map_err(|failure| RunFailure::of(failure.text()))?;
     }
-    match failure {
-        Some(failure) => Err(logged(&failure)),
-        None => Ok(run),
+    if let Some(message) = failure {
+        log::fatal(&message);
+        return Err(RunFailure { message, is_invalid: false, error: first.or(ended.err()) });
     }
+    let report = files.report(&run).to_json().map_err(|error| failed(&error))?;
+    let written = files.written(&run);
+    drop(files);
+    Ok(FinishedRun { run, report, written })
 }
 
 /// Completes report, trace and archive of a run; returns its summary for the user.

@@ -26,7 +26,7 @@ use crate::stage::{Context, DecomposedLine, FitShot, Result, RunContext, RunObse
 ///
 /// # Errors
 /// The first cause, with its stage.
-pub(crate) fn observe<T, L>(
+pub fn observe<T, L>(
     job: &Job,
     input: Input,
     options: &Options,
@@ -38,18 +38,11 @@ where
     T: Send + 'static,
     L: Fn(&mut T, &ScanLine) -> ControlFlow<()> + Send + Sync + 'static,
 {
-    failure::catch_panic_messages();
     let cancel = options.cancel.child();
     let state = Arc::new(Mutex::new(Some(state)));
     let probe = Probe { state: Arc::clone(&state), look, cancel: cancel.clone() };
     let options = Options { cancel, observers: Some(Arc::new(One(Arc::new(probe)))), ..options.clone() };
-    let geometry = Loader::new(&job.settings.geometry, &options.input_dir)
-        .map_err(|error| RunError::of_job(error.into()))?;
-    let common = Common::new(job, &options);
-    let shared =
-        schedule::Shared { job, options: &options, common: &common, geometry: Mutex::new(geometry), cx };
-    let site = RunContext { has_outputs: false, ..run_context(&options, input, pool::start(&options)?) };
-    let error = run(&shared, site, &options)?;
+    let (_, error) = run_one(job, input, &options, cx)?;
     let state = state.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take();
     match (error, state) {
         (None | Some(RunError { cause: Cause::Interrupted, .. }), Some(state)) => Ok(state),
@@ -58,22 +51,38 @@ where
     }
 }
 
-/// Runs the chain over an input and shows the progress; returns what ended it.
+/// Runs the chain over one input, without writing files; returns the work done and what ended it.
+pub(super) fn run_one(
+    job: &Job,
+    input: Input,
+    options: &Options,
+    cx: Context,
+) -> std::result::Result<schedule::Ended, RunError> {
+    failure::catch_panic_messages();
+    let geometry = Loader::new(&job.settings.geometry, &options.input_dir)
+        .map_err(|error| RunError::of_job(error.into()))?;
+    let common = Common::new(job, options);
+    let shared = schedule::Shared { job, options, common: &common, geometry: Mutex::new(geometry), cx };
+    let site = RunContext { has_outputs: false, ..run_context(options, input, pool::start(options)?) };
+    run(&shared, site, options)
+}
+
+/// Runs the chain over an input and shows the progress.
 fn run(
     shared: &schedule::Shared,
     site: RunContext,
     options: &Options,
-) -> std::result::Result<Option<RunError>, RunError> {
+) -> std::result::Result<schedule::Ended, RunError> {
     let gauge = Arc::<Gauge>::default();
     if options.progress == ProgressMode::Hidden {
-        return Ok(schedule::run_input(shared, site, options, &gauge).1);
+        return Ok(schedule::run_input(shared, site, options, &gauge));
     }
     let mut progress = Progress::new(options.progress, BTreeMap::from([(0, size(&site.input))]));
     progress.begin(0, &site.stem, &gauge);
     std::thread::scope(|scope| {
         let (sender, ended) = crossbeam_channel::bounded(1);
         let gauge = &gauge;
-        let body = move || sender.send(schedule::run_input(shared, site, options, gauge).1);
+        let body = move || sender.send(schedule::run_input(shared, site, options, gauge));
         let thread = std::thread::Builder::new().name(THREAD_PREFIX.to_owned()).spawn_scoped(scope, body);
         thread.map_err(|error| no_thread(&error))?;
         loop {

@@ -29,10 +29,31 @@ pub enum ProgressMode {
     Hidden,
 }
 
+/// Progress of a run for a program that shows it; clones share it.
+#[derive(Clone, Debug, Default)]
+pub struct ProgressWatch(Arc<[AtomicU64; 2]>);
+
+impl ProgressWatch {
+    /// Part of the run that is done, 0 to 1, and the number of shots that have passed the chain.
+    pub fn get(&self) -> (f64, u64) {
+        let [ppm, shots] = &*self.0;
+        (ppm.load(Ordering::Relaxed) as f64 * 1e-6, shots.load(Ordering::Relaxed))
+    }
+
+    fn set(&self, part: Option<f64>, passed: u64) {
+        let [ppm, shots] = &*self.0;
+        if let Some(part) = part {
+            ppm.store((part.clamp(0.0, 1.0) * 1e6) as u64, Ordering::Relaxed);
+        }
+        shots.store(passed, Ordering::Relaxed);
+    }
+}
+
 /// Displays the progress of a run on standard error.
 #[derive(Debug)]
 pub struct Progress {
     mode: ProgressMode,
+    watch: Option<ProgressWatch>,
     /// Size of each input to run by its number, bytes, at least 1.
     sizes: BTreeMap<usize, u64>,
     /// Sum of the sizes of the inputs that have ended, bytes.
@@ -93,6 +114,7 @@ impl Progress {
     pub fn new(mode: ProgressMode, sizes: BTreeMap<usize, u64>) -> Progress {
         Progress {
             mode,
+            watch: None,
             sizes,
             ended_bytes: 0,
             begun: 0,
@@ -104,6 +126,18 @@ impl Progress {
             shots_before: 0,
             bar: None,
             next: interval(mode),
+        }
+    }
+
+    /// The same, which also updates `watch`.
+    pub fn watched(mut self, watch: Option<ProgressWatch>) -> Progress {
+        self.watch = watch;
+        self
+    }
+
+    fn update_watch(&self) {
+        if let Some(watch) = &self.watch {
+            watch.set(self.fraction(), self.shots_before + self.state().shots);
         }
     }
 
@@ -124,6 +158,7 @@ impl Progress {
 
     /// Shows the state of the running inputs, if it is time.
     pub fn show(&mut self) {
+        self.update_watch();
         let state = self.state();
         if let Some(bar) = &self.bar {
             bar.set_position((self.fraction().unwrap_or(0.0) * 1e6) as u64);
@@ -157,6 +192,7 @@ impl Progress {
         self.shots_before += state.shots;
         self.ended_bytes += self.sizes.get(&number).copied().unwrap_or(0);
         self.last = (ended.stem, ended.place);
+        self.update_watch();
     }
 
     /// Counts an input that has ended.

@@ -71,6 +71,18 @@ impl JobErrors {
         &self.errors
     }
 
+    /// Position of an error: file or `--set`, line and column from 1; `None` if it has none.
+    pub fn position(&self, error: &JobError) -> Option<(&str, usize, usize)> {
+        let place = self.sources.place(error.span.as_ref()?);
+        let column = place.text.get(..place.marked.start).unwrap_or_default().chars().count() + 1;
+        Some((place.name, place.line, column))
+    }
+
+    /// Name of the job.
+    pub fn job_name(&self) -> &str {
+        self.sources.name()
+    }
+
     /// Renders all errors, in terminal colours if requested; ends with a line feed.
     pub fn render(&self, colour: bool) -> String {
         let renderer = if colour { Renderer::styled() } else { Renderer::plain() }.term_width(WIDEST);

@@ -278,6 +278,14 @@ pub trait SinkPlan: Send + Sync {
     fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>>;
 }
 
+impl Planned {
+    /// A stage without keys.
+    pub fn without_keys(plan: Plan) -> Planned {
+        let resolved = serde_json::Value::Object(serde_json::Map::new());
+        Planned { plan, resolved, inputs: Vec::new(), local_keys: &[] }
+    }
+}
+
 impl<C: SourceConfig> SourcePlan for C {
     fn paths(&self) -> Option<&Paths> {
         SourceConfig::paths(self)
@@ -423,6 +431,24 @@ impl StageSpec {
             unless: None,
             schema: C::json_schema,
             parse: |table| parse::<C>(table, |config| Plan::Sink(config)),
+        }
+    }
+
+    /// A stage that programs insert in code; a job cannot name it.
+    ///
+    /// It has no keys and keeps the kind of its lines.
+    pub const fn in_code(name: &'static str, role: RoleName, accepts: &'static [Kind]) -> StageSpec {
+        StageSpec {
+            name,
+            role,
+            accepts,
+            makes: None,
+            after: &[],
+            unless: None,
+            schema: <()>::json_schema,
+            parse: |_| {
+                Err(ConfigError::Key(InvalidKey::new("type", "the stage cannot be part of a job file")))
+            },
         }
     }
 

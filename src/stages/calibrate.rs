@@ -1,5 +1,6 @@
 //! `calibrate`: estimates the sensor model from the recording itself.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -8,11 +9,12 @@ use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 
 use crate::scan_line::{Channel, InputInfo, Kind, ScanLine};
 use crate::stage::{
-    Holds, Learning, Learns, LookAhead, Output, OutputFile, Result, RunContext, StageError, StageSpec,
-    SurveyModels, Transform, TransformConfig,
+    Holds, Learning, Learns, LookAhead, MakeTransform, Output, OutputFile, Plan, Result, RunContext,
+    StageError, StageSpec, SurveyModels, Transform, TransformConfig,
 };
 pub use keys::{Auto, AutoOrNumber, BackgroundKey, Calibrate, ResponseKey};
-pub(super) use model_file::{load_model, write_model};
+pub(super) use model_file::write_model;
+pub use model_file::{load_model, model_json, parse_model};
 pub use presets::Preset;
 use wavex_signal::calibrate::response::{Calibrated, calibrate_response};
 use wavex_signal::calibrate::{self, BackgroundChoice, CalibrationError, CalibrationSettings};
@@ -73,6 +75,14 @@ impl TransformConfig for Calibrate {
 }
 
 impl Calibrate {
+    /// Plan of the stage with a model from memory instead of a file or an estimate.
+    pub fn with_model(mut self, model: Arc<SensorModel>) -> Plan {
+        // The model is compared with the recording like one that is loaded.
+        self.load = Some(PathBuf::from("the given model"));
+        self.save = None;
+        Plan::Transform(Arc::new(WithModel { config: self, model }))
+    }
+
     /// The stage without a model.
     fn calibrator(&self, site: &RunContext) -> Calibrator {
         Calibrator {
@@ -82,7 +92,7 @@ impl Calibrate {
             cancelled: Arc::clone(&site.cancelled),
             look_ahead: LookAhead::new(self.waveforms),
             clipping_dn: [None; 2],
-            survey: site.survey.clone().filter(|_| self.learns().is_some()),
+            survey: site.survey.clone().filter(|_| TransformConfig::learns(self).is_some()),
             stem: site.stem.clone(),
             model: None,
             save: None,
@@ -104,6 +114,34 @@ struct Calibrator {
     model: Option<Arc<SensorModel>>,
     /// File for the model; `None` once written.
     save: Option<OutputFile>,
+}
+
+/// The stage with a model from memory.
+struct WithModel {
+    config: Calibrate,
+    model: Arc<SensorModel>,
+}
+
+impl MakeTransform for WithModel {
+    fn outputs(&self) -> Vec<&str> {
+        Vec::new()
+    }
+
+    fn holds(&self) -> Holds {
+        Holds::First
+    }
+
+    fn learns(&self) -> Option<Learns> {
+        None
+    }
+
+    fn learn(&self, _: &mut Vec<ScanLine>, _: &mut Learning) -> Result<()> {
+        Ok(())
+    }
+
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
+        Ok(Box::new(Calibrator { model: Some(Arc::clone(&self.model)), ..self.config.calibrator(site) }))
+    }
 }
 
 impl Transform for Calibrator {

@@ -2,7 +2,10 @@
 
 use std::io::{self, Stdout, Write};
 use std::path::Path;
+use std::sync::Arc;
 
+use arrow_array::RecordBatch;
+use arrow_schema::SchemaRef;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -178,6 +181,23 @@ impl Sink for ArrowLineWriter {
         }
         Ok(())
     }
+}
+
+/// Schema of the record batches of a recording, as in a container.
+pub fn shot_schema(info: &InputInfo) -> SchemaRef {
+    header_of(info).schema()
+}
+
+/// Shots and blocks of a scan line as a record batch, as in a container; `None` without blocks.
+///
+/// `schema` is that of [`shot_schema`].
+///
+/// # Errors
+/// If a list has more than 2^31 items.
+pub fn shot_batch(scan_line: &ScanLine, schema: &SchemaRef) -> Option<Result<RecordBatch>> {
+    let blocks = scan_line.blocks()?;
+    let batch = line_of(scan_line, blocks).finish(Arc::clone(schema));
+    Some(batch.map_err(|error| StageError::failed(error.to_string(), "read shorter scan lines")))
 }
 
 fn line_of(scan_line: &ScanLine, blocks: &Blocks) -> LineBuilder {

@@ -1,11 +1,13 @@
 //! `write_table`: writes every return in full precision as Arrow, Parquet or CSV.
 
+use arrow_array::RecordBatch;
+use arrow_schema::SchemaRef;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::time_scale_of;
 use crate::keys::InvalidKey;
-use crate::scan_line::{Kind, ScanLine, TimeScale};
+use crate::scan_line::{InputInfo, Kind, ScanLine, TimeScale};
 use crate::stage::{
     self, Context, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };
@@ -83,6 +85,36 @@ impl SinkConfig for Config {
     }
 }
 
+/// Rows of the returns of a line, without those whose shot is not in it.
+pub fn rows_of(line: &ScanLine) -> impl Iterator<Item = Row> + '_ {
+    let points = line.points().unwrap_or_default();
+    line.returns().into_iter().flatten().enumerate().filter_map(move |(index, found)| {
+        let emission = line.emissions.get(found.emission as usize)?;
+        Some(Row {
+            shot: emission.shot,
+            gps_time_s: emission.gps_time_s,
+            found: *found,
+            point: points.get(index).copied(),
+            profile: line.profile(found.emission).copied(),
+        })
+    })
+}
+
+/// Schema of the table of returns of a recording; the reference system is that of points.
+pub fn return_schema(info: &InputInfo, has_points: bool) -> SchemaRef {
+    let crs_wkt = info.crs_wkt.as_deref().filter(|_| has_points);
+    columns::schema(time_scale_of(info.time_scale).name(), crs_wkt)
+}
+
+/// Rows as a record batch; `schema` is that of [`return_schema`].
+///
+/// # Errors
+/// If the schema is another one.
+pub fn return_batch(schema: &SchemaRef, rows: &[Row]) -> Result<RecordBatch> {
+    let batch = columns::record_batch(schema, rows);
+    batch.map_err(|error| StageError::failed(error.to_string(), "please report this bug in wavex"))
+}
+
 /// A table being written.
 struct ReturnTableWriter {
     state: State,
@@ -130,20 +162,12 @@ impl Sink for ReturnTableWriter {
         };
         let crs_wkt = line.input.crs_wkt.as_deref();
         let writer = self.writer(line.input.time_scale, crs_wkt, line.points().is_some())?;
-        let points = line.points().unwrap_or_default();
-        for (index, found) in returns.iter().enumerate() {
-            let Some(emission) = line.emissions.get(found.emission as usize) else {
-                cx.reject(Item::Returns, "its shot is not in the line", 1);
-                continue;
-            };
-            writer.push(Row {
-                shot: emission.shot,
-                gps_time_s: emission.gps_time_s,
-                found: *found,
-                point: points.get(index).copied(),
-                profile: line.profile(found.emission).copied(),
-            })?;
+        let mut rows = 0;
+        for row in rows_of(line) {
+            rows += 1;
+            writer.push(row)?;
         }
+        cx.reject(Item::Returns, "its shot is not in the line", (returns.len() - rows) as u64);
         Ok(())
     }
 

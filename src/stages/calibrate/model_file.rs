@@ -75,22 +75,34 @@ impl Calibrator {
     }
 }
 
+/// Text of a model file.
+///
+/// # Errors
+/// If a value cannot be written as JSON.
+pub fn model_json(model: &SensorModel) -> Result<String> {
+    let text = serde_json::to_string_pretty(model);
+    let text = text.map_err(|error| StageError::failed(error.to_string(), "please report this bug in wavex"));
+    Ok(text? + "\n")
+}
+
 /// Writes a model to its file and publishes it.
 pub(in crate::stages) fn write_model(
     model: &SensorModel,
     mut file: OutputFile,
     out: &mut Output,
 ) -> Result<()> {
-    let text = serde_json::to_string_pretty(model)
-        .map_err(|error| StageError::failed(error.to_string(), "please report this bug in wavex"))?;
-    writeln!(file, "{text}").map_err(Error::io(file.path(), "write"))?;
+    file.write_all(model_json(model)?.as_bytes()).map_err(Error::io(file.path(), "write"))?;
     out.cx.publish(file.finish()?);
     Ok(())
 }
 
+const REMEDY: &str = "load a file written by `save` of calibrate, or recalibrate";
+
 /// Loads a saved model.
-pub(in crate::stages) fn load_model(path: &Path) -> Result<SensorModel> {
-    const REMEDY: &str = "load a file written by `save` of calibrate, or recalibrate";
+///
+/// # Errors
+/// If the file cannot be read or is not a sensor model.
+pub fn load_model(path: &Path) -> Result<SensorModel> {
     let size = std::fs::metadata(path).map_err(Error::io(path, "open"))?.len();
     if size > MAX_MODEL_BYTES {
         return Err(
@@ -98,7 +110,15 @@ pub(in crate::stages) fn load_model(path: &Path) -> Result<SensorModel> {
         );
     }
     let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
-    let model: SensorModel = serde_json::from_str(&text)
+    parse_model(&text, path)
+}
+
+/// Parses the text of a model file; errors name it `path`.
+///
+/// # Errors
+/// If the text is not a sensor model.
+pub fn parse_model(text: &str, path: &Path) -> Result<SensorModel> {
+    let model: SensorModel = serde_json::from_str(text)
         .map_err(|error| Error::unusable(path, format!("not a sensor model: {error}"), REMEDY))?;
     check_model(&model).map_err(|problem| Error::unusable(path, problem, REMEDY))?;
     Ok(model)

@@ -158,18 +158,35 @@ impl Receiver {
         path: SimdLevel,
     ) -> std::result::Result<Option<Receiver>, ModelError> {
         let Some(channel) = channel else { return Ok(None) };
+        let kernels = config.kernels(channel, tables.cloned(), path)?;
+        Ok(Some(Receiver { kernels, outcomes: Decompositions::default() }))
+    }
+}
+
+impl Decompose {
+    /// Kernels of a channel with these keys, without the use of other channels.
+    ///
+    /// `tables` are those of the model, or `None` for the mode `slow`.
+    ///
+    /// # Errors
+    /// If the model is invalid.
+    pub fn kernels(
+        &self,
+        channel: &ChannelModel,
+        tables: Option<Arc<Tables>>,
+        path: SimdLevel,
+    ) -> std::result::Result<BatchDecomposer, ModelError> {
         // Real responses are not Gaussian: the residual of a strong echo would be taken for a
         // second one.
-        let split_evidence = channel.response.as_ref().and(config.split_evidence.number());
-        let settings = DecomposeSettings { split_evidence, ..settings(config) };
-        let mode = match config.mode {
+        let split_evidence = channel.response.as_ref().and(self.split_evidence.number());
+        let settings = DecomposeSettings { split_evidence, ..settings(self) };
+        let mode = match self.mode {
             Mode::Fastest => decompose::Mode::Fastest,
             Mode::FastSeparated => decompose::Mode::FastSeparated,
             Mode::Refined | Mode::Slow => decompose::Mode::Refined,
         };
-        let kernels = BatchDecomposer::new(channel, tables.cloned(), &settings, mode, path)?;
-        let kernels = kernels.refine_when_needed(config.refine_when_needed);
-        Ok(Some(Receiver { kernels, outcomes: Decompositions::default() }))
+        let kernels = BatchDecomposer::new(channel, tables, &settings, mode, path)?;
+        Ok(kernels.refine_when_needed(self.refine_when_needed))
     }
 }
 

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::FilterOutliers;
 use super::geometry::{Places, dot, has_vertical};
-use crate::scan_line::{Content, Return, ScanLine, flags};
+use crate::scan_line::{Content, ScanLine};
 use crate::stage::{Item, Output, Result};
 use wavex_signal::outliers::{PointLine, Side, SupportSearch, jump};
 
@@ -218,23 +218,6 @@ fn apply(scan_line: &mut ScanLine, verdicts: &Verdicts, config: &FilterOutliers,
         *count += 1;
         (r.withheld, r.class) = (true, class);
     }
-    let gone: Vec<&Return> =
-        returns.iter().zip(&verdicts.rejected).filter(|(_, rejected)| **rejected).map(|(r, _)| r).collect();
-    let n = gone.len() as u64;
-    if n == 0 {
-        return;
-    }
-    let waves = gone.chunk_by(|a, b| a.emission == b.emission).count() as u64;
-    let touched = gone.iter().filter(|r| r.flags & flags::CROSSTALK != 0).count() as u64;
-    stats.np -= n.min(stats.np);
-    stats.np_xtalk -= touched.min(stats.np_xtalk);
-    stats.np_filtered += n;
-    stats.nw_with_points -= waves.min(stats.nw_with_points);
-    stats.nw_deleted += waves;
+    let n = scan_line.remove_returns(&verdicts.rejected);
     out.cx.reject(Item::Returns, "a return of a waveform that deviates from its line", n);
-    let mut index = 0;
-    returns.retain(|_| {
-        index += 1;
-        !verdicts.rejected[index - 1]
-    });
 }

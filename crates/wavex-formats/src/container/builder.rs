@@ -93,12 +93,12 @@ impl LineBuilder {
         self.shot.len()
     }
 
-    /// Returns the record batch.
+    /// Returns the record batch; `schema` is that of [`ContainerHeader::schema`](super::ContainerHeader::schema).
     ///
     /// # Errors
     /// A list exceeds 2^31 items, the limit of Arrow lists, or a block has a gain and the schema has
     /// no field for it.
-    pub(super) fn finish(self, schema: SchemaRef) -> Result<RecordBatch, ArrowError> {
+    pub fn finish(self, schema: SchemaRef) -> Result<RecordBatch, ArrowError> {
         let samples = list(ColumnKind::Samples, &self.lengths, array(UInt16Array::from(self.samples)), None)?;
         let with_gain = has_gain(&schema);
         if !with_gain && self.gain.iter().any(Option::is_some) {

@@ -1,6 +1,8 @@
 //! Metadata of a container, which describes the whole recording.
 
-use arrow_schema::Metadata;
+use std::sync::Arc;
+
+use arrow_schema::{Metadata, SchemaRef};
 use serde::{Deserialize, Serialize};
 
 use super::layout::KEYS;
@@ -79,6 +81,11 @@ impl ContainerHeader {
             gain_control: None,
             origin: None,
         }
+    }
+
+    /// Arrow schema of a container with this header.
+    pub fn schema(&self) -> SchemaRef {
+        Arc::new(layout::schema(self.to_metadata(), self.has_gain()))
     }
 }
 

@@ -8,7 +8,7 @@ use arrow_ipc::CompressionType;
 use arrow_ipc::writer::{FileWriter, IpcWriteOptions, StreamWriter};
 use arrow_schema::{ArrowError, SchemaRef};
 
-use super::{ContainerHeader, LineBuilder, layout};
+use super::{ContainerHeader, LineBuilder};
 use crate::{Error, Result};
 
 /// Compression of the buffers of a file.
@@ -42,7 +42,7 @@ impl<W: Write> ContainerWriter<W> {
         header: &ContainerHeader,
         compression: Compression,
     ) -> Result<ContainerWriter<W>> {
-        let schema = Arc::new(layout::schema(header.to_metadata(), header.has_gain()));
+        let schema = header.schema();
         let form = options(compression)
             .and_then(|options| FileWriter::try_new_with_options(to, &schema, options))
             .map(Form::File)
@@ -59,7 +59,7 @@ impl<W: Write> ContainerWriter<W> {
         header: &ContainerHeader,
         compression: Compression,
     ) -> Result<ContainerWriter<W>> {
-        let schema = Arc::new(layout::schema(header.to_metadata(), header.has_gain()));
+        let schema = header.schema();
         let form = options(compression)
             .and_then(|options| StreamWriter::try_new_with_options(to, &schema, options))
             .map(Form::Stream)

@@ -1,0 +1,29 @@
+"""Uses of the package that mypy checks."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import wavex
+
+
+@wavex.stage(reason="weak")
+def strong(returns: wavex.Table) -> NDArray[np.bool_]:
+    """Keep strong returns."""
+    keep: NDArray[np.bool_] = returns["amplitude_dn"] > 20
+    return keep
+
+
+def use(path: Path) -> float:
+    """Use most of the package."""
+    recording = wavex.open(path)
+    shot: wavex.Shot = recording.lines[3][0]
+    samples: NDArray[np.uint16] = shot.samples["low"]
+    model = wavex.calibrate(recording, waveforms=1000)
+    table = wavex.decompose_samples(samples[None, :], 0.0, model, mode="fastest")
+    with wavex.decompose(recording, model, columns=["shot"]) as reader:
+        rows = sum(len(batch) for batch in reader)
+    report = wavex.run(wavex.Job([{"type": "simulate"}, strong]), progress=True)
+    print(rows, report["files"], wavex.stages("decompose"))
+    return float(table["time_ns"][0])
