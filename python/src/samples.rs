@@ -95,7 +95,7 @@ macro_rules! float_samples {
     ($($t:ty)*) => {$(
         impl Sample for $t {
             fn step(self) -> Option<u16> {
-                (self >= 0.0 && self <= 65535.0 && self.fract() == 0.0).then_some(self as u16)
+                ((0.0..=65535.0).contains(&self) && self.fract() == 0.0).then_some(self as u16)
             }
             fn shown(self) -> String {
                 format!("{self:?}")

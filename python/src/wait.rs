@@ -1,6 +1,7 @@
 //! Work outside the GIL that Ctrl-C ends.
 
-use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use pyo3::prelude::*;
@@ -22,43 +23,44 @@ pub fn interruptible<T: Send>(
     mut look: impl FnMut(Python<'_>) -> PyResult<()>,
     work: impl FnOnce() -> T + Send,
 ) -> PyResult<T> {
-    let (sender, receiver) = channel();
-    // The receiver belongs to this thread, which the GIL leaves and takes again.
-    let receiver = std::sync::Mutex::new(receiver);
+    let done: Done<T> = (Mutex::new(None), Condvar::new());
     std::thread::scope(|scope| {
+        let done = &done;
         let body = move || {
-            let done = work();
-            // The receiver lives until the thread has ended.
-            let _ = sender.send(done);
+            // A panic is a result, too: without one, the caller would wait for ever.
+            let result = catch_unwind(AssertUnwindSafe(work));
+            *done.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
+            done.1.notify_all();
         };
         let name = "wavex:python".to_owned();
         std::thread::Builder::new().name(name).spawn_scoped(scope, body).map_err(|error| {
             errors::data(format!("cannot start a thread: {error}"), "raise the process limit of the system")
         })?;
-        let next = |time: Duration| {
-            py.detach(|| receiver.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).recv_timeout(time))
-        };
         loop {
-            match next(SIGNALS) {
-                Ok(done) => return Ok(done),
-                Err(RecvTimeoutError::Timeout) => {
+            match py.detach(|| within(done, SIGNALS)) {
+                Some(Ok(result)) => return Ok(result),
+                Some(Err(_)) => {
+                    return Err(errors::data("a thread of wavex failed", "please report this bug in wavex"));
+                }
+                None => {
                     if let Err(error) = py.check_signals().and_then(|()| look(py)) {
                         cancel.cancel();
-                        py.detach(|| {
-                            let receiver = receiver.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-                            // What the interrupted work returns does not matter.
-                            drop(receiver.recv());
-                        });
+                        // What the interrupted work returns does not matter.
+                        py.detach(|| while within(done, SIGNALS).is_none() {});
                         return Err(error);
                     }
-                }
-                Err(RecvTimeoutError::Disconnected) => {
-                    return Err(errors::data(
-                        "a thread of wavex ended early",
-                        "please report this bug in wavex",
-                    ));
                 }
             }
         }
     })
+}
+
+/// Result of a thread, and the signal that it is there.
+type Done<T> = (Mutex<Option<std::thread::Result<T>>>, Condvar);
+
+/// Takes the result, if it is there within this time.
+fn within<T>(done: &Done<T>, time: Duration) -> Option<std::thread::Result<T>> {
+    let result = done.0.lock().unwrap_or_else(PoisonError::into_inner);
+    let waited = done.1.wait_timeout_while(result, time, |result| result.is_none());
+    waited.unwrap_or_else(PoisonError::into_inner).0.take()
 }

@@ -82,12 +82,12 @@ fn run(
     std::thread::scope(|scope| {
         let (sender, ended) = crossbeam_channel::bounded(1);
         let gauge = &gauge;
-        let body = move || sender.send(schedule::run_input(shared, site, options, gauge));
+        let body = move || sender.send(Box::new(schedule::run_input(shared, site, options, gauge)));
         let thread = std::thread::Builder::new().name(THREAD_PREFIX.to_owned()).spawn_scoped(scope, body);
         thread.map_err(|error| no_thread(&error))?;
         loop {
             match ended.recv_timeout(Duration::from_millis(100)) {
-                Ok(error) => break Ok(error),
+                Ok(ended) => break Ok(*ended),
                 Err(RecvTimeoutError::Timeout) => progress.show(),
                 Err(RecvTimeoutError::Disconnected) => break Err(no_state()),
             }

@@ -96,20 +96,6 @@ where
 }
 
 impl<T> Stream<T> {
-    /// Waits for the next item.
-    ///
-    /// # Errors
-    /// The first cause with which the run ended, once.
-    pub fn next(&mut self) -> std::result::Result<Option<T>, RunError> {
-        loop {
-            match self.next_within(Duration::from_secs(3600))? {
-                Next::Item(item) => return Ok(Some(item)),
-                Next::End => return Ok(None),
-                Next::Waiting => {}
-            }
-        }
-    }
-
     /// Waits for the next item for at most `time`.
     ///
     /// # Errors
