@@ -177,16 +177,6 @@ impl Reader {
         waves.read(&mut self.waves, offset, pulse.index, descriptor)
     }
 
-    /// Checks what the pulse states about its waves, without reading these.
-    ///
-    /// # Errors
-    /// As [`Reader::waves`], except for those that the waves themselves cause.
-    pub fn check_waves(&self, pulse: &Pulse) -> Result<()> {
-        let file = self.pulses.file();
-        descriptor(file, &self.header, &self.records, pulse)?;
-        wave_offset(file, &self.header, self.waves.length(), pulse).map(|_| ())
-    }
-
     /// Creates the error for a missing pulse.
     fn missing(&self, index: u64) -> Error {
         let promised = self.header.pulse_count;
