@@ -27,8 +27,10 @@ use crate::model::SensorModel;
 use crate::toml_value::{self, table};
 use crate::wait::interruptible;
 
-/// Waveforms of one task.
-const CHUNK: usize = 2048;
+/// Waveforms of one call of the kernels.
+const CALL: usize = 2048;
+/// Waveforms of one task of a thread, which makes one record batch.
+const CHUNK: usize = 4 * CALL;
 /// Maximum number of samples of a waveform.
 const MAX_SAMPLES: usize = 1 << 20;
 
@@ -140,20 +142,23 @@ fn decompose(
     let chunks = waveforms.div_ceil(CHUNK);
     let work = |mut kernels: wavex_signal::decompose::BatchDecomposer| {
         let (mut done, mut outcomes) = (Vec::new(), Decompositions::default());
-        let mut blocks = Vec::with_capacity(CHUNK);
+        let mut blocks = Vec::with_capacity(CALL);
         loop {
             let chunk = next.fetch_add(1, Ordering::Relaxed);
             if chunk >= chunks || cancel.is_cancelled() {
                 return done;
             }
             let some = chunk * CHUNK..((chunk + 1) * CHUNK).min(waveforms);
-            blocks.clear();
-            blocks.extend(some.clone().map(|i| Waveform { samples: samples.get(i), start_phase: 0 }));
-            kernels.decompose(&blocks, &mut outcomes);
-            let mut columns = Columns::with_room(blocks.len());
-            for (waveform, outcome) in some.zip(outcomes.iter()) {
-                let start_ns = if t0_ns.len() == 1 { t0_ns[0] } else { t0_ns[waveform] };
-                columns.add(waveform, start_ns, channel.sampling_interval_ns, outcome.returns);
+            let mut columns = Columns::with_room(3 * some.len() / 2);
+            for first in some.clone().step_by(CALL) {
+                let call = first..(first + CALL).min(some.end);
+                blocks.clear();
+                blocks.extend(call.clone().map(|i| Waveform { samples: samples.get(i), start_phase: 0 }));
+                kernels.decompose(&blocks, &mut outcomes);
+                for (waveform, outcome) in call.zip(outcomes.iter()) {
+                    let start_ns = if t0_ns.len() == 1 { t0_ns[0] } else { t0_ns[waveform] };
+                    columns.add(waveform, start_ns, channel.sampling_interval_ns, outcome.returns);
+                }
             }
             done.push((chunk, columns));
         }
@@ -166,7 +171,7 @@ fn decompose(
                 scope.spawn(|| work(kernels))
             })
             .collect();
-        let own = work(kernels.another());
+        let own = work(kernels);
         let others = others.into_iter().flat_map(|thread| thread.join().unwrap_or_default());
         own.into_iter().chain(others).collect()
     });
@@ -174,9 +179,11 @@ fn decompose(
     if done.len() != chunks && !cancel.is_cancelled() {
         return Err(errors::data("a kernel failed", "please report this bug in wavex with the samples"));
     }
-    let mut all = Columns::with_room(done.iter().map(|(_, columns)| columns.waveform.len()).sum());
-    done.into_iter().for_each(|(_, columns)| all.append(columns));
-    all.into_batch().map(|batch| vec![batch])
+    if done.is_empty() {
+        // A table without rows still has its columns.
+        done.push((0, Columns::default()));
+    }
+    done.into_iter().map(|(_, columns)| columns.into_batch()).collect()
 }
 
 /// Columns of returns.
@@ -237,14 +244,6 @@ impl Columns {
             ];
             self.values.iter_mut().zip(values).for_each(|(column, value)| column.push(value));
         }
-    }
-
-    fn append(&mut self, mut other: Columns) {
-        self.waveform.append(&mut other.waveform);
-        self.return_number.append(&mut other.return_number);
-        self.number_of_returns.append(&mut other.number_of_returns);
-        self.flags.append(&mut other.flags);
-        self.values.iter_mut().zip(&mut other.values).for_each(|(all, more)| all.append(more));
     }
 
     fn into_batch(self) -> PyResult<RecordBatch> {
