@@ -99,7 +99,7 @@ impl Recording {
         Ok(Arc::clone(self.index.insert(Arc::new(index))))
     }
 
-    /// Reads line `number` of the index, from 0; `None` if there is none.
+    /// Reads a scan line by its position in the index, from 0; `None` past the end.
     ///
     /// # Errors
     /// As [`Recording::index`].

@@ -23,7 +23,7 @@ use crate::wait::interruptible;
 /// ----------
 /// stages : list of dict or Stage
 ///     Stages in order. A dictionary has the key ``type`` and the keys of the stage; a function decorated
-///     with :func:`wavex.stage` stands at its place in the list.
+///     with :func:`wavex.stage` is the stage at that place of the list.
 /// folder : str or os.PathLike, optional
 ///     Folder at which relative paths start; the current folder by default.
 /// **settings

@@ -12,6 +12,7 @@ mod chain;
 mod convert;
 mod errors;
 mod job;
+mod lines;
 mod model;
 mod process;
 mod recording;
@@ -30,6 +31,7 @@ fn main(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
 fn _wavex(module: &Bound<'_, PyModule>) -> PyResult<()> {
     batches::remember_thread();
     errors::register(module)?;
+    lines::register(module)?;
     recording::register(module)?;
     process::register(module)?;
     module.add_class::<batches::BatchReader>()?;

@@ -73,7 +73,7 @@ impl Samples<'_> {
 
 /// A number that may be a sample.
 trait Sample: Copy {
-    /// The digitiser step; `None` if it is none.
+    /// The number as a digitiser step; `None` if it is not a whole number from 0 to 65535.
     fn step(self) -> Option<u16>;
     /// The number as text.
     fn shown(self) -> String;

@@ -8,7 +8,7 @@ use super::Recording;
 use crate::scan_line::ScanLine;
 use crate::stage::{Context, Paths, Result, RunContext, Source, SourcePlan};
 
-/// Plan of a source that skips to the lines around a shot when it is told to.
+/// Plan of a source that skips to the lines around a shot once `may_skip` is set.
 pub(crate) struct Excerpt {
     /// Reader of the recording, and its keys.
     pub(crate) reader: Arc<dyn SourcePlan>,
@@ -58,7 +58,7 @@ impl SourcePlan for Excerpt {
     }
 }
 
-/// What is needed to skip.
+/// Arguments of the skip.
 struct Skip {
     reader: Arc<dyn SourcePlan>,
     keys: serde_json::Value,

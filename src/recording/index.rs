@@ -8,6 +8,7 @@ use std::collections::HashMap;
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::UNIX_EPOCH;
 
 use arrow_array::cast::AsArray;
@@ -27,7 +28,7 @@ pub type Watch<'a> = dyn FnMut(f64) -> Result<()> + 'a;
 
 /// Key of the metadata that identifies the recording.
 const RECORDING_KEY: &str = "wavex.recording";
-/// Size from which an index is kept next to a recording, bytes; smaller ones are read in no time.
+/// Smallest recording whose index is kept, bytes; that of a smaller one is cheap to make again.
 const SMALLEST_KEPT_BYTES: u64 = 64 << 20;
 const ROWS_PER_BATCH: usize = 1 << 16;
 
@@ -95,6 +96,8 @@ impl LineIndex {
     }
 
     /// Makes the index in one pass, without samples where the format permits.
+    ///
+    /// Ends with [`StageError::Stopped`] once the run is cancelled.
     fn make(reader: &dyn SourcePlan, site: &RunContext, watch: &mut Watch) -> Result<LineIndex> {
         let mut source = reader.make_for_inspection(site, false)?;
         let (mut lines, mut cx) = (Vec::new(), Context::quiet());
@@ -105,6 +108,9 @@ impl LineIndex {
                 return Err(StageError::failed(problem, remedy));
             };
             lines.extend(IndexedLine::of(&line, location));
+            if site.cancelled.load(Ordering::Relaxed) {
+                return Err(StageError::Stopped);
+            }
             watch(source.progress().unwrap_or_default())?;
         }
         Ok(LineIndex { lines })

@@ -1,5 +1,7 @@
 //! `read_pulsewaves`: reads PulseWaves files as scan lines of shots.
 
+mod description;
+
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
@@ -12,14 +14,11 @@ use super::emission_choice::{self, Message, Smoothness};
 use super::line_splitter::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::keys::InvalidKey;
-use crate::scan_line::{
-    AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
-    TimeScale, emission_flags,
-};
+use crate::scan_line::{Channel, Emission, EmissionReference, InputInfo, Kind, ScanLine, emission_flags};
 use crate::stage::{
     Config, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
 };
-use wavex_formats::geokeys;
+use description::describe;
 use wavex_formats::pulsewaves::{Pulse, Reader, Segment, SegmentKind, TimeAxis, Waves};
 use wavex_geodesy::beam_length::BeamLength;
 
@@ -461,85 +460,4 @@ fn returning_channels(reader: &Reader) -> BTreeSet<u8> {
         .filter(|sampling| sampling.kind == SegmentKind::Returning)
         .map(|sampling| sampling.channel)
         .collect()
-}
-
-fn describe(reader: &Reader, path: &Path, stem: &str, beams: &BeamLength, around_earth: bool) -> InputInfo {
-    let header = reader.header();
-    let scanner = reader.scanners().values().next();
-    let text = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
-    let samplings = || reader.descriptors().values().flat_map(|descriptor| &descriptor.samplings);
-    let mut outgoing = samplings().filter(|sampling| sampling.kind == SegmentKind::Outgoing).peekable();
-    let emission_reference =
-        match (outgoing.peek().is_some(), outgoing.all(|sampling| sampling.duration_bits > 0)) {
-            (false, _) => EmissionReference::Clock,
-            (true, true) => EmissionReference::OutgoingPulse,
-            (true, false) => EmissionReference::OutgoingPulseFraction,
-        };
-    let (keys, wkt) = (reader.crs().geo_keys.as_deref(), &reader.crs().wkt);
-    // RIEGL's own export names WGS 84 but stores geocentric coordinates.
-    let is_geocentric = around_earth
-        || keys.is_some_and(geokeys::is_geocentric)
-        || wkt.as_ref().is_some_and(|wkt| wkt.trim_start().starts_with("GEOCCS"));
-    let wkt = || wkt.clone().or_else(|| geokeys::wkt(keys?));
-    let bits = samplings().map(|sampling| sampling.bits_per_sample).max();
-    InputInfo {
-        full_scale_is_set: false,
-        path: path.to_path_buf(),
-        stem: stem.to_string(),
-        format: format!("PulseWaves {}.{}", header.version.0, header.version.1),
-        instrument: scanner.and_then(|scanner| text(&scanner.instrument)),
-        serial: scanner.and_then(|scanner| text(&scanner.serial)),
-        odd_sample_shift: 0.0,
-        sampling_interval_ns: samplings().map(|s| s.sample_units_ns).find(|ns| *ns > 0.0).unwrap_or(1.0),
-        full_scale_dn: (bits == Some(8)).then_some(255),
-        gain_control: GainControl::Off,
-        group_velocity_mps: beams.vertical().map_or(GROUP_VELOCITY_MPS, |metres_per_ns| metres_per_ns * 2e9),
-        pulse_rate_hz: scanner.map(|s| s.pulse_frequency_khz * 1e3).filter(|hz| *hz > 0.0),
-        time_scale: match header.time_axis() {
-            TimeAxis::WeekSeconds => TimeScale::Week,
-            TimeAxis::Standard => TimeScale::Adjusted,
-            TimeAxis::Undecided => TimeScale::Unknown,
-        },
-        gps_week: None,
-        recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
-        frame: if is_geocentric { Frame::Earth } else { Frame::Map },
-        crs_wkt: wkt().filter(|_| !is_geocentric),
-        coordinate_grid: Some((header.scale, header.offset)),
-        emission_reference,
-        origin_is_sensor: anchors_are_sensor(reader),
-        first_shot: None,
-        amplitude_low: amplitude_table(reader, 1),
-        amplitude_high: amplitude_table(reader, 0),
-        range_low: None,
-        range_high: None,
-    }
-}
-
-/// Whether pulse anchors are at the optical centre.
-///
-/// They are if the descriptors give the distance between the two as 0 and durations of the
-/// returning samples are stored. Files converted from formats without the sensor position anchor
-/// pulses at their first sample, have no durations, and declare no constant distance.
-fn anchors_are_sensor(reader: &Reader) -> bool {
-    reader.descriptors().values().all(|descriptor| {
-        let mut returning =
-            descriptor.samplings.iter().filter(|s| s.kind == SegmentKind::Returning).peekable();
-        returning.peek().is_none()
-            || descriptor.optical_center_to_anchor == Some(0)
-                && returning.all(|sampling| sampling.duration_bits > 0 || sampling.duration_offset != 0.0)
-    })
-}
-
-/// Default group velocity of a near-infrared pulse near the ground, m/s.
-const GROUP_VELOCITY_MPS: f64 = 299_707_502.0;
-
-/// Amplitude table of a returning channel.
-fn amplitude_table(reader: &Reader, channel: u8) -> Option<AmplitudeTable> {
-    let mut samplings = reader.descriptors().values().flat_map(|descriptor| &descriptor.samplings);
-    let of_channel = |s: &&wavex_formats::pulsewaves::Sampling| {
-        s.kind == SegmentKind::Returning && s.channel == channel && s.lookup_table_index > 0
-    };
-    let index = u8::try_from(samplings.find(of_channel)?.lookup_table_index).ok()?;
-    let entries = &reader.tables().get(&index)?.tables.first()?.entries;
-    AmplitudeTable::new(entries.iter().enumerate().map(|(dn, value)| (dn as f64, f64::from(*value))))
 }

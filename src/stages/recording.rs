@@ -198,7 +198,7 @@ impl<S: Source> AsDeclared<S> {
         AsDeclared { source, declared, begun: None }
     }
 
-    /// The state of a line's recording, determined from the line if there is none yet.
+    /// State of a line's recording; its first line determines it.
     fn begun(&mut self, line: &ScanLine, cx: &mut Context) -> Result<&mut Begun> {
         let known = self.begun.take().filter(|begun| Arc::ptr_eq(&begun.info[0], &line.input));
         let begun = known.map_or_else(|| self.begin(line, cx), Ok)?;

@@ -1,0 +1,77 @@
+//! Beam geometry of a LAS file, learnt from its first points.
+
+use crate::stage::Result;
+use wavex_formats::las::{Descriptor, Point, Reader, Wave};
+use wavex_geodesy::beam_length::BeamLength;
+
+/// Beam properties common to a file.
+pub(super) struct Geometry {
+    pub(super) beams: BeamLength,
+    pub(super) group_velocity_mps: f64,
+    /// True if direction vectors point up to the sensor; files differ in this.
+    towards_sensor: bool,
+    pub(super) has_locations: bool,
+    /// Descriptor of the first readable waveform.
+    pub(super) sampling: Option<Descriptor>,
+}
+
+/// Number of points used to determine the geometry of a file.
+const POINTS_LOOKED_AT: usize = 10_000;
+
+impl Geometry {
+    /// Determines beam geometry from the first points of a file.
+    pub(super) fn learn(reader: &mut Reader) -> Result<Geometry> {
+        let mut vectors: Vec<[f64; 3]> = Vec::new();
+        let (mut has_locations, mut sampling) = (false, None);
+        let mut point = Point::default();
+        while vectors.len() < POINTS_LOOKED_AT && reader.next_point(&mut point)? {
+            if point.wave.descriptor != 0 && is_usable(&point) {
+                vectors.push(point.wave.direction_per_ps.map(|x| f64::from(x) * 1000.0));
+                has_locations |= point.wave.location_ps != 0.0;
+                sampling = sampling.or_else(|| reader.descriptor(&point.wave).ok().copied());
+            }
+        }
+        let up = vectors.iter().filter(|vector| vector[2] > 0.0).count();
+        let towards_sensor = 2 * up >= vectors.len();
+        let beams = BeamLength::learn(&vectors, reader.header().scale, LEARN_BASELINE_NS, true);
+        let mut lengths: Vec<f64> = vectors.iter().map(|vector| beams.of(*vector)).collect();
+        lengths.sort_by(f64::total_cmp);
+        let median = lengths.get(lengths.len() / 2).copied();
+        let metres_per_ns = beams.vertical().or(median).unwrap_or(0.149_853_751);
+        let group_velocity_mps = metres_per_ns * 2e9;
+        Ok(Geometry { beams, group_velocity_mps, towards_sensor, has_locations, sampling })
+    }
+
+    /// Displacement down the beam per nanosecond, m.
+    pub(super) fn beam(&self, wave: &Wave) -> [f64; 3] {
+        let sign = if self.towards_sensor { -1000.0 } else { 1000.0 };
+        wave.direction_per_ps.map(|x| sign * f64::from(x))
+    }
+}
+
+/// Typical time over which writers compute a beam vector, ns; sets the effect of its rounding.
+const LEARN_BASELINE_NS: f64 = 1000.0;
+
+/// Position of the first sample of a waveform, m: mean over its points.
+///
+/// Sample `i` lies at `P + (location − i × spacing) × vector` (LAS 1.4 R15, "Parametric dx, dy,
+/// dz").
+pub(super) fn first_sample(pulse: &[Point], packet_offset: u64, geometry: &Geometry) -> [f64; 3] {
+    let sharing = || pulse.iter().filter(|point| point.wave.offset == packet_offset);
+    let n = sharing().count().max(1) as f64;
+    let mut mean_m = [0.0; 3];
+    for point in sharing() {
+        let beam = geometry.beam(&point.wave);
+        let back_ns = f64::from(point.wave.location_ps) / 1000.0;
+        for (axis, at) in [point.x, point.y, point.z].into_iter().enumerate() {
+            mean_m[axis] += (at - beam[axis] * back_ns) / n;
+        }
+    }
+    mean_m
+}
+
+pub(super) fn is_usable(point: &Point) -> bool {
+    let wave = &point.wave;
+    let square: f32 = wave.direction_per_ps.iter().map(|x| x * x).sum();
+    wave.location_ps.is_finite() && square.is_finite() && square > 0.0
+}
