@@ -11,6 +11,7 @@ use clap::{CommandFactory, Parser};
 
 use crate::job::{Include, Job, JobErrors, Override, included, job_schema};
 use crate::registry::STAGES;
+use crate::system;
 
 mod archive;
 mod args;
@@ -104,6 +105,7 @@ pub fn main() -> ExitCode {
 ///
 /// Help, the version and invalid arguments end the process.
 pub fn main_with(arguments: Vec<OsString>) -> u8 {
+    system::ignore_file_size_signal();
     let cli = match Cli::try_parse_from(&arguments) {
         Ok(cli) => cli,
         Err(answer) if answer.kind() == ErrorKind::DisplayVersion && asks_for_more(&arguments) => {
@@ -142,8 +144,8 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         }
         Command::Plan(args) => plan::plan(&args, quiet),
         Command::Collect(args) => plan::collect(&args, quiet),
-        Command::Replay { archived, threads, progress } => {
-            archive::replay(archived, threads, progress, quiet)
+        Command::Replay { archived, seal, threads, progress } => {
+            archive::replay(archived, seal, threads, progress, quiet)
         }
         Command::Verify { archived, seal } => archive::verify(&archived, seal.as_deref(), quiet),
         Command::Check { job, inputs } => check::check(&job, inputs),

@@ -38,7 +38,7 @@ mod worker;
 
 pub use failure::{Cancel, Cause, RunError};
 pub use inputs::Input;
-pub(crate) use inputs::{expand, size};
+pub(crate) use inputs::{expand, size, sizes};
 pub use observe::observe;
 pub use progress::{Phase, Progress, ProgressMode, ProgressWatch};
 pub use stage_summary::{ItemCounts, Percentiles, StageSummary};
@@ -208,8 +208,9 @@ pub fn run_each(
     let (to_skip, to_run): (Vec<_>, Vec<_>) =
         sites.into_iter().enumerate().partition(|(_, site)| options.skip.contains(&site.stem));
     to_skip.iter().for_each(|(number, _)| summary.inputs[*number].status = InputStatus::Skipped);
-    let sizes = to_run.iter().map(|(number, site)| (*number, inputs::size(&site.input)));
-    let mut progress = Progress::new(options.progress, sizes.collect()).watched(options.watch.clone());
+    let sizes = inputs::sizes(to_run.iter().map(|(_, site)| site.input.as_path()));
+    let sizes = to_run.iter().map(|(number, _)| *number).zip(sizes).collect();
+    let mut progress = Progress::new(options.progress, sizes).watched(options.watch.clone());
     let common = chain::Common::new(job, options);
     let shared = schedule::Shared {
         job,
@@ -258,6 +259,7 @@ fn run_context(options: &Options, input: Input, pool: Option<Arc<ThreadPool>>) -
         cancelled: options.cancel.flag(),
         geometry: Arc::default(),
         survey: options.survey.clone(),
+        read_ppm: Arc::default(),
         has_outputs: true,
     }
 }

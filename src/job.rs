@@ -308,6 +308,7 @@ fn read(
     let (mut draft, problems) = draft::Draft::new(root, stages);
     errors.extend(problems);
     errors.extend(include::apply(&included, &mut draft, stages));
+    errors.extend(draft.libraries());
     errors.extend(overrides::apply(changes, &mut draft));
     errors.extend(include::check(&draft, included.len()));
 

@@ -106,8 +106,8 @@ impl<'k> Key<'k> {
 
 /// Schema keyword that declares which file a text names.
 ///
-/// Usage: `#[schemars(extend("x-file" = "input"))]`. Keys of stages do not need it, because their
-/// [`Config`](crate::stage::Config) lists the files.
+/// Usage: `#[schemars(extend("x-file" = "input"))]`. Keys of stages need it for libraries only,
+/// because their [`Config`](crate::stage::Config) lists the files.
 const FILE_MARK: &str = "x-file";
 
 /// File that the text of a key of `[job]` names.
@@ -129,6 +129,8 @@ pub enum FileMark {
     Output,
     /// The output folder.
     OutputFolder,
+    /// A library of native code: a key that a job cannot set, only `--set`.
+    Library,
     /// An included part of the job, which `Job` has parsed.
     Include,
     /// No file.

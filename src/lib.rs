@@ -39,3 +39,4 @@ pub mod report;
 pub mod scan_line;
 pub mod stage;
 pub mod stages;
+mod system;

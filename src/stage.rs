@@ -15,6 +15,7 @@ mod lookahead;
 mod observer;
 mod output_file;
 mod output_lock;
+pub(crate) mod own_file;
 pub(crate) mod packed;
 mod run_context;
 mod spec;

@@ -2,18 +2,24 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::{Read, Write};
+use std::io::{Read, Seek, Write};
 use std::path::{Component, Path, PathBuf};
 
 use super::digest;
 use super::paths::plain;
 use super::{ARCHIVE, Archive, FORMAT, JOB, RESOLVED, RESULTS, SEAL};
-use wavex_formats::{Error, Result};
+use wavex_formats::{Error, Result, regular_file};
 
 /// Extension of a packed archive.
 const PACKED: &str = ".tar.zst";
 /// Maximum total size of an archive's files, bytes; they are texts.
 const MOST_BYTES: u64 = 1 << 30;
+/// Maximum number of files of an archive.
+const MOST_FILES: usize = 100_000;
+/// Maximum number of folders within folders.
+const MOST_DEPTH: usize = 16;
+/// Maximum size of a long name or of other attributes of a packed file, bytes.
+const MOST_ATTRIBUTES: u64 = 1 << 16;
 /// Compression level: the default of zstd.
 const LEVEL: i32 = 3;
 const REMEDY: &str = "give an archive made by `wavex run --archive`";
@@ -94,8 +100,13 @@ impl Contents {
                 format!("archive format {} is not supported, only format {FORMAT}", value["format"]);
             return Err(Error::unusable(&self.path.join(ARCHIVE), problem, "use a newer wavex"));
         }
-        serde_json::from_value(value)
-            .map_err(|error| unusable(format!("invalid description of an archive: {error}")))
+        let archive: Archive = serde_json::from_value(value)
+            .map_err(|error| unusable(format!("invalid description of an archive: {error}")))?;
+        let mut files = archive.inputs.files.iter().chain(&archive.outputs.files);
+        match files.find(|file| !is_below(Path::new(&file.path))) {
+            Some(file) => Err(unusable(format!("the path {:?} leads out of its folder", file.path))),
+            None => Ok(archive),
+        }
     }
 
     /// The job as run.
@@ -176,13 +187,14 @@ fn read_whole(input: impl Read, left: &mut u64) -> std::io::Result<Option<Vec<u8
 /// Reads all files of a folder, by relative path.
 pub(super) fn read_files(folder: &Path) -> Result<BTreeMap<String, Vec<u8>>> {
     let mut files = BTreeMap::new();
-    read_folder(folder, "", &mut { MOST_BYTES }, &mut files)?;
+    read_folder(folder, "", MOST_DEPTH, &mut { MOST_BYTES }, &mut files)?;
     Ok(files)
 }
 
 fn read_folder(
     folder: &Path,
     prefix: &str,
+    depth: usize,
     left: &mut u64,
     files: &mut BTreeMap<String, Vec<u8>>,
 ) -> Result<()> {
@@ -191,8 +203,15 @@ fn read_folder(
         let path = entry.path();
         let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
         let kind = entry.file_type().map_err(Error::io(&path, "open"))?;
-        if kind.is_dir() {
-            read_folder(&path, &format!("{name}/"), left, files)?;
+        if kind.is_dir() && depth > 0 {
+            read_folder(&path, &format!("{name}/"), depth - 1, left, files)?;
+        } else if !kind.is_file() || files.len() >= MOST_FILES {
+            let problem = match (kind.is_dir(), kind.is_file()) {
+                (true, _) => format!("not an archive: more than {MOST_DEPTH} folders within each other"),
+                (_, true) => format!("not an archive: more than {MOST_FILES} files"),
+                _ => "not a file of an archive: a link, pipe or device".to_owned(),
+            };
+            return Err(Error::unusable(&path, problem, REMEDY));
         } else {
             let file = File::open(&path).map_err(Error::io(&path, "open"))?;
             let bytes = read_whole(file, left).map_err(Error::io(&path, "read"))?;
@@ -203,20 +222,48 @@ fn read_folder(
 }
 
 fn read_packed(path: &Path) -> Result<BTreeMap<String, Vec<u8>>> {
-    let file = File::open(path).map_err(Error::io(path, "open"))?;
+    let mut file = regular_file(path)?;
     let mut begin = Vec::new();
     (&file).take(MAGIC.len() as u64).read_to_end(&mut begin).map_err(Error::io(path, "read"))?;
     if begin != MAGIC {
         return Err(Error::unusable(path, "not an archive: neither a folder nor a .tar.zst file", REMEDY));
     }
-    let unpacked = unpack(begin.as_slice().chain(file)).map_err(|error| damaged(path, &error))?;
+    let mut from_start = || file.rewind().and_then(|()| file.try_clone()).map_err(Error::io(path, "read"));
+    if !is_moderate(from_start()?).map_err(|error| damaged(path, &error))? {
+        return Err(too_large(path));
+    }
+    let unpacked = unpack(from_start()?).map_err(|error| damaged(path, &error))?;
     unpacked.ok_or_else(|| too_large(path))
+}
+
+/// The unpacked stream, up to the maximum size of an archive.
+fn unpacked(packed: impl Read) -> std::io::Result<impl Read> {
+    // Headers and padding take at most this much per file.
+    let overhead = 1024 * MOST_FILES as u64;
+    Ok(zstd::stream::read::Decoder::new(packed)?.take(MOST_BYTES + overhead))
+}
+
+/// Whether a packed archive has few enough entries with short enough names.
+///
+/// The names would be read into memory whole. The end of the stream is not checked.
+fn is_moderate(packed: impl Read) -> std::io::Result<bool> {
+    let mut tar = tar::Archive::new(unpacked(packed)?);
+    for (count, entry) in tar.entries()?.raw(true).enumerate() {
+        let entry = entry?;
+        let kind = entry.header().entry_type();
+        let is_long = !kind.is_file() && entry.header().size()? > MOST_ATTRIBUTES;
+        // A long name is an entry of its own.
+        if is_long || count >= 2 * MOST_FILES {
+            return Ok(false);
+        }
+    }
+    Ok(true)
 }
 
 /// Unpacks an archive; `None` if its files are too large.
 fn unpack(packed: impl Read) -> std::io::Result<Option<BTreeMap<String, Vec<u8>>>> {
     let (mut files, mut left) = (BTreeMap::new(), MOST_BYTES);
-    let mut tar = tar::Archive::new(zstd::stream::read::Decoder::new(packed)?);
+    let mut tar = tar::Archive::new(unpacked(packed)?);
     for entry in tar.entries()? {
         let entry = entry?;
         if !entry.header().entry_type().is_file() {
@@ -241,6 +288,12 @@ fn damaged(path: &Path, error: &std::io::Error) -> Error {
         _ => format!("damaged or not an archive: cannot unpack it: {error}"),
     };
     Error::unusable(path, problem, "get a complete copy")
+}
+
+/// Whether a relative path stays below the folder at which it starts.
+pub(super) fn is_below(path: &Path) -> bool {
+    let mut steps = path.components();
+    steps.clone().next().is_some() && steps.all(|step| matches!(step, Component::Normal(_)))
 }
 
 /// A normal path component; archives contain no others.
@@ -397,6 +450,46 @@ mod tests {
         let other = Contents::read(&path).unwrap_err().to_string();
         let expected = "a.tar.zst: damaged or not an archive: cannot unpack it: ";
         assert!(other.contains(expected) && other.ends_with("; get a complete copy"), "{other}");
+    }
+
+    #[test]
+    fn long_names_and_many_files_are_refused_before_they_take_memory() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.tar.zst");
+        for kind in [tar::EntryType::GNULongName, tar::EntryType::XHeader] {
+            let mut tar = tar::Builder::new(zstd::stream::write::Encoder::new(Vec::new(), LEVEL).unwrap());
+            let mut header = tar::Header::new_gnu();
+            header.set_entry_type(kind);
+            header.set_size(MOST_ATTRIBUTES + 1);
+            let name = vec![b'a'; MOST_ATTRIBUTES as usize + 1];
+            tar.append_data(&mut header, "a", name.as_slice()).unwrap();
+            fs::write(&path, tar.into_inner().unwrap().finish().unwrap()).unwrap();
+            let error = Contents::read(&path).unwrap_err().to_string();
+            assert!(error.contains("not an archive: larger than 1073741824 bytes"), "{error}");
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_and_deep_folders_in_an_archive_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path();
+        write_folder(folder, &example()).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", folder.join("endless")).unwrap();
+        let error = Contents::read(folder).unwrap_err().to_string();
+        assert!(error.contains("endless: not a file of an archive: a link, pipe or device; "), "{error}");
+        fs::remove_file(folder.join("endless")).unwrap();
+        fs::create_dir_all(folder.join("a/".repeat(MOST_DEPTH + 1))).unwrap();
+        let error = Contents::read(folder).unwrap_err().to_string();
+        assert!(error.contains("more than 16 folders within each other"), "{error}");
+    }
+
+    #[test]
+    fn paths_that_leave_their_folder_are_refused() {
+        assert!(is_below(Path::new("lines/a.txt")));
+        for path in ["", "/etc/passwd", "../a", "a/../../b"] {
+            assert!(!is_below(Path::new(path)), "{path}");
+        }
     }
 
     #[test]

@@ -1,18 +1,18 @@
 //! Digests of files, and detection of changes.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io::Read;
 use std::path::Path;
 use std::time::SystemTime;
 
-use wavex_formats::{Error, Result};
+use wavex_formats::{Error, Result, regular_file};
 
 /// Buffer size, bytes.
 const BUFFER: usize = 1 << 20;
 
-/// Size and BLAKE3 digest of a file.
+/// Size and BLAKE3 digest of a regular file.
 pub(super) fn of_file(path: &Path) -> Result<(u64, String)> {
-    let mut file = File::open(path).map_err(Error::io(path, "open"))?;
+    let mut file = regular_file(path)?;
     let mut hasher = blake3::Hasher::new();
     let mut buffer = vec![0; BUFFER];
     loop {

@@ -1,26 +1,30 @@
 //! Runs an archived job again and compares the outputs.
 
 use std::collections::BTreeMap;
-use std::fs;
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
+
+use tempfile::TempDir;
 
 use super::contents::Contents;
 use super::difference::first_difference;
 use super::origin::Program;
-use super::paths::relative;
+use super::paths::{plain, relative};
 use super::verify::{self, Folders};
-use super::{Archive, DigestedFile, RESOLVED, digest};
+use super::{Archive, DigestedFile, RESOLVED, digest, inputs, resolved};
 use crate::engine::{self, Cancel, InputSummary, Options, ProgressMode, RunSummary};
 use crate::job::{Job, Override, Simd};
-use crate::stage::{Result, StageError};
+use crate::stage::{Result, StageError, own_file};
 use wavex_formats::Error;
+use wavex_formats::sdf::library;
 
 /// Options of a replay.
 #[derive(Clone, Debug)]
 pub struct Replay {
     /// Current folders of inputs and outputs.
     pub folders: Folders,
+    /// Seal noted when the archive was made.
+    pub seal: Option<String>,
     /// Workers per map; default: as in the archived run; 0: one per core.
     pub threads: Option<usize>,
     /// Progress display.
@@ -56,7 +60,8 @@ pub fn replay(path: &Path, replay: &Replay) -> Result<Replayed> {
     let seal = contents.seal();
     let stopped =
         |seal, problems| Ok(Replayed { problems, notes: Vec::new(), outputs: 0, failed: Vec::new(), seal });
-    let tampering = contents.tampering();
+    let noted = replay.seal.as_deref().and_then(|noted| verify::other_seal(&seal, noted));
+    let tampering: Vec<String> = noted.into_iter().chain(contents.tampering()).collect();
     if !tampering.is_empty() {
         return stopped(seal, tampering);
     }
@@ -68,7 +73,8 @@ pub fn replay(path: &Path, replay: &Replay) -> Result<Replayed> {
     let (job, mut notes) = job(&contents, &archive, replay.threads)?;
     let folder = Temporary::new()?;
     let input_dir = verify::place(&archive.inputs, &contents, replay.folders.inputs.as_deref());
-    let mut options = Options::of_job(&job, input_dir, &folder.0);
+    check_paths(&job, &input_dir, folder.path())?;
+    let mut options = Options::of_job(&job, input_dir, folder.path());
     options.progress = replay.progress;
     options.cancel = replay.cancel.clone();
     let mut run = RunSummary::new(&job, &options);
@@ -76,7 +82,7 @@ pub fn replay(path: &Path, replay: &Replay) -> Result<Replayed> {
         .map_err(|error| error.into_stage_error())?;
     let then = verify::place(&archive.outputs, &contents, replay.folders.outputs.as_deref());
     let mut problems = compare_failures(&archive, &run);
-    problems.extend(compare(&archive, &run, &folder.0, &then)?);
+    problems.extend(compare(&archive, &run, folder.path(), &then)?);
     if !problems.is_empty() {
         notes.extend(other_program(&archive));
     }
@@ -110,6 +116,47 @@ fn job(contents: &Contents, archive: &Archive, threads: Option<usize>) -> Result
             );
             Err(StageError::failed(problem.trim_end(), format!("use wavex {}", archive.program.words())))
         }
+    }
+}
+
+/// Checks that an archived job reads and writes below its folders only, and loads no native code.
+///
+/// Archives come from others, who can change and reseal them.
+fn check_paths(job: &Job, input_dir: &Path, output_dir: &Path) -> Result<()> {
+    let refused = |problem: String| {
+        Err(StageError::failed(problem, "do not trust this archive; compare its seal with the noted one"))
+    };
+    for stage in &job.stages {
+        let given = |key: &&&str| stage.planned.resolved.get(**key).is_some_and(|value| !value.is_null());
+        if let Some(key) = stage.planned.local_keys.iter().find(given) {
+            return refused(format!("the archived job has the key `{key}` of stage {}", stage.id));
+        }
+    }
+    if job.stages.iter().any(|stage| stage.spec.name == "read_sdf") {
+        let named = std::env::var_os(library::VARIABLE).filter(|named| !named.is_empty());
+        let named =
+            named.map(|named| format!("{} names it: {}", library::VARIABLE, Path::new(&named).display()));
+        let named = named.unwrap_or_else(|| "in one of the usual folders".to_owned());
+        tracing::warn!("the archived job reads SDF: RIEGL's library is loaded ({named})");
+    }
+    let input_dir = std::path::absolute(input_dir).map_err(Error::io(input_dir, "find the folder"))?;
+    let input_dir = plain(&input_dir);
+    let settings = serde_json::to_value(&job.settings).unwrap_or_default();
+    let sources = engine::inputs(job, &input_dir).map_err(|error| error.into_stage_error())?;
+    let read = inputs::of_job(job, &settings, &sources, &input_dir);
+    let written = resolved::outputs_of(job, &sources, output_dir);
+    if let Some(path) = read.iter().find(|path| !path.starts_with(&input_dir)) {
+        let path = path.display();
+        return refused(format!(
+            "the archived job reads {path}, which is not below the folder of its inputs"
+        ));
+    }
+    match written.keys().find(|path| !path.starts_with(output_dir)) {
+        Some(path) => {
+            let path = path.display();
+            refused(format!("the archived job writes {path}, which is not below the folder of its outputs"))
+        }
+        None => Ok(()),
     }
 }
 
@@ -185,22 +232,66 @@ fn compare_file(file: &DigestedFile, now: &Path, then: &Path) -> Result<Option<S
     })
 }
 
-/// A temporary folder, removed on drop.
-struct Temporary(PathBuf);
+/// A temporary folder with a name that nobody can foresee, removed on drop.
+///
+/// A lock shows that its process lives; folders of killed replays are removed by the next one.
+struct Temporary {
+    folder: TempDir,
+    _lock: File,
+}
+
+/// Prefix of temporary folders.
+const PREFIX: &str = "wavex-replay-";
+/// File in a temporary folder that its process keeps locked.
+const LOCK: &str = ".wavex-replay.lock";
 
 impl Temporary {
     fn new() -> Result<Temporary> {
-        static COUNT: AtomicUsize = AtomicUsize::new(0);
-        let number = COUNT.fetch_add(1, Ordering::Relaxed);
-        let path = std::env::temp_dir().join(format!("wavex-replay-{}-{number}", std::process::id()));
-        fs::create_dir_all(&path).map_err(Error::io(&path, "create the folder"))?;
-        Ok(Temporary(path))
+        let place = std::env::temp_dir();
+        remove_remains(&place);
+        let create = Error::io(&place, "create a folder in");
+        let folder = tempfile::Builder::new().prefix(PREFIX).tempdir_in(&place).map_err(&create)?;
+        let lock = File::create(folder.path().join(LOCK)).map_err(&create)?;
+        // Where there are no locks, remains stay until the system removes them.
+        let _ = lock.try_lock();
+        Ok(Temporary { folder, _lock: lock })
+    }
+
+    fn path(&self) -> &Path {
+        self.folder.path()
     }
 }
 
-impl Drop for Temporary {
-    fn drop(&mut self) {
-        // The system cleans up temporary folders that cannot be removed.
-        let _ = fs::remove_dir_all(&self.0);
+/// Removes the folders of killed replays.
+fn remove_remains(place: &Path) {
+    for entry in place.read_dir().into_iter().flatten().flatten() {
+        let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+        if is_folder && entry.file_name().to_string_lossy().starts_with(PREFIX) {
+            let lock = own_file::no_link().write(true).open(entry.path().join(LOCK));
+            if lock.is_ok_and(|lock| lock.try_lock().is_ok()) {
+                // Others' folders cannot be removed, and need not be.
+                let _ = fs::remove_dir_all(entry.path());
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn folders_of_killed_replays_are_removed_and_of_running_ones_kept() {
+        let place = tempfile::tempdir().unwrap();
+        let [dead, living, other] =
+            ["wavex-replay-dead", "wavex-replay-living", "wavex-other"].map(|name| place.path().join(name));
+        for folder in [&dead, &living, &other] {
+            fs::create_dir(folder).unwrap();
+            fs::write(folder.join(LOCK), "").unwrap();
+        }
+        let held = File::open(living.join(LOCK)).unwrap();
+        held.lock().unwrap();
+        remove_remains(place.path());
+        assert_eq!([dead.exists(), living.exists(), other.exists()], [false, true, true]);
     }
 }

@@ -191,7 +191,7 @@ fn root_of<'p>(own: &Path, files: impl IntoIterator<Item = &'p PathBuf> + Clone)
 }
 
 /// All files that stages may write, with the id of the stage.
-fn outputs_of(job: &Job, sources: &[Input], output_dir: &Path) -> BTreeMap<PathBuf, String> {
+pub(super) fn outputs_of(job: &Job, sources: &[Input], output_dir: &Path) -> BTreeMap<PathBuf, String> {
     let of_stage = |stage: &JobStage| -> Vec<(PathBuf, String)> {
         let patterns = stage.planned.plan.outputs();
         let file = |input: &Input, pattern: &str| plain(&output_dir.join(pattern.replace('*', &input.stem)));

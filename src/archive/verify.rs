@@ -79,7 +79,7 @@ pub(super) fn failed(archive: &Archive) -> Vec<String> {
 }
 
 /// Message for a seal that differs from the noted one.
-fn other_seal(seal: &str, noted: &str) -> Option<String> {
+pub(super) fn other_seal(seal: &str, noted: &str) -> Option<String> {
     (!seal.is_empty() && !seal.eq_ignore_ascii_case(noted)).then(|| {
         format!(
             "the seal is {seal} instead of {noted}: this is not the archive with the noted seal, or it was changed and \
@@ -117,12 +117,17 @@ fn problem(what: &str, folder: &Path, file: &DigestedFile, option: &str) -> Opti
         let folder = folder.display();
         return Some(format!("{what} {}: not found in {folder}; give its folder with {option}", file.path));
     }
+    // A file of another length need not be read.
+    let length = std::fs::metadata(&path).ok().filter(std::fs::Metadata::is_file).map(|about| about.len());
+    if let Some(bytes) = length.filter(|bytes| *bytes != file.bytes) {
+        let path = path.display();
+        return Some(format!(
+            "{what} {}: changed: {path} has {bytes} bytes instead of {}",
+            file.path, file.bytes
+        ));
+    }
     match digest::of_file(&path) {
         Err(error) => Some(format!("{what} {}: {error}", file.path)),
-        Ok((bytes, _)) if bytes != file.bytes => {
-            let path = path.display();
-            Some(format!("{what} {}: changed: {path} has {bytes} bytes instead of {}", file.path, file.bytes))
-        }
         Ok((_, blake3)) if blake3 != file.blake3 => {
             let path = path.display();
             Some(format!(

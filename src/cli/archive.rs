@@ -11,6 +11,7 @@ use crate::engine::Cancel;
 /// Runs an archived job again and reports differences.
 pub(super) fn replay(
     args: ArchiveArgs,
+    seal: Option<String>,
     threads: Option<usize>,
     when: When,
     quiet: bool,
@@ -18,7 +19,7 @@ pub(super) fn replay(
     let cancel = Cancel::default();
     run::stop_on_signals(&cancel);
     let progress = when.mode(quiet, std::io::stderr().is_terminal());
-    let replay = Replay { folders: folders(&args), threads, progress, cancel };
+    let replay = Replay { folders: folders(&args), seal, threads, progress, cancel };
     let found = archive::replay(&args.archive, &replay).map_err(|error| Failure::Run(error.to_string()))?;
     for note in &found.notes {
         tracing::warn!("{note}");

@@ -83,6 +83,11 @@ pub(super) enum Command {
     Replay {
         #[command(flatten)]
         archived: ArchiveArgs,
+        /// Seal noted when the archive was made; do not run if it differs
+        ///
+        /// An archived job may come from anyone, who may also have resealed it.
+        #[arg(long, value_name = "HEX", value_parser = seal)]
+        seal: Option<String>,
         /// Number of worker threads; 0: one per core [default: as in the archived run]
         #[arg(long, value_name = "N")]
         threads: Option<usize>,

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use serde::de::DeserializeOwned;
 
 use super::{ExplainArgs, Failure, JobArgs, When, run, terminal};
-use crate::engine::{Cancel, Input, Options, observe};
+use crate::engine::{Cancel, Input, Options, Phase, observe};
 use crate::job::{Job, JobStage, Override};
 use crate::recording::{Excerpt, LineIndex, Recording};
 use crate::registry::reader_of;
@@ -221,7 +221,14 @@ impl Chain {
 
     /// Returns the number of the shot nearest to a time.
     fn nearest(&self, time_s: f64) -> Result<u64, Failure> {
-        let nearest = self.recording()?.nearest_shot(time_s).map_err(|error| failed(&error))?;
+        let mut recording = self.recording()?;
+        let mut phase = Phase::new("index", "reading shot times", self.options.progress, 1);
+        let index = recording.index(&mut |part| {
+            phase.show(&self.stem, 0, part);
+            Ok(())
+        });
+        drop(phase);
+        let nearest = index.and_then(|_| recording.nearest_shot(time_s)).map_err(|error| failed(&error))?;
         nearest.ok_or_else(|| {
             let file = self.file.display();
             Failure::Wrong(format!("{file}: its shots have no times; select one with --shot"))

@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
 
 use tracing::level_filters::LevelFilter;
@@ -13,13 +13,21 @@ use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{Layer, fmt};
 
 use super::terminal;
+use crate::stage::own_file;
 use wavex_formats::{Error, Result};
 
 /// Target of the error that ends a command.
 const FATAL: &str = "wavex_fatal";
 
 /// The log file of the run, opened after logging has started.
-static FILE: Mutex<Option<File>> = Mutex::new(None);
+static FILE: Mutex<Option<LogFile>> = Mutex::new(None);
+
+struct LogFile {
+    file: File,
+    path: PathBuf,
+    /// First failure to write.
+    failure: Option<io::Error>,
+}
 
 /// Copy of the log in memory, if a run archives it.
 static KEPT: Mutex<Option<Vec<u8>>> = Mutex::new(None);
@@ -61,14 +69,17 @@ pub(super) fn to_file(path: &Path) -> Result<()> {
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(Error::io(folder, "make the folder"))?;
     }
-    let file = File::create(path).map_err(Error::io(path, "create the log"))?;
-    *lock() = Some(file);
+    let file = own_file::truncate(path).map_err(Error::io(path, "create the log"))?;
+    *lock() = Some(LogFile { file, path: path.to_owned(), failure: None });
     Ok(())
 }
 
-/// Ends the log file.
+/// Ends the log file; warns if a part of it could not be written.
 pub(super) fn end_file() {
-    *lock() = None;
+    let ended = lock().take();
+    if let Some(LogFile { path, failure: Some(error), .. }) = ended {
+        tracing::warn!("{}: cannot write the log: {error}; it is incomplete", path.display());
+    }
 }
 
 /// Also keeps the log in memory from now on.
@@ -85,7 +96,7 @@ fn lock_kept() -> MutexGuard<'static, Option<Vec<u8>>> {
     KEPT.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-fn lock() -> MutexGuard<'static, Option<File>> {
+fn lock() -> MutexGuard<'static, Option<LogFile>> {
     FILE.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
@@ -105,11 +116,16 @@ impl Write for ToFile {
         if let Some(kept) = lock_kept().as_mut() {
             kept.extend_from_slice(bytes);
         }
-        // Write everything: a partial write would be retried and kept twice in memory.
-        lock().as_mut().map_or(Ok(()), |file| file.write_all(bytes)).map(|()| bytes.len())
+        if let Some(log) = lock().as_mut() {
+            // Write everything: a partial write would be retried and kept twice in memory.
+            if let Err(error) = log.file.write_all(bytes) {
+                log.failure.get_or_insert(error);
+            }
+        }
+        Ok(bytes.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        lock().as_mut().map_or(Ok(()), File::flush)
+        Ok(())
     }
 }

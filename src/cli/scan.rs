@@ -24,7 +24,7 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
         unreadable.map_or_else(|| failed(&error), Failure::Wrong)
     })?;
     let are_many = inputs.len() > 1;
-    let sizes = inputs.iter().enumerate().map(|(number, input)| (number, engine::size(&input.path)));
+    let sizes = (0..).zip(engine::sizes(inputs.iter().map(|input| input.path.as_path())));
     let mut progress = Progress::new(args.progress.without_lines(quiet), sizes.collect());
     let scans = inputs.into_iter().enumerate().map(|(number, Input { path, stem })| {
         let name = match &args.name {

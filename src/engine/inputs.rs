@@ -1,12 +1,13 @@
 //! Expands the paths of a reader into the inputs of the runs.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 
 use super::RunError;
 use crate::job::Job;
 use crate::stage::{Outputs, Paths, RunContext, StageError, fixed_folder};
-use wavex_formats::{CompanionIndex, companions, unsupported};
+use wavex_formats::{CompanionIndex, unsupported};
 
 /// Input of one run.
 #[derive(Debug, PartialEq)]
@@ -87,6 +88,9 @@ fn matches(pattern: &str, input_dir: &Path) -> Result<Vec<PathBuf>, RunError> {
     for entry in found {
         paths.push(entry.map_err(|e| fail(e.to_string(), "check the folder's permissions"))?);
     }
+    if let Some(path) = not_unicode(&whole) {
+        return Err(fail(format!("{}: the name is not Unicode", path.display()), "rename the file"));
+    }
     if paths.is_empty() {
         return Err(fail(
             format!("no file matches `{}`", path.display()),
@@ -97,10 +101,34 @@ fn matches(pattern: &str, input_dir: &Path) -> Result<Vec<PathBuf>, RunError> {
     Ok(paths)
 }
 
+/// A file that would match a pattern if its name were Unicode; `glob` passes over it.
+fn not_unicode(pattern: &str) -> Option<PathBuf> {
+    let (folder, name) = match pattern.rsplit_once('/') {
+        None => (".", pattern),
+        Some(("", name)) => ("/", name),
+        Some(parts) => parts,
+    };
+    let name = glob::Pattern::new(name).ok()?;
+    let has_match = |entry: &DirEntry| {
+        entry.file_name().to_str().is_none() && name.matches(&entry.file_name().to_string_lossy())
+    };
+    let folders = glob::glob(folder).ok()?.flatten();
+    let mut entries = folders.filter_map(|folder| folder.read_dir().ok()).flatten().flatten();
+    entries.find(has_match).map(|entry| entry.path())
+}
+
 /// Size of an input with its companion files, bytes; at least 1.
 pub(crate) fn size(input: &Path) -> u64 {
-    let files = companions(input).into_iter().chain([input.to_owned()]);
-    files.filter_map(|path| path.metadata().ok()).map(|about| about.len()).sum::<u64>().max(1)
+    sizes([input]).sum()
+}
+
+/// Sizes of inputs as [`size`] gives them; lists each folder once.
+pub(crate) fn sizes<'p>(inputs: impl IntoIterator<Item = &'p Path>) -> impl Iterator<Item = u64> {
+    let mut index = CompanionIndex::default();
+    inputs.into_iter().map(move |input| {
+        let files = index.of(input).into_iter().chain([input.to_owned()]);
+        files.filter_map(|path| path.metadata().ok()).map(|about| about.len()).sum::<u64>().max(1)
+    })
 }
 
 /// Output files of all runs, by the folder in which they are claimed.
@@ -164,6 +192,19 @@ mod tests {
             folder.path().join("*.sdf").display()
         );
         assert_eq!(error.to_string(), expected);
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_name_that_is_not_unicode_is_told() {
+        use std::os::unix::ffi::OsStrExt;
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("a.pls"), b"").unwrap();
+        fs::write(folder.path().join(std::ffi::OsStr::from_bytes(b"b\xff.pls")), b"").unwrap();
+        let expand = |pattern: &str| expand(Some(&Paths::One(pattern.into())), "", folder.path());
+        let error = expand("*.pls").unwrap_err().to_string();
+        assert!(error.ends_with("b\u{fffd}.pls: the name is not Unicode; rename the file"), "{error}");
+        assert_eq!(expand("a*.pls").unwrap().len(), 1, "other files do not matter");
     }
 
     #[test]

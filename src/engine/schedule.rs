@@ -119,7 +119,10 @@ fn one(
 pub(super) fn run_input(shared: &Shared, mut site: RunContext, options: &Options, gauge: &Gauge) -> Ended {
     let loaded = shared.geometry.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).load(&site.stem);
     match loaded {
-        Ok(its_geometry) => site.geometry = Arc::new(its_geometry),
+        Ok(its_geometry) => {
+            site.geometry = Arc::new(its_geometry);
+            site.read_ppm = Arc::clone(&gauge.read_ppm);
+        }
         Err(error) => {
             let not_run = InputSummary::not_run(&site);
             let cause = Cause::Stage(error.into());

@@ -36,7 +36,7 @@ pub(super) struct Shared<'a> {
 #[derive(Debug, Default)]
 pub struct Gauge {
     /// Fraction of the input read, ppm; `u64::MAX` if unknown.
-    pub(super) read_ppm: AtomicU64,
+    pub(super) read_ppm: Arc<AtomicU64>,
     pub(super) lines_read: AtomicU64,
     pub(super) shots_read: AtomicU64,
     /// Lines and shots that have left the chain.

@@ -9,6 +9,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::{JobError, JobSettings};
+use crate::keys::{FileMark, Keys};
 use crate::registry::{find_in, nearest_of};
 use crate::stage::StageSpec;
 
@@ -78,6 +79,32 @@ impl<'t> Draft<'t> {
             errors.push(JobError::of_job("the job has no stage").help(help));
         }
         (Draft { settings, stages }, errors)
+    }
+}
+
+impl Draft<'_> {
+    /// Errors for libraries that the text names.
+    ///
+    /// Jobs pass from hand to hand, and a library runs with all rights of the user.
+    pub(super) fn libraries(&self) -> Vec<JobError> {
+        let mut errors = Vec::new();
+        for stage in &self.stages {
+            let Some(spec) = stage.spec else { continue };
+            let keys = Keys::of(spec.schema);
+            let is_library =
+                |name: &str| keys.get(name).is_some_and(|key| key.file_mark() == Some(FileMark::Library));
+            for (key, value) in stage.keys.get_ref().iter().filter(|(key, _)| is_library(key.get_ref())) {
+                let key = key.get_ref();
+                let problem = format!("a job cannot name a library (`{key}`)");
+                let help = format!(
+                    "name it on the command line, `--set {}.{key}=PATH`, or in the environment variable {}",
+                    stage.id,
+                    wavex_formats::sdf::library::VARIABLE
+                );
+                errors.push(JobError::at(value.span(), problem).help(help));
+            }
+        }
+        errors
     }
 }
 

@@ -83,8 +83,12 @@ impl Source for ExcerptSource {
         let may_skip =
             |skip: &mut Skip| skip.may_skip.load(Ordering::Relaxed) && self.source.location().is_some();
         if let Some(skip) = self.skip.take_if(may_skip) {
+            let read_ppm = Arc::clone(&skip.site.read_ppm);
             let mut recording = Recording::of_reader(skip.reader, &skip.keys, skip.site)?;
-            let index = recording.index(&mut |_| Ok(()))?;
+            let index = recording.index(&mut |part| {
+                read_ppm.store((part * 1e6) as u64, Ordering::Relaxed);
+                Ok(())
+            })?;
             if let Some(of_shot) = index.of_shot(skip.shot).next() {
                 let first = of_shot.saturating_sub(skip.margin).max(self.lines);
                 let end = index.lines().len().min(of_shot + skip.margin + 1);

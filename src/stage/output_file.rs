@@ -6,6 +6,7 @@ use std::io::{self, BufWriter, ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
 
+use super::own_file;
 use wavex_formats::{Error, Result};
 
 /// A file being written under a temporary name; removed if dropped before [`OutputFile::finish`].
@@ -21,6 +22,8 @@ pub struct FinishedFile {
     partial: TempFile,
     /// Files to remove before this one gets its final name.
     stale: Vec<PathBuf>,
+    /// Whether the content is on the disk; the name then gets there as well.
+    is_synced: bool,
 }
 
 /// A file under a temporary name; removed when dropped unless renamed.
@@ -67,7 +70,7 @@ impl OutputFile {
             return Err(Error::unusable(path, "a folder with the name of this output exists", remedy));
         }
         let temporary = partial_path(path, std::process::id());
-        let file = File::create(&temporary).map_err(Error::io(path, "create"))?;
+        let file = own_file::create_anew(&temporary).map_err(Error::io(path, "create"))?;
         let partial = TempFile::new(temporary, path);
         Ok(OutputFile { writer: BufWriter::with_capacity(1 << 18, file), partial })
     }
@@ -82,7 +85,7 @@ impl OutputFile {
         let path = self.partial.path.clone();
         let file = self.writer.into_inner().map_err(|e| Error::io(&path, "write")(e.into_error()))?;
         file.sync_all().map_err(Error::io(&path, "write"))?;
-        Ok(FinishedFile { partial: self.partial, stale: Vec::new() })
+        Ok(FinishedFile { partial: self.partial, stale: Vec::new(), is_synced: true })
     }
 
     /// Flushes the file; it is complete unless the machine stops.
@@ -91,7 +94,7 @@ impl OutputFile {
     pub fn finish_without_sync(self) -> Result<FinishedFile> {
         let path = self.partial.path.clone();
         self.writer.into_inner().map_err(|e| Error::io(&path, "write")(e.into_error()))?;
-        Ok(FinishedFile { partial: self.partial, stale: Vec::new() })
+        Ok(FinishedFile { partial: self.partial, stale: Vec::new(), is_synced: false })
     }
 }
 
@@ -159,6 +162,10 @@ impl FinishedFile {
         fs::rename(&partial.temporary, &partial.path)
             .map_err(Error::io(&partial.path, "rename to the final name"))?;
         partial.renamed = true;
+        let folder = partial.path.parent().unwrap_or(Path::new("."));
+        if self.is_synced {
+            own_file::sync_folder(folder).map_err(Error::io(folder, "write the folder"))?;
+        }
         Ok(partial.path.clone())
     }
 }
@@ -205,6 +212,22 @@ mod tests {
         whole.publish().unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"abc");
         assert_eq!(names(path.parent().unwrap()), ["points.laz"]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_planted_link_is_replaced_and_not_followed() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, victim) = (folder.path().join("a.laz"), folder.path().join("victim"));
+        fs::write(&victim, "dear").unwrap();
+        std::os::unix::fs::symlink(&victim, partial_path(&path, std::process::id())).unwrap();
+        let mut file = OutputFile::create(&path).unwrap();
+        file.write_all(b"abc").unwrap();
+        file.finish().unwrap().publish().unwrap();
+        assert_eq!(
+            (fs::read(&path).unwrap(), fs::read(&victim).unwrap()),
+            (b"abc".to_vec(), b"dear".to_vec())
+        );
     }
 
     #[test]

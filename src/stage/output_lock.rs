@@ -6,13 +6,14 @@
 //! unfinished files are removed.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::{self, Read, Write};
-use std::path::{Path, PathBuf};
+use std::fs::{self, DirEntry, File, OpenOptions, TryLockError};
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::path::{Component, Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
+use std::time::{Duration, Instant};
 
 use super::output_file::partial_path;
-use super::{Result, StageError};
+use super::{Result, StageError, own_file};
 use wavex_formats::Error;
 
 /// Prefix and suffix of claim names; the process id and the claim number are in between.
@@ -21,6 +22,12 @@ const CLAIM: (&str, &str) = (".wavex-", ".run");
 const GATE: &str = ".wavex.lock";
 /// Maximum number of attempts to lock the gate while others give it up.
 const MOST_ATTEMPTS: u32 = 10_000;
+/// Time between two attempts to lock a gate that another process holds.
+const ATTEMPT_EVERY: Duration = Duration::from_millis(5);
+/// Waiting time after which a message says what a run waits for.
+const SILENT_WAIT: Duration = Duration::from_secs(2);
+/// Maximum waiting time for the gate; others hold it for some milliseconds.
+const LONGEST_WAIT: Duration = Duration::from_secs(60);
 /// Maximum size of a list of outputs, bytes.
 const MOST_BYTES: u64 = 1 << 26;
 
@@ -98,6 +105,13 @@ fn is_unsupported(error: &io::Error) -> bool {
 
 fn claim(folder: &Path, paths: &BTreeSet<PathBuf>) -> Result<Claim> {
     let gate = Gate::enter(folder).map_err(Error::io(folder, "lock the output folder"))?;
+    let claimed = claim_in(folder, paths);
+    gate.leave();
+    claimed
+}
+
+/// Claims outputs within the gate of their folder.
+fn claim_in(folder: &Path, paths: &BTreeSet<PathBuf>) -> Result<Claim> {
     let wanted = paths.iter().map(|path| below(folder, path)).collect();
     for claim in claims(folder) {
         if let Some(other) =
@@ -106,9 +120,7 @@ fn claim(folder: &Path, paths: &BTreeSet<PathBuf>) -> Result<Claim> {
             other.check(folder, &wanted)?;
         }
     }
-    let made = make(folder, &wanted).map_err(Error::io(folder, "claim the outputs in"))?;
-    gate.leave();
-    Ok(made)
+    Ok(make(folder, &wanted).map_err(Error::io(folder, "claim the outputs in"))?)
 }
 
 /// Path relative to a folder that contains it.
@@ -118,13 +130,16 @@ fn below(folder: &Path, path: &Path) -> String {
 
 /// Claims in a folder.
 fn claims(folder: &Path) -> Vec<PathBuf> {
-    let is_claim = |path: &PathBuf| {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        name.starts_with(CLAIM.0) && name.ends_with(CLAIM.1)
+    let is_claim = |entry: &DirEntry| {
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        // Links and pipes are not ours.
+        let is_file = || entry.file_type().is_ok_and(|kind| kind.is_file());
+        name.starts_with(CLAIM.0) && name.ends_with(CLAIM.1) && is_file()
     };
     // A folder that cannot be listed has no readable claims.
     let entries = folder.read_dir().into_iter().flatten().flatten();
-    entries.map(|entry| entry.path()).filter(is_claim).collect()
+    entries.filter(is_claim).map(|entry| entry.path()).collect()
 }
 
 /// Process id in a claim's name.
@@ -134,7 +149,7 @@ fn process_of(claim: &Path) -> u32 {
     numbers.split('-').next().and_then(|number| number.parse().ok()).unwrap_or(0)
 }
 
-/// Creates and locks a claim of this process.
+/// Creates and locks a claim of this process, within the gate of its folder.
 fn make(folder: &Path, wanted: &BTreeSet<String>) -> io::Result<Claim> {
     let list = serde_json::to_vec(wanted)?;
     let mut number = 0;
@@ -144,10 +159,13 @@ fn make(folder: &Path, wanted: &BTreeSet<String>) -> io::Result<Claim> {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => number += 1,
             Err(error) => return Err(error),
             Ok(mut file) => {
-                let locked = file.lock().and_then(|()| file.write_all(&list));
+                if let Err(error) = file.lock().and_then(|()| file.write_all(&list)) {
+                    // Not by dropping a claim, which would wait for the gate that is held here.
+                    remove(&path);
+                    return Err(error);
+                }
                 claimed().insert(path.clone());
-                let claim = Claim { path, file: Some(file) };
-                return locked.map(|()| claim);
+                return Ok(Claim { path, file: Some(file) });
             }
         }
     }
@@ -163,7 +181,7 @@ struct Other {
 impl Other {
     /// Inspects a claim; `None` if its run is dead, after removing its remains.
     fn look(claim: &Path) -> io::Result<Option<Other>> {
-        let mut file = match OpenOptions::new().read(true).write(true).open(claim) {
+        let mut file = match own_file::no_link().read(true).write(true).open(claim) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             opened => opened?,
         };
@@ -180,8 +198,8 @@ impl Other {
             return Ok(Some(Other { process, outputs }));
         }
         let folder = claim.parent().unwrap_or(Path::new("."));
-        for output in outputs.iter().flatten() {
-            remove(&partial_path(&folder.join(output), process));
+        for output in outputs.iter().flatten().filter_map(|output| inside(folder, output)) {
+            remove(&partial_path(&output, process));
         }
         remove(claim);
         Ok(None)
@@ -203,6 +221,15 @@ impl Other {
     }
 }
 
+/// Path of an output in a claim, if it is below the folder; others may write claims as well.
+fn inside(folder: &Path, output: &str) -> Option<PathBuf> {
+    let is_plain = Path::new(output).components().all(|step| matches!(step, Component::Normal(_)));
+    let path = folder.join(output);
+    // Links among its folders may lead elsewhere.
+    let parent = path.parent()?.canonicalize().ok()?;
+    (is_plain && parent.starts_with(folder.canonicalize().ok()?)).then_some(path)
+}
+
 /// Removes a file or folder of a dead run; ignores errors, because remains do no harm.
 fn remove(path: &Path) {
     let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
@@ -216,6 +243,40 @@ impl Drop for Claim {
     }
 }
 
+/// Locks a gate until the longest wait since `started`; says what it waits for.
+fn lock_within(file: &File, started: Instant, path: &Path) -> io::Result<()> {
+    let mut is_told = false;
+    loop {
+        match file.try_lock() {
+            Ok(()) => return Ok(()),
+            Err(TryLockError::Error(error)) => return Err(error),
+            Err(TryLockError::WouldBlock) => {}
+        }
+        let waited = started.elapsed();
+        if waited > LONGEST_WAIT {
+            let waited_s = LONGEST_WAIT.as_secs();
+            let problem = format!("another process has held {GATE} in it for {waited_s} s; end that process");
+            return Err(io::Error::new(io::ErrorKind::TimedOut, problem));
+        }
+        if waited > SILENT_WAIT && !is_told {
+            tracing::warn!("waiting for {}, which another process holds", path.display());
+            is_told = true;
+        }
+        std::thread::sleep(ATTEMPT_EVERY);
+    }
+}
+
+/// Whether a file ends with these bytes.
+fn ends_with(path: &Path, bytes: &[u8]) -> bool {
+    let read = || -> io::Result<Vec<u8>> {
+        let mut file = own_file::no_link().read(true).open(path)?;
+        file.seek(SeekFrom::End(-(bytes.len() as i64)))?;
+        let mut end = vec![0; bytes.len()];
+        file.read_exact(&mut end).map(|()| end)
+    };
+    read().is_ok_and(|end| end == bytes)
+}
+
 /// Serialises access to the claims of a folder.
 struct Gate {
     file: File,
@@ -225,9 +286,11 @@ struct Gate {
 impl Gate {
     fn enter(folder: &Path) -> io::Result<Gate> {
         let path = folder.join(GATE);
+        let started = Instant::now();
         for attempt in 0..MOST_ATTEMPTS {
-            let mut file = OpenOptions::new().read(true).append(true).create(true).open(&path)?;
-            file.lock()?;
+            let opened = own_file::no_link().read(true).append(true).create(true).open(&path);
+            let mut file = opened.map_err(|error| own_file::explained(&path, error))?;
+            lock_within(&file, started, &path)?;
             if file.metadata()?.len() == 0 {
                 return Ok(Gate { file, folder: folder.to_owned() });
             }
@@ -235,7 +298,7 @@ impl Gate {
             // before it could remove this one. A mark written to this file shows which.
             let mark = format!("{}-{attempt}\n", std::process::id());
             file.write_all(mark.as_bytes())?;
-            if fs::read_to_string(&path).is_ok_and(|found| found.ends_with(&mark)) {
+            if ends_with(&path, mark.as_bytes()) {
                 fs::remove_file(&path)?;
             }
         }
@@ -297,6 +360,42 @@ mod tests {
         fs::write(folder.join(".b.laz.78.partial"), "of somebody else").unwrap();
         drop(OutputLock::acquire(&outputs(folder, &["a.laz"])).unwrap());
         assert_eq!(names(folder), [".b.laz.78.partial"]);
+    }
+
+    #[test]
+    fn a_forged_claim_removes_nothing_elsewhere() {
+        let place = tempfile::tempdir().unwrap();
+        let (folder, other) = (place.path().join("out"), place.path().join("other"));
+        fs::create_dir(&folder).unwrap();
+        fs::create_dir(&other).unwrap();
+        let victim = other.join(".a.laz.77.partial");
+        fs::write(&victim, "of another run").unwrap();
+        let outputs_of_claim = ["../other/a.laz", &other.join("a.laz").display().to_string(), "link/a.laz"];
+        #[cfg(unix)]
+        std::os::unix::fs::symlink(&other, folder.join("link")).unwrap();
+        fs::write(folder.join(".wavex-77-0.run"), serde_json::to_vec(&outputs_of_claim).unwrap()).unwrap();
+        drop(OutputLock::acquire(&outputs(&folder, &["b.laz"])).unwrap());
+        assert!(victim.exists());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn planted_links_and_pipes_are_not_followed() {
+        use std::os::unix::fs::symlink;
+        let place = tempfile::tempdir().unwrap();
+        let (folder, victim) = (place.path().join("out"), place.path().join("victim"));
+        fs::create_dir(&folder).unwrap();
+        fs::write(&victim, "[]").unwrap();
+        symlink(&victim, folder.join(".wavex-77-0.run")).unwrap();
+        drop(OutputLock::acquire(&outputs(&folder, &["a.laz"])).unwrap());
+        assert!(victim.exists());
+        symlink(&victim, folder.join(GATE)).unwrap();
+        let error = OutputLock::acquire(&outputs(&folder, &["a.laz"])).unwrap_err().to_string();
+        assert!(
+            error.ends_with("cannot lock the output folder: `.wavex.lock` is a link; remove it"),
+            "{error}"
+        );
+        assert_eq!(fs::read(&victim).unwrap(), b"[]");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 
 use rayon::ThreadPool;
 use schemars::JsonSchema;
@@ -36,6 +36,10 @@ pub struct RunContext {
     pub geometry: Arc<Geometry>,
     /// Sensor models of the survey; `None`: the recording has its own.
     pub survey: Option<Arc<SurveyModels>>,
+    /// Fraction of the input read, ppm, for the progress display.
+    ///
+    /// The engine sets it behind each line; a source that works long on one line sets it meanwhile.
+    pub read_ppm: Arc<AtomicU64>,
     /// Whether stages write files; if not, their lines are only observed.
     pub has_outputs: bool,
 }
@@ -54,6 +58,7 @@ impl RunContext {
             pool: None,
             simd: SimdLevel::Portable,
             cancelled: Arc::default(),
+            read_ppm: Arc::default(),
             geometry: Arc::default(),
             survey: None,
             has_outputs: true,

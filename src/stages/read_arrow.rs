@@ -1,6 +1,6 @@
 //! `read_arrow`: reads recorded waveforms from the open container.
 
-use std::path::Path;
+use std::io::Read;
 use std::sync::Arc;
 
 use schemars::JsonSchema;
@@ -17,6 +17,7 @@ use crate::scan_line::{
 use crate::stage::{
     self, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
 };
+use wavex_formats::Error;
 use wavex_formats::container::{
     self, ContainerBlock, ContainerLine, ContainerOnline, ContainerReader, ContainerShot,
 };
@@ -104,7 +105,10 @@ impl SourceConfig for Config {
     }
 
     fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        let source = ArrowLineReader::open(&site.input, &site.stem, self.sampling())?;
+        let mut source = ArrowLineReader::open(site, self.sampling())?;
+        if !with_samples {
+            source.reader.skip_samples();
+        }
         let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
         let declared = Declared::new(times, crs, self.refractive_index_ppm, site)?;
         Ok(Box::new(AsDeclared::new(ArrowLineReader { with_samples, ..source }, declared)))
@@ -114,8 +118,7 @@ impl SourceConfig for Config {
 /// A container being read.
 struct ArrowLineReader {
     reader: ContainerReader,
-    /// If false, blocks have a sample count but no samples. Samples are decoded anyway: only whole
-    /// columns can be skipped, and samples are part of the column `blocks`.
+    /// If false, blocks have a sample count but no samples.
     with_samples: bool,
     info: Arc<InputInfo>,
     /// The current record line, and its first row not yet emitted.
@@ -132,10 +135,11 @@ const GAINS: std::ops::RangeInclusive<f64> = 1.0 / 1024.0..=1024.0;
 const UNIT_TOLERANCE: f64 = 1e-6;
 
 impl ArrowLineReader {
-    fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<ArrowLineReader> {
-        let mut reader = match path.as_os_str() == "-" {
-            true => ContainerReader::from_stream(path, Box::new(std::io::stdin()))?,
-            false => ContainerReader::open(path)?,
+    fn open(site: &RunContext, sampling: Sampling) -> Result<ArrowLineReader> {
+        let (path, stem) = (&site.input, &site.stem);
+        let mut reader = match pipe(site).map_err(Error::io(path, "open"))? {
+            Some(pipe) => ContainerReader::from_stream(path, pipe)?,
+            None => ContainerReader::open(path)?,
         };
         let first = reader.next_line()?;
         let reference = match first.as_ref().is_some_and(has_outgoing_pulse) {
@@ -143,7 +147,7 @@ impl ArrowLineReader {
             false => EmissionReference::Clock,
         };
         let format = format!("wavex container {} (Arrow IPC {})", container::VERSION, reader.form());
-        let info = info_of(reader.header(), path.to_path_buf(), stem.to_string(), format, reference);
+        let info = info_of(reader.header(), path.clone(), stem.clone(), format, reference);
         let mut info = sampling.with(info);
         if first.as_ref().is_some_and(ContainerLine::has_gain) {
             info.gain_control = GainControl::Recorded;
@@ -260,6 +264,29 @@ impl Source for ArrowLineReader {
         }
         Ok(self.part(cx))
     }
+}
+
+/// Opens standard input or a named pipe; `None` for a file.
+///
+/// Where a wait for bytes can be ended, it ends with the run.
+fn pipe(site: &RunContext) -> std::io::Result<Option<Box<dyn Read + Send>>> {
+    let is_standard_input = site.input.as_os_str() == "-";
+    #[cfg(unix)]
+    {
+        use crate::system::pipe::Pipe;
+        use std::os::unix::fs::FileTypeExt;
+        let is_pipe = || std::fs::metadata(&site.input).is_ok_and(|about| about.file_type().is_fifo());
+        let cancelled = Arc::clone(&site.cancelled);
+        Ok(if is_standard_input {
+            Some(Box::new(Pipe::standard_input(cancelled)?))
+        } else if is_pipe() {
+            Some(Box::new(Pipe::open(&site.input, cancelled)?))
+        } else {
+            None
+        })
+    }
+    #[cfg(not(unix))]
+    Ok(is_standard_input.then(|| Box::new(std::io::stdin()) as Box<dyn Read + Send>))
 }
 
 fn has_outgoing_pulse(line: &ContainerLine) -> bool {

@@ -136,6 +136,7 @@ impl SourceConfig for ReadLas {
     fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         let open = || LasReader::open(&site.input, &site.stem, self.sampling());
         let mut source = open()?;
+        source.reader.skip_unused_fields();
         (source.with_samples, source.range_time_offset_ns) = (with_samples, self.range_time_offset_ns);
         if with_samples && source.geometry.has_locations {
             source.choose_emission(self.emission, &mut open()?);
@@ -494,8 +495,9 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
 /// Packet offsets of recently read waveforms, to avoid decomposing one twice.
 #[derive(Default)]
 struct Recent {
-    offsets: HashSet<u64>,
     order: VecDeque<u64>,
+    /// The same offsets, once they no longer ascend; most files ascend, and need no set.
+    unordered: Option<HashSet<u64>>,
 }
 
 /// Number of waveforms remembered.
@@ -503,14 +505,24 @@ const REMEMBERED: usize = 1 << 16;
 
 impl Recent {
     fn is_new(&mut self, offset: u64) -> bool {
-        if !self.offsets.insert(offset) {
+        let is_known = match &mut self.unordered {
+            Some(offsets) => !offsets.insert(offset),
+            None if self.order.back().is_none_or(|last| *last < offset) => false,
+            None if self.order.binary_search(&offset).is_ok() => true,
+            None => {
+                self.unordered = Some(self.order.iter().copied().chain([offset]).collect());
+                false
+            }
+        };
+        if is_known {
             return false;
         }
         self.order.push_back(offset);
-        if self.order.len() > REMEMBERED
-            && let Some(oldest) = self.order.pop_front()
-        {
-            self.offsets.remove(&oldest);
+        if self.order.len() > REMEMBERED {
+            let oldest = self.order.pop_front();
+            if let (Some(oldest), Some(offsets)) = (oldest, &mut self.unordered) {
+                offsets.remove(&oldest);
+            }
         }
         true
     }
@@ -526,6 +538,8 @@ mod tests {
         assert!(recent.is_new(60));
         assert!(recent.is_new(180));
         assert!(!recent.is_new(60));
+        assert!(recent.is_new(120), "offsets need not ascend");
+        assert!(!recent.is_new(120) && !recent.is_new(60) && !recent.is_new(180));
         (0..REMEMBERED as u64).for_each(|i| assert!(recent.is_new(1000 + i)));
         assert!(recent.is_new(60), "old offsets are forgotten");
     }

@@ -37,7 +37,7 @@ with_time_keys! {
 /// owners of a RIEGL instrument get it from RIEGL, and wavex may not ship it. It is loaded at run
 /// time: `sdfifc` for `.sdf`, `wfmifc-mt` for `.wfm`. It is looked for where the key `library`
 /// points, then where the environment variable `WAVEX_RIWAVELIB` points, then in the usual library
-/// folders.
+/// folders. The log names the library before it is loaded.
 ///
 /// A block belongs to the shot whose range gate was open when the echo arrived, which need not be
 /// the shot that caused it: its MTA zone is unresolved. Origins and directions are in the scanner's
@@ -75,8 +75,10 @@ with_time_keys! {
 pub struct Config {
     /// The `.sdf` or `.wfm` file, a list of files, or a pattern. The job runs once for each.
     pub path: Paths,
-    /// RIEGL's library, or the folder that contains it.
+    /// RIEGL's library, or the folder that contains it. Cannot be set in a job file, which may come
+    /// from others: give `--set read_sdf.library=PATH` on the command line.
     #[serde(default)]
+    #[schemars(extend("x-file" = "library"))]
     pub library: Option<String>,
     /// Folder for the index that the library creates, if the folder of the data is not writable. It
     /// must support symbolic links.
@@ -179,7 +181,9 @@ impl SdfLineReader {
             if in_folder.exists() || library.contains(['/', '\\']) { in_folder } else { library.into() }
         });
         let index_dir = config.index_dir.as_ref().map(|folder| site.input_path(Path::new(folder)));
-        let mut reader = SdfReader::open(path, library.as_deref(), index_dir.as_deref())?;
+        let mut reader = SdfReader::open(path, library.as_deref(), index_dir.as_deref(), &|file| {
+            tracing::info!("loading the library {}", file.display());
+        })?;
         let (tables, mut remarks) = reader.tables();
         let about = match &config.gps_date {
             Some(date) => time::noon(date),

@@ -91,6 +91,7 @@ impl TestFolder {
         command.args(["-c", "ulimit -v 2000000 2>/dev/null; exec \"$0\" \"$@\""]).arg(program());
         command.args(["--quiet", "run", "job.toml"]).current_dir(self.folder.path());
         command.stdin(Stdio::null()).env_remove("RUST_LOG");
+        command.env("WAVEX_RIWAVELIB", crate::sdf::stand_in());
         command
     }
 

@@ -85,10 +85,8 @@ pub fn place(recording: &[u8], mischief: &str) -> TestFolder {
 
 /// Stages of a job that copies a recording, read with these keys, to `out/sdf.arrow`.
 pub fn copy(keys: &str) -> String {
-    let library = stand_in();
-    let library = library.display();
     format!(
-        "[[stage]]\ntype = 'read_sdf'\npath = '{NAME}'\nlibrary = '{library}'\n{keys}\n\
+        "[[stage]]\ntype = 'read_sdf'\npath = '{NAME}'\n{keys}\n\
          [[stage]]\ntype = 'write_arrow'\npath = 'sdf.arrow'\ncompression = 'none'\n"
     )
 }

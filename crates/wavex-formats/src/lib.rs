@@ -31,6 +31,7 @@
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -125,6 +126,20 @@ impl Error {
             Error::Io { file, .. } | Error::Malformed { file, .. } | Error::Unusable { file, .. } => file,
         }
     }
+}
+
+/// Opens a file of data; pipes and devices, whose opening or reading may never end, are refused.
+///
+/// # Errors
+/// If it is one, or the system refuses.
+pub fn regular_file(path: &Path) -> Result<File> {
+    if let Ok(about) = fs::metadata(path)
+        && !about.is_file()
+        && !about.is_dir()
+    {
+        return Err(Error::unusable(path, "a pipe or device", "copy its content to a file"));
+    }
+    File::open(path).map_err(Error::io(path, "open"))
 }
 
 /// Returns advice for an I/O error, to end a message.

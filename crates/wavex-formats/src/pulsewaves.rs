@@ -27,7 +27,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use super::{Error, Result};
+use super::{Error, Result, regular_file};
 
 mod descriptor;
 mod header;
@@ -237,7 +237,7 @@ fn wave_offset(file: &Path, header: &Header, length: u64, pulse: &Pulse) -> Resu
 
 /// Opens a buffered window over a file.
 fn open(path: &Path) -> Result<Window<File>> {
-    let file = File::open(path).map_err(Error::io(path, "open"))?;
+    let file = regular_file(path)?;
     let about = file.metadata().map_err(Error::io(path, "open"))?;
     if !about.is_file() {
         return Err(Error::unusable(path, "this is not a file", "give a .pls file"));

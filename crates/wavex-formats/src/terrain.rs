@@ -1,10 +1,9 @@
 //! Terrain models from GeoTIFF or ESRI ASCII grids.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::{Error, Result};
+use super::{Error, Result, regular_file};
 
 mod ascii;
 mod geotiff;
@@ -57,7 +56,7 @@ impl Terrain {
     /// The file is not a height raster, is not north up, has over 100 million cells, or has no
     /// heights.
     pub fn open(path: &Path) -> Result<Terrain> {
-        let mut file = File::open(path).map_err(Error::io(path, "open"))?;
+        let mut file = regular_file(path)?;
         let mut magic = [0; 4];
         let read = file.read(&mut magic).map_err(Error::io(path, "read"))?;
         let is_tiff = read == 4 && (magic[..2] == *b"II" || magic[..2] == *b"MM") && magic.contains(&0);

@@ -1,5 +1,7 @@
 //! Conversion of rows to lines, and rejection of rows.
 
+use std::path::Path;
+
 use super::*;
 use crate::stage::Config as _;
 use wavex_formats::container::{Compression, ContainerHeader, ContainerWriter, LineBuilder, channel};
@@ -60,7 +62,7 @@ fn read(bytes: &[u8]) -> (Vec<ScanLine>, Context) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("made.arrow");
     std::fs::write(&path, bytes).unwrap();
-    let mut source = ArrowLineReader::open(&path, "made", NO_WORD).unwrap();
+    let mut source = ArrowLineReader::open(&RunContext::alone(&path), NO_WORD).unwrap();
     let mut cx = Context::default();
     let batches = std::iter::from_fn(|| source.next(&mut cx).unwrap()).collect();
     assert_eq!(source.progress(), Some(1.0));

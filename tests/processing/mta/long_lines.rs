@@ -7,9 +7,9 @@
 use serde_json::Value;
 use wavex_formats::container::{ContainerShot, channel};
 
-use super::flights::{Table, peak_kb, text};
+use super::flights::{Table, peak_kb};
 use wavex_testkit::container::{Row, container, rows};
-use wavex_testkit::sdf::{NAME, header, stand_in};
+use wavex_testkit::sdf::{NAME, header};
 use wavex_testkit::{Outcome, TestFolder, notes};
 
 const INTERVAL_PS: f64 = 2.5e6;
@@ -105,7 +105,7 @@ impl Flight {
     /// most memory.
     fn job(&self, reader: &str) -> String {
         let source = match reader {
-            "read_sdf" => format!("type = 'read_sdf'\npath = '{NAME}'\nlibrary = '{}'", text(&stand_in())),
+            "read_sdf" => format!("type = 'read_sdf'\npath = '{NAME}'"),
             reader => format!("type = '{reader}'\npath = '{NAME}'"),
         };
         let ends = match self.finds_returns {

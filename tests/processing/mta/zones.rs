@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use super::flights::{
-    FLIGHT, Found, Table, chain, fly, in_scanner_frame, lines_of, recorded, resolve, score, stage, text,
+    FLIGHT, Found, Table, chain, fly, in_scanner_frame, lines_of, recorded, resolve, score, stage,
 };
-use wavex_testkit::sdf::{NAME, stand_in};
+use wavex_testkit::sdf::NAME;
 use wavex_testkit::{Outcome, TestFolder};
 
 /// Amplitude at which a return is found despite noise, DN.
@@ -98,11 +98,7 @@ fn sdf_and_container_give_the_same_returns() {
     let flight = in_scanner_frame();
     let by_container = resolve(&flight.recording, "");
     let place = TestFolder::with(&[(NAME, &flight.recording)]);
-    let reader = format!(
-        "[[stage]]\ntype = 'read_sdf'\npath = '{NAME}'\nlibrary = '{}'\n{}",
-        text(&stand_in()),
-        chain("")
-    );
+    let reader = format!("[[stage]]\ntype = 'read_sdf'\npath = '{NAME}'\n{}", chain(""));
     assert_eq!(place.run(&reader), Outcome::success());
     assert!(by_container.returns == place.text("out/returns.csv"), "to the byte");
     let score = score(&flight.truth, &by_container.returns);

@@ -10,12 +10,6 @@ fn recording() -> Vec<u8> {
     container(&header(), &[plain_line(0..5, 0)])
 }
 
-/// The job without the key that names the library.
-fn unnamed() -> String {
-    let line = format!("library = '{}'\n", stand_in().display());
-    copy("").replace(&line, "")
-}
-
 fn library_file(stem: &str) -> String {
     format!("{}{stem}{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX)
 }
@@ -23,9 +17,17 @@ fn library_file(stem: &str) -> String {
 const REMEDY: &str = "give the path of RIEGL's Waveform Extraction Library (sdfifc for `.sdf`, \
                       wfmifc-mt for `.wfm`), built for this system, or its folder";
 
-/// Runs without a library in the job, with this environment variable.
+/// Runs with this library on the command line.
+fn with_key(place: &TestFolder, library: &str) -> Outcome {
+    let mut command = place.command(&copy(""));
+    outcome(
+        command.args(["--set", &format!("read_sdf.library={library}")]).env("WAVEX_RIWAVELIB", "/nowhere"),
+    )
+}
+
+/// Runs with this environment variable.
 fn with_variable(place: &TestFolder, value: Option<&Path>) -> Outcome {
-    let mut command = place.command(&unnamed());
+    let mut command = place.command(&copy(""));
     match value {
         Some(value) => command.env("WAVEX_RIWAVELIB", value),
         None => command.env_remove("WAVEX_RIWAVELIB"),
@@ -44,8 +46,8 @@ fn without_a_library_the_message_says_what_it_is_who_has_it_and_how_to_point_to_
         library_file("sdfifc")
     );
     let ends = "; its licence forbids shipping it, but owners of a RIEGL instrument can download \
-                it from RIEGL: then set the library or its folder with the key `library` or in the \
-                environment variable WAVEX_RIWAVELIB\n";
+                it from RIEGL: then name the library or its folder in the environment variable \
+                WAVEX_RIWAVELIB or with `--set read_sdf.library=PATH`\n";
     assert!(outcome.err.starts_with(&begins) && outcome.err.ends_with(ends), "{}", outcome.err);
 }
 
@@ -67,9 +69,21 @@ fn the_key_names_the_library_or_its_folder_and_goes_before_the_variable() {
     std::fs::create_dir(place.path("riwavelib")).unwrap();
     std::fs::copy(stand_in(), place.path("riwavelib").join(library_file("sdfifc"))).unwrap();
     for key in ["riwavelib".to_owned(), format!("riwavelib/{}", library_file("sdfifc"))] {
-        let job = copy("").replace(&stand_in().display().to_string(), &key);
-        let mut command = place.command(&job);
-        assert_eq!(outcome(command.env("WAVEX_RIWAVELIB", "/nowhere")).err, "", "{key}");
+        assert_eq!(with_key(&place, &key).err, "", "{key}");
+    }
+}
+
+#[test]
+fn a_job_cannot_name_the_library() {
+    let place = place(&recording(), "");
+    let outcome = place.run(&copy("library = 'here/sdfifc.so'"));
+    assert_eq!(outcome.code, Some(2));
+    for words in [
+        "job.toml:6:11",
+        "a job cannot name a library (`library`)",
+        "name it on the command line, `--set read_sdf.library=PATH`, or in the environment variable WAVEX_RIWAVELIB",
+    ] {
+        assert!(outcome.err.contains(words), "{words}: {}", outcome.err);
     }
 }
 
@@ -77,13 +91,12 @@ fn the_key_names_the_library_or_its_folder_and_goes_before_the_variable() {
 fn a_folder_without_the_library_is_told() {
     let place = place(&recording(), "");
     std::fs::create_dir(place.path("empty")).unwrap();
-    let job = copy("").replace(&stand_in().display().to_string(), "empty");
     let message = format!(
         "stage read_sdf: ./{NAME}: the key `library` names the folder ./empty, which has no {}; \
          {REMEDY}",
         library_file("sdfifc")
     );
-    place.left_nothing(place.run(&job), &message);
+    place.left_nothing(with_key(&place, "empty"), &message);
     let outcome = with_variable(&place, Some(&place.path("empty")));
     assert!(
         outcome.err.contains("the environment variable WAVEX_RIWAVELIB names the folder "),
@@ -95,7 +108,7 @@ fn a_folder_without_the_library_is_told() {
 /// Start of the message for an unusable library, up to the loader's own text.
 #[track_caller]
 fn cannot_be_used(place: &TestFolder, library: &str, words: &str) {
-    let outcome = place.run(&copy("").replace(&stand_in().display().to_string(), library));
+    let outcome = with_key(place, library);
     assert_eq!(outcome.code, Some(1));
     assert!(outcome.err.contains(", which the key `library` names, cannot be loaded: "), "{}", outcome.err);
     assert!(
@@ -125,7 +138,7 @@ fn another_major_version_is_refused() {
     let outcome = outcome(place.command(&copy("")).env("SDF_STAND_IN_MAJOR", "2"));
     let message = format!(
         "stage read_sdf: ./{NAME}: RIEGL's library has version 2.7, but wavex supports 1.x; set a \
-         library of version 1 with the key `library`, or use a newer wavex"
+         library of version 1, or use a newer wavex"
     );
     place.left_nothing(outcome, &message);
 }

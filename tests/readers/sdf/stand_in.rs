@@ -45,7 +45,7 @@ fn what_it_points_to_is_gone_after_the_next_call() {
 fn records_count_from_one_and_the_last_has_a_name() {
     let lines = [plain_line(0..5, 0), plain_line(5..10, 1)];
     let place = place(&container(&header(), &lines), "");
-    let mut reader = SdfReader::open(&place.path(NAME), Some(&stand_in()), None).unwrap();
+    let mut reader = SdfReader::open(&place.path(NAME), Some(&stand_in()), None, &|_| {}).unwrap();
     let mut record = SdfRecord::default();
     let mut at = |number: u32| {
         let found = reader.seek(number).unwrap();

@@ -61,6 +61,11 @@ impl Decoder {
         Decoder { schema: Arc::new(Schema::new(fields)), columns, present, unpacker: Unpacker::default() }
     }
 
+    /// Leaves compressed samples as they are; those of lines then have any values.
+    pub(super) fn skip_samples(&mut self) {
+        self.unpacker.without_samples = true;
+    }
+
     /// Decodes the line of a message; `None` if it is not a record batch.
     pub(super) fn line(&mut self, message: &Message, location: Location) -> Result<Option<ContainerLine>> {
         let batch = self.batch(message, location)?;

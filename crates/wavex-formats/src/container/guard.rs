@@ -28,6 +28,9 @@ const SPARE_BYTES: u64 = 1 << 16;
 /// Size of the length before a compressed buffer, bytes.
 const LENGTH_BYTES: usize = 8;
 
+/// Path of the samples of blocks.
+const SAMPLES: &str = "blocks.samples";
+
 /// Initial capacity for buffers; more are rare.
 const MOST_BUFFERS: usize = 128;
 
@@ -136,7 +139,12 @@ impl<'a> BufferWalk<'a> {
                 self.buffer(path, 0, None)?;
             }
             other => match other.primitive_width() {
-                Some(width) => drop(self.buffer(path, len * width, Some(len * width))?),
+                Some(width) => {
+                    self.buffer(path, len * width, Some(len * width))?;
+                    if let Some(values) = self.found.last_mut() {
+                        values.is_samples = path == SAMPLES;
+                    }
+                }
                 None => {
                     let problem = format!("a list cannot be passed over that holds a {other}");
                     return Err(self.location.bad_column(path, None, problem, "make it a column of its own"));
@@ -254,7 +262,13 @@ impl<'a> BufferWalk<'a> {
             None => (end - bytes.len() + LENGTH_BYTES, Some(size as usize)),
         };
         let number = self.listed - self.buffers.len() - 1;
-        self.found.push(Found { number, column: self.column, bytes: start..end, unpacks_to });
+        self.found.push(Found {
+            number,
+            column: self.column,
+            bytes: start..end,
+            unpacks_to,
+            is_samples: false,
+        });
         Ok((size, raw))
     }
 

@@ -130,6 +130,23 @@ fn files_and_streams_round_trip() {
     }
 }
 
+#[test]
+fn without_samples_the_rest_of_a_line_is_the_same() {
+    let without_values = |mut lines: Vec<Vec<Row>>| {
+        let blocks = lines.iter_mut().flatten().flat_map(|row| &mut row.blocks);
+        blocks.for_each(|(.., samples)| samples.fill(0));
+        lines
+    };
+    for compression in ALL {
+        let bytes = write(&lines(), true, compression);
+        let mut reader = ContainerReader::from_bytes(Path::new("a.arrow"), bytes).unwrap();
+        reader.skip_samples();
+        let read = read_rest(reader).unwrap();
+        assert_eq!(read == lines(), compression == Compression::None, "only compressed samples are skipped");
+        assert_eq!(without_values(read), without_values(lines()), "{compression:?}");
+    }
+}
+
 /// The memory of a line is reused only after the line is dropped.
 #[test]
 fn lines_that_are_held_keep_their_values() {

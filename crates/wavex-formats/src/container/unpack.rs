@@ -24,6 +24,8 @@ pub(super) struct Found {
     pub(super) bytes: Range<usize>,
     /// Decompressed size, if compressed, bytes.
     pub(super) unpacks_to: Option<usize>,
+    /// Whether it holds the samples of the blocks.
+    pub(super) is_samples: bool,
 }
 
 /// Error of decompression: the column, if known, and the problem.
@@ -38,6 +40,8 @@ pub(super) struct Unpacker {
     zstd: Option<zstd::bulk::Decompressor<'static>>,
     /// The last body; reused once no line uses it.
     last: Option<Buffer>,
+    /// If true, samples are not decompressed and have any values.
+    pub(super) without_samples: bool,
 }
 
 impl Unpacker {
@@ -71,6 +75,7 @@ impl Unpacker {
                     Ok(())
                 }
                 Some(0) => Ok(()),
+                Some(_) if self.without_samples && buffer.is_samples => Ok(()),
                 Some(_) => self.unpack_one(codec, from, to),
             };
             done.map_err(|problem| (Some(buffer.column), problem))?;

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use laz::laszip::ChunkTable;
 use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
-use laz::{LazItemRecordBuilder, LazItemType, LazVlr};
+use laz::{DecompressionSelection, LazItemRecordBuilder, LazItemType, LazVlr};
 
 use super::header::Header;
 use super::point::Layout;
@@ -57,6 +57,8 @@ pub(super) struct Chunks {
     /// Number of points of the current chunk not yet decoded.
     left: u64,
     decoder: Option<ChunkDecoder>,
+    /// Fields to decode; the others keep the value of the chunk's first point.
+    selection: DecompressionSelection,
 }
 
 #[derive(Clone, Copy)]
@@ -104,7 +106,19 @@ impl Chunks {
             next_at: start,
             left: 0,
             decoder: None,
+            selection: DecompressionSelection::all(),
         })
+    }
+
+    /// See [`Reader::skip_unused_fields`](super::Reader::skip_unused_fields).
+    pub(super) fn skip_unused_fields(&mut self) {
+        self.selection = DecompressionSelection::all()
+            .skip_classification()
+            .skip_user_data()
+            .skip_point_source_id()
+            .skip_rgb()
+            .skip_nir()
+            .skip_extra_bytes();
     }
 
     /// Decodes records until `out` is full.
@@ -168,6 +182,7 @@ impl Chunks {
             None => Box::new(SequentialPointRecordDecompressor::new(input)),
         };
         decoder.set_fields_from(self.laz.items()).map_err(|error| self.damaged(&error.to_string()))?;
+        decoder.set_selection(self.selection);
         self.decoder = Some(decoder);
         Ok(())
     }

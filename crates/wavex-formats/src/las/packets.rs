@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use super::encoding;
 use super::header::Header;
 use super::vlr::{self, EVLR_HEADER, SPEC, Vlr, WAVEFORM_PACKETS};
-use crate::{Error, Result};
+use crate::{Error, Result, regular_file};
 
 /// Bytes read after a jump.
 const SMALL: usize = 4 << 10;
@@ -131,7 +131,7 @@ pub(super) fn missing(path: &Path) -> Error {
 
 impl Packets {
     fn inside(path: &Path, record: &Vlr) -> Result<Packets> {
-        let file = File::open(path).map_err(Error::io(path, "open"))?;
+        let file = regular_file(path)?;
         let length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
         // Writers that cannot seek back leave the length 0.
         let end = if record.length == 0 { length } else { record.offset + record.length };
@@ -142,7 +142,7 @@ impl Packets {
     ///
     /// A declared length that is too short is ignored, as nothing else can follow.
     fn beside(path: &Path) -> Result<Packets> {
-        let mut file = File::open(path).map_err(Error::io(path, "open"))?;
+        let mut file = regular_file(path)?;
         let length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
         if length == 0 {
             return Err(Error::unusable(path, "the file is empty", "copy it again from its source"));

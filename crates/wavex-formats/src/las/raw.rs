@@ -2,7 +2,6 @@
 //!
 //! Their fields have names.
 
-use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
@@ -12,7 +11,7 @@ use super::header::Header;
 use super::point::Layout;
 use super::records::RecordReader;
 use super::vlr::Vlr;
-use crate::{Error, Result};
+use crate::{Error, Result, regular_file};
 
 /// Reader of header, VLRs and raw records of a file.
 pub struct RawPoints {
@@ -51,7 +50,7 @@ impl RawPoints {
     /// # Errors
     /// The file is not LAS, is cut off, or has contradictory sizes.
     pub fn open(path: &Path) -> Result<RawPoints> {
-        let file = File::open(path).map_err(Error::io(path, "open"))?;
+        let file = regular_file(path)?;
         let file_length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
         let mut input = BufReader::new(file);
         let description = Description::read(&mut input, path, file_length)?;

@@ -1,6 +1,5 @@
 //! Point-by-point reader of full-waveform LAS and LAZ files.
 
-use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
@@ -11,7 +10,7 @@ use super::packets::{self, Packets};
 use super::point::{Layout, Point, Wave};
 use super::records::RecordReader;
 use super::vlr::{self, PROJECTION, SPEC, Vlr};
-use crate::{Error, Result};
+use crate::{Error, Result, regular_file};
 
 /// Full-waveform LAS or LAZ file.
 ///
@@ -36,7 +35,7 @@ impl Reader {
     /// The file is not LAS, has points without waveforms, is cut off, or has contradictory sizes;
     /// or declared waveforms are neither inside nor next to it.
     pub fn open(path: &Path) -> Result<Reader> {
-        let file = File::open(path).map_err(Error::io(path, "open"))?;
+        let file = regular_file(path)?;
         let file_length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
         let mut input = BufReader::new(file);
         let header = Header::read(&mut input, path, file_length)?;
@@ -114,6 +113,15 @@ impl Reader {
             self.layout.decode(self.records.record(), &self.header.scale, &self.header.offset, point);
         }
         Ok(found)
+    }
+
+    /// Omits fields that the reading of waveforms does not need, where the file is compressed by
+    /// layers (formats 6 to 10).
+    ///
+    /// Classification, user data, point source ID, colours and extra bytes of most points are then
+    /// those of an earlier point. Decoding takes time in proportion to the fields.
+    pub fn skip_unused_fields(&mut self) {
+        self.records.skip_unused_fields();
     }
 
     /// Continues with point `index`, from 0; at the end if the file has fewer.

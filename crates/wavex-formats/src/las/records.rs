@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::chunks::Chunks;
 use super::header::Header;
 use super::vlr::Vlr;
-use crate::{Error, Result};
+use crate::{Error, Result, regular_file};
 
 /// RecordReader per slab.
 const SLAB: u64 = 1024;
@@ -37,7 +37,7 @@ impl RecordReader {
     /// # Errors
     /// The LASzip record is missing or contradicts the header.
     pub(super) fn open(path: &Path, header: &Header, vlrs: &[Vlr], file_length: u64) -> Result<RecordReader> {
-        let mut file = File::open(path).map_err(Error::io(path, "open"))?;
+        let mut file = regular_file(path)?;
         let source = if header.compressed {
             Source::Compressed(Box::new(Chunks::open(file, path, header, vlrs, file_length)?))
         } else {
@@ -48,6 +48,13 @@ impl RecordReader {
         let record_length = header.record_length.into();
         let count = header.n_points;
         Ok(RecordReader { source, record_length, count, left: count, slab: Vec::new(), at: 0 })
+    }
+
+    /// See [`Reader::skip_unused_fields`](super::Reader::skip_unused_fields).
+    pub(super) fn skip_unused_fields(&mut self) {
+        if let Source::Compressed(chunks) = &mut self.source {
+            chunks.skip_unused_fields();
+        }
     }
 
     /// Continues with record `index`, from 0; at the end if there are fewer.

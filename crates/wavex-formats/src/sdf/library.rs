@@ -1,6 +1,6 @@
 //! Locates RIEGL's library.
 //!
-//! The job's key comes first, then the environment variable [`VARIABLE`], then the usual places:
+//! The key of the command line comes first, then the environment variable [`VARIABLE`], then the usual places:
 //! the folder of the program, the system's search path, and a few common folders.
 
 use std::path::{Path, PathBuf};
@@ -43,14 +43,19 @@ fn names(data: &Path) -> [String; 2] {
 
 /// Finds, loads and checks the library for a file.
 ///
-/// `key` is the library or its folder, as given by the job.
-pub(super) fn find(data: &Path, key: Option<&Path>) -> Result<(Functions, LibraryVersion)> {
+/// `key` is the library or its folder, as given on the command line; `announce` gets the file before
+/// it is loaded.
+pub(super) fn find(
+    data: &Path,
+    key: Option<&Path>,
+    announce: &dyn Fn(&Path),
+) -> Result<(Functions, LibraryVersion)> {
     let functions = match (key, std::env::var_os(VARIABLE)) {
-        (Some(key), _) => named(data, key, Said::ByKey)?,
+        (Some(key), _) => named(data, key, Said::ByKey, announce)?,
         (None, Some(variable)) if !variable.is_empty() => {
-            named(data, Path::new(&variable), Said::ByVariable)?
+            named(data, Path::new(&variable), Said::ByVariable, announce)?
         }
-        _ => in_usual_places(data)?,
+        _ => in_usual_places(data, announce)?,
     };
     let version = functions.version().map_err(|fault: Fault| fault.of_file(data))?;
     match version.major {
@@ -58,7 +63,7 @@ pub(super) fn find(data: &Path, key: Option<&Path>) -> Result<(Functions, Librar
         other => Err(Error::unusable(
             data,
             format!("RIEGL's library has version {other}.{}, but wavex supports {MAJOR}.x", version.minor),
-            format!("set a library of version {MAJOR} with the key `library`, or use a newer wavex"),
+            format!("set a library of version {MAJOR}, or use a newer wavex"),
         )),
     }
 }
@@ -77,7 +82,7 @@ pub enum Installed {
 /// Looks for the library for SDF where readers do without a key.
 pub fn installed() -> Installed {
     let data = Path::new("recording.sdf");
-    match find(data, None) {
+    match find(data, None, &|_| {}) {
         Ok((_, version)) => Installed::Loaded(version),
         Err(Error::Unusable { problem, .. }) if is_there(data) => Installed::Unusable(problem),
         Err(_) => Installed::Missing,
@@ -98,7 +103,7 @@ fn usual_folders() -> impl Iterator<Item = PathBuf> {
 }
 
 /// Loads the library named by the user.
-fn named(data: &Path, path: &Path, said: Said) -> Result<Functions> {
+fn named(data: &Path, path: &Path, said: Said, announce: &dyn Fn(&Path)) -> Result<Functions> {
     let whose = match said {
         Said::ByKey => "the key `library`".to_owned(),
         Said::ByVariable => format!("the environment variable {VARIABLE}"),
@@ -120,6 +125,7 @@ fn named(data: &Path, path: &Path, said: Said) -> Result<Functions> {
             }
         }
     };
+    announce(&file);
     Functions::load(&file).map_err(|error| {
         let problem = format!(
             "the library {}, which {whose} names, cannot be loaded: {}",
@@ -130,10 +136,11 @@ fn named(data: &Path, path: &Path, said: Said) -> Result<Functions> {
     })
 }
 
-fn in_usual_places(data: &Path) -> Result<Functions> {
+fn in_usual_places(data: &Path, announce: &dyn Fn(&Path)) -> Result<Functions> {
     let names = names(data);
     for file in usual_folders().flat_map(|folder| names.clone().map(|name| folder.join(name))) {
         if file.is_file() {
+            announce(&file);
             return Functions::load(&file).map_err(|error| {
                 let problem = format!("the library {} cannot be loaded: {}", file.display(), reason(&error));
                 Error::unusable(data, problem, WHOSE)
@@ -141,6 +148,7 @@ fn in_usual_places(data: &Path) -> Result<Functions> {
         }
     }
     for name in &names {
+        announce(Path::new(name));
         if let Ok(functions) = Functions::load(Path::new(name)) {
             return Ok(functions);
         }
@@ -156,8 +164,8 @@ fn in_usual_places(data: &Path) -> Result<Functions> {
         ),
         format!(
             "its licence forbids shipping it, but owners of a RIEGL instrument can download it \
-             from RIEGL: then set the library or its folder with the key `library` or in the \
-             environment variable {VARIABLE}"
+             from RIEGL: then name the library or its folder in the environment variable {VARIABLE} \
+             or with `--set read_sdf.library=PATH`"
         ),
     ))
 }

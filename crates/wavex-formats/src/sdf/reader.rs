@@ -45,18 +45,23 @@ const LIGHT_MPS: f64 = 299_792_458.0;
 impl SdfReader {
     /// Opens a file.
     ///
-    /// `library` is RIEGL's library or its folder, if the job names it. `index_dir` is a folder for
-    /// the index, if not that of the data.
+    /// `library` is RIEGL's library or its folder, if named. `index_dir` is a folder for the index,
+    /// if not that of the data. `announce` gets the file of a library before it is loaded.
     ///
     /// # Errors
     /// The file or the library is missing or unusable; each return code of the library has its own
     /// message.
-    pub fn open(file: &Path, library: Option<&Path>, index_dir: Option<&Path>) -> Result<SdfReader> {
+    pub fn open(
+        file: &Path,
+        library: Option<&Path>,
+        index_dir: Option<&Path>,
+        announce: &dyn Fn(&Path),
+    ) -> Result<SdfReader> {
         let metadata = fs::metadata(file).map_err(Error::io(file, "open"))?;
         if metadata.is_dir() {
             return Err(Error::io(file, "open")(io::ErrorKind::IsADirectory.into()));
         }
-        let (functions, version) = library::find(file, library)?;
+        let (functions, version) = library::find(file, library, announce)?;
         let path = match index_dir {
             Some(folder) => index_dir::link(file, folder)?,
             None => file.to_path_buf(),

@@ -7,7 +7,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
-use super::super::{Error, Result};
+use super::super::{Error, Result, regular_file};
 use super::{Raster, checked_size};
 
 /// Longest accepted word, bytes.
@@ -16,7 +16,7 @@ const REMEDY: &str = "give a GeoTIFF or an ESRI ASCII grid";
 
 /// Reads a grid.
 pub(super) fn read(path: &Path) -> Result<Raster> {
-    let file = File::open(path).map_err(Error::io(path, "open"))?;
+    let file = regular_file(path)?;
     let length = file.metadata().map_err(Error::io(path, "open"))?.len();
     let mut words = Words { path, reader: BufReader::new(file), offset: 0, word: String::new() };
     let header = Header::read(&mut words)?;

@@ -1,6 +1,5 @@
 //! GeoTIFF height rasters: one band, north up.
 
-use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
@@ -9,7 +8,7 @@ use tiff::tags::Tag;
 use tiff::{ColorType, TiffError};
 
 use super::super::geokeys;
-use super::super::{Error, Result};
+use super::super::{Error, Result, regular_file};
 use super::{MOST_CELLS, Raster, checked_size};
 
 /// Largest compression ratio (LZW; deflate is lower).
@@ -18,7 +17,7 @@ const REMEDY: &str = "convert it to a north-up GeoTIFF with one band of heights"
 
 /// Reads a raster.
 pub(super) fn read(path: &Path) -> Result<Raster> {
-    let file = File::open(path).map_err(Error::io(path, "open"))?;
+    let file = regular_file(path)?;
     let length = file.metadata().map_err(Error::io(path, "open"))?.len();
     let bad = |error: TiffError| Error::unusable(path, format!("cannot read the GeoTIFF: {error}"), REMEDY);
     let mut limits = Limits::default();

@@ -7,7 +7,7 @@ use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::super::bytes::Fields;
-use super::super::{Error, Result};
+use super::super::{Error, Result, regular_file};
 
 /// Number of bytes read to recognise a file, at most.
 const HEAD_BYTES: usize = 4096;
@@ -26,7 +26,7 @@ pub(super) struct Input {
 
 impl Input {
     pub(super) fn open(path: &Path) -> Result<Input> {
-        let file = File::open(path).map_err(Error::io(path, "open"))?;
+        let file = regular_file(path)?;
         let length = file.metadata().map_err(Error::io(path, "open"))?.len();
         Ok(Input {
             path: path.to_owned(),

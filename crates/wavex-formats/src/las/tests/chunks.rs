@@ -8,11 +8,17 @@ use crate::las::{Point, Reader};
 
 /// Reads the points of a file `a.laz` of these bytes.
 fn read(bytes: &[u8]) -> Result<Vec<Point>> {
+    read_with(bytes, |_| {})
+}
+
+/// Reads the points after `prepare`.
+fn read_with(bytes: &[u8], prepare: impl Fn(&mut Reader)) -> Result<Vec<Point>> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.laz");
     fs::write(&path, bytes).unwrap();
     fs::write(path.with_extension("wdp"), super::made::packets()).unwrap();
     let mut reader = Reader::open(&path)?;
+    prepare(&mut reader);
     let (mut points, mut point) = (Vec::new(), Point::default());
     loop {
         match reader.next_point(&mut point) {
@@ -70,6 +76,18 @@ fn chunks_follow_each_other() {
                 assert_eq!((point.raw[0], point.wave.descriptor), (i * i, 1));
             }
         }
+    }
+}
+
+#[test]
+fn unused_fields_are_skipped_and_the_others_stay() {
+    for (format, keeps_user_data) in [(4, true), (9, false)] {
+        let bytes = many(if format == 4 { 3 } else { 4 }, format).laz(1000);
+        let (all, used) = (read(&bytes).unwrap(), read_with(&bytes, Reader::skip_unused_fields).unwrap());
+        let data = |points: &[Point]| points.iter().map(|point| point.user_data).collect::<Vec<_>>();
+        assert_eq!(data(&all) == data(&used), keeps_user_data, "format {format}");
+        let is_used = |point: &Point| Point { user_data: 0, ..point.clone() };
+        assert!(all.iter().map(is_used).eq(used.iter().map(is_used)), "format {format}");
     }
 }
 
