@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
@@ -121,6 +122,8 @@ impl Recorder {
         drop(Gathering(gathering.0.clone()));
         fs::create_dir_all(gathering.0.join(LINES)).map_err(Error::io(&gathering.0, "create the folder"))?;
         let stamps: Vec<Option<Stamp>> = resolved.inputs.iter().map(|path| stamp(path)).collect();
+        let unknown = resolved.inputs.iter().zip(&stamps).filter(|(_, stamp)| stamp.is_none());
+        unknown.map(|(path, _)| path).try_for_each(|path| is_missing(path))?;
         let existing = resolved.inputs.iter().zip(&stamps).filter(|(_, stamp)| stamp.is_some());
         let digested = |(path, _): (&PathBuf, _)| digested(&resolved.input_root, path, None, &known);
         let inputs: Result<Vec<DigestedFile>> = existing.map(digested).collect();
@@ -311,6 +314,14 @@ impl Recorder {
 /// State of an input; `None` if there is no such file.
 fn stamp(path: &Path) -> Option<Stamp> {
     Stamp::of(path).ok().filter(|_| path.is_file())
+}
+
+/// Checks that an input without a state is missing.
+fn is_missing(path: &Path) -> Result<()> {
+    match fs::metadata(path) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(Error::io(path, "open")(error).into()),
+        _ => Ok(()),
+    }
 }
 
 fn defect(error: &dyn std::fmt::Display) -> StageError {

@@ -143,7 +143,7 @@ fn check_paths(job: &Job, input_dir: &Path, output_dir: &Path) -> Result<()> {
     let input_dir = plain(&input_dir);
     let settings = serde_json::to_value(&job.settings).unwrap_or_default();
     let sources = engine::inputs(job, &input_dir).map_err(|error| error.into_stage_error())?;
-    let read = inputs::of_job(job, &settings, &sources, &input_dir);
+    let read = inputs::of_job(job, &settings, &sources, &input_dir)?;
     let written = resolved::outputs_of(job, &sources, output_dir);
     if let Some(path) = read.iter().find(|path| !path.starts_with(&input_dir)) {
         let path = path.display();

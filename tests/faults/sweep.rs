@@ -134,7 +134,9 @@ fn sweep(scenario: &Scenario, library: &Path, step: usize) -> (BTreeMap<Kind, Ro
                         .unwrap_or_else(|| "no call".to_owned())
                         .replace(&shop.folder.display().to_string(), "");
                     let prefix = format!("{} {} {at} ({hit})", scenario.name, kind.name());
-                    problems.lock().unwrap().extend(found.iter().map(|found| format!("{prefix}: {found}")));
+                    let found: Vec<String> = found.iter().map(|found| format!("{prefix}: {found}")).collect();
+                    found.iter().for_each(|problem| println!("{problem}"));
+                    problems.lock().unwrap().extend(found);
                 }
             });
         }
@@ -174,7 +176,7 @@ impl<'s> Workshop<'s> {
         scenario::clear(&self.folder);
         let ended = self.run("new", Some((kind, 0)));
         assert_eq!(ended.code, Some(0), "{}", ended.text);
-        assert!(!ended.calls.is_empty(), "the library was not loaded");
+        assert!(kind != Kind::Eio || !ended.calls.is_empty(), "the library was not loaded");
         if std::env::var_os("WAVEX_FAULT_CALLS").is_some() {
             ended.calls.iter().for_each(|(call, path)| println!("{call} {path}"));
         }

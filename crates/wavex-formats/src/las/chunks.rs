@@ -17,7 +17,7 @@ use super::header::Header;
 use super::point::Layout;
 use super::vlr::Vlr;
 use crate::bytes::Fields;
-use crate::{Error, Result};
+use crate::{Error, Result, resize};
 
 type ChunkDecoder = Box<dyn RecordDecompressor<Cursor<Vec<u8>>> + Send + Sync>;
 
@@ -170,8 +170,9 @@ impl Chunks {
         }
         // One buffer serves all chunks; the sizes in the table add up to less than the file.
         let mut bytes = self.decoder.take().map(|old| old.box_into_inner().into_inner()).unwrap_or_default();
-        bytes.resize(length as usize, 0);
-        let read = self.file.seek(SeekFrom::Start(self.at)).and_then(|_| self.file.read_exact(&mut bytes));
+        let read = resize(&mut bytes, length as usize)
+            .and_then(|()| self.file.seek(SeekFrom::Start(self.at)))
+            .and_then(|_| self.file.read_exact(&mut bytes));
         read.map_err(Error::io(&self.path, "read the compressed points"))?;
         if let Some(layers) = self.layers {
             self.check_layers(&bytes, layers)?;
