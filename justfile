@@ -11,6 +11,10 @@ ci:
 test *ARGS:
     cargo test {{ARGS}}
 
+# Fail every call of small runs to the system, one per run (about an hour); docs/explanation/testing.md
+faults STEP='all':
+    WAVEX_FAULTS={{STEP}} cargo test --test faults -- --nocapture
+
 # Format and lint
 lint:
     cargo fmt --all

@@ -11,6 +11,8 @@ mod bad_input;
 mod contract;
 mod engine;
 #[cfg(unix)]
+mod hostile;
+#[cfg(unix)]
 mod killed;
 mod layers;
 mod repeatable;
