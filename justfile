@@ -31,6 +31,10 @@ bench:
     cargo build --release --example sdf_stand_in
     cargo bench --bench sdf
 
+# Bill of materials of the program: linked libraries with versions, licences and checksums
+sbom FILE='target/sbom.cdx.json':
+    packaging/sbom.py {{FILE}}
+
 # Licences and advisories of the dependencies (needs cargo-deny)
 deny:
     cargo deny check
