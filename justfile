@@ -31,6 +31,22 @@ bench:
     cargo build --release --example sdf_stand_in
     cargo bench --bench sdf
 
+# Bill of materials of the program: linked libraries with versions, licences and checksums
+sbom FILE='target/sbom.cdx.json':
+    packaging/sbom.py {{FILE}}
+
 # Licences and advisories of the dependencies (needs cargo-deny)
 deny:
     cargo deny check
+
+# Fuzz a target for some hours (needs cargo-fuzz); docs/explanation/testing.md lists the targets
+fuzz TARGET HOURS:
+    fuzz/run {{TARGET}} {{HOURS}}
+
+# Write the inputs from which fuzzing starts to fuzz/corpus
+fuzz-seeds:
+    cargo test --test robustness write_seeds -- --ignored
+
+# Add the inputs that fuzzing found to the corpus of a target
+fuzz-minimise TARGET:
+    fuzz/minimise {{TARGET}}

@@ -10,6 +10,7 @@
 mod bad_input;
 mod contract;
 mod engine;
+mod fuzz_corpora;
 #[cfg(unix)]
 mod hostile;
 #[cfg(unix)]

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`TestFolder`] | a temporary folder, jobs and commands of the program in it, and their results |
 //! | [`flight`] | a small simulated flight, and a job with every kind of output |
+//! | [`fuzz`] | fuzz targets: one function per reader of untrusted bytes, and their first inputs |
 //! | [`container`], [`las`], [`pulsewaves`] | recordings built byte by byte, all of the pulses of [`shots`] |
 //! | [`sdf`] | recordings that the stand-in for RIEGL's library serves without loss |
 //! | [`mta`] | scenes with several pulses in the air: files, runs, comparison with the truth |
@@ -30,6 +31,7 @@ pub mod container;
 pub mod engine_stages;
 pub mod false_returns;
 pub mod flight;
+pub mod fuzz;
 mod folder;
 pub mod georeferenced_flight;
 pub mod instrument;

@@ -1,0 +1,96 @@
+//! LAS, LAZ and COPC.
+
+use std::io::{Cursor, Read};
+
+use wavex_formats::las::{Description, Point, RawPoints, Reader, write_copc};
+
+use super::{Files, parts};
+
+/// Most points of an input that are read: a compressed file can declare more than time allows.
+const MOST_POINTS: u64 = 20_000;
+
+/// A LAS or LAZ file, and its waveform packets (`.wdp`) as second part.
+pub fn las(bytes: &[u8]) {
+    let parts = parts(bytes);
+    let place = Files::with(&[("a.las", parts[0])]);
+    if let Some(packets) = parts.get(1) {
+        place.write("a.wdp", packets);
+    }
+    let path = place.path("a.las");
+    let described = Description::read(&mut Cursor::new(parts[0]), &path, parts[0].len() as u64);
+    if let Ok(description) = &described {
+        let _ = (description.extra_bytes(&path), description.wkt());
+        let _ = description.header.gps_time();
+    }
+    let mut n_raw = 0;
+    if let Ok(mut points) = RawPoints::open(&path) {
+        let fields = points.fields().to_vec();
+        while n_raw < MOST_POINTS
+            && let Ok(Some(record)) = points.next_record()
+        {
+            n_raw += 1;
+            if n_raw < 100 {
+                fields.iter().for_each(|field| assert!(field.value(record).len() < 400));
+            }
+        }
+    }
+    let Ok(mut reader) = Reader::open(&path) else { return };
+    let _ = (reader.wkt(), reader.has_different_gains(), reader.projection(34735));
+    let n_extra = reader.extra_bytes_descriptors().len();
+    assert!(n_extra <= usize::from(u16::MAX));
+    let (mut point, mut samples) = (Point::default(), Vec::new());
+    let mut first: Option<String> = None;
+    let mut n_points = 0;
+    while n_points < MOST_POINTS
+        && let Ok(true) = reader.next_point(&mut point)
+    {
+        n_points += 1;
+        first.get_or_insert_with(|| format!("{point:?}"));
+        let extra = reader.extra_bytes().to_vec();
+        assert!(extra.len() <= usize::from(reader.header().record_length));
+        if n_points < 200
+            && let Ok(descriptor) = reader.packet(&point.wave, &mut samples)
+        {
+            assert_eq!(samples.len() as u64, u64::from(descriptor.samples));
+            let _ = point.wave.sample_position([point.x, point.y, point.z], 1.0, f64::from(descriptor.spacing_ps));
+        }
+    }
+    assert!(n_points <= n_raw, "{n_points} points of {n_raw} records");
+    if let Some(first) = first
+        && reader.seek(0).is_ok()
+        && let Ok(true) = reader.next_point(&mut point)
+    {
+        assert_eq!(format!("{point:?}"), first, "the first point after seeking");
+    }
+}
+
+/// A LAS or LAZ file whose points become a COPC file, which has the same points.
+pub fn copc(bytes: &[u8]) {
+    let place = Files::with(&[("a.laz", bytes)]);
+    let source = place.path("a.laz");
+    // A compressed file can declare more points than time allows.
+    let Ok(points) = RawPoints::open(&source) else { return };
+    if points.header().n_points > MOST_POINTS {
+        return;
+    }
+    drop(points);
+    let mut copy = Cursor::new(Vec::new());
+    let path = place.path("a.copc.laz");
+    let mut keep = |run: &[u8]| Ok(Box::new(Cursor::new(run.to_vec())) as Box<dyn Read>);
+    let Ok(summary) = write_copc(&source, &mut copy, &path, &mut keep, &mut |_| ()) else { return };
+    place.write("a.copc.laz", &copy.into_inner());
+    let mut copied = RawPoints::open(&path).unwrap();
+    assert_eq!(copied.header().n_points, summary.n_points);
+    let sorted = |points: &mut RawPoints, length: usize| {
+        let mut records = Vec::new();
+        while let Some(record) = points.next_record().unwrap() {
+            records.push(record[..length].to_vec());
+        }
+        records.sort();
+        records
+    };
+    // Both have at least the fields of format 6 in common.
+    let copies = sorted(&mut copied, 30);
+    assert_eq!(copies.len() as u64, summary.n_points);
+    assert!(copies == sorted(&mut RawPoints::open(&source).unwrap(), 30), "the points have changed");
+}
