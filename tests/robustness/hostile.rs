@@ -225,7 +225,7 @@ fn pipes_and_devices_are_refused_at_once() {
         (format!("{}{write}", read("read_arrow", "bad.arrow")), "bad.arrow"),
         (format!("{simulate}[[stage]]\ntype = 'calibrate'\nload = 'bad.json'\n{chain}"), "bad.json"),
         (format!("[job.geometry]\ntrajectory = 'bad.txt'\n{simulate}{write}"), "bad.txt"),
-        (format!("{simulate}[[stage]]\ntype = 'resolve_mta'\nterrain = 'bad.asc'\n{chain}"), "bad.asc"),
+        (format!("{simulate}[[stage]]\ntype = 'resolve_mta'\nterrain = 'bad.asc'\n{write}"), "bad.asc"),
     ];
     for (job, name) in jobs {
         for is_pipe in [true, false] {

@@ -168,8 +168,7 @@ pub fn sdf(bytes: &[u8]) {
             count += 1;
             match reader.next(&mut record) {
                 Ok(true) => {
-                    let samples: usize =
-                        record.blocks.iter().map(|block| record.samples(block).len()).sum();
+                    let samples: usize = record.blocks.iter().map(|block| record.samples(block).len()).sum();
                     assert_eq!(samples, record.n_samples());
                 }
                 _ => break,

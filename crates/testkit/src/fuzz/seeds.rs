@@ -154,7 +154,8 @@ fn points(add: &mut Add) {
         ("waveforms", "laz", "version = '1.4'\nwaveforms = 'inside'"),
     ];
     for (name, extension, keys) in outputs {
-        job += &format!("[[stage]]\ntype = 'write_las'\nid = '{name}'\npath = '{name}.{extension}'\n{keys}\n");
+        job +=
+            &format!("[[stage]]\ntype = 'write_las'\nid = '{name}'\npath = '{name}.{extension}'\n{keys}\n");
     }
     assert_eq!(place.run(&job), Outcome::success());
     for (name, extension, _) in outputs {
@@ -230,7 +231,8 @@ fn trajectories(add: &mut Add) {
     for k in 0..3 {
         let mut record = vec![0xa5; 184];
         record[16..18].copy_from_slice(&2365u16.to_le_bytes());
-        let fields = [(18, time_s(k)), (42, 0.84), (50, 0.26), (58, 900.0), (78, 0.01), (86, 0.02), (94, 1.5)];
+        let fields =
+            [(18, time_s(k)), (42, 0.84), (50, 0.26), (58, 900.0), (78, 0.01), (86, 0.02), (94, 1.5)];
         for (at, value) in fields {
             record[at..at + 8].copy_from_slice(&value.to_le_bytes());
         }
@@ -239,7 +241,11 @@ fn trajectories(add: &mut Add) {
     }
     add("sol", "three_records", sol);
     for (name, columns, text) in [
-        ("blanks", "txyzwpk", "# time lon lat z roll pitch heading\n1 15 48 900 0.5 -0.5 90\n2 15.1 48 900 0 0 91\n"),
+        (
+            "blanks",
+            "txyzwpk",
+            "# time lon lat z roll pitch heading\n1 15 48 900 0.5 -0.5 90\n2 15.1 48 900 0 0 91\n",
+        ),
         ("commas", "tyxzpks", "t,y,x,z,p,k,s\n1,48,15,900,0,90,x\n2,48,15.1,900,.1,91e0,y\n"),
     ] {
         add("trajectory_text", name, joined(&[columns.as_bytes(), text.as_bytes()]));
@@ -266,8 +272,7 @@ fn maps(add: &mut Add) {
     add("geoid", "ngs", little);
     let crs_wkt = wkt_of_epsg(32633);
     let description = "heights".to_owned();
-    let grid =
-        RasterGrid { columns: 5, rows: 4, west: 0.0, north: 0.0, cell: 1.0, crs_wkt, description };
+    let grid = RasterGrid { columns: 5, rows: 4, west: 0.0, north: 0.0, cell: 1.0, crs_wkt, description };
     let mut writer = RasterWriter::new(grid, Vec::new());
     let mut tile = empty_tile();
     tile.iter_mut().step_by(256).take(4).for_each(|value| *value = 100.0);
@@ -277,7 +282,8 @@ fn maps(add: &mut Add) {
     raster.assemble(&mut Cursor::new(spool), &mut file).unwrap();
     add("terrain_geotiff", "tiles", file);
     add("terrain_geotiff", "strips_i16", tiff(&[100, 101, 102, 103, 104, 105]));
-    let ascii = "ncols 3\nnrows 2\nxllcorner 0\nyllcorner -4\ncellsize 2\nNODATA_value -9999\n1 2 3\n4 -9999 6\n";
+    let ascii =
+        "ncols 3\nnrows 2\nxllcorner 0\nyllcorner -4\ncellsize 2\nNODATA_value -9999\n1 2 3\n4 -9999 6\n";
     add("terrain_ascii", "corner", ascii.into());
     let centre = ascii.replace("corner", "center").replace("cellsize 2", "dx 2\ndy 1");
     add("terrain_ascii", "centre", centre.into_bytes());
@@ -343,7 +349,11 @@ fn tiff(heights: &[i16; 6]) -> Vec<u8> {
 
 fn texts(add: &mut Add) {
     add("job", "example", example_job(STAGES).into_bytes());
-    add("job", "overrides", joined(&[FLIGHT_STAGES.as_bytes(), b"", b"decompose.mode='fast'\njob.threads=2\n"]));
+    add(
+        "job",
+        "overrides",
+        joined(&[FLIGHT_STAGES.as_bytes(), b"", b"decompose.mode='fast'\njob.threads=2\n"]),
+    );
     let including = format!("[job]\ninclude = 'included.toml'\n{FLIGHT_STAGES}");
     let included = b"[job]\nsimd = 'auto'\n[decompose]\nmode = 'fastest'\n";
     add("job", "include", joined(&[including.as_bytes(), included]));
@@ -371,9 +381,14 @@ fn texts(add: &mut Add) {
     add("import", "file", joined(&[b"-i\na.sdf\n", b"det=6\n# comment\nodir out\n"]));
     add("lookup_tables", "columns", b"steps,low,high\n9,0.0,10.5\n68,9.75,\n255,19.7,39.7\n".to_vec());
     add("lookup_tables", "json", br#"{"low":[[9,0],[255,19.7,0.5]],"high":[[3,10.5],[255,39.7]]}"#.to_vec());
-    let calibration = "lever_arm_m = [0.1, -0.2, 0.3]\nboresight_deg = [0.01, 0.02, 0.03]\ne0 = 0.1\ne5 = 1.0\n";
+    let calibration =
+        "lever_arm_m = [0.1, -0.2, 0.3]\nboresight_deg = [0.01, 0.02, 0.03]\ne0 = 0.1\ne5 = 1.0\n";
     add("calibration", "toml", calibration.into());
-    add("calibration", "numbers", b"# lever arm\n0.1 -0.2 0.3, 0.01 0.02 0.03\ne0: 0.1 0 0 0 0 0 0 0\n".to_vec());
+    add(
+        "calibration",
+        "numbers",
+        b"# lever arm\n0.1 -0.2 0.3, 0.01 0.02 0.03\ne0: 0.1 0 0 0 0 0 0 0\n".to_vec(),
+    );
 }
 
 /// Values of two records with two blocks each, as `examples/sdf_any_values` takes them.
