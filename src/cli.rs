@@ -124,6 +124,7 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
     };
     // The last line of a run's log states the exit status.
     tracing::debug!("exit status {exit_code}");
+    log::end_file();
     exit_code
 }
 
