@@ -29,16 +29,16 @@ type = 'write_arrow'
 path = 'copy.arrow'
 [[stage]]
 type = 'calibrate'
-waveforms = 100
+waveforms = 200
 KEYS
 [[stage]]
 type = 'decompose'
 [[stage]]
 type = 'correct'
 [[stage]]
-type = 'georeference'
-[[stage]]
 type = 'filter_outliers'
+[[stage]]
+type = 'georeference'
 [[stage]]
 type = 'write_las'
 path = 'points.laz'
@@ -65,7 +65,7 @@ pub fn run(bytes: &[u8]) {
     let is_done = points(&place, &stages(""));
     if let (false, Some(model)) = (is_done, parts.get(2)) {
         place.write("model.json", model);
-        points(&place, &stages("load = 'model.json'").replace("waveforms = 100\n", ""));
+        points(&place, &stages("load = 'model.json'").replace("waveforms = 200\n", ""));
     }
 }
 
