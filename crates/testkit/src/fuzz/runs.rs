@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use wavex::engine::{self, Cause, Options, RunError, RunSummary};
 use wavex::inspect::{self, Inspection, Summary};
-use wavex::job::Job;
+use wavex::job::{Job, Override};
 use wavex::recording::Recording;
 use wavex::scan_line::ScanLine;
 use wavex_formats::las::RawPoints;
@@ -178,12 +178,10 @@ pub fn sdf(bytes: &[u8]) {
         let _ = (reader.seek(1), reader.seek_time(1.0), reader.seek_time_external(f64::NAN));
         let _ = (reader.next(&mut record), reader.next_record());
     }
-    let library = toml::Value::String(library.display().to_string());
-    let stages = format!(
-        "[[stage]]\ntype = 'read_sdf'\npath = '*.sdf'\nlibrary = {library}\n\
-         [[stage]]\ntype = 'write_arrow'\npath = 'copy.arrow'\n"
-    );
-    let job = Job::parse("job.toml", &stages, &[]).unwrap_or_else(|errors| panic!("{errors}"));
+    let stages = "[[stage]]\ntype = 'read_sdf'\npath = '250506_100000.sdf'\n\
+                  [[stage]]\ntype = 'write_arrow'\npath = 'copy.arrow'\n";
+    let library = Override::new(format!("read_sdf.library={}", library.display()));
+    let job = Job::parse("job.toml", stages, &[library]).unwrap_or_else(|errors| panic!("{errors}"));
     let _ = run_job(&job, &place);
 }
 
