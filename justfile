@@ -11,6 +11,10 @@ ci:
 test *ARGS:
     cargo test {{ARGS}}
 
+# Fail every call of small runs to the system, one per run (about an hour); docs/explanation/testing.md
+faults STEP='all':
+    WAVEX_FAULTS={{STEP}} cargo test --test faults -- --nocapture
+
 # Format and lint
 lint:
     cargo fmt --all
@@ -26,6 +30,10 @@ bench:
     cargo bench --bench whole_chain
     cargo build --release --example sdf_stand_in
     cargo bench --bench sdf
+
+# Bill of materials of the program: linked libraries with versions, licences and checksums
+sbom FILE='target/sbom.cdx.json':
+    packaging/sbom.py {{FILE}}
 
 # Licences and advisories of the dependencies (needs cargo-deny)
 deny:

@@ -18,5 +18,6 @@ inside dpkg --install /wavex.deb > /dev/null
 inside wavex doctor
 inside wavex --quiet run --set job.output_dir=/out /usr/share/doc/wavex/jobs/demo.toml
 inside sh -c 'ls /out/*.laz'
+inside sh -c 'grep -q "pkg:cargo/laz@" /usr/share/doc/wavex/sbom.cdx.json'
 inside sh -c 'man wavex-run | grep -q "wavex-run" && man wavex | grep -q "wavex-copc"'
 echo "the package works in a root of $(du -sm "$root" | cut -f 1) MB"

@@ -19,7 +19,8 @@ completions zsh zsh/vendor-completions/_wavex
 completions fish fish/vendor_completions.d/wavex.fish
 documents="$root/usr/share/doc/wavex"
 mkdir -p "$documents"
-cp -r README.md CHANGELOG.md docs jobs schemas "$documents"
+cp -r README.md CHANGELOG.md SECURITY.md docs jobs schemas "$documents"
+python3 packaging/sbom.py "$documents/sbom.cdx.json"
 cat > "$documents/copyright" << 'TEXT'
 Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/
 Upstream-Name: wavex

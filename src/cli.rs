@@ -3,13 +3,14 @@
 //! Exit codes: 0 success; 1 the run failed; 2 the job or the command line is invalid.
 
 use std::ffi::OsString;
+use std::fs::File;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser};
 
-use crate::job::{Include, Job, JobErrors, Override, included, job_schema};
+use crate::job::{Include, Job, JobErrors, MAX_INCLUDES, Override, included, job_schema, read_text};
 use crate::registry::STAGES;
 use crate::system;
 
@@ -123,6 +124,7 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
     };
     // The last line of a run's log states the exit status.
     tracing::debug!("exit status {exit_code}");
+    log::end_file();
     exit_code
 }
 
@@ -191,14 +193,17 @@ impl JobArgs {
     /// Parses the job, with overrides from the command line and from `more`.
     fn read(&self, more: impl IntoIterator<Item = Override>) -> Result<Job, Failure> {
         let (name, text) = if self.is_stdin() {
-            ("standard input".to_owned(), std::io::read_to_string(std::io::stdin()))
+            ("standard input".to_owned(), read_text(std::io::stdin()))
         } else {
-            (self.job.display().to_string(), std::fs::read_to_string(&self.job))
+            (self.job.display().to_string(), File::open(&self.job).and_then(read_text))
         };
         let text = text.map_err(|error| Failure::Wrong(format!("{name}: cannot read the job: {error}")))?;
         let overrides: Vec<Override> = self.set.iter().map(Override::new).chain(more).collect();
-        let includes: Result<Vec<Include>, Failure> =
-            included(&text).iter().map(|included| self.read_include(included)).collect();
+        let includes: Result<Vec<Include>, Failure> = included(&text)
+            .iter()
+            .take(MAX_INCLUDES + 1)
+            .map(|included| self.read_include(included))
+            .collect();
         Ok(Job::parse_with(STAGES, &name, &text, &includes?, &overrides)?)
     }
 
@@ -208,7 +213,7 @@ impl JobArgs {
         let folder = self.folder();
         let path = if folder == *"." { PathBuf::from(included) } else { folder.join(included) };
         let name = path.display().to_string();
-        match std::fs::read_to_string(&path) {
+        match File::open(&path).and_then(read_text) {
             Ok(text) => Ok(Include { name, text }),
             Err(error) => {
                 let remedy = "check `include` in `[job]`";

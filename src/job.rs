@@ -23,6 +23,7 @@ mod errors;
 mod example;
 mod include;
 mod insert;
+mod limits;
 mod manual;
 mod outputs;
 mod overrides;
@@ -37,6 +38,7 @@ mod validate;
 pub use errors::{JobError, JobErrors};
 pub use example::example_job;
 pub use include::{Include, included};
+pub use limits::{MAX_BYTES, MAX_INCLUDES, read_text};
 pub use manual::{manual, manual_of, summary};
 pub use overrides::Override;
 pub use schema::job_schema;
@@ -253,6 +255,9 @@ impl Job {
         includes: &[Include],
         overrides: &[Override],
     ) -> Result<Job, JobErrors> {
+        if let Some(error) = limits::check(text, includes) {
+            return Err(JobErrors::new(vec![error], Sources::new(name, "", &[], &[])));
+        }
         let sources = Sources::new(name, text, includes, overrides);
         match read(stages, text, &sources) {
             Ok((settings, stages)) => Ok(Job {

@@ -72,9 +72,18 @@ pub fn find_in(stages: &[&'static StageSpec], name: &str) -> Option<&'static Sta
 ///
 /// Similarity is the edit distance, which must not exceed a third of the length (at least 1).
 pub fn nearest_of<'n>(name: &str, names: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {
-    let slips_allowed = name.chars().count().max(3) / 3;
+    let length = name.chars().count();
+    let slips_allowed = length.max(3) / 3;
+    // The distance is at least the difference of the lengths; a long name would take long.
+    let is_close = |candidate: &&'n str| candidate.chars().count().abs_diff(length) <= slips_allowed;
     let slips = |candidate: &'n str| (strsim::damerau_levenshtein(name, candidate), candidate);
-    names.into_iter().map(slips).filter(|(slips, _)| *slips <= slips_allowed).min().map(|(_, name)| name)
+    names
+        .into_iter()
+        .filter(is_close)
+        .map(slips)
+        .filter(|(slips, _)| *slips <= slips_allowed)
+        .min()
+        .map(|(_, name)| name)
 }
 
 #[cfg(test)]

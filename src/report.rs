@@ -141,7 +141,7 @@ impl RunReport<'_> {
         let defect =
             |problem: String| Error::unusable(file.path(), problem, "please report this bug in wavex");
         let report = serde_json::to_value(self).map_err(|error| defect(error.to_string()))?;
-        let page = page::page(&report).map_err(|error| defect(error.to_string()))?;
+        let page = page::page(&report, usize::MAX).map_err(|error| defect(error.to_string()))?;
         write(file, &page, "write the page").map(drop)
     }
 }
@@ -165,11 +165,21 @@ pub fn write_stat_log(
 /// # Errors
 /// If the report cannot be read or is invalid, or the page cannot be written.
 pub fn write_page_of(report: &Path, page: &Path) -> Result<()> {
-    let html = page::page(&read_report(report)?).map_err(|error| {
+    let stored = read_report(report)?;
+    // A page has a few times the size of its report; a hostile report could have a thousand times.
+    let bytes = std::fs::metadata(report).map_or(0, |about| about.len());
+    let limit =
+        PAGE_BYTES + usize::try_from(bytes).unwrap_or(usize::MAX / 16).saturating_mul(PAGE_PER_REPORT);
+    let html = page::page(&stored, limit).map_err(|error| {
         Error::unusable(report, error.to_string(), "run the job again to make a new report")
     })?;
     write(OutputFile::create(page)?, &html, "write the page").map(drop)
 }
+
+/// Maximum size of the page of a small stored report, bytes.
+const PAGE_BYTES: usize = 32_000_000;
+/// Further bytes of a page per byte of its report.
+const PAGE_PER_REPORT: usize = 10;
 
 /// Reads a stored report.
 ///

@@ -1,6 +1,6 @@
 //! Reads and writes the files of an archive, as a folder or a `.tar.zst`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::io::{Read, Seek, Write};
 use std::path::{Component, Path, PathBuf};
@@ -8,6 +8,7 @@ use std::path::{Component, Path, PathBuf};
 use super::digest;
 use super::paths::plain;
 use super::{ARCHIVE, Archive, FORMAT, JOB, RESOLVED, RESULTS, SEAL};
+use crate::stage::own_file;
 use wavex_formats::{Error, Result, regular_file};
 
 /// Extension of a packed archive.
@@ -309,16 +310,20 @@ pub(super) fn seal(files: &BTreeMap<String, Vec<u8>>) -> String {
     files.iter().map(|(name, bytes)| format!("{}  {name}\n", digest::of_bytes(bytes))).collect()
 }
 
-/// Writes files to a folder and syncs them to disk.
+/// Writes files to a folder and syncs them to disk with their names.
 pub(super) fn write_folder(folder: &Path, files: &BTreeMap<String, Vec<u8>>) -> Result<()> {
+    let mut folders = BTreeSet::from([folder.to_path_buf()]);
     for (name, bytes) in files {
         let path = folder.join(name);
         let parent = path.parent().unwrap_or(folder);
         fs::create_dir_all(parent).map_err(Error::io(parent, "create the folder"))?;
         let mut file = File::create(&path).map_err(Error::io(&path, "create"))?;
         file.write_all(bytes).and_then(|()| file.sync_all()).map_err(Error::io(&path, "write"))?;
+        folders.insert(parent.to_path_buf());
     }
-    Ok(())
+    folders
+        .iter()
+        .try_for_each(|folder| own_file::sync_folder(folder).map_err(Error::io(folder, "write the folder")))
 }
 
 /// Packs files as a folder of this name; `seconds` since 1970 is the time of all files.

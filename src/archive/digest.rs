@@ -1,7 +1,7 @@
 //! Digests of files, and detection of changes.
 
 use std::fs;
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::Path;
 use std::time::SystemTime;
 
@@ -16,7 +16,10 @@ pub(super) fn of_file(path: &Path) -> Result<(u64, String)> {
     let mut hasher = blake3::Hasher::new();
     let mut buffer = vec![0; BUFFER];
     loop {
-        let read = file.read(&mut buffer).map_err(Error::io(path, "read"))?;
+        let read = match file.read(&mut buffer) {
+            Err(error) if error.kind() == ErrorKind::Interrupted => continue,
+            read => read.map_err(Error::io(path, "read"))?,
+        };
         match buffer.get(..read) {
             None | Some([]) => break,
             Some(bytes) => hasher.update(bytes),

@@ -16,7 +16,7 @@ use super::{
 };
 use crate::engine::{InputStatus, InputSummary, Options, RunSummary};
 use crate::job::{Include, Job, JobStage};
-use crate::stage::{ConfigError, OutputFile, Result, StageError, partial_path};
+use crate::stage::{ConfigError, OutputFile, Result, StageError, own_file, partial_path};
 use crate::stages::write_lstat;
 use wavex_formats::Error;
 use wavex_geodesy::time::utc;
@@ -206,6 +206,7 @@ impl Recorder {
         };
         self.archive.failed = run.inputs.iter().filter_map(failed).collect();
         let mut files = self.texts(run, report, log)?;
+        self.remove_locks()?;
         files.extend(contents::read_files(&self.gathering.0)?);
         let of_results = self.results(&files)?;
         let results = digest::of_bytes(of_results.as_bytes());
@@ -219,8 +220,22 @@ impl Recorder {
             contents::write_folder(&self.gathering.0, &files)?;
             fs::rename(&self.gathering.0, &self.path)
                 .map_err(Error::io(&self.path, "rename to the final name"))?;
+            let parent = self.path.parent().unwrap_or(Path::new("."));
+            own_file::sync_folder(parent).map_err(Error::io(parent, "write the folder"))?;
         }
         Ok(Seals { seal, results })
+    }
+
+    /// Removes what could not be removed when the statistics were complete.
+    fn remove_locks(&self) -> Result<()> {
+        let lines = self.gathering.0.join(LINES);
+        for entry in lines.read_dir().map_err(Error::io(&lines, "list"))? {
+            let entry = entry.map_err(Error::io(&lines, "list"))?;
+            if entry.file_name().to_string_lossy().starts_with('.') {
+                fs::remove_file(entry.path()).map_err(Error::io(&lines, "remove a lock in"))?;
+            }
+        }
+        Ok(())
     }
 
     fn pack(&self, files: &BTreeMap<String, Vec<u8>>) -> Result<()> {

@@ -10,7 +10,7 @@ use std::path::Path;
 use clap::{CommandFactory, Parser};
 
 use super::{Cli, Failure, ImportArgs, Machine, When, dispatch, run, terminal};
-use crate::job::Job;
+use crate::job::{Job, JobError, JobErrors};
 use wavex_formats::trajectory::{self, Records};
 
 pub mod draft;
@@ -50,12 +50,25 @@ pub struct Import {
     pub obstacles: Vec<String>,
 }
 
+/// Maximum length of a command line, bytes.
+const LONGEST_LINE: usize = 1_000_000;
+
+/// Maximum size of a file that a command line reads: options, mounting angles; bytes.
+const LARGEST_FILE: u64 = 1_000_000;
+
 /// Translates a classic command line; `classic` names its version, if known.
 ///
 /// # Errors
-/// If the line is invalid: all problems with their positions in one message, without the leading
-/// `error`.
+/// If the line, or the job that it makes in this build, is invalid: the problems with their positions
+/// in one message, without the leading `error`.
 pub fn import(words: &[String], classic: Option<&str>, place: &Place) -> Result<Import, String> {
+    let length = words.iter().fold(0, |sum: usize, word| sum.saturating_add(word.len() + 1));
+    if length > LONGEST_LINE {
+        let what = format!("the command line has {length} bytes, more than {LONGEST_LINE}");
+        return Err(
+            Problem::of_line(what, "name many inputs by a pattern, as in `-i \"lines/*.sdf\"`").shown()
+        );
+    }
     let words = line::without_program(words);
     let version = version_of(words, classic)?;
     let (mut given, mut problems) = (Vec::new(), Vec::new());
@@ -80,7 +93,44 @@ pub fn import(words: &[String], classic: Option<&str>, place: &Place) -> Result<
     }
     let mut imported = translate::translate(version, given, place).map_err(|all| problem::message(&all))?;
     imported.notes.extend(passed_over);
-    Ok(finished(version, words, &from_files, imported, place.known))
+    let given = std::mem::take(&mut imported.given);
+    let sources = std::mem::take(&mut imported.job.sources);
+    let n_job_lines = imported.job.toml.lines().count();
+    let import = finished(version, words, &from_files, imported, place.known);
+    if import.has_job && matches!(place.known, Known::Schema(_)) {
+        let first = import.text.lines().count() - n_job_lines;
+        let parsed = Job::parse(THE_JOB, &import.text, &[]);
+        parsed.map_err(|errors| problem::message(&of_job(&errors, first, &sources, &given)))?;
+    }
+    Ok(import)
+}
+
+/// Name of the job in errors that no option causes.
+const THE_JOB: &str = "the job of this line";
+
+/// Errors of the job at the options that cause them.
+///
+/// `sources` are the keys' lines in the job, which starts at line `first` of the text.
+fn of_job(errors: &JobErrors, first: usize, sources: &[(usize, String)], given: &[Given]) -> Vec<Problem> {
+    let cause = |line: usize| {
+        let before = sources.iter().take_while(|(start, _)| first + start < line);
+        let (_, source) = before.last()?;
+        // A key may have several options as its source.
+        given.iter().find(|given| *source == given.written).or_else(|| {
+            given
+                .iter()
+                .filter(|given| source.contains(&given.written))
+                .max_by_key(|given| given.written.len())
+        })
+    };
+    let one = |error: &JobError| {
+        let what = format!("the job of this line is invalid: {}", error.problem);
+        let help = error.help.join("; ");
+        let place =
+            errors.position(error).and_then(|(_, line, _)| cause(line)).map(|given| given.place.clone());
+        Problem { what: problem::plain(&what), help: problem::plain(&help), place }
+    };
+    errors.errors().iter().map(one).collect()
 }
 
 /// Returns the named version, else 1.0 for LAS or LAZ inputs and 1.1 for all others.
@@ -168,7 +218,6 @@ impl Known {
 
 /// Translates a line and prints, writes or runs the result.
 pub(super) fn run_import(args: &ImportArgs, quiet: bool) -> Result<(), Failure> {
-    let read = |path: &str| std::fs::read_to_string(path).ok();
     let folder =
         args.output.as_deref().and_then(Path::parent).filter(|folder| !folder.as_os_str().is_empty());
     let base = match folder {
@@ -185,7 +234,7 @@ pub(super) fn run_import(args: &ImportArgs, quiet: bool) -> Result<(), Failure> 
     let place = Place { known: &known, base: base.as_deref(), read: &read, latitude: &latitude };
     let import = import(&args.line, classic, &place).map_err(Failure::Wrong)?;
     let job = match import.has_job {
-        true => Some(Job::parse("the job of this line", &import.text, &[])?),
+        true => Some(Job::parse(THE_JOB, &import.text, &[])?),
         false => None,
     };
     match &args.output {
@@ -206,6 +255,13 @@ pub(super) fn run_import(args: &ImportArgs, quiet: bool) -> Result<(), Failure> 
         tracing::warn!("{what}");
     }
     if args.run { run_all(&import, job, folder, quiet) } else { Ok(()) }
+}
+
+/// Content of a small file; `None` if it cannot be read or is larger than [`LARGEST_FILE`].
+fn read(path: &str) -> Option<String> {
+    let about = std::fs::metadata(path).ok()?;
+    let is_small = about.is_file() && about.len() <= LARGEST_FILE;
+    if is_small { std::fs::read_to_string(path).ok() } else { None }
 }
 
 /// Latitude of the first trajectory record, degrees.

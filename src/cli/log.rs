@@ -113,12 +113,14 @@ impl<'a> MakeWriter<'a> for ToFile {
 
 impl Write for ToFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let text = String::from_utf8_lossy(bytes);
+        let harmless = terminal::harmless(&text);
         if let Some(kept) = lock_kept().as_mut() {
-            kept.extend_from_slice(bytes);
+            kept.extend_from_slice(harmless.as_bytes());
         }
         if let Some(log) = lock().as_mut() {
             // Write everything: a partial write would be retried and kept twice in memory.
-            if let Err(error) = log.file.write_all(bytes) {
+            if let Err(error) = log.file.write_all(harmless.as_bytes()) {
                 log.failure.get_or_insert(error);
             }
         }

@@ -1,6 +1,7 @@
 //! Files of a run besides the outputs of its stages: report, page, trace, statistics.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -294,7 +295,7 @@ impl<'j> RunFiles<'j> {
         let log = self.log();
         for input in &run.inputs {
             let path = self.stat_log(&input.stem);
-            let Some(path) = path.filter(|path| path.parent().is_some_and(Path::is_dir)) else { continue };
+            let Some(path) = path.filter(|path| is_in_folder(path)) else { continue };
             if let Err(error) = report::write_stat_log(&path, run, input, log.as_slice(), Some(failure)) {
                 tracing::warn!("cannot write the statistics of the failed run: {error}");
             }
@@ -334,9 +335,12 @@ impl<'j> RunFiles<'j> {
     }
 }
 
-/// Whether the folder of a file exists.
+/// Whether the folder of a file exists, or cannot be inspected: writing the file then shows why.
 fn is_in_folder(path: &Path) -> bool {
-    path.parent().is_some_and(Path::is_dir)
+    let about = path.parent().map(std::fs::metadata);
+    about.is_some_and(|about| {
+        about.map_or_else(|error| error.kind() != ErrorKind::NotFound, |about| about.is_dir())
+    })
 }
 
 /// Entry of a report, which JSON can always represent.

@@ -42,6 +42,10 @@ pub(super) fn find(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> (Vec<
                 errors.push(RunError::of_job(error.into()));
                 continue;
             }
+            if let Some(error) = control_characters(&path, input_dir) {
+                errors.push(error);
+                continue;
+            }
             if !seen.insert(path.clone()) {
                 continue;
             }
@@ -60,6 +64,15 @@ pub(super) fn find(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> (Vec<
         }
     }
     (inputs, errors)
+}
+
+/// Error for a name that would forge lines in reports and logs, or command a terminal.
+fn control_characters(path: &Path, input_dir: &Path) -> Option<RunError> {
+    // The folder is the user's choice.
+    let name = path.strip_prefix(input_dir).unwrap_or(path).to_string_lossy();
+    let problem = || format!("{name:?}: the name contains control characters");
+    let has_control = name.contains(char::is_control);
+    has_control.then(|| RunError::of_job(StageError::failed(problem(), "rename the file")))
 }
 
 fn stem_of(path: &Path) -> String {
@@ -205,6 +218,16 @@ mod tests {
         let error = expand("*.pls").unwrap_err().to_string();
         assert!(error.ends_with("b\u{fffd}.pls: the name is not Unicode; rename the file"), "{error}");
         assert_eq!(expand("a*.pls").unwrap().len(), 1, "other files do not matter");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_name_with_control_characters_is_refused_and_shown_escaped() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("a\n\u{1b}[2J.pls"), b"").unwrap();
+        let error = expand(Some(&Paths::One("*.pls".into())), "", folder.path()).unwrap_err();
+        let expected = r#""a\n\u{1b}[2J.pls": the name contains control characters; rename the file"#;
+        assert_eq!(error.to_string(), expected);
     }
 
     #[test]

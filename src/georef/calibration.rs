@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::scan_line::ReturnChannel;
-use wavex_formats::{Error, Result};
+use wavex_formats::{Error, Result, read_small_text};
 
 /// Calibration; all zero means none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -54,15 +54,7 @@ impl Calibration {
     /// # Errors
     /// A file that cannot be read, or is neither.
     pub fn read(path: &Path) -> Result<Calibration> {
-        let bytes = std::fs::metadata(path).map_err(Error::io(path, "open the calibration"))?.len();
-        if bytes > MOST_BYTES {
-            return Err(Error::unusable(
-                path,
-                format!("{bytes} bytes is too large for a calibration"),
-                REMEDY,
-            ));
-        }
-        let text = std::fs::read_to_string(path).map_err(Error::io(path, "read the calibration"))?;
+        let text = read_small_text(path, MOST_BYTES, "a calibration", REMEDY)?;
         let is_toml = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"));
         let found = if is_toml {
             toml::from_str(&text).map_err(|error| error.to_string().trim_end().to_owned())
@@ -205,7 +197,7 @@ mod tests {
         let error = refused(&"0 ".repeat(60_000));
         assert_eq!(error, format!("120000 bytes is too large for a calibration; {REMEDY}"));
         let missing = Calibration::read(Path::new("no_such_calibration")).unwrap_err().to_string();
-        assert!(missing.starts_with("no_such_calibration: cannot open the calibration: "), "{missing}");
+        assert!(missing.starts_with("no_such_calibration: cannot open: "), "{missing}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::keys::{GeometryKeys, UnitKey};
 use super::{Error as GeorefError, Result};
-use wavex_formats::{Error, geoid};
+use wavex_formats::{geoid, read_small_text};
 use wavex_geodesy::crs::{Crs, CrsError, Named, Unit};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_geodesy::frames::Vector;
@@ -143,17 +143,8 @@ pub fn check_crs(keys: &GeometryKeys, input_dir: &Path) -> Result<()> {
 }
 
 pub(super) fn read_wkt(path: &Path) -> Result<String> {
-    let bytes = std::fs::metadata(path).map_err(Error::io(path, "open the WKT of `crs`"))?.len();
-    if bytes > MOST_WKT_BYTES {
-        let problem = format!("{bytes} bytes is too large for WKT");
-        return Err(Error::unusable(
-            path,
-            problem,
-            "give the .prj or .wkt file of a coordinate reference system",
-        )
-        .into());
-    }
-    Ok(std::fs::read_to_string(path).map_err(Error::io(path, "read the WKT of `crs`"))?)
+    let remedy = "give the .prj or .wkt file of a coordinate reference system";
+    Ok(read_small_text(path, MOST_WKT_BYTES, "WKT", remedy)?)
 }
 
 impl OutputCrs {

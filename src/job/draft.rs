@@ -2,12 +2,13 @@
 //!
 //! Removes `[job]`, and each stage's `type` and `id`, from the table.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::limits::{MAX_ERRORS, MAX_STAGES};
 use super::{JobError, JobSettings};
 use crate::keys::{FileMark, Keys};
 use crate::registry::{find_in, nearest_of};
@@ -46,10 +47,19 @@ pub(super) fn syntax(text: &str) -> Result<DeTable<'_>, Vec<JobError>> {
         return Ok(root.into_inner());
     }
     let mut of_lines: BTreeMap<usize, JobError> = BTreeMap::new();
+    // Lines are counted on from the problem before; most problems come in the order of the text.
+    let (mut at, mut line) = (0, 0);
     for problem in &problems {
         let span = problem.span().unwrap_or_default();
-        let line = text.get(..span.start).unwrap_or_default().matches('\n').count();
+        if span.start < at {
+            (at, line) = (0, 0);
+        }
+        line += text.get(at..span.start).unwrap_or_default().matches('\n').count();
+        at = span.start;
         of_lines.entry(line).or_insert_with(|| syntax_error(span, problem));
+        if of_lines.len() > MAX_ERRORS {
+            break;
+        }
     }
     Err(of_lines.into_values().collect())
 }
@@ -70,10 +80,15 @@ impl<'t> Draft<'t> {
         let settings = root.remove("job").and_then(|job| table(job, "[job]", &mut errors));
         let settings = settings.unwrap_or_else(|| Spanned::new(0..0, DeTable::new()));
         let stages = root.remove("stage").map_or_else(Vec::new, |value| elements(value, &mut errors));
+        if let Some(first) = stages.get(MAX_STAGES) {
+            let problem = format!("the job has {} stages, more than {MAX_STAGES}", stages.len());
+            let error = JobError::at(first.span(), problem).help("write several jobs");
+            return (Draft { settings, stages: Vec::new() }, vec![error]);
+        }
         let mut stages: Vec<DraftStage> =
             stages.into_iter().map(|keys| DraftStage::new(keys, known, &mut errors)).collect();
         name(&mut stages, &mut errors);
-        errors.extend(root.keys().map(unknown));
+        errors.extend(root.keys().take(MAX_ERRORS).map(unknown));
         if stages.is_empty() && errors.is_empty() {
             let help = "`wavex init` writes a starter job; `wavex stages` lists the stages";
             errors.push(JobError::of_job("the job has no stage").help(help));
@@ -171,17 +186,17 @@ fn name(stages: &mut [DraftStage], errors: &mut Vec<JobError>) {
             stage.id = if *n > 1 { numbered } else { stage.type_name.clone() };
         }
     }
-    let mut seen: Vec<&str> = Vec::new();
+    let mut seen: BTreeSet<&str> = BTreeSet::new();
     for stage in stages.iter() {
         let at = stage.id_at.clone().unwrap_or(stage.named_at.clone());
-        if seen.contains(&stage.id.as_str()) {
+        if seen.contains(stage.id.as_str()) {
             let error = JobError::at(at, format!("duplicate stage name `{}`", stage.id));
             errors.push(error.help("give one of them a different `id`"));
         } else if stage.id_at.is_some() && !usable(&stage.id) {
             let error = JobError::at(at, format!("invalid stage name `{}`", stage.id));
             errors.push(error.help("an `id` consists of letters, digits, `_` and `-`, and is not `job`"));
         }
-        seen.push(&stage.id);
+        seen.insert(&stage.id);
     }
 }
 

@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use annotate_snippets::{AnnotationKind, Level, Origin, Renderer, Snippet};
 
+use super::limits::MAX_ERRORS;
 use super::sources::{Place, Sources, shown};
 use crate::registry::nearest_of;
 
@@ -19,13 +20,15 @@ pub struct JobError {
     pub(super) span: Option<Range<usize>>,
 }
 
-/// All errors in a job, in the order of the text.
+/// All errors in a job in the order of the text, at most 100.
 ///
 /// Displays for each error its file, line and column, the line itself, a caret below the position,
 /// and remedies.
 #[derive(Clone, Debug)]
 pub struct JobErrors {
     errors: Vec<JobError>,
+    /// Whether there are more than the reported ones.
+    has_more: bool,
     sources: Sources,
 }
 
@@ -56,14 +59,16 @@ impl JobError {
 }
 
 /// Width beyond which a line of the job is cut, columns.
-const WIDEST: usize = 100_000;
+const WIDEST: usize = 1000;
 
 impl JobErrors {
     pub(super) fn new(mut errors: Vec<JobError>, sources: Sources) -> JobErrors {
         errors.sort_by_key(|error| error.span.clone().map_or((0, 0), |span| (span.start, span.end)));
         // An error in an included file is reported once for each stage of the type.
         errors.dedup();
-        JobErrors { errors, sources }
+        let has_more = errors.len() > MAX_ERRORS;
+        errors.truncate(MAX_ERRORS);
+        JobErrors { errors, has_more, sources }
     }
 
     /// Returns the errors in the order of the text.
@@ -74,8 +79,7 @@ impl JobErrors {
     /// Position of an error: file or `--set`, line and column from 1; `None` if it has none.
     pub fn position(&self, error: &JobError) -> Option<(&str, usize, usize)> {
         let place = self.sources.place(error.span.as_ref()?);
-        let column = place.text.get(..place.marked.start).unwrap_or_default().chars().count() + 1;
-        Some((place.name, place.line, column))
+        Some((place.name, place.line, place.column))
     }
 
     /// Name of the job.
@@ -87,7 +91,9 @@ impl JobErrors {
     pub fn render(&self, colour: bool) -> String {
         let renderer = if colour { Renderer::styled() } else { Renderer::plain() }.term_width(WIDEST);
         let each = self.errors.iter().map(|error| self.show(error, &renderer) + "\n");
-        each.collect::<Vec<String>>().join("\n")
+        let more =
+            self.has_more.then(|| format!("more than {MAX_ERRORS} errors: the others are not shown\n"));
+        each.chain(more).collect::<Vec<String>>().join("\n")
     }
 
     fn show(&self, error: &JobError, renderer: &Renderer) -> String {
@@ -95,9 +101,14 @@ impl JobErrors {
         let group = match &error.span {
             None => title.element(Origin::path(shown(self.sources.name()))),
             Some(span) => {
-                let Place { name, line, text, marked } = self.sources.place(span);
+                let Place { name, line, column, text, marked } = self.sources.place(span);
+                let is_shown = !text.is_empty() || column == 1;
                 let snippet = Snippet::source(text).line_start(line).path(shown(name));
-                title.element(snippet.annotation(AnnotationKind::Primary.span(marked)))
+                if is_shown {
+                    title.element(snippet.annotation(AnnotationKind::Primary.span(marked)))
+                } else {
+                    title.element(Origin::path(shown(name)).line(line).char_column(column))
+                }
             }
         };
         let help = error.help.iter().map(|help| Level::HELP.message(shown(help)));

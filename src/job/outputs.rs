@@ -19,7 +19,10 @@ pub(super) fn check(stages: &[Option<Stage>], settings: Option<&JobSettings>) ->
     for (stage, pattern) in stages.iter().flatten().flat_map(patterns) {
         let at = stage.place_of(pattern);
         let file = source.file(pattern);
-        if source.several && !pattern.contains('*') {
+        if pattern.contains(char::is_control) {
+            let problem = format!("the name of an output contains control characters: {pattern:?}");
+            errors.push(JobError::at(at, problem).help("write a name of visible characters"));
+        } else if source.several && !pattern.contains('*') {
             let problem = format!("every input of this job would write the same file, {pattern:?}");
             errors.push(JobError::at(at, problem).help(with_star(pattern)));
         } else if let Some((_, other)) = seen.iter().find(|(other, _)| *other == file) {

@@ -24,6 +24,9 @@ struct Source {
     start: usize,
 }
 
+/// Length of a line beyond which errors do not show it, bytes.
+const LONGEST_LINE: usize = 10_000;
+
 /// Position of a span as an error shows it.
 #[derive(Debug, PartialEq)]
 pub(super) struct Place<'s> {
@@ -31,7 +34,9 @@ pub(super) struct Place<'s> {
     pub name: &'s str,
     /// Line number, from 1.
     pub line: usize,
-    /// The line.
+    /// Column, from 1.
+    pub column: usize,
+    /// The line; empty if it is longer than [`LONGEST_LINE`].
     pub text: String,
     /// Byte range of the span in the line; empty at its end.
     pub marked: Range<usize>,
@@ -75,12 +80,17 @@ impl Sources {
         let end = text.floor_char_boundary(span.end.saturating_sub(source.start)).max(start);
         let line_start = text[..start].rfind('\n').map_or(0, |at| at + 1);
         let line_end = text[start..].find('\n').map_or(text.len(), |at| start + at);
+        let is_short = line_end - line_start <= LONGEST_LINE;
+        let line_end = if is_short { line_end } else { line_start };
         let line = shown(text[line_start..line_end].trim_end_matches('\r'));
-        let before = shown(&text[line_start..start]).len().min(line.len());
-        let width = shown(text[start..end.min(line_end)].trim_end()).len();
+        let before = shown(&text[line_start..start]);
+        let column = before.chars().count() + 1;
+        let before = before.len().min(line.len());
+        let width = shown(text[start..end.min(line_end).max(start)].trim_end()).len();
         Place {
             name: &source.name,
             line: text[..start].matches('\n').count() + 1,
+            column,
             marked: before..(before + width).min(line.len()),
             text: line,
         }
@@ -106,7 +116,7 @@ mod tests {
     fn place(text: &str, overrides: &[&str], span: Range<usize>) -> (String, usize, String, Range<usize>) {
         let overrides: Vec<Override> = overrides.iter().map(|&text| Override::new(text)).collect();
         let sources = Sources::new("job.toml", text, &[], &overrides);
-        let Place { name, line, text, marked } = sources.place(&span);
+        let Place { name, line, text, marked, .. } = sources.place(&span);
         (name.to_owned(), line, text, marked)
     }
 

@@ -11,6 +11,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::JobError;
+use super::limits::MAX_ERRORS;
 use super::manual::first_sentence;
 use crate::keys::{Keys, bounds, choices, takes};
 
@@ -46,6 +47,9 @@ fn check_table(owner: &str, schema: &Value, table: &DeTable, header: &Range<usiz
         match properties.get(key.get_ref().as_ref()) {
             Some(schema) => errors.extend(Given { owner, name: &format!("`{key}`"), schema, value }.check()),
             None => errors.push(unknown_key(owner, key, properties.keys())),
+        }
+        if errors.len() > MAX_ERRORS {
+            break;
         }
     }
     let required = schema.get("required").and_then(Value::as_array).into_iter().flatten();
@@ -109,7 +113,10 @@ impl Given<'_> {
             DeValue::Array(items) => {
                 let name = &format!("an item of {}", self.name);
                 let schema = self.schema.get("items").unwrap_or(&Value::Null);
-                let of_items = items.iter().flat_map(|value| Given { name, schema, value, ..*self }.check());
+                let of_items = items
+                    .iter()
+                    .flat_map(|value| Given { name, schema, value, ..*self }.check())
+                    .take(MAX_ERRORS);
                 self.check_length(items.len()).into_iter().chain(of_items).collect()
             }
             _ => Vec::new(),

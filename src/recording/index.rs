@@ -14,14 +14,13 @@ use std::time::UNIX_EPOCH;
 use arrow_array::cast::AsArray;
 use arrow_array::types::{Float64Type, UInt32Type, UInt64Type};
 use arrow_array::{ArrayRef, BooleanArray, Float64Array, RecordBatch, UInt32Array, UInt64Array};
-use arrow_ipc::writer::FileWriter;
 use arrow_schema::{ArrowError, Schema};
 
 use super::index_path;
 use crate::scan_line::ScanLine;
 use crate::stage::{Context, LineLocation, OutputFile, Result, RunContext, SourcePlan, StageError};
 use wavex_formats::Error;
-use wavex_formats::container::TableReader;
+use wavex_formats::container::{IpcWriter, TableReader};
 
 /// Called with the fraction of a recording that has been read; an error ends the reading.
 pub type Watch<'a> = dyn FnMut(f64) -> Result<()> + 'a;
@@ -162,12 +161,12 @@ impl LineIndex {
         let metadata = HashMap::from([(RECORDING_KEY.to_owned(), identity.to_owned())]);
         let schema = columns(&[])?.schema().as_ref().clone().with_metadata(metadata);
         let schema = Arc::new(schema);
-        let mut writer = FileWriter::try_new(file, &schema)?;
+        let mut writer = IpcWriter::file(file, Arc::clone(&schema), None)?;
         for lines in self.lines.chunks(ROWS_PER_BATCH) {
             let columns = columns(lines)?.columns().to_vec();
             writer.write(&RecordBatch::try_new(Arc::clone(&schema), columns)?)?;
         }
-        writer.finish()
+        writer.finish().map(|_| ())
     }
 
     /// Reads an index file; `None` if it is missing, damaged, or not of this recording.

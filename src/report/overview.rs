@@ -68,6 +68,52 @@ pub struct Overview {
     pub waveforms: Vec<ShownShot>,
 }
 
+/// Maximum length of a list of numbers in a stored overview.
+const MOST_NUMBERS: usize = 100_000;
+
+impl Overview {
+    /// First list that is longer than a run makes it: a page would become very large.
+    pub(in crate::report) fn excess(&self) -> Option<String> {
+        let numbers = |name, length| (name, length, MOST_NUMBERS);
+        let mut lists = vec![
+            ("histograms", self.histograms.len(), 64),
+            ("waveforms", self.waveforms.len(), 16),
+            numbers("lines", self.lines.lines.len()),
+            numbers("lines", self.lines.waveforms.len()),
+            numbers("lines", self.lines.returns.len()),
+            numbers("lines", self.lines.points.len()),
+        ];
+        lists.extend(self.histograms.iter().map(|of| numbers("counts", of.counts.len())));
+        if let Some(map) = &self.map {
+            lists.push(("lines of the map", map.lines.len(), 1000));
+            lists.extend(map.lines.iter().map(|line| numbers("places", line.places.len())));
+        }
+        if let Some(zones) = &self.zones {
+            lists.push(("shares", zones.shares.len(), 1000));
+            let clouds = zones.clouds.iter().flat_map(|clouds| &clouds.clouds);
+            lists.push(("clouds", clouds.clone().count(), 100));
+            lists.extend(clouds.map(|cloud| numbers("points of a cloud", cloud.points.len())));
+        }
+        if let Some(points) = &self.points {
+            lists.push(("shots_by_returns", points.shots_by_returns.len(), 10_000));
+            lists.push(("by_return_number", points.by_return_number.len(), 10_000));
+        }
+        for shot in &self.waveforms {
+            lists.push(("blocks", shot.blocks.len(), 64));
+            for block in &shot.blocks {
+                lists.push(("peaks", block.peaks.len(), 1000));
+                lists.push(("pulses_dn", block.samples.pulses_dn.len(), 1000));
+                lists.extend(block.samples.pulses_dn.iter().map(|pulse| numbers("pulses_dn", pulse.len())));
+                lists.push(numbers("samples_dn", block.samples.samples_dn.len()));
+                lists.push(numbers("fitted_dn", block.samples.fitted_dn.len()));
+                lists.push(numbers("residual", block.samples.residual.len()));
+            }
+        }
+        let (name, length, most) = lists.into_iter().find(|(_, length, most)| length > most)?;
+        Some(format!("`{name}` has {length} entries, more than {most}"))
+    }
+}
+
 /// Collects the overview of each input of a run.
 #[derive(Debug, Default)]
 pub struct Overviews(Mutex<BTreeMap<String, Arc<Collector>>>);

@@ -21,27 +21,51 @@ mod stages_and_sensor;
 mod waveforms;
 pub(super) mod words;
 
-/// An input whose overview cannot be shown.
+/// Reason why a report has no page.
 #[derive(Debug, thiserror::Error)]
-#[error("the overview of {stem:?} is invalid: {source}")]
-pub(super) struct InvalidOverview {
-    stem: String,
-    source: serde_json::Error,
+pub(super) enum NoPage {
+    /// The overview of an input cannot be read.
+    #[error("the overview of {stem:?} is invalid: {source}")]
+    Overview {
+        /// Stem of the input.
+        stem: String,
+        /// Problem of the JSON.
+        source: serde_json::Error,
+    },
+    /// The overview of an input has a list that no run makes so long.
+    #[error("the overview of {stem:?} is invalid: {problem}")]
+    TooMany {
+        /// Stem of the input.
+        stem: String,
+        /// The list and its length.
+        problem: String,
+    },
+    /// The page exceeds its limit.
+    #[error("its page would be larger than {} MB", limit / 1_000_000)]
+    TooLarge {
+        /// Limit, bytes.
+        limit: usize,
+    },
 }
 
 /// Renders a report as HTML; omits what the report lacks.
 ///
 /// # Errors
-/// If the overview of an input is invalid.
-pub(super) fn page(report: &Value) -> Result<String, InvalidOverview> {
+/// If the overview of an input is invalid, or the page is larger than about `limit` bytes.
+pub(super) fn page(report: &Value, limit: usize) -> Result<String, NoPage> {
     let inputs = list(report, "inputs");
     let names: Vec<String> = inputs.iter().map(|input| plain(&input["stem"])).collect();
     let chain: Vec<String> = list(report, "stages").iter().map(name).collect();
-    let shown: Vec<InputPart> = (0..)
-        .zip(inputs)
-        .filter(|(_, input)| input["status"] != "not_run")
-        .map(|(number, input)| InputPart::of(report, input, number))
-        .collect::<Result<_, _>>()?;
+    let mut shown: Vec<InputPart> = Vec::new();
+    let mut bytes = 0;
+    for (number, input) in (0..).zip(inputs).filter(|(_, input)| input["status"] != "not_run") {
+        let part = InputPart::of(report, input, number)?;
+        bytes += part.body.0.len();
+        if bytes > limit {
+            return Err(NoPage::TooLarge { limit });
+        }
+        shown.push(part);
+    }
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -61,7 +85,8 @@ pub(super) fn page(report: &Value) -> Result<String, InvalidOverview> {
             }
         }
     };
-    Ok(page.into_string())
+    let page = page.into_string();
+    if page.len() > limit { Err(NoPage::TooLarge { limit }) } else { Ok(page) }
 }
 
 /// Date, version, computer, threads and duration of a run.
@@ -101,13 +126,18 @@ fn of_inputs(inputs: &[Value], shown: &[InputPart]) -> Markup {
                     table.wide {
                         thead { tr { @for head in ["input", "verdict", "status", "points", "time, s", "reason"] { th scope="col" { (head) } } } }
                         tbody { @for (number, input) in several.iter().enumerate() {
-                            (input_row(input, shown.iter().find(|part| part.number == number)))
+                            (input_row(input, part_of(shown, number)))
                         } }
                     }
                 }
             }
         }
     }
+}
+
+/// The part of an input; parts are in the order of the inputs.
+fn part_of(shown: &[InputPart], number: usize) -> Option<&InputPart> {
+    shown.get(shown.binary_search_by_key(&number, |part| part.number).ok()?)
 }
 
 fn input_row(input: &Value, part: Option<&InputPart>) -> Markup {
@@ -125,15 +155,18 @@ fn input_row(input: &Value, part: Option<&InputPart>) -> Markup {
 }
 
 impl InputPart {
-    fn of(report: &Value, input: &Value, number: usize) -> Result<InputPart, InvalidOverview> {
+    fn of(report: &Value, input: &Value, number: usize) -> Result<InputPart, NoPage> {
         let stem = plain(&input["stem"]);
         let overview: Option<Overview> = match &input["overview"] {
             Value::Null => None,
             value => Some(
                 serde_json::from_value(value.clone())
-                    .map_err(|source| InvalidOverview { stem: stem.clone(), source })?,
+                    .map_err(|source| NoPage::Overview { stem: stem.clone(), source })?,
             ),
         };
+        if let Some(problem) = overview.as_ref().and_then(Overview::excess) {
+            return Err(NoPage::TooMany { stem, problem });
+        }
         let id = format!("input-{number}");
         let parts = parts(report, input, overview.as_ref(), number);
         let heading = html! {

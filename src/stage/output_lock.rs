@@ -113,7 +113,7 @@ fn claim(folder: &Path, paths: &BTreeSet<PathBuf>) -> Result<Claim> {
 /// Claims outputs within the gate of their folder.
 fn claim_in(folder: &Path, paths: &BTreeSet<PathBuf>) -> Result<Claim> {
     let wanted = paths.iter().map(|path| below(folder, path)).collect();
-    for claim in claims(folder) {
+    for claim in claims(folder).map_err(Error::io(folder, "list the claims in"))? {
         if let Some(other) =
             Other::look(&claim).map_err(Error::io(&claim, "read the claim of another run"))?
         {
@@ -129,7 +129,7 @@ fn below(folder: &Path, path: &Path) -> String {
 }
 
 /// Claims in a folder.
-fn claims(folder: &Path) -> Vec<PathBuf> {
+fn claims(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let is_claim = |entry: &DirEntry| {
         let name = entry.file_name();
         let name = name.to_string_lossy();
@@ -137,9 +137,8 @@ fn claims(folder: &Path) -> Vec<PathBuf> {
         let is_file = || entry.file_type().is_ok_and(|kind| kind.is_file());
         name.starts_with(CLAIM.0) && name.ends_with(CLAIM.1) && is_file()
     };
-    // A folder that cannot be listed has no readable claims.
-    let entries = folder.read_dir().into_iter().flatten().flatten();
-    entries.filter(is_claim).map(|entry| entry.path()).collect()
+    let entries: Vec<DirEntry> = folder.read_dir()?.collect::<io::Result<_>>()?;
+    Ok(entries.iter().filter(|entry| is_claim(entry)).map(DirEntry::path).collect())
 }
 
 /// Process id in a claim's name.
@@ -159,7 +158,7 @@ fn make(folder: &Path, wanted: &BTreeSet<String>) -> io::Result<Claim> {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => number += 1,
             Err(error) => return Err(error),
             Ok(mut file) => {
-                if let Err(error) = file.lock().and_then(|()| file.write_all(&list)) {
+                if let Err(error) = uninterrupted(|| file.lock()).and_then(|()| file.write_all(&list)) {
                     // Not by dropping a claim, which would wait for the gate that is held here.
                     remove(&path);
                     return Err(error);
@@ -185,11 +184,7 @@ impl Other {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             opened => opened?,
         };
-        let lives = match file.try_lock() {
-            Ok(()) => false,
-            Err(TryLockError::WouldBlock) => true,
-            Err(TryLockError::Error(error)) => return Err(error),
-        };
+        let lives = !uninterrupted(|| try_lock(&file))?;
         let mut list = Vec::new();
         let read = (&mut file).take(MOST_BYTES).read_to_end(&mut list);
         let outputs: Option<BTreeSet<String>> = read.ok().and_then(|_| serde_json::from_slice(&list).ok());
@@ -243,14 +238,31 @@ impl Drop for Claim {
     }
 }
 
+/// Repeats a call that a signal interrupts.
+fn uninterrupted<T>(mut call: impl FnMut() -> io::Result<T>) -> io::Result<T> {
+    loop {
+        match call() {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            done => return done,
+        }
+    }
+}
+
+/// Locks a file; false if another process has it locked.
+fn try_lock(file: &File) -> io::Result<bool> {
+    match file.try_lock() {
+        Ok(()) => Ok(true),
+        Err(TryLockError::WouldBlock) => Ok(false),
+        Err(TryLockError::Error(error)) => Err(error),
+    }
+}
+
 /// Locks a gate until the longest wait since `started`; says what it waits for.
 fn lock_within(file: &File, started: Instant, path: &Path) -> io::Result<()> {
     let mut is_told = false;
     loop {
-        match file.try_lock() {
-            Ok(()) => return Ok(()),
-            Err(TryLockError::Error(error)) => return Err(error),
-            Err(TryLockError::WouldBlock) => {}
+        if uninterrupted(|| try_lock(file))? {
+            return Ok(());
         }
         let waited = started.elapsed();
         if waited > LONGEST_WAIT {
@@ -307,7 +319,8 @@ impl Gate {
 
     /// Leaves the gate and removes it if no claims remain.
     fn leave(mut self) {
-        if claims(&self.folder).is_empty() && self.file.write_all(b"given up\n").is_ok() {
+        let is_last = claims(&self.folder).is_ok_and(|claims| claims.is_empty());
+        if is_last && self.file.write_all(b"given up\n").is_ok() {
             remove(&self.folder.join(GATE));
         }
     }

@@ -10,7 +10,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Result;
 use crate::scan_line::InputInfo;
-use wavex_formats::Error;
+use wavex_formats::{Error, read_small_text};
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 
@@ -230,12 +230,7 @@ impl SurveyModels {
     /// If it cannot be read or is invalid.
     pub fn read(path: &Path) -> Result<SurveyModels> {
         const REMEDY: &str = "give a file written by `wavex calibrate JOB.toml -o FILE.json`";
-        let size = std::fs::metadata(path).map_err(Error::io(path, "open"))?.len();
-        if size > MAX_BYTES {
-            let problem = format!("{size} bytes is too large for the models of a survey");
-            return Err(Error::unusable(path, problem, REMEDY).into());
-        }
-        let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
+        let text = read_small_text(path, MAX_BYTES, "the models of a survey", REMEDY)?;
         let models: SurveyModels = serde_json::from_str(&text)
             .map_err(|error| Error::unusable(path, format!("not the models of a survey: {error}"), REMEDY))?;
         if models.format != FORMAT {

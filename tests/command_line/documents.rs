@@ -70,7 +70,7 @@ fn files_below(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
 
 /// Every page: those at the top and those in `docs`.
 fn pages() -> Vec<PathBuf> {
-    let top = ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"];
+    let top = ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md"];
     let mut pages: Vec<PathBuf> = top.iter().map(|name| root().join(name)).collect();
     pages.extend(files_below(&root().join("docs"), &[".md"]));
     pages

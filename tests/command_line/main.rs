@@ -17,6 +17,7 @@ mod init_from;
 mod job;
 mod job_errors;
 mod jobs;
+mod limits;
 mod manual;
 mod options;
 mod scan;

@@ -8,7 +8,7 @@ use wavex_testkit::flight::{OUTPUTS, STAGES, flight, run, wavex};
 use wavex_testkit::{Outcome, TestFolder};
 
 /// A flight with a run archived as `archives/NAME`.
-fn archived(name: &str) -> TestFolder {
+pub(super) fn archived(name: &str) -> TestFolder {
     let place = flight();
     place
         .write("job.toml", format!("# The job of a flight.\n[job]\noutput_dir = 'out'\n{STAGES}").as_bytes());
@@ -40,7 +40,7 @@ fn flip(path: &Path, at: usize) {
     fs::write(path, bytes).unwrap();
 }
 
-fn change(path: &Path, from: &str, to: &str) {
+pub(super) fn change(path: &Path, from: &str, to: &str) {
     let text = fs::read_to_string(path).unwrap();
     assert!(text.contains(from), "{from} is not in {}", path.display());
     fs::write(path, text.replacen(from, to, 1)).unwrap();

@@ -11,6 +11,8 @@ mod archive;
 mod archive_of_failures;
 mod cluster;
 mod copc;
+#[cfg(unix)]
+mod hostile_archives;
 mod report_page;
 mod survey_page;
 mod text_sinks;

@@ -448,3 +448,94 @@ fn a_report_without_newer_fields_has_a_page() {
     assert!(page.contains("mean pulse density: 0 pulses, 100 needed"));
     assert!(page.contains("<h3>Points by height") && !page.contains("<h3>Extent"));
 }
+
+/// Replaces each value that is not a table or a list.
+fn replace(value: &mut Value, new: &Value) {
+    match value {
+        Value::Array(items) => items.iter_mut().for_each(|item| replace(item, new)),
+        Value::Object(entries) => entries.values_mut().for_each(|entry| replace(entry, new)),
+        value => *value = new.clone(),
+    }
+}
+
+#[test]
+fn markup_in_any_value_of_a_report_is_shown_as_text() {
+    let (place, original) = run();
+    let markup = Value::from("<script>x</script>\" onload=\"y\" '><b>");
+    // With and without the overview, whose types a text instead of a number contradicts.
+    for without in ["overview", "failure"] {
+        let mut hostile = original.clone();
+        for input in hostile["inputs"].as_array_mut().unwrap() {
+            input[without] = Value::Null;
+        }
+        let fields: Vec<String> = hostile.as_object().unwrap().keys().cloned().collect();
+        for field in fields.iter().filter(|_| without == "overview") {
+            let mut changed = hostile.clone();
+            replace(&mut changed[field.as_str()], &markup);
+            place.write("hostile.json", changed.to_string().as_bytes());
+            let ended = report(&place, &["hostile.json", "--out", "hostile.html"]);
+            assert_eq!(ended, Outcome::success(), "{field}");
+            let page = place.text("hostile.html");
+            elements(&page);
+            assert!(!page.contains("<script") && !page.contains("onload=\""), "{field}");
+        }
+    }
+    // Texts of the overview.
+    let mut hostile = original;
+    let overview = &mut hostile["inputs"][0]["overview"];
+    for path in ["/map/unit", "/histograms/0/quantity", "/histograms/0/unit", "/waveforms/0/returns/0/flags"]
+    {
+        *overview.pointer_mut(path).unwrap_or_else(|| panic!("{path}")) = markup.clone();
+    }
+    place.write("hostile.json", hostile.to_string().as_bytes());
+    assert_eq!(report(&place, &["hostile.json", "--out", "hostile.html"]), Outcome::success());
+    let page = place.text("hostile.html");
+    elements(&page);
+    assert!(page.contains("&lt;script&gt;") && !page.contains("<script") && !page.contains("onload=\""));
+}
+
+#[test]
+fn a_small_report_makes_no_huge_page() {
+    let (place, original) = run();
+    let refused = |report_text: &str| {
+        place.write("large.json", report_text.as_bytes());
+        let ended = report(&place, &["large.json", "--out", "large.html"]);
+        assert_eq!(ended.code, Some(1), "{}", ended.err);
+        assert!(!place.path("large.html").exists());
+        ended.err
+    };
+    let inputs = vec!["{}"; 250_000].join(",");
+    let problem = refused(&format!("{{\"inputs\":[{inputs}]}}"));
+    let expected =
+        "error: large.json: its page would be larger than 39 MB; run the job again to make a new report\n";
+    assert_eq!(problem, expected);
+    // Lists that no run makes so long.
+    let with = |path: &str, value: Value| {
+        let mut report = original.clone();
+        *report["inputs"][0]["overview"].pointer_mut(path).unwrap_or_else(|| panic!("{path}")) = value;
+        refused(&report.to_string())
+    };
+    let overview = &original["inputs"][0]["overview"];
+    let many = |path: &str, n: usize| Value::from(vec![overview.pointer(path).unwrap().clone(); n]);
+    let numbers = Value::from(vec!["1"; 100_001].join(" "));
+    for (path, value, what) in [
+        ("/histograms", many("/histograms/0", 65), "`histograms` has 65 entries, more than 64"),
+        ("/histograms/0/counts", numbers.clone(), "`counts` has 100001 entries, more than 100000"),
+        ("/lines/returns", numbers.clone(), "`lines` has 100001 entries, more than 100000"),
+        ("/map/lines", many("/map/lines/0", 1001), "`lines of the map` has 1001 entries, more than 1000"),
+        ("/map/lines/0/places", numbers.clone(), "`places` has 100001 entries, more than 100000"),
+        ("/waveforms", many("/waveforms/0", 17), "`waveforms` has 17 entries, more than 16"),
+        ("/waveforms/0/blocks", many("/waveforms/0/blocks/0", 65), "`blocks` has 65 entries, more than 64"),
+        (
+            "/waveforms/0/blocks/0/samples/residual",
+            numbers,
+            "`residual` has 100001 entries, more than 100000",
+        ),
+    ] {
+        let problem = with(path, value);
+        let expected = format!(
+            "error: large.json: the overview of \"a<b&c\" is invalid: {what}; run the job again to make a new report\n"
+        );
+        assert_eq!(problem, expected);
+    }
+}

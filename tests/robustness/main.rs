@@ -12,6 +12,8 @@ mod contract;
 mod engine;
 mod fuzz_corpora;
 #[cfg(unix)]
+mod hostile;
+#[cfg(unix)]
 mod killed;
 mod layers;
 mod repeatable;

@@ -10,6 +10,11 @@
 //! 1.5, "Serialization and Interprocess Communication (IPC)". Unknown columns and metadata keys are
 //! ignored.
 //!
+//! # Digests
+//! The writer stores a digest with the schema, each record batch and the footer (`digest`); the
+//! reader refuses a part whose bytes give another one. Files without digests are read. If schema or
+//! footer have one, each record batch needs one.
+//!
 //! # Validation
 //! `arrow-ipc` panics on some invalid lengths of a damaged file, or allocates by them.
 //! [`ContainerReader`] therefore checks the metadata of each record batch first (`guard`). Its
@@ -56,8 +61,10 @@
 
 mod builder;
 mod decode;
+mod digest;
 mod guard;
 mod header;
+mod ipc_writer;
 pub mod layout;
 mod line;
 mod location;
@@ -72,6 +79,7 @@ mod writer;
 
 pub use builder::LineBuilder;
 pub use header::{ContainerHeader, EmissionReference, Frame, GainControl, Origin, TimeScale};
+pub use ipc_writer::IpcWriter;
 pub use line::{ContainerBlock, ContainerLine, ContainerOnline, ContainerShot};
 pub use reader::ContainerReader;
 pub use table::TableReader;

@@ -6,7 +6,7 @@ mod ngs_bin;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::{Error, Result};
+use super::{Error, Result, read_small};
 use wavex_geodesy::geoid::{Geoid, GeoidGrid};
 
 /// Largest accepted number of grid values.
@@ -66,12 +66,7 @@ pub fn read(path: &Path) -> Result<Geoid> {
             return Err(Error::unusable(path, problem, "give a .bin file of NGS or a .gtx file"));
         }
     };
-    let length = fs::metadata(path).map_err(Error::io(path, "open"))?.len();
-    if length > 4 * MOST_VALUES + 64 {
-        let problem = format!("it has {length} bytes, more than any geoid in use");
-        return Err(Error::unusable(path, problem, "give a geoid file"));
-    }
-    let bytes = fs::read(path).map_err(Error::io(path, "read"))?;
+    let bytes = read_small(path, 4 * MOST_VALUES + 64, "a geoid", "give a geoid file")?;
     let grid = parse(path, &bytes)?;
     Geoid::new(&stem(path), grid).ok_or_else(|| {
         let problem = "its rows, columns or steps are invalid";

@@ -52,6 +52,7 @@
 //! ```
 
 mod chunks;
+mod contained;
 mod copc;
 mod description;
 mod descriptor;

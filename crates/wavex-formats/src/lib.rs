@@ -32,8 +32,9 @@
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
+use std::string::FromUtf8Error;
 
 mod bytes;
 pub mod container;
@@ -140,6 +141,35 @@ pub fn regular_file(path: &Path) -> Result<File> {
         return Err(Error::unusable(path, "a pipe or device", "copy its content to a file"));
     }
     File::open(path).map_err(Error::io(path, "open"))
+}
+
+/// Reads a small file whole.
+///
+/// `what` it is and `remedy` are for the error if it is larger.
+///
+/// # Errors
+/// If it is a pipe or device, larger than `most_bytes`, or the system refuses.
+pub fn read_small(path: &Path, most_bytes: u64, what: &str, remedy: &str) -> Result<Vec<u8>> {
+    let file = regular_file(path)?;
+    let length = file.metadata().map_err(Error::io(path, "open"))?.len();
+    if length > most_bytes {
+        return Err(Error::unusable(path, format!("{length} bytes is too large for {what}"), remedy));
+    }
+    let mut bytes = Vec::new();
+    file.take(most_bytes).read_to_end(&mut bytes).map_err(Error::io(path, "read"))?;
+    Ok(bytes)
+}
+
+/// Reads a small text file whole; see [`read_small`].
+///
+/// # Errors
+/// As [`read_small`], and if it is not UTF-8.
+pub fn read_small_text(path: &Path, most_bytes: u64, what: &str, remedy: &str) -> Result<String> {
+    let not_text = |error: FromUtf8Error| {
+        let error = io::Error::new(io::ErrorKind::InvalidData, error.utf8_error());
+        Error::io(path, "read")(error)
+    };
+    String::from_utf8(read_small(path, most_bytes, what, remedy)?).map_err(not_text)
 }
 
 /// Returns advice for an I/O error, to end a message.

@@ -12,7 +12,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::{Error, Result};
+use super::{Error, Result, read_small_text};
 
 /// Largest accepted file, bytes.
 ///
@@ -58,11 +58,7 @@ impl LookupTables {
     /// # Errors
     /// The file cannot be read, is larger than 16 MiB, or is not a valid table.
     pub fn open(path: &Path) -> Result<LookupTables> {
-        let bytes = std::fs::metadata(path).map_err(Error::io(path, "open"))?.len();
-        if bytes > MAX_BYTES {
-            return Err(Error::unusable(path, format!("{bytes} bytes are too many for a table"), REMEDY));
-        }
-        let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
+        let text = read_small_text(path, MAX_BYTES, "a table", REMEDY)?;
         let tables =
             if text.trim_start().starts_with('{') { of_json(path, &text) } else { of_columns(path, &text) }?;
         for rows in [&tables.low, &tables.high] {
@@ -195,6 +191,6 @@ mod tests {
         let path = folder.path().join("table.txt");
         std::fs::File::create(&path).unwrap().set_len(MAX_BYTES + 1).unwrap();
         let error = LookupTables::open(&path).unwrap_err().to_string();
-        assert!(error.contains("16777217 bytes are too many for a table"), "{error}");
+        assert!(error.contains("16777217 bytes is too large for a table"), "{error}");
     }
 }

@@ -56,10 +56,10 @@ impl Terrain {
     /// The file is not a height raster, is not north up, has over 100 million cells, or has no
     /// heights.
     pub fn open(path: &Path) -> Result<Terrain> {
-        let mut file = regular_file(path)?;
-        let mut magic = [0; 4];
-        let read = file.read(&mut magic).map_err(Error::io(path, "read"))?;
-        let is_tiff = read == 4 && (magic[..2] == *b"II" || magic[..2] == *b"MM") && magic.contains(&0);
+        let mut magic = Vec::new();
+        regular_file(path)?.take(4).read_to_end(&mut magic).map_err(Error::io(path, "read"))?;
+        let is_tiff =
+            magic.len() == 4 && (magic[..2] == *b"II" || magic[..2] == *b"MM") && magic.contains(&0);
         let raster = if is_tiff { geotiff::read(path)? } else { ascii::read(path)? };
         Terrain::new(raster).ok_or_else(|| {
             let remedy = "give the terrain model of this area";

@@ -55,6 +55,8 @@ pub struct Text {
     pub missing: Vec<String>,
     /// Requests that cannot be met, each with the reason.
     pub obstacles: Vec<String>,
+    /// First line in `toml`, from 0, of each key and header, with its source; empty for a header.
+    pub sources: Vec<(usize, String)>,
 }
 
 impl Known {
@@ -146,6 +148,7 @@ impl Draft {
         let mut text = Text::default();
         if !self.entries("job").is_empty() {
             text.toml += "\n[job]\n";
+            text.sources.push((text.toml.lines().count() - 1, String::new()));
             self.write_entries("job", known, &mut text);
         }
         if !self.entries("geometry").is_empty() {
@@ -161,6 +164,8 @@ impl Draft {
 
     fn write_section(&self, name: &str, header: &str, is_known: bool, known: &Known, text: &mut Text) {
         if is_known {
+            // An error at the header is of no key.
+            text.sources.push((text.toml.lines().count() + 1, String::new()));
             let _ = writeln!(text.toml, "\n{header}");
             self.write_entries(name, known, text);
             return;
@@ -176,13 +181,13 @@ impl Draft {
     }
 
     fn write_entries(&self, section: &str, known: &Known, text: &mut Text) {
-        let mut lines: Vec<(String, String)> = Vec::new();
+        let mut lines: Vec<(String, String, &str)> = Vec::new();
         for entry in self.entries(section) {
             let line = format!("{} = {}", entry.key, entry.toml);
             let remark = if entry.remark.is_empty() { "" } else { ": " };
             let why = format!("{}{remark}{}", entry.why, entry.remark);
             if known.has_key(section, entry.key) && entry.obstacle.is_empty() {
-                lines.push((line, why));
+                lines.push((line, why, &entry.why));
                 continue;
             }
             let is_usable = entry.obstacle.is_empty();
@@ -193,10 +198,13 @@ impl Draft {
                 (true, false) => text.obstacles.push(noted.clone()),
                 (false, _) => {}
             }
-            lines.push((format!("#{line}"), noted));
+            lines.push((format!("#{line}"), noted, &entry.why));
         }
-        let width = lines.iter().map(|(line, _)| line.chars().count()).max().unwrap_or(0).min(44);
-        for (line, why) in lines {
+        let width = lines.iter().map(|(line, ..)| line.chars().count()).max().unwrap_or(0).min(44);
+        let mut number = text.toml.lines().count();
+        for (line, why, source) in lines {
+            text.sources.push((number, source.to_owned()));
+            number += line.matches('\n').count() + 1;
             let _ = match why.as_str() {
                 "" => writeln!(text.toml, "{line}"),
                 why => writeln!(text.toml, "{line:width$}  # {why}"),

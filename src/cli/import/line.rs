@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::options::{Opt, Takes, VERSIONS, Version};
-use super::problem::{Place, Problem, Source};
+use super::problem::{MOST_SHOWN, Place, Problem, Source};
 use crate::registry::nearest_of;
 
 /// A parsed option.
@@ -75,6 +75,10 @@ pub fn read_line(version: &Version, words: &[String]) -> (Vec<Given>, Vec<Proble
         match read {
             Ok(option) => given.push(option),
             Err(problem) => problems.push(problem),
+        }
+        // Each further error is most likely a consequence of these.
+        if problems.len() > MOST_SHOWN {
+            break;
         }
         rest = behind.get(used..).unwrap_or_default();
     }
@@ -285,6 +289,9 @@ pub fn read_file(version: &Version, path: &Path, text: &str) -> (Vec<Given>, Vec
                 given.push(option);
             }
             Err(problem) => problems.push(problem),
+        }
+        if problems.len() > MOST_SHOWN {
+            break;
         }
     }
     (given, problems)

@@ -25,7 +25,7 @@ for a pose. `--run` refuses a command line that requests either.
 Options may be written `-d 6`, `-d6`, `-d=6`, `-det 6` or `-det=6`. A switch without 0 or 1 is on. If an option is repeated,
 the last one counts. An ambiguous word such as `-awc10` is an error. Unknown options are errors in both versions (1.0 ignored
 them). An options file in the current folder is read first, with one `name=argument` per line; the command line overrides it.
-Relative paths start at the current folder, or at the folders of `-I` and `-O`.
+Relative paths start at the current folder, or at the folders of `-I` and `-O`. A command line has at most 1 MB.
 
 This page is generated from the code by `cargo test --test command_line generated`.
 ";

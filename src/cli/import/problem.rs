@@ -51,24 +51,64 @@ impl Problem {
 
     /// Formats the error, without the leading `error`: sentence, line, marker, remedy.
     pub fn shown(&self) -> String {
-        let mut lines = vec![self.what.clone()];
+        let mut lines = vec![shortened(&self.what)];
         if let Some(place) = &self.place {
-            let before = place.source.text.get(..place.range.start).unwrap_or_default().chars().count();
-            let word = place.source.text.get(place.range.clone()).unwrap_or_default();
-            let marks = "^".repeat(word.chars().count().max(1));
-            lines.extend(place.source.name.iter().map(|name| format!(" --> {name}")));
-            lines.push(format!("  | {}", place.source.text));
-            lines.push(format!("  | {}{marks}", " ".repeat(before)));
+            let (text, marked) = excerpt(&place.source.text, &place.range);
+            lines.extend(place.source.name.iter().map(|name| format!(" --> {}", shortened(name))));
+            lines.push(format!("  | {text}"));
+            lines.push(format!("  | {}{}", " ".repeat(marked.start), "^".repeat(marked.len())));
         }
         if !self.help.is_empty() {
-            lines.push(format!("  = help: {}", self.help));
+            lines.push(format!("  = help: {}", shortened(&self.help)));
         }
         lines.join("\n")
     }
 }
 
-/// Formats all errors as one message, without the first `error`.
+/// A text in one line, without control characters.
+pub fn plain(text: &str) -> String {
+    text.replace(char::is_control, "?")
+}
+
+/// Longest sentence or remedy of an error, characters: the word that it names may be of any length.
+const LONGEST: usize = 2000;
+
+/// The start of a text.
+fn shortened(text: &str) -> String {
+    match text.char_indices().nth(LONGEST) {
+        Some((end, _)) => format!("{} ...", text.get(..end).unwrap_or_default()),
+        None => text.to_owned(),
+    }
+}
+
+/// Maximum number of errors in a message.
+pub const MOST_SHOWN: usize = 20;
+
+/// Formats errors as one message, without the first `error`; at most [`MOST_SHOWN`].
 pub fn message(problems: &[Problem]) -> String {
-    let shown: Vec<String> = problems.iter().map(Problem::shown).collect();
-    shown.join("\n\nerror: ")
+    let shown: Vec<String> = problems.iter().take(MOST_SHOWN).map(Problem::shown).collect();
+    let mut message = shown.join("\n\nerror: ");
+    if problems.len() > MOST_SHOWN {
+        message += "\n\nfurther errors are not shown";
+    }
+    message
+}
+
+/// Characters of a line shown before and after a position.
+const AROUND: usize = 200;
+
+/// Part of a line around a byte range, and the range in characters of that part.
+///
+/// Lines are shown in full up to twice [`AROUND`] characters.
+fn excerpt(text: &str, range: &Range<usize>) -> (String, Range<usize>) {
+    let (start, end) = (text.floor_char_boundary(range.start), text.floor_char_boundary(range.end));
+    let is_long = text.len() > 2 * AROUND;
+    let first = if is_long { text.floor_char_boundary(start.saturating_sub(AROUND)) } else { 0 };
+    let last = if is_long { text.floor_char_boundary(start.saturating_add(AROUND)) } else { text.len() };
+    let count = |from: usize, to: usize| text.get(from..to).unwrap_or_default().chars().count();
+    let before = if first > 0 { "... " } else { "" };
+    let after = if last < text.len() { " ..." } else { "" };
+    let marked = before.len() + count(first, start);
+    let width = count(start, end.min(last)).max(1);
+    (format!("{before}{}{after}", text.get(first..last).unwrap_or_default()), marked..marked + width)
 }

@@ -35,6 +35,8 @@ pub struct Imported {
     pub notes: Vec<(String, String)>,
     /// Options of `wavex run`.
     pub flags: Vec<Flag>,
+    /// The options, for errors in the job.
+    pub given: Vec<Given>,
 }
 
 /// State of a translation.
@@ -94,6 +96,7 @@ pub fn translate(
     } else {
         it.job();
     }
+    it.result.given = it.given;
     if it.problems.is_empty() { Ok(it.result) } else { Err(it.problems) }
 }
 
@@ -110,7 +113,10 @@ fn latest(all: Vec<Given>, notes: &mut Vec<(String, String)>) -> Vec<Given> {
                 (Value::Texts(mut first), Value::Texts(more)) if is_same_line => {
                     first.append(more);
                     *more = first;
-                    given.written = format!("{} {}", old.written, given.written);
+                    // Appends, so that many inputs take linear time.
+                    let more = std::mem::replace(&mut given.written, old.written);
+                    given.written += " ";
+                    given.written += &more;
                 }
                 _ => notes.push((old.written, format!("overridden by `{}`", given.written))),
             }

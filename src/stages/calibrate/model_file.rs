@@ -6,7 +6,7 @@ use std::path::Path;
 use super::{Calibrate, Calibrator, name};
 use crate::scan_line::{Channel, ScanLine};
 use crate::stage::{Output, OutputFile, Result, StageError, check_model};
-use wavex_formats::Error;
+use wavex_formats::{Error, read_small_text};
 use wavex_signal::sensor_model::SensorModel;
 
 /// Size limit of a sensor model file, bytes; a model has a few thousand numbers.
@@ -103,13 +103,7 @@ const REMEDY: &str = "load a file written by `save` of calibrate, or recalibrate
 /// # Errors
 /// If the file cannot be read or is not a sensor model.
 pub fn load_model(path: &Path) -> Result<SensorModel> {
-    let size = std::fs::metadata(path).map_err(Error::io(path, "open"))?.len();
-    if size > MAX_MODEL_BYTES {
-        return Err(
-            Error::unusable(path, format!("{size} bytes is too large for a sensor model"), REMEDY).into()
-        );
-    }
-    let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
+    let text = read_small_text(path, MAX_MODEL_BYTES, "a sensor model", REMEDY)?;
     parse_model(&text, path)
 }
 

@@ -6,7 +6,6 @@ use std::sync::Arc;
 
 use arrow_array::RecordBatch;
 use arrow_ipc::CompressionType;
-use arrow_ipc::writer::{FileWriter, IpcWriteOptions};
 use arrow_schema::{ArrowError, SchemaRef};
 use parquet::arrow::ArrowWriter;
 use parquet::basic::{Compression, ZstdLevel};
@@ -19,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use super::columns::{self, Row};
 use super::geo::{self, Geometry};
 use wavex_formats::Error;
+use wavex_formats::container::IpcWriter;
 
 type Result<T, E = Error> = std::result::Result<T, E>;
 
@@ -59,7 +59,7 @@ pub struct TableWriter<W: Write + Send> {
 }
 
 enum Form<W: Write + Send> {
-    Arrow(Box<FileWriter<W>>),
+    Arrow(Box<IpcWriter<W>>),
     Parquet(Box<ParquetForm<W>>),
     Csv(W),
 }
@@ -112,9 +112,7 @@ impl<W: Write + Send> TableWriter<W> {
     pub fn new(mut to: W, file: &Path, format: Format, info: TableInfo) -> Result<TableWriter<W>> {
         let schema = columns::schema(info.time_scale, info.crs_wkt.filter(|_| info.has_points));
         let form = match format {
-            Format::Arrow => IpcWriteOptions::default()
-                .try_with_compression(Some(CompressionType::LZ4_FRAME))
-                .and_then(|options| FileWriter::try_new_with_options(to, &schema, options))
+            Format::Arrow => IpcWriter::file(to, Arc::clone(&schema), Some(CompressionType::LZ4_FRAME))
                 .map(|writer| Form::Arrow(Box::new(writer))),
             Format::Parquet => {
                 let geometry = info.has_points.then(|| Geometry::new(info.crs_wkt));
@@ -155,7 +153,7 @@ impl<W: Write + Send> TableWriter<W> {
             self.write_rows()?;
         }
         match self.form {
-            Form::Arrow(writer) => writer.into_inner(),
+            Form::Arrow(writer) => writer.finish(),
             Form::Parquet(form) => form.finish(),
             Form::Csv(to) => Ok(to),
         }

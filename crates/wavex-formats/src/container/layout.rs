@@ -281,6 +281,13 @@ pub fn description() -> Value {
         "row": "one shot",
         "columns": describe(COLUMNS),
         "metadata": keys,
+        "digest": {
+            "key": super::digest::KEY,
+            "place": "custom metadata of the schema message, of each record batch message and of the footer",
+            "required": false,
+            "form": "16 hexadecimal digits",
+            "meaning": "XXH3-64 of the body, with the XXH3-64 of the flatbuffer as seed; the flatbuffer includes its padding, and this value counts as 16 zeros",
+        },
     })
 }
 

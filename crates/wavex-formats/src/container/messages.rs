@@ -10,20 +10,20 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use arrow_buffer::Buffer;
-use arrow_ipc::{Block, Footer, root_as_footer};
+use arrow_ipc::{Block, Footer, root_as_footer, root_as_message};
 use arrow_schema::Schema;
 
 use super::decode::schema_of;
 use super::location::{CUT_OFF, DAMAGED, Location};
-use super::{MAX_BATCH_BYTES, MOST_KEPT_BYTES};
+use super::{MAX_BATCH_BYTES, MOST_KEPT_BYTES, digest};
 use crate::{Error, Result};
 use stream::StreamMessages;
 
 /// First and last bytes of the file format.
-const MAGIC: &[u8; 6] = b"ARROW1";
+pub(super) const MAGIC: &[u8; 6] = b"ARROW1";
 
 /// Marker before the length of a message, since format version 0.15.
-const CONTINUATION: [u8; 4] = [0xff; 4];
+pub(super) const CONTINUATION: [u8; 4] = [0xff; 4];
 
 /// Longest accepted metadata of a message, bytes.
 ///
@@ -114,6 +114,8 @@ pub(super) struct FileMessages {
     file: Box<dyn Searchable>,
     blocks: Vec<Block>,
     next: usize,
+    /// Whether the footer has a digest; each record batch then needs one.
+    has_digests: bool,
     /// Bytes of the last message; reused once nobody uses them.
     last: Option<Buffer>,
 }
@@ -123,10 +125,12 @@ impl FileMessages {
         let (offset, bytes) = footer_bytes(name, &mut *file, len)?;
         let location = Location { file: name, offset, first_row: 0 };
         let footer = root_as_footer(&bytes).map_err(|e| location.bad("footer", first_line(&e), DAMAGED))?;
+        let has_digests = digest::check(&bytes, &[], footer.custom_metadata(), "footer", location)?;
         let schema = footer.schema().ok_or_else(|| location.bad("footer", "it has no schema", DAMAGED))?;
         let schema = schema_of(schema, location)?;
         let blocks = blocks_of(&footer, offset, location)?;
-        Ok((FileMessages { name: name.to_path_buf(), file, blocks, next: 0, last: None }, schema))
+        let name = name.to_path_buf();
+        Ok((FileMessages { name, file, blocks, next: 0, has_digests, last: None }, schema))
     }
 
     /// Continues with message `index`, from 0.
@@ -158,8 +162,28 @@ impl FileMessages {
             return Err(location.bad("length of the metadata", "it passes the record batch", DAMAGED));
         }
         let metadata = bytes.slice_with_length(start, length);
-        Ok(Some(Message { offset, metadata, body: bytes.slice(head) }))
+        let message = Message { offset, metadata, body: bytes.slice(head) };
+        let parsed = root_as_message(&message.metadata)
+            .map_err(|e| location.bad("message", first_line(&e), DAMAGED))?;
+        check_digest(&message, &parsed, self.next - 1, self.has_digests, location)?;
+        Ok(Some(message))
     }
+}
+
+/// Checks the digest of record batch `index`; `required` if it must have one.
+fn check_digest(
+    message: &Message,
+    parsed: &arrow_ipc::Message,
+    index: usize,
+    required: bool,
+    location: Location,
+) -> Result<()> {
+    let name = format!("record batch {index}");
+    let entries = parsed.custom_metadata();
+    if !digest::check(&message.metadata, &message.body, entries, &name, location)? && required {
+        return Err(location.bad(name, "it has no digest, but the schema has one", DAMAGED));
+    }
+    Ok(())
 }
 
 /// Reads the footer of a file; returns it with its start.

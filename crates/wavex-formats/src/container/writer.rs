@@ -5,10 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow_ipc::CompressionType;
-use arrow_ipc::writer::{FileWriter, IpcWriteOptions, StreamWriter};
 use arrow_schema::{ArrowError, SchemaRef};
 
-use super::{ContainerHeader, LineBuilder};
+use super::{ContainerHeader, IpcWriter, LineBuilder};
 use crate::{Error, Result};
 
 /// Compression of the buffers of a file.
@@ -24,14 +23,9 @@ pub enum Compression {
 
 /// Writer of a container, one record batch per scan line.
 pub struct ContainerWriter<W: Write> {
-    form: Form<W>,
+    writer: IpcWriter<W>,
     schema: SchemaRef,
     file: PathBuf,
-}
-
-enum Form<W: Write> {
-    File(FileWriter<W>),
-    Stream(StreamWriter<W>),
 }
 
 impl<W: Write> ContainerWriter<W> {
@@ -42,12 +36,7 @@ impl<W: Write> ContainerWriter<W> {
         header: &ContainerHeader,
         compression: Compression,
     ) -> Result<ContainerWriter<W>> {
-        let schema = header.schema();
-        let form = options(compression)
-            .and_then(|options| FileWriter::try_new_with_options(to, &schema, options))
-            .map(Form::File)
-            .map_err(|error| failed(file, error))?;
-        Ok(ContainerWriter { form, schema, file: file.to_path_buf() })
+        ContainerWriter::begin(to, file, header, compression, (true, true))
     }
 
     /// Starts a container in the stream format.
@@ -59,41 +48,39 @@ impl<W: Write> ContainerWriter<W> {
         header: &ContainerHeader,
         compression: Compression,
     ) -> Result<ContainerWriter<W>> {
+        ContainerWriter::begin(to, file, header, compression, (false, true))
+    }
+
+    /// Starts a container; the last two are whether it is a file and has digests.
+    pub(super) fn begin(
+        to: W,
+        file: &Path,
+        header: &ContainerHeader,
+        compression: Compression,
+        (is_file, with_digests): (bool, bool),
+    ) -> Result<ContainerWriter<W>> {
         let schema = header.schema();
-        let form = options(compression)
-            .and_then(|options| StreamWriter::try_new_with_options(to, &schema, options))
-            .map(Form::Stream)
-            .map_err(|error| failed(file, error))?;
-        Ok(ContainerWriter { form, schema, file: file.to_path_buf() })
+        let codec = match compression {
+            Compression::None => None,
+            Compression::Lz4 => Some(CompressionType::LZ4_FRAME),
+            Compression::Zstd => Some(CompressionType::ZSTD),
+        };
+        let writer = IpcWriter::begin(to, Arc::clone(&schema), codec, is_file, with_digests);
+        let writer = writer.map_err(|error| failed(file, error))?;
+        Ok(ContainerWriter { writer, schema, file: file.to_path_buf() })
     }
 
     /// Writes a scan line.
     pub fn write(&mut self, line: LineBuilder) -> Result<()> {
         let batch = line.finish(Arc::clone(&self.schema));
-        batch
-            .and_then(|batch| match &mut self.form {
-                Form::File(writer) => writer.write(&batch),
-                Form::Stream(writer) => writer.write(&batch),
-            })
-            .map_err(|error| failed(&self.file, error))
+        let written = batch.and_then(|batch| self.writer.write(&batch));
+        written.map_err(|error| failed(&self.file, error))
     }
 
     /// Writes the end of the container and returns the underlying writer.
     pub fn finish(self) -> Result<W> {
-        match self.form {
-            Form::File(writer) => writer.into_inner(),
-            Form::Stream(writer) => writer.into_inner(),
-        }
-        .map_err(|error| failed(&self.file, error))
+        self.writer.finish().map_err(|error| failed(&self.file, error))
     }
-}
-
-fn options(compression: Compression) -> std::result::Result<IpcWriteOptions, ArrowError> {
-    IpcWriteOptions::default().try_with_compression(match compression {
-        Compression::None => None,
-        Compression::Lz4 => Some(CompressionType::LZ4_FRAME),
-        Compression::Zstd => Some(CompressionType::ZSTD),
-    })
 }
 
 fn failed(file: &Path, error: ArrowError) -> Error {

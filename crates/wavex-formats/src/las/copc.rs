@@ -22,6 +22,7 @@ use laz::laszip::{ChunkTable, ChunkTableEntry};
 use laz::record::{LayeredPointRecordCompressor, RecordCompressor};
 use laz::{LazVlr, LazVlrBuilder};
 
+use super::contained::contained;
 use super::header::Header;
 use super::point::Layout;
 use super::point_out::RETURNS;
@@ -326,13 +327,15 @@ impl<'a, W: Write + Seek> CopcWriter<'a, W> {
 
 /// Compresses records as one chunk of LASzip's layered compression.
 fn compress(laz: &LazVlr, records: &[u8]) -> io::Result<Vec<u8>> {
-    let mut chunk = Cursor::new(Vec::new());
-    let mut compressor = LayeredPointRecordCompressor::new(&mut chunk);
-    compressor.set_fields_from(laz.items()).map_err(into_io)?;
-    compressor.compress_many(records)?;
-    compressor.done()?;
-    drop(compressor);
-    Ok(chunk.into_inner())
+    contained(|| {
+        let mut chunk = Cursor::new(Vec::new());
+        let mut compressor = LayeredPointRecordCompressor::new(&mut chunk);
+        compressor.set_fields_from(laz.items()).map_err(into_io)?;
+        compressor.compress_many(records)?;
+        compressor.done()?;
+        drop(compressor);
+        Ok(chunk.into_inner())
+    })
 }
 
 /// Returns whether a record is invalid for reordered points without waveforms.

@@ -7,10 +7,12 @@ use arrow_buffer::Buffer;
 use arrow_ipc::{MessageHeader, root_as_message};
 use arrow_schema::Schema;
 
-use super::{CONTINUATION, MAGIC, MAX_METADATA_BYTES, Message, SHORTER, first_line, read_up_to, too_long};
-use crate::container::MAX_BATCH_BYTES;
+use super::{
+    CONTINUATION, MAGIC, MAX_METADATA_BYTES, Message, SHORTER, check_digest, first_line, read_up_to, too_long,
+};
 use crate::container::decode::schema_of;
 use crate::container::location::{CUT_OFF, DAMAGED, Location};
+use crate::container::{MAX_BATCH_BYTES, digest};
 use crate::{Error, Result};
 
 /// Messages of a stream, or of a file read sequentially.
@@ -24,6 +26,10 @@ pub(in crate::container) struct StreamMessages {
     /// Whether it is a file, which starts with the magic.
     is_file: bool,
     state: State,
+    /// Whether the schema has a digest; each record batch then needs one.
+    has_digests: bool,
+    /// Number of messages read after the schema.
+    batches: usize,
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -49,7 +55,9 @@ impl StreamMessages {
         };
         let from = BufReader::with_capacity(1 << 18, from);
         let name = name.to_path_buf();
-        let mut stream = StreamMessages { name, from, at, len: None, is_file, state: State::Open };
+        let (state, has_digests) = (State::Open, false);
+        let mut stream =
+            StreamMessages { name, from, at, len: None, is_file, state, has_digests, batches: 0 };
         if is_file {
             stream.skip_padding()?;
         }
@@ -77,10 +85,12 @@ impl StreamMessages {
         let location = Location { file: &self.name, offset: message.offset, first_row: 0 };
         let parsed = root_as_message(&message.metadata)
             .map_err(|e| location.bad("schema", first_line(&e), DAMAGED))?;
-        match parsed.header_as_schema() {
-            Some(schema) => schema_of(schema, location),
-            None => Err(location.bad("schema", "the first message is no schema", DAMAGED)),
-        }
+        let Some(schema) = parsed.header_as_schema() else {
+            return Err(location.bad("schema", "the first message is no schema", DAMAGED));
+        };
+        self.has_digests =
+            digest::check(&message.metadata, &[], parsed.custom_metadata(), "schema", location)?;
+        schema_of(schema, location)
     }
 
     /// Returns the next message, or `None` at the end.
@@ -105,7 +115,13 @@ impl StreamMessages {
             _ => return Err(location.bad("length of the body", format!("it is {body}"), DAMAGED)),
         };
         let body = Buffer::from_vec(self.take(bytes, "body of a message")?);
-        Ok(Some(Message { offset, metadata, body }))
+        let message = Message { offset, metadata: metadata.clone(), body };
+        if !is_schema {
+            let location = Location { file: &self.name, offset, first_row: 0 };
+            check_digest(&message, &parsed, self.batches, self.has_digests, location)?;
+            self.batches += 1;
+        }
+        Ok(Some(message))
     }
 
     /// Reads the length of the next message's metadata; `None` at the end.

@@ -16,7 +16,7 @@ fn words(numbers: &[i32]) -> Vec<u8> {
 
 #[test]
 fn a_list_out_of_bounds_is_reported_with_its_row() {
-    let whole = write(&lines()[..1], false, Compression::None);
+    let whole = without_digests(&lines()[..1], false, Compression::None);
     // The samples of the six blocks of shots 0, 2, 2, 3, 3, 4 of the first line.
     let ends = [0, 6, 12, 34, 40, 63, 69];
     for (at, value, problem, row) in [
@@ -46,7 +46,7 @@ fn a_compressed_list_out_of_bounds_is_reported_with_its_row() {
     let mut rows: Vec<Row> = (0..300).map(|shot| Row { online: Vec::new(), ..row(shot, 0) }).collect();
     rows[299].online = row(2, 0).online;
     assert_eq!(rows[299].online.len(), 2);
-    let mut bytes = write(&[rows], false, Compression::Lz4);
+    let mut bytes = without_digests(&[rows], false, Compression::Lz4);
     patch(&mut bytes, &[0x60, 0, 0, 2, 0, 0, 0, 0, 0, 0, 0], &[0x60, 0, 0, 9]);
     let error = refusal(bytes);
     assert!(error.contains("column `online`, row 299: a list from 0 to 9 of 2 items"), "{error}");
@@ -54,7 +54,7 @@ fn a_compressed_list_out_of_bounds_is_reported_with_its_row() {
 
 #[test]
 fn rows_count_from_the_start_of_the_container() {
-    let mut bytes = write(&lines(), true, Compression::None);
+    let mut bytes = without_digests(&lines(), true, Compression::None);
     // The online returns of shots 5 to 8.
     patch(&mut bytes, &words(&[0, 2, 2, 3, 5]), &words(&[0, 2, 2, 6, 5]));
     let error = read_file(&bytes).unwrap_err().to_string();
@@ -69,7 +69,7 @@ fn entry(offset: i64, length: i64) -> Vec<u8> {
 #[test]
 fn wrong_buffer_entries_are_refused() {
     // The first column has five rows and no bitmap, and starts the body.
-    let whole = write(&lines()[..1], false, Compression::None);
+    let whole = without_digests(&lines()[..1], false, Compression::None);
     let shot = entry(0, 40);
     for (wrong, problem) in [
         (entry(0, 39), "column `shot`: a buffer of 39 bytes, where 40 are needed"),
@@ -87,7 +87,7 @@ fn wrong_buffer_entries_are_refused() {
 
 #[test]
 fn incomplete_offsets_are_refused() {
-    let whole = write(&lines()[..1], false, Compression::None);
+    let whole = without_digests(&lines()[..1], false, Compression::None);
     let at = whole.windows(28).position(|window| window == words(&[0, 6, 12, 34, 40, 63, 69])).unwrap();
     // The body follows the metadata of the second message; the entry is that of 28 bytes.
     let entries: Vec<usize> = (0..whole.len() - 16)
@@ -110,7 +110,7 @@ fn impossible_decompressed_sizes_are_refused() {
         // 4000 samples of one value: 8000 bytes that compress well.
         let mut long = row(0, 0);
         long.blocks = vec![(channel::LOW_POWER, 0.0, None, None, vec![3; 4000])];
-        let whole = write(&[vec![long]], false, compression);
+        let whole = without_digests(&[vec![long]], false, compression);
         for (size, problem) in [
             (1_i64 << 60, "are said to unpack to 1152921504606846976"),
             (-2, "are said to unpack to -2"),
@@ -148,7 +148,7 @@ fn block_bytes((offset, head, body): (i64, i32, i64)) -> Vec<u8> {
 
 #[test]
 fn wrong_footers_are_refused() {
-    let whole = write(&lines()[..1], true, Compression::None);
+    let whole = without_digests(&lines()[..1], true, Compression::None);
     let length = whole.len() - 10;
     for wrong in [i32::MAX, -1, whole.len() as i32 - 17] {
         let mut bytes = whole.clone();
@@ -181,7 +181,7 @@ fn wrong_footers_are_refused() {
 
 #[test]
 fn metadata_longer_than_its_record_batch_are_refused() {
-    let whole = write(&lines()[..1], true, Compression::None);
+    let whole = without_digests(&lines()[..1], true, Compression::None);
     let (offset, ..) = first_block(&whole);
     for wrong in [i32::MAX, -1, 1 << 20] {
         let mut bytes = whole.clone();
@@ -201,7 +201,7 @@ fn metadata_longer_than_its_record_batch_are_refused() {
 
 #[test]
 fn a_body_of_an_impossible_length_is_refused() {
-    let whole = write(&lines()[..1], true, Compression::None);
+    let whole = without_digests(&lines()[..1], true, Compression::None);
     let (offset, head, body) = first_block(&whole);
     // The footer has the length as well, but a stream does not read it.
     let metadata = offset as usize..offset as usize + head as usize;
@@ -226,7 +226,7 @@ fn a_body_of_an_impossible_length_is_refused() {
 
 /// Returns the first message of a stream, the schema, and the rest.
 fn schema_and_rest() -> (Vec<u8>, Vec<u8>) {
-    let mut schema = write(&lines()[..1], false, Compression::None);
+    let mut schema = without_digests(&lines()[..1], false, Compression::None);
     let length = i32::from_le_bytes(*schema[4..].first_chunk().unwrap()) as usize;
     let rest = schema.split_off(8 + length);
     (schema, rest)

@@ -311,3 +311,23 @@ fn a_short_extended_record_is_carried_over() {
     assert_eq!((record.user_id.as_str(), record.record_id, record.data.as_slice()), ("me", 7, &b"abc"[..]));
     assert_eq!(file.header().n_evlrs, 2);
 }
+
+#[test]
+fn no_records_make_the_compression_panic() {
+    let records = Reshape { format: 6, head: 30, extra: 30, extra_length: 0 };
+    let laz = records.laz().unwrap();
+    let mut state = 1u64;
+    for _ in 0..200 {
+        let random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 56) as u8
+        };
+        let bytes: Vec<u8> = std::iter::repeat_with(random).take(30 * 50).collect();
+        if let Err(error) = compress(&laz, &bytes) {
+            assert!(
+                error.to_string().starts_with("the LASzip library cannot compress these points"),
+                "{error}"
+            );
+        }
+    }
+}

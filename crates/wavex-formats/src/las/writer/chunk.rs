@@ -8,6 +8,7 @@ use laz::{LazItemType, LazVlr};
 
 use super::byte_layers::{ByteLayers, TOGETHER};
 use super::compression::into_io;
+use crate::las::contained::contained;
 
 /// Length of a point of format 6, bytes.
 const POINT: usize = 30;
@@ -18,7 +19,7 @@ pub(super) type Chunk = io::Result<Vec<u8>>;
 /// Compresses the records of a chunk.
 pub(super) fn compress(records: &[u8], laz: &LazVlr) -> Chunk {
     let is_layered = laz.items().iter().any(|item| item.item_type() == LazItemType::Point14);
-    if is_layered { layered(records, laz) } else { sequential(records, laz) }
+    contained(|| if is_layered { layered(records, laz) } else { sequential(records, laz) })
 }
 
 /// Compresses formats 1 and 4.
@@ -184,6 +185,19 @@ mod tests {
             let records = records(n, 28 + usize::from(extra), seed, u64::MAX);
             let [theirs, ours] = both(&records, 1, extra);
             prop_assert_eq!(theirs, ours);
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(20))]
+        /// `laz` overflows for some jumps of values, which a build with overflow checks notices.
+        #[test]
+        fn no_bytes_make_it_panic(
+            (format, length) in prop::sample::select(vec![(1u8, 28usize), (6, 30), (9, 59)]),
+            bytes in prop::collection::vec(any::<u8>(), 59 * 40),
+        ) {
+            let laz = LazVlrBuilder::default().with_point_format(format, 0).unwrap().build();
+            let _ = compress(&bytes[..length * (bytes.len() / length)], &laz);
         }
     }
 
