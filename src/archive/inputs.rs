@@ -188,7 +188,7 @@ mod tests {
         let text = "[[stage]]\ntype = 'read_las'\npath = '*.las'\n[[stage]]\ntype = 'calibrate'\nload = './model.json'\n";
         let job = Job::parse("a.toml", text, &[]).unwrap();
         let inputs = [input(&dir.join("a.las"), "a"), input(&dir.join("b.las"), "b")];
-        let found = of_job(&job, &json!({}), &inputs, dir);
+        let found = of_job(&job, &json!({}), &inputs, dir).unwrap();
         let expected = ["a.WDP", "a.las", "b.las", "model.json"].map(|name| dir.join(name));
         assert_eq!(found.into_iter().collect::<Vec<_>>(), expected);
     }
@@ -196,7 +196,7 @@ mod tests {
     #[test]
     fn a_simulated_input_is_no_file() {
         let job = Job::parse("a.toml", "[[stage]]\ntype = 'simulate'\n", &[]).unwrap();
-        assert!(of_job(&job, &json!({}), &[input(Path::new(""), "out")], Path::new("/in")).is_empty());
+        assert!(of_job(&job, &json!({}), &[input(Path::new(""), "out")], Path::new("/in")).unwrap().is_empty());
     }
 
     #[test]
@@ -210,7 +210,7 @@ mod tests {
         let job = Job::parse("a.toml", "[[stage]]\ntype = 'simulate'\n", &[]).unwrap();
         let inputs = [input(Path::new(""), "a"), input(Path::new(""), "b")];
         let names = |settings: Value| -> Vec<String> {
-            let found = of_job(&job, &settings, &inputs, dir);
+            let found = of_job(&job, &settings, &inputs, dir).unwrap();
             found.iter().map(|path| path.strip_prefix(dir).unwrap().display().to_string()).collect()
         };
         let geometry = json!({"geometry": {"trajectory": "*.pof", "crs": "site.wkt", "geoid": "egm96", "geoid_dir": "geoids"}});

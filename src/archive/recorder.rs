@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use super::contents;
-use super::digest::{self, Stamp};
+use super::digest;
 use super::origin::{Machine, Program};
 use super::paths::relative;
 use super::resolved::Resolved;
@@ -17,7 +17,7 @@ use super::{
 };
 use crate::engine::{InputStatus, InputSummary, Options, RunSummary};
 use crate::job::{Include, Job, JobStage};
-use crate::stage::{ConfigError, OutputFile, Result, StageError, own_file, partial_path};
+use crate::stage::{ConfigError, OutputFile, Result, StageError, Stamp, own_file, partial_path};
 use crate::stages::write_lstat;
 use wavex_formats::Error;
 use wavex_geodesy::time::utc;
@@ -121,7 +121,7 @@ impl Recorder {
         // Remove remains of a dead process with the same id.
         drop(Gathering(gathering.0.clone()));
         fs::create_dir_all(gathering.0.join(LINES)).map_err(Error::io(&gathering.0, "create the folder"))?;
-        let stamps: Vec<Option<Stamp>> = resolved.inputs.iter().map(|path| stamp(path)).collect();
+        let stamps: Vec<Option<Stamp>> = resolved.inputs.iter().map(|path| Stamp::of(path)).collect();
         let unknown = resolved.inputs.iter().zip(&stamps).filter(|(_, stamp)| stamp.is_none());
         unknown.map(|(path, _)| path).try_for_each(|path| is_missing(path))?;
         let existing = resolved.inputs.iter().zip(&stamps).filter(|(_, stamp)| stamp.is_some());
@@ -255,7 +255,7 @@ impl Recorder {
 
     fn check_inputs(&self) -> Result<()> {
         for (path, stamp) in self.resolved.inputs.iter().zip(&self.stamps) {
-            if self::stamp(path) != *stamp {
+            if Stamp::of(path) != *stamp {
                 let problem = "it was changed during the run: no archive was made";
                 return Err(Error::unusable(path, problem, "run the job again").into());
             }
@@ -309,11 +309,6 @@ impl Recorder {
         }
         Ok(files)
     }
-}
-
-/// State of an input; `None` if there is no such file.
-fn stamp(path: &Path) -> Option<Stamp> {
-    Stamp::of(path).ok().filter(|_| path.is_file())
 }
 
 /// Checks that an input without a state is missing.

@@ -299,6 +299,22 @@ fn a_point_without_waveform_or_direction_is_counted_and_passed_over() {
     }
 }
 
+#[test]
+fn a_recording_whose_points_are_all_rejected_fails() {
+    for (at, bytes, reason) in [
+        (30, vec![0], "a point without waveform"),
+        (47, vec![0; 12], "a point without direction or location"),
+    ] {
+        let las = (1..20).fold(Las::new(20), |las, point| las.change(point, at, &bytes));
+        let las = las.change(0, 43, &f32::NAN.to_le_bytes());
+        let message = format!(
+            "stage read_las: ./a.las: all 20 points of the file were rejected (most common reason: {reason}); \
+             check its point format, or export it again"
+        );
+        place(&las, |_| {}).fails("read_las", "a.las", &message);
+    }
+}
+
 /// The instrument's own returns cannot replace a missing waveform: without it the beam is unknown.
 #[test]
 fn points_without_waveform_are_said_to_be_left_out() {

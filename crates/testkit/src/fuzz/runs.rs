@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use wavex::engine::{self, Cause, Options, RunError, RunSummary};
 use wavex::inspect::{self, Inspection, Summary};
-use wavex::job::Job;
+use wavex::job::{Job, Override};
 use wavex::recording::Recording;
 use wavex::scan_line::ScanLine;
 use wavex_formats::las::RawPoints;
@@ -29,16 +29,16 @@ type = 'write_arrow'
 path = 'copy.arrow'
 [[stage]]
 type = 'calibrate'
-waveforms = 100
+waveforms = 200
 KEYS
 [[stage]]
 type = 'decompose'
 [[stage]]
 type = 'correct'
 [[stage]]
-type = 'georeference'
-[[stage]]
 type = 'filter_outliers'
+[[stage]]
+type = 'georeference'
 [[stage]]
 type = 'write_las'
 path = 'points.laz'
@@ -65,7 +65,7 @@ pub fn run(bytes: &[u8]) {
     let is_done = points(&place, &stages(""));
     if let (false, Some(model)) = (is_done, parts.get(2)) {
         place.write("model.json", model);
-        points(&place, &stages("load = 'model.json'").replace("waveforms = 100\n", ""));
+        points(&place, &stages("load = 'model.json'").replace("waveforms = 200\n", ""));
     }
 }
 
@@ -177,12 +177,10 @@ pub fn sdf(bytes: &[u8]) {
         let _ = (reader.seek(1), reader.seek_time(1.0), reader.seek_time_external(f64::NAN));
         let _ = (reader.next(&mut record), reader.next_record());
     }
-    let library = toml::Value::String(library.display().to_string());
-    let stages = format!(
-        "[[stage]]\ntype = 'read_sdf'\npath = '*.sdf'\nlibrary = {library}\n\
-         [[stage]]\ntype = 'write_arrow'\npath = 'copy.arrow'\n"
-    );
-    let job = Job::parse("job.toml", &stages, &[]).unwrap_or_else(|errors| panic!("{errors}"));
+    let stages = "[[stage]]\ntype = 'read_sdf'\npath = '250506_100000.sdf'\n\
+                  [[stage]]\ntype = 'write_arrow'\npath = 'copy.arrow'\n";
+    let library = Override::new(format!("read_sdf.library={}", library.display()));
+    let job = Job::parse("job.toml", stages, &[library]).unwrap_or_else(|errors| panic!("{errors}"));
     let _ = run_job(&job, &place);
 }
 

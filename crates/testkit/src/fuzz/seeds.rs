@@ -46,7 +46,7 @@ type Add<'a> = dyn FnMut(&'static str, &str, Vec<u8>) + 'a;
 /// Recordings in each format, small ones for readers and larger ones for runs.
 fn recordings(add: &mut Add) {
     let model = sensor_model();
-    for (pulses, targets) in [(3, &["las"][..]), (120, &["run", "recording"])] {
+    for (pulses, targets) in [(3, &["las"][..]), (220, &["run", "recording"])] {
         let las = Las::new(pulses).with_crs(&wkt_of_epsg(32633).unwrap());
         let pls = PulseWaves::new(pulses);
         let shot = |k: usize| Shot {
@@ -81,7 +81,7 @@ fn recordings(add: &mut Add) {
     lines.iter().for_each(|rows| stream.write(line_of(rows)).unwrap());
     add("container", "stream", stream.finish().unwrap());
     add("table", "container", container(&header, &lines[..1]));
-    let flown: Vec<_> = sdf_flight().iter().map(|rows| rows[..30].to_vec()).collect();
+    let flown: Vec<_> = sdf_flight().iter().map(|rows| rows[..36].to_vec()).collect();
     add("run", "two_receivers", joined(&[&container(&header, &flown), b"", &model]));
 }
 
@@ -123,7 +123,7 @@ fn outputs(add: &mut Add) {
     add("archive_tar", "tar", tar(&files.map(|name| (name.to_owned(), read(&format!("archive/{name}"))))));
     let long = (format!("{}/long.txt", "folder/".repeat(20)), b"a long name".to_vec());
     add("archive_tar", "long_name", tar(&[("archive.json".into(), b"{}".to_vec()), long]));
-    let arguments = ["--quiet", "plan", "job.toml", "plan"];
+    let arguments = ["--quiet", "plan", "job.toml", "-o", "plan"];
     assert_eq!(place.wavex(&arguments), Outcome::success());
     add("plan", "one_task", read("plan/plan.json"));
     points(add);
@@ -144,14 +144,14 @@ fn tar(files: &[(String, Vec<u8>)]) -> Vec<u8> {
 /// Points of a simulated flight in several formats.
 fn points(add: &mut Add) {
     let place = TestFolder::new();
-    let mut job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 2\nshots_per_line = 40\n\
-                   [[stage]]\ntype = 'calibrate'\nwaveforms = 60\n[[stage]]\ntype = 'decompose'\n\
+    let mut job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 2\nshots_per_line = 120\n\
+                   [[stage]]\ntype = 'calibrate'\nwaveforms = 200\n[[stage]]\ntype = 'decompose'\n\
                    [[stage]]\ntype = 'georeference'\n"
         .to_owned();
     let outputs = [
         ("plain", "las", "version = '1.4'"),
-        ("attributes", "laz", "version = '1.4'\nattributes = '1.1'"),
-        ("waveforms", "laz", "version = '1.4'\nwaveforms = 'inside'"),
+        ("attributes", "laz", "version = '1.4'\nattribute_layout = '1.1'"),
+        ("waveforms", "laz", "version = '1.4'\nwave_packets = 'internal'"),
     ];
     for (name, extension, keys) in outputs {
         job +=
