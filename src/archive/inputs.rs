@@ -196,7 +196,9 @@ mod tests {
     #[test]
     fn a_simulated_input_is_no_file() {
         let job = Job::parse("a.toml", "[[stage]]\ntype = 'simulate'\n", &[]).unwrap();
-        assert!(of_job(&job, &json!({}), &[input(Path::new(""), "out")], Path::new("/in")).unwrap().is_empty());
+        assert!(
+            of_job(&job, &json!({}), &[input(Path::new(""), "out")], Path::new("/in")).unwrap().is_empty()
+        );
     }
 
     #[test]

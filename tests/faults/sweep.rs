@@ -236,7 +236,7 @@ impl<'s> Workshop<'s> {
     /// Runs with a failing call, and again without; returns the first end and all problems.
     fn fail(&self, kind: Kind, at: usize) -> (Ended, Vec<String>) {
         scenario::clear(&self.folder);
-        if at % 2 == 0 {
+        if at.is_multiple_of(2) {
             outputs::put_earlier(&self.folder, &self.good);
         }
         let ended = self.run("new", Some((kind, at)));
