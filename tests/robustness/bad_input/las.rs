@@ -183,16 +183,19 @@ fn sizes_that_lie() {
 #[test]
 fn a_count_of_compressed_points_that_lies() {
     let las = Las::new(300);
-    let cut = "byte 563: compressed points: they cannot be decoded (failed to fill whole buffer)";
+    let stored = |n: u64| {
+        format!("byte 622: number of points of a chunk: it is 300, but header and chunk table give {n}")
+    };
     let most = |n: u64| {
         format!(
-            "byte 2912: chunk table: the header declares {n} points, but the chunks hold at \
-                 most 50000"
+            "byte 247: number of point records: the header declares {n} points, but the chunks hold at \
+             most 50000"
         )
     };
     for (count, problem) in [
-        (301, cut.to_string()),
-        (50_000, cut.to_string()),
+        (295, stored(295)),
+        (301, stored(301)),
+        (50_000, stored(50_000)),
         (50_001, most(50_001)),
         (u64::MAX, most(u64::MAX)),
     ] {
