@@ -83,7 +83,6 @@ pub fn accuracy(bytes: &[u8]) {
 fn read(place: &Files, name: &str, options: &Options) {
     let Ok(recorded) = trajectory::read(&place.path(name), options) else { return };
     let times = recorded.times();
-    assert_eq!(recorded.records.is_empty(), recorded.records.len() == 0);
     assert!(recorded.records.times_s().all(f64::is_finite), "a time is no number");
     let unproject = |[x, y, z]: [f64; 3]| {
         let is_near = x.abs() < 1e7 && y.abs() < 1e7;
