@@ -31,6 +31,10 @@ bench:
     cargo build --release --example sdf_stand_in
     cargo bench --bench sdf
 
+# Line coverage of the tests by file (needs cargo-llvm-cov and the component llvm-tools; builds all anew)
+coverage *ARGS:
+    cargo llvm-cov --workspace --exclude wavex-python --summary-only {{ARGS}}
+
 # Bill of materials of the program: linked libraries with versions, licences and checksums
 sbom FILE='target/sbom.cdx.json':
     packaging/sbom.py {{FILE}}
