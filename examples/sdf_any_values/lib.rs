@@ -289,7 +289,8 @@ fn serve(file: &mut File, count: u32, stride: u32) {
         if first.is_some() {
             let step = file.byte();
             let start = file.u16();
-            let more = (0..sample_count).map(|k| start.wrapping_add(u16::from(step).wrapping_mul(k as u16 % 9)));
+            let more =
+                (0..sample_count).map(|k| start.wrapping_add(u16::from(step).wrapping_mul(k as u16 % 9)));
             file.samples.extend(more);
         }
         let block = Block { time_sosbl, channel, sample_count, sample_size: 2, sample: std::ptr::null() };

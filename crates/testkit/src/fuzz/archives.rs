@@ -47,8 +47,7 @@ pub fn archive_folder(bytes: &[u8]) {
 /// A packed archive, compressed or not.
 pub fn archive_tar(bytes: &[u8]) {
     const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
-    let packed =
-        if bytes.starts_with(&ZSTD) { bytes.to_vec() } else { zstd::encode_all(bytes, 1).unwrap() };
+    let packed = if bytes.starts_with(&ZSTD) { bytes.to_vec() } else { zstd::encode_all(bytes, 1).unwrap() };
     let place = Files::with(&[("a.tar.zst", &packed)]);
     read(&place.path("a.tar.zst"));
 }

@@ -52,7 +52,11 @@ pub fn las(bytes: &[u8]) {
             && let Ok(descriptor) = reader.packet(&point.wave, &mut samples)
         {
             assert_eq!(samples.len() as u64, u64::from(descriptor.samples));
-            let _ = point.wave.sample_position([point.x, point.y, point.z], 1.0, f64::from(descriptor.spacing_ps));
+            let _ = point.wave.sample_position(
+                [point.x, point.y, point.z],
+                1.0,
+                f64::from(descriptor.spacing_ps),
+            );
         }
     }
     assert!(n_points <= n_raw, "{n_points} points of {n_raw} records");

@@ -118,6 +118,8 @@ pub fn survey_cells(bytes: &[u8]) {
         ..SurveyInput::default()
     };
     let inputs: Vec<SurveyInput> = parts(bytes).iter().take(2).enumerate().map(input).collect();
-    let Ok(written) = write_survey(&inputs, &SurveyKeys::default(), &place.path("survey.html")) else { return };
+    let Ok(written) = write_survey(&inputs, &SurveyKeys::default(), &place.path("survey.html")) else {
+        return;
+    };
     assert!(written.iter().all(|path| path.is_file()));
 }
