@@ -21,6 +21,7 @@ use wavex_signal::simd::SimdLevel;
 
 mod chain;
 mod failure;
+mod input_state;
 mod inputs;
 mod link;
 mod meter;

@@ -19,6 +19,7 @@ pub(crate) mod own_file;
 pub(crate) mod packed;
 mod run_context;
 mod spec;
+mod stamp;
 mod survey_models;
 
 pub use context::{Context, Counters, Distribution, Item, counted};
@@ -33,6 +34,7 @@ pub use spec::{
     Config, ConfigError, Holds, Learning, Learns, MakeMap, MakeTransform, MapConfig, Plan, Planned, RoleName,
     SinkConfig, SinkPlan, SourceConfig, SourcePlan, StageSpec, TransformConfig,
 };
+pub(crate) use stamp::Stamp;
 pub(crate) use survey_models::check_model;
 pub use survey_models::{ChannelDrift, Instrument, InstrumentModel, Measured, SensorDrift, SurveyModels};
 

@@ -1,9 +1,7 @@
-//! Digests of files, and detection of changes.
+//! Digests of files.
 
-use std::fs;
 use std::io::{ErrorKind, Read};
 use std::path::Path;
-use std::time::SystemTime;
 
 use wavex_formats::{Error, Result, regular_file};
 
@@ -38,19 +36,10 @@ pub(super) fn of_bytes(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()
 }
 
-/// Size and modification time of a file, to detect changes.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Stamp(u64, Option<SystemTime>);
-
-impl Stamp {
-    pub(super) fn of(path: &Path) -> Result<Stamp> {
-        let about = fs::metadata(path).map_err(Error::io(path, "open"))?;
-        Ok(Stamp(about.len(), about.modified().ok()))
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]

@@ -11,7 +11,7 @@ use super::paths::plain;
 use crate::engine::Input;
 use crate::job::{Job, JobSettings};
 use crate::keys::{FileMark, Key, Keys};
-use wavex_formats::CompanionIndex;
+use wavex_formats::{CompanionIndex, Error};
 use wavex_geodesy::crs::Named;
 
 /// JSON pointers of the keys in `[job]` with this mark.
@@ -35,7 +35,15 @@ fn collect(key: Key, table: &str, mark: FileMark, found: &mut Vec<String>) {
 }
 
 /// All files that a run of the job over these inputs reads; `input_dir` is absolute.
-pub(super) fn of_job(job: &Job, settings: &Value, inputs: &[Input], input_dir: &Path) -> BTreeSet<PathBuf> {
+///
+/// # Errors
+/// If a folder of inputs cannot be listed.
+pub(super) fn of_job(
+    job: &Job,
+    settings: &Value,
+    inputs: &[Input],
+    input_dir: &Path,
+) -> Result<BTreeSet<PathBuf>, Error> {
     FilesRead::with(job, settings, input_dir).of(inputs)
 }
 
@@ -67,18 +75,21 @@ impl FilesRead {
     }
 
     /// All files that a run over these inputs reads.
-    pub(crate) fn of(&mut self, inputs: &[Input]) -> BTreeSet<PathBuf> {
+    ///
+    /// # Errors
+    /// If a folder of inputs cannot be listed.
+    pub(crate) fn of(&mut self, inputs: &[Input]) -> Result<BTreeSet<PathBuf>, Error> {
         let mut files = self.fixed.clone();
         for input in inputs.iter().filter(|input| !input.path.as_os_str().is_empty()) {
             let path = plain(&self.input_dir.join(&input.path));
-            files.extend(self.index.of(&path));
+            files.extend(self.index.of(&path)?);
             files.insert(path);
         }
         for text in &self.named {
             let file = |input: &Input| plain(&self.input_dir.join(text.replace('*', &input.stem)));
             files.extend(inputs.iter().map(file));
         }
-        files
+        Ok(files)
     }
 }
 
@@ -86,7 +97,10 @@ impl FilesRead {
 pub(crate) fn missing_files(job: &Job, inputs: &[Input], input_dir: &Path) -> Vec<String> {
     let settings = serde_json::to_value(&job.settings).unwrap_or_default();
     let is_standard_input = |path: &PathBuf| path.file_name().is_some_and(|name| name == "-");
-    let files = of_job(job, &settings, inputs, input_dir);
+    let files = match of_job(job, &settings, inputs, input_dir) {
+        Err(error) => return vec![error.to_string()],
+        Ok(files) => files,
+    };
     let files = files.into_iter().filter(|path| !is_standard_input(path) && !path.exists());
     let mut missing: Vec<String> = files.map(|path| format!("{}: no such file", path.display())).collect();
     let geometry = &job.settings.geometry;
@@ -174,7 +188,7 @@ mod tests {
         let text = "[[stage]]\ntype = 'read_las'\npath = '*.las'\n[[stage]]\ntype = 'calibrate'\nload = './model.json'\n";
         let job = Job::parse("a.toml", text, &[]).unwrap();
         let inputs = [input(&dir.join("a.las"), "a"), input(&dir.join("b.las"), "b")];
-        let found = of_job(&job, &json!({}), &inputs, dir);
+        let found = of_job(&job, &json!({}), &inputs, dir).unwrap();
         let expected = ["a.WDP", "a.las", "b.las", "model.json"].map(|name| dir.join(name));
         assert_eq!(found.into_iter().collect::<Vec<_>>(), expected);
     }
@@ -182,7 +196,9 @@ mod tests {
     #[test]
     fn a_simulated_input_is_no_file() {
         let job = Job::parse("a.toml", "[[stage]]\ntype = 'simulate'\n", &[]).unwrap();
-        assert!(of_job(&job, &json!({}), &[input(Path::new(""), "out")], Path::new("/in")).is_empty());
+        assert!(
+            of_job(&job, &json!({}), &[input(Path::new(""), "out")], Path::new("/in")).unwrap().is_empty()
+        );
     }
 
     #[test]
@@ -196,7 +212,7 @@ mod tests {
         let job = Job::parse("a.toml", "[[stage]]\ntype = 'simulate'\n", &[]).unwrap();
         let inputs = [input(Path::new(""), "a"), input(Path::new(""), "b")];
         let names = |settings: Value| -> Vec<String> {
-            let found = of_job(&job, &settings, &inputs, dir);
+            let found = of_job(&job, &settings, &inputs, dir).unwrap();
             found.iter().map(|path| path.strip_prefix(dir).unwrap().display().to_string()).collect()
         };
         let geometry = json!({"geometry": {"trajectory": "*.pof", "crs": "site.wkt", "geoid": "egm96", "geoid_dir": "geoids"}});

@@ -2,11 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use super::contents;
-use super::digest::{self, Stamp};
+use super::digest;
 use super::origin::{Machine, Program};
 use super::paths::relative;
 use super::resolved::Resolved;
@@ -16,7 +17,7 @@ use super::{
 };
 use crate::engine::{InputStatus, InputSummary, Options, RunSummary};
 use crate::job::{Include, Job, JobStage};
-use crate::stage::{ConfigError, OutputFile, Result, StageError, own_file, partial_path};
+use crate::stage::{ConfigError, OutputFile, Result, StageError, Stamp, own_file, partial_path};
 use crate::stages::write_lstat;
 use wavex_formats::Error;
 use wavex_geodesy::time::utc;
@@ -120,7 +121,9 @@ impl Recorder {
         // Remove remains of a dead process with the same id.
         drop(Gathering(gathering.0.clone()));
         fs::create_dir_all(gathering.0.join(LINES)).map_err(Error::io(&gathering.0, "create the folder"))?;
-        let stamps: Vec<Option<Stamp>> = resolved.inputs.iter().map(|path| stamp(path)).collect();
+        let stamps: Vec<Option<Stamp>> = resolved.inputs.iter().map(|path| Stamp::of(path)).collect();
+        let unknown = resolved.inputs.iter().zip(&stamps).filter(|(_, stamp)| stamp.is_none());
+        unknown.map(|(path, _)| path).try_for_each(|path| is_missing(path))?;
         let existing = resolved.inputs.iter().zip(&stamps).filter(|(_, stamp)| stamp.is_some());
         let digested = |(path, _): (&PathBuf, _)| digested(&resolved.input_root, path, None, &known);
         let inputs: Result<Vec<DigestedFile>> = existing.map(digested).collect();
@@ -252,7 +255,7 @@ impl Recorder {
 
     fn check_inputs(&self) -> Result<()> {
         for (path, stamp) in self.resolved.inputs.iter().zip(&self.stamps) {
-            if self::stamp(path) != *stamp {
+            if Stamp::of(path) != *stamp {
                 let problem = "it was changed during the run: no archive was made";
                 return Err(Error::unusable(path, problem, "run the job again").into());
             }
@@ -308,9 +311,12 @@ impl Recorder {
     }
 }
 
-/// State of an input; `None` if there is no such file.
-fn stamp(path: &Path) -> Option<Stamp> {
-    Stamp::of(path).ok().filter(|_| path.is_file())
+/// Checks that an input without a state is missing.
+fn is_missing(path: &Path) -> Result<()> {
+    match fs::metadata(path) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(Error::io(path, "open")(error).into()),
+        _ => Ok(()),
+    }
 }
 
 fn defect(error: &dyn std::fmt::Display) -> StageError {

@@ -2,9 +2,8 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
+use std::io;
 use std::path::{Path, PathBuf};
-
-use tempfile::TempDir;
 
 use super::contents::Contents;
 use super::difference::first_difference;
@@ -143,7 +142,7 @@ fn check_paths(job: &Job, input_dir: &Path, output_dir: &Path) -> Result<()> {
     let input_dir = plain(&input_dir);
     let settings = serde_json::to_value(&job.settings).unwrap_or_default();
     let sources = engine::inputs(job, &input_dir).map_err(|error| error.into_stage_error())?;
-    let read = inputs::of_job(job, &settings, &sources, &input_dir);
+    let read = inputs::of_job(job, &settings, &sources, &input_dir)?;
     let written = resolved::outputs_of(job, &sources, output_dir);
     if let Some(path) = read.iter().find(|path| !path.starts_with(&input_dir)) {
         let path = path.display();
@@ -236,7 +235,7 @@ fn compare_file(file: &DigestedFile, now: &Path, then: &Path) -> Result<Option<S
 ///
 /// A lock shows that its process lives; folders of killed replays are removed by the next one.
 struct Temporary {
-    folder: TempDir,
+    folder: PathBuf,
     _lock: File,
 }
 
@@ -250,16 +249,42 @@ impl Temporary {
         let place = std::env::temp_dir();
         remove_remains(&place);
         let create = Error::io(&place, "create a folder in");
-        let folder = tempfile::Builder::new().prefix(PREFIX).tempdir_in(&place).map_err(&create)?;
-        let lock = File::create(folder.path().join(LOCK)).map_err(&create)?;
-        // Where there are no locks, remains stay until the system removes them.
-        let _ = lock.try_lock();
-        Ok(Temporary { folder, _lock: lock })
+        loop {
+            let folder = tempfile::Builder::new().prefix(PREFIX).tempdir_in(&place).map_err(&create)?;
+            let lock = match File::create(folder.path().join(LOCK)) {
+                // Another replay has just removed the empty folder.
+                Err(_) if !folder.path().exists() => continue,
+                lock => lock.map_err(&create)?,
+            };
+            // Where there are no locks, remains stay until the system removes them.
+            let _ = lock.try_lock();
+            return Ok(Temporary { folder: folder.keep(), _lock: lock });
+        }
     }
 
     fn path(&self) -> &Path {
-        self.folder.path()
+        &self.folder
     }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        // What cannot be removed now is removed by the next replay.
+        let _ = remove_with_lock(&self.folder);
+    }
+}
+
+/// Removes a temporary folder, and its lock last: remains without a lock would not be recognised.
+fn remove_with_lock(folder: &Path) -> io::Result<()> {
+    for entry in folder.read_dir()? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            fs::remove_dir_all(entry.path())?;
+        } else if entry.file_name() != LOCK {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    fs::remove_dir_all(folder)
 }
 
 /// Removes the folders of killed replays.
@@ -267,11 +292,13 @@ fn remove_remains(place: &Path) {
     for entry in place.read_dir().into_iter().flatten().flatten() {
         let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
         if is_folder && entry.file_name().to_string_lossy().starts_with(PREFIX) {
-            let lock = own_file::no_link().write(true).open(entry.path().join(LOCK));
-            if lock.is_ok_and(|lock| lock.try_lock().is_ok()) {
-                // Others' folders cannot be removed, and need not be.
-                let _ = fs::remove_dir_all(entry.path());
-            }
+            // Others' folders cannot be removed, and need not be.
+            let _ = match own_file::no_link().write(true).open(entry.path().join(LOCK)) {
+                Ok(lock) if lock.try_lock().is_ok() => remove_with_lock(&entry.path()),
+                // Of a replay killed between two steps; only an empty folder can be removed this way.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => fs::remove_dir(entry.path()),
+                _ => Ok(()),
+            };
         }
     }
 }
@@ -283,15 +310,18 @@ mod tests {
     #[test]
     fn folders_of_killed_replays_are_removed_and_of_running_ones_kept() {
         let place = tempfile::tempdir().unwrap();
-        let [dead, living, other] =
-            ["wavex-replay-dead", "wavex-replay-living", "wavex-other"].map(|name| place.path().join(name));
+        let [dead, living, other, empty] =
+            ["wavex-replay-dead", "wavex-replay-living", "wavex-other", "wavex-replay-empty"]
+                .map(|name| place.path().join(name));
         for folder in [&dead, &living, &other] {
-            fs::create_dir(folder).unwrap();
+            fs::create_dir_all(folder.join("lines")).unwrap();
             fs::write(folder.join(LOCK), "").unwrap();
+            fs::write(folder.join("a.laz"), "").unwrap();
         }
+        fs::create_dir(&empty).unwrap();
         let held = File::open(living.join(LOCK)).unwrap();
         held.lock().unwrap();
         remove_remains(place.path());
-        assert_eq!([dead.exists(), living.exists(), other.exists()], [false, true, true]);
+        assert_eq!([dead, living, other, empty].map(|folder| folder.exists()), [false, true, true, false]);
     }
 }

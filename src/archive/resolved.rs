@@ -92,7 +92,8 @@ impl Resolved {
         settings.geometry.spell_out();
         settings.survey.cells = settings.cells().unwrap_or_default().to_owned();
         let settings = serde_json::to_value(&settings).unwrap_or(Value::Null);
-        let files: Vec<PathBuf> = inputs::of_job(job, &settings, &sources, &input_dir).into_iter().collect();
+        let files = inputs::of_job(job, &settings, &sources, &input_dir)?;
+        let files: Vec<PathBuf> = files.into_iter().collect();
         let outputs = outputs_of(job, &sources, &output_dir);
         let roots = Roots {
             input_root: root.map_or_else(|| root_of(&input_dir, &files), Path::to_owned),

@@ -28,8 +28,9 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
     };
     let length = |path: &Path| path.metadata().map_or(0, |about| about.len());
     let mut index = CompanionIndex::default();
-    let with_companions =
-        |path: &&Path| length(path) + index.of(path).iter().map(|path| length(path)).sum::<u64>();
+    let with_companions = |path: &&Path| {
+        length(path) + index.of(path).unwrap_or_default().iter().map(|path| length(path)).sum::<u64>()
+    };
     let bytes: u64 = files.iter().map(with_companions).sum();
     let mut text = format!("  files:  {}, {}\n", files.len(), size(bytes));
     let cores = match job.settings.threads {

@@ -123,11 +123,13 @@ fn of_job(errors: &JobErrors, first: usize, sources: &[(usize, String)], given: 
                 .max_by_key(|given| given.written.len())
         })
     };
+    // Defaults follow from the inputs.
+    let input = || given.iter().find(|given| given.option.becomes == Becomes::Part(Part::Input));
     let one = |error: &JobError| {
         let what = format!("the job of this line is invalid: {}", error.problem);
         let help = error.help.join("; ");
-        let place =
-            errors.position(error).and_then(|(_, line, _)| cause(line)).map(|given| given.place.clone());
+        let cause = errors.position(error).and_then(|(_, line, _)| cause(line)).or_else(input);
+        let place = cause.map(|given| given.place.clone());
         Problem { what: problem::plain(&what), help: problem::plain(&help), place }
     };
     errors.errors().iter().map(one).collect()

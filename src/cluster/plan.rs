@@ -68,7 +68,7 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
     }
     write(RESOLVED, &resolved.text(&job.name)?)?;
 
-    let own_files = own_files(job, &resolved);
+    let own_files = own_files(job, &resolved)?;
     let of_tasks: BTreeSet<&PathBuf> = own_files.iter().flatten().collect();
     let shared = resolved.inputs.iter().filter(|path| !of_tasks.contains(path));
     let shared_inputs: Vec<PlannedFile> =
@@ -179,11 +179,15 @@ fn root(folder: &Path, resolved: &Resolved, archive: Option<&Path>) -> Result<Pa
 }
 
 /// The input of each task, with files that only this task reads.
-fn own_files(job: &Job, resolved: &Resolved) -> Vec<Vec<PathBuf>> {
+///
+/// # Errors
+/// If a folder of inputs cannot be listed.
+fn own_files(job: &Job, resolved: &Resolved) -> Result<Vec<Vec<PathBuf>>> {
     let mut files = FilesRead::new(job, &resolved.job_input_dir);
-    let of_source =
-        |source: &Input| -> Vec<PathBuf> { files.of(std::slice::from_ref(source)).into_iter().collect() };
-    let mut all: Vec<Vec<PathBuf>> = resolved.sources.iter().map(of_source).collect();
+    let of_source = |source: &Input| -> Result<Vec<PathBuf>> {
+        Ok(files.of(std::slice::from_ref(source))?.into_iter().collect())
+    };
+    let mut all: Vec<Vec<PathBuf>> = resolved.sources.iter().map(of_source).collect::<Result<_>>()?;
     if let [_, _, ..] = all.as_slice() {
         let mut seen: BTreeMap<PathBuf, usize> = BTreeMap::new();
         for path in all.iter().flatten() {
@@ -197,7 +201,7 @@ fn own_files(job: &Job, resolved: &Resolved) -> Vec<Vec<PathBuf>> {
         // The input is the first of its files.
         files.sort_by_key(|path| *path != source.path);
     }
-    all
+    Ok(all)
 }
 
 fn planned_file(root: &Path, path: &Path) -> Result<PlannedFile> {

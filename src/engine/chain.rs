@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use super::failure::{Failure, RunError, THREAD_PREFIX, guarded};
+use super::input_state::InputState;
 use super::link::{Inlet, Outlet, link};
 use super::meter::Meter;
 use super::pool::Permits;
@@ -32,6 +33,7 @@ pub(super) fn run(
     cx: &Context,
 ) -> (InputSummary, Option<RunError>) {
     let started = Instant::now();
+    let state = InputState::of(&site.input);
     let shared = shared(job, options, common, gauge, cx);
     let leavings: Vec<WorkerResult> = job.stages.iter().map(|_| WorkerResult::default()).collect();
     std::thread::scope(|scope| {
@@ -56,12 +58,16 @@ pub(super) fn run(
     }
     let (stages, whole) = collect(job, leavings);
     let published = match shared.failure.into_error(&site.input) {
-        Some(error) => Err(error),
-        None => publish(whole).map_err(|(stage, error)| RunError {
-            stage: Some(stage),
-            input: Some(site.input.clone()),
-            cause: Cause::Stage(error),
-        }),
+        Some(error) => Err(state.explain(error)),
+        None => {
+            let source = job.stages.first().map(|stage| stage.id.clone());
+            let unchanged = state.check().map_err(|error| (source.unwrap_or_default(), error.into()));
+            unchanged.and_then(|()| publish(whole)).map_err(|(stage, error)| RunError {
+                stage: Some(stage),
+                input: Some(site.input.clone()),
+                cause: Cause::Stage(error),
+            })
+        }
     };
     let summary = |outputs| InputSummary::new(site, started, totals, stages, outputs, budget_peak);
     match published {

@@ -139,7 +139,7 @@ pub(crate) fn size(input: &Path) -> u64 {
 pub(crate) fn sizes<'p>(inputs: impl IntoIterator<Item = &'p Path>) -> impl Iterator<Item = u64> {
     let mut index = CompanionIndex::default();
     inputs.into_iter().map(move |input| {
-        let files = index.of(input).into_iter().chain([input.to_owned()]);
+        let files = index.of(input).unwrap_or_default().into_iter().chain([input.to_owned()]);
         files.filter_map(|path| path.metadata().ok()).map(|about| about.len()).sum::<u64>().max(1)
     })
 }
@@ -161,10 +161,12 @@ pub(super) fn outputs(job: &Job, sites: &[RunContext]) -> Outputs {
 /// `job` compares patterns; this compares actual files.
 pub(super) fn keep_from_outputs(job: &Job, sites: &[RunContext]) -> Result<(), RunError> {
     let mut index = CompanionIndex::default();
-    let with_companions =
-        |site: &RunContext| index.of(&site.input).into_iter().chain([site.input.clone()]).collect::<Vec<_>>();
-    let inputs: BTreeSet<PathBuf> =
-        sites.iter().flat_map(with_companions).filter_map(|path| path.canonicalize().ok()).collect();
+    let mut inputs = BTreeSet::new();
+    for site in sites {
+        let companions = index.of(&site.input).map_err(|error| RunError::of_job(error.into()))?;
+        let files = companions.into_iter().chain([site.input.clone()]);
+        inputs.extend(files.filter_map(|path| path.canonicalize().ok()));
+    }
     let patterns = || job.stages.iter().flat_map(|stage| stage.planned.plan.outputs());
     let mut outputs = sites.iter().flat_map(|site| patterns().map(|pattern| site.output_path(pattern)));
     // An output that does not exist cannot be an input.

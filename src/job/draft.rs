@@ -88,7 +88,7 @@ impl<'t> Draft<'t> {
         let mut stages: Vec<DraftStage> =
             stages.into_iter().map(|keys| DraftStage::new(keys, known, &mut errors)).collect();
         name(&mut stages, &mut errors);
-        errors.extend(root.keys().take(MAX_ERRORS).map(unknown));
+        errors.extend(unknown_keys(&root));
         if stages.is_empty() && errors.is_empty() {
             let help = "`wavex init` writes a starter job; `wavex stages` lists the stages";
             errors.push(JobError::of_job("the job has no stage").help(help));
@@ -237,6 +237,13 @@ fn elements<'t>(value: Spanned<DeValue<'t>>, errors: &mut Vec<JobError>) -> Vec<
             Vec::new()
         }
     }
+}
+
+/// Errors for the first top-level keys other than `job` and `stage`.
+fn unknown_keys(root: &DeTable) -> Vec<JobError> {
+    let mut keys: Vec<_> = root.keys().collect();
+    keys.sort_by_key(|key| key.span().start);
+    keys.into_iter().take(MAX_ERRORS + 1).map(unknown).collect()
 }
 
 /// Error for a top-level key other than `job` and `stage`.

@@ -116,7 +116,7 @@ impl Given<'_> {
                 let of_items = items
                     .iter()
                     .flat_map(|value| Given { name, schema, value, ..*self }.check())
-                    .take(MAX_ERRORS);
+                    .take(MAX_ERRORS + 1);
                 self.check_length(items.len()).into_iter().chain(of_items).collect()
             }
             _ => Vec::new(),

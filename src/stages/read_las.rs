@@ -20,7 +20,8 @@ use crate::scan_line::{
     TimeScale, emission_flags,
 };
 use crate::stage::{
-    Config, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+    Config, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageError,
+    StageSpec,
 };
 use geometry::{Geometry, first_sample, is_usable};
 use pulse::same_pulse;
@@ -176,6 +177,8 @@ struct LasReader {
     without_waveform: u64,
     /// Message about the emission reference, until it is reported.
     message: Option<Message>,
+    /// Bytes after the points that belong to nothing, until they are reported.
+    surplus_bytes: u64,
 }
 
 /// A shot assembled from its points.
@@ -232,6 +235,7 @@ impl LasReader {
             broken: BrokenRun::default(),
             without_waveform: 0,
             message: None,
+            surplus_bytes: reader.surplus_bytes(),
             reader,
             geometry,
         })
@@ -357,6 +361,22 @@ impl LasReader {
         Ok(found)
     }
 
+    /// At the end of the file: fails if no point gave a shot.
+    fn check_yield(&self, cx: &Context) -> Result<()> {
+        if self.next_shot > 0 || self.points_read == 0 {
+            return Ok(());
+        }
+        let rejected = &cx.counters.rejected;
+        let most = rejected.iter().max_by_key(|(_, n)| **n).map_or("", |((_, reason), _)| *reason);
+        let n = self.points_read;
+        let (points, were) =
+            if n == 1 { ("the only point".to_owned(), "was") } else { (format!("all {n} points"), "were") };
+        Err(StageError::failed(
+            format!("{points} of the file {were} rejected (most common reason: {most})"),
+            "check its point format, or export it again",
+        ))
+    }
+
     fn add(&mut self, shot: Shot) {
         let index = self.lines.add(shot.first_point, shot.emission);
         let blocks = self.lines.blocks();
@@ -382,6 +402,12 @@ impl Source for LasReader {
         if let Some(message) = self.message.take() {
             message.report(cx);
         }
+        if let surplus @ 1.. = std::mem::take(&mut self.surplus_bytes) {
+            cx.warn(format!(
+                "{surplus} bytes follow the points and belong to no record of the file; \
+                 compare the number of points with that of the export"
+            ));
+        }
         loop {
             if let Some(shot) = self.waiting.take() {
                 self.add(shot);
@@ -393,6 +419,7 @@ impl Source for LasReader {
                     return Ok(Some(line));
                 }
                 self.broken.check_at_end()?;
+                self.check_yield(cx)?;
                 if self.without_waveform > 0 {
                     cx.warn(without_waveform(self.without_waveform));
                 }

@@ -1,9 +1,10 @@
-//! Allocations: their number in the kernels, and their size in readers of wrong files.
+//! Allocations: their number in the kernels, their size in readers of wrong files, and readers without memory.
 //!
 //! The tests run one after the other, because they share the allocator and its figures.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 mod container;
+mod failing;
 mod kernels;
 
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -17,7 +18,12 @@ struct Counting;
 thread_local! {
     /// Number of requests of this thread.
     static REQUESTS: Cell<usize> = const { Cell::new(0) };
+    /// Number of large requests of this thread until one fails; 0: none fails.
+    static LARGE_UNTIL_FAILURE: Cell<usize> = const { Cell::new(0) };
 }
+
+/// Smallest request that can fail, bytes: more than any buffer of fixed size.
+const LARGE: usize = 1 << 20;
 
 /// Largest request of any thread, bytes.
 static LARGEST: AtomicUsize = AtomicUsize::new(0);
@@ -29,10 +35,24 @@ fn count(bytes: usize) {
     LARGEST.fetch_max(bytes, Ordering::Relaxed);
 }
 
-// SAFETY: every request is forwarded unchanged to the system allocator.
+/// Whether this request is the one that fails.
+fn fails(bytes: usize) -> bool {
+    let left = LARGE_UNTIL_FAILURE.get();
+    if bytes < LARGE || left == 0 {
+        return false;
+    }
+    LARGE_UNTIL_FAILURE.set(left - 1);
+    left == 1
+}
+
+// SAFETY: every request is forwarded unchanged to the system allocator, or gets a null pointer, which
+// means that there is no memory.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size());
+        if fails(layout.size()) {
+            return std::ptr::null_mut();
+        }
         // SAFETY: the caller upholds the contract of `System`, which is the same.
         unsafe { System.alloc(layout) }
     }
@@ -44,6 +64,9 @@ unsafe impl GlobalAlloc for Counting {
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count(size);
+        if fails(size) {
+            return std::ptr::null_mut();
+        }
         // SAFETY: the caller upholds the contract of `System`, which is the same.
         unsafe { System.realloc(pointer, layout, size) }
     }

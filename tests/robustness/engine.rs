@@ -161,3 +161,53 @@ fn the_trace_has_a_track_per_worker() {
     assert_eq!(of("M"), 4, "source, two workers, sink");
     assert!(of("X") >= 30, "each of ten lines in each of three stages");
 }
+
+#[test]
+fn an_input_that_changes_while_it_is_read_fails() {
+    for (changed, change, problem) in [
+        ("a.pls", "append", "it grew from 3 to 4 bytes"),
+        ("a.pls", "truncate", "it shrank from 3 to 2 bytes"),
+        ("a.pls", "remove", "it was removed"),
+        #[cfg(unix)]
+        ("a.pls", "replace", "it was replaced by another file"),
+        ("a.wvs", "append", "it was created"),
+        ("b.las", "remove", "it was removed"),
+        ("b.WDP", "truncate", "it shrank from 3 to 2 bytes"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a.pls", "b.las", "b.WDP"] {
+            fs::write(folder.path().join(name), "abc").unwrap();
+        }
+        let input = if changed.starts_with('a') { "a.pls" } else { "b.las" };
+        let keys = format!("path = '{input}'\nchange = ['{changed}', '{change}']");
+        let job = job(&[(&COUNT, keys.as_str()), (&WRITE_NUMBERS, "path = '*.txt'")]);
+        let options = Options { input_dir: folder.path().to_owned(), ..into(&job, folder.path()) };
+        let error = engine::run(&job, &options).unwrap_err().to_string();
+        let file = folder.path().join(changed);
+        let expected = format!(
+            "stage count: {}: {problem} while it was read; \
+             run the job again once no other program writes the file",
+            file.display()
+        );
+        assert_eq!(error, expected);
+        let is_output = |name: &String| name.ends_with(".txt");
+        assert!(!files(folder.path()).iter().any(is_output), "no output of a changed input");
+    }
+}
+
+#[test]
+fn an_input_that_changes_does_not_affect_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["a.pls", "b.pls", "other.pls"] {
+        fs::write(folder.path().join(name), "abc").unwrap();
+    }
+    let keys = "path = ['a.pls', 'b.pls']\nchange = ['b.pls', 'append']";
+    let job = job(&[(&COUNT, keys), (&WRITE_NUMBERS, "path = '*.txt'")]);
+    let options =
+        Options { input_dir: folder.path().to_owned(), inputs_at_once: 1, ..into(&job, folder.path()) };
+    // The run of `a.pls` appends to `b.pls` before that is read; its own run appends once more.
+    engine::run(&job, &options).unwrap_err();
+    let outputs: Vec<String> =
+        files(folder.path()).into_iter().filter(|name| name.ends_with(".txt")).collect();
+    assert_eq!(outputs, ["a.txt"]);
+}

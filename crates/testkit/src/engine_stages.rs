@@ -1,5 +1,7 @@
 //! Small stages for test chains, and jobs made of them without text.
 
+use std::fs;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -13,6 +15,7 @@ use wavex::stage::{
     Config, Context, Item, Map, MapConfig, Output, Paths, Result, RunContext, Sink, SinkConfig, Source,
     SourceConfig, StageError, StageSpec, Transform, TransformConfig,
 };
+use wavex_formats::Error;
 
 /// Input without metadata, in map coordinates.
 pub fn input_info() -> InputInfo {
@@ -52,11 +55,29 @@ pub struct Count {
     pub shots: usize,
     /// Line at which the source fails; none if negative.
     pub fail_at: i64,
+    /// Inputs, which are not read.
+    pub path: Option<Paths>,
+    /// What the source does to its input, or to another file, before the second line.
+    pub change: Option<(String, Change)>,
+}
+
+/// What the source does to a file.
+#[derive(Clone, Copy, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Change {
+    /// Appends a byte.
+    Append,
+    /// Removes the last byte.
+    Truncate,
+    /// Replaces the file by a copy.
+    Replace,
+    /// Removes the file.
+    Remove,
 }
 
 impl Default for Count {
     fn default() -> Count {
-        Count { lines: 10, shots: 3, fail_at: -1 }
+        Count { lines: 10, shots: 3, fail_at: -1, path: None, change: None }
     }
 }
 
@@ -64,10 +85,28 @@ impl Config for Count {}
 
 impl SourceConfig for Count {
     fn paths(&self) -> Option<&Paths> {
-        None
+        self.path.as_ref()
     }
-    fn make(&self, _site: &RunContext) -> Result<Box<dyn Source>> {
-        Ok(Box::new(Counting { config: self.clone(), next: 0, input: Arc::new(input_info()) }))
+    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
+        let input = Arc::new(InputInfo { path: site.input.clone(), ..input_info() });
+        Ok(Box::new(Counting { config: self.clone(), next: 0, input }))
+    }
+}
+
+impl Change {
+    fn make(self, file: &Path) -> std::io::Result<()> {
+        let mut bytes = fs::read(file).unwrap_or_default();
+        match self {
+            Change::Append => bytes.push(0),
+            Change::Truncate => drop(bytes.pop()),
+            Change::Replace => {
+                let copy = file.with_extension("copy");
+                fs::copy(file, &copy)?;
+                return fs::rename(copy, file);
+            }
+            Change::Remove => return fs::remove_file(file),
+        }
+        fs::write(file, bytes)
     }
 }
 
@@ -84,6 +123,11 @@ impl Source for Counting {
         }
         if self.next == self.config.lines {
             return Ok(None);
+        }
+        if let (1, Some((name, change))) = (self.next, &self.config.change) {
+            change
+                .make(&self.input.path.with_file_name(name))
+                .map_err(Error::io(&self.input.path, "change"))?;
         }
         self.next += 1;
         Ok(Some(line_of_shots(&self.input, self.next - 1, self.config.shots)))

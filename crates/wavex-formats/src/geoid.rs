@@ -6,7 +6,7 @@ mod ngs_bin;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::{Error, Result, read_small};
+use super::{Error, Result, make_room, read_small};
 use wavex_geodesy::geoid::{Geoid, GeoidGrid};
 
 /// Largest accepted number of grid values.
@@ -163,6 +163,10 @@ impl Header {
                 values.len()
             )));
         }
+        let values = values.as_chunks().0;
+        let mut heights_m = Vec::new();
+        make_room(&mut heights_m, values.len()).map_err(Error::io(path, "read"))?;
+        heights_m.extend(values.iter().map(|bytes| value(*bytes)));
         Ok(GeoidGrid {
             south_deg: self.south_deg,
             west_deg: self.west_deg,
@@ -170,7 +174,7 @@ impl Header {
             longitude_step_deg: self.longitude_step_deg,
             rows,
             columns,
-            heights_m: values.as_chunks().0.iter().map(|bytes| value(*bytes)).collect(),
+            heights_m,
         })
     }
 }

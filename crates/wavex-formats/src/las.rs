@@ -57,6 +57,7 @@ mod copc;
 mod description;
 mod descriptor;
 mod encoding;
+mod extent;
 mod extra_bytes;
 mod header;
 mod lax;
@@ -81,7 +82,7 @@ pub use extra_bytes::{
     ATTRIBUTES_1_0, ATTRIBUTES_1_1, ATTRIBUTES_STANDARD, DataType, ExtraAttribute, ExtraBytes, RAW_AMP,
     quantise,
 };
-pub use header::{GpsTime, Header};
+pub use header::{GpsTime, Header, MAX_COORDINATE};
 pub use lax::beside as indexes_beside;
 pub use packet_writer::{Packet, PacketWriter};
 pub use point::{Point, Wave};

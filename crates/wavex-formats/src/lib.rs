@@ -172,19 +172,38 @@ pub fn read_small_text(path: &Path, most_bytes: u64, what: &str, remedy: &str) -
     String::from_utf8(read_small(path, most_bytes, what, remedy)?).map_err(not_text)
 }
 
+/// Makes room for further items whose number comes from a file.
+///
+/// # Errors
+/// If there is not enough memory.
+pub(crate) fn make_room<T>(items: &mut Vec<T>, further: usize) -> io::Result<()> {
+    items.try_reserve_exact(further).map_err(|_| io::ErrorKind::OutOfMemory.into())
+}
+
+/// Changes the length of a buffer to one that comes from a file; new bytes are zero.
+///
+/// # Errors
+/// If there is not enough memory.
+pub(crate) fn resize(bytes: &mut Vec<u8>, length: usize) -> io::Result<()> {
+    make_room(bytes, length.saturating_sub(bytes.len()))?;
+    bytes.resize(length, 0);
+    Ok(())
+}
+
 /// Returns advice for an I/O error, to end a message.
 ///
 /// Empty if the system's message suffices.
 fn remedy_of(kind: io::ErrorKind) -> &'static str {
     use io::ErrorKind::{
-        AlreadyExists, FileTooLarge, IsADirectory, NotADirectory, NotFound, PermissionDenied, QuotaExceeded,
-        ReadOnlyFilesystem, StorageFull,
+        AlreadyExists, FileTooLarge, IsADirectory, NotADirectory, NotFound, OutOfMemory, PermissionDenied,
+        QuotaExceeded, ReadOnlyFilesystem, StorageFull,
     };
     match kind {
         NotFound => "; check the path",
         IsADirectory => "; give a file",
         AlreadyExists | NotADirectory => "; choose another folder: a file is in the way",
         PermissionDenied | ReadOnlyFilesystem => "; check the permissions, or choose another folder",
+        OutOfMemory => "; end other programs, or use a machine with more memory",
         StorageFull | QuotaExceeded | FileTooLarge => "; free some space, or write to another disk",
         _ => "",
     }
@@ -193,7 +212,10 @@ fn remedy_of(kind: io::ErrorKind) -> &'static str {
 /// Returns the companion files of a recording in the same folder.
 ///
 /// These are `.wdp` for LAS and LAZ, and `.wvs` for PulseWaves. Extensions match in any case.
-pub fn companions(path: &Path) -> Vec<PathBuf> {
+///
+/// # Errors
+/// If the folder cannot be listed. One that may not be listed has no companion files.
+pub fn companions(path: &Path) -> Result<Vec<PathBuf>> {
     CompanionIndex::default().of(path)
 }
 
@@ -206,29 +228,41 @@ pub struct CompanionIndex {
 
 impl CompanionIndex {
     /// Companion files of a recording; see [`companions`].
-    pub fn of(&mut self, path: &Path) -> Vec<PathBuf> {
+    ///
+    /// # Errors
+    /// As [`companions`].
+    pub fn of(&mut self, path: &Path) -> Result<Vec<PathBuf>> {
         let wanted = match extension(path).as_str() {
             "las" | "laz" => "wdp",
             "pls" => "wvs",
-            _ => return Vec::new(),
+            _ => return Ok(Vec::new()),
         };
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let files = self.folders.entry(folder.to_owned()).or_insert_with(|| by_stem(folder));
+        if !self.folders.contains_key(folder) {
+            self.folders.insert(folder.to_owned(), by_stem(folder).map_err(Error::io(folder, "list"))?);
+        }
+        let Some(files) = self.folders.get(folder) else { return Ok(Vec::new()) };
         let of_stem = files.get(path.file_stem().unwrap_or_default()).map_or(&[][..], Vec::as_slice);
-        of_stem.iter().filter(|other| extension(other) == wanted).cloned().collect()
+        Ok(of_stem.iter().filter(|other| extension(other) == wanted).cloned().collect())
     }
 }
 
 /// Files of a folder that can be companions, by stem.
-fn by_stem(folder: &Path) -> BTreeMap<OsString, Vec<PathBuf>> {
+fn by_stem(folder: &Path) -> io::Result<BTreeMap<OsString, Vec<PathBuf>>> {
     let mut files: BTreeMap<OsString, Vec<PathBuf>> = BTreeMap::new();
-    for entry in folder.read_dir().into_iter().flatten().flatten() {
-        let path = folder.join(entry.file_name());
+    let entries = match folder.read_dir() {
+        Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied) => {
+            return Ok(files);
+        }
+        entries => entries?,
+    };
+    for entry in entries {
+        let path = folder.join(entry?.file_name());
         if let ("wdp" | "wvs", Some(stem)) = (extension(&path).as_str(), path.file_stem()) {
             files.entry(stem.to_owned()).or_default().push(path.clone());
         }
     }
-    files
+    Ok(files)
 }
 
 /// Extension of a path in lower case.

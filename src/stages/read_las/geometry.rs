@@ -1,7 +1,7 @@
 //! Beam geometry of a LAS file, learnt from its first points.
 
 use crate::stage::Result;
-use wavex_formats::las::{Descriptor, Point, Reader, Wave};
+use wavex_formats::las::{Descriptor, MAX_COORDINATE, Point, Reader, Wave};
 use wavex_geodesy::beam_length::BeamLength;
 
 /// Beam properties common to a file.
@@ -72,6 +72,7 @@ pub(super) fn first_sample(pulse: &[Point], packet_offset: u64, geometry: &Geome
 
 pub(super) fn is_usable(point: &Point) -> bool {
     let wave = &point.wave;
+    let is_placed = [point.x, point.y, point.z].iter().all(|x| x.abs() <= MAX_COORDINATE);
     let square: f32 = wave.direction_per_ps.iter().map(|x| x * x).sum();
-    wave.location_ps.is_finite() && square.is_finite() && square > 0.0
+    is_placed && wave.location_ps.is_finite() && square.is_finite() && square > 0.0
 }

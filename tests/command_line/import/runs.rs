@@ -186,11 +186,11 @@ fn a_wrong_line_is_refused() {
 }
 
 #[test]
-fn a_value_that_a_key_cannot_take_is_told_with_its_place_in_the_job() {
+fn a_value_that_a_key_cannot_take_is_shown_at_its_option() {
     let ended = wavex(&TestFolder::new(), "-- -i a.sdf -mem 16");
-    assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""));
-    assert!(ended.err.contains("memory_mb = 16"), "{}", ended.err);
-    assert!(ended.err.contains("# -mem 16"), "{}", ended.err);
+    let expected = "error: the job of this line is invalid: `memory_mb` must be at least 64 and at most 1000000000, \
+                    got 16\n  | wavex -i a.sdf -mem 16\n  |                ^^^^\n";
+    assert_eq!(ended, Outcome::failure(2, expected));
 }
 
 /// A job without a part that changes its points is not run.

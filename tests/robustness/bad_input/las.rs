@@ -183,16 +183,19 @@ fn sizes_that_lie() {
 #[test]
 fn a_count_of_compressed_points_that_lies() {
     let las = Las::new(300);
-    let cut = "byte 563: compressed points: they cannot be decoded (failed to fill whole buffer)";
+    let stored = |n: u64| {
+        format!("byte 622: number of points of a chunk: it is 300, but header and chunk table give {n}")
+    };
     let most = |n: u64| {
         format!(
-            "byte 2912: chunk table: the header declares {n} points, but the chunks hold at \
-                 most 50000"
+            "byte 247: number of point records: the header declares {n} points, but the chunks hold at \
+             most 50000"
         )
     };
     for (count, problem) in [
-        (301, cut.to_string()),
-        (50_000, cut.to_string()),
+        (295, stored(295)),
+        (301, stored(301)),
+        (50_000, stored(50_000)),
         (50_001, most(50_001)),
         (u64::MAX, most(u64::MAX)),
     ] {
@@ -296,6 +299,22 @@ fn a_point_without_waveform_or_direction_is_counted_and_passed_over() {
         let input = place.succeeds("read_las", "a.las", TO_TABLE);
         assert_eq!(json!(rejected(&input)), json!({ what: 1 }));
         assert_eq!(place.times("out/a.csv").len(), 249);
+    }
+}
+
+#[test]
+fn a_recording_whose_points_are_all_rejected_fails() {
+    for (at, bytes, reason) in [
+        (30, vec![0], "a point without waveform"),
+        (47, vec![0; 12], "a point without direction or location"),
+    ] {
+        let las = (1..20).fold(Las::new(20), |las, point| las.change(point, at, &bytes));
+        let las = las.change(0, 43, &f32::NAN.to_le_bytes());
+        let message = format!(
+            "stage read_las: ./a.las: all 20 points of the file were rejected (most common reason: {reason}); \
+             check its point format, or export it again"
+        );
+        place(&las, |_| {}).fails("read_las", "a.las", &message);
     }
 }
 

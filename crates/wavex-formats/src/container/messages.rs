@@ -16,7 +16,7 @@ use arrow_schema::Schema;
 use super::decode::schema_of;
 use super::location::{CUT_OFF, DAMAGED, Location};
 use super::{MAX_BATCH_BYTES, MOST_KEPT_BYTES, digest};
-use crate::{Error, Result};
+use crate::{Error, Result, make_room};
 use stream::StreamMessages;
 
 /// First and last bytes of the file format.
@@ -269,8 +269,14 @@ fn read_up_to(from: &mut (impl Read + ?Sized), n: usize) -> io::Result<Vec<u8>> 
 /// As [`read_up_to`], into the memory of `bytes`, which are cleared.
 fn read_into(from: &mut (impl Read + ?Sized), n: usize, bytes: &mut Vec<u8>) -> io::Result<()> {
     bytes.clear();
-    bytes.reserve_exact(n.min(MAX_AHEAD));
-    from.take(n as u64).read_to_end(bytes)?;
+    while bytes.len() < n {
+        // The room is exact: `read_to_end` of a full buffer would end the process without memory.
+        let step = (n - bytes.len()).min(bytes.len().max(MAX_AHEAD));
+        make_room(bytes, step)?;
+        if (&mut *from).take(step as u64).read_to_end(bytes)? < step {
+            break;
+        }
+    }
     Ok(())
 }
 

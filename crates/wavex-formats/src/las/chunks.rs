@@ -17,7 +17,7 @@ use super::header::Header;
 use super::point::Layout;
 use super::vlr::Vlr;
 use crate::bytes::Fields;
-use crate::{Error, Result};
+use crate::{Error, Result, resize};
 
 type ChunkDecoder = Box<dyn RecordDecompressor<Cursor<Vec<u8>>> + Send + Sync>;
 
@@ -33,6 +33,10 @@ const LAYERED: u16 = 3;
 const EXTRA_BYTES_LIMIT: u16 = 4096;
 /// Number of records decoded at once on the way to another.
 const SKIPPED_AT_ONCE: u64 = 1024;
+/// Bytes of a chunk that may follow its points.
+///
+/// The coder writes as many bytes as the decoder reads ahead.
+const SPARE_BYTES: u64 = 4;
 const CUT: &str = "the file is cut off or damaged: copy it again from its source";
 
 /// Compressed points of a file.
@@ -87,10 +91,10 @@ impl Chunks {
         let laz = parse_vlr(path, header, vlr)?;
         let layered = Fields::new(path, vlr.offset, &vlr.data).u16("compressor")? == LAYERED;
         let layers = layered.then(|| laz.items().iter().map(|item| n_layers(item.item_type())).sum());
-        let table = if header.n_points == 0 {
-            Vec::new()
-        } else {
-            read_table(&file, path, header, &laz, file_length)?
+        let table = match read_table(&file, path, header, &laz, file_length) {
+            // Writers leave the table of an empty file out.
+            Err(_) if header.n_points == 0 => Vec::new(),
+            table => with_counts(table?, path, header, &laz)?,
         };
         let start = u64::from(header.offset_to_points) + ChunkTable::OFFSET_SIZE as u64;
         Ok(Chunks {
@@ -132,6 +136,9 @@ impl Chunks {
             let (now, later) = out.split_at_mut(count as usize * self.record_length);
             self.decode(now)?;
             self.left -= count;
+            if self.left == 0 {
+                self.check_whole_chunk()?;
+            }
             out = later;
         }
         Ok(())
@@ -170,11 +177,12 @@ impl Chunks {
         }
         // One buffer serves all chunks; the sizes in the table add up to less than the file.
         let mut bytes = self.decoder.take().map(|old| old.box_into_inner().into_inner()).unwrap_or_default();
-        bytes.resize(length as usize, 0);
-        let read = self.file.seek(SeekFrom::Start(self.at)).and_then(|_| self.file.read_exact(&mut bytes));
+        let read = resize(&mut bytes, length as usize)
+            .and_then(|()| self.file.seek(SeekFrom::Start(self.at)))
+            .and_then(|_| self.file.read_exact(&mut bytes));
         read.map_err(Error::io(&self.path, "read the compressed points"))?;
         if let Some(layers) = self.layers {
-            self.check_layers(&bytes, layers)?;
+            self.check_layers(&bytes, layers, points)?;
         }
         let input = Cursor::new(bytes);
         let mut decoder: ChunkDecoder = match self.layers {
@@ -190,10 +198,15 @@ impl Chunks {
     /// Checks a layered chunk.
     ///
     /// First point, number of points, size of each layer, layers.
-    fn check_layers(&self, bytes: &[u8], layers: usize) -> Result<()> {
+    fn check_layers(&self, bytes: &[u8], layers: usize, points: u64) -> Result<()> {
         let mut fields = Fields::new(&self.path, self.at, bytes);
         fields.skip(self.record_length, "first point of a chunk")?;
-        fields.skip(4, "number of points of a chunk")?;
+        let count = fields.clone();
+        let stored = fields.u32("number of points of a chunk")?;
+        if u64::from(stored) != points {
+            let problem = format!("it is {stored}, but header and chunk table give {points}");
+            return Err(count.bad("number of points of a chunk", problem, CUT));
+        }
         let mut sum = 0;
         for _ in 0..layers {
             sum += u64::from(fields.u32("size of a layer")?);
@@ -203,6 +216,17 @@ impl Chunks {
             return Err(fields.bad("layers of a chunk", problem, CUT));
         }
         Ok(())
+    }
+
+    /// Checks that a decoded chunk without layers has no further points.
+    fn check_whole_chunk(&self) -> Result<()> {
+        let (Some(decoder), None) = (&self.decoder, self.layers) else { return Ok(()) };
+        let input = decoder.get();
+        let unread = (input.get_ref().len() as u64).saturating_sub(input.position());
+        if unread <= SPARE_BYTES {
+            return Ok(());
+        }
+        Err(self.damaged(&format!("{unread} bytes of a chunk follow the points that the header declares")))
     }
 
     fn decode(&mut self, out: &mut [u8]) -> Result<()> {
@@ -267,8 +291,7 @@ fn n_layers(item: LazItemType) -> usize {
 
 /// Reads the chunk sizes and checks them against the file.
 ///
-/// The chunks must fit between the start of the points and the table, and hold as many points as
-/// the header declares.
+/// The chunks must fit between the start of the points and the table.
 fn read_table(
     file: &File,
     path: &Path,
@@ -293,20 +316,54 @@ fn read_table(
     let table =
         guarded(|| ChunkTable::read(&mut &mut input, laz.uses_variable_size_chunks())).map_err(bad)?;
     let mut chunks = Vec::with_capacity(table.len());
-    let (mut bytes, mut points) = (0u64, 0u64);
+    let mut bytes = 0u64;
     for entry in &table {
         let fixed = u64::from(laz.chunk_size());
         let n = if laz.uses_variable_size_chunks() { entry.point_count } else { fixed };
-        (bytes, points) = (bytes.saturating_add(entry.byte_count), points.saturating_add(n));
+        bytes = bytes.saturating_add(entry.byte_count);
         chunks.push(ChunkSize { bytes: entry.byte_count, points: n });
     }
     if bytes > room {
         return Err(bad(format!("the table declares {bytes} bytes of chunks, but {room} bytes precede it")));
     }
-    if points < header.n_points {
-        let problem =
-            format!("the header declares {} points, but the chunks hold at most {points}", header.n_points);
-        return Err(bad(problem));
+    Ok(chunks)
+}
+
+/// Checks the number of points in the chunks against the header.
+///
+/// The table has a last chunk of a fixed size as if it were full; returns its true number.
+///
+/// # Errors
+/// The chunks hold fewer or more points than the header declares.
+fn with_counts(
+    mut chunks: Vec<ChunkSize>,
+    path: &Path,
+    header: &Header,
+    laz: &LazVlr,
+) -> Result<Vec<ChunkSize>> {
+    let declared = header.n_points;
+    let bad = |holds: String| {
+        let problem = format!("the header declares {declared} points, but the chunks hold {holds}");
+        Err(Error::malformed(path, header.count_at(), "number of point records", problem, CUT))
+    };
+    let points = chunks.iter().fold(0u64, |sum, chunk| sum.saturating_add(chunk.points));
+    if laz.uses_variable_size_chunks() {
+        return if points == declared { Ok(chunks) } else { bad(points.to_string()) };
+    }
+    if points < declared {
+        return bad(format!("at most {points}"));
+    }
+    let size = u64::from(laz.chunk_size()).max(1);
+    let needed = declared.div_ceil(size);
+    // An empty chunk has no first point.
+    let is_full = |chunk: &ChunkSize| chunk.bytes >= u64::from(header.record_length);
+    let used = chunks.iter().rposition(is_full).map_or(0, |last| last as u64 + 1);
+    if used > needed {
+        return bad(format!("at least {}", (used - 1) * size + 1));
+    }
+    chunks.truncate(usize::try_from(needed).unwrap_or(usize::MAX));
+    if let Some(last) = chunks.last_mut() {
+        last.points = declared - (needed - 1) * size;
     }
     Ok(chunks)
 }

@@ -17,6 +17,14 @@ const CUT_OFF: &str = "the file is cut off: copy it again from its source";
 /// Bit of the point format that marks compressed points (LASzip).
 const COMPRESSED: u8 = 0x80;
 
+/// Largest coordinate of a point, in units of the coordinate system.
+///
+/// The radius of the Earth is 6.4e9 mm, and no system has smaller units.
+pub const MAX_COORDINATE: f64 = 1e10;
+
+/// Smallest and largest step of coordinates: a whole axis of 4 mm, and a kilometre.
+const STEPS: std::ops::RangeInclusive<f64> = 1e-12..=1e3;
+
 /// Returns the length of the header of LAS 1.`minor`, bytes.
 pub(super) fn header_bytes(minor: u8) -> u16 {
     match minor {
@@ -125,11 +133,11 @@ impl Header {
         let header_size = header_size(&mut fields, version)?;
         let offset_to_points = offset_to_points(&mut fields, header_size, file_length)?;
         let n_vlrs = fields.u32("number of variable length records")?;
-        let (point_format, compressed) = point_format(&mut fields)?;
+        let (point_format, compressed) = point_format(&mut fields, version)?;
         let record_length = record_length(&mut fields, point_format)?;
         let legacy = (fields.u32("legacy number of point records")?, legacy_by_return(&mut fields)?);
         let scale = scale(&mut fields)?;
-        let offset = three(&mut fields, "offset")?;
+        let offset = offset(&mut fields)?;
         let (min, max) = bounds(&mut fields)?;
         let mut header = Header {
             file_source_id,
@@ -242,12 +250,16 @@ impl Header {
         if self.compressed || self.n_points <= room {
             return Ok(());
         }
-        let at = if self.version.1 >= 4 { 247 } else { 107 };
         let problem = format!(
             "the header declares {} points of {} bytes, but only {room} fit into the file",
             self.n_points, self.record_length
         );
-        Err(Error::malformed(file, at, "number of point records", problem, CUT_OFF))
+        Err(Error::malformed(file, self.count_at(), "number of point records", problem, CUT_OFF))
+    }
+
+    /// Returns the offset of the number of points, bytes.
+    pub(super) fn count_at(&self) -> u64 {
+        if self.version.1 >= 4 { 247 } else { 107 }
     }
 
     /// Returns the time system of the points.
@@ -323,7 +335,7 @@ fn offset_to_points(fields: &mut Fields, header_size: u16, file_length: u64) -> 
 /// Reads point format and compression.
 ///
 /// LASzip marks compressed points with bit 7.
-fn point_format(fields: &mut Fields) -> Result<(u8, bool)> {
+fn point_format(fields: &mut Fields, version: (u8, u8)) -> Result<(u8, bool)> {
     let start = fields.clone();
     let byte = fields.u8("point data record format")?;
     let format = byte & !COMPRESSED;
@@ -333,6 +345,15 @@ fn point_format(fields: &mut Fields) -> Result<(u8, bool)> {
             "point data record format",
             problem,
             "convert the file to LAS 1.4, format 9 or 10",
+        ));
+    }
+    // Their number of points would be read as 0, from the field for older formats.
+    if format >= 6 && version.1 < 4 {
+        let problem = format!("LAS {}.{} has no format {format}", version.0, version.1);
+        return Err(start.bad(
+            "point data record format",
+            problem,
+            "the version or the format is wrong: export the file again",
         ));
     }
     Ok((format, byte & COMPRESSED != 0))
@@ -364,7 +385,22 @@ fn scale(fields: &mut Fields) -> Result<[f64; 3]> {
         let problem = format!("{scale:?} has a zero, so that all points coincide");
         return Err(start.bad("scale factor", problem, DAMAGED));
     }
+    if !scale.iter().all(|step| STEPS.contains(&step.abs())) {
+        let problem = format!("{scale:?} is not between {:e} and {:e}", STEPS.start(), STEPS.end());
+        return Err(start.bad("scale factor", problem, DAMAGED));
+    }
     Ok(scale)
+}
+
+/// Reads the offset of coordinates.
+fn offset(fields: &mut Fields) -> Result<[f64; 3]> {
+    let start = fields.clone();
+    let offset = three(fields, "offset")?;
+    if offset.iter().all(|value| value.abs() <= MAX_COORDINATE) {
+        return Ok(offset);
+    }
+    let problem = format!("{offset:?} is no position on the Earth, beyond {MAX_COORDINATE:e}");
+    Err(start.bad("offset", problem, DAMAGED))
 }
 
 /// Reads three finite numbers.

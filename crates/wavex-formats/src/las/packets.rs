@@ -130,6 +130,11 @@ pub(super) fn missing(path: &Path) -> Error {
 }
 
 impl Packets {
+    /// Returns the offset of the record header, if the packets are in `path`.
+    pub(super) fn start_in(&self, path: &Path) -> Option<u64> {
+        (self.path == path).then_some(self.start)
+    }
+
     fn inside(path: &Path, record: &Vlr) -> Result<Packets> {
         let file = regular_file(path)?;
         let length = file.metadata().map_err(Error::io(path, "find the length"))?.len();

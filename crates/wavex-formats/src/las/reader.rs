@@ -4,6 +4,7 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use super::descriptor::{Descriptor, Descriptors};
+use super::extent;
 use super::extra_bytes::{self, ExtraBytes};
 use super::header::Header;
 use super::packets::{self, Packets};
@@ -26,14 +27,15 @@ pub struct Reader {
     layout: Layout,
     records: RecordReader,
     packets: Option<Packets>,
+    surplus_bytes: u64,
 }
 
 impl Reader {
     /// Opens a file and reads everything but its points and waveforms.
     ///
     /// # Errors
-    /// The file is not LAS, has points without waveforms, is cut off, or has contradictory sizes;
-    /// or declared waveforms are neither inside nor next to it.
+    /// The file is not LAS, has points without waveforms, is cut off, or has contradictory sizes or
+    /// more points than declared; or declared waveforms are neither inside nor next to it.
     pub fn open(path: &Path) -> Result<Reader> {
         let file = regular_file(path)?;
         let file_length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
@@ -56,9 +58,22 @@ impl Reader {
         if packets.is_none() && descriptors.describe_anything() {
             return Err(packets::missing(path));
         }
+        let inside = packets.as_ref().and_then(|packets| packets.start_in(path));
+        let surplus_bytes = extent::surplus_bytes(&mut input, path, &header, &evlrs, inside, file_length)?;
         let records = RecordReader::open(path, &header, &vlrs, file_length)?;
         let path = path.to_path_buf();
-        Ok(Reader { path, header, vlrs, evlrs, descriptors, extra_bytes, layout, records, packets })
+        Ok(Reader {
+            path,
+            header,
+            vlrs,
+            evlrs,
+            descriptors,
+            extra_bytes,
+            layout,
+            records,
+            packets,
+            surplus_bytes,
+        })
     }
 
     /// Returns the public header block.
@@ -98,6 +113,11 @@ impl Reader {
     /// Returns the descriptors of the extra bytes.
     pub fn extra_bytes_descriptors(&self) -> &[ExtraBytes] {
         &self.extra_bytes
+    }
+
+    /// Returns the number of bytes after the points that belong to nothing, if at least a record.
+    pub fn surplus_bytes(&self) -> u64 {
+        self.surplus_bytes
     }
 
     /// Reads the next point.

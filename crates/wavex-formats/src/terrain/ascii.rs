@@ -7,7 +7,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
-use super::super::{Error, Result, regular_file};
+use super::super::{Error, Result, make_room, regular_file};
 use super::{Raster, checked_size};
 
 /// Longest accepted word, bytes.
@@ -31,7 +31,8 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
     let west_m = corner(0, "xllcorner", "xllcenter")?;
     let south_m = corner(1, "yllcorner", "yllcenter")?;
     let nodata = header.0.get("nodata_value").copied();
-    let mut heights_m = Vec::with_capacity(columns * rows);
+    let mut heights_m = Vec::new();
+    make_room(&mut heights_m, columns * rows).map_err(Error::io(path, "read"))?;
     for index in 0..columns * rows {
         // The header ends at the first height, which is already read.
         if index > 0 && !words.next()? {

@@ -1,5 +1,6 @@
 //! GeoTIFF height rasters: one band, north up.
 
+use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
@@ -9,10 +10,16 @@ use tiff::{ColorType, TiffError};
 
 use super::super::geokeys;
 use super::super::{Error, Result, regular_file};
-use super::{MOST_CELLS, Raster, checked_size};
+use super::{Raster, checked_size};
 
 /// Largest compression ratio (LZW; deflate is lower).
 const DENSEST: u64 = 4096;
+/// Largest strip or tile, bytes once decoded; that of a longer file may have its length.
+///
+/// Uncompressed files often have a single strip.
+const LARGEST_CHUNK: u64 = 1 << 26;
+/// Smallest growth of the heights, as a fraction of their final number.
+const GROWTH: usize = 16;
 const REMEDY: &str = "convert it to a north-up GeoTIFF with one band of heights";
 
 /// Reads a raster.
@@ -21,7 +28,8 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
     let length = file.metadata().map_err(Error::io(path, "open"))?.len();
     let bad = |error: TiffError| Error::unusable(path, format!("cannot read the GeoTIFF: {error}"), REMEDY);
     let mut limits = Limits::default();
-    limits.decoding_buffer_size = 8 * MOST_CELLS as usize;
+    let largest_chunk = LARGEST_CHUNK.max(length);
+    limits.decoding_buffer_size = usize::try_from(largest_chunk).unwrap_or(usize::MAX);
     let mut tiff = Decoder::new(BufReader::new(file)).map_err(bad)?.with_limits(limits);
     let (columns, rows) = tiff.dimensions().map_err(bad)?;
     let held = length.saturating_mul(DENSEST);
@@ -58,11 +66,62 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
     // The tie point is the corner or the centre of its cell.
     let half = if geokeys::is_point_raster(&keys) { 0.0 } else { 0.5 };
     let first_m = [east_m + (half - column) * east_step_m, north_m - (half - row) * south_step_m];
-    let heights_m = heights(tiff.read_image().map_err(bad)?, nodata).ok_or_else(|| {
-        Error::unusable(path, "the sample type of the GeoTIFF is not supported for heights", REMEDY)
+    let heights_m = read_heights(&mut tiff, [columns, rows], nodata).map_err(|failure| match failure {
+        Failure::SampleType => {
+            Error::unusable(path, "the sample type of the GeoTIFF is not supported for heights", REMEDY)
+        }
+        Failure::Tiff(TiffError::LimitsExceeded) => Error::unusable(
+            path,
+            format!("a strip or tile of the GeoTIFF has over {largest_chunk} bytes"),
+            "write it with tiles",
+        ),
+        Failure::Tiff(error) => bad(error),
     })?;
     let step_m = [east_step_m, south_step_m];
     Ok(Raster { columns, rows, first_m, step_m, heights_m, epsg: geokeys::epsg(&keys) })
+}
+
+/// Failure to read the heights.
+enum Failure {
+    Tiff(TiffError),
+    /// The samples are no numbers of up to 32 bits, or `f64`.
+    SampleType,
+}
+
+/// Reads the heights strip by strip or tile by tile.
+///
+/// Their memory grows with the data read, so that a short file with a wrong size takes little.
+fn read_heights(
+    tiff: &mut Decoder<BufReader<File>>,
+    [columns, rows]: [usize; 2],
+    nodata: Option<f64>,
+) -> std::result::Result<Vec<f32>, Failure> {
+    let mut heights_m: Vec<f32> = Vec::new();
+    let (width, height) = tiff.chunk_dimensions();
+    let (width, height) = (width.max(1) as usize, height.max(1) as usize);
+    let per_band = columns.div_ceil(width);
+    for band in 0..rows.div_ceil(height) {
+        let (first_row, end_row) = (band * height, ((band + 1) * height).min(rows));
+        if heights_m.capacity() < end_row * columns {
+            let growth = (columns * rows / GROWTH).max(end_row * columns - heights_m.len());
+            heights_m.reserve_exact(growth.min(columns * rows - heights_m.len()));
+        }
+        heights_m.resize(end_row * columns, f32::NAN);
+        for number in 0..per_band {
+            let index = u32::try_from(band * per_band + number).unwrap_or(u32::MAX);
+            let chunk = tiff.read_chunk(index).map_err(Failure::Tiff)?;
+            let chunk = heights(chunk, nodata).ok_or(Failure::SampleType)?;
+            let first_column = number * width;
+            let width = width.min(columns - first_column);
+            for (row, from) in (first_row..end_row).zip(chunk.chunks_exact(width)) {
+                let start = row * columns + first_column;
+                if let Some(to) = heights_m.get_mut(start..start + width) {
+                    to.copy_from_slice(from);
+                }
+            }
+        }
+    }
+    Ok(heights_m)
 }
 
 /// Converts heights of any sample type to `f32`.

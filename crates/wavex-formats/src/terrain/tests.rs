@@ -4,6 +4,7 @@ use tiff::encoder::{TiffEncoder, colortype};
 use tiff::tags::Tag;
 
 use super::*;
+use crate::geotiff::{RasterGrid, RasterWriter, TILE};
 
 fn open(bytes: &[u8]) -> std::result::Result<Terrain, String> {
     let folder = tempfile::tempdir().unwrap();
@@ -170,6 +171,50 @@ fn each_fault_of_a_geotiff_has_its_message() {
     );
     let error = open(b"II*\0\x08\0").unwrap_err();
     assert!(error.starts_with("dtm: cannot read the GeoTIFF: ") && error.ends_with(remedy), "{error}");
+}
+
+/// Tiles of 256 cells: three by three, the outer ones incomplete.
+#[test]
+fn a_tiled_geotiff_has_its_heights_in_place() {
+    let grid = RasterGrid {
+        columns: 600,
+        rows: 530,
+        west: 100.0,
+        north: 220.0,
+        cell: 10.0,
+        crs_wkt: None,
+        description: String::new(),
+    };
+    let height = |column: usize, row: usize| (column + 1000 * row) as f32 / 128.0;
+    let mut writer = RasterWriter::new(grid, Cursor::new(Vec::new()));
+    for (row, column) in (0..3).flat_map(|row| (0..3).map(move |column| (row, column))) {
+        let cell = |at: usize| height(column * TILE + at % TILE, row * TILE + at / TILE);
+        let tile = (0..TILE * TILE).map(cell).collect();
+        writer.tile(row as u32, column as u32, tile).unwrap();
+    }
+    let (mut spool, raster) = writer.finish().unwrap();
+    let mut bytes = Vec::new();
+    raster.assemble(&mut spool, &mut bytes).unwrap();
+    let terrain = open(&bytes).unwrap();
+    for (column, row) in [(0, 0), (599, 0), (255, 256), (512, 512), (599, 529), (3, 529)] {
+        let (east, north) = (105.0 + 10.0 * column as f64, 215.0 - 10.0 * row as f64);
+        assert_eq!(terrain.height_m(east, north), f64::from(height(column, row)), "{column}, {row}");
+    }
+}
+
+#[test]
+fn a_strip_much_larger_than_its_file_is_refused() {
+    let heights = vec![7.0; (1 << 23) + (1 << 12)];
+    let mut bytes = Cursor::new(Vec::new());
+    let mut tiff = TiffEncoder::new(&mut bytes).unwrap().with_compression(tiff::encoder::Compression::Lzw);
+    let mut image = tiff.new_image::<colortype::Gray64Float>(1 << 12, (1 << 11) + 1).unwrap();
+    let tags = Tags::default();
+    image.encoder().write_tag(Tag::ModelPixelScaleTag, &tags.scale[..]).unwrap();
+    image.encoder().write_tag(Tag::ModelTiepointTag, &tags.tie[..]).unwrap();
+    image.rows_per_strip((1 << 11) + 1).unwrap();
+    image.write_data(&heights).unwrap();
+    let error = open(&bytes.into_inner()).unwrap_err();
+    assert_eq!(error, "dtm: a strip or tile of the GeoTIFF has over 67108864 bytes; write it with tiles");
 }
 
 #[test]

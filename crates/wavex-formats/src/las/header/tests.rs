@@ -17,7 +17,7 @@ prop_compose! {
     ) -> Header {
         let header_size = header_bytes(minor) + sizes.0;
         let from = |version: u8| u64::from(minor >= version);
-        let (point_format, n_counts) = (sizes.3, if minor >= 4 { 15 } else { 5 });
+        let (point_format, n_counts) = if minor >= 4 { (sizes.3, 15) } else { (sizes.3 % 6, 5) };
         Header {
             file_source_id: ids.0,
             global_encoding: ids.1,

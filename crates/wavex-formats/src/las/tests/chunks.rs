@@ -189,7 +189,7 @@ fn the_chunk_table_is_checked() {
     assert_eq!(
         refusal_with(table_at + 4, &2u32.to_le_bytes()),
         format!(
-            "byte {table_at}: chunk table: the header declares 3000 points, but the chunks hold at \
+            "byte 247: number of point records: the header declares 3000 points, but the chunks hold at \
              most 2000; {CUT}"
         )
     );
@@ -229,4 +229,33 @@ fn damaged_points_are_an_error_at_their_chunk() {
     let error = refusal(&dry);
     let expected = format!("byte {first}: compressed points: they cannot be decoded");
     assert!(error.starts_with(&expected), "{error}");
+}
+
+/// A wrong number of points in the header of a file of 3000 points.
+#[test]
+fn points_that_the_header_does_not_declare_are_refused() {
+    for (minor, format, at, extra) in [(3, 4, 107, 4), (4, 9, 247, 8)] {
+        let made = many(minor, format);
+        let with = |mut bytes: Vec<u8>, n: u64| {
+            bytes[at..at + extra].copy_from_slice(&n.to_le_bytes()[..extra]);
+            refusal(&bytes)
+        };
+        for n in [2000, 1, 0] {
+            let expected = format!(
+                "byte {at}: number of point records: the header declares {n} points, but the chunks hold at \
+                 least 2001; {CUT}"
+            );
+            assert_eq!(with(made.laz(1000), n), expected);
+        }
+        let expected = format!(
+            "byte {at}: number of point records: the header declares 2995 points, but the chunks hold 3000; {CUT}"
+        );
+        assert_eq!(with(made.laz_in_two(1024), 2995), expected);
+        let error = with(made.laz(1000), 2900);
+        let problem = match format {
+            4 => "bytes of a chunk follow the points that the header declares",
+            _ => "number of points of a chunk: it is 1000, but header and chunk table give 900",
+        };
+        assert!(error.contains(problem) && error.ends_with(CUT), "{error}");
+    }
 }

@@ -367,3 +367,75 @@ fn what_else_a_file_says_is_kept() {
     assert!(!reader.next_point(&mut point).unwrap());
     assert!(!reader.next_point(&mut point).unwrap());
 }
+
+const COUNT_REMEDY: &str = "correct the number of points in the header, or export the file again";
+
+#[test]
+fn points_that_the_header_does_not_declare_are_refused() {
+    let mut made = Made { tail: packets(), encoding: 2, ..Made::new(3, 4) };
+    made.records = vec![made.records[0].clone(); 7];
+    made.start_of_waveforms = made.offset_to_tail() as u64;
+    assert_eq!(
+        refusal_with(&made, 107, &2u32.to_le_bytes()),
+        format!(
+            "byte 107: number of point records: the header declares 2 points, but 5 more records of 57 \
+             bytes follow; {COUNT_REMEDY}"
+        )
+    );
+    let mut made = Made { tail: packets(), n_evlrs: 1, ..Made::new(4, 9) };
+    made.records = vec![made.records[0].clone(); 7];
+    assert_eq!(
+        refusal_with(&made, 247, &6u64.to_le_bytes()),
+        format!(
+            "byte 247: number of point records: the header declares 6 points, but 1 more record of 59 \
+             bytes follow; {COUNT_REMEDY}"
+        )
+    );
+    assert_eq!(
+        refusal_with(&made, 247, &8u64.to_le_bytes()),
+        format!(
+            "byte 247: number of point records: the 8 points end at byte {}, but an extended record begins \
+             at byte {}; {COUNT_REMEDY}",
+            made.offset_to_tail() + 59,
+            made.offset_to_tail()
+        )
+    );
+}
+
+#[test]
+fn padding_after_points_is_accepted() {
+    for (tail, surplus) in [(vec![7; 57], 0), (vec![0; 59 * 3], 0), (vec![7; 100], 100)] {
+        let (folder, path) = folder(&Made { tail, encoding: 4, ..Made::new(4, 9) }.las());
+        fs::write(folder.path().join("a.wdp"), packets()).unwrap();
+        assert_eq!(Reader::open(&path).unwrap().surplus_bytes(), surplus);
+        assert_eq!(first_samples(&path), [1, 2, 3, 258]);
+    }
+}
+
+#[test]
+fn formats_that_the_version_lacks_are_refused() {
+    let made = Made { tail: packets(), ..Made::new(4, 9) };
+    assert_eq!(
+        refusal_with(&made, 25, &[3]),
+        "byte 104: point data record format: LAS 1.3 has no format 9; the version or the format is wrong: \
+         export the file again"
+    );
+}
+
+#[test]
+fn coordinates_beyond_the_earth_are_refused() {
+    let made = Made { tail: packets(), ..Made::new(3, 4) };
+    let damaged = "the header is damaged: export the file again";
+    assert_eq!(
+        refusal_with(&made, 155, &1e300f64.to_le_bytes()),
+        format!("byte 155: offset: [1e300, 0.0, 0.0] is no position on the Earth, beyond 1e10; {damaged}")
+    );
+    for scale in [1e4, -1e300, 1e-300] {
+        assert_eq!(
+            refusal_with(&made, 131, &f64::to_le_bytes(scale)),
+            format!(
+                "byte 131: scale factor: [{scale:?}, 0.01, 0.01] is not between 1e-12 and 1e3; {damaged}"
+            )
+        );
+    }
+}
