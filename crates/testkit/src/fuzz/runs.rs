@@ -20,7 +20,7 @@ const MOST_BYTES: usize = 1 << 17;
 /// Most records or lines that are read.
 const MOST_RECORDS: usize = 2_000;
 
-/// End of a job that decomposes and writes points; `{}` are the keys of `calibrate`.
+/// End of a job that decomposes and writes points; `KEYS` are those of `calibrate`.
 const TO_POINTS: &str = "\
 [[stage]]
 type = 'resolve_mta'
@@ -29,7 +29,6 @@ type = 'write_arrow'
 path = 'copy.arrow'
 [[stage]]
 type = 'calibrate'
-waveforms = 200
 KEYS
 [[stage]]
 type = 'decompose'
@@ -51,7 +50,7 @@ type = 'write_lstat'
 
 /// A recording, as container, LAS or PulseWaves, its companion, and a sensor model.
 ///
-/// The job calibrates with the recording, and decomposes with the sensor model if that fails.
+/// Without a sensor model the job calibrates with the recording.
 pub fn run(bytes: &[u8]) {
     let parts = parts(bytes);
     if parts[0].len() > MOST_BYTES {
@@ -62,10 +61,12 @@ pub fn run(bytes: &[u8]) {
     let stages = |keys: &str| {
         format!("[[stage]]\ntype = '{reader}'\npath = '{recording}'\n{}", TO_POINTS.replace("KEYS", keys))
     };
-    let is_done = points(&place, &stages(""));
-    if let (false, Some(model)) = (is_done, parts.get(2)) {
-        place.write("model.json", model);
-        points(&place, &stages("load = 'model.json'").replace("waveforms = 200\n", ""));
+    match parts.get(2) {
+        Some(model) => {
+            place.write("model.json", model);
+            points(&place, &stages("load = 'model.json'"));
+        }
+        None => points(&place, &stages("waveforms = 200")),
     }
 }
 
@@ -86,11 +87,10 @@ fn write(place: &Files, parts: &[&[u8]]) -> Option<(&'static str, &'static str)>
     Some((reader, name))
 }
 
-/// Runs a job of these stages; checks its outputs and returns whether it succeeded.
-fn points(place: &Files, stages: &str) -> bool {
+/// Runs a job of these stages and checks its outputs.
+fn points(place: &Files, stages: &str) {
     let job = Job::parse("job.toml", stages, &[]).unwrap_or_else(|errors| panic!("{errors}"));
-    let done = run_job(&job, place);
-    if let Ok(summary) = &done {
+    if let Ok(summary) = run_job(&job, place) {
         let path = place.path("out/points.laz");
         let mut points = RawPoints::open(&path).unwrap();
         let mut n_points = 0;
@@ -100,7 +100,6 @@ fn points(place: &Files, stages: &str) -> bool {
         assert_eq!(n_points, points.header().n_points);
         assert!(place.path("out/points.csv").is_file() && summary.inputs.len() == 1);
     }
-    done.is_ok()
 }
 
 /// Runs a job with one worker; a failed run leaves no outputs.

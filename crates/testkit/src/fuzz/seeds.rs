@@ -4,6 +4,7 @@ use std::fs;
 use std::io::Cursor;
 use std::path::Path;
 
+use serde_json::Value;
 use wavex::cli::import::options::{Takes, VERSIONS};
 use wavex::job::example_job;
 use wavex::registry::STAGES;
@@ -13,9 +14,11 @@ use wavex_formats::geotiff::{RasterGrid, RasterWriter, empty_tile};
 use wavex_formats::trajectory::pof::{PofHeader, PofRecord};
 use wavex_formats::trajectory::sbet::SbetRecord;
 use wavex_geodesy::crs::wkt_of_epsg;
+use wavex_signal::noise::ArNoise;
+use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 
-use super::joined;
 use super::texts::MARKUP;
+use super::{SEPARATOR, joined};
 use crate::container::{Shot, compressed, container, line_of, of_shots};
 use crate::flight::{STAGES as FLIGHT_STAGES, flight};
 use crate::las::Las;
@@ -43,10 +46,10 @@ pub fn seeds() -> Vec<Seed> {
 
 type Add<'a> = dyn FnMut(&'static str, &str, Vec<u8>) + 'a;
 
-/// Recordings in each format, small ones for readers and larger ones for runs.
+/// Recordings in each format: small ones, and larger ones with enough waveforms for a calibration.
 fn recordings(add: &mut Add) {
     let model = sensor_model();
-    for (pulses, targets) in [(3, &["las"][..]), (220, &["run", "recording"])] {
+    for (size, pulses) in [("small", 3), ("large", 210)] {
         let las = Las::new(pulses).with_crs(&wkt_of_epsg(32633).unwrap());
         let pls = PulseWaves::new(pulses);
         let shot = |k: usize| Shot {
@@ -57,13 +60,24 @@ fn recordings(add: &mut Add) {
             ],
         };
         let shots: Vec<Shot> = (0..pulses).map(shot).collect();
-        let of_container = of_shots(&shots, EmissionReference::OutgoingPulse, true);
-        for &target in targets {
-            add(target, "las", joined(&[&las.las(), &las.packets]));
-            add(target, "laz", joined(&[&las.laz(), &las.packets]));
-            if target != "las" {
-                add(target, "pulsewaves", joined(&[&pls.pls(), &pls.waves]));
-                add(target, "container", joined(&[&of_container, b"", &model]));
+        let container = of_shots(&shots, EmissionReference::OutgoingPulse, true);
+        let formats = [
+            ("las", las.las(), las.packets.clone()),
+            ("laz", las.laz(), las.packets.clone()),
+            ("pulsewaves", pls.pls(), pls.waves.clone()),
+            ("container", container, Vec::new()),
+        ];
+        for (format, recording, companion) in formats {
+            let name = format!("{size}_{format}");
+            let both = joined(&[&recording, &companion]);
+            if size == "small" {
+                if format.starts_with("la") {
+                    add("las", &name, both.clone());
+                }
+                add("recording", &name, both);
+                add("run", &name, joined(&[&recording, &companion, &model]));
+            } else if format != "laz" {
+                add("run", &name, both);
             }
         }
     }
@@ -81,7 +95,7 @@ fn recordings(add: &mut Add) {
     lines.iter().for_each(|rows| stream.write(line_of(rows)).unwrap());
     add("container", "stream", stream.finish().unwrap());
     add("table", "container", container(&header, &lines[..1]));
-    let flown: Vec<_> = sdf_flight().iter().map(|rows| rows[..36].to_vec()).collect();
+    let flown = [sdf_flight()[0][..12].to_vec()];
     add("run", "two_receivers", joined(&[&container(&header, &flown), b"", &model]));
 }
 
@@ -89,44 +103,68 @@ fn samples(bytes: Vec<u8>) -> Vec<u16> {
     bytes.into_iter().map(u16::from).collect()
 }
 
-/// Sensor model of a simulated flight.
+/// Short sensor model of both receivers: Gaussian pulses as those of [`crate::shots`].
 fn sensor_model() -> Vec<u8> {
-    fs::read(flight().path("in/model.json")).unwrap()
+    let channel = ChannelModel {
+        pulse_fwhm_ns: 4.5,
+        response: None,
+        ..crate::waveforms::model(&ArNoise::new(&[0.2], 1.0).unwrap())
+    };
+    let model =
+        SensorModel { low_power: Some(channel.clone()), high_power: Some(channel), ..SensorModel::default() };
+    serde_json::to_vec(&model).unwrap()
 }
 
-/// Outputs of a small run: points, tables, report and archive.
+/// Outputs of a small run: points, tables, report and plan.
 fn outputs(add: &mut Add) {
-    add("sensor_model", "flight", sensor_model());
+    add("sensor_model", "gaussian", sensor_model());
     let place = flight();
+    let model: SensorModel = serde_json::from_str(&place.text("in/model.json")).unwrap();
+    add("sensor_model", "flight", serde_json::to_vec(&model).unwrap());
     let job = format!("[job]\noutput_dir = 'out'\nreport_page = true\n{FLIGHT_STAGES}");
     place.write("job.toml", job.as_bytes());
-    let arguments = ["--quiet", "run", "job.toml", "--threads", "1", "--archive", "archive"];
-    assert_eq!(place.wavex(&arguments), Outcome::success());
+    assert_eq!(place.wavex(&["--quiet", "run", "job.toml", "--threads", "1"]), Outcome::success());
     let read = |name: &str| fs::read(place.path(name)).unwrap();
     add("table", "points", read("out/a_points.arrow"));
-    let report = place.text("out/job_report.json");
-    add("report", "flight", report.clone().into_bytes());
+    let mut report: Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
+    report["host"] = "machine".into();
+    let report = serde_json::to_string(&report).unwrap();
+    add("report", "flight", report.clone().into());
     // Text where numbers and names are expected.
     add("report", "markup", report.replace("\"a\"", &format!("\"{MARKUP}\"")).into_bytes());
-    let files = ["archive.json", "job.toml", "job.resolved.toml", "results.b3"];
-    let part = |name: &str| [format!("a/{name}\n").into_bytes(), read(&format!("archive/{name}"))].concat();
-    let mut parts: Vec<Vec<u8>> = files.iter().map(|name| part(name)).collect();
-    add("archive_folder", "without_inputs", joined(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>()));
-    let description = String::from_utf8(read("archive/archive.json")).unwrap();
-    let folder = place.path("").display().to_string();
-    let folder = folder.trim_end_matches('/');
-    parts[0] = format!("a/archive.json\n{}", description.replace(folder, "/nowhere")).into_bytes();
-    for name in ["in/a.arrow", "in/model.json"] {
-        parts.push([format!("{name}\n").into_bytes(), read(name)].concat());
-    }
-    add("archive_folder", "with_inputs", joined(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>()));
-    add("archive_tar", "tar", tar(&files.map(|name| (name.to_owned(), read(&format!("archive/{name}"))))));
-    let long = (format!("{}/long.txt", "folder/".repeat(20)), b"a long name".to_vec());
-    add("archive_tar", "long_name", tar(&[("archive.json".into(), b"{}".to_vec()), long]));
     let arguments = ["--quiet", "plan", "job.toml", "-o", "plan"];
     assert_eq!(place.wavex(&arguments), Outcome::success());
     add("plan", "one_task", read("plan/plan.json"));
+    archives(add);
     points(add);
+}
+
+/// Archives of a run that copies four shots.
+fn archives(add: &mut Add) {
+    let lines = [sdf_flight()[0][..4].to_vec()];
+    let recording = compressed(&sdf_header(), &lines, Compression::Lz4);
+    let place = TestFolder::with(&[("in/a.arrow", &recording)]);
+    let job = "[job]\noutput_dir = 'out'\n[[stage]]\ntype = 'read_arrow'\npath = 'in/*.arrow'\n\
+               [[stage]]\ntype = 'write_arrow'\npath = '*_copy.arrow'\n";
+    place.write("job.toml", job.as_bytes());
+    assert_eq!(place.wavex(&["--quiet", "run", "job.toml", "--archive", "a"]), Outcome::success());
+    // The list of libraries is long, and the folder is of this machine.
+    let mut archive: Value = serde_json::from_str(&place.text("a/archive.json")).unwrap();
+    archive["program"]["crates"].as_array_mut().unwrap().truncate(2);
+    for files in ["inputs", "outputs"] {
+        archive[files]["folder_was"] = "/flight".into();
+    }
+    place.write("a/archive.json", &serde_json::to_vec_pretty(&archive).unwrap());
+    let read = |name: &str| fs::read(place.path(name)).unwrap();
+    let names = ["a/archive.json", "a/job.toml", "a/job.resolved.toml", "a/results.b3"];
+    let part = |name: &&str| [format!("{name}\n").into_bytes(), read(name)].concat();
+    let all = |names: &[&str]| names.iter().map(part).collect::<Vec<_>>().join(SEPARATOR);
+    add("archive_folder", "without_inputs", all(&names));
+    add("archive_folder", "with_files", all(&[&names[..], &["in/a.arrow", "out/a_copy.arrow"]].concat()));
+    let packed = names.map(|name| (name.trim_start_matches("a/").to_owned(), read(name)));
+    add("archive_tar", "tar", tar(&packed));
+    let long = (format!("{}/long.txt", "folder/".repeat(20)), b"a long name".to_vec());
+    add("archive_tar", "long_name", tar(&[("archive.json".into(), b"{}".to_vec()), long]));
 }
 
 /// A tar of these files.
@@ -143,9 +181,9 @@ fn tar(files: &[(String, Vec<u8>)]) -> Vec<u8> {
 
 /// Points of a simulated flight in several formats.
 fn points(add: &mut Add) {
-    let place = TestFolder::new();
-    let mut job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 2\nshots_per_line = 120\n\
-                   [[stage]]\ntype = 'calibrate'\nwaveforms = 200\n[[stage]]\ntype = 'decompose'\n\
+    let place = flight();
+    let mut job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 1\nshots_per_line = 12\n\
+                   [[stage]]\ntype = 'calibrate'\nload = 'in/model.json'\n[[stage]]\ntype = 'decompose'\n\
                    [[stage]]\ntype = 'georeference'\n"
         .to_owned();
     let outputs = [
