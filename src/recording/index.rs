@@ -36,7 +36,7 @@ const ROWS_PER_BATCH: usize = 1 << 16;
 pub struct IndexedLine {
     /// Location in the recording.
     pub location: LineLocation,
-    /// Number of shots.
+    /// Number of shots; those of PulseWaves include pulses whose waves cannot be read.
     pub shots: u32,
     /// Smallest and largest shot number.
     pub shot_range: [u64; 2],

@@ -335,7 +335,8 @@ impl LasReader {
             let mut samples = Vec::new();
             let read = match self.with_samples {
                 true => self.reader.packet(&wave, &mut samples),
-                false => self.reader.descriptor(&wave).copied(),
+                // The same waveforms are rejected: shots have the same numbers.
+                false => self.reader.packet_descriptor(&wave),
             };
             let (interval_ns, n_samples) = read.as_ref().map_or((0.0, 0), |descriptor| {
                 (f64::from(descriptor.spacing_ps) / 1000.0, descriptor.samples)

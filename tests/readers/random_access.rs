@@ -6,6 +6,7 @@ use wavex::job::Job;
 use wavex::recording::{OpenError, Recording};
 use wavex::scan_line::{Content, ScanLine};
 use wavex::stage::{Context, Plan, RunContext};
+use wavex_testkit::las::Las;
 use wavex_testkit::{Outcome, TestFolder, sdf};
 
 /// Shots and blocks of a line as text, in which NaN equals NaN.
@@ -77,6 +78,16 @@ fn containers_and_las_are_read_in_any_order() {
             .unwrap()
             .all(|entry| { entry.unwrap().path().extension().is_none_or(|extension| extension != "wvxi") })
     );
+}
+
+#[test]
+fn a_waveform_outside_its_file_is_no_shot_of_the_index() {
+    let las = Las::new(400).change(10, 31, &u64::MAX.to_le_bytes());
+    let place = TestFolder::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)]);
+    let path = place.path("a.las");
+    assert!(assert_same_lines(&path, "read_las", &[]) > 0);
+    let index = Recording::open(&path, &[]).unwrap().index(&mut |_| Ok(())).unwrap();
+    assert_eq!(index.shots(), 399);
 }
 
 #[test]

@@ -168,11 +168,11 @@ impl Packets {
         Packets { file, path: path.to_path_buf(), start, end, window: Vec::new(), window_at: 0, span: SMALL }
     }
 
-    /// Returns `length` bytes from `offset`, relative to the record header.
+    /// Checks that `length` bytes from `offset`, relative to the record header, are within the packets.
     ///
     /// # Errors
-    /// The range is not within the packets.
-    pub(super) fn bytes(&mut self, offset: u64, length: u64) -> Result<&[u8]> {
+    /// They are not.
+    pub(super) fn check(&self, offset: u64, length: u64) -> Result<()> {
         let packets = EVLR_HEADER..=self.end - self.start;
         let end = offset.saturating_add(length);
         if !packets.contains(&offset) || !packets.contains(&end) {
@@ -185,6 +185,15 @@ impl Packets {
             let remedy = "the point is damaged or the waveforms belong to another file: export both again";
             return Err(Error::malformed(&self.path, at, "waveform packet", problem, remedy));
         }
+        Ok(())
+    }
+
+    /// Returns `length` bytes from `offset`, relative to the record header.
+    ///
+    /// # Errors
+    /// As [`Packets::check`], or the file cannot be read.
+    pub(super) fn bytes(&mut self, offset: u64, length: u64) -> Result<&[u8]> {
+        self.check(offset, length)?;
         let at = self.start + offset;
         // Both lengths are below the file length, which fits the address space once the window is
         // loaded.

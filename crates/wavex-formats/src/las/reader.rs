@@ -195,6 +195,17 @@ impl Reader {
     /// points may be valid.
     pub fn packet(&mut self, wave: &Wave, samples: &mut Vec<u16>) -> Result<Descriptor> {
         samples.clear();
+        let descriptor = self.packet_descriptor(wave)?;
+        let Some(packets) = &mut self.packets else { return Err(packets::missing(&self.path)) };
+        descriptor.unpack(packets.bytes(wave.offset, descriptor.packet_bytes())?, samples);
+        Ok(descriptor)
+    }
+
+    /// Returns the descriptor of a waveform that [`Reader::packet`] can read, without reading it.
+    ///
+    /// # Errors
+    /// As [`Reader::packet`].
+    pub fn packet_descriptor(&self, wave: &Wave) -> Result<Descriptor> {
         let descriptor = *self.descriptor(wave)?;
         let length = descriptor.packet_bytes();
         if length > u64::from(wave.size) {
@@ -206,8 +217,8 @@ impl Reader {
             let remedy = "the point or its descriptor is damaged: export the file again";
             return Err(Error::unusable(&self.path, problem, remedy));
         }
-        let Some(packets) = &mut self.packets else { return Err(packets::missing(&self.path)) };
-        descriptor.unpack(packets.bytes(wave.offset, length)?, samples);
+        let Some(packets) = &self.packets else { return Err(packets::missing(&self.path)) };
+        packets.check(wave.offset, length)?;
         Ok(descriptor)
     }
 }
