@@ -109,11 +109,14 @@ fn a_model_is_held_against_the_recording() {
 #[test]
 fn an_unknown_full_scale_is_said_and_can_be_given() {
     let place = recording(|_, _| {});
-    // A container with the key of another program.
-    let (ours, theirs) = (b"wavex.full_scale_dn", b"other.full_scale_dn");
+    // A container with the key of another program, which writes no digests.
     let mut bytes = std::fs::read(place.path("a.arrow")).unwrap();
-    while let Some(at) = bytes.windows(ours.len()).position(|window| window == ours) {
-        bytes[at..at + ours.len()].copy_from_slice(theirs);
+    for (ours, theirs) in [("wavex.full_scale_dn", "other.full_scale_dn"), ("wavex.digest", "other.digest")]
+        .map(|(a, b)| (a.as_bytes(), b.as_bytes()))
+    {
+        while let Some(at) = bytes.windows(ours.len()).position(|window| window == ours) {
+            bytes[at..at + ours.len()].copy_from_slice(theirs);
+        }
     }
     place.write("a.arrow", &bytes);
     let notes = || {
