@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use wavex::engine::{self, Options};
-use wavex::job::Job;
+use wavex::job::{Job, Override};
 
 use crate::sdf::stand_in;
 
@@ -17,17 +17,17 @@ const NEAR_M: f64 = 0.15;
 ///
 /// Outputs go to folders named after the readers. `calibrate` is a list of keys.
 pub fn run(folder: &Path, calibrate: &str) {
-    let library = format!("library = '{}'\n", stand_in().display());
-    for (reader, library) in [("read_arrow", ""), ("read_sdf", &library)] {
-        let job = Job::parse("job.toml", &job(reader, library, calibrate), &[]).expect("a job");
+    let library = Override::new(format!("read_sdf.library='{}'", stand_in().display()));
+    for (reader, set) in [("read_arrow", vec![]), ("read_sdf", vec![library])] {
+        let job = Job::parse("job.toml", &job(reader, calibrate), &set).expect("a job");
         engine::run(&job, &Options::of_job(&job, folder, folder.join(reader))).expect("a run");
     }
 }
 
-fn job(reader: &str, library: &str, calibrate: &str) -> String {
+fn job(reader: &str, calibrate: &str) -> String {
     format!(
         "[job]\nmemory_mb = 4096\n[job.geometry]\ntrajectory = 'flight.sbet'\ncrs = 'ecef'\n\
-         [[stage]]\ntype = '{reader}'\npath = '{NAME}'\n{library}\
+         [[stage]]\ntype = '{reader}'\npath = '{NAME}'\n\
          [[stage]]\ntype = 'resolve_mta'\n\
          [[stage]]\ntype = 'calibrate'\n{calibrate}\n\
          [[stage]]\ntype = 'decompose'\nmode = 'fastest'\n\
