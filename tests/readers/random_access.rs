@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use wavex::job::Job;
+use wavex::job::{Job, Override};
 use wavex::recording::{OpenError, Recording};
 use wavex::scan_line::{Content, ScanLine};
 use wavex::stage::{Context, Plan, RunContext};
@@ -16,9 +16,10 @@ fn text(line: &ScanLine) -> String {
 }
 
 /// All lines as a run reads them.
-fn lines_of_run(path: &Path, reader: &str, keys: &str) -> Vec<String> {
-    let text_of_job = format!("[[stage]]\ntype = '{reader}'\npath = '{}'\n{keys}", path.display());
-    let job = Job::parse("job", &text_of_job, &[]).unwrap();
+fn lines_of_run(path: &Path, reader: &str, set: &[String]) -> Vec<String> {
+    let text_of_job = format!("[[stage]]\ntype = '{reader}'\npath = '{}'\n", path.display());
+    let set: Vec<Override> = set.iter().map(Override::new).collect();
+    let job = Job::parse("job", &text_of_job, &set).unwrap();
     let Plan::Source(source) = &job.stages[0].planned.plan else { panic!("a reader") };
     let mut source = source.make(&RunContext::alone(path)).unwrap();
     let mut cx = Context::default();
@@ -28,8 +29,7 @@ fn lines_of_run(path: &Path, reader: &str, keys: &str) -> Vec<String> {
 /// Asserts that random access gives the lines of a run; returns their number.
 #[track_caller]
 fn assert_same_lines(path: &Path, reader: &str, set: &[String]) -> usize {
-    let keys: String = set.iter().map(|set| format!("{}\n", set.split_once('.').unwrap().1)).collect();
-    let expected = lines_of_run(path, reader, &keys);
+    let expected = lines_of_run(path, reader, set);
     let mut recording = Recording::open(path, set).unwrap();
     let index = recording.index(&mut |_| Ok(())).unwrap();
     assert_eq!(index.lines().len(), expected.len(), "{}", path.display());

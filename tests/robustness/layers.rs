@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Top-level modules from top to bottom; each may import those below it.
-const LAYERS: [&str; 15] = [
+const LAYERS: [&str; 16] = [
     "main",
     "cli",
     "cluster",
@@ -20,6 +20,7 @@ const LAYERS: [&str; 15] = [
     "georef",
     "scan_line",
     "keys",
+    "system",
 ];
 
 /// Top-level modules named after `crate::` in the code of a file.

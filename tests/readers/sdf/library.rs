@@ -79,7 +79,7 @@ fn a_job_cannot_name_the_library() {
     let outcome = place.run(&copy("library = 'here/sdfifc.so'"));
     assert_eq!(outcome.code, Some(2));
     for words in [
-        "job.toml:6:11",
+        "job.toml:7:11",
         "a job cannot name a library (`library`)",
         "name it on the command line, `--set read_sdf.library=PATH`, or in the environment variable WAVEX_RIWAVELIB",
     ] {
