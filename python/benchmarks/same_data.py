@@ -35,7 +35,7 @@ mode = "refined"
 def stages(folder: Path) -> dict[str, float]:
     """Run the job with one worker; working times of its stages, s."""
     job = wavex.Job.from_toml(f'[job]\nthreads = 1\ninput_dir = "{folder}"\noutput_dir = "{folder}"\n{JOB}')
-    return {stage["type"]: stage["working_s"] for stage in wavex.run(job)["stages"]}
+    return {stage["type"]: stage["working_s"] for stage in wavex.run(job)["inputs"][0]["stages"]}
 
 
 def main() -> None:
@@ -56,7 +56,7 @@ def main() -> None:
         model = wavex.calibrate(recording)
         model.save(folder / "model.json")
         columns = recording.shots(columns=["blocks"]).to_arrow().read_all()["blocks"].combine_chunks().flatten()
-        is_low = np.asarray(columns.field("channel")) == 0
+        is_low = np.asarray(columns.field("channel")) == 1
         low = columns.filter(pa.array(is_low))
         samples, start_ns = low.field("samples"), np.asarray(low.field("start_ns"))
         rates: dict[str, list[float]] = {"decompose": [], "decompose_samples": [], "read_arrow": [], "shots()": []}
