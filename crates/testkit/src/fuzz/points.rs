@@ -88,7 +88,12 @@ pub fn copc(bytes: &[u8]) {
     let sorted = |points: &mut RawPoints, length: usize| {
         let mut records = Vec::new();
         while let Some(record) = points.next_record().unwrap() {
-            records.push(record[..length].to_vec());
+            let mut record = record[..length].to_vec();
+            // LAZ may store a time of -0 as 0: its writer compares times as numbers.
+            if record[22..30] == (-0.0f64).to_le_bytes() {
+                record[22..30].fill(0);
+            }
+            records.push(record);
         }
         records.sort();
         records
@@ -96,5 +101,7 @@ pub fn copc(bytes: &[u8]) {
     // Both have at least the fields of format 6 in common.
     let copies = sorted(&mut copied, 30);
     assert_eq!(copies.len() as u64, summary.n_points);
-    assert!(copies == sorted(&mut RawPoints::open(&source).unwrap(), 30), "the points have changed");
+    let sources = sorted(&mut RawPoints::open(&source).unwrap(), 30);
+    let changed = copies.iter().zip(&sources).find(|(copy, source)| copy != source);
+    assert_eq!((changed, copies.len()), (None, sources.len()), "a point has changed");
 }
