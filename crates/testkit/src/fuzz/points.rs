@@ -89,7 +89,7 @@ pub fn copc(bytes: &[u8]) {
         let mut records = Vec::new();
         while let Some(record) = points.next_record().unwrap() {
             let mut record = record[..length].to_vec();
-            // LAZ may store a time of -0 as 0: its writer compares times as numbers.
+            // COPC stores a time of -0 as 0.
             if record[22..30] == (-0.0f64).to_le_bytes() {
                 record[22..30].fill(0);
             }

@@ -236,6 +236,10 @@ impl Reshape {
         out.clear();
         out.extend_from_slice(record.get(..self.head).unwrap_or_default());
         out.extend_from_slice(record.get(self.extra..).unwrap_or_default());
+        // The compressor takes -0 and 0 as the same time, but derives later times from their bits.
+        if let Some(time) = out.get_mut(22..30).filter(|time| **time == (-0.0f64).to_le_bytes()) {
+            time.fill(0);
+        }
     }
 
     fn laz(&self) -> laz::Result<LazVlr> {

@@ -331,3 +331,14 @@ fn no_records_make_the_compression_panic() {
         }
     }
 }
+
+#[test]
+fn a_time_of_minus_zero_becomes_zero() {
+    let records = Reshape { format: 6, head: 30, extra: 30, extra_length: 1 };
+    let mut record = [7; 31];
+    record[22..30].copy_from_slice(&(-0.0f64).to_le_bytes());
+    let mut out = Vec::new();
+    records.reshape(&record, &mut out);
+    record[22..30].fill(0);
+    assert_eq!(out, record);
+}

@@ -54,7 +54,8 @@ impl Tile {
                 column[i] = value;
             }
             self.scan_angles_deg[i] = f64::from(point.scan_angle_deg);
-            self.gps_times_s[i] = point.gps_time;
+            // LAZ takes -0 and 0 as the same time, but derives later times from their bits.
+            self.gps_times_s[i] = point.gps_time + 0.0;
             self.intensities[i] = point.intensity;
             self.fields[i] = point.fields(self.format);
             self.return_numbers[i] = point.return_number;
