@@ -42,13 +42,14 @@ mod terminal;
 mod trajectory;
 mod usage;
 mod version;
+mod view;
 
 pub use explain::{Explanation, explain_shot};
 pub use run::{FinishedRun, RunFailure, RunRequest, read_job, run_quietly};
 
 use args::{
     ArchiveArgs, CalibrateArgs, Classic, Cli, Command, ExplainArgs, ImportArgs, InputRule, JobArgs, Machine,
-    ScanArgs, TrajectoryArgs, When,
+    ScanArgs, TrajectoryArgs, ViewArgs, When,
 };
 use terminal::print;
 
@@ -166,6 +167,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Survey(args) => survey::survey(&args, quiet),
         Command::Trajectory(args) => trajectory::trajectory(&args, quiet),
         Command::Import(args) => import::run_import(&args, quiet),
+        Command::View(args) => view::view(&args, quiet),
         Command::Doctor => doctor::doctor(),
         Command::Man { folder } => man::man(&folder, quiet),
         Command::Completions { shell } => {

@@ -218,6 +218,13 @@ pub(super) enum Command {
     /// picture (SVG).
     #[command(after_help = usage::TRAJECTORY)]
     Trajectory(TrajectoryArgs),
+    /// Explore a recording, a job or a run's outputs in the browser: points, waveforms, fits
+    ///
+    /// Serves a page on this computer only (127.0.0.1), at an address with a random token, until Ctrl-C.
+    /// Runs the job without its outputs; selected shots can be decomposed again with other keys. Nothing is
+    /// written.
+    #[command(after_help = usage::VIEW)]
+    View(ViewArgs),
     /// Translate a command line of BayesWavEx 1.0 or 1.1 into a job
     ///
     /// Prints the job. A comment at each key names its option; options without a key become
@@ -303,6 +310,25 @@ pub(super) struct ExplainArgs {
     /// When to show progress; auto: a bar on a terminal
     #[arg(long, value_name = "WHEN", default_value = "auto")]
     pub(super) progress: When,
+}
+
+/// What to view, and how it is served.
+#[derive(Args)]
+pub(super) struct ViewArgs {
+    /// Recording (.las, .laz, .pls, .sdf, .wfm, .arrow), job (.toml), or the folder of a run's outputs
+    pub(super) place: PathBuf,
+    /// Port to listen on; 0: any free port
+    #[arg(long, value_name = "PORT", default_value_t = 0)]
+    pub(super) port: u16,
+    /// Print the address, but do not open a browser
+    #[arg(long)]
+    pub(super) no_open: bool,
+    /// Memory limit of the points, MB; beyond it, only a part of the shots is shown
+    #[arg(long, value_name = "MB", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(16..=1_000_000))]
+    pub(super) memory_mb: u64,
+    /// Override a key of the job, as for `wavex run`; may be repeated
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
+    pub(super) set: Vec<String>,
 }
 
 /// Recordings to inspect and files to write.

@@ -11,19 +11,15 @@ use serde::de::DeserializeOwned;
 use super::{ExplainArgs, Failure, JobArgs, When, run, terminal};
 use crate::engine::{Cancel, Input, Options, Phase, observe};
 use crate::job::{Job, JobStage, Override};
+use crate::explain::{ExplainError, Explained};
 use crate::recording::{Excerpt, LineIndex, Recording};
 use crate::registry::reader_of;
-use crate::scan_line::{Content, Emission, InputInfo, Returns, ScanLine};
-use crate::stage::{Context, FittedBlock, OutputFile, Plan, RunContext, SourcePlan, counted};
+use crate::scan_line::{Emission, InputInfo, Returns, ScanLine};
+use crate::stage::{Context, FittedBlock, OutputFile, Plan, RunContext, SourcePlan};
 use crate::stages::calibrate::Calibrate;
-use crate::stages::decompose::{
-    Decompose, Line, Seen, SeenBlock, SeenPulse, SensorTables, Shot, ShotDecomposer,
-};
+use crate::stages::decompose::Decompose;
 use wavex_formats::Error;
 use wavex_signal::sensor_model::SensorModel;
-
-mod picture;
-mod table;
 
 /// Prints the returns of a shot and writes its picture.
 pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
@@ -40,8 +36,8 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
     };
     let explained = chain.explain(shot)?;
     let path = args.out.clone().unwrap_or_else(|| format!("{}_shot_{shot}.svg", chain.stem).into());
-    write(&path, &picture::draw(&explained)).map_err(|error| failed(&error))?;
-    let said = format!("{}\nwrote {}\n", table::table(&explained), path.display());
+    write(&path, &explained.picture()).map_err(|error| failed(&error))?;
+    let said = format!("{}\nwrote {}\n", explained.table(), path.display());
     if quiet { Ok(()) } else { terminal::print(&said) }
 }
 
@@ -96,7 +92,7 @@ pub fn explain_shot(
         }
     }
     let explained = Arc::new(chain).explain(shot)?;
-    let (text, svg) = (table::table(&explained), picture::draw(&explained));
+    let (text, svg) = (explained.table(), explained.picture());
     let blocks = explained.blocks.into_iter().map(|block| block.shown).collect();
     let Explained { emission, returns, input, .. } = explained;
     Ok(Explanation { emission, returns, blocks, input, text, svg })
@@ -197,7 +193,7 @@ impl Chain {
             if !line.emissions.iter().any(|emission| emission.shot == shot) {
                 return ControlFlow::Continue(());
             }
-            *explained = Some(decompose(line, shot, &chain));
+            *explained = Some(chain.explain_in(line, shot));
             ControlFlow::Break(())
         };
         let (reader, keys) = self.reader()?;
@@ -217,6 +213,15 @@ impl Chain {
                 Err(Failure::Wrong(numbers.without(shot, &self.file)))
             }
         }
+    }
+
+    /// Decomposes a shot of a line that has passed the stages before `decompose`.
+    fn explain_in(&self, line: &ScanLine, shot: u64) -> Result<Explained, Failure> {
+        let file = self.file.display().to_string();
+        Explained::of(line, shot, &self.decompose, self.options.simd, &file).map_err(|error| match error {
+            ExplainError::Without(problem) => Failure::Wrong(problem),
+            ExplainError::Stage(error) => failed(&error),
+        })
     }
 
     /// Returns the number of the shot nearest to a time.
@@ -268,89 +273,6 @@ impl Numbers {
             }
         }
     }
-}
-
-/// A shot with its decomposition.
-struct Explained {
-    file: String,
-    emission: Emission,
-    input: Arc<InputInfo>,
-    /// Sorted by time.
-    returns: Returns,
-    /// Sorted by time.
-    blocks: Vec<SeenBlock>,
-    outgoing: Option<SeenPulse>,
-    model: Arc<SensorModel>,
-    /// Rejections and notes as text.
-    remarks: Vec<String>,
-}
-
-/// Decomposes one shot of a scan line and records the intermediate results.
-fn decompose(line: &ScanLine, shot: u64, chain: &Chain) -> Result<Explained, Failure> {
-    let without = |what: &str| {
-        let file = chain.file.display();
-        Failure::Wrong(format!("{file}: shot {shot} has {what}; choose another one"))
-    };
-    let model = line.model.clone().ok_or_else(|| without("no sensor model"))?;
-    let index = line.emissions.iter().position(|emission| emission.shot == shot).unwrap_or_default();
-    let Content::Shots(blocks) = &line.content else {
-        return Err(without("no samples"));
-    };
-    let of_shot = blocks.by_emission().find(|(emission, _)| *emission as usize == index);
-    let echoes = of_shot.filter(|(_, of_shot)| of_shot.iter().any(|block| block.channel.is_echo()));
-    let Some((index, of_shot)) = echoes else {
-        return Err(without("no recorded echoes"));
-    };
-    let mut seen = Seen::new(blocks);
-    let (mut returns, mut cx) = (Returns::new(), Context::default());
-    let tables = SensorTables::new(&model, chain.decompose.mode);
-    let mut shots = ShotDecomposer::new(&model, &tables, &chain.decompose, chain.options.simd)
-        .and_then(|shots| shots.fusing(line.fusion.as_deref()))
-        .map_err(|error| failed(&error))?;
-    let of_line = Shot { index, blocks, of_shot, input: &line.input };
-    // The whole line is decomposed first: it defines the usual outgoing pulse.
-    let shot_of = |(index, of_shot)| Shot { index, blocks, of_shot, input: &line.input };
-    let all: Vec<Shot> = blocks.by_emission().map(shot_of).collect();
-    let (mut emissions, mut stats) = (line.emissions.clone(), line.stats.clone());
-    let mut profiles = Vec::new();
-    let mut whole = Line {
-        emissions: &mut emissions,
-        returns: &mut Returns::new(),
-        profiles: &mut profiles,
-        stats: &mut stats,
-    };
-    shots.decompose(&all, &mut whole, &mut Context::default(), &mut ()).map_err(|error| failed(&error))?;
-    let mut emissions = line.emissions.clone();
-    profiles.clear();
-    let mut into =
-        Line { emissions: &mut emissions, returns: &mut returns, profiles: &mut profiles, stats: &mut stats };
-    shots.decompose_again(&of_line, &mut into, &mut cx, &mut seen).map_err(|error| failed(&error))?;
-    let emission = emissions[index as usize];
-    let file = chain.file.display().to_string();
-    let (blocks, outgoing) = seen.finish(&emission, &returns);
-    let mut remarks = remarks(&cx);
-    if !line.input.origin_is_sensor {
-        remarks.push("ranges start at the first sample: the recording has no sensor position".into());
-    }
-    Ok(Explained {
-        file,
-        emission,
-        input: Arc::clone(&line.input),
-        returns,
-        blocks,
-        outgoing,
-        model,
-        remarks,
-    })
-}
-
-/// Rejections and notes of a context as text.
-fn remarks(cx: &Context) -> Vec<String> {
-    let rejected = &cx.counters().rejected;
-    let dropped = rejected
-        .iter()
-        .map(|((item, why), n)| format!("rejected {}", counted(*n, &format!("{}: {why}", item.name()))));
-    dropped.chain(cx.counters().notes.iter().cloned()).collect()
 }
 
 /// A job with the default keys of all stages.

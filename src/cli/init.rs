@@ -52,7 +52,7 @@ pub(super) fn write_new(file: &Path, text: &str) -> Result<(), Failure> {
 }
 
 /// Fills the matching template of `jobs/` with this recording.
-fn of_recording(path: &Path, job: Option<&Path>) -> Result<String, Failure> {
+pub(super) fn of_recording(path: &Path, job: Option<&Path>) -> Result<String, Failure> {
     let recording = Recording::recognise(path)?;
     let folder = job.and_then(Path::parent).filter(|folder| !folder.as_os_str().is_empty());
     let quoted = |path: &Path| toml::Value::String(seen_from(folder, path).display().to_string()).to_string();

@@ -18,7 +18,7 @@ pub(super) fn report(place: &Path, out: Option<&Path>, quiet: bool) -> Result<()
 ///
 /// # Errors
 /// If there is none, or several.
-fn only_report(folder: &Path) -> Result<PathBuf, Failure> {
+pub(super) fn only_report(folder: &Path) -> Result<PathBuf, Failure> {
     let is_report = |name: &String| name == "report.json" || name.ends_with("_report.json");
     let entries = folder.read_dir().into_iter().flatten().flatten();
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());

@@ -85,6 +85,14 @@ Examples:
   wavex scan flight7.pls
   wavex scan flight7.sdf --fast --name out/flight7";
 
+pub(super) const VIEW: &str = "\
+Examples:
+  wavex view flight7.pls
+  wavex view flight7.toml --set decompose.detection_sigma=5
+  wavex view out/demo --port 8080 --no-open
+
+On another computer: wavex view out/demo --port 8080 --no-open there, ssh -L 8080:localhost:8080 HOST here.";
+
 pub(super) const REPORT: &str = "\
 Examples:
   wavex report out/flight7_report.json

@@ -27,7 +27,7 @@ impl Cancel {
     }
 
     /// Returns the flag itself, set once the end of the run is requested.
-    pub(super) fn flag(&self) -> Arc<AtomicBool> {
+    pub(crate) fn flag(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.0)
     }
 

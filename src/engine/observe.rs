@@ -74,10 +74,11 @@ fn run(
     options: &Options,
 ) -> std::result::Result<schedule::Ended, RunError> {
     let gauge = Arc::<Gauge>::default();
-    if options.progress == ProgressMode::Hidden {
+    if options.progress == ProgressMode::Hidden && options.watch.is_none() {
         return Ok(schedule::run_input(shared, site, options, &gauge));
     }
-    let mut progress = Progress::new(options.progress, BTreeMap::from([(0, size(&site.input))]));
+    let sizes = BTreeMap::from([(0, size(&site.input))]);
+    let mut progress = Progress::new(options.progress, sizes).watched(options.watch.clone());
     progress.begin(0, &site.stem, &gauge);
     std::thread::scope(|scope| {
         let (sender, ended) = crossbeam_channel::bounded(1);

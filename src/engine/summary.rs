@@ -26,6 +26,10 @@ pub struct RunSummary {
     pub wavex: String,
     /// Commit from which it was built; empty if unknown.
     pub commit: String,
+    /// Absolute folder at which relative input paths of the job start.
+    #[serde(serialize_with = "path_as_text")]
+    #[schemars(with = "String")]
+    pub input_dir: PathBuf,
     /// The table `[job]` with all defaults.
     pub job: JobSettings,
     /// Stages with their keys and all defaults.
@@ -250,6 +254,7 @@ impl RunSummary {
         RunSummary {
             wavex: env!("CARGO_PKG_VERSION").to_string(),
             commit: env!("WAVEX_BUILD_COMMIT").to_string(),
+            input_dir: std::path::absolute(&options.input_dir).unwrap_or_else(|_| options.input_dir.clone()),
             job: job.settings.clone(),
             stages: job.stages.iter().map(keys).collect(),
             threads: options.workers(),

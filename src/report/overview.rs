@@ -21,7 +21,7 @@ mod gallery;
 pub(in crate::report) mod histogram;
 mod lines;
 mod map;
-pub(in crate::report) mod picture;
+pub(crate) mod picture;
 mod points;
 mod times;
 pub(crate) mod view;

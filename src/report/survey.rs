@@ -31,6 +31,8 @@ pub use measures::Density;
 pub use mosaic::{Gap, Gaps};
 pub use strip::{Strip, StripCollector, StripFacts};
 
+pub(crate) use mosaic::DIFFERENCES;
+pub(crate) use rasters::description as raster_description;
 pub(super) use strip::UNEXPLAINED;
 
 use cells_file::CellsReader;

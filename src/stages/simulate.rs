@@ -1,7 +1,9 @@
 //! The stage `simulate`: a flight over a scene with known truth.
 
 use crate::scan_line::{Kind, ScanLine};
-use crate::stage::{Context, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
+use crate::stage::{
+    Context, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+};
 
 mod config;
 mod files;
@@ -37,13 +39,13 @@ impl SourceConfig for Simulate {
     }
 
     fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        let truth = match &self.truth {
+        let truth = match self.truth.as_ref().filter(|_| site.has_outputs) {
             Some(pattern) => Some(TruthFile::create(site, pattern, self.has_gain_control())?),
             None => None,
         };
-        let trajectory = TrajectoryFiles::create(site, self)?;
+        let trajectory = site.has_outputs.then(|| TrajectoryFiles::create(site, self)).transpose()?;
         let flight = Flight::new(self)?.telling_truth(truth.is_some());
-        Ok(Box::new(Simulator { flight, line: 0, lines: self.lines, truth, trajectory: Some(trajectory) }))
+        Ok(Box::new(Simulator { flight, line: 0, last: None, lines: self.lines, truth, trajectory }))
     }
 }
 
@@ -52,6 +54,8 @@ struct Simulator {
     flight: Flight,
     /// Number of the next line.
     line: u32,
+    /// Number of the last line and of its first shot.
+    last: Option<(u32, u64)>,
     lines: u32,
     /// Truth table, until it is complete.
     truth: Option<TruthFile>,
@@ -71,6 +75,7 @@ impl Source for Simulator {
             return Ok(None);
         }
         let (scan_line, returns) = self.flight.line(self.line);
+        self.last = scan_line.emissions.first().map(|first| (self.line, first.shot));
         self.line += 1;
         if let Some(truth) = &mut self.truth {
             truth.write(&returns)?;
@@ -80,5 +85,18 @@ impl Source for Simulator {
 
     fn progress(&self) -> Option<f64> {
         Some(f64::from(self.line) / f64::from(self.lines))
+    }
+
+    fn location(&self) -> Option<LineLocation> {
+        let (line, first_shot) = self.last?;
+        let records = u64::from(line)..u64::from(line) + 1;
+        Some(LineLocation { records, row: 0, line, first_shot, is_complete: true })
+    }
+
+    fn line_at(&mut self, location: &LineLocation, cx: &mut Context) -> Result<Option<ScanLine>> {
+        self.line = location.line;
+        // Lines of the truth table follow each other.
+        self.truth = None;
+        if self.line < self.lines { self.next(cx) } else { Ok(None) }
     }
 }

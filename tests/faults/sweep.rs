@@ -34,6 +34,12 @@ const MUST_SUCCEED: [&str; 13] = [
 /// Calls that remove files: after their failure remains may stay until the next run.
 const REMOVE: [&str; 5] = ["unlink", "unlinkat", "rmdir", "opendir", "readdir64"];
 
+/// Whether a call belongs to the removal of files: that of a replay first opens its temporary folder.
+fn removes(call: &str, path: &str) -> bool {
+    let is_temporary = path.rsplit('/').next().is_some_and(|name| name.starts_with("wavex-replay-"));
+    REMOVE.contains(&call) || (is_temporary && call != "mkdir")
+}
+
 /// One worker's folder for a scenario.
 struct Workshop<'s> {
     scenario: &'s Scenario,
@@ -269,7 +275,8 @@ impl<'s> Workshop<'s> {
                     let is_told = is_without_log(path) && said.contains("the log");
                     let is_gate = path.ends_with("/.wavex.lock");
                     let fails = matches!(kind, Kind::Eio | Kind::Enospc | Kind::EnospcSticky);
-                    if fails && MUST_SUCCEED.contains(&call.as_str()) && !is_told && !is_gate {
+                    let must = MUST_SUCCEED.contains(&call.as_str()) && !removes(call, path);
+                    if fails && must && !is_told && !is_gate {
                         problems.push(format!("{call} of {path} failed, but the run calls itself a success"));
                     }
                 }
@@ -289,7 +296,7 @@ impl<'s> Workshop<'s> {
             code => problems.push(format!("it ends with {code:?}: {said}")),
         }
         let may_remain = |name: &str| {
-            let could_not = ended.calls.iter().any(|(call, _)| REMOVE.contains(&call.as_str()));
+            let could_not = ended.calls.iter().any(|(call, path)| removes(call, path));
             kind == Kind::Kill || ended.hung || could_not || name.ends_with(".wavex.lock")
         };
         let remains = now.keys().filter(|name| is_remains(name) && !may_remain(name));

@@ -4,12 +4,14 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Top-level modules from top to bottom; each may import those below it.
-const LAYERS: [&str; 16] = [
+const LAYERS: [&str; 18] = [
     "main",
     "cli",
+    "view",
     "cluster",
     "archive",
     "inspect",
+    "explain",
     "report",
     "engine",
     "recording",

@@ -87,6 +87,23 @@ impl Terrain {
         is_whole.then_some(Terrain { columns, rows, first_m, step_m, heights_m, lowest_m, highest_m, epsg })
     }
 
+    /// Number of columns and rows.
+    pub fn size(&self) -> [usize; 2] {
+        [self.columns, self.rows]
+    }
+
+    /// Corners of the raster with the smallest and largest easting and northing, m.
+    pub fn corners_m(&self) -> [[f64; 2]; 2] {
+        let [west_m, north_m] = [self.first_m[0] - 0.5 * self.step_m[0], self.first_m[1] + 0.5 * self.step_m[1]];
+        let (columns, rows) = (self.columns as f64, self.rows as f64);
+        [[west_m, north_m - rows * self.step_m[1]], [west_m + columns * self.step_m[0], north_m]]
+    }
+
+    /// Values of all cells, row by row from the north; NaN if missing.
+    pub fn values(&self) -> &[f32] {
+        &self.heights_m
+    }
+
     /// Returns the EPSG code of the horizontal system, if known.
     pub fn epsg(&self) -> Option<u16> {
         self.epsg

@@ -29,13 +29,13 @@ impl TryFrom<String> for Picture {
 }
 
 /// Equally spaced colours, interpolated linearly.
-pub(in crate::report) type Ramp = [[u8; 3]; 6];
+pub(crate) type Ramp = [[u8; 3]; 6];
 
 /// Heights from low to high: blue, green, yellow.
 ///
 /// Lightness increases at every step, so that they can be distinguished in grey. Both ends are
 /// visible on white and on black.
-pub(in crate::report) const HEIGHTS: Ramp =
+pub(crate) const HEIGHTS: Ramp =
     [[62, 54, 130], [48, 98, 146], [34, 138, 141], [62, 172, 112], [142, 200, 66], [226, 205, 38]];
 /// Intensities from weak to strong: greys.
 pub(in crate::report) const INTENSITIES: Ramp =
@@ -46,7 +46,7 @@ const BEYOND: f64 = 0.01;
 
 impl Picture {
     /// Converts rows of cells from the top to colours from `low` to `high`.
-    pub(in crate::report) fn within(
+    pub(crate) fn within(
         cells: &[Option<f64>],
         columns: usize,
         ramp: &Ramp,
@@ -64,12 +64,17 @@ impl Picture {
 
     /// Converts rows of cells from the top to colours; also returns the values of the first and
     /// last colour.
-    pub(in crate::report) fn of(cells: &[Option<f64>], columns: usize, ramp: &Ramp) -> (Picture, [f64; 2]) {
+    pub(crate) fn of(cells: &[Option<f64>], columns: usize, ramp: &Ramp) -> (Picture, [f64; 2]) {
         let mut known: Vec<f64> = cells.iter().flatten().copied().collect();
         known.sort_by(f64::total_cmp);
         let at = |part: f64| known.get((part * known.len().saturating_sub(1) as f64).round() as usize);
         let range = [BEYOND, 1.0 - BEYOND].map(|part| at(part).copied().unwrap_or(0.0));
         (Picture::within(cells, columns, ramp, range), range)
+    }
+
+    /// The image as a file.
+    pub(crate) fn png(&self) -> Vec<u8> {
+        BASE64_STANDARD.decode(&self.0).unwrap_or_default()
     }
 
     /// The image as a data URL.

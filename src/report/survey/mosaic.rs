@@ -16,7 +16,7 @@ const MOST_LISTED: usize = 20;
 /// Specification of the USGS.
 const VOID_SPACINGS: f64 = 4.0;
 /// Differences: blue where the later strip is lower, orange where it is higher.
-const DIFFERENCES: Ramp =
+pub(crate) const DIFFERENCES: Ramp =
     [[24, 88, 180], [96, 142, 196], [152, 158, 166], [166, 158, 150], [212, 148, 84], [204, 92, 14]];
 /// One colour, for gaps.
 const GAPS: Ramp = [[206, 32, 41]; 6];

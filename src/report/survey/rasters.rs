@@ -17,6 +17,7 @@ pub(super) enum Layer {
     Roughness,
 }
 
+/// The rasters of a survey: content, end of the name, description with unit.
 const LAYERS: [(Layer, &str, &str); 5] = [
     (Layer::Pulses, "pulse_density", "pulse density (first returns of all strips), 1/m2"),
     (Layer::Points, "point_density", "point density (returns of all strips), 1/m2"),
@@ -168,6 +169,12 @@ impl Rasters {
         }
         Ok(written)
     }
+}
+
+/// Description of the raster of a survey with this path; `None` for other files.
+pub(crate) fn description(path: &Path) -> Option<&'static str> {
+    let stem = path.file_stem()?.to_str().filter(|_| path.extension().is_some_and(|end| end == "tif"))?;
+    LAYERS.iter().find(|(_, end, _)| stem.ends_with(&format!("_{end}"))).map(|(_, _, text)| *text)
 }
 
 /// Paths of the rasters of this stem.

@@ -1,0 +1,160 @@
+//! `wavex view`: serves the page of a recording, a job or a run.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serde_json::{Map, Value};
+
+use super::init::of_recording;
+use super::report::only_report;
+use super::run::{folders, stop_on_signals};
+use super::{Failure, JobArgs, ViewArgs, terminal};
+use crate::engine::Cancel;
+use crate::georef::check_crs;
+use crate::job::{Include, Job, Override};
+use crate::registry::STAGES;
+use crate::stage::RoleName;
+use crate::view::{self, Opened};
+
+/// Largest report of a run whose outputs are viewed, bytes.
+const MAX_REPORT_BYTES: u64 = 2_000_000_000;
+/// Interval at which the end is looked for.
+const TICK: Duration = Duration::from_millis(100);
+
+/// Serves the page until a signal ends it.
+pub(super) fn view(args: &ViewArgs, quiet: bool) -> Result<(), Failure> {
+    let opened = opened(args)?;
+    check_crs(&opened.job.settings.geometry, &opened.input_dir)
+        .map_err(|error| Failure::Wrong(error.to_string()))?;
+    let cancel = Cancel::default();
+    stop_on_signals(&cancel);
+    let view = view::open(opened, args.port, cancel.clone()).map_err(Failure::Run)?;
+    terminal::print(&format!("{}\n", view.address))?;
+    if !quiet {
+        terminal::print("Ctrl-C ends it.\n")?;
+    }
+    if !args.no_open
+        && let Err(error) = open::that_detached(&view.address)
+    {
+        tracing::warn!("no browser could be started ({error}); open the address above in one");
+    }
+    let mut is_told = false;
+    while !cancel.is_cancelled() {
+        if let Some(ended) = view.ended().filter(|_| !is_told) {
+            is_told = true;
+            match ended {
+                Ok(points) if !quiet => terminal::print(&format!("{points} points\n"))?,
+                Ok(_) => {}
+                Err(problem) => tracing::error!("{problem}"),
+            }
+        }
+        std::thread::sleep(TICK);
+    }
+    Ok(())
+}
+
+/// Recognises what the place is.
+fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
+    let place = &args.place;
+    let title = place.file_name().map_or_else(|| place.display().to_string(), |name| name.to_string_lossy().into());
+    let memory_bytes = usize::try_from(args.memory_mb).unwrap_or(usize::MAX).saturating_mul(1_000_000);
+    let kind = match () {
+        () if place.is_dir() => "folder",
+        () if place.extension().is_some_and(|end| end.eq_ignore_ascii_case("toml")) => "job",
+        () => "recording",
+    };
+    let (source, folder) = match kind {
+        "folder" => Source::of_folder(place)?,
+        "job" => {
+            let job = JobArgs { job: place.clone(), set: Vec::new() };
+            let folder = job.folder();
+            (Source::of_job(&job.read(None)?), folder)
+        }
+        _ => {
+            let (name, text) = (format!("the job for {}", place.display()), of_recording(place, None)?);
+            (Source { name, text, includes: Vec::new() }, PathBuf::from("."))
+        }
+    };
+    let set = args.set.clone();
+    let job = source.parse(&set)?;
+    let (input_dir, output_dir) = folders(&job, &folder);
+    let layers = if kind == "folder" { place.clone() } else { output_dir };
+    let with = move |more: &[String]| {
+        let all: Vec<String> = set.iter().chain(more).cloned().collect();
+        source.parse(&all).map_err(|failure| failure.text())
+    };
+    let folder = (kind != "recording").then_some(layers);
+    Ok(Opened { title, kind, job, with: Box::new(with), input_dir, folder, memory_bytes })
+}
+
+/// Text of a job.
+struct Source {
+    name: String,
+    text: String,
+    includes: Vec<Include>,
+}
+
+impl Source {
+    fn of_job(job: &Job) -> Source {
+        Source { name: job.name.clone(), text: job.text.clone(), includes: job.includes.clone() }
+    }
+
+    /// Job of the run whose outputs are in a folder, by its report, and the folder of its inputs.
+    fn of_folder(folder: &Path) -> Result<(Source, PathBuf), Failure> {
+        let path = only_report(folder)?;
+        let name = path.display().to_string();
+        let wrong = |problem: &str| {
+            Failure::Wrong(format!("{name}: {problem}; give the job or the recording instead of the folder"))
+        };
+        let file = File::open(&path).map_err(|error| wrong(&format!("cannot read the report: {error}")))?;
+        if file.metadata().map_or(0, |about| about.len()) > MAX_REPORT_BYTES {
+            return Err(wrong("the report is too large"));
+        }
+        let report: Value = serde_json::from_reader(std::io::BufReader::new(file))
+            .map_err(|error| wrong(&format!("it is not the report of a run: {error}")))?;
+        let Some(input_dir) = report["input_dir"].as_str() else {
+            return Err(wrong("the report does not name the folder of the inputs"));
+        };
+        let mut settings = report["job"].as_object().cloned().unwrap_or_default();
+        settings.retain(|key, _| !matches!(key.as_str(), "include" | "input_dir" | "output_dir"));
+        let stages = report["stages"].as_array().map_or(&[][..], Vec::as_slice);
+        let tables: Vec<Value> = stages.iter().filter_map(stage_table).collect();
+        let mut job = Map::new();
+        job.insert("job".into(), settings.into());
+        job.insert("stage".into(), tables.into());
+        let mut job = Value::Object(job);
+        without_null(&mut job);
+        let text = toml::to_string(&job).map_err(|error| wrong(&format!("its job is damaged: {error}")))?;
+        Ok((Source { name, text, includes: Vec::new() }, PathBuf::from(input_dir)))
+    }
+
+    fn parse(&self, set: &[String]) -> Result<Job, Failure> {
+        let overrides: Vec<Override> = set.iter().map(Override::new).collect();
+        Ok(Job::parse_with(STAGES, &self.name, &self.text, &self.includes, &overrides)?)
+    }
+}
+
+/// Table of a stage of a report; `None` for sinks, whose lines the page shows.
+fn stage_table(stage: &Value) -> Option<Value> {
+    let kind = stage["type"].as_str()?;
+    if STAGES.iter().any(|spec| spec.name == kind && spec.role == RoleName::Sink) {
+        return None;
+    }
+    let mut table = Map::new();
+    table.insert("type".into(), kind.into());
+    table.extend(stage["keys"].as_object()?.clone());
+    Some(table.into())
+}
+
+/// Removes keys without value, which TOML cannot have.
+fn without_null(value: &mut Value) {
+    match value {
+        Value::Object(map) => {
+            map.retain(|_, value| !value.is_null());
+            map.values_mut().for_each(without_null);
+        }
+        Value::Array(list) => list.iter_mut().for_each(without_null),
+        _ => {}
+    }
+}

@@ -1,0 +1,83 @@
+//! Rasters of a survey as pictures.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use crate::report::overview::picture::{HEIGHTS, Picture};
+use crate::report::survey::{DIFFERENCES, raster_description};
+use wavex_formats::terrain::Terrain;
+
+/// Most rasters of a folder that are shown.
+const MOST_LAYERS: usize = 20;
+/// Limit of the columns or rows of a picture; larger rasters are thinned out.
+const MAX_CELLS: usize = 2048;
+
+/// A raster of a survey.
+pub(super) struct Layer {
+    name: String,
+    label: String,
+    /// South-west and north-east corner, m.
+    corners_m: [[f64; 2]; 2],
+    /// Values of the first and the last colour.
+    range: [f64; 2],
+    is_diverging: bool,
+    picture: Picture,
+}
+
+impl Layer {
+    /// Reads the rasters of surveys in a folder; those that cannot be read become warnings.
+    pub(super) fn of_folder(folder: &Path) -> (Vec<Layer>, Vec<String>) {
+        let entries = folder.read_dir().into_iter().flatten().flatten();
+        let mut paths: Vec<_> = entries.map(|entry| entry.path()).collect();
+        paths.sort();
+        let (mut layers, mut warnings) = (Vec::new(), Vec::new());
+        for (path, label) in
+            paths.iter().filter_map(|path| Some((path, raster_description(path)?))).take(MOST_LAYERS)
+        {
+            match Layer::read(path, label) {
+                Ok(layer) => layers.push(layer),
+                Err(error) => warnings.push(error.to_string()),
+            }
+        }
+        (layers, warnings)
+    }
+
+    fn read(path: &Path, label: &str) -> wavex_formats::Result<Layer> {
+        let raster = Terrain::open(path)?;
+        let [columns, rows] = raster.size();
+        let step = columns.max(rows).div_ceil(MAX_CELLS).max(1);
+        let cells: Vec<Option<f64>> = (0..rows)
+            .step_by(step)
+            .flat_map(|row| (0..columns).step_by(step).map(move |column| row * columns + column))
+            .map(|at| raster.values().get(at).map(|&value| f64::from(value)).filter(|value| value.is_finite()))
+            .collect();
+        let columns = columns.div_ceil(step);
+        let is_diverging = label.contains("difference");
+        let (mut picture, mut range) = Picture::of(&cells, columns, &HEIGHTS);
+        if is_diverging {
+            let limit = range[0].abs().max(range[1].abs());
+            range = [-limit, limit];
+            picture = Picture::within(&cells, columns, &DIFFERENCES, range);
+        }
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        Ok(Layer { name, label: label.to_owned(), corners_m: raster.corners_m(), range, is_diverging, picture })
+    }
+
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Description for the page.
+    pub(super) fn describe(&self) -> Value {
+        json!({
+            "name": self.name, "label": self.label, "unit": "", "min": self.corners_m[0],
+            "max": self.corners_m[1], "range": self.range, "diverging": self.is_diverging,
+        })
+    }
+
+    /// The picture as PNG.
+    pub(super) fn png(&self) -> Vec<u8> {
+        self.picture.png()
+    }
+}

@@ -1,0 +1,284 @@
+//! What is open in a view: a job, its inputs, and the points collected from them.
+
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard};
+
+use crate::engine::{self, Cancel, Input, Options, ProgressWatch};
+use crate::job::Job;
+use crate::report::overview::view::{MapAxes, View, crs_name};
+use crate::scan_line::{Content, InputInfo, ScanLine};
+use crate::stage::{Context, Plan};
+
+use super::layers::Layer;
+use super::lines::{Learnt, Lines};
+use super::points::{Point, Points};
+
+/// Length of a degree of latitude, m.
+const DEGREE_M: f64 = 111_195.0;
+/// Origins are multiples of this, m, so that positions can be read.
+const ORIGIN_STEP_M: f64 = 100.0;
+
+/// What to open.
+pub struct Opened {
+    /// Title of the page.
+    pub title: String,
+    /// `recording`, `job` or `folder`.
+    pub kind: &'static str,
+    /// The job; files that it would write are not written.
+    pub job: Job,
+    /// Parses the job again, with overrides such as `decompose.detection_sigma=6`.
+    pub with: Box<dyn Fn(&[String]) -> Result<Job, String> + Send + Sync>,
+    /// Folder at which relative input paths start.
+    pub input_dir: PathBuf,
+    /// Folder with rasters of a survey.
+    pub folder: Option<PathBuf>,
+    /// Limit of the memory of all points, bytes.
+    pub memory_bytes: usize,
+}
+
+/// An input of the view.
+pub(super) struct ViewedInput {
+    pub(super) input: Input,
+    pub(super) shots: AtomicU64,
+    learnt: Mutex<Option<Learnt>>,
+    lines: Mutex<Option<Lines>>,
+}
+
+/// Progress of reading.
+#[derive(Clone, Debug)]
+pub(super) enum State {
+    Reading,
+    Ready,
+    Failed(String),
+}
+
+/// How points become positions on the map.
+#[derive(Clone, Debug)]
+pub(super) struct Placing {
+    view: View,
+    /// Metres per unit of the first two coordinates.
+    scale: [f64; 2],
+    /// Origin of positions, map coordinates times `scale`, m.
+    pub(super) origin_m: [f64; 3],
+    pub(super) crs: Option<String>,
+    pub(super) unit: &'static str,
+}
+
+impl Placing {
+    fn new(input: &InputInfo, point: [f64; 3]) -> Placing {
+        let view = View::of(input, point);
+        let north = view.place(point)[1];
+        let scale = match view.axes() {
+            MapAxes::Degrees => [DEGREE_M * libm::cos(north.to_radians()), DEGREE_M],
+            _ => [1.0; 2],
+        };
+        let crs = input.crs_wkt.as_deref().map(crs_name);
+        let unit = view.unit();
+        let mut placing = Placing { view, scale, origin_m: [0.0; 3], crs, unit };
+        placing.origin_m = placing.on_map(point).map(|m| (m / ORIGIN_STEP_M).floor() * ORIGIN_STEP_M);
+        placing
+    }
+
+    /// Position of a point on the map, m for all but coordinates in feet.
+    pub(super) fn on_map(&self, point: [f64; 3]) -> [f64; 3] {
+        let [x, y, z] = self.view.place(point);
+        [x * self.scale[0], y * self.scale[1], z]
+    }
+
+    /// Position relative to the origin, m.
+    fn relative(&self, point: [f64; 3]) -> [f32; 3] {
+        let on_map = self.on_map(point);
+        std::array::from_fn(|i| (on_map[i] - self.origin_m[i]) as f32)
+    }
+}
+
+/// A view: its data and the progress of reading.
+pub(super) struct Session {
+    pub(super) opened: Opened,
+    pub(super) inputs: Vec<ViewedInput>,
+    /// Rasters of the survey.
+    pub(super) layers: Vec<Layer>,
+    points: RwLock<Points>,
+    placing: RwLock<Option<Placing>>,
+    state: Mutex<(State, Vec<String>)>,
+    watch: ProgressWatch,
+    /// Number of inputs that have been read.
+    read: AtomicU64,
+    pub(super) cancel: Cancel,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Session {
+    /// Lists the inputs of the job; reads nothing yet.
+    ///
+    /// # Errors
+    /// If the job has no input or none can be found.
+    pub(super) fn new(opened: Opened, cancel: Cancel) -> Result<Session, String> {
+        let source = match opened.job.stages.first().map(|stage| &stage.planned.plan) {
+            Some(Plan::Source(source)) => source,
+            _ => return Err(format!("{}: the job has no reader; add one", opened.job.name)),
+        };
+        let inputs = engine::expand(source.paths(), source.stem(), &opened.input_dir);
+        let inputs = inputs.map_err(|error| error.to_string())?;
+        if let Some(stream) = inputs.iter().find(|input| input.path.as_os_str() == "-") {
+            return Err(format!("{}: standard input cannot be read twice; give a file", stream.stem));
+        }
+        let viewed = |input| ViewedInput {
+            input,
+            shots: AtomicU64::new(0),
+            learnt: Mutex::default(),
+            lines: Mutex::default(),
+        };
+        let (layers, warnings) = opened.folder.as_deref().map(Layer::of_folder).unwrap_or_default();
+        Ok(Session {
+            layers,
+            points: RwLock::new(Points::within(opened.memory_bytes)),
+            inputs: inputs.into_iter().take(usize::from(u16::MAX)).map(viewed).collect(),
+            opened,
+            placing: RwLock::default(),
+            state: Mutex::new((State::Reading, warnings)),
+            watch: ProgressWatch::default(),
+            read: AtomicU64::new(0),
+            cancel,
+        })
+    }
+
+    /// Runs the chain over all inputs and collects their points.
+    pub(super) fn read(self: &Arc<Session>) {
+        if let Err(problem) = self.read_all() {
+            lock(&self.state).0 = State::Failed(problem);
+            return;
+        }
+        self.build();
+        let state = match self.points().len() {
+            0 => State::Failed("the recording has no returns; lower the detection threshold".into()),
+            _ => State::Ready,
+        };
+        // The index is ready when the first point is selected.
+        for number in 0..self.inputs.len() {
+            if let Err(problem) = self.with_lines(number, |_| Ok(())) {
+                self.warn(problem);
+            }
+        }
+        lock(&self.state).0 = state;
+    }
+
+    fn read_all(self: &Arc<Session>) -> Result<(), String> {
+        let mut job = self.opened.job.clone();
+        job.stages.retain(|stage| !matches!(stage.planned.plan, Plan::Sink(_)));
+        let mut options = Options::of_job(&job, &self.opened.input_dir, ".");
+        options.cancel = self.cancel.clone();
+        options.watch = Some(self.watch.clone());
+        let survey = engine::survey_models(&job, &options).map_err(|error| error.to_string())?;
+        options.survey = survey.map(Arc::new);
+        for number in 0..self.inputs.len() {
+            let (path, stem) = (self.inputs[number].input.path.clone(), self.inputs[number].input.stem.clone());
+            let session = Arc::clone(self);
+            let look = move |(): &mut (), line: &ScanLine| {
+                session.add(number, line);
+                ControlFlow::Continue(())
+            };
+            let input = Input { path, stem };
+            let observed = engine::observe(&job, input, &options, Context::default(), (), look);
+            observed.map_err(|error| error.to_string())?;
+            if self.cancel.is_cancelled() {
+                return Err("interrupted".into());
+            }
+            self.read.fetch_add(1, Ordering::Relaxed);
+        }
+        Ok(())
+    }
+
+    /// Adds the points of a line, and builds a new tree if there are many more.
+    fn add(&self, number: usize, line: &ScanLine) {
+        let viewed = &self.inputs[number];
+        viewed.shots.fetch_add(line.emissions.len() as u64, Ordering::Relaxed);
+        lock(&viewed.learnt).get_or_insert_with(|| Learnt::of(line));
+        let Content::Points(returns, positions) = &line.content else { return };
+        let Some(first) = positions.iter().find(|point| point.iter().all(|value| value.is_finite())) else {
+            return;
+        };
+        let placing = self.placing().unwrap_or_else(|| {
+            let placing = Placing::new(&line.input, *first);
+            *self.placing.write().unwrap_or_else(PoisonError::into_inner) = Some(placing.clone());
+            placing
+        });
+        let mut points = self.points.write().unwrap_or_else(PoisonError::into_inner);
+        for (found, position) in returns.iter().zip(positions) {
+            let relative_m = placing.relative(*position);
+            if let Some(emission) = line.emissions.get(found.emission as usize)
+                && relative_m.iter().all(|value| value.is_finite())
+            {
+                points.add(Point::of(found, emission.shot, number as u16, relative_m));
+            }
+        }
+        if points.has_outgrown_its_tree() {
+            points.build();
+        }
+    }
+
+    fn build(&self) {
+        self.points.write().unwrap_or_else(PoisonError::into_inner).build();
+    }
+
+    pub(super) fn points(&self) -> RwLockReadGuard<'_, Points> {
+        self.points.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn placing(&self) -> Option<Placing> {
+        self.placing.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn warn(&self, warning: String) {
+        lock(&self.state).1.push(warning);
+    }
+
+    /// State and warnings.
+    pub(super) fn state(&self) -> (State, Vec<String>) {
+        lock(&self.state).clone()
+    }
+
+    /// Part of all inputs that has been read, 0 to 1.
+    pub(super) fn progress(&self) -> f64 {
+        let read = self.read.load(Ordering::Relaxed) as f64;
+        let all = self.inputs.len().max(1) as f64;
+        let part = if read < all { self.watch.get().0 } else { 0.0 };
+        ((read + part) / all).min(1.0)
+    }
+
+    /// Calls `body` with the lines of an input, which are opened on first use.
+    ///
+    /// # Errors
+    /// If the recording cannot be read in any order, or nothing has been read of it yet.
+    pub(super) fn with_lines<T>(
+        &self,
+        number: usize,
+        body: impl FnOnce(&mut Lines) -> Result<T, String>,
+    ) -> Result<T, String> {
+        let viewed = self.inputs.get(number).ok_or("the view has no such input; reload the page")?;
+        let mut lines = lock(&viewed.lines);
+        if lines.is_none() {
+            let learnt = lock(&viewed.learnt).clone();
+            let Some(learnt) = learnt else {
+                return Err(format!("{}: not yet read; wait", viewed.input.stem));
+            };
+            let opened = Lines::open(
+                &self.opened.job,
+                &viewed.input,
+                &self.opened.input_dir,
+                &learnt,
+                &self.cancel.flag(),
+            );
+            *lines = Some(opened.map_err(|error| error.to_string())?);
+        }
+        match lines.as_mut() {
+            Some(lines) => body(lines),
+            None => Err("the recording is not open".into()),
+        }
+    }
+}

@@ -1,0 +1,557 @@
+//! Answers about shots: their fit, their scan line, and what other keys change.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+use std::time::{Duration, Instant};
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+
+use super::lines::Lines;
+use super::session::Session;
+use crate::explain::{ExplainError, Explained};
+use crate::job::Job;
+use crate::scan_line::{Block, Channel, Content, Emission, Return, ScanLine, flags};
+use crate::stages::decompose::Decompose;
+
+/// Limit of the rows of a picture of a scan line.
+const MAX_ROWS: usize = 2000;
+/// Limit of the shots that are decomposed for one answer.
+const MAX_SHOTS: usize = 50_000;
+/// Time after which a comparison ends with what it has.
+const MAX_TIME: Duration = Duration::from_secs(5);
+/// Limit of the entries of each list of changes.
+const MAX_CHANGES: usize = 5000;
+/// Lines that are decomposed at once.
+const LINES_AT_ONCE: usize = 16;
+/// Returns nearer than this in time of flight are the same return, ns.
+const SAME_NS: f64 = 1.5;
+/// Smallest difference of times of flight that counts as a move, ns: a tenth of a millimetre.
+const MOVED_NS: f64 = 7e-4;
+
+/// A return with its position.
+#[derive(Clone, Debug)]
+struct Placed {
+    found: Return,
+    position: Option<[f64; 3]>,
+}
+
+/// A shot with the keys of the job, and its difference by other keys.
+pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -> Result<Value, String> {
+    let job = with(session, set)?;
+    session.with_lines(input, |lines| {
+        let number = place(lines, shot)?;
+        let file = session.inputs[input].input.path.display().to_string();
+        let file = if file.is_empty() { session.inputs[input].input.stem.clone() } else { file };
+        let config: Decompose = decompose_of(job.as_ref().unwrap_or(&session.opened.job))?;
+        let simd = lines.simd();
+        let chosen = job.as_ref().unwrap_or(&session.opened.job);
+        let before = lines.before_decompose(chosen, number..number + 1).map_err(text)?;
+        let Some(line) = before.first() else { return Err(format!("shot {shot}: its line cannot be read")) };
+        let explained = Explained::of(line, shot, &config, simd, &file).map_err(|error| match error {
+            ExplainError::Without(problem) => problem,
+            ExplainError::Stage(error) => error.to_string(),
+        })?;
+        let place = line.emissions.iter().position(|emission| emission.shot == shot).unwrap_or_default();
+        let beside = |at: Option<usize>| at.and_then(|at| line.emissions.get(at)).map(|e| e.shot);
+        let online: Vec<Value> = line.blocks().map_or(Vec::new(), |blocks| {
+            let of_shot = blocks.online.iter().filter(|online| online.emission as usize == place);
+            let velocity_m_per_ns = line.input.group_velocity_mps * 1e-9;
+            of_shot
+                .map(|online| {
+                    let flight_ns = online.time_ns - explained.emission.emission_ns;
+                    json!({ "time_of_flight_ns": flight_ns, "range_m": 0.5 * flight_ns * velocity_m_per_ns,
+                            "amplitude_dn": number_or_null(online.amplitude.into()) })
+                })
+                .collect()
+        });
+        let (previous, next) = (beside(place.checked_sub(1)), beside(Some(place + 1)));
+        let of_line = json!({ "number": line.line, "shot": place, "shots": line.emissions.len() });
+        let after = returns_of(lines, chosen, number, shot)?;
+        let difference = match &job {
+            None => Value::Null,
+            Some(_) => {
+                let before = returns_of(lines, &session.opened.job, number, shot)?;
+                let changes: Vec<Value> = changes(&before, &after)
+                    .iter()
+                    .map(|change| {
+                        json!({ "change": change.kind, "moved_m": change.moved_m,
+                                "before": change.before.map(return_value), "after": change.after.map(return_value) })
+                    })
+                    .collect();
+                json!({ "before": before.len(), "after": after.len(), "changes": changes })
+            }
+        };
+        let blocks: Vec<Value> = explained.blocks.iter().map(|block| {
+            let (shown, samples) = (&block.shown, &block.shown.samples);
+            json!({ "channel": shown.channel, "first_ns": shown.first_ns, "interval_ns": samples.interval_ns,
+                    "chi_square": number_or_null(shown.chi_square), "degrees_of_freedom": shown.degrees_of_freedom,
+                    "samples_dn": samples.samples_dn, "used": samples.used, "residual": samples.residual,
+                    "background_dn": samples.background_dn, "full_scale_dn": samples.full_scale_dn,
+                    "peaks": shown.peaks.iter().map(|peak| peak.position_samples).collect::<Vec<f64>>() })
+        }).collect();
+        let table = explained.table();
+        Ok(json!({
+            "input": input, "shot": shot, "gps_time_s": number_or_null(explained.emission.gps_time_s),
+            "title": table.lines().next().unwrap_or_default(), "text": table, "svg": explained.picture(),
+            "line": of_line, "previous": previous, "next": next,
+            "returns": after.iter().map(return_value).collect::<Vec<Value>>(),
+            "instrument": online, "blocks": blocks, "difference": difference,
+        }))
+    })
+}
+
+/// The waveforms of the scan line of a shot as a picture, and its returns.
+pub(super) fn line(session: &Session, input: usize, shot: u64) -> Result<Value, String> {
+    let job = &session.opened.job;
+    session.with_lines(input, |lines| {
+        let number = place(lines, shot)?;
+        let decomposed = lines.with_points(job, number..number + 1).map_err(text)?;
+        let before = lines.before_decompose(job, number..number + 1).map_err(text)?;
+        let (Some(recorded), Some(decomposed)) = (before.first(), decomposed.first()) else {
+            return Err(format!("shot {shot}: its line cannot be read"));
+        };
+        let mut picture = LinePicture::of(recorded, &decomposed.emissions)?;
+        let image = picture.png()?;
+        let returns: Vec<Value> = decomposed.returns().into_iter().flatten().map(|found| {
+            json!({ "column": found.emission, "time_of_flight_ns": found.time_of_flight_ns,
+                    "return_number": found.return_number, "flags": names(found.flags) })
+        }).collect();
+        Ok(json!({
+            "line": recorded.line, "first_shot": recorded.emissions.first().map(|e| e.shot),
+            "shots": recorded.emissions.iter().map(|e| e.shot).collect::<Vec<u64>>(),
+            "first_ns": picture.first_ns, "interval_ns": picture.interval_ns,
+            "width": picture.width, "height": picture.height, "highest_dn": picture.highest_dn,
+            "image": BASE64_STANDARD.encode(image), "returns": returns,
+        }))
+    })
+}
+
+/// What other keys change in scan lines: of one shot, or of shots by input.
+pub(super) fn compare(
+    session: &Session,
+    shots: &BTreeMap<usize, BTreeSet<u64>>,
+    whole_lines: bool,
+    set: &[String],
+) -> Result<Value, String> {
+    let other = with(session, set)?;
+    let other = other.as_ref().unwrap_or(&session.opened.job);
+    let begin = Instant::now();
+    let mut compared = Compared::default();
+    for (&input, wanted) in shots {
+        session.with_lines(input, |lines| {
+            for numbers in ranges(&lines_of(lines, wanted)?) {
+                if compared.shots >= MAX_SHOTS || begin.elapsed() > MAX_TIME {
+                    compared.is_limited = true;
+                    break;
+                }
+                let before = lines.with_points(&session.opened.job, numbers.clone()).map_err(text)?;
+                let after = lines.with_points(other, numbers).map_err(text)?;
+                for (before, after) in before.iter().zip(&after) {
+                    compared.add(input, before, after, (!whole_lines).then_some(wanted));
+                }
+            }
+            Ok(())
+        })?;
+    }
+    Ok(compared.value())
+}
+
+/// The job with other keys; `None` without any.
+fn with(session: &Session, set: &[String]) -> Result<Option<Job>, String> {
+    if set.is_empty() {
+        return Ok(None);
+    }
+    if let Some(foreign) = set.iter().find(|text| !text.starts_with("decompose.")) {
+        return Err(format!("{foreign}: only keys of `decompose` can be changed here"));
+    }
+    (session.opened.with)(set).map(Some)
+}
+
+/// Position of the line of a shot.
+fn place(lines: &mut Lines, shot: u64) -> Result<usize, String> {
+    lines.of_shot(shot).map_err(text)?.ok_or_else(|| format!("the recording has no shot {shot}"))
+}
+
+/// Positions of the lines of shots.
+fn lines_of(lines: &mut Lines, shots: &BTreeSet<u64>) -> Result<BTreeSet<usize>, String> {
+    let mut found = BTreeSet::new();
+    let mut last: Option<Range<u64>> = None;
+    for &shot in shots {
+        if last.as_ref().is_some_and(|range| range.contains(&shot)) {
+            continue;
+        }
+        if let Some(number) = lines.of_shot(shot).map_err(text)? {
+            let [first, end] = lines.index().lines()[number].shot_range;
+            // Shot numbers of a line that has as many shots as numbers are its own.
+            last = (u64::from(lines.index().lines()[number].shots) == end - first + 1).then_some(first..end + 1);
+            found.insert(number);
+        }
+    }
+    Ok(found)
+}
+
+/// Adjacent positions as ranges of limited length.
+fn ranges(numbers: &BTreeSet<usize>) -> Vec<Range<usize>> {
+    let mut ranges: Vec<Range<usize>> = Vec::new();
+    for &number in numbers {
+        match ranges.last_mut() {
+            Some(last) if last.end == number && last.len() < LINES_AT_ONCE => last.end += 1,
+            _ => ranges.push(number..number + 1),
+        }
+    }
+    ranges
+}
+
+/// Returns of a shot by the keys of a job.
+fn returns_of(lines: &mut Lines, job: &Job, number: usize, shot: u64) -> Result<Vec<Placed>, String> {
+    let found = lines.with_points(job, number..number + 1).map_err(text)?;
+    Ok(found.first().map_or(Vec::new(), |line| placed(line, |emission| emission.shot == shot)))
+}
+
+/// Returns of the shots of a line, with their positions.
+fn placed(line: &ScanLine, wanted: impl Fn(&Emission) -> bool) -> Vec<Placed> {
+    let returns = line.returns().map_or(&[][..], |returns| returns);
+    let is_wanted =
+        |found: &Return| line.emissions.get(found.emission as usize).is_some_and(&wanted);
+    let position = |at: usize| line.points().and_then(|points| points.get(at)).copied();
+    let all = returns.iter().enumerate().filter(|(_, found)| is_wanted(found));
+    all.map(|(at, found)| Placed { found: found.clone(), position: position(at) }).collect()
+}
+
+/// A change of a return.
+struct Change<'p> {
+    kind: &'static str,
+    before: Option<&'p Placed>,
+    after: Option<&'p Placed>,
+    moved_m: Option<f64>,
+}
+
+/// Pairs the returns of a shot before and after a change of keys, both in order of time.
+fn changes<'p>(before: &'p [Placed], after: &'p [Placed]) -> Vec<Change<'p>> {
+    let mut left: Vec<&Placed> = after.iter().collect();
+    let mut changes: Vec<Change> = Vec::new();
+    for old in before {
+        let distance = |new: &&Placed| (new.found.time_of_flight_ns - old.found.time_of_flight_ns).abs();
+        let nearest = left.iter().enumerate().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
+        match nearest.filter(|(_, new)| distance(new) < SAME_NS).map(|(at, _)| at) {
+            Some(at) => {
+                let new = left.remove(at);
+                let kind = if distance(&new) < MOVED_NS { "same" } else { "moved" };
+                let moved_m = (new.found.range_m - old.found.range_m).abs();
+                changes.push(Change { kind, before: Some(old), after: Some(new), moved_m: Some(moved_m) });
+            }
+            None => changes.push(Change { kind: "gone", before: Some(old), after: None, moved_m: None }),
+        }
+    }
+    let new = left.into_iter().map(|new| Change { kind: "new", before: None, after: Some(new), moved_m: None });
+    changes.extend(new);
+    changes.sort_by(|a, b| {
+        let time_ns = |change: &Change| {
+            change.before.or(change.after).map_or(0.0, |placed| placed.found.time_of_flight_ns)
+        };
+        time_ns(a).total_cmp(&time_ns(b))
+    });
+    changes
+}
+
+/// Sum of the changes of many shots.
+#[derive(Default)]
+struct Compared {
+    shots: usize,
+    before: usize,
+    after: usize,
+    /// Entries and total of the kinds.
+    lists: BTreeMap<&'static str, (Vec<Value>, usize)>,
+    is_limited: bool,
+}
+
+impl Compared {
+    fn add(&mut self, input: usize, before: &ScanLine, after: &ScanLine, wanted: Option<&BTreeSet<u64>>) {
+        for emission in &before.emissions {
+            let shot = emission.shot;
+            if wanted.is_some_and(|wanted| !wanted.contains(&shot)) {
+                continue;
+            }
+            let of_shot = |line| placed(line, |emission: &Emission| emission.shot == shot);
+            let (old, new) = (of_shot(before), of_shot(after));
+            self.shots += 1;
+            self.before += old.len();
+            self.after += new.len();
+            for change in changes(&old, &new).iter().filter(|change| change.kind != "same") {
+                let (entries, total) = self.lists.entry(change.kind).or_default();
+                *total += 1;
+                if let Some(placed) = change.after.or(change.before)
+                    && entries.len() < MAX_CHANGES
+                {
+                    entries.push(json!({
+                        "input": input, "shot": shot, "return_number": placed.found.return_number,
+                        "position": placed.position, "time_of_flight_ns": placed.found.time_of_flight_ns,
+                        "moved_m": change.moved_m,
+                    }));
+                }
+            }
+        }
+    }
+
+    fn value(mut self) -> Value {
+        let mut value = json!({ "shots": self.shots, "before": self.before, "after": self.after,
+                                "limited": self.is_limited });
+        for kind in ["new", "gone", "moved"] {
+            let (entries, total) = self.lists.remove(kind).unwrap_or_default();
+            value[kind] = entries.into();
+            value[format!("{kind}_total")] = total.into();
+        }
+        value
+    }
+}
+
+/// Waveforms of a scan line: amplitudes by shot and time of flight.
+struct LinePicture {
+    width: usize,
+    height: usize,
+    first_ns: f64,
+    interval_ns: f64,
+    highest_dn: f64,
+    /// Heights above the background, DN, row by row.
+    heights_dn: Vec<f32>,
+}
+
+impl LinePicture {
+    /// Waveforms of the echoes of a line; `emissions` have the fitted emission times.
+    fn of(line: &ScanLine, emissions: &[Emission]) -> Result<LinePicture, String> {
+        let Content::Shots(blocks) = &line.content else { return Err("the line has no samples".into()) };
+        let has_low = blocks.iter().any(|block| block.channel == Channel::LowPower);
+        let is_shown = |block: &&Block| {
+            if has_low { block.channel == Channel::LowPower } else { block.channel.is_echo() }
+        };
+        let emission_ns = |index: usize| emissions.get(index).map_or(0.0, |emission| emission.emission_ns);
+        let mut shown: Vec<(usize, f64, &Block)> = Vec::new();
+        for (index, of_shot) in blocks.by_emission() {
+            let index = index as usize;
+            shown.extend(
+                of_shot.iter().filter(is_shown).map(|block| (index, block.start_ns - emission_ns(index), block)),
+            );
+        }
+        let interval_ns = shown.first().map_or(1.0, |(_, _, block)| block.interval_ns);
+        let first_ns = shown.iter().map(|(_, start_ns, _)| *start_ns).fold(f64::INFINITY, f64::min);
+        let end_ns = |(_, start_ns, block): &(usize, f64, &Block)| start_ns + block.interval_ns * block.len() as f64;
+        let last_ns = shown.iter().map(end_ns).fold(f64::NEG_INFINITY, f64::max);
+        if !(last_ns > first_ns) {
+            return Err("the line has no recorded echoes".into());
+        }
+        let interval_ns = interval_ns.max((last_ns - first_ns) / MAX_ROWS as f64);
+        let height = (((last_ns - first_ns) / interval_ns).ceil() as usize).clamp(1, MAX_ROWS);
+        let width = line.emissions.len();
+        let background = |channel: Channel| {
+            let model = line.model.as_deref()?;
+            let of = if channel == Channel::LowPower { &model.low_power } else { &model.high_power };
+            let levels_dn = &of.as_ref()?.background_dn;
+            Some(levels_dn.iter().sum::<f64>() / levels_dn.len().max(1) as f64)
+        };
+        let mut heights_dn = vec![0.0_f32; width * height];
+        for (index, start_ns, block) in &shown {
+            let background_dn = background(block.channel).unwrap_or_default();
+            for (k, &sample) in blocks.samples(block).iter().enumerate() {
+                let row = ((start_ns + block.interval_ns * k as f64 - first_ns) / interval_ns) as usize;
+                if let Some(height_dn) = heights_dn.get_mut(row.min(height - 1) * width + index) {
+                    *height_dn = height_dn.max((f64::from(sample) - background_dn) as f32);
+                }
+            }
+        }
+        let highest_dn = heights_dn.iter().copied().fold(1.0, f32::max).into();
+        Ok(LinePicture { width, height, first_ns, interval_ns, highest_dn, heights_dn })
+    }
+
+    /// The picture as PNG, 8 bits of grey: 255 is the highest sample.
+    fn png(&mut self) -> Result<Vec<u8>, String> {
+        let grey = |height_dn: &f32| (f64::from(*height_dn) / self.highest_dn * 255.0).round() as u8;
+        let pixels: Vec<u8> = self.heights_dn.iter().map(grey).collect();
+        grey_png(self.width, self.height, &pixels).map_err(text)
+    }
+}
+
+/// A picture in 8 bits of grey as PNG, row by row from the top.
+fn grey_png(width: usize, height: usize, pixels: &[u8]) -> Result<Vec<u8>, png::EncodingError> {
+    let mut bytes = Vec::new();
+    // Both are limited: a line has at most 4096 shots.
+    let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::Fast);
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(pixels)?;
+    writer.finish()?;
+    Ok(bytes)
+}
+
+/// All quantities of a return.
+fn return_value(placed: &Placed) -> Value {
+    let found = &placed.found;
+    json!({
+        "return_number": found.return_number, "number_of_returns": found.number_of_returns,
+        "channel": found.channel.name(),
+        "time_of_flight_ns": number_or_null(found.time_of_flight_ns),
+        "time_of_flight_sd_ns": number_or_null(found.time_of_flight_sd_ns),
+        "range_m": number_or_null(found.range_m), "range_sd_m": number_or_null(found.range_sd_m),
+        "amplitude_dn": number_or_null(found.amplitude_dn), "amplitude_sd_dn": number_or_null(found.amplitude_sd_dn),
+        "width_ratio": number_or_null(found.width_ratio), "width_ratio_sd": number_or_null(found.width_ratio_sd),
+        "thickness_m": number_or_null(found.thickness_m), "thickness_sd_m": number_or_null(found.thickness_sd_m),
+        "deviation_ratio": number_or_null(found.deviation_ratio),
+        "total_sd_m": number_or_null(found.total_sd_m), "intensity": number_or_null(found.intensity),
+        "mta_zone": found.mta_zone, "class": found.class, "flags": names(found.flags),
+        "position": placed.position,
+    })
+}
+
+/// Names of the flags that are set.
+pub(super) fn names(of: u16) -> Vec<&'static str> {
+    flags::NAMES.iter().filter(|(bit, _)| of & bit != 0).map(|(_, name)| *name).collect()
+}
+
+/// A number; `null` if it is not finite.
+pub(super) fn number_or_null(value: f64) -> Value {
+    serde_json::Number::from_f64(value).map_or(Value::Null, Value::Number)
+}
+
+/// Keys of the stage `decompose`.
+fn decompose_of<C: DeserializeOwned>(job: &Job) -> Result<C, String> {
+    let stage = job.stages.iter().find(|stage| stage.spec.name == "decompose");
+    let stage = stage.ok_or("the job has no stage `decompose`; add one")?;
+    serde_json::from_value(stage.planned.resolved.clone()).map_err(|error| error.to_string())
+}
+
+fn text(error: impl std::fmt::Display) -> String {
+    error.to_string()
+}
+
+/// The job with these keys of `decompose`, as text.
+///
+/// # Errors
+/// If a key or value is invalid.
+pub(super) fn job(session: &Session, set: &[String]) -> Result<String, String> {
+    with(session, set)?;
+    let opened = &session.opened;
+    let mut text = opened.job.text.trim_end().to_owned();
+    text.push('\n');
+    if !set.is_empty() {
+        let arguments: Vec<String> = set.iter().map(|set| format!("--set {}", shell_word(set))).collect();
+        let name = opened.job.name.replace(['\n', '\r'], " ");
+        let changed: String = set.iter().map(|set| format!("#   {}\n", set.replacen('=', " = ", 1))).collect();
+        text = format!(
+            "# Keys changed in `wavex view`:\n{changed}# On the command line: wavex run {} {}\n\n{}",
+            shell_word(&name),
+            arguments.join(" "),
+            with_keys(&text, set),
+        );
+    }
+    Ok(text)
+}
+
+/// Text of a job with these keys in its stage `decompose`.
+fn with_keys(text: &str, set: &[String]) -> String {
+    let keys: Vec<(&str, &str)> = set
+        .iter()
+        .filter_map(|set| set.split_once('.').and_then(|(_, key)| key.split_once('=')))
+        .map(|(key, value)| (key.trim(), value.trim()))
+        .collect();
+    let is_type = |line: &str| {
+        let words: Vec<&str> = line.split(['=', '"', '\'', ' ']).filter(|word| !word.is_empty()).collect();
+        words.first() == Some(&"type") && words.get(1) == Some(&"decompose")
+    };
+    let key_of = |line: &str| line.split_once('=').map(|(key, _)| key.trim().to_owned());
+    let mut edited = String::new();
+    for table in tables(text) {
+        let is_decompose = table.iter().any(|line| is_type(line));
+        for line in table {
+            let is_replaced = key_of(line).is_some_and(|key| keys.iter().any(|(new, _)| *new == key));
+            if !(is_decompose && is_replaced) {
+                edited += line;
+                edited.push('\n');
+            }
+            if is_decompose && is_type(line) {
+                edited.extend(keys.iter().map(|(key, value)| format!("{key} = {}\n", toml_value(value))));
+            }
+        }
+    }
+    edited
+}
+
+/// Lines of each table of a job, with its header.
+fn tables(text: &str) -> Vec<Vec<&str>> {
+    let mut tables = vec![Vec::new()];
+    for line in text.lines() {
+        if line.starts_with('[') {
+            tables.push(Vec::new());
+        }
+        if let Some(table) = tables.last_mut() {
+            table.push(line);
+        }
+    }
+    tables
+}
+
+/// A value as TOML: text gets quotation marks.
+fn toml_value(value: &str) -> String {
+    match toml::from_str::<toml::Table>(&format!("key = {value}")) {
+        Ok(_) => value.to_owned(),
+        Err(_) => toml::Value::String(value.to_owned()).to_string(),
+    }
+}
+
+/// A word for a shell.
+fn shell_word(text: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./=,:".contains(c);
+    if text.chars().all(is_plain) { text.to_owned() } else { format!("'{}'", text.replace('\'', "'\\''")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn placed(number: u8, flight_ns: f64) -> Placed {
+        let found = Return {
+            return_number: number,
+            time_of_flight_ns: flight_ns,
+            range_m: 0.15 * flight_ns,
+            ..Return::default()
+        };
+        Placed { found, position: None }
+    }
+
+    #[test]
+    fn changes_pair_returns_of_nearly_the_same_time() {
+        let before = [placed(1, 100.0), placed(2, 110.0), placed(3, 120.0)];
+        let after = [placed(1, 100.00001), placed(2, 110.2), placed(3, 115.0)];
+        let found = changes(&before, &after);
+        let kinds: Vec<&str> = found.iter().map(|change| change.kind).collect();
+        assert_eq!(kinds, ["same", "moved", "new", "gone"]);
+        assert!((found[1].moved_m.unwrap() - 0.03).abs() < 1e-9);
+    }
+
+    #[test]
+    fn keys_are_written_into_their_stage() {
+        let text = "[[stage]]\ntype = \"read_las\"\nmode = 1\n\n[[stage]]\ntype = 'decompose'\n\
+                    detection_sigma = 4.5\n# why\n\n[[stage]]\ntype = \"write_las\"\n";
+        let set = ["decompose.detection_sigma=6".to_owned(), "decompose.mode=slow".to_owned()];
+        assert_eq!(
+            with_keys(text, &set),
+            "[[stage]]\ntype = \"read_las\"\nmode = 1\n\n[[stage]]\ntype = 'decompose'\n\
+             detection_sigma = 6\nmode = \"slow\"\n# why\n\n[[stage]]\ntype = \"write_las\"\n"
+        );
+    }
+
+    #[test]
+    fn adjacent_lines_are_read_together() {
+        let numbers = (0..20).chain([30, 40, 41]).collect();
+        assert_eq!(ranges(&numbers), [0..16, 16..20, 30..31, 40..42]);
+    }
+
+    #[test]
+    fn words_for_a_shell_are_quoted() {
+        assert_eq!(shell_word("decompose.mode=slow"), "decompose.mode=slow");
+        assert_eq!(shell_word("a b'c"), "'a b'\\''c'");
+    }
+}
