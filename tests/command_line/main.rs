@@ -21,3 +21,4 @@ mod limits;
 mod manual;
 mod options;
 mod scan;
+mod view;

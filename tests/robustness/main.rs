@@ -22,3 +22,4 @@ mod resumed;
 mod survey;
 mod survey_model;
 mod truncation;
+mod view;

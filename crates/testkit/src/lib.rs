@@ -44,6 +44,7 @@ pub mod recordings;
 pub mod sdf;
 pub mod shots;
 pub mod table;
+pub mod view;
 pub mod waveform_decomposer;
 pub mod waveforms;
 

@@ -1,0 +1,246 @@
+//! `wavex view`: what its server says about recordings, jobs and outputs agrees with the other commands.
+
+use serde_json::Value;
+use wavex_testkit::view::{Viewer, numbers};
+use wavex_testkit::{Outcome, TestFolder, wavex};
+
+/// A simulated recording and the outputs of its run, in `out`.
+fn simulated() -> TestFolder {
+    let place = TestFolder::new();
+    let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 6\nshots_per_line = 300\n\
+               truth = '*_truth.csv'\n\
+               [[stage]]\ntype = 'write_arrow'\n\
+               [[stage]]\ntype = 'calibrate'\n\
+               [[stage]]\ntype = 'decompose'\ndetection_sigma = 4.5\n\
+               [[stage]]\ntype = 'georeference'\n\
+               [[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
+    assert_eq!(place.run(job), Outcome::success());
+    place
+}
+
+/// A view of a place in a folder.
+fn view(place: &TestFolder, arguments: &[&str]) -> Viewer {
+    Viewer::start(wavex().current_dir(place.path("")).args([&["view", "--no-open"], arguments].concat()))
+}
+
+/// Rows of a table of returns as pairs of column name and text.
+fn rows(table: &str) -> Vec<Vec<(&str, &str)>> {
+    let mut lines = table.lines();
+    let heads: Vec<&str> = lines.next().unwrap().split(',').collect();
+    lines.map(|line| heads.iter().copied().zip(line.split(',')).collect()).collect()
+}
+
+fn column<'t>(row: &[(&str, &'t str)], name: &str) -> &'t str {
+    row.iter().find(|(head, _)| *head == name).unwrap().1
+}
+
+#[test]
+fn the_points_of_a_folder_are_those_of_its_run() {
+    let place = simulated();
+    let table = place.text("out/flight.csv");
+    let before = place.outputs();
+    let view = view(&place, &["out"]);
+    let info = view.ready();
+    assert_eq!((info["state"].as_str(), info["error"].as_str()), (Some("ready"), None), "{info}");
+    let expected: Vec<[f64; 3]> = rows(&table)
+        .iter()
+        .map(|row| ["x_m", "y_m", "z_m"].map(|name| column(row, name).parse().unwrap()))
+        .collect();
+    assert_eq!(info["points"].as_u64(), Some(expected.len() as u64));
+    let generation = info["generation"].as_u64().unwrap();
+    let tree = view.json(&format!("tree?generation={generation}"));
+    let counts: Vec<u64> =
+        tree["nodes"].as_array().unwrap().iter().map(|node| node["count"].as_u64().unwrap()).collect();
+    assert_eq!(counts.iter().sum::<u64>(), expected.len() as u64);
+    let origin: Vec<f64> = info["origin"].as_array().unwrap().iter().map(|m| m.as_f64().unwrap()).collect();
+    let count = expected.len();
+    let positions = view.ask(&format!("points?generation={generation}&first=0&count={count}"));
+    let mut found: Vec<[f64; 3]> = numbers(&positions.body)
+        .chunks(3)
+        .map(|point| [0, 1, 2].map(|i| f64::from(point[i]) + origin[i]))
+        .collect();
+    let mut expected = expected;
+    let key = |a: &[f64; 3], b: &[f64; 3]| a[1].total_cmp(&b[1]).then(a[0].total_cmp(&b[0]));
+    found.sort_by(key);
+    expected.sort_by(key);
+    let far = |a: &[f64; 3], b: &[f64; 3]| (0..3).map(|i| (a[i] - b[i]).abs()).fold(0.0, f64::max);
+    let worst = found.iter().zip(&expected).map(|(a, b)| far(a, b)).fold(0.0, f64::max);
+    assert!(worst < 0.01, "{worst} m");
+    // A view writes nothing, although the job of the run does.
+    assert_eq!(place.outputs(), before);
+}
+
+#[test]
+fn a_shot_is_that_of_explain_and_other_keys_change_it() {
+    let place = simulated();
+    let view = view(&place, &["out/flight.arrow"]);
+    let info = view.ready();
+    let generation = info["generation"].as_u64().unwrap();
+    // The weakest return goes first when the threshold rises.
+    let found = view.json(&format!("find?generation={generation}&sort=amplitude_dn&limit=5"));
+    let weakest = &found["found"][0];
+    let shot = weakest["shot"].as_u64().unwrap();
+    assert_eq!(found["total"], info["points"]);
+    let point = view.json(&format!("point?generation={generation}&index={}", weakest["index"]));
+    assert_eq!((&point["shot"], &point["position"]), (&weakest["shot"], &weakest["position"]));
+    assert_eq!(point["values"]["amplitude_dn"], weakest["value"]);
+
+    let shown = view.json(&format!("shot?input=0&shot={shot}"));
+    let explained = place.wavex(&["--quiet", "explain", "out/flight.arrow", "--shot", &shot.to_string()]);
+    assert_eq!(explained, Outcome::success());
+    assert_eq!(shown["svg"].as_str().unwrap(), place.text(&format!("flight_shot_{shot}.svg")));
+    let explained = place.wavex(&["explain", "out/flight.arrow", "--shot", &shot.to_string()]).out;
+    assert!(explained.starts_with(shown["text"].as_str().unwrap()), "{explained}\n{}", shown["text"]);
+    let returns = shown["returns"].as_array().unwrap();
+    let near = |a: &Value, b: &Value| (0..3).all(|i| (a[i].as_f64().unwrap() - b[i].as_f64().unwrap()).abs() < 0.01);
+    assert!(returns.iter().any(|found| near(&found["position"], &weakest["position"])));
+    assert_eq!(shown["difference"], Value::Null);
+
+    let amplitude_dn = weakest["value"].as_f64().unwrap();
+    let changed = view.json(&format!("shot?input=0&shot={shot}&set=decompose.detection_sigma%3D60"));
+    let changes = changed["difference"]["changes"].as_array().unwrap();
+    let gone: Vec<f64> = changes
+        .iter()
+        .filter(|change| change["change"] == "gone")
+        .map(|change| change["before"]["amplitude_dn"].as_f64().unwrap())
+        .collect();
+    assert!(gone.iter().any(|gone_dn| (gone_dn - amplitude_dn).abs() < 0.01), "{changes:?}");
+    assert_eq!(changed["returns"].as_array().unwrap().len() + gone.len(), returns.len());
+
+    let line = view.json(&format!("compare?input=0&shot={shot}&set=decompose.detection_sigma%3D60"));
+    assert_eq!((line["shots"].as_u64(), line["limited"].as_bool()), (Some(300), Some(false)));
+    let count = |name: &str| line[name].as_u64().unwrap();
+    assert_eq!(count("before") + count("new_total") - count("gone_total"), count("after"));
+    assert!(line["gone"].as_array().unwrap().iter().any(|gone| gone["shot"].as_u64() == Some(shot)));
+    let corners = |name: &str| (info[name][0].as_f64().unwrap(), info[name][1].as_f64().unwrap());
+    let (low, high) = (corners("min"), corners("max"));
+    let all = view.json(&format!(
+        "compare?generation={generation}&from={},{}&to={},{}&set=decompose.detection_sigma%3D60",
+        low.0, low.1, high.0, high.1
+    ));
+    assert_eq!(all["before"], info["points"]);
+    assert!(all["gone_total"].as_u64() >= line["gone_total"].as_u64());
+    let same = view.json(&format!("compare?input=0&shot={shot}"));
+    assert_eq!([&same["new_total"], &same["gone_total"], &same["moved_total"]], [0, 0, 0]);
+
+    let job = view.ask("job?set=decompose.detection_sigma%3D60");
+    place.write("changed.toml", &job.body);
+    assert_eq!(place.wavex(&["--quiet", "check", "changed.toml"]).code, Some(0));
+    assert!(String::from_utf8_lossy(&job.body).contains("\ndetection_sigma = 60\n"));
+}
+
+#[test]
+fn a_line_is_a_picture_of_its_waveforms() {
+    let place = simulated();
+    let view = view(&place, &["out/flight.arrow"]);
+    view.ready();
+    let line = view.json("line?input=0&shot=350");
+    assert_eq!((line["line"].as_u64(), line["width"].as_u64()), (Some(1), Some(300)));
+    assert_eq!(line["shots"][50].as_u64(), Some(350));
+    assert!(line["image"].as_str().unwrap().starts_with("iVBORw0KGgo"), "PNG");
+    let (first_ns, interval_ns) = (line["first_ns"].as_f64().unwrap(), line["interval_ns"].as_f64().unwrap());
+    let end_ns = first_ns + interval_ns * line["height"].as_f64().unwrap();
+    for found in line["returns"].as_array().unwrap() {
+        let flight_ns = found["time_of_flight_ns"].as_f64().unwrap();
+        assert!((first_ns..end_ns).contains(&flight_ns), "{found}");
+    }
+}
+
+#[test]
+fn a_profile_has_the_points_beside_its_line() {
+    let place = simulated();
+    let view = view(&place, &["out/flight.arrow"]);
+    let info = view.ready();
+    let generation = &info["generation"];
+    let at = |name: &str, i: usize| info[name][i].as_f64().unwrap();
+    let middle = 0.5 * (at("min", 1) + at("max", 1));
+    let path = |width_m: f64| {
+        let (from, to) = (at("min", 0), at("max", 0));
+        format!("profile?generation={generation}&from={from},{middle}&to={to},{middle}&width_m={width_m}")
+    };
+    let all = view.ask(&path(1e4)).body;
+    let word = |bytes: &[u8], at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+    assert_eq!(u64::from(word(&all, 0)), info["points"].as_u64().unwrap());
+    let few = view.ask(&path(1.0)).body;
+    let n = word(&few, 0) as usize;
+    assert!(0 < n && n < word(&all, 0) as usize && few.len() == 8 + 16 * n);
+    let columns = numbers(&few[8..]);
+    for i in 0..n {
+        let index = columns[3 * n + i].to_bits();
+        let point = view.json(&format!("point?generation={generation}&index={index}"));
+        assert!((point["position"][1].as_f64().unwrap() - middle).abs() <= 0.51);
+        assert!((point["position"][2].as_f64().unwrap() - f64::from(columns[n + i])).abs() < 0.01);
+        if i == 20 {
+            break;
+        }
+    }
+}
+
+#[test]
+fn a_job_with_two_receivers_and_open_zones_is_viewed_shot_by_shot() {
+    let place = TestFolder::new();
+    let chain = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 40\nshots_per_line = 100\n\
+                 high_power_gain = 8.0\nas_recorded = true\nflying_height_m = 1500.0\npulse_rate_hz = 150000.0\n\
+                 [[stage]]\ntype = 'fuse_channels'\n\
+                 [[stage]]\ntype = 'resolve_mta'\n\
+                 [[stage]]\ntype = 'calibrate'\n\
+                 [[stage]]\ntype = 'decompose'\n\
+                 [[stage]]\ntype = 'georeference'\n\
+                 [[stage]]\ntype = 'filter_outliers'\n";
+    place.write("job.toml", chain.as_bytes());
+    let checked = place.wavex(&["check", "job.toml"]);
+    if checked.code != Some(0) {
+        panic!("{}", checked.err);
+    }
+    let view = view(&place, &["job.toml"]);
+    let info = view.ready();
+    assert_eq!(info["error"], Value::Null, "{info}");
+    let generation = &info["generation"];
+    let found = view.json(&format!("find?generation={generation}&sort=amplitude_dn&descending=true&limit=20"));
+    for entry in found["found"].as_array().unwrap().iter().take(5) {
+        let shown = view.json(&format!("shot?input=0&shot={}", entry["shot"]));
+        let returns = shown["returns"].as_array().unwrap();
+        let point = view.json(&format!("point?generation={generation}&index={}", entry["index"]));
+        let same = returns.iter().find(|found| found["return_number"] == point["return_number"]).unwrap();
+        for i in 0..3 {
+            let distance_m = same["position"][i].as_f64().unwrap() - point["position"][i].as_f64().unwrap();
+            assert!(distance_m.abs() < 0.02, "{point} {same}");
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_viewed_is_refused_with_a_remedy() {
+    let place = TestFolder::with(&[("empty/x.txt", b""), ("a.xyz", b"1 2 3")]);
+    let refused = |arguments: &[&str]| {
+        let Outcome { code, out, err } = place.wavex(&[&["view", "--no-open"], arguments].concat());
+        assert_eq!((code == Some(0), out.as_str()), (false, ""));
+        err
+    };
+    let no_report = "error: empty: no report of a run in this folder; give the report of a run\n";
+    assert_eq!(refused(&["empty"]), no_report);
+    assert!(refused(&["a.xyz"]).starts_with("error: a.xyz"), "{}", refused(&["a.xyz"]));
+    assert!(refused(&["missing.las"]).contains("no such file"));
+    place.write("job.toml", b"[[stage]]\ntype = 'read_las'\npath = '-'\n");
+    let said = refused(&["job.toml"]);
+    assert!(said.contains("standard input cannot be read twice; give a file"), "{said}");
+    place.write("empty/run_report.json", b"{}");
+    let said = refused(&["empty"]);
+    assert!(said.contains("the report does not name the folder of the inputs"), "{said}");
+    place.write("simulated.toml", b"[[stage]]\ntype = 'simulate'\nlines = 2\n");
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port().to_string();
+    let said = refused(&["simulated.toml", "--port", &port]);
+    assert!(said.contains("choose another --port"), "{said}");
+}
+
+#[test]
+fn a_recording_that_cannot_be_read_to_its_end_says_so_on_the_page() {
+    let place = simulated();
+    let whole = std::fs::read(place.path("out/flight.arrow")).unwrap();
+    place.write("cut.arrow", &whole[..whole.len() / 2]);
+    let view = view(&place, &["cut.arrow", "--set", "decompose.mode=fastest"]);
+    let info = view.ready();
+    assert_eq!(info["state"], "failed");
+    assert!(info["error"].as_str().unwrap().contains("cut.arrow"), "{info}");
+}
