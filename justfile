@@ -11,7 +11,7 @@ ci:
 test *ARGS:
     cargo test {{ARGS}}
 
-# Fail every call of small runs to the system, one per run (about an hour); docs/explanation/testing.md
+# Fail every call of small runs to the system, one per run (about 20 minutes); docs/explanation/testing.md
 faults STEP='all':
     WAVEX_FAULTS={{STEP}} cargo test --test faults -- --nocapture
 

@@ -191,6 +191,13 @@ impl Default for Decompose {
     }
 }
 
+impl Decompose {
+    /// Tables of a sensor for this stage.
+    pub(crate) fn tables(&self, model: &Arc<SensorModel>) -> Arc<SensorTables> {
+        self.tables.of(model, self.mode)
+    }
+}
+
 impl Config for Decompose {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         let [low, high] = self.width_ratio;

@@ -28,10 +28,11 @@ pub(super) fn keys(job: &Job) -> Vec<Value> {
     shown
         .map(|(key, value)| {
             let choices = crate::keys::choices(key.schema);
-            let kind = match value {
+            let kind = match key.schema["type"].as_str() {
                 _ if choices.is_some() => "choice",
-                Value::Bool(_) if key.takes() == "boolean" => "flag",
-                Value::Number(_) if key.takes() == "number" => "number",
+                Some("boolean") => "flag",
+                Some("number") => "number",
+                // Such as a number or `false`.
                 _ => "text",
             };
             let value = match kind {
@@ -39,7 +40,8 @@ pub(super) fn keys(job: &Job) -> Vec<Value> {
                 _ => value.clone(),
             };
             json!({ "key": format!("{}.{}", stage.id, key.name), "label": key.name.replace('_', " "), "kind": kind,
-                    "unit": key.unit().unwrap_or_default(), "value": value, "choices": choices, "help": key.meaning() })
+                    "unit": key.unit().unwrap_or_default(), "value": value, "choices": choices,
+                    "help": key.meaning().replace('\n', " ") })
         })
         .collect()
 }

@@ -1,5 +1,6 @@
 //! What is open in a view: a job, its inputs, and the points collected from them.
 
+use std::collections::VecDeque;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -10,13 +11,12 @@ use crate::job::Job;
 use crate::report::overview::view::{MapAxes, View, crs_name};
 use crate::scan_line::{Content, InputInfo, ScanLine};
 use crate::stage::{Context, Plan};
+use crate::stages::decompose::Decompose;
 
 use super::layers::Layer;
 use super::lines::{Learnt, Lines};
 use super::points::{Point, Points};
 
-/// Length of a degree of latitude, m.
-const DEGREE_M: f64 = 111_195.0;
 /// Origins are multiples of this, m, so that positions can be read.
 const ORIGIN_STEP_M: f64 = 100.0;
 
@@ -46,6 +46,18 @@ pub(super) struct ViewedInput {
     lines: Mutex<Option<Lines>>,
 }
 
+/// A job by which shots are decomposed.
+pub(super) struct Chosen {
+    /// Overrides of its keys.
+    set: Vec<String>,
+    pub(super) job: Job,
+    /// Keys of its stage `decompose`, with the tables made for them.
+    pub(super) decompose: Decompose,
+}
+
+/// Number of jobs with other keys that are kept.
+const KEPT_JOBS: usize = 8;
+
 /// Progress of reading.
 #[derive(Clone, Debug)]
 pub(super) enum State {
@@ -70,12 +82,10 @@ impl Placing {
     fn new(input: &InputInfo, point: [f64; 3]) -> Placing {
         let view = View::of(input, point);
         let north = view.place(point)[1];
-        let scale = match view.axes() {
-            MapAxes::Degrees => [DEGREE_M * libm::cos(north.to_radians()), DEGREE_M],
-            _ => [1.0; 2],
-        };
+        let scale = if view.axes() == MapAxes::Degrees { view.units_m(north) } else { [1.0; 2] };
         let crs = input.crs_wkt.as_deref().map(crs_name);
-        let unit = view.unit();
+        // Degrees are shown as metres.
+        let unit = if view.axes() == MapAxes::Degrees { "m" } else { view.unit() };
         let mut placing = Placing { view, scale, origin_m: [0.0; 3], crs, unit };
         placing.origin_m = placing.on_map(point).map(|m| (m / ORIGIN_STEP_M).floor() * ORIGIN_STEP_M);
         placing
@@ -98,6 +108,8 @@ impl Placing {
 pub(super) struct Session {
     pub(super) opened: Opened,
     pub(super) inputs: Vec<ViewedInput>,
+    /// Jobs by which shots were decomposed last.
+    chosen: Mutex<VecDeque<Arc<Chosen>>>,
     /// Rasters of the survey.
     pub(super) layers: Vec<Layer>,
     points: RwLock<Points>,
@@ -137,6 +149,7 @@ impl Session {
         let (layers, warnings) = opened.folder.as_deref().map(Layer::of_folder).unwrap_or_default();
         Ok(Session {
             layers,
+            chosen: Mutex::default(),
             points: RwLock::new(Points::within(opened.memory_bytes)),
             inputs: inputs.into_iter().take(usize::from(u16::MAX)).map(viewed).collect(),
             opened,
@@ -249,6 +262,29 @@ impl Session {
         let all = self.inputs.len().max(1) as f64;
         let part = if read < all { self.watch.get().0 } else { 0.0 };
         ((read + part) / all).min(1.0)
+    }
+
+    /// The job with other keys of `decompose`.
+    ///
+    /// # Errors
+    /// If a key is of another stage or invalid, or the job has no stage `decompose`.
+    pub(super) fn with(&self, set: &[String]) -> Result<Arc<Chosen>, String> {
+        if let Some(foreign) = set.iter().find(|text| !text.starts_with("decompose.")) {
+            return Err(format!("{foreign}: only keys of `decompose` can be changed here"));
+        }
+        let mut kept = lock(&self.chosen);
+        if let Some(known) = kept.iter().find(|chosen| chosen.set == set) {
+            return Ok(Arc::clone(known));
+        }
+        let job = if set.is_empty() { self.opened.job.clone() } else { (self.opened.with)(set)? };
+        let stage = job.stages.iter().find(|stage| stage.spec.name == "decompose");
+        let stage = stage.ok_or("the job has no stage `decompose`; add one")?;
+        let decompose = serde_json::from_value(stage.planned.resolved.clone());
+        let decompose = decompose.map_err(|error| error.to_string())?;
+        let chosen = Arc::new(Chosen { set: set.to_owned(), job, decompose });
+        kept.push_front(Arc::clone(&chosen));
+        kept.truncate(KEPT_JOBS);
+        Ok(chosen)
     }
 
     /// Calls `body` with the lines of an input, which are opened on first use.

@@ -6,7 +6,6 @@ use std::time::{Duration, Instant};
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
-use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 use super::lines::Lines;
@@ -14,7 +13,6 @@ use super::session::Session;
 use crate::explain::{ExplainError, Explained};
 use crate::job::Job;
 use crate::scan_line::{Block, Channel, Content, Emission, Return, ScanLine, flags};
-use crate::stages::decompose::Decompose;
 
 /// Limit of the rows of a picture of a scan line.
 const MAX_ROWS: usize = 2000;
@@ -40,17 +38,15 @@ struct Placed {
 
 /// A shot with the keys of the job, and its difference by other keys.
 pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -> Result<Value, String> {
-    let job = with(session, set)?;
+    let (base, chosen) = (session.with(&[])?, session.with(set)?);
     session.with_lines(input, |lines| {
         let number = place(lines, shot)?;
         let file = session.inputs[input].input.path.display().to_string();
         let file = if file.is_empty() { session.inputs[input].input.stem.clone() } else { file };
-        let config: Decompose = decompose_of(job.as_ref().unwrap_or(&session.opened.job))?;
         let simd = lines.simd();
-        let chosen = job.as_ref().unwrap_or(&session.opened.job);
-        let before = lines.before_decompose(chosen, number..number + 1).map_err(text)?;
+        let before = lines.before_decompose(&chosen.job, number..number + 1).map_err(text)?;
         let Some(line) = before.first() else { return Err(format!("shot {shot}: its line cannot be read")) };
-        let explained = Explained::of(line, shot, &config, simd, &file).map_err(|error| match error {
+        let explained = Explained::of(line, shot, &chosen.decompose, simd, &file).map_err(|error| match error {
             ExplainError::Without(problem) => problem,
             ExplainError::Stage(error) => error.to_string(),
         })?;
@@ -69,11 +65,11 @@ pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -
         });
         let (previous, next) = (beside(place.checked_sub(1)), beside(Some(place + 1)));
         let of_line = json!({ "number": line.line, "shot": place, "shots": line.emissions.len() });
-        let after = returns_of(lines, chosen, number, shot)?;
-        let difference = match &job {
-            None => Value::Null,
-            Some(_) => {
-                let before = returns_of(lines, &session.opened.job, number, shot)?;
+        let after = returns_of(lines, &chosen.job, number, shot)?;
+        let difference = match set {
+            [] => Value::Null,
+            _ => {
+                let before = returns_of(lines, &base.job, number, shot)?;
                 let changes: Vec<Value> = changes(&before, &after)
                     .iter()
                     .map(|change| {
@@ -105,11 +101,11 @@ pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -
 
 /// The waveforms of the scan line of a shot as a picture, and its returns.
 pub(super) fn line(session: &Session, input: usize, shot: u64) -> Result<Value, String> {
-    let job = &session.opened.job;
+    let base = session.with(&[])?;
     session.with_lines(input, |lines| {
         let number = place(lines, shot)?;
-        let decomposed = lines.with_points(job, number..number + 1).map_err(text)?;
-        let before = lines.before_decompose(job, number..number + 1).map_err(text)?;
+        let decomposed = lines.with_points(&base.job, number..number + 1).map_err(text)?;
+        let before = lines.before_decompose(&base.job, number..number + 1).map_err(text)?;
         let (Some(recorded), Some(decomposed)) = (before.first(), decomposed.first()) else {
             return Err(format!("shot {shot}: its line cannot be read"));
         };
@@ -136,8 +132,7 @@ pub(super) fn compare(
     whole_lines: bool,
     set: &[String],
 ) -> Result<Value, String> {
-    let other = with(session, set)?;
-    let other = other.as_ref().unwrap_or(&session.opened.job);
+    let (base, other) = (session.with(&[])?, session.with(set)?);
     let begin = Instant::now();
     let mut compared = Compared::default();
     for (&input, wanted) in shots {
@@ -147,8 +142,8 @@ pub(super) fn compare(
                     compared.is_limited = true;
                     break;
                 }
-                let before = lines.with_points(&session.opened.job, numbers.clone()).map_err(text)?;
-                let after = lines.with_points(other, numbers).map_err(text)?;
+                let before = lines.with_points(&base.job, numbers.clone()).map_err(text)?;
+                let after = lines.with_points(&other.job, numbers).map_err(text)?;
                 for (before, after) in before.iter().zip(&after) {
                     compared.add(input, before, after, (!whole_lines).then_some(wanted));
                 }
@@ -157,17 +152,6 @@ pub(super) fn compare(
         })?;
     }
     Ok(compared.value())
-}
-
-/// The job with other keys; `None` without any.
-fn with(session: &Session, set: &[String]) -> Result<Option<Job>, String> {
-    if set.is_empty() {
-        return Ok(None);
-    }
-    if let Some(foreign) = set.iter().find(|text| !text.starts_with("decompose.")) {
-        return Err(format!("{foreign}: only keys of `decompose` can be changed here"));
-    }
-    (session.opened.with)(set).map(Some)
 }
 
 /// Position of the line of a shot.
@@ -416,13 +400,6 @@ pub(super) fn number_or_null(value: f64) -> Value {
     serde_json::Number::from_f64(value).map_or(Value::Null, Value::Number)
 }
 
-/// Keys of the stage `decompose`.
-fn decompose_of<C: DeserializeOwned>(job: &Job) -> Result<C, String> {
-    let stage = job.stages.iter().find(|stage| stage.spec.name == "decompose");
-    let stage = stage.ok_or("the job has no stage `decompose`; add one")?;
-    serde_json::from_value(stage.planned.resolved.clone()).map_err(|error| error.to_string())
-}
-
 fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
@@ -432,7 +409,7 @@ fn text(error: impl std::fmt::Display) -> String {
 /// # Errors
 /// If a key or value is invalid.
 pub(super) fn job(session: &Session, set: &[String]) -> Result<String, String> {
-    with(session, set)?;
+    session.with(set)?;
     let opened = &session.opened;
     let mut text = opened.job.text.trim_end().to_owned();
     text.push('\n');

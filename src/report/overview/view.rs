@@ -95,13 +95,18 @@ impl View {
         }
     }
 
+    /// Length of a unit of the east and the north coordinate at this north coordinate, m.
+    pub(crate) fn units_m(&self, north: f64) -> [f64; 2] {
+        match (self.axes(), self.unit()) {
+            (MapAxes::Degrees, _) => [DEGREE_M * libm::cos(north.to_radians()), DEGREE_M],
+            (_, "ft") => [FOOT_M; 2],
+            _ => [1.0; 2],
+        }
+    }
+
     /// Area of a square unit at this north coordinate, m².
     pub(crate) fn square_unit_m2(&self, north: f64) -> f64 {
-        match (self.axes(), self.unit()) {
-            (MapAxes::Degrees, _) => DEGREE_M * DEGREE_M * libm::cos(north.to_radians()),
-            (_, "ft") => FOOT_M * FOOT_M,
-            _ => 1.0,
-        }
+        self.units_m(north).into_iter().product()
     }
 }
 

@@ -68,14 +68,13 @@ impl SensorTables {
 
 /// Tables shared by the workers of a stage.
 ///
-/// The first worker that needs them creates them. They are dropped with the last worker.
+/// The first worker that needs them creates them; those of the last model are kept.
 #[derive(Clone, Default)]
 pub(super) struct SharedTables(Arc<Mutex<Shared>>);
 
 #[derive(Default)]
 struct Shared {
-    model: Weak<SensorModel>,
-    tables: Weak<SensorTables>,
+    of_model: Option<(Arc<SensorModel>, Arc<SensorTables>)>,
     /// Data of the model of the first echo receiver.
     provenance: Provenance,
 }
@@ -84,14 +83,12 @@ impl SharedTables {
     /// Returns the tables of this model.
     pub(super) fn of(&self, model: &Arc<SensorModel>, mode: Mode) -> Arc<SensorTables> {
         let mut shared = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_theirs = std::ptr::eq(shared.model.as_ptr(), Arc::as_ptr(model));
-        if let Some(tables) = shared.tables.upgrade().filter(|_| is_theirs) {
-            return tables;
+        if let Some((_, tables)) = shared.of_model.as_ref().filter(|(known, _)| Arc::ptr_eq(known, model)) {
+            return Arc::clone(tables);
         }
         let tables = Arc::new(SensorTables::new(model, mode));
         *shared = Shared {
-            model: Arc::downgrade(model),
-            tables: Arc::downgrade(&tables),
+            of_model: Some((Arc::clone(model), Arc::clone(&tables))),
             provenance: echo_receiver(model).map(|channel| channel.provenance).unwrap_or_default(),
         };
         tables
