@@ -192,6 +192,11 @@ impl Default for Decompose {
 }
 
 impl Decompose {
+    /// The same keys, with the tables of another stage, which do not depend on other keys than `mode`.
+    pub(crate) fn sharing_tables(self, other: &Decompose) -> Decompose {
+        Decompose { tables: other.tables.clone(), ..self }
+    }
+
     /// Tables of a sensor for this stage.
     pub(crate) fn tables(&self, model: &Arc<SensorModel>) -> Arc<SensorTables> {
         self.tables.of(model, self.mode)

@@ -276,11 +276,16 @@ impl Session {
         if let Some(known) = kept.iter().find(|chosen| chosen.set == set) {
             return Ok(Arc::clone(known));
         }
-        let job = if set.is_empty() { self.opened.job.clone() } else { (self.opened.with)(set)? };
-        let stage = job.stages.iter().find(|stage| stage.spec.name == "decompose");
+        let mut job = if set.is_empty() { self.opened.job.clone() } else { (self.opened.with)(set)? };
+        let stage = job.stages.iter_mut().find(|stage| stage.spec.name == "decompose");
         let stage = stage.ok_or("the job has no stage `decompose`; add one")?;
-        let decompose = serde_json::from_value(stage.planned.resolved.clone());
-        let decompose = decompose.map_err(|error| error.to_string())?;
+        let decompose: Decompose = serde_json::from_value(stage.planned.resolved.clone())
+            .map_err(|error| format!("`decompose`: {error}; please report this bug in wavex"))?;
+        let decompose = match kept.front() {
+            Some(other) => decompose.sharing_tables(&other.decompose),
+            None => decompose,
+        };
+        stage.planned.plan = Plan::Map(Arc::new(decompose.clone()));
         let chosen = Arc::new(Chosen { set: set.to_owned(), job, decompose });
         kept.push_front(Arc::clone(&chosen));
         kept.truncate(KEPT_JOBS);

@@ -68,13 +68,17 @@ impl SensorTables {
 
 /// Tables shared by the workers of a stage.
 ///
-/// The first worker that needs them creates them; those of the last model are kept.
+/// The first worker that needs them creates them; the last ones are kept.
 #[derive(Clone, Default)]
 pub(super) struct SharedTables(Arc<Mutex<Shared>>);
 
+/// Number of tables that are kept.
+const KEPT_TABLES: usize = 2;
+
 #[derive(Default)]
 struct Shared {
-    of_model: Option<(Arc<SensorModel>, Arc<SensorTables>)>,
+    /// Tables by model and mode, those used last at the end.
+    known: Vec<(Arc<SensorModel>, Mode, Arc<SensorTables>)>,
     /// Data of the model of the first echo receiver.
     provenance: Provenance,
 }
@@ -83,14 +87,16 @@ impl SharedTables {
     /// Returns the tables of this model.
     pub(super) fn of(&self, model: &Arc<SensorModel>, mode: Mode) -> Arc<SensorTables> {
         let mut shared = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, tables)) = shared.of_model.as_ref().filter(|(known, _)| Arc::ptr_eq(known, model)) {
+        let is_theirs = |known: &&(Arc<SensorModel>, Mode, _)| Arc::ptr_eq(&known.0, model) && known.1 == mode;
+        if let Some((_, _, tables)) = shared.known.iter().find(is_theirs) {
             return Arc::clone(tables);
         }
         let tables = Arc::new(SensorTables::new(model, mode));
-        *shared = Shared {
-            of_model: Some((Arc::clone(model), Arc::clone(&tables))),
-            provenance: echo_receiver(model).map(|channel| channel.provenance).unwrap_or_default(),
-        };
+        if shared.known.len() == KEPT_TABLES {
+            shared.known.remove(0);
+        }
+        shared.known.push((Arc::clone(model), mode, Arc::clone(&tables)));
+        shared.provenance = echo_receiver(model).map(|channel| channel.provenance).unwrap_or_default();
         tables
     }
 
