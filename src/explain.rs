@@ -4,9 +4,7 @@ use std::sync::Arc;
 
 use crate::scan_line::{Content, Emission, InputInfo, Returns, ScanLine};
 use crate::stage::{Context, StageError, counted};
-use crate::stages::decompose::{
-    Decompose, Line, Seen, SeenBlock, SeenPulse, Shot, ShotDecomposer,
-};
+use crate::stages::decompose::{Decompose, Line, Seen, SeenBlock, SeenPulse, Shot, ShotDecomposer};
 use wavex_signal::sensor_model::SensorModel;
 use wavex_signal::simd::SimdLevel;
 
@@ -65,8 +63,7 @@ impl Explained {
         let mut seen = Seen::new(blocks);
         let (mut returns, mut cx) = (Returns::new(), Context::default());
         let tables = config.tables(&model);
-        let mut shots =
-            ShotDecomposer::new(&model, &tables, config, simd)?.fusing(line.fusion.as_deref())?;
+        let mut shots = ShotDecomposer::new(&model, &tables, config, simd)?.fusing(line.fusion.as_deref())?;
         let of_line = Shot { index, blocks, of_shot, input: &line.input };
         // The whole line is decomposed first: it defines the usual outgoing pulse.
         let shot_of = |(index, of_shot)| Shot { index, blocks, of_shot, input: &line.input };

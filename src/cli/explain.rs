@@ -10,8 +10,8 @@ use serde::de::DeserializeOwned;
 
 use super::{ExplainArgs, Failure, JobArgs, When, run, terminal};
 use crate::engine::{Cancel, Input, Options, Phase, observe};
-use crate::job::{Job, JobStage, Override};
 use crate::explain::{ExplainError, Explained};
+use crate::job::{Job, JobStage, Override};
 use crate::recording::{Excerpt, LineIndex, Recording};
 use crate::registry::reader_of;
 use crate::scan_line::{Emission, InputInfo, Returns, ScanLine};

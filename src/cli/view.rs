@@ -57,7 +57,8 @@ pub(super) fn view(args: &ViewArgs, quiet: bool) -> Result<(), Failure> {
 /// Recognises what the place is.
 fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
     let place = &args.place;
-    let title = place.file_name().map_or_else(|| place.display().to_string(), |name| name.to_string_lossy().into());
+    let title =
+        place.file_name().map_or_else(|| place.display().to_string(), |name| name.to_string_lossy().into());
     let memory_bytes = usize::try_from(args.memory_mb).unwrap_or(usize::MAX).saturating_mul(1_000_000);
     let kind = match () {
         () if place.is_dir() => "folder",

@@ -1,9 +1,7 @@
 //! The stage `simulate`: a flight over a scene with known truth.
 
 use crate::scan_line::{Kind, ScanLine};
-use crate::stage::{
-    Context, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
-};
+use crate::stage::{Context, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 
 mod config;
 mod files;

@@ -73,7 +73,8 @@ impl Attribute {
         let values = points.iter().step_by(step).map(|point| self.value(point, origin_m));
         let mut values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
         values.sort_by(f64::total_cmp);
-        let at = |part: f64| values.get((part * values.len().saturating_sub(1) as f64).round() as usize).copied();
+        let at =
+            |part: f64| values.get((part * values.len().saturating_sub(1) as f64).round() as usize).copied();
         let (low, high) = (at(0.02)?, at(0.98)?);
         let mut value = json!({ "name": self.name, "label": self.label, "unit": self.unit });
         if self.is_class {
@@ -105,7 +106,12 @@ impl Condition {
     /// # Errors
     /// If one is not `NAME OPERATOR NUMBER`.
     pub(super) fn parse(text: &str) -> Result<Vec<Condition>, String> {
-        text.split(',').map(str::trim).filter(|one| !one.is_empty()).take(20).map(Condition::parse_one).collect()
+        text.split(',')
+            .map(str::trim)
+            .filter(|one| !one.is_empty())
+            .take(20)
+            .map(Condition::parse_one)
+            .collect()
     }
 
     fn parse_one(text: &str) -> Result<Condition, String> {

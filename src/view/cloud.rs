@@ -113,7 +113,9 @@ pub(super) fn tree(session: &Session, generation: u32) -> Answer<Value> {
         })
         .collect();
     let square = points.square();
-    Ok(json!({ "generation": generation, "size_m": square.side_m, "corner": square.corner_m, "nodes": nodes }))
+    Ok(
+        json!({ "generation": generation, "size_m": square.side_m, "corner": square.corner_m, "nodes": nodes }),
+    )
 }
 
 /// Points of a range of indices.
@@ -160,10 +162,7 @@ pub(super) fn point(session: &Session, generation: u32, index: usize) -> Answer<
     let Some(point) = found.first() else { return Err(Refused::Outdated) };
     let mut values = serde_json::Map::new();
     for attribute in &ATTRIBUTES {
-        values.insert(
-            attribute.name.to_owned(),
-            number_or_null(attribute.value(point, placing.origin_m[2])),
-        );
+        values.insert(attribute.name.to_owned(), number_or_null(attribute.value(point, placing.origin_m[2])));
     }
     Ok(json!({
         "input": point.input, "shot": point.shot, "return_number": point.return_number,
@@ -288,9 +287,8 @@ pub(super) fn shots_within(
     let high = [0, 1].map(|i| from[i].max(to[i]) - placing.origin_m[i]);
     let mut shots: BTreeMap<usize, BTreeSet<u64>> = BTreeMap::new();
     let mut left = MAX_SHOTS;
-    let is_inside = |point: &&Point| {
-        (0..2).all(|i| (low[i]..=high[i]).contains(&f64::from(point.position_m[i])))
-    };
+    let is_inside =
+        |point: &&Point| (0..2).all(|i| (low[i]..=high[i]).contains(&f64::from(point.position_m[i])));
     for Range { start, end } in points.near(low, high) {
         for point in all[start..end].iter().filter(is_inside) {
             if left > 0 && shots.entry(point.input.into()).or_default().insert(point.shot) {

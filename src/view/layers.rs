@@ -50,7 +50,9 @@ impl Layer {
         let cells: Vec<Option<f64>> = (0..rows)
             .step_by(step)
             .flat_map(|row| (0..columns).step_by(step).map(move |column| row * columns + column))
-            .map(|at| raster.values().get(at).map(|&value| f64::from(value)).filter(|value| value.is_finite()))
+            .map(|at| {
+                raster.values().get(at).map(|&value| f64::from(value)).filter(|value| value.is_finite())
+            })
             .collect();
         let columns = columns.div_ceil(step);
         let is_diverging = label.contains("difference");
@@ -61,7 +63,14 @@ impl Layer {
             picture = Picture::within(&cells, columns, &DIFFERENCES, range);
         }
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        Ok(Layer { name, label: label.to_owned(), corners_m: raster.corners_m(), range, is_diverging, picture })
+        Ok(Layer {
+            name,
+            label: label.to_owned(),
+            corners_m: raster.corners_m(),
+            range,
+            is_diverging,
+            picture,
+        })
     }
 
     pub(super) fn name(&self) -> &str {

@@ -20,4 +20,64 @@ macro_rules! files {
 }
 
 /// All files.
-const FILES: [(&str, &[u8]); 1] = files!["index.html"];
+const FILES: [(&str, &[u8]); 26] = files![
+    "api.js",
+    "axes.js",
+    "camera.js",
+    "cloud.js",
+    "colours.js",
+    "dock.js",
+    "draw_software.js",
+    "draw_webgl.js",
+    "elements.js",
+    "find.js",
+    "format.js",
+    "index.html",
+    "interaction.js",
+    "keyboard.js",
+    "layers.js",
+    "legend.js",
+    "main.js",
+    "marks.js",
+    "overlay.js",
+    "profile.js",
+    "shot.js",
+    "stage.js",
+    "state.js",
+    "style.css",
+    "waterfall.js",
+    "what_if.js",
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    #[test]
+    fn all_files_of_the_folder_are_served() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/view/page");
+        let mut names: Vec<String> = folder
+            .read_dir()
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        assert_eq!(names, FILES.map(|(name, _)| name));
+        assert!(FILES.iter().map(|(_, body)| body.len()).sum::<usize>() < 1_000_000);
+        assert_eq!(file("").unwrap().0, "text/html; charset=utf-8");
+        assert_eq!(file("../Cargo.toml"), None);
+    }
+
+    #[test]
+    fn modules_import_only_each_other() {
+        for (name, body) in FILES.iter().filter(|(name, _)| name.ends_with(".js")) {
+            let text = std::str::from_utf8(body).unwrap();
+            for imported in text.split(" from \"").skip(1) {
+                let path = imported.split('"').next().unwrap();
+                let file = path.strip_prefix("./").unwrap_or_else(|| panic!("{name}: {path}"));
+                assert!(FILES.iter().any(|(known, _)| *known == file), "{name} imports {path}");
+            }
+        }
+    }
+}

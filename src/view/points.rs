@@ -171,16 +171,18 @@ impl Points {
 
     /// Ranges of points whose nodes touch a rectangle, from and to x and y, m.
     pub(super) fn near(&self, from_m: [f64; 2], to_m: [f64; 2]) -> impl Iterator<Item = Range<usize>> {
-        self.nodes.iter().filter(move |node| {
-            let side_m = self.square.side_m / f64::from(1_u32 << node.level.min(31));
-            (0..2).all(|i| {
-                let low_m = self.square.corner_m[i] + f64::from(node.place[i]) * side_m;
-                // Positions are rounded to 32 bits.
-                let slack_m = 1e-6 * self.square.side_m;
-                low_m <= to_m[i] + slack_m && low_m + side_m >= from_m[i] - slack_m
+        self.nodes
+            .iter()
+            .filter(move |node| {
+                let side_m = self.square.side_m / f64::from(1_u32 << node.level.min(31));
+                (0..2).all(|i| {
+                    let low_m = self.square.corner_m[i] + f64::from(node.place[i]) * side_m;
+                    // Positions are rounded to 32 bits.
+                    let slack_m = 1e-6 * self.square.side_m;
+                    low_m <= to_m[i] + slack_m && low_m + side_m >= from_m[i] - slack_m
+                })
             })
-        })
-        .map(|node| node.points.clone())
+            .map(|node| node.points.clone())
     }
 }
 
@@ -234,8 +236,7 @@ impl Builder<'_> {
         });
         self.nodes.push(Node { level, place, points: first..first + own, all: first..first + n, z_m });
         let side_m = self.square.side_m / f64::from(1_u32 << (level + 1));
-        let middle =
-            [0, 1].map(|i| (self.square.corner_m[i] + f64::from(2 * place[i] + 1) * side_m) as f32);
+        let middle = [0, 1].map(|i| (self.square.corner_m[i] + f64::from(2 * place[i] + 1) * side_m) as f32);
         let north = partition(rest, |point| point.position_m[1] < middle[1]);
         let (south, north) = rest.split_at_mut(north);
         let mut first = first + own;
@@ -306,9 +307,8 @@ mod tests {
         let mut points = grid(400, 300);
         points.build();
         let (from_m, to_m) = ([100.0, 50.0], [110.0, 60.0]);
-        let is_inside = |point: &Point| {
-            (0..2).all(|i| (from_m[i]..=to_m[i]).contains(&f64::from(point.position_m[i])))
-        };
+        let is_inside =
+            |point: &Point| (0..2).all(|i| (from_m[i]..=to_m[i]).contains(&f64::from(point.position_m[i])));
         let near: Vec<Range<usize>> = points.near(from_m, to_m).collect();
         let looked_at: usize = near.iter().map(ExactSizeIterator::len).sum();
         let found = near.into_iter().flatten().filter(|&index| is_inside(&points.in_tree()[index])).count();

@@ -57,7 +57,9 @@ pub(super) fn start(session: &Arc<Session>, port: u16) -> Result<Running, String
         .bind(SocketAddr::from((Ipv4Addr::LOCALHOST, port)))
         .with_global_timeout(TIMEOUT)
         .with_max_concurrent_connections(MAX_CONNECTIONS);
-    server.spawn().map_err(|error| format!("cannot listen on port {port}: {error}; choose another --port"))?;
+    server
+        .spawn()
+        .map_err(|error| format!("cannot listen on port {port}: {error}; choose another --port"))?;
     Ok(Running { address: format!("http://127.0.0.1:{port}/{token}/") })
 }
 
@@ -92,7 +94,8 @@ impl Gate {
         let hosts = ["127.0.0.1", "localhost"].map(|host| format!("{host}:{}", self.port));
         let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or("-"));
         let is_own_host = text(HOST).is_some_and(|host| hosts.iter().any(|own| own == host));
-        let is_own_origin = text(ORIGIN).is_none_or(|origin| hosts.iter().any(|own| format!("http://{own}") == origin));
+        let is_own_origin =
+            text(ORIGIN).is_none_or(|origin| hosts.iter().any(|own| format!("http://{own}") == origin));
         let site = text(HeaderName::from_static("sec-fetch-site"));
         let is_own_site = site.is_none_or(|site| matches!(site, "same-origin" | "none"));
         let (token, path) = path.strip_prefix('/')?.split_once('/')?;
@@ -196,7 +199,13 @@ fn route(session: &Session, path: &str, query: &str) -> Result<Answer, Answer> {
         "point" => Answer::json(&cloud::point(session, generation()?, query.number("index")?)?),
         "profile" => {
             let line = [query.place("from")?, query.place("to")?];
-            Answer::binary(cloud::profile(session, generation()?, line, query.number("width_m")?, attribute()?)?)
+            Answer::binary(cloud::profile(
+                session,
+                generation()?,
+                line,
+                query.number("width_m")?,
+                attribute()?,
+            )?)
         }
         "find" => {
             let search = Search {
@@ -254,15 +263,16 @@ mod tests {
 
     #[test]
     fn only_the_own_page_passes() {
-        let passes = |list: &[(&'static str, &str)], path: &str| {
-            gate().path(&headers(list), path).map(str::to_owned)
-        };
+        let passes =
+            |list: &[(&'static str, &str)], path: &str| gate().path(&headers(list), path).map(str::to_owned);
         let own = [("host", "127.0.0.1:8123")];
         assert_eq!(passes(&own, "/0123456789abcdef/info"), Some("info".into()));
         assert_eq!(passes(&[("host", "localhost:8123")], "/0123456789abcdef/"), Some(String::new()));
         let same = [own[0], ("origin", "http://127.0.0.1:8123"), ("sec-fetch-site", "same-origin")];
         assert_eq!(passes(&same, "/0123456789abcdef/info"), Some("info".into()));
-        for path in ["/info", "/", "", "/0123456789abcdee/info", "/0123456789abcdef", "/0123456789abcdef0/info"] {
+        for path in
+            ["/info", "/", "", "/0123456789abcdee/info", "/0123456789abcdef", "/0123456789abcdef0/info"]
+        {
             assert_eq!(passes(&own, path), None, "{path}");
         }
         for foreign in [

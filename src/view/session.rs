@@ -190,7 +190,8 @@ impl Session {
         let survey = engine::survey_models(&job, &options).map_err(|error| error.to_string())?;
         options.survey = survey.map(Arc::new);
         for number in 0..self.inputs.len() {
-            let (path, stem) = (self.inputs[number].input.path.clone(), self.inputs[number].input.stem.clone());
+            let (path, stem) =
+                (self.inputs[number].input.path.clone(), self.inputs[number].input.stem.clone());
             let session = Arc::clone(self);
             let look = move |(): &mut (), line: &ScanLine| {
                 session.add(number, line);

@@ -111,10 +111,15 @@ pub(super) fn line(session: &Session, input: usize, shot: u64) -> Result<Value, 
         };
         let mut picture = LinePicture::of(recorded, &decomposed.emissions)?;
         let image = picture.png()?;
-        let returns: Vec<Value> = decomposed.returns().into_iter().flatten().map(|found| {
-            json!({ "column": found.emission, "time_of_flight_ns": found.time_of_flight_ns,
+        let returns: Vec<Value> = decomposed
+            .returns()
+            .into_iter()
+            .flatten()
+            .map(|found| {
+                json!({ "column": found.emission, "time_of_flight_ns": found.time_of_flight_ns,
                     "return_number": found.return_number, "flags": names(found.flags) })
-        }).collect();
+            })
+            .collect();
         Ok(json!({
             "line": recorded.line, "first_shot": recorded.emissions.first().map(|e| e.shot),
             "shots": recorded.emissions.iter().map(|e| e.shot).collect::<Vec<u64>>(),
@@ -170,7 +175,8 @@ fn lines_of(lines: &mut Lines, shots: &BTreeSet<u64>) -> Result<BTreeSet<usize>,
         if let Some(number) = lines.of_shot(shot).map_err(text)? {
             let [first, end] = lines.index().lines()[number].shot_range;
             // Shot numbers of a line that has as many shots as numbers are its own.
-            last = (u64::from(lines.index().lines()[number].shots) == end - first + 1).then_some(first..end + 1);
+            last =
+                (u64::from(lines.index().lines()[number].shots) == end - first + 1).then_some(first..end + 1);
             found.insert(number);
         }
     }
@@ -198,8 +204,7 @@ fn returns_of(lines: &mut Lines, job: &Job, number: usize, shot: u64) -> Result<
 /// Returns of the shots of a line, with their positions.
 fn placed(line: &ScanLine, wanted: impl Fn(&Emission) -> bool) -> Vec<Placed> {
     let returns = line.returns().map_or(&[][..], |returns| returns);
-    let is_wanted =
-        |found: &Return| line.emissions.get(found.emission as usize).is_some_and(&wanted);
+    let is_wanted = |found: &Return| line.emissions.get(found.emission as usize).is_some_and(&wanted);
     let position = |at: usize| line.points().and_then(|points| points.get(at)).copied();
     let all = returns.iter().enumerate().filter(|(_, found)| is_wanted(found));
     all.map(|(at, found)| Placed { found: found.clone(), position: position(at) }).collect()
@@ -230,7 +235,8 @@ fn changes<'p>(before: &'p [Placed], after: &'p [Placed]) -> Vec<Change<'p>> {
             None => changes.push(Change { kind: "gone", before: Some(old), after: None, moved_m: None }),
         }
     }
-    let new = left.into_iter().map(|new| Change { kind: "new", before: None, after: Some(new), moved_m: None });
+    let new =
+        left.into_iter().map(|new| Change { kind: "new", before: None, after: Some(new), moved_m: None });
     changes.extend(new);
     changes.sort_by(|a, b| {
         let time_ns = |change: &Change| {
@@ -316,12 +322,16 @@ impl LinePicture {
         for (index, of_shot) in blocks.by_emission() {
             let index = index as usize;
             shown.extend(
-                of_shot.iter().filter(is_shown).map(|block| (index, block.start_ns - emission_ns(index), block)),
+                of_shot
+                    .iter()
+                    .filter(is_shown)
+                    .map(|block| (index, block.start_ns - emission_ns(index), block)),
             );
         }
         let interval_ns = shown.first().map_or(1.0, |(_, _, block)| block.interval_ns);
         let first_ns = shown.iter().map(|(_, start_ns, _)| *start_ns).fold(f64::INFINITY, f64::min);
-        let end_ns = |(_, start_ns, block): &(usize, f64, &Block)| start_ns + block.interval_ns * block.len() as f64;
+        let end_ns =
+            |(_, start_ns, block): &(usize, f64, &Block)| start_ns + block.interval_ns * block.len() as f64;
         let last_ns = shown.iter().map(end_ns).fold(f64::NEG_INFINITY, f64::max);
         if !(last_ns > first_ns) {
             return Err("the line has no recorded echoes".into());
@@ -416,7 +426,8 @@ pub(super) fn job(session: &Session, set: &[String]) -> Result<String, String> {
     if !set.is_empty() {
         let arguments: Vec<String> = set.iter().map(|set| format!("--set {}", shell_word(set))).collect();
         let name = opened.job.name.replace(['\n', '\r'], " ");
-        let changed: String = set.iter().map(|set| format!("#   {}\n", set.replacen('=', " = ", 1))).collect();
+        let changed: String =
+            set.iter().map(|set| format!("#   {}\n", set.replacen('=', " = ", 1))).collect();
         text = format!(
             "# Keys changed in `wavex view`:\n{changed}# On the command line: wavex run {} {}\n\n{}",
             shell_word(&name),

@@ -92,7 +92,8 @@ fn a_shot_is_that_of_explain_and_other_keys_change_it() {
     let explained = place.wavex(&["explain", "out/flight.arrow", "--shot", &shot.to_string()]).out;
     assert!(explained.starts_with(shown["text"].as_str().unwrap()), "{explained}\n{}", shown["text"]);
     let returns = shown["returns"].as_array().unwrap();
-    let near = |a: &Value, b: &Value| (0..3).all(|i| (a[i].as_f64().unwrap() - b[i].as_f64().unwrap()).abs() < 0.01);
+    let near =
+        |a: &Value, b: &Value| (0..3).all(|i| (a[i].as_f64().unwrap() - b[i].as_f64().unwrap()).abs() < 0.01);
     assert!(returns.iter().any(|found| near(&found["position"], &weakest["position"])));
     assert_eq!(shown["difference"], Value::Null);
 
@@ -196,7 +197,8 @@ fn a_job_with_two_receivers_and_open_zones_is_viewed_shot_by_shot() {
     let info = view.ready();
     assert_eq!(info["error"], Value::Null, "{info}");
     let generation = &info["generation"];
-    let found = view.json(&format!("find?generation={generation}&sort=amplitude_dn&descending=true&limit=20"));
+    let found =
+        view.json(&format!("find?generation={generation}&sort=amplitude_dn&descending=true&limit=20"));
     for entry in found["found"].as_array().unwrap().iter().take(5) {
         let shown = view.json(&format!("shot?input=0&shot={}", entry["shot"]));
         let returns = shown["returns"].as_array().unwrap();

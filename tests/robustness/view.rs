@@ -104,7 +104,10 @@ fn wrong_and_huge_requests_get_an_answer_of_bounded_size() {
     assert!(viewer.json(&all)["found"].as_array().unwrap().len() <= 5000);
     let host = format!("host: {}\r\n", viewer.host);
     for request in [
-        format!("POST /{}/info HTTP/1.1\r\n{host}content-length: 5\r\nconnection: close\r\n\r\nhello", viewer.token),
+        format!(
+            "POST /{}/info HTTP/1.1\r\n{host}content-length: 5\r\nconnection: close\r\n\r\nhello",
+            viewer.token
+        ),
         format!("CONNECT {} HTTP/1.1\r\n{host}\r\n", viewer.host),
         "OPTIONS * HTTP/1.1\r\n\r\n".to_owned(),
         format!("GET /{}/info HTTP/1.1\r\n\r\n", viewer.token),
@@ -133,7 +136,11 @@ fn slow_and_many_clients_do_not_stop_the_others() {
     assert_eq!(viewer.ask("info").status, 200);
     let replies: Vec<u16> = std::thread::scope(|scope| {
         let one = |i: usize| {
-            let path = if i % 2 == 0 { "shot?input=0&shot=7".to_owned() } else { "line?input=0&shot=300".to_owned() };
+            let path = if i % 2 == 0 {
+                "shot?input=0&shot=7".to_owned()
+            } else {
+                "line?input=0&shot=300".to_owned()
+            };
             viewer.ask(&path).status
         };
         let one = &one;

@@ -62,7 +62,8 @@ impl Viewer {
 
     /// Asks with these header lines, each with its line end.
     pub fn ask_with(&self, path: &str, headers: &str) -> Reply {
-        let answer = self.raw(format!("GET {path} HTTP/1.1\r\n{headers}connection: close\r\n\r\n").as_bytes());
+        let answer =
+            self.raw(format!("GET {path} HTTP/1.1\r\n{headers}connection: close\r\n\r\n").as_bytes());
         let end = answer.windows(4).position(|four| four == b"\r\n\r\n").expect("headers");
         let headers = String::from_utf8_lossy(&answer[..end]).to_lowercase();
         let status = headers.split(' ').nth(1).and_then(|word| word.parse().ok()).expect("a status");

@@ -94,7 +94,8 @@ impl Terrain {
 
     /// Corners of the raster with the smallest and largest easting and northing, m.
     pub fn corners_m(&self) -> [[f64; 2]; 2] {
-        let [west_m, north_m] = [self.first_m[0] - 0.5 * self.step_m[0], self.first_m[1] + 0.5 * self.step_m[1]];
+        let [west_m, north_m] =
+            [self.first_m[0] - 0.5 * self.step_m[0], self.first_m[1] + 0.5 * self.step_m[1]];
         let (columns, rows) = (self.columns as f64, self.rows as f64);
         [[west_m, north_m - rows * self.step_m[1]], [west_m + columns * self.step_m[0], north_m]]
     }

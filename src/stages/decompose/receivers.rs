@@ -87,7 +87,8 @@ impl SharedTables {
     /// Returns the tables of this model.
     pub(super) fn of(&self, model: &Arc<SensorModel>, mode: Mode) -> Arc<SensorTables> {
         let mut shared = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_theirs = |known: &&(Arc<SensorModel>, Mode, _)| Arc::ptr_eq(&known.0, model) && known.1 == mode;
+        let is_theirs =
+            |known: &&(Arc<SensorModel>, Mode, _)| Arc::ptr_eq(&known.0, model) && known.1 == mode;
         if let Some((_, _, tables)) = shared.known.iter().find(is_theirs) {
             return Arc::clone(tables);
         }

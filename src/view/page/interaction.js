@@ -1,0 +1,168 @@
+// Pointer and keys on the stage: pan, zoom, turn, draw the line of a profile, click a point.
+
+import { byId } from "./elements.js";
+import { fixed } from "./format.js";
+import { absolute, emit, on, state } from "./state.js";
+import { stage } from "./stage.js";
+
+/** Largest movement of a click, px. */
+const CLICK_PX = 5;
+const TURN_PER_PX = 0.006;
+const element = byId("stage");
+const pointers = new Map();
+let gesture = null;
+/** Whether the next drag draws the line of a profile. */
+let isDrawing = false;
+
+/** Position of an event on the stage, CSS px. */
+function place(event) {
+  const box = element.getBoundingClientRect();
+  return [event.clientX - box.left, event.clientY - box.top];
+}
+
+/** Switches between map and perspective. */
+export function setView(isOrbit) {
+  stage.camera.isOrbit = isOrbit;
+  byId("view-map").setAttribute("aria-pressed", String(!isOrbit));
+  byId("view-orbit").setAttribute("aria-pressed", String(isOrbit));
+  if (isOrbit) setDrawing(false);
+  stage.moved();
+}
+
+/** Starts or ends drawing the line of a profile. */
+export function setDrawing(wanted) {
+  isDrawing = wanted;
+  if (wanted && stage.camera.isOrbit) setView(false);
+  byId("draw-profile").setAttribute("aria-pressed", String(wanted));
+  element.classList.toggle("drawing", wanted);
+  byId("hint").hidden = !wanted;
+  byId("hint").textContent = "Drag a line from A to B to see the points along it.";
+}
+
+/** Whether the next drag draws a line. */
+export function drawing() {
+  return isDrawing;
+}
+
+function start(event) {
+  if (event.target.closest("#tools, #legend")) return;
+  element.focus({ preventScroll: true });
+  element.setPointerCapture(event.pointerId);
+  pointers.set(event.pointerId, place(event));
+  const at = place(event);
+  if (pointers.size === 1) {
+    const kind = isDrawing ? "line" : stage.camera.isOrbit && event.button === 0 && !event.shiftKey ? "turn" : "pan";
+    gesture = { kind, begin: at, last: at, hasMoved: false };
+  } else {
+    gesture = { kind: "pinch", hasMoved: true, ...spread() };
+  }
+}
+
+/** Middle, distance and direction of two pointers. */
+function spread() {
+  const [a, b] = [...pointers.values()];
+  return { middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2], apart: Math.hypot(b[0] - a[0], b[1] - a[1]), angle: Math.atan2(b[1] - a[1], b[0] - a[0]) };
+}
+
+function move(event) {
+  const at = place(event);
+  if (!pointers.has(event.pointerId) || !gesture) return readout(at);
+  pointers.set(event.pointerId, at);
+  if (gesture.kind === "pinch") {
+    if (pointers.size < 2) return;
+    const now = spread();
+    stage.camera.pan(now.middle[0] - gesture.middle[0], now.middle[1] - gesture.middle[1]);
+    stage.camera.zoom(now.apart / Math.max(1, gesture.apart), ...now.middle);
+    if (stage.camera.isOrbit) stage.camera.turn(-(now.angle - gesture.angle), 0);
+    Object.assign(gesture, now);
+    return stage.moved();
+  }
+  if (!gesture.hasMoved && Math.hypot(at[0] - gesture.begin[0], at[1] - gesture.begin[1]) < CLICK_PX) return;
+  gesture.hasMoved = true;
+  const [dx, dy] = [at[0] - gesture.last[0], at[1] - gesture.last[1]];
+  gesture.last = at;
+  if (gesture.kind === "line") {
+    const [from, to] = [stage.camera.unproject(...gesture.begin), stage.camera.unproject(...at)];
+    emit("profile-line", { from, to, isDone: false });
+    return;
+  }
+  if (gesture.kind === "turn") stage.camera.turn(dx * TURN_PER_PX, dy * TURN_PER_PX);
+  else stage.camera.pan(dx, dy);
+  stage.moved();
+}
+
+function end(event) {
+  if (!pointers.delete(event.pointerId) || !gesture) return;
+  const ended = gesture;
+  if (pointers.size > 0) {
+    const [rest] = pointers.values();
+    gesture = { kind: stage.camera.isOrbit ? "turn" : "pan", begin: rest, last: rest, hasMoved: true };
+    return;
+  }
+  gesture = null;
+  if (event.type === "pointercancel") return;
+  if (ended.kind === "line" && ended.hasMoved) {
+    setDrawing(false);
+    emit("profile-line", { from: stage.camera.unproject(...ended.begin), to: stage.camera.unproject(...ended.last), isDone: true });
+  } else if (!ended.hasMoved) {
+    const index = stage.pick(...place(event));
+    if (index !== null) emit("click-point", index);
+  }
+}
+
+/** Coordinates under the pointer; from above only, where they are unambiguous. */
+function readout([x, y]) {
+  const box = byId("readout");
+  if (!state.info?.origin || stage.camera.isOrbit) {
+    box.textContent = "";
+    return;
+  }
+  const [east, north] = absolute(stage.camera.unproject(x, y));
+  const digits = stage.camera.scale < 0.05 ? 2 : 1;
+  box.textContent = `${fixed(east, digits)}, ${fixed(north, digits)} m`;
+}
+
+function wheel(event) {
+  if (event.target.closest("#legend")) return;
+  event.preventDefault();
+  const lines = event.deltaMode === 1 ? 16 : 1;
+  stage.camera.zoom(Math.exp(-Math.max(-300, Math.min(300, event.deltaY * lines)) * 0.0016), ...place(event));
+  stage.moved();
+}
+
+/** Keys of the stage; whether the key is one of them. */
+export function stageKey(event) {
+  const { camera } = stage;
+  const step = 60;
+  const turns = camera.isOrbit && !event.shiftKey;
+  const arrows = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+  if (arrows[event.key] && document.activeElement === element) {
+    const [dx, dy] = arrows[event.key];
+    if (turns) camera.turn(dx * 0.1, -dy * 0.1);
+    else camera.pan(dx * step, dy * step);
+  } else if (event.key === "+" || event.key === "=") camera.zoom(1.4);
+  else if (event.key === "-") camera.zoom(1 / 1.4);
+  else if (event.key === "0") stage.fit();
+  else return false;
+  stage.moved();
+  return true;
+}
+
+element.addEventListener("pointerdown", start);
+element.addEventListener("pointermove", move);
+element.addEventListener("pointerup", end);
+element.addEventListener("pointercancel", end);
+element.addEventListener("wheel", wheel, { passive: false });
+element.addEventListener("contextmenu", (event) => event.preventDefault());
+element.addEventListener("dblclick", (event) => {
+  if (event.target.closest("#tools, #legend")) return;
+  stage.camera.zoom(2, ...place(event));
+  stage.moved();
+});
+byId("zoom-in").addEventListener("click", () => { stage.camera.zoom(1.6); stage.moved(); });
+byId("zoom-out").addEventListener("click", () => { stage.camera.zoom(1 / 1.6); stage.moved(); });
+byId("fit").addEventListener("click", () => stage.fit());
+byId("view-map").addEventListener("click", () => setView(false));
+byId("view-orbit").addEventListener("click", () => setView(true));
+byId("draw-profile").addEventListener("click", () => setDrawing(!isDrawing));
+on("camera", () => { byId("readout").textContent = ""; });
