@@ -41,6 +41,7 @@ pub use failure::{Cancel, Cause, RunError};
 pub use inputs::Input;
 pub(crate) use inputs::{expand, size, sizes};
 pub use observe::observe;
+pub(crate) use observe::observe_all;
 pub use progress::{Phase, Progress, ProgressMode, ProgressWatch};
 pub use stage_summary::{ItemCounts, Percentiles, StageSummary};
 pub use stream::{Convert, Next, Stream, stream};

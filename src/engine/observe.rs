@@ -12,7 +12,7 @@ use super::chain::{Common, no_thread};
 use super::failure::THREAD_PREFIX;
 use super::worker::Gauge;
 use super::{
-    Cancel, Cause, Input, Options, Progress, ProgressMode, RunError, failure, pool, run_context, schedule,
+    Cancel, Cause, Input, InputSummary, Options, Progress, ProgressMode, RunError, failure, pool, run_context, schedule,
     size,
 };
 use crate::georef::Loader;
@@ -38,14 +38,33 @@ where
     T: Send + 'static,
     L: Fn(&mut T, &ScanLine) -> ControlFlow<()> + Send + Sync + 'static,
 {
+    observe_all(job, input, options, cx, state, look).map(|(state, _)| state)
+}
+
+/// As [`observe`]; also returns the counters and notes of the stages.
+///
+/// # Errors
+/// The first cause, with its stage.
+pub(crate) fn observe_all<T, L>(
+    job: &Job,
+    input: Input,
+    options: &Options,
+    cx: Context,
+    state: T,
+    look: L,
+) -> std::result::Result<(T, InputSummary), RunError>
+where
+    T: Send + 'static,
+    L: Fn(&mut T, &ScanLine) -> ControlFlow<()> + Send + Sync + 'static,
+{
     let cancel = options.cancel.child();
     let state = Arc::new(Mutex::new(Some(state)));
     let probe = Probe { state: Arc::clone(&state), look, cancel: cancel.clone() };
     let options = Options { cancel, observers: Some(Arc::new(One(Arc::new(probe)))), ..options.clone() };
-    let (_, error) = run_one(job, input, &options, cx)?;
+    let (summary, error) = run_one(job, input, &options, cx)?;
     let state = state.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take();
     match (error, state) {
-        (None | Some(RunError { cause: Cause::Interrupted, .. }), Some(state)) => Ok(state),
+        (None | Some(RunError { cause: Cause::Interrupted, .. }), Some(state)) => Ok((state, summary)),
         (Some(error), _) => Err(error),
         (None, None) => Err(no_state()),
     }

@@ -198,8 +198,10 @@ impl Session {
                 ControlFlow::Continue(())
             };
             let input = Input { path, stem };
-            let observed = engine::observe(&job, input, &options, Context::default(), (), look);
-            observed.map_err(|error| error.to_string())?;
+            let observed = engine::observe_all(&job, input, &options, Context::default(), (), look);
+            let ((), summary) = observed.map_err(|error| error.to_string())?;
+            let notes = summary.stages.iter().flat_map(|stage| &stage.notes);
+            notes.for_each(|note| self.warn(note.clone()));
             if self.cancel.is_cancelled() {
                 return Err("interrupted".into());
             }
@@ -248,8 +250,12 @@ impl Session {
         self.placing.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
+    /// Adds a warning for the page, once.
     fn warn(&self, warning: String) {
-        lock(&self.state).1.push(warning);
+        let warnings = &mut lock(&self.state).1;
+        if !warnings.contains(&warning) {
+            warnings.push(warning);
+        }
     }
 
     /// State and warnings.
