@@ -22,7 +22,7 @@ const CLASSES = {
 /** Values around which an attribute diverges. */
 const CENTRES = { deviation_ratio: 0 };
 /** Share of a sequential map that is cut off next to the colour of the background. */
-const CUT = 0.07;
+const CUT = { light: 0.07, dark: 0.13 };
 
 /** Names of LAS classes. */
 const LAS_CLASSES = ["never classified", "unclassified", "ground", "low vegetation", "medium vegetation", "high vegetation",
@@ -41,7 +41,7 @@ export function table(name) {
   const dark = darkScheme.matches;
   const stops = (STOPS[name] || STOPS[`${name} ${dark ? "dark" : "light"}`]).split(" ").map(channels);
   const sequential = name === "viridis" || name === "cividis";
-  const [low, high] = sequential ? (dark ? [CUT, 1] : [0, 1 - CUT]) : [0, 1];
+  const [low, high] = sequential ? (dark ? [CUT.dark, 1] : [0, 1 - CUT.light]) : [0, 1];
   return Uint32Array.from({ length: 256 }, (_, i) => {
     const at = (low + ((high - low) * i) / 255) * (stops.length - 1);
     const stop = Math.min(stops.length - 2, Math.floor(at));

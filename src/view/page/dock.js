@@ -12,6 +12,7 @@ export function openDock(next) {
   byId("dock").hidden = false;
   fill(byId("dock-controls"), ...next.controls);
   setMessage("");
+  next.draw();
   mark();
 }
 

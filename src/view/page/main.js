@@ -22,8 +22,14 @@ const POLL_MS = 700;
 const LOST_MS = 2000;
 let opening = 0;
 
+let timer = 0;
+let isPolling = false;
+
 /** Asks for the state and opens new generations. */
 async function poll() {
+  if (isPolling) return;
+  isPolling = true;
+  clearTimeout(timer);
   let pause = LOST_MS;
   try {
     const info = await getJson("info");
@@ -39,7 +45,8 @@ async function poll() {
   } catch (error) {
     byId("status-text").textContent = error.message;
   }
-  if (pause > 0) setTimeout(poll, pause);
+  isPolling = false;
+  if (pause > 0) timer = setTimeout(poll, pause);
 }
 
 /** Opens a generation; the first one is shown whole. */

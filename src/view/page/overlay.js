@@ -67,7 +67,7 @@ function profileLine(context) {
 
 /** Symbols: colour and shape of each kind of mark. */
 export const SYMBOLS = {
-  found: { name: "accent", shape: "circle", size: 4 },
+  found: { name: "accent", shape: "circle", size: 3.5 },
   marked: { name: "star", shape: "star", size: 7 },
   new: { name: "new", shape: "plus", size: 6 },
   gone: { name: "gone", shape: "cross", size: 5 },
@@ -75,15 +75,19 @@ export const SYMBOLS = {
   selected: { name: "selected", shape: "ring", size: 9 },
 };
 
+/** Number of marks of a kind above which they are smaller. */
+const MANY = 200;
+
 function marks(context) {
-  const put = (kind, position) => {
+  const put = (kind, position, count = 1) => {
     if (!position) return;
     const [x, y, w] = stage.camera.project(relative(position));
-    if (w > 0 && x > -20 && y > -20 && x < stage.camera.width + 20 && y < stage.camera.height + 20) symbol(context, kind, x, y);
+    if (w > 0 && x > -20 && y > -20 && x < stage.camera.width + 20 && y < stage.camera.height + 20) symbol(context, kind, x, y, count > MANY ? 0.6 : 1);
   };
-  for (const { position } of state.found) put("found", position);
+  for (const { position } of state.found) put("found", position, state.found.length);
   for (const kind of ["moved", "gone", "new"]) {
-    for (const { position } of state.comparison?.[kind] || []) put(kind, position);
+    const list = state.comparison?.[kind] || [];
+    for (const { position } of list) put(kind, position, list.length);
   }
   for (const { shot } of state.marks.values()) for (const { position } of shot.returns.slice(0, 1)) put("marked", position);
   const shown = state.changedShot || state.shot;
@@ -95,8 +99,9 @@ function marks(context) {
 }
 
 /** Draws one symbol with a halo. */
-export function symbol(context, kind, x, y) {
-  const { name, shape, size } = SYMBOLS[kind];
+export function symbol(context, kind, x, y, scale = 1) {
+  const { name, shape, size: full } = SYMBOLS[kind];
+  const size = full * scale;
   context.beginPath();
   if (shape === "circle" || shape === "ring") context.arc(x, y, size, 0, 2 * Math.PI);
   else if (shape === "plus") lines(context, [[x - size, y], [x + size, y]], [[x, y - size], [x, y + size]]);
@@ -108,7 +113,7 @@ export function symbol(context, kind, x, y) {
       return [x + radius * Math.cos(angle), y + radius * Math.sin(angle)];
     }), true);
   }
-  stroke(context, colour(name), 2);
+  stroke(context, colour(name), scale < 1 ? 1.3 : 2, scale < 1 ? 1 : 2.5);
   if (shape === "star") {
     context.fillStyle = colour(name);
     context.fill();
@@ -129,10 +134,10 @@ function path(context, corners, isClosed = false) {
 }
 
 /** Draws the current path with a halo in the colour of the stage. */
-function stroke(context, accent, width) {
+function stroke(context, accent, width, halo = 2.5) {
   context.lineJoin = "round";
   context.strokeStyle = colour("stage");
-  context.lineWidth = width + 2.5;
+  context.lineWidth = width + halo;
   context.stroke();
   context.strokeStyle = accent;
   context.lineWidth = width;

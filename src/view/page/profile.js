@@ -150,7 +150,7 @@ function draw() {
   if (frame.right - frame.left < 20 || frame.bottom - frame.top < 20) return;
   drawAxes(context, frame, { range: range[0], label: "distance along the line, m" }, { range: range[1], label: "height, m" });
   const [w, h] = [Math.floor((frame.right - frame.left) * ratio), Math.floor((frame.bottom - frame.top) * ratio)];
-  const image = context.getImageData(Math.round(frame.left * ratio), Math.round(frame.top * ratio), w, h);
+  const image = new ImageData(w, h);
   const pixels = new Uint32Array(image.data.buffer);
   const colours = coloursOf(points.value);
   const side = Math.max(1, Math.round(state.pointSize * ratio));
@@ -161,7 +161,9 @@ function draw() {
     if (x < 0 || y < 0 || x > w - side || y > h - side || colours[i] === 0) continue;
     for (let row = 0, at = y * w + x; row < side; row += 1, at += w) pixels.fill(colours[i], at, at + side);
   }
-  context.putImageData(image, Math.round(frame.left * ratio), Math.round(frame.top * ratio));
+  const layer = make("canvas", { width: w, height: h });
+  layer.getContext("2d").putImageData(image, 0, 0);
+  context.drawImage(layer, frame.left, frame.top, w / ratio, h / ratio);
   for (const each of (state.changedShot || state.shot)?.returns || []) selected(context, frame, each.position);
 }
 

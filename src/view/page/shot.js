@@ -9,7 +9,7 @@ import { stage } from "./stage.js";
 /** Padding of the part of the picture that is shown in the panel, units of the picture. */
 const PAD = 12;
 /** Least size of a unit of the picture, CSS px; a wider picture scrolls. */
-const LEAST_SCALE = 0.72;
+const LEAST_SCALE = 0.6;
 let request = null;
 /** Whether the picture shows the keys of the job although keys are changed. */
 let showsJob = false;
@@ -73,7 +73,8 @@ function show() {
     fill(byId("shot"), failure ? problem(failure) : intro());
     return;
   }
-  byId("shot-title").textContent = shot.title.split(":")[0];
+  // The GPS time is in the line below.
+  byId("shot-title").textContent = shot.title.split(/, GPS time|: \d+ return/)[0].replace(/ of .*[/\\]/, " of ");
   byId("shot-title").title = shot.title;
   byId("shot-about").textContent = about(shot);
   byId("previous-shot").disabled = shot.previous === null;
@@ -147,8 +148,8 @@ function returnsTable(changed) {
   const changes = changed?.difference?.changes || state.shot.returns.map((each) => ({ change: "same", before: each, after: each }));
   if (changes.length === 0) return make("p", {}, "No returns.");
   const columns = changes.map((one) => ({ ...one, shown: one.after || one.before }));
-  const heading = ({ change, shown: each, moved_m: moved }) => make("th", { scope: "col", class: change },
-    make("span", {}, `${each.return_number}`), change === "same" ? null : make("span", { class: `badge ${change}` }, change === "moved" ? `moved ${millimetres(moved)}` : change));
+  const heading = ({ change, shown: each, before, after }) => make("th", { scope: "col", class: change },
+    make("span", {}, `${each.return_number}`), change === "same" ? null : make("span", { class: `badge ${change}` }, change === "moved" ? millimetres(after.range_m - before.range_m) : change));
   const row = ([label, unit, text]) => make("tr", {}, make("th", { scope: "row" }, label, unit ? make("span", { class: "faint" }, `, ${unit}`) : null),
     ...columns.map(({ change, shown: each }) => make("td", { class: change }, text(each))));
   const hasPositions = columns.some(({ shown: each }) => each.position);
@@ -164,7 +165,8 @@ function returnsTable(changed) {
 }
 
 function millimetres(metres) {
-  return `${metres >= 0 ? "+" : "−"}${significant(Math.abs(metres * 1000), 2)}\u202fmm`;
+  if (!Number.isFinite(metres)) return "moved";
+  return `moved ${metres >= 0 ? "+" : "−"}${significant(Math.abs(metres * 1000), 2)}\u202fmm`;
 }
 
 function instrumentTable({ instrument }) {

@@ -22,11 +22,12 @@ const brightness = make("select", { "aria-label": "Brightness", change: () => {
   gamma = Number(brightness.value);
   paint();
 } }, make("option", { value: 1 }, "linear"), make("option", { value: 0.5, selected: true }, "square root"), make("option", { value: 0.3 }, "weak echoes"));
+const dots = make("input", { type: "checkbox", checked: true, change: () => draw() });
 const scale = make("span", { class: "scale" });
 
 const content = {
   name: "line",
-  controls: [scale, make("label", {}, "Brightness ", brightness)],
+  controls: [scale, make("label", {}, "Brightness ", brightness), make("label", { class: "check" }, dots, "Returns")],
   draw,
   close() {
     request?.abort();
@@ -113,7 +114,7 @@ async function load() {
 /** Grey values of a picture. */
 function grey(image) {
   const canvas = make("canvas", { width: image.width, height: image.height });
-  const context = canvas.getContext("2d");
+  const context = canvas.getContext("2d", { willReadFrequently: true });
   context.drawImage(image, 0, 0);
   const { data } = context.getImageData(0, 0, image.width, image.height);
   return Uint8Array.from({ length: data.length / 4 }, (_, i) => data[4 * i]);
@@ -151,8 +152,8 @@ function draw() {
   const [top, bottom] = whole().map(y);
   context.drawImage(picture, frame.left, top, wide, bottom - top);
   context.fillStyle = colour("gone");
-  const side = Math.max(2, Math.min(4, column));
-  for (const each of line.returns) {
+  const side = Math.max(1.5, Math.min(3, column / 2));
+  for (const each of dots.checked ? line.returns : []) {
     context.fillRect(frame.left + (each.column + 0.5) * column - side / 2, y(each.time_of_flight_ns) - side / 2, side, side);
   }
   const at = line.shots.indexOf(state.selected?.shot);

@@ -8,13 +8,15 @@ import { symbol } from "./overlay.js";
 import { stage } from "./stage.js";
 
 const page = byId("page-what-if");
+/** Ranges of the sliders of keys that have no limits of their own. */
+const USUAL = { detection_sigma: [1, 40], split_evidence: [4, 100], template_error: [0.0005, 0.1] };
 const summary = make("div", { id: "difference", role: "status" });
 const results = make("div", { id: "comparison" });
 const controls = new Map();
 let request = null;
-const lineButton = make("button", { click: () => compare("line") }, "Compare the scan line");
-const partButton = make("button", { click: () => compare("part") }, "Compare the visible part");
-const resetButton = make("button", { click: reset }, "Reset all");
+const lineButton = make("button", { click: () => compare("line"), title: "Decompose the scan line of the shot with both sets of keys" }, "Compare line");
+const partButton = make("button", { click: () => compare("part"), title: "Decompose the visible part of the map with both sets of keys" }, "Compare visible");
+const resetButton = make("button", { click: reset }, "Reset");
 const copyButton = make("button", { click: copyJob, title: "Copy the job with the changed keys" }, "Copy as job");
 const saveButton = make("button", { click: saveJob, title: "Save the job with the changed keys" }, "Save job");
 
@@ -32,9 +34,19 @@ function valueOf(key) {
   return state.changedKeys.get(key.key) ?? key.value;
 }
 
+/** Name of a key without its stage. */
+function nameOf(key) {
+  return key.key.slice(key.key.lastIndexOf(".") + 1);
+}
+
+/** Ends of the slider of a key; null: it has none. */
+function ends(key) {
+  if (Number.isFinite(key.min) && Number.isFinite(key.max)) return [key.min, key.max];
+  return USUAL[nameOf(key)] || null;
+}
+
 /** Position of a slider, 0 to 1000, for a value. Wide ranges are logarithmic. */
-function slider(key) {
-  const [low, high] = [key.min, key.max];
+function slider([low, high]) {
   const isLog = low > 0 && high / low >= 50;
   const [from, to] = isLog ? [Math.log(low), Math.log(high)] : [low, high];
   return {
@@ -57,23 +69,44 @@ function inputs(key) {
     const list = make("select", { id, change: () => set(key, key.choices.find((one) => String(one) === list.value)) }, ...key.choices.map((one) => make("option", { value: one }, String(one))));
     return { id, elements: [list], show: (value) => { list.value = String(value); } };
   }
+  if (key.kind === "text") {
+    const box = make("input", { type: "text", id, spellcheck: "false", autocomplete: "off", input: debounced(300, () => {
+      if (box.value.trim() !== "") set(key, box.value.trim());
+    }) });
+    return { id, elements: [box], show: (value) => { if (document.activeElement !== box || box.value.trim() !== value) box.value = value; } };
+  }
   const number = make("input", { type: "number", id, min: key.min, max: key.max, step: "any", input: () => {
     if (number.value !== "" && number.checkValidity()) set(key, Number(number.value));
   } });
-  if (!Number.isFinite(key.min) || !Number.isFinite(key.max)) return { id, elements: [number], show: (value) => { if (document.activeElement !== number) number.value = value ?? ""; } };
-  const { place, value: at } = slider(key);
-  const range = make("input", { type: "range", min: 0, max: 1000, "aria-label": key.label, input: () => set(key, at(Number(range.value))) });
+  const showNumber = (value) => { if (document.activeElement !== number || Number(number.value) !== value) number.value = value ?? ""; };
+  const limits = ends(key);
+  if (!limits) return { id, elements: [number], show: showNumber };
+  const { place, value: at } = slider(limits);
+  const range = make("input", { type: "range", min: 0, max: 1000, "aria-label": labelOf(key), input: () => set(key, at(Number(range.value))) });
   return { id, elements: [range, number], show: (value) => {
-    if (document.activeElement !== number || Number(number.value) !== value) number.value = value ?? "";
-    range.value = place(value ?? key.min);
+    showNumber(value);
+    range.value = place(value ?? limits[0]);
   } };
+}
+
+function labelOf({ label }) {
+  return label.charAt(0).toUpperCase() + label.slice(1);
+}
+
+/** Help without the marks of code. */
+function plain(help) {
+  return help.replaceAll("`", "");
+}
+
+function firstSentence(text) {
+  return text.match(/^.*?\.(?=\s[A-Z]|$)/s)?.[0] ?? text;
 }
 
 function control(key) {
   const { id, elements, show } = inputs(key);
   const note = make("button", { class: "job-value", title: "Back to the key of the job", click: () => set(key, key.value) });
-  const element = make("div", { class: "key" }, make("label", { for: id, title: key.help }, key.label, key.unit ? make("span", { class: "faint" }, `, ${key.unit}`) : null),
-    make("div", { class: "inputs" }, ...elements), note, make("p", { class: "faint help" }, key.help));
+  const element = make("div", { class: "key" }, make("label", { for: id, title: plain(key.help) }, labelOf(key), key.unit ? make("span", { class: "faint" }, `, ${key.unit}`) : null),
+    make("div", { class: "inputs" }, ...elements), note, make("p", { class: "faint help", title: plain(key.help) }, firstSentence(plain(key.help))));
   controls.set(key.key, { key, element, note, show });
   return element;
 }
@@ -145,6 +178,7 @@ async function compare(what) {
     const answer = await getJson("compare", params, request.signal);
     state.comparison = answer;
     showComparison(answer, what);
+    results.scrollIntoView({ block: "nearest" });
     emit("compared");
   } catch (error) {
     if (error.name !== "AbortError") fill(results, problem(error.message));
@@ -217,9 +251,8 @@ function build() {
   if (page.dataset.keys === names) return;
   page.dataset.keys = names;
   controls.clear();
-  fill(page, summary, make("div", { class: "keys" }, ...keys.map(control)),
-    make("div", { class: "bar wrap" }, lineButton, partButton, resetButton), results,
-    make("div", { class: "bar wrap" }, copyButton, saveButton));
+  fill(page, summary, make("div", { class: "keys" }, ...keys.map(control)), results,
+    make("div", { class: "bar wrap actions" }, lineButton, partButton, copyButton, saveButton, resetButton));
   if (keys.length === 0) fill(page, make("p", {}, "This input has no waveforms that could be decomposed again."));
   showKeys();
 }
