@@ -8,7 +8,7 @@ import { coloursOf, colouring, plainColours } from "./colours.js";
 import { state } from "./state.js";
 
 /** Side of a square below which it is not drawn, pixels per pixel of the size of a point. */
-const LEAST_SIDE_PX = 60;
+const LEAST_SIDE_PX = 40;
 /** Number of nodes that are loaded at a time. */
 const AT_ONCE = 3;
 /** Points of one request. */

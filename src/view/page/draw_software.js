@@ -22,6 +22,7 @@ export class SoftwarePainter {
 
   /** Starts a picture. */
   begin(camera, background, size) {
+    this.background = background;
     this.pixels.fill(background);
     this.depth.fill(-1e30);
     this.camera = camera;
@@ -30,15 +31,46 @@ export class SoftwarePainter {
     this.size = Math.max(1, Math.round(size));
   }
 
-  /** Draws the points of a node. */
-  draw(node) {
-    const { pixels, depth, target, size, projection, camera } = this;
+  /**
+   * Moves the picture by whole pixels after the camera was panned from above; returns the rectangles
+   * to draw: left, top, right, bottom.
+   */
+  slide(dx, dy) {
+    const { pixels, depth, background, size } = this;
     const { width, height } = this.canvas;
+    const offset = dy * width + dx;
+    const [from, to] = [Math.max(0, -offset), Math.max(0, offset)];
+    const count = Math.max(0, width * height - Math.abs(offset));
+    for (const [numbers, empty] of [[pixels, background], [depth, -1e30]]) {
+      numbers.copyWithin(to, from, from + count);
+      const clear = (left, top, right, bottom) => {
+        for (let y = top; y < bottom; y += 1) numbers.fill(empty, y * width + left, y * width + right);
+      };
+      if (dy > 0) clear(0, 0, width, Math.min(height, dy));
+      if (dy < 0) clear(0, Math.max(0, height + dy), width, height);
+      if (dx > 0) clear(0, 0, Math.min(width, dx), height);
+      if (dx < 0) clear(Math.max(0, width + dx), 0, width, height);
+    }
+    this.target = [...this.camera.target];
+    // Points at the borders were cut: they are drawn again, which changes nothing else.
+    const parts = [];
+    if (dy > 0) parts.push([0, 0, width, dy + size]);
+    if (dy < 0) parts.push([0, height + dy - size, width, height]);
+    if (dx > 0) parts.push([0, 0, dx + size, height]);
+    if (dx < 0) parts.push([width + dx - size, 0, width, height]);
+    return parts.map(([left, top, right, bottom]) => [Math.max(0, left), Math.max(0, top), Math.min(width, right), Math.min(height, bottom)]);
+  }
+
+  /** Draws the points of a node, within a rectangle: left, top, right, bottom. */
+  draw(node, clip = [0, 0, this.canvas.width, this.canvas.height]) {
+    const { pixels, depth, target, size, projection, camera } = this;
+    const { width } = this.canvas;
+    const [left, top] = clip;
     const { xyz, count } = node;
     const colours = nodeColours(node);
     const [tx, ty, tz] = target;
     const half = (size - 1) / 2;
-    const [right, bottom] = [width - size + 1, height - size + 1];
+    const [right, bottom] = [clip[2] - size + 1, clip[3] - size + 1];
     const { x: [x0, x1, x2, x3], y: [y0, y1, y2, y3], w: [w0, w1, w2], near, } = projection;
     const { isOrbit } = camera;
     for (let i = 0, j = 0; i < count; i += 1, j += 3) {
@@ -58,7 +90,7 @@ export class SoftwarePainter {
         u = x0 * a + x3 - half;
         v = y1 * b + y3 - half;
       }
-      if (!(u >= 0 && v >= 0 && u < right && v < bottom)) continue;
+      if (!(u >= left && v >= top && u < right && v < bottom)) continue;
       const colour = colours[i];
       if (colour === 0) continue;
       let at = (v | 0) * width + (u | 0);

@@ -86,8 +86,8 @@ function move(event) {
     emit("profile-line", { from, to, isDone: false });
     return;
   }
-  if (gesture.kind === "turn") stage.camera.turn(dx * TURN_PER_PX, dy * TURN_PER_PX);
-  else stage.camera.pan(dx, dy);
+  if (gesture.kind !== "turn") return stage.pan(dx, dy);
+  stage.camera.turn(dx * TURN_PER_PX, dy * TURN_PER_PX);
   stage.moved();
 }
 
@@ -139,7 +139,10 @@ export function stageKey(event) {
   if (arrows[event.key] && document.activeElement === element) {
     const [dx, dy] = arrows[event.key];
     if (turns) camera.turn(dx * 0.1, -dy * 0.1);
-    else camera.pan(dx * step, dy * step);
+    else {
+      stage.pan(dx * step, dy * step);
+      return true;
+    }
   } else if (event.key === "+" || event.key === "=") camera.zoom(1.4);
   else if (event.key === "-") camera.zoom(1 / 1.4);
   else if (event.key === "0") stage.fit();

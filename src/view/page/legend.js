@@ -45,6 +45,8 @@ export function nextAttribute() {
 }
 
 function update() {
+  // Before the first points there is nothing to colour.
+  if (state.info.attributes.length === 0) return;
   recolour();
   show();
   stage.redraw();
@@ -110,4 +112,4 @@ on("info", () => {
   // While reading, ranges follow the points; later they stay.
   update();
 });
-on("scheme", update);
+on("scheme", () => { if (state.info) update(); });

@@ -61,8 +61,12 @@ async function open(generation) {
     if (error.status !== 410) announce(error.message, true);
     return;
   }
-  if (isFirst || !hasMoved) stage.fit();
+  const bounds = JSON.stringify([state.info.min, state.info.max]);
+  if (isFirst || (!hasMoved && bounds !== shownBounds)) stage.fit();
+  shownBounds = bounds;
 }
+
+let shownBounds = "";
 
 /** Whether the user has chosen what the map shows; until then it shows all points. */
 let hasMoved = false;

@@ -41,6 +41,9 @@ class Stage {
     this.drawn = [];
     this.pointsDrawn = 0;
     this.isFresh = false;
+    /** Movement of the picture since the last frame, and fractions of pixels that are left, px. */
+    this.slid = [0, 0];
+    this.fraction = [0, 0];
     this.movedAt = -Infinity;
     this.scheduled = false;
     /** Measured speed, points per ms, and times of the last frames. */
@@ -126,6 +129,43 @@ class Stage {
     emit("camera");
   }
 
+  /** Moves the picture by pixels; from above, what is drawn is kept. */
+  pan(dx, dy) {
+    if (this.camera.isOrbit || !this.painter.slide || this.isFresh || !this.wanted) {
+      this.camera.pan(dx, dy);
+      this.moved();
+      return;
+    }
+    const whole = [dx, dy].map((by, i) => Math.round(by + this.fraction[i]));
+    this.fraction = [dx, dy].map((by, i) => by + this.fraction[i] - whole[i]);
+    this.camera.pan(...whole);
+    this.slid = this.slid.map((by, i) => by + whole[i]);
+    this.movedAt = performance.now();
+    this.isMoving = true;
+    this.schedule();
+    emit("camera");
+  }
+
+  /** Slides the picture and draws what has come into view. */
+  slide() {
+    const parts = this.painter.slide(...this.slid);
+    this.slid = [0, 0];
+    const kept = new Set(this.drawn);
+    this.choose();
+    this.queue = this.queue.filter((node) => !kept.has(node));
+    this.drawn = this.wanted.filter((node) => kept.has(node));
+    this.pointsDrawn = this.drawn.reduce((sum, node) => sum + node.count, 0);
+    const { camera } = this;
+    for (const node of this.drawn) {
+      const [left, bottom] = camera.project([...node.low, 0]);
+      const side = node.side / camera.scale;
+      for (const part of parts) {
+        if (left < part[2] && left + side > part[0] && bottom - side < part[3] && bottom > part[1]) this.painter.draw(node, part);
+      }
+    }
+    this.wasCleared = true;
+  }
+
   /** Moves the camera to a position, keeping its scale. */
   centre(position) {
     this.camera.target = [...position];
@@ -154,6 +194,7 @@ class Stage {
     const started = performance.now();
     const limit = this.isMoving ? MOVING_MS * this.slack : RESTING_MS;
     if (this.isFresh) this.begin();
+    else if (this.slid[0] !== 0 || this.slid[1] !== 0) this.slide();
     let points = 0;
     const most = this.isMoving ? Math.max(30_000, this.speed * limit) : Infinity;
     while (this.queue.length > 0) {
@@ -180,14 +221,20 @@ class Stage {
     emit("frame");
   }
 
+  /** Chooses the nodes of the view. */
+  choose() {
+    this.wanted = this.cloud.choose(this.camera, state.pointLimit);
+    this.next?.choose(this.camera, state.pointLimit);
+    this.queue = this.wanted.filter((node) => node.xyz !== null);
+  }
+
   /** Starts a picture: chooses its nodes and clears the canvas. */
   begin() {
     this.isFresh = false;
     this.keepsOld = !this.isMoving && this.pointsDrawn > 0;
     this.begunAt = performance.now();
-    this.wanted = this.cloud.choose(this.camera, state.pointLimit);
-    this.next?.choose(this.camera, state.pointLimit);
-    this.queue = this.wanted.filter((node) => node.xyz !== null);
+    this.slid = [0, 0];
+    this.choose();
     this.drawn = [];
     this.pointsDrawn = 0;
     this.wasCleared = true;
