@@ -101,6 +101,12 @@ impl Explained {
         table::table(self)
     }
 
+    /// Number and time of the shot, name of the recording, counts of returns and blocks.
+    pub(crate) fn title(&self) -> String {
+        let name = std::path::Path::new(&self.file).file_name();
+        table::title(self, &name.map_or_else(|| self.file.clone(), |name| name.to_string_lossy().into_owned()))
+    }
+
     /// Samples, fit and residuals as SVG.
     pub(crate) fn picture(&self) -> String {
         picture::draw(self)

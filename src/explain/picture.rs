@@ -1,6 +1,6 @@
 //! Picture of a shot: samples with fit, residuals, and the outgoing pulse.
 
-use super::{Explained, table};
+use super::Explained;
 use crate::report::panel::{FAR_LABEL, Panels, dots};
 use crate::report::svg::{Anchor, Scale, Svg};
 use crate::stage::{CURVE_POINTS_PER_SAMPLE, FittedBlock};
@@ -38,11 +38,11 @@ pub(super) fn draw(explained: &Explained) -> String {
     let beside = if explained.outgoing.is_some() { LEFT + OUTGOING_WIDTH + 40.0 } else { LEFT };
     legend(&mut svg, beside);
     returns(&mut svg, explained, beside + 204.0);
-    svg.finish((right + RIGHT).round(), HEIGHT, &table::title(explained, &name(explained)))
+    svg.finish((right + RIGHT).round(), HEIGHT, &explained.title())
 }
 
 fn header(svg: &mut Svg, explained: &Explained) {
-    svg.text("title", [LEFT, 32.0], Anchor::Start, &table::title(explained, &name(explained)));
+    svg.text("title", [LEFT, 32.0], Anchor::Start, &explained.title());
     let fit = |block: &FittedBlock| {
         format!(
             "{} power: chi-square {:.1} with {} degrees of freedom",
@@ -51,12 +51,6 @@ fn header(svg: &mut Svg, explained: &Explained) {
     };
     let fits: Vec<String> = explained.blocks.iter().map(|block| fit(&block.shown)).collect();
     svg.text("note", [LEFT, 54.0], Anchor::Start, &fits.join(" · "));
-}
-
-/// File name of the recording without its folder.
-fn name(explained: &Explained) -> String {
-    let path = std::path::Path::new(&explained.file);
-    path.file_name().map_or_else(|| explained.file.clone(), |name| name.to_string_lossy().into_owned())
 }
 
 /// Draws the panel of the outgoing pulse.

@@ -68,31 +68,29 @@ pub(super) fn info(session: &Session) -> Value {
         "attributes": [],
     });
     if let Some(placing) = session.placing() {
-        let of_tree = points.in_tree();
-        let origin_m = placing.origin_m;
-        let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-        for node in points.nodes() {
-            for point in &of_tree[node.points.clone()] {
-                for i in 0..3 {
-                    low[i] = low[i].min(f64::from(point.position_m[i]) + origin_m[i]);
-                    high[i] = high[i].max(f64::from(point.position_m[i]) + origin_m[i]);
-                }
-            }
-            // The root is a sample of all points, and the next levels have the rest of the border.
-            if node.level > 2 {
-                break;
-            }
-        }
         let axis = |name: &str| format!("{name}, {}", placing.unit);
         info["crs"] = placing.crs.clone().into();
         info["axes"] = json!([axis("east"), axis("north"), "height, m"]);
-        info["origin"] = json!(origin_m);
-        info["min"] = json!(low);
-        info["max"] = json!(high);
-        let described = ATTRIBUTES.iter().filter_map(|attribute| attribute.describe(of_tree, origin_m[2]));
-        info["attributes"] = described.collect::<Vec<Value>>().into();
+        info["origin"] = json!(placing.origin_m);
+        let described = session.described(points.generation(), || describe(&points, placing.origin_m));
+        for (key, value) in described.as_object().into_iter().flatten() {
+            info[key] = value.clone();
+        }
     }
     info
+}
+
+/// Bounds and attributes of the points in the tree.
+fn describe(points: &Points, origin_m: [f64; 3]) -> Value {
+    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    for point in points.in_tree() {
+        for i in 0..3 {
+            low[i] = low[i].min(f64::from(point.position_m[i]) + origin_m[i]);
+            high[i] = high[i].max(f64::from(point.position_m[i]) + origin_m[i]);
+        }
+    }
+    let attributes = ATTRIBUTES.iter().filter_map(|of| of.describe(points.in_tree(), origin_m[2]));
+    json!({ "min": low, "max": high, "attributes": attributes.collect::<Vec<Value>>() })
 }
 
 /// Checks that the points are still those of a generation.

@@ -6,6 +6,8 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard};
 
+use serde_json::Value;
+
 use crate::engine::{self, Cancel, Input, Options, ProgressWatch};
 use crate::job::Job;
 use crate::report::overview::view::{MapAxes, View, crs_name};
@@ -110,6 +112,8 @@ pub(super) struct Session {
     pub(super) inputs: Vec<ViewedInput>,
     /// Jobs by which shots were decomposed last.
     chosen: Mutex<VecDeque<Arc<Chosen>>>,
+    /// Description of the points of a generation.
+    described: Mutex<(u32, Value)>,
     /// Rasters of the survey.
     pub(super) layers: Vec<Layer>,
     points: RwLock<Points>,
@@ -149,6 +153,7 @@ impl Session {
         let (layers, warnings) = opened.folder.as_deref().map(Layer::of_folder).unwrap_or_default();
         Ok(Session {
             layers,
+            described: Mutex::default(),
             chosen: Mutex::default(),
             points: RwLock::new(Points::within(opened.memory_bytes)),
             inputs: inputs.into_iter().take(usize::from(u16::MAX)).map(viewed).collect(),
@@ -172,11 +177,16 @@ impl Session {
             0 => State::Failed("the recording has no returns; lower the detection threshold".into()),
             _ => State::Ready,
         };
-        // The index is ready when the first point is selected.
+        // The index of each input is ready when the first point is selected.
         for number in 0..self.inputs.len() {
             if let Err(problem) = self.with_lines(number, |_| Ok(())) {
                 self.warn(problem);
             }
+        }
+        // So are the tables of its sensor. A shot without echoes has no fit, but they are made.
+        let first = self.points().in_tree().first().map(|point| (usize::from(point.input), point.shot));
+        if let Some((input, shot)) = first {
+            let _ = super::shots::shot(self, input, shot, &[]);
         }
         lock(&self.state).0 = state;
     }
@@ -244,6 +254,15 @@ impl Session {
 
     pub(super) fn points(&self) -> RwLockReadGuard<'_, Points> {
         self.points.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Description of the points of a generation, made by `describe` once.
+    pub(super) fn described(&self, generation: u32, describe: impl FnOnce() -> Value) -> Value {
+        let mut described = lock(&self.described);
+        if described.0 != generation {
+            *described = (generation, describe());
+        }
+        described.1.clone()
     }
 
     pub(super) fn placing(&self) -> Option<Placing> {

@@ -91,7 +91,7 @@ pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -
         let table = explained.table();
         Ok(json!({
             "input": input, "shot": shot, "gps_time_s": number_or_null(explained.emission.gps_time_s),
-            "title": table.lines().next().unwrap_or_default(), "text": table, "svg": explained.picture(),
+            "title": explained.title(), "text": table, "svg": explained.picture(),
             "line": of_line, "previous": previous, "next": next,
             "returns": after.iter().map(return_value).collect::<Vec<Value>>(),
             "instrument": online, "blocks": blocks, "difference": difference,

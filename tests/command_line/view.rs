@@ -246,3 +246,53 @@ fn a_recording_that_cannot_be_read_to_its_end_says_so_on_the_page() {
     assert_eq!(info["state"], "failed");
     assert!(info["error"].as_str().unwrap().contains("cut.arrow"), "{info}");
 }
+
+#[test]
+fn the_folder_of_a_survey_has_its_strips_and_rasters() {
+    let place = TestFolder::new();
+    for (seed, strip) in [(1, "a"), (2, "b")] {
+        let job = format!(
+            "[[stage]]\ntype = 'simulate'\nstem = '{strip}'\nlines = 20\nshots_per_line = 200\nseed = {seed}\n\
+             scene_seed = 7\n[[stage]]\ntype = 'write_arrow'\npath = 'lines/*.arrow'\n"
+        );
+        assert_eq!(place.run(&job), Outcome::success());
+    }
+    place.write(
+        "survey.toml",
+        b"[job]\noutput_dir = 'survey'\nsurvey_page = true\n\
+          [[stage]]\ntype = 'read_arrow'\npath = 'out/lines/*.arrow'\n\
+          [[stage]]\ntype = 'calibrate'\nwaveforms = 2000\n\
+          [[stage]]\ntype = 'decompose'\n\
+          [[stage]]\ntype = 'georeference'\n\
+          [[stage]]\ntype = 'write_las'\npath = '*.las'\n",
+    );
+    let run = place.wavex(&["--quiet", "run", "survey.toml"]);
+    assert_eq!(run.code, Some(0), "{}", run.err);
+    let view = view(&place, &["survey"]);
+    let info = view.ready();
+    assert_eq!(info["error"], Value::Null, "{info}");
+    let names: Vec<&str> =
+        info["inputs"].as_array().unwrap().iter().map(|input| input["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["a", "b"]);
+    let input = info["attributes"].as_array().unwrap().iter().find(|one| one["name"] == "input").unwrap();
+    assert_eq!(input["values"], serde_json::json!([0.0, 1.0]));
+    let layers = info["layers"].as_array().unwrap();
+    assert_eq!(layers.iter().filter(|layer| layer["diverging"] == true).count(), 1, "{layers:?}");
+    for layer in layers {
+        let picture = view.ask(&format!("layer?name={}", layer["name"].as_str().unwrap()));
+        assert_eq!((picture.status, &picture.body[1..4]), (200, b"PNG".as_slice()));
+        // The raster covers the points.
+        assert!(layer["min"][0].as_f64() < info["max"][0].as_f64());
+        assert!(layer["max"][1].as_f64() > info["min"][1].as_f64());
+    }
+    for input in [0, 1] {
+        let found = view.json(&format!(
+            "find?generation={}&sort=amplitude_dn&where=input%3D{input}&limit=3",
+            info["generation"]
+        ));
+        let first = &found["found"][0];
+        assert_eq!(first["input"].as_u64(), Some(input));
+        let shot = view.json(&format!("shot?input={input}&shot={}", first["shot"]));
+        assert!(!shot["returns"].as_array().unwrap().is_empty());
+    }
+}

@@ -134,23 +134,17 @@ fn slow_and_many_clients_do_not_stop_the_others() {
         })
         .collect();
     assert_eq!(viewer.ask("info").status, 200);
+    let paths = ["shot?input=0&shot=7", "line?input=0&shot=300"];
+    let client = &viewer;
     let replies: Vec<u16> = std::thread::scope(|scope| {
-        let one = |i: usize| {
-            let path = if i % 2 == 0 {
-                "shot?input=0&shot=7".to_owned()
-            } else {
-                "line?input=0&shot=300".to_owned()
-            };
-            viewer.ask(&path).status
-        };
-        let one = &one;
-        let running: Vec<_> = (0..100).map(|i| scope.spawn(move || one(i))).collect();
+        let ask = |i: usize| scope.spawn(move || client.ask(paths[i % 2]).status);
+        let running: Vec<_> = (0..100).map(ask).collect();
         running.into_iter().map(|thread| thread.join().unwrap()).collect()
     });
     assert_eq!(replies, vec![200; 100]);
     // A client that does not read its answer.
     let mut deaf = TcpStream::connect(&viewer.host).unwrap();
-    let request = format!("GET /{}/three.min.js HTTP/1.1\r\nhost: {}\r\n\r\n", viewer.token, viewer.host);
+    let request = format!("GET /{}/main.js HTTP/1.1\r\nhost: {}\r\n\r\n", viewer.token, viewer.host);
     deaf.write_all(request.repeat(50).as_bytes()).unwrap();
     assert_eq!(viewer.ask("info").status, 200);
     drop(slow);
