@@ -76,10 +76,10 @@ export class WebglPainter {
     node.buffers ??= this.upload(node);
     const colours = nodeColours(node);
     gl.bindVertexArray(node.buffers.array);
-    if (node.buffers.version !== node.coloursVersion) {
+    if (node.buffers.coloured !== node.coloured) {
       gl.bindBuffer(gl.ARRAY_BUFFER, node.buffers.colours);
       gl.bufferData(gl.ARRAY_BUFFER, colours, gl.STATIC_DRAW);
-      node.buffers.version = node.coloursVersion;
+      node.buffers.coloured = node.coloured;
     }
     gl.drawArrays(gl.POINTS, 0, node.count);
   }
@@ -103,7 +103,7 @@ export class WebglPainter {
       gl.deleteBuffer(colours);
       node.buffers = undefined;
     };
-    return { array, colours, version: -1 };
+    return { array, colours, coloured: -1 };
   }
 
   present() {

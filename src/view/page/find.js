@@ -77,6 +77,7 @@ async function search() {
     if (answer.found.length > 0) go(0);
   } catch (error) {
     if (error.name === "AbortError") return;
+    if (error.status === 410) emit("loading-failed", error);
     state.found = [];
     emit("found");
     fill(results, problem(error.message));

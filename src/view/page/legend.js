@@ -96,7 +96,11 @@ byId("attribute").addEventListener("change", (event) => setAttribute(event.targe
 fill(byId("colour-map"), ...MAPS.map((name) => make("option", {}, name)));
 byId("colour-map").addEventListener("change", (event) => change({ map: event.target.value }));
 byId("range-reset").addEventListener("click", () => change(null));
+/** Sizes for few points, until the user chooses one: limit of the number of points, and size, px. */
+const SIZES = [[5_000, 4], [50_000, 3], [Infinity, 2]];
+let isSizeChosen = false;
 byId("point-size").addEventListener("input", (event) => {
+  isSizeChosen = true;
   state.pointSize = Number(event.target.value);
   stage.redraw();
   emit("colours");
@@ -109,7 +113,10 @@ byId("drawing").textContent = stage.painterName === "WebGL" ? "Drawn by WebGL." 
 
 on("info", () => {
   fillList();
-  // While reading, ranges follow the points; later they stay.
+  if (!isSizeChosen) {
+    state.pointSize = SIZES.find(([limit]) => state.info.points < limit)[1];
+    byId("point-size").value = state.pointSize;
+  }
   update();
 });
 on("scheme", () => { if (state.info) update(); });

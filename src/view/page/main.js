@@ -40,8 +40,8 @@ async function poll() {
       || JSON.stringify(before.keys) !== JSON.stringify(info.keys) || (before.layers || []).length !== (info.layers || []).length;
     if (changed) emit("info");
     showStatus();
-    if (info.generation > 0 && info.generation !== opening) await open(info.generation);
-    pause = info.state === "reading" ? POLL_MS : 0;
+    const isOpen = info.generation === 0 || info.generation === opening || (await open(info.generation));
+    pause = info.state === "reading" || !isOpen ? POLL_MS : 0;
   } catch (error) {
     byId("status-text").textContent = error.message;
   }
@@ -49,7 +49,7 @@ async function poll() {
   if (pause > 0) timer = setTimeout(poll, pause);
 }
 
-/** Opens a generation; the first one is shown whole. */
+/** Opens a generation; the first one is shown whole. Whether it could be opened. */
 async function open(generation) {
   opening = generation;
   const isFirst = stage.cloud === null;
@@ -59,11 +59,12 @@ async function open(generation) {
     // The generation may have been replaced since.
     opening = 0;
     if (error.status !== 410) announce(error.message, true);
-    return;
+    return false;
   }
   const bounds = JSON.stringify([state.info.min, state.info.max]);
   if (isFirst || (!hasMoved && bounds !== shownBounds)) stage.fit();
   shownBounds = bounds;
+  return true;
 }
 
 let shownBounds = "";

@@ -251,7 +251,8 @@ async function clickPoint(index) {
     if (!["shot", "what-if"].includes(document.body.dataset.tab)) emit("open-tab", "shot");
     select(point.input, point.shot, point.return_number);
   } catch (error) {
-    announce(error.message, true);
+    if (error.status === 410) emit("loading-failed", error);
+    else announce(error.message, true);
   }
 }
 

@@ -217,7 +217,7 @@ class Stage {
       this.canvasShown += 1;
     }
     if (this.isMoving || this.queue.length > 0) this.schedule();
-    else if (wasMoving) this.rest();
+    else this.rest(wasMoving);
     emit("frame");
   }
 
@@ -245,8 +245,8 @@ class Stage {
   }
 
   /** The camera rests: points left out are drawn; enlarged points get their size again. */
-  rest() {
-    if (this.isThin) this.redraw();
+  rest(wasMoving) {
+    if (wasMoving && this.isThin) this.redraw();
     emit("rest");
   }
 

@@ -5,7 +5,7 @@ import { table } from "./colours.js";
 import { drawAxes } from "./axes.js";
 import { closeDock, isDocked, openDock, placeInDock, setMessage, setTitle } from "./dock.js";
 import { byId, colour, fitted, make } from "./elements.js";
-import { count, significant } from "./format.js";
+import { significant } from "./format.js";
 import { on, select, state } from "./state.js";
 
 const MARGIN = { left: 62, top: 8, right: 12, bottom: 38 };
@@ -101,7 +101,7 @@ async function load() {
     line = { ...answer, input, grey: grey(image) };
     times = whole();
     setMessage("");
-    setTitle(`Scan line ${line.line}: ${count(line.width)} shots from ${count(line.first_shot)}`);
+    setTitle(`Scan line ${line.line}`);
     paint();
   } catch (error) {
     if (error.name === "AbortError") return;
@@ -130,7 +130,8 @@ function paint() {
   const image = context.createImageData(line.width, line.height);
   new Uint32Array(image.data.buffer).set(Uint32Array.from(line.grey, (value) => shades[value]));
   context.putImageData(image, 0, 0);
-  scale.textContent = `0 to ${significant(line.highest_dn)} DN above the background`;
+  scale.textContent = `0 to ${significant(line.highest_dn)} DN`;
+  scale.title = "Amplitude above the background, from dark to bright";
   draw();
 }
 
