@@ -1,23 +1,20 @@
 // The selected shot: its picture, returns, the instrument's own returns, and the fit of its blocks.
 
 import { getJson } from "./api.js";
-import { announce, byId, download, fill, make, problem } from "./elements.js";
+import { announce, byId, debounced, download, fill, make, problem } from "./elements.js";
 import { counted, fixed, significant, withSd } from "./format.js";
 import { emit, on, overrides, relative, select, state } from "./state.js";
+import { showPanels, showWhole } from "./picture.js";
 import { stage } from "./stage.js";
 
-/** Padding of the part of the picture that is shown in the panel, units of the picture. */
-const PAD = 12;
-/** Least size of a unit of the picture, CSS px; a wider picture scrolls. */
-const LEAST_SCALE = 0.6;
 let request = null;
 /** Whether the picture shows the keys of the job although keys are changed. */
 let showsJob = false;
 let failure = null;
 
-/** Width to ask the server to draw for, CSS px. */
+/** Width of the picture in the panel, CSS px. */
 function pictureWidth() {
-  return Math.max(360, Math.min(900, Math.round(byId("panel").clientWidth - 26)));
+  return Math.max(320, byId("panel").clientWidth - 26);
 }
 
 /** Loads a shot, and once more with the changed keys if there are any. */
@@ -31,7 +28,7 @@ async function load({ move = false } = {}) {
   try {
     const isLoaded = state.shot && state.shot.input === input && state.shot.shot === shot;
     const sets = overrides();
-    const ask = (set) => getJson("shot", { input, shot, set, width: pictureWidth() }, signal);
+    const ask = (set) => getJson("shot", { input, shot, set }, signal);
     const [plain, changed] = await Promise.all([isLoaded ? state.shot : ask([]), sets.length ? ask(sets) : null]);
     failure = null;
     state.shot = plain;
@@ -82,7 +79,7 @@ function show() {
   byId("keys-shown").hidden = !state.changedShot;
   byId("shown-changed").setAttribute("aria-pressed", String(!showsJob));
   byId("shown-job").setAttribute("aria-pressed", String(showsJob));
-  showPicture(byId("waveform"), shot.svg, true);
+  showPanels(byId("waveform"), shot.svg, pictureWidth());
   fill(byId("shot"), failure ? problem(failure) : null, returnsTable(state.changedShot), instrumentTable(shot), blocksTable(shot), explanation(shot));
 }
 
@@ -97,37 +94,6 @@ function about({ gps_time_s: time, line, returns }) {
   if (line) parts.push(`shot ${line.shot} of ${line.shots} in scan line ${line.number}`);
   if (time !== null && time !== undefined) parts.push(`GPS time ${time.toFixed(6)} s`);
   return parts.join(" · ");
-}
-
-/** Puts a picture into an element; its style sheet stays inside. `isCropped`: panels only. */
-function showPicture(element, text, isCropped) {
-  const svg = parse(text);
-  const root = element.shadowRoot || element.attachShadow({ mode: "open" });
-  if (!svg) {
-    root.replaceChildren("The picture cannot be shown.");
-    return;
-  }
-  const style = document.createElement("style");
-  style.textContent = ":host{display:block;overflow-x:auto}svg{display:block;height:auto}";
-  const [, , width, height] = (svg.getAttribute("viewBox") || "0 0 900 600").split(/[\s,]+/).map(Number);
-  let [top, bottom] = [0, height];
-  if (isCropped) {
-    // The title is above in the page; the outgoing pulse and the legend are in the whole picture.
-    const axis = [...svg.querySelectorAll("text")].find((one) => one.textContent === "time of flight, ns");
-    const frame = svg.querySelector("rect.frame");
-    if (axis && frame) [top, bottom] = [Number(frame.getAttribute("y")) - PAD, Number(axis.getAttribute("y")) + PAD];
-  }
-  svg.setAttribute("viewBox", `0 ${top} ${width} ${bottom - top}`);
-  svg.removeAttribute("height");
-  svg.setAttribute("width", "100%");
-  svg.style.minWidth = isCropped ? `${Math.round(width * LEAST_SCALE)}px` : "";
-  root.replaceChildren(style, svg);
-}
-
-/** Picture as an element; null if it is not well-formed. */
-function parse(text) {
-  const parsed = new DOMParser().parseFromString(text, "image/svg+xml");
-  return parsed.querySelector("parsererror") ? null : document.importNode(parsed.documentElement, true);
 }
 
 /** Rows of the table of returns: label, unit, text of a return. */
@@ -210,7 +176,7 @@ export function toggleJobKeys() {
 export function enlarge() {
   const shot = shown();
   if (!shot) return;
-  showPicture(byId("enlarged-picture"), shot.svg, false);
+  showWhole(byId("enlarged-picture"), shot.svg);
   byId("enlarged").showModal();
 }
 
@@ -267,4 +233,5 @@ on("click-point", clickPoint);
 on("select", load);
 on("keys", () => { showsJob = false; load(); });
 on("tab", show);
+new ResizeObserver(debounced(100, () => { if (shown()) showPanels(byId("waveform"), shown().svg, pictureWidth()); })).observe(byId("panel"));
 show();
