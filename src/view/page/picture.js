@@ -49,7 +49,9 @@ function at(element, name) {
 /** Moves the panels closer together; removes the title, and what is below the axis of time. */
 function fitPanels(svg, width) {
   const axis = [...svg.querySelectorAll("text")].find((one) => one.textContent === "time of flight, ns");
-  const frames = axis ? [...svg.querySelectorAll("rect.frame")].filter((frame) => at(frame, "y") < at(axis, "y")) : [];
+  const frames = axis
+    ? [...svg.querySelectorAll("rect.frame")].filter((frame) => at(frame, "y") < at(axis, "y"))
+    : [];
   if (frames.length === 0) return;
   const left = Math.min(...frames.map((frame) => at(frame, "x")));
   const right = Math.max(...frames.map((frame) => at(frame, "x") + at(frame, "width")));
@@ -57,13 +59,21 @@ function fitPanels(svg, width) {
   const bottom = Math.max(...frames.map((frame) => at(frame, "y") + at(frame, "height")));
   const wide = (width - left - PAD) / (right - left);
   const x = (value) => (value < left ? value : left + (value - left) * wide);
-  const y = (value) => PAD + (value <= bottom ? (value - top) * TALL : (bottom - top) * TALL + value - bottom);
+  const y = (value) =>
+    PAD + (value <= bottom ? (value - top) * TALL : (bottom - top) * TALL + value - bottom);
   const set = (one, name, value) => one.setAttribute(name, value.toFixed(1));
   for (const one of [...svg.querySelectorAll("line,rect,circle,polyline,text")]) {
     const kind = one.tagName;
-    const from = kind === "line" ? at(one, "y1") : kind === "circle" ? at(one, "cy") : kind === "polyline" ? Number(one.getAttribute("points").split(/[ ,]/)[1]) : at(one, "y");
+    const from =
+      kind === "line"
+        ? at(one, "y1")
+        : kind === "circle"
+          ? at(one, "cy")
+          : kind === "polyline"
+            ? Number(one.getAttribute("points").split(/[ ,]/)[1])
+            : at(one, "y");
     if (one.classList.contains("page")) continue;
-    if (from < top - PAD || from > at(axis, "y") + 1 && one !== axis) {
+    if (from < top - PAD || (from > at(axis, "y") + 1 && one !== axis)) {
       one.remove();
       continue;
     }
@@ -81,7 +91,11 @@ function fitPanels(svg, width) {
       set(one, "cy", y(at(one, "cy")));
       set(one, "r", at(one, "r") * Math.min(1, Math.max(0.6, wide + 0.25)));
     } else if (kind === "polyline") {
-      const points = one.getAttribute("points").trim().split(/\s+/).map((point) => point.split(",").map(Number));
+      const points = one
+        .getAttribute("points")
+        .trim()
+        .split(/\s+/)
+        .map((point) => point.split(",").map(Number));
       one.setAttribute("points", points.map(([a, b]) => `${x(a).toFixed(1)},${y(b).toFixed(1)}`).join(" "));
     } else {
       moveText(one, x, y);
@@ -96,13 +110,16 @@ function moveText(text, x, y) {
   const [a, b] = [x(at(text, "x")), y(at(text, "y") - offset) + offset];
   text.setAttribute("x", a.toFixed(1));
   text.setAttribute("y", b.toFixed(1));
-  if (text.hasAttribute("transform")) text.setAttribute("transform", `rotate(-90 ${a.toFixed(1)} ${b.toFixed(1)})`);
+  if (text.hasAttribute("transform"))
+    text.setAttribute("transform", `rotate(-90 ${a.toFixed(1)} ${b.toFixed(1)})`);
 }
 
 /** Removes labels of the axis of time that would overlap. */
 function thinLabels(svg, bottom) {
   let end = -Infinity;
-  const labels = [...svg.querySelectorAll("text[text-anchor=middle]")].filter((one) => at(one, "y") > bottom && /^-?[\d.]+$/.test(one.textContent));
+  const labels = [...svg.querySelectorAll("text[text-anchor=middle]")].filter(
+    (one) => at(one, "y") > bottom && /^-?[\d.]+$/.test(one.textContent),
+  );
   for (const label of labels.sort((a, b) => at(a, "x") - at(b, "x"))) {
     const half = (label.textContent.length * CHARACTER) / 2;
     if (at(label, "x") - half < end + CHARACTER) label.remove();
