@@ -24,9 +24,17 @@ from playwright.sync_api import sync_playwright
 from check_pages import MEASURE, SIMULATE, browser_path, run
 from checks import Checks
 
-FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
-         "--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader",
-         "--enable-unsafe-swiftshader"]
+FLAGS = [
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
 THRESHOLD = 30
 # Rows of the page's table of returns and columns of the table of `explain`.
 QUANTITIES = ["time of flight", "range", "amplitude", "width ratio", "thickness"]
@@ -140,14 +148,22 @@ def check_what_if(checks, tab, wavex, recording):
     gone = shown(tab, ("gone",))
     checks.equal("returns with the changed key", shown(tab), returns)
     checks.that("returns that are gone are marked", 0 < len(gone) == tab.locator("#returns .badge.gone").count())
-    checks.that("returns that are gone are those of the job", set(gone) <= set(explained(wavex, recording, shot["shot"])))
+    checks.that(
+        "returns that are gone are those of the job", set(gone) <= set(explained(wavex, recording, shot["shot"]))
+    )
     tab.get_by_role("tab", name="What if").click()
     tab.get_by_role("button", name="Compare line").click()
     wait(tab, "document.querySelectorAll('#comparison tr').length === 3")
-    numbers = tab.evaluate("[...document.querySelectorAll('#comparison td:nth-child(2)')].map((cell) => Number(cell.textContent.replace(/\\D/g, '')))")
+    numbers = tab.evaluate(
+        "[...document.querySelectorAll('#comparison td:nth-child(2)')].map((cell) => Number(cell.textContent.replace(/\\D/g, '')))"
+    )
     checks.that("returns of the line are gone", numbers[1] > len(gone), f"new, gone, moved: {numbers}")
     name, job = saved(tab, lambda: tab.get_by_role("button", name="Save job").click())
-    checks.that("the job has the key", re.search(rf"detection_sigma *= *{THRESHOLD}(\.0)?\n", job.decode()) is not None, job.decode())
+    checks.that(
+        "the job has the key",
+        re.search(rf"detection_sigma *= *{THRESHOLD}(\.0)?\n", job.decode()) is not None,
+        job.decode(),
+    )
     tab.get_by_role("button", name="Reset").click()
     wait(tab, "wavexView.changedShot() === null")
     checks.equal("no return is gone after a reset", tab.locator("#returns .badge").count(), 0)
@@ -171,11 +187,20 @@ def check_find(checks, tab):
     tab.get_by_role("tab", name="Marks").click()
     name, text = saved(tab, lambda: tab.locator("#save-csv").click())
     rows = list(csv.DictReader(io.StringIO(text.decode())))
-    checks.equal("marked shots", [row for row in dict.fromkeys(int(row["shot"]) for row in rows)], [stepped[0], stepped[3]])
+    checks.equal(
+        "marked shots", [row for row in dict.fromkeys(int(row["shot"]) for row in rows)], [stepped[0], stepped[3]]
+    )
     last = [row for row in rows if int(row["shot"]) == stepped[3]]
-    checks.equal("ranges in the CSV file", [float(row["range_m"]) for row in last], [each["range_m"] for each in marked["returns"]])
-    checks.equal("positions in the CSV file", [[float(row[axis]) for axis in "xyz"] for row in last],
-                 [each["position"] for each in marked["returns"]])
+    checks.equal(
+        "ranges in the CSV file",
+        [float(row["range_m"]) for row in last],
+        [each["range_m"] for each in marked["returns"]],
+    )
+    checks.equal(
+        "positions in the CSV file",
+        [[float(row[axis]) for axis in "xyz"] for row in last],
+        [each["position"] for each in marked["returns"]],
+    )
 
 
 def check_saved(checks, tab):
@@ -185,11 +210,17 @@ def check_saved(checks, tab):
     shot = tab.evaluate("wavexView.shot().shot")
     checks.that("name of the picture", name.endswith(f"_shot_{shot}.svg"), name)
     checks.that("the picture is SVG", ElementTree.fromstring(svg).tag == "{http://www.w3.org/2000/svg}svg")
-    for what, press in [("picture", lambda: tab.get_by_role("button", name="Save PNG").click()),
-                        ("map", lambda: tab.locator("#save-map").click())]:
+    for what, press in [
+        ("picture", lambda: tab.get_by_role("button", name="Save PNG").click()),
+        ("map", lambda: tab.locator("#save-map").click()),
+    ]:
         _, png = saved(tab, press)
-        size = [int.from_bytes(png[at:at + 4], "big") for at in (16, 20)]
-        checks.that(f"the {what} is PNG", png.startswith(b"\x89PNG") and min(size) > 300 and len(png) > 10_000, f"{size}, {len(png)} bytes")
+        size = [int.from_bytes(png[at : at + 4], "big") for at in (16, 20)]
+        checks.that(
+            f"the {what} is PNG",
+            png.startswith(b"\x89PNG") and min(size) > 300 and len(png) > 10_000,
+            f"{size}, {len(png)} bytes",
+        )
 
 
 def check_views(checks, tab):
@@ -213,7 +244,11 @@ def check_views(checks, tab):
     tab.keyboard.press("2")
     wait(tab, "wavexView.isComplete()")
     shot = tab.evaluate("wavexView.shot().shot")
-    index = next(i for i in range(0, 10_000, 7) if (at := tab.evaluate(f"wavexView.screenOf({i})")) and place(0.3, 0.3) < tuple(at) < place(0.7, 0.7))
+    index = next(
+        i
+        for i in range(0, 10_000, 7)
+        if (at := tab.evaluate(f"wavexView.screenOf({i})")) and place(0.3, 0.3) < tuple(at) < place(0.7, 0.7)
+    )
     tab.mouse.click(*tab.evaluate(f"wavexView.screenOf({index})"))
     wait(tab, f"wavexView.shot().shot !== {shot}")
     tab.keyboard.press("1")
@@ -229,10 +264,14 @@ def check_looks(checks, browser, address):
             for page in ["Shot", "What if", "Find", "Marks"]:
                 tab.get_by_role("tab", name=page).click()
                 # What scrolls inside of the page may be wider or covered.
-                defects = [text for text in tab.evaluate(MEASURE, False) if re.match(r"the page is|contrast|[\d.]+ px:", text)]
+                defects = [
+                    text for text in tab.evaluate(MEASURE, False) if re.match(r"the page is|contrast|[\d.]+ px:", text)
+                ]
                 checks.equal(f"{page}: layout and contrast", defects, [])
             background = tab.evaluate("getComputedStyle(document.body).backgroundColor")
-            checks.that("background", (max(map(int, re.findall(r"\d+", background)[:3])) < 60) == (scheme == "dark"), background)
+            checks.that(
+                "background", (max(map(int, re.findall(r"\d+", background)[:3])) < 60) == (scheme == "dark"), background
+            )
             checks.equal("no error", errors, [])
 
 
@@ -246,15 +285,25 @@ def main(wavex):
     wavex = str(Path(wavex).resolve())
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         folder = Path(folder)
-        run(wavex, folder, "recording", "[job]\noutput_dir = '.'\nreport = ''\nstat_log = ''\nlog = ''\n[[stage]]\n"
+        run(
+            wavex,
+            folder,
+            "recording",
+            "[job]\noutput_dir = '.'\nreport = ''\nstat_log = ''\nlog = ''\n[[stage]]\n"
             + SIMULATE.format(seed=3, lines=40).replace("wood_ratio = 0.2", "wood_ratio = 0.5")
-            + "stem = 'flight'\n[[stage]]\ntype = 'write_arrow'\n")
+            + "stem = 'flight'\n[[stage]]\ntype = 'write_arrow'\n",
+        )
         recording = folder / "flight.arrow"
         browser = playwright.chromium.launch(executable_path=path, args=FLAGS)
         with served(wavex, recording) as (address, server):
             with opened(browser, address) as (tab, errors):
-                parts = [("shot", check_shot, (wavex, recording)), ("what if", check_what_if, (wavex, recording)),
-                         ("find", check_find, ()), ("export", check_saved, ()), ("views", check_views, ())]
+                parts = [
+                    ("shot", check_shot, (wavex, recording)),
+                    ("what if", check_what_if, (wavex, recording)),
+                    ("find", check_find, ()),
+                    ("export", check_saved, ()),
+                    ("views", check_views, ()),
+                ]
                 for subject, check, more in parts:
                     with checks.of(subject):
                         check(checks, tab, *more)

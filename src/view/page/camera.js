@@ -20,9 +20,23 @@ export class Camera {
 
   /** Right, up and forward of the screen, as unit vectors. */
   get axes() {
-    if (!this.isOrbit) return [[1, 0, 0], [0, 1, 0], [0, 0, -1]];
-    const [sa, ca, se, ce] = [Math.sin(this.azimuth), Math.cos(this.azimuth), Math.sin(this.elevation), Math.cos(this.elevation)];
-    return [[ca, -sa, 0], [sa * se, ca * se, ce], [sa * ce, ca * ce, -se]];
+    if (!this.isOrbit)
+      return [
+        [1, 0, 0],
+        [0, 1, 0],
+        [0, 0, -1],
+      ];
+    const [sa, ca, se, ce] = [
+      Math.sin(this.azimuth),
+      Math.cos(this.azimuth),
+      Math.sin(this.elevation),
+      Math.cos(this.elevation),
+    ];
+    return [
+      [ca, -sa, 0],
+      [sa * se, ca * se, ce],
+      [sa * ce, ca * ce, -se],
+    ];
   }
 
   /** Distance to the target, m. */
@@ -126,6 +140,9 @@ export class Camera {
     const size = (perMetre * distance) / nearest;
     const middle = (perMetre * distance) / Math.max(distance * 0.05, depth);
     const inside = (at, half) => Math.abs(at) * middle - radius * size < half;
-    return { seen: depth < radius || (inside(dot(right), this.width / 2) && inside(dot(up), this.height / 2)), perMetre: middle };
+    return {
+      seen: depth < radius || (inside(dot(right), this.width / 2) && inside(dot(up), this.height / 2)),
+      perMetre: middle,
+    };
   }
 }

@@ -7,8 +7,8 @@ import { getBytes } from "./api.js";
 import { coloursOf, colouring, plainColours } from "./colours.js";
 import { state } from "./state.js";
 
-/** Side of a square below which it is not drawn, pixels per pixel of the size of a point. */
-const LEAST_SIDE_PX = 40;
+/** Points over each other, on average, above which no finer points are drawn. */
+const MOST_COVERED = 8;
 /** Number of nodes that are loaded at a time. */
 const AT_ONCE = 3;
 /** Points of one request. */
@@ -32,6 +32,8 @@ class Node {
     this.values = new Map();
     this.colours = null;
     this.coloursVersion = -1;
+    /** Number of times that the colours were computed. */
+    this.coloured = 0;
     this.isLoading = false;
     this.failures = 0;
     this.usedAt = 0;
@@ -65,20 +67,20 @@ export class Cloud {
   /** Nodes for a camera, most important first, within a number of points. */
   choose(camera, limit) {
     const seen = [];
-    const visit = (node, most) => {
+    const visit = (node, most, covered) => {
       const [half, height] = [node.side / 2, (node.z[1] - node.z[0]) / 2];
       const centre = [node.low[0] + half, node.low[1] + half, node.z[0] + height];
       // From above, the square itself is tested: `look` uses its half side as a box.
       const look = camera.look(centre, camera.isOrbit ? Math.hypot(half, half, height) : half);
       if (!look.seen) return;
       const size = node.side * look.perMetre;
-      if (node.level > 0 && size < LEAST_SIDE_PX * state.pointSize) return;
       const at = Math.hypot(centre[0] - camera.target[0], centre[1] - camera.target[1]) / node.side;
       const rank = Math.min(most, size / (1 + 0.02 * at));
       seen.push([rank, node]);
-      for (const child of node.children) visit(child, rank);
+      const covers = covered + node.count * (state.pointSize / size) ** 2;
+      if (covers < MOST_COVERED) for (const child of node.children) visit(child, rank, covers);
     };
-    if (this.root) visit(this.root, Infinity);
+    if (this.root) visit(this.root, Infinity, 0);
     seen.sort((a, b) => b[0] - a[0]);
     let points = 0;
     const chosen = [];
@@ -202,6 +204,7 @@ export function nodeColours(node) {
     const values = node.values.get(state.attribute);
     node.colours = values ? coloursOf(values, node.colours || undefined) : plainColours(node.count);
     node.coloursVersion = colouring.version;
+    node.coloured += 1;
   }
   return node.colours;
 }

@@ -25,8 +25,21 @@ const CENTRES = { deviation_ratio: 0 };
 const CUT = { light: 0.07, dark: 0.13 };
 
 /** Names of LAS classes. */
-const LAS_CLASSES = ["never classified", "unclassified", "ground", "low vegetation", "medium vegetation", "high vegetation",
-  "building", "low point", "reserved", "water", "rail", "road surface", "overlap"];
+const LAS_CLASSES = [
+  "never classified",
+  "unclassified",
+  "ground",
+  "low vegetation",
+  "medium vegetation",
+  "high vegetation",
+  "building",
+  "low point",
+  "reserved",
+  "water",
+  "rail",
+  "road surface",
+  "overlap",
+];
 
 function channels(hex) {
   return [0, 2, 4].map((at) => parseInt(hex.slice(at, at + 2), 16));
@@ -86,9 +99,12 @@ function classLabel(name, value) {
 
 /** Follows the state: chosen attribute, its range, the scheme of the page. */
 export function recolour() {
-  const attribute = state.info.attributes.find(({ name }) => name === state.attribute) || state.info.attributes[0];
+  const attribute =
+    state.info.attributes.find(({ name }) => name === state.attribute) || state.info.attributes[0];
   const key = attributeKey();
-  const hidden = new Set(colouring.key === key ? colouring.classes.filter((one) => one.hidden).map((one) => one.value) : []);
+  const hidden = new Set(
+    colouring.key === key ? colouring.classes.filter((one) => one.hidden).map((one) => one.value) : [],
+  );
   const centre = CENTRES[attribute.name];
   const wish = chosen.get(key) || {};
   colouring.key = key;
@@ -98,10 +114,16 @@ export function recolour() {
   if (colouring.isClass) {
     const palette = CLASSES[darkScheme.matches ? "dark" : "light"].map((hex) => packed(channels(hex)));
     const values = state.flagBit === null ? attribute.values || [] : [0, 1];
-    const label = (value) => (state.flagBit === null ? classLabel(attribute.name, value) : value ? "set" : "not set");
+    const label = (value) =>
+      state.flagBit === null ? classLabel(attribute.name, value) : value ? "set" : "not set";
     colouring.classes = values.map((value, i) => ({
-      value, label: label(value), hidden: hidden.has(value),
-      colour: state.flagBit !== null && value === 0 ? unknown() : palette[(state.flagBit === null ? i : 4) % palette.length],
+      value,
+      label: label(value),
+      hidden: hidden.has(value),
+      colour:
+        state.flagBit !== null && value === 0
+          ? unknown()
+          : palette[(state.flagBit === null ? i : 4) % palette.length],
     }));
   } else {
     const [low, high] = attribute.range || [0, 1];
@@ -131,7 +153,10 @@ export function coloursOf(values, into = new Uint32Array(values.length)) {
     }
     return into;
   }
-  const { table: colours, range: [low, high] } = colouring;
+  const {
+    table: colours,
+    range: [low, high],
+  } = colouring;
   const scale = 255 / (high - low || 1);
   for (let i = 0; i < values.length; i += 1) {
     const at = (values[i] - low) * scale;

@@ -55,9 +55,13 @@ export function placeInDock(event) {
 byId("dock-close").addEventListener("click", closeDock);
 new ResizeObserver(() => content?.draw()).observe(byId("dock-body"));
 for (const name of ["pointerdown", "pointermove", "pointerup", "wheel", "dblclick"]) {
-  byId("dock-body").addEventListener(name, (event) => {
-    if (name === "wheel") event.preventDefault();
-    content?.[name]?.(event);
-  }, { passive: false });
+  byId("dock-body").addEventListener(
+    name,
+    (event) => {
+      if (name === "wheel") event.preventDefault();
+      content?.[name]?.(event);
+    },
+    { passive: false },
+  );
 }
 on("scheme", () => content?.draw());

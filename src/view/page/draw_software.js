@@ -41,7 +41,10 @@ export class SoftwarePainter {
     const offset = dy * width + dx;
     const [from, to] = [Math.max(0, -offset), Math.max(0, offset)];
     const count = Math.max(0, width * height - Math.abs(offset));
-    for (const [numbers, empty] of [[pixels, background], [depth, -1e30]]) {
+    for (const [numbers, empty] of [
+      [pixels, background],
+      [depth, -1e30],
+    ]) {
       numbers.copyWithin(to, from, from + count);
       const clear = (left, top, right, bottom) => {
         for (let y = top; y < bottom; y += 1) numbers.fill(empty, y * width + left, y * width + right);
@@ -58,7 +61,12 @@ export class SoftwarePainter {
     if (dy < 0) parts.push([0, height + dy - size, width, height]);
     if (dx > 0) parts.push([0, 0, dx + size, height]);
     if (dx < 0) parts.push([width + dx - size, 0, width, height]);
-    return parts.map(([left, top, right, bottom]) => [Math.max(0, left), Math.max(0, top), Math.min(width, right), Math.min(height, bottom)]);
+    return parts.map(([left, top, right, bottom]) => [
+      Math.max(0, left),
+      Math.max(0, top),
+      Math.min(width, right),
+      Math.min(height, bottom),
+    ]);
   }
 
   /** Draws the points of a node, within a rectangle: left, top, right, bottom. */
@@ -71,7 +79,12 @@ export class SoftwarePainter {
     const [tx, ty, tz] = target;
     const half = (size - 1) / 2;
     const [right, bottom] = [clip[2] - size + 1, clip[3] - size + 1];
-    const { x: [x0, x1, x2, x3], y: [y0, y1, y2, y3], w: [w0, w1, w2], near, } = projection;
+    const {
+      x: [x0, x1, x2, x3],
+      y: [y0, y1, y2, y3],
+      w: [w0, w1, w2],
+      near,
+    } = projection;
     const { isOrbit } = camera;
     for (let i = 0, j = 0; i < count; i += 1, j += 3) {
       const a = xyz[j] - tx;
@@ -100,11 +113,23 @@ export class SoftwarePainter {
           pixels[at] = colour;
         }
       } else if (size === 2) {
-        if (z > depth[at]) { depth[at] = z; pixels[at] = colour; }
-        if (z > depth[at + 1]) { depth[at + 1] = z; pixels[at + 1] = colour; }
+        if (z > depth[at]) {
+          depth[at] = z;
+          pixels[at] = colour;
+        }
+        if (z > depth[at + 1]) {
+          depth[at + 1] = z;
+          pixels[at + 1] = colour;
+        }
         at += width;
-        if (z > depth[at]) { depth[at] = z; pixels[at] = colour; }
-        if (z > depth[at + 1]) { depth[at + 1] = z; pixels[at + 1] = colour; }
+        if (z > depth[at]) {
+          depth[at] = z;
+          pixels[at] = colour;
+        }
+        if (z > depth[at + 1]) {
+          depth[at + 1] = z;
+          pixels[at + 1] = colour;
+        }
       } else {
         for (let row = 0; row < size; row += 1, at += width) {
           for (let k = at; k < at + size; k += 1) {

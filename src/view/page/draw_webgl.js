@@ -24,7 +24,10 @@ void main() { pixel = vec4(shade, 1.0); }`;
 /** Context of a canvas on a graphics processor; null if there is none or it is emulated. */
 function hardwareContext(canvas) {
   const context = canvas.getContext("webgl2", {
-    antialias: false, alpha: false, preserveDrawingBuffer: true, failIfMajorPerformanceCaveat: true,
+    antialias: false,
+    alpha: false,
+    preserveDrawingBuffer: true,
+    failIfMajorPerformanceCaveat: true,
   });
   if (!context) return null;
   const info = context.getExtension("WEBGL_debug_renderer_info");
@@ -44,7 +47,10 @@ export class WebglPainter {
     this.gl = gl;
     this.ratio = Math.min(2, devicePixelRatio);
     const program = gl.createProgram();
-    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+    for (const [kind, text] of [
+      [gl.VERTEX_SHADER, VERTEX],
+      [gl.FRAGMENT_SHADER, FRAGMENT],
+    ]) {
       const shader = gl.createShader(kind);
       gl.shaderSource(shader, text);
       gl.compileShader(shader);
@@ -54,7 +60,9 @@ export class WebglPainter {
     if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
     gl.useProgram(program);
     gl.enable(gl.DEPTH_TEST);
-    this.places = Object.fromEntries(["target", "projection", "size"].map((name) => [name, gl.getUniformLocation(program, name)]));
+    this.places = Object.fromEntries(
+      ["target", "projection", "size"].map((name) => [name, gl.getUniformLocation(program, name)]),
+    );
   }
 
   resize(width, height) {
@@ -64,7 +72,12 @@ export class WebglPainter {
 
   begin(camera, background, size) {
     const { gl } = this;
-    gl.clearColor((background & 255) / 255, ((background >> 8) & 255) / 255, ((background >> 16) & 255) / 255, 1);
+    gl.clearColor(
+      (background & 255) / 255,
+      ((background >> 8) & 255) / 255,
+      ((background >> 16) & 255) / 255,
+      1,
+    );
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.uniform3fv(this.places.target, camera.target);
     gl.uniform1f(this.places.size, Math.max(1, size * this.ratio));
@@ -76,10 +89,10 @@ export class WebglPainter {
     node.buffers ??= this.upload(node);
     const colours = nodeColours(node);
     gl.bindVertexArray(node.buffers.array);
-    if (node.buffers.version !== node.coloursVersion) {
+    if (node.buffers.coloured !== node.coloured) {
       gl.bindBuffer(gl.ARRAY_BUFFER, node.buffers.colours);
       gl.bufferData(gl.ARRAY_BUFFER, colours, gl.STATIC_DRAW);
-      node.buffers.version = node.coloursVersion;
+      node.buffers.coloured = node.coloured;
     }
     gl.drawArrays(gl.POINTS, 0, node.count);
   }
@@ -103,7 +116,7 @@ export class WebglPainter {
       gl.deleteBuffer(colours);
       node.buffers = undefined;
     };
-    return { array, colours, version: -1 };
+    return { array, colours, coloured: -1 };
   }
 
   present() {

@@ -44,7 +44,12 @@ export function announce(text, isProblem = false) {
   box.classList.toggle("problem", isProblem);
   box.hidden = false;
   clearTimeout(announce.timer);
-  announce.timer = setTimeout(() => { box.hidden = true; }, isProblem ? 9000 : 3500);
+  announce.timer = setTimeout(
+    () => {
+      box.hidden = true;
+    },
+    isProblem ? 9000 : 3500,
+  );
 }
 
 /** Saves a blob or text as a download. */

@@ -10,9 +10,20 @@ import { isMarked } from "./marks.js";
 const LIMIT = 500;
 const page = byId("page-find");
 const sort = make("select", { id: "find-sort", "aria-label": "Sort by" });
-const order = make("select", { "aria-label": "Order" }, make("option", { value: "true" }, "largest first"), make("option", { value: "false" }, "smallest first"));
+const order = make(
+  "select",
+  { "aria-label": "Order" },
+  make("option", { value: "true" }, "largest first"),
+  make("option", { value: "false" }, "smallest first"),
+);
 const flag = make("select", { id: "find-flag", "aria-label": "Flag" });
-const where = make("input", { type: "text", id: "find-where", placeholder: "amplitude_dn > 20, return_number = 1", spellcheck: "false", autocomplete: "off" });
+const where = make("input", {
+  type: "text",
+  id: "find-where",
+  placeholder: "amplitude_dn > 20, return_number = 1",
+  spellcheck: "false",
+  autocomplete: "off",
+});
 const presets = make("div", { class: "bar wrap", role: "group", "aria-label": "Presets" });
 const results = make("div", { id: "found" });
 let request = null;
@@ -33,13 +44,19 @@ function buildPresets() {
     const by = [attribute, "range_sd_m", "amplitude_dn", names[0]].find((name) => names.includes(name));
     const found = words && state.info.flags.find(({ name }) => words.test(name));
     if ((words && !found) || (!words && by !== attribute && attribute !== "total_sd_m")) return null;
-    return make("button", { click: () => {
-      sort.value = by;
-      order.value = String(descending);
-      flag.value = found ? found.name : "";
-      where.value = "";
-      search();
-    } }, label);
+    return make(
+      "button",
+      {
+        click: () => {
+          sort.value = by;
+          order.value = String(descending);
+          flag.value = found ? found.name : "";
+          where.value = "";
+          search();
+        },
+      },
+      label,
+    );
   });
   fill(presets, ...buttons);
 }
@@ -50,16 +67,46 @@ function build() {
   if (page.dataset.names === names) return;
   page.dataset.names = names;
   const before = [sort.value, flag.value];
-  fill(sort, ...numbers.map(({ name, label, unit }) => make("option", { value: name }, unit ? `${label}, ${unit}` : label)));
-  fill(flag, make("option", { value: "" }, "any"), ...state.info.flags.map(({ name }) => make("option", { value: name }, name)));
+  fill(
+    sort,
+    ...numbers.map(({ name, label, unit }) =>
+      make("option", { value: name }, unit ? `${label}, ${unit}` : label),
+    ),
+  );
+  fill(
+    flag,
+    make("option", { value: "" }, "any"),
+    ...state.info.flags.map(({ name }) => make("option", { value: name }, name)),
+  );
   if (numbers.some(({ name }) => name === "deviation_ratio")) sort.value = "deviation_ratio";
   if (before[0]) [sort.value, flag.value] = before;
   buildPresets();
   if (page.childElementCount) return;
-  fill(page, presets, make("form", { class: "find", submit: (event) => { event.preventDefault(); search(); } },
-    make("label", {}, "Conditions ", where),
-    make("p", { class: "faint", id: "find-names" }, "Joined by commas, with = < > <= >=."),
-    make("div", { class: "row wrap" }, make("label", {}, "Sort by ", sort), order, make("label", {}, "Flag ", flag), make("button", { class: "primary" }, "Find"))), results);
+  fill(
+    page,
+    presets,
+    make(
+      "form",
+      {
+        class: "find",
+        submit: (event) => {
+          event.preventDefault();
+          search();
+        },
+      },
+      make("label", {}, "Conditions ", where),
+      make("p", { class: "faint", id: "find-names" }, "Joined by commas, with = < > <= >=."),
+      make(
+        "div",
+        { class: "row wrap" },
+        make("label", {}, "Sort by ", sort),
+        order,
+        make("label", {}, "Flag ", flag),
+        make("button", { class: "primary" }, "Find"),
+      ),
+    ),
+    results,
+  );
 }
 
 /** Searches and selects the first shot found. */
@@ -68,8 +115,23 @@ async function search() {
   request = new AbortController();
   fill(results, make("p", { class: "faint", role: "status" }, "Searching …"));
   try {
-    const conditions = where.value.split(",").map((one) => one.trim().replace(/\s*([<>]=?|=)\s*/, "$1")).filter(Boolean).join(",");
-    const answer = await getJson("find", { generation: state.generation, sort: sort.value, descending: order.value, where: conditions, flag: flag.value, limit: LIMIT }, request.signal);
+    const conditions = where.value
+      .split(",")
+      .map((one) => one.trim().replace(/\s*([<>]=?|=)\s*/, "$1"))
+      .filter(Boolean)
+      .join(",");
+    const answer = await getJson(
+      "find",
+      {
+        generation: state.generation,
+        sort: sort.value,
+        descending: order.value,
+        where: conditions,
+        flag: flag.value,
+        limit: LIMIT,
+      },
+      request.signal,
+    );
     state.found = answer.found;
     state.foundAt = -1;
     show(answer.total, sort.value);
@@ -77,6 +139,7 @@ async function search() {
     if (answer.found.length > 0) go(0);
   } catch (error) {
     if (error.name === "AbortError") return;
+    if (error.status === 410) emit("loading-failed", error);
     state.found = [];
     emit("found");
     fill(results, problem(error.message));
@@ -90,13 +153,62 @@ function show(total, by) {
   }
   const attribute = state.info.attributes.find(({ name }) => name === by);
   const several = state.info.inputs.length > 1;
-  const row = (each, i) => make("tr", { "data-at": i, click: () => go(i) }, make("td", {}, `${i + 1}`), several ? make("td", { class: "text" }, state.info.inputs[each.input]?.name || "") : null,
-    make("td", {}, make("button", { class: "link", "aria-label": `Shot ${each.shot}` }, `${each.shot}`)), make("td", {}, `${each.return_number}`), make("td", {}, significant(each.value)), make("td", { class: "star" }, isMarked(each) ? "★" : ""));
-  const heads = ["", several ? "input" : null, "shot", "return", `${attribute.label}${attribute.unit ? `, ${attribute.unit}` : ""}`, ""].filter((text) => text !== null);
-  fill(results, make("div", { class: "bar" }, make("p", { role: "status", id: "found-count" }, `${count(total)} ${total === 1 ? "return" : "returns"}; ${state.found.length >= LIMIT ? "first " : ""}${count(state.found.length)} ${state.found.length === 1 ? "shot" : "shots"} listed`),
-    make("button", { title: "Previous shot of the list (p)", click: () => stepFound(-1), "aria-label": "Previous of the list" }, "◂"), make("button", { title: "Next shot of the list (n)", click: () => stepFound(1), "aria-label": "Next of the list" }, "▸"),
-    make("button", { click: clear }, "Clear")),
-    make("div", { class: "scroll tall" }, make("table", { class: "list found" }, make("thead", {}, make("tr", {}, ...heads.map((text) => make("th", { scope: "col" }, text)))), make("tbody", {}, ...state.found.map(row)))));
+  const row = (each, i) =>
+    make(
+      "tr",
+      { "data-at": i, click: () => go(i) },
+      make("td", {}, `${i + 1}`),
+      several ? make("td", { class: "text" }, state.info.inputs[each.input]?.name || "") : null,
+      make("td", {}, make("button", { class: "link", "aria-label": `Shot ${each.shot}` }, `${each.shot}`)),
+      make("td", {}, `${each.return_number}`),
+      make("td", {}, significant(each.value)),
+      make("td", { class: "star" }, isMarked(each) ? "★" : ""),
+    );
+  const heads = [
+    "",
+    several ? "input" : null,
+    "shot",
+    "return",
+    `${attribute.label}${attribute.unit ? `, ${attribute.unit}` : ""}`,
+    "",
+  ].filter((text) => text !== null);
+  fill(
+    results,
+    make(
+      "div",
+      { class: "bar" },
+      make(
+        "p",
+        { role: "status", id: "found-count" },
+        `${count(total)} ${total === 1 ? "return" : "returns"}; ${state.found.length >= LIMIT ? "first " : ""}${count(state.found.length)} ${state.found.length === 1 ? "shot" : "shots"} listed`,
+      ),
+      make(
+        "button",
+        {
+          title: "Previous shot of the list (p)",
+          click: () => stepFound(-1),
+          "aria-label": "Previous of the list",
+        },
+        "◂",
+      ),
+      make(
+        "button",
+        { title: "Next shot of the list (n)", click: () => stepFound(1), "aria-label": "Next of the list" },
+        "▸",
+      ),
+      make("button", { click: clear }, "Clear"),
+    ),
+    make(
+      "div",
+      { class: "scroll tall" },
+      make(
+        "table",
+        { class: "list found" },
+        make("thead", {}, make("tr", {}, ...heads.map((text) => make("th", { scope: "col" }, text)))),
+        make("tbody", {}, ...state.found.map(row)),
+      ),
+    ),
+  );
 }
 
 function clear() {
@@ -109,7 +221,8 @@ function clear() {
 /** Selects a shot of the list. */
 function go(at) {
   state.foundAt = at;
-  for (const row of results.querySelectorAll("tr[data-at]")) row.classList.toggle("current", Number(row.dataset.at) === at);
+  for (const row of results.querySelectorAll("tr[data-at]"))
+    row.classList.toggle("current", Number(row.dataset.at) === at);
   results.querySelector("tr.current")?.scrollIntoView({ block: "nearest" });
   const { input, shot, return_number: number } = state.found[at];
   select(input, shot, number, { move: true });
@@ -129,5 +242,6 @@ export function focusFind() {
 
 on("info", build);
 on("marks", () => {
-  for (const row of results.querySelectorAll("tr[data-at]")) row.querySelector(".star").textContent = isMarked(state.found[Number(row.dataset.at)]) ? "★" : "";
+  for (const row of results.querySelectorAll("tr[data-at]"))
+    row.querySelector(".star").textContent = isMarked(state.found[Number(row.dataset.at)]) ? "★" : "";
 });

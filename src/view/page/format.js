@@ -7,7 +7,9 @@ export function fixed(value, digits) {
 
 /** Number and its standard deviation. */
 export function withSd(value, sd, digits) {
-  return sd === null || sd === undefined ? fixed(value, digits) : `${fixed(value, digits)} ± ${fixed(sd, digits)}`;
+  return sd === null || sd === undefined
+    ? fixed(value, digits)
+    : `${fixed(value, digits)} ± ${fixed(sd, digits)}`;
 }
 
 /** Number with a fixed number of significant digits, without exponent where it is readable. */

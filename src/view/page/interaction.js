@@ -51,7 +51,11 @@ function start(event) {
   pointers.set(event.pointerId, place(event));
   const at = place(event);
   if (pointers.size === 1) {
-    const kind = isDrawing ? "line" : stage.camera.isOrbit && event.button === 0 && !event.shiftKey ? "turn" : "pan";
+    const kind = isDrawing
+      ? "line"
+      : stage.camera.isOrbit && event.button === 0 && !event.shiftKey
+        ? "turn"
+        : "pan";
     gesture = { kind, begin: at, last: at, hasMoved: false };
   } else {
     gesture = { kind: "pinch", hasMoved: true, ...spread() };
@@ -61,7 +65,11 @@ function start(event) {
 /** Middle, distance and direction of two pointers. */
 function spread() {
   const [a, b] = [...pointers.values()];
-  return { middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2], apart: Math.hypot(b[0] - a[0], b[1] - a[1]), angle: Math.atan2(b[1] - a[1], b[0] - a[0]) };
+  return {
+    middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2],
+    apart: Math.hypot(b[0] - a[0], b[1] - a[1]),
+    angle: Math.atan2(b[1] - a[1], b[0] - a[0]),
+  };
 }
 
 function move(event) {
@@ -103,7 +111,11 @@ function end(event) {
   if (event.type === "pointercancel") return;
   if (ended.kind === "line" && ended.hasMoved) {
     setDrawing(false);
-    emit("profile-line", { from: stage.camera.unproject(...ended.begin), to: stage.camera.unproject(...ended.last), isDone: true });
+    emit("profile-line", {
+      from: stage.camera.unproject(...ended.begin),
+      to: stage.camera.unproject(...ended.last),
+      isDone: true,
+    });
   } else if (!ended.hasMoved) {
     const index = stage.pick(...place(event));
     if (index !== null) emit("click-point", index);
@@ -162,10 +174,18 @@ element.addEventListener("dblclick", (event) => {
   stage.camera.zoom(2, ...place(event));
   stage.moved();
 });
-byId("zoom-in").addEventListener("click", () => { stage.camera.zoom(1.6); stage.moved(); });
-byId("zoom-out").addEventListener("click", () => { stage.camera.zoom(1 / 1.6); stage.moved(); });
+byId("zoom-in").addEventListener("click", () => {
+  stage.camera.zoom(1.6);
+  stage.moved();
+});
+byId("zoom-out").addEventListener("click", () => {
+  stage.camera.zoom(1 / 1.6);
+  stage.moved();
+});
 byId("fit").addEventListener("click", () => stage.fit());
 byId("view-map").addEventListener("click", () => setView(false));
 byId("view-orbit").addEventListener("click", () => setView(true));
 byId("draw-profile").addEventListener("click", () => setDrawing(!isDrawing));
-on("camera", () => { byId("readout").textContent = ""; });
+on("camera", () => {
+  byId("readout").textContent = "";
+});

@@ -48,7 +48,9 @@ function goToShot() {
 }
 
 function help() {
-  const rows = [...OTHERS, ...KEYS].map(([key, text]) => make("tr", {}, make("td", {}, make("kbd", {}, key)), make("td", {}, text)));
+  const rows = [...OTHERS, ...KEYS].map(([key, text]) =>
+    make("tr", {}, make("td", {}, make("kbd", {}, key)), make("td", {}, text)),
+  );
   fill(byId("help-body"), make("table", { class: "keys-list" }, make("tbody", {}, ...rows)));
 }
 
@@ -62,7 +64,11 @@ function pressed(event) {
     else closeDock();
     return;
   }
-  if (isText || event.target.closest?.("input[type=range]")?.matches(":focus") && event.key.startsWith("Arrow")) return;
+  if (
+    isText ||
+    (event.target.closest?.("input[type=range]")?.matches(":focus") && event.key.startsWith("Arrow"))
+  )
+    return;
   if (stageKey(event)) {
     event.preventDefault();
     return;
@@ -77,7 +83,11 @@ document.addEventListener("keydown", pressed);
 byId("show-help").addEventListener("click", () => byId("help").showModal());
 // A click beside an open popover or dialog closes it.
 document.addEventListener("pointerdown", (event) => {
-  for (const open of document.querySelectorAll("details.popover[open]")) if (!open.contains(event.target)) open.open = false;
+  for (const open of document.querySelectorAll("details.popover[open]"))
+    if (!open.contains(event.target)) open.open = false;
 });
-for (const dialog of document.querySelectorAll("dialog")) dialog.addEventListener("click", (event) => { if (event.target === dialog) dialog.close(); });
+for (const dialog of document.querySelectorAll("dialog"))
+  dialog.addEventListener("click", (event) => {
+    if (event.target === dialog) dialog.close();
+  });
 help();

@@ -11,7 +11,9 @@ const loaded = new Map();
 
 /** Layers to draw. */
 export function shownLayers() {
-  return [...loaded.values()].filter((one) => one.isShown && one.picture.complete && one.picture.naturalWidth > 0);
+  return [...loaded.values()].filter(
+    (one) => one.isShown && one.picture.complete && one.picture.naturalWidth > 0,
+  );
 }
 
 function show(layer, isShown) {
@@ -36,12 +38,34 @@ function setOpacity(layer, opacity) {
 
 function entry(layer) {
   const [low, high] = layer.range || [];
-  const range = low === undefined || low === null ? "" : `${significant(low)} to ${significant(high)}${unitAfter(layer.unit)}`;
-  return make("li", {},
-    make("label", { class: "check" }, make("input", { type: "checkbox", change: (event) => show(layer, event.target.checked) }), layer.label),
+  const range =
+    low === undefined || low === null
+      ? ""
+      : `${significant(low)} to ${significant(high)}${unitAfter(layer.unit)}`;
+  return make(
+    "li",
+    {},
+    make(
+      "label",
+      { class: "check" },
+      make("input", { type: "checkbox", change: (event) => show(layer, event.target.checked) }),
+      layer.label,
+    ),
     make("span", { class: "faint" }, range),
-    make("label", {}, "Opacity ", make("input", { type: "range", min: 0, max: 1, step: 0.05, value: DEFAULT_OPACITY,
-      input: (event) => setOpacity(layer, Number(event.target.value)) })));
+    make(
+      "label",
+      {},
+      "Opacity ",
+      make("input", {
+        type: "range",
+        min: 0,
+        max: 1,
+        step: 0.05,
+        value: DEFAULT_OPACITY,
+        input: (event) => setOpacity(layer, Number(event.target.value)),
+      }),
+    ),
+  );
 }
 
 on("info", () => {
@@ -51,5 +75,9 @@ on("info", () => {
   const names = layers.map(({ name }) => name).join();
   if (page.dataset.names === names) return;
   page.dataset.names = names;
-  fill(page, make("p", { class: "faint" }, "Rasters of the survey, drawn over the map from above."), make("ul", { class: "layers" }, ...layers.map(entry)));
+  fill(
+    page,
+    make("p", { class: "faint" }, "Rasters of the survey, drawn over the map from above."),
+    make("ul", { class: "layers" }, ...layers.map(entry)),
+  );
 });

@@ -13,7 +13,13 @@ function entries() {
   const text = ({ label, unit }) => (unit ? `${label}, ${unit}` : label);
   return [
     ...plain.map((one) => make("option", { value: one.name }, text(one))),
-    flags.length ? make("optgroup", { label: "Flags" }, ...flags.map(({ bit, name }) => make("option", { value: `flag ${bit}` }, name))) : null,
+    flags.length
+      ? make(
+          "optgroup",
+          { label: "Flags" },
+          ...flags.map(({ bit, name }) => make("option", { value: `flag ${bit}` }, name)),
+        )
+      : null,
   ];
 }
 
@@ -68,7 +74,14 @@ function rangeInput(at, label) {
     range[at] = value;
     return range[0] < range[1] ? change({ range }) : show();
   };
-  return make("input", { type: "number", step: "any", "aria-label": label, title: label, value: significant(colouring.range[at]), change: set });
+  return make("input", {
+    type: "number",
+    step: "any",
+    "aria-label": label,
+    title: label,
+    value: significant(colouring.range[at]),
+    change: set,
+  });
 }
 
 /** Shows colours and range. */
@@ -81,22 +94,60 @@ function show() {
   if (!isClass) {
     const stops = Array.from({ length: 9 }, (_, i) => css(table[Math.round((i * 255) / 8)])).join(",");
     const bar = make("div", { class: "colour-bar", style: `background:linear-gradient(90deg,${stops})` });
-    fill(body, bar, make("div", { class: "row ends" }, rangeInput(0, "Lower end of the colours"),
-      make("span", { class: "unit" }, attribute.unit || ""), rangeInput(1, "Upper end of the colours")));
+    fill(
+      body,
+      bar,
+      make(
+        "div",
+        { class: "row ends" },
+        rangeInput(0, "Lower end of the colours"),
+        make("span", { class: "unit" }, attribute.unit || ""),
+        rangeInput(1, "Upper end of the colours"),
+      ),
+    );
     return;
   }
-  fill(body, make("ul", { class: "classes" }, ...classes.map((one) => make("li", {},
-    make("button", { "aria-pressed": String(!one.hidden), title: one.hidden ? "Show" : "Hide", click: () => {
-      one.hidden = !one.hidden;
-      change({});
-    } }, make("i", { style: `background:${css(one.colour)}` }), one.label + unitAfter(attribute.unit))))));
+  fill(
+    body,
+    make(
+      "ul",
+      { class: "classes" },
+      ...classes.map((one) =>
+        make(
+          "li",
+          {},
+          make(
+            "button",
+            {
+              "aria-pressed": String(!one.hidden),
+              title: one.hidden ? "Show" : "Hide",
+              click: () => {
+                one.hidden = !one.hidden;
+                change({});
+              },
+            },
+            make("i", { style: `background:${css(one.colour)}` }),
+            one.label + unitAfter(attribute.unit),
+          ),
+        ),
+      ),
+    ),
+  );
 }
 
 byId("attribute").addEventListener("change", (event) => setAttribute(event.target.value));
 fill(byId("colour-map"), ...MAPS.map((name) => make("option", {}, name)));
 byId("colour-map").addEventListener("change", (event) => change({ map: event.target.value }));
 byId("range-reset").addEventListener("click", () => change(null));
+/** Sizes for few points, until the user chooses one: limit of the number of points, and size, px. */
+const SIZES = [
+  [5_000, 4],
+  [50_000, 3],
+  [Infinity, 2],
+];
+let isSizeChosen = false;
 byId("point-size").addEventListener("input", (event) => {
+  isSizeChosen = true;
   state.pointSize = Number(event.target.value);
   stage.redraw();
   emit("colours");
@@ -105,11 +156,17 @@ byId("point-limit").addEventListener("change", (event) => {
   state.pointLimit = Number(event.target.value);
   stage.redraw();
 });
-byId("drawing").textContent = stage.painterName === "WebGL" ? "Drawn by WebGL." : "Drawn without a graphics processor.";
+byId("drawing").textContent =
+  stage.painterName === "WebGL" ? "Drawn by WebGL." : "Drawn without a graphics processor.";
 
 on("info", () => {
   fillList();
-  // While reading, ranges follow the points; later they stay.
+  if (!isSizeChosen) {
+    state.pointSize = SIZES.find(([limit]) => state.info.points < limit)[1];
+    byId("point-size").value = state.pointSize;
+  }
   update();
 });
-on("scheme", () => { if (state.info) update(); });
+on("scheme", () => {
+  if (state.info) update();
+});

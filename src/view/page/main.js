@@ -36,12 +36,16 @@ async function poll() {
     const isFirst = state.info === null;
     const before = state.info;
     state.info = info;
-    const changed = isFirst || before.generation !== info.generation || JSON.stringify(before.attributes) !== JSON.stringify(info.attributes)
-      || JSON.stringify(before.keys) !== JSON.stringify(info.keys) || (before.layers || []).length !== (info.layers || []).length;
+    const changed =
+      isFirst ||
+      before.generation !== info.generation ||
+      JSON.stringify(before.attributes) !== JSON.stringify(info.attributes) ||
+      JSON.stringify(before.keys) !== JSON.stringify(info.keys) ||
+      (before.layers || []).length !== (info.layers || []).length;
     if (changed) emit("info");
     showStatus();
-    if (info.generation > 0 && info.generation !== opening) await open(info.generation);
-    pause = info.state === "reading" ? POLL_MS : 0;
+    const isOpen = info.generation === 0 || info.generation === opening || (await open(info.generation));
+    pause = info.state === "reading" || !isOpen ? POLL_MS : 0;
   } catch (error) {
     byId("status-text").textContent = error.message;
   }
@@ -49,7 +53,7 @@ async function poll() {
   if (pause > 0) timer = setTimeout(poll, pause);
 }
 
-/** Opens a generation; the first one is shown whole. */
+/** Opens a generation; the first one is shown whole. Whether it could be opened. */
 async function open(generation) {
   opening = generation;
   const isFirst = stage.cloud === null;
@@ -59,45 +63,65 @@ async function open(generation) {
     // The generation may have been replaced since.
     opening = 0;
     if (error.status !== 410) announce(error.message, true);
-    return;
+    return false;
   }
   const bounds = JSON.stringify([state.info.min, state.info.max]);
   if (isFirst || (!hasMoved && bounds !== shownBounds)) stage.fit();
   shownBounds = bounds;
+  return true;
 }
 
 let shownBounds = "";
 
 /** Whether the user has chosen what the map shows; until then it shows all points. */
 let hasMoved = false;
-for (const name of ["pointerdown", "wheel", "keydown"]) byId("stage").addEventListener(name, () => { hasMoved = true; }, { passive: true });
+for (const name of ["pointerdown", "wheel", "keydown"])
+  byId("stage").addEventListener(
+    name,
+    () => {
+      hasMoved = true;
+    },
+    { passive: true },
+  );
 
 const KINDS = { recording: "recording", job: "job", folder: "survey" };
 
 function showStatus() {
   const { info } = state;
   byId("title").textContent = info.title;
-  byId("title").title = [`${KINDS[info.kind] || info.kind} ${info.title}`, info.crs, `wavex ${info.version}`].filter(Boolean).join("\n");
+  byId("title").title = [`${KINDS[info.kind] || info.kind} ${info.title}`, info.crs, `wavex ${info.version}`]
+    .filter(Boolean)
+    .join("\n");
   document.title = `${info.title} – wavex view`;
   const progress = byId("progress");
   progress.hidden = info.state !== "reading";
   progress.value = info.progress || 0;
   const status = byId("status");
   status.classList.toggle("problem", info.state === "failed");
-  if (info.state === "failed") byId("status-text").textContent = `Reading failed: ${info.error || "unknown error"}`;
+  if (info.state === "failed")
+    byId("status-text").textContent = `Reading failed: ${info.error || "unknown error"}`;
   else showCount();
   const { warnings } = info;
   byId("warnings").hidden = warnings.length === 0;
   byId("warnings-count").textContent = counted(warnings.length, "warning");
   fill(byId("warnings-list"), ...warnings.map((text) => make("li", {}, text)));
   byId("empty").hidden = info.generation > 0 && info.points > 0;
-  byId("empty").textContent = info.state === "reading" ? "Reading the first points …" : info.state === "failed" ? (info.error || "") : "There are no points.";
+  byId("empty").textContent =
+    info.state === "reading"
+      ? "Reading the first points …"
+      : info.state === "failed"
+        ? info.error || ""
+        : "There are no points.";
 }
 
 function showCount() {
   const { info } = state;
-  const total = info.kept_one_of > 1 ? `${count(info.points)} points of every ${count(info.kept_one_of)}th shot` : counted(info.points, "point");
-  const reading = info.state === "reading" ? `Reading, ${Math.floor(100 * (info.progress || 0))}\u202f%: ` : "";
+  const total =
+    info.kept_one_of > 1
+      ? `${count(info.points)} points of every ${count(info.kept_one_of)}th shot`
+      : counted(info.points, "point");
+  const reading =
+    info.state === "reading" ? `Reading, ${Math.floor(100 * (info.progress || 0))}\u202f%: ` : "";
   const drawn = stage.pointsDrawn < info.points ? `, ${count(stage.pointsDrawn)} drawn` : "";
   byId("status-text").textContent = `${reading}${total}${drawn}`;
 }
@@ -115,7 +139,8 @@ function openTab(name) {
   emit("tab", name);
 }
 
-for (const tab of document.querySelectorAll("[role=tab]")) tab.addEventListener("click", () => openTab(tab.id.slice(4)));
+for (const tab of document.querySelectorAll("[role=tab]"))
+  tab.addEventListener("click", () => openTab(tab.id.slice(4)));
 byId("tabs").addEventListener("keydown", (event) => {
   const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
   if (!step) return;
@@ -139,11 +164,18 @@ function saveMap() {
   overContext.scale(ratio, ratio);
   drawOverlay({ context: overContext, width: camera.width, height: camera.height });
   context.drawImage(over, 0, 0);
-  picture.toBlob((blob) => download(`${state.info.title.replace(/\.[^.]*$/, "").replace(/[^\w.-]+/g, "_")}_${camera.isOrbit ? "3d" : "map"}.png`, blob));
+  picture.toBlob((blob) =>
+    download(
+      `${state.info.title.replace(/\.[^.]*$/, "").replace(/[^\w.-]+/g, "_")}_${camera.isOrbit ? "3d" : "map"}.png`,
+      blob,
+    ),
+  );
 }
 byId("save-map").addEventListener("click", saveMap);
 
-connection.addEventListener("lost", () => { byId("lost").hidden = false; });
+connection.addEventListener("lost", () => {
+  byId("lost").hidden = false;
+});
 connection.addEventListener("found", () => {
   byId("lost").hidden = true;
   stage.cloud?.retry();
@@ -159,7 +191,9 @@ on("frame", () => {
     showCount();
   }
 });
-on("rest", () => { if (state.info) showCount(); });
+on("rest", () => {
+  if (state.info) showCount();
+});
 darkScheme.addEventListener("change", () => emit("scheme"));
 new ResizeObserver(redrawOverlay).observe(byId("stage"));
 
@@ -168,7 +202,10 @@ window.wavexView = Object.freeze({
   /** Number of points in the picture. */
   pointsDrawn: () => stage.pointsDrawn,
   /** Whether all points of the view are loaded and drawn. */
-  isComplete: () => Boolean(stage.cloud && !stage.next && stage.cloud.isComplete && stage.queue.length === 0 && !stage.scheduled),
+  isComplete: () =>
+    Boolean(
+      stage.cloud && !stage.next && stage.cloud.isComplete && stage.queue.length === 0 && !stage.scheduled,
+    ),
   /** Screen position of a drawn point, CSS px from the corner of the window; null if it is not drawn. */
   screenOf: (index) => {
     const at = stage.screenOf(index);

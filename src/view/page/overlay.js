@@ -50,7 +50,8 @@ function profileLine(context) {
   const along = [to[0] - from[0], to[1] - from[1]];
   const size = Math.hypot(...along) || 1;
   const across = [(-along[1] / size) * (wide / 2), (along[0] / size) * (wide / 2)];
-  const at = (end, side) => stage.camera.project([end[0] + side * across[0], end[1] + side * across[1], height]);
+  const at = (end, side) =>
+    stage.camera.project([end[0] + side * across[0], end[1] + side * across[1], height]);
   const corners = [at(from, 1), at(to, 1), at(to, -1), at(from, -1)];
   const accent = colour("accent");
   path(context, corners, true);
@@ -62,7 +63,11 @@ function profileLine(context) {
   const [a, b] = [at(from, 0), at(to, 0)];
   path(context, [a, b]);
   stroke(context, accent, 2);
-  for (const [text, [x, y]] of [["A", a], ["B", b]]) label(context, text, x, y - 10);
+  for (const [text, [x, y]] of [
+    ["A", a],
+    ["B", b],
+  ])
+    label(context, text, x, y - 10);
 }
 
 /** Symbols: colour and shape of each kind of mark. */
@@ -82,14 +87,16 @@ function marks(context) {
   const put = (kind, position, count = 1) => {
     if (!position) return;
     const [x, y, w] = stage.camera.project(relative(position));
-    if (w > 0 && x > -20 && y > -20 && x < stage.camera.width + 20 && y < stage.camera.height + 20) symbol(context, kind, x, y, count > MANY ? 0.6 : 1);
+    if (w > 0 && x > -20 && y > -20 && x < stage.camera.width + 20 && y < stage.camera.height + 20)
+      symbol(context, kind, x, y, count > MANY ? 0.6 : 1);
   };
   for (const { position } of state.found) put("found", position, state.found.length);
   for (const kind of ["moved", "gone", "new"]) {
     const list = state.comparison?.[kind] || [];
     for (const { position } of list) put(kind, position, list.length);
   }
-  for (const { shot } of state.marks.values()) for (const { position } of shot.returns.slice(0, 1)) put("marked", position);
+  for (const { shot } of state.marks.values())
+    for (const { position } of shot.returns.slice(0, 1)) put("marked", position);
   const shown = state.changedShot || state.shot;
   if (!shown) return;
   for (const { change, before, after } of state.changedShot?.difference?.changes || []) {
@@ -104,14 +111,50 @@ export function symbol(context, kind, x, y, scale = 1) {
   const size = full * scale;
   context.beginPath();
   if (shape === "circle" || shape === "ring") context.arc(x, y, size, 0, 2 * Math.PI);
-  else if (shape === "plus") lines(context, [[x - size, y], [x + size, y]], [[x, y - size], [x, y + size]]);
-  else if (shape === "cross") lines(context, [[x - size, y - size], [x + size, y + size]], [[x - size, y + size], [x + size, y - size]]);
-  else if (shape === "diamond") path(context, [[x, y - size], [x + size, y], [x, y + size], [x - size, y]], true);
+  else if (shape === "plus")
+    lines(
+      context,
+      [
+        [x - size, y],
+        [x + size, y],
+      ],
+      [
+        [x, y - size],
+        [x, y + size],
+      ],
+    );
+  else if (shape === "cross")
+    lines(
+      context,
+      [
+        [x - size, y - size],
+        [x + size, y + size],
+      ],
+      [
+        [x - size, y + size],
+        [x + size, y - size],
+      ],
+    );
+  else if (shape === "diamond")
+    path(
+      context,
+      [
+        [x, y - size],
+        [x + size, y],
+        [x, y + size],
+        [x - size, y],
+      ],
+      true,
+    );
   else {
-    path(context, Array.from({ length: 10 }, (_, i) => {
-      const [radius, angle] = [i % 2 ? size * 0.45 : size, (i * Math.PI) / 5 - Math.PI / 2];
-      return [x + radius * Math.cos(angle), y + radius * Math.sin(angle)];
-    }), true);
+    path(
+      context,
+      Array.from({ length: 10 }, (_, i) => {
+        const [radius, angle] = [i % 2 ? size * 0.45 : size, (i * Math.PI) / 5 - Math.PI / 2];
+        return [x + radius * Math.cos(angle), y + radius * Math.sin(angle)];
+      }),
+      true,
+    );
   }
   stroke(context, colour(name), scale < 1 ? 1.3 : 2, scale < 1 ? 1 : 2.5);
   if (shape === "star") {
@@ -160,7 +203,12 @@ function scaleBar(context, width, height) {
   const metres = roundStep(LONGEST_SCALE_PX * stage.camera.scale);
   const px = metres / stage.camera.scale;
   const [right, y] = [width - 14, height - 14];
-  path(context, [[right - px, y - 5], [right - px, y], [right, y], [right, y - 5]]);
+  path(context, [
+    [right - px, y - 5],
+    [right - px, y],
+    [right, y],
+    [right, y - 5],
+  ]);
   stroke(context, colour("text"), 1.5);
   label(context, length(metres), right - px / 2, y - 7);
 }
@@ -168,10 +216,24 @@ function scaleBar(context, width, height) {
 function northArrow(context, width) {
   const [x, y] = [width - 30, 34];
   const angle = -stage.camera.azimuth;
-  const turn = (a, b) => [x + a * Math.cos(angle) - b * Math.sin(angle), y + (a * Math.sin(angle) + b * Math.cos(angle)) * Math.max(0.35, Math.sin(stage.camera.elevation))];
+  const turn = (a, b) => [
+    x + a * Math.cos(angle) - b * Math.sin(angle),
+    y + (a * Math.sin(angle) + b * Math.cos(angle)) * Math.max(0.35, Math.sin(stage.camera.elevation)),
+  ];
   path(context, [turn(0, -16), turn(6, 12), turn(0, 7), turn(-6, 12)], true);
   stroke(context, colour("text"), 1.5);
   label(context, "N", ...turn(0, -21));
 }
 
-for (const name of ["camera", "generation", "shot", "found", "marks", "compared", "profile", "layers", "scheme"]) on(name, redrawOverlay);
+for (const name of [
+  "camera",
+  "generation",
+  "shot",
+  "found",
+  "marks",
+  "compared",
+  "profile",
+  "layers",
+  "scheme",
+])
+  on(name, redrawOverlay);

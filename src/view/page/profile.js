@@ -22,21 +22,38 @@ let drag = null;
 let request = null;
 let isTrueScale = false;
 
-const width = make("input", { type: "number", min: 0.01, step: "any", "aria-label": "Width of the profile, m", input: debounced(250, () => {
-  const value = Number(width.value);
-  if (!(value > 0) || !state.profile) return;
-  state.profile.width_m = value;
-  emit("profile");
-  load();
-}) });
-const trueScale = make("input", { type: "checkbox", change: () => {
-  isTrueScale = trueScale.checked;
-  showAll();
-} });
+const width = make("input", {
+  type: "number",
+  min: 0.01,
+  step: "any",
+  "aria-label": "Width of the profile, m",
+  input: debounced(250, () => {
+    const value = Number(width.value);
+    if (!(value > 0) || !state.profile) return;
+    state.profile.width_m = value;
+    emit("profile");
+    load();
+  }),
+});
+const trueScale = make("input", {
+  type: "checkbox",
+  change: () => {
+    isTrueScale = trueScale.checked;
+    showAll();
+  },
+});
 
 const content = {
   name: "profile",
-  controls: [make("label", {}, "Width ", width, " m"), make("label", { class: "check", title: "The same scale along the line and in height" }, trueScale, "1 : 1")],
+  controls: [
+    make("label", {}, "Width ", width, " m"),
+    make(
+      "label",
+      { class: "check", title: "The same scale along the line and in height" },
+      trueScale,
+      "1 : 1",
+    ),
+  ],
   draw,
   close() {
     request?.abort();
@@ -72,7 +89,10 @@ const content = {
     const [x, y] = placeInDock(event);
     const frame = box();
     const factor = Math.exp(Math.max(-300, Math.min(300, event.deltaY)) * 0.0016);
-    const parts = [(x - frame.left) / (frame.right - frame.left), (frame.bottom - y) / (frame.bottom - frame.top)];
+    const parts = [
+      (x - frame.left) / (frame.right - frame.left),
+      (frame.bottom - y) / (frame.bottom - frame.top),
+    ];
     range = range.map(([low, high], i) => {
       const middle = low + parts[i] * (high - low);
       return [middle + (low - middle) * factor, middle + (high - middle) * factor];
@@ -89,7 +109,12 @@ function shift(axis, by) {
 /** Frame of the picture, CSS px. */
 function box() {
   const { clientWidth, clientHeight } = byId("dock-canvas");
-  return { left: MARGIN.left, top: MARGIN.top, right: clientWidth - MARGIN.right, bottom: clientHeight - MARGIN.bottom };
+  return {
+    left: MARGIN.left,
+    top: MARGIN.top,
+    right: clientWidth - MARGIN.right,
+    bottom: clientHeight - MARGIN.bottom,
+  };
 }
 
 /** Loads the points of the line. */
@@ -101,11 +126,30 @@ async function load() {
   const corner = (at) => absolute(at).slice(0, 2).join(",");
   if (!points) setMessage("Loading …");
   try {
-    const answer = await getBytes("profile", { generation: state.generation, from: corner(from), to: corner(to), width_m, attribute: state.attribute }, request.signal);
+    const answer = await getBytes(
+      "profile",
+      {
+        generation: state.generation,
+        from: corner(from),
+        to: corner(to),
+        width_m,
+        attribute: state.attribute,
+      },
+      request.signal,
+    );
     const [n, total] = new Uint32Array(answer, 0, 2);
     const column = (Kind, at) => new Kind(answer, 8 + 4 * n * at, n);
     const isFirst = !points;
-    points = { generation: state.generation, attribute: state.attribute, n, total, along: column(Float32Array, 0), height: column(Float32Array, 1), value: column(Float32Array, 2), index: column(Uint32Array, 3) };
+    points = {
+      generation: state.generation,
+      attribute: state.attribute,
+      n,
+      total,
+      along: column(Float32Array, 0),
+      height: column(Float32Array, 1),
+      value: column(Float32Array, 2),
+      index: column(Uint32Array, 3),
+    };
     const seen = n < total ? `${count(n)} of ${count(total)} points` : `${count(n)} points`;
     setTitle(`Profile, ${length(size())}: ${seen}`);
     setMessage(n === 0 ? "No points within this width of the line." : "");
@@ -132,12 +176,21 @@ function showAll() {
   }
   if (!(high >= low)) [low, high] = [0, 1];
   const pad = Math.max(0.2, 0.06 * (high - low));
-  range = [[0, size()], [low - pad, high + pad]];
+  range = [
+    [0, size()],
+    [low - pad, high + pad],
+  ];
   if (isTrueScale) {
     const frame = box();
-    const perPx = Math.max(size() / (frame.right - frame.left), (high - low + 2 * pad) / (frame.bottom - frame.top));
+    const perPx = Math.max(
+      size() / (frame.right - frame.left),
+      (high - low + 2 * pad) / (frame.bottom - frame.top),
+    );
     const half = [((frame.right - frame.left) * perPx) / 2, ((frame.bottom - frame.top) * perPx) / 2];
-    range = [[size() / 2 - half[0], size() / 2 + half[0]], [(low + high) / 2 - half[1], (low + high) / 2 + half[1]]];
+    range = [
+      [size() / 2 - half[0], size() / 2 + half[0]],
+      [(low + high) / 2 - half[1], (low + high) / 2 + half[1]],
+    ];
   }
   draw();
 }
@@ -148,8 +201,16 @@ function draw() {
   if (!points || !range || !state.profile) return;
   const frame = box();
   if (frame.right - frame.left < 20 || frame.bottom - frame.top < 20) return;
-  drawAxes(context, frame, { range: range[0], label: "distance along the line, m" }, { range: range[1], label: "height, m" });
-  const [w, h] = [Math.floor((frame.right - frame.left) * ratio), Math.floor((frame.bottom - frame.top) * ratio)];
+  drawAxes(
+    context,
+    frame,
+    { range: range[0], label: "distance along the line, m" },
+    { range: range[1], label: "height, m" },
+  );
+  const [w, h] = [
+    Math.floor((frame.right - frame.left) * ratio),
+    Math.floor((frame.bottom - frame.top) * ratio),
+  ];
   const image = new ImageData(w, h);
   const pixels = new Uint32Array(image.data.buffer);
   const colours = coloursOf(points.value);
@@ -164,7 +225,8 @@ function draw() {
   const layer = make("canvas", { width: w, height: h });
   layer.getContext("2d").putImageData(image, 0, 0);
   context.drawImage(layer, frame.left, frame.top, w / ratio, h / ratio);
-  for (const each of (state.changedShot || state.shot)?.returns || []) selected(context, frame, each.position);
+  for (const each of (state.changedShot || state.shot)?.returns || [])
+    selected(context, frame, each.position);
 }
 
 /** Marks a return of the selected shot that is within the profile. */
@@ -176,12 +238,15 @@ function selected(context, frame, position) {
   const d = [at[0] - from[0], at[1] - from[1]];
   const [a, off] = [d[0] * along[0] + d[1] * along[1], d[0] * -along[1] + d[1] * along[0]];
   const [x, y] = screen(frame, a, position[2]);
-  if (Math.abs(off) <= width_m && x >= frame.left && x <= frame.right && y >= frame.top && y <= frame.bottom) symbol(context, "selected", x, y);
+  if (Math.abs(off) <= width_m && x >= frame.left && x <= frame.right && y >= frame.top && y <= frame.bottom)
+    symbol(context, "selected", x, y);
 }
 
 function screen(frame, along, height) {
-  return [frame.left + ((along - range[0][0]) / (range[0][1] - range[0][0])) * (frame.right - frame.left),
-    frame.bottom - ((height - range[1][0]) / (range[1][1] - range[1][0])) * (frame.bottom - frame.top)];
+  return [
+    frame.left + ((along - range[0][0]) / (range[0][1] - range[0][0])) * (frame.right - frame.left),
+    frame.bottom - ((height - range[1][0]) / (range[1][1] - range[1][0])) * (frame.bottom - frame.top),
+  ];
 }
 
 function pick(x, y) {
@@ -208,5 +273,11 @@ on("profile-line", ({ from, to, isDone }) => {
   openDock(content);
   load();
 });
-for (const name of ["attribute", "generation"]) on(name, () => { if (isDocked(content)) load(); });
-for (const name of ["colours", "shot"]) on(name, () => { if (isDocked(content)) draw(); });
+for (const name of ["attribute", "generation"])
+  on(name, () => {
+    if (isDocked(content)) load();
+  });
+for (const name of ["colours", "shot"])
+  on(name, () => {
+    if (isDocked(content)) draw();
+  });

@@ -1,23 +1,20 @@
 // The selected shot: its picture, returns, the instrument's own returns, and the fit of its blocks.
 
 import { getJson } from "./api.js";
-import { announce, byId, download, fill, make, problem } from "./elements.js";
+import { announce, byId, debounced, download, fill, make, problem } from "./elements.js";
 import { counted, fixed, significant, withSd } from "./format.js";
 import { emit, on, overrides, relative, select, state } from "./state.js";
+import { showPanels, showWhole } from "./picture.js";
 import { stage } from "./stage.js";
 
-/** Padding of the part of the picture that is shown in the panel, units of the picture. */
-const PAD = 12;
-/** Least size of a unit of the picture, CSS px; a wider picture scrolls. */
-const LEAST_SCALE = 0.6;
 let request = null;
 /** Whether the picture shows the keys of the job although keys are changed. */
 let showsJob = false;
 let failure = null;
 
-/** Width to ask the server to draw for, CSS px. */
+/** Width of the picture in the panel, CSS px. */
 function pictureWidth() {
-  return Math.max(360, Math.min(900, Math.round(byId("panel").clientWidth - 26)));
+  return Math.max(320, byId("panel").clientWidth - 26);
 }
 
 /** Loads a shot, and once more with the changed keys if there are any. */
@@ -31,8 +28,11 @@ async function load({ move = false } = {}) {
   try {
     const isLoaded = state.shot && state.shot.input === input && state.shot.shot === shot;
     const sets = overrides();
-    const ask = (set) => getJson("shot", { input, shot, set, width: pictureWidth() }, signal);
-    const [plain, changed] = await Promise.all([isLoaded ? state.shot : ask([]), sets.length ? ask(sets) : null]);
+    const ask = (set) => getJson("shot", { input, shot, set }, signal);
+    const [plain, changed] = await Promise.all([
+      isLoaded ? state.shot : ask([]),
+      sets.length ? ask(sets) : null,
+    ]);
     failure = null;
     state.shot = plain;
     state.changedShot = changed;
@@ -74,7 +74,9 @@ function show() {
     return;
   }
   // The GPS time is in the line below.
-  byId("shot-title").textContent = shot.title.split(/, GPS time|: \d+ return/)[0].replace(/ of .*[/\\]/, " of ");
+  byId("shot-title").textContent = shot.title
+    .split(/, GPS time|: \d+ return/)[0]
+    .replace(/ of .*[/\\]/, " of ");
   byId("shot-title").title = shot.title;
   byId("shot-about").textContent = about(shot);
   byId("previous-shot").disabled = shot.previous === null;
@@ -82,14 +84,28 @@ function show() {
   byId("keys-shown").hidden = !state.changedShot;
   byId("shown-changed").setAttribute("aria-pressed", String(!showsJob));
   byId("shown-job").setAttribute("aria-pressed", String(showsJob));
-  showPicture(byId("waveform"), shot.svg, true);
-  fill(byId("shot"), failure ? problem(failure) : null, returnsTable(state.changedShot), instrumentTable(shot), blocksTable(shot), explanation(shot));
+  showPanels(byId("waveform"), shot.svg, pictureWidth());
+  fill(
+    byId("shot"),
+    failure ? problem(failure) : null,
+    returnsTable(state.changedShot),
+    instrumentTable(shot),
+    blocksTable(shot),
+    explanation(shot),
+  );
 }
 
 function intro() {
-  return make("div", { class: "intro" },
-    make("p", {}, "Click a point to see its waveform, the fit, and its returns with their standard deviations."),
-    make("p", { class: "faint" }, "Or open “Find” to start with the worst fits. Press ? for all keys."));
+  return make(
+    "div",
+    { class: "intro" },
+    make(
+      "p",
+      {},
+      "Click a point to see its waveform, the fit, and its returns with their standard deviations.",
+    ),
+    make("p", { class: "faint" }, "Or open “Find” to start with the worst fits. Press ? for all keys."),
+  );
 }
 
 function about({ gps_time_s: time, line, returns }) {
@@ -97,37 +113,6 @@ function about({ gps_time_s: time, line, returns }) {
   if (line) parts.push(`shot ${line.shot} of ${line.shots} in scan line ${line.number}`);
   if (time !== null && time !== undefined) parts.push(`GPS time ${time.toFixed(6)} s`);
   return parts.join(" · ");
-}
-
-/** Puts a picture into an element; its style sheet stays inside. `isCropped`: panels only. */
-function showPicture(element, text, isCropped) {
-  const svg = parse(text);
-  const root = element.shadowRoot || element.attachShadow({ mode: "open" });
-  if (!svg) {
-    root.replaceChildren("The picture cannot be shown.");
-    return;
-  }
-  const style = document.createElement("style");
-  style.textContent = ":host{display:block;overflow-x:auto}svg{display:block;height:auto}";
-  const [, , width, height] = (svg.getAttribute("viewBox") || "0 0 900 600").split(/[\s,]+/).map(Number);
-  let [top, bottom] = [0, height];
-  if (isCropped) {
-    // The title is above in the page; the outgoing pulse and the legend are in the whole picture.
-    const axis = [...svg.querySelectorAll("text")].find((one) => one.textContent === "time of flight, ns");
-    const frame = svg.querySelector("rect.frame");
-    if (axis && frame) [top, bottom] = [Number(frame.getAttribute("y")) - PAD, Number(axis.getAttribute("y")) + PAD];
-  }
-  svg.setAttribute("viewBox", `0 ${top} ${width} ${bottom - top}`);
-  svg.removeAttribute("height");
-  svg.setAttribute("width", "100%");
-  svg.style.minWidth = isCropped ? `${Math.round(width * LEAST_SCALE)}px` : "";
-  root.replaceChildren(style, svg);
-}
-
-/** Picture as an element; null if it is not well-formed. */
-function parse(text) {
-  const parsed = new DOMParser().parseFromString(text, "image/svg+xml");
-  return parsed.querySelector("parsererror") ? null : document.importNode(parsed.documentElement, true);
 }
 
 /** Rows of the table of returns: label, unit, text of a return. */
@@ -145,23 +130,54 @@ const ROWS = [
 
 /** Table of returns, one per column; with changed keys also those that are gone. */
 function returnsTable(changed) {
-  const changes = changed?.difference?.changes || state.shot.returns.map((each) => ({ change: "same", before: each, after: each }));
+  const changes =
+    changed?.difference?.changes ||
+    state.shot.returns.map((each) => ({ change: "same", before: each, after: each }));
   if (changes.length === 0) return make("p", {}, "No returns.");
   const columns = changes.map((one) => ({ ...one, shown: one.after || one.before }));
-  const heading = ({ change, shown: each, before, after }) => make("th", { scope: "col", class: change },
-    make("span", {}, `${each.return_number}`), change === "same" ? null : make("span", { class: `badge ${change}` }, change === "moved" ? millimetres(after.range_m - before.range_m) : change));
-  const row = ([label, unit, text]) => make("tr", {}, make("th", { scope: "row" }, label, unit ? make("span", { class: "faint" }, `, ${unit}`) : null),
-    ...columns.map(({ change, shown: each }) => make("td", { class: change }, text(each))));
+  const heading = ({ change, shown: each, before, after }) =>
+    make(
+      "th",
+      { scope: "col", class: change },
+      make("span", {}, `${each.return_number}`),
+      change === "same"
+        ? null
+        : make(
+            "span",
+            { class: `badge ${change}` },
+            change === "moved" ? millimetres(after.range_m - before.range_m) : change,
+          ),
+    );
+  const row = ([label, unit, text]) =>
+    make(
+      "tr",
+      {},
+      make("th", { scope: "row" }, label, unit ? make("span", { class: "faint" }, `, ${unit}`) : null),
+      ...columns.map(({ change, shown: each }) => make("td", { class: change }, text(each))),
+    );
   const hasPositions = columns.some(({ shown: each }) => each.position);
-  const places = hasPositions ? (state.info.axes || []).map((axis, i) => {
-    const [label, unit] = axis.split(", ");
-    return [label, unit || "", (each) => (each.position ? fixed(each.position[i], 3) : "–")];
-  }) : [];
-  return make("section", {}, make("h3", {}, changed ? "Returns with the changed keys" : "Returns"),
-    make("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Returns" },
-      make("table", { class: "returns", id: "returns" }, make("thead", {}, make("tr", {}, make("th", { scope: "col" }, "return"), ...columns.map(heading))),
-        make("tbody", {}, ...[...ROWS, ...places].map(row)))),
-    make("p", { class: "faint" }, "± 1 standard deviation"));
+  const places = hasPositions
+    ? (state.info.axes || []).map((axis, i) => {
+        const [label, unit] = axis.split(", ");
+        return [label, unit || "", (each) => (each.position ? fixed(each.position[i], 3) : "–")];
+      })
+    : [];
+  return make(
+    "section",
+    {},
+    make("h3", {}, changed ? "Returns with the changed keys" : "Returns"),
+    make(
+      "div",
+      { class: "scroll", tabindex: 0, role: "region", "aria-label": "Returns" },
+      make(
+        "table",
+        { class: "returns", id: "returns" },
+        make("thead", {}, make("tr", {}, make("th", { scope: "col" }, "return"), ...columns.map(heading))),
+        make("tbody", {}, ...[...ROWS, ...places].map(row)),
+      ),
+    ),
+    make("p", { class: "faint" }, "± 1 standard deviation"),
+  );
 }
 
 function millimetres(metres) {
@@ -171,25 +187,103 @@ function millimetres(metres) {
 
 function instrumentTable({ instrument }) {
   if (!instrument?.length) return null;
-  const row = (each, i) => make("tr", {}, make("td", {}, `${i + 1}`), make("td", {}, fixed(each.time_of_flight_ns, 3)), make("td", {}, fixed(each.range_m, 3)), make("td", {}, fixed(each.amplitude_dn, 1)));
-  return make("section", {}, make("h3", {}, "Returns of the instrument"), make("div", { class: "scroll" }, make("table", { class: "list" },
-    make("thead", {}, make("tr", {}, ...["return", "time of flight, ns", "range, m", "amplitude, DN"].map((text) => make("th", { scope: "col" }, text)))),
-    make("tbody", {}, ...instrument.map(row)))));
+  const row = (each, i) =>
+    make(
+      "tr",
+      {},
+      make("td", {}, `${i + 1}`),
+      make("td", {}, fixed(each.time_of_flight_ns, 3)),
+      make("td", {}, fixed(each.range_m, 3)),
+      make("td", {}, fixed(each.amplitude_dn, 1)),
+    );
+  return make(
+    "section",
+    {},
+    make("h3", {}, "Returns of the instrument"),
+    make(
+      "div",
+      { class: "scroll" },
+      make(
+        "table",
+        { class: "list" },
+        make(
+          "thead",
+          {},
+          make(
+            "tr",
+            {},
+            ...["return", "time of flight, ns", "range, m", "amplitude, DN"].map((text) =>
+              make("th", { scope: "col" }, text),
+            ),
+          ),
+        ),
+        make("tbody", {}, ...instrument.map(row)),
+      ),
+    ),
+  );
 }
 
 function blocksTable({ blocks }) {
   if (!blocks?.length) return null;
-  const row = (block, i) => make("tr", {}, make("td", {}, `${i + 1}`), make("td", {}, block.channel || "–"), make("td", {}, `${block.samples_dn.length}`), make("td", {}, fixed(block.first_ns, 1)),
-    make("td", {}, fixed(block.background_dn, 2)), make("td", {}, fixed(block.chi_square, 1)), make("td", {}, `${block.degrees_of_freedom}`));
-  return make("section", {}, make("h3", {}, "Sample blocks"), make("div", { class: "scroll" }, make("table", { class: "list" },
-    make("thead", {}, make("tr", {}, ...["block", "channel", "samples", "begins at, ns", "background, DN", "chi-square", "degrees of freedom"].map((text) => make("th", { scope: "col" }, text)))),
-    make("tbody", {}, ...blocks.map(row)))));
+  const row = (block, i) =>
+    make(
+      "tr",
+      {},
+      make("td", {}, `${i + 1}`),
+      make("td", {}, block.channel || "–"),
+      make("td", {}, `${block.samples_dn.length}`),
+      make("td", {}, fixed(block.first_ns, 1)),
+      make("td", {}, fixed(block.background_dn, 2)),
+      make("td", {}, fixed(block.chi_square, 1)),
+      make("td", {}, `${block.degrees_of_freedom}`),
+    );
+  return make(
+    "section",
+    {},
+    make("h3", {}, "Sample blocks"),
+    make(
+      "div",
+      { class: "scroll" },
+      make(
+        "table",
+        { class: "list" },
+        make(
+          "thead",
+          {},
+          make(
+            "tr",
+            {},
+            ...[
+              "block",
+              "channel",
+              "samples",
+              "begins at, ns",
+              "background, DN",
+              "chi-square",
+              "degrees of freedom",
+            ].map((text) => make("th", { scope: "col" }, text)),
+          ),
+        ),
+        make("tbody", {}, ...blocks.map(row)),
+      ),
+    ),
+  );
 }
 
 let isExplained = false;
 
 function explanation({ text }) {
-  const details = make("details", { open: isExplained, toggle: () => { isExplained = details.open; } }, make("summary", {}, "Text of wavex explain"), make("pre", { class: "scroll", tabindex: 0 }, text));
+  const details = make(
+    "details",
+    {
+      open: isExplained,
+      toggle: () => {
+        isExplained = details.open;
+      },
+    },
+    make("summary", {}, "Text of wavex explain"),
+    make("pre", { class: "scroll", tabindex: 0 }, text),
+  );
   return details;
 }
 
@@ -210,13 +304,15 @@ export function toggleJobKeys() {
 export function enlarge() {
   const shot = shown();
   if (!shot) return;
-  showPicture(byId("enlarged-picture"), shot.svg, false);
+  showWhole(byId("enlarged-picture"), shot.svg);
   byId("enlarged").showModal();
 }
 
 /** Name of a file for the shot. */
 function fileName(shot, ending) {
-  const input = (state.info.inputs[shot.input]?.name || "shot").replace(/\.[^.]*$/, "").replace(/[^\w.-]+/g, "_");
+  const input = (state.info.inputs[shot.input]?.name || "shot")
+    .replace(/\.[^.]*$/, "")
+    .replace(/[^\w.-]+/g, "_");
   return `${input}_shot_${shot.shot}.${ending}`;
 }
 
@@ -251,19 +347,34 @@ async function clickPoint(index) {
     if (!["shot", "what-if"].includes(document.body.dataset.tab)) emit("open-tab", "shot");
     select(point.input, point.shot, point.return_number);
   } catch (error) {
-    announce(error.message, true);
+    if (error.status === 410) emit("loading-failed", error);
+    else announce(error.message, true);
   }
 }
 
 byId("previous-shot").addEventListener("click", () => step(-1));
 byId("next-shot").addEventListener("click", () => step(1));
-byId("shown-changed").addEventListener("click", () => { showsJob = false; show(); });
-byId("shown-job").addEventListener("click", () => { showsJob = true; show(); });
+byId("shown-changed").addEventListener("click", () => {
+  showsJob = false;
+  show();
+});
+byId("shown-job").addEventListener("click", () => {
+  showsJob = true;
+  show();
+});
 byId("whole-picture").addEventListener("click", enlarge);
 byId("save-svg").addEventListener("click", saveSvg);
 byId("save-png").addEventListener("click", savePng);
 on("click-point", clickPoint);
 on("select", load);
-on("keys", () => { showsJob = false; load(); });
+on("keys", () => {
+  showsJob = false;
+  load();
+});
 on("tab", show);
+new ResizeObserver(
+  debounced(100, () => {
+    if (shown()) showPanels(byId("waveform"), shown().svg, pictureWidth());
+  }),
+).observe(byId("panel"));
 show();

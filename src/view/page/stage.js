@@ -160,7 +160,8 @@ class Stage {
       const [left, bottom] = camera.project([...node.low, 0]);
       const side = node.side / camera.scale;
       for (const part of parts) {
-        if (left < part[2] && left + side > part[0] && bottom - side < part[3] && bottom > part[1]) this.painter.draw(node, part);
+        if (left < part[2] && left + side > part[0] && bottom - side < part[3] && bottom > part[1])
+          this.painter.draw(node, part);
       }
     }
     this.wasCleared = true;
@@ -217,7 +218,7 @@ class Stage {
       this.canvasShown += 1;
     }
     if (this.isMoving || this.queue.length > 0) this.schedule();
-    else if (wasMoving) this.rest();
+    else this.rest(wasMoving);
     emit("frame");
   }
 
@@ -245,8 +246,8 @@ class Stage {
   }
 
   /** The camera rests: points left out are drawn; enlarged points get their size again. */
-  rest() {
-    if (this.isThin) this.redraw();
+  rest(wasMoving) {
+    if (wasMoving && this.isThin) this.redraw();
     emit("rest");
   }
 
@@ -287,8 +288,14 @@ class Stage {
     let bestScore = Infinity;
     for (const node of this.drawn) {
       if (!node.xyz) continue;
-      if (!camera.isOrbit && (px < node.low[0] - reach || px > node.low[0] + node.side + reach
-        || py < node.low[1] - reach || py > node.low[1] + node.side + reach)) continue;
+      if (
+        !camera.isOrbit &&
+        (px < node.low[0] - reach ||
+          px > node.low[0] + node.side + reach ||
+          py < node.low[1] - reach ||
+          py > node.low[1] + node.side + reach)
+      )
+        continue;
       const { xyz, count } = node;
       for (let i = 0, j = 0; i < count; i += 1, j += 3) {
         const [a, b, c] = [xyz[j] - tx, xyz[j + 1] - ty, xyz[j + 2] - tz];

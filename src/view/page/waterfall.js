@@ -5,7 +5,7 @@ import { table } from "./colours.js";
 import { drawAxes } from "./axes.js";
 import { closeDock, isDocked, openDock, placeInDock, setMessage, setTitle } from "./dock.js";
 import { byId, colour, fitted, make } from "./elements.js";
-import { count, significant } from "./format.js";
+import { significant } from "./format.js";
 import { on, select, state } from "./state.js";
 
 const MARGIN = { left: 62, top: 8, right: 12, bottom: 38 };
@@ -18,16 +18,29 @@ let request = null;
 /** Exponent of the brightness: weak waveforms are raised. */
 let gamma = 0.5;
 
-const brightness = make("select", { "aria-label": "Brightness", change: () => {
-  gamma = Number(brightness.value);
-  paint();
-} }, make("option", { value: 1 }, "linear"), make("option", { value: 0.5, selected: true }, "square root"), make("option", { value: 0.3 }, "weak echoes"));
+const brightness = make(
+  "select",
+  {
+    "aria-label": "Brightness",
+    change: () => {
+      gamma = Number(brightness.value);
+      paint();
+    },
+  },
+  make("option", { value: 1 }, "linear"),
+  make("option", { value: 0.5, selected: true }, "square root"),
+  make("option", { value: 0.3 }, "weak echoes"),
+);
 const dots = make("input", { type: "checkbox", checked: true, change: () => draw() });
 const scale = make("span", { class: "scale" });
 
 const content = {
   name: "line",
-  controls: [scale, make("label", {}, "Brightness ", brightness), make("label", { class: "check" }, dots, "Returns")],
+  controls: [
+    scale,
+    make("label", {}, "Brightness ", brightness),
+    make("label", { class: "check" }, dots, "Returns"),
+  ],
   draw,
   close() {
     request?.abort();
@@ -52,7 +65,9 @@ const content = {
     drag = null;
     if (!ended || ended.hasMoved || !line) return;
     const frame = box();
-    const column = Math.floor(((placeInDock(event)[0] - frame.left) / (frame.right - frame.left)) * line.width);
+    const column = Math.floor(
+      ((placeInDock(event)[0] - frame.left) / (frame.right - frame.left)) * line.width,
+    );
     const shot = line.shots[column];
     if (shot !== undefined && shot !== null) select(line.input, shot);
   },
@@ -74,7 +89,12 @@ const content = {
 
 function box() {
   const { clientWidth, clientHeight } = byId("dock-canvas");
-  return { left: MARGIN.left, top: MARGIN.top, right: clientWidth - MARGIN.right, bottom: clientHeight - MARGIN.bottom };
+  return {
+    left: MARGIN.left,
+    top: MARGIN.top,
+    right: clientWidth - MARGIN.right,
+    bottom: clientHeight - MARGIN.bottom,
+  };
 }
 
 function whole() {
@@ -101,7 +121,7 @@ async function load() {
     line = { ...answer, input, grey: grey(image) };
     times = whole();
     setMessage("");
-    setTitle(`Scan line ${line.line}: ${count(line.width)} shots from ${count(line.first_shot)}`);
+    setTitle(`Scan line ${line.line}`);
     paint();
   } catch (error) {
     if (error.name === "AbortError") return;
@@ -130,7 +150,8 @@ function paint() {
   const image = context.createImageData(line.width, line.height);
   new Uint32Array(image.data.buffer).set(Uint32Array.from(line.grey, (value) => shades[value]));
   context.putImageData(image, 0, 0);
-  scale.textContent = `0 to ${significant(line.highest_dn)} DN above the background`;
+  scale.textContent = `0 to ${significant(line.highest_dn)} DN`;
+  scale.title = "Amplitude above the background, from dark to bright";
   draw();
 }
 
@@ -143,7 +164,12 @@ function draw() {
   if (wide < 20 || tall < 20) return;
   const column = wide / line.width;
   const y = (time) => frame.top + ((time - times[0]) / (times[1] - times[0])) * tall;
-  drawAxes(context, frame, { range: [0, line.width], label: "shot in the line" }, { range: [times[1], times[0]], label: "time of flight, ns" });
+  drawAxes(
+    context,
+    frame,
+    { range: [0, line.width], label: "shot in the line" },
+    { range: [times[1], times[0]], label: "time of flight, ns" },
+  );
   context.save();
   context.beginPath();
   context.rect(frame.left, frame.top, wide, tall);
@@ -154,7 +180,12 @@ function draw() {
   context.fillStyle = colour("gone");
   const side = Math.max(1.5, Math.min(3, column / 2));
   for (const each of dots.checked ? line.returns : []) {
-    context.fillRect(frame.left + (each.column + 0.5) * column - side / 2, y(each.time_of_flight_ns) - side / 2, side, side);
+    context.fillRect(
+      frame.left + (each.column + 0.5) * column - side / 2,
+      y(each.time_of_flight_ns) - side / 2,
+      side,
+      side,
+    );
   }
   const at = line.shots.indexOf(state.selected?.shot);
   if (at >= 0 && line.input === state.selected.input) {
@@ -175,5 +206,9 @@ export function toggleLine() {
 }
 
 byId("show-line").addEventListener("click", toggleLine);
-on("select", () => { if (isDocked(content)) load(); });
-on("scheme", () => { if (isDocked(content)) paint(); });
+on("select", () => {
+  if (isDocked(content)) load();
+});
+on("scheme", () => {
+  if (isDocked(content)) paint();
+});

@@ -14,11 +14,27 @@ const summary = make("div", { id: "difference", role: "status" });
 const results = make("div", { id: "comparison" });
 const controls = new Map();
 let request = null;
-const lineButton = make("button", { click: () => compare("line"), title: "Decompose the scan line of the shot with both sets of keys" }, "Compare line");
-const partButton = make("button", { click: () => compare("part"), title: "Decompose the visible part of the map with both sets of keys" }, "Compare visible");
+const lineButton = make(
+  "button",
+  { click: () => compare("line"), title: "Decompose the scan line of the shot with both sets of keys" },
+  "Compare line",
+);
+const partButton = make(
+  "button",
+  { click: () => compare("part"), title: "Decompose the visible part of the map with both sets of keys" },
+  "Compare visible",
+);
 const resetButton = make("button", { click: reset }, "Reset");
-const copyButton = make("button", { click: copyJob, title: "Copy the job with the changed keys" }, "Copy as job");
-const saveButton = make("button", { click: saveJob, title: "Save the job with the changed keys" }, "Save job");
+const copyButton = make(
+  "button",
+  { click: copyJob, title: "Copy the job with the changed keys" },
+  "Copy as job",
+);
+const saveButton = make(
+  "button",
+  { click: saveJob, title: "Save the job with the changed keys" },
+  "Save job",
+);
 
 const keysChanged = debounced(150, () => emit("keys"));
 
@@ -50,7 +66,8 @@ function slider([low, high]) {
   const isLog = low > 0 && high / low >= 50;
   const [from, to] = isLog ? [Math.log(low), Math.log(high)] : [low, high];
   return {
-    place: (value) => Math.round((1000 * ((isLog ? Math.log(Math.max(low, value)) : value) - from)) / (to - from)),
+    place: (value) =>
+      Math.round((1000 * ((isLog ? Math.log(Math.max(low, value)) : value) - from)) / (to - from)),
     value: (place) => {
       const at = from + ((to - from) * place) / 1000;
       return Number((isLog ? Math.exp(at) : at).toPrecision(3));
@@ -63,30 +80,84 @@ function inputs(key) {
   const id = `key-${key.key.replace(/\W/g, "-")}`;
   if (key.kind === "flag") {
     const box = make("input", { type: "checkbox", id, change: () => set(key, box.checked) });
-    return { id, elements: [box], show: (value) => { box.checked = value === true; } };
+    return {
+      id,
+      elements: [box],
+      show: (value) => {
+        box.checked = value === true;
+      },
+    };
   }
   if (key.kind === "choice") {
-    const list = make("select", { id, change: () => set(key, key.choices.find((one) => String(one) === list.value)) }, ...key.choices.map((one) => make("option", { value: one }, String(one))));
-    return { id, elements: [list], show: (value) => { list.value = String(value); } };
+    const list = make(
+      "select",
+      {
+        id,
+        change: () =>
+          set(
+            key,
+            key.choices.find((one) => String(one) === list.value),
+          ),
+      },
+      ...key.choices.map((one) => make("option", { value: one }, String(one))),
+    );
+    return {
+      id,
+      elements: [list],
+      show: (value) => {
+        list.value = String(value);
+      },
+    };
   }
   if (key.kind === "text") {
-    const box = make("input", { type: "text", id, spellcheck: "false", autocomplete: "off", input: debounced(300, () => {
-      if (box.value.trim() !== "") set(key, box.value.trim());
-    }) });
-    return { id, elements: [box], show: (value) => { if (document.activeElement !== box || box.value.trim() !== value) box.value = value; } };
+    const box = make("input", {
+      type: "text",
+      id,
+      spellcheck: "false",
+      autocomplete: "off",
+      input: debounced(300, () => {
+        if (box.value.trim() !== "") set(key, box.value.trim());
+      }),
+    });
+    return {
+      id,
+      elements: [box],
+      show: (value) => {
+        if (document.activeElement !== box || box.value.trim() !== value) box.value = value;
+      },
+    };
   }
-  const number = make("input", { type: "number", id, min: key.min, max: key.max, step: "any", input: () => {
-    if (number.value !== "" && number.checkValidity()) set(key, Number(number.value));
-  } });
-  const showNumber = (value) => { if (document.activeElement !== number || Number(number.value) !== value) number.value = value ?? ""; };
+  const number = make("input", {
+    type: "number",
+    id,
+    min: key.min,
+    max: key.max,
+    step: "any",
+    input: () => {
+      if (number.value !== "" && number.checkValidity()) set(key, Number(number.value));
+    },
+  });
+  const showNumber = (value) => {
+    if (document.activeElement !== number || Number(number.value) !== value) number.value = value ?? "";
+  };
   const limits = ends(key);
   if (!limits) return { id, elements: [number], show: showNumber };
   const { place, value: at } = slider(limits);
-  const range = make("input", { type: "range", min: 0, max: 1000, "aria-label": labelOf(key), input: () => set(key, at(Number(range.value))) });
-  return { id, elements: [range, number], show: (value) => {
-    showNumber(value);
-    range.value = place(value ?? limits[0]);
-  } };
+  const range = make("input", {
+    type: "range",
+    min: 0,
+    max: 1000,
+    "aria-label": labelOf(key),
+    input: () => set(key, at(Number(range.value))),
+  });
+  return {
+    id,
+    elements: [range, number],
+    show: (value) => {
+      showNumber(value);
+      range.value = place(value ?? limits[0]);
+    },
+  };
 }
 
 function labelOf({ label }) {
@@ -104,15 +175,36 @@ function firstSentence(text) {
 
 function control(key) {
   const { id, elements, show } = inputs(key);
-  const note = make("button", { class: "job-value", title: "Back to the key of the job", click: () => set(key, key.value) });
-  const element = make("div", { class: "key" }, make("label", { for: id, title: plain(key.help) }, labelOf(key), key.unit ? make("span", { class: "faint" }, `, ${key.unit}`) : null),
-    make("div", { class: "inputs" }, ...elements), note, make("p", { class: "faint help", title: plain(key.help) }, firstSentence(plain(key.help))));
+  const note = make("button", {
+    class: "job-value",
+    title: "Back to the key of the job",
+    click: () => set(key, key.value),
+  });
+  const element = make(
+    "div",
+    { class: "key" },
+    make(
+      "label",
+      { for: id, title: plain(key.help) },
+      labelOf(key),
+      key.unit ? make("span", { class: "faint" }, `, ${key.unit}`) : null,
+    ),
+    make("div", { class: "inputs" }, ...elements),
+    note,
+    make("p", { class: "faint help", title: plain(key.help) }, firstSentence(plain(key.help))),
+  );
   controls.set(key.key, { key, element, note, show });
   return element;
 }
 
 function written(value) {
-  return typeof value === "number" ? significant(value, 6) : value === true ? "on" : value === false ? "off" : String(value);
+  return typeof value === "number"
+    ? significant(value, 6)
+    : value === true
+      ? "on"
+      : value === false
+        ? "off"
+        : String(value);
 }
 
 /** Shows the values of all keys; marks changed ones. */
@@ -140,18 +232,41 @@ function showKeys() {
 /** One line: what changes in the selected shot. */
 function showDifference() {
   if (state.changedKeys.size === 0) {
-    fill(summary, make("p", { class: "faint" }, state.selected ? "Change a key: the shot is decomposed again at once." : "Select a shot, then change a key: it is decomposed again at once."));
+    fill(
+      summary,
+      make(
+        "p",
+        { class: "faint" },
+        state.selected
+          ? "Change a key: the shot is decomposed again at once."
+          : "Select a shot, then change a key: it is decomposed again at once.",
+      ),
+    );
     return;
   }
   const difference = state.changedShot?.difference;
   if (!difference) {
-    fill(summary, make("p", { class: "faint" }, state.selected ? "Decomposing …" : `${counted(state.changedKeys.size, "key")} changed. Select a shot, or compare the visible part.`));
+    fill(
+      summary,
+      make(
+        "p",
+        { class: "faint" },
+        state.selected
+          ? "Decomposing …"
+          : `${counted(state.changedKeys.size, "key")} changed. Select a shot, or compare the visible part.`,
+      ),
+    );
     return;
   }
   const of = (kind) => difference.changes.filter(({ change }) => change === kind).length;
   const parts = [`${counted(difference.before, "return")} → ${count(difference.after)}`];
-  const kinds = ["new", "gone", "moved"].filter((kind) => of(kind) > 0).map((kind) => make("span", { class: `badge ${kind}` }, `${of(kind)} ${kind}`));
-  fill(summary, make("p", {}, `This shot: ${parts.join("")} `, ...(kinds.length ? kinds : ["no difference"])));
+  const kinds = ["new", "gone", "moved"]
+    .filter((kind) => of(kind) > 0)
+    .map((kind) => make("span", { class: `badge ${kind}` }, `${of(kind)} ${kind}`));
+  fill(
+    summary,
+    make("p", {}, `This shot: ${parts.join("")} `, ...(kinds.length ? kinds : ["no difference"])),
+  );
 }
 
 function reset() {
@@ -169,8 +284,15 @@ async function compare(what) {
   if (what === "line") params = { input: state.selected.input, shot: state.selected.shot, set };
   else {
     const { width, height } = stage.camera;
-    const corners = [[0, 0], [width, 0], [0, height], [width, height]].map(([x, y]) => absolute(stage.camera.unproject(x, y)));
-    const ends = [Math.min, Math.max].map((pick) => [0, 1].map((i) => pick(...corners.map((corner) => corner[i]))));
+    const corners = [
+      [0, 0],
+      [width, 0],
+      [0, height],
+      [width, height],
+    ].map(([x, y]) => absolute(stage.camera.unproject(x, y)));
+    const ends = [Math.min, Math.max].map((pick) =>
+      [0, 1].map((i) => pick(...corners.map((corner) => corner[i]))),
+    );
     params = { generation: state.generation, from: ends[0].join(","), to: ends[1].join(","), set };
   }
   fill(results, make("p", { class: "faint", role: "status" }, "Decomposing …"));
@@ -195,18 +317,45 @@ function sign(kind) {
 }
 
 function showComparison(answer, what) {
-  const share = answer.before > 0 ? ` (${answer.after >= answer.before ? "+" : "−"}${significant((100 * Math.abs(answer.after - answer.before)) / answer.before, 2)}\u202f%)` : "";
-  const explained = { new: "returns only with the changed keys", gone: "returns only with the keys of the job", moved: "returns at another range" };
+  const share =
+    answer.before > 0
+      ? ` (${answer.after >= answer.before ? "+" : "−"}${significant((100 * Math.abs(answer.after - answer.before)) / answer.before, 2)}\u202f%)`
+      : "";
+  const explained = {
+    new: "returns only with the changed keys",
+    gone: "returns only with the keys of the job",
+    moved: "returns at another range",
+  };
   const row = (kind) => {
     const total = answer[`${kind}_total`] ?? answer[kind].length;
     const first = answer[kind][0];
     const go = first ? make("button", { class: "link", click: () => stepThrough(kind) }, "step through") : "";
-    return make("tr", {}, make("td", {}, sign(kind), kind), make("td", {}, count(total)), make("td", { class: "text" }, explained[kind]), make("td", {}, go));
+    return make(
+      "tr",
+      {},
+      make("td", {}, sign(kind), kind),
+      make("td", {}, count(total)),
+      make("td", { class: "text" }, explained[kind]),
+      make("td", {}, go),
+    );
   };
-  fill(results, make("h3", {}, what === "line" ? "In the scan line" : "In the visible part"),
-    make("p", {}, `${counted(answer.shots, "shot")}: ${counted(answer.before, "return")} → ${count(answer.after)}${share}`),
-    answer.limited ? make("p", { class: "notice" }, "Too many shots for one answer: only a part was compared. Zoom in to compare all.") : null,
-    make("table", { class: "list" }, make("tbody", {}, ...["new", "gone", "moved"].map(row))));
+  fill(
+    results,
+    make("h3", {}, what === "line" ? "In the scan line" : "In the visible part"),
+    make(
+      "p",
+      {},
+      `${counted(answer.shots, "shot")}: ${counted(answer.before, "return")} → ${count(answer.after)}${share}`,
+    ),
+    answer.limited
+      ? make(
+          "p",
+          { class: "notice" },
+          "Too many shots for one answer: only a part was compared. Zoom in to compare all.",
+        )
+      : null,
+    make("table", { class: "list" }, make("tbody", {}, ...["new", "gone", "moved"].map(row))),
+  );
 }
 
 const steps = { new: -1, gone: -1, moved: -1 };
@@ -251,13 +400,21 @@ function build() {
   if (page.dataset.keys === names) return;
   page.dataset.keys = names;
   controls.clear();
-  fill(page, summary, make("div", { class: "keys" }, ...keys.map(control)), results,
-    make("div", { class: "bar wrap actions" }, lineButton, partButton, copyButton, saveButton, resetButton));
-  if (keys.length === 0) fill(page, make("p", {}, "This input has no waveforms that could be decomposed again."));
+  fill(
+    page,
+    summary,
+    make("div", { class: "keys" }, ...keys.map(control)),
+    results,
+    make("div", { class: "bar wrap actions" }, lineButton, partButton, copyButton, saveButton, resetButton),
+  );
+  if (keys.length === 0)
+    fill(page, make("p", {}, "This input has no waveforms that could be decomposed again."));
   showKeys();
 }
 
 on("info", build);
 on("shot", showDifference);
 on("select", showKeys);
-on("scheme", () => { if (state.comparison) emit("compared"); });
+on("scheme", () => {
+  if (state.comparison) emit("compared");
+});
