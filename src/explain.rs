@@ -104,7 +104,10 @@ impl Explained {
     /// Number and time of the shot, name of the recording, counts of returns and blocks.
     pub(crate) fn title(&self) -> String {
         let name = std::path::Path::new(&self.file).file_name();
-        table::title(self, &name.map_or_else(|| self.file.clone(), |name| name.to_string_lossy().into_owned()))
+        table::title(
+            self,
+            &name.map_or_else(|| self.file.clone(), |name| name.to_string_lossy().into_owned()),
+        )
     }
 
     /// Samples, fit and residuals as SVG.

@@ -12,8 +12,8 @@ use super::chain::{Common, no_thread};
 use super::failure::THREAD_PREFIX;
 use super::worker::Gauge;
 use super::{
-    Cancel, Cause, Input, InputSummary, Options, Progress, ProgressMode, RunError, failure, pool, run_context, schedule,
-    size,
+    Cancel, Cause, Input, InputSummary, Options, Progress, ProgressMode, RunError, failure, pool,
+    run_context, schedule, size,
 };
 use crate::georef::Loader;
 use crate::job::Job;

@@ -20,7 +20,7 @@ macro_rules! files {
 }
 
 /// All files.
-const FILES: [(&str, &[u8]); 26] = files![
+const FILES: [(&str, &[u8]); 27] = files![
     "api.js",
     "axes.js",
     "camera.js",
@@ -40,6 +40,7 @@ const FILES: [(&str, &[u8]); 26] = files![
     "main.js",
     "marks.js",
     "overlay.js",
+    "picture.js",
     "profile.js",
     "shot.js",
     "stage.js",
