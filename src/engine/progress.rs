@@ -148,8 +148,8 @@ impl Progress {
         self.running.insert(number, Running { stem, place: self.begun, started, gauge });
         match self.mode {
             ProgressMode::Bar => {
-                let bar = self.bar.get_or_insert_with(bar);
-                bar.set_prefix(label(self.running.values(), self.sizes.len(), self.failed));
+                let label = self.label();
+                self.bar.get_or_insert_with(bar).set_prefix(label);
             }
             ProgressMode::Json => self.json(),
             ProgressMode::Lines | ProgressMode::Hidden => {}
@@ -172,8 +172,7 @@ impl Progress {
         match self.mode {
             ProgressMode::Lines => {
                 let part = self.fraction().map_or(String::new(), |part| format!("{:.0} %, ", 100.0 * part));
-                let label = label(self.running.values(), self.sizes.len(), self.failed);
-                line(&label, &format!("{part}{}{}", rate(state), self.left()));
+                line(&self.label(), &format!("{part}{}{}", rate(state), self.left()));
             }
             ProgressMode::Json => self.json(),
             ProgressMode::Bar | ProgressMode::Hidden => {}
@@ -206,9 +205,14 @@ impl Progress {
             self.json();
         }
         if self.mode == ProgressMode::Bar && !self.running.is_empty() {
-            let bar = self.bar.get_or_insert_with(bar);
-            bar.set_prefix(label(self.running.values(), self.sizes.len(), self.failed));
+            let label = self.label();
+            self.bar.get_or_insert_with(bar).set_prefix(label);
         }
+    }
+
+    /// Names and places of the running inputs.
+    fn label(&self) -> String {
+        label(self.running.values(), self.sizes.len(), self.failed)
     }
 
     /// Sum of the running inputs.
@@ -373,5 +377,38 @@ mod tests {
         progress.begin(2, "c", &Arc::new(gauge(0, 0, 0)));
         assert_eq!(progress.fraction(), Some(0.25));
         assert_eq!(label(progress.running.values(), 3, 0), "a, c (1, 3 of 3)");
+    }
+    #[test]
+    fn a_bar_shows_the_running_inputs_their_part_and_the_time_left() {
+        let mut progress = Progress::new(ProgressMode::Bar, BTreeMap::from([(0, 30), (1, 10)]));
+        progress.begin(0, "a", &Arc::new(gauge(500_000, 2, 2)));
+        progress.begin(1, "b", &Arc::new(gauge(0, 0, 0)));
+        progress.show();
+        let bar = progress.bar.clone().unwrap();
+        assert_eq!((bar.prefix().as_str(), bar.position()), ("a, b (1, 2 of 2)", 375_000));
+        let message = bar.message();
+        assert!(message.starts_with("200 shots, ") && message.ends_with(" s left"), "{message}");
+        // A failed input clears the bar for its line; the rest has a new one.
+        progress.end(0);
+        assert!(bar.is_finished() && progress.bar.is_none());
+        progress.count(true);
+        let bar = progress.bar.clone().unwrap();
+        assert_eq!(bar.prefix(), "b (2 of 2, 1 failed)");
+        drop(progress);
+        assert!(bar.is_finished(), "a bar does not outlast its run");
+    }
+
+    #[test]
+    fn lines_and_objects_come_at_their_intervals() {
+        for (mode, interval_s) in [(ProgressMode::Lines, 10), (ProgressMode::Json, 1)] {
+            let mut progress = Progress::new(mode, BTreeMap::from([(0, 1)]));
+            progress.begin(0, "a", &Arc::new(gauge(500_000, 2, 2)));
+            progress.next = Duration::MAX;
+            progress.show();
+            assert_eq!(progress.next, Duration::MAX, "it is not time");
+            progress.next = Duration::ZERO;
+            progress.show();
+            assert_eq!(progress.next, Duration::from_secs(interval_s));
+        }
     }
 }

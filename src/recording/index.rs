@@ -248,7 +248,9 @@ fn lines_of(batch: &RecordBatch) -> Option<Vec<IndexedLine>> {
             first_shot: first_shot.value(i),
             is_complete: is_complete.value(i),
         };
-        let is_valid = !location.records.is_empty() && lowest.value(i) <= highest.value(i);
+        // A reader counts on from the numbers of the line and of its first shot.
+        let may_count = location.line < u32::MAX && location.first_shot < u64::MAX >> 1;
+        let is_valid = may_count && !location.records.is_empty() && lowest.value(i) <= highest.value(i);
         is_valid.then(|| IndexedLine {
             location,
             shots: shots.value(i),
@@ -261,4 +263,73 @@ fn lines_of(batch: &RecordBatch) -> Option<Vec<IndexedLine>> {
 
 fn unusable(path: &Path, error: &ArrowError) -> Error {
     Error::unusable(path, error.to_string(), "please report this bug in wavex")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(line: u32, first_s: f64) -> IndexedLine {
+        let start = u64::from(line) * 100;
+        let location = LineLocation {
+            records: start..start + 90,
+            row: 7,
+            line,
+            first_shot: start,
+            is_complete: line == 0,
+        };
+        IndexedLine {
+            location,
+            shots: 80,
+            shot_range: [start, start + 79],
+            time_range_s: [first_s, first_s + 1.0],
+        }
+    }
+
+    #[test]
+    fn an_index_comes_back_and_serves_only_its_recording() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.las.wvxi");
+        let index =
+            LineIndex { lines: (0..3).map(|number| line(number, 10.0 * f64::from(number))).collect() };
+        index.write(&path, "64 bytes").unwrap();
+        assert_eq!(LineIndex::read(&path, "64 bytes"), Some(index));
+        assert_eq!(LineIndex::read(&path, "65 bytes"), None);
+        let bytes = fs::read(&path).unwrap();
+        fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+        assert_eq!(LineIndex::read(&path, "64 bytes"), None, "cut off");
+        assert_eq!(LineIndex::read(&folder.path().join("none"), "64 bytes"), None);
+    }
+
+    #[test]
+    fn an_index_with_impossible_numbers_is_not_used() {
+        let read = |change: fn(&mut IndexedLine)| {
+            let mut changed = line(1, 0.0);
+            change(&mut changed);
+            lines_of(&columns(&[line(0, 0.0), changed]).unwrap())
+        };
+        assert_eq!(read(|_| ()).map(|lines| lines.len()), Some(2));
+        assert_eq!(read(|line| line.location.records = 5..5), None);
+        assert_eq!(read(|line| line.shot_range = [2, 1]), None);
+        assert_eq!(read(|line| line.location.line = u32::MAX), None);
+        assert_eq!(read(|line| line.location.first_shot = u64::MAX), None);
+        let batch = columns(&[line(0, 0.0)]).unwrap();
+        for column in 0..batch.num_columns() {
+            let mut without = batch.clone();
+            without.remove_column(column);
+            assert_eq!(lines_of(&without), None, "{}", batch.schema().field(column).name());
+        }
+    }
+
+    #[test]
+    fn lines_are_found_by_shots_and_times() {
+        let without_times = IndexedLine { time_range_s: [f64::NAN; 2], ..line(1, 0.0) };
+        let index = LineIndex { lines: vec![line(0, 10.0), without_times, line(2, 20.0)] };
+        assert_eq!((index.shots(), index.shot_range()), (240, Some([0, 279])));
+        assert_eq!(index.of_shot(150).collect::<Vec<_>>(), [1]);
+        assert_eq!(index.of_shot(95).count(), 0, "between two lines");
+        assert_eq!(index.by_time(18.5), [(1.5, 2), (7.5, 0)]);
+        assert_eq!(index.by_time(10.5), [(0.0, 0), (9.5, 2)]);
+        assert_eq!(LineIndex::default().shot_range(), None);
+    }
 }

@@ -1,9 +1,12 @@
 //! Scan lines read in any order equal those of a run.
 
+use std::fs;
 use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, UNIX_EPOCH};
 
 use wavex::job::{Job, Override};
-use wavex::recording::{OpenError, Recording};
+use wavex::recording::{LineIndex, OpenError, Recording, index_path};
 use wavex::scan_line::{Content, ScanLine};
 use wavex::stage::{Context, Plan, RunContext};
 use wavex_testkit::las::Las;
@@ -74,7 +77,7 @@ fn containers_and_las_are_read_in_any_order() {
     }
     // Small recordings are read in no time: their folders stay as they are.
     assert!(
-        std::fs::read_dir(place.path("out"))
+        fs::read_dir(place.path("out"))
             .unwrap()
             .all(|entry| { entry.unwrap().path().extension().is_none_or(|extension| extension != "wvxi") })
     );
@@ -88,6 +91,46 @@ fn a_waveform_outside_its_file_is_no_shot_of_the_index() {
     assert!(assert_same_lines(&path, "read_las", &[]) > 0);
     let index = Recording::open(&path, &[]).unwrap().index(&mut |_| Ok(())).unwrap();
     assert_eq!(index.shots(), 399);
+}
+
+/// Index of a recording, and whether it was made rather than read.
+fn index_of(path: &Path, set: &[String]) -> (Arc<LineIndex>, bool) {
+    let mut is_made = false;
+    let mut watch = |_| {
+        is_made = true;
+        Ok(())
+    };
+    let index = Recording::open(path, set).unwrap().index(&mut watch).unwrap();
+    (index, is_made)
+}
+
+#[test]
+fn the_index_of_a_large_recording_is_kept_while_it_fits() {
+    let las = Las::new(400);
+    let place = TestFolder::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)]);
+    let path = place.path("a.las");
+    // A hole after the points makes the file large, but takes no space.
+    let file = fs::File::options().write(true).open(&path).unwrap();
+    file.set_len(64 << 20).unwrap();
+    let (first, is_made) = index_of(&path, &[]);
+    let kept = index_path(&path);
+    assert!(is_made && first.shots() == 400 && kept.ends_with("a.las.wvxi") && kept.is_file());
+    assert_eq!(index_of(&path, &[]), (Arc::clone(&first), false));
+    assert!(assert_same_lines(&path, "read_las", &[]) > 0, "lines are those of a run");
+    // Other keys may mean other shots.
+    let set = ["read_las.odd_sample_shift = 0.1".to_owned()];
+    assert_eq!(
+        [index_of(&path, &set).1, index_of(&path, &set).1, index_of(&path, &[]).1],
+        [true, false, true]
+    );
+    fs::write(&kept, b"ARROW1 and nothing more").unwrap();
+    assert_eq!(index_of(&path, &[]), (Arc::clone(&first), true), "a damaged index is replaced");
+    file.set_modified(UNIX_EPOCH + Duration::from_secs(1)).unwrap();
+    assert_eq!([index_of(&path, &[]).1, index_of(&path, &[]).1], [true, false], "the recording has changed");
+    // An index that cannot be written is made by each program.
+    fs::remove_file(&kept).unwrap();
+    fs::create_dir(&kept).unwrap();
+    assert_eq!([index_of(&path, &[]).1, index_of(&path, &[]).1], [true, true]);
 }
 
 #[test]

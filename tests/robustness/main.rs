@@ -19,6 +19,7 @@ mod layers;
 mod repeatable;
 #[cfg(unix)]
 mod resumed;
+mod stream;
 mod survey;
 mod survey_model;
 mod truncation;

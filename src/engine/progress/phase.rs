@@ -75,3 +75,41 @@ impl Drop for Phase {
         self.bar.take().inspect(ProgressBar::finish_and_clear);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bar_shows_the_input_and_its_part_of_the_phase() {
+        let mut phase = Phase::new("calibrate", "calibrating", ProgressMode::Bar, 4);
+        phase.show("a", 0, 0.5);
+        let bar = phase.bar.clone().unwrap();
+        assert_eq!((bar.prefix().as_str(), bar.position()), ("calibrating: a (1 of 4)", 125_000));
+        assert!(bar.message().ends_with(" s left"), "{}", bar.message());
+        phase.show("b", 3, 1.0);
+        assert_eq!((bar.prefix().as_str(), bar.position()), ("calibrating: b (4 of 4)", 1_000_000));
+        drop(phase);
+        assert!(bar.is_finished(), "a bar does not outlast its phase");
+    }
+
+    #[test]
+    fn a_single_input_has_no_number() {
+        let mut phase = Phase::new("copc", "sorting", ProgressMode::Bar, 1);
+        phase.show("a", 0, 0.0);
+        let bar = phase.bar.clone().unwrap();
+        assert_eq!((bar.prefix().as_str(), bar.message().as_str()), ("sorting: a", ""));
+    }
+
+    #[test]
+    fn lines_and_objects_come_at_their_intervals() {
+        for (mode, interval_s) in [(ProgressMode::Lines, 10), (ProgressMode::Json, 1)] {
+            let mut phase = Phase::new("calibrate", "calibrating", mode, 2);
+            phase.show("a", 0, 0.0);
+            assert!(phase.next >= Duration::from_secs(interval_s), "the first comes at once");
+            phase.next = Duration::MAX;
+            phase.show("a", 0, 0.5);
+            assert_eq!(phase.next, Duration::MAX, "it is not time");
+        }
+    }
+}
