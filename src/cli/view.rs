@@ -74,7 +74,8 @@ fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
         }
         _ => {
             let (name, text) = (format!("the job for {}", place.display()), of_recording(place, None)?);
-            (Source { name, text, includes: Vec::new() }, PathBuf::from("."))
+            // Paths in messages stay as they are given.
+            (Source { name, text, includes: Vec::new() }, PathBuf::new())
         }
     };
     let set = args.set.clone();

@@ -44,7 +44,7 @@ fn the_points_of_a_folder_are_those_of_its_run() {
     assert_eq!((info["state"].as_str(), info["error"].as_str()), (Some("ready"), None), "{info}");
     let expected: Vec<[f64; 3]> = rows(&table)
         .iter()
-        .map(|row| ["x_m", "y_m", "z_m"].map(|name| column(row, name).parse().unwrap()))
+        .map(|row| ["x", "y", "z"].map(|name| column(row, name).parse().unwrap()))
         .collect();
     assert_eq!(info["points"].as_u64(), Some(expected.len() as u64));
     let generation = info["generation"].as_u64().unwrap();
@@ -181,13 +181,13 @@ fn a_profile_has_the_points_beside_its_line() {
 fn a_job_with_two_receivers_and_open_zones_is_viewed_shot_by_shot() {
     let place = TestFolder::new();
     let chain = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 40\nshots_per_line = 100\n\
-                 high_power_gain = 8.0\nas_recorded = true\nflying_height_m = 1500.0\npulse_rate_hz = 150000.0\n\
+                 high_power = true\nas_recorded = true\nflying_height_m = 1500.0\npulse_rate_hz = 150000.0\n\
                  [[stage]]\ntype = 'fuse_channels'\n\
                  [[stage]]\ntype = 'resolve_mta'\n\
                  [[stage]]\ntype = 'calibrate'\n\
                  [[stage]]\ntype = 'decompose'\n\
-                 [[stage]]\ntype = 'georeference'\n\
-                 [[stage]]\ntype = 'filter_outliers'\n";
+                 [[stage]]\ntype = 'filter_outliers'\n\
+                 [[stage]]\ntype = 'georeference'\n";
     place.write("job.toml", chain.as_bytes());
     let checked = place.wavex(&["check", "job.toml"]);
     if checked.code != Some(0) {
@@ -241,7 +241,10 @@ fn a_recording_that_cannot_be_read_to_its_end_says_so_on_the_page() {
     let place = simulated();
     let whole = std::fs::read(place.path("out/flight.arrow")).unwrap();
     place.write("cut.arrow", &whole[..whole.len() / 2]);
-    let view = view(&place, &["cut.arrow", "--set", "decompose.mode=fastest"]);
+    let chain = "[[stage]]\ntype = 'read_arrow'\npath = 'cut.arrow'\n[[stage]]\ntype = 'calibrate'\n\
+                 [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'georeference'\n";
+    place.write("job.toml", chain.as_bytes());
+    let view = view(&place, &["job.toml"]);
     let info = view.ready();
     assert_eq!(info["state"], "failed");
     assert!(info["error"].as_str().unwrap().contains("cut.arrow"), "{info}");
@@ -252,7 +255,7 @@ fn the_folder_of_a_survey_has_its_strips_and_rasters() {
     let place = TestFolder::new();
     for (seed, strip) in [(1, "a"), (2, "b")] {
         let job = format!(
-            "[[stage]]\ntype = 'simulate'\nstem = '{strip}'\nlines = 20\nshots_per_line = 200\nseed = {seed}\n\
+            "[[stage]]\ntype = 'simulate'\nstem = '{strip}'\nlines = 100\nshots_per_line = 200\nflying_height_m = 150.0\nseed = {seed}\n\
              scene_seed = 7\n[[stage]]\ntype = 'write_arrow'\npath = 'lines/*.arrow'\n"
         );
         assert_eq!(place.run(&job), Outcome::success());
