@@ -1,9 +1,9 @@
 //! `wavex view`: recordings, fits and points in a browser.
 //!
 //! The chain of a job runs over its inputs without its sinks; the points are kept in memory
-//! ([`points`]) and shown while it runs. A shot that the user selects is read and decomposed again
-//! ([`lines`], [`shots`]), also with other keys. The page is a few static files ([`page`]); the server
-//! ([`server`]) answers only to it.
+//! (`points`) and shown while it runs. A shot that the user selects is read and decomposed again
+//! (`lines`, `shots`), also with other keys. The page is a few static files (`page`); the server
+//! (`server`) answers only to it.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ mod server;
 mod session;
 mod shots;
 
-pub use session::Opened;
+pub use session::{Opened, ParseWith};
 
 use session::{Session, State};
 

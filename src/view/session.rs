@@ -22,6 +22,9 @@ use super::points::{Point, Points};
 /// Origins are multiples of this, m, so that positions can be read.
 const ORIGIN_STEP_M: f64 = 100.0;
 
+/// Parses a job with overrides; returns the error as text.
+pub type ParseWith = dyn Fn(&[String]) -> Result<Job, String> + Send + Sync;
+
 /// What to open.
 pub struct Opened {
     /// Title of the page.
@@ -31,7 +34,7 @@ pub struct Opened {
     /// The job; files that it would write are not written.
     pub job: Job,
     /// Parses the job again, with overrides such as `decompose.detection_sigma=6`.
-    pub with: Box<dyn Fn(&[String]) -> Result<Job, String> + Send + Sync>,
+    pub with: Box<ParseWith>,
     /// Folder at which relative input paths start.
     pub input_dir: PathBuf,
     /// Folder with rasters of a survey.

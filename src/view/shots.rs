@@ -207,7 +207,7 @@ fn placed(line: &ScanLine, wanted: impl Fn(&Emission) -> bool) -> Vec<Placed> {
     let is_wanted = |found: &Return| line.emissions.get(found.emission as usize).is_some_and(&wanted);
     let position = |at: usize| line.points().and_then(|points| points.get(at)).copied();
     let all = returns.iter().enumerate().filter(|(_, found)| is_wanted(found));
-    all.map(|(at, found)| Placed { found: found.clone(), position: position(at) }).collect()
+    all.map(|(at, found)| Placed { found: *found, position: position(at) }).collect()
 }
 
 /// A change of a return.
@@ -333,7 +333,8 @@ impl LinePicture {
         let end_ns =
             |(_, start_ns, block): &(usize, f64, &Block)| start_ns + block.interval_ns * block.len() as f64;
         let last_ns = shown.iter().map(end_ns).fold(f64::NEG_INFINITY, f64::max);
-        if !(last_ns > first_ns) {
+        // Without blocks, the last time is before the first.
+        if shown.is_empty() || last_ns <= first_ns {
             return Err("the line has no recorded echoes".into());
         }
         let interval_ns = interval_ns.max((last_ns - first_ns) / MAX_ROWS as f64);

@@ -117,7 +117,7 @@ impl Convert for Permitted {
 
 #[test]
 fn a_stream_waits_no_longer_than_requested() {
-    let (permit, permitted) = std::sync::mpsc::channel();
+    let (permit, permitted) = std::sync::mpsc::sync_channel(1);
     let mut stream = stream(&[(&COUNT, "lines = 1")], Permitted(permitted));
     assert_eq!(stream.next_within(Duration::from_millis(1)).unwrap(), Next::Waiting);
     permit.send(()).unwrap();
