@@ -166,14 +166,6 @@ static EXIT: StageSpec =
 struct Exit<C: Convert>(Mutex<Option<Forward<C>>>);
 
 impl<C: Convert + 'static> SinkPlan for Exit<C> {
-    fn outputs(&self) -> Vec<&str> {
-        Vec::new()
-    }
-
-    fn needs_waveforms(&self) -> bool {
-        false
-    }
-
     fn make(&self, _: &RunContext) -> Result<Box<dyn Sink>> {
         let forward = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
         forward.map_or(Err(StageError::Stopped), |forward| Ok(Box::new(forward)))

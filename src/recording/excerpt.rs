@@ -1,12 +1,11 @@
 //! A source that leaves out the lines between the start of a recording and one of its shots.
 
-use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::Recording;
 use crate::scan_line::ScanLine;
-use crate::stage::{Context, Paths, Result, RunContext, Source, SourcePlan};
+use crate::stage::{Context, Result, RunContext, Source, SourcePlan};
 
 /// Plan of a source that skips to the lines around a shot once `may_skip` is set.
 pub(crate) struct Excerpt {
@@ -21,25 +20,7 @@ pub(crate) struct Excerpt {
     pub(crate) may_skip: Arc<AtomicBool>,
 }
 
-impl fmt::Debug for Excerpt {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Excerpt").field("shot", &self.shot).finish_non_exhaustive()
-    }
-}
-
 impl SourcePlan for Excerpt {
-    fn paths(&self) -> Option<&Paths> {
-        self.reader.paths()
-    }
-
-    fn stem(&self) -> &str {
-        self.reader.stem()
-    }
-
-    fn outputs(&self) -> Vec<&str> {
-        self.reader.outputs()
-    }
-
     fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
         let source = self.reader.make(site)?;
         let skip = Skip {
@@ -51,10 +32,6 @@ impl SourcePlan for Excerpt {
             may_skip: Arc::clone(&self.may_skip),
         };
         Ok(Box::new(ExcerptSource { source, skip: Some(skip), lines: 0, ahead: None }))
-    }
-
-    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        self.reader.make_for_inspection(site, with_samples)
     }
 }
 

@@ -69,3 +69,46 @@ impl LookAhead {
         std::mem::take(&mut self.lines)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::scan_line::{Blocks, Emission, InputInfo};
+    use crate::stage::Context;
+
+    /// A line of ten waveforms.
+    fn line() -> ScanLine {
+        let mut blocks = Blocks::default();
+        for shot in 0..10 {
+            blocks.push(shot, Channel::LowPower, None, 0.0, 1.0, &[2; 40]);
+        }
+        ScanLine::of_shots(Arc::new(InputInfo::default()), 0, vec![Emission::default(); 10], blocks)
+    }
+
+    /// Number of lines held until the buffer is full, and the notes.
+    fn held(wanted: u64, may_hold_bytes: usize) -> (usize, Vec<String>) {
+        let (mut look_ahead, mut cx) = (LookAhead::new(wanted), Context::default());
+        let mut emit = |_: ScanLine| Ok(());
+        let mut out = Output::new(&mut cx, may_hold_bytes, &mut emit);
+        while !look_ahead.hold(line(), "calibrated", &mut out) {}
+        (look_ahead.release().len(), cx.counters().notes.clone())
+    }
+
+    #[test]
+    fn lines_are_held_until_there_are_enough_waveforms_or_no_more_memory() {
+        assert_eq!(held(35, usize::MAX), (4, Vec::new()));
+        let few = "calibrated from 20 waveforms instead of 35: more do not fit into memory_mb";
+        assert_eq!(held(35, 2 * line().bytes() - 1), (2, vec![few.to_owned()]));
+        assert_eq!(held(20, 2 * line().bytes() - 1), (2, Vec::new()));
+    }
+
+    #[test]
+    fn samples_are_those_of_a_channel() {
+        let look_ahead = LookAhead::of(vec![line(), line()]);
+        assert_eq!(look_ahead.samples(Channel::LowPower).count(), 20);
+        assert_eq!(look_ahead.recorded(Channel::LowPower).next().unwrap().samples, [2; 40]);
+        assert_eq!(look_ahead.samples(Channel::HighPower).count(), 0);
+    }
+}

@@ -235,15 +235,24 @@ pub struct Planned {
 /// The object-safe part of [`SourceConfig`].
 pub trait SourcePlan: Send + Sync {
     /// See [`SourceConfig::paths`].
-    fn paths(&self) -> Option<&Paths>;
+    fn paths(&self) -> Option<&Paths> {
+        None
+    }
     /// See [`SourceConfig::stem`].
-    fn stem(&self) -> &str;
+    fn stem(&self) -> &str {
+        ""
+    }
     /// See [`SourceConfig::outputs`].
-    fn outputs(&self) -> Vec<&str>;
+    fn outputs(&self) -> Vec<&str> {
+        Vec::new()
+    }
     /// See [`SourceConfig::make`].
     fn make(&self, site: &RunContext) -> Result<Box<dyn Source>>;
     /// See [`SourceConfig::make_for_inspection`].
-    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>>;
+    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
+        let _ = with_samples;
+        self.make(site)
+    }
 }
 
 /// The object-safe part of [`MapConfig`].
@@ -271,9 +280,13 @@ pub trait MakeTransform: Send + Sync {
 /// The object-safe part of [`SinkConfig`].
 pub trait SinkPlan: Send + Sync {
     /// See [`SinkConfig::outputs`].
-    fn outputs(&self) -> Vec<&str>;
+    fn outputs(&self) -> Vec<&str> {
+        Vec::new()
+    }
     /// See [`SinkConfig::needs_waveforms`].
-    fn needs_waveforms(&self) -> bool;
+    fn needs_waveforms(&self) -> bool {
+        false
+    }
     /// See [`SinkConfig::make`].
     fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>>;
 }

@@ -91,6 +91,35 @@ fn assert_well_formed(svg: &str) {
     assert!(open.is_empty() && elements > 50, "{open:?} {elements}");
 }
 
+/// The stages learn from the first lines; the lines up to the shot are then skipped.
+#[test]
+fn a_shot_far_behind_the_first_ones_is_that_of_the_run() {
+    let place = TestFolder::new();
+    let learns = "calibrate.waveforms=500";
+    let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 60\nshots_per_line = 100\n\
+               [[stage]]\ntype = 'write_arrow'\n\
+               [[stage]]\ntype = 'calibrate'\nwaveforms = 500\n\
+               [[stage]]\ntype = 'decompose'\n\
+               [[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
+    assert_eq!(place.run(job), Outcome::success());
+    let table = place.text("out/flight.csv");
+    for shot in ["5950", "1234"] {
+        let Outcome { code, out, err } =
+            explain(&place, &["out/flight.arrow", "--shot", shot, "--set", learns]);
+        assert_eq!((code, err.as_str()), (Some(0), ""));
+        let times: Vec<String> = rows_of(&table, shot)
+            .iter()
+            .map(|row| format!("{:.4}", row["time_of_flight_ns"].parse::<f64>().unwrap()))
+            .collect();
+        let printed = out.lines().skip(3).take_while(|line| !line.is_empty());
+        let printed: Vec<&str> = printed.map(|line| line.split_whitespace().nth(2).unwrap()).collect();
+        assert!(!times.is_empty());
+        assert_eq!(printed, times);
+    }
+    let problem = "out/flight.arrow: no shot 6000; the 6000 shots are numbered 0 to 5999";
+    refused(&place, &["out/flight.arrow", "--shot", "6000", "--set", learns], 2, problem);
+}
+
 #[test]
 fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
     let place = simulated();

@@ -166,3 +166,22 @@ fn a_stream_and_an_unknown_format_are_refused() {
     assert_eq!(error, format!("{}: scan lines cannot be read in any order; {remedy}", path.display()));
     assert!(matches!(Recording::open(&place.path("notes.txt"), &[]), Err(OpenError::Format(_))));
 }
+
+#[test]
+fn a_recording_has_its_path_and_metadata() {
+    let place = TestFolder::new();
+    let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 2\nshots_per_line = 300\n\
+               [[stage]]\ntype = 'write_arrow'\n";
+    assert_eq!(place.run(job), Outcome::success());
+    let path = place.path("out/flight.arrow");
+    let mut recording = Recording::open(&path, &[]).unwrap();
+    assert_eq!(recording.path(), path);
+    assert_eq!(recording.input().sampling_interval_ns, 1.0);
+    assert!(recording.line(2).unwrap().is_none(), "past the end");
+    assert!(recording.line_of_shot(600).unwrap().is_none());
+    let none = Recording::open(&path, &["read_arrow.time_s=[1.0, 2.0]".to_owned()]).err().unwrap();
+    let problem = format!("{} has no shots; choose another recording", path.display());
+    assert_eq!(none.to_string(), problem);
+    let wrong = Recording::open(&path, &["read_arrow.colour=1".to_owned()]).err().unwrap();
+    assert!(matches!(wrong, OpenError::Keys(_)), "{wrong}");
+}

@@ -29,6 +29,9 @@ fn an_ascii_grid_is_bilinear_between_the_middles_of_cells() {
     }
     assert!(terrain.height_m(120.0, 208.0).is_nan(), "next to a cell without a height");
     assert_eq!((terrain.heights_m(), terrain.epsg()), ([1.0, 5.0], None));
+    assert_eq!((terrain.size(), terrain.corners_m()), ([3, 2], [[100.0, 200.0], [130.0, 220.0]]));
+    assert_eq!(terrain.values()[..5], [1.0, 2.0, 3.0, 4.0, 5.0]);
+    assert!(terrain.values()[5].is_nan());
 }
 
 #[test]

@@ -160,3 +160,17 @@ pub(in crate::las) fn into_io(error: LasZipError) -> io::Error {
         other => io::Error::other(other),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_of_the_coder_keep_their_kind_or_their_words() {
+        let full = LasZipError::IoError(io::ErrorKind::StorageFull.into());
+        assert_eq!(into_io(full).kind(), io::ErrorKind::StorageFull);
+        let other = into_io(LasZipError::UnsupportedPointFormat(99));
+        assert_eq!(other.kind(), io::ErrorKind::Other);
+        assert!(other.to_string().contains("99"), "{other}");
+    }
+}
