@@ -209,3 +209,21 @@ impl<'a> Output<'a> {
         self.foreseen_bytes
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_source_cannot_return_to_a_line_unless_it_says_so() {
+        struct Empty;
+        impl Source for Empty {
+            fn next(&mut self, _: &mut Context) -> Result<Option<ScanLine>> {
+                Ok(None)
+            }
+        }
+        let location = LineLocation { records: 0..1, row: 0, line: 0, first_shot: 0, is_complete: true };
+        assert_eq!((Empty.location(), Empty.progress()), (None, None));
+        assert!(matches!(Empty.line_at(&location, &mut Context::default()), Ok(None)));
+    }
+}

@@ -50,6 +50,13 @@ pub fn open(opened: Opened, port: u16, cancel: Cancel) -> Result<View, String> {
 }
 
 impl View {
+    /// Status and content of the answer to a request for an address below the token.
+    ///
+    /// The server gives the same answer to its page.
+    pub fn answer(&self, address: &str) -> (u16, Vec<u8>) {
+        server::content(&self.session, address)
+    }
+
     /// Number of points, and why reading failed; `None` while it goes on.
     pub fn ended(&self) -> Option<Result<usize, String>> {
         match self.session.state().0 {

@@ -174,6 +174,13 @@ fn answer(gate: &Gate, session: &Session, request: &Request<Body>) -> Response<B
     response.body(Body::from(answer.body)).unwrap_or_default()
 }
 
+/// Status and content of the answer to a request for an address below the token.
+pub(super) fn content(session: &Session, address: &str) -> (u16, Vec<u8>) {
+    let (path, query) = address.split_once('?').unwrap_or((address, ""));
+    let (Ok(answer) | Err(answer)) = route(session, path, query);
+    (answer.status.as_u16(), answer.body)
+}
+
 /// Answers a request of the page.
 fn route(session: &Session, path: &str, query: &str) -> Result<Answer, Answer> {
     let query = Query::parse(query)?;

@@ -15,6 +15,7 @@ pub mod seeds;
 mod tables;
 mod texts;
 mod trajectories;
+mod views;
 mod waveforms;
 
 use std::fs;
@@ -29,6 +30,7 @@ pub use runs::{recording, run, sdf};
 pub use tables::{container, survey_cells, table};
 pub use texts::{calibration, import, job, lookup_tables, plan, report, sensor_model};
 pub use trajectories::{accuracy, pof, sbet, sol, trajectory_text, trj};
+pub use views::view;
 pub use waveforms::pulsewaves;
 
 /// Separates the parts of an input.
@@ -67,6 +69,7 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("terrain_geotiff", terrain_geotiff),
     ("trajectory_text", trajectory_text),
     ("trj", trj),
+    ("view", view),
     ("wkt", wkt),
 ];
 

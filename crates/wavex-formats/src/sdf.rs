@@ -170,3 +170,24 @@ impl SdfBlock {
         self.len == 0
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_block_has_its_own_samples() {
+        let mut record = SdfRecord::default();
+        record.push(channel::REFERENCE, 1e-9, &[]);
+        record.push(channel::HIGH_POWER, 2e-9, &[5, 6]);
+        record.push(channel::LOW_POWER, 3e-9, &[7]);
+        let lengths: Vec<usize> = record.blocks.iter().map(SdfBlock::len).collect();
+        assert_eq!(lengths, [0, 2, 1]);
+        assert!(record.blocks[0].is_empty() && !record.blocks[2].is_empty());
+        let samples: Vec<&[u16]> = record.blocks.iter().map(|block| record.samples(block)).collect();
+        assert_eq!(samples, [&[][..], &[5, 6], &[7]]);
+        assert_eq!(record.n_samples(), 3);
+        // A block of another record.
+        assert_eq!(SdfRecord::default().samples(&record.blocks[1]), &[] as &[u16]);
+    }
+}

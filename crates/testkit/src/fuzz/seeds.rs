@@ -30,6 +30,28 @@ use crate::{Outcome, TestFolder, root};
 /// An input: target, name and content.
 pub type Seed = (&'static str, String, Vec<u8>);
 
+/// Requests for points.
+const VIEWED_POINTS: &str = "\
+info
+tree?generation=1
+points?generation=1&first=0&count=50
+values?generation=1&first=3&count=4&attribute=deviation_ratio
+point?generation=1&index=7
+profile?generation=1&from=50,-1&to=500,1&width_m=9&attribute=range_sd_m
+find?generation=1&sort=amplitude_dn&descending=true&where=amplitude_dn%3E20,range_sd_m%3C1&flag=overlap&limit=9
+";
+/// Requests for shots and files.
+const VIEWED_SHOTS: &str = "\
+shot?input=0&shot=17&set=decompose.detection_sigma%3D9&set=decompose.mode%3Dslow
+line?input=0&shot=70
+compare?input=0&shot=17&set=decompose.detection_sigma%3D9
+compare?generation=1&from=-1e3,-1e3&to=1e3,1e3&set=decompose.split_evidence%3Dfalse
+job?set=decompose.width_ratio%3D[0.8,1.5]
+layer?name=density
+main.js
+
+";
+
 /// All inputs. The program must have been built.
 pub fn seeds() -> Vec<Seed> {
     let mut seeds = Vec::new();
@@ -41,6 +63,8 @@ pub fn seeds() -> Vec<Seed> {
     maps(&mut add);
     texts(&mut add);
     add("sdf", "two_records", any_values());
+    add("view", "points", VIEWED_POINTS.into());
+    add("view", "shots", VIEWED_SHOTS.into());
     seeds
 }
 
