@@ -143,7 +143,7 @@ pub trait Map {
 }
 
 /// Holds lines back, for look-ahead or to learn from the first lines.
-pub trait Transform {
+pub trait Transform: Send {
     /// Accepts a line and emits the lines that are ready.
     fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()>;
 

@@ -25,7 +25,7 @@ pub use session::{Opened, ParseWith};
 
 use session::{Session, State};
 
-/// A view that is served until it is dropped.
+/// A view that is served until the process ends.
 pub struct View {
     session: Arc<Session>,
     /// Address of the page, with its token.

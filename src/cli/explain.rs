@@ -18,6 +18,7 @@ use crate::scan_line::{Emission, InputInfo, Returns, ScanLine};
 use crate::stage::{Context, FittedBlock, OutputFile, Plan, RunContext, SourcePlan};
 use crate::stages::calibrate::Calibrate;
 use crate::stages::decompose::Decompose;
+use crate::stages::resolve_mta::LINES_AROUND;
 use wavex_formats::Error;
 use wavex_signal::sensor_model::SensorModel;
 
@@ -177,7 +178,7 @@ impl Chain {
     /// Number of lines before and after that of a shot on which its blocks depend.
     fn margin(&self) -> usize {
         let resolves = self.job.stages.iter().any(|stage| stage.spec.name == "resolve_mta");
-        if resolves { LINES_OF_ZONES } else { 2 }
+        if resolves { LINES_AROUND } else { 2 }
     }
 
     /// Decomposes a shot of the recording.
@@ -240,9 +241,6 @@ impl Chain {
         })
     }
 }
-
-/// Number of scan lines before and after a shot from which `resolve_mta` decides on its zone.
-const LINES_OF_ZONES: usize = 200;
 
 /// Count and range of the shot numbers of a recording.
 #[derive(Default)]

@@ -14,7 +14,7 @@ use crate::engine::Cancel;
 use crate::georef::check_crs;
 use crate::job::{Include, Job, Override};
 use crate::registry::STAGES;
-use crate::stage::RoleName;
+use crate::stage::counted;
 use crate::view::{self, Opened};
 
 /// Largest report of a run whose outputs are viewed, bytes.
@@ -39,12 +39,12 @@ pub(super) fn view(args: &ViewArgs, quiet: bool) -> Result<(), Failure> {
     {
         tracing::warn!("no browser could be started ({error}); open the address above in one");
     }
-    let mut is_told = false;
+    let mut is_reported = false;
     while !cancel.is_cancelled() {
-        if let Some(ended) = view.ended().filter(|_| !is_told) {
-            is_told = true;
+        if let Some(ended) = view.ended().filter(|_| !is_reported) {
+            is_reported = true;
             match ended {
-                Ok(points) if !quiet => terminal::print(&format!("{points} points\n"))?,
+                Ok(points) if !quiet => terminal::print(&format!("{}\n", counted(points as u64, "point")))?,
                 Ok(_) => {}
                 Err(problem) => tracing::error!("{problem}"),
             }
@@ -119,7 +119,8 @@ impl Source {
             return Err(wrong("the report does not name the folder of the inputs"));
         };
         let mut settings = report["job"].as_object().cloned().unwrap_or_default();
-        settings.retain(|key, _| !matches!(key.as_str(), "include" | "input_dir" | "output_dir"));
+        settings.retain(|key, _| !matches!(key.as_str(), "include" | "output_dir"));
+        settings.insert("input_dir".into(), input_dir.into());
         let stages = report["stages"].as_array().map_or(&[][..], Vec::as_slice);
         let tables: Vec<Value> = stages.iter().filter_map(stage_table).collect();
         let mut job = Map::new();
@@ -137,14 +138,10 @@ impl Source {
     }
 }
 
-/// Table of a stage of a report; `None` for sinks, whose lines the page shows.
+/// Table of a stage of a report.
 fn stage_table(stage: &Value) -> Option<Value> {
-    let kind = stage["type"].as_str()?;
-    if STAGES.iter().any(|spec| spec.name == kind && spec.role == RoleName::Sink) {
-        return None;
-    }
     let mut table = Map::new();
-    table.insert("type".into(), kind.into());
+    table.insert("type".into(), stage["type"].as_str()?.into());
     table.extend(stage["keys"].as_object()?.clone());
     Some(table.into())
 }

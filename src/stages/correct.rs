@@ -32,7 +32,7 @@ use width::WidthCorrection;
 pub const STAGE: StageSpec = StageSpec::transform::<Correct>("correct", &[Kind::Returns]);
 
 /// Number of waveforms used to estimate the widths of flat targets.
-const WAVEFORMS: u64 = 50_000;
+pub(crate) const WAVEFORMS: u64 = 50_000;
 
 /// Corrects amplitude-, range- and angle-dependent effects on returns.
 ///
@@ -220,7 +220,8 @@ impl TransformConfig for Correct {
             None if self.range_table == TableKey::Own(false) => Some(Walks::default()),
             None => (!self.range_walk.is_auto()).then(Walks::default),
         };
-        let save_model = self.save_model.as_ref().map(|pattern| site.create(pattern)).transpose()?;
+        let save_model = self.save_model.as_ref().filter(|_| site.has_outputs);
+        let save_model = save_model.map(|pattern| site.create(pattern)).transpose()?;
         let look_ahead = LookAhead::new(WAVEFORMS);
         Ok(Box::new(Corrector { corrections, widths: [low, high], walks, save_model, look_ahead }))
     }

@@ -26,6 +26,8 @@ use line_window::Strip;
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<ResolveMta>("resolve_mta", &[Kind::Shots]);
 
+/// Number of scan lines before and after a shot that decide on its zone.
+pub(crate) const LINES_AROUND: usize = 200;
 /// Largest zone searched.
 const LARGEST_ZONE: u16 = 126;
 /// Default standard deviation of the terrain about a single height above ground, m.

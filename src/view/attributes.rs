@@ -18,7 +18,7 @@ pub(super) struct Attribute {
 pub(super) const ATTRIBUTES: [Attribute; 13] = [
     number("height_m", "height", "m", |point| point.position_m[2]),
     number("intensity", "intensity", "", |point| point.intensity),
-    number("amplitude_dn", "amplitude", "DN", |point| point.amplitude_dn),
+    number("amplitude_dn", "amplitude at unit gain", "DN", |point| point.amplitude_dn),
     number("deviation_ratio", "deviation ratio", "", |point| point.deviation_ratio),
     number("total_sd_m", "total standard deviation", "m", |point| point.total_sd_m),
     number("range_sd_m", "standard deviation of range", "m", |point| point.range_sd_m),
@@ -68,7 +68,10 @@ impl Attribute {
     }
 
     /// Description for the page, with the range of these points; `None` if no point has it.
-    pub(super) fn describe(&self, points: &[Point], origin_m: f64) -> Option<Value> {
+    ///
+    /// Heights are relative to `origin_m`, and in `height_unit`.
+    pub(super) fn describe(&self, points: &[Point], origin_m: f64, height_unit: &str) -> Option<Value> {
+        let unit = if self.name == "height_m" { height_unit } else { self.unit };
         let step = points.len().div_ceil(SAMPLE).max(1);
         let values = points.iter().step_by(step).map(|point| self.value(point, origin_m));
         let mut values: Vec<f64> = values.filter(|value| value.is_finite()).collect();
@@ -76,7 +79,7 @@ impl Attribute {
         let at =
             |part: f64| values.get((part * values.len().saturating_sub(1) as f64).round() as usize).copied();
         let (low, high) = (at(0.02)?, at(0.98)?);
-        let mut value = json!({ "name": self.name, "label": self.label, "unit": self.unit });
+        let mut value = json!({ "name": self.name, "label": self.label, "unit": unit });
         if self.is_class {
             values.dedup();
             values.truncate(MOST_VALUES);
@@ -97,6 +100,8 @@ pub(super) struct Condition {
     value: f64,
 }
 
+/// Largest number of conditions of a search.
+const MAX_CONDITIONS: usize = 20;
 /// Operators; longer ones first.
 const OPERATORS: [&str; 5] = ["<=", ">=", "=", "<", ">"];
 
@@ -104,14 +109,14 @@ impl Condition {
     /// Parses conditions that are joined by commas.
     ///
     /// # Errors
-    /// If one is not `NAME OPERATOR NUMBER`.
+    /// If one is not `NAME OPERATOR NUMBER`, or there are too many.
     pub(super) fn parse(text: &str) -> Result<Vec<Condition>, String> {
-        text.split(',')
-            .map(str::trim)
-            .filter(|one| !one.is_empty())
-            .take(20)
-            .map(Condition::parse_one)
-            .collect()
+        let conditions = text.split(',').map(str::trim).filter(|one| !one.is_empty());
+        let conditions = conditions.map(Condition::parse_one).collect::<Result<Vec<_>, _>>()?;
+        match conditions.len() {
+            0..=MAX_CONDITIONS => Ok(conditions),
+            n => Err(format!("{n} conditions; at most {MAX_CONDITIONS} are possible")),
+        }
     }
 
     fn parse_one(text: &str) -> Result<Condition, String> {
@@ -164,13 +169,15 @@ mod tests {
         assert_eq!(problem("colour=3"), "colour: no such quantity of points");
         let remedy = "write a condition such as amplitude_dn>20 or return_number=1";
         assert_eq!(problem("return_number"), format!("return_number: {remedy}"));
+        let many = "class=1,".repeat(21);
+        assert_eq!(problem(&many), "21 conditions; at most 20 are possible");
         assert_eq!(problem("return_number>x"), format!("return_number>x: {remedy}"));
     }
 
     #[test]
     fn an_attribute_that_no_point_has_is_not_described() {
         let points: Vec<Point> = (0..100).map(|i| point(1 + i % 3, f32::from(i))).collect();
-        let describe = |name| Attribute::named(name).unwrap().describe(&points, 100.0);
+        let describe = |name| Attribute::named(name).unwrap().describe(&points, 100.0, "m");
         assert_eq!(describe("total_sd_m"), None);
         assert_eq!(describe("height_m").unwrap()["range"], json!([102.0, 197.0]));
         assert_eq!(describe("return_number").unwrap()["values"], json!([1.0, 2.0, 3.0]));

@@ -68,11 +68,14 @@ pub(super) fn info(session: &Session) -> Value {
         "attributes": [],
     });
     if let Some(placing) = session.placing() {
-        let axis = |name: &str| format!("{name}, {}", placing.unit);
+        let [unit, height_unit] = placing.units;
         info["crs"] = placing.crs.clone().into();
-        info["axes"] = json!([axis("east"), axis("north"), "height, m"]);
+        info["unit"] = unit.into();
+        info["height_unit"] = height_unit.into();
+        info["axes"] =
+            json!([format!("east, {unit}"), format!("north, {unit}"), format!("height, {height_unit}")]);
         info["origin"] = json!(placing.origin_m);
-        let described = session.described(points.generation(), || describe(&points, placing.origin_m));
+        let described = session.described(points.generation(), || describe(&points, &placing));
         for (key, value) in described.as_object().into_iter().flatten() {
             info[key] = value.clone();
         }
@@ -81,7 +84,8 @@ pub(super) fn info(session: &Session) -> Value {
 }
 
 /// Bounds and attributes of the points in the tree.
-fn describe(points: &Points, origin_m: [f64; 3]) -> Value {
+fn describe(points: &Points, placing: &Placing) -> Value {
+    let origin_m = placing.origin_m;
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for point in points.in_tree() {
         for i in 0..3 {
@@ -89,7 +93,8 @@ fn describe(points: &Points, origin_m: [f64; 3]) -> Value {
             high[i] = high[i].max(f64::from(point.position_m[i]) + origin_m[i]);
         }
     }
-    let attributes = ATTRIBUTES.iter().filter_map(|of| of.describe(points.in_tree(), origin_m[2]));
+    let attributes =
+        ATTRIBUTES.iter().filter_map(|of| of.describe(points.in_tree(), origin_m[2], placing.units[1]));
     json!({ "min": low, "max": high, "attributes": attributes.collect::<Vec<Value>>() })
 }
 

@@ -39,7 +39,7 @@ pub(super) fn keys(job: &Job) -> Vec<Value> {
                 "text" => value.to_string().into(),
                 _ => value.clone(),
             };
-            json!({ "key": format!("{}.{}", stage.id, key.name), "label": key.name.replace('_', " "), "kind": kind,
+            json!({ "key": format!("decompose.{}", key.name), "label": key.name.replace('_', " "), "kind": kind,
                     "unit": key.unit().unwrap_or_default(), "value": value, "choices": choices,
                     "help": key.meaning().replace('\n', " ") })
         })

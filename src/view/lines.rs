@@ -1,26 +1,25 @@
 //! Scan lines of a recording, processed again with other keys.
 
 use std::ops::Range;
-use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
-use crate::engine::Input;
-use crate::georef::Loader;
 use crate::job::{Job, JobStage};
 use crate::recording::{LineIndex, Recording};
 use crate::scan_line::{InputInfo, Kind, ScanLine};
 use crate::stage::{
     Context, Instrument, InstrumentModel, Output, Plan, Result, RunContext, SensorDrift, Source, StageError,
-    SurveyModels,
+    SurveyModels, Transform,
 };
+use crate::stages::correct::WAVEFORMS;
 use crate::stages::pose_source::PoseSource;
+use crate::stages::resolve_mta::LINES_AROUND;
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::sensor_model::SensorModel;
 use wavex_signal::simd::SimdLevel;
 
-/// Number of scan lines before and after a line from which `resolve_mta` decides on its zones.
-const LINES_OF_ZONES: usize = 200;
+/// Lines that are read at once to learn from.
+const LINES_AT_ONCE: usize = 64;
 
 /// What the stages have learnt from an input.
 #[derive(Clone, Debug)]
@@ -37,7 +36,7 @@ impl Learnt {
     }
 
     /// The same as models of a survey, which stages use instead of learning.
-    fn models(&self, stem: &str) -> SurveyModels {
+    pub(super) fn models(&self, stem: &str) -> SurveyModels {
         let instrument = InstrumentModel {
             instrument: Instrument::of(&self.input),
             inputs: 1,
@@ -54,46 +53,33 @@ impl Learnt {
 pub(super) struct Lines {
     recording: Recording,
     index: Arc<LineIndex>,
+    /// The job of the view.
+    job: Job,
     site: RunContext,
+    /// Transforms after `decompose`, which have learnt from the first lines as in a run; `None` until then.
+    trained: Option<Vec<Box<dyn Transform>>>,
     /// Lines that passed the stages before `decompose` last: their numbers, the keys of these stages, and
     /// the lines.
     before_decompose: Option<(Range<usize>, String, Vec<ScanLine>)>,
 }
 
 impl Lines {
-    /// Opens an input of a job, and reads or makes its index.
+    /// Opens the input of a site, and reads or makes its index.
     ///
     /// # Errors
-    /// If it cannot be read in any order, or its trajectory cannot be read.
-    pub(super) fn open(
-        job: &Job,
-        input: &Input,
-        input_dir: &Path,
-        learnt: &Learnt,
-        cancelled: &Arc<AtomicBool>,
-    ) -> Result<Lines> {
+    /// If it cannot be read in any order.
+    pub(super) fn open(job: Job, site: RunContext) -> Result<Lines> {
         let Some((Plan::Source(reader), keys)) =
             job.stages.first().map(|stage| (&stage.planned.plan, &stage.planned.resolved))
         else {
             return Err(StageError::failed(format!("{}: the job has no reader", job.name), "add one"));
         };
-        let geometry = Loader::new(&job.settings.geometry, input_dir)?.load(&input.stem)?;
-        let site = RunContext {
-            stem: input.stem.clone(),
-            input_dir: input_dir.to_owned(),
-            simd: job.settings.simd.path(),
-            cancelled: Arc::clone(cancelled),
-            geometry: Arc::new(geometry),
-            survey: Some(Arc::new(learnt.models(&input.stem))),
-            has_outputs: false,
-            ..RunContext::alone(&input.path)
-        };
         let mut recording = Recording::of_reader(Arc::clone(reader), keys, site.clone())?;
-        let index = recording.index(&mut |_| match cancelled.load(Ordering::Relaxed) {
+        let index = recording.index(&mut |_| match site.cancelled.load(Ordering::Relaxed) {
             true => Err(StageError::Stopped),
             false => Ok(()),
         })?;
-        Ok(Lines { recording, index, site, before_decompose: None })
+        Ok(Lines { recording, index, job, site, trained: None, before_decompose: None })
     }
 
     pub(super) fn simd(&self) -> SimdLevel {
@@ -130,17 +116,45 @@ impl Lines {
     }
 
     /// Lines of these positions after all stages that determine their points.
+    ///
+    /// Stages after `decompose` use what they have learnt with the keys of the view's job.
     pub(super) fn with_points(&mut self, job: &Job, numbers: Range<usize>) -> Result<Vec<ScanLine>> {
+        self.train()?;
         let before: Vec<ScanLine> =
             self.before_decompose(job, numbers)?.iter().map(ScanLine::copied).collect();
-        let stages = &job.stages[before_decompose(job).len()..];
-        through(stages, &self.site, before)
+        through(after_decompose(job), &self.site, before, self.trained.as_deref_mut().unwrap_or_default())
+    }
+
+    /// Lets the transforms after `decompose` learn from as many waveforms as in a run.
+    fn train(&mut self) -> Result<()> {
+        if self.trained.is_some() {
+            return Ok(());
+        }
+        let job = self.job.clone();
+        let stages = after_decompose(&job);
+        let mut trained = Vec::new();
+        for stage in stages.iter().filter(|stage| !is_skipped(stage)) {
+            if let Plan::Transform(plan) = &stage.planned.plan {
+                trained.push(plan.make(&self.site)?);
+            }
+        }
+        let (mut first, mut waveforms, mut decomposed) = (0, 0, Vec::new());
+        while !trained.is_empty() && waveforms < WAVEFORMS && first < self.index.lines().len() {
+            let end = (first + LINES_AT_ONCE).min(self.index.lines().len());
+            let lines = self.read(before_decompose(&job), first..end)?;
+            waveforms += lines.iter().map(|line| line.stats.nw).sum::<u64>();
+            decomposed.extend(through(&stages[..1], &self.site, lines, &mut [])?);
+            first = end;
+        }
+        through(&stages[1..], &self.site, decomposed, &mut trained)?;
+        self.trained = Some(trained);
+        Ok(())
     }
 
     /// Reads lines and passes them through stages; reads more lines around them where a stage needs these.
     fn read(&mut self, stages: &[JobStage], numbers: Range<usize>) -> Result<Vec<ScanLine>> {
         let resolves = stages.iter().any(|stage| stage.spec.name == "resolve_mta");
-        let margin = if resolves { LINES_OF_ZONES } else { 0 };
+        let margin = if resolves { LINES_AROUND } else { 0 };
         let first = numbers.start.saturating_sub(margin);
         let end = (numbers.end + margin).min(self.index.lines().len());
         let mut lines = Vec::new();
@@ -155,7 +169,7 @@ impl Lines {
         while let Some(line) = source.next(&mut cx)? {
             placed.push(line);
         }
-        let mut lines = through(&stages[1..], &self.site, placed)?;
+        let mut lines = through(&stages[1..], &self.site, placed, &mut [])?;
         lines.retain(|line| wanted.contains(&line.line));
         Ok(lines)
     }
@@ -167,12 +181,26 @@ fn before_decompose(job: &Job) -> &[JobStage] {
     &job.stages[..end.unwrap_or(job.stages.len().saturating_sub(1))]
 }
 
-/// Passes lines through stages one after the other.
-///
-/// Sinks are skipped, and `filter_outliers`, which needs all lines around.
-fn through(stages: &[JobStage], site: &RunContext, mut lines: Vec<ScanLine>) -> Result<Vec<ScanLine>> {
+/// `decompose` and all stages after it.
+fn after_decompose(job: &Job) -> &[JobStage] {
+    &job.stages[before_decompose(job).len()..]
+}
+
+/// Whether lines do not pass through a stage: sinks, and `filter_outliers`, which needs all lines around.
+fn is_skipped(stage: &JobStage) -> bool {
+    matches!(stage.planned.plan, Plan::Source(_) | Plan::Sink(_)) || stage.spec.name == "filter_outliers"
+}
+
+/// Passes lines through stages one after the other; `trained` are their transforms, otherwise new ones are made.
+fn through(
+    stages: &[JobStage],
+    site: &RunContext,
+    mut lines: Vec<ScanLine>,
+    trained: &mut [Box<dyn Transform>],
+) -> Result<Vec<ScanLine>> {
     let mut cx = Context::quiet();
-    for stage in stages.iter().filter(|stage| stage.spec.name != "filter_outliers") {
+    let mut trained = trained.iter_mut();
+    for stage in stages.iter().filter(|stage| !is_skipped(stage)) {
         match &stage.planned.plan {
             Plan::Source(_) | Plan::Sink(_) => {}
             Plan::Map(plan) => {
@@ -180,7 +208,11 @@ fn through(stages: &[JobStage], site: &RunContext, mut lines: Vec<ScanLine>) -> 
                 lines = lines.into_iter().map(|line| map.map(line, &mut cx)).collect::<Result<_>>()?;
             }
             Plan::Transform(plan) => {
-                let mut transform = plan.make(site)?;
+                let mut new = None;
+                let transform = match trained.next() {
+                    Some(transform) => transform,
+                    None => new.insert(plan.make(site)?),
+                };
                 let mut passed = Vec::with_capacity(lines.len());
                 let mut emit = |line| {
                     passed.push(line);

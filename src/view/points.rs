@@ -11,6 +11,8 @@ use crate::scan_line::Return;
 const NODE_POINTS: usize = 20_000;
 /// Largest depth; deeper nodes keep all of their points.
 const MAX_LEVEL: u8 = 24;
+/// At most one of 2^32 shots is kept.
+const MAX_THINNING: u32 = 32;
 
 /// A point with the quantities that the page can show.
 #[derive(Clone, Copy, Debug)]
@@ -80,7 +82,7 @@ pub(super) struct Points {
     square: Square,
     /// Number of times that the tree was built; 0: none.
     generation: u32,
-    /// Number of points in the tree; later ones wait behind them.
+    /// Number of points in the tree; later ones follow after them and are not yet shown.
     in_tree: usize,
     /// Limit of the number of points.
     most: usize,
@@ -106,17 +108,17 @@ impl Points {
         if !self.keeps(&point) {
             return;
         }
-        if self.points.len() == self.most {
+        if self.points.len() >= self.most && self.thinning < MAX_THINNING {
             self.thinning += 1;
             let thinning = self.thinning;
             self.points.retain(|point| is_kept(point, thinning));
             // Nodes no longer fit.
             self.build();
-            if !self.keeps(&point) {
-                return;
-            }
         }
-        self.points.push(point);
+        // Thinning does not help if nearly all points are of one shot.
+        if self.points.len() < self.most && self.keeps(&point) {
+            self.points.push(point);
+        }
     }
 
     fn keeps(&self, point: &Point) -> bool {
@@ -189,7 +191,7 @@ impl Points {
 /// Whether a point is of a kept shot: a hash of its number decides.
 fn is_kept(point: &Point, thinning: u32) -> bool {
     let hash = (point.shot ^ (u64::from(point.input) << 48)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    thinning == 0 || hash >> (64 - thinning.min(63)) == 0
+    thinning == 0 || hash >> (64 - thinning) == 0
 }
 
 /// Smallest square with all points.
@@ -331,6 +333,15 @@ mod tests {
         let mut shots: Vec<u64> = points.in_tree().iter().map(|point| point.shot).collect();
         shots.sort_unstable();
         assert!(shots.chunks(2).all(|pair| pair.len() == 2 && pair[0] == pair[1]));
+    }
+
+    #[test]
+    fn memory_is_bounded_although_all_points_are_of_one_shot() {
+        let mut points = Points::within(0);
+        for n in 0..3 * NODE_POINTS {
+            points.add(Point::of(&Return::default(), 0, 0, [n as f32, 0.0, 0.0]));
+        }
+        assert_eq!(points.len(), 2 * NODE_POINTS);
     }
 
     #[test]

@@ -9,10 +9,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard};
 use serde_json::Value;
 
 use crate::engine::{self, Cancel, Input, Options, ProgressWatch};
-use crate::job::Job;
+use crate::georef::Loader;
+use crate::job::{Job, JobStage};
 use crate::report::overview::view::{MapAxes, View, crs_name};
-use crate::scan_line::{Content, InputInfo, ScanLine};
-use crate::stage::{Context, Plan};
+use crate::scan_line::{Content, InputInfo, Kind, ScanLine};
+use crate::stage::{Context, Plan, RunContext};
 use crate::stages::decompose::Decompose;
 
 use super::layers::Layer;
@@ -48,8 +49,10 @@ pub(super) struct ViewedInput {
     pub(super) input: Input,
     pub(super) shots: AtomicU64,
     learnt: Mutex<Option<Learnt>>,
-    lines: Mutex<Option<Lines>>,
 }
+
+/// Lines of an input; `None` until they are open.
+type OpenLines = Arc<Mutex<Option<Lines>>>;
 
 /// A job by which shots are decomposed.
 pub(super) struct Chosen {
@@ -62,6 +65,8 @@ pub(super) struct Chosen {
 
 /// Number of jobs with other keys that are kept.
 const KEPT_JOBS: usize = 8;
+/// Number of inputs that are kept open.
+const KEPT_INPUTS: usize = 8;
 
 /// Progress of reading.
 #[derive(Clone, Debug)]
@@ -80,7 +85,8 @@ pub(super) struct Placing {
     /// Origin of positions, map coordinates times `scale`, m.
     pub(super) origin_m: [f64; 3],
     pub(super) crs: Option<String>,
-    pub(super) unit: &'static str,
+    /// Unit of east and north, and of heights.
+    pub(super) units: [&'static str; 2],
 }
 
 impl Placing {
@@ -91,7 +97,13 @@ impl Placing {
         let crs = input.crs_wkt.as_deref().map(crs_name);
         // Degrees are shown as metres.
         let unit = if view.axes() == MapAxes::Degrees { "m" } else { view.unit() };
-        let mut placing = Placing { view, scale, origin_m: [0.0; 3], crs, unit };
+        let vertical = input.crs_wkt.as_deref().and_then(|wkt| wkt.split_once("VERT"));
+        let height_unit = match vertical {
+            Some((_, vertical)) if vertical.to_ascii_lowercase().contains("foot") => "ft",
+            Some(_) => "m",
+            None => unit,
+        };
+        let mut placing = Placing { view, scale, origin_m: [0.0; 3], crs, units: [unit, height_unit] };
         placing.origin_m = placing.on_map(point).map(|m| (m / ORIGIN_STEP_M).floor() * ORIGIN_STEP_M);
         placing
     }
@@ -113,6 +125,9 @@ impl Placing {
 pub(super) struct Session {
     pub(super) opened: Opened,
     pub(super) inputs: Vec<ViewedInput>,
+    /// Inputs whose lines were read last, by number.
+    open: Mutex<VecDeque<(usize, OpenLines)>>,
+    loader: Mutex<Loader>,
     /// Jobs by which shots were decomposed last.
     chosen: Mutex<VecDeque<Arc<Chosen>>>,
     /// Description of the points of a generation.
@@ -136,7 +151,7 @@ impl Session {
     /// Lists the inputs of the job; reads nothing yet.
     ///
     /// # Errors
-    /// If the job has no input or none can be found.
+    /// If the job has no input, none can be found, or a file of its geometry cannot be read.
     pub(super) fn new(opened: Opened, cancel: Cancel) -> Result<Session, String> {
         let source = match opened.job.stages.first().map(|stage| &stage.planned.plan) {
             Some(Plan::Source(source)) => source,
@@ -147,16 +162,15 @@ impl Session {
         if let Some(stream) = inputs.iter().find(|input| input.path.as_os_str() == "-") {
             return Err(format!("{}: standard input cannot be read twice; give a file", stream.stem));
         }
-        let viewed = |input| ViewedInput {
-            input,
-            shots: AtomicU64::new(0),
-            learnt: Mutex::default(),
-            lines: Mutex::default(),
-        };
+        let viewed = |input| ViewedInput { input, shots: AtomicU64::new(0), learnt: Mutex::default() };
+        let loader = Loader::new(&opened.job.settings.geometry, &opened.input_dir);
+        let loader = loader.map_err(|error| error.to_string())?;
         let (layers, warnings) = opened.folder.as_deref().map(Layer::of_folder).unwrap_or_default();
         Ok(Session {
             layers,
             described: Mutex::default(),
+            open: Mutex::default(),
+            loader: Mutex::new(loader),
             chosen: Mutex::default(),
             points: RwLock::new(Points::within(opened.memory_bytes)),
             inputs: inputs.into_iter().take(usize::from(u16::MAX)).map(viewed).collect(),
@@ -177,11 +191,11 @@ impl Session {
         }
         self.build();
         let state = match self.points().len() {
-            0 => State::Failed("the recording has no returns; lower the detection threshold".into()),
+            0 => State::Failed(self.without_points()),
             _ => State::Ready,
         };
-        // The index of each input is ready when the first point is selected.
-        for number in 0..self.inputs.len() {
+        // The index of the first inputs is ready when the first point is selected.
+        for number in 0..self.inputs.len().min(KEPT_INPUTS) {
             if let Err(problem) = self.with_lines(number, |_| Ok(())) {
                 self.warn(problem);
             }
@@ -192,6 +206,15 @@ impl Session {
             let _ = super::shots::shot(self, input, shot, &[]);
         }
         lock(&self.state).0 = state;
+    }
+
+    /// Why there are no points.
+    fn without_points(&self) -> String {
+        let gives_points = |stage: &JobStage| stage.spec.gives(Some(Kind::Returns)) == Some(Kind::Points);
+        match self.opened.job.stages.iter().any(gives_points) {
+            true => "the recording has no returns; lower the detection threshold".into(),
+            false => format!("{}: the job has no stage `georeference`; add one", self.opened.job.name),
+        }
     }
 
     fn read_all(self: &Arc<Session>) -> Result<(), String> {
@@ -331,24 +354,41 @@ impl Session {
         body: impl FnOnce(&mut Lines) -> Result<T, String>,
     ) -> Result<T, String> {
         let viewed = self.inputs.get(number).ok_or("the view has no such input; reload the page")?;
-        let mut lines = lock(&viewed.lines);
+        let slot = self.slot(number);
+        let mut lines = lock(&slot);
         if lines.is_none() {
-            let learnt = lock(&viewed.learnt).clone();
-            let Some(learnt) = learnt else {
+            let Some(learnt) = lock(&viewed.learnt).clone() else {
                 return Err(format!("{}: not yet read; wait", viewed.input.stem));
             };
-            let opened = Lines::open(
-                &self.opened.job,
-                &viewed.input,
-                &self.opened.input_dir,
-                &learnt,
-                &self.cancel.flag(),
-            );
-            *lines = Some(opened.map_err(|error| error.to_string())?);
+            let geometry = lock(&self.loader).load(&viewed.input.stem).map_err(|error| error.to_string())?;
+            let site = RunContext {
+                stem: viewed.input.stem.clone(),
+                input_dir: self.opened.input_dir.clone(),
+                simd: self.opened.job.settings.simd.path(),
+                cancelled: self.cancel.flag(),
+                geometry: Arc::new(geometry),
+                survey: Some(Arc::new(learnt.models(&viewed.input.stem))),
+                has_outputs: false,
+                ..RunContext::alone(&viewed.input.path)
+            };
+            // The tables of `decompose` are shared with the answers.
+            let base = self.with(&[]);
+            let job = base.map_or_else(|_| self.opened.job.clone(), |chosen| chosen.job.clone());
+            *lines = Some(Lines::open(job, site).map_err(|error| error.to_string())?);
         }
         match lines.as_mut() {
             Some(lines) => body(lines),
             None => Err("the recording is not open".into()),
         }
+    }
+
+    /// Place of the lines of an input; the input that was used longest ago is closed.
+    fn slot(&self, number: usize) -> OpenLines {
+        let mut open = lock(&self.open);
+        let known = open.iter().position(|(of, _)| *of == number).and_then(|at| open.remove(at));
+        let (number, lines) = known.unwrap_or_else(|| (number, OpenLines::default()));
+        open.push_front((number, Arc::clone(&lines)));
+        open.truncate(KEPT_INPUTS);
+        lines
     }
 }

@@ -1,7 +1,8 @@
 //! Answers about shots: their fit, their scan line, and what other keys change.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Range;
+use std::iter::Peekable;
+use std::ops::{Range, RangeInclusive};
 use std::time::{Duration, Instant};
 
 use base64::Engine;
@@ -9,7 +10,7 @@ use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 
 use super::lines::Lines;
-use super::session::Session;
+use super::session::{Placing, Session};
 use crate::explain::{ExplainError, Explained};
 use crate::job::Job;
 use crate::scan_line::{Block, Channel, Content, Emission, Return, ScanLine, flags};
@@ -38,20 +39,43 @@ struct Placed {
 
 /// A shot with the keys of the job, and its difference by other keys.
 pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -> Result<Value, String> {
-    let (base, chosen) = (session.with(&[])?, session.with(set)?);
+    let (base, chosen, placing) = (session.with(&[])?, session.with(set)?, session.placing());
+    let placing = placing.as_ref();
     session.with_lines(input, |lines| {
         let number = place(lines, shot)?;
+        let shots_of = |at: Option<usize>| Some(lines.index().lines().get(at?)?.shot_range);
+        let [line_before, line_after] = [number.checked_sub(1), number.checked_add(1)].map(shots_of);
         let file = session.inputs[input].input.path.display().to_string();
         let file = if file.is_empty() { session.inputs[input].input.stem.clone() } else { file };
         let simd = lines.simd();
         let before = lines.before_decompose(&chosen.job, number..number + 1).map_err(text)?;
         let Some(line) = before.first() else { return Err(format!("shot {shot}: its line cannot be read")) };
-        let explained = Explained::of(line, shot, &chosen.decompose, simd, &file).map_err(|error| match error {
-            ExplainError::Without(problem) => problem,
-            ExplainError::Stage(error) => error.to_string(),
-        })?;
+        let explained = match Explained::of(line, shot, &chosen.decompose, simd, &file) {
+            Ok(explained) => Ok(explained),
+            Err(ExplainError::Without(problem)) => Err(problem),
+            Err(ExplainError::Stage(error)) => return Err(error.to_string()),
+        };
         let place = line.emissions.iter().position(|emission| emission.shot == shot).unwrap_or_default();
-        let beside = |at: Option<usize>| at.and_then(|at| line.emissions.get(at)).map(|e| e.shot);
+        let neighbour = |at: Option<usize>| at.and_then(|at| line.emissions.get(at)).map(|e| e.shot);
+        let (previous, next) = (
+            neighbour(place.checked_sub(1)).or(line_before.map(|[_, last]| last)),
+            neighbour(Some(place + 1)).or(line_after.map(|[first, _]| first)),
+        );
+        let of_line = json!({ "number": line.line, "shot": place, "shots": line.emissions.len() });
+        let explained = match explained {
+            Ok(explained) => explained,
+            // The page can go on to the next shot.
+            Err(problem) => {
+                let gps_time_s = line.emissions.get(place).map_or(f64::NAN, |emission| emission.gps_time_s);
+                let none: [Value; 0] = [];
+                return Ok(json!({
+                    "input": input, "shot": shot, "gps_time_s": number_or_null(gps_time_s), "problem": problem,
+                    "title": format!("shot {shot}"), "text": "", "svg": null,
+                    "line": of_line, "previous": previous, "next": next,
+                    "returns": none, "instrument": none, "blocks": none, "difference": null,
+                }));
+            }
+        };
         let online: Vec<Value> = line.blocks().map_or(Vec::new(), |blocks| {
             let of_shot = blocks.online.iter().filter(|online| online.emission as usize == place);
             let velocity_m_per_ns = line.input.group_velocity_mps * 1e-9;
@@ -63,13 +87,11 @@ pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -
                 })
                 .collect()
         });
-        let (previous, next) = (beside(place.checked_sub(1)), beside(Some(place + 1)));
-        let of_line = json!({ "number": line.line, "shot": place, "shots": line.emissions.len() });
-        let after = returns_of(lines, &chosen.job, number, shot)?;
+        let after = returns_of(lines, &chosen.job, number, shot, placing)?;
         let difference = match set {
             [] => Value::Null,
             _ => {
-                let before = returns_of(lines, &base.job, number, shot)?;
+                let before = returns_of(lines, &base.job, number, shot, placing)?;
                 let changes: Vec<Value> = changes(&before, &after)
                     .iter()
                     .map(|change| {
@@ -90,7 +112,7 @@ pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -
         }).collect();
         let table = explained.table();
         Ok(json!({
-            "input": input, "shot": shot, "gps_time_s": number_or_null(explained.emission.gps_time_s),
+            "input": input, "shot": shot, "gps_time_s": number_or_null(explained.emission.gps_time_s), "problem": null,
             "title": explained.title(), "text": table, "svg": explained.picture(),
             "line": of_line, "previous": previous, "next": next,
             "returns": after.iter().map(return_value).collect::<Vec<Value>>(),
@@ -137,20 +159,25 @@ pub(super) fn compare(
     whole_lines: bool,
     set: &[String],
 ) -> Result<Value, String> {
-    let (base, other) = (session.with(&[])?, session.with(set)?);
+    let (base, other, placing) = (session.with(&[])?, session.with(set)?, session.placing());
     let begin = Instant::now();
+    let is_over = || begin.elapsed() > MAX_TIME;
     let mut compared = Compared::default();
     for (&input, wanted) in shots {
         session.with_lines(input, |lines| {
-            for numbers in ranges(&lines_of(lines, wanted)?) {
-                if compared.shots >= MAX_SHOTS || begin.elapsed() > MAX_TIME {
+            let mut rest = wanted.iter().copied().peekable();
+            while rest.peek().is_some() {
+                let most = MAX_SHOTS.saturating_sub(compared.shots);
+                if most == 0 || (compared.shots > 0 && is_over()) {
                     compared.is_limited = true;
                     break;
                 }
-                let before = lines.with_points(&base.job, numbers.clone()).map_err(text)?;
-                let after = lines.with_points(&other.job, numbers).map_err(text)?;
-                for (before, after) in before.iter().zip(&after) {
-                    compared.add(input, before, after, (!whole_lines).then_some(wanted));
+                for numbers in ranges(&next_lines(lines, &mut rest, most, is_over)?) {
+                    let before = lines.with_points(&base.job, numbers.clone()).map_err(text)?;
+                    let after = lines.with_points(&other.job, numbers).map_err(text)?;
+                    for lines in before.iter().zip(&after) {
+                        compared.add(input, lines, (!whole_lines).then_some(wanted), placing.as_ref());
+                    }
                 }
             }
             Ok(())
@@ -164,21 +191,35 @@ fn place(lines: &mut Lines, shot: u64) -> Result<usize, String> {
     lines.of_shot(shot).map_err(text)?.ok_or_else(|| format!("the recording has no shot {shot}"))
 }
 
-/// Positions of the lines of shots.
-fn lines_of(lines: &mut Lines, shots: &BTreeSet<u64>) -> Result<BTreeSet<usize>, String> {
-    let mut found = BTreeSet::new();
-    let mut last: Option<Range<u64>> = None;
-    for &shot in shots {
-        if last.as_ref().is_some_and(|range| range.contains(&shot)) {
-            continue;
+/// Positions of the lines of the next shots: one line, and more up to a number of shots or the end of the time.
+fn next_lines(
+    lines: &mut Lines,
+    shots: &mut Peekable<impl Iterator<Item = u64>>,
+    most: usize,
+    is_over: impl Fn() -> bool,
+) -> Result<BTreeSet<usize>, String> {
+    let (mut found, mut sum) = (BTreeSet::new(), 0);
+    let mut own: Option<RangeInclusive<u64>> = None;
+    while let Some(&shot) = shots.peek() {
+        if !own.as_ref().is_some_and(|range| range.contains(&shot)) {
+            if found.len() == LINES_AT_ONCE || (!found.is_empty() && is_over()) {
+                break;
+            }
+            if let Some(number) = lines.of_shot(shot).map_err(text)? {
+                let line = &lines.index().lines()[number];
+                let [first, last] = line.shot_range;
+                // Shot numbers of a line that has as many shots as numbers are its own.
+                own = (last - first == u64::from(line.shots).saturating_sub(1)).then_some(first..=last);
+                if !found.contains(&number) {
+                    sum += line.shots as usize;
+                    if !found.is_empty() && sum > most {
+                        break;
+                    }
+                    found.insert(number);
+                }
+            }
         }
-        if let Some(number) = lines.of_shot(shot).map_err(text)? {
-            let [first, end] = lines.index().lines()[number].shot_range;
-            // Shot numbers of a line that has as many shots as numbers are its own.
-            last =
-                (u64::from(lines.index().lines()[number].shots) == end - first + 1).then_some(first..end + 1);
-            found.insert(number);
-        }
+        shots.next();
     }
     Ok(found)
 }
@@ -196,18 +237,33 @@ fn ranges(numbers: &BTreeSet<usize>) -> Vec<Range<usize>> {
 }
 
 /// Returns of a shot by the keys of a job.
-fn returns_of(lines: &mut Lines, job: &Job, number: usize, shot: u64) -> Result<Vec<Placed>, String> {
+fn returns_of(
+    lines: &mut Lines,
+    job: &Job,
+    number: usize,
+    shot: u64,
+    placing: Option<&Placing>,
+) -> Result<Vec<Placed>, String> {
     let found = lines.with_points(job, number..number + 1).map_err(text)?;
-    Ok(found.first().map_or(Vec::new(), |line| placed(line, |emission| emission.shot == shot)))
+    let Some(line) = found.first() else { return Ok(Vec::new()) };
+    let of_shot =
+        line.emissions.iter().zip(placed(line, placing)).find(|(emission, _)| emission.shot == shot);
+    Ok(of_shot.map_or(Vec::new(), |(_, returns)| returns))
 }
 
-/// Returns of the shots of a line, with their positions.
-fn placed(line: &ScanLine, wanted: impl Fn(&Emission) -> bool) -> Vec<Placed> {
-    let returns = line.returns().map_or(&[][..], |returns| returns);
-    let is_wanted = |found: &Return| line.emissions.get(found.emission as usize).is_some_and(&wanted);
-    let position = |at: usize| line.points().and_then(|points| points.get(at)).copied();
-    let all = returns.iter().enumerate().filter(|(_, found)| is_wanted(found));
-    all.map(|(at, found)| Placed { found: *found, position: position(at) }).collect()
+/// Returns of each emission of a line, with their positions on the map.
+fn placed(line: &ScanLine, placing: Option<&Placing>) -> Vec<Vec<Placed>> {
+    let mut placed = vec![Vec::new(); line.emissions.len()];
+    let position = |at: usize| {
+        let on_map = placing?.on_map(*line.points()?.get(at)?);
+        on_map.iter().all(|coordinate| coordinate.is_finite()).then_some(on_map)
+    };
+    for (at, found) in line.returns().into_iter().flatten().enumerate() {
+        if let Some(of_emission) = placed.get_mut(found.emission as usize) {
+            of_emission.push(Placed { found: *found, position: position(at) });
+        }
+    }
+    placed
 }
 
 /// A change of a return.
@@ -258,19 +314,48 @@ struct Compared {
     is_limited: bool,
 }
 
+/// For each shot of a line, whether it is compared; `returns` are those of the shots, and `wanted` have some.
+///
+/// A shot without returns is compared if the nearest ones with returns on both sides are.
+fn are_compared(
+    shots: impl Iterator<Item = u64>,
+    returns: &[Vec<Placed>],
+    wanted: &BTreeSet<u64>,
+) -> Vec<bool> {
+    let own = shots.zip(returns);
+    let own = own.map(|(shot, returns)| (!returns.is_empty()).then(|| wanted.contains(&shot)));
+    let own: Vec<Option<bool>> = own.collect();
+    let nearest = |last: &mut bool, own: &Option<bool>| {
+        *last = own.unwrap_or(*last);
+        Some(*last)
+    };
+    let before: Vec<bool> = own.iter().scan(false, nearest).collect();
+    let mut after: Vec<bool> = own.iter().rev().scan(false, nearest).collect();
+    after.reverse();
+    before.into_iter().zip(after).map(|(before, after)| before && after).collect()
+}
+
 impl Compared {
-    fn add(&mut self, input: usize, before: &ScanLine, after: &ScanLine, wanted: Option<&BTreeSet<u64>>) {
-        for emission in &before.emissions {
-            let shot = emission.shot;
-            if wanted.is_some_and(|wanted| !wanted.contains(&shot)) {
+    /// Adds a line before and after a change of keys: the shots of `wanted`, or all.
+    fn add(
+        &mut self,
+        input: usize,
+        (before, after): (&ScanLine, &ScanLine),
+        wanted: Option<&BTreeSet<u64>>,
+        placing: Option<&Placing>,
+    ) {
+        let (olds, news) = (placed(before, placing), placed(after, placing));
+        let are_compared = wanted
+            .map(|wanted| are_compared(before.emissions.iter().map(|emission| emission.shot), &olds, wanted));
+        for (at, (old, new)) in olds.iter().zip(&news).enumerate() {
+            if are_compared.as_ref().is_some_and(|are| !are[at]) {
                 continue;
             }
-            let of_shot = |line| placed(line, |emission: &Emission| emission.shot == shot);
-            let (old, new) = (of_shot(before), of_shot(after));
+            let shot = before.emissions[at].shot;
             self.shots += 1;
             self.before += old.len();
             self.after += new.len();
-            for change in changes(&old, &new).iter().filter(|change| change.kind != "same") {
+            for change in changes(old, new).iter().filter(|change| change.kind != "same") {
                 let (entries, total) = self.lists.entry(change.kind).or_default();
                 *total += 1;
                 if let Some(placed) = change.after.or(change.before)
@@ -422,50 +507,82 @@ fn text(error: impl std::fmt::Display) -> String {
 pub(super) fn job(session: &Session, set: &[String]) -> Result<String, String> {
     session.with(set)?;
     let opened = &session.opened;
-    let mut text = opened.job.text.trim_end().to_owned();
-    text.push('\n');
-    if !set.is_empty() {
+    let given = opened.job.overrides.iter().map(|given| given.text.clone());
+    let set: Vec<String> = given.chain(set.iter().cloned()).collect();
+    let text = format!("{}\n", opened.job.text.trim_end());
+    if set.is_empty() {
+        return Ok(text);
+    }
+    let (edited, left) = with_keys(&text, &set);
+    // A value on several lines cannot be replaced.
+    let (text, left) = match toml::from_str::<toml::Table>(&edited) {
+        Ok(_) => (edited, left),
+        Err(_) => (text, set.clone()),
+    };
+    let list = |set: &[String]| -> String {
+        set.iter()
+            .map(|set| format!("#   {}\n", set.replacen('=', " = ", 1).replace(['\n', '\r'], " ")))
+            .collect()
+    };
+    let mut head = format!("# Keys changed in `wavex view`:\n{}", list(&set));
+    if !left.is_empty() {
+        head += &format!("# Of these, not in the text below; give them with --set:\n{}", list(&left));
+    }
+    if opened.kind == "job" {
         let arguments: Vec<String> = set.iter().map(|set| format!("--set {}", shell_word(set))).collect();
-        let name = opened.job.name.replace(['\n', '\r'], " ");
-        let changed: String =
-            set.iter().map(|set| format!("#   {}\n", set.replacen('=', " = ", 1))).collect();
-        text = format!(
-            "# Keys changed in `wavex view`:\n{changed}# On the command line: wavex run {} {}\n\n{}",
-            shell_word(&name),
-            arguments.join(" "),
-            with_keys(&text, set),
+        let name = shell_word(&opened.job.name.replace(['\n', '\r'], " "));
+        head += &format!(
+            "# On the command line: wavex run {name} {}\n",
+            arguments.join(" ").replace(['\n', '\r'], " ")
         );
     }
-    Ok(text)
+    Ok(format!("{head}\n{text}"))
 }
 
-/// Text of a job with these keys in its stage `decompose`.
-fn with_keys(text: &str, set: &[String]) -> String {
-    let keys: Vec<(&str, &str)> = set
-        .iter()
-        .filter_map(|set| set.split_once('.').and_then(|(_, key)| key.split_once('=')))
-        .map(|(key, value)| (key.trim(), value.trim()))
-        .collect();
-    let is_type = |line: &str| {
-        let words: Vec<&str> = line.split(['=', '"', '\'', ' ']).filter(|word| !word.is_empty()).collect();
-        words.first() == Some(&"type") && words.get(1) == Some(&"decompose")
-    };
+/// Text of a job with these keys in its tables, and the keys whose tables it does not have.
+fn with_keys(text: &str, set: &[String]) -> (String, Vec<String>) {
     let key_of = |line: &str| line.split_once('=').map(|(key, _)| key.trim().to_owned());
+    let mut left = set.to_vec();
     let mut edited = String::new();
     for table in tables(text) {
-        let is_decompose = table.iter().any(|line| is_type(line));
-        for line in table {
-            let is_replaced = key_of(line).is_some_and(|key| keys.iter().any(|(new, _)| *new == key));
-            if !(is_decompose && is_replaced) {
+        let names = names_of(&table);
+        let (own, others) = left.into_iter().partition(|set| {
+            set.split_once('.').is_some_and(|(name, _)| names.iter().any(|own| own == name))
+        });
+        left = others;
+        let own: Vec<String> = own;
+        // The last of several values holds.
+        let keys: BTreeMap<&str, &str> = own
+            .iter()
+            .filter_map(|set| set.split_once('.').and_then(|(_, key)| key.split_once('=')))
+            .map(|(key, value)| (key.trim(), value.trim()))
+            .collect();
+        let place = table.iter().position(|line| key_of(line).as_deref() == Some("type")).unwrap_or(0);
+        for (at, line) in table.into_iter().enumerate() {
+            let is_replaced = key_of(line).is_some_and(|key| keys.contains_key(key.as_str()));
+            if !is_replaced {
                 edited += line;
                 edited.push('\n');
             }
-            if is_decompose && is_type(line) {
+            if at == place {
                 edited.extend(keys.iter().map(|(key, value)| format!("{key} = {}\n", toml_value(value))));
             }
         }
     }
-    edited
+    (edited, left)
+}
+
+/// Names by which `--set` addresses a table: `job`, or the type and `id` of a stage.
+fn names_of(table: &[&str]) -> Vec<String> {
+    if table.first().is_some_and(|head| head.trim() == "[job]") {
+        return vec!["job".into()];
+    }
+    let value = |line: &&str| {
+        let (key, value) = line.split_once('=')?;
+        let quoted = value.trim().trim_matches(['"', '\'']);
+        matches!(key.trim(), "type" | "id").then(|| quoted.to_owned())
+    };
+    table.iter().filter_map(value).collect()
 }
 
 /// Lines of each table of a job, with its header.
@@ -526,10 +643,29 @@ mod tests {
                     detection_sigma = 4.5\n# why\n\n[[stage]]\ntype = \"write_las\"\n";
         let set = ["decompose.detection_sigma=6".to_owned(), "decompose.mode=slow".to_owned()];
         assert_eq!(
-            with_keys(text, &set),
+            with_keys(text, &set).0,
             "[[stage]]\ntype = \"read_las\"\nmode = 1\n\n[[stage]]\ntype = 'decompose'\n\
              detection_sigma = 6\nmode = \"slow\"\n# why\n\n[[stage]]\ntype = \"write_las\"\n"
         );
+    }
+
+    #[test]
+    fn keys_without_a_table_are_left() {
+        let set = ["job.threads=2".to_owned(), "fit.mode=slow".to_owned(), "georeference.crs=utm".to_owned()];
+        let text = "[job]\nname = 'a'\n[[stage]]\ntype = 'decompose'\nid = 'fit'\n";
+        let (edited, left) = with_keys(text, &set);
+        assert_eq!(
+            edited,
+            "[job]\nthreads = 2\nname = 'a'\n[[stage]]\ntype = 'decompose'\nmode = \"slow\"\nid = 'fit'\n"
+        );
+        assert_eq!(left, ["georeference.crs=utm"]);
+    }
+
+    #[test]
+    fn shots_without_returns_are_compared_between_those_with_returns() {
+        let returns = [0, 1, 0, 1, 0, 1].map(|n| vec![placed(1, 100.0); n]);
+        let found = are_compared(0..6, &returns, &BTreeSet::from([1, 3]));
+        assert_eq!(found, [false, true, true, true, false, false]);
     }
 
     #[test]

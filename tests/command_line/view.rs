@@ -212,6 +212,132 @@ fn a_job_with_two_receivers_and_open_zones_is_viewed_shot_by_shot() {
 }
 
 #[test]
+fn a_shot_has_the_corrections_that_the_run_has_learnt() {
+    let place = TestFolder::new();
+    let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 12\nshots_per_line = 600\ndetector = 'riegl'\n\
+               [[stage]]\ntype = 'calibrate'\nwaveforms = 2000\n\
+               [[stage]]\ntype = 'decompose'\n\
+               [[stage]]\ntype = 'correct'\nsave_model = 'model.json'\n\
+               [[stage]]\ntype = 'georeference'\n";
+    place.write("job.toml", job.as_bytes());
+    let view = view(&place, &["job.toml"]);
+    let info = view.ready();
+    assert_eq!(info["error"], Value::Null, "{info}");
+    let generation = &info["generation"];
+    let find = format!("find?generation={generation}&sort=width_ratio&where=number_of_returns%3D1&limit=20");
+    for entry in view.json(&find)["found"].as_array().unwrap() {
+        let point = view.json(&format!("point?generation={generation}&index={}", entry["index"]));
+        let shown = view.json(&format!("shot?input=0&shot={}", entry["shot"]));
+        for (name, value) in
+            [("width_ratio", &point["values"]["width_ratio"]), ("range_sd_m", &point["values"]["range_sd_m"])]
+        {
+            let difference = shown["returns"][0][name].as_f64().unwrap() - value.as_f64().unwrap();
+            assert!(difference.abs() < 1e-5, "{name}: {point} {shown}");
+        }
+    }
+    // A view writes nothing.
+    let files: Vec<_> =
+        std::fs::read_dir(place.path("")).unwrap().map(|file| file.unwrap().file_name()).collect();
+    assert_eq!(files, ["job.toml"]);
+}
+
+#[test]
+fn shots_are_at_their_points_in_degrees_and_as_geocentric_coordinates() {
+    let place = TestFolder::new();
+    let simulate = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 4\nshots_per_line = 200\nsbet = '*.sbet'\n\
+                    [[stage]]\ntype = 'write_arrow'\n";
+    assert_eq!(place.run(simulate), Outcome::success());
+    for crs in ["geodetic", "ecef"] {
+        let job = format!(
+            "[job.geometry]\ntrajectory = 'out/flight.sbet'\ncrs = '{crs}'\n\
+             [[stage]]\ntype = 'read_arrow'\npath = 'out/flight.arrow'\n\
+             [[stage]]\ntype = 'calibrate'\nwaveforms = 500\n\
+             [[stage]]\ntype = 'decompose'\n\
+             [[stage]]\ntype = 'georeference'\n"
+        );
+        place.write("job.toml", job.as_bytes());
+        let view = view(&place, &["job.toml"]);
+        let info = view.ready();
+        assert_eq!((info["error"].as_str(), info["unit"].as_str()), (None, Some("m")), "{info}");
+        let generation = &info["generation"];
+        let found = view.json(&format!("find?generation={generation}&sort=amplitude_dn&limit=5"));
+        for entry in found["found"].as_array().unwrap() {
+            let shown = view.json(&format!("shot?input=0&shot={}", entry["shot"]));
+            let returns = shown["returns"].as_array().unwrap();
+            let same = returns.iter().find(|found| found["return_number"] == entry["return_number"]).unwrap();
+            for i in 0..3 {
+                let at = |place: &Value| place["position"][i].as_f64().unwrap();
+                assert!((at(same) - at(entry)).abs() < 0.1, "{crs}: {entry} {same}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_shot_without_echoes_says_so_and_leads_to_the_next() {
+    let place = TestFolder::new();
+    let job = "[[stage]]\ntype = 'simulate'\nlines = 3\nshots_per_line = 200\ndropout_rate = 0.3\n\
+               [[stage]]\ntype = 'calibrate'\nwaveforms = 400\n\
+               [[stage]]\ntype = 'decompose'\n\
+               [[stage]]\ntype = 'georeference'\n";
+    place.write("job.toml", job.as_bytes());
+    let view = view(&place, &["job.toml"]);
+    view.ready();
+    let shots: Vec<Value> = (0..600).map(|shot| view.json(&format!("shot?input=0&shot={shot}"))).collect();
+    let without: Vec<usize> = (0..600).filter(|&shot| shots[shot]["svg"].is_null()).collect();
+    assert!(without.len() > 100);
+    let first = &shots[without[0]];
+    assert!(first["problem"].as_str().unwrap().contains("no recorded echoes"), "{first}");
+    assert_eq!((first["returns"].as_array().map(Vec::len), first["text"].as_str()), (Some(0), Some("")));
+    // From the first shot to the last and back, across lines and empty shots.
+    for shot in 0..600_u64 {
+        let shown = &shots[shot as usize];
+        assert_eq!(shown["next"].as_u64(), (shot < 599).then_some(shot + 1));
+        assert_eq!(shown["previous"].as_u64(), shot.checked_sub(1));
+    }
+}
+
+#[test]
+fn the_job_of_a_folder_or_with_other_keys_is_whole() {
+    let place = simulated();
+    let folder = view(&place, &["out"]);
+    folder.ready();
+    let text = |view: &Viewer| String::from_utf8(view.ask("job?set=decompose.mode%3Dslow").body).unwrap();
+    let job = text(&folder);
+    assert!(
+        job.contains("mode = \"slow\"") && job.contains("write_table") && !job.contains("wavex run"),
+        "{job}"
+    );
+    place.write("elsewhere/again.toml", job.as_bytes());
+    assert_eq!(place.wavex(&["check", "elsewhere/again.toml"]).code, Some(0), "{job}");
+    place.write(
+        "job.toml",
+        b"[[stage]]\ntype = 'read_arrow'\npath = 'out/flight.arrow'\n[[stage]]\ntype = 'calibrate'\n\
+          [[stage]]\ntype = 'decompose'\nid = 'fit'\n[[stage]]\ntype = 'georeference'\n",
+    );
+    let with = view(&place, &["job.toml", "--set", "calibrate.waveforms=700"]);
+    let info = with.ready();
+    let keys: Vec<&str> =
+        info["keys"].as_array().unwrap().iter().map(|key| key["key"].as_str().unwrap()).collect();
+    assert!(keys.contains(&"decompose.mode"), "{keys:?}");
+    let job = text(&with);
+    assert!(job.contains("\nwaveforms = 700\n") && job.contains("\nmode = \"slow\"\n"), "{job}");
+    assert!(
+        job.contains("wavex run job.toml --set calibrate.waveforms=700 --set decompose.mode=slow\n"),
+        "{job}"
+    );
+}
+
+#[test]
+fn a_job_without_points_says_what_it_lacks() {
+    let place = TestFolder::new();
+    place.write("job.toml", b"[[stage]]\ntype = 'simulate'\nlines = 2\n[[stage]]\ntype = 'calibrate'\nwaveforms = 500\n[[stage]]\ntype = 'decompose'\n");
+    let view = view(&place, &["job.toml"]);
+    let info = view.ready();
+    assert_eq!(info["error"], "job.toml: the job has no stage `georeference`; add one");
+}
+
+#[test]
 fn what_cannot_be_viewed_is_refused_with_a_remedy() {
     let place = TestFolder::with(&[("empty/x.txt", b""), ("a.xyz", b"1 2 3")]);
     let refused = |arguments: &[&str]| {

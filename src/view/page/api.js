@@ -45,7 +45,8 @@ async function answer(name, params, signal) {
   let text = `${response.status} ${response.statusText}`;
   try {
     text = (await response.json()).error || text;
-  } catch {
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
     // The status says enough.
   }
   throw new ServerError(text, response.status);

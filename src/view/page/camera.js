@@ -1,7 +1,7 @@
 // Camera: from above (parallel) or in orbit around a target (perspective).
 //
-// Positions are relative to the origin of the points, m; screen positions are CSS pixels from the
-// upper left corner. `scale` is the size of a pixel at the target, m.
+// Positions are relative to the origin of the points, in the unit of the map; screen positions are
+// CSS pixels from the upper left corner. `scale` is the size of a pixel at the target, map units.
 
 const FIELD_OF_VIEW = (40 * Math.PI) / 180;
 const LOWEST = (3 * Math.PI) / 180;
@@ -39,7 +39,7 @@ export class Camera {
     ];
   }
 
-  /** Distance to the target, m. */
+  /** Distance to the target, map units. */
   get distance() {
     return (this.scale * this.height) / 2 / Math.tan(FIELD_OF_VIEW / 2);
   }
@@ -122,27 +122,27 @@ export class Camera {
     this.limits = [1e-4, Math.max(width, depth, height) / 40];
   }
 
-  /** Whether a sphere may be seen, and the size of a length at its nearest point, pixels per m. */
+  /** Whether a sphere may be seen, and the size of a length at its nearest point, pixels per map unit. */
   look(centre, radius) {
     const d = centre.map((at, i) => at - this.target[i]);
     const [right, up, forward] = this.axes;
     const dot = (axis) => axis[0] * d[0] + axis[1] * d[1] + axis[2] * d[2];
-    const perMetre = 1 / this.scale;
+    const perUnit = 1 / this.scale;
     if (!this.isOrbit) {
       const x = Math.abs(d[0]) - radius;
       const y = Math.abs(d[1]) - radius;
-      return { seen: x * perMetre < this.width / 2 && y * perMetre < this.height / 2, perMetre };
+      return { seen: x * perUnit < this.width / 2 && y * perUnit < this.height / 2, perUnit };
     }
     const distance = this.distance;
     const depth = distance + dot(forward);
-    if (depth < -radius) return { seen: false, perMetre };
+    if (depth < -radius) return { seen: false, perUnit };
     const nearest = Math.max(distance * 0.05, depth - radius);
-    const size = (perMetre * distance) / nearest;
-    const middle = (perMetre * distance) / Math.max(distance * 0.05, depth);
+    const size = (perUnit * distance) / nearest;
+    const middle = (perUnit * distance) / Math.max(distance * 0.05, depth);
     const inside = (at, half) => Math.abs(at) * middle - radius * size < half;
     return {
       seen: depth < radius || (inside(dot(right), this.width / 2) && inside(dot(up), this.height / 2)),
-      perMetre: middle,
+      perUnit: middle,
     };
   }
 }

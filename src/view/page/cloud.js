@@ -41,7 +41,10 @@ class Node {
 }
 
 export class Cloud {
-  /** `changed(node)`: called when a node can be drawn or has other colours. */
+  /**
+   * `changed(node)`: called when a node can be drawn or has other colours.
+   * `changed(null, error)`: called when a request has failed; `error` is given for the first of a series.
+   */
   constructor(tree, changed) {
     this.generation = tree.generation;
     this.changed = changed;
@@ -60,7 +63,7 @@ export class Cloud {
     if (this.root) widen(this.root);
     this.loading = 0;
     this.wanted = [];
-    this.error = null;
+    this.hasFailed = false;
     this.clock = 0;
   }
 
@@ -73,7 +76,7 @@ export class Cloud {
       // From above, the square itself is tested: `look` uses its half side as a box.
       const look = camera.look(centre, camera.isOrbit ? Math.hypot(half, half, height) : half);
       if (!look.seen) return;
-      const size = node.side * look.perMetre;
+      const size = node.side * look.perUnit;
       const at = Math.hypot(centre[0] - camera.target[0], centre[1] - camera.target[1]) / node.side;
       const rank = Math.min(most, size / (1 + 0.02 * at));
       seen.push([rank, node]);
@@ -124,11 +127,12 @@ export class Cloud {
       node.values.set(attribute, values);
       node.coloursVersion = -1;
       node.failures = 0;
+      this.hasFailed = false;
       if (!this.isClosed) this.changed(node);
     } catch (error) {
       node.failures += 1;
-      this.error = error;
-      if (!this.isClosed) this.changed(null);
+      if (!this.isClosed) this.changed(null, this.hasFailed ? null : error);
+      this.hasFailed = true;
     } finally {
       node.isLoading = false;
       this.loading -= 1;
@@ -173,7 +177,7 @@ export class Cloud {
 
   /** Tries nodes again whose requests have failed. */
   retry() {
-    this.error = null;
+    this.hasFailed = false;
     for (const node of this.nodes) node.failures = 0;
     this.load();
   }

@@ -35,12 +35,13 @@ export function unitAfter(unit) {
   return unit ? `\u202f${unit}` : "";
 }
 
-/** Length, m, in the unit that reads best. */
-export function length(metres) {
-  const size = Math.abs(metres);
-  if (size >= 2000) return `${significant(metres / 1000, 4)} km`;
-  if (size >= 1 || size === 0) return `${significant(metres, 4)} m`;
-  return size >= 0.01 ? `${significant(metres * 100, 3)} cm` : `${significant(metres * 1000, 3)} mm`;
+/** Length with its unit; metres are given in the unit that reads best. */
+export function length(value, unit) {
+  const size = Math.abs(value);
+  if (unit !== "m" || size === 0) return `${significant(value, 4)} ${unit}`;
+  if (size >= 2000) return `${significant(value / 1000, 4)} km`;
+  if (size >= 1) return `${significant(value, 4)} m`;
+  return size >= 0.01 ? `${significant(value * 100, 3)} cm` : `${significant(value * 1000, 3)} mm`;
 }
 
 /** Largest of 1, 2 and 5 times a power of ten that is at most the value. */

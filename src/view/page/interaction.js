@@ -2,7 +2,7 @@
 
 import { byId } from "./elements.js";
 import { fixed } from "./format.js";
-import { absolute, emit, on, state } from "./state.js";
+import { absolute, emit, mapUnit, on, state } from "./state.js";
 import { stage } from "./stage.js";
 
 /** Largest movement of a click, px. */
@@ -29,9 +29,18 @@ export function setView(isOrbit) {
   stage.moved();
 }
 
+/** Drops the line that is being drawn. */
+function dropDraft() {
+  if (gesture?.kind === "line") gesture = null;
+  if (!state.draft) return;
+  state.draft = null;
+  emit("profile");
+}
+
 /** Starts or ends drawing the line of a profile. */
 export function setDrawing(wanted) {
   isDrawing = wanted;
+  if (!wanted) dropDraft();
   if (wanted && stage.camera.isOrbit) setView(false);
   byId("draw-profile").setAttribute("aria-pressed", String(wanted));
   element.classList.toggle("drawing", wanted);
@@ -58,6 +67,7 @@ function start(event) {
         : "pan";
     gesture = { kind, begin: at, last: at, hasMoved: false };
   } else {
+    dropDraft();
     gesture = { kind: "pinch", hasMoved: true, ...spread() };
   }
 }
@@ -108,7 +118,7 @@ function end(event) {
     return;
   }
   gesture = null;
-  if (event.type === "pointercancel") return;
+  if (event.type === "pointercancel") return dropDraft();
   if (ended.kind === "line" && ended.hasMoved) {
     setDrawing(false);
     emit("profile-line", {
@@ -131,7 +141,7 @@ function readout([x, y]) {
   }
   const [east, north] = absolute(stage.camera.unproject(x, y));
   const digits = stage.camera.scale < 0.05 ? 2 : 1;
-  box.textContent = `${fixed(east, digits)}, ${fixed(north, digits)} m`;
+  box.textContent = `${fixed(east, digits)}, ${fixed(north, digits)} ${mapUnit()}`;
 }
 
 function wheel(event) {

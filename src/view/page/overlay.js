@@ -2,7 +2,7 @@
 
 import { colour, fitted, byId } from "./elements.js";
 import { length, roundStep } from "./format.js";
-import { on, relative, state } from "./state.js";
+import { mapUnit, on, relative, state } from "./state.js";
 import { stage } from "./stage.js";
 import { shownLayers } from "./layers.js";
 
@@ -42,10 +42,11 @@ function layers(context) {
   context.globalAlpha = 1;
 }
 
-/** Line of the profile and its width. */
+/** Line of the profile, or the one that is being drawn, and its width. */
 function profileLine(context) {
-  if (!state.profile) return;
-  const { from, to, width_m: wide } = state.profile;
+  const line = state.draft ?? state.profile;
+  if (!line) return;
+  const { from, to, width_m: wide } = line;
   const height = stage.camera.target[2];
   const along = [to[0] - from[0], to[1] - from[1]];
   const size = Math.hypot(...along) || 1;
@@ -200,8 +201,8 @@ function label(context, text, x, y, align = "center") {
 
 /** In perspective the scale holds at the centre of the view. */
 function scaleBar(context, width, height) {
-  const metres = roundStep(LONGEST_SCALE_PX * stage.camera.scale);
-  const px = metres / stage.camera.scale;
+  const size = roundStep(LONGEST_SCALE_PX * stage.camera.scale);
+  const px = size / stage.camera.scale;
   const [right, y] = [width - 14, height - 14];
   path(context, [
     [right - px, y - 5],
@@ -210,7 +211,7 @@ function scaleBar(context, width, height) {
     [right, y - 5],
   ]);
   stroke(context, colour("text"), 1.5);
-  label(context, length(metres), right - px / 2, y - 7);
+  label(context, length(size, mapUnit()), right - px / 2, y - 7);
 }
 
 function northArrow(context, width) {

@@ -5,8 +5,8 @@ import { coloursOf } from "./colours.js";
 import { drawAxes } from "./axes.js";
 import { isDocked, openDock, placeInDock, setMessage, setTitle } from "./dock.js";
 import { byId, debounced, fitted, make } from "./elements.js";
-import { count, length, roundStep } from "./format.js";
-import { absolute, emit, on, relative, state } from "./state.js";
+import { count, counted, length, roundStep } from "./format.js";
+import { absolute, emit, heightUnit, mapUnit, on, relative, state } from "./state.js";
 import { stage } from "./stage.js";
 import { symbol } from "./overlay.js";
 
@@ -16,7 +16,7 @@ const HIT_PX = 8;
 const WIDTH_PX = 12;
 
 let points = null;
-/** Shown ranges: along the line and height, m. */
+/** Shown ranges: along the line and height. */
 let range = null;
 let drag = null;
 let request = null;
@@ -26,7 +26,6 @@ const width = make("input", {
   type: "number",
   min: 0.01,
   step: "any",
-  "aria-label": "Width of the profile, m",
   input: debounced(250, () => {
     const value = Number(width.value);
     if (!(value > 0) || !state.profile) return;
@@ -35,6 +34,7 @@ const width = make("input", {
     load();
   }),
 });
+const widthUnit = make("span");
 const trueScale = make("input", {
   type: "checkbox",
   change: () => {
@@ -46,7 +46,7 @@ const trueScale = make("input", {
 const content = {
   name: "profile",
   controls: [
-    make("label", {}, "Width ", width, " m"),
+    make("label", {}, "Width ", width, widthUnit),
     make(
       "label",
       { class: "check", title: "The same scale along the line and in height" },
@@ -66,7 +66,7 @@ const content = {
     byId("dock-body").setPointerCapture(event.pointerId);
   },
   pointermove(event) {
-    if (!drag || !range) return;
+    if (!drag || !range || !event.buttons) return;
     const at = placeInDock(event);
     if (!drag.hasMoved && Math.hypot(at[0] - drag.begin[0], at[1] - drag.begin[1]) < 5) return;
     drag.hasMoved = true;
@@ -150,8 +150,8 @@ async function load() {
       value: column(Float32Array, 2),
       index: column(Uint32Array, 3),
     };
-    const seen = n < total ? `${count(n)} of ${count(total)} points` : `${count(n)} points`;
-    setTitle(`Profile, ${length(size())}: ${seen}`);
+    const seen = n < total ? `${count(n)} of ${count(total)} points` : counted(n, "point");
+    setTitle(`Profile, ${length(size(), mapUnit())}: ${seen}`);
     setMessage(n === 0 ? "No points within this width of the line." : "");
     if (isFirst || !range) showAll();
     else draw();
@@ -204,8 +204,8 @@ function draw() {
   drawAxes(
     context,
     frame,
-    { range: range[0], label: "distance along the line, m" },
-    { range: range[1], label: "height, m" },
+    { range: range[0], label: `distance along the line, ${mapUnit()}` },
+    { range: range[1], label: `height, ${heightUnit()}` },
   );
   const [w, h] = [
     Math.floor((frame.right - frame.left) * ratio),
@@ -238,7 +238,8 @@ function selected(context, frame, position) {
   const d = [at[0] - from[0], at[1] - from[1]];
   const [a, off] = [d[0] * along[0] + d[1] * along[1], d[0] * -along[1] + d[1] * along[0]];
   const [x, y] = screen(frame, a, position[2]);
-  if (Math.abs(off) <= width_m && x >= frame.left && x <= frame.right && y >= frame.top && y <= frame.bottom)
+  const isWithin = Math.abs(off) <= width_m / 2 && a >= 0 && a <= size();
+  if (isWithin && x >= frame.left && x <= frame.right && y >= frame.top && y <= frame.bottom)
     symbol(context, "selected", x, y);
 }
 
@@ -252,21 +253,24 @@ function screen(frame, along, height) {
 function pick(x, y) {
   if (!points || points.generation !== state.generation) return null;
   const frame = box();
+  const colours = coloursOf(points.value);
   let [best, least] = [null, HIT_PX * HIT_PX];
   for (let i = 0; i < points.n; i += 1) {
     const [u, v] = screen(frame, points.along[i], points.height[i]);
     const off = (u - x) ** 2 + (v - y) ** 2;
-    if (off < least) [best, least] = [points.index[i], off];
+    if (off < least && colours[i] !== 0) [best, least] = [points.index[i], off];
   }
   return best;
 }
 
 on("profile-line", ({ from, to, isDone }) => {
   const wide = state.profile?.width_m ?? Math.max(0.01, roundStep(WIDTH_PX * stage.camera.scale));
-  state.profile = { from, to, width_m: wide };
+  state[isDone ? "profile" : "draft"] = { from, to, width_m: wide };
   emit("profile");
   if (!isDone) return;
   width.value = Number(wide.toPrecision(3));
+  width.setAttribute("aria-label", `Width of the profile, ${mapUnit()}`);
+  widthUnit.textContent = ` ${mapUnit()}`;
   points = null;
   range = null;
   setTitle("Profile");

@@ -10,7 +10,7 @@ import { stage } from "./stage.js";
 let request = null;
 /** Whether the picture shows the keys of the job although keys are changed. */
 let showsJob = false;
-let failure = null;
+let pointRequest = null;
 
 /** Width of the picture in the panel, CSS px. */
 function pictureWidth() {
@@ -25,26 +25,19 @@ async function load({ move = false } = {}) {
   request = new AbortController();
   const { signal } = request;
   byId("picture").classList.add("loading");
-  try {
-    const isLoaded = state.shot && state.shot.input === input && state.shot.shot === shot;
-    const sets = overrides();
-    const ask = (set) => getJson("shot", { input, shot, set }, signal);
-    const [plain, changed] = await Promise.all([
-      isLoaded ? state.shot : ask([]),
-      sets.length ? ask(sets) : null,
-    ]);
-    failure = null;
-    state.shot = plain;
-    state.changedShot = changed;
-    if (move) bringIntoView(plain);
-  } catch (error) {
-    if (error.name === "AbortError") return;
-    failure = error.message;
-    if (!state.shot || state.shot.shot !== shot || state.shot.input !== input) {
-      state.shot = null;
-    }
-    state.changedShot = null;
-  }
+  const isLoaded = state.shot?.input === input && state.shot.shot === shot;
+  const sets = overrides();
+  const ask = (set) => getJson("shot", { input, shot, set }, signal);
+  // Invalid keys do not hide the shot with the keys of the job.
+  const [plain, changed] = await Promise.allSettled([
+    isLoaded ? state.shot : ask([]),
+    sets.length ? ask(sets) : null,
+  ]);
+  if (signal.aborted) return;
+  state.shot = plain.value ?? null;
+  state.changedShot = (state.shot && changed.value) ?? null;
+  state.failure = (plain.reason ?? changed.reason)?.message ?? null;
+  if (move && state.shot) bringIntoView(state.shot);
   byId("picture").classList.remove("loading");
   show();
   emit("shot");
@@ -68,31 +61,37 @@ function shown() {
 
 function show() {
   const shot = shown();
-  byId("picture").hidden = !shot || !["shot", "what-if"].includes(document.body.dataset.tab);
-  if (!shot) {
-    fill(byId("shot"), failure ? problem(failure) : intro());
+  const isEmpty = !shot && !state.failure;
+  byId("picture").hidden = isEmpty || !["shot", "what-if"].includes(document.body.dataset.tab);
+  if (isEmpty) {
+    fill(byId("shot"), intro());
     return;
   }
+  const title = shot?.title ?? `shot ${state.selected.shot}`;
   // The GPS time is in the line below.
-  byId("shot-title").textContent = shot.title
-    .split(/, GPS time|: \d+ return/)[0]
-    .replace(/ of .*[/\\]/, " of ");
-  byId("shot-title").title = shot.title;
-  byId("shot-about").textContent = about(shot);
-  byId("previous-shot").disabled = shot.previous === null;
-  byId("next-shot").disabled = shot.next === null;
+  byId("shot-title").textContent = title.split(/, GPS time|: \d+ return/)[0].replace(/ of .*[/\\]/, " of ");
+  byId("shot-title").title = title;
+  byId("shot-about").textContent = shot ? about(shot) : "";
+  byId("previous-shot").disabled = neighbour(-1) === null;
+  byId("next-shot").disabled = neighbour(1) === null;
+  byId("mark-shot").disabled = !shot;
   byId("keys-shown").hidden = !state.changedShot;
   byId("shown-changed").setAttribute("aria-pressed", String(!showsJob));
   byId("shown-job").setAttribute("aria-pressed", String(showsJob));
-  showPanels(byId("waveform"), shot.svg, pictureWidth());
-  fill(
-    byId("shot"),
-    failure ? problem(failure) : null,
+  for (const id of ["waveform", "picture-tools"]) byId(id).hidden = !shot?.svg;
+  if (shot?.svg) showPanels(byId("waveform"), shot.svg, pictureWidth());
+  fill(byId("shot"), state.failure ? problem(state.failure) : null, ...(shot ? details(shot) : []));
+}
+
+/** Tables and texts of a shot. */
+function details(shot) {
+  return [
+    shot.problem ? make("p", { class: "notice" }, shot.problem) : null,
     returnsTable(state.changedShot),
     instrumentTable(shot),
     blocksTable(shot),
-    explanation(shot),
-  );
+    shot.text ? explanation(shot) : null,
+  ];
 }
 
 function intro() {
@@ -132,7 +131,7 @@ const ROWS = [
 function returnsTable(changed) {
   const changes =
     changed?.difference?.changes ||
-    state.shot.returns.map((each) => ({ change: "same", before: each, after: each }));
+    (changed ?? state.shot).returns.map((each) => ({ change: "same", before: each, after: each }));
   if (changes.length === 0) return make("p", {}, "No returns.");
   const columns = changes.map((one) => ({ ...one, shown: one.after || one.before }));
   const heading = ({ change, shown: each, before, after }) =>
@@ -287,10 +286,18 @@ function explanation({ text }) {
   return details;
 }
 
+/** Number of the shot before or after; null if there is none. */
+function neighbour(direction) {
+  if (state.shot) return direction < 0 ? state.shot.previous : state.shot.next;
+  // Without an answer the neighbours are unknown; most recordings number their shots without gaps.
+  const next = state.selected ? state.selected.shot + direction : -1;
+  return next >= 0 ? next : null;
+}
+
 /** Selects the shot before or after. */
 export function step(direction) {
-  const next = direction < 0 ? state.shot?.previous : state.shot?.next;
-  if (next !== null && next !== undefined) select(state.shot.input, next, null, { move: true });
+  const next = neighbour(direction);
+  if (next !== null) select((state.shot ?? state.selected).input, next, null, { move: true });
 }
 
 /** Shows the picture with the keys of the job, or with the changed ones. */
@@ -303,7 +310,7 @@ export function toggleJobKeys() {
 /** Shows the whole picture in a dialog. */
 export function enlarge() {
   const shot = shown();
-  if (!shot) return;
+  if (!shot?.svg) return;
   showWhole(byId("enlarged-picture"), shot.svg);
   byId("enlarged").showModal();
 }
@@ -318,13 +325,13 @@ function fileName(shot, ending) {
 
 export function saveSvg() {
   const shot = shown();
-  if (shot) download(fileName(shot, "svg"), shot.svg, "image/svg+xml");
+  if (shot?.svg) download(fileName(shot, "svg"), shot.svg, "image/svg+xml");
 }
 
 /** Saves the picture with twice as many pixels per unit as it has CSS pixels. */
 export async function savePng() {
   const shot = shown();
-  if (!shot) return;
+  if (!shot?.svg) return;
   const link = URL.createObjectURL(new Blob([shot.svg], { type: "image/svg+xml" }));
   try {
     const image = new Image();
@@ -342,11 +349,14 @@ export async function savePng() {
 
 /** Selects the shot of a point. */
 async function clickPoint(index) {
+  pointRequest?.abort();
+  pointRequest = new AbortController();
   try {
-    const point = await getJson("point", { generation: state.generation, index });
+    const point = await getJson("point", { generation: state.generation, index }, pointRequest.signal);
     if (!["shot", "what-if"].includes(document.body.dataset.tab)) emit("open-tab", "shot");
     select(point.input, point.shot, point.return_number);
   } catch (error) {
+    if (error.name === "AbortError") return;
     if (error.status === 410) emit("loading-failed", error);
     else announce(error.message, true);
   }
@@ -374,7 +384,7 @@ on("keys", () => {
 on("tab", show);
 new ResizeObserver(
   debounced(100, () => {
-    if (shown()) showPanels(byId("waveform"), shown().svg, pictureWidth());
+    if (shown()?.svg) showPanels(byId("waveform"), shown().svg, pictureWidth());
   }),
 ).observe(byId("panel"));
 show();

@@ -76,7 +76,7 @@ class Stage {
   /** Loads a generation and shows it when it covers the view. */
   async open(generation) {
     const tree = await getJson("tree", { generation });
-    const cloud = new Cloud(tree, (node) => this.nodeChanged(cloud, node));
+    const cloud = new Cloud(tree, (node, error) => this.nodeChanged(cloud, node, error));
     this.next?.close();
     this.next = cloud;
     this.nextSince = performance.now();
@@ -93,8 +93,8 @@ class Stage {
     this.redraw();
   }
 
-  nodeChanged(cloud, node) {
-    if (cloud.error) emit("loading-failed", cloud.error);
+  nodeChanged(cloud, node, error) {
+    if (error) emit("loading-failed", error);
     if (cloud === this.next) {
       if (cloud.isComplete || performance.now() - this.nextSince > 4000) this.useNext();
     } else if (cloud === this.cloud && node) {

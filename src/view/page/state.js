@@ -18,6 +18,8 @@ export const state = {
   /** Answer of `shot` with the keys of the job, and with the changed keys. */
   shot: null,
   changedShot: null,
+  /** Why the selected shot cannot be shown, or not with the changed keys; null if it can. */
+  failure: null,
   /** Changed keys of the job: key to value. */
   changedKeys: new Map(),
   /** Answer of `compare`. */
@@ -27,8 +29,10 @@ export const state = {
   foundAt: -1,
   /** Marked shots: "input:shot" to their data. */
   marks: new Map(),
-  /** Line of the profile: from, to (relative to the origin, m), width_m. */
+  /** Line of the profile: from, to (relative to the origin), width_m, in the unit of the map. */
   profile: null,
+  /** Line that is being drawn, like `profile`. */
+  draft: null,
 };
 
 const target = new EventTarget();
@@ -54,12 +58,22 @@ export function select(input, shot, returnNumber = null, { move = false } = {}) 
   emit("select", { move });
 }
 
-/** Position relative to the origin of an absolute one, m. */
+/** Unit of map coordinates. */
+export function mapUnit() {
+  return state.info?.unit ?? "m";
+}
+
+/** Unit of heights. */
+export function heightUnit() {
+  return state.info?.height_unit ?? mapUnit();
+}
+
+/** Position relative to the origin of an absolute one. */
 export function relative(position) {
   return position.map((at, i) => at - state.info.origin[i]);
 }
 
-/** Absolute position of one relative to the origin, m. */
+/** Absolute position of one relative to the origin. */
 export function absolute(position) {
   return position.map((at, i) => at + state.info.origin[i]);
 }

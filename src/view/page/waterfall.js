@@ -103,6 +103,7 @@ function whole() {
 
 /** Loads the line of the selected shot, unless it is shown. */
 async function load() {
+  request?.abort();
   if (!state.selected) {
     setTitle("Scan line");
     setMessage("Select a shot to see the waveforms of its scan line.");
@@ -110,21 +111,22 @@ async function load() {
   }
   const { input, shot } = state.selected;
   if (line && line.input === input && line.shots.includes(shot)) return draw();
-  request?.abort();
   request = new AbortController();
+  const { signal } = request;
   if (!line) setMessage("Loading …");
   try {
-    const answer = await getJson("line", { input, shot }, request.signal);
+    const answer = await getJson("line", { input, shot }, signal);
     const image = new Image();
     image.src = `data:image/png;base64,${answer.image}`;
     await image.decode();
+    if (signal.aborted) return;
     line = { ...answer, input, grey: grey(image) };
     times = whole();
     setMessage("");
     setTitle(`Scan line ${line.line}`);
     paint();
   } catch (error) {
-    if (error.name === "AbortError") return;
+    if (signal.aborted) return;
     line = null;
     draw();
     setMessage(error.message, true);

@@ -9,7 +9,7 @@ import { stage } from "./stage.js";
 
 const page = byId("page-what-if");
 /** Ranges of the sliders of keys that have no limits of their own. */
-const USUAL = { detection_sigma: [1, 40], split_evidence: [4, 100], template_error: [0.0005, 0.1] };
+const USUAL = { detection_sigma: [2, 40], split_evidence: [4, 100], template_error: [0.0005, 0.1] };
 const summary = make("div", { id: "difference", role: "status" });
 const results = make("div", { id: "comparison" });
 const controls = new Map();
@@ -19,11 +19,7 @@ const lineButton = make(
   { click: () => compare("line"), title: "Decompose the scan line of the shot with both sets of keys" },
   "Compare line",
 );
-const partButton = make(
-  "button",
-  { click: () => compare("part"), title: "Decompose the visible part of the map with both sets of keys" },
-  "Compare visible",
-);
+const partButton = make("button", { click: () => compare("part") }, "Compare visible");
 const resetButton = make("button", { click: reset }, "Reset");
 const copyButton = make(
   "button",
@@ -42,6 +38,7 @@ const keysChanged = debounced(150, () => emit("keys"));
 function set(key, value) {
   if (value === key.value) state.changedKeys.delete(key.key);
   else state.changedKeys.set(key.key, value);
+  clearComparison();
   showKeys();
   keysChanged();
 }
@@ -217,16 +214,29 @@ function showKeys() {
     show(valueOf(key));
   }
   const changes = state.changedKeys.size;
-  for (const button of [lineButton, partButton, resetButton]) button.disabled = changes === 0;
-  lineButton.disabled ||= !state.selected;
+  resetButton.disabled = changes === 0;
+  lineButton.disabled = changes === 0 || !state.selected;
+  allowPart();
   byId("tab-what-if").classList.toggle("changed", changes > 0);
-  if (changes === 0) {
-    request?.abort();
-    state.comparison = null;
-    fill(results);
-    emit("compared");
-  }
   showDifference();
+}
+
+/** In perspective the visible part is no rectangle of the map and may reach the horizon. */
+function allowPart() {
+  const { isOrbit } = stage.camera;
+  partButton.disabled = state.changedKeys.size === 0 || isOrbit;
+  partButton.title = isOrbit
+    ? "Only with the map from above (1)"
+    : "Decompose the visible part of the map with both sets of keys";
+}
+
+/** Ends and removes a comparison: it is only valid for its keys. */
+function clearComparison() {
+  request?.abort();
+  fill(results);
+  state.comparison = null;
+  for (const kind of Object.keys(steps)) steps[kind] = -1;
+  emit("compared");
 }
 
 /** One line: what changes in the selected shot. */
@@ -246,15 +256,18 @@ function showDifference() {
   }
   const difference = state.changedShot?.difference;
   if (!difference) {
+    const failure = state.failure ?? state.changedShot?.problem;
     fill(
       summary,
-      make(
-        "p",
-        { class: "faint" },
-        state.selected
-          ? "Decomposing …"
-          : `${counted(state.changedKeys.size, "key")} changed. Select a shot, or compare the visible part.`,
-      ),
+      failure
+        ? problem(failure)
+        : make(
+            "p",
+            { class: "faint" },
+            state.selected
+              ? "Decomposing …"
+              : `${counted(state.changedKeys.size, "key")} changed. Select a shot, or compare the visible part.`,
+          ),
     );
     return;
   }
@@ -271,13 +284,14 @@ function showDifference() {
 
 function reset() {
   state.changedKeys.clear();
+  clearComparison();
   showKeys();
   emit("keys");
 }
 
 /** Compares many shots. */
 async function compare(what) {
-  request?.abort();
+  clearComparison();
   request = new AbortController();
   const set = overrides();
   let params;
@@ -415,6 +429,7 @@ function build() {
 on("info", build);
 on("shot", showDifference);
 on("select", showKeys);
+on("camera", allowPart);
 on("scheme", () => {
   if (state.comparison) emit("compared");
 });
