@@ -133,8 +133,8 @@ def check_shot(checks, tab, wavex, recording):
     checks.equal("previous shot", before["shot"], shot["shot"])
 
 
-def check_what_if(checks, tab, wavex, recording):
-    """A higher threshold removes returns, as `explain` does."""
+def check_what_if(checks, tab, wavex, recording, errors):
+    """A higher threshold removes returns, as `explain` does; a wrong key is refused with its reason."""
     tab.keyboard.press("f")
     tab.fill("#find-where", "number_of_returns >= 3")
     tab.select_option("#find-sort", "amplitude_dn")
@@ -164,6 +164,11 @@ def check_what_if(checks, tab, wavex, recording):
         re.search(rf"detection_sigma *= *{THRESHOLD}(\.0)?\n", job.decode()) is not None,
         job.decode(),
     )
+    tab.fill("#key-decompose-split_evidence", "0")
+    tab.locator("#difference", has_text="between 4 and 1000000").wait_for()
+    checks.equal("another key clears the comparison", tab.locator("#comparison tr").count(), 0)
+    refused = [errors.pop() for _ in list(errors)]
+    checks.that("only the wrong key is refused", refused and all("400" in error for error in refused), str(refused))
     tab.get_by_role("button", name="Reset").click()
     wait(tab, "wavexView.changedShot() === null")
     checks.equal("no return is gone after a reset", tab.locator("#returns .badge").count(), 0)
@@ -299,7 +304,7 @@ def main(wavex):
             with opened(browser, address) as (tab, errors):
                 parts = [
                     ("shot", check_shot, (wavex, recording)),
-                    ("what if", check_what_if, (wavex, recording)),
+                    ("what if", check_what_if, (wavex, recording, errors)),
                     ("find", check_find, ()),
                     ("export", check_saved, ()),
                     ("views", check_views, ()),
