@@ -143,6 +143,12 @@ pub(super) struct Session {
     pub(super) cancel: Cancel,
 }
 
+/// Messages of the errors of a job, without their places in the text, which the page does not show.
+fn messages(errors: &str) -> String {
+    let messages: Vec<&str> = errors.lines().filter_map(|line| line.strip_prefix("error: ")).collect();
+    if messages.is_empty() { errors.to_owned() } else { messages.join("; ") }
+}
+
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -328,7 +334,10 @@ impl Session {
         if let Some(known) = kept.iter().find(|chosen| chosen.set == set) {
             return Ok(Arc::clone(known));
         }
-        let mut job = if set.is_empty() { self.opened.job.clone() } else { (self.opened.with)(set)? };
+        let mut job = match set {
+            [] => self.opened.job.clone(),
+            _ => (self.opened.with)(set).map_err(|errors| messages(&errors))?,
+        };
         let stage = job.stages.iter_mut().find(|stage| stage.spec.name == "decompose");
         let stage = stage.ok_or("the job has no stage `decompose`; add one")?;
         let decompose: Decompose = serde_json::from_value(stage.planned.resolved.clone())

@@ -124,6 +124,8 @@ fn a_shot_is_that_of_explain_and_other_keys_change_it() {
     let same = view.json(&format!("compare?input=0&shot={shot}"));
     assert_eq!([&same["new_total"], &same["gone_total"], &same["moved_total"]], [0, 0, 0]);
 
+    let refused = view.ask(&format!("shot?input=0&shot={shot}&set=decompose.detection_sigma%3D1"));
+    assert_eq!(refused.json()["error"], "`detection_sigma`: it must lie between 2 and 100");
     let job = view.ask("job?set=decompose.detection_sigma%3D60");
     place.write("changed.toml", &job.body);
     assert_eq!(place.wavex(&["--quiet", "check", "changed.toml"]).code, Some(0));
