@@ -51,7 +51,8 @@ impl Explained {
         let without =
             |what: &str| ExplainError::Without(format!("{file}: shot {shot} has {what}; choose another one"));
         let model = line.model.clone().ok_or_else(|| without("no sensor model"))?;
-        let index = line.emissions.iter().position(|emission| emission.shot == shot).unwrap_or_default();
+        let index = line.emissions.iter().position(|emission| emission.shot == shot);
+        let index = index.ok_or_else(|| without("no position: it is outside of the trajectory"))?;
         let Content::Shots(blocks) = &line.content else {
             return Err(without("no samples"));
         };

@@ -140,7 +140,7 @@ impl Lines {
         }
         let (mut first, mut waveforms, mut decomposed) = (0, 0, Vec::new());
         while !trained.is_empty() && waveforms < WAVEFORMS && first < self.index.lines().len() {
-            let end = (first + LINES_AT_ONCE).min(self.index.lines().len());
+            let end = self.end_of_waveforms(first, WAVEFORMS - waveforms);
             let lines = self.read(before_decompose(&job), first..end)?;
             waveforms += lines.iter().map(|line| line.stats.nw).sum::<u64>();
             decomposed.extend(through(&stages[..1], &self.site, lines, &mut [])?);
@@ -149,6 +149,16 @@ impl Lines {
         through(&stages[1..], &self.site, decomposed, &mut trained)?;
         self.trained = Some(trained);
         Ok(())
+    }
+
+    /// End of the lines from `first` on that have this many shots, or of as many as are read at once.
+    fn end_of_waveforms(&self, first: usize, shots: u64) -> usize {
+        let lines = self.index.lines().iter().skip(first).take(LINES_AT_ONCE);
+        let sums = lines.scan(0, |sum, line| {
+            *sum += u64::from(line.shots);
+            Some(*sum)
+        });
+        (first + 1 + sums.take_while(|sum| *sum < shots).count()).min(self.index.lines().len())
     }
 
     /// Reads lines and passes them through stages; reads more lines around them where a stage needs these.

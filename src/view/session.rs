@@ -66,7 +66,7 @@ pub(super) struct Chosen {
 /// Number of jobs with other keys that are kept.
 const KEPT_JOBS: usize = 8;
 /// Number of inputs that are kept open.
-const KEPT_INPUTS: usize = 8;
+const KEPT_INPUTS: usize = 32;
 
 /// Progress of reading.
 #[derive(Clone, Debug)]

@@ -55,18 +55,17 @@ pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -
             Err(ExplainError::Without(problem)) => Err(problem),
             Err(ExplainError::Stage(error)) => return Err(error.to_string()),
         };
-        let place = line.emissions.iter().position(|emission| emission.shot == shot).unwrap_or_default();
-        let neighbour = |at: Option<usize>| at.and_then(|at| line.emissions.get(at)).map(|e| e.shot);
-        let (previous, next) = (
-            neighbour(place.checked_sub(1)).or(line_before.map(|[_, last]| last)),
-            neighbour(Some(place + 1)).or(line_after.map(|[first, _]| first)),
-        );
-        let of_line = json!({ "number": line.line, "shot": place, "shots": line.emissions.len() });
+        let place = line.emissions.iter().position(|emission| emission.shot == shot);
+        let of_line = place.map(|place| json!({ "number": line.line, "shot": place, "shots": line.emissions.len() }));
+        let others = || line.emissions.iter().map(|emission| emission.shot);
+        let previous = others().filter(|&other| other < shot).max().or(line_before.map(|[_, last]| last));
+        let next = others().filter(|&other| other > shot).min().or(line_after.map(|[first, _]| first));
         let explained = match explained {
             Ok(explained) => explained,
             // The page can go on to the next shot.
             Err(problem) => {
-                let gps_time_s = line.emissions.get(place).map_or(f64::NAN, |emission| emission.gps_time_s);
+                let emission = place.and_then(|place| line.emissions.get(place));
+                let gps_time_s = emission.map_or(f64::NAN, |emission| emission.gps_time_s);
                 let none: [Value; 0] = [];
                 return Ok(json!({
                     "input": input, "shot": shot, "gps_time_s": number_or_null(gps_time_s), "problem": problem,
@@ -77,7 +76,7 @@ pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -
             }
         };
         let online: Vec<Value> = line.blocks().map_or(Vec::new(), |blocks| {
-            let of_shot = blocks.online.iter().filter(|online| online.emission as usize == place);
+            let of_shot = blocks.online.iter().filter(|online| Some(online.emission as usize) == place);
             let velocity_m_per_ns = line.input.group_velocity_mps * 1e-9;
             of_shot
                 .map(|online| {
@@ -164,15 +163,20 @@ pub(super) fn compare(
     let is_over = || begin.elapsed() > MAX_TIME;
     let mut compared = Compared::default();
     for (&input, wanted) in shots {
+        if compared.shots > 0 && is_over() {
+            compared.is_limited = true;
+            break;
+        }
         session.with_lines(input, |lines| {
             let mut rest = wanted.iter().copied().peekable();
+            let mut done = BTreeSet::new();
             while rest.peek().is_some() {
                 let most = MAX_SHOTS.saturating_sub(compared.shots);
                 if most == 0 || (compared.shots > 0 && is_over()) {
                     compared.is_limited = true;
                     break;
                 }
-                for numbers in ranges(&next_lines(lines, &mut rest, most, is_over)?) {
+                for numbers in ranges(&next_lines(lines, &mut rest, &mut done, most, is_over)?) {
                     let before = lines.with_points(&base.job, numbers.clone()).map_err(text)?;
                     let after = lines.with_points(&other.job, numbers).map_err(text)?;
                     for lines in before.iter().zip(&after) {
@@ -192,9 +196,12 @@ fn place(lines: &mut Lines, shot: u64) -> Result<usize, String> {
 }
 
 /// Positions of the lines of the next shots: one line, and more up to a number of shots or the end of the time.
+///
+/// Lines that are `done` are left out; those found are added to them.
 fn next_lines(
     lines: &mut Lines,
     shots: &mut Peekable<impl Iterator<Item = u64>>,
+    done: &mut BTreeSet<usize>,
     most: usize,
     is_over: impl Fn() -> bool,
 ) -> Result<BTreeSet<usize>, String> {
@@ -210,12 +217,13 @@ fn next_lines(
                 let [first, last] = line.shot_range;
                 // Shot numbers of a line that has as many shots as numbers are its own.
                 own = (last - first == u64::from(line.shots).saturating_sub(1)).then_some(first..=last);
-                if !found.contains(&number) {
+                if !done.contains(&number) {
                     sum += line.shots as usize;
                     if !found.is_empty() && sum > most {
                         break;
                     }
                     found.insert(number);
+                    done.insert(number);
                 }
             }
         }
@@ -314,9 +322,9 @@ struct Compared {
     is_limited: bool,
 }
 
-/// For each shot of a line, whether it is compared; `returns` are those of the shots, and `wanted` have some.
+/// For each shot of a line, whether it is compared: `wanted` are shots with returns; `returns` are those of each shot.
 ///
-/// A shot without returns is compared if the nearest ones with returns on both sides are.
+/// A shot without returns is compared if the nearest ones with returns before and after it in the line are.
 fn are_compared(
     shots: impl Iterator<Item = u64>,
     returns: &[Vec<Placed>],
@@ -325,14 +333,16 @@ fn are_compared(
     let own = shots.zip(returns);
     let own = own.map(|(shot, returns)| (!returns.is_empty()).then(|| wanted.contains(&shot)));
     let own: Vec<Option<bool>> = own.collect();
-    let nearest = |last: &mut bool, own: &Option<bool>| {
-        *last = own.unwrap_or(*last);
+    let nearest = |last: &mut Option<bool>, own: &Option<bool>| {
+        *last = own.or(*last);
         Some(*last)
     };
-    let before: Vec<bool> = own.iter().scan(false, nearest).collect();
-    let mut after: Vec<bool> = own.iter().rev().scan(false, nearest).collect();
+    let before: Vec<Option<bool>> = own.iter().scan(None, nearest).collect();
+    let mut after: Vec<Option<bool>> = own.iter().rev().scan(None, nearest).collect();
     after.reverse();
-    before.into_iter().zip(after).map(|(before, after)| before && after).collect()
+    let sides = before.into_iter().zip(after);
+    // At an end of the line, only one side has returns.
+    sides.map(|(before, after)| before.or(after) == Some(true) && after.or(before) == Some(true)).collect()
 }
 
 impl Compared {
@@ -514,11 +524,12 @@ pub(super) fn job(session: &Session, set: &[String]) -> Result<String, String> {
         return Ok(text);
     }
     let (edited, left) = with_keys(&text, &set);
-    // A value on several lines cannot be replaced.
-    let (text, left) = match toml::from_str::<toml::Table>(&edited) {
-        Ok(_) => (edited, left),
-        Err(_) => (text, set.clone()),
+    // Such as a value on several lines, or a library, which no text may name.
+    let is_valid = match opened.job.includes.is_empty() {
+        true => Job::parse(&opened.job.name, &edited, &[]).is_ok(),
+        false => toml::from_str::<toml::Table>(&edited).is_ok(),
     };
+    let (text, left) = if is_valid { (edited, left) } else { (text, set.clone()) };
     let list = |set: &[String]| -> String {
         set.iter()
             .map(|set| format!("#   {}\n", set.replacen('=', " = ", 1).replace(['\n', '\r'], " ")))
@@ -542,23 +553,27 @@ pub(super) fn job(session: &Session, set: &[String]) -> Result<String, String> {
 /// Text of a job with these keys in its tables, and the keys whose tables it does not have.
 fn with_keys(text: &str, set: &[String]) -> (String, Vec<String>) {
     let key_of = |line: &str| line.split_once('=').map(|(key, _)| key.trim().to_owned());
+    let tables: Vec<(Names, Vec<&str>)> =
+        tables(text).into_iter().map(|lines| (Names::of(&lines), lines)).collect();
+    let is_id = |name: &str| tables.iter().any(|(names, _)| names.id.as_deref() == Some(name));
     let mut left = set.to_vec();
     let mut edited = String::new();
-    for table in tables(text) {
-        let names = names_of(&table);
-        let (own, others) = left.into_iter().partition(|set| {
-            set.split_once('.').is_some_and(|(name, _)| names.iter().any(|own| own == name))
-        });
+    for (names, lines) in &tables {
+        let is_own = |set: &String| {
+            let name = set.split_once('.').map(|(name, _)| name);
+            name.is_some()
+                && name == if name.is_some_and(is_id) { names.id.as_deref() } else { names.kind.as_deref() }
+        };
+        let (own, others): (Vec<String>, Vec<String>) = left.into_iter().partition(is_own);
         left = others;
-        let own: Vec<String> = own;
         // The last of several values holds.
         let keys: BTreeMap<&str, &str> = own
             .iter()
             .filter_map(|set| set.split_once('.').and_then(|(_, key)| key.split_once('=')))
             .map(|(key, value)| (key.trim(), value.trim()))
             .collect();
-        let place = table.iter().position(|line| key_of(line).as_deref() == Some("type")).unwrap_or(0);
-        for (at, line) in table.into_iter().enumerate() {
+        let place = lines.iter().position(|line| key_of(line).as_deref() == Some("type")).unwrap_or(0);
+        for (at, line) in lines.iter().enumerate() {
             let is_replaced = key_of(line).is_some_and(|key| keys.contains_key(key.as_str()));
             if !is_replaced {
                 edited += line;
@@ -572,17 +587,24 @@ fn with_keys(text: &str, set: &[String]) -> (String, Vec<String>) {
     (edited, left)
 }
 
-/// Names by which `--set` addresses a table: `job`, or the type and `id` of a stage.
-fn names_of(table: &[&str]) -> Vec<String> {
-    if table.first().is_some_and(|head| head.trim() == "[job]") {
-        return vec!["job".into()];
+/// Names by which `--set` addresses a table.
+#[derive(Default)]
+struct Names {
+    /// `job`, or the type of a stage.
+    kind: Option<String>,
+    id: Option<String>,
+}
+
+impl Names {
+    fn of(lines: &[&str]) -> Names {
+        let Ok(table) = toml::from_str::<toml::Table>(&lines.join("\n")) else { return Names::default() };
+        if table.contains_key("job") {
+            return Names { kind: Some("job".into()), id: None };
+        }
+        let stage = table.get("stage").and_then(|stages| stages.as_array()?.first());
+        let text = |key: &str| stage.and_then(|stage| Some(stage.get(key)?.as_str()?.to_owned()));
+        Names { kind: text("type"), id: text("id") }
     }
-    let value = |line: &&str| {
-        let (key, value) = line.split_once('=')?;
-        let quoted = value.trim().trim_matches(['"', '\'']);
-        matches!(key.trim(), "type" | "id").then(|| quoted.to_owned())
-    };
-    table.iter().filter_map(value).collect()
 }
 
 /// Lines of each table of a job, with its header.
@@ -652,11 +674,11 @@ mod tests {
     #[test]
     fn keys_without_a_table_are_left() {
         let set = ["job.threads=2".to_owned(), "fit.mode=slow".to_owned(), "georeference.crs=utm".to_owned()];
-        let text = "[job]\nname = 'a'\n[[stage]]\ntype = 'decompose'\nid = 'fit'\n";
+        let text = "[job]\nname = 'a'\n[[stage]]\ntype = 'decompose' # why\nid = 'fit'\n";
         let (edited, left) = with_keys(text, &set);
         assert_eq!(
             edited,
-            "[job]\nthreads = 2\nname = 'a'\n[[stage]]\ntype = 'decompose'\nmode = \"slow\"\nid = 'fit'\n"
+            "[job]\nthreads = 2\nname = 'a'\n[[stage]]\ntype = 'decompose' # why\nmode = \"slow\"\nid = 'fit'\n"
         );
         assert_eq!(left, ["georeference.crs=utm"]);
     }
@@ -665,7 +687,7 @@ mod tests {
     fn shots_without_returns_are_compared_between_those_with_returns() {
         let returns = [0, 1, 0, 1, 0, 1].map(|n| vec![placed(1, 100.0); n]);
         let found = are_compared(0..6, &returns, &BTreeSet::from([1, 3]));
-        assert_eq!(found, [false, true, true, true, false, false]);
+        assert_eq!(found, [true, true, true, true, false, false]);
     }
 
     #[test]

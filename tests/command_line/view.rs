@@ -315,7 +315,7 @@ fn the_job_of_a_folder_or_with_other_keys_is_whole() {
     place.write(
         "job.toml",
         b"[[stage]]\ntype = 'read_arrow'\npath = 'out/flight.arrow'\n[[stage]]\ntype = 'calibrate'\n\
-          [[stage]]\ntype = 'decompose'\nid = 'fit'\n[[stage]]\ntype = 'georeference'\n",
+          [[stage]]\ntype = 'decompose' # by this\nid = 'fit'\n[[stage]]\ntype = 'georeference'\n",
     );
     let with = view(&place, &["job.toml", "--set", "calibrate.waveforms=700"]);
     let info = with.ready();

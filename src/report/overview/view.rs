@@ -49,7 +49,9 @@ impl View {
             return View::plane(point.map(|coordinate| (coordinate / PLANES_M).round() * PLANES_M));
         }
         let wkt = input.crs_wkt.as_deref().unwrap_or_default();
-        let has = |words: [&str; 2]| words.iter().any(|word| wkt.contains(word));
+        // Heights may have another unit.
+        let horizontal = wkt.split("VERT").next().unwrap_or_default();
+        let has = |words: [&str; 2]| words.iter().any(|word| horizontal.contains(word));
         let degrees = has(["GEOGCS", "GEOGCRS"]) && !has(["PROJCS", "PROJCRS"]);
         match degrees {
             true => View::Map { axes: MapAxes::Degrees, unit: "°" },
@@ -139,6 +141,8 @@ mod tests {
         let units =
             ["GEOGCS[]", "", "PROJCS[GEOGCS[],UNIT[\"US survey foot\",0.3048]]", "PROJCS[UNIT[\"metre\"]]"];
         assert_eq!(units.map(unit), ["°", "m", "ft", "m"]);
+        let heights_in_feet = "COMPD_CS[PROJCS[UNIT[\"metre\"]],VERT_CS[UNIT[\"US survey foot\",0.3048]]]";
+        assert_eq!(unit(heights_in_feet), "m");
         let far_north = of("", [500_000.0, 6_340_000.0, 300.0]);
         assert_eq!(far_north.axes(), MapAxes::Coordinates, "a northing is not a distance from the centre");
     }

@@ -317,7 +317,9 @@ async function compare(what) {
     results.scrollIntoView({ block: "nearest" });
     emit("compared");
   } catch (error) {
-    if (error.name !== "AbortError") fill(results, problem(error.message));
+    if (error.name === "AbortError") return;
+    fill(results, problem(error.message));
+    if (error.status === 410) emit("loading-failed", error);
   }
 }
 
@@ -365,7 +367,7 @@ function showComparison(answer, what) {
       ? make(
           "p",
           { class: "notice" },
-          "Too many shots for one answer: only a part was compared. Zoom in to compare all.",
+          "Only a part was compared: an answer has at most 50 000 shots and takes at most 5 s. Zoom in to compare all.",
         )
       : null,
     make("table", { class: "list" }, make("tbody", {}, ...["new", "gone", "moved"].map(row))),

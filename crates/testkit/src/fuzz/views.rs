@@ -23,7 +23,7 @@ type = 'decompose'
 [[stage]]
 type = 'georeference'
 ";
-/// Most requests of an input; the time of an answer is bounded one by one.
+/// Most requests of an input, so that its time is bounded.
 const MOST_REQUESTS: usize = 8;
 /// Most bytes of an answer: the page, or all that is found in the flight.
 const MOST_BYTES: usize = 1 << 22;
