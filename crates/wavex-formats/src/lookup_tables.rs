@@ -108,21 +108,23 @@ fn of_columns(path: &Path, text: &str) -> Result<LookupTables> {
         let may_be_names = std::mem::take(&mut is_first);
         let cells =
             line.split(|c: char| matches!(c, ',' | ';') || c.is_whitespace()).filter(|cell| !cell.is_empty());
-        let numbers: std::result::Result<Vec<f64>, _> = cells.map(str::parse).collect();
+        let finite = |cell: &str| cell.parse().ok().filter(|number: &f64| number.is_finite());
+        let numbers: Option<Vec<f64>> = cells.map(finite).collect();
         let row = |steps_dn, value| Row { steps_dn, value, weight: 1.0 };
         match numbers.as_deref() {
-            Ok(&[steps_dn, low]) => tables.low.push(row(steps_dn, low)),
-            Ok(&[steps_dn, low, high]) => {
+            Some(&[steps_dn, low]) => tables.low.push(row(steps_dn, low)),
+            Some(&[steps_dn, low, high]) => {
                 tables.low.push(row(steps_dn, low));
                 tables.high.push(row(steps_dn, high));
             }
-            Ok(other) => {
+            Some(other) => {
                 let problem = format!("expected 2 or 3 numbers, found {}", other.len());
                 return Err(Error::malformed(path, at, "row", problem, REMEDY));
             }
-            Err(_) if may_be_names => {}
-            Err(_) => {
-                return Err(Error::malformed(path, at, "row", "not all of its columns are numbers", REMEDY));
+            None if may_be_names => {}
+            None => {
+                let problem = "not all of its columns are finite numbers";
+                return Err(Error::malformed(path, at, "row", problem, REMEDY));
             }
         }
     }
@@ -171,7 +173,14 @@ mod tests {
             ("", format!("table.txt: it has no row of numbers{remedy}")),
             ("1 2", format!("table.txt: a table needs at least two rows{remedy}")),
             ("1 2\n3", format!("table.txt: byte 4: row: expected 2 or 3 numbers, found 1{remedy}")),
-            ("1 2\na b", format!("table.txt: byte 4: row: not all of its columns are numbers{remedy}")),
+            (
+                "1 2\na b",
+                format!("table.txt: byte 4: row: not all of its columns are finite numbers{remedy}"),
+            ),
+            (
+                "1 2\n3 1e999",
+                format!("table.txt: byte 4: row: not all of its columns are finite numbers{remedy}"),
+            ),
             (
                 r#"{"low": [[1]]}"#,
                 format!("table.txt: low: expected 2 or 3 numbers per row, found 1{remedy}"),
