@@ -14,6 +14,11 @@ pub(crate) struct Plot {
     pub(crate) y: Scale,
 }
 
+/// Middle of a label at this horizontal position: the last one stays within the picture.
+pub(crate) fn middle_of_label(x: f64, text: &str) -> f64 {
+    x.min(WIDTH - HALF_DIGIT * text.chars().count() as f64)
+}
+
 /// Axis position and its label.
 pub(crate) type Tick = (f64, String);
 
@@ -40,9 +45,7 @@ impl Plot {
         for (value, text) in ticks {
             let x = self.x.at(value);
             svg.line("grid", [x, top], [x, bottom]);
-            // The last label stays within the picture.
-            let middle = x.min(WIDTH - HALF_DIGIT * text.chars().count() as f64);
-            svg.text("", [middle, bottom + 22.0], Anchor::Middle, &text);
+            svg.text("", [middle_of_label(x, &text), bottom + 22.0], Anchor::Middle, &text);
         }
     }
 

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::plot::{Plot, WIDTH, ticks};
+use super::plot::{Plot, WIDTH, middle_of_label, ticks};
 use crate::report::svg::{Anchor, Scale, Svg};
 
 const LEFT: f64 = 150.0;
@@ -29,7 +29,8 @@ pub(super) fn times(stages: &[Value]) -> Option<String> {
     let bottom = top_of(stages.len());
     for (value, text) in ticks(&x, 5.0) {
         svg.line("grid", [x.at(value), 28.0], [x.at(value), bottom]);
-        svg.text("", [x.at(value), bottom + 15.0], Anchor::Middle, &format!("{text} s"));
+        let text = format!("{text} s");
+        svg.text("", [middle_of_label(x.at(value), &text), bottom + 15.0], Anchor::Middle, &text);
     }
     for (row, stage) in stages.iter().enumerate() {
         let top = top_of(row);
