@@ -11,6 +11,8 @@ use crate::engine::Cancel;
 
 mod attributes;
 mod cloud;
+mod compare;
+mod job_text;
 mod keys;
 mod layers;
 mod lines;

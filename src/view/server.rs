@@ -12,6 +12,8 @@ use serde_json::{Value, json};
 
 use super::attributes::{Attribute, Condition};
 use super::cloud::{self, Refused, Search};
+use super::compare;
+use super::job_text;
 use super::page;
 use super::query::Query;
 use super::session::Session;
@@ -228,14 +230,14 @@ fn route(session: &Session, path: &str, query: &str) -> Result<Answer, Answer> {
         "line" => Answer::json(&shots::line(session, query.number("input")?, query.number("shot")?)?),
         "compare" if query.get("shot").is_some() => {
             let of_line = [(query.number("input")?, [query.number("shot")?].into())].into();
-            Answer::json(&shots::compare(session, &of_line, true, &set())?)
+            Answer::json(&compare::compare(session, &of_line, true, &set())?)
         }
         "compare" => {
             let rectangle = [query.place("from")?, query.place("to")?];
             let within = cloud::shots_within(session, generation()?, rectangle)?;
-            Answer::json(&shots::compare(session, &within, false, &set())?)
+            Answer::json(&compare::compare(session, &within, false, &set())?)
         }
-        "job" => Answer::ok("text/plain; charset=utf-8", shots::job(session, &set())?),
+        "job" => Answer::ok("text/plain; charset=utf-8", job_text::job(session, &set())?),
         "layer" => {
             let name = query.get("name").unwrap_or_default();
             let layer = session.layers.iter().find(|layer| layer.name() == name);
