@@ -34,20 +34,16 @@ pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -
         let simd = lines.simd();
         let before = lines.before_decompose(&chosen.job, number..number + 1).map_err(text)?;
         let Some(line) = before.first() else { return Err(format!("shot {shot}: its line cannot be read")) };
-        let explained = match Explained::of(line, shot, &chosen.decompose, simd, &file) {
-            Ok(explained) => Ok(explained),
-            Err(ExplainError::Without(problem)) => Err(problem),
-            Err(ExplainError::Stage(error)) => return Err(error.to_string()),
-        };
         let place = line.emissions.iter().position(|emission| emission.shot == shot);
         let of_line = place.map(|place| json!({ "number": line.line, "shot": place, "shots": line.emissions.len() }));
         let others = || line.emissions.iter().map(|emission| emission.shot);
         let previous = others().filter(|&other| other < shot).max().or(line_before.map(|[_, last]| last));
         let next = others().filter(|&other| other > shot).min().or(line_after.map(|[first, _]| first));
-        let explained = match explained {
+        let explained = match Explained::of(line, shot, &chosen.decompose, simd, &file) {
             Ok(explained) => explained,
+            Err(ExplainError::Stage(error)) => return Err(error.to_string()),
             // The page can go on to the next shot.
-            Err(problem) => {
+            Err(ExplainError::Without(problem)) => {
                 let emission = place.and_then(|place| line.emissions.get(place));
                 let gps_time_s = emission.map_or(f64::NAN, |emission| emission.gps_time_s);
                 let none: [Value; 0] = [];
