@@ -25,6 +25,7 @@ pub(crate) mod picture;
 mod points;
 mod times;
 pub(crate) mod view;
+mod weak_returns;
 mod zones;
 
 pub use flight::Flight;
@@ -36,6 +37,7 @@ pub use picture::Picture;
 pub use points::PointSummary;
 pub use times::TimeCoverage;
 pub use view::MapAxes;
+pub use weak_returns::WeakReturns;
 pub use zones::{ZoneCloud, ZoneClouds, ZoneShare, Zones};
 
 use gallery::Gallery;
@@ -64,6 +66,9 @@ pub struct Overview {
     /// Flight during the recording, with a trajectory.
     #[serde(default)]
     pub flight: Option<Flight>,
+    /// Weak returns behind strong ones, if there are strong returns.
+    #[serde(default)]
+    pub weak_returns: Option<WeakReturns>,
     /// Selected waveforms with their fits.
     pub waveforms: Vec<ShownShot>,
 }
@@ -98,6 +103,7 @@ impl Overview {
             lists.push(("shots_by_returns", points.shots_by_returns.len(), 10_000));
             lists.push(("by_return_number", points.by_return_number.len(), 10_000));
         }
+        lists.extend(self.weak_returns.iter().map(|of| numbers("weak_returns", of.counts.len())));
         for shot in &self.waveforms {
             lists.push(("blocks", shot.blocks.len(), 64));
             for block in &shot.blocks {
@@ -181,6 +187,7 @@ struct Gathering {
     points: points::Counted,
     times: times::Counted,
     flight: Option<Flight>,
+    weak_returns: weak_returns::Counted,
 }
 
 /// A quantity of returns with its histogram.
@@ -209,6 +216,7 @@ impl Default for Gathering {
             points: points::Counted::default(),
             times: times::Counted::default(),
             flight: None,
+            weak_returns: weak_returns::Counted::default(),
         }
     }
 }
@@ -224,6 +232,7 @@ impl Gathering {
             returns.iter().for_each(|found| quantity.bins.add((quantity.of)(found)));
         }
         self.zones.add(scan_line, returns);
+        self.weak_returns.add(scan_line, returns);
         if let Some(points) = scan_line.points() {
             self.grid.add_line(scan_line.line, &scan_line.input, returns, points);
         }
@@ -240,6 +249,7 @@ impl Gathering {
             points: self.points.finish(),
             times: self.times.finish(),
             flight: self.flight,
+            weak_returns: self.weak_returns.finish(),
             waveforms: gallery.finish(),
         }
     }

@@ -301,22 +301,43 @@ fn of_zones(overview: &Overview) -> Option<Part> {
     Some(Part::new("Multiple time around", body).judged(checks))
 }
 
-/// Deviation ratio above which a fit does not explain its waveform.
+/// Deviation ratio above which a fit does not explain its waveform; below its negative, the expected
+/// misfit is too large.
 const UNEXPLAINED: f64 = super::survey::UNEXPLAINED;
 
 fn of_waveforms(overview: &Overview, input: &Value) -> Part {
     let shots: Vec<Markup> = overview.waveforms.iter().map(waveforms::figure).collect();
-    let body = html! { @if !shots.is_empty() { (waveforms::legend()) (figures("", &shots)) } };
-    let deviations = overview.histograms.iter().find(|of| of.quantity == "deviation ratio");
-    let beyond = |of: &super::overview::QuantityHistogram| {
-        of.above + of.bins().filter(|([low, _], _)| *low >= UNEXPLAINED).map(|(_, count)| count).sum::<u64>()
+    let weak = overview.weak_returns.as_ref();
+    let body = html! {
+        @if !shots.is_empty() { (waveforms::legend()) (figures("", &shots)) }
+        @if let Some(weak) = weak { (waveforms::weak_returns(weak)) }
     };
     let total = |key: &str| input["totals"][key].as_u64().unwrap_or(0);
-    let checks = vec![
-        verdict::UNEXPLAINED.share(deviations.map_or(0, beyond), content::total(overview, "deviation ratio")),
-        verdict::SATURATED.share(total("nw_saturated"), total("nw")),
-    ];
+    let mut checks = deviation_checks(overview);
+    checks.push(
+        verdict::PILE_UP
+            .check(weak.map(|weak| weak.pile_up().percent), weak.map_or(0, |weak| weak.strong_shots)),
+    );
+    checks.push(verdict::SATURATED.share(total("nw_saturated"), total("nw")));
     Part::new("Waveforms and their fits", body).judged(checks)
+}
+
+/// Checks of both sides of the deviation ratio and of its centre.
+fn deviation_checks(overview: &Overview) -> Vec<verdict::Check> {
+    let deviations = overview.histograms.iter().find(|of| of.quantity == "deviation ratio");
+    let returns = content::total(overview, "deviation ratio");
+    let count = |is_beyond: fn([f64; 2]) -> bool| -> u64 {
+        let bins = deviations.into_iter().flat_map(|of| of.bins());
+        bins.filter(|(edges, _)| is_beyond(*edges)).map(|(_, count)| count).sum()
+    };
+    let [below, above] = deviations.map_or([0, 0], |of| [of.below, of.above]);
+    // A median outside the bins is at least as far from 0 as their nearer end.
+    let centre = deviations.map(|of| of.quantile(0.5).map_or(10.0, f64::abs));
+    vec![
+        verdict::UNEXPLAINED.share(above + count(|[low, _]| low >= UNEXPLAINED), returns),
+        verdict::OVERESTIMATED.share(below + count(|[_, high]| high <= -UNEXPLAINED), returns),
+        verdict::DEVIATION_CENTRE.check(centre, returns),
+    ]
 }
 
 fn of_run(input: &Value) -> Part {

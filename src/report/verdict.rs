@@ -80,6 +80,13 @@ pub(crate) const UNCERTAIN_ZONES: Rule =
     at_most("returns of uncertain zone", "%", [1.0, 5.0]).from(100, "returns");
 pub(crate) const UNEXPLAINED: Rule =
     at_most("returns with a deviation ratio above 5", "%", [5.0, 20.0]).from(100, "returns");
+pub(crate) const OVERESTIMATED: Rule =
+    at_most("returns with a deviation ratio below -5", "%", [1.0, 5.0]).from(100, "returns");
+pub(crate) const DEVIATION_CENTRE: Rule =
+    at_most("distance of the median deviation ratio from 0", "", [1.0, 3.0]).from(100, "returns");
+pub(crate) const PILE_UP: Rule =
+    at_most("shots whose weak returns pile up at one distance behind strong ones", "%", [2.0, 10.0])
+        .from(100, "shots with a strong return");
 pub(crate) const SATURATED: Rule = at_most("saturated waveforms", "%", [5.0, 20.0]).from(100, "waveforms");
 pub(crate) const CALIBRATION: Rule =
     Rule { is_minimum: true, ..at_most("waveforms of the calibration", "", [500.0, 100.0]) };

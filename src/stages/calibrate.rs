@@ -212,6 +212,8 @@ impl Calibrator {
             None => Ok(None),
         };
         let (low, high, reference) = (next()?, next()?, next()?);
+        let low = self.undistorted(Channel::LowPower, low, &reference, out)?;
+        let high = self.undistorted(Channel::HighPower, high, &reference, out)?;
         let low = self.with_outgoing_pulse(Channel::LowPower, low, &reference, out)?;
         let high = self.with_outgoing_pulse(Channel::HighPower, high, &reference, out)?;
         if low.is_none() && high.is_none() {

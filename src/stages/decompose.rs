@@ -18,6 +18,7 @@ mod at_gains;
 mod crosstalk;
 mod dual_channel;
 mod echo;
+mod modes;
 mod observer;
 mod online;
 mod profiles;

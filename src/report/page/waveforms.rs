@@ -4,7 +4,7 @@ use maud::{Markup, PreEscaped, html};
 
 use super::plot::{WIDTH, label};
 use super::wide_table;
-use crate::report::overview::{ShownKind, ShownReturn, ShownShot};
+use crate::report::overview::{ShownKind, ShownReturn, ShownShot, WeakReturns};
 use crate::report::panel::{FAR_LABEL, Panels};
 use crate::report::svg::{Anchor, Svg};
 use crate::stage::FittedBlock;
@@ -59,6 +59,28 @@ fn cells(found: &ShownReturn) -> Vec<String> {
         known(found.width_ratio, 2).unwrap_or_default(),
         found.flags.clone(),
     ]
+}
+
+/// Table of the weak returns behind strong ones, by distance.
+pub(super) fn weak_returns(weak: &WeakReturns) -> Markup {
+    let rows = weak.by_lag().into_iter().enumerate().filter(|(_, count)| *count > 0).map(|(lag, count)| {
+        let [from, until] = [lag, lag + 1].map(|lag| label(lag as f64 * weak.pulse_fwhm_ns, 0));
+        let percent = 100.0 * count as f64 / weak.strong_shots.max(1) as f64;
+        vec![format!("{from} to {until}"), label(count as f64, 0), format!("{percent:.2}")]
+    });
+    let pile_up = weak.pile_up();
+    html! {
+        (wide_table("Weak returns behind strong ones", &["lag, ns", "returns", "% of the shots"], rows))
+        p.about {
+            "Returns of at most 1/16 of the strongest return before them, in the "
+            (label(weak.strong_shots as f64, 0)) " shots whose strongest return has at least 100 standard deviations. "
+            "Targets lie at any distance. "
+            @if pile_up.percent > 0.0 {
+                "Returns pile up at " (label(pile_up.lag_ns[0], 0)) " to " (label(pile_up.lag_ns[1], 0))
+                " ns, in " (format!("{:.1}", pile_up.percent)) " % of these shots: they are likely caused by the receiver."
+            }
+        }
+    }
 }
 
 /// Legend of the waveform figures: a small picture and a text for each mark.

@@ -3,12 +3,62 @@
 use super::{Calibrator, ResponseKey, failed, name};
 use crate::scan_line::Channel;
 use crate::stage::{Output, Result};
-use wavex_signal::calibrate::response::{Calibrated, MIN_ECHOES, with_outgoing_pulse, with_response_of};
+use wavex_signal::calibrate::response::{
+    Calibrated, MIN_ECHOES, calibrate_response, comparable_height_dn, is_too_narrow, with_outgoing_pulse,
+    with_response_of,
+};
 use wavex_signal::calibrate::{self, receiver_limits};
 use wavex_signal::decompose::{OVERDRIVEN_PART, Waveform};
 use wavex_signal::sensor_model::{ChannelModel, NoiseSource, ReceiverLimits, ResponseSource};
 
 impl Calibrator {
+    /// Replaces a response that is narrower than the outgoing pulse by that of lower echoes.
+    ///
+    /// A receiver or digitiser that distorts its strongest echoes makes them narrower. Echoes as low
+    /// as the outgoing pulses are not distorted more than these; higher ones count as overdriven.
+    pub(super) fn undistorted(
+        &self,
+        channel: Channel,
+        own: Option<Calibrated>,
+        reference: &Option<Calibrated>,
+        out: &mut Output,
+    ) -> Result<Option<Calibrated>> {
+        let (Some(found), Some(outgoing)) = (&own, reference) else { return Ok(own) };
+        if !is_too_narrow(&found.model, &outgoing.model) {
+            return Ok(own);
+        }
+        let [width_ns, outgoing_ns] = [&found.model, &outgoing.model].map(|model| model.pulse_fwhm_ns);
+        let contradiction = format!(
+            "{}: the response of its echoes is {width_ns:.2} ns wide, and the outgoing pulse {outgoing_ns:.2} ns: \
+             the receiver or its digitiser distorts strong echoes",
+            name(channel)
+        );
+        let limit_dn = comparable_height_dn(self.blocks(Channel::Reference), &outgoing.model);
+        let settings = self.settings(channel);
+        let lower = limit_dn.map(|limit_dn| {
+            let limits = ReceiverLimits { overdriven_dn: Some(limit_dn), ..found.model.limits };
+            let start = ChannelModel { limits, pulse_fwhm_ns: outgoing_ns, ..found.model.clone() };
+            self.in_pool(|| calibrate_response(self.blocks(channel), &start, &settings))
+        });
+        let lower = lower.transpose().map_err(|error| failed(channel, &error))?;
+        match lower.zip(limit_dn) {
+            Some((lower, limit_dn))
+                if lower.model.response.is_some() && !is_too_narrow(&lower.model, &outgoing.model) =>
+            {
+                out.cx.warn(format!(
+                    "{contradiction}; the response is that of echoes up to {limit_dn:.0} DN, {:.2} ns wide, and \
+                     higher ones are flagged as overdriven, with larger standard deviations",
+                    lower.model.pulse_fwhm_ns
+                ));
+                Ok(Some(lower))
+            }
+            _ => {
+                out.cx.warn(format!("{contradiction}; the outgoing pulse is used as response"));
+                Ok(own)
+            }
+        }
+    }
+
     /// Uses the outgoing pulse as the response of a receiver if it explains the echoes better.
     ///
     /// A clipped outgoing pulse has lost its shape, and gains that change would need their own
@@ -54,6 +104,7 @@ impl Calibrator {
     ) -> Result<Option<Calibrated>> {
         let Some(mut found) = found else { return Ok(None) };
         let clipping_dn = self.clipping_dn(channel);
+        let distorted_above_dn = found.model.limits.overdriven_dn;
         found.model.limits.full_scale_is_measured = clipping_dn.is_some();
         let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
         if found.model.response.is_some() && !gain_changes {
@@ -63,10 +114,11 @@ impl Calibrator {
                 .in_pool(|| receiver_limits(blocks, model, &settings))
                 .map_err(|error| failed(channel, &error))?;
         }
+        found.model.limits.is_linear &= distorted_above_dn.is_none();
         let ReceiverLimits { overdriven_dn, recovery_samples, is_linear, .. } = found.model.limits;
         // Chi-square does not show the range error of an overdriven receiver: pulses above the usual
         // limit stay flagged, and the height where it does show overdrive is only reported.
-        found.model.limits.overdriven_dn = None;
+        found.model.limits.overdriven_dn = distorted_above_dn;
         let usual_dn = OVERDRIVEN_PART * found.model.full_scale_dn;
         let findings = [
             clipping_dn.map(|dn| format!("clips at {dn} DN")),

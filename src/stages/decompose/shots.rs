@@ -4,6 +4,7 @@ use super::Decompose;
 use super::crosstalk::Departures;
 use super::dual_channel::BothReceivers;
 use super::echo::{Found, UNRELIABLE_RANGE_SD_M};
+use super::modes::Modes;
 use super::online::unresolved;
 use super::profiles::Profiles;
 use super::receivers::{BlockRoute, Receivers, SensorTables};
@@ -90,6 +91,12 @@ impl BlockFit {
             expected_excess: result.expected_excess,
             deviation_ratio: result.deviation_ratio(),
         }
+    }
+
+    /// Counts returns dropped because they have no peak of their own.
+    fn filter(&mut self, dropped: u64) {
+        self.counts.np = self.counts.np.saturating_sub(dropped as u32);
+        self.counts.np_filtered += dropped as u32;
     }
 
     /// Counts returns dropped as cross-talk.
@@ -212,6 +219,8 @@ pub(crate) struct ShotDecomposer {
     template_error: f64,
     receivers: Receivers,
     both: Option<BothReceivers>,
+    /// Of the low-power and of the high-power receiver.
+    modes: [Option<Modes>; 2],
     timing_error_ns: f64,
     emission_jitter_ns: Option<f64>,
     drop_emission_crosstalk: bool,
@@ -235,6 +244,8 @@ impl ShotDecomposer {
             detection_sigma: config.detection_sigma,
             template_error: config.template_error,
             both: None,
+            modes: [&model.low_power, &model.high_power]
+                .map(|channel| Modes::of(channel.as_ref()?, config.detection_sigma)),
             receivers: Receivers::new(model, tables, config, path)?,
             timing_error_ns: config.timing_error_ns,
             emission_jitter_ns: config.emission_jitter_ns,
@@ -486,6 +497,12 @@ impl ShotDecomposer {
                 found.add_overdrive_sd(model, self.both.is_some());
                 found
             }));
+            let modes = if channel == ReturnChannel::High { &mut self.modes[1] } else { &mut self.modes[0] };
+            if let Some(modes) = modes.as_mut().filter(|_| block.gain == 1.0) {
+                let dropped = modes.keep(shot.blocks.samples(block), block, &mut self.found, in_block);
+                stats.np_filtered += dropped;
+                fit.filter(dropped);
+            }
             let (fwhm_ns, drops) = (model.pulse_fwhm_ns, self.drop_emission_crosstalk);
             let dropped = others.mark(block, fwhm_ns, drops, &mut self.found, in_block);
             stats.np_xtalk_dropped += dropped;

@@ -1,4 +1,4 @@
-//! Warns if most waveforms of a recording are not explained by their returns.
+//! Warns if the misfit of the waveforms of a recording is larger or smaller than expected.
 
 use super::receivers::SharedTables;
 use crate::stage::Context;
@@ -13,6 +13,9 @@ const CHI_SQUARE_PART: f64 = 0.5;
 /// The same for the deviation ratio.
 const DEVIATION_RATIO: f64 = 3.0;
 const DEVIATION_RATIO_PART: f64 = 0.1;
+/// Largest fraction of waveforms in which the expected contribution of the response's error exceeds
+/// chi-square.
+const EXCEEDED_PART: f64 = 0.01;
 /// Fewest waveforms for a warning.
 const MIN_WAVEFORMS: u64 = 100;
 
@@ -22,6 +25,10 @@ pub(super) struct Explained {
     waveforms: u64,
     by_chi_square: u64,
     by_deviation_ratio: u64,
+    /// Deviation ratio below the negative limit.
+    too_well: u64,
+    /// Expected contribution of the response's error above chi-square.
+    exceeded: u64,
 }
 
 impl Explained {
@@ -33,33 +40,55 @@ impl Explained {
             let expected = freedom as f64 + result.expected_excess;
             self.by_chi_square += u64::from(result.chi_square > CHI_SQUARE * expected);
             self.by_deviation_ratio += u64::from(result.deviation_ratio() > DEVIATION_RATIO);
+            self.too_well += u64::from(result.deviation_ratio() < -DEVIATION_RATIO);
+            self.exceeded += u64::from(result.expected_excess > result.chi_square);
         }
     }
 
     /// Moves the counts to the counters of the stage.
     pub(super) fn report(&mut self, cx: &mut Context) {
-        let Explained { waveforms, by_chi_square, by_deviation_ratio } = std::mem::take(self);
-        let counts = [waveforms, by_chi_square, by_deviation_ratio];
+        let Explained { waveforms, by_chi_square, by_deviation_ratio, too_well, exceeded } =
+            std::mem::take(self);
+        let counts = [waveforms, by_chi_square, by_deviation_ratio, too_well, exceeded];
         NAMES.into_iter().zip(counts).for_each(|(name, n)| cx.count(name, n));
     }
 }
 
-const NAMES: [&str; 3] = ["waveforms", "unexplained_by_chi_square", "unexplained_by_deviation_ratio"];
+const NAMES: [&str; 5] = [
+    "waveforms",
+    "unexplained_by_chi_square",
+    "unexplained_by_deviation_ratio",
+    "overestimated_by_deviation_ratio",
+    "overestimated_response_error",
+];
 
 /// Warns if the counts of all workers exceed the limits.
 pub(super) fn conclude(tables: &SharedTables, cx: &mut Context) {
-    let [waveforms, by_chi_square, by_deviation_ratio] =
+    let [waveforms, by_chi_square, by_deviation_ratio, too_well, exceeded] =
         NAMES.map(|name| cx.counters().counts.get(name).copied().unwrap_or(0));
-    let part = |n: u64| n as f64 / waveforms.max(1) as f64;
-    let is_explained =
-        part(by_chi_square) <= CHI_SQUARE_PART && part(by_deviation_ratio) <= DEVIATION_RATIO_PART;
-    if waveforms >= MIN_WAVEFORMS && !is_explained {
+    if waveforms < MIN_WAVEFORMS {
+        return;
+    }
+    let part = |n: u64| n as f64 / waveforms as f64;
+    if part(by_chi_square) > CHI_SQUARE_PART || part(by_deviation_ratio) > DEVIATION_RATIO_PART {
         cx.warn(format!(
             "the returns do not explain the waveforms: chi-square per degree of freedom is above {CHI_SQUARE} \
              in {:.0} % of them, and the deviation ratio above {DEVIATION_RATIO} in {:.0} %; \
              standard deviations may be too small there. Used: {}. {REMEDY}",
             100.0 * part(by_chi_square),
             100.0 * part(by_deviation_ratio),
+            pulse_shape(&tables.provenance()),
+        ));
+    }
+    if part(too_well) > DEVIATION_RATIO_PART || part(exceeded) > EXCEEDED_PART {
+        cx.warn(format!(
+            "the sensor model overestimates the misfit of the waveforms: the deviation ratio is below \
+             -{DEVIATION_RATIO} in {:.0} % of them, and the error of the response alone should add more than \
+             the whole chi-square in {:.1} %; its noise or the error of its response is too large: standard \
+             deviations may be too large, and waveforms that returns do not explain go unnoticed. Used: {}. \
+             Calibrate from this recording, or load a sensor model of this instrument",
+            100.0 * part(too_well),
+            100.0 * part(exceeded),
             pulse_shape(&tables.provenance()),
         ));
     }
@@ -93,20 +122,36 @@ fn pulse_shape(provenance: &Provenance) -> String {
 mod tests {
     use super::*;
 
-    fn warnings(waveforms: u64, by_chi_square: u64, by_deviation_ratio: u64) -> Vec<String> {
+    fn warnings(counts: Explained) -> Vec<String> {
         let mut cx = Context::default();
-        Explained { waveforms, by_chi_square, by_deviation_ratio }.report(&mut cx);
+        { counts }.report(&mut cx);
         conclude(&SharedTables::default(), &mut cx);
         cx.counters().notes.clone()
     }
 
     #[test]
     fn most_waveforms_must_be_explained() {
-        assert_eq!(warnings(1000, 500, 100), Vec::<String>::new());
-        assert_eq!(warnings(50, 50, 50), Vec::<String>::new());
-        let text = warnings(1000, 510, 20).pop().unwrap();
+        let of = |waveforms, by_chi_square, by_deviation_ratio| Explained {
+            waveforms,
+            by_chi_square,
+            by_deviation_ratio,
+            ..Explained::default()
+        };
+        assert_eq!(warnings(of(1000, 500, 100)), Vec::<String>::new());
+        assert_eq!(warnings(of(50, 50, 50)), Vec::<String>::new());
+        let text = warnings(of(1000, 510, 20)).pop().unwrap();
         assert!(text.contains("in 51 % of them") && text.contains("in 2 %"), "{text}");
-        assert_eq!(warnings(1000, 0, 101).len(), 1);
+        assert_eq!(warnings(of(1000, 0, 101)).len(), 1);
+    }
+
+    #[test]
+    fn a_misfit_far_below_the_expected_one_is_a_warning() {
+        let of =
+            |too_well, exceeded| Explained { waveforms: 1000, too_well, exceeded, ..Explained::default() };
+        assert_eq!(warnings(of(100, 10)), Vec::<String>::new());
+        let text = warnings(of(840, 0)).pop().unwrap();
+        assert!(text.contains("below -3 in 84 % of them") && text.contains("in 0.0 %"), "{text}");
+        assert_eq!(warnings(of(0, 11)).len(), 1);
     }
 
     #[test]
@@ -115,6 +160,10 @@ mod tests {
         let mut explained = Explained::default();
         [60.0, 110.0, 130.0].iter().for_each(|&chi_square| explained.add(&fit(chi_square)));
         explained.add(&Decomposition::default());
-        assert_eq!(explained, Explained { waveforms: 3, by_chi_square: 1, by_deviation_ratio: 2 });
+        // The response's error should add 200 to a chi-square of 60.
+        explained.add(&Decomposition { expected_excess: 200.0, ..fit(60.0) });
+        let expected =
+            Explained { waveforms: 4, by_chi_square: 1, by_deviation_ratio: 2, too_well: 1, exceeded: 1 };
+        assert_eq!(explained, expected);
     }
 }

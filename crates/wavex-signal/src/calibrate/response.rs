@@ -20,6 +20,7 @@ use quality::Quality;
 use solve::Problem;
 use spline::Basis;
 
+mod all_waveforms;
 mod even_odd;
 mod outgoing;
 mod quality;
@@ -29,7 +30,7 @@ mod spline;
 mod tests;
 
 pub use even_odd::EvenOdd;
-pub use outgoing::with_outgoing_pulse;
+pub use outgoing::{comparable_height_dn, is_too_narrow, with_outgoing_pulse};
 
 /// Fewest usable single echoes for a response.
 pub const MIN_ECHOES: usize = 150;
@@ -75,8 +76,13 @@ const BORROWED_WIDTH: f64 = 0.15;
 struct Single<'a> {
     block: Waveform<'a>,
     fitted: Return,
-    /// Chi-square of the block less its degrees of freedom.
-    excess: f64,
+    /// Background above that of the channel, DN.
+    offset_dn: f64,
+    /// Chi-square of the block, and its degrees of freedom.
+    chi_square: f64,
+    degrees_of_freedom: f64,
+    /// Its index among the single echoes.
+    index: usize,
 }
 
 impl Single<'_> {
@@ -141,9 +147,7 @@ pub fn calibrate_response<'a>(
     model.provenance.response = ResponseSource::Echoes;
     model = quiet::separate_noise(all.iter().copied(), &model, settings)?;
     let singles = self::singles(&blocks, &model, settings, 0.0, ERRORS[3])?;
-    let mut quality = Quality::new(&model, longest)?;
-    quality.add_all(&singles);
-    quality.apply_to(&mut model);
+    Quality::of(&model, &singles, longest)?.apply_to(&mut model);
     model.uncertainty.pulse_fwhm_ns = fwhm_sd_ns(&model, &singles);
     Ok(Calibrated { model, usable_echoes })
 }
@@ -227,15 +231,21 @@ fn singles<'a>(
         template_error,
         ..settings.decompose.clone()
     };
-    let heights = strong_dn(model)..OVERDRIVEN_PART * model.full_scale_dn;
+    let heights = strong_dn(model)..model.overdriven_dn(OVERDRIVEN_PART);
     let mut found = Vec::new();
     // The last rounds determine the response.
     let weak = if minor_part > 0.0 { WeakPulses::Drop } else { WeakPulses::FitAgain };
     decompose_each(blocks.iter().copied(), model, &decompose, settings, weak, |block, outcome| {
         let single = strongest(outcome, minor_part, model.fwhm_samples());
         if let Some(fitted) = single.filter(|r| heights.contains(&r.amplitude_dn)) {
-            let excess = outcome.chi_square - outcome.degrees_of_freedom() as f64;
-            found.push(Single { block, fitted: *fitted, excess });
+            found.push(Single {
+                block,
+                fitted: *fitted,
+                offset_dn: outcome.background_offset_dn,
+                chi_square: outcome.chi_square,
+                degrees_of_freedom: outcome.degrees_of_freedom() as f64,
+                index: found.len(),
+            });
         }
     })?;
     Ok(found)
@@ -335,18 +345,28 @@ fn better_response(
     longest: usize,
     most: usize,
 ) -> Result<Option<SystemResponse>, ModelError> {
-    let fwhm = model.fwhm_samples();
-    let reach = (LEAST_REACH_WIDTHS * fwhm).max(longest as f64 + 2.0 * fwhm);
-    let basis = Basis::new(fwhm, reach);
     // A receiver that compresses strong echoes makes them wider: each height has its own mode of
     // the widths.
     let groups = by_height(singles, model.full_scale_dn);
     let narrow: Vec<_> =
         groups.iter().flat_map(|group| evenly(narrow_population(&group.singles), most)).collect();
     let nodes: Vec<f64> = groups.iter().map(|group| group.peak_dn).collect();
+    response_of(&narrow, model, longest, &nodes)
+}
+
+/// Least-squares response at these heights, from these echoes; `None` for singular equations.
+fn response_of(
+    narrow: &[Single<'_>],
+    model: &ChannelModel,
+    longest: usize,
+    nodes: &[f64],
+) -> Result<Option<SystemResponse>, ModelError> {
+    let fwhm = model.fwhm_samples();
+    let reach = (LEAST_REACH_WIDTHS * fwhm).max(longest as f64 + 2.0 * fwhm);
+    let basis = Basis::new(fwhm, reach);
     let shape = Shape::of(model)?;
-    let problems = map_parts(&narrow, narrow.len().div_ceil(SUMS), |part| {
-        let mut problem = Problem::new(model, &basis, &nodes, shape.clone(), longest)?;
+    let problems = map_parts(narrow, narrow.len().div_ceil(SUMS), |part| {
+        let mut problem = Problem::new(model, &basis, nodes, shape.clone(), longest)?;
         part.iter().for_each(|single| problem.add(single));
         Ok(problem)
     });

@@ -12,7 +12,7 @@ mod minimise;
 use crate::cholesky;
 use crate::decompose::OVERDRIVEN_PART;
 use crate::decompose::acceptance::CLEAR_OF_ZERO_SD;
-use crate::decompose::acceptance::response_error::Allowance;
+use crate::decompose::acceptance::response_error::{Allowance, Source};
 use crate::levenberg_marquardt::{self, LeastSquares};
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
@@ -169,7 +169,10 @@ impl JointFit {
         position_samples: f64,
         beside: impl Iterator<Item = (f64, f64)>,
     ) -> f64 {
-        sigma * self.allowance.raise(position_samples, f64::INFINITY, self.per_dn, beside) / self.per_dn
+        let source =
+            |(position_samples, height_dn)| Source { position_samples, height_dn, energy_dn: height_dn };
+        let raise = self.allowance.raise(position_samples, f64::INFINITY, self.per_dn, beside.map(source));
+        sigma * raise / self.per_dn
     }
 
     /// Pulses of the last fit, in input order.

@@ -1,13 +1,18 @@
 //! Accuracy of the response: template error by time, and error factor by the even/odd test.
+//!
+//! A response made from echoes is judged on echoes that did not make it: each half of them by the
+//! response of the other half.
 
 use super::even_odd::EvenOdd;
-use super::{MOST_SCORED, Single};
+use super::{MOST_SCORED, Single, by_height, narrow_population, response_of, with_response};
+use crate::decompose::Waveform;
 use crate::decompose::acceptance::response_error::Allowance;
-use crate::decompose::{Return, Waveform};
 use crate::parallel::map_parts;
-use crate::sensor_model::{ChannelModel, ModelError};
+use crate::pulse_fit::{PulseFit, StopCriteria};
+use crate::sensor_model::{ChannelModel, ModelError, ResponseSource};
 use crate::shape::Pulse;
 use crate::shape::Shape;
+use crate::whitening::Whitener;
 
 /// Half their difference is the standard deviation of a normal distribution.
 const PERCENTILES: [f64; 2] = [0.158_655, 0.841_345];
@@ -16,6 +21,11 @@ const SIGNIFICANT: f64 = 2.0;
 
 /// Number of echoes per task of the even/odd test.
 const SCORED_PER_TASK: usize = 64;
+/// Fraction of the waveforms in which the expected contribution of the template error may exceed
+/// chi-square.
+const EXCEEDED_PART: f64 = 0.005;
+/// Fits to the response of the other half end within a hundredth of their standard deviations.
+const NEAR: StopCriteria = StopCriteria { iterations: 30, decrease: 1e-4, enough: f64::INFINITY };
 
 pub(super) struct Quality {
     model: ChannelModel,
@@ -26,39 +36,57 @@ pub(super) struct Quality {
     /// Excess of the squared residual over the noise, relative to the squared height, by sample
     /// since the start of the response: number, sum, sum of squares.
     excess: Vec<[f64; 3]>,
-    /// Of each echo: position, height, number of samples, and excess of chi-square.
-    fits: Vec<(f64, f64, usize, f64)>,
+    fits: Vec<Fit>,
+}
+
+/// Fit of an echo.
+struct Fit {
+    position_samples: f64,
+    height_dn: f64,
+    samples: usize,
+    chi_square: f64,
+    degrees_of_freedom: f64,
 }
 
 impl Quality {
-    pub(super) fn new(model: &ChannelModel, longest: usize) -> Result<Quality, ModelError> {
+    /// Measures a model on single echoes that were fitted with it.
+    pub(super) fn of(
+        model: &ChannelModel,
+        singles: &[Single<'_>],
+        longest: usize,
+    ) -> Result<Quality, ModelError> {
         let samples = model
             .response
             .as_ref()
             .and_then(|r| r.nodes.first())
             .map_or(0, |node| node.values.len() / crate::sensor_model::response::STEPS_PER_SAMPLE);
         let shape = Shape::of(model)?;
-        Ok(Quality {
+        let mut quality = Quality {
             model: model.clone(),
             even_odd: EvenOdd::of_shape(shape.clone(), model, longest)?,
             shape,
             scores: Vec::new(),
             excess: vec![[0.0; 3]; samples],
-            fits: Vec::new(),
-        })
+            fits: singles.iter().map(Fit::of).collect(),
+        };
+        let mut halves = Halves::of(model, singles, longest)?;
+        for single in singles {
+            quality.add_residual(single, &mut halves);
+        }
+        quality.score(singles);
+        Ok(quality)
     }
 
-    /// Adds echoes, at most [`MOST_SCORED`] of them to the even/odd test.
-    pub(super) fn add_all(&mut self, singles: &[Single<'_>]) {
-        singles.iter().for_each(|single| self.add(single));
+    /// Applies the even/odd test to at most [`MOST_SCORED`] echoes.
+    fn score(&mut self, singles: &[Single<'_>]) {
         let step = singles.len().div_ceil(MOST_SCORED).max(1);
         let scored: Vec<Single<'_>> = singles.iter().copied().step_by(step).collect();
         let scores = map_parts(&scored, SCORED_PER_TASK, |part| {
             let mut even_odd = self.even_odd.clone();
-            let score = |single: &Single<'_>| even_odd.score(&self.target(single), start(single));
+            let score = |single: &Single<'_>| even_odd.score(&target(&self.model, single), start(single));
             part.iter().filter_map(score).collect::<Vec<_>>()
         });
-        self.scores.extend(scores.into_iter().flatten());
+        self.scores = scores.into_iter().flatten().collect();
     }
 
     /// Writes template error and error factor to a model.
@@ -68,33 +96,29 @@ impl Quality {
             response.template_error = self.template_error();
             response.excess_part = 1.0;
         }
-        let part = self.excess_part(model);
+        let allowance = Allowance::new(model, 0.0, f64::INFINITY);
+        let of = |fit: &Fit| {
+            let expected = allowance.expected_excess(fit.position_samples, fit.height_dn, fit.samples);
+            [fit.chi_square, fit.degrees_of_freedom, expected]
+        };
         if let Some(response) = &mut model.response {
-            response.excess_part = part;
+            response.excess_part = excess_part(self.fits.iter().map(of));
         }
     }
 
-    /// Adds the residual of an echo.
-    fn add(&mut self, single: &Single<'_>) {
-        self.add_residual(&self.target(single), start(single));
-        let Return { position_samples, amplitude_dn, .. } = single.fitted;
-        self.fits.push((position_samples, amplitude_dn, single.block.samples.len(), single.excess));
-    }
-
-    /// Samples less the background, DN.
-    fn target(&self, single: &Single<'_>) -> Vec<f64> {
-        let Waveform { samples, start_phase } = single.block;
-        let mut target = Vec::with_capacity(samples.len());
-        self.model.signal_into(samples, start_phase, &mut target);
-        target
-    }
-
-    fn add_residual(&mut self, target: &[f64], pulse: Pulse) {
-        let mut residual = target.to_vec();
-        self.shape.add(&pulse, -1.0, &mut residual);
+    /// Adds the residual of an echo, by a response that it did not make.
+    fn add_residual(&mut self, single: &Single<'_>, halves: &mut Option<Halves>) {
+        let target_dn = target(&self.model, single);
+        let other = halves.as_mut().and_then(|halves| halves.residual(single, &target_dn));
+        let (pulse, residual_dn) = other.unwrap_or_else(|| {
+            let (pulse, mut residual_dn) = (start(single), target_dn);
+            residual_dn.iter_mut().for_each(|dn| *dn -= single.offset_dn);
+            self.shape.add(&pulse, -1.0, &mut residual_dn);
+            (pulse, residual_dn)
+        });
         let first = self.model.response.as_ref().map_or(0, |response| response.first_sample);
         let noise = self.model.noise_sd_dn.powi(2);
-        for (k, r) in residual.iter().enumerate() {
+        for (k, r) in residual_dn.iter().enumerate() {
             let lag = (k as f64 - pulse.position_samples).round() - f64::from(first);
             if lag >= 0.0
                 && let Some([count, sum, squares]) = self.excess.get_mut(lag as usize)
@@ -120,25 +144,101 @@ impl Quality {
         self.excess.iter().map(error).collect()
     }
 
-    /// Median ratio of the observed excess of chi-square to that expected from the template error of
-    /// `model`; 1 if that is 0.
-    fn excess_part(&self, model: &ChannelModel) -> f64 {
-        let allowance = Allowance::new(model, 0.0, f64::INFINITY);
-        let ratio = |&(position, height, samples, excess): &(f64, f64, usize, f64)| {
-            let expected = allowance.expected_excess(position, height, samples);
-            (expected > 0.0).then(|| excess / expected)
-        };
-        let mut ratios: Vec<f64> = self.fits.iter().filter_map(ratio).collect();
-        ratios.sort_by(f64::total_cmp);
-        ratios.get(ratios.len() / 2).map_or(1.0, |part| part.max(0.0))
-    }
-
     /// Spread of the scores and its standard deviation; 1 if not significant.
     pub(super) fn pulse_error_factor(&self) -> (f64, f64) {
         let spread = spread(&self.scores);
         let sd = factor_sd(spread.max(1.0), self.scores.len());
         (if spread > 1.0 + SIGNIFICANT * sd { spread } else { 1.0 }, sd)
     }
+}
+
+/// Part of the expected contribution `Σ (κ a/σ)²` of the template error that chi-square shows.
+///
+/// `fits` has chi-square, degrees of freedom and `Σ (κ a/σ)²` of waveforms. It is the median ratio
+/// of the excess of chi-square to that contribution, or less: the contribution exceeds chi-square in
+/// at most 0.5 % of the waveforms. 1 without a template error.
+pub(super) fn excess_part(fits: impl Iterator<Item = [f64; 3]>) -> f64 {
+    let with_error = fits.filter(|[_, _, expected]| *expected > 0.0);
+    let (mut ratios, mut largest): (Vec<f64>, Vec<f64>) = with_error
+        .map(|[chi_square, freedom, expected]| ((chi_square - freedom) / expected, chi_square / expected))
+        .unzip();
+    ratios.sort_by(f64::total_cmp);
+    largest.sort_by(f64::total_cmp);
+    let at = |sorted: &[f64], part: f64| sorted.get((part * sorted.len() as f64) as usize).copied();
+    match (at(&ratios, 0.5), at(&largest, EXCEEDED_PART)) {
+        (Some(median), Some(largest)) => median.min(largest).max(0.0),
+        _ => 1.0,
+    }
+}
+
+/// Responses of both halves of the echoes of a response.
+struct Halves {
+    /// Fits with the response of the first and of the second half.
+    fitters: [(PulseFit, Shape); 2],
+    whitener: Whitener,
+    /// Half to which each single echo contributed.
+    half_of: Vec<Option<usize>>,
+}
+
+impl Halves {
+    /// `None` for a response of other origin, and if a half does not determine one.
+    fn of(
+        model: &ChannelModel,
+        singles: &[Single<'_>],
+        longest: usize,
+    ) -> Result<Option<Halves>, ModelError> {
+        let is_own = model.provenance.response == ResponseSource::Echoes;
+        let Some(response) = model.response.as_ref().filter(|_| is_own) else { return Ok(None) };
+        let nodes: Vec<f64> = response.nodes.iter().map(|node| node.peak_dn).collect();
+        let groups = by_height(singles, model.full_scale_dn);
+        let narrow = groups.iter().flat_map(|group| narrow_population(&group.singles));
+        let mut halves = [Vec::new(), Vec::new()];
+        let mut half_of = vec![None; singles.len()];
+        for (i, single) in narrow.enumerate() {
+            half_of[single.index] = Some(i % 2);
+            halves[i % 2].push(single);
+        }
+        let [first, second] = halves.each_ref().map(|half| -> Result<Option<_>, ModelError> {
+            let Some(response) = response_of(half, model, longest, &nodes)? else { return Ok(None) };
+            let shape = Shape::of(&with_response(model, response))?;
+            let fitter = PulseFit::new(shape.clone(), model.offset_precision(), longest, 1);
+            Ok(Some((fitter, shape)))
+        });
+        let whitener = Whitener::new(model.noise()?, longest);
+        Ok(first?.zip(second?).map(|(a, b)| Halves { fitters: [a, b], whitener, half_of }))
+    }
+
+    /// Pulse and residual of an echo by the response of the other half; `None` if it is in neither.
+    fn residual(&mut self, single: &Single<'_>, target_dn: &[f64]) -> Option<(Pulse, Vec<f64>)> {
+        let half = self.half_of.get(single.index).copied().flatten()?;
+        let (fitter, shape) = &mut self.fitters[1 - half];
+        self.whitener.set_used(&vec![true; target_dn.len()]);
+        let fit = fitter.fit(&self.whitener, target_dn, &[start(single)], NEAR);
+        let pulse = *fitter.pulses().first().filter(|_| fit.termination.is_optimum())?;
+        let mut residual_dn: Vec<f64> = target_dn.iter().map(|dn| dn - fitter.offset_dn()).collect();
+        shape.add(&pulse, -1.0, &mut residual_dn);
+        Some((pulse, residual_dn))
+    }
+}
+
+impl Fit {
+    fn of(single: &Single<'_>) -> Fit {
+        Fit {
+            position_samples: single.fitted.position_samples,
+            height_dn: single.fitted.amplitude_dn,
+            samples: single.block.samples.len(),
+            chi_square: single.chi_square,
+            degrees_of_freedom: single.degrees_of_freedom,
+        }
+    }
+}
+
+/// Samples of a block less the background, DN.
+fn target(model: &ChannelModel, single: &Single<'_>) -> Vec<f64> {
+    let Waveform { samples, start_phase } = single.block;
+    let mut target_dn = Vec::with_capacity(samples.len());
+    model.signal_into(samples, start_phase, &mut target_dn);
+    target_dn
 }
 
 /// The fitted pulse of an echo.

@@ -330,7 +330,15 @@ mod tests {
                 let values = analogue(&mut random, &process, SAMPLES, 5.0, 4.4, &[echo]);
                 let samples = digitised(&values, 255);
                 let block = Waveform { samples: &samples, start_phase: 0 };
-                let single = Single { block, fitted: found(height, place), excess: 0.0 };
+                let fitted = found(height, place);
+                let single = Single {
+                    block,
+                    fitted,
+                    offset_dn: 0.0,
+                    chi_square: 57.0,
+                    degrees_of_freedom: 57.0,
+                    index: 0,
+                };
                 problem.add(&single);
                 add_densely(&problem, &single, &mut normal, &mut right);
             }

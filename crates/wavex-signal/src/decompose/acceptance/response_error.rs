@@ -5,6 +5,7 @@
 
 use crate::decompose::acceptance::BEGINS_WIDTHS;
 use crate::sensor_model::ChannelModel;
+use crate::shape::Pulse;
 
 /// Relative response error of a pulse that overdrives the receiver, from its start to its
 /// after-pulse. Before it there is nothing to distort. After it, the error equals the height of the
@@ -18,6 +19,27 @@ const LOBE_WIDTHS: std::ops::Range<f64> = -2.5..3.2;
 /// … and this fraction of it elsewhere, in the slow and smooth tail.
 const FAR_PART: f64 = 0.5;
 
+/// A pulse whose response error raises the threshold near it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Source {
+    pub(crate) position_samples: f64,
+    pub(crate) height_dn: f64,
+    /// Height times width ratio, the latter at least 1.
+    ///
+    /// A target that broadens a pulse lowers its peak, but not the tail that the response adds to it.
+    pub(crate) energy_dn: f64,
+}
+
+impl Source {
+    pub(crate) fn of(pulse: &Pulse) -> Source {
+        Source {
+            position_samples: pulse.position_samples,
+            height_dn: pulse.height_dn,
+            energy_dn: pulse.height_dn * pulse.ln_width_ratio.max(0.0).exp(),
+        }
+    }
+}
+
 /// Error model of one channel's response.
 #[derive(Debug, Clone)]
 pub(crate) struct Allowance {
@@ -30,7 +52,10 @@ pub(crate) struct Allowance {
     per_noise_sd: f64,
     /// Lag of the first entry of the tables, samples.
     first_lag: i64,
-    /// Relative response error by whole sample after the peak …
+    /// Measured error of the tail, relative to the energy, by whole sample after the peak; 0 elsewhere.
+    tail_errors: Vec<f64>,
+    greatest_tail_error: f64,
+    /// Response error relative to the height, at least the smallest …
     errors: Vec<f64>,
     /// … and for pulses that overdrive the receiver.
     overdriven_errors: Vec<f64>,
@@ -68,6 +93,8 @@ impl Allowance {
             overdriven_dn,
             per_noise_sd: model.noise_sd_dn.recip(),
             first_lag: first_sample - margin,
+            tail_errors: Vec::new(),
+            greatest_tail_error: 0.0,
             errors: Vec::new(),
             overdriven_errors: Vec::new(),
             greatest_known_error: 0.0,
@@ -79,7 +106,8 @@ impl Allowance {
         for lag in (0..known + 2 * margin).map(|k| allowance.first_lag + k) {
             let widths = lag as f64 / fwhm;
             let least = if LOBE_WIDTHS.contains(&widths) { near_error } else { far_error };
-            let error = (-reach..=reach).map(|k| measured(lag + k)).fold(least, f64::max);
+            let envelope = (-reach..=reach).map(|k| measured(lag + k)).fold(0.0, f64::max);
+            let error = envelope.max(least);
             let overdriven = if widths <= -BEGINS_WIDTHS {
                 0.0
             } else if widths < LOBE_WIDTHS.end {
@@ -87,12 +115,14 @@ impl Allowance {
             } else {
                 (-reach..=reach).map(|k| height(lag + k).abs()).fold(0.0, f64::max).min(OVERDRIVEN_ERROR)
             };
+            allowance.tail_errors.push(if widths < LOBE_WIDTHS.end { 0.0 } else { envelope });
             allowance.errors.push(error);
             allowance.overdriven_errors.push(overdriven.max(error));
             sum += excess_part * measured(lag).powi(2);
             allowance.squares.push(sum);
         }
         let greatest = |errors: &[f64]| errors.iter().copied().fold(far_error, f64::max);
+        allowance.greatest_tail_error = allowance.tail_errors.iter().copied().fold(0.0, f64::max);
         allowance.greatest_known_error = greatest(&allowance.errors);
         allowance.greatest_error = greatest(&allowance.overdriven_errors);
         allowance
@@ -104,26 +134,28 @@ impl Allowance {
         self.has_response && height_dn > self.overdriven_dn
     }
 
-    /// Relative response error `lag_samples` after a pulse.
+    /// Response error that a pulse may leave at a position, DN.
     #[inline(always)]
-    fn error(&self, height_dn: f64, lag_samples: f64) -> f64 {
-        let errors = if self.overdrives(height_dn) { &self.overdriven_errors } else { &self.errors };
-        let index = lag_samples.round() as i64 - self.first_lag;
-        let known = usize::try_from(index).ok().and_then(|index| errors.get(index));
-        known.copied().unwrap_or(self.far_error)
+    fn error_dn(&self, source: &Source, position_samples: f64) -> f64 {
+        let errors = if self.overdrives(source.height_dn) { &self.overdriven_errors } else { &self.errors };
+        let lag = (position_samples - source.position_samples).round() as i64;
+        let index = usize::try_from(lag - self.first_lag).unwrap_or(usize::MAX);
+        let of_height = errors.get(index).copied().unwrap_or(self.far_error) * source.height_dn;
+        let of_energy = self.tail_errors.get(index).copied().unwrap_or(0.0) * source.energy_dn;
+        of_height.max(of_energy)
     }
 
     /// Factor by which other pulses raise the threshold at a position; at least 1.
     ///
-    /// Only pulses higher than `height_dn` count; infinity means all. Pulses are pairs of position
-    /// and height; `per_dn` is `√E` of a pulse of height 1.
+    /// Only pulses higher than `height_dn` count; infinity means all. `per_dn` is `√E` of a pulse of
+    /// height 1.
     #[inline(always)]
     pub(crate) fn raise(
         &self,
         position_samples: f64,
         height_dn: f64,
         per_dn: f64,
-        pulses: impl Iterator<Item = (f64, f64)>,
+        pulses: impl Iterator<Item = Source>,
     ) -> f64 {
         // Without a response, residuals of a Gaussian prevent adding pulses but do not remove
         // detected ones.
@@ -131,26 +163,26 @@ impl Allowance {
             return 1.0;
         }
         let mut sum = 1.0;
-        for (position, height) in pulses {
-            if height_dn.is_infinite() || height > height_dn {
-                sum += (self.error(height, position_samples - position) * height * per_dn).powi(2);
+        for source in pulses {
+            if height_dn.is_infinite() || source.height_dn > height_dn {
+                sum += (self.error_dn(&source, position_samples) * per_dn).powi(2);
             }
         }
         sum.sqrt()
     }
 
-    /// Upper bound of [`Allowance::raise`] for pulses of these heights at any position; cheaper to
-    /// compute.
+    /// Upper bound of [`Allowance::raise`] for these pulses at any position; cheaper to compute.
     #[inline(always)]
-    pub(crate) fn raise_at_most(&self, per_dn: f64, heights_dn: impl Iterator<Item = f64>) -> f64 {
-        let (mut sum, mut highest) = (0.0, 0.0);
-        for height in heights_dn {
-            sum += height;
-            highest = f64::max(highest, height);
+    pub(crate) fn raise_at_most(&self, per_dn: f64, pulses: impl Iterator<Item = Source>) -> f64 {
+        let (mut heights_dn, mut energies_dn, mut highest_dn) = (0.0, 0.0, 0.0);
+        for source in pulses {
+            heights_dn += source.height_dn;
+            energies_dn += source.energy_dn;
+            highest_dn = f64::max(highest_dn, source.height_dn);
         }
-        let error = if self.overdrives(highest) { self.greatest_error } else { self.greatest_known_error };
+        let error = if self.overdrives(highest_dn) { self.greatest_error } else { self.greatest_known_error };
         // The root of a sum of squares is at most the sum.
-        1.0 + error * per_dn * sum
+        1.0 + per_dn * (error * heights_dn + self.greatest_tail_error * (energies_dn - heights_dn).max(0.0))
     }
 
     /// `Σ (κ_k a/σ)²` of one pulse over the samples of a block, with the calibrated template error.
@@ -192,11 +224,31 @@ mod tests {
         model
     }
 
+    fn source(position_samples: f64, height_dn: f64) -> Source {
+        Source { position_samples, height_dn, energy_dn: height_dn }
+    }
+
+    /// A target of three widths lowers the peak to a third, but not the tail.
+    #[test]
+    fn measured_errors_follow_the_energy_of_a_broad_pulse() {
+        let mut errors = [0.0; 50];
+        (errors[3], errors[32]) = (0.02, 0.02);
+        let allowance = Allowance::new(&model(&errors), 0.01, 200.0);
+        let broad = Source { energy_dn: 300.0, ..source(30.0, 100.0) };
+        let raise = |lag: f64| allowance.raise(30.0 + lag, 10.0, 0.5, [broad].into_iter());
+        for (lag, error_dn) in
+            [(1.0, 0.02 * 100.0), (7.0, 0.01 * 100.0), (30.0, 0.02 * 300.0), (90.0, 0.005 * 100.0)]
+        {
+            assert!((raise(lag) - (1.0 + f64::powi(error_dn * 0.5, 2)).sqrt()).abs() < 1e-12, "{lag}");
+            assert!(raise(lag) <= allowance.raise_at_most(0.5, [broad].into_iter()));
+        }
+    }
+
     /// `T √(1 + Σ (κ a √E)²)` with the envelope of the error, its minimum and that of the tail.
     #[test]
     fn thresholds_rise_with_what_strong_pulses_may_leave() {
         let allowance = Allowance::new(&model(&[0.0, 0.0, 0.0, 0.02, 0.0]), 0.01, 200.0);
-        let raise = |lag: f64| allowance.raise(30.0 + lag, 10.0, 0.5, [(30.0, 100.0)].into_iter());
+        let raise = |lag: f64| allowance.raise(30.0 + lag, 10.0, 0.5, [source(30.0, 100.0)].into_iter());
         for (lag, error) in
             [(1.0, 0.02), (5.0, 0.02), (7.0, 0.01), (-9.0, 0.01), (-14.0, 0.005), (90.0, 0.005)]
         {
@@ -213,19 +265,19 @@ mod tests {
             (46.0, 0.02),
             (90.0, 0.005),
         ] {
-            let raised = allowance.raise(place, 10.0, 0.5, [(30.0, 201.0)].into_iter());
+            let raised = allowance.raise(place, 10.0, 0.5, [source(30.0, 201.0)].into_iter());
             assert!((raised - (1.0 + f64::powi(error * 201.0 * 0.5, 2)).sqrt()).abs() < 1e-12, "{place}");
         }
         for (heights, error) in [([100.0, 50.0], 0.02), ([100.0, 201.0], 0.06)] {
             let sum: f64 = heights.iter().sum();
-            let most = allowance.raise_at_most(0.5, heights.into_iter());
+            let pulses = heights.map(|height| source(30.0, height));
+            let most = allowance.raise_at_most(0.5, pulses.into_iter());
             assert!((most - (1.0 + error * 0.5 * sum)).abs() < 1e-12);
             for lag in -20..60 {
-                let pulses = heights.map(|height| (30.0, height));
                 assert!(allowance.raise(30.0 + f64::from(lag), 0.0, 0.5, pulses.into_iter()) <= most);
             }
         }
-        let weaker = allowance.raise(31.0, 150.0, 0.5, [(30.0, 100.0)].into_iter());
+        let weaker = allowance.raise(31.0, 150.0, 0.5, [source(30.0, 100.0)].into_iter());
         assert_eq!(weaker, 1.0);
         assert!(allowance.overdrives(201.0) && !allowance.overdrives(200.0));
     }
@@ -235,7 +287,7 @@ mod tests {
         let mut model = model(&[]);
         (model.response, model.pulse_shape_error) = (None, 0.07);
         let allowance = Allowance::new(&model, 0.01, 200.0);
-        let strong = || [(30.0, 100.0)].into_iter();
+        let strong = || [source(30.0, 100.0)].into_iter();
         assert_eq!(allowance.raise(33.0, 10.0, 0.5, strong()), 1.0);
         let any = f64::INFINITY;
         assert!((allowance.raise(33.0, any, 0.5, strong()) - (1.0 + 3.5f64.powi(2)).sqrt()).abs() < 1e-12);

@@ -2,6 +2,7 @@
 
 use super::Decomposer;
 use crate::decompose::acceptance::TAIL_START_WIDTHS;
+use crate::decompose::acceptance::response_error::Source;
 use crate::shape::Pulse;
 
 impl Decomposer {
@@ -39,7 +40,7 @@ impl Decomposer {
     /// Of pulses higher than `height_dn`; infinity means all pulses.
     pub(super) fn allowance_at(&self, position_samples: f64, height_dn: f64) -> f64 {
         let per_dn = self.detector.full_significance_per_dn();
-        let pulses = self.scene.found.iter().map(|f| (f.pulse.position_samples, f.pulse.height_dn));
+        let pulses = self.scene.found.iter().map(|f| Source::of(&f.pulse));
         self.allowance.raise(position_samples, height_dn, per_dn, pulses)
     }
 
@@ -47,8 +48,10 @@ impl Decomposer {
     pub(super) fn allowance_if_divided(&self, index: usize) -> f64 {
         let per_dn = self.detector.full_significance_per_dn();
         let found = &self.scene.found;
-        let height_dn = |i: usize| found[i].pulse.height_dn * if i == index { 0.5 } else { 1.0 };
-        let of = |i: usize| (found[i].pulse.position_samples, height_dn(i));
+        let of = |i: usize| {
+            let part = if i == index { 0.5 } else { 1.0 };
+            Source::of(&Pulse { height_dn: part * found[i].pulse.height_dn, ..found[i].pulse })
+        };
         let pulses = (0..found.len()).chain([index]).map(of);
         self.allowance.raise(found[index].pulse.position_samples, f64::INFINITY, per_dn, pulses)
     }

@@ -3,7 +3,7 @@
 use super::candidates::LeftBehind;
 use super::pulse_model::{PulseComponent, PulseModel};
 use super::tables::BEFORE_PEAK;
-use crate::decompose::acceptance::response_error::Allowance;
+use crate::decompose::acceptance::response_error::{Allowance, Source};
 use crate::decompose::acceptance::{
     CLEAR_PART, DetectionSigma, is_misshapen, is_outside, least_separation_samples,
 };
@@ -49,6 +49,17 @@ pub(super) struct Thresholds {
     whitener: Whitener,
 }
 
+/// A pulse as the source of response errors.
+#[inline(always)]
+fn source(pulse: &PulseComponent) -> Source {
+    let height_dn = f64::from(pulse.height());
+    Source {
+        position_samples: pulse.position().into(),
+        height_dn,
+        energy_dn: height_dn * f64::from(pulse.width_ratio().max(1.0)),
+    }
+}
+
 impl Thresholds {
     /// `shape` is that of the model.
     pub(super) fn new(
@@ -87,8 +98,8 @@ impl Thresholds {
     /// Counts pulses higher than `height_dn`, or all if it is infinite.
     #[inline(always)]
     pub(super) fn raise(&self, pulse_model: &PulseModel, position: f32, height_dn: f32) -> f64 {
-        let others = pulse_model.pulses().iter().map(|p| (f64::from(p.position()), f64::from(p.height())));
-        self.allowance.raise(f64::from(position), f64::from(height_dn), f64::from(self.per_dn), others)
+        let sources = pulse_model.pulses().iter().map(source);
+        self.allowance.raise(f64::from(position), f64::from(height_dn), f64::from(self.per_dn), sources)
     }
 
     /// Threshold at a position, raised for response errors of pulses above `height_dn`.
@@ -189,11 +200,10 @@ impl Thresholds {
         let sigma = least * self.sigma(pulse_model, pulse.position());
         // A single pulse, or a strong one among others, passes without computing the response
         // errors of the others.
-        let heights = pulse_model.pulses().iter().map(|p| f64::from(p.height()));
         let most = if pulse_model.pulses().len() == 1 {
             1.0
         } else {
-            self.allowance.raise_at_most(self.per_dn.into(), heights)
+            self.allowance.raise_at_most(self.per_dn.into(), pulse_model.pulses().iter().map(source))
         };
         statistic >= sigma * most
             || (most > 1.0 && statistic >= sigma * self.raise(pulse_model, pulse.position(), pulse.height()))
