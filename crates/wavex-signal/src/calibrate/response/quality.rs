@@ -269,6 +269,21 @@ mod tests {
     use super::*;
     use crate::simulated::{Random, moments};
 
+    /// The contribution is at most what chi-square shows.
+    #[test]
+    fn the_expected_contribution_does_not_exceed_chi_square() {
+        let fits = |expected: f64| (0..1000).map(move |i| [60.0 + 0.02 * f64::from(i), 60.0, expected]);
+        // An excess of 10 in the median, where 20 were expected.
+        assert!((excess_part(fits(20.0)) - 0.5).abs() < 0.01);
+        // Contributions from 10 to 1000 for the same chi-square: the median alone would exceed it.
+        let uneven = (0..1000).map(|i| [200.0, 60.0, 10.0 + f64::from(i)]);
+        let part = excess_part(uneven.clone());
+        let exceeded = uneven.filter(|[chi_square, _, expected]| part * expected > *chi_square).count();
+        assert!(exceeded <= 10 && part < 0.21, "{part} {exceeded}");
+        assert_eq!((excess_part(fits(0.0)), excess_part([].into_iter())), (1.0, 1.0));
+        assert_eq!(excess_part([[50.0, 60.0, 5.0]; 9].into_iter()), 0.0);
+    }
+
     #[test]
     fn the_error_factor_spreads_as_it_says() {
         let mut random = Random::new(8);

@@ -103,3 +103,68 @@ fn responses_of_repeated_recordings_spread_as_they_say() {
     // The uncertainty of single values on the flanks differs from the average.
     assert!(spreads.iter().all(|spread| (0.25..4.0).contains(&(spread / shape_sd))));
 }
+
+/// A digitiser that stretches echoes above 120 DN makes them narrower than the pulse that caused them.
+#[test]
+fn a_response_narrower_than_the_outgoing_pulse_is_not_used() {
+    let stretched = |dn: u16| if dn > 120 { 120 + 3 * (dn - 120) } else { dn };
+    let settings = CalibrationSettings::echoes(1.0, 1000.0);
+    let mut random = Random::new(12);
+    let high = waveforms_of(&mut random, 500);
+    let high: Vec<Vec<u16>> = high.iter().map(|of| of.iter().map(|&dn| stretched(dn)).collect()).collect();
+    let low: Vec<Vec<u16>> = waveforms_of(&mut random, 900)
+        .into_iter()
+        .filter(|of| of.iter().all(|&dn| dn <= 120))
+        .chain(
+            waveforms_of(&mut random, 300).into_iter().map(|of| of.iter().map(|&dn| dn.min(120)).collect()),
+        )
+        .filter(|of: &Vec<u16>| of.iter().filter(|&&dn| dn == 120).count() < 2)
+        .collect();
+    let calibrated = |recorded: &[Vec<u16>]| {
+        let gaussian = calibrate(blocks(recorded), &settings).unwrap();
+        calibrate_response(blocks(recorded), &gaussian, &settings).unwrap()
+    };
+    let outgoing = calibrated(&low).model;
+    let own = calibrated(&high);
+    println!("outgoing {:.2} ns, echoes {:.2} ns", outgoing.pulse_fwhm_ns, own.model.pulse_fwhm_ns);
+    assert!(is_too_narrow(&own.model, &outgoing) && !is_too_narrow(&outgoing, &outgoing));
+    // Echoes as low as the outgoing pulses are not distorted.
+    let limit_dn = comparable_height_dn(blocks(&low), &outgoing).unwrap();
+    assert!((110.0..135.0).contains(&limit_dn), "{limit_dn}");
+    let mixed = [low.as_slice(), high.as_slice()].concat();
+    let mut start = calibrated(&mixed).model;
+    (start.limits.overdriven_dn, start.pulse_fwhm_ns) = (Some(limit_dn), outgoing.pulse_fwhm_ns);
+    let lower = calibrate_response(blocks(&mixed), &start, &settings).unwrap().model;
+    assert!(lower.response.is_some() && !is_too_narrow(&lower, &outgoing), "{}", lower.pulse_fwhm_ns);
+    // Without them, the outgoing pulse is the response, however small its residual.
+    let chosen = with_outgoing_pulse(blocks(&high), &own, &outgoing, &settings).unwrap();
+    assert_eq!(chosen.model.provenance.response, ResponseSource::OutgoingPulse);
+    assert!((chosen.model.pulse_fwhm_ns / outgoing.pulse_fwhm_ns - 1.0).abs() < 1e-9);
+}
+
+/// A response without its after-pulse, which is 4 % of the peak 11 samples later.
+#[test]
+fn a_missing_after_pulse_is_found_on_the_waveforms() {
+    let waveforms = waveforms(600);
+    let settings = CalibrationSettings::echoes(1.0, 255.0);
+    let gaussian = calibrate(blocks(&waveforms), &settings).unwrap();
+    let complete = calibrate_response(blocks(&waveforms), &gaussian, &settings).unwrap().model;
+    let recorded: Vec<Waveform> = blocks(&waveforms).collect();
+    let measured = |change: fn(&mut SystemResponse)| {
+        let mut model = complete.clone();
+        model.response.as_mut().map(change);
+        all_waveforms::measure_error(&recorded, &mut model, &settings).unwrap();
+        model.response.unwrap()
+    };
+    let right = measured(|_| {});
+    let without = measured(|response| {
+        let from = (8 - response.first_sample) as usize * STEPS_PER_SAMPLE;
+        response.nodes.iter_mut().for_each(|node| node.values[from..].fill(0.0));
+    });
+    let greatest = |response: &SystemResponse| {
+        (9..14).map(|lag| response.template_error_at(f64::from(lag))).fold(0.0, f64::max)
+    };
+    println!("right {:.4}, without after-pulse {:.4}", greatest(&right), greatest(&without));
+    assert!(greatest(&right) < 0.01);
+    assert!((0.02..0.06).contains(&greatest(&without)));
+}
