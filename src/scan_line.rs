@@ -11,6 +11,7 @@ use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::sensor_model::SensorModel;
 
 mod budget;
+mod copies;
 mod input;
 mod line_stats;
 mod points;

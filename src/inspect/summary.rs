@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use super::histogram_files::{CHANNELS, name_of};
-use super::{Angle, ChannelInspection, Histogram, Inspection, Intervals, Samples};
+use super::{Angle, Histogram, Inspection, Intervals, Samples};
 use crate::report::crs_name;
 use crate::scan_line::{Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
 use crate::stage::Counters;
-use wavex_geodesy::time;
+use wavex_geodesy::time::{self, WEEKDAYS};
 
 /// Summary of one recording.
 pub struct Summary {
@@ -82,7 +82,8 @@ fn about_file(file: &Path, inspection: &Inspection) -> Section {
     section.say("format", input.format.clone());
     section.say_if("instrument", input.instrument.clone());
     section.say_if("serial number", input.serial.clone());
-    section.say_if("recorded", recorded(input));
+    let day_of = if input.is_file_date { "file created" } else { "recorded" };
+    section.say_if(day_of, recorded(input));
     section.say(
         "frame",
         match input.frame {
@@ -119,9 +120,12 @@ fn about_file(file: &Path, inspection: &Inspection) -> Section {
     section
 }
 
+/// Date of the recording, or of its file, with its day of the week.
 fn recorded(input: &InputInfo) -> Option<String> {
     let (day, year) = input.recorded?;
-    Some(format!("day {day} of {year}"))
+    let weekday = WEEKDAYS[time::weekday_of(year, day)];
+    let of_file = if input.is_file_date { ": creation of the file, not the flight" } else { "" };
+    Some(format!("day {day} of {year}, a {weekday}{of_file}"))
 }
 
 fn time_scale(input: &InputInfo) -> String {
@@ -130,9 +134,34 @@ fn time_scale(input: &InputInfo) -> String {
         TimeScale::Week => "seconds of the GPS week",
         TimeScale::Day => "seconds of the day",
         TimeScale::Adjusted => "GPS seconds minus 1e9",
-        TimeScale::Unknown => "unknown",
+        TimeScale::Unknown => {
+            "unknown: the file does not state it, and its times do not show it; set `recording_time`"
+        }
     };
-    format!("{scale}{week}")
+    let evidence = match input.time_scale_is_inferred {
+        true => "; assumed from the size of the times: the file states no scale, nor GPS time or UTC",
+        false => "",
+    };
+    format!("{scale}{week}{evidence}")
+}
+
+/// Day of the week by seconds of the GPS week, compared with that of the date.
+fn weekday_of_times(input: &InputInfo, first_s: f64) -> Option<String> {
+    if input.time_scale != TimeScale::Week || !first_s.is_finite() {
+        return None;
+    }
+    let of_times = time::weekday(first_s);
+    let by = format!("{} by the seconds of the week", WEEKDAYS[of_times]);
+    let of_date =
+        input.recorded.map(|(day, year)| time::weekday_of(year, day)).filter(|day| *day != of_times);
+    Some(match (of_date, input.is_file_date) {
+        (None, _) => by,
+        (Some(day), true) => format!("{by}; the file was created on a {}", WEEKDAYS[day]),
+        (Some(day), false) => format!(
+            "{by}, but the date is a {}: one of them is wrong; set `gps_date` or `recording_time`",
+            WEEKDAYS[day]
+        ),
+    })
 }
 
 fn tables(input: &InputInfo) -> String {
@@ -159,6 +188,8 @@ fn times(inspection: &Inspection) -> Section {
             let day = adjusted.and_then(time::day_of_year);
             day.map_or(String::new(), |(year, day)| format!(" (day {day} of {year})"))
         };
+        let input = inspection.input.as_ref();
+        section.say_if("day of the flight", input.and_then(|input| weekday_of_times(input, first_s)));
         section.say("first shot", format!("{first_s:.6} s{}", date(first_s)));
         section.say("last shot", format!("{last_s:.6} s{}", date(last_s)));
         section.say("duration", format!("{:.6} s", largest_s - least_s));
@@ -249,6 +280,10 @@ fn blocks(inspection: &Inspection) -> Section {
         return section;
     }
     section.say("shots with echoes", share(inspection.shots.with_echoes, inspection.shots.count));
+    if inspection.shots.copies > 0 {
+        let copies = share(inspection.shots.copies, inspection.shots.with_echoes);
+        section.say("copies of the shot before", format!("{copies}; sample statistics leave them out"));
+    }
     let few: Vec<String> = inspection
         .blocks_per_shot
         .bins()
@@ -301,7 +336,7 @@ fn receiver(inspection: &Inspection, channel: Channel) -> Option<Section> {
         section.say("gain", format!("{least:.3} to {greatest:.3}; noise and peaks below include the gain"));
     }
     if let Some(values) = &seen.values {
-        sample_rows(&mut section, seen, values, channel);
+        sample_rows(&mut section, values, channel);
     }
     Some(section)
 }
@@ -309,7 +344,7 @@ fn receiver(inspection: &Inspection, channel: Channel) -> Option<Section> {
 /// Minimum number of signal-free samples for noise statistics.
 const LEAST_FREE: u64 = 200;
 
-fn sample_rows(section: &mut Section, seen: &ChannelInspection, values: &Samples, channel: Channel) {
+fn sample_rows(section: &mut Section, values: &Samples, channel: Channel) {
     let level_dn = values.level_dn();
     if channel.is_echo() {
         match (values.background_dn(), values.noise_sd_dn()) {
@@ -340,8 +375,8 @@ fn sample_rows(section: &mut Section, seen: &ChannelInspection, values: &Samples
             Some([samples, blocks]) => {
                 format!(
                     "{} of the samples, {} of the blocks",
-                    share(samples, seen.samples),
-                    share(blocks, seen.blocks)
+                    share(samples, values.added()[0]),
+                    share(blocks, values.added()[1])
                 )
             }
         },
@@ -476,5 +511,31 @@ mod tests {
     fn a_coordinate_system_is_called_by_its_name() {
         assert_eq!(crs_name("PROJCS[\"ETRS89 / UTM zone 32N\",GEOGCS[\"ETRS89\"]]"), "ETRS89 / UTM zone 32N");
         assert_eq!(crs_name("EPSG:25832"), "unnamed");
+    }
+
+    #[test]
+    fn dates_and_time_scales_say_their_evidence() {
+        // Day 172 of 2013 is Friday, 21 June; 302 400 s of the week are on Wednesday noon.
+        let input = InputInfo {
+            recorded: Some((172, 2013)),
+            is_file_date: true,
+            time_scale: TimeScale::Week,
+            time_scale_is_inferred: true,
+            ..InputInfo::default()
+        };
+        assert!(recorded(&input).unwrap().ends_with("a Friday: creation of the file, not the flight"));
+        assert!(time_scale(&input).contains("assumed from the size of the times"), "{}", time_scale(&input));
+        let weekday = |input: &InputInfo, first_s| weekday_of_times(input, first_s).unwrap();
+        let expected = "Wednesday by the seconds of the week; the file was created on a Friday";
+        assert_eq!(weekday(&input, 302_400.0), expected);
+        let dated = InputInfo { is_file_date: false, time_scale_is_inferred: false, ..input.clone() };
+        assert_eq!(recorded(&dated).unwrap(), "day 172 of 2013, a Friday");
+        assert_eq!(time_scale(&dated), "seconds of the GPS week");
+        assert!(weekday(&dated, 302_400.0).contains("but the date is a Friday: one of them is wrong"));
+        assert_eq!(weekday(&dated, 5.5 * 86_400.0), "Friday by the seconds of the week");
+        let adjusted = InputInfo { time_scale: TimeScale::Adjusted, ..input };
+        assert_eq!(weekday_of_times(&adjusted, 302_400.0), None);
+        let unknown = InputInfo::default();
+        assert!(time_scale(&unknown).contains("set `recording_time`") && recorded(&unknown).is_none());
     }
 }

@@ -14,7 +14,7 @@ use super::emission_choice::{self, Message, Smoothness};
 use super::line_splitter::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::keys::InvalidKey;
-use crate::scan_line::{Channel, Emission, EmissionReference, InputInfo, Kind, ScanLine, emission_flags};
+use crate::scan_line::{Channel, Emission, EmissionReference, Kind, ScanLine, emission_flags};
 use crate::stage::{
     Config, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
 };
@@ -264,19 +264,18 @@ impl PulseWavesReader {
     /// Decides on the emission reference from the first shots, and begins anew.
     fn choose_emission(&mut self, key: PulseEmission) {
         let default = self.lines.input().emission_reference;
-        if default == EmissionReference::Clock {
-            return;
-        }
+        let has_outgoing = default != EmissionReference::Clock;
         let is_stated = default == EmissionReference::OutgoingPulse;
-        let smoothness = Smoothness::look_ahead(self, emission_choice::WITH_OUTGOING);
+        let references = if has_outgoing { emission_choice::WITH_OUTGOING } else { emission_choice::WITHOUT };
+        let smoothness = Smoothness::look_ahead(self, references);
         let choice = match key {
+            _ if !has_outgoing => smoothness.take(EmissionReference::Clock),
             PulseEmission::Auto => smoothness.choose(default, is_stated),
             PulseEmission::OutgoingPulse => smoothness.take(EmissionReference::OutgoingPulse),
             PulseEmission::OutgoingPulseFraction => smoothness.take(EmissionReference::OutgoingPulseFraction),
             PulseEmission::Clock => smoothness.take(EmissionReference::Clock),
         };
         let outgoing_ns = smoothness.outgoing_ns();
-        self.message = choice.message;
         self.clock = match choice.reference {
             EmissionReference::OutgoingPulse if !is_stated => ClockShift::Constant(outgoing_ns),
             EmissionReference::Clock
@@ -286,8 +285,8 @@ impl PulseWavesReader {
             }
             _ => ClockShift::Constant(0.0),
         };
-        let input = InputInfo { emission_reference: choice.reference, ..self.lines.input().clone() };
-        self.lines = Lines::new(Arc::new(input)).marking_edges();
+        self.lines = Lines::new(Arc::new(choice.describe(self.lines.input()))).marking_edges();
+        self.message = choice.message;
         self.broken = BrokenRun::default();
         (self.next_pulse, self.last_seen, self.outgoing_bytes_pulses) = (0, None, 0);
     }

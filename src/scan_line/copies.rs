@@ -1,0 +1,141 @@
+//! Waveforms that are byte-identical copies of those of the shot before.
+//!
+//! Exporters and converters write such copies. They are no measurements of their own, so calibration and
+//! statistics use each waveform once.
+
+use super::{Block, Blocks, Content, ScanLine, emission_flags};
+
+/// Fewest bits of information for equality to be no chance.
+///
+/// The information of a waveform is the entropy of its histogram times its number of samples. Silent
+/// waveforms of a quiet digitiser are often equal by chance and have few bits; noise of 1 DN has two
+/// bits per sample, and a pulse tens of bits.
+const LEAST_BITS: f64 = 64.0;
+
+impl ScanLine {
+    /// Marks the shots whose echo blocks are copies of those of the shot before; returns their number.
+    ///
+    /// The first shot of a line is never marked.
+    pub fn mark_copies(&mut self) -> u64 {
+        let Content::Shots(blocks) = &self.content else { return 0 };
+        self.emissions.iter_mut().for_each(|emission| emission.flags &= !emission_flags::COPY);
+        let mut before: Option<(u32, &[Block])> = None;
+        let mut copies = 0;
+        for (index, of_shot) in blocks.by_emission() {
+            let is_next = |earlier: u32| earlier + 1 == index;
+            if before.is_some_and(|(earlier, other)| is_next(earlier) && are_copies(blocks, of_shot, other))
+                && let Some(emission) = self.emissions.get_mut(index as usize)
+            {
+                emission.flags |= emission_flags::COPY;
+                copies += 1;
+            }
+            before = Some((index, of_shot));
+        }
+        copies
+    }
+
+    /// Number of waveforms without copies.
+    pub fn distinct_waveforms(&self) -> u64 {
+        let copies = self.emissions.iter().filter(|emission| emission.is_copy()).count() as u64;
+        self.stats.nw.saturating_sub(copies)
+    }
+
+    /// Echo blocks and outgoing pulses of shots that are not copies; none after decomposition.
+    pub fn distinct_blocks(&self) -> impl Iterator<Item = &Block> + Clone {
+        let is_copy = |block: &Block| {
+            self.emissions.get(block.emission as usize).is_some_and(|emission| emission.is_copy())
+        };
+        self.blocks().into_iter().flat_map(Blocks::iter).filter(move |block| !is_copy(block))
+    }
+}
+
+/// Whether the echo blocks of two shots are equal, but not by chance.
+fn are_copies(blocks: &Blocks, of_shot: &[Block], other: &[Block]) -> bool {
+    let echoes = |of_shot| <[Block]>::iter(of_shot).filter(|block| block.channel.is_echo());
+    // The first samples of two waveforms nearly always differ, so this costs little.
+    let is_equal = |a: &Block, b: &Block| a.channel == b.channel && blocks.samples(a) == blocks.samples(b);
+    let (mut own, mut others) = (echoes(of_shot), echoes(other));
+    loop {
+        match (own.next(), others.next()) {
+            (Some(a), Some(b)) if is_equal(a, b) => {}
+            (None, None) => break,
+            _ => return false,
+        }
+    }
+    echoes(of_shot).map(|block| information_bits(blocks.samples(block))).sum::<f64>() >= LEAST_BITS
+}
+
+/// Entropy of the histogram of samples, times their number, bits.
+fn information_bits(samples: &[u16]) -> f64 {
+    let mut sorted = samples.to_vec();
+    sorted.sort_unstable();
+    let n = samples.len() as f64;
+    let bits = |equal: &[u16]| equal.len() as f64 * (n / equal.len() as f64).log2();
+    sorted.chunk_by(|a, b| a == b).map(bits).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::super::{Channel, Emission, InputInfo};
+    use super::*;
+
+    /// Noise of a few digitiser steps, different for each seed.
+    fn noise(seed: u32, samples: u32) -> Vec<u16> {
+        let mixed = |k: u32| (seed * 7919 + k).wrapping_mul(2_654_435_761) >> 27;
+        (0..samples).map(|k| 10 + (mixed(k) % 5) as u16).collect()
+    }
+
+    /// Marks of shots whose low-power waveforms are these; each has the same outgoing pulse.
+    fn marks(waveforms: &[Vec<u16>]) -> Vec<bool> {
+        let mut blocks = Blocks::default();
+        for (index, samples) in (0..).zip(waveforms) {
+            blocks.push(index, Channel::Reference, None, 0.0, 1.0, &noise(99, 40));
+            blocks.push(index, Channel::LowPower, None, 0.0, 1.0, samples);
+        }
+        let emissions = vec![Emission::default(); waveforms.len()];
+        let mut line = ScanLine::of_shots(Arc::new(InputInfo::default()), 0, emissions, blocks);
+        let copies = line.mark_copies();
+        let marks: Vec<bool> = line.emissions.iter().map(Emission::is_copy).collect();
+        assert_eq!(copies as usize, marks.iter().filter(|is_copy| **is_copy).count());
+        assert_eq!(line.distinct_waveforms(), line.stats.nw - copies);
+        assert_eq!(line.distinct_blocks().count() as u64, 2 * line.distinct_waveforms());
+        assert_eq!(line.mark_copies(), copies, "marks are set anew");
+        marks
+    }
+
+    #[test]
+    fn copies_of_the_shot_before_are_marked() {
+        let [a, b] = [noise(1, 60), noise(2, 60)];
+        let shots = [a.clone(), a.clone(), a.clone(), b.clone(), a.clone(), b];
+        assert_eq!(marks(&shots), [false, true, true, false, false, false]);
+        let mut changed = a.clone();
+        changed[59] += 1;
+        assert_eq!(marks(&[a.clone(), changed]), [false, false]);
+        assert_eq!(marks(&[a.clone(), a[..59].to_vec()]), [false, false]);
+    }
+
+    #[test]
+    fn silent_and_short_waveforms_may_be_equal() {
+        let mut nearly_flat = vec![10; 60];
+        (nearly_flat[7], nearly_flat[31]) = (11, 9);
+        for equal in [vec![10; 400], nearly_flat, noise(1, 20), Vec::new()] {
+            assert_eq!(marks(&[equal.clone(), equal]), [false, false]);
+        }
+    }
+
+    #[test]
+    fn all_receivers_must_be_equal() {
+        let mut blocks = Blocks::default();
+        for index in 0..3 {
+            blocks.push(index, Channel::LowPower, None, 0.0, 1.0, &noise(1, 60));
+            if index != 1 {
+                blocks.push(index, Channel::HighPower, None, 0.0, 1.0, &noise(2 + index, 60));
+            }
+        }
+        let input = Arc::new(InputInfo::default());
+        let mut line = ScanLine::of_shots(input, 0, vec![Emission::default(); 3], blocks);
+        assert_eq!(line.mark_copies(), 0);
+    }
+}
