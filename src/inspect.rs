@@ -12,6 +12,7 @@ use crate::scan_line::{
 };
 use wavex_geodesy::vertical::down_at;
 
+mod dates;
 mod figures;
 mod histogram;
 mod histogram_files;

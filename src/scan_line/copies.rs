@@ -3,7 +3,7 @@
 //! Exporters and converters write such copies. They are no measurements of their own, so calibration and
 //! statistics use each waveform once.
 
-use super::{Block, Blocks, Content, ScanLine, emission_flags};
+use super::{Block, Blocks, Channel, Content, ScanLine, emission_flags};
 
 /// Fewest bits of information for equality to be no chance.
 ///
@@ -12,25 +12,37 @@ use super::{Block, Blocks, Content, ScanLine, emission_flags};
 /// bits per sample, and a pulse tens of bits.
 const LEAST_BITS: f64 = 64.0;
 
+/// Echo blocks of the last shot of a line: channels and samples.
+#[derive(Clone, Debug, Default)]
+pub struct LastEchoes(Vec<(Channel, Vec<u16>)>);
+
 impl ScanLine {
     /// Marks the shots whose echo blocks are copies of those of the shot before; returns their number.
     ///
-    /// The first shot of a line is never marked.
-    pub fn mark_copies(&mut self) -> u64 {
+    /// `before` holds the echoes of the last shot of the line before, if any, and afterwards those of
+    /// this line.
+    pub fn mark_copies(&mut self, before: &mut LastEchoes) -> u64 {
         let Content::Shots(blocks) = &self.content else { return 0 };
         self.emissions.iter_mut().for_each(|emission| emission.flags &= !emission_flags::COPY);
-        let mut before: Option<(u32, &[Block])> = None;
         let mut copies = 0;
+        let mut last: Option<(u32, &[Block])> = None;
         for (index, of_shot) in blocks.by_emission() {
-            let is_next = |earlier: u32| earlier + 1 == index;
-            if before.is_some_and(|(earlier, other)| is_next(earlier) && are_copies(blocks, of_shot, other))
-                && let Some(emission) = self.emissions.get_mut(index as usize)
-            {
+            let is_copy = match last {
+                _ if index == 0 => are_copies(echoes(blocks, of_shot), before.echoes()),
+                Some((earlier, other)) if earlier + 1 == index => {
+                    are_copies(echoes(blocks, of_shot), echoes(blocks, other))
+                }
+                _ => false,
+            };
+            if is_copy && let Some(emission) = self.emissions.get_mut(index as usize) {
                 emission.flags |= emission_flags::COPY;
                 copies += 1;
             }
-            before = Some((index, of_shot));
+            last = Some((index, of_shot));
         }
+        let ends_line = |(index, _): &(u32, &[Block])| *index as usize + 1 == self.emissions.len();
+        let of_last = last.filter(ends_line).into_iter().flat_map(|(_, of_shot)| echoes(blocks, of_shot));
+        before.0 = of_last.map(|(channel, samples)| (channel, samples.to_vec())).collect();
         copies
     }
 
@@ -49,20 +61,28 @@ impl ScanLine {
     }
 }
 
-/// Whether the echo blocks of two shots are equal, but not by chance.
-fn are_copies(blocks: &Blocks, of_shot: &[Block], other: &[Block]) -> bool {
-    let echoes = |of_shot| <[Block]>::iter(of_shot).filter(|block| block.channel.is_echo());
-    // The first samples of two waveforms nearly always differ, so this costs little.
-    let is_equal = |a: &Block, b: &Block| a.channel == b.channel && blocks.samples(a) == blocks.samples(b);
-    let (mut own, mut others) = (echoes(of_shot), echoes(other));
-    loop {
-        match (own.next(), others.next()) {
-            (Some(a), Some(b)) if is_equal(a, b) => {}
-            (None, None) => break,
-            _ => return false,
-        }
+impl LastEchoes {
+    fn echoes(&self) -> impl Iterator<Item = (Channel, &[u16])> + Clone {
+        self.0.iter().map(|(channel, samples)| (*channel, &samples[..]))
     }
-    echoes(of_shot).map(|block| information_bits(blocks.samples(block))).sum::<f64>() >= LEAST_BITS
+}
+
+/// Channels and samples of the echo blocks of a shot.
+fn echoes<'a>(
+    blocks: &'a Blocks,
+    of_shot: &'a [Block],
+) -> impl Iterator<Item = (Channel, &'a [u16])> + Clone {
+    let is_echo = |block: &&Block| block.channel.is_echo();
+    of_shot.iter().filter(is_echo).map(|block| (block.channel, blocks.samples(block)))
+}
+
+/// Whether the echo blocks of two shots are equal, but not by chance.
+fn are_copies<'a>(
+    own: impl Iterator<Item = (Channel, &'a [u16])> + Clone,
+    others: impl Iterator<Item = (Channel, &'a [u16])>,
+) -> bool {
+    // The first samples of two waveforms nearly always differ, so this costs little.
+    own.clone().eq(others) && own.map(|(_, samples)| information_bits(samples)).sum::<f64>() >= LEAST_BITS
 }
 
 /// Entropy of the histogram of samples, times their number, bits.
@@ -78,7 +98,7 @@ fn information_bits(samples: &[u16]) -> f64 {
 mod tests {
     use std::sync::Arc;
 
-    use super::super::{Channel, Emission, InputInfo};
+    use super::super::{Emission, InputInfo};
     use super::*;
 
     /// Noise of a few digitiser steps, different for each seed.
@@ -96,12 +116,14 @@ mod tests {
         }
         let emissions = vec![Emission::default(); waveforms.len()];
         let mut line = ScanLine::of_shots(Arc::new(InputInfo::default()), 0, emissions, blocks);
-        let copies = line.mark_copies();
+        let copies = line.mark_copies(&mut LastEchoes::default());
         let marks: Vec<bool> = line.emissions.iter().map(Emission::is_copy).collect();
         assert_eq!(copies as usize, marks.iter().filter(|is_copy| **is_copy).count());
         assert_eq!(line.distinct_waveforms(), line.stats.nw - copies);
         assert_eq!(line.distinct_blocks().count() as u64, 2 * line.distinct_waveforms());
-        assert_eq!(line.mark_copies(), copies, "marks are set anew");
+        let mut last = LastEchoes::default();
+        assert_eq!(line.mark_copies(&mut last), copies, "marks are set anew");
+
         marks
     }
 
@@ -136,6 +158,25 @@ mod tests {
         }
         let input = Arc::new(InputInfo::default());
         let mut line = ScanLine::of_shots(input, 0, vec![Emission::default(); 3], blocks);
-        assert_eq!(line.mark_copies(), 0);
+        assert_eq!(line.mark_copies(&mut LastEchoes::default()), 0);
+    }
+
+    #[test]
+    fn a_line_may_begin_with_a_copy() {
+        let line = |seeds: &[u32], without_echo: bool| {
+            let mut blocks = Blocks::default();
+            (0..).zip(seeds).for_each(|(index, seed)| {
+                blocks.push(index, Channel::LowPower, None, 0.0, 1.0, &noise(*seed, 60));
+            });
+            let emissions = vec![Emission::default(); seeds.len() + usize::from(without_echo)];
+            ScanLine::of_shots(Arc::new(InputInfo::default()), 0, emissions, blocks)
+        };
+        for without_echo in [false, true] {
+            let mut last = LastEchoes::default();
+            assert_eq!(line(&[1, 2], without_echo).mark_copies(&mut last), 0);
+            let mut next = line(&[2, 3], false);
+            assert_eq!(next.mark_copies(&mut last), u64::from(!without_echo));
+            assert_eq!(next.emissions[0].is_copy(), !without_echo);
+        }
     }
 }

@@ -4,7 +4,9 @@
 //! consecutive points along the beam show the jitter that a wrong emission time adds. They also bound
 //! the jitter of the clock from above: terrain and echo positions add to it.
 
-use crate::scan_line::{Block, Blocks, Channel, Emission, EmissionReference, InputInfo, ScanLine};
+use crate::scan_line::{
+    Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LastEchoes, ScanLine,
+};
 use crate::stage::{Context, Source};
 use wavex_signal::fusion::peak_above_half;
 
@@ -131,10 +133,10 @@ impl Smoothness {
             interval_ns: f64::NAN,
         };
         // Warnings about the recording belong to the run: this context logs none.
-        let mut cx = Context::default();
+        let (mut cx, mut last) = (Context::default(), LastEchoes::default());
         while found.points_ns.len() < ENOUGH_TRIPLES && found.shots < MOST_SHOTS {
             let Ok(Some(mut line)) = source.next(&mut cx) else { break };
-            line.mark_copies();
+            line.mark_copies(&mut last);
             found.add(&line);
         }
         found

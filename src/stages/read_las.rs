@@ -48,7 +48,8 @@ with_time_keys! {
 /// where it has none, the report says so. Locations can be less exact than the waveforms, for example
 /// whole samples: then points of neighbouring single echoes are smoother by the waveforms' own
 /// positions, and locations are not used. The reader decides this from the first 100 000 shots at
-/// most, as `read_pulsewaves` does, and the report gives the figures.
+/// most, as `read_pulsewaves` does, and the report gives the figures. As there, smooth points bound the
+/// jitter of emission times without locations.
 ///
 /// The format does not store the scanner position, so ranges count from the first sample of the
 /// shot's first waveform. Coordinates are not affected, but `correct` cannot correct intensities

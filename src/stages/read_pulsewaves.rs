@@ -46,7 +46,12 @@ with_time_keys! {
 /// differences for each choice. A choice is ruled out if another has less than 0.8 of its second
 /// differences in both halves of the triples. The default (the outgoing pulse if its start is stated,
 /// otherwise the fraction of a sample) is kept unless it is ruled out. The report gives the three figures
-/// and the choice; if other choices remain, or with fewer than 100 triples, it warns.
+/// and the choice; if other choices remain, or with fewer than 100 triples, it warns, and standard
+/// deviations of ranges include the spread of the remaining choices.
+///
+/// The same second differences bound the jitter of the anchors from above, for files without outgoing
+/// pulses too. If the bound is below that of a position within one sample, standard deviations of ranges
+/// that count from the anchor include the bound instead (`emission_jitter_ns` of `decompose`).
 ///
 /// If points are smooth by the anchor alone but ranges by the outgoing pulse (GeoLas), the anchors of
 /// the file move with the pulse. The origin of each shot is then moved along the beam to the peak of its
