@@ -121,9 +121,7 @@ mod tests {
         assert_eq!(copies as usize, marks.iter().filter(|is_copy| **is_copy).count());
         assert_eq!(line.distinct_waveforms(), line.stats.nw - copies);
         assert_eq!(line.distinct_blocks().count() as u64, 2 * line.distinct_waveforms());
-        let mut last = LastEchoes::default();
-        assert_eq!(line.mark_copies(&mut last), copies, "marks are set anew");
-
+        assert_eq!(line.mark_copies(&mut LastEchoes::default()), copies, "marks are set anew");
         marks
     }
 

@@ -251,8 +251,10 @@ impl Smoothness {
     ///
     /// From the lower quartile of absolute second differences: terrain only makes small ones rarer, so any
     /// quantile bounds a normal jitter from above, and a low one includes less of the terrain. The larger
-    /// of the two halves of the triples: what one half shows must hold for the other. A clock that is a sample of the digitiser drifts through its phases: neighbouring shots then have nearly the
-    /// same error, except where it jumps by a sample. Such jumps disprove the bound.
+    /// of the two halves of the triples: what one half shows must hold for the other.
+    ///
+    /// A clock that is a sample of the digitiser drifts through its phases: neighbouring shots then have
+    /// nearly the same error, except where it jumps by a sample. Such jumps disprove the bound.
     fn clock_sd_ns(&self) -> Option<f64> {
         let clock = self.references.iter().position(|reference| *reference == EmissionReference::Clock)?;
         let (first, second) = self.points_ns.split_at(self.points_ns.len() / 2);

@@ -163,16 +163,18 @@ impl Row {
             Some((only.time_of_flight_ns, only.time_of_flight_sd_ns))
         };
         let singles: Vec<Option<(f64, f64)>> = (0..line.emissions.len()).map(of).collect();
-        for (emissions, singles) in line.emissions.windows(3).zip(singles.windows(3)) {
-            let &[Some((a, a_sd)), Some((b, b_sd)), Some((c, c_sd))] = singles else { continue };
-            if emissions.iter().any(|emission| emission.is_copy()) {
+        // Copies of waveforms are not measurements of their own.
+        let distinct: Vec<_> = line.emissions.iter().zip(&singles).filter(|(e, _)| !e.is_copy()).collect();
+        for of in distinct.windows(3) {
+            let emissions = [0, 1, 2].map(|i| of[i].0);
+            let [Some((a, a_sd)), Some((b, b_sd)), Some((c, c_sd))] = [0, 1, 2].map(|i| *of[i].1) else {
                 continue;
-            }
+            };
             self.stated_ns.push(((a_sd * a_sd + 4.0 * b_sd * b_sd + c_sd * c_sd) / 6.0).sqrt());
             self.ranges_ns.push(a - 2.0 * b + c);
             let middle = emissions[1].direction;
             let along_m = |i: usize, flight_ns: f64| -> f64 {
-                let shot = &emissions[i];
+                let shot = emissions[i];
                 let beam_m = flight_ns * metres_per_ns * shot.frame_scale;
                 (0..3).map(|k| (shot.origin_m[k] + shot.direction[k] * beam_m) * middle[k]).sum()
             };

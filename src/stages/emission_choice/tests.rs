@@ -71,12 +71,13 @@ fn recording(made: Made, lines: usize, roughness_ns: f64) -> Recording {
                 ..Emission::default()
             });
             let index = i as u32;
-            if made == Made::Drifting {
-            } else if made != Made::Locations {
-                blocks.push(index, Channel::Reference, None, 0.0, 1.0, &pulse(outgoing));
-            } else {
-                let online = OnlineReturn { emission: index, time_ns: flight_ns.round(), amplitude: 1.0 };
-                blocks.online.push(online);
+            match made {
+                Made::Drifting => {}
+                Made::Locations => {
+                    let online = OnlineReturn { emission: index, time_ns: flight_ns.round(), amplitude: 1.0 };
+                    blocks.online.push(online);
+                }
+                _ => blocks.push(index, Channel::Reference, None, 0.0, 1.0, &pulse(outgoing)),
             }
             let echo_ns = flight_ns + emission_ns;
             let start_ns = echo_ns.floor() - 30.0;

@@ -3,7 +3,7 @@
 
 use super::{INTERVAL_NS, LOW, SHOTS, of_shot, recording, run, samples};
 use wavex::scan_line::flags::UNUSUAL;
-use wavex_formats::container::{ContainerHeader, EmissionReference, TimeScale};
+use wavex_formats::container::{ContainerHeader, ContainerShot, EmissionReference, TimeScale};
 use wavex_testkit::container::{self, Shot, of_shots};
 use wavex_testkit::table::{Row, number};
 use wavex_testkit::{TestFolder, shots};
@@ -120,7 +120,10 @@ fn deviations_include_the_proven_clock_and_the_choice_of_the_reference() {
         ..ContainerHeader::new(INTERVAL_NS, 299_707_502.0)
     };
     let row = |number: usize| container::Row {
-        shot: container::nadir_shot(number as u64, (number as f64 * INTERVAL_NS * 1000.0) as i64),
+        shot: ContainerShot {
+            gps_time_s: Some(number as f64 * INTERVAL_NS * 1e-9),
+            ..container::nadir_shot(number as u64, (number as f64 * INTERVAL_NS * 1000.0) as i64)
+        },
         blocks: vec![(LOW, 1000.0, samples(number, &[(24.0, 120.0)]))],
     };
     let rows: Vec<container::Row> = (0..SHOTS).map(row).collect();
