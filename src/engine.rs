@@ -219,7 +219,7 @@ pub fn run_each(
         options,
         common: &common,
         geometry: Mutex::new(geometry),
-        cx: Context::default(),
+        cx: Context::of_run(),
     };
     let mut result = Ok(());
     let ends = |error: &RunError| job.settings.on_error == OnError::Stop || files.concern(error);

@@ -12,6 +12,7 @@ use crate::scan_line::{
 };
 use wavex_geodesy::vertical::down_at;
 
+mod dates;
 mod figures;
 mod histogram;
 mod histogram_files;
@@ -95,6 +96,8 @@ pub struct Shots {
     pub by_facet: BTreeMap<u16, u64>,
     /// Number of online returns, and of shots with any.
     pub online: [u64; 2],
+    /// Shots whose waveforms are copies of those of the shot before.
+    pub copies: u64,
 }
 
 /// Times of shots.
@@ -261,6 +264,7 @@ impl Inspection {
         let has = |flag: u16| u64::from(emission.flags & flag != 0);
         shots.synchronised += has(emission_flags::SYNCHRONISED);
         shots.synchronised_within_last_second += has(emission_flags::SYNCHRONISED_WITHIN_LAST_SECOND);
+        shots.copies += has(emission_flags::COPY);
         shots.positive_direction += has(emission_flags::SCAN_DIRECTION_POSITIVE);
         let (angle, deg) = angle_of(emission, scan_line.input.frame);
         self.angle = self.angle.or(Some(angle)).filter(|_| deg.is_finite()).or(self.angle);
@@ -284,7 +288,7 @@ impl Inspection {
         let time_s = self.times.since_first_s(emission);
         for block in of_shot {
             let channel = &mut self.channels[block.channel as usize];
-            let peak = channel.add(block, blocks.samples(block));
+            let peak = channel.add(block, blocks.samples(block), emission.is_copy());
             if !block.channel.is_echo() {
                 continue;
             }
@@ -304,13 +308,18 @@ impl Inspection {
 }
 
 impl ChannelInspection {
-    fn add(&mut self, block: &Block, samples: &[u16]) -> Option<Peak> {
+    /// Adds a block; sample statistics leave copies out.
+    fn add(&mut self, block: &Block, samples: &[u16], is_copy: bool) -> Option<Peak> {
         self.blocks += 1;
         self.samples += block.len() as u64;
         self.lengths.add(block.len() as f64);
         self.starts_ns.add(block.start_ns);
         self.gains = [self.gains[0].min(block.gain), self.gains[1].max(block.gain)];
-        self.values.as_mut().and_then(|values| values.add(samples))
+        match &mut self.values {
+            Some(values) if !is_copy => values.add(samples),
+            Some(_) => peak_of(samples),
+            None => None,
+        }
     }
 }
 

@@ -58,7 +58,7 @@ impl Recording {
         keys: &serde_json::Value,
         site: RunContext,
     ) -> Result<Recording> {
-        let mut cx = Context::default();
+        let mut cx = Context::of_run();
         let mut source = reader.make(&site)?;
         let Some(first) = source.next(&mut cx)? else {
             let problem = format!("{} has no shots", site.input.display());

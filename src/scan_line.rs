@@ -11,6 +11,7 @@ use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::sensor_model::SensorModel;
 
 mod budget;
+mod copies;
 mod input;
 mod line_stats;
 mod points;
@@ -19,6 +20,7 @@ mod removal;
 mod shots;
 
 pub use budget::{AtWork, Budget, NoRoom, Ticket};
+pub use copies::LastEchoes;
 pub use input::{AmplitudeTable, EmissionReference, FirstShot, GainControl, InputInfo, LinearAmplitude};
 pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};

@@ -63,7 +63,7 @@ pub fn calibrate(
         py,
         &cancel,
         |_| Ok(()),
-        || engine::observe(&job, place.input(), &options, Context::default(), None, look),
+        || engine::observe(&job, place.input(), &options, Context::of_run(), None, look),
     )?;
     let model = model.map_err(|error| errors::of_run(&error))?;
     model.map(SensorModel::new).ok_or_else(|| {

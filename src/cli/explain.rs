@@ -204,7 +204,7 @@ impl Chain {
             first.planned.plan = Plan::Source(Arc::new(excerpt));
         }
         let observed =
-            observe(&job, self.input(), &self.options, Context::default(), (Numbers::default(), None), look);
+            observe(&job, self.input(), &self.options, Context::of_run(), (Numbers::default(), None), look);
         match observed.map_err(|error| failed(&error))? {
             (_, Some(explained)) => explained,
             (seen, None) => {

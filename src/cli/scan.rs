@@ -115,7 +115,7 @@ pub(super) fn look_at(
     };
     let mut source =
         source.make_for_inspection(&RunContext::alone(file), with_samples).map_err(|error| failed(&error))?;
-    let (mut inspection, mut cx) = (Inspection::new(with_samples), Context::default());
+    let (mut inspection, mut cx) = (Inspection::new(with_samples), Context::of_run());
     let ended = loop {
         match source.next(&mut cx) {
             Ok(Some(_)) if inspection.shots.count >= shots => break Ok(()),

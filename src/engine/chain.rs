@@ -56,7 +56,7 @@ pub(super) fn run(
     if let (Some(observer), Some(trajectory), Some(alignment)) = (cx.observer(), flown, aligned) {
         observer.trajectory(trajectory, &alignment);
     }
-    let (stages, whole) = collect(job, leavings);
+    let (stages, whole) = collect(job, leavings, cx);
     let published = match shared.failure.into_error(&site.input) {
         Some(error) => Err(state.explain(error)),
         None => {
@@ -202,14 +202,18 @@ fn work(stage: &JobStage, site: &RunContext, inlet: Option<Inlet>, desk: &mut Wo
 }
 
 /// Merges the results of all workers: stage summaries, finished files.
-fn collect(job: &Job, leavings: Vec<WorkerResult>) -> (Vec<StageSummary>, Vec<(String, FinishedFile)>) {
+fn collect(
+    job: &Job,
+    leavings: Vec<WorkerResult>,
+    run: &Context,
+) -> (Vec<StageSummary>, Vec<(String, FinishedFile)>) {
     let mut whole = Vec::new();
     let mut summaries = Vec::new();
     for (stage, leavings) in job.stages.iter().zip(leavings) {
         let workers = leavings.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
         let count = workers.len();
         let mut meter = Meter::new(false);
-        let mut cx = Context::default();
+        let mut cx = run.another();
         for (worker, (its_meter, its_cx)) in workers.into_iter().enumerate() {
             meter.merge(its_meter, worker);
             cx.counters.merge(its_cx.counters);

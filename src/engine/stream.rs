@@ -84,7 +84,7 @@ where
     job.append(EXIT.name, &EXIT, Plan::Sink(Arc::new(exit))).map_err(RunError::of_job)?;
     let options = Options { cancel: cancel.clone(), ..options.clone() };
     let body = move || {
-        let ended = guarded(|| Ok(run_one(&job, input, &options, Context::default())));
+        let ended = guarded(|| Ok(run_one(&job, input, &options, Context::of_run())));
         match ended.map_err(|cause| RunError { stage: None, input: None, cause })?? {
             (_, Some(error)) => Err(error),
             (summary, None) => Ok(Box::new(summary)),

@@ -154,7 +154,7 @@ impl Survey<'_> {
             if lines.is_empty() {
                 continue;
             }
-            let mut cx = Context::default();
+            let mut cx = Context::of_run();
             let mut known = self.models.instruments[instrument].clone();
             let learnt = self.teach(stage, &mut lines, &mut known, &mut cx, false)?;
             let counters = cx.counters();
@@ -201,7 +201,7 @@ impl Survey<'_> {
             ..self.options.clone()
         };
         let input_again = Input { path: input.path.clone(), stem: input.stem.clone() };
-        let seen = observe(&upstream, input_again, &options, Context::quiet(), Sample::default(), look);
+        let seen = observe(&upstream, input_again, &options, Context::default(), Sample::default(), look);
         if self.options.cancel.is_cancelled() {
             return Err(RunError { stage: None, input: None, cause: Cause::Interrupted });
         }
@@ -232,7 +232,7 @@ impl Survey<'_> {
         let of_survey = alone.sensor_model.clone();
         let waveforms = waveforms(lines);
         let (mut chosen, others) = thinned(std::mem::take(lines), waveforms.div_ceil(MEASURED_WAVEFORMS));
-        let learnt = self.teach(stage, &mut chosen, &mut alone, &mut Context::quiet(), true)?;
+        let learnt = self.teach(stage, &mut chosen, &mut alone, &mut Context::default(), true)?;
         lines.extend(chosen.into_iter().chain(others));
         lines.sort_by_key(|line| line.line);
         let row = &mut self.models.inputs[number];

@@ -33,6 +33,8 @@ pub struct Samples {
     noise: NoiseStatistics,
     free_dn: Histogram,
     peaks_dn: Histogram,
+    /// Numbers of samples and of blocks.
+    added: [u64; 2],
     saturated_samples: u64,
     saturated_blocks: u64,
     full_scale_dn: Option<u16>,
@@ -57,6 +59,7 @@ impl Samples {
             noise: NoiseStatistics::default(),
             free_dn: Histogram::of_whole_numbers(512),
             peaks_dn: Histogram::of_whole_numbers(512),
+            added: [0; 2],
             saturated_samples: 0,
             saturated_blocks: 0,
             full_scale_dn,
@@ -66,6 +69,7 @@ impl Samples {
     /// Adds the samples of a block; returns its peak, or `None` for an empty block.
     pub fn add(&mut self, samples: &[u16]) -> Option<Peak> {
         let peak = peak_of(samples)?;
+        self.added = [self.added[0] + samples.len() as u64, self.added[1] + 1];
         self.peaks_dn.add(f64::from(peak.dn));
         if self.full_scale_dn.is_some_and(|full| peak.dn >= full) {
             let full = self.full_scale_dn.unwrap_or(u16::MAX);
@@ -156,6 +160,11 @@ impl Samples {
     /// Histogram of the highest sample of each block, DN, including background.
     pub fn peaks_dn(&self) -> &Histogram {
         &self.peaks_dn
+    }
+
+    /// Number of samples, and of blocks with any.
+    pub fn added(&self) -> [u64; 2] {
+        self.added
     }
 
     /// Number of saturated samples, and of blocks with any; `None` without a known full scale.

@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
+use super::dates::{recorded, time_scale, weekday_of_times};
 use super::histogram_files::{CHANNELS, name_of};
-use super::{Angle, ChannelInspection, Histogram, Inspection, Intervals, Samples};
+use super::{Angle, Histogram, Inspection, Intervals, Samples};
 use crate::report::crs_name;
-use crate::scan_line::{Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
+use crate::scan_line::{Channel, EmissionReference, Frame, GainControl, InputInfo};
 use crate::stage::Counters;
 use wavex_geodesy::time;
 
@@ -82,7 +83,8 @@ fn about_file(file: &Path, inspection: &Inspection) -> Section {
     section.say("format", input.format.clone());
     section.say_if("instrument", input.instrument.clone());
     section.say_if("serial number", input.serial.clone());
-    section.say_if("recorded", recorded(input));
+    let day_of = if input.is_file_date { "file created" } else { "recorded" };
+    section.say_if(day_of, recorded(input));
     section.say(
         "frame",
         match input.frame {
@@ -119,22 +121,6 @@ fn about_file(file: &Path, inspection: &Inspection) -> Section {
     section
 }
 
-fn recorded(input: &InputInfo) -> Option<String> {
-    let (day, year) = input.recorded?;
-    Some(format!("day {day} of {year}"))
-}
-
-fn time_scale(input: &InputInfo) -> String {
-    let week = input.gps_week.map_or(String::new(), |week| format!(", GPS week {week}"));
-    let scale = match input.time_scale {
-        TimeScale::Week => "seconds of the GPS week",
-        TimeScale::Day => "seconds of the day",
-        TimeScale::Adjusted => "GPS seconds minus 1e9",
-        TimeScale::Unknown => "unknown",
-    };
-    format!("{scale}{week}")
-}
-
 fn tables(input: &InputInfo) -> String {
     let all = [
         ("amplitude low", &input.amplitude_low),
@@ -159,6 +145,8 @@ fn times(inspection: &Inspection) -> Section {
             let day = adjusted.and_then(time::day_of_year);
             day.map_or(String::new(), |(year, day)| format!(" (day {day} of {year})"))
         };
+        let input = inspection.input.as_ref();
+        section.say_if("day of the flight", input.and_then(|input| weekday_of_times(input, first_s)));
         section.say("first shot", format!("{first_s:.6} s{}", date(first_s)));
         section.say("last shot", format!("{last_s:.6} s{}", date(last_s)));
         section.say("duration", format!("{:.6} s", largest_s - least_s));
@@ -249,6 +237,10 @@ fn blocks(inspection: &Inspection) -> Section {
         return section;
     }
     section.say("shots with echoes", share(inspection.shots.with_echoes, inspection.shots.count));
+    if inspection.shots.copies > 0 {
+        let copies = share(inspection.shots.copies, inspection.shots.with_echoes);
+        section.say("copies of the shot before", format!("{copies}; sample statistics leave them out"));
+    }
     let few: Vec<String> = inspection
         .blocks_per_shot
         .bins()
@@ -301,7 +293,7 @@ fn receiver(inspection: &Inspection, channel: Channel) -> Option<Section> {
         section.say("gain", format!("{least:.3} to {greatest:.3}; noise and peaks below include the gain"));
     }
     if let Some(values) = &seen.values {
-        sample_rows(&mut section, seen, values, channel);
+        sample_rows(&mut section, values, channel);
     }
     Some(section)
 }
@@ -309,7 +301,7 @@ fn receiver(inspection: &Inspection, channel: Channel) -> Option<Section> {
 /// Minimum number of signal-free samples for noise statistics.
 const LEAST_FREE: u64 = 200;
 
-fn sample_rows(section: &mut Section, seen: &ChannelInspection, values: &Samples, channel: Channel) {
+fn sample_rows(section: &mut Section, values: &Samples, channel: Channel) {
     let level_dn = values.level_dn();
     if channel.is_echo() {
         match (values.background_dn(), values.noise_sd_dn()) {
@@ -340,8 +332,8 @@ fn sample_rows(section: &mut Section, seen: &ChannelInspection, values: &Samples
             Some([samples, blocks]) => {
                 format!(
                     "{} of the samples, {} of the blocks",
-                    share(samples, seen.samples),
-                    share(blocks, seen.blocks)
+                    share(samples, values.added()[0]),
+                    share(blocks, values.added()[1])
                 )
             }
         },

@@ -99,7 +99,7 @@ impl LineIndex {
     /// Ends with [`StageError::Stopped`] once the run is cancelled.
     fn make(reader: &dyn SourcePlan, site: &RunContext, watch: &mut Watch) -> Result<LineIndex> {
         let mut source = reader.make_for_inspection(site, false)?;
-        let (mut lines, mut cx) = (Vec::new(), Context::quiet());
+        let (mut lines, mut cx) = (Vec::new(), Context::default());
         while let Some(line) = source.next(&mut cx)? {
             let Some(location) = source.location() else {
                 let problem = format!("{}: scan lines cannot be read in any order", site.input.display());

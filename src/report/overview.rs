@@ -229,7 +229,12 @@ impl Gathering {
         self.times.add(scan_line);
         let Some(returns) = scan_line.returns() else { return };
         for quantity in &mut self.quantities {
-            returns.iter().for_each(|found| quantity.bins.add((quantity.of)(found)));
+            // Copies of waveforms are no measurements of their own.
+            let of_copy = |found: &Return| {
+                scan_line.emissions.get(found.emission as usize).is_some_and(|emission| emission.is_copy())
+            };
+            let measured = returns.iter().filter(|found| !of_copy(found));
+            measured.for_each(|found| quantity.bins.add((quantity.of)(found)));
         }
         self.zones.add(scan_line, returns);
         self.weak_returns.add(scan_line, returns);

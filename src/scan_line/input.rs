@@ -38,12 +38,16 @@ pub struct InputInfo {
     pub pulse_rate_hz: Option<f64>,
     /// Time scale of `gps_time_s`.
     pub time_scale: TimeScale,
+    /// Whether the time scale is only inferred from the size of the times.
+    pub time_scale_is_inferred: bool,
     /// GPS week of the first shot.
     pub gps_week: Option<u32>,
     /// Date of the recording as (day of year from 1, year).
     ///
     /// Outputs are dated with it, so they are identical in every run.
     pub recorded: Option<(u16, u16)>,
+    /// Whether `recorded` is the creation date of the file, for lack of the day of the recording.
+    pub is_file_date: bool,
     /// Frame of origins and directions.
     pub frame: Frame,
     /// Coordinate reference system as WKT.
@@ -57,6 +61,12 @@ pub struct InputInfo {
     pub coordinate_grid: Option<([f64; 3], [f64; 3])>,
     /// Source of the emission time.
     pub emission_reference: EmissionReference,
+    /// SD of emission times that count from the clock, ns, if points prove one; an upper bound.
+    ///
+    /// `None`: only a position within one sample is known.
+    pub clock_sd_ns: Option<f64>,
+    /// SD of emission times for the choice between several references, ns; 0 if it is certain.
+    pub emission_choice_sd_ns: f64,
     /// Whether shot origins are sensor positions.
     ///
     /// They are then the origin of ranges. Otherwise they are points on the beams near the
@@ -75,6 +85,13 @@ pub struct InputInfo {
 }
 
 impl InputInfo {
+    /// SD of an emission time that counts from the clock, ns: the proven one, at most that of a position
+    /// within one sample.
+    pub fn clock_or_sample_sd_ns(&self) -> f64 {
+        let within_a_sample_ns = self.sampling_interval_ns / 12f64.sqrt();
+        self.clock_sd_ns.map_or(within_a_sample_ns, |sd_ns| sd_ns.min(within_a_sample_ns))
+    }
+
     /// Converts a time of the recording to adjusted GPS time, s; `None` if the week is unknown.
     pub fn adjusted_gps_time(&self, gps_time_s: f64) -> Option<f64> {
         self.time_scale.adjusted_s(self.gps_week, gps_time_s)
@@ -98,12 +115,16 @@ impl Default for InputInfo {
             group_velocity_mps: 299_792_458.0,
             pulse_rate_hz: None,
             time_scale: TimeScale::Unknown,
+            time_scale_is_inferred: false,
             gps_week: None,
             recorded: None,
+            is_file_date: false,
             frame: Frame::Scanner,
             crs_wkt: None,
             coordinate_grid: None,
             emission_reference: EmissionReference::Clock,
+            clock_sd_ns: None,
+            emission_choice_sd_ns: 0.0,
             origin_is_sensor: true,
             first_shot: None,
             amplitude_low: None,

@@ -45,6 +45,11 @@ pub struct Emission {
 }
 
 impl Emission {
+    /// Whether the waveform is a copy of that of the shot before.
+    pub fn is_copy(&self) -> bool {
+        self.flags & emission_flags::COPY != 0
+    }
+
     /// GPS time if it has one, else time of the instrument clock, s.
     pub fn time_s(&self) -> f64 {
         if self.gps_time_s.is_finite() { self.gps_time_s } else { self.clock_ps as f64 * 1e-12 }
@@ -83,6 +88,8 @@ pub mod emission_flags {
     pub const SCAN_DIRECTION_POSITIVE: u16 = 1 << 8;
     /// Last shot of a scan line (LAS: edge of flight line).
     pub const EDGE_OF_FLIGHT_LINE: u16 = 1 << 9;
+    /// The echo blocks are byte-identical copies of those of the shot before; set by readers.
+    pub const COPY: u16 = 1 << 10;
 }
 
 /// Contiguous samples of one receiver.

@@ -51,18 +51,19 @@ pub fn counted(n: u64, what: &str) -> String {
 }
 
 /// Interface of a stage to the run.
+///
+/// The default context logs nothing: work done apart from a run, such as the second fit of a shot for a
+/// page, must not repeat the messages of the run. [`Context::of_run`] logs.
 #[derive(Debug, Default)]
 pub struct Context {
     /// Counters of the stage so far.
     pub(crate) counters: Counters,
     /// Finished files that get their final names at the end of the run.
     pub(crate) whole: Vec<FinishedFile>,
-    /// Messages of all workers and inputs of the run, so that each is logged once.
-    logged: Arc<Mutex<BTreeSet<String>>>,
+    /// Messages of all workers and inputs of the run, so that each is logged once; `None`: none is.
+    logged: Option<Arc<Mutex<BTreeSet<String>>>>,
     /// Observer of the run, if there is one.
     observer: Option<Arc<dyn RunObserver>>,
-    /// Whether messages are not logged.
-    is_quiet: bool,
 }
 
 /// Counts, measurements and messages of a stage.
@@ -88,15 +89,15 @@ impl Context {
         Context { observer, ..self }
     }
 
-    /// The same without messages in the log.
-    pub(crate) fn quiet() -> Context {
-        Context { is_quiet: true, ..Context::default() }
+    /// Context of a run, whose messages are logged, each once.
+    pub fn of_run() -> Context {
+        Context { logged: Some(Arc::default()), ..Context::default() }
     }
 
     /// Context of another worker of the same run.
     pub(crate) fn another(&self) -> Context {
-        let (logged, observer) = (Arc::clone(&self.logged), self.observer.clone());
-        Context { logged, observer, is_quiet: self.is_quiet, ..Context::default() }
+        let (logged, observer) = (self.logged.clone(), self.observer.clone());
+        Context { logged, observer, ..Context::default() }
     }
 
     /// Observer of the run, if there is one.
@@ -164,10 +165,11 @@ impl Context {
         self.counters.findings.push(text);
     }
 
-    /// Returns whether no worker of the run has given this message before.
+    /// Whether the message is to be logged: no worker of the run has given it before.
     fn is_new(&self, text: &str) -> bool {
-        !self.is_quiet
-            && self.logged.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).insert(text.to_owned())
+        self.logged.as_ref().is_some_and(|logged| {
+            logged.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).insert(text.to_owned())
+        })
     }
 
     /// Keeps a finished file until every stage has succeeded; it then gets its final name.

@@ -29,7 +29,7 @@ impl LookAhead {
     /// It is full when it contains enough waveforms or has reached its memory limit. In the second
     /// case, notes that `done` was based on fewer waveforms.
     pub fn hold(&mut self, line: ScanLine, done: &str, out: &mut Output) -> bool {
-        self.waveforms += line.stats.nw;
+        self.waveforms += line.distinct_waveforms();
         self.bytes += line.bytes();
         self.lines.push(line);
         let is_full = self.bytes > out.may_hold_bytes();
@@ -47,18 +47,16 @@ impl LookAhead {
         &self.lines
     }
 
-    /// Samples of a channel, one slice per non-empty block.
+    /// Samples of a channel, one slice per non-empty block, without copies.
     pub fn samples(&self, channel: Channel) -> impl Iterator<Item = &[u16]> + Clone {
-        self.lines.iter().filter_map(ScanLine::blocks).flat_map(move |blocks| {
-            let of_channel = blocks.iter().filter(move |block| block.channel == channel && !block.is_empty());
-            of_channel.map(|block| blocks.samples(block))
-        })
+        self.recorded(channel).map(|block| block.samples)
     }
 
-    /// Returns the samples of each block with its gain.
+    /// Returns the samples of each block with its gain, without copies.
     pub fn recorded(&self, channel: Channel) -> impl Iterator<Item = Recorded<'_>> + Clone {
-        self.lines.iter().filter_map(ScanLine::blocks).flat_map(move |blocks| {
-            let of_channel = blocks.iter().filter(move |block| block.channel == channel && !block.is_empty());
+        self.lines.iter().filter_map(|line| Some((line, line.blocks()?))).flat_map(move |(line, blocks)| {
+            let of_channel =
+                line.distinct_blocks().filter(move |block| block.channel == channel && !block.is_empty());
             of_channel.map(|block| Recorded { samples: blocks.samples(block), gain: block.gain })
         })
     }
@@ -75,7 +73,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::scan_line::{Blocks, Emission, InputInfo};
+    use crate::scan_line::{Blocks, Emission, InputInfo, emission_flags};
     use crate::stage::Context;
 
     /// A line of ten waveforms.
@@ -110,5 +108,15 @@ mod tests {
         assert_eq!(look_ahead.samples(Channel::LowPower).count(), 20);
         assert_eq!(look_ahead.recorded(Channel::LowPower).next().unwrap().samples, [2; 40]);
         assert_eq!(look_ahead.samples(Channel::HighPower).count(), 0);
+    }
+
+    #[test]
+    fn copies_are_neither_samples_nor_waveforms() {
+        let mut copied = line();
+        copied.emissions[3].flags = emission_flags::COPY;
+        assert_eq!(LookAhead::of(vec![line(), copied.copied()]).samples(Channel::LowPower).count(), 19);
+        let (mut look_ahead, mut cx) = (LookAhead::new(10), Context::default());
+        let mut emit = |_: ScanLine| Ok(());
+        assert!(!look_ahead.hold(copied, "calibrated", &mut Output::new(&mut cx, usize::MAX, &mut emit)));
     }
 }

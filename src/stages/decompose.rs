@@ -100,9 +100,9 @@ pub struct Decompose {
     /// deviation of ranges.
     pub timing_error_ns: f64,
     /// Standard deviation of the emission time of shots without outgoing pulse or return location, ns:
-    /// the jitter of the recording's clock relative to the emissions. Defaults to that of a position
-    /// within one sample, its interval over the square root of 12. Added to the standard deviation of
-    /// ranges.
+    /// the jitter of the recording's clock relative to the emissions. Defaults to the bound that the
+    /// reader derives from smooth points, at most that of a position within one sample, its interval
+    /// over the square root of 12. Added to the standard deviation of ranges.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub emission_jitter_ns: Option<f64>,
     /// Decrease of chi-square required to replace a widened return by two; `false`: widened returns

@@ -1,17 +1,20 @@
 //! Choice of the emission reference by the smoothness of points.
 //!
 //! Points of neighbouring single echoes form a smooth line. The second differences of three
-//! consecutive points along the beam show the jitter that a wrong emission time adds.
+//! consecutive points along the beam show the jitter that a wrong emission time adds. They also bound
+//! the jitter of the clock from above: terrain and echo positions add to it.
 
-use tracing::subscriber::{NoSubscriber, with_default};
-
-use crate::scan_line::{Block, Blocks, Channel, Emission, EmissionReference, ScanLine};
+use crate::scan_line::{
+    Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LastEchoes, ScanLine,
+};
 use crate::stage::{Context, Source};
 use wavex_signal::fusion::peak_above_half;
 
 /// References between which recordings with outgoing pulses decide, in order of preference.
 pub(super) const WITH_OUTGOING: &[EmissionReference] =
     &[EmissionReference::OutgoingPulse, EmissionReference::OutgoingPulseFraction, EmissionReference::Clock];
+/// The reference of recordings with neither outgoing pulses nor return locations.
+pub(super) const WITHOUT: &[EmissionReference] = &[EmissionReference::Clock];
 /// References between which recordings with return locations decide, in order of preference.
 pub(super) const WITH_LOCATIONS: &[EmissionReference] =
     &[EmissionReference::ReturnLocations, EmissionReference::Clock];
@@ -32,6 +35,15 @@ const LEAST_SNR: f64 = 20.0;
 const BESIDE: f64 = 0.3;
 /// Smallest noise of a digitised signal, DN: that of rounding.
 const LEAST_NOISE_DN: f64 = 0.3;
+/// Second difference of independent values over their SD.
+const SECOND_DIFFERENCE: f64 = 2.449_489_742_783_178;
+/// Second differences of about one sample, and the same width of their neighbourhood, in samples.
+const ONE_SAMPLE: std::ops::Range<f64> = 0.8..1.2;
+const BESIDE_ONE_SAMPLE: [std::ops::Range<f64>; 2] = [0.6..0.8, 1.2..1.4];
+/// Significance of an excess of second differences of one sample, standard deviations of the count.
+const EXCESS_SD: f64 = 3.0;
+/// Standard deviation of a normal distribution over the lower quartile of absolute values.
+const SD_OF_LOWER_QUARTILE: f64 = 3.138_344;
 /// Standard deviation of a normal distribution over its median absolute deviation.
 const SD_OF_MEDIAN: f64 = 1.4826;
 
@@ -44,6 +56,9 @@ pub(super) struct Smoothness {
     ranges_ns: Vec<[f64; REFERENCES]>,
     /// Peaks of outgoing pulses after the clock, ns.
     outgoing_ns: Vec<f64>,
+    /// Emission times of all shots with an outgoing pulse, by reference, ns.
+    emissions_ns: Vec<[f64; REFERENCES]>,
+    interval_ns: f64,
 }
 
 /// A shot with a single echo.
@@ -66,7 +81,23 @@ struct SecondDifference {
 /// The chosen reference and what to report about it.
 pub(super) struct Choice {
     pub(super) reference: EmissionReference,
+    /// See [`InputInfo::clock_sd_ns`].
+    clock_sd_ns: Option<f64>,
+    /// See [`InputInfo::emission_choice_sd_ns`].
+    choice_sd_ns: f64,
     pub(super) message: Option<Message>,
+}
+
+impl Choice {
+    /// Metadata of the recording with this choice.
+    pub(super) fn describe(&self, input: &InputInfo) -> InputInfo {
+        InputInfo {
+            emission_reference: self.reference,
+            clock_sd_ns: self.clock_sd_ns,
+            emission_choice_sd_ns: self.choice_sd_ns,
+            ..input.clone()
+        }
+    }
 }
 
 /// A message of a reader about its recording.
@@ -98,31 +129,42 @@ impl Smoothness {
             points_ns: Vec::new(),
             ranges_ns: Vec::new(),
             outgoing_ns: Vec::new(),
+            emissions_ns: Vec::new(),
+            interval_ns: f64::NAN,
         };
-        // Warnings about the recording belong to the run.
-        with_default(NoSubscriber::default(), || {
-            let mut cx = Context::default();
-            while found.points_ns.len() < ENOUGH_TRIPLES && found.shots < MOST_SHOTS {
-                let Ok(Some(line)) = source.next(&mut cx) else { break };
-                found.add(&line);
-            }
-        });
+        // Warnings about the recording belong to the run: this context logs none.
+        let (mut cx, mut last) = (Context::default(), LastEchoes::default());
+        while found.points_ns.len() < ENOUGH_TRIPLES && found.shots < MOST_SHOTS {
+            let Ok(Some(mut line)) = source.next(&mut cx) else { break };
+            line.mark_copies(&mut last);
+            found.add(&line);
+        }
         found
     }
 
     fn add(&mut self, line: &ScanLine) {
         self.shots += line.emissions.len();
+        self.interval_ns = line.input.sampling_interval_ns;
         let Some(blocks) = line.blocks() else { return };
         let mut singles = vec![None; line.emissions.len()];
         for (index, of_shot) in blocks.by_emission() {
             if let Some(single) = singles.get_mut(index as usize) {
                 *single = single_echo(blocks, of_shot, index, self.references);
             }
+            if let Some(outgoing) = Outgoing::of(blocks, of_shot) {
+                let of = |reference: &EmissionReference| outgoing.emission_ns(*reference).unwrap_or(0.0);
+                let mut emission_ns = [0.0; REFERENCES];
+                emission_ns.iter_mut().zip(self.references).for_each(|(ns, reference)| *ns = of(reference));
+                self.emissions_ns.push(emission_ns);
+            }
         }
         self.outgoing_ns.extend(singles.iter().flatten().filter_map(|single| single.outgoing_ns));
         let metres_per_ns = line.input.group_velocity_mps * 0.5e-9;
-        for (emissions, singles) in line.emissions.windows(3).zip(singles.windows(3)) {
-            let (&[a, b, c], &[Some(x), Some(y), Some(z)]) = (emissions, singles) else { continue };
+        // The second difference of a waveform and its copies would be 0.
+        let distinct: Vec<(Emission, Option<SingleEcho>)> =
+            line.emissions.iter().copied().zip(singles).filter(|(emission, _)| !emission.is_copy()).collect();
+        for &[(a, x), (b, y), (c, z)] in distinct.array_windows() {
+            let (Some(x), Some(y), Some(z)) = (x, y, z) else { continue };
             let [mut points_ns, mut ranges_ns] = [[f64::NAN; REFERENCES]; 2];
             for i in 0..self.references.len() {
                 let flight_ns = [x, y, z].map(|single| single.echo_ns - single.emission_ns[i]);
@@ -146,7 +188,7 @@ impl Smoothness {
                 "{n} triples of neighbouring single echoes in the first {} shots, {LEAST_TRIPLES} needed",
                 self.shots
             );
-            return self.keep(default, is_stated, &why);
+            return self.keep(default, is_stated, self.references, &why);
         }
         let figures = self.figures(&self.points_ns);
         let is_ruled_out = |of: &SecondDifference| figures.iter().any(|(_, by)| by.is_clearly_below(of));
@@ -154,30 +196,102 @@ impl Smoothness {
             figures.iter().filter(|(_, of)| !is_ruled_out(of)).map(|(reference, _)| *reference).collect();
         match left[..] {
             [only] => self.take(only),
-            [first, ..] if !left.contains(&default) => self.take(first),
-            _ => self.keep(default, is_stated, &self.text()),
+            [first, ..] if !left.contains(&default) => {
+                let choice_sd_ns = self.choice_sd_ns(&left);
+                Choice { choice_sd_ns, message: self.finding(first, choice_sd_ns), ..self.take(first) }
+            }
+            _ => self.keep(default, is_stated, &left, &self.text()),
         }
     }
 
     /// Takes a reference, decided or set by the job.
     pub(super) fn take(&self, reference: EmissionReference) -> Choice {
-        let text = format!("emission times by `emission = \"{}\"`: {}", name(reference), self.text());
-        Choice { reference, message: (!self.points_ns.is_empty()).then_some(Message::Finding(text)) }
+        let clock_sd_ns = self.clock_sd_ns();
+        Choice { reference, clock_sd_ns, choice_sd_ns: 0.0, message: self.finding(reference, 0.0) }
     }
 
-    /// Keeps the default without a decision.
-    fn keep(&self, default: EmissionReference, is_stated: bool, why: &str) -> Choice {
-        let message = match is_stated {
-            true if self.points_ns.len() < LEAST_TRIPLES => None,
-            true => self.take(default).message,
-            false => Some(Message::Warning(format!(
-                "the source of emission times is uncertain ({why}): `emission = \"{}\"` is assumed, and \
-                 ranges may have a constant error and a jitter of some samples; set `emission` of the reader \
-                 if the instrument's description states it",
-                name(default)
-            ))),
+    /// The finding about a reference; `None` without second differences.
+    fn finding(&self, reference: EmissionReference, choice_sd_ns: f64) -> Option<Message> {
+        let mut text = format!("emission times by `emission = \"{}\"`: {}", name(reference), self.text());
+        if let (EmissionReference::Clock, Some(sd_ns)) = (reference, self.clock_sd_ns()) {
+            text.push_str(&format!(
+                "; standard deviations of ranges include a jitter of the clock of {sd_ns:.2} ns, an upper bound by \
+                 the smoothest quarter of these points"
+            ));
+        }
+        if choice_sd_ns > 0.0 {
+            text.push_str(&format!("; {}", with_choice(choice_sd_ns)));
+        }
+        (!self.points_ns.is_empty()).then_some(Message::Finding(text))
+    }
+
+    /// Keeps the default without a decision between the references that are `left`.
+    fn keep(
+        &self,
+        default: EmissionReference,
+        is_stated: bool,
+        left: &[EmissionReference],
+        why: &str,
+    ) -> Choice {
+        if is_stated {
+            let message = self.finding(default, 0.0).filter(|_| self.points_ns.len() >= LEAST_TRIPLES);
+            return Choice { message, ..self.take(default) };
+        }
+        let choice_sd_ns = self.choice_sd_ns(left);
+        let message = Message::Warning(format!(
+            "the source of emission times is uncertain ({why}): `emission = \"{}\"` is assumed, and ranges may \
+             have a constant error; {}; set `emission` of the reader if the instrument's description states it",
+            name(default),
+            with_choice(choice_sd_ns)
+        ));
+        Choice { choice_sd_ns, message: Some(message), ..self.take(default) }
+    }
+
+    /// SD of the clock, ns, if the points prove it to be below that of a position within one sample.
+    ///
+    /// From the lower quartile of absolute second differences: terrain only makes small ones rarer, so any
+    /// quantile bounds a normal jitter from above, and a low one includes less of the terrain. The larger
+    /// of the two halves of the triples: what one half shows must hold for the other.
+    ///
+    /// A clock that is a sample of the digitiser drifts through its phases: neighbouring shots then have
+    /// nearly the same error, except where it jumps by a sample. Such jumps disprove the bound.
+    fn clock_sd_ns(&self) -> Option<f64> {
+        let clock = self.references.iter().position(|reference| *reference == EmissionReference::Clock)?;
+        let (first, second) = self.points_ns.split_at(self.points_ns.len() / 2);
+        let halves_ns = [first, second].map(|half| sd_of_lower_quartile(half.iter().map(|of| of[clock])));
+        let sd_ns = halves_ns.into_iter().fold(0.0, f64::max) / SECOND_DIFFERENCE;
+        let is_proof = self.points_ns.len() >= LEAST_TRIPLES && sd_ns < self.interval_ns / 12f64.sqrt();
+        (is_proof && !self.jumps_by_a_sample(clock)).then_some(sd_ns)
+    }
+
+    /// Whether more second differences are one sample than a little less or more.
+    fn jumps_by_a_sample(&self, reference: usize) -> bool {
+        let in_samples = self.points_ns.iter().map(|of| (of[reference] / self.interval_ns).abs());
+        let within = |range: &std::ops::Range<f64>| {
+            in_samples.clone().filter(|samples| range.contains(samples)).count() as f64
         };
-        Choice { reference: default, message }
+        let beside: f64 = BESIDE_ONE_SAMPLE.iter().map(within).sum();
+        within(&ONE_SAMPLE) > beside + EXCESS_SD * (beside + 1.0).sqrt()
+    }
+
+    /// SD of emission times for a choice between references, ns.
+    ///
+    /// Their differences in each shot, without the constant part, over √12; the RMS over the shots.
+    fn choice_sd_ns(&self, left: &[EmissionReference]) -> f64 {
+        let usual_ns: Vec<f64> =
+            (0..self.references.len()).map(|i| median(self.emissions_ns.iter().map(|of| of[i]))).collect();
+        let spread_ns = |of: &[f64; REFERENCES]| {
+            let (mut least_ns, mut most_ns) = (f64::INFINITY, f64::NEG_INFINITY);
+            for ((reference, usual_ns), emission_ns) in self.references.iter().zip(&usual_ns).zip(of) {
+                if left.contains(reference) {
+                    let ns = emission_ns - usual_ns;
+                    (least_ns, most_ns) = (least_ns.min(ns), most_ns.max(ns));
+                }
+            }
+            (most_ns - least_ns).max(0.0)
+        };
+        let n = self.emissions_ns.len().max(1) as f64;
+        (self.emissions_ns.iter().map(|of| spread_ns(of).powi(2)).sum::<f64>() / n / 12.0).sqrt()
     }
 
     /// Whether origins of shots move with their outgoing pulses.
@@ -254,10 +368,7 @@ fn single_echo(
     let mut echoes = of_shot.iter().filter(|block| block.channel.is_echo());
     let (Some(block), None) = (echoes.next(), echoes.next()) else { return None };
     let echo_ns = block.time_ns(single_peak(blocks.samples(block), true)?);
-    let outgoing = of_shot.iter().find(|block| block.channel == Channel::Reference).and_then(|block| {
-        let position = single_peak(blocks.samples(block), false)?;
-        Some((block.time_ns(position), (position - position.round()) * block.interval_ns))
-    });
+    let outgoing = Outgoing::of(blocks, of_shot);
     let location_ns = match blocks.online_of(index) {
         [online] => Some(online.time_ns),
         _ => None,
@@ -265,13 +376,44 @@ fn single_echo(
     let mut emission_ns = [0.0; REFERENCES];
     for (emission_ns, reference) in emission_ns.iter_mut().zip(references) {
         *emission_ns = match reference {
-            EmissionReference::OutgoingPulse => outgoing?.0,
-            EmissionReference::OutgoingPulseFraction => outgoing?.1,
             EmissionReference::ReturnLocations => echo_ns - location_ns?,
             EmissionReference::Clock => 0.0,
+            _ => outgoing.as_ref()?.emission_ns(*reference)?,
         };
     }
-    Some(SingleEcho { echo_ns, emission_ns, outgoing_ns: outgoing.map(|(time_ns, _)| time_ns) })
+    Some(SingleEcho { echo_ns, emission_ns, outgoing_ns: outgoing.map(|outgoing| outgoing.peak_ns) })
+}
+
+/// Peak of the outgoing pulse of a shot.
+struct Outgoing {
+    /// After the clock, ns.
+    peak_ns: f64,
+    /// After the nearest sample, ns.
+    fraction_ns: f64,
+}
+
+impl Outgoing {
+    fn of(blocks: &Blocks, of_shot: &[Block]) -> Option<Outgoing> {
+        let block = of_shot.iter().find(|block| block.channel == Channel::Reference)?;
+        let position = single_peak(blocks.samples(block), false)?;
+        let fraction_ns = (position - position.round()) * block.interval_ns;
+        Some(Outgoing { peak_ns: block.time_ns(position), fraction_ns })
+    }
+
+    /// Emission time after the clock, ns; `None` by return locations.
+    fn emission_ns(&self, reference: EmissionReference) -> Option<f64> {
+        match reference {
+            EmissionReference::OutgoingPulse => Some(self.peak_ns),
+            EmissionReference::OutgoingPulseFraction => Some(self.fraction_ns),
+            EmissionReference::Clock => Some(0.0),
+            EmissionReference::ReturnLocations => None,
+        }
+    }
+}
+
+/// States that standard deviations include the choice.
+fn with_choice(sd_ns: f64) -> String {
+    format!("standard deviations of ranges include {sd_ns:.2} ns for the choice")
 }
 
 /// Peak of an outgoing pulse, samples from the first of its block.
@@ -309,6 +451,16 @@ fn is_above_noise(height_dn: f64, signal: &[f64]) -> bool {
     let is_small = |of: &[f64; 3]| (of[0] - 2.0 * of[1] + of[2]).abs() <= largest_dn;
     let small = signal.array_windows().filter(|of| is_small(of)).count();
     height_dn >= LEAST_SNR * LEAST_NOISE_DN && 2 * small > signal.len().saturating_sub(2)
+}
+
+/// SD of a normal distribution whose absolute values have the lower quartile of these; NaN without values.
+fn sd_of_lower_quartile(values: impl Iterator<Item = f64>) -> f64 {
+    let mut sizes: Vec<f64> = values.map(f64::abs).collect();
+    let at = sizes.len() / 4;
+    if sizes.is_empty() {
+        return f64::NAN;
+    }
+    SD_OF_LOWER_QUARTILE * *sizes.select_nth_unstable_by(at, f64::total_cmp).1
 }
 
 /// Robust SD; NaN without values.

@@ -48,7 +48,8 @@ with_time_keys! {
 /// where it has none, the report says so. Locations can be less exact than the waveforms, for example
 /// whole samples: then points of neighbouring single echoes are smoother by the waveforms' own
 /// positions, and locations are not used. The reader decides this from the first 100 000 shots at
-/// most, as `read_pulsewaves` does, and the report gives the figures.
+/// most, as `read_pulsewaves` does, and the report gives the figures. As there, smooth points bound the
+/// jitter of emission times without locations.
 ///
 /// The format does not store the scanner position, so ranges count from the first sample of the
 /// shot's first waveform. Coordinates are not affected, but `correct` cannot correct intensities
@@ -139,7 +140,7 @@ impl SourceConfig for ReadLas {
         let mut source = open()?;
         source.reader.skip_unused_fields();
         (source.with_samples, source.range_time_offset_ns) = (with_samples, self.range_time_offset_ns);
-        if with_samples && source.geometry.has_locations {
+        if with_samples {
             source.choose_emission(self.emission, &mut open()?);
         }
         if self.recording_time.is_some() {
@@ -243,15 +244,18 @@ impl LasReader {
 
     /// Decides on the emission reference from the first shots of a second reader.
     fn choose_emission(&mut self, key: LasEmission, ahead: &mut LasReader) {
-        let smoothness = Smoothness::look_ahead(ahead, emission_choice::WITH_LOCATIONS);
+        let has_locations = self.geometry.has_locations;
+        let references =
+            if has_locations { emission_choice::WITH_LOCATIONS } else { emission_choice::WITHOUT };
+        let smoothness = Smoothness::look_ahead(ahead, references);
         let choice = match key {
+            _ if !has_locations => smoothness.take(EmissionReference::Clock),
             LasEmission::Auto => smoothness.choose(EmissionReference::ReturnLocations, true),
             LasEmission::ReturnLocations => smoothness.take(EmissionReference::ReturnLocations),
             LasEmission::Clock => smoothness.take(EmissionReference::Clock),
         };
+        self.lines = Lines::new(Arc::new(choice.describe(self.lines.input())));
         self.message = choice.message;
-        let input = InputInfo { emission_reference: choice.reference, ..self.lines.input().clone() };
-        self.lines = Lines::new(Arc::new(input));
     }
 
     /// Collects the points of the next pulse; false at the end of the file.
@@ -507,7 +511,10 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
             GpsTime::Standard { .. } => TimeScale::Adjusted,
             GpsTime::Week => TimeScale::Week,
         },
+        // Many writers leave the bit of adjusted GPS time unset whatever their times are.
+        time_scale_is_inferred: header.gps_time() == GpsTime::Week,
         recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
+        is_file_date: header.creation_year > 0,
         frame: Frame::Map,
         crs_wkt: reader.wkt().or_else(|| geokeys::wkt(&reader.projection(GEO_KEYS)?.data)),
         coordinate_grid: Some((header.scale, header.offset)),

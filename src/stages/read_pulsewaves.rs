@@ -14,7 +14,7 @@ use super::emission_choice::{self, Message, Smoothness};
 use super::line_splitter::{Lines, Sampling};
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::keys::InvalidKey;
-use crate::scan_line::{Channel, Emission, EmissionReference, InputInfo, Kind, ScanLine, emission_flags};
+use crate::scan_line::{Channel, Emission, EmissionReference, Kind, ScanLine, emission_flags};
 use crate::stage::{
     Config, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
 };
@@ -46,7 +46,12 @@ with_time_keys! {
 /// differences for each choice. A choice is ruled out if another has less than 0.8 of its second
 /// differences in both halves of the triples. The default (the outgoing pulse if its start is stated,
 /// otherwise the fraction of a sample) is kept unless it is ruled out. The report gives the three figures
-/// and the choice; if other choices remain, or with fewer than 100 triples, it warns.
+/// and the choice; if other choices remain, or with fewer than 100 triples, it warns, and standard
+/// deviations of ranges include the spread of the remaining choices.
+///
+/// The same second differences bound the jitter of the anchors from above, for files without outgoing
+/// pulses too. If the bound is below that of a position within one sample, standard deviations of ranges
+/// that count from the anchor include the bound instead (`emission_jitter_ns` of `decompose`).
 ///
 /// If points are smooth by the anchor alone but ranges by the outgoing pulse (GeoLas), the anchors of
 /// the file move with the pulse. The origin of each shot is then moved along the beam to the peak of its
@@ -264,19 +269,18 @@ impl PulseWavesReader {
     /// Decides on the emission reference from the first shots, and begins anew.
     fn choose_emission(&mut self, key: PulseEmission) {
         let default = self.lines.input().emission_reference;
-        if default == EmissionReference::Clock {
-            return;
-        }
+        let has_outgoing = default != EmissionReference::Clock;
         let is_stated = default == EmissionReference::OutgoingPulse;
-        let smoothness = Smoothness::look_ahead(self, emission_choice::WITH_OUTGOING);
+        let references = if has_outgoing { emission_choice::WITH_OUTGOING } else { emission_choice::WITHOUT };
+        let smoothness = Smoothness::look_ahead(self, references);
         let choice = match key {
+            _ if !has_outgoing => smoothness.take(EmissionReference::Clock),
             PulseEmission::Auto => smoothness.choose(default, is_stated),
             PulseEmission::OutgoingPulse => smoothness.take(EmissionReference::OutgoingPulse),
             PulseEmission::OutgoingPulseFraction => smoothness.take(EmissionReference::OutgoingPulseFraction),
             PulseEmission::Clock => smoothness.take(EmissionReference::Clock),
         };
         let outgoing_ns = smoothness.outgoing_ns();
-        self.message = choice.message;
         self.clock = match choice.reference {
             EmissionReference::OutgoingPulse if !is_stated => ClockShift::Constant(outgoing_ns),
             EmissionReference::Clock
@@ -286,8 +290,8 @@ impl PulseWavesReader {
             }
             _ => ClockShift::Constant(0.0),
         };
-        let input = InputInfo { emission_reference: choice.reference, ..self.lines.input().clone() };
-        self.lines = Lines::new(Arc::new(input)).marking_edges();
+        self.lines = Lines::new(Arc::new(choice.describe(self.lines.input()))).marking_edges();
+        self.message = choice.message;
         self.broken = BrokenRun::default();
         (self.next_pulse, self.last_seen, self.outgoing_bytes_pulses) = (0, None, 0);
     }

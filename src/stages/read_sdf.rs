@@ -380,6 +380,7 @@ fn describe(
         amplitude_high: AmplitudeTable::new(tables.amplitude_high),
         range_low: AmplitudeTable::new(tables.range_low),
         range_high: AmplitudeTable::new(tables.range_high),
+        ..InputInfo::default()
     }
 }
 

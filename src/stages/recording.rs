@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::georef::declared;
 use crate::keys::InvalidKey;
-use crate::scan_line::{Content, Emission, Frame, GainControl, InputInfo, ScanLine};
+use crate::scan_line::{Content, Emission, Frame, GainControl, InputInfo, LastEchoes, ScanLine};
 use crate::stage::{Context, Item, LineLocation, Result, RunContext, Source, StageError};
 use wavex_geodesy::time::WEEK_S;
 
@@ -177,6 +177,34 @@ pub(super) struct AsDeclared<S> {
     declared: Declared,
     /// State of the recording; `None` before the first line.
     begun: Option<Begun>,
+    copies: Copies,
+}
+
+/// Waveforms read so far, and those that are copies of the waveform of the shot before.
+#[derive(Default)]
+struct Copies {
+    waveforms: u64,
+    copies: u64,
+    last: LastEchoes,
+}
+
+impl Copies {
+    fn mark(&mut self, line: &mut ScanLine) {
+        self.copies += line.mark_copies(&mut self.last);
+        self.waveforms += line.stats.nw;
+    }
+
+    /// Warns of the copies, once.
+    fn report(&mut self, cx: &mut Context) {
+        let Copies { waveforms, copies, .. } = std::mem::take(self);
+        if copies > 0 {
+            cx.warn(format!(
+                "{copies} of {waveforms} waveforms are byte-identical copies of the waveform of the shot before: \
+                 their returns are repeated at other places, and calibration and statistics use each \
+                 waveform once; export the recording again, or remove these shots"
+            ));
+        }
+    }
 }
 
 /// State determined from the first line.
@@ -195,7 +223,7 @@ const UNKNOWN_GAINS: &str = "the receiver gain varies between shots, but the rec
 
 impl<S: Source> AsDeclared<S> {
     pub(super) fn new(source: S, declared: Declared) -> AsDeclared<S> {
-        AsDeclared { source, declared, begun: None }
+        AsDeclared { source, declared, begun: None, copies: Copies::default() }
     }
 
     /// State of a line's recording; its first line determines it.
@@ -226,6 +254,12 @@ impl<S: Source> AsDeclared<S> {
             cx.warn(UNKNOWN_GAINS);
         }
         let about = keys.gps_date.as_deref().and_then(time::noon);
+        if let (Scale::Week, Some(about), Some(first_s)) = (scale, about, first_s)
+            && let Some(problem) = time::other_weekday(about, first_s)
+        {
+            cx.warn(problem);
+        }
+        let is_as_read = keys.recording_time.is_none() && about.is_none();
         let times = match (keys.recording_time, about) {
             (None, None) => Times::as_said(from),
             _ => Times::new(scale, first_s, about),
@@ -244,6 +278,8 @@ impl<S: Source> AsDeclared<S> {
             time_scale: times.scale,
             gps_week: times.gps_week,
             recorded: times.recorded.or(from.recorded),
+            is_file_date: from.is_file_date && (is_as_read || times.recorded.is_none()),
+            time_scale_is_inferred: from.time_scale_is_inferred && keys.recording_time.is_none(),
             group_velocity_mps: self.declared.group_velocity_mps.unwrap_or(from.group_velocity_mps),
             crs_wkt: self.crs(first, cx)?,
             ..InputInfo::clone(from)
@@ -333,7 +369,11 @@ fn within(line: ScanLine, from_s: f64, to_s: f64, cx: &mut Context) -> ScanLine 
 impl<S: Source> Source for AsDeclared<S> {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
-            let Some(line) = self.source.next(cx)? else { return Ok(None) };
+            let Some(mut line) = self.source.next(cx)? else {
+                self.copies.report(cx);
+                return Ok(None);
+            };
+            self.copies.mark(&mut line);
             let line = self.begun(&line, cx)?.line(line, cx);
             if !line.emissions.is_empty() {
                 return Ok(Some(line));
@@ -350,7 +390,8 @@ impl<S: Source> Source for AsDeclared<S> {
     }
 
     fn line_at(&mut self, location: &LineLocation, cx: &mut Context) -> Result<Option<ScanLine>> {
-        let Some(line) = self.source.line_at(location, cx)? else { return Ok(None) };
+        let Some(mut line) = self.source.line_at(location, cx)? else { return Ok(None) };
+        line.mark_copies(&mut LastEchoes::default());
         let line = self.begun(&line, cx)?.line(line, cx);
         Ok(Some(line).filter(|line| !line.emissions.is_empty()))
     }

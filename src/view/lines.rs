@@ -175,7 +175,7 @@ impl Lines {
         let wanted: Vec<u32> =
             self.index.lines().get(numbers).into_iter().flatten().map(|line| line.location.line).collect();
         let mut source = PoseSource::new(Box::new(Given(lines.into_iter())), Arc::clone(&self.site.geometry));
-        let (mut placed, mut cx) = (Vec::new(), Context::quiet());
+        let (mut placed, mut cx) = (Vec::new(), Context::default());
         while let Some(line) = source.next(&mut cx)? {
             placed.push(line);
         }
@@ -208,7 +208,7 @@ fn through(
     mut lines: Vec<ScanLine>,
     trained: &mut [Box<dyn Transform>],
 ) -> Result<Vec<ScanLine>> {
-    let mut cx = Context::quiet();
+    let mut cx = Context::default();
     let mut trained = trained.iter_mut();
     for stage in stages.iter().filter(|stage| !is_skipped(stage)) {
         match &stage.planned.plan {

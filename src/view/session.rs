@@ -240,7 +240,7 @@ impl Session {
                 ControlFlow::Continue(())
             };
             let input = Input { path, stem };
-            let observed = engine::observe_all(&job, input, &options, Context::default(), (), look);
+            let observed = engine::observe_all(&job, input, &options, Context::of_run(), (), look);
             let ((), summary) = observed.map_err(|error| error.to_string())?;
             let notes = summary.stages.iter().flat_map(|stage| &stage.notes);
             notes.for_each(|note| self.warn(note.clone()));

@@ -63,6 +63,22 @@ pub fn day_of_year(adjusted_s: f64) -> Option<(u16, u16)> {
     Some((year as u16, (day - days_since_epoch(year, 1, 1) + 1) as u16))
 }
 
+/// Days of the week by number, from Sunday, on which a GPS week begins.
+pub const WEEKDAYS: [&str; 7] =
+    ["Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday"];
+
+/// Day of the week, from 0 on Sunday, of GPS seconds since 1980-01-06 or since the start of any week.
+pub fn weekday(gps_s: f64) -> usize {
+    // The cast saturates: NaN becomes 0.
+    ((gps_s / 86_400.0).floor().rem_euclid(7.0) as usize).min(6)
+}
+
+/// Day of the week, from 0 on Sunday, of a day of the year (from 1).
+pub fn weekday_of(year: u16, day: u16) -> usize {
+    let days = days_since_epoch(i32::from(year), 1, 1) + i64::from(day) - 1;
+    (days - days_since_epoch(1980, 1, 6)).rem_euclid(7) as usize
+}
+
 /// Days since 0000-03-01 in the Gregorian calendar, with years starting in March.
 fn days_since_epoch(year: i32, month: u32, day: u32) -> i64 {
     let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
@@ -106,6 +122,19 @@ fn days_of(year: u64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn weekdays_agree_whether_by_date_or_by_seconds() {
+        assert_eq!(WEEKDAYS[weekday_of(2013, 172)], "Friday");
+        assert_eq!([weekday_of(1980, 6), weekday_of(1980, 5), weekday_of(2000, 60)], [0, 6, 2]);
+        assert_eq!([weekday(0.0), weekday(WEEK_S - 1.0), weekday(-1.0), weekday(f64::NAN)], [0, 6, 6, 0]);
+        for (year, month, day) in [(2013, 6, 21), (2024, 2, 29), (1999, 12, 31)] {
+            let (week, of_week) = gps_week(year, month, day).unwrap();
+            let noon_s = f64::from(week) * WEEK_S + (f64::from(of_week) + 0.5) * 86_400.0;
+            let (year, day) = day_of_year(noon_s - ADJUSTMENT_S).unwrap();
+            assert_eq!([weekday(noon_s), weekday_of(year, day)], [of_week as usize; 2]);
+        }
+    }
 
     #[test]
     fn times_are_those_of_the_calendar() {

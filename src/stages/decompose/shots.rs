@@ -47,11 +47,6 @@ impl EmissionTime {
     }
 }
 
-/// Standard deviation of a uniform distribution over one sample, ns.
-fn unknown_within_a_sample_ns(interval_ns: f64) -> f64 {
-    interval_ns / 12f64.sqrt()
-}
-
 /// One shot of a line.
 pub(crate) struct Shot<'a> {
     /// Index of the emission in its line.
@@ -149,22 +144,23 @@ impl Shot<'_> {
     ///
     /// Return locations of the file count from the true emission. Their mean difference from the
     /// echoes is the sub-sample emission offset.
-    /// `jitter_ns` is the SD of the clock; by default that of a position within one sample.
+    /// `jitter_ns` is the SD of the clock; by default the one that the reader proved, otherwise that of a
+    /// position within one sample.
     fn anchored_departure(&self, found: &[Found], jitter_ns: Option<f64>, cx: &mut Context) -> EmissionTime {
         let interval_ns = self.input.sampling_interval_ns;
-        let within_a_sample = EmissionTime::of_clock(unknown_within_a_sample_ns(interval_ns));
-        let unknown = jitter_ns.map_or(within_a_sample, EmissionTime::of_clock);
+        let clock_sd_ns = self.input.clock_or_sample_sd_ns();
+        let unknown = EmissionTime::of_clock(jitter_ns.unwrap_or(clock_sd_ns));
         match self.input.emission_reference {
             EmissionReference::ReturnLocations => {}
             EmissionReference::Clock => {
-                if jitter_ns.is_none() {
-                    cx.warn("emission times are those of the clock: standard deviations of ranges include a jitter of one sample; set `emission_jitter_ns` of `decompose` if the clock is more exact");
+                if jitter_ns.is_none() && self.input.clock_sd_ns.is_none() {
+                    cx.warn("emission times are those of the clock: standard deviations of ranges include a jitter of one sample, because no smooth points prove a smaller one; set `emission_jitter_ns` of `decompose` if the clock is more exact");
                 }
                 return unknown;
             }
             EmissionReference::OutgoingPulse | EmissionReference::OutgoingPulseFraction => {
-                cx.warn("the outgoing pulse of some shots cannot be fitted: their ranges count from the clock, with the standard deviation of a position within one sample");
-                return within_a_sample;
+                cx.warn("the outgoing pulse of some shots cannot be fitted: their ranges count from the clock, with the standard deviation of the clock");
+                return EmissionTime::of_clock(clock_sd_ns);
             }
         }
         let nearest = |time_ns: f64| {
@@ -357,13 +353,17 @@ impl ShotDecomposer {
         watch: &mut impl Observer,
     ) -> Result<()> {
         let shot = turn.shot;
-        let departure = self.departure(turn, cx, watch);
+        let outgoing = self.departure(turn, watch);
         let others =
-            Departures::of(line.emissions, shot, departure.map_or(0.0, |departure| departure.time_ns));
+            Departures::of(line.emissions, shot, outgoing.map_or(0.0, |departure| departure.time_ns));
         self.found.clear();
         self.find(turn, &others, line.stats, cx, watch)?;
-        let departure =
-            departure.unwrap_or_else(|| shot.anchored_departure(&self.found, self.emission_jitter_ns, cx));
+        let mut departure =
+            outgoing.unwrap_or_else(|| shot.anchored_departure(&self.found, self.emission_jitter_ns, cx));
+        departure.sd_ns = departure.sd_ns.hypot(shot.input.emission_choice_sd_ns);
+        if outgoing.is_some() && departure.sd_ns > 0.0 {
+            cx.observe("emission_sd_ns", departure.sd_ns);
+        }
         if let Some(emission) = line.emissions.get_mut(shot.index as usize) {
             (emission.emission_ns, emission.emission_sd_ns) = (departure.time_ns, departure.sd_ns);
         }
@@ -390,12 +390,7 @@ impl ShotDecomposer {
     }
 
     /// Emission time from the outgoing pulse, if the shot has one and it is the reference.
-    fn departure(
-        &self,
-        turn: &CurrentShot,
-        cx: &mut Context,
-        watch: &mut impl Observer,
-    ) -> Option<EmissionTime> {
+    fn departure(&self, turn: &CurrentShot, watch: &mut impl Observer) -> Option<EmissionTime> {
         let shot = turn.shot;
         let is_reference = shot.input.emission_reference != EmissionReference::Clock;
         let (time_ns, block, outgoing) = self.outgoing(shot, self.receivers.lots(turn.first_block))?;
@@ -416,7 +411,6 @@ impl ShotDecomposer {
             // The shift of the pulse by the echo is unknown.
             sd_ns = sd_ns.max(UNRELIABLE_RANGE_SD_M / (shot.input.group_velocity_mps * 0.5e-9));
         }
-        cx.observe("emission_sd_ns", sd_ns);
         Some(EmissionTime { time_ns, sd_ns, flags })
     }
 
@@ -474,7 +468,9 @@ impl ShotDecomposer {
             };
             waveform.used = true;
             waveform.add(&result, stats);
-            self.explained.add(&result);
+            if !emission.is_copy() {
+                self.explained.add(&result);
+            }
             let mut fit = BlockFit::of(channel, &result);
             // A waveform's deviation from the digitiser's background scales with the gain.
             let background_dn = mean(&model.background_dn) + result.background_offset_dn / block.gain;

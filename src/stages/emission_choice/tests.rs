@@ -23,6 +23,8 @@ enum Made {
     MovingOrigin,
     /// As `FirstSample`, without outgoing pulses: return locations of whole samples.
     Locations,
+    /// The clock is the sample before the emission, whose phase drifts; no outgoing pulses.
+    Drifting,
 }
 
 struct Recording(Vec<ScanLine>);
@@ -60,6 +62,7 @@ fn recording(made: Made, lines: usize, roughness_ns: f64) -> Recording {
                 Made::FirstSample | Made::MovingOrigin | Made::Locations => outgoing,
                 Made::NearestSample => outgoing - outgoing.round(),
                 Made::Exact => 0.0,
+                Made::Drifting => (0.03 * shot as f64).fract(),
             };
             let origin_ns = if made == Made::MovingOrigin { -outgoing } else { 0.0 };
             emissions.push(Emission {
@@ -68,11 +71,13 @@ fn recording(made: Made, lines: usize, roughness_ns: f64) -> Recording {
                 ..Emission::default()
             });
             let index = i as u32;
-            if made != Made::Locations {
-                blocks.push(index, Channel::Reference, None, 0.0, 1.0, &pulse(outgoing));
-            } else {
-                let online = OnlineReturn { emission: index, time_ns: flight_ns.round(), amplitude: 1.0 };
-                blocks.online.push(online);
+            match made {
+                Made::Drifting => {}
+                Made::Locations => {
+                    let online = OnlineReturn { emission: index, time_ns: flight_ns.round(), amplitude: 1.0 };
+                    blocks.online.push(online);
+                }
+                _ => blocks.push(index, Channel::Reference, None, 0.0, 1.0, &pulse(outgoing)),
             }
             let echo_ns = flight_ns + emission_ns;
             let start_ns = echo_ns.floor() - 30.0;
@@ -84,7 +89,11 @@ fn recording(made: Made, lines: usize, roughness_ns: f64) -> Recording {
 }
 
 fn decided(made: Made, lines: usize, roughness_ns: f64, default: EmissionReference) -> (Smoothness, Choice) {
-    let references = if made == Made::Locations { WITH_LOCATIONS } else { WITH_OUTGOING };
+    let references = match made {
+        Made::Locations => WITH_LOCATIONS,
+        Made::Drifting => WITHOUT,
+        _ => WITH_OUTGOING,
+    };
     let found = Smoothness::look_ahead(&mut recording(made, lines, roughness_ns), references);
     let choice = found.choose(default, false);
     (found, choice)
@@ -185,4 +194,92 @@ fn only_single_strong_unclipped_echoes_count() {
     assert_eq!(at(&weak), None);
     assert_eq!(at(&pulse(0.0)), None, "cut off");
     assert_eq!(at(&[]), None);
+}
+
+/// SDs of the clock and of the choice, ns.
+fn sds_ns(choice: &Choice) -> (Option<f64>, f64) {
+    let input = choice.describe(&InputInfo::default());
+    (input.clock_sd_ns, input.emission_choice_sd_ns)
+}
+
+#[test]
+fn smooth_points_bound_the_jitter_of_the_clock() {
+    // Roughness is uniform; echoes add the errors of their positions.
+    let (_, choice) = decided(Made::Exact, 10, 0.2, EmissionReference::OutgoingPulse);
+    let (clock_sd_ns, choice_sd_ns) = sds_ns(&choice);
+    let of_terrain_ns = 0.2 / 12f64.sqrt();
+    let clock_sd_ns = clock_sd_ns.unwrap();
+    assert!((of_terrain_ns..1.3 * of_terrain_ns).contains(&clock_sd_ns), "{clock_sd_ns} ns");
+    assert_eq!(choice_sd_ns, 0.0);
+    assert!(finding(&choice).contains("include a jitter of the clock of 0.0"), "{}", finding(&choice));
+    // Terrain may be as rough as a clock of one sample.
+    let (_, choice) = decided(Made::Exact, 10, 2.0, EmissionReference::Clock);
+    assert_eq!(sds_ns(&choice).0, None);
+    let (_, choice) = decided(Made::NearestSample, 10, 0.2, EmissionReference::Clock);
+    assert_eq!(choice.reference, EmissionReference::OutgoingPulseFraction);
+    // 98 triples are too few.
+    let (_, choice) = decided(Made::Exact, 1, 0.2, EmissionReference::Clock);
+    assert_eq!(sds_ns(&choice).0, None);
+}
+
+#[test]
+fn the_rougher_half_of_the_points_bounds_the_clock() {
+    let mut lines = recording(Made::Exact, 5, 0.1).0;
+    lines.extend(recording(Made::Exact, 5, 0.4).0);
+    let found = Smoothness::look_ahead(&mut Recording(lines), WITH_OUTGOING);
+    let clock_sd_ns = sds_ns(&found.take(EmissionReference::Clock)).0.unwrap();
+    assert!(clock_sd_ns > 0.4 / 12f64.sqrt(), "{clock_sd_ns} ns");
+}
+
+#[test]
+fn a_clock_that_drifts_through_the_samples_proves_nothing() {
+    let found = Smoothness::look_ahead(&mut recording(Made::Drifting, 20, 0.2), WITHOUT);
+    let [(_, figure)] = found.figures(&found.points_ns)[..] else { panic!("one reference") };
+    assert!(figure.whole_ns < 0.4, "neighbouring shots have nearly the same error");
+    assert_eq!(sds_ns(&found.take(EmissionReference::Clock)).0, None);
+}
+
+#[test]
+fn an_undecided_choice_has_the_spread_of_its_candidates() {
+    let (_, choice) = decided(Made::FirstSample, 10, 200.0, EmissionReference::OutgoingPulseFraction);
+    let (clock_sd_ns, choice_sd_ns) = sds_ns(&choice);
+    // Outgoing pulses are within ±3 ns of their mean: the spread is at least the mean of that.
+    assert!((1.5 / 12f64.sqrt()..6.0 / 12f64.sqrt()).contains(&choice_sd_ns), "{choice_sd_ns} ns");
+    assert_eq!(clock_sd_ns, None);
+    let text = format!("standard deviations of ranges include {choice_sd_ns:.2} ns for the choice");
+    assert!(warning(&choice).contains(&text), "{}", warning(&choice));
+    // Without second differences the candidates differ as much.
+    let (_, short) = decided(Made::FirstSample, 1, 0.2, EmissionReference::OutgoingPulseFraction);
+    assert!(sds_ns(&short).1 > 0.4, "{}", sds_ns(&short).1);
+    // A decision, a statement of the file, or of the job, is no choice.
+    for (roughness_ns, is_stated) in [(0.2, false), (200.0, true)] {
+        let found = Smoothness::look_ahead(&mut recording(Made::Exact, 10, roughness_ns), WITH_OUTGOING);
+        assert_eq!(sds_ns(&found.choose(EmissionReference::OutgoingPulse, is_stated)).1, 0.0);
+        assert_eq!(sds_ns(&found.take(EmissionReference::OutgoingPulseFraction)).1, 0.0);
+    }
+}
+
+#[test]
+fn copies_of_waveforms_are_no_smooth_points() {
+    let noise = |shot: usize, k: usize| (random(shot * 60 + k) * 3.0) as u16;
+    let found = |copies: usize| {
+        let mut lines = recording(Made::Locations, 10, 4.0).0;
+        for (number, line) in lines.iter_mut().enumerate() {
+            let crate::scan_line::Content::Shots(blocks) = &line.content else { panic!("shots") };
+            let (mut emissions, mut with_copies) = (Vec::new(), Blocks::default());
+            for block in blocks.iter() {
+                let samples = blocks.samples(block).iter().enumerate();
+                let shot = number * SHOTS_PER_LINE + block.emission as usize;
+                let samples: Vec<u16> = samples.map(|(k, dn)| dn + noise(shot, k)).collect();
+                for _ in 0..=copies {
+                    let index = emissions.len() as u32;
+                    with_copies.push(index, block.channel, None, block.start_ns, 1.0, &samples);
+                    emissions.push(line.emissions[block.emission as usize]);
+                }
+            }
+            *line = ScanLine::of_shots(Arc::clone(&line.input), line.line, emissions, with_copies);
+        }
+        Smoothness::look_ahead(&mut Recording(lines), WITHOUT).text()
+    };
+    assert_eq!(found(2), found(0));
 }

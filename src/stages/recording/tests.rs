@@ -102,6 +102,48 @@ fn a_day_dates_seconds_that_begin_anew() {
 }
 
 #[test]
+fn a_date_of_another_weekday_than_the_seconds_of_the_week_is_a_warning() {
+    // 2025-05-03 is a Saturday.
+    let notes = |first_s: f64| {
+        let keys = TimeKeys { gps_date: Some("2025-05-03".into()), ..TimeKeys::default() };
+        let (_, cx) = read(TimeScale::Week, vec![vec![first_s]], keys).unwrap();
+        cx.counters().notes.clone()
+    };
+    for near in [6.5, 0.5, 5.5] {
+        assert_eq!(notes(near * 86_400.0), Vec::<String>::new(), "the date may be local");
+    }
+    let [note] = &notes(3.5 * 86_400.0)[..] else { panic!("a warning") };
+    assert!(note.starts_with("`gps_date` is a Saturday, but") && note.contains("on a Wednesday"), "{note}");
+}
+
+#[test]
+fn copies_of_waveforms_are_a_warning() {
+    struct Twice(Vec<ScanLine>);
+    impl Source for Twice {
+        fn next(&mut self, _: &mut Context) -> Result<Option<ScanLine>> {
+            Ok(self.0.pop())
+        }
+    }
+    let line = |factors: &[u32]| {
+        let mut blocks = Blocks::default();
+        for (index, factor) in (0..).zip(factors) {
+            let noise = |k: u32| (10 + (factor * (k + 1)).wrapping_mul(2_654_435_761) % 7) as u16;
+            let samples: Vec<u16> = (0..80).map(noise).collect();
+            blocks.push(index, crate::scan_line::Channel::LowPower, None, 0.0, 1.0, &samples);
+        }
+        ScanLine::of_shots(Arc::default(), 0, vec![Emission::default(); factors.len()], blocks)
+    };
+    let notes = |lines: Vec<ScanLine>| {
+        let (mut source, mut cx) = (AsDeclared::new(Twice(lines), Declared::default()), Context::default());
+        while source.next(&mut cx).unwrap().is_some() {}
+        cx.counters().notes.clone()
+    };
+    assert_eq!(notes(vec![line(&[1, 2, 3])]), Vec::<String>::new());
+    let [note] = &notes(vec![line(&[1, 1, 1, 4]), line(&[5, 6, 6])])[..] else { panic!("one warning") };
+    assert!(note.starts_with("3 of 7 waveforms are byte-identical copies"), "{note}");
+}
+
+#[test]
 fn a_map_that_is_declared_must_be_one() {
     for word in ["utm", "geodetic", "ecef", ""] {
         assert_eq!(check_crs(Some(word)).unwrap_err().key, "crs_of_input", "{word}");

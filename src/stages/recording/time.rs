@@ -8,7 +8,7 @@ use super::{RecordingTime, ScaleKey};
 use crate::scan_line::{InputInfo, TimeScale};
 use crate::stage::Result;
 use wavex_formats::Error;
-use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year, gps_week};
+use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, WEEKDAYS, day_of_year, gps_week, weekday};
 use wavex_geodesy::time_axis::{date, leap_seconds};
 
 const DAY_S: f64 = 86_400.0;
@@ -102,6 +102,22 @@ fn is_plausible(moment: SinceEpoch, file_date: Option<(u16, u16)>) -> bool {
         (year, day) <= (file_year + 1, file_day) && !(is_week_of_2011 && file_year != year)
     });
     (1990..2080).contains(&year) && fits_file
+}
+
+/// Explains that the day of `gps_date` and seconds of the week are of different weekdays, if so.
+///
+/// Neighbouring days agree: the date may be local.
+pub(in crate::stages) fn other_weekday(noon: SinceEpoch, first_s: f64) -> Option<String> {
+    let [of_date, of_times] = [noon, first_s].map(weekday);
+    let apart = (of_date + 7 - of_times) % 7;
+    (2..=5).contains(&apart).then(|| {
+        let [of_date, of_times] = [of_date, of_times].map(|day| WEEKDAYS[day]);
+        format!(
+            "`gps_date` is a {of_date}, but the first time of the recording, {first_s:.1} s of the GPS week, is \
+             on a {of_times}: the nearest {of_times} is taken as its day; correct `gps_date`, or `recording_time` \
+             if these are not seconds of the week"
+        )
+    })
 }
 
 /// Remedy for implausible times.

@@ -504,5 +504,6 @@ fn input(config: &Simulate) -> InputInfo {
         amplitude_high: config.high_power.then(|| table(Sensitivity::Coarse)).flatten(),
         range_low: None,
         range_high: None,
+        ..InputInfo::default()
     }
 }

@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::scan_line::{
-    AmplitudeTable, Channel, EmissionReference, Frame, GainControl, OnlineReturn, TimeScale,
+    AmplitudeTable, Channel, EmissionReference, Frame, GainControl, OnlineReturn, TimeScale, emission_flags,
 };
 use crate::stage::{Config as _, Source, SourceConfig};
 use crate::stages::read_arrow;
@@ -79,6 +79,9 @@ prop_compose! {
         group_velocity_mps in 2e8..299_792_458.0,
         pulse_rate_hz in option::of(positive()),
         recorded in option::of((1..=365_u16, 1..=9999_u16)),
+        may_be_file_date in any::<bool>(),
+        clock_sd_ns in option::of(positive()),
+        emission_choice_sd_ns in prop_oneof![Just(0.0), positive()],
         emission_reference in prop::sample::select(vec![
             EmissionReference::OutgoingPulse, EmissionReference::ReturnLocations, EmissionReference::Clock,
         ]),
@@ -104,10 +107,14 @@ prop_compose! {
             time_scale: TimeScale::Unknown,
             gps_week: None,
             recorded,
+            is_file_date: may_be_file_date && recorded.is_some(),
+            time_scale_is_inferred: false,
             frame: Frame::Scanner,
             crs_wkt: None,
             coordinate_grid: None,
             emission_reference,
+            clock_sd_ns,
+            emission_choice_sd_ns,
             origin_is_sensor,
             first_shot: None,
             amplitude_low: tables.0,
@@ -141,7 +148,8 @@ prop_compose! {
         direction in unit(),
         frame_scale in prop_oneof![Just(1.0), 0.9..1.1],
         facet in any::<u16>(),
-        flags in any::<u16>(),
+        // The reader determines copies itself.
+        flags in any::<u16>().prop_map(|flags| flags & !emission_flags::COPY),
         mta_zone in option::of(any::<i16>()),
         scan_angle_deg in prop_oneof![Just(f32::NAN), -90.0..90.0_f32],
     ) -> Emission {
@@ -270,6 +278,7 @@ fn plain_info() -> Arc<InputInfo> {
         amplitude_high: None,
         range_low: None,
         range_high: None,
+        ..InputInfo::default()
     })
 }
 

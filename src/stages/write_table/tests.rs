@@ -51,6 +51,7 @@ fn info() -> Arc<InputInfo> {
         amplitude_high: None,
         range_low: None,
         range_high: None,
+        ..InputInfo::default()
     })
 }
 

@@ -3,8 +3,8 @@
 
 use super::{INTERVAL_NS, LOW, SHOTS, of_shot, recording, run, samples};
 use wavex::scan_line::flags::UNUSUAL;
-use wavex_formats::container::EmissionReference;
-use wavex_testkit::container::{Shot, of_shots};
+use wavex_formats::container::{ContainerHeader, ContainerShot, EmissionReference, TimeScale};
+use wavex_testkit::container::{self, Shot, of_shots};
 use wavex_testkit::table::{Row, number};
 use wavex_testkit::{TestFolder, shots};
 
@@ -105,5 +105,46 @@ fn the_jitter_of_the_clock_replaces_that_of_a_sample() {
         assert!((of_a_sample.powi(2) - exact.powi(2) - 1.0 / 12.0).abs() < 1e-6, "{of_a_sample} {exact}");
         assert!((known.powi(2) - exact.powi(2) - 0.04).abs() < 1e-6, "{known} {exact}");
         assert!(*exact < 0.1, "{exact}");
+    }
+}
+
+/// A clock that the reader proved better, and an uncertain choice of the reference, as a container says.
+#[test]
+fn deviations_include_the_proven_clock_and_the_choice_of_the_reference() {
+    let header = |clock_sd_ns, emission_choice_sd_ns| ContainerHeader {
+        time_scale: TimeScale::Week,
+        full_scale_dn: Some(255),
+        emission_reference: Some(EmissionReference::Clock),
+        clock_sd_ns,
+        emission_choice_sd_ns,
+        ..ContainerHeader::new(INTERVAL_NS, 299_707_502.0)
+    };
+    let row = |number: usize| container::Row {
+        shot: ContainerShot {
+            gps_time_s: Some(number as f64 * INTERVAL_NS * 1e-9),
+            ..container::nadir_shot(number as u64, (number as f64 * INTERVAL_NS * 1000.0) as i64)
+        },
+        blocks: vec![(LOW, 1000.0, samples(number, &[(24.0, 120.0)]))],
+    };
+    let rows: Vec<container::Row> = (0..SHOTS).map(row).collect();
+    let sds_ns = |clock_sd_ns, choice_sd_ns, keys: &str| -> Vec<f64> {
+        let bytes = container::container(&header(clock_sd_ns, choice_sd_ns), std::slice::from_ref(&rows));
+        let (rows, _) = run(&TestFolder::with(&[("a.arrow", &bytes)]), "", "", keys);
+        rows.iter().map(|row| row["time_of_flight_sd_ns"].parse().unwrap()).collect()
+    };
+    let exact = sds_ns(None, None, "emission_jitter_ns = 0.0");
+    let added_ns = |sds_ns: Vec<f64>| -> f64 {
+        let added = sds_ns.iter().zip(&exact).map(|(sd_ns, exact)| sd_ns * sd_ns - exact * exact);
+        (added.sum::<f64>() / exact.len() as f64).sqrt()
+    };
+    let within_a_sample_ns = INTERVAL_NS / 12f64.sqrt();
+    for (found, expected) in [
+        (added_ns(sds_ns(Some(0.1), None, "")), 0.1),
+        (added_ns(sds_ns(Some(99.0), None, "")), within_a_sample_ns),
+        (added_ns(sds_ns(Some(0.1), None, "emission_jitter_ns = 0.2")), 0.2),
+        (added_ns(sds_ns(Some(0.1), Some(0.5), "")), 0.1f64.hypot(0.5)),
+        (added_ns(sds_ns(None, Some(0.5), "emission_jitter_ns = 0.0")), 0.5),
+    ] {
+        assert!((found - expected).abs() < 1e-4, "{found} ns, {expected} ns");
     }
 }

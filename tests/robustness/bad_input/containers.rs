@@ -144,11 +144,17 @@ fn a_shot_that_cannot_be_is_counted_and_passed_over() {
     assert_eq!(place.times("out/a.csv"), expected);
     let expected = [
         "emission times are those of the clock: standard deviations of ranges include a jitter of one \
-         sample; set `emission_jitter_ns` of `decompose` if the clock is more exact",
+         sample, because no smooth points prove a smaller one; set `emission_jitter_ns` of `decompose` if the clock is more exact",
         "the input is not georeferenced: its points are in the scanner frame",
     ];
     assert_eq!(notes(&input), expected);
     // One message, regardless of the number of workers that reported the problem.
+    let log = place.text("out/job.log");
+    expected.iter().for_each(|note| assert_eq!(log.matches(note).count(), 1, "{log}"));
+    // Nor do the shots that are fitted again for the page repeat it.
+    let stages = format!("[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{TO_TABLE}");
+    assert_eq!(place.run(&format!("report_page = 'page.html'\n{stages}")), Outcome::success());
+    assert!(place.text("out/page.html").contains("deviation ratio"));
     let log = place.text("out/job.log");
     expected.iter().for_each(|note| assert_eq!(log.matches(note).count(), 1, "{log}"));
 }

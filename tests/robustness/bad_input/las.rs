@@ -374,7 +374,7 @@ fn what_a_recording_does_not_tell_is_noted() {
     let input = place(&las, |_| {}).succeeds("read_las", "a.las", &stages);
     let expected = [
         "emission times are those of the clock: standard deviations of ranges include a jitter of one \
-         sample; set `emission_jitter_ns` of `decompose` if the clock is more exact",
+         sample, because no smooth points prove a smaller one; set `emission_jitter_ns` of `decompose` if the clock is more exact",
         "the input has no coordinate reference system (WKT or EPSG code), so the file has none; set it \
          with the reader's key `crs_of_input`",
     ];

@@ -41,12 +41,19 @@ pub struct ContainerHeader {
     pub range_high: Option<Vec<(f64, f64)>>,
     /// Day of the recording, as (day of the year from 1, year from 1 to 9999).
     pub recorded: Option<(u16, u16)>,
+    /// Day on which the file of the recording was created, in the same form; without effect if `recorded`
+    /// is known.
+    pub created: Option<(u16, u16)>,
     /// Largest value of the digitiser.
     pub full_scale_dn: Option<u16>,
     /// Scale and offset of the coordinates in the recording's own file.
     pub coordinate_grid: Option<([f64; 3], [f64; 3])>,
     /// Source of the emission time; `None`: determined from the blocks.
     pub emission_reference: Option<EmissionReference>,
+    /// Standard deviation of emission times that count from the clock, ns; finite, not negative.
+    pub clock_sd_ns: Option<f64>,
+    /// Standard deviation of emission times for the choice of `emission_reference`, ns; as above.
+    pub emission_choice_sd_ns: Option<f64>,
     /// Automatic gain control; `None`: determined from the blocks.
     pub gain_control: Option<GainControl>,
     /// Meaning of `origin`.
@@ -75,9 +82,12 @@ impl ContainerHeader {
             range_low: None,
             range_high: None,
             recorded: None,
+            created: None,
             full_scale_dn: None,
             coordinate_grid: None,
             emission_reference: None,
+            clock_sd_ns: None,
+            emission_choice_sd_ns: None,
             gain_control: None,
             origin: None,
         }
@@ -231,9 +241,12 @@ impl ContainerHeader {
             ("wavex.crs", self.crs_wkt.clone()),
             ("wavex.tables", self.tables()),
             ("wavex.recorded", self.recorded.and_then(iso_date)),
+            ("wavex.created", self.created.and_then(iso_date)),
             ("wavex.full_scale_dn", self.full_scale_dn.map(|dn| dn.to_string())),
             ("wavex.coordinate_grid", grid),
             ("wavex.emission_reference", self.emission_reference.map(|by| by.name().to_string())),
+            ("wavex.clock_sd_ns", self.clock_sd_ns.map(number)),
+            ("wavex.emission_choice_sd_ns", self.emission_choice_sd_ns.map(number)),
             ("wavex.gain_control", self.gain_control.map(|control| control.name().to_string())),
             ("wavex.origin", self.origin.map(|origin| origin.name().to_string())),
         ];
@@ -263,6 +276,7 @@ impl ContainerHeader {
         let tables: Tables = keys.json("wavex.tables")?.unwrap_or_default();
         let grid: Option<Grid> = keys.json("wavex.coordinate_grid")?;
         let positive = |value: &f64| value.is_finite() && *value > 0.0;
+        let not_negative = |value: &f64| value.is_finite() && *value >= 0.0;
         let speed = |value: &f64| *value > 0.0 && *value <= LIGHT_MPS;
         Ok(ContainerHeader {
             instrument: keys.text("wavex.instrument").map(str::to_string),
@@ -279,9 +293,13 @@ impl ContainerHeader {
             range_low: tables.range_low.map(defined),
             range_high: tables.range_high.map(defined),
             recorded: keys.value("wavex.recorded", day_of_year)?,
+            created: keys.value("wavex.created", day_of_year)?,
             full_scale_dn: keys.value("wavex.full_scale_dn", |text| text.parse().ok())?,
             coordinate_grid: grid.map(|grid| (grid.scale, grid.offset)),
             emission_reference: keys.value("wavex.emission_reference", EmissionReference::of)?,
+            clock_sd_ns: keys.value("wavex.clock_sd_ns", |text| number(text, not_negative))?,
+            emission_choice_sd_ns: keys
+                .value("wavex.emission_choice_sd_ns", |text| number(text, not_negative))?,
             gain_control: keys.value("wavex.gain_control", GainControl::of)?,
             origin: keys.value("wavex.origin", Origin::of)?,
         })

@@ -139,9 +139,12 @@ pub static KEYS: &[Key] = &[
     key("wavex.crs", false, "WKT", "coordinate reference system of the frame `map`"),
     key("wavex.tables", false, "JSON object of arrays of pairs", "`amplitude_low`, `amplitude_high`: [digitiser steps, dB]; `range_low`, `range_high`: [digitiser steps, seconds]"),
     key("wavex.recorded", false, "`YYYY-MM-DD`", "extension: day of the recording; dates outputs"),
+    key("wavex.created", false, "`YYYY-MM-DD`", "extension: day on which the file of the recording was created; dates outputs if `wavex.recorded` is absent"),
     key("wavex.full_scale_dn", false, "whole number up to 65535", "extension: largest value of the digitiser"),
     key("wavex.coordinate_grid", false, "JSON object {`scale`: [x, y, z], `offset`: [x, y, z]}", "extension: coordinate grid of the recording's own file; point outputs use the same"),
     key("wavex.emission_reference", false, "`outgoing_pulse`, `outgoing_pulse_fraction`, `return_locations` or `clock`", "extension: source of the emission time; default `outgoing_pulse` if the first scan line has blocks of channel 3, else `clock`"),
+    key("wavex.clock_sd_ns", false, "number >= 0", "extension: standard deviation of emission times that count from the clock, ns; default that of a position within one sample"),
+    key("wavex.emission_choice_sd_ns", false, "number >= 0", "extension: standard deviation of emission times for an uncertain choice of `wavex.emission_reference`, ns; default 0"),
     key("wavex.gain_control", false, "`recorded` or `not_recorded`", "extension: the receiver gain varies, and blocks contain it or not; default `recorded` if blocks have a `gain`, else the gain is constant"),
     key("wavex.origin", false, "`sensor` or `waveform`", "extension: whether `origin` is the sensor position, or a point on the beam near the waveform; default `sensor`, unless `wavex.emission_reference` is `return_locations`"),
 ];

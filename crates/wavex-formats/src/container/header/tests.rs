@@ -23,9 +23,12 @@ fn header() -> ContainerHeader {
         range_low: None,
         range_high: Some(vec![(9.0, -1e-11), (255.0, 0.1 + 0.2)]),
         recorded: Some((60, 2012)),
+        created: Some((61, 2012)),
         full_scale_dn: Some(255),
         coordinate_grid: Some(([0.001, 0.01, 0.1], [4e6, 0.0, -1.5])),
         emission_reference: Some(EmissionReference::ReturnLocations),
+        clock_sd_ns: Some(0.125),
+        emission_choice_sd_ns: Some(0.5),
         gain_control: Some(GainControl::NotRecorded),
         origin: Some(Origin::Waveform),
     }
@@ -36,9 +39,12 @@ fn headers_round_trip() {
     let metadata = header().to_metadata();
     let text: Vec<(&str, &str)> = metadata.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
     let expected = [
+        ("wavex.clock_sd_ns", "0.125"),
         ("wavex.container", "1"),
         ("wavex.coordinate_grid", r#"{"scale":[0.001,0.01,0.1],"offset":[4000000.0,0.0,-1.5]}"#),
+        ("wavex.created", "2012-03-01"),
         ("wavex.crs", "GEOCCS[\"x\"]"),
+        ("wavex.emission_choice_sd_ns", "0.5"),
         ("wavex.emission_reference", "return_locations"),
         ("wavex.frame", "map"),
         ("wavex.full_scale_dn", "255"),

@@ -1,0 +1,180 @@
+//! Waveforms that are byte-identical copies of those of the shot before.
+//!
+//! Exporters and converters write such copies. They are no measurements of their own, so calibration and
+//! statistics use each waveform once.
+
+use super::{Block, Blocks, Channel, Content, ScanLine, emission_flags};
+
+/// Fewest bits of information for equality to be no chance.
+///
+/// The information of a waveform is the entropy of its histogram times its number of samples. Silent
+/// waveforms of a quiet digitiser are often equal by chance and have few bits; noise of 1 DN has two
+/// bits per sample, and a pulse tens of bits.
+const LEAST_BITS: f64 = 64.0;
+
+/// Echo blocks of the last shot of a line: channels and samples.
+#[derive(Clone, Debug, Default)]
+pub struct LastEchoes(Vec<(Channel, Vec<u16>)>);
+
+impl ScanLine {
+    /// Marks the shots whose echo blocks are copies of those of the shot before; returns their number.
+    ///
+    /// `before` holds the echoes of the last shot of the line before, if any, and afterwards those of
+    /// this line.
+    pub fn mark_copies(&mut self, before: &mut LastEchoes) -> u64 {
+        let Content::Shots(blocks) = &self.content else { return 0 };
+        self.emissions.iter_mut().for_each(|emission| emission.flags &= !emission_flags::COPY);
+        let mut copies = 0;
+        let mut last: Option<(u32, &[Block])> = None;
+        for (index, of_shot) in blocks.by_emission() {
+            let is_copy = match last {
+                _ if index == 0 => are_copies(echoes(blocks, of_shot), before.echoes()),
+                Some((earlier, other)) if earlier + 1 == index => {
+                    are_copies(echoes(blocks, of_shot), echoes(blocks, other))
+                }
+                _ => false,
+            };
+            if is_copy && let Some(emission) = self.emissions.get_mut(index as usize) {
+                emission.flags |= emission_flags::COPY;
+                copies += 1;
+            }
+            last = Some((index, of_shot));
+        }
+        let ends_line = |(index, _): &(u32, &[Block])| *index as usize + 1 == self.emissions.len();
+        let of_last = last.filter(ends_line).into_iter().flat_map(|(_, of_shot)| echoes(blocks, of_shot));
+        before.0 = of_last.map(|(channel, samples)| (channel, samples.to_vec())).collect();
+        copies
+    }
+
+    /// Number of waveforms without copies.
+    pub fn distinct_waveforms(&self) -> u64 {
+        let copies = self.emissions.iter().filter(|emission| emission.is_copy()).count() as u64;
+        self.stats.nw.saturating_sub(copies)
+    }
+
+    /// Echo blocks and outgoing pulses of shots that are not copies; none after decomposition.
+    pub fn distinct_blocks(&self) -> impl Iterator<Item = &Block> + Clone {
+        let is_copy = |block: &Block| {
+            self.emissions.get(block.emission as usize).is_some_and(|emission| emission.is_copy())
+        };
+        self.blocks().into_iter().flat_map(Blocks::iter).filter(move |block| !is_copy(block))
+    }
+}
+
+impl LastEchoes {
+    fn echoes(&self) -> impl Iterator<Item = (Channel, &[u16])> + Clone {
+        self.0.iter().map(|(channel, samples)| (*channel, &samples[..]))
+    }
+}
+
+/// Channels and samples of the echo blocks of a shot.
+fn echoes<'a>(
+    blocks: &'a Blocks,
+    of_shot: &'a [Block],
+) -> impl Iterator<Item = (Channel, &'a [u16])> + Clone {
+    let is_echo = |block: &&Block| block.channel.is_echo();
+    of_shot.iter().filter(is_echo).map(|block| (block.channel, blocks.samples(block)))
+}
+
+/// Whether the echo blocks of two shots are equal, but not by chance.
+fn are_copies<'a>(
+    own: impl Iterator<Item = (Channel, &'a [u16])> + Clone,
+    others: impl Iterator<Item = (Channel, &'a [u16])>,
+) -> bool {
+    // The first samples of two waveforms nearly always differ, so this costs little.
+    own.clone().eq(others) && own.map(|(_, samples)| information_bits(samples)).sum::<f64>() >= LEAST_BITS
+}
+
+/// Entropy of the histogram of samples, times their number, bits.
+fn information_bits(samples: &[u16]) -> f64 {
+    let mut sorted = samples.to_vec();
+    sorted.sort_unstable();
+    let n = samples.len() as f64;
+    let bits = |equal: &[u16]| equal.len() as f64 * (n / equal.len() as f64).log2();
+    sorted.chunk_by(|a, b| a == b).map(bits).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::super::{Emission, InputInfo};
+    use super::*;
+
+    /// Noise of a few digitiser steps, different for each seed.
+    fn noise(seed: u32, samples: u32) -> Vec<u16> {
+        let mixed = |k: u32| (seed * 7919 + k).wrapping_mul(2_654_435_761) >> 27;
+        (0..samples).map(|k| 10 + (mixed(k) % 5) as u16).collect()
+    }
+
+    /// Marks of shots whose low-power waveforms are these; each has the same outgoing pulse.
+    fn marks(waveforms: &[Vec<u16>]) -> Vec<bool> {
+        let mut blocks = Blocks::default();
+        for (index, samples) in (0..).zip(waveforms) {
+            blocks.push(index, Channel::Reference, None, 0.0, 1.0, &noise(99, 40));
+            blocks.push(index, Channel::LowPower, None, 0.0, 1.0, samples);
+        }
+        let emissions = vec![Emission::default(); waveforms.len()];
+        let mut line = ScanLine::of_shots(Arc::new(InputInfo::default()), 0, emissions, blocks);
+        let copies = line.mark_copies(&mut LastEchoes::default());
+        let marks: Vec<bool> = line.emissions.iter().map(Emission::is_copy).collect();
+        assert_eq!(copies as usize, marks.iter().filter(|is_copy| **is_copy).count());
+        assert_eq!(line.distinct_waveforms(), line.stats.nw - copies);
+        assert_eq!(line.distinct_blocks().count() as u64, 2 * line.distinct_waveforms());
+        assert_eq!(line.mark_copies(&mut LastEchoes::default()), copies, "marks are set anew");
+        marks
+    }
+
+    #[test]
+    fn copies_of_the_shot_before_are_marked() {
+        let [a, b] = [noise(1, 60), noise(2, 60)];
+        let shots = [a.clone(), a.clone(), a.clone(), b.clone(), a.clone(), b];
+        assert_eq!(marks(&shots), [false, true, true, false, false, false]);
+        let mut changed = a.clone();
+        changed[59] += 1;
+        assert_eq!(marks(&[a.clone(), changed]), [false, false]);
+        assert_eq!(marks(&[a.clone(), a[..59].to_vec()]), [false, false]);
+    }
+
+    #[test]
+    fn silent_and_short_waveforms_may_be_equal() {
+        let mut nearly_flat = vec![10; 60];
+        (nearly_flat[7], nearly_flat[31]) = (11, 9);
+        for equal in [vec![10; 400], nearly_flat, noise(1, 20), Vec::new()] {
+            assert_eq!(marks(&[equal.clone(), equal]), [false, false]);
+        }
+    }
+
+    #[test]
+    fn all_receivers_must_be_equal() {
+        let mut blocks = Blocks::default();
+        for index in 0..3 {
+            blocks.push(index, Channel::LowPower, None, 0.0, 1.0, &noise(1, 60));
+            if index != 1 {
+                blocks.push(index, Channel::HighPower, None, 0.0, 1.0, &noise(2 + index, 60));
+            }
+        }
+        let input = Arc::new(InputInfo::default());
+        let mut line = ScanLine::of_shots(input, 0, vec![Emission::default(); 3], blocks);
+        assert_eq!(line.mark_copies(&mut LastEchoes::default()), 0);
+    }
+
+    #[test]
+    fn a_line_may_begin_with_a_copy() {
+        let line = |seeds: &[u32], without_echo: bool| {
+            let mut blocks = Blocks::default();
+            (0..).zip(seeds).for_each(|(index, seed)| {
+                blocks.push(index, Channel::LowPower, None, 0.0, 1.0, &noise(*seed, 60));
+            });
+            let emissions = vec![Emission::default(); seeds.len() + usize::from(without_echo)];
+            ScanLine::of_shots(Arc::new(InputInfo::default()), 0, emissions, blocks)
+        };
+        for without_echo in [false, true] {
+            let mut last = LastEchoes::default();
+            assert_eq!(line(&[1, 2], without_echo).mark_copies(&mut last), 0);
+            let mut next = line(&[2, 3], false);
+            assert_eq!(next.mark_copies(&mut last), u64::from(!without_echo));
+            assert_eq!(next.emissions[0].is_copy(), !without_echo);
+        }
+    }
+}
