@@ -120,13 +120,13 @@ def imitation(seed):
 
 
 def with_walk(seed):
-    """Lines of a flight with a walk of 60 ps per unit of ln amplitude; heights follow nothing."""
+    """Lines of a flight with a walk of 30 ps per unit of ln amplitude; heights follow nothing."""
     rng = np.random.default_rng(seed)
     lines = []
     for _ in range(LINES):
         amplitude_dn = np.clip(100 * np.exp(rng.normal(0, 0.35, SHOTS)), 15, 230)
         sd_ns = np.full(SHOTS, 0.015)
-        flight_ns = 5000 + rng.normal(0, 0.06, SHOTS) - 0.06 * np.log(amplitude_dn / 100)
+        flight_ns = 5000 + rng.normal(0, 0.06, SHOTS) - 0.03 * np.log(amplitude_dn / 100)
         lines.append((flight_ns, sd_ns, amplitude_dn, np.ones(SHOTS, bool)))
     return lines
 
@@ -166,7 +166,7 @@ def main():
     print(f"{count} flights without a walk: {seen} seem to have one, {len(believed)} are believed {believed}")
     assert len(believed) <= 1 + count // 200
     assert 2 * seen > count, "the terrain does not imitate a walk"
-    true = learn(program, (with_walk(seed) for seed in range(max(4, count // 10))))
+    true = learn(program, (with_walk(seed) for seed in range(max(8, count // 10))))
     proven = sum(result["proven"] for result in true)
     print(f"{len(true)} flights with a walk over terrain that follows nothing: {proven} proven")
     for result in true:

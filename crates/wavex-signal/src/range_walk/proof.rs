@@ -9,8 +9,10 @@ use nalgebra::{SMatrix, SVector};
 use super::learn::{Row, spread_ln, weight};
 use super::stretches::jackknife_variance;
 
-/// Smallest factors and falls, in their standard deviations.
+/// Smallest factor in either half, in its standard deviations.
 const LEAST_SD: f64 = 3.0;
+/// Smallest fall of the squares of both halves, in its standard deviations.
+const LEAST_FALL_SD: f64 = 2.5;
 /// Smallest factor extrapolated to a perfect surface, in its standard deviations.
 const LEAST_EXTRAPOLATED_SD: f64 = 2.0;
 /// Largest `χ²` of the differences between kinds of triples, per degree of freedom.
@@ -149,8 +151,8 @@ impl Proof {
         if let Some(fall) = self.falls.iter().find(|fall| fall.value <= 0.0) {
             return Some(Refusal::Fall(fall.ratio(), 0.0));
         }
-        if !is_visible(&self.fall) {
-            return Some(Refusal::Fall(self.fall.ratio(), LEAST_SD));
+        if self.fall.ratio() < LEAST_FALL_SD {
+            return Some(Refusal::Fall(self.fall.ratio(), LEAST_FALL_SD));
         }
         if self.factor <= self.most_permuted {
             return Some(Refusal::Permutation(self.most_permuted, self.factor));
@@ -182,7 +184,10 @@ struct Tests<'a> {
     rows: &'a [Row],
     predicted_ns: &'a [f64],
     sds_ns: &'a [f64],
-    /// Weights that favour neither a walk nor none, ns⁻².
+    /// Weights about half the prediction, ns⁻².
+    ///
+    /// They favour neither a walk nor none. A prediction that is large compared with the roughness is
+    /// weakened by them on smooth surfaces first, which counts against it.
     weights: Vec<f64>,
     stretches: usize,
 }
