@@ -24,8 +24,8 @@ mod walk;
 mod width;
 
 use apply::Corrections;
-pub use walk::{Loaded, WalkKey};
 use walk::Walks;
+pub use walk::{Loaded, WalkKey};
 use width::WidthCorrection;
 
 /// Registry entry of the stage.

@@ -34,7 +34,11 @@ fn main() -> std::io::Result<()> {
                 let refusal = learnt.proof.refusal();
                 let reason = refusal.map(|refusal| refusal.to_string()).unwrap_or_default();
                 let walk = serde_json::to_string(&learnt.walk)?;
-                writeln!(out, "{{\"proven\": {}, \"reason\": {reason:?}, \"walk\": {walk}}}", refusal.is_none())?;
+                writeln!(
+                    out,
+                    "{{\"proven\": {}, \"reason\": {reason:?}, \"walk\": {walk}}}",
+                    refusal.is_none()
+                )?;
             }
             Err(reason) => writeln!(out, "{{\"proven\": false, \"reason\": {:?}}}", reason.to_string())?,
         }

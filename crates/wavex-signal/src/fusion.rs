@@ -11,8 +11,8 @@ use crate::decompose::OVERDRIVEN_PART;
 use crate::sensor_model::{ChannelModel, ModelError};
 pub use joint::{Expected, JointFit, JointFitted, JointPulse, Outcome};
 pub(crate) use plain_peak::plain_peak_of;
-pub use proof::{FusionProof, prove};
 pub use plain_peak::{PlainPeak, lead_noise_sd_dn, peak_above_half, plain_peak};
+pub use proof::{FusionProof, prove};
 use robust::{pooled, robust_mean};
 
 mod joint;

@@ -143,10 +143,7 @@ impl RangeWalk {
         let (late_ns, sd_ns) = self.late_ns(amplitude_dn);
         let ratio = late_ns.abs() / sd_ns.max(f64::MIN_POSITIVE);
         let part = ((ratio - NOT_APPLIED_SD) / (APPLIED_SD - NOT_APPLIED_SD)).clamp(0.0, 1.0);
-        WalkCorrection {
-            late_ns: part * late_ns,
-            remaining_sd_ns: sd_ns.hypot((1.0 - part) * late_ns),
-        }
+        WalkCorrection { late_ns: part * late_ns, remaining_sd_ns: sd_ns.hypot((1.0 - part) * late_ns) }
     }
 
     /// Whether any amplitude from which it was learnt has a correction.
@@ -168,8 +165,8 @@ impl RangeWalk {
     /// Change of the correction with the amplitude, ns/DN.
     pub fn slope_ns_per_dn(&self, amplitude_dn: f64) -> f64 {
         let [below_dn, above_dn] = [1.0 - SLOPE_STEP, 1.0 + SLOPE_STEP].map(|part| part * amplitude_dn);
-        let slope = (self.correction(above_dn).late_ns - self.correction(below_dn).late_ns)
-            / (above_dn - below_dn);
+        let slope =
+            (self.correction(above_dn).late_ns - self.correction(below_dn).late_ns) / (above_dn - below_dn);
         if slope.is_finite() { slope } else { 0.0 }
     }
 

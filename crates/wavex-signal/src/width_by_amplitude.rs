@@ -247,7 +247,10 @@ mod tests {
         }
         assert!(width_by_amplitude(&half).is_ok());
         let refused = proven_width_by_amplitude(&half).unwrap_err();
-        assert!(matches!(refused, NoCurve::Unproven(falls) if falls.iter().all(|fall| *fall < 3.0)), "{refused}");
+        assert!(
+            matches!(refused, NoCurve::Unproven(falls) if falls.iter().all(|fall| *fall < 3.0)),
+            "{refused}"
+        );
     }
 
     #[test]

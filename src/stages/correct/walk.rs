@@ -76,7 +76,8 @@ impl Walks {
     pub(super) fn open(path: &Path) -> Result<Walks> {
         let walks = Walks::from_model(&load_model(path)?);
         if walks.is_empty() {
-            let remedy = "give a model that `save_model` of correct wrote with a walk, or set `range_walk` to false";
+            let remedy =
+                "give a model that `save_model` of correct wrote with a walk, or set `range_walk` to false";
             return Err(Error::unusable(path, "the sensor model has no range walk", remedy).into());
         }
         Ok(walks)
@@ -218,7 +219,11 @@ fn learn(
         return expected;
     }
     let is_seen = walk.is_seen();
-    let seen = if is_seen { "what was seen enters the standard deviations of ranges" } else { "none is significant" };
+    let seen = if is_seen {
+        "what was seen enters the standard deviations of ranges"
+    } else {
+        "none is significant"
+    };
     cx.info(format!(
         "{name}: ranges are not corrected for a delay by amplitude, because it is not proven: {refusal}; {seen} \
          ({delays})"

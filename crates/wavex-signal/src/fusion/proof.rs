@@ -65,7 +65,8 @@ impl Halves {
             let bound = if bound > 0.0 { bound } else { f64::INFINITY };
             let mut sums = [None; STRETCHES];
             for (stretch, pair) in &self.0[half] {
-                let [without, with] = [without(pair), with(&learnt, pair)].map(|x| x.abs().min(bound).powi(2));
+                let [without, with] =
+                    [without(pair), with(&learnt, pair)].map(|x| x.abs().min(bound).powi(2));
                 *sums[*stretch].get_or_insert(0.0) += without - with;
             }
             in_standard_deviations(&sums.into_iter().flatten().collect::<Vec<f64>>())
@@ -85,12 +86,7 @@ fn in_standard_deviations(values: &[f64]) -> f64 {
 }
 
 /// Proves the estimates of [`super::estimate`] from the same pairs, in the order of the recording.
-pub fn prove(
-    fusion: &ChannelFusion,
-    pairs: &[Pair],
-    full_scale_dn: f64,
-    high_noise_dn: f64,
-) -> FusionProof {
+pub fn prove(fusion: &ChannelFusion, pairs: &[Pair], full_scale_dn: f64, high_noise_dn: f64) -> FusionProof {
     let (linear, overdriven) = strong_pairs(pairs, full_scale_dn, high_noise_dn).unwrap_or_default();
     let halves = Halves::of(&linear);
     // The noise of the high-power receiver is the same for all heights.

@@ -167,11 +167,8 @@ pub(super) fn learn(triples: &[Triple], prior: Option<&RangeWalk>) -> Result<Lea
     let reference_dn = prior.map_or(at(0.5), |walk| walk.reference_dn);
     let grid = Grid::new(reference_dn, least_dn, most_dn).ok_or(NoWalk::OneAmplitude)?;
     let (stretch_of, stretches) = stretches(&triples);
-    let rows: Vec<Row> = triples
-        .iter()
-        .zip(stretch_of)
-        .map(|(triple, stretch)| grid.row(triple, stretch, prior))
-        .collect();
+    let rows: Vec<Row> =
+        triples.iter().zip(stretch_of).map(|(triple, stretch)| grid.row(triple, stretch, prior)).collect();
     let variance_ln = rows.iter().map(|row| spread_ln(row).powi(2)).sum::<f64>() / rows.len() as f64;
     if variance_ln < LEAST_VARIANCE_LN {
         return Err(NoWalk::OneAmplitude);

@@ -195,8 +195,7 @@ struct Tests<'a> {
 impl<'a> Tests<'a> {
     fn new(rows: &'a [Row], predicted_ns: &'a [f64], sds_ns: &'a [f64], stretches: usize) -> Tests<'a> {
         let weights = rows.iter().zip(predicted_ns).zip(sds_ns);
-        let weights =
-            weights.map(|((row, x), sd_ns)| weight(row.difference_ns - 0.5 * x, *sd_ns)).collect();
+        let weights = weights.map(|((row, x), sd_ns)| weight(row.difference_ns - 0.5 * x, *sd_ns)).collect();
         Tests { rows, predicted_ns, sds_ns, weights, stretches }
     }
 
@@ -223,8 +222,9 @@ impl<'a> Tests<'a> {
                 parts[row.stretch].1 += *weight * row.difference_ns * x;
             }
         }
-        let (matrix, right) =
-            parts.iter().fold((SMatrix::zeros(), SVector::zeros()), |sum, part| (sum.0 + part.0, sum.1 + part.1));
+        let (matrix, right) = parts
+            .iter()
+            .fold((SMatrix::zeros(), SVector::zeros()), |sum, part| (sum.0 + part.0, sum.1 + part.1));
         let solve = |matrix: SMatrix<f64, K, K>, right: SVector<f64, K>| {
             let ridge = RIDGE * SMatrix::from_diagonal(&matrix.diagonal());
             (matrix + ridge).cholesky().map(|cholesky| cholesky.solve(&right))

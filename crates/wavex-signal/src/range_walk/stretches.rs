@@ -16,8 +16,7 @@ pub(super) fn stretches(triples: &[Triple]) -> (Vec<usize>, usize) {
     let (mut stretch, mut first) = (0, 0);
     let mut of_triples = Vec::with_capacity(triples.len());
     for (i, triple) in triples.iter().enumerate() {
-        let is_apart =
-            i > 0 && triple.shot.abs_diff(triples[i - 1].shot) >= SHARED_ECHOES_SHOTS;
+        let is_apart = i > 0 && triple.shot.abs_diff(triples[i - 1].shot) >= SHARED_ECHOES_SHOTS;
         if i - first >= length && (is_apart || i - first >= 2 * length) {
             (stretch, first) = (stretch + 1, i);
         }

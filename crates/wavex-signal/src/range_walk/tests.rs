@@ -32,10 +32,12 @@ fn recording(seed: u64, lines: usize, late_ns: impl Fn(f64) -> f64) -> Vec<Tripl
 
 /// Adds the triples of a scan line.
 fn add(line: usize, echoes: &[SingleEcho], triples: &mut Vec<Triple>) {
-    triples.extend(echoes.windows(3).enumerate().map(|(i, of)| Triple {
-        echoes: [of[0], of[1], of[2]],
-        shot: (1000 * line + i) as u64,
-    }));
+    triples.extend(
+        echoes
+            .windows(3)
+            .enumerate()
+            .map(|(i, of)| Triple { echoes: [of[0], of[1], of[2]], shot: (1000 * line + i) as u64 }),
+    );
 }
 
 /// Ground whose height follows its reflectance.
@@ -231,7 +233,10 @@ fn a_walk_returns_to_its_prior_beyond_the_evidence() {
     let walk = RangeWalk::learn(&recording(7, 60, truth_ns), None).unwrap().walk;
     for (amplitude_dn, largest_ns) in [(0.5, 0.02), (20_000.0, 0.02)] {
         let (late_ns, sd_ns) = walk.late_ns(amplitude_dn);
-        assert!(late_ns.abs() < largest_ns && (0.04..0.06).contains(&sd_ns), "{amplitude_dn}: {late_ns} {sd_ns}");
+        assert!(
+            late_ns.abs() < largest_ns && (0.04..0.06).contains(&sd_ns),
+            "{amplitude_dn}: {late_ns} {sd_ns}"
+        );
         assert_eq!(walk.correction(amplitude_dn).late_ns, 0.0);
     }
 }
@@ -242,7 +247,8 @@ fn a_few_triples_leave_the_prior() {
     let few = recording(8, 6, truth_ns);
     let from_zero = RangeWalk::learn(&few, None).unwrap().walk;
     let from_it = RangeWalk::learn(&few, Some(&expected)).unwrap().walk;
-    let error_ns = |walk: &RangeWalk| (walk.late_ns(60.0).0 - truth_ns(60.0) + truth_ns(walk.reference_dn)).abs();
+    let error_ns =
+        |walk: &RangeWalk| (walk.late_ns(60.0).0 - truth_ns(60.0) + truth_ns(walk.reference_dn)).abs();
     assert!(error_ns(&from_it) < 0.02, "{}", error_ns(&from_it));
     assert!(from_zero.late_ns(60.0).0.abs() < truth_ns(60.0).abs());
     assert_eq!(from_it.reference_dn, expected.reference_dn);

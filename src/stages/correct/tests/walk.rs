@@ -125,9 +125,8 @@ fn ground_that_follows_its_reflectance_is_refused() {
 
 /// A model whose low-power receiver has this delay.
 fn model() -> wavex_signal::sensor_model::SensorModel {
-    let node = |amplitude_dn: f64| {
-        DelayNode { amplitude_dn, late_ns: late_ns(amplitude_dn), late_sd_ns: 0.0001 }
-    };
+    let node =
+        |amplitude_dn: f64| DelayNode { amplitude_dn, late_ns: late_ns(amplitude_dn), late_sd_ns: 0.0001 };
     wavex_signal::sensor_model::SensorModel {
         low_power_range_walk: Some(RangeWalk {
             reference_dn: 90.0,
