@@ -172,7 +172,7 @@ impl SensorDrift {
             self.high_power = model.high_power.as_ref().map(ChannelDrift::from);
             self.reference = model.reference.as_ref().map(ChannelDrift::from);
         }
-        self.walk_ns = model.low_power_range_walk.map(|walk| {
+        self.walk_ns = model.low_power_range_walk.as_ref().map(|walk| {
             let [(from_ns, from_sd_ns), (to_ns, to_sd_ns)] = WALK_DN.map(|dn| walk.late_ns(dn));
             Measured { value: to_ns - from_ns, sd: from_sd_ns.hypot(to_sd_ns) }
         });

@@ -24,8 +24,8 @@ mod walk;
 mod width;
 
 use apply::Corrections;
-pub use walk::WalkKey;
 use walk::Walks;
+pub use walk::{Loaded, WalkKey};
 use width::WidthCorrection;
 
 /// Registry entry of the stage.
@@ -49,9 +49,13 @@ pub(crate) const WAVEFORMS: u64 = 50_000;
 /// Without this stage, intensities are those that `decompose` computes with the instrument's
 /// amplitude table.
 ///
-/// A receiver without a range table has its range walk, the delay by amplitude, learnt from the
-/// recording: neighbouring single returns on a smooth surface differ in amplitude, not in range.
-/// `save_model` saves it with the sensor model, for other recordings of the instrument.
+/// A receiver without a range table may have a range walk, a delay by amplitude. `range_walk =
+/// "auto"` learns it from the recording: neighbouring single returns on a smooth surface differ in
+/// amplitude, not in range. Heights that follow the reflectance imitate a walk, so it is applied only
+/// if it proves itself: learnt on one half of the scan lines, it must explain the second differences of
+/// the other half, both ways, and equally on every kind of surface. `save_model` saves it with the
+/// sensor model, for other recordings of the instrument. Width corrections likewise must make the
+/// widths of the other half depend less on the amplitude. The report has the figures.
 ///
 /// If `range_walk` or a width correction is `"auto"`, holds back the first lines until it has 50 000
 /// waveforms.
@@ -66,9 +70,10 @@ pub struct Correct {
     /// Smooth the range table first, with a penalised cubic in the logarithm of the digitiser
     /// steps.
     pub range_table_fit: bool,
-    /// Delay of a receiver by amplitude, where it has no range table and `range_table` is not `false`: `"auto"`, that of the sensor
-    /// model that `calibrate` loaded, otherwise learnt from the first waveforms and used if both
-    /// halves agree; the path of a model saved by `save_model`; or `false`.
+    /// Delay of a receiver by amplitude, where it has no range table and `range_table` is not
+    /// `false`: `"model"`, that of the sensor model that `calibrate` loaded, or none; `"auto"`, learnt
+    /// from the first waveforms with that walk as prior, and used if it proves itself; the path of a
+    /// model saved by `save_model`; or `false`.
     pub range_walk: WalkKey,
     /// Save the sensor model with the range walk to this JSON file; `*` is the name of the recording.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -134,7 +139,7 @@ impl Default for Correct {
         Correct {
             range_table: TableKey::Own(true),
             range_table_fit: true,
-            range_walk: WalkKey::Auto(Auto::Auto),
+            range_walk: WalkKey::Loaded(Loaded::Model),
             save_model: None,
             amplitude_table: TableKey::Own(true),
             width_correction_low: WidthKey::Auto(Auto::Auto),
@@ -153,12 +158,12 @@ impl Config for Correct {
         InvalidKey::unless(
             self.range_walk != WalkKey::Without(true),
             "range_walk",
-            "it must be \"auto\", the path of a saved sensor model, or `false`",
+            "it must be \"model\", \"auto\", the path of a saved sensor model, or `false`",
         )?;
         InvalidKey::unless(
-            self.save_model.is_none() || self.range_walk != WalkKey::Without(false),
+            self.save_model.is_none() || self.range_walk.is_auto() || self.range_walk.file().is_some(),
             "save_model",
-            "it saves the range walk: set `range_walk`, or save the model with `save` of calibrate",
+            "it saves the range walk: set `range_walk = \"auto\"`, or save the model with `save` of calibrate",
         )?;
         InvalidKey::unless(
             self.reference_range_m.is_within(1.0..=100_000.0),
@@ -214,11 +219,13 @@ impl TransformConfig for Correct {
         let corrections = self.corrections(site)?;
         let [low, high] =
             [&self.width_correction_low, &self.width_correction_high].map(WidthCorrection::given);
-        let walks = match self.range_walk.file() {
-            Some(path) => Some(Walks::open(&site.input_path(path))?),
+        let walks = match &self.range_walk {
+            WalkKey::File(path) => WalkSource::Known(Walks::open(&site.input_path(path))?),
+            WalkKey::Without(_) => WalkSource::Known(Walks::default()),
             // Without a correction of ranges for amplitude, none is learnt either.
-            None if self.range_table == TableKey::Own(false) => Some(Walks::default()),
-            None => (!self.range_walk.is_auto()).then(Walks::default),
+            _ if self.range_table == TableKey::Own(false) => WalkSource::Known(Walks::default()),
+            WalkKey::Loaded(Loaded::Model) => WalkSource::Model,
+            WalkKey::Auto(_) => WalkSource::Learnt,
         };
         let save_model = self.save_model.as_ref().filter(|_| site.has_outputs);
         let save_model = save_model.map(|pattern| site.create(pattern)).transpose()?;
@@ -242,16 +249,27 @@ struct Corrector {
     corrections: Corrections,
     /// For the low-power and the high-power receiver; `None` until estimated.
     widths: [Option<WidthCorrection>; 2],
-    /// `None` until learnt.
-    walks: Option<Walks>,
+    walks: WalkSource,
     /// File for the model; `None` once written.
     save_model: Option<OutputFile>,
     look_ahead: LookAhead,
 }
 
+/// Where the range walks come from.
+enum WalkSource {
+    /// The sensor model of the first line.
+    Model,
+    /// The first waveforms.
+    Learnt,
+    Known(Walks),
+}
+
 impl Transform for Corrector {
     fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
-        if let ([Some(low), Some(high)], Some(walks)) = (&self.widths, &self.walks) {
+        if matches!(self.walks, WalkSource::Model) {
+            self.walks = WalkSource::Known(Walks::of_model(std::slice::from_ref(&line), out.cx));
+        }
+        if let ([Some(low), Some(high)], WalkSource::Known(walks)) = (&self.widths, &self.walks) {
             save(&mut self.save_model, walks, &line, out)?;
             return correct(&mut self.corrections, [low, high], walks, line, out);
         }
@@ -271,17 +289,21 @@ impl Corrector {
             let given = self.widths[usize::from(channel == width::CHANNELS[1])].take();
             given.unwrap_or_else(|| WidthCorrection::learnt(self.look_ahead.lines(), channel, out.cx))
         });
-        let walks = self.walks.take().unwrap_or_else(|| {
-            let lines = self.look_ahead.lines();
-            let tables = lines.first().map(|line| self.corrections.range_tables(&line.input));
-            Walks::learnt(lines, &tables.unwrap_or_default(), out.cx)
-        });
+        let lines = self.look_ahead.lines();
+        let walks = match std::mem::replace(&mut self.walks, WalkSource::Learnt) {
+            WalkSource::Known(walks) => walks,
+            WalkSource::Model => Walks::of_model(lines, out.cx),
+            WalkSource::Learnt => {
+                let tables = lines.first().map(|line| self.corrections.range_tables(&line.input));
+                Walks::learnt(lines, &tables.unwrap_or_default(), out.cx)
+            }
+        };
         for line in self.look_ahead.release() {
             save(&mut self.save_model, &walks, &line, out)?;
             correct(&mut self.corrections, [&low, &high], &walks, line, out)?;
         }
         self.widths = [Some(low), Some(high)];
-        self.walks = Some(walks);
+        self.walks = WalkSource::Known(walks);
         Ok(())
     }
 }
@@ -292,7 +314,7 @@ fn save(file: &mut Option<OutputFile>, walks: &Walks, line: &ScanLine, out: &mut
         (_, None) => Ok(()),
         (Some(model), Some(file)) => {
             if walks.is_empty() {
-                out.cx.warn("the saved sensor model has no range walk: none was learnt");
+                out.cx.warn("the saved sensor model has no range walk: none proved itself");
             }
             write_model(&walks.with_walks(model), file, out)
         }

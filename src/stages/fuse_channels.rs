@@ -13,7 +13,9 @@ use crate::stage::{
     Transform, TransformConfig,
 };
 use wavex_signal::decompose::OVERDRIVEN_PART;
-use wavex_signal::fusion::{ChannelFusion, MIN_PAIRS, Pair, estimate, lead_noise_sd_dn, plain_peak};
+use wavex_signal::fusion::{
+    ChannelFusion, FusionProof, MIN_PAIRS, Pair, estimate, lead_noise_sd_dn, plain_peak, prove,
+};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<FuseChannels>("fuse_channels", &[Kind::Shots]);
@@ -33,6 +35,11 @@ const MOST_DELAY_NS: f64 = 10.0;
 /// time scale. `decompose` then uses both: the low-power receiver alone where it is neither
 /// saturated nor overdriven, both jointly where it is and the high-power receiver sees the same
 /// echo, and the high-power receiver alone where the low-power receiver gives no information.
+///
+/// What is estimated must prove itself: learnt on one half of the echoes, in stretches, it must let the
+/// squared differences of heights or times in the other half fall by three standard deviations, both
+/// ways. Otherwise a delay is not applied and enters the standard deviations, and receivers whose gain
+/// ratio is not proven are not fused; the report says so.
 ///
 /// With fewer than 20 echoes that overdrive the low-power receiver, its delay there is unknown: the
 /// standard deviations of such returns contain 0.03 pulse widths, unless `calibrate` finds the receiver
@@ -204,7 +211,25 @@ impl ChannelFuser {
         }
         let noise_dn = lead_noise_sd_dn(self.look_ahead.samples(Channel::HighPower));
         match estimate(&pairs, f64::from(full_scale_dn), noise_dn) {
-            Some(found) => Some(self.with_given(found)),
+            Some(mut found) => {
+                let proof = prove(&found, &pairs, f64::from(full_scale_dn), noise_dn);
+                let is_given = self.config.gain_ratio.number().is_some();
+                if !is_given && !FusionProof::is_proven(proof.gain_falls) {
+                    out.cx.warn(format!(
+                        "the receivers are not fused: the gain ratio {:.2} ± {:.2} is not proven: {}; set `gain_ratio` and \
+                         `delay_ns`",
+                        found.gain_ratio,
+                        found.gain_ratio_sd,
+                        falls("heights", proof.gain_falls)
+                    ));
+                    return None;
+                }
+                found.keep_proven(&proof);
+                if self.config.delay_ns.number().is_none() {
+                    self.note_unproven(&proof, &found, out);
+                }
+                Some(self.with_given(found))
+            }
             None => {
                 out.cx.warn(format!(
                     "the receivers are not fused: {MIN_PAIRS} strong unsaturated echoes in both receivers are needed, but fewer of the \
@@ -214,6 +239,25 @@ impl ChannelFuser {
                 ));
                 None
             }
+        }
+    }
+
+    /// Notes a delay, and a walk, that were estimated and are not applied.
+    fn note_unproven(&self, proof: &FusionProof, kept: &ChannelFusion, out: &mut Output) {
+        if !FusionProof::is_proven(proof.delay_falls) {
+            out.cx.warn(format!(
+                "the times of the receivers are not shifted: the estimated delay is not proven: {}; its size enters \
+                 the standard deviation, {:.3} ns",
+                falls("times", proof.delay_falls),
+                kept.delay_sd_ns
+            ));
+        }
+        if let Some(walk_falls) = proof.walk_falls.filter(|falls| !FusionProof::is_proven(*falls)) {
+            out.cx.warn(format!(
+                "the delay of the overdriven receiver is taken as constant: its change with the amplitude is not proven: {}; \
+                 it enters the standard deviations",
+                falls("times", walk_falls)
+            ));
         }
     }
 
@@ -229,6 +273,14 @@ impl ChannelFuser {
         }
         fusion
     }
+}
+
+/// Falls of squared differences, in words.
+fn falls(what: &str, [first, second]: [f64; 2]) -> String {
+    format!(
+        "what one half of the echoes shows lets the squared differences of {what} in the other half fall by {first:.1} and \
+         {second:.1} standard deviations, at least 3 are needed"
+    )
 }
 
 /// Adds the strongest echoes of blocks that both receivers recorded simultaneously.
@@ -319,6 +371,20 @@ mod tests {
             assert_eq!(start_ns(batch, Channel::LowPower), 100.0);
             assert_eq!(start_ns(batch, Channel::HighPower), 101.25 - fusion.delay_ns);
         }
+    }
+
+    #[test]
+    fn a_delay_that_half_of_the_lines_contradict_is_not_applied() {
+        let mut lines: Vec<ScanLine> = (0..20).map(|k| line(k, 40, true)).collect();
+        for contradicting in lines.iter_mut().skip(1).step_by(2) {
+            let Content::Shots(blocks) = &mut contradicting.content else { unreachable!() };
+            blocks.shift(Channel::HighPower, -1.2);
+        }
+        let (lines, notes) = run(&FuseChannels::default(), lines);
+        let fusion = lines[0].fusion.as_ref().unwrap();
+        assert_eq!(fusion.delay_ns, 0.0);
+        assert_eq!(start_ns(&lines[0], Channel::HighPower), 101.25);
+        assert!(notes[0].contains("the estimated delay is not proven"), "{notes:?}");
     }
 
     #[test]

@@ -12,10 +12,12 @@ use crate::sensor_model::{ChannelModel, ModelError};
 pub use joint::{Expected, JointFit, JointFitted, JointPulse, Outcome};
 pub(crate) use plain_peak::plain_peak_of;
 pub use plain_peak::{PlainPeak, lead_noise_sd_dn, peak_above_half, plain_peak};
+pub use proof::{FusionProof, prove};
 use robust::{pooled, robust_mean};
 
 mod joint;
 mod plain_peak;
+mod proof;
 mod robust;
 #[cfg(test)]
 mod tests;
@@ -96,12 +98,7 @@ pub struct WalkNode {
 /// sufficiently strong echoes.
 pub fn estimate(pairs: &[Pair], full_scale_dn: f64, high_noise_dn: f64) -> Option<ChannelFusion> {
     let overdriven_dn = OVERDRIVEN_PART * full_scale_dn;
-    // Selection by the low-power height avoids a bias from the noise of the high-power receiver.
-    let rough_ratio = rough_ratio(pairs)?;
-    let least_dn = LEAST_SNR * high_noise_dn / rough_ratio;
-    let strong = |pair: &&Pair| pair.low_power_dn >= least_dn;
-    let (mut linear, mut overdriven): (Vec<Pair>, Vec<Pair>) =
-        pairs.iter().filter(strong).partition(|pair| pair.low_power_dn < overdriven_dn);
+    let (mut linear, mut overdriven) = strong_pairs(pairs, full_scale_dn, high_noise_dn)?;
     if linear.len() < MIN_PAIRS {
         return None;
     }
@@ -124,6 +121,15 @@ pub fn estimate(pairs: &[Pair], full_scale_dn: f64, high_noise_dn: f64) -> Optio
         walk: walk(base, weight(&linear), &overdriven),
         walk_is_known: overdriven.len() >= MIN_PAIRS,
     })
+}
+
+/// Sufficiently strong pairs in their order: those that do not overdrive the low-power receiver, and
+/// those that do; `None` without pairs.
+fn strong_pairs(pairs: &[Pair], full_scale_dn: f64, high_noise_dn: f64) -> Option<(Vec<Pair>, Vec<Pair>)> {
+    // Selection by the low-power height avoids a bias from the noise of the high-power receiver.
+    let least_dn = LEAST_SNR * high_noise_dn / rough_ratio(pairs)?;
+    let strong = pairs.iter().filter(|pair| pair.low_power_dn >= least_dn);
+    Some(strong.partition(|pair| pair.low_power_dn < OVERDRIVEN_PART * full_scale_dn))
 }
 
 /// Median ratio of the heights; `None` without pairs.
@@ -157,7 +163,19 @@ fn weight(pairs: &[Pair]) -> f64 {
 
 /// Delay by height, beginning with `base` of weight `base_weight`; empty if it does not change.
 fn walk(base: WalkNode, base_weight: f64, overdriven: &[Pair]) -> Vec<WalkNode> {
-    let nodes = (overdriven.len() / MIN_PAIRS).min(WALK_NODES);
+    let nodes = walk_nodes(base, base_weight, overdriven, MIN_PAIRS);
+    let change = |node: &WalkNode| (node.delay_ns - base.delay_ns).abs();
+    let is_change =
+        |node: &WalkNode| change(node) > SIGNIFICANT_SD * node.delay_sd_ns.hypot(base.delay_sd_ns);
+    if !nodes.iter().any(is_change) {
+        return Vec::new();
+    }
+    monotone(base, nodes)
+}
+
+/// Mean delays of up to four ranges of height, after `base`; empty with fewer than `least_pairs`.
+fn walk_nodes(base: WalkNode, base_weight: f64, overdriven: &[Pair], least_pairs: usize) -> Vec<WalkNode> {
+    let nodes = (overdriven.len() / least_pairs).min(WALK_NODES);
     if nodes == 0 {
         return Vec::new();
     }
@@ -170,20 +188,35 @@ fn walk(base: WalkNode, base_weight: f64, overdriven: &[Pair]) -> Vec<WalkNode> 
         let low_power_dn = bin.iter().map(|pair| pair.low_power_dn).sum::<f64>() / bin.len() as f64;
         WalkNode { low_power_dn, delay_ns, delay_sd_ns }
     }));
-    let change = |node: &WalkNode| node.delay_ns - base.delay_ns;
-    let is_change =
-        |node: &WalkNode| change(node).abs() > SIGNIFICANT_SD * node.delay_sd_ns.hypot(base.delay_sd_ns);
-    if !found.iter().any(is_change) {
-        return Vec::new();
-    }
-    let sign = found.iter().map(change).sum::<f64>().signum();
-    let monotone =
-        pooled(&found.iter().map(|node| (sign * node.delay_ns, node.delay_sd_ns)).collect::<Vec<_>>());
-    found.iter_mut().zip(monotone).for_each(|(node, delay_ns)| node.delay_ns = sign * delay_ns);
     found
 }
 
+/// Pools neighbours that violate the common direction of the delays.
+fn monotone(base: WalkNode, mut nodes: Vec<WalkNode>) -> Vec<WalkNode> {
+    let sign = nodes.iter().map(|node| node.delay_ns - base.delay_ns).sum::<f64>().signum();
+    let pooled =
+        pooled(&nodes.iter().map(|node| (sign * node.delay_ns, node.delay_sd_ns)).collect::<Vec<_>>());
+    nodes.iter_mut().zip(pooled).for_each(|(node, delay_ns)| node.delay_ns = sign * delay_ns);
+    nodes
+}
+
 impl ChannelFusion {
+    /// Removes the delay and the walk that are not proven; their values enter the standard
+    /// deviations.
+    pub fn keep_proven(&mut self, proof: &FusionProof) {
+        if !FusionProof::is_proven(proof.delay_falls) {
+            let delay_ns = std::mem::take(&mut self.delay_ns);
+            self.delay_sd_ns = self.delay_sd_ns.hypot(delay_ns);
+            self.walk.iter_mut().for_each(|node| node.delay_ns -= delay_ns);
+        }
+        if proof.walk_falls.is_some_and(|falls| !FusionProof::is_proven(falls)) {
+            for node in &mut self.walk {
+                node.delay_sd_ns = node.delay_sd_ns.hypot(node.delay_ns - self.delay_ns);
+                node.delay_ns = self.delay_ns;
+            }
+        }
+    }
+
     /// Change of the delay with height relative to `delay_ns`, and its standard deviation, ns.
     ///
     /// `low_power_dn` is the height in the low-power receiver. Linear between the nodes; constant

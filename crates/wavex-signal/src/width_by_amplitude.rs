@@ -24,6 +24,10 @@ const REACH_BANDWIDTHS: f64 = 3.0;
 const SD_OF_MODE: f64 = 1.35;
 /// Standard deviations of `χ²` by which the modes must differ from a constant.
 const SIGNIFICANT_SD: f64 = 3.0;
+/// Number of stretches of the recording; even ones are one half, odd ones the other.
+const STRETCHES: usize = 20;
+/// Smallest fall of squared differences, in standard deviations of its jackknife over stretches.
+const LEAST_FALL_SD: f64 = 3.0;
 /// Largest log width, relative to the response, of flat targets.
 const MOST_LN_WIDTH: f64 = 0.7;
 
@@ -48,7 +52,7 @@ pub struct WidthNode {
 }
 
 /// Reason why widths have no curve.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum NoCurve {
     /// Fewer than three bins, of width 0.1 in log amplitude, with at least 100 pulses.
     #[error("the width of flat targets cannot be estimated from its single returns")]
@@ -56,6 +60,13 @@ pub enum NoCurve {
     /// Chance explains the differences between the bins.
     #[error("the widths of its single returns do not depend on the amplitude")]
     Constant,
+    /// The curve of one half of the pulses does not help the other half.
+    #[error(
+        "the dependence on the amplitude is not proven: what one half of its single returns shows lets the squared \
+         differences in the other half fall by {:.1} and {:.1} standard deviations, at least {LEAST_FALL_SD} are needed",
+        .0[0], .0[1]
+    )]
+    Unproven([f64; 2]),
 }
 
 /// Width of flat targets by ascending amplitude.
@@ -63,6 +74,75 @@ pub enum NoCurve {
 /// # Errors
 /// [`NoCurve`]: too few pulses, or no significant dependence.
 pub fn width_by_amplitude(pulses: &[IsolatedPulse]) -> Result<Vec<WidthNode>, NoCurve> {
+    let modes = modes(pulses);
+    if modes.len() < LEAST_BINS {
+        return Err(NoCurve::TooFewPulses);
+    }
+    if !depends_on_amplitude(&modes) {
+        return Err(NoCurve::Constant);
+    }
+    let curve = smooth(&modes);
+    let node = |(mode, ln_width): (&DataPoint, f64)| WidthNode { ln_amplitude: mode.x, ln_width };
+    Ok(modes.iter().zip(curve).map(node).collect())
+}
+
+/// Width of flat targets that proves itself, of pulses in the order of the recording.
+///
+/// The curve of either half must make the modes of the other half depend less on the amplitude.
+///
+/// # Errors
+/// [`NoCurve`]: as [`width_by_amplitude`], or the curve does not prove itself.
+pub fn proven_width_by_amplitude(pulses: &[IsolatedPulse]) -> Result<Vec<WidthNode>, NoCurve> {
+    let nodes = width_by_amplitude(pulses)?;
+    let stretch = |i: usize| i * STRETCHES / pulses.len();
+    let falls = [0, 1].map(|half| {
+        let other: Vec<IsolatedPulse> =
+            (0..pulses.len()).filter(|i| stretch(*i) % 2 != half).map(|i| pulses[i]).collect();
+        let Ok(curve) = width_by_amplitude(&other) else { return 0.0 };
+        let without = |left_out: usize| {
+            let is_used = |i: &usize| stretch(*i) % 2 == half && stretch(*i) != left_out;
+            fall(&(0..pulses.len()).filter(is_used).map(|i| pulses[i]).collect::<Vec<_>>(), &curve)
+        };
+        let all = without(STRETCHES);
+        let of_half: Vec<f64> = (0..STRETCHES).filter(|k| k % 2 == half).map(without).collect();
+        let count = of_half.len() as f64;
+        let squares: f64 = of_half.iter().map(|one| (one - all).powi(2)).sum();
+        let ratio = all / (squares * (count - 1.0) / count).sqrt();
+        if ratio.is_nan() { 0.0 } else { ratio }
+    });
+    match falls.iter().all(|fall| *fall >= LEAST_FALL_SD) {
+        true => Ok(nodes),
+        false => Err(NoCurve::Unproven(falls)),
+    }
+}
+
+/// Fall of the mean squared difference of the modes from their mean, by a curve; NaN without modes.
+fn fall(pulses: &[IsolatedPulse], curve: &[WidthNode]) -> f64 {
+    let modes = modes(pulses);
+    let weights: f64 = modes.iter().map(|mode| mode.weight).sum();
+    let variance = |of: &dyn Fn(&DataPoint) -> f64| {
+        let mean = modes.iter().map(|mode| mode.weight * of(mode)).sum::<f64>() / weights;
+        modes.iter().map(|mode| mode.weight * (of(mode) - mean).powi(2)).sum::<f64>() / weights
+    };
+    variance(&|mode| mode.y) - variance(&|mode| mode.y - ln_width_at(curve, mode.x))
+}
+
+/// Logarithm of a flat target's width: linear between nodes, constant beyond them; 0 without nodes.
+pub fn ln_width_at(nodes: &[WidthNode], ln_amplitude: f64) -> f64 {
+    let behind = nodes.partition_point(|node| node.ln_amplitude <= ln_amplitude);
+    let before = behind.checked_sub(1).and_then(|before| nodes.get(before));
+    match (before, nodes.get(behind)) {
+        (Some(a), Some(b)) => {
+            let part = (ln_amplitude - a.ln_amplitude) / (b.ln_amplitude - a.ln_amplitude);
+            a.ln_width + part * (b.ln_width - a.ln_width)
+        }
+        (Some(node), None) | (None, Some(node)) => node.ln_width,
+        (None, None) => 0.0,
+    }
+}
+
+/// Lowest mode of the widths in every bin with enough pulses, by ascending amplitude.
+fn modes(pulses: &[IsolatedPulse]) -> Vec<DataPoint> {
     let usable = |pulse: &&IsolatedPulse| {
         pulse.ln_amplitude.is_finite()
             && pulse.ln_width.abs() <= MOST_LN_WIDTH
@@ -78,16 +158,7 @@ pub fn width_by_amplitude(pulses: &[IsolatedPulse]) -> Result<Vec<WidthNode>, No
             .then(a.ln_width_sd.total_cmp(&b.ln_width_sd))
     });
     let bins = sorted.chunk_by(|a, b| bin(a) == bin(b)).filter(|bin| bin.len() >= LEAST_PULSES);
-    let modes: Vec<DataPoint> = bins.map(lower_mode).collect();
-    if modes.len() < LEAST_BINS {
-        return Err(NoCurve::TooFewPulses);
-    }
-    if !depends_on_amplitude(&modes) {
-        return Err(NoCurve::Constant);
-    }
-    let curve = smooth(&modes);
-    let node = |(mode, ln_width): (&DataPoint, f64)| WidthNode { ln_amplitude: mode.x, ln_width };
-    Ok(modes.iter().zip(curve).map(node).collect())
+    bins.map(lower_mode).collect()
 }
 
 /// Whether the modes differ from their mean by more than chance.
@@ -162,6 +233,24 @@ mod tests {
         for node in &nodes {
             assert!((node.ln_width - flat(node.ln_amplitude)).abs() < 0.004, "{node:?}");
         }
+    }
+
+    #[test]
+    fn a_curve_proves_itself_only_if_both_halves_have_it() {
+        let flat = |ln_amplitude: f64| 0.05 * (ln_amplitude - 4.0);
+        assert_eq!(proven_width_by_amplitude(&pulses(flat)), width_by_amplitude(&pulses(flat)));
+        // Only the stretches of one half depend on the amplitude.
+        let mut half = pulses(flat);
+        for (i, pulse) in half.iter_mut().enumerate() {
+            let is_odd = (i * STRETCHES / 20_000) % 2 == 1;
+            pulse.ln_width -= if is_odd { 1.6 * flat(pulse.ln_amplitude) } else { 0.0 };
+        }
+        assert!(width_by_amplitude(&half).is_ok());
+        let refused = proven_width_by_amplitude(&half).unwrap_err();
+        assert!(
+            matches!(refused, NoCurve::Unproven(falls) if falls.iter().all(|fall| *fall < 3.0)),
+            "{refused}"
+        );
     }
 
     #[test]

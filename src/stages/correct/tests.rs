@@ -1,3 +1,5 @@
+mod walk;
+
 use std::sync::Arc;
 
 use super::*;
@@ -62,6 +64,12 @@ fn nothing() -> Correct {
 
 /// Runs the stage; returns its lines and notes.
 fn run(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
+    let (lines, notes, _) = run_with_findings(keys, lines);
+    (lines, notes)
+}
+
+/// Runs the stage; returns its lines, notes and findings.
+fn run_with_findings(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>, Vec<String>) {
     let site = RunContext {
         input: PathBuf::new(),
         stem: String::new(),
@@ -79,7 +87,7 @@ fn run(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
     let mut out = Output::new(&mut cx, usize::MAX, &mut emit);
     lines.into_iter().for_each(|line| stage.process(line, &mut out).unwrap());
     stage.finish(&mut out).unwrap();
-    (given_on, cx.counters().notes.clone())
+    (given_on, cx.counters().notes.clone(), cx.counters().findings.clone())
 }
 
 fn first(lines: &[ScanLine]) -> Return {
@@ -292,6 +300,26 @@ fn automatic_widths_make_flat_targets_as_wide_as_the_pulse() {
 }
 
 #[test]
+fn widths_of_one_half_alone_correct_nothing() {
+    let keys = Correct { width_correction_low: WidthKey::Auto(Auto::Auto), ..nothing() };
+    // 20 stretches of 2500 returns; the widths of the odd ones fall with the amplitude.
+    let mut lines: Vec<ScanLine> = (0..20).map(survey_line).collect();
+    for line in lines.iter_mut().skip(1).step_by(2) {
+        let Content::Returns(returns) = &mut line.content else { unreachable!() };
+        for r in returns {
+            r.width_ratio -= 0.12 * (r.amplitude_dn / 20.0).log10();
+        }
+    }
+    let before: Vec<f64> = lines.iter().map(|line| line.returns().unwrap()[7].width_ratio).collect();
+    let (lines, _, findings) = run_with_findings(&keys, lines);
+    let after: Vec<f64> = lines.iter().map(|line| line.returns().unwrap()[7].width_ratio).collect();
+    assert_eq!(before, after);
+    let is_refused = findings[0].contains("widths are not corrected for amplitude")
+        && (findings[0].contains("is not proven") || findings[0].contains("do not depend"));
+    assert!(is_refused, "{findings:?}");
+}
+
+#[test]
 fn returns_that_pass_one_another_are_numbered_anew() {
     let range_low = AmplitudeTable::new([(0.0, 0.0), (200.0, 4e-9)]);
     let keys = Correct { range_table: TableKey::Own(true), range_table_fit: false, ..nothing() };
@@ -366,53 +394,4 @@ fn a_range_table_in_other_units_is_noticed() {
         error,
         "the range table has 1e-2 s, which is too large for a range correction; give its values in seconds"
     );
-}
-
-/// Lines of single returns on level ground whose times follow a delay by amplitude.
-fn delayed_lines(late_ns: impl Fn(f64) -> f64) -> Vec<ScanLine> {
-    let single = |line: u32, shot: u32| {
-        let k = f64::from(line * 100 + shot);
-        let amplitude_dn = 90.0 + 60.0 * (1.7 * k).sin();
-        let noise_ns = 0.02 * ((k * 7.31).sin() + (k * 3.77).cos());
-        let mut r = found(ReturnChannel::Low, 6000.0 + late_ns(amplitude_dn) + noise_ns, amplitude_dn);
-        (r.emission, r.amplitude_dn, r.width_ratio) = (shot, amplitude_dn, 1.0);
-        r
-    };
-    let line = |line: u32| {
-        let mut scan_line = line_of(map(), (0..100).map(|shot| single(line, shot)).collect());
-        scan_line.emissions = vec![emission([0.0, 0.0, -1.0]); 100];
-        scan_line
-    };
-    (0..30).map(line).collect()
-}
-
-#[test]
-fn a_delay_by_amplitude_is_learnt_and_removed() {
-    let late_ns = |dn: f64| -0.2 * (dn / 90.0).ln();
-    let spread_ns = |keys: &Correct| {
-        let (lines, _) = run(keys, delayed_lines(late_ns));
-        let times = lines.iter().flat_map(|line| line.returns().unwrap()).map(|r| r.time_of_flight_ns);
-        let times: Vec<f64> = times.collect();
-        let mean = times.iter().sum::<f64>() / times.len() as f64;
-        (times.iter().map(|t| (t - mean).powi(2)).sum::<f64>() / times.len() as f64).sqrt()
-    };
-    let auto =
-        Correct { range_table: TableKey::Own(true), range_walk: WalkKey::Auto(Auto::Auto), ..nothing() };
-    let without = Correct { range_walk: WalkKey::Without(false), ..auto.clone() };
-    let no_table = Correct { range_table: TableKey::Own(false), ..auto.clone() };
-    assert!(spread_ns(&auto) < 0.03, "{}", spread_ns(&auto));
-    assert!(spread_ns(&without) > 0.08 && spread_ns(&no_table) > 0.08);
-}
-
-#[test]
-fn keys_of_the_walk_are_checked() {
-    let error = |keys: Correct| format!("{:?}", keys.check().unwrap_err());
-    let wrong = Correct { range_walk: WalkKey::Without(true), ..Correct::default() };
-    assert!(error(wrong).contains("the path of a saved sensor model, or `false`"));
-    let unsaved = Correct {
-        range_walk: WalkKey::Without(false),
-        save_model: Some("model.json".into()),
-        ..Correct::default()
-    };
-    assert!(error(unsaved).contains("it saves the range walk"));
 }

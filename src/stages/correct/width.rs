@@ -5,7 +5,9 @@ use crate::keys::InvalidKey;
 use crate::scan_line::{Return, ReturnChannel, ScanLine, flags};
 use crate::stage::Context;
 use wavex_signal::sensor_model::SensorModel;
-use wavex_signal::width_by_amplitude::{IsolatedPulse, NoCurve, WidthNode, width_by_amplitude};
+use wavex_signal::width_by_amplitude::{
+    IsolatedPulse, NoCurve, WidthNode, ln_width_at, proven_width_by_amplitude,
+};
 
 /// Receivers with a width correction, in the order of the keys.
 pub(super) const CHANNELS: [ReturnChannel; 2] = [ReturnChannel::Low, ReturnChannel::High];
@@ -91,7 +93,7 @@ impl WidthCorrection {
             ln_width_sd: r.width_ratio_sd / r.width_ratio,
         };
         let pulses: Vec<IsolatedPulse> = of_channel.iter().filter(plain).map(pulse).collect();
-        let nodes = match width_by_amplitude(&pulses) {
+        let nodes = match proven_width_by_amplitude(&pulses) {
             Ok(nodes) => nodes,
             Err(reason) => {
                 let text = format!(
@@ -101,7 +103,7 @@ impl WidthCorrection {
                 );
                 match reason {
                     NoCurve::TooFewPulses => cx.warn(text),
-                    NoCurve::Constant => cx.info(text),
+                    NoCurve::Constant | NoCurve::Unproven(_) => cx.info(text),
                 }
                 return WidthCorrection::None;
             }
@@ -119,22 +121,8 @@ impl WidthCorrection {
         match self {
             WidthCorrection::None => 1.0,
             WidthCorrection::Power(power) => (amplitude_dn / POWER_FROM_DN).powf(*power),
-            WidthCorrection::Nodes(nodes) => at(nodes, amplitude_dn.ln()).exp(),
+            WidthCorrection::Nodes(nodes) => ln_width_at(nodes, amplitude_dn.ln()).exp(),
         }
-    }
-}
-
-/// Interpolates the logarithm of a width between nodes.
-fn at(nodes: &[WidthNode], ln_amplitude: f64) -> f64 {
-    let behind = nodes.partition_point(|node| node.ln_amplitude <= ln_amplitude);
-    let before = behind.checked_sub(1).and_then(|before| nodes.get(before));
-    match (before, nodes.get(behind)) {
-        (Some(a), Some(b)) => {
-            let part = (ln_amplitude - a.ln_amplitude) / (b.ln_amplitude - a.ln_amplitude);
-            a.ln_width + part * (b.ln_width - a.ln_width)
-        }
-        (Some(node), None) | (None, Some(node)) => node.ln_width,
-        (None, None) => 0.0,
     }
 }
 

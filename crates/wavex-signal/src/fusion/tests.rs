@@ -114,6 +114,79 @@ fn a_delay_that_falls_in_the_overdriven_receiver_is_told_by_height() {
     assert!(end_ns < -0.1 && sd_ns > 0.9 * end_ns.abs(), "extrapolation is uncertain: {end_ns} {sd_ns}");
 }
 
+/// Estimate, proof, and what is kept.
+fn proven(pairs: &[Pair]) -> (ChannelFusion, FusionProof, ChannelFusion) {
+    let fusion = estimate(pairs, FULL_SCALE_DN, 0.3).unwrap();
+    let proof = prove(&fusion, pairs, FULL_SCALE_DN, 0.3);
+    let mut kept = fusion.clone();
+    kept.keep_proven(&proof);
+    (fusion, proof, kept)
+}
+
+#[test]
+fn what_both_halves_show_is_kept() {
+    let delay = |dn: f64| 0.65 - 0.004 * (dn - 210.0).max(0.0);
+    for seed in 0..20 {
+        // A tenth of the pairs are two echoes.
+        let mut some = pairs(&mut Random::new(seed), 4000, 9.0, delay);
+        some.iter_mut().step_by(10).for_each(|pair| pair.delay_ns += 4.0);
+        let (fusion, proof, kept) = proven(&some);
+        assert!(!fusion.walk.is_empty());
+        assert_eq!(fusion, kept, "{proof:?}");
+        let (fusion, proof, kept) = proven(&pairs(&mut Random::new(seed), 60, 9.0, |_| 0.5));
+        assert!(FusionProof::is_proven(proof.gain_falls) && fusion == kept, "{proof:?}");
+    }
+}
+
+#[test]
+fn a_delay_of_one_half_is_not_applied() {
+    let mut some = pairs(&mut Random::new(1), 2000, 9.0, |_| 0.5);
+    // Odd twentieths of the recording have the opposite delay, and a larger part of it.
+    for (i, pair) in some.iter_mut().enumerate() {
+        pair.delay_ns *= if (i / 100) % 2 == 1 { -1.3 } else { 1.0 };
+    }
+    let (fusion, proof, kept) = proven(&some);
+    assert!(!FusionProof::is_proven(proof.delay_falls), "{proof:?}");
+    assert_eq!(kept.delay_ns, 0.0);
+    assert!(kept.delay_sd_ns >= fusion.delay_ns.abs());
+    assert!(FusionProof::is_proven(proof.gain_falls));
+}
+
+#[test]
+fn no_delay_is_not_applied() {
+    let (fusion, _, kept) = proven(&pairs(&mut Random::new(2), 300, 9.0, |_| 0.0));
+    assert_eq!(kept.delay_ns, 0.0);
+    assert!(kept.delay_sd_ns < 0.02, "{kept:?} {fusion:?}");
+}
+
+#[test]
+fn a_walk_of_one_half_is_not_applied() {
+    let mut some = pairs(&mut Random::new(3), 4000, 9.0, |_| 0.5);
+    let mut overdriven: Vec<&mut Pair> =
+        some.iter_mut().filter(|pair| pair.low_power_dn >= OVERDRIVEN_PART * FULL_SCALE_DN).collect();
+    let count = overdriven.len();
+    for (i, pair) in overdriven.iter_mut().enumerate() {
+        pair.delay_ns += if (i * 20 / count) % 2 == 1 { 0.4 } else { -0.1 };
+    }
+    let (fusion, proof, kept) = proven(&some);
+    assert!(!fusion.walk.is_empty(), "{fusion:?}");
+    assert!(!FusionProof::is_proven(proof.walk_falls.unwrap()), "{proof:?}");
+    let [was, is] = [&fusion, &kept].map(|fusion| fusion.walk_ns(240.0));
+    assert_eq!(is.0, 0.0);
+    assert!(is.1 > was.0.abs() && was.0.abs() > 0.01, "{was:?} {is:?}");
+}
+
+#[test]
+fn heights_without_relation_prove_no_gain() {
+    let mut random = Random::new(4);
+    let mut some = pairs(&mut random, 400, 1.0, |_| 0.5);
+    for (i, pair) in some.iter_mut().enumerate() {
+        pair.high_power_dn *= if (i / 20) % 2 == 1 { 1.5 } else { 0.7 };
+    }
+    let (_, proof, _) = proven(&some);
+    assert!(!FusionProof::is_proven(proof.gain_falls), "{proof:?}");
+}
+
 #[test]
 fn too_few_or_too_weak_echoes_tell_nothing() {
     let mut random = Random::new(2);
