@@ -21,8 +21,7 @@ impl WaveformDecomposer {
         let tables = Tables::new(model).map(Arc::new);
         let kernels =
             BatchDecomposer::new(model, tables, settings, mode, SimdLevel::best()).expect("a model");
-        let flanks =
-            Flanks::new(model, settings.template_error, settings.recovery_samples).expect("a model");
+        let flanks = Flanks::new(model, settings.template_error, settings.recovery_samples).expect("a model");
         let sampling_interval_ns = model.sampling_interval_ns;
         WaveformDecomposer { kernels, outcomes: Decompositions::default(), flanks, sampling_interval_ns }
     }

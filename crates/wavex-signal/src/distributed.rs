@@ -38,6 +38,8 @@ const CLEAR: f64 = 4.5;
 const FREE_WIDTHS: f64 = 2.0;
 /// Distance from the crossings of the threshold within which energy counts, pulse widths.
 const MARGIN_WIDTHS: f64 = 1.0;
+/// Half length of the secant that gives the density at a percentile, SDs of its energy.
+const SECANT_SDS: f64 = 1.5;
 /// A mode behind a higher one is this many times as prominent as the ringing of the response there.
 const RINGING_FACTOR: f64 = 2.0;
 
@@ -220,7 +222,8 @@ impl DistributedTargets {
         let Some(ground) = last.filter(|_| flags & GROUND_MISSING == 0) else { return Some(profile) };
         profile.last_peak_samples = self.position(&ground, &extent);
         if flags & TOP_MISSING == 0 && profile.energy_dn.value > 0.0 {
-            profile.heights_samples = RELATIVE_HEIGHTS.map(|part| self.height(part, &ground, window, &extent));
+            profile.heights_samples =
+                RELATIVE_HEIGHTS.map(|part| self.height(part, &ground, window, &extent));
             profile.top_samples = self.top(&ground, &extent);
         }
         Some(profile)
@@ -337,31 +340,46 @@ impl DistributedTargets {
         // Beams travel downwards: the part of the energy from below is the rest of that from above.
         let above = 1.0 - part;
         let wanted_dn = above * self.cumulative_dn[self.signal_dn.len()];
-        let cumulative_dn = &self.cumulative_dn;
-        // Noise makes the sum not monotonic: the crossing next to the energy's middle counts.
-        let at = if part > 0.5 {
-            cumulative_dn.iter().position(|&dn| dn >= wanted_dn).map_or(0, |edge| edge.max(1) - 1)
-        } else {
-            cumulative_dn.iter().rposition(|&dn| dn <= wanted_dn).unwrap_or(0)
-        };
-        let at = at.min(self.signal_dn.len() - 1);
-        let (before_dn, here_dn) = (cumulative_dn[at], cumulative_dn[at + 1] - cumulative_dn[at]);
-        let inside = if here_dn > 0.0 { ((wanted_dn - before_dn) / here_dn).clamp(0.0, 1.0) } else { 0.5 };
-        let position = at as f64 - 0.5 + inside;
-        // Where there is no signal, the position is as uncertain as the noise lets it be.
-        let nearest = (position.round().max(0.0) as usize).min(self.signal_dn.len() - 1);
-        let density_dn = self.smoothed_dn[nearest].max(self.smoothed_sd_dn);
-        self.clear_weights();
+        let level = self.level(part, wanted_dn);
+        self.weigh_energy(above, &level, 1.0, window);
+        let energy_sd_dn = self.sd(extent);
+        // The density changes within the error of the energy: a secant, not a tangent.
+        let reach_dn = SECANT_SDS * energy_sd_dn;
+        let [low, high] = [-reach_dn, reach_dn].map(|dn| self.level(part, wanted_dn + dn).position());
+        let density_dn = 2.0 * reach_dn / (high - low).max(f64::EPSILON);
+        self.weigh_energy(above, &level, -density_dn.recip(), window);
         ground.add_slopes(1.0, &mut self.weights.of_smoothed);
+        WithSd { value: ground.position() - level.position(), sd: self.sd(extent) }
+    }
+
+    /// Level above which this energy lies; `part` is its distance from all energy.
+    fn level(&self, part: f64, energy_dn: f64) -> Level {
+        let cumulative_dn = &self.cumulative_dn;
+        let last = self.signal_dn.len() - 1;
+        let energy_dn = energy_dn.clamp(0.0, cumulative_dn[last + 1]);
+        // Noise makes the sum not monotonic: the crossing next to the middle of the energy counts.
+        let sample = if part > 0.5 {
+            cumulative_dn.iter().position(|&dn| dn >= energy_dn).map_or(0, |edge| edge.saturating_sub(1))
+        } else {
+            cumulative_dn.iter().rposition(|&dn| dn <= energy_dn).unwrap_or(0)
+        };
+        let sample = sample.min(last);
+        let step_dn = cumulative_dn[sample + 1] - cumulative_dn[sample];
+        let inside = if step_dn > 0.0 { (energy_dn - cumulative_dn[sample]) / step_dn } else { 0.5 };
+        Level { sample, inside: inside.clamp(0.0, 1.0) }
+    }
+
+    /// Weights of `factor` times a part of the energy less the energy above a level.
+    fn weigh_energy(&mut self, part: f64, level: &Level, factor: f64, window: [f64; 2]) {
+        self.clear_weights();
         for (k, weight) in self.weights.of_samples.iter_mut().enumerate() {
-            let counted = match k.cmp(&at) {
+            let counted = match k.cmp(&level.sample) {
                 std::cmp::Ordering::Less => 1.0,
-                std::cmp::Ordering::Equal => inside,
+                std::cmp::Ordering::Equal => level.inside,
                 std::cmp::Ordering::Greater => 0.0,
             };
-            *weight = -(above - counted) * share(k, window) / density_dn;
+            *weight = factor * (part - counted) * share(k, window);
         }
-        WithSd { value: ground.position() - position, sd: self.sd(extent) }
     }
 
     /// Height above the ground at which the signal begins.
@@ -371,6 +389,18 @@ impl DistributedTargets {
         ground.add_slopes(1.0, &mut self.weights.of_smoothed);
         slopes.iter().for_each(|&(k, slope)| self.weights.of_smoothed[k] -= slope);
         WithSd { value: ground.position() - position, sd: self.sd(extent) }
+    }
+}
+
+/// A position within the block: a sample, and the part of it before the position.
+struct Level {
+    sample: usize,
+    inside: f64,
+}
+
+impl Level {
+    fn position(&self) -> f64 {
+        self.sample as f64 - 0.5 + self.inside
     }
 }
 

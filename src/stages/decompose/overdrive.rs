@@ -16,7 +16,8 @@ impl Overdrive {
     pub(super) fn new(model: &SensorModel, config: &Decompose) -> Result<Overdrive> {
         let recovery_samples = DecomposeSettings::default().recovery_samples;
         let flanks = |channel: &Option<ChannelModel>| {
-            let made = channel.as_ref().map(|model| Flanks::new(model, config.template_error, recovery_samples));
+            let made =
+                channel.as_ref().map(|model| Flanks::new(model, config.template_error, recovery_samples));
             made.transpose().map_err(|error| StageError::failed(error.to_string(), "recalibrate"))
         };
         Ok(Overdrive { low_power: flanks(&model.low_power)?, high_power: flanks(&model.high_power)? })

@@ -183,7 +183,7 @@ mod tests {
         let mut count = 0;
         for _ in 0..COUNT {
             let mut values = vec![0.0; 60];
-            let (height, place) = (300.0 + 500.0 * random.uniform(), 28.0 + random.uniform());
+            let (height, place) = (450.0 + 450.0 * random.uniform(), 28.0 + random.uniform());
             let pulse = Pulse {
                 height_dn: height,
                 position_samples: place,
@@ -199,7 +199,8 @@ mod tests {
             let waveform = Waveform { samples: &samples, start_phase: 0 };
             let found = decomposer.decompose(&samples, 0);
             assert!(found.returns.iter().any(|pulse| pulse.flags & flags::SATURATED != 0));
-            count += usize::from(flanks.overdrive_errors(waveform, &found).of(flags::SATURATED) == (0.0, 0.0));
+            count +=
+                usize::from(flanks.overdrive_errors(waveform, &found).of(flags::SATURATED) == (0.0, 0.0));
         }
         count as f64 / COUNT as f64
     }

@@ -71,7 +71,8 @@ mod tests {
         let mut autocovariance = [0.0; 20];
         noise.autocovariance_into(&mut autocovariance);
         let product = |i: usize, j: usize| weights[i] * weights[j] * autocovariance[i.abs_diff(j)];
-        let expected: f64 = (0..20).flat_map(|i| (0..20).map(move |j| (i, j))).map(|(i, j)| product(i, j)).sum();
+        let expected: f64 =
+            (0..20).flat_map(|i| (0..20).map(move |j| (i, j))).map(|(i, j)| product(i, j)).sum();
         assert!((variance(&noise, &mut weights.clone()) / expected - 1.0).abs() < 1e-9);
     }
 

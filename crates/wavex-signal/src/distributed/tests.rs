@@ -19,12 +19,13 @@ struct Canopy {
     heights: [f64; 4],
 }
 
-fn canopy(random: &mut Random, process: &ArNoise, model: &ChannelModel, scale: f64) -> Canopy {
+/// A canopy of 12 DN times `scale`, or none, over a ground of 110 DN times `scale`.
+fn canopy(random: &mut Random, process: &ArNoise, model: &ChannelModel, scale: f64, is_bare: bool) -> Canopy {
     let depth = 60.0 + 20.0 * random.uniform();
     let ground = TOP + depth + 18.0 + random.uniform();
     let mut signal = vec![0.0; SAMPLES];
     let shape = Shape::of(model).unwrap();
-    for _ in 0..300 {
+    for _ in 0..if is_bare { 0 } else { 300 } {
         let part = (random.uniform() + random.uniform() + random.uniform()) / 3.0;
         shape.add(&pulse(1.5 * scale, TOP + depth * part, 1.0), 1.0, &mut signal);
     }
@@ -52,7 +53,13 @@ fn rms(values: &[f64]) -> f64 {
 #[test]
 fn heights_above_the_ground_have_true_standard_deviations() {
     const COUNT: usize = 600;
-    for (coefficients, scale) in [(&[][..], 1.0), (&[0.4], 1.0), (&[-0.5], 0.4), (&[0.9, -0.3], 3.0)] {
+    for (coefficients, scale, is_bare) in [
+        (&[][..], 1.0, false),
+        (&[0.4], 1.0, false),
+        (&[-0.5], 0.4, false),
+        (&[0.9, -0.3], 3.0, false),
+        (&[0.6, -0.2], 1.0, true),
+    ] {
         let process = ArNoise::new(coefficients, 1.0).unwrap();
         let model = wide_channel(&process);
         let mut targets = DistributedTargets::new(&model).unwrap();
@@ -60,7 +67,7 @@ fn heights_above_the_ground_have_true_standard_deviations() {
         let mut scores = vec![Vec::new(); 5];
         let mut gross = 0;
         for _ in 0..COUNT {
-            let truth = canopy(&mut random, &process, &model, scale);
+            let truth = canopy(&mut random, &process, &model, scale, is_bare);
             // An unknown background.
             let profile = targets.profile(&truth.samples, 0, 2.0).unwrap();
             assert_eq!(profile.flags, 0);
@@ -72,7 +79,7 @@ fn heights_above_the_ground_have_true_standard_deviations() {
             }
         }
         let z: Vec<f64> = scores.iter().map(|scores| rms(scores)).collect();
-        println!("noise {coefficients:?}, signal {scale}: z {z:.2?}");
+        println!("noise {coefficients:?}, signal {scale}, bare {is_bare}: z {z:.2?}");
         assert_eq!(gross, 0);
         assert!(z.iter().all(|z| (0.88..1.12).contains(z)), "{z:.2?}");
     }
@@ -162,7 +169,8 @@ fn ringing_is_no_ground() {
     };
     let ringing = ChannelModel { response: Some(response), ..plain.clone() };
     let samples = waveform(&ringing, &[(400.0, 100.0)], SAMPLES);
-    let of = |model: &ChannelModel| DistributedTargets::new(model).unwrap().profile(&samples, 0, 0.0).unwrap();
+    let of =
+        |model: &ChannelModel| DistributedTargets::new(model).unwrap().profile(&samples, 0, 0.0).unwrap();
     let (known, unknown) = (of(&ringing), of(&plain));
     assert_eq!((known.peaks, unknown.peaks), (1, 2));
     assert!((known.last_peak_samples.value - 100.0).abs() < 0.1, "{known:?}");
