@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from read_container import SCHEMAS, arrow_type
 
-SHOTS, SAMPLES, INTERVAL_NS, FWHM_SAMPLES = 1600, 432, 2.0, 5.0
+SHOTS, CUT, SAMPLES, INTERVAL_NS, FWHM_SAMPLES = 1600, 40, 432, 2.0, 5.0
 BACKGROUND_DN, SPEED_MPS = 15.6, 299_707_502.0
 PARTS = {"rh25": 0.25, "rh50": 0.50, "rh75": 0.75, "rh98": 0.98}
 JOB = """
@@ -25,7 +25,7 @@ type = 'decompose'
 emission_jitter_ns = 0.0
 [[stage]]
 type = 'write_table'
-path = 'forest.arrow.table.arrow'
+path = 'heights.arrow'
 """
 
 
@@ -85,17 +85,31 @@ def write(path, samples):
         writer.write_table(pa.Table.from_pylist(rows, schema=schema))
 
 
+def table(path):
+    """The first return of each shot."""
+    returns = pa.ipc.open_file(path).read_all().to_pandas()
+    return returns.drop_duplicates("shot").set_index("shot")
+
+
 def check_relative_heights(checks, command, program):
     """Simulates, runs `program` and compares; `command` runs a list of arguments."""
     with checks.of("relative heights"), tempfile.TemporaryDirectory() as folder:
         folder, random = Path(folder), np.random.default_rng(39)
         signals, grounds, has_canopy = waveforms(random)
         samples = np.clip(np.rint(signals + noise(random) + BACKGROUND_DN), 0, 1023).astype(np.uint16)
-        write(folder / "forest.arrow", samples)
+        # Blocks that end before the ground: the last canopies again.
+        cut = [samples[shot][: int(grounds[shot]) - 3] for shot in range(SHOTS) if has_canopy[shot]][-CUT:]
+        write(folder / "forest.arrow", [*samples, *cut])
         (folder / "job.toml").write_text(JOB)
+        without = JOB.replace("'decompose'", "'decompose'\ndistributed_targets = false").replace("heights.arrow", "none.arrow")
+        (folder / "none.toml").write_text(without)
+        command([program, "--quiet", "run", folder / "none.toml"])
+        checks.that("no profiles where they are switched off", table(folder / "none.arrow").profile_flags.isna().all())
         command([program, "--quiet", "run", folder / "job.toml"])
-        table = pa.ipc.open_file(next(folder.glob("*.table.arrow"))).read_all().to_pandas()
-        first = table.drop_duplicates("shot").set_index("shot")
+        first = table(folder / "heights.arrow")
+        missing, first = first[first.index >= SHOTS], first[first.index < SHOTS]
+        checks.equal("a ground behind the block is flagged", (missing.profile_flags == 1).sum(), CUT)
+        checks.that("and has no number", missing[["profile_last_range_m", "rh25_m", "rh98_m"]].isna().all(axis=None))
         checks.equal("every shot has a profile without flags", int((first.profile_flags == 0).sum()), SHOTS)
         metres = 0.5e-9 * SPEED_MPS * INTERVAL_NS
         truth = metres * np.array([heights(signal, ground) for signal, ground in zip(signals, grounds)])

@@ -38,6 +38,8 @@ const CLEAR: f64 = 4.5;
 const FREE_WIDTHS: f64 = 2.0;
 /// Distance from the crossings of the threshold within which energy counts, pulse widths.
 const MARGIN_WIDTHS: f64 = 1.0;
+/// Length of the end of a block that must be free of signal, pulse widths.
+const CUT_WIDTHS: f64 = 0.25;
 /// Half length of the secant that gives the density at a percentile, SDs of its energy.
 const SECANT_SDS: f64 = 1.5;
 /// A mode behind a higher one is this many times as prominent as the ringing of the response there.
@@ -191,12 +193,11 @@ impl DistributedTargets {
         let is_clipped = samples.iter().any(|&sample| f64::from(sample) >= self.model.full_scale_dn);
         self.find_modes();
         let last = self.modes.last().copied();
-        let [first_above, last_above] = extent.above;
         let mut flags = 0;
-        if last.is_none() || last_above + 1 == samples.len() {
+        if last.is_none() || self.is_cut(extent.above[1] + 1 == samples.len(), self.signal_dn.iter().rev()) {
             flags |= GROUND_MISSING;
         }
-        if first_above == 0 {
+        if self.is_cut(extent.above[0] == 0, self.signal_dn.iter()) {
             flags |= TOP_MISSING;
         }
         if is_clipped {
@@ -227,6 +228,14 @@ impl DistributedTargets {
             profile.top_samples = self.top(&ground, &extent);
         }
         Some(profile)
+    }
+
+    /// Whether the signal reaches an end of the block: the smoothed one, or the mean of the last samples
+    /// there, which smoothing mixes with nothing beyond the end.
+    fn is_cut<'a>(&self, is_above: bool, from_end: impl Iterator<Item = &'a f64>) -> bool {
+        let count = (CUT_WIDTHS * self.fwhm_samples).ceil();
+        let mean_dn = from_end.take(count as usize).sum::<f64>() / count;
+        is_above || mean_dn > CLEAR * self.model.noise_sd_dn
     }
 
     fn threshold_dn(&self) -> f64 {

@@ -5,10 +5,10 @@ use serde::{Deserialize, Serialize};
 
 use super::shots::EmissionTime;
 use super::{Decompose, Mode};
-use crate::scan_line::{Block, Blocks, InputInfo, ReturnChannel, ShotProfile, flags};
+use crate::scan_line::{Block, Blocks, InputInfo, ReturnChannel, ShotProfile};
 use crate::stage::{Result, StageError};
 use crate::stages::calibrate::Auto;
-use wavex_signal::decompose::Decomposition;
+use wavex_signal::decompose::{BLINDED, Decomposition};
 use wavex_signal::distributed::{DistributedTargets, TargetProfile, WithSd};
 use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 
@@ -30,6 +30,16 @@ pub enum ProfilesKey {
     Fixed(bool),
     /// Those of large-footprint recordings, and unexplained ones.
     Auto(Auto),
+}
+
+impl ProfilesKey {
+    /// Whether waveforms of this length get relative heights.
+    fn includes(self, length_ns: f64, is_unexplained: impl FnOnce() -> bool) -> bool {
+        match self {
+            ProfilesKey::Fixed(is_wanted) => is_wanted,
+            ProfilesKey::Auto(_) => length_ns >= LARGE_FOOTPRINT_NS || is_unexplained(),
+        }
+    }
 }
 
 impl Default for ProfilesKey {
@@ -68,20 +78,13 @@ impl Profiles {
         })
     }
 
-    /// Whether a waveform gets a profile.
+    /// Whether the pulses do not explain a waveform.
     ///
     /// The misfit of overdriven pulses is the receiver's, not the target's.
-    fn is_wanted(&self, block: &Block, pulses: &Decomposition) -> bool {
-        const OF_RECEIVER: u16 = flags::OVERDRIVEN | flags::SATURATED | flags::EXTREMELY_SATURATED;
-        match self.choice {
-            ProfilesKey::Fixed(is_wanted) => is_wanted,
-            ProfilesKey::Auto(_) if block.len() as f64 * block.interval_ns >= LARGE_FOOTPRINT_NS => true,
-            ProfilesKey::Auto(_) => {
-                self.has_fits
-                    && pulses.deviation_ratio() > UNEXPLAINED
-                    && pulses.returns.iter().all(|found| found.flags & OF_RECEIVER == 0)
-            }
-        }
+    fn is_unexplained(&self, pulses: &Decomposition) -> bool {
+        self.has_fits
+            && pulses.deviation_ratio() > UNEXPLAINED
+            && pulses.returns.iter().all(|found| found.flags & BLINDED == 0)
     }
 
     /// Estimates the profile of a block, if it is wanted.
@@ -94,7 +97,8 @@ impl Profiles {
         channel: ReturnChannel,
         pulses: &Decomposition,
     ) {
-        if block.gain != 1.0 || !self.is_wanted(block, pulses) {
+        let length_ns = block.len() as f64 * block.interval_ns;
+        if block.gain != 1.0 || !self.choice.includes(length_ns, || self.is_unexplained(pulses)) {
             return;
         }
         let estimator = match channel {
@@ -138,5 +142,19 @@ impl Profiles {
             energy_dn: profile.energy_dn,
             flags: profile.flags,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_and_unexplained_waveforms_have_heights_by_default() {
+        let by_default = ProfilesKey::default();
+        assert!(by_default.includes(864.0, || false) && by_default.includes(60.0, || true));
+        assert!(!by_default.includes(256.0, || false));
+        assert!(ProfilesKey::Fixed(true).includes(60.0, || false));
+        assert!(!ProfilesKey::Fixed(false).includes(864.0, || true));
     }
 }

@@ -128,6 +128,10 @@ fn what_is_missing_is_flagged_and_unknown() {
     assert!(cut.last_peak_samples.value.is_nan() && cut.top_samples.sd.is_nan());
     assert!(cut.heights_samples.iter().all(|height| height.value.is_nan() && height.sd.is_nan()));
 
+    // Only the foot of the ground is recorded.
+    let foot = of(&mut targets, &samples[..116]);
+    assert_eq!(foot.flags, GROUND_MISSING);
+
     let late = of(&mut targets, &samples[60..]);
     assert_eq!(late.flags, TOP_MISSING);
     assert!((late.last_peak_samples.value - 60.0).abs() < 0.3);
