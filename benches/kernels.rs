@@ -303,7 +303,7 @@ fn many_echoes(path: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &
     }
 }
 
-/// Measures profiles of waveforms that pulses do not explain: a canopy, and the ground behind it.
+/// Measures relative heights: a canopy, and the ground behind it.
 ///
 /// Prints the time per waveform.
 fn profiles(model: &ChannelModel, noise: &ArNoise) {
@@ -328,7 +328,7 @@ fn profiles(model: &ChannelModel, noise: &ArNoise) {
             simulated::digitised(&values, 4095)
         };
         let canopies: Vec<Vec<u16>> = (0..CANOPIES).map(|_| canopy()).collect();
-        let mut targets = DistributedTargets::new(&model, 0.0).expect("a channel");
+        let mut targets = DistributedTargets::new(&model).expect("a channel");
         let mut found = 0;
         let rate = rate(|| {
             found = canopies.iter().filter(|samples| targets.profile(samples, 0, 0.0).is_some()).count();
@@ -336,7 +336,7 @@ fn profiles(model: &ChannelModel, noise: &ArNoise) {
         // `rate` counts runs of `WAVEFORMS` waveforms.
         let us = |rate: f64| WAVEFORMS as f64 / CANOPIES as f64 / rate;
         println!(
-            "profile of an unexplained waveform, {samples} samples: {:.0} us per waveform, best run {:.0}; \
+            "relative heights, {samples} samples: {:.0} us per waveform, best run {:.0}; \
              {found} of {CANOPIES} found",
             us(rate.median),
             us(rate.best)

@@ -21,6 +21,7 @@ mod echo;
 mod modes;
 mod observer;
 mod online;
+mod overdrive;
 mod profiles;
 mod receivers;
 mod shots;
@@ -29,6 +30,7 @@ mod unexplained;
 use receivers::SharedTables;
 
 pub use online::OnlinePoints;
+pub use profiles::ProfilesKey;
 
 pub(crate) use observer::{Seen, SeenBlock, SeenPulse};
 pub(crate) use receivers::SensorTables;
@@ -115,11 +117,12 @@ pub struct Decompose {
     pub template_error: f64,
     /// Drop returns that overlap leakage from the emission of another shot (flag bit 3).
     pub drop_emission_crosstalk: bool,
-    /// Describe waveforms that pulses do not explain (deviation ratio above 5, not overdriven) by a
-    /// continuous profile of the target along the beam as well: dense vegetation, large footprints.
-    /// `write_table` has its first and last peak, relative heights and energy. Not in the fast modes,
-    /// which leave misfits that are not the target's.
-    pub distributed_targets: bool,
+    /// Waveforms with relative heights: `true`: all, `false`: none, `"auto"`: those of large-footprint
+    /// recordings (blocks of at least 400 ns) and those that pulses do not explain (deviation ratio
+    /// above 5, not overdriven; not in the fast modes). Relative heights count from the last
+    /// significant mode of the waveform, as in GEDI's level 2A product. `write_table` has them, the
+    /// first and last mode, and the energy.
+    pub distributed_targets: ProfilesKey,
     /// Use of the instrument's own returns: for shots without a recorded waveform, never, or instead
     /// of computed returns.
     pub online_points: OnlinePoints,
@@ -185,7 +188,7 @@ impl Default for Decompose {
             split_evidence: Threshold::Number(16.0),
             template_error: 0.005,
             drop_emission_crosstalk: false,
-            distributed_targets: true,
+            distributed_targets: ProfilesKey::default(),
             online_points: OnlinePoints::default(),
             tables: SharedTables::default(),
         }

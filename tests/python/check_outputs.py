@@ -31,6 +31,7 @@ from check_packets import check_packets
 from check_pdal import check_pdal
 from check_points import check_points, check_same_points
 from check_rasters import check_rasters
+from check_relative_heights import check_relative_heights
 from check_stac import check_stac
 from check_text import COLUMNS, check_ascii, check_beams, check_flown, check_origins
 from check_units import SYSTEMS, check_units
@@ -457,6 +458,7 @@ def main():
     check_systems(checks, program)
     check_rasters_of_survey(checks, program)
     check_many_points(checks, program)
+    check_relative_heights(checks, command, program)
     data = os.environ.get("WAVEX_DATA")
     if data is None:
         print("skipped: WAVEX_DATA not set")

@@ -10,6 +10,7 @@ mod agreement;
 mod geometry_alone;
 mod instruments;
 mod planes;
+mod relative_heights;
 mod vendor_free;
 
 use std::path::Path;

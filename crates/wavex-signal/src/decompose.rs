@@ -7,9 +7,11 @@
 use crate::flags;
 
 pub(crate) mod acceptance;
+mod flanks;
 mod scalar;
 pub mod simd;
 
+pub use flanks::{BLINDED, Flanks, OverdriveErrors};
 pub use scalar::Decomposer;
 pub use simd::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
 

@@ -22,7 +22,7 @@ const NAMES: &str = "shot,gps_time_s,return_number,number_of_returns,channel,mta
     width_ratio_sd,fwhm_ns,thickness_m,thickness_sd_m,deviation_ratio,intensity,intensity_sd,flags,withheld,\
     class,x,y,z,total_uncertainty_m,profile_peaks,profile_first_range_m,profile_first_range_sd_m,\
     profile_last_range_m,profile_last_range_sd_m,rh25_m,rh25_sd_m,rh50_m,rh50_sd_m,rh75_m,rh75_sd_m,rh98_m,\
-    rh98_sd_m,profile_energy_dn,profile_energy_sd_dn,profile_deviation_ratio";
+    rh98_sd_m,rh100_m,rh100_sd_m,profile_energy_dn,profile_energy_sd_dn,profile_flags";
 
 fn info() -> Arc<InputInfo> {
     Arc::new(InputInfo {
