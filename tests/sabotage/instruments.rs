@@ -2,9 +2,8 @@
 
 use wavex_testkit::waveforms::Random;
 
-/// Lines and shots of a recording.
+/// Lines of a recording.
 const LINES: usize = 4;
-const SHOTS_PER_LINE: usize = 750;
 
 /// Type of instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,7 +12,7 @@ pub enum Kind {
     Riegl,
     /// 8 bits, pulse of 6 ns with an undershoot, a background that differs between waveforms.
     Leica,
-    /// 12 bits, pulse of 14 ns, waveforms of 300 samples of canopy over ground.
+    /// 12 bits, pulse of 14 ns, waveforms of 240 samples of canopy over ground.
     LargeFootprint,
 }
 
@@ -58,6 +57,7 @@ impl Recording {
 pub struct Instrument {
     kind: Kind,
     random: Random,
+    shots_per_line: usize,
     samples: usize,
     full_scale_dn: u16,
     background_dn: f64,
@@ -75,6 +75,7 @@ impl Instrument {
         let common = Instrument {
             kind,
             random,
+            shots_per_line: 500,
             samples: 60,
             full_scale_dn: 255,
             background_dn: 12.3,
@@ -82,12 +83,12 @@ impl Instrument {
             noise_sd_dn: 0.9,
             ar: [0.62, 0.05],
             width_jitter: 0.01,
-            tail_jitter: 0.15,
+            tail_jitter: 0.4,
         };
         match kind {
             Kind::Riegl => common,
             Kind::Leica => Instrument {
-                samples: 128,
+                samples: 96,
                 background_dn: 14.6,
                 background_sd_dn: 2.5,
                 noise_sd_dn: 1.3,
@@ -95,14 +96,13 @@ impl Instrument {
                 ..common
             },
             Kind::LargeFootprint => Instrument {
-                samples: 300,
+                shots_per_line: 225,
+                samples: 240,
                 full_scale_dn: 4095,
                 background_dn: 220.0,
                 background_sd_dn: 12.0,
                 noise_sd_dn: 6.0,
                 ar: [0.9, -0.3],
-                width_jitter: 0.012,
-                tail_jitter: 0.2,
                 ..common
             },
         }
@@ -110,7 +110,7 @@ impl Instrument {
 
     /// Lines of waveforms.
     pub fn record(mut self) -> Recording {
-        let line = |instrument: &mut Instrument| (0..SHOTS_PER_LINE).map(|_| instrument.waveform()).collect();
+        let line = |instrument: &mut Instrument| (0..instrument.shots_per_line).map(|_| instrument.waveform()).collect();
         Recording {
             lines: (0..LINES).map(|_| line(&mut self)).collect(),
             full_scale_dn: self.full_scale_dn,
@@ -166,16 +166,16 @@ impl Instrument {
                 }
             }
             Kind::LargeFootprint => {
-                let ground = self.between(150.0, 180.0);
+                let ground = self.between(120.0, 140.0);
                 let height = self.height(150.0, 3600.0);
-                let is_open = self.random.uniform() < 0.3;
+                let is_open = self.random.uniform() < 0.45;
                 echoes.push([height, ground, 1.0]);
                 if !is_open {
-                    let (top, canopy) = (self.between(40.0, 110.0), self.height(100.0, 900.0));
-                    for _ in 0..25 {
-                        let place = ground - 15.0 - top * self.random.uniform();
-                        let height = canopy * 0.3 * self.random.uniform();
-                        echoes.push([height, place, 1.0]);
+                    let (top, canopy) = (self.between(30.0, 75.0), self.height(100.0, 900.0));
+                    for _ in 0..8 {
+                        let place = ground - 25.0 - top * self.random.uniform();
+                        let height = canopy * 0.6 * self.random.uniform();
+                        echoes.push([height, place, 1.3]);
                     }
                 }
             }

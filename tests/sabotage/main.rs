@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use changes::{Change, changes};
 use instruments::{Instrument, Kind};
-use runs::{saved_model, warnings};
+use runs::{run_job, saved_model, warnings};
 
 /// Smallest fraction of noticed changes, and largest fraction of false alarms.
 const NOTICED: f64 = 0.95;
@@ -47,7 +47,11 @@ fn recording_cases(kind: Kind, seed: u64, changes: &[Change]) -> Vec<(usize, boo
     let mut results = Vec::new();
     for (row, change) in changes.iter().enumerate() {
         let Some(case) = change.apply(kind, &model, &other, &recording) else { continue };
+        let start = std::time::Instant::now();
         let said = warnings(&case, place.path());
+        if std::env::var_os("WAVEX_SABOTAGE_TIMES").is_some() {
+            println!("{kind:?} {}: {:.2} s", change.name, start.elapsed().as_secs_f64());
+        }
         let is_said = match change.areas.is_empty() {
             true => changes::is_alarm(&said),
             false => said.iter().any(|text| change.areas.iter().any(|area| text.contains(area))),
@@ -88,6 +92,28 @@ fn sabotage_is_noticed() {
         };
         assert!(is_kept, "{}: {said} of {all}", change.name);
     }
+}
+
+#[test]
+fn a_dead_receiver_has_no_returns() {
+    let place = tempfile::tempdir().unwrap();
+    let good = Instrument::new(Kind::Riegl, 1).record();
+    let np_and_constant = |dead_from: usize, calibrate: &str| {
+        let recording = good.changed(|number, samples| {
+            if number >= dead_from {
+                samples.fill(77);
+            }
+        });
+        let summary = run_job(&recording, calibrate, place.path());
+        let rejected = summary.stages.iter().flat_map(|stage| &stage.rejected);
+        let constant = rejected.filter(|(what, _)| what.contains("all samples are equal")).map(|(_, n)| n).sum();
+        (summary.totals["np"], constant)
+    };
+    assert_eq!(np_and_constant(0, "preset = 'riegl_lms_q680i'"), (0, good.shots() as u64));
+    let (before, _) = np_and_constant(good.shots(), "waveforms = 500");
+    let (half, constant): (u64, u64) = np_and_constant(good.shots() / 2, "waveforms = 500");
+    assert_eq!(constant, good.shots() as u64 / 2);
+    assert!((0.4..0.6).contains(&(half as f64 / before as f64)), "{half} of {before}");
 }
 
 fn print_table(changes: &[Change], rows: &[Row]) {

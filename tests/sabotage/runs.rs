@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use wavex::engine::InputSummary;
 use wavex::stages::calibrate::{model_json, parse_model};
 use wavex_formats::container::{ContainerHeader, EmissionReference};
 use wavex_signal::sensor_model::SensorModel;
@@ -32,6 +33,11 @@ pub fn saved_model(instrument: Instrument, place: &Path) -> SensorModel {
 
 /// Warnings of a run.
 pub fn warnings(case: &Case, place: &Path) -> Vec<String> {
+    summary(case, place).stages.iter().flat_map(|stage| stage.notes.clone()).collect()
+}
+
+/// Summary of a run.
+pub fn summary(case: &Case, place: &Path) -> InputSummary {
     match &case.model {
         None => run_job(&case.recording, "", place),
         Some(model) => {
@@ -42,8 +48,8 @@ pub fn warnings(case: &Case, place: &Path) -> Vec<String> {
     }
 }
 
-/// Calibrates and decomposes a recording; returns the warnings.
-fn run_job(recording: &Recording, calibrate: &str, place: &Path) -> Vec<String> {
+/// Calibrates and decomposes a recording.
+pub fn run_job(recording: &Recording, calibrate: &str, place: &Path) -> InputSummary {
     let header = ContainerHeader {
         full_scale_dn: Some(recording.full_scale_dn),
         emission_reference: Some(EmissionReference::Clock),
@@ -62,9 +68,8 @@ fn run_job(recording: &Recording, calibrate: &str, place: &Path) -> Vec<String> 
     std::fs::write(place.join("a.arrow"), container(&header, &lines)).unwrap();
     let text = format!(
         "[job]\nthreads = 1\noutput_dir = '.'\n[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\n\
-         type = 'calibrate'\n{calibrate}\n[[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'write_lstat'\n\
+         type = 'calibrate'\n{calibrate}\n[[stage]]\ntype = 'decompose'\ndistributed_targets = false\n[[stage]]\ntype = 'write_lstat'\n\
          path = '*_lines.csv'\n"
     );
-    let summary = run("sabotage", &text, place, place, &[]);
-    summary.stages.iter().flat_map(|stage| stage.notes.clone()).collect()
+    run("sabotage", &text, place, place, &[])
 }

@@ -101,7 +101,7 @@ impl Comparison {
             }
         }
         if has(&[Area::PulseWidth, Area::PulseShape, Area::TemplateError]) {
-            changed.pulse_error_factor *= self.statistics.fits.excess_factor();
+            changed.pulse_error_factor *= self.statistics.fits[1].excess_factor();
         }
         Ok((changed != *model).then_some(changed))
     }

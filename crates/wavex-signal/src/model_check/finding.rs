@@ -53,15 +53,14 @@ impl std::fmt::Display for Finding {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let (quantity, remedy) = self.area.words();
         let Finding { measured, expected, accepted: [least, most], unit, .. } = *self;
-        let space = if unit.is_empty() { "" } else { " " };
-        write!(f, "{quantity} {}{space}{unit}", short(measured))?;
-        write!(f, ", expected {}{space}{unit} (accepted: ", short(expected))?;
-        match (least.is_finite(), most.is_finite()) {
-            (true, true) => write!(f, "{} to {}", short(least), short(most))?,
-            (true, false) => write!(f, "from {}", short(least))?,
-            _ => write!(f, "up to {}", short(most))?,
-        }
-        write!(f, "): {remedy}")
+        let figure = |value: f64| format!("{} {unit}", short(value)).trim_end().to_owned();
+        let accepted = match (least.is_finite(), most.is_finite()) {
+            (true, true) => format!("{} to {}", figure(least), figure(most)),
+            (true, false) => format!("from {}", figure(least)),
+            _ => format!("up to {}", figure(most)),
+        };
+        let [measured, expected] = [measured, expected].map(figure);
+        write!(f, "{quantity} {measured}, expected {expected} (accepted: {accepted}): {remedy}")
     }
 }
 
@@ -90,7 +89,7 @@ impl Area {
                 "calibrate from this recording, with more waveforms or over open terrain; weak returns near strong ones may be false",
             ),
             Area::TemplateError => (
-                "the template error of the sensor model contradicts chi-square of single echoes: excess over the expected one",
+                "the template error of the sensor model contradicts single echoes: increase of chi-square per degree of freedom from weak to strong ones",
                 "calibrate from this recording; deviation ratios are not meaningful until then",
             ),
             Area::FullScale => (

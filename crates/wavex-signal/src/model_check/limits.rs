@@ -23,12 +23,12 @@ const LN_WIDTH: f64 = 0.05;
 const SHAPE: f64 = 0.012;
 /// … and relative to the error that the model states.
 const SHAPE_ERRORS: f64 = 3.0;
-/// Fewest single echoes.
-const MIN_SINGLES: usize = 50;
-/// Largest and smallest excess of chi-square over the expected excess …
-const EXCESS_RATIOS: [f64; 2] = [0.4, 2.5];
-/// … where the difference exceeds this fraction of the degrees of freedom.
-const EXCESS_PART: f64 = 0.3;
+/// Fewest weak and strong single echoes.
+const MIN_FITS: usize = 25;
+/// Smallest and largest increase of chi-square from weak to strong echoes over the expected one …
+const EXCESS_RATIOS: [f64; 2] = [0.35, 2.8];
+/// … and a difference of chi-square per degree of freedom that does not matter.
+const EXCESS_MARGIN: f64 = 0.05;
 /// Smallest fraction of waveforms with an echo.
 const WITH_ECHO: f64 = 0.01;
 
@@ -132,22 +132,23 @@ fn shape(statistics: &Statistics, model: &ChannelModel) -> Option<Finding> {
     })
 }
 
-/// Excess of chi-square of single echoes over the excess that the template error explains.
+/// Increase of chi-square per degree of freedom from weak to strong single echoes.
+///
+/// The increase is that of the template error: an error of the noise is common to both.
 fn template_error(statistics: &Statistics) -> Option<Finding> {
-    let fits = &statistics.fits;
-    if fits.count < MIN_SINGLES {
+    let [weak, strong] = &statistics.fits;
+    if weak.count < MIN_FITS || strong.count < MIN_FITS {
         return None;
     }
-    let excess = fits.chi_square - fits.freedom;
-    let margin = EXCESS_PART * fits.freedom + SIGNIFICANT * (2.0 * fits.freedom).sqrt();
-    let [least, most] = EXCESS_RATIOS.map(|ratio| ratio * fits.expected_excess);
-    let per_waveform = |value: f64| value / fits.count as f64;
+    let expected = strong.expected_excess - weak.expected_excess;
+    let margin = EXCESS_MARGIN + SIGNIFICANT * (weak.variance() + strong.variance()).sqrt();
+    let [least, most] = EXCESS_RATIOS.map(|ratio| ratio * expected);
     Some(Finding {
         area: Area::TemplateError,
-        measured: per_waveform(excess),
-        expected: per_waveform(fits.expected_excess),
-        accepted: [per_waveform(least - margin), per_waveform(most + margin)],
-        unit: "per waveform",
+        measured: strong.chi_square - weak.chi_square,
+        expected,
+        accepted: [least - margin, most + margin],
+        unit: "",
     })
 }
 

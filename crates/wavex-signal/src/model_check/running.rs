@@ -41,7 +41,7 @@ impl Running {
     /// Adds a block, whose highest sample is known.
     pub fn add(&mut self, samples: &[u16], highest: u16) {
         self.highest.add(highest);
-        if self.seen % self.every.max(1) == 0
+        if self.seen.is_multiple_of(self.every.max(1))
             && let Some(lowest) = lowest_stretch(samples)
         {
             if self.kept.len() == MAX_KEPT {
@@ -55,6 +55,12 @@ impl Running {
             self.kept.push(lowest);
         }
         self.seen += 1;
+    }
+
+    /// Distance of the blocks that are kept.
+    #[cfg(test)]
+    pub(super) fn kept_every(&self) -> usize {
+        self.every
     }
 
     /// Compares the parts of the recording with each other, and its highest samples with the model.

@@ -72,20 +72,36 @@ pub(super) struct Quiet {
     pub(super) samples: u64,
 }
 
-/// Chi-square of clear single echoes with the model, without the worst fits.
+/// Mean chi-square of echoes per degree of freedom, and the part that the template error explains.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Fits {
     pub(super) count: usize,
-    pub(super) chi_square: f64,
+    /// Degrees of freedom of a waveform.
     pub(super) freedom: f64,
+    pub(super) chi_square: f64,
     pub(super) expected_excess: f64,
 }
 
 impl Fits {
+    /// Averages chi-square, degrees of freedom and expected excess without the worst fits.
+    fn of(mut all: Vec<[f64; 3]>) -> Fits {
+        let over_expected = |[chi_square, freedom, excess]: &[f64; 3]| chi_square / (freedom + excess);
+        all.sort_by(|a, b| over_expected(a).total_cmp(&over_expected(b)));
+        all.truncate(all.len() - (WORST_PART * all.len() as f64) as usize);
+        let sum = |i: usize| all.iter().map(|fit| fit[i]).sum::<f64>();
+        let freedom = sum(1).max(1.0);
+        let mean = freedom / all.len().max(1) as f64;
+        Fits { count: all.len(), freedom: mean, chi_square: sum(0) / freedom, expected_excess: sum(2) / freedom }
+    }
+
     /// Root of chi-square over the expected one, at least 1.
     pub(super) fn excess_factor(&self) -> f64 {
-        let expected = self.freedom + self.expected_excess;
-        if expected > 0.0 { (self.chi_square / expected).max(1.0).sqrt() } else { 1.0 }
+        (self.chi_square / (1.0 + self.expected_excess)).max(1.0).sqrt()
+    }
+
+    /// Variance of the mean chi-square per degree of freedom.
+    pub(super) fn variance(&self) -> f64 {
+        2.0 / (self.freedom * self.count as f64).max(1.0)
     }
 }
 
@@ -104,7 +120,8 @@ pub(super) struct Statistics {
     pub(super) ln_width: Option<Location>,
     /// Residual of narrow single echoes over their height, by lag in samples.
     pub(super) residual: Vec<(i32, Location)>,
-    pub(super) fits: Fits,
+    /// Fits of the weak and of the strong third of the narrow single echoes.
+    pub(super) fits: [Fits; 2],
 }
 
 /// A clear single echo.
@@ -302,26 +319,28 @@ fn residual_by_lag(
     reached.map(|(lag, mut values)| (lag, Location::of(&mut values))).collect()
 }
 
-/// Chi-square of the blocks of single echoes, as a run decomposes them.
+/// Chi-square of the weak and of the strong third of single echoes, as a run decomposes them.
 fn fits(
     blocks: &[Waveform<'_>],
     singles: &[&Single],
     model: &ChannelModel,
     simd: SimdLevel,
-) -> Result<Fits, ModelError> {
-    let chosen: Vec<Waveform<'_>> = singles.iter().map(|single| blocks[single.block]).collect();
+) -> Result<[Fits; 2], ModelError> {
+    let mut by_height: Vec<&Single> = singles.to_vec();
+    by_height.sort_by(|a, b| a.found.amplitude_dn.total_cmp(&b.found.amplitude_dn));
     let settings =
         DecomposeSettings { explains_all: false, split_evidence: None, ..DecomposeSettings::default() };
-    let mut all = Vec::new();
-    decompose(&chosen, model, &settings, simd, |_, outcome| {
-        let freedom = outcome.degrees_of_freedom() as f64;
-        if freedom > 0.0 {
-            all.push([outcome.chi_square, freedom, outcome.expected_excess]);
-        }
-    })?;
-    let over_expected = |[chi_square, freedom, excess]: &[f64; 3]| chi_square / (freedom + excess);
-    all.sort_by(|a, b| over_expected(a).total_cmp(&over_expected(b)));
-    all.truncate(all.len() - (WORST_PART * all.len() as f64) as usize);
-    let sum = |i: usize| all.iter().map(|fit| fit[i]).sum::<f64>();
-    Ok(Fits { count: all.len(), chi_square: sum(0), freedom: sum(1), expected_excess: sum(2) })
+    let third = by_height.len() / 3;
+    let of = |part: &[&Single]| {
+        let chosen: Vec<Waveform<'_>> = part.iter().map(|single| blocks[single.block]).collect();
+        let mut all = Vec::new();
+        decompose(&chosen, model, &settings, simd, |_, outcome| {
+            let freedom = outcome.degrees_of_freedom() as f64;
+            if freedom > 0.0 {
+                all.push([outcome.chi_square, freedom, outcome.expected_excess]);
+            }
+        })?;
+        Ok(Fits::of(all))
+    };
+    Ok([of(&by_height[..third])?, of(&by_height[by_height.len() - third..])?])
 }
