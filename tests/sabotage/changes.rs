@@ -16,10 +16,9 @@ const NOISE_DRIFT: &str = "the noise changes along the recording";
 const BACKGROUND_DRIFT: &str = "the background changes along the recording";
 const DEAD: &str = "did not work or does not belong to the sensor model";
 const ECHOES: &str = "hardly any waveform has an echo";
-const UNEXPLAINED: &str = "the returns do not explain the waveforms";
 
 /// Warnings on the model and the receiver.
-const ALARMS: [&str; 12] = [
+const ALARMS: [&str; 11] = [
     NOISE,
     CORRELATION,
     BACKGROUND,
@@ -31,7 +30,6 @@ const ALARMS: [&str; 12] = [
     BACKGROUND_DRIFT,
     DEAD,
     ECHOES,
-    UNEXPLAINED,
 ];
 
 /// Whether a run with the right model gave a false alarm.
@@ -63,7 +61,13 @@ pub struct Change {
 
 impl Change {
     /// The case for a recording; `None` if the change does not apply to the instrument.
-    pub fn apply(&self, _: Kind, model: &SensorModel, other: &SensorModel, recording: &Recording) -> Option<Case> {
+    pub fn apply(
+        &self,
+        _: Kind,
+        model: &SensorModel,
+        other: &SensorModel,
+        recording: &Recording,
+    ) -> Option<Case> {
         let (mut model, mut recording) = (Some(model.clone()), recording.clone());
         match self.what {
             What::Nothing => {}
@@ -118,7 +122,11 @@ pub fn changes() -> Vec<Change> {
         }),
         samples("dead receiver from the middle on", &[DEAD], |recording| {
             let middle = recording.shots() / 2;
-            recording.changed(|number, samples| if number >= middle { samples.fill(77) })
+            recording.changed(|number, samples| {
+                if number >= middle {
+                    samples.fill(77)
+                }
+            })
         }),
         samples("dead receiver", &[DEAD], |recording| recording.changed(|_, samples| samples.fill(77))),
         samples("receiver offset by 60 DN", &[BACKGROUND, DEAD], |recording| {

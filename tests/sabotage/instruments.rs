@@ -12,7 +12,7 @@ pub enum Kind {
     Riegl,
     /// 8 bits, pulse of 6 ns with an undershoot, a background that differs between waveforms.
     Leica,
-    /// 12 bits, pulse of 14 ns, waveforms of 240 samples of canopy over ground.
+    /// 12 bits, pulse of 14 ns, waveforms of 200 samples of canopy over ground.
     LargeFootprint,
 }
 
@@ -83,12 +83,12 @@ impl Instrument {
             noise_sd_dn: 0.9,
             ar: [0.62, 0.05],
             width_jitter: 0.01,
-            tail_jitter: 0.4,
+            tail_jitter: 0.35,
         };
         match kind {
             Kind::Riegl => common,
             Kind::Leica => Instrument {
-                samples: 96,
+                samples: 110,
                 background_dn: 14.6,
                 background_sd_dn: 2.5,
                 noise_sd_dn: 1.3,
@@ -96,8 +96,8 @@ impl Instrument {
                 ..common
             },
             Kind::LargeFootprint => Instrument {
-                shots_per_line: 225,
-                samples: 240,
+                shots_per_line: 200,
+                samples: 200,
                 full_scale_dn: 4095,
                 background_dn: 220.0,
                 background_sd_dn: 12.0,
@@ -110,7 +110,9 @@ impl Instrument {
 
     /// Lines of waveforms.
     pub fn record(mut self) -> Recording {
-        let line = |instrument: &mut Instrument| (0..instrument.shots_per_line).map(|_| instrument.waveform()).collect();
+        let line = |instrument: &mut Instrument| {
+            (0..instrument.shots_per_line).map(|_| instrument.waveform()).collect()
+        };
         Recording {
             lines: (0..LINES).map(|_| line(&mut self)).collect(),
             full_scale_dn: self.full_scale_dn,
@@ -155,24 +157,26 @@ impl Instrument {
         match self.kind {
             Kind::Riegl | Kind::Leica => {
                 let strongest = if self.kind == Kind::Riegl { 235.0 } else { 225.0 };
-                let count = 1 + usize::from(self.random.uniform() < 0.3) + usize::from(self.random.uniform() < 0.1);
-                let mut position = self.between(17.0, 24.0);
+                let count =
+                    1 + usize::from(self.random.uniform() < 0.3) + usize::from(self.random.uniform() < 0.1);
+                let first = if self.kind == Kind::Riegl { 17.0 } else { 34.0 };
+                let mut position = self.between(first, first + 7.0);
                 for _ in 0..count {
                     let wide = self.random.uniform() < 0.25;
                     let width = if wide { self.between(1.0, 1.4) } else { 1.0 };
-                    let height = self.height(8.0, strongest / count as f64);
+                    let height = self.height(12.0, strongest / count as f64);
                     echoes.push([height, position, width]);
                     position += self.between(5.0, 20.0);
                 }
             }
             Kind::LargeFootprint => {
-                let ground = self.between(120.0, 140.0);
+                let ground = self.between(105.0, 120.0);
                 let height = self.height(150.0, 3600.0);
-                let is_open = self.random.uniform() < 0.45;
+                let is_open = self.random.uniform() < 0.6;
                 echoes.push([height, ground, 1.0]);
                 if !is_open {
-                    let (top, canopy) = (self.between(30.0, 75.0), self.height(100.0, 900.0));
-                    for _ in 0..8 {
+                    let (top, canopy) = (self.between(20.0, 50.0), self.height(100.0, 900.0));
+                    for _ in 0..5 {
                         let place = ground - 25.0 - top * self.random.uniform();
                         let height = canopy * 0.6 * self.random.uniform();
                         echoes.push([height, place, 1.3]);
@@ -186,7 +190,8 @@ impl Instrument {
     fn waveform(&mut self) -> Vec<u16> {
         let echoes = self.echoes();
         let width = 1.0 + self.width_jitter * self.random.normal();
-        let tail = 1.0 + self.tail_jitter * self.random.normal();
+        // Uniform, so that no single shot dominates.
+        let tail = 1.0 + self.tail_jitter * 3f64.sqrt() * self.between(-1.0, 1.0);
         let [a, b] = self.ar;
         // Variance of the process for an innovation of 1.
         let gain = ((1.0 - b) / ((1.0 + b) * ((1.0 - b).powi(2) - a * a))).sqrt();

@@ -106,7 +106,8 @@ fn a_dead_receiver_has_no_returns() {
         });
         let summary = run_job(&recording, calibrate, place.path());
         let rejected = summary.stages.iter().flat_map(|stage| &stage.rejected);
-        let constant = rejected.filter(|(what, _)| what.contains("all samples are equal")).map(|(_, n)| n).sum();
+        let constant =
+            rejected.filter(|(what, _)| what.contains("all samples are equal")).map(|(_, n)| n).sum();
         (summary.totals["np"], constant)
     };
     assert_eq!(np_and_constant(0, "preset = 'riegl_lms_q680i'"), (0, good.shots() as u64));
@@ -120,7 +121,8 @@ fn print_table(changes: &[Change], rows: &[Row]) {
     println!("| change | noticed by | RIEGL-like | Leica-like | large footprint |");
     println!("|---|---|---:|---:|---:|");
     for (change, row) in changes.iter().zip(rows) {
-        let cell = |[said, all]: [usize; 2]| if all == 0 { "-".to_owned() } else { format!("{said} / {all}") };
+        let cell =
+            |[said, all]: [usize; 2]| if all == 0 { "-".to_owned() } else { format!("{said} / {all}") };
         let cells: Vec<String> = row.0.iter().map(|counts| cell(*counts)).collect();
         let areas = if change.areas.is_empty() { "nothing".to_owned() } else { change.areas.join("; ") };
         println!("| {} | {areas} | {} |", change.name, cells.join(" | "));

@@ -68,7 +68,7 @@ pub fn run_job(recording: &Recording, calibrate: &str, place: &Path) -> InputSum
     std::fs::write(place.join("a.arrow"), container(&header, &lines)).unwrap();
     let text = format!(
         "[job]\nthreads = 1\noutput_dir = '.'\n[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\n\
-         type = 'calibrate'\n{calibrate}\n[[stage]]\ntype = 'decompose'\ndistributed_targets = false\n[[stage]]\ntype = 'write_lstat'\n\
+         type = 'calibrate'\n{calibrate}\n[[stage]]\ntype = 'decompose'\nmode = 'fastest'\n[[stage]]\ntype = 'write_lstat'\n\
          path = '*_lines.csv'\n"
     );
     run("sabotage", &text, place, place, &[])

@@ -39,7 +39,9 @@ impl Calibrator {
         }
         let (mut constant, mut away) = (0, 0);
         blocks.retain(|block, samples| {
-            let Some(index) = ECHOES.iter().position(|channel| *channel == block.channel) else { return true };
+            let Some(index) = ECHOES.iter().position(|channel| *channel == block.channel) else {
+                return true;
+            };
             let check = &mut checks[index];
             let Some(receiving) = check.receiving.filter(|_| !samples.is_empty()) else { return true };
             check.blocks += 1;
@@ -66,14 +68,13 @@ impl Calibrator {
     pub(super) fn checked(&self, is_given: bool, out: &mut Output) -> Result<Option<Arc<SensorModel>>> {
         let Some(model) = &self.model else { return Ok(None) };
         let mut changed = SensorModel::clone(model);
-        let receivers = [
-            (Channel::LowPower, &mut changed.low_power),
-            (Channel::HighPower, &mut changed.high_power),
-        ];
+        let receivers =
+            [(Channel::LowPower, &mut changed.low_power), (Channel::HighPower, &mut changed.high_power)];
         for (channel, of_receiver) in receivers {
             let Some(known) = of_receiver.as_mut() else { continue };
             let level = self.usual_gain(channel);
-            let compared = self.comparison(channel, known, level).map_err(|error| unusable(channel, &error))?;
+            let compared =
+                self.comparison(channel, known, level).map_err(|error| unusable(channel, &error))?;
             let Some(compared) = compared else { continue };
             let is_adapted = is_given && level == GainLevel::UNIT;
             let in_use = if is_adapted { compared.model_in_use(known) } else { Ok(None) };
@@ -94,7 +95,8 @@ impl Calibrator {
         model: &ChannelModel,
         level: GainLevel,
     ) -> std::result::Result<Option<Comparison>, ModelError> {
-        let of_gain = self.look_ahead.recorded(channel).filter(move |block| GainLevel::of(block.gain) == level);
+        let of_gain =
+            self.look_ahead.recorded(channel).filter(move |block| GainLevel::of(block.gain) == level);
         let blocks = of_gain.map(|block| Waveform { samples: block.samples, start_phase: 0 });
         compare(blocks, &model.at_gain(level.gain())?, self.simd)
     }
@@ -113,7 +115,10 @@ impl Calibrator {
         let Some(model) = &self.in_use else { return };
         for (check, channel) in self.checks.iter().zip(ECHOES) {
             let ReceiverCheck { blocks, constant, away, .. } = *check;
-            for (n, problem) in [(constant, "whose samples are all equal"), (away, "with flat samples far from the background")] {
+            for (n, problem) in [
+                (constant, "whose samples are all equal"),
+                (away, "with flat samples far from the background"),
+            ] {
                 if n > 0 {
                     out.cx.warn(format!(
                         "{} did not work or does not belong to the sensor model: {n} of its {blocks} blocks, \

@@ -22,7 +22,7 @@ const LN_WIDTH: f64 = 0.05;
 /// Largest mean residual of single echoes relative to their height …
 const SHAPE: f64 = 0.012;
 /// … and relative to the error that the model states.
-const SHAPE_ERRORS: f64 = 3.0;
+const SHAPE_ERRORS: f64 = 2.0;
 /// Fewest weak and strong single echoes.
 const MIN_FITS: usize = 25;
 /// Smallest and largest increase of chi-square from weak to strong echoes over the expected one …
@@ -104,7 +104,8 @@ fn background(statistics: &Statistics, model: &ChannelModel) -> Option<Finding> 
 /// Lower mode of the widths of single echoes.
 fn width(statistics: &Statistics, model: &ChannelModel) -> Option<Finding> {
     let mode = statistics.ln_width?;
-    let limit = LN_WIDTH + SIGNIFICANT * mode.median_sd() + model.uncertainty.pulse_fwhm_ns / model.pulse_fwhm_ns;
+    let limit =
+        LN_WIDTH + SIGNIFICANT * mode.median_sd() + model.uncertainty.pulse_fwhm_ns / model.pulse_fwhm_ns;
     Some(Finding {
         area: Area::PulseWidth,
         measured: mode.median.exp(),

@@ -91,7 +91,12 @@ impl Fits {
         let sum = |i: usize| all.iter().map(|fit| fit[i]).sum::<f64>();
         let freedom = sum(1).max(1.0);
         let mean = freedom / all.len().max(1) as f64;
-        Fits { count: all.len(), freedom: mean, chi_square: sum(0) / freedom, expected_excess: sum(2) / freedom }
+        Fits {
+            count: all.len(),
+            freedom: mean,
+            chi_square: sum(0) / freedom,
+            expected_excess: sum(2) / freedom,
+        }
     }
 
     /// Root of chi-square over the expected one, at least 1.
@@ -155,7 +160,8 @@ impl Statistics {
                 return;
             }
             offsets.push(outcome.background_offset_dn);
-            let residual_dn = residual(&free, &shape, blocks[index], outcome.returns, outcome.background_offset_dn);
+            let residual_dn =
+                residual(&free, &shape, blocks[index], outcome.returns, outcome.background_offset_dn);
             add_quiet(&mut stretches, &residual_dn, QUIET_SD * differences_dn);
             let clear = CLEAR_SD * free.noise_sd_dn.max(differences_dn)..OVERDRIVEN_PART * free.full_scale_dn;
             if let Some(found) = single(outcome, free.fwhm_samples())
@@ -254,7 +260,10 @@ fn quiet(stretches: Vec<Vec<f64>>) -> Option<Quiet> {
     let mut variances: Vec<f64> = stretches.iter().map(|stretch| variance(stretch)).collect();
     let largest = LARGEST_VARIANCE * Location::of(&mut variances).median;
     let mut statistics = NoiseStatistics::about(0.0);
-    stretches.iter().filter(|stretch| variance(stretch) <= largest).for_each(|stretch| statistics.add(stretch, 0));
+    stretches
+        .iter()
+        .filter(|stretch| variance(stretch) <= largest)
+        .for_each(|stretch| statistics.add(stretch, 0));
     let autocovariance =
         statistics.autocovariance_without_drift().unwrap_or_else(|| statistics.autocovariance());
     let is_enough = statistics.samples() >= MIN_QUIET && autocovariance.first().is_some_and(|lag| *lag > 0.0);

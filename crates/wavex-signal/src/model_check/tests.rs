@@ -21,7 +21,10 @@ fn model() -> ChannelModel {
     };
     let response = SystemResponse {
         first_sample: -12,
-        nodes: vec![ResponseNode { peak_dn: 155.0, values: (-96..=320).map(|k| value(f64::from(k) / 8.0)).collect() }],
+        nodes: vec![ResponseNode {
+            peak_dn: 155.0,
+            values: (-96..=320).map(|k| value(f64::from(k) / 8.0)).collect(),
+        }],
         template_error: vec![0.01; 52],
         echoes: 1000,
         excess_part: 1.0,
@@ -74,7 +77,9 @@ fn a_changed_model_has_a_finding_in_its_area() {
         assert!(found.contains(&area), "{area:?}: {found:?}");
     };
     for factor in [0.5, 2.0] {
-        let found = areas(&samples, |m| (m.noise_sd_dn, m.innovation_sd_dn) = (factor * m.noise_sd_dn, factor * m.innovation_sd_dn));
+        let found = areas(&samples, |m| {
+            (m.noise_sd_dn, m.innovation_sd_dn) = (factor * m.noise_sd_dn, factor * m.innovation_sd_dn)
+        });
         assert!(found.contains(&Area::Noise), "{factor}: {found:?}");
     }
     check(Area::Correlation, |m| (m.ar, m.innovation_sd_dn) = (Vec::new(), m.noise_sd_dn));
@@ -107,7 +112,8 @@ fn a_receiver_without_echoes_is_a_finding() {
     let mut random = Random::new(8);
     let silent: Vec<Vec<u16>> = (0..400)
         .map(|_| {
-            let values: Vec<f64> = noise(&mut random, &process(), 60).iter().map(|n| n + BACKGROUND_DN).collect();
+            let values: Vec<f64> =
+                noise(&mut random, &process(), 60).iter().map(|n| n + BACKGROUND_DN).collect();
             digitised(&values, 255)
         })
         .collect();
@@ -118,7 +124,8 @@ fn a_receiver_without_echoes_is_a_finding() {
 fn clipping_below_full_scale_is_a_finding() {
     let mut samples = recording(600, 0.01);
     samples.iter_mut().flatten().for_each(|dn| *dn = 100.min(*dn));
-    let finding = compared(&samples, &model()).findings.into_iter().find(|f| f.area == Area::FullScale).unwrap();
+    let finding =
+        compared(&samples, &model()).findings.into_iter().find(|f| f.area == Area::FullScale).unwrap();
     assert_eq!((finding.measured, finding.expected), (100.0, 255.0));
 }
 
@@ -139,7 +146,8 @@ fn the_model_in_use_has_the_measured_noise_and_a_free_background() {
 
 #[test]
 fn findings_name_figures_and_remedy() {
-    let finding = Finding { area: Area::Noise, measured: 2.04, expected: 1.0, accepted: [0.77, 1.3], unit: "DN" };
+    let finding =
+        Finding { area: Area::Noise, measured: 2.04, expected: 1.0, accepted: [0.77, 1.3], unit: "DN" };
     assert_eq!(
         finding.to_string(),
         "the noise differs from the sensor model: SD 2.04 DN, expected 1.00 DN (accepted: 0.77 DN to 1.30 DN): \
@@ -174,7 +182,11 @@ fn drift(change: impl Fn(f64) -> f64) -> Vec<Area> {
         let block: Vec<u16> = block.iter().map(change).collect();
         running.add(&block, block.iter().max().copied().unwrap());
     }
-    running.findings(&ChannelModel { full_scale_dn: 1000.0, ..model() }).iter().map(|finding| finding.area).collect()
+    running
+        .findings(&ChannelModel { full_scale_dn: 1000.0, ..model() })
+        .iter()
+        .map(|finding| finding.area)
+        .collect()
 }
 
 #[test]
