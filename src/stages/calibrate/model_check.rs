@@ -45,7 +45,9 @@ impl Calibrator {
             let check = &mut checks[index];
             let Some(receiving) = check.receiving.filter(|_| !samples.is_empty()) else { return true };
             check.blocks += 1;
-            let range_dn = samples.iter().fold([u16::MAX, 0], |[low, high], &dn| [low.min(dn), high.max(dn)]);
+            // Two passes, each of which the compiler turns into vector instructions.
+            let lowest = samples.iter().fold(u16::MAX, |low, &dn| low.min(dn));
+            let range_dn = [lowest, samples.iter().fold(0, |high, &dn| high.max(dn))];
             let silence = receiving.silence(samples.len(), range_dn, block.gain);
             match silence {
                 Some(Silence::Constant) => (constant, check.constant) = (constant + 1, check.constant + 1),

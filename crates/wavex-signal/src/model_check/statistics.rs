@@ -340,16 +340,15 @@ fn fits(
     let settings =
         DecomposeSettings { explains_all: false, split_evidence: None, ..DecomposeSettings::default() };
     let third = by_height.len() / 3;
-    let of = |part: &[&Single]| {
-        let chosen: Vec<Waveform<'_>> = part.iter().map(|single| blocks[single.block]).collect();
-        let mut all = Vec::new();
-        decompose(&chosen, model, &settings, simd, |_, outcome| {
-            let freedom = outcome.degrees_of_freedom() as f64;
-            if freedom > 0.0 {
-                all.push([outcome.chi_square, freedom, outcome.expected_excess]);
-            }
-        })?;
-        Ok(Fits::of(all))
-    };
-    Ok([of(&by_height[..third])?, of(&by_height[by_height.len() - third..])?])
+    let [weak, strong] = [&by_height[..third], &by_height[by_height.len() - third..]];
+    let chosen: Vec<Waveform<'_>> = weak.iter().chain(strong).map(|single| blocks[single.block]).collect();
+    let mut all = [Vec::new(), Vec::new()];
+    decompose(&chosen, model, &settings, simd, |index, outcome| {
+        let freedom = outcome.degrees_of_freedom() as f64;
+        if freedom > 0.0 {
+            let fit = [outcome.chi_square, freedom, outcome.expected_excess];
+            all[usize::from(index >= third)].push(fit);
+        }
+    })?;
+    Ok(all.map(Fits::of))
 }
