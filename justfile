@@ -15,6 +15,10 @@ test *ARGS:
 faults STEP='all':
     WAVEX_FAULTS={{STEP}} cargo test --test faults -- --nocapture
 
+# Break every diagnostic on simulated recordings, and print what the runs notice; docs/explanation/sabotage.md
+sabotage RECORDINGS='100':
+    WAVEX_SABOTAGE={{RECORDINGS}} cargo test --test sabotage -- --nocapture
+
 # Format and lint
 lint:
     cargo fmt --all

@@ -276,6 +276,17 @@ impl Blocks {
         self.by_emission().filter(|(_, blocks)| blocks.iter().any(|block| block.channel.is_echo())).count()
     }
 
+    /// Keeps the blocks for which `keep` returns `true`; it gets each block with its samples.
+    ///
+    /// Samples of removed blocks stay in the arena until the line is dropped.
+    pub fn retain(&mut self, mut keep: impl FnMut(&Block, &[u16]) -> bool) {
+        let Blocks { list, arena, .. } = self;
+        list.retain(|block| {
+            let held = arena.get(block.first as usize..);
+            keep(block, held.and_then(|samples| samples.get(..block.len as usize)).unwrap_or_default())
+        });
+    }
+
     /// Keeps the blocks of the emissions that have a new index.
     ///
     /// `place` is the new index by old index. Samples of removed blocks stay in the arena until the

@@ -12,6 +12,7 @@ use crate::stage::{
     Holds, Learning, Learns, LookAhead, MakeTransform, Output, OutputFile, Plan, Result, RunContext,
     StageError, StageSpec, SurveyModels, Transform, TransformConfig,
 };
+use model_check::{CHECKED_WAVEFORMS, ReceiverCheck};
 pub use keys::{Auto, AutoOrNumber, BackgroundKey, Calibrate, ResponseKey};
 pub(super) use model_file::write_model;
 pub use model_file::{load_model, model_json, parse_model};
@@ -24,6 +25,7 @@ use wavex_signal::sensor_model::{Decay, Digitiser, SensorModel};
 use wavex_signal::simd::SimdLevel;
 
 mod keys;
+mod model_check;
 mod model_file;
 mod presets;
 mod response_and_limits;
@@ -51,7 +53,7 @@ impl TransformConfig for Calibrate {
         };
         let save = self.save.as_ref().filter(|_| site.has_outputs);
         let save = save.map(|pattern| site.create(pattern)).transpose()?;
-        Ok(Box::new(Calibrator { model, save, ..self.calibrator(site) }))
+        Ok(Box::new(Calibrator { save, ..self.calibrator(site).given(model) }))
     }
 
     fn learns(&self) -> Option<Learns> {
@@ -95,6 +97,8 @@ impl Calibrate {
             survey: site.survey.clone().filter(|_| TransformConfig::learns(self).is_some()),
             stem: site.stem.clone(),
             model: None,
+            in_use: None,
+            checks: Default::default(),
             save: None,
         }
     }
@@ -111,7 +115,12 @@ struct Calibrator {
     /// Models of the survey, which are used instead of calibrating.
     survey: Option<Arc<SurveyModels>>,
     stem: String,
+    /// The model: given, of the survey, or calibrated.
     model: Option<Arc<SensorModel>>,
+    /// The model that lines get; `None` until it is compared with the first lines.
+    in_use: Option<Arc<SensorModel>>,
+    /// Checks of the echo receivers along the recording.
+    checks: [ReceiverCheck; 2],
     /// File for the model; `None` once written.
     save: Option<OutputFile>,
 }
@@ -140,7 +149,7 @@ impl MakeTransform for WithModel {
     }
 
     fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
-        Ok(Box::new(Calibrator { model: Some(Arc::clone(&self.model)), ..self.config.calibrator(site) }))
+        Ok(Box::new(self.config.calibrator(site).given(Some(Arc::clone(&self.model)))))
     }
 }
 
@@ -150,15 +159,22 @@ impl Transform for Calibrator {
         self.save(out)?;
         if let Some(model) = &self.model {
             self.compare(model, &line, out)?;
-            line.model = Some(Arc::clone(model));
-            return out.emit(line);
         }
-        let is_enough = self.look_ahead.hold(line, "calibrated", out);
+        if self.in_use.is_some() {
+            self.remove_silent_blocks(&mut line, out);
+            return self.emit(line, out);
+        }
+        let done = if self.model.is_some() { "the sensor model was checked" } else { "calibrated" };
+        let is_enough = self.look_ahead.hold(line, done, out);
         if is_enough { self.release(out) } else { Ok(()) }
     }
 
     fn finish(&mut self, out: &mut Output) -> Result<()> {
-        if self.look_ahead.lines().is_empty() { Ok(()) } else { self.release(out) }
+        if !self.look_ahead.lines().is_empty() {
+            self.release(out)?;
+        }
+        self.conclude_checks(out);
+        Ok(())
     }
 }
 
@@ -173,19 +189,37 @@ impl Calibrator {
                 out.cx.warn("the recording was not among those from which `survey_model` was made: it has the model of an instrument of the same name, serial number and sampling interval, as far as recorded; run `wavex calibrate` for the whole survey");
             }
             self.model = Some(Arc::clone(model));
+            self.look_ahead = LookAhead::new(CHECKED_WAVEFORMS);
         }
     }
 
-    /// Calibrates from the held lines and emits them.
+    /// The same with a model that is not calibrated here.
+    fn given(self, model: Option<Arc<SensorModel>>) -> Calibrator {
+        let look_ahead = if model.is_some() { LookAhead::new(CHECKED_WAVEFORMS) } else { self.look_ahead };
+        Calibrator { model, look_ahead, ..self }
+    }
+
+    /// Calibrates from the held lines unless there is a model, compares it with them, and emits them.
     fn release(&mut self, out: &mut Output) -> Result<()> {
-        let model = Arc::new(self.calibrate(out)?);
-        self.model = Some(Arc::clone(&model));
-        self.save(out)?;
-        for mut line in self.look_ahead.release() {
-            line.model = Some(Arc::clone(&model));
-            out.emit(line)?;
+        let is_given = self.model.is_some();
+        if !is_given {
+            self.model = Some(Arc::new(self.calibrate(out)?));
+            self.save(out)?;
+        }
+        let mut lines = self.look_ahead.release();
+        lines.iter_mut().for_each(|line| self.remove_silent_blocks(line, out));
+        self.look_ahead = LookAhead::of(lines);
+        self.in_use = self.checked(is_given, out)?;
+        for line in self.look_ahead.release() {
+            self.emit(line, out)?;
         }
         Ok(())
+    }
+
+    /// Emits a line with the model in use.
+    fn emit(&self, mut line: ScanLine, out: &mut Output) -> Result<()> {
+        line.model = self.in_use.clone();
+        out.emit(line)
     }
 
     /// Writes the model file, if one is wanted and not yet written.
@@ -414,6 +448,8 @@ mod tests {
             survey: None,
             stem: String::new(),
             model: None,
+            in_use: None,
+            checks: Default::default(),
             save: None,
         }
     }

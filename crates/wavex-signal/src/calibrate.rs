@@ -40,6 +40,8 @@ mod width;
 
 pub(crate) use batches::{WeakPulses, decompose_each};
 pub use clipping::clipping_level_dn;
+pub(crate) use clipping::clipping_level_of_counts;
+pub(crate) use differences::noise_sd_dn as noise_by_differences_dn;
 pub use limits::receiver_limits;
 pub use noise_statistics::NoiseStatistics;
 pub use quiet::separate_noise;
@@ -422,7 +424,8 @@ fn from_residuals(model: &mut ChannelModel, survey: &PassStats, look: &InitialEs
     set_noise(model, ArNoise::new(&[], residual_sd_dn.max(QUANTISATION_VARIANCE.sqrt())));
 }
 
-fn set_noise(model: &mut ChannelModel, noise: Option<ArNoise>) {
+/// Replaces the noise of a model; without a process, leaves it.
+pub(crate) fn set_noise(model: &mut ChannelModel, noise: Option<ArNoise>) {
     if let Some(noise) = noise {
         model.noise_sd_dn = noise.sd();
         model.ar = noise.coefficients().to_vec();

@@ -11,7 +11,7 @@ const LAYERS: &[&[&str]] = &[
     &["detect", "distributed", "pulse_fit", "false_alarms"],
     &["decompose"],
     &["calibrate", "outgoing", "fusion"],
-    &["gain"],
+    &["gain", "model_check"],
 ];
 
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {

@@ -59,7 +59,8 @@
 //! - [`decompose`]: waveforms to returns, one at a time in `f64` or in batches in `f32`.
 //! - [`calibrate`] estimates models; [`outgoing`] fits the outgoing pulses; [`fusion`] combines two
 //!   receivers of the same echoes.
-//! - [`gain`]: receivers with automatic gain control.
+//! - [`gain`]: receivers with automatic gain control; [`model_check`]: comparison of a model with a
+//!   recording.
 //! - [`distributed`]: continuous profiles of targets that are not a few echoes.
 //!
 //! [`mta`] assigns echoes to emissions if several pulses are in the air. [`radiometry`],
@@ -81,6 +82,7 @@ mod fourier;
 pub mod fusion;
 pub mod gain;
 mod levenberg_marquardt;
+pub mod model_check;
 pub mod mta;
 pub mod noise;
 pub mod outgoing;

@@ -32,8 +32,17 @@ use crate::stage::Config;
 /// A job over several inputs calibrates once for all inputs of an instrument, before the first of them
 /// (`[job] model`).
 ///
-/// A saved model (`save` writes to `output_dir`, `load` reads from `input_dir`) is used unchanged,
-/// in another run or on another recording, even for a single waveform. It may lack channels, which
+/// The model is compared with the first waveforms before a line leaves: noise and its correlation,
+/// background, width and shape of clear single echoes, template error, clipping level, waveforms without
+/// echo. Each significant difference is a warning with measured and expected value; fewer than 200
+/// waveforms are not compared. Changes of noise and background along the recording are warnings as well.
+/// Blocks whose samples are all equal although the receiver has noise, or flat and far from the background,
+/// are removed and counted: they have no echoes. `docs/explanation/sabotage.md` lists what is noticed.
+///
+/// A saved model (`save` writes to `output_dir`, `load` reads from `input_dir`) is used in another run or
+/// on another recording, even for a single waveform. It is unchanged unless the comparison contradicts
+/// it: then the measured noise replaces its noise, each waveform gets its own background, and a pulse shape
+/// that does not fit raises the standard deviations. It may lack channels, which
 /// are then not used, and may be written by hand; `schemas/sensor_model.schema.json` describes its
 /// format. A `preset` is the model of another instrument of the same type, for recordings too short
 /// to calibrate from. No preset was tested on an instrument other than the measured one.

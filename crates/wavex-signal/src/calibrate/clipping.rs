@@ -20,11 +20,15 @@ const LARGEST_PART: f64 = 0.5;
 /// accumulation.
 pub fn clipping_level_dn<'a>(blocks: impl Iterator<Item = Waveform<'a>>) -> Option<u16> {
     let mut counts = vec![0u32; usize::from(u16::MAX) + 1];
-    let mut total = 0;
     for highest in blocks.filter_map(|block| block.samples.iter().max().copied()) {
         counts[usize::from(highest)] += 1;
-        total += 1;
     }
+    clipping_level_of_counts(&counts)
+}
+
+/// The same from the number of blocks by their highest sample, DN.
+pub(crate) fn clipping_level_of_counts(counts: &[u32]) -> Option<u16> {
+    let total: u32 = counts.iter().sum();
     let top = counts.iter().rposition(|&count| count > 0)?;
     // Digitisers with coarse steps near full scale have unused values below the top.
     let step = top - counts[..top].iter().rposition(|&count| count > 0)?;

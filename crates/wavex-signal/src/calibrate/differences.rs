@@ -23,7 +23,7 @@ const MIN_QUIET: u64 = 100;
 const ZERO: i32 = 1 << 15;
 
 /// SD of white noise by fourth differences, DN; at least that of rounding.
-pub(super) fn noise_sd_dn<'a>(blocks: impl Iterator<Item = Waveform<'a>> + Clone) -> f64 {
+pub(crate) fn noise_sd_dn<'a>(blocks: impl Iterator<Item = Waveform<'a>> + Clone) -> f64 {
     let mut all = Differences::default();
     blocks.clone().for_each(|block| all.add(block, f64::INFINITY));
     let rough_dn = all.sd_dn();

@@ -56,6 +56,11 @@ impl Narrow {
         Narrow { worst_deviation_ratio, ln_width: narrowest_mode(&ln_widths, half_window), half_window }
     }
 
+    /// The mode: logarithm of the width.
+    pub(crate) fn ln_width(&self) -> f64 {
+        self.ln_width
+    }
+
     fn fits(&self, pulse: &Width) -> bool {
         pulse.deviation_ratio <= self.worst_deviation_ratio
     }

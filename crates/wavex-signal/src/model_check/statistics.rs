@@ -1,0 +1,354 @@
+//! Measurements of waveforms, as independent of the compared model as possible.
+
+use std::sync::Arc;
+
+use crate::calibrate::{Narrow, NoiseStatistics, Width, noise_by_differences_dn};
+use crate::decompose::{
+    BatchDecomposer, DecomposeSettings, Decomposition, Decompositions, Mode, OVERDRIVEN_PART, Return, Tables,
+    Waveform,
+};
+use crate::flags;
+use crate::sensor_model::{Background, ChannelModel, ModelError};
+use crate::shape::{Pulse, Shape};
+use crate::simd::SimdLevel;
+
+/// Number of blocks per batch.
+const BATCH: usize = 256;
+/// Prior SD of the background, in standard deviations of the noise and DN: hardly any.
+const FREE_LEVEL_SD: f64 = 30.0;
+const FREE_LEVEL_DN: f64 = 10.0;
+/// Largest fitted signal of quiet samples, standard deviations of the noise by differences.
+const QUIET_SD: f64 = 2.0;
+/// Shortest quiet stretch, samples.
+const MIN_STRETCH: usize = 8;
+/// Largest variance of a stretch over the median of all; others contain a pulse without a fit.
+const LARGEST_VARIANCE: f64 = 4.0;
+/// Fewest quiet samples.
+const MIN_QUIET: u64 = 1000;
+/// Smallest height of clear echoes, standard deviations of the noise.
+const CLEAR_SD: f64 = 20.0;
+/// Largest height of other returns of a clear single echo, relative to it …
+const MINOR_PART: f64 = 0.12;
+/// … and their smallest distance after it, widths.
+const APART_WIDTHS: f64 = 1.5;
+/// Fewest clear single echoes.
+const MIN_SINGLES: usize = 50;
+/// Largest distance of the width of narrow echoes from the mode, logarithm.
+const NARROW: f64 = 0.1;
+/// Lags of the residual: widths before and after the peak, and at most this many samples after it.
+const BEFORE_WIDTHS: f64 = 2.0;
+const AFTER_WIDTHS: f64 = 15.0;
+const MAX_AFTER: f64 = 80.0;
+/// Fraction of the worst-fitting echoes that is omitted.
+const WORST_PART: f64 = 0.05;
+
+/// Median and robust SD of a sample.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Location {
+    pub(super) median: f64,
+    pub(super) sd: f64,
+    pub(super) count: usize,
+}
+
+impl Location {
+    /// Sorts the values.
+    pub(super) fn of(values: &mut [f64]) -> Location {
+        values.sort_by(f64::total_cmp);
+        let at = |part: f64| values.get((part * values.len() as f64) as usize).copied().unwrap_or(0.0);
+        Location { median: at(0.5), sd: 0.5 * (at(0.841_345) - at(0.158_655)), count: values.len() }
+    }
+
+    /// SD of the median of a normal distribution.
+    pub(super) fn median_sd(&self) -> f64 {
+        1.2533 * self.sd / (self.count.max(1) as f64).sqrt()
+    }
+}
+
+/// Noise at quiet samples.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Quiet {
+    /// At lags from 0, DN².
+    pub(super) autocovariance: Vec<f64>,
+    pub(super) samples: u64,
+}
+
+/// Mean chi-square of echoes per degree of freedom, and the part that the template error explains.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Fits {
+    pub(super) count: usize,
+    /// Degrees of freedom of a waveform.
+    pub(super) freedom: f64,
+    pub(super) chi_square: f64,
+    pub(super) expected_excess: f64,
+}
+
+impl Fits {
+    /// Averages chi-square, degrees of freedom and expected excess without the worst fits.
+    fn of(mut all: Vec<[f64; 3]>) -> Fits {
+        let over_expected = |[chi_square, freedom, excess]: &[f64; 3]| chi_square / (freedom + excess);
+        all.sort_by(|a, b| over_expected(a).total_cmp(&over_expected(b)));
+        all.truncate(all.len() - (WORST_PART * all.len() as f64) as usize);
+        let sum = |i: usize| all.iter().map(|fit| fit[i]).sum::<f64>();
+        let freedom = sum(1).max(1.0);
+        let mean = freedom / all.len().max(1) as f64;
+        Fits {
+            count: all.len(),
+            freedom: mean,
+            chi_square: sum(0) / freedom,
+            expected_excess: sum(2) / freedom,
+        }
+    }
+
+    /// Root of chi-square over the expected one, at least 1.
+    pub(super) fn excess_factor(&self) -> f64 {
+        (self.chi_square / (1.0 + self.expected_excess)).max(1.0).sqrt()
+    }
+
+    /// Variance of the mean chi-square per degree of freedom.
+    pub(super) fn variance(&self) -> f64 {
+        2.0 / (self.freedom * self.count as f64).max(1.0)
+    }
+}
+
+/// Measurements of a channel.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Statistics {
+    pub(super) waveforms: usize,
+    /// White noise by fourth differences, DN.
+    pub(super) differences_dn: f64,
+    pub(super) quiet: Option<Quiet>,
+    /// Level of the waveforms about the background of the model, DN.
+    pub(super) offset_dn: Location,
+    /// Waveforms with an echo.
+    pub(super) with_echo: usize,
+    /// Lower mode of the logarithm of the width ratio of single echoes; its count is that of the mode.
+    pub(super) ln_width: Option<Location>,
+    /// Residual of narrow single echoes over their height, by lag in samples.
+    pub(super) residual: Vec<(i32, Location)>,
+    /// Fits of the weak and of the strong third of the narrow single echoes.
+    pub(super) fits: [Fits; 2],
+}
+
+/// A clear single echo.
+struct Single {
+    /// Index of its block.
+    block: usize,
+    found: Return,
+    offset_dn: f64,
+}
+
+impl Statistics {
+    pub(super) fn of(
+        blocks: &[Waveform<'_>],
+        model: &ChannelModel,
+        simd: SimdLevel,
+    ) -> Result<Statistics, ModelError> {
+        let differences_dn = noise_by_differences_dn(blocks.iter().copied());
+        let free = with_free_background(model)?;
+        let settings = DecomposeSettings {
+            explains_all: false,
+            split_evidence: None,
+            max_added: 4,
+            ..DecomposeSettings::default()
+        };
+        let shape = Shape::of(&free)?;
+        let mut stretches = Vec::new();
+        let (mut offsets, mut singles, mut with_echo) = (Vec::new(), Vec::new(), 0);
+        decompose(blocks, &free, &settings, simd, |index, outcome| {
+            with_echo += usize::from(outcome.counts.n_candidates > 0);
+            if outcome.saturated {
+                return;
+            }
+            offsets.push(outcome.background_offset_dn);
+            let residual_dn =
+                residual(&free, &shape, blocks[index], outcome.returns, outcome.background_offset_dn);
+            add_quiet(&mut stretches, &residual_dn, QUIET_SD * differences_dn);
+            let clear = CLEAR_SD * free.noise_sd_dn.max(differences_dn)..OVERDRIVEN_PART * free.full_scale_dn;
+            if let Some(found) = single(outcome, free.fwhm_samples())
+                && clear.contains(&found.amplitude_dn)
+            {
+                let offset_dn = outcome.background_offset_dn;
+                singles.push(Single { block: index, found: *found, offset_dn });
+            }
+        })?;
+        let ln_width = mode_of_widths(&singles);
+        let narrow = |single: &&Single| {
+            let mode = ln_width.map_or(0.0, |mode| mode.median);
+            (single.found.width_ratio.ln() - mode).abs() <= NARROW
+        };
+        let narrow: Vec<&Single> = singles.iter().filter(narrow).collect();
+        Ok(Statistics {
+            waveforms: blocks.len(),
+            differences_dn,
+            quiet: quiet(stretches),
+            offset_dn: Location::of(&mut offsets),
+            with_echo,
+            ln_width,
+            residual: residual_by_lag(&free, &shape, blocks, &narrow),
+            fits: fits(blocks, &narrow, model, simd)?,
+        })
+    }
+}
+
+/// The model with the level as a free parameter of each waveform.
+fn with_free_background(model: &ChannelModel) -> Result<ChannelModel, ModelError> {
+    let mut free = model.clone();
+    free.background = Background::PerWaveform;
+    free.background_sd_dn = model.background_sd_dn.max(FREE_LEVEL_SD * model.noise_sd_dn + FREE_LEVEL_DN);
+    // The vector kernels estimate levels only with a measured correlation.
+    let mut lags = [0.0; 6];
+    model.noise()?.autocovariance_into(&mut lags);
+    free.autocorrelation = lags[1..].iter().map(|lag| lag / lags[0]).collect();
+    Ok(free)
+}
+
+/// Decomposes blocks; `take` gets the index of each.
+fn decompose(
+    blocks: &[Waveform<'_>],
+    model: &ChannelModel,
+    settings: &DecomposeSettings,
+    simd: SimdLevel,
+    mut take: impl FnMut(usize, &Decomposition<'_>),
+) -> Result<(), ModelError> {
+    let tables = Tables::new(model).map(Arc::new);
+    let mut decomposer = BatchDecomposer::new(model, tables, settings, Mode::Refined, simd)?;
+    let mut outcomes = Decompositions::default();
+    for (batch, of_batch) in blocks.chunks(BATCH).enumerate() {
+        decomposer.decompose(of_batch, &mut outcomes);
+        outcomes.iter().enumerate().for_each(|(i, outcome)| take(batch * BATCH + i, &outcome));
+    }
+    Ok(())
+}
+
+/// Samples less background and fit, with the fitted signal, DN.
+fn residual(
+    model: &ChannelModel,
+    shape: &Shape,
+    block: Waveform<'_>,
+    returns: &[Return],
+    offset_dn: f64,
+) -> Vec<[f64; 2]> {
+    let mut signal_dn = Vec::with_capacity(block.samples.len());
+    model.signal_into(block.samples, block.start_phase, &mut signal_dn);
+    let mut fitted_dn = vec![0.0; signal_dn.len()];
+    for found in returns {
+        let pulse = Pulse {
+            height_dn: found.amplitude_dn,
+            position_samples: found.position_samples,
+            ln_width_ratio: found.width_ratio.ln(),
+            ln_width_precision: 0.0,
+        };
+        shape.add(&pulse, 1.0, &mut fitted_dn);
+    }
+    signal_dn.iter().zip(&fitted_dn).map(|(signal, fitted)| [signal - fitted - offset_dn, *fitted]).collect()
+}
+
+/// Adds the stretches where the fitted signal is low.
+fn add_quiet(stretches: &mut Vec<Vec<f64>>, residual_dn: &[[f64; 2]], quiet_dn: f64) {
+    let of_kind = residual_dn.chunk_by(|a, b| (a[1].abs() <= quiet_dn) == (b[1].abs() <= quiet_dn));
+    for stretch in of_kind.filter(|stretch| stretch.len() >= MIN_STRETCH && stretch[0][1].abs() <= quiet_dn) {
+        stretches.push(stretch.iter().map(|[residual, _]| *residual).collect());
+    }
+}
+
+/// Noise of the quiet stretches, without those that contain signal; `None` with too few.
+fn quiet(stretches: Vec<Vec<f64>>) -> Option<Quiet> {
+    let variance = |values: &[f64]| {
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64
+    };
+    let mut variances: Vec<f64> = stretches.iter().map(|stretch| variance(stretch)).collect();
+    let largest = LARGEST_VARIANCE * Location::of(&mut variances).median;
+    let mut statistics = NoiseStatistics::about(0.0);
+    stretches
+        .iter()
+        .filter(|stretch| variance(stretch) <= largest)
+        .for_each(|stretch| statistics.add(stretch, 0));
+    let autocovariance =
+        statistics.autocovariance_without_drift().unwrap_or_else(|| statistics.autocovariance());
+    let is_enough = statistics.samples() >= MIN_QUIET && autocovariance.first().is_some_and(|lag| *lag > 0.0);
+    is_enough.then(|| Quiet { autocovariance, samples: statistics.samples() })
+}
+
+/// The strongest return, if it is complete and others are minor and well after it.
+fn single<'a>(outcome: &Decomposition<'a>, fwhm_samples: f64) -> Option<&'a Return> {
+    let strongest = outcome.returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))?;
+    let is_minor = |other: &Return| {
+        std::ptr::eq(other, strongest)
+            || (other.amplitude_dn <= MINOR_PART * strongest.amplitude_dn
+                && other.position_samples - strongest.position_samples > APART_WIDTHS * fwhm_samples)
+    };
+    let bad = flags::SATURATED | flags::TRUNCATED | flags::DIVERGED;
+    (strongest.flags & bad == 0 && outcome.returns.iter().all(is_minor)).then_some(strongest)
+}
+
+/// Lower mode of the logarithms of the width ratios; `None` with too few echoes.
+fn mode_of_widths(singles: &[Single]) -> Option<Location> {
+    if singles.len() < MIN_SINGLES {
+        return None;
+    }
+    let width = |single: &Single| Width {
+        ln_width: single.found.width_ratio.ln(),
+        sd: single.found.width_ratio_sd / single.found.width_ratio,
+        deviation_ratio: single.found.deviation_ratio,
+    };
+    let widths: Vec<Width> = singles.iter().map(width).collect();
+    let narrow = Narrow::of(&widths, 1.0);
+    let mut in_mode: Vec<f64> =
+        widths.iter().filter(|width| narrow.holds(width)).map(|width| width.ln_width).collect();
+    let sd = Location::of(&mut in_mode).sd;
+    Some(Location { median: narrow.ln_width(), sd, count: in_mode.len() })
+}
+
+/// Residual of single echoes relative to their height, by lag; without lags that few of them reach.
+///
+/// Other returns are not subtracted: those caused by a wrong shape belong to the residual, and the
+/// median does not see those of other targets.
+fn residual_by_lag(
+    model: &ChannelModel,
+    shape: &Shape,
+    blocks: &[Waveform<'_>],
+    singles: &[&Single],
+) -> Vec<(i32, Location)> {
+    let fwhm = model.fwhm_samples();
+    let first = (-BEFORE_WIDTHS * fwhm).floor() as i32;
+    let last = (AFTER_WIDTHS * fwhm).min(MAX_AFTER) as i32;
+    let mut by_lag = vec![Vec::new(); (last - first + 1) as usize];
+    for single in singles {
+        let own = std::slice::from_ref(&single.found);
+        let residual_dn = residual(model, shape, blocks[single.block], own, single.offset_dn);
+        for (k, [residual, _]) in residual_dn.iter().enumerate() {
+            let lag = (k as f64 - single.found.position_samples).round() as i32 - first;
+            if let Some(values) = usize::try_from(lag).ok().and_then(|lag| by_lag.get_mut(lag)) {
+                values.push(residual / single.found.amplitude_dn);
+            }
+        }
+    }
+    let reached = (first..).zip(by_lag).filter(|(_, values)| values.len() >= MIN_SINGLES);
+    reached.map(|(lag, mut values)| (lag, Location::of(&mut values))).collect()
+}
+
+/// Chi-square of the weak and of the strong third of single echoes, as a run decomposes them.
+fn fits(
+    blocks: &[Waveform<'_>],
+    singles: &[&Single],
+    model: &ChannelModel,
+    simd: SimdLevel,
+) -> Result<[Fits; 2], ModelError> {
+    let mut by_height: Vec<&Single> = singles.to_vec();
+    by_height.sort_by(|a, b| a.found.amplitude_dn.total_cmp(&b.found.amplitude_dn));
+    let settings =
+        DecomposeSettings { explains_all: false, split_evidence: None, ..DecomposeSettings::default() };
+    let third = by_height.len() / 3;
+    let [weak, strong] = [&by_height[..third], &by_height[by_height.len() - third..]];
+    let chosen: Vec<Waveform<'_>> = weak.iter().chain(strong).map(|single| blocks[single.block]).collect();
+    let mut all = [Vec::new(), Vec::new()];
+    decompose(&chosen, model, &settings, simd, |index, outcome| {
+        let freedom = outcome.degrees_of_freedom() as f64;
+        if freedom > 0.0 {
+            let fit = [outcome.chi_square, freedom, outcome.expected_excess];
+            all[usize::from(index >= third)].push(fit);
+        }
+    })?;
+    Ok(all.map(Fits::of))
+}

@@ -1,0 +1,130 @@
+//! Table of sabotage: each diagnostic is broken, and the run must say so.
+//!
+//! Recordings of three simulated instruments are run with sensor models or samples that were changed.
+//! A change is noticed if a warning of the run names its area. With the right model no such warning
+//! may appear. `cargo test --test sabotage -- --nocapture` runs one recording per instrument and
+//! prints the table; `WAVEX_SABOTAGE=100` runs a hundred (`just sabotage`).
+//! docs/explanation/sabotage.md has the results.
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    reason = "a test fails by panicking, and prints its table"
+)]
+
+mod changes;
+mod instruments;
+mod runs;
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use changes::{Change, changes};
+use instruments::{Instrument, Kind};
+use runs::{run_job, saved_model, warnings};
+
+/// Smallest fraction of noticed changes, and largest fraction of false alarms.
+const NOTICED: f64 = 0.95;
+const FALSE_ALARMS: f64 = 0.01;
+
+/// Row of the table: by instrument, noticed and all cases.
+#[derive(Clone, Default)]
+struct Row([[usize; 2]; 3]);
+
+impl Row {
+    fn sum(&self) -> [usize; 2] {
+        self.0.iter().fold([0, 0], |sum, cell| [sum[0] + cell[0], sum[1] + cell[1]])
+    }
+}
+
+/// Cases of one recording: index of the row, and whether a warning was given.
+fn recording_cases(kind: Kind, seed: u64, changes: &[Change]) -> Vec<(usize, bool, Vec<String>)> {
+    let place = tempfile::tempdir().unwrap();
+    let model = saved_model(Instrument::new(kind, 2 * seed), place.path());
+    let other = saved_model(Instrument::new(kind.other(), 2 * seed), place.path());
+    let recording = Instrument::new(kind, 2 * seed + 1).record();
+    let mut results = Vec::new();
+    for (row, change) in changes.iter().enumerate() {
+        let Some(case) = change.apply(kind, &model, &other, &recording) else { continue };
+        let start = std::time::Instant::now();
+        let said = warnings(&case, place.path());
+        if std::env::var_os("WAVEX_SABOTAGE_TIMES").is_some() {
+            println!("{kind:?} {}: {:.2} s", change.name, start.elapsed().as_secs_f64());
+        }
+        let is_said = match change.areas.is_empty() {
+            true => changes::is_alarm(&said),
+            false => said.iter().any(|text| change.areas.iter().any(|area| text.contains(area))),
+        };
+        results.push((row, is_said, said));
+    }
+    results
+}
+
+#[test]
+fn sabotage_is_noticed() {
+    let recordings: u64 = std::env::var("WAVEX_SABOTAGE").map_or(1, |text| text.parse().unwrap());
+    let changes = changes();
+    let tasks: Vec<(Kind, u64)> =
+        (0..recordings).flat_map(|seed| Kind::ALL.map(|kind| (kind, seed + 1))).collect();
+    let (next, rows) = (AtomicUsize::new(0), Mutex::new(vec![Row::default(); changes.len()]));
+    let work = || {
+        while let Some(&(kind, seed)) = tasks.get(next.fetch_add(1, Ordering::Relaxed)) {
+            for (row, is_said, said) in recording_cases(kind, seed, &changes) {
+                let cell = &mut rows.lock().unwrap()[row].0[kind as usize];
+                cell[1] += 1;
+                cell[0] += usize::from(is_said);
+                if is_said == changes[row].areas.is_empty() {
+                    println!("{:?} {seed}, {}: {said:#?}", kind, changes[row].name);
+                }
+            }
+        }
+    };
+    std::thread::scope(|scope| (0..2).for_each(|_| drop(scope.spawn(work))));
+    let rows = rows.into_inner().unwrap();
+    print_table(&changes, &rows);
+    for (change, row) in changes.iter().zip(&rows) {
+        let [said, all] = row.sum();
+        let share = said as f64 / all as f64;
+        let is_kept = match change.areas.is_empty() {
+            true => share <= FALSE_ALARMS,
+            false => share >= NOTICED,
+        };
+        assert!(is_kept, "{}: {said} of {all}", change.name);
+    }
+}
+
+#[test]
+fn a_dead_receiver_has_no_returns() {
+    let place = tempfile::tempdir().unwrap();
+    let good = Instrument::new(Kind::Riegl, 1).record();
+    let np_and_constant = |dead_from: usize, calibrate: &str| {
+        let recording = good.changed(|number, samples| {
+            if number >= dead_from {
+                samples.fill(77);
+            }
+        });
+        let summary = run_job(&recording, calibrate, place.path());
+        let rejected = summary.stages.iter().flat_map(|stage| &stage.rejected);
+        let constant =
+            rejected.filter(|(what, _)| what.contains("all samples are equal")).map(|(_, n)| n).sum();
+        (summary.totals["np"], constant)
+    };
+    assert_eq!(np_and_constant(0, "preset = 'riegl_lms_q680i'"), (0, good.shots() as u64));
+    let (before, _) = np_and_constant(good.shots(), "waveforms = 500");
+    let (half, constant): (u64, u64) = np_and_constant(good.shots() / 2, "waveforms = 500");
+    assert_eq!(constant, good.shots() as u64 / 2);
+    assert!((0.4..0.6).contains(&(half as f64 / before as f64)), "{half} of {before}");
+}
+
+fn print_table(changes: &[Change], rows: &[Row]) {
+    println!("| change | noticed by | RIEGL-like | Leica-like | large footprint |");
+    println!("|---|---|---:|---:|---:|");
+    for (change, row) in changes.iter().zip(rows) {
+        let cell =
+            |[said, all]: [usize; 2]| if all == 0 { "-".to_owned() } else { format!("{said} / {all}") };
+        let cells: Vec<String> = row.0.iter().map(|counts| cell(*counts)).collect();
+        let areas = if change.areas.is_empty() { "nothing".to_owned() } else { change.areas.join("; ") };
+        println!("| {} | {areas} | {} |", change.name, cells.join(" | "));
+    }
+}

@@ -1,0 +1,75 @@
+//! Runs of the program's stages on recordings in memory.
+
+use std::path::Path;
+
+use wavex::engine::InputSummary;
+use wavex::stages::calibrate::{model_json, parse_model};
+use wavex_formats::container::{ContainerHeader, EmissionReference};
+use wavex_signal::sensor_model::SensorModel;
+use wavex_testkit::container::{Row, container, nadir_shot};
+use wavex_testkit::recordings::run;
+
+use super::instruments::{Instrument, Recording};
+
+/// Code of the low-power receiver in a container.
+const LOW_POWER: u8 = 1;
+/// Time of the first sample after the emission, ns, and time between shots, ps.
+const START_NS: f64 = 5000.0;
+const SHOT_PS: i64 = 10_000_000;
+
+/// A run.
+pub struct Case {
+    /// Model to load; `None`: calibrated.
+    pub model: Option<SensorModel>,
+    pub recording: Recording,
+}
+
+/// Model that is calibrated from a recording of an instrument.
+pub fn saved_model(instrument: Instrument, place: &Path) -> SensorModel {
+    run_job(&instrument.record(), "save = 'model.json'", place);
+    let path = place.join("model.json");
+    parse_model(&std::fs::read_to_string(&path).unwrap(), &path).unwrap()
+}
+
+/// Warnings of a run.
+pub fn warnings(case: &Case, place: &Path) -> Vec<String> {
+    summary(case, place).stages.iter().flat_map(|stage| stage.notes.clone()).collect()
+}
+
+/// Summary of a run.
+pub fn summary(case: &Case, place: &Path) -> InputSummary {
+    match &case.model {
+        None => run_job(&case.recording, "", place),
+        Some(model) => {
+            let path = place.join("loaded.json");
+            std::fs::write(&path, model_json(model).unwrap()).unwrap();
+            run_job(&case.recording, &format!("load = '{}'", path.display()), place)
+        }
+    }
+}
+
+/// Calibrates and decomposes a recording.
+pub fn run_job(recording: &Recording, calibrate: &str, place: &Path) -> InputSummary {
+    let header = ContainerHeader {
+        full_scale_dn: Some(recording.full_scale_dn),
+        emission_reference: Some(EmissionReference::Clock),
+        ..ContainerHeader::new(1.0, 299_707_502.0)
+    };
+    let mut number = 0;
+    let mut row = |line: usize, samples: &Vec<u16>| {
+        let mut shot = nadir_shot(number, number as i64 * SHOT_PS);
+        shot.line = line as u32;
+        number += 1;
+        Row { shot, blocks: vec![(LOW_POWER, START_NS, samples.clone())] }
+    };
+    let lines: Vec<Vec<Row>> = (recording.lines.iter().enumerate())
+        .map(|(line, shots)| shots.iter().map(|samples| row(line, samples)).collect())
+        .collect();
+    std::fs::write(place.join("a.arrow"), container(&header, &lines)).unwrap();
+    let text = format!(
+        "[job]\nthreads = 1\noutput_dir = '.'\n[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\n\
+         type = 'calibrate'\n{calibrate}\n[[stage]]\ntype = 'decompose'\nmode = 'fastest'\n[[stage]]\ntype = 'write_lstat'\n\
+         path = '*_lines.csv'\n"
+    );
+    run("sabotage", &text, place, place, &[])
+}
