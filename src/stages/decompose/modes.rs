@@ -185,7 +185,9 @@ mod tests {
         };
         // A return of another block is not changed.
         let mut all: Vec<Found> = [7.0].iter().chain(positions).map(found).collect();
-        let dropped = Modes::of(&model, 4.5).unwrap().keep(&samples, &blocks.list[0], &mut all, 1);
+        let (_, of_shot) = blocks.by_emission().next().unwrap();
+        let block = &of_shot[0];
+        let dropped = Modes::of(&model, 4.5).unwrap().keep(&samples, block, &mut all, 1);
         assert_eq!(all.remove(0).time_ns, 107.0);
         (all, dropped)
     }
