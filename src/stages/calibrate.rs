@@ -12,8 +12,8 @@ use crate::stage::{
     Holds, Learning, Learns, LookAhead, MakeTransform, Output, OutputFile, Plan, Result, RunContext,
     StageError, StageSpec, SurveyModels, Transform, TransformConfig,
 };
-use model_check::{CHECKED_WAVEFORMS, ReceiverCheck};
 pub use keys::{Auto, AutoOrNumber, BackgroundKey, Calibrate, ResponseKey};
+use model_check::{CHECKED_WAVEFORMS, ReceiverCheck};
 pub(super) use model_file::write_model;
 pub use model_file::{load_model, model_json, parse_model};
 pub use presets::Preset;
