@@ -76,7 +76,8 @@ fn lvis_heights_are_percentiles_above_the_last_mode() {
         }
     }
     for (part, differences_m) in PARTS.iter().zip(&mut differences_m) {
-        let gross = differences_m.iter().filter(|difference| !(difference.abs() <= 3.0)).count();
+        let gross =
+            differences_m.iter().filter(|difference| difference.is_nan() || difference.abs() > 3.0).count();
         differences_m.retain(|difference| !difference.is_nan());
         let (centre, sd) = (median(differences_m), robust(differences_m).1);
         println!("RH{:.0}: median {centre:+.3} m, robust SD {sd:.3} m, gross {gross}", 100.0 * part);

@@ -108,7 +108,10 @@ impl Profiles {
         let Some(estimator) = estimator else { return };
         let profile = estimator.profile(blocks.samples(block), 0, pulses.background_offset_dn);
         let is_stronger = |profile: &TargetProfile| {
-            self.of_shot.as_ref().is_none_or(|(_, best)| !(profile.energy_dn.value <= best.energy_dn.value))
+            self.of_shot.as_ref().is_none_or(|(_, best)| {
+                let [value, best] = [profile, best].map(|of| of.energy_dn.value);
+                best.is_nan() || value > best
+            })
         };
         if let Some(profile) = profile.filter(is_stronger) {
             self.of_shot = Some((*block, profile));

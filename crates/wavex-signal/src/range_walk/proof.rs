@@ -122,7 +122,7 @@ impl Proof {
     pub(super) fn of(rows: &[Row], predicted_ns: &[f64], sds_ns: &[f64], stretches: usize) -> Proof {
         let tests = Tests::new(rows, predicted_ns, sds_ns, stretches);
         let [first, second, ..] = tests.regress(|i| {
-            let is_first = rows[i].stretch % 2 == 0;
+            let is_first = rows[i].stretch.is_multiple_of(2);
             let x = predicted_ns[i];
             with_tilt(&rows[i], [if is_first { x } else { 0.0 }, if is_first { 0.0 } else { x }])
         });

@@ -90,8 +90,8 @@ impl Residuals {
         let least_dn = (LAST_PART * highest_dn).max(strong_dn(model));
         let Some(last) = outcome.returns.iter().rposition(|r| r.amplitude_dn >= least_dn) else { return };
         let pulses: Vec<Pulse> = outcome.returns[..=last].iter().map(pulse).collect();
-        let energies = pulses.iter().map(|pulse| Source::of(pulse).energy_dn);
-        let (total_dn, last_dn) = (energies.clone().sum::<f64>(), energies.last().unwrap_or(0.0));
+        let mut energies = pulses.iter().map(|pulse| Source::of(pulse).energy_dn);
+        let (total_dn, last_dn) = (energies.clone().sum::<f64>(), energies.next_back().unwrap_or(0.0));
         if outcome.saturated || last_dn < DOMINANT_PART * total_dn {
             return;
         }
