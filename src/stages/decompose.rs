@@ -20,7 +20,6 @@ mod dual_channel;
 mod echo;
 mod observer;
 mod online;
-mod overdrive;
 mod profiles;
 mod receivers;
 mod shots;

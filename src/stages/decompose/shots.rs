@@ -5,7 +5,6 @@ use super::crosstalk::Departures;
 use super::dual_channel::BothReceivers;
 use super::echo::{Found, UNRELIABLE_RANGE_SD_M};
 use super::online::unresolved;
-use super::overdrive::Overdrive;
 use super::profiles::Profiles;
 use super::receivers::{BlockRoute, Receivers, SensorTables};
 use super::unexplained::Explained;
@@ -218,7 +217,6 @@ pub(crate) struct ShotDecomposer {
     drop_emission_crosstalk: bool,
     found: Vec<Found>,
     profiles: Profiles,
-    overdrive: Overdrive,
     explained: Explained,
     /// By emission index: whether an echo was received during the emission.
     expected: Vec<bool>,
@@ -243,7 +241,6 @@ impl ShotDecomposer {
             drop_emission_crosstalk: config.drop_emission_crosstalk,
             found: Vec::new(),
             profiles: Profiles::new(model, config)?,
-            overdrive: Overdrive::new(model, config)?,
             explained: Explained::default(),
             expected: Vec::new(),
         })
@@ -473,7 +470,6 @@ impl ShotDecomposer {
             let in_block = self.found.len();
             let flags = if block.is_zone_uncertain { flags::ZONE_UNCERTAIN } else { 0 };
             let delay_sd_ns = self.delay_sd_ns(channel, model);
-            let overdrive_errors = self.overdrive.errors(shot.blocks, block, channel, &result, model);
             self.found.extend(result.returns.iter().map(|fitted| {
                 let mut found = Found {
                     time_ns: block.time_ns(fitted.position_samples),
@@ -487,7 +483,7 @@ impl ShotDecomposer {
                     fitted: *fitted,
                     flags,
                 };
-                found.add_overdrive_sd(&overdrive_errors, self.both.is_some());
+                found.add_overdrive_sd(model, self.both.is_some());
                 found
             }));
             let (fwhm_ns, drops) = (model.pulse_fwhm_ns, self.drop_emission_crosstalk);
