@@ -21,7 +21,6 @@ mod echo;
 mod modes;
 mod observer;
 mod online;
-mod overdrive;
 mod profiles;
 mod receivers;
 mod shots;

@@ -7,11 +7,9 @@
 use crate::flags;
 
 pub(crate) mod acceptance;
-mod flanks;
 mod scalar;
 pub mod simd;
 
-pub use flanks::{BLINDED, Flanks, OverdriveErrors};
 pub use scalar::Decomposer;
 pub use simd::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
 

@@ -6,7 +6,7 @@ use super::echo::{Found, HighPowerView};
 use super::shots::Shot;
 use crate::scan_line::{Block, Channel, LineStats, ReturnChannel, flags};
 use crate::stage::{Result, StageError};
-use wavex_signal::decompose::{BLINDED, DEVIANT, OVERDRIVEN_PART, OverdriveErrors};
+use wavex_signal::decompose::{DEVIANT, OVERDRIVEN_PART};
 use wavex_signal::fusion::{ChannelFusion, Expected, JointFit, JointFitted, JointPulse};
 use wavex_signal::gain::GainLevel;
 use wavex_signal::sensor_model::SensorModel;
@@ -17,6 +17,8 @@ const SAME_SD: f64 = 3.0;
 const SAME_WIDTHS: f64 = 0.5;
 /// Distance from a saturated sample within which the low-power receiver may miss an echo, widths.
 const NEAR_WIDTHS: f64 = 1.0;
+/// Flags of returns for which the low-power receiver is not sufficient.
+pub(super) const BLINDED: u16 = flags::SATURATED | flags::EXTREMELY_SATURATED | flags::OVERDRIVEN;
 /// Squared distance of the joint fit from the high-power fit that counts as a contradiction.
 ///
 /// In standard deviations, with three degrees of freedom; exceeded once in 100 000 by chance.
@@ -420,7 +422,7 @@ impl Both {
             found.fitted.deviation_ratio = deviation_ratio;
             write(&self.low, &candidate.on_common_axis(fitted), low, found);
             if candidate.high.is_none() {
-                found.add_overdrive_sd(&OverdriveErrors::of_receiver(self.low.model()), true);
+                found.add_overdrive_sd(self.low.model(), true);
                 self.align(found);
                 continue;
             }

@@ -1,9 +1,11 @@
 //! Echoes: fitted pulses before they become returns of their shot.
 
+use super::dual_channel::BLINDED;
 use super::shots::EmissionTime;
 use crate::scan_line::{AmplitudeTable, InputInfo, Return, ReturnChannel};
-use wavex_signal::decompose::{OverdriveErrors, Return as Pulse};
+use wavex_signal::decompose::Return as Pulse;
 use wavex_signal::radiometry::target_thickness_m;
+use wavex_signal::sensor_model::ChannelModel;
 
 /// Standard deviation of an unreliable range, m.
 ///
@@ -44,8 +46,11 @@ impl Found {
     /// Adds the standard deviations of overdriven and clipped pulses.
     ///
     /// In fused receivers, the time of the low-power one has the error of its walk instead.
-    pub(super) fn add_overdrive_sd(&mut self, errors: &OverdriveErrors, is_fused: bool) {
-        let (time_ns, relative_height) = errors.of(self.fitted.flags);
+    pub(super) fn add_overdrive_sd(&mut self, model: &ChannelModel, is_fused: bool) {
+        if self.fitted.flags & BLINDED == 0 {
+            return;
+        }
+        let (time_ns, relative_height) = model.overdrive_errors();
         let is_of_walk = is_fused && self.channel == ReturnChannel::Low;
         self.add_sd((if is_of_walk { 0.0 } else { time_ns }, relative_height));
     }

@@ -3,12 +3,13 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::dual_channel::BLINDED;
 use super::shots::EmissionTime;
 use super::{Decompose, Mode};
 use crate::scan_line::{Block, Blocks, InputInfo, ReturnChannel, ShotProfile};
 use crate::stage::{Result, StageError};
 use crate::stages::calibrate::Auto;
-use wavex_signal::decompose::{BLINDED, Decomposition};
+use wavex_signal::decompose::Decomposition;
 use wavex_signal::distributed::{DistributedTargets, TargetProfile, WithSd};
 use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 

@@ -6,7 +6,6 @@ use super::dual_channel::BothReceivers;
 use super::echo::{Found, UNRELIABLE_RANGE_SD_M};
 use super::modes::Modes;
 use super::online::unresolved;
-use super::overdrive::Overdrive;
 use super::profiles::Profiles;
 use super::receivers::{BlockRoute, Receivers, SensorTables};
 use super::unexplained::Explained;
@@ -223,7 +222,6 @@ pub(crate) struct ShotDecomposer {
     drop_emission_crosstalk: bool,
     found: Vec<Found>,
     profiles: Profiles,
-    overdrive: Overdrive,
     explained: Explained,
     /// By emission index: whether an echo was received during the emission.
     expected: Vec<bool>,
@@ -250,7 +248,6 @@ impl ShotDecomposer {
             drop_emission_crosstalk: config.drop_emission_crosstalk,
             found: Vec::new(),
             profiles: Profiles::new(model, config)?,
-            overdrive: Overdrive::new(model, config)?,
             explained: Explained::default(),
             expected: Vec::new(),
         })
@@ -480,7 +477,6 @@ impl ShotDecomposer {
             let in_block = self.found.len();
             let flags = if block.is_zone_uncertain { flags::ZONE_UNCERTAIN } else { 0 };
             let delay_sd_ns = self.delay_sd_ns(channel, model);
-            let overdrive_errors = self.overdrive.errors(shot.blocks, block, channel, &result, model);
             self.found.extend(result.returns.iter().map(|fitted| {
                 let mut found = Found {
                     time_ns: block.time_ns(fitted.position_samples),
@@ -494,7 +490,7 @@ impl ShotDecomposer {
                     fitted: *fitted,
                     flags,
                 };
-                found.add_overdrive_sd(&overdrive_errors, self.both.is_some());
+                found.add_overdrive_sd(model, self.both.is_some());
                 found
             }));
             let modes = if channel == ReturnChannel::High { &mut self.modes[1] } else { &mut self.modes[0] };
