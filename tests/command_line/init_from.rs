@@ -12,7 +12,9 @@ fn job_for(place: &TestFolder, recording: &str) -> String {
     let job = "flight.toml";
     let _ = fs::remove_file(place.path(job));
     let Outcome { code, out, err } = place.wavex(&["init", "--from", recording, job]);
-    assert_eq!((code, err.as_str()), (Some(0), ""), "{recording}");
+    // A recording may have copies of waveforms, which are a warning.
+    let is_clean = err.lines().all(|line| line.contains("byte-identical copies"));
+    assert!(code == Some(0) && is_clean, "{recording}: {err}");
     assert!(out.starts_with("wrote flight.toml\n"), "{out}");
     let Outcome { code, out, err } = place.wavex(&["check", job]);
     assert_eq!((code, err.as_str()), (Some(0), ""), "{recording}");

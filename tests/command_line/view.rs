@@ -219,7 +219,7 @@ fn a_shot_has_the_corrections_that_the_run_has_learnt() {
     let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 12\nshots_per_line = 600\ndetector = 'riegl'\n\
                [[stage]]\ntype = 'calibrate'\nwaveforms = 2000\n\
                [[stage]]\ntype = 'decompose'\n\
-               [[stage]]\ntype = 'correct'\nsave_model = 'model.json'\n\
+               [[stage]]\ntype = 'correct'\nrange_walk = 'auto'\nsave_model = 'model.json'\n\
                [[stage]]\ntype = 'georeference'\n";
     place.write("job.toml", job.as_bytes());
     let view = view(&place, &["job.toml"]);
