@@ -20,7 +20,6 @@ mod removal;
 mod shots;
 
 pub use budget::{AtWork, Budget, NoRoom, Ticket};
-pub use copies::LastEchoes;
 pub use input::{AmplitudeTable, EmissionReference, FirstShot, GainControl, InputInfo, LinearAmplitude};
 pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};

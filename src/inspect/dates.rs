@@ -36,8 +36,12 @@ pub(super) fn weekday_of_times(input: &InputInfo, first_s: f64) -> Option<String
     }
     let of_times = time::weekday(first_s);
     let by = format!("{} by the seconds of the week", WEEKDAYS[of_times]);
-    let of_date =
-        input.recorded.map(|(day, year)| time::weekday_of(year, day)).filter(|day| *day != of_times);
+    // The date of a recording may be local: neighbouring days agree.
+    let differs = |day: &usize| match input.is_file_date {
+        true => *day != of_times,
+        false => (2..=5).contains(&((*day + 7 - of_times) % 7)),
+    };
+    let of_date = input.recorded.map(|(day, year)| time::weekday_of(year, day)).filter(differs);
     Some(match (of_date, input.is_file_date) {
         (None, _) => by,
         (Some(day), true) => format!("{by}; the file was created on a {}", WEEKDAYS[day]),

@@ -12,23 +12,18 @@ use super::{Block, Blocks, Channel, Content, ScanLine, emission_flags};
 /// bits per sample, and a pulse tens of bits.
 const LEAST_BITS: f64 = 64.0;
 
-/// Echo blocks of the last shot of a line: channels and samples.
-#[derive(Clone, Debug, Default)]
-pub struct LastEchoes(Vec<(Channel, Vec<u16>)>);
-
 impl ScanLine {
-    /// Marks the shots whose echo blocks are copies of those of the shot before; returns their number.
+    /// Marks the shots whose echo blocks are copies of those of the shot before in the line; returns their
+    /// number.
     ///
-    /// `before` holds the echoes of the last shot of the line before, if any, and afterwards those of
-    /// this line.
-    pub fn mark_copies(&mut self, before: &mut LastEchoes) -> u64 {
+    /// The first shot of a line has none before it, so that a line alone has the marks that it has in a run.
+    pub fn mark_copies(&mut self) -> u64 {
         let Content::Shots(blocks) = &self.content else { return 0 };
         self.emissions.iter_mut().for_each(|emission| emission.flags &= !emission_flags::COPY);
         let mut copies = 0;
         let mut last: Option<(u32, &[Block])> = None;
         for (index, of_shot) in blocks.by_emission() {
             let is_copy = match last {
-                _ if index == 0 => are_copies(echoes(blocks, of_shot), before.echoes()),
                 Some((earlier, other)) if earlier + 1 == index => {
                     are_copies(echoes(blocks, of_shot), echoes(blocks, other))
                 }
@@ -40,9 +35,6 @@ impl ScanLine {
             }
             last = Some((index, of_shot));
         }
-        let ends_line = |(index, _): &(u32, &[Block])| *index as usize + 1 == self.emissions.len();
-        let of_last = last.filter(ends_line).into_iter().flat_map(|(_, of_shot)| echoes(blocks, of_shot));
-        before.0 = of_last.map(|(channel, samples)| (channel, samples.to_vec())).collect();
         copies
     }
 
@@ -58,12 +50,6 @@ impl ScanLine {
             self.emissions.get(block.emission as usize).is_some_and(|emission| emission.is_copy())
         };
         self.blocks().into_iter().flat_map(Blocks::iter).filter(move |block| !is_copy(block))
-    }
-}
-
-impl LastEchoes {
-    fn echoes(&self) -> impl Iterator<Item = (Channel, &[u16])> + Clone {
-        self.0.iter().map(|(channel, samples)| (*channel, &samples[..]))
     }
 }
 
@@ -116,12 +102,12 @@ mod tests {
         }
         let emissions = vec![Emission::default(); waveforms.len()];
         let mut line = ScanLine::of_shots(Arc::new(InputInfo::default()), 0, emissions, blocks);
-        let copies = line.mark_copies(&mut LastEchoes::default());
+        let copies = line.mark_copies();
         let marks: Vec<bool> = line.emissions.iter().map(Emission::is_copy).collect();
         assert_eq!(copies as usize, marks.iter().filter(|is_copy| **is_copy).count());
         assert_eq!(line.distinct_waveforms(), line.stats.nw - copies);
         assert_eq!(line.distinct_blocks().count() as u64, 2 * line.distinct_waveforms());
-        assert_eq!(line.mark_copies(&mut LastEchoes::default()), copies, "marks are set anew");
+        assert_eq!(line.mark_copies(), copies, "marks are set anew");
         marks
     }
 
@@ -156,25 +142,6 @@ mod tests {
         }
         let input = Arc::new(InputInfo::default());
         let mut line = ScanLine::of_shots(input, 0, vec![Emission::default(); 3], blocks);
-        assert_eq!(line.mark_copies(&mut LastEchoes::default()), 0);
-    }
-
-    #[test]
-    fn a_line_may_begin_with_a_copy() {
-        let line = |seeds: &[u32], without_echo: bool| {
-            let mut blocks = Blocks::default();
-            (0..).zip(seeds).for_each(|(index, seed)| {
-                blocks.push(index, Channel::LowPower, None, 0.0, 1.0, &noise(*seed, 60));
-            });
-            let emissions = vec![Emission::default(); seeds.len() + usize::from(without_echo)];
-            ScanLine::of_shots(Arc::new(InputInfo::default()), 0, emissions, blocks)
-        };
-        for without_echo in [false, true] {
-            let mut last = LastEchoes::default();
-            assert_eq!(line(&[1, 2], without_echo).mark_copies(&mut last), 0);
-            let mut next = line(&[2, 3], false);
-            assert_eq!(next.mark_copies(&mut last), u64::from(!without_echo));
-            assert_eq!(next.emissions[0].is_copy(), !without_echo);
-        }
+        assert_eq!(line.mark_copies(), 0);
     }
 }

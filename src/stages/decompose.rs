@@ -49,6 +49,9 @@ pub const STAGE: StageSpec = StageSpec::map::<Decompose>("decompose", &[Kind::Sh
 /// locations. If it has neither, the jitter of the clock is included in the standard deviations
 /// (`emission_jitter_ns`).
 ///
+/// If the response is the recorded outgoing pulse, a return must be a peak of the smoothed waveform: no
+/// echo has proven the shape that separates closer ones.
+///
 /// With two receivers, the low-power receiver is used, and the high-power receiver where the first
 /// is saturated or did not record. After `fuse_channels`, both are fitted together if the low-power
 /// receiver is saturated or overdriven and the other has the same echo (channel `joint`). If the two

@@ -5,7 +5,7 @@
 //! the jitter of the clock from above: terrain and echo positions add to it.
 
 use crate::scan_line::{
-    Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LastEchoes, ScanLine,
+    Block, Blocks, Channel, Emission, EmissionReference, InputInfo, ScanLine,
 };
 use crate::stage::{Context, Source};
 use wavex_signal::fusion::peak_above_half;
@@ -133,10 +133,10 @@ impl Smoothness {
             interval_ns: f64::NAN,
         };
         // Warnings about the recording belong to the run: this context logs none.
-        let (mut cx, mut last) = (Context::default(), LastEchoes::default());
+        let mut cx = Context::default();
         while found.points_ns.len() < ENOUGH_TRIPLES && found.shots < MOST_SHOTS {
             let Ok(Some(mut line)) = source.next(&mut cx) else { break };
-            line.mark_copies(&mut last);
+            line.mark_copies();
             found.add(&line);
         }
         found

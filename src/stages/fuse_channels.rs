@@ -204,8 +204,9 @@ impl ChannelFuser {
         let lines = self.look_ahead.lines();
         let full_scale_dn = lines.first().and_then(|line| line.input.full_scale_dn).unwrap_or(u16::MAX);
         let mut pairs = Vec::new();
-        for blocks in lines.iter().filter_map(ScanLine::blocks) {
-            blocks.by_emission().for_each(|(_, of_shot)| {
+        for (line, blocks) in lines.iter().filter_map(|line| Some((line, line.blocks()?))) {
+            let is_copy = |index: u32| line.emissions.get(index as usize).is_some_and(|shot| shot.is_copy());
+            blocks.by_emission().filter(|(index, _)| !is_copy(*index)).for_each(|(_, of_shot)| {
                 add_pairs(blocks, of_shot, f64::from(full_scale_dn), &mut pairs);
             });
         }
@@ -278,8 +279,8 @@ impl ChannelFuser {
 /// Falls of squared differences, in words.
 fn falls(what: &str, [first, second]: [f64; 2]) -> String {
     format!(
-        "what one half of the echoes shows lets the squared differences of {what} in the other half fall by {first:.1} and \
-         {second:.1} standard deviations, at least 3 are needed"
+        "the estimate of one half of the echoes reduces the squared differences of {what} in the other half by \
+         {first:.1} and {second:.1} standard deviations, at least 3 are needed"
     )
 }
 

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::georef::declared;
 use crate::keys::InvalidKey;
-use crate::scan_line::{Content, Emission, Frame, GainControl, InputInfo, LastEchoes, ScanLine};
+use crate::scan_line::{Content, Emission, Frame, GainControl, InputInfo, ScanLine};
 use crate::stage::{Context, Item, LineLocation, Result, RunContext, Source, StageError};
 use wavex_geodesy::time::WEEK_S;
 
@@ -185,19 +185,20 @@ pub(super) struct AsDeclared<S> {
 struct Copies {
     waveforms: u64,
     copies: u64,
-    last: LastEchoes,
 }
 
 impl Copies {
     fn mark(&mut self, line: &mut ScanLine) {
-        self.copies += line.mark_copies(&mut self.last);
+        self.copies += line.mark_copies();
         self.waveforms += line.stats.nw;
     }
 
     /// Warns of the copies, once.
+    ///
+    /// Of thousands of waveforms with little signal, a few may be equal by chance.
     fn report(&mut self, cx: &mut Context) {
-        let Copies { waveforms, copies, .. } = std::mem::take(self);
-        if copies > 0 {
+        let Copies { waveforms, copies } = std::mem::take(self);
+        if copies > 2 && 1000 * copies > waveforms {
             cx.warn(format!(
                 "{copies} of {waveforms} waveforms are byte-identical copies of the waveform of the shot before: \
                  their returns are repeated at other places, and calibration and statistics use each \
@@ -391,7 +392,7 @@ impl<S: Source> Source for AsDeclared<S> {
 
     fn line_at(&mut self, location: &LineLocation, cx: &mut Context) -> Result<Option<ScanLine>> {
         let Some(mut line) = self.source.line_at(location, cx)? else { return Ok(None) };
-        line.mark_copies(&mut LastEchoes::default());
+        line.mark_copies();
         let line = self.begun(&line, cx)?.line(line, cx);
         Ok(Some(line).filter(|line| !line.emissions.is_empty()))
     }

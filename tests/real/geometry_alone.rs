@@ -5,9 +5,8 @@ use std::path::Path;
 use wavex_signal::range_walk::RangeWalk;
 use wavex_signal::sensor_model::SensorModel;
 use wavex_testkit::data;
-use wavex_testkit::recordings::{Table, median, robust};
+use wavex_testkit::recordings::robust;
 
-use super::agreement::share;
 use super::{Comparison, corrected};
 
 /// Robust SD of the times of single returns about RIEGL's, ps.
@@ -78,44 +77,4 @@ fn a_range_walk_learnt_from_geometry_agrees_with_riegls_times() {
     );
     // A cubic fitted to RIEGL's own times leaves 9.2 ps; the walk is that of another instrument.
     assert!(walk_ps <= 10.0 && walk_ps <= 0.7 * raw_ps, "{walk_ps} {raw_ps}");
-}
-
-/// NASA LVIS: footprints of 20 m and more in forest.
-#[test]
-fn large_footprints_have_profiles() {
-    let Some(data) = data() else { return };
-    let out = tempfile::tempdir().unwrap();
-    let job = "[[stage]]\ntype = 'read_pulsewaves'\npath = 'pulsewaves/lvis_example1.pls'\n\
-               [[stage]]\ntype = 'calibrate'\n[[stage]]\ntype = 'decompose'\n\
-               [[stage]]\ntype = 'write_table'\npath = 'lvis.csv'\n";
-    wavex_testkit::recordings::run("lvis", job, &data, out.path(), &[]);
-    let returns = Table::read(&out.path().join("lvis.csv"));
-    let number = returns.column("return_number");
-    let [pulses, profile, last_m, last_sd_m] =
-        ["deviation_ratio", "profile_deviation_ratio", "profile_last_range_m", "profile_last_range_sd_m"]
-            .map(|name| returns.column(name));
-    let [rh50_m, rh98_m, rh98_sd_m] = ["rh50_m", "rh98_m", "rh98_sd_m"].map(|name| returns.column(name));
-    let unexplained: Vec<usize> =
-        (0..returns.len()).filter(|&i| number[i] == 1.0 && pulses[i] > 5.0).collect();
-    let with: Vec<usize> = unexplained.iter().copied().filter(|&i| profile[i].is_finite()).collect();
-    let of = |column: &[f64]| with.iter().map(|&i| column[i]).collect::<Vec<f64>>();
-    let explained = share(&of(&profile), |ratio| ratio < 3.0);
-    println!(
-        "LVIS: {} waveforms unexplained by pulses, {} with a profile, {:.1} % of them explained; median deviation \
-         ratio {:.1} by pulses, {:.1} by profiles; last peak +- {:.2} m, RH50 {:.1} m, RH98 {:.1} +- {:.2} m",
-        unexplained.len(),
-        with.len(),
-        100.0 * explained,
-        median(&of(&pulses)),
-        median(&of(&profile)),
-        median(&of(&last_sd_m)),
-        median(&of(&rh50_m)),
-        median(&of(&rh98_m)),
-        median(&of(&rh98_sd_m))
-    );
-    // A profile is kept only if it explains the waveform better than the pulses: 74 of 88. Weaker
-    // penalties would explain more, with errors of the ground of several standard deviations.
-    assert!(with.len() * 10 >= unexplained.len() * 7, "{} of {}", with.len(), unexplained.len());
-    assert!(of(&last_m).iter().all(|m| m.is_finite()));
-    assert!(median(&of(&profile)) < median(&of(&pulses)));
 }

@@ -328,7 +328,8 @@ fn every_instrument_is_explained_by_default() {
             "riegl_q680i_dev" | "riegl_example3" => assert!(!is_unexplained, "{name}"),
             NEON => assert!(is_unexplained, "{name}"),
             "optech_example1" => {
-                let copies = "664 of 998 waveforms are byte-identical copies";
+                // The file has 664, one of which begins a scan line and has no shot before it.
+                let copies = "663 of 998 waveforms are byte-identical copies";
                 assert!(warnings.iter().any(|text| text.starts_with(copies)), "{warnings:?}");
             }
             "geolas_example1" | "lvis_example1" | "las13fwf_example1" => {

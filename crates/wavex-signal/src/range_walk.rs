@@ -173,7 +173,8 @@ impl RangeWalk {
     /// Whether all numbers are usable.
     pub fn is_valid(&self) -> bool {
         let [least_dn, most_dn] = self.amplitudes_dn;
-        let is_positive = |dn: f64| dn > 0.0 && dn.is_finite();
+        // Bounds of plausible amplitudes, which also bound the number of nodes.
+        let is_positive = |dn: f64| (1e-2..=1e7).contains(&dn);
         let is_delay = |ns: f64| ns.abs() <= MOST_DELAY_NS;
         let is_node = |node: &DelayNode| {
             is_positive(node.amplitude_dn)

@@ -64,7 +64,11 @@ impl Counted {
         let Some(model) = model else { return };
         let fwhm_ns = *self.pulse_fwhm_ns.get_or_insert(model.pulse_fwhm_ns);
         self.counts.resize(LAGS * OCTAVES, 0);
-        returns.chunk_by(|a, b| a.emission == b.emission).for_each(|shot| self.add_shot(shot, fwhm_ns));
+        let is_copy = |shot: &&[Return]| {
+            line.emissions.get(shot[0].emission as usize).is_some_and(|emission| emission.is_copy())
+        };
+        let shots = returns.chunk_by(|a, b| a.emission == b.emission).filter(|shot| !is_copy(shot));
+        shots.for_each(|shot| self.add_shot(shot, fwhm_ns));
     }
 
     fn add_shot(&mut self, shot: &[Return], fwhm_ns: f64) {
@@ -102,13 +106,13 @@ impl Counted {
 impl WeakReturns {
     /// Number of weak returns by lag.
     pub(in crate::report) fn by_lag(&self) -> Vec<u64> {
-        self.counts.chunks(OCTAVES).map(|octaves| octaves.iter().sum()).collect()
+        self.counts.chunks(OCTAVES).map(saturating_sum).collect()
     }
 
     /// The largest pile-up; 0 % without one that exceeds the returns at other lags clearly.
     pub(in crate::report) fn pile_up(&self) -> PileUp {
         let by_lag = self.by_lag();
-        let joined: Vec<u64> = by_lag.windows(JOINED).skip(FIRST_LAG).map(|of| of.iter().sum()).collect();
+        let joined: Vec<u64> = by_lag.windows(JOINED).skip(FIRST_LAG).map(saturating_sum).collect();
         let mut sorted = joined.clone();
         sorted.sort_unstable();
         let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0);
@@ -121,6 +125,11 @@ impl WeakReturns {
             percent: if is_clear { 100.0 * count as f64 / self.strong_shots.max(1) as f64 } else { 0.0 },
         }
     }
+}
+
+/// Sum of counts, which a report may state as any number.
+fn saturating_sum(counts: &[u64]) -> u64 {
+    counts.iter().fold(0, |sum, count| sum.saturating_add(*count))
 }
 
 #[cfg(test)]

@@ -24,7 +24,11 @@ impl Calibrator {
         out: &mut Output,
     ) -> Result<Option<Calibrated>> {
         let (Some(found), Some(outgoing)) = (&own, reference) else { return Ok(own) };
-        if !is_too_narrow(&found.model, &outgoing.model) {
+        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
+        // Clipped outgoing pulses are too wide, and heights of different gains are not comparable.
+        let is_comparable =
+            outgoing.model.response.is_some() && !gain_changes && !self.is_outgoing_pulse_clipped();
+        if !is_comparable || !is_too_narrow(&found.model, &outgoing.model) {
             return Ok(own);
         }
         let [width_ns, outgoing_ns] = [&found.model, &outgoing.model].map(|model| model.pulse_fwhm_ns);

@@ -247,6 +247,10 @@ fn triples(lines: &[ScanLine], channel: ReturnChannel) -> Vec<Triple> {
                 });
             }
         }
+        // The second difference of a waveform and its copies would be 0.
+        for (single, emission) in singles.iter_mut().zip(&line.emissions) {
+            *single = single.take().filter(|_| !emission.is_copy());
+        }
         for (shot, singles) in (first_shot..).zip(singles.windows(3)) {
             if let &[Some(a), Some(b), Some(c)] = singles {
                 triples.push(Triple { echoes: [a, b, c], shot });

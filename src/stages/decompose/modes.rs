@@ -1,13 +1,13 @@
 //! Returns as modes: where no echo proves the response, a return must have a peak of its own.
 //!
 //! Echoes closer than a pulse width are separated by the shape of the response. A response that
-//! echoes determined proves itself on them. One taken from the outgoing pulse does not: over vegetation
+//! echoes determined is verified by them. One taken from the outgoing pulse is not: over vegetation
 //! under a large footprint, its error and the shape of the target cannot be distinguished, and
 //! components on the slopes of a peak are no evidence of a target there.
 
 use super::echo::Found;
 use crate::scan_line::Block;
-use wavex_signal::sensor_model::{ChannelModel, ResponseSource};
+use wavex_signal::sensor_model::{ChannelModel, ModelError, ResponseSource};
 
 /// Distance of a return from its mode, pulse widths.
 const REACH_WIDTHS: f64 = 0.75;
@@ -33,9 +33,12 @@ impl Modes {
     /// `None` for a receiver whose response is proven by echoes, or a Gaussian.
     ///
     /// Modes rise by `sigma` standard deviations of the smoothed noise.
-    pub(super) fn of(model: &ChannelModel, sigma: f64) -> Option<Modes> {
+    ///
+    /// # Errors
+    /// The noise of the model is invalid.
+    pub(super) fn of(model: &ChannelModel, sigma: f64) -> Result<Option<Modes>, ModelError> {
         if model.provenance.response != ResponseSource::OutgoingPulse {
-            return None;
+            return Ok(None);
         }
         let fwhm_samples = model.fwhm_samples();
         let sd_samples = SD_OF_FWHM * fwhm_samples;
@@ -43,17 +46,17 @@ impl Modes {
         let values = (-reach..=reach).map(|k| (-0.5 * (f64::from(k) / sd_samples).powi(2)).exp());
         let sum: f64 = values.clone().sum();
         let kernel: Vec<f64> = values.map(|value| value / sum).collect();
-        Some(Modes {
-            prominence_dn: sigma * smoothed_sd_dn(model, &kernel),
+        Ok(Some(Modes {
+            prominence_dn: sigma * smoothed_sd_dn(model, &kernel)?,
             kernel,
             background_dn: model.background_dn,
             fwhm_samples,
             smoothed_dn: Vec::new(),
             modes: Vec::new(),
-        })
+        }))
     }
 
-    /// Moves returns to their modes and drops those without one; returns the number dropped.
+    /// Moves the times of returns to their modes and drops those without one; returns the number dropped.
     ///
     /// The returns of the block begin at `first`. The distance that a return is moved enters its standard
     /// deviation as that of a uniform distribution.
@@ -105,7 +108,6 @@ impl Modes {
 fn moved(mut found: Found, mode: f64, block: &Block) -> Found {
     let moved_ns = block.time_ns(mode) - block.time_ns(found.fitted.position_samples);
     let sd_samples = (mode - found.fitted.position_samples) / 12f64.sqrt();
-    found.fitted.position_samples = mode;
     found.fitted.position_sd_samples = found.fitted.position_sd_samples.hypot(sd_samples);
     found.time_ns += moved_ns;
     found.time_sd_ns = found.time_sd_ns.hypot(moved_ns / 12f64.sqrt());
@@ -123,17 +125,14 @@ fn prominence(dn: &[f64], at: usize) -> f64 {
 }
 
 /// Standard deviation of the noise after smoothing, DN.
-fn smoothed_sd_dn(model: &ChannelModel, kernel: &[f64]) -> f64 {
-    let correlation = |lag: usize| match lag {
-        0 => 1.0,
-        _ => model.autocorrelation.get(lag - 1).copied().unwrap_or(0.0),
-    };
+fn smoothed_sd_dn(model: &ChannelModel, kernel: &[f64]) -> Result<f64, ModelError> {
+    let mut covariance = vec![0.0; kernel.len()];
+    model.noise()?.autocovariance_into(&mut covariance);
     let products = |lag: usize| kernel.iter().zip(&kernel[lag..]).map(|(a, b)| a * b).sum::<f64>();
-    let variance: f64 = (0..kernel.len())
-        .map(|lag| correlation(lag) * products(lag) * if lag == 0 { 1.0 } else { 2.0 })
-        .sum();
-    // Correlation beyond the measured lags is unknown.
-    model.noise_sd_dn * variance.max(0.1 * products(0)).sqrt()
+    let at_lag = |(lag, covariance): (usize, &f64)| {
+        covariance * products(lag) * if lag == 0 { 1.0 } else { 2.0 }
+    };
+    Ok(covariance.iter().enumerate().map(at_lag).sum::<f64>().max(0.0).sqrt())
 }
 
 #[cfg(test)]
@@ -187,7 +186,7 @@ mod tests {
         let mut all: Vec<Found> = [7.0].iter().chain(positions).map(found).collect();
         let (_, of_shot) = blocks.by_emission().next().unwrap();
         let block = &of_shot[0];
-        let dropped = Modes::of(&model, 4.5).unwrap().keep(&samples, block, &mut all, 1);
+        let dropped = Modes::of(&model, 4.5).unwrap().unwrap().keep(&samples, block, &mut all, 1);
         assert_eq!(all.remove(0).time_ns, 107.0);
         (all, dropped)
     }
@@ -212,6 +211,6 @@ mod tests {
     fn a_response_that_echoes_prove_separates_returns() {
         let mut model = large_footprint();
         model.provenance.response = ResponseSource::Echoes;
-        assert!(Modes::of(&model, 4.5).is_none());
+        assert!(Modes::of(&model, 4.5).unwrap().is_none());
     }
 }

@@ -124,8 +124,15 @@ impl Observer for Seen<'_> {
         self.outgoing = samples.map(|samples| SeenPulse { start_ns, samples, pulse, window });
     }
 
-    fn echoes(&mut self, block: &Block, fit: BlockFit, found: &Decomposition, model: &ChannelModel) {
-        let peaks = found.returns.iter().map(|pulse| pulse.position_samples).collect();
+    fn echoes(
+        &mut self,
+        block: &Block,
+        fit: BlockFit,
+        found: &Decomposition,
+        peak_samples: impl Fn(&Pulse) -> f64,
+        model: &ChannelModel,
+    ) {
+        let peaks = found.returns.iter().map(peak_samples).collect();
         let samples = self.samples(block, 0..block.len(), found, model);
         self.blocks.extend(samples.map(|samples| Echoes { start_ns: block.start_ns, samples, fit, peaks }));
     }

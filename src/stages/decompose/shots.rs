@@ -13,8 +13,8 @@ use crate::scan_line::{
     Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LineStats, OnlineReturn, ReturnChannel,
     Returns, ShotProfile, flags,
 };
-use crate::stage::{Context, Item, Result};
-use wavex_signal::decompose::{Counts, Decomposition};
+use crate::stage::{Context, Item, Result, StageError};
+use wavex_signal::decompose::{Counts, Decomposition, Return as Pulse};
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::outgoing::Outgoing;
 use wavex_signal::sensor_model::{ChannelModel, SensorModel};
@@ -108,8 +108,17 @@ pub(crate) trait Observer {
 
     /// Called after a block of echoes was decomposed.
     ///
-    /// `found` still has the returns dropped as cross-talk.
-    fn echoes(&mut self, _block: &Block, _fit: BlockFit, _found: &Decomposition, _model: &ChannelModel) {}
+    /// `found` still has the returns that are dropped afterwards. `peak_samples` is the final position of
+    /// one of them, samples: that of its mode, if it was moved there.
+    fn echoes(
+        &mut self,
+        _block: &Block,
+        _fit: BlockFit,
+        _found: &Decomposition,
+        _peak_samples: impl Fn(&Pulse) -> f64,
+        _model: &ChannelModel,
+    ) {
+    }
 }
 
 impl Observer for () {}
@@ -215,7 +224,7 @@ pub(crate) struct ShotDecomposer {
     template_error: f64,
     receivers: Receivers,
     both: Option<BothReceivers>,
-    /// Of the low-power and of the high-power receiver.
+    /// Modes of the low-power and of the high-power receiver; `None` if echoes determined the response.
     modes: [Option<Modes>; 2],
     timing_error_ns: f64,
     emission_jitter_ns: Option<f64>,
@@ -235,13 +244,16 @@ impl ShotDecomposer {
         config: &Decompose,
         path: SimdLevel,
     ) -> Result<ShotDecomposer> {
+        let modes = |channel: &Option<ChannelModel>| -> Result<Option<Modes>> {
+            let made = channel.as_ref().map(|channel| Modes::of(channel, config.detection_sigma)).transpose();
+            made.map(Option::flatten).map_err(|error| StageError::failed(error.to_string(), "recalibrate"))
+        };
         Ok(ShotDecomposer {
             model: model.clone(),
             detection_sigma: config.detection_sigma,
             template_error: config.template_error,
             both: None,
-            modes: [&model.low_power, &model.high_power]
-                .map(|channel| Modes::of(channel.as_ref()?, config.detection_sigma)),
+            modes: [modes(&model.low_power)?, modes(&model.high_power)?],
             receivers: Receivers::new(model, tables, config, path)?,
             timing_error_ns: config.timing_error_ns,
             emission_jitter_ns: config.emission_jitter_ns,
@@ -507,7 +519,12 @@ impl ShotDecomposer {
             if self.both.is_none() || channel == ReturnChannel::Low {
                 self.profiles.add(shot.blocks, block, channel, &result);
             }
-            watch.echoes(block, fit, &result, model);
+            let kept = &self.found[in_block..];
+            let peak_samples = |pulse: &Pulse| {
+                let same = kept.iter().find(|kept| kept.fitted.position_samples == pulse.position_samples);
+                same.map_or(pulse.position_samples, |kept| (kept.time_ns - block.start_ns) / block.interval_ns)
+            };
+            watch.echoes(block, fit, &result, peak_samples, model);
         }
         if let Some(both) = &mut self.both {
             self.found.iter_mut().for_each(|found| both.align(found));

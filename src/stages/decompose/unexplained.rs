@@ -26,7 +26,7 @@ pub(super) struct Explained {
     by_chi_square: u64,
     by_deviation_ratio: u64,
     /// Deviation ratio below the negative limit.
-    too_well: u64,
+    overestimated: u64,
     /// Expected contribution of the response's error above chi-square.
     exceeded: u64,
 }
@@ -40,16 +40,16 @@ impl Explained {
             let expected = freedom as f64 + result.expected_excess;
             self.by_chi_square += u64::from(result.chi_square > CHI_SQUARE * expected);
             self.by_deviation_ratio += u64::from(result.deviation_ratio() > DEVIATION_RATIO);
-            self.too_well += u64::from(result.deviation_ratio() < -DEVIATION_RATIO);
+            self.overestimated += u64::from(result.deviation_ratio() < -DEVIATION_RATIO);
             self.exceeded += u64::from(result.expected_excess > result.chi_square);
         }
     }
 
     /// Moves the counts to the counters of the stage.
     pub(super) fn report(&mut self, cx: &mut Context) {
-        let Explained { waveforms, by_chi_square, by_deviation_ratio, too_well, exceeded } =
+        let Explained { waveforms, by_chi_square, by_deviation_ratio, overestimated, exceeded } =
             std::mem::take(self);
-        let counts = [waveforms, by_chi_square, by_deviation_ratio, too_well, exceeded];
+        let counts = [waveforms, by_chi_square, by_deviation_ratio, overestimated, exceeded];
         NAMES.into_iter().zip(counts).for_each(|(name, n)| cx.count(name, n));
     }
 }
@@ -64,7 +64,7 @@ const NAMES: [&str; 5] = [
 
 /// Warns if the counts of all workers exceed the limits.
 pub(super) fn conclude(tables: &SharedTables, cx: &mut Context) {
-    let [waveforms, by_chi_square, by_deviation_ratio, too_well, exceeded] =
+    let [waveforms, by_chi_square, by_deviation_ratio, overestimated, exceeded] =
         NAMES.map(|name| cx.counters().counts.get(name).copied().unwrap_or(0));
     if waveforms < MIN_WAVEFORMS {
         return;
@@ -80,14 +80,14 @@ pub(super) fn conclude(tables: &SharedTables, cx: &mut Context) {
             pulse_shape(&tables.provenance()),
         ));
     }
-    if part(too_well) > DEVIATION_RATIO_PART || part(exceeded) > EXCEEDED_PART {
+    if part(overestimated) > DEVIATION_RATIO_PART || part(exceeded) > EXCEEDED_PART {
         cx.warn(format!(
             "the sensor model overestimates the misfit of the waveforms: the deviation ratio is below \
              -{DEVIATION_RATIO} in {:.0} % of them, and the error of the response alone should add more than \
              the whole chi-square in {:.1} %; its noise or the error of its response is too large: standard \
              deviations may be too large, and waveforms that returns do not explain go unnoticed. Used: {}. \
              Calibrate from this recording, or load a sensor model of this instrument",
-            100.0 * part(too_well),
+            100.0 * part(overestimated),
             100.0 * part(exceeded),
             pulse_shape(&tables.provenance()),
         ));
@@ -147,7 +147,7 @@ mod tests {
     #[test]
     fn a_misfit_far_below_the_expected_one_is_a_warning() {
         let of =
-            |too_well, exceeded| Explained { waveforms: 1000, too_well, exceeded, ..Explained::default() };
+            |overestimated, exceeded| Explained { waveforms: 1000, overestimated, exceeded, ..Explained::default() };
         assert_eq!(warnings(of(100, 10)), Vec::<String>::new());
         let text = warnings(of(840, 0)).pop().unwrap();
         assert!(text.contains("below -3 in 84 % of them") && text.contains("in 0.0 %"), "{text}");
@@ -163,7 +163,7 @@ mod tests {
         // The response's error should add 200 to a chi-square of 60.
         explained.add(&Decomposition { expected_excess: 200.0, ..fit(60.0) });
         let expected =
-            Explained { waveforms: 4, by_chi_square: 1, by_deviation_ratio: 2, too_well: 1, exceeded: 1 };
+            Explained { waveforms: 4, by_chi_square: 1, by_deviation_ratio: 2, overestimated: 1, exceeded: 1 };
         assert_eq!(explained, expected);
     }
 }

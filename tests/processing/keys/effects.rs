@@ -140,7 +140,7 @@ fn deviations_include_the_proven_clock_and_the_choice_of_the_reference() {
     let within_a_sample_ns = INTERVAL_NS / 12f64.sqrt();
     for (found, expected) in [
         (added_ns(sds_ns(Some(0.1), None, "")), 0.1),
-        (added_ns(sds_ns(Some(99.0), None, "")), within_a_sample_ns),
+        (added_ns(sds_ns(Some(9999.0), None, "")), within_a_sample_ns),
         (added_ns(sds_ns(Some(0.1), None, "emission_jitter_ns = 0.2")), 0.2),
         (added_ns(sds_ns(Some(0.1), Some(0.5), "")), 0.1f64.hypot(0.5)),
         (added_ns(sds_ns(None, Some(0.5), "emission_jitter_ns = 0.0")), 0.5),

@@ -130,7 +130,7 @@ fn an_unknown_full_scale_is_said_and_can_be_given() {
     assert_eq!(model["low_power"]["full_scale_dn"], 255.0);
 }
 
-/// A model with a quarter of the noise explains no waveform: the run says so, what it used, and what
+/// Pulses that fall faster than recorded explain no waveform: the run says so, what it used, and what
 /// to set.
 #[test]
 fn a_recording_that_its_returns_do_not_explain_ends_with_a_warning() {
@@ -139,12 +139,14 @@ fn a_recording_that_its_returns_do_not_explain_ends_with_a_warning() {
     run(&place, "", "save = 'model.json'", "");
     assert!(!place.text("out/job_report.json").contains(warning));
     let mut model: serde_json::Value = serde_json::from_str(&place.text("out/model.json")).unwrap();
-    for key in ["noise_sd_dn", "innovation_sd_dn"] {
-        let value = &mut model["low_power"][key];
-        *value = (0.25 * value.as_f64().unwrap()).into();
+    let response = &mut model["low_power"]["response"];
+    let peak = -8 * response["first_sample"].as_i64().unwrap();
+    let values = response["nodes"][0]["values"].as_array_mut().unwrap();
+    for value in values.iter_mut().skip(peak as usize) {
+        *value = value.as_f64().unwrap().powi(3).into();
     }
-    place.write("out/quiet.json", model.to_string().as_bytes());
-    run(&place, "", &format!("load = '{}'", place.path("out/quiet.json").display()), "");
+    place.write("out/steep.json", model.to_string().as_bytes());
+    run(&place, "", &format!("load = '{}'", place.path("out/steep.json").display()), "");
     let report = place.text("out/job_report.json");
     for text in [warning, "Used: the response of single echoes", "`wavex explain`", "`response` of calibrate"]
     {

@@ -3,9 +3,10 @@
 use crate::sensor_model::{Background, ChannelModel};
 
 /// Fewest samples of a block that can show a defect.
-const MIN_SAMPLES: usize = 16;
-/// SD of the noise, DN, from which equal samples of a whole block cannot be chance.
-const CERTAIN_NOISE_DN: f64 = 0.5;
+const MIN_SAMPLES: usize = 40;
+/// SD of the noise, DN, from which equal samples of a whole block cannot be chance: half of the samples
+/// are then on one step, so that 40 are by chance once in 1e12 blocks of white noise.
+const CERTAIN_NOISE_DN: f64 = 0.8;
 /// Largest range of the samples of a block without an echo, standard deviations of the noise …
 const FLAT_SD: f64 = 10.0;
 /// … plus this for rounding, DN.

@@ -151,7 +151,7 @@ impl Highest {
     /// Samples above the full scale of the model, or an accumulation of the highest ones below it.
     pub(super) fn finding(&self, model: &ChannelModel) -> Option<Finding> {
         let full_scale_dn = model.full_scale_dn;
-        let beyond: u32 = self.0.iter().skip(full_scale_dn as usize + 1).sum();
+        let beyond: u32 = self.0.iter().skip((full_scale_dn as usize).saturating_add(1)).sum();
         let top_dn = self.0.len().saturating_sub(1) as f64;
         let measured = match clipping_level_of_counts(&self.0) {
             Some(level_dn) => f64::from(level_dn),

@@ -29,7 +29,8 @@ pub struct SystemResponse {
     pub first_sample: i32,
     /// Responses by ascending peak height; constant below the first and above the last.
     pub nodes: Vec<ResponseNode>,
-    /// SD of the pulse shape about the response, relative to the height.
+    /// SD of the pulse shape about the response, relative to the height; of an outgoing pulse as response,
+    /// relative to the energy (height times width ratio).
     ///
     /// One value per sample of time from `first_sample`; 0 if not significant.
     pub template_error: Vec<f64>,
