@@ -92,8 +92,8 @@ pub fn changes() -> Vec<Change> {
         model("response 20 % too wide", &[WIDTH], |m| widen(m, 1.2)),
         model("response 10 % too narrow", &[WIDTH], |m| widen(m, 1.0 / 1.1)),
         model("response 20 % too narrow", &[WIDTH], |m| widen(m, 1.0 / 1.2)),
-        model("tail missing", &[SHAPE], |m| scale_tail(m, 0.0)),
-        model("ringing sign flipped", &[SHAPE], |m| scale_tail(m, -1.0)),
+        model("tail missing", &[SHAPE, TEMPLATE_ERROR], |m| scale_tail(m, 0.0)),
+        model("ringing sign flipped", &[SHAPE, TEMPLATE_ERROR], |m| scale_tail(m, -1.0)),
         model("noise halved", &[NOISE], |m| scale_noise(m, 0.5)),
         model("noise doubled", &[NOISE], |m| scale_noise(m, 2.0)),
         model("correlation dropped", &[CORRELATION], |m| {
