@@ -4,9 +4,7 @@
 //! consecutive points along the beam show the jitter that a wrong emission time adds. They also bound
 //! the jitter of the clock from above: terrain and echo positions add to it.
 
-use crate::scan_line::{
-    Block, Blocks, Channel, Emission, EmissionReference, InputInfo, ScanLine,
-};
+use crate::scan_line::{Block, Blocks, Channel, Emission, EmissionReference, InputInfo, ScanLine};
 use crate::stage::{Context, Source};
 use wavex_signal::fusion::peak_above_half;
 

@@ -129,9 +129,8 @@ fn smoothed_sd_dn(model: &ChannelModel, kernel: &[f64]) -> Result<f64, ModelErro
     let mut covariance = vec![0.0; kernel.len()];
     model.noise()?.autocovariance_into(&mut covariance);
     let products = |lag: usize| kernel.iter().zip(&kernel[lag..]).map(|(a, b)| a * b).sum::<f64>();
-    let at_lag = |(lag, covariance): (usize, &f64)| {
-        covariance * products(lag) * if lag == 0 { 1.0 } else { 2.0 }
-    };
+    let at_lag =
+        |(lag, covariance): (usize, &f64)| covariance * products(lag) * if lag == 0 { 1.0 } else { 2.0 };
     Ok(covariance.iter().enumerate().map(at_lag).sum::<f64>().max(0.0).sqrt())
 }
 

@@ -522,7 +522,9 @@ impl ShotDecomposer {
             let kept = &self.found[in_block..];
             let peak_samples = |pulse: &Pulse| {
                 let same = kept.iter().find(|kept| kept.fitted.position_samples == pulse.position_samples);
-                same.map_or(pulse.position_samples, |kept| (kept.time_ns - block.start_ns) / block.interval_ns)
+                same.map_or(pulse.position_samples, |kept| {
+                    (kept.time_ns - block.start_ns) / block.interval_ns
+                })
             };
             watch.echoes(block, fit, &result, peak_samples, model);
         }

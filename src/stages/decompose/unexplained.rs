@@ -146,8 +146,12 @@ mod tests {
 
     #[test]
     fn a_misfit_far_below_the_expected_one_is_a_warning() {
-        let of =
-            |overestimated, exceeded| Explained { waveforms: 1000, overestimated, exceeded, ..Explained::default() };
+        let of = |overestimated, exceeded| Explained {
+            waveforms: 1000,
+            overestimated,
+            exceeded,
+            ..Explained::default()
+        };
         assert_eq!(warnings(of(100, 10)), Vec::<String>::new());
         let text = warnings(of(840, 0)).pop().unwrap();
         assert!(text.contains("below -3 in 84 % of them") && text.contains("in 0.0 %"), "{text}");
@@ -162,8 +166,13 @@ mod tests {
         explained.add(&Decomposition::default());
         // The response's error should add 200 to a chi-square of 60.
         explained.add(&Decomposition { expected_excess: 200.0, ..fit(60.0) });
-        let expected =
-            Explained { waveforms: 4, by_chi_square: 1, by_deviation_ratio: 2, overestimated: 1, exceeded: 1 };
+        let expected = Explained {
+            waveforms: 4,
+            by_chi_square: 1,
+            by_deviation_ratio: 2,
+            overestimated: 1,
+            exceeded: 1,
+        };
         assert_eq!(explained, expected);
     }
 }
