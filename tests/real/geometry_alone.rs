@@ -1,4 +1,4 @@
-//! Results that need no returns of the vendor: the range walk, and profiles of large footprints.
+//! Results that need no returns of the vendor: the range walk.
 
 use std::path::Path;
 
