@@ -41,7 +41,11 @@ const COLUMNS: [Column; 20] = [
     Column("nw", Count(|stats| stats.nw), "waveforms: shots with at least one echo block"),
     Column("np", Count(|stats| stats.np), "returns kept, including withheld ones"),
     Column("np_xtalk", Count(|stats| stats.np_xtalk), "returns affected by cross-talk of the emission"),
-    Column("np_filtered", Count(|stats| stats.np_filtered), "candidates rejected by a threshold, or without a peak of their own"),
+    Column(
+        "np_filtered",
+        Count(|stats| stats.np_filtered),
+        "candidates rejected by a threshold, or without a peak of their own",
+    ),
     Column("np_merged", Count(|stats| stats.np_merged), "candidates merged with another"),
     Column("np_air", Count(|stats| stats.np_air), "outliers above their neighbours"),
     Column("np_low", Count(|stats| stats.np_low), "outliers below their neighbours"),

@@ -81,7 +81,7 @@ impl Calibrator {
             let is_adapted = is_given && level == GainLevel::UNIT;
             let in_use = if is_adapted { compared.model_in_use(known) } else { Ok(None) };
             let in_use = in_use.map_err(|error| unusable(channel, &error))?;
-            report(channel, &compared, in_use.is_some(), out);
+            report(channel, &compared, known, in_use.as_ref().unwrap_or(known), out);
             if let Some(in_use) = in_use {
                 *known = in_use;
             }
@@ -144,13 +144,23 @@ impl Calibrator {
 /// Part of the text of a finding on the clipping level.
 const FULL_SCALE: &str = "clipping level";
 
-/// Warns of the differences between model and recording.
-fn report(channel: Channel, compared: &Comparison, is_adapted: bool, out: &mut Output) {
+/// Warns of the differences between model and recording, and says what the run uses instead.
+fn report(
+    channel: Channel,
+    compared: &Comparison,
+    known: &ChannelModel,
+    in_use: &ChannelModel,
+    out: &mut Output,
+) {
+    let has_own_noise = (in_use.noise_sd_dn, &in_use.ar) != (known.noise_sd_dn, &known.ar);
+    let has_free_background =
+        (in_use.background, in_use.background_sd_dn) != (known.background, known.background_sd_dn);
+    let has_larger_errors = in_use.pulse_error_factor > known.pulse_error_factor;
     for finding in &compared.findings {
         let adapted = match finding.area {
-            Area::Noise | Area::Correlation if is_adapted => "; this run uses the measured noise",
-            Area::Background if is_adapted => "; this run fits the background of each waveform",
-            Area::PulseWidth | Area::PulseShape | Area::TemplateError if is_adapted => {
+            Area::Noise | Area::Correlation if has_own_noise => "; this run uses the measured noise",
+            Area::Background if has_free_background => "; this run fits the background of each waveform",
+            Area::PulseWidth | Area::PulseShape | Area::TemplateError if has_larger_errors => {
                 "; standard deviations are raised by the misfit"
             }
             _ => "",
