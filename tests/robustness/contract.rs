@@ -81,7 +81,11 @@ fn every_key_that_names_a_file_is_an_input_or_an_output() {
         let keys = spec.keys();
         let given: String = keys.iter().filter(|key| key.required).map(|key| line(&key)).collect();
         for key in keys.iter().filter(|key| takes_text(key.schema) && !NAMES.contains(&key.name)) {
-            let table = if key.required { given.clone() } else { given.clone() + &line(&key) };
+            let mut table = if key.required { given.clone() } else { given.clone() + &line(&key) };
+            if key.name == "save_model" {
+                // A walk is saved only if it is learnt.
+                table += "range_walk = 'auto'\n";
+            }
             let planned = stage(spec, &table).planned;
             let is_path = match &planned.plan {
                 Plan::Source(source) => {
