@@ -3,7 +3,7 @@
 use maud::{DOCTYPE, Markup, html};
 use serde_json::Value;
 
-use super::overview::Overview;
+use super::overview::{Overview, QuantityHistogram};
 use super::tables::points;
 use super::verdict::{self, Check, Grade};
 use part::{Part, badge, figure, figures, head, section, table, tiles, wide_table, with_contents, worst};
@@ -313,7 +313,8 @@ fn of_waveforms(overview: &Overview, input: &Value) -> Part {
         @if let Some(weak) = weak { (waveforms::weak_returns(weak)) }
     };
     let total = |key: &str| input["totals"][key].as_u64().unwrap_or(0);
-    let mut checks = deviation_checks(overview);
+    let deviations = overview.histograms.iter().find(|of| of.quantity == "deviation ratio");
+    let mut checks = deviation_checks(deviations);
     checks.push(
         verdict::PILE_UP
             .check(weak.map(|weak| weak.pile_up().percent), weak.map_or(0, |weak| weak.strong_shots)),
@@ -323,9 +324,8 @@ fn of_waveforms(overview: &Overview, input: &Value) -> Part {
 }
 
 /// Checks of both sides of the deviation ratio and of its centre.
-fn deviation_checks(overview: &Overview) -> Vec<verdict::Check> {
-    let deviations = overview.histograms.iter().find(|of| of.quantity == "deviation ratio");
-    let returns = content::total(overview, "deviation ratio");
+fn deviation_checks(deviations: Option<&QuantityHistogram>) -> Vec<verdict::Check> {
+    let returns = deviations.map_or(0, QuantityHistogram::total);
     let count = |is_beyond: fn([f64; 2]) -> bool| -> u64 {
         let bins = deviations.into_iter().flat_map(|of| of.bins());
         bins.filter(|(edges, _)| is_beyond(*edges)).map(|(_, count)| count).sum()
@@ -397,4 +397,31 @@ fn seconds(value: &Value) -> String {
 fn capitalised(words: &str) -> String {
     let mut letters = words.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::overview::histogram::Bins;
+
+    /// Grades with 1000 deviation ratios, most of them at `usual` and `percent` of them at `rare`.
+    fn grades(usual: f64, rare: f64, percent: usize) -> Vec<Grade> {
+        let mut bins = Bins::linear(-10.0, 0.25, 240);
+        (0..1000).for_each(|i| bins.add(if i < 10 * percent { rare } else { usual }));
+        let found = bins.finish("deviation ratio", "");
+        deviation_checks(found.as_ref()).into_iter().map(|check| check.grade).collect()
+    }
+
+    #[test]
+    fn deviation_ratios_are_judged_on_both_sides_and_at_their_centre() {
+        let (good, look, bad) = (Grade::Good, Grade::Look, Grade::Bad);
+        assert_eq!(grades(0.1, 0.1, 0), [good, good, good]);
+        assert_eq!(grades(0.1, 40.0, 30), [bad, good, good]);
+        assert_eq!(grades(0.1, -6.0, 30), [good, bad, good]);
+        assert_eq!(grades(0.1, -45.0, 3), [good, look, good]);
+        assert_eq!(grades(-2.1, 0.1, 0), [good, good, look]);
+        // A median outside the bins is bad, not unknown.
+        assert_eq!(grades(-18.0, 0.1, 0), [good, bad, bad]);
+        assert_eq!(grades(819.0, 0.1, 0), [bad, good, bad]);
+    }
 }

@@ -16,7 +16,7 @@ const LENGTH_LN: f64 = 0.8;
 const MARGIN_NODES: usize = 8;
 /// Variance added to each node of the prior, so that its matrix can be inverted, ns².
 const NUGGET_NS2: f64 = 1e-8;
-/// Amplitudes that can be told from garbage, DN.
+/// Plausible amplitudes, DN; triples with others are ignored.
 const AMPLITUDES_DN: std::ops::RangeInclusive<f64> = 1e-2..=1e7;
 /// Smallest variance of `ln amplitude` within triples.
 const LEAST_VARIANCE_LN: f64 = 1e-4;
