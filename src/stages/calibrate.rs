@@ -298,7 +298,7 @@ impl Calibrator {
     fn calibrated(&self, channel: Channel) -> std::result::Result<Calibrated, CalibrationError> {
         let settings = self.settings(channel);
         let with_response = self.config.response != ResponseKey::Gaussian;
-        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
+        let gain_changes = self.gain_changes(channel);
         let blocks = self.blocks(channel);
         if gain_changes {
             return calibrate_at_unit_gain(self.look_ahead.recorded(channel), &settings, with_response);

@@ -24,7 +24,7 @@ impl Calibrator {
         out: &mut Output,
     ) -> Result<Option<Calibrated>> {
         let (Some(found), Some(outgoing)) = (&own, reference) else { return Ok(own) };
-        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
+        let gain_changes = self.gain_changes(channel);
         // Clipped outgoing pulses are too wide, and heights of different gains are not comparable.
         let is_comparable =
             outgoing.model.response.is_some() && !gain_changes && !self.is_outgoing_pulse_clipped();
@@ -75,7 +75,7 @@ impl Calibrator {
         out: &mut Output,
     ) -> Result<Option<Calibrated>> {
         let (Some(own), Some(reference)) = (&own, reference) else { return Ok(own) };
-        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
+        let gain_changes = self.gain_changes(channel);
         if self.config.response == ResponseKey::Gaussian || gain_changes || self.is_outgoing_pulse_clipped() {
             return Ok(Some(own.clone()));
         }
@@ -110,7 +110,7 @@ impl Calibrator {
         let clipping_dn = self.clipping_dn(channel);
         let distorted_above_dn = found.model.limits.overdriven_dn;
         found.model.limits.full_scale_is_measured = clipping_dn.is_some();
-        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
+        let gain_changes = self.gain_changes(channel);
         if found.model.response.is_some() && !gain_changes {
             let settings = self.settings(channel);
             let (blocks, model) = (self.blocks(channel), &found.model);
@@ -134,6 +134,11 @@ impl Calibrator {
             out.cx.info(format!("{} {finding}", name(channel)));
         }
         Ok(Some(found))
+    }
+
+    /// Whether a receiver has blocks of other gains than the reference gain.
+    pub(super) fn gain_changes(&self, channel: Channel) -> bool {
+        self.look_ahead.recorded(channel).any(|block| block.gain != 1.0)
     }
 
     /// Whether more than a tenth of the outgoing pulses reach full scale.
@@ -216,7 +221,7 @@ impl Calibrator {
         if blocks == 0 || !self.is_fused() {
             return None;
         }
-        let gain_changes = self.look_ahead.recorded(channel).any(|block| block.gain != 1.0);
+        let gain_changes = self.gain_changes(channel);
         let model = low.filter(|_| !gain_changes).and_then(|low| {
             calibrate::with_borrowed_response(self.blocks(channel), low, &self.settings(channel))
         });
