@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Instant;
 
 use wavex_signal::calibrate::response::calibrate_response;
-use wavex_signal::calibrate::{CalibrationSettings, calibrate};
+use wavex_signal::calibrate::{CalibrationSettings, calibrate, receiver_limits};
 use wavex_signal::decompose::Mode;
 use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{DecomposeSettings, Return};
@@ -271,6 +271,7 @@ fn main() {
     }
     if wanted("A11") {
         strong::saturated(&mut bench, &model);
+        strong::clipped(&mut bench, &model);
     }
     println!("{} of {} goals missed; {:.0} s", bench.missed, bench.goals, started.elapsed().as_secs_f64());
 }

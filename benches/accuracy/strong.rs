@@ -109,6 +109,52 @@ pub fn saturated(bench: &mut Bench, model: &ChannelModel) {
     }
 }
 
+/// A11: clipped echoes of a model whose calibration had none.
+///
+/// As a run does, the behaviour near full scale is proven by other clipped echoes, and the standard
+/// deviations contain the errors of a receiver that may be overdriven unless it is proven to be linear.
+pub fn clipped(bench: &mut Bench, model: &ChannelModel) {
+    let mut instrument = Instrument::new(&bench.response, 11_900, 0);
+    let waveforms: Vec<Vec<u16>> = (0..2000)
+        .map(|i| {
+            let snr =
+                if i % 2 == 0 { instrument.uniform(20.0, 110.0) } else { instrument.uniform(150.0, 400.0) };
+            let echo = instrument.echo(snr, 1.0);
+            instrument.record(&[echo], EIGHT_BITS)
+        })
+        .collect();
+    let blocks = waveforms.iter().map(|samples| Waveform { samples, start_phase: 0 });
+    let limits = receiver_limits(blocks, model, &CalibrationSettings::echoes(1.0, EIGHT_BITS));
+    let limits = limits.expect("limits");
+    bench.beside("A11", "clipped echoes: the receiver is proven to be linear", limits.is_linear.to_string());
+    let model = ChannelModel { limits, ..model.clone() };
+    let (time_ns, _) = model.overdrive_errors();
+    let settings = DecomposeSettings::default();
+    for snr in [150.0, 200.0, 300.0, 400.0] {
+        let cell =
+            Cell { count: bench.count.min(10_000), ..bench.cell(11_900 + snr as u64, &model, &settings) };
+        let found = bench.observe(&cell, |instrument, engine| {
+            let echo = instrument.echo(snr, 1.0);
+            let samples = instrument.record(&[echo], EIGHT_BITS);
+            let found = engine.decompose(&samples).0;
+            let near = found.iter().find(|r| (r.position_samples - echo.place).abs() < 0.5);
+            near.map(|r| {
+                let fitted = scores(r, &echo).0[0];
+                Score { sd: fitted.sd.hypot(time_ns), ..fitted }
+            })
+        });
+        let found: Vec<Score> = found.into_iter().flatten().collect();
+        let z = spread(&found);
+        bench.goal(
+            "A11",
+            &format!("SNR {snr}: normalised error with the run's evidence"),
+            format!("{z:.3}"),
+            "0.9-1.1",
+            within(z, 0.9, 1.1),
+        );
+    }
+}
+
 /// Marks unsaturated samples, except the one after a saturated sample.
 fn unsaturated(samples: &[u16]) -> Vec<bool> {
     let at_end = |k: usize| f64::from(samples[k]) >= EIGHT_BITS;

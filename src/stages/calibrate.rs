@@ -210,6 +210,8 @@ impl Calibrator {
         lines.iter_mut().for_each(|line| self.remove_silent_blocks(line, out));
         self.look_ahead = LookAhead::of(lines);
         self.in_use = self.checked(is_given, out)?;
+        // The rule for silent blocks follows the model in use.
+        self.checks.iter_mut().for_each(|check| check.forget_rule());
         for line in self.look_ahead.release() {
             self.emit(line, out)?;
         }

@@ -8,6 +8,10 @@ use crate::scan_line::{Block, Blocks, Channel, Emission, EmissionReference, Inpu
 use crate::stage::{Context, Source};
 use wavex_signal::fusion::peak_above_half;
 
+mod check;
+
+pub(super) use check::EmissionCheck;
+
 /// References between which recordings with outgoing pulses decide, in order of preference.
 pub(super) const WITH_OUTGOING: &[EmissionReference] =
     &[EmissionReference::OutgoingPulse, EmissionReference::OutgoingPulseFraction, EmissionReference::Clock];
@@ -114,14 +118,8 @@ impl Message {
 }
 
 impl Smoothness {
-    /// Reads a recording ahead, until it suffices for a decision.
-    ///
-    /// A read error ends the look-ahead; the run reports it.
-    pub(super) fn look_ahead(
-        source: &mut dyn Source,
-        references: &'static [EmissionReference],
-    ) -> Smoothness {
-        let mut found = Smoothness {
+    fn by(references: &'static [EmissionReference]) -> Smoothness {
+        Smoothness {
             references,
             shots: 0,
             points_ns: Vec::new(),
@@ -129,10 +127,25 @@ impl Smoothness {
             outgoing_ns: Vec::new(),
             emissions_ns: Vec::new(),
             interval_ns: f64::NAN,
-        };
+        }
+    }
+
+    /// Whether more shots would change nothing.
+    fn is_enough(&self) -> bool {
+        self.points_ns.len() >= ENOUGH_TRIPLES
+    }
+
+    /// Reads a recording ahead, until it suffices for a decision.
+    ///
+    /// A read error ends the look-ahead; the run reports it.
+    pub(super) fn look_ahead(
+        source: &mut dyn Source,
+        references: &'static [EmissionReference],
+    ) -> Smoothness {
+        let mut found = Smoothness::by(references);
         // Warnings about the recording belong to the run: this context logs none.
         let mut cx = Context::default();
-        while found.points_ns.len() < ENOUGH_TRIPLES && found.shots < MOST_SHOTS {
+        while !found.is_enough() && found.shots < MOST_SHOTS {
             let Ok(Some(mut line)) = source.next(&mut cx) else { break };
             line.mark_copies();
             found.add(&line);
@@ -193,7 +206,7 @@ impl Smoothness {
         let left: Vec<EmissionReference> =
             figures.iter().filter(|(_, of)| !is_ruled_out(of)).map(|(reference, _)| *reference).collect();
         match left[..] {
-            [only] => self.take(only),
+            [only] => self.set(only),
             [first, ..] if !left.contains(&default) => {
                 let choice_sd_ns = self.choice_sd_ns(&left);
                 Choice { choice_sd_ns, message: self.finding(first, choice_sd_ns), ..self.take(first) }
@@ -202,7 +215,7 @@ impl Smoothness {
         }
     }
 
-    /// Takes a reference, decided or set by the job.
+    /// Takes a reference without a comparison.
     pub(super) fn take(&self, reference: EmissionReference) -> Choice {
         let clock_sd_ns = self.clock_sd_ns();
         Choice { reference, clock_sd_ns, choice_sd_ns: 0.0, message: self.finding(reference, 0.0) }
@@ -232,8 +245,9 @@ impl Smoothness {
         why: &str,
     ) -> Choice {
         if is_stated {
-            let message = self.finding(default, 0.0).filter(|_| self.points_ns.len() >= LEAST_TRIPLES);
-            return Choice { message, ..self.take(default) };
+            let choice = self.set(default);
+            let message = choice.message.filter(|_| self.points_ns.len() >= LEAST_TRIPLES);
+            return Choice { message, ..choice };
         }
         let choice_sd_ns = self.choice_sd_ns(left);
         let message = Message::Warning(format!(

@@ -22,6 +22,8 @@ pub const STAGE: StageSpec = StageSpec::transform::<FuseChannels>("fuse_channels
 
 /// Largest time difference of peaks of one echo in both receivers, ns.
 const MOST_DELAY_NS: f64 = 10.0;
+/// Size of a delay, in its standard deviations, from which it is worth a warning that it is not applied.
+const SIGNIFICANT_DELAY_SD: f64 = 3.0;
 
 /// Estimates the gain ratio and delay between the two receivers of an instrument.
 ///
@@ -225,9 +227,10 @@ impl ChannelFuser {
                     ));
                     return None;
                 }
+                let estimated = found.clone();
                 found.keep_proven(&proof);
                 if self.config.delay_ns.number().is_none() {
-                    self.note_unproven(&proof, &found, out);
+                    note_unproven(&proof, &estimated, &found, out);
                 }
                 Some(self.with_given(found))
             }
@@ -243,25 +246,6 @@ impl ChannelFuser {
         }
     }
 
-    /// Notes a delay, and a walk, that were estimated and are not applied.
-    fn note_unproven(&self, proof: &FusionProof, kept: &ChannelFusion, out: &mut Output) {
-        if !FusionProof::is_proven(proof.delay_falls) {
-            out.cx.warn(format!(
-                "the times of the receivers are not shifted: the estimated delay is not proven: {}; its size enters \
-                 the standard deviation, {:.3} ns",
-                falls("times", proof.delay_falls),
-                kept.delay_sd_ns
-            ));
-        }
-        if let Some(walk_falls) = proof.walk_falls.filter(|falls| !FusionProof::is_proven(*falls)) {
-            out.cx.warn(format!(
-                "the delay of the overdriven receiver is taken as constant: its change with the amplitude is not proven: {}; \
-                 it enters the standard deviations",
-                falls("times", walk_falls)
-            ));
-        }
-    }
-
     /// Replaces estimates by given values, which are taken as exact.
     fn with_given(&self, mut fusion: ChannelFusion) -> ChannelFusion {
         if let Some(gain_ratio) = self.config.gain_ratio.number() {
@@ -273,6 +257,33 @@ impl ChannelFuser {
             fusion.walk_is_known = false;
         }
         fusion
+    }
+}
+
+/// Notes a delay, and a walk, that were estimated and are not applied.
+///
+/// A delay within the error of its estimate is no warning: it may well be 0.
+fn note_unproven(proof: &FusionProof, estimated: &ChannelFusion, kept: &ChannelFusion, out: &mut Output) {
+    if !FusionProof::is_proven(proof.delay_falls) {
+        let text = format!(
+            "the times of the receivers are not shifted: the estimated delay of {:.3} ± {:.3} ns is not proven: {}; its \
+             size enters the standard deviation, {:.3} ns",
+            estimated.delay_ns,
+            estimated.delay_sd_ns,
+            falls("times", proof.delay_falls),
+            kept.delay_sd_ns
+        );
+        match estimated.delay_ns.abs() > SIGNIFICANT_DELAY_SD * estimated.delay_sd_ns {
+            true => out.cx.warn(text),
+            false => out.cx.info(text),
+        }
+    }
+    if let Some(walk_falls) = proof.walk_falls.filter(|falls| !FusionProof::is_proven(*falls)) {
+        out.cx.warn(format!(
+            "the delay of the overdriven receiver is taken as constant: its change with the amplitude is not proven: {}; \
+             it enters the standard deviations",
+            falls("times", walk_falls)
+        ));
     }
 }
 
@@ -385,7 +396,19 @@ mod tests {
         let fusion = lines[0].fusion.as_ref().unwrap();
         assert_eq!(fusion.delay_ns, 0.0);
         assert_eq!(start_ns(&lines[0], Channel::HighPower), 101.25);
-        assert!(notes[0].contains("the estimated delay is not proven"), "{notes:?}");
+        assert!(notes[0].contains("the estimated delay of"), "{notes:?}");
+    }
+
+    #[test]
+    fn a_delay_of_zero_is_no_warning() {
+        let mut lines: Vec<ScanLine> = (0..20).map(|k| line(k, 40, true)).collect();
+        for (k, either) in lines.iter_mut().enumerate() {
+            let Content::Shots(blocks) = &mut either.content else { unreachable!() };
+            blocks.shift(Channel::HighPower, if k % 2 == 0 { -0.2 } else { -0.8 });
+        }
+        let (lines, notes) = run(&FuseChannels::default(), lines);
+        assert_eq!(lines[0].fusion.as_ref().unwrap().delay_ns, 0.0);
+        assert_eq!(notes, [""; 0]);
     }
 
     #[test]

@@ -251,8 +251,8 @@ impl LasReader {
         let choice = match key {
             _ if !has_locations => smoothness.take(EmissionReference::Clock),
             LasEmission::Auto => smoothness.choose(EmissionReference::ReturnLocations, true),
-            LasEmission::ReturnLocations => smoothness.take(EmissionReference::ReturnLocations),
-            LasEmission::Clock => smoothness.take(EmissionReference::Clock),
+            LasEmission::ReturnLocations => smoothness.set(EmissionReference::ReturnLocations),
+            LasEmission::Clock => smoothness.set(EmissionReference::Clock),
         };
         self.lines = Lines::new(Arc::new(choice.describe(self.lines.input())));
         self.message = choice.message;

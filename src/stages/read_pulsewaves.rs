@@ -276,9 +276,9 @@ impl PulseWavesReader {
         let choice = match key {
             _ if !has_outgoing => smoothness.take(EmissionReference::Clock),
             PulseEmission::Auto => smoothness.choose(default, is_stated),
-            PulseEmission::OutgoingPulse => smoothness.take(EmissionReference::OutgoingPulse),
-            PulseEmission::OutgoingPulseFraction => smoothness.take(EmissionReference::OutgoingPulseFraction),
-            PulseEmission::Clock => smoothness.take(EmissionReference::Clock),
+            PulseEmission::OutgoingPulse => smoothness.set(EmissionReference::OutgoingPulse),
+            PulseEmission::OutgoingPulseFraction => smoothness.set(EmissionReference::OutgoingPulseFraction),
+            PulseEmission::Clock => smoothness.set(EmissionReference::Clock),
         };
         let outgoing_ns = smoothness.outgoing_ns();
         self.clock = match choice.reference {

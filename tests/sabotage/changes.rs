@@ -1,8 +1,9 @@
 //! Changes of models and samples, and the warnings that must name them.
 
+use wavex_formats::container::EmissionReference;
 use wavex_signal::sensor_model::{Background, ChannelModel, SensorModel};
 
-use super::instruments::{Kind, Recording};
+use super::instruments::{Recording, Timing};
 use super::runs::Case;
 
 const NOISE: &str = "the noise differs from the sensor model";
@@ -15,10 +16,13 @@ const FULL_SCALE: &str = "clipping level";
 const NOISE_DRIFT: &str = "the noise changes along the recording";
 const BACKGROUND_DRIFT: &str = "the background changes along the recording";
 const DEAD: &str = "did not work or does not belong to the sensor model";
+const EMISSION: &str = "points are smoother by";
+const DISPLACED: &str = "displaced by a sample";
+const COPIES: &str = "byte-identical copies";
 const ECHOES: &str = "hardly any waveform has an echo";
 
 /// Warnings on the model and the receiver.
-const ALARMS: [&str; 11] = [
+const ALARMS: [&str; 14] = [
     NOISE,
     CORRELATION,
     BACKGROUND,
@@ -29,6 +33,9 @@ const ALARMS: [&str; 11] = [
     NOISE_DRIFT,
     BACKGROUND_DRIFT,
     DEAD,
+    EMISSION,
+    DISPLACED,
+    COPIES,
     ECHOES,
 ];
 
@@ -49,6 +56,8 @@ enum What {
     Samples(fn(&Recording) -> Recording),
     /// The model is that of another instrument.
     Other,
+    /// The recording has outgoing pulses, from which the model is calibrated.
+    Timing(Timing),
 }
 
 /// A row of the table.
@@ -60,23 +69,20 @@ pub struct Change {
 }
 
 impl Change {
-    /// The case for a recording; `None` if the change does not apply to the instrument.
-    pub fn apply(
-        &self,
-        _: Kind,
-        model: &SensorModel,
-        other: &SensorModel,
-        recording: &Recording,
-    ) -> Option<Case> {
+    /// The case for a recording.
+    pub fn apply(&self, model: &SensorModel, other: &SensorModel, recording: &Recording) -> Case {
         let (mut model, mut recording) = (Some(model.clone()), recording.clone());
         match self.what {
             What::Nothing => {}
             What::Calibrated => model = None,
             What::Other => model = Some(other.clone()),
             What::Samples(change) => recording = change(&recording),
-            What::Model(change) => change(model.as_mut()?.low_power.as_mut()?),
+            What::Model(change) => {
+                model.iter_mut().filter_map(|model| model.low_power.as_mut()).for_each(change);
+            }
+            What::Timing(timing) => (model, recording.timing) = (None, Some(timing)),
         }
-        Some(Case { model, recording })
+        Case { model, recording }
     }
 }
 
@@ -134,8 +140,30 @@ pub fn changes() -> Vec<Change> {
             recording
                 .changed(|_, samples| samples.iter_mut().for_each(|dn| *dn = (*dn + 60).min(full_scale_dn)))
         }),
+        row("none: outgoing pulses", &[], timing(EmissionReference::OutgoingPulse, 0.0)),
+        row(
+            "emission by the clock, not the outgoing pulse",
+            &[EMISSION],
+            timing(EmissionReference::Clock, 0.0),
+        ),
+        row(
+            "every tenth waveform late by a sample",
+            &[DISPLACED],
+            timing(EmissionReference::OutgoingPulse, 1.0),
+        ),
+        samples("every second waveform a copy", &[COPIES], |recording| {
+            let mut last = Vec::new();
+            recording.changed(|number, samples| match number % 2 {
+                0 => last.clone_from(samples),
+                _ => samples.clone_from(&last),
+            })
+        }),
         row("model of another instrument", &[NOISE, BACKGROUND, WIDTH, SHAPE], What::Other),
     ]
+}
+
+fn timing(emission_reference: EmissionReference, late_samples: f64) -> What {
+    What::Timing(Timing { emission_reference, late_samples })
 }
 
 /// Stretches the response about its peak.

@@ -1,9 +1,13 @@
 //! Simulated instruments whose pulses differ a little from shot to shot.
 
+use wavex_formats::container::EmissionReference;
 use wavex_testkit::waveforms::Random;
 
 /// Lines of a recording.
 const LINES: usize = 4;
+/// Samples of an outgoing pulse, and its height over full scale.
+const OUTGOING_SAMPLES: usize = 90;
+const OUTGOING_PART: f64 = 0.6;
 
 /// Type of instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,11 +33,31 @@ impl Kind {
     }
 }
 
-/// Samples of a recording.
+/// A shot of a recording.
+#[derive(Clone)]
+pub struct Shot {
+    pub samples: Vec<u16>,
+    /// Position of the first echo, samples.
+    pub first_echo: f64,
+    /// Outgoing pulse and its position, samples.
+    pub outgoing: Vec<u16>,
+    pub emission: f64,
+}
+
+/// What a recording with outgoing pulses states of its times.
+#[derive(Clone, Copy)]
+pub struct Timing {
+    pub emission_reference: EmissionReference,
+    /// Samples by which every tenth waveform is late.
+    pub late_samples: f64,
+}
+
+/// Shots of a recording.
 #[derive(Clone)]
 pub struct Recording {
-    /// By line and shot.
-    pub lines: Vec<Vec<Vec<u16>>>,
+    pub lines: Vec<Vec<Shot>>,
+    /// `None`: without outgoing pulses, and with unrelated ranges.
+    pub timing: Option<Timing>,
     pub full_scale_dn: u16,
     pub background_dn: f64,
 }
@@ -43,7 +67,7 @@ impl Recording {
     pub fn changed(&self, mut change: impl FnMut(usize, &mut Vec<u16>)) -> Recording {
         let mut recording = self.clone();
         let shots = recording.lines.iter_mut().flatten();
-        shots.enumerate().for_each(|(number, samples)| change(number, samples));
+        shots.enumerate().for_each(|(number, shot)| change(number, &mut shot.samples));
         recording
     }
 
@@ -110,11 +134,11 @@ impl Instrument {
 
     /// Lines of waveforms.
     pub fn record(mut self) -> Recording {
-        let line = |instrument: &mut Instrument| {
-            (0..instrument.shots_per_line).map(|_| instrument.waveform()).collect()
-        };
+        let line =
+            |instrument: &mut Instrument| (0..instrument.shots_per_line).map(|_| instrument.shot()).collect();
         Recording {
             lines: (0..LINES).map(|_| line(&mut self)).collect(),
+            timing: None,
             full_scale_dn: self.full_scale_dn,
             background_dn: self.background_dn,
         }
@@ -187,19 +211,28 @@ impl Instrument {
         echoes
     }
 
-    fn waveform(&mut self) -> Vec<u16> {
+    fn shot(&mut self) -> Shot {
         let echoes = self.echoes();
         let width = 1.0 + self.width_jitter * self.random.normal();
         // Uniform, so that no single shot dominates.
         let tail = 1.0 + self.tail_jitter * 3f64.sqrt() * self.between(-1.0, 1.0);
+        let samples = self.waveform(&echoes, width, tail, self.samples);
+        let emission = self.between(24.0, 25.0);
+        let height = OUTGOING_PART * f64::from(self.full_scale_dn);
+        let outgoing = self.waveform(&[[height, emission, 1.0]], width, tail, OUTGOING_SAMPLES);
+        let first_echo = echoes.iter().map(|[_, position, _]| *position).fold(f64::INFINITY, f64::min);
+        Shot { samples, first_echo, outgoing, emission }
+    }
+
+    fn waveform(&mut self, echoes: &[[f64; 3]], width: f64, tail: f64, samples: usize) -> Vec<u16> {
         let [a, b] = self.ar;
         // Variance of the process for an innovation of 1.
         let gain = ((1.0 - b) / ((1.0 + b) * ((1.0 - b).powi(2) - a * a))).sqrt();
         let innovation = self.noise_sd_dn / gain;
         let level = self.background_dn + self.background_sd_dn * self.random.normal();
         let (mut last, mut before) = (0.0, 0.0);
-        let mut noise = Vec::with_capacity(self.samples);
-        for k in 0..self.samples + 30 {
+        let mut noise = Vec::with_capacity(samples);
+        for k in 0..samples + 30 {
             let value = a * last + b * before + innovation * self.random.normal();
             (last, before) = (value, last);
             if k >= 30 {

@@ -9,10 +9,13 @@ use wavex_signal::sensor_model::SensorModel;
 use wavex_testkit::container::{Row, container, nadir_shot};
 use wavex_testkit::recordings::run;
 
-use super::instruments::{Instrument, Recording};
+use super::instruments::{Instrument, Recording, Shot};
 
-/// Code of the low-power receiver in a container.
+/// Codes of the low-power receiver and of the outgoing pulse in a container.
 const LOW_POWER: u8 = 1;
+const REFERENCE: u8 = 3;
+/// Change of the time of flight from shot to shot, ns.
+const SLOPE_NS: f64 = 0.01;
 /// Time of the first sample after the emission, ns, and time between shots, ps.
 const START_NS: f64 = 5000.0;
 const SHOT_PS: i64 = 10_000_000;
@@ -50,20 +53,28 @@ pub fn summary(case: &Case, place: &Path) -> InputSummary {
 
 /// Calibrates and decomposes a recording.
 pub fn run_job(recording: &Recording, calibrate: &str, place: &Path) -> InputSummary {
+    let timing = recording.timing;
     let header = ContainerHeader {
         full_scale_dn: Some(recording.full_scale_dn),
-        emission_reference: Some(EmissionReference::Clock),
+        emission_reference: Some(timing.map_or(EmissionReference::Clock, |timing| timing.emission_reference)),
         ..ContainerHeader::new(1.0, 299_707_502.0)
     };
     let mut number = 0;
-    let mut row = |line: usize, samples: &Vec<u16>| {
+    let mut row = |line: usize, of: &Shot| {
         let mut shot = nadir_shot(number, number as i64 * SHOT_PS);
         shot.line = line as u32;
+        let mut blocks = vec![(LOW_POWER, START_NS, of.samples.clone())];
+        if let Some(timing) = timing {
+            // Gently sloping ground.
+            let late = if number.is_multiple_of(10) { timing.late_samples } else { 0.0 };
+            blocks[0].1 = START_NS + SLOPE_NS * number as f64 + of.emission - of.first_echo + late;
+            blocks.insert(0, (REFERENCE, 0.0, of.outgoing.clone()));
+        }
         number += 1;
-        Row { shot, blocks: vec![(LOW_POWER, START_NS, samples.clone())] }
+        Row { shot, blocks }
     };
     let lines: Vec<Vec<Row>> = (recording.lines.iter().enumerate())
-        .map(|(line, shots)| shots.iter().map(|samples| row(line, samples)).collect())
+        .map(|(line, shots)| shots.iter().map(|shot| row(line, shot)).collect())
         .collect();
     std::fs::write(place.join("a.arrow"), container(&header, &lines)).unwrap();
     let text = format!(

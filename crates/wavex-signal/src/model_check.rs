@@ -14,7 +14,6 @@ use crate::calibrate::set_noise;
 use crate::decompose::Waveform;
 use crate::noise::fit_by_bic;
 use crate::sensor_model::{Background, ChannelModel, ModelError};
-use crate::simd::SimdLevel;
 use statistics::Statistics;
 
 mod finding;
@@ -53,7 +52,6 @@ pub struct Comparison {
 pub fn compare<'a>(
     blocks: impl Iterator<Item = Waveform<'a>> + Clone,
     model: &ChannelModel,
-    simd: SimdLevel,
 ) -> Result<Option<Comparison>, ModelError> {
     let waveforms = blocks.clone().count();
     if waveforms < MIN_WAVEFORMS {
@@ -62,7 +60,7 @@ pub fn compare<'a>(
     // An odd step covers all phases of the first samples if these alternate.
     let step = waveforms.div_ceil(MAX_WAVEFORMS) | 1;
     let chosen: Vec<Waveform<'a>> = blocks.clone().step_by(step).collect();
-    let statistics = Statistics::of(&chosen, model, simd)?;
+    let statistics = Statistics::of(&chosen, model)?;
     let mut findings = limits::findings(&statistics, model)?;
     let mut highest = running::Highest::default();
     blocks.for_each(|block| highest.add(block.samples.iter().max().copied().unwrap_or(0)));

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::{Calibrator, ECHOES, name};
+use super::{Calibrator, ECHOES, failed, name};
 use crate::scan_line::{Channel, Content, ScanLine};
 use crate::stage::{Item, Output, Result, StageError};
+use wavex_signal::calibrate::receiver_limits;
 use wavex_signal::decompose::Waveform;
 use wavex_signal::gain::GainLevel;
 use wavex_signal::model_check::{Area, Comparison, Receiving, Running, Silence, compare};
@@ -28,10 +29,17 @@ pub(super) struct ReceiverCheck {
     away: u64,
 }
 
+impl ReceiverCheck {
+    /// Lets the next block take the rule for silent blocks from the model then in use.
+    pub(super) fn forget_rule(&mut self) {
+        self.receiving = None;
+    }
+}
+
 impl Calibrator {
     /// Removes the blocks of receivers that do not work, which would give returns without echoes.
     pub(super) fn remove_silent_blocks(&mut self, line: &mut ScanLine, out: &mut Output) {
-        let Some(model) = &self.model else { return };
+        let Some(model) = self.in_use.as_ref().or(self.model.as_ref()) else { return };
         let Content::Shots(blocks) = &mut line.content else { return };
         let checks = &mut self.checks;
         for (check, channel) in checks.iter_mut().zip(ECHOES) {
@@ -85,9 +93,33 @@ impl Calibrator {
             if let Some(in_use) = in_use {
                 *known = in_use;
             }
+            if is_adapted {
+                self.prove_linear(channel, known, out)?;
+            }
         }
         let is_same = changed == **model;
         Ok(Some(if is_same { Arc::clone(model) } else { Arc::new(changed) }))
+    }
+
+    /// Completes a given model, if the echoes prove that its receiver is linear up to full scale.
+    ///
+    /// The recording from which the model was made may have had no such echoes.
+    fn prove_linear(&self, channel: Channel, model: &mut ChannelModel, out: &mut Output) -> Result<()> {
+        let limits = &model.limits;
+        let is_known = limits.is_linear || limits.overdriven_dn.is_some();
+        if is_known || model.response.is_none() || self.gain_changes(channel) {
+            return Ok(());
+        }
+        let settings = self.settings(channel);
+        let found = self.in_pool(|| receiver_limits(self.blocks(channel), model, &settings));
+        if found.map_err(|error| failed(channel, &error))?.is_linear {
+            model.limits.is_linear = true;
+            out.cx.info(format!(
+                "{} is linear up to full scale, as its strongest echoes show; the sensor model does not say so",
+                name(channel)
+            ));
+        }
+        Ok(())
     }
 
     /// Compares the model of a receiver with the held blocks of one gain.
@@ -100,7 +132,7 @@ impl Calibrator {
         let of_gain =
             self.look_ahead.recorded(channel).filter(move |block| GainLevel::of(block.gain) == level);
         let blocks = of_gain.map(|block| Waveform { samples: block.samples, start_phase: 0 });
-        compare(blocks, &model.at_gain(level.gain())?, self.simd)
+        compare(blocks, &model.at_gain(level.gain())?)
     }
 
     /// The gain of most of the held blocks of a receiver.

@@ -126,7 +126,7 @@ impl Calibrator {
         let usual_dn = OVERDRIVEN_PART * found.model.full_scale_dn;
         let findings = [
             clipping_dn.map(|dn| format!("clips at {dn} DN")),
-            overdriven_dn.filter(|_| !is_linear).map(|dn| format!("shows overdrive by chi-square above {dn:.0} DN; pulses above {usual_dn:.0} DN stay flagged")),
+            overdriven_dn.filter(|dn| *dn < found.model.full_scale_dn).map(|dn| format!("shows overdrive by chi-square above {dn:.0} DN; pulses above {usual_dn:.0} DN stay flagged")),
             is_linear.then(|| "is linear up to full scale".to_owned()),
             recovery_samples.map(|_| "recovers at once after clipping".to_owned()),
         ];

@@ -17,6 +17,10 @@ use wavex_signal::sensor_model::SensorModel;
 /// Distance of the shots of different lines in the numbering of triples.
 const LINE_GAP: u64 = 1000;
 
+/// Note on the walk of a loaded model; a range table wins over it.
+const LOADED: &str =
+    "ranges without a range table are corrected for the delay by amplitude of the loaded sensor model";
+
 /// Source of the range walk.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]
@@ -97,14 +101,18 @@ impl Walks {
         SensorModel { low_power_range_walk, high_power_range_walk, ..model.clone() }
     }
 
-    /// Walks of the sensor model of the lines.
+    /// Walks of the sensor model of the lines, with a note.
     pub(super) fn of_model(lines: &[ScanLine], cx: &mut Context) -> Walks {
-        let model = lines.iter().find_map(|line| line.model.as_deref());
-        let walks = model.map(Walks::from_model).unwrap_or_default();
+        let walks = Walks::of_lines(lines);
         if !walks.is_empty() {
-            cx.info("ranges are corrected for the delay by amplitude of the loaded sensor model");
+            cx.info(LOADED);
         }
         walks
+    }
+
+    fn of_lines(lines: &[ScanLine]) -> Walks {
+        let model = lines.iter().find_map(|line| line.model.as_deref());
+        model.map(Walks::from_model).unwrap_or_default()
     }
 
     /// Walks learnt from the lines, for receivers without a range table; the walk of the sensor
@@ -113,11 +121,11 @@ impl Walks {
     /// None are learnt if both receivers are fused: their ranges are aligned already, and each walk
     /// has its own zero.
     pub(super) fn learnt(lines: &[ScanLine], tables: &Both, cx: &mut Context) -> Walks {
-        let mut walks = Walks::of_model(lines, cx);
         if lines.iter().any(|line| line.fusion.is_some()) {
             cx.info("no delay by amplitude was learnt: both receivers are fused");
-            return walks;
+            return Walks::of_model(lines, cx);
         }
+        let mut walks = Walks::of_lines(lines);
         for channel in CHANNELS {
             let receiver = receiver_of(channel);
             if tables[receiver].is_none() {
@@ -180,8 +188,8 @@ fn learn(
     cx: &mut Context,
 ) -> Option<Walk> {
     let triples = triples(lines, channel);
-    if triples.is_empty() {
-        return expected;
+    if triples.is_empty() && expected.is_none() {
+        return None;
     }
     let before = match &expected {
         Some(Walk::Applied(walk)) => Some(walk),
@@ -191,7 +199,8 @@ fn learn(
     let (walk, proof) = match RangeWalk::learn(&triples, before) {
         Ok(LearntWalk { walk, proof }) => (walk, proof),
         Err(reason) => {
-            cx.info(format!("{name}: no delay by amplitude was learnt: {reason}"));
+            let kept = if expected.is_some() { "; that of the loaded sensor model is used" } else { "" };
+            cx.info(format!("{name}: no delay by amplitude was learnt: {reason}{kept}"));
             return expected;
         }
     };

@@ -257,6 +257,17 @@ pub(super) fn strongest<'a>(
     minor_part: f64,
     fwhm_samples: f64,
 ) -> Option<&'a Return> {
+    let bad = flags::SATURATED | flags::TRUNCATED | flags::DIVERGED;
+    strongest_without(bad, outcome, minor_part, fwhm_samples)
+}
+
+/// The same without these flags.
+pub(super) fn strongest_without<'a>(
+    bad: u16,
+    outcome: &Decomposition<'a>,
+    minor_part: f64,
+    fwhm_samples: f64,
+) -> Option<&'a Return> {
     let returns = outcome.returns;
     let strongest = returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))?;
     let minor = |r: &Return| {
@@ -264,7 +275,6 @@ pub(super) fn strongest<'a>(
             || (r.amplitude_dn <= minor_part * strongest.amplitude_dn
                 && r.position_samples - strongest.position_samples > 1.5 * fwhm_samples)
     };
-    let bad = flags::SATURATED | flags::TRUNCATED | flags::DIVERGED;
     (strongest.flags & bad == 0 && returns.iter().all(minor)).then_some(strongest)
 }
 

@@ -1,19 +1,11 @@
 //! Measurements of waveforms, as independent of the compared model as possible.
 
-use std::sync::Arc;
-
 use crate::calibrate::{Narrow, NoiseStatistics, Width, noise_by_differences_dn};
-use crate::decompose::{
-    BatchDecomposer, DecomposeSettings, Decomposition, Decompositions, Mode, OVERDRIVEN_PART, Return, Tables,
-    Waveform,
-};
+use crate::decompose::{DecomposeSettings, Decomposer, Decomposition, OVERDRIVEN_PART, Return, Waveform};
 use crate::flags;
 use crate::sensor_model::{Background, ChannelModel, ModelError};
 use crate::shape::{Pulse, Shape};
-use crate::simd::SimdLevel;
 
-/// Number of blocks per batch.
-const BATCH: usize = 256;
 /// Prior SD of the background, in standard deviations of the noise and DN: hardly any.
 const FREE_LEVEL_SD: f64 = 30.0;
 const FREE_LEVEL_DN: f64 = 10.0;
@@ -138,11 +130,7 @@ struct Single {
 }
 
 impl Statistics {
-    pub(super) fn of(
-        blocks: &[Waveform<'_>],
-        model: &ChannelModel,
-        simd: SimdLevel,
-    ) -> Result<Statistics, ModelError> {
+    pub(super) fn of(blocks: &[Waveform<'_>], model: &ChannelModel) -> Result<Statistics, ModelError> {
         let differences_dn = noise_by_differences_dn(blocks.iter().copied());
         let free = with_free_background(model)?;
         let settings = DecomposeSettings {
@@ -154,7 +142,7 @@ impl Statistics {
         let shape = Shape::of(&free)?;
         let mut stretches = Vec::new();
         let (mut offsets, mut singles, mut with_echo) = (Vec::new(), Vec::new(), 0);
-        decompose(blocks, &free, &settings, simd, |index, outcome| {
+        decompose(blocks, &free, &settings, |index, outcome| {
             with_echo += usize::from(outcome.counts.n_candidates > 0);
             if outcome.saturated {
                 return;
@@ -185,7 +173,7 @@ impl Statistics {
             with_echo,
             ln_width,
             residual: residual_by_lag(&free, &shape, blocks, &narrow),
-            fits: fits(blocks, &narrow, model, simd)?,
+            fits: fits(blocks, &narrow, model)?,
         })
     }
 }
@@ -195,7 +183,7 @@ fn with_free_background(model: &ChannelModel) -> Result<ChannelModel, ModelError
     let mut free = model.clone();
     free.background = Background::PerWaveform;
     free.background_sd_dn = model.background_sd_dn.max(FREE_LEVEL_SD * model.noise_sd_dn + FREE_LEVEL_DN);
-    // The vector kernels estimate levels only with a measured correlation.
+    // Levels are estimated only with a measured correlation.
     let mut lags = [0.0; 6];
     model.noise()?.autocovariance_into(&mut lags);
     free.autocorrelation = lags[1..].iter().map(|lag| lag / lags[0]).collect();
@@ -203,19 +191,17 @@ fn with_free_background(model: &ChannelModel) -> Result<ChannelModel, ModelError
 }
 
 /// Decomposes blocks; `take` gets the index of each.
+///
+/// The scalar kernels take less time for a thousand blocks than the tables of the SIMD kernels do.
 fn decompose(
     blocks: &[Waveform<'_>],
     model: &ChannelModel,
     settings: &DecomposeSettings,
-    simd: SimdLevel,
     mut take: impl FnMut(usize, &Decomposition<'_>),
 ) -> Result<(), ModelError> {
-    let tables = Tables::new(model).map(Arc::new);
-    let mut decomposer = BatchDecomposer::new(model, tables, settings, Mode::Refined, simd)?;
-    let mut outcomes = Decompositions::default();
-    for (batch, of_batch) in blocks.chunks(BATCH).enumerate() {
-        decomposer.decompose(of_batch, &mut outcomes);
-        outcomes.iter().enumerate().for_each(|(i, outcome)| take(batch * BATCH + i, &outcome));
+    let mut decomposer = Decomposer::new(model, settings, 0)?;
+    for (index, block) in blocks.iter().enumerate() {
+        take(index, &decomposer.decompose(block.samples, block.start_phase));
     }
     Ok(())
 }
@@ -329,21 +315,16 @@ fn residual_by_lag(
 }
 
 /// Chi-square of the weak and of the strong third of single echoes, as a run decomposes them.
-fn fits(
-    blocks: &[Waveform<'_>],
-    singles: &[&Single],
-    model: &ChannelModel,
-    simd: SimdLevel,
-) -> Result<[Fits; 2], ModelError> {
+fn fits(blocks: &[Waveform<'_>], singles: &[&Single], model: &ChannelModel) -> Result<[Fits; 2], ModelError> {
     let mut by_height: Vec<&Single> = singles.to_vec();
     by_height.sort_by(|a, b| a.found.amplitude_dn.total_cmp(&b.found.amplitude_dn));
     let settings =
-        DecomposeSettings { explains_all: false, split_evidence: None, ..DecomposeSettings::default() };
+        DecomposeSettings { explains_all: false, split_evidence: None, max_added: 0, ..DecomposeSettings::default() };
     let third = by_height.len() / 3;
     let [weak, strong] = [&by_height[..third], &by_height[by_height.len() - third..]];
     let chosen: Vec<Waveform<'_>> = weak.iter().chain(strong).map(|single| blocks[single.block]).collect();
     let mut all = [Vec::new(), Vec::new()];
-    decompose(&chosen, model, &settings, simd, |index, outcome| {
+    decompose(&chosen, model, &settings, |index, outcome| {
         let freedom = outcome.degrees_of_freedom() as f64;
         if freedom > 0.0 {
             let fit = [outcome.chi_square, freedom, outcome.expected_excess];

@@ -12,7 +12,7 @@ use super::stretches::jackknife_variance;
 /// Smallest factor in either half, in its standard deviations.
 const LEAST_SD: f64 = 3.0;
 /// Smallest fall of the squares of both halves, in its standard deviations.
-const LEAST_FALL_SD: f64 = 2.5;
+const LEAST_FALL_SD: f64 = 3.0;
 /// Smallest factor extrapolated to a perfect surface, in its standard deviations.
 const LEAST_EXTRAPOLATED_SD: f64 = 2.0;
 /// Largest `χ²` of the differences between kinds of triples, per degree of freedom.
@@ -22,6 +22,8 @@ const LEAST_EXTRAPOLATED_SD: f64 = 2.0;
 const MOST_CHI_SQUARE: f64 = 1.0;
 /// Largest factor of neighbours' amplitudes, in standard deviations.
 const MOST_NEIGHBOURS_SD: f64 = 2.5;
+/// Name of the last comparison.
+const NEIGHBOURS: &str = "amplitudes of neighbouring shots";
 /// Number of permutations, and of triples in which they exchange amplitudes.
 const PERMUTATIONS: usize = 200;
 const PERMUTED_TRIPLES: usize = 12;
@@ -40,6 +42,11 @@ pub struct Measured {
 }
 
 impl Measured {
+    /// Whether the recording determines the value.
+    fn is_determined(&self) -> bool {
+        self.value.is_finite() && self.sd.is_finite() && self.sd > 0.0
+    }
+
     /// The value in standard deviations; 0 if unknown.
     pub fn ratio(&self) -> f64 {
         let ratio = self.value / self.sd;
@@ -109,6 +116,9 @@ pub enum Refusal {
         /// Largest sum allowed.
         most: f64,
     },
+    /// Nothing shows whether it depends on the surface.
+    #[error("the recording does not show whether its factor depends on {0}")]
+    Undetermined(&'static str),
     /// Amplitudes of other echoes matter.
     #[error(
         "amplitudes of neighbouring shots delay echoes too ({0:+.1} standard deviations, at most \
@@ -161,6 +171,10 @@ impl Proof {
         let is_left = |left: &Measured| left.ratio() >= LEAST_EXTRAPOLATED_SD;
         if let Some((what, left)) = extrapolated.iter().find(|(_, left)| !is_left(left)) {
             return Some(Refusal::Extrapolated(what, left.value, left.sd));
+        }
+        let mut comparisons = self.differences.iter().copied().chain([(NEIGHBOURS, self.neighbours)]);
+        if let Some((kind, _)) = comparisons.find(|(_, measured)| !measured.is_determined()) {
+            return Some(Refusal::Undetermined(kind));
         }
         let squares = |(_, change): &(&str, Measured)| change.ratio().powi(2);
         let chi_square: f64 = self.differences.iter().map(squares).sum();

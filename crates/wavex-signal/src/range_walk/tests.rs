@@ -209,15 +209,23 @@ fn each_part_of_the_proof_can_refuse() {
     };
     assert_eq!(sound.refusal(), None);
     type Change = fn(&mut Proof);
-    let cases: [(Change, &str); 9] = [
+    let cases: [(Change, &str); 11] = [
         (|proof| proof.halves[1].value = 0.2, "explains 0.20 ± 0.10 of it in the other half"),
         (|proof| proof.halves[0].sd = f64::NAN, "in the other half"),
         (|proof| proof.falls[0].value = -1.0, "fall by -0.1 standard deviations"),
-        (|proof| proof.fall.sd = 50.0, "fall by 2.0 standard deviations (at least 2.5 needed)"),
+        (|proof| proof.fall.sd = 50.0, "fall by 2.0 standard deviations (at least 3 needed)"),
         (|proof| proof.most_permuted = 1.1, "permuted between neighbours explain as much: 1.10 against 1.00"),
         (|proof| proof.without_roughness.value = 0.2, "without roughness, 0.20 ± 0.20 of it is left"),
         (|proof| proof.without_contrast.value = 0.2, "without contrast, 0.20 ± 0.20 of it is left"),
         (|proof| proof.differences[1].1.value = 0.3, "a second kind (+3.0 standard deviations; χ² 10.0"),
+        (
+            |proof| proof.differences[0].1.sd = f64::NAN,
+            "does not show whether its factor depends on rough against",
+        ),
+        (
+            |proof| proof.neighbours.sd = 0.0,
+            "does not show whether its factor depends on amplitudes of neigh",
+        ),
         (|proof| proof.neighbours.value = -0.3, "neighbouring shots delay echoes too (-3.0"),
     ];
     for (change, expected) in cases {

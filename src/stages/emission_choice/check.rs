@@ -1,0 +1,80 @@
+//! Check of an emission reference that a file states or a job sets.
+
+use super::{Choice, Message, Smoothness, WITH_LOCATIONS, WITH_OUTGOING, name};
+use crate::scan_line::{EmissionReference, InputInfo, ScanLine};
+use crate::stage::Context;
+
+/// Largest number of shots that are checked along a recording.
+const MOST_CHECKED_SHOTS: usize = 20_000;
+
+impl Smoothness {
+    /// Takes the reference that the job sets, with a warning if the points contradict it.
+    pub(in crate::stages) fn set(&self, reference: EmissionReference) -> Choice {
+        let choice = self.take(reference);
+        let warning = self.contradiction(reference).map(Message::Warning);
+        Choice { message: warning.or(choice.message), ..choice }
+    }
+
+    /// What contradicts a reference, if anything does: points that are smoother with another one, or
+    /// that jump by a sample.
+    pub(super) fn contradiction(&self, reference: EmissionReference) -> Option<String> {
+        if self.points_ns.len() < super::LEAST_TRIPLES {
+            return None;
+        }
+        let figures = self.figures(&self.points_ns);
+        let (index, (_, own)) = figures.iter().enumerate().find(|(_, (of, _))| *of == reference)?;
+        let smoother = figures.iter().filter(|(_, of)| of.is_clearly_below(own));
+        let smoothest = smoother.min_by(|(_, a), (_, b)| a.whole_ns.total_cmp(&b.whole_ns));
+        if let Some((other, _)) = smoothest {
+            return Some(format!(
+                "the emission times are by `{}`, but points are smoother by `{}`: ranges are wrong by the \
+                 difference, unless the ground is; correct what the file states, or `emission` of the reader ({})",
+                name(reference),
+                name(*other),
+                self.text()
+            ));
+        }
+        // The standard deviation of a clock without proof is that of one sample already.
+        (reference != EmissionReference::Clock && self.jumps_by_a_sample(index)).then(|| {
+            format!(
+                "the points of some shots are one sample from those of their neighbours: emission times or \
+                 waveforms of these shots are displaced by a sample, and so are their ranges; export the recording \
+                 again ({})",
+                self.text()
+            )
+        })
+    }
+}
+
+/// Check along a recording whose file states the reference.
+pub(in crate::stages) struct EmissionCheck {
+    stated: EmissionReference,
+    smoothness: Smoothness,
+}
+
+impl EmissionCheck {
+    /// Check of a recording; `None` if there is nothing to compare its reference with.
+    pub(in crate::stages) fn of(input: &InputInfo, has_outgoing: bool) -> Option<EmissionCheck> {
+        let stated = input.emission_reference;
+        let references = match stated {
+            EmissionReference::ReturnLocations => WITH_LOCATIONS,
+            _ if has_outgoing => WITH_OUTGOING,
+            _ => return None,
+        };
+        Some(EmissionCheck { stated, smoothness: Smoothness::by(references) })
+    }
+
+    /// Adds a line, unless enough were seen.
+    pub(in crate::stages) fn add(&mut self, line: &ScanLine) {
+        if self.smoothness.shots < MOST_CHECKED_SHOTS && !self.smoothness.is_enough() {
+            self.smoothness.add(line);
+        }
+    }
+
+    /// Warns if the points contradict what the file states.
+    pub(in crate::stages) fn report(&self, cx: &mut Context) {
+        if let Some(problem) = self.smoothness.contradiction(self.stated) {
+            cx.warn(problem);
+        }
+    }
+}
