@@ -91,6 +91,8 @@ pub struct Instrument {
     /// SD of width and tail from shot to shot, relative.
     width_jitter: f64,
     tail_jitter: f64,
+    /// Positions of outgoing pulses, samples.
+    emission: [f64; 2],
 }
 
 impl Instrument {
@@ -108,6 +110,7 @@ impl Instrument {
             ar: [0.62, 0.05],
             width_jitter: 0.01,
             tail_jitter: 0.35,
+            emission: [24.0, 25.0],
         };
         match kind {
             Kind::Riegl => common,
@@ -127,6 +130,8 @@ impl Instrument {
                 background_sd_dn: 12.0,
                 noise_sd_dn: 6.0,
                 ar: [0.9, -0.3],
+                tail_jitter: 0.05,
+                emission: [20.0, 26.0],
                 ..common
             },
         }
@@ -217,7 +222,7 @@ impl Instrument {
         // Uniform, so that no single shot dominates.
         let tail = 1.0 + self.tail_jitter * 3f64.sqrt() * self.between(-1.0, 1.0);
         let samples = self.waveform(&echoes, width, tail, self.samples);
-        let emission = self.between(24.0, 25.0);
+        let emission = self.between(self.emission[0], self.emission[1]);
         let height = OUTGOING_PART * f64::from(self.full_scale_dn);
         let outgoing = self.waveform(&[[height, emission, 1.0]], width, tail, OUTGOING_SAMPLES);
         let first_echo = echoes.iter().map(|[_, position, _]| *position).fold(f64::INFINITY, f64::min);

@@ -31,7 +31,7 @@ pub use running::Running;
 /// Fewest waveforms for a comparison.
 pub const MIN_WAVEFORMS: usize = 200;
 /// Largest number of waveforms that are decomposed, evenly spaced.
-const MAX_WAVEFORMS: usize = 1000;
+const MAX_WAVEFORMS: usize = 2000;
 /// Largest order of the noise measured.
 const MAX_AR_ORDER: usize = 4;
 

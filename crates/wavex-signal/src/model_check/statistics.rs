@@ -318,8 +318,12 @@ fn residual_by_lag(
 fn fits(blocks: &[Waveform<'_>], singles: &[&Single], model: &ChannelModel) -> Result<[Fits; 2], ModelError> {
     let mut by_height: Vec<&Single> = singles.to_vec();
     by_height.sort_by(|a, b| a.found.amplitude_dn.total_cmp(&b.found.amplitude_dn));
-    let settings =
-        DecomposeSettings { explains_all: false, split_evidence: None, max_added: 0, ..DecomposeSettings::default() };
+    let settings = DecomposeSettings {
+        explains_all: false,
+        split_evidence: None,
+        max_added: 0,
+        ..DecomposeSettings::default()
+    };
     let third = by_height.len() / 3;
     let [weak, strong] = [&by_height[..third], &by_height[by_height.len() - third..]];
     let chosen: Vec<Waveform<'_>> = weak.iter().chain(strong).map(|single| blocks[single.block]).collect();

@@ -123,7 +123,7 @@ fn ground_that_imitates_a_walk_is_refused() {
     assert_eq!(applied, 0, "of 24");
 }
 
-/// The full number of flights, a minute. The goal of one in two hundred is missed: 4 of 400.
+/// The full number of flights.
 #[test]
 #[ignore = "a minute; `cargo test -p wavex-signal range_walk -- --ignored`"]
 fn at_most_one_imitation_in_two_hundred_is_believed() {

@@ -24,6 +24,8 @@ const SCORED_PER_TASK: usize = 64;
 /// Fraction of the waveforms in which the expected contribution of the template error may exceed
 /// chi-square.
 const EXCEEDED_PART: f64 = 0.005;
+/// One in so many waveforms, those with the largest contributions, shows its part of the excess.
+const CLEAR_FITS: usize = 3;
 /// Fits to the response of the other half end within a hundredth of their standard deviations.
 const NEAR: StopCriteria = StopCriteria { iterations: 30, decrease: 1e-4, enough: f64::INFINITY };
 
@@ -155,13 +157,18 @@ impl Quality {
 /// Part of the expected contribution `Σ (κ a/σ)²` of the template error that chi-square shows.
 ///
 /// `fits` has chi-square, degrees of freedom and `Σ (κ a/σ)²` of waveforms. It is the median ratio
-/// of the excess of chi-square to that contribution, or less: the contribution exceeds chi-square in
-/// at most 0.5 % of the waveforms. 1 without a template error.
+/// of the excess of chi-square to that contribution, in the third of the waveforms with the largest
+/// contribution, or less: the contribution exceeds chi-square in at most 0.5 % of the waveforms. 1
+/// without a template error.
 pub(super) fn excess_part(fits: impl Iterator<Item = [f64; 3]>) -> f64 {
     let with_error = fits.filter(|[_, _, expected]| *expected > 0.0);
-    let (mut ratios, mut largest): (Vec<f64>, Vec<f64>) = with_error
-        .map(|[chi_square, freedom, expected]| ((chi_square - freedom) / expected, chi_square / expected))
-        .unzip();
+    let mut fits: Vec<[f64; 3]> = with_error.collect();
+    fits.sort_by(|a, b| b[2].total_cmp(&a[2]));
+    // In weak echoes the noise of chi-square is larger than the excess.
+    let clear = &fits[..fits.len().div_ceil(CLEAR_FITS)];
+    let mut ratios: Vec<f64> =
+        clear.iter().map(|[chi_square, freedom, expected]| (chi_square - freedom) / expected).collect();
+    let mut largest: Vec<f64> = fits.iter().map(|[chi_square, _, expected]| chi_square / expected).collect();
     ratios.sort_by(f64::total_cmp);
     largest.sort_by(f64::total_cmp);
     let at = |sorted: &[f64], part: f64| sorted.get((part * sorted.len() as f64) as usize).copied();
