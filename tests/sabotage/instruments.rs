@@ -37,11 +37,18 @@ impl Kind {
 #[derive(Clone)]
 pub struct Shot {
     pub samples: Vec<u16>,
-    /// Position of the first echo, samples.
-    pub first_echo: f64,
+    /// Height, position in samples, and width ratio of each echo.
+    pub echoes: Vec<[f64; 3]>,
     /// Outgoing pulse and its position, samples.
     pub outgoing: Vec<u16>,
     pub emission: f64,
+}
+
+impl Shot {
+    /// Position of the first echo, samples.
+    pub fn first_position(&self) -> f64 {
+        self.echoes.iter().map(|[_, position, _]| *position).fold(f64::INFINITY, f64::min)
+    }
 }
 
 /// What a recording with outgoing pulses states of its times.
@@ -93,6 +100,8 @@ pub struct Instrument {
     tail_jitter: f64,
     /// Positions of outgoing pulses, samples.
     emission: [f64; 2],
+    /// Part of large footprints without canopy.
+    open_part: f64,
 }
 
 impl Instrument {
@@ -111,6 +120,7 @@ impl Instrument {
             width_jitter: 0.01,
             tail_jitter: 0.35,
             emission: [24.0, 25.0],
+            open_part: 0.6,
         };
         match kind {
             Kind::Riegl => common,
@@ -135,6 +145,12 @@ impl Instrument {
                 ..common
             },
         }
+    }
+
+    /// Large footprints over closed canopy, by pulses that differ by 2 % of the peak from shot to shot.
+    pub fn forest(seed: u64) -> Instrument {
+        let large = Instrument::new(Kind::LargeFootprint, seed);
+        Instrument { open_part: 0.0, tail_jitter: 0.35, shots_per_line: 100, ..large }
     }
 
     /// Lines of waveforms.
@@ -201,7 +217,7 @@ impl Instrument {
             Kind::LargeFootprint => {
                 let ground = self.between(105.0, 120.0);
                 let height = self.height(150.0, 3600.0);
-                let is_open = self.random.uniform() < 0.6;
+                let is_open = self.random.uniform() < self.open_part;
                 echoes.push([height, ground, 1.0]);
                 if !is_open {
                     let (top, canopy) = (self.between(20.0, 50.0), self.height(100.0, 900.0));
@@ -225,8 +241,7 @@ impl Instrument {
         let emission = self.between(self.emission[0], self.emission[1]);
         let height = OUTGOING_PART * f64::from(self.full_scale_dn);
         let outgoing = self.waveform(&[[height, emission, 1.0]], width, tail, OUTGOING_SAMPLES);
-        let first_echo = echoes.iter().map(|[_, position, _]| *position).fold(f64::INFINITY, f64::min);
-        Shot { samples, first_echo, outgoing, emission }
+        Shot { samples, echoes, outgoing, emission }
     }
 
     fn waveform(&mut self, echoes: &[[f64; 3]], width: f64, tail: f64, samples: usize) -> Vec<u16> {

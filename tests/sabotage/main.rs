@@ -21,8 +21,9 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use changes::{Change, changes};
-use instruments::{Instrument, Kind};
-use runs::{run_job, saved_model, warnings};
+use instruments::{Instrument, Kind, Recording, Timing};
+use runs::{returns, run_job, saved_model, start_ns, warnings};
+use wavex_formats::container::EmissionReference;
 
 /// Smallest fraction of noticed changes, and largest fraction of false alarms.
 const NOTICED: f64 = 0.95;
@@ -93,6 +94,36 @@ fn sabotage_is_noticed() {
         };
         assert!(is_kept, "{}: {said} of {all}", change.name);
     }
+}
+
+/// Last returns over closed canopy are echoes, although the response differs from shot to shot.
+#[test]
+fn last_returns_are_the_ground() {
+    const METRE_NS: f64 = 6.67;
+    const WIDTH_NS: f64 = 14.0;
+    let place = tempfile::tempdir().unwrap();
+    let timing = Timing { emission_reference: EmissionReference::OutgoingPulse, late_samples: 0.0 };
+    let recording = Recording { timing: Some(timing), ..Instrument::forest(3).record() };
+    let returns = returns(&recording, place.path());
+    let (mut last_behind, mut strong, mut strong_found) = (0, 0, 0);
+    for (number, shot) in recording.lines.iter().flatten().enumerate() {
+        let of_shot: Vec<f64> =
+            returns.iter().filter(|(of, _)| *of == number).map(|(_, flight_ns)| *flight_ns).collect();
+        let ground_ns = |position: f64| start_ns(number as u64, shot) + position;
+        let last = shot.echoes.iter().map(|[_, position, _]| ground_ns(*position)).fold(0.0, f64::max);
+        last_behind += usize::from(of_shot.iter().any(|ns| *ns > last + METRE_NS));
+        // The ground is the first echo of the list, at least 20 noise SDs high.
+        if shot.echoes.iter().all(|[height, ..]| *height <= shot.echoes[0][0]) {
+            strong += 1;
+            strong_found += usize::from(of_shot.iter().any(|ns| (ns - last).abs() < 0.75 * WIDTH_NS));
+        }
+    }
+    let shots = recording.shots();
+    println!(
+        "{shots} shots: {last_behind} last returns behind the ground; {strong_found} of {strong} strongest grounds"
+    );
+    assert!(last_behind as f64 <= 0.02 * shots as f64, "{last_behind} of {shots}");
+    assert!(strong_found as f64 >= 0.985 * strong as f64, "{strong_found} of {strong}");
 }
 
 #[test]

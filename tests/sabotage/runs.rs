@@ -7,7 +7,7 @@ use wavex::stages::calibrate::{model_json, parse_model};
 use wavex_formats::container::{ContainerHeader, EmissionReference};
 use wavex_signal::sensor_model::SensorModel;
 use wavex_testkit::container::{Row, container, nadir_shot};
-use wavex_testkit::recordings::run;
+use wavex_testkit::recordings::{Table, run};
 
 use super::instruments::{Instrument, Recording, Shot};
 
@@ -53,6 +53,37 @@ pub fn summary(case: &Case, place: &Path) -> InputSummary {
 
 /// Calibrates and decomposes a recording.
 pub fn run_job(recording: &Recording, calibrate: &str, place: &Path) -> InputSummary {
+    write(recording, place);
+    let rest = "mode = 'fastest'\n[[stage]]\ntype = 'write_lstat'\npath = '*_lines.csv'\n";
+    run("sabotage", &chain(calibrate, rest), place, place, &[])
+}
+
+/// A job whose keys of `calibrate`, and whose end from the keys of `decompose` on, are these.
+fn chain(calibrate: &str, rest: &str) -> String {
+    format!(
+        "[job]\nthreads = 1\noutput_dir = '.'\n[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\n\
+         type = 'calibrate'\n{calibrate}\n[[stage]]\ntype = 'decompose'\n{rest}"
+    )
+}
+
+/// Returns of a recording by a job of default settings: number of the shot, and time of flight, ns.
+pub fn returns(recording: &Recording, place: &Path) -> Vec<(usize, f64)> {
+    write(recording, place);
+    let rest = "[[stage]]\ntype = 'write_table'\npath = '*_returns.csv'\n";
+    run("returns", &chain("", rest), place, place, &[]);
+    let table = Table::read(&place.join("a_returns.csv"));
+    let shots = table.column("shot").into_iter().map(|shot| shot as usize);
+    shots.zip(table.column("time_of_flight_ns")).collect()
+}
+
+/// Time of flight at the first sample of a block, ns.
+pub fn start_ns(number: u64, shot: &Shot) -> f64 {
+    // Gently sloping ground.
+    START_NS + SLOPE_NS * number as f64 - shot.first_position()
+}
+
+/// Writes the container of a recording.
+fn write(recording: &Recording, place: &Path) {
     let timing = recording.timing;
     let header = ContainerHeader {
         full_scale_dn: Some(recording.full_scale_dn),
@@ -65,9 +96,8 @@ pub fn run_job(recording: &Recording, calibrate: &str, place: &Path) -> InputSum
         shot.line = line as u32;
         let mut blocks = vec![(LOW_POWER, START_NS, of.samples.clone())];
         if let Some(timing) = timing {
-            // Gently sloping ground.
             let late = if number.is_multiple_of(10) { timing.late_samples } else { 0.0 };
-            blocks[0].1 = START_NS + SLOPE_NS * number as f64 + of.emission - of.first_echo + late;
+            blocks[0].1 = start_ns(number, of) + of.emission + late;
             blocks.insert(0, (REFERENCE, 0.0, of.outgoing.clone()));
         }
         number += 1;
@@ -77,10 +107,4 @@ pub fn run_job(recording: &Recording, calibrate: &str, place: &Path) -> InputSum
         .map(|(line, shots)| shots.iter().map(|shot| row(line, shot)).collect())
         .collect();
     std::fs::write(place.join("a.arrow"), container(&header, &lines)).unwrap();
-    let text = format!(
-        "[job]\nthreads = 1\noutput_dir = '.'\n[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\n\
-         type = 'calibrate'\n{calibrate}\n[[stage]]\ntype = 'decompose'\nmode = 'fastest'\n[[stage]]\ntype = 'write_lstat'\n\
-         path = '*_lines.csv'\n"
-    );
-    run("sabotage", &text, place, place, &[])
 }
