@@ -286,6 +286,12 @@ impl Smoothness {
         within(&ONE_SAMPLE) > beside + EXCESS_SD * (beside + 1.0).sqrt()
     }
 
+    /// Part of the second differences that are about one sample.
+    fn part_of_one_sample(&self, reference: usize) -> f64 {
+        let is_one = |of: &&[f64; REFERENCES]| ONE_SAMPLE.contains(&(of[reference] / self.interval_ns).abs());
+        self.points_ns.iter().filter(is_one).count() as f64 / self.points_ns.len().max(1) as f64
+    }
+
     /// SD of emission times for a choice between references, ns.
     ///
     /// Their differences in each shot, without the constant part, over √12; the RMS over the shots.
@@ -347,7 +353,12 @@ impl Smoothness {
 
 impl SecondDifference {
     fn is_clearly_below(&self, other: &SecondDifference) -> bool {
-        self.halves_ns.iter().zip(other.halves_ns).all(|(own, other)| *own < CLEARLY_SMOOTHER * other)
+        self.is_below(CLEARLY_SMOOTHER, other)
+    }
+
+    /// Whether it is less than this part of another one in both halves.
+    fn is_below(&self, part: f64, other: &SecondDifference) -> bool {
+        self.halves_ns.iter().zip(other.halves_ns).all(|(own, other)| *own < part * other)
     }
 }
 

@@ -4,6 +4,11 @@ use super::{Choice, Message, Smoothness, WITH_LOCATIONS, WITH_OUTGOING, name};
 use crate::scan_line::{EmissionReference, InputInfo, ScanLine};
 use crate::stage::Context;
 
+/// A reference is contradicted if another leaves less than this part of its second differences. Peaks
+/// of outgoing pulses are estimated more coarsely here than by the fit, so this is less than for a choice.
+const CONTRADICTS: f64 = 0.5;
+/// Smallest part of the second differences that are one sample, for a warning.
+const DISPLACED_PART: f64 = 0.05;
 /// Largest number of shots that are checked along a recording.
 const MOST_CHECKED_SHOTS: usize = 20_000;
 
@@ -23,7 +28,7 @@ impl Smoothness {
         }
         let figures = self.figures(&self.points_ns);
         let (index, (_, own)) = figures.iter().enumerate().find(|(_, (of, _))| *of == reference)?;
-        let smoother = figures.iter().filter(|(_, of)| of.is_clearly_below(own));
+        let smoother = figures.iter().filter(|(_, of)| of.is_below(CONTRADICTS, own));
         let smoothest = smoother.min_by(|(_, a), (_, b)| a.whole_ns.total_cmp(&b.whole_ns));
         if let Some((other, _)) = smoothest {
             return Some(format!(
@@ -35,7 +40,8 @@ impl Smoothness {
             ));
         }
         // The standard deviation of a clock without proof is that of one sample already.
-        (reference != EmissionReference::Clock && self.jumps_by_a_sample(index)).then(|| {
+        let is_often = self.part_of_one_sample(index) >= DISPLACED_PART;
+        (reference != EmissionReference::Clock && is_often && self.jumps_by_a_sample(index)).then(|| {
             format!(
                 "the points of some shots are one sample from those of their neighbours: emission times or \
                  waveforms of these shots are displaced by a sample, and so are their ranges; export the recording \

@@ -284,3 +284,43 @@ fn copies_of_waveforms_are_no_smooth_points() {
     };
     assert_eq!(found(2), found(0));
 }
+
+#[test]
+fn a_reference_that_points_contradict_is_a_warning() {
+    let found = |made: Made| Smoothness::look_ahead(&mut recording(made, 10, 0.2), WITH_OUTGOING);
+    let set = |made: Made, reference: EmissionReference| found(made).set(reference);
+    let text = "by `clock`, but points are smoother by `outgoing_pulse`";
+    assert!(warning(&set(Made::FirstSample, EmissionReference::Clock)).contains(text));
+    let text = "by `outgoing_pulse`, but points are smoother by `clock`";
+    assert!(warning(&set(Made::Exact, EmissionReference::OutgoingPulse)).contains(text));
+    for (made, reference) in [
+        (Made::FirstSample, EmissionReference::OutgoingPulse),
+        (Made::NearestSample, EmissionReference::OutgoingPulseFraction),
+        (Made::Exact, EmissionReference::Clock),
+    ] {
+        let choice = set(made, reference);
+        assert!(choice.reference == reference && warning(&choice).is_empty(), "{}", warning(&choice));
+    }
+}
+
+#[test]
+fn waveforms_displaced_by_a_sample_are_a_warning() {
+    let displaced = |every: u32| {
+        let mut lines = recording(Made::FirstSample, 10, 0.2).0;
+        for line in &mut lines {
+            let crate::scan_line::Content::Shots(blocks) = &line.content else { panic!("shots") };
+            let mut late = Blocks::default();
+            for block in blocks.iter() {
+                let is_late = block.channel.is_echo() && block.emission % every == 0;
+                let start_ns = block.start_ns + f64::from(u8::from(is_late));
+                late.push(block.emission, block.channel, None, start_ns, 1.0, blocks.samples(block));
+            }
+            *line = ScanLine::of_shots(Arc::clone(&line.input), line.line, line.emissions.clone(), late);
+        }
+        let found = Smoothness::look_ahead(&mut Recording(lines), WITH_OUTGOING);
+        warning(&found.set(EmissionReference::OutgoingPulse)).contains("displaced by a sample")
+    };
+    assert!(displaced(10));
+    // Too few to be told from steps of the ground.
+    assert!(!displaced(100));
+}
