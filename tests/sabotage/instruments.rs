@@ -45,9 +45,9 @@ pub struct Shot {
 }
 
 impl Shot {
-    /// Position of the first echo, samples.
-    pub fn first_position(&self) -> f64 {
-        self.echoes.iter().map(|[_, position, _]| *position).fold(f64::INFINITY, f64::min)
+    /// Position of the only echo, or of the ground, samples.
+    pub fn main_position(&self) -> f64 {
+        self.echoes[0][1]
     }
 }
 

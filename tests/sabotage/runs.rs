@@ -79,7 +79,7 @@ pub fn returns(recording: &Recording, place: &Path) -> Vec<(usize, f64)> {
 /// Time of flight at the first sample of a block, ns.
 pub fn start_ns(number: u64, shot: &Shot) -> f64 {
     // Gently sloping ground.
-    START_NS + SLOPE_NS * number as f64 - shot.first_position()
+    START_NS + SLOPE_NS * number as f64 - shot.main_position()
 }
 
 /// Writes the container of a recording.
