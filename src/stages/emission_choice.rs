@@ -39,10 +39,9 @@ const BESIDE: f64 = 0.3;
 const LEAST_NOISE_DN: f64 = 0.3;
 /// Second difference of independent values over their SD.
 const SECOND_DIFFERENCE: f64 = 2.449_489_742_783_178;
-/// Second differences of about one sample, and the same width of their neighbourhood, in samples.
-const ONE_SAMPLE: std::ops::Range<f64> = 0.8..1.2;
-const BESIDE_ONE_SAMPLE: [std::ops::Range<f64>; 2] = [0.6..0.8, 1.2..1.4];
-/// Significance of an excess of second differences of one sample, standard deviations of the count.
+/// Largest distance of second differences from whole samples; their neighbours are up to twice as far.
+const NEAR_SAMPLE: f64 = 0.2;
+/// Significance of an excess of second differences of whole samples, standard deviations of the count.
 const EXCESS_SD: f64 = 3.0;
 /// Standard deviation of a normal distribution over the lower quartile of absolute values.
 const SD_OF_LOWER_QUARTILE: f64 = 3.138_344;
@@ -273,23 +272,19 @@ impl Smoothness {
         let halves_ns = [first, second].map(|half| sd_of_lower_quartile(half.iter().map(|of| of[clock])));
         let sd_ns = halves_ns.into_iter().fold(0.0, f64::max) / SECOND_DIFFERENCE;
         let is_proof = self.points_ns.len() >= LEAST_TRIPLES && sd_ns < self.interval_ns / 12f64.sqrt();
-        (is_proof && !self.jumps_by_a_sample(clock)).then_some(sd_ns)
+        (is_proof && self.part_at(1.0, clock) == 0.0).then_some(sd_ns)
     }
 
-    /// Whether more second differences are one sample than a little less or more.
-    fn jumps_by_a_sample(&self, reference: usize) -> bool {
-        let in_samples = self.points_ns.iter().map(|of| (of[reference] / self.interval_ns).abs());
-        let within = |range: &std::ops::Range<f64>| {
-            in_samples.clone().filter(|samples| range.contains(samples)).count() as f64
+    /// Part of the second differences that are about this many samples, if they are significantly more than
+    /// those a little below and above; else 0.
+    fn part_at(&self, samples: f64, reference: usize) -> f64 {
+        let sizes = self.points_ns.iter().map(|of| (of[reference] / self.interval_ns).abs() - samples);
+        let within = |least: f64, most: f64| {
+            sizes.clone().filter(|from| (least..most).contains(&from.abs())).count() as f64
         };
-        let beside: f64 = BESIDE_ONE_SAMPLE.iter().map(within).sum();
-        within(&ONE_SAMPLE) > beside + EXCESS_SD * (beside + 1.0).sqrt()
-    }
-
-    /// Part of the second differences that are about one sample.
-    fn part_of_one_sample(&self, reference: usize) -> f64 {
-        let is_one = |of: &&[f64; REFERENCES]| ONE_SAMPLE.contains(&(of[reference] / self.interval_ns).abs());
-        self.points_ns.iter().filter(is_one).count() as f64 / self.points_ns.len().max(1) as f64
+        let (at, beside) = (within(0.0, NEAR_SAMPLE), within(NEAR_SAMPLE, 2.0 * NEAR_SAMPLE));
+        let is_excess = at > beside + EXCESS_SD * (beside + 1.0).sqrt();
+        if is_excess { at / self.points_ns.len() as f64 } else { 0.0 }
     }
 
     /// SD of emission times for a choice between references, ns.

@@ -305,13 +305,13 @@ fn a_reference_that_points_contradict_is_a_warning() {
 
 #[test]
 fn waveforms_displaced_by_a_sample_are_a_warning() {
-    let displaced = |every: u32| {
+    let is_said = |is_late: fn(u32) -> bool| {
         let mut lines = recording(Made::FirstSample, 10, 0.2).0;
         for line in &mut lines {
             let crate::scan_line::Content::Shots(blocks) = &line.content else { panic!("shots") };
             let mut late = Blocks::default();
             for block in blocks.iter() {
-                let is_late = block.channel.is_echo() && block.emission % every == 0;
+                let is_late = block.channel.is_echo() && is_late(block.emission);
                 let start_ns = block.start_ns + f64::from(u8::from(is_late));
                 late.push(block.emission, block.channel, None, start_ns, 1.0, blocks.samples(block));
             }
@@ -320,7 +320,7 @@ fn waveforms_displaced_by_a_sample_are_a_warning() {
         let found = Smoothness::look_ahead(&mut Recording(lines), WITH_OUTGOING);
         warning(&found.set(EmissionReference::OutgoingPulse)).contains("displaced by a sample")
     };
-    assert!(displaced(10));
-    // Too few to be told from steps of the ground.
-    assert!(!displaced(100));
+    assert!(is_said(|shot| shot % 10 == 0));
+    assert!(!is_said(|shot| shot % 100 == 0), "too few");
+    assert!(!is_said(|shot| shot / 10 % 2 == 0), "steps of the ground");
 }
