@@ -22,7 +22,7 @@ pub const STAGE: StageSpec = StageSpec::transform::<FuseChannels>("fuse_channels
 
 /// Largest time difference of peaks of one echo in both receivers, ns.
 const MOST_DELAY_NS: f64 = 10.0;
-/// Size of a delay, in its standard deviations, from which it is worth a warning that it is not applied.
+/// A delay that is not applied is a warning above this many of its standard deviations.
 const SIGNIFICANT_DELAY_SD: f64 = 3.0;
 
 /// Estimates the gain ratio and delay between the two receivers of an instrument.

@@ -33,8 +33,8 @@ impl Smoothness {
         let smoothest = smoother.min_by(|(_, a), (_, b)| a.whole_ns.total_cmp(&b.whole_ns));
         if let Some((other, _)) = smoothest {
             return Some(format!(
-                "the emission times are by `{}`, but points are smoother by `{}`: ranges are wrong by the \
-                 difference, unless the ground is; correct what the file states, or `emission` of the reader ({})",
+                "the emission times are by `{}`, but points are smoother by `{}`: ranges may be wrong by \
+                 the difference of both; correct the source of emission times that the file or the job states ({})",
                 name(reference),
                 name(*other),
                 self.text()

@@ -21,7 +21,7 @@ const STEP: usize = 20;
 /// Chi-square over its expectation, relative to that of normal pulses, of overdriven pulses.
 const OVERDRIVEN_RATIO: f64 = 2.0;
 /// The same up to which a receiver is linear. Overdriven pulses of an LMS-Q680i, whose times are 0.1 ns
-/// early, have 1.3; the median of 20 pulses of a linear receiver is above 1.15 in 1 % of cases.
+/// early, have 1.3. With 50 degrees of freedom the median of 20 pulses of a linear receiver has an SD of 0.056.
 const LINEAR_RATIO: f64 = 1.15;
 /// Number of groups of heights in which each must agree.
 const LINEAR_STEPS: usize = 5;

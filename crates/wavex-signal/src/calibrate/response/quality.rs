@@ -24,7 +24,7 @@ const SCORED_PER_TASK: usize = 64;
 /// Fraction of the waveforms in which the expected contribution of the template error may exceed
 /// chi-square.
 const EXCEEDED_PART: f64 = 0.005;
-/// One in so many waveforms, those with the largest contributions, shows its part of the excess.
+/// Divisor of the number of waveforms: those with the largest expected contributions determine the part.
 const CLEAR_FITS: usize = 3;
 /// Fits to the response of the other half end within a hundredth of their standard deviations.
 const NEAR: StopCriteria = StopCriteria { iterations: 30, decrease: 1e-4, enough: f64::INFINITY };
