@@ -7,7 +7,6 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::{channel_of, info_of};
-use super::emission_choice::EmissionCheck;
 use super::line_splitter::Sampling;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::keys::InvalidKey;
@@ -109,11 +108,12 @@ impl SourceConfig for Config {
         let mut source = ArrowLineReader::open(site, self.sampling())?;
         if !with_samples {
             source.reader.skip_samples();
-            source.emission_check = None;
         }
         let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
         let declared = Declared::new(times, crs, self.refractive_index_ppm, site)?;
-        Ok(Box::new(AsDeclared::new(ArrowLineReader { with_samples, ..source }, declared)))
+        Ok(Box::new(
+            AsDeclared::new(ArrowLineReader { with_samples, ..source }, declared).checking_emissions(),
+        ))
     }
 }
 
@@ -129,7 +129,6 @@ struct ArrowLineReader {
     number: u64,
     /// Location of the line emitted last.
     location: Option<LineLocation>,
-    emission_check: Option<EmissionCheck>,
 }
 
 /// Valid gains, relative to the reference gain.
@@ -145,8 +144,7 @@ impl ArrowLineReader {
             None => ContainerReader::open(path)?,
         };
         let first = reader.next_line()?;
-        let has_outgoing = first.as_ref().is_some_and(has_outgoing_pulse);
-        let reference = match has_outgoing {
+        let reference = match first.as_ref().is_some_and(has_outgoing_pulse) {
             true => EmissionReference::OutgoingPulse,
             false => EmissionReference::Clock,
         };
@@ -156,18 +154,9 @@ impl ArrowLineReader {
         if first.as_ref().is_some_and(ContainerLine::has_gain) {
             info.gain_control = GainControl::Recorded;
         }
-        let emission_check = EmissionCheck::of(&info, has_outgoing);
         let info = Arc::new(info);
         let at = first.map(|line| (line, 0));
-        Ok(ArrowLineReader {
-            reader,
-            with_samples: true,
-            info,
-            at,
-            number: 0,
-            location: None,
-            emission_check,
-        })
+        Ok(ArrowLineReader { reader, with_samples: true, info, at, number: 0, location: None })
     }
 
     /// Takes the next rows that form a line from the current record line.
@@ -239,10 +228,7 @@ impl Source for ArrowLineReader {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
             match self.part(cx) {
-                Some(scan_line) if !scan_line.emissions.is_empty() => {
-                    self.emission_check.iter_mut().for_each(|check| check.add(&scan_line));
-                    return Ok(Some(scan_line));
-                }
+                Some(scan_line) if !scan_line.emissions.is_empty() => return Ok(Some(scan_line)),
                 // All shots of this line were rejected.
                 Some(_) => continue,
                 None => {}
@@ -251,7 +237,6 @@ impl Source for ArrowLineReader {
             self.number += 1;
             self.at = Some((line, 0));
         }
-        self.emission_check.iter().for_each(|check| check.report(cx));
         if self.reader.ended_without_mark() {
             cx.warn("the Arrow stream ends without its end mark: lines may be missing");
         }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::emission_choice::EmissionCheck;
 use crate::georef::declared;
 use crate::keys::InvalidKey;
 use crate::scan_line::{Content, Emission, Frame, GainControl, InputInfo, ScanLine};
@@ -178,6 +179,7 @@ pub(super) struct AsDeclared<S> {
     /// State of the recording; `None` before the first line.
     begun: Option<Begun>,
     copies: Copies,
+    emission_check: Option<EmissionCheck>,
 }
 
 /// Waveforms read so far, and those that are copies of the waveform of the shot before.
@@ -224,7 +226,12 @@ const UNKNOWN_GAINS: &str = "the receiver gain varies between shots, but the rec
 
 impl<S: Source> AsDeclared<S> {
     pub(super) fn new(source: S, declared: Declared) -> AsDeclared<S> {
-        AsDeclared { source, declared, begun: None, copies: Copies::default() }
+        AsDeclared { source, declared, begun: None, copies: Copies::default(), emission_check: None }
+    }
+
+    /// Compares the stated source of emission times with the points, for readers that do not decide on it.
+    pub(super) fn checking_emissions(self) -> AsDeclared<S> {
+        AsDeclared { emission_check: Some(EmissionCheck::default()), ..self }
     }
 
     /// State of a line's recording; its first line determines it.
@@ -372,9 +379,11 @@ impl<S: Source> Source for AsDeclared<S> {
         loop {
             let Some(mut line) = self.source.next(cx)? else {
                 self.copies.report(cx);
+                self.emission_check.iter().for_each(|check| check.report(cx));
                 return Ok(None);
             };
             self.copies.mark(&mut line);
+            self.emission_check.iter_mut().for_each(|check| check.add(&line));
             let line = self.begun(&line, cx)?.line(line, cx);
             if !line.emissions.is_empty() {
                 return Ok(Some(line));

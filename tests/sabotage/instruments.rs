@@ -8,6 +8,8 @@ const LINES: usize = 4;
 /// Samples of an outgoing pulse, and its height over full scale.
 const OUTGOING_SAMPLES: usize = 90;
 const OUTGOING_PART: f64 = 0.6;
+/// Level above which a receiver may be compressed.
+const LINEAR_DN: f64 = 200.0;
 
 /// Type of instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,6 +104,10 @@ pub struct Instrument {
     emission: [f64; 2],
     /// Part of large footprints without canopy.
     open_part: f64,
+    /// Height of the highest echoes of small footprints, DN.
+    highest_dn: f64,
+    /// Slope of the receiver above 200 DN.
+    compression: f64,
 }
 
 impl Instrument {
@@ -121,10 +127,13 @@ impl Instrument {
             tail_jitter: 0.35,
             emission: [24.0, 25.0],
             open_part: 0.6,
+            highest_dn: 235.0,
+            compression: 1.0,
         };
         match kind {
             Kind::Riegl => common,
             Kind::Leica => Instrument {
+                highest_dn: 225.0,
                 samples: 110,
                 background_dn: 14.6,
                 background_sd_dn: 2.5,
@@ -151,6 +160,11 @@ impl Instrument {
     pub fn forest(seed: u64) -> Instrument {
         let large = Instrument::new(Kind::LargeFootprint, seed);
         Instrument { open_part: 0.0, tail_jitter: 0.35, shots_per_line: 100, ..large }
+    }
+
+    /// The instrument with other highest echoes, and this slope of the receiver above 200 DN.
+    pub fn with_highest(self, highest_dn: f64, compression: f64) -> Instrument {
+        Instrument { highest_dn, compression, ..self }
     }
 
     /// Lines of waveforms.
@@ -201,7 +215,6 @@ impl Instrument {
         let mut echoes = Vec::new();
         match self.kind {
             Kind::Riegl | Kind::Leica => {
-                let strongest = if self.kind == Kind::Riegl { 235.0 } else { 225.0 };
                 let count =
                     1 + usize::from(self.random.uniform() < 0.3) + usize::from(self.random.uniform() < 0.1);
                 let first = if self.kind == Kind::Riegl { 17.0 } else { 34.0 };
@@ -209,7 +222,7 @@ impl Instrument {
                 for _ in 0..count {
                     let wide = self.random.uniform() < 0.25;
                     let width = if wide { self.between(1.0, 1.4) } else { 1.0 };
-                    let height = self.height(12.0, strongest / count as f64);
+                    let height = self.height(12.0, self.highest_dn / count as f64);
                     echoes.push([height, position, width]);
                     position += self.between(5.0, 20.0);
                 }
@@ -264,7 +277,9 @@ impl Instrument {
                 height * self.response((k as f64 - position) / (width * ratio), tail)
             };
             let value = level + noise + echoes.iter().map(echo).sum::<f64>();
-            value.round().clamp(0.0, f64::from(self.full_scale_dn)) as u16
+            let linear = value.min(LINEAR_DN);
+            (linear + self.compression * (value - linear)).round().clamp(0.0, f64::from(self.full_scale_dn))
+                as u16
         };
         noise.iter().enumerate().map(sample).collect()
     }

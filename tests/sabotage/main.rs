@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use changes::{Change, changes};
 use instruments::{Instrument, Kind, Recording, Timing};
-use runs::{returns, run_job, saved_model, start_ns, warnings};
+use runs::{Case, returns, run_job, saved_model, start_ns, summary, warnings};
 use wavex_formats::container::EmissionReference;
 
 /// Smallest fraction of noticed changes, and largest fraction of false alarms.
@@ -124,6 +124,49 @@ fn last_returns_are_the_ground() {
     );
     assert!(last_behind as f64 <= 0.02 * shots as f64, "{last_behind} of {shots}");
     assert!(strong_found as f64 >= 0.985 * strong as f64, "{strong_found} of {strong}");
+}
+
+/// A given model is completed by clipped echoes, of which its own recording had none.
+#[test]
+fn flanks_of_clipped_echoes_prove_a_linear_receiver() {
+    let place = tempfile::tempdir().unwrap();
+    let instrument = |seed| Instrument::new(Kind::Riegl, seed);
+    let model = saved_model(instrument(1).with_highest(190.0, 1.0), place.path());
+    assert!(!model.low_power.as_ref().unwrap().limits.is_linear);
+    let is_said = |highest_dn: f64, compression: f64| {
+        let recording = instrument(2).with_highest(highest_dn, compression).record();
+        let stages = summary(&Case { model: Some(model.clone()), recording }, place.path()).stages;
+        stages
+            .iter()
+            .flat_map(|stage| &stage.findings)
+            .any(|text| text.contains("as its strongest echoes show"))
+    };
+    assert!(is_said(700.0, 1.0));
+    assert!(!is_said(700.0, 0.5), "a receiver that compresses strong echoes");
+    assert!(!is_said(190.0, 1.0), "no strong echoes");
+}
+
+/// The rule for silent blocks follows the model in use, whose background is free after the first lines.
+#[test]
+fn blocks_without_echo_are_kept_once_the_background_is_free() {
+    let place = tempfile::tempdir().unwrap();
+    let mut model = saved_model(Instrument::new(Kind::Riegl, 1), place.path());
+    model.low_power.as_mut().unwrap().background_dn.iter_mut().for_each(|level_dn| *level_dn += 30.0);
+    let mut recording = Instrument::new(Kind::Riegl, 2).record();
+    recording.lines.extend(recording.lines.clone());
+    let level_dn = recording.background_dn as u16;
+    let is_flat = |number: usize| number.is_multiple_of(3);
+    let recording = recording.changed(|number, samples| {
+        if is_flat(number) {
+            (0..).zip(samples).for_each(|(k, dn)| *dn = level_dn + (number + k * k) as u16 % 3);
+        }
+    });
+    let held = (0..recording.shots() / 2).filter(|number| is_flat(*number)).count() as u64;
+    let stages = summary(&Case { model: Some(model), recording }, place.path()).stages;
+    let rejected = stages.iter().flat_map(|stage| &stage.rejected);
+    let away: u64 =
+        rejected.filter(|(what, _)| what.contains("far from the background")).map(|(_, n)| n).sum();
+    assert_eq!(away, held);
 }
 
 #[test]

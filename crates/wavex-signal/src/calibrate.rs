@@ -424,6 +424,11 @@ fn from_residuals(model: &mut ChannelModel, survey: &PassStats, look: &InitialEs
     set_noise(model, ArNoise::new(&[], residual_sd_dn.max(QUANTISATION_VARIANCE.sqrt())));
 }
 
+/// At most `most` items, evenly spaced.
+pub(crate) fn evenly<T: Copy>(items: &[T], most: usize) -> impl Iterator<Item = T> {
+    items.iter().copied().step_by(items.len().div_ceil(most).max(1))
+}
+
 /// Replaces the noise of a model; without a process, leaves it.
 pub(crate) fn set_noise(model: &mut ChannelModel, noise: Option<ArNoise>) {
     if let Some(noise) = noise {

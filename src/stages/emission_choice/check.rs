@@ -1,7 +1,7 @@
 //! Check of an emission reference that a file states or a job sets.
 
 use super::{Choice, Message, Smoothness, WITH_LOCATIONS, WITH_OUTGOING, name};
-use crate::scan_line::{EmissionReference, InputInfo, ScanLine};
+use crate::scan_line::{Block, Channel, EmissionReference, ScanLine};
 use crate::stage::Context;
 
 /// A reference is contradicted if another leaves less than this part of its second differences. Peaks
@@ -54,34 +54,43 @@ impl Smoothness {
 }
 
 /// Check along a recording whose file states the reference.
+#[derive(Default)]
 pub(in crate::stages) struct EmissionCheck {
-    stated: EmissionReference,
-    smoothness: Smoothness,
+    /// Of the reference of the first line; `None` before, and without another source to compare it with.
+    stated: Option<(EmissionReference, Smoothness)>,
+    has_begun: bool,
 }
 
 impl EmissionCheck {
-    /// Check of a recording; `None` if there is nothing to compare its reference with.
-    pub(in crate::stages) fn of(input: &InputInfo, has_outgoing: bool) -> Option<EmissionCheck> {
-        let stated = input.emission_reference;
-        let references = match stated {
-            EmissionReference::ReturnLocations => WITH_LOCATIONS,
-            _ if has_outgoing => WITH_OUTGOING,
-            _ => return None,
-        };
-        Some(EmissionCheck { stated, smoothness: Smoothness::by(references) })
-    }
-
-    /// Adds a line, unless enough were seen.
+    /// Adds a line with marked copies, unless enough were seen.
     pub(in crate::stages) fn add(&mut self, line: &ScanLine) {
-        if self.smoothness.shots < MOST_CHECKED_SHOTS && !self.smoothness.is_enough() {
-            self.smoothness.add(line);
+        if !self.has_begun {
+            self.stated = of_line(line);
+            self.has_begun = true;
+        }
+        if let Some((_, smoothness)) = &mut self.stated
+            && smoothness.shots < MOST_CHECKED_SHOTS
+            && !smoothness.is_enough()
+        {
+            smoothness.add(line);
         }
     }
 
     /// Warns if the points contradict what the file states.
     pub(in crate::stages) fn report(&self, cx: &mut Context) {
-        if let Some(problem) = self.smoothness.contradiction(self.stated) {
-            cx.warn(problem);
-        }
+        let problem = self.stated.as_ref().and_then(|(stated, points)| points.contradiction(*stated));
+        problem.into_iter().for_each(|problem| cx.warn(problem));
     }
+}
+
+/// The reference of a line, and the comparison of it with others.
+fn of_line(line: &ScanLine) -> Option<(EmissionReference, Smoothness)> {
+    let stated = line.input.emission_reference;
+    let is_outgoing = |block: &Block| block.channel == Channel::Reference;
+    let references = match stated {
+        EmissionReference::ReturnLocations => WITH_LOCATIONS,
+        _ if line.blocks()?.iter().any(is_outgoing) => WITH_OUTGOING,
+        _ => return None,
+    };
+    Some((stated, Smoothness::by(references)))
 }

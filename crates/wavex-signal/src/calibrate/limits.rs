@@ -2,7 +2,7 @@
 //! recovers from clipping.
 
 use super::response::{strongest, strongest_without};
-use super::{CalibrationError, CalibrationSettings, WeakPulses, decompose_each};
+use super::{CalibrationError, CalibrationSettings, WeakPulses, decompose_each, evenly};
 use crate::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Waveform};
 use crate::flags;
 use crate::sensor_model::{ChannelModel, ReceiverLimits};
@@ -85,11 +85,6 @@ pub fn receiver_limits<'a>(
         recovery_samples: clipped.recovers_at_once(model.noise_sd_dn).then_some(0),
         ..model.limits
     })
-}
-
-/// At most `most` blocks, evenly spaced.
-fn evenly<'a>(blocks: &[Waveform<'a>], most: usize) -> impl Iterator<Item = Waveform<'a>> {
-    blocks.iter().copied().step_by(blocks.len().div_ceil(most).max(1))
 }
 
 /// Height from which chi-square exceeds that of normal pulses, DN; `None` with too few or too low pulses.

@@ -7,8 +7,8 @@
 //! the widths.
 
 use crate::calibrate::{
-    CalibrationError, CalibrationSettings, GROUPS, Narrow, WeakPulses, Width, decompose_each, jackknife_sd,
-    quiet,
+    CalibrationError, CalibrationSettings, GROUPS, Narrow, WeakPulses, Width, decompose_each, evenly,
+    jackknife_sd, quiet,
 };
 use crate::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Return, Waveform};
 use crate::flags;
@@ -341,12 +341,6 @@ fn fwhm_sd_ns(model: &ChannelModel, singles: &[Single<'_>]) -> f64 {
     jackknife_sd(&map_parts(&groups, 1, mean_without)) * model.pulse_fwhm_ns
 }
 
-/// At most `most` echoes, evenly spaced.
-fn evenly(singles: Vec<Single<'_>>, most: usize) -> impl Iterator<Item = Single<'_>> {
-    let step = singles.len().div_ceil(most).max(1);
-    singles.into_iter().step_by(step)
-}
-
 /// Least-squares response from at most `most` echoes per height node; `None` for singular
 /// equations.
 fn better_response(
@@ -358,8 +352,10 @@ fn better_response(
     // A receiver that compresses strong echoes makes them wider: each height has its own mode of
     // the widths.
     let groups = by_height(singles, model.full_scale_dn);
-    let narrow: Vec<_> =
-        groups.iter().flat_map(|group| evenly(narrow_population(&group.singles), most)).collect();
+    let narrow: Vec<_> = groups
+        .iter()
+        .flat_map(|group| evenly(&narrow_population(&group.singles), most).collect::<Vec<_>>())
+        .collect();
     let nodes: Vec<f64> = groups.iter().map(|group| group.peak_dn).collect();
     response_of(&narrow, model, longest, &nodes)
 }

@@ -10,7 +10,7 @@
 use super::all_waveforms::measure_error;
 use super::quality::Quality;
 use super::{Calibrated, ERRORS, MIN_ECHOES, Single, chosen_evenly, singles, with_response};
-use crate::calibrate::{CalibrationError, CalibrationSettings, WeakPulses, decompose_each, quiet};
+use crate::calibrate::{CalibrationError, CalibrationSettings, WeakPulses, decompose_each, evenly, quiet};
 use crate::decompose::Waveform;
 use crate::sensor_model::{ChannelModel, ModelUncertainty, ResponseSource, SystemResponse};
 
@@ -67,8 +67,7 @@ pub fn with_outgoing_pulse<'a>(
 ) -> Result<Calibrated, CalibrationError> {
     let Some(recorded) = &outgoing.response else { return Ok(own.clone()) };
     let blocks = chosen_evenly(blocks, settings.max_blocks);
-    let step = blocks.len().div_ceil(MAX_COMPARED).max(1);
-    let compared: Vec<Waveform<'a>> = blocks.iter().copied().step_by(step).collect();
+    let compared: Vec<Waveform<'a>> = evenly(&blocks, MAX_COMPARED).collect();
     let candidate = candidate(&own.model, outgoing, recorded);
     let mut compared_own = own.model.clone();
     // The candidate has no template error yet, and thresholds depend on it.

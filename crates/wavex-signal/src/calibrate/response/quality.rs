@@ -5,6 +5,7 @@
 
 use super::even_odd::EvenOdd;
 use super::{MOST_SCORED, Single, by_height, narrow_population, response_of, with_response};
+use crate::calibrate::evenly;
 use crate::decompose::Waveform;
 use crate::decompose::acceptance::response_error::Allowance;
 use crate::parallel::map_parts;
@@ -19,6 +20,8 @@ const PERCENTILES: [f64; 2] = [0.158_655, 0.841_345];
 /// Significance threshold of a mean or a spread, in its standard deviations.
 const SIGNIFICANT: f64 = 2.0;
 
+/// Largest number of echoes whose residuals are measured.
+const MOST_RESIDUALS: usize = 4_000;
 /// Number of echoes per task of the even/odd test.
 const SCORED_PER_TASK: usize = 64;
 /// Fraction of the waveforms in which the expected contribution of the template error may exceed
@@ -72,8 +75,8 @@ impl Quality {
             fits: singles.iter().map(Fit::of).collect(),
         };
         let mut halves = Halves::of(model, singles, longest)?;
-        for single in singles {
-            quality.add_residual(single, &mut halves);
+        for single in evenly(singles, MOST_RESIDUALS) {
+            quality.add_residual(&single, &mut halves);
         }
         quality.score(singles);
         Ok(quality)
@@ -81,8 +84,7 @@ impl Quality {
 
     /// Applies the even/odd test to at most [`MOST_SCORED`] echoes.
     fn score(&mut self, singles: &[Single<'_>]) {
-        let step = singles.len().div_ceil(MOST_SCORED).max(1);
-        let scored: Vec<Single<'_>> = singles.iter().copied().step_by(step).collect();
+        let scored: Vec<Single<'_>> = evenly(singles, MOST_SCORED).collect();
         let scores = map_parts(&scored, SCORED_PER_TASK, |part| {
             let mut even_odd = self.even_odd.clone();
             let score = |single: &Single<'_>| even_odd.score(&target(&self.model, single), start(single));
