@@ -40,7 +40,8 @@ with_time_keys! {
 /// the parts of a longer line keep its number. Record lines are limited to 1 GiB.
 ///
 /// Without the key `wavex.emission_reference`, the time of emission is taken from the outgoing
-/// pulse if the first record line has a block of channel 3, otherwise from the shot's clock.
+/// pulse if the first record line has a block of channel 3, otherwise from the shot's clock. A source
+/// that the points contradict is a warning.
 ///
 /// Rejected, and counted with their blocks, are shots with: an origin or direction that is not
 /// finite, a direction that is not a unit vector (to 1e-6: 1 mm at 1 km), an infinite time, a clock

@@ -162,9 +162,9 @@ impl Instrument {
         Instrument { open_part: 0.0, tail_jitter: 0.35, shots_per_line: 100, ..large }
     }
 
-    /// The instrument with other highest echoes, and this slope of the receiver above 200 DN.
-    pub fn with_highest(self, highest_dn: f64, compression: f64) -> Instrument {
-        Instrument { highest_dn, compression, ..self }
+    /// The instrument with a stable response, other highest echoes, and this slope of the receiver above 200 DN.
+    pub fn stable(self, highest_dn: f64, compression: f64) -> Instrument {
+        Instrument { tail_jitter: 0.0, highest_dn, compression, ..self }
     }
 
     /// Lines of waveforms.

@@ -131,10 +131,10 @@ fn last_returns_are_the_ground() {
 fn flanks_of_clipped_echoes_prove_a_linear_receiver() {
     let place = tempfile::tempdir().unwrap();
     let instrument = |seed| Instrument::new(Kind::Riegl, seed);
-    let model = saved_model(instrument(1).with_highest(190.0, 1.0), place.path());
+    let model = saved_model(instrument(1).stable(190.0, 1.0), place.path());
     assert!(!model.low_power.as_ref().unwrap().limits.is_linear);
     let is_said = |highest_dn: f64, compression: f64| {
-        let recording = instrument(2).with_highest(highest_dn, compression).record();
+        let recording = instrument(2).stable(highest_dn, compression).record();
         let stages = summary(&Case { model: Some(model.clone()), recording }, place.path()).stages;
         stages
             .iter()
