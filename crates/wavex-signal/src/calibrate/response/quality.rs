@@ -20,6 +20,8 @@ const PERCENTILES: [f64; 2] = [0.158_655, 0.841_345];
 /// Significance threshold of a mean or a spread, in its standard deviations.
 const SIGNIFICANT: f64 = 2.0;
 
+/// Largest number of echoes per height node and half: half of those of the response itself.
+const MOST_OF_HALF: usize = 1_000;
 /// Largest number of echoes whose residuals are measured.
 const MOST_RESIDUALS: usize = 4_000;
 /// Number of echoes per task of the even/odd test.
@@ -185,7 +187,7 @@ struct Halves {
     /// Fits with the response of the first and of the second half.
     fitters: [(PulseFit, Shape); 2],
     whitener: Whitener,
-    /// Half to which each single echo contributed.
+    /// Half to which each single echo belongs.
     half_of: Vec<Option<usize>>,
 }
 
@@ -199,13 +201,15 @@ impl Halves {
         let is_own = model.provenance.response == ResponseSource::Echoes;
         let Some(response) = model.response.as_ref().filter(|_| is_own) else { return Ok(None) };
         let nodes: Vec<f64> = response.nodes.iter().map(|node| node.peak_dn).collect();
-        let groups = by_height(singles, model.full_scale_dn);
-        let narrow = groups.iter().flat_map(|group| narrow_population(&group.singles));
         let mut halves = [Vec::new(), Vec::new()];
         let mut half_of = vec![None; singles.len()];
-        for (i, single) in narrow.enumerate() {
-            half_of[single.index] = Some(i % 2);
-            halves[i % 2].push(single);
+        for group in by_height(singles, model.full_scale_dn) {
+            let narrow = narrow_population(&group.singles);
+            narrow.iter().enumerate().for_each(|(i, single)| half_of[single.index] = Some(i % 2));
+            for (k, half) in halves.iter_mut().enumerate() {
+                let of_half: Vec<_> = narrow.iter().skip(k).step_by(2).copied().collect();
+                half.extend(evenly(&of_half, MOST_OF_HALF));
+            }
         }
         let [first, second] = halves.each_ref().map(|half| -> Result<Option<_>, ModelError> {
             let Some(response) = response_of(half, model, longest, &nodes)? else { return Ok(None) };
