@@ -39,8 +39,9 @@ const BESIDE: f64 = 0.3;
 const LEAST_NOISE_DN: f64 = 0.3;
 /// Second difference of independent values over their SD.
 const SECOND_DIFFERENCE: f64 = 2.449_489_742_783_178;
-/// Largest distance of second differences from whole samples; their neighbours are up to twice as far.
-const NEAR_SAMPLE: f64 = 0.2;
+/// Largest distance of second differences from whole samples: their SD within these limits. Their
+/// neighbours are up to twice as far.
+const NEAR_SAMPLE: [f64; 2] = [0.2, 0.3];
 /// Significance of an excess of second differences of whole samples, standard deviations of the count.
 const EXCESS_SD: f64 = 3.0;
 /// Standard deviation of a normal distribution over the lower quartile of absolute values.
@@ -282,7 +283,9 @@ impl Smoothness {
         let within = |least: f64, most: f64| {
             sizes.clone().filter(|from| (least..most).contains(&from.abs())).count() as f64
         };
-        let (at, beside) = (within(0.0, NEAR_SAMPLE), within(NEAR_SAMPLE, 2.0 * NEAR_SAMPLE));
+        let sd_ns = sd_of_lower_quartile(self.points_ns.iter().map(|of| of[reference]));
+        let near = (sd_ns / self.interval_ns).clamp(NEAR_SAMPLE[0], NEAR_SAMPLE[1]);
+        let (at, beside) = (within(0.0, near), within(near, 2.0 * near));
         let is_excess = at > beside + EXCESS_SD * (beside + 1.0).sqrt();
         if is_excess { at / self.points_ns.len() as f64 } else { 0.0 }
     }

@@ -3,7 +3,9 @@
 //! Recordings of three simulated instruments are run with sensor models or samples that were changed.
 //! A change is noticed if a warning of the run names its area. With the right model no such warning
 //! may appear. `cargo test --test sabotage -- --nocapture` runs one recording of the first instrument
-//! and prints the table; `WAVEX_SABOTAGE=100` runs a hundred of each (`just sabotage`).
+//! and prints the table; `WAVEX_SABOTAGE=100` runs a hundred of each (`just sabotage`), and
+//! `WAVEX_SABOTAGE_INSTRUMENT=Riegl` only instruments whose name starts so;
+//! `WAVEX_SABOTAGE_CHANGE=none` only changes whose name contains this.
 //! docs/explanation/sabotage.md has the results.
 #![allow(
     clippy::expect_used,
@@ -65,8 +67,12 @@ fn recording_cases(kind: Kind, seed: u64, changes: &[Change]) -> Vec<(usize, boo
 #[test]
 fn sabotage_is_noticed() {
     let asked: Option<u64> = std::env::var("WAVEX_SABOTAGE").ok().map(|text| text.parse().unwrap());
+    let of_kind = std::env::var("WAVEX_SABOTAGE_INSTRUMENT").unwrap_or_default();
     let kinds = if asked.is_some() { &Kind::ALL[..] } else { &Kind::ALL[..1] };
-    let changes = changes();
+    let kinds: Vec<Kind> =
+        kinds.iter().filter(|kind| format!("{kind:?}").starts_with(&of_kind)).copied().collect();
+    let name = std::env::var("WAVEX_SABOTAGE_CHANGE").unwrap_or_default();
+    let changes: Vec<Change> = changes().into_iter().filter(|change| change.name.contains(&name)).collect();
     let tasks: Vec<(Kind, u64)> =
         (1..=asked.unwrap_or(1)).flat_map(|seed| kinds.iter().map(move |kind| (*kind, seed))).collect();
     let (next, rows) = (AtomicUsize::new(0), Mutex::new(vec![Row::default(); changes.len()]));

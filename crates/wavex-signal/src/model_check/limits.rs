@@ -28,7 +28,7 @@ const MIN_FITS: usize = 25;
 /// Smallest and largest increase of chi-square from weak to strong echoes over the expected one …
 const EXCESS_RATIOS: [f64; 2] = [0.35, 2.8];
 /// … and a difference of chi-square per degree of freedom that does not matter.
-const EXCESS_MARGIN: f64 = 0.05;
+const EXCESS_MARGIN: f64 = 0.03;
 /// Smallest fraction of waveforms with an echo.
 const WITH_ECHO: f64 = 0.01;
 
@@ -120,7 +120,7 @@ fn shape(statistics: &Statistics, model: &ChannelModel) -> Option<Finding> {
     let response = model.response.as_ref()?;
     let limit = |(lag, residual): &(i32, Location)| {
         let stated = response.template_error_at(f64::from(*lag)).max(response.shape_sd);
-        SHAPE.max(SHAPE_ERRORS * stated) + SIGNIFICANT * residual.median_sd()
+        SHAPE.max(statistics.least_residual).max(SHAPE_ERRORS * stated) + SIGNIFICANT * residual.median_sd()
     };
     let over = |of: &(i32, Location)| of.1.median.abs() / limit(of);
     let worst = statistics.residual.iter().max_by(|a, b| over(a).total_cmp(&over(b)))?;

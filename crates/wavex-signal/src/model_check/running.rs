@@ -9,8 +9,8 @@ use crate::sensor_model::{Background, ChannelModel};
 const WINDOW: usize = 12;
 /// Largest number of blocks that are kept.
 const MAX_KEPT: usize = 4096;
-/// Number of consecutive parts of a recording.
-const PARTS: usize = 8;
+/// Numbers of consecutive parts of a recording: fewer show smaller changes of few blocks.
+const PARTS: [usize; 3] = [8, 4, 2];
 /// Fewest blocks of a part.
 const MIN_PER_PART: usize = 25;
 /// Smallest ratio of the noise of two parts that is a change …
@@ -66,47 +66,49 @@ impl Running {
     /// Compares the parts of the recording with each other, and its highest samples with the model.
     pub fn findings(&self, model: &ChannelModel) -> Vec<Finding> {
         let mut findings: Vec<Finding> = self.highest.finding(model).into_iter().collect();
-        let per_part = self.kept.len() / PARTS;
-        if per_part < MIN_PER_PART {
-            return findings;
+        let drifts: Vec<Finding> = PARTS.iter().flat_map(|&parts| self.drifts(parts, model)).collect();
+        for area in [Area::BackgroundDrift, Area::NoiseDrift] {
+            findings.extend(drifts.iter().find(|finding| finding.area == area).cloned());
         }
-        let parts = |quantity: usize| -> Vec<Location> {
+        findings
+    }
+
+    /// Compares this number of parts of the recording.
+    fn drifts(&self, parts: usize, model: &ChannelModel) -> Vec<Finding> {
+        let per_part = self.kept.len() / parts;
+        if per_part < MIN_PER_PART {
+            return Vec::new();
+        }
+        let of_quantity = |quantity: usize| -> Vec<Location> {
             let of_part = |part: &[[f32; 2]]| {
                 Location::of(&mut part.iter().map(|kept| f64::from(kept[quantity])).collect::<Vec<_>>())
             };
-            self.kept.chunks_exact(per_part).take(PARTS).map(of_part).collect()
+            self.kept.chunks_exact(per_part).take(parts).map(of_part).collect()
         };
         let level_sd_dn = match model.background {
             Background::Fixed => model.noise_sd_dn,
             Background::PerWaveform => model.noise_sd_dn.hypot(model.background_sd_dn),
         };
-        let (low, high) = extremes(&parts(0));
-        findings.extend(
-            Finding {
-                area: Area::BackgroundDrift,
-                measured: high.median - low.median,
-                expected: 0.0,
-                accepted: [
-                    f64::NEG_INFINITY,
-                    BACKGROUND_SD * level_sd_dn + SIGNIFICANT * low.median_sd().hypot(high.median_sd()),
-                ],
-                unit: "DN",
-            }
-            .unless_accepted(),
-        );
-        let (low, high) = extremes(&parts(1));
+        let (low, high) = extremes(&of_quantity(0));
+        let background_limit_dn =
+            BACKGROUND_SD * level_sd_dn + SIGNIFICANT * low.median_sd().hypot(high.median_sd());
+        let background = Finding {
+            area: Area::BackgroundDrift,
+            measured: high.median - low.median,
+            expected: 0.0,
+            accepted: [f64::NEG_INFINITY, background_limit_dn],
+            unit: "DN",
+        };
+        let (low, high) = extremes(&of_quantity(1));
         let relative_sd = (low.median_sd() / low.median).hypot(high.median_sd() / high.median);
-        findings.extend(
-            Finding {
-                area: Area::NoiseDrift,
-                measured: high.median / low.median.max(f64::MIN_POSITIVE),
-                expected: 1.0,
-                accepted: [f64::NEG_INFINITY, NOISE_RATIO * (1.0 + SIGNIFICANT * relative_sd)],
-                unit: "",
-            }
-            .unless_accepted(),
-        );
-        findings
+        let noise = Finding {
+            area: Area::NoiseDrift,
+            measured: high.median / low.median.max(f64::MIN_POSITIVE),
+            expected: 1.0,
+            accepted: [f64::NEG_INFINITY, NOISE_RATIO * (1.0 + SIGNIFICANT * relative_sd)],
+            unit: "",
+        };
+        [background, noise].into_iter().filter_map(Finding::unless_accepted).collect()
     }
 }
 

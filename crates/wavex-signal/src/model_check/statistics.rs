@@ -21,6 +21,8 @@ const MIN_QUIET: u64 = 1000;
 const CLEAR_SD: f64 = 20.0;
 /// Largest height of other returns of a clear single echo, relative to it …
 const MINOR_PART: f64 = 0.12;
+/// … that of echoes whose residual shows the shape, if too few are clear: a wrong tail becomes returns …
+const TAIL_PART: f64 = 0.3;
 /// … and their smallest distance after it, widths.
 const APART_WIDTHS: f64 = 1.5;
 /// Fewest clear single echoes.
@@ -117,6 +119,8 @@ pub(super) struct Statistics {
     pub(super) ln_width: Option<Location>,
     /// Residual of narrow single echoes over their height, by lag in samples.
     pub(super) residual: Vec<(i32, Location)>,
+    /// Residual that other targets do not cause, relative to the height.
+    pub(super) least_residual: f64,
     /// Fits of the weak and of the strong third of the narrow single echoes.
     pub(super) fits: [Fits; 2],
 }
@@ -141,7 +145,8 @@ impl Statistics {
         };
         let shape = Shape::of(&free)?;
         let mut stretches = Vec::new();
-        let (mut offsets, mut singles, mut with_echo) = (Vec::new(), Vec::new(), 0);
+        let (mut offsets, mut singles, mut with_tail, mut with_echo) =
+            (Vec::new(), Vec::new(), Vec::new(), 0);
         decompose(blocks, &free, &settings, |index, outcome| {
             with_echo += usize::from(outcome.counts.n_candidates > 0);
             if outcome.saturated {
@@ -152,19 +157,22 @@ impl Statistics {
                 residual(&free, &shape, blocks[index], outcome.returns, outcome.background_offset_dn);
             add_quiet(&mut stretches, &residual_dn, QUIET_SD * differences_dn);
             let clear = CLEAR_SD * free.noise_sd_dn.max(differences_dn)..OVERDRIVEN_PART * free.full_scale_dn;
-            if let Some(found) = single(outcome, free.fwhm_samples())
-                && clear.contains(&found.amplitude_dn)
-            {
-                let offset_dn = outcome.background_offset_dn;
-                singles.push(Single { block: index, found: *found, offset_dn });
+            for (minor_part, of_part) in [(MINOR_PART, &mut singles), (TAIL_PART, &mut with_tail)] {
+                if let Some(found) = single(outcome, minor_part, free.fwhm_samples())
+                    && clear.contains(&found.amplitude_dn)
+                {
+                    let offset_dn = outcome.background_offset_dn;
+                    of_part.push(Single { block: index, found: *found, offset_dn });
+                }
             }
         })?;
         let ln_width = mode_of_widths(&singles);
-        let narrow = |single: &&Single| {
-            let mode = ln_width.map_or(0.0, |mode| mode.median);
-            (single.found.width_ratio.ln() - mode).abs() <= NARROW
-        };
-        let narrow: Vec<&Single> = singles.iter().filter(narrow).collect();
+        let mode = ln_width.map_or(0.0, |mode| mode.median);
+        let is_narrow = |single: &&Single| (single.found.width_ratio.ln() - mode).abs() <= NARROW;
+        let narrow: Vec<&Single> = singles.iter().filter(is_narrow).collect();
+        let (of_shape, least_residual) =
+            if singles.len() < MIN_SINGLES { (&with_tail, 0.5 * MINOR_PART) } else { (&singles, 0.0) };
+        let of_shape: Vec<&Single> = of_shape.iter().filter(is_narrow).collect();
         Ok(Statistics {
             waveforms: blocks.len(),
             differences_dn,
@@ -172,7 +180,8 @@ impl Statistics {
             offset_dn: Location::of(&mut offsets),
             with_echo,
             ln_width,
-            residual: residual_by_lag(&free, &shape, blocks, &narrow),
+            residual: residual_by_lag(&free, &shape, blocks, &of_shape),
+            least_residual,
             fits: fits(blocks, &narrow, model)?,
         })
     }
@@ -256,12 +265,12 @@ fn quiet(stretches: Vec<Vec<f64>>) -> Option<Quiet> {
     is_enough.then(|| Quiet { autocovariance, samples: statistics.samples() })
 }
 
-/// The strongest return, if it is complete and others are minor and well after it.
-fn single<'a>(outcome: &Decomposition<'a>, fwhm_samples: f64) -> Option<&'a Return> {
+/// The strongest return, if it is complete, and others are at most this part of it and well after it.
+fn single<'a>(outcome: &Decomposition<'a>, minor_part: f64, fwhm_samples: f64) -> Option<&'a Return> {
     let strongest = outcome.returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn))?;
     let is_minor = |other: &Return| {
         std::ptr::eq(other, strongest)
-            || (other.amplitude_dn <= MINOR_PART * strongest.amplitude_dn
+            || (other.amplitude_dn <= minor_part * strongest.amplitude_dn
                 && other.position_samples - strongest.position_samples > APART_WIDTHS * fwhm_samples)
     };
     let bad = flags::SATURATED | flags::TRUNCATED | flags::DIVERGED;

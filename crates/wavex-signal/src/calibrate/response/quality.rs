@@ -24,6 +24,8 @@ const SIGNIFICANT: f64 = 2.0;
 const MOST_OF_HALF: usize = 1_000;
 /// Largest number of echoes whose residuals are measured.
 const MOST_RESIDUALS: usize = 4_000;
+/// Fewest echoes for an error at a sample.
+const LEAST_AT_A_LAG: u64 = 20;
 /// Number of echoes per task of the even/odd test.
 const SCORED_PER_TASK: usize = 64;
 /// Fraction of the waveforms in which the expected contribution of the template error may exceed
@@ -40,10 +42,44 @@ pub(super) struct Quality {
     even_odd: EvenOdd,
     /// Difference of the positions from even and odd samples, over its expected standard deviation.
     scores: Vec<f64>,
-    /// Excess of the squared residual over the noise, relative to the squared height, by sample
-    /// since the start of the response: number, sum, sum of squares.
-    excess: Vec<[f64; 3]>,
+    /// Excess of the squared residual over the noise, by sample since the start of the response.
+    excess: Vec<Excess>,
     fits: Vec<Fit>,
+}
+
+/// Sums over echoes of the excess `x`, DN², and the squared height `h²`.
+#[derive(Clone, Default)]
+struct Excess {
+    count: u64,
+    x: f64,
+    h2: f64,
+    x_x: f64,
+    x_h2: f64,
+    h2_h2: f64,
+}
+
+impl Excess {
+    fn add(&mut self, x: f64, h2: f64) {
+        self.count += 1;
+        self.x += x;
+        self.h2 += h2;
+        self.x_x += x * x;
+        self.x_h2 += x * h2;
+        self.h2_h2 += h2 * h2;
+    }
+
+    /// Error relative to the height; 0 if not significant.
+    ///
+    /// Echoes have the weight of their energy: in the excess of weak ones is nothing but noise.
+    fn error(&self) -> f64 {
+        if self.count < LEAST_AT_A_LAG {
+            return 0.0;
+        }
+        let mean = self.x / self.h2;
+        let squares = self.x_x - 2.0 * mean * self.x_h2 + mean * mean * self.h2_h2;
+        let sd = squares.max(0.0).sqrt() / self.h2;
+        (mean - SIGNIFICANT * sd).max(0.0).sqrt()
+    }
 }
 
 /// Fit of an echo.
@@ -73,7 +109,7 @@ impl Quality {
             even_odd: EvenOdd::of_shape(shape.clone(), model, longest)?,
             shape,
             scores: Vec::new(),
-            excess: vec![[0.0; 3]; samples],
+            excess: vec![Excess::default(); samples],
             fits: singles.iter().map(Fit::of).collect(),
         };
         let mut halves = Halves::of(model, singles, longest)?;
@@ -127,27 +163,16 @@ impl Quality {
         for (k, r) in residual_dn.iter().enumerate() {
             let lag = (k as f64 - pulse.position_samples).round() - f64::from(first);
             if lag >= 0.0
-                && let Some([count, sum, squares]) = self.excess.get_mut(lag as usize)
+                && let Some(excess) = self.excess.get_mut(lag as usize)
             {
-                let value = (r * r - noise) / pulse.height_dn.powi(2);
-                *count += 1.0;
-                *sum += value;
-                *squares += value * value;
+                excess.add(r * r - noise, pulse.height_dn.powi(2));
             }
         }
     }
 
     /// Template error by time; 0 if not significant.
     pub(super) fn template_error(&self) -> Vec<f64> {
-        let error = |[count, sum, squares]: &[f64; 3]| {
-            if *count < 20.0 {
-                return 0.0;
-            }
-            let mean = sum / count;
-            let sd = ((squares / count - mean * mean) / count).max(0.0).sqrt();
-            (mean - SIGNIFICANT * sd).max(0.0).sqrt()
-        };
-        self.excess.iter().map(error).collect()
+        self.excess.iter().map(Excess::error).collect()
     }
 
     /// Spread of the scores and its standard deviation; 1 if not significant.
