@@ -56,6 +56,8 @@ pub(super) struct Smoothness {
     /// Second differences of points along the beam and of ranges, ns, by reference.
     points_ns: Vec<[f64; REFERENCES]>,
     ranges_ns: Vec<[f64; REFERENCES]>,
+    /// Height of the lowest echo of each triple, DN.
+    lowest_dn: Vec<u16>,
     /// Peaks of outgoing pulses after the clock, ns.
     outgoing_ns: Vec<f64>,
     /// Emission times of all shots with an outgoing pulse, by reference, ns.
@@ -67,6 +69,8 @@ pub(super) struct Smoothness {
 #[derive(Clone, Copy)]
 struct SingleEcho {
     echo_ns: f64,
+    /// Highest less lowest sample, DN.
+    height_dn: u16,
     /// Emission time, by reference.
     emission_ns: [f64; REFERENCES],
     outgoing_ns: Option<f64>,
@@ -123,6 +127,7 @@ impl Smoothness {
             references,
             shots: 0,
             points_ns: Vec::new(),
+            lowest_dn: Vec::new(),
             ranges_ns: Vec::new(),
             outgoing_ns: Vec::new(),
             emissions_ns: Vec::new(),
@@ -183,6 +188,7 @@ impl Smoothness {
                 points_ns[i] = along_beam_ns([a, b, c], flight_ns, metres_per_ns);
             }
             self.points_ns.push(points_ns);
+            self.lowest_dn.push(x.height_dn.min(y.height_dn).min(z.height_dn));
             self.ranges_ns.push(ranges_ns);
         }
     }
@@ -278,16 +284,22 @@ impl Smoothness {
 
     /// Part of the second differences that are about this many samples, if they are significantly more than
     /// those a little below and above; else 0.
+    ///
+    /// Of the half with the higher echoes: peaks of low ones are not exact to a fraction of a sample.
     fn part_at(&self, samples: f64, reference: usize) -> f64 {
-        let sizes = self.points_ns.iter().map(|of| (of[reference] / self.interval_ns).abs() - samples);
+        let least_dn = median(self.lowest_dn.iter().map(|dn| f64::from(*dn)));
+        let of_height = self.points_ns.iter().zip(&self.lowest_dn);
+        let high = of_height.filter(|(_, dn)| f64::from(**dn) >= least_dn).map(|(of, _)| of[reference]);
+        let high_ns: Vec<f64> = high.collect();
+        let sizes = high_ns.iter().map(|ns| (ns / self.interval_ns).abs() - samples);
         let within = |least: f64, most: f64| {
             sizes.clone().filter(|from| (least..most).contains(&from.abs())).count() as f64
         };
-        let sd_ns = sd_of_lower_quartile(self.points_ns.iter().map(|of| of[reference]));
+        let sd_ns = sd_of_lower_quartile(high_ns.iter().copied());
         let near = (sd_ns / self.interval_ns).clamp(NEAR_SAMPLE[0], NEAR_SAMPLE[1]);
         let (at, beside) = (within(0.0, near), within(near, 2.0 * near));
         let is_excess = at > beside + EXCESS_SD * (beside + 1.0).sqrt();
-        if is_excess { at / self.points_ns.len() as f64 } else { 0.0 }
+        if is_excess { at / high_ns.len() as f64 } else { 0.0 }
     }
 
     /// SD of emission times for a choice between references, ns.
@@ -388,7 +400,9 @@ fn single_echo(
 ) -> Option<SingleEcho> {
     let mut echoes = of_shot.iter().filter(|block| block.channel.is_echo());
     let (Some(block), None) = (echoes.next(), echoes.next()) else { return None };
-    let echo_ns = block.time_ns(single_peak(blocks.samples(block), true)?);
+    let samples = blocks.samples(block);
+    let echo_ns = block.time_ns(single_peak(samples, true)?);
+    let height_dn = samples.iter().max()? - samples.iter().min()?;
     let outgoing = Outgoing::of(blocks, of_shot);
     let location_ns = match blocks.online_of(index) {
         [online] => Some(online.time_ns),
@@ -402,7 +416,12 @@ fn single_echo(
             _ => outgoing.as_ref()?.emission_ns(*reference)?,
         };
     }
-    Some(SingleEcho { echo_ns, emission_ns, outgoing_ns: outgoing.map(|outgoing| outgoing.peak_ns) })
+    Some(SingleEcho {
+        echo_ns,
+        height_dn,
+        emission_ns,
+        outgoing_ns: outgoing.map(|outgoing| outgoing.peak_ns),
+    })
 }
 
 /// Peak of the outgoing pulse of a shot.
