@@ -39,9 +39,11 @@ const BESIDE: f64 = 0.3;
 const LEAST_NOISE_DN: f64 = 0.3;
 /// Second difference of independent values over their SD.
 const SECOND_DIFFERENCE: f64 = 2.449_489_742_783_178;
-/// Largest distance of second differences from whole samples: their SD within these limits. Their
-/// neighbours are up to twice as far.
-const NEAR_SAMPLE: [f64; 2] = [0.2, 0.3];
+/// Distance from a whole number of samples within which second differences count as that number; others up
+/// to twice as far are their neighbours …
+const NEAR_SAMPLE: f64 = 0.2;
+/// … and its largest value for displaced shots, where it is the SD of the second differences.
+const MOST_NEAR_SAMPLE: f64 = 0.3;
 /// Significance of an excess of second differences of whole samples, standard deviations of the count.
 const EXCESS_SD: f64 = 3.0;
 /// Standard deviation of a normal distribution over the lower quartile of absolute values.
@@ -279,27 +281,21 @@ impl Smoothness {
         let halves_ns = [first, second].map(|half| sd_of_lower_quartile(half.iter().map(|of| of[clock])));
         let sd_ns = halves_ns.into_iter().fold(0.0, f64::max) / SECOND_DIFFERENCE;
         let is_proof = self.points_ns.len() >= LEAST_TRIPLES && sd_ns < self.interval_ns / 12f64.sqrt();
-        (is_proof && self.part_at(1.0, clock) == 0.0).then_some(sd_ns)
+        let of_clock: Vec<f64> = self.points_ns.iter().map(|of| of[clock] / self.interval_ns).collect();
+        (is_proof && part_at(&of_clock, 1.0, NEAR_SAMPLE) == 0.0).then_some(sd_ns)
     }
 
-    /// Part of the second differences that are about this many samples, if they are significantly more than
-    /// those a little below and above; else 0.
+    /// Part of the second differences that are two samples, if they are significantly more than others.
     ///
-    /// Of the half with the higher echoes: peaks of low ones are not exact to a fraction of a sample.
-    fn part_at(&self, samples: f64, reference: usize) -> f64 {
+    /// Uses the triples whose lowest echo is at least of median height: peak positions of weak echoes are
+    /// too uncertain.
+    fn displaced_part(&self, reference: usize) -> f64 {
         let least_dn = median(self.lowest_dn.iter().map(|dn| f64::from(*dn)));
         let of_height = self.points_ns.iter().zip(&self.lowest_dn);
-        let high = of_height.filter(|(_, dn)| f64::from(**dn) >= least_dn).map(|(of, _)| of[reference]);
-        let high_ns: Vec<f64> = high.collect();
-        let sizes = high_ns.iter().map(|ns| (ns / self.interval_ns).abs() - samples);
-        let within = |least: f64, most: f64| {
-            sizes.clone().filter(|from| (least..most).contains(&from.abs())).count() as f64
-        };
-        let sd_ns = sd_of_lower_quartile(high_ns.iter().copied());
-        let near = (sd_ns / self.interval_ns).clamp(NEAR_SAMPLE[0], NEAR_SAMPLE[1]);
-        let (at, beside) = (within(0.0, near), within(near, 2.0 * near));
-        let is_excess = at > beside + EXCESS_SD * (beside + 1.0).sqrt();
-        if is_excess { at / high_ns.len() as f64 } else { 0.0 }
+        let high = of_height.filter(|(_, dn)| f64::from(**dn) >= least_dn);
+        let of_high: Vec<f64> = high.map(|(of, _)| of[reference] / self.interval_ns).collect();
+        let sd = sd_of_lower_quartile(of_high.iter().copied());
+        part_at(&of_high, 2.0, sd.clamp(NEAR_SAMPLE, MOST_NEAR_SAMPLE))
     }
 
     /// SD of emission times for a choice between references, ns.
@@ -491,6 +487,18 @@ fn is_above_noise(height_dn: f64, signal: &[f64]) -> bool {
     let is_small = |of: &[f64; 3]| (of[0] - 2.0 * of[1] + of[2]).abs() <= largest_dn;
     let small = signal.array_windows().filter(|of| is_small(of)).count();
     height_dn >= LEAST_SNR * LEAST_NOISE_DN && 2 * small > signal.len().saturating_sub(2)
+}
+
+/// Part of the second differences, in samples, that are `near` this number, if they are significantly more
+/// than those a little below and above; else 0.
+fn part_at(differences: &[f64], samples: f64, near: f64) -> f64 {
+    let within = |least: f64, most: f64| {
+        let is_within = |of: &&f64| (least..most).contains(&(of.abs() - samples).abs());
+        differences.iter().filter(is_within).count() as f64
+    };
+    let (at, beside) = (within(0.0, near), within(near, 2.0 * near));
+    let is_excess = at > beside + EXCESS_SD * (beside + 1.0).sqrt();
+    if is_excess { at / differences.len() as f64 } else { 0.0 }
 }
 
 /// SD of a normal distribution whose absolute values have the lower quartile of these; NaN without values.

@@ -4,8 +4,8 @@
 //! A change is noticed if a warning of the run names its area. With the right model no such warning
 //! may appear. `cargo test --test sabotage -- --nocapture` runs one recording of the first instrument
 //! and prints the table; `WAVEX_SABOTAGE=100` runs a hundred of each (`just sabotage`), and
-//! `WAVEX_SABOTAGE_INSTRUMENT=Riegl` only instruments whose name starts so;
-//! `WAVEX_SABOTAGE_CHANGE=none` only changes whose name contains this.
+//! `WAVEX_SABOTAGE_INSTRUMENT=Riegl` selects instruments by the start of their name,
+//! `WAVEX_SABOTAGE_CHANGE=none` changes by a part of theirs.
 //! docs/explanation/sabotage.md has the results.
 #![allow(
     clippy::expect_used,
@@ -75,6 +75,7 @@ fn sabotage_is_noticed() {
     let changes: Vec<Change> = changes().into_iter().filter(|change| change.name.contains(&name)).collect();
     let tasks: Vec<(Kind, u64)> =
         (1..=asked.unwrap_or(1)).flat_map(|seed| kinds.iter().map(move |kind| (*kind, seed))).collect();
+    assert!(!tasks.is_empty() && !changes.is_empty(), "no case has these names");
     let (next, rows) = (AtomicUsize::new(0), Mutex::new(vec![Row::default(); changes.len()]));
     let work = || {
         while let Some(&(kind, seed)) = tasks.get(next.fetch_add(1, Ordering::Relaxed)) {

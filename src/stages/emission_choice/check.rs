@@ -7,8 +7,8 @@ use crate::stage::Context;
 /// A reference is contradicted if another leaves less than this part of its second differences. Peaks
 /// of outgoing pulses are estimated more coarsely here than by the fit, so this is less than for a choice.
 const CONTRADICTS: f64 = 0.5;
-/// Smallest part of the second differences that are two samples, for a warning. A displaced shot has such
-/// a one, which a step of the ground has not.
+/// Smallest part of the second differences that are two samples, for a warning. A displaced shot causes a
+/// second difference of two samples; a step of the ground does not.
 const DISPLACED_PART: f64 = 0.02;
 /// Largest number of shots that are checked along a recording.
 const MOST_CHECKED_SHOTS: usize = 20_000;
@@ -41,7 +41,7 @@ impl Smoothness {
             ));
         }
         // The standard deviation of a clock without proof is that of one sample already.
-        let is_displaced = self.part_at(2.0, index) >= DISPLACED_PART;
+        let is_displaced = self.displaced_part(index) >= DISPLACED_PART;
         (reference != EmissionReference::Clock && is_displaced).then(|| {
             format!(
                 "the points of some shots are one sample from those of their neighbours: emission times or \

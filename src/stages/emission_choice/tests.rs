@@ -324,3 +324,35 @@ fn waveforms_displaced_by_a_sample_are_a_warning() {
     assert!(!is_said(|shot| shot % 100 == 0), "too few");
     assert!(!is_said(|shot| shot / 10 % 2 == 0), "steps of the ground");
 }
+
+/// Second differences and heights of the lowest echoes.
+fn differences(of: impl Fn(usize) -> (f64, u16)) -> Smoothness {
+    let mut points = Smoothness { interval_ns: 1.0, ..Smoothness::by(WITHOUT) };
+    for (ns, dn) in (0..1000).map(of) {
+        points.points_ns.push([ns; REFERENCES]);
+        points.lowest_dn.push(dn);
+    }
+    points
+}
+
+#[test]
+fn displaced_shots_are_counted_among_the_higher_echoes() {
+    let part = |usual: f64, displaced: f64| {
+        let points = differences(|i| match (i % 2, i % 40) {
+            (1, _) => (1.61 + 0.18 * random(i), 20),
+            (_, 0) => (displaced, 200),
+            _ => (usual, 200),
+        });
+        points.displaced_part(0)
+    };
+    assert_eq!(part(0.01, 2.0), 0.05, "low echoes are as near as 1.6 to 1.8 samples");
+    assert_eq!(part(0.1, 2.25), 0.05, "the limit follows the SD");
+    assert_eq!(part(0.01, 2.25), 0.0);
+}
+
+#[test]
+fn jumps_of_the_clock_show_among_rough_points() {
+    let of = |i: usize| if i % 25 < 2 { 1.0 } else { 0.9 * random(i) - 0.45 };
+    let jumps: Vec<f64> = (0..1000).map(of).collect();
+    assert_eq!(part_at(&jumps, 1.0, NEAR_SAMPLE), 0.08);
+}

@@ -120,7 +120,11 @@ fn shape(statistics: &Statistics, model: &ChannelModel) -> Option<Finding> {
     let response = model.response.as_ref()?;
     let limit = |(lag, residual): &(i32, Location)| {
         let stated = response.template_error_at(f64::from(*lag)).max(response.shape_sd);
-        SHAPE.max(statistics.least_residual).max(SHAPE_ERRORS * stated) + SIGNIFICANT * residual.median_sd()
+        // Tails are a constant part of the height; other targets are not.
+        let is_clear = statistics.least_residual == 0.0;
+        let spread = if is_clear { 0.0 } else { 2.0 * residual.sd };
+        SHAPE.max(statistics.least_residual).max(SHAPE_ERRORS * stated).max(spread)
+            + SIGNIFICANT * residual.median_sd()
     };
     let over = |of: &(i32, Location)| of.1.median.abs() / limit(of);
     let worst = statistics.residual.iter().max_by(|a, b| over(a).total_cmp(&over(b)))?;

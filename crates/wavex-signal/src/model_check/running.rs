@@ -9,7 +9,7 @@ use crate::sensor_model::{Background, ChannelModel};
 const WINDOW: usize = 12;
 /// Largest number of blocks that are kept.
 const MAX_KEPT: usize = 4096;
-/// Numbers of consecutive parts of a recording: fewer show smaller changes of few blocks.
+/// Numbers of parts into which a recording is split: longer parts resolve smaller changes.
 const PARTS: [usize; 3] = [8, 4, 2];
 /// Fewest blocks of a part.
 const MIN_PER_PART: usize = 25;

@@ -21,10 +21,14 @@ const MIN_QUIET: u64 = 1000;
 const CLEAR_SD: f64 = 20.0;
 /// Largest height of other returns of a clear single echo, relative to it …
 const MINOR_PART: f64 = 0.12;
-/// … that of echoes whose residual shows the shape, if too few are clear: a wrong tail becomes returns …
-const TAIL_PART: f64 = 0.3;
 /// … and their smallest distance after it, widths.
 const APART_WIDTHS: f64 = 1.5;
+/// Largest relative height of other returns of an echo that shows the shape, if clear single echoes are
+/// too few: a wrong tail is fitted as such returns …
+const TAIL_PART: f64 = 0.3;
+/// … and the smallest residual that then counts, half of `MINOR_PART`: a wrong tail that hides single echoes
+/// is higher.
+const TAIL_RESIDUAL: f64 = 0.06;
 /// Fewest clear single echoes.
 const MIN_SINGLES: usize = 50;
 /// Largest distance of the width of narrow echoes from the mode, logarithm.
@@ -119,7 +123,7 @@ pub(super) struct Statistics {
     pub(super) ln_width: Option<Location>,
     /// Residual of narrow single echoes over their height, by lag in samples.
     pub(super) residual: Vec<(i32, Location)>,
-    /// Residual that other targets do not cause, relative to the height.
+    /// Smallest relative residual that counts as a shape error.
     pub(super) least_residual: f64,
     /// Fits of the weak and of the strong third of the narrow single echoes.
     pub(super) fits: [Fits; 2],
@@ -171,7 +175,7 @@ impl Statistics {
         let is_narrow = |single: &&Single| (single.found.width_ratio.ln() - mode).abs() <= NARROW;
         let narrow: Vec<&Single> = singles.iter().filter(is_narrow).collect();
         let (of_shape, least_residual) =
-            if singles.len() < MIN_SINGLES { (&with_tail, 0.5 * MINOR_PART) } else { (&singles, 0.0) };
+            if narrow.len() < MIN_SINGLES { (&with_tail, TAIL_RESIDUAL) } else { (&singles, 0.0) };
         let of_shape: Vec<&Single> = of_shape.iter().filter(is_narrow).collect();
         Ok(Statistics {
             waveforms: blocks.len(),

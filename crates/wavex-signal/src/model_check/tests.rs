@@ -175,10 +175,15 @@ fn dead_and_offset_blocks_are_silent() {
 
 /// Areas of the findings along a recording whose later half is changed.
 fn drift(change: impl Fn(f64) -> f64) -> Vec<Area> {
+    drift_from(600, 1200, change)
+}
+
+/// The same for another number of waveforms, of which those from `first` on are changed.
+fn drift_from(first: usize, waveforms: usize, change: impl Fn(f64) -> f64) -> Vec<Area> {
     let mut running = Running::default();
-    let samples = recording(1200, 0.0);
+    let samples = recording(waveforms, 0.0);
     for (number, block) in samples.iter().enumerate() {
-        let change = |&dn: &u16| if number < 600 { dn } else { change(f64::from(dn)).round() as u16 };
+        let change = |&dn: &u16| if number < first { dn } else { change(f64::from(dn)).round() as u16 };
         let block: Vec<u16> = block.iter().map(change).collect();
         running.add(&block, block.iter().max().copied().unwrap());
     }
@@ -194,6 +199,36 @@ fn changes_along_a_recording_are_findings() {
     assert_eq!(drift(|dn| dn), []);
     assert_eq!(drift(|dn| dn + 4.0), [Area::BackgroundDrift]);
     assert_eq!(drift(|dn| BACKGROUND_DN + 1.6 * (dn - BACKGROUND_DN)), [Area::NoiseDrift]);
+}
+
+#[test]
+fn short_recordings_are_compared_by_fewer_parts() {
+    assert_eq!(drift_from(30, 60, |dn| dn + 4.0), [Area::BackgroundDrift], "only two parts are long enough");
+    assert_eq!(drift_from(76, 100, |dn| dn + 4.0), [Area::BackgroundDrift], "only four parts show it");
+    assert_eq!(drift_from(24, 48, |dn| dn + 4.0), []);
+}
+
+/// Each echo has a second one of this relative height, 16 ± `spread` samples later.
+fn with_second(part: f64, spread: f64) -> Vec<Vec<u16>> {
+    let (mut random, shape) = (Random::new(6), Shape::of(&model()).unwrap());
+    let mut waveform = || {
+        let mut values = noise(&mut random, &process(), 60);
+        values.iter_mut().for_each(|value| *value += BACKGROUND_DN);
+        let (height, position) = (100.0 + 90.0 * random.uniform(), 15.0 + 4.0 * random.uniform());
+        let later = position + 16.0 + spread * (2.0 * random.uniform() - 1.0);
+        shape.add(&pulse(height, position, 1.0), 1.0, &mut values);
+        shape.add(&pulse(part * height, later, 1.0), 1.0, &mut values);
+        digitised(&values, 255)
+    };
+    (0..600).map(|_| waveform()).collect()
+}
+
+#[test]
+fn a_tail_that_is_fitted_as_returns_is_a_finding() {
+    let has = |part, spread| areas(&with_second(part, spread), |_| {}).contains(&Area::PulseShape);
+    assert!(has(0.2, 0.0));
+    assert!(!has(0.2, 6.0), "other targets");
+    assert!(!has(0.5, 0.0), "too high for a tail");
 }
 
 #[test]

@@ -4,7 +4,7 @@
 //! response of the other half.
 
 use super::even_odd::EvenOdd;
-use super::{MOST_SCORED, Single, by_height, narrow_population, response_of, with_response};
+use super::{MOST_ECHOES, MOST_SCORED, Single, by_height, narrow_population, response_of, with_response};
 use crate::calibrate::evenly;
 use crate::decompose::Waveform;
 use crate::decompose::acceptance::response_error::Allowance;
@@ -20,12 +20,12 @@ const PERCENTILES: [f64; 2] = [0.158_655, 0.841_345];
 /// Significance threshold of a mean or a spread, in its standard deviations.
 const SIGNIFICANT: f64 = 2.0;
 
-/// Largest number of echoes per height node and half: half of those of the response itself.
-const MOST_OF_HALF: usize = 1_000;
+/// Largest number of echoes per height node in each half.
+const MOST_OF_HALF: usize = MOST_ECHOES[3] / 2;
 /// Largest number of echoes whose residuals are measured.
 const MOST_RESIDUALS: usize = 4_000;
-/// Fewest echoes for an error at a sample.
-const LEAST_AT_A_LAG: u64 = 20;
+/// Smallest effective number of echoes for an error at a sample.
+const LEAST_AT_A_LAG: f64 = 20.0;
 /// Number of echoes per task of the even/odd test.
 const SCORED_PER_TASK: usize = 64;
 /// Fraction of the waveforms in which the expected contribution of the template error may exceed
@@ -50,7 +50,6 @@ pub(super) struct Quality {
 /// Sums over echoes of the excess `x`, DN², and the squared height `h²`.
 #[derive(Clone, Default)]
 struct Excess {
-    count: u64,
     x: f64,
     h2: f64,
     x_x: f64,
@@ -60,7 +59,6 @@ struct Excess {
 
 impl Excess {
     fn add(&mut self, x: f64, h2: f64) {
-        self.count += 1;
         self.x += x;
         self.h2 += h2;
         self.x_x += x * x;
@@ -70,9 +68,10 @@ impl Excess {
 
     /// Error relative to the height; 0 if not significant.
     ///
-    /// Echoes have the weight of their energy: in the excess of weak ones is nothing but noise.
+    /// Weights each echo by its energy: the excess of weak echoes is mostly noise.
     fn error(&self) -> f64 {
-        if self.count < LEAST_AT_A_LAG {
+        let effective = self.h2 * self.h2 / self.h2_h2;
+        if effective.is_nan() || effective < LEAST_AT_A_LAG {
             return 0.0;
         }
         let mean = self.x / self.h2;
@@ -306,6 +305,27 @@ fn spread(scores: &[f64]) -> f64 {
 mod tests {
     use super::*;
     use crate::simulated::{Random, moments};
+
+    #[test]
+    fn weak_echoes_do_not_hide_the_error_of_strong_ones() {
+        let error = |excess_dn2: f64, echoes: u32| {
+            let mut excess = Excess::default();
+            for i in 0..echoes {
+                let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
+                match i % 10 {
+                    0 | 1 => excess.add(excess_dn2 + 50.0 * sign, 1e6),
+                    _ => excess.add(1.4 * sign, 1e2),
+                }
+            }
+            excess.error()
+        };
+        assert!((0.009..0.01).contains(&error(100.0, 1000)), "{}", error(100.0, 1000));
+        assert_eq!(error(0.0, 1000), 0.0);
+        assert_eq!(error(100.0, 90), 0.0, "18 strong echoes among 90");
+        let mut flat = Excess::default();
+        (0..20).for_each(|_| flat.add(1.0, 0.0));
+        assert_eq!(flat.error(), 0.0, "no height");
+    }
 
     /// The contribution is at most what chi-square shows.
     #[test]
