@@ -168,6 +168,8 @@ def check_what_if(checks, tab, wavex, recording, errors):
     tab.locator("#difference", has_text="between 4 and 1000000").wait_for()
     checks.equal("another key clears the comparison", tab.locator("#comparison tr").count(), 0)
     refused = [errors.pop() for _ in list(errors)]
+    # 410: points were ordered anew while the recording was still loading, and the page asked again.
+    refused = [error for error in refused if "410" not in error]
     checks.that("only the wrong key is refused", refused and all("400" in error for error in refused), str(refused))
     tab.get_by_role("button", name="Reset").click()
     wait(tab, "wavexView.changedShot() === null")
