@@ -351,8 +351,11 @@ fn displaced_shots_are_counted_among_the_higher_echoes() {
 }
 
 #[test]
-fn jumps_of_the_clock_show_among_rough_points() {
-    let of = |i: usize| if i % 25 < 2 { 1.0 } else { 0.9 * random(i) - 0.45 };
-    let jumps: Vec<f64> = (0..1000).map(of).collect();
-    assert_eq!(part_at(&jumps, 1.0, NEAR_SAMPLE), 0.08);
+fn jumps_among_rough_points_disprove_the_bound_of_the_clock() {
+    let clock_sd_ns = |jumps: usize| {
+        let of = |i: usize| if i % 25 < jumps { 1.0 } else { 0.9 * random(i) - 0.45 };
+        differences(|i| (of(i), 200)).clock_sd_ns()
+    };
+    assert_eq!(clock_sd_ns(2), None);
+    assert!(clock_sd_ns(0).is_some());
 }
