@@ -44,8 +44,11 @@ const SECOND_DIFFERENCE: f64 = 2.449_489_742_783_178;
 const NEAR_SAMPLE: f64 = 0.2;
 /// … and its largest value for displaced shots, where it is the SD of the second differences.
 const MOST_NEAR_SAMPLE: f64 = 0.3;
-/// Significance of an excess of second differences of whole samples, standard deviations of the count.
-const EXCESS_SD: f64 = 3.0;
+/// Significance of an excess of second differences of one sample and of two, standard deviations of the count.
+const JUMPS_SD: f64 = 3.0;
+const DISPLACED_SD: f64 = 2.0;
+/// Largest distance of two points in the search for displaced shots: one shot between them may have no point.
+const MOST_STEP: usize = 2;
 /// Standard deviation of a normal distribution over the lower quartile of absolute values.
 const SD_OF_LOWER_QUARTILE: f64 = 3.138_344;
 /// Standard deviation of a normal distribution over its median absolute deviation.
@@ -58,8 +61,8 @@ pub(super) struct Smoothness {
     /// Second differences of points along the beam and of ranges, ns, by reference.
     points_ns: Vec<[f64; REFERENCES]>,
     ranges_ns: Vec<[f64; REFERENCES]>,
-    /// Height of the lowest echo of each triple, DN.
-    lowest_dn: Vec<u16>,
+    /// Of points between which a shot may be missing.
+    spaced_ns: Vec<[f64; REFERENCES]>,
     /// Peaks of outgoing pulses after the clock, ns.
     outgoing_ns: Vec<f64>,
     /// Emission times of all shots with an outgoing pulse, by reference, ns.
@@ -71,8 +74,6 @@ pub(super) struct Smoothness {
 #[derive(Clone, Copy)]
 struct SingleEcho {
     echo_ns: f64,
-    /// Highest less lowest sample, DN.
-    height_dn: u16,
     /// Emission time, by reference.
     emission_ns: [f64; REFERENCES],
     outgoing_ns: Option<f64>,
@@ -129,8 +130,8 @@ impl Smoothness {
             references,
             shots: 0,
             points_ns: Vec::new(),
-            lowest_dn: Vec::new(),
             ranges_ns: Vec::new(),
+            spaced_ns: Vec::new(),
             outgoing_ns: Vec::new(),
             emissions_ns: Vec::new(),
             interval_ns: f64::NAN,
@@ -179,19 +180,30 @@ impl Smoothness {
         self.outgoing_ns.extend(singles.iter().flatten().filter_map(|single| single.outgoing_ns));
         let metres_per_ns = line.input.group_velocity_mps * 0.5e-9;
         // The second difference of a waveform and its copies would be 0.
-        let distinct: Vec<(Emission, Option<SingleEcho>)> =
-            line.emissions.iter().copied().zip(singles).filter(|(emission, _)| !emission.is_copy()).collect();
-        for &[(a, x), (b, y), (c, z)] in distinct.array_windows() {
-            let (Some(x), Some(y), Some(z)) = (x, y, z) else { continue };
+        let distinct =
+            line.emissions.iter().copied().zip(singles).filter(|(emission, _)| !emission.is_copy());
+        let echoes: Vec<(usize, Emission, SingleEcho)> = (distinct.enumerate())
+            .filter_map(|(place, (emission, single))| Some((place, emission, single?)))
+            .collect();
+        for &[(i, a, x), (j, b, y), (k, c, z)] in echoes.array_windows() {
+            let steps = [j - i, k - j];
+            if steps.into_iter().max() > Some(MOST_STEP) {
+                continue;
+            }
+            // The middle point less the line through the others, times -2.
+            let of_first = 2.0 * steps[1] as f64 / (k - i) as f64;
+            let factors = [of_first, -2.0, 2.0 - of_first];
             let [mut points_ns, mut ranges_ns] = [[f64::NAN; REFERENCES]; 2];
             for i in 0..self.references.len() {
                 let flight_ns = [x, y, z].map(|single| single.echo_ns - single.emission_ns[i]);
-                ranges_ns[i] = flight_ns[0] - 2.0 * flight_ns[1] + flight_ns[2];
-                points_ns[i] = along_beam_ns([a, b, c], flight_ns, metres_per_ns);
+                ranges_ns[i] = flight_ns.iter().zip(factors).map(|(ns, factor)| ns * factor).sum();
+                points_ns[i] = along_beam_ns([a, b, c], flight_ns, factors, metres_per_ns);
             }
-            self.points_ns.push(points_ns);
-            self.lowest_dn.push(x.height_dn.min(y.height_dn).min(z.height_dn));
-            self.ranges_ns.push(ranges_ns);
+            self.spaced_ns.push(points_ns);
+            if steps == [1, 1] {
+                self.points_ns.push(points_ns);
+                self.ranges_ns.push(ranges_ns);
+            }
         }
     }
 
@@ -282,20 +294,14 @@ impl Smoothness {
         let sd_ns = halves_ns.into_iter().fold(0.0, f64::max) / SECOND_DIFFERENCE;
         let is_proof = self.points_ns.len() >= LEAST_TRIPLES && sd_ns < self.interval_ns / 12f64.sqrt();
         let of_clock: Vec<f64> = self.points_ns.iter().map(|of| of[clock] / self.interval_ns).collect();
-        (is_proof && part_at(&of_clock, 1.0, NEAR_SAMPLE) == 0.0).then_some(sd_ns)
+        (is_proof && part_at(&of_clock, 1.0, NEAR_SAMPLE, JUMPS_SD) == 0.0).then_some(sd_ns)
     }
 
     /// Part of the second differences that are two samples, if they are significantly more than others.
-    ///
-    /// Uses the triples whose lowest echo is at least of median height: peak positions of weak echoes are
-    /// too uncertain.
     fn displaced_part(&self, reference: usize) -> f64 {
-        let least_dn = median(self.lowest_dn.iter().map(|dn| f64::from(*dn)));
-        let of_height = self.points_ns.iter().zip(&self.lowest_dn);
-        let high = of_height.filter(|(_, dn)| f64::from(**dn) >= least_dn);
-        let of_high: Vec<f64> = high.map(|(of, _)| of[reference] / self.interval_ns).collect();
-        let sd = sd_of_lower_quartile(of_high.iter().copied());
-        part_at(&of_high, 2.0, sd.clamp(NEAR_SAMPLE, MOST_NEAR_SAMPLE))
+        let of_points: Vec<f64> = self.spaced_ns.iter().map(|of| of[reference] / self.interval_ns).collect();
+        let sd = sd_of_lower_quartile(of_points.iter().copied());
+        part_at(&of_points, 2.0, sd.clamp(NEAR_SAMPLE, MOST_NEAR_SAMPLE), DISPLACED_SD)
     }
 
     /// SD of emission times for a choice between references, ns.
@@ -373,13 +379,18 @@ pub(super) fn name(reference: EmissionReference) -> &'static str {
     super::container_info::reference_of(reference).name()
 }
 
-/// Second difference of three points along the middle beam, ns.
-fn along_beam_ns(emissions: [Emission; 3], flight_ns: [f64; 3], metres_per_ns: f64) -> f64 {
+/// Second difference of three points along the middle beam by these factors, ns.
+fn along_beam_ns(
+    emissions: [Emission; 3],
+    flight_ns: [f64; 3],
+    factors: [f64; 3],
+    metres_per_ns: f64,
+) -> f64 {
     let beam = |of: &Emission| of.direction.map(|x| x * of.frame_scale * metres_per_ns);
     let middle = beam(&emissions[1]);
     let square: f64 = middle.iter().map(|x| x * x).sum();
     let mut sum = 0.0;
-    for ((of, flight_ns), factor) in emissions.iter().zip(flight_ns).zip([1.0, -2.0, 1.0]) {
+    for ((of, flight_ns), factor) in emissions.iter().zip(flight_ns).zip(factors) {
         let beam = beam(of);
         sum += factor
             * (0..3).map(|axis| (of.origin_m[axis] + beam[axis] * flight_ns) * middle[axis]).sum::<f64>();
@@ -398,7 +409,6 @@ fn single_echo(
     let (Some(block), None) = (echoes.next(), echoes.next()) else { return None };
     let samples = blocks.samples(block);
     let echo_ns = block.time_ns(single_peak(samples, true)?);
-    let height_dn = samples.iter().max()? - samples.iter().min()?;
     let outgoing = Outgoing::of(blocks, of_shot);
     let location_ns = match blocks.online_of(index) {
         [online] => Some(online.time_ns),
@@ -412,12 +422,7 @@ fn single_echo(
             _ => outgoing.as_ref()?.emission_ns(*reference)?,
         };
     }
-    Some(SingleEcho {
-        echo_ns,
-        height_dn,
-        emission_ns,
-        outgoing_ns: outgoing.map(|outgoing| outgoing.peak_ns),
-    })
+    Some(SingleEcho { echo_ns, emission_ns, outgoing_ns: outgoing.map(|outgoing| outgoing.peak_ns) })
 }
 
 /// Peak of the outgoing pulse of a shot.
@@ -489,15 +494,15 @@ fn is_above_noise(height_dn: f64, signal: &[f64]) -> bool {
     height_dn >= LEAST_SNR * LEAST_NOISE_DN && 2 * small > signal.len().saturating_sub(2)
 }
 
-/// Part of the second differences, in samples, that are `near` this number, if they are significantly more
-/// than those a little below and above; else 0.
-fn part_at(differences: &[f64], samples: f64, near: f64) -> f64 {
+/// Part of the second differences, in samples, that are `near` this number, if they are more than those a
+/// little below and above by `excess_sd` standard deviations of the count; else 0.
+fn part_at(differences: &[f64], samples: f64, near: f64, excess_sd: f64) -> f64 {
     let within = |least: f64, most: f64| {
         let is_within = |of: &&f64| (least..most).contains(&(of.abs() - samples).abs());
         differences.iter().filter(is_within).count() as f64
     };
     let (at, beside) = (within(0.0, near), within(near, 2.0 * near));
-    let is_excess = at > beside + EXCESS_SD * (beside + 1.0).sqrt();
+    let is_excess = at > beside + excess_sd * (beside + 1.0).sqrt();
     if is_excess { at / differences.len() as f64 } else { 0.0 }
 }
 

@@ -9,7 +9,7 @@ use crate::stage::Context;
 const CONTRADICTS: f64 = 0.5;
 /// Smallest part of the second differences that are two samples, for a warning. A displaced shot causes a
 /// second difference of two samples; a step of the ground does not.
-const DISPLACED_PART: f64 = 0.02;
+const DISPLACED_PART: f64 = 0.03;
 /// Largest number of shots that are checked along a recording.
 const MOST_CHECKED_SHOTS: usize = 20_000;
 

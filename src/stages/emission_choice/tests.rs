@@ -303,21 +303,26 @@ fn a_reference_that_points_contradict_is_a_warning() {
     }
 }
 
+/// Second differences of ten lines whose shots are late by a sample, or without an echo.
+fn smoothness_of(is_late: impl Fn(u32) -> bool, is_empty: impl Fn(u32) -> bool) -> Smoothness {
+    let mut lines = recording(Made::FirstSample, 10, 0.2).0;
+    for line in &mut lines {
+        let crate::scan_line::Content::Shots(blocks) = &line.content else { panic!("shots") };
+        let mut changed = Blocks::default();
+        for block in blocks.iter().filter(|block| !(block.channel.is_echo() && is_empty(block.emission))) {
+            let is_late = block.channel.is_echo() && is_late(block.emission);
+            let start_ns = block.start_ns + f64::from(u8::from(is_late));
+            changed.push(block.emission, block.channel, None, start_ns, 1.0, blocks.samples(block));
+        }
+        *line = ScanLine::of_shots(Arc::clone(&line.input), line.line, line.emissions.clone(), changed);
+    }
+    Smoothness::look_ahead(&mut Recording(lines), WITH_OUTGOING)
+}
+
 #[test]
 fn waveforms_displaced_by_a_sample_are_a_warning() {
     let is_said = |is_late: fn(u32) -> bool| {
-        let mut lines = recording(Made::FirstSample, 10, 0.2).0;
-        for line in &mut lines {
-            let crate::scan_line::Content::Shots(blocks) = &line.content else { panic!("shots") };
-            let mut late = Blocks::default();
-            for block in blocks.iter() {
-                let is_late = block.channel.is_echo() && is_late(block.emission);
-                let start_ns = block.start_ns + f64::from(u8::from(is_late));
-                late.push(block.emission, block.channel, None, start_ns, 1.0, blocks.samples(block));
-            }
-            *line = ScanLine::of_shots(Arc::clone(&line.input), line.line, line.emissions.clone(), late);
-        }
-        let found = Smoothness::look_ahead(&mut Recording(lines), WITH_OUTGOING);
+        let found = smoothness_of(is_late, |_| false);
         warning(&found.set(EmissionReference::OutgoingPulse)).contains("displaced by a sample")
     };
     assert!(is_said(|shot| shot % 10 == 0));
@@ -325,36 +330,33 @@ fn waveforms_displaced_by_a_sample_are_a_warning() {
     assert!(!is_said(|shot| shot / 10 % 2 == 0), "steps of the ground");
 }
 
-/// Second differences and heights of the lowest echoes.
-fn differences(of: impl Fn(usize) -> (f64, u16)) -> Smoothness {
-    let mut points = Smoothness { interval_ns: 1.0, ..Smoothness::by(WITHOUT) };
-    for (ns, dn) in (0..1000).map(of) {
-        points.points_ns.push([ns; REFERENCES]);
-        points.lowest_dn.push(dn);
-    }
-    points
+#[test]
+fn displaced_shots_show_beside_shots_without_an_echo() {
+    let late = |shot: u32| shot % 10 == 0;
+    let part = |is_empty: fn(u32) -> bool| smoothness_of(late, is_empty).displaced_part(0);
+    assert!((0.05..0.12).contains(&part(|shot| shot % 3 == 2)), "{}", part(|shot| shot % 3 == 2));
+    assert_eq!(part(|shot| shot % 3 != 0), 0.0, "neighbours are three shots apart");
+}
+
+fn differences(of: impl Fn(usize) -> f64) -> Smoothness {
+    let made_ns: Vec<[f64; REFERENCES]> = (0..1000).map(|i| [of(i); REFERENCES]).collect();
+    Smoothness { interval_ns: 1.0, points_ns: made_ns.clone(), spaced_ns: made_ns, ..Smoothness::by(WITHOUT) }
 }
 
 #[test]
-fn displaced_shots_are_counted_among_the_higher_echoes() {
+fn the_limit_of_displaced_shots_follows_the_spread() {
     let part = |usual: f64, displaced: f64| {
-        let points = differences(|i| match (i % 2, i % 40) {
-            (1, _) => (1.61 + 0.18 * random(i), 20),
-            (_, 0) => (displaced, 200),
-            _ => (usual, 200),
-        });
-        points.displaced_part(0)
+        differences(|i| if i % 20 == 0 { displaced } else { usual }).displaced_part(0)
     };
-    assert_eq!(part(0.01, 2.0), 0.05, "low echoes are as near as 1.6 to 1.8 samples");
-    assert_eq!(part(0.1, 2.25), 0.05, "the limit follows the SD");
+    assert_eq!(part(0.01, 2.0), 0.05);
+    assert_eq!(part(0.1, 2.25), 0.05);
     assert_eq!(part(0.01, 2.25), 0.0);
 }
 
 #[test]
 fn jumps_among_rough_points_disprove_the_bound_of_the_clock() {
     let clock_sd_ns = |jumps: usize| {
-        let of = |i: usize| if i % 25 < jumps { 1.0 } else { 0.9 * random(i) - 0.45 };
-        differences(|i| (of(i), 200)).clock_sd_ns()
+        differences(|i| if i % 25 < jumps { 1.0 } else { 0.9 * random(i) - 0.45 }).clock_sd_ns()
     };
     assert_eq!(clock_sd_ns(2), None);
     assert!(clock_sd_ns(0).is_some());
