@@ -205,7 +205,7 @@ fn with_free_background(model: &ChannelModel) -> Result<ChannelModel, ModelError
 
 /// Decomposes blocks; `take` gets the index of each.
 ///
-/// The scalar kernels take less time for a thousand blocks than the tables of the SIMD kernels do.
+/// By the scalar kernels: in double precision, and without tables for a model that is used once.
 fn decompose(
     blocks: &[Waveform<'_>],
     model: &ChannelModel,
