@@ -462,6 +462,11 @@ pub(super) fn outgoing_peak(samples: &[u16]) -> Option<f64> {
     single_peak(samples, false)
 }
 
+/// Position of the peak of a block with a single echo, samples.
+pub(super) fn lone_peak(samples: &[u16]) -> Option<f64> {
+    single_peak(samples, true)
+}
+
 /// Position of the highest peak of a block, samples.
 ///
 /// With `is_alone`, `None` if other samples are high as well.
@@ -523,7 +528,7 @@ fn robust_sd(values: impl Iterator<Item = f64> + Clone) -> f64 {
 }
 
 /// Median, the upper of the middle two; NaN without values.
-fn median(values: impl Iterator<Item = f64>) -> f64 {
+pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     let middle = values.len() / 2;
     if values.is_empty() { f64::NAN } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }

@@ -1,5 +1,6 @@
 //! `read_las`: reads full-waveform LAS as scan lines of shots.
 
+mod contradiction;
 mod geometry;
 mod pulse;
 
@@ -87,7 +88,31 @@ pub struct ReadLas {
     /// the waveforms alone. Without effect for files without return locations.
     #[serde(default)]
     pub emission: LasEmission,
+    /// Direction vectors of the points: as stored, in metres per picosecond, or their directions only,
+    /// with the speed of light in air. Vectors of another unit than the format's are an error
+    /// otherwise.
+    #[serde(default)]
+    pub beam_vectors: BeamVectors,
+    /// Whether points must lie at the echoes of their waveforms: the median distance of single echoes
+    /// must be at most 1 m. Otherwise return locations or packets are wrong, and so are all points.
+    #[serde(default = "yes")]
+    pub check_locations: bool,
 }
+}
+
+const fn yes() -> bool {
+    true
+}
+
+/// Use of the direction vectors of a LAS file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum BeamVectors {
+    /// Direction and length.
+    #[default]
+    Stored,
+    /// Direction only.
+    Direction,
 }
 
 /// Time of emission of a LAS file.
@@ -136,8 +161,15 @@ impl SourceConfig for ReadLas {
     }
 
     fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        let open = || LasReader::open(&site.input, &site.stem, self.sampling());
+        let open = || LasReader::open(&site.input, &site.stem, self.sampling(), self.beam_vectors);
         let mut source = open()?;
+        let times = self.time_keys();
+        let declared = Declared::new(times, self.crs_of_input.as_deref(), None, site)?;
+        let crs_wkt = declared.crs_wkt.as_ref().or(source.lines.input().crs_wkt.as_ref());
+        contradiction::check_beams(&source.geometry, crs_wkt.map(String::as_str))?;
+        if self.check_locations {
+            contradiction::check_locations(&mut Reader::open(&site.input)?, &source.geometry)?;
+        }
         source.reader.skip_unused_fields();
         (source.with_samples, source.range_time_offset_ns) = (with_samples, self.range_time_offset_ns);
         if with_samples {
@@ -146,8 +178,6 @@ impl SourceConfig for ReadLas {
         if self.recording_time.is_some() {
             source.time_shift_s = 0.0;
         }
-        let times = self.time_keys();
-        let declared = Declared::new(times, self.crs_of_input.as_deref(), None, site)?;
         Ok(Box::new(AsDeclared::new(source, declared)))
     }
 }
@@ -180,6 +210,8 @@ struct LasReader {
     message: Option<Message>,
     /// Bytes after the points that belong to nothing, until they are reported.
     surplus_bytes: u64,
+    /// Number of packets with more samples than their descriptor says.
+    longer_packets: u64,
 }
 
 /// A shot assembled from its points.
@@ -216,8 +248,8 @@ const GEO_KEYS: u16 = 34735;
 const MOST_RETURNS: usize = 15;
 
 impl LasReader {
-    fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<LasReader> {
-        let geometry = Geometry::learn(&mut Reader::open(path)?)?;
+    fn open(path: &Path, stem: &str, sampling: Sampling, vectors: BeamVectors) -> Result<LasReader> {
+        let geometry = Geometry::learn(&mut Reader::open(path)?, vectors)?;
         let reader = Reader::open(path)?;
         let input = sampling.with(describe(&reader, path, stem, &geometry));
         Ok(LasReader {
@@ -237,6 +269,7 @@ impl LasReader {
             without_waveform: 0,
             message: None,
             surplus_bytes: reader.surplus_bytes(),
+            longer_packets: 0,
             reader,
             geometry,
         })
@@ -342,6 +375,7 @@ impl LasReader {
                 // The same waveforms are rejected: shots have the same numbers.
                 false => self.reader.packet_descriptor(&wave),
             };
+            self.longer_packets += u64::from(read.as_ref().is_ok_and(|of| of.surplus_bytes(&wave) > 0));
             let (interval_ns, n_samples) = read.as_ref().map_or((0.0, 0), |descriptor| {
                 (f64::from(descriptor.spacing_ps) / 1000.0, descriptor.samples)
             });
@@ -425,6 +459,14 @@ impl Source for LasReader {
                 }
                 self.broken.check_at_end()?;
                 self.check_yield(cx)?;
+                if self.longer_packets > 0 {
+                    cx.warn(format!(
+                        "{} waveform packets have more samples than their descriptor says: those after them are \
+                         not read, and echoes there are missing; export the file again with the right number of \
+                         samples",
+                        self.longer_packets
+                    ));
+                }
                 if self.without_waveform > 0 {
                     cx.warn(without_waveform(self.without_waveform));
                 }

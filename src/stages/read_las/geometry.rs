@@ -1,5 +1,6 @@
 //! Beam geometry of a LAS file, learnt from its first points.
 
+use super::BeamVectors;
 use crate::stage::Result;
 use wavex_formats::las::{Descriptor, MAX_COORDINATE, Point, Reader, Wave};
 use wavex_geodesy::beam_length::BeamLength;
@@ -10,23 +11,26 @@ pub(super) struct Geometry {
     pub(super) group_velocity_mps: f64,
     /// True if direction vectors point up to the sensor; files differ in this.
     towards_sensor: bool,
+    vectors: BeamVectors,
     pub(super) has_locations: bool,
     /// Descriptor of the first readable waveform.
     pub(super) sampling: Option<Descriptor>,
 }
 
+/// One-way path of light in air, m per ns.
+const METRES_PER_NS: f64 = 0.149_853_751;
 /// Number of points used to determine the geometry of a file.
 const POINTS_LOOKED_AT: usize = 10_000;
 
 impl Geometry {
     /// Determines beam geometry from the first points of a file.
-    pub(super) fn learn(reader: &mut Reader) -> Result<Geometry> {
+    pub(super) fn learn(reader: &mut Reader, of_file: BeamVectors) -> Result<Geometry> {
         let mut vectors: Vec<[f64; 3]> = Vec::new();
         let (mut has_locations, mut sampling) = (false, None);
         let mut point = Point::default();
         while vectors.len() < POINTS_LOOKED_AT && reader.next_point(&mut point)? {
             if point.wave.descriptor != 0 && is_usable(&point) {
-                vectors.push(point.wave.direction_per_ps.map(|x| f64::from(x) * 1000.0));
+                vectors.push(per_ns(&point.wave, of_file));
                 has_locations |= point.wave.location_ps != 0.0;
                 sampling = sampling.or_else(|| reader.descriptor(&point.wave).ok().copied());
             }
@@ -37,16 +41,26 @@ impl Geometry {
         let mut lengths: Vec<f64> = vectors.iter().map(|vector| beams.of(*vector)).collect();
         lengths.sort_by(f64::total_cmp);
         let median = lengths.get(lengths.len() / 2).copied();
-        let metres_per_ns = beams.vertical().or(median).unwrap_or(0.149_853_751);
+        let metres_per_ns = beams.vertical().or(median).unwrap_or(METRES_PER_NS);
         let group_velocity_mps = metres_per_ns * 2e9;
-        Ok(Geometry { beams, group_velocity_mps, towards_sensor, has_locations, sampling })
+        Ok(Geometry { beams, group_velocity_mps, towards_sensor, vectors: of_file, has_locations, sampling })
     }
 
     /// Displacement down the beam per nanosecond, m.
     pub(super) fn beam(&self, wave: &Wave) -> [f64; 3] {
-        let sign = if self.towards_sensor { -1000.0 } else { 1000.0 };
-        wave.direction_per_ps.map(|x| sign * f64::from(x))
+        let sign = if self.towards_sensor { -1.0 } else { 1.0 };
+        per_ns(wave, self.vectors).map(|x| sign * x)
     }
+}
+
+/// Vector of a waveform per nanosecond.
+fn per_ns(wave: &Wave, vectors: BeamVectors) -> [f64; 3] {
+    let stored = wave.direction_per_ps.map(|x| 1000.0 * f64::from(x));
+    let scale = match vectors {
+        BeamVectors::Stored => 1.0,
+        BeamVectors::Direction => METRES_PER_NS / stored.iter().map(|x| x * x).sum::<f64>().sqrt(),
+    };
+    stored.map(|x| scale * x)
 }
 
 /// Typical time over which writers compute a beam vector, ns; sets the effect of its rounding.

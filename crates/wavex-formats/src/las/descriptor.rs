@@ -4,6 +4,7 @@
 
 use std::path::Path;
 
+use super::Wave;
 use super::vlr::{SPEC, Vlr};
 use crate::Result;
 use crate::bytes::Fields;
@@ -89,6 +90,24 @@ impl Descriptor {
     /// Samples are packed without padding.
     pub fn packet_bytes(&self) -> u64 {
         (u64::from(self.samples) * u64::from(self.bits)).div_ceil(8)
+    }
+
+    /// Returns the descriptor of a packet as it is stored.
+    ///
+    /// Samples of 9 to 15 bits may be stored in words of 16 bits: such a packet has two bytes per
+    /// sample.
+    pub(super) fn as_stored(&self, wave: &Wave) -> Descriptor {
+        let is_in_words = (9..16).contains(&self.bits) && u64::from(wave.size) == 2 * u64::from(self.samples);
+        Descriptor { bits: if is_in_words { 16 } else { self.bits }, ..*self }
+    }
+
+    /// Number of bytes of a packet that this descriptor, as [`Reader::packet`] returns it, does not
+    /// describe; 0 if they are less than two samples, such as padding.
+    ///
+    /// [`Reader::packet`]: super::Reader::packet
+    pub fn surplus_bytes(&self, wave: &Wave) -> u64 {
+        let surplus = u64::from(wave.size).saturating_sub(self.packet_bytes());
+        if 8 * surplus >= 2 * u64::from(self.bits.max(8)) { surplus } else { 0 }
     }
 
     /// Encodes the data of the descriptor's record.

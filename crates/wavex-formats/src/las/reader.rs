@@ -206,7 +206,7 @@ impl Reader {
     /// # Errors
     /// As [`Reader::packet`].
     pub fn packet_descriptor(&self, wave: &Wave) -> Result<Descriptor> {
-        let descriptor = *self.descriptor(wave)?;
+        let descriptor = self.descriptor(wave)?.as_stored(wave);
         let length = descriptor.packet_bytes();
         if length > u64::from(wave.size) {
             let problem = format!(
