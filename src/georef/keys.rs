@@ -27,6 +27,10 @@ pub struct GeometryKeys {
     /// Without `w` the roll is 0, with a warning.
     #[schemars(extend("x-file" = "none"))]
     pub trajectory_columns: Option<String>,
+    /// Records that contradict their neighbours, such as a position of 0 or a single jump: `exclude`
+    /// (default) leaves them out with a warning, `keep` uses them.
+    #[serde(skip_serializing_if = "OutliersKey::is_default")]
+    pub trajectory_outliers: OutliersKey,
     /// Height reference of the trajectory. Defaults to the ellipsoid, except for TRJ, which does
     /// not define it: there, to the geoid of the job, if one is given.
     pub trajectory_heights: Option<HeightsKey>,
@@ -78,6 +82,23 @@ pub enum HeightsKey {
     Geoid,
     /// The WGS 84 ellipsoid.
     Ellipsoid,
+}
+
+/// Use of trajectory records that contradict their neighbours.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OutliersKey {
+    /// Left out, with a warning.
+    #[default]
+    Exclude,
+    /// Used.
+    Keep,
+}
+
+impl OutliersKey {
+    fn is_default(&self) -> bool {
+        *self == OutliersKey::Exclude
+    }
 }
 
 /// Unit of angles.

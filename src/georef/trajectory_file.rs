@@ -3,13 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use super::Result;
-use super::keys::{AnglesKey, GeometryKeys, HeightsKey, TimeKey};
+use super::keys::{AnglesKey, GeometryKeys, HeightsKey, OutliersKey, TimeKey};
 use super::output_crs::CrsRequest;
+use wavex_formats::Error;
 use wavex_formats::trajectory::{self, Angles, Options, Records, Unproject};
 use wavex_geodesy::crs::CrsError;
 use wavex_geodesy::ellipsoid::Geodetic;
 use wavex_geodesy::time_axis::{Clock, TimeSpan};
-use wavex_geodesy::trajectory::{Gap, Trajectory};
+use wavex_geodesy::trajectory::outliers::{Fault, Outlier, outliers};
+use wavex_geodesy::trajectory::{Gap, Trajectory, TrajectoryError};
 
 /// A trajectory and its files.
 #[derive(Debug)]
@@ -72,6 +74,14 @@ impl Track {
         });
         let trajectory =
             recorded.into_trajectory(unproject.as_ref().map(|unproject| unproject as &Unproject))?;
+        let found = match keys.trajectory_outliers {
+            OutliersKey::Exclude => outliers(trajectory.samples()),
+            OutliersKey::Keep => Vec::new(),
+        };
+        let without = |problem: TrajectoryError| Error::unusable(file, problem.to_string(), problem.remedy());
+        let trajectory =
+            if found.is_empty() { trajectory } else { trajectory.without(&found).map_err(without)? };
+        notes.extend(excluded(file, &found));
         notes.extend(gaps(file, &trajectory));
         Ok(Track { file: file.to_path_buf(), accuracy, trajectory, times, knows_accuracy, notes })
     }
@@ -101,6 +111,40 @@ fn heights_note(keys: &GeometryKeys) -> String {
         "a TRJ does not define its height reference: heights are assumed to be above {taken}; if that is wrong, all points \
          are off by the height of the geoid (tens of metres): set {otherwise} in `[job.geometry]`"
     )
+}
+
+/// Note on the records left out, if any.
+fn excluded(file: &Path, outliers: &[Outlier]) -> Option<String> {
+    let worst = |fault| {
+        let of_fault = outliers.iter().filter(move |outlier| outlier.fault == fault);
+        of_fault
+            .clone()
+            .max_by(|a, b| a.deviation.total_cmp(&b.deviation))
+            .map(|worst| (of_fault.count(), worst))
+    };
+    let mut parts = Vec::new();
+    for (fault, what, unit, scale) in [
+        (Fault::Position, "are far from their neighbours", " m", 1.0),
+        (Fault::Attitude, "have another attitude than their neighbours", " degrees", 1f64.to_degrees()),
+        (Fault::Frozen, "repeat a position although the vehicle moves", "", 0.0),
+    ] {
+        if let Some((count, worst)) = worst(fault) {
+            let by = if scale > 0.0 {
+                format!(", {:.1}{unit} off", scale * worst.deviation)
+            } else {
+                String::new()
+            };
+            parts.push(format!("{count} {what} (record {} at {:.3} s{by})", worst.record + 1, worst.time_s));
+        }
+    }
+    (!parts.is_empty()).then(|| {
+        format!(
+            "{}: records of the trajectory are left out, and poses there are interpolated: {}; export it again from \
+             its source, or set `trajectory_outliers = \"keep\"` in `[job.geometry]`",
+            file.display(),
+            parts.join("; ")
+        )
+    })
 }
 
 /// Note on the gaps of a trajectory, if any.

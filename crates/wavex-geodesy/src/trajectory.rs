@@ -17,11 +17,13 @@ use super::ellipsoid::{Geodetic, WGS84};
 use super::frames::{Attitude, Rotation, Vector, ecef_from_ned, then};
 use accuracies::Accuracies;
 pub use error::TrajectoryError;
+use outliers::Outlier;
 use quaternion::Quaternion;
 use time_index::TimeIndex;
 
 mod accuracies;
 mod error;
+pub mod outliers;
 mod quaternion;
 #[cfg(test)]
 mod tests;
@@ -146,6 +148,17 @@ impl Trajectory {
     pub fn with_accuracies(mut self, samples: Vec<AccuracySample>) -> Result<Trajectory, TrajectoryError> {
         self.accuracies = Some(Accuracies::new(&samples)?);
         Ok(self)
+    }
+
+    /// The trajectory without these records.
+    ///
+    /// # Errors
+    /// Fewer than two samples are left.
+    pub fn without(self, outliers: &[Outlier]) -> Result<Trajectory, TrajectoryError> {
+        let mut next = outliers.iter().map(|outlier| outlier.record).peekable();
+        let samples = self.samples.into_iter().enumerate();
+        let kept = samples.filter(|(record, _)| next.next_if_eq(record).is_none()).map(|(_, sample)| sample);
+        Ok(Trajectory { accuracies: self.accuracies, ..Trajectory::new(kept.collect())? })
     }
 
     /// First and last time, s.

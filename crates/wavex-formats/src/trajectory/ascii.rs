@@ -56,17 +56,21 @@ pub(super) fn read(input: &mut Input, options: &Options) -> Result<Raw> {
         )
     })?;
     let is_radians = options.angles == Some(Angles::Radians);
-    let (mut samples, mut number, mut header) = (Vec::new(), 0u64, None);
+    let (mut samples, mut number, mut header, mut unreadable) = (Vec::new(), 0u64, None, 0u64);
     loop {
         let offset = input.offset;
         let Some(line) = input.line(LONGEST_LINE)? else { break };
         number += 1;
+        let line = line.trim_start_matches('\u{feff}');
         if line.is_empty() || line.starts_with(['#', '%']) {
             continue;
         }
-        match columns.row(&line) {
+        match columns.row(line) {
             Ok(row) => samples.push(sample(&path, offset, number, row, is_radians)?),
-            Err(problem) if samples.is_empty() => header = Some(problem),
+            Err(problem) if samples.is_empty() => {
+                unreadable += u64::from(starts_with_number(line));
+                header = Some(problem);
+            }
             Err(problem) => {
                 return Err(Error::malformed(&path, offset, format!("line {number}"), problem, REMEDY));
             }
@@ -79,6 +83,12 @@ pub(super) fn read(input: &mut Input, options: &Options) -> Result<Raw> {
         return Err(Error::unusable(&path, problem, REMEDY));
     }
     let mut notes = notes(&samples, is_radians);
+    if let (1.., Some(problem)) = (unreadable, &header) {
+        notes.push(format!(
+            "{unreadable} lines before the first record begin with a number, but are no records: in the last, \
+             {problem}; the trajectory begins after them"
+        ));
+    }
     if columns.0[ROLL].is_none() {
         notes.push(
             "the trajectory's columns have no roll (`w`): assuming 0; each degree of true roll \
@@ -111,6 +121,11 @@ fn sample(path: &Path, offset: u64, line: u64, row: [f64; 7], is_radians: bool) 
     let sample = sample_of_degrees(time_s, [longitude, latitude, height_m], attitude);
     check(path, offset, line, &sample)?;
     Ok(sample)
+}
+
+/// Whether a line that is no record looks like one.
+fn starts_with_number(line: &str) -> bool {
+    line.split([' ', '\t', ',', ';']).next().is_some_and(|cell| cell.parse::<f64>().is_ok())
 }
 
 fn notes(samples: &[Sample], is_radians: bool) -> Vec<String> {
@@ -154,10 +169,11 @@ impl ColumnIndices {
 
     /// Parses the numbers of a line, or describes the problem.
     fn row(&self, line: &str) -> std::result::Result<[f64; 7], String> {
-        let cells: Vec<&str> = if line.contains([',', ';']) {
-            line.split([',', ';']).map(str::trim).collect()
-        } else {
-            line.split_whitespace().collect()
+        let cells: Vec<&str> = match line {
+            // Commas are then decimal commas.
+            _ if line.contains(';') => line.split(';').map(str::trim).collect(),
+            _ if line.contains(',') => line.split(',').map(str::trim).collect(),
+            _ => line.split_whitespace().collect(),
         };
         let mut row = [0.0; 7];
         for ((value, at), (_, name)) in row.iter_mut().zip(self.0).zip(LETTERS) {
@@ -165,7 +181,7 @@ impl ColumnIndices {
             let Some(cell) = cells.get(at) else {
                 return Err(format!("there are {} columns, but {name} is column {}", cells.len(), at + 1));
             };
-            match cell.parse::<f64>() {
+            match cell.replacen(',', ".", 1).parse::<f64>() {
                 Ok(number) if number.is_finite() => *value = number,
                 _ => {
                     let cell: String = cell.chars().take(40).collect();
@@ -190,6 +206,7 @@ mod tests {
             "1\tskipped\t48\t11\t500\t0.5\t-0.25\t90",
             "1, , 48,11,500,.5,-0.25,+9e1,",
             "1;;48;11;500;0.5;-0.25;90",
+            "1,0;; 48;11,0;500;0,5;-0,25;90",
         ] {
             assert_eq!(columns.row(line), expected, "{line}");
         }
