@@ -76,7 +76,7 @@ pub(super) fn read(input: &mut Input, options: &Options) -> Result<Raw> {
             }
         }
     }
-    if let (true, Some(problem)) = (samples.is_empty(), header) {
+    if let (true, Some(problem)) = (samples.is_empty(), &header) {
         let problem = format!(
             "none of its {number} lines has numbers in all columns of `{letters}`: in the last, {problem}"
         );
