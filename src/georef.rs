@@ -20,3 +20,4 @@ pub use context::{Geometry, Loader, ShotPoses};
 pub use error::{Error, Result};
 pub use keys::GeometryKeys;
 pub use output_crs::check_crs;
+pub(crate) use trajectory_file::checks as trajectory_checks;

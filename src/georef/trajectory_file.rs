@@ -5,12 +5,16 @@ use std::path::{Path, PathBuf};
 use super::Result;
 use super::keys::{AnglesKey, GeometryKeys, HeightsKey, OutliersKey, TimeKey};
 use super::output_crs::CrsRequest;
+use crate::plausibility::{Check, Otherwise};
 use wavex_formats::Error;
 use wavex_formats::trajectory::{self, Angles, Options, Records, Unproject};
 use wavex_geodesy::crs::CrsError;
 use wavex_geodesy::ellipsoid::Geodetic;
 use wavex_geodesy::time_axis::{Clock, TimeSpan};
-use wavex_geodesy::trajectory::outliers::{Fault, Outlier, outliers};
+use wavex_geodesy::trajectory::outliers::{
+    FEWEST_FROZEN, Fault, LEAST_M, LEAST_RAD, LEAST_SPEED_MPS, MOST_ACCELERATION_MPS2, MOST_TURNING_RADPS2,
+    Outlier, outliers,
+};
 use wavex_geodesy::trajectory::{Gap, Trajectory, TrajectoryError};
 
 /// A trajectory and its files.
@@ -113,6 +117,47 @@ fn heights_note(keys: &GeometryKeys) -> String {
     )
 }
 
+/// Words of the messages.
+const FAR: &str = "are far from their neighbours";
+const TURNED: &str = "have another attitude than their neighbours";
+const REPEATED: &str = "repeat a position although the vehicle moves";
+
+/// The checks of this module.
+pub(crate) fn checks() -> Vec<Check> {
+    let check = |compared, accepted, source, message| {
+        let (otherwise, key) = (Otherwise::LeftOut, Some("trajectory_outliers"));
+        Check { compared, accepted, source, otherwise, message, key }
+    };
+    vec![
+        check(
+            "position of a record and the line through its neighbours",
+            format!(
+                "{LEAST_M} m, an acceleration of {MOST_ACCELERATION_MPS2} m/s², or the noise of the trajectory"
+            ),
+            "five times the acceleration of free fall",
+            FAR,
+        ),
+        check(
+            "roll, pitch and heading of a record and the line through its neighbours",
+            format!(
+                "{:.0} degree, an angular acceleration of {:.0} degrees/s², or the noise of the trajectory",
+                LEAST_RAD.to_degrees(),
+                MOST_TURNING_RADPS2.to_degrees()
+            ),
+            "small drones turn by less",
+            TURNED,
+        ),
+        check(
+            "positions of neighbouring records",
+            format!(
+                "fewer than {FEWEST_FROZEN} equal ones between records faster than {LEAST_SPEED_MPS} m/s"
+            ),
+            "receivers that lose the signal repeat their last position",
+            REPEATED,
+        ),
+    ]
+}
+
 /// Note on the records left out, if any.
 fn excluded(file: &Path, outliers: &[Outlier]) -> Option<String> {
     let worst = |fault| {
@@ -124,9 +169,9 @@ fn excluded(file: &Path, outliers: &[Outlier]) -> Option<String> {
     };
     let mut parts = Vec::new();
     for (fault, what, unit, scale) in [
-        (Fault::Position, "are far from their neighbours", " m", 1.0),
-        (Fault::Attitude, "have another attitude than their neighbours", " degrees", 1f64.to_degrees()),
-        (Fault::Frozen, "repeat a position although the vehicle moves", "", 0.0),
+        (Fault::Position, FAR, " m", 1.0),
+        (Fault::Attitude, TURNED, " degrees", 1f64.to_degrees()),
+        (Fault::Frozen, REPEATED, "", 0.0),
     ] {
         if let Some((count, worst)) = worst(fault) {
             let by = if scale > 0.0 {

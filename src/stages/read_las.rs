@@ -4,6 +4,8 @@ mod contradiction;
 mod geometry;
 mod pulse;
 
+pub(crate) use contradiction::checks;
+
 use std::collections::{HashSet, VecDeque};
 use std::path::Path;
 use std::sync::Arc;

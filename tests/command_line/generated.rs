@@ -36,6 +36,11 @@ fn the_schema_of_jobs_is_up_to_date() {
 }
 
 #[test]
+fn the_page_of_plausibility_checks_is_up_to_date() {
+    check("docs/reference/checks.md", &wavex::plausibility::page());
+}
+
+#[test]
 fn the_schema_of_reports_is_up_to_date() {
     let settings = SchemaSettings::draft2020_12().for_serialize();
     let schema = settings.into_generator().into_root_schema_for::<RunReport>();

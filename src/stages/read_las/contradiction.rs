@@ -3,6 +3,7 @@
 use std::ops::RangeInclusive;
 
 use super::geometry::Geometry;
+use crate::plausibility::{Check, Otherwise};
 use crate::stage::{Result, StageError};
 use crate::stages::emission_choice::{lone_peak, median};
 use wavex_formats::las::{Point, Reader};
@@ -22,6 +23,48 @@ const FEWEST_ECHOES: usize = 30;
 /// Largest median distance of points from the peaks of their single echoes, m.
 const FARTHEST_M: f64 = 1.0;
 
+/// Words of the messages.
+const NO_DIGITISER: &str = "are not those of a waveform digitiser";
+const OF_VECTORS: &str = "the direction vectors of the points give light a speed";
+const FROM_PEAKS: &str = "from the peaks of their waveforms";
+
+/// The checks of this module.
+pub(crate) fn checks() -> Vec<Check> {
+    let otherwise = Otherwise::Error;
+    vec![
+        Check {
+            compared: "group velocity, by the length of the direction vectors of the first points",
+            accepted: format!(
+                "{:.3e} to {:.3e} m/s, or as many feet if the file names feet",
+                VELOCITY_MPS.start(),
+                VELOCITY_MPS.end()
+            ),
+            source: "light in air and in glass fibre",
+            otherwise,
+            message: OF_VECTORS,
+            key: Some("beam_vectors"),
+        },
+        Check {
+            compared: "sampling interval of the descriptors",
+            accepted: format!("{} to {} ns", INTERVAL_NS.start(), INTERVAL_NS.end()),
+            source: "digitisers of scanners have 0.5 to 2 ns; those of research up to 10 ns",
+            otherwise,
+            message: NO_DIGITISER,
+            key: None,
+        },
+        Check {
+            compared: "return locations and the peaks of single echoes, median along the beam",
+            accepted: format!(
+                "{FARTHEST_M} m, by at least {FEWEST_ECHOES} of the first {MOST_POINTS} points"
+            ),
+            source: "two sampling intervals of a slow digitiser; wrong locations are metres off",
+            otherwise,
+            message: FROM_PEAKS,
+            key: Some("check_locations"),
+        },
+    ]
+}
+
 /// Refuses vectors and sampling intervals that contradict physics.
 pub(super) fn check_beams(geometry: &Geometry, crs_wkt: Option<&str>) -> Result<()> {
     if let Some(sampling) = geometry.sampling {
@@ -31,7 +74,9 @@ pub(super) fn check_beams(geometry: &Geometry, crs_wkt: Option<&str>) -> Result<
             let why = if is_ns { ": the spacing seems to be in nanoseconds, not in picoseconds" } else { "" };
             return Err(StageError::failed(
                 format!(
-                    "samples {interval_ns} ns apart are not those of a waveform digitiser (0.05 to 20 ns){why}"
+                    "samples {interval_ns} ns apart {NO_DIGITISER} ({} to {} ns){why}",
+                    INTERVAL_NS.start(),
+                    INTERVAL_NS.end()
                 ),
                 "export the file again with the temporal sample spacing in picoseconds",
             ));
@@ -49,10 +94,7 @@ pub(super) fn check_beams(geometry: &Geometry, crs_wkt: Option<&str>) -> Result<
         explanation(velocity_mps)
     };
     Err(StageError::failed(
-        format!(
-            "the direction vectors of the points give light a speed of {velocity_mps:.3e} m/s; in air it has \
-             2.997e8: {why}"
-        ),
+        format!("{OF_VECTORS} of {velocity_mps:.3e} m/s; in air it has 2.997e8: {why}"),
         "export the vectors in metres per picosecond of one-way path, or set `beam_vectors = \"direction\"` of \
          the reader to use only their directions",
     ))
@@ -119,8 +161,8 @@ pub(super) fn check_locations(reader: &mut Reader, geometry: &Geometry) -> Resul
     };
     Err(StageError::failed(
         format!(
-            "the points of {} single echoes lie {as_stored_m:.1} m from the peaks of their waveforms (median, along \
-             the beam), by their return locations: {why}",
+            "the points of {} single echoes lie {as_stored_m:.1} m {FROM_PEAKS} (median, along the beam), by their \
+             return locations: {why}",
             echoes.len()
         ),
         "export the file again with return locations; if the locations are right, set `check_locations = false` of \

@@ -8,19 +8,21 @@ use super::Sample;
 use crate::ellipsoid::WGS84;
 
 /// Largest acceleration, m/s²: five times that of free fall.
-const MOST_ACCELERATION: f64 = 50.0;
+pub const MOST_ACCELERATION_MPS2: f64 = 50.0;
 /// Largest angular acceleration, rad/s²: 500 degrees/s².
-const MOST_TURNING: f64 = 8.7;
-/// Smallest deviation that matters, m and rad (1 degree).
-const LEAST_M: f64 = 1.0;
-const LEAST_RAD: f64 = 0.0175;
+pub const MOST_TURNING_RADPS2: f64 = 8.7;
+/// Smallest deviation of a position that matters, m.
+pub const LEAST_M: f64 = 1.0;
+/// Smallest deviation of an angle that matters, rad: 1 degree.
+pub const LEAST_RAD: f64 = 0.0175;
 /// Smallest deviation, in medians of all: the noise of the trajectory.
 const LEAST_MEDIANS: f64 = 8.0;
 /// Number of neighbouring outliers that can be told from a step.
 const PASSES: usize = 3;
-/// Fewest records of a frozen stretch, and smallest speed around it, m/s.
-const FEWEST_FROZEN: usize = 10;
-const LEAST_SPEED_MPS: f64 = 5.0;
+/// Fewest records of a frozen stretch.
+pub const FEWEST_FROZEN: usize = 10;
+/// Smallest speed around a frozen stretch, m/s.
+pub const LEAST_SPEED_MPS: f64 = 5.0;
 /// Largest part of the records that may be outliers; else the trajectory is as it is.
 const MOST_PART: f64 = 0.05;
 
@@ -84,13 +86,13 @@ struct Quantity {
 
 const POSITION: Quantity = Quantity {
     fault: Fault::Position,
-    most_acceleration: MOST_ACCELERATION,
+    most_acceleration: MOST_ACCELERATION_MPS2,
     least: LEAST_M,
     difference: |a, b| core::array::from_fn(|axis| a[axis] - b[axis]),
 };
 const ATTITUDE: Quantity = Quantity {
     fault: Fault::Attitude,
-    most_acceleration: MOST_TURNING,
+    most_acceleration: MOST_TURNING_RADPS2,
     least: LEAST_RAD,
     difference: |a, b| {
         core::array::from_fn(|axis| {
