@@ -57,7 +57,7 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
 impl TrajectoryArgs {
     fn options(&self) -> Options {
         Options {
-            time: self.time.map(Clock::from),
+            time: self.time.map(FileTime::from),
             angles: self.angles.map(Angles::from),
             columns: self.columns.clone(),
             accuracy: self.accuracy.clone(),

@@ -47,6 +47,16 @@ fn a_window_keeps_the_blocks_of_its_shots_and_drops_empty_lines() {
 }
 
 #[test]
+fn an_empty_window_names_window_and_times() {
+    let keys = TimeKeys { time_s: Some([5.0, 6.0]), ..TimeKeys::default() };
+    let (read, cx) = read(TimeScale::Week, vec![vec![1.0, 2.0], vec![3.0]], keys).unwrap();
+    assert!(read.is_empty());
+    let expected = "no shot lies in the time window, 5.000 to 6.000 s: the times read are 1.000 to 3.000 s; set \
+                    `time_s`, or the scale it counts on with `time_scale`";
+    assert_eq!(cx.counters().notes, [expected]);
+}
+
+#[test]
 fn times_that_do_not_fit_their_label_are_named() {
     let said = |scale, time_s| {
         let (_, cx) = read(scale, vec![vec![time_s]], TimeKeys::default()).unwrap();
