@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::container_info::{channel_of, info_of};
 use super::line_splitter::Sampling;
+use super::plausible;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::keys::InvalidKey;
 use crate::scan_line::{
@@ -107,6 +108,17 @@ impl SourceConfig for Config {
 
     fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         let mut source = ArrowLineReader::open(site, self.sampling())?;
+        if self.refractive_index_ppm.is_none() {
+            plausible::check_velocity(
+                source.info.group_velocity_mps,
+                "the metadata `wavex.group_velocity_mps`",
+                "write it in metres per second, or set `refractive_index_ppm` of the reader",
+            )?;
+        }
+        plausible::check_interval(
+            source.info.sampling_interval_ns,
+            "write `wavex.sampling_interval_ns` in nanoseconds",
+        )?;
         if !with_samples {
             source.reader.skip_samples();
         }
@@ -322,7 +334,9 @@ fn wrong_row(
     last: Option<&Emission>,
 ) -> Option<&'static str> {
     let earlier = last.is_some_and(|last| shot.clock_ps < last.clock_ps);
+    let is_repeated = last.is_some_and(|last| shot.shot == last.shot);
     (earlier.then_some("the clock runs backwards"))
+        .or_else(|| is_repeated.then_some("the shot number is that of the row before"))
         .or_else(|| wrong_shot(shot))
         .or_else(|| line.blocks(row).find_map(wrong_block))
         .or_else(|| line.online(row).find_map(wrong_online))
@@ -331,7 +345,6 @@ fn wrong_row(
 /// The reason to reject a shot, if any.
 fn wrong_shot(shot: &ContainerShot) -> Option<&'static str> {
     let length = shot.direction.iter().map(|x| x * x).sum::<f64>().sqrt();
-    let not_positive = |value: f64| !(value.is_finite() && value > 0.0);
     if !shot.origin_m.iter().all(|x| x.is_finite()) {
         Some("the origin is not finite")
     } else if !length.is_finite() {
@@ -340,8 +353,10 @@ fn wrong_shot(shot: &ContainerShot) -> Option<&'static str> {
         Some("the direction is not a unit vector")
     } else if shot.gps_time_s.is_some_and(f64::is_infinite) {
         Some("the time is infinite")
-    } else if shot.frame_scale.is_some_and(not_positive) {
-        Some("the frame scale is not above 0")
+    } else if shot.frame_scale.is_some_and(|scale| !plausible::FRAME_SCALE.contains(&scale)) {
+        Some("the frame scale is not between 0.1 and 10")
+    } else if shot.scan_angle_deg.is_some_and(|angle_deg| angle_deg.abs() > 180.0) {
+        Some("the scan angle is not between -180 and 180 degrees")
     } else {
         None
     }
@@ -353,8 +368,10 @@ fn wrong_block(block: ContainerBlock) -> Option<&'static str> {
         Some("a block of an unknown channel")
     } else if !block.start_ns.is_finite() {
         Some("a block without a time")
-    } else if block.interval_ns.is_some_and(|interval| !(interval.is_finite() && interval > 0.0)) {
-        Some("a block whose interval is not above 0")
+    } else if block.start_ns.abs() > plausible::MOST_START_NS {
+        Some("a block more than 0.01 s from its shot")
+    } else if block.interval_ns.is_some_and(|interval_ns| !plausible::INTERVAL_NS.contains(&interval_ns)) {
+        Some("a block whose interval is not between 0.05 and 20 ns")
     } else if block.gain.is_some_and(|gain| !GAINS.contains(&gain)) {
         Some("a block whose gain is not between 1/1024 and 1024")
     } else {
