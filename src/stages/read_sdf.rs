@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::line_splitter::{Lines, check_odd_sample_shift};
 use super::recording::time::{self, Axis, Scale, Times};
-use super::recording::{self, NO_TIME, with_time_keys};
+use super::recording::{self, NO_TIME, Watched, with_time_keys};
 use crate::keys::InvalidKey;
 use crate::scan_line::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
@@ -204,6 +204,7 @@ impl SdfLineReader {
         let times = times.later_by(leap_s + config.time_offset_s);
         remarks.extend(times.remark.map(str::to_owned));
         let input = describe(config, site, &reader, &times, tables, &ahead);
+        remarks.extend(recording::green_note(input.instrument.as_deref()));
         let mut at_end = false;
         let window_s = config.time_keys().window_s(&times, path)?;
         let window = window_s.map(|window_s| Window {

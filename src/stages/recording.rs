@@ -258,6 +258,23 @@ const UNKNOWN_GAINS: &str = "the receiver gain varies between shots, but the rec
      different digitizer gains in waveform packet descriptors): amplitudes and intensities are not comparable, and \
      thresholds and standard deviations are those of a mean gain; use a container whose blocks have a `gain`";
 
+/// Green instruments for bathymetry, without separators, in upper case.
+const GREEN: [&str; 9] =
+    ["VQ820G", "VQ840G", "VQ860G", "VQ870G", "VQ880G", "CHIROPTERA", "HAWKEYE", "CZMIL", "SHOALS"];
+
+/// Warning for a green instrument.
+pub(super) fn green_note(instrument: Option<&str>) -> Option<String> {
+    let instrument = instrument?;
+    let name: String = instrument.chars().filter(|c| c.is_alphanumeric()).collect();
+    let name = name.to_uppercase();
+    GREEN.iter().any(|green| name.contains(green)).then(|| {
+        format!(
+            "{instrument} measures through water, but refraction and the speed of light in water are not applied: points \
+             under water are too deep by about a third of the depth; correct them with a program for bathymetry"
+        )
+    })
+}
+
 impl<S: Source> AsDeclared<S> {
     pub(super) fn new(source: S, declared: Declared) -> AsDeclared<S> {
         AsDeclared { source, declared, begun: None, copies: Copies::default(), emission_check: None }
@@ -294,6 +311,9 @@ impl<S: Source> AsDeclared<S> {
         }
         if from.gain_control == GainControl::NotRecorded {
             cx.warn(UNKNOWN_GAINS);
+        }
+        if let Some(note) = green_note(from.instrument.as_deref()) {
+            cx.warn(note);
         }
         let about = keys.gps_date.as_deref().and_then(time::noon);
         if let (Scale::Week, Some(about), Some(first_s)) = (scale, about, first_s)

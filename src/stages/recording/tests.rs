@@ -47,6 +47,16 @@ fn a_window_keeps_the_blocks_of_its_shots_and_drops_empty_lines() {
 }
 
 #[test]
+fn green_instruments_are_named() {
+    for green in ["VQ-880-GII", "RIEGL VQ-840-GL", "CZMIL Nova", "Leica Chiroptera 4X"] {
+        assert!(green_note(Some(green)).is_some_and(|note| note.starts_with(green)), "{green}");
+    }
+    for other in [Some("VQ-880"), Some("LMS-Q680i"), Some("VQ-1560i"), None] {
+        assert_eq!(green_note(other), None);
+    }
+}
+
+#[test]
 fn an_empty_window_names_window_and_times() {
     let keys = TimeKeys { time_s: Some([5.0, 6.0]), ..TimeKeys::default() };
     let (read, cx) = read(TimeScale::Week, vec![vec![1.0, 2.0], vec![3.0]], keys).unwrap();
