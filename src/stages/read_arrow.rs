@@ -1,5 +1,6 @@
 //! `read_arrow`: reads recorded waveforms from the open container.
 
+use std::fs::File;
 use std::io::Read;
 use std::sync::Arc;
 
@@ -103,11 +104,21 @@ impl SourceConfig for Config {
     }
 
     fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        self.make_for_inspection(site, true)
+        self.declare(ArrowLineReader::open(site, self.sampling())?, site, true)
     }
 
     fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        let mut source = ArrowLineReader::open(site, self.sampling())?;
+        self.declare(ArrowLineReader::open_partial(site, self.sampling())?, site, with_samples)
+    }
+}
+
+impl Config {
+    fn declare(
+        &self,
+        mut source: ArrowLineReader,
+        site: &RunContext,
+        with_samples: bool,
+    ) -> Result<Box<dyn Source>> {
         if self.refractive_index_ppm.is_none() {
             plausible::check_velocity(
                 source.info.group_velocity_mps,
@@ -142,6 +153,8 @@ struct ArrowLineReader {
     number: u64,
     /// Location of the line emitted last.
     location: Option<LineLocation>,
+    /// Error of a file without its end, until it is returned.
+    damage: Option<StageError>,
 }
 
 /// Valid gains, relative to the reference gain.
@@ -151,11 +164,32 @@ const UNIT_TOLERANCE: f64 = 1e-6;
 
 impl ArrowLineReader {
     fn open(site: &RunContext, sampling: Sampling) -> Result<ArrowLineReader> {
-        let (path, stem) = (&site.input, &site.stem);
-        let mut reader = match pipe(site).map_err(Error::io(path, "open"))? {
+        let path = &site.input;
+        let reader = match pipe(site).map_err(Error::io(path, "open"))? {
             Some(pipe) => ContainerReader::from_stream(path, pipe)?,
             None => ContainerReader::open(path)?,
         };
+        ArrowLineReader::begin(reader, site, sampling)
+    }
+
+    /// As [`ArrowLineReader::open`]; a file without its end is read up to the damage.
+    fn open_partial(site: &RunContext, sampling: Sampling) -> Result<ArrowLineReader> {
+        let damage = match ArrowLineReader::open(site, sampling) {
+            Err(damage) if site.input.is_file() => damage,
+            opened => return opened,
+        };
+        let readable = File::open(&site.input).ok().and_then(|file| {
+            let reader = ContainerReader::from_stream(&site.input, Box::new(file)).ok()?;
+            ArrowLineReader::begin(reader, site, sampling).ok()
+        });
+        match readable {
+            Some(readable) => Ok(ArrowLineReader { damage: Some(damage), ..readable }),
+            None => Err(damage),
+        }
+    }
+
+    fn begin(mut reader: ContainerReader, site: &RunContext, sampling: Sampling) -> Result<ArrowLineReader> {
+        let (path, stem) = (&site.input, &site.stem);
         let first = reader.next_line()?;
         let reference = match first.as_ref().is_some_and(has_outgoing_pulse) {
             true => EmissionReference::OutgoingPulse,
@@ -169,7 +203,8 @@ impl ArrowLineReader {
         }
         let info = Arc::new(info);
         let at = first.map(|line| (line, 0));
-        Ok(ArrowLineReader { reader, with_samples: true, info, at, number: 0, location: None })
+        let (number, location, damage) = (0, None, None);
+        Ok(ArrowLineReader { reader, with_samples: true, info, at, number, location, damage })
     }
 
     /// Takes the next rows that form a line from the current record line.
@@ -246,7 +281,15 @@ impl Source for ArrowLineReader {
                 Some(_) => continue,
                 None => {}
             }
-            let Some(line) = self.reader.next_line()? else { break };
+            let line = match (self.reader.next_line(), self.damage.take()) {
+                (Ok(Some(line)), damage) => {
+                    self.damage = damage;
+                    line
+                }
+                (_, Some(damage)) => return Err(damage),
+                (Err(error), None) => return Err(error.into()),
+                (Ok(None), None) => break,
+            };
             self.number += 1;
             self.at = Some((line, 0));
         }
