@@ -1,7 +1,7 @@
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Any, final, overload
+from typing import Any, NoReturn, final, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,6 +84,7 @@ class BatchReader:
         /,
     ) -> None: ...
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object: ...
+    def __array__(self, *_args: Any, **_kwargs: Any) -> NoReturn: ...
 
 @final
 class Block:
