@@ -8,7 +8,7 @@ use crate::stage::{FinishedFile, OutputFile};
 use map::Map;
 use summary::About;
 use wavex_formats::Error;
-use wavex_formats::trajectory::{self, Angles, Options, Records, Unproject};
+use wavex_formats::trajectory::{self, Angles, FileTime, Options, Records, Unproject};
 use wavex_geodesy::time_axis::Clock;
 use wavex_geodesy::trajectory::{Accuracy, Trajectory};
 

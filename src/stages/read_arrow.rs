@@ -36,7 +36,8 @@ with_time_keys! {
 /// The file format and the stream format are detected from the content; both may be compressed with
 /// LZ4 or ZSTD. Unknown columns and metadata keys are ignored. A missing column, a column of
 /// another type, an invalid null, or a list that points outside its items ends the run with an
-/// error that names the column and the row.
+/// error that names the column and the row. Large lists and signed shot numbers are accepted. A group
+/// velocity that light does not have in air, and a sampling interval outside 0.05 to 20 ns, are errors.
 ///
 /// A scan line ends with its record line, where the column `line` changes, and after 4096 shots;
 /// the parts of a longer line keep its number. Record lines are limited to 1 GiB.
@@ -47,10 +48,10 @@ with_time_keys! {
 ///
 /// Rejected, and counted with their blocks, are shots with: an origin or direction that is not
 /// finite, a direction that is not a unit vector (to 1e-6: 1 mm at 1 km), an infinite time, a clock
-/// earlier than that of the previous shot in its line, a frame scale that is not above 0, a block
-/// of an unknown channel, a block without a time, with an interval that is not above 0 or with a
-/// gain that is not between 1/1024 and 1024, or an online return without a time. The line continues
-/// without them.
+/// earlier than that of the previous shot in its line or its number, a frame scale that is not between
+/// 0.1 and 10, a scan angle beyond 180 degrees, a block of an unknown channel, a block without a time, more
+/// than 0.01 s from its shot, with an interval that is not between 0.05 and 20 ns or with a gain that is not
+/// between 1/1024 and 1024, or an online return without a time. The line continues without them.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Config {

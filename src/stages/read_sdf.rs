@@ -314,6 +314,9 @@ impl SdfLineReader {
     /// The last line, with a note if it seems truncated.
     fn last_line(&mut self, cx: &mut Context) -> Option<ScanLine> {
         let line = self.lines.take();
+        if let (None, Some(window)) = (&line, &self.window) {
+            window.watched.report(cx);
+        }
         if line.is_some() && self.ends_are_marked && self.window.is_none() {
             cx.warn("the file ends within a scan line: it may be truncated");
         }

@@ -29,7 +29,7 @@ pub(super) struct Request {
     /// Names in lower case, and values.
     pub(super) headers: Vec<(String, String)>,
     /// Whether the connection continues after the answer.
-    keeps_alive: bool,
+    pub(super) keeps_alive: bool,
 }
 
 impl Request {
@@ -210,7 +210,7 @@ fn send(mut stream: &TcpStream, response: &Response, keeps_alive: bool) -> io::R
     headers.iter().for_each(|(name, value)| head += &format!("{name}: {value}\r\n"));
     head += "\r\n";
     let until = Instant::now() + ANSWER;
-    for mut bytes in [head.as_bytes(), body] {
+    for mut bytes in [head.as_bytes(), body.as_slice()] {
         while !bytes.is_empty() {
             stream.set_write_timeout(Some(remaining(until).ok_or(ErrorKind::TimedOut)?))?;
             match stream.write(bytes) {

@@ -44,7 +44,8 @@ pub(super) struct Running {
 /// # Errors
 /// If the port is in use, or the system has no random numbers.
 pub(super) fn start(session: &Arc<Session>, port: u16) -> Result<Running, String> {
-    let refused = |error| format!("cannot listen on port {port}: {error}; choose another --port");
+    let refused =
+        |error: std::io::Error| format!("cannot listen on port {port}: {error}; choose another --port");
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port)).map_err(refused)?;
     let port = listener.local_addr().map_err(refused)?.port();
     let token = token()?;

@@ -185,8 +185,8 @@ fn path_from_beams(flight: &str) {
 #[test]
 fn a_short_recording_has_one_row_from_its_beams() {
     let folder = tempfile::tempdir().unwrap();
-    // 95 ms.
-    let job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 5\nshots_per_line = 100\npulse_rate_hz = 6000\n\
+    // 70 ms and three pauses.
+    let job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 4\nshots_per_line = 100\npulse_rate_hz = 6000\n\
                [[stage]]\ntype = 'write_trajectory'\nid = 'origins'\ninterval_s = 0\n\
                [[stage]]\ntype = 'write_trajectory'\nid = 'met'\nsensor = 'beams'\npath = 'met.txt'\n";
     let job = Job::parse("job.toml", job, &[]).unwrap_or_else(|e| panic!("{e}"));
