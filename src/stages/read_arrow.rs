@@ -17,7 +17,7 @@ use crate::scan_line::{
     ScanLine,
 };
 use crate::stage::{
-    self, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+    self, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageError, StageSpec,
 };
 use wavex_formats::Error;
 use wavex_formats::container::{

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::emission_choice::EmissionCheck;
 use crate::georef::declared;
 use crate::keys::InvalidKey;
-use crate::scan_line::{Content, Emission, Frame, GainControl, InputInfo, ScanLine};
+use crate::scan_line::{Content, Frame, GainControl, InputInfo, ScanLine};
 use crate::stage::{Context, Item, LineLocation, Result, RunContext, Source, StageError};
 use wavex_geodesy::time::WEEK_S;
 
