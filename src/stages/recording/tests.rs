@@ -1,7 +1,7 @@
 //! Time windows, implausible time scales, and CRSs. `tests/readers/declared.rs` covers whole jobs.
 
 use super::*;
-use crate::scan_line::{Blocks, Channel, TimeScale};
+use crate::scan_line::{Blocks, Channel, Emission, TimeScale};
 
 /// Lines of shots with these times.
 struct Lines(std::vec::IntoIter<Vec<f64>>, Arc<InputInfo>);
