@@ -6,7 +6,7 @@
 use std::fmt::{self, Display, Formatter};
 
 use crate::georef;
-use crate::stages::read_las;
+use crate::stages::{plausible, read_las};
 
 /// A comparison of an input with physics, or with itself.
 pub struct Check {

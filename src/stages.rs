@@ -10,6 +10,7 @@ pub mod filter_outliers;
 pub mod fuse_channels;
 pub mod georeference;
 mod line_splitter;
+pub(crate) mod plausible;
 pub mod pose_source;
 pub mod read_arrow;
 pub mod read_las;

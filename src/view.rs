@@ -12,6 +12,7 @@ use crate::engine::Cancel;
 mod attributes;
 mod cloud;
 mod compare;
+mod http;
 mod job_text;
 mod keys;
 mod layers;

@@ -1,7 +1,7 @@
 //! Record batches for Python, through the Arrow PyCapsule interface.
 
 use std::collections::VecDeque;
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::ThreadId;
 
 use arrow_array::ffi::{FFI_ArrowArray, FFI_ArrowSchema};
@@ -11,7 +11,7 @@ use arrow_schema::{ArrowError, SchemaRef};
 use numpy::{IntoPyArray, PyArray1};
 use pyo3::exceptions::{PyImportError, PyKeyError, PyStopIteration};
 use pyo3::prelude::*;
-use pyo3::types::{PyCapsule, PyTuple};
+use pyo3::types::{PyCapsule, PyDict, PyTuple};
 
 use wavex::engine::{Next, RunError, Stream};
 
@@ -80,18 +80,21 @@ fn ended() -> PyErr {
 /// Reader of record batches, which come from a run of the engine.
 ///
 /// Iterating yields tables of one batch. Any library that knows the Arrow PyCapsule interface takes a
-/// reader as it is: ``pyarrow.table(reader)``, ``polars.DataFrame(reader)``, ``duckdb``. A reader is read
-/// once. Memory is bounded: the run waits until a batch is taken. Closing or deleting the reader ends the
+/// reader as it is: ``pyarrow.table(reader)``, ``polars.DataFrame(reader)``,
+/// ``pandas.DataFrame.from_arrow(reader)``, ``duckdb.sql("from reader")``. A reader is read once. Memory is bounded: the run waits until a batch is taken. Closing or deleting the reader ends the
 /// run.
 #[pyclass(module = "wavex", frozen)]
 pub struct BatchReader {
-    /// `None` after it was closed or handed over.
-    reading: Mutex<Option<Reading>>,
+    reading: Shared,
 }
+
+/// The source of a reader and of its exported streams, which may be several: DuckDB takes one for the schema
+/// and one for the batches. `None` after it was closed, or once a stream has begun to read.
+type Shared = Arc<Mutex<Option<Reading>>>;
 
 impl BatchReader {
     pub fn new(source: Stream<RecordBatch>) -> BatchReader {
-        BatchReader { reading: Mutex::new(Some(Reading { source, ahead: VecDeque::new() })) }
+        BatchReader { reading: Arc::new(Mutex::new(Some(Reading { source, ahead: VecDeque::new() }))) }
     }
 
     fn take(&self) -> PyResult<Reading> {
@@ -147,7 +150,18 @@ impl BatchReader {
             (reading, schema)
         });
         let schema = schema.map_err(|error| errors::of_run(&error))??;
-        stream_capsule(py, Box::new(Exported { reading, schema }))
+        self.put(reading);
+        stream_capsule(py, Box::new(Exported { shared: Arc::clone(&self.reading), reading: None, schema }))
+    }
+
+    /// Refuse to become an array: pandas would make one of the batches as objects.
+    #[pyo3(signature = (*_args, **_kwargs))]
+    fn __array__(&self, _args: Bound<'_, PyTuple>, _kwargs: Option<Bound<'_, PyDict>>) -> PyResult<()> {
+        Err(errors::data(
+            "a reader is no array",
+            "use `pandas.DataFrame.from_arrow(reader)`, `reader.to_arrow().read_pandas()`, or a column of \
+             `reader.read_all()`",
+        ))
     }
 
     /// Read all batches into a :class:`Table`.
@@ -206,7 +220,9 @@ impl BatchReader {
 
 impl Drop for BatchReader {
     fn drop(&mut self) {
-        let reading = self.reading.get_mut().unwrap_or_else(PoisonError::into_inner).take();
+        // Exported streams outlive the reader.
+        let Some(reading) = Arc::get_mut(&mut self.reading) else { return };
+        let reading = reading.get_mut().unwrap_or_else(PoisonError::into_inner).take();
         // The engine's threads may need the GIL to end.
         if reading.is_some() {
             let mut reading = Some(reading);
@@ -220,7 +236,9 @@ impl Drop for BatchReader {
 
 /// A reader in the hands of another library, which may call it without the GIL.
 struct Exported {
-    reading: Reading,
+    shared: Shared,
+    /// `None` before the first batch.
+    reading: Option<Reading>,
     schema: SchemaRef,
 }
 
@@ -228,7 +246,14 @@ impl Iterator for Exported {
     type Item = Result<RecordBatch, ArrowError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        match self.reading.next() {
+        if self.reading.is_none() {
+            self.reading = self.shared.lock().unwrap_or_else(PoisonError::into_inner).take();
+        }
+        let Some(reading) = &mut self.reading else {
+            let problem = "the reader is closed or has been read; open it again";
+            return Some(Err(ArrowError::ExternalError(problem.into())));
+        };
+        match reading.next() {
             Ok(Step::Batch(batch)) => Some(Ok(batch)),
             Ok(Step::End) => None,
             Ok(Step::Signal(_)) => {

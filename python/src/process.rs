@@ -254,7 +254,14 @@ impl Explanation {
     /// Parameters
     /// ----------
     /// path : str or os.PathLike
+    ///     Ends in ``.svg``.
     fn save(&self, path: PathBuf) -> PyResult<()> {
+        if !path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg")) {
+            return Err(errors::data(
+                format!("{}: the picture is SVG", path.display()),
+                "give a name that ends in `.svg`; browsers and Inkscape convert it",
+            ));
+        }
         Ok(std::fs::write(path, &self.explained.svg)?)
     }
 

@@ -17,6 +17,7 @@ use pyo3::types::{PyCapsule, PyDict, PyTuple};
 use wavex::engine::Cancel;
 use wavex::job::Job;
 use wavex::stages::decompose::{Decompose, Mode};
+use wavex_signal::calibrate::CalibrationError;
 use wavex_signal::decompose::{Decompositions, Tables, Waveform};
 use wavex_signal::sensor_model::ChannelModel;
 use wavex_signal::simd::SimdLevel;
@@ -315,7 +316,9 @@ struct Task<'a> {
     threads: usize,
 }
 
-impl Task<'_> {
+impl Work for Task<'_> {
+    type Output = Table;
+
     fn run(&self, samples: &Samples) -> PyResult<Table> {
         let py = self.t0.py();
         let longest = match samples.ends {
@@ -339,9 +342,23 @@ impl Task<'_> {
         )??;
         Ok(Table::new(batches))
     }
+}
 
-    /// Decomposes a two-dimensional array.
-    fn of_array(&self, array: &Bound<'_, PyUntypedArray>) -> PyResult<Table> {
+/// Work on samples of any form.
+trait Work: Sized {
+    type Output;
+
+    fn run(&self, samples: &Samples) -> PyResult<Self::Output>;
+
+    fn of(&self, samples: &Bound<'_, PyAny>) -> PyResult<Self::Output> {
+        with_samples(samples, |given| match given {
+            Given::Array(array) => self.of_array(array),
+            Given::Arrow(array) => self.of_arrow(array),
+        })
+    }
+
+    /// Uses a two-dimensional array.
+    fn of_array(&self, array: &Bound<'_, PyUntypedArray>) -> PyResult<Self::Output> {
         let shape = match array.shape() {
             [waveforms, samples] => (*waveforms, *samples),
             shape => {
@@ -375,17 +392,17 @@ impl Task<'_> {
         &self,
         values: &[T],
         (waveforms, samples): (usize, usize),
-    ) -> PyResult<Table> {
+    ) -> PyResult<Self::Output> {
         let ends = Ends::Equal(samples, waveforms);
         self.run(&Samples { values: u16_of(values)?, ends })
     }
 
-    /// Decomposes a list array.
+    /// Uses a list array.
     fn of_list<O: OffsetSizeTrait>(
         &self,
         list: &GenericListArray<O>,
         ends: impl for<'a> Fn(&'a [O]) -> Ends<'a>,
-    ) -> PyResult<Table> {
+    ) -> PyResult<Self::Output> {
         if list.null_count() > 0 || list.values().null_count() > 0 {
             return Err(errors::data(
                 "the list array has nulls",
@@ -408,7 +425,7 @@ impl Task<'_> {
         ))
     }
 
-    fn of_arrow(&self, array: &dyn Array) -> PyResult<Table> {
+    fn of_arrow(&self, array: &dyn Array) -> PyResult<Self::Output> {
         if let Some(list) = array.as_any().downcast_ref::<GenericListArray<i32>>() {
             return self.of_list(list, |ends| Ends::Small(ends));
         }
@@ -504,10 +521,7 @@ pub fn decompose_samples<'py>(
 ) -> PyResult<Table> {
     let threads = if threads == 0 { wavex::engine::cores().unwrap_or(1) } else { threads };
     let task = Task { t0, channel: model.get().channel(channel)?, config: config_of(keys)?, threads };
-    with_samples(samples, |given| match given {
-        Given::Array(array) => task.of_array(array),
-        Given::Arrow(array) => task.of_arrow(array),
-    })
+    task.of(samples)
 }
 
 enum Given<'a, 'py> {
@@ -541,8 +555,9 @@ fn with_samples<'py, T>(
 ///
 /// Parameters
 /// ----------
-/// samples : numpy.ndarray, shape (n, m)
-///     One waveform per row, digitiser steps; at least 200 with an echo.
+/// samples : numpy.ndarray, shape (n, m), or Arrow list array
+///     One waveform per row, digitiser steps; at least 200 with an echo. Zeros that fill rows at their ends are
+///     left out.
 /// interval_ns : float
 ///     Sampling interval, ns.
 /// full_scale_dn : float, optional
@@ -560,44 +575,59 @@ pub fn calibrate_samples(
     interval_ns: f64,
     full_scale_dn: f64,
 ) -> PyResult<SensorModel> {
-    use wavex_signal::calibrate::response::calibrate_response;
-    use wavex_signal::calibrate::{CalibrationSettings, calibrate};
     if !(interval_ns > 0.0 && interval_ns.is_finite() && full_scale_dn > 0.0) {
         return Err(errors::data(
             format!("an interval of {interval_ns} ns or a full scale of {full_scale_dn} is impossible"),
             "give positive numbers",
         ));
     }
-    let array = py.import("numpy")?.call_method1("ascontiguousarray", (samples, "u2"))?;
-    let same = py.import("numpy")?.call_method1("array_equal", (&array, samples))?;
-    let array: PyReadonlyArray2<u16> = array.extract().map_err(|_| {
-        errors::data("the array of samples is not two-dimensional", "give one waveform per row")
-    })?;
-    if !same.is_truthy()? {
-        return Err(errors::data(
-            "the samples are not digitiser steps",
-            "samples are whole numbers from 0 to 65535; fill gaps and NaN, and scale voltages to steps",
-        ));
+    Calibration { py, interval_ns, full_scale_dn }.of(samples)
+}
+
+/// Calibration of a receiver.
+struct Calibration<'py> {
+    py: Python<'py>,
+    interval_ns: f64,
+    full_scale_dn: f64,
+}
+
+impl Work for Calibration<'_> {
+    type Output = SensorModel;
+
+    fn run(&self, samples: &Samples) -> PyResult<SensorModel> {
+        use wavex_signal::calibrate::response::calibrate_response;
+        use wavex_signal::calibrate::{CalibrationSettings, calibrate};
+        let model = interruptible(
+            self.py,
+            &Cancel::default(),
+            |_| Ok(()),
+            || {
+                let blocks = (0..samples.waveforms())
+                    .map(|i| Waveform { samples: without_padding(samples.get(i)), start_phase: 0 })
+                    .filter(|waveform| !waveform.samples.is_empty());
+                let settings = CalibrationSettings {
+                    simd: SimdLevel::best(),
+                    ..CalibrationSettings::echoes(self.interval_ns, self.full_scale_dn)
+                };
+                let model = calibrate(blocks.clone(), &settings)?;
+                calibrate_response(blocks, &model, &settings)
+            },
+        )?;
+        let model = model
+            .map_err(|error: CalibrationError| errors::data(error.to_string(), "give other waveforms"))?;
+        let model =
+            wavex_signal::sensor_model::SensorModel { low_power: Some(model.model), ..Default::default() };
+        Ok(SensorModel::new(Arc::new(model)))
     }
-    let length = array.shape()[1].max(1);
-    let values =
-        array.as_slice().map_err(|error| errors::data(error.to_string(), "give a contiguous array"))?;
-    let cancel = Cancel::default();
-    let model = interruptible(
-        py,
-        &cancel,
-        |_| Ok(()),
-        || {
-            let blocks = values.chunks_exact(length).map(|samples| Waveform { samples, start_phase: 0 });
-            let settings = CalibrationSettings {
-                simd: SimdLevel::best(),
-                ..CalibrationSettings::echoes(interval_ns, full_scale_dn)
-            };
-            let model = calibrate(blocks.clone(), &settings)?;
-            calibrate_response(blocks, &model, &settings)
-        },
-    )?;
-    let model = model.map_err(|error| errors::data(error.to_string(), "give other waveforms"))?.model;
-    let model = wavex_signal::sensor_model::SensorModel { low_power: Some(model), ..Default::default() };
-    Ok(SensorModel::new(Arc::new(model)))
+}
+
+/// Fewest zeros at the end of a waveform that are padding.
+const PADDING: usize = 8;
+
+/// A waveform without zeros that fill its row; with a background of 0, zeros are samples.
+fn without_padding(samples: &[u16]) -> &[u16] {
+    let length = samples.iter().rposition(|&sample| sample > 0).map_or(0, |last| last + 1);
+    let kept = &samples[..length];
+    let zeros = kept.iter().filter(|&&sample| sample == 0).count();
+    if samples.len() - length >= PADDING && 2 * zeros < length { kept } else { samples }
 }

@@ -52,6 +52,23 @@ def test_returns_go_to_other_libraries(flight, model):
     duckdb = pytest.importorskip("duckdb")
     returns = wavex.decompose(flight, model).to_arrow()
     assert duckdb.sql("select count(*) from returns").fetchall()[0][0] > 4000
+    reader = wavex.decompose(flight, model)
+    assert duckdb.sql("select count(*) from reader").fetchall()[0][0] > 4000
+
+
+def test_a_reader_is_exported_once_it_is_read_and_is_no_array(flight, model):
+    reader = wavex.decompose(flight, model, columns=["shot"], mode="fastest")
+    reader.__arrow_c_stream__()
+    assert pl.DataFrame(reader).height > 4000
+    with pytest.raises(wavex.DataError, match=r"pandas.DataFrame.from_arrow\(reader\)"):
+        np.asarray(wavex.decompose(flight, model))
+
+
+def test_pictures_are_svg(flight, model, tmp_path):
+    explanation = wavex.explain(flight, 5, model)
+    explanation.save(tmp_path / "e.SVG")
+    with pytest.raises(wavex.DataError, match="e.png: the picture is SVG"):
+        explanation.save(tmp_path / "e.png")
 
 
 def test_batches_are_iterated_and_closed(flight, model):

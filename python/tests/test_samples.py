@@ -116,8 +116,20 @@ def test_ragged_lists(waveforms, own):
         wavex.decompose_samples(pa.array([1, 2], pa.uint16()), 0, own)
 
 
+def test_lists_and_padded_rows_give_the_same_model(waveforms):
+    lengths = np.random.default_rng(2).integers(45, M, len(waveforms[0]))
+    lists = [row[:length] for row, length in zip(waveforms[0], lengths)]
+    padded = np.zeros((len(lists), 2 * M), "u2")
+    for row, samples in zip(padded, lists):
+        row[: len(samples)] = samples
+    of_lists = wavex.calibrate_samples(pa.array(lists, pa.list_(pa.uint16())), full_scale_dn=255)
+    of_rows = wavex.calibrate_samples(padded, full_scale_dn=255)
+    assert of_lists.to_json() == of_rows.to_json()
+    assert abs(of_lists.pulse_fwhm_ns() - 4.5) < 0.3
+
+
 def test_calibration_needs_waveforms():
     with pytest.raises(wavex.DataError):
         wavex.calibrate_samples(np.zeros((5, M), "u2"))
-    with pytest.raises(wavex.DataError, match="not digitiser steps"):
+    with pytest.raises(wavex.DataError, match="not a digitiser step"):
         wavex.calibrate_samples(np.full((500, M), 1.5))

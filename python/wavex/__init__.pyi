@@ -1,7 +1,7 @@
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Any, final, overload
+from typing import Any, NoReturn, final, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,6 +84,7 @@ class BatchReader:
         /,
     ) -> None: ...
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object: ...
+    def __array__(self, *_args: Any, **_kwargs: Any) -> NoReturn: ...
 
 @final
 class Block:
@@ -285,7 +286,7 @@ def open(path: _Path, **keys: Any) -> Recording: ...
 def simulate(path: _Path | None = None, **keys: Any) -> Recording: ...
 def calibrate(recording: Recording | _Path, *, threads: int | None = None, **keys: Any) -> SensorModel: ...
 def calibrate_samples(
-    samples: ArrayLike, interval_ns: float = 1.0, full_scale_dn: float = 65535.0
+    samples: Any, interval_ns: float = 1.0, full_scale_dn: float = 65535.0
 ) -> SensorModel: ...
 def decompose(
     recording: Recording | _Path,

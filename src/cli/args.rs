@@ -8,8 +8,7 @@ use super::false_alarms::FalseAlarmArgs;
 use super::plan::{CollectArgs, PlanArgs};
 use super::survey::SurveyArgs;
 use super::usage;
-use wavex_formats::trajectory::Angles;
-use wavex_geodesy::time_axis::Clock;
+use wavex_formats::trajectory::{Angles, FileTime};
 
 /// Turn full-waveform lidar recordings into point clouds
 #[derive(Parser)]
@@ -399,14 +398,20 @@ pub(super) enum ClockName {
     Day,
     /// Seconds since 1980-01-06 minus 1e9
     Adjusted,
+    /// Seconds since 1980-01-06
+    Standard,
+    /// Seconds of UTC since 1970-01-01
+    Unix,
 }
 
-impl From<ClockName> for Clock {
-    fn from(name: ClockName) -> Clock {
+impl From<ClockName> for FileTime {
+    fn from(name: ClockName) -> FileTime {
         match name {
-            ClockName::Week => Clock::Week,
-            ClockName::Day => Clock::Day,
-            ClockName::Adjusted => Clock::Adjusted,
+            ClockName::Week => FileTime::Week,
+            ClockName::Day => FileTime::Day,
+            ClockName::Adjusted => FileTime::Adjusted,
+            ClockName::Standard => FileTime::Standard,
+            ClockName::Unix => FileTime::Unix,
         }
     }
 }

@@ -8,7 +8,7 @@ use crate::stage::{FinishedFile, OutputFile};
 use map::Map;
 use summary::About;
 use wavex_formats::Error;
-use wavex_formats::trajectory::{self, Angles, Options, Records, Unproject};
+use wavex_formats::trajectory::{self, Angles, FileTime, Options, Records, Unproject};
 use wavex_geodesy::time_axis::Clock;
 use wavex_geodesy::trajectory::{Accuracy, Trajectory};
 
@@ -57,7 +57,7 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
 impl TrajectoryArgs {
     fn options(&self) -> Options {
         Options {
-            time: self.time.map(Clock::from),
+            time: self.time.map(FileTime::from),
             angles: self.angles.map(Angles::from),
             columns: self.columns.clone(),
             accuracy: self.accuracy.clone(),

@@ -72,6 +72,10 @@ pub enum TimeKey {
     Day,
     /// Adjusted GPS time: seconds since 1980-01-06, minus 1e9.
     Adjusted,
+    /// Standard GPS time: seconds since 1980-01-06.
+    Standard,
+    /// Unix time: seconds of UTC since 1970-01-01.
+    Unix,
 }
 
 /// Height reference.

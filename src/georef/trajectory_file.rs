@@ -7,10 +7,10 @@ use super::keys::{AnglesKey, GeometryKeys, HeightsKey, OutliersKey, TimeKey};
 use super::output_crs::CrsRequest;
 use crate::plausibility::{Check, Otherwise};
 use wavex_formats::Error;
-use wavex_formats::trajectory::{self, Angles, Options, Records, Unproject};
+use wavex_formats::trajectory::{self, Angles, FileTime, Options, Records, Unproject};
 use wavex_geodesy::crs::CrsError;
 use wavex_geodesy::ellipsoid::Geodetic;
-use wavex_geodesy::time_axis::{Clock, TimeSpan};
+use wavex_geodesy::time_axis::TimeSpan;
 use wavex_geodesy::trajectory::outliers::{
     FEWEST_FROZEN, Fault, LEAST_M, LEAST_RAD, LEAST_SPEED_MPS, MOST_ACCELERATION_MPS2, MOST_TURNING_RADPS2,
     Outlier, outliers,
@@ -94,9 +94,11 @@ impl Track {
 /// Reader options from the keys.
 fn options(keys: &GeometryKeys, accuracy: Option<PathBuf>) -> Options {
     let time = keys.trajectory_time.map(|time| match time {
-        TimeKey::Week => Clock::Week,
-        TimeKey::Day => Clock::Day,
-        TimeKey::Adjusted => Clock::Adjusted,
+        TimeKey::Week => FileTime::Week,
+        TimeKey::Day => FileTime::Day,
+        TimeKey::Adjusted => FileTime::Adjusted,
+        TimeKey::Standard => FileTime::Standard,
+        TimeKey::Unix => FileTime::Unix,
     });
     let angles = keys.trajectory_angles.map(|angles| match angles {
         AnglesKey::Deg => Angles::Degrees,

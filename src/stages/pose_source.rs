@@ -7,7 +7,7 @@ use crate::georef::transform::{scan_angle_deg, to_earth};
 use crate::georef::{self, Geometry};
 use crate::scan_line::{Content, Emission, FirstShot, Frame, InputInfo, ScanLine};
 use crate::stage::{Context, Item, Result, Source, StageError};
-use wavex_geodesy::time_axis::{Alignment, Clock, Misaligned, TimeSpan, Unwrap};
+use wavex_geodesy::time_axis::{Alignment, Clock, Misaligned, TimeSpan, Unwrap, utc_hint};
 use wavex_geodesy::trajectory::Pose;
 use wavex_geodesy::vertical::down_at;
 
@@ -266,7 +266,8 @@ impl Coverage {
             let (n, missing) = (self.missing, TimeSpan { first_s, last_s, ..*recording });
             cx.warn(format!(
                 "{n} shots are rejected, because the trajectory has no pose for them: they last from {missing}, the \
-                 trajectory from {trajectory}"
+                 trajectory from {trajectory}{}",
+                utc_hint(missing, *trajectory)
             ));
         }
         Ok(())

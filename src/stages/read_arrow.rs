@@ -1,5 +1,6 @@
 //! `read_arrow`: reads recorded waveforms from the open container.
 
+use std::fs::File;
 use std::io::Read;
 use std::sync::Arc;
 
@@ -8,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::container_info::{channel_of, info_of};
 use super::line_splitter::Sampling;
+use super::plausible;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::keys::InvalidKey;
 use crate::scan_line::{
@@ -15,7 +17,7 @@ use crate::scan_line::{
     ScanLine,
 };
 use crate::stage::{
-    self, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+    self, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageError, StageSpec,
 };
 use wavex_formats::Error;
 use wavex_formats::container::{
@@ -34,7 +36,8 @@ with_time_keys! {
 /// The file format and the stream format are detected from the content; both may be compressed with
 /// LZ4 or ZSTD. Unknown columns and metadata keys are ignored. A missing column, a column of
 /// another type, an invalid null, or a list that points outside its items ends the run with an
-/// error that names the column and the row.
+/// error that names the column and the row. Large lists and signed shot numbers are accepted. A group
+/// velocity that light does not have in air, and a sampling interval outside 0.05 to 20 ns, are errors.
 ///
 /// A scan line ends with its record line, where the column `line` changes, and after 4096 shots;
 /// the parts of a longer line keep its number. Record lines are limited to 1 GiB.
@@ -45,10 +48,10 @@ with_time_keys! {
 ///
 /// Rejected, and counted with their blocks, are shots with: an origin or direction that is not
 /// finite, a direction that is not a unit vector (to 1e-6: 1 mm at 1 km), an infinite time, a clock
-/// earlier than that of the previous shot in its line, a frame scale that is not above 0, a block
-/// of an unknown channel, a block without a time, with an interval that is not above 0 or with a
-/// gain that is not between 1/1024 and 1024, or an online return without a time. The line continues
-/// without them.
+/// earlier than that of the previous shot in its line or its number, a frame scale that is not between
+/// 0.1 and 10, a scan angle beyond 180 degrees, a block of an unknown channel, a block without a time, more
+/// than 0.01 s from its shot, with an interval that is not between 0.05 and 20 ns or with a gain that is not
+/// between 1/1024 and 1024, or an online return without a time. The line continues without them.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
@@ -102,11 +105,32 @@ impl SourceConfig for Config {
     }
 
     fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        self.make_for_inspection(site, true)
+        self.declare(ArrowLineReader::open(site, self.sampling())?, site, true)
     }
 
     fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        let mut source = ArrowLineReader::open(site, self.sampling())?;
+        self.declare(ArrowLineReader::open_partial(site, self.sampling())?, site, with_samples)
+    }
+}
+
+impl Config {
+    fn declare(
+        &self,
+        mut source: ArrowLineReader,
+        site: &RunContext,
+        with_samples: bool,
+    ) -> Result<Box<dyn Source>> {
+        if self.refractive_index_ppm.is_none() {
+            plausible::check_velocity(
+                source.info.group_velocity_mps,
+                "the metadata `wavex.group_velocity_mps`",
+                "write it in metres per second, or set `refractive_index_ppm` of the reader",
+            )?;
+        }
+        plausible::check_interval(
+            source.info.sampling_interval_ns,
+            "write `wavex.sampling_interval_ns` in nanoseconds",
+        )?;
         if !with_samples {
             source.reader.skip_samples();
         }
@@ -130,6 +154,8 @@ struct ArrowLineReader {
     number: u64,
     /// Location of the line emitted last.
     location: Option<LineLocation>,
+    /// Error of a file without its end, until it is returned.
+    damage: Option<StageError>,
 }
 
 /// Valid gains, relative to the reference gain.
@@ -139,11 +165,32 @@ const UNIT_TOLERANCE: f64 = 1e-6;
 
 impl ArrowLineReader {
     fn open(site: &RunContext, sampling: Sampling) -> Result<ArrowLineReader> {
-        let (path, stem) = (&site.input, &site.stem);
-        let mut reader = match pipe(site).map_err(Error::io(path, "open"))? {
+        let path = &site.input;
+        let reader = match pipe(site).map_err(Error::io(path, "open"))? {
             Some(pipe) => ContainerReader::from_stream(path, pipe)?,
             None => ContainerReader::open(path)?,
         };
+        ArrowLineReader::begin(reader, site, sampling)
+    }
+
+    /// As [`ArrowLineReader::open`]; a file without its end is read up to the damage.
+    fn open_partial(site: &RunContext, sampling: Sampling) -> Result<ArrowLineReader> {
+        let damage = match ArrowLineReader::open(site, sampling) {
+            Err(damage) if site.input.is_file() => damage,
+            opened => return opened,
+        };
+        let readable = File::open(&site.input).ok().and_then(|file| {
+            let reader = ContainerReader::from_stream(&site.input, Box::new(file)).ok()?;
+            ArrowLineReader::begin(reader, site, sampling).ok()
+        });
+        match readable {
+            Some(readable) => Ok(ArrowLineReader { damage: Some(damage), ..readable }),
+            None => Err(damage),
+        }
+    }
+
+    fn begin(mut reader: ContainerReader, site: &RunContext, sampling: Sampling) -> Result<ArrowLineReader> {
+        let (path, stem) = (&site.input, &site.stem);
         let first = reader.next_line()?;
         let reference = match first.as_ref().is_some_and(has_outgoing_pulse) {
             true => EmissionReference::OutgoingPulse,
@@ -157,7 +204,8 @@ impl ArrowLineReader {
         }
         let info = Arc::new(info);
         let at = first.map(|line| (line, 0));
-        Ok(ArrowLineReader { reader, with_samples: true, info, at, number: 0, location: None })
+        let (number, location, damage) = (0, None, None);
+        Ok(ArrowLineReader { reader, with_samples: true, info, at, number, location, damage })
     }
 
     /// Takes the next rows that form a line from the current record line.
@@ -234,7 +282,15 @@ impl Source for ArrowLineReader {
                 Some(_) => continue,
                 None => {}
             }
-            let Some(line) = self.reader.next_line()? else { break };
+            let line = match (self.reader.next_line(), self.damage.take()) {
+                (Ok(Some(line)), damage) => {
+                    self.damage = damage;
+                    line
+                }
+                (_, Some(damage)) => return Err(damage),
+                (Err(error), None) => return Err(error.into()),
+                (Ok(None), None) => break,
+            };
             self.number += 1;
             self.at = Some((line, 0));
         }
@@ -322,7 +378,9 @@ fn wrong_row(
     last: Option<&Emission>,
 ) -> Option<&'static str> {
     let earlier = last.is_some_and(|last| shot.clock_ps < last.clock_ps);
+    let is_repeated = last.is_some_and(|last| shot.shot == last.shot);
     (earlier.then_some("the clock runs backwards"))
+        .or_else(|| is_repeated.then_some("the shot number is that of the row before"))
         .or_else(|| wrong_shot(shot))
         .or_else(|| line.blocks(row).find_map(wrong_block))
         .or_else(|| line.online(row).find_map(wrong_online))
@@ -331,7 +389,6 @@ fn wrong_row(
 /// The reason to reject a shot, if any.
 fn wrong_shot(shot: &ContainerShot) -> Option<&'static str> {
     let length = shot.direction.iter().map(|x| x * x).sum::<f64>().sqrt();
-    let not_positive = |value: f64| !(value.is_finite() && value > 0.0);
     if !shot.origin_m.iter().all(|x| x.is_finite()) {
         Some("the origin is not finite")
     } else if !length.is_finite() {
@@ -340,8 +397,10 @@ fn wrong_shot(shot: &ContainerShot) -> Option<&'static str> {
         Some("the direction is not a unit vector")
     } else if shot.gps_time_s.is_some_and(f64::is_infinite) {
         Some("the time is infinite")
-    } else if shot.frame_scale.is_some_and(not_positive) {
-        Some("the frame scale is not above 0")
+    } else if shot.frame_scale.is_some_and(|scale| !plausible::FRAME_SCALE.contains(&scale)) {
+        Some("the frame scale is not between 0.1 and 10")
+    } else if shot.scan_angle_deg.is_some_and(|angle_deg| angle_deg.abs() > 180.0) {
+        Some("the scan angle is not between -180 and 180 degrees")
     } else {
         None
     }
@@ -353,8 +412,10 @@ fn wrong_block(block: ContainerBlock) -> Option<&'static str> {
         Some("a block of an unknown channel")
     } else if !block.start_ns.is_finite() {
         Some("a block without a time")
-    } else if block.interval_ns.is_some_and(|interval| !(interval.is_finite() && interval > 0.0)) {
-        Some("a block whose interval is not above 0")
+    } else if block.start_ns.abs() > plausible::MOST_START_NS {
+        Some("a block more than 0.01 s from its shot")
+    } else if block.interval_ns.is_some_and(|interval_ns| !plausible::INTERVAL_NS.contains(&interval_ns)) {
+        Some("a block whose interval is not between 0.05 and 20 ns")
     } else if block.gain.is_some_and(|gain| !GAINS.contains(&gain)) {
         Some("a block whose gain is not between 1/1024 and 1024")
     } else {

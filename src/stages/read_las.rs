@@ -4,7 +4,7 @@ mod contradiction;
 mod geometry;
 mod pulse;
 
-pub(crate) use contradiction::checks;
+pub(crate) use contradiction::location_check;
 
 use std::collections::{HashSet, VecDeque};
 use std::path::Path;
@@ -159,6 +159,8 @@ impl SourceConfig for ReadLas {
     }
 
     fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
+        // A job refuses a truncated file at once.
+        drop(Reader::open(&site.input)?);
         self.make_for_inspection(site, true)
     }
 
@@ -170,7 +172,7 @@ impl SourceConfig for ReadLas {
         let crs_wkt = declared.crs_wkt.as_ref().or(source.lines.input().crs_wkt.as_ref());
         contradiction::check_beams(&source.geometry, crs_wkt.map(String::as_str))?;
         if self.check_locations {
-            contradiction::check_locations(&mut Reader::open(&site.input)?, &source.geometry)?;
+            contradiction::check_locations(&mut Reader::open_partial(&site.input)?.0, &source.geometry)?;
         }
         source.reader.skip_unused_fields();
         (source.with_samples, source.range_time_offset_ns) = (with_samples, self.range_time_offset_ns);
@@ -214,6 +216,8 @@ struct LasReader {
     surplus_bytes: u64,
     /// Number of packets with more samples than their descriptor says.
     longer_packets: u64,
+    /// Error of a file with fewer points than declared, until it is returned.
+    missing: Option<wavex_formats::Error>,
 }
 
 /// A shot assembled from its points.
@@ -251,8 +255,8 @@ const MOST_RETURNS: usize = 15;
 
 impl LasReader {
     fn open(path: &Path, stem: &str, sampling: Sampling, vectors: BeamVectors) -> Result<LasReader> {
-        let geometry = Geometry::learn(&mut Reader::open(path)?, vectors)?;
-        let reader = Reader::open(path)?;
+        let geometry = Geometry::learn(&mut Reader::open_partial(path)?.0, vectors)?;
+        let (reader, missing) = Reader::open_partial(path)?;
         let input = sampling.with(describe(&reader, path, stem, &geometry));
         Ok(LasReader {
             with_samples: true,
@@ -272,6 +276,7 @@ impl LasReader {
             message: None,
             surplus_bytes: reader.surplus_bytes(),
             longer_packets: 0,
+            missing,
             reader,
             geometry,
         })
@@ -460,6 +465,9 @@ impl Source for LasReader {
                     return Ok(Some(line));
                 }
                 self.broken.check_at_end()?;
+                if let Some(missing) = self.missing.take() {
+                    return Err(missing.into());
+                }
                 self.check_yield(cx)?;
                 if self.longer_packets > 0 {
                     cx.warn(format!(

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::bad_records::BrokenRun;
 use super::emission_choice::{self, Message, Smoothness};
 use super::line_splitter::{Lines, Sampling};
+use super::plausible;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::keys::InvalidKey;
 use crate::scan_line::{Channel, Emission, EmissionReference, Kind, ScanLine, emission_flags};
@@ -237,9 +238,21 @@ const EARTH_M: std::ops::Range<f64> = 6.35e6..6.41e6;
 impl PulseWavesReader {
     fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<PulseWavesReader> {
         let mut reader = Reader::open(path)?;
-        let (beams, around_earth) = look_at_beams(&mut reader)?;
+        let (beams, metres_per_ns, around_earth) = look_at_beams(&mut reader)?;
         let single = returning_channels(&reader).len() < 2;
         let input = sampling.with(describe(&reader, path, stem, &beams, around_earth));
+        if reader.pulse_count() > 0 {
+            plausible::check_interval(
+                input.sampling_interval_ns,
+                "export the file again with its sample units in nanoseconds",
+            )?;
+            plausible::check_beam_velocity(
+                2e9 * metres_per_ns,
+                input.crs_wkt.as_deref(),
+                "the beams of the pulses",
+                "export the file again with targets 1000 sample units from their anchors, in the direction of the beam",
+            )?;
+        }
         let input = Arc::new(input);
         let first_t = reader.header().min_t;
         let has_outgoing_bytes = reader.header().generating_software.contains(OUTGOING_BYTES_WRITER);
@@ -440,8 +453,8 @@ fn unit_ns(reader: &Reader, pulse: &Pulse) -> f64 {
     reader.descriptors().get(&pulse.descriptor).map_or(1.0, |descriptor| descriptor.sample_units_ns)
 }
 
-/// Beam lengths, and whether all anchors are at the earth's radius from the origin.
-fn look_at_beams(reader: &mut Reader) -> Result<(BeamLength, bool)> {
+/// Beam lengths, their median, m per ns, and whether all anchors are at the earth's radius from the origin.
+fn look_at_beams(reader: &mut Reader) -> Result<(BeamLength, f64, bool)> {
     let stride = (reader.pulse_count() / BEAMS_LOOKED_AT).max(1);
     let mut beams = Vec::new();
     let (mut projected, mut around_earth) = (true, reader.pulse_count() > 0);
@@ -455,7 +468,10 @@ fn look_at_beams(reader: &mut Reader) -> Result<(BeamLength, bool)> {
         beams.push(pulse.step.map(|metres| metres / unit_ns));
         index += stride;
     }
-    Ok((BeamLength::learn(&beams, reader.header().scale, UNITS_TO_TARGET, projected), around_earth))
+    let metres_per_ns =
+        emission_choice::median(beams.iter().map(|beam| beam.iter().map(|x| x * x).sum::<f64>().sqrt()));
+    let beams = BeamLength::learn(&beams, reader.header().scale, UNITS_TO_TARGET, projected);
+    Ok((beams, metres_per_ns, around_earth))
 }
 
 fn returning_channels(reader: &Reader) -> BTreeSet<u8> {

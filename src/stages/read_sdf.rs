@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::line_splitter::{Lines, check_odd_sample_shift};
 use super::recording::time::{self, Axis, Scale, Times};
-use super::recording::{self, NO_TIME, with_time_keys};
+use super::recording::{self, NO_TIME, Watched, with_time_keys};
 use crate::keys::InvalidKey;
 use crate::scan_line::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
@@ -155,8 +155,7 @@ struct SdfLineReader {
 
 /// The time window to read.
 struct Window {
-    from_s: f64,
-    to_s: f64,
+    watched: Watched,
     /// True for external times, false for times of the instrument clock.
     is_external: bool,
     /// Time of the last shot inside the window.
@@ -205,16 +204,28 @@ impl SdfLineReader {
         let times = times.later_by(leap_s + config.time_offset_s);
         remarks.extend(times.remark.map(str::to_owned));
         let input = describe(config, site, &reader, &times, tables, &ahead);
+        remarks.extend(recording::green_note(input.instrument.as_deref()));
         let mut at_end = false;
         let window_s = config.time_keys().window_s(&times, path)?;
-        let window =
-            window_s.map(|[from_s, to_s]| Window { from_s, to_s, is_external, now_s: from_s, late: 0 });
-        if let Some(window) = &window {
+        let window = window_s.map(|window_s| Window {
+            watched: Watched::new(window_s),
+            is_external,
+            now_s: window_s[0],
+            late: 0,
+        });
+        if let Some([from_s, _]) = window_s {
             ahead.clear();
-            at_end = !match window.is_external {
-                true => reader.seek_time_external(window.from_s - times.offset_s)?,
-                false => reader.seek_time(window.from_s)?,
+            at_end = !match is_external {
+                true => reader.seek_time_external(from_s - times.offset_s)?,
+                false => reader.seek_time(from_s)?,
             };
+            if at_end {
+                let first_s = first_s.map_or(f64::NAN, |first_s| times.axis().next(first_s));
+                remarks.push(format!(
+                    "no shot lies in the time window, which begins at {from_s:.3} s: the recording begins at \
+                     {first_s:.3} s and ends earlier; set `time_s`, or the scale it counts on with `time_scale`"
+                ));
+            }
         }
         Ok(SdfLineReader {
             reader,
@@ -261,9 +272,10 @@ impl SdfLineReader {
             self.reject(NO_TIME, cx);
             return None;
         }
-        window.late = if time_s > window.to_s { window.late + 1 } else { 0 };
+        let [_, to_s] = window.watched.window_s;
+        window.late = if time_s > to_s { window.late + 1 } else { 0 };
         self.at_end = window.late == LATE_SHOTS;
-        let is_inside = (window.from_s..=window.to_s).contains(&time_s);
+        let is_inside = window.watched.contains(time_s);
         if is_inside {
             window.now_s = time_s;
         }
@@ -302,6 +314,9 @@ impl SdfLineReader {
     /// The last line, with a note if it seems truncated.
     fn last_line(&mut self, cx: &mut Context) -> Option<ScanLine> {
         let line = self.lines.take();
+        if let (None, Some(window)) = (&line, &self.window) {
+            window.watched.report(cx);
+        }
         if line.is_some() && self.ends_are_marked && self.window.is_none() {
             cx.warn("the file ends within a scan line: it may be truncated");
         }
@@ -417,8 +432,9 @@ impl Source for SdfLineReader {
 
     fn progress(&self) -> Option<f64> {
         let window = self.window.as_ref()?;
-        let length_s = (window.to_s - window.from_s).max(f64::MIN_POSITIVE);
-        Some(((window.now_s - window.from_s) / length_s).clamp(0.0, 1.0))
+        let [from_s, to_s] = window.watched.window_s;
+        let length_s = (to_s - from_s).max(f64::MIN_POSITIVE);
+        Some(((window.now_s - from_s) / length_s).clamp(0.0, 1.0))
     }
 
     fn location(&self) -> Option<LineLocation> {

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::emission_choice::EmissionCheck;
 use crate::georef::declared;
 use crate::keys::InvalidKey;
-use crate::scan_line::{Content, Emission, Frame, GainControl, InputInfo, ScanLine};
+use crate::scan_line::{Content, Frame, GainControl, InputInfo, ScanLine};
 use crate::stage::{Context, Item, LineLocation, Result, RunContext, Source, StageError};
 use wavex_geodesy::time::WEEK_S;
 
@@ -216,13 +216,64 @@ struct Begun {
     info: [Arc<InputInfo>; 2],
     /// `None` if times stay unchanged.
     axis: Option<Axis>,
-    window_s: Option<[f64; 2]>,
+    window: Option<Watched>,
+}
+
+/// A time window, and the shots read in search of it.
+pub(super) struct Watched {
+    pub(super) window_s: [f64; 2],
+    /// First and last time of all shots read, s.
+    read_s: [f64; 2],
+    is_empty: bool,
+}
+
+impl Watched {
+    pub(super) fn new(window_s: [f64; 2]) -> Watched {
+        Watched { window_s, read_s: [f64::INFINITY, f64::NEG_INFINITY], is_empty: true }
+    }
+
+    /// Whether a time, s, is inside the window.
+    pub(super) fn contains(&mut self, time_s: f64) -> bool {
+        let ([from_s, to_s], [first_s, last_s]) = (self.window_s, self.read_s);
+        self.read_s = [first_s.min(time_s), last_s.max(time_s)];
+        let is_inside = (from_s..=to_s).contains(&time_s);
+        self.is_empty &= !is_inside;
+        is_inside
+    }
+
+    /// Warns if no shot was inside the window.
+    pub(super) fn report(&self, cx: &mut Context) {
+        let ([from_s, to_s], [first_s, last_s]) = (self.window_s, self.read_s);
+        if self.is_empty && first_s <= last_s {
+            cx.warn(format!(
+                "no shot lies in the time window, {from_s:.3} to {to_s:.3} s: the times read are {first_s:.3} to \
+                 {last_s:.3} s; set `time_s`, or the scale it counts on with `time_scale`"
+            ));
+        }
+    }
 }
 
 /// Warning for recordings with a varying gain that is not recorded for each block.
 const UNKNOWN_GAINS: &str = "the receiver gain varies between shots, but the recording does not contain the gain of each block (LAS: \
      different digitizer gains in waveform packet descriptors): amplitudes and intensities are not comparable, and \
      thresholds and standard deviations are those of a mean gain; use a container whose blocks have a `gain`";
+
+/// Green instruments for bathymetry, without separators, in upper case.
+const GREEN: [&str; 9] =
+    ["VQ820G", "VQ840G", "VQ860G", "VQ870G", "VQ880G", "CHIROPTERA", "HAWKEYE", "CZMIL", "SHOALS"];
+
+/// Warning for a green instrument.
+pub(super) fn green_note(instrument: Option<&str>) -> Option<String> {
+    let instrument = instrument?;
+    let name: String = instrument.chars().filter(|c| c.is_alphanumeric()).collect();
+    let name = name.to_uppercase();
+    GREEN.iter().any(|green| name.contains(green)).then(|| {
+        format!(
+            "{instrument} measures through water, but refraction and the speed of light in water are not applied: points \
+             under water are too deep by about a third of the depth; correct them with a program for bathymetry"
+        )
+    })
+}
 
 impl<S: Source> AsDeclared<S> {
     pub(super) fn new(source: S, declared: Declared) -> AsDeclared<S> {
@@ -261,6 +312,9 @@ impl<S: Source> AsDeclared<S> {
         if from.gain_control == GainControl::NotRecorded {
             cx.warn(UNKNOWN_GAINS);
         }
+        if let Some(note) = green_note(from.instrument.as_deref()) {
+            cx.warn(note);
+        }
         let about = keys.gps_date.as_deref().and_then(time::noon);
         if let (Scale::Week, Some(about), Some(first_s)) = (scale, about, first_s)
             && let Some(problem) = time::other_weekday(about, first_s)
@@ -280,7 +334,7 @@ impl<S: Source> AsDeclared<S> {
         }
         let leap_s = if keys.utc { times.leap_s(&from.path, first_s)? } else { 0.0 };
         let times = times.later_by(leap_s + keys.time_offset_s);
-        let window_s = keys.window_s(&times, &from.path)?;
+        let window = keys.window_s(&times, &from.path)?.map(Watched::new);
         let is_changed = times.offset_s != 0.0 || times.period_s.is_some();
         let info = InputInfo {
             time_scale: times.scale,
@@ -293,7 +347,7 @@ impl<S: Source> AsDeclared<S> {
             ..InputInfo::clone(from)
         };
         let info = [Arc::clone(from), Arc::new(info)];
-        Ok(Begun { info, axis: is_changed.then(|| times.axis()), window_s })
+        Ok(Begun { info, axis: is_changed.then(|| times.axis()), window })
     }
 
     /// The output coordinate reference system.
@@ -343,25 +397,25 @@ impl Begun {
             line.emissions.iter_mut().for_each(|shot| shot.gps_time_s = axis.next(shot.gps_time_s));
             line.stats.gps_time_s = line.emissions.first().map_or(f64::NAN, |shot| shot.gps_time_s);
         }
-        match self.window_s {
-            Some([from_s, to_s]) => within(line, from_s, to_s, cx),
+        match &mut self.window {
+            Some(window) => within(line, window, cx),
             None => line,
         }
     }
 }
 
-/// Keeps the shots of a line fired between two times, s.
-fn within(line: ScanLine, from_s: f64, to_s: f64, cx: &mut Context) -> ScanLine {
-    let is_inside = |shot: &Emission| (from_s..=to_s).contains(&shot.gps_time_s);
-    if line.emissions.iter().all(is_inside) {
+/// Keeps the shots of a line fired inside a time window.
+fn within(line: ScanLine, window: &mut Watched, cx: &mut Context) -> ScanLine {
+    let are_inside: Vec<bool> = line.emissions.iter().map(|shot| window.contains(shot.gps_time_s)).collect();
+    if !are_inside.contains(&false) {
         return line;
     }
     let Content::Shots(mut blocks) = line.content else { return line };
     let mut place = Vec::with_capacity(line.emissions.len());
     let (mut emissions, mut without_time) = (Vec::new(), [0, 0]);
-    for (index, shot) in (0..).zip(&line.emissions) {
-        place.push(is_inside(shot).then_some(emissions.len() as u32));
-        if is_inside(shot) {
+    for ((index, shot), is_inside) in (0..).zip(&line.emissions).zip(are_inside) {
+        place.push(is_inside.then_some(emissions.len() as u32));
+        if is_inside {
             emissions.push(*shot);
         } else if shot.gps_time_s.is_nan() {
             without_time[0] += 1;
@@ -380,6 +434,10 @@ impl<S: Source> Source for AsDeclared<S> {
             let Some(mut line) = self.source.next(cx)? else {
                 self.copies.report(cx);
                 self.emission_check.iter().for_each(|check| check.report(cx));
+                self.begun
+                    .iter()
+                    .filter_map(|begun| begun.window.as_ref())
+                    .for_each(|window| window.report(cx));
                 return Ok(None);
             };
             self.copies.mark(&mut line);

@@ -113,6 +113,8 @@ impl SinkConfig for WriteTrajectory {
             header: self.header,
             frame: Frame::Scanner,
             last: None,
+            of_beams: None,
+            has_row: false,
             met: Met::new(pace),
             pace,
         }))
@@ -133,6 +135,9 @@ struct TrajectoryWriter {
     met: Met,
     /// The last shot, if it has no row yet: the path ends with it.
     last: Option<(Arc<InputInfo>, Emission)>,
+    /// The recording, if positions are those of beam intersections.
+    of_beams: Option<Arc<InputInfo>>,
+    has_row: bool,
 }
 
 impl Sink for TrajectoryWriter {
@@ -153,6 +158,7 @@ impl Sink for TrajectoryWriter {
             Sensor::Origins => false,
             Sensor::Beams => true,
         };
+        self.of_beams = from_beams.then(|| Arc::clone(&line.input));
         for emission in &line.emissions {
             if from_beams {
                 if let Some(place) = self.met.add(emission) {
@@ -176,6 +182,21 @@ impl Sink for TrajectoryWriter {
             self.row(&input, emission.gps_time_s, emission.origin_m)?;
         }
         let without = self.met.n_without_place();
+        if let Some(input) = self.of_beams.take().filter(|_| !self.has_row) {
+            // The recording is shorter than one section.
+            match self.met.place() {
+                Some(place) => {
+                    cx.observe("trajectory_sd_m", place.sd_m);
+                    self.row(&input, place.gps_time_s, place.position_m)?;
+                }
+                None if without == 0 => cx.warn(format!(
+                    "the beams of the recording's {:.3} s do not intersect near one position: the path of the sensor \
+                     has no rows",
+                    self.met.length_s()
+                )),
+                None => {}
+            }
+        }
         if without > 0 {
             cx.warn(format!(
                 "the beams of {without} sections of the flight do not intersect near one position: the path of the sensor has no rows there"
@@ -218,6 +239,7 @@ impl TrajectoryWriter {
             let [roll, pitch, heading] = self.attitude_deg(input, gps_time_s).map(|angle| number(angle, 6));
             text += &format!(" {roll} {pitch} {heading}");
         }
+        self.has_row = true;
         writeln!(self.file, "{text}").map_err(|error| Error::io(self.file.path(), "write")(error))?;
         Ok(())
     }

@@ -1,28 +1,21 @@
 //! The server of the page: loopback only, with a random token in every address.
 
-use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::net::{Ipv4Addr, TcpListener};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::Duration;
 
-use oxhttp::Server;
-use oxhttp::model::header::{HOST, HeaderName, ORIGIN};
-use oxhttp::model::{Body, HeaderMap, Method, Request, Response, StatusCode};
 use serde_json::{Value, json};
 
 use super::attributes::{Attribute, Condition};
 use super::cloud::{self, Refused, Search};
 use super::compare;
+use super::http::{self, Request, Response, Status};
 use super::job_text;
 use super::page;
 use super::query::Query;
 use super::session::Session;
 use super::shots;
 
-/// Time after which a client that neither reads nor writes is dropped.
-const TIMEOUT: Duration = Duration::from_secs(20);
-/// Most connections at the same time.
-const MAX_CONNECTIONS: usize = 256;
 /// Bytes of the token.
 const TOKEN_BYTES: usize = 16;
 
@@ -51,27 +44,15 @@ pub(super) struct Running {
 /// # Errors
 /// If the port is in use, or the system has no random numbers.
 pub(super) fn start(session: &Arc<Session>, port: u16) -> Result<Running, String> {
-    let port = free_port(port)?;
+    let refused =
+        |error: std::io::Error| format!("cannot listen on port {port}: {error}; choose another --port");
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port)).map_err(refused)?;
+    let port = listener.local_addr().map_err(refused)?.port();
     let token = token()?;
     let gate = Gate { token: token.clone(), port };
     let session = Arc::clone(session);
-    let server = Server::new(move |request| answer(&gate, &session, request))
-        .bind(SocketAddr::from((Ipv4Addr::LOCALHOST, port)))
-        .with_global_timeout(TIMEOUT)
-        .with_max_concurrent_connections(MAX_CONNECTIONS);
-    server
-        .spawn()
-        .map_err(|error| format!("cannot listen on port {port}: {error}; choose another --port"))?;
+    http::serve(listener, move |request| answer(&gate, &session, request)).map_err(refused)?;
     Ok(Running { address: format!("http://127.0.0.1:{port}/{token}/") })
-}
-
-/// The port, or a free one.
-fn free_port(port: u16) -> Result<u16, String> {
-    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port));
-    listener
-        .and_then(|listener| listener.local_addr())
-        .map(|address| address.port())
-        .map_err(|error| format!("cannot listen on port {port}: {error}; choose another --port"))
 }
 
 /// Random text that nobody can guess.
@@ -88,20 +69,39 @@ struct Gate {
 }
 
 impl Gate {
-    /// Path below the token; `None` if the request is not of this page.
+    /// Target below the token, with its query; `None` if the request is not of this page.
     ///
     /// `Host` and `Origin` must be those of the page: a foreign page that the browser shows, also under a name
     /// that resolves to this computer, has others.
-    fn path<'r>(&self, headers: &HeaderMap, path: &'r str) -> Option<&'r str> {
-        let hosts = ["127.0.0.1", "localhost"].map(|host| format!("{host}:{}", self.port));
-        let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or("-"));
-        let is_own_host = text(HOST).is_some_and(|host| hosts.iter().any(|own| own == host));
-        let is_own_origin =
-            text(ORIGIN).is_none_or(|origin| hosts.iter().any(|own| format!("http://{own}") == origin));
-        let site = text(HeaderName::from_static("sec-fetch-site"));
-        let is_own_site = site.is_none_or(|site| matches!(site, "same-origin" | "none"));
-        let (token, path) = path.strip_prefix('/')?.split_once('/')?;
+    fn path<'r>(&self, request: &'r Request) -> Option<&'r str> {
+        let target = request.target.as_str();
+        // A target may be a complete address; its host then counts in addition to the header.
+        let (authority, path) = match target.strip_prefix("http://") {
+            Some(address) => {
+                let (authority, path) = address.split_once('/')?;
+                (Some(authority), path)
+            }
+            None => (None, target.strip_prefix('/')?),
+        };
+        let mut hosts = request.all("host");
+        let is_own_host = hosts.next().is_some_and(|host| self.is_own(host))
+            && hosts.next().is_none()
+            && authority.is_none_or(|host| self.is_own(host));
+        let mut origins = request.all("origin");
+        let is_own_origin = origins
+            .next()
+            .is_none_or(|origin| origin.strip_prefix("http://").is_some_and(|host| self.is_own(host)))
+            && origins.next().is_none();
+        let is_own_site = request.all("sec-fetch-site").all(|site| matches!(site, "same-origin" | "none"));
+        let (token, path) = path.split_once('/')?;
         (is_own_host && is_own_origin && is_own_site && is_equal(token, &self.token)).then_some(path)
+    }
+
+    /// Whether a host, with its port unless this is 80, is that of the page.
+    fn is_own(&self, host: &str) -> bool {
+        let (name, port) = host.split_once(':').unwrap_or((host, "80"));
+        let is_name = ["127.0.0.1", "localhost"].iter().any(|own| own.eq_ignore_ascii_case(name));
+        is_name && port == self.port.to_string()
     }
 }
 
@@ -112,14 +112,14 @@ fn is_equal(a: &str, b: &str) -> bool {
 
 /// Content of an answer.
 struct Answer {
-    status: StatusCode,
+    status: Status,
     kind: &'static str,
     body: Vec<u8>,
 }
 
 impl Answer {
     fn ok(kind: &'static str, body: impl Into<Vec<u8>>) -> Answer {
-        Answer { status: StatusCode::OK, kind, body: body.into() }
+        Answer { status: Status::OK, kind, body: body.into() }
     }
 
     fn json(value: &Value) -> Answer {
@@ -130,57 +130,53 @@ impl Answer {
         Answer::ok("application/octet-stream", body)
     }
 
-    fn error(status: StatusCode, problem: &str) -> Answer {
+    fn error(status: Status, problem: &str) -> Answer {
         Answer { status, ..Answer::json(&json!({ "error": problem })) }
     }
 }
 
 impl From<String> for Answer {
     fn from(problem: String) -> Answer {
-        Answer::error(StatusCode::BAD_REQUEST, &problem)
+        Answer::error(Status::BAD_REQUEST, &problem)
     }
 }
 
 impl From<Refused> for Answer {
     fn from(refused: Refused) -> Answer {
         match refused {
-            Refused::Outdated => Answer::error(StatusCode::GONE, "the points have changed; read them again"),
+            Refused::Outdated => Answer::error(Status::GONE, "the points have changed; read them again"),
             Refused::Wrong(problem) => problem.into(),
         }
     }
 }
 
 /// Answers a request; a panic becomes an error.
-fn answer(gate: &Gate, session: &Session, request: &Request<Body>) -> Response<Body> {
-    let answer = match gate.path(request.headers(), request.uri().path()) {
-        None => Answer::error(StatusCode::FORBIDDEN, "open the address that wavex printed"),
-        Some(_) if request.method() != Method::GET => {
-            Answer::error(StatusCode::METHOD_NOT_ALLOWED, "only GET is answered")
+fn answer(gate: &Gate, session: &Session, request: &Request) -> Response {
+    let answer = match gate.path(request) {
+        None => Answer::error(Status::FORBIDDEN, "open the address that wavex printed"),
+        Some(_) if request.method != "GET" => {
+            Answer::error(Status::METHOD_NOT_ALLOWED, "only GET is answered")
         }
-        Some(path) => {
-            let query = request.uri().query().unwrap_or_default();
+        Some(target) => {
+            let (path, query) = target.split_once('?').unwrap_or((target, ""));
             let routed = catch_unwind(AssertUnwindSafe(|| route(session, path, query)));
             match routed {
                 Ok(Ok(answer) | Err(answer)) => answer,
-                Err(_) => Answer::error(
-                    StatusCode::INTERNAL_SERVER_ERROR,
-                    "an internal error; please report this bug in wavex",
-                ),
+                Err(_) => {
+                    Answer::error(Status::INTERNAL, "an internal error; please report this bug in wavex")
+                }
             }
         }
     };
-    let mut response = Response::builder().status(answer.status).header("content-type", answer.kind);
-    for (name, value) in HEADERS {
-        response = response.header(name, value);
-    }
-    response.body(Body::from(answer.body)).unwrap_or_default()
+    let headers = [("content-type", answer.kind)].into_iter().chain(HEADERS).collect();
+    Response { status: answer.status, headers, body: answer.body }
 }
 
 /// Status and content of the answer to a request for an address below the token.
 pub(super) fn content(session: &Session, address: &str) -> (u16, Vec<u8>) {
     let (path, query) = address.split_once('?').unwrap_or((address, ""));
     let (Ok(answer) | Err(answer)) = route(session, path, query);
-    (answer.status.as_u16(), answer.body)
+    (answer.status.0, answer.body)
 }
 
 /// Answers a request of the page.
@@ -246,7 +242,7 @@ fn route(session: &Session, path: &str, query: &str) -> Result<Answer, Answer> {
         }
         name => match page::file(name) {
             Some((kind, body)) => Answer::ok(kind, body),
-            None => Answer::error(StatusCode::NOT_FOUND, "no such page"),
+            None => Answer::error(Status::NOT_FOUND, "no such page"),
         },
     })
 }
@@ -266,35 +262,50 @@ mod tests {
         Gate { token: "0123456789abcdef".into(), port: 8123 }
     }
 
-    fn headers(list: &[(&'static str, &str)]) -> HeaderMap {
-        list.iter().map(|(name, value)| (HeaderName::from_static(name), value.parse().unwrap())).collect()
-    }
-
     #[test]
     fn only_the_own_page_passes() {
-        let passes =
-            |list: &[(&'static str, &str)], path: &str| gate().path(&headers(list), path).map(str::to_owned);
+        let passes = |list: &[(&str, &str)], target: &str| {
+            let headers =
+                list.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
+            let request = Request { target: target.to_owned(), headers, ..Request::default() };
+            gate().path(&request).map(str::to_owned)
+        };
         let own = [("host", "127.0.0.1:8123")];
         assert_eq!(passes(&own, "/0123456789abcdef/info"), Some("info".into()));
-        assert_eq!(passes(&[("host", "localhost:8123")], "/0123456789abcdef/"), Some(String::new()));
+        assert_eq!(passes(&[("host", "Localhost:8123")], "/0123456789abcdef/"), Some(String::new()));
         let same = [own[0], ("origin", "http://127.0.0.1:8123"), ("sec-fetch-site", "same-origin")];
         assert_eq!(passes(&same, "/0123456789abcdef/info"), Some("info".into()));
-        for path in
-            ["/info", "/", "", "/0123456789abcdee/info", "/0123456789abcdef", "/0123456789abcdef0/info"]
-        {
+        let complete = "http://localhost:8123/0123456789abcdef/info?a=1";
+        assert_eq!(passes(&own, complete), Some("info?a=1".into()));
+        for path in [
+            "/info",
+            "/",
+            "",
+            "/0123456789abcdee/info",
+            "/0123456789abcdef",
+            "/0123456789abcdef0/info",
+            "0123456789abcdef/info",
+            "http://evil.example/0123456789abcdef/info",
+            "https://127.0.0.1:8123/0123456789abcdef/info",
+        ] {
             assert_eq!(passes(&own, path), None, "{path}");
         }
         for foreign in [
             &[("host", "evil.example:8123")][..],
             &[("host", "127.0.0.1:80")],
+            &[("host", "127.0.0.1")],
+            &[own[0], own[0]],
             &[],
             &[own[0], ("origin", "http://evil.example")],
             &[own[0], ("origin", "null")],
+            &[own[0], same[1], ("origin", "http://evil.example")],
             &[own[0], ("sec-fetch-site", "cross-site")],
             &[own[0], ("sec-fetch-site", "same-site")],
         ] {
             assert_eq!(passes(foreign, "/0123456789abcdef/info"), None, "{foreign:?}");
         }
+        let at_80 = Gate { port: 80, ..gate() };
+        assert!(at_80.is_own("localhost") && at_80.is_own("127.0.0.1:80") && !at_80.is_own("localhost:8123"));
     }
 
     #[test]

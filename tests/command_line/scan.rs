@@ -203,6 +203,35 @@ fn a_file_that_is_cut_off_is_an_error_behind_what_it_holds() {
 }
 
 #[test]
+fn truncated_las_and_containers_are_read_up_to_the_damage() {
+    let las = Las::new(300);
+    let place = simulated("");
+    let arrow = fs::read(place.path("out/flight.arrow")).unwrap();
+    for (name, bytes) in [
+        ("c.las", &las.las()[..las.offset_of(200)]),
+        ("c.wdp", &las.packets),
+        ("d.arrow", &arrow[..arrow.len() * 3 / 4]),
+    ] {
+        fs::write(place.path(name), bytes).unwrap();
+    }
+    for (file, shots, problem) in
+        [("c.las", 200..201, "only 200 fit into the file"), ("d.arrow", 7000..7501, "the footer is missing")]
+    {
+        let Outcome { code, out, err } = scan(&place, &[file]);
+        assert_eq!(code, Some(1), "{err}");
+        assert!(err.starts_with(&format!("error: {file}: byte ")) && err.contains(problem), "{err}");
+        let found: u32 = said(&out, "Times", "shots").replace(' ', "").parse().unwrap();
+        assert!(shots.contains(&found), "{file}: {found}");
+        assert!(said(&out, "Integrity", "read to the end").contains(problem), "{out}");
+    }
+    // A job refuses them at once.
+    for (reader, file) in [("read_las", "c.las"), ("read_arrow", "d.arrow")] {
+        let Outcome { code, err, .. } = place.read(reader, file, "[[stage]]\ntype = 'write_arrow'\n");
+        assert_eq!(code, Some(1), "{err}");
+    }
+}
+
+#[test]
 fn what_cannot_be_scanned_is_said() {
     let place = TestFolder::with(&[("x.dat", b"")]);
     let refused = |arguments: &[&str], code: i32, message: &str| {

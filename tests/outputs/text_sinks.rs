@@ -181,6 +181,27 @@ fn path_from_beams(flight: &str) {
     assert!(worst_m < 0.001, "{worst_m} m");
 }
 
+/// A recording shorter than the interval of rows has one row from its beams.
+#[test]
+fn a_short_recording_has_one_row_from_its_beams() {
+    let folder = tempfile::tempdir().unwrap();
+    // 70 ms and three pauses.
+    let job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 4\nshots_per_line = 100\npulse_rate_hz = 6000\n\
+               [[stage]]\ntype = 'write_trajectory'\nid = 'origins'\ninterval_s = 0\n\
+               [[stage]]\ntype = 'write_trajectory'\nid = 'met'\nsensor = 'beams'\npath = 'met.txt'\n";
+    let job = Job::parse("job.toml", job, &[]).unwrap_or_else(|e| panic!("{e}"));
+    engine::run(&job, &engine::Options::of_job(&job, folder.path(), folder.path())).unwrap();
+    let (rows, met) = (numbers(folder.path(), "a_traj.txt"), numbers(folder.path(), "met.txt"));
+    assert!(rows.last().unwrap()[0] - rows[0][0] < 0.1, "shorter than the interval");
+    assert_eq!(met.len(), 1);
+    let nearest = rows.iter().min_by(|a, b| {
+        let apart = |row: &[f64]| (row[0] - met[0][0]).abs();
+        apart(a).total_cmp(&apart(b))
+    });
+    let error_m = (1..4).map(|axis| (nearest.unwrap()[axis] - met[0][axis]).powi(2)).sum::<f64>().sqrt();
+    assert!(error_m < 1.0, "{error_m} m");
+}
+
 /// A path without rows still has its header line.
 #[test]
 fn a_path_without_rows_has_its_first_line() {

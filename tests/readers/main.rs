@@ -7,6 +7,7 @@
 )]
 
 mod declared;
+mod foreign;
 mod foreign_las;
 mod random_access;
 mod scan_angles;

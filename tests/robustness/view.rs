@@ -3,7 +3,7 @@
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::process::Command;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use wavex_testkit::view::Viewer;
 use wavex_testkit::{TestFolder, wavex};
@@ -34,6 +34,8 @@ fn foreign_pages_names_and_tokens_are_refused() {
         "host: 127.0.0.1\r\n".to_owned(),
         format!("{host}origin: https://evil.example\r\n"),
         format!("{host}origin: null\r\n"),
+        format!("{host}origin: http://{}\r\norigin: https://evil.example\r\n", viewer.host),
+        format!("{host}{host}"),
         format!("{host}sec-fetch-site: cross-site\r\n"),
     ] {
         let reply = viewer.ask_with(&path, &headers);
@@ -121,6 +123,41 @@ fn wrong_and_huge_requests_get_an_answer_of_bounded_size() {
     }
     assert!(viewer.is_running());
     assert_eq!(viewer.ask("info").status, 200);
+}
+
+#[test]
+fn requests_sent_together_and_complete_addresses_are_answered() {
+    let (_place, viewer) = viewer();
+    let Viewer { host, token, .. } = &viewer;
+    let [next, last] = ["", "connection: close\r\n"].map(|end| format!("host: {host}\r\n{end}\r\n"));
+    let requests = format!(
+        "GET /{token}/info HTTP/1.1\r\n{next}GET http://{host}/{token}/info HTTP/1.1\r\n{next}\
+         GET http://evil.example/{token}/info HTTP/1.1\r\n{last}"
+    );
+    let answers = String::from_utf8(viewer.raw(requests.as_bytes())).unwrap();
+    let statuses: Vec<&str> = answers.split("HTTP/1.1 ").skip(1).map(|answer| &answer[..3]).collect();
+    assert_eq!(statuses, ["200", "200", "403"], "{answers}");
+}
+
+#[test]
+fn more_slow_clients_than_connections_stop_nobody() {
+    let (_place, viewer) = viewer();
+    let mut slow: Vec<TcpStream> = (0..300).map(|_| TcpStream::connect(&viewer.host).unwrap()).collect();
+    let begin = Instant::now();
+    while begin.elapsed() < Duration::from_secs(6) {
+        // Those that have been replaced cannot be written to.
+        slow.iter_mut().for_each(|stream| drop(stream.write_all(b"G")));
+        let asked = Instant::now();
+        assert_eq!(viewer.ask("info").status, 200);
+        assert!(asked.elapsed() < Duration::from_secs(2), "{:?}", asked.elapsed());
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    // A request that is still incomplete after its time limit is refused.
+    let last = slow.last_mut().unwrap();
+    last.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+    let mut answer = Vec::new();
+    let _replaced = last.read_to_end(&mut answer);
+    assert!(!String::from_utf8_lossy(&answer).contains("200 OK"));
 }
 
 #[test]

@@ -30,6 +30,7 @@ use super::{Error, Result};
 use input::Input;
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_geodesy::frames::{Attitude, ecef_from_ned, inverse, rotate};
+use wavex_geodesy::time::ADJUSTMENT_S;
 use wavex_geodesy::time_axis::{Clock, TimeSpan};
 use wavex_geodesy::trajectory::{AccuracySample, Sample, Trajectory, TrajectoryError};
 
@@ -49,11 +50,11 @@ mod trj;
 /// User settings for what a trajectory format leaves open.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Options {
-    /// Clock of the times.
+    /// Time scale of the file.
     ///
     /// Default: as the format says, else seconds of the week, or adjusted seconds if they are too
     /// large.
-    pub time: Option<Clock>,
+    pub time: Option<FileTime>,
     /// Unit of roll, pitch and heading in text; default degrees.
     pub angles: Option<Angles>,
     /// Columns of a text, one letter each.
@@ -65,6 +66,44 @@ pub struct Options {
     ///
     /// Default: the POQ next to a POF, if any.
     pub accuracy: Option<PathBuf>,
+}
+
+/// Time scale of a trajectory file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileTime {
+    /// Seconds of the GPS week.
+    Week,
+    /// Seconds of the day.
+    Day,
+    /// Adjusted GPS time: seconds since 1980-01-06, minus 1e9.
+    Adjusted,
+    /// Standard GPS time: seconds since 1980-01-06.
+    Standard,
+    /// Unix time: seconds of UTC since 1970-01-01, without leap seconds.
+    Unix,
+}
+
+/// Seconds of UTC from 1970-01-01 to 1980-01-06.
+const UNIX_TO_GPS_S: f64 = 315_964_800.0;
+
+impl FileTime {
+    /// Clock of the times after the offset.
+    fn clock(self) -> Clock {
+        match self {
+            FileTime::Week => Clock::Week,
+            FileTime::Day => Clock::Day,
+            FileTime::Adjusted | FileTime::Standard | FileTime::Unix => Clock::Adjusted,
+        }
+    }
+
+    /// Time of the clock minus the file's time, s.
+    fn offset_s(self) -> f64 {
+        match self {
+            FileTime::Week | FileTime::Day | FileTime::Adjusted => 0.0,
+            FileTime::Standard => -ADJUSTMENT_S,
+            FileTime::Unix => -UNIX_TO_GPS_S - ADJUSTMENT_S,
+        }
+    }
 }
 
 /// Unit of angles.

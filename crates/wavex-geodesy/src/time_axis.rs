@@ -278,13 +278,30 @@ impl Alignment {
     }
 }
 
+/// Largest offset of UTC that is suspected, s; it has been 18 s since 2017.
+const MOST_LEAP_S: f64 = 20.0;
+
+/// Hint at a mix of UTC and GPS time for a recording, or a part of it, at most 20 s from the trajectory.
+pub fn utc_hint(recording: TimeSpan, trajectory: TimeSpan) -> &'static str {
+    let is_near = Alignment::between(recording, trajectory).is_ok_and(|alignment| {
+        let near_s = trajectory.first_s - MOST_LEAP_S..=trajectory.last_s + MOST_LEAP_S;
+        [recording.first_s, recording.last_s].iter().all(|&t| near_s.contains(&alignment.on_trajectory(t)))
+    });
+    if is_near {
+        "; if the recording counts UTC, 18 s less than GPS time, set `utc = true` of the reader; if the trajectory \
+         does, export it in GPS time, or set `time_offset_s` of the reader"
+    } else {
+        ""
+    }
+}
+
 /// Reason why a recording and a trajectory do not match.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Misaligned {
     /// They have no time in common.
     #[error(
         "the recording and the trajectory have no time in common: the recording lasts from {recording}, the trajectory \
-         from {trajectory}; use the trajectory of this flight, or set its time scale with `trajectory_time`"
+         from {trajectory}; use the trajectory of this flight, or set its time scale with `trajectory_time`{}", utc_hint(*recording, *trajectory)
     )]
     NoOverlap {
         /// Time span of the recording.

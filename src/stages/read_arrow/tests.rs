@@ -123,7 +123,7 @@ fn around(add: impl FnOnce(&mut LineBuilder)) -> LineBuilder {
 #[test]
 fn each_reason_rejects_a_shot_with_its_blocks_and_the_line_goes_on() {
     type Change = fn(&mut ContainerShot);
-    let shots: [(&str, Change); 9] = [
+    let shots: [(&str, Change); 12] = [
         ("the origin is not finite", |shot| shot.origin_m[1] = f64::NAN),
         ("the direction is not finite", |shot| shot.direction[2] = f64::INFINITY),
         ("the direction is not finite", |shot| shot.direction[0] = f64::NAN),
@@ -131,8 +131,11 @@ fn each_reason_rejects_a_shot_with_its_blocks_and_the_line_goes_on() {
         ("the direction is not a unit vector", |shot| shot.direction = [0.0; 3]),
         ("the time is infinite", |shot| shot.gps_time_s = Some(f64::NEG_INFINITY)),
         ("the clock runs backwards", |shot| shot.clock_ps = -1),
-        ("the frame scale is not above 0", |shot| shot.frame_scale = Some(0.0)),
-        ("the frame scale is not above 0", |shot| shot.frame_scale = Some(f64::NAN)),
+        ("the frame scale is not between 0.1 and 10", |shot| shot.frame_scale = Some(0.0)),
+        ("the frame scale is not between 0.1 and 10", |shot| shot.frame_scale = Some(f64::NAN)),
+        ("the frame scale is not between 0.1 and 10", |shot| shot.frame_scale = Some(1e-300)),
+        ("the scan angle is not between -180 and 180 degrees", |shot| shot.scan_angle_deg = Some(181.0)),
+        ("the shot number is that of the row before", |shot| shot.shot = 0),
     ];
     for (reason, change) in shots {
         let mut shot = good(1, 0);
@@ -145,15 +148,18 @@ fn each_reason_rejects_a_shot_with_its_blocks_and_the_line_goes_on() {
         expect_rejected(line, reason, 2);
     }
     const WRONG_GAIN: &str = "a block whose gain is not between 1/1024 and 1024";
-    let blocks: [(&str, ContainerBlock); 8] = [
+    const WRONG_INTERVAL: &str = "a block whose interval is not between 0.05 and 20 ns";
+    let blocks: [(&str, ContainerBlock); 10] = [
         ("a block of an unknown channel", ContainerBlock { channel: 4, ..echo() }),
         ("a block without a time", ContainerBlock { start_ns: f64::NAN, ..echo() }),
+        ("a block more than 0.01 s from its shot", ContainerBlock { start_ns: 2e7, ..echo() }),
+        (WRONG_INTERVAL, ContainerBlock { interval_ns: Some(1000.0), ..echo() }),
         (WRONG_GAIN, ContainerBlock { gain: Some(0.0), ..echo() }),
         (WRONG_GAIN, ContainerBlock { gain: Some(1025.0), ..echo() }),
         (WRONG_GAIN, ContainerBlock { gain: Some(f64::NAN), ..echo() }),
-        ("a block whose interval is not above 0", ContainerBlock { interval_ns: Some(0.0), ..echo() }),
-        ("a block whose interval is not above 0", ContainerBlock { interval_ns: Some(-1.0), ..echo() }),
-        ("a block whose interval is not above 0", ContainerBlock { interval_ns: Some(f64::NAN), ..echo() }),
+        (WRONG_INTERVAL, ContainerBlock { interval_ns: Some(0.0), ..echo() }),
+        (WRONG_INTERVAL, ContainerBlock { interval_ns: Some(-1.0), ..echo() }),
+        (WRONG_INTERVAL, ContainerBlock { interval_ns: Some(f64::NAN), ..echo() }),
     ];
     for (reason, block) in blocks {
         let line = around(|line| {

@@ -1,121 +1,51 @@
 //! Contradictions between the beams, return locations and points of a LAS file.
 
-use std::ops::RangeInclusive;
-
 use super::geometry::Geometry;
 use crate::plausibility::{Check, Otherwise};
 use crate::stage::{Result, StageError};
 use crate::stages::emission_choice::{lone_peak, median};
+use crate::stages::plausible;
 use wavex_formats::las::{Point, Reader};
 
-/// Group velocities of light in air, m/s; those in feet are accepted if the file names feet.
-const VELOCITY_MPS: RangeInclusive<f64> = 2.5e8..=2.998e8;
-const METRES_PER_FOOT: f64 = 0.3048;
-/// Sampling intervals of waveform digitisers, ns.
-const INTERVAL_NS: RangeInclusive<f64> = 0.05..=20.0;
-/// Group velocity of a unit vector per picosecond, m/s.
-const OF_UNIT_VECTORS_MPS: f64 = 2e12;
-/// Ranges of airborne and terrestrial scanners, m.
-const RANGE_M: RangeInclusive<f64> = 2.0..=50_000.0;
 /// Number of points looked at, and single echoes needed.
 const MOST_POINTS: usize = 5_000;
 const FEWEST_ECHOES: usize = 30;
 /// Largest median distance of points from the peaks of their single echoes, m.
 const FARTHEST_M: f64 = 1.0;
 
-/// Words of the messages.
-const NO_DIGITISER: &str = "are not those of a waveform digitiser";
-const OF_VECTORS: &str = "the direction vectors of the points give light a speed";
+/// Words of the message.
 const FROM_PEAKS: &str = "from the peaks of their waveforms";
 
-/// The checks of this module.
-pub(crate) fn checks() -> Vec<Check> {
-    let otherwise = Otherwise::Error;
-    vec![
-        Check {
-            compared: "group velocity, by the length of the direction vectors of the first points",
-            accepted: format!(
-                "{:.3e} to {:.3e} m/s, or as many feet if the file names feet",
-                VELOCITY_MPS.start(),
-                VELOCITY_MPS.end()
-            ),
-            source: "light in air and in glass fibre",
-            otherwise,
-            message: OF_VECTORS,
-            key: Some("beam_vectors"),
-        },
-        Check {
-            compared: "sampling interval of the descriptors",
-            accepted: format!("{} to {} ns", INTERVAL_NS.start(), INTERVAL_NS.end()),
-            source: "digitisers of scanners have 0.5 to 2 ns; those of research up to 10 ns",
-            otherwise,
-            message: NO_DIGITISER,
-            key: None,
-        },
-        Check {
-            compared: "return locations and the peaks of single echoes, median along the beam",
-            accepted: format!(
-                "{FARTHEST_M} m, by at least {FEWEST_ECHOES} of the first {MOST_POINTS} points"
-            ),
-            source: "two sampling intervals of a slow digitiser; wrong locations are metres off",
-            otherwise,
-            message: FROM_PEAKS,
-            key: Some("check_locations"),
-        },
-    ]
+/// The check of return locations.
+pub(crate) fn location_check() -> Check {
+    Check {
+        compared: "return locations of LAS and the peaks of single echoes, median along the beam",
+        accepted: format!(
+            "{FARTHEST_M} m, by at least {FEWEST_ECHOES} single echoes of the first {MOST_POINTS} points"
+        ),
+        source: "two sampling intervals of a slow digitiser; wrong locations are metres off",
+        otherwise: Otherwise::Error,
+        message: FROM_PEAKS,
+        key: Some("check_locations"),
+    }
 }
 
 /// Refuses vectors and sampling intervals that contradict physics.
 pub(super) fn check_beams(geometry: &Geometry, crs_wkt: Option<&str>) -> Result<()> {
     if let Some(sampling) = geometry.sampling {
         let interval_ns = f64::from(sampling.spacing_ps) / 1000.0;
-        if !INTERVAL_NS.contains(&interval_ns) {
-            let is_ns = INTERVAL_NS.contains(&(1000.0 * interval_ns));
-            let why = if is_ns { ": the spacing seems to be in nanoseconds, not in picoseconds" } else { "" };
-            return Err(StageError::failed(
-                format!(
-                    "samples {interval_ns} ns apart {NO_DIGITISER} ({} to {} ns){why}",
-                    INTERVAL_NS.start(),
-                    INTERVAL_NS.end()
-                ),
-                "export the file again with the temporal sample spacing in picoseconds",
-            ));
-        }
+        plausible::check_interval(
+            interval_ns,
+            "export the file again with the temporal sample spacing in picoseconds",
+        )?;
     }
-    let velocity_mps = geometry.group_velocity_mps;
-    let names_feet = crs_wkt.is_some_and(|wkt| wkt.to_lowercase().contains("foot"));
-    let is_in_feet = VELOCITY_MPS.contains(&(METRES_PER_FOOT * velocity_mps));
-    if VELOCITY_MPS.contains(&velocity_mps) || is_in_feet && names_feet {
-        return Ok(());
-    }
-    let why = if is_in_feet {
-        "they seem to be in feet, which the file does not name: set `crs_of_input`"
-    } else {
-        explanation(velocity_mps)
-    };
-    Err(StageError::failed(
-        format!("{OF_VECTORS} of {velocity_mps:.3e} m/s; in air it has 2.997e8: {why}"),
+    plausible::check_beam_velocity(
+        geometry.group_velocity_mps,
+        crs_wkt,
+        "the direction vectors of the points",
         "export the vectors in metres per picosecond of one-way path, or set `beam_vectors = \"direction\"` of \
          the reader to use only their directions",
-    ))
-}
-
-/// What would explain a speed.
-fn explanation(velocity_mps: f64) -> &'static str {
-    let is_velocity = |factor: f64| VELOCITY_MPS.contains(&(factor * velocity_mps));
-    if is_velocity(0.5) {
-        "they seem to be of the two-way path, twice as long"
-    } else if is_velocity(2.0) {
-        "they seem to be half as long, as for a two-way time"
-    } else if is_velocity(1e-3) {
-        "they seem to be per nanosecond, a thousand times as long"
-    } else if (velocity_mps / OF_UNIT_VECTORS_MPS - 1.0).abs() < 1e-3 {
-        "they seem to be unit vectors"
-    } else if RANGE_M.contains(&(velocity_mps / OF_UNIT_VECTORS_MPS)) {
-        "they seem to be full ranges, from the sensor to the return"
-    } else {
-        "no usual error explains it"
-    }
+    )
 }
 
 /// Refuses return locations that do not lie at the echoes of their waveforms.
@@ -175,24 +105,4 @@ struct Echo {
     peak_ns: f64,
     location_ns: f64,
     last_ns: f64,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn each_error_of_vectors_has_its_explanation() {
-        let light = 2.997_075e8;
-        for (velocity_mps, words) in [
-            (2.0 * light, "two-way path"),
-            (0.5 * light, "half as long"),
-            (1e3 * light, "per nanosecond"),
-            (2e12, "unit vectors"),
-            (2e15, "full ranges"),
-            (1.0, "no usual error"),
-        ] {
-            assert!(explanation(velocity_mps).contains(words), "{velocity_mps}");
-        }
-    }
 }

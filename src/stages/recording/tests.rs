@@ -1,7 +1,7 @@
 //! Time windows, implausible time scales, and CRSs. `tests/readers/declared.rs` covers whole jobs.
 
 use super::*;
-use crate::scan_line::{Blocks, Channel, TimeScale};
+use crate::scan_line::{Blocks, Channel, Emission, TimeScale};
 
 /// Lines of shots with these times.
 struct Lines(std::vec::IntoIter<Vec<f64>>, Arc<InputInfo>);
@@ -44,6 +44,26 @@ fn a_window_keeps_the_blocks_of_its_shots_and_drops_empty_lines() {
     assert_eq!(read[0].stats.gps_time_s, 2.0);
     let rejected: Vec<_> = cx.counters().rejected.iter().collect();
     assert_eq!(rejected, [(&(Item::Shots, NO_TIME), &1), (&(Item::Blocks, NO_TIME), &1)]);
+}
+
+#[test]
+fn green_instruments_are_named() {
+    for green in ["VQ-880-GII", "RIEGL VQ-840-GL", "CZMIL Nova", "Leica Chiroptera 4X"] {
+        assert!(green_note(Some(green)).is_some_and(|note| note.starts_with(green)), "{green}");
+    }
+    for other in [Some("VQ-880"), Some("LMS-Q680i"), Some("VQ-1560i"), None] {
+        assert_eq!(green_note(other), None);
+    }
+}
+
+#[test]
+fn an_empty_window_names_window_and_times() {
+    let keys = TimeKeys { time_s: Some([5.0, 6.0]), ..TimeKeys::default() };
+    let (read, cx) = read(TimeScale::Week, vec![vec![1.0, 2.0], vec![3.0]], keys).unwrap();
+    assert!(read.is_empty());
+    let expected = "no shot lies in the time window, 5.000 to 6.000 s: the times read are 1.000 to 3.000 s; set \
+                    `time_s`, or the scale it counts on with `time_scale`";
+    assert_eq!(cx.counters().notes, [expected]);
 }
 
 #[test]

@@ -45,19 +45,25 @@ impl Met {
         if !is_given_up && !may_look {
             return None;
         }
-        let place = self.window.place().filter(|place| length_s >= 0.0 && place.sd_m < MOST_SD_M);
+        let found = self.place().filter(|_| length_s >= 0.0);
         self.looked_at = n;
-        if place.is_none() && !is_given_up {
+        if found.is_none() && !is_given_up {
             return None;
         }
-        let gps_time_s = |time_s| if self.has_gps_time { time_s } else { f64::NAN };
-        let found = place.map(|place| MetPlace {
-            gps_time_s: gps_time_s(place.time_s),
-            position_m: place.position_m,
-            sd_m: place.sd_m,
-        });
         *self = Met { without_place: self.without_place + u64::from(found.is_none()), ..Met::new(self.pace) };
         found
+    }
+
+    /// Position of the section so far, if it is accurate enough.
+    pub(super) fn place(&self) -> Option<MetPlace> {
+        let place = self.window.place().filter(|place| place.sd_m < MOST_SD_M)?;
+        let gps_time_s = if self.has_gps_time { place.time_s } else { f64::NAN };
+        Some(MetPlace { gps_time_s, position_m: place.position_m, sd_m: place.sd_m })
+    }
+
+    /// Length of the section so far, s; 0 without shots.
+    pub(super) fn length_s(&self) -> f64 {
+        if self.window.n_beams() == 0 { 0.0 } else { self.window.length_s() }
     }
 
     /// Number of abandoned sections.

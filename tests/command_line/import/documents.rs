@@ -168,8 +168,7 @@ fn inputs(name: &str) -> (TestFolder, Vec<Truth>) {
     (place, truth)
 }
 
-/// The same for version 1.0. The points of the first example give their positions in the waveforms,
-/// to which ranges are tied.
+/// The same for version 1.0.
 fn inputs_of_1_0(name: &str) -> (TestFolder, Vec<Truth>) {
     let (path, odd_sample_shift) = match name {
         // On other systems, the Windows path is a plain name.
@@ -178,14 +177,10 @@ fn inputs_of_1_0(name: &str) -> (TestFolder, Vec<Truth>) {
         "1.0-05" => ("LDR100301_120340_4.LAS", 0.0),
         _ => ("waveform.las", 0.0),
     };
-    let has_locations = name == "1.0-01";
-    let mut recording = Las::with_odd_sample_shift(PULSES, odd_sample_shift);
-    if !has_locations {
-        recording = recording.without_locations();
-    }
+    let recording = Las::with_odd_sample_shift(PULSES, odd_sample_shift);
     let packets = format!("{}.wdp", &path[..path.len() - 4]);
     let place = TestFolder::with(&[(path, &recording.las()), (&packets, &recording.packets)]);
-    (place, truth::of_pulses(PULSES, has_locations))
+    (place, truth::of_pulses(PULSES))
 }
 
 /// Conversion from an example's coordinates to those of the truth, m.

@@ -63,10 +63,9 @@ pub(crate) fn of_flight(csv: &str, recording: &[u8], in_scanner: bool) -> Vec<Tr
 /// Returns of pulses at nadir, 0.1 m apart and 60 DN high.
 ///
 /// They are at the height of the recording's own points, or at the start of the waveforms.
-pub(crate) fn of_pulses(pulses: usize, has_locations: bool) -> Vec<Truth> {
+pub(crate) fn of_pulses(pulses: usize) -> Vec<Truth> {
     let truth = |pulse: usize| {
-        let height_m = if has_locations { 0.0 } else { -shots::peak(pulse) * shots::METRES_PER_NS };
-        let place = [0.1 * pulse as f64, 0.0, height_m];
+        let place = [0.1 * pulse as f64, 0.0, 0.0];
         Truth { time_s: shots::time_s(pulse), place, zone: 0, intensity: 60.0 }
     };
     (0..pulses).map(truth).collect()

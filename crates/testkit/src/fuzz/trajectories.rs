@@ -1,9 +1,8 @@
 //! Trajectories and their accuracies.
 
 use wavex_formats::trajectory::sbet::SbetRecord;
-use wavex_formats::trajectory::{self, Angles, Options};
+use wavex_formats::trajectory::{self, Angles, FileTime, Options};
 use wavex_geodesy::ellipsoid::Geodetic;
-use wavex_geodesy::time_axis::Clock;
 
 use super::{Files, parts};
 
@@ -20,7 +19,7 @@ pub fn pof(bytes: &[u8]) {
         place.write("a.poq", accuracy);
     }
     read(&place, "a.pof", &Options::default());
-    read(&place, "a.pof", &Options { time: Some(Clock::Adjusted), ..Options::default() });
+    read(&place, "a.pof", &Options { time: Some(FileTime::Adjusted), ..Options::default() });
 }
 
 /// A TRJ file.

@@ -190,6 +190,7 @@ fn decode(
 fn nullable(field: &FieldRef) -> FieldRef {
     let data_type = match field.data_type() {
         DataType::List(item) => DataType::List(nullable(item)),
+        DataType::LargeList(item) => DataType::LargeList(nullable(item)),
         DataType::FixedSizeList(item, n) => DataType::FixedSizeList(nullable(item), *n),
         DataType::Struct(fields) => DataType::Struct(fields.iter().map(nullable).collect()),
         other => other.clone(),

@@ -93,8 +93,16 @@ struct BufferWalk<'a> {
     location: Location<'a>,
 }
 
+/// Uncompressed offsets of lists.
+#[derive(Clone, Copy)]
+struct Offsets<'a> {
+    bytes: &'a [u8],
+    /// Size of an offset, 4 or 8 bytes.
+    width: usize,
+}
+
 /// Offsets of the lists around a field, outermost first; `None` if compressed.
-type Around<'a> = Vec<Option<&'a [u8]>>;
+type Around<'a> = Vec<Option<Offsets<'a>>>;
 
 impl<'a> BufferWalk<'a> {
     /// Checks a field that will be decoded.
@@ -112,8 +120,9 @@ impl<'a> BufferWalk<'a> {
         let bitmap = len.div_ceil(8);
         self.buffer(path, if nulls { bitmap } else { 0 }, Some(bitmap))?;
         match field.data_type() {
-            DataType::List(item) => {
-                let offsets = self.offsets(path, len, 4)?;
+            DataType::List(item) | DataType::LargeList(item) => {
+                let width = if matches!(field.data_type(), DataType::List(_)) { 4 } else { 8 };
+                let offsets = self.offsets(path, len, width)?;
                 let items = self.peek(path)?;
                 if let Some(offsets) = offsets {
                     self.check_offsets(path, offsets, items, around)?;
@@ -294,22 +303,22 @@ impl<'a> BufferWalk<'a> {
         }
     }
 
-    /// Reads the offsets buffer of a list, `width` bytes each; returns its bytes if uncompressed.
-    fn offsets(&mut self, path: &str, len: usize, width: usize) -> Result<Option<&'a [u8]>> {
+    /// Reads the offsets buffer of a list, `width` bytes each; `None` if compressed.
+    fn offsets(&mut self, path: &str, len: usize, width: usize) -> Result<Option<Offsets<'a>>> {
         let need = if len == 0 { 0 } else { (len + 1) * width };
         let (size, raw) = self.buffer(path, need, Some((len + 1) * width))?;
         if !size.is_multiple_of(width as u64) {
             let problem = format!("offsets of {size} bytes, which is no multiple of {width}");
             return Err(self.location.bad_column(path, None, problem, DAMAGED));
         }
-        Ok(raw.and_then(|raw| raw.get(..need)))
+        Ok(raw.and_then(|raw| raw.get(..need)).map(|bytes| Offsets { bytes, width }))
     }
 
     /// Returns an error at the row of the first list that is not within its `items`.
-    fn check_offsets(&self, path: &str, offsets: &[u8], items: i64, around: &Around) -> Result<()> {
+    fn check_offsets(&self, path: &str, offsets: Offsets, items: i64, around: &Around) -> Result<()> {
         let mut before = 0;
         for (index, offset) in numbers(offsets).enumerate() {
-            if offset < before || i64::from(offset) > items {
+            if offset < before || offset > items {
                 let row = row_of(index.saturating_sub(1), around);
                 let problem = format!("a list from {before} to {offset} of {items} items");
                 return Err(self.location.bad_column(path, row, problem, DAMAGED));
@@ -320,11 +329,11 @@ impl<'a> BufferWalk<'a> {
     }
 }
 
-fn numbers(offsets: &[u8]) -> impl DoubleEndedIterator<Item = i32> + ExactSizeIterator + '_ {
-    offsets.chunks_exact(4).map(|bytes| {
-        let mut number = [0; 4];
-        number.copy_from_slice(bytes);
-        i32::from_le_bytes(number)
+fn numbers(offsets: Offsets<'_>) -> impl Iterator<Item = i64> {
+    offsets.bytes.chunks_exact(offsets.width).map(|bytes| {
+        let wide = bytes.first_chunk().map(|bytes| i64::from_le_bytes(*bytes));
+        let narrow = bytes.first_chunk().map(|bytes| i64::from(i32::from_le_bytes(*bytes)));
+        wide.or(narrow).unwrap_or(-1)
     })
 }
 

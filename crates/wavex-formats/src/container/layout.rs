@@ -224,7 +224,8 @@ pub(super) fn schema(metadata: Metadata, with_gain: bool) -> Schema {
 /// Indices of [`COLUMNS`] in a schema; `None` for a missing optional one.
 ///
 /// Errors name the column that is missing or has another type. Names of list items and declared
-/// nullability are ignored; the contents of the columns are checked instead.
+/// nullability are ignored; the contents of the columns are checked instead. Large lists and signed
+/// shot numbers, as Polars writes them, are accepted.
 pub(super) fn find(schema: &Schema, location: Location) -> Result<Vec<Option<usize>>> {
     find_in(schema.fields(), COLUMNS, "", location)
 }
@@ -253,8 +254,13 @@ fn find_one(found: &Fields, column: &Column, prefix: &str, location: Location) -
     };
     let same = match (&column.kind, field.data_type()) {
         (ColumnKind::Triple, DataType::FixedSizeList(item, 3)) => *item.data_type() == DataType::Float64,
-        (ColumnKind::Samples, DataType::List(item)) => *item.data_type() == DataType::UInt16,
-        (ColumnKind::Structs(inner), DataType::List(item)) => match item.data_type() {
+        (ColumnKind::U64, DataType::Int64) => true,
+        (ColumnKind::Samples, DataType::List(item) | DataType::LargeList(item)) => {
+            *item.data_type() == DataType::UInt16
+        }
+        (ColumnKind::Structs(inner), DataType::List(item) | DataType::LargeList(item)) => match item
+            .data_type()
+        {
             DataType::Struct(found) => find_in(found, inner, &format!("{path}."), location).map(|_| true)?,
             _ => false,
         },

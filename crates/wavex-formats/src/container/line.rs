@@ -1,15 +1,19 @@
 //! A validated record batch of a container.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::{
-    ArrowPrimitiveType, Float32Type, Float64Type, Int16Type, Int64Type, UInt16Type, UInt32Type, UInt64Type,
+    ArrowPrimitiveType, Float32Type, Float64Type, Int16Type, Int64Type, UInt16Type, UInt32Type,
 };
 use arrow_array::{
-    Array, ArrayRef, FixedSizeListArray, Float32Array, Float64Array, Int16Array, Int64Array, ListArray,
-    PrimitiveArray, StructArray, UInt8Array, UInt16Array, UInt32Array, UInt64Array,
+    Array, ArrayRef, FixedSizeListArray, Float32Array, Float64Array, Int16Array, Int64Array, LargeListArray,
+    ListArray, PrimitiveArray, StructArray, UInt8Array, UInt16Array, UInt32Array, UInt64Array,
 };
+
+use arrow_buffer::OffsetBuffer;
+use arrow_schema::Field;
 
 use super::layout::GAIN;
 use super::location::{DAMAGED, Location};
@@ -112,7 +116,7 @@ impl ContainerLine {
     pub(super) fn try_new(columns: &[Option<ArrayRef>], location: Location) -> Result<ContainerLine> {
         let all = Columns { columns, location };
         Ok(ContainerLine {
-            shot: all.full::<UInt64Type>(0, "shot")?,
+            shot: all.unsigned(0, "shot")?,
             line: all.full::<UInt32Type>(1, "line")?,
             gps_time_s: all.primitive::<Float64Type>(2, "gps_time_s")?,
             clock_ps: all.full::<Int64Type>(3, "clock_ps")?,
@@ -246,6 +250,25 @@ impl Columns<'_> {
         Ok(array)
     }
 
+    /// As [`Columns::full`]; also accepts signed numbers that are not negative.
+    fn unsigned(&self, index: usize, name: &str) -> Result<UInt64Array> {
+        let Some(signed) = self.get(index).and_then(|array| array.as_primitive_opt::<Int64Type>()) else {
+            return self.full(index, name);
+        };
+        self.no_null(signed, name, 0..signed.len(), |row| row)?;
+        if let Some(row) = signed.values().iter().position(|&number| number < 0) {
+            return Err(self.location.bad_row(name, row, "a negative number", "number shots from 0"));
+        }
+        Ok(signed.values().iter().map(|number| number.cast_unsigned()).collect())
+    }
+
+    /// A column of lists; large ones become lists.
+    fn lists(&self, name: &str, array: Option<&ArrayRef>) -> Result<ListArray> {
+        let lists = array
+            .and_then(|array| array.as_list_opt().cloned().or_else(|| narrow(array.as_list_opt::<i64>()?)));
+        self.typed(name, lists.as_ref())
+    }
+
     /// The 3n numbers of a column of triples.
     fn triple(&self, index: usize, name: &str) -> Result<Float64Array> {
         let lists: FixedSizeListArray =
@@ -257,10 +280,11 @@ impl Columns<'_> {
     }
 
     fn blocks(&self, index: usize) -> Result<Blocks> {
-        let rows: ListArray = self.typed("blocks", self.get(index).and_then(|array| array.as_list_opt()))?;
+        let rows = self.lists("blocks", self.get(index))?;
         self.no_null(&rows, "blocks", 0..rows.len(), |row| row)?;
         let structs = self.structs(&rows, "blocks")?;
-        let lists: ListArray = self.inner(&rows, &structs, "blocks.samples", |array| array.as_list_opt())?;
+        let lists = self.lists("blocks.samples", structs.column_by_name("samples"))?;
+        self.no_null(&lists, "blocks.samples", span(&rows), |item| row_of(&rows, item))?;
         let samples: UInt16Array =
             self.typed("blocks.samples", lists.values().as_primitive_opt::<UInt16Type>())?;
         let used = span(&rows);
@@ -286,7 +310,7 @@ impl Columns<'_> {
     }
 
     fn online(&self, index: usize) -> Result<Online> {
-        let rows: ListArray = self.typed("online", self.get(index).and_then(|array| array.as_list_opt()))?;
+        let rows = self.lists("online", self.get(index))?;
         let structs = self.structs(&rows, "online")?;
         Ok(Online {
             time_ns: self.inner(&rows, &structs, "online.time_ns", |array| array.as_primitive_opt())?,
@@ -339,6 +363,14 @@ impl Columns<'_> {
             }
         }
     }
+}
+
+/// Lists with 32-bit offsets; `None` if there are too many items.
+fn narrow(lists: &LargeListArray) -> Option<ListArray> {
+    let offsets = lists.offsets().iter().map(|&offset| i32::try_from(offset).ok());
+    let offsets = OffsetBuffer::new(offsets.collect::<Option<Vec<i32>>>()?.into());
+    let item = Arc::new(Field::new("item", lists.value_type(), true));
+    ListArray::try_new(item, offsets, Arc::clone(lists.values()), lists.nulls().cloned()).ok()
 }
 
 /// Range of items used by the lists.

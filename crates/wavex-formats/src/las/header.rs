@@ -117,6 +117,16 @@ impl Header {
     /// The file is empty, is not LAS, has an unknown version or point format, or contradictory
     /// sizes; or reading fails.
     pub(super) fn read(input: &mut impl Read, file: &Path, file_length: u64) -> Result<Header> {
+        let (header, missing) = Header::read_partial(input, file, file_length)?;
+        missing.map_or(Ok(header), Err)
+    }
+
+    /// As [`Header::read`], with the number of points that the file has, and the error if more are declared.
+    pub(super) fn read_partial(
+        input: &mut impl Read,
+        file: &Path,
+        file_length: u64,
+    ) -> Result<(Header, Option<Error>)> {
         let mut bytes = Vec::with_capacity(LONGEST.into());
         input.take(LONGEST.into()).read_to_end(&mut bytes).map_err(Error::io(file, "read the header"))?;
         let mut fields = Fields::new(file, 0, &bytes);
@@ -166,8 +176,11 @@ impl Header {
             time_offset_megaseconds: 0,
         };
         header.later_fields(&mut fields)?;
-        header.check_points_fit(file, file_length)?;
-        Ok(header)
+        let missing = header.check_points_fit(file, file_length).err();
+        if missing.is_some() {
+            header.n_points = header.room(file_length);
+        }
+        Ok((header, missing))
     }
 
     /// Encodes the header: [`Header::header_size`] bytes, zero after the fields of the version.
@@ -245,8 +258,13 @@ impl Header {
         Ok(())
     }
 
+    /// Number of uncompressed points that fit into the file.
+    fn room(&self, file_length: u64) -> u64 {
+        (file_length - u64::from(self.offset_to_points)) / u64::from(self.record_length)
+    }
+
     fn check_points_fit(&self, file: &Path, file_length: u64) -> Result<()> {
-        let room = (file_length - u64::from(self.offset_to_points)) / u64::from(self.record_length);
+        let room = self.room(file_length);
         if self.compressed || self.n_points <= room {
             return Ok(());
         }

@@ -106,20 +106,33 @@ fn inside(
 ///
 /// The extension may have any case.
 fn beside(path: &Path) -> Option<PathBuf> {
-    let usual = path.with_extension("wdp");
+    with_extension(path, "wdp")
+}
+
+/// Returns the file of the same name with this extension, in any case.
+fn with_extension(path: &Path, extension: &str) -> Option<PathBuf> {
+    let usual = path.with_extension(extension);
     if usual.is_file() {
         return Some(usual);
     }
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let is_it = |other: &Path| {
         other.file_stem() == path.file_stem()
-            && other.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("wdp"))
+            && other.extension().is_some_and(|other| other.eq_ignore_ascii_case(extension))
     };
     folder.read_dir().ok()?.flatten().map(|entry| entry.path()).filter(|other| is_it(other)).min()
 }
 
 /// Creates the error for points that refer to missing packets.
 pub(super) fn missing(path: &Path) -> Error {
+    if let Some(packed) = with_extension(path, "wdz") {
+        return Error::unusable(
+            path,
+            format!("its waveforms are compressed, in `{}`, which cannot be read", packed.display()),
+            "decompress points and waveforms together, to `.las` and `.wdp`, with the program that compressed them \
+             (LASzip: `laszip -i FILE.laz -o FILE.las -waveforms`)",
+        );
+    }
     let name = path.with_extension("wdp");
     let name = name.file_name().unwrap_or_default().display();
     Error::unusable(

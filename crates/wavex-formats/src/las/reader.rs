@@ -1,5 +1,6 @@
 //! Point-by-point reader of full-waveform LAS and LAZ files.
 
+use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
@@ -37,10 +38,28 @@ impl Reader {
     /// The file is not LAS, has points without waveforms, is cut off, or has contradictory sizes or
     /// more points than declared; or declared waveforms are neither inside nor next to it.
     pub fn open(path: &Path) -> Result<Reader> {
+        let (reader, missing) = Reader::open_partial(path)?;
+        missing.map_or(Ok(reader), Err)
+    }
+
+    /// As [`Reader::open`]; a file with fewer points than declared is read to its end.
+    ///
+    /// The second value is then the error that [`Reader::open`] returns.
+    ///
+    /// # Errors
+    /// As [`Reader::open`], except for missing points.
+    pub fn open_partial(path: &Path) -> Result<(Reader, Option<Error>)> {
         let file = regular_file(path)?;
         let file_length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
         let mut input = BufReader::new(file);
-        let header = Header::read(&mut input, path, file_length)?;
+        let (header, missing) = Header::read_partial(&mut input, path, file_length)?;
+        match Reader::begin(path, header, input, file_length) {
+            Ok(reader) => Ok((reader, missing)),
+            Err(error) => Err(missing.unwrap_or(error)),
+        }
+    }
+
+    fn begin(path: &Path, header: Header, mut input: BufReader<File>, file_length: u64) -> Result<Reader> {
         let layout = Layout::of(header.point_format);
         if layout.wave.is_none() {
             let problem = format!("no waveforms in point data format {}", header.point_format);

@@ -5,9 +5,9 @@
 use std::path::Path;
 
 use super::super::{Error, Result};
-use super::{Options, Raw, Recorded, accuracies};
+use super::{FileTime, Options, Raw, Recorded, accuracies};
 use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, gps_week};
-use wavex_geodesy::time_axis::{Clock, DAY_S, Unwrap, adjusted_of_date, leap_seconds};
+use wavex_geodesy::time_axis::{Clock, DAY_S, Unwrap, adjusted_of_date, leap_seconds, utc_of_gps};
 
 /// Declarations of a file about its times.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -31,7 +31,10 @@ pub(super) struct Placed {
 
 /// Puts the decoded records on one time axis and adds the accuracies in the file `accuracy`.
 pub(super) fn settle(path: &Path, raw: Raw, options: &Options, accuracy: Option<&Path>) -> Result<Recorded> {
-    let Raw { format, stated, mut records, mut notes } = raw;
+    let Raw { format, mut stated, mut records, mut notes } = raw;
+    let offset_s = options.time.map_or(0.0, FileTime::offset_s);
+    records.times_mut().for_each(|time_s| *time_s += offset_s);
+    stated.is_utc |= options.time == Some(FileTime::Unix);
     let clock = clock_of(path, &stated, options, records.times_s(), &mut notes)?;
     let mut unwrap = Unwrap::new(clock);
     records.times_mut().for_each(|time_s| *time_s = unwrap.next(*time_s));
@@ -58,7 +61,8 @@ pub(super) fn settle(path: &Path, raw: Raw, options: &Options, accuracy: Option<
     let mut recorded =
         Recorded { file: path.to_owned(), format, counts, clock: on_axis, records, accuracies, notes };
     if let Some(path) = accuracy {
-        recorded.accuracies = accuracies::on_axis(path, &recorded, Placed { clock, leap_s })?;
+        recorded.accuracies =
+            accuracies::on_axis(path, &recorded, Placed { clock, leap_s: offset_s + leap_s })?;
     }
     Ok(recorded)
 }
@@ -90,7 +94,8 @@ fn clock_of(
     notes: &mut Vec<String>,
 ) -> Result<Clock> {
     let limits_s = times_s.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], t| [a.min(t), b.max(t)]);
-    if let (Some(said), Some(stated)) = (options.time, stated.clock)
+    let said = options.time.map(FileTime::clock);
+    if let (Some(said), Some(stated)) = (said, stated.clock)
         && said != stated
     {
         notes.push(format!(
@@ -99,7 +104,7 @@ fn clock_of(
             said.name()
         ));
     }
-    let clock = match options.time.or(stated.clock) {
+    let clock = match said.or(stated.clock) {
         Some(clock) => clock,
         None if may_be(Clock::Week, limits_s) => Clock::Week,
         None => {
@@ -115,8 +120,22 @@ fn clock_of(
     }
     let problem =
         format!("its times, from {:.3} to {:.3} s, are not {}", limits_s[0], limits_s[1], clock.name());
-    let remedy = "set `trajectory_time` to week, day or adjusted";
+    let day = |scale: FileTime| utc_of_gps(limits_s[0] + scale.offset_s()).filter(|_| options.time.is_none());
+    let remedy = match [FileTime::Standard, FileTime::Unix].map(day) {
+        [Some(standard), Some(unix)] if limits_s[0] > ADJUSTMENT_S => format!(
+            "set `trajectory_time` to standard (seconds since 1980-01-06: recorded on {}) or to unix (since \
+             1970-01-01: on {})",
+            date_of(&standard),
+            date_of(&unix)
+        ),
+        _ => "set `trajectory_time` to week, day, adjusted, standard or unix".to_owned(),
+    };
     Err(Error::unusable(path, problem, remedy))
+}
+
+/// Date of an ISO 8601 time.
+fn date_of(time: &str) -> &str {
+    time.split('T').next().unwrap_or_default()
 }
 
 /// Returns the offset from a clock to adjusted time, s.

@@ -119,7 +119,7 @@ fn flights_cross_the_end_of_the_week_and_midnight() {
         ("TRJ of adjusted seconds", trj(&samples, |t| t), Clock::Adjusted, sunday_s - 5.0),
     ];
     for (name, bytes, clock, first_s) in files {
-        let time = (clock == Clock::Day).then_some(Clock::Day);
+        let time = (clock == Clock::Day).then_some(FileTime::Day);
         let recorded = read_bytes(&bytes, &Options { time, ..columns("tyx_zwpk") }).unwrap();
         let times = recorded.times();
         assert_eq!((times.clock, times.first_s, times.last_s), (clock, first_s, first_s + 19.5), "{name}");
@@ -171,7 +171,7 @@ fn incomplete_pof_headers_are_noted() {
     // Invalid time unit, overridden by the user; count below the number of records.
     let mut bytes = pof(&samples, 9, 0, day);
     bytes[41] = 3;
-    let recorded = read_bytes(&bytes, &Options { time: Some(Clock::Day), ..Options::default() }).unwrap();
+    let recorded = read_bytes(&bytes, &Options { time: Some(FileTime::Day), ..Options::default() }).unwrap();
     assert_eq!((recorded.times().first_s, recorded.records.len()), (MIDNIGHT_S + 36_000.0, 3));
     assert_eq!(recorded.notes, ["records beyond the header's count of 3 are not read: 1"]);
     // Version 1.0 has no distance.
@@ -192,7 +192,7 @@ fn the_clock_of_the_options_wins() {
         recorded.notes,
         ["times are too large for seconds of the week: they are read as adjusted seconds"]
     );
-    let adjusted = Options { time: Some(Clock::Adjusted), ..Options::default() };
+    let adjusted = Options { time: Some(FileTime::Adjusted), ..Options::default() };
     let recorded = read_bytes(&pof(&samples, 2, 0, |t| t), &adjusted).unwrap();
     assert_eq!(recorded.times().first_s, samples[0].time_s);
     assert_eq!(
@@ -202,15 +202,31 @@ fn the_clock_of_the_options_wins() {
     let message =
         |bytes: Vec<u8>, time| read_bytes(&bytes, &Options { time, ..Options::default() }).unwrap_err();
     assert_eq!(
-        message(sbet(&samples, week), Some(Clock::Day)),
+        message(sbet(&samples, week), Some(FileTime::Day)),
         "t.dat: its times, from 208800.000 to 208801.500 s, are not seconds of the day; set \
-         `trajectory_time` to week, day or adjusted"
+         `trajectory_time` to week, day, adjusted, standard or unix"
     );
     assert_eq!(
         message(sbet(&samples, |t| t + 1e9), None),
         "t.dat: its times, from 1430560800.000 to 1430560801.500 s, are not adjusted seconds; set \
-         `trajectory_time` to week, day or adjusted"
+         `trajectory_time` to standard (seconds since 1980-01-06: recorded on 2025-05-06) or to unix (since \
+         1970-01-01: on 2015-05-02)"
     );
+}
+
+#[test]
+fn standard_gps_and_unix_times_become_adjusted() {
+    let samples = flight(MIDNIGHT_S + 36_000.0, 4);
+    // UTC is 18 s less than GPS time.
+    for (time, offset_s) in [(FileTime::Standard, 1e9), (FileTime::Unix, 1e9 + 315_964_800.0 - 18.0)] {
+        let options = Options { time: Some(time), ..Options::default() };
+        let recorded = read_bytes(&sbet(&samples, |t| t + offset_s), &options).unwrap();
+        assert_eq!(
+            (recorded.clock, recorded.times().first_s),
+            (Clock::Adjusted, samples[0].time_s),
+            "{time:?}"
+        );
+    }
 }
 
 #[test]

@@ -158,6 +158,8 @@ fn disjoint_and_ambiguous_times_are_errors() {
          the period of the clock: seconds of the day of the recording, which lasts from 00:01:40.0 to 00:03:20.0 GPS \
          (100.0 to 200.0 s of the day), are ambiguous; cut the trajectory to the flight"
     );
+    let late = text(times(Clock::Week, 36_982.5, 36_999.0), times(Clock::Day, 36_000.0, 36_981.0));
+    assert!(late.ends_with("or set `time_offset_s` of the reader"), "{late}");
     let week = times(Clock::Adjusted, MIDNIGHT_S, MIDNIGHT_S + WEEK_S);
     assert!(align(week, week).is_ok(), "dates are never ambiguous");
 }

@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use arrow_array::types::Int8Type;
 use arrow_array::{
-    Array, ArrayRef, DictionaryArray, Float64Array, Int32Array, Int64Array, ListArray, RecordBatch,
-    StringArray, StringViewArray, StructArray, UInt16Array, UInt64Array, UnionArray,
+    Array, ArrayRef, DictionaryArray, Float64Array, Int32Array, Int64Array, LargeListArray, ListArray,
+    RecordBatch, StringArray, StringViewArray, StructArray, UInt16Array, UInt64Array, UnionArray,
 };
-use arrow_buffer::{NullBuffer, ScalarBuffer};
+use arrow_buffer::{NullBuffer, OffsetBuffer, ScalarBuffer};
 use arrow_ipc::writer::{FileWriter, StreamWriter};
 use arrow_schema::{DataType, Field, Fields, Schema, SchemaRef, UnionFields};
 
@@ -66,10 +66,10 @@ fn missing_columns_are_reported() {
 
 #[test]
 fn wrong_types_are_reported() {
-    let shots = Arc::new(Int64Array::from(vec![0, 1, 2, 3, 4]));
+    let shots = Arc::new(Int32Array::from(vec![0, 1, 2, 3, 4]));
     assert_eq!(
         refusal(with_column("shot", shots)),
-        "byte 0: column `shot`: the type is Int64 and should be u64; cast it before writing the container"
+        "byte 0: column `shot`: the type is Int32 and should be u64; cast it before writing the container"
     );
     let column = |name: &'static str, list: ArrayRef| {
         let DataType::List(item) = columns()[&position("blocks")].0.data_type().clone() else { panic!() };
@@ -103,6 +103,38 @@ fn wrong_types_are_reported() {
     let blocks = column("zone", Arc::new(Int32Array::from(vec![0; 6])));
     let error = refusal(with_column("blocks", blocks));
     assert!(error.contains("column `blocks.zone`: the type is Int32 and should be i16"), "{error}");
+}
+
+/// Replaces all lists by large lists.
+fn large(array: &ArrayRef) -> ArrayRef {
+    if let Some(lists) = array.as_any().downcast_ref::<ListArray>() {
+        let (_, offsets, values, nulls) = lists.clone().into_parts();
+        let values = large(&values);
+        let item = Arc::new(Field::new("item", values.data_type().clone(), true));
+        let offsets: Vec<i64> = offsets.iter().map(|&offset| offset.into()).collect();
+        return Arc::new(LargeListArray::new(item, OffsetBuffer::new(offsets.into()), values, nulls));
+    }
+    let Some(structs) = array.as_any().downcast_ref::<StructArray>() else { return array.clone() };
+    let (fields, arrays, nulls) = structs.clone().into_parts();
+    let arrays: Vec<ArrayRef> = arrays.iter().map(large).collect();
+    let field =
+        |(field, array): (&Arc<Field>, &ArrayRef)| Field::new(field.name(), array.data_type().clone(), true);
+    let fields: Fields = fields.iter().zip(&arrays).map(field).collect();
+    Arc::new(StructArray::new(fields, arrays, nulls))
+}
+
+#[test]
+fn large_lists_and_signed_shot_numbers_are_read() {
+    let mut columns = columns();
+    let signed: ArrayRef = Arc::new(Int64Array::from(vec![0, 1, 2, 3, 4]));
+    columns.get_mut(&position("shot")).unwrap().1 = signed;
+    for (field, array) in columns.values_mut() {
+        *array = large(array);
+        *field = Field::new(field.name(), array.data_type().clone(), true);
+    }
+    assert_eq!(read_stream(written(columns)).unwrap(), lines()[..1]);
+    let error = refusal(with_column("shot", Arc::new(Int64Array::from(vec![0, 1, -2, 3, 4]))));
+    assert!(error.ends_with("column `shot`, row 2: a negative number; number shots from 0"), "{error}");
 }
 
 #[test]

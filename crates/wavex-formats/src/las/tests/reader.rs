@@ -230,6 +230,14 @@ fn with_packets_inside_and_beside_the_header_decides() {
 }
 
 #[test]
+fn compressed_waveforms_are_named() {
+    let (folder, path) = folder(&Made { encoding: 4, ..Made::new(3, 4) }.las());
+    fs::write(folder.path().join("a.wdz"), b"compressed").unwrap();
+    let text = Reader::open(&path).err().unwrap().to_string();
+    assert!(text.contains("a.wdz") && text.contains("laszip") && !text.contains("a.wdp"), "{text}");
+}
+
+#[test]
 fn waveform_files_that_are_missing_or_no_such_are_refused() {
     assert_eq!(
         refusal(&Made { encoding: 4, ..Made::new(3, 4) }.las()),
