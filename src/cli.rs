@@ -11,6 +11,7 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser};
 
 use crate::job::{Include, Job, JobErrors, MAX_INCLUDES, Override, included, job_schema, read_text};
+use crate::printable::printable;
 use crate::registry::STAGES;
 use crate::system;
 
@@ -81,12 +82,12 @@ impl Failure {
         }
     }
 
-    /// Error message for the user; ends with a line feed.
+    /// Error message for the user, safe to print; ends with a line feed.
     fn message(&self, colour: bool) -> String {
         match self {
             Failure::Job(errors) => errors.render(colour),
             Failure::Wrong(problem) | Failure::Run(problem) => {
-                format!("{}: {problem}\n", terminal::error_word(colour))
+                format!("{}: {}\n", terminal::error_word(colour), printable(problem))
             }
         }
     }
@@ -119,7 +120,7 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
     let exit_code = match dispatch(cli) {
         Ok(()) => 0,
         Err(failure) => {
-            terminal::print_error(&failure.message(terminal::colour()));
+            terminal::print_failure(&failure);
             failure.exit_code()
         }
     };
@@ -185,7 +186,7 @@ fn do_all(done: impl Iterator<Item = Result<(), Failure>>) -> Result<(), Failure
     let mut last = Ok(());
     for failure in done.filter_map(Result::err) {
         if let Err(earlier) = std::mem::replace(&mut last, Err(failure)) {
-            terminal::print_error(&earlier.message(terminal::colour()));
+            terminal::print_failure(&earlier);
         }
     }
     last

@@ -34,6 +34,7 @@ pub mod georef;
 pub mod inspect;
 pub mod job;
 pub mod keys;
+mod printable;
 pub mod recording;
 pub mod registry;
 pub mod report;

@@ -219,7 +219,7 @@ fn run_archived(job: &Job, folder: &Path, asked: Asked) -> Result<FinishedRun, R
     for message in &messages {
         tracing::info!("{message}");
         if !quiet {
-            terminal::print_error(&format!("{message}\n"));
+            terminal::print_message(&format!("{message}\n"));
         }
     }
     let ended = engine::run_each(
@@ -235,7 +235,7 @@ fn run_archived(job: &Job, folder: &Path, asked: Asked) -> Result<FinishedRun, R
                 if run.inputs.len() > 1 {
                     log::fatal(&error);
                     if !silent {
-                        terminal::print_error(&Failure::from(failed(&error)).message(terminal::colour()));
+                        terminal::print_failure(&failed(&error).into());
                     }
                 }
                 first.get_or_insert(error);
@@ -333,7 +333,7 @@ pub(super) fn stop_on_signals(cancel: &Cancel) {
             release_all();
             let error = RunError { stage: None, input: None, cause: Cause::Interrupted };
             let interrupted = Failure::Run(error.to_string());
-            terminal::print_error(&interrupted.message(terminal::colour()));
+            terminal::print_failure(&interrupted);
             std::process::exit(interrupted.exit_code().into());
         }
         cancel.cancel();
