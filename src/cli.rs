@@ -3,8 +3,8 @@
 //! Exit codes: 0 success; 1 the run failed; 2 the job or the command line is invalid.
 
 use std::ffi::OsString;
-use std::fs::File;
-use std::path::PathBuf;
+use std::io;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
@@ -14,6 +14,7 @@ use crate::job::{Include, Job, JobErrors, MAX_INCLUDES, Override, included, job_
 use crate::printable::printable;
 use crate::registry::STAGES;
 use crate::system;
+use wavex_formats::{Error, regular_file};
 
 mod archive;
 mod args;
@@ -198,7 +199,7 @@ impl JobArgs {
         let (name, text) = if self.is_stdin() {
             ("standard input".to_owned(), read_text(std::io::stdin()))
         } else {
-            (self.job.display().to_string(), File::open(&self.job).and_then(read_text))
+            (self.job.display().to_string(), read_file(&self.job))
         };
         let text = text.map_err(|error| Failure::Wrong(format!("{name}: cannot read the job: {error}")))?;
         let overrides: Vec<Override> = self.set.iter().map(Override::new).chain(more).collect();
@@ -216,7 +217,7 @@ impl JobArgs {
         let folder = self.folder();
         let path = if folder == *"." { PathBuf::from(included) } else { folder.join(included) };
         let name = path.display().to_string();
-        match File::open(&path).and_then(read_text) {
+        match read_file(&path) {
             Ok(text) => Ok(Include { name, text }),
             Err(error) => {
                 let remedy = "check `include` in `[job]`";
@@ -233,6 +234,15 @@ impl JobArgs {
 
     fn is_stdin(&self) -> bool {
         self.job.as_os_str() == "-"
+    }
+}
+
+/// Reads a job or an included file.
+fn read_file(path: &Path) -> io::Result<String> {
+    match regular_file(path) {
+        Ok(file) => read_text(file),
+        Err(Error::Io { source, .. }) => Err(source),
+        Err(_) => Err(io::Error::other("it is a pipe or device; give a file, or - for standard input")),
     }
 }
 
