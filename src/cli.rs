@@ -144,8 +144,8 @@ fn asks_for_more(arguments: &[OsString]) -> bool {
 fn dispatch(cli: Cli) -> Result<(), Failure> {
     let quiet = cli.loudness.quiet;
     match cli.command {
-        Command::Run { job, machine, archive, resume } => {
-            run::run(&job, machine, archive.as_deref(), resume, quiet)
+        Command::Run { job, machine, archive, resume, relearn } => {
+            run::run(&job, machine, archive.as_deref(), resume, relearn, quiet)
         }
         Command::Plan(args) => plan::plan(&args, quiet),
         Command::Collect(args) => plan::collect(&args, quiet),
