@@ -210,7 +210,8 @@ fn run_archived(job: &Job, folder: &Path, asked: Asked) -> Result<FinishedRun, R
     let archived = recorder.as_ref().map(|recorder| recorder.job(job)).transpose();
     let archived = archived.map_err(|error| logged(&error))?;
     let keeps_models = resume.is_some() && !relearn;
-    options.survey = match files.earlier_models(job, &options).filter(|_| keeps_models) {
+    let earlier = if keeps_models { files.earlier_models(job, &options) } else { None };
+    options.survey = match earlier {
         Some(models) => Some(models),
         None => engine::survey_models(job, &options)
             .map_err(|error| {

@@ -17,7 +17,7 @@ use crate::report::read_report;
 use crate::stage::counted;
 use crate::view::{self, Opened};
 
-// Interval at which the end is looked for.
+/// Interval at which the end is looked for.
 const TICK: Duration = Duration::from_millis(100);
 
 /// Serves the page until a signal ends it.

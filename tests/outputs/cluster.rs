@@ -222,8 +222,8 @@ fn texts_from_outside_of_a_plan_are_not_collected() {
         std::os::unix::fs::symlink(place.path("secret.txt"), place.path(log)).unwrap();
         let text = plan.replace("plan/logs/a.log", &format!("plan/{name}"));
         place.write("s/plan/plan.json", text.as_bytes());
-        let (code, err) = collect(&place, &[]);
-        assert!(code == Some(0) && err.contains(problem), "{err}");
+        let Outcome { code, err, .. } = place.wavex(&["collect", "s/plan"]);
+        assert!(code == Some(0) && err.contains(&format!("{problem} that leads out of ")), "{err}");
         assert!(!place.text("s/out/job.log").contains("secret"));
     }
 }

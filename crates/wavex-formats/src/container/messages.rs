@@ -5,6 +5,7 @@
 
 mod stream;
 
+use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
@@ -15,7 +16,7 @@ use arrow_schema::Schema;
 use super::decode::schema_of;
 use super::location::{CUT_OFF, DAMAGED, Location};
 use super::{MAX_BATCH_BYTES, MOST_KEPT_BYTES, digest};
-use crate::{Error, Result, make_room, regular_file};
+use crate::{Error, Result, make_room};
 use stream::StreamMessages;
 
 /// First and last bytes of the file format.
@@ -58,8 +59,11 @@ pub(super) enum Messages {
 impl Messages {
     /// Opens a file of either format and reads its schema.
     pub(super) fn open(path: &Path) -> Result<(Messages, Schema)> {
-        let file = regular_file(path)?;
+        let file = File::open(path).map_err(Error::io(path, "open"))?;
         let about = file.metadata().map_err(Error::io(path, "open"))?;
+        if !about.is_file() {
+            return Messages::stream(path, Box::new(file));
+        }
         Messages::searchable(path, Box::new(file), about.len())
     }
 
