@@ -107,13 +107,23 @@ impl Whitener {
             }
             next
         };
+        // Derivatives are zero outside of their pulse: the rest of a long block need not be filtered.
+        let Some(first) = values.iter().skip(first).position(|value| *value != 0.0).map(|at| first + at)
+        else {
+            return;
+        };
+        let last = values.iter().rposition(|value| *value != 0.0).unwrap_or(first);
         let steady = self.steady.max(first).max(N);
-        if let Some(row) = self.rows.get(steady) {
-            predict(values, steady, &coefficients, row.weight);
+        let end = (last + 1 + N).min(values.len());
+        if let Some(row) = self.rows.get(steady).filter(|_| steady < end) {
+            predict(&mut values[..end], steady, &coefficients, row.weight);
         }
         // Last values: of the block in the steady state, otherwise of the predictor.
         let mut past = [0.0; N];
-        for (value, row) in values.iter_mut().zip(&self.rows).take(steady).skip(first) {
+        for (k, (value, row)) in values.iter_mut().zip(&self.rows).enumerate().take(steady).skip(first) {
+            if k > last && past.iter().all(|past| *past == 0.0) {
+                break;
+            }
             let next = predicted(&past);
             let error = *value - next;
             past.copy_within(..N - 1, 1);
@@ -291,6 +301,21 @@ mod tests {
 
     proptest! {
         #[test]
+    fn a_pulse_within_a_block_is_whitened_as_by_its_whole_length() {
+        let mut used = [true; 60];
+        for gap in [5..7, 22..24, 40..45] {
+            used[gap].fill(false);
+        }
+        for pulse in [0..3, 10..12, 20..26, 38..50, 57..60] {
+            let mut values = [0.0; 60];
+            pulse.for_each(|k| values[k] = 1.0 + k as f64);
+            for used in [used, [true; 60]] {
+                check_against_cholesky(&[0.7, -0.2], &used, &values);
+            }
+        }
+    }
+
+    #[test]
         fn any_choice_of_samples_is_whitened_exactly(
             used in prop::collection::vec(any::<bool>(), 1..25),
             reflection in prop::collection::vec(-0.9f64..0.9, 0..5),
