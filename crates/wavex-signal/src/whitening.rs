@@ -311,8 +311,7 @@ mod tests {
         assert_eq!(whole, late);
     }
 
-    proptest! {
-        #[test]
+    #[test]
     fn a_pulse_within_a_block_is_whitened_as_by_its_whole_length() {
         let mut used = [true; 60];
         for gap in [5..7, 22..24, 40..45] {
@@ -327,7 +326,8 @@ mod tests {
         }
     }
 
-    #[test]
+    proptest! {
+        #[test]
         fn any_choice_of_samples_is_whitened_exactly(
             used in prop::collection::vec(any::<bool>(), 1..25),
             reflection in prop::collection::vec(-0.9f64..0.9, 0..5),
