@@ -3,16 +3,18 @@
 //! Exit codes: 0 success; 1 the run failed; 2 the job or the command line is invalid.
 
 use std::ffi::OsString;
-use std::fs::File;
-use std::path::PathBuf;
+use std::io;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser};
 
 use crate::job::{Include, Job, JobErrors, MAX_INCLUDES, Override, included, job_schema, read_text};
+use crate::printable::printable;
 use crate::registry::STAGES;
 use crate::system;
+use wavex_formats::{Error, regular_file};
 
 mod archive;
 mod args;
@@ -81,12 +83,12 @@ impl Failure {
         }
     }
 
-    /// Error message for the user; ends with a line feed.
+    /// Error message for the user, safe to print; ends with a line feed.
     fn message(&self, colour: bool) -> String {
         match self {
             Failure::Job(errors) => errors.render(colour),
             Failure::Wrong(problem) | Failure::Run(problem) => {
-                format!("{}: {problem}\n", terminal::error_word(colour))
+                format!("{}: {}\n", terminal::error_word(colour), printable(problem))
             }
         }
     }
@@ -119,7 +121,7 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
     let exit_code = match dispatch(cli) {
         Ok(()) => 0,
         Err(failure) => {
-            terminal::print_error(&failure.message(terminal::colour()));
+            terminal::print_failure(&failure);
             failure.exit_code()
         }
     };
@@ -142,8 +144,8 @@ fn asks_for_more(arguments: &[OsString]) -> bool {
 fn dispatch(cli: Cli) -> Result<(), Failure> {
     let quiet = cli.loudness.quiet;
     match cli.command {
-        Command::Run { job, machine, archive, resume } => {
-            run::run(&job, machine, archive.as_deref(), resume, quiet)
+        Command::Run { job, machine, archive, resume, relearn } => {
+            run::run(&job, machine, archive.as_deref(), resume, relearn, quiet)
         }
         Command::Plan(args) => plan::plan(&args, quiet),
         Command::Collect(args) => plan::collect(&args, quiet),
@@ -185,7 +187,7 @@ fn do_all(done: impl Iterator<Item = Result<(), Failure>>) -> Result<(), Failure
     let mut last = Ok(());
     for failure in done.filter_map(Result::err) {
         if let Err(earlier) = std::mem::replace(&mut last, Err(failure)) {
-            terminal::print_error(&earlier.message(terminal::colour()));
+            terminal::print_failure(&earlier);
         }
     }
     last
@@ -197,7 +199,7 @@ impl JobArgs {
         let (name, text) = if self.is_stdin() {
             ("standard input".to_owned(), read_text(std::io::stdin()))
         } else {
-            (self.job.display().to_string(), File::open(&self.job).and_then(read_text))
+            (self.job.display().to_string(), read_file(&self.job))
         };
         let text = text.map_err(|error| Failure::Wrong(format!("{name}: cannot read the job: {error}")))?;
         let overrides: Vec<Override> = self.set.iter().map(Override::new).chain(more).collect();
@@ -215,7 +217,7 @@ impl JobArgs {
         let folder = self.folder();
         let path = if folder == *"." { PathBuf::from(included) } else { folder.join(included) };
         let name = path.display().to_string();
-        match File::open(&path).and_then(read_text) {
+        match read_file(&path) {
             Ok(text) => Ok(Include { name, text }),
             Err(error) => {
                 let remedy = "check `include` in `[job]`";
@@ -232,6 +234,15 @@ impl JobArgs {
 
     fn is_stdin(&self) -> bool {
         self.job.as_os_str() == "-"
+    }
+}
+
+/// Reads a job or an included file.
+fn read_file(path: &Path) -> io::Result<String> {
+    match regular_file(path) {
+        Ok(file) => read_text(file),
+        Err(Error::Io { source, .. }) => Err(source),
+        Err(_) => Err(io::Error::other("it is a pipe or device; give a file, or - for standard input")),
     }
 }
 

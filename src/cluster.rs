@@ -15,13 +15,13 @@
 //!
 //! All paths in a plan are relative, so that it can be moved with its data.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::stage::Result;
-use wavex_formats::Error;
+use wavex_formats::{Error, path_within, read_small_text};
 
 mod collect;
 mod estimate;
@@ -48,6 +48,8 @@ const RESOLVED: &str = "job.resolved.toml";
 const MODEL: &str = "model.json";
 /// Remedy for a plan that cannot be used.
 const REMEDY: &str = "make it again with `wavex plan`";
+/// Maximum size of a text of a plan or a task, bytes.
+const MOST_BYTES: u64 = 1 << 28;
 
 /// Plan of a survey (`plan.json`).
 ///
@@ -130,13 +132,19 @@ pub struct PlannedFile {
 }
 
 impl SurveyPlan {
+    /// Path of a file that a task has written to the folder of the plan.
+    fn task_file(&self, root: &Path, path: &str) -> wavex_formats::Result<PathBuf> {
+        let path = Path::new(path);
+        path_within(&root.join(&self.plan_dir), path.strip_prefix(&self.plan_dir).unwrap_or(path))
+    }
+
     /// Reads the plan in a folder.
     ///
     /// # Errors
     /// If the folder has no plan, or the plan has another version.
     pub fn read(folder: &Path) -> Result<SurveyPlan> {
         let path = folder.join(PLAN);
-        let text = std::fs::read_to_string(&path).map_err(Error::io(&path, "read the plan"))?;
+        let text = read_small_text(&path, MOST_BYTES, "a plan", REMEDY)?;
         let unusable = |problem: String| Error::unusable(&path, problem, REMEDY);
         let value: serde_json::Value =
             serde_json::from_str(&text).map_err(|error| unusable(format!("invalid JSON: {error}")))?;

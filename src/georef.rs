@@ -19,5 +19,6 @@ pub mod transform;
 pub use context::{Geometry, Loader, ShotPoses};
 pub use error::{Error, Result};
 pub use keys::GeometryKeys;
+pub(crate) use output_crs::MOST_WKT_BYTES;
 pub use output_crs::check_crs;
 pub(crate) use trajectory_file::checks as trajectory_checks;

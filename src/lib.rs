@@ -35,6 +35,7 @@ pub mod inspect;
 pub mod job;
 pub mod keys;
 pub mod plausibility;
+mod printable;
 pub mod recording;
 pub mod registry;
 pub mod report;

@@ -1,6 +1,6 @@
 //! Reports of a run: `*_report.json`, the page, and the statistics of each input.
 
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::engine::{InputSummary, RunSummary, StageSummary};
 use crate::stage::OutputFile;
-use wavex_formats::{Error, Result};
+use wavex_formats::{Error, Result, read_small_text};
 
 mod earlier;
 pub(crate) mod overview;
@@ -186,14 +186,7 @@ const PAGE_PER_REPORT: usize = 10;
 /// # Errors
 /// If it cannot be read or is invalid.
 pub(crate) fn read_report(path: &Path) -> Result<Value> {
-    let file = std::fs::File::open(path).map_err(Error::io(path, "open the report"))?;
-    let bytes = file.metadata().map_or(0, |about| about.len());
-    if bytes > MOST_REPORT_BYTES {
-        let problem = format!("{bytes} bytes is too large for a report");
-        return Err(Error::unusable(path, problem, "give the report of a run"));
-    }
-    let mut text = String::new();
-    file.take(MOST_REPORT_BYTES).read_to_string(&mut text).map_err(Error::io(path, "read the report"))?;
+    let text = read_small_text(path, MOST_REPORT_BYTES, "a report", "give the report of a run")?;
     let remedy = "give the report of a run or the folder that contains it";
     let report: Value = serde_json::from_str(&text)
         .map_err(|error| Error::unusable(path, format!("not a report of a run: {error}"), remedy))?;

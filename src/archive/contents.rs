@@ -1,7 +1,7 @@
 //! Reads and writes the files of an archive, as a folder or a `.tar.zst`.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{self, File};
+use std::fs;
 use std::io::{Read, Seek, Write};
 use std::path::{Component, Path, PathBuf};
 
@@ -214,7 +214,7 @@ fn read_folder(
             };
             return Err(Error::unusable(&path, problem, REMEDY));
         } else {
-            let file = File::open(&path).map_err(Error::io(&path, "open"))?;
+            let file = regular_file(&path)?;
             let bytes = read_whole(file, left).map_err(Error::io(&path, "read"))?;
             files.insert(name, bytes.ok_or_else(|| too_large(&path))?);
         }
@@ -317,7 +317,7 @@ pub(super) fn write_folder(folder: &Path, files: &BTreeMap<String, Vec<u8>>) -> 
         let path = folder.join(name);
         let parent = path.parent().unwrap_or(folder);
         fs::create_dir_all(parent).map_err(Error::io(parent, "create the folder"))?;
-        let mut file = File::create(&path).map_err(Error::io(&path, "create"))?;
+        let mut file = fs::File::create(&path).map_err(Error::io(&path, "create"))?;
         file.write_all(bytes).and_then(|()| file.sync_all()).map_err(Error::io(&path, "write"))?;
         folders.insert(parent.to_path_buf());
     }
@@ -372,7 +372,7 @@ mod tests {
         let files = example();
         write_folder(&folder.join("flight"), &files).unwrap();
         let packed = folder.join("flight.tar.zst");
-        pack("flight", &files, 1_700_000_000, File::create(&packed).unwrap()).unwrap();
+        pack("flight", &files, 1_700_000_000, fs::File::create(&packed).unwrap()).unwrap();
         for path in [folder.join("flight"), packed, folder.join("flight/.")] {
             let contents = Contents::read(&path).unwrap();
             assert_eq!((&contents.files, contents.folder()), (&files, folder.join("flight").as_path()));

@@ -2,11 +2,10 @@
 //!
 //! `then` is the expected file, `now` the actual one; messages describe `now`.
 
-use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-use wavex_formats::{Error, Result};
+use wavex_formats::{Error, Result, regular_file};
 
 mod points;
 mod tables;
@@ -54,7 +53,7 @@ fn short(value: &str) -> String {
 
 /// Compares texts line by line; in a table with a header, also finds the column.
 fn compare_texts(then: &Path, now: &Path, is_table: bool) -> Result<Option<String>> {
-    let open = |path: &Path| File::open(path).map(BufReader::new).map_err(Error::io(path, "open"));
+    let open = |path: &Path| regular_file(path).map(BufReader::new);
     let mut files = [(open(then)?, then), (open(now)?, now)];
     let mut names = String::new();
     let mut number = 1u64;
@@ -107,7 +106,7 @@ fn cell(names: &str, then: &str, now: &str) -> Option<(String, String, String)> 
 
 /// Compares files byte by byte.
 fn compare_bytes(then: &Path, now: &Path) -> Result<String> {
-    let open = |path: &Path| File::open(path).map(BufReader::new).map_err(Error::io(path, "open"));
+    let open = |path: &Path| regular_file(path).map(BufReader::new);
     let (mut a, mut b) = (open(then)?.bytes(), open(now)?.bytes());
     let mut at = 0u64;
     loop {

@@ -61,6 +61,11 @@ pub(super) enum Command {
         #[arg(long, value_name = "CHECK", num_args = 0..=1, require_equals = true)]
         #[arg(default_missing_value = "time", conflicts_with = "archive")]
         resume: Option<ResumeCheck>,
+        /// Learn the sensor models of the survey again instead of keeping those of the earlier run
+        ///
+        /// All inputs are run again if that changes a model.
+        #[arg(long, requires = "resume")]
+        relearn: bool,
     },
     /// Plan a survey as tasks for several machines, one per input
     ///

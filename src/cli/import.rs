@@ -11,6 +11,7 @@ use clap::{CommandFactory, Parser};
 
 use super::{Cli, Failure, ImportArgs, Machine, When, dispatch, run, terminal};
 use crate::job::{Job, JobError, JobErrors};
+use wavex_formats::read_small_text;
 use wavex_formats::trajectory::{self, Records};
 
 pub mod draft;
@@ -261,9 +262,7 @@ pub(super) fn run_import(args: &ImportArgs, quiet: bool) -> Result<(), Failure> 
 
 /// Content of a small file; `None` if it cannot be read or is larger than [`LARGEST_FILE`].
 fn read(path: &str) -> Option<String> {
-    let about = std::fs::metadata(path).ok()?;
-    let is_small = about.is_file() && about.len() <= LARGEST_FILE;
-    if is_small { std::fs::read_to_string(path).ok() } else { None }
+    read_small_text(Path::new(path), LARGEST_FILE, "options", "").ok()
 }
 
 /// Latitude of the first trajectory record, degrees.

@@ -1,18 +1,21 @@
 //! The log: on standard error, and in a file next to the outputs.
 
+use std::fmt::Debug;
 use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
 
+use tracing::field::Field;
 use tracing::level_filters::LevelFilter;
 use tracing_subscriber::filter::Targets;
-use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::fmt::{MakeWriter, format};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{Layer, fmt};
 
 use super::terminal;
+use crate::printable::printable;
 use crate::stage::own_file;
 use wavex_formats::{Error, Result};
 
@@ -47,14 +50,23 @@ pub(super) fn begin(verbose: u8, quiet: bool) {
     let wanted: Option<Targets> = given.and_then(|given| given.parse().ok());
     let wanted =
         wanted.unwrap_or_else(|| Targets::new().with_default(level)).with_target(FATAL, LevelFilter::OFF);
-    let on_terminal =
-        fmt::layer().with_writer(io::stderr).with_ansi(terminal::colour()).without_time().with_target(false);
-    let in_file = fmt::layer().with_writer(ToFile).with_ansi(false).with_target(false);
+    let fields = format::debug_fn(write_message);
+    let on_terminal = fmt::layer().fmt_fields(fields.clone()).with_writer(io::stderr).with_target(false);
+    let on_terminal = on_terminal.with_ansi(terminal::colour()).without_time();
+    let in_file = fmt::layer().fmt_fields(fields).with_writer(ToFile).with_target(false).with_ansi(false);
     let log = tracing_subscriber::registry()
         .with(on_terminal.with_filter(wanted))
         .with(in_file.with_filter(LevelFilter::DEBUG));
     // An existing subscriber is kept; only tests install one earlier.
     let _ = log.try_init();
+}
+
+/// Writes a message; control characters are replaced.
+///
+/// Further lines are indented: a text of a file cannot look like a message of its own.
+fn write_message(out: &mut format::Writer<'_>, _: &Field, message: &dyn Debug) -> std::fmt::Result {
+    let message = format!("{message:?}");
+    write!(out, "{}", printable(&message).trim_end().replace('\n', "\n  "))
 }
 
 /// Writes the error that ends the command to the log, at ERROR.
@@ -113,14 +125,12 @@ impl<'a> MakeWriter<'a> for ToFile {
 
 impl Write for ToFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let text = String::from_utf8_lossy(bytes);
-        let harmless = terminal::harmless(&text);
         if let Some(kept) = lock_kept().as_mut() {
-            kept.extend_from_slice(harmless.as_bytes());
+            kept.extend_from_slice(bytes);
         }
         if let Some(log) = lock().as_mut() {
             // Write everything: a partial write would be retried and kept twice in memory.
-            if let Err(error) = log.file.write_all(harmless.as_bytes()) {
+            if let Err(error) = log.file.write_all(bytes) {
                 log.failure.get_or_insert(error);
             }
         }

@@ -1,6 +1,6 @@
 //! `wavex run --resume`: inputs whose outputs an earlier run has completed.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -8,7 +8,7 @@ use std::time::SystemTime;
 use serde_json::Value;
 
 use super::args::ResumeCheck;
-use crate::archive::{FilesRead, digest_of};
+use crate::archive::{FilesRead, digest_of, plain};
 use crate::engine::{Input, RunSummary};
 use crate::job::Job;
 use crate::report::{FileState, InputFiles, difference};
@@ -47,6 +47,14 @@ impl Comparison {
     /// States of the existing ones of these outputs.
     pub(super) fn written<'p>(&self, paths: impl IntoIterator<Item = &'p PathBuf>) -> Vec<FileState> {
         paths.into_iter().filter_map(|path| self.state(&self.output_dir, path)).collect()
+    }
+
+    /// First planned output that a report does not name.
+    fn unnamed(&self, planned: &[PathBuf], named: &[PathBuf]) -> Option<String> {
+        let absolute = |path: &PathBuf| plain(&std::path::absolute(path).unwrap_or_else(|_| path.clone()));
+        let named: BTreeSet<PathBuf> = named.iter().map(absolute).collect();
+        let missing = planned.iter().find(|path| !named.contains(&absolute(path)))?;
+        Some(format!("the earlier report does not name its output {}", missing.display()))
     }
 
     /// States of the files that a run reads, by the stem of the input.
@@ -103,12 +111,15 @@ impl EarlierRun {
 
     /// Returns the earlier results of an input with complete outputs.
     ///
+    /// `read` and `planned` are the files that its run reads and writes.
+    ///
     /// # Errors
     /// The reason to run it again.
     pub(super) fn results(
         &self,
         input: &Input,
         read: &[FileState],
+        planned: &[PathBuf],
         comparison: &Comparison,
     ) -> Result<&Value, String> {
         if let Some(obstacle) = &self.obstacle {
@@ -137,7 +148,8 @@ impl EarlierRun {
         }
         let changed = comparison
             .changed(read, &files.read)
-            .or_else(|| comparison.changed(&comparison.written(&paths), &files.written));
+            .or_else(|| comparison.changed(&comparison.written(&paths), &files.written))
+            .or_else(|| comparison.unnamed(planned, &paths));
         changed.map_or(Ok(entry), Err)
     }
 }

@@ -26,6 +26,7 @@ pub(super) fn run(
     machine: Machine,
     archive: Option<&Path>,
     resume: Option<ResumeCheck>,
+    relearn: bool,
     quiet: bool,
 ) -> Result<(), Failure> {
     let job = args.read(machine.overrides())?;
@@ -37,7 +38,7 @@ pub(super) fn run(
             "--resume reads the report of the earlier run, but this job writes none; set `report` in `[job]`";
         return Err(Failure::Wrong(problem.to_owned()));
     }
-    let asked = Asked { archive, resume, ..Asked::of(machine, quiet) };
+    let asked = Asked { archive, resume, relearn, ..Asked::of(machine, quiet) };
     run_archived(&job, &args.folder(), asked).map(drop).map_err(Failure::from)
 }
 
@@ -46,6 +47,7 @@ struct Asked<'a> {
     machine: Machine,
     archive: Option<&'a Path>,
     resume: Option<ResumeCheck>,
+    relearn: bool,
     quiet: bool,
     /// Flag that ends the run; `None`: signals end it.
     cancel: Option<Cancel>,
@@ -54,7 +56,7 @@ struct Asked<'a> {
 
 impl Asked<'_> {
     fn of(machine: Machine, quiet: bool) -> Self {
-        Asked { machine, archive: None, resume: None, quiet, cancel: None, watch: None }
+        Asked { machine, archive: None, resume: None, relearn: false, quiet, cancel: None, watch: None }
     }
 }
 
@@ -165,7 +167,7 @@ pub(super) fn run_job(
 }
 
 fn run_archived(job: &Job, folder: &Path, asked: Asked) -> Result<FinishedRun, RunFailure> {
-    let Asked { machine, archive, resume, quiet, cancel, watch } = asked;
+    let Asked { machine, archive, resume, relearn, quiet, cancel, watch } = asked;
     let silent = cancel.is_some();
     for note in &job.notes {
         tracing::warn!("{note}");
@@ -207,11 +209,17 @@ fn run_archived(job: &Job, folder: &Path, asked: Asked) -> Result<FinishedRun, R
     let recorder = recorder.map_err(|error| logged(&error))?;
     let archived = recorder.as_ref().map(|recorder| recorder.job(job)).transpose();
     let archived = archived.map_err(|error| logged(&error))?;
-    let survey = engine::survey_models(job, &options).map_err(|error| {
-        log::fatal(&error);
-        RunFailure::of_engine(error)
-    })?;
-    options.survey = survey.map(Arc::new);
+    let keeps_models = resume.is_some() && !relearn;
+    let earlier = if keeps_models { files.earlier_models(job, &options) } else { None };
+    options.survey = match earlier {
+        Some(models) => Some(models),
+        None => engine::survey_models(job, &options)
+            .map_err(|error| {
+                log::fatal(&error);
+                RunFailure::of_engine(error)
+            })?
+            .map(Arc::new),
+    };
     let mut run = RunSummary::new(job, &options);
     let mut first = None;
     let messages;
@@ -219,7 +227,7 @@ fn run_archived(job: &Job, folder: &Path, asked: Asked) -> Result<FinishedRun, R
     for message in &messages {
         tracing::info!("{message}");
         if !quiet {
-            terminal::print_error(&format!("{message}\n"));
+            terminal::print_message(&format!("{message}\n"));
         }
     }
     let ended = engine::run_each(
@@ -235,7 +243,7 @@ fn run_archived(job: &Job, folder: &Path, asked: Asked) -> Result<FinishedRun, R
                 if run.inputs.len() > 1 {
                     log::fatal(&error);
                     if !silent {
-                        terminal::print_error(&Failure::from(failed(&error)).message(terminal::colour()));
+                        terminal::print_failure(&failed(&error).into());
                     }
                 }
                 first.get_or_insert(error);
@@ -322,21 +330,35 @@ fn failed_inputs(run: &RunSummary) -> Option<String> {
     }
 }
 
+/// Time in which an interrupted run may end in order.
+const TIME_TO_STOP: Duration = Duration::from_millis(800);
+
+/// Ends the process without waiting for its stages.
+fn end_process() -> ! {
+    remove_unfinished_files();
+    release_all();
+    let error = RunError { stage: None, input: None, cause: Cause::Interrupted };
+    let interrupted = Failure::Run(error.to_string());
+    terminal::print_failure(&interrupted);
+    std::process::exit(interrupted.exit_code().into());
+}
+
 /// Ends the run in order on Ctrl-C or a termination request.
 ///
-/// Every stage completes its current line first. A second signal ends the process at once.
+/// Every stage completes its current line first, if that takes less than [`TIME_TO_STOP`]. A second signal
+/// ends the process at once.
 pub(super) fn stop_on_signals(cancel: &Cancel) {
     let cancel = cancel.clone();
     let handler = move || {
         if cancel.is_cancelled() {
-            remove_unfinished_files();
-            release_all();
-            let error = RunError { stage: None, input: None, cause: Cause::Interrupted };
-            let interrupted = Failure::Run(error.to_string());
-            terminal::print_error(&interrupted.message(terminal::colour()));
-            std::process::exit(interrupted.exit_code().into());
+            end_process();
         }
         cancel.cancel();
+        // The handler must be free for a second signal.
+        let _ = std::thread::Builder::new().spawn(|| {
+            std::thread::sleep(TIME_TO_STOP);
+            end_process();
+        });
     };
     if let Err(error) = ctrlc::set_handler(handler) {
         tracing::debug!("cannot install the signal handler: {error}");

@@ -11,10 +11,12 @@ use serde_json::Value;
 use super::args::ResumeCheck;
 use super::resume::{Comparison, EarlierRun};
 use super::survey_files::{Collected, SurveyFiles};
-use crate::engine::{self, Input, InputStatus, InputSummary, RunSummary};
+use crate::engine::{self, Input, InputStatus, InputSummary, Options, RunSummary};
 use crate::job::{Job, JobSettings};
 use crate::report::{self, FileState, InputFiles, InputReport, RunReport};
-use crate::stage::{OutputFile, OutputLock, Outputs, Result, RunObservers, StageError, fixed_folder};
+use crate::stage::{
+    OutputFile, OutputLock, Outputs, Result, RunObservers, StageError, SurveyModels, fixed_folder,
+};
 use wavex_formats::Error;
 
 /// Trace that `--profile` writes to the output folder; `*` is the name of the run.
@@ -146,12 +148,11 @@ impl<'j> RunFiles<'j> {
         self.read = self.comparison.read(job, &inputs);
         let mut messages = Vec::new();
         if resume {
-            let report = self.of_name(&self.settings.report).filter(|path| path.exists());
-            let report = report.map(|path| report::read_report(&path).map_err(|error| error.to_string()));
-            let earlier = EarlierRun::new(report, job, next);
+            let earlier = EarlierRun::new(self.earlier_report(), job, next);
             for input in &inputs {
                 let read = self.read.get(&input.stem).map_or(&[][..], Vec::as_slice);
-                messages.push(match earlier.results(input, read, &self.comparison) {
+                let planned = self.planned(job, &input.stem);
+                messages.push(match earlier.results(input, read, &planned, &self.comparison) {
                     Ok(results) => {
                         self.skipped.insert(input.stem.clone(), results.clone());
                         format!("{}: skipped, its outputs are complete", input.stem)
@@ -161,6 +162,33 @@ impl<'j> RunFiles<'j> {
             }
         }
         (self.skipped.keys().cloned().collect(), messages)
+    }
+
+    /// Report of the earlier run, or why it cannot be read; `None`: there is none.
+    fn earlier_report(&self) -> Option<std::result::Result<Value, String>> {
+        let path = self.of_name(&self.settings.report).filter(|path| path.exists())?;
+        Some(report::read_report(&path).map_err(|error| error.to_string()))
+    }
+
+    /// Sensor models of the earlier run, if it was of the same job.
+    ///
+    /// Models learnt again would differ if an input was damaged, repaired or added: all inputs would be run again.
+    pub(super) fn earlier_models(&self, job: &Job, options: &Options) -> Option<Arc<SurveyModels>> {
+        if !engine::shares_models(job, usize::MAX) {
+            return None;
+        }
+        let report = self.earlier_report()?.ok()?;
+        let models = Arc::new(SurveyModels::of_report(&report)?);
+        let next = RunSummary::new(job, &Options { survey: Some(Arc::clone(&models)), ..options.clone() });
+        report::difference(&report, job, &next, &[]).is_none().then_some(models)
+    }
+
+    /// Outputs that the run of an input writes.
+    fn planned(&self, job: &Job, stem: &str) -> Vec<PathBuf> {
+        let patterns = job.stages.iter().flat_map(|stage| stage.planned.plan.outputs());
+        let of_stages = patterns.map(|pattern| self.output_dir.join(pattern.replace('*', stem)));
+        let cells = self.survey.as_ref().map(|survey| survey.of_input(stem));
+        of_stages.chain(cells.map(|[cells, _]| cells)).collect()
     }
 
     /// Checks that report and pages can be created.

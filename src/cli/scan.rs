@@ -60,7 +60,7 @@ fn print_first_look(file: &Path, args: &ScanArgs) -> Result<(), Failure> {
     let (inspection, cx, _) = look_at(file, &args.set, !args.fast, FIRST_SHOTS, |_, _| ())?;
     let shots = inspection.shots.count;
     let text = Summary::of(file, &inspection, cx.counters(), None).text();
-    terminal::print_error(&format!(
+    terminal::print_message(&format!(
         "The first {shots} shots of {text}
 Reading all of the recording.\n\n"
     ));

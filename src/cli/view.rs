@@ -1,6 +1,5 @@
 //! `wavex view`: serves the page of a recording, a job or a run.
 
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -14,11 +13,10 @@ use crate::engine::Cancel;
 use crate::georef::check_crs;
 use crate::job::{Include, Job, Override};
 use crate::registry::STAGES;
+use crate::report::read_report;
 use crate::stage::counted;
 use crate::view::{self, Opened};
 
-/// Largest report of a run whose outputs are viewed, bytes.
-const MAX_REPORT_BYTES: u64 = 2_000_000_000;
 /// Interval at which the end is looked for.
 const TICK: Duration = Duration::from_millis(100);
 
@@ -109,12 +107,7 @@ impl Source {
         let wrong = |problem: &str| {
             Failure::Wrong(format!("{name}: {problem}; give the job or the recording instead of the folder"))
         };
-        let file = File::open(&path).map_err(|error| wrong(&format!("cannot read the report: {error}")))?;
-        if file.metadata().map_or(0, |about| about.len()) > MAX_REPORT_BYTES {
-            return Err(wrong("the report is too large"));
-        }
-        let report: Value = serde_json::from_reader(std::io::BufReader::new(file))
-            .map_err(|error| wrong(&format!("it is not the report of a run: {error}")))?;
+        let report = read_report(&path).map_err(|error| Failure::Wrong(error.to_string()))?;
         let Some(input_dir) = report["input_dir"].as_str() else {
             return Err(wrong("the report does not name the folder of the inputs"));
         };

@@ -1,21 +1,20 @@
 //! Checks the results of all tasks and merges them.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde_json::{Value, json};
 
 use super::merge::Merge;
-use super::{INCLUDED, JOB, REMEDY, SurveyPlan, Task};
+use super::{INCLUDED, JOB, MOST_BYTES, REMEDY, SurveyPlan, Task};
 use crate::archive::{Seals, digest_of, plain};
 use crate::engine::{self, InputStatus, InputSummary, Options, RunSummary};
 use crate::job::{Include, Job, JobStage, Override};
 use crate::registry::STAGES;
 use crate::report::{self, FileState, InputFiles, InputReport, RunReport};
 use crate::stage::{Result, StageError, SurveyModels};
-use wavex_formats::Error;
+use wavex_formats::{Error, path_within, read_small_text};
 
 /// Results of a survey.
 #[derive(Debug)]
@@ -42,6 +41,10 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
     let plan = SurveyPlan::read(folder)?;
     let place = plain(&folder.join(&plan.root));
     let root = place_or_here(&place);
+    let own_folder = [folder, &root.join(&plan.plan_dir)].map(Path::canonicalize);
+    if !matches!(own_folder, [Ok(ref own), Ok(ref planned)] if own == planned) {
+        return Err(Error::unusable(folder, "the plan is of another folder", REMEDY).into());
+    }
     let job = job(&plan, folder)?;
     let job_dir = place_or_here(&plain(&folder.join(&plan.job_dir))).to_owned();
     let from = |dir: &Option<String>| dir.as_ref().map_or(job_dir.clone(), |dir| job_dir.join(dir));
@@ -56,7 +59,7 @@ pub fn collect(folder: &Path, by_digest: bool, archives: bool) -> Result<Collect
     let merge = Merge::new(&plan, &job, root, &dirs)?;
     // An archive states what files contain.
     let by_digest = by_digest || (archives && plan.archive.is_some());
-    let checker = Checker::new(root, &job, &options, by_digest);
+    let checker = Checker::new(&plan, root, &job, &options, by_digest);
     let results: Vec<TaskResult> =
         (1..).zip(&plan.tasks).map(|(number, task)| checker.check(number, task)).collect();
     let mut entries = Vec::new();
@@ -95,10 +98,7 @@ fn place_or_here(folder: &Path) -> &Path {
 
 /// The job of the plan, as written.
 fn job(plan: &SurveyPlan, folder: &Path) -> Result<Job> {
-    let read = |name: &str| {
-        let path = folder.join(name);
-        fs::read_to_string(&path).map_err(Error::io(&path, "read the plan"))
-    };
+    let read = |name: &str| read_small_text(&path_within(folder, name)?, MOST_BYTES, "a plan", REMEDY);
     let include = |(number, name): (usize, &String)| -> Result<Include> {
         let file = Path::new(name).file_name().unwrap_or_default().to_string_lossy();
         Ok(Include { name: name.clone(), text: read(&format!("{INCLUDED}/{number}_{file}"))? })
@@ -124,10 +124,10 @@ fn check_inputs(plan: &SurveyPlan, job: &Job, input_dir: &Path) -> Result<()> {
 fn survey(plan: &SurveyPlan, root: &Path, job: &Job, options: &Options) -> Result<Option<Arc<SurveyModels>>> {
     let models = match &plan.calibration {
         None => engine::survey_models(job, options).map_err(|error| error.into_stage_error())?,
-        Some(task) => {
-            let path = root.join(&task.model);
-            path.exists().then(|| SurveyModels::read(&path)).transpose()?
-        }
+        Some(task) => match plan.task_file(root, &task.model) {
+            Err(error) if error.is_missing() => None,
+            path => Some(SurveyModels::read(&path?)?),
+        },
     };
     Ok(models.map(Arc::new))
 }
@@ -145,6 +145,7 @@ pub(super) struct TaskResult {
 
 /// Checks the results of tasks.
 struct Checker<'c> {
+    plan: &'c SurveyPlan,
     root: &'c Path,
     job: &'c Job,
     /// The run that the tasks are parts of, without sensor models of the survey.
@@ -159,7 +160,13 @@ struct Checker<'c> {
 }
 
 impl<'c> Checker<'c> {
-    fn new(root: &'c Path, job: &'c Job, options: &'c Options, by_digest: bool) -> Checker<'c> {
+    fn new(
+        plan: &'c SurveyPlan,
+        root: &'c Path,
+        job: &'c Job,
+        options: &'c Options,
+        by_digest: bool,
+    ) -> Checker<'c> {
         let of_stage = |stage: &JobStage| -> Vec<String> {
             let outputs = stage.planned.plan.outputs().into_iter().map(str::to_owned);
             outputs.chain(stage.planned.inputs.iter().map(ToString::to_string)).collect()
@@ -168,6 +175,7 @@ impl<'c> Checker<'c> {
         let models = options.survey.as_deref();
         let inputs = models.into_iter().flat_map(|models| &models.inputs);
         Checker {
+            plan,
             root,
             job,
             next: RunSummary::new(job, &Options { survey: None, ..options.clone() }),
@@ -199,12 +207,10 @@ impl<'c> Checker<'c> {
             entry: None,
             files: InputFiles::default(),
         };
-        let path = self.root.join(&task.report);
-        if !path.exists() {
-            return missing("not run: it has no report".to_owned());
-        }
-        let report = match report::read_report(&path) {
+        let path = self.plan.task_file(self.root, &task.report);
+        let report = match path.and_then(|path| report::read_report(&path)) {
             Ok(report) => report,
+            Err(error) if error.is_missing() => return missing("not run: it has no report".to_owned()),
             Err(error) => return missing(error.to_string()),
         };
         if let Some(difference) = self.difference(&report, number, task) {

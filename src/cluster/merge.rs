@@ -9,14 +9,14 @@ use serde_json::{Value, json};
 use super::collect::TaskResult;
 use super::plan::write_text;
 use super::tasks::{ARCHIVE_STAGE, LINES};
-use super::{SurveyPlan, Task};
+use super::{MOST_BYTES, REMEDY, SurveyPlan, Task};
 use crate::archive::{self, KnownDigests, Recorder, Seals, check_destination, plain, relative};
 use crate::engine::{InputStatus, InputSummary, Options};
 use crate::job::Job;
 use crate::report::survey::{StripPaths, write_survey};
 use crate::report::{FileState, InputFiles, RunReport};
 use crate::stage::{OutputFile, Plan, Result, StageError};
-use wavex_formats::Error;
+use wavex_formats::{Error, path_within, read_small_text};
 
 /// Digests of all outputs; `*` is the stem of the job.
 const DIGESTS: &str = "*_outputs.b3";
@@ -178,7 +178,16 @@ impl<'m> Merge<'m> {
 
     /// Logs of all tasks, in order.
     fn log(&self, plan: &SurveyPlan) -> String {
-        let read = |task: &Task| fs::read_to_string(self.root.join(&task.log)).unwrap_or_default();
+        let read = |task: &Task| {
+            let path = plan.task_file(self.root, &task.log);
+            let text = path.and_then(|path| read_small_text(&path, MOST_BYTES, "a log", REMEDY));
+            text.unwrap_or_else(|error| {
+                if !error.is_missing() {
+                    tracing::warn!("{error}");
+                }
+                String::new()
+            })
+        };
         plan.tasks.iter().map(read).collect()
     }
 
@@ -204,8 +213,8 @@ impl<'m> Merge<'m> {
         };
         let mut all = String::new();
         for input in report.run.inputs.iter().filter(|input| input.status == InputStatus::Done) {
-            let path = self.output_dir.join(pattern.replace('*', &input.stem));
-            let text = fs::read_to_string(&path).map_err(Error::io(&path, "read the line statistics"))?;
+            let path = path_within(self.output_dir, pattern.replace('*', &input.stem))?;
+            let text = read_small_text(&path, MOST_BYTES, "line statistics", REMEDY)?;
             all += &format!("# input {}\n{text}", input.stem);
         }
         Ok(Some(all))
@@ -232,7 +241,8 @@ impl<'m> Merge<'m> {
         }
         let recorder = Recorder::begin_with(job, options, path, known)?;
         for input in report.run.inputs.iter().filter(|input| input.status == InputStatus::Done) {
-            recorder.add_lines(&input.stem, &self.plan_dir.join(LINES.replace('*', &input.stem)))?;
+            let lines = path_within(&self.plan_dir, LINES.replace('*', &input.stem))?;
+            recorder.add_lines(&input.stem, &lines)?;
         }
         let text = report.to_json().map_err(std::io::Error::from);
         let text = text.map_err(Error::io(path, "write the report"))?;

@@ -9,12 +9,14 @@ use serde_json::{Value, json};
 
 use super::estimate::Estimator;
 use super::tasks::{LINES, TaskWriter};
-use super::{CalibrationTask, FORMAT, INCLUDED, JOB, MODEL, PLAN, PlannedFile, RESOLVED, SurveyPlan, Task};
+use super::{
+    CalibrationTask, FORMAT, INCLUDED, JOB, MODEL, PLAN, PlannedFile, REMEDY, RESOLVED, SurveyPlan, Task,
+};
 use crate::archive::{FilesRead, Resolved, common, plain, way};
 use crate::engine::{self, Input};
 use crate::job::Job;
 use crate::stage::{OutputFile, Result, StageError};
-use wavex_formats::Error;
+use wavex_formats::{Error, read_small_text};
 
 /// Rules of Snakemake.
 const SNAKEFILE: &str = include_str!("snakemake/Snakefile");
@@ -232,7 +234,7 @@ pub(super) fn json_text(value: &Value) -> Result<String> {
 
 /// Writes a text, unless the file already has it: its time shows when it changed.
 fn write_if_changed(path: &Path, text: &str) -> Result<()> {
-    if fs::read(path).is_ok_and(|found| found == text.as_bytes()) {
+    if read_small_text(path, text.len() as u64, "a plan", REMEDY).is_ok_and(|found| found == text) {
         return Ok(());
     }
     let mut file = OutputFile::create(path)?;

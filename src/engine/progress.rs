@@ -10,6 +10,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
 
 use super::worker::Gauge;
+use crate::printable::printable;
 
 mod phase;
 
@@ -149,7 +150,7 @@ impl Progress {
         match self.mode {
             ProgressMode::Bar => {
                 let label = self.label();
-                self.bar.get_or_insert_with(bar).set_prefix(label);
+                self.bar.get_or_insert_with(bar).set_prefix(printable(&label).into_owned());
             }
             ProgressMode::Json => self.json(),
             ProgressMode::Lines | ProgressMode::Hidden => {}
@@ -206,7 +207,7 @@ impl Progress {
         }
         if self.mode == ProgressMode::Bar && !self.running.is_empty() {
             let label = self.label();
-            self.bar.get_or_insert_with(bar).set_prefix(label);
+            self.bar.get_or_insert_with(bar).set_prefix(printable(&label).into_owned());
         }
     }
 
@@ -266,7 +267,7 @@ impl Progress {
             "elapsed_s": elapsed_s,
             "left_s": self.left_s(),
         });
-        let _ = writeln!(std::io::stderr(), "{object}");
+        print_line(&object.to_string());
     }
 }
 
@@ -311,8 +312,12 @@ fn rate(state: State) -> String {
 }
 
 fn line(label: &str, text: &str) {
+    print_line(&format!("{label}: {text}"));
+}
+
+fn print_line(text: &str) {
     // A closed standard error does not end a run.
-    let _ = writeln!(std::io::stderr(), "{label}: {text}");
+    let _ = writeln!(std::io::stderr(), "{}", printable(text));
 }
 
 #[cfg(test)]

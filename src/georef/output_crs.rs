@@ -28,7 +28,7 @@ pub struct OutputCrs {
 }
 
 /// Size limit of WKT, bytes.
-const MOST_WKT_BYTES: u64 = 1_000_000;
+pub(crate) const MOST_WKT_BYTES: u64 = 1_000_000;
 /// Coordinate step of longitudes and latitudes, degrees: about 1 mm.
 const DEGREES_STEP: f64 = 1e-8;
 /// Coordinate step of heights and of projected coordinates.

@@ -5,6 +5,7 @@ use maud::{DOCTYPE, html};
 use super::Inspection;
 use super::figures::figures;
 use super::summary::Summary;
+use crate::printable::printable;
 use crate::report::page::part::{Part, figure, figures as drawn, head, section, with_contents};
 use crate::report::verdict::{self, Check, Grade};
 use crate::stage::Counters;
@@ -32,7 +33,7 @@ pub fn page(summary: &Summary, inspection: &Inspection, counters: &Counters, cut
             }
         }
     };
-    page.into_string()
+    printable(&page.into_string()).into_owned()
 }
 
 fn checks(inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> Vec<Check> {

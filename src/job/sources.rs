@@ -5,6 +5,7 @@
 use std::ops::Range;
 
 use super::{Include, Override};
+use crate::printable::printable;
 
 /// The job's text, its includes, and its overrides.
 #[derive(Clone, Debug)]
@@ -99,14 +100,10 @@ impl Sources {
 
 /// Makes a text safe for a terminal.
 ///
-/// Tabs become blanks; other control characters are replaced.
+/// Tabs become blanks; line feeds and control characters are replaced.
 pub(super) fn shown(text: &str) -> String {
-    let visible = |character: char| match character {
-        '\t' => ' ',
-        character if character.is_control() => '\u{fffd}',
-        character => character,
-    };
-    text.chars().filter(|&character| character != '\u{feff}').map(visible).collect()
+    let text = printable(text).replace('\t', " ").replace('\n', "\u{fffd}");
+    text.replace('\u{feff}', "")
 }
 
 #[cfg(test)]

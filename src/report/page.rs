@@ -6,6 +6,7 @@ use serde_json::Value;
 use super::overview::{Overview, QuantityHistogram};
 use super::tables::points;
 use super::verdict::{self, Check, Grade};
+use crate::printable::printable;
 use part::{Part, badge, figure, figures, head, section, table, tiles, wide_table, with_contents, worst};
 use plot::{label, short};
 
@@ -85,7 +86,7 @@ pub(super) fn page(report: &Value, limit: usize) -> Result<String, NoPage> {
             }
         }
     };
-    let page = page.into_string();
+    let page = printable(&page.into_string()).into_owned();
     if page.len() > limit { Err(NoPage::TooLarge { limit }) } else { Ok(page) }
 }
 

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde_json::Value;
 
 use super::Result;
 use crate::scan_line::InputInfo;
@@ -233,22 +234,32 @@ impl SurveyModels {
         let text = read_small_text(path, MAX_BYTES, "the models of a survey", REMEDY)?;
         let models: SurveyModels = serde_json::from_str(&text)
             .map_err(|error| Error::unusable(path, format!("not the models of a survey: {error}"), REMEDY))?;
-        if models.format != FORMAT {
-            let problem = format!("format {} is not {FORMAT}, that of this version", models.format);
-            return Err(Error::unusable(path, problem, REMEDY).into());
-        }
-        for model in models.instruments.iter().filter_map(|instrument| instrument.sensor_model.as_deref()) {
-            check_model(model).map_err(|problem| Error::unusable(path, problem, REMEDY))?;
-        }
-        let mut fusions = models.instruments.iter().filter_map(|instrument| instrument.fusion.as_ref());
-        if !fusions.all(is_valid) {
-            return Err(Error::unusable(path, "gain ratio or delay has invalid numbers", REMEDY).into());
-        }
-        let instruments = models.instruments.len();
-        if models.inputs.iter().any(|input| input.instrument.is_some_and(|index| index >= instruments)) {
-            return Err(Error::unusable(path, "an input has an instrument that is missing", REMEDY).into());
-        }
+        models.check().map_err(|problem| Error::unusable(path, problem, REMEDY))?;
         Ok(models)
+    }
+
+    /// Sensor models in the report of a run, if it has valid ones.
+    pub(crate) fn of_report(report: &Value) -> Option<SurveyModels> {
+        let models: SurveyModels = serde_json::from_value(report["survey_models"].clone()).ok()?;
+        models.check().is_ok().then_some(models)
+    }
+
+    /// First problem of models from a file.
+    fn check(&self) -> std::result::Result<(), String> {
+        if self.format != FORMAT {
+            return Err(format!("format {} is not {FORMAT}, that of this version", self.format));
+        }
+        for model in self.instruments.iter().filter_map(|instrument| instrument.sensor_model.as_deref()) {
+            check_model(model)?;
+        }
+        if !self.instruments.iter().filter_map(|instrument| instrument.fusion.as_ref()).all(is_valid) {
+            return Err("gain ratio or delay has invalid numbers".to_owned());
+        }
+        let instruments = self.instruments.len();
+        if self.inputs.iter().any(|input| input.instrument.is_some_and(|index| index >= instruments)) {
+            return Err("an input has an instrument that is missing".to_owned());
+        }
+        Ok(())
     }
 }
 

@@ -89,7 +89,10 @@ fn an_endless_job_is_read_up_to_its_limit() {
     assert_eq!(read_text(&b"\xff"[..]).unwrap_err().to_string(), "it is not UTF-8 text");
     let place = TestFolder::new();
     let ended = place.wavex(&["check", "/dev/zero"]);
-    assert_eq!(ended.err, "error: /dev/zero: cannot read the job: it is larger than 8 MB\n");
+    assert_eq!(
+        ended.err,
+        "error: /dev/zero: cannot read the job: it is a pipe or device; give a file, or - for standard input\n"
+    );
 }
 
 #[test]
@@ -115,6 +118,20 @@ fn a_terminal_gets_no_commands_from_names() {
         place.run("[[stage]]\ntype = 'read_arrow'\npath = 'c*.arrow'\n[[stage]]\ntype = 'write_arrow'\n");
     let expected = r#""c\n\u{1b}[2J.arrow": the name contains control characters; rename the file"#;
     assert!(ended.err.contains(expected) && !ended.err.contains('\u{1b}'), "{}", ended.err);
+}
+
+#[test]
+fn texts_of_files_cannot_command_a_terminal_or_forge_log_messages() {
+    let place = TestFolder::new();
+    place.write("a.wkt", "PROJCS[\"a\u{1b}[31m\u{9b}2J\r\nERROR b\u{202e}\",GEOGCS[\"c\"".as_bytes());
+    let job = "[job]\noutput_dir = 'out'\n[job.geometry]\ncrs = 'a.wkt'\n[[stage]]\ntype = 'simulate'\n\
+               lines = 1\n[[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_arrow'\n";
+    place.write("job.toml", job.as_bytes());
+    for command in ["check", "run"] {
+        let ended = place.wavex(&[command, "job.toml"]);
+        let is_clean = |letter: char| letter == '\n' || !letter.is_control() && letter != '\u{202e}';
+        assert!(ended.code != Some(0) && ended.err.chars().all(is_clean), "{:?}", ended.err);
+    }
 }
 
 #[cfg(target_os = "linux")]

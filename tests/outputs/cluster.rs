@@ -208,6 +208,41 @@ fn incomplete_tasks_are_named() {
     assert!(err.contains("an archive of an older version, without results.b3; move it away"), "{err}");
 }
 
+#[cfg(unix)]
+#[test]
+fn texts_from_outside_of_a_plan_are_not_collected() {
+    let place = survey();
+    plan(&place, &[]);
+    run_tasks(&place, "s");
+    place.write("secret.txt", b"secret");
+    let log = "s/plan/logs/a.log";
+    let plan = place.text("s/plan/plan.json");
+    for (name, problem) in [("logs/a.log", "a link"), ("../../secret.txt", "a path")] {
+        fs::remove_file(place.path(log)).unwrap();
+        std::os::unix::fs::symlink(place.path("secret.txt"), place.path(log)).unwrap();
+        let text = plan.replace("plan/logs/a.log", &format!("plan/{name}"));
+        place.write("s/plan/plan.json", text.as_bytes());
+        let Outcome { code, err, .. } = place.wavex(&["collect", "s/plan"]);
+        assert!(code == Some(0) && err.contains(&format!("{problem} that leads out of ")), "{err}");
+        assert!(!place.text("s/out/job.log").contains("secret"));
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn pipes_in_a_plan_end_its_collection() {
+    let place = survey();
+    plan(&place, &[]);
+    for name in ["reports/a_report.json", "plan.json"] {
+        let path = place.path(&format!("s/plan/{name}"));
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        let _ = fs::remove_file(&path);
+        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+        let (code, err) = collect(&place, &[]);
+        assert!(code == Some(1) && err.contains(&format!("{name}: a pipe or device")), "{err}");
+    }
+}
+
 #[test]
 fn results_of_another_plan_are_out_of_date() {
     let place = survey();

@@ -423,7 +423,7 @@ fn what_is_no_report_is_said() {
     refused("a.json", "a.json: not a report of a run: no `inputs`; give the report of a run");
     refused("b.json", "b.json: not a report of a run: expected");
     refused("c.json", "c.json: the overview of \"s\" is invalid: invalid type: integer `7`");
-    refused("gone.json", "gone.json: cannot open the report: ");
+    refused("gone.json", "gone.json: cannot open: ");
     refused(".", ".: no report of a run in this folder; give the report of a run");
     for name in ["a_report.json", "b_report.json"] {
         place.write(name, b"{}");

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use wavex_formats::container::{Compression, ContainerHeader, TimeScale, channel};
-use wavex_testkit::container::{Row, compressed, nadir_shot};
+use wavex_formats::container::{Compression, ContainerHeader, EmissionReference, TimeScale, channel};
+use wavex_testkit::container::{Row, Shot, compressed, nadir_shot, of_shots};
 use wavex_testkit::flight::{OUTPUTS, STAGES, files, flight, run};
 use wavex_testkit::{Outcome, TestFolder, skipped};
 
@@ -196,6 +196,43 @@ fn a_recording_through_a_pipe_ends_at_the_first_signal() {
         assert_eq!(place.products(), Vec::<String>::new());
         assert_eq!(hidden(&place.path("out")), Vec::<String>::new());
     }
+}
+
+/// A line that takes minutes does not delay the end.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_run_in_a_slow_line_ends_soon_after_a_signal() {
+    let mut random = 1u64;
+    let mut noise = || {
+        // Constants of Knuth's MMIX generator.
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (random >> 56) as u16
+    };
+    let mut shots = Vec::new();
+    for number in 0..50 {
+        let samples = (0..60_000).map(|_| noise()).collect();
+        shots.push(Shot {
+            clock_ps: 1_000_000_000 * number,
+            blocks: vec![(channel::LOW_POWER, 0.0, samples)],
+        });
+    }
+    let place = TestFolder::new();
+    place.write("a.arrow", &of_shots(&shots, EmissionReference::Clock, true));
+    let job = "[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n[[stage]]\ntype = 'calibrate'\n\
+               preset = 'riegl_lms_q680i'\n[[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'write_table'\n";
+    place.write("job.toml", format!("[job]\noutput_dir = 'out'\n{job}").as_bytes());
+    let mut child = spawn(&place, &["run", "job.toml"]);
+    std::thread::sleep(Duration::from_secs(3));
+    assert!(child.try_wait().unwrap().is_none(), "the run has ended");
+    let process = child.id().to_string();
+    assert!(Command::new("kill").args(["-TERM", &process]).status().unwrap().success());
+    let signalled = Instant::now();
+    let Output { status, stderr, .. } = end_of(child);
+    let err = String::from_utf8(stderr).unwrap();
+    // Other tests may keep all cores busy.
+    assert!(signalled.elapsed() < Duration::from_secs(5), "{:?}", signalled.elapsed());
+    assert!(status.code() == Some(1) && err.contains("interrupted"), "{status}: {err}");
+    assert_eq!(hidden(&place.path("out")), Vec::<String>::new());
 }
 
 #[test]

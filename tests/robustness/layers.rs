@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Top-level modules from top to bottom; each may import those below it.
-const LAYERS: [&str; 18] = [
+const LAYERS: [&str; 19] = [
     "main",
     "cli",
     "view",
@@ -23,6 +23,7 @@ const LAYERS: [&str; 18] = [
     "scan_line",
     "keys",
     "system",
+    "printable",
 ];
 
 /// Top-level modules named after `crate::` in the code of a file.

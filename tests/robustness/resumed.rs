@@ -293,3 +293,16 @@ fn an_output_on_standard_output_is_written_again() {
         assert!(log.contains(&format!("INFO a: not skipped: {reason}\n")), "{log}");
     }
 }
+
+#[test]
+fn a_report_that_names_no_outputs_is_not_believed() {
+    let place = survey();
+    assert_eq!(run(&place, &[]), Outcome::success());
+    let mut report: Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
+    report["inputs"][1]["files"]["written"] = Value::Array(Vec::new());
+    place.write("out/job_report.json", report.to_string().as_bytes());
+    let messages = resumed(&place, &["--resume"]);
+    let expected = "b: not skipped: the earlier report does not name its output ";
+    assert!(messages[1].starts_with(expected), "{messages:?}");
+    assert!([0, 2].iter().all(|&other| messages[other].ends_with(COMPLETE)), "{messages:?}");
+}

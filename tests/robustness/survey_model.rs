@@ -83,6 +83,23 @@ fn the_inputs_of_a_survey_share_a_model_unless_one_contradicts() {
 }
 
 #[test]
+fn a_resumed_run_keeps_the_models_of_the_first() {
+    let place = survey();
+    place.write("job.toml", format!("[job]\noutput_dir = 'out'\nthreads = 2\n{JOB}").as_bytes());
+    let run = |arguments: &[&str]| {
+        place.wavex(&[&["run", "job.toml", "--progress", "never"], arguments].concat()).err
+    };
+    run(&[]);
+    place.write("strips/b.arrow", b"ARROW1");
+    let err = run(&["--resume"]);
+    for stem in ["a", "c", "e"] {
+        assert!(err.contains(&format!("{stem}: skipped, its outputs are complete")), "{err}");
+    }
+    let err = run(&["--resume", "--relearn"]);
+    assert!(err.contains("a: not skipped: the sensor models of the survey were different"), "{err}");
+}
+
+#[test]
 fn the_model_of_a_survey_is_made_once_for_many_runs() {
     let place = survey();
     let shared = tables(&place, &[]);

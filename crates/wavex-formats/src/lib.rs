@@ -33,7 +33,7 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, Read};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::string::FromUtf8Error;
 
 mod bytes;
@@ -121,6 +121,11 @@ impl Error {
         }
     }
 
+    /// Returns whether there is no such file.
+    pub fn is_missing(&self) -> bool {
+        matches!(self, Error::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
+    }
+
     /// Returns the file concerned.
     pub fn file(&self) -> &Path {
         match self {
@@ -170,6 +175,27 @@ pub fn read_small_text(path: &Path, most_bytes: u64, what: &str, remedy: &str) -
         Error::io(path, "read")(error)
     };
     String::from_utf8(read_small(path, most_bytes, what, remedy)?).map_err(not_text)
+}
+
+/// Returns the path of a file in a folder in which others may write.
+///
+/// # Errors
+/// If there is no file of this name, or the name or a link leads out of the folder.
+pub fn path_within(folder: &Path, name: impl AsRef<Path>) -> Result<PathBuf> {
+    let name = name.as_ref();
+    let path = folder.join(name);
+    let refused = |problem: &str| {
+        let remedy = "make the folder again from files that you trust";
+        Err(Error::unusable(&path, format!("{problem} that leads out of {}", folder.display()), remedy))
+    };
+    if !name.components().all(|step| matches!(step, Component::Normal(_) | Component::CurDir)) {
+        return refused("a path");
+    }
+    let found = |path: &Path| path.canonicalize().map_err(Error::io(path, "open"));
+    if !found(&path)?.starts_with(found(folder)?) {
+        return refused("a link");
+    }
+    Ok(path)
 }
 
 /// Makes room for further items whose number comes from a file.

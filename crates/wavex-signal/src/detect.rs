@@ -7,7 +7,7 @@
 //! noise. An unknown background of precision `q` is part of the noise, `S = Σ + 11ᵀ/q`, by the
 //! Sherman–Morrison formula.
 
-use crate::simd::dot::dot;
+use crate::simd::dot::{AT_A_TIME, dot};
 use std::ops::Range;
 
 use crate::shape::Shape;
@@ -111,13 +111,18 @@ impl Detector {
         self.template_offset.clear();
         self.solved.clear();
         self.solved.resize(samples, 0.0);
+        let mut filled = 0..0;
         for lag in 0..samples {
             let (first, part) = within_block(&self.template, lag, samples);
-            self.solved.fill(0.0);
-            self.solved[first..first + part.len()].copy_from_slice(part);
-            let cross = dot(&self.solved, &self.offset_solved);
-            whitener.whiten_from(first, &mut self.solved);
-            let known: f64 = self.solved[first..].iter().map(|v| v * v).sum();
+            let pulse = first..first + part.len();
+            self.solved[filled].fill(0.0);
+            self.solved[pulse.clone()].copy_from_slice(part);
+            // Whole groups of summands: the sum is that of the whole block, bit by bit.
+            let groups = first / AT_A_TIME * AT_A_TIME..pulse.end.next_multiple_of(AT_A_TIME).min(samples);
+            let cross = dot(&self.solved[groups.clone()], &self.offset_solved[groups]);
+            let end = whitener.whiten_part(pulse.clone(), &mut self.solved).max(pulse.end);
+            filled = first..end;
+            let known: f64 = self.solved[filled.clone()].iter().map(|v| v * v).sum();
             self.energy.push(known - cross * cross / self.offset_information);
             self.template_offset.push(cross);
         }

@@ -7,6 +7,8 @@
 //! those of the Durbin–Levinson recursion. An unused sample has no update, so the rows after a gap
 //! are those of the exact covariance sub-matrix.
 
+use std::ops::Range;
+
 use crate::noise::{ArNoise, MAX_ORDER};
 use crate::simd::dot::predict;
 
@@ -87,17 +89,24 @@ impl Whitener {
     ///
     /// `values` has the length of the block and is zero before index `first`.
     pub(crate) fn whiten_from(&self, first: usize, values: &mut [f64]) {
+        self.whiten_part(first.min(values.len())..values.len(), values);
+    }
+
+    /// As [`Whitener::whiten_from`] for values that are zero outside of `part`.
+    ///
+    /// Returns the index from which on they are zero afterwards.
+    pub(crate) fn whiten_part(&self, part: Range<usize>, values: &mut [f64]) -> usize {
         match self.states {
-            1 => self.filter::<1>(first, values),
-            2 => self.filter::<2>(first, values),
-            3 => self.filter::<3>(first, values),
-            4 => self.filter::<4>(first, values),
-            _ => self.filter::<MAX_ORDER>(first, values),
+            1 => self.filter::<1>(part, values),
+            2 => self.filter::<2>(part, values),
+            3 => self.filter::<3>(part, values),
+            4 => self.filter::<4>(part, values),
+            _ => self.filter::<MAX_ORDER>(part, values),
         }
     }
 
     /// Filter for a state of at most `N` values.
-    fn filter<const N: usize>(&self, first: usize, values: &mut [f64]) {
+    fn filter<const N: usize>(&self, part: Range<usize>, values: &mut [f64]) -> usize {
         let mut coefficients = [0.0; N];
         coefficients.iter_mut().zip(self.noise.coefficients()).for_each(|(c, known)| *c = *known);
         let predicted = |past: &[f64; N]| -> f64 {
@@ -107,13 +116,25 @@ impl Whitener {
             }
             next
         };
+        // Derivatives are zero outside of their pulse: the rest of a long block need not be filtered.
+        let given = &values[part.clone()];
+        let is_value = |value: &f64| *value != 0.0;
+        let Some((first, last)) = given.iter().position(is_value).zip(given.iter().rposition(is_value))
+        else {
+            return part.start;
+        };
+        let (first, last) = (part.start + first, part.start + last);
         let steady = self.steady.max(first).max(N);
-        if let Some(row) = self.rows.get(steady) {
-            predict(values, steady, &coefficients, row.weight);
+        let end = (last + 1 + N).min(values.len());
+        if let Some(row) = self.rows.get(steady).filter(|_| steady < end) {
+            predict(&mut values[..end], steady, &coefficients, row.weight);
         }
         // Last values: of the block in the steady state, otherwise of the predictor.
         let mut past = [0.0; N];
-        for (value, row) in values.iter_mut().zip(&self.rows).take(steady).skip(first) {
+        for (k, (value, row)) in values.iter_mut().zip(&self.rows).enumerate().take(steady).skip(first) {
+            if k > last && past.iter().all(|past| *past == 0.0) {
+                return end.max(k);
+            }
             let next = predicted(&past);
             let error = *value - next;
             past.copy_within(..N - 1, 1);
@@ -125,6 +146,7 @@ impl Whitener {
             }
             *value = error * row.weight;
         }
+        end.max(steady.min(values.len()))
     }
 
     /// Replaces `values` by `W values`; unused samples become zero.
@@ -287,6 +309,21 @@ mod tests {
         whitener.whiten(&mut whole);
         whitener.whiten_from(8, &mut late);
         assert_eq!(whole, late);
+    }
+
+    #[test]
+    fn a_pulse_within_a_block_is_whitened_as_by_its_whole_length() {
+        let mut used = [true; 60];
+        for gap in [5..7, 22..24, 40..45] {
+            used[gap].fill(false);
+        }
+        for pulse in [0..3, 10..12, 20..26, 38..50, 57..60] {
+            let mut values = [0.0; 60];
+            pulse.for_each(|k| values[k] = 1.0 + k as f64);
+            for used in [used, [true; 60]] {
+                check_against_cholesky(&[0.7, -0.2], &used, &values);
+            }
+        }
     }
 
     proptest! {

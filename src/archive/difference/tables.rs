@@ -1,6 +1,5 @@
 //! First difference of two Arrow or Parquet files: row and column.
 
-use std::fs::File;
 use std::path::Path;
 
 use arrow_array::{Array, RecordBatch};
@@ -9,7 +8,7 @@ use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
 use super::instead;
 use wavex_formats::container::TableReader;
-use wavex_formats::{Error, Result};
+use wavex_formats::{Error, Result, regular_file};
 
 const REMEDY: &str = "open it with another program to find the problem";
 /// Start of the Parquet library's message for a compression that is not built in.
@@ -40,7 +39,7 @@ pub(super) fn unreadable(path: &Path, error: &dyn std::fmt::Display) -> Error {
 }
 
 fn parquet(path: &Path) -> Result<Rows> {
-    let file = File::open(path).map_err(Error::io(path, "open"))?;
+    let file = regular_file(path)?;
     let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| unreadable(path, &error))?;
     let schema = Schema::clone(builder.schema());
     let mut reader =

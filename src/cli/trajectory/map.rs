@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use crate::georef::MOST_WKT_BYTES;
+use wavex_formats::read_small_text;
 use wavex_geodesy::crs::{Crs, Named};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_geodesy::trajectory::Sample;
@@ -24,11 +26,11 @@ impl Map {
         let named = match Named::parse(word).map_err(|error| message(&error))? {
             Some(Named::Utm) if place.is_none() => return Ok(None),
             Some(named) => named,
-            None => Named::Wkt(std::fs::read_to_string(Path::new(word)).map_err(|error| {
-                message(&format!(
-                    "no such file ({error}); give utm, utm:33N, EPSG:2154, geodetic, ecef or a WKT file"
-                ))
-            })?),
+            None => {
+                let remedy = "give utm, utm:33N, EPSG:2154, geodetic, ecef or a WKT file";
+                let text = read_small_text(Path::new(word), MOST_WKT_BYTES, "WKT", remedy);
+                Named::Wkt(text.map_err(|error| message(&format!("{error}; {remedy}")))?)
+            }
         };
         let crs = Crs::new(&named, place.unwrap_or(ANYWHERE), None, None).map_err(|error| message(&error))?;
         Ok(Some(Map { crs }))
@@ -109,7 +111,7 @@ mod tests {
     #[test]
     fn a_word_that_names_nothing_is_told() {
         let message = Map::of("nowhere.wkt", None).err().unwrap();
-        assert!(message.starts_with("--crs nowhere.wkt: no such file ("), "{message}");
+        assert!(message.starts_with("--crs nowhere.wkt: nowhere.wkt: cannot open: "), "{message}");
         let message = Map::of("EPSG:1", None).err().unwrap();
         assert!(message.starts_with("--crs EPSG:1: "), "{message}");
     }

@@ -1,12 +1,12 @@
 //! Progress of work on inputs that has no shots to count.
 
-use std::io::Write;
 use std::time::{Duration, Instant};
 
 use indicatif::ProgressBar;
 use serde_json::json;
 
-use super::{ProgressMode, bar, interval, left, line};
+use super::{ProgressMode, bar, interval, left, line, print_line};
+use crate::printable::printable;
 
 /// Displays the progress of a phase over some inputs on standard error.
 #[derive(Debug)]
@@ -39,7 +39,7 @@ impl Phase {
         };
         if let Some(bar) = &self.bar {
             bar.set_position((1e6 * fraction) as u64);
-            bar.set_prefix(format!("{}: {label}", self.title));
+            bar.set_prefix(format!("{}: {}", self.title, printable(&label)));
         }
         let elapsed = self.started.elapsed();
         if elapsed < self.next {
@@ -59,7 +59,7 @@ impl Phase {
                     "elapsed_s": elapsed.as_secs_f64(),
                     "left_s": left_s,
                 });
-                let _ = writeln!(std::io::stderr(), "{object}");
+                print_line(&object.to_string());
             }
             ProgressMode::Bar => {
                 let left = left_s.map_or(String::new(), |left_s| format!("{left_s:.0} s left"));

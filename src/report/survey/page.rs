@@ -6,6 +6,7 @@ use serde_json::json;
 use super::mosaic::Pictures;
 use super::strip::{MOST_RETURNS, UNEXPLAINED};
 use super::{StripFacts, Survey, SurveyStrip};
+use crate::printable::printable;
 use crate::report::page::drift;
 use crate::report::page::part::{
     Part, figure, head, maps as map_figures, section, table, tiles, with_contents,
@@ -49,7 +50,7 @@ pub(super) fn page(survey: &Survey, pictures: Option<&Pictures>) -> String {
             }
         }
     };
-    page.into_string()
+    printable(&page.into_string()).into_owned()
 }
 
 /// Additions for this page.

@@ -8,7 +8,7 @@ use arrow_schema::Schema;
 use super::decode::Decoder;
 use super::location::Location;
 use super::messages::Messages;
-use crate::Result;
+use crate::{Result, regular_file};
 
 /// Reader of an Arrow file or stream with any columns, one record batch at a time.
 pub struct TableReader {
@@ -26,6 +26,7 @@ impl TableReader {
     /// # Errors
     /// The file is not Arrow, or damaged.
     pub fn open(path: &Path) -> Result<TableReader> {
+        regular_file(path)?;
         let (messages, schema) = Messages::open(path)?;
         let columns = (0..schema.fields().len()).map(Some).collect();
         let decoder = Decoder::new(&schema, columns);

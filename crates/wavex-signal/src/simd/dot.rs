@@ -5,7 +5,7 @@
 use crate::simd::{Kernel, Simd, SimdLevel};
 
 /// Number of values processed together.
-const AT_A_TIME: usize = 8;
+pub(crate) const AT_A_TIME: usize = 8;
 
 /// `Σ a b` over the common length.
 pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
