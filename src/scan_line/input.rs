@@ -54,6 +54,8 @@ pub struct InputInfo {
     ///
     /// Of the frame, if that is projected; after `georeference`, of the points.
     pub crs_wkt: Option<String>,
+    /// Problems of the file's records of its CRS, with what is used instead; for messages.
+    pub crs_problems: Vec<String>,
     /// Scale and offset of stored coordinates.
     ///
     /// Of the input, or required by `georeference`. Outputs use the same offset, and also the scale
@@ -121,6 +123,7 @@ impl Default for InputInfo {
             is_file_date: false,
             frame: Frame::Scanner,
             crs_wkt: None,
+            crs_problems: Vec::new(),
             coordinate_grid: None,
             emission_reference: EmissionReference::Clock,
             clock_sd_ns: None,

@@ -26,7 +26,6 @@ use crate::stage::{
 };
 use geometry::{Geometry, first_sample, is_usable};
 use pulse::same_pulse;
-use wavex_formats::geokeys;
 use wavex_formats::las::{GpsTime, Point, Reader};
 
 /// Registry entry of the stage.
@@ -239,9 +238,6 @@ struct Packet {
     /// Empty if samples are not read.
     samples: Vec<u16>,
 }
-
-/// Record of the GeoTIFF keys (LAS 1.4 R15, "GeoKeyDirectoryTag").
-const GEO_KEYS: u16 = 34735;
 
 /// Largest return number of the format; more points with one time and direction belong to several
 /// pulses.
@@ -529,7 +525,7 @@ fn time_shift_s(reader: &Reader) -> f64 {
 }
 
 fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> InputInfo {
-    let header = reader.header();
+    let (header, crs) = (reader.header(), reader.crs());
     let unknown = InputInfo::default();
     let interval_ns = geometry.sampling.map(|sampling| f64::from(sampling.spacing_ps) / 1000.0);
     // 16-bit samples often hold fewer bits; the full scale is then unknown.
@@ -558,7 +554,8 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
         recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
         is_file_date: header.creation_year > 0,
         frame: Frame::Map,
-        crs_wkt: reader.wkt().or_else(|| geokeys::wkt(&reader.projection(GEO_KEYS)?.data)),
+        crs_wkt: crs.wkt,
+        crs_problems: crs.problems,
         coordinate_grid: Some((header.scale, header.offset)),
         emission_reference: match geometry.has_locations {
             true => EmissionReference::ReturnLocations,

@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use crate::scan_line::{AmplitudeTable, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
-use wavex_formats::geokeys;
 use wavex_formats::pulsewaves::{Reader, SegmentKind, TimeAxis};
+use wavex_formats::{RecordedCrs, geokeys};
 use wavex_geodesy::beam_length::BeamLength;
+use wavex_geodesy::crs::GeoKeys;
 
 /// Metadata of a recording from its header and records.
 pub(super) fn describe(
@@ -31,7 +32,16 @@ pub(super) fn describe(
     let is_geocentric = around_earth
         || keys.is_some_and(geokeys::is_geocentric)
         || wkt.as_ref().is_some_and(|wkt| wkt.trim_start().starts_with("GEOCCS"));
-    let wkt = || wkt.clone().or_else(|| geokeys::wkt(keys?));
+    let keys = keys.map(|directory| GeoKeys {
+        directory: directory.to_vec(),
+        doubles: reader.crs().geo_doubles.clone().unwrap_or_default(),
+        ascii: reader.crs().geo_ascii.clone().unwrap_or_default(),
+    });
+    let centre = std::array::from_fn(|axis| f64::midpoint(header.min[axis], header.max[axis]));
+    let crs = match is_geocentric {
+        true => RecordedCrs::default(),
+        false => RecordedCrs::new(wkt.as_deref(), keys.as_ref(), false, centre),
+    };
     let bits = samplings().map(|sampling| sampling.bits_per_sample).max();
     InputInfo {
         full_scale_is_set: false,
@@ -56,7 +66,8 @@ pub(super) fn describe(
         recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
         is_file_date: header.creation_year > 0,
         frame: if is_geocentric { Frame::Earth } else { Frame::Map },
-        crs_wkt: wkt().filter(|_| !is_geocentric),
+        crs_wkt: crs.wkt,
+        crs_problems: crs.problems,
         coordinate_grid: Some((header.scale, header.offset)),
         emission_reference,
         clock_sd_ns: None,
