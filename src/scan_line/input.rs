@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use wavex_geodesy::crs::units_of_wkt;
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::time::TimeScale;
 use wavex_geodesy::time_axis::Alignment;
@@ -92,6 +93,12 @@ impl InputInfo {
     pub fn clock_or_sample_sd_ns(&self) -> f64 {
         let within_a_sample_ns = self.sampling_interval_ns / 12f64.sqrt();
         self.clock_sd_ns.map_or(within_a_sample_ns, |sd_ns| sd_ns.min(within_a_sample_ns))
+    }
+
+    /// Unit of the coordinates, m: 1 but for maps in feet.
+    pub fn map_unit_m(&self) -> f64 {
+        let wkt = self.crs_wkt.as_deref().filter(|_| self.frame == Frame::Map);
+        wkt.map_or(1.0, |wkt| units_of_wkt(wkt)[0])
     }
 
     /// Converts a time of the recording to adjusted GPS time, s; `None` if the week is unknown.

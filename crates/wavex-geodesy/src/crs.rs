@@ -37,7 +37,7 @@ use named::utm_zone_at;
 pub use outline::Outline;
 use projection::Projection;
 pub use projjson::projjson_of_wkt;
-pub use records::{RecordedSystem, are_contradictory, system_of_wkt};
+pub use records::{RecordedSystem, are_contradictory, system_of_wkt, units_of_wkt, with_heights_in_map_unit};
 pub use unit::Unit;
 
 /// Number of positions processed together: their intermediate values fit into registers and the

@@ -7,7 +7,7 @@ use crate::stage::{Result, StageError};
 use crate::stages::emission_choice::{lone_peak, median};
 use wavex_formats::las::{Point, Reader};
 
-/// Group velocities of light in air, m/s; those in feet are accepted if the file names feet.
+/// Group velocities of light in air, m/s.
 const VELOCITY_MPS: RangeInclusive<f64> = 2.5e8..=2.998e8;
 const METRES_PER_FOOT: f64 = 0.3048;
 /// Sampling intervals of waveform digitisers, ns.
@@ -23,7 +23,7 @@ const FEWEST_ECHOES: usize = 30;
 const FARTHEST_M: f64 = 1.0;
 
 /// Refuses vectors and sampling intervals that contradict physics.
-pub(super) fn check_beams(geometry: &Geometry, crs_wkt: Option<&str>) -> Result<()> {
+pub(super) fn check_beams(geometry: &Geometry) -> Result<()> {
     if let Some(sampling) = geometry.sampling {
         let interval_ns = f64::from(sampling.spacing_ps) / 1000.0;
         if !INTERVAL_NS.contains(&interval_ns) {
@@ -38,16 +38,10 @@ pub(super) fn check_beams(geometry: &Geometry, crs_wkt: Option<&str>) -> Result<
         }
     }
     let velocity_mps = geometry.group_velocity_mps;
-    let names_feet = crs_wkt.is_some_and(|wkt| wkt.to_lowercase().contains("foot"));
-    let is_in_feet = VELOCITY_MPS.contains(&(METRES_PER_FOOT * velocity_mps));
-    if VELOCITY_MPS.contains(&velocity_mps) || is_in_feet && names_feet {
+    if VELOCITY_MPS.contains(&velocity_mps) {
         return Ok(());
     }
-    let why = if is_in_feet {
-        "they seem to be in feet, which the file does not name: set `crs_of_input`"
-    } else {
-        explanation(velocity_mps)
-    };
+    let why = explanation(velocity_mps);
     Err(StageError::failed(
         format!(
             "the direction vectors of the points give light a speed of {velocity_mps:.3e} m/s; in air it has \
@@ -61,7 +55,11 @@ pub(super) fn check_beams(geometry: &Geometry, crs_wkt: Option<&str>) -> Result<
 /// What would explain a speed.
 fn explanation(velocity_mps: f64) -> &'static str {
     let is_velocity = |factor: f64| VELOCITY_MPS.contains(&(factor * velocity_mps));
-    if is_velocity(0.5) {
+    if is_velocity(METRES_PER_FOOT) {
+        "they seem to be in feet, which the file does not name: set `crs_of_input`"
+    } else if is_velocity(1.0 / METRES_PER_FOOT) {
+        "they seem to be in metres, but the coordinates in feet"
+    } else if is_velocity(0.5) {
         "they seem to be of the two-way path, twice as long"
     } else if is_velocity(2.0) {
         "they seem to be half as long, as for a two-way time"
@@ -148,6 +146,8 @@ mod tests {
             (1e3 * light, "per nanosecond"),
             (2e12, "unit vectors"),
             (2e15, "full ranges"),
+            (light / 0.3048, "in feet"),
+            (0.3048 * light, "in metres"),
             (1.0, "no usual error"),
         ] {
             assert!(explanation(velocity_mps).contains(words), "{velocity_mps}");

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::scan_line::{AmplitudeTable, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
+use crate::stages::recording::units::Units;
 use wavex_formats::pulsewaves::{Reader, SegmentKind, TimeAxis};
 use wavex_formats::{RecordedCrs, geokeys};
 use wavex_geodesy::beam_length::BeamLength;
@@ -14,7 +15,7 @@ pub(super) fn describe(
     path: &Path,
     stem: &str,
     beams: &BeamLength,
-    around_earth: bool,
+    (units, crs, around_earth): (Units, RecordedCrs, bool),
 ) -> InputInfo {
     let header = reader.header();
     let scanner = reader.scanners().values().next();
@@ -27,21 +28,10 @@ pub(super) fn describe(
             (true, true) => EmissionReference::OutgoingPulse,
             (true, false) => EmissionReference::OutgoingPulseFraction,
         };
-    let (keys, wkt) = (reader.crs().geo_keys.as_deref(), &reader.crs().wkt);
-    // RIEGL's own export names WGS 84 but stores geocentric coordinates.
-    let is_geocentric = around_earth
-        || keys.is_some_and(geokeys::is_geocentric)
-        || wkt.as_ref().is_some_and(|wkt| wkt.trim_start().starts_with("GEOCCS"));
-    let keys = keys.map(|directory| GeoKeys {
-        directory: directory.to_vec(),
-        doubles: reader.crs().geo_doubles.clone().unwrap_or_default(),
-        ascii: reader.crs().geo_ascii.clone().unwrap_or_default(),
-    });
-    let centre = std::array::from_fn(|axis| f64::midpoint(header.min[axis], header.max[axis]));
-    let crs = match is_geocentric {
-        true => RecordedCrs::default(),
-        false => RecordedCrs::new(wkt.as_deref(), keys.as_ref(), false, centre),
-    };
+    let is_geocentric = around_earth || is_geocentric(reader);
+    let (mut scale, mut offset) = (header.scale, header.offset);
+    scale[2] *= units.height_factor;
+    offset[2] *= units.height_factor;
     let bits = samplings().map(|sampling| sampling.bits_per_sample).max();
     InputInfo {
         full_scale_is_set: false,
@@ -54,7 +44,7 @@ pub(super) fn describe(
         sampling_interval_ns: samplings().map(|s| s.sample_units_ns).find(|ns| *ns > 0.0).unwrap_or(1.0),
         full_scale_dn: (bits == Some(8)).then_some(255),
         gain_control: GainControl::Off,
-        group_velocity_mps: beams.vertical().map_or(GROUP_VELOCITY_MPS, |metres_per_ns| metres_per_ns * 2e9),
+        group_velocity_mps: beams.vertical().map_or(GROUP_VELOCITY_MPS, |per_ns| per_ns * units.map_m * 2e9),
         pulse_rate_hz: scanner.map(|s| s.pulse_frequency_khz * 1e3).filter(|hz| *hz > 0.0),
         time_scale: match header.time_axis() {
             TimeAxis::WeekSeconds => TimeScale::Week,
@@ -66,9 +56,9 @@ pub(super) fn describe(
         recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
         is_file_date: header.creation_year > 0,
         frame: if is_geocentric { Frame::Earth } else { Frame::Map },
-        crs_wkt: crs.wkt,
-        crs_problems: crs.problems,
-        coordinate_grid: Some((header.scale, header.offset)),
+        crs_wkt: crs.wkt.filter(|_| !is_geocentric),
+        crs_problems: if is_geocentric { Vec::new() } else { crs.problems },
+        coordinate_grid: Some((scale, offset)),
         emission_reference,
         clock_sd_ns: None,
         emission_choice_sd_ns: 0.0,

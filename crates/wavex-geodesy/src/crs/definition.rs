@@ -50,7 +50,7 @@ pub(super) const GEOCENTRIC: [&str; 1] = ["GEOCCS"];
 pub(super) const VERTICAL: [&str; 4] = ["VERT_CS", "VERTCS", "VERTCRS", "VERTICALCRS"];
 pub(super) const DATUM: [&str; 4] = ["DATUM", "GEODETICDATUM", "TRF", "ENSEMBLE"];
 pub(super) const ELLIPSOID: [&str; 2] = ["SPHEROID", "ELLIPSOID"];
-const LENGTH_UNIT: [&str; 2] = ["UNIT", "LENGTHUNIT"];
+pub(super) const LENGTH_UNIT: [&str; 2] = ["UNIT", "LENGTHUNIT"];
 
 /// Datums on the WGS 84 or GRS 80 ellipsoid that are nevertheless metres away from WGS 84.
 ///

@@ -1,6 +1,7 @@
 //! Coordinate reference systems from the records of a file, which may be wrong.
 
-use super::definition::{Definition, ProjectionMethod};
+use super::definition::{Definition, LENGTH_UNIT, PROJECTED, ProjectionMethod, VERTICAL, unit_node};
+use super::describe::compound;
 use super::projection::Projection;
 use super::wkt::WktNode;
 use super::{Crs, CrsError, Unit, Vector};
@@ -58,6 +59,45 @@ pub fn are_contradictory(first: &str, second: &str, point: Vector) -> bool {
     let square_m2: f64 = first.iter().zip(second).map(|(a, b)| (a - b) * (a - b)).sum();
     let units = first_unit.zip(second_unit);
     square_m2 > APART_M * APART_M || units.is_some_and(|(first, second)| !first.is_as_long_as(&second))
+}
+
+/// Lengths of the units of a projected CRS, m: of x and y, and of heights.
+///
+/// Both are 1 for other systems and for text that is not WKT; the second is the first without a
+/// vertical part.
+pub fn units_of_wkt(text: &str) -> [f64; 2] {
+    let Some((projected, vertical)) = WktNode::parse(text).ok().and_then(projected_and_vertical) else {
+        return [1.0; 2];
+    };
+    let metres = |part: &WktNode| unit_node(part)?.value(1).filter(|metres| *metres > 0.0);
+    let map_m = metres(&projected).unwrap_or(1.0);
+    [map_m, vertical.as_ref().and_then(metres).unwrap_or(map_m)]
+}
+
+/// The compound CRS with heights in the unit of x and y; `None` for other systems.
+pub fn with_heights_in_map_unit(text: &str) -> Option<String> {
+    let (projected, vertical) = projected_and_vertical(WktNode::parse(text).ok()?)?;
+    let (unit, mut vertical) = (unit_node(&projected)?, vertical?);
+    vertical.remove(&|node| matches!(node.keyword.as_str(), "AUTHORITY" | "ID"));
+    replace_units(&mut vertical, unit).then(|| compound(projected.clone(), vertical).to_string())
+}
+
+/// Replaces the units of length in a node; returns whether there is one.
+fn replace_units(node: &mut WktNode, unit: &WktNode) -> bool {
+    let mut has_unit = false;
+    for part in node.nodes_mut() {
+        if LENGTH_UNIT.contains(&part.keyword.as_str()) {
+            *part = unit.clone();
+            has_unit = true;
+        } else {
+            has_unit |= replace_units(part, unit);
+        }
+    }
+    has_unit
+}
+
+fn projected_and_vertical(tree: WktNode) -> Option<(WktNode, Option<WktNode>)> {
+    Some((tree.find(&PROJECTED)?.clone(), tree.find(&VERTICAL).cloned()))
 }
 
 impl Crs {
