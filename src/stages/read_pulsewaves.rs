@@ -450,7 +450,6 @@ fn unit_ns(reader: &Reader, pulse: &Pulse) -> f64 {
     reader.descriptors().get(&pulse.descriptor).map_or(1.0, |descriptor| descriptor.sample_units_ns)
 }
 
-/// Beam lengths, and whether all anchors are at the earth's radius from the origin.
 /// Converts the height of a pulse and of its vector to the unit of x and y.
 fn with_heights_in(mut pulse: Pulse, units: Units) -> Pulse {
     pulse.anchor[2] *= units.height_factor;
@@ -458,6 +457,7 @@ fn with_heights_in(mut pulse: Pulse, units: Units) -> Pulse {
     pulse
 }
 
+/// Beam lengths, and whether all anchors are at the earth's radius from the origin.
 fn look_at_beams(reader: &mut Reader, units: Units) -> Result<(BeamLength, bool)> {
     let stride = (reader.pulse_count() / BEAMS_LOOKED_AT).max(1);
     let mut beams = Vec::new();

@@ -15,6 +15,9 @@ pub struct RecordedCrs {
     pub problems: Vec<String>,
 }
 
+/// Keywords of systems without a place on the earth.
+const LOCAL: [&str; 3] = ["LOCAL_CS", "ENGCRS", "ENGINEERINGCRS"];
+
 impl RecordedCrs {
     /// Chooses between the records of a file.
     ///
@@ -53,6 +56,12 @@ impl RecordedCrs {
             (_, true) => "the GeoTIFF keys are used",
             (_, false) => "the WKT record is used",
         };
+        // A local system is a valid statement of its own.
+        let is_local =
+            wkt.is_some_and(|text| LOCAL.iter().any(|keyword| text.trim_start().starts_with(keyword)));
+        if chosen.is_none() && is_local {
+            unreadable.clear();
+        }
         problems.extend(unreadable.into_iter().map(|problem| format!("{problem}: {used}")));
         let Some(chosen) = chosen else {
             let wkt = wkt.filter(|text| !text.trim().is_empty()).map(str::to_owned);
@@ -100,7 +109,8 @@ mod tests {
             assert!(problem.ends_with("the GeoTIFF keys are used"), "{problem}");
         }
         let alone = RecordedCrs::new(Some("LOCAL_CS[\"a\"]"), None, false, POINT);
-        assert_eq!((alone.wkt.as_deref(), alone.problems.len()), (Some("LOCAL_CS[\"a\"]"), 1));
+        assert_eq!((alone.wkt.as_deref(), alone.problems.len()), (Some("LOCAL_CS[\"a\"]"), 0));
+        assert_eq!(RecordedCrs::new(Some(""), None, false, POINT).problems.len(), 1);
     }
 
     #[test]

@@ -163,7 +163,7 @@ impl Directory<'_> {
             let [own, other] = [of_two_parallels, !of_two_parallels].map(|two| key_of_parameter(name, two));
             let value = [own, other].into_iter().flatten().find_map(|key| self.double(key));
             let missing = || format!("they have no {name} (key {})", own.unwrap_or_default());
-            Ok((*name, value.ok_or_else(missing)?))
+            value.ok_or_else(missing).map(|value| (*name, value))
         };
         names.iter().map(value).collect()
     }
