@@ -28,6 +28,7 @@ pub(super) fn describe(
             (true, true) => EmissionReference::OutgoingPulse,
             (true, false) => EmissionReference::OutgoingPulseFraction,
         };
+    // RIEGL's own export names WGS 84 but stores geocentric coordinates.
     let is_geocentric = around_earth || is_geocentric(reader);
     let (mut scale, mut offset) = (header.scale, header.offset);
     scale[2] *= units.height_factor;
@@ -69,6 +70,28 @@ pub(super) fn describe(
         range_low: None,
         range_high: None,
     }
+}
+
+/// Whether the records of a file name geocentric coordinates.
+fn is_geocentric(reader: &Reader) -> bool {
+    let crs = reader.crs();
+    crs.geo_keys.as_deref().is_some_and(geokeys::is_geocentric)
+        || crs.wkt.as_ref().is_some_and(|wkt| wkt.trim_start().starts_with("GEOCCS"))
+}
+
+/// Coordinate reference system of a projected or geographic recording.
+pub(super) fn recorded_crs(reader: &Reader) -> RecordedCrs {
+    if is_geocentric(reader) {
+        return RecordedCrs::default();
+    }
+    let (crs, header) = (reader.crs(), reader.header());
+    let keys = crs.geo_keys.clone().map(|directory| GeoKeys {
+        directory,
+        doubles: crs.geo_doubles.clone().unwrap_or_default(),
+        ascii: crs.geo_ascii.clone().unwrap_or_default(),
+    });
+    let centre = std::array::from_fn(|axis| f64::midpoint(header.min[axis], header.max[axis]));
+    RecordedCrs::new(crs.wkt.as_deref(), keys.as_ref(), false, centre)
 }
 
 /// Whether pulse anchors are at the optical centre.
