@@ -36,6 +36,7 @@ pub(super) fn copc(
     let written = write(input, &out, item.as_deref(), progress);
     let (summary, has_item) = written.map_err(|error| Failure::Run(error.to_string()))?;
     drop(lock);
+    summary.crs_problems.iter().for_each(|problem| tracing::warn!("{problem}"));
     if with_item && !has_item {
         tracing::warn!("{}", stac::NO_DATE);
     }
@@ -96,7 +97,10 @@ fn finish_item(
     summary: &CopcSummary,
 ) -> Result<Option<FinishedFile>, Error> {
     let about = stac::describe(points)?;
-    let (wkt, times_s) = (about.wkt(), Some(summary.times_s).filter(|times_s| *times_s != [0.0; 2]));
+    let (wkt, times_s) = (about.crs().wkt, Some(summary.times_s).filter(|times_s| *times_s != [0.0; 2]));
+    if !stac::names_system(wkt.as_deref()) {
+        tracing::warn!("{}", stac::NO_SYSTEM);
+    }
     let points = stac::Points { about: &about, path: points.path(), wkt: wkt.as_deref(), times_s };
     stac::finish(OutputFile::create(path)?, &points)
 }

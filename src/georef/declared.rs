@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::Result;
 use super::output_crs::{ANYWHERE, CrsRequest, read_wkt};
-use wavex_geodesy::crs::{Crs, CrsError, Named};
+use wavex_geodesy::crs::{Crs, CrsError, Named, system_of_wkt};
 use wavex_geodesy::frames::Vector;
 
 /// Requirement for names of the CRS of a recording.
@@ -42,7 +42,8 @@ pub fn wkt(word: &str, input_dir: &Path) -> Result<String> {
     };
     match (Crs::new(&named, ANYWHERE, None, None), of_file) {
         // A valid but unsupported CRS can still be passed on.
-        (Ok(_), Some(text)) => Ok(text),
+        // A pair of systems becomes a compound one.
+        (Ok(_), Some(text)) => Ok(system_of_wkt(&text)?.wkt),
         (Err(error), Some(text)) if !matches!(error, CrsError::Wkt(_)) => Ok(text),
         (Ok(crs), None) => Ok(crs.wkt()),
         (Err(error), _) => Err(error.into()),

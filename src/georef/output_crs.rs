@@ -105,7 +105,9 @@ impl CrsRequest {
     /// Whether this CRS is equivalent to that of a recording, judged by one point.
     pub(super) fn is_map(&self, wkt: &str, point: Vector) -> bool {
         let same = || {
-            let map = Crs::new(&Named::Wkt(wkt.to_owned()), ANYWHERE, None, None)?;
+            let map = |geoid| Crs::new(&Named::Wkt(wkt.to_owned()), ANYWHERE, geoid, None);
+            // Heights of a vertical system need a geoid.
+            let map = map(None).or_else(|_| map(self.geoid.clone()))?;
             let place = map.to_geodetic(point)?;
             self.crs(place)?.from_geodetic(place)
         };

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use wavex_geodesy::crs::units_of_wkt;
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::time::TimeScale;
 use wavex_geodesy::time_axis::Alignment;
@@ -54,6 +55,8 @@ pub struct InputInfo {
     ///
     /// Of the frame, if that is projected; after `georeference`, of the points.
     pub crs_wkt: Option<String>,
+    /// Problems of the file's records of its CRS, with what is used instead; for messages.
+    pub crs_problems: Vec<String>,
     /// Scale and offset of stored coordinates.
     ///
     /// Of the input, or required by `georeference`. Outputs use the same offset, and also the scale
@@ -92,6 +95,12 @@ impl InputInfo {
         self.clock_sd_ns.map_or(within_a_sample_ns, |sd_ns| sd_ns.min(within_a_sample_ns))
     }
 
+    /// Unit of the coordinates, m: 1 but for maps in feet.
+    pub fn map_unit_m(&self) -> f64 {
+        let wkt = self.crs_wkt.as_deref().filter(|_| self.frame == Frame::Map);
+        wkt.map_or(1.0, |wkt| units_of_wkt(wkt)[0])
+    }
+
     /// Converts a time of the recording to adjusted GPS time, s; `None` if the week is unknown.
     pub fn adjusted_gps_time(&self, gps_time_s: f64) -> Option<f64> {
         self.time_scale.adjusted_s(self.gps_week, gps_time_s)
@@ -121,6 +130,7 @@ impl Default for InputInfo {
             is_file_date: false,
             frame: Frame::Scanner,
             crs_wkt: None,
+            crs_problems: Vec::new(),
             coordinate_grid: None,
             emission_reference: EmissionReference::Clock,
             clock_sd_ns: None,

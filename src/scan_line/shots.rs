@@ -28,7 +28,8 @@ pub struct Emission {
     pub origin_m: [f64; 3],
     /// Unit vector along the outgoing beam, in the input's frame.
     pub direction: [f64; 3],
-    /// Metres in the frame per metre of range along this beam: 1, but for map projections.
+    /// Length in the frame per metre of range along this beam, in units of the frame: 1, but for map
+    /// projections.
     pub frame_scale: f64,
     /// The emission's time after `clock_ps`, ns: the peak of the outgoing pulse once it is fitted, else 0.
     pub emission_ns: f64,

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use crate::scan_line::{
     AmplitudeTable, Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale,
 };
+use wavex_formats::RecordedCrs;
 use wavex_formats::container::{self, ContainerHeader, channel};
 
 /// Container header with the metadata of a recording.
@@ -80,6 +81,7 @@ pub(super) fn info_of(
     let table = |pairs: &Option<Vec<(f64, f64)>>| pairs.clone().and_then(AmplitudeTable::new);
     // Return locations come from LAS, which does not contain the sensor position.
     let is_from_las = header.emission_reference == Some(container::EmissionReference::ReturnLocations);
+    let crs = RecordedCrs::new(header.crs_wkt.as_deref(), None, false, [0.0; 3]);
     InputInfo {
         full_scale_is_set: false,
         path,
@@ -114,7 +116,8 @@ pub(super) fn info_of(
             container::Frame::Map => Frame::Map,
             container::Frame::Earth => Frame::Earth,
         },
-        crs_wkt: header.crs_wkt.clone(),
+        crs_wkt: crs.wkt,
+        crs_problems: crs.problems,
         coordinate_grid: header.coordinate_grid,
         emission_reference: match header.emission_reference {
             Some(container::EmissionReference::OutgoingPulse) => EmissionReference::OutgoingPulse,

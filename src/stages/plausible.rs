@@ -25,11 +25,10 @@ const SPEED: &str = "give light a speed";
 
 /// The checks of this module that all readers make.
 pub(crate) fn checks() -> Vec<Check> {
-    let limits = |limits: &RangeInclusive<f64>| format!("{:.3e} to {:.3e} m/s", limits.start(), limits.end());
     vec![
         Check {
             compared: "group velocity, stated or by the length of direction vectors",
-            accepted: format!("{}, or as many feet if the file names feet", limits(&VELOCITY_MPS)),
+            accepted: format!("{:.3e} to {:.3e} m/s", VELOCITY_MPS.start(), VELOCITY_MPS.end()),
             source: "light in air; maps may be 0.4 % larger",
             otherwise: Otherwise::Error,
             message: SPEED,
@@ -72,43 +71,24 @@ pub(super) fn check_interval(interval_ns: f64, remedy: &str) -> Result<()> {
 
 /// Refuses a group velocity that light does not have in air.
 pub(super) fn check_velocity(velocity_mps: f64, of: &str, remedy: &str) -> Result<()> {
-    let why = explanation(velocity_mps);
     if VELOCITY_MPS.contains(&velocity_mps) {
-        Ok(())
-    } else {
-        Err(wrong_velocity(velocity_mps, of, why, remedy))
+        return Ok(());
     }
-}
-
-/// Refuses beams with such a velocity; those in feet are accepted if the CRS names feet.
-pub(super) fn check_beam_velocity(
-    velocity_mps: f64,
-    crs_wkt: Option<&str>,
-    of: &str,
-    remedy: &str,
-) -> Result<()> {
-    let names_feet = crs_wkt.is_some_and(|wkt| wkt.to_lowercase().contains("foot"));
-    match VELOCITY_MPS.contains(&(METRES_PER_FOOT * velocity_mps)) {
-        true if names_feet => Ok(()),
-        true => {
-            let why = "they seem to be in feet, which the file does not name: set `crs_of_input`";
-            Err(wrong_velocity(velocity_mps, of, why, remedy))
-        }
-        false => check_velocity(velocity_mps, of, remedy),
-    }
-}
-
-fn wrong_velocity(velocity_mps: f64, of: &str, why: &str, remedy: &str) -> StageError {
-    StageError::failed(
+    let why = explanation(velocity_mps);
+    Err(StageError::failed(
         format!("{of} {SPEED} of {velocity_mps:.3e} m/s; in air it has 2.997e8: {why}"),
         remedy,
-    )
+    ))
 }
 
 /// What would explain a speed.
 fn explanation(velocity_mps: f64) -> &'static str {
     let is_velocity = |factor: f64| VELOCITY_MPS.contains(&(factor * velocity_mps));
-    if is_velocity(0.5) {
+    if is_velocity(METRES_PER_FOOT) {
+        "they seem to be in feet, which the file does not name: set `crs_of_input`"
+    } else if is_velocity(1.0 / METRES_PER_FOOT) {
+        "they seem to be in metres, but the coordinates in feet"
+    } else if is_velocity(0.5) {
         "they seem to be of the two-way path, twice as long"
     } else if is_velocity(2.0) {
         "they seem to be half as long, as for a two-way time"
@@ -136,6 +116,8 @@ mod tests {
             (1e3 * light, "per nanosecond"),
             (2e12, "unit vectors"),
             (2e15, "full ranges"),
+            (light / 0.3048, "in feet"),
+            (0.3048 * light, "in metres"),
             (1.0, "no usual error"),
         ] {
             assert!(explanation(velocity_mps).contains(words), "{velocity_mps}");

@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use super::bad_records::BrokenRun;
 use super::emission_choice::{self, Message, Smoothness};
 use super::line_splitter::{Lines, Sampling};
+use super::recording::units::Units;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::keys::InvalidKey;
 use crate::scan_line::{
@@ -26,9 +27,9 @@ use crate::stage::{
     Config, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageError,
     StageSpec,
 };
-use geometry::{Geometry, first_sample, is_usable};
+use geometry::{Geometry, convert_heights, first_sample, is_usable};
 use pulse::same_pulse;
-use wavex_formats::geokeys;
+use wavex_formats::RecordedCrs;
 use wavex_formats::las::{GpsTime, Point, Reader};
 
 /// Registry entry of the stage.
@@ -165,12 +166,13 @@ impl SourceConfig for ReadLas {
     }
 
     fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        let open = || LasReader::open(&site.input, &site.stem, self.sampling(), self.beam_vectors);
-        let mut source = open()?;
         let times = self.time_keys();
-        let declared = Declared::new(times, self.crs_of_input.as_deref(), None, site)?;
-        let crs_wkt = declared.crs_wkt.as_ref().or(source.lines.input().crs_wkt.as_ref());
-        contradiction::check_beams(&source.geometry, crs_wkt.map(String::as_str))?;
+        let mut declared = Declared::new(times, self.crs_of_input.as_deref(), None, site)?;
+        let crs_wkt = declared.crs_wkt.take();
+        let open = || LasReader::open(&site.input, &site.stem, self, crs_wkt.as_deref());
+        let mut source = open()?;
+        declared.crs_wkt = crs_wkt.clone().map(|wkt| source.geometry.units.converted(wkt));
+        contradiction::check_beams(&source.geometry)?;
         if self.check_locations {
             contradiction::check_locations(&mut Reader::open_partial(&site.input)?.0, &source.geometry)?;
         }
@@ -246,18 +248,18 @@ struct Packet {
     samples: Vec<u16>,
 }
 
-/// Record of the GeoTIFF keys (LAS 1.4 R15, "GeoKeyDirectoryTag").
-const GEO_KEYS: u16 = 34735;
-
 /// Largest return number of the format; more points with one time and direction belong to several
 /// pulses.
 const MOST_RETURNS: usize = 15;
 
 impl LasReader {
-    fn open(path: &Path, stem: &str, sampling: Sampling, vectors: BeamVectors) -> Result<LasReader> {
-        let geometry = Geometry::learn(&mut Reader::open_partial(path)?.0, vectors)?;
+    fn open(path: &Path, stem: &str, keys: &ReadLas, declared_crs: Option<&str>) -> Result<LasReader> {
         let (reader, missing) = Reader::open_partial(path)?;
-        let input = sampling.with(describe(&reader, path, stem, &geometry));
+        let of_file = reader.crs();
+        let units = Units::of(declared_crs.or(of_file.wkt.as_deref()));
+        let geometry = Geometry::learn(&mut Reader::open_partial(path)?.0, keys.beam_vectors, units)?;
+        let crs = units.describe(of_file, declared_crs.is_some());
+        let input = keys.sampling().with(describe(&reader, path, stem, &geometry, crs));
         Ok(LasReader {
             with_samples: true,
             range_time_offset_ns: 0.0,
@@ -316,6 +318,7 @@ impl LasReader {
                 self.without_waveform += 1;
                 continue;
             }
+            convert_heights(&mut point, self.geometry.units);
             if !is_usable(&point) {
                 cx.reject(Item::Returns, "a point without direction or location", 1);
                 continue;
@@ -538,8 +541,11 @@ fn time_shift_s(reader: &Reader) -> f64 {
     }
 }
 
-fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> InputInfo {
+fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry, crs: RecordedCrs) -> InputInfo {
     let header = reader.header();
+    let (mut scale, mut offset) = (header.scale, header.offset);
+    scale[2] *= geometry.units.height_factor;
+    offset[2] *= geometry.units.height_factor;
     let unknown = InputInfo::default();
     let interval_ns = geometry.sampling.map(|sampling| f64::from(sampling.spacing_ps) / 1000.0);
     // 16-bit samples often hold fewer bits; the full scale is then unknown.
@@ -568,8 +574,9 @@ fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry) -> In
         recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
         is_file_date: header.creation_year > 0,
         frame: Frame::Map,
-        crs_wkt: reader.wkt().or_else(|| geokeys::wkt(&reader.projection(GEO_KEYS)?.data)),
-        coordinate_grid: Some((header.scale, header.offset)),
+        crs_wkt: crs.wkt,
+        crs_problems: crs.problems,
+        coordinate_grid: Some((scale, offset)),
         emission_reference: match geometry.has_locations {
             true => EmissionReference::ReturnLocations,
             false => EmissionReference::Clock,

@@ -13,13 +13,14 @@ use super::bad_records::BrokenRun;
 use super::emission_choice::{self, Message, Smoothness};
 use super::line_splitter::{Lines, Sampling};
 use super::plausible;
+use super::recording::units::Units;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::keys::InvalidKey;
 use crate::scan_line::{Channel, Emission, EmissionReference, Kind, ScanLine, emission_flags};
 use crate::stage::{
     Config, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
 };
-use description::describe;
+use description::{describe, recorded_crs};
 use wavex_formats::pulsewaves::{Pulse, Reader, Segment, SegmentKind, TimeAxis, Waves};
 use wavex_geodesy::beam_length::BeamLength;
 
@@ -139,34 +140,33 @@ impl SourceConfig for ReadPulseWaves {
     }
 
     fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        let mut source = self.open(site)?;
+        let (mut source, declared) = self.open(site)?;
         source.reader.check_complete()?;
         source.choose_emission(self.emission);
-        self.declare(source, site)
+        Ok(Box::new(AsDeclared::new(source, declared)))
     }
 
     fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        let mut source = PulseWavesReader { with_samples, ..self.open(site)? };
+        let (mut source, declared) = self.open(site)?;
+        source.with_samples = with_samples;
         if with_samples {
             source.choose_emission(self.emission);
         }
-        self.declare(source, site)
+        Ok(Box::new(AsDeclared::new(source, declared)))
     }
 }
 
 impl ReadPulseWaves {
-    fn open(&self, site: &RunContext) -> Result<PulseWavesReader> {
-        let mut source = PulseWavesReader::open(&site.input, &site.stem, self.sampling())?;
+    fn open(&self, site: &RunContext) -> Result<(PulseWavesReader, Declared)> {
+        let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
+        let mut declared = Declared::new(times, crs, self.refractive_index_ppm, site)?;
+        let of_job = declared.crs_wkt.as_deref();
+        let mut source = PulseWavesReader::open(&site.input, &site.stem, self.sampling(), of_job)?;
         if self.recording_time.is_some() {
             source.time_shift_s = 0.0;
         }
-        Ok(source)
-    }
-
-    fn declare(&self, source: PulseWavesReader, site: &RunContext) -> Result<Box<dyn Source>> {
-        let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
-        let declared = Declared::new(times, crs, self.refractive_index_ppm, site)?;
-        Ok(Box::new(AsDeclared::new(source, declared)))
+        declared.crs_wkt = declared.crs_wkt.map(|wkt| source.units.converted(wkt));
+        Ok((source, declared))
     }
 }
 
@@ -180,6 +180,7 @@ struct PulseWavesReader {
     waves: Waves,
     lines: Lines,
     beams: BeamLength,
+    units: Units,
     receivers: Receivers,
     first_t: i64,
     /// The shot that begins the next line, and its sampling unit, ns.
@@ -236,19 +237,26 @@ const NO_HEIGHT_M: f64 = 50_000.0;
 const EARTH_M: std::ops::Range<f64> = 6.35e6..6.41e6;
 
 impl PulseWavesReader {
-    fn open(path: &Path, stem: &str, sampling: Sampling) -> Result<PulseWavesReader> {
+    fn open(
+        path: &Path,
+        stem: &str,
+        sampling: Sampling,
+        declared_crs: Option<&str>,
+    ) -> Result<PulseWavesReader> {
         let mut reader = Reader::open(path)?;
-        let (beams, metres_per_ns, around_earth) = look_at_beams(&mut reader)?;
+        let of_file = recorded_crs(&reader);
+        let units = Units::of(declared_crs.or(of_file.wkt.as_deref()));
+        let (beams, metres_per_ns, around_earth) = look_at_beams(&mut reader, units)?;
+        let crs = units.describe(of_file, declared_crs.is_some());
         let single = returning_channels(&reader).len() < 2;
-        let input = sampling.with(describe(&reader, path, stem, &beams, around_earth));
+        let input = sampling.with(describe(&reader, path, stem, &beams, (units, crs, around_earth)));
         if reader.pulse_count() > 0 {
             plausible::check_interval(
                 input.sampling_interval_ns,
                 "export the file again with its sample units in nanoseconds",
             )?;
-            plausible::check_beam_velocity(
+            plausible::check_velocity(
                 2e9 * metres_per_ns,
-                input.crs_wkt.as_deref(),
                 "the beams of the pulses",
                 "export the file again with targets 1000 sample units from their anchors, in the direction of the beam",
             )?;
@@ -268,6 +276,7 @@ impl PulseWavesReader {
             waves: Waves::new(),
             lines: Lines::new(input).marking_edges(),
             beams,
+            units,
             receivers: Receivers { single },
             first_t,
             last_seen: None,
@@ -327,7 +336,7 @@ impl PulseWavesReader {
 
     /// Reads the next pulse: its shot and its sampling unit, ns; `None` if it is unusable.
     fn shot(&mut self, cx: &mut Context) -> Result<Option<(Emission, f64)>> {
-        let pulse = self.reader.pulse(self.next_pulse)?;
+        let pulse = with_heights_in(self.reader.pulse(self.next_pulse)?, self.units);
         self.next_pulse += 1;
         let read = match self.with_samples {
             true => self.reader.waves(&pulse, &mut self.waves),
@@ -453,14 +462,21 @@ fn unit_ns(reader: &Reader, pulse: &Pulse) -> f64 {
     reader.descriptors().get(&pulse.descriptor).map_or(1.0, |descriptor| descriptor.sample_units_ns)
 }
 
+/// Converts the height of a pulse and of its vector to the unit of x and y.
+fn with_heights_in(mut pulse: Pulse, units: Units) -> Pulse {
+    pulse.anchor[2] *= units.height_factor;
+    pulse.step[2] *= units.height_factor;
+    pulse
+}
+
 /// Beam lengths, their median, m per ns, and whether all anchors are at the earth's radius from the origin.
-fn look_at_beams(reader: &mut Reader) -> Result<(BeamLength, f64, bool)> {
+fn look_at_beams(reader: &mut Reader, units: Units) -> Result<(BeamLength, f64, bool)> {
     let stride = (reader.pulse_count() / BEAMS_LOOKED_AT).max(1);
     let mut beams = Vec::new();
     let (mut projected, mut around_earth) = (true, reader.pulse_count() > 0);
     let mut index = 0;
     while index < reader.pulse_count() {
-        let pulse = reader.pulse(index)?;
+        let pulse = with_heights_in(reader.pulse(index)?, units);
         let unit_ns = unit_ns(reader, &pulse);
         projected &= pulse.anchor[2].abs() < NO_HEIGHT_M;
         let distance_m = pulse.anchor.iter().map(|x| x * x).sum::<f64>().sqrt();

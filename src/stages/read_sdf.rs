@@ -384,6 +384,7 @@ fn describe(
         recorded: times.recorded,
         frame: Frame::Scanner,
         crs_wkt: None,
+        crs_problems: Vec::new(),
         coordinate_grid: None,
         emission_reference: match ahead.iter().any(has_outgoing_pulse) {
             true => EmissionReference::OutgoingPulse,

@@ -14,6 +14,7 @@ use crate::stage::{Context, Item, LineLocation, Result, RunContext, Source, Stag
 use wavex_geodesy::time::WEEK_S;
 
 pub(super) mod time;
+pub(super) mod units;
 
 use time::{Axis, Scale, Times};
 
@@ -353,6 +354,7 @@ impl<S: Source> AsDeclared<S> {
     /// The output coordinate reference system.
     fn crs(&self, first: &ScanLine, cx: &mut Context) -> Result<Option<String>> {
         let of_file = &first.input.crs_wkt;
+        first.input.crs_problems.iter().for_each(|problem| cx.warn(problem.clone()));
         let Some(declared) = &self.declared.crs_wkt else { return Ok(of_file.clone()) };
         let frame = match first.input.frame {
             Frame::Map => None,

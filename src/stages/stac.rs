@@ -22,6 +22,18 @@ const PROJECTION: &str = "https://stac-extensions.github.io/projection/v2.0.0/sc
 pub(crate) const NO_DATE: &str = "no STAC item is written, because the points have no date; set it with the \
      reader's key `gps_date`, or the time scale with `recording_time`";
 
+/// Message for points whose system an item cannot name.
+pub(crate) const NO_SYSTEM: &str = "the STAC item names no coordinate reference system (`proj:code` is null), because the system \
+     of the points has no valid EPSG code and cannot be read, or has an unsupported datum or projection";
+
+/// Whether an item can name the system of the points; true without one.
+pub(crate) fn names_system(wkt: Option<&str>) -> bool {
+    wkt.is_none_or(|wkt| {
+        let has_code = || Outline::new(wkt, [0.0; 3], [0.0; 3]).is_some_and(|outline| outline.epsg.is_some());
+        projjson_of_wkt(wkt).is_some() || has_code()
+    })
+}
+
 /// Points that an item describes.
 pub(crate) struct Points<'a> {
     /// Header and records of the file.

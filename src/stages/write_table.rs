@@ -11,6 +11,7 @@ use crate::scan_line::{InputInfo, Kind, ScanLine, TimeScale};
 use crate::stage::{
     self, Context, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };
+use wavex_geodesy::crs::projjson_of_wkt;
 
 mod columns;
 mod geo;
@@ -129,6 +130,11 @@ enum State {
     Failed,
 }
 
+/// Warning for a system that GeoParquet cannot store.
+const NO_SYSTEM: &str = "the coordinate reference system of the points cannot be written as PROJJSON (only transverse Mercator \
+     and Lambert projections and geographic systems can): `crs` of the GeoParquet metadata is null, and the WKT is in \
+     `wavex.crs`";
+
 impl ReturnTableWriter {
     /// The table, started with what the first line has.
     fn writer(
@@ -161,6 +167,11 @@ impl Sink for ReturnTableWriter {
             ));
         };
         let crs_wkt = line.input.crs_wkt.as_deref();
+        let is_parquet = matches!(self.format, Format::Parquet) && line.points().is_some();
+        let is_begun = !matches!(self.state, State::Waiting(_));
+        if is_parquet && !is_begun && crs_wkt.is_some_and(|wkt| projjson_of_wkt(wkt).is_none()) {
+            cx.warn(NO_SYSTEM);
+        }
         let writer = self.writer(line.input.time_scale, crs_wkt, line.points().is_some())?;
         let mut rows = 0;
         for row in rows_of(line) {

@@ -2,7 +2,7 @@
 
 mod from_wkt;
 
-use wavex_geodesy::crs::{GeoKeys, geotiff_keys_of_wkt, wkt_of_epsg};
+use wavex_geodesy::crs::{GeoKeys, geotiff_keys_of_wkt};
 
 use from_wkt::directory_of_wkt;
 
@@ -67,11 +67,6 @@ fn value(directory: &[u8], key: u16) -> Option<u16> {
     entries.find(|entry| entry[0] == key && entry[1] == 0).map(|entry| entry[3])
 }
 
-/// Returns the CRS of a GeoTIFF key directory as WKT 1.
-pub fn wkt(directory: &[u8]) -> Option<String> {
-    wkt_of_epsg(epsg(directory)?)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -86,7 +81,6 @@ mod tests {
         let utm =
             directory(&[[1024, 0, 1, 1], [1026, 34737, 18, 0], [3072, 0, 1, 32633], [3076, 0, 1, 9001]]);
         assert_eq!(epsg(&utm), Some(32633));
-        assert!(wkt(&utm).unwrap().starts_with("PROJCS[\"WGS 84 / UTM zone 33N\""));
     }
 
     #[test]

@@ -44,11 +44,13 @@ pub mod geotiff;
 pub mod las;
 pub mod lookup_tables;
 pub mod pulsewaves;
+mod recorded_crs;
 pub mod sdf;
 pub mod terrain;
 pub mod trajectory;
 mod unsupported;
 
+pub use recorded_crs::RecordedCrs;
 pub use unsupported::unsupported;
 
 /// Error of a file that cannot be read or written.

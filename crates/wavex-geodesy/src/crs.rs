@@ -18,6 +18,7 @@ mod outline;
 mod proj;
 mod projection;
 mod projjson;
+mod records;
 mod unit;
 mod wkt;
 
@@ -30,12 +31,13 @@ use super::geoid::Geoid;
 use definition::{Definition, ProjectionMethod};
 pub use epsg_table::wkt_of_epsg;
 pub use error::CrsError;
-pub use geotiff::{GeoKeys, geotiff_keys_of_wkt};
+pub use geotiff::{GeoKeys, geotiff_keys_of_wkt, system_of_geotiff_keys};
 pub use named::Named;
 use named::utm_zone_at;
 pub use outline::Outline;
 use projection::Projection;
 pub use projjson::projjson_of_wkt;
+pub use records::{RecordedSystem, are_contradictory, system_of_wkt, units_of_wkt, with_heights_in_map_unit};
 pub use unit::Unit;
 
 /// Number of positions processed together: their intermediate values fit into registers and the

@@ -35,21 +35,23 @@ impl Places {
         let mut spacing_m = Vec::with_capacity(returns.len());
         let mut height_m = Vec::with_capacity(returns.len());
         let unknown = Emission::default();
+        let unit_m = scan_line.input.map_unit_m();
         for r in returns {
             let emission = emissions.get(r.emission as usize).unwrap_or(&unknown);
-            let reach_m = r.range_m * emission.frame_scale;
-            let position_m: [f64; 3] =
-                std::array::from_fn(|axis| emission.origin_m[axis] + emission.direction[axis] * reach_m);
+            let reach = r.range_m * emission.frame_scale;
+            let position_m: [f64; 3] = std::array::from_fn(|axis| {
+                unit_m * (emission.origin_m[axis] + emission.direction[axis] * reach)
+            });
             points.push(LinePoint { position_m, waveform: r.emission });
             let apart_m = match scan_line.input.origin_is_sensor {
-                true => reach_m.abs() * turn(emissions, r.emission as usize),
-                false => to_next_beam_m(emissions, r.emission as usize, position_m),
+                true => unit_m * reach.abs() * turn(emissions, r.emission as usize),
+                false => to_next_beam_m(emissions, r.emission as usize, position_m, unit_m),
             };
             spacing_m.push(apart_m as f32);
             height_m.push(-dot(position_m, down));
         }
         let along = along(emissions, down);
-        let middle_m = emissions.get(emissions.len() / 2).map(|middle| middle.origin_m);
+        let middle_m = emissions.get(emissions.len() / 2).map(|middle| middle.origin_m.map(|x| unit_m * x));
         Places { line: PointLine::new(points, along), spacing_m, height_m, middle_m }
     }
 
@@ -83,10 +85,11 @@ fn turn(emissions: &[Emission], shot: usize) -> f64 {
 /// Distance of a point from the next shot's beam, m.
 ///
 /// For the last shot, from that of the previous one.
-fn to_next_beam_m(emissions: &[Emission], shot: usize, position_m: [f64; 3]) -> f64 {
+fn to_next_beam_m(emissions: &[Emission], shot: usize, position_m: [f64; 3], unit_m: f64) -> f64 {
     let next = emissions.get(shot + 1).or_else(|| emissions.get(shot.checked_sub(1)?));
     next.map_or(0.0, |next| {
-        let from_origin: [f64; 3] = std::array::from_fn(|axis| position_m[axis] - next.origin_m[axis]);
+        let from_origin: [f64; 3] =
+            std::array::from_fn(|axis| position_m[axis] - unit_m * next.origin_m[axis]);
         let along = dot(from_origin, next.direction);
         (dot(from_origin, from_origin) - along * along).max(0.0).sqrt()
     })

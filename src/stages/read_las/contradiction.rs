@@ -31,7 +31,7 @@ pub(crate) fn location_check() -> Check {
 }
 
 /// Refuses vectors and sampling intervals that contradict physics.
-pub(super) fn check_beams(geometry: &Geometry, crs_wkt: Option<&str>) -> Result<()> {
+pub(super) fn check_beams(geometry: &Geometry) -> Result<()> {
     if let Some(sampling) = geometry.sampling {
         let interval_ns = f64::from(sampling.spacing_ps) / 1000.0;
         plausible::check_interval(
@@ -39,9 +39,8 @@ pub(super) fn check_beams(geometry: &Geometry, crs_wkt: Option<&str>) -> Result<
             "export the file again with the temporal sample spacing in picoseconds",
         )?;
     }
-    plausible::check_beam_velocity(
+    plausible::check_velocity(
         geometry.group_velocity_mps,
-        crs_wkt,
         "the direction vectors of the points",
         "export the vectors in metres per picosecond of one-way path, or set `beam_vectors = \"direction\"` of \
          the reader to use only their directions",

@@ -2,6 +2,7 @@
 
 use super::BeamVectors;
 use crate::stage::Result;
+use crate::stages::recording::units::Units;
 use wavex_formats::las::{Descriptor, MAX_COORDINATE, Point, Reader, Wave};
 use wavex_geodesy::beam_length::BeamLength;
 
@@ -12,6 +13,7 @@ pub(super) struct Geometry {
     /// True if direction vectors point up to the sensor; files differ in this.
     towards_sensor: bool,
     vectors: BeamVectors,
+    pub(super) units: Units,
     pub(super) has_locations: bool,
     /// Descriptor of the first readable waveform.
     pub(super) sampling: Option<Descriptor>,
@@ -24,13 +26,14 @@ const POINTS_LOOKED_AT: usize = 10_000;
 
 impl Geometry {
     /// Determines beam geometry from the first points of a file.
-    pub(super) fn learn(reader: &mut Reader, of_file: BeamVectors) -> Result<Geometry> {
+    pub(super) fn learn(reader: &mut Reader, of_file: BeamVectors, units: Units) -> Result<Geometry> {
         let mut vectors: Vec<[f64; 3]> = Vec::new();
         let (mut has_locations, mut sampling) = (false, None);
         let mut point = Point::default();
         while vectors.len() < POINTS_LOOKED_AT && reader.next_point(&mut point)? {
             if point.wave.descriptor != 0 && is_usable(&point) {
-                vectors.push(per_ns(&point.wave, of_file));
+                convert_heights(&mut point, units);
+                vectors.push(per_ns(&point.wave, of_file, units));
                 has_locations |= point.wave.location_ps != 0.0;
                 sampling = sampling.or_else(|| reader.descriptor(&point.wave).ok().copied());
             }
@@ -41,24 +44,40 @@ impl Geometry {
         let mut lengths: Vec<f64> = vectors.iter().map(|vector| beams.of(*vector)).collect();
         lengths.sort_by(f64::total_cmp);
         let median = lengths.get(lengths.len() / 2).copied();
-        let metres_per_ns = beams.vertical().or(median).unwrap_or(METRES_PER_NS);
-        let group_velocity_mps = metres_per_ns * 2e9;
-        Ok(Geometry { beams, group_velocity_mps, towards_sensor, vectors: of_file, has_locations, sampling })
+        let units_per_ns = beams.vertical().or(median).unwrap_or(METRES_PER_NS / units.map_m);
+        let group_velocity_mps = units_per_ns * units.map_m * 2e9;
+        Ok(Geometry {
+            beams,
+            group_velocity_mps,
+            towards_sensor,
+            vectors: of_file,
+            units,
+            has_locations,
+            sampling,
+        })
     }
 
-    /// Displacement down the beam per nanosecond, m.
+    /// Displacement down the beam per nanosecond, in units of x and y.
     pub(super) fn beam(&self, wave: &Wave) -> [f64; 3] {
         let sign = if self.towards_sensor { -1.0 } else { 1.0 };
-        per_ns(wave, self.vectors).map(|x| sign * x)
+        per_ns(wave, self.vectors, self.units).map(|x| sign * x)
     }
 }
 
-/// Vector of a waveform per nanosecond.
-fn per_ns(wave: &Wave, vectors: BeamVectors) -> [f64; 3] {
+/// Converts the height of a point and of its vector to the unit of x and y.
+pub(super) fn convert_heights(point: &mut Point, units: Units) {
+    point.z *= units.height_factor;
+    point.wave.direction_per_ps[2] *= units.height_factor as f32;
+}
+
+/// Vector of a waveform per nanosecond, in units of x and y.
+fn per_ns(wave: &Wave, vectors: BeamVectors, units: Units) -> [f64; 3] {
     let stored = wave.direction_per_ps.map(|x| 1000.0 * f64::from(x));
     let scale = match vectors {
         BeamVectors::Stored => 1.0,
-        BeamVectors::Direction => METRES_PER_NS / stored.iter().map(|x| x * x).sum::<f64>().sqrt(),
+        BeamVectors::Direction => {
+            METRES_PER_NS / units.map_m / stored.iter().map(|x| x * x).sum::<f64>().sqrt()
+        }
     };
     stored.map(|x| scale * x)
 }
@@ -66,7 +85,7 @@ fn per_ns(wave: &Wave, vectors: BeamVectors) -> [f64; 3] {
 /// Typical time over which writers compute a beam vector, ns; sets the effect of its rounding.
 const LEARN_BASELINE_NS: f64 = 1000.0;
 
-/// Position of the first sample of a waveform, m: mean over its points.
+/// Position of the first sample of a waveform: mean over its points.
 ///
 /// Sample `i` lies at `P + (location − i × spacing) × vector` (LAS 1.4 R15, "Parametric dx, dy,
 /// dz").

@@ -3,9 +3,11 @@
 use std::path::Path;
 
 use crate::scan_line::{AmplitudeTable, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
-use wavex_formats::geokeys;
+use crate::stages::recording::units::Units;
 use wavex_formats::pulsewaves::{Reader, SegmentKind, TimeAxis};
+use wavex_formats::{RecordedCrs, geokeys};
 use wavex_geodesy::beam_length::BeamLength;
+use wavex_geodesy::crs::GeoKeys;
 
 /// Metadata of a recording from its header and records.
 pub(super) fn describe(
@@ -13,7 +15,7 @@ pub(super) fn describe(
     path: &Path,
     stem: &str,
     beams: &BeamLength,
-    around_earth: bool,
+    (units, crs, around_earth): (Units, RecordedCrs, bool),
 ) -> InputInfo {
     let header = reader.header();
     let scanner = reader.scanners().values().next();
@@ -26,12 +28,11 @@ pub(super) fn describe(
             (true, true) => EmissionReference::OutgoingPulse,
             (true, false) => EmissionReference::OutgoingPulseFraction,
         };
-    let (keys, wkt) = (reader.crs().geo_keys.as_deref(), &reader.crs().wkt);
     // RIEGL's own export names WGS 84 but stores geocentric coordinates.
-    let is_geocentric = around_earth
-        || keys.is_some_and(geokeys::is_geocentric)
-        || wkt.as_ref().is_some_and(|wkt| wkt.trim_start().starts_with("GEOCCS"));
-    let wkt = || wkt.clone().or_else(|| geokeys::wkt(keys?));
+    let is_geocentric = around_earth || is_geocentric(reader);
+    let (mut scale, mut offset) = (header.scale, header.offset);
+    scale[2] *= units.height_factor;
+    offset[2] *= units.height_factor;
     let bits = samplings().map(|sampling| sampling.bits_per_sample).max();
     InputInfo {
         full_scale_is_set: false,
@@ -44,7 +45,7 @@ pub(super) fn describe(
         sampling_interval_ns: samplings().map(|s| s.sample_units_ns).find(|ns| *ns > 0.0).unwrap_or(1.0),
         full_scale_dn: (bits == Some(8)).then_some(255),
         gain_control: GainControl::Off,
-        group_velocity_mps: beams.vertical().map_or(GROUP_VELOCITY_MPS, |metres_per_ns| metres_per_ns * 2e9),
+        group_velocity_mps: beams.vertical().map_or(GROUP_VELOCITY_MPS, |per_ns| per_ns * units.map_m * 2e9),
         pulse_rate_hz: scanner.map(|s| s.pulse_frequency_khz * 1e3).filter(|hz| *hz > 0.0),
         time_scale: match header.time_axis() {
             TimeAxis::WeekSeconds => TimeScale::Week,
@@ -56,8 +57,9 @@ pub(super) fn describe(
         recorded: (header.creation_year > 0).then_some((header.creation_day, header.creation_year)),
         is_file_date: header.creation_year > 0,
         frame: if is_geocentric { Frame::Earth } else { Frame::Map },
-        crs_wkt: wkt().filter(|_| !is_geocentric),
-        coordinate_grid: Some((header.scale, header.offset)),
+        crs_wkt: crs.wkt.filter(|_| !is_geocentric),
+        crs_problems: if is_geocentric { Vec::new() } else { crs.problems },
+        coordinate_grid: Some((scale, offset)),
         emission_reference,
         clock_sd_ns: None,
         emission_choice_sd_ns: 0.0,
@@ -68,6 +70,28 @@ pub(super) fn describe(
         range_low: None,
         range_high: None,
     }
+}
+
+/// Whether the records of a file name geocentric coordinates.
+fn is_geocentric(reader: &Reader) -> bool {
+    let crs = reader.crs();
+    crs.geo_keys.as_deref().is_some_and(geokeys::is_geocentric)
+        || crs.wkt.as_ref().is_some_and(|wkt| wkt.trim_start().starts_with("GEOCCS"))
+}
+
+/// Coordinate reference system of a projected or geographic recording.
+pub(super) fn recorded_crs(reader: &Reader) -> RecordedCrs {
+    if is_geocentric(reader) {
+        return RecordedCrs::default();
+    }
+    let (crs, header) = (reader.crs(), reader.header());
+    let keys = crs.geo_keys.clone().map(|directory| GeoKeys {
+        directory,
+        doubles: crs.geo_doubles.clone().unwrap_or_default(),
+        ascii: crs.geo_ascii.clone().unwrap_or_default(),
+    });
+    let centre = std::array::from_fn(|axis| f64::midpoint(header.min[axis], header.max[axis]));
+    RecordedCrs::new(crs.wkt.as_deref(), keys.as_ref(), false, centre)
 }
 
 /// Whether pulse anchors are at the optical centre.

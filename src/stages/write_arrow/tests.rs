@@ -110,6 +110,7 @@ prop_compose! {
             is_file_date: may_be_file_date && recorded.is_some(),
             time_scale_is_inferred: false,
             frame: Frame::Scanner,
+            crs_problems: Vec::new(),
             crs_wkt: None,
             coordinate_grid: None,
             emission_reference,

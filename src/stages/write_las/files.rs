@@ -70,6 +70,8 @@ fn finish_item(item: StacFile, points: &FinishedFile, cx: &mut Context) -> Resul
     let finished = stac::finish(item.file, &points)?;
     if finished.is_none() {
         cx.warn(stac::NO_DATE);
+    } else if !stac::names_system(item.wkt.as_deref()) {
+        cx.warn(stac::NO_SYSTEM);
     }
     Ok(finished)
 }

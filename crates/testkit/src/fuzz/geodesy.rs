@@ -2,7 +2,10 @@
 
 use wavex_formats::terrain::Terrain;
 use wavex_formats::{geoid, geokeys};
-use wavex_geodesy::crs::{Crs, Named, Outline, geotiff_keys_of_wkt, projjson_of_wkt};
+use wavex_geodesy::crs::{
+    Crs, GeoKeys, Named, Outline, RecordedSystem, geotiff_keys_of_wkt, projjson_of_wkt,
+    system_of_geotiff_keys,
+};
 use wavex_geodesy::ellipsoid::Geodetic;
 
 use super::Files;
@@ -82,7 +85,8 @@ pub fn wkt(bytes: &[u8]) {
 pub fn geokeys(bytes: &[u8]) {
     let epsg = geokeys::epsg(bytes);
     let _ = (geokeys::is_geocentric(bytes), geokeys::is_point_raster(bytes));
-    let Some(wkt) = geokeys::wkt(bytes) else { return };
+    let keys = GeoKeys { directory: bytes.to_vec(), doubles: bytes.to_vec(), ascii: bytes.to_vec() };
+    let Ok(Some(RecordedSystem { wkt, .. })) = system_of_geotiff_keys(&keys) else { return };
     if let Some(keys) = geokeys::from_wkt(&wkt) {
         assert_eq!(keys.directory.len() % 8, 0);
         // A deprecated code has the text of the system that replaces it, without its own code.

@@ -19,7 +19,7 @@ pub fn las(bytes: &[u8]) {
     let path = place.path("a.las");
     let described = Description::read(&mut Cursor::new(parts[0]), &path, parts[0].len() as u64);
     if let Ok(description) = &described {
-        let _ = (description.extra_bytes(&path), description.wkt());
+        let _ = (description.extra_bytes(&path), description.crs());
         let _ = description.header.gps_time();
     }
     let mut n_raw = 0;
@@ -35,7 +35,7 @@ pub fn las(bytes: &[u8]) {
         }
     }
     let Ok(mut reader) = Reader::open(&path) else { return };
-    let _ = (reader.wkt(), reader.has_different_gains(), reader.projection(34735));
+    let _ = (reader.crs(), reader.has_different_gains(), reader.projection(34735));
     let n_extra = reader.extra_bytes_descriptors().len();
     assert!(n_extra <= usize::from(u16::MAX));
     let (mut point, mut samples) = (Point::default(), Vec::new());

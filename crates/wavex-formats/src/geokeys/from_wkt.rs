@@ -115,8 +115,9 @@ fn node(text: &str) -> Option<(WktNode<'_>, &str)> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{epsg, value, wkt_of_epsg};
+    use super::super::{epsg, value};
     use super::*;
+    use wavex_geodesy::crs::wkt_of_epsg;
 
     #[test]
     fn codes_of_a_map_become_keys_in_order() {

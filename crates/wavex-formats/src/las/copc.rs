@@ -61,6 +61,8 @@ pub struct CopcSummary {
     pub is_without_waveforms: bool,
     /// Smallest and largest finite time of the points, as stored, s; both 0 without any.
     pub times_s: [f64; 2],
+    /// Problems of the source's records of its coordinate reference system; for messages.
+    pub crs_problems: Vec<String>,
 }
 
 /// Memory limits.
@@ -113,6 +115,7 @@ fn write_within(
     }
     let metadata = Metadata::new(source, &header, (points.vlrs(), &records), &extent)?;
     drop(points);
+    let crs_problems = metadata.crs_problems.clone();
     let mut writer = CopcWriter::new(sink, path, &records, metadata)?;
     let mut octree = Octree::new(limits.leaf_points);
     let mut done = |node: Node| writer.write_node(&node);
@@ -125,7 +128,7 @@ fn write_within(
     writer.finish(&cube)?;
     let is_without_waveforms = records.format != header.point_format;
     let (n_points, times_s) = (extent.totals.points, extent.times);
-    Ok(CopcSummary { n_points, n_nodes, n_levels, is_without_waveforms, times_s })
+    Ok(CopcSummary { n_points, n_nodes, n_levels, is_without_waveforms, times_s, crs_problems })
 }
 
 /// Sums over all points, for the header and the `copc` record.

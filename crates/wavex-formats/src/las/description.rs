@@ -5,8 +5,8 @@ use std::path::Path;
 
 use super::extra_bytes::{self, ExtraBytes};
 use super::header::Header;
-use super::vlr::{self, PROJECTION, SPEC, Vlr};
-use crate::{Result, geokeys};
+use super::vlr::{self, SPEC, Vlr};
+use crate::{RecordedCrs, Result};
 
 /// Header and records of a LAS, LAZ or COPC file.
 #[derive(Debug, Clone)]
@@ -38,12 +38,8 @@ impl Description {
         record.map_or(Ok(Vec::new()), |record| extra_bytes::parse(path, record))
     }
 
-    /// Returns the coordinate system as WKT, from WKT or from the EPSG code of GeoTIFF keys.
-    pub fn wkt(&self) -> Option<String> {
-        let record = |id| self.vlrs.iter().find(|vlr| vlr.is(PROJECTION, id));
-        match record(vlr::WKT) {
-            Some(wkt) => Some(wkt.text()),
-            None => geokeys::wkt(&record(vlr::GEO_KEYS)?.data),
-        }
+    /// Returns the coordinate reference system, and what is wrong with its records.
+    pub fn crs(&self) -> RecordedCrs {
+        vlr::recorded_crs(&self.header, self.vlrs.iter())
     }
 }

@@ -12,7 +12,7 @@ use super::packets::{self, Packets};
 use super::point::{Layout, Point, Wave};
 use super::records::RecordReader;
 use super::vlr::{self, PROJECTION, SPEC, Vlr};
-use crate::{Error, Result, regular_file};
+use crate::{Error, RecordedCrs, Result, regular_file};
 
 /// Full-waveform LAS or LAZ file.
 ///
@@ -112,9 +112,9 @@ impl Reader {
         &self.evlrs
     }
 
-    /// Returns the coordinate system as WKT, if present.
-    pub fn wkt(&self) -> Option<String> {
-        self.projection(vlr::WKT).map(Vlr::text)
+    /// Returns the coordinate reference system, and what is wrong with its records.
+    pub fn crs(&self) -> RecordedCrs {
+        vlr::recorded_crs(&self.header, self.vlrs.iter().chain(&self.evlrs))
     }
 
     /// Returns a record of `LASF_Projection`.

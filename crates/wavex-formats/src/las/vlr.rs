@@ -6,9 +6,11 @@
 use std::io::{BufRead, Read, Seek, SeekFrom};
 use std::path::Path;
 
+use wavex_geodesy::crs::GeoKeys;
+
 use super::header::Header;
 use crate::bytes::{Fields, text};
-use crate::{Error, Result};
+use crate::{Error, RecordedCrs, Result};
 
 /// Length of a VLR header, bytes.
 pub(super) const VLR_HEADER: u64 = 54;
@@ -108,6 +110,28 @@ impl Vlr {
         let end = self.data.iter().position(|&byte| byte == 0).unwrap_or(self.data.len());
         String::from_utf8_lossy(&self.data[..end]).into_owned()
     }
+}
+
+/// Returns the coordinate reference system of a file's records.
+///
+/// GeoTIFF keys are preferred only by files of LAS 1.4 on in point formats 0 to 5 without the WKT bit
+/// (LAS 1.4 R15, "Global Encoding").
+pub(super) fn recorded_crs<'a>(
+    header: &Header,
+    records: impl Iterator<Item = &'a Vlr> + Clone,
+) -> RecordedCrs {
+    let of = |id| records.clone().filter(move |vlr| vlr.is(PROJECTION, id));
+    let texts = || of(WKT).map(Vlr::text);
+    let wkt = texts().find(|text| !text.trim().is_empty()).or_else(|| texts().next());
+    let data = |id| of(id).next().map(|vlr| vlr.data.clone());
+    let keys = data(GEO_KEYS).map(|directory| GeoKeys {
+        directory,
+        doubles: data(GEO_DOUBLES).unwrap_or_default(),
+        ascii: data(GEO_ASCII).unwrap_or_default(),
+    });
+    let prefers_keys = header.version >= (1, 4) && !header.says_wkt() && header.point_format <= 5;
+    let centre = std::array::from_fn(|axis| f64::midpoint(header.min[axis], header.max[axis]));
+    RecordedCrs::new(wkt.as_deref(), keys.as_ref(), prefers_keys, centre)
 }
 
 /// Reads the VLRs between the header and the points.

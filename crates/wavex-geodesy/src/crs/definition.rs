@@ -5,7 +5,7 @@
 //! vertical part are taken from the text itself.
 
 use super::wkt::WktNode;
-use super::{CrsError, Unit, methods, wkt_of_epsg};
+use super::{CrsError, Unit, methods, records, wkt_of_epsg};
 use crate::ellipsoid::{Ellipsoid, GRS80, WGS84};
 use crate::lambert::LambertParameters;
 use crate::transverse_mercator::TransverseMercatorParameters;
@@ -50,7 +50,7 @@ pub(super) const GEOCENTRIC: [&str; 1] = ["GEOCCS"];
 pub(super) const VERTICAL: [&str; 4] = ["VERT_CS", "VERTCS", "VERTCRS", "VERTICALCRS"];
 pub(super) const DATUM: [&str; 4] = ["DATUM", "GEODETICDATUM", "TRF", "ENSEMBLE"];
 pub(super) const ELLIPSOID: [&str; 2] = ["SPHEROID", "ELLIPSOID"];
-const LENGTH_UNIT: [&str; 2] = ["UNIT", "LENGTHUNIT"];
+pub(super) const LENGTH_UNIT: [&str; 2] = ["UNIT", "LENGTHUNIT"];
 
 /// Datums on the WGS 84 or GRS 80 ellipsoid that are nevertheless metres away from WGS 84.
 ///
@@ -86,6 +86,7 @@ impl Definition {
         let mut horizontal = horizontal.clone();
         // A zero shift has no meaning, and prevents other programs from recognising the CRS.
         horizontal.remove(&|node| node.keyword == "TOWGS84" && is_null_shift(node));
+        correct_angular_unit(&mut horizontal);
         let vertical = tree.find(&VERTICAL).cloned();
         let title = horizontal.name().unwrap_or("an unnamed system").to_string();
         // A compound CRS has its own code; the horizontal part keeps its code.
@@ -103,7 +104,9 @@ impl Definition {
         };
         methods::check(&proj, &horizontal)?;
         let method = proj.method(ellipsoid)?;
-        Ok(Definition { epsg: own, method, ellipsoid, unit, horizontal, vertical, name })
+        let found = Definition { epsg: own, method, ellipsoid, unit, horizontal, vertical, name };
+        let is_wrong = epsg.is_none() && own.is_some_and(|code| records::is_other_than(&found, code));
+        Ok(Definition { epsg: own.filter(|_| !is_wrong), ..found })
     }
 }
 
@@ -120,6 +123,18 @@ pub(super) fn of_proj(words: &str) -> Option<Definition> {
     let vertical = tree.find(&VERTICAL).cloned();
     let method = ProjectionMethod::Foreign(words.into());
     Some(Definition { name, epsg, method, ellipsoid: WGS84, unit, horizontal, vertical })
+}
+
+/// Replaces metres as the unit of angles, which some programs write, by degrees.
+fn correct_angular_unit(node: &mut WktNode) {
+    let is_geographic = node.keyword == "GEOGCS";
+    for part in node.nodes_mut() {
+        if is_geographic && part.keyword == "UNIT" && part.value(1) == Some(1.0) {
+            *part = WktNode::named("UNIT", "degree").bare("0.0174532925199433").authority(Some(9122));
+        } else {
+            correct_angular_unit(part);
+        }
+    }
 }
 
 /// The embedded PROJ string, if any.
@@ -323,10 +338,12 @@ impl Definition {
     pub(super) fn vertical_name(&self) -> Option<String> {
         let vertical = self.vertical.as_ref()?;
         let datum = vertical.child(&["VERT_DATUM", "VDATUM", "VERTICALDATUM"]);
-        let above_ellipsoid = datum.is_some_and(|datum| {
-            datum.value(1) == Some(ELLIPSOIDAL)
-                || datum.name().is_some_and(|name| name.to_lowercase().starts_with("ellipsoid"))
-        });
+        // ESRI gives heights above the ellipsoid the datum of the ellipsoid.
+        let above_ellipsoid = vertical.child(&["DATUM"]).is_some()
+            || datum.is_some_and(|datum| {
+                datum.value(1) == Some(ELLIPSOIDAL)
+                    || datum.name().is_some_and(|name| name.to_lowercase().starts_with("ellipsoid"))
+            });
         (!above_ellipsoid).then(|| vertical.name().unwrap_or("of an unnamed system").to_string())
     }
 

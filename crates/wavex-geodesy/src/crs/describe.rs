@@ -12,11 +12,14 @@ pub(super) fn wkt(crs: &Crs) -> String {
     let horizontal = horizontal(&crs.definition, &crs.unit);
     match vertical(crs) {
         None => horizontal.to_string(),
-        Some(vertical) => {
-            let names = [&horizontal, &vertical].map(|part| part.name().unwrap_or_default().to_string());
-            WktNode::named("COMPD_CS", &names.join(" + ")).with(horizontal).with(vertical).to_string()
-        }
+        Some(vertical) => compound(horizontal, vertical).to_string(),
     }
+}
+
+/// A compound CRS with the names of its parts.
+pub(super) fn compound(horizontal: WktNode, vertical: WktNode) -> WktNode {
+    let names = [&horizontal, &vertical].map(|part| part.name().unwrap_or_default().to_string());
+    WktNode::named("COMPD_CS", &names.join(" + ")).with(horizontal).with(vertical)
 }
 
 /// Horizontal part: the source text if it is WKT 1 or ESRI WKT, with the unit replaced if
@@ -32,7 +35,7 @@ fn horizontal(definition: &Definition, unit: &Unit) -> WktNode {
 }
 
 /// A projected or earth-centred WKT 1 CRS in another unit; it loses its EPSG code.
-fn in_unit(source: &WktNode, from: &Unit, to: &Unit) -> WktNode {
+pub(super) fn in_unit(source: &WktNode, from: &Unit, to: &Unit) -> WktNode {
     let mut node = source.clone();
     let name = format!("{} ({})", source.name().unwrap_or_default(), to.name);
     if let Some(first) = node.values.first_mut() {
@@ -211,26 +214,64 @@ const ELLIPSOIDAL: f64 = 2002.0;
 /// Vertical part; `None` for ellipsoidal heights in metres and for earth-centred coordinates.
 fn vertical(crs: &Crs) -> Option<WktNode> {
     let unit = &crs.height_unit;
-    let part = |name: &str, datum: WktNode, code: Option<u32>| {
-        let up = WktNode::named("AXIS", "Up").bare("UP");
-        WktNode::named("VERT_CS", name).with(datum).with(unit.wkt()).with(up).authority(code)
-    };
     let Some(geoid) = &crs.geoid else {
         let needed = !crs.is_ecef() && !unit.is_as_long_as(&Unit::metre());
-        let datum = WktNode::named("VERT_DATUM", "Ellipsoid").number(ELLIPSOIDAL);
-        return needed.then(|| part("Ellipsoidal height", datum, None));
+        return needed.then(|| ellipsoidal(unit));
     };
-    let datum = |name: &str, code| WktNode::named("VERT_DATUM", name).number(GEOID_MODEL).authority(code);
     if let (Some(name), Some(own)) = (crs.definition.vertical_name(), &crs.definition.vertical) {
         let source = own.child(&["VERT_DATUM", "VDATUM", "VERTICALDATUM"]);
         let same = crs.definition.vertical_unit().is_some_and(|own| own.is_as_long_as(unit));
-        let of = datum(source.and_then(WktNode::name).unwrap_or(&name), source.and_then(WktNode::epsg));
-        return Some(part(&name, of, own.epsg().filter(|_| same)));
+        let of =
+            vertical_datum(source.and_then(WktNode::name).unwrap_or(&name), source.and_then(WktNode::epsg));
+        return Some(part(&name, of, unit, own.epsg().filter(|_| same)));
     }
     Some(match known(geoid.name()) {
-        Some(known) => part(known.name, datum(known.datum, Some(known.datum_code)), known.code(unit)),
-        None => part(&format!("{} height", geoid.name()), datum(geoid.name(), None), None),
+        Some(known) => known.part(unit),
+        None => part(&format!("{} height", geoid.name()), vertical_datum(geoid.name(), None), unit, None),
     })
+}
+
+fn part(name: &str, datum: WktNode, unit: &Unit, code: Option<u32>) -> WktNode {
+    let up = WktNode::named("AXIS", "Up").bare("UP");
+    WktNode::named("VERT_CS", name).with(datum).with(unit.wkt()).with(up).authority(code)
+}
+
+fn vertical_datum(name: &str, code: Option<u32>) -> WktNode {
+    WktNode::named("VERT_DATUM", name).number(GEOID_MODEL).authority(code)
+}
+
+/// Vertical part of heights above the ellipsoid.
+pub(super) fn ellipsoidal(unit: &Unit) -> WktNode {
+    let datum = WktNode::named("VERT_DATUM", "Ellipsoid").number(ELLIPSOIDAL);
+    part("Ellipsoidal height", datum, unit, None)
+}
+
+/// Vertical part of an EPSG code, of its system or its datum, or of a title alone.
+///
+/// Heights are in `unit`, or in the unit of the code, or in that of the map.
+pub(super) fn vertical_of_epsg(
+    code: Option<u16>,
+    title: Option<&str>,
+    unit: Option<Unit>,
+    map: &Unit,
+) -> WktNode {
+    let code = code.map(u32::from);
+    let known = code.and_then(|code| {
+        let own = |vertical: &Vertical| {
+            let units = [Unit::metre(), Unit::foot(), Unit::us_survey_foot()];
+            units.into_iter().find(|unit| vertical.code(unit) == Some(code))
+        };
+        let is_of = |vertical: &&Vertical| vertical.datum_code == code || own(vertical).is_some();
+        VERTICALS.iter().find(is_of).map(|vertical| (vertical, own(vertical)))
+    });
+    match known {
+        Some((vertical, own)) => vertical.part(&unit.or(own).unwrap_or_else(|| map.clone())),
+        None => {
+            let of_code = code.map_or("Height".to_owned(), |code| format!("EPSG:{code} height"));
+            let (name, unit) = (title.unwrap_or(&of_code), unit.unwrap_or_else(|| map.clone()));
+            part(name, vertical_datum("unknown", None), &unit, code)
+        }
+    }
 }
 
 /// Vertical CRS of EPSG that is realised by a geoid model.
@@ -287,6 +328,10 @@ fn known(geoid: &str) -> Option<&'static Vertical> {
 }
 
 impl Vertical {
+    fn part(&self, unit: &Unit) -> WktNode {
+        part(self.name, vertical_datum(self.datum, Some(self.datum_code)), unit, self.code(unit))
+    }
+
     fn code(&self, unit: &Unit) -> Option<u32> {
         match (self.metric_code, unit.epsg?) {
             (code, 9001) => Some(code),

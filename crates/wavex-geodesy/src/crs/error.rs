@@ -23,6 +23,9 @@ pub enum CrsError {
     /// Text that is not the WKT of a coordinate reference system.
     #[error("the WKT cannot be read: {0}; check the text, or use an EPSG code")]
     Wkt(String),
+    /// GeoTIFF keys that give no system.
+    #[error("the GeoTIFF keys cannot be read ({0})")]
+    GeoKeys(String),
     /// The datum differs from the earth-centred frame of the trajectory.
     #[error(
         "{name}: its datum, {datum}, {reason}, but datum shifts are not supported; choose a CRS on WGS 84, ETRS89, NAD83 or \

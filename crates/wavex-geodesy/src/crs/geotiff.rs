@@ -1,6 +1,8 @@
-//! Formats a coordinate reference system as GeoTIFF keys, as in LAS before 1.4.
+//! Coordinate reference systems as GeoTIFF keys, as in LAS before 1.4.
 //!
 //! GeoTIFF 1.0, sections 2.4 and 6.
+
+mod read;
 
 use super::Unit;
 use super::definition::{Definition, GEODETIC, ProjectionMethod};
@@ -8,8 +10,10 @@ use super::describe::{lambert_parameters, transverse_mercator_parameters};
 use super::wkt::WktNode;
 use crate::ellipsoid::WGS84;
 
+pub use read::system_of_geotiff_keys;
+
 /// The three records of GeoTIFF keys, with user ID `LASF_Projection`.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct GeoKeys {
     /// Record 34735, `GeoKeyDirectoryTag`.
     pub directory: Vec<u8>,

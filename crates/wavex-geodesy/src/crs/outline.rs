@@ -2,8 +2,6 @@
 
 use super::Crs;
 use super::definition::Definition;
-use super::projection::Projection;
-use super::unit::Unit;
 
 /// Parts of each side of the outline; sides are curved in longitude and latitude.
 const PARTS: usize = 4;
@@ -30,10 +28,7 @@ impl Outline {
         let definition = Definition::of_wkt(wkt).ok()?;
         let is_compound = definition.vertical.is_some();
         let epsg = definition.epsg.filter(|code| *code > 0 && !is_compound);
-        let projection = Projection::new(&definition).ok()?;
-        let unit = definition.unit.clone();
-        // The horizontal position needs no geoid.
-        let crs = Crs { definition, projection, geoid: None, unit, height_unit: Unit::metre() };
+        let crs = Crs::horizontal(definition)?;
         let ring = if crs.is_ecef() { corners(&crs, min, max) } else { sides(&crs, min, max) };
         let is_in_one_piece = |ring: &Vec<[f64; 2]>| {
             let (west, east) = ends(ring, 0);

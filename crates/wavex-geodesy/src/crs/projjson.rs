@@ -185,13 +185,17 @@ mod tests {
 
     #[test]
     fn other_texts_have_none() {
-        let utm = wkt_of_epsg(32633).unwrap();
-        // As written by some programs.
-        let degree = r#"UNIT["degree",0.0174532925199433,AUTHORITY["EPSG","9122"]]"#;
-        let in_radians = utm.replace(degree, r#"UNIT["Meter",1.0,AUTHORITY["EPSG","9001"]]"#);
-        assert_ne!(utm, in_radians);
-        for text in ["", "PROJCS[\"x\"]", &wkt_of_epsg(3035).unwrap(), &in_radians] {
+        for text in ["", "PROJCS[\"x\"]", &wkt_of_epsg(3035).unwrap()] {
             assert_eq!(projjson_of_wkt(text), None, "{text}");
         }
+    }
+
+    #[test]
+    fn metres_as_unit_of_angles_are_degrees() {
+        let utm = wkt_of_epsg(32633).unwrap();
+        let degree = r#"UNIT["degree",0.0174532925199433,AUTHORITY["EPSG","9122"]]"#;
+        let in_metres = utm.replace(degree, r#"UNIT["Meter",1.0,AUTHORITY["EPSG","9001"]]"#);
+        assert_ne!(utm, in_metres);
+        assert_eq!(projjson_of_wkt(&in_metres), projjson_of_wkt(&utm));
     }
 }

@@ -7,6 +7,7 @@ use crate::ellipsoid::{GRS80, WGS84};
 use crate::geoid::GeoidGrid;
 
 mod descriptions;
+mod read_geotiff_keys;
 mod rejected;
 
 const NOWHERE: Geodetic = Geodetic { latitude_rad: 0.0, longitude_rad: 0.0, height_m: 0.0 };

@@ -3,6 +3,8 @@
 //! WKT 1 (OGC 01-009), ESRI WKT and WKT 2 (OGC 18-010) share the grammar of keywords with bracketed
 //! values.
 
+use super::describe::compound;
+
 /// A keyword with its values: `UNIT["metre",1]`.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct WktNode {
@@ -29,11 +31,21 @@ const DEEPEST: usize = 32;
 impl WktNode {
     /// Parses text that is one keyword with its values.
     ///
+    /// A horizontal and a vertical system with a comma between them, as ESRI writes them, become a
+    /// compound system.
+    ///
     /// # Errors
     /// The problem and the character position, as the end of a sentence.
     pub(crate) fn parse(text: &str) -> Result<WktNode, String> {
         let mut reader = Reader { text: text.trim_start_matches('\u{feff}'), at: 0 };
-        let node = reader.node(0)?;
+        let mut node = reader.node(0)?;
+        if reader.eat(&[',']) {
+            let vertical = reader.node(0)?;
+            if vertical.keyword != "VERTCS" {
+                return Err(reader.problem("the second system is not a vertical one (VERTCS)"));
+            }
+            node = compound(node, vertical);
+        }
         reader.blanks();
         match reader.peek() {
             None | Some('\0') => Ok(node),

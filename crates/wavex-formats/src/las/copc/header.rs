@@ -6,7 +6,7 @@ use super::cube::{self, CELL_LEVELS, Cube};
 use super::{COPC, Extent, Reshape, into_io, is_left_out};
 use crate::las::encoding;
 use crate::las::header::{Header, header_bytes};
-use crate::las::vlr::{EVLR_HEADER, PROJECTION, VLR_HEADER, Vlr, WKT};
+use crate::las::vlr::{EVLR_HEADER, PROJECTION, VLR_HEADER, Vlr, WKT, recorded_crs};
 use crate::las::writer::laz_record;
 use crate::{Error, Result};
 
@@ -62,6 +62,8 @@ pub(super) struct Metadata {
     pub(super) evlrs: Vec<u8>,
     n_evlrs: u32,
     times: [f64; 2],
+    /// Problems of the records of the coordinate reference system.
+    pub(super) crs_problems: Vec<String>,
 }
 
 impl Metadata {
@@ -76,7 +78,10 @@ impl Metadata {
         extent: &Extent,
     ) -> Result<Metadata> {
         let (of_source, reshape) = records;
-        let kept: Vec<&Vlr> = of_source.iter().filter(|vlr| !is_left_out(vlr)).collect();
+        let crs = recorded_crs(header, of_source.iter());
+        // Point formats 6 to 8 allow no GeoTIFF keys.
+        let is_replaced = |vlr: &Vlr| crs.is_of_keys && vlr.user_id == PROJECTION;
+        let kept: Vec<&Vlr> = of_source.iter().filter(|vlr| !is_left_out(vlr) && !is_replaced(vlr)).collect();
         let laz = reshape.laz().map_err(into_io).map_err(Error::io(source, "prepare the compression"))?;
         let (mut vlrs, mut n_vlrs) = (laz_record(source, &laz)?, 2);
         let (mut evlrs, mut n_evlrs) = (Vec::new(), 1);
@@ -95,12 +100,17 @@ impl Metadata {
                 n_evlrs += 1;
             }
         }
-        let has_wkt = kept.iter().any(|record| record.is(PROJECTION, WKT));
+        if let Some(wkt) = crs.wkt.as_ref().filter(|_| crs.is_of_keys) {
+            let data = [wkt.as_bytes(), &[0]].concat();
+            vlrs.extend(Vlr::new(PROJECTION, WKT, "OGC coordinate system WKT", data).write(source)?);
+            n_vlrs += 1;
+        }
+        let has_wkt = crs.wkt.is_some();
         let mut header = public_header(header, extent, reshape, has_wkt);
         let vlr_bytes = VLR_HEADER as usize + INFO_BYTES + vlrs.len();
         header.offset_to_points = u32::from(header.header_size) + vlr_bytes as u32;
         header.n_vlrs = n_vlrs;
-        Ok(Metadata { header, vlrs, evlrs, n_evlrs, times: extent.times })
+        Ok(Metadata { header, vlrs, evlrs, n_evlrs, times: extent.times, crs_problems: crs.problems })
     }
 
     /// Encodes header and VLRs.

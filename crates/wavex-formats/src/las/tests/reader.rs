@@ -360,7 +360,7 @@ fn what_else_a_file_says_is_kept() {
     made.records.iter_mut().enumerate().for_each(|(i, record)| record.extend([i as u8, 1]));
     let (_folder, path) = folder(&made.las());
     let mut reader = Reader::open(&path).unwrap();
-    assert_eq!(reader.wkt().as_deref(), Some("PROJCS[]"));
+    assert_eq!(reader.crs().wkt.as_deref(), Some("PROJCS[]"));
     assert_eq!(reader.projection(34735).unwrap().data, [1, 0, 1, 0]);
     assert!(reader.projection(34736).is_none());
     assert_eq!((reader.vlrs().len(), reader.evlrs().len()), (3, 2));

@@ -132,7 +132,7 @@ fn a_recording_says_what_it_is() {
     let lengths = (1..=255u8).filter_map(|index| descriptor(index).ok()).map(|found| found.samples);
     assert_eq!(lengths.collect::<Vec<_>>(), [60, 120], "98 more are empty");
     // The file has a WKT, although its header does not declare it.
-    assert!(!header.says_wkt() && reader.wkt().unwrap().starts_with("PROJCS[\"UTM_North zone 33\""));
+    assert!(!header.says_wkt() && reader.crs().wkt.unwrap().starts_with("PROJCS[\"UTM_North zone 33\""));
     assert_eq!(reader.projection(34735).unwrap().data.len(), 208);
     let extra: Vec<_> =
         reader.extra_bytes_descriptors().iter().map(|e| (e.name.as_str(), e.start, e.bytes)).collect();
