@@ -31,7 +31,7 @@ pub(super) struct Placed {
 
 /// Puts the decoded records on one time axis and adds the accuracies in the file `accuracy`.
 pub(super) fn settle(path: &Path, raw: Raw, options: &Options, accuracy: Option<&Path>) -> Result<Recorded> {
-    let Raw { format, stated, mut records, mut notes } = raw;
+    let Raw { format, stated, mut records, speeds_mps, mut notes } = raw;
     let clock = clock_of(path, &stated, options, records.times_s(), &mut notes)?;
     let mut unwrap = Unwrap::new(clock);
     records.times_mut().for_each(|time_s| *time_s = unwrap.next(*time_s));
@@ -55,8 +55,16 @@ pub(super) fn settle(path: &Path, raw: Raw, options: &Options, accuracy: Option<
     }
     let on_axis = if anchor_s.is_some() { Clock::Adjusted } else { clock };
     let accuracies = Vec::new();
-    let mut recorded =
-        Recorded { file: path.to_owned(), format, counts, clock: on_axis, records, accuracies, notes };
+    let mut recorded = Recorded {
+        file: path.to_owned(),
+        format,
+        counts,
+        clock: on_axis,
+        records,
+        accuracies,
+        speeds_mps,
+        notes,
+    };
     if let Some(path) = accuracy {
         recorded.accuracies = accuracies::on_axis(path, &recorded, Placed { clock, leap_s })?;
     }
