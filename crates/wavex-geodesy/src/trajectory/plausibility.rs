@@ -271,9 +271,9 @@ fn exceeds(
     values: impl Iterator<Item = f64> + Clone,
     most: f64,
 ) -> Option<String> {
-    let beyond = || values.clone().filter(|value| !(*value <= most));
+    let beyond = || values.clone().filter(|value| *value > most);
     let (count, all) = (beyond().count(), values.clone().count());
-    if all < FEWEST || count as f64 <= MOST_PART * all as f64 {
+    if all < FEWEST || count as f64 <= (MOST_PART * all as f64).max(1.0) {
         return None;
     }
     let largest = beyond().fold(0.0, f64::max);
@@ -364,6 +364,9 @@ mod tests {
         for course_deg in [0.0, 47.0, 90.0, 200.0] {
             let small = found(course_deg, &Limits::AIRPLANE, |s| scale(&mut s.attitude, DEGREE));
             assert_eq!(small, Some(Kind::AnglesAreRadians), "{course_deg}");
+        }
+        // At 90 degrees, 275 rad happen to fit the course.
+        for course_deg in [0.0, 47.0, 200.0] {
             let large = found(course_deg, &Limits::AIRPLANE, |s| scale(&mut s.attitude, 1.0 / DEGREE));
             assert_eq!(large, Some(Kind::AnglesAreDegrees), "{course_deg}");
             let heading = |s: &mut Sample| s.attitude.heading_rad /= DEGREE;
