@@ -156,7 +156,7 @@ impl Geometry {
         };
         let recording = TimeSpan { clock, first_s, last_s: first_s };
         let alignment = Alignment::between(recording, track.times)?;
-        match (input.gps_week, alignment.gps_week(first_s), input.adjusted_s(first_s)) {
+        match (input.gps_week, alignment.gps_week(first_s), input.adjusted_gps_time(first_s)) {
             (Some(own), Some(week), Some(own_s)) if own != week => {
                 let begins = TimeSpan { clock: Clock::Adjusted, first_s: own_s, last_s: own_s };
                 Err(Error::unusable(
