@@ -183,16 +183,16 @@ fn heading_unit(windows: &[Window]) -> Option<Contradiction> {
         (Kind::AnglesAreRadians, 1.0 / DEGREE, "degrees", "radians"),
         (Kind::AnglesAreDegrees, DEGREE, "radians", "degrees"),
     ];
-    units.into_iter().find_map(|(kind, scale, read, fitting)| {
-        let fitting_rad = drift_rad(windows, scale).filter(|off| *off < FITTING_RAD)?;
-        let problem = format!(
-            "its headings, read as {read}, differ by {:.0} degrees and more from the course over ground in a quarter of \
-             the flight; read as {fitting}, by {:.0} degrees",
-            off_rad / DEGREE,
-            fitting_rad / DEGREE
-        );
-        Some(Contradiction { kind, problem })
-    })
+    let fitting = units.map(|unit| (unit, drift_rad(windows, unit.1).unwrap_or(PI)));
+    let best = fitting.into_iter().min_by(|a, b| a.1.total_cmp(&b.1));
+    let ((kind, _, read, fitting), fitting_rad) = best.filter(|(_, off)| *off < FITTING_RAD)?;
+    let problem = format!(
+        "its headings, read as {read}, differ by {:.0} degrees and more from the course over ground in a quarter of \
+         the flight; read as {fitting}, by {:.0} degrees",
+        off_rad / DEGREE,
+        fitting_rad / DEGREE
+    );
+    Some(Contradiction { kind, problem })
 }
 
 /// Headings that are not those of the course, in any unit.
