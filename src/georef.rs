@@ -13,7 +13,7 @@ pub mod keys;
 pub mod mount;
 pub mod output_crs;
 pub mod scan_angles;
-mod trajectory_file;
+pub(crate) mod trajectory_file;
 pub mod transform;
 
 pub use context::{Geometry, Loader, ShotPoses};

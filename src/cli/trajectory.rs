@@ -4,12 +4,15 @@ use std::io::Write;
 use std::path::Path;
 
 use super::{Failure, TrajectoryArgs, terminal};
+use crate::georef::trajectory_file::{excluded, remedy};
 use crate::stage::{FinishedFile, OutputFile};
 use map::Map;
 use summary::About;
 use wavex_formats::Error;
 use wavex_formats::trajectory::{self, Angles, FileTime, Options, Records, Unproject};
 use wavex_geodesy::time_axis::Clock;
+use wavex_geodesy::trajectory::outliers::outliers;
+use wavex_geodesy::trajectory::plausibility::{Limits, contradiction};
 use wavex_geodesy::trajectory::{Accuracy, Trajectory};
 
 mod map;
@@ -22,7 +25,8 @@ const CHUNK: usize = 1 << 16;
 /// Reads the trajectory, writes the requested files, and prints the summary.
 pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failure> {
     let failed = |error: Error| Failure::Run(error.to_string());
-    let recorded = trajectory::read(&args.file, &args.options()).map_err(failed)?;
+    let options = args.options();
+    let recorded = trajectory::read(&args.file, &options).map_err(failed)?;
     let first = match &recorded.records {
         Records::Geodetic(samples) => samples.first().map(|sample| sample.place),
         Records::Projected(_) => None,
@@ -30,12 +34,18 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
     let map = Map::of(&args.crs, first).map_err(Failure::Wrong)?;
     let (format, counts, clock) = (recorded.format.clone(), recorded.counts.clone(), recorded.clock);
     let accuracies: Vec<Accuracy> = recorded.accuracies.iter().map(|sample| sample.accuracy).collect();
-    let notes = recorded.notes.clone();
+    let (mut notes, is_text, speeds_mps) =
+        (recorded.notes.clone(), recorded.is_text(), recorded.speeds_mps.clone());
     let trajectory = {
         let unproject = map.as_ref().and_then(Map::unproject);
         let unproject = unproject.as_ref().map(|unproject| unproject as &Unproject);
         recorded.into_trajectory(unproject).map_err(failed)?
     };
+    let limits = &Limits::AIRPLANE;
+    notes.extend(excluded(&args.file, &outliers(trajectory.samples(), Some(limits))));
+    if let Some(found) = contradiction(trajectory.samples(), &speeds_mps, limits) {
+        notes.push(format!("{}; {}", found.problem, remedy(&found, is_text, options.angles)));
+    }
     // A trajectory with a first position always has a map.
     let map = map.map_or_else(Map::geodetic, Ok).map_err(Failure::Run)?;
     map.covers(trajectory.samples()).map_err(Failure::Run)?;

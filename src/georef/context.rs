@@ -144,7 +144,8 @@ impl Geometry {
     /// Aligns the times of a recording with those of the trajectory; `None` without a trajectory.
     ///
     /// # Errors
-    /// The time scale of the recording is unknown, or its times are ambiguous on the trajectory.
+    /// The time scale of the recording is unknown, its times are ambiguous on the trajectory, or both have
+    /// dates of different weeks.
     pub fn align(&self, input: &InputInfo, first_s: f64) -> Result<Option<Alignment>> {
         let Some(track) = &self.track else { return Ok(None) };
         let Some(clock) = Clock::of(input.time_scale) else {
@@ -154,7 +155,23 @@ impl Geometry {
             ));
         };
         let recording = TimeSpan { clock, first_s, last_s: first_s };
-        Ok(Some(Alignment::between(recording, track.times)?))
+        let alignment = Alignment::between(recording, track.times)?;
+        match (input.gps_week, alignment.gps_week(first_s), input.adjusted_gps_time(first_s)) {
+            (Some(own), Some(week), Some(own_s)) if own != week => {
+                let begins = TimeSpan { clock: Clock::Adjusted, first_s: own_s, last_s: own_s };
+                Err(Error::unusable(
+                    format!(
+                        "timestamp not found in PO file {}: by its date the recording is of {begins}, week {own}, but the \
+                         trajectory lasts from {}, week {week}",
+                        track.file().display(),
+                        track.times
+                    ),
+                    "check date: that of the recording is in its file name, the reader's key `gps_date` or the container, \
+                     that of the trajectory in its header or its adjusted times",
+                ))
+            }
+            _ => Ok(Some(alignment)),
+        }
     }
 
     /// Pose of the aircraft at the time of a shot; `None` outside the trajectory or in a gap.

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::calibration::Calibration;
 use super::mount::Mount;
 use crate::keys::{InvalidKey, Keys};
+use wavex_geodesy::trajectory::plausibility::Limits;
 
 /// Table `[job.geometry]`: trajectory, mounting of the scanner, and output coordinates.
 ///
@@ -31,6 +32,11 @@ pub struct GeometryKeys {
     /// (default) leaves them out with a warning, `keep` uses them.
     #[serde(skip_serializing_if = "OutliersKey::is_default")]
     pub trajectory_outliers: OutliersKey,
+    /// Limits of plausible attitudes and motion: `airplane` (default), `helicopter` for helicopters and
+    /// drones, which may fly sideways, or `none`. A trajectory beyond them in more than 5 % of its
+    /// records is an error, fewer records are outliers.
+    #[serde(skip_serializing_if = "LimitsKey::is_default")]
+    pub trajectory_limits: LimitsKey,
     /// Height reference of the trajectory. Defaults to the ellipsoid, except for TRJ, which does
     /// not define it: there, to the geoid of the job, if one is given.
     pub trajectory_heights: Option<HeightsKey>,
@@ -105,6 +111,34 @@ impl OutliersKey {
     }
 }
 
+/// Limits of plausible attitudes and motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LimitsKey {
+    /// Those of an airplane; its heading is that of its course.
+    #[default]
+    Airplane,
+    /// Those of a helicopter or drone.
+    Helicopter,
+    /// None.
+    None,
+}
+
+impl LimitsKey {
+    fn is_default(&self) -> bool {
+        *self == LimitsKey::Airplane
+    }
+
+    /// The limits, if any.
+    pub fn limits(self) -> Option<&'static Limits> {
+        match self {
+            LimitsKey::Airplane => Some(&Limits::AIRPLANE),
+            LimitsKey::Helicopter => Some(&Limits::HELICOPTER),
+            LimitsKey::None => None,
+        }
+    }
+}
+
 /// Unit of angles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -140,10 +174,17 @@ pub enum CalibrationKey {
 /// A key, the key it requires, and tests for the presence of both.
 type Companion = (&'static str, &'static str, fn(&GeometryKeys) -> bool, fn(&GeometryKeys) -> bool);
 
-const COMPANIONS: [Companion; 6] = [
+const COMPANIONS: [Companion; 8] = [
     ("geometry.trajectory_time", "trajectory", |keys| keys.trajectory_time.is_some(), has_trajectory),
     ("geometry.trajectory_angles", "trajectory", |keys| keys.trajectory_angles.is_some(), has_trajectory),
     ("geometry.trajectory_columns", "trajectory", |keys| keys.trajectory_columns.is_some(), has_trajectory),
+    (
+        "geometry.trajectory_outliers",
+        "trajectory",
+        |keys| !keys.trajectory_outliers.is_default(),
+        has_trajectory,
+    ),
+    ("geometry.trajectory_limits", "trajectory", |keys| !keys.trajectory_limits.is_default(), has_trajectory),
     ("geometry.trajectory_accuracy", "trajectory", |keys| keys.trajectory_accuracy.is_some(), has_trajectory),
     ("geometry.trajectory_heights", "trajectory", |keys| keys.trajectory_heights.is_some(), has_trajectory),
     (

@@ -95,12 +95,18 @@ pub struct ScanAngles {
     ready: VecDeque<ScanLine>,
     /// Whether lines were emitted without scan angles.
     gave_up: bool,
+    contradiction: Option<[f64; 2]>,
 }
 
 impl ScanAngles {
-    /// Adds a line.
-    pub fn push(&mut self, scan_line: ScanLine) {
-        let is_placed = matches!(scan_line.input.frame, Frame::Map | Frame::Earth);
+    /// Adds a line; angles that its beams exclude are replaced by those of the beams.
+    pub fn push(&mut self, mut scan_line: ScanLine) {
+        let frame = scan_line.input.frame;
+        let is_placed = matches!(frame, Frame::Map | Frame::Earth);
+        if let Some(angles_deg) = excluded(frame, &scan_line.emissions) {
+            self.contradiction.get_or_insert(angles_deg);
+            scan_line.emissions.iter_mut().for_each(|emission| emission.scan_angle_deg = f32::NAN);
+        }
         if !is_placed || !are_unknown(&scan_line.emissions) {
             self.release();
             self.ready.push_back(scan_line);
@@ -126,6 +132,12 @@ impl ScanAngles {
         self.release();
     }
 
+    /// Scan angle in the file and angle of the beam from nadir, degrees, of the first line whose angles were
+    /// replaced: medians of their sizes.
+    pub fn contradiction(&self) -> Option<[f64; 2]> {
+        self.contradiction
+    }
+
     /// Whether any line was emitted without scan angles.
     pub fn gave_up(&self) -> bool {
         self.gave_up
@@ -147,6 +159,35 @@ impl ScanAngles {
             self.ready.push_back(scan_line);
         }
     }
+}
+
+/// Largest excess of a scan angle over the angle of its beam from nadir, degrees.
+///
+/// Some files give the angle in the aircraft, without its roll.
+const MOST_EXCESS_DEG: f64 = 25.0;
+
+/// Medians of scan angle and angle from nadir, degrees, if the beams of a line exclude its angles.
+///
+/// An angle across the flight is at most that from nadir.
+fn excluded(frame: Frame, emissions: &[Emission]) -> Option<[f64; 2]> {
+    let down = down_at(frame, emissions.first()?.origin_m)?;
+    let [mut scan_deg, mut nadir_deg, mut excess_deg] = [(); 3].map(|()| Vec::with_capacity(emissions.len()));
+    for emission in emissions.iter().filter(|emission| !emission.scan_angle_deg.is_nan()) {
+        let across = cross(emission.direction, down);
+        let off_deg = libm::atan2(dot(across, across).sqrt(), dot(emission.direction, down)).to_degrees();
+        let own_deg = f64::from(emission.scan_angle_deg).abs();
+        scan_deg.push(own_deg);
+        nadir_deg.push(off_deg);
+        excess_deg.push(own_deg - off_deg);
+    }
+    let median = |values: &mut Vec<f64>| {
+        let middle = values.len() / 2;
+        (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+    };
+    if median(&mut excess_deg)? <= MOST_EXCESS_DEG {
+        return None;
+    }
+    Some([median(&mut scan_deg)?, median(&mut nadir_deg)?])
 }
 
 /// Course: the direction of flight.
@@ -273,6 +314,38 @@ mod tests {
         emissions.reverse();
         set_directions(&mut emissions);
         assert!(found(&emissions).iter().all(|(_, is_positive)| !is_positive));
+    }
+
+    #[test]
+    fn angles_that_the_beams_exclude_are_replaced() {
+        let input = InputInfo { frame: Frame::Map, origin_is_sensor: true, ..InputInfo::default() };
+        let input = std::sync::Arc::new(input);
+        let angles_of = |recorded: fn(f64) -> f64| {
+            let shot = |index: u32| {
+                let angle = (-20.0 + f64::from(index)).to_radians();
+                Emission {
+                    clock_ps: 10_000_000_000 * i64::from(index),
+                    origin_m: [0.0, 0.6 * f64::from(index), 1000.0],
+                    direction: [angle.sin(), 0.0, -angle.cos()],
+                    scan_angle_deg: recorded(angle.to_degrees()) as f32,
+                    ..Emission::default()
+                }
+            };
+            let emissions: Vec<Emission> = (0..41).map(shot).collect();
+            let blocks = crate::scan_line::Blocks::default();
+            let mut angles = ScanAngles::default();
+            angles.push(ScanLine::of_shots(input.clone(), 0, emissions, blocks));
+            angles.finish();
+            let scan_line = angles.pop().unwrap();
+            let found: Vec<f32> = scan_line.emissions.iter().map(|e| e.scan_angle_deg.round()).collect();
+            (angles.contradiction(), found)
+        };
+        let right: Vec<f32> = (-20i8..=20).map(f32::from).collect();
+        assert_eq!(angles_of(|angle| angle), (None, right.clone()));
+        assert_eq!(angles_of(|angle| angle + 20.0).0, None, "without the roll of a turn");
+        let (contradiction, found) = angles_of(|_| 85.0);
+        assert_eq!(contradiction.map(|angles| angles.map(f64::round)), Some([85.0, 10.0]));
+        assert_eq!(found, right);
     }
 
     /// A sensor at unknown position that flies north: beams through points on the ground.

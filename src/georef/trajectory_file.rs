@@ -10,11 +10,12 @@ use wavex_formats::Error;
 use wavex_formats::trajectory::{self, Angles, FileTime, Options, Records, Unproject};
 use wavex_geodesy::crs::CrsError;
 use wavex_geodesy::ellipsoid::Geodetic;
-use wavex_geodesy::time_axis::TimeSpan;
+use wavex_geodesy::time_axis::{Clock, TimeSpan};
 use wavex_geodesy::trajectory::outliers::{
     FEWEST_FROZEN, Fault, LEAST_M, LEAST_RAD, LEAST_SPEED_MPS, MOST_ACCELERATION_MPS2, MOST_TURNING_RADPS2,
     Outlier, outliers,
 };
+use wavex_geodesy::trajectory::plausibility::{Contradiction, Kind, contradiction};
 use wavex_geodesy::trajectory::{Gap, Trajectory, TrajectoryError};
 
 /// A trajectory and its files.
@@ -52,7 +53,8 @@ impl Track {
         wanted: &CrsRequest,
     ) -> Result<Track> {
         let accuracy = accuracy.map(Path::to_path_buf);
-        let mut recorded = trajectory::read(file, &options(keys, accuracy.clone()))?;
+        let options = options(keys, accuracy.clone());
+        let mut recorded = trajectory::read(file, &options)?;
         let (times, mut notes) = (recorded.times(), recorded.notes.clone());
         let knows_accuracy = !recorded.accuracies.is_empty();
         let map = wanted.fixed();
@@ -76,10 +78,19 @@ impl Track {
                 Ok(if is_ellipsoidal { Geodetic { height_m: own_m, ..found } } else { found })
             }
         });
+        let speeds_mps = std::mem::take(&mut recorded.speeds_mps);
+        let is_text = recorded.is_text();
         let trajectory =
             recorded.into_trajectory(unproject.as_ref().map(|unproject| unproject as &Unproject))?;
+        let limits = keys.trajectory_limits.limits();
+        if let Some(found) =
+            limits.and_then(|limits| contradiction(trajectory.samples(), &speeds_mps, limits))
+        {
+            let remedy = remedy(&found, is_text, options.angles);
+            return Err(Error::unusable(file, found.problem, remedy).into());
+        }
         let found = match keys.trajectory_outliers {
-            OutliersKey::Exclude => outliers(trajectory.samples()),
+            OutliersKey::Exclude => outliers(trajectory.samples(), limits),
             OutliersKey::Keep => Vec::new(),
         };
         let without = |problem: TrajectoryError| Error::unusable(file, problem.to_string(), problem.remedy());
@@ -89,6 +100,30 @@ impl Track {
         notes.extend(gaps(file, &trajectory));
         Ok(Track { file: file.to_path_buf(), accuracy, trajectory, times, knows_accuracy, notes })
     }
+}
+
+/// The key that mends a contradiction, and the key that overrides the check.
+pub(crate) fn remedy(found: &Contradiction, is_text: bool, angles: Option<Angles>) -> String {
+    let mend = match found.kind {
+        Kind::AnglesAreRadians if is_text => "set `trajectory_angles = \"rad\"`",
+        Kind::AnglesAreDegrees if is_text => "set `trajectory_angles = \"deg\"`",
+        Kind::Attitude if is_text && angles == Some(Angles::Radians) => {
+            "set `trajectory_angles = \"deg\"` if its angles are degrees"
+        }
+        Kind::Attitude | Kind::Motion | Kind::Heading if is_text => {
+            "check the order and units of its columns in `trajectory_columns`"
+        }
+        Kind::AnglesAreRadians => "export it again with angles in degrees",
+        Kind::AnglesAreDegrees => "export it again with angles in radians",
+        Kind::Attitude | Kind::Motion | Kind::Heading => {
+            "export it again, and check its units and time scale"
+        }
+    };
+    let wider = match found.kind {
+        Kind::Heading => "if it flies sideways or its axes are turned by the `mount`",
+        _ => "if it is right",
+    };
+    format!("{mend}; {wider}, set `trajectory_limits` to \"helicopter\" (also for drones) or \"none\"")
 }
 
 /// Reader options from the keys.
@@ -161,7 +196,7 @@ pub(crate) fn checks() -> Vec<Check> {
 }
 
 /// Note on the records left out, if any.
-fn excluded(file: &Path, outliers: &[Outlier]) -> Option<String> {
+pub(crate) fn excluded(file: &Path, outliers: &[Outlier]) -> Option<String> {
     let worst = |fault| {
         let of_fault = outliers.iter().filter(move |outlier| outlier.fault == fault);
         of_fault
@@ -173,6 +208,7 @@ fn excluded(file: &Path, outliers: &[Outlier]) -> Option<String> {
     for (fault, what, unit, scale) in [
         (Fault::Position, FAR, " m", 1.0),
         (Fault::Attitude, TURNED, " degrees", 1f64.to_degrees()),
+        (Fault::Limit, "have a roll or pitch beyond the limits", " degrees", 1f64.to_degrees()),
         (Fault::Frozen, REPEATED, "", 0.0),
     ] {
         if let Some((count, worst)) = worst(fault) {
@@ -186,7 +222,7 @@ fn excluded(file: &Path, outliers: &[Outlier]) -> Option<String> {
     }
     (!parts.is_empty()).then(|| {
         format!(
-            "{}: records of the trajectory are left out, and poses there are interpolated: {}; export it again from \
+            "{}: outliers of the trajectory are left out of a run, and poses there are interpolated: {}; export it again from \
              its source, or set `trajectory_outliers = \"keep\"` in `[job.geometry]`",
             file.display(),
             parts.join("; ")

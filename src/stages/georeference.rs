@@ -15,9 +15,11 @@ use crate::stage::{Config, Context, Map, MapConfig, Result, RunContext, StageErr
 use wavex_geodesy::frames::Vector;
 
 mod above_ground;
+mod nadir;
 mod uncertainty;
 
 use above_ground::Level;
+use nadir::Nadir;
 use uncertainty::Uncertainty;
 
 /// Registry entry of the stage.
@@ -68,6 +70,7 @@ impl MapConfig for Georeference {
             dummy_velocity_mps: self.dummy_velocity_mps,
             target: None,
             input: None,
+            nadir: Nadir::default(),
         }))
     }
 }
@@ -79,6 +82,7 @@ struct Georeferencer {
     target: Option<OutputCrs>,
     /// Metadata of the incoming lines, and of the outgoing lines.
     input: Option<[Arc<InputInfo>; 2]>,
+    nadir: Nadir,
 }
 
 impl Map for Georeferencer {
@@ -95,6 +99,18 @@ impl Map for Georeferencer {
         line.stats.agl_m = Level::of(frame, &line.emissions)
             .filter(|_| line.input.origin_is_sensor)
             .and_then(|level| level.agl_m(&line.emissions, &returns, &points));
+        if let Some(problem) = self.nadir.add(frame, &line.emissions, &returns) {
+            cx.warn(match self.geometry.has_trajectory() {
+                true => format!(
+                    "{problem}: the likely cause is the wrong `mount` in `[job.geometry]`, or a trajectory with other axes \
+                     than forward, right, down; an instrument on the ground has such beams, too"
+                ),
+                false => format!(
+                    "{problem}: the likely cause are wrong beam vectors in the file: export it again; an instrument on the \
+                     ground has such beams, too"
+                ),
+            });
+        }
         match frame {
             Frame::Map => self.keep_map(&line.input)?,
             Frame::Earth => {

@@ -7,6 +7,7 @@ use crate::georef::transform::{scan_angle_deg, to_earth};
 use crate::georef::{self, Geometry};
 use crate::scan_line::{Content, Emission, FirstShot, Frame, InputInfo, ScanLine};
 use crate::stage::{Context, Item, Result, Source, StageError};
+use wavex_geodesy::time::day_of_year;
 use wavex_geodesy::time_axis::{Alignment, Clock, Misaligned, TimeSpan, Unwrap, utc_hint};
 use wavex_geodesy::trajectory::Pose;
 use wavex_geodesy::vertical::down_at;
@@ -74,6 +75,12 @@ impl Source for PoseSource {
 
 impl PoseSource {
     fn finish(&self, cx: &mut Context) -> Result<()> {
+        if let Some([recorded_deg, beam_deg]) = self.angles.contradiction() {
+            cx.warn(format!(
+                "the scan angles in the file contradict its beams (medians {recorded_deg:.1} and {beam_deg:.1} degrees from \
+                 nadir): they are computed from the beams"
+            ));
+        }
         if self.angles.gave_up() {
             cx.warn(
                 "scan angles are unknown, and are 0 in outputs: the recording has none, and its beams do not define the \
@@ -163,7 +170,8 @@ impl PoseSource {
         Ok(())
     }
 
-    /// Metadata of the recording in this frame, with its first shot.
+    /// Metadata of the recording in this frame, with its first shot, and its week by the date of the
+    /// trajectory if it has none.
     fn info(&mut self, of_source: &Arc<InputInfo>, frame: Frame) -> Arc<InputInfo> {
         if let Some([from, to]) = &self.input
             && Arc::ptr_eq(from, of_source)
@@ -171,6 +179,19 @@ impl PoseSource {
             return Arc::clone(to);
         }
         let mut info = InputInfo { frame, first_shot: self.first_shot, ..InputInfo::clone(of_source) };
+        let of_trajectory = self
+            .first_shot
+            .and_then(|first| Some((first.alignment?, first.time_s)))
+            .filter(|_| info.gps_week.is_none())
+            .and_then(|(alignment, time_s)| {
+                Some((alignment.gps_week(time_s)?, alignment.on_trajectory(time_s)))
+            });
+        if let Some((week, adjusted_s)) = of_trajectory {
+            info.gps_week = Some(week);
+            if let Some((year, day)) = day_of_year(adjusted_s) {
+                (info.recorded, info.is_file_date) = (Some((day, year)), false);
+            }
+        }
         if frame != of_source.frame {
             (info.crs_wkt, info.coordinate_grid) = (None, None);
         }

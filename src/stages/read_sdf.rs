@@ -184,10 +184,12 @@ impl SdfLineReader {
             tracing::info!("loading the library {}", file.display());
         })?;
         let (tables, mut remarks) = reader.tables();
+        let named = time::named(path);
         let about = match &config.gps_date {
             Some(date) => time::noon(date),
-            None => time::named(path),
+            None => named,
         };
+        remarks.extend(time::other_day(about, named));
         let mut ahead = look_ahead(&mut reader)?;
         let is_first = |record: &&SdfRecord| !record.blocks.is_empty() && record.time_external_s.is_finite();
         let first_s = ahead.iter().find(is_first).map(|record| record.time_external_s);

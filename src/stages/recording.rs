@@ -327,6 +327,13 @@ impl<S: Source> AsDeclared<S> {
             (None, None) => Times::as_said(from),
             _ => Times::new(scale, first_s, about),
         };
+        if let (Some(_), Some(own), Some(week)) = (about, from.gps_week, times.gps_week)
+            && own != week
+        {
+            cx.warn(format!(
+                "`gps_date` is in GPS week {week}, but the file states week {own}: the key is used; check date"
+            ));
+        }
         if self.declared.group_velocity_mps.is_some() && !from.origin_is_sensor {
             return Err(StageError::failed(
                 "`refractive_index_ppm` needs ranges from the sensor, but the ranges of this recording count from the first sample",

@@ -387,6 +387,21 @@ fn a_system_with_missing_parameters_is_a_wrong_job() {
     }
 }
 
+#[test]
+fn a_system_in_another_spelling_is_a_wrong_job() {
+    for (word, meant) in [("25832", "EPSG:25832"), ("WGS84", "geodetic"), ("EPSG:2956+6647", "EPSG:2956")] {
+        let folder = place_with_wkt("");
+        let path = folder.path().join("job.toml");
+        fs::write(&path, fs::read_to_string(&path).unwrap().replace("site.prj", word)).unwrap();
+        for command in ["check", "run"] {
+            let Outcome { code, err, .. } = wavex_in(folder.path(), &[command, "job.toml"]);
+            let is_said = err.starts_with(&format!("error: crs `{word}`: "))
+                && err.ends_with(&format!("; write `{meant}`\n"));
+            assert!(code == Some(2) && is_said, "{err}");
+        }
+    }
+}
+
 /// A shared file may set the geoid folder, also for jobs without a geoid.
 #[test]
 fn a_shared_file_may_name_the_folder_of_geoids() {

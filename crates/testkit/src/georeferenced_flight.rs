@@ -34,6 +34,8 @@ enum Unsaid {
     Times,
     /// Time scale.
     Scale,
+    /// GPS week.
+    Week,
     /// Whether its frame is the scanner's or the aircraft's.
     Scanner,
 }
@@ -90,6 +92,8 @@ pub struct Placed {
     pub stats: Vec<LineStats>,
     /// Coordinate reference system of the points.
     pub wkt: Option<String>,
+    /// GPS week of the last line.
+    pub gps_week: Option<u32>,
     /// Rejections and notes.
     pub cx: Context,
 }
@@ -120,6 +124,11 @@ impl Flight {
         Flight { unsaid: Unsaid::Scale, ..self }
     }
 
+    /// The same flight, with an unknown GPS week.
+    pub fn of_no_week(self) -> Flight {
+        Flight { unsaid: Unsaid::Week, ..self }
+    }
+
     /// The same flight in the aircraft's axes, which are parallel to the scanner's.
     pub fn in_body(self) -> Flight {
         Flight { unsaid: Unsaid::Scanner, ..self }
@@ -139,16 +148,17 @@ impl Flight {
         let mut by_shot: BTreeMap<u64, Vec<&Truth>> = BTreeMap::new();
         self.truth.iter().for_each(|truth| by_shot.entry(truth.shot).or_default().push(truth));
         let mut cx = Context::default();
-        let (mut points, mut returns, mut stats, mut wkt) = (Vec::new(), Vec::new(), Vec::new(), None);
+        let (mut points, mut returns, mut stats) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut wkt, mut gps_week) = (None, None);
         while let Some(mut batch) = source.next(&mut cx).map_err(|e| text(&e))? {
             batch.content = Content::Returns(true_returns(&batch, &by_shot, &measured));
             let placed = stage.map(batch, &mut cx).map_err(|e| text(&e))?;
             points.extend(placed.points().unwrap());
             returns.extend(placed.returns().unwrap());
             stats.push(placed.stats);
-            wkt = placed.input.crs_wkt.clone();
+            (wkt, gps_week) = (placed.input.crs_wkt.clone(), placed.input.gps_week);
         }
-        Ok(Placed { points, returns, stats, wkt, cx })
+        Ok(Placed { points, returns, stats, wkt, gps_week, cx })
     }
 }
 
@@ -172,6 +182,7 @@ impl Source for Changed {
         if let Some(batch) = &mut next {
             let mut input = InputInfo::clone(&batch.input);
             match self.unsaid {
+                Unsaid::Week => input.gps_week = None,
                 Unsaid::Scale => input.time_scale = TimeScale::Unknown,
                 Unsaid::Scanner => input.frame = Frame::Body,
                 Unsaid::Nothing | Unsaid::Times => return Ok(next),

@@ -137,6 +137,10 @@ pub struct Recorded {
     ///
     /// Empty if no file provides them.
     pub accuracies: Vec<AccuracySample>,
+    /// Horizontal speeds of the records, m/s.
+    ///
+    /// Empty if the format has none.
+    pub speeds_mps: Vec<f64>,
     /// Notes for the user.
     pub notes: Vec<String>,
 }
@@ -173,6 +177,8 @@ struct Raw {
     stated: axis::Stated,
     /// Records with times as in the file.
     records: Records,
+    /// Horizontal speeds, m/s; empty if the format has none.
+    speeds_mps: Vec<f64>,
     notes: Vec<String>,
 }
 
@@ -247,6 +253,11 @@ fn unknown(path: &Path, length: u64) -> Error {
 }
 
 impl Recorded {
+    /// Whether the file is text, whose units the user states.
+    pub fn is_text(&self) -> bool {
+        self.format == ascii::FORMAT
+    }
+
     /// Returns the time span.
     pub fn times(&self) -> TimeSpan {
         let mut times = self.records.times_s();

@@ -264,6 +264,15 @@ impl Alignment {
         Ok(Alignment { recording, trajectory, base_s, period_s })
     }
 
+    /// GPS week in which a recording's seconds of the week count, by the date of the trajectory.
+    ///
+    /// `None` if the trajectory has no date, or the recording another clock.
+    pub fn gps_week(&self, time_s: f64) -> Option<u32> {
+        let is_dated = self.recording.clock == Clock::Week && self.trajectory.clock == Clock::Adjusted;
+        let week = ((self.on_trajectory(time_s) - time_s + ADJUSTMENT_S) / WEEK_S).round();
+        (is_dated && (0.0..1e5).contains(&week)).then_some(week as u32)
+    }
+
     /// Converts a recording time, s, to the axis of the trajectory.
     ///
     /// The result is within half a period of the middle of the trajectory, so wrap-arounds of the

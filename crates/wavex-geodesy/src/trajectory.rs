@@ -24,6 +24,7 @@ use time_index::TimeIndex;
 mod accuracies;
 mod error;
 pub mod outliers;
+pub mod plausibility;
 mod quaternion;
 #[cfg(test)]
 mod tests;

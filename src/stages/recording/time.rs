@@ -120,6 +120,18 @@ pub(in crate::stages) fn other_weekday(noon: SinceEpoch, first_s: f64) -> Option
     })
 }
 
+/// Explains that `gps_date` and the moment in the file name are of different days, if so.
+///
+/// Neighbouring days agree: either may be local.
+pub(in crate::stages) fn other_day(date: Option<SinceEpoch>, named: Option<SinceEpoch>) -> Option<String> {
+    let apart_days = ((date? - named?) / DAY_S).abs();
+    (apart_days > 2.0).then(|| {
+        format!(
+            "`gps_date` and the date in the file name are {apart_days:.0} days apart: the key is used; check date"
+        )
+    })
+}
+
 /// Remedy for implausible times.
 pub(in crate::stages) const SAY_SCALE: &str = "set the time scale with the reader's key `recording_time`";
 
@@ -443,6 +455,9 @@ mod tests {
     fn noon_is_that_of_the_day() {
         assert_eq!(noon("2013-06-21"), Some(FRIDAY + 43_200.0));
         assert_eq!(noon("2013-6-21"), None);
+        assert_eq!(other_day(noon("2013-06-22"), Some(FRIDAY)), None);
+        let apart = other_day(noon("2012-06-21"), Some(FRIDAY)).unwrap();
+        assert!(apart.contains("are 364 days apart"), "{apart}");
         assert_eq!(noon("21.06.2013"), None);
     }
 }

@@ -20,7 +20,7 @@ error: `geometry` of `[job]` has no key `trajectry`
   | ^^^^^^^^^
   |
   = help: did you mean `trajectory`?
-  = help: keys: trajectory, trajectory_time, trajectory_angles, trajectory_columns, trajectory_heights, trajectory_accuracy, mount, calibration, crs, geoid, geoid_dir, unit
+  = help: keys: trajectory, trajectory_time, trajectory_angles, trajectory_columns, trajectory_outliers, trajectory_limits, trajectory_heights, trajectory_accuracy, mount, calibration, crs, geoid, geoid_dir, unit
 "#,
     );
 }

@@ -13,6 +13,8 @@ use super::{Angles, Options, Raw, Records, check, sample_of_degrees};
 use wavex_geodesy::frames::Attitude;
 use wavex_geodesy::trajectory::Sample;
 
+/// Name of the format.
+pub(super) const FORMAT: &str = "text";
 /// Longest accepted line, bytes.
 const LONGEST_LINE: u64 = 1 << 16;
 /// Column letters and their quantities.
@@ -97,9 +99,10 @@ pub(super) fn read(input: &mut Input, options: &Options) -> Result<Raw> {
         );
     }
     Ok(Raw {
-        format: "text".to_owned(),
+        format: FORMAT.to_owned(),
         stated: Stated::default(),
         records: Records::Geodetic(samples),
+        speeds_mps: Vec::new(),
         notes,
     })
 }

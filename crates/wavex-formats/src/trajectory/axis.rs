@@ -31,7 +31,7 @@ pub(super) struct Placed {
 
 /// Puts the decoded records on one time axis and adds the accuracies in the file `accuracy`.
 pub(super) fn settle(path: &Path, raw: Raw, options: &Options, accuracy: Option<&Path>) -> Result<Recorded> {
-    let Raw { format, mut stated, mut records, mut notes } = raw;
+    let Raw { format, mut stated, mut records, speeds_mps, mut notes } = raw;
     let offset_s = options.time.map_or(0.0, FileTime::offset_s);
     records.times_mut().for_each(|time_s| *time_s += offset_s);
     stated.is_utc |= options.time == Some(FileTime::Unix);
@@ -58,8 +58,16 @@ pub(super) fn settle(path: &Path, raw: Raw, options: &Options, accuracy: Option<
     }
     let on_axis = if anchor_s.is_some() { Clock::Adjusted } else { clock };
     let accuracies = Vec::new();
-    let mut recorded =
-        Recorded { file: path.to_owned(), format, counts, clock: on_axis, records, accuracies, notes };
+    let mut recorded = Recorded {
+        file: path.to_owned(),
+        format,
+        counts,
+        clock: on_axis,
+        records,
+        accuracies,
+        speeds_mps,
+        notes,
+    };
     if let Some(path) = accuracy {
         recorded.accuracies =
             accuracies::on_axis(path, &recorded, Placed { clock, leap_s: offset_s + leap_s })?;

@@ -168,7 +168,7 @@ pub(super) fn read(input: &mut Input) -> Result<Raw> {
         Ok(())
     })?;
     let format = format!("POF {}.{}", version[0], version[1]);
-    Ok(Raw { format, stated, records: Records::Geodetic(samples), notes })
+    Ok(Raw { format, stated, records: Records::Geodetic(samples), speeds_mps: Vec::new(), notes })
 }
 
 /// Returns the header's declarations about times.

@@ -141,10 +141,13 @@ pub(super) fn is_one(head: &[u8]) -> bool {
 /// Reads all records.
 pub(super) fn read(input: &mut Input) -> Result<Raw> {
     let path = input.path.clone();
-    let mut samples = Vec::new();
+    let (mut samples, mut speeds_mps) = (Vec::new(), Vec::new());
     input.each(RECORD_BYTES, None, |number, mut fields| {
         let offset = fields.offset();
-        let sample = SbetRecord::decode(&fields.array("record")?).sample();
+        let record = SbetRecord::decode(&fields.array("record")?);
+        let [vx, vy, _] = record.velocity_mps;
+        speeds_mps.push((vx * vx + vy * vy).sqrt());
+        let sample = record.sample();
         check(&path, offset, number, &sample)?;
         samples.push(sample);
         Ok(())
@@ -153,6 +156,7 @@ pub(super) fn read(input: &mut Input) -> Result<Raw> {
         format: "SBET".to_owned(),
         stated: Stated::default(),
         records: Records::Geodetic(samples),
+        speeds_mps,
         notes: Vec::new(),
     })
 }

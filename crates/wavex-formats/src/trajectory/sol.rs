@@ -84,6 +84,7 @@ pub(super) fn read(input: &mut Input) -> Result<Raw> {
         format: "SOL".to_owned(),
         stated: Stated { clock: Some(Clock::Adjusted), ..Stated::default() },
         records: Records::Geodetic(samples),
+        speeds_mps: Vec::new(),
         notes: Vec::new(),
     })
 }

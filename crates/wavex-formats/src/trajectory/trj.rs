@@ -52,6 +52,7 @@ pub(super) fn read(input: &mut Input) -> Result<Raw> {
         format: "TRJ".to_owned(),
         stated: Stated::default(),
         records: Records::Projected(samples),
+        speeds_mps: Vec::new(),
         notes: Vec::new(),
     })
 }

@@ -15,6 +15,16 @@ pub enum CrsError {
         /// Description of the problem.
         problem: &'static str,
     },
+    /// A system spelled in another way.
+    #[error("crs `{word}`: {problem}; write `{meant}`")]
+    Spelling {
+        /// The name.
+        word: String,
+        /// Description of the problem.
+        problem: &'static str,
+        /// The right spelling.
+        meant: String,
+    },
     /// EPSG code that is not in the table.
     #[error(
         "EPSG:{0} is not in the table of coordinate reference systems; check the code, or use a WKT file"

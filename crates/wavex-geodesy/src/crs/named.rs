@@ -28,7 +28,7 @@ impl Named {
     /// Parses a name, case-insensitive; `None` for anything else, which is the path of a WKT file.
     ///
     /// # Errors
-    /// An invalid UTM zone or EPSG code.
+    /// An invalid UTM zone or EPSG code, or a known system in another spelling, with the right one.
     ///
     /// # Examples
     ///
@@ -42,6 +42,9 @@ impl Named {
     pub fn parse(word: &str) -> Result<Option<Named>, CrsError> {
         let error = |problem| CrsError::Word { word: word.into(), problem };
         let lower = word.trim().to_lowercase();
+        if let Some((problem, meant)) = respelled(&lower) {
+            return Err(CrsError::Spelling { word: word.into(), problem, meant });
+        }
         let named = match lower.as_str() {
             "utm" => Named::Utm,
             "geodetic" => Named::Geodetic,
@@ -59,6 +62,42 @@ impl Named {
             },
         };
         Ok(Some(named))
+    }
+}
+
+/// The problem and the right spelling of a word that names a system in another way; lower case.
+fn respelled(word: &str) -> Option<(&'static str, String)> {
+    let is_code =
+        |text: &str| (4..=6).contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_digit());
+    let part = [' ', '_', '-', ':'];
+    let plain = word.replace(part, "");
+    let urn = word.strip_prefix("urn:ogc:def:crs:epsg:").and_then(|rest| rest.split(':').next_back());
+    let code = urn.or(plain.strip_prefix("epsg")).unwrap_or(&plain);
+    let is_right = word.strip_prefix("epsg:").is_some_and(|rest| is_code(rest.trim()));
+    if is_code(code) && !is_right {
+        return Some(("an EPSG code needs its prefix", format!("EPSG:{code}")));
+    }
+    if let Some((horizontal, vertical)) = code.split_once('+')
+        && is_code(horizontal)
+        && is_code(vertical)
+    {
+        let problem =
+            "compound systems are not named by two codes; heights above a geoid are set by the key `geoid`";
+        return Some((problem, format!("EPSG:{horizontal}")));
+    }
+    if ["wgs84", "wgs1984"].contains(&plain.as_str()) {
+        return Some((
+            "a datum has many coordinate systems, such as `utm:33N`; for degrees",
+            "geodetic".into(),
+        ));
+    }
+    match plain.strip_prefix("wgs84").unwrap_or(&plain).trim_start_matches('/').strip_prefix("utm") {
+        Some(zone) if !word.starts_with("utm:") => {
+            let zone = zone.strip_prefix("zone").unwrap_or(zone);
+            utm_zone(zone)?;
+            Some(("a zone follows a colon", format!("utm:{}", zone.to_uppercase())))
+        }
+        _ => None,
     }
 }
 
@@ -112,6 +151,29 @@ mod tests {
         assert!(
             Named::parse("epsg:lambert").unwrap_err().to_string().contains("an EPSG code is a whole number")
         );
+    }
+
+    #[test]
+    fn other_spellings_are_errors_with_the_right_one() {
+        for (word, meant) in [
+            ("25832", "EPSG:25832"),
+            ("EPSG 25832", "EPSG:25832"),
+            ("epsg25832", "EPSG:25832"),
+            ("urn:ogc:def:crs:EPSG::25832", "EPSG:25832"),
+            ("EPSG:2956+6647", "EPSG:2956"),
+            ("2956+6647", "EPSG:2956"),
+            ("WGS84", "geodetic"),
+            ("WGS 84", "geodetic"),
+            ("utm33n", "utm:33N"),
+            ("UTM 33N", "utm:33N"),
+            ("WGS 84 / UTM zone 33N", "utm:33N"),
+        ] {
+            let error = Named::parse(word).unwrap_err().to_string();
+            assert!(error.ends_with(&format!("; write `{meant}`")), "{error}");
+        }
+        for path in ["25832.wkt", "site/25832", "./25832", "utm33n.prj", "wgs84.prj", "33"] {
+            assert_eq!(Named::parse(path).unwrap(), None, "{path}");
+        }
     }
 
     #[test]

@@ -196,3 +196,17 @@ fn gps_times_become_utc_about_a_leap_second() {
     assert_eq!(utc_of_gps(f64::NAN), None);
     assert_eq!(utc_of_gps(-2e9), None);
 }
+
+#[test]
+fn the_date_of_a_trajectory_gives_the_week_of_seconds() {
+    // 2025-05-06 is the Tuesday of week 2365.
+    let span = |clock, first_s: f64| TimeSpan { clock, first_s, last_s: first_s + 1000.0 };
+    let week = |recording, trajectory| {
+        Alignment::between(recording, trajectory).unwrap().gps_week(recording.first_s)
+    };
+    let dated = span(Clock::Adjusted, 430_560_700.0);
+    assert_eq!(week(span(Clock::Week, 208_800.0), dated), Some(2365));
+    assert_eq!(week(span(Clock::Week, 208_800.0 + WEEK_S), dated), Some(2364), "continued after its end");
+    assert_eq!(week(span(Clock::Week, 208_800.0), span(Clock::Week, 208_700.0)), None);
+    assert_eq!(week(span(Clock::Day, 36_000.0), dated), None);
+}

@@ -2,9 +2,11 @@
 //!
 //! A record is an outlier if it differs from the line through its neighbours by more than an
 //! acceleration of the vehicle and the noise of the trajectory explain, and its neighbours fit without
-//! it. Stretches of equal positions inside a movement are outliers, too.
+//! it. Stretches of equal positions inside a movement are outliers, too, and attitudes beyond the limits
+//! of the vehicle.
 
 use super::Sample;
+use super::plausibility::{Limits, MOST_PART, wrapped_rad};
 use crate::ellipsoid::WGS84;
 
 /// Largest acceleration, m/s²: five times that of free fall.
@@ -23,8 +25,6 @@ const PASSES: usize = 3;
 pub const FEWEST_FROZEN: usize = 10;
 /// Smallest speed around a frozen stretch, m/s.
 pub const LEAST_SPEED_MPS: f64 = 5.0;
-/// Largest part of the records that may be outliers; else the trajectory is as it is.
-const MOST_PART: f64 = 0.05;
 
 /// What is wrong with a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,6 +33,8 @@ pub enum Fault {
     Position,
     /// Its roll, pitch or heading.
     Attitude,
+    /// Its roll or pitch is beyond the limits of the vehicle.
+    Limit,
     /// It repeats the position of the record before, although the vehicle moves.
     Frozen,
 }
@@ -46,14 +48,16 @@ pub struct Outlier {
     pub time_s: f64,
     /// What is wrong.
     pub fault: Fault,
-    /// Deviation from its neighbours, m or rad; 0 for a frozen record.
+    /// Deviation from its neighbours or limits, m or rad; 0 for a frozen record.
     pub deviation: f64,
 }
 
 /// Outliers of samples in order of time, by record.
 ///
-/// Empty if they were more than 5 % of the records. Records with times out of order have none.
-pub fn outliers(samples: &[Sample]) -> Vec<Outlier> {
+/// More than 5 % of one kind are noise of the trajectory or a contradiction of the whole
+/// ([`super::plausibility`]), not outliers; repeated positions are always. Records with times out of order
+/// have none.
+pub fn outliers(samples: &[Sample], limits: Option<&Limits>) -> Vec<Outlier> {
     let is_ordered = samples.windows(2).all(|pair| pair[0].time_s < pair[1].time_s);
     if samples.len() < 4 || !is_ordered {
         return Vec::new();
@@ -67,12 +71,33 @@ pub fn outliers(samples: &[Sample]) -> Vec<Outlier> {
         })
         .collect();
     let times_s: Vec<f64> = samples.iter().map(|sample| sample.time_s).collect();
-    let mut found = deviating(&times_s, &places_m, &POSITION);
-    found.extend(deviating(&times_s, &angles_rad, &ATTITUDE));
+    let most = (MOST_PART * samples.len() as f64).max(1.0);
+    let is_few = |found: &Vec<Outlier>| found.len() as f64 <= most;
+    let kinds = [
+        deviating(&times_s, &places_m, &POSITION),
+        deviating(&times_s, &angles_rad, &ATTITUDE),
+        limits.map_or(Vec::new(), |limits| beyond(samples, limits)),
+    ];
+    let mut found = kinds.into_iter().filter(is_few).flatten().collect::<Vec<_>>();
     found.extend(frozen(&times_s, &places_m));
     found.sort_by_key(|outlier| outlier.record);
     found.dedup_by_key(|outlier| outlier.record);
-    if found.len() as f64 > MOST_PART * samples.len() as f64 { Vec::new() } else { found }
+    found
+}
+
+/// Records with roll or pitch beyond the limits.
+fn beyond(samples: &[Sample], limits: &Limits) -> Vec<Outlier> {
+    let excess_rad = |sample: &Sample| {
+        let roll_rad = wrapped_rad(sample.attitude.roll_rad).abs() - limits.roll_rad;
+        roll_rad.max(wrapped_rad(sample.attitude.pitch_rad).abs() - limits.pitch_rad)
+    };
+    let records = samples.iter().enumerate().map(|(record, sample)| Outlier {
+        record,
+        time_s: sample.time_s,
+        fault: Fault::Limit,
+        deviation: excess_rad(sample),
+    });
+    records.filter(|outlier| outlier.deviation > 0.0).collect()
 }
 
 /// A quantity and its limits.
@@ -94,13 +119,7 @@ const ATTITUDE: Quantity = Quantity {
     fault: Fault::Attitude,
     most_acceleration: MOST_TURNING_RADPS2,
     least: LEAST_RAD,
-    difference: |a, b| {
-        core::array::from_fn(|axis| {
-            let turn = core::f64::consts::TAU;
-            let difference = (a[axis] - b[axis]) % turn;
-            difference - turn * (difference / turn).round()
-        })
-    },
+    difference: |a, b| core::array::from_fn(|axis| wrapped_rad(a[axis] - b[axis])),
 };
 
 /// Outliers of one quantity, found and left out one by one.
@@ -113,15 +132,10 @@ fn deviating(times_s: &[f64], values: &[[f64; 3]], quantity: &Quantity) -> Vec<O
             (0..kept.len()).map(|at| deviation(times_s, values, &kept, at, quantity)).collect();
         // The median of the first pass is that of the sound records.
         let noise = *noise.get_or_insert_with(|| LEAST_MEDIANS * median(deviations.iter().map(|of| of[0])));
-        let over = |at: usize| {
-            let [deviation, limit] = deviations[at];
-            deviation / limit.max(noise)
-        };
+        let of = |at: usize| deviations.get(at).map_or(0.0, |of| of[0]);
         let is_outlier = |at: usize| {
-            let own = over(at);
-            let before = at.checked_sub(1).map_or(0.0, over);
-            let after = if at + 1 < kept.len() { over(at + 1) } else { 0.0 };
-            own > 1.0 && own >= before && own > after
+            let [own, limit] = deviations[at];
+            own > limit.max(noise) && own >= at.checked_sub(1).map_or(0.0, of) && own > of(at + 1)
         };
         let outliers: Vec<usize> = (0..kept.len()).filter(|&at| is_outlier(at)).collect();
         if outliers.is_empty() {
@@ -145,8 +159,10 @@ fn deviating(times_s: &[f64], values: &[[f64; 3]], quantity: &Quantity) -> Vec<O
     found
 }
 
-/// Deviation of a record from the line through its neighbours, or of the first and last record from
-/// that of the next two; and its limit.
+/// Deviation of a record from the line through its neighbours, and its limit.
+///
+/// For the first and last record: the smallest from the lines through two of the next three, one of which
+/// may be an outlier itself.
 fn deviation(
     times_s: &[f64],
     values: &[[f64; 3]],
@@ -154,19 +170,24 @@ fn deviation(
     at: usize,
     quantity: &Quantity,
 ) -> [f64; 2] {
-    let [a, b] = match at {
-        0 => [1, 2],
-        _ if at + 1 == kept.len() => [at - 2, at - 1],
-        _ => [at - 1, at + 1],
+    let from_line = |[a, b]: [usize; 2]| {
+        let [a, b, record] = [kept[a], kept[b], kept[at]];
+        let part = (times_s[record] - times_s[a]) / (times_s[b] - times_s[a]);
+        let along = (quantity.difference)(values[b], values[a]);
+        let own = (quantity.difference)(values[record], values[a]);
+        let square: f64 = (0..3).map(|axis| (own[axis] - part * along[axis]).powi(2)).sum();
+        let steps = (times_s[record] - times_s[a]).abs() * (times_s[b] - times_s[record]).abs();
+        [square.sqrt(), quantity.least.max(0.5 * quantity.most_acceleration * steps)]
+    };
+    let smallest = |[a, b, c]: [usize; 3]| {
+        let lines = [[a, b], [a, c], [b, c]].map(from_line);
+        lines.into_iter().fold([f64::INFINITY; 2], |least, of| if of[0] < least[0] { of } else { least })
+    };
+    match at {
+        0 => smallest([1, 2, 3]),
+        _ if at + 1 == kept.len() => smallest([at - 3, at - 2, at - 1]),
+        _ => from_line([at - 1, at + 1]),
     }
-    .map(|at| kept[at]);
-    let record = kept[at];
-    let part = (times_s[record] - times_s[a]) / (times_s[b] - times_s[a]);
-    let along = (quantity.difference)(values[b], values[a]);
-    let own = (quantity.difference)(values[record], values[a]);
-    let square: f64 = (0..3).map(|axis| (own[axis] - part * along[axis]).powi(2)).sum();
-    let steps = (times_s[record] - times_s[a]).abs() * (times_s[b] - times_s[record]).abs();
-    [square.sqrt(), quantity.least.max(0.5 * quantity.most_acceleration * steps)]
 }
 
 /// Records that repeat the position of the one before, in the middle of a movement.
@@ -230,7 +251,10 @@ mod tests {
     fn found(change: impl Fn(&mut Vec<Sample>), step_s: f64) -> Vec<(usize, Fault)> {
         let mut samples = flight(1000, step_s);
         change(&mut samples);
-        outliers(&samples).iter().map(|outlier| (outlier.record, outlier.fault)).collect()
+        outliers(&samples, Some(&Limits::AIRPLANE))
+            .iter()
+            .map(|outlier| (outlier.record, outlier.fault))
+            .collect()
     }
 
     #[test]
@@ -249,6 +273,13 @@ mod tests {
             assert_eq!(found(|s| s[999].place.height_m += 500.0, step_s), [(999, Fault::Position)]);
         }
         assert_eq!(found(|s| s[500].attitude.roll_rad += 1.57, 0.005), [(500, Fault::Attitude)]);
+        let bank = |s: &mut Vec<Sample>| s[400..420].iter_mut().for_each(|s| s.attitude.roll_rad = 1.57);
+        let banked: Vec<usize> = found(bank, 0.005).iter().map(|of| of.0).collect();
+        assert!((400..420).all(|record| banked.contains(&record)) && banked.len() <= 26, "{banked:?}");
+        for step_s in [0.005, 1.0] {
+            assert_eq!(found(|s| s[1].place.height_m += 500.0, step_s), [(1, Fault::Position)]);
+            assert_eq!(found(|s| s[997].place.height_m += 500.0, step_s), [(997, Fault::Position)]);
+        }
         assert_eq!(
             found(
                 |s| s.iter_mut().for_each(|s| s.attitude.heading_rad =

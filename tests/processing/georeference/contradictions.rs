@@ -1,0 +1,84 @@
+//! Trajectories, mounts and dates that contradict physics, the beams or each other.
+
+use std::fmt::Write;
+
+use super::flights::QUIET;
+use wavex_testkit::georeferenced_flight::{Flight, Placed, fly};
+
+/// Metres of a degree of longitude at 47 degrees of latitude.
+const METRES_PER_DEGREE: f64 = 76_000.0;
+
+/// Text of a flight at 60 m/s to the east around the time of the recording, with these angles.
+fn text(roll: f64, pitch: f64, heading: f64) -> String {
+    let mut text = String::new();
+    for k in 0..400 {
+        let since_s = 0.05 * f64::from(k);
+        let (time_s, longitude) = (208_795.0 + since_s, 15.0 + 60.0 * since_s / METRES_PER_DEGREE);
+        writeln!(text, "{time_s:.2} {longitude:.9} 47.0 1000.0 {roll} {pitch} {heading}").unwrap();
+    }
+    text
+}
+
+fn placed(flight: &Flight, keys: &str) -> Result<Placed, String> {
+    flight.place(keys, |truth| truth.range_m)
+}
+
+#[test]
+fn a_trajectory_that_contradicts_itself_is_refused_with_the_key_that_mends_it() {
+    let flight = fly(QUIET);
+    let of = |[roll, pitch, heading]: [f64; 3], keys: &str| {
+        std::fs::write(flight.path("a.txt"), text(roll, pitch, heading)).unwrap();
+        placed(&flight, &format!("trajectory = 'a.txt'\ntrajectory_columns = 'txyzwpk'\n{keys}")).map(|_| ())
+    };
+    let (degrees, radians) = ([3.0, 2.0, 92.0], [3.0, 2.0, 92.0].map(f64::to_radians));
+    assert_eq!(of(degrees, ""), Ok(()));
+    assert_eq!(of(radians, "trajectory_angles = 'rad'"), Ok(()));
+    let small = of(radians, "").unwrap_err();
+    assert!(small.contains("a.txt") && small.contains("set `trajectory_angles = \"rad\"`"), "{small}");
+    let large = of(degrees, "trajectory_angles = 'rad'").unwrap_err();
+    assert!(large.contains("set `trajectory_angles = \"deg\"`"), "{large}");
+
+    let rolled = of([90.0, 2.0, 92.0], "").unwrap_err();
+    assert!(rolled.contains("its roll exceeds 75 degrees in 100.0 % of the flight"), "{rolled}");
+    assert_eq!(of([90.0, 2.0, 92.0], "trajectory_limits = 'none'"), Ok(()));
+
+    let across = of([3.0, 2.0, 0.0], "").unwrap_err();
+    assert!(across.contains("differ by 90 degrees") && across.contains("trajectory_limits"), "{across}");
+    assert_eq!(of([3.0, 2.0, 0.0], "trajectory_limits = 'helicopter'"), Ok(()));
+}
+
+#[test]
+fn beams_far_from_nadir_are_a_warning_that_names_the_mount() {
+    let flight = fly(QUIET);
+    let notes = |mount: &str| {
+        let keys = format!("trajectory = 'a.out'\nmount = '{mount}'");
+        placed(&flight, &keys).unwrap().cx.counters().notes.clone()
+    };
+    assert_eq!(notes("level"), Vec::<String>::new());
+    let notes = notes("x_down_z_right");
+    let is_said = |note: &String| note.contains("away from straight down") && note.contains("`mount`");
+    assert!(notes.iter().any(is_said), "{notes:?}");
+}
+
+/// Year in the header of a POF, after magic, version and offset of the records.
+const YEAR: std::ops::Range<usize> = 35..37;
+
+#[test]
+fn a_trajectory_of_another_year_is_refused() {
+    let flight = fly(QUIET);
+    let mut pof = std::fs::read(flight.path("a.pof")).unwrap();
+    assert_eq!(pof[YEAR], 2025u16.to_le_bytes());
+    assert!(placed(&flight, "trajectory = 'a.pof'").is_ok());
+    pof[YEAR].copy_from_slice(&2024u16.to_le_bytes());
+    std::fs::write(flight.path("a.pof"), pof).unwrap();
+    let error = placed(&flight, "trajectory = 'a.pof'").err().unwrap();
+    assert!(error.starts_with("timestamp not found in PO file"), "{error}");
+    assert!(error.contains("2025-05-06") && error.contains("check date"), "{error}");
+}
+
+#[test]
+fn the_week_is_that_of_a_dated_trajectory() {
+    let flight = fly(QUIET).of_no_week();
+    assert_eq!(placed(&flight, "trajectory = 'a.out'").unwrap().gps_week, None);
+    assert_eq!(placed(&flight, "trajectory = 'a.pof'").unwrap().gps_week, Some(2365));
+}
