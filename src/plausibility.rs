@@ -47,7 +47,9 @@ impl Display for Otherwise {
 
 /// All checks, by input.
 pub fn checks() -> Vec<(&'static str, Vec<Check>)> {
-    vec![("Waveforms of LAS files", read_las::checks()), ("Trajectories", georef::trajectory_checks())]
+    let mut waveforms = plausible::checks();
+    waveforms.push(read_las::location_check());
+    vec![("Waveforms", waveforms), ("Trajectories", georef::trajectory_checks())]
 }
 
 /// The page of all checks in Markdown (`docs/reference/checks.md`).

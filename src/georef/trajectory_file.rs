@@ -10,7 +10,7 @@ use wavex_formats::Error;
 use wavex_formats::trajectory::{self, Angles, FileTime, Options, Records, Unproject};
 use wavex_geodesy::crs::CrsError;
 use wavex_geodesy::ellipsoid::Geodetic;
-use wavex_geodesy::time_axis::{Clock, TimeSpan};
+use wavex_geodesy::time_axis::TimeSpan;
 use wavex_geodesy::trajectory::outliers::{
     FEWEST_FROZEN, Fault, LEAST_M, LEAST_RAD, LEAST_SPEED_MPS, MOST_ACCELERATION_MPS2, MOST_TURNING_RADPS2,
     Outlier, outliers,
