@@ -338,6 +338,7 @@ fn displaced_shots_show_beside_shots_without_an_echo() {
     assert_eq!(part(|shot| shot % 3 != 0), 0.0, "neighbours are three shots apart");
 }
 
+/// Recording with these second differences, ns; the interval is 1 ns.
 fn differences(of: impl Fn(usize) -> f64) -> Smoothness {
     let made_ns: Vec<[f64; REFERENCES]> = (0..1000).map(|i| [of(i); REFERENCES]).collect();
     Smoothness { interval_ns: 1.0, points_ns: made_ns.clone(), spaced_ns: made_ns, ..Smoothness::by(WITHOUT) }
