@@ -61,7 +61,7 @@ pub(super) struct Smoothness {
     /// Second differences of points along the beam and of ranges, ns, by reference.
     points_ns: Vec<[f64; REFERENCES]>,
     ranges_ns: Vec<[f64; REFERENCES]>,
-    /// Of points between which a shot may be missing.
+    /// The same of points between which one shot may have no single echo.
     spaced_ns: Vec<[f64; REFERENCES]>,
     /// Peaks of outgoing pulses after the clock, ns.
     outgoing_ns: Vec<f64>,
@@ -187,17 +187,17 @@ impl Smoothness {
             .collect();
         for &[(i, a, x), (j, b, y), (k, c, z)] in echoes.array_windows() {
             let steps = [j - i, k - j];
-            if steps.into_iter().max() > Some(MOST_STEP) {
+            if steps[0].max(steps[1]) > MOST_STEP {
                 continue;
             }
             // The middle point less the line through the others, times -2.
             let of_first = 2.0 * steps[1] as f64 / (k - i) as f64;
             let factors = [of_first, -2.0, 2.0 - of_first];
             let [mut points_ns, mut ranges_ns] = [[f64::NAN; REFERENCES]; 2];
-            for i in 0..self.references.len() {
-                let flight_ns = [x, y, z].map(|single| single.echo_ns - single.emission_ns[i]);
-                ranges_ns[i] = flight_ns.iter().zip(factors).map(|(ns, factor)| ns * factor).sum();
-                points_ns[i] = along_beam_ns([a, b, c], flight_ns, factors, metres_per_ns);
+            for reference in 0..self.references.len() {
+                let flight_ns = [x, y, z].map(|single| single.echo_ns - single.emission_ns[reference]);
+                ranges_ns[reference] = flight_ns.iter().zip(factors).map(|(ns, factor)| ns * factor).sum();
+                points_ns[reference] = along_beam_ns([a, b, c], flight_ns, factors, metres_per_ns);
             }
             self.spaced_ns.push(points_ns);
             if steps == [1, 1] {
@@ -379,7 +379,7 @@ pub(super) fn name(reference: EmissionReference) -> &'static str {
     super::container_info::reference_of(reference).name()
 }
 
-/// Second difference of three points along the middle beam by these factors, ns.
+/// Sum of three points along the middle beam, multiplied by these factors, ns.
 fn along_beam_ns(
     emissions: [Emission; 3],
     flight_ns: [f64; 3],

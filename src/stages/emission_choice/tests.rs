@@ -332,12 +332,13 @@ fn waveforms_displaced_by_a_sample_are_a_warning() {
 
 #[test]
 fn displaced_shots_show_beside_shots_without_an_echo() {
-    let late = |shot: u32| shot % 10 == 0;
+    let late = |shot: u32| shot.is_multiple_of(10);
     let part = |is_empty: fn(u32) -> bool| smoothness_of(late, is_empty).displaced_part(0);
     assert!((0.05..0.12).contains(&part(|shot| shot % 3 == 2)), "{}", part(|shot| shot % 3 == 2));
     assert_eq!(part(|shot| shot % 3 != 0), 0.0, "neighbours are three shots apart");
 }
 
+/// Recording with these second differences, ns; the interval is 1 ns.
 fn differences(of: impl Fn(usize) -> f64) -> Smoothness {
     let made_ns: Vec<[f64; REFERENCES]> = (0..1000).map(|i| [of(i); REFERENCES]).collect();
     Smoothness { interval_ns: 1.0, points_ns: made_ns.clone(), spaced_ns: made_ns, ..Smoothness::by(WITHOUT) }

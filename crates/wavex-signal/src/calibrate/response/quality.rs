@@ -39,7 +39,6 @@ const NEAR: StopCriteria = StopCriteria { iterations: 30, decrease: 1e-4, enough
 pub(super) struct Quality {
     model: ChannelModel,
     shape: Shape,
-    even_odd: EvenOdd,
     /// Difference of the positions from even and odd samples, over its expected standard deviation.
     scores: Vec<f64>,
     /// Excess of the squared residual over the noise, by sample since the start of the response.
@@ -105,7 +104,6 @@ impl Quality {
         let shape = Shape::of(model)?;
         let mut quality = Quality {
             model: model.clone(),
-            even_odd: EvenOdd::of_shape(shape.clone(), model, longest)?,
             shape,
             scores: Vec::new(),
             excess: vec![Excess::default(); samples],
@@ -115,19 +113,34 @@ impl Quality {
         for single in evenly(singles, MOST_RESIDUALS) {
             quality.add_residual(&single, &mut halves);
         }
-        quality.score(singles);
+        quality.score(singles, halves.as_ref(), longest)?;
         Ok(quality)
     }
 
-    /// Applies the even/odd test to at most [`MOST_SCORED`] echoes.
-    fn score(&mut self, singles: &[Single<'_>]) {
+    /// Applies the even/odd test to at most [`MOST_SCORED`] echoes, by a response that they did not make.
+    fn score(
+        &mut self,
+        singles: &[Single<'_>],
+        halves: Option<&Halves>,
+        longest: usize,
+    ) -> Result<(), ModelError> {
+        let of_halves = halves.map(|halves| halves.fitters.each_ref().map(|(_, shape)| shape));
+        let shapes = std::iter::once(&self.shape).chain(of_halves.into_iter().flatten());
+        let tests = shapes
+            .map(|shape| EvenOdd::of_shape(shape.clone(), &self.model, longest))
+            .collect::<Result<Vec<_>, _>>()?;
+        // The test of all echoes, of the first half, and of the second.
+        let index =
+            |single: &Single<'_>| halves.and_then(|halves| halves.half_of(single)).map_or(0, |half| 2 - half);
         let scored: Vec<Single<'_>> = evenly(singles, MOST_SCORED).collect();
         let scores = map_parts(&scored, SCORED_PER_TASK, |part| {
-            let mut even_odd = self.even_odd.clone();
-            let score = |single: &Single<'_>| even_odd.score(&target(&self.model, single), start(single));
-            part.iter().filter_map(score).collect::<Vec<_>>()
+            let mut tests = tests.clone();
+            let mut score =
+                |single: &Single<'_>| tests[index(single)].score(&target(&self.model, single), start(single));
+            part.iter().filter_map(&mut score).collect::<Vec<_>>()
         });
         self.scores = scores.into_iter().flatten().collect();
+        Ok(())
     }
 
     /// Writes template error and error factor to a model.
@@ -245,9 +258,14 @@ impl Halves {
         Ok(first?.zip(second?).map(|(a, b)| Halves { fitters: [a, b], whitener, half_of }))
     }
 
+    /// Half of an echo; `None` if it is in neither.
+    fn half_of(&self, single: &Single<'_>) -> Option<usize> {
+        self.half_of.get(single.index).copied().flatten()
+    }
+
     /// Pulse and residual of an echo by the response of the other half; `None` if it is in neither.
     fn residual(&mut self, single: &Single<'_>, target_dn: &[f64]) -> Option<(Pulse, Vec<f64>)> {
-        let half = self.half_of.get(single.index).copied().flatten()?;
+        let half = self.half_of(single)?;
         let (fitter, shape) = &mut self.fitters[1 - half];
         self.whitener.set_used(&vec![true; target_dn.len()]);
         let fit = fitter.fit(&self.whitener, target_dn, &[start(single)], NEAR);
@@ -304,7 +322,78 @@ fn spread(scores: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulated::{Random, moments};
+    use crate::decompose::Return;
+    use crate::noise::ArNoise;
+    use crate::sensor_model::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse};
+    use crate::simulated::{Random, channel, digitised, moments, noise};
+
+    /// Model of a pulse that rises within 2.5 samples and falls within as many as given.
+    fn skewed(model: &ChannelModel, fall: f64) -> ChannelModel {
+        let value = |step: i32| {
+            let t = f64::from(step) / STEPS_PER_SAMPLE as f64;
+            (-(t / if t < 0.0 { 2.5 } else { fall }).powi(2)).exp()
+        };
+        let steps = 12 * STEPS_PER_SAMPLE as i32;
+        let node = ResponseNode { peak_dn: 100.0, values: (-steps..steps).map(value).collect() };
+        let (template_error, excess_part) = (Vec::new(), 1.0);
+        let (first_sample, nodes, echoes, shape_sd) = (-12, vec![node], 1000, 0.0);
+        with_response(
+            model,
+            SystemResponse { first_sample, nodes, template_error, excess_part, echoes, shape_sd },
+        )
+    }
+
+    #[test]
+    fn no_echo_is_scored_by_a_response_that_it_made() {
+        let process = ArNoise::new(&[0.3], 0.8).unwrap();
+        let model = channel(&process, 5.0, 10.0);
+        let mut values = noise(&mut Random::new(1), &process, 60);
+        for (k, value) in values.iter_mut().enumerate() {
+            *value += 10.0 + 100.0 * (-((k as f64 - 30.3) / 3.0).powi(2)).exp();
+        }
+        let samples = digitised(&values, 255);
+        let fitted = Return {
+            position_samples: 30.0,
+            position_sd_samples: 0.1,
+            amplitude_dn: 100.0,
+            amplitude_sd_dn: 1.0,
+            width_ratio: 1.0,
+            width_ratio_sd: 0.01,
+            fwhm_ns: 5.0,
+            deviation_ratio: 0.0,
+            flags: 0,
+        };
+        let single = |index| Single {
+            block: Waveform { samples: &samples, start_phase: 0 },
+            fitted,
+            offset_dn: 0.0,
+            chi_square: 56.0,
+            degrees_of_freedom: 56.0,
+            index,
+        };
+        let shape = |fall| Shape::of(&skewed(&model, fall)).unwrap();
+        let fitter =
+            |fall| (PulseFit::new(shape(fall), model.offset_precision(), samples.len(), 1), shape(fall));
+        let halves = Halves {
+            fitters: [fitter(3.5), fitter(5.0)],
+            whitener: Whitener::new(model.noise().unwrap(), samples.len()),
+            half_of: vec![Some(0), Some(1), None],
+        };
+        let mut quality = Quality {
+            model: model.clone(),
+            shape: shape(2.5),
+            scores: Vec::new(),
+            excess: Vec::new(),
+            fits: Vec::new(),
+        };
+        quality.score(&[0, 1, 2].map(single), Some(&halves), samples.len()).unwrap();
+        let expected = [5.0, 3.5, 2.5].map(|fall| {
+            let mut test = EvenOdd::of_shape(shape(fall), &model, samples.len()).unwrap();
+            test.score(&target(&model, &single(0)), start(&single(0))).unwrap()
+        });
+        assert_eq!(quality.scores, expected);
+        assert!(expected.array_windows().all(|[a, b]| (a - b).abs() > 0.01), "{expected:?}");
+    }
 
     #[test]
     fn weak_echoes_do_not_hide_the_error_of_strong_ones() {
