@@ -44,7 +44,8 @@ pub struct Candidate {
 pub struct Detector {
     shape: Shape,
     offset_precision: Option<f64>,
-    template: Vec<f64>,
+    /// Filter pulse at an even and at an odd lag.
+    templates: [Vec<f64>; 2],
     full_energy: f64,
     /// Filter statistic by whole sample after a pulse of height 1 and calibrated width.
     echo: Vec<f64>,
@@ -74,25 +75,36 @@ impl Detector {
         // The length is capped: parts of a pulse outside any block are never used.
         let shape = shape.into();
         let half = (HALF_LENGTH_WIDTHS * shape.fwhm_samples()).ceil().clamp(1.0, 1e4) as usize;
-        let mut template = vec![0.0; 2 * half + 1];
-        shape.add(&unit_pulse(half as f64), 1.0, &mut template);
+        let templates = [0, 1].map(|parity| {
+            let centre = 2 * half + parity;
+            let mut pulse = vec![0.0; centre + half + 1];
+            shape.add(&unit_pulse(centre as f64), 1.0, &mut pulse);
+            pulse.split_off(centre - half)
+        });
         let mut long = Whitener::new(whitener.noise().clone(), 4 * half);
         long.set_used(&vec![true; 4 * half + 1]);
-        let mut column = vec![0.0; 4 * half + 1];
-        column[half..=3 * half].copy_from_slice(&template);
-        long.whiten(&mut column);
-        let full_energy: f64 = column.iter().map(|v| v * v).sum();
-        long.whiten_transposed(&mut column);
-        let solved = column;
+        let filters = templates.each_ref().map(|template| {
+            let mut column = vec![0.0; 4 * half + 1];
+            column[half..=3 * half].copy_from_slice(template);
+            long.whiten(&mut column);
+            let energy: f64 = column.iter().map(|v| v * v).sum();
+            long.whiten_transposed(&mut column);
+            (column, energy)
+        });
+        let full_energy = filters[0].1;
         let mut pulse = vec![0.0; 4 * half + 1 + ECHO_SAMPLES];
         // The filter stays at its centre; the pulse is shifted relative to it.
         shape.add(&unit_pulse((2 * half) as f64), 1.0, &mut pulse);
-        let echo = (0..ECHO_SAMPLES).map(|lag| dot(&solved, &pulse[lag..]) / full_energy.sqrt()).collect();
+        let echo = (0..ECHO_SAMPLES).map(|lag| {
+            let (solved, energy) = &filters[lag % 2];
+            dot(solved, &pulse[lag..]) / energy.sqrt()
+        });
+        let echo = echo.collect();
         Detector {
             echo,
             shape,
             offset_precision,
-            template,
+            templates,
             full_energy,
             energy: Vec::with_capacity(max_samples),
             template_offset: Vec::with_capacity(max_samples),
@@ -113,7 +125,7 @@ impl Detector {
         self.solved.resize(samples, 0.0);
         let mut filled = 0..0;
         for lag in 0..samples {
-            let (first, part) = within_block(&self.template, lag, samples);
+            let (first, part) = within_block(&self.templates[lag % 2], lag, samples);
             let pulse = first..first + part.len();
             self.solved[filled].fill(0.0);
             self.solved[pulse.clone()].copy_from_slice(part);
@@ -157,7 +169,7 @@ impl Detector {
         };
         self.statistic.clear();
         for (lag, (&energy, cross)) in self.energy.iter().zip(&self.template_offset).enumerate() {
-            let (first, part) = within_block(&self.template, lag, self.energy.len());
+            let (first, part) = within_block(&self.templates[lag % 2], lag, self.energy.len());
             let product = dot(part, self.solved.get(first..).unwrap_or_default()) - cross * offset;
             let enough = energy >= LEAST_ENERGY_PART * self.full_energy;
             self.statistic.push(if enough { product / energy.sqrt() } else { f64::NEG_INFINITY });

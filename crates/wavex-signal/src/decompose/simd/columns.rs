@@ -238,11 +238,23 @@ impl Columns {
     /// Computes the statistic at every position from the whitened residuals.
     #[inline(always)]
     pub(super) fn filter_residuals<S: Simd>(&mut self, s: S, tables: &Tables) {
+        if tables.has_late_samples() {
+            self.filter_residuals_by::<S, 2>(s, tables);
+        } else {
+            self.filter_residuals_by::<S, 1>(s, tables);
+        }
+    }
+
+    /// `PARITIES` is the number of filters: for all, or for even and odd positions.
+    #[inline(always)]
+    fn filter_residuals_by<S: Simd, const PARITIES: usize>(&mut self, s: S, tables: &Tables) {
         const EARLIER: usize = FILTER_BEFORE as usize;
         const { assert!(EARLIER <= BEFORE && FILTER_LAGS - EARLIER + POSITIONS <= BEHIND) };
-        let mut taps = [s.splat(0.0); FILTER_LAGS];
-        for (tap, &value) in taps.iter_mut().zip(&tables.matched) {
-            *tap = s.splat(value);
+        let mut taps = [[s.splat(0.0); FILTER_LAGS]; PARITIES];
+        for (taps, matched) in taps.iter_mut().zip(&tables.matched) {
+            for (tap, &value) in taps.iter_mut().zip(matched) {
+                *tap = s.splat(value);
+            }
         }
         let (lengths, shortest) = self.ends(s);
         let mut at = 0;
@@ -250,7 +262,7 @@ impl Columns {
             let window = rows_from(&self.residuals, BEFORE + at - EARLIER);
             let to = rows_from_mut::<POSITIONS>(&mut self.statistic, 1 + at);
             let (Some(window), Some(to)) = (window, to) else { return };
-            let sums = filtered::<S>(s, &taps, window);
+            let sums = filtered::<S, PARITIES>(s, &taps, window);
             unrolled!(i in [0 1 2 3 4 5 6 7] if POSITIONS => {
                 let [scale, _] = tables.filter.scales_and_levels(s, at + i, lengths, shortest);
                 s.store(s.mul(sums[i], scale), &mut to[i]);
@@ -335,9 +347,9 @@ fn empty_behind(rows: &mut Aligned, kept: usize, filled: &mut usize) {
 ///
 /// Every input is read once and multiplied with all taps that need it.
 #[inline(always)]
-fn filtered<S: Simd>(
+fn filtered<S: Simd, const PARITIES: usize>(
     s: S,
-    taps: &[S::V; FILTER_LAGS],
+    taps: &[[S::V; FILTER_LAGS]; PARITIES],
     window: &[Sixteen; FILTER_LAGS + POSITIONS - 1],
 ) -> [S::V; POSITIONS] {
     let mut sums = [s.splat(0.0); POSITIONS];
@@ -345,7 +357,7 @@ fn filtered<S: Simd>(
         let value = s.load(&window[m]);
         unrolled!(i in [0 1 2 3 4 5 6 7] if POSITIONS => {
             if m >= i && m - i < FILTER_LAGS {
-                sums[i] = s.fma(taps[m - i], value, sums[i]);
+                sums[i] = s.fma(taps[i % PARITIES][m - i], value, sums[i]);
             }
         });
     });

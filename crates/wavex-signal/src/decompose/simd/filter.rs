@@ -22,16 +22,16 @@ pub(super) const WINDOW: usize = (TAPS + POSITIONS) / 2;
 
 /// Filter of unit output variance, with corrections for background and block edges.
 pub(super) struct Filter {
-    /// Taps in units of `scale`.
-    taps: [i16; TAPS],
+    /// Taps in units of `scale`, for even and for odd positions.
+    taps: [[i16; TAPS]; 2],
     /// Statistic of a sum of 1.
     scale: f32,
     /// Factors on the statistic for missing samples at the edges of the block.
     ///
-    /// `leading` is by position, `trailing` by number of samples from the position to the end of
-    /// the block.
+    /// `leading` is by position, `trailing` by position modulo 2 and by number of samples from the
+    /// position to the end of the block.
     leading: Sixteen,
-    trailing: Sixteen,
+    trailing: [Sixteen; 2],
     /// Contribution of the background to the sum of the first taps.
     ///
     /// By position modulo 4 and by number of taps.
@@ -50,10 +50,10 @@ pub(super) struct Filter {
 impl Filter {
     /// A filter without taps.
     pub(super) const NONE: Filter = Filter {
-        taps: [0; TAPS],
+        taps: [[0; TAPS]; 2],
         scale: 0.0,
         leading: [0.0; LANES],
-        trailing: [0.0; LANES],
+        trailing: [[0.0; LANES]; 2],
         background: [[0.0; TAPS + 1]; 4],
         background_met: [[0.0; LANES]; 4],
         far: [[0.0; 2]; LANES + POSITIONS],
@@ -61,33 +61,37 @@ impl Filter {
 
     /// Creates a filter.
     ///
-    /// `gain` returns the factor on the statistic of a part of the taps: the inverse standard
-    /// deviation, or 0 if too little of a pulse is left.
+    /// `taps` are for even and for odd positions. `gain` returns the factor on the statistic of a
+    /// part of them: the inverse standard deviation, or 0 if too little of a pulse is left.
     pub(super) fn new(
-        taps: &[f64; TAPS],
+        taps: &[[f64; TAPS]; 2],
         background_dn: &[f64; 4],
-        gain: impl Fn(Range<usize>) -> f32,
+        gain: impl Fn(usize, Range<usize>) -> f32,
     ) -> Filter {
-        let sum: f64 = taps.iter().map(|tap| tap.abs()).sum();
-        let largest = taps.iter().fold(0.0, |a: f64, tap| a.max(tap.abs()));
-        let per_unit = (TAPS_SUM / sum).min(f64::from(i16::MAX) / largest);
-        let taps = taps.map(|tap| (tap * per_unit).round() as i16);
+        let per_unit = taps.iter().fold(f64::INFINITY, |least, taps| {
+            let sum: f64 = taps.iter().map(|tap| tap.abs()).sum();
+            let largest = taps.iter().fold(0.0, |a: f64, tap| a.max(tap.abs()));
+            least.min(TAPS_SUM / sum).min(f64::from(i16::MAX) / largest)
+        });
+        let taps = taps.map(|taps| taps.map(|tap| (tap * per_unit).round() as i16));
         let mut filter = Filter { taps, scale: per_unit.recip() as f32, ..Filter::NONE };
         for (position, sums) in filter.background.iter_mut().enumerate() {
             let mut sum = 0.0;
-            for (i, &tap) in taps.iter().enumerate() {
+            for (i, &tap) in taps[position % 2].iter().enumerate() {
                 sum += f64::from(tap) * background_dn[(position + i + 4 * TAPS - TAPS_BEFORE) % 4];
                 sums[i + 1] = sum as f32;
             }
         }
         filter.leading = std::array::from_fn(|k| match TAPS_BEFORE.saturating_sub(k) {
             0 => 1.0,
-            missing => gain(missing..TAPS),
+            missing => gain(k % 2, missing..TAPS),
         });
-        filter.trailing = std::array::from_fn(|behind| match TAPS.saturating_sub(TAPS_BEFORE + behind) {
-            _ if behind == 0 => 0.0,
-            0 => 1.0,
-            missing => gain(0..TAPS - missing),
+        filter.trailing = [0, 1].map(|parity| {
+            std::array::from_fn(|behind| match TAPS.saturating_sub(TAPS_BEFORE + behind) {
+                _ if behind == 0 => 0.0,
+                0 => 1.0,
+                missing => gain(parity, 0..TAPS - missing),
+            })
         });
         for (met, sums) in filter.background_met.iter_mut().zip(&filter.background) {
             *met = std::array::from_fn(|behind| sums[TAPS.min(TAPS_BEFORE + behind)]);
@@ -103,7 +107,8 @@ impl Filter {
     /// The offset subtracts the background. `behind` is the number of samples from the position to
     /// the end of the block, at most 15.
     pub(super) fn scale_and_level(&self, position: usize, behind: usize) -> [f32; 2] {
-        let scale = self.scale * self.leading.get(position).copied().unwrap_or(1.0) * self.trailing[behind];
+        let leading = self.leading.get(position).copied().unwrap_or(1.0);
+        let scale = self.scale * leading * self.trailing[position % 2][behind];
         [scale, -scale * (self.background_met[position % 4][behind] - self.background_missed(position))]
     }
 
@@ -129,7 +134,7 @@ impl Filter {
         let behind = s.sub(lengths, s.splat(position as f32));
         let behind = s.min(s.max(behind, s.splat(0.0)), s.splat((LANES - 1) as f32));
         let leading = self.leading.get(position).copied().unwrap_or(1.0);
-        let scale = s.mul(s.splat(self.scale * leading), s.look_up(&self.trailing, behind));
+        let scale = s.mul(s.splat(self.scale * leading), s.look_up(&self.trailing[position % 2], behind));
         let met = s.look_up(&self.background_met[position % 4], behind);
         [scale, s.mul(scale, s.sub(s.splat(self.background_missed(position)), met))]
     }
@@ -144,13 +149,15 @@ impl Filter {
     /// `even` is for positions whose window starts at a pair, `odd` for those in between.
     #[inline(always)]
     pub(super) fn taps<S: Simd, const N: usize>(&self, s: S) -> Taps<S::V> {
-        let tap = |i: usize| if i < N { self.taps[TAPS - N + i].cast_unsigned() } else { 0 };
+        let [of_even, of_odd] = &self.taps;
+        let tap = |of: &[i16; TAPS], i: usize| if i < N { of[TAPS - N + i].cast_unsigned() } else { 0 };
         let mut taps = Taps { even: [s.splat(0.0); WINDOW], odd: [s.splat(0.0); WINDOW] };
         for (j, even) in taps.even.iter_mut().enumerate() {
-            *even = s.splat_pair([tap(2 * j), tap(2 * j + 1)]);
+            *even = s.splat_pair([tap(of_even, 2 * j), tap(of_even, 2 * j + 1)]);
         }
         for (j, odd) in taps.odd.iter_mut().enumerate() {
-            *odd = s.splat_pair([if j == 0 { 0 } else { tap(2 * j - 1) }, tap(2 * j)]);
+            let first = if j == 0 { 0 } else { tap(of_odd, 2 * j - 1) };
+            *odd = s.splat_pair([first, tap(of_odd, 2 * j)]);
         }
         taps
     }
@@ -193,16 +200,16 @@ mod tests {
 
     /// A filter with one tap, which is represented exactly.
     fn one_tap(at: usize) -> Filter {
-        let mut taps = [0.0; TAPS];
-        taps[at] = 0.25;
-        Filter::new(&taps, &[2.0, 2.5, 3.0, 2.25], |_| 0.5)
+        let mut taps = [[0.0; TAPS]; 2];
+        taps.iter_mut().for_each(|taps| taps[at] = 0.25);
+        Filter::new(&taps, &[2.0, 2.5, 3.0, 2.25], |_, _| 0.5)
     }
 
     /// `value × tap`; the background is subtracted only if the tap meets a sample of the block.
     #[test]
     fn the_background_counts_as_far_as_the_block_goes() {
         let (length, filter) = (40_usize, one_tap(3));
-        let sum_of_one = f32::from(filter.taps[3]);
+        let sum_of_one = f32::from(filter.taps[0][3]);
         for position in 0..length {
             let sample = (position + 3).checked_sub(TAPS_BEFORE);
             let [scale, level] = filter.scale_and_level(position, (length - position).min(LANES - 1));
@@ -226,11 +233,13 @@ mod tests {
         let alternating: [f64; TAPS] = std::array::from_fn(|i| if i % 2 == 0 { 0.3 } else { -0.2 });
         let mut lone = [1e-9; TAPS];
         lone[5] = -7.0;
-        for taps in [alternating, lone] {
-            let filter = Filter::new(&taps, &[0.0; 4], |_| 1.0);
-            let sum: i64 = filter.taps.iter().map(|tap| i64::from(tap.unsigned_abs())).sum();
-            assert!(sum * i64::from(HIGHEST) <= i64::from(i32::MAX), "{sum}");
-            assert!(sum > 32_000, "the taps use the range: {sum}");
+        for taps in [[alternating, alternating], [lone, lone], [lone, alternating]] {
+            let filter = Filter::new(&taps, &[0.0; 4], |_, _| 1.0);
+            let sums =
+                filter.taps.map(|taps| taps.iter().map(|tap| i64::from(tap.unsigned_abs())).sum::<i64>());
+            let most = sums[0].max(sums[1]);
+            assert!(most * i64::from(HIGHEST) <= i64::from(i32::MAX), "{sums:?}");
+            assert!(most > 32_000, "the taps use the range: {sums:?}");
         }
     }
 }

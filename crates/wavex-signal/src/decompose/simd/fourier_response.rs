@@ -1,8 +1,8 @@
 //! System response as a Fourier series, widened by a Gaussian.
 //!
-//! Computes its shapes and their derivatives at sixteen positions per sample.
+//! Computes its shapes and their derivatives at sixteen positions per sample. Odd samples may be late.
 
-use crate::fourier::{ByPhase, Complex, Synthesis};
+use crate::fourier::{ByPhase, Complex, Synthesis, times};
 use crate::sensor_model::response::{STEPS_PER_SAMPLE, bins, spectrum};
 use crate::shape::templates::widening_gain;
 
@@ -13,7 +13,8 @@ pub(super) const BEFORE: usize = BEFORE_PEAK as usize + MAX_ORDER;
 
 /// Fourier series of one response.
 pub(super) struct Series {
-    terms: Vec<Complex>,
+    /// Terms at all samples, or at the even and at the odd ones.
+    terms: Vec<Vec<Complex>>,
     /// Period, a power of two, in samples.
     samples: usize,
     synthesis: Synthesis<PHASES>,
@@ -23,7 +24,7 @@ pub(super) struct Series {
 
 /// Shapes of one width: the pulse of height 1 and its derivatives, ordered as in [`super::tables`].
 pub(super) struct Widened {
-    /// Values by phase and shape, from [`BEFORE`] samples before that of the peak.
+    /// Values by position and shape, from [`BEFORE`] samples before that of the peak.
     values: Vec<f64>,
     length: usize,
     /// Maximum before scaling to height 1.
@@ -31,9 +32,9 @@ pub(super) struct Widened {
 }
 
 impl Widened {
-    /// Values of a shape whose peak is `phase` steps of 1/16 sample late.
-    pub(super) fn row(&self, phase: usize, shape: usize) -> &[f64] {
-        let at = (phase * TEMPLATES + shape) * self.length;
+    /// Values of a shape whose peak is `step` steps of 1/16 sample after an even sample.
+    pub(super) fn row(&self, step: usize, shape: usize) -> &[f64] {
+        let at = (step * TEMPLATES + shape) * self.length;
         &self.values[at..at + self.length]
     }
 }
@@ -50,7 +51,19 @@ impl Series {
         let samples = steps / STEPS_PER_SAMPLE;
         let synthesis = Synthesis::new(samples, terms.len());
         let variance = fwhm_samples * fwhm_samples / (8.0 * std::f64::consts::LN_2);
-        Series { terms, samples, synthesis, variance }
+        Series { terms: vec![terms], samples, synthesis, variance }
+    }
+
+    /// Takes odd samples this much later, samples.
+    pub(super) fn seen_late(mut self, odd_sample_shift: f64) -> Series {
+        if odd_sample_shift != 0.0 {
+            let turned = |(j, c): (usize, &Complex)| {
+                let (sin, cos) = (self.synthesis.omega(j) * odd_sample_shift).sin_cos();
+                times(*c, [cos, sin])
+            };
+            self.terms.push(self.terms[0].iter().enumerate().map(turned).collect());
+        }
+        self
     }
 
     /// Pulse of a width and height 1, with first and second derivatives, in rows of `length`.
@@ -58,46 +71,51 @@ impl Series {
     /// The derivatives are by time and by the logarithm of the width. With `h = s T`, `T` the
     /// height: `s_u = (h_u - s T_u)/T` and `s_uu = (h_uu - 2 s_u T_u - s T_uu)/T`.
     pub(super) fn widened(&self, ln_width_ratio: f64, length: usize) -> Widened {
-        let [[h, t], [tt, u], [uu, tu]] = self.transformed(ln_width_ratio);
-        let mut peak = [0, 0];
-        for (k, row) in h.iter().enumerate() {
+        let series: Vec<_> = self.terms.iter().map(|terms| self.transformed(terms, ln_width_ratio)).collect();
+        let (on_time, mut peak) = (&series[0], [0, 0]);
+        for (k, row) in on_time[0].iter().enumerate() {
             for (p, value) in row.iter().enumerate() {
-                if *value > h[peak[0]][peak[1]] {
+                if *value > on_time[0][peak[0]][peak[1]] {
                     peak = [k, p];
                 }
             }
         }
         let [h_peak, t_peak, tt_peak, u_peak, uu_peak, tu_peak] =
-            [&h, &t, &tt, &u, &uu, &tu].map(|values| values[peak[0]][peak[1]]);
+            on_time.each_ref().map(|values| values[peak[0]][peak[1]]);
         let step = 1.0 / PHASES as f64;
         let shift = if tt_peak < 0.0 { (-t_peak / tt_peak).clamp(-step, step) } else { 0.0 };
         let top = h_peak + 0.5 * shift * t_peak;
         let top_u = u_peak + tu_peak * shift;
         let top_uu = if tt_peak < 0.0 { uu_peak - tu_peak * tu_peak / tt_peak } else { uu_peak };
-        let mut values = Vec::with_capacity(PHASES * TEMPLATES * length);
-        for phase in 0..PHASES {
+        let [h, t, tt, u, uu, tu] = [0, 1, 2, 3, 4, 5];
+        let steps = PHASES * series.len();
+        let mut values = Vec::with_capacity(steps * TEMPLATES * length);
+        for step in 0..steps {
             // `phase` steps before sample k is after sample k - 1.
+            let phase = step % PHASES;
             let (before, p) = (usize::from(phase > 0), (PHASES - phase) % PHASES);
             let first = 2 * self.samples - BEFORE - before;
-            let of = |series: &ByPhase<PHASES>, k: usize| series[(first + k) % self.samples][p];
-            let scaled = |series, k| of(series, k) / top;
-            let s_u = |k| (of(&u, k) - scaled(&h, k) * top_u) / top;
-            values.extend((0..length).map(|k| scaled(&h, k)));
-            values.extend((0..length).map(|k| scaled(&t, k)));
-            values.extend((0..length).map(|k| scaled(&tt, k)));
+            // Whether sample `k` of the row is odd; all are alike if none is late.
+            let parity = |k: usize| (step / PHASES + BEFORE + k) % series.len();
+            let of = |shape: usize, k: usize| series[parity(k)][shape][(first + k) % self.samples][p];
+            let scaled = |shape, k| of(shape, k) / top;
+            let s_u = |k| (of(u, k) - scaled(h, k) * top_u) / top;
+            values.extend((0..length).map(|k| scaled(h, k)));
+            values.extend((0..length).map(|k| scaled(t, k)));
+            values.extend((0..length).map(|k| scaled(tt, k)));
             values.extend((0..length).map(s_u));
             values.extend(
-                (0..length).map(|k| (of(&uu, k) - 2.0 * s_u(k) * top_u - scaled(&h, k) * top_uu) / top),
+                (0..length).map(|k| (of(uu, k) - 2.0 * s_u(k) * top_u - scaled(h, k) * top_uu) / top),
             );
-            values.extend((0..length).map(|k| (of(&tu, k) - scaled(&t, k) * top_u) / top));
+            values.extend((0..length).map(|k| (of(tu, k) - scaled(t, k) * top_u) / top));
         }
         Widened { values, length, top }
     }
 
-    /// Unscaled widened response and derivatives: `h, h_t`, `h_tt, h_u`, `h_uu, h_tu`.
-    fn transformed(&self, ln_width_ratio: f64) -> [[ByPhase<PHASES>; 2]; 3] {
+    /// Unscaled widened response and derivatives: `h, h_t, h_tt, h_u, h_uu, h_tu`.
+    fn transformed(&self, response: &[Complex], ln_width_ratio: f64) -> [ByPhase<PHASES>; 6] {
         let mut terms = [const { Vec::new() }; 3];
-        for (j, c) in self.terms.iter().enumerate() {
+        for (j, c) in response.iter().enumerate() {
             let omega = self.synthesis.omega(j);
             let [gain, by_u, by_uu] = widening_gain(omega, self.variance, ln_width_ratio);
             let scaled = |factor: f64| [c[0] * factor, c[1] * factor];
@@ -106,6 +124,7 @@ impl Series {
             terms[1].push([scaled(-omega * omega * gain), scaled(by_u)]);
             terms[2].push([scaled(by_uu), turned(by_u)]);
         }
-        terms.map(|terms| self.synthesis.of(&terms))
+        let [[h, t], [tt, u], [uu, tu]] = terms.map(|terms| self.synthesis.of(&terms));
+        [h, t, tt, u, uu, tu]
     }
 }

@@ -180,7 +180,7 @@ pub(super) fn from_bank<S: Simd>(
         let first = steps[w].div_euclid(PHASES as i32) - BEFORE_PEAK;
         let row = rows.residual_row(row);
         let at = FRONT.saturating_add_signed(first as isize);
-        let bank = tables.bank((steps[w] & (PHASES as i32 - 1)) as usize);
+        let bank = tables.bank(steps[w]);
         let (low, high) = (s.load(sixteen(row, at)), s.load(sixteen(row, at + LANES)));
         for (k, sums) in sums.iter_mut().enumerate() {
             let product = s.mul(low, s.load(sixteen(bank, k * ROW)));

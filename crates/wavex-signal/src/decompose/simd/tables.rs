@@ -7,8 +7,8 @@ use super::fourier_response::{BEFORE, Series, Widened};
 use super::level::LevelTables;
 use crate::detect::LEAST_ENERGY_PART;
 use crate::noise::ArNoise;
+use crate::sensor_model::ChannelModel;
 use crate::sensor_model::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse};
-use crate::sensor_model::{ChannelModel, Digitiser};
 use crate::shape::FOUR_LN_2;
 use crate::simd::LANES;
 use crate::whitening::Whitener;
@@ -95,21 +95,25 @@ impl Aligned {
 pub(super) struct TemplateNode {
     pub(super) peak_dn: f32,
     entries: Aligned,
-    /// Whitened response after the row, by phase, with sixteen zeros before and after.
+    /// Whitened response after the row, by position, with sixteen zeros before and after.
     tails: Aligned,
 }
 
 /// Tables of one channel's response and noise, shared by all threads.
 ///
 /// 1 MB of templates for each height with its own response. The part for one width, 19 KB, stays in
-/// the first-level cache.
+/// the first-level cache. Late odd samples double both.
 pub struct Tables {
+    /// Binary logarithm of the number of positions per width.
+    ///
+    /// They cover one sample, or an even and an odd one if odd samples are late.
+    step_bits: u32,
     pub(super) nodes: Vec<TemplateNode>,
     /// Inverse Fisher matrix of a pulse of height 1, by entry.
     ///
     /// Lower triangle: aa, aτ, ττ, au, τu, uu.
     inverse_fisher: Vec<[f32; 8]>,
-    /// The six rows of the bank, each of unit energy, by phase.
+    /// The six rows of the bank, each of unit energy, by position.
     bank: Aligned,
     /// Inverse square root of the energies of the bank's rows.
     pub(super) bank_scale: [f32; BANK],
@@ -125,7 +129,9 @@ pub struct Tables {
     tail_stride: usize,
     pub(super) filter: Filter,
     /// Matched filter on whitened samples, in the units of `filter`'s taps.
-    pub(super) matched: [f32; FILTER_LAGS],
+    ///
+    /// For even and for odd positions.
+    pub(super) matched: [[f32; FILTER_LAGS]; 2],
     /// Whitening taps: for the sample, then for those before it.
     pub(super) whitening: [f32; MAX_ORDER + 1],
     pub(super) order: usize,
@@ -145,14 +151,14 @@ pub struct Tables {
 impl Tables {
     /// Creates the tables for a channel, or `None` if it is unsupported.
     ///
-    /// Unsupported: a digitiser that shifts odd samples or has its own tail; an own background of
-    /// each waveform if no sample was free of signal to measure the noise; noise of an order above
-    /// 4; a pulse narrower than 1.5 or wider than 6 samples; a model that fails its check.
+    /// Unsupported: a digitiser with its own tail; an own background of each waveform if no sample
+    /// was free of signal to measure the noise; noise of an order above 4; a pulse narrower than 1.5
+    /// or wider than 6 samples; a model that fails its check.
     pub fn new(model: &ChannelModel) -> Option<Tables> {
         let fwhm = model.fwhm_samples();
         let noise = model.noise().ok()?;
-        let is_plain = Digitiser::is_plain(&model.digitiser);
-        let fits = is_plain && noise.order() <= MAX_ORDER && FWHM_RANGE.contains(&fwhm);
+        let has_tail = model.digitiser.decay.is_some();
+        let fits = !has_tail && noise.order() <= MAX_ORDER && FWHM_RANGE.contains(&fwhm);
         let is_levelled = model.offset_precision().is_none() || !model.autocorrelation.is_empty();
         if !fits || !is_levelled || model.check().is_err() {
             return None;
@@ -169,7 +175,8 @@ impl Tables {
         let filter = Whitening { taps: tables.whitening.map(f64::from) };
         for (i, node) in response.nodes.iter().enumerate() {
             let reach = 2 * ROW;
-            let series = Series::new(&node.values, response.first_sample, fwhm, reach);
+            let shift = model.digitiser.odd_sample_shift;
+            let series = Series::new(&node.values, response.first_sample, fwhm, reach).seen_late(shift);
             tables.add_node(&series, node.peak_dn, &filter, i == 0);
             if i == 0 {
                 tables.set_filter(
@@ -194,17 +201,19 @@ impl Tables {
         let values = response.nodes.first().map_or(0, |node| node.values.len());
         let end = i64::from(response.first_sample) + values.div_ceil(STEPS_PER_SAMPLE) as i64;
         let tail = (end + MAX_ORDER as i64 - (ROW as i64 - i64::from(BEFORE_PEAK))).max(1) as usize;
+        let steps = if model.digitiser.odd_sample_shift == 0.0 { PHASES } else { 2 * PHASES };
         Tables {
+            step_bits: steps.ilog2(),
             nodes: Vec::with_capacity(response.nodes.len()),
-            inverse_fisher: Vec::with_capacity(KNOTS * PHASES),
-            bank: Aligned::zeros(PHASES * BANK * ROW),
+            inverse_fisher: Vec::with_capacity(KNOTS * steps),
+            bank: Aligned::zeros(steps * BANK * ROW),
             bank_scale: [0.0; BANK],
             tail_gain: [1.0; KNOTS],
             needed: [[0, ROW as i32]; KNOTS],
             telling: [[0, ROW as i32]; KNOTS],
             tail_stride: tail.div_ceil(LANES) * LANES + 2 * LANES,
             filter: Filter::NONE,
-            matched: [0.0; FILTER_LAGS],
+            matched: [[0.0; FILTER_LAGS]; 2],
             whitening,
             order: noise.order(),
             begin: beginning(noise),
@@ -219,7 +228,30 @@ impl Tables {
         }
     }
 
-    /// Returns the templates of a height, knot and phase.
+    /// Number of tabulated positions per width.
+    fn steps(&self) -> usize {
+        1 << self.step_bits
+    }
+
+    /// Whether odd samples are late.
+    #[inline(always)]
+    pub(super) fn has_late_samples(&self) -> bool {
+        self.steps() > PHASES
+    }
+
+    /// Returns the entry of a knot and a position in steps of 1/16 sample.
+    #[inline(always)]
+    pub(super) fn index(&self, knot: usize, step: i32) -> usize {
+        (knot << self.step_bits) + self.step_of(step as usize)
+    }
+
+    /// Returns the tabulated position of an entry, or of a position in steps of 1/16 sample.
+    #[inline(always)]
+    fn step_of(&self, index: usize) -> usize {
+        index & (self.steps() - 1)
+    }
+
+    /// Returns the templates of a height and entry.
     ///
     /// The entry starts with zeros, and each row is followed by zeros.
     #[inline(always)]
@@ -239,11 +271,11 @@ impl Tables {
         self.inverse_fisher.get(index).copied().unwrap_or([0.0; 8])
     }
 
-    /// Returns the rows of the bank at a phase.
+    /// Returns the rows of the bank at a position in steps of 1/16 sample.
     #[inline(always)]
-    pub(super) fn bank(&self, phase: usize) -> &[f32; BANK * ROW] {
+    pub(super) fn bank(&self, step: i32) -> &[f32; BANK * ROW] {
         const NOTHING: &[f32; BANK * ROW] = &[0.0; BANK * ROW];
-        match self.bank.as_slice().get(phase * BANK * ROW..) {
+        match self.bank.as_slice().get(self.step_of(step as usize) * BANK * ROW..) {
             Some(from) => from.first_chunk().unwrap_or(NOTHING),
             None => NOTHING,
         }
@@ -259,7 +291,7 @@ impl Tables {
     /// Sixteen zeros precede and follow it. Row and tail add up to the whole response.
     #[inline(always)]
     pub(super) fn tail(&self, node: usize, index: usize) -> &[f32] {
-        let at = index % PHASES * self.tail_stride;
+        let at = self.step_of(index) * self.tail_stride;
         let tails = self.nodes.get(node).map(|node| node.tails.as_slice());
         tails.and_then(|tails| tails.get(at..at + self.tail_stride)).unwrap_or(&[])
     }
@@ -267,19 +299,19 @@ impl Tables {
     /// Returns the factor on the tail of an entry's pulse, in addition to its height.
     #[inline(always)]
     pub(super) fn tail_gain(&self, index: usize) -> f32 {
-        self.tail_gain.get(index / PHASES).copied().unwrap_or(1.0)
+        self.tail_gain.get(index >> self.step_bits).copied().unwrap_or(1.0)
     }
 
     /// First and end sample of the part of a row that holds an entry's pulse.
     #[inline(always)]
     pub(super) fn needed(&self, index: usize) -> [i32; 2] {
-        self.needed.get(index / PHASES).copied().unwrap_or([0, ROW as i32])
+        self.needed.get(index >> self.step_bits).copied().unwrap_or([0, ROW as i32])
     }
 
     /// First and end sample of the part that holds an entry's information.
     #[inline(always)]
     pub(super) fn telling(&self, index: usize) -> [i32; 2] {
-        self.telling.get(index / PHASES).copied().unwrap_or([0, ROW as i32])
+        self.telling.get(index >> self.step_bits).copied().unwrap_or([0, ROW as i32])
     }
 
     /// Height above which the response differs from the first node's, DN.

@@ -69,7 +69,7 @@ pub(super) fn bounded<S: Simd>(s: S, value: S::V, limit: f32) -> S::V {
 /// Table entry of a pulse, and the pulse's distance from it.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Site {
-    /// Entry of knot and phase.
+    /// Entry of knot and position.
     pub(super) entry: usize,
     /// Block sample at the start of the row.
     pub(super) first: i32,
@@ -95,7 +95,7 @@ impl Site {
         let knot = (above * (1.0 / U_STEP as f32)).round_ties_even();
         let phase = (position * PHASES as f32).round_ties_even();
         let site = Site {
-            entry: knot as usize * PHASES + (phase as i32 & (PHASES as i32 - 1)) as usize,
+            entry: tables.index(knot as usize, phase as i32),
             first: (phase as i32).div_euclid(PHASES as i32) - BEFORE_PEAK,
             late: phase / PHASES as f32 - position,
             wider: above - knot * U_STEP as f32,
@@ -171,7 +171,7 @@ impl Sites {
     pub(super) fn get<const STRONG: bool>(&self, tables: &Tables, lane: usize) -> Site {
         let knot = (self.knot[lane].max(0) as usize).min(KNOTS - 1);
         let site = Site {
-            entry: knot * PHASES + (self.step[lane] & (PHASES as i32 - 1)) as usize,
+            entry: tables.index(knot, self.step[lane]),
             first: self.first(lane),
             late: self.late[lane],
             wider: self.wider[lane],

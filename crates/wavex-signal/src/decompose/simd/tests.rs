@@ -50,6 +50,13 @@ fn model() -> ChannelModel {
     model
 }
 
+/// The same channel with odd samples taken late by a fifth of a sample.
+fn late() -> ChannelModel {
+    let mut model = model();
+    model.digitiser.odd_sample_shift = 0.2;
+    model
+}
+
 fn fast(model: &ChannelModel, mode: Mode, path: SimdLevel) -> BatchDecomposer {
     let tables = Some(Arc::new(Tables::new(model).unwrap()));
     BatchDecomposer::new(model, tables, &DecomposeSettings::default(), mode, path).unwrap()
@@ -107,10 +114,22 @@ fn decompose(fast: &mut BatchDecomposer, waveforms: &[Vec<u16>]) -> Decompositio
 /// SIMD kernels omit the part of a pulse after its row and the first samples of a block.
 #[test]
 fn returns_are_those_of_the_plain_kernels() {
-    let model = model();
-    let waveforms = pulse_models(&model, 1, 3000);
-    let mut plain = Decomposer::new(&model, &DecomposeSettings::default(), SAMPLES).unwrap();
-    let outcomes = decompose(&mut fast(&model, Mode::Refined, SimdLevel::best()), &waveforms);
+    assert_returns_of_plain_kernels(&model(), 3000);
+}
+
+/// Late odd samples send no more waveforms to the scalar kernels than others.
+#[test]
+fn late_odd_samples_are_decomposed_by_the_fast_kernels() {
+    let [left, left_of_late] = [model(), late()].map(|model| assert_returns_of_plain_kernels(&model, 1500));
+    assert!(left_of_late <= left + 15, "{left} {left_of_late}");
+}
+
+/// Compares both kernels on mixed waveforms; returns how many the scalar kernels decomposed.
+fn assert_returns_of_plain_kernels(model: &ChannelModel, count: usize) -> u64 {
+    let waveforms = pulse_models(model, 1, count);
+    let mut plain = Decomposer::new(model, &DecomposeSettings::default(), SAMPLES).unwrap();
+    let mut kernels = fast(model, Mode::Refined, SimdLevel::best());
+    let outcomes = decompose(&mut kernels, &waveforms);
     let (mut same, mut differences) = (0, Vec::new());
     for (samples, found) in waveforms.iter().zip(outcomes.iter()) {
         let expected = plain.decompose(samples, 0);
@@ -131,6 +150,7 @@ fn returns_are_those_of_the_plain_kernels() {
     );
     assert!(same * 1000 >= 995 * waveforms.len());
     assert!(at(0.5) < 0.02 && at(0.95) < 0.1 && at(0.99) < 0.5);
+    kernels.left_to_plain()
 }
 
 /// Two echoes of 195 DN, one width apart, overdrive the receiver only together: they are divided. A
@@ -281,11 +301,12 @@ fn an_echo_before_an_overdriven_one_stays() {
 
 #[test]
 fn every_path_gives_the_same_bits() {
-    let model = model();
-    let waveforms = mixture(&model);
-    let plain = everything(&model, SimdLevel::Portable, &waveforms);
-    for path in SimdLevel::ALL {
-        assert_eq!(everything(&model, path, &waveforms), plain, "{path:?}");
+    for model in [model(), late()] {
+        let waveforms = mixture(&model);
+        let plain = everything(&model, SimdLevel::Portable, &waveforms);
+        for path in SimdLevel::ALL {
+            assert_eq!(everything(&model, path, &waveforms), plain, "{path:?}");
+        }
     }
 }
 
@@ -308,7 +329,10 @@ fn a_waveform_gives_the_same_bits_alone_and_among_others() {
 /// For width ratios from 0.9 to 1.5 and any height.
 #[test]
 fn pulses_are_those_of_the_plain_templates() {
-    let mut model = model();
+    [model(), late()].into_iter().for_each(assert_pulses_of_plain_templates);
+}
+
+fn assert_pulses_of_plain_templates(mut model: ChannelModel) {
     // Without a noise model nothing is whitened, so a row shows the pulse itself.
     (model.ar, model.innovation_sd_dn, model.noise_sd_dn) = (Vec::new(), 1.0, 1.0);
     let tables = Tables::new(&model).unwrap();

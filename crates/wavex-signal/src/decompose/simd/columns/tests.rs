@@ -62,7 +62,7 @@ fn check(tables: &Tables, columns: &Columns, rows: &Rows, w: usize, block: &[u16
         taps.map(|(lag, tap)| f64::from(*tap) * at(i - lag as isize)).sum()
     };
     for k in 0..block.len() {
-        let matched = tables.matched.iter().enumerate();
+        let matched = tables.matched[k % 2].iter().enumerate();
         let first = k as isize - FILTER_BEFORE as isize;
         let sum: f64 = matched.map(|(i, value)| f64::from(*value) * white(first + i as isize)).sum();
         let [scale, _] = tables.filter.scale_and_level(k, (block.len() - k).min(LANES - 1)).map(f64::from);

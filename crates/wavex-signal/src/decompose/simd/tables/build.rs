@@ -7,24 +7,24 @@ impl Tables {
     pub(super) fn add_node(&mut self, series: &Series, peak_dn: f64, filter: &Whitening, is_first: bool) {
         let mut node = TemplateNode {
             peak_dn: peak_dn as f32,
-            entries: Aligned::zeros(KNOTS * PHASES * ENTRY),
-            tails: Aligned::zeros(PHASES * self.tail_stride),
+            entries: Aligned::zeros(KNOTS * self.steps() * ENTRY),
+            tails: Aligned::zeros(self.steps() * self.tail_stride),
         };
         let tail_samples = self.tail_stride - 2 * LANES;
         let calibrated = series.widened(0.0, ROW_AND_BEFORE + tail_samples);
-        for (phase, tail) in node.tails.as_mut_slice().chunks_exact_mut(self.tail_stride).enumerate() {
-            let whitened = filter.of(&calibrated.row(phase, 0)[ROW..]);
+        for (step, tail) in node.tails.as_mut_slice().chunks_exact_mut(self.tail_stride).enumerate() {
+            let whitened = filter.of(&calibrated.row(step, 0)[ROW..]);
             tail[LANES..].iter_mut().zip(whitened).for_each(|(out, value)| *out = value as f32);
         }
         let ln_widths: Vec<f64> = (0..KNOTS).map(|knot| U_MIN + knot as f64 * U_STEP).collect();
         let widened = map_parts(&ln_widths, 1, |u| series.widened(u[0], ROW_AND_BEFORE));
-        let of_knots = node.entries.as_mut_slice().chunks_exact_mut(ENTRY * PHASES);
+        let of_knots = node.entries.as_mut_slice().chunks_exact_mut(ENTRY * self.steps());
         for (knot, (entries, widened)) in of_knots.zip(widened).enumerate() {
             if is_first {
                 self.tail_gain[knot] = (calibrated.top / widened.top) as f32;
             }
-            for (phase, entry) in entries.chunks_exact_mut(ENTRY).enumerate() {
-                let fisher = fill_entry(entry, &widened, phase, filter);
+            for (step, entry) in entries.chunks_exact_mut(ENTRY).enumerate() {
+                let fisher = fill_entry(entry, &widened, step, filter);
                 if is_first {
                     let inverse = inverse(fisher);
                     self.inverse_fisher.push(inverse);
@@ -37,7 +37,7 @@ impl Tables {
                     let of_pulse = holding(pulse, NEGLIGIBLE_ENERGY);
                     let of_values =
                         [pulse, by_time, by_width].map(|row| holding(row, NEGLIGIBLE_INFORMATION));
-                    if phase == 0 {
+                    if step == 0 {
                         (self.needed[knot], self.telling[knot]) = (of_pulse, of_values[0]);
                     }
                     self.needed[knot] = both(self.needed[knot], of_pulse);
@@ -49,17 +49,17 @@ impl Tables {
     }
 
     pub(super) fn fill_bank(&mut self) {
-        for phase in 0..PHASES {
+        for step in 0..self.steps() {
             for k in 0..BANK {
-                let entry = *self.entry(0, (BANK_FIRST + k * BANK_STRIDE) * PHASES + phase);
+                let entry = *self.entry(0, self.index(BANK_FIRST + k * BANK_STRIDE, step as i32));
                 let row = &entry[LANES..LANES + ROW];
                 let scale = row.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>().sqrt().recip();
-                let at = (phase * BANK + k) * ROW;
+                let at = (step * BANK + k) * ROW;
                 for (out, &value) in self.bank.as_mut_slice()[at..at + ROW].iter_mut().zip(row) {
                     *out = (f64::from(value) * scale) as f32;
                 }
-                // The energy hardly depends on the phase: the middle one is used for all.
-                if phase == PHASES / 2 {
+                // The energy hardly depends on the position: one is used for all.
+                if step == PHASES / 2 {
                     self.bank_scale[k] = scale as f32;
                 }
             }
@@ -68,8 +68,9 @@ impl Tables {
 
     /// Combines whitening and matched filter into taps of unit output variance.
     ///
-    /// At the edges of a block missing samples are taken as background. The gain there is the
-    /// inverse standard deviation, or 0 if too little energy is left.
+    /// For even and for odd positions. At the edges of a block missing samples are taken as
+    /// background. The gain there is the inverse standard deviation, or 0 if too little energy is
+    /// left.
     pub(super) fn set_filter(
         &mut self,
         pulse: &Widened,
@@ -77,29 +78,34 @@ impl Tables {
         noise: &ArNoise,
         background_dn: &[f64; 4],
     ) {
-        let on_time = pulse.row(0, 0);
-        let mut template = [0.0; FILTER_LAGS];
-        let whitened = filter.of(&on_time[BEFORE - MAX_ORDER - FILTER_BEFORE as usize..]);
-        template.iter_mut().zip(whitened).for_each(|(out, value)| *out = value);
-        let norm = template.iter().map(|v| v * v).sum::<f64>().sqrt().recip();
-        let mut taps = [0.0; TAPS];
-        for (i, value) in template.iter().enumerate() {
-            for (lag, tap) in filter.taps.iter().enumerate() {
-                taps[i + MAX_ORDER - lag] += norm * tap * value;
+        let pulses = [0, self.steps() - PHASES].map(|step| pulse.row(step, 0));
+        let templates = pulses.map(|pulse| {
+            let mut template = [0.0; FILTER_LAGS];
+            let whitened = filter.of(&pulse[BEFORE - MAX_ORDER - FILTER_BEFORE as usize..]);
+            template.iter_mut().zip(whitened).for_each(|(out, value)| *out = value);
+            template
+        });
+        let norms = templates.map(|template| template.iter().map(|v| v * v).sum::<f64>().sqrt().recip());
+        let mut taps = [[0.0; TAPS]; 2];
+        for ((taps, template), norm) in taps.iter_mut().zip(&templates).zip(norms) {
+            for (i, value) in template.iter().enumerate() {
+                for (lag, tap) in filter.taps.iter().enumerate() {
+                    taps[i + MAX_ORDER - lag] += norm * tap * value;
+                }
             }
         }
         let mut lags = [0.0; TAPS];
         noise.autocovariance_into(&mut lags);
-        let at = |i: usize| on_time[BEFORE - TAPS_BEFORE + i];
-        let part = |used: std::ops::Range<usize>| {
-            let signal: f64 = used.clone().map(|i| taps[i] * at(i)).sum();
+        let part = |parity: usize, used: std::ops::Range<usize>| {
+            let (pulse, taps) = (&pulses[parity][BEFORE - TAPS_BEFORE..], &taps[parity]);
+            let signal: f64 = used.clone().map(|i| taps[i] * pulse[i]).sum();
             let pairs = used.clone().flat_map(|i| used.clone().map(move |j| (i, j)));
             let variance: f64 = pairs.map(|(i, j)| taps[i] * taps[j] * lags[i.abs_diff(j)]).sum();
             (signal, variance)
         };
-        let whole = part(0..TAPS).0.powi(2);
-        let gain = |used| {
-            let (signal, variance) = part(used);
+        let gain = |parity: usize, used| {
+            let whole = part(parity, 0..TAPS).0.powi(2);
+            let (signal, variance) = part(parity, used);
             let enough = signal > 0.0 && signal * signal >= LEAST_ENERGY_PART * whole * variance;
             if enough { variance.sqrt().recip() as f32 } else { 0.0 }
         };
@@ -108,7 +114,7 @@ impl Tables {
             level.filter = Filter::new(&taps, &[1.0; 4], gain);
         }
         let scale = f64::from(self.filter.scale());
-        self.matched = template.map(|value| (value * norm / scale) as f32);
+        self.matched = [0, 1].map(|k| templates[k].map(|value| (value * norms[k] / scale) as f32));
     }
 }
 
@@ -164,14 +170,14 @@ impl Whitening {
     }
 }
 
-/// Fills the templates of a width and phase; returns their Fisher matrix.
+/// Fills the templates of a width and position; returns their Fisher matrix.
 ///
 /// Of height, position and width, lower triangle.
-fn fill_entry(entry: &mut [f32], widened: &Widened, phase: usize, filter: &Whitening) -> [f64; 6] {
+fn fill_entry(entry: &mut [f32], widened: &Widened, step: usize, filter: &Whitening) -> [f64; 6] {
     let mut whitened = [[0.0; ROW]; TEMPLATES];
     for (shape, values) in whitened.iter_mut().enumerate() {
         let to = &mut entry[LANES + shape * ROW_STRIDE..];
-        for ((value, to), of_row) in values.iter_mut().zip(to).zip(filter.of(widened.row(phase, shape))) {
+        for ((value, to), of_row) in values.iter_mut().zip(to).zip(filter.of(widened.row(step, shape))) {
             (*value, *to) = (of_row, of_row as f32);
         }
     }
