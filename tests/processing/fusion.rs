@@ -95,6 +95,7 @@ fn settings() -> ReceiverSettings {
         background_dn: BACKGROUND_DN,
         noise_sd_dn: LOW_NOISE_DN,
         noise_autocorrelation: AUTOCORRELATION.to_vec(),
+        odd_sample_shift: 0.0,
         response: PulseShape::riegl(),
         reference: PulseShape::riegl_reference(),
         high_power: Some(HighPower { from_dn: 100.0, noise_sd_dn: HIGH_NOISE_DN, delay_ns: DELAY_NS }),

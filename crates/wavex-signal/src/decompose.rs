@@ -173,6 +173,8 @@ pub struct Decomposition<'a> {
     pub refined_once: bool,
     /// Whether a further fit was needed because pulses were added or a fit failed.
     pub refined_twice: bool,
+    /// Whether the scalar kernels decomposed the waveform, even if their result was not used.
+    pub left_to_plain: bool,
 }
 
 impl Decomposition<'_> {

@@ -8,10 +8,14 @@ use super::random::{Normal, Random};
 /// same recursion, so a block is stationary from its first sample.
 #[derive(Clone, Debug)]
 pub struct Noise {
-    /// By order: weights of past samples, oldest first, and SD of the innovation.
-    orders: Vec<(Vec<f64>, f64)>,
+    orders: Vec<Prediction>,
+    /// The same for odd samples, if they are late; `orders` are then those of even samples.
+    odd: Option<Vec<Prediction>>,
     normal: Normal,
 }
+
+/// Weights of past samples, oldest first, and SD of the innovation; by order.
+type Prediction = (Vec<f64>, f64);
 
 impl Noise {
     /// Noise with standard deviation `sd` and this autocorrelation at lags 1, 2, ...
@@ -35,12 +39,54 @@ impl Noise {
             weights.push(reflection);
             orders.push((weights.iter().rev().copied().collect(), sd * f64::sqrt(variance)));
         }
-        Some(Noise { orders, normal: Normal::default() })
+        Some(Noise { orders, odd: None, normal: Normal::default() })
+    }
+
+    /// The same noise with the odd samples of each block taken this much later, samples.
+    ///
+    /// The autocorrelation between whole lags is linear, which keeps it positive definite. At the lag
+    /// after the last it is that of the process. The delay lies between -1 and 1.
+    pub fn with_odd_samples_late(mut self, odd_sample_shift: f64) -> Noise {
+        let Some((newest, sd)) = self.orders.last().filter(|_| odd_sample_shift != 0.0) else { return self };
+        let (order, sd) = (newest.len(), self.orders.first().map_or(*sd, |(_, sd)| *sd));
+        let mut rho = vec![1.0];
+        for lag in 1..=order + 1 {
+            // A sample's own order predicts its correlation with the sample `lag` before it.
+            let weights = &self.orders[lag.min(order)].0;
+            rho.push(0.0);
+            rho[lag] = weights.iter().rev().enumerate().map(|(k, w)| w * rho[(lag - 1).abs_diff(k)]).sum();
+        }
+        let time = |k: usize| k as f64 + if k % 2 == 1 { odd_sample_shift } else { 0.0 };
+        let correlation = |i: usize, j: usize| {
+            let lag = (time(i) - time(j)).abs();
+            let (whole, part) = (lag as usize, lag.fract());
+            let next = rho.get(whole + 1).copied().unwrap_or(0.0);
+            rho.get(whole).map_or(0.0, |rho| (1.0 - part) * rho + part * next)
+        };
+        let predictions = |parity: usize| {
+            let of_order = |order: usize| {
+                // A sample of this parity after `order` others.
+                let first = (order + parity) % 2;
+                let (weights, variance) = prediction(order, |i, j| correlation(first + i, first + j));
+                (weights, sd * variance.sqrt())
+            };
+            (0..=order).map(of_order).collect::<Vec<_>>()
+        };
+        (self.orders, self.odd) = (predictions(0), Some(predictions(1)));
+        self
     }
 
     /// Fills a block with noise that is independent of all other blocks.
     pub fn fill(&self, random: &mut Random, block: &mut [f64]) {
         block.iter_mut().for_each(|sample| *sample = self.normal.draw(random));
+        if let Some(odd) = &self.odd {
+            for k in 0..block.len() {
+                let orders = if k % 2 == 1 { odd } else { &self.orders };
+                let Some((weights, sd)) = orders.get(k).or(orders.last()) else { return };
+                block[k] = next(&block[k - weights.len()..k], weights, sd * block[k]);
+            }
+            return;
+        }
         for (k, (weights, sd)) in self.orders.iter().enumerate().take(block.len()) {
             block[k] = next(&block[..k], weights, sd * block[k]);
         }
@@ -54,6 +100,27 @@ impl Noise {
             }
         }
     }
+}
+
+/// Weights of `order` samples, oldest first, in the best prediction of the next, and its variance.
+///
+/// Solves the normal equations by elimination; the correlations are positive definite.
+fn prediction(order: usize, correlation: impl Fn(usize, usize) -> f64) -> (Vec<f64>, f64) {
+    let mut rows: Vec<Vec<f64>> =
+        (0..=order).map(|i| (0..=order).map(|j| correlation(i, j)).collect()).collect();
+    for pivot in 0..order {
+        let known = rows[pivot].clone();
+        for row in &mut rows[pivot + 1..] {
+            let factor = row[pivot] / known[pivot];
+            row.iter_mut().zip(&known).for_each(|(value, known)| *value -= factor * known);
+        }
+    }
+    let mut weights = vec![0.0; order];
+    for i in (0..order).rev() {
+        let known: f64 = (i + 1..order).map(|j| rows[i][j] * weights[j]).sum();
+        weights[i] = (rows[i][order] - known) / rows[i][i];
+    }
+    (weights, rows[order][order])
 }
 
 /// Recursion of order four, the usual order, from the sixth sample; past samples stay in registers.
@@ -115,6 +182,44 @@ mod tests {
             let expected = if i == j { 1.0 } else { MEASURED[i - j - 1] };
             assert!((sums[i][j] - expected).abs() < 0.014, "{i}, {j}: {}", sums[i][j]);
         }
+    }
+
+    /// Every pair of samples has the correlation of their true distance in time.
+    #[test]
+    fn late_odd_samples_have_the_correlation_of_their_times() {
+        let shift = 0.2;
+        let (noise, n) = (Noise::new(0.93, &MEASURED).unwrap().with_odd_samples_late(shift), 200_000);
+        let mut sums = [[0.0; 8]; 8];
+        for shot in 0..n {
+            let mut block = [0.0; 8];
+            noise.fill(&mut Random::of_shot(1, 0, shot, Purpose::Noise), &mut block);
+            for (i, j) in (0..8).flat_map(|i| (0..=i).map(move |j| (i, j))) {
+                sums[i][j] += block[i] * block[j] / (f64::from(n) * 0.93 * 0.93);
+            }
+        }
+        let rho = |lag: usize| if lag == 0 { 1.0 } else { MEASURED[lag - 1] };
+        for (i, j) in (0..8).flat_map(|i: usize| (i.saturating_sub(3)..=i).map(move |j| (i, j))) {
+            let neighbour = match (i - j, i % 2) {
+                (0 | 2, _) => i - j,
+                (_, 1) => i - j + 1,
+                _ => i - j - 1,
+            };
+            let expected = (1.0 - shift) * rho(i - j) + shift * rho(neighbour);
+            assert!((sums[i][j] - expected).abs() < 0.014, "{i}, {j}: {} {expected}", sums[i][j]);
+        }
+    }
+
+    #[test]
+    fn samples_on_time_have_the_plain_process() {
+        let (plain, lags) = (Noise::new(0.93, &MEASURED).unwrap(), [0, 1, 2, 3, 4]);
+        let slightly = plain.clone().with_odd_samples_late(1e-12);
+        for (order, parity) in lags.into_iter().flat_map(|order| [(order, 0), (order, 1)]) {
+            let late = if parity == 0 { &slightly.orders } else { slightly.odd.as_ref().unwrap() };
+            let (a, b) = (&plain.orders[order], &late[order]);
+            let weights = a.0.iter().zip(&b.0);
+            assert!((a.1 - b.1).abs() < 1e-9 && weights.into_iter().all(|(a, b)| (a - b).abs() < 1e-9));
+        }
+        assert!(plain.clone().with_odd_samples_late(0.0).odd.is_none());
     }
 
     /// The specialised recursion of order four gives the same bits as the general one.

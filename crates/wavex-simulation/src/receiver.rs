@@ -44,6 +44,8 @@ pub struct ReceiverSettings {
     pub noise_sd_dn: f64,
     /// Autocorrelation of the recorded noise at lags 1, 2, ... samples.
     pub noise_autocorrelation: Vec<f64>,
+    /// Delay of the odd samples of a block, samples.
+    pub odd_sample_shift: f64,
     /// Response to a flat target.
     pub response: PulseShape,
     /// Shape of the outgoing pulse.
@@ -69,6 +71,7 @@ pub struct Receiver {
     interval_ns: f64,
     full_scale_dn: u16,
     background_dn: [f64; 2],
+    odd_sample_shift: f64,
     noise: Option<Noise>,
     high_power: Option<(HighPower, Option<Noise>)>,
     response: PulseTable,
@@ -78,10 +81,11 @@ pub struct Receiver {
     gain: f64,
 }
 
-/// Buffers for one block: signal, noise and samples.
+/// Buffers for one block: signal, one of its pulses, noise and samples.
 #[derive(Debug, Default)]
 struct Scratch {
     signal: Vec<f64>,
+    pulse: Vec<f64>,
     noise_dn: Vec<f64>,
     samples: Vec<u16>,
 }
@@ -136,7 +140,8 @@ impl ReceiverSettings {
         }
         let correlation: Vec<f64> =
             self.noise_autocorrelation.iter().map(|rho| rho * recorded / analog).collect();
-        Noise::new(analog.sqrt(), &correlation).map(Some).ok_or(NoSuchNoise)
+        let noise = Noise::new(analog.sqrt(), &correlation).ok_or(NoSuchNoise)?;
+        Ok(Some(noise.with_odd_samples_late(self.odd_sample_shift)))
     }
 }
 
@@ -156,6 +161,7 @@ impl Receiver {
             interval_ns: settings.interval_ns,
             full_scale_dn: settings.full_scale_dn,
             background_dn: settings.background_dn,
+            odd_sample_shift: settings.odd_sample_shift,
             noise: settings.noise()?,
             high_power: settings.high_power.map(|receiver| (receiver, high_power_noise)),
             response: PulseTable::new(settings.response.clone(), settings.interval_ns),
@@ -191,7 +197,8 @@ impl Receiver {
         let start_ns = -(REFERENCE_LEAD as f64) * self.interval_ns;
         let position = (emission_ns - start_ns) / self.interval_ns;
         let flat = self.reference.width(0.0);
-        self.reference.add(flat, position, energy * REFERENCE_AMPLITUDE_DN, &mut self.scratch.signal);
+        let energy = energy * REFERENCE_AMPLITUDE_DN;
+        self.scratch.add(&self.reference, flat, position, energy, self.odd_sample_shift);
         (start_ns, digitise(self.noise.as_ref(), 1.0, self.full_scale_dn, &mut self.scratch, random))
     }
 
@@ -231,7 +238,7 @@ impl Receiver {
         for echo in echoes {
             let position = self.position(echo.time_ns) - window.start as f64;
             let energy = self.gain * echo.amplitude_dn / self.response.peak(echo.width);
-            self.response.add(echo.width, position, energy, &mut self.scratch.signal);
+            self.scratch.add(&self.response, echo.width, position, energy, self.odd_sample_shift);
         }
         let start_ns = self.start_ns(window);
         (start_ns, digitise(self.noise.as_ref(), self.gain, self.full_scale_dn, &mut self.scratch, random))
@@ -256,7 +263,7 @@ impl Receiver {
         for echo in echoes {
             let position = (echo.time_ns + delay_ns - start_ns) / self.interval_ns;
             let energy = self.gain * echo.high_power_dn / self.response.peak(echo.width);
-            self.response.add(echo.width, position, energy, &mut self.scratch.signal);
+            self.scratch.add(&self.response, echo.width, position, energy, self.odd_sample_shift);
         }
         let (_, noise) = self.high_power.as_ref()?;
         let samples = digitise(noise.as_ref(), self.gain, self.full_scale_dn, &mut self.scratch, random);
@@ -279,6 +286,30 @@ impl Receiver {
         signal.clear();
         signal.resize(len, self.background_dn[0]);
         signal.iter_mut().skip(1).step_by(2).for_each(|odd| *odd = self.background_dn[1]);
+    }
+}
+
+impl Scratch {
+    /// Adds a pulse to the signal; late odd samples see it earlier.
+    fn add(
+        &mut self,
+        table: &PulseTable,
+        width: WidthIndex,
+        position: f64,
+        energy: f64,
+        odd_sample_shift: f64,
+    ) {
+        if odd_sample_shift == 0.0 {
+            table.add(width, position, energy, &mut self.signal);
+            return;
+        }
+        for (parity, position) in [(0, position), (1, position - odd_sample_shift)] {
+            self.pulse.clear();
+            self.pulse.resize(self.signal.len(), 0.0);
+            table.add(width, position, energy, &mut self.pulse);
+            let samples = self.signal.iter_mut().zip(&self.pulse).skip(parity).step_by(2);
+            samples.for_each(|(sample, value)| *sample += value);
+        }
     }
 }
 

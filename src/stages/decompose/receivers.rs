@@ -218,7 +218,6 @@ pub(super) struct Receivers {
     /// Tables of other gains; `None` if only the plain kernels are used.
     tables: Option<TablesAtGains>,
     path: SimdLevel,
-    left_to_plain: u64,
     /// Routing of each block of the line's shots, in order.
     lots: Vec<BlockRoute>,
 }
@@ -242,7 +241,6 @@ impl Receivers {
             config: config.clone(),
             tables: (config.mode != Mode::Slow).then(|| tables.at_gains.clone()),
             path,
-            left_to_plain: 0,
             lots: Vec::new(),
         })
     }
@@ -289,7 +287,7 @@ impl Receivers {
 
     /// Decomposes the blocks of one receiver.
     fn decompose_channel(&mut self, channel: Channel, queue: &ByGain<Waveform>) -> Result<()> {
-        let Receivers { low, high, config, tables, path, left_to_plain, .. } = self;
+        let Receivers { low, high, config, tables, path, .. } = self;
         let receiver = if channel == Channel::LowPower { low } else { high };
         let Some(receiver) = receiver else { return Ok(()) };
         for (level, waveforms) in queue.iter() {
@@ -299,9 +297,7 @@ impl Receivers {
                 let made = Receiver::new(Some(&model), tables.as_ref(), config, *path).map_err(unusable)?;
                 made.ok_or(StageError::Stopped)
             })?;
-            let before = kernels.left_to_plain();
             kernels.decompose(waveforms, outcomes);
-            *left_to_plain += kernels.left_to_plain() - before;
         }
         Ok(())
     }
@@ -323,9 +319,13 @@ impl Receivers {
         Ok(())
     }
 
-    /// Number of echo waveforms decomposed by the plain kernels since the start.
-    pub(super) fn left_to_plain(&self) -> u64 {
-        self.left_to_plain
+    /// Number of the shots decomposed last with echoes left to the plain kernels.
+    pub(super) fn left_to_plain(&self, shots: &[Shot]) -> usize {
+        let is_left = |lot: &&BlockRoute| self.found(**lot).is_some_and(|(_, found, _)| found.left_to_plain);
+        let mut lots = self.lots.iter();
+        let blocks_left =
+            shots.iter().map(|shot| lots.by_ref().take(shot.of_shot.len()).filter(is_left).count());
+        blocks_left.filter(|&blocks| blocks > 0).count()
     }
 
     /// Detects echoes on the outgoing pulses of the shots decomposed last, by gain.

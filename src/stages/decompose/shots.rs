@@ -281,10 +281,9 @@ impl ShotDecomposer {
         cx: &mut Context,
         watch: &mut impl Observer,
     ) -> Result<()> {
-        let before = self.receivers.left_to_plain();
         self.receivers.begin_line();
         self.receivers.decompose(shots, self.both.as_ref())?;
-        cx.observe("left_to_plain_kernels", (self.receivers.left_to_plain() - before) as f64);
+        cx.observe("left_to_plain_kernels", self.receivers.left_to_plain(shots) as f64);
         self.expect_echoes_on_outgoing(shots, line.emissions);
         self.receivers.judge_outgoing(shots, true, |index| is_set(&self.expected, index));
         self.finish_shots(shots, line, cx, watch)?;

@@ -7,6 +7,7 @@ use super::{FULL_SCALE_DN, INTERVAL_NS};
 use crate::keys::InvalidKey;
 use crate::scan_line::MAX_SHOTS_PER_LINE;
 use crate::stage::Config;
+use crate::stages::line_splitter::check_odd_sample_shift;
 use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year};
 use wavex_simulation::detector::Detector;
 use wavex_simulation::platform::{Motion, Platform};
@@ -177,6 +178,9 @@ pub struct Simulate {
     pub detector: DetectorKind,
     /// Background of the even and odd samples of a block.
     pub background_dn: [f64; 2],
+    /// Delay of the odd samples of a block of every receiver, in samples: above -0.5 and below 0.5.
+    /// Files do not store it: give the same value to their reader.
+    pub odd_sample_shift: f64,
     /// Standard deviation of the recorded noise, including quantisation; 0: quantisation only.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub noise_sd_dn: f64,
@@ -318,6 +322,7 @@ impl Default for Simulate {
             response: Response::Riegl,
             detector: DetectorKind::Linear,
             background_dn: [2.18, 2.41],
+            odd_sample_shift: 0.0,
             noise_sd_dn: 0.93,
             noise_autocorrelation: vec![0.63, 0.42, 0.22, 0.11],
             high_power: false,
@@ -438,6 +443,7 @@ impl Simulate {
         unless(within(self.blind_gap_ns, 0.0, 1000.0), "blind_gap_ns", "must lie between 0 and 1000")?;
         let background = self.background_dn.iter().all(|&dn| within(dn, 0.0, 100.0));
         unless(background, "background_dn", "must be two values between 0 and 100")?;
+        check_odd_sample_shift(self.odd_sample_shift)?;
         // Below half a step, quantisation is not independent of the noise.
         let noise = |sd_dn: f64| sd_dn == 0.0 || within(sd_dn, 0.5, 100.0);
         let spread = "must be 0, or lie between 0.5 and 100";
@@ -566,6 +572,7 @@ impl Simulate {
             interval_ns: INTERVAL_NS,
             full_scale_dn: FULL_SCALE_DN,
             background_dn: self.background_dn,
+            odd_sample_shift: self.odd_sample_shift,
             noise_sd_dn: self.noise_sd_dn,
             noise_autocorrelation: self.noise_autocorrelation.clone(),
             response,

@@ -486,7 +486,7 @@ fn input(config: &Simulate) -> InputInfo {
         instrument: Some("simulated line scanner".to_owned()),
         serial: None,
         sampling_interval_ns: INTERVAL_NS,
-        odd_sample_shift: 0.0,
+        odd_sample_shift: config.odd_sample_shift,
         full_scale_dn: Some(FULL_SCALE_DN),
         gain_control: if config.has_gain_control() { GainControl::Recorded } else { GainControl::Off },
         group_velocity_mps: GROUP_VELOCITY_MPS,

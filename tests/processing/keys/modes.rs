@@ -3,7 +3,7 @@
 use wavex::scan_line::flags::{OVERLAP, REFINED};
 use wavex_testkit::TestFolder;
 
-use super::{SHOTS, flags_of, of_shot, recording, run, samples};
+use super::{LOW, SHOTS, flags_of, of_shot, recording, run, samples};
 use wavex_testkit::table::{Row, number};
 
 /// Returns of the same shots in two modes.
@@ -27,13 +27,26 @@ fn modes_differ_where_each_waveform_has_a_background_of_its_own() {
     let place = modes_differ_as_their_names_say("background = 'per_waveform'", 3);
     for mode in ["fastest", "fast_separated", "refined"] {
         run(&place, "", "background = 'per_waveform'", &format!("mode = '{mode}'"));
-        let report: serde_json::Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
-        let stages = report["inputs"][0]["stages"].as_array().unwrap();
-        let observed = |stage: &serde_json::Value| stage["observed"]["left_to_plain_kernels"].clone();
-        let left = stages.iter().map(observed).find(|left| !left.is_null()).unwrap();
-        let left = left["mean"].as_f64().unwrap() * left["count"].as_f64().unwrap();
+        let left = left_to_plain(&place);
         assert!(left < 0.05 * SHOTS as f64, "{mode}: {left}");
     }
+}
+
+/// Number of waveforms left to the plain kernels in the last run.
+fn left_to_plain(place: &TestFolder) -> f64 {
+    let report: serde_json::Value = serde_json::from_str(&place.text("out/job_report.json")).unwrap();
+    let stages = report["inputs"][0]["stages"].as_array().unwrap();
+    let observed = |stage: &serde_json::Value| stage["observed"]["left_to_plain_kernels"].clone();
+    let left = stages.iter().map(observed).find(|left| !left.is_null()).unwrap();
+    left["mean"].as_f64().unwrap() * left["count"].as_f64().unwrap()
+}
+
+/// A waveform of two sample blocks counts once.
+#[test]
+fn waveforms_left_to_the_plain_kernels_are_counted_once() {
+    let place = recording(|number, shot| shot.blocks.push((LOW, 1200.0, samples(number, &[(24.0, 90.0)]))));
+    let (_, totals) = run(&place, "", "", "mode = 'slow'");
+    assert_eq!((totals["nw"].as_u64(), left_to_plain(&place).round()), (Some(SHOTS as u64), SHOTS as f64));
 }
 
 /// Runs all modes with this key of `calibrate`, on waveforms whose levels differ by up to

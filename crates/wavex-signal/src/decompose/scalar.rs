@@ -211,6 +211,7 @@ impl Decomposer {
             saturated: samples.iter().any(|&s| f64::from(s) >= self.model.full_scale_dn),
             refined_once: self.counts.n_candidates > 0,
             refined_twice: self.refined_twice || found.iter().any(|f| f.flags & flags::DIVERGED != 0),
+            left_to_plain: true,
         }
     }
 

@@ -8,6 +8,7 @@ fn settings() -> ReceiverSettings {
         background_dn: [2.0, 4.0],
         noise_sd_dn: 0.0,
         noise_autocorrelation: Vec::new(),
+        odd_sample_shift: 0.0,
         response: PulseShape::gaussian(4.5),
         reference: PulseShape::gaussian(4.5),
         high_power: None,
@@ -73,6 +74,21 @@ fn samples_of_a_block_without_noise() {
     // from it.
     assert_eq!(samples[8..25], [2, 4, 3, 7, 13, 33, 60, 91, 102, 91, 60, 33, 13, 7, 3, 4, 2]);
     assert!(samples[..8].chunks(2).chain(samples[26..].chunks(2)).all(|pair| pair == [2, 4]));
+}
+
+/// Odd samples are those of an echo that much earlier; even samples are on time.
+#[test]
+fn late_odd_samples_are_taken_at_their_own_time() {
+    let late = ReceiverSettings { odd_sample_shift: 0.25, ..settings() };
+    let recorded = |settings: &ReceiverSettings, time_ns: f64| {
+        let mut receiver = Receiver::new(settings).unwrap();
+        let one = echoes(&receiver, &[(time_ns, 100.0)]);
+        receiver.record(&SampleWindow { start: 84, len: 60 }, &one, &mut random()).1.to_vec()
+    };
+    let [on_time, earlier] = [100.375, 100.125].map(|time_ns| recorded(&settings(), time_ns));
+    for (k, sample) in recorded(&late, 100.375).into_iter().enumerate() {
+        assert_eq!(sample, if k % 2 == 0 { on_time[k] } else { earlier[k] }, "sample {k}");
+    }
 }
 
 #[test]

@@ -82,6 +82,7 @@ fn each_limit_has_its_message() {
         (|c| c.ground_amplitude_dn = 0.0, "ground_amplitude_dn", "must lie between 1 and 10000"),
         (|c| c.dropout_rate = 1.1, "dropout_rate", "must lie between 0 and 1"),
         (|c| c.background_dn = [2.0, -0.1], "background_dn", "must be two values between 0 and 100"),
+        (|c| c.odd_sample_shift = 0.5, "odd_sample_shift", "it must lie between -0.5 and 0.5"),
         (|c| c.noise_sd_dn = 0.3, "noise_sd_dn", "must be 0, or lie between 0.5 and 100"),
         (|c| c.noise_sd_dn = f64::INFINITY, "noise_sd_dn", "must be 0, or lie between 0.5 and 100"),
         (|c| c.noise_autocorrelation = vec![0.1; 17], "noise_autocorrelation", "must have at most 16 values"),

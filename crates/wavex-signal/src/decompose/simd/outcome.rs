@@ -121,6 +121,7 @@ impl Finish<'_> {
             if self.push_plain(samples, start_phase, done, outcomes) {
                 return;
             }
+            outcome.left_to_plain = true;
         }
         let misfit_factor = outcome.misfit_factor(deviation_ratio, self.settings);
         let sd_factor = misfit_factor * self.model.pulse_error_factor;
