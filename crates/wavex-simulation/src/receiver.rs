@@ -321,7 +321,7 @@ fn digitise<'s>(
     scratch: &'s mut Scratch,
     random: &mut Random,
 ) -> &'s [u16] {
-    let Scratch { signal, noise_dn, samples } = scratch;
+    let Scratch { signal, noise_dn, samples, .. } = scratch;
     noise_dn.clear();
     noise_dn.resize(signal.len(), 0.0);
     if let Some(noise) = noise {
