@@ -16,6 +16,7 @@ pub mod scan_angles;
 pub(crate) mod trajectory_file;
 pub mod transform;
 
+pub(crate) use context::week_check;
 pub use context::{Geometry, Loader, ShotPoses};
 pub use error::{Error, Result};
 pub use keys::GeometryKeys;

@@ -9,6 +9,7 @@ use super::output_crs::{CrsRequest, OutputCrs};
 use super::trajectory_file::Track;
 use super::transform::Installation;
 use super::{Error, Result};
+use crate::plausibility::{Check, Otherwise};
 use crate::scan_line::{Frame, InputInfo};
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::time_axis::{Alignment, Clock, TimeSpan};
@@ -101,6 +102,20 @@ impl ShotPoses<'_> {
     }
 }
 
+const NOT_FOUND: &str = "timestamp not found in PO file";
+
+/// The check of the dates of recording and trajectory.
+pub(crate) fn week_check() -> Check {
+    Check {
+        compared: "GPS weeks of recording and trajectory",
+        accepted: "the same, where both are known".into(),
+        source: "file name, `gps_date` or container; header of a POF, or adjusted times",
+        otherwise: Otherwise::Error,
+        message: NOT_FOUND,
+        key: Some("gps_date"),
+    }
+}
+
 impl Geometry {
     fn of(
         keys: GeometryKeys,
@@ -161,7 +176,7 @@ impl Geometry {
                 let begins = TimeSpan { clock: Clock::Adjusted, first_s: own_s, last_s: own_s };
                 Err(Error::unusable(
                     format!(
-                        "timestamp not found in PO file {}: by its date the recording is of {begins}, week {own}, but the \
+                        "{NOT_FOUND} {}: by its date the recording is of {begins}, week {own}, but the \
                          trajectory lasts from {}, week {week}",
                         track.file().display(),
                         track.times

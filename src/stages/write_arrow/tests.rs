@@ -59,6 +59,10 @@ fn positive() -> impl Strategy<Value = f64> {
     prop_oneof![1e-9..1e9, Just(1.0), Just(0.5)]
 }
 
+fn interval_ns() -> impl Strategy<Value = f64> {
+    prop_oneof![0.05..20.0, Just(1.0), Just(0.5)]
+}
+
 fn table() -> impl Strategy<Value = Option<AmplitudeTable>> {
     option::of(vec((number(), number()), 2..5).prop_map(AmplitudeTable::new)).prop_map(Option::flatten)
 }
@@ -74,9 +78,9 @@ prop_compose! {
     fn sensor()(
         instrument in option::of(".{0,8}"),
         serial in option::of("[0-9]{4}"),
-        sampling_interval_ns in positive(),
+        sampling_interval_ns in interval_ns(),
         full_scale_dn in option::of(any::<u16>()),
-        group_velocity_mps in 2e8..299_792_458.0,
+        group_velocity_mps in 2.5e8..299_792_458.0,
         pulse_rate_hz in option::of(positive()),
         recorded in option::of((1..=365_u16, 1..=9999_u16)),
         may_be_file_date in any::<bool>(),
@@ -180,8 +184,8 @@ fn block() -> impl Strategy<Value = MadeBlock> {
     let gain = prop_oneof![Just(1.0), 1.0 / 1024.0..1024.0_f64];
     (
         prop::sample::select(channels),
-        number(),
-        option::of(positive()),
+        prop_oneof![-1e7..1e7, Just(0.0), Just(-0.0)],
+        option::of(interval_ns()),
         option::of(any::<i16>()),
         gain,
         samples,

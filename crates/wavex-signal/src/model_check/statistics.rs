@@ -74,10 +74,11 @@ pub(super) struct Quiet {
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Fits {
     pub(super) count: usize,
-    /// Degrees of freedom of a waveform.
-    pub(super) freedom: f64,
     pub(super) chi_square: f64,
     pub(super) expected_excess: f64,
+    /// Variance of the mean chi-square per degree of freedom: that of noise, or the spread of the waveforms
+    /// if they differ by more.
+    pub(super) variance: f64,
 }
 
 impl Fits {
@@ -88,23 +89,21 @@ impl Fits {
         all.truncate(all.len() - (WORST_PART * all.len() as f64) as usize);
         let sum = |i: usize| all.iter().map(|fit| fit[i]).sum::<f64>();
         let freedom = sum(1).max(1.0);
-        let mean = freedom / all.len().max(1) as f64;
+        let count = all.len().max(1) as f64;
+        let chi_square = sum(0) / freedom;
+        let of_one = |[own, freedom, _]: &[f64; 3]| (own / freedom - chi_square).powi(2);
+        let spread = all.iter().map(of_one).sum::<f64>() / count;
         Fits {
             count: all.len(),
-            freedom: mean,
-            chi_square: sum(0) / freedom,
+            chi_square,
             expected_excess: sum(2) / freedom,
+            variance: (spread / count).max(2.0 / freedom),
         }
     }
 
     /// Root of chi-square over the expected one, at least 1.
     pub(super) fn excess_factor(&self) -> f64 {
         (self.chi_square / (1.0 + self.expected_excess)).max(1.0).sqrt()
-    }
-
-    /// Variance of the mean chi-square per degree of freedom.
-    pub(super) fn variance(&self) -> f64 {
-        2.0 / (self.freedom * self.count as f64).max(1.0)
     }
 }
 
