@@ -114,7 +114,7 @@ pub(in crate::stages) fn other_weekday(noon: SinceEpoch, first_s: f64) -> Option
         let [of_date, of_times] = [of_date, of_times].map(|day| WEEKDAYS[day]);
         format!(
             "`gps_date` is a {of_date}, but the first time of the recording, {first_s:.1} s of the GPS week, is \
-             on a {of_times}: {OTHER_DAY} {of_times} is taken as its day; correct `gps_date`, or `recording_time` \
+             on a {of_times}: the nearest {of_times} {OTHER_DAY}; correct `gps_date`, or `recording_time` \
              if these are not seconds of the week"
         )
     })
@@ -132,7 +132,7 @@ pub(in crate::stages) fn other_day(date: Option<SinceEpoch>, named: Option<Since
 
 /// Words of the messages.
 pub(in crate::stages) const NOT_PLAUSIBLE: &str = "are not plausible as";
-pub(in crate::stages) const OTHER_DAY: &str = "the nearest";
+pub(in crate::stages) const OTHER_DAY: &str = "is taken as its day";
 pub(in crate::stages) const OTHER_NAME: &str = "the date in the file name";
 
 /// Remedy for implausible times.
