@@ -9,7 +9,7 @@ use crate::stage::{FinishedFile, OutputFile};
 use map::Map;
 use summary::About;
 use wavex_formats::Error;
-use wavex_formats::trajectory::{self, Angles, FileTime, Options, Records, Unproject};
+use wavex_formats::trajectory::{self, Angles, FileTime, Options, Unproject};
 use wavex_geodesy::time_axis::Clock;
 use wavex_geodesy::trajectory::plausibility::{Limits, contradiction};
 use wavex_geodesy::trajectory::{Accuracy, Trajectory};
@@ -26,11 +26,7 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
     let failed = |error: Error| Failure::Run(error.to_string());
     let options = args.options();
     let recorded = trajectory::read(&args.file, &options).map_err(failed)?;
-    // Projected positions are in the named system; otherwise `utm` is the zone of the first position.
-    let map = match &recorded.records {
-        Records::Geodetic(_) => None,
-        Records::Projected(_) => Map::of(&args.crs, None).map_err(Failure::Wrong)?,
-    };
+    let map = Map::of(&args.crs, None).map_err(Failure::Wrong)?;
     let (format, counts, clock) = (recorded.format.clone(), recorded.counts.clone(), recorded.clock);
     let accuracies: Vec<Accuracy> = recorded.accuracies.iter().map(|sample| sample.accuracy).collect();
     let (mut notes, is_text, speeds_mps) =
@@ -48,6 +44,7 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
     notes.extend(note);
     let map = match map {
         Some(map) => map,
+        // `utm` is the zone of the first position.
         None => {
             let first = trajectory.samples().first().map(|sample| sample.place);
             let map = Map::of(&args.crs, first).map_err(Failure::Wrong)?;

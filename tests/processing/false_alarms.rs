@@ -8,7 +8,7 @@ const FLIGHTS: &[(&str, &str, &str)] = &[
     ("airplane", "flying_height_m = 600.0\nroll_deg = 4.0\npitch_deg = 3.0\nyaw_deg = 5.0", ""),
     (
         "steep banks",
-        "roll_deg = 35.0\nmotion_period_s = 8.0\nscan_angle_deg = [-20.0, 20.0]\nturn_radius_m = 400.0",
+        "roll_deg = 15.0\nmotion_period_s = 8.0\nscan_angle_deg = [-20.0, 20.0]\nturn_radius_m = 400.0",
         "",
     ),
     (
@@ -19,7 +19,7 @@ const FLIGHTS: &[(&str, &str, &str)] = &[
     ),
     (
         "drone",
-        "flying_height_m = 30.0\nspeed_mps = 5.0\nroll_deg = 15.0\npitch_deg = 15.0\nyaw_deg = 40.0\n\
+        "flying_height_m = 30.0\nspeed_mps = 5.0\nroll_deg = 15.0\npitch_deg = 15.0\nyaw_deg = 15.0\n\
          motion_period_s = 3.0\npulse_rate_hz = 100e3\nscan_angle_deg = [-45.0, 45.0]\nblind_gap_ns = 0.0",
         "trajectory_limits = 'helicopter'",
     ),

@@ -1,13 +1,17 @@
 //! Coordinate reference systems of LAS files from records that are damaged, contradict or are in feet.
 
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
 use wavex_formats::container::{ContainerHeader, ContainerReader};
-use wavex_formats::las::{Description, Point, Reader};
+use wavex_formats::las::Description;
 use wavex_geodesy::crs::wkt_of_epsg;
 use wavex_testkit::las::{Las, vlr};
 use wavex_testkit::shots::METRES_PER_NS;
 use wavex_testkit::{TO_TABLE, TestFolder, notes};
 
-const PULSES: usize = 60;
+const PULSES: usize = 240;
 const HEIGHT: usize = 8;
 const VECTOR_Z: usize = 55;
 const US_FOOT_M: f64 = 1200.0 / 3937.0;
@@ -54,12 +58,18 @@ fn height(las: &Las) -> (f64, String) {
     let place = place(las);
     let to_las = TO_TABLE.replace("write_table'\npath = '*.csv'", "write_las'\npath = '*_out.las'");
     place.succeeds("read_las", "a.las", &to_las);
-    let mut reader = Reader::open(&place.path("out/a_out.las")).unwrap();
-    let (mut point, mut sum, mut n) = (Point::default(), 0.0, 0.0);
-    while reader.next_point(&mut point).unwrap() {
-        (sum, n) = (sum + point.z, n + 1.0);
-    }
-    (sum / n, reader.crs().wkt.unwrap_or_default())
+    let path = place.path("out/a_out.las");
+    let mut reader = las::Reader::from_path(&path).unwrap();
+    let heights: Vec<f64> = reader.read_all().unwrap().points().map(|point| point.unwrap().z).collect();
+    let mean = heights.iter().sum::<f64>() / heights.len() as f64;
+    (mean, described(&path).crs().wkt.unwrap_or_default())
+}
+
+/// Header and records of a file.
+fn described(path: &Path) -> Description {
+    let mut file = BufReader::new(File::open(path).unwrap());
+    let length = std::fs::metadata(path).unwrap().len();
+    Description::read(&mut file, path, length).unwrap()
 }
 
 const UTM_32: [[u16; 4]; 3] = [[1024, 0, 1, 1], [3072, 0, 1, 25832], [3076, 0, 1, 9001]];
@@ -132,10 +142,7 @@ fn copc_has_wkt_whatever_the_records_of_the_source() {
     let place = place(&with_records(Some("\0"), &UTM_32, &[]));
     let outcome = place.wavex(&["copc", "a.las", "--out", "a.copc.laz"]);
     assert_eq!(outcome.code, Some(0), "{}", outcome.err);
-    let path = place.path("a.copc.laz");
-    let mut file = std::io::BufReader::new(std::fs::File::open(&path).unwrap());
-    let length = std::fs::metadata(&path).unwrap().len();
-    let copc = Description::read(&mut file, &path, length).unwrap();
+    let copc = described(&place.path("a.copc.laz"));
     let records: Vec<u16> =
         copc.vlrs.iter().filter(|vlr| vlr.user_id == "LASF_Projection").map(|vlr| vlr.record_id).collect();
     assert!(copc.header.says_wkt() && records == [2112], "{records:?}");

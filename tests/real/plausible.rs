@@ -23,7 +23,6 @@ const RECORDINGS: &[(&str, &str, &[&str])] = &[
         &["the scan angles in the file contradict its beams"],
     ),
     ("read_las", "las_compressed/fwf_uncompressed.las", &[]),
-    ("read_las", "las_wavepackets/fullwave.laz", &[]),
 ];
 
 #[test]

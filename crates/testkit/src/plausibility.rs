@@ -1,7 +1,7 @@
 //! Messages of plausibility checks in the report of a run.
 
+use wavex::checks::checks;
 use wavex::engine::RunSummary;
-use wavex::plausibility::checks;
 
 /// Messages and reasons of rejections of a run that belong to a plausibility check.
 pub fn alarms(summary: &RunSummary) -> Vec<String> {

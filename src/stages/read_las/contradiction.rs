@@ -56,15 +56,13 @@ pub(crate) fn crs_check() -> Check {
     }
 }
 
-/// Refuses vectors and sampling intervals that contradict physics.
+/// Refuses vectors and sampling intervals that contradict physics, if any waveform can be read.
 pub(super) fn check_beams(geometry: &Geometry) -> Result<()> {
-    if let Some(sampling) = geometry.sampling {
-        let interval_ns = f64::from(sampling.spacing_ps) / 1000.0;
-        plausible::check_interval(
-            interval_ns,
-            "export the file again with the temporal sample spacing in picoseconds",
-        )?;
-    }
+    let Some(sampling) = geometry.sampling else { return Ok(()) };
+    plausible::check_interval(
+        f64::from(sampling.spacing_ps) / 1000.0,
+        "export the file again with the temporal sample spacing in picoseconds",
+    )?;
     plausible::check_velocity(
         geometry.group_velocity_mps,
         "the direction vectors of the points",

@@ -146,7 +146,7 @@ fn template_error(statistics: &Statistics) -> Option<Finding> {
         return None;
     }
     let expected = strong.expected_excess - weak.expected_excess;
-    let margin = EXCESS_MARGIN + SIGNIFICANT * (weak.variance + strong.variance).sqrt();
+    let margin = EXCESS_MARGIN + SIGNIFICANT * (weak.variance() + strong.variance()).sqrt();
     let [least, most] = EXCESS_RATIOS.map(|ratio| ratio * expected);
     Some(Finding {
         area: Area::TemplateError,

@@ -39,6 +39,9 @@ const AFTER_WIDTHS: f64 = 15.0;
 const MAX_AFTER: f64 = 80.0;
 /// Fraction of the worst-fitting echoes that is omitted.
 const WORST_PART: f64 = 0.05;
+/// Chi-square over the median from which a fit has another cause than the response, such as an echo cut by the
+/// end of the block.
+const WILD: f64 = 10.0;
 
 /// Median and robust SD of a sample.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -74,11 +77,10 @@ pub(super) struct Quiet {
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Fits {
     pub(super) count: usize,
+    /// Degrees of freedom of a waveform.
+    pub(super) freedom: f64,
     pub(super) chi_square: f64,
     pub(super) expected_excess: f64,
-    /// Variance of the mean chi-square per degree of freedom: that of noise, or the spread of the waveforms
-    /// if they differ by more.
-    pub(super) variance: f64,
 }
 
 impl Fits {
@@ -87,23 +89,27 @@ impl Fits {
         let over_expected = |[chi_square, freedom, excess]: &[f64; 3]| chi_square / (freedom + excess);
         all.sort_by(|a, b| over_expected(a).total_cmp(&over_expected(b)));
         all.truncate(all.len() - (WORST_PART * all.len() as f64) as usize);
+        let median = all.get(all.len() / 2).map_or(0.0, over_expected);
+        all.retain(|fit| over_expected(fit) <= WILD * median);
         let sum = |i: usize| all.iter().map(|fit| fit[i]).sum::<f64>();
         let freedom = sum(1).max(1.0);
-        let count = all.len().max(1) as f64;
-        let chi_square = sum(0) / freedom;
-        let of_one = |[own, freedom, _]: &[f64; 3]| (own / freedom - chi_square).powi(2);
-        let spread = all.iter().map(of_one).sum::<f64>() / count;
+        let mean = freedom / all.len().max(1) as f64;
         Fits {
             count: all.len(),
-            chi_square,
+            freedom: mean,
+            chi_square: sum(0) / freedom,
             expected_excess: sum(2) / freedom,
-            variance: (spread / count).max(2.0 / freedom),
         }
     }
 
     /// Root of chi-square over the expected one, at least 1.
     pub(super) fn excess_factor(&self) -> f64 {
         (self.chi_square / (1.0 + self.expected_excess)).max(1.0).sqrt()
+    }
+
+    /// Variance of the mean chi-square per degree of freedom.
+    pub(super) fn variance(&self) -> f64 {
+        2.0 / (self.freedom * self.count as f64).max(1.0)
     }
 }
 
