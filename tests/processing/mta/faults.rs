@@ -2,7 +2,7 @@
 
 use wavex_formats::container::{ContainerHeader, ContainerReader};
 
-use super::flights::{Found, lines_of, recorded, refused, resolve, score, stage};
+use super::flights::{Found, lines_of, recorded, resolve, score, stage};
 use wavex_testkit::TestFolder;
 use wavex_testkit::container::{Row, container};
 
