@@ -44,7 +44,7 @@ impl AssumedMotion {
     /// Offset of the next line from the first one, m.
     fn next_m(&mut self, spacings_m: &[f32], across: Option<[f64; 3]>) -> [f64; 3] {
         self.forward = self.forward.or(across);
-        self.spacing_m = median(spacings_m).map_or(self.spacing_m, f64::from);
+        self.spacing_m = median(spacings_m).filter(|m| m.is_finite()).map_or(self.spacing_m, f64::from);
         self.distance_m += ASSUMED_LINE_SPACING * self.spacing_m;
         self.forward.map_or([0.0; 3], |forward| forward.map(|part| part * self.distance_m))
     }

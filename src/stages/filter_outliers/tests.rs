@@ -167,15 +167,16 @@ fn without_a_trajectory_the_same_returns_are_marked() {
     }
 }
 
-/// False returns at one place of the scanner's frame, in every tenth line, are 5 m apart.
+/// False returns at one place of the scanner's frame, in every sixth line, are 3 m apart.
 #[test]
 fn without_a_trajectory_lines_are_apart() {
     let scanner = Lying { frame: Frame::Scanner, ..MAP };
-    let is_false = |at: u32, shot: u32| at % 10 == 3 && shot == 20;
+    let is_false = |at: u32, shot: u32| at % 6 == 3 && shot == 20;
     let other = |at: u32| move |shot: u32| is_false(at, shot).then(|| vec![HEIGHT_M - 30.0]);
     let lines = (0..40).map(|at| line(&scanner, at, other(at))).collect();
-    let (lines, _) = run(&FilterOutliers::default(), lines, usize::MAX);
-    assert_eq!(marked(&lines), [3, 13, 23, 33].map(|at| (at, 20)));
+    let keys = FilterOutliers { max_range_m: 1.0, ..FilterOutliers::default() };
+    let (lines, _) = run(&keys, lines, usize::MAX);
+    assert_eq!(marked(&lines), [3, 9, 15, 21, 27, 33, 39].map(|at| (at, 20)));
 }
 
 #[test]
