@@ -37,6 +37,10 @@ fn false_returns_are_told_and_true_ones_kept() {
         assert_eq!(total(|line| line.stats.np_filtered), score.rejected as u64);
         assert!(lines.iter().map(|line| line.line).eq(flight.lines.iter().map(|line| line.line)));
 
+        // Wide spacing, and beams that the attitude moves from line to line.
+        if !["sparse", "swinging mirror", "circular"].contains(&scene.name) {
+            continue;
+        }
         let (alone, cx, _) = filtered(without_trajectory(&flight, scene, 1), "", usize::MAX);
         let score = score_of_stage(&flight, &alone, scene.margin_m);
         let differ = kept(&lines).symmetric_difference(&kept(&alone)).count();
