@@ -182,7 +182,7 @@ impl Variance {
         let Some(waiting) = self.lines.get_mut((number - first) as usize) else { return };
         let (line, echo) = (&waiting.line, &waiting.line.echoes[i as usize]);
         let count = self.length as f64;
-        let cost = |chain: &Chain, zone: u8| {
+        let cost = |chain: &Chain, zone: usize| {
             let variance = (chain.overlapping.sum / count).max(LEAST_VARIANCE_M2);
             0.5 * count * variance.ln() + prior_nats(line, echo, zone, &self.settings)
         };
@@ -192,11 +192,10 @@ impl Variance {
             range_m.is_some_and(|range_m| (nearest_m..=farthest_m).contains(&range_m))
         };
         let mut costs = vec![f64::INFINITY; self.chains.len()];
-        for (chain, &zone) in
-            self.chains.iter().zip(&zones).filter(|(_, zone)| is_possible(usize::from(**zone)))
-        {
-            let least = &mut costs[usize::from(zone)];
-            *least = least.min(cost(chain, zone));
+        for (own, (chain, &zone)) in self.chains.iter().zip(&zones).enumerate() {
+            let zone = [usize::from(zone), own].into_iter().find(|&zone| is_possible(zone));
+            let Some(zone) = zone else { continue };
+            costs[zone] = costs[zone].min(cost(chain, zone));
         }
         let Some(best) = (0..costs.len()).min_by(|&a, &b| costs[a].total_cmp(&costs[b])) else { return };
         let least = std::mem::replace(&mut costs[best], f64::INFINITY);
@@ -264,13 +263,12 @@ fn ranges_of(line: &Held, echo: &HeldEcho, settings: &Settings, ranges: &mut [f6
 }
 
 /// Cost of a zone under the prior, nats.
-fn prior_nats(line: &Held, echo: &HeldEcho, zone: u8, settings: &Settings) -> f64 {
+fn prior_nats(line: &Held, echo: &HeldEcho, zone: usize, settings: &Settings) -> f64 {
     let sd_m = match settings.prior {
         Prior::None => return 0.0,
         Prior::Agl { sd_m, .. } | Prior::PerEmission { sd_m } => sd_m,
     };
-    let expected =
-        place(echo, usize::from(zone)).and_then(|place| Some((place, *line.pulses.expected_m.get(place)?)));
+    let expected = place(echo, zone).and_then(|place| Some((place, *line.pulses.expected_m.get(place)?)));
     match expected.filter(|(_, expected_m)| expected_m.is_finite()) {
         Some((place, expected_m)) => {
             let apart = f64::from(line.range_m(echo, place, settings) - expected_m) / sd_m;
