@@ -192,10 +192,17 @@ impl Variance {
             range_m.is_some_and(|range_m| (nearest_m..=farthest_m).contains(&range_m))
         };
         let mut costs = vec![f64::INFINITY; self.chains.len()];
-        for (own, (chain, &zone)) in self.chains.iter().zip(&zones).enumerate() {
-            let zone = [usize::from(zone), own].into_iter().find(|&zone| is_possible(zone));
-            let Some(zone) = zone else { continue };
-            costs[zone] = costs[zone].min(cost(chain, zone));
+        // Chains count for their own zones if they all continued with impossible ones.
+        for is_own in [false, true] {
+            for (own, (chain, &zone)) in self.chains.iter().zip(&zones).enumerate() {
+                let zone = if is_own { own } else { usize::from(zone) };
+                if is_possible(zone) {
+                    costs[zone] = costs[zone].min(cost(chain, zone));
+                }
+            }
+            if costs.iter().any(|cost| cost.is_finite()) {
+                break;
+            }
         }
         let Some(best) = (0..costs.len()).min_by(|&a, &b| costs[a].total_cmp(&costs[b])) else { return };
         let least = std::mem::replace(&mut costs[best], f64::INFINITY);
