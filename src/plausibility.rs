@@ -6,7 +6,7 @@
 use std::fmt::{self, Display, Formatter};
 
 use crate::georef;
-use crate::stages::{plausible, read_las};
+use crate::stages::{georeference, plausible, read_las};
 
 /// A comparison of an input with physics, or with itself.
 pub struct Check {
@@ -49,7 +49,13 @@ impl Display for Otherwise {
 pub fn checks() -> Vec<(&'static str, Vec<Check>)> {
     let mut waveforms = plausible::checks();
     waveforms.push(read_las::location_check());
-    vec![("Waveforms", waveforms), ("Trajectories", georef::trajectory_checks())]
+    let mut coordinates = georeference::checks();
+    coordinates.push(georef::area_check());
+    vec![
+        ("Waveforms", waveforms),
+        ("Trajectories", georef::trajectory_checks()),
+        ("Coordinates", coordinates),
+    ]
 }
 
 /// The page of all checks in Markdown (`docs/reference/checks.md`).
