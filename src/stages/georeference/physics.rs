@@ -136,8 +136,8 @@ impl Physics {
         self.returns += returns.len() as u64;
         self.above += returns.iter().filter(is_above).count() as u64;
         let heights_m = points.iter().map(height_m);
-        let nowhere_m = heights_m.filter(|height_m| !GROUND_M.contains(height_m));
-        let example_m = nowhere_m.inspect(|_| self.nowhere += 1).last();
+        let nowhere_m: Vec<f64> = heights_m.filter(|height_m| !GROUND_M.contains(height_m)).collect();
+        self.nowhere += nowhere_m.len() as u64;
         if self.shots < FEWEST_SHOTS {
             return Vec::new();
         }
@@ -153,7 +153,7 @@ impl Physics {
                 100.0 * above
             )));
         }
-        if let Some(example_m) = example_m.filter(|_| nowhere > 0.5) {
+        if let Some(example_m) = nowhere_m.first().filter(|_| nowhere > 0.5) {
             problems.push(Problem::Heights(format!(
                 "{:.0} % of the first {} points {NOWHERE}, such as at {example_m:.0} m, below {} or above {} m",
                 100.0 * nowhere,
