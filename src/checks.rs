@@ -2,7 +2,7 @@
 
 use crate::georef;
 use crate::plausibility::Check;
-use crate::stages::{plausible, pose_source, read_arrow, read_las, recording};
+use crate::stages::{georeference, plausible, pose_source, read_arrow, read_las, recording};
 
 /// All checks, by input.
 pub fn checks() -> Vec<(&'static str, Vec<Check>)> {
@@ -11,9 +11,9 @@ pub fn checks() -> Vec<(&'static str, Vec<Check>)> {
     let dates = [recording::date_checks(), vec![georef::week_check()]].concat();
     vec![
         ("Waveforms", waveforms),
-        ("Beams", pose_source::checks()),
+        ("Beams and points", [pose_source::checks(), georeference::checks()].concat()),
         ("Times and dates", dates),
-        ("Coordinate reference systems", vec![read_las::crs_check()]),
+        ("Coordinate reference systems", vec![read_las::crs_check(), georef::area_check()]),
         ("Trajectories", georef::trajectory_checks()),
     ]
 }

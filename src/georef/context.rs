@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::area_of_use::outside_of_map;
 use super::calibration::Calibration;
 use super::keys::{CalibrationKey, GeometryKeys};
 use super::output_crs::{CrsRequest, OutputCrs};
@@ -11,6 +12,7 @@ use super::transform::Installation;
 use super::{Error, Result};
 use crate::plausibility::{Check, Otherwise};
 use crate::scan_line::{Frame, InputInfo};
+use wavex_geodesy::crs::Crs;
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::time_axis::{Alignment, Clock, TimeSpan};
 use wavex_geodesy::trajectory::{Pose, Poses, Trajectory};
@@ -247,6 +249,11 @@ impl Geometry {
             "the beams of this recording are already in {name}, but `[job.geometry]` requests other coordinates"
         );
         Err(Error::unusable(problem, remedy))
+    }
+
+    /// A warning if the first shot of a recording in a projected CRS is outside its area of use.
+    pub fn outside_map(&self, input: &InputInfo) -> Option<String> {
+        outside_of_map(&Crs::horizontal_of_wkt(input.crs_wkt.as_deref()?)?, origin_m(input, Frame::Map)?)
     }
 
     /// Checks that a recording without georeferencing may stay so.

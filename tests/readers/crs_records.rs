@@ -148,3 +148,28 @@ fn copc_has_wkt_whatever_the_records_of_the_source() {
     assert!(copc.header.says_wkt() && records == [2112], "{records:?}");
     assert!(copc.crs().wkt.unwrap().contains("UTM zone 32N") && copc.crs().problems.is_empty());
 }
+
+#[test]
+fn coordinates_outside_the_area_of_their_system_are_a_warning() {
+    // UTM coordinates of Austria, in steps of 1 cm.
+    let austria = |code| {
+        let las = Las::new(PULSES).with_crs(&wkt_of_epsg(code).unwrap());
+        let [x, y] = [50_000_000i32, 520_000_000].map(i32::to_le_bytes);
+        (0..PULSES).fold(las, |las, pulse| las.change(pulse, 0, &[x, y].concat()))
+    };
+    let notes = |code| {
+        let mut notes = notes(&place(&austria(code)).succeeds("read_las", "a.las", TO_TABLE));
+        notes.retain(|note| note.contains("is made for"));
+        notes
+    };
+    assert_eq!(
+        [32633, 25833, 31256].map(notes),
+        [const { Vec::<String>::new() }; 3],
+        "one is on another datum"
+    );
+    let pennsylvania = notes(2271);
+    let words = "EPSG:2271 (NAD83 / Pennsylvania North (ftUS)) is made for longitude -81 to -74 and latitude 40 to 43 degrees, \
+                 but the recording begins at ";
+    assert!(pennsylvania.len() == 1 && pennsylvania[0].starts_with(words), "{pennsylvania:?}");
+    assert!(pennsylvania[0].contains("`crs_of_input`"), "{pennsylvania:?}");
+}
