@@ -7,7 +7,7 @@ use wavex_testkit::las::{Las, vlr};
 use wavex_testkit::shots::METRES_PER_NS;
 use wavex_testkit::{TO_TABLE, TestFolder, notes};
 
-const PULSES: usize = 60;
+const PULSES: usize = 240;
 const HEIGHT: usize = 8;
 const VECTOR_Z: usize = 55;
 const US_FOOT_M: f64 = 1200.0 / 3937.0;
