@@ -5,6 +5,7 @@
 //! only the emission. `georeference` converts the result to output coordinates ([`output_crs`]).
 //! `docs/explanation/georeferencing.md` gives the formulas.
 
+mod area_of_use;
 pub mod calibration;
 mod context;
 pub mod declared;
@@ -16,6 +17,8 @@ pub mod scan_angles;
 pub(crate) mod trajectory_file;
 pub mod transform;
 
+pub(crate) use area_of_use::check as area_check;
+pub(crate) use context::week_check;
 pub use context::{Geometry, Loader, ShotPoses};
 pub use error::{Error, Result};
 pub use keys::GeometryKeys;

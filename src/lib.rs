@@ -26,6 +26,7 @@
 //! ```
 
 pub mod archive;
+pub mod checks;
 pub mod cli;
 pub mod cluster;
 pub mod engine;

@@ -16,7 +16,7 @@ pub mod read_arrow;
 pub mod read_las;
 pub mod read_pulsewaves;
 pub mod read_sdf;
-mod recording;
+pub(crate) mod recording;
 pub mod resolve_mta;
 pub mod simulate;
 pub(crate) mod stac;

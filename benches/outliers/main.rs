@@ -8,7 +8,9 @@
 
 use std::collections::HashSet;
 
-use wavex_testkit::false_returns::{Flight, SCENES, Score, copy, filtered, fly, score, score_of_stage};
+use wavex_testkit::false_returns::{
+    Flight, SCENES, Score, copy, filtered, fly, kept, score, score_of_stage, without_trajectory,
+};
 
 const GOAL_TOLD: f64 = 95.0;
 const GOAL_LOST: f64 = 0.1;
@@ -19,7 +21,7 @@ fn main() {
     let seed = std::env::args().find_map(|arg| arg.strip_prefix("seed=")?.parse().ok()).unwrap_or(1);
     println!(
         "goals: at least {GOAL_TOLD} % of outliers found, at most {GOAL_LOST} % of true returns lost, {GOAL_SPEED} M returns/s\n\
-         {:<16} {:>8} {:>7} {:>7} | {:>7} {:>7} {:>7} {:>7} {:>7} {:>8} {:>7} | {:>7} {:>7} {:>7}",
+         {:<16} {:>8} {:>7} {:>7} | {:>7} {:>7} {:>7} {:>7} {:>7} {:>8} {:>7} | {:>11} {:>7} {:>7} | {:>7} | {:>7} {:>7} {:>7}",
         "scene",
         "returns",
         "false",
@@ -31,6 +33,10 @@ fn main() {
         "leaves",
         "rejected",
         "M/s",
+        "scanner:",
+        "true",
+        "wires",
+        "differ",
         "plain",
         "true",
         "wires"
@@ -39,10 +45,14 @@ fn main() {
         let flight = fly(scene, seed);
         let (lines, speed) = fastest(&flight);
         let s = score_of_stage(&flight, &lines, scene.margin_m);
+        let in_scanner_frame = without_trajectory(&flight, scene, seed);
+        let (in_scanner_frame, ..) = filtered(in_scanner_frame, "", usize::MAX);
+        let alone = score_of_stage(&flight, &in_scanner_frame, scene.margin_m);
+        let differ = kept(&lines).symmetric_difference(&kept(&in_scanner_frame)).count();
         let plain = plain_rule(&flight, scene.margin_m);
         let n: usize = flight.truth.iter().map(Vec::len).sum();
         println!(
-            "{:<16} {n:>8} {:>7} {:>7} | {:>6.2}% {:>6.3}% {:>6.3}% {:>6.3}% {:>6.3}% {:>8} {speed:>7.2} | {:>6.2}% {:>6.3}% {:>6.3}%",
+            "{:<16} {n:>8} {:>7} {:>7} | {:>6.2}% {:>6.3}% {:>6.3}% {:>6.3}% {:>6.3}% {:>8} {speed:>7.2} | {:>10.2}% {:>6.3}% {:>6.3}% {differ:>7} | {:>6.2}% {:>6.3}% {:>6.3}%",
             scene.name,
             s.outliers[0],
             s.among[0],
@@ -52,6 +62,9 @@ fn main() {
             s.lost_percent(Some("roof")),
             s.lost_percent(Some("leaves")),
             s.rejected,
+            alone.detected_percent(),
+            alone.lost_percent(None),
+            alone.lost_percent(Some("wire")),
             plain.detected_percent(),
             plain.lost_percent(None),
             plain.lost_percent(Some("wire")),

@@ -1,6 +1,7 @@
-//! Compresses the WKT of all EPSG codes; as text they would be a fifth of the program.
+//! Compresses the area of use and the WKT of all EPSG codes; as text they would be a fifth of the program.
 #![allow(clippy::print_stdout, reason = "cargo reads instructions from standard output")]
 
+use std::collections::HashMap;
 use std::error::Error;
 use std::io::Write as _;
 use std::path::PathBuf;
@@ -14,10 +15,20 @@ const PER_BLOCK: usize = 64;
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-changed=areas_of_use.txt");
+    let areas = fs::read_to_string("areas_of_use.txt")?;
+    let boxes: HashMap<&str, &str> = areas
+        .lines()
+        .filter_map(|line| line.split_once(':'))
+        .flat_map(|(area, codes)| codes.split_whitespace().map(move |code| (code, area)))
+        .collect();
     // A few rows of the table are empty.
     let known = (0..=u16::MAX).filter_map(crs_definitions::from_code).filter(|known| !known.wkt.is_empty());
-    let lines: Vec<(u16, String)> =
-        known.map(|known| (known.code, format!("{} {}\n", known.code, known.wkt))).collect();
+    let line = |code: u16, wkt: &str| {
+        let code = code.to_string();
+        format!("{code}\t{}\t{wkt}\n", boxes.get(code.as_str()).unwrap_or(&""))
+    };
+    let lines: Vec<(u16, String)> = known.map(|known| (known.code, line(known.code, known.wkt))).collect();
     let mut bytes = Vec::new();
     let mut blocks = Vec::new();
     for block in lines.chunks(PER_BLOCK) {

@@ -597,8 +597,9 @@ impl Work for Calibration<'_> {
     fn run(&self, samples: &Samples) -> PyResult<SensorModel> {
         use wavex_signal::calibrate::response::calibrate_response;
         use wavex_signal::calibrate::{CalibrationSettings, calibrate};
+        let Calibration { py, interval_ns, full_scale_dn } = *self;
         let model = interruptible(
-            self.py,
+            py,
             &Cancel::default(),
             |_| Ok(()),
             || {
@@ -607,7 +608,7 @@ impl Work for Calibration<'_> {
                     .filter(|waveform| !waveform.samples.is_empty());
                 let settings = CalibrationSettings {
                     simd: SimdLevel::best(),
-                    ..CalibrationSettings::echoes(self.interval_ns, self.full_scale_dn)
+                    ..CalibrationSettings::echoes(interval_ns, full_scale_dn)
                 };
                 let model = calibrate(blocks.clone(), &settings)?;
                 calibrate_response(blocks, &model, &settings)

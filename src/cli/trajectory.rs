@@ -4,14 +4,13 @@ use std::io::Write;
 use std::path::Path;
 
 use super::{Failure, TrajectoryArgs, terminal};
-use crate::georef::trajectory_file::{excluded, remedy};
+use crate::georef::trajectory_file::{remedy, without_outliers};
 use crate::stage::{FinishedFile, OutputFile};
 use map::Map;
 use summary::About;
 use wavex_formats::Error;
-use wavex_formats::trajectory::{self, Angles, FileTime, Options, Records, Unproject};
+use wavex_formats::trajectory::{self, Angles, FileTime, Options, Unproject};
 use wavex_geodesy::time_axis::Clock;
-use wavex_geodesy::trajectory::outliers::outliers;
 use wavex_geodesy::trajectory::plausibility::{Limits, contradiction};
 use wavex_geodesy::trajectory::{Accuracy, Trajectory};
 
@@ -27,11 +26,7 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
     let failed = |error: Error| Failure::Run(error.to_string());
     let options = args.options();
     let recorded = trajectory::read(&args.file, &options).map_err(failed)?;
-    let first = match &recorded.records {
-        Records::Geodetic(samples) => samples.first().map(|sample| sample.place),
-        Records::Projected(_) => None,
-    };
-    let map = Map::of(&args.crs, first).map_err(Failure::Wrong)?;
+    let map = Map::of(&args.crs, None).map_err(Failure::Wrong)?;
     let (format, counts, clock) = (recorded.format.clone(), recorded.counts.clone(), recorded.clock);
     let accuracies: Vec<Accuracy> = recorded.accuracies.iter().map(|sample| sample.accuracy).collect();
     let (mut notes, is_text, speeds_mps) =
@@ -42,12 +37,20 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
         recorded.into_trajectory(unproject).map_err(failed)?
     };
     let limits = &Limits::AIRPLANE;
-    notes.extend(excluded(&args.file, &outliers(trajectory.samples(), Some(limits))));
     if let Some(found) = contradiction(trajectory.samples(), &speeds_mps, limits) {
         notes.push(format!("{}; {}", found.problem, remedy(&found, is_text, options.angles)));
     }
-    // A trajectory with a first position always has a map.
-    let map = map.map_or_else(Map::geodetic, Ok).map_err(Failure::Run)?;
+    let (trajectory, note) = without_outliers(&args.file, trajectory, Some(limits)).map_err(failed)?;
+    notes.extend(note);
+    let map = match map {
+        Some(map) => map,
+        // `utm` is the zone of the first position.
+        None => {
+            let first = trajectory.samples().first().map(|sample| sample.place);
+            let map = Map::of(&args.crs, first).map_err(Failure::Wrong)?;
+            map.map_or_else(Map::geodetic, Ok).map_err(Failure::Run)?
+        }
+    };
     map.covers(trajectory.samples()).map_err(Failure::Run)?;
     let map = &map;
     let file = args.file.display().to_string();

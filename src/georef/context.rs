@@ -3,13 +3,16 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::area_of_use::outside_of_map;
 use super::calibration::Calibration;
 use super::keys::{CalibrationKey, GeometryKeys};
 use super::output_crs::{CrsRequest, OutputCrs};
 use super::trajectory_file::Track;
 use super::transform::Installation;
 use super::{Error, Result};
+use crate::plausibility::{Check, Otherwise};
 use crate::scan_line::{Frame, InputInfo};
+use wavex_geodesy::crs::Crs;
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::time_axis::{Alignment, Clock, TimeSpan};
 use wavex_geodesy::trajectory::{Pose, Poses, Trajectory};
@@ -101,6 +104,20 @@ impl ShotPoses<'_> {
     }
 }
 
+const NOT_FOUND: &str = "timestamp not found in PO file";
+
+/// The check of the dates of recording and trajectory.
+pub(crate) fn week_check() -> Check {
+    Check {
+        compared: "GPS weeks of recording and trajectory",
+        accepted: "the same, where both are known".into(),
+        source: "file name, `gps_date` or container; header of a POF, or adjusted times",
+        otherwise: Otherwise::Error,
+        message: NOT_FOUND,
+        key: Some("gps_date"),
+    }
+}
+
 impl Geometry {
     fn of(
         keys: GeometryKeys,
@@ -161,7 +178,7 @@ impl Geometry {
                 let begins = TimeSpan { clock: Clock::Adjusted, first_s: own_s, last_s: own_s };
                 Err(Error::unusable(
                     format!(
-                        "timestamp not found in PO file {}: by its date the recording is of {begins}, week {own}, but the \
+                        "{NOT_FOUND} {}: by its date the recording is of {begins}, week {own}, but the \
                          trajectory lasts from {}, week {week}",
                         track.file().display(),
                         track.times
@@ -232,6 +249,11 @@ impl Geometry {
             "the beams of this recording are already in {name}, but `[job.geometry]` requests other coordinates"
         );
         Err(Error::unusable(problem, remedy))
+    }
+
+    /// A warning if the first shot of a recording in a projected CRS is outside its area of use.
+    pub fn outside_map(&self, input: &InputInfo) -> Option<String> {
+        outside_of_map(&Crs::horizontal_of_wkt(input.crs_wkt.as_deref()?)?, origin_m(input, Frame::Map)?)
     }
 
     /// Checks that a recording without georeferencing may stay so.

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::area_of_use::outside_of_output;
 use super::keys::{GeometryKeys, UnitKey};
 use super::{Error as GeorefError, Result};
 use wavex_formats::{geoid, read_small_text};
@@ -174,6 +175,11 @@ impl OutputCrs {
     /// Display name.
     pub fn name(&self) -> &str {
         self.crs.name()
+    }
+
+    /// A warning if the first shot is outside the area of use of the CRS.
+    pub fn outside_area(&self) -> Option<String> {
+        outside_of_output(&self.crs, self.first_place)
     }
 
     /// Step and offset for integer coordinates, if they are in degrees.

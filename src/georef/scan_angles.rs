@@ -164,7 +164,7 @@ impl ScanAngles {
 /// Largest excess of a scan angle over the angle of its beam from nadir, degrees.
 ///
 /// Some files give the angle in the aircraft, without its roll.
-const MOST_EXCESS_DEG: f64 = 25.0;
+pub const MOST_EXCESS_DEG: f64 = 25.0;
 
 /// Medians of scan angle and angle from nadir, degrees, if the beams of a line exclude its angles.
 ///

@@ -15,7 +15,7 @@ use wavex_geodesy::trajectory::outliers::{
     FEWEST_FROZEN, Fault, LEAST_M, LEAST_RAD, LEAST_SPEED_MPS, MOST_ACCELERATION_MPS2, MOST_TURNING_RADPS2,
     Outlier, outliers,
 };
-use wavex_geodesy::trajectory::plausibility::{Contradiction, Kind, contradiction};
+use wavex_geodesy::trajectory::plausibility::{Contradiction, Kind, Limits, contradiction};
 use wavex_geodesy::trajectory::{Gap, Trajectory, TrajectoryError};
 
 /// A trajectory and its files.
@@ -89,14 +89,14 @@ impl Track {
             let remedy = remedy(&found, is_text, options.angles);
             return Err(Error::unusable(file, found.problem, remedy).into());
         }
-        let found = match keys.trajectory_outliers {
-            OutliersKey::Exclude => outliers(trajectory.samples(), limits),
-            OutliersKey::Keep => Vec::new(),
+        let trajectory = match keys.trajectory_outliers {
+            OutliersKey::Keep => trajectory,
+            OutliersKey::Exclude => {
+                let (trajectory, note) = without_outliers(file, trajectory, limits)?;
+                notes.extend(note);
+                trajectory
+            }
         };
-        let without = |problem: TrajectoryError| Error::unusable(file, problem.to_string(), problem.remedy());
-        let trajectory =
-            if found.is_empty() { trajectory } else { trajectory.without(&found).map_err(without)? };
-        notes.extend(excluded(file, &found));
         notes.extend(gaps(file, &trajectory));
         Ok(Track { file: file.to_path_buf(), accuracy, trajectory, times, knows_accuracy, notes })
     }
@@ -157,6 +157,7 @@ fn heights_note(keys: &GeometryKeys) -> String {
 /// Words of the messages.
 const FAR: &str = "are far from their neighbours";
 const TURNED: &str = "have another attitude than their neighbours";
+const BEYOND: &str = "have a roll or pitch beyond the limits";
 const REPEATED: &str = "repeat a position although the vehicle moves";
 
 /// The checks of this module.
@@ -165,7 +166,64 @@ pub(crate) fn checks() -> Vec<Check> {
         let (otherwise, key) = (Otherwise::LeftOut, Some("trajectory_outliers"));
         Check { compared, accepted, source, otherwise, message, key }
     };
+    let limit = |compared, accepted, source, message| {
+        let (otherwise, key) = (Otherwise::Error, Some("trajectory_limits"));
+        Check { compared, accepted, source, otherwise, message, key }
+    };
+    let [airplane, helicopter] = [Limits::AIRPLANE, Limits::HELICOPTER];
+    let of_both = |of: fn(&Limits) -> f64, unit: &str| {
+        format!("{:.0} {unit}; helicopter {:.0}", of(&airplane), of(&helicopter))
+    };
     vec![
+        limit(
+            "roll, in 95 % of the records",
+            of_both(|limits| limits.roll_rad.to_degrees(), "degrees"),
+            "steep banks",
+            "its roll exceeds",
+        ),
+        limit(
+            "pitch, in 95 % of the records",
+            of_both(|limits| limits.pitch_rad.to_degrees(), "degrees"),
+            "steep climbs",
+            "its pitch exceeds",
+        ),
+        limit(
+            "speed, in 95 % of the seconds",
+            of_both(|limits| limits.speed_mps, "m/s"),
+            "no survey flies at the speed of sound",
+            "its speed exceeds",
+        ),
+        limit(
+            "acceleration, in 95 % of the seconds",
+            of_both(|limits| limits.acceleration_mps2, "m/s²"),
+            "3 and 6 times that of free fall",
+            "its acceleration exceeds",
+        ),
+        limit(
+            "turn rate, in 95 % of the seconds",
+            of_both(|limits| limits.turn_rate_rad_per_s.to_degrees(), "degrees/s"),
+            "half a turn within a window of 1 s is ambiguous",
+            "its turn rate exceeds",
+        ),
+        limit(
+            "heading and course over ground, upper quartile",
+            of_both(|limits| limits.drift_rad.to_degrees(), "degrees"),
+            "strong wind explains 30 degrees; helicopters fly sideways",
+            "differ by",
+        ),
+        limit(
+            "stored velocity and velocity of the positions, median",
+            "2 m/s and 10 %".into(),
+            "the same quantity",
+            "its stored velocity has",
+        ),
+        limit(
+            "records that repeat the position of the one before",
+            "half of them, above 5 m/s".into(),
+            "positions are sparser than records",
+            "repeat the position of the one before",
+        ),
+        check("roll and pitch of a record", "the limits above".into(), "up to 5 % of the records", BEYOND),
         check(
             "position of a record and the line through its neighbours",
             format!(
@@ -195,8 +253,23 @@ pub(crate) fn checks() -> Vec<Check> {
     ]
 }
 
+/// A trajectory without its outliers, and a note on them, if any.
+///
+/// # Errors
+/// Fewer than two records are left.
+pub(crate) fn without_outliers(
+    file: &Path,
+    trajectory: Trajectory,
+    limits: Option<&Limits>,
+) -> std::result::Result<(Trajectory, Option<String>), Error> {
+    let found = outliers(trajectory.samples(), limits);
+    let Some(note) = note_on(file, &found) else { return Ok((trajectory, None)) };
+    let unusable = |problem: TrajectoryError| Error::unusable(file, problem.to_string(), problem.remedy());
+    Ok((trajectory.without(&found).map_err(unusable)?, Some(note)))
+}
+
 /// Note on the records left out, if any.
-pub(crate) fn excluded(file: &Path, outliers: &[Outlier]) -> Option<String> {
+fn note_on(file: &Path, outliers: &[Outlier]) -> Option<String> {
     let worst = |fault| {
         let of_fault = outliers.iter().filter(move |outlier| outlier.fault == fault);
         of_fault
@@ -208,7 +281,7 @@ pub(crate) fn excluded(file: &Path, outliers: &[Outlier]) -> Option<String> {
     for (fault, what, unit, scale) in [
         (Fault::Position, FAR, " m", 1.0),
         (Fault::Attitude, TURNED, " degrees", 1f64.to_degrees()),
-        (Fault::Limit, "have a roll or pitch beyond the limits", " degrees", 1f64.to_degrees()),
+        (Fault::Limit, BEYOND, " degrees", 1f64.to_degrees()),
         (Fault::Frozen, REPEATED, "", 0.0),
     ] {
         if let Some((count, worst)) = worst(fault) {
@@ -222,7 +295,7 @@ pub(crate) fn excluded(file: &Path, outliers: &[Outlier]) -> Option<String> {
     }
     (!parts.is_empty()).then(|| {
         format!(
-            "{}: outliers of the trajectory are left out of a run, and poses there are interpolated: {}; export it again from \
+            "{}: outliers of the trajectory are left out, and poses there are interpolated: {}; export it again from \
              its source, or set `trajectory_outliers = \"keep\"` in `[job.geometry]`",
             file.display(),
             parts.join("; ")

@@ -47,7 +47,7 @@ impl LookAhead {
         &self.lines
     }
 
-    /// Samples of a channel, one slice per non-empty block, without copies.
+    /// Samples of a channel, one slice per block that is neither empty nor too long, without copies.
     pub fn samples(&self, channel: Channel) -> impl Iterator<Item = &[u16]> + Clone {
         self.recorded(channel).map(|block| block.samples)
     }
@@ -55,8 +55,9 @@ impl LookAhead {
     /// Returns the samples of each block with its gain, without copies.
     pub fn recorded(&self, channel: Channel) -> impl Iterator<Item = Recorded<'_>> + Clone {
         self.lines.iter().filter_map(|line| Some((line, line.blocks()?))).flat_map(move |(line, blocks)| {
-            let of_channel =
-                line.distinct_blocks().filter(move |block| block.channel == channel && !block.is_empty());
+            let of_channel = line
+                .distinct_blocks()
+                .filter(move |block| block.channel == channel && !block.is_empty() && !block.is_too_long());
             of_channel.map(|block| Recorded { samples: blocks.samples(block), gain: block.gain })
         })
     }

@@ -28,9 +28,9 @@ pub const STAGE: StageSpec = StageSpec::transform::<FilterOutliers>("filter_outl
 /// A waveform is rejected if all of its returns are unsupported and lie more than `max_height_m`
 /// above both neighbours in its line, or below both, at an acute angle.
 ///
-/// If the vertical is unknown (scanner frame, no trajectory), lines cannot be compared with their
-/// neighbours: only the line itself is searched, heights are taken along the main viewing axis of
-/// the scanner, and wires across the line are marked as outliers. The report says so.
+/// Without a trajectory (scanner frame), the sensor is assumed to move straight on by half a shot
+/// spacing per line, and heights are taken along the main viewing axis of the scanner. Nearly the
+/// same returns are marked as with a trajectory. The report says so.
 /// `docs/explanation/outliers.md` gives the method and measurements.
 ///
 /// Holds back sixteen lines, or fewer, with a note, if `memory_mb` cannot hold them.

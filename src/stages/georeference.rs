@@ -15,11 +15,11 @@ use crate::stage::{Config, Context, Map, MapConfig, Result, RunContext, StageErr
 use wavex_geodesy::frames::Vector;
 
 mod above_ground;
-mod nadir;
+mod physics;
 mod uncertainty;
 
 use above_ground::Level;
-use nadir::Nadir;
+pub(crate) use physics::checks;
 use uncertainty::Uncertainty;
 
 /// Registry entry of the stage.
@@ -70,8 +70,11 @@ impl MapConfig for Georeference {
             dummy_velocity_mps: self.dummy_velocity_mps,
             target: None,
             input: None,
-            nadir: Nadir::default(),
         }))
+    }
+
+    fn conclude(&self, cx: &mut Context) {
+        physics::conclude(cx);
     }
 }
 
@@ -82,7 +85,6 @@ struct Georeferencer {
     target: Option<OutputCrs>,
     /// Metadata of the incoming lines, and of the outgoing lines.
     input: Option<[Arc<InputInfo>; 2]>,
-    nadir: Nadir,
 }
 
 impl Map for Georeferencer {
@@ -99,23 +101,12 @@ impl Map for Georeferencer {
         line.stats.agl_m = Level::of(frame, &line.emissions)
             .filter(|_| line.input.origin_is_sensor)
             .and_then(|level| level.agl_m(&line.emissions, &returns, &points));
-        if let Some(problem) = self.nadir.add(frame, &line.emissions, &returns) {
-            cx.warn(match self.geometry.has_trajectory() {
-                true => format!(
-                    "{problem}: the likely cause is the wrong `mount` in `[job.geometry]`, or a trajectory with other axes \
-                     than forward, right, down; an instrument on the ground has such beams, too"
-                ),
-                false => format!(
-                    "{problem}: the likely cause are wrong beam vectors in the file: export it again; an instrument on the \
-                     ground has such beams, too"
-                ),
-            });
-        }
+        physics::count(&line.input, &line.emissions, &returns, &points, cx);
         match frame {
-            Frame::Map => self.keep_map(&line.input)?,
+            Frame::Map => self.keep_map(&line.input, cx)?,
             Frame::Earth => {
                 Uncertainty::new(&self.geometry, &line.input).set(&line.emissions, &points, &mut returns);
-                self.project(&mut line.input, &mut points)?;
+                self.project(&mut line.input, &mut points, cx)?;
             }
             Frame::Scanner | Frame::Body => {
                 self.geometry.keep_frame()?;
@@ -152,10 +143,15 @@ impl Georeferencer {
     }
 
     /// Converts points from the earth-centred frame to the output CRS.
-    fn project(&mut self, input: &mut Arc<InputInfo>, points: &mut [Vector]) -> Result<()> {
+    fn project(&mut self, input: &mut Arc<InputInfo>, points: &mut [Vector], cx: &mut Context) -> Result<()> {
         // Without a first shot there are no points.
         if self.target.is_none() {
             self.target = self.geometry.target(input)?;
+            self.target
+                .as_ref()
+                .and_then(OutputCrs::outside_area)
+                .into_iter()
+                .for_each(|problem| cx.warn(problem));
         }
         let Some(target) = &self.target else { return Ok(()) };
         target.replace(points)?;
@@ -172,9 +168,10 @@ impl Georeferencer {
     }
 
     /// Checks once that points in a projected CRS may stay there.
-    fn keep_map(&mut self, input: &Arc<InputInfo>) -> Result<()> {
+    fn keep_map(&mut self, input: &Arc<InputInfo>, cx: &mut Context) -> Result<()> {
         if !self.input.as_ref().is_some_and(|[from, _]| Arc::ptr_eq(from, input)) {
             self.geometry.keep_map(input)?;
+            self.geometry.outside_map(input).into_iter().for_each(|problem| cx.warn(problem));
             self.input = Some([Arc::clone(input), Arc::clone(input)]);
         }
         Ok(())

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use crate::georef::scan_angles::{ScanAngles, are_unknown, set_directions};
 use crate::georef::transform::{scan_angle_deg, to_earth};
 use crate::georef::{self, Geometry};
+use crate::plausibility::{Check, Otherwise};
 use crate::scan_line::{Content, Emission, FirstShot, Frame, InputInfo, ScanLine};
 use crate::stage::{Context, Item, Result, Source, StageError};
 use wavex_geodesy::time::day_of_year;
@@ -46,6 +47,23 @@ impl PoseSource {
     }
 }
 
+const OTHER_ANGLES: &str = "the scan angles in the file contradict its beams";
+
+/// The checks of beams and scan angles.
+pub(crate) fn checks() -> Vec<Check> {
+    vec![Check {
+        compared: "scan angles and beams, median of a line",
+        accepted: format!(
+            "at most {} degrees more than the angle from nadir",
+            georef::scan_angles::MOST_EXCESS_DEG
+        ),
+        source: "the angle across the flight is a part of that from nadir; some files lack the roll",
+        otherwise: Otherwise::Warning,
+        message: OTHER_ANGLES,
+        key: None,
+    }]
+}
+
 impl Source for PoseSource {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         loop {
@@ -77,8 +95,8 @@ impl PoseSource {
     fn finish(&self, cx: &mut Context) -> Result<()> {
         if let Some([recorded_deg, beam_deg]) = self.angles.contradiction() {
             cx.warn(format!(
-                "the scan angles in the file contradict its beams (medians {recorded_deg:.1} and {beam_deg:.1} degrees from \
-                 nadir): they are computed from the beams"
+                "{OTHER_ANGLES} (medians {recorded_deg:.1} and {beam_deg:.1} degrees from nadir): they are computed from \
+                 the beams"
             ));
         }
         if self.angles.gave_up() {

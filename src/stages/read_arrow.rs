@@ -12,6 +12,7 @@ use super::line_splitter::Sampling;
 use super::plausible;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::keys::InvalidKey;
+use crate::plausibility::{Check, Otherwise};
 use crate::scan_line::{
     Blocks, Emission, EmissionReference, GainControl, InputInfo, Kind, MAX_SHOTS_PER_LINE, OnlineReturn,
     ScanLine,
@@ -380,10 +381,36 @@ fn wrong_row(
     let earlier = last.is_some_and(|last| shot.clock_ps < last.clock_ps);
     let is_repeated = last.is_some_and(|last| shot.shot == last.shot);
     (earlier.then_some("the clock runs backwards"))
-        .or_else(|| is_repeated.then_some("the shot number is that of the row before"))
+        .or_else(|| is_repeated.then_some(REPEATED))
         .or_else(|| wrong_shot(shot))
         .or_else(|| line.blocks(row).find_map(wrong_block))
         .or_else(|| line.online(row).find_map(wrong_online))
+}
+
+const REPEATED: &str = "the shot number is that of the row before";
+const WRONG_SCALE: &str = "the frame scale is not between 0.1 and 10";
+const WRONG_ANGLE: &str = "the scan angle is not between -180 and 180 degrees";
+const FAR_BLOCK: &str = "a block more than 0.01 s from its shot";
+const WRONG_INTERVAL: &str = "a block whose interval is not between 0.05 and 20 ns";
+
+/// The checks of the rows of a container.
+pub(crate) fn checks() -> Vec<Check> {
+    let check = |compared, accepted: &str, source, message| {
+        let (otherwise, key) = (Otherwise::LeftOut, None);
+        Check { compared, accepted: accepted.to_owned(), source, otherwise, message, key }
+    };
+    vec![
+        check(
+            "frame scale of a shot",
+            "0.1 to 10",
+            "scale of maps up to 84 degrees of latitude, in metres or feet",
+            WRONG_SCALE,
+        ),
+        check("scan angle of a shot", "-180 to 180 degrees", "a full turn", WRONG_ANGLE),
+        check("number of a shot and of that before", "different", "each shot has its own number", REPEATED),
+        check("start of a block after its shot", "0.01 s", "light travels 1500 km and back", FAR_BLOCK),
+        check("sampling interval of a block", "0.05 to 20 ns", "as for whole recordings", WRONG_INTERVAL),
+    ]
 }
 
 /// The reason to reject a shot, if any.
@@ -398,9 +425,9 @@ fn wrong_shot(shot: &ContainerShot) -> Option<&'static str> {
     } else if shot.gps_time_s.is_some_and(f64::is_infinite) {
         Some("the time is infinite")
     } else if shot.frame_scale.is_some_and(|scale| !plausible::FRAME_SCALE.contains(&scale)) {
-        Some("the frame scale is not between 0.1 and 10")
+        Some(WRONG_SCALE)
     } else if shot.scan_angle_deg.is_some_and(|angle_deg| angle_deg.abs() > 180.0) {
-        Some("the scan angle is not between -180 and 180 degrees")
+        Some(WRONG_ANGLE)
     } else {
         None
     }
@@ -413,9 +440,9 @@ fn wrong_block(block: ContainerBlock) -> Option<&'static str> {
     } else if !block.start_ns.is_finite() {
         Some("a block without a time")
     } else if block.start_ns.abs() > plausible::MOST_START_NS {
-        Some("a block more than 0.01 s from its shot")
+        Some(FAR_BLOCK)
     } else if block.interval_ns.is_some_and(|interval_ns| !plausible::INTERVAL_NS.contains(&interval_ns)) {
-        Some("a block whose interval is not between 0.05 and 20 ns")
+        Some(WRONG_INTERVAL)
     } else if block.gain.is_some_and(|gain| !GAINS.contains(&gain)) {
         Some("a block whose gain is not between 1/1024 and 1024")
     } else {

@@ -4,7 +4,7 @@ mod contradiction;
 mod geometry;
 mod pulse;
 
-pub(crate) use contradiction::location_check;
+pub(crate) use contradiction::{checks, crs_check};
 
 use std::collections::{HashSet, VecDeque};
 use std::path::Path;
@@ -474,10 +474,10 @@ impl Source for LasReader {
                 self.check_yield(cx)?;
                 if self.longer_packets > 0 {
                     cx.warn(format!(
-                        "{} waveform packets have more samples than their descriptor says: those after them are \
-                         not read, and echoes there are missing; export the file again with the right number of \
-                         samples",
-                        self.longer_packets
+                        "{} waveform packets {}: those after them are not read, and echoes there are missing; export \
+                         the file again with the right number of samples",
+                        self.longer_packets,
+                        contradiction::MORE_SAMPLES
                     ));
                 }
                 if self.without_waveform > 0 {

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::emission_choice::EmissionCheck;
 use crate::georef::declared;
 use crate::keys::InvalidKey;
+use crate::plausibility::{Check, Otherwise};
 use crate::scan_line::{Content, Frame, GainControl, InputInfo, ScanLine};
 use crate::stage::{Context, Item, LineLocation, Result, RunContext, Source, StageError};
 use wavex_geodesy::time::WEEK_S;
@@ -203,7 +204,7 @@ impl Copies {
         let Copies { waveforms, copies } = std::mem::take(self);
         if copies > 2 && 1000 * copies > waveforms {
             cx.warn(format!(
-                "{copies} of {waveforms} waveforms are byte-identical copies of the waveform of the shot before: \
+                "{copies} of {waveforms} waveforms {COPIES}: \
                  their returns are repeated at other places, and calibration and statistics use each \
                  waveform once; export the recording again, or remove these shots"
             ));
@@ -259,6 +260,71 @@ const UNKNOWN_GAINS: &str = "the receiver gain varies between shots, but the rec
      different digitizer gains in waveform packet descriptors): amplitudes and intensities are not comparable, and \
      thresholds and standard deviations are those of a mean gain; use a container whose blocks have a `gain`";
 
+/// Words of the messages.
+const COPIES: &str = "are byte-identical copies of the waveform of the shot before";
+const OTHER_WEEK: &str = "the file states week";
+const GREEN_WORDS: &str = "measures through water";
+
+/// The checks of the content of every recording.
+pub(crate) fn checks() -> Vec<Check> {
+    let check = |compared, accepted: &str, source, message| {
+        let (otherwise, key) = (Otherwise::Warning, None);
+        Check { compared, accepted: accepted.to_owned(), source, otherwise, message, key }
+    };
+    vec![
+        check(
+            "waveforms of neighbouring shots",
+            "at most 2, or 0.1 %, are equal",
+            "noise differs; waveforms with little signal may be equal by chance",
+            COPIES,
+        ),
+        check(
+            "name of the instrument",
+            "none of the green instruments for bathymetry",
+            "refraction and the speed of light in water are not applied",
+            GREEN_WORDS,
+        ),
+    ]
+}
+
+/// The checks of the dates of every recording.
+pub(crate) fn date_checks() -> Vec<Check> {
+    let check = |compared, accepted: &str, source, message, key| {
+        let otherwise = Otherwise::Warning;
+        Check { compared, accepted: accepted.to_owned(), source, otherwise, message, key: Some(key) }
+    };
+    vec![
+        check(
+            "times and their scale",
+            "seconds of the week or day; dates from 1990 to 2079, at most a year after that of the file",
+            "no recording of waveforms from the air is older",
+            time::NOT_PLAUSIBLE,
+            "recording_time",
+        ),
+        check(
+            "weekdays of `gps_date` and of seconds of the week",
+            "the same or the next one",
+            "dates may be local",
+            time::OTHER_DAY,
+            "gps_date",
+        ),
+        check(
+            "GPS weeks of `gps_date` and of the file",
+            "the same",
+            "a recording has one date",
+            OTHER_WEEK,
+            "gps_date",
+        ),
+        check(
+            "days of `gps_date` and of the file name",
+            "at most 2 days apart",
+            "dates may be local, and flights last over midnight",
+            time::OTHER_NAME,
+            "gps_date",
+        ),
+    ]
+}
+
 /// Green instruments for bathymetry, without separators, in upper case.
 const GREEN: [&str; 9] =
     ["VQ820G", "VQ840G", "VQ860G", "VQ870G", "VQ880G", "CHIROPTERA", "HAWKEYE", "CZMIL", "SHOALS"];
@@ -270,7 +336,7 @@ pub(super) fn green_note(instrument: Option<&str>) -> Option<String> {
     let name = name.to_uppercase();
     GREEN.iter().any(|green| name.contains(green)).then(|| {
         format!(
-            "{instrument} measures through water, but refraction and the speed of light in water are not applied: points \
+            "{instrument} {GREEN_WORDS}, but refraction and the speed of light in water are not applied: points \
              under water are too deep by about a third of the depth; correct them with a program for bathymetry"
         )
     })
@@ -331,7 +397,7 @@ impl<S: Source> AsDeclared<S> {
             && own != week
         {
             cx.warn(format!(
-                "`gps_date` is in GPS week {week}, but the file states week {own}: the key is used; check date"
+                "`gps_date` is in GPS week {week}, but {OTHER_WEEK} {own}: the key is used; check date"
             ));
         }
         if self.declared.group_velocity_mps.is_some() && !from.origin_is_sensor {

@@ -37,7 +37,7 @@ fn the_schema_of_jobs_is_up_to_date() {
 
 #[test]
 fn the_page_of_plausibility_checks_is_up_to_date() {
-    check("docs/reference/checks.md", &wavex::plausibility::page());
+    check("docs/reference/checks.md", &wavex::checks::page());
 }
 
 #[test]

@@ -354,7 +354,7 @@ fn what_cannot_be_viewed_is_refused_with_a_remedy() {
     place.write("job.toml", b"[[stage]]\ntype = 'read_las'\npath = '-'\n");
     let said = refused(&["job.toml"]);
     assert!(said.contains("standard input cannot be read twice; give a file"), "{said}");
-    place.write("empty/run_report.json", b"{}");
+    place.write("empty/run_report.json", b"{\"inputs\": []}");
     let said = refused(&["empty"]);
     assert!(said.contains("the report does not name the folder of the inputs"), "{said}");
     place.write("simulated.toml", b"[[stage]]\ntype = 'simulate'\nlines = 2\n");

@@ -8,6 +8,7 @@
 )]
 
 mod agc;
+mod false_alarms;
 mod fusion;
 mod georeference;
 mod keys;

@@ -3,7 +3,7 @@
 use wavex::engine::{self, Options};
 use wavex::job::Job;
 use wavex::scan_line::ScanLine;
-use wavex_testkit::false_returns::{SCENES, copy, filtered, fly, score_of_stage};
+use wavex_testkit::false_returns::{SCENES, copy, filtered, fly, kept, score_of_stage, without_trajectory};
 
 #[test]
 fn false_returns_are_told_and_true_ones_kept() {
@@ -36,6 +36,19 @@ fn false_returns_are_told_and_true_ones_kept() {
         assert_eq!(total(|line| line.stats.np), lines.iter().map(ScanLine::n_returns).sum::<usize>() as u64);
         assert_eq!(total(|line| line.stats.np_filtered), score.rejected as u64);
         assert!(lines.iter().map(|line| line.line).eq(flight.lines.iter().map(|line| line.line)));
+
+        // Wide spacing, and beams that the attitude moves from line to line.
+        if !["sparse", "swinging mirror", "circular"].contains(&scene.name) {
+            continue;
+        }
+        let (alone, cx, _) = filtered(without_trajectory(&flight, scene, 1), "", usize::MAX);
+        let score = score_of_stage(&flight, &alone, scene.margin_m);
+        let differ = kept(&lines).symmetric_difference(&kept(&alone)).count();
+        println!("without a trajectory: {differ} returns differ, {score:?}");
+        assert!(score.detected_percent() >= 95.0, "{}", scene.name);
+        assert!(score.lost_percent(None) <= 0.1 && score.lost_percent(Some("wire")) < 5.0, "{}", scene.name);
+        assert!(differ <= 20, "{differ} in {}", scene.name);
+        assert!(cx.counters().notes.is_empty());
     }
 }
 

@@ -1,13 +1,17 @@
 //! Coordinate reference systems of LAS files from records that are damaged, contradict or are in feet.
 
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
 use wavex_formats::container::{ContainerHeader, ContainerReader};
-use wavex_formats::las::{Description, Point, Reader};
+use wavex_formats::las::Description;
 use wavex_geodesy::crs::wkt_of_epsg;
 use wavex_testkit::las::{Las, vlr};
 use wavex_testkit::shots::METRES_PER_NS;
 use wavex_testkit::{TO_TABLE, TestFolder, notes};
 
-const PULSES: usize = 60;
+const PULSES: usize = 240;
 const HEIGHT: usize = 8;
 const VECTOR_Z: usize = 55;
 const US_FOOT_M: f64 = 1200.0 / 3937.0;
@@ -54,12 +58,18 @@ fn height(las: &Las) -> (f64, String) {
     let place = place(las);
     let to_las = TO_TABLE.replace("write_table'\npath = '*.csv'", "write_las'\npath = '*_out.las'");
     place.succeeds("read_las", "a.las", &to_las);
-    let mut reader = Reader::open(&place.path("out/a_out.las")).unwrap();
-    let (mut point, mut sum, mut n) = (Point::default(), 0.0, 0.0);
-    while reader.next_point(&mut point).unwrap() {
-        (sum, n) = (sum + point.z, n + 1.0);
-    }
-    (sum / n, reader.crs().wkt.unwrap_or_default())
+    let path = place.path("out/a_out.las");
+    let mut reader = las::Reader::from_path(&path).unwrap();
+    let heights: Vec<f64> = reader.read_all().unwrap().points().map(|point| point.unwrap().z).collect();
+    let mean = heights.iter().sum::<f64>() / heights.len() as f64;
+    (mean, described(&path).crs().wkt.unwrap_or_default())
+}
+
+/// Header and records of a file.
+fn described(path: &Path) -> Description {
+    let mut file = BufReader::new(File::open(path).unwrap());
+    let length = std::fs::metadata(path).unwrap().len();
+    Description::read(&mut file, path, length).unwrap()
 }
 
 const UTM_32: [[u16; 4]; 3] = [[1024, 0, 1, 1], [3072, 0, 1, 25832], [3076, 0, 1, 9001]];
@@ -132,12 +142,34 @@ fn copc_has_wkt_whatever_the_records_of_the_source() {
     let place = place(&with_records(Some("\0"), &UTM_32, &[]));
     let outcome = place.wavex(&["copc", "a.las", "--out", "a.copc.laz"]);
     assert_eq!(outcome.code, Some(0), "{}", outcome.err);
-    let path = place.path("a.copc.laz");
-    let mut file = std::io::BufReader::new(std::fs::File::open(&path).unwrap());
-    let length = std::fs::metadata(&path).unwrap().len();
-    let copc = Description::read(&mut file, &path, length).unwrap();
+    let copc = described(&place.path("a.copc.laz"));
     let records: Vec<u16> =
         copc.vlrs.iter().filter(|vlr| vlr.user_id == "LASF_Projection").map(|vlr| vlr.record_id).collect();
     assert!(copc.header.says_wkt() && records == [2112], "{records:?}");
     assert!(copc.crs().wkt.unwrap().contains("UTM zone 32N") && copc.crs().problems.is_empty());
+}
+
+#[test]
+fn coordinates_outside_the_area_of_their_system_are_a_warning() {
+    // UTM coordinates of Austria, in steps of 1 cm.
+    let austria = |code| {
+        let las = Las::new(PULSES).with_crs(&wkt_of_epsg(code).unwrap());
+        let [x, y] = [50_000_000i32, 520_000_000].map(i32::to_le_bytes);
+        (0..PULSES).fold(las, |las, pulse| las.change(pulse, 0, &[x, y].concat()))
+    };
+    let notes = |code| {
+        let mut notes = notes(&place(&austria(code)).succeeds("read_las", "a.las", TO_TABLE));
+        notes.retain(|note| note.contains("is made for"));
+        notes
+    };
+    assert_eq!(
+        [32633, 25833, 31256].map(notes),
+        [const { Vec::<String>::new() }; 3],
+        "one is on another datum"
+    );
+    let pennsylvania = notes(2271);
+    let words = "EPSG:2271 (NAD83 / Pennsylvania North (ftUS)) is made for longitude -81 to -74 and latitude 40 to 43 degrees, \
+                 but the recording begins at ";
+    assert!(pennsylvania.len() == 1 && pennsylvania[0].starts_with(words), "{pennsylvania:?}");
+    assert!(pennsylvania[0].contains("`crs_of_input`"), "{pennsylvania:?}");
 }

@@ -1,6 +1,5 @@
 //! LAS files whose vectors, locations or packets contradict physics or their own points.
 
-use wavex_formats::las::{Point, Reader};
 use wavex_testkit::las::{Las, descriptor, vlr};
 use wavex_testkit::shots::{METRES_PER_NS, SAMPLES, peak};
 use wavex_testkit::{Outcome, TO_TABLE, TestFolder, notes};
@@ -31,12 +30,14 @@ fn points(las: &Las, keys: &str) -> Vec<[f64; 3]> {
     let place = place(las);
     let to_las = TO_TABLE.replace("write_table'\npath = '*.csv'", "write_las'\npath = '*_out.las'");
     place.succeeds("read_las", "a.las", &format!("{keys}\n{to_las}"));
-    let mut reader = Reader::open(&place.path("out/a_out.las")).unwrap();
-    let (mut point, mut found) = (Point::default(), Vec::new());
-    while reader.next_point(&mut point).unwrap() {
-        found.push([point.x, point.y, point.z]);
-    }
-    found
+    let mut reader = las::Reader::from_path(place.path("out/a_out.las")).unwrap();
+    reader
+        .read_all()
+        .unwrap()
+        .points()
+        .map(|point| point.unwrap())
+        .map(|point| [point.x, point.y, point.z])
+        .collect()
 }
 
 #[test]

@@ -10,6 +10,7 @@ mod agreement;
 mod geometry_alone;
 mod instruments;
 mod planes;
+mod plausible;
 mod relative_heights;
 mod vendor_free;
 

@@ -209,8 +209,8 @@ fn a_run_in_a_slow_line_ends_soon_after_a_signal() {
         (random >> 56) as u16
     };
     let mut shots = Vec::new();
-    for number in 0..50 {
-        let samples = (0..60_000).map(|_| noise()).collect();
+    for number in 0..400 {
+        let samples = (0..16_000).map(|_| noise()).collect();
         shots.push(Shot {
             clock_ps: 1_000_000_000 * number,
             blocks: vec![(channel::LOW_POWER, 0.0, samples)],

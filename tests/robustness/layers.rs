@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Top-level modules from top to bottom; each may import those below it.
-const LAYERS: [&str; 19] = [
+const LAYERS: [&str; 21] = [
     "main",
     "cli",
     "view",
@@ -17,6 +17,7 @@ const LAYERS: [&str; 19] = [
     "recording",
     "job",
     "registry",
+    "checks",
     "stages",
     "stage",
     "georef",
@@ -24,6 +25,7 @@ const LAYERS: [&str; 19] = [
     "keys",
     "system",
     "printable",
+    "plausibility",
 ];
 
 /// Top-level modules named after `crate::` in the code of a file.

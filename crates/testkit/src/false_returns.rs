@@ -100,14 +100,7 @@ pub struct Flight {
 
 /// Simulates a flight over a scene; another seed gives another scene of the same kind.
 pub fn fly(scene: &Scene, seed: u64) -> Flight {
-    let country = scene.name != "strips";
-    let own = |key: &str| scene.keys.contains(key);
-    let common: String = COUNTRY
-        .lines()
-        .filter(|line| country && !own(line.split(' ').next().unwrap_or("")))
-        .map(|line| format!("{line}\n"))
-        .collect();
-    let keys = format!("seed = {seed}\n{common}{}", scene.keys);
+    let keys = keys(scene, seed);
     let folder = tempfile::tempdir().expect("a folder");
     let text = format!("[[stage]]\ntype = 'simulate'\ntruth = 'truth.csv'\n{keys}");
     let job = Job::parse("fly.toml", &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
@@ -138,6 +131,33 @@ pub fn fly(scene: &Scene, seed: u64) -> Flight {
         flight.truth.push(truth);
     }
     flight
+}
+
+/// Copies the lines of `fly(scene, seed)` with beams in the frame of the scanner.
+pub fn without_trajectory(flight: &Flight, scene: &Scene, seed: u64) -> Vec<ScanLine> {
+    let keys = format!("{}sbet = 'unused.out'\n", keys(scene, seed));
+    let Plan::Source(source) = planned("simulate", &keys) else { panic!("a source") };
+    let site = RunContext { has_outputs: false, ..site() };
+    let mut source = source.make(&site).expect("a flight");
+    let mut line = |of_map: &ScanLine| {
+        let mut line = source.next(&mut Context::default()).expect("a line").expect("as many lines");
+        line.stats = of_map.stats.clone();
+        line.content = Content::Returns(of_map.returns().expect("returns").clone());
+        line
+    };
+    flight.lines.iter().map(&mut line).collect()
+}
+
+/// Keys of `simulate` for a scene.
+fn keys(scene: &Scene, seed: u64) -> String {
+    let country = scene.name != "strips";
+    let own = |key: &str| scene.keys.contains(key);
+    let common: String = COUNTRY
+        .lines()
+        .filter(|line| country && !own(line.split(' ').next().unwrap_or("")))
+        .map(|line| format!("{line}\n"))
+        .collect();
+    format!("seed = {seed}\n{common}{}", scene.keys)
 }
 
 fn site() -> RunContext {
@@ -282,15 +302,24 @@ pub fn score(flight: &Flight, margin_m: f64, is_out: impl Fn(usize, usize) -> bo
     score
 }
 
+/// Line, shot and range (bits) of the returns that are not withheld.
+pub fn kept(lines: &[ScanLine]) -> HashSet<(usize, u32, u64)> {
+    let of_line = |(at, line): (usize, &ScanLine)| {
+        let returns = line.returns().expect("returns").iter().filter(|r| !r.withheld);
+        returns.map(move |r| (at, r.emission, r.range_m.to_bits())).collect::<Vec<_>>()
+    };
+    lines.iter().enumerate().flat_map(of_line).collect()
+}
+
 /// Scores `filter_outliers` on a flight.
 pub fn score_of_stage(flight: &Flight, lines: &[ScanLine], margin_m: f64) -> Score {
-    let key = |line: usize, r: &Return| (line, r.emission, r.range_m.to_bits());
-    let mut kept = HashSet::new();
-    for (at, line) in lines.iter().enumerate() {
-        kept.extend(line.returns().expect("returns").iter().filter(|r| !r.withheld).map(|r| key(at, r)));
-    }
+    let kept = kept(lines);
     let before = |line: usize, index: usize| flight.lines[line].returns().expect("returns")[index];
-    let mut score = score(flight, margin_m, |line, index| !kept.contains(&key(line, &before(line, index))));
+    let is_out = |line: usize, index: usize| {
+        let r = before(line, index);
+        !kept.contains(&(line, r.emission, r.range_m.to_bits()))
+    };
+    let mut score = score(flight, margin_m, is_out);
     let n = |lines: &[ScanLine]| lines.iter().map(ScanLine::n_returns).sum::<usize>();
     score.rejected = n(&flight.lines) - n(lines);
     score

@@ -158,6 +158,9 @@ impl Flight {
             stats.push(placed.stats);
             (wkt, gps_week) = (placed.input.crs_wkt.clone(), placed.input.gps_week);
         }
+        if let Plan::Map(plan) = plan("georeference", "") {
+            plan.conclude(&mut cx);
+        }
         Ok(Placed { points, returns, stats, wkt, gps_week, cx })
     }
 }

@@ -13,6 +13,7 @@
 //! | [`instrument`], [`waveform_decomposer`] | waveforms with known truth and noise bounds, and their decomposition |
 //! | [`waveforms`], [`clock`] | waveforms of the benches, and their clock |
 //! | [`recordings`], [`neon`] | real recordings below `WAVEX_DATA`, with reference results |
+//! | [`plausibility`] | messages of plausibility checks in the report of a run |
 //! | [`table`] | rows of text tables |
 //! | [`engine_stages`] | no-op stages for tests of the engine |
 //! | [`job_stages`] | stages with keys of every shape, for tests of jobs |
@@ -39,6 +40,7 @@ pub mod job_stages;
 pub mod las;
 pub mod mta;
 pub mod neon;
+pub mod plausibility;
 pub mod pulsewaves;
 pub mod recordings;
 pub mod sdf;

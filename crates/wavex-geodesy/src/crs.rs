@@ -29,7 +29,7 @@ use super::ellipsoid::{Ellipsoid, Geodetic};
 use super::frames::Vector;
 use super::geoid::Geoid;
 use definition::{Definition, ProjectionMethod};
-pub use epsg_table::wkt_of_epsg;
+pub use epsg_table::{Area, area_of_epsg, wkt_of_epsg};
 pub use error::CrsError;
 pub use geotiff::{GeoKeys, geotiff_keys_of_wkt, system_of_geotiff_keys};
 pub use named::Named;
@@ -108,6 +108,17 @@ impl Crs {
     /// EPSG code of the horizontal part, if it has one.
     pub fn epsg(&self) -> Option<u32> {
         self.definition.epsg
+    }
+
+    /// Area of use; `None` if it is unknown or the whole earth.
+    pub fn area_of_use(&self) -> Option<Area> {
+        #[cfg(feature = "proj")]
+        if let Projection::Foreign(foreign) = &self.projection
+            && let Some(area) = foreign.area_of_use()
+        {
+            return Some(area);
+        }
+        area_of_epsg(u16::try_from(self.definition.epsg?).ok()?)
     }
 
     /// Unit of x and y, or of all earth-centred coordinates. Geodetic coordinates are always in

@@ -264,6 +264,7 @@ impl Receivers {
                 let waveform = Waveform { samples: shot.blocks.samples(block), start_phase: 0 };
                 let level = GainLevel::of(block.gain);
                 let lot = match block.channel {
+                    _ if block.is_too_long() => BlockRoute::Unused("a block of more than 16384 samples"),
                     Channel::Reference if !has_left => {
                         has_left = true;
                         BlockRoute::Outgoing(level, outgoing.push(level, waveform))

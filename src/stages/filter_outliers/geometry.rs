@@ -6,6 +6,10 @@ use wavex_signal::outliers::{Extent, LinePoint, PointLine};
 
 /// Smallest change of direction, m per m, that defines a sweep direction.
 const LEAST_SWEEP: f64 = 1e-9;
+/// Assumed line spacing without a trajectory, as a multiple of the shot spacing.
+///
+/// docs/explanation/outliers.md compares values.
+const ASSUMED_LINE_SPACING: f64 = 0.5;
 
 /// Positions of the returns of a line.
 #[derive(Debug)]
@@ -20,13 +24,35 @@ pub(super) struct Places {
     pub(super) middle_m: Option<[f64; 3]>,
 }
 
-/// Whether lines of this frame can be compared with each other.
+/// Whether this frame is fixed to the earth.
 pub(super) fn has_vertical(frame: Frame) -> bool {
     matches!(frame, Frame::Map | Frame::Earth)
 }
 
+/// Assumed motion of a sensor without a trajectory: straight on, by half a shot spacing per line.
+#[derive(Debug, Default)]
+pub(super) struct AssumedMotion {
+    /// Unit vector, across the first line with a sweep.
+    forward: Option<[f64; 3]>,
+    /// Median shot spacing of the last line with returns, m.
+    spacing_m: f64,
+    /// Distance from the first line, m.
+    distance_m: f64,
+}
+
+impl AssumedMotion {
+    /// Offset of the next line from the first one, m.
+    fn next_m(&mut self, spacings_m: &[f32], across: Option<[f64; 3]>) -> [f64; 3] {
+        self.forward = self.forward.or(across);
+        self.spacing_m = median(spacings_m).filter(|m| m.is_finite()).map_or(self.spacing_m, f64::from);
+        self.distance_m += ASSUMED_LINE_SPACING * self.spacing_m;
+        self.forward.map_or([0.0; 3], |forward| forward.map(|part| part * self.distance_m))
+    }
+}
+
 impl Places {
-    pub(super) fn of(scan_line: &ScanLine) -> Places {
+    /// Positions of a line's returns; `motion` applies if the frame has no vertical.
+    pub(super) fn of(scan_line: &ScanLine, motion: &mut AssumedMotion) -> Places {
         let emissions = &scan_line.emissions;
         let down = emissions.first().and_then(|first| down_at(scan_line.input.frame, first.origin_m));
         let down = down.unwrap_or_else(|| main_axis(emissions.iter().map(|emission| emission.direction)));
@@ -50,8 +76,16 @@ impl Places {
             spacing_m.push(apart_m as f32);
             height_m.push(-dot(position_m, down));
         }
-        let along = along(emissions, down);
-        let middle_m = emissions.get(emissions.len() / 2).map(|middle| middle.origin_m.map(|x| unit_m * x));
+        let sweep = sweep(emissions, down);
+        let mut middle_m =
+            emissions.get(emissions.len() / 2).map(|middle| middle.origin_m.map(|x| unit_m * x));
+        if !has_vertical(scan_line.input.frame) {
+            let offset_m = motion.next_m(&spacing_m, sweep.map(|along| cross(along, down)));
+            let positions = points.iter_mut().map(|point| &mut point.position_m).chain(&mut middle_m);
+            positions.for_each(|position_m| (0..3).for_each(|axis| position_m[axis] += offset_m[axis]));
+        }
+        // Any direction is right without a sweep; it only affects the speed of searches.
+        let along = sweep.unwrap_or([1.0, 0.0, 0.0]);
         Places { line: PointLine::new(points, along), spacing_m, height_m, middle_m }
     }
 
@@ -95,15 +129,24 @@ fn to_next_beam_m(emissions: &[Emission], shot: usize, position_m: [f64; 3], uni
     })
 }
 
-/// Horizontal direction from the first shot of a line to its last; arbitrary if undefined.
-fn along(emissions: &[Emission], down: [f64; 3]) -> [f64; 3] {
-    let any = if down[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
-    let (Some(first), Some(last)) = (emissions.first(), emissions.last()) else { return any };
+/// Horizontal direction from the first shot of a line to its last.
+fn sweep(emissions: &[Emission], down: [f64; 3]) -> Option<[f64; 3]> {
+    let (first, last) = (emissions.first()?, emissions.last()?);
     let step: [f64; 3] = std::array::from_fn(|axis| last.direction[axis] - first.direction[axis]);
     let fall = dot(step, down);
     let level: [f64; 3] = std::array::from_fn(|axis| step[axis] - fall * down[axis]);
     let length = dot(level, level).sqrt();
-    if length > LEAST_SWEEP { level.map(|part| part / length) } else { any }
+    (length > LEAST_SWEEP).then(|| level.map(|part| part / length))
+}
+
+fn median(values: &[f32]) -> Option<f32> {
+    let mut values = values.to_vec();
+    let middle = values.len() / 2;
+    (middle < values.len()).then(|| *values.select_nth_unstable_by(middle, f32::total_cmp).1)
+}
+
+pub(super) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 pub(super) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
@@ -132,7 +175,7 @@ mod tests {
             let emissions = (0..3).map(emission).collect();
             let mut scan_line = ScanLine::of_shots(Arc::new(input), 0, emissions, Blocks::default());
             scan_line.content = Content::Returns((0..3).map(found).collect());
-            Places::of(&scan_line).spacing_m
+            Places::of(&scan_line, &mut AssumedMotion::default()).spacing_m
         };
         for origin_is_sensor in [true, false] {
             let spacings_m = spacings(origin_is_sensor);

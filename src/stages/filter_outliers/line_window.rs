@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::ops::Range;
 
 use super::FilterOutliers;
-use super::geometry::{Places, dot, has_vertical};
+use super::geometry::{AssumedMotion, Places, dot, has_vertical};
 use crate::scan_line::{Content, ScanLine};
 use crate::stage::{Item, Output, Result};
 use wavex_signal::outliers::{PointLine, Side, SupportSearch, jump};
@@ -22,6 +22,7 @@ const HIGH_NOISE: u8 = 18;
 /// Pending lines, and emitted lines still needed for others.
 pub(super) struct Strip {
     config: FilterOutliers,
+    motion: AssumedMotion,
     lines: VecDeque<Held>,
     /// Index of the first line in `lines` not yet classified.
     next: usize,
@@ -49,17 +50,26 @@ struct Verdicts {
 
 impl Strip {
     pub(super) fn new(config: FilterOutliers) -> Strip {
-        Strip { config, lines: VecDeque::new(), next: 0, bytes: 0, search: SupportSearch::default() }
+        Strip {
+            config,
+            motion: AssumedMotion::default(),
+            lines: VecDeque::new(),
+            next: 0,
+            bytes: 0,
+            search: SupportSearch::default(),
+        }
     }
 
     /// Adds the next line and emits those that can be classified.
     pub(super) fn push(&mut self, scan_line: ScanLine, out: &mut Output) -> Result<()> {
-        let places = Places::of(&scan_line);
-        let apart = self.lines_apart(&scan_line, out);
+        if !has_vertical(scan_line.input.frame) {
+            out.cx.info("without a trajectory, outliers are detected as if the sensor moved straight on by half a shot spacing per line");
+        }
+        let places = Places::of(&scan_line, &mut self.motion);
         let bytes = scan_line.bytes() + places.bytes();
         self.bytes += bytes;
         self.lines.push_back(Held { scan_line: Some(scan_line), places, bytes });
-        while self.lines.len() - self.next > apart {
+        while self.lines.len() - self.next > LINES_APART {
             self.judge_next(out)?;
         }
         while self.bytes > out.may_hold_bytes() && !self.lines.is_empty() {
@@ -81,14 +91,6 @@ impl Strip {
             self.judge_next(out)?;
         }
         Ok(())
-    }
-
-    fn lines_apart(&self, scan_line: &ScanLine, out: &mut Output) -> usize {
-        if has_vertical(scan_line.input.frame) {
-            return LINES_APART;
-        }
-        out.cx.warn("outliers are detected within each line only: without a trajectory, lines cannot be compared with their neighbours, and wires across them are marked as outliers");
-        0
     }
 
     /// Classifies a line and emits it.
@@ -118,13 +120,10 @@ impl Strip {
     /// Classifies the returns of a line.
     fn verdicts(&mut self, at: usize) -> Verdicts {
         let Some(held) = self.lines.get(at) else { return Verdicts::default() };
-        let is_alone = held.scan_line.as_ref().is_none_or(|scan_line| !has_vertical(scan_line.input.frame));
-        let (from, until) = match is_alone {
-            true => (at, at + 1),
-            false => (at.saturating_sub(LINES_APART), (at + LINES_APART + 1).min(self.lines.len())),
-        };
+        let from = at.saturating_sub(LINES_APART);
+        let until = (at + LINES_APART + 1).min(self.lines.len());
         let lines: Vec<&PointLine> = self.lines.range(from..until).map(|held| &held.places.line).collect();
-        let line_spacing_m = if is_alone { 0.0 } else { self.line_spacing_m(at) };
+        let line_spacing_m = self.line_spacing_m(at);
         let places = &held.places;
         let n = places.line.points().len();
         let mut outliers = Vec::with_capacity(n);

@@ -1,5 +1,6 @@
 use std::sync::Arc;
 
+use super::geometry::cross;
 use super::*;
 use crate::scan_line::{Blocks, Content, Emission, Frame, InputInfo, Return};
 use crate::stage::{Context, Item};
@@ -36,7 +37,11 @@ fn line(lying: &Lying, line: u32, other: impl Fn(u32) -> Option<Vec<f64>>) -> Sc
     for shot in 0..SHOTS {
         let across_m = f64::from(shot) - 0.5 * f64::from(SHOTS);
         let range_m = HEIGHT_M.hypot(across_m);
-        let place = turned([0.0, f64::from(line), HEIGHT_M]);
+        // In its own frame, the scanner is at the origin.
+        let place = match lying.frame {
+            Frame::Scanner => [0.0; 3],
+            _ => turned([0.0, f64::from(line), HEIGHT_M]),
+        };
         let origin_m = std::array::from_fn(|k| lying.origin_m[k] + place[k]);
         let direction = turned([across_m / range_m, 0.0, -HEIGHT_M / range_m]);
         emissions.push(Emission {
@@ -143,29 +148,35 @@ fn the_earth_s_frame_is_judged_as_a_map_is() {
 }
 
 #[test]
-fn in_the_scanners_frame_a_line_stands_alone() {
-    let scanner = Lying {
-        frame: Frame::Scanner,
-        axes: [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
-        origin_m: [0.0; 3],
-    };
-    let (lines, cx) = run(&FilterOutliers::default(), scene(&scanner), usize::MAX);
-    assert_eq!(
-        cx.counters().notes,
-        ["outliers are detected within each line only: without a trajectory, lines cannot be compared \
-             with their neighbours, and wires across them are marked as outliers"]
-    );
-    let marked = marked(&lines);
-    assert!(
-        marked.contains(&(4, 10)) && marked.contains(&(9, 30)) && marked.contains(&(0, 50)),
-        "{marked:?}"
-    );
-    assert!(marked.iter().all(|at| [(4, 10), (9, 30)].contains(at) || at.1 == 50), "{marked:?}");
-    assert_eq!(
-        (lines[6].stats.nw_deleted, lines[9].stats.np_low),
-        (1, 1),
-        "down is the viewing direction of the scanner"
-    );
+fn without_a_trajectory_the_same_returns_are_marked() {
+    for (along, down) in [([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]), ([0.0, -1.0, 0.0], [-1.0, 0.0, 0.0])] {
+        let scanner = Lying {
+            frame: Frame::Scanner,
+            axes: [cross(down, along), along, down.map(|part: f64| -part)],
+            origin_m: [0.0; 3],
+        };
+        let (lines, cx) = run(&FilterOutliers::default(), scene(&scanner), usize::MAX);
+        assert_eq!(marked(&lines), [(4, 10), (9, 30)], "the wire is not marked");
+        assert_eq!((lines[6].stats.nw_deleted, lines[9].stats.np_low), (1, 1));
+        assert!(cx.counters().notes.is_empty());
+        assert_eq!(
+            cx.counters().findings,
+            ["without a trajectory, outliers are detected as if the sensor moved straight on by half a \
+                 shot spacing per line"]
+        );
+    }
+}
+
+/// False returns at one place of the scanner's frame, in every sixth line, are 3 m apart.
+#[test]
+fn without_a_trajectory_lines_are_apart() {
+    let scanner = Lying { frame: Frame::Scanner, ..MAP };
+    let is_false = |at: u32, shot: u32| at % 6 == 3 && shot == 20;
+    let other = |at: u32| move |shot: u32| is_false(at, shot).then(|| vec![HEIGHT_M - 30.0]);
+    let lines = (0..40).map(|at| line(&scanner, at, other(at))).collect();
+    let keys = FilterOutliers { max_range_m: 1.0, ..FilterOutliers::default() };
+    let (lines, _) = run(&keys, lines, usize::MAX);
+    assert_eq!(marked(&lines), [3, 9, 15, 21, 27, 33, 39].map(|at| (at, 20)));
 }
 
 #[test]

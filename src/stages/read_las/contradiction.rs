@@ -16,9 +16,22 @@ const FARTHEST_M: f64 = 1.0;
 /// Words of the message.
 const FROM_PEAKS: &str = "from the peaks of their waveforms";
 
-/// The check of return locations.
-pub(crate) fn location_check() -> Check {
-    Check {
+/// Words of the warning for packets with more samples than declared.
+pub(super) const MORE_SAMPLES: &str = "have more samples than their descriptor says";
+
+/// The checks of a LAS file.
+pub(crate) fn checks() -> Vec<Check> {
+    let packets = Check {
+        compared: "size of a waveform packet and the number of samples in its descriptor",
+        accepted:
+            "fewer than two more samples; samples of 9 to 15 bits in packed form or in words of 16 bits"
+                .into(),
+        source: "packets may be padded to whole bytes",
+        otherwise: Otherwise::Warning,
+        message: MORE_SAMPLES,
+        key: None,
+    };
+    let locations = Check {
         compared: "return locations of LAS and the peaks of single echoes, median along the beam",
         accepted: format!(
             "{FARTHEST_M} m, by at least {FEWEST_ECHOES} single echoes of the first {MOST_POINTS} points"
@@ -27,18 +40,29 @@ pub(crate) fn location_check() -> Check {
         otherwise: Otherwise::Error,
         message: FROM_PEAKS,
         key: Some("check_locations"),
+    };
+    vec![locations, packets]
+}
+
+/// The check of the records of the coordinate reference system.
+pub(crate) fn crs_check() -> Check {
+    Check {
+        compared: "WKT and GeoTIFF records of LAS and PulseWaves",
+        accepted: "each can be read, and both name one system".into(),
+        source: "LAS 1.4: the WKT bit says which of them counts",
+        otherwise: Otherwise::Warning,
+        message: "the WKT record cannot be read",
+        key: Some("crs_of_input"),
     }
 }
 
-/// Refuses vectors and sampling intervals that contradict physics.
+/// Refuses vectors and sampling intervals that contradict physics, if any waveform can be read.
 pub(super) fn check_beams(geometry: &Geometry) -> Result<()> {
-    if let Some(sampling) = geometry.sampling {
-        let interval_ns = f64::from(sampling.spacing_ps) / 1000.0;
-        plausible::check_interval(
-            interval_ns,
-            "export the file again with the temporal sample spacing in picoseconds",
-        )?;
-    }
+    let Some(sampling) = geometry.sampling else { return Ok(()) };
+    plausible::check_interval(
+        f64::from(sampling.spacing_ps) / 1000.0,
+        "export the file again with the temporal sample spacing in picoseconds",
+    )?;
     plausible::check_velocity(
         geometry.group_velocity_mps,
         "the direction vectors of the points",

@@ -84,7 +84,7 @@ impl Scale {
             _ => what,
         };
         (!fits).then(|| {
-            format!("the recording's times, such as {time_s:.1} s, are not plausible as {what}{}", dates())
+            format!("the recording's times, such as {time_s:.1} s, {NOT_PLAUSIBLE} {what}{}", dates())
         })
     }
 }
@@ -114,7 +114,7 @@ pub(in crate::stages) fn other_weekday(noon: SinceEpoch, first_s: f64) -> Option
         let [of_date, of_times] = [of_date, of_times].map(|day| WEEKDAYS[day]);
         format!(
             "`gps_date` is a {of_date}, but the first time of the recording, {first_s:.1} s of the GPS week, is \
-             on a {of_times}: the nearest {of_times} is taken as its day; correct `gps_date`, or `recording_time` \
+             on a {of_times}: the nearest {of_times} {OTHER_DAY}; correct `gps_date`, or `recording_time` \
              if these are not seconds of the week"
         )
     })
@@ -126,11 +126,14 @@ pub(in crate::stages) fn other_weekday(noon: SinceEpoch, first_s: f64) -> Option
 pub(in crate::stages) fn other_day(date: Option<SinceEpoch>, named: Option<SinceEpoch>) -> Option<String> {
     let apart_days = ((date? - named?) / DAY_S).abs();
     (apart_days > 2.0).then(|| {
-        format!(
-            "`gps_date` and the date in the file name are {apart_days:.0} days apart: the key is used; check date"
-        )
+        format!("`gps_date` and {OTHER_NAME} are {apart_days:.0} days apart: the key is used; check date")
     })
 }
+
+/// Words of the messages.
+pub(in crate::stages) const NOT_PLAUSIBLE: &str = "are not plausible as";
+pub(in crate::stages) const OTHER_DAY: &str = "is taken as its day";
+pub(in crate::stages) const OTHER_NAME: &str = "the date in the file name";
 
 /// Remedy for implausible times.
 pub(in crate::stages) const SAY_SCALE: &str = "set the time scale with the reader's key `recording_time`";

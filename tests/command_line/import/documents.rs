@@ -161,10 +161,13 @@ fn inputs(name: &str) -> (TestFolder, Vec<Truth>) {
     }
     let in_scanner = matches!(name, "1.1-12" | "1.1-13");
     let mut truth = truth::of_flight(&flight.truth, &flight.recording, in_scanner);
-    if name == "1.1-09" {
-        // The file name contains the date, so times are adjusted GPS times.
-        truth.iter_mut().for_each(|truth| truth.time_s += WEEK_BEGINS_S + LATE_S);
-    }
+    // The file name or the trajectory contains the date, so times are adjusted GPS times.
+    let later_s = match name {
+        "1.1-01" | "1.1-02" | "1.1-03" | "1.1-04" | "1.1-05" | "1.1-10" | "1.1-11" => WEEK_BEGINS_S,
+        "1.1-09" => WEEK_BEGINS_S + LATE_S,
+        _ => 0.0,
+    };
+    truth.iter_mut().for_each(|truth| truth.time_s += later_s);
     (place, truth)
 }
 

@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use super::flights::QUIET;
 use wavex_testkit::georeferenced_flight::{Flight, Placed, fly};
+use wavex_testkit::{outcome, wavex};
 
 /// Metres of a degree of longitude at 47 degrees of latitude.
 const METRES_PER_DEGREE: f64 = 76_000.0;
@@ -58,6 +59,66 @@ fn beams_far_from_nadir_are_a_warning_that_names_the_mount() {
     let notes = notes("x_down_z_right");
     let is_said = |note: &String| note.contains("away from straight down") && note.contains("`mount`");
     assert!(notes.iter().any(is_said), "{notes:?}");
+}
+
+#[test]
+fn points_above_the_sensor_or_below_all_ground_are_a_warning() {
+    let flight = fly(QUIET);
+    let notes = |measured: fn(f64) -> f64| {
+        let placed = flight.place("trajectory = 'a.out'", |truth| measured(truth.range_m)).unwrap();
+        placed.cx.counters().notes.clone()
+    };
+    assert_eq!(notes(|range_m| range_m), Vec::<String>::new());
+    for (measured, words) in [
+        ((|range_m| -range_m) as fn(f64) -> f64, "100 % of the returns lie above the sensor"),
+        (|range_m| range_m + 2000.0, "lie where the earth has no ground"),
+    ] {
+        let notes = notes(measured);
+        assert!(notes.len() == 1 && notes[0].contains(words), "{notes:?}");
+    }
+}
+
+#[test]
+fn a_system_of_another_area_is_a_warning() {
+    let flight = fly(QUIET);
+    let notes = |crs: &str| {
+        let keys = format!("trajectory = 'a.out'\ncrs = '{crs}'");
+        placed(&flight, &keys).unwrap().cx.counters().notes.clone()
+    };
+    for right in ["utm", "EPSG:32633", "EPSG:25833", "geodetic", "ecef"] {
+        assert_eq!(notes(right), Vec::<String>::new(), "{right}");
+    }
+    for (wrong, mistake) in [
+        ("EPSG:2271", "the code"),
+        ("EPSG:32733", "the hemisphere"),
+        ("utm:33S", "the hemisphere"),
+        ("utm:31N", "the zone"),
+    ] {
+        let notes = notes(wrong);
+        let words = format!("longitude 12.6, latitude 47.8: the likely mistake is {mistake}");
+        assert!(notes.len() == 1 && notes[0].contains(&words), "{wrong}: {notes:?}");
+    }
+}
+
+#[test]
+fn the_program_warns_once_of_a_system_of_another_area() {
+    let flight = fly(QUIET);
+    let said = |crs: &str| {
+        let job = format!(
+            "[job.geometry]\ntrajectory = 'a.out'\ncrs = '{crs}'\n[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n\
+             [[stage]]\ntype = 'calibrate'\nwaveforms = 500\nresponse = 'gaussian'\n[[stage]]\ntype = 'decompose'\n\
+             [[stage]]\ntype = 'georeference'\n[[stage]]\ntype = 'write_table'\npath = 'a.csv'\n"
+        );
+        std::fs::write(flight.path("job.toml"), job).unwrap();
+        let outcome = outcome(wavex().args(["run", "job.toml"]).current_dir(flight.folder()));
+        assert_eq!(outcome.code, Some(0), "{}", outcome.err);
+        let report = std::fs::read_to_string(flight.path("job_report.json")).unwrap();
+        [outcome.err, report].map(|text| text.matches("is made for").count())
+    };
+    assert_eq!(
+        ["EPSG:2271", "EPSG:32733", "EPSG:32633", "EPSG:25833"].map(said),
+        [[1, 1], [1, 1], [0, 0], [0, 0]]
+    );
 }
 
 /// Year in the header of a POF, after magic, version and offset of the records.

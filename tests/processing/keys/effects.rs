@@ -117,7 +117,7 @@ fn deviations_include_the_proven_clock_and_the_choice_of_the_reference() {
         emission_reference: Some(EmissionReference::Clock),
         clock_sd_ns,
         emission_choice_sd_ns,
-        ..ContainerHeader::new(INTERVAL_NS, 299_707_502.0)
+        ..ContainerHeader::new(1.0, 299_707_502.0)
     };
     let row = |number: usize| container::Row {
         shot: ContainerShot {
@@ -137,7 +137,7 @@ fn deviations_include_the_proven_clock_and_the_choice_of_the_reference() {
         let added = sds_ns.iter().zip(&exact).map(|(sd_ns, exact)| sd_ns * sd_ns - exact * exact);
         (added.sum::<f64>() / exact.len() as f64).sqrt()
     };
-    let within_a_sample_ns = INTERVAL_NS / 12f64.sqrt();
+    let within_a_sample_ns = 1.0 / 12f64.sqrt();
     for (found, expected) in [
         (added_ns(sds_ns(Some(0.1), None, "")), 0.1),
         (added_ns(sds_ns(Some(9999.0), None, "")), within_a_sample_ns),

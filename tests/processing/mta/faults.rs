@@ -2,7 +2,7 @@
 
 use wavex_formats::container::{ContainerHeader, ContainerReader};
 
-use super::flights::{Found, lines_of, recorded, refused, resolve, score, stage};
+use super::flights::{Found, lines_of, recorded, resolve, score, stage};
 use wavex_testkit::TestFolder;
 use wavex_testkit::container::{Row, container};
 
@@ -142,9 +142,8 @@ fn echoes_beyond_the_range_are_counted() {
 #[test]
 fn blocks_far_from_their_shot_are_counted() {
     let found = changed(|lines| lines[30][100].blocks[1].1 = 1.1e9);
-    nothing_is_lost(&found);
-    let rejected = &stage(&found.report, "resolve_mta")["rejected"];
-    assert_eq!(rejected["blocks: a block a second or more from its shot"], 1, "{rejected}");
+    let rejected = &stage(&found.report, "read_arrow")["rejected"];
+    assert_eq!(rejected["shots: a block more than 0.01 s from its shot"], 1, "{rejected}");
 }
 
 #[test]
@@ -154,16 +153,4 @@ fn an_unresolved_recording_of_nothing_is_no_error() {
     let copy = "[[stage]]\ntype = 'resolve_mta'\n[[stage]]\ntype = 'write_arrow'\npath = 'copy.arrow'\n";
     let report = place.succeeds("read_arrow", "a.arrow", copy);
     assert_eq!(stage(&report, "resolve_mta")["lines_out"], 0);
-}
-
-#[test]
-fn a_group_velocity_that_is_none_is_told() {
-    let header = ContainerHeader { group_velocity_mps: 1e6, ..header() };
-    let recording = container(&header, &lines_of(&recorded().recording)[..2]);
-    refused(
-        &recording,
-        "",
-        "group_velocity_mps: must be between 1e8 and 3e8 m/s; correct the metadata of the recording, or \
-         the keys of the stage",
-    );
 }

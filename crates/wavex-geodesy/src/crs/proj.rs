@@ -7,7 +7,8 @@
 //! datum's ellipsoid they would be meaningless.
 //!
 //! PROJ objects belong to one thread, so each thread has its own. The crate `proj` takes every
-//! height as 0, which shifts positions on other datums; hence the bindings of `proj-sys`.
+//! height as 0, which shifts positions on other datums, and panics for systems without WKT 1; hence
+//! the bindings of `proj-sys` for both.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -15,6 +16,8 @@ use std::ffi::{CStr, CString};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use proj_sys as sys;
+
+use super::Area;
 
 /// A CRS of PROJ, opened separately by every thread.
 #[derive(Debug)]
@@ -55,6 +58,12 @@ impl Foreign {
         // copy.
         let text = unsafe { CStr::from_ptr(text) };
         Some(text.to_string_lossy().into_owned())
+    }
+
+    /// Area of use in PROJ's database, or of the definition itself.
+    pub(super) fn area_of_use(&self) -> Option<Area> {
+        let (area, _) = proj::Proj::new(self.definition.to_str().ok()?).ok()?.area_of_use().ok()?;
+        area.map(|proj::Area { west, south, east, north }| Area { west, south, east, north })
     }
 
     /// x and y of longitude and latitude, degrees, and ellipsoidal height on WGS 84, m.

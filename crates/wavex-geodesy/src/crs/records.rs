@@ -101,6 +101,11 @@ fn projected_and_vertical(tree: WktNode) -> Option<(WktNode, Option<WktNode>)> {
 }
 
 impl Crs {
+    /// The system of the horizontal positions of a WKT, with heights in metres; `None` if it is not supported.
+    pub fn horizontal_of_wkt(text: &str) -> Option<Crs> {
+        Crs::horizontal(Definition::of_wkt(text).ok()?)
+    }
+
     /// The system of horizontal positions, which need no geoid; heights are in metres.
     pub(super) fn horizontal(definition: Definition) -> Option<Crs> {
         let projection = Projection::new(&definition).ok()?;

@@ -39,6 +39,9 @@ const AFTER_WIDTHS: f64 = 15.0;
 const MAX_AFTER: f64 = 80.0;
 /// Fraction of the worst-fitting echoes that is omitted.
 const WORST_PART: f64 = 0.05;
+/// Chi-square over the median from which a fit has another cause than the response, such as an echo cut by the
+/// end of the block.
+const WILD: f64 = 10.0;
 
 /// Median and robust SD of a sample.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -86,6 +89,8 @@ impl Fits {
         let over_expected = |[chi_square, freedom, excess]: &[f64; 3]| chi_square / (freedom + excess);
         all.sort_by(|a, b| over_expected(a).total_cmp(&over_expected(b)));
         all.truncate(all.len() - (WORST_PART * all.len() as f64) as usize);
+        let median = all.get(all.len() / 2).map_or(0.0, over_expected);
+        all.retain(|fit| over_expected(fit) <= WILD * median);
         let sum = |i: usize| all.iter().map(|fit| fit[i]).sum::<f64>();
         let freedom = sum(1).max(1.0);
         let mean = freedom / all.len().max(1) as f64;

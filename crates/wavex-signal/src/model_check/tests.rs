@@ -232,6 +232,23 @@ fn a_tail_that_is_fitted_as_returns_is_a_finding() {
 }
 
 #[test]
+fn few_echoes_cut_by_the_end_of_the_block_are_no_template_error() {
+    let (mut random, shape) = (Random::new(7), Shape::of(&model()).unwrap());
+    let mut waveform = |height_dn: f64, is_cut: bool| {
+        let mut values = noise(&mut random, &process(), 60);
+        values.iter_mut().for_each(|value| *value += BACKGROUND_DN);
+        shape.add(&pulse(height_dn, 20.0 + random.uniform(), 1.0), 1.0, &mut values);
+        if is_cut {
+            shape.add(&pulse(80.0, 61.0, 1.0), 1.0, &mut values);
+        }
+        digitised(&values, 255)
+    };
+    let samples: Vec<_> =
+        (0..600).map(|k| waveform(80.0 + 0.1 * f64::from(k), k < 200 && k % 12 == 0)).collect();
+    assert_eq!(areas(&samples, |_| {}), []);
+}
+
+#[test]
 fn a_long_recording_keeps_evenly_spaced_blocks() {
     let mut running = Running::default();
     let block: Vec<u16> = (0..40).map(|k| 10 + k % 3).collect();

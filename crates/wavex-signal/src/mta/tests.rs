@@ -232,6 +232,26 @@ fn the_variance_method_is_right_on_bare_ground_and_poisoned_by_false_alarms() {
     assert!(right_of(Method::Variance { buffer: 50 }) > 500);
 }
 
+/// Vegetation of 20 m over ground that passes from zone 2 to 3 and back.
+fn wood(line: usize, shot: usize) -> f64 {
+    1120.0 + 60.0 * (shot as f64 / 60.0).sin() + 20.0 * random((1 << 32) + (line * 400 + shot) as u64)
+}
+
+/// Wrong zones neither get a second chance from their other buffer nor lie outside `range_m`.
+#[test]
+fn the_variance_method_considers_each_possible_zone_once() {
+    let (lines, causes) = strip(24, 400, 30.0, wood);
+    let right = |range_m: [f64; 2], buffer: usize| {
+        let settings = Settings { range_m, ..settings(Method::Variance { buffer }) };
+        let (resolved, _) = resolve(&settings, &lines);
+        let ranges = resolved.iter().flat_map(|line| &line.echoes).map(|echo| echo.flight_ns * METRES_PER_NS);
+        assert!(ranges.clone().all(|range| (range_m[0]..=range_m[1]).contains(&range)));
+        1.0 - wrong(&resolved, &causes) as f64 / (24.0 * 400.0)
+    };
+    let shares = [right([600.0, 1500.0], 20), right([600.0, 1500.0], 200), right([1000.0, 1300.0], 20)];
+    assert!(shares[0] > 0.86 && shares[1] > 0.95 && shares[2] == 1.0, "{shares:?}");
+}
+
 fn recorded(scene: &EchoScene, recorded: &[RecordedLine]) -> Vec<Line> {
     let mut shot = 0;
     let mut emission = |line: usize, index: usize, recorded: &RecordedLine| {

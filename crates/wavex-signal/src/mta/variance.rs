@@ -1,14 +1,14 @@
 //! The method `Variance`: the zone with the least variance of consecutive ranges in a circular
 //! buffer.
 //!
-//! Each zone has a chain of ranges. At each echo the chain continues with its own zone or an
-//! adjacent one, whichever is nearest to its last range, and so follows a surface through a change
-//! of zone. A buffer holds the squared differences of its consecutive ranges; a second buffer holds
-//! those of the zone alone. If the second has the smaller sum, the chain has left the surface and
-//! restarts from the second. The chain with the least sum decides the echo in the middle of the
-//! buffer. Every second line is processed from its other end, so that consecutive lines connect;
-//! revolutions connect without this. This is the method of HydroVISH's documentation, which gives a
-//! buffer length of 50 and does not specify when the second buffer takes over.
+//! All zones are followed in parallel. At each echo the chain of a zone continues with its own zone
+//! or an adjacent one, whichever is nearest to its last range, and so follows a surface through a
+//! change of zone. A buffer holds the squared differences of its consecutive ranges; a second buffer
+//! holds those of the zone alone. If the first is faulty, it is overwritten with the second. The
+//! chain with the least sum decides the echo in the middle of the buffer. Every second line is
+//! processed from its other end, so that consecutive lines connect; revolutions connect without
+//! this. This is the method of HydroVISH's documentation, which gives a buffer length of 50 and does
+//! not specify when a buffer is faulty. tests/python/mta_variance.py is the same in NumPy.
 
 use std::collections::VecDeque;
 
@@ -20,6 +20,11 @@ use super::{MtaError, Prior, Resolved, Settings};
 const MOST_LINES: usize = 64;
 /// Number of adjacent zones on either side of a chain's own.
 const OVERLAP: usize = 1;
+/// A buffer with overlap is faulty if the zone alone has less than this part of its sum.
+///
+/// Sums in vegetation differ by chance. If the smaller one were always taken, each wrong zone would
+/// have two chances to have the least.
+const FAULTY_PART: f64 = 0.5;
 /// Variances below this are treated as equal, m².
 const LEAST_VARIANCE_M2: f64 = 1e-6;
 const LEAST_MARGIN_NATS: f32 = 5.0;
@@ -177,28 +182,34 @@ impl Variance {
         let Some(waiting) = self.lines.get_mut((number - first) as usize) else { return };
         let (line, echo) = (&waiting.line, &waiting.line.echoes[i as usize]);
         let count = self.length as f64;
-        let cost = |(chain, &zone): (&Chain, &u8)| {
+        let cost = |chain: &Chain, zone: usize| {
             let variance = (chain.overlapping.sum / count).max(LEAST_VARIANCE_M2);
             0.5 * count * variance.ln() + prior_nats(line, echo, zone, &self.settings)
         };
-        let is_feasible = |zone: u8| place(echo, usize::from(zone)).is_some();
-        let mut best: Option<(u8, f64)> = None;
-        let mut second = f64::INFINITY;
-        for both in self.chains.iter().zip(&zones).filter(|(_, zone)| is_feasible(**zone)) {
-            let (zone, cost) = (*both.1, cost(both));
-            match best {
-                Some((held, _)) if held == zone => best = best.map(|(z, least)| (z, least.min(cost))),
-                Some((_, least)) if cost >= least => second = second.min(cost),
-                _ => {
-                    second = best.map_or(second, |(_, least)| second.min(least));
-                    best = Some((zone, cost));
+        let [nearest_m, farthest_m] = self.settings.range_m;
+        let is_possible = |zone: usize| {
+            let range_m = place(echo, zone).map(|place| f64::from(line.range_m(echo, place, &self.settings)));
+            range_m.is_some_and(|range_m| (nearest_m..=farthest_m).contains(&range_m))
+        };
+        let mut costs = vec![f64::INFINITY; self.chains.len()];
+        // Chains count for their own zones if they all continued with impossible ones.
+        for is_own in [false, true] {
+            for (own, (chain, &zone)) in self.chains.iter().zip(&zones).enumerate() {
+                let zone = if is_own { own } else { usize::from(zone) };
+                if is_possible(zone) {
+                    costs[zone] = costs[zone].min(cost(chain, zone));
                 }
             }
+            if costs.iter().any(|cost| cost.is_finite()) {
+                break;
+            }
         }
-        waiting.decided[i as usize] = match best {
-            Some((zone, least)) => (place(echo, usize::from(zone)), (second - least) as f32),
-            None => (None, 0.0),
-        };
+        let Some(best) = (0..costs.len()).min_by(|&a, &b| costs[a].total_cmp(&costs[b])) else { return };
+        let least = std::mem::replace(&mut costs[best], f64::INFINITY);
+        if least.is_finite() {
+            let second = costs.iter().copied().fold(f64::INFINITY, f64::min);
+            waiting.decided[i as usize] = (place(echo, best), (second - least) as f32);
+        }
     }
 
     fn finish_first(
@@ -232,7 +243,7 @@ impl Chain {
             self.alone.add((alone_m - self.last_alone_m).powi(2));
         }
         (self.last_m, self.last_alone_m) = (range_m, alone_m);
-        if self.alone.sum < self.overlapping.sum {
+        if self.alone.sum < FAULTY_PART * self.overlapping.sum {
             self.overlapping.clone_from(&self.alone);
             self.last_m = alone_m;
         }
@@ -259,13 +270,12 @@ fn ranges_of(line: &Held, echo: &HeldEcho, settings: &Settings, ranges: &mut [f6
 }
 
 /// Cost of a zone under the prior, nats.
-fn prior_nats(line: &Held, echo: &HeldEcho, zone: u8, settings: &Settings) -> f64 {
+fn prior_nats(line: &Held, echo: &HeldEcho, zone: usize, settings: &Settings) -> f64 {
     let sd_m = match settings.prior {
         Prior::None => return 0.0,
         Prior::Agl { sd_m, .. } | Prior::PerEmission { sd_m } => sd_m,
     };
-    let expected =
-        place(echo, usize::from(zone)).and_then(|place| Some((place, *line.pulses.expected_m.get(place)?)));
+    let expected = place(echo, zone).and_then(|place| Some((place, *line.pulses.expected_m.get(place)?)));
     match expected.filter(|(_, expected_m)| expected_m.is_finite()) {
         Some((place, expected_m)) => {
             let apart = f64::from(line.range_m(echo, place, settings) - expected_m) / sd_m;

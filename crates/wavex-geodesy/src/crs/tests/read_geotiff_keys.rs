@@ -64,7 +64,7 @@ fn user_defined_projections_have_their_parameters() {
     same(&with(1, &[3084, 3085, 3086, 3087, 3092]), &utm, "EPSG:26912");
     let utah =
         [41.783_333_333_333_3, 40.716_666_666_666_7, -111.5, 40.333_333_333_333_3, 500_000.0, 1_000_000.0];
-    same(&with(8, &[3078, 3079, 3084, 3085, 3086, 3087]), &utah, "EPSG:26957");
+    same(&with(8, &[3078, 3079, 3084, 3085, 3086, 3087]), &utah, "EPSG:32142");
     let mut of_projection = base;
     of_projection[3][3] = 16012;
     same(&of_projection, &[], "EPSG:26912");
