@@ -6,7 +6,7 @@ use crate::keys::InvalidKey;
 #[test]
 fn each_limit_has_its_message() {
     type Change = fn(&mut Simulate);
-    let cases: [(Change, &str, &str); 44] = [
+    let cases: [(Change, &str, &str); 45] = [
         (|c| c.stem = "a/b".to_owned(), "stem", "must be a file name without folders"),
         (|c| c.lines = 0, "lines", "must be at least 1"),
         (|c| c.shots_per_line = 4097, "shots_per_line", "must lie between 1 and 4096"),

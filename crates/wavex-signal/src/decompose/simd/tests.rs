@@ -109,7 +109,7 @@ fn decompose(fast: &mut BatchDecomposer, waveforms: &[Vec<u16>]) -> Decompositio
 
 /// The number of returns equals that of the scalar kernels in 99.5 % of the waveforms.
 ///
-/// For these, values differ by less than 0.11 standard deviations in 95 %, and by less than 0.5 in
+/// For these, values differ by less than 0.1 standard deviations in 95 %, and by less than 0.5 in
 /// 99 %. For the standard deviations themselves the unit is 30 %. The differences are because the
 /// SIMD kernels omit the part of a pulse after its row and the first samples of a block.
 #[test]
@@ -120,8 +120,8 @@ fn returns_are_those_of_the_plain_kernels() {
 /// Late odd samples send no more waveforms to the scalar kernels than others.
 #[test]
 fn late_odd_samples_are_decomposed_by_the_fast_kernels() {
-    let left = assert_returns_of_plain_kernels(&late(), 1500);
-    assert!(left < 45, "{left} of 1500");
+    let left = assert_returns_of_plain_kernels(&late(), 3000);
+    assert!(left < 90, "{left} of 3000");
 }
 
 /// Compares both kernels on mixed waveforms; returns how many the scalar kernels decomposed.
@@ -150,7 +150,7 @@ fn assert_returns_of_plain_kernels(model: &ChannelModel, count: usize) -> u64 {
         kernels.left_to_plain()
     );
     assert!(same * 1000 >= 995 * waveforms.len());
-    assert!(at(0.5) < 0.02 && at(0.95) < 0.11 && at(0.99) < 0.5);
+    assert!(at(0.5) < 0.02 && at(0.95) < 0.1 && at(0.99) < 0.5);
     kernels.left_to_plain()
 }
 
