@@ -119,7 +119,9 @@ impl Directory<'_> {
         let (utm, method) = (self.short(PROJECTION).unwrap_or(0), self.short(METHOD));
         let (north, south) = (utm.wrapping_sub(UTM_NORTH), utm.wrapping_sub(UTM_SOUTH));
         let is_utm = [north, south].iter().any(|zone| (1..=60).contains(zone));
-        if !is_utm && method.is_none() {
+        // Some writers leave all parameters 0.
+        let is_empty = !self.keys.doubles.is_empty() && self.keys.doubles.iter().all(|byte| *byte == 0);
+        if !is_utm && (method.is_none() || is_empty) {
             return Ok(None);
         }
         let unit = unit?.unwrap_or_else(Unit::metre);
