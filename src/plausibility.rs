@@ -22,6 +22,43 @@ pub struct Check {
     pub key: Option<&'static str>,
 }
 
+impl Check {
+    /// A check that fails the run.
+    pub(crate) fn error(
+        compared: &'static str,
+        accepted: impl Into<String>,
+        source: &'static str,
+        message: &'static str,
+    ) -> Check {
+        Check { compared, accepted: accepted.into(), source, otherwise: Otherwise::Error, message, key: None }
+    }
+
+    /// A check that only warns.
+    pub(crate) fn warning(
+        compared: &'static str,
+        accepted: impl Into<String>,
+        source: &'static str,
+        message: &'static str,
+    ) -> Check {
+        Check { otherwise: Otherwise::Warning, ..Check::error(compared, accepted, source, message) }
+    }
+
+    /// A check that leaves items out.
+    pub(crate) fn left_out(
+        compared: &'static str,
+        accepted: impl Into<String>,
+        source: &'static str,
+        message: &'static str,
+    ) -> Check {
+        Check { otherwise: Otherwise::LeftOut, ..Check::error(compared, accepted, source, message) }
+    }
+
+    /// The same with the key that overrides it.
+    pub(crate) fn with_key(self, key: &'static str) -> Check {
+        Check { key: Some(key), ..self }
+    }
+}
+
 /// What follows if a check fails.
 #[derive(Clone, Copy)]
 pub enum Otherwise {

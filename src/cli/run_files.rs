@@ -164,7 +164,7 @@ impl<'j> RunFiles<'j> {
         (self.skipped.keys().cloned().collect(), messages)
     }
 
-    /// Report of the earlier run, or why it cannot be read; `None`: there is none.
+    /// Report of the earlier run, or why it cannot be read; `None` without a report.
     fn earlier_report(&self) -> Option<std::result::Result<Value, String>> {
         let path = self.of_name(&self.settings.report).filter(|path| path.exists())?;
         Some(report::read_report(&path).map_err(|error| error.to_string()))

@@ -1,6 +1,6 @@
 //! Positions outside the area of use of their coordinate reference system.
 
-use crate::plausibility::{Check, Otherwise};
+use crate::plausibility::Check;
 use wavex_geodesy::crs::{Area, Crs};
 use wavex_geodesy::ellipsoid::Geodetic;
 use wavex_geodesy::frames::Vector;
@@ -13,14 +13,13 @@ const MADE_FOR: &str = "is made for";
 
 /// The check of this module.
 pub(crate) fn check() -> Check {
-    Check {
-        compared: "first position and the area of use of its CRS: that of the job, or of the records of the file",
-        accepted: format!("{MARGIN_DEG} degree from the area"),
-        source: "areas of use of the EPSG dataset, rounded outwards to whole degrees",
-        otherwise: Otherwise::Warning,
-        message: MADE_FOR,
-        key: Some("crs"),
-    }
+    Check::warning(
+        "first position and the area of use of its CRS: that of the job, or of the records of the file",
+        format!("{MARGIN_DEG} degree from the area"),
+        "areas of use of the EPSG dataset, rounded outwards to whole degrees",
+        MADE_FOR,
+    )
+    .with_key("crs")
 }
 
 /// A warning if a recording begins outside the area of use of its output CRS.

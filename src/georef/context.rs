@@ -10,7 +10,7 @@ use super::output_crs::{CrsRequest, OutputCrs};
 use super::trajectory_file::Track;
 use super::transform::Installation;
 use super::{Error, Result};
-use crate::plausibility::{Check, Otherwise};
+use crate::plausibility::Check;
 use crate::scan_line::{Frame, InputInfo};
 use wavex_geodesy::crs::Crs;
 use wavex_geodesy::frames::Vector;
@@ -108,14 +108,13 @@ const NOT_FOUND: &str = "timestamp not found in PO file";
 
 /// The check of the dates of recording and trajectory.
 pub(crate) fn week_check() -> Check {
-    Check {
-        compared: "GPS weeks of recording and trajectory",
-        accepted: "the same, where both are known".into(),
-        source: "file name, `gps_date` or container; header of a POF, or adjusted times",
-        otherwise: Otherwise::Error,
-        message: NOT_FOUND,
-        key: Some("gps_date"),
-    }
+    Check::error(
+        "GPS weeks of recording and trajectory",
+        "the same, where both are known",
+        "file name, `gps_date` or container; header of a POF, or adjusted times",
+        NOT_FOUND,
+    )
+    .with_key("gps_date")
 }
 
 impl Geometry {

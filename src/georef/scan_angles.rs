@@ -166,13 +166,17 @@ impl ScanAngles {
 /// Some files give the angle in the aircraft, without its roll.
 pub const MOST_EXCESS_DEG: f64 = 25.0;
 
+/// About as many evenly spaced shots of a line are examined.
+const MOST_EXAMINED: usize = 32;
+
 /// Medians of scan angle and angle from nadir, degrees, if the beams of a line exclude its angles.
 ///
 /// An angle across the flight is at most that from nadir.
 fn excluded(frame: Frame, emissions: &[Emission]) -> Option<[f64; 2]> {
     let down = down_at(frame, emissions.first()?.origin_m)?;
-    let [mut scan_deg, mut nadir_deg, mut excess_deg] = [(); 3].map(|()| Vec::with_capacity(emissions.len()));
-    for emission in emissions.iter().filter(|emission| !emission.scan_angle_deg.is_nan()) {
+    let [mut scan_deg, mut nadir_deg, mut excess_deg] = [const { Vec::new() }; 3];
+    let examined = emissions.iter().step_by((emissions.len() / MOST_EXAMINED).max(1));
+    for emission in examined.filter(|emission| !emission.scan_angle_deg.is_nan()) {
         let across = cross(emission.direction, down);
         let off_deg = libm::atan2(dot(across, across).sqrt(), dot(emission.direction, down)).to_degrees();
         let own_deg = f64::from(emission.scan_angle_deg).abs();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::Result;
 use super::keys::{AnglesKey, GeometryKeys, HeightsKey, OutliersKey, TimeKey};
 use super::output_crs::CrsRequest;
-use crate::plausibility::{Check, Otherwise};
+use crate::plausibility::Check;
 use wavex_formats::Error;
 use wavex_formats::trajectory::{self, Angles, FileTime, Options, Records, Unproject};
 use wavex_geodesy::crs::CrsError;
@@ -162,13 +162,11 @@ const REPEATED: &str = "repeat a position although the vehicle moves";
 
 /// The checks of this module.
 pub(crate) fn checks() -> Vec<Check> {
-    let check = |compared, accepted, source, message| {
-        let (otherwise, key) = (Otherwise::LeftOut, Some("trajectory_outliers"));
-        Check { compared, accepted, source, otherwise, message, key }
+    let check = |compared, accepted: String, source, message| {
+        Check::left_out(compared, accepted, source, message).with_key("trajectory_outliers")
     };
-    let limit = |compared, accepted, source, message| {
-        let (otherwise, key) = (Otherwise::Error, Some("trajectory_limits"));
-        Check { compared, accepted, source, otherwise, message, key }
+    let limit = |compared, accepted: String, source, message| {
+        Check::error(compared, accepted, source, message).with_key("trajectory_limits")
     };
     let [airplane, helicopter] = [Limits::AIRPLANE, Limits::HELICOPTER];
     let of_both = |of: fn(&Limits) -> f64, unit: &str| {

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use crate::plausibility::{Check, Otherwise};
+use crate::plausibility::Check;
 use crate::stage::{Result, StageError};
 
 /// Group velocities of light in air, m/s, and up to 0.4 % more, for beams in maps of a larger scale.
@@ -26,22 +26,19 @@ const SPEED: &str = "give light a speed";
 /// The checks of this module that all readers make.
 pub(crate) fn checks() -> Vec<Check> {
     vec![
-        Check {
-            compared: "group velocity, stated or by the length of direction vectors",
-            accepted: format!("{:.3e} to {:.3e} m/s", VELOCITY_MPS.start(), VELOCITY_MPS.end()),
-            source: "light in air; maps may be 0.4 % larger",
-            otherwise: Otherwise::Error,
-            message: SPEED,
-            key: Some("beam_vectors"),
-        },
-        Check {
-            compared: "sampling interval",
-            accepted: format!("{} to {} ns", INTERVAL_NS.start(), INTERVAL_NS.end()),
-            source: "digitisers of scanners have 0.5 to 2 ns, those of research up to 10 ns",
-            otherwise: Otherwise::Error,
-            message: NO_DIGITISER,
-            key: None,
-        },
+        Check::error(
+            "group velocity, stated or by the length of direction vectors",
+            format!("{:.3e} to {:.3e} m/s", VELOCITY_MPS.start(), VELOCITY_MPS.end()),
+            "light in air; maps may be 0.4 % larger",
+            SPEED,
+        )
+        .with_key("beam_vectors"),
+        Check::error(
+            "sampling interval",
+            format!("{} to {} ns", INTERVAL_NS.start(), INTERVAL_NS.end()),
+            "digitisers of scanners have 0.5 to 2 ns, those of research up to 10 ns",
+            NO_DIGITISER,
+        ),
     ]
 }
 

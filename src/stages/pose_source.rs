@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::georef::scan_angles::{ScanAngles, are_unknown, set_directions};
 use crate::georef::transform::{scan_angle_deg, to_earth};
 use crate::georef::{self, Geometry};
-use crate::plausibility::{Check, Otherwise};
+use crate::plausibility::Check;
 use crate::scan_line::{Content, Emission, FirstShot, Frame, InputInfo, ScanLine};
 use crate::stage::{Context, Item, Result, Source, StageError};
 use wavex_geodesy::time::day_of_year;
@@ -51,17 +51,12 @@ const OTHER_ANGLES: &str = "the scan angles in the file contradict its beams";
 
 /// The checks of beams and scan angles.
 pub(crate) fn checks() -> Vec<Check> {
-    vec![Check {
-        compared: "scan angles and beams, median of a line",
-        accepted: format!(
-            "at most {} degrees more than the angle from nadir",
-            georef::scan_angles::MOST_EXCESS_DEG
-        ),
-        source: "the angle across the flight is a part of that from nadir; some files lack the roll",
-        otherwise: Otherwise::Warning,
-        message: OTHER_ANGLES,
-        key: None,
-    }]
+    vec![Check::warning(
+        "scan angles and beams, median of a line",
+        format!("at most {} degrees more than the angle from nadir", georef::scan_angles::MOST_EXCESS_DEG),
+        "the angle across the flight is a part of that from nadir; some files lack the roll",
+        OTHER_ANGLES,
+    )]
 }
 
 impl Source for PoseSource {

@@ -12,7 +12,7 @@ use super::line_splitter::Sampling;
 use super::plausible;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
 use crate::keys::InvalidKey;
-use crate::plausibility::{Check, Otherwise};
+use crate::plausibility::Check;
 use crate::scan_line::{
     Blocks, Emission, EmissionReference, GainControl, InputInfo, Kind, MAX_SHOTS_PER_LINE, OnlineReturn,
     ScanLine,
@@ -395,21 +395,32 @@ const WRONG_INTERVAL: &str = "a block whose interval is not between 0.05 and 20 
 
 /// The checks of the rows of a container.
 pub(crate) fn checks() -> Vec<Check> {
-    let check = |compared, accepted: &str, source, message| {
-        let (otherwise, key) = (Otherwise::LeftOut, None);
-        Check { compared, accepted: accepted.to_owned(), source, otherwise, message, key }
-    };
     vec![
-        check(
+        Check::left_out(
             "frame scale of a shot",
             "0.1 to 10",
             "scale of maps up to 84 degrees of latitude, in metres or feet",
             WRONG_SCALE,
         ),
-        check("scan angle of a shot", "-180 to 180 degrees", "a full turn", WRONG_ANGLE),
-        check("number of a shot and of that before", "different", "each shot has its own number", REPEATED),
-        check("start of a block after its shot", "0.01 s", "light travels 1500 km and back", FAR_BLOCK),
-        check("sampling interval of a block", "0.05 to 20 ns", "as for whole recordings", WRONG_INTERVAL),
+        Check::left_out("scan angle of a shot", "-180 to 180 degrees", "a full turn", WRONG_ANGLE),
+        Check::left_out(
+            "number of a shot and of that before",
+            "different",
+            "each shot has its own number",
+            REPEATED,
+        ),
+        Check::left_out(
+            "start of a block after its shot",
+            "0.01 s",
+            "light travels 1500 km and back",
+            FAR_BLOCK,
+        ),
+        Check::left_out(
+            "sampling interval of a block",
+            "0.05 to 20 ns",
+            "as for whole recordings",
+            WRONG_INTERVAL,
+        ),
     ]
 }
 

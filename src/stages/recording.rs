@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::emission_choice::EmissionCheck;
 use crate::georef::declared;
 use crate::keys::InvalidKey;
-use crate::plausibility::{Check, Otherwise};
+use crate::plausibility::Check;
 use crate::scan_line::{Content, Frame, GainControl, InputInfo, ScanLine};
 use crate::stage::{Context, Item, LineLocation, Result, RunContext, Source, StageError};
 use wavex_geodesy::time::WEEK_S;
@@ -267,18 +267,14 @@ const GREEN_WORDS: &str = "measures through water";
 
 /// The checks of the content of every recording.
 pub(crate) fn checks() -> Vec<Check> {
-    let check = |compared, accepted: &str, source, message| {
-        let (otherwise, key) = (Otherwise::Warning, None);
-        Check { compared, accepted: accepted.to_owned(), source, otherwise, message, key }
-    };
     vec![
-        check(
+        Check::warning(
             "waveforms of neighbouring shots",
             "at most 2, or 0.1 %, are equal",
             "noise differs; waveforms with little signal may be equal by chance",
             COPIES,
         ),
-        check(
+        Check::warning(
             "name of the instrument",
             "none of the green instruments for bathymetry",
             "refraction and the speed of light in water are not applied",
@@ -290,8 +286,7 @@ pub(crate) fn checks() -> Vec<Check> {
 /// The checks of the dates of every recording.
 pub(crate) fn date_checks() -> Vec<Check> {
     let check = |compared, accepted: &str, source, message, key| {
-        let otherwise = Otherwise::Warning;
-        Check { compared, accepted: accepted.to_owned(), source, otherwise, message, key: Some(key) }
+        Check::warning(compared, accepted, source, message).with_key(key)
     };
     vec![
         check(

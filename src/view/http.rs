@@ -224,7 +224,7 @@ fn send(mut stream: &TcpStream, response: &Response, keeps_alive: bool) -> io::R
     Ok(())
 }
 
-/// Time left; `None` if there is none.
+/// Remaining time; `None` from its end on.
 fn remaining(until: Instant) -> Option<Duration> {
     until.checked_duration_since(Instant::now()).filter(|left| !left.is_zero())
 }

@@ -17,7 +17,7 @@ const FLIGHTS: &[(&str, &str)] = &[
     ),
     (
         "drone",
-        "flying_height_m = 30.0\nspeed_mps = 5.0\nroll_deg = 15.0\npitch_deg = 15.0\nyaw_deg = 15.0\n\
+        "flying_height_m = 30.0\nbuilding_height_m = 0.0\ncanopy_height_m = 0.0\nspeed_mps = 5.0\nroll_deg = 15.0\npitch_deg = 15.0\nyaw_deg = 15.0\n\
          motion_period_s = 3.0\npulse_rate_hz = 100e3\nscan_angle_deg = [-45.0, 45.0]\nblind_gap_ns = 0.0",
     ),
     ("circular scanner", "scanner = 'circular'\nscan_angle_deg = [-20.0, 20.0]\nroll_deg = 3.0"),

@@ -152,22 +152,22 @@ fn copc_has_wkt_whatever_the_records_of_the_source() {
 #[test]
 fn coordinates_outside_the_area_of_their_system_are_a_warning() {
     // UTM coordinates of Austria, in steps of 1 cm.
-    let austria = |code| {
-        let las = Las::new(PULSES).with_crs(&wkt_of_epsg(code).unwrap());
+    let austria = |code, unit_m| {
+        let las = with_heights_in(Las::new(PULSES), unit_m).with_crs(&wkt_of_epsg(code).unwrap());
         let [x, y] = [50_000_000i32, 520_000_000].map(i32::to_le_bytes);
         (0..PULSES).fold(las, |las, pulse| las.change(pulse, 0, &[x, y].concat()))
     };
-    let notes = |code| {
-        let mut notes = notes(&place(&austria(code)).succeeds("read_las", "a.las", TO_TABLE));
+    let notes = |code, unit_m| {
+        let mut notes = notes(&place(&austria(code, unit_m)).succeeds("read_las", "a.las", TO_TABLE));
         notes.retain(|note| note.contains("is made for"));
         notes
     };
     assert_eq!(
-        [32633, 25833, 31256].map(notes),
+        [32633, 25833, 31256].map(|code| notes(code, 1.0)),
         [const { Vec::<String>::new() }; 3],
         "one is on another datum"
     );
-    let pennsylvania = notes(2271);
+    let pennsylvania = notes(2271, US_FOOT_M);
     let words = "EPSG:2271 (NAD83 / Pennsylvania North (ftUS)) is made for longitude -81 to -74 and latitude 40 to 43 degrees, \
                  but the recording begins at ";
     assert!(pennsylvania.len() == 1 && pennsylvania[0].starts_with(words), "{pennsylvania:?}");

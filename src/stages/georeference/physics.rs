@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use crate::plausibility::{Check, Otherwise};
+use crate::plausibility::Check;
 use crate::scan_line::{Emission, Frame, InputInfo, Return};
 use crate::stage::Context;
 use wavex_geodesy::ellipsoid::WGS84;
@@ -28,9 +28,8 @@ const NOWHERE: &str = "lie where the earth has no ground";
 
 /// The checks of this module.
 pub(crate) fn checks() -> Vec<Check> {
-    let check = |compared, accepted, source, message| {
-        let (otherwise, key) = (Otherwise::Warning, Some("mount"));
-        Check { compared, accepted, source, otherwise, message, key }
+    let check = |compared, accepted: String, source, message| {
+        Check::warning(compared, accepted, source, message).with_key("mount")
     };
     vec![
         check(
@@ -45,15 +44,13 @@ pub(crate) fn checks() -> Vec<Check> {
             "slopes of mountains",
             ABOVE,
         ),
-        Check {
-            key: Some("trajectory_heights"),
-            ..check(
-                "heights of returns and of the ground of the earth",
-                format!("at least half of them from {} to {} m", GROUND_M.start(), GROUND_M.end()),
-                "the Dead Sea and Mount Everest",
-                NOWHERE,
-            )
-        },
+        check(
+            "heights of returns and of the ground of the earth",
+            format!("at least half of them from {} to {} m", GROUND_M.start(), GROUND_M.end()),
+            "the Dead Sea and Mount Everest",
+            NOWHERE,
+        )
+        .with_key("trajectory_heights"),
     ]
 }
 

@@ -1,7 +1,7 @@
 //! Contradictions between the beams, return locations and points of a LAS file.
 
 use super::geometry::Geometry;
-use crate::plausibility::{Check, Otherwise};
+use crate::plausibility::Check;
 use crate::stage::{Result, StageError};
 use crate::stages::emission_choice::{lone_peak, median};
 use crate::stages::plausible;
@@ -21,39 +21,33 @@ pub(super) const MORE_SAMPLES: &str = "have more samples than their descriptor s
 
 /// The checks of a LAS file.
 pub(crate) fn checks() -> Vec<Check> {
-    let packets = Check {
-        compared: "size of a waveform packet and the number of samples in its descriptor",
-        accepted:
-            "fewer than two more samples; samples of 9 to 15 bits in packed form or in words of 16 bits"
-                .into(),
-        source: "packets may be padded to whole bytes",
-        otherwise: Otherwise::Warning,
-        message: MORE_SAMPLES,
-        key: None,
-    };
-    let locations = Check {
-        compared: "return locations of LAS and the peaks of single echoes, median along the beam",
-        accepted: format!(
+    let packets = Check::warning(
+        "size of a waveform packet and the number of samples in its descriptor",
+        "fewer than two more samples; samples of 9 to 15 bits in packed form or in words of 16 bits",
+        "packets may be padded to whole bytes",
+        MORE_SAMPLES,
+    );
+    let locations = Check::error(
+        "return locations of LAS and the peaks of single echoes, median along the beam",
+        format!(
             "{FARTHEST_M} m, by at least {FEWEST_ECHOES} single echoes of the first {MOST_POINTS} points"
         ),
-        source: "two sampling intervals of a slow digitiser; wrong locations are metres off",
-        otherwise: Otherwise::Error,
-        message: FROM_PEAKS,
-        key: Some("check_locations"),
-    };
+        "two sampling intervals of a slow digitiser; wrong locations are metres off",
+        FROM_PEAKS,
+    )
+    .with_key("check_locations");
     vec![locations, packets]
 }
 
 /// The check of the records of the coordinate reference system.
 pub(crate) fn crs_check() -> Check {
-    Check {
-        compared: "WKT and GeoTIFF records of LAS and PulseWaves",
-        accepted: "each can be read, and both name one system".into(),
-        source: "LAS 1.4: the WKT bit says which of them counts",
-        otherwise: Otherwise::Warning,
-        message: "the WKT record cannot be read",
-        key: Some("crs_of_input"),
-    }
+    Check::warning(
+        "WKT and GeoTIFF records of LAS and PulseWaves",
+        "each can be read, and both name one system",
+        "LAS 1.4: the WKT bit says which of them counts",
+        "the WKT record cannot be read",
+    )
+    .with_key("crs_of_input")
 }
 
 /// Refuses vectors and sampling intervals that contradict physics, if any waveform can be read.

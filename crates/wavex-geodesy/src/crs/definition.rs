@@ -125,16 +125,19 @@ pub(super) fn of_proj(words: &str) -> Option<Definition> {
     Some(Definition { name, epsg, method, ellipsoid: WGS84, unit, horizontal, vertical })
 }
 
-/// Replaces metres as the unit of angles, which some programs write, by degrees.
-fn correct_angular_unit(node: &mut WktNode) {
+/// Replaces metres as the unit of angles, which some programs write, by degrees; returns whether it did.
+pub(super) fn correct_angular_unit(node: &mut WktNode) -> bool {
     let is_geographic = node.keyword == "GEOGCS";
+    let mut is_changed = false;
     for part in node.nodes_mut() {
         if is_geographic && part.keyword == "UNIT" && part.value(1) == Some(1.0) {
             *part = WktNode::named("UNIT", "degree").bare("0.0174532925199433").authority(Some(9122));
+            is_changed = true;
         } else {
-            correct_angular_unit(part);
+            is_changed |= correct_angular_unit(part);
         }
     }
+    is_changed
 }
 
 /// The embedded PROJ string, if any.

@@ -167,6 +167,7 @@ fn with_id(mut value: Value, code: Option<u32>) -> Value {
 
 #[cfg(test)]
 mod tests {
+    use super::super::system_of_wkt;
     use super::*;
     use crate::crs::wkt_of_epsg;
 
@@ -197,5 +198,6 @@ mod tests {
         let in_metres = utm.replace(degree, r#"UNIT["Meter",1.0,AUTHORITY["EPSG","9001"]]"#);
         assert_ne!(utm, in_metres);
         assert_eq!(projjson_of_wkt(&in_metres), projjson_of_wkt(&utm));
+        assert!(system_of_wkt(&in_metres).unwrap().wkt.contains(degree), "recordings get the right unit");
     }
 }

@@ -1,6 +1,8 @@
 //! Coordinate reference systems from the records of a file, which may be wrong.
 
-use super::definition::{Definition, LENGTH_UNIT, PROJECTED, ProjectionMethod, VERTICAL, unit_node};
+use super::definition::{
+    Definition, LENGTH_UNIT, PROJECTED, ProjectionMethod, VERTICAL, correct_angular_unit, unit_node,
+};
 use super::describe::compound;
 use super::projection::Projection;
 use super::wkt::WktNode;
@@ -16,13 +18,13 @@ pub struct RecordedSystem {
     pub problems: Vec<String>,
 }
 
-/// Reads a CRS from WKT of any dialect; the text stays as it is, if it is one system.
+/// Reads a CRS from WKT of any dialect; the text stays as it is, if it is one system with angles in degrees.
 ///
 /// # Errors
 /// Text that is not the WKT of a projected, geodetic or earth-centred system. Unsupported
 /// projections and datums are no error.
 pub fn system_of_wkt(text: &str) -> Result<RecordedSystem, CrsError> {
-    let tree = WktNode::parse(text).map_err(CrsError::Wkt)?;
+    let mut tree = WktNode::parse(text).map_err(CrsError::Wkt)?;
     let mut problems = Vec::new();
     match Definition::of_wkt(text) {
         Err(error @ CrsError::Wkt(_)) => return Err(error),
@@ -35,7 +37,8 @@ pub fn system_of_wkt(text: &str) -> Result<RecordedSystem, CrsError> {
         _ => {}
     }
     let is_pair = tree.keyword == "COMPD_CS" && !text.to_uppercase().contains("COMPD_CS");
-    Ok(RecordedSystem { wkt: if is_pair { tree.to_string() } else { text.to_owned() }, problems })
+    let is_changed = correct_angular_unit(&mut tree) || is_pair;
+    Ok(RecordedSystem { wkt: if is_changed { tree.to_string() } else { text.to_owned() }, problems })
 }
 
 /// Positions further apart are different, m.

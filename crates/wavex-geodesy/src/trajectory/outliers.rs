@@ -19,7 +19,7 @@ pub const LEAST_M: f64 = 1.0;
 pub const LEAST_RAD: f64 = 0.0175;
 /// Smallest deviation, in medians of all: the noise of the trajectory.
 const LEAST_MEDIANS: f64 = 8.0;
-/// Number of neighbouring outliers that can be told from a step.
+/// Most outliers in a row: a longer run is a step of the trajectory.
 const PASSES: usize = 3;
 /// Fewest records of a frozen stretch.
 pub const FEWEST_FROZEN: usize = 10;

@@ -1,5 +1,7 @@
 //! Reads GeoTIFF keys as WKT.
 
+use core::ops::RangeInclusive;
+
 use super::super::definition::Definition;
 use super::super::describe::{compound, ellipsoidal, in_unit, vertical_of_epsg};
 use super::super::wkt::WktNode;
@@ -9,6 +11,8 @@ use super::*;
 const GEOGRAPHIC_CITATION: u16 = 2049;
 const GEODETIC_DATUM: u16 = 2050;
 const SEMI_MAJOR_M: u16 = 2057;
+/// Semi-major axes of ellipsoids of the earth, m.
+const SEMI_MAJORS_M: RangeInclusive<f64> = 6.37e6..=6.39e6;
 const INVERSE_FLATTENING: u16 = 2059;
 const PROJECTED_CITATION: u16 = 3073;
 const VERTICAL_CITATION: u16 = 4097;
@@ -115,7 +119,9 @@ impl Directory<'_> {
         let (utm, method) = (self.short(PROJECTION).unwrap_or(0), self.short(METHOD));
         let (north, south) = (utm.wrapping_sub(UTM_NORTH), utm.wrapping_sub(UTM_SOUTH));
         let is_utm = [north, south].iter().any(|zone| (1..=60).contains(zone));
-        if !is_utm && method.is_none() {
+        // Some writers leave all parameters 0.
+        let is_empty = !self.keys.doubles.is_empty() && self.keys.doubles.iter().all(|byte| *byte == 0);
+        if !is_utm && (method.is_none() || is_empty) {
             return Ok(None);
         }
         let unit = unit?.unwrap_or_else(Unit::metre);
@@ -181,6 +187,11 @@ impl Directory<'_> {
             _ => self.double(SEMI_MAJOR_M).zip(self.double(INVERSE_FLATTENING)),
         };
         let Some((semi_major_m, inverse_flattening)) = figure else { return Ok(None) };
+        if !SEMI_MAJORS_M.contains(&semi_major_m) {
+            return Err(format!(
+                "the ellipsoid has a semi-major axis of {semi_major_m} m (key {SEMI_MAJOR_M})"
+            ));
+        }
         let title = self.text(GEOGRAPHIC_CITATION);
         let title = title.as_deref().unwrap_or("unnamed");
         let spheroid = WktNode::named("SPHEROID", "unnamed").number(semi_major_m).number(inverse_flattening);

@@ -95,6 +95,13 @@ fn a_figure_of_the_earth_is_enough_as_base() {
     let at = place(15.5, 48.0, 0.0);
     let expected = self::crs("EPSG:32633").from_geodetic(at).unwrap();
     assert!(apart(crs.from_geodetic(at).unwrap(), expected) < 1e-6);
+    let point = error(&entries, &[0.0, 298.257_223_563, 0.0, 0.0, 15.0, 500_000.0, 0.0, 0.9996]);
+    assert!(point.contains("the ellipsoid has a semi-major axis of 0 m (key 2057)"), "{point}");
+    assert_eq!(
+        system_of_geotiff_keys(&keys(&entries, &[0.0; 8], "")).unwrap(),
+        None,
+        "all parameters are missing"
+    );
 }
 
 #[test]
