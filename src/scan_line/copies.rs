@@ -25,7 +25,9 @@ impl ScanLine {
         for (index, of_shot) in blocks.by_emission() {
             let is_copy = match last {
                 Some((earlier, other)) if earlier + 1 == index => {
-                    are_copies(echoes(blocks, of_shot), echoes(blocks, other))
+                    // The first samples of two waveforms nearly always differ, so this costs little.
+                    first_samples(blocks, of_shot) == first_samples(blocks, other)
+                        && are_copies(echoes(blocks, of_shot), echoes(blocks, other))
                 }
                 _ => false,
             };
@@ -53,6 +55,11 @@ impl ScanLine {
     }
 }
 
+/// The first samples of the first echo block of a shot.
+fn first_samples<'a>(blocks: &'a Blocks, of_shot: &[Block]) -> Option<&'a [u16; 8]> {
+    blocks.samples(of_shot.iter().find(|block| block.channel.is_echo())?).first_chunk()
+}
+
 /// Channels and samples of the echo blocks of a shot.
 fn echoes<'a>(
     blocks: &'a Blocks,
@@ -67,7 +74,6 @@ fn are_copies<'a>(
     own: impl Iterator<Item = (Channel, &'a [u16])> + Clone,
     others: impl Iterator<Item = (Channel, &'a [u16])>,
 ) -> bool {
-    // The first samples of two waveforms nearly always differ, so this costs little.
     own.clone().eq(others) && own.map(|(_, samples)| information_bits(samples)).sum::<f64>() >= LEAST_BITS
 }
 

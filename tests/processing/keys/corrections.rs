@@ -82,7 +82,7 @@ fn ranges_from_late_odd_samples_have_their_standard_deviations() {
     assert_eq!(place.run(flight), Outcome::success());
     let truth = table::rows(&place.text("out/simulated.truth.csv"));
     let truth: BTreeMap<&str, &Row> = truth.iter().map(|row| (row["shot"].as_str(), row)).collect();
-    let errors = |key: &str| {
+    let measure = |key: &str| {
         let job = format!(
             "[[stage]]\ntype = 'read_arrow'\npath = 'out/simulated.arrow'\n{key}\n[[stage]]\n\
              type = 'calibrate'\nresponse = 'gaussian'\n[[stage]]\ntype = 'decompose'\n[[stage]]\n\
@@ -91,21 +91,21 @@ fn ranges_from_late_odd_samples_have_their_standard_deviations() {
         assert_eq!(place.run(&job), Outcome::success());
         let rows = table::rows(&place.text("out/simulated.csv"));
         let singles = rows.iter().filter(|row| row["number_of_returns"] == "1");
-        let of = |row: &Row| {
-            let of = |row: &Row| number(row, "time_of_flight_ns");
-            let error = of(row) - of(truth[row["shot"].as_str()]);
-            [error / number(row, "time_of_flight_sd_ns"), number(row, "deviation_ratio")]
-        };
-        let of_singles: Vec<[f64; 2]> = singles.map(of).collect();
-        let n = of_singles.len() as f64;
-        let mean = |of: fn(&[f64; 2]) -> f64| of_singles.iter().map(of).sum::<f64>() / n;
+        let errors = singles.map(|row| {
+            let true_ns = number(truth[row["shot"].as_str()], "time_of_flight_ns");
+            let error_ns = number(row, "time_of_flight_ns") - true_ns;
+            [error_ns / number(row, "time_of_flight_sd_ns"), number(row, "deviation_ratio")]
+        });
+        let errors: Vec<[f64; 2]> = errors.collect();
+        let n = errors.len() as f64;
+        let mean = |of: fn(&[f64; 2]) -> f64| errors.iter().map(of).sum::<f64>() / n;
         let [bias, rms, deviation] = [mean(|of| of[0]), mean(|of| of[0] * of[0]).sqrt(), mean(|of| of[1])];
         println!("{key}: {n} returns, z {bias:.3} and {rms:.3}, deviation ratio {deviation:.2}");
         (n, bias, rms, deviation)
     };
-    let (n, bias, rms, deviation) = errors("odd_sample_shift = 0.2");
+    let (n, bias, rms, deviation) = measure("odd_sample_shift = 0.2");
     assert!(n > 1900.0 && bias.abs() < 4.0 / n.sqrt() && (rms - 1.0).abs() < 0.07 && deviation.abs() < 0.3);
-    let (_, _, rms, deviation) = errors("");
+    let (_, _, rms, deviation) = measure("");
     assert!((rms - 1.0).abs() > 0.2 && deviation > 3.0);
 }
 
