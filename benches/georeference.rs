@@ -10,7 +10,7 @@ use std::time::Instant;
 use wavex::scan_line::{Blocks, Content, Return, ScanLine};
 use wavex::stage::{Context, RunContext, Source};
 use wavex::stages::pose_source::PoseSource;
-use wavex_testkit::georeferenced_flight::{Flight, fly, georeference, return_of, site, source};
+use wavex_testkit::georeferenced_flight::{Flight, fly, georeference, return_of, run, source};
 
 const GOAL_PER_S: f64 = 2e6;
 const RUNS: usize = 9;
@@ -21,8 +21,8 @@ struct Line {
     returns: Vec<Return>,
 }
 
-fn lines(site: &RunContext) -> Vec<Line> {
-    let mut posed = PoseSource::new(source(site), Arc::clone(&site.geometry));
+fn lines(run: &RunContext) -> Vec<Line> {
+    let mut posed = PoseSource::new(source(run), Arc::clone(&run.geometry));
     let mut cx = Context::default();
     let mut lines = Vec::new();
     while let Some(batch) = posed.next(&mut cx).unwrap_or_else(|error| panic!("{error}")) {
@@ -37,9 +37,9 @@ fn lines(site: &RunContext) -> Vec<Line> {
 }
 
 /// Returns the median rate of the stage, points per second.
-fn points_per_s(site: &RunContext) -> f64 {
-    let lines = lines(site);
-    let mut stage = georeference(site, "");
+fn points_per_s(run: &RunContext) -> f64 {
+    let lines = lines(run);
+    let mut stage = georeference(run, "");
     let mut rates: Vec<f64> = (0..RUNS)
         .map(|_| {
             let fresh: Vec<ScanLine> = lines.iter().map(fresh).collect();
@@ -75,13 +75,13 @@ impl Source for Read {
 
 /// Returns the median rate of attaching poses, shots per second.
 fn shots_per_s(flight: &Flight) -> f64 {
-    let lines = lines(&site(flight, "").unwrap_or_else(|error| panic!("{error}")));
+    let lines = lines(&run(flight, "").unwrap_or_else(|error| panic!("{error}")));
     let shots: usize = lines.iter().map(|line| line.batch.emissions.len()).sum();
     let mut rates: Vec<f64> = (0..RUNS)
         .map(|_| {
-            let site = site(flight, "trajectory = 'a.out'").unwrap_or_else(|error| panic!("{error}"));
+            let run = run(flight, "trajectory = 'a.out'").unwrap_or_else(|error| panic!("{error}"));
             let fresh: Vec<ScanLine> = lines.iter().map(fresh).collect();
-            let mut posed = PoseSource::new(Box::new(Read(fresh.into_iter())), Arc::clone(&site.geometry));
+            let mut posed = PoseSource::new(Box::new(Read(fresh.into_iter())), Arc::clone(&run.geometry));
             let (started, mut cx) = (Instant::now(), Context::default());
             while posed.next(&mut cx).unwrap_or_else(|error| panic!("{error}")).is_some() {}
             shots as f64 / started.elapsed().as_secs_f64()
@@ -109,8 +109,8 @@ fn main() {
         ("points, geodetic", "crs = 'geodetic'"),
     ] {
         let keys = format!("trajectory = 'a.out'\n{geometry}");
-        let site = site(&flight, &keys).unwrap_or_else(|error| panic!("{error}"));
-        let rate = points_per_s(&site);
+        let run = run(&flight, &keys).unwrap_or_else(|error| panic!("{error}"));
+        let rate = points_per_s(&run);
         println!("{what:<44} {:>14.2} {:>8.2}", 1e-6 * rate, rate / GOAL_PER_S);
     }
     let rate = shots_per_s(&flight);

@@ -32,7 +32,7 @@ fn shots_per_second(keys: &str) -> f64 {
     let spec = registry::find("simulate").unwrap_or_else(|| panic!("there is a simulator"));
     let job = job(&[(spec, keys)]);
     let Plan::Source(source) = &job.stages[0].planned.plan else { panic!("simulate is a source") };
-    let site = RunContext {
+    let run = RunContext {
         input: "".into(),
         stem: "simulated".into(),
         input_dir: std::env::temp_dir(),
@@ -43,7 +43,7 @@ fn shots_per_second(keys: &str) -> f64 {
     let mut rates: Vec<f64> = (0..5)
         .map(|_| {
             let before = cpu_s();
-            let mut lines = source.make(&site).unwrap_or_else(|error| panic!("{error}"));
+            let mut lines = source.make(&run).unwrap_or_else(|error| panic!("{error}"));
             let mut shots = 0;
             while let Some(line) =
                 lines.next(&mut Context::default()).unwrap_or_else(|error| panic!("{error}"))

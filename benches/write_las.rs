@@ -89,7 +89,7 @@ fn pool(threads: usize) -> rayon::ThreadPool {
 }
 
 fn sink(folder: &Path, path: &str, threads: usize) -> Box<dyn Sink> {
-    let site = RunContext {
+    let run = RunContext {
         input: "made".into(),
         stem: "made".into(),
         input_dir: folder.into(),
@@ -104,7 +104,7 @@ fn sink(folder: &Path, path: &str, threads: usize) -> Box<dyn Sink> {
     else {
         panic!("write_las is a sink")
     };
-    keys.make(&site).unwrap_or_else(|error| panic!("{error}"))
+    keys.make(&run).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// Writes all lines to a sink.

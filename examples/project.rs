@@ -6,7 +6,7 @@
 //! `tests/python/check_crs.py` compares the results with other programs.
 //!
 //!     cargo run --example project -- EPSG:2154 forward < places.txt
-//!     cargo run --example project -- site.wkt inverse geoid=egm96 geoid_dir=geoids unit=us_ft < coordinates.txt
+//!     cargo run --example project -- zone.wkt inverse geoid=egm96 geoid_dir=geoids unit=us_ft < coordinates.txt
 //!     cargo run --example project -- utm:33N wkt
 
 use std::io::{BufRead, Write};

@@ -197,20 +197,20 @@ pub fn run_each(
     let options = &Options { survey, ..options.clone() };
     summary.survey_models = options.survey.clone();
     let pool = pool::start(options)?;
-    let site = |(number, input)| RunContext { number, ..run_context(options, input, pool.clone()) };
-    let sites: Vec<RunContext> = (1..).zip(inputs(job, &options.input_dir)?).map(site).collect();
-    summary.inputs = sites.iter().map(InputSummary::not_run).collect();
+    let run = |(number, input)| RunContext { number, ..run_context(options, input, pool.clone()) };
+    let runs: Vec<RunContext> = (1..).zip(inputs(job, &options.input_dir)?).map(run).collect();
+    summary.inputs = runs.iter().map(InputSummary::not_run).collect();
     let geometry = Loader::new(&job.settings.geometry, &options.input_dir)
         .map_err(|error| RunError::of_job(error.into()))?;
-    inputs::keep_from_outputs(job, &sites)?;
-    let outputs = inputs::outputs(job, &sites);
+    inputs::keep_from_outputs(job, &runs)?;
+    let outputs = inputs::outputs(job, &runs);
     // The lock is held until the end of the run.
     let _lock = OutputLock::acquire(&outputs).map_err(RunError::of_job)?;
     let files = SharedFiles::new(job, options, &outputs);
     let (to_skip, to_run): (Vec<_>, Vec<_>) =
-        sites.into_iter().enumerate().partition(|(_, site)| options.skip.contains(&site.stem));
+        runs.into_iter().enumerate().partition(|(_, run)| options.skip.contains(&run.stem));
     to_skip.iter().for_each(|(number, _)| summary.inputs[*number].status = InputStatus::Skipped);
-    let sizes = inputs::sizes(to_run.iter().map(|(_, site)| site.input.as_path()));
+    let sizes = inputs::sizes(to_run.iter().map(|(_, run)| run.input.as_path()));
     let sizes = to_run.iter().map(|(number, _)| *number).zip(sizes).collect();
     let mut progress = Progress::new(options.progress, sizes).watched(options.watch.clone());
     let common = chain::Common::new(job, options);

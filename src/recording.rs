@@ -22,7 +22,7 @@ pub struct Recording {
     reader: Arc<dyn SourcePlan>,
     /// Keys of the reader that decide on the content of lines.
     keys: String,
-    site: RunContext,
+    run: RunContext,
     source: Box<dyn Source>,
     input: Arc<InputInfo>,
     index: Option<Arc<LineIndex>>,
@@ -56,21 +56,21 @@ impl Recording {
     pub(crate) fn of_reader(
         reader: Arc<dyn SourcePlan>,
         keys: &serde_json::Value,
-        site: RunContext,
+        run: RunContext,
     ) -> Result<Recording> {
         let mut cx = Context::of_run();
-        let mut source = reader.make(&site)?;
+        let mut source = reader.make(&run)?;
         let Some(first) = source.next(&mut cx)? else {
-            let problem = format!("{} has no shots", site.input.display());
+            let problem = format!("{} has no shots", run.input.display());
             return Err(StageError::failed(problem, "choose another recording"));
         };
         let keys = index::keys_of(keys);
-        Ok(Recording { reader, keys, site, source, input: first.input, index: None, cx })
+        Ok(Recording { reader, keys, run, source, input: first.input, index: None, cx })
     }
 
     /// Path of the recording.
     pub fn path(&self) -> &Path {
-        &self.site.input
+        &self.run.input
     }
 
     /// Metadata of the recording.
@@ -95,7 +95,7 @@ impl Recording {
         if let Some(index) = &self.index {
             return Ok(Arc::clone(index));
         }
-        let index = LineIndex::of_file(&*self.reader, &self.keys, &self.site, watch)?;
+        let index = LineIndex::of_file(&*self.reader, &self.keys, &self.run, watch)?;
         Ok(Arc::clone(self.index.insert(Arc::new(index))))
     }
 

@@ -230,15 +230,15 @@ impl SourcePlan for WithoutSamples {
     fn outputs(&self) -> Vec<&str> {
         self.0.outputs()
     }
-    fn make(&self, site: &RunContext) -> wavex::stage::Result<Box<dyn Source>> {
-        self.0.make_for_inspection(site, false)
+    fn make(&self, run: &RunContext) -> wavex::stage::Result<Box<dyn Source>> {
+        self.0.make_for_inspection(run, false)
     }
     fn make_for_inspection(
         &self,
-        site: &RunContext,
+        run: &RunContext,
         with_samples: bool,
     ) -> wavex::stage::Result<Box<dyn Source>> {
-        self.0.make_for_inspection(site, with_samples)
+        self.0.make_for_inspection(run, with_samples)
     }
 }
 

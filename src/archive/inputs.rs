@@ -206,7 +206,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let dir = folder.path();
         fs::create_dir(dir.join("geoids")).unwrap();
-        for name in ["a.pof", "b.pof", "geoids/EGM96.gtx", "geoids/egm2008.bin", "site.wkt"] {
+        for name in ["a.pof", "b.pof", "geoids/EGM96.gtx", "geoids/egm2008.bin", "zone.wkt"] {
             fs::write(dir.join(name), "").unwrap();
         }
         let job = Job::parse("a.toml", "[[stage]]\ntype = 'simulate'\n", &[]).unwrap();
@@ -215,8 +215,8 @@ mod tests {
             let found = of_job(&job, &settings, &inputs, dir).unwrap();
             found.iter().map(|path| path.strip_prefix(dir).unwrap().display().to_string()).collect()
         };
-        let geometry = json!({"geometry": {"trajectory": "*.pof", "crs": "site.wkt", "geoid": "egm96", "geoid_dir": "geoids"}});
-        assert_eq!(names(geometry), ["a.pof", "b.pof", "geoids/EGM96.gtx", "site.wkt"]);
+        let geometry = json!({"geometry": {"trajectory": "*.pof", "crs": "zone.wkt", "geoid": "egm96", "geoid_dir": "geoids"}});
+        assert_eq!(names(geometry), ["a.pof", "b.pof", "geoids/EGM96.gtx", "zone.wkt"]);
         let geometry = json!({"geometry": {"crs": "utm:33N", "geoid": "egm96", "calibration": {"e0": 1.0}}});
         assert_eq!(names(geometry), Vec::<String>::new());
     }

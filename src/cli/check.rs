@@ -128,14 +128,14 @@ a.toml is valid
             let warnings = said.lines().filter_map(|line| line.strip_prefix("  warning: "));
             warnings.map(str::to_owned).collect::<Vec<_>>()
         };
-        let geometry = "trajectory = '*.pof'\ncrs = 'site.wkt'\ngeoid = 'egm96'\ngeoid_dir = 'geoids'";
+        let geometry = "trajectory = '*.pof'\ncrs = 'zone.wkt'\ngeoid = 'egm96'\ngeoid_dir = 'geoids'";
         assert_eq!(
             of("flight.arrow", geometry),
             [
                 "HERE/flight.arrow: no such file",
                 "HERE/flight.pof: no such file",
                 "HERE/model.json: no such file",
-                "HERE/site.wkt: no such file",
+                "HERE/zone.wkt: no such file",
                 "HERE/geoids: no geoid egm96 (.bin, .gtx)",
             ]
         );

@@ -171,8 +171,8 @@ impl Chain {
     fn recording(&self) -> Result<Recording, Failure> {
         let (reader, keys) = self.reader()?;
         let input_dir = self.options.input_dir.clone();
-        let site = RunContext { stem: self.stem.clone(), input_dir, ..RunContext::alone(&self.file) };
-        Recording::of_reader(reader, &keys, site).map_err(|error| failed(&error))
+        let run = RunContext { stem: self.stem.clone(), input_dir, ..RunContext::alone(&self.file) };
+        Recording::of_reader(reader, &keys, run).map_err(|error| failed(&error))
     }
 
     /// Number of lines before and after that of a shot on which its blocks depend.

@@ -26,21 +26,21 @@ type WorkerResult = Mutex<Vec<(Meter, Context)>>;
 /// Returns the work done, and the first true cause of a failure.
 pub(super) fn run(
     job: &Job,
-    site: &Arc<RunContext>,
+    run: &Arc<RunContext>,
     options: &Options,
     common: &Common,
     gauge: &Gauge,
     cx: &Context,
 ) -> (InputSummary, Option<RunError>) {
     let started = Instant::now();
-    let state = InputState::of(&site.input);
+    let state = InputState::of(&run.input);
     let shared = shared(job, options, common, gauge, cx);
-    let leavings: Vec<WorkerResult> = job.stages.iter().map(|_| WorkerResult::default()).collect();
+    let worker_results: Vec<WorkerResult> = job.stages.iter().map(|_| WorkerResult::default()).collect();
     std::thread::scope(|scope| {
         for (index, work) in plan(job, options).into_iter().enumerate() {
             for (worker, (inlet, exit)) in work.into_iter().enumerate() {
-                let (stage, shared, leavings) = (&job.stages[index], &shared, &leavings[index]);
-                let body = move || run_worker(stage, site, shared, inlet, exit, options.profile, leavings);
+                let (stage, shared, worker_results) = (&job.stages[index], &shared, &worker_results[index]);
+                let body = move || run_worker(stage, run, shared, inlet, exit, options.profile, worker_results);
                 let name = format!("{THREAD_PREFIX}{}-{worker}", stage.id);
                 if let Err(error) = std::thread::Builder::new().name(name).spawn_scoped(scope, body) {
                     // Not of this input: the others would have no threads either.
@@ -51,25 +51,25 @@ pub(super) fn run(
     });
     let budget_peak = shared.budget.peak();
     let totals = shared.totals.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
-    let flown = site.geometry.trajectory().map(|(_, trajectory)| trajectory);
+    let flown = run.geometry.trajectory().map(|(_, trajectory)| trajectory);
     let aligned = totals.input.as_ref().and_then(|input| input.first_shot?.alignment);
     if let (Some(observer), Some(trajectory), Some(alignment)) = (cx.observer(), flown, aligned) {
         observer.trajectory(trajectory, &alignment);
     }
-    let (stages, whole) = collect(job, leavings, cx);
-    let published = match shared.failure.into_error(&site.input) {
+    let (stages, whole) = collect(job, worker_results, cx);
+    let published = match shared.failure.into_error(&run.input) {
         Some(error) => Err(state.explain(error)),
         None => {
             let source = job.stages.first().map(|stage| stage.id.clone());
             let unchanged = state.check().map_err(|error| (source.unwrap_or_default(), error.into()));
             unchanged.and_then(|()| publish(whole)).map_err(|(stage, error)| RunError {
                 stage: Some(stage),
-                input: Some(site.input.clone()),
+                input: Some(run.input.clone()),
                 cause: Cause::Stage(error),
             })
         }
     };
-    let summary = |outputs| InputSummary::new(site, started, totals, stages, outputs, budget_peak);
+    let summary = |outputs| InputSummary::new(run, started, totals, stages, outputs, budget_peak);
     match published {
         Ok(outputs) => (summary(outputs), None),
         Err(error) => (summary(Vec::new()), Some(error)),
@@ -168,32 +168,32 @@ fn shared<'a>(
 /// Runs a worker from construction of its stage to its last counter.
 fn run_worker(
     stage: &JobStage,
-    site: &Arc<RunContext>,
+    run: &Arc<RunContext>,
     shared: &Shared,
     inlet: Option<Inlet>,
     exit: Downstream,
     profile: bool,
-    leavings: &WorkerResult,
+    worker_results: &WorkerResult,
 ) {
-    let mut desk =
+    let mut worker =
         WorkerContext { stage: &stage.id, shared, exit, meter: Meter::new(profile), cx: shared.cx.another() };
-    let result = guarded(|| work(stage, site, inlet, &mut desk));
+    let result = guarded(|| work(stage, run, inlet, &mut worker));
     if let Err(cause) = result {
-        shared.failure.fail(&stage.id, Some(&site.input), cause);
+        shared.failure.fail(&stage.id, Some(&run.input), cause);
     }
-    let WorkerContext { meter, cx, .. } = desk;
-    leavings.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push((meter, cx));
+    let WorkerContext { meter, cx, .. } = worker;
+    worker_results.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push((meter, cx));
 }
 
-fn work(stage: &JobStage, site: &RunContext, inlet: Option<Inlet>, desk: &mut WorkerContext) -> Result<()> {
+fn work(stage: &JobStage, run: &RunContext, inlet: Option<Inlet>, worker: &mut WorkerContext) -> Result<()> {
     match (&stage.planned.plan, inlet) {
         (Plan::Source(plan), None) => {
-            let posed = PoseSource::new(plan.make(site)?, Arc::clone(&site.geometry));
-            run_source(Box::new(posed), desk)
+            let posed = PoseSource::new(plan.make(run)?, Arc::clone(&run.geometry));
+            run_source(Box::new(posed), worker)
         }
-        (Plan::Map(plan), Some(mut inlet)) => run_map(plan.make(site)?, &mut inlet, desk),
-        (Plan::Transform(plan), Some(mut inlet)) => run_transform(plan.make(site)?, &mut inlet, desk),
-        (Plan::Sink(plan), Some(mut inlet)) => run_sink(plan.make(site)?, &mut inlet, desk),
+        (Plan::Map(plan), Some(mut inlet)) => run_map(plan.make(run)?, &mut inlet, worker),
+        (Plan::Transform(plan), Some(mut inlet)) => run_transform(plan.make(run)?, &mut inlet, worker),
+        (Plan::Sink(plan), Some(mut inlet)) => run_sink(plan.make(run)?, &mut inlet, worker),
         _ => Err(StageError::failed(
             "the source must be the first stage of a job, and the only source",
             "check the job with `wavex check`",
@@ -204,13 +204,13 @@ fn work(stage: &JobStage, site: &RunContext, inlet: Option<Inlet>, desk: &mut Wo
 /// Merges the results of all workers: stage summaries, finished files.
 fn collect(
     job: &Job,
-    leavings: Vec<WorkerResult>,
+    worker_results: Vec<WorkerResult>,
     run: &Context,
 ) -> (Vec<StageSummary>, Vec<(String, FinishedFile)>) {
     let mut whole = Vec::new();
     let mut summaries = Vec::new();
-    for (stage, leavings) in job.stages.iter().zip(leavings) {
-        let workers = leavings.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
+    for (stage, worker_results) in job.stages.iter().zip(worker_results) {
+        let workers = worker_results.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
         let count = workers.len();
         let mut meter = Meter::new(false);
         let mut cx = run.another();

@@ -145,12 +145,12 @@ pub(crate) fn sizes<'p>(inputs: impl IntoIterator<Item = &'p Path>) -> impl Iter
 }
 
 /// Output files of all runs, by the folder in which they are claimed.
-pub(super) fn outputs(job: &Job, sites: &[RunContext]) -> Outputs {
+pub(super) fn outputs(job: &Job, runs: &[RunContext]) -> Outputs {
     let mut outputs = Outputs::new();
-    for site in sites {
+    for run in runs {
         for pattern in job.stages.iter().flat_map(|stage| stage.planned.plan.outputs()) {
-            let folder = fixed_folder(&site.output_dir, pattern);
-            outputs.entry(folder).or_default().insert(site.output_path(pattern));
+            let folder = fixed_folder(&run.output_dir, pattern);
+            outputs.entry(folder).or_default().insert(run.output_path(pattern));
         }
     }
     outputs
@@ -159,16 +159,16 @@ pub(super) fn outputs(job: &Job, sites: &[RunContext]) -> Outputs {
 /// Checks that no output replaces an input or a companion file of one.
 ///
 /// `job` compares patterns; this compares actual files.
-pub(super) fn keep_from_outputs(job: &Job, sites: &[RunContext]) -> Result<(), RunError> {
+pub(super) fn keep_from_outputs(job: &Job, runs: &[RunContext]) -> Result<(), RunError> {
     let mut index = CompanionIndex::default();
     let mut inputs = BTreeSet::new();
-    for site in sites {
-        let companions = index.of(&site.input).map_err(|error| RunError::of_job(error.into()))?;
-        let files = companions.into_iter().chain([site.input.clone()]);
+    for run in runs {
+        let companions = index.of(&run.input).map_err(|error| RunError::of_job(error.into()))?;
+        let files = companions.into_iter().chain([run.input.clone()]);
         inputs.extend(files.filter_map(|path| path.canonicalize().ok()));
     }
     let patterns = || job.stages.iter().flat_map(|stage| stage.planned.plan.outputs());
-    let mut outputs = sites.iter().flat_map(|site| patterns().map(|pattern| site.output_path(pattern)));
+    let mut outputs = runs.iter().flat_map(|run| patterns().map(|pattern| run.output_path(pattern)));
     // An output that does not exist cannot be an input.
     match outputs.find(|path| path.canonicalize().is_ok_and(|path| inputs.contains(&path))) {
         None => Ok(()),

@@ -82,27 +82,27 @@ pub(super) fn run_one(
         .map_err(|error| RunError::of_job(error.into()))?;
     let common = Common::new(job, options);
     let shared = schedule::Shared { job, options, common: &common, geometry: Mutex::new(geometry), cx };
-    let site = RunContext { has_outputs: false, ..run_context(options, input, pool::start(options)?) };
-    run(&shared, site, options)
+    let run = RunContext { has_outputs: false, ..run_context(options, input, pool::start(options)?) };
+    run(&shared, run, options)
 }
 
 /// Runs the chain over an input and shows the progress.
 fn run(
     shared: &schedule::Shared,
-    site: RunContext,
+    run: RunContext,
     options: &Options,
 ) -> std::result::Result<schedule::Ended, RunError> {
     let gauge = Arc::<Gauge>::default();
     if options.progress == ProgressMode::Hidden && options.watch.is_none() {
-        return Ok(schedule::run_input(shared, site, options, &gauge));
+        return Ok(schedule::run_input(shared, run, options, &gauge));
     }
-    let sizes = BTreeMap::from([(0, size(&site.input))]);
+    let sizes = BTreeMap::from([(0, size(&run.input))]);
     let mut progress = Progress::new(options.progress, sizes).watched(options.watch.clone());
-    progress.begin(0, &site.stem, &gauge);
+    progress.begin(0, &run.stem, &gauge);
     std::thread::scope(|scope| {
         let (sender, ended) = crossbeam_channel::bounded(1);
         let gauge = &gauge;
-        let body = move || sender.send(Box::new(schedule::run_input(shared, site, options, gauge)));
+        let body = move || sender.send(Box::new(schedule::run_input(shared, run, options, gauge)));
         let thread = std::thread::Builder::new().name(THREAD_PREFIX.to_owned()).spawn_scoped(scope, body);
         thread.map_err(|error| no_thread(&error))?;
         loop {

@@ -57,13 +57,13 @@ pub(super) fn run(
                 && running.len() < may_run
                 && running.len() + ended.len() < may_wait
             {
-                let Some((number, site)) = waiting.next() else { break };
+                let Some((number, run)) = waiting.next() else { break };
                 let (cancel, gauge) = (Cancel::default(), Arc::<Gauge>::default());
-                progress.begin(number, &site.stem, &gauge);
+                progress.begin(number, &run.stem, &gauge);
                 running.insert(number, cancel.clone());
-                let (sender, not_run) = (sender.clone(), InputSummary::not_run(&site));
-                let name = format!("{THREAD_PREFIX}{}", site.stem);
-                let body = move || one(shared, number, site, cancel, &gauge, &sender);
+                let (sender, not_run) = (sender.clone(), InputSummary::not_run(&run));
+                let name = format!("{THREAD_PREFIX}{}", run.stem);
+                let body = move || one(shared, number, run, cancel, &gauge, &sender);
                 if let Err(error) = std::thread::Builder::new().name(name).spawn_scoped(scope, body) {
                     running.remove(&number);
                     let error = no_thread(&error);
@@ -99,15 +99,15 @@ pub(super) fn run(
 fn one(
     shared: &Shared,
     number: usize,
-    site: RunContext,
+    run: RunContext,
     cancel: Cancel,
     gauge: &Gauge,
     ended: &Sender<(usize, Ended)>,
 ) {
-    let site = RunContext { cancelled: cancel.flag(), ..site };
+    let run = RunContext { cancelled: cancel.flag(), ..run };
     let options = Options { cancel, ..shared.options.clone() };
-    let (input, not_run) = (site.input.clone(), InputSummary::not_run(&site));
-    let result = guarded(|| Ok(run_input(shared, site, &options, gauge))).unwrap_or_else(|cause| {
+    let (input, not_run) = (run.input.clone(), InputSummary::not_run(&run));
+    let result = guarded(|| Ok(run_input(shared, run, &options, gauge))).unwrap_or_else(|cause| {
         let error = RunError { stage: None, input: Some(input), cause };
         (not_run.failed(&error), Some(error))
     });
@@ -116,23 +116,23 @@ fn one(
 }
 
 /// Runs the chain over one input; returns the work done and the first cause of a failure.
-pub(super) fn run_input(shared: &Shared, mut site: RunContext, options: &Options, gauge: &Gauge) -> Ended {
-    let loaded = shared.geometry.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).load(&site.stem);
+pub(super) fn run_input(shared: &Shared, mut run: RunContext, options: &Options, gauge: &Gauge) -> Ended {
+    let loaded = shared.geometry.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).load(&run.stem);
     match loaded {
         Ok(its_geometry) => {
-            site.geometry = Arc::new(its_geometry);
-            site.read_ppm = Arc::clone(&gauge.read_ppm);
+            run.geometry = Arc::new(its_geometry);
+            run.read_ppm = Arc::clone(&gauge.read_ppm);
         }
         Err(error) => {
-            let not_run = InputSummary::not_run(&site);
+            let not_run = InputSummary::not_run(&run);
             let cause = Cause::Stage(error.into());
-            let error = RunError { stage: None, input: Some(site.input), cause };
+            let error = RunError { stage: None, input: Some(run.input), cause };
             return (not_run.failed(&error), Some(error));
         }
     }
-    let observer = options.observers.as_ref().map(|observers| observers.of_input(&site.stem));
+    let observer = options.observers.as_ref().map(|observers| observers.of_input(&run.stem));
     let cx = shared.cx.another().observed(observer);
-    let (input, error) = chain::run(shared.job, &Arc::new(site), options, shared.common, gauge, &cx);
+    let (input, error) = chain::run(shared.job, &Arc::new(run), options, shared.common, gauge, &cx);
     match error {
         Some(error) => (input.failed(&error), Some(error)),
         None => (input, None),

@@ -177,7 +177,7 @@ impl From<(&Path, &Trajectory)> for TrajectorySummary {
 
 impl InputSummary {
     pub(super) fn new(
-        site: &RunContext,
+        run: &RunContext,
         started: Instant,
         totals: Totals,
         stages: Vec<StageSummary>,
@@ -185,11 +185,11 @@ impl InputSummary {
         peak_in_flight_bytes: usize,
     ) -> InputSummary {
         let input = totals.input.as_deref();
-        let survey_instrument = survey_instrument(site, &totals);
+        let survey_instrument = survey_instrument(run, &totals);
         let (now, elapsed) = (SystemTime::now(), started.elapsed());
         InputSummary {
-            path: site.input.clone(),
-            stem: site.stem.clone(),
+            path: run.input.clone(),
+            stem: run.stem.clone(),
             status: InputStatus::Done,
             failure: None,
             format: input.map(|input| input.format.clone()),
@@ -210,10 +210,10 @@ impl InputSummary {
             channel_fusion: totals.fusion.as_deref().cloned(),
             survey_instrument,
             sensor_model: totals.model.as_deref().filter(|_| survey_instrument.is_none()).cloned(),
-            trajectory: site.geometry.trajectory().map(TrajectorySummary::from),
+            trajectory: run.geometry.trajectory().map(TrajectorySummary::from),
             // An error here would already have ended the run.
             coordinates: input
-                .and_then(|input| site.geometry.target(input).ok().flatten())
+                .and_then(|input| run.geometry.target(input).ok().flatten())
                 .map(|target| target.name().to_owned()),
             stages,
             outputs,
@@ -221,8 +221,8 @@ impl InputSummary {
     }
 
     /// Results of an input that no stage has started.
-    pub(super) fn not_run(site: &RunContext) -> InputSummary {
-        let nothing = InputSummary::new(site, Instant::now(), Totals::default(), Vec::new(), Vec::new(), 0);
+    pub(super) fn not_run(run: &RunContext) -> InputSummary {
+        let nothing = InputSummary::new(run, Instant::now(), Totals::default(), Vec::new(), Vec::new(), 0);
         let (started, ended) = (String::new(), String::new());
         InputSummary { status: InputStatus::NotRun, started, ended, wall_s: 0.0, ..nothing }
     }
@@ -298,10 +298,10 @@ pub fn host() -> Option<String> {
 }
 
 /// Index of the instrument in the survey whose model the input has.
-fn survey_instrument(site: &RunContext, totals: &Totals) -> Option<usize> {
+fn survey_instrument(run: &RunContext, totals: &Totals) -> Option<usize> {
     let model = totals.model.as_ref()?;
     let is_same = |of: &InstrumentModel| of.sensor_model.as_ref().is_some_and(|of| Arc::ptr_eq(of, model));
-    site.survey.as_ref()?.instruments.iter().position(is_same)
+    run.survey.as_ref()?.instruments.iter().position(is_same)
 }
 
 /// Serialises what an `Arc` holds.

@@ -254,8 +254,8 @@ impl Survey<'_> {
     ) -> Result<Result<(), StageError>, RunError> {
         let Plan::Transform(plan) = &self.job.stages[stage].planned.plan else { return Ok(Ok(())) };
         let input = Input { path: Default::default(), stem: String::new() };
-        let site: RunContext = run_context(self.options, input, self.pool.clone());
-        let learnt = plan.learn(lines, &mut Learning { site: &site, known, cx, only_compares });
+        let run: RunContext = run_context(self.options, input, self.pool.clone());
+        let learnt = plan.learn(lines, &mut Learning { run: &run, known, cx, only_compares });
         match learnt {
             _ if self.options.cancel.is_cancelled() => {
                 Err(RunError { stage: None, input: None, cause: Cause::Interrupted })

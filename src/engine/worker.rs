@@ -134,30 +134,30 @@ impl WorkerContext<'_> {
 }
 
 /// Reads the whole input; each line waits until it fits into the memory budget.
-pub(super) fn run_source(mut source: Box<dyn Source>, desk: &mut WorkerContext) -> Result<()> {
+pub(super) fn run_source(mut source: Box<dyn Source>, worker: &mut WorkerContext) -> Result<()> {
     let mut place = 0;
     loop {
-        let next = source.next(&mut desk.cx);
-        desk.meter.worked();
-        desk.meter.line_done();
+        let next = source.next(&mut worker.cx);
+        worker.meter.worked();
+        worker.meter.line_done();
         let Some(mut scan_line) = next? else { break };
-        desk.shared.gauge.read(scan_line.emissions.len() as u64, source.progress());
-        scan_line.waveforms = desk.shared.keeps_waveforms.then(Blocks::default);
+        worker.shared.gauge.read(scan_line.emissions.len() as u64, source.progress());
+        scan_line.waveforms = worker.shared.keeps_waveforms.then(Blocks::default);
         let bytes = scan_line.bytes();
-        if bytes > desk.shared.largest_line_bytes {
-            return Err(too_large(scan_line.line, bytes, desk.shared));
+        if bytes > worker.shared.largest_line_bytes {
+            return Err(too_large(scan_line.line, bytes, worker.shared));
         }
-        let failure = &desk.shared.failure;
-        match desk.shared.budget.take(bytes, || failure.stopping()) {
+        let failure = &worker.shared.failure;
+        match worker.shared.budget.take(bytes, || failure.stopping()) {
             Ok(_) | Err(NoRoom::Cancelled) if failure.stopping() => return Err(StageError::Stopped),
             Ok(ticket) => scan_line.ticket = Some(ticket),
             Err(NoRoom::Cancelled) => return Err(StageError::Stopped),
-            Err(NoRoom::Full(held)) => return Err(no_room(scan_line.line, bytes, held, desk.shared)),
+            Err(NoRoom::Full(held)) => return Err(no_room(scan_line.line, bytes, held, worker.shared)),
         }
-        desk.send(place, scan_line)?;
+        worker.send(place, scan_line)?;
         place += 1;
     }
-    desk.end()
+    worker.end()
 }
 
 fn too_large(line: u32, bytes: usize, shared: &Shared) -> StageError {
@@ -190,40 +190,40 @@ fn no_room(line: u32, bytes: usize, held: usize, shared: &Shared) -> StageError 
 }
 
 /// Maps lines one by one; one of several workers.
-pub(super) fn run_map(mut map: Box<dyn Map>, inlet: &mut Inlet, desk: &mut WorkerContext) -> Result<()> {
-    while let Some((place, scan_line)) = desk.take(inlet)? {
-        let permit = desk.shared.workers.take();
-        desk.meter.waited();
-        let result = map.map(scan_line, &mut desk.cx);
+pub(super) fn run_map(mut map: Box<dyn Map>, inlet: &mut Inlet, worker: &mut WorkerContext) -> Result<()> {
+    while let Some((place, scan_line)) = worker.take(inlet)? {
+        let permit = worker.shared.workers.take();
+        worker.meter.waited();
+        let result = map.map(scan_line, &mut worker.cx);
         drop(permit);
-        desk.meter.worked();
-        desk.meter.line_done();
-        desk.send(place, result?)?;
+        worker.meter.worked();
+        worker.meter.line_done();
+        worker.send(place, result?)?;
     }
-    desk.end()
+    worker.end()
 }
 
 /// Passes lines to a transform, which emits lines when it is ready.
 pub(super) fn run_transform(
     mut stage: Box<dyn Transform>,
     inlet: &mut Inlet,
-    desk: &mut WorkerContext,
+    worker: &mut WorkerContext,
 ) -> Result<()> {
     let mut place = 0;
     loop {
-        let mut next = desk.take(inlet)?;
+        let mut next = worker.take(inlet)?;
         let ended = next.is_none();
-        let budget = Arc::clone(&desk.shared.budget);
+        let budget = Arc::clone(&worker.shared.budget);
         let at_work = budget.at_work();
         set_inside(next.as_mut().map(|(_, scan_line)| scan_line), true);
         // The stage borrows the context while it emits lines, so take it out of the worker's state.
-        let mut cx = std::mem::take(&mut desk.cx);
-        let may_hold_bytes = desk.shared.may_hold_bytes;
+        let mut cx = std::mem::take(&mut worker.cx);
+        let may_hold_bytes = worker.shared.may_hold_bytes;
         let mut emit = |mut scan_line: ScanLine| {
-            desk.meter.worked();
+            worker.meter.worked();
             place += 1;
             set_inside(Some(&mut scan_line), false);
-            desk.send(place - 1, scan_line)
+            worker.send(place - 1, scan_line)
         };
         let mut out = Output::new(&mut cx, may_hold_bytes, &mut emit);
         let result = match next {
@@ -231,14 +231,14 @@ pub(super) fn run_transform(
             None => stage.finish(&mut out),
         };
         let foreseen_bytes = out.foreseen_bytes();
-        desk.cx = cx;
-        desk.foresee(foreseen_bytes);
+        worker.cx = cx;
+        worker.foresee(foreseen_bytes);
         drop(at_work);
-        desk.meter.worked();
-        desk.meter.line_done();
+        worker.meter.worked();
+        worker.meter.line_done();
         result?;
         if ended {
-            return desk.end();
+            return worker.end();
         }
     }
 }
@@ -251,16 +251,16 @@ fn set_inside(scan_line: Option<&mut ScanLine>, is_inside: bool) {
 }
 
 /// Writes lines and passes them on.
-pub(super) fn run_sink(mut sink: Box<dyn Sink>, inlet: &mut Inlet, desk: &mut WorkerContext) -> Result<()> {
-    while let Some((place, scan_line)) = desk.take(inlet)? {
-        let result = sink.write(&scan_line, &mut desk.cx);
-        desk.meter.worked();
-        desk.meter.line_done();
+pub(super) fn run_sink(mut sink: Box<dyn Sink>, inlet: &mut Inlet, worker: &mut WorkerContext) -> Result<()> {
+    while let Some((place, scan_line)) = worker.take(inlet)? {
+        let result = sink.write(&scan_line, &mut worker.cx);
+        worker.meter.worked();
+        worker.meter.line_done();
         result?;
-        desk.send(place, scan_line)?;
+        worker.send(place, scan_line)?;
     }
-    sink.finish(&mut desk.cx)?;
-    desk.meter.worked();
-    desk.meter.line_done();
-    desk.end()
+    sink.finish(&mut worker.cx)?;
+    worker.meter.worked();
+    worker.meter.line_done();
+    worker.end()
 }

@@ -21,12 +21,12 @@ pub(crate) struct Excerpt {
 }
 
 impl SourcePlan for Excerpt {
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        let source = self.reader.make(site)?;
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
+        let source = self.reader.make(run)?;
         let skip = Skip {
             reader: Arc::clone(&self.reader),
             keys: self.keys.clone(),
-            site: site.clone(),
+            run: run.clone(),
             shot: self.shot,
             margin: self.margin,
             may_skip: Arc::clone(&self.may_skip),
@@ -39,7 +39,7 @@ impl SourcePlan for Excerpt {
 struct Skip {
     reader: Arc<dyn SourcePlan>,
     keys: serde_json::Value,
-    site: RunContext,
+    run: RunContext,
     shot: u64,
     margin: usize,
     may_skip: Arc<AtomicBool>,
@@ -60,8 +60,8 @@ impl Source for ExcerptSource {
         let may_skip =
             |skip: &mut Skip| skip.may_skip.load(Ordering::Relaxed) && self.source.location().is_some();
         if let Some(skip) = self.skip.take_if(may_skip) {
-            let read_ppm = Arc::clone(&skip.site.read_ppm);
-            let mut recording = Recording::of_reader(skip.reader, &skip.keys, skip.site)?;
+            let read_ppm = Arc::clone(&skip.run.read_ppm);
+            let mut recording = Recording::of_reader(skip.reader, &skip.keys, skip.run)?;
             let index = recording.index(&mut |part| {
                 read_ppm.store((part * 1e6) as u64, Ordering::Relaxed);
                 Ok(())

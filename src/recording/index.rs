@@ -77,16 +77,16 @@ impl LineIndex {
     pub(super) fn of_file(
         reader: &dyn SourcePlan,
         keys: &str,
-        site: &RunContext,
+        run: &RunContext,
         watch: &mut Watch,
     ) -> Result<LineIndex> {
-        let identity = identity(&site.input, keys);
-        let path = index_path(&site.input);
+        let identity = identity(&run.input, keys);
+        let path = index_path(&run.input);
         if let Some(index) = identity.as_ref().and_then(|identity| LineIndex::read(&path, identity)) {
             return Ok(index);
         }
-        let index = LineIndex::make(reader, site, watch)?;
-        let is_large = fs::metadata(&site.input).is_ok_and(|about| about.len() >= SMALLEST_KEPT_BYTES);
+        let index = LineIndex::make(reader, run, watch)?;
+        let is_large = fs::metadata(&run.input).is_ok_and(|about| about.len() >= SMALLEST_KEPT_BYTES);
         if let (true, Some(identity)) = (is_large, identity) {
             // The folder may be read-only; the index is then made again by the next program.
             let _ = index.write(&path, &identity);
@@ -97,17 +97,17 @@ impl LineIndex {
     /// Makes the index in one pass, without samples where the format permits.
     ///
     /// Ends with [`StageError::Stopped`] once the run is cancelled.
-    fn make(reader: &dyn SourcePlan, site: &RunContext, watch: &mut Watch) -> Result<LineIndex> {
-        let mut source = reader.make_for_inspection(site, false)?;
+    fn make(reader: &dyn SourcePlan, run: &RunContext, watch: &mut Watch) -> Result<LineIndex> {
+        let mut source = reader.make_for_inspection(run, false)?;
         let (mut lines, mut cx) = (Vec::new(), Context::default());
         while let Some(line) = source.next(&mut cx)? {
             let Some(location) = source.location() else {
-                let problem = format!("{}: scan lines cannot be read in any order", site.input.display());
+                let problem = format!("{}: scan lines cannot be read in any order", run.input.display());
                 let remedy = "use a container in the file format of Arrow, or a reader without `time_s`";
                 return Err(StageError::failed(problem, remedy));
             };
             lines.extend(IndexedLine::of(&line, location));
-            if site.cancelled.load(Ordering::Relaxed) {
+            if run.cancelled.load(Ordering::Relaxed) {
                 return Err(StageError::Stopped);
             }
             watch(source.progress().unwrap_or_default())?;

@@ -117,7 +117,7 @@ mod tests {
 
     #[test]
     fn a_star_is_the_stem_of_the_input() {
-        let site = RunContext {
+        let run = RunContext {
             input: "in/flight7.pls".into(),
             stem: "flight7".into(),
             input_dir: "in".into(),
@@ -125,8 +125,8 @@ mod tests {
             simd: SimdLevel::Portable,
             ..RunContext::alone("".as_ref())
         };
-        assert_eq!(site.output_path("las/*_ex.laz"), Path::new("out/las/flight7_ex.laz"));
-        assert_eq!(site.output_path("/abs/all.laz"), Path::new("/abs/all.laz"));
+        assert_eq!(run.output_path("las/*_ex.laz"), Path::new("out/las/flight7_ex.laz"));
+        assert_eq!(run.output_path("/abs/all.laz"), Path::new("/abs/all.laz"));
     }
 
     #[test]

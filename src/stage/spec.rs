@@ -54,22 +54,22 @@ pub trait SourceConfig: Config {
     }
 
     /// Opens the input of a run.
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>>;
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Source>>;
 
     /// Opens the input for inspection.
     ///
     /// Unless `with_samples`, blocks may lack their samples or be missing, as the format permits. A
     /// truncated file may yield its readable part before the error.
-    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
+    fn make_for_inspection(&self, run: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         let _ = with_samples;
-        self.make(site)
+        self.make(run)
     }
 }
 
 /// Keys of a [`Map`].
 pub trait MapConfig: Config {
     /// Creates one worker.
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Map>>;
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Map>>;
 
     /// Called at the end of a successful run with the counters of all workers.
     ///
@@ -105,14 +105,14 @@ pub trait TransformConfig: Config {
     }
 
     /// Creates the stage.
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>>;
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>>;
 }
 
 /// Context in which a transform learns, see [`TransformConfig::learn`].
 #[derive(Debug)]
 pub struct Learning<'a> {
     /// Folders and threads.
-    pub site: &'a RunContext,
+    pub run: &'a RunContext,
     /// Model of the instrument; receives what is learnt.
     pub known: &'a mut InstrumentModel,
     /// Counters and notes.
@@ -150,7 +150,7 @@ pub trait SinkConfig: Config {
     }
 
     /// Creates the files of a run.
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>>;
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>>;
 }
 
 /// Role of a stage.
@@ -247,18 +247,18 @@ pub trait SourcePlan: Send + Sync {
         Vec::new()
     }
     /// See [`SourceConfig::make`].
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>>;
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Source>>;
     /// See [`SourceConfig::make_for_inspection`].
-    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
+    fn make_for_inspection(&self, run: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         let _ = with_samples;
-        self.make(site)
+        self.make(run)
     }
 }
 
 /// The object-safe part of [`MapConfig`].
 pub trait MakeMap: Send + Sync {
     /// See [`MapConfig::make`].
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Map>>;
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Map>>;
     /// See [`MapConfig::conclude`].
     fn conclude(&self, cx: &mut Context);
 }
@@ -274,7 +274,7 @@ pub trait MakeTransform: Send + Sync {
     /// See [`TransformConfig::learn`].
     fn learn(&self, lines: &mut Vec<ScanLine>, learning: &mut Learning) -> Result<()>;
     /// See [`TransformConfig::make`].
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>>;
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>>;
 }
 
 /// The object-safe part of [`SinkConfig`].
@@ -288,7 +288,7 @@ pub trait SinkPlan: Send + Sync {
         false
     }
     /// See [`SinkConfig::make`].
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>>;
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>>;
 }
 
 impl Planned {
@@ -309,17 +309,17 @@ impl<C: SourceConfig> SourcePlan for C {
     fn outputs(&self) -> Vec<&str> {
         SourceConfig::outputs(self)
     }
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        SourceConfig::make(self, site)
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
+        SourceConfig::make(self, run)
     }
-    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        SourceConfig::make_for_inspection(self, site, with_samples)
+    fn make_for_inspection(&self, run: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
+        SourceConfig::make_for_inspection(self, run, with_samples)
     }
 }
 
 impl<C: MapConfig> MakeMap for C {
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Map>> {
-        MapConfig::make(self, site)
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Map>> {
+        MapConfig::make(self, run)
     }
     fn conclude(&self, cx: &mut Context) {
         MapConfig::conclude(self, cx);
@@ -339,8 +339,8 @@ impl<C: TransformConfig> MakeTransform for C {
     fn learn(&self, lines: &mut Vec<ScanLine>, learning: &mut Learning) -> Result<()> {
         TransformConfig::learn(self, lines, learning)
     }
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
-        TransformConfig::make(self, site)
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>> {
+        TransformConfig::make(self, run)
     }
 }
 
@@ -351,8 +351,8 @@ impl<C: SinkConfig> SinkPlan for C {
     fn needs_waveforms(&self) -> bool {
         SinkConfig::needs_waveforms(self)
     }
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
-        SinkConfig::make(self, site)
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
+        SinkConfig::make(self, run)
     }
 }
 

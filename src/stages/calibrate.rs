@@ -45,15 +45,15 @@ impl TransformConfig for Calibrate {
         Holds::First
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>> {
         let model = match (&self.load, self.preset) {
-            (Some(path), _) => Some(Arc::new(load_model(&site.input_path(path))?)),
+            (Some(path), _) => Some(Arc::new(load_model(&run.input_path(path))?)),
             (None, Some(preset)) => Some(Arc::new(preset.model()?)),
             (None, None) => None,
         };
-        let save = self.save.as_ref().filter(|_| site.has_outputs);
-        let save = save.map(|pattern| site.create(pattern)).transpose()?;
-        Ok(Box::new(Calibrator { save, ..self.calibrator(site).given(model) }))
+        let save = self.save.as_ref().filter(|_| run.has_outputs);
+        let save = save.map(|pattern| run.create(pattern)).transpose()?;
+        Ok(Box::new(Calibrator { save, ..self.calibrator(run).given(model) }))
     }
 
     fn learns(&self) -> Option<Learns> {
@@ -62,7 +62,7 @@ impl TransformConfig for Calibrate {
     }
 
     fn learn(&self, lines: &mut Vec<ScanLine>, learning: &mut Learning) -> Result<()> {
-        let mut calibrator = self.calibrator(learning.site);
+        let mut calibrator = self.calibrator(learning.run);
         if learning.only_compares {
             // The response takes most of the time.
             calibrator.config.response = ResponseKey::Gaussian;
@@ -86,16 +86,16 @@ impl Calibrate {
     }
 
     /// The stage without a model.
-    fn calibrator(&self, site: &RunContext) -> Calibrator {
+    fn calibrator(&self, run: &RunContext) -> Calibrator {
         Calibrator {
             config: self.clone(),
-            simd: site.simd,
-            pool: site.pool.clone(),
-            cancelled: Arc::clone(&site.cancelled),
+            simd: run.simd,
+            pool: run.pool.clone(),
+            cancelled: Arc::clone(&run.cancelled),
             look_ahead: LookAhead::new(self.waveforms),
             clipping_dn: [None; 2],
-            survey: site.survey.clone().filter(|_| TransformConfig::learns(self).is_some()),
-            stem: site.stem.clone(),
+            survey: run.survey.clone().filter(|_| TransformConfig::learns(self).is_some()),
+            stem: run.stem.clone(),
             model: None,
             in_use: None,
             checks: Default::default(),
@@ -148,8 +148,8 @@ impl MakeTransform for WithModel {
         Ok(())
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
-        Ok(Box::new(self.config.calibrator(site).given(Some(Arc::clone(&self.model)))))
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>> {
+        Ok(Box::new(self.config.calibrator(run).given(Some(Arc::clone(&self.model)))))
     }
 }
 

@@ -207,7 +207,7 @@ impl TransformConfig for Correct {
     }
 
     fn learn(&self, lines: &mut Vec<ScanLine>, learning: &mut Learning) -> Result<()> {
-        let tables = self.corrections(learning.site)?;
+        let tables = self.corrections(learning.run)?;
         let tables = lines.first().map(|line| tables.range_tables(&line.input)).unwrap_or_default();
         if let Some(model) = &mut learning.known.sensor_model {
             *model = Arc::new(Walks::learnt(lines, &tables, learning.cx).with_walks(model));
@@ -215,20 +215,20 @@ impl TransformConfig for Correct {
         Ok(())
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
-        let corrections = self.corrections(site)?;
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>> {
+        let corrections = self.corrections(run)?;
         let [low, high] =
             [&self.width_correction_low, &self.width_correction_high].map(WidthCorrection::given);
         let walks = match &self.range_walk {
-            WalkKey::File(path) => WalkSource::Known(Walks::open(&site.input_path(path))?),
+            WalkKey::File(path) => WalkSource::Known(Walks::open(&run.input_path(path))?),
             WalkKey::Without(_) => WalkSource::Known(Walks::default()),
             // Without a correction of ranges for amplitude, none is learnt either.
             _ if self.range_table == TableKey::Own(false) => WalkSource::Known(Walks::default()),
             WalkKey::Loaded(Loaded::Model) => WalkSource::Model,
             WalkKey::Auto(_) => WalkSource::Learnt,
         };
-        let save_model = self.save_model.as_ref().filter(|_| site.has_outputs);
-        let save_model = save_model.map(|pattern| site.create(pattern)).transpose()?;
+        let save_model = self.save_model.as_ref().filter(|_| run.has_outputs);
+        let save_model = save_model.map(|pattern| run.create(pattern)).transpose()?;
         let look_ahead = LookAhead::new(WAVEFORMS);
         Ok(Box::new(Corrector { corrections, widths: [low, high], walks, save_model, look_ahead }))
     }
@@ -236,9 +236,9 @@ impl TransformConfig for Correct {
 
 impl Correct {
     /// The corrections, with the tables of the job.
-    fn corrections(&self, site: &RunContext) -> Result<Corrections> {
+    fn corrections(&self, run: &RunContext) -> Result<Corrections> {
         let open = |key: &TableKey| match key {
-            TableKey::File(path) => LookupTables::open(&site.input_path(path)).map(Some),
+            TableKey::File(path) => LookupTables::open(&run.input_path(path)).map(Some),
             TableKey::Own(_) => Ok(None),
         };
         Corrections::new(self, open(&self.range_table)?, open(&self.amplitude_table)?)

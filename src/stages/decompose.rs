@@ -257,8 +257,8 @@ impl Config for Decompose {
 }
 
 impl MapConfig for Decompose {
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Map>> {
-        Ok(Box::new(LineDecomposer { config: self.clone(), path: site.simd, worker: None }))
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Map>> {
+        Ok(Box::new(LineDecomposer { config: self.clone(), path: run.simd, worker: None }))
     }
 
     fn conclude(&self, cx: &mut Context) {

@@ -123,10 +123,10 @@ impl TransformConfig for FuseChannels {
         Ok(())
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
-        let survey = site.survey.clone().filter(|_| self.learns().is_some());
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>> {
+        let survey = run.survey.clone().filter(|_| self.learns().is_some());
         let fuser = self.fuser(LookAhead::new(self.waveforms));
-        Ok(Box::new(ChannelFuser { survey, stem: site.stem.clone(), ..fuser }))
+        Ok(Box::new(ChannelFuser { survey, stem: run.stem.clone(), ..fuser }))
     }
 }
 

@@ -64,9 +64,9 @@ impl Config for Georeference {
 }
 
 impl MapConfig for Georeference {
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Map>> {
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Map>> {
         Ok(Box::new(Georeferencer {
-            geometry: Arc::clone(&site.geometry),
+            geometry: Arc::clone(&run.geometry),
             dummy_velocity_mps: self.dummy_velocity_mps,
             target: None,
             input: None,

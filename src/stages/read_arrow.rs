@@ -105,12 +105,12 @@ impl SourceConfig for Config {
         Some(&self.path)
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        self.declare(ArrowLineReader::open(site, self.sampling())?, site, true)
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
+        self.declare(ArrowLineReader::open(run, self.sampling())?, run, true)
     }
 
-    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        self.declare(ArrowLineReader::open_partial(site, self.sampling())?, site, with_samples)
+    fn make_for_inspection(&self, run: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
+        self.declare(ArrowLineReader::open_partial(run, self.sampling())?, run, with_samples)
     }
 }
 
@@ -118,7 +118,7 @@ impl Config {
     fn declare(
         &self,
         mut source: ArrowLineReader,
-        site: &RunContext,
+        run: &RunContext,
         with_samples: bool,
     ) -> Result<Box<dyn Source>> {
         if self.refractive_index_ppm.is_none() {
@@ -136,7 +136,7 @@ impl Config {
             source.reader.skip_samples();
         }
         let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
-        let declared = Declared::new(times, crs, self.refractive_index_ppm, site)?;
+        let declared = Declared::new(times, crs, self.refractive_index_ppm, run)?;
         Ok(Box::new(
             AsDeclared::new(ArrowLineReader { with_samples, ..source }, declared).checking_emissions(),
         ))
@@ -165,24 +165,24 @@ const GAINS: std::ops::RangeInclusive<f64> = 1.0 / 1024.0..=1024.0;
 const UNIT_TOLERANCE: f64 = 1e-6;
 
 impl ArrowLineReader {
-    fn open(site: &RunContext, sampling: Sampling) -> Result<ArrowLineReader> {
-        let path = &site.input;
-        let reader = match pipe(site).map_err(Error::io(path, "open"))? {
+    fn open(run: &RunContext, sampling: Sampling) -> Result<ArrowLineReader> {
+        let path = &run.input;
+        let reader = match pipe(run).map_err(Error::io(path, "open"))? {
             Some(pipe) => ContainerReader::from_stream(path, pipe)?,
             None => ContainerReader::open(path)?,
         };
-        ArrowLineReader::begin(reader, site, sampling)
+        ArrowLineReader::begin(reader, run, sampling)
     }
 
     /// As [`ArrowLineReader::open`]; a file without its end is read up to the damage.
-    fn open_partial(site: &RunContext, sampling: Sampling) -> Result<ArrowLineReader> {
-        let damage = match ArrowLineReader::open(site, sampling) {
-            Err(damage) if site.input.is_file() => damage,
+    fn open_partial(run: &RunContext, sampling: Sampling) -> Result<ArrowLineReader> {
+        let damage = match ArrowLineReader::open(run, sampling) {
+            Err(damage) if run.input.is_file() => damage,
             opened => return opened,
         };
-        let readable = File::open(&site.input).ok().and_then(|file| {
-            let reader = ContainerReader::from_stream(&site.input, Box::new(file)).ok()?;
-            ArrowLineReader::begin(reader, site, sampling).ok()
+        let readable = File::open(&run.input).ok().and_then(|file| {
+            let reader = ContainerReader::from_stream(&run.input, Box::new(file)).ok()?;
+            ArrowLineReader::begin(reader, run, sampling).ok()
         });
         match readable {
             Some(readable) => Ok(ArrowLineReader { damage: Some(damage), ..readable }),
@@ -190,8 +190,8 @@ impl ArrowLineReader {
         }
     }
 
-    fn begin(mut reader: ContainerReader, site: &RunContext, sampling: Sampling) -> Result<ArrowLineReader> {
-        let (path, stem) = (&site.input, &site.stem);
+    fn begin(mut reader: ContainerReader, run: &RunContext, sampling: Sampling) -> Result<ArrowLineReader> {
+        let (path, stem) = (&run.input, &run.stem);
         let first = reader.next_line()?;
         let reference = match first.as_ref().is_some_and(has_outgoing_pulse) {
             true => EmissionReference::OutgoingPulse,
@@ -329,18 +329,18 @@ impl Source for ArrowLineReader {
 /// Opens standard input or a named pipe; `None` for a file.
 ///
 /// Where a wait for bytes can be ended, it ends with the run.
-fn pipe(site: &RunContext) -> std::io::Result<Option<Box<dyn Read + Send>>> {
-    let is_standard_input = site.input.as_os_str() == "-";
+fn pipe(run: &RunContext) -> std::io::Result<Option<Box<dyn Read + Send>>> {
+    let is_standard_input = run.input.as_os_str() == "-";
     #[cfg(unix)]
     {
         use crate::system::pipe::Pipe;
         use std::os::unix::fs::FileTypeExt;
-        let is_pipe = || std::fs::metadata(&site.input).is_ok_and(|about| about.file_type().is_fifo());
-        let cancelled = Arc::clone(&site.cancelled);
+        let is_pipe = || std::fs::metadata(&run.input).is_ok_and(|about| about.file_type().is_fifo());
+        let cancelled = Arc::clone(&run.cancelled);
         Ok(if is_standard_input {
             Some(Box::new(Pipe::standard_input(cancelled)?))
         } else if is_pipe() {
-            Some(Box::new(Pipe::open(&site.input, cancelled)?))
+            Some(Box::new(Pipe::open(&run.input, cancelled)?))
         } else {
             None
         })

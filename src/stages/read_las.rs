@@ -159,22 +159,22 @@ impl SourceConfig for ReadLas {
         Some(&self.path)
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
         // A job refuses a truncated file at once.
-        drop(Reader::open(&site.input)?);
-        self.make_for_inspection(site, true)
+        drop(Reader::open(&run.input)?);
+        self.make_for_inspection(run, true)
     }
 
-    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
+    fn make_for_inspection(&self, run: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
         let times = self.time_keys();
-        let mut declared = Declared::new(times, self.crs_of_input.as_deref(), None, site)?;
+        let mut declared = Declared::new(times, self.crs_of_input.as_deref(), None, run)?;
         let crs_wkt = declared.crs_wkt.take();
-        let open = || LasReader::open(&site.input, &site.stem, self, crs_wkt.as_deref());
+        let open = || LasReader::open(&run.input, &run.stem, self, crs_wkt.as_deref());
         let mut source = open()?;
         declared.crs_wkt = crs_wkt.clone().map(|wkt| source.geometry.units.converted(wkt));
         contradiction::check_beams(&source.geometry)?;
         if self.check_locations {
-            contradiction::check_locations(&mut Reader::open_partial(&site.input)?.0, &source.geometry)?;
+            contradiction::check_locations(&mut Reader::open_partial(&run.input)?.0, &source.geometry)?;
         }
         source.reader.skip_unused_fields();
         (source.with_samples, source.range_time_offset_ns) = (with_samples, self.range_time_offset_ns);

@@ -139,15 +139,15 @@ impl SourceConfig for ReadPulseWaves {
         Some(&self.path)
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        let (mut source, declared) = self.open(site)?;
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
+        let (mut source, declared) = self.open(run)?;
         source.reader.check_complete()?;
         source.choose_emission(self.emission);
         Ok(Box::new(AsDeclared::new(source, declared)))
     }
 
-    fn make_for_inspection(&self, site: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        let (mut source, declared) = self.open(site)?;
+    fn make_for_inspection(&self, run: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
+        let (mut source, declared) = self.open(run)?;
         source.with_samples = with_samples;
         if with_samples {
             source.choose_emission(self.emission);
@@ -157,11 +157,11 @@ impl SourceConfig for ReadPulseWaves {
 }
 
 impl ReadPulseWaves {
-    fn open(&self, site: &RunContext) -> Result<(PulseWavesReader, Declared)> {
+    fn open(&self, run: &RunContext) -> Result<(PulseWavesReader, Declared)> {
         let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
-        let mut declared = Declared::new(times, crs, self.refractive_index_ppm, site)?;
+        let mut declared = Declared::new(times, crs, self.refractive_index_ppm, run)?;
         let of_job = declared.crs_wkt.as_deref();
-        let mut source = PulseWavesReader::open(&site.input, &site.stem, self.sampling(), of_job)?;
+        let mut source = PulseWavesReader::open(&run.input, &run.stem, self.sampling(), of_job)?;
         if self.recording_time.is_some() {
             source.time_shift_s = 0.0;
         }

@@ -124,8 +124,8 @@ impl SourceConfig for Config {
         Some(&self.path)
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        Ok(Box::new(SdfLineReader::open(self, site)?))
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
+        Ok(Box::new(SdfLineReader::open(self, run)?))
     }
 }
 
@@ -172,14 +172,14 @@ const SAMPLES_LOOKED_AT: usize = 1 << 22;
 const LATE_SHOTS: u32 = 100;
 
 impl SdfLineReader {
-    fn open(config: &Config, site: &RunContext) -> Result<SdfLineReader> {
-        let path = &site.input;
+    fn open(config: &Config, run: &RunContext) -> Result<SdfLineReader> {
+        let path = &run.input;
         let library = config.library.as_ref().map(|library| {
-            let in_folder = site.input_path(Path::new(library));
+            let in_folder = run.input_path(Path::new(library));
             // A bare name that is not a file is left for the system loader to find.
             if in_folder.exists() || library.contains(['/', '\\']) { in_folder } else { library.into() }
         });
-        let index_dir = config.index_dir.as_ref().map(|folder| site.input_path(Path::new(folder)));
+        let index_dir = config.index_dir.as_ref().map(|folder| run.input_path(Path::new(folder)));
         let mut reader = SdfReader::open(path, library.as_deref(), index_dir.as_deref(), &|file| {
             tracing::info!("loading the library {}", file.display());
         })?;
@@ -205,7 +205,7 @@ impl SdfLineReader {
         let leap_s = if config.utc { times.leap_s(path, first_s)? } else { 0.0 };
         let times = times.later_by(leap_s + config.time_offset_s);
         remarks.extend(times.remark.map(str::to_owned));
-        let input = describe(config, site, &reader, &times, tables, &ahead);
+        let input = describe(config, run, &reader, &times, tables, &ahead);
         remarks.extend(recording::green_note(input.instrument.as_deref()));
         let mut at_end = false;
         let window_s = config.time_keys().window_s(&times, path)?;
@@ -351,7 +351,7 @@ const FULL_SCALE_DN: u16 = 255;
 
 fn describe(
     config: &Config,
-    site: &RunContext,
+    run: &RunContext,
     reader: &SdfReader,
     times: &Times,
     tables: CalibrationTables,
@@ -359,11 +359,11 @@ fn describe(
 ) -> InputInfo {
     let (info, version) = (reader.info(), reader.version());
     let text = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
-    let is_wfm = site.input.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("wfm"));
+    let is_wfm = run.input.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("wfm"));
     InputInfo {
         full_scale_is_set: false,
-        path: site.input.clone(),
-        stem: site.stem.clone(),
+        path: run.input.clone(),
+        stem: run.stem.clone(),
         format: format!(
             "RIEGL {} (RiWAVELib {}.{})",
             if is_wfm { "WFM" } else { "SDF" },

@@ -167,9 +167,9 @@ impl Declared {
         times: TimeKeys,
         crs_of_input: Option<&str>,
         refractive_index_ppm: Option<f64>,
-        site: &RunContext,
+        run: &RunContext,
     ) -> Result<Declared> {
-        let crs_wkt = crs_of_input.map(|word| declared::wkt(word, &site.input_dir)).transpose()?;
+        let crs_wkt = crs_of_input.map(|word| declared::wkt(word, &run.input_dir)).transpose()?;
         Ok(Declared { times, crs_wkt, group_velocity_mps: refractive_index_ppm.map(group_velocity_mps) })
     }
 }

@@ -214,12 +214,12 @@ impl ResolveMta {
 }
 
 impl TransformConfig for ResolveMta {
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Transform>> {
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>> {
         let terrain = match &self.terrain {
-            Some(path) => Some(Terrain::open(&site.input_path(path))?),
+            Some(path) => Some(Terrain::open(&run.input_path(path))?),
             None => None,
         };
-        let placed = Arc::clone(&site.geometry);
+        let placed = Arc::clone(&run.geometry);
         Ok(Box::new(MtaResolver { config: self.clone(), terrain, placed, strip: None }))
     }
 }

@@ -36,12 +36,12 @@ impl SourceConfig for Simulate {
         [&self.truth, &self.sbet, &self.pof].into_iter().flatten().map(String::as_str).collect()
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        let truth = match self.truth.as_ref().filter(|_| site.has_outputs) {
-            Some(pattern) => Some(TruthFile::create(site, pattern, self.has_gain_control())?),
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
+        let truth = match self.truth.as_ref().filter(|_| run.has_outputs) {
+            Some(pattern) => Some(TruthFile::create(run, pattern, self.has_gain_control())?),
             None => None,
         };
-        let trajectory = site.has_outputs.then(|| TrajectoryFiles::create(site, self)).transpose()?;
+        let trajectory = run.has_outputs.then(|| TrajectoryFiles::create(run, self)).transpose()?;
         let flight = Flight::new(self)?.telling_truth(truth.is_some());
         Ok(Box::new(Simulator { flight, line: 0, last: None, lines: self.lines, truth, trajectory }))
     }

@@ -79,10 +79,10 @@ impl SinkConfig for Config {
         if self.path == STANDARD_OUTPUT { vec![] } else { vec![&self.path] }
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
         let to = match self.path == STANDARD_OUTPUT {
             true => Target::Stream(io::stdout()),
-            false => Target::File(site.create(&self.path)?),
+            false => Target::File(run.create(&self.path)?),
         };
         let compression = match self.compression {
             Compression::None => container::Compression::None,

@@ -108,15 +108,15 @@ impl SinkConfig for WriteAscii {
         vec![&self.path]
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
         // The keys have already been checked.
         let columns = columns(&self.columns).unwrap_or_default();
         let separator = self.separator.text();
-        let mut file = site.create(&self.path)?;
+        let mut file = run.create(&self.path)?;
         if self.header {
             let names: Vec<&str> = columns.iter().map(|column| column.name).collect();
             writeln!(file, "{}", names.join(separator))
-                .map_err(Error::io(&site.output_path(&self.path), "write"))?;
+                .map_err(Error::io(&run.output_path(&self.path), "write"))?;
         }
         Ok(Box::new(AsciiWriter {
             config: self.clone(),
@@ -234,7 +234,7 @@ mod tests {
 
     fn written_of(config: &WriteAscii, lines: &[ScanLine]) -> String {
         let folder = tempfile::tempdir().unwrap();
-        let site = RunContext {
+        let run = RunContext {
             input: "a.las".into(),
             stem: "a".into(),
             input_dir: folder.path().into(),
@@ -242,7 +242,7 @@ mod tests {
             simd: SimdLevel::Portable,
             ..RunContext::alone("".as_ref())
         };
-        let mut sink = config.make(&site).unwrap();
+        let mut sink = config.make(&run).unwrap();
         let mut cx = Context::default();
         lines.iter().for_each(|line| sink.write(line, &mut cx).unwrap());
         sink.finish(&mut cx).unwrap();

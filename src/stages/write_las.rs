@@ -196,20 +196,20 @@ impl SinkConfig for WriteLas {
         self.wave_packets != WavePacketsKey::None
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
-        let file = site.create(&self.path)?;
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
+        let file = run.create(&self.path)?;
         Ok(Box::new(LasWriter {
             attributes: self.attributes(),
             config: self.clone(),
-            pool: site.pool.clone(),
-            index: (self.index == IndexKey::File).then(|| site.create(&self.beside().index)).transpose()?,
-            stac: self.stac.then(|| site.create(&self.beside().stac)).transpose()?,
+            pool: run.pool.clone(),
+            index: (self.index == IndexKey::File).then(|| run.create(&self.beside().index)).transpose()?,
+            stac: self.stac.then(|| run.create(&self.beside().stac)).transpose()?,
             times_s: [f64::INFINITY, f64::NEG_INFINITY],
-            waves: self.waves(site)?,
+            waves: self.waves(run)?,
             state: State::Empty(file),
             input: None,
             refused: None,
-            flight_line: self.point_source().flight_line(site)?,
+            flight_line: self.point_source().flight_line(run)?,
         }))
     }
 }
@@ -251,13 +251,13 @@ impl WriteLas {
         })
     }
 
-    fn waves(&self, site: &RunContext) -> Result<Option<Waves>> {
+    fn waves(&self, run: &RunContext) -> Result<Option<Waves>> {
         let pattern = match self.wave_packets {
             WavePacketsKey::None => return Ok(None),
             WavePacketsKey::External => &self.beside().packets,
             WavePacketsKey::Internal => &self.beside().packets_inside,
         };
-        Waves::new(site.create(pattern)?, &site.geometry).map(Some)
+        Waves::new(run.create(pattern)?, &run.geometry).map(Some)
     }
 
     /// Step of each coordinate.

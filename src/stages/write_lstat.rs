@@ -143,12 +143,12 @@ impl SinkConfig for WriteLstat {
         vec![&self.path]
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
-        let mut file = site.create(&self.path)?;
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
+        let mut file = run.create(&self.path)?;
         if self.header {
             let names: Vec<&str> = self.layout.columns().iter().map(|column| column.0).collect();
             writeln!(file, "# {}", names.join(" "))
-                .map_err(Error::io(&site.output_path(&self.path), "write"))?;
+                .map_err(Error::io(&run.output_path(&self.path), "write"))?;
         }
         Ok(Box::new(LstatWriter { file, columns: self.layout.columns() }))
     }

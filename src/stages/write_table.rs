@@ -80,9 +80,9 @@ impl SinkConfig for Config {
         vec![&self.path]
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
         let format = self.format().unwrap_or(Format::Parquet);
-        Ok(Box::new(ReturnTableWriter { state: State::Waiting(site.create(&self.path)?), format }))
+        Ok(Box::new(ReturnTableWriter { state: State::Waiting(run.create(&self.path)?), format }))
     }
 }
 

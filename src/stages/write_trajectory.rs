@@ -103,11 +103,11 @@ impl SinkConfig for WriteTrajectory {
         vec![&self.path]
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
         let pace = Pace::new(self.every, self.interval_s);
         Ok(Box::new(TrajectoryWriter {
-            file: site.create(&self.path)?,
-            geometry: Arc::clone(&site.geometry),
+            file: run.create(&self.path)?,
+            geometry: Arc::clone(&run.geometry),
             target: None,
             sensor: self.sensor,
             header: self.header,

@@ -55,7 +55,7 @@ pub(super) struct Lines {
     index: Arc<LineIndex>,
     /// The job of the view.
     job: Job,
-    site: RunContext,
+    run: RunContext,
     /// Transforms after `decompose`, which have learnt from the first lines as in a run; `None` until then.
     trained: Option<Vec<Box<dyn Transform>>>,
     /// Lines that passed the stages before `decompose` last: their numbers, the keys of these stages, and
@@ -64,26 +64,26 @@ pub(super) struct Lines {
 }
 
 impl Lines {
-    /// Opens the input of a site, and reads or makes its index.
+    /// Opens the input of a run, and reads or makes its index.
     ///
     /// # Errors
     /// If it cannot be read in any order.
-    pub(super) fn open(job: Job, site: RunContext) -> Result<Lines> {
+    pub(super) fn open(job: Job, run: RunContext) -> Result<Lines> {
         let Some((Plan::Source(reader), keys)) =
             job.stages.first().map(|stage| (&stage.planned.plan, &stage.planned.resolved))
         else {
             return Err(StageError::failed(format!("{}: the job has no reader", job.name), "add one"));
         };
-        let mut recording = Recording::of_reader(Arc::clone(reader), keys, site.clone())?;
-        let index = recording.index(&mut |_| match site.cancelled.load(Ordering::Relaxed) {
+        let mut recording = Recording::of_reader(Arc::clone(reader), keys, run.clone())?;
+        let index = recording.index(&mut |_| match run.cancelled.load(Ordering::Relaxed) {
             true => Err(StageError::Stopped),
             false => Ok(()),
         })?;
-        Ok(Lines { recording, index, job, site, trained: None, before_decompose: None })
+        Ok(Lines { recording, index, job, run, trained: None, before_decompose: None })
     }
 
     pub(super) fn simd(&self) -> SimdLevel {
-        self.site.simd
+        self.run.simd
     }
 
     pub(super) fn index(&self) -> &LineIndex {
@@ -122,7 +122,7 @@ impl Lines {
         self.train()?;
         let before: Vec<ScanLine> =
             self.before_decompose(job, numbers)?.iter().map(ScanLine::copied).collect();
-        through(after_decompose(job), &self.site, before, self.trained.as_deref_mut().unwrap_or_default())
+        through(after_decompose(job), &self.run, before, self.trained.as_deref_mut().unwrap_or_default())
     }
 
     /// Lets the transforms after `decompose` learn from as many waveforms as in a run.
@@ -135,7 +135,7 @@ impl Lines {
         let mut trained = Vec::new();
         for stage in stages.iter().filter(|stage| !is_skipped(stage)) {
             if let Plan::Transform(plan) = &stage.planned.plan {
-                trained.push(plan.make(&self.site)?);
+                trained.push(plan.make(&self.run)?);
             }
         }
         let (mut first, mut waveforms, mut decomposed) = (0, 0, Vec::new());
@@ -143,10 +143,10 @@ impl Lines {
             let end = self.end_of_waveforms(first, WAVEFORMS - waveforms);
             let lines = self.read(before_decompose(&job), first..end)?;
             waveforms += lines.iter().map(|line| line.stats.nw).sum::<u64>();
-            decomposed.extend(through(&stages[..1], &self.site, lines, &mut [])?);
+            decomposed.extend(through(&stages[..1], &self.run, lines, &mut [])?);
             first = end;
         }
-        through(&stages[1..], &self.site, decomposed, &mut trained)?;
+        through(&stages[1..], &self.run, decomposed, &mut trained)?;
         self.trained = Some(trained);
         Ok(())
     }
@@ -174,12 +174,12 @@ impl Lines {
         }
         let wanted: Vec<u32> =
             self.index.lines().get(numbers).into_iter().flatten().map(|line| line.location.line).collect();
-        let mut source = PoseSource::new(Box::new(Given(lines.into_iter())), Arc::clone(&self.site.geometry));
+        let mut source = PoseSource::new(Box::new(Given(lines.into_iter())), Arc::clone(&self.run.geometry));
         let (mut placed, mut cx) = (Vec::new(), Context::default());
         while let Some(line) = source.next(&mut cx)? {
             placed.push(line);
         }
-        let mut lines = through(&stages[1..], &self.site, placed, &mut [])?;
+        let mut lines = through(&stages[1..], &self.run, placed, &mut [])?;
         lines.retain(|line| wanted.contains(&line.line));
         Ok(lines)
     }
@@ -204,7 +204,7 @@ fn is_skipped(stage: &JobStage) -> bool {
 /// Passes lines through stages one after the other; `trained` are their transforms, otherwise new ones are made.
 fn through(
     stages: &[JobStage],
-    site: &RunContext,
+    run: &RunContext,
     mut lines: Vec<ScanLine>,
     trained: &mut [Box<dyn Transform>],
 ) -> Result<Vec<ScanLine>> {
@@ -214,14 +214,14 @@ fn through(
         match &stage.planned.plan {
             Plan::Source(_) | Plan::Sink(_) => {}
             Plan::Map(plan) => {
-                let mut map = plan.make(site)?;
+                let mut map = plan.make(run)?;
                 lines = lines.into_iter().map(|line| map.map(line, &mut cx)).collect::<Result<_>>()?;
             }
             Plan::Transform(plan) => {
                 let mut new = None;
                 let transform = match trained.next() {
                     Some(transform) => transform,
-                    None => new.insert(plan.make(site)?),
+                    None => new.insert(plan.make(run)?),
                 };
                 let mut passed = Vec::with_capacity(lines.len());
                 let mut emit = |line| {

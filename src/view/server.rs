@@ -92,7 +92,7 @@ impl Gate {
             .next()
             .is_none_or(|origin| origin.strip_prefix("http://").is_some_and(|host| self.is_own(host)))
             && origins.next().is_none();
-        let is_own_site = request.all("sec-fetch-site").all(|site| matches!(site, "same-origin" | "none"));
+        let is_own_site = request.all("sec-fetch-site").all(|from| matches!(from, "same-origin" | "none"));
         let (token, path) = path.split_once('/')?;
         (is_own_host && is_own_origin && is_own_site && is_equal(token, &self.token)).then_some(path)
     }

@@ -370,7 +370,7 @@ impl Session {
                 return Err(format!("{}: not yet read; wait", viewed.input.stem));
             };
             let geometry = lock(&self.loader).load(&viewed.input.stem).map_err(|error| error.to_string())?;
-            let site = RunContext {
+            let run = RunContext {
                 stem: viewed.input.stem.clone(),
                 input_dir: self.opened.input_dir.clone(),
                 simd: self.opened.job.settings.simd.path(),
@@ -383,7 +383,7 @@ impl Session {
             // The tables of `decompose` are shared with the answers.
             let base = self.with(&[]);
             let job = base.map_or_else(|_| self.opened.job.clone(), |chosen| chosen.job.clone());
-            *lines = Some(Lines::open(job, site).map_err(|error| error.to_string())?);
+            *lines = Some(Lines::open(job, run).map_err(|error| error.to_string())?);
         }
         match lines.as_mut() {
             Some(lines) => body(lines),

@@ -340,13 +340,13 @@ fn a_reader_that_has_seen_enough_is_no_failure() {
     assert_eq!(child.wait().unwrap().code(), Some(0));
 }
 
-/// Folder with a job whose `crs` is the WKT in `site.prj`.
+/// Folder with a job whose `crs` is the WKT in `zone.prj`.
 fn place_with_wkt(wkt: &str) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let job = "[job]\noutput_dir = 'out'\ngeometry = { crs = 'site.prj' }\n\
+    let job = "[job]\noutput_dir = 'out'\ngeometry = { crs = 'zone.prj' }\n\
                [[stage]]\ntype = 'simulate'\nlines = 1\nshots_per_line = 10\n[[stage]]\ntype = 'write_arrow'\n";
     fs::write(folder.path().join("job.toml"), job).unwrap();
-    fs::write(folder.path().join("site.prj"), wkt).unwrap();
+    fs::write(folder.path().join("zone.prj"), wkt).unwrap();
     folder
 }
 
@@ -372,12 +372,12 @@ fn a_system_with_missing_parameters_is_a_wrong_job() {
         ("Polyconic", &["false_easting"], "latitude_of_origin, central_meridian, false_northing"),
     ] {
         let wkt = format!(
-            r#"PROJCS["site",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["{method}"],{}UNIT["metre",1]]"#,
+            r#"PROJCS["local",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],PROJECTION["{method}"],{}UNIT["metre",1]]"#,
             parameters(given)
         );
         let folder = place_with_wkt(&wkt);
         let expected = format!(
-            "error: ./site.prj: site: its projection has no {missing}; complete the parameters in its WKT, or use an EPSG \
+            "error: ./zone.prj: local: its projection has no {missing}; complete the parameters in its WKT, or use an EPSG \
              code\n"
         );
         for command in ["check", "run"] {
@@ -392,7 +392,7 @@ fn a_system_in_another_spelling_is_a_wrong_job() {
     for (word, meant) in [("25832", "EPSG:25832"), ("WGS84", "geodetic"), ("EPSG:2956+6647", "EPSG:2956")] {
         let folder = place_with_wkt("");
         let path = folder.path().join("job.toml");
-        fs::write(&path, fs::read_to_string(&path).unwrap().replace("site.prj", word)).unwrap();
+        fs::write(&path, fs::read_to_string(&path).unwrap().replace("zone.prj", word)).unwrap();
         for command in ["check", "run"] {
             let Outcome { code, err, .. } = wavex_in(folder.path(), &[command, "job.toml"]);
             let is_said = err.starts_with(&format!("error: crs `{word}`: "))
@@ -406,10 +406,10 @@ fn a_system_in_another_spelling_is_a_wrong_job() {
 #[test]
 fn a_shared_file_may_name_the_folder_of_geoids() {
     let folder = tempfile::tempdir().unwrap();
-    let job = "[job]\ninclude = 'site.toml'\noutput_dir = 'out'\n\
+    let job = "[job]\ninclude = 'base.toml'\noutput_dir = 'out'\n\
                [[stage]]\ntype = 'simulate'\nlines = 1\nshots_per_line = 10\n[[stage]]\ntype = 'write_arrow'\n";
     fs::write(folder.path().join("job.toml"), job).unwrap();
-    fs::write(folder.path().join("site.toml"), "[job.geometry]\ngeoid_dir = 'geoids'\n").unwrap();
+    fs::write(folder.path().join("base.toml"), "[job.geometry]\ngeoid_dir = 'geoids'\n").unwrap();
     let checked = wavex_in(folder.path(), &["check", "job.toml"]);
     assert_eq!((checked.code, checked.err.as_str()), (Some(0), ""));
     assert!(

@@ -264,7 +264,7 @@ type = "decompose"
 
 /// Parses this text with included files.
 fn with_includes(text: &str, files: &[&str], overrides: &[&str]) -> Job {
-    let include = |text: &&str| Include { name: "site.toml".into(), text: (*text).to_owned() };
+    let include = |text: &&str| Include { name: "base.toml".into(), text: (*text).to_owned() };
     let includes: Vec<Include> = files.iter().map(include).collect();
     let overrides: Vec<Override> = overrides.iter().copied().map(Override::new).collect();
     Job::parse_with(job_stages::STAGES, "job.toml", text, &includes, &overrides)
@@ -275,7 +275,7 @@ fn with_includes(text: &str, files: &[&str], overrides: &[&str]) -> Job {
 fn included_keys_count_where_the_job_gives_none() {
     let text = "\
 [job]
-include = ['country.toml', 'site.toml']
+include = ['country.toml', 'base.toml']
 threads = 2
 geometry.crs = 'utm'
 [[stage]]
@@ -290,9 +290,9 @@ path = 'a.txt'
 type = 'write_lstat'
 ";
     let country = "[job]\nthreads = 9\nmemory_mb = 200\ngeometry = { trajectory = 'a.out', crs = 'ecef' }\n[write_las]\n";
-    let site =
+    let base =
         "\u{feff}[job]\nmemory_mb = 300\n[write_lstat]\npath = 'b.txt'\n[calibrate]\nwaveforms = 700\n";
-    let job = with_includes(text, &[country, site], &["job.channel_capacity=3"]);
+    let job = with_includes(text, &[country, base], &["job.channel_capacity=3"]);
     let settings = &job.settings;
     assert_eq!((settings.threads, settings.memory_mb, settings.channel_capacity), (2, 300, 3));
     assert_eq!(settings.geometry.crs.as_deref(), Some("utm"));
@@ -300,6 +300,6 @@ type = 'write_lstat'
     let path = |stage: usize| job.stages[stage].planned.resolved["path"].clone();
     assert_eq!((path(2), path(3)), (json!("a.txt"), json!("b.txt")));
     assert_eq!(job.stages[1].planned.resolved["waveforms"], json!(700));
-    let job = with_includes(text, &[country, site], &["calibrate.waveforms=800"]);
+    let job = with_includes(text, &[country, base], &["calibrate.waveforms=800"]);
     assert_eq!(job.stages[1].planned.resolved["waveforms"], json!(800), "overrides take precedence");
 }

@@ -38,11 +38,11 @@ fn parse(text: &str, overrides: &[&str]) -> Result<Job, JobErrors> {
     Job::parse_with(job_stages::STAGES, "job.toml", text, &[], &overrides)
 }
 
-/// Asserts the errors of a job that includes `site.toml` with this content.
-fn check_included(site: &str, expected: &str) {
-    let text = format!("[job]\ninclude = \"site.toml\"\n{FULL}");
-    let site = Include { name: "site.toml".into(), text: site.strip_prefix('\n').unwrap_or(site).into() };
-    match Job::parse_with(job_stages::STAGES, "job.toml", &text, &[site], &[]) {
+/// Asserts the errors of a job that includes `base.toml` with this content.
+fn check_included(included: &str, expected: &str) {
+    let text = format!("[job]\ninclude = \"base.toml\"\n{FULL}");
+    let included = Include { name: "base.toml".into(), text: included.strip_prefix('\n').unwrap_or(included).into() };
+    match Job::parse_with(job_stages::STAGES, "job.toml", &text, &[included], &[]) {
         Ok(job) => panic!("no error: {}", job.chain()),
         Err(errors) => assert_eq!(errors.to_string(), expected.strip_prefix('\n').unwrap_or(expected)),
     }

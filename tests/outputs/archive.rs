@@ -502,18 +502,18 @@ fn the_trajectory_is_an_input() {
 fn included_keys_are_resolved() {
     let place = flight();
     let job = STAGES.replace("mode = 'fastest'\n", "");
-    place.write("job.toml", format!("[job]\ninclude = 'shared/site.toml'\n{job}").as_bytes());
-    let site = "[job]\noutput_dir = 'out'\n[decompose]\nmode = 'fastest'\n[fuse_channels]\n";
-    place.write("shared/site.toml", site.as_bytes());
+    place.write("job.toml", format!("[job]\ninclude = 'shared/base.toml'\n{job}").as_bytes());
+    let base = "[job]\noutput_dir = 'out'\n[decompose]\nmode = 'fastest'\n[fuse_channels]\n";
+    place.write("shared/base.toml", base.as_bytes());
     holds(&place, &["run", "job.toml", "--archive", "archive"]);
-    assert_eq!(place.text("archive/included/1_site.toml"), site);
+    assert_eq!(place.text("archive/included/1_base.toml"), base);
     let resolved = place.text("archive/job.resolved.toml");
     assert!(resolved.contains("mode = \"fastest\"") && !resolved.contains("include"), "{resolved}");
     fs::remove_dir_all(place.path("shared")).unwrap();
     holds(&place, &["replay", "archive"]);
     holds(&place, &["verify", "archive"]);
     let missing = wavex(&place, &["run", "job.toml"]);
-    let problem = "error: shared/site.toml: cannot read the included file: No such file or directory (os error 2); \
+    let problem = "error: shared/base.toml: cannot read the included file: No such file or directory (os error 2); \
                    check `include` in `[job]`\n";
     assert_eq!(missing, (Some(2), problem.to_owned()));
 }

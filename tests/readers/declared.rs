@@ -171,8 +171,8 @@ fn the_map_of_a_recording_can_be_declared() {
     assert!(notes.is_empty() && zone.contains("UTM zone 33N"), "{notes:?} {zone}");
     let (_, lambert) = wkt("crs_of_input = 'EPSG:2154'");
     assert!(lambert.contains("Lambert-93"), "{lambert}");
-    place.write("site.wkt", lambert.as_bytes());
-    assert_eq!(wkt("crs_of_input = 'site.wkt'").1, lambert);
+    place.write("zone.wkt", lambert.as_bytes());
+    assert_eq!(wkt("crs_of_input = 'zone.wkt'").1, lambert);
     let (_, header, _) = copied(&place, "read_pulsewaves", "a.pls", "crs_of_input = 'EPSG:2154'");
     assert_eq!(header.crs_wkt, Some(lambert.clone()));
 

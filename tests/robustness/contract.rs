@@ -131,7 +131,7 @@ impl SourceConfig for Gaps {
         None
     }
 
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
         let keys = match self.unresolved {
             false => "lines = 4\nshots_per_line = 120\nseed = 7",
             true => UNRESOLVED,
@@ -141,7 +141,7 @@ impl SourceConfig for Gaps {
         else {
             unreachable!("simulate is a source")
         };
-        Ok(Box::new(GapSource { lines: simulate.make(site)?, step: 0, only_empty: self.only_empty }))
+        Ok(Box::new(GapSource { lines: simulate.make(run)?, step: 0, only_empty: self.only_empty }))
     }
 }
 

@@ -87,8 +87,8 @@ impl SourceConfig for Count {
     fn paths(&self) -> Option<&Paths> {
         self.path.as_ref()
     }
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Source>> {
-        let input = Arc::new(InputInfo { path: site.input.clone(), ..input_info() });
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
+        let input = Arc::new(InputInfo { path: run.input.clone(), ..input_info() });
         Ok(Box::new(Counting { config: self.clone(), next: 0, input }))
     }
 }
@@ -241,8 +241,8 @@ impl SinkConfig for WriteNumbers {
     fn outputs(&self) -> Vec<&str> {
         vec![&self.path]
     }
-    fn make(&self, site: &RunContext) -> Result<Box<dyn Sink>> {
-        Ok(Box::new(Numbers { config: self.clone(), file: site.create(&self.path)? }))
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
+        Ok(Box::new(Numbers { config: self.clone(), file: run.create(&self.path)? }))
     }
 }
 

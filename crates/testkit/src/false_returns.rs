@@ -107,7 +107,7 @@ pub fn fly(scene: &Scene, seed: u64) -> Flight {
     engine::run(&job, &Options::of_job(&job, folder.path(), folder.path())).expect("a flight");
     let rows = rows(&folder.path().join("truth.csv"));
     let Plan::Source(source) = planned("simulate", &keys) else { panic!("a source") };
-    let mut source = source.make(&site()).expect("a flight");
+    let mut source = source.make(&run()).expect("a flight");
     let mut flight = Flight { lines: Vec::new(), truth: Vec::new() };
     let mut rows = rows.into_iter().peekable();
     while let Some(mut batch) = source.next(&mut Context::default()).expect("a line") {
@@ -137,8 +137,8 @@ pub fn fly(scene: &Scene, seed: u64) -> Flight {
 pub fn without_trajectory(flight: &Flight, scene: &Scene, seed: u64) -> Vec<ScanLine> {
     let keys = format!("{}sbet = 'unused.out'\n", keys(scene, seed));
     let Plan::Source(source) = planned("simulate", &keys) else { panic!("a source") };
-    let site = RunContext { has_outputs: false, ..site() };
-    let mut source = source.make(&site).expect("a flight");
+    let run = RunContext { has_outputs: false, ..run() };
+    let mut source = source.make(&run).expect("a flight");
     let mut line = |of_map: &ScanLine| {
         let mut line = source.next(&mut Context::default()).expect("a line").expect("as many lines");
         line.stats = of_map.stats.clone();
@@ -160,7 +160,7 @@ fn keys(scene: &Scene, seed: u64) -> String {
     format!("seed = {seed}\n{common}{}", scene.keys)
 }
 
-fn site() -> RunContext {
+fn run() -> RunContext {
     RunContext {
         input: PathBuf::new(),
         stem: String::new(),
@@ -221,7 +221,7 @@ pub fn copy(line: &ScanLine) -> ScanLine {
 /// Lines after `filter_outliers` with these keys, and the run time in seconds.
 pub fn filtered(lines: Vec<ScanLine>, keys: &str, may_hold_bytes: usize) -> (Vec<ScanLine>, Context, f64) {
     let Plan::Transform(filter) = planned("filter_outliers", keys) else { panic!("a transform") };
-    let mut filter = filter.make(&site()).expect("a filter");
+    let mut filter = filter.make(&run()).expect("a filter");
     let (mut cx, mut given_on) = (Context::default(), Vec::new());
     let mut emit = |batch: ScanLine| {
         given_on.push(batch);

@@ -141,10 +141,10 @@ impl Flight {
     /// measured range.
     pub fn place(&self, geometry: &str, measured: impl Fn(&Truth) -> f64) -> Result<Placed, String> {
         let text = |error: &dyn std::fmt::Display| error.to_string();
-        let site = site(self, geometry)?;
-        let (source, mut stage) = (source(&site), georeference(&site, ""));
+        let run = run(self, geometry)?;
+        let (source, mut stage) = (source(&run), georeference(&run, ""));
         let source = Box::new(Changed { source, turned: self.turned, unsaid: self.unsaid });
-        let mut source = PoseSource::new(source, Arc::clone(&site.geometry));
+        let mut source = PoseSource::new(source, Arc::clone(&run.geometry));
         let mut by_shot: BTreeMap<u64, Vec<&Truth>> = BTreeMap::new();
         self.truth.iter().for_each(|truth| by_shot.entry(truth.shot).or_default().push(truth));
         let mut cx = Context::default();
@@ -228,7 +228,7 @@ pub fn return_of(emission: u32, [number, of]: [u8; 2], range_m: f64) -> Return {
 }
 
 /// Run context for the flight, with its geometry files loaded.
-pub fn site(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
+pub fn run(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
     let keys: GeometryKeys = toml::from_str(geometry).unwrap();
     keys.check().unwrap();
     let loaded = Loader::new(&keys, flight.folder()).and_then(|mut loader| loader.load("a"));
@@ -244,17 +244,17 @@ pub fn site(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
 }
 
 /// Reader of the recording.
-pub fn source(site: &RunContext) -> Box<dyn Source> {
+pub fn source(run: &RunContext) -> Box<dyn Source> {
     match plan("read_arrow", "path = 'a.arrow'") {
-        Plan::Source(plan) => plan.make(site).unwrap(),
+        Plan::Source(plan) => plan.make(run).unwrap(),
         other => panic!("{other:?}"),
     }
 }
 
 /// The stage with these keys.
-pub fn georeference(site: &RunContext, keys: &str) -> Box<dyn Map> {
+pub fn georeference(run: &RunContext, keys: &str) -> Box<dyn Map> {
     match plan("georeference", keys) {
-        Plan::Map(plan) => plan.make(site).unwrap(),
+        Plan::Map(plan) => plan.make(run).unwrap(),
         other => panic!("{other:?}"),
     }
 }

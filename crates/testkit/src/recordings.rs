@@ -83,7 +83,7 @@ pub fn samples_of(channel: Channel, reader: &str, path: &Path) -> Vec<(u64, Vec<
     let Ok(Planned { plan: Plan::Source(source), .. }) = (spec.parse)(table) else {
         panic!("{reader} is a source")
     };
-    let site = RunContext {
+    let run = RunContext {
         input: path.to_path_buf(),
         stem: String::new(),
         input_dir: PathBuf::new(),
@@ -91,7 +91,7 @@ pub fn samples_of(channel: Channel, reader: &str, path: &Path) -> Vec<(u64, Vec<
         simd: wavex_signal::simd::SimdLevel::best(),
         ..RunContext::alone("".as_ref())
     };
-    let mut source = source.make(&site).unwrap_or_else(|error| panic!("{error}"));
+    let mut source = source.make(&run).unwrap_or_else(|error| panic!("{error}"));
     let mut cx = Context::default();
     let mut found = Vec::new();
     while let Some(scan_line) = source.next(&mut cx).unwrap_or_else(|error| panic!("{error}")) {

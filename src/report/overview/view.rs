@@ -38,7 +38,7 @@ const MAP_HEIGHT_M: f64 = 1e5;
 const DEGREE_M: f64 = 111_195.0;
 /// Length of a foot, m; that of the US survey differs by 2e-6.
 const FOOT_M: f64 = 0.3048;
-/// Spacing of the possible tangent points, m, so that all points of a site share one.
+/// Spacing of the possible tangent points, m, so that all points of a place share one.
 const PLANES_M: f64 = 20_000.0;
 
 impl View {

@@ -70,7 +70,7 @@ fn run(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
 
 /// Runs the stage; returns its lines, notes and findings.
 fn run_with_findings(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>, Vec<String>) {
-    let site = RunContext {
+    let run = RunContext {
         input: PathBuf::new(),
         stem: String::new(),
         input_dir: PathBuf::new(),
@@ -78,7 +78,7 @@ fn run_with_findings(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Ve
         simd: wavex_signal::simd::SimdLevel::Portable,
         ..RunContext::alone("".as_ref())
     };
-    let mut stage = keys.make(&site).unwrap();
+    let mut stage = keys.make(&run).unwrap();
     let (mut cx, mut given_on) = (Context::default(), Vec::new());
     let mut emit = |scan_line: ScanLine| {
         given_on.push(scan_line);

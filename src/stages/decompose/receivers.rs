@@ -219,7 +219,7 @@ pub(super) struct Receivers {
     tables: Option<TablesAtGains>,
     path: SimdLevel,
     /// Routing of each block of the line's shots, in order.
-    lots: Vec<BlockRoute>,
+    routes: Vec<BlockRoute>,
 }
 
 impl Receivers {
@@ -241,7 +241,7 @@ impl Receivers {
             config: config.clone(),
             tables: (config.mode != Mode::Slow).then(|| tables.at_gains.clone()),
             path,
-            lots: Vec::new(),
+            routes: Vec::new(),
         })
     }
 
@@ -257,13 +257,13 @@ impl Receivers {
     /// A channel's model is invalid at the gain of a block.
     pub(super) fn decompose(&mut self, shots: &[Shot], both: Option<&BothReceivers>) -> Result<()> {
         let (mut low, mut high, mut outgoing) = (ByGain::new(), ByGain::new(), ByGain::new());
-        self.lots.clear();
+        self.routes.clear();
         for shot in shots {
             let mut has_left = false;
             for block in shot.of_shot {
                 let waveform = Waveform { samples: shot.blocks.samples(block), start_phase: 0 };
                 let level = GainLevel::of(block.gain);
-                let lot = match block.channel {
+                let route = match block.channel {
                     _ if block.is_too_long() => BlockRoute::Unused("a block of more than 16384 samples"),
                     Channel::Reference if !has_left => {
                         has_left = true;
@@ -278,7 +278,7 @@ impl Receivers {
                     }
                     _ => BlockRoute::Other,
                 };
-                self.lots.push(lot);
+                self.routes.push(route);
             }
         }
         self.decompose_channel(Channel::LowPower, &low)?;
@@ -322,10 +322,10 @@ impl Receivers {
 
     /// Number of the shots decomposed last with echoes left to the plain kernels.
     pub(super) fn left_to_plain(&self, shots: &[Shot]) -> usize {
-        let is_left = |lot: &&BlockRoute| self.found(**lot).is_some_and(|(_, found, _)| found.left_to_plain);
-        let mut lots = self.lots.iter();
+        let is_left = |route: &&BlockRoute| self.found(**route).is_some_and(|(_, found, _)| found.left_to_plain);
+        let mut routes = self.routes.iter();
         let blocks_left =
-            shots.iter().map(|shot| lots.by_ref().take(shot.of_shot.len()).filter(is_left).count());
+            shots.iter().map(|shot| routes.by_ref().take(shot.of_shot.len()).filter(is_left).count());
         blocks_left.filter(|&blocks| blocks > 0).count()
     }
 
@@ -342,8 +342,8 @@ impl Receivers {
         let Some(reference) = &mut self.reference else { return };
         let all = shots.iter().flat_map(|shot| shot.of_shot.iter().map(move |block| (shot, block)));
         let mut recorded = ByGain::new();
-        for ((shot, block), lot) in all.zip(&self.lots) {
-            let BlockRoute::Outgoing(level, _) = *lot else { continue };
+        for ((shot, block), route) in all.zip(&self.routes) {
+            let BlockRoute::Outgoing(level, _) = *route else { continue };
             let start_samples = block.start_ns / block.interval_ns;
             let start_samples = if start_samples.is_finite() { start_samples } else { 0.0 };
             recorded.push(
@@ -367,13 +367,13 @@ impl Receivers {
     }
 
     /// Routing of the blocks from an index on.
-    pub(super) fn lots(&self, from: usize) -> &[BlockRoute] {
-        self.lots.get(from..).unwrap_or_default()
+    pub(super) fn routes(&self, from: usize) -> &[BlockRoute] {
+        self.routes.get(from..).unwrap_or_default()
     }
 
     /// Result of a block of echoes, with its receiver and the receiver's model.
-    pub(super) fn found(&self, lot: BlockRoute) -> Option<(ReturnChannel, Decomposition<'_>, &ChannelModel)> {
-        let (receiver, channel, level, number) = match lot {
+    pub(super) fn found(&self, route: BlockRoute) -> Option<(ReturnChannel, Decomposition<'_>, &ChannelModel)> {
+        let (receiver, channel, level, number) = match route {
             BlockRoute::Low(level, number) => (&self.low, ReturnChannel::Low, level, number),
             BlockRoute::High(level, number) => (&self.high, ReturnChannel::High, level, number),
             BlockRoute::Outgoing(..) | BlockRoute::Unused(_) | BlockRoute::Covered | BlockRoute::Other => {
@@ -385,8 +385,8 @@ impl Receivers {
     }
 
     /// Fitted outgoing pulse of a block, with the model of its channel.
-    pub(super) fn outgoing(&self, lot: BlockRoute) -> Option<(&Outgoing, &ChannelModel)> {
-        let BlockRoute::Outgoing(level, number) = lot else { return None };
+    pub(super) fn outgoing(&self, route: BlockRoute) -> Option<(&Outgoing, &ChannelModel)> {
+        let BlockRoute::Outgoing(level, number) = route else { return None };
         let reference = self.reference.as_ref()?.get(level)?;
         Some((reference.outgoing.get(number)?.as_ref()?, reference.line.model()))
     }
@@ -396,12 +396,12 @@ impl Receivers {
 fn echoes(
     receiver: &Option<AtGains<Receiver>>,
     block: &Block,
-    lot: impl FnOnce() -> BlockRoute,
+    route: impl FnOnce() -> BlockRoute,
 ) -> BlockRoute {
     match receiver {
         None => BlockRoute::Unused("its receiver is not in the sensor model"),
         Some(_) if block.is_empty() => BlockRoute::Unused("a block without samples"),
-        Some(_) => lot(),
+        Some(_) => route(),
     }
 }
 

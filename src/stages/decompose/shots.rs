@@ -315,16 +315,16 @@ impl ShotDecomposer {
         let reach_ns = EXPECTED_WIDTHS * reference.pulse_fwhm_ns;
         let mut first_block = 0;
         for shot in shots {
-            let lots = self.receivers.lots(first_block);
+            let routes = self.receivers.routes(first_block);
             first_block += shot.of_shot.len();
-            let delay_ns = self.outgoing(shot, lots).map_or(0.0, |(time_ns, ..)| time_ns);
+            let delay_ns = self.outgoing(shot, routes).map_or(0.0, |(time_ns, ..)| time_ns);
             let others = Departures::of(emissions, shot, delay_ns);
-            for (block, &lot) in shot.of_shot.iter().zip(lots).filter(|(block, _)| block.channel.is_echo()) {
+            for (block, &route) in shot.of_shot.iter().zip(routes).filter(|(block, _)| block.channel.is_echo()) {
                 let end_ns = block.time_ns(block.len() as f64);
                 if others.others_within(block.start_ns - reach_ns, end_ns + reach_ns).next().is_none() {
                     continue;
                 }
-                let Some((_, result, _)) = self.receivers.found(lot) else { continue };
+                let Some((_, result, _)) = self.receivers.found(route) else { continue };
                 for pulse in result.returns {
                     let time_ns = block.time_ns(pulse.position_samples);
                     for (index, _) in others.others_within(time_ns - reach_ns, time_ns + reach_ns) {
@@ -404,7 +404,7 @@ impl ShotDecomposer {
     fn departure(&self, turn: &CurrentShot, watch: &mut impl Observer) -> Option<EmissionTime> {
         let shot = turn.shot;
         let is_reference = shot.input.emission_reference != EmissionReference::Clock;
-        let (time_ns, block, outgoing) = self.outgoing(shot, self.receivers.lots(turn.first_block))?;
+        let (time_ns, block, outgoing) = self.outgoing(shot, self.receivers.routes(turn.first_block))?;
         let Some((outgoing, model)) = outgoing else {
             if !is_reference {
                 return None;
@@ -428,13 +428,13 @@ impl ShotDecomposer {
     /// Outgoing pulse of a shot, with its fit if the block has samples.
     ///
     /// Emission time after the clock, ns.
-    fn outgoing<'a>(&'a self, shot: &Shot<'a>, lots: &[BlockRoute]) -> Option<OutgoingBlock<'a>> {
-        let mut with_lots = shot.of_shot.iter().zip(lots);
-        let (block, &lot) = with_lots.find(|(block, _)| block.channel == Channel::Reference)?;
+    fn outgoing<'a>(&'a self, shot: &Shot<'a>, routes: &[BlockRoute]) -> Option<OutgoingBlock<'a>> {
+        let mut with_routes = shot.of_shot.iter().zip(routes);
+        let (block, &route) = with_routes.find(|(block, _)| block.channel == Channel::Reference)?;
         if block.is_empty() {
             return Some((block.start_ns, block, None));
         }
-        let fitted = self.receivers.outgoing(lot)?;
+        let fitted = self.receivers.outgoing(route)?;
         let position = fitted.0.pulse.position_samples;
         let time_ns = match shot.input.emission_reference {
             EmissionReference::OutgoingPulseFraction => (position - position.round()) * block.interval_ns,
@@ -462,18 +462,18 @@ impl ShotDecomposer {
     ) -> Result<()> {
         let CurrentShot { shot, emission, first_block } = turn;
         let mut waveform = Waveform::default();
-        let lots = self.receivers.lots(*first_block);
-        let blocks = shot.of_shot.iter().zip(lots).enumerate();
-        for (index, (block, &lot)) in blocks.filter(|(_, (block, _))| block.channel.is_echo()) {
+        let routes = self.receivers.routes(*first_block);
+        let blocks = shot.of_shot.iter().zip(routes).enumerate();
+        for (index, (block, &route)) in blocks.filter(|(_, (block, _))| block.channel.is_echo()) {
             waveform.recorded = true;
-            match lot {
+            match route {
                 BlockRoute::Unused(why) => cx.reject(Item::Blocks, why, 1),
                 BlockRoute::Covered => {
                     cx.reject_expected(Item::Blocks, "the low-power receiver recorded it as well", 1)
                 }
                 _ => {}
             }
-            let Some((channel, result, model)) = self.receivers.found(lot) else { continue };
+            let Some((channel, result, model)) = self.receivers.found(route) else { continue };
             let Some(zone) = block.zone.or(emission.mta_zone) else {
                 return Err(unresolved(emission.shot));
             };

@@ -170,8 +170,8 @@ fn a_map_that_is_declared_must_be_one() {
         assert_eq!(check_crs(Some(word)).unwrap_err().key, "crs_of_input", "{word}");
     }
     assert!(check_crs(Some("utm:99N")).is_err());
-    for word in ["EPSG:2154", "utm:33N", "site.wkt"] {
+    for word in ["EPSG:2154", "utm:33N", "zone.wkt"] {
         assert_eq!(check_crs(Some(word)), Ok(()));
     }
-    assert_eq!((crs_file(Some("site.wkt")), crs_file(Some("utm:33N"))), (vec!["site.wkt"], vec![]));
+    assert_eq!((crs_file(Some("zone.wkt")), crs_file(Some("utm:33N"))), (vec!["zone.wkt"], vec![]));
 }

@@ -30,10 +30,10 @@ pub(super) struct TruthFile {
 }
 
 impl TruthFile {
-    pub(super) fn create(site: &RunContext, pattern: &str, with_gain: bool) -> Result<TruthFile> {
+    pub(super) fn create(run: &RunContext, pattern: &str, with_gain: bool) -> Result<TruthFile> {
         let gain = if with_gain { GAIN_COLUMN } else { "" };
         let rows = format!("{COLUMNS}{gain}\n").into_bytes();
-        let mut truth = TruthFile { file: site.create(pattern)?, rows, with_gain };
+        let mut truth = TruthFile { file: run.create(pattern)?, rows, with_gain };
         truth.flush()?;
         Ok(truth)
     }
@@ -75,9 +75,9 @@ struct Trajectory {
 }
 
 impl TrajectoryFiles {
-    pub(super) fn create(site: &RunContext, config: &Simulate) -> Result<TrajectoryFiles> {
+    pub(super) fn create(run: &RunContext, config: &Simulate) -> Result<TrajectoryFiles> {
         let create = |pattern: &Option<String>| match pattern {
-            Some(pattern) => site.create(pattern).map(Some),
+            Some(pattern) => run.create(pattern).map(Some),
             None => Ok(None),
         };
         let flight_s = config.scanner().time_s(config.lines, 0) + 2.0 * MARGIN_S;

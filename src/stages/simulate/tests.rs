@@ -337,7 +337,7 @@ fn the_recording_says_what_it_is() {
     assert_eq!(last.scan_angle_deg, 30.0);
 }
 
-fn site(folder: &std::path::Path) -> RunContext {
+fn run(folder: &std::path::Path) -> RunContext {
     RunContext {
         input: PathBuf::new(),
         stem: "simulated".to_owned(),
@@ -352,7 +352,7 @@ fn site(folder: &std::path::Path) -> RunContext {
 fn the_table_of_truth_is_handed_over_once_it_is_whole() {
     let folder = tempfile::tempdir().unwrap();
     let config = Simulate { lines: 3, shots_per_line: 50, truth: Some("*_truth.csv".to_owned()), ..bare() };
-    let (mut source, mut cx) = (config.make(&site(folder.path())).unwrap(), Context::default());
+    let (mut source, mut cx) = (config.make(&run(folder.path())).unwrap(), Context::default());
     let mut shots = 0;
     while let Some(scan_line) = source.next(&mut cx).unwrap() {
         shots += scan_line.emissions.len();
@@ -374,7 +374,7 @@ fn the_table_of_truth_is_handed_over_once_it_is_whole() {
 fn a_run_that_ends_early_leaves_no_truth() {
     let folder = tempfile::tempdir().unwrap();
     let config = Simulate { truth: Some("*_truth.csv".to_owned()), ..bare() };
-    let mut source = config.make(&site(folder.path())).unwrap();
+    let mut source = config.make(&run(folder.path())).unwrap();
     source.next(&mut Context::default()).unwrap();
     drop(source);
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);

@@ -14,7 +14,7 @@ use crate::scan_line::{
 use crate::stage::{Config as _, Source, SourceConfig};
 use crate::stages::read_arrow;
 
-fn site(folder: &Path, input: &str) -> RunContext {
+fn run(folder: &Path, input: &str) -> RunContext {
     RunContext {
         input: folder.join(input),
         stem: "made".into(),
@@ -28,7 +28,7 @@ fn site(folder: &Path, input: &str) -> RunContext {
 /// Writes lines as a job does; returns the notes and counters.
 fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
     let mut cx = Context::default();
-    let mut sink = config.make(&site(folder, "")).unwrap();
+    let mut sink = config.make(&run(folder, "")).unwrap();
     batches.iter().for_each(|scan_line| sink.write(scan_line, &mut cx).unwrap());
     sink.finish(&mut cx).unwrap();
     for whole in cx.whole.drain(..) {
@@ -39,7 +39,7 @@ fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
 
 fn read(folder: &Path) -> Vec<ScanLine> {
     let config: read_arrow::Config = toml::from_str("path = \"made.arrow\"").unwrap();
-    let mut source: Box<dyn Source> = config.make(&site(folder, "made.arrow")).unwrap();
+    let mut source: Box<dyn Source> = config.make(&run(folder, "made.arrow")).unwrap();
     let mut cx = Context::default();
     let batches = std::iter::from_fn(|| source.next(&mut cx).unwrap()).collect();
     // Made-up times may be implausible for their time scale, and made-up systems cannot be read.
@@ -304,7 +304,7 @@ fn without_a_shot_there_is_no_file_but_a_note() {
 #[test]
 fn an_abandoned_container_leaves_no_file() {
     let folder = tempfile::tempdir().unwrap();
-    let mut sink = Config::default().make(&site(folder.path(), "")).unwrap();
+    let mut sink = Config::default().make(&run(folder.path(), "")).unwrap();
     let shot = Emission {
         shot: 0,
         gps_time_s: 0.0,
@@ -344,7 +344,7 @@ fn keys_have_defaults_and_limits() {
 #[test]
 fn other_kinds_of_batches_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let mut sink = Config::default().make(&site(folder.path(), "")).unwrap();
+    let mut sink = Config::default().make(&run(folder.path(), "")).unwrap();
     let mut scan_line = ScanLine::of_shots(plain_info(), 0, vec![], Blocks::default());
     scan_line.content = crate::scan_line::Content::Returns(vec![]);
     let error = sink.write(&scan_line, &mut Context::default()).unwrap_err().to_string();
@@ -378,7 +378,7 @@ fn a_gain_that_the_header_does_not_announce_is_an_error() {
     blocks.push(0, Channel::LowPower, None, 0.0, 1.0, &[1, 2]);
     blocks.set_last_gain(2.0);
     let scan_line = ScanLine::of_shots(plain_info(), 0, vec![Emission::default()], blocks);
-    let mut sink = Config::default().make(&site(folder.path(), "")).unwrap();
+    let mut sink = Config::default().make(&run(folder.path(), "")).unwrap();
     let error = sink.write(&scan_line, &mut Context::default()).unwrap_err().to_string();
     assert!(error.contains("a block has a gain, but the container header declares none"), "{error}");
 }

@@ -34,22 +34,22 @@ impl PointSourceKey {
     ///
     /// # Errors
     /// The file name has no number, or the number is above 65 535.
-    pub(super) fn flight_line(self, site: &RunContext) -> Result<Option<u16>> {
+    pub(super) fn flight_line(self, run: &RunContext) -> Result<Option<u16>> {
         match self {
             PointSourceKey::Number(number) => Ok(Some(number)),
             PointSourceKey::Rule(PointSourceRule::Zone) => Ok(None),
             PointSourceKey::Rule(PointSourceRule::Line) => {
-                let problem = || format!("input {} of the job has no point source ID", site.number);
-                u16::try_from(site.number).map(Some).map_err(|_| {
+                let problem = || format!("input {} of the job has no point source ID", run.number);
+                u16::try_from(run.number).map(Some).map_err(|_| {
                     StageError::failed(problem(), "65535 is the largest: give `point_source_id` a number")
                 })
             }
             PointSourceKey::Rule(PointSourceRule::Name) => {
                 let digits =
-                    site.stem.split(|c: char| !c.is_ascii_digit()).rfind(|digits| !digits.is_empty());
+                    run.stem.split(|c: char| !c.is_ascii_digit()).rfind(|digits| !digits.is_empty());
                 digits.and_then(|digits| digits.parse().ok()).map(Some).ok_or_else(|| {
                     let problem =
-                        format!("the name `{}` has no number from 0 to 65535 at its end", site.stem);
+                        format!("the name `{}` has no number from 0 to 65535 at its end", run.stem);
                     StageError::failed(problem, "give `point_source_id` a number, or \"line\"")
                 })
             }
@@ -74,8 +74,8 @@ mod tests {
     use super::*;
 
     fn flight_line(key: PointSourceKey, stem: &str, number: u32) -> Result<Option<u16>> {
-        let site = RunContext { stem: stem.into(), number, ..RunContext::alone("".as_ref()) };
-        key.flight_line(&site)
+        let run = RunContext { stem: stem.into(), number, ..RunContext::alone("".as_ref()) };
+        key.flight_line(&run)
     }
 
     #[test]

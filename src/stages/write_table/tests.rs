@@ -122,7 +122,7 @@ fn line(shot: u64, with_points: bool) -> ScanLine {
 }
 
 fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
-    let site = RunContext {
+    let run = RunContext {
         input: "made.sdf".into(),
         stem: "made".into(),
         input_dir: folder.into(),
@@ -131,7 +131,7 @@ fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
         ..RunContext::alone("".as_ref())
     };
     let mut cx = Context::default();
-    let mut sink = config.make(&site).unwrap();
+    let mut sink = config.make(&run).unwrap();
     batches.iter().for_each(|batch| sink.write(batch, &mut cx).unwrap());
     sink.finish(&mut cx).unwrap();
     for whole in cx.whole.drain(..) {
@@ -305,7 +305,7 @@ fn the_extension_or_the_key_names_the_format() {
 #[test]
 fn shots_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let site = RunContext {
+    let run = RunContext {
         input: "made.sdf".into(),
         stem: "made".into(),
         input_dir: folder.path().into(),
@@ -313,7 +313,7 @@ fn shots_are_refused() {
         simd: wavex_signal::simd::SimdLevel::best(),
         ..RunContext::alone("".as_ref())
     };
-    let mut sink = config("*.csv").make(&site).unwrap();
+    let mut sink = config("*.csv").make(&run).unwrap();
     let batch = ScanLine::of_shots(info(), 0, vec![], Blocks::default());
     let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
     assert_eq!(error, "write_table received Shots, but writes Returns or Points; put it after `decompose`");

@@ -14,7 +14,7 @@ waveform = 500
 ",
         r#"
 error: `calibrate` has no key `waveform`
- --> site.toml:5:1
+ --> base.toml:5:1
   |
 5 | waveform = 500
   | ^^^^^^^^
@@ -34,7 +34,7 @@ threads = many
 ",
         r#"
 error: invalid TOML: string values must be quoted, expected literal string
- --> site.toml:2:11
+ --> base.toml:2:11
   |
 2 | threads = many
   |           ^^^^
@@ -53,7 +53,7 @@ type = 'calibrate'
 ",
         r#"
 error: an included file cannot contain stages
- --> site.toml:1:3
+ --> base.toml:1:3
   |
 1 | [[stage]]
   |   ^^^^^
@@ -69,7 +69,7 @@ fn a_table_that_is_no_stage() {
         "[decompos]\nmode = 'fast'\n",
         r#"
 error: `decompos` is neither `job` nor a stage type
- --> site.toml:1:2
+ --> base.toml:1:2
   |
 1 | [decompos]
   |  ^^^^^^^^
@@ -81,7 +81,7 @@ error: `decompos` is neither `job` nor a stage type
         "mem = 4096\n",
         r#"
 error: `mem` is neither `job` nor a stage type
- --> site.toml:1:1
+ --> base.toml:1:1
   |
 1 | mem = 4096
   | ^^^
@@ -97,7 +97,7 @@ fn a_stage_that_is_no_table() {
         "decompose = 5\n",
         r#"
 error: `decompose` must be a table
- --> site.toml:1:13
+ --> base.toml:1:13
   |
 1 | decompose = 5
   |             ^
@@ -113,7 +113,7 @@ fn what_only_the_job_itself_can_say() {
         "[job]\ninclude = 'other.toml'\n",
         r#"
 error: `include` is not allowed in an included file
- --> site.toml:2:1
+ --> base.toml:2:1
   |
 2 | include = 'other.toml'
   | ^^^^^^^
@@ -123,7 +123,7 @@ error: `include` is not allowed in an included file
         "[calibrate]\nid = 'c'\n",
         r#"
 error: `id` is not allowed in an included file
- --> site.toml:2:1
+ --> base.toml:2:1
   |
 2 | id = 'c'
   | ^^
@@ -135,12 +135,12 @@ error: `id` is not allowed in an included file
 fn files_that_were_not_read() {
     check_set(
         FULL,
-        &["job.include=site.toml"],
+        &["job.include=base.toml"],
         r#"
 error: the files named by `include` have not been read
  --> --set:1:13
   |
-1 | job.include=site.toml
+1 | job.include=base.toml
   |             ^^^^^^^^^
   |
   = help: `include` must be set in the text of the job itself

@@ -187,9 +187,9 @@ fn heights_of_a_trajectory_count_from_what_the_job_says() {
 #[test]
 fn a_wkt_that_cannot_be_used_names_its_file() {
     let flight = fly(QUIET);
-    std::fs::write(flight.path("site.prj"), "PROJCS[\"x\"").unwrap();
-    let error = flight.place("trajectory = '*.out'\ncrs = 'site.prj'", |truth| truth.range_m).err().unwrap();
-    let named = format!("{}: the WKT cannot be read: ", flight.path("site.prj").display());
+    std::fs::write(flight.path("zone.prj"), "PROJCS[\"x\"").unwrap();
+    let error = flight.place("trajectory = '*.out'\ncrs = 'zone.prj'", |truth| truth.range_m).err().unwrap();
+    let named = format!("{}: the WKT cannot be read: ", flight.path("zone.prj").display());
     assert!(error.starts_with(&named), "{error}");
 }
 

@@ -214,7 +214,7 @@ fn what_the_table_names_must_be_there() {
         refused("crs = 'EPSG:99999'"),
         "EPSG:99999 is not in the table of coordinate reference systems; check the code, or use a WKT file"
     );
-    assert!(refused("crs = 'site.prj'").starts_with("site.prj: cannot open: "));
+    assert!(refused("crs = 'zone.prj'").starts_with("zone.prj: cannot open: "));
     std::fs::write(flight.path("huge.prj"), " ".repeat(1_000_001)).unwrap();
     assert_eq!(
         refused("crs = 'huge.prj'"),

@@ -36,7 +36,7 @@ impl Named {
     /// use wavex_geodesy::crs::Named;
     ///
     /// assert_eq!(Named::parse("utm:33N")?, Some(Named::UtmZone { zone: 33, north: true }));
-    /// assert_eq!(Named::parse("site.wkt")?, None);
+    /// assert_eq!(Named::parse("zone.wkt")?, None);
     /// # Ok::<(), wavex_geodesy::crs::CrsError>(())
     /// ```
     pub fn parse(word: &str) -> Result<Option<Named>, CrsError> {
@@ -133,8 +133,8 @@ mod tests {
         assert_eq!(parse("epsg:2154"), Some(Named::Epsg(2154)));
         assert_eq!(parse("geodetic"), Some(Named::Geodetic));
         assert_eq!(parse("ECEF"), Some(Named::Ecef));
-        assert_eq!(parse("site.wkt"), None);
-        assert_eq!(parse(r"C:\site.wkt"), None);
+        assert_eq!(parse("zone.wkt"), None);
+        assert_eq!(parse(r"C:\zone.wkt"), None);
     }
 
     #[test]
@@ -171,7 +171,7 @@ mod tests {
             let error = Named::parse(word).unwrap_err().to_string();
             assert!(error.ends_with(&format!("; write `{meant}`")), "{error}");
         }
-        for path in ["25832.wkt", "site/25832", "./25832", "utm33n.prj", "wgs84.prj", "33"] {
+        for path in ["25832.wkt", "folder/25832", "./25832", "utm33n.prj", "wgs84.prj", "33"] {
             assert_eq!(Named::parse(path).unwrap(), None, "{path}");
         }
     }

@@ -295,13 +295,13 @@ impl BatchDecomposer {
     /// Refines the waveforms of a fast pass that need it; outputs all in order.
     fn refine_some(&mut self, tables: &Tables, blocks: &[Waveform<'_>], outcomes: &mut Decompositions) {
         std::mem::swap(&mut self.first_pass, &mut self.work.pulse_models);
-        let (mut needy, mut which) = (Vec::with_capacity(blocks.len()), Vec::with_capacity(blocks.len()));
+        let (mut to_refine, mut which) = (Vec::with_capacity(blocks.len()), Vec::with_capacity(blocks.len()));
         for (block, pulse_model) in blocks.iter().zip(&self.first_pass) {
-            let is_needy = self.needs_refinement(pulse_model, block.samples.len());
-            which.push(if is_needy { needy.len() } else { usize::MAX });
-            needy.extend(is_needy.then_some(*block));
+            let is_unclear = self.needs_refinement(pulse_model, block.samples.len());
+            which.push(if is_unclear { to_refine.len() } else { usize::MAX });
+            to_refine.extend(is_unclear.then_some(*block));
         }
-        self.run(tables, &needy, Mode::Refined);
+        self.run(tables, &to_refine, Mode::Refined);
         let mut refined = std::mem::take(&mut self.work.pulse_models);
         let mut first_pass = std::mem::take(&mut self.first_pass);
         for (i, block) in blocks.iter().enumerate() {

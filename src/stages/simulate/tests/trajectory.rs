@@ -10,7 +10,7 @@ use wavex_geodesy::transverse_mercator::{TransverseMercator, TransverseMercatorP
 /// Flies to the end and gives the lines, and the files by their names.
 fn flown(config: &Simulate) -> (Vec<ScanLine>, std::collections::BTreeMap<String, Vec<u8>>) {
     let folder = tempfile::tempdir().unwrap();
-    let (mut source, mut cx) = (config.make(&site(folder.path())).unwrap(), Context::default());
+    let (mut source, mut cx) = (config.make(&run(folder.path())).unwrap(), Context::default());
     let mut batches = Vec::new();
     while let Some(line) = source.next(&mut cx).unwrap() {
         batches.push(line);

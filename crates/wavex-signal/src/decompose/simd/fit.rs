@@ -5,7 +5,7 @@ use super::fitted::{Fitted, FittedLanes, FittedPulse, Values};
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::solve::{Factors, factor};
 use super::tables::{ROW, Tables, U_MAX};
-use super::template::{Pulses, Site, Sites, leaves_block, tail, template, weights};
+use super::template::{Pulses, Lookup, Lookups, leaves_block, tail, template, weights};
 use crate::pulse_fit::{FIRST_DAMPING, NEAR_NEWTON, ROUGH_DECREASE};
 use crate::simd::{Kernel, LANES, Simd};
 
@@ -303,15 +303,15 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Fi
         inside: &mut u16,
     ) -> NormalEquations<S::V, N> {
         let s = self.s;
-        let mut sites = [Sites::NONE; P];
-        for (sites, pulse) in sites.iter_mut().zip(pulses) {
-            sites.set(s, pulse);
+        let mut lookups = [Lookups::NONE; P];
+        for (lookups, pulse) in lookups.iter_mut().zip(pulses) {
+            lookups.set(s, pulse);
         }
         let mut left = lanes;
         while left != 0 {
             let w = left.trailing_zeros() as usize % LANES;
             left &= left - 1;
-            let (of_pulse, first, end) = self.sites_of::<STRONG>(&sites, w);
+            let (of_pulse, first, end) = self.lookups_of::<STRONG>(&lookups, w);
             if end - first > farthest(C) {
                 *inside &= !(1 << w);
             }
@@ -322,7 +322,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Fi
 
     /// Computes the products of the columns of one row.
     #[inline(always)]
-    fn products<const STRONG: bool>(&mut self, of_pulse: &[Site; P], first: i32, w: usize) {
+    fn products<const STRONG: bool>(&mut self, of_pulse: &[Lookup; P], first: i32, w: usize) {
         let columns = self.columns::<STRONG>(of_pulse, first, w);
         let s = self.s;
         unrolled!(i in [0 1 2 3 4 5 6 7 8 9] if N + 1 => {
@@ -340,7 +340,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Fi
     ///
     /// The array has room for three pulses and the residual, and for four vectors.
     #[inline(always)]
-    fn columns<const STRONG: bool>(&self, of_pulse: &[Site; P], first: i32, w: usize) -> [[S::V; 4]; 10] {
+    fn columns<const STRONG: bool>(&self, of_pulse: &[Lookup; P], first: i32, w: usize) -> [[S::V; 4]; 10] {
         let s = self.s;
         let row = self.rows.residual_row(self.row[w]);
         let length = self.rows.length(self.row[w]);
@@ -350,18 +350,18 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Fi
             let start = (c * LANES) as i32;
             let mut residual = s.load(sixteen(row, FRONT.saturating_add_signed((first + start) as isize)));
             unrolled!(p in [0 1 2] if P => {
-                let site = &of_pulse[p];
-                let shift = (site.first - first).clamp(0, farthest(C));
+                let lookup = &of_pulse[p];
+                let shift = (lookup.first - first).clamp(0, farthest(C));
                 if start + LANES as i32 > shift && start < shift + ROW as i32 {
                     let at = LANES.saturating_add_signed((start - shift) as isize);
-                    let shape = template::<S, STRONG>(s, self.tables, site, at);
+                    let shape = template::<S, STRONG>(s, self.tables, lookup, at);
                     out[3 * p][c] = shape.by_height;
                     out[3 * p + 1][c] = shape.by_time;
                     out[3 * p + 2][c] = shape.by_width;
-                    residual = s.fnma(s.splat(site.height), shape.pulse, residual);
+                    residual = s.fnma(s.splat(lookup.height), shape.pulse, residual);
                 }
                 if start + LANES as i32 > shift + ROW as i32 {
-                    let behind = tail::<S, STRONG>(s, self.tables, site, start - shift - ROW as i32);
+                    let behind = tail::<S, STRONG>(s, self.tables, lookup, start - shift - ROW as i32);
                     residual = s.sub(residual, behind);
                 }
             });
@@ -457,15 +457,15 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Fi
     ) {
         let s = self.s;
         let zero = s.splat(0.0);
-        let mut sites = [Sites::NONE; P];
+        let mut lookups = [Lookups::NONE; P];
         let mut scale = [s.splat(steady); N];
         for (p, pulse) in pulses.iter().enumerate() {
-            sites[p].set(s, pulse);
+            lookups[p].set(s, pulse);
             scale[3 * p + 1] = s.mul(s.sub(zero, pulse.height), scale[3 * p + 1]);
             scale[3 * p + 2] = s.mul(pulse.height, scale[3 * p + 2]);
         }
         for w in 0..out.len().min(LANES) {
-            let (of_pulse, first, _) = self.sites_of::<STRONG>(&sites, w);
+            let (of_pulse, first, _) = self.lookups_of::<STRONG>(&lookups, w);
             let columns = self.columns::<STRONG>(&of_pulse, first, w);
             unrolled!(i in [0 1 2 3 4 5 6 7 8] if N => {
                 let mut sum = columns[i][0];
@@ -498,18 +498,18 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Fi
         }
     }
 
-    /// Returns the sites of a lane's pulses and their lowest and highest first sample.
+    /// Returns the lookups of a lane's pulses and their lowest and highest first sample.
     #[inline(always)]
-    fn sites_of<const STRONG: bool>(&self, sites: &[Sites; P], w: usize) -> ([Site; P], i32, i32) {
-        let mut of_pulse = [Site::default(); P];
-        for (site, sites) in of_pulse.iter_mut().zip(sites) {
-            *site = sites.get::<STRONG>(self.tables, w);
+    fn lookups_of<const STRONG: bool>(&self, lookups: &[Lookups; P], w: usize) -> ([Lookup; P], i32, i32) {
+        let mut of_pulse = [Lookup::default(); P];
+        for (lookup, lookups) in of_pulse.iter_mut().zip(lookups) {
+            *lookup = lookups.get::<STRONG>(self.tables, w);
         }
         let mut first = of_pulse[0].first;
         let mut end = first;
-        for site in &of_pulse[1..] {
-            first = first.min(site.first);
-            end = end.max(site.first);
+        for lookup in &of_pulse[1..] {
+            first = first.min(lookup.first);
+            end = end.max(lookup.first);
         }
         (of_pulse, first, end)
     }

@@ -12,7 +12,7 @@ use super::pulse_model::MAX_CLUSTER;
 use super::rows::{FRONT, Rows, sixteen};
 use super::solve::PackedFactors;
 use super::tables::{ROW, Tables, U_MAX};
-use super::template::{Pulses, Site, Sites, VECTORS, leaves_block, tail, template, weights};
+use super::template::{Pulses, Lookup, Lookups, VECTORS, leaves_block, tail, template, weights};
 use crate::pulse_fit::NEAR_NEWTON;
 use crate::simd::{Kernel, LANES, Simd};
 
@@ -301,15 +301,15 @@ impl<S: Simd> ManyGroup<'_, S> {
     /// Fills the frames of some lanes; returns the lanes whose pulses are too far apart.
     #[inline(always)]
     fn fill_frames<const STRONG: bool>(&mut self, pulses: &[Pulses<S::V>; MAX_CLUSTER], lanes: u16) -> u16 {
-        let mut sites = [Sites::NONE; MAX_CLUSTER];
-        for (sites, pulse) in sites.iter_mut().zip(&pulses[..self.count]) {
-            sites.set(self.s, pulse);
+        let mut lookups = [Lookups::NONE; MAX_CLUSTER];
+        for (lookups, pulse) in lookups.iter_mut().zip(&pulses[..self.count]) {
+            lookups.set(self.s, pulse);
         }
         let mut too_far = 0;
         for w in in_mask(lanes) {
-            let mut of_pulse = [Site::default(); MAX_CLUSTER];
-            for (site, sites) in of_pulse.iter_mut().zip(&sites[..self.count]) {
-                *site = sites.get::<STRONG>(self.tables, w);
+            let mut of_pulse = [Lookup::default(); MAX_CLUSTER];
+            for (lookup, lookups) in of_pulse.iter_mut().zip(&lookups[..self.count]) {
+                *lookup = lookups.get::<STRONG>(self.tables, w);
             }
             too_far |= u16::from(!self.fill_frame::<STRONG>(&of_pulse[..self.count], w)) << w;
         }
@@ -318,32 +318,32 @@ impl<S: Simd> ManyGroup<'_, S> {
 
     /// Computes residual and derivatives of one row; `false` if the frame is too short.
     #[inline(always)]
-    fn fill_frame<const STRONG: bool>(&mut self, of_pulse: &[Site], w: usize) -> bool {
+    fn fill_frame<const STRONG: bool>(&mut self, of_pulse: &[Lookup], w: usize) -> bool {
         let (s, tables, order) = (self.s, self.tables, self.tables.order);
         let (row, length) = (self.rows.residual_row(self.row[w]), self.rows.length(self.row[w]));
         let frame = &mut self.frames[w];
-        let first = of_pulse.iter().map(|site| site.first).min().unwrap_or(0);
-        let last = of_pulse.iter().map(|site| site.first).max().unwrap_or(0);
+        let first = of_pulse.iter().map(|lookup| lookup.first).min().unwrap_or(0);
+        let last = of_pulse.iter().map(|lookup| lookup.first).max().unwrap_or(0);
         let vectors = (last - first) as usize / LANES + OF_PULSE;
         frame.vectors = vectors.min(FRAME);
         for c in 0..frame.vectors {
             let at = FRONT.saturating_add_signed(first as isize + (c * LANES) as isize);
             frame.residual[c] = s.load(sixteen(row, at));
         }
-        for (p, site) in of_pulse.iter().enumerate() {
-            let shift = (site.first - first) as usize;
+        for (p, lookup) in of_pulse.iter().enumerate() {
+            let shift = (lookup.first - first) as usize;
             let from = (shift / LANES).min(FRAME - OF_PULSE);
             frame.from[p] = from;
-            let height = s.splat(site.height);
+            let height = s.splat(lookup.height);
             for c in 0..OF_PULSE {
                 let at = ((from + c + 1) * LANES).saturating_sub(shift);
-                let shape = template::<S, STRONG>(s, tables, site, at);
+                let shape = template::<S, STRONG>(s, tables, lookup, at);
                 frame.columns[p][c] = [shape.by_height, shape.by_time, shape.by_width];
                 frame.residual[from + c] = s.fnma(height, shape.pulse, frame.residual[from + c]);
             }
             let behind = shift + ROW;
             for c in behind / LANES..frame.vectors {
-                let values = tail::<S, STRONG>(s, tables, site, (c * LANES) as i32 - behind as i32);
+                let values = tail::<S, STRONG>(s, tables, lookup, (c * LANES) as i32 - behind as i32);
                 frame.residual[c] = s.sub(frame.residual[c], values);
             }
         }

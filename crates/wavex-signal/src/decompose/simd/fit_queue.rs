@@ -6,7 +6,7 @@ use super::fitted::{Fitted, FittedPulse, Values};
 use super::pulse_model::MAX_CLUSTER;
 use super::rows::{BATCH, Rows};
 use super::tables::Tables;
-use super::template::Site;
+use super::template::Lookup;
 use crate::pulse_fit;
 use crate::simd::{Kernel, Processor, Simd};
 
@@ -400,10 +400,10 @@ pub(super) fn add_pulse<S: Simd>(
     values: Values,
     sign: f32,
 ) {
-    let site = Site::of(tables, values);
-    if site.height >= tables.strong_dn() {
-        rows.add::<S, true>(s, tables, row, &site, sign);
+    let lookup = Lookup::of(tables, values);
+    if lookup.height >= tables.strong_dn() {
+        rows.add::<S, true>(s, tables, row, &lookup, sign);
     } else {
-        rows.add::<S, false>(s, tables, row, &site, sign);
+        rows.add::<S, false>(s, tables, row, &lookup, sign);
     }
 }

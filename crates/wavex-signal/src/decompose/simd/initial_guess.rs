@@ -8,7 +8,7 @@ use super::level::LevelTables;
 use super::pulse_model::{MAX_PULSES, PulseModel};
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::tables::{BANK, BEFORE_PEAK, PHASES, ROW, Tables};
-use super::template::{Pulses, Site, Sites, VECTORS, bounded, tail, template, weights};
+use super::template::{Pulses, Lookup, Lookups, VECTORS, bounded, tail, template, weights};
 use crate::simd::{Kernel, LANES, Simd, Sixteen};
 
 /// Dot products of a row with the bank.
@@ -299,36 +299,36 @@ fn one_step<S: Simd>(
     let lengths: Sixteen = std::array::from_fn(|w| rows.length(row_of(w)).saturating_sub(1) as f32);
     let last = s.load(&lengths);
     let pulses = start.within(s, last);
-    let mut sites = Sites::NONE;
-    sites.set(s, &pulses);
+    let mut lookups = Lookups::NONE;
+    lookups.set(s, &pulses);
     let (mut inverse, mut by_level) = ([[0.0; LANES]; 6], [[0.0; LANES]; 4]);
     let (mut made, mut levelled) = (0, 0);
     let mut counted = [0; LANES];
     for w in 0..which.len().min(LANES) {
-        let site = sites.get::<true>(tables, w);
-        for (inverse, value) in inverse.iter_mut().zip(tables.inverse_fisher(site.entry)) {
+        let lookup = lookups.get::<true>(tables, w);
+        for (inverse, value) in inverse.iter_mut().zip(tables.inverse_fisher(lookup.entry)) {
             inverse[w] = value;
         }
         let row = rows.residual_row(row_of(w));
-        let at = FRONT.saturating_add_signed(site.first as isize);
-        let height = s.splat(site.height);
+        let at = FRONT.saturating_add_signed(lookup.first as isize);
+        let height = s.splat(lookup.height);
         let (order, length) = (tables.order as i32, rows.length(row_of(w)) as i32);
-        let is_inside = |[from, to]: [i32; 2]| site.first + from >= order && site.first + to <= length;
-        let is_whole = is_inside(tables.needed(site.entry));
-        made |= u16::from(is_whole || is_inside(tables.telling(site.entry))) << w;
+        let is_inside = |[from, to]: [i32; 2]| lookup.first + from >= order && lookup.first + to <= length;
+        let is_whole = is_inside(tables.needed(lookup.entry));
+        made |= u16::from(is_whole || is_inside(tables.telling(lookup.entry))) << w;
         let mut acc = [s.splat(0.0); 4];
         let mut sum = s.splat(0.0);
         for c in 0..VECTORS {
             // The matrix of the step is that of the first node's response. The pulse that it
             // corrects has the response for its height.
-            let shape = if site.height < tables.strong_dn() {
-                template::<S, false>(s, tables, &site, LANES + c * LANES)
+            let shape = if lookup.height < tables.strong_dn() {
+                template::<S, false>(s, tables, &lookup, LANES + c * LANES)
             } else {
-                template::<S, true>(s, tables, &site, LANES + c * LANES)
+                template::<S, true>(s, tables, &lookup, LANES + c * LANES)
             };
             let mut residual = s.fnma(height, shape.pulse, s.load(sixteen(row, at + c * LANES)));
             if !is_whole {
-                let first = site.first + (c * LANES) as i32;
+                let first = lookup.first + (c * LANES) as i32;
                 residual = s.mul(residual, weights(s, first, tables.order, length as usize));
             }
             acc[0] = s.fma(shape.pulse, residual, acc[0]);
@@ -341,18 +341,18 @@ fn one_step<S: Simd>(
             sums[w] = s.halved(acc);
         }
         let begin = if is_whole { 0 } else { order };
-        counted[w] = ((site.first + ROW as i32).min(length) - site.first.max(begin)).max(0) as usize;
+        counted[w] = ((lookup.first + ROW as i32).min(length) - lookup.first.max(begin)).max(0) as usize;
         if let Some(levels) = levels
             && is_whole
             && levels.alone & (1 << w) != 0
         {
             levelled |= 1 << w;
-            let [square, rest] = beyond_row(s, tables, row, &site, length);
+            let [square, rest] = beyond_row(s, tables, row, &lookup, length);
             let product = s.mul(s.splat(levels.tables.steady), s.add(sum, rest));
             let excess = s.load(&levels.tables.begin_excess);
             sums[4][w] = s.halved(square);
             sums[5][w] = s.halved(s.fma(excess, s.load(sixteen(row, FRONT)), product));
-            for (lanes, value) in by_level.iter_mut().zip(levels.tables.of_entry(site.entry)) {
+            for (lanes, value) in by_level.iter_mut().zip(levels.tables.of_entry(lookup.entry)) {
                 lanes[w] = value;
             }
         }
@@ -413,22 +413,22 @@ fn one_step<S: Simd>(
 ///
 /// Covers the samples of the block before the row, and those after it minus the pulse's tail.
 #[inline(always)]
-fn beyond_row<S: Simd>(s: S, tables: &Tables, row: &[f32], site: &Site, length: i32) -> [S::V; 2] {
+fn beyond_row<S: Simd>(s: S, tables: &Tables, row: &[f32], lookup: &Lookup, length: i32) -> [S::V; 2] {
     let (mut squares, mut sum) = (s.splat(0.0), s.splat(0.0));
-    let mut first = site.first;
+    let mut first = lookup.first;
     while first > 0 {
         first -= LANES as i32;
         let value = s.load(sixteen(row, FRONT.saturating_add_signed(first as isize)));
         squares = s.fma(value, value, squares);
         sum = s.add(sum, value);
     }
-    first = site.first + ROW as i32;
+    first = lookup.first + ROW as i32;
     while first < length {
-        let from = first - site.first - ROW as i32;
-        let mut behind = if site.height < tables.strong_dn() {
-            tail::<S, false>(s, tables, site, from)
+        let from = first - lookup.first - ROW as i32;
+        let mut behind = if lookup.height < tables.strong_dn() {
+            tail::<S, false>(s, tables, lookup, from)
         } else {
-            tail::<S, true>(s, tables, site, from)
+            tail::<S, true>(s, tables, lookup, from)
         };
         if first + LANES as i32 > length {
             behind = s.mul(behind, weights(s, first, tables.order, length as usize));

@@ -17,7 +17,7 @@ use super::fitted::Values;
 use super::pulse_model::{PulseComponent, PulseModel, Way};
 use super::rows::{EMPTY, Rows};
 use super::tables::{MAX_ORDER, Tables, U_MAX, U_MIN};
-use super::template::Site;
+use super::template::Lookup;
 use crate::noise::ArNoise;
 use crate::shape::SD_OF_FWHM;
 use crate::simd::{Kernel, LANES, Simd, Sixteen};
@@ -118,7 +118,7 @@ impl LevelTables {
     /// Effect of a level of 1 DN on a whole pulse, and the information it absorbs.
     #[inline(always)]
     pub(super) fn of_whole(&self, tables: &Tables, values: Values) -> (Values, f32) {
-        let [height, position, width, explained] = self.of_entry(Site::of(tables, values).entry);
+        let [height, position, width, explained] = self.of_entry(Lookup::of(tables, values).entry);
         ([height, position / values[0], width / values[0]], explained)
     }
 
@@ -392,11 +392,11 @@ fn take_change_off<S: Simd>(
     values: Values,
     change: Values,
 ) {
-    let site = Site::of(tables, values);
-    if site.height >= tables.strong_dn() {
-        rows.take_change_off::<S, true>(s, tables, row, &site, change);
+    let lookup = Lookup::of(tables, values);
+    if lookup.height >= tables.strong_dn() {
+        rows.take_change_off::<S, true>(s, tables, row, &lookup, change);
     } else {
-        rows.take_change_off::<S, false>(s, tables, row, &site, change);
+        rows.take_change_off::<S, false>(s, tables, row, &lookup, change);
     }
 }
 

@@ -6,7 +6,7 @@
 use super::fitted::Values;
 use super::level::LevelTables;
 use super::tables::{Aligned, ROW, Tables};
-use super::template::{Site, VECTORS, leaves_block, tail, template, weights};
+use super::template::{Lookup, VECTORS, leaves_block, tail, template, weights};
 use crate::simd::{LANES, Simd, Sixteen};
 
 /// Zeros before the first sample.
@@ -176,31 +176,31 @@ impl Rows {
         s: S,
         tables: &Tables,
         row: usize,
-        site: &Site,
+        lookup: &Lookup,
         sign: f32,
     ) {
         let n = self.lengths[row];
         let to = &mut self.residual.as_mut_slice()[row * self.stride..][..self.stride];
-        if site.first < tables.order as i32 && self.counted[row] == n {
+        if lookup.first < tables.order as i32 && self.counted[row] == n {
             self.counted[row] = n.saturating_sub(tables.order);
             to[FRONT..FRONT + tables.order.min(n)].fill(0.0);
         }
-        let inside = !leaves_block(site.first, ROW, tables.order, n);
-        let factor = s.splat(sign * site.height);
+        let inside = !leaves_block(lookup.first, ROW, tables.order, n);
+        let factor = s.splat(sign * lookup.height);
         for c in 0..VECTORS {
-            let first = site.first + (c * LANES) as i32;
+            let first = lookup.first + (c * LANES) as i32;
             let at = FRONT.saturating_add_signed(first as isize);
-            let mut values = template::<S, STRONG>(s, tables, site, LANES + c * LANES).pulse;
+            let mut values = template::<S, STRONG>(s, tables, lookup, LANES + c * LANES).pulse;
             if !inside {
                 values = s.mul(values, weights(s, first, tables.order, n));
             }
             put(s, s.fma(factor, values, s.load(sixteen(to, at))), to, at);
         }
-        let mut first = site.first + ROW as i32;
+        let mut first = lookup.first + ROW as i32;
         let mut from = 0;
         while first < n as i32 {
             let at = FRONT.saturating_add_signed(first as isize);
-            let mut values = s.mul(s.splat(sign), tail::<S, STRONG>(s, tables, site, from));
+            let mut values = s.mul(s.splat(sign), tail::<S, STRONG>(s, tables, lookup, from));
             if first < tables.order as i32 || first + LANES as i32 > n as i32 {
                 values = s.mul(values, weights(s, first, tables.order, n));
             }
@@ -220,18 +220,18 @@ impl Rows {
         s: S,
         tables: &Tables,
         row: usize,
-        site: &Site,
+        lookup: &Lookup,
         [height, position, width]: Values,
     ) {
         let n = self.lengths[row];
         let to = &mut self.residual.as_mut_slice()[row * self.stride..][..self.stride];
-        let inside = !leaves_block(site.first, ROW, tables.order, n);
+        let inside = !leaves_block(lookup.first, ROW, tables.order, n);
         let [by_height, by_time, by_width] =
-            [height, -site.height * position, site.height * width].map(|change| s.splat(change));
+            [height, -lookup.height * position, lookup.height * width].map(|change| s.splat(change));
         for c in 0..VECTORS {
-            let first = site.first + (c * LANES) as i32;
+            let first = lookup.first + (c * LANES) as i32;
             let at = FRONT.saturating_add_signed(first as isize);
-            let shape = template::<S, STRONG>(s, tables, site, LANES + c * LANES);
+            let shape = template::<S, STRONG>(s, tables, lookup, LANES + c * LANES);
             let mut change = s.mul(by_height, shape.by_height);
             change = s.fma(by_time, shape.by_time, change);
             change = s.fma(by_width, shape.by_width, change);
@@ -240,12 +240,12 @@ impl Rows {
             }
             put(s, s.sub(s.load(sixteen(to, at)), change), to, at);
         }
-        let factor = s.splat(height / site.height);
-        let mut first = site.first + ROW as i32;
+        let factor = s.splat(height / lookup.height);
+        let mut first = lookup.first + ROW as i32;
         let mut from = 0;
         while first < n as i32 {
             let at = FRONT.saturating_add_signed(first as isize);
-            let mut values = s.mul(factor, tail::<S, STRONG>(s, tables, site, from));
+            let mut values = s.mul(factor, tail::<S, STRONG>(s, tables, lookup, from));
             if first < tables.order as i32 || first + LANES as i32 > n as i32 {
                 values = s.mul(values, weights(s, first, tables.order, n));
             }

@@ -12,7 +12,7 @@ use super::pulse_model::PulseComponent;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::solve::factor;
 use super::tables::{ROW, ROW_STRIDE, Tables};
-use super::template::{Site, VECTORS, leaves_block, template, weights};
+use super::template::{Lookup, VECTORS, leaves_block, template, weights};
 use crate::shape::SD_OF_FWHM;
 use crate::simd::{Kernel, LANES, Simd};
 
@@ -58,8 +58,8 @@ fn scores<S: Simd>(
     let idle = PulseComponent::of_calibrated_width(1.0, 20.0);
     for w in 0..LANES {
         let (row, pulse) = pulses.get(w).copied().unwrap_or((EMPTY, idle));
-        let site = Site::of(tables, pulse.values());
-        products(s, tables, rows, row, &site, &halves(tables, &pulse), w, sums);
+        let lookup = Lookup::of(tables, pulse.values());
+        products(s, tables, rows, row, &lookup, &halves(tables, &pulse), w, sums);
     }
     let zero = s.splat(0.0);
     let mut products = [zero; PRODUCTS];
@@ -110,20 +110,20 @@ fn products<S: Simd>(
     tables: &Tables,
     rows: &Rows,
     row: usize,
-    site: &Site,
-    pair: &[Site; 2],
+    lookup: &Lookup,
+    pair: &[Lookup; 2],
     w: usize,
     sums: &mut GateSums<S::Half>,
 ) {
     let (values, length) = (rows.residual_row(row), rows.length(row));
-    let edge = leaves_block(site.first, ROW, tables.order, length);
-    let entry = tables.entry(site.nodes[0], site.entry);
+    let edge = leaves_block(lookup.first, ROW, tables.order, length);
+    let entry = tables.entry(lookup.nodes[0], lookup.entry);
     // The six directions and the residual.
     let mut columns = [[s.splat(0.0); VECTORS]; N + 1];
     unrolled!(c in [0 1] if VECTORS => {
         let at = LANES + c * LANES;
-        let first = site.first + (c * LANES) as i32;
-        let shape = template::<S, false>(s, tables, site, at);
+        let first = lookup.first + (c * LANES) as i32;
+        let shape = template::<S, false>(s, tables, lookup, at);
         columns[0][c] = shape.pulse;
         columns[1][c] = shape.by_time;
         columns[2][c] = shape.by_width;
@@ -151,17 +151,17 @@ fn products<S: Simd>(
 ///
 /// They have its energy, centre and variance.
 #[inline(always)]
-fn halves(tables: &Tables, pulse: &PulseComponent) -> [Site; 2] {
+fn halves(tables: &Tables, pulse: &PulseComponent) -> [Lookup; 2] {
     let [height, position, _] = pulse.values();
     let ratio = pulse.width_ratio();
     let reach = SD_OF_FWHM as f32 * tables.fwhm_samples as f32 * (ratio * ratio - 1.0).max(0.0).sqrt();
-    let half = |position: f32| Site::of(tables, [0.5 * ratio * height, position, 0.0]);
+    let half = |position: f32| Lookup::of(tables, [0.5 * ratio * height, position, 0.0]);
     [half(position - reach), half(position + reach)]
 }
 
 /// Sixteen samples of two pulses from `first` on, relative to the pulse that they replace.
 #[inline(always)]
-fn equal_pair<S: Simd>(s: S, tables: &Tables, pair: &[Site; 2], first: i32) -> S::V {
+fn equal_pair<S: Simd>(s: S, tables: &Tables, pair: &[Lookup; 2], first: i32) -> S::V {
     let mut sum = s.splat(0.0);
     unrolled!(i in [0 1] if 2 => {
         let at = first - pair[i].first + LANES as i32;

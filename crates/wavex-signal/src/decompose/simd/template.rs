@@ -68,7 +68,7 @@ pub(super) fn bounded<S: Simd>(s: S, value: S::V, limit: f32) -> S::V {
 
 /// Table entry of a pulse, and the pulse's distance from it.
 #[derive(Clone, Copy, Default)]
-pub(super) struct Site {
+pub(super) struct Lookup {
     /// Entry of knot and position.
     pub(super) entry: usize,
     /// Block sample at the start of the row.
@@ -87,27 +87,27 @@ pub(super) struct Site {
     pub(super) change: f32,
 }
 
-impl Site {
-    /// Finds the site of one pulse within the tables; the response depends on its height.
+impl Lookup {
+    /// Finds the table entry of one pulse; the response depends on its height.
     #[inline(always)]
-    pub(super) fn of(tables: &Tables, [height, position, width]: Values) -> Site {
+    pub(super) fn of(tables: &Tables, [height, position, width]: Values) -> Lookup {
         let above = width.clamp(U_MIN as f32, U_MAX as f32) - U_MIN as f32;
         let knot = (above * (1.0 / U_STEP as f32)).round_ties_even();
         let phase = (position * PHASES as f32).round_ties_even();
-        let site = Site {
+        let lookup = Lookup {
             entry: tables.index(knot as usize, phase as i32),
             first: (phase as i32).div_euclid(PHASES as i32) - BEFORE_PEAK,
             late: phase / PHASES as f32 - position,
             wider: above - knot * U_STEP as f32,
             height,
-            ..Site::default()
+            ..Lookup::default()
         };
-        site.with_nodes(tables)
+        lookup.with_nodes(tables)
     }
 
     /// Sets the response nodes around the pulse's height.
     #[inline(always)]
-    fn with_nodes(mut self, tables: &Tables) -> Site {
+    fn with_nodes(mut self, tables: &Tables) -> Lookup {
         let nodes = &tables.nodes;
         if nodes.len() == 1 {
             return self;
@@ -125,9 +125,9 @@ impl Site {
     }
 }
 
-/// Sites of sixteen pulses, one per lane.
+/// Lookups of sixteen pulses, one per lane.
 #[derive(Clone, Copy)]
-pub(super) struct Sites {
+pub(super) struct Lookups {
     knot: [i32; LANES],
     /// Positions in units of a phase.
     step: [i32; LANES],
@@ -136,9 +136,9 @@ pub(super) struct Sites {
     height: Sixteen,
 }
 
-impl Sites {
-    /// Sites before any are set.
-    pub(super) const NONE: Sites = Sites {
+impl Lookups {
+    /// Lookups before any are set.
+    pub(super) const NONE: Lookups = Lookups {
         knot: [0; LANES],
         step: [0; LANES],
         late: [0.0; LANES],
@@ -146,7 +146,7 @@ impl Sites {
         height: [0.0; LANES],
     };
 
-    /// Sets the sites of pulses that are [`Pulses::within`] the tables.
+    /// Sets the lookups of pulses that are [`Pulses::within`] the tables.
     #[inline(always)]
     pub(super) fn set<S: Simd>(&mut self, s: S, pulses: &Pulses<S::V>) {
         let above = s.sub(pulses.width, s.splat(U_MIN as f32));
@@ -166,19 +166,19 @@ impl Sites {
         self.step[lane].div_euclid(PHASES as i32) - BEFORE_PEAK
     }
 
-    /// Returns the site in a lane; with `STRONG` the response depends on height.
+    /// Returns the lookup in a lane; with `STRONG` the response depends on height.
     #[inline(always)]
-    pub(super) fn get<const STRONG: bool>(&self, tables: &Tables, lane: usize) -> Site {
+    pub(super) fn get<const STRONG: bool>(&self, tables: &Tables, lane: usize) -> Lookup {
         let knot = (self.knot[lane].max(0) as usize).min(KNOTS - 1);
-        let site = Site {
+        let lookup = Lookup {
             entry: tables.index(knot, self.step[lane]),
             first: self.first(lane),
             late: self.late[lane],
             wider: self.wider[lane],
             height: self.height[lane],
-            ..Site::default()
+            ..Lookup::default()
         };
-        if STRONG { site.with_nodes(tables) } else { site }
+        if STRONG { lookup.with_nodes(tables) } else { lookup }
     }
 }
 
@@ -200,26 +200,26 @@ pub(super) struct Template<V> {
     pub(super) by_width: V,
 }
 
-/// Returns the template of a site.
+/// Returns the template of a lookup.
 ///
 /// `at` counts from the first value of the entry, 16 before the row. Values outside the row are 0.
 #[inline(always)]
 pub(super) fn template<S: Simd, const STRONG: bool>(
     s: S,
     tables: &Tables,
-    site: &Site,
+    lookup: &Lookup,
     at: usize,
 ) -> Template<S::V> {
-    let (late, wider) = (s.splat(site.late), s.splat(site.wider));
+    let (late, wider) = (s.splat(lookup.late), s.splat(lookup.wider));
     let [mut pulse, mut by_time, mut by_width] =
-        expanded(s, tables.entry(site.nodes[0], site.entry), at, late, wider);
+        expanded(s, tables.entry(lookup.nodes[0], lookup.entry), at, late, wider);
     let mut by_height = pulse;
     if STRONG {
-        let other = expanded(s, tables.entry(site.nodes[1], site.entry), at, late, wider);
-        let share = s.splat(site.share);
+        let other = expanded(s, tables.entry(lookup.nodes[1], lookup.entry), at, late, wider);
+        let share = s.splat(lookup.share);
         let change = s.sub(other[0], pulse);
         pulse = s.fma(share, change, pulse);
-        by_height = s.fma(s.splat(site.change), change, pulse);
+        by_height = s.fma(s.splat(lookup.change), change, pulse);
         by_time = s.fma(share, s.sub(other[1], by_time), by_time);
         by_width = s.fma(share, s.sub(other[2], by_width), by_width);
     }
@@ -246,18 +246,18 @@ fn expanded<S: Simd>(s: S, entry: &[f32; ENTRY], at: usize, late: S::V, wider: S
     [s.fma(s.mul(half, wider), s.add(u, h_u), by_t), h_t, h_u]
 }
 
-/// Sixteen samples of a site's tail, times its height.
+/// Sixteen samples of a lookup's tail, times its height.
 ///
 /// `from` counts samples from the end of its row; it may be negative.
 #[inline(always)]
-pub(super) fn tail<S: Simd, const STRONG: bool>(s: S, tables: &Tables, site: &Site, from: i32) -> S::V {
+pub(super) fn tail<S: Simd, const STRONG: bool>(s: S, tables: &Tables, lookup: &Lookup, from: i32) -> S::V {
     let at = usize::try_from(from + LANES as i32).unwrap_or(usize::MAX);
-    let mut values = s.load(sixteen(tables.tail(site.nodes[0], site.entry), at));
+    let mut values = s.load(sixteen(tables.tail(lookup.nodes[0], lookup.entry), at));
     if STRONG {
-        let other = s.load(sixteen(tables.tail(site.nodes[1], site.entry), at));
-        values = s.fma(s.splat(site.share), s.sub(other, values), values);
+        let other = s.load(sixteen(tables.tail(lookup.nodes[1], lookup.entry), at));
+        values = s.fma(s.splat(lookup.share), s.sub(other, values), values);
     }
-    s.mul(values, s.splat(site.height * tables.tail_gain(site.entry)))
+    s.mul(values, s.splat(lookup.height * tables.tail_gain(lookup.entry)))
 }
 
 /// Zeros, ones and zeros again.
