@@ -8,7 +8,7 @@ use crate::stages::{
     read_pulsewaves, read_sdf, resolve_mta, simulate, write_arrow, write_ascii, write_las, write_lstat,
     write_table, write_trajectory,
 };
-use wavex_formats::unsupported;
+use wavex_formats::{Format, unsupported};
 
 /// All stages that a job can use, in the order of the manual.
 pub const STAGES: &[&StageSpec] = &[
@@ -45,17 +45,10 @@ pub fn reader_of(input: &str) -> Result<&'static str, String> {
     if let Some(error) = unsupported(Path::new(input)) {
         return Err(error.to_string());
     }
-    let extension = Path::new(input).extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    match extension.as_str() {
-        "las" | "laz" => Ok("read_las"),
-        "pls" => Ok("read_pulsewaves"),
-        "sdf" | "wfm" => Ok("read_sdf"),
-        "arrow" => Ok("read_arrow"),
-        _ => {
-            let known = "supported extensions: .las, .laz, .pls, .sdf, .wfm and .arrow";
-            Err(format!("{input}: unknown recording format; {known}"))
-        }
-    }
+    let format = Format::of(Path::new(input)).map(|format| format.reader);
+    format.ok_or_else(|| {
+        format!("{input}: unknown recording format; supported extensions: {}", Format::all_extensions())
+    })
 }
 
 /// Returns the registered name most similar to `name`.
@@ -88,7 +81,16 @@ pub fn nearest_of<'n>(name: &str, names: impl IntoIterator<Item = &'n str>) -> O
 
 #[cfg(test)]
 mod tests {
+    use wavex_formats::format::FORMATS;
+
     use super::*;
+
+    #[test]
+    fn readers_of_all_formats_are_stages() {
+        for format in FORMATS {
+            assert!(find(format.reader).is_some(), "{}", format.reader);
+        }
+    }
 
     #[test]
     fn the_extension_chooses_the_reader() {

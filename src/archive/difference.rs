@@ -5,6 +5,7 @@
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
+use wavex_formats::format::{LAS, LAZ};
 use wavex_formats::{Error, Result, regular_file};
 
 mod points;
@@ -21,7 +22,7 @@ const LONGEST: usize = 80;
 pub(super) fn first_difference(then: &Path, now: &Path) -> String {
     let extension = now.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     let compare = || match extension.as_str() {
-        "las" | "laz" => points::compare(then, now),
+        LAS | LAZ => points::compare(then, now),
         "parquet" => tables::compare_parquet(then, now),
         "arrow" => tables::compare_arrow(then, now),
         "csv" | "txt" | "json" => compare_texts(then, now, extension == "csv"),

@@ -6,7 +6,7 @@ use super::check::size;
 use crate::archive::missing_files;
 use crate::engine;
 use crate::job::Job;
-use wavex_formats::{CompanionIndex, Result, las, pulsewaves};
+use wavex_formats::{CompanionIndex, Format};
 
 /// Usual throughput of one core, MB of input per second, at most and at least: `fastest` on single
 /// pulses, `refined` on vegetation.
@@ -38,13 +38,13 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
         threads => threads,
     };
     text += &format!("  time:   {} on {cores} cores\n", time(bytes, cores));
+    let pulse_count = Format::read_by(reader.spec.name).and_then(|format| format.pulse_count);
     let mut total = Some(0);
     for path in files {
-        match pulses(reader.spec.name, path) {
-            Ok(pulses) => {
-                total = total.zip(pulses).map(|(total, pulses): (u64, u64)| total.saturating_add(pulses))
-            }
-            Err(error) => problems.push(error.to_string()),
+        match pulse_count.map(|count| count(path)) {
+            None => total = None,
+            Some(Ok(pulses)) => total = total.map(|total: u64| total.saturating_add(pulses)),
+            Some(Err(error)) => problems.push(error.to_string()),
         }
     }
     text += &match total {
@@ -69,27 +69,6 @@ fn time(bytes: u64, cores: usize) -> String {
         [least, most] if most <= 120.0 => format!("about {least} to {most} min"),
         [least, most] => format!("about {:.1} to {:.1} h", least / 60.0, most / 60.0),
     }
-}
-
-/// Number of pulses according to the header; `None` if the format has no such number.
-fn pulses(reader: &str, path: &Path) -> Result<Option<u64>> {
-    Ok(match reader {
-        "read_las" => {
-            let reader = las::Reader::open(path)?;
-            let header = reader.header();
-            // Some writers do not count by return.
-            Some(
-                header
-                    .n_points_by_return
-                    .first()
-                    .copied()
-                    .filter(|first| *first > 0 && *first <= header.n_points)
-                    .unwrap_or(header.n_points),
-            )
-        }
-        "read_pulsewaves" => Some(pulsewaves::Reader::open(path)?.pulse_count()),
-        _ => None,
-    })
 }
 
 /// Error for inputs that must be there.

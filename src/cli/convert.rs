@@ -5,6 +5,7 @@ use std::path::Path;
 use super::{Failure, Machine, run};
 use crate::job::Job;
 use crate::registry::reader_of;
+use wavex_formats::format::has_extension;
 
 /// Runs the job that copies `input` to `output`.
 ///
@@ -19,7 +20,7 @@ pub(super) fn convert(input: &str, output: &str, machine: Machine, quiet: bool) 
 /// TOML of the job that copies waveforms from `input` into container `output`.
 fn job_text(input: &str, output: &str) -> Result<String, String> {
     let reader = reader_of(input)?;
-    let is_arrow = Path::new(output).extension().is_some_and(|found| found.eq_ignore_ascii_case("arrow"));
+    let is_arrow = has_extension(Path::new(output), "arrow");
     if output != "-" && !is_arrow {
         return Err(format!(
             "{output}: the container is Arrow; give a name that ends in .arrow. To write tables of returns \

@@ -9,6 +9,7 @@ use crate::engine::{Phase, ProgressMode};
 use crate::stage::{FinishedFile, OutputFile, OutputLock, Outputs};
 use crate::stages::stac;
 use wavex_formats::Error;
+use wavex_formats::format::{LAZ, has_extension};
 use wavex_formats::las::{CopcSummary, indexes_beside, write_copc};
 
 /// Maximum number of sorted runs, claimed in advance.
@@ -44,8 +45,7 @@ pub(super) fn copc(
 }
 
 fn check_name(input: &Path, out: &Path) -> Result<(), String> {
-    let extension = out.extension().unwrap_or_default();
-    if !extension.eq_ignore_ascii_case("laz") {
+    if !has_extension(out, LAZ) {
         return Err(format!("{}: COPC is LAZ; give a name that ends in .copc.laz", out.display()));
     }
     let real = |path: &Path| path.canonicalize().ok();

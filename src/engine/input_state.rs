@@ -5,23 +5,15 @@ use std::path::{Path, PathBuf};
 use super::failure::{Cause, RunError};
 use crate::stage::{StageError, Stamp};
 use wavex_formats::Error;
+use wavex_formats::format::companion;
 
 /// States of an input and its companion files at the start of its run.
 pub(super) struct InputState(Vec<(PathBuf, Option<Stamp>)>);
 
 impl InputState {
     /// Takes the states; pipes and generated inputs have none.
-    ///
-    /// Does not list the folder, which may have many files.
     pub(super) fn of(input: &Path) -> InputState {
-        let extension = input.extension().unwrap_or_default().to_ascii_lowercase();
-        let companions = match extension.to_str() {
-            Some("las" | "laz") => &["wdp", "WDP"][..],
-            Some("pls") => &["wvs", "WVS"],
-            _ => &[],
-        };
-        let companions = companions.iter().map(|extension| input.with_extension(extension));
-        let files = [input.to_owned()].into_iter().chain(companions);
+        let files = [input.to_owned()].into_iter().chain(companion(input));
         InputState(files.map(|file| (file.clone(), Stamp::of(&file))).collect())
     }
 
@@ -48,6 +40,27 @@ impl InputState {
                 RunError { cause: Cause::Stage(change.into()), ..error }
             }
             _ => error,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    /// The extension of a companion file may have any case.
+    #[test]
+    fn changes_of_companion_files_are_noticed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        for (recording, companion) in [("a.pls", "a.Wvs"), ("b.LAS", "b.wdp")] {
+            [recording, companion].iter().for_each(|name| fs::write(path(name), "before").unwrap());
+            let state = InputState::of(&path(recording));
+            assert!(state.check().is_ok());
+            fs::write(path(companion), "and after").unwrap();
+            assert_eq!(state.check().unwrap_err().file(), path(companion));
         }
     }
 }

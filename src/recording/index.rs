@@ -21,6 +21,7 @@ use crate::scan_line::ScanLine;
 use crate::stage::{Context, LineLocation, OutputFile, Result, RunContext, SourcePlan, StageError};
 use wavex_formats::Error;
 use wavex_formats::container::{IpcWriter, TableReader};
+use wavex_formats::format::companion;
 
 /// Called with the fraction of a recording that has been read; an error ends the reading.
 pub type Watch<'a> = dyn FnMut(f64) -> Result<()> + 'a;
@@ -200,10 +201,8 @@ fn identity(recording: &Path, keys: &str) -> Option<String> {
         let modified = about.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
         Some(format!("{} bytes, {} ns", about.len(), modified.as_nanos()))
     };
-    // Files with the waves of PulseWaves and LAS.
-    let companions = ["wvs", "WVS", "wdp", "WDP"].map(|extension| recording.with_extension(extension));
-    let companions = companions.iter().filter_map(|path| of(path)).collect::<Vec<_>>().join("; ");
-    Some(format!("wavex {}; {}; {companions}; {keys}", env!("CARGO_PKG_VERSION"), of(recording)?))
+    let companion = companion(recording).and_then(|path| of(&path)).unwrap_or_default();
+    Some(format!("wavex {}; {}; {companion}; {keys}", env!("CARGO_PKG_VERSION"), of(recording)?))
 }
 
 fn columns(lines: &[IndexedLine]) -> std::result::Result<RecordBatch, ArrowError> {

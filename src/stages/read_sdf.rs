@@ -17,6 +17,7 @@ use crate::scan_line::{
 use crate::stage::{
     self, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
 };
+use wavex_formats::format::is_wfm;
 use wavex_formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
 
 mod shot;
@@ -359,14 +360,13 @@ fn describe(
 ) -> InputInfo {
     let (info, version) = (reader.info(), reader.version());
     let text = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
-    let is_wfm = run.input.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("wfm"));
     InputInfo {
         full_scale_is_set: false,
         path: run.input.clone(),
         stem: run.stem.clone(),
         format: format!(
             "RIEGL {} (RiWAVELib {}.{})",
-            if is_wfm { "WFM" } else { "SDF" },
+            if is_wfm(&run.input) { "WFM" } else { "SDF" },
             version.major,
             version.minor
         ),

@@ -29,6 +29,7 @@ use identity::{PointSourceKey, PointSourceRule};
 pub use keys::{AttributeLayout, IndexKey, VersionKey, WavePacketsKey};
 use waves::Waves;
 use wavex_formats::Error;
+use wavex_formats::format::PACKETS;
 use wavex_formats::geokeys;
 use wavex_formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions, nearest};
 use wavex_geodesy::time::day_of_year;
@@ -246,8 +247,8 @@ impl WriteLas {
         self.beside.get_or_init(|| Beside {
             index: other("lax"),
             stac: stac::item_path(Path::new(&self.path)).to_string_lossy().into_owned(),
-            packets: other("wdp"),
-            packets_inside: format!("{}.wdp", self.path),
+            packets: other(PACKETS),
+            packets_inside: format!("{}.{PACKETS}", self.path),
         })
     }
 

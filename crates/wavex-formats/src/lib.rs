@@ -2,6 +2,7 @@
 //!
 //! | module | formats |
 //! |---|---|
+//! | [`format`] | list of the formats of recordings: extensions, companion files, readers |
 //! | [`las`] | LAS and LAZ with waveforms, COPC, spatial index (LAX) |
 //! | [`pulsewaves`] | PulseWaves (`.pls`, `.wvs`) |
 //! | [`sdf`] | RIEGL SDF and WFM, through RIEGL's library |
@@ -29,8 +30,6 @@
 //! # Ok::<(), std::io::Error>(())
 //! ```
 
-use std::collections::BTreeMap;
-use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
@@ -38,6 +37,7 @@ use std::string::FromUtf8Error;
 
 mod bytes;
 pub mod container;
+pub mod format;
 pub mod geoid;
 pub mod geokeys;
 pub mod geotiff;
@@ -50,6 +50,7 @@ pub mod terrain;
 pub mod trajectory;
 mod unsupported;
 
+pub use format::{CompanionIndex, Format};
 pub use recorded_crs::RecordedCrs;
 pub use unsupported::unsupported;
 
@@ -235,67 +236,6 @@ fn remedy_of(kind: io::ErrorKind) -> &'static str {
         StorageFull | QuotaExceeded | FileTooLarge => "; free some space, or write to another disk",
         _ => "",
     }
-}
-
-/// Returns the companion files of a recording in the same folder.
-///
-/// These are `.wdp` for LAS and LAZ, and `.wvs` for PulseWaves. Extensions match in any case.
-///
-/// # Errors
-/// If the folder cannot be listed. One that may not be listed has no companion files.
-pub fn companions(path: &Path) -> Result<Vec<PathBuf>> {
-    CompanionIndex::default().of(path)
-}
-
-/// Companion files of many recordings; lists each folder once.
-#[derive(Clone, Debug, Default)]
-pub struct CompanionIndex {
-    /// Files that can be companions, by folder and stem.
-    folders: BTreeMap<PathBuf, BTreeMap<OsString, Vec<PathBuf>>>,
-}
-
-impl CompanionIndex {
-    /// Companion files of a recording; see [`companions`].
-    ///
-    /// # Errors
-    /// As [`companions`].
-    pub fn of(&mut self, path: &Path) -> Result<Vec<PathBuf>> {
-        let wanted = match extension(path).as_str() {
-            "las" | "laz" => "wdp",
-            "pls" => "wvs",
-            _ => return Ok(Vec::new()),
-        };
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        if !self.folders.contains_key(folder) {
-            self.folders.insert(folder.to_owned(), by_stem(folder).map_err(Error::io(folder, "list"))?);
-        }
-        let Some(files) = self.folders.get(folder) else { return Ok(Vec::new()) };
-        let of_stem = files.get(path.file_stem().unwrap_or_default()).map_or(&[][..], Vec::as_slice);
-        Ok(of_stem.iter().filter(|other| extension(other) == wanted).cloned().collect())
-    }
-}
-
-/// Files of a folder that can be companions, by stem.
-fn by_stem(folder: &Path) -> io::Result<BTreeMap<OsString, Vec<PathBuf>>> {
-    let mut files: BTreeMap<OsString, Vec<PathBuf>> = BTreeMap::new();
-    let entries = match folder.read_dir() {
-        Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied) => {
-            return Ok(files);
-        }
-        entries => entries?,
-    };
-    for entry in entries {
-        let path = folder.join(entry?.file_name());
-        if let ("wdp" | "wvs", Some(stem)) = (extension(&path).as_str(), path.file_stem()) {
-            files.entry(stem.to_owned()).or_default().push(path.clone());
-        }
-    }
-    Ok(files)
-}
-
-/// Extension of a path in lower case.
-fn extension(path: &Path) -> String {
-    path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
 }
 
 /// Result of this module.

@@ -27,6 +27,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
+use super::format::{self, beside};
 use super::{Error, Result, regular_file};
 
 mod descriptor;
@@ -246,14 +247,9 @@ fn open(path: &Path) -> Result<Window<File>> {
 }
 
 /// Returns the waves file of a pulse file.
-///
-/// Same name, extension `wvs` in lower or upper case.
 fn waves_path(path: &Path) -> Result<PathBuf> {
-    let upper = path.extension().is_some_and(|e| e.to_string_lossy().starts_with('P'));
-    let endings = if upper { ["WVS", "wvs"] } else { ["wvs", "WVS"] };
-    let found = endings.iter().map(|e| path.with_extension(e)).find(|p| p.exists());
-    found.ok_or_else(|| {
-        if ["wvz", "WVZ"].iter().any(|e| path.with_extension(e).exists()) {
+    beside(path, format::WAVES).ok_or_else(|| {
+        if beside(path, "wvz").is_some() {
             return Error::unusable(path, "its waves are compressed (.wvz)", UNCOMPRESS);
         }
         let wanted = path.with_extension("wvs");

@@ -5,9 +5,10 @@ use super::line::Value;
 use super::options::Part;
 use super::problem::Problem;
 use super::translate::Translation;
+use wavex_formats::format::{LAS, LAZ};
 
 /// Extensions of point outputs, for `-o` and `-olas`.
-const EXTENSIONS: [&str; 3] = ["las", "laz", "txt"];
+const EXTENSIONS: [&str; 3] = [LAS, LAZ, "txt"];
 
 impl Translation<'_> {
     /// Sets the keys of the requested sinks and returns their names.
@@ -100,7 +101,7 @@ impl Translation<'_> {
             .options
             .iter()
             .any(|option| option.becomes == super::options::Becomes::Part(Part::Columns));
-        if writes_text { &EXTENSIONS } else { &["las", "laz"] }
+        if writes_text { &EXTENSIONS } else { &[LAS, LAZ] }
     }
 
     fn wrong_output(&mut self, what: String) {

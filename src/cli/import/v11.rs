@@ -9,6 +9,7 @@ use super::options::Form::{
 use super::options::Standard::{Same, Words, Written};
 use super::options::Takes::{Date, Number, Switch as OnOff, Text, Texts, Whole};
 use super::options::{Flag as F, Opt, Part as P, Version, row};
+use wavex_formats::format::{LAS, LAZ};
 
 /// Definition of the version.
 pub const V11: Version = Version {
@@ -47,8 +48,8 @@ const OPTIONS: &[Opt] = &[
     // Input and output.
     row(&["i", "input"], Texts("a file, several, or a pattern"), Words("required"), Part(P::Input), "`path` of the reader for the extension"),
     row(&["o", "out"], Text("a name, `*` for the name of the input"), Words("*.laz"), Part(P::Output), "`path` of `write_las`, or of `write_ascii` if it ends in .txt; prefix of all other outputs"),
-    row(&["olas"], OnOff, Same("0"), Part(P::Extension("las")), "the output ends in .las"),
-    row(&["olaz"], OnOff, Same("0"), Part(P::Extension("laz")), "the output ends in .laz"),
+    row(&["olas"], OnOff, Same("0"), Part(P::Extension(LAS)), "the output ends in .las"),
+    row(&["olaz"], OnOff, Same("0"), Part(P::Extension(LAZ)), "the output ends in .laz"),
     row(&["otxt"], OnOff, Same("0"), Part(P::Extension("txt")), "`write_ascii` instead of `write_las`"),
     row(&["oparse"], Text("a letter for each column"), Words("none"), Part(P::Columns), "`columns` of `write_ascii`"),
     row(&["oext"], OnOff, Same("1"), Key("write_las", "extra_attributes", Plain), ""),

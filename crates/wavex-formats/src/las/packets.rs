@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use super::encoding;
 use super::header::Header;
 use super::vlr::{self, EVLR_HEADER, SPEC, Vlr, WAVEFORM_PACKETS};
+use crate::format::{self, beside};
 use crate::{Error, Result, regular_file};
 
 /// Bytes read after a jump.
@@ -52,7 +53,7 @@ pub(super) fn find(
     file_length: u64,
 ) -> Result<Option<Packets>> {
     let inside = inside(path, header, evlrs, input, file_length)?;
-    let beside = beside(path);
+    let beside = beside(path, format::PACKETS);
     let says = |bit| header.global_encoding & bit != 0;
     let (takes_inside, takes_beside) = (says(encoding::WAVES_INSIDE), says(encoding::WAVES_BESIDE));
     match (inside, beside) {
@@ -102,30 +103,9 @@ fn inside(
     vlr::waveform_record(input, path, end, file_length)
 }
 
-/// Returns the `.wdp` file of the same name.
-///
-/// The extension may have any case.
-fn beside(path: &Path) -> Option<PathBuf> {
-    with_extension(path, "wdp")
-}
-
-/// Returns the file of the same name with this extension, in any case.
-fn with_extension(path: &Path, extension: &str) -> Option<PathBuf> {
-    let usual = path.with_extension(extension);
-    if usual.is_file() {
-        return Some(usual);
-    }
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let is_it = |other: &Path| {
-        other.file_stem() == path.file_stem()
-            && other.extension().is_some_and(|other| other.eq_ignore_ascii_case(extension))
-    };
-    folder.read_dir().ok()?.flatten().map(|entry| entry.path()).filter(|other| is_it(other)).min()
-}
-
 /// Creates the error for points that refer to missing packets.
 pub(super) fn missing(path: &Path) -> Error {
-    if let Some(packed) = with_extension(path, "wdz") {
+    if let Some(packed) = beside(path, "wdz") {
         return Error::unusable(
             path,
             format!("its waveforms are compressed, in `{}`, which cannot be read", packed.display()),

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::fault::Fault;
 use super::interface::{Functions, LibraryVersion};
+use crate::format::is_wfm;
 use crate::{Error, Result};
 
 /// Environment variable that may name the library or its folder.
@@ -34,7 +35,7 @@ enum Said {
 ///
 /// The usual one is first. As in the library, the extension of the file decides.
 fn names(data: &Path) -> [String; 2] {
-    let is_wfm = data.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("wfm"));
+    let is_wfm = is_wfm(data);
     let stem = if is_wfm { "wfmifc-mt" } else { "sdfifc" };
     let suffix = if is_wfm { "-s" } else { "-mt" };
     let (before, after) = (std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX);

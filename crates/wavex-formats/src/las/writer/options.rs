@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use rayon::ThreadPool;
 
+use crate::format::{LAS, LAZ, has_extension};
 use crate::las::ExtraAttribute;
 use crate::las::encoding;
 use crate::las::header::{Header, header_bytes};
@@ -190,8 +191,7 @@ impl WriterOptions<'_> {
 /// # Errors
 /// The extension is neither `las` nor `laz`.
 pub(super) fn is_laz(path: &Path) -> Result<bool> {
-    let extension = path.extension().unwrap_or_default();
-    match (extension.eq_ignore_ascii_case("las"), extension.eq_ignore_ascii_case("laz")) {
+    match (has_extension(path, LAS), has_extension(path, LAZ)) {
         (true, _) => Ok(false),
         (_, true) => Ok(true),
         _ => Err(Error::unusable(

@@ -1,0 +1,230 @@
+//! The formats of recordings: extensions, companion files and the stages that read them.
+
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::{Error, Result, las, pulsewaves};
+
+/// Extension of LAS.
+pub const LAS: &str = "las";
+/// Extension of LAZ.
+pub const LAZ: &str = "laz";
+/// Extension of the waveform packets of LAS.
+pub const PACKETS: &str = "wdp";
+/// Extension of RIEGL WFM.
+const WFM: &str = "wfm";
+/// Extension of the waves of PulseWaves.
+pub(crate) const WAVES: &str = "wvs";
+
+/// A format of recordings.
+#[derive(Debug)]
+pub struct Format {
+    /// Stage that reads it.
+    pub reader: &'static str,
+    /// Extensions of its files, in lower case.
+    pub extensions: &'static [&'static str],
+    /// Extension of the file with the waveforms, beside each recording.
+    pub companion: Option<&'static str>,
+    /// Reads the number of pulses from a header; `None`: only the data tell it.
+    pub pulse_count: Option<fn(&Path) -> Result<u64>>,
+}
+
+/// All formats that can be read, in the order of the manual.
+pub const FORMATS: &[Format] = &[
+    Format {
+        reader: "read_las",
+        extensions: &[LAS, LAZ],
+        companion: Some(PACKETS),
+        pulse_count: Some(pulses_of_las),
+    },
+    Format {
+        reader: "read_pulsewaves",
+        extensions: &["pls"],
+        companion: Some(WAVES),
+        pulse_count: Some(|path| Ok(pulsewaves::Reader::open(path)?.pulse_count())),
+    },
+    Format { reader: "read_sdf", extensions: &["sdf", WFM], companion: None, pulse_count: None },
+    Format { reader: "read_arrow", extensions: &["arrow"], companion: None, pulse_count: None },
+];
+
+impl Format {
+    /// Format of a recording, by its extension in any case.
+    pub fn of(recording: &Path) -> Option<&'static Format> {
+        let extension = extension(recording);
+        FORMATS.iter().find(|format| format.extensions.contains(&extension.as_str()))
+    }
+
+    /// Format that a stage reads.
+    pub fn read_by(stage: &str) -> Option<&'static Format> {
+        FORMATS.iter().find(|format| format.reader == stage)
+    }
+
+    /// All extensions, as in ".las, .laz and .arrow".
+    pub fn all_extensions() -> String {
+        let all = FORMATS.iter().flat_map(|format| format.extensions);
+        let mut all: Vec<String> = all.map(|extension| format!(".{extension}")).collect();
+        let last = all.pop().unwrap_or_default();
+        format!("{} and {last}", all.join(", "))
+    }
+}
+
+/// Whether a name ends in this extension, in any case.
+pub fn has_extension(path: &Path, wanted: &str) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(wanted))
+}
+
+/// Whether a recording is a WFM, of the two formats that RIEGL's library reads.
+pub fn is_wfm(recording: &Path) -> bool {
+    has_extension(recording, WFM)
+}
+
+/// Number of first returns of a LAS file by its header.
+fn pulses_of_las(path: &Path) -> Result<u64> {
+    let reader = las::Reader::open(path)?;
+    let header = reader.header();
+    // Some writers do not count by return.
+    let is_counted = |first: &u64| *first > 0 && *first <= header.n_points;
+    Ok(header.n_points_by_return.first().copied().filter(is_counted).unwrap_or(header.n_points))
+}
+
+/// Companion file of a recording, in the same folder.
+///
+/// A format without companions has none.
+pub fn companion(recording: &Path) -> Option<PathBuf> {
+    beside(recording, Format::of(recording)?.companion?)
+}
+
+/// File of the same name with this extension, in any case.
+///
+/// Of several, that with the case of the recording's extension, then that in lower case, then in upper
+/// case.
+pub(crate) fn beside(recording: &Path, extension: &str) -> Option<PathBuf> {
+    // Most names are found without listing the folder, which may have many files.
+    let usual = in_usual_cases(recording, extension).into_iter().find(|path| path.exists());
+    usual.or_else(|| {
+        let files = by_stem(folder_of(recording), |found| found == extension).ok()?;
+        files.get(recording.file_stem()?)?.iter().min().cloned()
+    })
+}
+
+/// Names with this extension in lower and upper case; first that with the case of the recording's.
+fn in_usual_cases(recording: &Path, extension: &str) -> [PathBuf; 2] {
+    let is_upper = recording
+        .extension()
+        .is_some_and(|extension| extension.to_string_lossy().starts_with(|first: char| first.is_uppercase()));
+    let mut names = [extension.to_owned(), extension.to_uppercase()];
+    if is_upper {
+        names.reverse();
+    }
+    names.map(|extension| recording.with_extension(extension))
+}
+
+/// Companion files of many recordings; lists each folder once.
+#[derive(Clone, Debug, Default)]
+pub struct CompanionIndex {
+    /// Files that can be companions, by folder and stem.
+    folders: BTreeMap<PathBuf, BTreeMap<OsString, Vec<PathBuf>>>,
+}
+
+impl CompanionIndex {
+    /// Files that can be the companion of a recording.
+    ///
+    /// A folder that may not be listed has none.
+    ///
+    /// # Errors
+    /// If the folder cannot be listed.
+    pub fn of(&mut self, recording: &Path) -> Result<Vec<PathBuf>> {
+        let Some(wanted) = Format::of(recording).and_then(|format| format.companion) else {
+            return Ok(Vec::new());
+        };
+        let folder = folder_of(recording);
+        if !self.folders.contains_key(folder) {
+            let files = by_stem(folder, is_companion).map_err(Error::io(folder, "list"))?;
+            self.folders.insert(folder.to_owned(), files);
+        }
+        let Some(files) = self.folders.get(folder) else { return Ok(Vec::new()) };
+        let of_stem = files.get(recording.file_stem().unwrap_or_default()).map_or(&[][..], Vec::as_slice);
+        Ok(of_stem.iter().filter(|other| extension(other) == wanted).cloned().collect())
+    }
+}
+
+fn is_companion(extension: &str) -> bool {
+    FORMATS.iter().any(|format| format.companion == Some(extension))
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Files of a folder whose extension, in lower case, is wanted, by stem.
+fn by_stem(folder: &Path, is_wanted: impl Fn(&str) -> bool) -> io::Result<BTreeMap<OsString, Vec<PathBuf>>> {
+    let mut files: BTreeMap<OsString, Vec<PathBuf>> = BTreeMap::new();
+    let entries = match folder.read_dir() {
+        Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied) => {
+            return Ok(files);
+        }
+        entries => entries?,
+    };
+    for entry in entries {
+        let path = folder.join(entry?.file_name());
+        if let (true, Some(stem)) = (is_wanted(&extension(&path)), path.file_stem()) {
+            files.entry(stem.to_owned()).or_default().push(path.clone());
+        }
+    }
+    Ok(files)
+}
+
+/// Extension of a path in lower case.
+fn extension(path: &Path) -> String {
+    path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn extensions_belong_to_one_format() {
+        let mut all: Vec<&str> = FORMATS.iter().flat_map(|format| format.extensions).copied().collect();
+        all.extend(FORMATS.iter().filter_map(|format| format.companion));
+        let count = all.len();
+        all.sort_unstable();
+        all.dedup();
+        assert_eq!(all.len(), count);
+        for format in FORMATS {
+            for extension in format.extensions {
+                let name = format!("a.{}", extension.to_uppercase());
+                assert_eq!(Format::of(Path::new(&name)).unwrap().reader, format.reader);
+            }
+        }
+        assert!(Format::of(Path::new("a.wdp")).is_none() && Format::of(Path::new("las")).is_none());
+    }
+
+    /// The reader and the index find the same companion, whatever the case of its extension.
+    #[test]
+    fn companions_have_extensions_in_any_case() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        for (recording, names) in [
+            ("a.pls", &["a.wvs", "a.WVS", "a.Wvs"][..]),
+            ("a.PLS", &["a.WVS", "a.wvs", "a.wVs"]),
+            ("b.las", &["b.wdp", "b.WDP", "b.Wdp"]),
+            ("b.LAZ", &["b.WDP", "b.wdp", "b.wDp"]),
+        ] {
+            names.iter().for_each(|name| fs::write(path(name), "").unwrap());
+            for name in names {
+                assert_eq!(companion(&path(recording)), Some(path(name)));
+                assert!(CompanionIndex::default().of(&path(recording)).unwrap().contains(&path(name)));
+                fs::remove_file(path(name)).unwrap();
+            }
+            assert_eq!(companion(&path(recording)), None);
+            assert!(CompanionIndex::default().of(&path(recording)).unwrap().is_empty());
+        }
+        fs::write(path("a.wdp"), "").unwrap();
+        assert_eq!(["a.pls", "a.arrow", "a"].map(|name| companion(&path(name))), [None, None, None]);
+    }
+}
