@@ -252,7 +252,7 @@ fn waves_path(path: &Path) -> Result<PathBuf> {
         if beside(path, "wvz").is_some() {
             return Error::unusable(path, "its waves are compressed (.wvz)", UNCOMPRESS);
         }
-        let wanted = path.with_extension("wvs");
+        let wanted = path.with_extension(format::WAVES);
         let problem = format!("its waves file {} is missing", wanted.display());
         Error::unusable(path, problem, "put it into the folder of the pulse file")
     })

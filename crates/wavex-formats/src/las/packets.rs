@@ -113,7 +113,7 @@ pub(super) fn missing(path: &Path) -> Error {
              (LASzip: `laszip -i FILE.laz -o FILE.las -waveforms`)",
         );
     }
-    let name = path.with_extension("wdp");
+    let name = path.with_extension(format::PACKETS);
     let name = name.file_name().unwrap_or_default().display();
     Error::unusable(
         path,
