@@ -1,4 +1,22 @@
-//! Calls to the operating system that the standard library lacks; on other systems than Unix they do nothing.
+//! Calls to the operating system that the standard library lacks, and locks.
+//!
+//! On other systems than Unix the calls do nothing.
+
+use std::sync::PoisonError;
+
+/// Access to a mutex that another thread may have poisoned.
+pub(crate) trait Unpoisoned<T> {
+    /// Returns the guard or value, whether or not a holder has panicked.
+    ///
+    /// For data that are valid between any two statements; the panic itself ends the run elsewhere.
+    fn unpoisoned(self) -> T;
+}
+
+impl<T> Unpoisoned<T> for Result<T, PoisonError<T>> {
+    fn unpoisoned(self) -> T {
+        self.unwrap_or_else(PoisonError::into_inner)
+    }
+}
 
 /// Lets writes beyond the limit of file sizes (`ulimit -f`) fail, instead of ending the process.
 pub(crate) fn ignore_file_size_signal() {

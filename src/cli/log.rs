@@ -17,6 +17,7 @@ use tracing_subscriber::{Layer, fmt};
 use super::terminal;
 use crate::printable::printable;
 use crate::stage::own_file;
+use crate::system::Unpoisoned as _;
 use wavex_formats::{Error, Result};
 
 /// Target of the error that ends a command.
@@ -105,11 +106,11 @@ pub(super) fn kept() -> Vec<u8> {
 }
 
 fn lock_kept() -> MutexGuard<'static, Option<Vec<u8>>> {
-    KEPT.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    KEPT.lock().unpoisoned()
 }
 
 fn lock() -> MutexGuard<'static, Option<LogFile>> {
-    FILE.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    FILE.lock().unpoisoned()
 }
 
 /// Writes to the log file, if any, and to the copy in memory.

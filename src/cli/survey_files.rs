@@ -13,6 +13,7 @@ use crate::report::survey::{
 use crate::report::{Overview, Overviews};
 use crate::scan_line::ScanLine;
 use crate::stage::{DecomposedLine, FitShot, OutputFile, Result, RunObserver, RunObservers, SurveyModels};
+use crate::system::Unpoisoned as _;
 use wavex_geodesy::time_axis::Alignment;
 use wavex_geodesy::trajectory::Trajectory;
 
@@ -46,7 +47,7 @@ impl Collected {
     }
 
     fn strips(&self) -> MutexGuard<'_, BTreeMap<String, Arc<StripCollector>>> {
-        self.strips.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+        self.strips.lock().unpoisoned()
     }
 }
 

@@ -17,6 +17,7 @@ use crate::job::{Job, JobStage};
 use crate::scan_line::Budget;
 use crate::stage::{Context, FinishedFile, Holds, Plan, Result, RunContext, StageError};
 use crate::stages::pose_source::PoseSource;
+use crate::system::Unpoisoned as _;
 
 /// Results of a stage's workers, one entry per worker.
 type WorkerResult = Mutex<Vec<(Meter, Context)>>;
@@ -51,7 +52,7 @@ pub(super) fn run(
         }
     });
     let budget_peak = shared.budget.peak();
-    let totals = shared.totals.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
+    let totals = shared.totals.into_inner().unpoisoned();
     let flown = run.geometry.trajectory().map(|(_, trajectory)| trajectory);
     let aligned = totals.input.as_ref().and_then(|input| input.first_shot?.alignment);
     if let (Some(observer), Some(trajectory), Some(alignment)) = (cx.observer(), flown, aligned) {
@@ -183,7 +184,7 @@ fn run_worker(
         shared.failure.fail(&stage.id, Some(&run.input), cause);
     }
     let WorkerContext { meter, cx, .. } = worker;
-    worker_results.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push((meter, cx));
+    worker_results.lock().unpoisoned().push((meter, cx));
 }
 
 fn work(stage: &JobStage, run: &RunContext, inlet: Option<Inlet>, worker: &mut WorkerContext) -> Result<()> {
@@ -211,7 +212,7 @@ fn collect(
     let mut whole = Vec::new();
     let mut summaries = Vec::new();
     for (stage, worker_results) in job.stages.iter().zip(worker_results) {
-        let workers = worker_results.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let workers = worker_results.into_inner().unpoisoned();
         let count = workers.len();
         let mut meter = Meter::new(false);
         let mut cx = run.another();

@@ -10,6 +10,7 @@ use std::sync::{Arc, Mutex, Once};
 use super::Options;
 use crate::job::Job;
 use crate::stage::{Outputs, StageError};
+use crate::system::Unpoisoned as _;
 
 /// A flag that ends a run early; clones share it.
 #[derive(Clone, Debug, Default)]
@@ -177,7 +178,7 @@ impl Failure {
     /// `StageError::Stopped` is a consequence of another failure and is not recorded.
     pub(super) fn fail(&self, stage: &str, input: Option<&Path>, cause: Cause) {
         if !matches!(cause, Cause::Stage(StageError::Stopped)) {
-            let mut first = self.first.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+            let mut first = self.first.lock().unpoisoned();
             first.get_or_insert(RunError {
                 stage: Some(stage.to_string()),
                 input: input.map(Path::to_path_buf),
@@ -189,7 +190,7 @@ impl Failure {
 
     /// The cause of the end, unless the run succeeded.
     pub(super) fn into_error(self, input: &Path) -> Option<RunError> {
-        let first = self.first.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let first = self.first.into_inner().unpoisoned();
         let interrupted =
             || RunError { stage: None, input: Some(input.to_path_buf()), cause: Cause::Interrupted };
         match first {

@@ -19,6 +19,7 @@ use crate::georef::Loader;
 use crate::job::Job;
 use crate::scan_line::ScanLine;
 use crate::stage::{Context, DecomposedLine, FitShot, Result, RunContext, RunObserver, RunObservers};
+use crate::system::Unpoisoned as _;
 
 /// Shows each line that leaves the chain to `look`, together with a state that is returned.
 ///
@@ -62,7 +63,7 @@ where
     let probe = Probe { state: Arc::clone(&state), look, cancel: cancel.clone() };
     let options = Options { cancel, observers: Some(Arc::new(One(Arc::new(probe)))), ..options.clone() };
     let (summary, error) = run_one(job, input, &options, cx)?;
-    let state = state.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take();
+    let state = state.lock().unpoisoned().take();
     match (error, state) {
         (None | Some(RunError { cause: Cause::Interrupted, .. }), Some(state)) => Ok((state, summary)),
         (Some(error), _) => Err(error),
@@ -148,7 +149,7 @@ where
     L: Fn(&mut T, &ScanLine) -> ControlFlow<()> + Send + Sync,
 {
     fn line(&self, line: &ScanLine) {
-        let mut state = self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let mut state = self.state.lock().unpoisoned();
         // Further lines may leave the chain while it ends.
         if self.cancel.is_cancelled() {
             return;

@@ -13,6 +13,7 @@ use super::{Cancel, Cause, InputSummary, Options, Progress, RunError};
 use crate::georef::Loader;
 use crate::job::Job;
 use crate::stage::{Context, RunContext, StageError};
+use crate::system::Unpoisoned as _;
 
 /// Results of an input: the work done, and the first cause of a failure.
 pub(super) type Ended = (InputSummary, Option<RunError>);
@@ -117,7 +118,7 @@ fn one(
 
 /// Runs the chain over one input; returns the work done and the first cause of a failure.
 pub(super) fn run_input(shared: &Shared, mut run: RunContext, options: &Options, gauge: &Gauge) -> Ended {
-    let loaded = shared.geometry.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).load(&run.stem);
+    let loaded = shared.geometry.lock().unpoisoned().load(&run.stem);
     match loaded {
         Ok(its_geometry) => {
             run.geometry = Arc::new(its_geometry);

@@ -11,6 +11,7 @@ use super::pool::Permits;
 use super::totals::Totals;
 use crate::scan_line::{Blocks, Budget, NoRoom, ScanLine};
 use crate::stage::{Context, Map, Output, Result, Sink, Source, StageError, Transform};
+use crate::system::Unpoisoned as _;
 
 /// State shared by the threads of one chain.
 pub(super) struct Shared<'a> {
@@ -96,7 +97,7 @@ impl WorkerContext<'_> {
     /// Adds the counters of a line that leaves the chain to the totals, and shows it to the observer.
     fn leave(&self, scan_line: &ScanLine) {
         self.shared.gauge.passed(scan_line.emissions.len() as u64);
-        self.shared.totals.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).add(scan_line);
+        self.shared.totals.lock().unpoisoned().add(scan_line);
         if let Some(observer) = self.shared.cx.observer() {
             observer.line(scan_line);
         }
@@ -105,7 +106,7 @@ impl WorkerContext<'_> {
     /// Records the maximum memory that the stage will hold back.
     fn foresee(&self, bytes: usize) {
         if bytes > 0 {
-            let mut foreseen = self.shared.foreseen.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+            let mut foreseen = self.shared.foreseen.lock().unpoisoned();
             if bytes > foreseen.0 {
                 *foreseen = (bytes, self.stage.to_owned());
             }
@@ -171,7 +172,7 @@ fn too_large(line: u32, bytes: usize, shared: &Shared) -> StageError {
 
 /// Error if a line does not fit because stages require all `held` bytes that they hold back.
 fn no_room(line: u32, bytes: usize, held: usize, shared: &Shared) -> StageError {
-    let (foreseen, stage) = &*shared.foreseen.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    let (foreseen, stage) = &*shared.foreseen.lock().unpoisoned();
     let needs = match stage.as_str() {
         "" => String::new(),
         stage => format!(", and `{stage}` needs up to {:.1} MB", *foreseen as f64 / 1e6),

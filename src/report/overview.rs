@@ -40,6 +40,7 @@ pub use view::MapAxes;
 pub use weak_returns::WeakReturns;
 pub use zones::{ZoneCloud, ZoneClouds, ZoneShare, Zones};
 
+use crate::system::Unpoisoned as _;
 use gallery::Gallery;
 use histogram::Bins;
 use lines::Groups;
@@ -174,7 +175,7 @@ impl RunObserver for Collector {
 }
 
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    mutex.lock().unpoisoned()
 }
 
 /// Collects an [`Overview`] line by line, without the shots.

@@ -1,5 +1,6 @@
 //! Memory budget for batches in flight.
 
+use crate::system::Unpoisoned as _;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::Duration;
 
@@ -127,7 +128,7 @@ impl Budget {
     /// Waits until memory is released; times out regularly so that cancellation is noticed.
     fn wait<'a>(&self, state: MutexGuard<'a, State>) -> MutexGuard<'a, State> {
         let waited = self.freed.wait_timeout(state, Duration::from_millis(50));
-        waited.unwrap_or_else(|poisoned| poisoned.into_inner()).0
+        waited.unpoisoned().0
     }
 
     /// Replaces a share of `before` bytes by one of `after`, here and in the common budget.
@@ -144,7 +145,7 @@ impl Budget {
 
     fn lock(&self) -> MutexGuard<'_, State> {
         // Every state change is a single addition, so a panic cannot leave it inconsistent.
-        self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+        self.state.lock().unpoisoned()
     }
 }
 

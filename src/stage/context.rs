@@ -7,6 +7,7 @@ use hdrhistogram::Histogram;
 
 use super::{FinishedFile, RunObserver};
 use crate::scan_line::ScanLine;
+use crate::system::Unpoisoned as _;
 
 /// Items counted by stages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -167,9 +168,7 @@ impl Context {
 
     /// Whether the message is to be logged: no worker of the run has given it before.
     fn is_new(&self, text: &str) -> bool {
-        self.logged.as_ref().is_some_and(|logged| {
-            logged.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).insert(text.to_owned())
-        })
+        self.logged.as_ref().is_some_and(|logged| logged.lock().unpoisoned().insert(text.to_owned()))
     }
 
     /// Keeps a finished file until every stage has succeeded; it then gets its final name.

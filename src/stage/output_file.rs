@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
 
 use super::own_file;
+use crate::system::Unpoisoned as _;
 use wavex_formats::{Error, Result};
 
 /// A file being written under a temporary name; removed if dropped before [`OutputFile::finish`].
@@ -40,7 +41,7 @@ static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 fn unfinished() -> MutexGuard<'static, BTreeSet<PathBuf>> {
     // Each change is one insertion or removal, so a panic elsewhere cannot leave the set
     // inconsistent.
-    UNFINISHED.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    UNFINISHED.lock().unpoisoned()
 }
 
 /// Removes all temporary files of this process before an immediate exit.

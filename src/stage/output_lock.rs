@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use super::output_file::partial_path;
 use super::{Result, StageError, own_file};
+use crate::system::Unpoisoned as _;
 use wavex_formats::Error;
 
 /// Prefix and suffix of claim names; the process id and the claim number are in between.
@@ -52,7 +53,7 @@ static CLAIMED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 fn claimed() -> MutexGuard<'static, BTreeSet<PathBuf>> {
     // Each change is one insertion or removal, so a panic elsewhere cannot leave the set
     // inconsistent.
-    CLAIMED.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    CLAIMED.lock().unpoisoned()
 }
 
 /// Releases all claims of this process before an immediate exit.

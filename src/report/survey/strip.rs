@@ -11,6 +11,7 @@ use crate::report::overview::QuantityHistogram;
 use crate::report::overview::histogram::Bins;
 use crate::report::overview::view::{MapAxes, View};
 use crate::scan_line::{InputInfo, Return, ScanLine};
+use crate::system::Unpoisoned as _;
 
 /// Deviation ratio above which returns do not explain their waveform.
 pub(in crate::report) const UNEXPLAINED: f64 = 5.0;
@@ -95,7 +96,7 @@ impl StripCollector {
     }
 
     fn locked(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+        self.state.lock().unpoisoned()
     }
 }
 
