@@ -21,6 +21,7 @@ mod args;
 mod calibrate;
 mod check;
 mod check_inputs;
+mod commands;
 mod convert;
 mod copc;
 mod doctor;
@@ -50,9 +51,10 @@ pub use explain::{Explanation, explain_shot};
 pub use run::{FinishedRun, RunFailure, RunRequest, read_job, run_quietly};
 
 use args::{
-    ArchiveArgs, CalibrateArgs, Classic, Cli, Command, ExplainArgs, ImportArgs, InputRule, JobArgs, Machine,
-    ScanArgs, TrajectoryArgs, ViewArgs, When,
+    ArchiveArgs, CalibrateArgs, Classic, ExplainArgs, ImportArgs, InputRule, JobArgs, Machine, ScanArgs,
+    TrajectoryArgs, ViewArgs, When,
 };
+use commands::{Cli, Command};
 use terminal::print;
 
 /// Reason why a command failed.

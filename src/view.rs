@@ -18,6 +18,7 @@ mod keys;
 mod layers;
 mod lines;
 mod page;
+mod placed;
 mod points;
 mod query;
 mod server;
@@ -47,7 +48,7 @@ pub fn open(opened: Opened, port: u16, cancel: Cancel) -> Result<View, String> {
     let reading = Arc::clone(&session);
     let reader = std::thread::Builder::new().name("wavex view".into());
     reader
-        .spawn(move || reading.read())
+        .spawn(move || reading.read(|session, input, shot| drop(shots::shot(session, input, shot, &[]))))
         .map_err(|error| format!("cannot start a thread: {error}; close other programs"))?;
     Ok(View { session, address: running.address })
 }

@@ -5,7 +5,7 @@
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-use wavex_formats::format::{LAS, LAZ};
+use wavex_formats::extensions::{LAS, LAZ};
 use wavex_formats::{Error, Result, regular_file};
 
 mod points;

@@ -5,7 +5,7 @@ use std::fs::{self, OpenOptions};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{Failure, InputRule, JobArgs, check_inputs, print, run};
+use super::{Failure, InputRule, JobArgs, check_inputs, print, run, terminal};
 use crate::georef::check_crs;
 use crate::job::Job;
 use crate::stage::fixed_folder;
@@ -50,13 +50,6 @@ fn output_folders(job: &Job, output_dir: &Path) -> BTreeSet<PathBuf> {
     folders
 }
 
-/// Formats a number of bytes.
-pub(super) fn size(bytes: u64) -> String {
-    let units = [(1e12, "TB"), (1e9, "GB"), (1e6, "MB")];
-    let (unit, name) = units.into_iter().find(|(unit, _)| bytes as f64 >= *unit).unwrap_or((1e3, "kB"));
-    format!("{:.1} {name}", bytes as f64 / unit)
-}
-
 /// Checks that a folder is writable or can be created; returns which, with the free disk space.
 ///
 /// Leaves no file in the folder.
@@ -66,7 +59,8 @@ fn writable(folder: &Path) -> Result<String, String> {
     match try_file_in(existing) {
         Ok(()) => {
             let found = if exists { "is writable" } else { "will be created" };
-            let free = fs4::available_space(existing).map(|bytes| format!(", {} free", size(bytes)));
+            let free =
+                fs4::available_space(existing).map(|bytes| format!(", {} free", terminal::size(bytes)));
             Ok(format!("{found}{}", free.unwrap_or_default()))
         }
         Err(error) => {

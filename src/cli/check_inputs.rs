@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::check::size;
+use super::terminal::size;
 use crate::archive::missing_files;
 use crate::engine;
 use crate::job::Job;

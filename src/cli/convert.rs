@@ -5,7 +5,7 @@ use std::path::Path;
 use super::{Failure, Machine, run};
 use crate::job::Job;
 use crate::registry::reader_of;
-use wavex_formats::format::has_extension;
+use wavex_formats::extensions::has_extension;
 
 /// Runs the job that copies `input` to `output`.
 ///

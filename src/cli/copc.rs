@@ -9,7 +9,7 @@ use crate::engine::{Phase, ProgressMode};
 use crate::stage::{FinishedFile, OutputFile, OutputLock, Outputs};
 use crate::stages::stac;
 use wavex_formats::Error;
-use wavex_formats::format::{LAZ, has_extension};
+use wavex_formats::extensions::{LAZ, has_extension};
 use wavex_formats::las::{CopcSummary, indexes_beside, write_copc};
 
 /// Maximum number of sorted runs, claimed in advance.

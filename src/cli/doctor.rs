@@ -5,7 +5,8 @@ use std::path::Path;
 use wavex_formats::sdf::library::{self, Installed};
 use wavex_signal::simd::SimdLevel;
 
-use super::check::{size, try_file_in};
+use super::check::try_file_in;
+use super::terminal::size;
 use super::{Failure, print};
 use crate::archive::{Machine, Program};
 

@@ -24,6 +24,7 @@ pub mod problem;
 pub mod translate;
 mod v10;
 mod v11;
+pub mod versions;
 
 use draft::Known;
 use line::{Given, Value};
@@ -148,7 +149,7 @@ fn version_of(words: &[String], classic: Option<&str>) -> Result<&'static Versio
         first.is_some_and(|file| file.ends_with(".las") || file.ends_with(".laz"))
     };
     let name = classic.unwrap_or_else(|| if is_las() { "1.0" } else { "1.1" });
-    Version::find(name)
+    versions::find(name)
         .ok_or_else(|| Problem::of_line(format!("unknown version {name}"), "1.0 or 1.1").shown())
 }
 

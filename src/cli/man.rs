@@ -4,7 +4,7 @@ use std::path::Path;
 
 use clap::CommandFactory;
 
-use super::args::Cli;
+use super::commands::Cli;
 use super::{Failure, print};
 
 /// Writes one page per command into a folder, and one of all commands.

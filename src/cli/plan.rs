@@ -3,9 +3,7 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
-
-use super::args::every;
+use super::args::{CollectArgs, PlanArgs};
 use super::{Failure, JobArgs, print, run, terminal};
 use crate::archive::check_destination;
 use crate::cluster::{self, PlanOptions, SurveyPlan};
@@ -13,44 +11,6 @@ use crate::georef::check_crs;
 
 /// Cores per task if neither the job nor the command line has a number.
 const CORES: usize = 4;
-
-/// Job to plan, folder of the plan and resources of its tasks.
-#[derive(Args)]
-pub(super) struct PlanArgs {
-    #[command(flatten)]
-    pub(super) job: JobArgs,
-    /// Folder to write: a new one, or that of an earlier plan of the job
-    #[arg(short, long, value_name = "FOLDER")]
-    pub(super) output: PathBuf,
-    /// Cores per task [default: the job's `threads`, or 4]
-    #[arg(long, value_name = "N", value_parser = every)]
-    pub(super) cores: Option<usize>,
-    /// Throughput of one core, MB of input per second, for the estimated time
-    #[arg(long, value_name = "RATE", default_value_t = 5.0, value_parser = rate)]
-    pub(super) mb_per_s: f64,
-    /// Archive of the whole survey that `wavex collect` makes, as `wavex run --archive`
-    #[arg(long, value_name = "ARCHIVE")]
-    pub(super) archive: Option<PathBuf>,
-}
-
-/// Plan to collect.
-#[derive(Args)]
-pub(super) struct CollectArgs {
-    /// Folder of the plan
-    pub(super) plan: PathBuf,
-    /// Compare inputs and outputs by content instead of size
-    #[arg(long)]
-    pub(super) digest: bool,
-    /// Make no archive yet
-    #[arg(long)]
-    pub(super) no_archive: bool,
-}
-
-/// Parses a positive number.
-fn rate(text: &str) -> Result<f64, String> {
-    let positive = text.parse().ok().filter(|rate: &f64| *rate > 0.0 && rate.is_finite());
-    positive.ok_or_else(|| "give a positive number".to_owned())
-}
 
 /// Writes the plan of a job.
 pub(super) fn plan(args: &PlanArgs, quiet: bool) -> Result<(), Failure> {
@@ -89,7 +49,7 @@ pub(super) fn plan(args: &PlanArgs, quiet: bool) -> Result<(), Failure> {
 fn words(plan: &SurveyPlan, folder: &Path) -> String {
     let bytes: u64 = plan.tasks.iter().flat_map(|task| &task.inputs).map(|file| file.bytes).sum();
     let most = |of: fn(&cluster::Estimate) -> u64| plan.tasks.iter().map(|task| of(&task.estimate)).max();
-    let mut text = format!("{} tasks, {}\n", plan.tasks.len(), super::check::size(bytes));
+    let mut text = format!("{} tasks, {}\n", plan.tasks.len(), terminal::size(bytes));
     if let (Some(memory_mb), Some(minutes), Some(task)) =
         (most(|estimate| estimate.memory_mb), most(|estimate| estimate.minutes), plan.tasks.first())
     {

@@ -3,27 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
 use serde_json::Value;
 
+use super::args::SurveyArgs;
 use super::{Failure, JobArgs, terminal};
 use crate::job::SurveyKeys;
 use crate::report::read_report;
 use crate::report::survey::{SurveyInput, ending_of_cells, write_survey};
-
-/// Folders and limits of a survey.
-#[derive(Args)]
-pub(super) struct SurveyArgs {
-    /// Output folders of the runs: all *_cells.arrow in them are strips of the survey
-    #[arg(required = true, value_name = "FOLDER")]
-    folders: Vec<PathBuf>,
-    /// Page; a JSON file and rasters get the same name [default: survey.html in the first folder]
-    #[arg(short, long, value_name = "FILE.html")]
-    out: Option<PathBuf>,
-    /// Job whose `[job.survey]` has the limits [default: the defaults of the keys]
-    #[arg(long, value_name = "FILE")]
-    job: Option<PathBuf>,
-}
 
 /// Writes the page of the strips in these folders.
 pub(super) fn survey(args: &SurveyArgs, quiet: bool) -> Result<(), Failure> {

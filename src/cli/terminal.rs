@@ -57,3 +57,10 @@ pub(super) fn colour() -> bool {
 pub(super) fn error_word(colour: bool) -> &'static str {
     if colour { "\x1b[1;31merror\x1b[0m" } else { "error" }
 }
+
+/// Formats a number of bytes.
+pub(super) fn size(bytes: u64) -> String {
+    let units = [(1e12, "TB"), (1e9, "GB"), (1e6, "MB")];
+    let (unit, name) = units.into_iter().find(|(unit, _)| bytes as f64 >= *unit).unwrap_or((1e3, "kB"));
+    format!("{:.1} {name}", bytes as f64 / unit)
+}

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use serde_json::{Value, json};
 
-use super::merge::Merge;
+use super::merge::{Merge, TaskResult};
 use super::{INCLUDED, JOB, MOST_BYTES, REMEDY, SurveyPlan, Task};
 use crate::archive::{Seals, digest_of, plain};
 use crate::engine::{self, InputStatus, InputSummary, Options, RunSummary};
@@ -130,17 +130,6 @@ fn survey(plan: &SurveyPlan, root: &Path, job: &Job, options: &Options) -> Resul
         },
     };
     Ok(models.map(Arc::new))
-}
-
-/// Result of a task.
-pub(super) struct TaskResult {
-    pub status: InputStatus,
-    /// Why it is not complete.
-    pub problem: Option<String>,
-    /// Its entry of the report.
-    pub entry: Option<Value>,
-    /// Its files.
-    pub files: InputFiles,
 }
 
 /// Checks the results of tasks.

@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use super::collect::TaskResult;
 use super::plan::write_text;
 use super::tasks::{ARCHIVE_STAGE, LINES};
 use super::{MOST_BYTES, REMEDY, SurveyPlan, Task};
@@ -22,6 +21,17 @@ use wavex_formats::{Error, path_within, read_small_text};
 const DIGESTS: &str = "*_outputs.b3";
 /// Scan-line statistics of all inputs, if the job writes them; `*` is the stem of the job.
 const ALL_LINES: &str = "*_all_lstat.txt";
+
+/// Result of a task.
+pub(super) struct TaskResult {
+    pub status: InputStatus,
+    /// Why it is not complete.
+    pub problem: Option<String>,
+    /// Its entry of the report.
+    pub entry: Option<Value>,
+    /// Its files.
+    pub files: InputFiles,
+}
 
 /// Folders of a survey.
 pub(super) struct Merge<'m> {

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 
 use super::estimate::Estimator;
-use super::tasks::{LINES, TaskWriter};
+use super::tasks::{LINES, TaskWriter, in_folder};
 use super::{
     CalibrationTask, FORMAT, INCLUDED, JOB, MODEL, PLAN, PlannedFile, REMEDY, RESOLVED, SurveyPlan, Task,
 };
@@ -209,11 +209,6 @@ fn own_files(job: &Job, resolved: &Resolved) -> Result<Vec<Vec<PathBuf>>> {
 fn planned_file(root: &Path, path: &Path) -> Result<PlannedFile> {
     let about = path.metadata().map_err(Error::io(path, "find the input"))?;
     Ok(PlannedFile { path: way(root, path)?, bytes: about.len() })
-}
-
-/// Path below a folder; the folder may be `.`.
-pub(super) fn in_folder(folder: &str, path: &str) -> String {
-    if folder == "." { path.to_owned() } else { format!("{folder}/{path}") }
 }
 
 /// The tasks as a table with tabs.

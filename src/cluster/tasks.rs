@@ -4,7 +4,6 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use super::plan::in_folder;
 use crate::archive::{Resolved, job_text, way};
 use crate::engine::Input;
 use crate::stage::Result;
@@ -76,4 +75,9 @@ impl<'r> TaskWriter<'r> {
         }
         job_text(&table)
     }
+}
+
+/// Path below a folder; the folder may be `.`.
+pub(super) fn in_folder(folder: &str, path: &str) -> String {
+    if folder == "." { path.to_owned() } else { format!("{folder}/{path}") }
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
-use super::failure::{Failure, RunError, THREAD_PREFIX, guarded};
+use super::failure::{Failure, RunError, THREAD_PREFIX, guarded, no_thread};
 use super::input_state::InputState;
 use super::link::{Inlet, Outlet, link};
 use super::meter::Meter;
@@ -118,14 +118,6 @@ fn memory(job: &Job) -> (usize, usize) {
 fn may_hold_bytes(job: &Job) -> usize {
     let (limit, holders) = memory(job);
     limit / (2 * holders)
-}
-
-/// Error if the system refuses a thread.
-pub(super) fn no_thread(error: &dyn std::fmt::Display) -> RunError {
-    RunError::of_job(StageError::failed(
-        format!("cannot start a thread: {error}"),
-        "lower `threads` or raise the process limit of the system",
-    ))
 }
 
 /// What the chains of all inputs share.

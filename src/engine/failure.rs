@@ -238,3 +238,11 @@ pub(super) fn guarded<T>(body: impl FnOnce() -> Result<T, StageError>) -> Result
         Err(_) => Err(Cause::Panic(PANIC.take().unwrap_or_else(|| "no message".into()))),
     }
 }
+
+/// Error if the system refuses a thread.
+pub(super) fn no_thread(error: &dyn std::fmt::Display) -> RunError {
+    RunError::of_job(StageError::failed(
+        format!("cannot start a thread: {error}"),
+        "lower `threads` or raise the process limit of the system",
+    ))
+}

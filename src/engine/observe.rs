@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use crossbeam_channel::RecvTimeoutError;
 
-use super::chain::{Common, no_thread};
-use super::failure::THREAD_PREFIX;
+use super::chain::Common;
+use super::failure::{THREAD_PREFIX, no_thread};
 use super::worker::Gauge;
 use super::{
     Cancel, Cause, Input, InputSummary, Options, Progress, ProgressMode, RunError, failure, pool,

@@ -5,8 +5,7 @@ use std::sync::Arc;
 use crossbeam_channel::{Receiver, Sender};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use super::chain::no_thread;
-use super::failure::THREAD_PREFIX;
+use super::failure::{THREAD_PREFIX, no_thread};
 use super::{Options, RunError};
 
 /// Starts one thread per worker; `None` with one worker: stages do such tasks themselves.

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use crossbeam_channel::Sender;
 
-use super::chain::{self, Common, no_thread};
-use super::failure::{THREAD_PREFIX, guarded};
+use super::chain::{self, Common};
+use super::failure::{THREAD_PREFIX, guarded, no_thread};
 use super::worker::Gauge;
 use super::{Cancel, Cause, InputSummary, Options, Progress, RunError};
 use crate::georef::Loader;

@@ -7,8 +7,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
-use super::chain::no_thread;
-use super::failure::{THREAD_PREFIX, guarded};
+use super::failure::{THREAD_PREFIX, guarded, no_thread};
 use super::observe::run_one;
 use super::{Cancel, Input, InputSummary, Options, RunError};
 use crate::job::Job;

@@ -17,7 +17,7 @@ use crate::scan_line::{
 use crate::stage::{
     self, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
 };
-use wavex_formats::format::is_wfm;
+use wavex_formats::extensions::is_wfm;
 use wavex_formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
 
 mod shot;

@@ -29,7 +29,7 @@ use identity::{PointSourceKey, PointSourceRule};
 pub use keys::{AttributeLayout, IndexKey, VersionKey, WavePacketsKey};
 use waves::Waves;
 use wavex_formats::Error;
-use wavex_formats::format::PACKETS;
+use wavex_formats::extensions::PACKETS;
 use wavex_formats::geokeys;
 use wavex_formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions, nearest};
 use wavex_geodesy::time::day_of_year;

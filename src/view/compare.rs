@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 
 use super::lines::Lines;
+use super::placed::{Placed, placed, text};
 use super::session::{Placing, Session};
-use super::shots::{Placed, placed, text};
 use crate::scan_line::ScanLine;
 
 /// Limit of the shots that are decomposed for one answer.

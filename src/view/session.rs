@@ -190,7 +190,9 @@ impl Session {
     }
 
     /// Runs the chain over all inputs and collects their points.
-    pub(super) fn read(self: &Arc<Session>) {
+    ///
+    /// `prepare` is called with the first input and shot, once points are there.
+    pub(super) fn read(self: &Arc<Session>, prepare: impl FnOnce(&Session, usize, u64)) {
         if let Err(problem) = self.read_all() {
             lock(&self.state).0 = State::Failed(problem);
             return;
@@ -209,7 +211,7 @@ impl Session {
         // So are the tables of its sensor. A shot without echoes has no fit, but they are made.
         let first = self.points().in_tree().first().map(|point| (usize::from(point.input), point.shot));
         if let Some((input, shot)) = first {
-            let _ = super::shots::shot(self, input, shot, &[]);
+            prepare(self, input, shot);
         }
         lock(&self.state).0 = state;
     }

@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 
 use super::compare::changes;
 use super::lines::Lines;
+use super::placed::{Placed, placed, text};
 use super::session::{Placing, Session};
 use crate::explain::{ExplainError, Explained};
 use crate::job::Job;
@@ -13,13 +14,6 @@ use crate::scan_line::{Block, Channel, Content, Emission, Return, ScanLine, flag
 
 /// Limit of the rows of a picture of a scan line.
 const MAX_ROWS: usize = 2000;
-
-/// A return with its position on the map, m.
-#[derive(Clone, Debug)]
-pub(super) struct Placed {
-    pub(super) found: Return,
-    pub(super) position: Option<[f64; 3]>,
-}
 
 /// A shot with the keys of the job, and its difference by other keys.
 pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -> Result<Value, String> {
@@ -151,21 +145,6 @@ fn returns_of(
     Ok(of_shot.map_or(Vec::new(), |(_, returns)| returns))
 }
 
-/// Returns of each emission of a line, with their positions on the map.
-pub(super) fn placed(line: &ScanLine, placing: Option<&Placing>) -> Vec<Vec<Placed>> {
-    let mut placed = vec![Vec::new(); line.emissions.len()];
-    let position = |at: usize| {
-        let on_map = placing?.on_map(*line.points()?.get(at)?);
-        on_map.iter().all(|coordinate| coordinate.is_finite()).then_some(on_map)
-    };
-    for (at, found) in line.returns().into_iter().flatten().enumerate() {
-        if let Some(of_emission) = placed.get_mut(found.emission as usize) {
-            of_emission.push(Placed { found: *found, position: position(at) });
-        }
-    }
-    placed
-}
-
 /// Waveforms of a scan line: amplitudes by shot and time of flight.
 struct LinePicture {
     width: usize,
@@ -277,8 +256,4 @@ pub(super) fn names(of: u16) -> Vec<&'static str> {
 /// A number; `null` if it is not finite.
 pub(super) fn number_or_null(value: f64) -> Value {
     serde_json::Number::from_f64(value).map_or(Value::Null, Value::Number)
-}
-
-pub(super) fn text(error: impl std::fmt::Display) -> String {
-    error.to_string()
 }

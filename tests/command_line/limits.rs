@@ -4,7 +4,8 @@ use std::sync::LazyLock;
 
 use proptest::prelude::*;
 use wavex::cli::import::draft::Known;
-use wavex::cli::import::options::{Takes, VERSIONS};
+use wavex::cli::import::options::Takes;
+use wavex::cli::import::versions::VERSIONS;
 use wavex::cli::import::{Place, import};
 use wavex::job::{Include, Job, MAX_BYTES, MAX_INCLUDES, Override, read_text};
 use wavex::registry::STAGES;

@@ -9,7 +9,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use wavex::cli::import::becomes;
-use wavex::cli::import::options::VERSIONS;
+use wavex::cli::import::versions::VERSIONS;
 
 mod shown;
 

@@ -59,6 +59,7 @@
 //! # Ok::<(), wavex_formats::Error>(())
 //! ```
 
+mod arrow_schema;
 mod builder;
 mod decode;
 mod digest;

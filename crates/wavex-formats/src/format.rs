@@ -2,21 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
-use std::io;
 use std::path::{Path, PathBuf};
 
+use super::extensions::{LAS, LAZ, PACKETS, WAVES, WFM, beside, by_stem, extension, folder_of};
 use super::{Error, Result, las, pulsewaves};
-
-/// Extension of LAS.
-pub const LAS: &str = "las";
-/// Extension of LAZ.
-pub const LAZ: &str = "laz";
-/// Extension of the waveform packets of LAS.
-pub const PACKETS: &str = "wdp";
-/// Extension of RIEGL WFM.
-const WFM: &str = "wfm";
-/// Extension of the waves of PulseWaves.
-pub(crate) const WAVES: &str = "wvs";
 
 /// A format of recordings.
 #[derive(Debug)]
@@ -70,16 +59,6 @@ impl Format {
     }
 }
 
-/// Whether a name ends in this extension, in any case.
-pub fn has_extension(path: &Path, wanted: &str) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(wanted))
-}
-
-/// Whether a recording is a WFM, of the two formats that RIEGL's library reads.
-pub fn is_wfm(recording: &Path) -> bool {
-    has_extension(recording, WFM)
-}
-
 /// Number of first returns of a LAS file by its header.
 fn pulses_of_las(path: &Path) -> Result<u64> {
     let reader = las::Reader::open(path)?;
@@ -94,31 +73,6 @@ fn pulses_of_las(path: &Path) -> Result<u64> {
 /// A format without companions has none.
 pub fn companion(recording: &Path) -> Option<PathBuf> {
     beside(recording, Format::of(recording)?.companion?)
-}
-
-/// File of the same name with this extension, in any case.
-///
-/// Of several, that with the case of the recording's extension, then that in lower case, then in upper
-/// case.
-pub(crate) fn beside(recording: &Path, extension: &str) -> Option<PathBuf> {
-    // Most names are found without listing the folder, which may have many files.
-    let usual = in_usual_cases(recording, extension).into_iter().find(|path| path.exists());
-    usual.or_else(|| {
-        let files = by_stem(folder_of(recording), |found| found == extension).ok()?;
-        files.get(recording.file_stem()?)?.iter().min().cloned()
-    })
-}
-
-/// Names with this extension in lower and upper case; first that with the case of the recording's.
-fn in_usual_cases(recording: &Path, extension: &str) -> [PathBuf; 2] {
-    let is_upper = recording
-        .extension()
-        .is_some_and(|extension| extension.to_string_lossy().starts_with(|first: char| first.is_uppercase()));
-    let mut names = [extension.to_owned(), extension.to_uppercase()];
-    if is_upper {
-        names.reverse();
-    }
-    names.map(|extension| recording.with_extension(extension))
 }
 
 /// Companion files of many recordings; lists each folder once.
@@ -152,33 +106,6 @@ impl CompanionIndex {
 
 fn is_companion(extension: &str) -> bool {
     FORMATS.iter().any(|format| format.companion == Some(extension))
-}
-
-fn folder_of(path: &Path) -> &Path {
-    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
-}
-
-/// Files of a folder whose extension, in lower case, is wanted, by stem.
-fn by_stem(folder: &Path, is_wanted: impl Fn(&str) -> bool) -> io::Result<BTreeMap<OsString, Vec<PathBuf>>> {
-    let mut files: BTreeMap<OsString, Vec<PathBuf>> = BTreeMap::new();
-    let entries = match folder.read_dir() {
-        Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied) => {
-            return Ok(files);
-        }
-        entries => entries?,
-    };
-    for entry in entries {
-        let path = folder.join(entry?.file_name());
-        if let (true, Some(stem)) = (is_wanted(&extension(&path)), path.file_stem()) {
-            files.entry(stem.to_owned()).or_default().push(path.clone());
-        }
-    }
-    Ok(files)
-}
-
-/// Extension of a path in lower case.
-fn extension(path: &Path) -> String {
-    path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
 }
 
 #[cfg(test)]

@@ -37,6 +37,7 @@ use std::string::FromUtf8Error;
 
 mod bytes;
 pub mod container;
+pub mod extensions;
 pub mod format;
 pub mod geoid;
 pub mod geokeys;

@@ -27,7 +27,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use super::format::{self, beside};
+use super::extensions::{WAVES, beside};
 use super::{Error, Result, regular_file};
 
 mod descriptor;
@@ -248,11 +248,11 @@ fn open(path: &Path) -> Result<Window<File>> {
 
 /// Returns the waves file of a pulse file.
 fn waves_path(path: &Path) -> Result<PathBuf> {
-    beside(path, format::WAVES).ok_or_else(|| {
+    beside(path, WAVES).ok_or_else(|| {
         if beside(path, "wvz").is_some() {
             return Error::unusable(path, "its waves are compressed (.wvz)", UNCOMPRESS);
         }
-        let wanted = path.with_extension(format::WAVES);
+        let wanted = path.with_extension(WAVES);
         let problem = format!("its waves file {} is missing", wanted.display());
         Error::unusable(path, problem, "put it into the folder of the pulse file")
     })

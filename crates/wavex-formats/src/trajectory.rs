@@ -37,6 +37,7 @@ use wavex_geodesy::trajectory::{AccuracySample, Sample, Trajectory, TrajectoryEr
 mod accuracies;
 mod ascii;
 mod axis;
+mod clock_range;
 mod input;
 pub mod pof;
 mod poq;

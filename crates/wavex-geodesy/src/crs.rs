@@ -16,6 +16,7 @@ mod named;
 mod outline;
 #[cfg(feature = "proj")]
 mod proj;
+mod proj_string;
 mod projection;
 mod projjson;
 mod records;

@@ -3,8 +3,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::options::{Opt, Takes, VERSIONS, Version};
+use super::options::{Opt, Takes, Version};
 use super::problem::{MOST_SHOWN, Place, Problem, Source};
+use super::versions::VERSIONS;
 use crate::registry::nearest_of;
 
 /// A parsed option.

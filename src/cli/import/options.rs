@@ -1,8 +1,5 @@
 //! Definition of classic options: names, argument, default, and translation.
 
-use super::v10::V10;
-use super::v11::V11;
-
 /// A version of the classic command line.
 #[derive(Debug)]
 pub struct Version {
@@ -28,9 +25,6 @@ pub struct Version {
 
 /// A key that all jobs of a version have: section, key, TOML value, reason.
 pub type Always = (&'static str, &'static str, &'static str, &'static str);
-
-/// Both versions, oldest first.
-pub const VERSIONS: [&Version; 2] = [&V10, &V11];
 
 /// One option.
 #[derive(Debug)]
@@ -180,11 +174,6 @@ impl Flag {
 }
 
 impl Version {
-    /// Returns the version of this name.
-    pub fn find(name: &str) -> Option<&'static Version> {
-        VERSIONS.into_iter().find(|version| version.name == name)
-    }
-
     /// Returns the option of this name.
     pub fn option(&self, name: &str) -> Option<&'static Opt> {
         self.options.iter().find(|option| option.names.contains(&name))

@@ -5,7 +5,7 @@ use super::line::Value;
 use super::options::Part;
 use super::problem::Problem;
 use super::translate::Translation;
-use wavex_formats::format::{LAS, LAZ};
+use wavex_formats::extensions::{LAS, LAZ};
 
 /// Extensions of point outputs, for `-o` and `-olas`.
 const EXTENSIONS: [&str; 3] = [LAS, LAZ, "txt"];

@@ -2,7 +2,8 @@
 
 use std::fmt::Write as _;
 
-use super::options::{Becomes, Opt, Standard, VERSIONS, Version};
+use super::options::{Becomes, Opt, Standard, Version};
+use super::versions::VERSIONS;
 
 const INTRODUCTION: &str = "\
 # The classic command line

@@ -116,11 +116,11 @@ fn text(given: &Given) -> Option<String> {
 mod tests {
     use super::*;
     use crate::cli::import::line::read_line;
-    use crate::cli::import::options::Version;
+    use crate::cli::import::versions;
 
     fn paths(line: &str, base: Option<&str>) -> Paths {
         let words: Vec<String> = line.split(' ').map(str::to_owned).collect();
-        let (given, problems) = read_line(Version::find("1.1").unwrap(), &words);
+        let (given, problems) = read_line(versions::find("1.1").unwrap(), &words);
         assert!(problems.is_empty(), "{problems:?}");
         Paths::of(&given, base)
     }

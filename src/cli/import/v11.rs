@@ -9,7 +9,7 @@ use super::options::Form::{
 use super::options::Standard::{Same, Words, Written};
 use super::options::Takes::{Date, Number, Switch as OnOff, Text, Texts, Whole};
 use super::options::{Flag as F, Opt, Part as P, Version, row};
-use wavex_formats::format::{LAS, LAZ};
+use wavex_formats::extensions::{LAS, LAZ};
 
 /// Definition of the version.
 pub const V11: Version = Version {

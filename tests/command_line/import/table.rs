@@ -2,7 +2,8 @@
 
 use wavex::cli::import::Import;
 use wavex::cli::import::draft::Known;
-use wavex::cli::import::options::{Becomes, Form, Opt, Standard, Takes, VERSIONS, Version};
+use wavex::cli::import::options::{Becomes, Form, Opt, Standard, Takes, Version};
+use wavex::cli::import::versions::{self, VERSIONS};
 use wavex::job::Job;
 
 use super::{files, in_version, words};
@@ -19,7 +20,7 @@ const V11: &str = "I idir O odir mem N nthreads q quiet progress i input o out o
                    calib_corr wkt utm geo ecef geoid metre feet int_feet dumv";
 
 fn version(name: &str) -> &'static Version {
-    Version::find(name).unwrap()
+    versions::find(name).unwrap()
 }
 
 #[test]

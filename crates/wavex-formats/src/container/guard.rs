@@ -11,13 +11,13 @@
 //! stored length, and its errors name neither the column nor the row.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 
 use arrow_ipc::{CompressionType, FieldNode, MetadataVersion, RecordBatch};
 use arrow_schema::{DataType, Field, Schema, UnionMode};
 
 use super::MAX_BATCH_BYTES;
 use super::location::{DAMAGED, Location};
-use super::unpack::Found;
 use crate::{Error, Result};
 
 /// Decompressed bytes that a buffer may have beyond the need of its rows.
@@ -33,6 +33,20 @@ const SAMPLES: &str = "blocks.samples";
 
 /// Initial capacity for buffers; more are rare.
 const MOST_BUFFERS: usize = 128;
+
+/// A buffer of a column to decode.
+pub(super) struct Found {
+    /// Index of the buffer in the record batch.
+    pub(super) number: usize,
+    /// Index of its column in the schema.
+    pub(super) column: usize,
+    /// Range of its bytes in the body, without the preceding length.
+    pub(super) bytes: Range<usize>,
+    /// Decompressed size, if compressed, bytes.
+    pub(super) unpacks_to: Option<usize>,
+    /// Whether it holds the samples of the blocks.
+    pub(super) is_samples: bool,
+}
 
 /// Checks that `batch` can be decoded; see the module.
 ///

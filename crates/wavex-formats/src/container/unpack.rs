@@ -6,27 +6,12 @@
 //! metadata is changed in place: the field `compression` is removed, and each buffer entry gets its
 //! new location (FlatBuffers internals, "Tables" and "Vectors").
 
-use std::ops::Range;
-
 use arrow_buffer::Buffer;
 use arrow_ipc::{CompressionType, RecordBatch};
 
+use super::guard::Found;
 use super::messages::Message;
 use super::{MOST_KEPT_BYTES, lz4};
-
-/// A buffer of a column to decode.
-pub(super) struct Found {
-    /// Index of the buffer in the record batch.
-    pub(super) number: usize,
-    /// Index of its column in the schema.
-    pub(super) column: usize,
-    /// Range of its bytes in the body, without the preceding length.
-    pub(super) bytes: Range<usize>,
-    /// Decompressed size, if compressed, bytes.
-    pub(super) unpacks_to: Option<usize>,
-    /// Whether it holds the samples of the blocks.
-    pub(super) is_samples: bool,
-}
 
 /// Error of decompression: the column, if known, and the problem.
 pub(super) type Failure = (Option<usize>, String);

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use super::encoding;
 use super::header::Header;
 use super::vlr::{self, EVLR_HEADER, SPEC, Vlr, WAVEFORM_PACKETS};
-use crate::format::{self, beside};
+use crate::extensions::{PACKETS, beside};
 use crate::{Error, Result, regular_file};
 
 /// Bytes read after a jump.
@@ -53,7 +53,7 @@ pub(super) fn find(
     file_length: u64,
 ) -> Result<Option<Packets>> {
     let inside = inside(path, header, evlrs, input, file_length)?;
-    let beside = beside(path, format::PACKETS);
+    let beside = beside(path, PACKETS);
     let says = |bit| header.global_encoding & bit != 0;
     let (takes_inside, takes_beside) = (says(encoding::WAVES_INSIDE), says(encoding::WAVES_BESIDE));
     match (inside, beside) {
@@ -113,7 +113,7 @@ pub(super) fn missing(path: &Path) -> Error {
              (LASzip: `laszip -i FILE.laz -o FILE.las -waveforms`)",
         );
     }
-    let name = path.with_extension(format::PACKETS);
+    let name = path.with_extension(PACKETS);
     let name = name.file_name().unwrap_or_default().display();
     Error::unusable(
         path,

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::fault::Fault;
 use super::interface::{Functions, LibraryVersion};
-use crate::format::is_wfm;
+use crate::extensions::is_wfm;
 use crate::{Error, Result};
 
 /// Environment variable that may name the library or its folder.

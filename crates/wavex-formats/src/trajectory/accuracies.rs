@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::super::{Error, Result};
-use super::axis::{Placed, may_be};
+use super::clock_range::{Placed, may_be};
 use super::input::Input;
 use super::{Recorded, poq, smrmsg};
 use wavex_geodesy::time_axis::{Clock, TimeSpan, Unwrap, align};

@@ -5,6 +5,7 @@
 use std::path::Path;
 
 use super::super::{Error, Result};
+use super::clock_range::{Placed, may_be};
 use super::{FileTime, Options, Raw, Recorded, accuracies};
 use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, gps_week};
 use wavex_geodesy::time_axis::{Clock, DAY_S, Unwrap, adjusted_of_date, leap_seconds, utc_of_gps};
@@ -18,15 +19,6 @@ pub(super) struct Stated {
     pub(super) is_utc: bool,
     /// Year, month and day of the recording.
     pub(super) date: Option<[u16; 3]>,
-}
-
-/// Conversion applied to the file's times.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Placed {
-    /// Clock of the file's times.
-    pub(super) clock: Clock,
-    /// GPS time minus the file's time, s.
-    pub(super) leap_s: f64,
 }
 
 /// Puts the decoded records on one time axis and adds the accuracies in the file `accuracy`.
@@ -73,22 +65,6 @@ pub(super) fn settle(path: &Path, raw: Raw, options: &Options, accuracy: Option<
             accuracies::on_axis(path, &recorded, Placed { clock, leap_s: offset_s + leap_s })?;
     }
     Ok(recorded)
-}
-
-/// Returns the valid range of a clock, s.
-///
-/// It has a margin for times that continue across the end of the week or day.
-fn range_s(clock: Clock) -> [f64; 2] {
-    match clock {
-        Clock::Adjusted => [-ADJUSTMENT_S, ADJUSTMENT_S],
-        Clock::Week => [-DAY_S, 2.0 * WEEK_S],
-        Clock::Day => [-DAY_S, 2.0 * DAY_S],
-    }
-}
-
-/// Returns whether times in this range are valid for a clock.
-pub(super) fn may_be(clock: Clock, [least_s, most_s]: [f64; 2]) -> bool {
-    range_s(clock)[0] <= least_s && most_s <= range_s(clock)[1]
 }
 
 /// Chooses the clock.

@@ -4,8 +4,9 @@
 //! projection parameters of any dialect to a PROJ string in degrees and metres; names, datum and
 //! vertical part are taken from the text itself.
 
+use super::proj_string::ProjString;
 use super::wkt::WktNode;
-use super::{CrsError, Unit, methods, records, wkt_of_epsg};
+use super::{CrsError, Unit, methods, wkt_of_epsg};
 use crate::ellipsoid::{Ellipsoid, GRS80, WGS84};
 use crate::lambert::LambertParameters;
 use crate::transverse_mercator::TransverseMercatorParameters;
@@ -96,7 +97,7 @@ impl Definition {
         let given = own_proj_string(&horizontal);
         let is_own = given.is_some();
         let text = given.map_or_else(|| proj_string(&horizontal), Ok)?;
-        let proj = ProjString { name: &name, pairs: pairs(&text), is_own };
+        let proj = ProjString::parse(&name, &text, is_own);
         proj.check_axes(&horizontal)?;
         let unit = match proj.text("proj") {
             Some("longlat") => Unit::metre(),
@@ -105,7 +106,7 @@ impl Definition {
         methods::check(&proj, &horizontal)?;
         let method = proj.method(ellipsoid)?;
         let found = Definition { epsg: own, method, ellipsoid, unit, horizontal, vertical, name };
-        let is_wrong = epsg.is_none() && own.is_some_and(|code| records::is_other_than(&found, code));
+        let is_wrong = epsg.is_none() && own.is_some_and(|code| is_other_than(&found, code));
         Ok(Definition { epsg: own.filter(|_| !is_wrong), ..found })
     }
 }
@@ -190,45 +191,7 @@ fn is_null_transformation(shift: &WktNode) -> bool {
     parameters.peek().is_some() && parameters.all(|parameter| parameter.value(1) == Some(0.0))
 }
 
-/// Parameters of a PROJ string, in order.
-pub(super) struct ProjString<'a> {
-    /// Name of the CRS, for errors.
-    pub name: &'a str,
-    pub pairs: Vec<(&'a str, &'a str)>,
-    /// True if the text contains it: omitted parameters then have PROJ's defaults.
-    pub is_own: bool,
-}
-
-fn pairs(text: &str) -> Vec<(&str, &str)> {
-    let words = text.split_whitespace().map(|word| word.trim_start_matches('+'));
-    words.map(|word| word.split_once('=').unwrap_or((word, ""))).collect()
-}
-
 impl ProjString<'_> {
-    /// Value of a parameter as written.
-    pub(super) fn text(&self, key: &str) -> Option<&str> {
-        self.pairs.iter().find(|pair| pair.0 == key).map(|pair| pair.1)
-    }
-
-    /// A numeric parameter, or its default.
-    pub(super) fn number(&self, key: &str, otherwise: f64) -> Result<f64, CrsError> {
-        let Some(text) = self.text(key) else { return Ok(otherwise) };
-        text.parse().ok().filter(|number: &f64| number.is_finite()).ok_or_else(|| {
-            self.unsupported(
-                format!("its parameter {key} is `{text}`, which is not a number"),
-                "check the definition of the CRS",
-            )
-        })
-    }
-
-    fn radians(&self, key: &str, otherwise_deg: f64) -> Result<f64, CrsError> {
-        Ok(self.number(key, otherwise_deg)?.to_radians())
-    }
-
-    pub(super) fn unsupported(&self, problem: String, remedy: &'static str) -> CrsError {
-        CrsError::Unsupported { name: self.name.into(), problem, remedy }
-    }
-
     /// Rejects axes other than east and north, and prime meridians other than Greenwich.
     fn check_axes(&self, horizontal: &WktNode) -> Result<(), CrsError> {
         const REMEDY: &str =
@@ -356,4 +319,38 @@ impl Definition {
         let metres = unit.value(1).filter(|metres| *metres > 0.0)?;
         Some(Unit::of_metres(unit.name().unwrap_or("unit"), metres))
     }
+}
+
+/// Largest relative difference of equal parameters, and of equal units.
+const SAME_NUMBER: f64 = 1e-6;
+const SAME_UNIT: f64 = 1e-7;
+
+/// Whether the system of an EPSG code has other parameters or another unit.
+///
+/// `false` for unknown codes, and for projections other than transverse Mercator and Lambert.
+fn is_other_than(definition: &Definition, code: u32) -> bool {
+    let Ok(known) = Definition::of_epsg(code) else { return false };
+    let Some((own, of_code)) = numbers(&definition.method).zip(numbers(&known.method)) else { return false };
+    let differ = |a: f64, b: f64, tolerance: f64| (a - b).abs() > tolerance * b.abs().max(1.0);
+    own.len() != of_code.len()
+        || own.iter().zip(&of_code).any(|(a, b)| differ(*a, *b, SAME_NUMBER))
+        || differ(definition.unit.metres, known.unit.metres, SAME_UNIT)
+}
+
+/// Parameters in degrees and metres; `None` for unknown ones.
+fn numbers(method: &ProjectionMethod) -> Option<Vec<f64>> {
+    Some(match method {
+        ProjectionMethod::Geodetic | ProjectionMethod::Ecef => Vec::new(),
+        ProjectionMethod::TransverseMercator(p) => {
+            let angles = [p.latitude_of_origin_rad, p.central_meridian_rad].map(f64::to_degrees);
+            [angles.as_slice(), &[p.scale, p.false_easting_m, p.false_northing_m]].concat()
+        }
+        ProjectionMethod::Lambert(p) => {
+            let [a, b] = p.standard_parallels_rad;
+            let angles = [a.min(b), a.max(b), p.latitude_of_origin_rad, p.central_meridian_rad];
+            [angles.map(f64::to_degrees).as_slice(), &[p.scale, p.false_easting_m, p.false_northing_m]]
+                .concat()
+        }
+        _ => return None,
+    })
 }

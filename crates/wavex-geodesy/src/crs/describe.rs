@@ -1,7 +1,7 @@
 //! Formats a coordinate reference system as WKT 1 (OGC 01-009).
 
 use super::definition::{DATUM, Definition, ELLIPSOID, GEODETIC, ProjectionMethod};
-use super::wkt::{WktNode, WktValue};
+use super::wkt::{WktNode, WktValue, compound};
 use super::{Crs, Unit};
 use crate::ellipsoid::{Ellipsoid, WGS84};
 use crate::lambert::LambertParameters;
@@ -14,12 +14,6 @@ pub(super) fn wkt(crs: &Crs) -> String {
         None => horizontal.to_string(),
         Some(vertical) => compound(horizontal, vertical).to_string(),
     }
-}
-
-/// A compound CRS with the names of its parts.
-pub(super) fn compound(horizontal: WktNode, vertical: WktNode) -> WktNode {
-    let names = [&horizontal, &vertical].map(|part| part.name().unwrap_or_default().to_string());
-    WktNode::named("COMPD_CS", &names.join(" + ")).with(horizontal).with(vertical)
 }
 
 /// Horizontal part: the source text if it is WKT 1 or ESRI WKT, with the unit replaced if

@@ -4,7 +4,7 @@
 //! would silently move all points, so definitions are checked here first.
 
 use super::CrsError;
-use super::definition::ProjString;
+use super::proj_string::ProjString;
 use super::wkt::{WktNode, WktValue};
 
 const PROJ_REMEDY: &str = "choose another system, or build wavex with the feature `proj`";

@@ -3,9 +3,8 @@
 use super::definition::{
     Definition, LENGTH_UNIT, PROJECTED, ProjectionMethod, VERTICAL, correct_angular_unit, unit_node,
 };
-use super::describe::compound;
 use super::projection::Projection;
-use super::wkt::WktNode;
+use super::wkt::{WktNode, compound};
 use super::{Crs, CrsError, Unit, Vector};
 use crate::ellipsoid::Geodetic;
 
@@ -115,38 +114,4 @@ impl Crs {
         let unit = definition.unit.clone();
         Some(Crs { definition, projection, geoid: None, unit, height_unit: Unit::metre() })
     }
-}
-
-/// Largest relative difference of equal parameters, and of equal units.
-const SAME_NUMBER: f64 = 1e-6;
-const SAME_UNIT: f64 = 1e-7;
-
-/// Whether the system of an EPSG code has other parameters or another unit.
-///
-/// `false` for unknown codes, and for projections other than transverse Mercator and Lambert.
-pub(super) fn is_other_than(definition: &Definition, code: u32) -> bool {
-    let Ok(known) = Definition::of_epsg(code) else { return false };
-    let Some((own, of_code)) = numbers(&definition.method).zip(numbers(&known.method)) else { return false };
-    let differ = |a: f64, b: f64, tolerance: f64| (a - b).abs() > tolerance * b.abs().max(1.0);
-    own.len() != of_code.len()
-        || own.iter().zip(&of_code).any(|(a, b)| differ(*a, *b, SAME_NUMBER))
-        || differ(definition.unit.metres, known.unit.metres, SAME_UNIT)
-}
-
-/// Parameters in degrees and metres; `None` for unknown ones.
-fn numbers(method: &ProjectionMethod) -> Option<Vec<f64>> {
-    Some(match method {
-        ProjectionMethod::Geodetic | ProjectionMethod::Ecef => Vec::new(),
-        ProjectionMethod::TransverseMercator(p) => {
-            let angles = [p.latitude_of_origin_rad, p.central_meridian_rad].map(f64::to_degrees);
-            [angles.as_slice(), &[p.scale, p.false_easting_m, p.false_northing_m]].concat()
-        }
-        ProjectionMethod::Lambert(p) => {
-            let [a, b] = p.standard_parallels_rad;
-            let angles = [a.min(b), a.max(b), p.latitude_of_origin_rad, p.central_meridian_rad];
-            [angles.map(f64::to_degrees).as_slice(), &[p.scale, p.false_easting_m, p.false_northing_m]]
-                .concat()
-        }
-        _ => return None,
-    })
 }

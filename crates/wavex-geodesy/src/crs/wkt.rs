@@ -3,8 +3,6 @@
 //! WKT 1 (OGC 01-009), ESRI WKT and WKT 2 (OGC 18-010) share the grammar of keywords with bracketed
 //! values.
 
-use super::describe::compound;
-
 /// A keyword with its values: `UNIT["metre",1]`.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct WktNode {
@@ -269,6 +267,12 @@ impl Reader<'_> {
         let read = self.text.get(..self.at).unwrap_or(self.text);
         format!("{what} at character {}", read.chars().count() + 1)
     }
+}
+
+/// A compound CRS with the names of its parts.
+pub(super) fn compound(horizontal: WktNode, vertical: WktNode) -> WktNode {
+    let names = [&horizontal, &vertical].map(|part| part.name().unwrap_or_default().to_string());
+    WktNode::named("COMPD_CS", &names.join(" + ")).with(horizontal).with(vertical)
 }
 
 #[cfg(test)]

@@ -4,10 +4,9 @@ use std::io;
 
 use laz::las::v3::{LasPoint6Compressor, LasWavepacketCompressor};
 use laz::record::{LayeredFieldCompressor, RecordCompressor, SequentialPointRecordCompressor};
-use laz::{LazItemType, LazVlr};
+use laz::{LasZipError, LazItemType, LazVlr};
 
 use super::byte_layers::{ByteLayers, TOGETHER};
-use super::compression::into_io;
 use crate::las::contained::contained;
 
 /// Length of a point of format 6, bytes.
@@ -113,6 +112,13 @@ impl StandardFields {
     fn write_layers(&mut self, chunk: &mut Vec<u8>) -> io::Result<()> {
         self.point.write_layers(chunk)?;
         self.wave.as_mut().map_or(Ok(()), |wave| wave.write_layers(chunk))
+    }
+}
+
+pub(in crate::las) fn into_io(error: LasZipError) -> io::Error {
+    match error {
+        LasZipError::IoError(error) => error,
+        other => io::Error::other(other),
     }
 }
 

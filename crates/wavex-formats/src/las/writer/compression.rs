@@ -5,8 +5,8 @@ use std::io::{self, Seek, SeekFrom, Write};
 use std::sync::Arc;
 
 use crossbeam_channel::{Receiver, bounded};
+use laz::LazVlr;
 use laz::laszip::{ChunkTable, ChunkTableEntry};
-use laz::{LasZipError, LazVlr};
 use rayon::ThreadPool;
 
 use super::chunk::{self, Chunk};
@@ -152,25 +152,4 @@ impl Workers {
 
 fn has_panicked() -> io::Error {
     io::Error::other("the compression of points panicked, which is a bug in wavex")
-}
-
-pub(in crate::las) fn into_io(error: LasZipError) -> io::Error {
-    match error {
-        LasZipError::IoError(error) => error,
-        other => io::Error::other(other),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn errors_of_the_coder_keep_their_kind_or_their_words() {
-        let full = LasZipError::IoError(io::ErrorKind::StorageFull.into());
-        assert_eq!(into_io(full).kind(), io::ErrorKind::StorageFull);
-        let other = into_io(LasZipError::UnsupportedPointFormat(99));
-        assert_eq!(other.kind(), io::ErrorKind::Other);
-        assert!(other.to_string().contains("99"), "{other}");
-    }
 }

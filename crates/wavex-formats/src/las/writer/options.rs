@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use rayon::ThreadPool;
 
-use crate::format::{LAS, LAZ, has_extension};
+use crate::extensions::{LAS, LAZ, has_extension};
 use crate::las::ExtraAttribute;
 use crate::las::encoding;
 use crate::las::header::{Header, header_bytes};

@@ -5,7 +5,7 @@ use std::path::Path;
 use laz::{LazItemType, LazVlr, LazVlrBuilder};
 
 use super::CHUNK;
-use super::compression::into_io;
+use super::chunk::into_io;
 use super::options::{WavePlace, WriterOptions};
 use crate::las::descriptor::{DESCRIPTOR_BYTES, Descriptor, FIRST_DESCRIPTOR};
 use crate::las::extra_bytes::ExtraAttribute;

@@ -1,0 +1,264 @@
+//! The commands of the command line.
+
+use std::path::PathBuf;
+
+use clap::{ArgAction, Args, Parser, Subcommand};
+
+use super::args::{
+    ArchiveArgs, CalibrateArgs, CollectArgs, ExplainArgs, ImportArgs, JobArgs, Machine, PlanArgs, ScanArgs,
+    SurveyArgs, TrajectoryArgs, ViewArgs,
+};
+use super::false_alarms::FalseAlarmArgs;
+use super::usage;
+
+/// Turn full-waveform lidar recordings into point clouds
+#[derive(Parser)]
+#[command(name = "wavex", version, after_help = EXIT_CODES)]
+pub(super) struct Cli {
+    #[command(subcommand)]
+    pub(super) command: Command,
+    #[command(flatten)]
+    pub(super) loudness: Loudness,
+}
+
+const EXIT_CODES: &str = "Exit status: 0 success; 1 the run failed; 2 the job or the command line is invalid";
+
+/// Verbosity on standard error.
+#[derive(Args, Clone, Copy)]
+pub(super) struct Loudness {
+    /// Print more messages: -v for progress, -vv for details
+    #[arg(short, long, global = true, action = ArgAction::Count)]
+    pub(super) verbose: u8,
+    /// Print errors only
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    pub(super) quiet: bool,
+}
+
+#[derive(Subcommand)]
+pub(super) enum Command {
+    /// Run a job
+    ///
+    /// Relative paths start at the job's folder, or at its `input_dir` and `output_dir`. Outputs
+    /// get their final names only after all stages have succeeded on their input. If an input fails,
+    /// the next one follows, unless the job has `on_error = "stop"`.
+    #[command(after_help = usage::RUN)]
+    Run {
+        #[command(flatten)]
+        job: JobArgs,
+        #[command(flatten)]
+        machine: Machine,
+        /// Archive how the outputs were made, in a new folder or a file that ends in .tar.zst
+        ///
+        /// The archive holds the job as written and as resolved, digests of all inputs and outputs,
+        /// the sensor model, software versions, the machine, the report, the scan-line statistics,
+        /// and the log.
+        #[arg(long, value_name = "ARCHIVE")]
+        archive: Option<PathBuf>,
+        /// Skip inputs with complete outputs of an earlier run with the same version, job and files
+        ///
+        /// Reads the report of the earlier run. Prints which inputs are skipped, and why the others
+        /// are not. --resume=digest compares files by content instead of size and time, and takes
+        /// digests for the next run with --resume=digest.
+        #[arg(long, value_name = "CHECK", num_args = 0..=1, require_equals = true)]
+        #[arg(default_missing_value = "time", conflicts_with = "archive")]
+        resume: Option<ResumeCheck>,
+        /// Learn the sensor models of the survey again instead of keeping those of the earlier run
+        ///
+        /// All inputs are run again if that changes a model.
+        #[arg(long, requires = "resume")]
+        relearn: bool,
+    },
+    /// Plan a survey as tasks for several machines, one per input
+    ///
+    /// Writes a folder with the job of each input, its estimated cores, memory and time, and rules
+    /// for Snakemake with profiles for one machine and for Slurm. All paths in it are relative.
+    #[command(after_help = usage::PLAN)]
+    Plan(PlanArgs),
+    /// Check and merge the results of planned tasks
+    ///
+    /// Names every task that failed, was not run, or lacks an output. Merges reports, line
+    /// statistics, digests and the archive of the others.
+    #[command(after_help = usage::COLLECT)]
+    Collect(CollectArgs),
+    /// Run an archived job again and compare the outputs bit by bit
+    ///
+    /// First verifies the archive and its inputs, then runs into a temporary folder (see TMPDIR).
+    /// If an output differs, prints the file and its first difference, and exits with status 1.
+    #[command(after_help = usage::REPLAY)]
+    Replay {
+        #[command(flatten)]
+        archived: ArchiveArgs,
+        /// Seal noted when the archive was made; do not run if it differs
+        ///
+        /// An archived job may come from anyone, who may also have resealed it.
+        #[arg(long, value_name = "HEX", value_parser = seal)]
+        seal: Option<String>,
+        /// Number of worker threads; 0: one per core [default: as in the archived run]
+        #[arg(long, value_name = "N")]
+        threads: Option<usize>,
+        /// When to show progress; auto: a bar on a terminal, lines elsewhere
+        #[arg(long, value_name = "WHEN", default_value = "auto")]
+        progress: When,
+    },
+    /// Verify an archive, its inputs and its outputs by their digests
+    #[command(after_help = usage::VERIFY)]
+    Verify {
+        #[command(flatten)]
+        archived: ArchiveArgs,
+        /// Seal noted when the archive was made; fail if it differs
+        ///
+        /// 64 hexadecimal digits, as `wavex run --archive` prints them. Anyone who changes an
+        /// archive can reseal it, but the new seal differs from the noted one.
+        #[arg(long, value_name = "HEX", value_parser = seal)]
+        seal: Option<String>,
+    },
+    /// Validate a job without reading data: keys, chain, folders, inputs
+    ///
+    /// Prints number and size of the input files, their pulses and the expected number of points if
+    /// the headers have them, and the free disk space. Warns about missing and damaged inputs.
+    #[command(after_help = usage::CHECK)]
+    Check {
+        #[command(flatten)]
+        job: JobArgs,
+        /// Whether all inputs must be there
+        #[arg(long, value_name = "RULE", default_value = "optional")]
+        inputs: InputRule,
+    },
+    /// List the stages, or describe one stage and its keys
+    #[command(after_help = usage::STAGES)]
+    Stages {
+        /// Stage to describe
+        name: Option<String>,
+    },
+    /// Print the JSON Schema of jobs, for editors that validate and complete TOML
+    ///
+    /// Save it as job.schema.json and start the job with the line `#:schema job.schema.json`.
+    #[command(after_help = usage::SCHEMA)]
+    Schema,
+    /// Write a commented starter job
+    ///
+    /// With --from, writes a job for this recording: its format, instrument and frame select the
+    /// stages. Also writes the schema for editors, job.schema.json, to the folder of the job.
+    #[command(after_help = usage::INIT)]
+    Init {
+        /// Job to write; must not exist yet [default: standard output]
+        file: Option<PathBuf>,
+        /// Recording to write the job for
+        #[arg(long, value_name = "RECORDING")]
+        from: Option<PathBuf>,
+    },
+    /// Calibrate from a recording, or from all inputs of a job, and save the sensor model
+    ///
+    /// With a recording, reads all of it, prints noise, background and pulse width of each receiver,
+    /// and writes the model as JSON. A job uses it with the key `load` of `calibrate`. With a job
+    /// (.toml), takes waveforms from all its inputs and writes one model per instrument, which jobs use
+    /// with the key `survey_model` of `[job]`. docs/how-to/calibrate-once.md describes both.
+    #[command(after_help = usage::CALIBRATE)]
+    Calibrate(CalibrateArgs),
+    /// Copy recorded waveforms into the open container format (Arrow)
+    #[command(after_help = usage::CONVERT)]
+    Convert {
+        /// Recording: .las, .laz, .pls, .sdf, .wfm or .arrow; quote a pattern to convert several
+        input: String,
+        /// Container to write: .arrow; with several inputs, `*` is replaced by the name of each
+        output: String,
+        #[command(flatten)]
+        machine: Machine,
+    },
+    /// Convert points to a cloud-optimised point cloud (COPC)
+    ///
+    /// Reads LAS or LAZ of point formats 6 to 10, as `write_las` writes them. Copies all points bit
+    /// by bit, with extra attributes and coordinate system, but without waveforms.
+    #[command(after_help = usage::COPC)]
+    Copc {
+        /// Points: .las or .laz
+        input: PathBuf,
+        /// COPC file to write [default: NAME.copc.laz next to the input]
+        #[arg(short, long, value_name = "FILE")]
+        out: Option<PathBuf>,
+        /// Write a STAC item next to it: NAME.copc.json
+        #[arg(long)]
+        stac: bool,
+        /// When to show progress; auto: a bar on a terminal
+        #[arg(long, value_name = "WHEN", default_value = "auto")]
+        progress: When,
+    },
+    /// Print the false-return rate of pure noise for each threshold
+    ///
+    /// Use the table to choose `detection_sigma`: false returns per waveform, by threshold and
+    /// noise correlation.
+    #[command(after_help = usage::FALSE_ALARMS)]
+    FalseAlarms(FalseAlarmArgs),
+    /// Explain one shot: samples, fit, residuals and returns
+    ///
+    /// Calibrates from the recording as a run would, decomposes the shot, prints its returns with
+    /// standard deviations, and draws a picture (SVG, readable by any browser).
+    #[command(after_help = usage::EXPLAIN)]
+    Explain(ExplainArgs),
+    /// Summarise a recording: times, rates, lines, channels, noise, integrity
+    ///
+    /// Prints a summary and writes it with histograms and a page of pictures: NAME_scan.txt,
+    /// NAME_scan.html, NAME_angles.txt, NAME_amplitudes.txt, NAME_noise.txt and NAME_ranges.txt.
+    #[command(after_help = usage::SCAN)]
+    Scan(ScanArgs),
+    /// Render a run's report as a page: timing, counts, sensor model, warnings
+    ///
+    /// The page is one HTML file without scripts or network access.
+    #[command(after_help = usage::REPORT)]
+    Report {
+        /// The report of a run (JOB_report.json), or the folder that contains it
+        place: PathBuf,
+        /// Page to write [default: JOB_report.html next to the report]
+        #[arg(short, long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
+    /// Make the page of a survey from the strips of one or more runs
+    ///
+    /// The runs must have had `survey_page`. Writes page, JSON and rasters.
+    #[command(after_help = usage::SURVEY)]
+    Survey(SurveyArgs),
+    /// Project and decimate a trajectory: SBET, POF, SOL, TRJ or text
+    ///
+    /// Prints a summary. Optionally writes a table with the columns t lon lat h x y z w p k, and a
+    /// picture (SVG).
+    #[command(after_help = usage::TRAJECTORY)]
+    Trajectory(TrajectoryArgs),
+    /// Explore a recording, a job or a run's outputs in the browser: points, waveforms, fits
+    ///
+    /// Serves a page on this computer only (127.0.0.1), at an address with a random token, until Ctrl-C.
+    /// Runs the job without its outputs; selected shots can be decomposed again with other keys. Nothing is
+    /// written.
+    #[command(after_help = usage::VIEW)]
+    View(ViewArgs),
+    /// Translate a command line of BayesWavEx 1.0 or 1.1 into a job
+    ///
+    /// Prints the job. A comment at each key names its option; options without a key become
+    /// comments. docs/import.md lists all options.
+    #[command(after_help = usage::IMPORT)]
+    Import(ImportArgs),
+    /// Check this machine: instructions, memory, disk space, libraries
+    ///
+    /// States what to do about what is missing. Fails if runs in this folder will fail.
+    #[command(after_help = usage::DOCTOR)]
+    Doctor,
+    /// Write the manual pages, one per command
+    #[command(after_help = usage::MAN)]
+    Man {
+        /// Folder of the pages; it is created
+        folder: PathBuf,
+    },
+    /// Print a shell completion script
+    #[command(after_help = usage::COMPLETIONS)]
+    Completions {
+        /// Shell to print completions for
+        shell: clap_complete::Shell,
+    },
+}
+
+/// Parses a seal: 64 hexadecimal digits, returned in lower case.
+fn seal(text: &str) -> Result<String, String> {
+    let is_digest = text.len() == 64 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
+    is_digest.then(|| text.to_ascii_lowercase()).ok_or_else(|| {
+        "a seal has 64 hexadecimal digits, as `wavex run --archive` prints them at the end".to_owned()
+    })
+}
