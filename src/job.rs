@@ -37,15 +37,15 @@ mod validate;
 
 pub use errors::{JobError, JobErrors};
 pub use example::example_job;
-pub use include::{Include, included};
+pub use include::included;
 pub use limits::{MAX_BYTES, MAX_INCLUDES, read_text};
 pub use manual::{manual, manual_of, summary};
-pub use overrides::Override;
 pub use schema::job_schema;
 pub use simd::Simd;
 pub use survey::{CELLS, SurveyKeys};
 
 use sources::Sources;
+pub use sources::{Include, Override};
 
 /// A validated job.
 #[derive(Clone, Debug, Default)]

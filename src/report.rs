@@ -12,6 +12,7 @@ use crate::stage::OutputFile;
 use wavex_formats::{Error, Result, read_small_text};
 
 mod earlier;
+pub(crate) mod numbers;
 pub(crate) mod overview;
 pub(crate) mod page;
 pub(crate) mod panel;

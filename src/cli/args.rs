@@ -344,16 +344,3 @@ pub(super) struct SurveyArgs {
     #[arg(long, value_name = "FILE")]
     pub(super) job: Option<PathBuf>,
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_seal_is_64_hexadecimal_digits() {
-        assert_eq!(seal(&"aB".repeat(32)), Ok("ab".repeat(32)));
-        for wrong in ["", "ab", &"ag".repeat(32), &"é".repeat(32)] {
-            assert!(seal(wrong).unwrap_err().starts_with("a seal has 64 hexadecimal digits"), "{wrong}");
-        }
-    }
-}

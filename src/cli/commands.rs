@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::{ArgAction, Args, Parser, Subcommand};
 
 use super::args::{
-    ArchiveArgs, CalibrateArgs, CollectArgs, ExplainArgs, ImportArgs, JobArgs, Machine, PlanArgs, ScanArgs,
-    SurveyArgs, TrajectoryArgs, ViewArgs,
+    ArchiveArgs, CalibrateArgs, CollectArgs, ExplainArgs, ImportArgs, InputRule, JobArgs, Machine, PlanArgs,
+    ResumeCheck, ScanArgs, SurveyArgs, TrajectoryArgs, ViewArgs, When,
 };
 use super::false_alarms::FalseAlarmArgs;
 use super::usage;
@@ -261,4 +261,17 @@ fn seal(text: &str) -> Result<String, String> {
     is_digest.then(|| text.to_ascii_lowercase()).ok_or_else(|| {
         "a seal has 64 hexadecimal digits, as `wavex run --archive` prints them at the end".to_owned()
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_seal_is_64_hexadecimal_digits() {
+        assert_eq!(seal(&"aB".repeat(32)), Ok("ab".repeat(32)));
+        for wrong in ["", "ab", &"ag".repeat(32), &"é".repeat(32)] {
+            assert!(seal(wrong).unwrap_err().starts_with("a seal has 64 hexadecimal digits"), "{wrong}");
+        }
+    }
 }

@@ -1,10 +1,10 @@
 //! `wavex plan` and `wavex collect`: a survey as tasks of a cluster.
 
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::args::{CollectArgs, PlanArgs};
-use super::{Failure, JobArgs, print, run, terminal};
+use super::{Failure, print, run, terminal};
 use crate::archive::check_destination;
 use crate::cluster::{self, PlanOptions, SurveyPlan};
 use crate::georef::check_crs;

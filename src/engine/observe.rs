@@ -84,11 +84,11 @@ pub(super) fn run_one(
     let common = Common::new(job, options);
     let shared = schedule::Shared { job, options, common: &common, geometry: Mutex::new(geometry), cx };
     let run = RunContext { has_outputs: false, ..run_context(options, input, pool::start(options)?) };
-    run(&shared, run, options)
+    run_shown(&shared, run, options)
 }
 
 /// Runs the chain over an input and shows the progress.
-fn run(
+fn run_shown(
     shared: &schedule::Shared,
     run: RunContext,
     options: &Options,

@@ -8,7 +8,8 @@ use std::ops::Range;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::limits::{MAX_ERRORS, MAX_STAGES};
+use super::errors::MAX_ERRORS;
+use super::limits::MAX_STAGES;
 use super::{JobError, JobSettings};
 use crate::keys::{FileMark, Keys};
 use crate::registry::{find_in, nearest_of};

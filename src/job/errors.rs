@@ -5,9 +5,11 @@ use std::ops::Range;
 
 use annotate_snippets::{AnnotationKind, Level, Origin, Renderer, Snippet};
 
-use super::limits::MAX_ERRORS;
 use super::sources::{Place, Sources, shown};
 use crate::registry::nearest_of;
+
+/// Maximum number of errors that are reported.
+pub(super) const MAX_ERRORS: usize = 100;
 
 /// One error in a job.
 #[derive(Clone, Debug, PartialEq)]

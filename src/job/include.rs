@@ -13,15 +13,6 @@ use super::draft::{self, Draft};
 use crate::registry::{find_in, nearest_of};
 use crate::stage::StageSpec;
 
-/// A file that a job includes.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Include {
-    /// Name in errors.
-    pub name: String,
-    /// Content of the file.
-    pub text: String,
-}
-
 /// Names of the files that a job's text includes, in order.
 ///
 /// Returns none if the text is invalid; parsing the job reports the errors.

@@ -2,7 +2,8 @@
 
 use std::io::{self, Read};
 
-use super::{Include, JobError};
+use super::JobError;
+use super::sources::Include;
 
 /// Maximum size of a job together with its included files, bytes.
 pub const MAX_BYTES: u64 = 8_000_000;
@@ -10,9 +11,6 @@ pub const MAX_BYTES: u64 = 8_000_000;
 pub const MAX_INCLUDES: usize = 32;
 /// Maximum number of stages.
 pub(super) const MAX_STAGES: usize = 1000;
-/// Maximum number of errors that are reported.
-pub(super) const MAX_ERRORS: usize = 100;
-
 /// Reads a job or an included file; reads no further than one byte past [`MAX_BYTES`].
 ///
 /// # Errors

@@ -12,24 +12,6 @@ use super::{JobError, JobSettings};
 use crate::keys::{Keys, listed};
 use crate::stage::StageSpec;
 
-/// A value set from outside the text: `STAGE.KEY=VALUE`.
-///
-/// STAGE is a stage's `id` or type, or `job`. KEY is one of its keys, dotted inside tables. VALUE
-/// is TOML. A value that is not valid TOML is text, and so is any value of a key that accepts only
-/// text. Quotation marks, which a shell would remove, are therefore optional.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Override {
-    /// Text as given.
-    pub text: String,
-}
-
-impl Override {
-    /// Creates an override; errors are reported when the job is parsed.
-    pub fn new(text: impl Into<String>) -> Override {
-        Override { text: text.into() }
-    }
-}
-
 /// A parsed override that is not yet applied: stage, key and value.
 pub(super) struct Change<'t> {
     stage: Spanned<&'t str>,

@@ -4,8 +4,34 @@
 
 use std::ops::Range;
 
-use super::{Include, Override};
 use crate::printable::printable;
+
+/// A file that a job includes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Include {
+    /// Name in errors.
+    pub name: String,
+    /// Content of the file.
+    pub text: String,
+}
+
+/// A value set from outside the text: `STAGE.KEY=VALUE`.
+///
+/// STAGE is a stage's `id` or type, or `job`. KEY is one of its keys, dotted inside tables. VALUE
+/// is TOML. A value that is not valid TOML is text, and so is any value of a key that accepts only
+/// text. Quotation marks, which a shell would remove, are therefore optional.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Override {
+    /// Text as given.
+    pub text: String,
+}
+
+impl Override {
+    /// Creates an override; errors are reported when the job is parsed.
+    pub fn new(text: impl Into<String>) -> Override {
+        Override { text: text.into() }
+    }
+}
 
 /// The job's text, its includes, and its overrides.
 #[derive(Clone, Debug)]

@@ -11,7 +11,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::JobError;
-use super::limits::MAX_ERRORS;
+use super::errors::MAX_ERRORS;
 use super::manual::first_sentence;
 use crate::keys::{Keys, bounds, choices, takes};
 

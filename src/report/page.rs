@@ -3,12 +3,12 @@
 use maud::{DOCTYPE, Markup, html};
 use serde_json::Value;
 
+use super::numbers::{label, short};
 use super::overview::{Overview, QuantityHistogram};
 use super::tables::points;
 use super::verdict::{self, Check, Grade};
 use crate::printable::printable;
 use part::{Part, badge, figure, figures, head, section, table, tiles, wide_table, with_contents, worst};
-use plot::{label, short};
 
 mod content;
 mod details;

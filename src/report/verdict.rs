@@ -3,7 +3,7 @@
 //! A verdict is the worst of its checks. A check with too little data is not assessed, and a section
 //! without any assessed check neither: missing data is never good.
 
-use super::page::plot::{label, short, with_unit};
+use super::numbers::{label, short, with_unit};
 
 /// Grade of a check or a section, from good to bad.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

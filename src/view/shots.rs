@@ -10,7 +10,7 @@ use super::placed::{Placed, placed, text};
 use super::session::{Placing, Session};
 use crate::explain::{ExplainError, Explained};
 use crate::job::Job;
-use crate::scan_line::{Block, Channel, Content, Emission, Return, ScanLine, flags};
+use crate::scan_line::{Block, Channel, Content, Emission, ScanLine, flags};
 
 /// Limit of the rows of a picture of a scan line.
 const MAX_ROWS: usize = 2000;

@@ -59,8 +59,8 @@
 //! # Ok::<(), wavex_formats::Error>(())
 //! ```
 
-mod arrow_schema;
 mod builder;
+mod checked_schema;
 mod decode;
 mod digest;
 mod guard;

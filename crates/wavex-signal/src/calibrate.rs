@@ -27,6 +27,7 @@ mod differences;
 mod free_samples;
 mod histogram;
 mod initial_estimate;
+mod jackknife;
 mod limits;
 mod noise_statistics;
 mod pass_stats;
@@ -42,10 +43,10 @@ pub(crate) use batches::{WeakPulses, decompose_each};
 pub use clipping::clipping_level_dn;
 pub(crate) use clipping::clipping_level_of_counts;
 pub(crate) use differences::noise_sd_dn as noise_by_differences_dn;
+pub(crate) use jackknife::jackknife_sd;
 pub use limits::receiver_limits;
 pub use noise_statistics::NoiseStatistics;
 pub use quiet::separate_noise;
-pub(crate) use uncertainty::jackknife_sd;
 pub(crate) use width::{Narrow, Width};
 
 /// Fewest pulses for a width estimate.

@@ -13,6 +13,7 @@ mod blocks;
 mod cells;
 mod error;
 mod grid;
+mod held;
 mod joined;
 mod pending;
 mod pulses;
@@ -32,8 +33,9 @@ use blocks::Blocks;
 pub use error::MtaError;
 pub use settings::{Method, Prior, Settings};
 
+use held::Held;
 use joined::Joined;
-use pending::{Held, Places};
+use pending::Places;
 use variance::Variance;
 
 /// One emission of a scan line.

@@ -4,6 +4,7 @@
 //! coincident echo does not bias it.
 
 mod batch;
+mod fitted_pulse;
 mod mixture;
 mod usual;
 
@@ -13,7 +14,8 @@ use crate::decompose::{DecomposeSettings, Decomposer, Return};
 use crate::flags;
 use crate::sensor_model::{ChannelModel, ModelError};
 
-pub use batch::{Outgoing, OutgoingBatch};
+pub use batch::OutgoingBatch;
+pub use fitted_pulse::Outgoing;
 pub use usual::{ReferenceBlock, Usual};
 
 /// Half width of the fitted window, in pulse widths.

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 mod learn;
 mod proof;
+mod row;
 mod stretches;
 #[cfg(test)]
 mod tests;

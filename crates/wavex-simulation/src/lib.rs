@@ -10,6 +10,7 @@ pub mod random;
 pub mod receiver;
 pub mod scanner;
 pub mod scene;
+mod start;
 pub mod truth;
 pub mod world;
 

@@ -3,7 +3,7 @@
 use core::f64::consts::TAU;
 
 use super::scene::{Area, Beam};
-use super::world::{GROUND_HEIGHT_M, START_M};
+use super::start::{GROUND_HEIGHT_M, START_M};
 use wavex_geodesy::frames::{Attitude, IDENTITY, Rotation, rotate, rotation_of_angles, then};
 
 /// An aircraft with a scanner, on a straight or circular track at constant speed and height.

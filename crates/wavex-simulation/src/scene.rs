@@ -16,7 +16,7 @@ use canopy::Canopy;
 use landscape::Country;
 use texture::Texture;
 
-use super::world::GROUND_HEIGHT_M;
+use super::start::GROUND_HEIGHT_M;
 
 /// Half divergence: angle from the beam axis to the 1/e² intensity, rad.
 const HALF_DIVERGENCE_RAD: f64 = 0.25e-3;

@@ -22,12 +22,7 @@ use wavex_geodesy::frames::{
 };
 use wavex_geodesy::transverse_mercator::{TransverseMercator, TransverseMercatorParameters};
 
-/// Initial position of the aircraft, m: easting and northing in UTM zone 33 north.
-///
-/// It is 180 km west of the central meridian, where the map scale is 1.
-pub const START_M: [f64; 2] = [320_000.0, 5_300_000.0];
-/// Height of the level ground above the ellipsoid, m.
-pub const GROUND_HEIGHT_M: f64 = 400.0;
+pub use super::start::{GROUND_HEIGHT_M, START_M};
 
 /// CRS of `START_M`: WGS 84 / UTM zone 33N (EPSG:32633) as WKT 1 (OGC 01-009).
 pub const CRS_WKT: &str = concat!(

@@ -4,8 +4,8 @@ use maud::{Markup, html};
 use serde_json::Value;
 
 use super::part::{Part, figure, maps, section, table};
-use super::plot::{label, short};
 use super::{results, words};
+use crate::report::numbers::{label, short};
 use crate::report::overview::{MapAxes, MapPicture, Overview, PointSummary};
 use crate::report::verdict;
 

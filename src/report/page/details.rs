@@ -3,8 +3,8 @@
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::plot::{label, short, with_unit};
 use super::{CHANNELS, list, name, plain, section, table, words};
+use crate::report::numbers::{label, short, with_unit};
 
 /// Lists the keys of the job and of its stages.
 pub(super) fn all_keys(report: &Value) -> Markup {

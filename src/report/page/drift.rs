@@ -4,8 +4,9 @@ use maud::{Markup, html};
 use serde_json::Value;
 
 use super::details::of_channels;
-use super::plot::{Plot, short, ticks};
+use super::plot::{Plot, ticks};
 use super::{figure, figures, list, of_sensor, plain, table};
+use crate::report::numbers::short;
 use crate::report::svg::Svg;
 
 /// A measured quantity: path in the entry of an input, title, unit.

@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use maud::Markup;
 
 use super::part::{Part, figure, figures};
-use super::plot::{Plot, label, short, ticks};
+use super::plot::{Plot, ticks};
 use super::results;
+use crate::report::numbers::{label, short};
 use crate::report::overview::{Flight, Overview, TimeCoverage};
 use crate::report::svg::{Anchor, Svg};
 use crate::report::verdict;

@@ -1,7 +1,8 @@
 //! Figures of a run's results: counts along the flight, histograms, map views.
 
 use super::map_frame::MapFrame;
-use super::plot::{Plot, WIDTH, decades, label, short, ticks, with_unit};
+use super::plot::{Plot, WIDTH, decades, ticks};
+use crate::report::numbers::{label, short, with_unit};
 use crate::report::overview::{
     Density, LineGroups, MapAxes, MapLine, MapPicture, Picture, QuantityHistogram, ZoneCloud, ZoneClouds,
 };

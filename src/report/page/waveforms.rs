@@ -2,8 +2,9 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::plot::{WIDTH, label};
+use super::plot::WIDTH;
 use super::wide_table;
+use crate::report::numbers::label;
 use crate::report::overview::{ShownKind, ShownReturn, ShownShot, WeakReturns};
 use crate::report::panel::{FAR_LABEL, Panels};
 use crate::report::svg::{Anchor, Svg};

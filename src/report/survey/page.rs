@@ -7,11 +7,11 @@ use super::mosaic::Pictures;
 use super::strip::{MOST_RETURNS, UNEXPLAINED};
 use super::{StripFacts, Survey, SurveyStrip};
 use crate::printable::printable;
+use crate::report::numbers::{label, short};
 use crate::report::page::drift;
 use crate::report::page::part::{
     Part, figure, head, maps as map_figures, section, table, tiles, with_contents,
 };
-use crate::report::page::plot::{label, short};
 use crate::report::page::words;
 use crate::report::verdict::{self, Check};
 

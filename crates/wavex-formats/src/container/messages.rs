@@ -13,7 +13,7 @@ use arrow_buffer::Buffer;
 use arrow_ipc::{Block, Footer, root_as_footer, root_as_message};
 use arrow_schema::Schema;
 
-use super::arrow_schema::schema_of;
+use super::checked_schema::schema_of;
 use super::location::{CUT_OFF, DAMAGED, Location};
 use super::{MAX_BATCH_BYTES, MOST_KEPT_BYTES, digest};
 use crate::{Error, Result, make_room};

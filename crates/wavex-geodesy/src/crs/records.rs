@@ -1,8 +1,6 @@
 //! Coordinate reference systems from the records of a file, which may be wrong.
 
-use super::definition::{
-    Definition, LENGTH_UNIT, PROJECTED, ProjectionMethod, VERTICAL, correct_angular_unit, unit_node,
-};
+use super::definition::{Definition, LENGTH_UNIT, PROJECTED, VERTICAL, correct_angular_unit, unit_node};
 use super::projection::Projection;
 use super::wkt::{WktNode, compound};
 use super::{Crs, CrsError, Unit, Vector};

@@ -16,16 +16,6 @@ pub(super) fn of_residuals(model: &ChannelModel, survey: &PassStats) -> ModelUnc
     }
 }
 
-/// Jackknife standard deviation (Tukey 1958) from leave-one-out values.
-///
-/// Each value omits one of as many equal parts of the recording, so that changes along the
-/// recording count as well as chance.
-pub(crate) fn jackknife_sd(without_one: &[f64]) -> f64 {
-    let n = without_one.len().max(1) as f64;
-    let mean = without_one.iter().sum::<f64>() / n;
-    ((n - 1.0) / n * without_one.iter().map(|value| (value - mean).powi(2)).sum::<f64>()).sqrt()
-}
-
 #[cfg(test)]
 mod tests {
     use crate::calibrate::{CalibrationSettings, calibrate};
@@ -38,8 +28,8 @@ mod tests {
     fn the_jackknife_of_a_mean_is_its_standard_error() {
         let values = [3.0, 5.0, 4.0, 9.0];
         let without: Vec<f64> = values.iter().map(|value| (21.0 - value) / 3.0).collect();
-        assert!((super::jackknife_sd(&without) - moments(&values).1 / 2.0).abs() < 1e-12);
-        assert_eq!(super::jackknife_sd(&[]), 0.0);
+        assert!((super::super::jackknife_sd(&without) - moments(&values).1 / 2.0).abs() < 1e-12);
+        assert_eq!(super::super::jackknife_sd(&[]), 0.0);
     }
 
     /// Sixty recordings of one sensor: the spread of the estimates equals the reported uncertainty.

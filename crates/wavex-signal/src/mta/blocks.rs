@@ -5,7 +5,8 @@
 use std::collections::VecDeque;
 
 use super::cells::{BAND_LINES, Band, Cell, Slope};
-use super::pending::{self, Held, HeldEcho};
+use super::held::{Held, HeldEcho};
+use super::pending;
 use super::summary::Summary;
 use super::{MtaError, Prior, Resolved, Settings, grid};
 

@@ -5,13 +5,12 @@
 //! therefore found first, and zones are counted from it. Each cell then has one unknown: the zone
 //! of its surface.
 
-use super::pending::{Held, HeldEcho};
+use super::held::{Held, HeldEcho};
+use super::pulses::CELL_SHOTS;
 use super::{Prior, Settings};
 
 /// Number of scan lines in a band.
 pub const BAND_LINES: usize = 8;
-/// Width of a cell, shots.
-pub(super) const CELL_SHOTS: i32 = 16;
 /// Number of phase bins per interval, and number of bins that form the surface.
 const BINS: usize = 32;
 const SURFACE_BINS: usize = 8;

@@ -8,7 +8,8 @@
 use std::collections::VecDeque;
 
 use super::Settings;
-use super::cells::{Band, CELL_SHOTS};
+use super::cells::Band;
+use super::pulses::CELL_SHOTS;
 
 /// Cost of a step of one interval or more, nats.
 const CONTINUITY_NATS: f32 = 48.0;

@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use super::cells::CELL_SHOTS;
+use super::pulses::CELL_SHOTS;
 use super::{Cause, Emission, Line, Resolved};
 
 /// Lines with fewer emissions are merged with the following ones.

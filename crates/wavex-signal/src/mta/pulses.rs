@@ -4,6 +4,8 @@
 
 use super::{Cause, Emission, Prior, Settings};
 
+/// Width of a cell, shots.
+pub(super) const CELL_SHOTS: i32 = 16;
 /// Largest number of emissions considered before a line.
 const MOST_BEFORE: usize = 126;
 /// Smallest nadir cosine at which a beam reaches flat ground.

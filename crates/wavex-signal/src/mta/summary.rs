@@ -1,6 +1,6 @@
 //! Statistics of the assignment, of constant size.
 
-use super::pending::Held;
+use super::held::Held;
 use super::pulses::REGULAR_PART;
 use super::{Assigned, Method, MtaError, Prior, Settings};
 

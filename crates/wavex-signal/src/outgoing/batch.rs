@@ -5,24 +5,11 @@ use std::sync::Arc;
 
 use super::mixture::Mixture;
 use super::usual::{ReferenceBlock, Usual};
-use super::{OutgoingFitter, one_pulse, window};
-use crate::decompose::Return;
+use super::{Outgoing, OutgoingFitter, one_pulse, window};
 use crate::decompose::Waveform;
 use crate::decompose::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::simd::SimdLevel;
-
-/// An outgoing pulse and the samples to which it was fitted.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Outgoing {
-    /// The pulse; its position counts from the block's first sample.
-    pub pulse: Return,
-    /// Indices of the fitted samples.
-    pub window: Range<usize>,
-    /// Whether one pulse, or a pulse and an echo, explains the samples. `false` before
-    /// [`OutgoingBatch::judge`] and for pulses that it does not examine.
-    pub is_explained: bool,
-}
 
 /// Fits outgoing pulses of one channel in batches; reuses its buffers.
 ///

@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::proof::Proof;
+use super::row::{REACH_SD, Row, spread_ln, weight};
 use super::stretches::{jackknife_variance, stretches};
 use super::{DelayNode, LEAST_TRIPLES, LearntWalk, NoWalk, RangeWalk, SingleEcho, Triple};
 
@@ -27,27 +28,11 @@ const BEYOND_PART: f64 = 0.001;
 const NEIGHBOURS: std::ops::RangeInclusive<u64> = 3..=12;
 /// Fewest neighbours that show the roughness.
 const LEAST_NEIGHBOURS: usize = 5;
-/// Tukey's biweight is zero beyond this many standard deviations.
-const REACH_SD: f64 = 4.0;
 /// Number of passes of the robust fit, and every how many of them the roughness is measured again.
 const PASSES: usize = 15;
 const ROUGHNESS_EVERY: usize = 5;
 /// Standard deviation of a normal distribution over its median absolute deviation.
 const SD_OF_MEDIAN: f64 = 1.4826;
-
-/// Equation of one triple.
-pub(super) struct Row {
-    pub shot: u64,
-    /// Stretch of the recording.
-    pub stretch: usize,
-    /// Second difference of the times of flight beyond the prior walk, ns, and its SD by noise.
-    pub difference_ns: f64,
-    noise_ns: f64,
-    /// Logarithms of the amplitudes over the reference.
-    pub ln_amplitudes: [f64; 3],
-    /// Nodes on both sides of each amplitude, and their factors in the second difference.
-    terms: [(usize, f64); 6],
-}
 
 /// Nodes of a walk, and the prior of their delays.
 struct Grid {
@@ -101,19 +86,6 @@ impl Grid {
             terms,
         }
     }
-}
-
-impl Row {
-    /// Second difference of a walk's delays, ns.
-    fn walk_ns(&self, coefficients_ns: &DVector<f64>) -> f64 {
-        self.terms.iter().map(|&(node, factor)| factor * coefficients_ns[node]).sum()
-    }
-}
-
-/// Tukey's biweight of a residual over its SD, divided by the variance.
-pub(super) fn weight(residual_ns: f64, sd_ns: f64) -> f64 {
-    let u = residual_ns / (REACH_SD * sd_ns);
-    if sd_ns.is_finite() && u.abs() < 1.0 { ((1.0 - u * u) / sd_ns).powi(2) } else { 0.0 }
 }
 
 /// Sums of weighted equations.
@@ -201,12 +173,6 @@ pub(super) fn learn(triples: &[Triple], prior: Option<&RangeWalk>) -> Result<Lea
         triples: triples.len() as u64,
     };
     Ok(LearntWalk { walk, proof })
-}
-
-/// Difference of the largest and smallest logarithm of the amplitudes.
-pub(super) fn spread_ln(row: &Row) -> f64 {
-    let [a, b, c] = row.ln_amplitudes;
-    a.max(b).max(c) - a.min(b).min(c)
 }
 
 /// Fits the used rows; `sds_ns` are those of another fit, measured here if `None`.

@@ -6,7 +6,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::learn::{Row, spread_ln, weight};
+use super::row::{Row, spread_ln, weight};
 use super::stretches::jackknife_variance;
 
 /// Smallest factor in either half, in its standard deviations.

@@ -145,7 +145,7 @@ impl Country {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::world::GROUND_HEIGHT_M;
+    use super::super::super::start::GROUND_HEIGHT_M;
     use super::super::{Class, Hit, Scene};
     use super::*;
 

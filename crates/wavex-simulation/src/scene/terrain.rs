@@ -1,6 +1,6 @@
 //! Ground with hills, and lakes in its hollows.
 
-use super::super::world::GROUND_HEIGHT_M;
+use super::super::start::GROUND_HEIGHT_M;
 use super::{Beam, Texture};
 
 /// Size of hills, m; knolls are a seventh of it.

@@ -105,7 +105,7 @@ fn covered(off_m: f64, radius_m: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::world::GROUND_HEIGHT_M;
+    use super::super::super::start::GROUND_HEIGHT_M;
     use super::super::Hit;
     use super::*;
 

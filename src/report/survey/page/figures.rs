@@ -2,9 +2,10 @@
 
 use super::super::Survey;
 use super::super::mosaic::{Pictures, difference_colours};
+use crate::report::numbers::{label, short};
 use crate::report::overview::MapPicture;
 use crate::report::page::map_frame::MapFrame;
-use crate::report::page::plot::{Plot, label, short};
+use crate::report::page::plot::Plot;
 use crate::report::svg::{Anchor, Svg};
 
 /// Maximum number of strips with a number in the map.

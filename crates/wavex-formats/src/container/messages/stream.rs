@@ -10,7 +10,7 @@ use arrow_schema::Schema;
 use super::{
     CONTINUATION, MAGIC, MAX_METADATA_BYTES, Message, SHORTER, check_digest, first_line, read_up_to, too_long,
 };
-use crate::container::decode::schema_of;
+use crate::container::checked_schema::schema_of;
 use crate::container::location::{CUT_OFF, DAMAGED, Location};
 use crate::container::{MAX_BATCH_BYTES, digest};
 use crate::{Error, Result};

@@ -313,7 +313,7 @@ fn big_endian_numbers_are_refused() {
     made.finish(root, None);
     let schema = arrow_ipc::root_as_schema(made.finished_data()).unwrap();
     let location = location::Location { file: Path::new("a.arrow"), offset: 0, first_row: 0 };
-    let error = decode::schema_of(schema, location).unwrap_err().to_string();
+    let error = checked_schema::schema_of(schema, location).unwrap_err().to_string();
     assert_eq!(
         error,
         "a.arrow: byte 0: schema: the numbers are big-endian; write the file on a common machine"

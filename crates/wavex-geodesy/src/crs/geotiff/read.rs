@@ -3,8 +3,8 @@
 use core::ops::RangeInclusive;
 
 use super::super::definition::Definition;
-use super::super::describe::{compound, ellipsoidal, in_unit, vertical_of_epsg};
-use super::super::wkt::WktNode;
+use super::super::describe::{ellipsoidal, in_unit, vertical_of_epsg};
+use super::super::wkt::{WktNode, compound};
 use super::super::{CrsError, RecordedSystem, Unit, wkt_of_epsg};
 use super::*;
 

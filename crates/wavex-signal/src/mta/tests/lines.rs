@@ -56,7 +56,7 @@ fn lines_that_take_much_are_decided_sooner_and_as_well() {
 #[test]
 fn an_echo_takes_no_more_than_it_is_said_to() {
     let found = size_of::<(Option<usize>, f32)>() + size_of::<Assigned>();
-    assert!(size_of::<pending::HeldEcho>() + found <= BYTES_PER_ECHO);
+    assert!(size_of::<held::HeldEcho>() + found <= BYTES_PER_ECHO);
 }
 
 #[test]
