@@ -397,7 +397,7 @@ impl Calibrator {
 
     /// Blocks of one receiver in the held lines.
     fn blocks(&self, channel: Channel) -> impl Iterator<Item = Waveform<'_>> + Clone {
-        self.look_ahead.samples(channel).map(|samples| Waveform { samples, start_phase: 0 })
+        self.look_ahead.samples(channel).map(|samples| Waveform { samples })
     }
 
     fn count(&self, channel: Channel) -> u64 {

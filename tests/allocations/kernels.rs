@@ -23,8 +23,7 @@ fn decomposition_allocates_nothing_per_waveform() {
     let mut waveforms = Waveforms::new(&model, &noise, Scene::Mixed, 5);
     let mut samples = Vec::new();
     (0..WARM_UP + COUNTED).for_each(|_| drop(waveforms.next(&mut samples)));
-    let blocks: Vec<_> =
-        samples.chunks(SAMPLES).map(|samples| Waveform { samples, start_phase: 0 }).collect();
+    let blocks: Vec<_> = samples.chunks(SAMPLES).map(|samples| Waveform { samples }).collect();
     let (first, then) = blocks.split_at(WARM_UP);
     for mode in [Mode::Fastest, Mode::FastSeparated, Mode::Refined] {
         let settings = DecomposeSettings::default();

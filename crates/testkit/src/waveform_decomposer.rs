@@ -25,7 +25,7 @@ impl WaveformDecomposer {
 
     /// Returns of a waveform, and its deviation ratio.
     pub fn decompose(&mut self, samples: &[u16]) -> (&[Return], f64) {
-        self.kernels.decompose(&[Waveform { samples, start_phase: 0 }], &mut self.outcomes);
+        self.kernels.decompose(&[Waveform { samples }], &mut self.outcomes);
         let outcome = self.outcomes.get(0).expect("one outcome for one waveform");
         (outcome.returns, outcome.deviation_ratio())
     }

@@ -200,7 +200,7 @@ pub enum CalibrationError {
 /// #     .collect();
 ///
 /// // `recorded`: 400 waveforms of 8 bits at 1 GHz.
-/// let waveforms = recorded.iter().map(|samples| Waveform { samples, start_phase: 0 });
+/// let waveforms = recorded.iter().map(|samples| Waveform { samples });
 /// let model = calibrate(waveforms, &CalibrationSettings::echoes(1.0, 255.0))?;
 /// assert!((model.pulse_fwhm_ns - 4.4).abs() < 0.1);
 /// # Ok::<(), wavex_signal::calibrate::CalibrationError>(())

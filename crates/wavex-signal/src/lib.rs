@@ -38,7 +38,7 @@
 //!     (0..48).map(|k| (5.0 + echo(k, 120.0, 12.3) + echo(k, 40.0, 28.3)).round() as u16).collect();
 //!
 //! let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), waveform.len())?;
-//! let returns = decomposer.decompose(&waveform, 0).returns;
+//! let returns = decomposer.decompose(&waveform).returns;
 //! for r in returns {
 //!     // Two-way travel: half the distance that light covers.
 //!     let m_per_sample = 0.5 * 0.299_792_458 * model.sampling_interval_ns;

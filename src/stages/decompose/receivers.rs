@@ -261,7 +261,7 @@ impl Receivers {
         for shot in shots {
             let mut has_left = false;
             for block in shot.of_shot {
-                let waveform = Waveform { samples: shot.blocks.samples(block), start_phase: 0 };
+                let waveform = Waveform { samples: shot.blocks.samples(block) };
                 let level = GainLevel::of(block.gain);
                 let route = match block.channel {
                     _ if block.is_too_long() => BlockRoute::Unused("a block of more than 16384 samples"),

@@ -108,7 +108,7 @@ pub enum Mode {
 ///
 /// // `model`: pulses 4 ns wide, on a background of 5 DN.
 /// let samples = [5, 5, 5, 5, 5, 6, 12, 27, 49, 61, 49, 27, 12, 6, 5, 5, 5, 5, 5, 5];
-/// let batch = [Waveform { samples: &samples, start_phase: 0 }; 100];
+/// let batch = [Waveform { samples: &samples }; 100];
 /// let (tables, settings) = (Tables::new(&model).map(Arc::new), DecomposeSettings::default());
 /// let mut decomposer =
 ///     BatchDecomposer::new(&model, tables, &settings, Mode::Refined, SimdLevel::best())?;
@@ -240,7 +240,7 @@ impl BatchDecomposer {
         let Some(tables) = self.tables.clone() else {
             self.left_to_plain += blocks.len() as u64;
             for block in blocks {
-                outcomes.push(&self.plain.decompose(block.samples, block.start_phase));
+                outcomes.push(&self.plain.decompose(block.samples));
             }
             return;
         };
@@ -309,7 +309,7 @@ impl BatchDecomposer {
                 Some(pulse_model) => (Mode::Refined, pulse_model),
                 None => (self.mode, &mut first_pass[i]),
             };
-            self.finish(mode).push_returns(block.samples, block.start_phase, pulse_model, outcomes);
+            self.finish(mode).push_returns(block.samples, pulse_model, outcomes);
         }
         (self.work.pulse_models, self.first_pass) = (refined, first_pass);
     }

@@ -189,7 +189,7 @@ impl Begin<'_> {
         let [lowest, highest] = found.extremes;
         let is_cut_off = highest >= self.saturated || (lowest == 0 && self.clear_of_zero);
         let is_long = block.samples.len() > capacity;
-        if is_cut_off || is_long || found.too_many || !block.start_phase.is_multiple_of(4) {
+        if is_cut_off || is_long || found.too_many {
             pulse_model.give_up();
             return;
         }
