@@ -17,8 +17,8 @@ use wavex_signal::distributed::DistributedTargets;
 use wavex_signal::noise::ArNoise;
 use wavex_signal::sensor_model::{Background, ChannelModel};
 use wavex_signal::shape::Shape;
-use wavex_signal::simd::SimdLevel;
 use wavex_signal::simulated;
+use wavex_simd::SimdLevel;
 
 use wavex_testkit::clock::cpu_s;
 use wavex_testkit::waveforms::{Random, SAMPLES, Scene, Waveforms, model};

@@ -34,7 +34,7 @@ use wavex_formats::trajectory::sbet::SbetRecord;
 use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
-use wavex_signal::simd::SimdLevel;
+use wavex_simd::SimdLevel;
 use wavex_testkit::waveforms::{SAMPLES, Scene, Waveforms, model, noise};
 
 const WAVEFORMS: usize = 3_000_000;

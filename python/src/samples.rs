@@ -20,7 +20,7 @@ use wavex::stages::decompose::{Decompose, Mode};
 use wavex_signal::calibrate::CalibrationError;
 use wavex_signal::decompose::{Decompositions, Tables, Waveform};
 use wavex_signal::sensor_model::ChannelModel;
-use wavex_signal::simd::SimdLevel;
+use wavex_simd::SimdLevel;
 
 use crate::batches::Table;
 use crate::errors;

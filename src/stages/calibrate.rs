@@ -6,6 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use rayon::ThreadPool;
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
+use wavex_simd::SimdLevel;
 
 use crate::scan_line::{Channel, InputInfo, Kind, ScanLine};
 use crate::stage::{
@@ -22,7 +23,6 @@ use wavex_signal::calibrate::{self, BackgroundChoice, CalibrationError, Calibrat
 use wavex_signal::decompose::Waveform;
 use wavex_signal::gain::calibrate_at_unit_gain;
 use wavex_signal::sensor_model::{Decay, Digitiser, SensorModel};
-use wavex_signal::simd::SimdLevel;
 
 mod keys;
 mod model_check;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
-use wavex_signal::simd::SimdLevel;
+use wavex_simd::SimdLevel;
 use wavex_testkit::waveforms::{SAMPLES, Scene, Waveforms, model, noise};
 
 use super::{REQUESTS, RUNNING};

@@ -6,7 +6,7 @@ use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
 use wavex_signal::decompose::{DecomposeSettings, Return};
 use wavex_signal::sensor_model::ChannelModel;
-use wavex_signal::simd::SimdLevel;
+use wavex_simd::SimdLevel;
 
 /// Decomposes one waveform at a time.
 pub struct WaveformDecomposer {

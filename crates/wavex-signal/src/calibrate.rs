@@ -12,11 +12,12 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use wavex_simd::SimdLevel;
+
 use crate::decompose::{DecomposeSettings, Waveform};
 use crate::noise::{ArNoise, fit_by_bic};
 use crate::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
 use crate::sensor_model::{NoiseSource, Provenance, ReceiverLimits, ResponseSource};
-use crate::simd::SimdLevel;
 use free_samples::NoiseEstimate;
 use initial_estimate::InitialEstimate;
 use pass_stats::PassStats;

@@ -52,7 +52,7 @@
 //!
 //! Modules, from bottom to top; a module imports only modules of the lines above its own:
 //!
-//! - [`flags`], [`noise`], [`simd`]: bits of returns, autoregressive noise, vector instructions.
+//! - [`flags`], [`noise`]: bits of returns, autoregressive noise.
 //! - [`sensor_model`]: channels of a sensor, with their system response.
 //! - [`whitening`] of samples; [`shape`]: pulses as Gaussians or widened responses.
 //! - [`detect`]: matched filter.
@@ -95,7 +95,6 @@ pub mod range_walk;
 pub mod sensor_model;
 pub mod sensor_path;
 pub mod shape;
-pub mod simd;
 pub mod whitening;
 pub mod width_by_amplitude;
 

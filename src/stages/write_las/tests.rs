@@ -58,7 +58,7 @@ fn run_context(folder: &Path) -> RunContext {
         stem: "made".into(),
         input_dir: folder.into(),
         output_dir: folder.into(),
-        simd: wavex_signal::simd::SimdLevel::best(),
+        simd: wavex_simd::SimdLevel::best(),
         ..RunContext::alone("".as_ref())
     }
 }

@@ -65,12 +65,13 @@ mod tests;
 
 use std::sync::Arc;
 
+use wavex_simd::SimdLevel;
+
 use super::{DecomposeSettings, Decomposer, Waveform};
 use crate::decompose::DEVIANT;
 use crate::decompose::acceptance::CLEAR_OF_ZERO_SD;
 use crate::sensor_model::{ChannelModel, ModelError};
 
-use crate::simd::SimdLevel;
 pub use candidates::FilterPeak;
 pub use outcome::Decompositions;
 pub use tables::Tables;
@@ -102,7 +103,7 @@ pub enum Mode {
 /// use wavex_signal::decompose::{
 ///     BatchDecomposer, DecomposeSettings, Decompositions, Mode, Tables, Waveform,
 /// };
-/// use wavex_signal::simd::SimdLevel;
+/// use wavex_simd::SimdLevel;
 /// # use wavex_signal::{noise::ArNoise, simulated::channel};
 /// # let model = channel(&ArNoise::new(&[], 0.7).unwrap(), 4.0, 5.0);
 ///

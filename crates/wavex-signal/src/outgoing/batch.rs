@@ -3,6 +3,8 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use wavex_simd::SimdLevel;
+
 use super::mixture::Mixture;
 use super::usual::{ReferenceBlock, Usual};
 use super::{OutgoingFitter, one_pulse, window};
@@ -10,7 +12,6 @@ use crate::decompose::Return;
 use crate::decompose::Waveform;
 use crate::decompose::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
 use crate::sensor_model::{ChannelModel, ModelError};
-use crate::simd::SimdLevel;
 
 /// An outgoing pulse and the samples to which it was fitted.
 #[derive(Debug, Clone, PartialEq)]

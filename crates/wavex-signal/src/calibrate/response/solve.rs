@@ -1,7 +1,8 @@
 //! Linear least-squares problem for the splines of the response, in the whitened domain.
 
-use crate::simd::dot::dot;
 use std::ops::Range;
+
+use wavex_simd::dot::dot;
 
 use super::Single;
 use super::spline::Basis;

@@ -1,5 +1,7 @@
 //! Detection of sixteen waveforms at a time, from samples to initial pulse models.
 
+use wavex_simd::{Kernel, LANES, Simd};
+
 use super::candidates::Candidates;
 use super::columns::Columns;
 use super::pulse_model::{MAX_PULSES, PulseComponent, PulseModel};
@@ -8,7 +10,6 @@ use super::tables::Tables;
 use super::thresholds::Thresholds;
 use crate::decompose::Waveform;
 use crate::decompose::{Counts, DecomposeSettings};
-use crate::simd::{Kernel, LANES, Simd};
 
 /// Loads and filters blocks and finds the candidates of each.
 pub(super) struct Detect<'a> {

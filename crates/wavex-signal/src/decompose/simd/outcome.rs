@@ -2,13 +2,14 @@
 
 use std::ops::Range;
 
+use wavex_simd::{Kernel, Simd};
+
 use super::pulse_model::{PulseComponent, PulseModel, Way};
 use super::thresholds::Thresholds;
 use crate::decompose::{DEVIANT, Waveform};
 use crate::decompose::{DecomposeSettings, Decomposer, Decomposition, Return, truncation_flag};
 use crate::flags;
 use crate::sensor_model::ChannelModel;
-use crate::simd::{Kernel, Simd};
 
 /// Deviation ratio above which the scalar kernels decompose a waveform again.
 ///

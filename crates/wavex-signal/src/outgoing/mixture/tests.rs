@@ -1,12 +1,13 @@
 use std::sync::Arc;
 
+use wavex_simd::SimdLevel;
+
 use super::*;
 use crate::decompose::Tables;
 use crate::decompose::Waveform;
 use crate::noise::ArNoise;
 use crate::outgoing::OutgoingBatch;
 use crate::sensor_model::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse};
-use crate::simd::SimdLevel;
 use crate::simulated::{Random, analogue, channel, digitised, pulse};
 
 const FWHM: f64 = 4.5;
