@@ -17,8 +17,8 @@ use wavex_signal::distributed::DistributedTargets;
 use wavex_signal::noise::ArNoise;
 use wavex_signal::sensor_model::{Background, ChannelModel};
 use wavex_signal::shape::Shape;
-use wavex_signal::simd::SimdLevel;
 use wavex_signal::simulated;
+use wavex_simd::SimdLevel;
 
 use wavex_testkit::clock::cpu_s;
 use wavex_testkit::waveforms::{Random, SAMPLES, Scene, Waveforms, model};
@@ -100,11 +100,7 @@ const OF_MANY_LENGTHS: &[usize] = &[SAMPLES, SAMPLES - 4, SAMPLES - 7, SAMPLES -
 
 fn blocks<'a>(samples: &'a [u16], lengths: &[usize]) -> Vec<Waveform<'a>> {
     let lengths = lengths.iter().cycle();
-    samples
-        .chunks(SAMPLES)
-        .zip(lengths)
-        .map(|(s, &n)| Waveform { samples: &s[..n], start_phase: 0 })
-        .collect()
+    samples.chunks(SAMPLES).zip(lengths).map(|(s, &n)| Waveform { samples: &s[..n] }).collect()
 }
 
 /// Sets of waveforms: samples and truth.
@@ -268,7 +264,7 @@ fn many_echoes(path: SimdLevel, model: &ChannelModel, noise: &ArNoise, tables: &
                 truths.push(made.next(&mut samples));
                 ends.push(samples.len());
             }
-            let block = |ends: &[usize]| Waveform { samples: &samples[ends[0]..ends[1]], start_phase: 0 };
+            let block = |ends: &[usize]| Waveform { samples: &samples[ends[0]..ends[1]] };
             let blocks: Vec<_> = ends.windows(2).map(block).collect();
             let settings = DecomposeSettings::default();
             let kernels = BatchDecomposer::new(model, Some(Arc::clone(tables)), &settings, mode, path);
@@ -331,7 +327,7 @@ fn profiles(model: &ChannelModel, noise: &ArNoise) {
         let mut targets = DistributedTargets::new(&model).expect("a channel");
         let mut found = 0;
         let rate = rate(|| {
-            found = canopies.iter().filter(|samples| targets.profile(samples, 0, 0.0).is_some()).count();
+            found = canopies.iter().filter(|samples| targets.profile(samples, 0.0).is_some()).count();
         });
         // `rate` counts runs of `WAVEFORMS` waveforms.
         let us = |rate: f64| WAVEFORMS as f64 / CANOPIES as f64 / rate;
@@ -398,7 +394,7 @@ fn plain(model: &ChannelModel, samples: &[u16]) -> f64 {
     let mut decomposer = Decomposer::new(model, &DecomposeSettings::default(), SAMPLES).expect("a channel");
     let before = cpu_s();
     let some = samples.chunks(SAMPLES).take(2000);
-    let returns: usize = some.map(|samples| decomposer.decompose(samples, 0).returns.len()).sum();
+    let returns: usize = some.map(|samples| decomposer.decompose(samples).returns.len()).sum();
     let spent = cpu_s() - before;
     println!("      {returns} returns of the first 2000 waveforms");
     2.0 / spent

@@ -6,7 +6,7 @@
 
 use wavex::registry;
 use wavex::stage::{Context, Plan, RunContext};
-use wavex_signal::simd::SimdLevel;
+use wavex_simd::SimdLevel;
 use wavex_testkit::clock::cpu_s;
 use wavex_testkit::engine_stages::{COUNT, WORK, WRITE_NUMBERS, job};
 

@@ -34,7 +34,7 @@ use wavex_formats::trajectory::sbet::SbetRecord;
 use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
-use wavex_signal::simd::SimdLevel;
+use wavex_simd::SimdLevel;
 use wavex_testkit::waveforms::{SAMPLES, Scene, Waveforms, model, noise};
 
 const WAVEFORMS: usize = 3_000_000;
@@ -300,8 +300,7 @@ fn kernels_ns() -> f64 {
     for _ in 0..10 * SHOTS_PER_LINE {
         waveforms.next(&mut samples);
     }
-    let blocks: Vec<_> =
-        samples.chunks(SAMPLES).map(|samples| Waveform { samples, start_phase: 0 }).collect();
+    let blocks: Vec<_> = samples.chunks(SAMPLES).map(|samples| Waveform { samples }).collect();
     let tables = Tables::new(&model).map(Arc::new);
     let (settings, path) = (DecomposeSettings::default(), SimdLevel::best());
     let mut kernels = BatchDecomposer::new(&model, tables, &settings, Mode::Refined, path).unwrap();

@@ -95,7 +95,7 @@ fn sink(folder: &Path, path: &str, threads: usize) -> Box<dyn Sink> {
         input_dir: folder.into(),
         output_dir: folder.into(),
         pool: (threads > 1).then(|| Arc::new(pool(threads))),
-        simd: wavex_signal::simd::SimdLevel::best(),
+        simd: wavex_simd::SimdLevel::best(),
         ..RunContext::alone("".as_ref())
     };
     let spec = registry::find("write_las").unwrap_or_else(|| panic!("write_las is a stage"));

@@ -23,14 +23,14 @@ fn main() -> Result<()> {
             waveform(&[(20.0 + 0.37 * f64::from(shot % 50), 20.0 + f64::from(shot % 101))], &mut noise)
         })
         .collect();
-    let blocks = recorded.iter().map(|samples| Waveform { samples, start_phase: 0 });
+    let blocks = recorded.iter().map(|samples| Waveform { samples });
     let model = calibrate(blocks, &CalibrationSettings::echoes(1.0, FULL_SCALE_DN))?;
     println!("noise SD {:.2} DN, pulse FWHM {:.2} ns", model.noise_sd_dn, model.pulse_fwhm_ns);
 
     // Two echoes 6 ns apart, 80 and 40 DN high.
     let samples = waveform(&[(25.3, 80.0), (31.3, 40.0)], &mut noise);
     let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), SAMPLES)?;
-    let result = decomposer.decompose(&samples, 0);
+    let result = decomposer.decompose(&samples);
     for found in result.returns {
         println!(
             "echo at {:.2} +- {:.2} samples, amplitude {:.1} +- {:.1} DN",

@@ -13,11 +13,11 @@ use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use rayon::ThreadPool;
+use wavex_simd::SimdLevel;
 
 use crate::georef::Loader;
 use crate::job::{Job, OnError};
 use crate::stage::{Context, OutputLock, Plan, RunContext, RunObservers, StageError, SurveyModels};
-use wavex_signal::simd::SimdLevel;
 
 mod chain;
 mod failure;

@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
+use wavex_simd::SimdLevel;
+
 use crate::scan_line::{Content, Emission, InputInfo, Returns, ScanLine};
 use crate::stage::{Context, StageError, counted};
 use crate::stages::decompose::{Decompose, Line, Seen, SeenBlock, SeenPulse, Shot, ShotDecomposer};
 use wavex_signal::sensor_model::SensorModel;
-use wavex_signal::simd::SimdLevel;
 
 mod picture;
 mod table;

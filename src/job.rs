@@ -9,13 +9,13 @@ use std::path::Path;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use wavex_simd::SimdLevel;
 
 use crate::georef::GeometryKeys;
 use crate::keys::{InvalidKey, Keys};
 use crate::registry;
 use crate::scan_line::Kind;
 use crate::stage::{Paths, Planned, StageSpec};
-use wavex_signal::simd::SimdLevel;
 
 mod chain;
 mod draft;

@@ -60,7 +60,7 @@ fn instrument(seed: u64) -> Instrument {
 
 fn calibrated(mut instrument: Instrument, full_scale_dn: f64) -> ChannelModel {
     let waveforms: Vec<Vec<u16>> = (0..CALIBRATION).map(|_| instrument.record_any(full_scale_dn)).collect();
-    let blocks = || waveforms.iter().map(|samples| Waveform { samples, start_phase: 0 });
+    let blocks = || waveforms.iter().map(|samples| Waveform { samples });
     let settings = CalibrationSettings::echoes(1.0, full_scale_dn);
     let gaussian = calibrate(blocks(), &settings).unwrap();
     calibrate_response(blocks(), &gaussian, &settings).unwrap().model

@@ -133,7 +133,7 @@ fn calibrated(response: &Arc<Response>, seed: u64, full_scale_dn: f64, ringing_s
     let mut instrument = Instrument::new(response, seed, 0);
     instrument.ringing_sd = ringing_sd;
     let waveforms: Vec<Vec<u16>> = (0..CALIBRATION).map(|_| instrument.record_any(full_scale_dn)).collect();
-    let blocks = || waveforms.iter().map(|samples| Waveform { samples, start_phase: 0 });
+    let blocks = || waveforms.iter().map(|samples| Waveform { samples });
     let settings = CalibrationSettings::echoes(1.0, full_scale_dn);
     let gaussian = calibrate(blocks(), &settings).expect("a calibration");
     calibrate_response(blocks(), &gaussian, &settings).expect("a response").model

@@ -123,7 +123,7 @@ pub fn clipped(bench: &mut Bench, model: &ChannelModel) {
             instrument.record(&[echo], EIGHT_BITS)
         })
         .collect();
-    let blocks = waveforms.iter().map(|samples| Waveform { samples, start_phase: 0 });
+    let blocks = waveforms.iter().map(|samples| Waveform { samples });
     let limits = receiver_limits(blocks, model, &CalibrationSettings::echoes(1.0, EIGHT_BITS));
     let limits = limits.expect("limits");
     bench.beside("A11", "clipped echoes: the receiver is proven to be linear", limits.is_linear.to_string());

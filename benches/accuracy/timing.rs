@@ -14,7 +14,7 @@ pub fn calibration(bench: &Bench) {
 }
 
 fn calibrating(bench: &Bench, name: &str, waveforms: &[Vec<u16>]) {
-    let blocks = || waveforms.iter().map(|samples| Waveform { samples, start_phase: 0 });
+    let blocks = || waveforms.iter().map(|samples| Waveform { samples });
     let settings = CalibrationSettings::echoes(1.0, EIGHT_BITS);
     let each = |started: Instant| 1e6 * started.elapsed().as_secs_f64() / waveforms.len() as f64;
     let started = Instant::now();

@@ -20,7 +20,7 @@ use wavex::stages::decompose::{Decompose, Mode};
 use wavex_signal::calibrate::CalibrationError;
 use wavex_signal::decompose::{Decompositions, Tables, Waveform};
 use wavex_signal::sensor_model::ChannelModel;
-use wavex_signal::simd::SimdLevel;
+use wavex_simd::SimdLevel;
 
 use crate::batches::Table;
 use crate::errors;
@@ -154,7 +154,7 @@ fn decompose(
             for first in some.clone().step_by(CALL) {
                 let call = first..(first + CALL).min(some.end);
                 blocks.clear();
-                blocks.extend(call.clone().map(|i| Waveform { samples: samples.get(i), start_phase: 0 }));
+                blocks.extend(call.clone().map(|i| Waveform { samples: samples.get(i) }));
                 kernels.decompose(&blocks, &mut outcomes);
                 for (waveform, outcome) in call.zip(outcomes.iter()) {
                     let start_ns = if t0_ns.len() == 1 { t0_ns[0] } else { t0_ns[waveform] };
@@ -604,7 +604,7 @@ impl Work for Calibration<'_> {
             |_| Ok(()),
             || {
                 let blocks = (0..samples.waveforms())
-                    .map(|i| Waveform { samples: without_padding(samples.get(i)), start_phase: 0 })
+                    .map(|i| Waveform { samples: without_padding(samples.get(i)) })
                     .filter(|waveform| !waveform.samples.is_empty());
                 let settings = CalibrationSettings {
                     simd: SimdLevel::best(),

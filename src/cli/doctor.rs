@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use wavex_formats::sdf::library::{self, Installed};
-use wavex_signal::simd::SimdLevel;
+use wavex_simd::SimdLevel;
 
 use super::check::try_file_in;
 use super::terminal::size;

@@ -1,7 +1,8 @@
 //! `wavex --version --verbose`: build details.
 
+use wavex_simd::SimdLevel;
+
 use crate::archive::Program;
-use wavex_signal::simd::SimdLevel;
 
 /// Lines with version, commit, compiler, target, licence and features.
 pub(super) fn details() -> String {

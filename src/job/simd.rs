@@ -2,9 +2,9 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use wavex_simd::SimdLevel;
 
 use crate::keys::listed;
-use wavex_signal::simd::SimdLevel;
 
 /// SIMD instruction set of a processor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]

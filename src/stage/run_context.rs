@@ -7,10 +7,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 use rayon::ThreadPool;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use wavex_simd::SimdLevel;
 
 use super::{OutputFile, Result, SurveyModels};
 use crate::georef::Geometry;
-use wavex_signal::simd::SimdLevel;
 
 /// Per-run context of a stage.
 #[derive(Clone, Debug)]

@@ -6,6 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use rayon::ThreadPool;
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
+use wavex_simd::SimdLevel;
 
 use crate::scan_line::{Channel, InputInfo, Kind, ScanLine};
 use crate::stage::{
@@ -22,7 +23,6 @@ use wavex_signal::calibrate::{self, BackgroundChoice, CalibrationError, Calibrat
 use wavex_signal::decompose::Waveform;
 use wavex_signal::gain::calibrate_at_unit_gain;
 use wavex_signal::sensor_model::{Decay, Digitiser, SensorModel};
-use wavex_signal::simd::SimdLevel;
 
 mod keys;
 mod model_check;
@@ -397,7 +397,7 @@ impl Calibrator {
 
     /// Blocks of one receiver in the held lines.
     fn blocks(&self, channel: Channel) -> impl Iterator<Item = Waveform<'_>> + Clone {
-        self.look_ahead.samples(channel).map(|samples| Waveform { samples, start_phase: 0 })
+        self.look_ahead.samples(channel).map(|samples| Waveform { samples })
     }
 
     fn count(&self, channel: Channel) -> u64 {

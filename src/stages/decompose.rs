@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use wavex_simd::SimdLevel;
 
 use crate::keys::InvalidKey;
 use crate::scan_line::{Blocks, Content, Kind, LineStats, Returns, ScanLine};
@@ -12,7 +13,6 @@ use crate::stage::{
 };
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::sensor_model::SensorModel;
-use wavex_signal::simd::SimdLevel;
 
 mod at_gains;
 mod crosstalk;

@@ -191,7 +191,7 @@ mod tests {
     use super::*;
     use crate::scan_line::{Blocks, Content, Emission, Return, ReturnChannel, TimeScale, emission_flags};
     use std::sync::Arc;
-    use wavex_signal::simd::SimdLevel;
+    use wavex_simd::SimdLevel;
 
     /// Two points of one shot.
     fn line() -> ScanLine {

@@ -4,6 +4,8 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
+use wavex_simd::SimdLevel;
+
 use crate::job::{Job, JobStage};
 use crate::recording::{LineIndex, Recording};
 use crate::scan_line::{InputInfo, Kind, ScanLine};
@@ -16,7 +18,6 @@ use crate::stages::pose_source::PoseSource;
 use crate::stages::resolve_mta::LINES_AROUND;
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::sensor_model::SensorModel;
-use wavex_signal::simd::SimdLevel;
 
 /// Lines that are read at once to learn from.
 const LINES_AT_ONCE: usize = 64;

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
-use wavex_signal::simd::SimdLevel;
+use wavex_simd::SimdLevel;
 use wavex_testkit::waveforms::{SAMPLES, Scene, Waveforms, model, noise};
 
 use super::{REQUESTS, RUNNING};
@@ -23,8 +23,7 @@ fn decomposition_allocates_nothing_per_waveform() {
     let mut waveforms = Waveforms::new(&model, &noise, Scene::Mixed, 5);
     let mut samples = Vec::new();
     (0..WARM_UP + COUNTED).for_each(|_| drop(waveforms.next(&mut samples)));
-    let blocks: Vec<_> =
-        samples.chunks(SAMPLES).map(|samples| Waveform { samples, start_phase: 0 }).collect();
+    let blocks: Vec<_> = samples.chunks(SAMPLES).map(|samples| Waveform { samples }).collect();
     let (first, then) = blocks.split_at(WARM_UP);
     for mode in [Mode::Fastest, Mode::FastSeparated, Mode::Refined] {
         let settings = DecomposeSettings::default();

@@ -660,7 +660,7 @@ fn long_pulses_without_free_samples_come_through_unattended() {
     let mut fitter = OutgoingFitter::new(&reference, 64).unwrap();
     let departures: Vec<f64> = wavex_testkit::neon::waveforms(&folder.join("outg_1_250.csv"))
         .iter()
-        .map(|samples| fitter.fit(samples, 0).unwrap().position_samples)
+        .map(|samples| fitter.fit(samples).unwrap().position_samples)
         .collect();
     let returns = Table::read(&out.path().join("neon.csv"));
     let [shot, time, dn] = ["shot", "time_of_flight_ns", "amplitude_dn"].map(|name| returns.column(name));

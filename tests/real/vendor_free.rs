@@ -44,7 +44,7 @@ impl Recording {
         let mut decomposer = Decomposer::new(&self.model, &DecomposeSettings::default(), 80).unwrap();
         let mut found = Vec::new();
         for samples in &self.blocks {
-            if let [fitted] = decomposer.decompose(samples, 0).returns {
+            if let [fitted] = decomposer.decompose(samples).returns {
                 found.push(Single { samples, fitted: *fitted });
             }
         }
@@ -52,14 +52,14 @@ impl Recording {
     }
 
     fn target_dn(&self, samples: &[u16]) -> Vec<f64> {
-        let level = |k: usize| self.model.background_at(0, k);
+        let level = |k: usize| self.model.background_at(k);
         samples.iter().enumerate().map(|(k, &s)| f64::from(s) - level(k)).collect()
     }
 }
 
 /// Calibrates a model with system response from blocks.
 pub fn model_of(blocks: &[Vec<u16>], settings: &CalibrationSettings) -> ChannelModel {
-    let of_blocks = || blocks.iter().map(|samples| Waveform { samples, start_phase: 0 });
+    let of_blocks = || blocks.iter().map(|samples| Waveform { samples });
     let gaussian = calibrate(of_blocks(), settings).unwrap();
     let model = calibrate_response(of_blocks(), &gaussian, settings).unwrap().model;
     assert!(model.response.is_some());
@@ -110,7 +110,7 @@ impl<'a> Superposition<'a> {
         let settings = DecomposeSettings { overdriven_part: 1.0, ..DecomposeSettings::default() };
         let of_shift = |shift: usize| {
             let background =
-                std::array::from_fn(|k| model.background_at(0, k) + model.background_at(0, k + 4 - shift));
+                std::array::from_fn(|k| model.background_at(k) + model.background_at(k + 4 - shift));
             let noisier = ChannelModel {
                 full_scale_dn: 2.0 * model.full_scale_dn,
                 background_dn: background,
@@ -167,7 +167,7 @@ impl<'a> Superposition<'a> {
         let sum: Vec<u16> =
             (start..end).map(|k| first.samples[k] + second.samples[(k as i64 - shift) as usize]).collect();
         let decomposer = &mut self.decomposers[shift.rem_euclid(4) as usize];
-        let returns = decomposer.decompose(&sum, (start % 4) as u8).returns;
+        let returns = decomposer.decompose_window(&sum, start).returns;
         let separation_ns = places[1] - places[0];
         let nearest = |place: f64| {
             let distance = |r: &Return| (r.position_samples + start as f64 - place).abs();
@@ -268,7 +268,7 @@ pub fn left_beside_strong_echoes(
     for samples in &recording.blocks {
         let mut rest = recording.target_dn(samples);
         let mut strong = Vec::new();
-        for fitted in decomposer.decompose(samples, 0).returns {
+        for fitted in decomposer.decompose(samples).returns {
             shape.add(&pulse(fitted), -1.0, &mut rest);
             strong.extend((100.0..200.0).contains(&fitted.amplitude_dn).then_some(fitted.position_samples));
         }

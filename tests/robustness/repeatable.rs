@@ -6,7 +6,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 use wavex::engine::{self, Options};
 use wavex::job::{Job, Override, Simd};
-use wavex_signal::simd::SimdLevel;
+use wavex_simd::SimdLevel;
 
 const JOB: &str = r#"
 [[stage]]

@@ -166,7 +166,7 @@ fn run() -> RunContext {
         stem: String::new(),
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
-        simd: wavex_signal::simd::SimdLevel::best(),
+        simd: wavex_simd::SimdLevel::best(),
         ..RunContext::alone("".as_ref())
     }
 }

@@ -13,7 +13,7 @@ use wavex::stage::{Context, Map, Plan, RunContext, Source};
 use wavex::stages::pose_source::PoseSource;
 use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex_geodesy::frames::{IDENTITY, Rotation, rotate};
-use wavex_signal::simd::SimdLevel;
+use wavex_simd::SimdLevel;
 
 /// A folder with a recording, its trajectory and its truth.
 pub struct Flight {

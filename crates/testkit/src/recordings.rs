@@ -88,7 +88,7 @@ pub fn samples_of(channel: Channel, reader: &str, path: &Path) -> Vec<(u64, Vec<
         stem: String::new(),
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
-        simd: wavex_signal::simd::SimdLevel::best(),
+        simd: wavex_simd::SimdLevel::best(),
         ..RunContext::alone("".as_ref())
     };
     let mut source = source.make(&run).unwrap_or_else(|error| panic!("{error}"));

@@ -6,7 +6,7 @@ use wavex_signal::decompose::Waveform;
 use wavex_signal::decompose::{BatchDecomposer, Decompositions, Mode, Tables};
 use wavex_signal::decompose::{DecomposeSettings, Return};
 use wavex_signal::sensor_model::ChannelModel;
-use wavex_signal::simd::SimdLevel;
+use wavex_simd::SimdLevel;
 
 /// Decomposes one waveform at a time.
 pub struct WaveformDecomposer {
@@ -25,7 +25,7 @@ impl WaveformDecomposer {
 
     /// Returns of a waveform, and its deviation ratio.
     pub fn decompose(&mut self, samples: &[u16]) -> (&[Return], f64) {
-        self.kernels.decompose(&[Waveform { samples, start_phase: 0 }], &mut self.outcomes);
+        self.kernels.decompose(&[Waveform { samples }], &mut self.outcomes);
         let outcome = self.outcomes.get(0).expect("one outcome for one waveform");
         (outcome.returns, outcome.deviation_ratio())
     }

@@ -12,11 +12,12 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use wavex_simd::SimdLevel;
+
 use crate::decompose::{DecomposeSettings, Waveform};
 use crate::noise::{ArNoise, fit_by_bic};
 use crate::sensor_model::{Background, ChannelModel, Digitiser, ModelError, ModelUncertainty};
 use crate::sensor_model::{NoiseSource, Provenance, ReceiverLimits, ResponseSource};
-use crate::simd::SimdLevel;
 use free_samples::NoiseEstimate;
 use initial_estimate::InitialEstimate;
 use pass_stats::PassStats;
@@ -201,7 +202,7 @@ pub enum CalibrationError {
 /// #     .collect();
 ///
 /// // `recorded`: 400 waveforms of 8 bits at 1 GHz.
-/// let waveforms = recorded.iter().map(|samples| Waveform { samples, start_phase: 0 });
+/// let waveforms = recorded.iter().map(|samples| Waveform { samples });
 /// let model = calibrate(waveforms, &CalibrationSettings::echoes(1.0, 255.0))?;
 /// assert!((model.pulse_fwhm_ns - 4.4).abs() < 0.1);
 /// # Ok::<(), wavex_signal::calibrate::CalibrationError>(())

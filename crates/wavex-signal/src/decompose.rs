@@ -27,8 +27,6 @@ const LEAST_IMPROVEMENT: f64 = 2.0;
 pub struct Waveform<'a> {
     /// Samples of the digitiser, DN.
     pub samples: &'a [u16],
-    /// Index of the first sample modulo 4.
-    pub start_phase: u8,
 }
 
 /// Pulses above this fraction of full scale overdrive a RIEGL receiver (210 of 255 DN).

@@ -7,8 +7,9 @@
 //! noise. An unknown background of precision `q` is part of the noise, `S = Σ + 11ᵀ/q`, by the
 //! Sherman–Morrison formula.
 
-use crate::simd::dot::{AT_A_TIME, dot};
 use std::ops::Range;
+
+use wavex_simd::dot::{AT_A_TIME, dot};
 
 use crate::shape::Shape;
 use crate::shape::{FOUR_LN_2, Pulse};

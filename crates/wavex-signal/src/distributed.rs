@@ -180,14 +180,14 @@ impl DistributedTargets {
 
     /// Profile of a waveform; `None` if it is shorter than 8 samples or without signal.
     ///
-    /// `start_phase` is the index of its first sample modulo 4, `offset_dn` its background above that
-    /// of the channel, DN; samples without signal correct it.
-    pub fn profile(&mut self, samples: &[u16], start_phase: u8, offset_dn: f64) -> Option<TargetProfile> {
+    /// `offset_dn` is its background above the background of the channel, DN; samples without signal
+    /// correct it.
+    pub fn profile(&mut self, samples: &[u16], offset_dn: f64) -> Option<TargetProfile> {
         if samples.len() < LEAST_SAMPLES {
             return None;
         }
         self.signal_dn.clear();
-        self.model.signal_into(samples, start_phase, &mut self.signal_dn);
+        self.model.signal_into(samples, &mut self.signal_dn);
         self.signal_dn.iter_mut().for_each(|dn| *dn -= offset_dn);
         let extent = self.remove_background()?;
         let is_clipped = samples.iter().any(|&sample| f64::from(sample) >= self.model.full_scale_dn);

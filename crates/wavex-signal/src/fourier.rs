@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 use std::sync::OnceLock;
 
-use crate::simd::{Kernel, Simd, SimdLevel};
+use wavex_simd::{Kernel, Simd, SimdLevel};
 
 /// A complex number: real and imaginary part.
 pub(super) type Complex = [f64; 2];

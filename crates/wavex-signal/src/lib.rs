@@ -38,7 +38,7 @@
 //!     (0..48).map(|k| (5.0 + echo(k, 120.0, 12.3) + echo(k, 40.0, 28.3)).round() as u16).collect();
 //!
 //! let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), waveform.len())?;
-//! let returns = decomposer.decompose(&waveform, 0).returns;
+//! let returns = decomposer.decompose(&waveform).returns;
 //! for r in returns {
 //!     // Two-way travel: half the distance that light covers.
 //!     let m_per_sample = 0.5 * 0.299_792_458 * model.sampling_interval_ns;
@@ -52,7 +52,7 @@
 //!
 //! Modules, from bottom to top; a module imports only modules of the lines above its own:
 //!
-//! - [`flags`], [`noise`], [`simd`]: bits of returns, autoregressive noise, vector instructions.
+//! - [`flags`], [`noise`]: bits of returns, autoregressive noise.
 //! - [`sensor_model`]: channels of a sensor, with their system response.
 //! - [`whitening`] of samples; [`shape`]: pulses as Gaussians or widened responses.
 //! - [`detect`]: matched filter.
@@ -95,7 +95,6 @@ pub mod range_walk;
 pub mod sensor_model;
 pub mod sensor_path;
 pub mod shape;
-pub mod simd;
 pub mod whitening;
 pub mod width_by_amplitude;
 

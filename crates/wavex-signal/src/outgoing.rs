@@ -56,31 +56,29 @@ impl OutgoingFitter {
 
     /// Fits the strongest pulse of a block.
     ///
-    /// `start_phase` is the index of the block's first sample modulo 4. `None` if no pulse exceeds
-    /// the noise or none can be fitted. Sets [`flags::ECHO_ON_OUTGOING`] if the window contains a
-    /// second pulse.
-    pub fn fit(&mut self, samples: &[u16], start_phase: u8) -> Option<Return> {
+    /// `None` if no pulse exceeds the noise or none can be fitted. Sets
+    /// [`flags::ECHO_ON_OUTGOING`] if the window contains a second pulse.
+    pub fn fit(&mut self, samples: &[u16]) -> Option<Return> {
         let model = self.finder.model();
         let (fwhm, shifts) = (model.fwhm_samples(), model.digitiser.odd_sample_shift != 0.0);
-        let position = self.finder.decompose(samples, start_phase).returns.first()?.position_samples;
+        let position = self.finder.decompose(samples).returns.first()?.position_samples;
         let mut window = window(position, fwhm, samples.len());
         if shifts {
             // Parity of samples must be preserved in the window.
             window.start -= window.start % 2;
         }
-        let phase = ((usize::from(start_phase) + window.start) % 4) as u8;
         let fitted = samples.get(window.clone())?;
-        let pulse = *self.fitter.decompose(fitted, phase).returns.first()?;
-        let pulse = self.finished(pulse, window.start, fitted, phase);
+        let pulse = *self.fitter.decompose_window(fitted, window.start).returns.first()?;
+        let pulse = self.finished(pulse, window.start, fitted);
         self.window = window;
         Some(pulse)
     }
 
     /// Converts a pulse to block coordinates; flags a second pulse.
-    fn finished(&mut self, mut pulse: Return, first: usize, window: &[u16], phase: u8) -> Return {
+    fn finished(&mut self, mut pulse: Return, first: usize, window: &[u16]) -> Return {
         if pulse.deviation_ratio > SUSPICIOUS
             && let Some(two) = &mut self.two
-            && two.decompose(window, phase).returns.len() > 1
+            && two.decompose_window(window, first).returns.len() > 1
         {
             pulse.flags |= flags::ECHO_ON_OUTGOING;
         }
@@ -132,7 +130,7 @@ mod tests {
             if i % 2 == 0 {
                 values[20..].iter_mut().for_each(|v| *v += 30.0);
             }
-            let found = fitter.fit(&digitised(&values, 255), (i % 4) as u8).unwrap();
+            let found = fitter.fit(&digitised(&values, 255)).unwrap();
             errors.push(found.position_samples - truth.position_samples);
             scores.push(errors[errors.len() - 1] / found.position_sd_samples);
             assert_eq!(found.flags & flags::SATURATED, 0);
@@ -147,8 +145,8 @@ mod tests {
     fn a_block_without_a_pulse_has_none() {
         let model = channel(&ArNoise::new(&[], 0.8).unwrap(), FWHM, 2.0);
         let mut fitter = OutgoingFitter::new(&model, 24).unwrap();
-        assert_eq!(fitter.fit(&[2; 24], 0), None);
-        assert_eq!(fitter.fit(&[], 0), None);
-        assert_eq!(fitter.fit(&[255; 24], 0), None);
+        assert_eq!(fitter.fit(&[2; 24]), None);
+        assert_eq!(fitter.fit(&[]), None);
+        assert_eq!(fitter.fit(&[255; 24]), None);
     }
 }

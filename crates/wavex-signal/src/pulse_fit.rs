@@ -11,10 +11,11 @@
 
 mod problem;
 
+use wavex_simd::dot::dot;
+
 use crate::cholesky;
 use crate::levenberg_marquardt::{self, Rules, Termination};
 use crate::shape::{Pulse, Shape};
-use crate::simd::dot::dot;
 use crate::whitening::Whitener;
 
 #[cfg(test)]

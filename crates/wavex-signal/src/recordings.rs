@@ -31,7 +31,7 @@ fn segments(dump: &Path, kind: &str, count: usize) -> Vec<Vec<u16>> {
 }
 
 fn blocks(segments: &[Vec<u16>]) -> impl Iterator<Item = Waveform<'_>> + Clone {
-    segments.iter().map(|samples| Waveform { samples, start_phase: 0 })
+    segments.iter().map(|samples| Waveform { samples })
 }
 
 /// Rows of numbers below a header; non-numbers become NaN.
@@ -63,7 +63,7 @@ fn riegl_echoes_are_calibrated_and_decomposed() {
     let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), 80).unwrap();
     let (mut returns, mut without) = (0, 0);
     for samples in &echoes {
-        let outcome = decomposer.decompose(samples, 0);
+        let outcome = decomposer.decompose(samples);
         let c = outcome.counts;
         assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered + c.np_merged + c.np_xtalk_dropped);
         returns += outcome.returns.len();
@@ -82,7 +82,7 @@ fn riegl_outgoing_pulses_are_calibrated_and_fitted() {
     assert!((0.78..0.90).contains(&model.noise_sd_dn));
     assert!((4.2..4.4).contains(&model.pulse_fwhm_ns));
     let mut fitter = OutgoingFitter::new(&model, 80).unwrap();
-    let fits: Vec<_> = pulses.iter().map(|samples| fitter.fit(samples, 0).unwrap()).collect();
+    let fits: Vec<_> = pulses.iter().map(|samples| fitter.fit(samples).unwrap()).collect();
     let sd = moments(&fits.iter().map(|f| f.position_sd_samples).collect::<Vec<_>>()).0;
     let width = moments(&fits.iter().map(|f| f.fwhm_ns).collect::<Vec<_>>());
     let height = moments(&fits.iter().map(|f| f.amplitude_dn).collect::<Vec<_>>());
@@ -110,7 +110,7 @@ fn riegl_singles_agree_with_the_vendor() {
     let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), 60).unwrap();
     let (mut positions, mut widths) = (vec![], vec![]);
     for (row, samples) in first.iter().zip(&waveforms).filter(|(row, _)| row[4] == 1.0) {
-        let returns = decomposer.decompose(samples, 0).returns;
+        let returns = decomposer.decompose(samples).returns;
         let found = returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn)).unwrap();
         positions.push(found.position_samples - row[11] / 1000.0);
         widths.push(found.fwhm_ns - row[13]);
@@ -172,7 +172,7 @@ fn singles_less_theirs(decomposer: &mut Decomposer, waveforms: &[Vec<u16>], thei
     for (i, samples) in waveforms.iter().enumerate() {
         let components: Vec<f64> =
             theirs.iter().filter(|row| row[0] as usize == i + 1).map(|row| row[2]).collect();
-        let returns = decomposer.decompose(samples, 0).returns;
+        let returns = decomposer.decompose(samples).returns;
         let strongest = returns.iter().max_by(|a, b| a.amplitude_dn.total_cmp(&b.amplitude_dn));
         if let ([u], Some(strongest)) = (&components[..], strongest) {
             differences.push(strongest.position_samples - u);

@@ -365,19 +365,23 @@ impl ChannelModel {
         self.pulse_fwhm_ns / self.sampling_interval_ns
     }
 
-    /// Background of sample `index`, DN.
-    ///
-    /// `start_phase` is the index of the block's first sample modulo 4.
-    pub fn background_at(&self, start_phase: u8, index: usize) -> f64 {
-        self.background_dn[(usize::from(start_phase) + index) % 4]
+    /// Background of sample `index` of a block, DN.
+    pub fn background_at(&self, index: usize) -> f64 {
+        self.background_dn[index % 4]
     }
 
     /// Appends the samples of a block less background and decay tail, DN.
     ///
     /// Assumes no signal before the block.
-    pub(crate) fn signal_into(&self, samples: &[u16], start_phase: u8, signal_dn: &mut Vec<f64>) {
-        let level = |k: usize| self.background_at(start_phase, k);
-        let above = samples.iter().enumerate().map(|(k, &sample)| f64::from(sample) - level(k));
+    pub(crate) fn signal_into(&self, samples: &[u16], signal_dn: &mut Vec<f64>) {
+        self.window_signal_into(samples, 0, signal_dn);
+    }
+
+    /// As [`ChannelModel::signal_into`] for a window of a block.
+    ///
+    /// `first` is the index in the block of its first sample. Assumes no signal before the window.
+    pub(crate) fn window_signal_into(&self, samples: &[u16], first: usize, signal_dn: &mut Vec<f64>) {
+        let above = (first..).zip(samples).map(|(k, &sample)| f64::from(sample) - self.background_at(k));
         let Some(decay) = self.digitiser.decay else {
             signal_dn.extend(above);
             return;
@@ -443,7 +447,7 @@ mod tests {
     fn units_and_phases() {
         let mut model = model();
         assert_eq!(model.fwhm_samples(), 8.0);
-        assert_eq!([0, 1, 2, 3, 4].map(|k| model.background_at(3, k)), [4.0, 1.0, 2.0, 3.0, 4.0]);
+        assert_eq!([3, 4, 5, 6, 7].map(|k| model.background_at(k)), [4.0, 1.0, 2.0, 3.0, 4.0]);
         assert!((model.noise().unwrap().sd() - 1.25).abs() < 1e-12);
         assert_eq!(model.offset_precision(), None);
         model.background = Background::PerWaveform;
@@ -468,13 +472,13 @@ mod tests {
         model.background_dn = [2.0; 4];
         // λ = 1/2: the signal 8, 4, 0, 0 has the tail 0, 2, 2, 1.
         let mut signal = Vec::new();
-        model.signal_into(&[10, 8, 4, 3], 0, &mut signal);
+        model.signal_into(&[10, 8, 4, 3], &mut signal);
         assert!(
             signal.iter().zip([8.0, 4.0, 0.0, 0.0]).all(|(a, b): (&f64, f64)| (a - b).abs() < 1e-12),
             "{signal:?}"
         );
         model.digitiser.decay = None;
-        model.signal_into(&[10], 0, &mut signal);
+        model.signal_into(&[10], &mut signal);
         assert_eq!(signal.last(), Some(&8.0));
         assert_eq!(Digitiser { odd_sample_shift: 0.1, decay: None }.time_of(3), 3.1);
     }

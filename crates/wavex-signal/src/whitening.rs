@@ -9,8 +9,9 @@
 
 use std::ops::Range;
 
+use wavex_simd::dot::predict;
+
 use crate::noise::{ArNoise, MAX_ORDER};
-use crate::simd::dot::predict;
 
 /// Row of one sample: inverse SD of its prediction error (0 if unused), and state correction.
 #[derive(Debug, Clone, Copy, Default)]

@@ -131,7 +131,7 @@ impl Calibrator {
     ) -> std::result::Result<Option<Comparison>, ModelError> {
         let of_gain =
             self.look_ahead.recorded(channel).filter(move |block| GainLevel::of(block.gain) == level);
-        let blocks = of_gain.map(|block| Waveform { samples: block.samples, start_phase: 0 });
+        let blocks = of_gain.map(|block| Waveform { samples: block.samples });
         compare(blocks, &model.at_gain(level.gain())?)
     }
 

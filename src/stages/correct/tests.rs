@@ -75,7 +75,7 @@ fn run_with_findings(keys: &Correct, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Ve
         stem: String::new(),
         input_dir: PathBuf::new(),
         output_dir: PathBuf::new(),
-        simd: wavex_signal::simd::SimdLevel::Portable,
+        simd: wavex_simd::SimdLevel::Portable,
         ..RunContext::alone("".as_ref())
     };
     let mut stage = keys.make(&run).unwrap();

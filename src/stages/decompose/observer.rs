@@ -90,13 +90,13 @@ impl<'a> Seen<'a> {
     ) -> Option<FittedSamples> {
         let samples = self.line.samples(block);
         let mut decomposer = Decomposer::new(model, &DecomposeSettings::default(), window.len()).ok()?;
-        decomposer.show(samples.get(window.clone())?, (window.start % 4) as u8, found);
+        decomposer.show(samples.get(window.clone())?, window.start, found);
         let window = window.start;
         let mut fitted_dn: Vec<f64> = samples.iter().map(|&sample| f64::from(sample)).collect();
         for (k, (fitted, signal)) in
             (window..).zip(fitted_dn.iter_mut().skip(window).zip(decomposer.signal_dn()))
         {
-            *fitted = signal + model.background_at(0, k);
+            *fitted = signal + model.background_at(k);
         }
         let pulses = 0..decomposer.returns().len();
         Some(FittedSamples {

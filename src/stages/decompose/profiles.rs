@@ -107,7 +107,7 @@ impl Profiles {
             _ => &mut self.low_power,
         };
         let Some(estimator) = estimator else { return };
-        let profile = estimator.profile(blocks.samples(block), 0, pulses.background_offset_dn);
+        let profile = estimator.profile(blocks.samples(block), pulses.background_offset_dn);
         let is_stronger = |profile: &TargetProfile| {
             self.of_shot.as_ref().is_none_or(|(_, best)| {
                 let [value, best] = [profile, best].map(|of| of.energy_dn.value);

@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
+use wavex_simd::SimdLevel;
+
 use super::at_gains::{AtGains, ByGain};
 use super::dual_channel::BothReceivers;
 use super::shots::Shot;
@@ -15,7 +17,6 @@ use wavex_signal::decompose::{
 use wavex_signal::gain::GainLevel;
 use wavex_signal::outgoing::{Outgoing, OutgoingBatch, ReferenceBlock, Usual};
 use wavex_signal::sensor_model::{ChannelModel, ModelError, Provenance, SensorModel};
-use wavex_signal::simd::SimdLevel;
 
 /// Maximum number of iterations of one fit in the mode `slow`.
 const SLOW_ITERATIONS: usize = 200;
@@ -261,7 +262,7 @@ impl Receivers {
         for shot in shots {
             let mut has_left = false;
             for block in shot.of_shot {
-                let waveform = Waveform { samples: shot.blocks.samples(block), start_phase: 0 };
+                let waveform = Waveform { samples: shot.blocks.samples(block) };
                 let level = GainLevel::of(block.gain);
                 let route = match block.channel {
                     _ if block.is_too_long() => BlockRoute::Unused("a block of more than 16384 samples"),

@@ -1,5 +1,7 @@
 //! Converts the results of the receivers to returns, shot by shot.
 
+use wavex_simd::SimdLevel;
+
 use super::Decompose;
 use super::crosstalk::Departures;
 use super::dual_channel::BothReceivers;
@@ -18,7 +20,6 @@ use wavex_signal::decompose::{Counts, Decomposition, Return as Pulse};
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::outgoing::Outgoing;
 use wavex_signal::sensor_model::{ChannelModel, SensorModel};
-use wavex_signal::simd::SimdLevel;
 
 /// Outgoing pulse of a shot.
 ///

@@ -343,7 +343,7 @@ fn run(folder: &std::path::Path) -> RunContext {
         stem: "simulated".to_owned(),
         input_dir: folder.to_path_buf(),
         output_dir: folder.to_path_buf(),
-        simd: wavex_signal::simd::SimdLevel::best(),
+        simd: wavex_simd::SimdLevel::best(),
         ..RunContext::alone("".as_ref())
     }
 }

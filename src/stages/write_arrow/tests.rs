@@ -20,7 +20,7 @@ fn run(folder: &Path, input: &str) -> RunContext {
         stem: "made".into(),
         input_dir: folder.to_path_buf(),
         output_dir: folder.to_path_buf(),
-        simd: wavex_signal::simd::SimdLevel::best(),
+        simd: wavex_simd::SimdLevel::best(),
         ..RunContext::alone("".as_ref())
     }
 }

@@ -1,10 +1,11 @@
 //! Extra attributes, class and user data of points, in all layouts.
 
+use wavex_simd::quantise::{ROUNDING, power_ratios};
+
 use crate::scan_line::{Return, ReturnChannel, flags};
 use wavex_formats::las::{
     ATTRIBUTES_1_0, ATTRIBUTES_1_1, ATTRIBUTES_STANDARD, ExtraAttribute, ExtraColumns, RAW_AMP, TOGETHER,
 };
-use wavex_signal::simd::quantise::{ROUNDING, power_ratios};
 
 use super::AttributeLayout;
 

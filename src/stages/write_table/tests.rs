@@ -127,7 +127,7 @@ fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
         stem: "made".into(),
         input_dir: folder.into(),
         output_dir: folder.into(),
-        simd: wavex_signal::simd::SimdLevel::best(),
+        simd: wavex_simd::SimdLevel::best(),
         ..RunContext::alone("".as_ref())
     };
     let mut cx = Context::default();
@@ -310,7 +310,7 @@ fn shots_are_refused() {
         stem: "made".into(),
         input_dir: folder.path().into(),
         output_dir: folder.path().into(),
-        simd: wavex_signal::simd::SimdLevel::best(),
+        simd: wavex_simd::SimdLevel::best(),
         ..RunContext::alone("".as_ref())
     };
     let mut sink = config("*.csv").make(&run).unwrap();

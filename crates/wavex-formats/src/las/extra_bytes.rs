@@ -4,11 +4,12 @@
 
 use std::path::Path;
 
+use wavex_simd::quantise::Steps;
+
 use super::round::nearest;
 use super::vlr::Vlr;
 use crate::Result;
 use crate::bytes::Fields;
-use wavex_signal::simd::quantise::Steps;
 
 /// Length of an attribute's descriptor, bytes.
 pub(super) const DESCRIPTOR: usize = 192;

@@ -2,8 +2,9 @@
 //!
 //! LAS 1.4 R15, sections "Point Data Record Format 0" to "Point Data Record Format 10".
 
+use wavex_simd::quantise::Steps;
+
 use super::point::{SCAN_ANGLE_STEP_DEG, Wave};
-use wavex_signal::simd::quantise::Steps;
 
 /// Largest scan angle of formats 6 to 10, steps.
 ///

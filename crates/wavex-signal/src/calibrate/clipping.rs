@@ -58,7 +58,7 @@ mod tests {
                 digitised(&analogue(&mut random, &process, 40, 10.0, 4.4, &[echo]), clip_dn)
             })
             .collect();
-        clipping_level_dn(blocks.iter().map(|samples| Waveform { samples, start_phase: 0 }))
+        clipping_level_dn(blocks.iter().map(|samples| Waveform { samples }))
     }
 
     #[test]
@@ -72,7 +72,7 @@ mod tests {
     fn echoes_that_end_below_full_scale_do_not_clip() {
         assert_eq!(found(200.0, 255), None);
         let same = vec![vec![10, 50, 10]; 300];
-        let views = || same.iter().map(|samples| Waveform { samples, start_phase: 0 });
+        let views = || same.iter().map(|samples| Waveform { samples });
         assert_eq!(clipping_level_dn(views()), None);
         assert_eq!(clipping_level_dn(views().take(0)), None);
     }

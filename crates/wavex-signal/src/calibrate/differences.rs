@@ -53,8 +53,7 @@ impl Differences {
             }
             let s = [0, 1, 2, 3, 4].map(|i| i32::from(window[i]));
             let difference = s[0] - 4 * s[1] + 6 * s[2] - 4 * s[3] + s[4];
-            let phase = (usize::from(block.start_phase) + k) % 4;
-            self.by_phase[phase].add((difference + ZERO).clamp(0, i32::from(u16::MAX)) as u16);
+            self.by_phase[k % 4].add((difference + ZERO).clamp(0, i32::from(u16::MAX)) as u16);
         }
     }
 
@@ -90,7 +89,7 @@ mod tests {
                 digitised(&values, 255)
             })
             .collect();
-        noise_sd_dn(blocks.iter().map(|samples| Waveform { samples, start_phase: 0 }))
+        noise_sd_dn(blocks.iter().map(|samples| Waveform { samples }))
     }
 
     #[test]
@@ -114,7 +113,7 @@ mod tests {
     #[test]
     fn differences_of_a_cubic_vanish_and_rounding_remains() {
         let cubic: Vec<u16> = (0..10u16).map(|k| k * k * k).collect();
-        let blocks = [&cubic[..], &[1, 2], &[]].map(|samples| Waveform { samples, start_phase: 3 });
+        let blocks = [&cubic[..], &[1, 2], &[]].map(|samples| Waveform { samples });
         assert_eq!(noise_sd_dn(blocks.into_iter()), QUANTISATION_VARIANCE.sqrt());
     }
 }

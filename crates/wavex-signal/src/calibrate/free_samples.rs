@@ -84,16 +84,16 @@ impl FreeSamples {
     }
 
     /// Adds the free samples of the next block, possibly none.
-    pub(super) fn add(&mut self, samples: &[u16], start_phase: u8) {
+    pub(super) fn add(&mut self, samples: &[u16]) {
         let group = (self.blocks / self.blocks_per_group) as usize;
         self.blocks += 1;
         if self.groups.len() <= group {
             self.groups.push(Sums::about(self.origin_dn));
         }
         let Some(sums) = self.groups.last_mut() else { return };
-        sums.all.add(samples, start_phase);
+        sums.all.add(samples, 0);
         let Some(mirror) = &mut self.mirror else { return };
-        mirror.stretches(samples, start_phase, |lean, stretch, mirrored, phase| {
+        mirror.stretches(samples, |lean, stretch, mirrored, phase| {
             if lean != Lean::Peak {
                 sums.noise.add(stretch, phase);
             }
@@ -167,10 +167,10 @@ mod tests {
             let model = channel(&process, 4.4, level);
             let mut free = FreeSamples::of(&model, 20_000).unwrap();
             let mut random = Random::new(seed);
-            for block in 0..20_000u32 {
+            for _ in 0..20_000 {
                 let mut values = noise(&mut random, &process, length);
                 values.iter_mut().for_each(|value| *value += level);
-                free.add(&digitised(&values, 255), (block % 4) as u8);
+                free.add(&digitised(&values, 255));
             }
             let mut exact = [0.0; 6];
             process.autocovariance_into(&mut exact);
@@ -199,7 +199,7 @@ mod tests {
         for block in 0..5000 {
             let mut values = noise(&mut random, &process, 20);
             values.iter_mut().for_each(|value| *value += levels[block / 500]);
-            free.add(&digitised(&values, 255), 0);
+            free.add(&digitised(&values, 255));
         }
         let known_dn = free.uncertainty().background_dn;
         // 0.3/√25 except for groups with a change of level; 1/√25000 without changes.

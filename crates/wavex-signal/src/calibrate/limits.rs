@@ -148,7 +148,7 @@ impl Clipped {
             return;
         }
         let mut residual_dn = Vec::with_capacity(block.samples.len());
-        model.signal_into(block.samples, block.start_phase, &mut residual_dn);
+        model.signal_into(block.samples, &mut residual_dn);
         for found in outcome.returns {
             let pulse = Pulse {
                 height_dn: found.amplitude_dn,
@@ -206,7 +206,7 @@ mod tests {
                 digitised(&values, 255)
             })
             .collect();
-        let views = || blocks.iter().map(|samples| Waveform { samples, start_phase: 0 });
+        let views = || blocks.iter().map(|samples| Waveform { samples });
         let settings = CalibrationSettings::echoes(1.0, 255.0);
         let gaussian = calibrate(views(), &settings).unwrap();
         let model = calibrate_response(views(), &gaussian, &settings).unwrap().model;

@@ -64,8 +64,10 @@ impl NoiseStatistics {
         self.distant_pairs += other.distant_pairs;
     }
 
-    /// Adds a stretch of consecutive samples; `start_phase` is the index of the first modulo 4.
-    pub fn add<T: Copy + Into<f64>>(&mut self, samples: &[T], start_phase: u8) {
+    /// Adds a stretch of consecutive samples of a block.
+    ///
+    /// `phase` is the index in the block of the first of them, modulo 4.
+    pub fn add<T: Copy + Into<f64>>(&mut self, samples: &[T], phase: u8) {
         let Some(&first) = samples.first() else { return };
         let origin_dn = *self.origin_dn.get_or_insert(first.into());
         let value = |k: usize| samples[k].into() - origin_dn;
@@ -76,7 +78,7 @@ impl NoiseStatistics {
             square += later * later;
             for lag in 0..LAGS.min(k + 1) {
                 let earlier = value(k - lag);
-                let cell = &mut self.pairs[lag][(usize::from(start_phase) + k - lag) % 4];
+                let cell = &mut self.pairs[lag][(usize::from(phase) + k - lag) % 4];
                 cell.count += 1;
                 cell.product += earlier * later;
                 cell.earlier += earlier;

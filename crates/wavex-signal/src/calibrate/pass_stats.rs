@@ -64,7 +64,7 @@ impl PassStats {
             self.told_blocks += 1;
             self.free_blocks += u64::from(free as f64 >= MIN_FREE_WIDTHS * fwhm_samples);
         }
-        self.free.add(&block.samples[..free], block.start_phase);
+        self.free.add(&block.samples[..free]);
         if let Some(r) = single(outcome, fwhm_samples).filter(|r| r.amplitude_dn >= strong_dn) {
             let sd = r.width_ratio_sd / r.width_ratio;
             self.widths.0.push(Width { ln_width: r.fwhm_ns.ln(), sd, deviation_ratio: r.deviation_ratio });

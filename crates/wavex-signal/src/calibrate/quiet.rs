@@ -109,7 +109,7 @@ impl QuietBlocks {
         outcome: &Decomposition<'_>,
     ) {
         let mut residual_dn = Vec::with_capacity(block.samples.len());
-        model.signal_into(block.samples, block.start_phase, &mut residual_dn);
+        model.signal_into(block.samples, &mut residual_dn);
         let mut fitted_dn = vec![0.0; residual_dn.len()];
         for found in outcome.returns {
             let pulse = Pulse {
@@ -129,8 +129,7 @@ impl QuietBlocks {
             let is_quiet = fitted_dn.get(k).is_some_and(|fitted| fitted.abs() <= quiet_dn);
             if !is_quiet {
                 if k - from >= MIN_STRETCH {
-                    let phase = (usize::from(block.start_phase) + from) % 4;
-                    quiet.stretches.push((residual_dn[from..k].to_vec(), phase as u8));
+                    quiet.stretches.push((residual_dn[from..k].to_vec(), (from % 4) as u8));
                 }
                 from = k + 1;
             }
@@ -187,7 +186,7 @@ mod tests {
                 digitised(&values, 255)
             })
             .collect();
-        let views = || blocks.iter().map(|samples| Waveform { samples, start_phase: 0 });
+        let views = || blocks.iter().map(|samples| Waveform { samples });
         let settings = CalibrationSettings::echoes(1.0, 255.0);
         let with_misfit = calibrate(views(), &settings).unwrap();
         assert_eq!(with_misfit.provenance.noise, NoiseSource::Residuals);

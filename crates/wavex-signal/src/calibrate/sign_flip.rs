@@ -72,17 +72,12 @@ impl Mirror {
 
     /// Passes the free samples of a block to `take` in stretches.
     ///
-    /// Arguments: the sign of the extremum, the samples, the mirrored samples, and the phase of the
-    /// first. The digitiser truncates noise at 0; samples are truncated at the same distance above
-    /// the background, so that peaks and dips are alike.
-    pub(super) fn stretches(
-        &mut self,
-        samples: &[u16],
-        start_phase: u8,
-        mut take: impl FnMut(Lean, &[f64], &[f64], u8),
-    ) {
+    /// Arguments: the sign of the extremum, the samples, the mirrored samples, and the index of the
+    /// first in the block, modulo 4. The digitiser truncates noise at 0; samples are truncated at the
+    /// same distance above the background, so that peaks and dips are alike.
+    pub(super) fn stretches(&mut self, samples: &[u16], mut take: impl FnMut(Lean, &[f64], &[f64], u8)) {
         let background_dn = self.background_dn;
-        let level = |k: usize| background_dn[(usize::from(start_phase) + k) % 4];
+        let level = |k: usize| background_dn[k % 4];
         self.free_dn.clear();
         let cut = samples.iter().enumerate().map(|(k, &sample)| f64::from(sample).min(2.0 * level(k)));
         self.free_dn.extend(cut);
@@ -94,7 +89,7 @@ impl Mirror {
         let is_short = samples.len() < self.stretch_samples as usize;
         for i in 0..stretches {
             let (from, to) = (i * samples.len() / stretches, (i + 1) * samples.len() / stretches);
-            let phase = ((usize::from(start_phase) + from) % 4) as u8;
+            let phase = (from % 4) as u8;
             let lean = if is_short { Lean::Neither } else { self.lean(from, to) };
             take(lean, &self.free_dn[from..to], &self.mirrored_dn[from..to], phase);
         }
@@ -218,13 +213,13 @@ mod tests {
         samples[2..5].copy_from_slice(&[24, 26, 24]);
         samples[36..39].copy_from_slice(&[16, 14, 16]);
         let mut seen = Vec::new();
-        mirror.stretches(&samples, 1, |lean, stretch, mirrored, phase| {
+        mirror.stretches(&samples, |lean, stretch, mirrored, phase| {
             seen.push((lean, stretch[3], mirrored[3], phase));
         });
         assert_eq!(seen.len(), 6);
-        assert_eq!(seen[0], (Lean::Peak, 26.0, 14.0, 1));
-        assert_eq!(seen[2], (Lean::Neither, 20.0, 20.0, 2));
-        assert_eq!((seen[5].0, seen[5].3), (Lean::Dip, 2));
+        assert_eq!(seen[0], (Lean::Peak, 26.0, 14.0, 0));
+        assert_eq!(seen[2], (Lean::Neither, 20.0, 20.0, 1));
+        assert_eq!((seen[5].0, seen[5].3), (Lean::Dip, 1));
     }
 
     #[test]

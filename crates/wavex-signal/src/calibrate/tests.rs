@@ -23,25 +23,24 @@ fn echoes(random: &mut Random, sd: f64) -> Vec<Pulse> {
     pulses
 }
 
-fn blocks(seed: u64, count: usize, drift_sd: f64) -> Vec<(Vec<u16>, u8)> {
+fn blocks(seed: u64, count: usize, drift_sd: f64) -> Vec<Vec<u16>> {
     let mut random = Random::new(seed);
     let process = process(2.0);
     (0..count)
-        .map(|i| {
-            let phase = (i % 4) as u8;
+        .map(|_| {
             let pulses = echoes(&mut random, 2.0);
             let level = 20.0 + drift_sd * random.normal();
             let mut values = analogue(&mut random, &process, 60, level, FWHM, &pulses);
             for (k, value) in values.iter_mut().enumerate() {
-                *value += PHASES[(usize::from(phase) + k) % 4];
+                *value += PHASES[k % 4];
             }
-            (digitised(&values, 255), phase)
+            digitised(&values, 255)
         })
         .collect()
 }
 
-fn views(blocks: &[(Vec<u16>, u8)]) -> impl Iterator<Item = Waveform<'_>> + Clone {
-    blocks.iter().map(|(samples, start_phase)| Waveform { samples, start_phase: *start_phase })
+fn views(blocks: &[Vec<u16>]) -> impl Iterator<Item = Waveform<'_>> + Clone {
+    blocks.iter().map(|samples| Waveform { samples })
 }
 
 fn exact_lags() -> [f64; 6] {
@@ -89,7 +88,7 @@ fn weak_echoes_do_not_count_as_noise() {
             }
             let samples = digitised(&analogue(&mut random, &process, 60, 20.0, FWHM, &echoes), 255);
             raised.add(&samples[..33], 0);
-            (samples, 0)
+            samples
         })
         .collect();
     let model = calibrate(views(&blocks), &CalibrationSettings::echoes(1.0, 255.0)).unwrap();
@@ -130,7 +129,7 @@ fn saturated_blocks_that_no_pulse_tells_do_not_count_as_noise() {
                 let tail = |p: &Pulse| 0.02 * p.height_dn * behind(p) * (-behind(p) / 8.0).exp();
                 *value += echoes.iter().map(tail).sum::<f64>();
             }
-            (digitised(&values, 255), 0)
+            digitised(&values, 255)
         })
         .collect();
     let model = calibrate(views(&blocks), &CalibrationSettings::echoes(1.0, 255.0)).unwrap();
@@ -180,7 +179,7 @@ fn blocks_without_a_free_sample_are_calibrated() {
         .map(|_| {
             let echo = pulse(200.0 + 300.0 * random.uniform(), 16.0 + 6.0 * random.uniform(), 1.0);
             let level = 210.0 + 4.0 * random.normal();
-            (digitised(&analogue(&mut random, &white, 50, level, 16.0, &[echo]), 4095), 0)
+            digitised(&analogue(&mut random, &white, 50, level, 16.0, &[echo]), 4095)
         })
         .collect();
     let model = calibrate(views(&blocks), &CalibrationSettings::echoes(1.0, 4095.0)).unwrap();
@@ -201,7 +200,7 @@ fn a_short_reference_channel_is_calibrated() {
     let blocks: Vec<_> = (0..100)
         .map(|_| {
             let outgoing = pulse(180.0, 11.0 + random.uniform(), 1.0);
-            (digitised(&analogue(&mut random, &process, 24, 2.2, 4.5, &[outgoing]), 255), 0)
+            digitised(&analogue(&mut random, &process, 24, 2.2, 4.5, &[outgoing]), 255)
         })
         .collect();
     let model = calibrate(views(&blocks), &CalibrationSettings::reference(1.0, 255.0)).unwrap();
@@ -230,7 +229,7 @@ fn blocks_without_pulses_are_counted() {
     let expected = "calibration needs 10 unsaturated pulses above the noise and there were 0 \
                     in 300 waveforms; give it data with echoes, or load a saved sensor model";
     for samples in [vec![], vec![7], vec![7; 60], vec![255; 60]] {
-        let same = vec![(samples, 0); 300];
+        let same = vec![samples; 300];
         let error = calibrate(views(&same), &CalibrationSettings::echoes(1.0, 255.0)).unwrap_err();
         assert_eq!(error.to_string(), expected);
     }
@@ -244,7 +243,7 @@ fn without_noise_rounding_is_the_noise() {
     let blocks: Vec<_> = (0..250)
         .map(|_| {
             let echo = pulse(100.0, 20.0 + 10.0 * random.uniform(), 1.0);
-            (digitised(&analogue(&mut random, &silent, 60, 5.0, FWHM, &[echo]), 255), 0)
+            digitised(&analogue(&mut random, &silent, 60, 5.0, FWHM, &[echo]), 255)
         })
         .collect();
     let model = calibrate(views(&blocks), &CalibrationSettings::echoes(1.0, 255.0)).unwrap();

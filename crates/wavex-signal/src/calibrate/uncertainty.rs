@@ -46,7 +46,7 @@ mod tests {
                     digitised(&analogue(&mut random, &process, 44, 20.3, 4.4, &[echo]), 255)
                 })
                 .collect();
-            let blocks = blocks.iter().map(|samples| Waveform { samples, start_phase: 0 });
+            let blocks = blocks.iter().map(|samples| Waveform { samples });
             let model = calibrate(blocks, &CalibrationSettings::echoes(1.0, 255.0)).unwrap();
             let known = &model.uncertainty;
             let pairs = [

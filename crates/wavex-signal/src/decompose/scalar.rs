@@ -30,7 +30,7 @@ mod view;
 /// // `model`: pulses 4 ns wide, on a background of 5 DN.
 /// let samples = [5, 5, 5, 5, 5, 6, 12, 27, 49, 61, 49, 27, 12, 6, 5, 5, 5, 5, 5, 5];
 /// let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), samples.len())?;
-/// let outcome = decomposer.decompose(&samples, 0);
+/// let outcome = decomposer.decompose(&samples);
 /// assert_eq!(outcome.returns.len(), 1);
 /// assert!((outcome.returns[0].position_samples - 9.0).abs() < 0.05);
 /// # Ok::<(), wavex_signal::sensor_model::ModelError>(())
@@ -97,9 +97,18 @@ impl Decomposer {
         self.model.limits.recovery_samples.unwrap_or(self.settings.recovery_samples)
     }
 
-    /// Decomposes one block; `start_phase` is the index of its first sample modulo 4.
-    pub fn decompose(&mut self, samples: &[u16], start_phase: u8) -> Decomposition<'_> {
-        self.load(samples, start_phase);
+    /// Decomposes one block.
+    pub fn decompose(&mut self, samples: &[u16]) -> Decomposition<'_> {
+        self.decompose_window(samples, 0)
+    }
+
+    /// Decomposes a window of a block as if it were the whole block.
+    ///
+    /// `first` is the index in the block of the window's first sample; it determines the background
+    /// of each sample, and must be even if odd samples are late. Returned positions count from the
+    /// start of the window.
+    pub fn decompose_window(&mut self, samples: &[u16], first: usize) -> Decomposition<'_> {
+        self.load(samples, first);
         self.find_returns(samples, self.settings.split_score);
         let outcome = self.outcome(samples);
         if self.settings.explains_all && outcome.deviation_ratio() > DEVIANT {
@@ -115,17 +124,17 @@ impl Decomposer {
     /// As [`Decomposer::decompose`] for a waveform that others left unexplained.
     ///
     /// Every widened pulse is tried as two.
-    pub(crate) fn decompose_thoroughly(&mut self, samples: &[u16], start_phase: u8) -> Decomposition<'_> {
-        self.load(samples, start_phase);
+    pub(crate) fn decompose_thoroughly(&mut self, samples: &[u16]) -> Decomposition<'_> {
+        self.load(samples, 0);
         self.find_returns(samples, 0.0);
         self.keep_clear_peaks(samples);
         self.report(samples)
     }
 
-    /// Loads a waveform without pulses.
-    fn load(&mut self, samples: &[u16], start_phase: u8) {
+    /// Loads a waveform without pulses; `first` is the index in the block of its first sample.
+    fn load(&mut self, samples: &[u16], first: usize) {
         self.returns.clear();
-        if self.scene.load(&self.model, samples, start_phase, self.recovery_samples()) {
+        if self.scene.load(&self.model, samples, first, self.recovery_samples()) {
             self.detector.prepare(self.scene.whitener());
         }
     }
@@ -161,13 +170,8 @@ impl Decomposer {
     ///
     /// Start values are height, position and logarithm of the width ratio. No pulse is added or
     /// removed.
-    pub(crate) fn chi_square_of(
-        &mut self,
-        samples: &[u16],
-        start_phase: u8,
-        pulses: impl Iterator<Item = [f64; 3]>,
-    ) -> f64 {
-        self.load(samples, start_phase);
+    pub(crate) fn chi_square_of(&mut self, samples: &[u16], pulses: impl Iterator<Item = [f64; 3]>) -> f64 {
+        self.load(samples, 0);
         self.scene.found.extend(pulses.map(|[height, position, width]| Found::new(height, position, width)));
         self.scene.fit_all_roughly();
         self.scene.chi_square()

@@ -65,12 +65,13 @@ mod tests;
 
 use std::sync::Arc;
 
+use wavex_simd::SimdLevel;
+
 use super::{DecomposeSettings, Decomposer, Waveform};
 use crate::decompose::DEVIANT;
 use crate::decompose::acceptance::CLEAR_OF_ZERO_SD;
 use crate::sensor_model::{ChannelModel, ModelError};
 
-use crate::simd::SimdLevel;
 pub use candidates::FilterPeak;
 pub use outcome::Decompositions;
 pub use tables::Tables;
@@ -102,13 +103,13 @@ pub enum Mode {
 /// use wavex_signal::decompose::{
 ///     BatchDecomposer, DecomposeSettings, Decompositions, Mode, Tables, Waveform,
 /// };
-/// use wavex_signal::simd::SimdLevel;
+/// use wavex_simd::SimdLevel;
 /// # use wavex_signal::{noise::ArNoise, simulated::channel};
 /// # let model = channel(&ArNoise::new(&[], 0.7).unwrap(), 4.0, 5.0);
 ///
 /// // `model`: pulses 4 ns wide, on a background of 5 DN.
 /// let samples = [5, 5, 5, 5, 5, 6, 12, 27, 49, 61, 49, 27, 12, 6, 5, 5, 5, 5, 5, 5];
-/// let batch = [Waveform { samples: &samples, start_phase: 0 }; 100];
+/// let batch = [Waveform { samples: &samples }; 100];
 /// let (tables, settings) = (Tables::new(&model).map(Arc::new), DecomposeSettings::default());
 /// let mut decomposer =
 ///     BatchDecomposer::new(&model, tables, &settings, Mode::Refined, SimdLevel::best())?;
@@ -240,7 +241,7 @@ impl BatchDecomposer {
         let Some(tables) = self.tables.clone() else {
             self.left_to_plain += blocks.len() as u64;
             for block in blocks {
-                outcomes.push(&self.plain.decompose(block.samples, block.start_phase));
+                outcomes.push(&self.plain.decompose(block.samples));
             }
             return;
         };
@@ -309,7 +310,7 @@ impl BatchDecomposer {
                 Some(pulse_model) => (Mode::Refined, pulse_model),
                 None => (self.mode, &mut first_pass[i]),
             };
-            self.finish(mode).push_returns(block.samples, block.start_phase, pulse_model, outcomes);
+            self.finish(mode).push_returns(block.samples, pulse_model, outcomes);
         }
         (self.work.pulse_models, self.first_pass) = (refined, first_pass);
     }

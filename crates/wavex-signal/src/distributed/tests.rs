@@ -69,7 +69,7 @@ fn heights_above_the_ground_have_true_standard_deviations() {
         for _ in 0..COUNT {
             let truth = canopy(&mut random, &process, &model, scale, is_bare);
             // An unknown background.
-            let profile = targets.profile(&truth.samples, 0, 2.0).unwrap();
+            let profile = targets.profile(&truth.samples, 2.0).unwrap();
             assert_eq!(profile.flags, 0);
             let found = [profile.last_peak_samples].into_iter().chain(profile.heights_samples);
             let wanted = [truth.ground].into_iter().chain(truth.heights);
@@ -100,7 +100,7 @@ fn waveform(model: &ChannelModel, echoes: &[(f64, f64)], samples: usize) -> Vec<
 fn half_of_the_energy_of_a_hard_ground_lies_above_it() {
     let model = wide_channel(&ArNoise::new(&[], 1.0).unwrap());
     let mut targets = DistributedTargets::new(&model).unwrap();
-    let profile = targets.profile(&waveform(&model, &[(150.0, 140.3)], SAMPLES), 0, 0.0).unwrap();
+    let profile = targets.profile(&waveform(&model, &[(150.0, 140.3)], SAMPLES), 0.0).unwrap();
     println!("{profile:?}");
     assert_eq!((profile.peaks, profile.flags), (1, 0));
     assert_eq!(profile.first_peak_samples, profile.last_peak_samples);
@@ -118,7 +118,7 @@ fn what_is_missing_is_flagged_and_unknown() {
     let model = wide_channel(&ArNoise::new(&[], 1.0).unwrap());
     let mut targets = DistributedTargets::new(&model).unwrap();
     let echoes = [(30.0, 60.0), (40.0, 66.0), (90.0, 120.0)];
-    let of = |targets: &mut DistributedTargets, samples: &[u16]| targets.profile(samples, 0, 0.0).unwrap();
+    let of = |targets: &mut DistributedTargets, samples: &[u16]| targets.profile(samples, 0.0).unwrap();
     let samples = waveform(&model, &echoes, SAMPLES);
     let whole = of(&mut targets, &samples);
     assert_eq!((whole.flags, whole.peaks), (0, 2));
@@ -173,8 +173,7 @@ fn ringing_is_no_ground() {
     };
     let ringing = ChannelModel { response: Some(response), ..plain.clone() };
     let samples = waveform(&ringing, &[(400.0, 100.0)], SAMPLES);
-    let of =
-        |model: &ChannelModel| DistributedTargets::new(model).unwrap().profile(&samples, 0, 0.0).unwrap();
+    let of = |model: &ChannelModel| DistributedTargets::new(model).unwrap().profile(&samples, 0.0).unwrap();
     let (known, unknown) = (of(&ringing), of(&plain));
     assert_eq!((known.peaks, unknown.peaks), (1, 2));
     assert!((known.last_peak_samples.value - 100.0).abs() < 0.1, "{known:?}");
@@ -184,8 +183,8 @@ fn ringing_is_no_ground() {
 fn noise_and_short_blocks_have_no_profile() {
     let model = wide_channel(&ArNoise::new(&[], 1.0).unwrap());
     let mut targets = DistributedTargets::new(&model).unwrap();
-    assert_eq!(targets.profile(&[10; 60], 0, 0.0), None);
-    assert_eq!(targets.profile(&waveform(&model, &[], 60), 0, 0.0), None);
-    assert_eq!(targets.profile(&[10, 80, 10], 0, 0.0), None);
-    assert_eq!(targets.profile(&[], 0, 0.0), None);
+    assert_eq!(targets.profile(&[10; 60], 0.0), None);
+    assert_eq!(targets.profile(&waveform(&model, &[], 60), 0.0), None);
+    assert_eq!(targets.profile(&[10, 80, 10], 0.0), None);
+    assert_eq!(targets.profile(&[], 0.0), None);
 }

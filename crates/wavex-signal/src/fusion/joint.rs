@@ -215,7 +215,7 @@ impl JointFit {
     /// one.
     fn load(&mut self, samples: &[u16], recovery_samples: usize) {
         self.target_dn.clear();
-        self.model.signal_into(samples, 0, &mut self.target_dn);
+        self.model.signal_into(samples, &mut self.target_dn);
         self.used.clear();
         let clear_dn = CLEAR_OF_ZERO_SD * self.model.noise_sd_dn;
         let mut recovering = 0;
@@ -223,7 +223,7 @@ impl JointFit {
             if f64::from(sample) >= self.model.full_scale_dn {
                 recovering = recovery_samples + 1;
             }
-            self.used.push(recovering == 0 && (sample > 0 || self.model.background_at(0, k) < clear_dn));
+            self.used.push(recovering == 0 && (sample > 0 || self.model.background_at(k) < clear_dn));
             recovering = recovering.saturating_sub(1);
         }
         self.whitener.set_used(&self.used);

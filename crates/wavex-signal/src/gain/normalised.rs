@@ -132,7 +132,7 @@ impl Normalised {
         self.lengths.iter().map(move |&length| {
             let (samples, behind) = rest.split_at(length);
             rest = behind;
-            Waveform { samples, start_phase: 0 }
+            Waveform { samples }
         })
     }
 

@@ -219,7 +219,7 @@ fn decompose(
 ) -> Result<(), ModelError> {
     let mut decomposer = Decomposer::new(model, settings, 0)?;
     for (index, block) in blocks.iter().enumerate() {
-        take(index, &decomposer.decompose(block.samples, block.start_phase));
+        take(index, &decomposer.decompose(block.samples));
     }
     Ok(())
 }
@@ -233,7 +233,7 @@ fn residual(
     offset_dn: f64,
 ) -> Vec<[f64; 2]> {
     let mut signal_dn = Vec::with_capacity(block.samples.len());
-    model.signal_into(block.samples, block.start_phase, &mut signal_dn);
+    model.signal_into(block.samples, &mut signal_dn);
     let mut fitted_dn = vec![0.0; signal_dn.len()];
     for found in returns {
         let pulse = Pulse {

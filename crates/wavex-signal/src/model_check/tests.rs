@@ -50,7 +50,7 @@ fn recording(waveforms: usize, shape_error: f64) -> Vec<Vec<u16>> {
 }
 
 fn compared(samples: &[Vec<u16>], model: &ChannelModel) -> Comparison {
-    let blocks = samples.iter().map(|samples| Waveform { samples, start_phase: 0 });
+    let blocks = samples.iter().map(|samples| Waveform { samples });
     compare(blocks, model).unwrap().unwrap()
 }
 
@@ -65,7 +65,7 @@ fn areas(samples: &[Vec<u16>], change: impl Fn(&mut ChannelModel)) -> Vec<Area> 
 fn the_right_model_has_no_findings() {
     assert_eq!(areas(&recording(600, 0.0), |_| {}), []);
     let few = recording(MIN_WAVEFORMS - 1, 0.0);
-    let blocks = few.iter().map(|samples| Waveform { samples, start_phase: 0 });
+    let blocks = few.iter().map(|samples| Waveform { samples });
     assert_eq!(compare(blocks, &model()).unwrap(), None);
 }
 

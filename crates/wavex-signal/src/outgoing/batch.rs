@@ -3,13 +3,14 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use wavex_simd::SimdLevel;
+
 use super::mixture::Mixture;
 use super::usual::{ReferenceBlock, Usual};
 use super::{Outgoing, OutgoingFitter, one_pulse, window};
 use crate::decompose::Waveform;
 use crate::decompose::{BatchDecomposer, Decompositions, FilterPeak, Mode, Tables};
 use crate::sensor_model::{ChannelModel, ModelError};
-use crate::simd::SimdLevel;
 
 /// Fits outgoing pulses of one channel in batches; reuses its buffers.
 ///
@@ -60,13 +61,13 @@ impl OutgoingBatch {
         pulses.clear();
         self.choose_windows(blocks);
         let windowed: Vec<Waveform<'_>> = (self.windows.iter())
-            .map(|(_, i, window)| Waveform { samples: part(blocks, *i, window), start_phase: 0 })
+            .map(|(_, i, window)| Waveform { samples: part(blocks, *i, window) })
             .collect();
         self.fast.decompose(&windowed, &mut self.outcomes);
         pulses.resize(blocks.len(), None);
         for ((outcome, block), (_, i, window)) in self.outcomes.iter().zip(&windowed).zip(&self.windows) {
             let fitted = outcome.returns.first().map(|&pulse| Outgoing {
-                pulse: self.plain.finished(pulse, window.start, block.samples, 0),
+                pulse: self.plain.finished(pulse, window.start, block.samples),
                 window: window.clone(),
                 is_explained: false,
             });
@@ -76,7 +77,7 @@ impl OutgoingBatch {
         }
         for ((block, strongest), pulse) in blocks.iter().zip(&self.strongest).zip(pulses) {
             if strongest.statistic == 0.0 {
-                let fitted = self.plain.fit(block.samples, block.start_phase);
+                let fitted = self.plain.fit(block.samples);
                 *pulse = fitted.map(|pulse| {
                     let window = self.plain.window.clone();
                     Outgoing { pulse, window, is_explained: false }
@@ -130,7 +131,7 @@ impl OutgoingBatch {
         self.windows.clear();
         for ((i, block), strongest) in (0..).zip(blocks).zip(&mut self.strongest) {
             let is_saturated = block.samples.iter().any(|&sample| f64::from(sample) >= full_scale_dn);
-            if is_saturated || !block.start_phase.is_multiple_of(4) {
+            if is_saturated {
                 *strongest = FilterPeak::default();
             }
             if strongest.statistic > 0.0 {
@@ -178,8 +179,7 @@ mod tests {
             (truth.position_samples, digitised(&values, 255))
         };
         let shots: Vec<(f64, Vec<u16>)> = (0..3000).map(one).collect();
-        let blocks: Vec<Waveform<'_>> =
-            shots.iter().map(|(_, samples)| Waveform { samples, start_phase: 0 }).collect();
+        let blocks: Vec<Waveform<'_>> = shots.iter().map(|(_, samples)| Waveform { samples }).collect();
         let (mut batch, mut pulses) = (batch(&model), Vec::new());
         batch.fit(&blocks, &mut pulses);
         assert_eq!(pulses.len(), shots.len());
@@ -190,7 +190,7 @@ mod tests {
             assert!(window.start.is_multiple_of(4) && window.end <= 40, "{window:?}");
             errors.push(pulse.position_samples - truth);
             scores.push(errors[errors.len() - 1] / pulse.position_sd_samples);
-            let expected = plain.fit(samples, 0).unwrap();
+            let expected = plain.fit(samples).unwrap();
             apart.push((pulse.position_samples - expected.position_samples) / expected.position_sd_samples);
         }
         let ((bias, sd), (_, z), (_, apart)) = (moments(&errors), moments(&scores), moments(&apart));
@@ -213,8 +213,7 @@ mod tests {
             digitised(&analogue(&mut random, &process, 30 + i % 20, 2.0, FWHM, &[truth]), 255)
         };
         let shots: Vec<Vec<u16>> = (0..200).map(one).collect();
-        let blocks: Vec<Waveform<'_>> =
-            shots.iter().map(|samples| Waveform { samples, start_phase: 0 }).collect();
+        let blocks: Vec<Waveform<'_>> = shots.iter().map(|samples| Waveform { samples }).collect();
         let (mut batch, mut all, mut alone) = (batch(&model), Vec::new(), Vec::new());
         batch.fit(&blocks, &mut all);
         assert_eq!(all.len(), 200);
@@ -224,8 +223,7 @@ mod tests {
         }
     }
 
-    /// Saturated pulses, other phases and blocks without a pulse give the results of the scalar
-    /// form.
+    /// Saturated pulses and blocks without a pulse give the results of the scalar form.
     #[test]
     fn what_is_not_for_the_fast_kernels_is_left_to_the_plain_ones() {
         let process = ArNoise::new(&[], 0.8).unwrap();
@@ -233,19 +231,17 @@ mod tests {
         let mut random = Random::new(24);
         let saturated =
             digitised(&analogue(&mut random, &process, 40, 2.0, FWHM, &[pulse(400.0, 18.3, 1.0)]), 255);
-        let later =
-            digitised(&analogue(&mut random, &process, 40, 2.0, FWHM, &[pulse(90.0, 18.3, 1.0)]), 255);
-        let cases = [(&saturated[..], 0), (&later[..], 3), (&[2; 24], 0), (&[], 0), (&[255; 24], 0)];
-        let blocks = cases.map(|(samples, start_phase)| Waveform { samples, start_phase });
+        let cases = [&saturated[..], &[2; 24], &[], &[255; 24]];
+        let blocks = cases.map(|samples| Waveform { samples });
         let mut pulses = Vec::new();
         batch(&model).fit(&blocks, &mut pulses);
         let mut plain = OutgoingFitter::new(&model, 40).unwrap();
         for (block, found) in blocks.iter().zip(&pulses) {
-            let expected = plain.fit(block.samples, block.start_phase);
+            let expected = plain.fit(block.samples);
             assert_eq!(found.as_ref().map(|found| found.pulse), expected);
         }
         let seen: Vec<bool> = pulses.iter().map(Option::is_some).collect();
-        assert_eq!(seen, [true, true, false, false, false]);
+        assert_eq!(seen, [true, false, false, false]);
         assert!(pulses[0].as_ref().unwrap().pulse.flags & flags::SATURATED != 0);
     }
 }

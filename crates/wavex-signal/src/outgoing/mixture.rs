@@ -191,7 +191,7 @@ impl Mixture {
             return None;
         }
         self.target_dn.clear();
-        self.model.signal_into(samples, 0, &mut self.target_dn);
+        self.model.signal_into(samples, &mut self.target_dn);
         self.residual.clear();
         self.residual.resize(samples.len(), 0.0);
         self.whitener.set_used(&vec![true; samples.len()]);

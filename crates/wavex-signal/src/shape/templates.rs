@@ -9,10 +9,11 @@
 
 use std::sync::OnceLock;
 
+use wavex_simd::dot::{ROWS, add_rows};
+
 use crate::fourier::{ByPhase, Complex, Synthesis};
 use crate::sensor_model::response::{STEPS_PER_SAMPLE, bins, spectrum};
 use crate::shape::Lane;
-use crate::simd::dot::{ROWS, add_rows};
 
 /// Step of the table in log width.
 const LN_WIDTH_STEP: f64 = 0.05;

@@ -1,9 +1,10 @@
 //! Columnar buffer of points for vectorised quantisation.
 
+use wavex_simd::quantise::Steps;
+
 use crate::las::extra_bytes::ExtraAttribute;
 use crate::las::point::{Layout, Wave};
 use crate::las::point_out::{PointOut, scan_angle_steps};
-use wavex_signal::simd::quantise::Steps;
 
 /// Points encoded at once; their columns fit the L1 cache.
 pub const TOGETHER: usize = 128;

@@ -96,7 +96,7 @@ impl Residuals {
             return;
         }
         let mut residual_dn = Vec::with_capacity(block.samples.len());
-        model.signal_into(block.samples, block.start_phase, &mut residual_dn);
+        model.signal_into(block.samples, &mut residual_dn);
         pulses.iter().for_each(|pulse| shape.add(pulse, -1.0, &mut residual_dn));
         let noise = (model.noise_sd_dn / total_dn).powi(2);
         let first = outcome.returns[last].position_samples + f64::from(self.first_sample);

@@ -290,9 +290,9 @@ impl Fit {
 
 /// Samples of a block less the background, DN.
 fn target(model: &ChannelModel, single: &Single<'_>) -> Vec<f64> {
-    let Waveform { samples, start_phase } = single.block;
+    let Waveform { samples } = single.block;
     let mut target_dn = Vec::with_capacity(samples.len());
-    model.signal_into(samples, start_phase, &mut target_dn);
+    model.signal_into(samples, &mut target_dn);
     target_dn
 }
 
@@ -364,7 +364,7 @@ mod tests {
             flags: 0,
         };
         let single = |index| Single {
-            block: Waveform { samples: &samples, start_phase: 0 },
+            block: Waveform { samples: &samples },
             fitted,
             offset_dn: 0.0,
             chi_square: 56.0,

@@ -1,7 +1,8 @@
 //! Linear least-squares problem for the splines of the response, in the whitened domain.
 
-use crate::simd::dot::dot;
 use std::ops::Range;
+
+use wavex_simd::dot::dot;
 
 use super::Single;
 use super::spline::Basis;
@@ -83,7 +84,7 @@ impl<'a> Problem<'a> {
         let samples = single.block.samples;
         self.whitener.set_used(&vec![true; samples.len()]);
         self.target.clear();
-        self.model.signal_into(samples, single.block.start_phase, &mut self.target);
+        self.model.signal_into(samples, &mut self.target);
         let start = Pulse {
             height_dn: single.fitted.amplitude_dn,
             position_samples: single.fitted.position_samples,
@@ -295,7 +296,7 @@ mod tests {
         let echo = problem.fitter.pulses()[0];
         let (count, unknowns) = (problem.basis.len(), right.len());
         let mut target = Vec::new();
-        problem.model.signal_into(single.block.samples, single.block.start_phase, &mut target);
+        problem.model.signal_into(single.block.samples, &mut target);
         problem.whitener.whiten(&mut target);
         let mut columns = vec![vec![0.0; SAMPLES]; unknowns];
         for (node, share) in shares(problem.nodes, echo.height_dn) {
@@ -329,7 +330,7 @@ mod tests {
                 let echo = pulse(height, place, 1.0);
                 let values = analogue(&mut random, &process, SAMPLES, 5.0, 4.4, &[echo]);
                 let samples = digitised(&values, 255);
-                let block = Waveform { samples: &samples, start_phase: 0 };
+                let block = Waveform { samples: &samples };
                 let fitted = found(height, place);
                 let single = Single {
                     block,

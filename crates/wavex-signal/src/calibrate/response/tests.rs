@@ -25,7 +25,7 @@ fn waveforms_of(random: &mut Random, count: usize) -> Vec<Vec<u16>> {
 }
 
 fn blocks(waveforms: &[Vec<u16>]) -> impl Iterator<Item = Waveform<'_>> + Clone {
-    waveforms.iter().map(|samples| Waveform { samples, start_phase: 0 })
+    waveforms.iter().map(|samples| Waveform { samples })
 }
 
 #[test]

@@ -140,14 +140,14 @@ impl Scene {
         least_separation_samples(self.fwhm_samples)
     }
 
-    /// Loads a new waveform.
+    /// Loads a new waveform; `first` is the index in the block of its first sample.
     ///
     /// Returns whether its length or its usable samples differ from the last one's.
     pub(super) fn load(
         &mut self,
         model: &ChannelModel,
         samples: &[u16],
-        start_phase: u8,
+        first: usize,
         recovery_samples: usize,
     ) -> bool {
         self.found.clear();
@@ -155,10 +155,10 @@ impl Scene {
         self.used.clear();
         let clear_dn = CLEAR_OF_ZERO_SD * model.noise_sd_dn;
         let mut recovering = 0;
-        model.signal_into(samples, start_phase, &mut self.target_dn);
+        model.window_signal_into(samples, first, &mut self.target_dn);
         for (k, &sample) in samples.iter().enumerate() {
             let value = f64::from(sample);
-            let background = model.background_at(start_phase, k);
+            let background = model.background_at(first + k);
             if value >= model.full_scale_dn {
                 recovering = recovery_samples + 1;
             }

@@ -12,10 +12,11 @@
 //! contain. Their expected residual is a third direction of known sign; the larger of the two
 //! statistics counts.
 
+use wavex_simd::dot::dot;
+
 use crate::shape::Pulse;
 use crate::shape::SD_OF_FWHM;
 use crate::shape::Shape;
-use crate::simd::dot::dot;
 use crate::whitening::Whitener;
 
 /// Step of differences in ln width, and in position in widths.

@@ -51,7 +51,7 @@ impl Simulation {
             let truth = scene(&mut self.random);
             let level = BACKGROUND + self.background_sd_dn * self.random.normal();
             let values = analogue(&mut self.random, &process(), 60, level, FWHM, &truth);
-            let outcome = decomposer.decompose(&digitised(&values, self.full_scale), 0);
+            let outcome = decomposer.decompose(&digitised(&values, self.full_scale));
             check_counts(&outcome);
             look(&truth, &outcome);
         }
@@ -239,7 +239,7 @@ fn decompose_exact(pulses: &[Pulse], full_scale: u16, settings: &DecomposeSettin
     let mut values = vec![20.0; 60];
     pulses.iter().for_each(|p| Shape::from(FWHM).add(p, 1.0, &mut values));
     let mut decomposer = Decomposer::new(&model, settings, 60).unwrap();
-    let outcome = decomposer.decompose(&digitised(&values, full_scale), 0);
+    let outcome = decomposer.decompose(&digitised(&values, full_scale));
     check_counts(&outcome);
     (outcome.returns.to_vec(), outcome.counts)
 }
@@ -290,7 +290,7 @@ fn returns_nearer_than_a_sample_are_merged() {
     Shape::from(FWHM).add(&pulse(100.0, 30.2, 1.0), 1.0, &mut values);
     let mut decomposer = Decomposer::new(&model, &DecomposeSettings::default(), 60).unwrap();
     let samples = digitised(&values, 255);
-    decomposer.decompose(&samples, 0);
+    decomposer.decompose(&samples);
     decomposer.returns.clear();
     decomposer.scene.found = vec![Found::new(60.0, 29.9, 0.0), Found::new(40.0, 30.6, 0.0)];
     decomposer.counts = Counts { n_candidates: 2, ..Counts::default() };
@@ -342,7 +342,7 @@ fn the_score_tells_pairs_from_widened_pulses() {
         let mut decomposer = Decomposer::new(&simulation.model, &simulation.settings, 60).unwrap();
         let mut score = || {
             let values = analogue(&mut simulation.random, &process(), 60, BACKGROUND, FWHM, pulses);
-            decomposer.decompose(&digitised(&values, 4095), 0);
+            decomposer.decompose(&digitised(&values, 4095));
             decomposer.scene.score(0)
         };
         (0..500).map(|_| score()).collect::<Vec<f64>>()
@@ -380,7 +380,7 @@ proptest! {
             prop::collection::vec(15u16..=25, 1..90),
         ],
         own_background in any::<bool>(),
-        phase in any::<u8>(),
+        first in any::<u8>(),
     ) {
         let mut model = channel(&process(), FWHM, 20.0);
         if own_background {
@@ -389,7 +389,7 @@ proptest! {
         }
         let settings = DecomposeSettings { iterations: 15, ..DecomposeSettings::default() };
         let mut decomposer = Decomposer::new(&model, &settings, 60).unwrap();
-        let outcome = decomposer.decompose(&samples, phase);
+        let outcome = decomposer.decompose_window(&samples, usize::from(first));
         check_counts(&outcome);
         prop_assert!(outcome.chi_square.is_finite() && outcome.deviation_ratio().is_finite());
         prop_assert!(outcome.returns.is_sorted_by(|a, b| a.position_samples <= b.position_samples));

@@ -4,9 +4,11 @@ use super::scene::Found;
 use super::{Decomposer, Decomposition, Return};
 
 impl Decomposer {
-    /// Loads a block with returns from elsewhere, such as the fast kernels.
-    pub fn show(&mut self, samples: &[u16], start_phase: u8, outcome: &Decomposition<'_>) {
-        self.scene.load(&self.model, samples, start_phase, self.recovery_samples());
+    /// Loads a window of a block with returns from elsewhere, such as the fast kernels.
+    ///
+    /// `first` is the index in the block of the window's first sample.
+    pub fn show(&mut self, samples: &[u16], first: usize, outcome: &Decomposition<'_>) {
+        self.scene.load(&self.model, samples, first, self.recovery_samples());
         self.returns.clear();
         self.returns.extend_from_slice(outcome.returns);
         let found = |r: &Return| Found::new(r.amplitude_dn, r.position_samples, r.width_ratio.ln());

@@ -1,5 +1,7 @@
 //! Processes a batch of waveforms from samples to fitted pulses.
 
+use wavex_simd::{Kernel, LANES, Processor, Simd};
+
 use super::Mode;
 use super::candidates::Candidates;
 use super::columns::Columns;
@@ -19,7 +21,6 @@ use super::thresholds::Thresholds;
 use crate::decompose::Waveform;
 use crate::decompose::{DecomposeSettings, Decomposer};
 use crate::flags;
-use crate::simd::{Kernel, LANES, Processor, Simd};
 
 /// Buffers of one thread, reused from batch to batch.
 pub(super) struct Workspace {

@@ -2,11 +2,12 @@
 
 use std::ops::Range;
 
+use wavex_simd::Simd;
+
 use super::columns::Columns;
 use super::pulse_model::MAX_PULSES;
 use crate::decompose::acceptance::TAIL_START_WIDTHS;
 use crate::detect::DIP_PART;
-use crate::simd::Simd;
 
 /// Maximum number of candidates per waveform; waveforms with more go to the scalar kernels.
 const MAX_CANDIDATES: usize = MAX_PULSES;

@@ -4,10 +4,11 @@
 //! therefore read each value from memory once and need no shuffle. Every operation on a lane uses
 //! that lane alone and adds in the same order in every lane.
 
+use wavex_simd::{LANES, Simd, Sixteen};
+
 use super::filter::{HIGHEST, POSITIONS, sums};
 use super::rows::{CHUNK, Rows};
 use super::tables::{Aligned, FILTER_BEFORE, FILTER_LAGS, MAX_ORDER, TAPS, TAPS_BEFORE, Tables};
-use crate::simd::{LANES, Simd, Sixteen};
 
 mod levels;
 

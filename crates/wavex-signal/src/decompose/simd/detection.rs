@@ -1,5 +1,7 @@
 //! Detection of sixteen waveforms at a time, from samples to initial pulse models.
 
+use wavex_simd::{Kernel, LANES, Simd};
+
 use super::candidates::Candidates;
 use super::columns::Columns;
 use super::pulse_model::{MAX_PULSES, PulseComponent, PulseModel};
@@ -8,7 +10,6 @@ use super::tables::Tables;
 use super::thresholds::Thresholds;
 use crate::decompose::Waveform;
 use crate::decompose::{Counts, DecomposeSettings};
-use crate::simd::{Kernel, LANES, Simd};
 
 /// Loads and filters blocks and finds the candidates of each.
 pub(super) struct Detect<'a> {
@@ -189,7 +190,7 @@ impl Begin<'_> {
         let [lowest, highest] = found.extremes;
         let is_cut_off = highest >= self.saturated || (lowest == 0 && self.clear_of_zero);
         let is_long = block.samples.len() > capacity;
-        if is_cut_off || is_long || found.too_many || !block.start_phase.is_multiple_of(4) {
+        if is_cut_off || is_long || found.too_many {
             pulse_model.give_up();
             return;
         }

@@ -6,8 +6,9 @@
 
 use std::ops::Range;
 
+use wavex_simd::{LANES, Simd, Sixteen};
+
 use super::tables::{TAPS, TAPS_BEFORE};
-use crate::simd::{LANES, Simd, Sixteen};
 
 /// Larger samples are filtered as this value: the largest signed number of 16 bits.
 pub(super) const HIGHEST: u16 = i16::MAX.cast_unsigned();

@@ -1,5 +1,7 @@
 //! Joint Levenberg-Marquardt fits of one to three pulses, on sixteen rows at a time.
 
+use wavex_simd::{Kernel, LANES, Simd};
+
 use super::fit_queue::Aim;
 use super::fitted::{Fitted, FittedLanes, FittedPulse, Values};
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
@@ -7,7 +9,6 @@ use super::solve::{Factors, factor};
 use super::tables::{ROW, Tables, U_MAX};
 use super::template::{Lookup, Lookups, Pulses, leaves_block, tail, template, weights};
 use crate::pulse_fit::{FIRST_DAMPING, NEAR_NEWTON, ROUGH_DECREASE};
-use crate::simd::{Kernel, LANES, Simd};
 
 /// Pulses to fit to a row that contains no others.
 #[derive(Clone, Copy)]

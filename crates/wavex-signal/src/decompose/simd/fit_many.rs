@@ -3,6 +3,8 @@
 //! The method of [`super::fit`], with loops in place of unrolled code. The columns of a pulse hold
 //! its own row only, and products are computed for pulses whose rows overlap.
 
+use wavex_simd::{Kernel, LANES, Simd};
+
 use super::fit::{
     DAMPING, DECREASE, HELD, Job, NO_DECREASE, ProductSums, ROUNDING, beyond_limits, results_of_lanes,
     start_of,
@@ -14,7 +16,6 @@ use super::solve::PackedFactors;
 use super::tables::{ROW, Tables, U_MAX};
 use super::template::{Lookup, Lookups, Pulses, VECTORS, leaves_block, tail, template, weights};
 use crate::pulse_fit::NEAR_NEWTON;
-use crate::simd::{Kernel, LANES, Simd};
 
 /// Largest number of parameters.
 const N: usize = 3 * MAX_CLUSTER;

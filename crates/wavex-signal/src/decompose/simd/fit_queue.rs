@@ -1,5 +1,7 @@
 //! Queues of fits, run in groups of the same kind.
 
+use wavex_simd::{Kernel, Processor, Simd};
+
 use super::fit::{Fit, Job};
 use super::fit_many::FitMany;
 use super::fitted::{Fitted, FittedPulse, Values};
@@ -8,7 +10,6 @@ use super::rows::{BATCH, Rows};
 use super::tables::Tables;
 use super::template::Lookup;
 use crate::pulse_fit;
-use crate::simd::{Kernel, Processor, Simd};
 
 /// Maximum number of iterations in each round of a fit.
 ///

@@ -1,8 +1,9 @@
 //! Fit results: values, standard deviations, and convergence.
 
+use wavex_simd::{LANES, Simd, Sixteen};
+
 use super::tables::U_MAX;
 use super::template::Pulses;
-use crate::simd::{LANES, Simd, Sixteen};
 
 /// Height (DN), position (samples from the block's first), `ln` of the width ratio.
 pub(super) type Values = [f32; 3];

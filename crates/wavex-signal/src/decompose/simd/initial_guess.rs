@@ -1,5 +1,7 @@
 //! Initial values from the width bank, and the tabulated step of the mode `fastest`.
 
+use wavex_simd::{Kernel, LANES, Simd, Sixteen};
+
 use super::detection::ByCount;
 use super::fit::Job;
 use super::fit_queue::add_pulse;
@@ -9,7 +11,6 @@ use super::pulse_model::{MAX_PULSES, PulseModel};
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::tables::{BANK, BEFORE_PEAK, PHASES, ROW, Tables};
 use super::template::{Lookup, Lookups, Pulses, VECTORS, bounded, tail, template, weights};
-use crate::simd::{Kernel, LANES, Simd, Sixteen};
 
 /// Dot products of a row with the bank.
 pub(super) type BankSums<H> = [[H; LANES]; BANK];

@@ -11,6 +11,8 @@
 //!
 //! Here `q` is the precision of the prior on the level `β`, and `r` is the residual.
 
+use wavex_simd::{Kernel, LANES, Simd, Sixteen};
+
 use super::filter::Filter;
 use super::fit_queue::add_pulse;
 use super::fitted::Values;
@@ -20,7 +22,6 @@ use super::tables::{MAX_ORDER, Tables, U_MAX, U_MIN};
 use super::template::Lookup;
 use crate::noise::ArNoise;
 use crate::shape::SD_OF_FWHM;
-use crate::simd::{Kernel, LANES, Simd, Sixteen};
 use crate::whitening::Whitener;
 
 /// Half width of the robust mean's window, standard deviations of the noise.

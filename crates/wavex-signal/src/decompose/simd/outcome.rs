@@ -2,13 +2,14 @@
 
 use std::ops::Range;
 
+use wavex_simd::{Kernel, Simd};
+
 use super::pulse_model::{PulseComponent, PulseModel, Way};
 use super::thresholds::Thresholds;
 use crate::decompose::{DEVIANT, Waveform};
 use crate::decompose::{DecomposeSettings, Decomposer, Decomposition, Return, truncation_flag};
 use crate::flags;
 use crate::sensor_model::ChannelModel;
-use crate::simd::{Kernel, Simd};
 
 /// Deviation ratio above which the scalar kernels decompose a waveform again.
 ///
@@ -90,7 +91,7 @@ impl Kernel for Give<'_> {
     #[inline(always)]
     fn run<S: Simd>(mut self, _: S) {
         for (block, pulse_model) in self.blocks.iter().zip(self.pulse_models) {
-            self.finish.push_returns(block.samples, block.start_phase, pulse_model, self.outcomes);
+            self.finish.push_returns(block.samples, pulse_model, self.outcomes);
         }
     }
 }
@@ -101,7 +102,6 @@ impl Finish<'_> {
     pub(super) fn push_returns(
         &mut self,
         samples: &[u16],
-        start_phase: u8,
         pulse_model: &mut PulseModel,
         outcomes: &mut Decompositions,
     ) {
@@ -118,7 +118,7 @@ impl Finish<'_> {
         if !is_done || is_unexplained {
             // By value: a reference would keep `outcome` in memory.
             let done = is_done.then_some([deviation_ratio, f64::from(outcome.counts.np)]);
-            if self.push_plain(samples, start_phase, done, outcomes) {
+            if self.push_plain(samples, done, outcomes) {
                 return;
             }
             outcome.left_to_plain = true;
@@ -165,17 +165,11 @@ impl Finish<'_> {
     /// `done` holds the deviation ratio and the number of returns so far; `None` if there are none.
     #[cold]
     #[inline(never)]
-    fn push_plain(
-        &mut self,
-        samples: &[u16],
-        start_phase: u8,
-        done: Option<[f64; 2]>,
-        outcomes: &mut Decompositions,
-    ) -> bool {
+    fn push_plain(&mut self, samples: &[u16], done: Option<[f64; 2]>, outcomes: &mut Decompositions) -> bool {
         *self.left_to_plain += 1;
         let plain = match done {
-            Some(_) => self.plain.decompose_thoroughly(samples, start_phase),
-            None => self.plain.decompose(samples, start_phase),
+            Some(_) => self.plain.decompose_thoroughly(samples),
+            None => self.plain.decompose(samples),
         };
         let is_better = done.is_none_or(|done| plain.is_better(done));
         if is_better {

@@ -48,7 +48,7 @@ impl Decompose<'_> {
                     // Near a good fit, only the scalar form can evaluate pulses of any width.
                     None => {
                         let pulses = pulse_model.pulses().iter().map(|p| p.values().map(f64::from));
-                        let of_wide = self.plain.chi_square_of(block.samples, block.start_phase, pulses);
+                        let of_wide = self.plain.chi_square_of(block.samples, pulses);
                         pulse_model.chi_square = pulse_model.chi_square.min(of_wide as f32);
                     }
                 }

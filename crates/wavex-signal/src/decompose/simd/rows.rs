@@ -3,11 +3,12 @@
 //! The pulses found so far are subtracted. A row belongs to one waveform, and every operation on it
 //! uses that row alone.
 
+use wavex_simd::{LANES, Simd, Sixteen};
+
 use super::fitted::Values;
 use super::level::LevelTables;
 use super::tables::{Aligned, ROW, Tables};
 use super::template::{Lookup, VECTORS, leaves_block, tail, template, weights};
-use crate::simd::{LANES, Simd, Sixteen};
 
 /// Zeros before the first sample.
 pub(super) const FRONT: usize = 32;

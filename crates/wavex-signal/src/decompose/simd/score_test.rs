@@ -8,13 +8,14 @@
 //! farther apart leave more than these directions show. Their expected residual is a third
 //! direction, of known sign, and the larger of the two scores counts.
 
+use wavex_simd::{Kernel, LANES, Simd};
+
 use super::pulse_model::PulseComponent;
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::solve::factor;
 use super::tables::{ROW, ROW_STRIDE, Tables};
 use super::template::{Lookup, VECTORS, leaves_block, template, weights};
 use crate::shape::SD_OF_FWHM;
-use crate::simd::{Kernel, LANES, Simd};
 
 /// Directions of the three fitted values and the three of a split.
 const N: usize = 6;

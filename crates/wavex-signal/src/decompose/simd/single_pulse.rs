@@ -2,6 +2,8 @@
 //!
 //! Processes them from the width bank to chi-square while their rows are in the cache.
 
+use wavex_simd::{Kernel, LANES, Simd};
+
 use super::fit::{Job, fit};
 use super::fit_queue::{Aim, ITERATIONS, add_pulse, is_strong};
 use super::fitted::Fitted;
@@ -10,7 +12,6 @@ use super::level::set_levels;
 use super::pulse_model::PulseModel;
 use super::rows::{EMPTY, Rows};
 use super::tables::{BANK, Tables};
-use crate::simd::{Kernel, LANES, Simd};
 
 /// Settles waveforms of one pulse that converge in the first iterations.
 ///

@@ -1,6 +1,6 @@
 //! Factors sixteen symmetric linear systems at once as `L D Lᵀ`.
 
-use crate::simd::Simd;
+use wavex_simd::Simd;
 
 /// Factors of sixteen positive definite matrices of order `P`.
 ///
@@ -195,8 +195,8 @@ mod tests {
     use nalgebra::{SMatrix, SVector};
 
     use super::*;
-    use crate::simd::{Kernel, SimdLevel, Sixteen};
     use crate::simulated::Random;
+    use wavex_simd::{Kernel, SimdLevel, Sixteen};
 
     struct Solve {
         matrix: [[Sixteen; 6]; 6],

@@ -2,6 +2,8 @@
 
 mod build;
 
+use wavex_simd::LANES;
+
 use super::filter::Filter;
 use super::fourier_response::{BEFORE, Series, Widened};
 use super::level::LevelTables;
@@ -10,7 +12,6 @@ use crate::noise::ArNoise;
 use crate::sensor_model::ChannelModel;
 use crate::sensor_model::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse};
 use crate::shape::FOUR_LN_2;
-use crate::simd::LANES;
 use crate::whitening::Whitener;
 
 use build::*;

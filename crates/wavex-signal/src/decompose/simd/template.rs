@@ -1,10 +1,11 @@
 //! Whitened template of a pulse and its derivatives, from the tables.
 
+use wavex_simd::{LANES, Simd, Sixteen};
+
 use super::fitted::Values;
 use super::rows::sixteen;
 use super::tables::{BEFORE_PEAK, ENTRY, KNOTS, PHASES, ROW, ROW_STRIDE, Tables, U_MAX, U_MIN, U_STEP};
 use crate::pulse_fit::{MAX_LN_WIDTH_STEP, MIN_HEIGHT_PART};
-use crate::simd::{LANES, Simd, Sixteen};
 
 /// Sixteen pulses, one per row: height, position and `ln` of the width ratio.
 #[derive(Clone, Copy)]

@@ -100,8 +100,7 @@ fn pulse_models(model: &ChannelModel, seed: u64, count: usize) -> Vec<Vec<u16>> 
 }
 
 fn decompose(fast: &mut BatchDecomposer, waveforms: &[Vec<u16>]) -> Decompositions {
-    let blocks: Vec<Waveform<'_>> =
-        waveforms.iter().map(|samples| Waveform { samples, start_phase: 0 }).collect();
+    let blocks: Vec<Waveform<'_>> = waveforms.iter().map(|samples| Waveform { samples }).collect();
     let mut outcomes = Decompositions::default();
     fast.decompose(&blocks, &mut outcomes);
     outcomes
@@ -132,7 +131,7 @@ fn assert_returns_of_plain_kernels(model: &ChannelModel, count: usize) -> u64 {
     let outcomes = decompose(&mut kernels, &waveforms);
     let (mut same, mut differences) = (0, Vec::new());
     for (samples, found) in waveforms.iter().zip(outcomes.iter()) {
-        let expected = plain.decompose(samples, 0);
+        let expected = plain.decompose(samples);
         let c = found.counts;
         assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered + c.np_merged + c.np_xtalk_dropped);
         assert_eq!(c.np as usize, found.returns.len());
@@ -273,7 +272,7 @@ fn large_samples_are_decomposed_as_small_ones() {
     let mut left = 0;
     for (outcome, samples) in decomposed(&beyond).iter().zip(&beyond.1) {
         if samples.iter().any(|sample| *sample >= HIGHEST) {
-            assert_eq!(outcome, plain.decompose(samples, 0));
+            assert_eq!(outcome, plain.decompose(samples));
             left += 1;
         }
     }
@@ -291,7 +290,7 @@ fn an_echo_before_an_overdriven_one_stays() {
     let mut plain = Decomposer::new(&model, &DecomposeSettings::default(), SAMPLES).unwrap();
     let outcomes = decompose(&mut fast(&model, Mode::Refined, SimdLevel::best()), &waveforms);
     for (outcome, samples) in outcomes.iter().zip(&waveforms) {
-        for returns in [outcome.returns, plain.decompose(samples, 0).returns] {
+        for returns in [outcome.returns, plain.decompose(samples).returns] {
             let places: Vec<f64> = returns.iter().map(|r| r.position_samples).collect();
             assert_eq!(places.len(), 2, "{places:?}");
             assert!((places[0] - 9.0).abs() < 0.5 && (places[1] - 38.0).abs() < 0.5, "{places:?}");
@@ -455,7 +454,7 @@ fn near_the_ends_of_blocks_one_step_is_enough() {
     let mut plain = Decomposer::new(&model, &DecomposeSettings::default(), SAMPLES).unwrap();
     let (mut ours, mut theirs, mut deviations) = (Vec::new(), Vec::new(), Vec::new());
     for ((outcome, samples), place) in outcomes.iter().zip(&waveforms).zip(&places) {
-        if let ([a], [b]) = (outcome.returns, plain.decompose(samples, 0).returns) {
+        if let ([a], [b]) = (outcome.returns, plain.decompose(samples).returns) {
             ours.push((a.position_samples - place) / a.position_sd_samples);
             theirs.push((b.position_samples - place) / b.position_sd_samples);
             deviations.push(a.deviation_ratio);
@@ -522,7 +521,7 @@ fn what_the_tables_cannot_hold_is_left_to_the_plain_kernels() {
     assert_eq!((outcomes.len(), outcomes.is_empty(), kernels.left_to_plain()), (20, false, 20));
     let mut plain = Decomposer::new(&model, &settings, SAMPLES).unwrap();
     for (i, samples) in waveforms.iter().enumerate() {
-        assert_eq!(outcomes.get(i), Some(plain.decompose(samples, 0)));
+        assert_eq!(outcomes.get(i), Some(plain.decompose(samples)));
     }
     assert_eq!(outcomes.get(20), None);
 }

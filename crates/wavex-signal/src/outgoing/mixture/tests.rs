@@ -1,12 +1,13 @@
 use std::sync::Arc;
 
+use wavex_simd::SimdLevel;
+
 use super::*;
 use crate::decompose::Tables;
 use crate::decompose::Waveform;
 use crate::noise::ArNoise;
 use crate::outgoing::OutgoingBatch;
 use crate::sensor_model::response::{ResponseNode, STEPS_PER_SAMPLE, SystemResponse};
-use crate::simd::SimdLevel;
 use crate::simulated::{Random, analogue, channel, digitised, pulse};
 
 const FWHM: f64 = 4.5;
@@ -62,8 +63,7 @@ fn line(random: &mut Random, echoes: &[Option<(f64, f64)>]) -> TestLine {
 }
 
 fn judged(batch: &mut OutgoingBatch, line: &TestLine, expected: impl Fn(usize) -> bool) -> Vec<Outgoing> {
-    let blocks: Vec<Waveform<'_>> =
-        line.samples.iter().map(|samples| Waveform { samples, start_phase: 0 }).collect();
+    let blocks: Vec<Waveform<'_>> = line.samples.iter().map(|samples| Waveform { samples }).collect();
     let references: Vec<ReferenceBlock<'_>> =
         line.samples.iter().map(|samples| ReferenceBlock { samples, start_samples: -10.0 }).collect();
     let mut pulses = Vec::new();
@@ -187,8 +187,7 @@ fn echoes_that_are_expected_are_judged_with_other_odds() {
 fn few_pulses_or_a_gaussian_say_nothing() {
     let (mut random, mut pulses) = (Random::new(32), Vec::new());
     let few = line(&mut random, &[None; LEAST_PULSES - 1]);
-    let blocks: Vec<Waveform<'_>> =
-        few.samples.iter().map(|samples| Waveform { samples, start_phase: 0 }).collect();
+    let blocks: Vec<Waveform<'_>> = few.samples.iter().map(|samples| Waveform { samples }).collect();
     let references: Vec<ReferenceBlock<'_>> =
         few.samples.iter().map(|samples| ReferenceBlock { samples, start_samples: 0.0 }).collect();
     let mut batch = batch(true);

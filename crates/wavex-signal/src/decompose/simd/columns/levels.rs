@@ -1,9 +1,10 @@
 //! Estimates the level of each waveform's own background before any pulse is known.
 
+use wavex_simd::{LANES, Simd};
+
 use super::{BEFORE, Columns};
 use crate::decompose::simd::level::{LEAST_FREE, LevelTables};
 use crate::decompose::simd::tables::Tables;
-use crate::simd::{LANES, Simd};
 
 /// Newton steps of the robust mean.
 ///

@@ -1,6 +1,7 @@
+use wavex_simd::{Kernel, SimdLevel};
+
 use super::*;
 use crate::noise::ArNoise;
-use crate::simd::{Kernel, SimdLevel};
 use crate::simulated::{Random, channel};
 
 struct Run<'a> {

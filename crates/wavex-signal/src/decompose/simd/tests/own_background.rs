@@ -52,7 +52,7 @@ fn returns_are_those_of_the_plain_kernels_on_any_level() {
     let outcomes = decompose(&mut kernels, &waveforms);
     let (mut same, mut near, mut all, mut offsets) = (0, 0, 0, Vec::new());
     for (samples, found) in waveforms.iter().zip(outcomes.iter()) {
-        let expected = plain.decompose(samples, 0);
+        let expected = plain.decompose(samples);
         let c = found.counts;
         assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered + c.np_merged + c.np_xtalk_dropped);
         if expected.returns.len() == found.returns.len() {
@@ -122,8 +122,7 @@ fn noise_alone_is_detected_no_more_often() {
         let settings = DecomposeSettings { detection_sigma: 3.5, ..DecomposeSettings::default() };
         let mut kernels =
             BatchDecomposer::new(model, tables, &settings, Mode::Fastest, SimdLevel::best()).unwrap();
-        let blocks: Vec<Waveform<'_>> =
-            steady.iter().map(|samples| Waveform { samples, start_phase: 0 }).collect();
+        let blocks: Vec<Waveform<'_>> = steady.iter().map(|samples| Waveform { samples }).collect();
         let mut found = Vec::new();
         kernels.detect(&blocks, &mut found);
         found.len() as f64
@@ -146,7 +145,7 @@ fn waveforms_without_free_samples_are_left_to_the_plain_kernels() {
         let mut kernels = fast(&model, mode, SimdLevel::best());
         let outcomes = decompose(&mut kernels, &waveforms);
         assert_eq!(kernels.left_to_plain(), 20);
-        assert_eq!(outcomes.get(3), Some(plain.decompose(&waveforms[3], 0)));
+        assert_eq!(outcomes.get(3), Some(plain.decompose(&waveforms[3])));
     }
 }
 

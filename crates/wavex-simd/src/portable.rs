@@ -2,7 +2,7 @@
 
 use super::{LANES, Simd, Sixteen};
 
-/// The portable path, without requirements on the processor.
+/// The portable level, without requirements on the processor.
 #[derive(Clone, Copy)]
 pub(super) struct Portable;
 

@@ -6,12 +6,13 @@ use super::{CACHE_LINE_SAMPLES, Kernel, LANES, Simd, Sixteen};
 
 /// Proof that the processor has these instructions; created by [`Avx2::detect`].
 #[derive(Clone, Copy)]
-pub(crate) struct Avx2(());
+pub(super) struct Avx2(());
 
 /// Lanes 0 to 7, lanes 8 to 15.
 type Pair = [__m256; 2];
 
 impl Avx2 {
+    #[inline]
     pub(super) fn detect() -> Option<Avx2> {
         (is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")).then_some(Avx2(()))
     }

@@ -2,13 +2,14 @@
 //!
 //! The order of summation is explicit, so results are bit-identical on every processor.
 
-use crate::simd::{Kernel, Simd, SimdLevel};
+use crate::{Kernel, Simd, SimdLevel};
 
 /// Number of values processed together.
-pub(crate) const AT_A_TIME: usize = 8;
+pub const AT_A_TIME: usize = 8;
 
 /// `Σ a b` over the common length.
-pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
+#[inline]
+pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     SimdLevel::best().processor().run(Dot { a, b })
 }
 
@@ -43,14 +44,10 @@ impl Kernel for Dot<'_> {
 }
 
 /// Number of rows added at once.
-pub(crate) const ROWS: usize = 8;
+pub const ROWS: usize = 8;
 
 /// Adds weighted rows to each target, over the common length.
-pub(crate) fn add_rows<const T: usize>(
-    targets: [&mut [f64]; T],
-    rows: [&[f64]; ROWS],
-    weights: &[[f64; ROWS]; T],
-) {
+pub fn add_rows<const T: usize>(targets: [&mut [f64]; T], rows: [&[f64]; ROWS], weights: &[[f64; ROWS]; T]) {
     SimdLevel::best().processor().run(AddRows { targets, rows, weights });
 }
 
@@ -101,7 +98,7 @@ impl<const T: usize> Kernel for AddRows<'_, T> {
 /// Replaces values from index `from` by `weight` times their prediction error.
 ///
 /// The prediction uses the `N` preceding values, nearest first; `from` is at least `N`.
-pub(crate) fn predict<const N: usize>(values: &mut [f64], from: usize, coefficients: &[f64; N], weight: f64) {
+pub fn predict<const N: usize>(values: &mut [f64], from: usize, coefficients: &[f64; N], weight: f64) {
     SimdLevel::best().processor().run(Predict { values, from: from.max(N), coefficients, weight });
 }
 

@@ -6,9 +6,10 @@ use super::{CACHE_LINE_SAMPLES, Kernel, LANES, Simd, Sixteen};
 
 /// Proof that the processor has these instructions; created by [`Avx512::detect`].
 #[derive(Clone, Copy)]
-pub(crate) struct Avx512(());
+pub(super) struct Avx512(());
 
 impl Avx512 {
+    #[inline]
     pub(super) fn detect() -> Option<Avx512> {
         let found = is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512bw")

@@ -1,6 +1,6 @@
 //! Quantises columns of values and converts decibels to ratios, bit-identical on every processor.
 
-use crate::simd::{Kernel, Simd, SimdLevel};
+use crate::{Kernel, Simd, SimdLevel};
 
 /// Quantisation of values.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -124,14 +124,14 @@ mod tests {
         if exact.is_nan() { steps.nan } else { number as i32 }
     }
 
-    /// Checks all paths available on this processor.
+    /// Checks all levels available on this processor.
     fn counted(steps: &Steps, values: &[f64]) -> Vec<i32> {
         let mut numbers = vec![7; values.len()];
         steps.count(values, &mut numbers);
-        for path in SimdLevel::ALL {
+        for level in SimdLevel::ALL {
             let mut again = vec![7; values.len()];
-            path.processor().run(Count { steps: *steps, values, numbers: &mut again });
-            assert_eq!(again, numbers, "{path:?}");
+            level.processor().run(Count { steps: *steps, values, numbers: &mut again });
+            assert_eq!(again, numbers, "{level:?}");
         }
         numbers
     }
@@ -194,9 +194,9 @@ mod tests {
         fn ratios_are_powers_of_ten(decibels in prop::collection::vec(prop_oneof![-60.0..60.0f64, -3000.0..3000.0f64], 1..40)) {
             let mut ratios = vec![0.0; decibels.len()];
             power_ratios(&decibels, &mut ratios);
-            for path in SimdLevel::ALL {
+            for level in SimdLevel::ALL {
                 let mut again = vec![0.0; decibels.len()];
-                path.processor().run(PowerRatios { decibels: &decibels, ratios: &mut again });
+                level.processor().run(PowerRatios { decibels: &decibels, ratios: &mut again });
                 prop_assert_eq!(&again, &ratios);
             }
             for (ratio, decibels) in ratios.iter().zip(&decibels) {

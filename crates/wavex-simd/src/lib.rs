@@ -1,41 +1,70 @@
 //! Sixteen `f32` in lock-step, on the instruction sets of the processor.
 //!
-//! In the SIMD kernels only this module knows instruction sets, and only it contains `unsafe`.
-//! Every kernel is written once against `Simd` and compiled once per path. All paths have sixteen
+//! In the SIMD kernels only this crate knows instruction sets, and only it contains `unsafe`.
+//! Every kernel is written once against [`Simd`] and compiled once per level. All levels have sixteen
 //! lanes (AVX2 in two registers, the portable one in an array) and round alike: a multiplication
-//! followed by an addition is fused on every path, division and square root follow IEEE 754, and
-//! `Simd::sum_each` adds in a fixed tree. The paths therefore agree to the bit.
+//! followed by an addition is fused at every level, division and square root follow IEEE 754, and
+//! [`Simd::sum_each`] adds in a fixed tree. The levels therefore agree to the bit.
+//!
+//! ```
+//! use wavex_simd::{Kernel, LANES, Simd, SimdLevel, Sixteen};
+//!
+//! struct Sum<'a>(&'a [Sixteen]);
+//!
+//! impl Kernel for Sum<'_> {
+//!     type Output = Sixteen;
+//!
+//!     // Inlined into a function that is compiled for the instruction set.
+//!     #[inline(always)]
+//!     fn run<S: Simd>(self, s: S) -> Sixteen {
+//!         let mut sum = s.splat(0.0);
+//!         for row in self.0 {
+//!             sum = s.add(sum, s.load(row));
+//!         }
+//!         let mut out = [0.0; LANES];
+//!         s.store(sum, &mut out);
+//!         out
+//!     }
+//! }
+//!
+//! assert_eq!(SimdLevel::best().run(Sum(&[[1.5; LANES]; 3])), [4.5; LANES]);
+//! ```
+//!
+//! [`dot`] and [`quantise`] are loops over doubles, which the compiler vectorises for the same levels.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
-pub(crate) mod dot;
+pub mod dot;
 mod portable;
 pub mod quantise;
 
 /// Lanes of a vector.
-pub(crate) const LANES: usize = 16;
+pub const LANES: usize = 16;
 
 /// Samples per cache line.
 #[cfg(target_arch = "x86_64")]
 const CACHE_LINE_SAMPLES: usize = 32;
 
 /// Contents of a register in memory.
-pub(crate) type Sixteen = [f32; LANES];
+pub type Sixteen = [f32; LANES];
 
 /// Operations of one instruction set.
 ///
 /// A value of the type proves that the processor supports it. Masks have bit `i` for lane `i`.
 /// `min` and `max` return the second operand if either is NaN, as SSE does.
-pub(crate) trait Simd: Copy {
+pub trait Simd: Copy {
     /// Sixteen lanes.
     type V: Copy;
     /// Eight lanes.
     type Half: Copy;
 
+    /// Broadcasts a value to every lane.
     fn splat(self, value: f32) -> Self::V;
+    /// Loads a vector from memory.
     fn load(self, from: &Sixteen) -> Self::V;
+    /// Stores a vector in memory.
     fn store(self, value: Self::V, to: &mut Sixteen);
     /// Prefetches the first samples that will soon be read.
     ///
@@ -71,12 +100,19 @@ pub(crate) trait Simd: Copy {
     fn first(self, pairs: Self::V) -> Self::V;
     /// The second number of each lane's pair as `f32`.
     fn second(self, pairs: Self::V) -> Self::V;
+    /// `a + b`.
     fn add(self, a: Self::V, b: Self::V) -> Self::V;
+    /// `a − b`.
     fn sub(self, a: Self::V, b: Self::V) -> Self::V;
+    /// `a b`.
     fn mul(self, a: Self::V, b: Self::V) -> Self::V;
+    /// `a / b`.
     fn div(self, a: Self::V, b: Self::V) -> Self::V;
+    /// Square root.
     fn sqrt(self, a: Self::V) -> Self::V;
+    /// Minimum; `b` if either is NaN.
     fn min(self, a: Self::V, b: Self::V) -> Self::V;
+    /// Maximum; `b` if either is NaN.
     fn max(self, a: Self::V, b: Self::V) -> Self::V;
     /// `a b + c`, rounded once.
     fn fma(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
@@ -106,9 +142,14 @@ pub(crate) trait Simd: Copy {
     fn sum_each(self, of: &[Self::Half; LANES]) -> Self::V;
 }
 
-/// A computation that is the same on every path.
-pub(crate) trait Kernel {
+/// A computation that is the same at every level.
+///
+/// Its `run` and the functions that it calls are marked `#[inline(always)]`: only then are they
+/// compiled for the instruction set. Closures with vector operations are not.
+pub trait Kernel {
+    /// Result of the computation.
     type Output;
+    /// Runs the computation with the operations of one instruction set.
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
 
@@ -122,16 +163,17 @@ pub enum SimdLevel {
     /// Arrays, without intrinsics.
     ///
     /// On aarch64 they compile to NEON, with the fused multiply-add of all such processors. On
-    /// x86-64 without FMA this path is exact but slow, because the library computes each fused
+    /// x86-64 without FMA this level is exact but slow, because the library computes each fused
     /// operation.
     Portable,
 }
 
 impl SimdLevel {
-    /// All paths, fastest first.
+    /// All levels, fastest first.
     pub const ALL: [SimdLevel; 3] = [SimdLevel::Avx512, SimdLevel::Avx2, SimdLevel::Portable];
 
     /// Whether this processor supports it.
+    #[inline]
     pub fn is_available(self) -> bool {
         match self {
             #[cfg(target_arch = "x86_64")]
@@ -144,32 +186,39 @@ impl SimdLevel {
         }
     }
 
-    /// Returns the fastest path that this processor supports.
+    /// Returns the fastest level that this processor supports.
+    #[inline]
     pub fn best() -> SimdLevel {
-        SimdLevel::ALL.into_iter().find(|path| path.is_available()).unwrap_or(SimdLevel::Portable)
+        SimdLevel::ALL.into_iter().find(|level| level.is_available()).unwrap_or(SimdLevel::Portable)
     }
 
-    /// Returns this path, or the portable one if the processor lacks it.
-    pub(crate) fn processor(self) -> Processor {
+    /// Returns this level, or the portable one if the processor lacks it.
+    #[inline]
+    pub fn processor(self) -> Processor {
         match self {
             #[cfg(target_arch = "x86_64")]
-            SimdLevel::Avx512 => avx512::Avx512::detect().map_or(Processor::Portable, Processor::Avx512),
+            SimdLevel::Avx512 => {
+                Processor(avx512::Avx512::detect().map_or(Detected::Portable, Detected::Avx512))
+            }
             #[cfg(target_arch = "x86_64")]
-            SimdLevel::Avx2 => avx2::Avx2::detect().map_or(Processor::Portable, Processor::Avx2),
-            _ => Processor::Portable,
+            SimdLevel::Avx2 => Processor(avx2::Avx2::detect().map_or(Detected::Portable, Detected::Avx2)),
+            _ => Processor(Detected::Portable),
         }
     }
 
-    /// Runs a kernel on this path, or on the portable one if the processor lacks it.
-    #[cfg(test)]
-    pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+    /// Runs a kernel at this level, or at the portable one if the processor lacks it.
+    #[inline]
+    pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
         self.processor().run(kernel)
     }
 }
 
-/// A path verified to be supported by the processor.
+/// A level verified to be supported by the processor.
 #[derive(Clone, Copy)]
-pub(crate) enum Processor {
+pub struct Processor(Detected);
+
+#[derive(Clone, Copy)]
+enum Detected {
     #[cfg(target_arch = "x86_64")]
     Avx512(avx512::Avx512),
     #[cfg(target_arch = "x86_64")]
@@ -178,15 +227,15 @@ pub(crate) enum Processor {
 }
 
 impl Processor {
-    /// Runs a kernel in a function compiled for the path's instructions.
+    /// Runs a kernel in a function compiled for the level's instructions.
     #[inline]
-    pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
-        match self {
+    pub fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        match self.0 {
             #[cfg(target_arch = "x86_64")]
-            Processor::Avx512(simd) => simd.run(kernel),
+            Detected::Avx512(simd) => simd.run(kernel),
             #[cfg(target_arch = "x86_64")]
-            Processor::Avx2(simd) => simd.run(kernel),
-            Processor::Portable => kernel.run(portable::Portable),
+            Detected::Avx2(simd) => simd.run(kernel),
+            Detected::Portable => kernel.run(portable::Portable),
         }
     }
 }
@@ -273,10 +322,10 @@ mod tests {
     }
 
     #[test]
-    fn every_path_gives_the_same_bits() {
+    fn every_level_gives_the_same_bits() {
         let plain = SimdLevel::Portable.run(Everything);
-        for path in SimdLevel::ALL.into_iter().filter(|path| path.is_available()) {
-            assert_eq!(path.run(Everything), plain, "{path:?}");
+        for level in SimdLevel::ALL.into_iter().filter(|level| level.is_available()) {
+            assert_eq!(level.run(Everything), plain, "{level:?}");
         }
     }
 
@@ -295,12 +344,12 @@ mod tests {
                 (out, s.lane_bits(&masks, 9))
             }
         }
-        for path in SimdLevel::ALL {
-            let (columns, bits) = path.run(Turn);
+        for level in SimdLevel::ALL {
+            let (columns, bits) = level.run(Turn);
             for (i, column) in columns.iter().enumerate() {
-                assert_eq!(*column, std::array::from_fn(|k| (16 * k + i) as f32), "{path:?}");
+                assert_eq!(*column, std::array::from_fn(|k| (16 * k + i) as f32), "{level:?}");
             }
-            assert_eq!(bits, (0..64).step_by(5).fold(0, |bits, i| bits | 1u64 << i), "{path:?}");
+            assert_eq!(bits, (0..64).step_by(5).fold(0, |bits, i| bits | 1u64 << i), "{level:?}");
         }
     }
 
@@ -317,11 +366,11 @@ mod tests {
                 out
             }
         }
-        for path in SimdLevel::ALL {
+        for level in SimdLevel::ALL {
             let number = |i: usize| (65_535 - i) as f32;
-            let [first, second] = path.run(Pairs);
-            assert_eq!(first, std::array::from_fn(|i| number(2 * i)), "{path:?}");
-            assert_eq!(second, std::array::from_fn(|i| number(2 * i + 1)), "{path:?}");
+            let [first, second] = level.run(Pairs);
+            assert_eq!(first, std::array::from_fn(|i| number(2 * i)), "{level:?}");
+            assert_eq!(second, std::array::from_fn(|i| number(2 * i + 1)), "{level:?}");
         }
     }
 
@@ -337,9 +386,24 @@ mod tests {
                 out
             }
         }
-        for path in SimdLevel::ALL {
-            assert_eq!(path.run(Sum), std::array::from_fn(|i| 16.0 * i as f32), "{path:?}");
+        for level in SimdLevel::ALL {
+            assert_eq!(level.run(Sum), std::array::from_fn(|i| 16.0 * i as f32), "{level:?}");
         }
         assert!(SimdLevel::best().is_available());
+    }
+
+    /// A virtual machine may hide a single instruction set of a processor.
+    #[test]
+    fn every_enabled_instruction_set_is_detected() {
+        for file in ["avx2.rs", "avx512.rs"] {
+            let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src").join(file);
+            let code = std::fs::read_to_string(path).unwrap();
+            let (_, enabled) = code.split_once("#[target_feature(enable = \"").unwrap();
+            let enabled: Vec<&str> = enabled.split('"').next().unwrap().split(',').collect();
+            assert!(enabled.len() >= 2, "{enabled:?}");
+            for set in enabled {
+                assert!(code.contains(&format!("is_x86_feature_detected!(\"{set}\")")), "{file}: {set}");
+            }
+        }
     }
 }
