@@ -18,7 +18,7 @@ use super::emission_choice::{self, Message, Smoothness};
 use super::line_splitter::{Lines, Sampling};
 use super::recording::units::Units;
 use super::recording::{self, AsDeclared, Declared, with_time_keys};
-use crate::keys::InvalidKey;
+use crate::keys::{InvalidKey, above};
 use crate::scan_line::{
     Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, OnlineReturn, ScanLine,
     TimeScale, emission_flags,
@@ -70,18 +70,21 @@ with_time_keys! {
 pub struct ReadLas {
     /// The `.las` or `.laz` file, a list of files, or a pattern.
     pub path: Paths,
-    /// Delay of the odd samples of a block, in samples: above -0.5 and below 0.5. Some digitisers
-    /// take odd samples late. Pulses are fitted at the true sample times; nothing is resampled.
+    /// Delay of the odd samples of a block, in samples. Some digitisers take odd samples late. Pulses
+    /// are fitted at the true sample times; nothing is resampled.
     #[serde(default)]
+    #[schemars(transform = above(-0.5).below(0.5))]
     pub odd_sample_shift: f64,
-    /// Largest value of the digitiser, DN, at least 15. The default is taken from the file; 16-bit
+    /// Largest value of the digitiser, DN. The default is taken from the file; 16-bit
     /// samples give none, because they may hold fewer bits. Samples at this value count as clipped,
     /// and a receiver counts as overdriven from 82 % of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 15))]
     pub full_scale_dn: Option<u16>,
-    /// Added to the time of each waveform relative to its pulse, ns: -1000 to 1000. Positive values
+    /// Added to the time of each waveform relative to its pulse, ns. Positive values
     /// move points along the beam, away from the sensor.
     #[serde(default)]
+    #[schemars(range(min = -1000.0, max = 1000.0))]
     pub range_time_offset_ns: f64,
     /// Projected coordinate reference system of the recording, if the file names none or a wrong
     /// one: `utm:33N`, `EPSG:2154`, or a file with WKT. Overrides the one in the file.
@@ -131,16 +134,10 @@ pub enum LasEmission {
     Clock,
 }
 
-/// Largest correction of times of flight, ns; larger values are input errors.
-const MOST_OFFSET_NS: f64 = 1000.0;
-
 impl Config for ReadLas {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
-        let is_offset = self.range_time_offset_ns.abs() <= MOST_OFFSET_NS;
-        InvalidKey::unless(is_offset, "range_time_offset_ns", "it must lie between -1000 and 1000")?;
         self.time_keys().check()?;
-        recording::check_crs(self.crs_of_input.as_deref())?;
-        self.sampling().check()
+        recording::check_crs(self.crs_of_input.as_deref())
     }
 
     fn inputs(&self) -> Vec<&str> {

@@ -7,10 +7,10 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::line_splitter::{Lines, check_odd_sample_shift};
+use super::line_splitter::Lines;
 use super::recording::time::{self, Axis, Scale, Times};
 use super::recording::{self, NO_TIME, Watched, with_time_keys};
-use crate::keys::InvalidKey;
+use crate::keys::{InvalidKey, above};
 use crate::scan_line::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
 };
@@ -87,10 +87,12 @@ pub struct Config {
     /// Refractivity of the air for the pulse (group index minus 1), ppm. Defaults to the pulse
     /// speed of the recording.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1000.0))]
     pub refractive_index_ppm: Option<f64>,
-    /// Delay of the odd samples of a block, in samples: above -0.5 and below 0.5. Some digitisers
-    /// take odd samples late. Pulses are fitted at the true sample times; nothing is resampled.
+    /// Delay of the odd samples of a block, in samples. Some digitisers take odd samples late. Pulses
+    /// are fitted at the true sample times; nothing is resampled.
     #[serde(default)]
+    #[schemars(transform = above(-0.5).below(0.5))]
     pub odd_sample_shift: f64,
 }
 }
@@ -109,9 +111,7 @@ impl stage::Config for Config {
         let is_given = |text: &Option<String>| text.as_ref().is_none_or(|text| !text.is_empty());
         unless(is_given(&self.library), "library", "the path is empty")?;
         unless(is_given(&self.index_dir), "index_dir", "the path is empty")?;
-        recording::check_refractive_index(self.refractive_index_ppm)?;
-        self.time_keys().check()?;
-        check_odd_sample_shift(self.odd_sample_shift)
+        self.time_keys().check()
     }
 
     fn local_keys(&self) -> &'static [&'static str] {
