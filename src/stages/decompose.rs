@@ -10,6 +10,7 @@ use crate::scan_line::{Blocks, Content, Kind, LineStats, Returns, ScanLine};
 use crate::stage::{
     Config, Context, DecomposedLine, FittedShot, Map, MapConfig, Result, RunContext, StageError, StageSpec,
 };
+use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::sensor_model::SensorModel;
 use wavex_signal::simd::SimdLevel;
@@ -175,18 +176,25 @@ impl Threshold {
     }
 }
 
+impl From<Option<f64>> for Threshold {
+    fn from(number: Option<f64>) -> Threshold {
+        number.map_or(Threshold::Without(false), Threshold::Number)
+    }
+}
+
 impl Default for Decompose {
     fn default() -> Decompose {
+        let kernels = DecomposeSettings::default();
         Decompose {
             mode: Mode::Refined,
             refine_when_needed: false,
-            detection_sigma: 4.5,
-            detection_sigma_last: Threshold::Without(false),
-            width_ratio: [0.8, 10.0],
+            detection_sigma: kernels.detection_sigma,
+            detection_sigma_last: kernels.detection_sigma_last.into(),
+            width_ratio: kernels.width_ratio,
             timing_error_ns: 0.004,
             emission_jitter_ns: None,
-            split_evidence: Threshold::Number(16.0),
-            template_error: 0.005,
+            split_evidence: kernels.split_evidence.into(),
+            template_error: kernels.template_error,
             drop_emission_crosstalk: false,
             distributed_targets: ProfilesKey::default(),
             online_points: OnlinePoints::default(),
