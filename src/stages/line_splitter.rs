@@ -8,23 +8,6 @@ use crate::scan_line::{Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, ScanLine
 use crate::stage::LineLocation;
 use wavex_geodesy::cone::{Cone, Turning};
 
-/// Sampling properties that a job declares.
-#[derive(Clone, Copy)]
-pub(super) struct Sampling {
-    pub(super) odd_sample_shift: f64,
-    /// Set if the file has none or a wrong one.
-    pub(super) full_scale_dn: Option<u16>,
-}
-
-impl Sampling {
-    /// Applies the declared properties to those of a file.
-    pub(super) fn with(self, info: InputInfo) -> InputInfo {
-        let full_scale_dn = self.full_scale_dn.or(info.full_scale_dn);
-        let full_scale_is_set = self.full_scale_dn.is_some();
-        InputInfo { odd_sample_shift: self.odd_sample_shift, full_scale_dn, full_scale_is_set, ..info }
-    }
-}
-
 /// Collects shots into scan lines.
 ///
 /// A line ends after a shot with the edge-of-flight-line flag, and before a shot whose scan
