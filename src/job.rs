@@ -92,6 +92,7 @@ pub struct JobSettings {
     #[schemars(extend("x-file" = "include"))]
     pub include: Option<Paths>,
     /// Number of worker threads of each parallel stage such as `decompose`; 0: one per core.
+    #[schemars(range(max = 65535))]
     pub threads: usize,
     /// Memory limit of all scan lines in the pipeline, MB.
     #[schemars(range(min = 64, max = 1_000_000_000))]
@@ -103,7 +104,7 @@ pub struct JobSettings {
     #[schemars(extend("x-file" = "output_folder"))]
     pub output_dir: Option<String>,
     /// Maximum number of scan lines that wait between two stages. Does not affect results.
-    #[schemars(range(min = 1))]
+    #[schemars(range(min = 1, max = 65535))]
     pub channel_capacity: usize,
     /// SIMD instructions of the fast kernels. Does not affect results.
     pub simd: Simd,
@@ -135,6 +136,7 @@ pub struct JobSettings {
     /// that are not of one input, such as a full disk, always stop it.
     pub on_error: OnError,
     /// Number of inputs that run at the same time; 0: as many as help. Does not affect results.
+    #[schemars(range(max = 65535))]
     pub inputs_at_once: usize,
     /// Sensor model of several inputs: common to the `survey`, from waveforms of all inputs, or from
     /// each `input` alone. An input that contradicts the survey has its own model.

@@ -5,11 +5,13 @@
 use schemars::generate::SchemaSettings;
 use schemars::transform::transform_subschemas;
 use schemars::{Schema, SchemaGenerator};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+mod bounds;
 mod schema_prose;
 
+pub use bounds::{Bounds, above, at_least, is_within};
 pub use schema_prose::{bounds, choices, listed, takes};
 
 /// The keys of a stage, or of the table `[job]`.
@@ -51,6 +53,13 @@ impl Keys {
     /// Keys in the order of their fields.
     pub fn iter(&self) -> impl Iterator<Item = Key<'_>> {
         keys_in(&self.schema)
+    }
+
+    /// Describes the first number of a table that is outside the bounds of its key, if any.
+    ///
+    /// For tables in files of their own: those of a job are checked with their positions.
+    pub fn violation(&self, table: &impl Serialize) -> Option<String> {
+        bounds::violation(&self.schema, &serde_json::to_value(table).ok()?)
     }
 
     /// Returns a key by name; `table.key` is a key of a nested table.
@@ -246,7 +255,6 @@ impl InvalidKey {
 mod tests {
     use super::*;
     use schemars::JsonSchema;
-    use serde::{Deserialize, Serialize};
     use serde_json::json;
 
     #[derive(Serialize, Deserialize, JsonSchema, Default)]

@@ -99,7 +99,7 @@ pub fn import(words: &[String], classic: Option<&str>, place: &Place) -> Result<
     let sources = std::mem::take(&mut imported.job.sources);
     let n_job_lines = imported.job.toml.lines().count();
     let import = finished(version, words, &from_files, imported, place.known);
-    if import.has_job && matches!(place.known, Known::Schema(_)) {
+    if import.has_job && matches!(place.known, Known::Program(_)) {
         let first = import.text.lines().count() - n_job_lines;
         let parsed = Job::parse(THE_JOB, &import.text, &[]);
         parsed.map_err(|errors| problem::message(&of_job(&errors, first, &sources, &given)))?;

@@ -8,6 +8,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::keys::{Keys, at_least};
 use crate::scan_line::ReturnChannel;
 use wavex_formats::{Error, Result, read_small_text};
 
@@ -16,25 +17,35 @@ use wavex_formats::{Error, Result, read_small_text};
 #[serde(default, deny_unknown_fields)]
 pub struct Calibration {
     /// Lever arm from trajectory to scanner origin, m, in body axes: forward, right, down.
+    #[schemars(transform = at_least(-100.0).at_most(100.0))]
     pub lever_arm_m: [f64; 3],
     /// Boresight rotation, applied before the mount, degrees: roll, pitch and yaw, `Rz(yaw)
     /// Ry(pitch) Rx(roll)`.
+    #[schemars(transform = at_least(-360.0).at_most(360.0))]
     pub boresight_deg: [f64; 3],
     /// Range offset, m.
+    #[schemars(range(min = -100.0, max = 100.0))]
     pub e0: f64,
     /// Range scale correction: this fraction of every range is added to it.
+    #[schemars(range(min = -0.5, max = 0.5))]
     pub e1: f64,
     /// Scan angle scale correction: this fraction of the angle is added to it.
+    #[schemars(range(min = -0.5, max = 0.5))]
     pub e2: f64,
     /// Quadratic scan angle correction, per radian.
+    #[schemars(range(min = -0.5, max = 0.5))]
     pub e3: f64,
     /// Cubic scan angle correction, per square radian.
+    #[schemars(range(min = -0.5, max = 0.5))]
     pub e4: f64,
     /// No effect.
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub e5: f64,
     /// Scan angle offset, radians.
+    #[schemars(range(min = -0.5, max = 0.5))]
     pub e6: f64,
     /// Range offset of the low-power receiver, m.
+    #[schemars(range(min = -100.0, max = 100.0))]
     pub e7: f64,
 }
 
@@ -62,8 +73,11 @@ impl Calibration {
             Calibration::of_numbers(&text)
         };
         let found = found.map_err(|problem| Error::unusable(path, problem, REMEDY))?;
-        found.check().map_err(|problem| Error::unusable(path, problem, REMEDY))?;
-        Ok(found)
+        // Implausible lengths and angles are typing or unit errors.
+        match Keys::of(Calibration::json_schema).violation(&found) {
+            Some(problem) => Err(Error::unusable(path, problem, REMEDY)),
+            None => Ok(found),
+        }
     }
 
     fn of_numbers(text: &str) -> std::result::Result<Calibration, String> {
@@ -98,28 +112,6 @@ impl Calibration {
             e6,
             e7,
         })
-    }
-
-    /// Checks what the types cannot: implausible lengths and angles are typing or unit errors.
-    pub(super) fn check(&self) -> std::result::Result<(), String> {
-        let within = |values: &[f64], most: f64| values.iter().all(|value| value.abs() <= most);
-        let checks = [
-            (within(&self.lever_arm_m, 100.0), "`lever_arm_m` must be three lengths of at most 100 m"),
-            (
-                within(&self.boresight_deg, 360.0),
-                "`boresight_deg` must be three angles of at most 360 degrees",
-            ),
-            (within(&[self.e0, self.e7], 100.0), "`e0` and `e7` must be at most 100 m"),
-            (
-                within(&[self.e1, self.e2, self.e3, self.e4, self.e6], 0.5),
-                "`e1`, `e2`, `e3`, `e4` and `e6` must be at most 0.5",
-            ),
-            (self.e5.is_finite(), "`e5` must be a number"),
-        ];
-        match checks.into_iter().find(|(holds, _)| !holds) {
-            Some((_, problem)) => Err(problem.to_owned()),
-            None => Ok(()),
-        }
     }
 
     /// Corrected range, m: `(1 + e1) range + e0`, and `+ e7` on the scale of the low-power
@@ -185,15 +177,22 @@ mod tests {
         assert_eq!(refused("1 2 3\n"), format!("it has 3 numbers instead of 12 to 14; {REMEDY}"));
         assert_eq!(refused("1..2 2 3\n"), format!("`1..2` is not a number; {REMEDY}"));
         let error = refused("200 0 0 0 0 0 0 0 0 0 0 0");
-        assert_eq!(error, format!("`lever_arm_m` must be three lengths of at most 100 m; {REMEDY}"));
+        assert_eq!(
+            error,
+            format!("`lever_arm_m` must be at least -100 and at most 100, got 200.0; {REMEDY}")
+        );
         let error = refused("0 0 0 400 0 0 0 0 0 0 0 0");
-        assert_eq!(error, format!("`boresight_deg` must be three angles of at most 360 degrees; {REMEDY}"));
+        assert_eq!(
+            error,
+            format!("`boresight_deg` must be at least -360 and at most 360, got 400.0; {REMEDY}")
+        );
         let error = refused("0 0 0 0 0 0 101 0 0 0 0 0");
-        assert_eq!(error, format!("`e0` and `e7` must be at most 100 m; {REMEDY}"));
+        assert_eq!(error, format!("`e0` must be at least -100 and at most 100, got 101.0; {REMEDY}"));
         let error = refused("0 0 0 0 0 0 0 0.6 0 0 0 0");
-        assert_eq!(error, format!("`e1`, `e2`, `e3`, `e4` and `e6` must be at most 0.5; {REMEDY}"));
+        assert_eq!(error, format!("`e1` must be at least -0.5 and at most 0.5, got 0.6; {REMEDY}"));
         let error = read("calib.toml", "e5 = nan").unwrap_err();
-        assert_eq!(error, format!("`e5` must be a number; {REMEDY}"));
+        let problem = "`e5` must be at least -1000000 and at most 1000000, got a number that is not finite";
+        assert_eq!(error, format!("{problem}; {REMEDY}"));
         let error = refused(&"0 ".repeat(60_000));
         assert_eq!(error, format!("120000 bytes is too large for a calibration; {REMEDY}"));
         let missing = Calibration::read(Path::new("no_such_calibration")).unwrap_err().to_string();

@@ -226,13 +226,6 @@ impl GeometryKeys {
                 format!("it must contain `{missing}` once: t, x, y, z, p and k are required, w is the roll");
             return Err(InvalidKey::new("geometry.trajectory_columns", problem));
         }
-        if let Some(CalibrationKey::Inline(calibration)) = &self.calibration {
-            calibration.check().map_err(|problem| InvalidKey::new("geometry.calibration", problem))?;
-        }
-        if let Some(Mount::Angles(degrees)) = self.mount {
-            let whole = degrees.iter().all(|angle| angle.abs() <= 360.0);
-            InvalidKey::unless(whole, "geometry.mount", "it must be three angles of at most 360 degrees")?;
-        }
         Ok(())
     }
 
@@ -311,19 +304,5 @@ mod tests {
         let before = keys.clone();
         keys.spell_out();
         assert_eq!((&keys, keys.turns_scanners(), keys.places_scanners()), (&before, true, true));
-    }
-
-    #[test]
-    fn lengths_and_angles_have_limits() {
-        let error = checked("calibration = { lever_arm_m = [0.0, 0.0, 1000.0] }").unwrap_err();
-        assert_eq!(
-            (error.key, error.problem.as_str()),
-            ("geometry.calibration", "`lever_arm_m` must be three lengths of at most 100 m")
-        );
-        let error = checked("mount = [0, 0, 361]").unwrap_err();
-        assert_eq!(
-            error,
-            InvalidKey::new("geometry.mount", "it must be three angles of at most 360 degrees")
-        );
     }
 }

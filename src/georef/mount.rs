@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::keys::at_least;
 use wavex_geodesy::frames::{IDENTITY, Rotation, rotation_of_angles};
 
 /// Rotation from the scanner frame to the body frame (forward, right, down): a name, or three
@@ -13,7 +14,7 @@ pub enum Mount {
     /// A named orientation of the scanner axes.
     Named(MountName),
     /// Roll, pitch and yaw, degrees: `Rz(yaw) Ry(pitch) Rx(roll)`.
-    Angles([f64; 3]),
+    Angles(#[schemars(transform = at_least(-360.0).at_most(360.0))] [f64; 3]),
 }
 
 /// Orientation of the scanner axes.

@@ -3,17 +3,21 @@
 use serde_json::{Map, Value, json};
 
 use super::JobSettings;
+use super::manual::summary;
 use crate::stage::StageSpec;
 
 /// Returns the JSON Schema (draft 2020-12) of a job of these stages.
 ///
 /// Editors with taplo support, such as Even Better TOML, validate a job whose first line is
-/// `#:schema path/to/job.schema.json`.
+/// `#:schema path/to/job.schema.json`. Stages, and keys that several of them have, are `$defs`.
 pub fn job_schema(stages: &[&'static StageSpec]) -> Value {
-    let stage: Vec<Value> = stages.iter().map(|spec| stage_schema(spec)).collect();
     let mut settings = JobSettings::keys().schema().clone();
     settings["title"] = json!("[job]");
-    json!({
+    let mut definitions: Map<String, Value> =
+        stages.iter().map(|spec| (spec.name.to_owned(), stage_schema(spec))).collect();
+    let stage: Vec<Value> = definitions.keys().map(|name| reference(name)).collect();
+    share_keys(&mut definitions);
+    let mut schema = json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "A wavex job",
         "description": "The stages that process the data, in order, and the settings of the run.",
@@ -30,7 +34,10 @@ pub fn job_schema(stages: &[&'static StageSpec]) -> Value {
         },
         "required": ["stage"],
         "additionalProperties": false,
-    })
+        "$defs": definitions,
+    });
+    without_types_of_constants(&mut schema);
+    schema
 }
 
 /// Schema of one stage: `type`, `id`, and its own keys.
@@ -49,10 +56,61 @@ fn stage_schema(spec: &StageSpec) -> Value {
     let required: Vec<String> = std::iter::once("type".to_owned()).chain(own).collect();
     json!({
         "title": spec.name,
-        "description": keys.doc(),
+        "description": summary(spec),
         "type": "object",
         "properties": properties,
         "required": required,
         "additionalProperties": false,
     })
+}
+
+/// Schema that refers to a definition.
+fn reference(name: &str) -> Value {
+    json!({ "$ref": format!("#/$defs/{name}") })
+}
+
+/// Moves the schemas of keys that several stages have to definitions of their own.
+fn share_keys(definitions: &mut Map<String, Value>) {
+    let mut keys: Vec<(String, Value, usize)> = Vec::new();
+    for (name, schema) in definitions.values().flat_map(properties) {
+        match keys.iter_mut().find(|(other, same, _)| other == name && same == schema) {
+            Some((_, _, uses)) => *uses += 1,
+            None => keys.push((name.clone(), schema.clone(), 1)),
+        }
+    }
+    // Keys of one name and different schemas stay where they are, except for the first of them.
+    let mut shared: Map<String, Value> = Map::new();
+    for (name, schema, uses) in keys {
+        if uses > 1 && !definitions.contains_key(&name) && !shared.contains_key(&name) {
+            shared.insert(name, schema);
+        }
+    }
+    for stage in definitions.values_mut() {
+        let Some(Value::Object(properties)) = stage.get_mut("properties") else { continue };
+        for (name, schema) in properties {
+            if shared.get(name) == Some(schema) {
+                *schema = reference(name);
+            }
+        }
+    }
+    definitions.extend(shared);
+}
+
+/// Keys of a stage with their schemas.
+fn properties(stage: &Value) -> impl Iterator<Item = (&String, &Value)> {
+    stage.get("properties").and_then(Value::as_object).into_iter().flatten()
+}
+
+/// Removes the type from schemas of one text, which has no other.
+fn without_types_of_constants(schema: &mut Value) {
+    match schema {
+        Value::Object(members) => {
+            if members.get("const").is_some_and(Value::is_string) {
+                members.shift_remove("type");
+            }
+            members.values_mut().for_each(without_types_of_constants);
+        }
+        Value::Array(items) => items.iter_mut().for_each(without_types_of_constants),
+        _ => {}
+    }
 }

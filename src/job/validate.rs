@@ -13,7 +13,7 @@ use toml::de::{DeTable, DeValue};
 use super::JobError;
 use super::errors::MAX_ERRORS;
 use super::manual::first_sentence;
-use crate::keys::{Keys, bounds, choices, takes};
+use crate::keys::{Keys, bounds, choices, is_within, takes};
 
 /// Finds errors in the keys of `table`; errors call the table `owner`, such as "`decompose`".
 pub(super) fn check(owner: &str, keys: &Keys, table: &Spanned<DeTable>) -> Vec<JobError> {
@@ -139,12 +139,14 @@ impl Given<'_> {
     /// Returns whether the value has the type of the schema.
     fn is_of_type(&self) -> bool {
         let fits = |name: &Value| {
+            if let (Some("boolean"), DeValue::Boolean(given)) = (name.as_str(), self.value.get_ref()) {
+                return self.schema.get("const").is_none_or(|only| only == given);
+            }
             matches!(
                 (name.as_str(), self.value.get_ref()),
                 (Some("string"), DeValue::String(_))
                     | (Some("integer"), DeValue::Integer(_))
                     | (Some("number"), DeValue::Integer(_) | DeValue::Float(_))
-                    | (Some("boolean"), DeValue::Boolean(_))
                     | (Some("array"), DeValue::Array(_))
                     | (Some("object"), DeValue::Table(_))
             )
@@ -184,7 +186,6 @@ impl Given<'_> {
     }
 
     fn check_number(&self) -> Option<JobError> {
-        let limit = |keyword: &str| self.schema.get(keyword).and_then(Value::as_f64);
         let (given, written) = match self.value.get_ref() {
             DeValue::Integer(number) => {
                 let given = i64::from_str_radix(number.as_str(), number.radix());
@@ -197,11 +198,7 @@ impl Given<'_> {
             let problem = if given.is_nan() { "not a number" } else { "too large" };
             return Some(self.must_be(&takes(self.schema), &format!("{written}, which is {problem}")));
         }
-        let holds = limit("minimum").is_none_or(|min| given >= min)
-            && limit("maximum").is_none_or(|max| given <= max)
-            && limit("exclusiveMinimum").is_none_or(|min| given > min)
-            && limit("exclusiveMaximum").is_none_or(|max| given < max);
-        let bounds = bounds(self.schema).filter(|_| !holds)?;
+        let bounds = bounds(self.schema).filter(|_| !is_within(self.schema, given))?;
         Some(self.must_be(&bounds, &written))
     }
 

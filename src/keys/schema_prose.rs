@@ -11,13 +11,18 @@ pub fn takes(schema: &Value) -> String {
     if let Some(branches) = branches(schema) {
         let mut words: Vec<String> = branches.iter().map(takes).collect();
         words.dedup();
-        return listed(&words, "or");
+        // A comma separates alternatives that have commas themselves.
+        let last = if words.iter().any(|word| word.contains(", ")) { ", or" } else { " or" };
+        return joined(&words, last);
     }
     let base = match schema.get("type").and_then(Value::as_str) {
         Some("integer") => "a whole number".to_owned(),
         Some("number") => "a number".to_owned(),
         Some("string") => "text".to_owned(),
-        Some("boolean") => "`true` or `false`".to_owned(),
+        Some("boolean") => match schema.get("const") {
+            Some(only) => format!("`{only}`"),
+            None => "`true` or `false`".to_owned(),
+        },
         Some("array") => list(schema),
         Some("object") => "a table".to_owned(),
         _ => "any value".to_owned(),
@@ -41,9 +46,12 @@ pub fn choices(schema: &Value) -> Option<Vec<&str>> {
 }
 
 /// Describes the bounds of a number: `at least 64`, `above 0 and at most 1`; `None` without bounds.
+///
+/// The largest integer of TOML is not worth a word.
 pub fn bounds(schema: &Value) -> Option<String> {
     let bound = |keyword: &str, words: &str| {
-        schema.get(keyword).and_then(number).map(|limit| format!("{words} {limit}"))
+        let limit = schema.get(keyword).filter(|limit| limit.as_i64() != Some(i64::MAX));
+        limit.and_then(number).map(|limit| format!("{words} {limit}"))
     };
     let lower = bound("minimum", "at least").or_else(|| bound("exclusiveMinimum", "above"));
     let upper = bound("maximum", "at most").or_else(|| bound("exclusiveMaximum", "below"));
@@ -55,12 +63,17 @@ pub fn bounds(schema: &Value) -> Option<String> {
 
 /// Joins names: `a`, `a or b`, `a, b or c`.
 pub fn listed(names: &[impl AsRef<str>], last: &str) -> String {
+    joined(names, &format!(" {last}"))
+}
+
+/// Joins names; `last` precedes the last one.
+fn joined(names: &[impl AsRef<str>], last: &str) -> String {
     match names {
         [] => String::new(),
         [only] => only.as_ref().to_owned(),
         [most @ .., end] => {
             let most: Vec<&str> = most.iter().map(AsRef::as_ref).collect();
-            format!("{} {last} {}", most.join(", "), end.as_ref())
+            format!("{}{last} {}", most.join(", "), end.as_ref())
         }
     }
 }
@@ -137,6 +150,11 @@ mod tests {
                 "text or a list of texts",
             ),
             (json!({"anyOf": [{"const": "auto"}, {"type": "number"}]}), "\"auto\" or a number"),
+            (
+                json!({"anyOf": [{"type": "number", "minimum": 4}, {"type": "boolean", "const": false}]}),
+                "a number, at least 4, or `false`",
+            ),
+            (json!({"type": "integer", "minimum": 0, "maximum": i64::MAX}), "a whole number, at least 0"),
             (json!({}), "any value"),
         ];
         for (schema, expected) in cases {

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::calibrate::{Auto, write_model};
 use super::decompose::Threshold;
-use crate::keys::InvalidKey;
+use crate::keys::{InvalidKey, above, at_least};
 use crate::scan_line::{Content, Kind, ScanLine};
 use crate::stage::{
     Config, Holds, Learning, Learns, LookAhead, Output, OutputFile, Result, RunContext, StageError,
@@ -91,12 +91,13 @@ pub struct Correct {
     /// Correct intensities for the angle of incidence on flat terrain, or not. If the vertical is
     /// unknown (scanner frame), they are not corrected, and the report says so.
     pub incidence: Incidence,
-    /// Reference range to which intensities are normalised, m: 1 to 100000; `false`: no range
-    /// correction. Recordings without the sensor position (LAS) are corrected neither for range nor
+    /// Reference range to which intensities are normalised, m; `false`: no range correction. Recordings without the sensor position (LAS) are corrected neither for range nor
     /// for attenuation, and the report says so.
+    #[schemars(transform = at_least(1.0).at_most(100_000.0))]
     pub reference_range_m: Threshold,
-    /// One-way atmospheric attenuation, dB/km: 0 to 100. Intensities are corrected for the two-way
+    /// One-way atmospheric attenuation, dB/km. Intensities are corrected for the two-way
     /// attenuation beyond `reference_range_m`; `false`: no correction.
+    #[schemars(transform = at_least(0.0).at_most(100.0))]
     pub attenuation_db_per_km: Threshold,
 }
 
@@ -117,10 +118,11 @@ pub enum WidthKey {
     /// Estimated from the first waveforms.
     Auto(Auto),
     /// A power of the amplitude.
-    Power(f64),
+    Power(#[schemars(range(min = -1.0, max = 1.0))] f64),
     /// Amplitudes (DN), and width ratios of a flat target.
-    Pairs(Vec<[f64; 2]>),
+    Pairs(#[schemars(transform = above(0.0).at_most(1e6))] Vec<[f64; 2]>),
     /// `false`: no dependence.
+    #[schemars(extend("const" = false))]
     Without(bool),
 }
 
@@ -156,24 +158,9 @@ impl Config for Correct {
         width::check("width_correction_low", &self.width_correction_low)?;
         width::check("width_correction_high", &self.width_correction_high)?;
         InvalidKey::unless(
-            self.range_walk != WalkKey::Without(true),
-            "range_walk",
-            "it must be \"model\", \"auto\", the path of a saved sensor model, or `false`",
-        )?;
-        InvalidKey::unless(
             self.save_model.is_none() || self.range_walk.is_auto() || self.range_walk.file().is_some(),
             "save_model",
             "it saves the range walk: set `range_walk = \"auto\"`, or save the model with `save` of calibrate",
-        )?;
-        InvalidKey::unless(
-            self.reference_range_m.is_within(1.0..=100_000.0),
-            "reference_range_m",
-            "it must lie between 1 and 100000, or be `false`",
-        )?;
-        InvalidKey::unless(
-            self.attenuation_db_per_km.is_within(0.0..=100.0),
-            "attenuation_db_per_km",
-            "it must lie between 0 and 100, or be `false`",
         )
     }
 

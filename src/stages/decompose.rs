@@ -6,11 +6,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wavex_simd::SimdLevel;
 
-use crate::keys::InvalidKey;
+use crate::keys::{InvalidKey, above, at_least};
 use crate::scan_line::{Blocks, Content, Kind, LineStats, Returns, ScanLine};
 use crate::stage::{
     Config, Context, DecomposedLine, FittedShot, Map, MapConfig, Result, RunContext, StageError, StageSpec,
 };
+use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::sensor_model::SensorModel;
 
@@ -91,31 +92,38 @@ pub struct Decompose {
     /// ratio above 3. Only for `fastest` and `fast_separated`; the other modes refine all.
     pub refine_when_needed: bool,
     /// Detection threshold, in standard deviations of the noise after the matched filter.
+    #[schemars(range(min = 2.0, max = 100.0))]
     pub detection_sigma: f64,
     /// Higher threshold for the last of two or more returns of a block, for receivers that ring after
     /// strong echoes. A last return below it is dropped, and the previous one becomes the last;
     /// `false`: same threshold.
+    #[schemars(transform = at_least(2.0).at_most(1000.0))]
     pub detection_sigma_last: Threshold,
     /// Smallest and largest width of a return relative to the calibrated pulse. A return is dropped
     /// only if its width is outside the range by more than two standard deviations and it is less than
     /// four times above its threshold; stronger ones are kept with flag bit 14.
+    #[schemars(transform = above(0.0).at_most(1e6))]
     pub width_ratio: [f64; 2],
     /// Timing error that the fit cannot estimate, such as clock and cables, ns. Added to the standard
     /// deviation of ranges.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub timing_error_ns: f64,
     /// Standard deviation of the emission time of shots without outgoing pulse or return location, ns:
     /// the jitter of the recording's clock relative to the emissions. Defaults to the bound that the
     /// reader derives from smooth points, at most that of a position within one sample, its interval
     /// over the square root of 12. Added to the standard deviation of ranges.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1000.0))]
     pub emission_jitter_ns: Option<f64>,
     /// Decrease of chi-square required to replace a widened return by two; `false`: widened returns
     /// are not divided. At most 0.1 % of single returns are divided at 16, and 0.4 % at 11, where
     /// closer pairs are resolved. Without effect for Gaussian pulses.
+    #[schemars(transform = at_least(4.0).at_most(1e6))]
     pub split_evidence: Threshold,
     /// Minimum relative error assumed for the system response. Residuals of strong returns up to this
     /// fraction of their amplitude are not returns. Raise it if strong returns are followed by false
     /// ones.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub template_error: f64,
     /// Drop returns that overlap leakage from the emission of another shot (flag bit 3).
     pub drop_emission_crosstalk: bool,
@@ -154,6 +162,7 @@ pub enum Threshold {
     /// The number.
     Number(f64),
     /// `false`.
+    #[schemars(extend("const" = false))]
     Without(bool),
 }
 
@@ -165,30 +174,27 @@ impl Threshold {
             Threshold::Without(_) => None,
         }
     }
+}
 
-    /// Whether it is a number in `range`, or `false`.
-    ///
-    /// `true` is invalid.
-    pub(super) fn is_within(self, range: std::ops::RangeInclusive<f64>) -> bool {
-        match self {
-            Threshold::Number(number) => range.contains(&number),
-            Threshold::Without(with) => !with,
-        }
+impl From<Option<f64>> for Threshold {
+    fn from(number: Option<f64>) -> Threshold {
+        number.map_or(Threshold::Without(false), Threshold::Number)
     }
 }
 
 impl Default for Decompose {
     fn default() -> Decompose {
+        let kernels = DecomposeSettings::default();
         Decompose {
             mode: Mode::Refined,
             refine_when_needed: false,
-            detection_sigma: 4.5,
-            detection_sigma_last: Threshold::Without(false),
-            width_ratio: [0.8, 10.0],
+            detection_sigma: kernels.detection_sigma,
+            detection_sigma_last: kernels.detection_sigma_last.into(),
+            width_ratio: kernels.width_ratio,
             timing_error_ns: 0.004,
             emission_jitter_ns: None,
-            split_evidence: Threshold::Number(16.0),
-            template_error: 0.005,
+            split_evidence: kernels.split_evidence.into(),
+            template_error: kernels.template_error,
             drop_emission_crosstalk: false,
             distributed_targets: ProfilesKey::default(),
             online_points: OnlinePoints::default(),
@@ -219,39 +225,14 @@ impl Config for Decompose {
              `mode = \"fastest\"` or `\"fast_separated\"`",
         )?;
         InvalidKey::unless(
-            (2.0..=100.0).contains(&self.detection_sigma),
-            "detection_sigma",
-            "it must lie between 2 and 100",
-        )?;
-        InvalidKey::unless(
-            0.0 < low && low < 1.0 && 1.0 < high,
+            low < 1.0 && 1.0 < high,
             "width_ratio",
             "it must be a range around 1, as in [0.8, 10.0]",
         )?;
         InvalidKey::unless(
-            (0.0..=1.0).contains(&self.timing_error_ns),
-            "timing_error_ns",
-            "it must lie between 0 and 1",
-        )?;
-        InvalidKey::unless(
-            self.emission_jitter_ns.is_none_or(|ns| (0.0..=1000.0).contains(&ns)),
-            "emission_jitter_ns",
-            "it must lie between 0 and 1000",
-        )?;
-        InvalidKey::unless(
-            self.detection_sigma_last.is_within(self.detection_sigma..=1000.0),
+            self.detection_sigma_last.number().is_none_or(|sigma| sigma >= self.detection_sigma),
             "detection_sigma_last",
-            "it must lie between detection_sigma and 1000, or be `false`",
-        )?;
-        InvalidKey::unless(
-            self.split_evidence.is_within(4.0..=1e6),
-            "split_evidence",
-            "it must lie between 4 and 1000000, or be `false`",
-        )?;
-        InvalidKey::unless(
-            (0.0..=1.0).contains(&self.template_error),
-            "template_error",
-            "it must lie between 0 and 1",
+            "it must be at least `detection_sigma`, or `false`",
         )
     }
 }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::keys::InvalidKey;
+use crate::keys::{InvalidKey, above};
 use crate::scan_line::{Kind, ScanLine};
 use crate::stage::{Config, Output, Result, RunContext, StageSpec, Transform, TransformConfig};
 
@@ -45,12 +45,15 @@ pub struct FilterOutliers {
     /// Mark isolated returns.
     pub points: bool,
     /// Angle between the two neighbours as seen from a waveform, degrees, above which it is not a
-    /// jump: 0 to 180.
+    /// jump.
+    #[schemars(range(min = 0.0, max = 180.0))]
     pub min_angle_deg: f64,
-    /// Height above or below both neighbours that makes a waveform a jump, m: above 0. Without
+    /// Height above or below both neighbours that makes a waveform a jump, m. Without
     /// power lines, the height of the highest trees is suitable.
+    #[schemars(transform = above(0.0).at_most(100_000.0))]
     pub max_height_m: f64,
-    /// Largest distance from one return to the next, m: 0.1 to 1000.
+    /// Largest distance from one return to the next, m.
+    #[schemars(range(min = 0.1, max = 1000.0))]
     pub max_range_m: f64,
 }
 
@@ -62,20 +65,11 @@ impl Default for FilterOutliers {
 
 impl Config for FilterOutliers {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
-        let unless = InvalidKey::unless;
-        unless(
+        InvalidKey::unless(
             self.waves || self.points,
             "points",
             "with `waves = false` it must be `true`; otherwise the stage does nothing",
-        )?;
-        unless(
-            (0.0..=180.0).contains(&self.min_angle_deg),
-            "min_angle_deg",
-            "it must lie between 0 and 180",
-        )?;
-        let height = self.max_height_m > 0.0 && self.max_height_m <= 100_000.0;
-        unless(height, "max_height_m", "it must be above 0 and at most 100000")?;
-        unless((0.1..=1000.0).contains(&self.max_range_m), "max_range_m", "it must lie between 0.1 and 1000")
+        )
     }
 }
 

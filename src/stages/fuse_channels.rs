@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::calibrate::AutoOrNumber;
-use crate::keys::InvalidKey;
+use crate::keys::{above, at_least};
 use crate::scan_line::{Block, Blocks, Channel, Content, Kind, ScanLine};
 use crate::stage::{
     Config, Holds, Learning, Learns, LookAhead, Output, Result, RunContext, StageSpec, SurveyModels,
@@ -55,15 +55,18 @@ const SIGNIFICANT_DELAY_SD: f64 = 3.0;
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FuseChannels {
-    /// Height of an echo in the low-power receiver over that in the high-power receiver, above 0;
-    /// `"auto"`: estimated.
+    /// Height of an echo in the low-power receiver over that in the high-power receiver; `"auto"`:
+    /// estimated.
+    #[schemars(transform = above(0.0).at_most(1e6))]
     pub gain_ratio: AutoOrNumber,
-    /// Delay of the high-power receiver relative to the low-power receiver, ns: -10 to 10;
+    /// Delay of the high-power receiver relative to the low-power receiver, ns;
     /// `"auto"`: estimated, as a function of amplitude if the data require it. If both keys are
     /// numbers, no lines are held back.
+    #[schemars(transform = at_least(-MOST_DELAY_NS).at_most(MOST_DELAY_NS))]
     pub delay_ns: AutoOrNumber,
     /// Number of waveforms to estimate from. Fewer are used if the input has fewer, or if
     /// `memory_mb` cannot hold them.
+    #[schemars(range(min = 20, max = i64::MAX))]
     pub waveforms: u64,
 }
 
@@ -73,21 +76,7 @@ impl Default for FuseChannels {
     }
 }
 
-impl Config for FuseChannels {
-    fn check(&self) -> std::result::Result<(), InvalidKey> {
-        InvalidKey::unless(
-            self.gain_ratio.number().is_none_or(|gain| gain > 0.0 && gain.is_finite()),
-            "gain_ratio",
-            "it must be above 0, or be \"auto\"",
-        )?;
-        InvalidKey::unless(
-            self.delay_ns.number().is_none_or(|delay_ns| delay_ns.abs() <= MOST_DELAY_NS),
-            "delay_ns",
-            "it must lie between -10 and 10, or be \"auto\"",
-        )?;
-        InvalidKey::unless(self.waveforms >= 20, "waveforms", "at least 20 waveforms are needed")
-    }
-}
+impl Config for FuseChannels {}
 
 impl FuseChannels {
     /// The fusion given by the keys, if they give all of it.

@@ -9,7 +9,6 @@ use crate::georef::Geometry;
 use crate::georef::calibration::is_on_low_power_scale;
 use crate::georef::output_crs::OutputCrs;
 use crate::georef::scan_angles::complete_in_own_axes;
-use crate::keys::InvalidKey;
 use crate::scan_line::{Content, Emission, Frame, InputInfo, Kind, Return, ScanLine};
 use crate::stage::{Config, Context, Map, MapConfig, Result, RunContext, StageError, StageSpec};
 use wavex_geodesy::frames::Vector;
@@ -56,12 +55,7 @@ pub struct Georeference {
     pub dummy_velocity_mps: f64,
 }
 
-impl Config for Georeference {
-    fn check(&self) -> std::result::Result<(), InvalidKey> {
-        let fits = self.dummy_velocity_mps.abs() <= 1000.0;
-        InvalidKey::unless(fits, "dummy_velocity_mps", "it must lie between -1000 and 1000")
-    }
-}
+impl Config for Georeference {}
 
 impl MapConfig for Georeference {
     fn make(&self, run: &RunContext) -> Result<Box<dyn Map>> {

@@ -4,41 +4,9 @@ use std::f64::consts::PI;
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::keys::InvalidKey;
 use crate::scan_line::{Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, ScanLine, emission_flags};
 use crate::stage::LineLocation;
 use wavex_geodesy::cone::{Cone, Turning};
-
-/// Checks the reader key `odd_sample_shift`.
-pub(super) fn check_odd_sample_shift(shift: f64) -> Result<(), InvalidKey> {
-    InvalidKey::unless(shift.abs() < 0.5, "odd_sample_shift", "it must lie between -0.5 and 0.5")
-}
-
-/// Smallest full scale: 4 bits.
-const LEAST_FULL_SCALE_DN: u16 = 15;
-
-/// Sampling properties that a job declares.
-#[derive(Clone, Copy)]
-pub(super) struct Sampling {
-    pub(super) odd_sample_shift: f64,
-    /// Set if the file has none or a wrong one.
-    pub(super) full_scale_dn: Option<u16>,
-}
-
-impl Sampling {
-    pub(super) fn check(self) -> Result<(), InvalidKey> {
-        check_odd_sample_shift(self.odd_sample_shift)?;
-        let is_scale = self.full_scale_dn.is_none_or(|dn| dn >= LEAST_FULL_SCALE_DN);
-        InvalidKey::unless(is_scale, "full_scale_dn", "it must be at least 15, four bits")
-    }
-
-    /// Applies the declared properties to those of a file.
-    pub(super) fn with(self, info: InputInfo) -> InputInfo {
-        let full_scale_dn = self.full_scale_dn.or(info.full_scale_dn);
-        let full_scale_is_set = self.full_scale_dn.is_some();
-        InputInfo { odd_sample_shift: self.odd_sample_shift, full_scale_dn, full_scale_is_set, ..info }
-    }
-}
 
 /// Collects shots into scan lines.
 ///

@@ -8,9 +8,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::container_info::{channel_of, info_of};
-use super::line_splitter::Sampling;
 use super::plausible;
-use super::recording::{self, AsDeclared, Declared, with_time_keys};
+use super::recording::{
+    AsDeclared, Declared, FullScale, InputCrs, OddSamples, PulseSpeed, Sampling, TimeKeys,
+};
 use crate::keys::InvalidKey;
 use crate::plausibility::Check;
 use crate::scan_line::{
@@ -28,7 +29,6 @@ use wavex_formats::container::{
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<Config>("read_arrow", Kind::Shots);
 
-with_time_keys! {
 /// Reads recorded waveforms from the open waveform container (Arrow IPC).
 ///
 /// The container has one record line per scan line and one row per shot, as written by pyarrow,
@@ -59,23 +59,21 @@ pub struct Config {
     /// The container: a file, a pattern, or a list of them; `-` is standard input. The job runs
     /// once for each.
     pub path: Paths,
-    /// Delay of the odd samples of a block, in samples: above -0.5 and below 0.5. Some digitisers
-    /// take odd samples late. Pulses are fitted at the true sample times; nothing is resampled.
-    #[serde(default)]
-    pub odd_sample_shift: f64,
-    /// Largest value of the digitiser, DN, at least 15. The default is taken from the file. Samples
-    /// at this value count as clipped, and a receiver counts as overdriven from 82 % of it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub full_scale_dn: Option<u16>,
-    /// Refractivity of the air for the pulse (group index minus 1), ppm. Defaults to the pulse
-    /// speed of the recording.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refractive_index_ppm: Option<f64>,
-    /// Projected coordinate reference system of the recording, if the file names none or a wrong
-    /// one: `utm:33N`, `EPSG:2154`, or a file with WKT. Overrides the one in the file.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub crs_of_input: Option<String>,
-}
+    /// Timing of the samples of a block.
+    #[serde(flatten)]
+    pub odd_samples: OddSamples,
+    /// Range of the samples.
+    #[serde(flatten)]
+    pub full_scale: FullScale,
+    /// Speed of the pulse.
+    #[serde(flatten)]
+    pub pulse_speed: PulseSpeed,
+    /// Coordinate reference system of the recording.
+    #[serde(flatten)]
+    pub input_crs: InputCrs,
+    /// Times of the recording.
+    #[serde(flatten)]
+    pub times: TimeKeys,
 }
 
 impl stage::Config for Config {
@@ -83,20 +81,12 @@ impl stage::Config for Config {
         let patterns = self.path.patterns();
         InvalidKey::unless(!patterns.is_empty(), "path", "at least one file is needed")?;
         InvalidKey::unless(!patterns.iter().any(String::is_empty), "path", "a path is empty")?;
-        recording::check_refractive_index(self.refractive_index_ppm)?;
-        self.time_keys().check()?;
-        recording::check_crs(self.crs_of_input.as_deref())?;
-        self.sampling().check()
+        self.times.check()?;
+        self.input_crs.check()
     }
 
     fn inputs(&self) -> Vec<&str> {
-        recording::crs_file(self.crs_of_input.as_deref())
-    }
-}
-
-impl Config {
-    fn sampling(&self) -> Sampling {
-        Sampling { odd_sample_shift: self.odd_sample_shift, full_scale_dn: self.full_scale_dn }
+        self.input_crs.file()
     }
 }
 
@@ -106,11 +96,15 @@ impl SourceConfig for Config {
     }
 
     fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
-        self.declare(ArrowLineReader::open(run, self.sampling())?, run, true)
+        self.declare(ArrowLineReader::open(run, Sampling(self.odd_samples, self.full_scale))?, run, true)
     }
 
     fn make_for_inspection(&self, run: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        self.declare(ArrowLineReader::open_partial(run, self.sampling())?, run, with_samples)
+        self.declare(
+            ArrowLineReader::open_partial(run, Sampling(self.odd_samples, self.full_scale))?,
+            run,
+            with_samples,
+        )
     }
 }
 
@@ -121,7 +115,7 @@ impl Config {
         run: &RunContext,
         with_samples: bool,
     ) -> Result<Box<dyn Source>> {
-        if self.refractive_index_ppm.is_none() {
+        if self.pulse_speed.refractive_index_ppm.is_none() {
             plausible::check_velocity(
                 source.info.group_velocity_mps,
                 "the metadata `wavex.group_velocity_mps`",
@@ -135,8 +129,7 @@ impl Config {
         if !with_samples {
             source.reader.skip_samples();
         }
-        let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
-        let declared = Declared::new(times, crs, self.refractive_index_ppm, run)?;
+        let declared = Declared::new(&self.times, &self.input_crs, self.pulse_speed, run)?;
         Ok(Box::new(
             AsDeclared::new(ArrowLineReader { with_samples, ..source }, declared).checking_emissions(),
         ))

@@ -15,9 +15,11 @@ use serde::{Deserialize, Serialize};
 
 use super::bad_records::BrokenRun;
 use super::emission_choice::{self, Message, Smoothness};
-use super::line_splitter::{Lines, Sampling};
+use super::line_splitter::Lines;
 use super::recording::units::Units;
-use super::recording::{self, AsDeclared, Declared, with_time_keys};
+use super::recording::{
+    AsDeclared, Declared, FullScale, InputCrs, OddSamples, PulseSpeed, Sampling, TimeKeys,
+};
 use crate::keys::InvalidKey;
 use crate::scan_line::{
     Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, OnlineReturn, ScanLine,
@@ -35,7 +37,6 @@ use wavex_formats::las::{GpsTime, Point, Reader};
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shots);
 
-with_time_keys! {
 /// Reads full-waveform LAS and LAZ.
 ///
 /// Supports versions 1.3 and 1.4 with point formats 4, 5, 9 and 10, and waveform packets inside the
@@ -70,23 +71,20 @@ with_time_keys! {
 pub struct ReadLas {
     /// The `.las` or `.laz` file, a list of files, or a pattern.
     pub path: Paths,
-    /// Delay of the odd samples of a block, in samples: above -0.5 and below 0.5. Some digitisers
-    /// take odd samples late. Pulses are fitted at the true sample times; nothing is resampled.
-    #[serde(default)]
-    pub odd_sample_shift: f64,
-    /// Largest value of the digitiser, DN, at least 15. The default is taken from the file; 16-bit
-    /// samples give none, because they may hold fewer bits. Samples at this value count as clipped,
-    /// and a receiver counts as overdriven from 82 % of it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub full_scale_dn: Option<u16>,
-    /// Added to the time of each waveform relative to its pulse, ns: -1000 to 1000. Positive values
+    /// Timing of the samples of a block.
+    #[serde(flatten)]
+    pub odd_samples: OddSamples,
+    /// Range of the samples.
+    #[serde(flatten)]
+    pub full_scale: FullScale,
+    /// Added to the time of each waveform relative to its pulse, ns. Positive values
     /// move points along the beam, away from the sensor.
     #[serde(default)]
+    #[schemars(range(min = -1000.0, max = 1000.0))]
     pub range_time_offset_ns: f64,
-    /// Projected coordinate reference system of the recording, if the file names none or a wrong
-    /// one: `utm:33N`, `EPSG:2154`, or a file with WKT. Overrides the one in the file.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub crs_of_input: Option<String>,
+    /// Coordinate reference system of the recording.
+    #[serde(flatten)]
+    pub input_crs: InputCrs,
     /// Time of emission: decided from the data, from the return locations, or from the positions of
     /// the waveforms alone. Without effect for files without return locations.
     #[serde(default)]
@@ -100,7 +98,9 @@ pub struct ReadLas {
     /// must be at most 1 m. Otherwise return locations or packets are wrong, and so are all points.
     #[serde(default = "yes")]
     pub check_locations: bool,
-}
+    /// Times of the recording.
+    #[serde(flatten)]
+    pub times: TimeKeys,
 }
 
 const fn yes() -> bool {
@@ -131,26 +131,14 @@ pub enum LasEmission {
     Clock,
 }
 
-/// Largest correction of times of flight, ns; larger values are input errors.
-const MOST_OFFSET_NS: f64 = 1000.0;
-
 impl Config for ReadLas {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
-        let is_offset = self.range_time_offset_ns.abs() <= MOST_OFFSET_NS;
-        InvalidKey::unless(is_offset, "range_time_offset_ns", "it must lie between -1000 and 1000")?;
-        self.time_keys().check()?;
-        recording::check_crs(self.crs_of_input.as_deref())?;
-        self.sampling().check()
+        self.times.check()?;
+        self.input_crs.check()
     }
 
     fn inputs(&self) -> Vec<&str> {
-        recording::crs_file(self.crs_of_input.as_deref())
-    }
-}
-
-impl ReadLas {
-    fn sampling(&self) -> Sampling {
-        Sampling { odd_sample_shift: self.odd_sample_shift, full_scale_dn: self.full_scale_dn }
+        self.input_crs.file()
     }
 }
 
@@ -166,8 +154,7 @@ impl SourceConfig for ReadLas {
     }
 
     fn make_for_inspection(&self, run: &RunContext, with_samples: bool) -> Result<Box<dyn Source>> {
-        let times = self.time_keys();
-        let mut declared = Declared::new(times, self.crs_of_input.as_deref(), None, run)?;
+        let mut declared = Declared::new(&self.times, &self.input_crs, PulseSpeed::default(), run)?;
         let crs_wkt = declared.crs_wkt.take();
         let open = || LasReader::open(&run.input, &run.stem, self, crs_wkt.as_deref());
         let mut source = open()?;
@@ -181,7 +168,7 @@ impl SourceConfig for ReadLas {
         if with_samples {
             source.choose_emission(self.emission, &mut open()?);
         }
-        if self.recording_time.is_some() {
+        if self.times.recording_time.is_some() {
             source.time_shift_s = 0.0;
         }
         Ok(Box::new(AsDeclared::new(source, declared)))
@@ -259,7 +246,8 @@ impl LasReader {
         let units = Units::of(declared_crs.or(of_file.wkt.as_deref()));
         let geometry = Geometry::learn(&mut Reader::open_partial(path)?.0, keys.beam_vectors, units)?;
         let crs = units.describe(of_file, declared_crs.is_some());
-        let input = keys.sampling().with(describe(&reader, path, stem, &geometry, crs));
+        let input =
+            Sampling(keys.odd_samples, keys.full_scale).with(describe(&reader, path, stem, &geometry, crs));
         Ok(LasReader {
             with_samples: true,
             range_time_offset_ns: 0.0,

@@ -11,10 +11,12 @@ use serde::{Deserialize, Serialize};
 
 use super::bad_records::BrokenRun;
 use super::emission_choice::{self, Message, Smoothness};
-use super::line_splitter::{Lines, Sampling};
+use super::line_splitter::Lines;
 use super::plausible;
 use super::recording::units::Units;
-use super::recording::{self, AsDeclared, Declared, with_time_keys};
+use super::recording::{
+    AsDeclared, Declared, FullScale, InputCrs, OddSamples, PulseSpeed, Sampling, TimeKeys,
+};
 use crate::keys::InvalidKey;
 use crate::scan_line::{Channel, Emission, EmissionReference, Kind, ScanLine, emission_flags};
 use crate::stage::{
@@ -27,7 +29,6 @@ use wavex_geodesy::beam_length::BeamLength;
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewaves", Kind::Shots);
 
-with_time_keys! {
 /// Reads PulseWaves 0.3: a `.pls` file of pulses and its `.wvs` file of waveforms.
 ///
 /// Every pulse becomes a shot and every segment of samples a sample block. Outgoing segments become
@@ -76,28 +77,25 @@ with_time_keys! {
 pub struct ReadPulseWaves {
     /// The `.pls` file, a list of files, or a pattern.
     pub path: Paths,
-    /// Delay of the odd samples of a block, in samples: above -0.5 and below 0.5. Some digitisers
-    /// take odd samples late. Pulses are fitted at the true sample times; nothing is resampled.
-    #[serde(default)]
-    pub odd_sample_shift: f64,
-    /// Largest value of the digitiser, DN, at least 15. The default is taken from the file; samples
-    /// of more than 8 bits give none, because they may hold fewer bits. Samples at this value count
-    /// as clipped, and a receiver counts as overdriven from 82 % of it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub full_scale_dn: Option<u16>,
-    /// Refractivity of the air for the pulse (group index minus 1), ppm. Defaults to the pulse
-    /// speed of the recording.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refractive_index_ppm: Option<f64>,
-    /// Projected coordinate reference system of the recording, if the file names none or a wrong
-    /// one: `utm:33N`, `EPSG:2154`, or a file with WKT. Overrides the one in the file.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub crs_of_input: Option<String>,
+    /// Timing of the samples of a block.
+    #[serde(flatten)]
+    pub odd_samples: OddSamples,
+    /// Range of the samples.
+    #[serde(flatten)]
+    pub full_scale: FullScale,
+    /// Speed of the pulse.
+    #[serde(flatten)]
+    pub pulse_speed: PulseSpeed,
+    /// Coordinate reference system of the recording.
+    #[serde(flatten)]
+    pub input_crs: InputCrs,
     /// Time of emission: decided from the data, peak of the outgoing pulse, its fraction of a sample, or
     /// the anchor alone. Without effect for files without outgoing pulses.
     #[serde(default)]
     pub emission: PulseEmission,
-}
+    /// Times of the recording.
+    #[serde(flatten)]
+    pub times: TimeKeys,
 }
 
 /// Time of emission of a PulseWaves file.
@@ -117,20 +115,12 @@ pub enum PulseEmission {
 
 impl Config for ReadPulseWaves {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
-        recording::check_refractive_index(self.refractive_index_ppm)?;
-        self.time_keys().check()?;
-        recording::check_crs(self.crs_of_input.as_deref())?;
-        self.sampling().check()
+        self.times.check()?;
+        self.input_crs.check()
     }
 
     fn inputs(&self) -> Vec<&str> {
-        recording::crs_file(self.crs_of_input.as_deref())
-    }
-}
-
-impl ReadPulseWaves {
-    fn sampling(&self) -> Sampling {
-        Sampling { odd_sample_shift: self.odd_sample_shift, full_scale_dn: self.full_scale_dn }
+        self.input_crs.file()
     }
 }
 
@@ -158,11 +148,15 @@ impl SourceConfig for ReadPulseWaves {
 
 impl ReadPulseWaves {
     fn open(&self, run: &RunContext) -> Result<(PulseWavesReader, Declared)> {
-        let (times, crs) = (self.time_keys(), self.crs_of_input.as_deref());
-        let mut declared = Declared::new(times, crs, self.refractive_index_ppm, run)?;
+        let mut declared = Declared::new(&self.times, &self.input_crs, self.pulse_speed, run)?;
         let of_job = declared.crs_wkt.as_deref();
-        let mut source = PulseWavesReader::open(&run.input, &run.stem, self.sampling(), of_job)?;
-        if self.recording_time.is_some() {
+        let mut source = PulseWavesReader::open(
+            &run.input,
+            &run.stem,
+            Sampling(self.odd_samples, self.full_scale),
+            of_job,
+        )?;
+        if self.times.recording_time.is_some() {
             source.time_shift_s = 0.0;
         }
         declared.crs_wkt = declared.crs_wkt.map(|wkt| source.units.converted(wkt));

@@ -7,9 +7,9 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::line_splitter::{Lines, check_odd_sample_shift};
+use super::line_splitter::Lines;
 use super::recording::time::{self, Axis, Scale, Times};
-use super::recording::{self, NO_TIME, Watched, with_time_keys};
+use super::recording::{self, NO_TIME, OddSamples, PulseSpeed, TimeKeys, Watched};
 use crate::keys::InvalidKey;
 use crate::scan_line::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
@@ -27,7 +27,6 @@ use shot::{Found, What, channel_of, fine_ns, what_is, zero_of};
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<Config>("read_sdf", Kind::Shots);
 
-with_time_keys! {
 /// Reads RIEGL SDF and WFM files through RIEGL's library; untested on real files.
 ///
 /// No real SDF file was available. The stage follows RIEGL's public interface and is tested against
@@ -85,15 +84,15 @@ pub struct Config {
     /// must support symbolic links.
     #[serde(default)]
     pub index_dir: Option<String>,
-    /// Refractivity of the air for the pulse (group index minus 1), ppm. Defaults to the pulse
-    /// speed of the recording.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub refractive_index_ppm: Option<f64>,
-    /// Delay of the odd samples of a block, in samples: above -0.5 and below 0.5. Some digitisers
-    /// take odd samples late. Pulses are fitted at the true sample times; nothing is resampled.
-    #[serde(default)]
-    pub odd_sample_shift: f64,
-}
+    /// Speed of the pulse.
+    #[serde(flatten)]
+    pub pulse_speed: PulseSpeed,
+    /// Timing of the samples of a block.
+    #[serde(flatten)]
+    pub odd_samples: OddSamples,
+    /// Times of the recording.
+    #[serde(flatten)]
+    pub times: TimeKeys,
 }
 
 impl stage::Config for Config {
@@ -110,9 +109,7 @@ impl stage::Config for Config {
         let is_given = |text: &Option<String>| text.as_ref().is_none_or(|text| !text.is_empty());
         unless(is_given(&self.library), "library", "the path is empty")?;
         unless(is_given(&self.index_dir), "index_dir", "the path is empty")?;
-        recording::check_refractive_index(self.refractive_index_ppm)?;
-        self.time_keys().check()?;
-        check_odd_sample_shift(self.odd_sample_shift)
+        self.times.check()
     }
 
     fn local_keys(&self) -> &'static [&'static str] {
@@ -186,7 +183,7 @@ impl SdfLineReader {
         })?;
         let (tables, mut remarks) = reader.tables();
         let named = time::named(path);
-        let about = match &config.gps_date {
+        let about = match &config.times.gps_date {
             Some(date) => time::noon(date),
             None => named,
         };
@@ -195,7 +192,7 @@ impl SdfLineReader {
         let is_first = |record: &&SdfRecord| !record.blocks.is_empty() && record.time_external_s.is_finite();
         let first_s = ahead.iter().find(is_first).map(|record| record.time_external_s);
         let is_external = reader.info().is_synchronised();
-        let scale = match config.recording_time {
+        let scale = match config.times.recording_time {
             _ if !is_external => Scale::Unknown,
             Some(said) => said.into(),
             None => Scale::of_epoch(&reader.info().epoch),
@@ -203,13 +200,13 @@ impl SdfLineReader {
         let misfit = first_s.and_then(|first_s| scale.misfit(first_s, None));
         remarks.extend(misfit.map(|problem| format!("{problem}; {}", time::SAY_SCALE)));
         let times = Times::new(scale, first_s, about);
-        let leap_s = if config.utc { times.leap_s(path, first_s)? } else { 0.0 };
-        let times = times.later_by(leap_s + config.time_offset_s);
+        let leap_s = if config.times.utc { times.leap_s(path, first_s)? } else { 0.0 };
+        let times = times.later_by(leap_s + config.times.time_offset_s);
         remarks.extend(times.remark.map(str::to_owned));
         let input = describe(config, run, &reader, &times, tables, &ahead);
         remarks.extend(recording::green_note(input.instrument.as_deref()));
         let mut at_end = false;
-        let window_s = config.time_keys().window_s(&times, path)?;
+        let window_s = config.times.window_s(&times, path)?;
         let window = window_s.map(|window_s| Window {
             watched: Watched::new(window_s),
             is_external,
@@ -373,13 +370,10 @@ fn describe(
         instrument: text(&info.instrument),
         serial: text(&info.serial),
         sampling_interval_ns: fine_ns(info.sampling_interval_s),
-        odd_sample_shift: config.odd_sample_shift,
+        odd_sample_shift: config.odd_samples.odd_sample_shift,
         full_scale_dn: Some(FULL_SCALE_DN),
         gain_control: GainControl::Off,
-        group_velocity_mps: match config.refractive_index_ppm {
-            Some(ppm) => recording::group_velocity_mps(ppm),
-            None => info.group_velocity_mps,
-        },
+        group_velocity_mps: config.pulse_speed.group_velocity_mps().unwrap_or(info.group_velocity_mps),
         pulse_rate_hz: None,
         time_scale: times.scale,
         gps_week: times.gps_week,

@@ -3,151 +3,22 @@
 
 use std::sync::Arc;
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
 use super::emission_choice::EmissionCheck;
 use crate::georef::declared;
-use crate::keys::InvalidKey;
 use crate::plausibility::Check;
 use crate::scan_line::{Content, Frame, GainControl, InputInfo, ScanLine};
 use crate::stage::{Context, Item, LineLocation, Result, RunContext, Source, StageError};
-use wavex_geodesy::time::WEEK_S;
 
+mod keys;
 pub(super) mod time;
 pub(super) mod units;
 
+pub(super) use keys::Sampling;
+pub use keys::{FullScale, InputCrs, OddSamples, PulseSpeed, RecordingTime, ScaleKey, TimeKeys};
 use time::{Axis, Scale, Times};
-
-/// Declares the keys of a reader: its own, and the time keys that all readers share.
-macro_rules! with_time_keys {
-    ($(#[$about:meta])* pub struct $name:ident { $($(#[$of_field:meta])* pub $field:ident: $type:ty,)* }) => {
-        $(#[$about])*
-        pub struct $name {
-            $($(#[$of_field])* pub $field: $type,)*
-            /// First and last second to read, both included, in the times of the recording or of
-            /// `time_scale`. Shots outside are skipped; shots without a time are rejected.
-            #[serde(default)]
-            pub time_s: Option<[f64; 2]>,
-            /// Time scale of `time_s`: seconds of the GPS week, or adjusted GPS time (seconds since
-            /// 1980-01-06, minus 1e9). Output times keep the time scale of the recording.
-            #[serde(default, skip_serializing_if = "Option::is_none")]
-            pub time_scale: Option<$crate::stages::recording::ScaleKey>,
-            /// Time scale of the recording, if the file gives none or a wrong one.
-            #[serde(default, skip_serializing_if = "Option::is_none")]
-            pub recording_time: Option<$crate::stages::recording::RecordingTime>,
-            /// The times of the recording are UTC: adds leap seconds. The day must be known from
-            /// the times of the recording, the name of an SDF file, or `gps_date`.
-            #[serde(default)]
-            pub utc: bool,
-            /// Added to the times of the recording, s. `time_s` refers to the sums.
-            #[serde(default)]
-            pub time_offset_s: f64,
-            /// Day on which the recording began, such as 2013-06-21. Needed if neither its times
-            /// nor, for SDF, the file name give it. Seconds of the day or week then have a date,
-            /// and LAS outputs hold adjusted GPS times.
-            #[serde(default)]
-            pub gps_date: Option<String>,
-        }
-
-        impl $name {
-            /// The shared time keys.
-            fn time_keys(&self) -> $crate::stages::recording::TimeKeys {
-                $crate::stages::recording::TimeKeys {
-                    time_s: self.time_s,
-                    time_scale: self.time_scale,
-                    recording_time: self.recording_time,
-                    utc: self.utc,
-                    time_offset_s: self.time_offset_s,
-                    gps_date: self.gps_date.clone(),
-                }
-            }
-        }
-    };
-}
-pub(super) use with_time_keys;
-
-/// Time scale of a time window.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ScaleKey {
-    /// Seconds of the GPS week.
-    Week,
-    /// Adjusted GPS time: seconds since 1980-01-06, minus 1e9.
-    Adjusted,
-}
-
-/// Time scale of a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum RecordingTime {
-    /// Seconds of the GPS week.
-    Week,
-    /// Seconds of the day.
-    Day,
-    /// Adjusted GPS time: seconds since 1980-01-06, minus 1e9.
-    Adjusted,
-    /// Standard GPS time: seconds since 1980-01-06.
-    Standard,
-}
-
-/// The time keys, as declared by [`with_time_keys`].
-#[derive(Clone, Debug, Default)]
-pub(super) struct TimeKeys {
-    pub(super) time_s: Option<[f64; 2]>,
-    pub(super) time_scale: Option<ScaleKey>,
-    pub(super) recording_time: Option<RecordingTime>,
-    pub(super) utc: bool,
-    pub(super) time_offset_s: f64,
-    pub(super) gps_date: Option<String>,
-}
 
 /// Rejection reason of a shot without a time.
 pub(super) const NO_TIME: &str = "no time, although `time_s` is set";
-
-impl TimeKeys {
-    pub(super) fn check(&self) -> std::result::Result<(), InvalidKey> {
-        let unless = InvalidKey::unless;
-        let ordered = self.time_s.is_none_or(|[from, to]| from.is_finite() && to.is_finite() && from <= to);
-        unless(ordered, "time_s", "it must be two numbers, the first not above the second")?;
-        let is_offset = self.time_offset_s.abs() <= WEEK_S;
-        unless(is_offset, "time_offset_s", "it must be at most a week, 604800 s, either way")?;
-        let is_date = self.gps_date.as_ref().is_none_or(|date| time::noon(date).is_some());
-        unless(is_date, "gps_date", "it must be a day from 1980-01-06 on, as in 2013-06-21")
-    }
-
-    /// Whether any key needs the time scale of the recording.
-    fn needs_scale(&self) -> bool {
-        self.utc || self.gps_date.is_some() || self.time_scale.is_some()
-    }
-}
-
-/// Largest refractivity accepted, ppm; far above that of air.
-const MOST_PPM: f64 = 1000.0;
-/// Speed of light in vacuum, m/s.
-const LIGHT_MPS: f64 = 299_792_458.0;
-
-/// Checks the reader key `refractive_index_ppm`.
-pub(super) fn check_refractive_index(ppm: Option<f64>) -> std::result::Result<(), InvalidKey> {
-    let is_air = ppm.is_none_or(|ppm| (0.0..=MOST_PPM).contains(&ppm));
-    InvalidKey::unless(is_air, "refractive_index_ppm", "it must lie between 0 and 1000")
-}
-
-/// Group velocity of the pulse in air of this refractivity, m/s.
-pub(super) fn group_velocity_mps(ppm: f64) -> f64 {
-    LIGHT_MPS / (1.0 + 1e-6 * ppm)
-}
-
-/// Checks the reader key `crs_of_input`.
-pub(super) fn check_crs(word: Option<&str>) -> std::result::Result<(), InvalidKey> {
-    let checked = word.map_or(Ok(()), declared::check);
-    checked.map_err(|problem| InvalidKey::new("crs_of_input", problem))
-}
-
-/// The file that `crs_of_input` names, if any.
-pub(super) fn crs_file(word: Option<&str>) -> Vec<&str> {
-    word.filter(|word| declared::is_file(word)).into_iter().collect()
-}
 
 /// Metadata of a recording as declared by the job.
 #[derive(Clone, Debug, Default)]
@@ -164,13 +35,14 @@ impl Declared {
     /// # Errors
     /// A coordinate reference system that cannot be read.
     pub(super) fn new(
-        times: TimeKeys,
-        crs_of_input: Option<&str>,
-        refractive_index_ppm: Option<f64>,
+        times: &TimeKeys,
+        crs: &InputCrs,
+        speed: PulseSpeed,
         run: &RunContext,
     ) -> Result<Declared> {
-        let crs_wkt = crs_of_input.map(|word| declared::wkt(word, &run.input_dir)).transpose()?;
-        Ok(Declared { times, crs_wkt, group_velocity_mps: refractive_index_ppm.map(group_velocity_mps) })
+        let word = crs.crs_of_input.as_deref();
+        let crs_wkt = word.map(|word| declared::wkt(word, &run.input_dir)).transpose()?;
+        Ok(Declared { times: times.clone(), crs_wkt, group_velocity_mps: speed.group_velocity_mps() })
     }
 }
 

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::calibrate::Auto;
 use crate::georef::Geometry;
-use crate::keys::InvalidKey;
+use crate::keys::{InvalidKey, above, at_least};
 use crate::scan_line::{Kind, ScanLine};
 use crate::stage::{Config, Output, Result, RunContext, StageError, StageSpec, Transform, TransformConfig};
 use wavex_formats::terrain::Terrain;
@@ -75,12 +75,15 @@ pub struct ResolveMta {
     pub buffer: u32,
     /// `"auto"`, or a fixed number of emissions between every echo and its pulse. 0 if no pulse
     /// leaves before the previous one has returned.
+    #[schemars(transform = at_least(0.0).at_most(f64::from(LARGEST_ZONE)))]
     pub zone: ZoneKey,
     /// Smallest and largest distance of an echo, m. At most 126 emissions back are searched.
+    #[schemars(transform = at_least(0.0).at_most(100_000.0))]
     pub range_m: [f64; 2],
     /// Height above ground as a prior, m: one height, or the smallest and the largest. Level flight
     /// is assumed if the geometry is in the scanner frame.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(transform = above(0.0).at_most(100_000.0))]
     pub agl_m: Option<HeightKey>,
     /// Standard deviation of the terrain about a single `agl_m`, m; default 100.
     #[schemars(range(min = 1.0, max = 10000.0))]
@@ -150,21 +153,10 @@ impl Default for ResolveMta {
 impl Config for ResolveMta {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         let unless = InvalidKey::unless;
-        unless((4..=10_000).contains(&self.buffer), "buffer", "it must lie between 4 and 10000")?;
         let [near, far] = self.range_m;
-        let ascending = 0.0 <= near && near < far && far <= 100_000.0;
-        unless(ascending, "range_m", "it must be two ascending distances between 0 and 100000")?;
-        let sd = |sd: f64| (1.0..=10_000.0).contains(&sd);
-        unless(self.agl_sd_m.is_none_or(sd), "agl_sd_m", "it must lie between 1 and 10000")?;
-        unless(sd(self.terrain_sd_m), "terrain_sd_m", "it must lie between 1 and 10000")?;
-        let gap = (0.0..=1000.0).contains(&self.blind_gap_ns);
-        unless(gap, "blind_gap_ns", "it must lie between 0 and 1000")?;
-        let heights = match self.agl_m {
-            None => true,
-            Some(HeightKey::Usual(height)) => height > 0.0 && height <= 100_000.0,
-            Some(HeightKey::Between([low, high])) => 0.0 < low && low < high && high <= 100_000.0,
-        };
-        unless(heights, "agl_m", "it must be a height, or two ascending ones, above 0 and at most 100000")?;
+        unless(near < far, "range_m", "it must be two ascending distances")?;
+        let ascending = !matches!(self.agl_m, Some(HeightKey::Between([low, high])) if low >= high);
+        unless(ascending, "agl_m", "it must be a height, or two ascending ones")?;
         let single = matches!(self.agl_m, Some(HeightKey::Usual(_)));
         unless(
             self.agl_sd_m.is_none() || single,
@@ -173,10 +165,9 @@ impl Config for ResolveMta {
         )?;
         let one_prior = self.agl_m.is_none() || self.terrain.is_none();
         unless(one_prior, "agl_m", "`terrain` is the more detailed prior: remove one of them")?;
-        let ZoneKey::Fixed(zone) = self.zone else { return Ok(()) };
-        unless(zone <= LARGEST_ZONE, "zone", "it must be \"auto\" or lie between 0 and 126")?;
-        let undecided = self.agl_m.is_none() && self.terrain.is_none();
-        unless(undecided, "zone", "a fixed zone needs no prior: remove `agl_m` and `terrain`")
+        let is_fixed = matches!(self.zone, ZoneKey::Fixed(_));
+        let has_prior = self.agl_m.is_some() || self.terrain.is_some();
+        unless(!(is_fixed && has_prior), "zone", "a fixed zone needs no prior: remove `agl_m` and `terrain`")
     }
 
     fn spell_out(&mut self) {

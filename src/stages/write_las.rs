@@ -112,6 +112,7 @@ pub struct WriteLas {
     /// Coordinate step, in units of the coordinate reference system. Defaults to 0.001, or to the
     /// step of the input or of `georeference` if that is below 0.00001, as required for degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1e-9, max = 1.0))]
     pub coordinate_step: Option<f64>,
     /// Names of the companion files, set on first use.
     #[serde(skip)]
@@ -155,7 +156,6 @@ impl Config for WriteLas {
             "path",
             "the file name must end in .las or .laz",
         )?;
-        self.check_step()?;
         InvalidKey::unless(
             self.project_id.is_empty() || identity::guid(&self.project_id).is_some(),
             "project_id",
@@ -216,15 +216,6 @@ impl SinkConfig for WriteLas {
 }
 
 impl WriteLas {
-    /// Checks the coordinate step.
-    pub(super) fn check_step(&self) -> std::result::Result<(), InvalidKey> {
-        InvalidKey::unless(
-            self.coordinate_step.is_none_or(|step| (1e-9..=1.0).contains(&step)),
-            "coordinate_step",
-            "it must lie between 1e-9 and 1",
-        )
-    }
-
     /// Source of the point source ID, by default that of the layout.
     fn point_source(&self) -> PointSourceKey {
         let usual = match self.attribute_layout {

@@ -2,12 +2,17 @@
 
 use serde_json::{Value, json};
 use wavex::job::{job_schema, manual, manual_of, summary};
+use wavex::registry::STAGES;
 use wavex_testkit::job_stages;
 
 /// Schema of one stage.
 fn stage<'s>(schema: &'s Value, name: &str) -> &'s Value {
     let stages = schema["properties"]["stage"]["items"]["oneOf"].as_array().unwrap();
-    stages.iter().find(|stage| stage["properties"]["type"]["const"] == name).unwrap()
+    let reference = format!("#/$defs/{name}");
+    assert!(stages.contains(&json!({ "$ref": reference })), "{name}");
+    let stage = &schema["$defs"][name];
+    assert_eq!(stage["properties"]["type"]["const"], name);
+    stage
 }
 
 #[test]
@@ -42,6 +47,26 @@ fn the_schema_carries_meanings_limits_and_defaults() {
             "x-file": "input_folder",
         })
     );
+}
+
+/// Stages have the same keys with references resolved as in their own lists.
+#[test]
+fn keys_of_several_stages_are_in_the_schema_once() {
+    let schema = job_schema(STAGES);
+    let text = schema.to_string();
+    assert_eq!(text.matches("Day on which the recording began").count(), 1);
+    assert_eq!(schema["$defs"]["read_las"]["properties"]["gps_date"], json!({ "$ref": "#/$defs/gps_date" }));
+    for spec in STAGES {
+        for key in spec.keys().iter() {
+            let mut found = &schema["$defs"][spec.name]["properties"][key.name];
+            if let Some(reference) = found.get("$ref").and_then(Value::as_str) {
+                found = schema.pointer(reference.strip_prefix('#').unwrap()).unwrap();
+            }
+            // Constants have no type in the schema of jobs.
+            let [found, key] = [found, key.schema].map(|schema| schema.to_string());
+            assert_eq!(found, key.replace("\"type\":\"string\",\"const\"", "\"const\""), "{}", spec.name);
+        }
+    }
 }
 
 #[test]

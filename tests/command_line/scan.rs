@@ -244,7 +244,7 @@ fn what_cannot_be_scanned_is_said() {
     refused(
         &["x.arrow", "--set", "read_arrow.odd_sample_shift=3"],
         2,
-        "`odd_sample_shift`: it must lie between -0.5 and 0.5\n",
+        "`odd_sample_shift` must be above -0.5 and below 0.5, got 3\n",
     );
     assert_eq!(files(&place), Vec::<String>::new());
 }

@@ -125,7 +125,7 @@ fn a_shot_is_that_of_explain_and_other_keys_change_it() {
     assert_eq!([&same["new_total"], &same["gone_total"], &same["moved_total"]], [0, 0, 0]);
 
     let refused = view.ask(&format!("shot?input=0&shot={shot}&set=decompose.detection_sigma%3D1"));
-    assert_eq!(refused.json()["error"], "`detection_sigma`: it must lie between 2 and 100");
+    assert_eq!(refused.json()["error"], "`detection_sigma` must be at least 2 and at most 100, got 1");
     let job = view.ask("job?set=decompose.detection_sigma%3D60");
     place.write("changed.toml", &job.body);
     assert_eq!(place.wavex(&["--quiet", "check", "changed.toml"]).code, Some(0));

@@ -11,6 +11,7 @@ use wavex::stage::{
     Config, Context, Map, MapConfig, Output, Paths, Result, RunContext, Sink, SinkConfig, Source,
     SourceConfig, StageSpec, Transform, TransformConfig,
 };
+use wavex_signal::decompose::DecomposeSettings;
 
 pub const STAGES: &[&StageSpec] =
     &[&READ_LAS, &SIMULATE, &CALIBRATE, &DECOMPOSE, &GEOREFERENCE, &WRITE_LAS, &WRITE_LSTAT, &WRITE_SHOTS];
@@ -214,12 +215,13 @@ impl Default for Calibrate {
 
 impl Default for Decompose {
     fn default() -> Decompose {
+        let kernels = DecomposeSettings::default();
         Decompose {
-            detection_sigma: 4.5,
-            width_ratio: [0.8, 10.0],
+            detection_sigma: kernels.detection_sigma,
+            width_ratio: kernels.width_ratio,
             longest_ns: 30.0,
             shortest_ns: 2.0,
-            split_evidence: SplitEvidence::At(16.0),
+            split_evidence: kernels.split_evidence.map_or(SplitEvidence::Never(false), SplitEvidence::At),
             start: Start::Word(StartWord::Pulse),
             refinements: 2,
         }

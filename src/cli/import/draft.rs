@@ -1,10 +1,11 @@
 //! A job under construction: keys with their source, and its TOML text.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use serde_json::Value;
-
-use crate::job::job_schema;
+use crate::georef::GeometryKeys;
+use crate::job::JobSettings;
+use crate::keys::Keys;
 use crate::registry::STAGES;
 
 /// Stages and keys that the translation may use.
@@ -12,8 +13,8 @@ use crate::registry::STAGES;
 pub enum Known {
     /// Any stage and key.
     Everything,
-    /// The stages and keys of this job schema.
-    Schema(Value),
+    /// These stages, `job` and `geometry`, with their keys.
+    Program(BTreeMap<&'static str, Keys>),
 }
 
 /// A job under construction.
@@ -62,7 +63,9 @@ pub struct Text {
 impl Known {
     /// Stages and keys of this program.
     pub fn this_build() -> Known {
-        Known::Schema(job_schema(STAGES))
+        let tables = [("job", JobSettings::keys()), ("geometry", GeometryKeys::keys())];
+        let stages = STAGES.iter().map(|spec| (spec.name, spec.keys()));
+        Known::Program(tables.into_iter().chain(stages).collect())
     }
 
     /// Returns whether the stage exists.
@@ -75,24 +78,11 @@ impl Known {
         matches!(self, Known::Everything) || self.keys_of(section).is_some_and(|keys| keys.get(key).is_some())
     }
 
-    /// Schema of a key.
-    pub fn key(&self, section: &str, key: &str) -> Option<&Value> {
-        self.keys_of(section)?.get(key)
-    }
-
-    /// Schemas of all keys of a section.
-    fn keys_of(&self, section: &str) -> Option<&Value> {
-        let Known::Schema(schema) = self else { return None };
-        let job = schema.pointer("/properties/job/properties");
-        let is_it =
-            |stage: &&Value| stage.pointer("/properties/type/const").and_then(Value::as_str) == Some(section);
-        match section {
-            "job" => job,
-            "geometry" => job?.pointer("/geometry/properties"),
-            _ => {
-                let stages = schema.pointer("/properties/stage/items/oneOf")?.as_array()?;
-                stages.iter().find(is_it)?.get("properties")
-            }
+    /// Keys of a section, if they are known.
+    pub fn keys_of(&self, section: &str) -> Option<&Keys> {
+        match self {
+            Known::Everything => None,
+            Known::Program(sections) => sections.get(section),
         }
     }
 }

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Preset;
-use crate::keys::InvalidKey;
+use crate::keys::{InvalidKey, above};
 use crate::stage::Config;
 
 /// Estimates the sensor model for `decompose` from the first waveforms.
@@ -51,6 +51,7 @@ use crate::stage::Config;
 pub struct Calibrate {
     /// Number of waveforms to calibrate from. Fewer are used if the input has fewer, or if
     /// `memory_mb` cannot hold them.
+    #[schemars(range(min = 200, max = i64::MAX))]
     pub waveforms: u64,
     /// Background of a waveform: common to the receiver (`fixed`), fitted per waveform
     /// (`per_waveform`), or decided from the data (`auto`).
@@ -58,10 +59,12 @@ pub struct Calibrate {
     /// Pulse shape: the system response estimated from single echoes (`auto`), or a Gaussian of the
     /// measured width (`gaussian`).
     pub response: ResponseKey,
-    /// Area of the exponential tail of an echo relative to the echo: above -0.9 and below 0.9. With
-    /// `"auto"` the tail is part of the response, which extends to the end of the block.
+    /// Area of the exponential tail of an echo relative to the echo. With `"auto"` the tail is part of
+    /// the response, which extends to the end of the block.
+    #[schemars(transform = above(-0.9).below(0.9))]
     pub decay_amplitude: AutoOrNumber,
     /// Time constant of that tail, ns; `"auto"` as for `decay_amplitude`. Give both or neither.
+    #[schemars(transform = above(0.0).at_most(1e6))]
     pub decay_time_ns: AutoOrNumber,
     /// File to save the model to, as JSON, for runs that must reproduce this one exactly.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -144,23 +147,12 @@ impl Default for Calibrate {
 
 impl Config for Calibrate {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
-        InvalidKey::unless(self.waveforms >= 200, "waveforms", "at least 200 waveforms are needed")?;
         InvalidKey::unless(
             self.load.is_none() || self.preset.is_none(),
             "preset",
             "`preset` and `load` both give a model: remove one of them",
         )?;
         let (amplitude, time_ns) = (self.decay_amplitude.number(), self.decay_time_ns.number());
-        InvalidKey::unless(
-            amplitude.is_none_or(|amplitude| amplitude.abs() < 0.9),
-            "decay_amplitude",
-            "it must lie between -0.9 and 0.9, or be \"auto\"",
-        )?;
-        InvalidKey::unless(
-            time_ns.is_none_or(|time_ns| time_ns > 0.0 && time_ns <= 1e6),
-            "decay_time_ns",
-            "it must be above 0 and at most 1000000, or \"auto\"",
-        )?;
         let (given, missing) = match amplitude {
             Some(_) => ("decay_amplitude", "it also needs decay_time_ns"),
             None => ("decay_time_ns", "it also needs decay_amplitude"),

@@ -345,36 +345,16 @@ fn keys_that_cannot_be_used_say_why() {
         change(&mut keys);
         keys.check().map_err(|error| (error.key, error.problem))
     };
-    let cases: [(Change, &str, &str); 6] = [
-        (
-            |keys| keys.reference_range_m = Threshold::Number(0.0),
-            "reference_range_m",
-            "it must lie between 1 and 100000, or be `false`",
-        ),
-        (
-            |keys| keys.attenuation_db_per_km = Threshold::Number(-1.0),
-            "attenuation_db_per_km",
-            "it must lie between 0 and 100, or be `false`",
-        ),
-        (
-            |keys| keys.width_correction_low = WidthKey::Power(2.0),
-            "width_correction_low",
-            "a number must lie between -1 and 1",
-        ),
-        (
-            |keys| keys.width_correction_high = WidthKey::Without(true),
-            "width_correction_high",
-            "it must be \"auto\", a number, pairs of numbers, or `false`",
-        ),
+    let cases: [(Change, &str, &str); 2] = [
         (
             |keys| keys.width_correction_low = WidthKey::Pairs(vec![[5.0, 1.0], [5.0, 1.0]]),
             "width_correction_low",
-            "pairs must have ascending amplitudes above 0 and width ratios between 0.1 and 10",
+            "pairs must have ascending amplitudes and width ratios between 0.1 and 10",
         ),
         (
             |keys| keys.width_correction_low = WidthKey::Pairs(Vec::new()),
             "width_correction_low",
-            "pairs must have ascending amplitudes above 0 and width ratios between 0.1 and 10",
+            "pairs must have ascending amplitudes and width ratios between 0.1 and 10",
         ),
     ];
     for (change, key, problem) in cases {

@@ -30,6 +30,7 @@ pub enum WalkKey {
     /// That of the sensor model that `calibrate` loaded.
     Loaded(Loaded),
     /// `false`: none.
+    #[schemars(extend("const" = false))]
     Without(bool),
     /// That of a saved sensor model.
     File(PathBuf),

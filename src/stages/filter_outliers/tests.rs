@@ -224,16 +224,11 @@ fn keys_that_cannot_be_used_say_why() {
         change(&mut keys);
         keys.check().map_err(|error| (error.key, error.problem))
     };
-    let cases: [(Change, &str, &str); 4] = [
-        (
-            |keys| (keys.waves, keys.points) = (false, false),
-            "points",
-            "with `waves = false` it must be `true`; otherwise the stage does nothing",
-        ),
-        (|keys| keys.min_angle_deg = 181.0, "min_angle_deg", "it must lie between 0 and 180"),
-        (|keys| keys.max_height_m = 0.0, "max_height_m", "it must be above 0 and at most 100000"),
-        (|keys| keys.max_range_m = f64::NAN, "max_range_m", "it must lie between 0.1 and 1000"),
-    ];
+    let cases: [(Change, &str, &str); 1] = [(
+        |keys| (keys.waves, keys.points) = (false, false),
+        "points",
+        "with `waves = false` it must be `true`; otherwise the stage does nothing",
+    )];
     for (change, key, problem) in cases {
         assert_eq!(of(change), Err((key, problem.to_owned())));
     }

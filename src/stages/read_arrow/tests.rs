@@ -7,7 +7,6 @@ use crate::stage::Config as _;
 use wavex_formats::container::{Compression, ContainerHeader, ContainerWriter, LineBuilder, channel};
 
 /// A job without declarations about the samples.
-const NO_WORD: Sampling = Sampling { odd_sample_shift: 0.0, full_scale_dn: None };
 
 fn header() -> ContainerHeader {
     ContainerHeader { time_scale: container::TimeScale::Week, ..ContainerHeader::new(1.0, 299_707_502.0) }
@@ -62,7 +61,7 @@ fn read(bytes: &[u8]) -> (Vec<ScanLine>, Context) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("made.arrow");
     std::fs::write(&path, bytes).unwrap();
-    let mut source = ArrowLineReader::open(&RunContext::alone(&path), NO_WORD).unwrap();
+    let mut source = ArrowLineReader::open(&RunContext::alone(&path), Sampling::default()).unwrap();
     let mut cx = Context::default();
     let batches = std::iter::from_fn(|| source.next(&mut cx).unwrap()).collect();
     assert_eq!(source.progress(), Some(1.0));

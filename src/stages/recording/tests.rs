@@ -166,12 +166,14 @@ fn copies_of_waveforms_are_a_warning() {
 
 #[test]
 fn a_map_that_is_declared_must_be_one() {
+    let keys = |word: &str| InputCrs { crs_of_input: Some(word.to_owned()) };
     for word in ["utm", "geodetic", "ecef", ""] {
-        assert_eq!(check_crs(Some(word)).unwrap_err().key, "crs_of_input", "{word}");
+        assert_eq!(keys(word).check().unwrap_err().key, "crs_of_input", "{word}");
     }
-    assert!(check_crs(Some("utm:99N")).is_err());
+    assert!(keys("utm:99N").check().is_err());
     for word in ["EPSG:2154", "utm:33N", "zone.wkt"] {
-        assert_eq!(check_crs(Some(word)), Ok(()));
+        assert_eq!(keys(word).check(), Ok(()));
     }
-    assert_eq!((crs_file(Some("zone.wkt")), crs_file(Some("utm:33N"))), (vec!["zone.wkt"], vec![]));
+    assert_eq!(keys("zone.wkt").file(), ["zone.wkt"]);
+    assert!(keys("utm:33N").file().is_empty());
 }

@@ -208,19 +208,13 @@ fn keys_that_contradict_one_another_are_refused() {
     for (keys, expected) in [
         ("", ""),
         ("zone = 'auto'\nagl_m = [900, 1100]\nmethod = 'variance'", ""),
-        ("buffer = 3", "buffer: it must lie between 4 and 10000"),
-        ("range_m = [50, 20]", "range_m: it must be two ascending distances between 0 and 100000"),
-        ("agl_m = 100\nagl_sd_m = 0.5", "agl_sd_m: it must lie between 1 and 10000"),
-        ("terrain_sd_m = 0", "terrain_sd_m: it must lie between 1 and 10000"),
-        ("blind_gap_ns = -1", "blind_gap_ns: it must lie between 0 and 1000"),
-        ("agl_m = 0", "agl_m: it must be a height, or two ascending ones, above 0 and at most 100000"),
-        ("agl_m = [9, 8]", "agl_m: it must be a height, or two ascending ones, above 0 and at most 100000"),
+        ("range_m = [50, 20]", "range_m: it must be two ascending distances"),
+        ("agl_m = [9, 8]", "agl_m: it must be a height, or two ascending ones"),
         (
             "agl_m = [900, 1000]\nagl_sd_m = 9",
             "agl_sd_m: it needs a single `agl_m`: two heights already define the spread of the terrain",
         ),
         ("agl_m = 9\nterrain = 'a.tif'", "agl_m: `terrain` is the more detailed prior: remove one of them"),
-        ("zone = 127", "zone: it must be \"auto\" or lie between 0 and 126"),
         ("zone = 1\nagl_m = 9", "zone: a fixed zone needs no prior: remove `agl_m` and `terrain`"),
     ] {
         assert_eq!(problem(keys), expected, "{keys}");

@@ -4,10 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{FULL_SCALE_DN, INTERVAL_NS};
-use crate::keys::InvalidKey;
+use crate::keys::{InvalidKey, above, at_least};
 use crate::scan_line::MAX_SHOTS_PER_LINE;
 use crate::stage::Config;
-use crate::stages::line_splitter::check_odd_sample_shift;
 use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year};
 use wavex_simulation::detector::Detector;
 use wavex_simulation::platform::{Motion, Platform};
@@ -17,6 +16,8 @@ use wavex_simulation::scanner::{GPS_WEEK, Mirror, START_S, Scanner};
 use wavex_simulation::scene::{CountrySettings, Scene};
 use wavex_simulation::world::World;
 
+/// Lowest pulse rate, Hz.
+const LEAST_PULSE_RATE_HZ: f64 = 1000.0;
 /// Full width at half maximum of a Gaussian response, ns.
 const GAUSSIAN_FWHM_NS: f64 = 4.5;
 /// Largest beam angle from nadir, degrees.
@@ -52,16 +53,18 @@ pub struct Simulate {
     /// Base name of the outputs.
     pub stem: String,
     /// Seed of the random numbers, which determine noise and details of the scene.
+    #[schemars(range(max = i64::MAX))]
     pub seed: u64,
     /// Seed of the scene, by default `seed`. Flights of a survey have the same `scene_seed` and
     /// `country`, and each its own `seed`.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(max = i64::MAX))]
     pub scene_seed: Option<u64>,
     /// Number of scan lines.
-    #[schemars(range(min = 1))]
+    #[schemars(range(min = 1, max = u32::MAX))]
     pub lines: u32,
     /// Number of shots per scan line.
-    #[schemars(range(min = 1, max = 4096))]
+    #[schemars(range(min = 1, max = MAX_SHOTS_PER_LINE))]
     pub shots_per_line: u32,
     /// Scan mechanism: a rotating polygon of four facets with a pause of half a line between lines;
     /// an oscillating mirror; parallel lines with spots evenly spaced on level ground; or a beam on
@@ -69,15 +72,16 @@ pub struct Simulate {
     pub scanner: ScannerKind,
     /// Pulse rate. Echoes received after the next pulse are assigned to the pulse that caused them,
     /// unless `as_recorded`.
-    #[schemars(range(min = 1000.0, max = 2000000.0))]
+    #[schemars(range(min = LEAST_PULSE_RATE_HZ, max = 2000000.0))]
     pub pulse_rate_hz: f64,
     /// Modulation: largest deviation of the interval between two pulses from its mean. Each pulse
     /// is emitted up to half of this early or late, independently of the others; 0: constant rate.
     /// Below half the interval.
-    #[schemars(range(min = 0.0))]
+    #[schemars(transform = at_least(0.0).below(0.5e9 / LEAST_PULSE_RATE_HZ))]
     pub modulation_ns: f64,
     /// Angles of the first and last shot from nadir, positive to the right; for a cone, its half
     /// angle to both sides.
+    #[schemars(transform = at_least(-60.0).at_most(60.0))]
     pub scan_angle_deg: [f64; 2],
     /// Revolutions per second of a `circular` scanner.
     #[schemars(range(min = 1.0, max = 1000.0))]
@@ -93,9 +97,11 @@ pub struct Simulate {
     pub heading_deg: f64,
     /// Radius of a circular flight with level wings, positive to the right; 0: straight. At least
     /// 100 m.
+    #[schemars(range(min = -1000000.0, max = 1000000.0))]
     pub turn_radius_m: f64,
     /// Start of the track in the scene relative to the start of the scene: right and along
     /// `heading_deg`. Flights with different tracks over one scene form a survey.
+    #[schemars(transform = at_least(-100_000.0).at_most(100_000.0))]
     pub track_offset_m: [f64; 2],
     /// Direction of the track, clockwise from `heading_deg`; 90 crosses strips of direction 0.
     #[schemars(range(min = -360.0, max = 360.0))]
@@ -107,10 +113,11 @@ pub struct Simulate {
     /// Longitude and latitude of the first position. Default without a trajectory: 12.59489 and
     /// 47.82814, in UTM zone 33 north.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(transform = at_least(-180.0).at_most(180.0))]
     pub start_deg: Option<[f64; 2]>,
     /// Start of the flight, seconds of GPS week 2365 (from 4 May 2025). Times continue past the end
     /// of the week.
-    #[schemars(range(min = 0.0, max = 604800.0))]
+    #[schemars(transform = at_least(0.0).below(WEEK_S))]
     pub start_time_s: f64,
     /// Largest roll of the aircraft, which oscillates around level flight.
     #[schemars(range(min = 0.0, max = 15.0))]
@@ -125,9 +132,11 @@ pub struct Simulate {
     #[schemars(range(min = 1.0, max = 1000.0))]
     pub motion_period_s: f64,
     /// Lever arm from the trajectory's reference point to the scanner: forward, right, down.
+    #[schemars(transform = at_least(-10.0).at_most(10.0))]
     pub lever_arm_m: [f64; 3],
     /// Boresight angles between scanner and aircraft: roll, pitch and yaw, `Rz(yaw) Ry(pitch)
     /// Rx(roll)`.
+    #[schemars(transform = at_least(-10.0).at_most(10.0))]
     pub boresight_deg: [f64; 3],
     /// Terrain: `strips`, level ground with one long building and one long forest; or `country`,
     /// unlimited hills, lakes, houses, forests and power lines.
@@ -177,14 +186,18 @@ pub struct Simulate {
     /// nearly logarithmic).
     pub detector: DetectorKind,
     /// Background of the even and odd samples of a block.
+    #[schemars(transform = at_least(0.0).at_most(100.0))]
     pub background_dn: [f64; 2],
-    /// Delay of the odd samples of a block of every receiver, in samples: above -0.5 and below 0.5.
-    /// Files do not store it: give the same value to their reader.
+    /// Delay of the odd samples of a block of every receiver, in samples. Files do not store it: give
+    /// the same value to their reader.
+    #[schemars(transform = above(-0.5).below(0.5))]
     pub odd_sample_shift: f64,
-    /// Standard deviation of the recorded noise, including quantisation; 0: quantisation only.
+    /// Standard deviation of the recorded noise, including quantisation, at least 0.5; 0: quantisation
+    /// only.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub noise_sd_dn: f64,
     /// Autocorrelation of the recorded noise at lags of 1, 2, ... samples; `[]`: none.
+    #[schemars(length(max = 16), transform = above(-1.0).below(1.0))]
     pub noise_autocorrelation: Vec<f64>,
     /// Add a high-power receiver with about a tenth of the gain.
     pub high_power: bool,
@@ -198,10 +211,10 @@ pub struct Simulate {
     /// Delay of the high-power receiver relative to the low-power one.
     #[schemars(range(min = -10.0, max = 10.0))]
     pub high_power_delay_ns: f64,
-    /// Automatic gain control: smallest and largest gain of both echo receivers, 1/1024 to 1024,
-    /// relative to the gain described by the other keys. Signal and noise scale with the gain,
+    /// Automatic gain control: smallest and largest gain of both echo receivers, relative to the gain described by the other keys. Signal and noise scale with the gain,
     /// background and quantisation do not. Each echo block has its gain, and the truth has a column
     /// `gain`. `[1, 1]`: the gain is constant and not written.
+    #[schemars(transform = at_least(1.0 / 1024.0).at_most(1024.0))]
     pub gain_range: [f64; 2],
     /// Control of the gain: `time` varies its logarithm sinusoidally with time; `echo` sets it so
     /// that the strongest echo of the previous shot of the line would have 150 digitiser steps, or
@@ -346,10 +359,6 @@ fn unless(holds: bool, key: &'static str, problem: &str) -> Checked {
     InvalidKey::unless(holds, key, problem)
 }
 
-fn within(value: f64, low: f64, high: f64) -> bool {
-    (low..=high).contains(&value)
-}
-
 impl Config for Simulate {
     fn check(&self) -> Checked {
         self.check_scanner()?;
@@ -359,50 +368,27 @@ impl Config for Simulate {
     }
 }
 
+/// Conditions on several keys, or on the shape of one.
 impl Simulate {
     fn check_scanner(&self) -> Checked {
         let is_name = !self.stem.is_empty() && !self.stem.contains(['/', '\\']);
         unless(is_name, "stem", "must be a file name without folders")?;
-        unless(self.lines >= 1, "lines", "must be at least 1")?;
-        let most = MAX_SHOTS_PER_LINE as u32;
-        unless((1..=most).contains(&self.shots_per_line), "shots_per_line", "must lie between 1 and 4096")?;
-        unless(within(self.pulse_rate_hz, 1e3, 2e6), "pulse_rate_hz", "must lie between 1000 and 2000000")?;
-        let modulation = self.modulation_ns >= 0.0 && self.modulation_ns < 0.5e9 / self.pulse_rate_hz;
-        unless(modulation, "modulation_ns", "must lie between 0 and half the interval between pulses")?;
+        let modulation = self.modulation_ns < 0.5e9 / self.pulse_rate_hz;
+        unless(modulation, "modulation_ns", "must be below half the interval between pulses")?;
         let [first, last] = self.scan_angle_deg;
-        let angles = within(first, -60.0, 60.0) && within(last, -60.0, 60.0) && first < last;
-        unless(angles, "scan_angle_deg", "must be two ascending angles between -60 and 60")?;
+        unless(first < last, "scan_angle_deg", "must be two ascending angles")?;
         let even = self.scanner != ScannerKind::Circular || first == -last;
-        unless(even, "scan_angle_deg", "must be -a and a for a circular scanner of half angle a")?;
-        unless(within(self.rotation_hz, 1.0, 1000.0), "rotation_hz", "must lie between 1 and 1000")
+        unless(even, "scan_angle_deg", "must be -a and a for a circular scanner of half angle a")
     }
 
     fn check_platform(&self) -> Checked {
-        unless(within(self.speed_mps, 1.0, 1000.0), "speed_mps", "must lie between 1 and 1000")?;
-        unless(within(self.heading_deg, -360.0, 360.0), "heading_deg", "must lie between -360 and 360")?;
-        let turns = self.turn_radius_m == 0.0 || within(self.turn_radius_m.abs(), 100.0, 1e6);
-        unless(turns, "turn_radius_m", "must be 0, or 100 to 1000000 to either side")?;
-        let near = self.track_offset_m.iter().all(|&offset| within(offset, -100_000.0, 100_000.0));
-        unless(near, "track_offset_m", "must be two lengths between -100000 and 100000")?;
-        let direction = within(self.track_direction_deg, -360.0, 360.0);
-        unless(direction, "track_direction_deg", "must lie between -360 and 360")?;
-        unless(within(self.height_error_m, -10.0, 10.0), "height_error_m", "must lie between -10 and 10")?;
-        if let Some([longitude, latitude]) = self.start_deg {
-            let on_earth = within(longitude, -180.0, 180.0) && within(latitude, -89.0, 89.0);
-            unless(on_earth, "start_deg", "must be a longitude, and a latitude between -89 and 89")?;
+        let turns = self.turn_radius_m == 0.0 || self.turn_radius_m.abs() >= 100.0;
+        unless(turns, "turn_radius_m", "must be 0, or at least 100 to either side")?;
+        if let Some([_, latitude]) = self.start_deg {
+            let is_latitude = latitude.abs() <= 89.0;
+            unless(is_latitude, "start_deg", "must be a longitude, and a latitude between -89 and 89")?;
             unless(self.has_trajectory(), "start_deg", "needs a trajectory: give `sbet` or `pof`")?;
         }
-        let in_week = self.start_time_s >= 0.0 && self.start_time_s < WEEK_S;
-        unless(in_week, "start_time_s", "must lie between 0 and 604800")?;
-        let sway = "must lie between 0 and 15";
-        unless(within(self.roll_deg, 0.0, 15.0), "roll_deg", sway)?;
-        unless(within(self.pitch_deg, 0.0, 15.0), "pitch_deg", sway)?;
-        unless(within(self.yaw_deg, 0.0, 15.0), "yaw_deg", sway)?;
-        unless(within(self.motion_period_s, 1.0, 1000.0), "motion_period_s", "must lie between 1 and 1000")?;
-        let near = self.lever_arm_m.iter().all(|&arm| within(arm, -10.0, 10.0));
-        unless(near, "lever_arm_m", "must be three lengths between -10 and 10")?;
-        let small = self.boresight_deg.iter().all(|&angle| within(angle, -10.0, 10.0));
-        unless(small, "boresight_deg", "must be three angles between -10 and 10")?;
         let steep = self.steepest_deg() <= STEEPEST_DEG;
         unless(
             steep,
@@ -412,54 +398,25 @@ impl Simulate {
     }
 
     fn check_scene(&self) -> Checked {
-        let heights = "must lie between 0 and 200";
-        unless(within(self.building_height_m, 0.0, 200.0), "building_height_m", heights)?;
-        unless(within(self.canopy_height_m, 0.0, 200.0), "canopy_height_m", heights)?;
-        unless(within(self.relief_m, 0.0, 2000.0), "relief_m", "must lie between 0 and 2000")?;
-        let share = "must lie between 0 and 1";
-        unless(within(self.water_ratio, 0.0, 1.0), "water_ratio", share)?;
-        unless(within(self.wood_ratio, 0.0, 1.0), "wood_ratio", share)?;
-        unless(within(self.house_ratio, 0.0, 1.0), "house_ratio", share)?;
-        unless(within(self.wire_height_m, 0.0, 100.0), "wire_height_m", "must lie between 0 and 100")?;
         let stands = self.building_height_m.max(self.canopy_height_m);
-        match self.landscape {
-            Landscape::Strips => {
-                let flight = "must lie between 20 m above building and wood, and 10000";
-                unless(within(self.flying_height_m, stands + 20.0, 10_000.0), "flying_height_m", flight)?;
-            }
+        let (lowest, problem) = match self.landscape {
+            Landscape::Strips => (stands + 20.0, "must be at least 20 m above building and wood"),
             Landscape::Country => {
                 let lowest = self.relief_m + stands.max(self.wire_height_m + 4.0) + 30.0;
-                let flight = "must lie between 30 m above all terrain and objects, and 10000";
-                unless(within(self.flying_height_m, lowest, 10_000.0), "flying_height_m", flight)?;
+                (lowest, "must be at least 30 m above all terrain and objects")
             }
-        }
-        let amplitude = "must lie between 1 and 10000";
-        unless(within(self.ground_amplitude_dn, 1.0, 10_000.0), "ground_amplitude_dn", amplitude)?;
-        unless(within(self.dropout_rate, 0.0, 1.0), "dropout_rate", share)?;
-        unless(within(self.false_alarm_rate, 0.0, 1.0), "false_alarm_rate", share)
+        };
+        unless(self.flying_height_m >= lowest, "flying_height_m", problem)
     }
 
     fn check_receiver(&self) -> Checked {
-        unless(within(self.blind_gap_ns, 0.0, 1000.0), "blind_gap_ns", "must lie between 0 and 1000")?;
-        let background = self.background_dn.iter().all(|&dn| within(dn, 0.0, 100.0));
-        unless(background, "background_dn", "must be two values between 0 and 100")?;
-        check_odd_sample_shift(self.odd_sample_shift)?;
         // Below half a step, quantisation is not independent of the noise.
-        let noise = |sd_dn: f64| sd_dn == 0.0 || within(sd_dn, 0.5, 100.0);
-        let spread = "must be 0, or lie between 0.5 and 100";
+        let noise = |sd_dn: f64| sd_dn == 0.0 || sd_dn >= 0.5;
+        let spread = "must be 0, or at least 0.5";
         unless(noise(self.noise_sd_dn), "noise_sd_dn", spread)?;
         unless(noise(self.high_power_noise_sd_dn), "high_power_noise_sd_dn", spread)?;
-        let strong = within(self.high_power_from_dn, 0.0, 10_000.0);
-        unless(strong, "high_power_from_dn", "must lie between 0 and 10000")?;
-        let delay = within(self.high_power_delay_ns, -10.0, 10.0);
-        unless(delay, "high_power_delay_ns", "must lie between -10 and 10")?;
         let [least, greatest] = self.gain_range;
-        let gains = within(least, 1.0 / 1024.0, greatest) && greatest <= 1024.0;
-        unless(gains, "gain_range", "must be two ascending gains between 1/1024 and 1024")?;
-        let period = within(self.gain_period_s, 0.001, 1000.0);
-        unless(period, "gain_period_s", "must lie between 0.001 and 1000")?;
-        let few = self.noise_autocorrelation.len() <= 16;
-        unless(few, "noise_autocorrelation", "must have at most 16 values")?;
+        unless(least <= greatest, "gain_range", "must be two ascending gains")?;
         let settings = self.receiver();
         unless(
             settings.noise().is_ok(),

@@ -89,8 +89,8 @@ fn defaults_that_jobs_do_not_spell_out_are_those_of_this_build() {
             else {
                 continue;
             };
-            let Some(default) = build.key(section(version, of), key).and_then(|key| key.get("default"))
-            else {
+            let keys = build.keys_of(section(version, of)).unwrap();
+            let Some(default) = keys.get(key).unwrap().default() else {
                 continue;
             };
             let is_zero = text.parse::<f64>().unwrap() == 0.0;
@@ -119,11 +119,12 @@ fn defaults_that_jobs_do_not_spell_out_are_those_of_this_build() {
 #[test]
 fn the_two_ends_of_a_range_begin_as_those_of_this_build() {
     let build = Known::this_build();
-    let default = build.key("decompose", "width_ratio").unwrap()["default"].clone();
+    let decompose = build.keys_of("decompose").unwrap();
+    let default = decompose.get("width_ratio").unwrap().default().unwrap();
     for version in VERSIONS {
         for option in version.options {
             if let Becomes::End("decompose", _, _, open) = option.becomes {
-                assert_eq!(default, serde_json::json!(open), "-{}", option.name());
+                assert_eq!(*default, serde_json::json!(open), "-{}", option.name());
             }
         }
     }

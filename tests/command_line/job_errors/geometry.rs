@@ -96,11 +96,11 @@ fn a_length_beyond_all_aircraft() {
         FULL,
         &["job.geometry.calibration={ lever_arm_m = [0, 0, 101] }"],
         r#"
-error: `geometry.calibration`: `lever_arm_m` must be three lengths of at most 100 m
- --> --set:1:26
+error: an item of `lever_arm_m` must be at least -100 and at most 100, got 101
+ --> --set:1:49
   |
 1 | job.geometry.calibration={ lever_arm_m = [0, 0, 101] }
-  |                          ^^^^^^^^^^^^^^^^^^^^^^^^^^^^^
+  |                                                 ^^^
 "#,
     );
 }

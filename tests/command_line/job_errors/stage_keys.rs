@@ -21,11 +21,14 @@ fn refused(stage: &str, line: &str, message: &str) {
 
 #[test]
 fn keys_of_decompose() {
-    let problem = "`detection_sigma_last`: it must lie between detection_sigma and 1000, or be `false`";
-    for value in ["4.0", "1001", "true"] {
-        refused("decompose", &format!("detection_sigma_last = {value}"), problem);
-    }
-    let problem = "`split_evidence`: it must lie between 4 and 1000000, or be `false`";
+    let problem = "`detection_sigma_last`: it must be at least `detection_sigma`, or `false`";
+    refused("decompose", "detection_sigma_last = 4.0", problem);
+    let problem = "`detection_sigma_last` must be at least 2 and at most 1000, got 1001";
+    refused("decompose", "detection_sigma_last = 1001", problem);
+    let problem =
+        "`detection_sigma_last` must be a number, at least 2 and at most 1000, or `false`, got `true`";
+    refused("decompose", "detection_sigma_last = true", problem);
+    let problem = "`split_evidence` must be at least 4 and at most 1000000, got 3";
     refused("decompose", "split_evidence = 3", problem);
     let problem = "`drop_emission_crosstalk` must be `true` or `false`, got the number 1";
     refused("decompose", "drop_emission_crosstalk = 1", problem);
@@ -39,9 +42,9 @@ fn keys_of_decompose() {
 
 #[test]
 fn keys_of_calibrate() {
-    let problem = "`decay_amplitude`: it must lie between -0.9 and 0.9, or be \"auto\"";
+    let problem = "`decay_amplitude` must be above -0.9 and below 0.9, got 0.9";
     refused("calibrate", "decay_amplitude = 0.9\ndecay_time_ns = 20", problem);
-    let problem = "`decay_time_ns`: it must be above 0 and at most 1000000, or \"auto\"";
+    let problem = "`decay_time_ns` must be above 0 and at most 1000000, got 0";
     refused("calibrate", "decay_time_ns = 0\ndecay_amplitude = 0.1", problem);
     let problem = "`decay_amplitude`: it also needs decay_time_ns";
     refused("calibrate", "decay_amplitude = 0.1", problem);
@@ -53,17 +56,17 @@ fn keys_of_calibrate() {
 
 #[test]
 fn keys_of_readers() {
-    let problem = "`odd_sample_shift`: it must lie between -0.5 and 0.5";
-    refused("read_arrow", "odd_sample_shift = 0.5", problem);
+    let problem = "`odd_sample_shift` must be above -0.5 and below 0.5, got ";
+    refused("read_arrow", "odd_sample_shift = 0.5", &format!("{problem}0.5"));
     for reader in ["read_las", "read_pulsewaves"] {
         let text = format!("[[stage]]\ntype = \"{reader}\"\npath = \"a\"\nodd_sample_shift = -2\n");
         let error = Job::parse("job.toml", &text, &[]).unwrap_err().to_string();
-        assert!(error.starts_with(&format!("error: {problem}\n --> job.toml:4:20")), "{error}");
+        assert!(error.starts_with(&format!("error: {problem}-2\n --> job.toml:4:20")), "{error}");
     }
-    let problem = "`full_scale_dn`: it must be at least 15, four bits";
+    let problem = "`full_scale_dn` must be at least 15 and at most 65535, got 14";
     refused("read_arrow", "full_scale_dn = 14", problem);
     let text = "[[stage]]\ntype = \"read_las\"\npath = \"a\"\nrange_time_offset_ns = -1001.0\n";
     let error = Job::parse("job.toml", text, &[]).unwrap_err().to_string();
-    let problem = "`range_time_offset_ns`: it must lie between -1000 and 1000";
+    let problem = "`range_time_offset_ns` must be at least -1000 and at most 1000, got -1001.0";
     assert!(error.starts_with(&format!("error: {problem}\n --> job.toml:4:24")), "{error}");
 }
