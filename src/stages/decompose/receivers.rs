@@ -322,7 +322,8 @@ impl Receivers {
 
     /// Number of the shots decomposed last with echoes left to the plain kernels.
     pub(super) fn left_to_plain(&self, shots: &[Shot]) -> usize {
-        let is_left = |route: &&BlockRoute| self.found(**route).is_some_and(|(_, found, _)| found.left_to_plain);
+        let is_left =
+            |route: &&BlockRoute| self.found(**route).is_some_and(|(_, found, _)| found.left_to_plain);
         let mut routes = self.routes.iter();
         let blocks_left =
             shots.iter().map(|shot| routes.by_ref().take(shot.of_shot.len()).filter(is_left).count());
@@ -372,7 +373,10 @@ impl Receivers {
     }
 
     /// Result of a block of echoes, with its receiver and the receiver's model.
-    pub(super) fn found(&self, route: BlockRoute) -> Option<(ReturnChannel, Decomposition<'_>, &ChannelModel)> {
+    pub(super) fn found(
+        &self,
+        route: BlockRoute,
+    ) -> Option<(ReturnChannel, Decomposition<'_>, &ChannelModel)> {
         let (receiver, channel, level, number) = match route {
             BlockRoute::Low(level, number) => (&self.low, ReturnChannel::Low, level, number),
             BlockRoute::High(level, number) => (&self.high, ReturnChannel::High, level, number),

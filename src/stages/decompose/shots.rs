@@ -319,7 +319,9 @@ impl ShotDecomposer {
             first_block += shot.of_shot.len();
             let delay_ns = self.outgoing(shot, routes).map_or(0.0, |(time_ns, ..)| time_ns);
             let others = Departures::of(emissions, shot, delay_ns);
-            for (block, &route) in shot.of_shot.iter().zip(routes).filter(|(block, _)| block.channel.is_echo()) {
+            for (block, &route) in
+                shot.of_shot.iter().zip(routes).filter(|(block, _)| block.channel.is_echo())
+            {
                 let end_ns = block.time_ns(block.len() as f64);
                 if others.others_within(block.start_ns - reach_ns, end_ns + reach_ns).next().is_none() {
                     continue;
