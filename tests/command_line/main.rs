@@ -6,6 +6,7 @@
     reason = "a test fails by panicking, and prints its figures and what it skips"
 )]
 
+mod cases;
 mod check;
 mod cli;
 mod documents;
