@@ -81,7 +81,8 @@ fn translation(case: &Case) -> Result<String, String> {
     let mut all: Vec<String> = Vec::new();
     all.extend(line.iter().filter(|key| !usual.contains(key)).map(|key| format!("+ {key}")));
     all.extend(usual.iter().filter(|key| !line.contains(key)).map(|key| format!("- {key}")));
-    all.extend(chain.filter(|_| all.is_empty()));
+    let is_usual = all.is_empty();
+    all.extend(chain.filter(|_| is_usual));
     all.extend(import.obstacles.iter().map(|obstacle| format!("obstacle: {obstacle}")));
     all.insert(0, format!("version {}", import.text.split(' ').nth(5).unwrap_or_default()));
     Ok(all.join("\n"))
