@@ -154,7 +154,8 @@ impl Given<'_> {
         match self.schema.get("type") {
             Some(Value::Array(names)) => names.iter().any(fits),
             Some(name) => fits(name),
-            None => true,
+            // A fixed set of texts without `type`.
+            None => choices(self.schema).is_none() || matches!(self.value.get_ref(), DeValue::String(_)),
         }
     }
 

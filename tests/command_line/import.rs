@@ -3,7 +3,6 @@
 mod documents;
 mod examples;
 mod lines;
-mod refused;
 mod runs;
 mod table;
 mod truth;
@@ -58,31 +57,4 @@ fn here(line: &str) -> Import {
         assert!(job.is_ok(), "{}\n{}", job.unwrap_err(), import.text);
     }
     import
-}
-
-/// The job without comments: every key as `section.key = value`.
-fn keys(text: &str) -> Vec<String> {
-    let table: toml::Table = toml::from_str(text).unwrap_or_else(|error| panic!("{error}\n{text}"));
-    let mut keys = Vec::new();
-    let job = table.get("job").and_then(toml::Value::as_table);
-    for (key, value) in job.into_iter().flatten() {
-        match value.as_table() {
-            Some(inner) => keys.extend(inner.iter().map(|(key, value)| format!("geometry.{key} = {value}"))),
-            None => keys.push(format!("job.{key} = {value}")),
-        }
-    }
-    for stage in table.get("stage").and_then(toml::Value::as_array).into_iter().flatten() {
-        let stage = stage.as_table().unwrap();
-        let name = stage["type"].as_str().unwrap();
-        let own = stage.iter().filter(|(key, _)| *key != "type");
-        keys.extend(own.map(|(key, value)| format!("{name}.{key} = {value}")));
-    }
-    keys
-}
-
-/// Stages of a job, in order.
-fn stages(text: &str) -> Vec<String> {
-    let table: toml::Table = toml::from_str(text).unwrap();
-    let stages = table["stage"].as_array().unwrap().iter();
-    stages.map(|stage| stage["type"].as_str().unwrap().to_owned()).collect()
 }

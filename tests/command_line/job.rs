@@ -105,6 +105,27 @@ fn a_job_without_settings_has_the_defaults() {
 }
 
 #[test]
+fn report_page_takes_a_name_or_a_flag() {
+    let stage = "[[stage]]\ntype = \"simulate\"\n";
+    let page = |text: &str, set: &[&str]| parse(&format!("{text}\n{stage}"), set).settings.report_page;
+    assert_eq!(page("", &[]), "");
+    for (value, expected) in [("true", "*_report.html"), ("false", ""), ("'a.html'", "a.html"), ("''", "")] {
+        assert_eq!(page(&format!("[job]\nreport_page = {value}"), &[]), expected);
+        assert_eq!(page("", &[&format!("job.report_page={value}")]), expected);
+    }
+    assert_eq!(page("", &["job.report_page=a.html"]), "a.html");
+}
+
+/// Values without quotation marks are text, also in the nested table.
+#[test]
+fn overrides_set_keys_of_the_geometry() {
+    let set = ["job.geometry.crs=EPSG:2154", "job.geometry.trajectory=*.out", "job.geometry.mount=[1, 2, 3]"];
+    let keys = parse("[[stage]]\ntype = \"simulate\"\n", &set).settings.geometry;
+    assert_eq!((keys.crs.as_deref(), keys.trajectory.as_deref()), (Some("EPSG:2154"), Some("*.out")));
+    assert_eq!(keys.mount, Some(wavex::georef::mount::Mount::Angles([1.0, 2.0, 3.0])));
+}
+
+#[test]
 fn a_job_that_writes_nothing_is_noted() {
     let job = parse("[[stage]]\ntype = \"simulate\"\n", &[]);
     assert_eq!(job.notes, ["no stage of this job writes a file: a run produces only the report"]);

@@ -5,7 +5,6 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use wavex::keys::InvalidKey;
 use wavex::scan_line::{Kind, ScanLine};
 use wavex::stage::{
     Config, Context, Map, MapConfig, Output, Paths, Result, RunContext, Sink, SinkConfig, Source,
@@ -77,18 +76,10 @@ pub struct Decompose {
     /// How far above the noise an echo must rise, in standard deviations | of the noise.
     #[schemars(range(min = 1, max = 100.0))]
     pub detection_sigma: f64,
-    /// Narrowest and widest pulse.
-    pub width_ratio: [f64; 2],
-    /// The longest pulse.
-    pub longest_ns: f64,
-    /// The shortest pulse.
-    pub shortest_ns: f64,
     /// What it takes to split a pulse; `false`: nothing is split.
     pub split_evidence: SplitEvidence,
     /// Where to begin.
     pub start: Start,
-    /// How many times to refine.
-    pub refinements: u16,
 }
 
 /// What it takes to split a pulse.
@@ -218,12 +209,8 @@ impl Default for Decompose {
         let kernels = DecomposeSettings::default();
         Decompose {
             detection_sigma: kernels.detection_sigma,
-            width_ratio: kernels.width_ratio,
-            longest_ns: 30.0,
-            shortest_ns: 2.0,
             split_evidence: kernels.split_evidence.map_or(SplitEvidence::Never(false), SplitEvidence::At),
             start: Start::Word(StartWord::Pulse),
-            refinements: 2,
         }
     }
 }
@@ -247,13 +234,7 @@ impl Config for Georeference {}
 impl Config for WriteLas {}
 impl Config for WriteLstat {}
 impl Config for WriteShots {}
-impl Config for Decompose {
-    fn check(&self) -> std::result::Result<(), InvalidKey> {
-        let [low, high] = self.width_ratio;
-        InvalidKey::unless(low < high, "width_ratio", "the first number must be below the second")?;
-        InvalidKey::unless(self.shortest_ns < self.longest_ns, "longest_ns", "must be above `shortest_ns`")
-    }
-}
+impl Config for Decompose {}
 
 /// A stage that does nothing.
 pub struct Nothing;

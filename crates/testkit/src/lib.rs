@@ -15,6 +15,7 @@
 //! | [`recordings`], [`neon`] | real recordings below `WAVEX_DATA`, with reference results |
 //! | [`plausibility`] | messages of plausibility checks in the report of a run |
 //! | [`table`] | rows of text tables |
+//! | [`cases`] | tests whose cases are text files with an input and the expected result |
 //! | [`engine_stages`] | no-op stages for tests of the engine |
 //! | [`job_stages`] | stages with keys of every shape, for tests of jobs |
 //!
@@ -27,6 +28,7 @@
 )]
 #![allow(clippy::new_without_default, clippy::len_without_is_empty, reason = "only tests use it")]
 
+pub mod cases;
 pub mod clock;
 pub mod container;
 pub mod engine_stages;
