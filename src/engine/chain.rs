@@ -40,7 +40,8 @@ pub(super) fn run(
         for (index, work) in plan(job, options).into_iter().enumerate() {
             for (worker, (inlet, exit)) in work.into_iter().enumerate() {
                 let (stage, shared, worker_results) = (&job.stages[index], &shared, &worker_results[index]);
-                let body = move || run_worker(stage, run, shared, inlet, exit, options.profile, worker_results);
+                let body =
+                    move || run_worker(stage, run, shared, inlet, exit, options.profile, worker_results);
                 let name = format!("{THREAD_PREFIX}{}-{worker}", stage.id);
                 if let Err(error) = std::thread::Builder::new().name(name).spawn_scoped(scope, body) {
                     // Not of this input: the others would have no threads either.

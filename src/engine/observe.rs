@@ -82,8 +82,8 @@ pub(super) fn run_one(
         .map_err(|error| RunError::of_job(error.into()))?;
     let common = Common::new(job, options);
     let shared = schedule::Shared { job, options, common: &common, geometry: Mutex::new(geometry), cx };
-    let run = RunContext { has_outputs: false, ..run_context(options, input, pool::start(options)?) };
-    run(&shared, run, options)
+    let context = RunContext { has_outputs: false, ..run_context(options, input, pool::start(options)?) };
+    run(&shared, context, options)
 }
 
 /// Runs the chain over an input and shows the progress.

@@ -41,7 +41,8 @@ fn parse(text: &str, overrides: &[&str]) -> Result<Job, JobErrors> {
 /// Asserts the errors of a job that includes `base.toml` with this content.
 fn check_included(included: &str, expected: &str) {
     let text = format!("[job]\ninclude = \"base.toml\"\n{FULL}");
-    let included = Include { name: "base.toml".into(), text: included.strip_prefix('\n').unwrap_or(included).into() };
+    let included =
+        Include { name: "base.toml".into(), text: included.strip_prefix('\n').unwrap_or(included).into() };
     match Job::parse_with(job_stages::STAGES, "job.toml", &text, &[included], &[]) {
         Ok(job) => panic!("no error: {}", job.chain()),
         Err(errors) => assert_eq!(errors.to_string(), expected.strip_prefix('\n').unwrap_or(expected)),

@@ -45,11 +45,9 @@ impl PointSourceKey {
                 })
             }
             PointSourceKey::Rule(PointSourceRule::Name) => {
-                let digits =
-                    run.stem.split(|c: char| !c.is_ascii_digit()).rfind(|digits| !digits.is_empty());
+                let digits = run.stem.split(|c: char| !c.is_ascii_digit()).rfind(|digits| !digits.is_empty());
                 digits.and_then(|digits| digits.parse().ok()).map(Some).ok_or_else(|| {
-                    let problem =
-                        format!("the name `{}` has no number from 0 to 65535 at its end", run.stem);
+                    let problem = format!("the name `{}` has no number from 0 to 65535 at its end", run.stem);
                     StageError::failed(problem, "give `point_source_id` a number, or \"line\"")
                 })
             }

@@ -5,7 +5,7 @@ use super::fitted::{Fitted, FittedLanes, FittedPulse, Values};
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::solve::{Factors, factor};
 use super::tables::{ROW, Tables, U_MAX};
-use super::template::{Pulses, Lookup, Lookups, leaves_block, tail, template, weights};
+use super::template::{Lookup, Lookups, Pulses, leaves_block, tail, template, weights};
 use crate::pulse_fit::{FIRST_DAMPING, NEAR_NEWTON, ROUGH_DECREASE};
 use crate::simd::{Kernel, LANES, Simd};
 

@@ -12,7 +12,7 @@ use super::pulse_model::MAX_CLUSTER;
 use super::rows::{FRONT, Rows, sixteen};
 use super::solve::PackedFactors;
 use super::tables::{ROW, Tables, U_MAX};
-use super::template::{Pulses, Lookup, Lookups, VECTORS, leaves_block, tail, template, weights};
+use super::template::{Lookup, Lookups, Pulses, VECTORS, leaves_block, tail, template, weights};
 use crate::pulse_fit::NEAR_NEWTON;
 use crate::simd::{Kernel, LANES, Simd};
 

@@ -8,7 +8,7 @@ use super::level::LevelTables;
 use super::pulse_model::{MAX_PULSES, PulseModel};
 use super::rows::{EMPTY, FRONT, Rows, sixteen};
 use super::tables::{BANK, BEFORE_PEAK, PHASES, ROW, Tables};
-use super::template::{Pulses, Lookup, Lookups, VECTORS, bounded, tail, template, weights};
+use super::template::{Lookup, Lookups, Pulses, VECTORS, bounded, tail, template, weights};
 use crate::simd::{Kernel, LANES, Simd, Sixteen};
 
 /// Dot products of a row with the bank.
