@@ -11,7 +11,7 @@ use crate::georef::declared;
 use crate::keys::InvalidKey;
 use crate::plausibility::Check;
 use crate::scan_line::{Content, Frame, GainControl, InputInfo, ScanLine};
-use crate::stage::{Context, Item, LineLocation, Result, RunContext, Source, StageError};
+use crate::stage::{Context, LineLocation, Reason, Result, RunContext, Source, StageError};
 use wavex_geodesy::time::WEEK_S;
 
 pub(super) mod time;
@@ -101,9 +101,6 @@ pub(super) struct TimeKeys {
     pub(super) time_offset_s: f64,
     pub(super) gps_date: Option<String>,
 }
-
-/// Rejection reason of a shot without a time.
-pub(super) const NO_TIME: &str = "no time, although `time_s` is set";
 
 impl TimeKeys {
     pub(super) fn check(&self) -> std::result::Result<(), InvalidKey> {
@@ -492,8 +489,8 @@ fn within(line: ScanLine, window: &mut Watched, cx: &mut Context) -> ScanLine {
             without_time[1] += blocks.of_emission(index).count() as u64;
         }
     }
-    cx.reject(Item::Shots, NO_TIME, without_time[0]);
-    cx.reject(Item::Blocks, NO_TIME, without_time[1]);
+    let [shots_without_time, blocks_without_time] = without_time;
+    cx.reject_with_blocks(Reason::WithoutTime, shots_without_time, blocks_without_time);
     blocks.keep(&place);
     ScanLine::of_shots(line.input, line.line, emissions, blocks)
 }

@@ -8,7 +8,7 @@ use super::dual_channel::BothReceivers;
 use super::shots::Shot;
 use super::{Decompose, Mode};
 use crate::scan_line::{Block, Channel, ReturnChannel};
-use crate::stage::{Result, StageError};
+use crate::stage::{Reason, Result, StageError};
 use wavex_signal::decompose::{
     self, BatchDecomposer, DecomposeSettings, Decomposition, Decompositions, Tables, Waveform,
 };
@@ -127,7 +127,7 @@ pub(super) enum BlockRoute {
     /// Outgoing pulse of the shot: gain and index.
     Outgoing(GainLevel, usize),
     /// Not used, with the reason.
-    Unused(&'static str),
+    Unused(Reason),
     /// Echoes recorded by the low-power receiver as well.
     Covered,
     /// Neither an echo nor an outgoing pulse.
@@ -264,7 +264,7 @@ impl Receivers {
                 let waveform = Waveform { samples: shot.blocks.samples(block), start_phase: 0 };
                 let level = GainLevel::of(block.gain);
                 let route = match block.channel {
-                    _ if block.is_too_long() => BlockRoute::Unused("a block of more than 16384 samples"),
+                    _ if block.is_too_long() => BlockRoute::Unused(Reason::LongBlock),
                     Channel::Reference if !has_left => {
                         has_left = true;
                         BlockRoute::Outgoing(level, outgoing.push(level, waveform))
@@ -322,7 +322,8 @@ impl Receivers {
 
     /// Number of the shots decomposed last with echoes left to the plain kernels.
     pub(super) fn left_to_plain(&self, shots: &[Shot]) -> usize {
-        let is_left = |route: &&BlockRoute| self.found(**route).is_some_and(|(_, found, _)| found.left_to_plain);
+        let is_left =
+            |route: &&BlockRoute| self.found(**route).is_some_and(|(_, found, _)| found.left_to_plain);
         let mut routes = self.routes.iter();
         let blocks_left =
             shots.iter().map(|shot| routes.by_ref().take(shot.of_shot.len()).filter(is_left).count());
@@ -372,7 +373,10 @@ impl Receivers {
     }
 
     /// Result of a block of echoes, with its receiver and the receiver's model.
-    pub(super) fn found(&self, route: BlockRoute) -> Option<(ReturnChannel, Decomposition<'_>, &ChannelModel)> {
+    pub(super) fn found(
+        &self,
+        route: BlockRoute,
+    ) -> Option<(ReturnChannel, Decomposition<'_>, &ChannelModel)> {
         let (receiver, channel, level, number) = match route {
             BlockRoute::Low(level, number) => (&self.low, ReturnChannel::Low, level, number),
             BlockRoute::High(level, number) => (&self.high, ReturnChannel::High, level, number),
@@ -399,8 +403,8 @@ fn echoes(
     route: impl FnOnce() -> BlockRoute,
 ) -> BlockRoute {
     match receiver {
-        None => BlockRoute::Unused("its receiver is not in the sensor model"),
-        Some(_) if block.is_empty() => BlockRoute::Unused("a block without samples"),
+        None => BlockRoute::Unused(Reason::UnknownReceiver),
+        Some(_) if block.is_empty() => BlockRoute::Unused(Reason::EmptyBlock),
         Some(_) => route(),
     }
 }

@@ -13,7 +13,7 @@ use crate::scan_line::{
     Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LineStats, OnlineReturn, ReturnChannel,
     Returns, ShotProfile, flags,
 };
-use crate::stage::{Context, Item, Result, StageError};
+use crate::stage::{Context, Reason, Result, StageError};
 use wavex_signal::decompose::{Counts, Decomposition, Return as Pulse};
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::outgoing::Outgoing;
@@ -319,7 +319,9 @@ impl ShotDecomposer {
             first_block += shot.of_shot.len();
             let delay_ns = self.outgoing(shot, routes).map_or(0.0, |(time_ns, ..)| time_ns);
             let others = Departures::of(emissions, shot, delay_ns);
-            for (block, &route) in shot.of_shot.iter().zip(routes).filter(|(block, _)| block.channel.is_echo()) {
+            for (block, &route) in
+                shot.of_shot.iter().zip(routes).filter(|(block, _)| block.channel.is_echo())
+            {
                 let end_ns = block.time_ns(block.len() as f64);
                 if others.others_within(block.start_ns - reach_ns, end_ns + reach_ns).next().is_none() {
                     continue;
@@ -349,7 +351,7 @@ impl ShotDecomposer {
         for shot in shots {
             match line.emissions.get(shot.index as usize).copied() {
                 Some(emission) => self.shot(&CurrentShot { shot, emission, first_block }, line, cx, watch)?,
-                None => cx.reject(Item::Blocks, "its shot is not in the line", shot.of_shot.len() as u64),
+                None => cx.reject(Reason::BlockWithoutShot, shot.of_shot.len() as u64),
             }
             first_block += shot.of_shot.len();
         }
@@ -467,10 +469,8 @@ impl ShotDecomposer {
         for (index, (block, &route)) in blocks.filter(|(_, (block, _))| block.channel.is_echo()) {
             waveform.recorded = true;
             match route {
-                BlockRoute::Unused(why) => cx.reject(Item::Blocks, why, 1),
-                BlockRoute::Covered => {
-                    cx.reject_expected(Item::Blocks, "the low-power receiver recorded it as well", 1)
-                }
+                BlockRoute::Unused(reason) => cx.reject(reason, 1),
+                BlockRoute::Covered => cx.reject(Reason::RecordedTwice, 1),
                 _ => {}
             }
             let Some((channel, result, model)) = self.receivers.found(route) else { continue };

@@ -3,7 +3,7 @@ use std::sync::Arc;
 use super::geometry::cross;
 use super::*;
 use crate::scan_line::{Blocks, Content, Emission, Frame, InputInfo, Return};
-use crate::stage::{Context, Item};
+use crate::stage::{Context, Item, Reason};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 
 const SHOTS: u32 = 60;
@@ -112,7 +112,7 @@ fn false_returns_are_marked_and_waveforms_that_jump_rejected() {
     assert_eq!(lines[6].n_returns() as u64, rejected.np);
     assert!(lines.iter().all(|scan_line| scan_line.stats.laws_hold()));
     let rejected: Vec<_> = cx.counters().rejected.iter().collect();
-    assert_eq!(rejected, [(&(Item::Returns, "a return of a waveform that deviates from its line"), &1)]);
+    assert_eq!(rejected, [(&(Item::Returns, Reason::DeviatingWaveform), &1)]);
     assert!(cx.counters().notes.is_empty());
 }
 
