@@ -1,9 +1,14 @@
 //! Reasons why a stage drops shots, blocks or returns.
 //!
-//! Every item that a run drops has one of these reasons.
+//! Every item that a run drops has one of these reasons. [`page`] lists them for users
+//! (`docs/reference/reasons.md`).
 
 use std::cmp::Ordering;
 use std::fmt::{self, Display, Formatter};
+
+mod page;
+
+pub use page::page;
 
 /// Items counted by stages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
