@@ -10,7 +10,7 @@ use std::time::Instant;
 use wavex::scan_line::{Blocks, Content, Return, ScanLine};
 use wavex::stage::{Context, RunContext, Source};
 use wavex::stages::pose_source::PoseSource;
-use wavex_testkit::georeferenced_flight::{Flight, fly, georeference, return_of, run, source};
+use wavex_testkit::georeferenced_flight::{Flight, fly, georeference, return_of, run_context, source};
 
 const GOAL_PER_S: f64 = 2e6;
 const RUNS: usize = 9;
@@ -75,11 +75,11 @@ impl Source for Read {
 
 /// Returns the median rate of attaching poses, shots per second.
 fn shots_per_s(flight: &Flight) -> f64 {
-    let lines = lines(&run(flight, "").unwrap_or_else(|error| panic!("{error}")));
+    let lines = lines(&run_context(flight, "").unwrap_or_else(|error| panic!("{error}")));
     let shots: usize = lines.iter().map(|line| line.batch.emissions.len()).sum();
     let mut rates: Vec<f64> = (0..RUNS)
         .map(|_| {
-            let run = run(flight, "trajectory = 'a.out'").unwrap_or_else(|error| panic!("{error}"));
+            let run = run_context(flight, "trajectory = 'a.out'").unwrap_or_else(|error| panic!("{error}"));
             let fresh: Vec<ScanLine> = lines.iter().map(fresh).collect();
             let mut posed = PoseSource::new(Box::new(Read(fresh.into_iter())), Arc::clone(&run.geometry));
             let (started, mut cx) = (Instant::now(), Context::default());
@@ -109,7 +109,7 @@ fn main() {
         ("points, geodetic", "crs = 'geodetic'"),
     ] {
         let keys = format!("trajectory = 'a.out'\n{geometry}");
-        let run = run(&flight, &keys).unwrap_or_else(|error| panic!("{error}"));
+        let run = run_context(&flight, &keys).unwrap_or_else(|error| panic!("{error}"));
         let rate = points_per_s(&run);
         println!("{what:<44} {:>14.2} {:>8.2}", 1e-6 * rate, rate / GOAL_PER_S);
     }

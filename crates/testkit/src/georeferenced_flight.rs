@@ -141,7 +141,7 @@ impl Flight {
     /// measured range.
     pub fn place(&self, geometry: &str, measured: impl Fn(&Truth) -> f64) -> Result<Placed, String> {
         let text = |error: &dyn std::fmt::Display| error.to_string();
-        let run = run(self, geometry)?;
+        let run = run_context(self, geometry)?;
         let (source, mut stage) = (source(&run), georeference(&run, ""));
         let source = Box::new(Changed { source, turned: self.turned, unsaid: self.unsaid });
         let mut source = PoseSource::new(source, Arc::clone(&run.geometry));
@@ -228,7 +228,7 @@ pub fn return_of(emission: u32, [number, of]: [u8; 2], range_m: f64) -> Return {
 }
 
 /// Run context for the flight, with its geometry files loaded.
-pub fn run(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
+pub fn run_context(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
     let keys: GeometryKeys = toml::from_str(geometry).unwrap();
     keys.check().unwrap();
     let loaded = Loader::new(&keys, flight.folder()).and_then(|mut loader| loader.load("a"));
