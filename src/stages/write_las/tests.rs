@@ -52,7 +52,7 @@ fn line(input: InputInfo, returns: Vec<Return>) -> ScanLine {
     scan_line
 }
 
-fn run(folder: &Path) -> RunContext {
+fn run_context(folder: &Path) -> RunContext {
     RunContext {
         input: "made.sdf".into(),
         stem: "made".into(),
@@ -75,11 +75,11 @@ fn run(keys: &WriteLas, run: &RunContext, lines: &[ScanLine]) -> Context {
 /// The file written for these lines, and the notes of the stage.
 fn write(keys: &WriteLas, lines: &[ScanLine]) -> (Vec<u8>, Vec<String>) {
     let folder = tempfile::tempdir().unwrap();
-    let run = run(folder.path());
-    let mut cx = run(keys, &run, lines);
+    let context = run_context(folder.path());
+    let mut cx = run(keys, &context, lines);
     let whole = cx.whole.drain(..).map(|whole| whole.publish().unwrap());
     let paths: Vec<_> = whole.collect();
-    let expected: Vec<_> = keys.outputs().iter().map(|pattern| run.output_path(pattern)).collect();
+    let expected: Vec<_> = keys.outputs().iter().map(|pattern| context.output_path(pattern)).collect();
     assert!(paths.iter().all(|path| expected.contains(path)) && paths.len() == expected.len());
     (std::fs::read(&expected[0]).unwrap(), cx.counters().notes.clone())
 }
@@ -210,7 +210,7 @@ fn an_index_of_earlier_points_is_gone() {
         for name in ["made.lax", "made.LAX", "other.lax"] {
             std::fs::write(folder.path().join(name), b"old").unwrap();
         }
-        let mut cx = run(&WriteLas { index, ..keys("*.laz") }, &run(folder.path()), &lines);
+        let mut cx = run(&WriteLas { index, ..keys("*.laz") }, &run_context(folder.path()), &lines);
         assert_eq!(std::fs::read(&index_path).unwrap(), b"old", "kept until the new points are complete");
         cx.whole.drain(..).for_each(|whole| drop(whole.publish().unwrap()));
         match index {
@@ -230,7 +230,7 @@ fn points_never_stand_beside_what_belongs_to_others() {
     let names = ["made.wdp", "made.las", "made.lax"];
     names.iter().for_each(|name| std::fs::write(folder.path().join(name), b"old").unwrap());
     let line = ScanLine { waveforms: Some(Blocks::default()), ..line(info(None), vec![found(1)]) };
-    let mut cx = run(&external, &run(folder.path()), &[line]);
+    let mut cx = run(&external, &run_context(folder.path()), &[line]);
     // State of each file: o is old, n new, - missing.
     let state = || {
         let state = |name: &str| match std::fs::read(folder.path().join(name)) {
@@ -367,7 +367,7 @@ fn written_item(keys: &WriteLas, input: InputInfo) -> (Option<serde_json::Value>
     if let Content::Points(_, places) = &mut points.content {
         *places = vec![[500_000.0, 5_300_000.0, 100.0], [500_100.0, 5_300_200.0, 150.0]];
     }
-    let mut cx = run(keys, &run(folder.path()), &[points]);
+    let mut cx = run(keys, &run_context(folder.path()), &[points]);
     cx.whole.drain(..).for_each(|whole| drop(whole.publish().unwrap()));
     let text = std::fs::read_to_string(folder.path().join("made.json")).ok();
     let item = text.map(|text| serde_json::from_str(&text).unwrap());
