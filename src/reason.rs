@@ -44,6 +44,10 @@ pub enum Counter {
     RejectedWithBlocks,
     /// `rejected` of the stage; the loss is expected, and no reason for a warning.
     Expected,
+    /// `np_filtered` of the scan line, and `filtered_by_reason` of the report.
+    Filtered,
+    /// `rejected` of the stage, and as [`Counter::Filtered`].
+    RejectedAndFiltered,
 }
 
 /// Description of a reason.
@@ -78,6 +82,11 @@ const fn shot(text: &'static str, stages: &'static [&'static str], remedy: &'sta
 
 const fn block(text: &'static str, stages: &'static [&'static str], remedy: &'static str) -> Description {
     rejected(Item::Blocks, text, stages, remedy)
+}
+
+/// A candidate of a return that is counted in `np_filtered` alone.
+const fn candidate(text: &'static str, stages: &'static [&'static str], remedy: &'static str) -> Description {
+    Description { counter: Counter::Filtered, ..of_return(text, stages, remedy) }
 }
 
 const fn of_return(text: &'static str, stages: &'static [&'static str], remedy: &'static str) -> Description {
@@ -204,8 +213,33 @@ reasons! {
         counter: Counter::Expected,
         ..block("the low-power receiver recorded it as well", DECOMPOSE, "none: no echo is lost; `fuse_channels` uses both receivers where the low-power one is overdriven")
     },
+    /// Candidate: the responses of stronger candidates explain it.
+    Screened => candidate("explained by a stronger one", DECOMPOSE, "none if the receiver rings after strong echoes; else calibrate on more waveforms"),
+    /// Candidate: stronger ones fill the limit of returns per waveform.
+    InExcess => candidate("in excess of the strongest 24", DECOMPOSE, "none: a waveform has at most 24 returns"),
+    /// Candidate: its fit has no optimum.
+    Undetermined => candidate("not determined by the samples", DECOMPOSE, "look at the shot with `wavex explain`; saturated or cut off echoes have too few samples"),
+    /// Candidate: below the threshold.
+    TooWeak => candidate("too weak", DECOMPOSE, "lower `detection_sigma` or `detection_sigma_last`"),
+    /// Candidate: narrower than the range of widths.
+    TooNarrow => candidate("too narrow", DECOMPOSE, "lower the first value of `width_ratio`, or calibrate again if many are too narrow"),
+    /// Candidate: wider than the range of widths.
+    TooWide => candidate("too wide", DECOMPOSE, "raise the second value of `width_ratio`, or calibrate again if many are too wide"),
+    /// Candidate: its peak is before or after the samples.
+    OutsideBlock => candidate("outside its block", DECOMPOSE, "none: its peak was not recorded"),
+    /// Candidate: the smoothed waveform has no maximum there.
+    WithoutMode => candidate("without a maximum of the waveform", DECOMPOSE, "calibrate on a recording whose echoes determine the response"),
+    /// Candidate of the high-power receiver that the low-power receiver lacks.
+    NotInLowPower => candidate("not found by the low-power receiver", DECOMPOSE, "none: the low-power receiver recorded its time; without `fuse_channels` receivers are not compared"),
+    /// Candidate of an overdriven low-power receiver that the high-power receiver lacks.
+    NotInHighPower => candidate("not found by the high-power receiver", DECOMPOSE, "none: the error of the response next to an overdriven echo explains it; without `fuse_channels` receivers are not compared"),
     /// A return of a waveform that jumps from its neighbours.
-    DeviatingWaveform => of_return("a return of a waveform that deviates from its line", &["filter_outliers"], "raise `max_height_m`, or set `waves = false`"),
+    DeviatingWaveform => Description {
+        counter: Counter::RejectedAndFiltered,
+        ..of_return("a return of a waveform that deviates from its line", &["filter_outliers"], "raise `max_height_m`, or set `waves = false`")
+    },
+    /// A return that a stage outside of this crate rejects.
+    OwnStage => candidate("rejected by a stage of your own", &[], "see `rejected` of that stage for its reasons"),
     /// LAS output: a waveform of a kind for which no descriptor is left.
     IndescribableWaveform => block("a waveform of a kind that the file cannot describe", &["write_las"], "write fewer kinds of waveforms (lengths and intervals) into one file, or use `write_arrow`; the points are written"),
     /// LAS output: a point beyond the range of 32-bit coordinates.
@@ -268,7 +302,8 @@ mod tests {
         assert_eq!(different.len(), Reason::ALL.len(), "two reasons have the same text and item");
         for reason in Reason::ALL {
             let Description { text, stages, remedy, .. } = reason.description();
-            assert!(!text.is_empty() && !stages.is_empty() && !remedy.is_empty(), "{reason:?}");
+            assert!(!text.is_empty() && !remedy.is_empty(), "{reason:?}");
+            assert!(!stages.is_empty() || matches!(reason, Reason::OwnStage), "{reason:?}");
         }
     }
 

@@ -185,8 +185,9 @@ impl Map for Function {
             mask.filter(|mask| !mask.is_none()).map(|mask| self.removed(&mask, n)).transpose()
         })?;
         if let Some(removed) = removed {
-            let n = line.remove_returns(&removed);
-            cx.reject(Reason::Custom(Item::Returns, self.reason), n);
+            let reason = Reason::Custom(Item::Returns, self.reason);
+            let n = line.remove_returns(&removed, reason);
+            cx.reject(reason, n);
         }
         Ok(line)
     }

@@ -9,9 +9,11 @@ pub fn page() -> String {
         [("Shots", Item::Shots), ("Blocks", Item::Blocks), ("Points and returns", Item::Returns)]
     {
         let described = Reason::ALL.iter().map(|reason| reason.description());
-        page += &section(title, described.filter(|of| of.item == item));
+        page += &section(title, described.filter(|of| of.item == item && of.counter != Counter::Filtered));
     }
-    page
+    let described = Reason::ALL.iter().map(|reason| reason.description());
+    page += &section("Candidates of returns", described.filter(|of| of.counter == Counter::Filtered));
+    page + CANDIDATES
 }
 
 /// A table of reasons under a heading.
@@ -22,7 +24,8 @@ fn section(title: &str, reasons: impl Iterator<Item = Description>) -> String {
     for of in reasons {
         let stages: Vec<String> = of.stages.iter().map(|stage| format!("`{stage}`")).collect();
         let (dropped, counter) = shown(&of);
-        text += &format!("| {} | {dropped} | {} | {counter} | {} |\n", of.text, stages.join(", "), of.remedy);
+        let stages = if stages.is_empty() { "your own".to_owned() } else { stages.join(", ") };
+        text += &format!("| {} | {dropped} | {stages} | {counter} | {} |\n", of.text, of.remedy);
     }
     text
 }
@@ -34,15 +37,26 @@ fn shown(of: &Description) -> (&'static str, String) {
         (Item::Shots, Counter::RejectedWithBlocks) => "the shot and its blocks",
         (Item::Shots, _) => "the shot",
         (Item::Blocks, _) => "the block",
+        (Item::Returns, Counter::Filtered) if !of.stages.is_empty() => "the candidate",
         (Item::Returns, _) => "the point or return",
     };
     let counter = match of.counter {
         Counter::Rejected => rejected(of.item),
         Counter::RejectedWithBlocks => format!("{}, `{}: ...`", rejected(Item::Shots), Item::Blocks.name()),
         Counter::Expected => format!("{}, and `set_aside`", rejected(of.item)),
+        Counter::Filtered => FILTERED.to_owned(),
+        Counter::RejectedAndFiltered => format!("{}, and {FILTERED}", rejected(of.item)),
     };
     (dropped, counter)
 }
+
+const FILTERED: &str = "`np_filtered`, by reason in `filtered_by_reason`";
+
+const CANDIDATES: &str = "
+`wavex explain` gives these numbers for the blocks of one shot. Two more counters have one reason each: `np_merged` (closer to
+another candidate than a quarter of a pulse width or one sample, or the same echo in both receivers) and
+`np_xtalk_dropped` (received during the emission of another shot, with `drop_emission_crosstalk = true`).
+";
 
 const INTRODUCTION: &str = "\
 # Reasons for dropped items
@@ -64,9 +78,10 @@ mod tests {
         let page = page();
         for reason in Reason::ALL {
             let Description { text, stages, item, .. } = reason.description();
-            let row = |line: &&str| line.starts_with(&format!("| {text} |")) && line.contains(stages[0]);
+            let stage = stages.first().unwrap_or(&"your own");
+            let row = |line: &&str| line.starts_with(&format!("| {text} |")) && line.contains(stage);
             assert_eq!(page.lines().filter(row).count(), 1, "{item:?}: {text}");
         }
-        assert_eq!(page.lines().filter(|line| line.starts_with("| ")).count(), Reason::ALL.len() + 3);
+        assert_eq!(page.lines().filter(|line| line.starts_with("| ")).count(), Reason::ALL.len() + 4);
     }
 }

@@ -10,8 +10,8 @@ use super::profiles::Profiles;
 use super::receivers::{BlockRoute, Receivers, SensorTables};
 use super::unexplained::Explained;
 use crate::scan_line::{
-    Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LineStats, OnlineReturn, ReturnChannel,
-    Returns, ShotProfile, flags,
+    Block, Blocks, Channel, Emission, EmissionReference, Filtered, InputInfo, LineStats, OnlineReturn,
+    ReturnChannel, Returns, ShotProfile, flags,
 };
 use crate::stage::{Context, Reason, Result, StageError};
 use wavex_signal::decompose::{Counts, Decomposition, Return as Pulse};
@@ -64,8 +64,10 @@ pub(crate) struct Shot<'a> {
 pub(crate) struct BlockFit {
     /// Receiver, as named in returns.
     pub(crate) channel: ReturnChannel,
-    /// Counts of candidates.
+    /// Counts of candidates; those dropped are in `filtered`, with those dropped after the fit.
     pub(crate) counts: Counts,
+    /// Dropped candidates, by reason.
+    pub(crate) filtered: Filtered,
     /// `χ²` of the fit.
     pub(crate) chi_square: f64,
     /// Samples minus parameters.
@@ -78,9 +80,12 @@ pub(crate) struct BlockFit {
 
 impl BlockFit {
     fn of(channel: ReturnChannel, result: &Decomposition) -> BlockFit {
+        let mut filtered = Filtered::default();
+        filtered.add_candidates(&result.counts.filtered);
         BlockFit {
             channel,
             counts: result.counts,
+            filtered,
             chi_square: result.chi_square,
             degrees_of_freedom: result.degrees_of_freedom(),
             expected_excess: result.expected_excess,
@@ -91,7 +96,7 @@ impl BlockFit {
     /// Counts returns dropped because they have no peak of their own.
     fn filter(&mut self, dropped: u64) {
         self.counts.np = self.counts.np.saturating_sub(dropped as u32);
-        self.counts.np_filtered += dropped as u32;
+        self.filtered.add(Reason::WithoutMode, dropped);
     }
 
     /// Counts returns dropped as cross-talk.
@@ -507,7 +512,7 @@ impl ShotDecomposer {
             let modes = if channel == ReturnChannel::High { &mut self.modes[1] } else { &mut self.modes[0] };
             if let Some(modes) = modes.as_mut().filter(|_| block.gain == 1.0) {
                 let dropped = modes.keep(shot.blocks.samples(block), block, &mut self.found, in_block);
-                stats.np_filtered += dropped;
+                stats.filtered.add(Reason::WithoutMode, dropped);
                 fit.filter(dropped);
             }
             let (fwhm_ns, drops) = (model.pulse_fwhm_ns, self.drop_emission_crosstalk);
@@ -550,7 +555,7 @@ impl Waveform {
     fn add(&mut self, result: &Decomposition, stats: &mut LineStats) {
         stats.n_candidates += u64::from(result.counts.n_candidates);
         stats.n_added += u64::from(result.counts.n_added);
-        stats.np_filtered += u64::from(result.counts.np_filtered);
+        stats.filtered.add_candidates(&result.counts.filtered);
         stats.np_merged += u64::from(result.counts.np_merged);
         stats.np_xtalk_dropped += u64::from(result.counts.np_xtalk_dropped);
         self.saturated |= result.saturated;

@@ -217,6 +217,7 @@ fn apply(scan_line: &mut ScanLine, verdicts: &Verdicts, config: &FilterOutliers,
         *count += 1;
         (r.withheld, r.class) = (true, class);
     }
-    let n = scan_line.remove_returns(&verdicts.rejected);
-    out.cx.reject(Reason::DeviatingWaveform, n);
+    let reason = Reason::DeviatingWaveform;
+    let n = scan_line.remove_returns(&verdicts.rejected, reason);
+    out.cx.reject(reason, n);
 }

@@ -108,7 +108,7 @@ fn false_returns_are_marked_and_waveforms_that_jump_rejected() {
     let sides = |at: usize| (lines[at].stats.np_air, lines[at].stats.np_low);
     assert_eq!([sides(4), sides(6), sides(9), sides(12)], [(1, 0), (1, 0), (0, 1), (0, 0)]);
     let rejected = &lines[6].stats;
-    assert_eq!((rejected.nw_deleted, rejected.np, rejected.np_filtered), (1, u64::from(SHOTS) - 1, 1));
+    assert_eq!((rejected.nw_deleted, rejected.np, rejected.np_filtered()), (1, u64::from(SHOTS) - 1, 1));
     assert_eq!(lines[6].n_returns() as u64, rejected.np);
     assert!(lines.iter().all(|scan_line| scan_line.stats.laws_hold()));
     let rejected: Vec<_> = cx.counters().rejected.iter().collect();
