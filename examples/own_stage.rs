@@ -10,7 +10,7 @@ use wavex::engine::{self, Options};
 use wavex::job::Job;
 use wavex::registry::STAGES;
 use wavex::scan_line::{Content, Kind, ScanLine};
-use wavex::stage::{self, Config, Context, Item, Map, MapConfig, RunContext, StageSpec};
+use wavex::stage::{self, Config, Context, Item, Map, MapConfig, Reason, RunContext, StageSpec};
 
 /// Name, role and accepted kinds of line of the stage.
 ///
@@ -51,7 +51,7 @@ impl Map for DropWeak {
             returns.retain(|found| found.amplitude_dn >= self.least_amplitude_dn);
             // Rejected items are counted with a reason: the engine compares input and output of
             // each stage.
-            cx.reject(Item::Returns, "too weak", (before - returns.len()) as u64);
+            cx.reject(Reason::Custom(Item::Returns, "too weak"), (before - returns.len()) as u64);
         }
         Ok(line)
     }

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use wavex_simd::SimdLevel;
 
-use crate::scan_line::{Content, Emission, InputInfo, Returns, ScanLine};
-use crate::stage::{Context, StageError, counted};
+use crate::scan_line::{Content, Emission, InputInfo, LineStats, Returns, ScanLine};
+use crate::stage::{Context, Reason, StageError, counted};
 use crate::stages::decompose::{Decompose, Line, Seen, SeenBlock, SeenPulse, Shot, ShotDecomposer};
 use wavex_signal::sensor_model::SensorModel;
 
@@ -81,16 +81,22 @@ impl Explained {
         shots.decompose(&all, &mut whole, &mut Context::default(), &mut ())?;
         let mut emissions = line.emissions.clone();
         profiles.clear();
+        let mut of_shot = LineStats::default();
         let mut into = Line {
             emissions: &mut emissions,
             returns: &mut returns,
             profiles: &mut profiles,
-            stats: &mut stats,
+            stats: &mut of_shot,
         };
         shots.decompose_again(&of_line, &mut into, &mut cx, &mut seen)?;
         let emission = emissions[index as usize];
         let (blocks, outgoing) = seen.finish(&emission, &returns);
         let mut remarks = remarks(&cx);
+        // The observer sees blocks before the receivers are fused.
+        remarks.extend([Reason::NotInLowPower, Reason::NotInHighPower].into_iter().filter_map(|reason| {
+            let n = of_shot.filtered.of(reason);
+            (n > 0).then(|| format!("filtered {}", counted(n, &format!("returns: {reason}"))))
+        }));
         if !line.input.origin_is_sensor {
             remarks.push("ranges start at the first sample: the recording has no sensor position".into());
         }

@@ -37,6 +37,7 @@ pub mod job;
 pub mod keys;
 pub mod plausibility;
 mod printable;
+pub mod reason;
 pub mod recording;
 pub mod registry;
 pub mod report;

@@ -12,6 +12,7 @@ use wavex_signal::sensor_model::SensorModel;
 
 mod budget;
 mod copies;
+mod filtered;
 mod input;
 mod line_stats;
 mod points;
@@ -20,6 +21,7 @@ mod removal;
 mod shots;
 
 pub use budget::{AtWork, Budget, NoRoom, Ticket};
+pub use filtered::Filtered;
 pub use input::{AmplitudeTable, EmissionReference, FirstShot, GainControl, InputInfo, LinearAmplitude};
 pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};

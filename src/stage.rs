@@ -22,7 +22,8 @@ mod spec;
 mod stamp;
 mod survey_models;
 
-pub use context::{Context, Counters, Distribution, Item, counted};
+pub use crate::reason::{Item, Reason};
+pub use context::{Context, Counters, Distribution, counted};
 pub use fitted::{CURVE_POINTS_PER_SAMPLE, FittedBlock, FittedPeak, FittedSamples, FittedShot};
 pub use lookahead::LookAhead;
 pub use observer::{DecomposedLine, FitShot, RunObserver, RunObservers};

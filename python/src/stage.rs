@@ -8,7 +8,9 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
 use wavex::scan_line::{Content, Kind, ScanLine};
-use wavex::stage::{Context, Item, MakeMap, Map, Result, RoleName, RunContext, StageError, StageSpec};
+use wavex::stage::{
+    Context, Item, MakeMap, Map, Reason, Result, RoleName, RunContext, StageError, StageSpec,
+};
 use wavex::stages::write_table::{return_batch, return_schema, rows_of};
 
 use crate::batches::Table;
@@ -183,8 +185,9 @@ impl Map for Function {
             mask.filter(|mask| !mask.is_none()).map(|mask| self.removed(&mask, n)).transpose()
         })?;
         if let Some(removed) = removed {
-            let n = line.remove_returns(&removed);
-            cx.reject(Item::Returns, self.reason, n);
+            let reason = Reason::Custom(Item::Returns, self.reason);
+            let n = line.remove_returns(&removed, reason);
+            cx.reject(reason, n);
         }
         Ok(line)
     }

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::meter::{Meter, Span};
 use crate::job::JobStage;
-use crate::stage::{Counters, Distribution, Item, RoleName};
+use crate::stage::{Counters, Distribution, Item, Reason, RoleName};
 
 /// Results of a stage.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
@@ -128,12 +128,13 @@ impl Percentiles {
 }
 
 /// Item and reason of a rejection.
-fn dropped((item, reason): &(Item, &'static str)) -> String {
+fn dropped((item, reason): &(Item, Reason)) -> String {
     format!("{}: {reason}", item.name())
 }
 
 impl StageSummary {
     pub(super) fn new(stage: &JobStage, workers: usize, meter: Meter, counters: Counters) -> StageSummary {
+        let expected = counters.rejected.keys().filter(|(_, reason)| reason.is_expected());
         StageSummary {
             id: stage.id.clone(),
             r#type: stage.spec.name.to_string(),
@@ -144,7 +145,7 @@ impl StageSummary {
             items_in: meter.items_in.into(),
             items_out: meter.items_out.into(),
             rejected: counters.rejected.iter().map(|(what, n)| (dropped(what), *n)).collect(),
-            set_aside: counters.set_aside.iter().map(dropped).collect(),
+            set_aside: expected.map(dropped).collect(),
             observed: counters.observed.iter().map(|(name, d)| (name.to_string(), d.into())).collect(),
             notes: counters.notes,
             findings: counters.findings,

@@ -130,6 +130,8 @@ pub struct InputSummary {
     pub peak_in_flight_bytes: usize,
     /// Counters, summed over all lines.
     pub totals: BTreeMap<&'static str, u64>,
+    /// `np_filtered` of `totals`, by reason.
+    pub filtered_by_reason: BTreeMap<&'static str, u64>,
     /// Channel fusion, as estimated by or given to `fuse_channels`.
     pub channel_fusion: Option<ChannelFusion>,
     /// Index of the instrument in `survey_models` whose sensor model it has.
@@ -207,6 +209,7 @@ impl InputSummary {
             wall_s: elapsed.as_secs_f64(),
             peak_in_flight_bytes,
             totals: totals.counts,
+            filtered_by_reason: totals.filtered,
             channel_fusion: totals.fusion.as_deref().cloned(),
             survey_instrument,
             sensor_model: totals.model.as_deref().filter(|_| survey_instrument.is_none()).cloned(),

@@ -11,6 +11,8 @@ use wavex_signal::sensor_model::SensorModel;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Totals {
     pub(super) counts: BTreeMap<&'static str, u64>,
+    /// `np_filtered` by the text of its reasons.
+    pub(super) filtered: BTreeMap<&'static str, u64>,
     pub(super) input: Option<Arc<InputInfo>>,
     pub(super) model: Option<Arc<SensorModel>>,
     pub(super) fusion: Option<Arc<ChannelFusion>>,
@@ -20,6 +22,9 @@ impl Totals {
     pub(super) fn add(&mut self, line: &ScanLine) {
         for (name, count) in line.stats.counts() {
             *self.counts.entry(name).or_default() += count;
+        }
+        for (reason, count) in line.stats.filtered.counts() {
+            *self.filtered.entry(reason.text()).or_default() += count;
         }
         if self.input.as_ref().is_none_or(|input| input.first_shot.is_none()) {
             self.input = Some(Arc::clone(&line.input));

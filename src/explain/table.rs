@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::Explained;
-use crate::scan_line::{Return, flags};
+use crate::scan_line::{Filtered, Return, flags};
 use crate::stages::decompose::SeenBlock;
 use wavex_signal::sensor_model::{Background, ChannelModel};
 
@@ -109,10 +109,14 @@ fn of_block(number: usize, block: &SeenBlock) -> String {
         counts.n_candidates,
         counts.n_added,
         counts.np,
-        counts.np_filtered,
+        fit.filtered.total(),
         counts.np_merged,
         counts.np_xtalk_dropped
     );
+    let filtered: Vec<String> = dropped_by_reason(&fit.filtered).collect();
+    if !filtered.is_empty() {
+        let _ = writeln!(text, "  filtered: {}", filtered.join(", "));
+    }
     let excess = match fit.expected_excess {
         excess if excess >= 0.05 => format!(" (and {excess:.1} expected from the error of the response)"),
         _ => String::new(),
@@ -123,6 +127,11 @@ fn of_block(number: usize, block: &SeenBlock) -> String {
         fit.chi_square, fit.degrees_of_freedom, fit.deviation_ratio
     );
     text
+}
+
+/// Number and reason of dropped candidates, such as `2 too weak`.
+fn dropped_by_reason(filtered: &Filtered) -> impl Iterator<Item = String> {
+    filtered.counts().filter(|(_, n)| *n > 0).map(|(reason, n)| format!("{n} {reason}"))
 }
 
 fn sensor(explained: &Explained) -> String {

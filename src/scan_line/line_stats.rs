@@ -1,5 +1,7 @@
 //! Counters of a scan line.
 
+use super::Filtered;
+
 /// Counters of a scan line; `np...` count returns, `nw...` waveforms.
 ///
 /// Two invariants hold after `decompose`: `n_candidates + n_added + np_online = np + np_filtered +
@@ -16,8 +18,8 @@ pub struct LineStats {
     pub np: u64,
     /// Returns kept that have a cross-talk flag, bits 3 to 5.
     pub np_xtalk: u64,
-    /// Candidates rejected by a threshold.
-    pub np_filtered: u64,
+    /// Dropped candidates and returns, by reason; their sum is `np_filtered`.
+    pub filtered: Filtered,
     /// Candidates merged with another.
     pub np_merged: u64,
     /// Outliers above their neighbours.
@@ -61,13 +63,18 @@ pub struct LineStats {
 }
 
 impl LineStats {
+    /// Number of dropped candidates and returns, for all reasons.
+    pub fn np_filtered(&self) -> u64 {
+        self.filtered.total()
+    }
+
     /// Returns every counter with its name, in field order.
     pub fn counts(&self) -> [(&'static str, u64); 23] {
         [
             ("nw", self.nw),
             ("np", self.np),
             ("np_xtalk", self.np_xtalk),
-            ("np_filtered", self.np_filtered),
+            ("np_filtered", self.np_filtered()),
             ("np_merged", self.np_merged),
             ("np_air", self.np_air),
             ("np_low", self.np_low),
@@ -93,7 +100,7 @@ impl LineStats {
     /// Returns whether both invariants hold.
     pub fn laws_hold(&self) -> bool {
         self.n_candidates + self.n_added + self.np_online
-            == self.np + self.np_filtered + self.np_merged + self.np_xtalk_dropped
+            == self.np + self.np_filtered() + self.np_merged + self.np_xtalk_dropped
             && self.nw == self.nw_empty + self.nw_deleted + self.nw_with_points
     }
 }

@@ -1,13 +1,14 @@
 //! Removal of returns from a line.
 
 use super::{Content, ScanLine, flags};
+use crate::reason::Reason;
 
 impl ScanLine {
     /// Removes returns, with their points; updates the counters and numbers the others of each shot again.
     ///
-    /// `is_removed` has one value per return; further returns stay. The caller counts the rejection.
-    /// Returns the number of removed returns.
-    pub fn remove_returns(&mut self, is_removed: &[bool]) -> u64 {
+    /// `is_removed` has one value per return; further returns stay. The caller rejects them in its
+    /// context for the same reason. Returns the number of removed returns.
+    pub fn remove_returns(&mut self, is_removed: &[bool], reason: Reason) -> u64 {
         let (returns, points) = match &mut self.content {
             Content::Returns(returns) => (returns, None),
             Content::Points(returns, points) => (returns, Some(points)),
@@ -38,7 +39,7 @@ impl ScanLine {
         }
         stats.np -= n.min(stats.np);
         stats.np_xtalk -= touched.min(stats.np_xtalk);
-        stats.np_filtered += n;
+        stats.filtered.add(reason, n);
         stats.nw_with_points -= waves.min(stats.nw_with_points);
         stats.nw_deleted += waves;
         let mut index = 0;
@@ -77,13 +78,13 @@ mod tests {
         let returns = vec![found(0, 1, 3), found(0, 2, 3), found(0, 3, 3), found(1, 1, 1)];
         line.content = Content::Points(returns, vec![[0.0; 3], [1.0; 3], [2.0; 3], [3.0; 3]]);
         (line.stats.np, line.stats.nw_with_points) = (4, 2);
-        assert_eq!(line.remove_returns(&[true, false, false, true]), 2);
+        assert_eq!(line.remove_returns(&[true, false, false, true], Reason::DeviatingWaveform), 2);
         let numbers = |found: &Return| (found.emission, found.return_number, found.number_of_returns);
         let left: Vec<_> = line.returns().unwrap().iter().map(numbers).collect();
         assert_eq!(left, [(0, 1, 2), (0, 2, 2)]);
         assert_eq!(line.points().unwrap(), [[1.0; 3], [2.0; 3]]);
         let stats = &line.stats;
-        assert_eq!((stats.np, stats.np_filtered, stats.nw_with_points, stats.nw_deleted), (2, 2, 1, 1));
-        assert_eq!(line.remove_returns(&[]), 0);
+        assert_eq!((stats.np, stats.np_filtered(), stats.nw_with_points, stats.nw_deleted), (2, 2, 1, 1));
+        assert_eq!(line.remove_returns(&[], Reason::OwnStage), 0);
     }
 }

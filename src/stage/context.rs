@@ -6,33 +6,11 @@ use std::sync::{Arc, Mutex};
 use hdrhistogram::Histogram;
 
 use super::{FinishedFile, RunObserver};
+use crate::reason::{Item, Reason};
 use crate::scan_line::ScanLine;
 use crate::system::Unpoisoned as _;
 
-/// Items counted by stages.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Item {
-    /// Shots.
-    Shots,
-    /// Sample blocks.
-    Blocks,
-    /// Returns and points.
-    Returns,
-}
-
 impl Item {
-    /// All item types.
-    pub const ALL: [Item; 3] = [Item::Shots, Item::Blocks, Item::Returns];
-
-    /// Name in reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Item::Shots => "shots",
-            Item::Blocks => "blocks",
-            Item::Returns => "returns",
-        }
-    }
-
     /// Number of such items in a scan line.
     pub fn count(self, line: &ScanLine) -> u64 {
         match self {
@@ -71,13 +49,11 @@ pub struct Context {
 #[derive(Debug, Default)]
 pub struct Counters {
     /// Dropped items, by type and reason.
-    pub rejected: BTreeMap<(Item, &'static str), u64>,
+    pub rejected: BTreeMap<(Item, Reason), u64>,
     /// Measured quantities, by name.
     pub observed: BTreeMap<&'static str, Distribution>,
     /// Counted items, by name; for [`MapConfig::conclude`](super::MapConfig::conclude).
     pub counts: BTreeMap<&'static str, u64>,
-    /// Entries of `rejected` that lose no data.
-    pub set_aside: BTreeSet<(Item, &'static str)>,
     /// Warnings in order, each once.
     pub notes: Vec<String>,
     /// Findings that need no action, in order, each once.
@@ -106,23 +82,23 @@ impl Context {
         self.observer.as_ref()
     }
 
-    /// Drops `n` items for a reason.
+    /// Drops `n` items of the reason's type.
     ///
-    /// This and [`Context::reject_expected`] are the only ways to drop items.
-    pub fn reject(&mut self, item: Item, reason: &'static str, n: u64) {
+    /// This and [`Context::reject_with_blocks`] are the only ways to drop items.
+    pub fn reject(&mut self, reason: Reason, n: u64) {
+        self.count_rejected(reason.item(), reason, n);
+    }
+
+    /// Drops shots with their blocks.
+    pub fn reject_with_blocks(&mut self, reason: Reason, shots: u64, blocks: u64) {
+        self.count_rejected(Item::Shots, reason, shots);
+        self.count_rejected(Item::Blocks, reason, blocks);
+    }
+
+    fn count_rejected(&mut self, item: Item, reason: Reason, n: u64) {
         if n > 0 {
             *self.counters.rejected.entry((item, reason)).or_default() += n;
         }
-    }
-
-    /// Drops `n` items whose loss is expected.
-    ///
-    /// Counted as rejected, but no reason for a warning.
-    pub fn reject_expected(&mut self, item: Item, reason: &'static str, n: u64) {
-        if n > 0 {
-            self.counters.set_aside.insert((item, reason));
-        }
-        self.reject(item, reason, n);
     }
 
     /// Adds a value to the distribution `name`, whose unit is part of the name.
@@ -194,7 +170,6 @@ impl Counters {
         for (name, n) in other.counts {
             *self.counts.entry(name).or_default() += n;
         }
-        self.set_aside.extend(other.set_aside);
         add_new(&mut self.notes, other.notes);
         add_new(&mut self.findings, other.findings);
     }
@@ -310,11 +285,11 @@ mod tests {
     #[test]
     fn rejects_add_up_by_item_and_reason() {
         let mut cx = Context::default();
-        cx.reject(Item::Shots, "truncated", 2);
-        cx.reject(Item::Shots, "truncated", 1);
-        cx.reject(Item::Shots, "no direction", 4);
-        cx.reject(Item::Returns, "outside", 0);
-        assert_eq!(cx.counters.rejected[&(Item::Shots, "truncated")], 3);
+        cx.reject(Reason::UnreadableWaves, 2);
+        cx.reject(Reason::UnreadableWaves, 1);
+        cx.reject(Reason::PulseWithoutDirection, 4);
+        cx.reject(Reason::PointTooFar, 0);
+        assert_eq!(cx.counters.rejected[&(Item::Shots, Reason::UnreadableWaves)], 3);
         assert_eq!(cx.counters.rejected_of(Item::Shots), 7);
         assert_eq!(cx.counters.rejected.len(), 2, "a rejection of 0 items is not recorded");
     }
@@ -332,9 +307,8 @@ mod tests {
         let mut cx = Context::default();
         cx.info("3 echoes in zone 1");
         cx.info("3 echoes in zone 1");
-        cx.reject(Item::Blocks, "cut off", 1);
-        cx.reject_expected(Item::Blocks, "recorded twice", 2);
-        cx.reject_expected(Item::Shots, "recorded twice", 0);
+        cx.reject(Reason::EmptyBlock, 1);
+        cx.reject(Reason::RecordedTwice, 2);
         let mut counters = Counters::default();
         counters.merge(cx.counters);
         assert_eq!(
@@ -342,7 +316,8 @@ mod tests {
             (&["3 echoes in zone 1".to_owned()][..], 0)
         );
         assert_eq!(counters.rejected_of(Item::Blocks), 3);
-        assert_eq!(counters.set_aside, BTreeSet::from([(Item::Blocks, "recorded twice")]));
+        let expected: Vec<_> = counters.rejected.keys().filter(|(_, reason)| reason.is_expected()).collect();
+        assert_eq!(expected, [&(Item::Blocks, Reason::RecordedTwice)]);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Handling of malformed items: a single one is counted and skipped; a file that ends with them is
 //! truncated.
 
-use crate::stage::{Context, Item};
+use crate::stage::{Context, Reason};
 use wavex_formats::{Error, Result};
 
 /// The malformed items since the last good one.
@@ -16,13 +16,7 @@ impl BrokenRun {
     ///
     /// # Errors
     /// I/O errors, which affect more than one item.
-    pub(super) fn accepts<T>(
-        &mut self,
-        read: Result<T>,
-        cx: &mut Context,
-        item: Item,
-        reason: &'static str,
-    ) -> Result<bool> {
+    pub(super) fn accepts<T>(&mut self, read: Result<T>, cx: &mut Context, reason: Reason) -> Result<bool> {
         match read {
             Ok(_) => {
                 self.first = None;
@@ -30,7 +24,7 @@ impl BrokenRun {
             }
             Err(error @ Error::Io { .. }) => Err(error),
             Err(error) => {
-                cx.reject(item, reason, 1);
+                cx.reject(reason, 1);
                 if !std::mem::replace(&mut self.warned, true) {
                     cx.warn(format!("{reason} was rejected; further ones are only counted: {error}"));
                 }
@@ -58,15 +52,17 @@ mod tests {
     #[test]
     fn bad_items_are_counted_and_told_once() {
         let (mut broken, mut cx) = (BrokenRun::default(), Context::default());
-        cx.reject(Item::Shots, "for another reason", 1);
+        cx.reject(Reason::PulseWithoutDirection, 1);
         for read in [bad(1), bad(2), Ok(())] {
-            broken.accepts(read, &mut cx, Item::Shots, "a pulse that cannot be read").unwrap();
+            broken.accepts(read, &mut cx, Reason::UnreadableWaves).unwrap();
         }
-        assert_eq!(cx.counters().rejected_of(Item::Shots), 3);
+        assert_eq!(cx.counters().rejected_of(Reason::UnreadableWaves.item()), 3);
         assert_eq!(
             cx.counters().notes,
-            ["a pulse that cannot be read was rejected; further ones are only counted: a.wvs: byte 1: \
-              samples: cut; copy it again"]
+            [
+                "a pulse whose waves cannot be read was rejected; further ones are only counted: a.wvs: byte 1: \
+              samples: cut; copy it again"
+            ]
         );
         assert!(broken.check_at_end().is_ok());
     }
@@ -75,7 +71,7 @@ mod tests {
     fn a_file_that_ends_with_bad_items_is_cut_off() {
         let (mut broken, mut cx) = (BrokenRun::default(), Context::default());
         for read in [Ok(()), bad(3), bad(4)] {
-            broken.accepts(read, &mut cx, Item::Shots, "a pulse that cannot be read").unwrap();
+            broken.accepts(read, &mut cx, Reason::UnreadableWaves).unwrap();
         }
         assert_eq!(
             broken.check_at_end().unwrap_err().to_string(),

@@ -7,7 +7,7 @@ use crate::georef::transform::{scan_angle_deg, to_earth};
 use crate::georef::{self, Geometry};
 use crate::plausibility::Check;
 use crate::scan_line::{Content, Emission, FirstShot, Frame, InputInfo, ScanLine};
-use crate::stage::{Context, Item, Result, Source, StageError};
+use crate::stage::{Context, Reason, Result, Source, StageError};
 use wavex_geodesy::time::day_of_year;
 use wavex_geodesy::time_axis::{Alignment, Clock, Misaligned, TimeSpan, Unwrap, utc_hint};
 use wavex_geodesy::trajectory::Pose;
@@ -225,18 +225,17 @@ fn pose_one(geometry: &Geometry, emission: &mut Emission, pose: &Pose, down: &mu
     }
 }
 
-/// Rejection reason of shots without a pose.
-const OUTSIDE: &str = "outside the trajectory";
-
 /// Removes the shots without a pose and their blocks; `place` gives the new indices of the others.
 fn reject(batch: &mut ScanLine, place: &[Option<u32>], cx: &mut Context) {
-    cx.reject(Item::Shots, OUTSIDE, place.iter().filter(|place| place.is_none()).count() as u64);
+    let shots = place.iter().filter(|place| place.is_none()).count() as u64;
+    let mut n_blocks = 0;
     if let Content::Shots(blocks) = &mut batch.content {
         let before = blocks.len();
         blocks.keep(place);
-        cx.reject(Item::Blocks, OUTSIDE, (before - blocks.len()) as u64);
+        n_blocks = (before - blocks.len()) as u64;
         batch.stats.nw = blocks.waveforms() as u64;
     }
+    cx.reject_with_blocks(Reason::OutsideTrajectory, shots, n_blocks);
 }
 
 /// Unwraps the times of a line, continuing from earlier lines.

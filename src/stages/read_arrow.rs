@@ -19,7 +19,8 @@ use crate::scan_line::{
     ScanLine,
 };
 use crate::stage::{
-    self, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageError, StageSpec,
+    self, Context, LineLocation, Paths, Reason, Result, RunContext, Source, SourceConfig, StageError,
+    StageSpec,
 };
 use wavex_formats::Error;
 use wavex_formats::container::{
@@ -221,8 +222,7 @@ impl ArrowLineReader {
                     rows.push(row);
                 }
                 Some(reason) => {
-                    cx.reject(Item::Shots, reason, 1);
-                    cx.reject(Item::Blocks, reason, line.blocks(row).len() as u64);
+                    cx.reject_with_blocks(reason, 1, line.blocks(row).len() as u64);
                 }
             }
             row += 1;
@@ -370,21 +370,15 @@ fn wrong_row(
     row: usize,
     shot: &ContainerShot,
     last: Option<&Emission>,
-) -> Option<&'static str> {
+) -> Option<Reason> {
     let earlier = last.is_some_and(|last| shot.clock_ps < last.clock_ps);
     let is_repeated = last.is_some_and(|last| shot.shot == last.shot);
-    (earlier.then_some("the clock runs backwards"))
-        .or_else(|| is_repeated.then_some(REPEATED))
+    (earlier.then_some(Reason::BackwardClock))
+        .or_else(|| is_repeated.then_some(Reason::RepeatedShotNumber))
         .or_else(|| wrong_shot(shot))
         .or_else(|| line.blocks(row).find_map(wrong_block))
         .or_else(|| line.online(row).find_map(wrong_online))
 }
-
-const REPEATED: &str = "the shot number is that of the row before";
-const WRONG_SCALE: &str = "the frame scale is not between 0.1 and 10";
-const WRONG_ANGLE: &str = "the scan angle is not between -180 and 180 degrees";
-const FAR_BLOCK: &str = "a block more than 0.01 s from its shot";
-const WRONG_INTERVAL: &str = "a block whose interval is not between 0.05 and 20 ns";
 
 /// The checks of the rows of a container.
 pub(crate) fn checks() -> Vec<Check> {
@@ -393,69 +387,74 @@ pub(crate) fn checks() -> Vec<Check> {
             "frame scale of a shot",
             "0.1 to 10",
             "scale of maps up to 84 degrees of latitude, in metres or feet",
-            WRONG_SCALE,
+            Reason::WrongFrameScale.text(),
         ),
-        Check::left_out("scan angle of a shot", "-180 to 180 degrees", "a full turn", WRONG_ANGLE),
+        Check::left_out(
+            "scan angle of a shot",
+            "-180 to 180 degrees",
+            "a full turn",
+            Reason::WrongScanAngle.text(),
+        ),
         Check::left_out(
             "number of a shot and of that before",
             "different",
             "each shot has its own number",
-            REPEATED,
+            Reason::RepeatedShotNumber.text(),
         ),
         Check::left_out(
             "start of a block after its shot",
             "0.01 s",
             "light travels 1500 km and back",
-            FAR_BLOCK,
+            Reason::FarBlock.text(),
         ),
         Check::left_out(
             "sampling interval of a block",
             "0.05 to 20 ns",
             "as for whole recordings",
-            WRONG_INTERVAL,
+            Reason::WrongInterval.text(),
         ),
     ]
 }
 
 /// The reason to reject a shot, if any.
-fn wrong_shot(shot: &ContainerShot) -> Option<&'static str> {
+fn wrong_shot(shot: &ContainerShot) -> Option<Reason> {
     let length = shot.direction.iter().map(|x| x * x).sum::<f64>().sqrt();
     if !shot.origin_m.iter().all(|x| x.is_finite()) {
-        Some("the origin is not finite")
+        Some(Reason::OriginNotFinite)
     } else if !length.is_finite() {
-        Some("the direction is not finite")
+        Some(Reason::DirectionNotFinite)
     } else if (length - 1.0).abs() > UNIT_TOLERANCE {
-        Some("the direction is not a unit vector")
+        Some(Reason::DirectionNotUnit)
     } else if shot.gps_time_s.is_some_and(f64::is_infinite) {
-        Some("the time is infinite")
+        Some(Reason::TimeInfinite)
     } else if shot.frame_scale.is_some_and(|scale| !plausible::FRAME_SCALE.contains(&scale)) {
-        Some(WRONG_SCALE)
+        Some(Reason::WrongFrameScale)
     } else if shot.scan_angle_deg.is_some_and(|angle_deg| angle_deg.abs() > 180.0) {
-        Some(WRONG_ANGLE)
+        Some(Reason::WrongScanAngle)
     } else {
         None
     }
 }
 
 /// The reason to reject a block, if any.
-fn wrong_block(block: ContainerBlock) -> Option<&'static str> {
+fn wrong_block(block: ContainerBlock) -> Option<Reason> {
     if channel_of(block.channel).is_none() {
-        Some("a block of an unknown channel")
+        Some(Reason::ShotWithUnknownChannel)
     } else if !block.start_ns.is_finite() {
-        Some("a block without a time")
+        Some(Reason::BlockWithoutTime)
     } else if block.start_ns.abs() > plausible::MOST_START_NS {
-        Some(FAR_BLOCK)
+        Some(Reason::FarBlock)
     } else if block.interval_ns.is_some_and(|interval_ns| !plausible::INTERVAL_NS.contains(&interval_ns)) {
-        Some(WRONG_INTERVAL)
+        Some(Reason::WrongInterval)
     } else if block.gain.is_some_and(|gain| !GAINS.contains(&gain)) {
-        Some("a block whose gain is not between 1/1024 and 1024")
+        Some(Reason::WrongGain)
     } else {
         None
     }
 }
 
-fn wrong_online(online: ContainerOnline) -> Option<&'static str> {
-    (!online.time_ns.is_finite()).then_some("an online return without a time")
+fn wrong_online(online: ContainerOnline) -> Option<Reason> {
+    (!online.time_ns.is_finite()).then_some(Reason::OnlineWithoutTime)
 }
 
 #[cfg(test)]

@@ -26,7 +26,7 @@ use crate::scan_line::{
     TimeScale, emission_flags,
 };
 use crate::stage::{
-    Config, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageError,
+    Config, Context, LineLocation, Paths, Reason, Result, RunContext, Source, SourceConfig, StageError,
     StageSpec,
 };
 use geometry::{Geometry, convert_heights, first_sample, is_usable};
@@ -302,13 +302,13 @@ impl LasReader {
             }
             self.points_read += 1;
             if point.wave.descriptor == 0 {
-                cx.reject(Item::Returns, "a point without waveform", 1);
+                cx.reject(Reason::PointWithoutWaveform, 1);
                 self.without_waveform += 1;
                 continue;
             }
             convert_heights(&mut point, self.geometry.units);
             if !is_usable(&point) {
-                cx.reject(Item::Returns, "a point without direction or location", 1);
+                cx.reject(Reason::PointWithoutBeam, 1);
                 continue;
             }
             let has_room = self.pulse.len() < MOST_RETURNS;
@@ -364,7 +364,7 @@ impl LasReader {
                 continue;
             }
             if !self.recent.is_new(wave.offset) {
-                cx.reject(Item::Blocks, "a waveform that was read with an earlier pulse", 1);
+                cx.reject(Reason::SharedWaveform, 1);
                 continue;
             }
             let mut samples = Vec::new();
@@ -377,7 +377,7 @@ impl LasReader {
             let (interval_ns, n_samples) = read.as_ref().map_or((0.0, 0), |descriptor| {
                 (f64::from(descriptor.spacing_ps) / 1000.0, descriptor.samples)
             });
-            if !self.broken.accepts(read, cx, Item::Blocks, "a point's waveform that cannot be read")? {
+            if !self.broken.accepts(read, cx, Reason::UnreadableWaveform)? {
                 continue;
             }
             let start_m = first_sample(&self.pulse, wave.offset, &self.geometry);
@@ -404,7 +404,7 @@ impl LasReader {
             return Ok(());
         }
         let rejected = &cx.counters.rejected;
-        let most = rejected.iter().max_by_key(|(_, n)| **n).map_or("", |((_, reason), _)| *reason);
+        let most = rejected.iter().max_by_key(|(_, n)| **n).map_or("", |((_, reason), _)| reason.text());
         let n = self.points_read;
         let (points, were) =
             if n == 1 { ("the only point".to_owned(), "was") } else { (format!("all {n} points"), "were") };

@@ -20,7 +20,7 @@ use super::recording::{
 use crate::keys::InvalidKey;
 use crate::scan_line::{Channel, Emission, EmissionReference, Kind, ScanLine, emission_flags};
 use crate::stage::{
-    Config, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+    Config, Context, LineLocation, Paths, Reason, Result, RunContext, Source, SourceConfig, StageSpec,
 };
 use description::{describe, recorded_crs};
 use wavex_formats::pulsewaves::{Pulse, Reader, Segment, SegmentKind, TimeAxis, Waves};
@@ -336,7 +336,7 @@ impl PulseWavesReader {
             true => self.reader.waves(&pulse, &mut self.waves),
             false => Ok(()),
         };
-        if !self.broken.accepts(read, cx, Item::Shots, "a pulse whose waves cannot be read")? {
+        if !self.broken.accepts(read, cx, Reason::UnreadableWaves)? {
             return Ok(None);
         }
         if self.has_outgoing_bytes && self.waves.read_outgoing_as_bytes() {
@@ -345,7 +345,7 @@ impl PulseWavesReader {
         let unit_ns = unit_ns(&self.reader, &pulse);
         let emission = self.emission(&pulse, unit_ns);
         if !emission.direction.iter().all(|x| x.is_finite()) {
-            cx.reject(Item::Shots, "a pulse without direction", 1);
+            cx.reject(Reason::PulseWithoutDirection, 1);
             return Ok(None);
         }
         Ok(Some((emission, unit_ns)))
@@ -361,7 +361,7 @@ impl PulseWavesReader {
         let index = self.lines.add(emission.shot, emission);
         for segment in self.waves.segments() {
             let Some(channel) = self.receivers.of(segment) else {
-                cx.reject(Item::Blocks, "a block of an unknown channel", 1);
+                cx.reject(Reason::UnknownChannel, 1);
                 continue;
             };
             let start_ns = segment.duration_of(0.0) * unit_ns - clock_ns;

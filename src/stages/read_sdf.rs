@@ -9,13 +9,13 @@ use serde::{Deserialize, Serialize};
 
 use super::line_splitter::Lines;
 use super::recording::time::{self, Axis, Scale, Times};
-use super::recording::{self, NO_TIME, OddSamples, PulseSpeed, TimeKeys, Watched};
+use super::recording::{self, OddSamples, PulseSpeed, TimeKeys, Watched};
 use crate::keys::InvalidKey;
 use crate::scan_line::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
 };
 use crate::stage::{
-    self, Context, Item, LineLocation, Paths, Result, RunContext, Source, SourceConfig, StageSpec,
+    self, Context, LineLocation, Paths, Reason, Result, RunContext, Source, SourceConfig, StageSpec,
 };
 use wavex_formats::extensions::is_wfm;
 use wavex_formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
@@ -269,7 +269,7 @@ impl SdfLineReader {
         let Some(window) = &mut self.window else { return Some(emission) };
         let time_s = if window.is_external { emission.gps_time_s } else { self.record.time_s };
         if time_s.is_nan() {
-            self.reject(NO_TIME, cx);
+            self.reject(Reason::WithoutTime, cx);
             return None;
         }
         let [_, to_s] = window.watched.window_s;
@@ -285,12 +285,11 @@ impl SdfLineReader {
     /// Counts the blocks of a record that is not a shot.
     fn pass_over(&self, cx: &mut Context) {
         let blocks = self.record.blocks.len() as u64;
-        cx.reject(Item::Blocks, "a block of a housekeeping record", blocks);
+        cx.reject(Reason::Housekeeping, blocks);
     }
 
-    fn reject(&self, reason: &'static str, cx: &mut Context) {
-        cx.reject(Item::Shots, reason, 1);
-        cx.reject(Item::Blocks, reason, self.record.blocks.len() as u64);
+    fn reject(&self, reason: Reason, cx: &mut Context) {
+        cx.reject_with_blocks(reason, 1, self.record.blocks.len() as u64);
     }
 
     /// Adds the shot of the current record to the current line.

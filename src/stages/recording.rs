@@ -7,7 +7,7 @@ use super::emission_choice::EmissionCheck;
 use crate::georef::declared;
 use crate::plausibility::Check;
 use crate::scan_line::{Content, Frame, GainControl, InputInfo, ScanLine};
-use crate::stage::{Context, Item, LineLocation, Result, RunContext, Source, StageError};
+use crate::stage::{Context, LineLocation, Reason, Result, RunContext, Source, StageError};
 
 mod keys;
 pub(super) mod time;
@@ -17,8 +17,6 @@ pub(super) use keys::Sampling;
 pub use keys::{FullScale, InputCrs, OddSamples, PulseSpeed, RecordingTime, ScaleKey, TimeKeys};
 use time::{Axis, Scale, Times};
 
-/// Rejection reason of a shot without a time.
-pub(super) const NO_TIME: &str = "no time, although `time_s` is set";
 
 /// Metadata of a recording as declared by the job.
 #[derive(Clone, Debug, Default)]
@@ -364,8 +362,8 @@ fn within(line: ScanLine, window: &mut Watched, cx: &mut Context) -> ScanLine {
             without_time[1] += blocks.of_emission(index).count() as u64;
         }
     }
-    cx.reject(Item::Shots, NO_TIME, without_time[0]);
-    cx.reject(Item::Blocks, NO_TIME, without_time[1]);
+    let [shots_without_time, blocks_without_time] = without_time;
+    cx.reject_with_blocks(Reason::WithoutTime, shots_without_time, blocks_without_time);
     blocks.keep(&place);
     ScanLine::of_shots(line.input, line.line, emissions, blocks)
 }

@@ -21,7 +21,7 @@ use crate::scan_line::{
     Emission, Frame, GainControl, InputInfo, Kind, Return, ScanLine, TimeScale, emission_flags,
 };
 use crate::stage::{
-    Config, Context, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
+    Config, Context, OutputFile, Reason, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };
 use attributes::Attributes;
 use files::{Files, StacFile};
@@ -286,9 +286,6 @@ struct LasWriter {
     flight_line: Option<u16>,
 }
 
-/// Rejection reason of a point with an impossible position; the others are kept.
-const TOO_FAR: &str = "a point too far away for the coordinates of the file";
-
 /// The header needs the input's metadata: it is written with the first line.
 enum State {
     Empty(OutputFile),
@@ -448,9 +445,10 @@ impl Sink for LasWriter {
                 refused.get_or_insert(error);
             },
         )?;
-        cx.reject(Item::Returns, TOO_FAR, n_refused);
+        let reason = Reason::PointTooFar;
+        cx.reject(reason, n_refused);
         if let (Some(error), None) = (refused, &self.refused) {
-            cx.warn(format!("{TOO_FAR} was rejected; further ones are only counted: {error}"));
+            cx.warn(format!("{reason} was rejected; further ones are only counted: {error}"));
             self.refused = Some(error);
         }
         cx.observe("points_per_line", points.len() as f64);

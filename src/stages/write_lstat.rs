@@ -43,7 +43,7 @@ const COLUMNS: [Column; 20] = [
     Column("np_xtalk", Count(|stats| stats.np_xtalk), "returns affected by cross-talk of the emission"),
     Column(
         "np_filtered",
-        Count(|stats| stats.np_filtered),
+        Count(LineStats::np_filtered),
         "candidates rejected by a threshold, or without a peak of their own",
     ),
     Column("np_merged", Count(|stats| stats.np_merged), "candidates merged with another"),
@@ -79,7 +79,7 @@ const COLUMNS_1_0: [Column; 11] = [
     Column("n_waveforms", Count(|stats| stats.nw), "nw"),
     Column("n_points", Count(|stats| stats.np), "np"),
     Column("n_empty", Count(|stats| stats.nw_empty + stats.nw_deleted), "nw_empty + nw_deleted"),
-    Column("n_filtered", Count(|stats| stats.np_filtered), "np_filtered"),
+    Column("n_filtered", Count(LineStats::np_filtered), "np_filtered"),
     Column("n_merged", Count(|stats| stats.np_merged), "np_merged"),
     Column("n_refined", Refined, "iteratively refined returns"),
     Column("n_air", Count(|stats| stats.np_air), "np_air"),
@@ -213,6 +213,15 @@ fn number(value: f64, digits: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scan_line::Filtered;
+    use crate::stage::Reason;
+
+    fn four_filtered() -> Filtered {
+        let mut filtered = Filtered::default();
+        filtered.add(Reason::TooWeak, 3);
+        filtered.add(Reason::TooWide, 1);
+        filtered
+    }
 
     /// A line whose counters all differ.
     fn stats() -> LineStats {
@@ -220,7 +229,7 @@ mod tests {
             nw: 1,
             np: 2,
             np_xtalk: 3,
-            np_filtered: 4,
+            filtered: four_filtered(),
             np_merged: 5,
             np_air: 6,
             np_low: 7,

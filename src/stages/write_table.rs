@@ -9,7 +9,7 @@ use super::container_info::time_scale_of;
 use crate::keys::InvalidKey;
 use crate::scan_line::{InputInfo, Kind, ScanLine, TimeScale};
 use crate::stage::{
-    self, Context, Item, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
+    self, Context, OutputFile, Reason, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };
 use wavex_geodesy::crs::projjson_of_wkt;
 
@@ -178,7 +178,7 @@ impl Sink for ReturnTableWriter {
             rows += 1;
             writer.push(row)?;
         }
-        cx.reject(Item::Returns, "its shot is not in the line", (returns.len() - rows) as u64);
+        cx.reject(Reason::ReturnWithoutShot, (returns.len() - rows) as u64);
         Ok(())
     }
 

@@ -194,6 +194,12 @@ fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
     assert_eq!(code, Some(0));
     let nothing = "0 detected + 0 added = 0 kept";
     assert!(none.contains(nothing) && !out.contains(nothing), "{none}");
+    // Returns before the last one stay; the others are filtered for one reason.
+    let set = ["--set", "decompose.detection_sigma_last=1000"];
+    let Outcome { code, out: fewer, .. } = explain(&place, &[&with_model[..], &set].concat());
+    assert_eq!(code, Some(0));
+    let reasons = fewer.lines().find_map(|line| line.strip_prefix("  filtered: ")).unwrap();
+    assert!(reasons.contains(" too weak"), "{fewer}");
 }
 
 /// Shots with one echo each, except the third, which has only an outgoing pulse.

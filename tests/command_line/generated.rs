@@ -14,7 +14,7 @@ use wavex::registry::{STAGES, find};
 use wavex::report::RunReport;
 use wavex::report::survey::Survey;
 use wavex::scan_line::flags::NAMES;
-use wavex::stage::SurveyModels;
+use wavex::stage::{Reason, SurveyModels};
 use wavex::stages::write_lstat;
 use wavex_signal::sensor_model::SensorModel;
 
@@ -38,6 +38,20 @@ fn the_schema_of_jobs_is_up_to_date() {
 #[test]
 fn the_page_of_plausibility_checks_is_up_to_date() {
     check("docs/reference/checks.md", &wavex::checks::page());
+}
+
+#[test]
+fn the_page_of_reasons_is_up_to_date() {
+    check("docs/reference/reasons.md", &wavex::reason::page());
+}
+
+#[test]
+fn reasons_name_stages_that_exist() {
+    for reason in Reason::ALL {
+        for stage in reason.description().stages {
+            assert!(find(stage).is_some(), "{reason:?}: `{stage}`");
+        }
+    }
 }
 
 #[test]

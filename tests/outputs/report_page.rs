@@ -98,6 +98,7 @@ fn the_page_tells_all_of_a_run() {
         "Noise, low power",
         "System response, outgoing pulse",
         "Counters",
+        "Candidates rejected, by reason",
         "Extent",
         "Returns per pulse",
         "Returns by class",

@@ -131,6 +131,9 @@ fn both_layouts_of_line_statistics_keep_the_laws() {
         assert_eq!(sum as u64, totals[name.as_str()], "{name}");
     }
     assert_eq!(totals["nw"], totals["nw_empty"] + totals["nw_deleted"] + totals["nw_with_points"]);
+    let by_reason = &report.inputs[0].filtered_by_reason;
+    assert_eq!(by_reason.values().sum::<u64>(), totals["np_filtered"], "{by_reason:?}");
+    assert!(by_reason["too weak"] > 0, "{by_reason:?}");
     assert_eq!(
         totals["n_candidates"] + totals["n_added"],
         totals["np"] + totals["np_filtered"] + totals["np_merged"] + totals["np_xtalk_dropped"]

@@ -384,6 +384,7 @@ fn ranges_across_the_hand_over_reach_the_joint_bound_without_a_step() {
     let kept_or_not = count(&["np", "np_filtered", "np_merged", "np_xtalk_dropped"]);
     assert_eq!(count(&["n_candidates", "n_added"]), kept_or_not, "every block is counted exactly once");
     assert!(report.totals["np_merged"] > 0);
+    assert_eq!(report.filtered_by_reason.values().sum::<u64>(), report.totals["np_filtered"]);
     let rows = rows(&folder.path().join("returns.csv"));
     let config = TwoReceivers::default();
     println!("{} returns of {} shots", rows.len(), config.lines * SHOTS_PER_LINE);

@@ -34,7 +34,7 @@ fn false_returns_are_told_and_true_ones_kept() {
             scene.name
         );
         assert_eq!(total(|line| line.stats.np), lines.iter().map(ScanLine::n_returns).sum::<usize>() as u64);
-        assert_eq!(total(|line| line.stats.np_filtered), score.rejected as u64);
+        assert_eq!(total(|line| line.stats.np_filtered()), score.rejected as u64);
         assert!(lines.iter().map(|line| line.line).eq(flight.lines.iter().map(|line| line.line)));
 
         // Wide spacing, and beams that the attitude moves from line to line.

@@ -267,5 +267,6 @@ fn the_counters_of_lines_obey_their_laws() {
         total("n_candidates") + total("n_added"),
         total("np") + total("np_filtered") + total("np_merged") + total("np_xtalk_dropped")
     );
+    assert_eq!(report.filtered_by_reason.values().sum::<u64>(), total("np_filtered"));
     assert_eq!(total("nw"), total("nw_empty") + total("nw_deleted") + total("nw_with_points"));
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Top-level modules from top to bottom; each may import those below it.
-const LAYERS: [&str; 21] = [
+const LAYERS: [&str; 22] = [
     "main",
     "cli",
     "view",
@@ -26,6 +26,7 @@ const LAYERS: [&str; 21] = [
     "system",
     "printable",
     "plausibility",
+    "reason",
 ];
 
 /// Top-level modules named after `crate::` in the code of a file.

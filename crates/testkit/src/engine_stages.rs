@@ -12,8 +12,8 @@ use wavex::engine::Options;
 use wavex::job::{Job, JobStage};
 use wavex::scan_line::{Blocks, Channel, Emission, Frame, InputInfo, Kind, ScanLine};
 use wavex::stage::{
-    Config, Context, Item, Map, MapConfig, Output, Paths, Result, RunContext, Sink, SinkConfig, Source,
-    SourceConfig, StageError, StageSpec, Transform, TransformConfig,
+    Config, Context, Item, Map, MapConfig, Output, Paths, Reason, Result, RunContext, Sink, SinkConfig,
+    Source, SourceConfig, StageError, StageSpec, Transform, TransformConfig,
 };
 use wavex_formats::Error;
 
@@ -164,7 +164,7 @@ impl Map for Work {
             std::thread::sleep(Duration::from_micros(pseudo_random % self.longest_us));
         }
         if self.drop_one && scan_line.emissions.pop().is_some() {
-            cx.reject(Item::Shots, "last of its line", 1);
+            cx.reject(Reason::Custom(Item::Shots, "last of its line"), 1);
         }
         Ok(scan_line)
     }

@@ -127,6 +127,60 @@ pub struct Return {
     pub flags: u16,
 }
 
+/// Reason why a candidate is dropped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Filter {
+    /// Explained by the responses of stronger candidates.
+    Screened,
+    /// Weaker than [`DecomposeSettings::max_returns`] others.
+    Excess,
+    /// Not determined by the samples: its fit has no optimum.
+    Undetermined,
+    /// Below the threshold.
+    Weak,
+    /// Narrower than the range of widths, and not far above the threshold.
+    Narrow,
+    /// Wider than the range of widths, and not far above the threshold.
+    Wide,
+    /// Its peak is outside the block.
+    Outside,
+}
+
+impl Filter {
+    /// All reasons.
+    pub const ALL: [Filter; 7] = [
+        Filter::Screened,
+        Filter::Excess,
+        Filter::Undetermined,
+        Filter::Weak,
+        Filter::Narrow,
+        Filter::Wide,
+        Filter::Outside,
+    ];
+}
+
+/// Number of dropped candidates by reason.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Filtered(pub(crate) [u32; Filter::ALL.len()]);
+
+impl Filtered {
+    /// Adds candidates dropped for a reason.
+    #[inline(always)]
+    pub(crate) fn add(&mut self, reason: Filter, n: u32) {
+        self.0[reason as usize] += n;
+    }
+
+    /// Number for one reason.
+    pub fn of(&self, reason: Filter) -> u32 {
+        self.0[reason as usize]
+    }
+
+    /// Number for all reasons.
+    pub fn total(&self) -> u32 {
+        self.0.iter().sum()
+    }
+}
+
 /// Counts of candidates.
 ///
 /// `n_candidates + n_added = np + np_filtered + np_merged + np_xtalk_dropped`.
@@ -138,14 +192,21 @@ pub struct Counts {
     pub n_added: u32,
     /// Returns.
     pub np: u32,
-    /// Dropped: too weak, too narrow or wide, outside the block, not determined, or in excess.
-    pub np_filtered: u32,
+    /// Dropped, by reason; [`Counts::np_filtered`] is their sum.
+    pub filtered: Filtered,
     /// Merged with a neighbour that could not be resolved.
     pub np_merged: u32,
     /// Dropped as cross-talk of an emission.
     ///
     /// Always 0 here, because emissions are unknown.
     pub np_xtalk_dropped: u32,
+}
+
+impl Counts {
+    /// Number of dropped candidates, for all reasons.
+    pub fn np_filtered(&self) -> u32 {
+        self.filtered.total()
+    }
 }
 
 /// A decomposed waveform.

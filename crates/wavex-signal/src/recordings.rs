@@ -65,7 +65,7 @@ fn riegl_echoes_are_calibrated_and_decomposed() {
     for samples in &echoes {
         let outcome = decomposer.decompose(samples);
         let c = outcome.counts;
-        assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered + c.np_merged + c.np_xtalk_dropped);
+        assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered() + c.np_merged + c.np_xtalk_dropped);
         returns += outcome.returns.len();
         without += usize::from(outcome.returns.is_empty());
     }

@@ -109,11 +109,14 @@ pub(super) fn tables(input: &Value) -> Markup {
     let known = keys.filter(|key| !input[*key].is_null() && input[*key] != "");
     let counted = words::counters()
         .filter_map(|(key, name)| Some((name.to_owned(), number(input["totals"].get(key)?))));
+    let filtered = input["filtered_by_reason"].as_object().into_iter().flatten();
+    let filtered = filtered.filter(|(_, n)| n.as_u64() != Some(0));
     let trajectory = input["trajectory"].as_object().into_iter().flatten();
     html! {
         div.sections {
             (section("Input", known.map(|key| row(key, &input[key]))))
             (section("Counters", counted))
+            (section("Candidates rejected, by reason", filtered.map(|(reason, n)| (reason.clone(), number(n)))))
             (section("Trajectory", trajectory.map(|(key, value)| row(key, value))))
             (of_channels(&input["sensor_model"]))
             (section("Outputs", list(input, "outputs").iter().map(|file| ("file".to_owned(), plain(file)))))

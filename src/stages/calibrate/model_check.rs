@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::{Calibrator, ECHOES, failed, name};
 use crate::scan_line::{Channel, Content, ScanLine};
-use crate::stage::{Item, Output, Result, StageError};
+use crate::stage::{Output, Reason, Result, StageError};
 use wavex_signal::calibrate::receiver_limits;
 use wavex_signal::decompose::Waveform;
 use wavex_signal::gain::GainLevel;
@@ -14,10 +14,6 @@ use wavex_signal::sensor_model::{ChannelModel, ModelError, SensorModel};
 
 /// Number of waveforms with which a given model is compared before the first line is emitted.
 pub(super) const CHECKED_WAVEFORMS: u64 = 2_000;
-
-/// Reasons for blocks without echoes.
-const CONSTANT: &str = "the receiver is dead: all samples are equal";
-const AWAY: &str = "the samples are flat, far from the background";
 
 /// State of one receiver along a recording.
 #[derive(Default)]
@@ -67,8 +63,8 @@ impl Calibrator {
         });
         if constant + away > 0 {
             line.stats.nw = blocks.waveforms() as u64;
-            out.cx.reject(Item::Blocks, CONSTANT, constant);
-            out.cx.reject(Item::Blocks, AWAY, away);
+            out.cx.reject(Reason::DeadReceiver, constant);
+            out.cx.reject(Reason::FlatSamples, away);
         }
     }
 

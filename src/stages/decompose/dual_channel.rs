@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::echo::{Found, HighPowerView};
 use super::shots::Shot;
 use crate::scan_line::{Block, Channel, LineStats, ReturnChannel, flags};
-use crate::stage::{Result, StageError};
+use crate::stage::{Reason, Result, StageError};
 use wavex_signal::decompose::{DEVIANT, OVERDRIVEN_PART};
 use wavex_signal::fusion::{ChannelFusion, Expected, JointFit, JointFitted, JointPulse};
 use wavex_signal::gain::GainLevel;
@@ -256,7 +256,7 @@ impl Both {
                 }
                 None if is_within => {
                     gone[of_high] = true;
-                    stats.np_filtered += 1;
+                    stats.filtered.add(Reason::NotInLowPower, 1);
                 }
                 None => {}
             }
@@ -286,7 +286,7 @@ impl Both {
             .partition(|&i| is_confirmed(i) || self.stands_out(&all[i], [low, high], all, &joined));
         for false_one in false_ones {
             gone[false_one] = true;
-            stats.np_filtered += 1;
+            stats.filtered.add(Reason::NotInHighPower, 1);
         }
         self.fit_jointly(shot, [low, high], all, &highs, (&joined, &others));
         for double in doubles {

@@ -10,7 +10,7 @@ use super::dual_channel::BothReceivers;
 use super::shots::Shot;
 use super::{Decompose, Mode};
 use crate::scan_line::{Block, Channel, ReturnChannel};
-use crate::stage::{Result, StageError};
+use crate::stage::{Reason, Result, StageError};
 use wavex_signal::decompose::{
     self, BatchDecomposer, DecomposeSettings, Decomposition, Decompositions, Tables, Waveform,
 };
@@ -128,7 +128,7 @@ pub(super) enum BlockRoute {
     /// Outgoing pulse of the shot: gain and index.
     Outgoing(GainLevel, usize),
     /// Not used, with the reason.
-    Unused(&'static str),
+    Unused(Reason),
     /// Echoes recorded by the low-power receiver as well.
     Covered,
     /// Neither an echo nor an outgoing pulse.
@@ -265,7 +265,7 @@ impl Receivers {
                 let waveform = Waveform { samples: shot.blocks.samples(block) };
                 let level = GainLevel::of(block.gain);
                 let route = match block.channel {
-                    _ if block.is_too_long() => BlockRoute::Unused("a block of more than 16384 samples"),
+                    _ if block.is_too_long() => BlockRoute::Unused(Reason::LongBlock),
                     Channel::Reference if !has_left => {
                         has_left = true;
                         BlockRoute::Outgoing(level, outgoing.push(level, waveform))
@@ -404,8 +404,8 @@ fn echoes(
     route: impl FnOnce() -> BlockRoute,
 ) -> BlockRoute {
     match receiver {
-        None => BlockRoute::Unused("its receiver is not in the sensor model"),
-        Some(_) if block.is_empty() => BlockRoute::Unused("a block without samples"),
+        None => BlockRoute::Unused(Reason::UnknownReceiver),
+        Some(_) if block.is_empty() => BlockRoute::Unused(Reason::EmptyBlock),
         Some(_) => route(),
     }
 }

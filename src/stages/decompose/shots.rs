@@ -12,10 +12,10 @@ use super::profiles::Profiles;
 use super::receivers::{BlockRoute, Receivers, SensorTables};
 use super::unexplained::Explained;
 use crate::scan_line::{
-    Block, Blocks, Channel, Emission, EmissionReference, InputInfo, LineStats, OnlineReturn, ReturnChannel,
-    Returns, ShotProfile, flags,
+    Block, Blocks, Channel, Emission, EmissionReference, Filtered, InputInfo, LineStats, OnlineReturn,
+    ReturnChannel, Returns, ShotProfile, flags,
 };
-use crate::stage::{Context, Item, Result, StageError};
+use crate::stage::{Context, Reason, Result, StageError};
 use wavex_signal::decompose::{Counts, Decomposition, Return as Pulse};
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::outgoing::Outgoing;
@@ -65,8 +65,10 @@ pub(crate) struct Shot<'a> {
 pub(crate) struct BlockFit {
     /// Receiver, as named in returns.
     pub(crate) channel: ReturnChannel,
-    /// Counts of candidates.
+    /// Counts of candidates; those dropped are in `filtered`, with those dropped after the fit.
     pub(crate) counts: Counts,
+    /// Dropped candidates, by reason.
+    pub(crate) filtered: Filtered,
     /// `χ²` of the fit.
     pub(crate) chi_square: f64,
     /// Samples minus parameters.
@@ -79,9 +81,12 @@ pub(crate) struct BlockFit {
 
 impl BlockFit {
     fn of(channel: ReturnChannel, result: &Decomposition) -> BlockFit {
+        let mut filtered = Filtered::default();
+        filtered.add_candidates(&result.counts.filtered);
         BlockFit {
             channel,
             counts: result.counts,
+            filtered,
             chi_square: result.chi_square,
             degrees_of_freedom: result.degrees_of_freedom(),
             expected_excess: result.expected_excess,
@@ -92,7 +97,7 @@ impl BlockFit {
     /// Counts returns dropped because they have no peak of their own.
     fn filter(&mut self, dropped: u64) {
         self.counts.np = self.counts.np.saturating_sub(dropped as u32);
-        self.counts.np_filtered += dropped as u32;
+        self.filtered.add(Reason::WithoutMode, dropped);
     }
 
     /// Counts returns dropped as cross-talk.
@@ -352,7 +357,7 @@ impl ShotDecomposer {
         for shot in shots {
             match line.emissions.get(shot.index as usize).copied() {
                 Some(emission) => self.shot(&CurrentShot { shot, emission, first_block }, line, cx, watch)?,
-                None => cx.reject(Item::Blocks, "its shot is not in the line", shot.of_shot.len() as u64),
+                None => cx.reject(Reason::BlockWithoutShot, shot.of_shot.len() as u64),
             }
             first_block += shot.of_shot.len();
         }
@@ -470,10 +475,8 @@ impl ShotDecomposer {
         for (index, (block, &route)) in blocks.filter(|(_, (block, _))| block.channel.is_echo()) {
             waveform.recorded = true;
             match route {
-                BlockRoute::Unused(why) => cx.reject(Item::Blocks, why, 1),
-                BlockRoute::Covered => {
-                    cx.reject_expected(Item::Blocks, "the low-power receiver recorded it as well", 1)
-                }
+                BlockRoute::Unused(reason) => cx.reject(reason, 1),
+                BlockRoute::Covered => cx.reject(Reason::RecordedTwice, 1),
                 _ => {}
             }
             let Some((channel, result, model)) = self.receivers.found(route) else { continue };
@@ -510,7 +513,7 @@ impl ShotDecomposer {
             let modes = if channel == ReturnChannel::High { &mut self.modes[1] } else { &mut self.modes[0] };
             if let Some(modes) = modes.as_mut().filter(|_| block.gain == 1.0) {
                 let dropped = modes.keep(shot.blocks.samples(block), block, &mut self.found, in_block);
-                stats.np_filtered += dropped;
+                stats.filtered.add(Reason::WithoutMode, dropped);
                 fit.filter(dropped);
             }
             let (fwhm_ns, drops) = (model.pulse_fwhm_ns, self.drop_emission_crosstalk);
@@ -553,7 +556,7 @@ impl Waveform {
     fn add(&mut self, result: &Decomposition, stats: &mut LineStats) {
         stats.n_candidates += u64::from(result.counts.n_candidates);
         stats.n_added += u64::from(result.counts.n_added);
-        stats.np_filtered += u64::from(result.counts.np_filtered);
+        stats.filtered.add_candidates(&result.counts.filtered);
         stats.np_merged += u64::from(result.counts.np_merged);
         stats.np_xtalk_dropped += u64::from(result.counts.np_xtalk_dropped);
         self.saturated |= result.saturated;

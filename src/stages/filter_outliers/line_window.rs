@@ -6,7 +6,7 @@ use std::ops::Range;
 use super::FilterOutliers;
 use super::geometry::{AssumedMotion, Places, dot, has_vertical};
 use crate::scan_line::{Content, ScanLine};
-use crate::stage::{Item, Output, Result};
+use crate::stage::{Output, Reason, Result};
 use wavex_signal::outliers::{PointLine, Side, SupportSearch, jump};
 
 /// Number of lines on each side used to classify a line.
@@ -217,6 +217,7 @@ fn apply(scan_line: &mut ScanLine, verdicts: &Verdicts, config: &FilterOutliers,
         *count += 1;
         (r.withheld, r.class) = (true, class);
     }
-    let n = scan_line.remove_returns(&verdicts.rejected);
-    out.cx.reject(Item::Returns, "a return of a waveform that deviates from its line", n);
+    let reason = Reason::DeviatingWaveform;
+    let n = scan_line.remove_returns(&verdicts.rejected, reason);
+    out.cx.reject(reason, n);
 }

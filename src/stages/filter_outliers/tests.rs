@@ -3,7 +3,7 @@ use std::sync::Arc;
 use super::geometry::cross;
 use super::*;
 use crate::scan_line::{Blocks, Content, Emission, Frame, InputInfo, Return};
-use crate::stage::{Context, Item};
+use crate::stage::{Context, Item, Reason};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 
 const SHOTS: u32 = 60;
@@ -108,11 +108,11 @@ fn false_returns_are_marked_and_waveforms_that_jump_rejected() {
     let sides = |at: usize| (lines[at].stats.np_air, lines[at].stats.np_low);
     assert_eq!([sides(4), sides(6), sides(9), sides(12)], [(1, 0), (1, 0), (0, 1), (0, 0)]);
     let rejected = &lines[6].stats;
-    assert_eq!((rejected.nw_deleted, rejected.np, rejected.np_filtered), (1, u64::from(SHOTS) - 1, 1));
+    assert_eq!((rejected.nw_deleted, rejected.np, rejected.np_filtered()), (1, u64::from(SHOTS) - 1, 1));
     assert_eq!(lines[6].n_returns() as u64, rejected.np);
     assert!(lines.iter().all(|scan_line| scan_line.stats.laws_hold()));
     let rejected: Vec<_> = cx.counters().rejected.iter().collect();
-    assert_eq!(rejected, [(&(Item::Returns, "a return of a waveform that deviates from its line"), &1)]);
+    assert_eq!(rejected, [(&(Item::Returns, Reason::DeviatingWaveform), &1)]);
     assert!(cx.counters().notes.is_empty());
 }
 

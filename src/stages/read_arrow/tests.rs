@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::*;
-use crate::stage::Config as _;
+use crate::stage::{Config as _, Item};
 use wavex_formats::container::{Compression, ContainerHeader, ContainerWriter, LineBuilder, channel};
 
 /// A job without declarations about the samples.
@@ -122,19 +122,19 @@ fn around(add: impl FnOnce(&mut LineBuilder)) -> LineBuilder {
 #[test]
 fn each_reason_rejects_a_shot_with_its_blocks_and_the_line_goes_on() {
     type Change = fn(&mut ContainerShot);
-    let shots: [(&str, Change); 12] = [
-        ("the origin is not finite", |shot| shot.origin_m[1] = f64::NAN),
-        ("the direction is not finite", |shot| shot.direction[2] = f64::INFINITY),
-        ("the direction is not finite", |shot| shot.direction[0] = f64::NAN),
-        ("the direction is not a unit vector", |shot| shot.direction[2] = 0.80001),
-        ("the direction is not a unit vector", |shot| shot.direction = [0.0; 3]),
-        ("the time is infinite", |shot| shot.gps_time_s = Some(f64::NEG_INFINITY)),
-        ("the clock runs backwards", |shot| shot.clock_ps = -1),
-        ("the frame scale is not between 0.1 and 10", |shot| shot.frame_scale = Some(0.0)),
-        ("the frame scale is not between 0.1 and 10", |shot| shot.frame_scale = Some(f64::NAN)),
-        ("the frame scale is not between 0.1 and 10", |shot| shot.frame_scale = Some(1e-300)),
-        ("the scan angle is not between -180 and 180 degrees", |shot| shot.scan_angle_deg = Some(181.0)),
-        ("the shot number is that of the row before", |shot| shot.shot = 0),
+    let shots: [(Reason, Change); 12] = [
+        (Reason::OriginNotFinite, |shot| shot.origin_m[1] = f64::NAN),
+        (Reason::DirectionNotFinite, |shot| shot.direction[2] = f64::INFINITY),
+        (Reason::DirectionNotFinite, |shot| shot.direction[0] = f64::NAN),
+        (Reason::DirectionNotUnit, |shot| shot.direction[2] = 0.80001),
+        (Reason::DirectionNotUnit, |shot| shot.direction = [0.0; 3]),
+        (Reason::TimeInfinite, |shot| shot.gps_time_s = Some(f64::NEG_INFINITY)),
+        (Reason::BackwardClock, |shot| shot.clock_ps = -1),
+        (Reason::WrongFrameScale, |shot| shot.frame_scale = Some(0.0)),
+        (Reason::WrongFrameScale, |shot| shot.frame_scale = Some(f64::NAN)),
+        (Reason::WrongFrameScale, |shot| shot.frame_scale = Some(1e-300)),
+        (Reason::WrongScanAngle, |shot| shot.scan_angle_deg = Some(181.0)),
+        (Reason::RepeatedShotNumber, |shot| shot.shot = 0),
     ];
     for (reason, change) in shots {
         let mut shot = good(1, 0);
@@ -146,19 +146,17 @@ fn each_reason_rejects_a_shot_with_its_blocks_and_the_line_goes_on() {
         });
         expect_rejected(line, reason, 2);
     }
-    const WRONG_GAIN: &str = "a block whose gain is not between 1/1024 and 1024";
-    const WRONG_INTERVAL: &str = "a block whose interval is not between 0.05 and 20 ns";
-    let blocks: [(&str, ContainerBlock); 10] = [
-        ("a block of an unknown channel", ContainerBlock { channel: 4, ..echo() }),
-        ("a block without a time", ContainerBlock { start_ns: f64::NAN, ..echo() }),
-        ("a block more than 0.01 s from its shot", ContainerBlock { start_ns: 2e7, ..echo() }),
-        (WRONG_INTERVAL, ContainerBlock { interval_ns: Some(1000.0), ..echo() }),
-        (WRONG_GAIN, ContainerBlock { gain: Some(0.0), ..echo() }),
-        (WRONG_GAIN, ContainerBlock { gain: Some(1025.0), ..echo() }),
-        (WRONG_GAIN, ContainerBlock { gain: Some(f64::NAN), ..echo() }),
-        (WRONG_INTERVAL, ContainerBlock { interval_ns: Some(0.0), ..echo() }),
-        (WRONG_INTERVAL, ContainerBlock { interval_ns: Some(-1.0), ..echo() }),
-        (WRONG_INTERVAL, ContainerBlock { interval_ns: Some(f64::NAN), ..echo() }),
+    let blocks: [(Reason, ContainerBlock); 10] = [
+        (Reason::ShotWithUnknownChannel, ContainerBlock { channel: 4, ..echo() }),
+        (Reason::BlockWithoutTime, ContainerBlock { start_ns: f64::NAN, ..echo() }),
+        (Reason::FarBlock, ContainerBlock { start_ns: 2e7, ..echo() }),
+        (Reason::WrongInterval, ContainerBlock { interval_ns: Some(1000.0), ..echo() }),
+        (Reason::WrongGain, ContainerBlock { gain: Some(0.0), ..echo() }),
+        (Reason::WrongGain, ContainerBlock { gain: Some(1025.0), ..echo() }),
+        (Reason::WrongGain, ContainerBlock { gain: Some(f64::NAN), ..echo() }),
+        (Reason::WrongInterval, ContainerBlock { interval_ns: Some(0.0), ..echo() }),
+        (Reason::WrongInterval, ContainerBlock { interval_ns: Some(-1.0), ..echo() }),
+        (Reason::WrongInterval, ContainerBlock { interval_ns: Some(f64::NAN), ..echo() }),
     ];
     for (reason, block) in blocks {
         let line = around(|line| {
@@ -171,10 +169,10 @@ fn each_reason_rejects_a_shot_with_its_blocks_and_the_line_goes_on() {
         line.shot(&good(1, 0));
         line.online(&ContainerOnline { time_ns: f64::NAN, amplitude: 1.0 });
     });
-    expect_rejected(line, "an online return without a time", 0);
+    expect_rejected(line, Reason::OnlineWithoutTime, 0);
 }
 
-fn expect_rejected(line: LineBuilder, reason: &'static str, blocks: u64) {
+fn expect_rejected(line: LineBuilder, reason: Reason, blocks: u64) {
     let with_gain = ContainerHeader { gain_control: Some(container::GainControl::Recorded), ..header() };
     let (batches, cx) = read(&bytes(&with_gain, vec![line]));
     let kept: Vec<u64> = batches[0].emissions.iter().map(|emission| emission.shot).collect();

@@ -1,6 +1,7 @@
 //! Classification of SDF records: a shot, an end of line, or neither.
 
 use crate::scan_line::{Channel, Emission, emission_flags};
+use crate::stage::Reason;
 use wavex_formats::sdf::{SdfBlock, SdfRecord, channel, record_flags};
 
 /// Kind of a record.
@@ -36,7 +37,7 @@ pub(super) enum Found {
     /// A valid shot; its number is not known yet.
     Shot(Emission),
     /// The reason why the shot is rejected.
-    Wrong(&'static str),
+    Wrong(Reason),
 }
 
 /// Reads the shot of a record; its time is external time.
@@ -80,25 +81,25 @@ const AS_GOOD_AS_UNIT: f64 = 1e-6;
 const LATEST_S: f64 = 9.2e6;
 
 /// The reason to reject a shot, if any.
-fn wrong(record: &SdfRecord) -> Option<&'static str> {
+fn wrong(record: &SdfRecord) -> Option<Reason> {
     let length = length(record.direction);
     let has_time = |block: &SdfBlock| block.start_s.abs() <= FARTHEST_S;
     if !record.origin_m.iter().all(|x| x.is_finite()) {
-        Some("the origin is not finite")
+        Some(Reason::OriginNotFinite)
     } else if !length.is_finite() {
-        Some("the direction is not finite")
+        Some(Reason::DirectionNotFinite)
     } else if (length - 1.0).abs() > UNIT_TOLERANCE {
-        Some("the direction is not a unit vector")
+        Some(Reason::DirectionNotUnit)
     } else if record.time_external_s.is_infinite() {
-        Some("the time is infinite")
+        Some(Reason::TimeInfinite)
     } else if !record.time_s.is_finite() {
-        Some("the clock is not finite")
+        Some(Reason::ClockNotFinite)
     } else if record.time_s.abs() > LATEST_S {
-        Some("the clock is beyond 106 days")
+        Some(Reason::ClockTooLate)
     } else if record.blocks.iter().any(|block| channel_of(block.channel).is_none()) {
-        Some("a block of an unknown channel")
+        Some(Reason::ShotWithUnknownChannel)
     } else if !record.blocks.iter().all(has_time) {
-        Some("a block without a time")
+        Some(Reason::BlockWithoutTime)
     } else {
         None
     }
@@ -191,17 +192,17 @@ mod tests {
     #[test]
     fn each_reason_has_its_name() {
         type Change = fn(&mut SdfRecord);
-        let changes: [(&str, Change); 10] = [
-            ("the origin is not finite", |record| record.origin_m[2] = f64::INFINITY),
-            ("the direction is not finite", |record| record.direction = NOWHERE),
-            ("the direction is not a unit vector", |record| record.direction[2] = -1.0011),
-            ("the direction is not a unit vector", |record| record.direction = [0.0; 3]),
-            ("the time is infinite", |record| record.time_external_s = f64::NEG_INFINITY),
-            ("the clock is not finite", |record| record.time_s = f64::NAN),
-            ("the clock is beyond 106 days", |record| record.time_s = 9.3e6),
-            ("a block of an unknown channel", |record| record.push(4, 0.0, &[])),
-            ("a block without a time", |record| record.push(1, f64::NAN, &[])),
-            ("a block without a time", |record| record.push(1, 1.5, &[])),
+        let changes: [(Reason, Change); 10] = [
+            (Reason::OriginNotFinite, |record| record.origin_m[2] = f64::INFINITY),
+            (Reason::DirectionNotFinite, |record| record.direction = NOWHERE),
+            (Reason::DirectionNotUnit, |record| record.direction[2] = -1.0011),
+            (Reason::DirectionNotUnit, |record| record.direction = [0.0; 3]),
+            (Reason::TimeInfinite, |record| record.time_external_s = f64::NEG_INFINITY),
+            (Reason::ClockNotFinite, |record| record.time_s = f64::NAN),
+            (Reason::ClockTooLate, |record| record.time_s = 9.3e6),
+            (Reason::ShotWithUnknownChannel, |record| record.push(4, 0.0, &[])),
+            (Reason::BlockWithoutTime, |record| record.push(1, f64::NAN, &[])),
+            (Reason::BlockWithoutTime, |record| record.push(1, 1.5, &[])),
         ];
         for (reason, change) in changes {
             let mut record = record(3, DOWN, 1);

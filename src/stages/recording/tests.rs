@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::scan_line::{Blocks, Channel, Emission, TimeScale};
+use crate::stage::Item;
 
 /// Lines of shots with these times.
 struct Lines(std::vec::IntoIter<Vec<f64>>, Arc<InputInfo>);
@@ -43,7 +44,8 @@ fn a_window_keeps_the_blocks_of_its_shots_and_drops_empty_lines() {
     assert!(read.iter().all(|line| line.blocks().unwrap().len() == 1 && line.stats.nw == 1));
     assert_eq!(read[0].stats.gps_time_s, 2.0);
     let rejected: Vec<_> = cx.counters().rejected.iter().collect();
-    assert_eq!(rejected, [(&(Item::Shots, NO_TIME), &1), (&(Item::Blocks, NO_TIME), &1)]);
+    let reason = Reason::WithoutTime;
+    assert_eq!(rejected, [(&(Item::Shots, reason), &1), (&(Item::Blocks, reason), &1)]);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use super::summary::MtaCounts;
 use super::{ResolveMta, failed};
 use crate::georef::Geometry as Placed;
 use crate::scan_line::{Block, Blocks, Channel, Content, EmissionReference, OnlineReturn, ScanLine, Ticket};
-use crate::stage::{Item, Output, Result};
+use crate::stage::{Output, Reason, Result};
 use wavex_formats::terrain::Terrain;
 use wavex_signal::mta::{
     self, Assigned, BAND_LINES, BYTES_PER_ECHO, BYTES_PER_SHOT, LOOK_AHEAD_BYTES, Resolved, Resolver,
@@ -21,9 +21,6 @@ const CELL_BYTES_PER_SHOT: usize = 48;
 /// Nominal size in the kernel's window of a shot, and of a block or online return, bytes.
 const WINDOW_BYTES_PER_SHOT: usize = 256;
 const WINDOW_BYTES_PER_BLOCK: usize = 240;
-const NO_EMISSION: &str = "no emission at a distance within `range_m`";
-const NO_TIME: &str = "a block a second or more from its shot";
-const NO_SHOT: &str = "its shot is not in the line";
 
 /// Lines whose zones are being resolved.
 pub(super) struct Strip {
@@ -427,7 +424,7 @@ impl HeldLine {
                 }
                 (Place::Stays, _) => {
                     let Some(emission) = self.scan_line.emissions.get(block.emission as usize) else {
-                        out.cx.reject(Item::Blocks, NO_SHOT, 1);
+                        out.cx.reject(Reason::BlockWithoutShot, 1);
                         continue;
                     };
                     if block.channel != Channel::Reference {
@@ -436,11 +433,11 @@ impl HeldLine {
                     number
                 }
                 (Place::Nowhere, _) => {
-                    out.cx.reject(Item::Blocks, NO_TIME, 1);
+                    out.cx.reject(Reason::BlockFarFromShot, 1);
                     continue;
                 }
                 (Place::Group(_), None) => {
-                    out.cx.reject(Item::Blocks, NO_EMISSION, 1);
+                    out.cx.reject(Reason::NoEmission, 1);
                     continue;
                 }
             };

@@ -107,7 +107,8 @@ fn what_has_no_cause_is_rejected() {
         run(&fixed(4), vec![ScanLine::of_shots(input(), 0, shots(0, 3), blocks)], usize::MAX);
     outcome.unwrap();
     assert_eq!((given[0].blocks().unwrap().len(), given[0].stats.nw), (0, 0));
-    let rejected: Vec<_> = cx.counters().rejected.iter().map(|((_, why), n)| (*why, *n)).collect();
+    let rejected: Vec<_> =
+        cx.counters().rejected.iter().map(|((_, reason), n)| (reason.text(), *n)).collect();
     assert_eq!(
         rejected,
         [("a block a second or more from its shot", 1), ("no emission at a distance within `range_m`", 1)]

@@ -10,7 +10,7 @@ use std::io::Write;
 
 use super::WavePacketsKey;
 use super::waves::{self, Waves};
-use crate::stage::{Context, FinishedFile, Item, OutputFile, Result};
+use crate::stage::{Context, FinishedFile, OutputFile, Reason, Result};
 use crate::stages::stac;
 use wavex_formats::Error;
 use wavex_formats::las::{Writer, indexes_beside};
@@ -82,7 +82,7 @@ fn finish_with_waveforms(
     place: WavePacketsKey,
     cx: &mut Context,
 ) -> Result<OutputFile> {
-    cx.reject(Item::Blocks, "a waveform of a kind that the file cannot describe", waves.n_refused);
+    cx.reject(Reason::IndescribableWaveform, waves.n_refused);
     let (packets, kinds) = waves.finish()?;
     if place == WavePacketsKey::Internal {
         return Ok(writer.finish_with_waveforms(&kinds, Some(&mut waves::open(&packets)?))?);

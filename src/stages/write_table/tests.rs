@@ -15,7 +15,7 @@ use super::*;
 use crate::scan_line::{
     Blocks, Content, Emission, EmissionReference, Frame, InputInfo, Return, ReturnChannel,
 };
-use crate::stage::Config as _;
+use crate::stage::{Config as _, Item};
 
 const NAMES: &str = "shot,gps_time_s,return_number,number_of_returns,channel,mta_zone,range_m,range_sd_m,\
     time_of_flight_ns,time_of_flight_sd_ns,amplitude_dn,amplitude_sd_dn,amplitude_db,width_ratio,\
@@ -278,7 +278,7 @@ fn a_return_of_no_emission_is_counted() {
         returns[2].emission = 3;
     }
     let cx = write(folder.path(), &config("*.csv"), &[batch]);
-    assert_eq!(cx.counters().rejected[&(Item::Returns, "its shot is not in the line")], 1);
+    assert_eq!(cx.counters().rejected[&(Item::Returns, Reason::ReturnWithoutShot)], 1);
     assert_eq!(fs::read_to_string(folder.path().join("made.csv")).unwrap().lines().count(), 3);
 }
 

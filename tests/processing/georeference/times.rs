@@ -1,6 +1,6 @@
 //! Times of recording and trajectory: week rollover, disjoint ranges, and shots without times.
 
-use wavex::stage::Item;
+use wavex::stage::{Item, Reason};
 use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 
 use super::flights::QUIET;
@@ -92,8 +92,8 @@ fn shots_outside_the_trajectory_are_counted() {
     rewrite(&flight, |record| kept.contains(&record.time_s).then_some(record));
     let part = placed(&flight);
     let counters = part.cx.counters();
-    let outside = counters.rejected[&(Item::Shots, "outside the trajectory")];
-    let blocks = counters.rejected[&(Item::Blocks, "outside the trajectory")];
+    let outside = counters.rejected[&(Item::Shots, Reason::OutsideTrajectory)];
+    let blocks = counters.rejected[&(Item::Blocks, Reason::OutsideTrajectory)];
     assert!(outside > 2000 && outside < 4000 && blocks >= outside, "{outside} shots, {blocks} blocks");
     let shots: u64 = part.stats.iter().map(|stats| stats.nw).sum();
     assert!(outside + shots <= 4800 && outside + shots > 4700, "{outside} of 4800 shots, {shots} waveforms");

@@ -4,7 +4,7 @@
 
 use std::ops::{Add, Sub};
 
-use super::DecomposeSettings;
+use super::{DecomposeSettings, Filter};
 
 pub(crate) mod response_error;
 
@@ -92,4 +92,9 @@ where
 {
     let reach = ln_width_sd + ln_width_sd;
     ln_width + reach < narrowest || ln_width - reach > widest
+}
+
+/// Reason to drop a pulse whose width is outside of `ln_width_bounds`; see [`is_misshapen`].
+pub(crate) fn width_filter<T: Copy + PartialOrd>(ln_width: T, [narrowest, _]: [T; 2]) -> Filter {
+    if ln_width < narrowest { Filter::Narrow } else { Filter::Wide }
 }

@@ -5,7 +5,7 @@
 
 use super::acceptance::response_error::Allowance;
 use super::acceptance::{DetectionSigma, HIDING_WIDTH_RATIO};
-use super::{Counts, DEVIANT, DecomposeSettings, Decomposition, Return, truncation_flag};
+use super::{Counts, DEVIANT, DecomposeSettings, Decomposition, Filter, Return, truncation_flag};
 use crate::detect::{Candidate, Detector, next_plateau, plateau_candidate};
 use crate::flags;
 use crate::sensor_model::{ChannelModel, ModelError};
@@ -196,8 +196,10 @@ impl Decomposer {
         self.candidates.sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
         self.screen_candidates();
         let scene = &mut self.scene;
-        let kept = self.candidates.len().min(self.settings.max_returns);
-        self.counts.np_filtered = self.counts.n_candidates - kept as u32;
+        let unexplained = self.candidates.len();
+        let kept = unexplained.min(self.settings.max_returns);
+        self.counts.filtered.add(Filter::Screened, self.counts.n_candidates - unexplained as u32);
+        self.counts.filtered.add(Filter::Excess, (unexplained - kept) as u32);
         scene.found.extend(self.candidates.iter().take(kept).map(Found::from_candidate));
     }
 

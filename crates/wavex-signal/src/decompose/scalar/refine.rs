@@ -1,10 +1,10 @@
 //! Residual search, split test and pruning.
 
 use super::scene::Found;
-use super::{Counts, DEVIANT, Decomposer};
+use super::{Counts, DEVIANT, Decomposer, Filter};
 use crate::decompose::acceptance::{
     CLEAR_PART, DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, OVERDRIVEN_HIDING_WIDTH_RATIO, TRIAL_PART,
-    is_misshapen, is_outside,
+    is_misshapen, is_outside, width_filter,
 };
 use crate::detect::Candidate;
 use crate::flags;
@@ -167,24 +167,25 @@ impl Decomposer {
         }
     }
 
-    fn filter_out(counts: &mut Counts, found: &mut Vec<Found>, index: Option<usize>) -> bool {
-        if let Some(index) = index {
+    /// Removes and counts a pulse; returns whether there is one.
+    fn filter_out(counts: &mut Counts, found: &mut Vec<Found>, pulse: Option<(usize, Filter)>) -> bool {
+        if let Some((index, reason)) = pulse {
             found.remove(index);
-            counts.np_filtered += 1;
+            counts.filtered.add(reason, 1);
         }
-        index.is_some()
+        pulse.is_some()
     }
 
-    /// Returns the weakest undetermined pulse.
+    /// Removes the weakest undetermined pulse.
     fn remove_failed(&mut self) -> bool {
         let found = &mut self.scene.found;
         let failed = (0..found.len())
             .filter(|&i| found[i].failed)
             .min_by(|&i, &j| found[i].pulse.height_dn.total_cmp(&found[j].pulse.height_dn));
-        Self::filter_out(&mut self.counts, found, failed)
+        Self::filter_out(&mut self.counts, found, failed.map(|index| (index, Filter::Undetermined)))
     }
 
-    /// Returns the nearest two pulses if they are below the minimum separation.
+    /// Merges the nearest two pulses if they are below the minimum separation.
     fn merge_nearest(&mut self) -> bool {
         let least = self.scene.least_separation();
         let found = &mut self.scene.found;
@@ -204,34 +205,41 @@ impl Decomposer {
         true
     }
 
-    /// Returns the weakest pulse below the threshold.
+    /// Removes the weakest pulse below the threshold.
     fn remove_weakest(&mut self) -> bool {
         let mut weakest = (1.0, None);
         for i in 0..self.scene.found.len() {
             let part = self.relative_significance(i);
             if part < weakest.0 {
-                weakest = (part, Some(i));
+                weakest = (part, Some((i, Filter::Weak)));
             }
         }
         Self::filter_out(&mut self.counts, &mut self.scene.found, weakest.1)
     }
 
-    /// Returns the first pulse with a peak outside the block, or of unusual width and not far above
+    /// Removes the first pulse with a peak outside the block, or of unusual width and not far above
     /// the threshold.
     fn remove_misshapen(&mut self) -> bool {
         let block = [-1.0, self.scene.target_dn().len() as f64];
-        let misshapen = (0..self.scene.found.len()).find(|&i| {
+        let misshapen = (0..self.scene.found.len()).find_map(|i| {
             let found = &self.scene.found[i];
-            is_outside(found.pulse.position_samples, block)
-                || self.is_misshapen(found) && self.relative_significance(i) < CLEAR_PART
+            if is_outside(found.pulse.position_samples, block) {
+                return Some((i, Filter::Outside));
+            }
+            let reason = width_filter(found.pulse.ln_width_ratio, self.ln_width_bounds());
+            let is_dropped = self.is_misshapen(found) && self.relative_significance(i) < CLEAR_PART;
+            is_dropped.then_some((i, reason))
         });
         Self::filter_out(&mut self.counts, &mut self.scene.found, misshapen)
     }
 
     /// Whether a pulse has an unusual width.
     pub(super) fn is_misshapen(&self, found: &Found) -> bool {
-        let bounds = self.settings.width_ratio.map(f64::ln);
-        is_misshapen([found.pulse.ln_width_ratio, found.sd[2]], bounds)
+        is_misshapen([found.pulse.ln_width_ratio, found.sd[2]], self.ln_width_bounds())
+    }
+
+    fn ln_width_bounds(&self) -> [f64; 2] {
+        self.settings.width_ratio.map(f64::ln)
     }
 
     /// Significance over the threshold.

@@ -18,7 +18,7 @@ fn process() -> ArNoise {
 
 fn check_counts(outcome: &Decomposition<'_>) {
     let c = outcome.counts;
-    assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered + c.np_merged + c.np_xtalk_dropped);
+    assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered() + c.np_merged + c.np_xtalk_dropped);
     assert_eq!(c.np as usize, outcome.returns.len());
 }
 
@@ -272,13 +272,16 @@ fn weak_pulses_of_unusual_width_are_filtered_and_clear_ones_flagged() {
     let narrow = DecomposeSettings { width_ratio: [0.8, 1.5], ..settings.clone() };
     for (height, width, settings) in [(150.0, 0.3, &settings), (150.0, 2.0, &narrow)] {
         let (returns, counts) = decompose_exact(&[pulse(height, 30.0, width)], 255, settings);
-        assert_eq!((returns.len(), counts.np_filtered), (1, counts.n_candidates - 1), "{returns:?}");
+        assert_eq!((returns.len(), counts.np_filtered()), (1, counts.n_candidates - 1), "{returns:?}");
         assert!(returns[0].flags & flags::UNUSUAL != 0, "{returns:?}");
         assert!((returns[0].position_samples - 30.0).abs() < 0.5, "{returns:?}");
     }
-    for (height, width, settings) in [(45.0, 0.3, &settings), (12.0, 2.5, &narrow)] {
+    for (height, width, settings, reason) in
+        [(45.0, 0.3, &settings, Filter::Narrow), (12.0, 2.5, &narrow, Filter::Wide)]
+    {
         let (returns, counts) = decompose_exact(&[pulse(height, 30.0, width)], 255, settings);
-        assert!(returns.is_empty() && counts.np_filtered == counts.n_candidates, "{returns:?}");
+        assert!(counts.filtered.of(reason) > 0, "{reason:?}: {counts:?}");
+        assert!(returns.is_empty() && counts.np_filtered() == counts.n_candidates, "{returns:?}");
     }
 }
 
@@ -308,7 +311,8 @@ fn of_too_many_candidates_the_strongest_are_kept() {
     let settings = DecomposeSettings { max_returns: 2, ..DecomposeSettings::default() };
     let (returns, counts) = decompose_exact(&pulses, 255, &settings);
     assert_eq!(returns.iter().map(|r| r.amplitude_dn.round()).collect::<Vec<_>>(), [100.0, 80.0]);
-    assert_eq!((counts.n_candidates, counts.np_filtered, counts.np), (3, 1, 2));
+    assert_eq!((counts.n_candidates, counts.np_filtered(), counts.np), (3, 1, 2));
+    assert_eq!(counts.filtered.of(Filter::Excess), 1);
 }
 
 /// Only the last of several returns has a separate threshold.

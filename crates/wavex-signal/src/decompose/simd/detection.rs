@@ -4,12 +4,12 @@ use wavex_simd::{Kernel, LANES, Simd};
 
 use super::candidates::Candidates;
 use super::columns::Columns;
-use super::pulse_model::{MAX_PULSES, PulseComponent, PulseModel};
+use super::pulse_model::{MAX_PULSES, PulseComponent, PulseCounts, PulseModel};
 use super::rows::{BATCH, Rows};
 use super::tables::Tables;
 use super::thresholds::Thresholds;
+use crate::decompose::DecomposeSettings;
 use crate::decompose::Waveform;
-use crate::decompose::{Counts, DecomposeSettings};
 
 /// Loads and filters blocks and finds the candidates of each.
 pub(super) struct Detect<'a> {
@@ -198,13 +198,10 @@ impl Begin<'_> {
             found.drop_weak(thresholds.sigma.usual as f32);
         }
         found.screen(thresholds.sigma.least as f32, &thresholds.left_behind, thresholds.per_dn);
+        let unexplained = found.as_slice().len();
         found.keep_strongest(settings.max_returns);
         let kept = found.as_slice();
-        pulse_model.counts = Counts {
-            n_candidates: found.found as u32,
-            np_filtered: (found.found - kept.len()) as u32,
-            ..Counts::default()
-        };
+        pulse_model.counts = PulseCounts::of_candidates(found.found, unexplained, kept.len());
         for candidate in kept {
             let height = candidate.statistic / thresholds.per_dn;
             pulse_model.push(PulseComponent::of_calibrated_width(height, candidate.position_samples));

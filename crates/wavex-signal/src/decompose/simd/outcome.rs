@@ -217,8 +217,9 @@ impl Finish<'_> {
                 pulse_model.replace(weaker..weaker + 1, &[]);
                 pulse_model.counts.np_merged += 1;
             } else if !self.thresholds.is_return(pulse_model, &pulse_model.pulses()[i], samples) {
+                let reason = self.thresholds.filter_of(pulse_model, &pulse_model.pulses()[i], samples);
                 pulse_model.replace(i..i + 1, &[]);
-                pulse_model.counts.np_filtered += 1;
+                pulse_model.counts.filter(reason);
             } else {
                 i += 1;
             }

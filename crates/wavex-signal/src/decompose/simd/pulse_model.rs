@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use super::fitted::{FittedPulse, Values};
-use crate::decompose::Counts;
 use crate::decompose::acceptance::CLUSTER_WIDTHS;
+use crate::decompose::{Counts, Filter, Filtered};
 use crate::flags;
 
 /// Maximum number of pulses per waveform; waveforms with more go to the scalar kernels.
@@ -108,6 +108,47 @@ pub(super) enum Way {
     Plain,
 }
 
+/// Counts of the candidates of a waveform.
+///
+/// Candidates and pulses are at most [`MAX_PULSES`] at a time, so bytes hold all but the added ones.
+#[derive(Clone, Copy, Default)]
+pub(super) struct PulseCounts {
+    pub(super) n_added: u32,
+    pub(super) n_candidates: u8,
+    pub(super) np_merged: u8,
+    /// By index of [`Filter`].
+    filtered: [u8; Filter::ALL.len()],
+}
+
+impl PulseCounts {
+    /// Counts of `found` candidates: `unexplained` by stronger ones, of which `kept` become pulses.
+    #[inline(always)]
+    pub(super) fn of_candidates(found: usize, unexplained: usize, kept: usize) -> PulseCounts {
+        let mut counts = PulseCounts { n_candidates: found as u8, ..PulseCounts::default() };
+        counts.filtered[Filter::Screened as usize] = (found - unexplained) as u8;
+        counts.filtered[Filter::Excess as usize] = (unexplained - kept) as u8;
+        counts
+    }
+
+    /// Counts a dropped pulse.
+    pub(super) fn filter(&mut self, reason: Filter) {
+        self.filtered[reason as usize] += 1;
+    }
+
+    /// Counts of a waveform with `np` returns.
+    #[inline(always)]
+    pub(super) fn with_returns(&self, np: usize) -> Counts {
+        Counts {
+            n_candidates: self.n_candidates.into(),
+            n_added: self.n_added,
+            np: np as u32,
+            filtered: Filtered(self.filtered.map(u32::from)),
+            np_merged: self.np_merged.into(),
+            np_xtalk_dropped: 0,
+        }
+    }
+}
+
 /// Pulse model of one waveform.
 ///
 /// Most waveforms have one pulse: the fields used for these are together at the front.
@@ -128,7 +169,7 @@ pub(super) struct PulseModel {
     pub(super) chi_square: f32,
     /// Number of samples that count in chi-square.
     pub(super) samples: usize,
-    pub(super) counts: Counts,
+    pub(super) counts: PulseCounts,
     /// Decrease of chi-square promised by widths beyond the tables.
     pub(super) beyond: f32,
     /// Background of the waveform minus that of the channel, DN, and its variance, DN².
@@ -178,7 +219,7 @@ impl PulseModel {
         (*way, *count, *ends) = (Way::Fast, 0, [0; MAX_PULSES]);
         (*taken_off, *has_changed, *refined_twice) = (false, false, false);
         (*is_settled, *is_open) = (false, false);
-        (*chi_square, *beyond, *samples, *counts) = (0.0, 0.0, 0, Counts::default());
+        (*chi_square, *beyond, *samples, *counts) = (0.0, 0.0, 0, PulseCounts::default());
         (*level_dn, *level_variance, *is_levelled) = (0.0, 0.0, false);
     }
 

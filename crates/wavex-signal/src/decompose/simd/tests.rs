@@ -133,7 +133,7 @@ fn assert_returns_of_plain_kernels(model: &ChannelModel, count: usize) -> u64 {
     for (samples, found) in waveforms.iter().zip(outcomes.iter()) {
         let expected = plain.decompose(samples);
         let c = found.counts;
-        assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered + c.np_merged + c.np_xtalk_dropped);
+        assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered() + c.np_merged + c.np_xtalk_dropped);
         assert_eq!(c.np as usize, found.returns.len());
         if expected.returns.len() == found.returns.len() {
             same += 1;

@@ -5,9 +5,9 @@ use super::pulse_model::{PulseComponent, PulseModel};
 use super::tables::BEFORE_PEAK;
 use crate::decompose::acceptance::response_error::{Allowance, Source};
 use crate::decompose::acceptance::{
-    CLEAR_PART, DetectionSigma, is_misshapen, is_outside, least_separation_samples,
+    CLEAR_PART, DetectionSigma, is_misshapen, is_outside, least_separation_samples, width_filter,
 };
-use crate::decompose::{Counts, DecomposeSettings, Decomposition};
+use crate::decompose::{DecomposeSettings, Decomposition, Filter};
 use crate::detect::Detector;
 use crate::detect::ECHO_SAMPLES;
 use crate::flags;
@@ -123,7 +123,7 @@ impl Thresholds {
             self.allowance.expected_excess(p.position().into(), p.height().into(), samples)
         };
         Decomposition {
-            counts: Counts { np: pulse_model.pulses().len() as u32, ..pulse_model.counts },
+            counts: pulse_model.counts.with_returns(pulse_model.pulses().len()),
             chi_square: f64::from(pulse_model.chi_square),
             expected_excess: pulse_model.pulses().iter().map(of).sum(),
             samples: pulse_model.samples,
@@ -163,6 +163,24 @@ impl Thresholds {
             return self.is_clear(pulse_model, pulse, samples);
         }
         self.is_significant(pulse_model, pulse, samples, 1.0)
+    }
+
+    /// Reason to drop a pulse that is not acceptable as a return.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn filter_of(
+        &mut self,
+        pulse_model: &PulseModel,
+        pulse: &PulseComponent,
+        samples: usize,
+    ) -> Filter {
+        if is_outside(pulse.position(), [-1.0, samples as f32]) {
+            Filter::Outside
+        } else if !self.is_significant(pulse_model, pulse, samples, 1.0) {
+            Filter::Weak
+        } else {
+            width_filter(pulse.values()[2], self.ln_width_ratio)
+        }
     }
 
     /// Whether a pulse inside the block is far above the threshold.

@@ -54,7 +54,7 @@ fn returns_are_those_of_the_plain_kernels_on_any_level() {
     for (samples, found) in waveforms.iter().zip(outcomes.iter()) {
         let expected = plain.decompose(samples);
         let c = found.counts;
-        assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered + c.np_merged + c.np_xtalk_dropped);
+        assert_eq!(c.n_candidates + c.n_added, c.np + c.np_filtered() + c.np_merged + c.np_xtalk_dropped);
         if expected.returns.len() == found.returns.len() {
             same += 1;
             all += found.returns.len();
