@@ -11,6 +11,8 @@ use super::{Block, Blocks, Channel, Content, ScanLine, emission_flags};
 /// waveforms of a quiet digitiser are often equal by chance and have few bits; noise of 1 DN has two
 /// bits per sample, and a pulse tens of bits.
 const LEAST_BITS: f64 = 64.0;
+/// Number of samples by which most waveforms differ from those of the shot before.
+const FIRST_SAMPLES: usize = 8;
 
 impl ScanLine {
     /// Marks the shots whose echo blocks are copies of those of the shot before in the line; returns their
@@ -21,21 +23,23 @@ impl ScanLine {
         let Content::Shots(blocks) = &self.content else { return 0 };
         self.emissions.iter_mut().for_each(|emission| emission.flags &= !emission_flags::COPY);
         let mut copies = 0;
-        let mut last: Option<(u32, &[Block])> = None;
-        for (index, of_shot) in blocks.by_emission() {
-            let is_copy = match last {
-                Some((earlier, other)) if earlier + 1 == index => {
-                    // The first samples of two waveforms nearly always differ, so this costs little.
-                    first_samples(blocks, of_shot) == first_samples(blocks, other)
-                        && are_copies(echoes(blocks, of_shot), echoes(blocks, other))
-                }
-                _ => false,
-            };
-            if is_copy && let Some(emission) = self.emissions.get_mut(index as usize) {
+        let mut last: Option<(u32, Option<&[u16; FIRST_SAMPLES]>)> = None;
+        for block in blocks.iter().filter(|block| block.channel.is_echo()) {
+            let index = block.emission;
+            if last.is_some_and(|(earlier, _)| earlier == index) {
+                continue;
+            }
+            let samples = blocks.samples(block).first_chunk();
+            // The first samples of two waveforms nearly always differ, so this costs little.
+            let may_be_copy = last.is_some_and(|(earlier, other)| earlier + 1 == index && samples == other);
+            if may_be_copy
+                && are_copies(echoes(blocks, index), echoes(blocks, index - 1))
+                && let Some(emission) = self.emissions.get_mut(index as usize)
+            {
                 emission.flags |= emission_flags::COPY;
                 copies += 1;
             }
-            last = Some((index, of_shot));
+            last = Some((index, samples));
         }
         copies
     }
@@ -55,18 +59,10 @@ impl ScanLine {
     }
 }
 
-/// The first samples of the first echo block of a shot.
-fn first_samples<'a>(blocks: &'a Blocks, of_shot: &[Block]) -> Option<&'a [u16; 8]> {
-    blocks.samples(of_shot.iter().find(|block| block.channel.is_echo())?).first_chunk()
-}
-
 /// Channels and samples of the echo blocks of a shot.
-fn echoes<'a>(
-    blocks: &'a Blocks,
-    of_shot: &'a [Block],
-) -> impl Iterator<Item = (Channel, &'a [u16])> + Clone {
-    let is_echo = |block: &&Block| block.channel.is_echo();
-    of_shot.iter().filter(is_echo).map(|block| (block.channel, blocks.samples(block)))
+fn echoes(blocks: &Blocks, index: u32) -> impl Iterator<Item = (Channel, &[u16])> + Clone {
+    let of_shot = blocks.of_emission(index).map(|(_, block)| block);
+    of_shot.filter(|block| block.channel.is_echo()).map(|block| (block.channel, blocks.samples(block)))
 }
 
 /// Whether the echo blocks of two shots are equal, but not by chance.

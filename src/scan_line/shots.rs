@@ -259,7 +259,7 @@ impl Blocks {
     }
 
     /// Blocks of one emission, each with its index.
-    pub fn of_emission(&self, emission: u32) -> impl Iterator<Item = (usize, &Block)> + '_ {
+    pub fn of_emission(&self, emission: u32) -> impl Iterator<Item = (usize, &Block)> + Clone + '_ {
         let from = self.list.partition_point(|block| block.emission < emission);
         let until = self.list.partition_point(|block| block.emission <= emission);
         (from..until).zip(&self.list[from..until])
