@@ -24,6 +24,7 @@ mod observer;
 mod online;
 mod profiles;
 mod receivers;
+mod shot;
 mod shots;
 mod unexplained;
 
@@ -34,7 +35,8 @@ pub use profiles::ProfilesKey;
 
 pub(crate) use observer::{Seen, SeenBlock, SeenPulse};
 pub(crate) use receivers::SensorTables;
-pub(crate) use shots::{BlockFit, Line, Observer, Shot, ShotDecomposer};
+pub(crate) use shot::Shot;
+pub(crate) use shots::{BlockFit, Line, Observer, ShotDecomposer};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::map::<Decompose>("decompose", &[Kind::Shots], Some(Kind::Returns))

@@ -14,9 +14,8 @@ pub(super) mod time;
 pub(super) mod units;
 
 pub(super) use keys::Sampling;
-pub use keys::{FullScale, InputCrs, OddSamples, PulseSpeed, RecordingTime, ScaleKey, TimeKeys};
+pub use keys::{FullScale, InputCrs, OddSamples, PulseSpeed, TimeKeys};
 use time::{Axis, Scale, Times};
-
 
 /// Metadata of a recording as declared by the job.
 #[derive(Clone, Debug, Default)]

@@ -1,7 +1,7 @@
 //! Cross-talk from the emission of one shot into the block of another.
 
 use super::echo::Found;
-use super::shots::Shot;
+use super::shot::Shot;
 use crate::scan_line::{Block, Emission, flags};
 
 /// Largest distance of a return from an emission to be flagged, pulse widths.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::echo::{Found, HighPowerView};
-use super::shots::Shot;
+use super::shot::{BLINDED, Shot};
 use crate::scan_line::{Block, Channel, LineStats, ReturnChannel, flags};
 use crate::stage::{Reason, Result, StageError};
 use wavex_signal::decompose::{DEVIANT, OVERDRIVEN_PART};
@@ -17,8 +17,6 @@ const SAME_SD: f64 = 3.0;
 const SAME_WIDTHS: f64 = 0.5;
 /// Distance from a saturated sample within which the low-power receiver may miss an echo, widths.
 const NEAR_WIDTHS: f64 = 1.0;
-/// Flags of returns for which the low-power receiver is not sufficient.
-pub(super) const BLINDED: u16 = flags::SATURATED | flags::EXTREMELY_SATURATED | flags::OVERDRIVEN;
 /// Squared distance of the joint fit from the high-power fit that counts as a contradiction.
 ///
 /// In standard deviations, with three degrees of freedom; exceeded once in 100 000 by chance.

@@ -1,7 +1,6 @@
 //! Echoes: fitted pulses before they become returns of their shot.
 
-use super::dual_channel::BLINDED;
-use super::shots::EmissionTime;
+use super::shot::{BLINDED, EmissionTime};
 use crate::scan_line::{AmplitudeTable, InputInfo, Return, ReturnChannel};
 use wavex_signal::decompose::Return as Pulse;
 use wavex_signal::radiometry::target_thickness_m;

@@ -3,8 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::dual_channel::BLINDED;
-use super::shots::EmissionTime;
+use super::shot::{BLINDED, EmissionTime};
 use super::{Decompose, Mode};
 use crate::scan_line::{Block, Blocks, InputInfo, ReturnChannel, ShotProfile};
 use crate::stage::{Result, StageError};

@@ -7,7 +7,7 @@ use wavex_simd::SimdLevel;
 
 use super::at_gains::{AtGains, ByGain};
 use super::dual_channel::BothReceivers;
-use super::shots::Shot;
+use super::shot::Shot;
 use super::{Decompose, Mode};
 use crate::scan_line::{Block, Channel, ReturnChannel};
 use crate::stage::{Reason, Result, StageError};

@@ -10,10 +10,11 @@ use super::modes::Modes;
 use super::online::unresolved;
 use super::profiles::Profiles;
 use super::receivers::{BlockRoute, Receivers, SensorTables};
+use super::shot::{EmissionTime, Shot};
 use super::unexplained::Explained;
 use crate::scan_line::{
-    Block, Blocks, Channel, Emission, EmissionReference, Filtered, InputInfo, LineStats, OnlineReturn,
-    ReturnChannel, Returns, ShotProfile, flags,
+    Block, Channel, Emission, EmissionReference, Filtered, LineStats, OnlineReturn, ReturnChannel, Returns,
+    ShotProfile, flags,
 };
 use crate::stage::{Context, Reason, Result, StageError};
 use wavex_signal::decompose::{Counts, Decomposition, Return as Pulse};
@@ -31,34 +32,6 @@ type OutgoingBlock<'a> = (f64, &'a Block, Option<(&'a Outgoing, &'a ChannelModel
 const EXPECTED_WIDTHS: f64 = 3.0;
 /// Standard deviation of an unknown delay between receivers, pulse widths (LMS-Q680i: 0.52 of 4.24 ns).
 const UNKNOWN_DELAY_WIDTHS: f64 = 0.12;
-
-/// Emission time of a shot after its clock.
-#[derive(Clone, Copy)]
-pub(super) struct EmissionTime {
-    pub(super) time_ns: f64,
-    pub(super) sd_ns: f64,
-    /// Flag bits of all returns of the shot.
-    pub(super) flags: u16,
-}
-
-impl EmissionTime {
-    /// Emission at the clock, with this SD, ns.
-    fn of_clock(sd_ns: f64) -> EmissionTime {
-        EmissionTime { time_ns: 0.0, sd_ns, flags: 0 }
-    }
-}
-
-/// One shot of a line.
-pub(crate) struct Shot<'a> {
-    /// Index of the emission in its line.
-    pub(crate) index: u32,
-    /// Blocks of the line.
-    pub(crate) blocks: &'a Blocks,
-    /// Blocks of the shot.
-    pub(crate) of_shot: &'a [Block],
-    /// Metadata of the recording.
-    pub(crate) input: &'a InputInfo,
-}
 
 /// Fit statistics of one block.
 #[derive(Clone, Copy, Debug)]

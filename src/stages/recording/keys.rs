@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::time;
+use super::time::{self, RecordingTime, ScaleKey};
 use crate::georef::declared;
 use crate::keys::{InvalidKey, above, at_least};
 use crate::scan_line::InputInfo;
@@ -39,30 +39,6 @@ pub struct TimeKeys {
     /// and LAS outputs hold adjusted GPS times.
     #[serde(default)]
     pub gps_date: Option<String>,
-}
-
-/// Time scale of a time window.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ScaleKey {
-    /// Seconds of the GPS week.
-    Week,
-    /// Adjusted GPS time: seconds since 1980-01-06, minus 1e9.
-    Adjusted,
-}
-
-/// Time scale of a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum RecordingTime {
-    /// Seconds of the GPS week.
-    Week,
-    /// Seconds of the day.
-    Day,
-    /// Adjusted GPS time: seconds since 1980-01-06, minus 1e9.
-    Adjusted,
-    /// Standard GPS time: seconds since 1980-01-06.
-    Standard,
 }
 
 impl TimeKeys {

@@ -1,5 +1,6 @@
 //! Time windows, implausible time scales, and CRSs. `tests/readers/declared.rs` covers whole jobs.
 
+use super::time::RecordingTime;
 use super::*;
 use crate::scan_line::{Blocks, Channel, Emission, TimeScale};
 use crate::stage::Item;

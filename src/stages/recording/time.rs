@@ -4,7 +4,9 @@
 
 use std::path::Path;
 
-use super::{RecordingTime, ScaleKey};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 use crate::scan_line::{InputInfo, TimeScale};
 use crate::stage::Result;
 use wavex_formats::Error;
@@ -15,6 +17,30 @@ const DAY_S: f64 = 86_400.0;
 
 /// A moment in seconds since the GPS epoch (1980-01-06), without leap seconds.
 pub(in crate::stages) type SinceEpoch = f64;
+
+/// Time scale of a time window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ScaleKey {
+    /// Seconds of the GPS week.
+    Week,
+    /// Adjusted GPS time: seconds since 1980-01-06, minus 1e9.
+    Adjusted,
+}
+
+/// Time scale of a recording.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordingTime {
+    /// Seconds of the GPS week.
+    Week,
+    /// Seconds of the day.
+    Day,
+    /// Adjusted GPS time: seconds since 1980-01-06, minus 1e9.
+    Adjusted,
+    /// Standard GPS time: seconds since 1980-01-06.
+    Standard,
+}
 
 /// Time scale of a file.
 #[derive(Clone, Copy, Debug, PartialEq)]

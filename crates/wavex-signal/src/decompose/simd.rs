@@ -48,7 +48,9 @@ mod fit_queue;
 mod fitted;
 mod fourier_response;
 mod initial_guess;
+mod layout;
 mod level;
+mod level_tables;
 mod outcome;
 mod pulse_model;
 mod residual_search;
@@ -59,6 +61,8 @@ mod solve;
 mod tables;
 mod template;
 mod thresholds;
+mod trial;
+mod workspace;
 
 #[cfg(test)]
 mod tests;
@@ -76,12 +80,12 @@ pub use candidates::FilterPeak;
 pub use outcome::Decompositions;
 pub use tables::Tables;
 
-use batch::{Decompose, Workspace};
 use detection::Detect;
 use outcome::{Finish, Give};
 use pulse_model::{PulseModel, Way};
 use rows::{BATCH, FAST_BATCH};
 use thresholds::Thresholds;
+use workspace::{Decompose, Workspace};
 
 /// Thoroughness of the decomposition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -7,8 +7,9 @@
 use wavex_simd::{LANES, Simd, Sixteen};
 
 use super::filter::{HIGHEST, POSITIONS, sums};
+use super::layout::{FILTER_BEFORE, FILTER_LAGS, MAX_ORDER, TAPS, TAPS_BEFORE};
 use super::rows::{CHUNK, Rows};
-use super::tables::{Aligned, FILTER_BEFORE, FILTER_LAGS, MAX_ORDER, TAPS, TAPS_BEFORE, Tables};
+use super::tables::{Aligned, Tables};
 
 mod levels;
 

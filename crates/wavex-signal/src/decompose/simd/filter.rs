@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use wavex_simd::{LANES, Simd, Sixteen};
 
-use super::tables::{TAPS, TAPS_BEFORE};
+use super::layout::{TAPS, TAPS_BEFORE};
 
 /// Larger samples are filtered as this value: the largest signed number of 16 bits.
 pub(super) const HIGHEST: u16 = i16::MAX.cast_unsigned();
@@ -197,6 +197,7 @@ pub(super) fn sums<S: Simd, const N: usize>(
 
 #[cfg(test)]
 mod tests {
+    use super::super::layout::{TAPS, TAPS_BEFORE};
     use super::*;
 
     /// A filter with one tap, which is represented exactly.

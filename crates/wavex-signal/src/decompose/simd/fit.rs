@@ -2,13 +2,32 @@
 
 use wavex_simd::{Kernel, LANES, Simd};
 
-use super::fit_queue::Aim;
-use super::fitted::{Fitted, FittedLanes, FittedPulse, Values};
-use super::rows::{EMPTY, FRONT, Rows, sixteen};
+use super::fitted::{Fitted, FittedLanes, FittedPulse};
+use super::layout::{ROW, U_MAX, Values, sixteen};
+use super::rows::{EMPTY, FRONT, Rows};
 use super::solve::{Factors, factor};
-use super::tables::{ROW, Tables, U_MAX};
+use super::tables::Tables;
 use super::template::{Lookup, Lookups, Pulses, leaves_block, tail, template, weights};
 use crate::pulse_fit::{FIRST_DAMPING, NEAR_NEWTON, ROUGH_DECREASE};
+
+/// Purpose of a fit. Chi-square here includes the prior terms.
+#[derive(Clone, Copy)]
+pub(super) struct Aim {
+    /// Largest chi-square at which the fit is useful.
+    pub(super) enough: f32,
+    /// Row of the waveform whose trials it competes with; only one of them is accepted.
+    pub(super) rivals: usize,
+}
+
+impl Aim {
+    /// The optimum, whatever its chi-square.
+    pub(super) const OPTIMUM: Aim = Aim { enough: f32::INFINITY, rivals: usize::MAX };
+
+    /// A fit that must reach `enough` and beat the other trials on the waveform.
+    pub(super) fn trial(enough: f32, waveform: usize) -> Aim {
+        Aim { enough, rivals: waveform }
+    }
+}
 
 /// Pulses to fit to a row that contains no others.
 #[derive(Clone, Copy)]

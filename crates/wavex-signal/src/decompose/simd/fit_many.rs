@@ -10,10 +10,11 @@ use super::fit::{
     start_of,
 };
 use super::fitted::Fitted;
+use super::layout::{ROW, U_MAX, sixteen};
 use super::pulse_model::MAX_CLUSTER;
-use super::rows::{FRONT, Rows, sixteen};
+use super::rows::{FRONT, Rows};
 use super::solve::PackedFactors;
-use super::tables::{ROW, Tables, U_MAX};
+use super::tables::Tables;
 use super::template::{Lookup, Lookups, Pulses, VECTORS, leaves_block, tail, template, weights};
 use crate::pulse_fit::NEAR_NEWTON;
 

@@ -2,9 +2,10 @@
 
 use wavex_simd::{Kernel, Processor, Simd};
 
-use super::fit::{Fit, Job};
+use super::fit::{Aim, Fit, Job};
 use super::fit_many::FitMany;
-use super::fitted::{Fitted, FittedPulse, Values};
+use super::fitted::{Fitted, FittedPulse};
+use super::layout::Values;
 use super::pulse_model::MAX_CLUSTER;
 use super::rows::{BATCH, Rows};
 use super::tables::Tables;
@@ -119,15 +120,6 @@ impl<const P: usize> Queue<P> {
     }
 }
 
-/// Purpose of a fit. Chi-square here includes the prior terms.
-#[derive(Clone, Copy)]
-pub(super) struct Aim {
-    /// Largest chi-square at which the fit is useful.
-    enough: f32,
-    /// Row of the waveform whose trials it competes with; only one of them is accepted.
-    rivals: usize,
-}
-
 /// Largest further decrease of a fit, in promised decreases of the next step.
 const REACH: f32 = pulse_fit::REACH as f32;
 /// The same for a small promise, which is accurate near an optimum.
@@ -140,14 +132,6 @@ const LITTLE: f32 = 4.0;
 const BETTER: f32 = 0.5;
 
 impl Aim {
-    /// The optimum, whatever its chi-square.
-    pub(super) const OPTIMUM: Aim = Aim { enough: f32::INFINITY, rivals: usize::MAX };
-
-    /// A fit that must reach `enough` and beat the other trials on the waveform.
-    pub(super) fn trial(enough: f32, waveform: usize) -> Aim {
-        Aim { enough, rivals: waveform }
-    }
-
     /// Whether a fit at `objective` need not continue.
     fn is_out_of_reach(&self, objective: f32, promised: f32, race: &Race) -> bool {
         let reach = if promised < LITTLE { NEAR_REACH } else { REACH };

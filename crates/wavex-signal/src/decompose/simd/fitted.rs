@@ -2,11 +2,8 @@
 
 use wavex_simd::{LANES, Simd, Sixteen};
 
-use super::tables::U_MAX;
+use super::layout::{U_MAX, Values};
 use super::template::Pulses;
-
-/// Height (DN), position (samples from the block's first), `ln` of the width ratio.
-pub(super) type Values = [f32; 3];
 
 /// A fitted pulse.
 #[derive(Clone, Copy)]

@@ -2,11 +2,10 @@
 //!
 //! Computes its shapes and their derivatives at sixteen positions per sample. Odd samples may be late.
 
+use super::layout::{BEFORE_PEAK, MAX_ORDER, PHASES, TEMPLATES};
 use crate::fourier::{ByPhase, Complex, Synthesis, times};
 use crate::sensor_model::response::{STEPS_PER_SAMPLE, bins, spectrum};
 use crate::shape::templates::widening_gain;
-
-use super::tables::{BEFORE_PEAK, MAX_ORDER, PHASES, TEMPLATES};
 
 /// Samples of a row before that of the peak: those of an entry, and those that whitening adds.
 pub(super) const BEFORE: usize = BEFORE_PEAK as usize + MAX_ORDER;

@@ -6,10 +6,11 @@ use super::detection::ByCount;
 use super::fit::Job;
 use super::fit_queue::add_pulse;
 use super::fitted::FittedLanes;
-use super::level::LevelTables;
+use super::layout::{BEFORE_PEAK, PHASES, ROW, sixteen};
+use super::level_tables::LevelTables;
 use super::pulse_model::{MAX_PULSES, PulseModel};
-use super::rows::{EMPTY, FRONT, Rows, sixteen};
-use super::tables::{BANK, BEFORE_PEAK, PHASES, ROW, Tables};
+use super::rows::{EMPTY, FRONT, Rows};
+use super::tables::{BANK, Tables};
 use super::template::{Lookup, Lookups, Pulses, VECTORS, bounded, tail, template, weights};
 
 /// Dot products of a row with the bank.

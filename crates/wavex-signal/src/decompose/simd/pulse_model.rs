@@ -2,7 +2,8 @@
 
 use std::ops::Range;
 
-use super::fitted::{FittedPulse, Values};
+use super::fitted::FittedPulse;
+use super::layout::Values;
 use crate::decompose::acceptance::CLUSTER_WIDTHS;
 use crate::decompose::{Counts, Filter, Filtered};
 use crate::flags;

@@ -1,24 +1,21 @@
 //! Residual search after the first fit: overlooked pulses, and widened pulses that are two.
 
-mod trial;
-
 use std::ops::Range;
 
 use super::Mode;
-use super::batch::{ChiSquares, Decompose, Workspace};
 use super::candidates::{Candidates, FilterPeak};
 use super::detection::FilterResiduals;
-use super::fit_queue::{Aim, add, take_off};
+use super::fit::Aim;
+use super::fit_queue::{add, take_off};
+use super::layout::U_MAX;
 use super::level::JointSquares;
 use super::pulse_model::{MAX_TRIAL, PulseComponent, PulseModel, Way};
 use super::rows::BATCH;
 use super::score_test::Scores;
-use super::tables::U_MAX;
+use super::trial::{Change, Trial, divided};
+use super::workspace::{ChiSquares, Decompose, Workspace};
 use crate::decompose::acceptance::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, TRIAL_PART, too_near};
 use crate::flags;
-
-pub(super) use trial::Trial;
-use trial::{Change, divided};
 
 /// Maximum number of rounds; a waveform that still changes goes to the scalar kernels.
 const ROUNDS: usize = 8;

@@ -5,9 +5,9 @@
 
 use wavex_simd::{LANES, Simd, Sixteen};
 
-use super::fitted::Values;
-use super::level::LevelTables;
-use super::tables::{Aligned, ROW, Tables};
+use super::layout::{ROW, Values, sixteen};
+use super::level_tables::LevelTables;
+use super::tables::{Aligned, Tables};
 use super::template::{Lookup, VECTORS, leaves_block, tail, template, weights};
 
 /// Zeros before the first sample.
@@ -32,15 +32,6 @@ const LEAST_BATCH: usize = 128;
 const RESIDUALS: usize = 2 * BATCH + 1;
 /// Index of the empty row.
 pub(super) const EMPTY: usize = 2 * BATCH;
-
-/// Returns the sixteen values from `at` on; zeros if the row is too short.
-#[inline(always)]
-pub(super) fn sixteen(row: &[f32], at: usize) -> &Sixteen {
-    match row.get(at..) {
-        Some(from) => from.first_chunk().unwrap_or(&[0.0; LANES]),
-        None => &[0.0; LANES],
-    }
-}
 
 /// Writes sixteen values if the row has room for them.
 #[inline(always)]

@@ -10,10 +10,11 @@
 
 use wavex_simd::{Kernel, LANES, Simd};
 
+use super::layout::{ROW, ROW_STRIDE, sixteen};
 use super::pulse_model::PulseComponent;
-use super::rows::{EMPTY, FRONT, Rows, sixteen};
+use super::rows::{EMPTY, FRONT, Rows};
 use super::solve::factor;
-use super::tables::{ROW, ROW_STRIDE, Tables};
+use super::tables::Tables;
 use super::template::{Lookup, VECTORS, leaves_block, template, weights};
 use crate::shape::SD_OF_FWHM;
 

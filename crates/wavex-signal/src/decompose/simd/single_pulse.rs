@@ -4,8 +4,8 @@
 
 use wavex_simd::{Kernel, LANES, Simd};
 
-use super::fit::{Job, fit};
-use super::fit_queue::{Aim, ITERATIONS, add_pulse, is_strong};
+use super::fit::{Aim, Job, fit};
+use super::fit_queue::{ITERATIONS, add_pulse, is_strong};
 use super::fitted::Fitted;
 use super::initial_guess::{BankSums, SOMEWHERE, from_bank};
 use super::level::set_levels;

@@ -2,9 +2,10 @@
 
 use wavex_simd::{LANES, Simd, Sixteen};
 
-use super::fitted::Values;
-use super::rows::sixteen;
-use super::tables::{BEFORE_PEAK, ENTRY, KNOTS, PHASES, ROW, ROW_STRIDE, Tables, U_MAX, U_MIN, U_STEP};
+use super::layout::{
+    BEFORE_PEAK, ENTRY, KNOTS, PHASES, ROW, ROW_STRIDE, U_MAX, U_MIN, U_STEP, Values, sixteen,
+};
+use super::tables::Tables;
 use crate::pulse_fit::{MAX_LN_WIDTH_STEP, MIN_HEIGHT_PART};
 
 /// Sixteen pulses, one per row: height, position and `ln` of the width ratio.

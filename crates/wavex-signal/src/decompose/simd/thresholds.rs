@@ -1,8 +1,8 @@
 //! Criteria for accepting a pulse as a return.
 
 use super::candidates::LeftBehind;
+use super::layout::BEFORE_PEAK;
 use super::pulse_model::{PulseComponent, PulseModel};
-use super::tables::BEFORE_PEAK;
 use crate::decompose::acceptance::response_error::{Allowance, Source};
 use crate::decompose::acceptance::{
     CLEAR_PART, DetectionSigma, is_misshapen, is_outside, least_separation_samples, width_filter,

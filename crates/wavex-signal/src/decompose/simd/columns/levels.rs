@@ -3,7 +3,8 @@
 use wavex_simd::{LANES, Simd};
 
 use super::{BEFORE, Columns};
-use crate::decompose::simd::level::{LEAST_FREE, LevelTables};
+use crate::decompose::simd::level::LEAST_FREE;
+use crate::decompose::simd::level_tables::LevelTables;
 use crate::decompose::simd::tables::Tables;
 
 /// Newton steps of the robust mean.

@@ -2,13 +2,13 @@
 
 use std::ops::Range;
 
-use super::super::pulse_model::{MAX_TRIAL, PulseComponent, PulseModel};
+use super::pulse_model::{MAX_TRIAL, PulseComponent, PulseModel};
 use crate::flags;
 use crate::shape::SD_OF_FWHM;
 
 /// A cluster that may replace another.
 #[derive(Clone, Copy)]
-pub(in super::super) struct Trial {
+pub(super) struct Trial {
     pub(super) row: usize,
     pub(super) old: (usize, usize),
     pub(super) pulses: [PulseComponent; MAX_TRIAL],
