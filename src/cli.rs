@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failed_run_is_told_from_a_wrong_job() {
+    fn exit_codes_separate_failed_runs_from_wrong_jobs() {
         let wrong = Failure::Wrong("no such file".into());
         let failed = Failure::Run("the disk is full; make room".into());
         assert_eq!((wrong.exit_code(), failed.exit_code()), (2, 1));

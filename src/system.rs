@@ -101,7 +101,7 @@ pub(crate) mod pipe {
         use std::process::Command;
 
         #[test]
-        fn a_pipe_is_read_to_its_end_or_until_told() {
+        fn pipes_are_read_to_their_end_or_cancellation() {
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("pipe");
             assert!(Command::new("mkfifo").arg(&path).status().unwrap().success());

@@ -238,7 +238,7 @@ fn is_pair(returns: &[Return], echoes: &[Echo]) -> bool {
 
 /// A7 and A8: equal and unequal pairs; coverage of pairs.
 #[test]
-fn close_pairs_are_told_apart() {
+fn close_pairs_are_separated() {
     const COUNT: usize = 1500;
     let cells = [
         ("A7", 20.0, 0.9, 1.0, 0.95),

@@ -498,7 +498,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_other_archives_are_told() {
+    fn other_kinds_of_archives_are_refused() {
         let found = ["a.zip", "b/x.tar.gz", "x.TGZ", "x.zst", "x.TAR.ZST", "x.tar"]
             .map(|name| other_kind(Path::new(name)));
         assert_eq!(found, [".zip", ".gz", ".tgz", ".zst", ".zst", ".tar"].map(Some));

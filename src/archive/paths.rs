@@ -56,7 +56,7 @@ mod tests {
     }
 
     #[test]
-    fn a_path_starts_where_it_is_told() {
+    fn relative_paths_start_at_the_given_folder() {
         let way = |from: &str, to: &str| relative(Path::new(from), Path::new(to));
         assert_eq!(way("/data/in", "/data/in/a.pls").as_deref(), Some("a.pls"));
         assert_eq!(way("/data/out/archive", "/data/in").as_deref(), Some("../../in"));

@@ -211,7 +211,7 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn a_name_that_is_not_unicode_is_told() {
+    fn names_that_are_not_unicode_are_errors() {
         use std::os::unix::ffi::OsStrExt;
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("a.pls"), b"").unwrap();

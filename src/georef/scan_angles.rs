@@ -354,7 +354,7 @@ mod tests {
 
     /// A sensor at unknown position that flies north: beams through points on the ground.
     #[test]
-    fn beams_of_an_unknown_sensor_tell_its_course() {
+    fn course_of_an_unknown_sensor_is_estimated_from_beams() {
         let input = InputInfo { frame: Frame::Map, origin_is_sensor: false, ..InputInfo::default() };
         let input = std::sync::Arc::new(input);
         let mut angles = ScanAngles::default();

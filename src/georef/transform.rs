@@ -223,7 +223,7 @@ mod tests {
     /// In level flight the angle is that of the scanner. With the right wing down by 10 degrees,
     /// the scanner's down points 10 degrees to the left. Pitch and heading have no effect.
     #[test]
-    fn the_scan_angle_is_told_against_the_vertical() {
+    fn scan_angles_count_from_the_vertical() {
         let angle = |degrees: [f64; 3], scan: f64| {
             let (pose, down) = pose(PLACE, attitude(degrees));
             let body = [0.0, scan.to_radians().sin(), scan.to_radians().cos()];

@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn without_values_there_is_nothing_to_tell() {
+    fn empty_histograms_have_no_statistics() {
         let histogram = of(1.0, 4, &[f64::NAN]);
         assert_eq!((histogram.total(), histogram.range(), histogram.median()), (0, None, None));
         assert!(histogram.is_empty());

@@ -155,7 +155,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn usual_intervals_are_told_from_gaps() {
+    fn usual_intervals_are_separated_from_gaps() {
         let mut intervals = Intervals::default();
         for shot in 0..2000 {
             let ps = if shot % 2 == 0 { 2_500_010 } else { 2_499_990 };
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn few_intervals_are_enough_and_none_tells_nothing() {
+    fn few_intervals_suffice_and_none_give_nothing() {
         let mut few = Intervals::default();
         [10, 10, 12, 100].into_iter().for_each(|ps| few.add(ps, 0, f64::NAN));
         few.finish();

@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_samples_in_a_row_tell_nothing_of_the_noise() {
+    fn short_runs_of_samples_give_no_noise() {
         let mut samples = Samples::new(None);
         samples.add(&[200, 210, 220]);
         samples.finish();

@@ -456,7 +456,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_without_shots_has_little_to_tell() {
+    fn recordings_without_shots_have_a_short_summary() {
         let summary =
             Summary::of(Path::new("gone/a.arrow"), &Inspection::new(true), &Counters::default(), None);
         let expected = "a.arrow\n\nFile\n  file             gone/a.arrow\n  content          no shots\n\n\

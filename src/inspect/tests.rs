@@ -66,7 +66,7 @@ fn shots_lines_and_times_are_counted() {
 }
 
 #[test]
-fn channels_zones_and_ranges_are_told() {
+fn inspection_lists_channels_zones_and_ranges() {
     let inspection = surveyed(true);
     let low = inspection.channel(Channel::LowPower);
     assert_eq!((low.blocks, low.samples, low.lengths.range()), (2, 10, Some([4.0, 6.0])));

@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn a_block_without_its_samples_still_tells_how_many_it_has() {
+    fn blocks_without_samples_keep_their_length() {
         let mut blocks = Blocks::default();
         blocks.push_without_samples(0, Channel::LowPower, None, 0.0, 1.0, 3);
         blocks.push(0, Channel::HighPower, None, 0.0, 1.0, &[1, 2, 3, 4]);

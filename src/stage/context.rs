@@ -303,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_warning_is_told_apart() {
+    fn notes_are_separate_from_warnings() {
         let mut cx = Context::default();
         cx.info("3 echoes in zone 1");
         cx.info("3 echoes in zone 1");

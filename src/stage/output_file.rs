@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_of_the_same_name_is_told_before_anything_is_written() {
+    fn folders_with_the_name_of_an_output_are_errors() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("points.laz");
         fs::create_dir(&path).unwrap();

@@ -50,7 +50,7 @@ mod tests {
     }
 
     #[test]
-    fn bad_items_are_counted_and_told_once() {
+    fn bad_items_are_counted_and_logged_once() {
         let (mut broken, mut cx) = (BrokenRun::default(), Context::default());
         cx.reject(Reason::PulseWithoutDirection, 1);
         for read in [bad(1), bad(2), Ok(())] {

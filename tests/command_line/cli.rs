@@ -100,7 +100,7 @@ fn the_version_is_that_of_the_crate() {
 }
 
 #[test]
-fn the_version_tells_licence_and_features_where_more_is_asked_for() {
+fn long_version_has_licence_and_features() {
     for words in [&["--version", "--verbose"][..], &["-v", "-V"], &["-vV"]] {
         let details = wavex(words);
         assert_eq!((details.code, details.err.as_str()), (Some(0), ""), "{words:?}");

@@ -88,7 +88,7 @@ fn every_default_is_spelled_out() {
 }
 
 #[test]
-fn the_chain_is_told_with_the_kinds_where_they_change() {
+fn chain_shows_kinds_where_they_change() {
     let job = parse(FULL, &[]);
     assert_eq!(
         job.chain(),

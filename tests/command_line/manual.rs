@@ -16,7 +16,7 @@ fn stage<'s>(schema: &'s Value, name: &str) -> &'s Value {
 }
 
 #[test]
-fn the_schema_tells_stages_apart_by_their_type() {
+fn schema_selects_stages_by_type() {
     let schema = job_schema(job_stages::STAGES);
     assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema");
     assert_eq!((&schema["required"], &schema["additionalProperties"]), (&json!(["stage"]), &json!(false)));

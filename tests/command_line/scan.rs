@@ -58,7 +58,7 @@ fn simulated(keys: &str) -> TestFolder {
 }
 
 #[test]
-fn a_simulated_flight_is_told_as_it_was_made() {
+fn scan_describes_a_simulated_flight() {
     let place =
         simulated("modulation_ns = 30\nhigh_power = true\nground_amplitude_dn = 180\nflying_height_m = 800");
     let out = summary(&place, &["out/flight.arrow"]);
@@ -158,7 +158,7 @@ fn fast_reads_no_waveforms_of_las_and_pulsewaves() {
 }
 
 #[test]
-fn gaps_rejects_and_missing_times_are_told() {
+fn scan_lists_gaps_rejects_and_missing_times() {
     let place = TestFolder::new();
     let block = |height: u16| vec![(3, -2.0, vec![2, 50, 2]), (1, 1000.0, vec![2, 2, 2, height, 2, 2])];
     let clocks = [0, 10, 20, 30, 80, 90].map(|us| us * 1_000_000);
@@ -260,7 +260,7 @@ fn quiet_prints_nothing_and_files_are_the_same_again() {
 }
 
 #[test]
-fn real_recordings_are_told_as_they_are_known() {
+fn scan_describes_real_recordings() {
     let Some(data) = data() else { return };
     let place = TestFolder::new();
     let path = |name: &str| data.join(name).to_str().unwrap().to_owned();

@@ -241,7 +241,7 @@ fn intensity(las: &[u8]) -> (usize, u16) {
 
 /// Messages give the current value first, for every file format.
 #[test]
-fn a_changed_file_is_told_by_what_it_has_now_instead_of_then() {
+fn changed_files_show_new_and_old_values() {
     let place = flight();
     let stages = STAGES.replace("'*.laz'", "'*.las'");
     place.write("job.toml", format!("[job]\noutput_dir = 'out'\n{stages}").as_bytes());
@@ -365,7 +365,7 @@ fn said(place: &TestFolder, arguments: &[&str]) -> String {
 }
 
 #[test]
-fn the_seal_is_told_and_compared() {
+fn seals_are_printed_and_compared() {
     let place = flight();
     place.write("job.toml", format!("[job]\noutput_dir = 'out'\n{STAGES}").as_bytes());
     let run = said(&place, &["run", "job.toml", "--archive", "archive"]);
@@ -446,7 +446,7 @@ fn a_resolved_job_spells_out_defaults_that_hang_on_other_keys() {
 }
 
 #[test]
-fn inputs_outside_of_the_jobs_folder_are_told_below_one_folder() {
+fn inputs_outside_the_job_folder_have_a_common_folder() {
     let place = flight();
     let model = place.path("in/model.json");
     let stages = STAGES.replace("'in/model.json'", &format!("'{}'", model.display()));

@@ -80,7 +80,7 @@ fn a_stac_item_is_written_on_request() {
 }
 
 #[test]
-fn what_cannot_be_converted_is_told_and_leaves_nothing() {
+fn failed_conversions_leave_no_file() {
     let place = TestFolder::new();
     assert_eq!(place.run(POINTS).code, Some(0));
     let mut cut = std::fs::read(place.path("out/a.laz")).unwrap();

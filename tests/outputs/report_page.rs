@@ -75,7 +75,7 @@ fn the_page_is_whole_and_needs_nothing_else() {
 }
 
 #[test]
-fn the_page_tells_all_of_a_run() {
+fn page_has_all_parts_of_a_run() {
     let (place, _) = run();
     let page = place.text("out/page.html");
     let headings = [

@@ -145,7 +145,7 @@ const LONG: &str =
 
 /// Sensor path estimated from beams of a simulated flight, against the truth.
 #[test]
-fn the_path_is_told_by_origins_and_found_again_from_beams() {
+fn sensor_path_from_origins_equals_that_from_beams() {
     let circular =
         "scanner = 'circular'\nscan_angle_deg = [-20, 20]\nrotation_hz = 25\nroll_deg = 5\npitch_deg = 3\n";
     for keys in ["", circular] {

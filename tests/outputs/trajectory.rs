@@ -38,7 +38,7 @@ fn rows(text: &str) -> Vec<Vec<f64>> {
 }
 
 #[test]
-fn a_flight_is_told_projected_and_thinned() {
+fn trajectory_is_projected_and_thinned() {
     let place = flown();
     let out = printed(&place, &["out/flight.sbet", "--every", "10", "-o", "po.txt", "--svg", "po.svg"]);
     assert!(out.starts_with("out/flight.sbet: SBET, "), "{out}");
@@ -105,7 +105,7 @@ fn both_formats_of_a_flight_agree() {
 }
 
 #[test]
-fn gaps_are_told() {
+fn trajectory_gaps_are_listed() {
     let place = TestFolder::new();
     let rows = (0..40).filter(|k| !(20..25).contains(k) && !(30..37).contains(k));
     let text: String =

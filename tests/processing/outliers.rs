@@ -6,7 +6,7 @@ use wavex::scan_line::ScanLine;
 use wavex_testkit::false_returns::{SCENES, copy, filtered, fly, kept, score_of_stage, without_trajectory};
 
 #[test]
-fn false_returns_are_told_and_true_ones_kept() {
+fn false_returns_are_withheld_and_true_ones_kept() {
     for scene in &SCENES {
         let flight = fly(scene, 1);
         let (lines, cx, _) = filtered(flight.lines.iter().map(copy).collect(), "", usize::MAX);
@@ -74,7 +74,7 @@ fn low_points_are_low_and_air_points_are_in_the_air() {
 
 /// The whole chain: false returns as weak as in real recordings, found in waveforms.
 #[test]
-fn false_returns_of_waveforms_are_told() {
+fn false_returns_of_waveforms_are_withheld() {
     let folder = tempfile::tempdir().unwrap();
     let run = |threads: usize| {
         let text = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\ntruth = '*_truth.csv'\nlines = 40\nshots_per_line = 300\n\

@@ -531,7 +531,7 @@ fn example3(data: &Path) -> &'static Recording {
 const PAIRS: usize = 1200;
 
 #[test]
-fn superposed_echoes_are_told_apart() {
+fn superposed_echoes_are_separated() {
     let Some(data) = data() else { return };
     let recording = example3(&data);
     let singles = recording.singles();
@@ -576,7 +576,7 @@ fn spread_of(scores: &[(f64, f64)], heights: std::ops::Range<f64>) -> f64 {
 }
 
 #[test]
-fn halves_of_an_echo_tell_the_same_place() {
+fn halves_of_an_echo_have_the_same_position() {
     let Some(data) = data() else { return };
     let recording = example3(&data);
     let scores = EvenOddScores::of(recording, &recording.singles());

@@ -77,21 +77,21 @@ mod tests {
     }
 
     #[test]
-    fn a_projected_system_is_told_by_its_code() {
+    fn projected_systems_have_their_code() {
         let utm =
             directory(&[[1024, 0, 1, 1], [1026, 34737, 18, 0], [3072, 0, 1, 32633], [3076, 0, 1, 9001]]);
         assert_eq!(epsg(&utm), Some(32633));
     }
 
     #[test]
-    fn a_geocentric_system_is_told_by_its_model_or_its_code() {
+    fn geocentric_systems_have_their_model_or_code() {
         assert!(is_geocentric(&directory(&[[1024, 0, 1, 3], [2048, 0, 1, 4326]])));
         assert!(is_geocentric(&directory(&[[1024, 0, 1, 2], [2048, 0, 1, 4978]])));
         assert!(!is_geocentric(&directory(&[[1024, 0, 1, 1], [3072, 0, 1, 32633]])) && !is_geocentric(&[]));
     }
 
     #[test]
-    fn a_geographic_system_is_told_by_its_code() {
+    fn geographic_systems_have_their_code() {
         assert_eq!(epsg(&directory(&[[1024, 0, 1, 2], [2048, 0, 1, 4258]])), Some(4258));
     }
 

@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn flags_are_told_in_words() {
+    fn flags_are_written_as_words() {
         assert_eq!(words(0), "none");
         assert_eq!(words(REFINED | OVERLAP | SATURATED), "refined, overlap, saturated");
         for (bit, (flag, _)) in NAMES.into_iter().enumerate() {

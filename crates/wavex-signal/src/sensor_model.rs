@@ -484,7 +484,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_of_before_its_uncertainty_was_told_still_loads() {
+    fn models_without_uncertainty_load() {
         let mut value = serde_json::to_value(model()).unwrap();
         for field in ["uncertainty", "pulse_shape_error", "pulse_error_factor"] {
             value.as_object_mut().unwrap().remove(field).unwrap();

@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn beams_that_do_not_meet_tell_no_place() {
+    fn parallel_beams_give_no_position() {
         assert_eq!(fitted(&[]), None);
         assert_eq!(fitted(&beams(0.002, 30.0, 0.0, 0.0)), None, "20 beams");
         assert_eq!(fitted(&beams(0.2, 0.0, 0.0, 0.0)), None, "parallel beams");

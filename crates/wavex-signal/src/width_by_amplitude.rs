@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_pulses_tell_nothing() {
+    fn few_pulses_give_no_width_table() {
         let few: Vec<IsolatedPulse> = pulses(|_| 0.0).into_iter().take(500).collect();
         assert_eq!(width_by_amplitude(&few), Err(NoCurve::TooFewPulses));
         let unsure: Vec<IsolatedPulse> =

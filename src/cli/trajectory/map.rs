@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_word_that_names_nothing_is_told() {
+    fn unknown_words_are_errors() {
         let message = Map::of("nowhere.wkt", None).err().unwrap();
         assert!(message.starts_with("--crs nowhere.wkt: nowhere.wkt: cannot open: "), "{message}");
         let message = Map::of("EPSG:1", None).err().unwrap();

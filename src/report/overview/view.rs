@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn degrees_are_told_by_the_coordinate_system() {
+    fn degrees_follow_from_the_coordinate_system() {
         let axes = |wkt| of(wkt, [11.0, 48.0, 500.0]).axes();
         assert_eq!(axes("GEOGCS[\"WGS 84\"]"), MapAxes::Degrees);
         assert_eq!(axes("COMPD_CS[\"a\",GEOGCS[\"WGS 84\"],VERT_CS[]]"), MapAxes::Degrees);

@@ -126,7 +126,7 @@ fn the_range_table_moves_the_echo_and_adds_its_slope_to_the_deviation() {
 }
 
 #[test]
-fn a_noisy_range_table_is_smoothed_unless_told_otherwise() {
+fn noisy_range_tables_are_smoothed_by_default() {
     let truth = |dn: f64| 30e-12 * (dn / 20.0).ln();
     let noise = |dn: u32| 10e-12 * f64::from((dn * 7919) % 101) / 50.0 - 10e-12;
     let table = AmplitudeTable::new((9..=220).map(|dn| (f64::from(dn), truth(f64::from(dn)) + noise(dn))));
@@ -142,7 +142,7 @@ fn a_noisy_range_table_is_smoothed_unless_told_otherwise() {
 }
 
 #[test]
-fn what_fusion_has_told_of_the_tables_is_not_told_twice() {
+fn warnings_of_fusion_about_tables_are_not_repeated() {
     use wavex_signal::noise::ArNoise;
     use wavex_signal::simulated::channel;
     let low = channel(&ArNoise::new(&[], 0.5).unwrap(), 4.5, 2.0);

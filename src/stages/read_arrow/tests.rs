@@ -209,7 +209,7 @@ fn a_short_unit_vector_and_nulls_are_taken_as_they_are() {
 }
 
 #[test]
-fn how_emissions_are_known_is_told_from_the_blocks_unless_it_is_said() {
+fn emission_reference_follows_from_blocks_or_metadata() {
     let reference = |code, said| {
         let mut line = plain([good(0, 0)]);
         line.block(&ContainerBlock { channel: code, ..echo() });

@@ -160,7 +160,7 @@ mod tests {
     const NOWHERE: [f64; 3] = [f64::NAN; 3];
 
     #[test]
-    fn the_flags_and_the_blocks_tell_what_a_record_is() {
+    fn kind_of_record_follows_from_flags_and_blocks() {
         for (flags, direction, blocks, expected) in [
             (3, DOWN, 1, What::Shot),
             (3, DOWN, 0, What::Shot),

@@ -253,7 +253,7 @@ fn points_never_stand_beside_what_belongs_to_others() {
 }
 
 #[test]
-fn keys_that_cannot_be_are_told() {
+fn invalid_keys_are_errors() {
     let said = |keys: WriteLas| keys.check().err().map(|invalid| format!("{invalid:?}"));
     assert_eq!(said(WriteLas::default()), None);
     assert!(said(keys("a.ply")).unwrap().contains("the file name must end in .las or .laz"));

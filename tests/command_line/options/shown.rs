@@ -42,10 +42,7 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
         &["every_option_leaves_its_mark_in_the_job", "a_line_that_asks_for_information_gets_it"],
     ),
     ("1.0:ostat", &["both_layouts_of_line_statistics_keep_the_laws", "lines_of_version_1_0"]),
-    (
-        "otraj",
-        &["the_path_is_told_by_origins_and_found_again_from_beams", "with_a_trajectory_rows_are_its_poses"],
-    ),
+    ("otraj", &["sensor_path_from_origins_equals_that_from_beams", "with_a_trajectory_rows_are_its_poses"]),
     (
         "h 1.0:? v",
         &[
@@ -74,7 +71,10 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
     ),
     (
         "out_min_a out_max_h",
-        &["false_returns_of_waveforms_are_told", "false_returns_are_marked_and_waveforms_that_jump_rejected"],
+        &[
+            "false_returns_of_waveforms_are_withheld",
+            "false_returns_are_marked_and_waveforms_that_jump_rejected",
+        ],
     ),
     ("1.0:F 1.0:R 1.0:A icf icr ica", &["intensities_follow_their_closed_forms", "zero_means_no_correction"]),
     ("1.0:dt", &["a_time_offset_moves_points_along_their_beams"]),
@@ -113,7 +113,10 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
         &["fast_leaves_the_samples_out_and_says_the_same_else", "statistics_of_the_recording_are_a_command"],
     ),
     ("det_lm", &["the_last_of_several_returns_may_have_its_own_threshold"]),
-    ("outflt out_max_r", &["waveforms_or_points_may_be_left_alone", "false_returns_of_waveforms_are_told"]),
+    (
+        "outflt out_max_r",
+        &["waveforms_or_points_may_be_left_alone", "false_returns_of_waveforms_are_withheld"],
+    ),
     ("emflt", &["crosstalk_is_flagged_and_dropped_on_request"]),
     (
         "bge",
@@ -132,7 +135,7 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
     ("gps_date", &["a_file_without_its_date_lacks_the_week_unless_the_job_says_the_day"]),
     ("n_ppm", &["the_air_may_be_another_than_the_recording_says"]),
     ("ibrc", &["the_range_table_moves_the_echo_and_adds_its_slope_to_the_deviation"]),
-    ("ibrc_fit", &["a_noisy_range_table_is_smoothed_unless_told_otherwise"]),
+    ("ibrc_fit", &["noisy_range_tables_are_smoothed_by_default"]),
     ("ibic", &["amplitudes_by_the_instruments_tables_are_riegls"]),
     (
         "awc awc1",
@@ -158,10 +161,7 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
             "columns_of_a_trajectory_that_are_not_enough_are_told_and_not_run",
         ],
     ),
-    (
-        "plot_po po_sub",
-        &["a_flight_is_told_projected_and_thinned", "a_trajectory_can_be_projected_by_itself"],
-    ),
+    ("plot_po po_sub", &["trajectory_is_projected_and_thinned", "a_trajectory_can_be_projected_by_itself"]),
     ("mount", &["a_scanner_mounted_in_another_way", "the_line_with_a_zone_and_feet"]),
     ("calib_corr", &["a_calibration_may_stand_in_a_file", "numbers_stand_in_the_classic_order"]),
     ("wkt", &["every_dialect_gives_the_same_coordinates", "the_lines_of_version_1_1_with_an_sbet"]),

@@ -70,7 +70,7 @@ fn found_of_plateaus(seed: u64, heights_dn: [f64; 2]) -> (TwoReceivers, Vec<Row>
 
 /// Both echoes are found, with almost no false returns.
 #[test]
-fn echoes_that_share_a_plateau_are_told_apart() {
+fn echoes_on_one_plateau_are_separated() {
     for seed in 1..=2 {
         let (config, rows, echoes, _) = found_of_plateaus(seed, [60.0, 2400.0]);
         let (errors_m, scores) = errors(&config, &rows, [900.0, 1e4]);

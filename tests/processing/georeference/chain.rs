@@ -153,7 +153,7 @@ fn the_bytes_do_not_depend_on_the_threads() {
 
 /// CRS of the LAS file, and height above ground of each line.
 #[test]
-fn files_tell_coordinates_and_height_above_ground() {
+fn files_have_coordinates_and_height_above_ground() {
     let flight = fly(&format!(
         "lines = 20\nshots_per_line = 100\nbuilding_height_m = 0\ncanopy_height_m = 0\nresponse = 'gaussian'\n{SWAYING}"
     ));

@@ -101,7 +101,7 @@ fn a_clock_that_runs_back_in_a_line_costs_the_shots_behind() {
 }
 
 #[test]
-fn shots_that_share_a_clock_are_told() {
+fn shots_with_equal_clocks_are_a_warning() {
     let found = changed(|lines| lines[30][100].shot.clock_ps = lines[30][99].shot.clock_ps);
     nothing_is_lost(&found);
     let notes = stage(&found.report, "resolve_mta")["notes"].to_string();

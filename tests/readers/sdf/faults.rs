@@ -72,7 +72,7 @@ fn each_function_may_fail() {
 }
 
 #[test]
-fn a_file_that_is_none_is_told_in_the_librarys_words() {
+fn invalid_files_show_the_message_of_the_library() {
     let message = "fwifc_open of RIEGL's library failed with 2, an unsupported format: ";
     let place = place(b"no recording", "");
     let outcome = place.run(&wavex_testkit::sdf::copy(""));

@@ -26,7 +26,7 @@ fn a_file_without_an_index_is_read_from_its_beginning_without_one() {
 }
 
 #[test]
-fn where_no_index_can_be_written_the_remedy_is_told() {
+fn unwritable_index_names_the_remedy() {
     let message = "the file has no index, and it cannot be built: fwifc_reindex of RIEGL's library \
                    failed with 6, a runtime error: \"the index cannot be written\"; the library \
                    writes it next to the data: make that folder writable, copy or link the file to \

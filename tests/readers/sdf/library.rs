@@ -88,7 +88,7 @@ fn a_job_cannot_name_the_library() {
 }
 
 #[test]
-fn a_folder_without_the_library_is_told() {
+fn missing_library_is_reported() {
     let place = place(&recording(), "");
     std::fs::create_dir(place.path("empty")).unwrap();
     let message = format!(
@@ -119,7 +119,7 @@ fn cannot_be_used(place: &TestFolder, library: &str, words: &str) {
 }
 
 #[test]
-fn what_is_no_library_is_told_in_the_systems_words() {
+fn invalid_library_shows_the_message_of_the_system() {
     let place = place(&recording(), "");
     place.write("text.so", b"no library");
     cannot_be_used(&place, "text.so", "text.so");

@@ -367,7 +367,7 @@ fn points_that_all_lie_at_impossible_places_are_an_error() {
 }
 
 #[test]
-fn what_a_recording_does_not_tell_is_noted() {
+fn missing_metadata_is_noted() {
     let mut las = Las::new(250);
     las.points.iter_mut().for_each(|point| point[43..47].fill(0));
     let stages = TO_TABLE.replace("write_table'\npath = '*.csv'", "write_las'");

@@ -9,7 +9,7 @@ use super::header::Header;
 use super::vlr::Vlr;
 use crate::{Error, Result, regular_file};
 
-/// RecordReader per slab.
+/// Records per slab.
 const SLAB: u64 = 1024;
 
 /// Iterator over the records of a file.

@@ -51,7 +51,7 @@ pub struct Writer<W> {
     standard_length: usize,
     /// Points being encoded.
     tile: Box<Tile>,
-    /// EncodedVlrs not yet written.
+    /// Encoded records that are not yet written.
     slab: Vec<u8>,
     /// Size at which the slab is written, bytes.
     slab_bytes: usize,

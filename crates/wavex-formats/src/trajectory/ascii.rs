@@ -1,6 +1,6 @@
 //! Text trajectories with one record per line.
 //!
-//! ColumnIndices are separated by blanks, tabs, commas or semicolons. Lines before the first record are
+//! Columns are separated by blanks, tabs, commas or semicolons. Lines before the first record are
 //! the header. Empty lines and lines that begin with `#` or `%` are skipped. Longitude and latitude
 //! are in degrees, heights in metres.
 
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn text_is_told_from_bytes() {
+    fn text_is_distinguished_from_binary_files() {
         assert!(is_text(b"time lon lat\r\n1\t2\t3\n") && is_text("Länge, Breite in °\n".as_bytes()));
         assert!(!is_text(b"") && !is_text(b"a\0") && !is_text(&[0xff; 20]) && !is_text(b"a\x7f"));
     }

@@ -158,7 +158,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_date_at_either_side_of_the_weeks_end_tells_the_week() {
+    fn dates_near_the_end_of_a_week_give_the_week() {
         // Saturday 2025-05-10 ended week 2365, which began 430 315 200 s after 2011-09-14 01:46:40.
         let week_s = 2365.0 * WEEK_S - 1e9;
         let anchors = |first_s, day| anchor_s(Clock::Week, first_s, Some([2025, 5, day])).unwrap() - week_s;

@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn without_samples_nothing_is_told() {
+    fn noise_statistics_of_no_samples_are_none() {
         let mut statistics = NoiseStatistics::default();
         statistics.add::<u16>(&[], 0);
         assert_eq!(statistics.background_dn(), [0.0; 4]);

@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn peaks_and_dips_are_told_apart() {
+    fn peaks_and_dips_are_distinguished() {
         let model = channel(&ArNoise::new(&[], 1.0).unwrap(), 4.4, 20.0);
         let mut mirror = Mirror::new(&model).unwrap().unwrap();
         let mut samples = [20; 40];

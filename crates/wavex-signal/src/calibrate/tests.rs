@@ -111,7 +111,7 @@ fn weak_echoes_do_not_count_as_noise() {
 ///
 /// One Gaussian does not fit them, and unexplained samples are not free.
 #[test]
-fn saturated_blocks_that_no_pulse_tells_do_not_count_as_noise() {
+fn saturated_blocks_without_pulse_are_no_noise() {
     let mut random = Random::new(41);
     let process = process(2.0);
     let blocks: Vec<_> = (0..2000)

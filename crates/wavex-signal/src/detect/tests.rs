@@ -148,7 +148,7 @@ fn saturated_runs_are_plateaus_and_a_single_free_sample_does_not_divide_them() {
 }
 
 #[test]
-fn flanks_tell_a_clipped_pulse() {
+fn flanks_locate_a_clipped_pulse() {
     let clipped = |position: f64, width_ratio: f64| -> Vec<f64> {
         gaussian(600.0, position, width_ratio, 60).into_iter().map(|v| v.min(235.0)).collect()
     };

@@ -101,7 +101,7 @@ fn gain_and_delay_are_found_to_within_their_standard_deviations() {
 }
 
 #[test]
-fn a_delay_that_falls_in_the_overdriven_receiver_is_told_by_height() {
+fn delays_of_the_overdriven_receiver_depend_on_height() {
     let delay = |dn: f64| 0.65 - 0.004 * (dn - 210.0).max(0.0);
     let fusion = estimate(&pairs(&mut Random::new(1), 4000, 9.0, delay), FULL_SCALE_DN, 0.3).unwrap();
     assert!((fusion.delay_ns - 0.65).abs() < 4.0 * fusion.delay_sd_ns, "{fusion:?}");
@@ -188,7 +188,7 @@ fn heights_without_relation_prove_no_gain() {
 }
 
 #[test]
-fn too_few_or_too_weak_echoes_tell_nothing() {
+fn few_or_weak_echoes_calibrate_no_fusion() {
     let mut random = Random::new(2);
     let few = pairs(&mut random, MIN_PAIRS - 1, 9.0, |_| 0.5);
     assert_eq!(estimate(&few, FULL_SCALE_DN, 0.3), None);

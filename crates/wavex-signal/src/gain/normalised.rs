@@ -164,7 +164,7 @@ mod tests {
     use crate::simulated::{Random, analogue, digitised, pulse};
 
     #[test]
-    fn blocks_of_many_gains_tell_of_one_receiver() {
+    fn blocks_of_many_gains_calibrate_one_receiver() {
         let process = ArNoise::new(&[0.6], 0.8).unwrap();
         let mut random = Random::new(5);
         let recorded: Vec<(Vec<u16>, f64)> = (0..4000)

@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn the_template_error_is_told_by_the_sample() {
+    fn template_errors_are_per_sample() {
         let response = response();
         assert_eq!(response.check(), Ok(()));
         assert!((response.fwhm_samples() - 40.0 * 2f64.ln().sqrt() / 8.0).abs() < 1e-3);

@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_is_cut_off_is_told() {
+    fn cut_off_runs_are_errors() {
         let mut keep = |run: &[u8]| Ok(Box::new(io::Cursor::new(run[..5].to_vec())) as Box<dyn Read>);
         let mut sorter = Sorter::new(1, 0, &mut keep);
         (0..3).for_each(|key| sorter.push(key, &[0]).unwrap());

@@ -126,7 +126,7 @@ fn single_returns_have_true_standard_deviations() {
 
 /// Two equal returns: found as two, in place, with true standard deviations (docs/explanation/accuracy.md, A3 and A7).
 #[test]
-fn pairs_are_told_apart() {
+fn overlapping_pairs_are_separated() {
     for (snr, separation, least) in
         [(50.0, 1.0, 0.99), (50.0, 0.75, 0.98), (20.0, 1.0, 0.98), (100.0, 2.0, 0.99)]
     {
@@ -245,7 +245,7 @@ fn decompose_exact(pulses: &[Pulse], full_scale: u16, settings: &DecomposeSettin
 }
 
 #[test]
-fn flags_tell_truncation_overlap_and_saturation() {
+fn flags_mark_truncation_overlap_and_saturation() {
     let settings = DecomposeSettings::default();
     let flags_of = |pulses: &[Pulse], full_scale: u16| -> Vec<u16> {
         decompose_exact(pulses, full_scale, &settings).0.iter().map(|r| r.flags).collect()
@@ -339,7 +339,7 @@ fn the_last_of_several_returns_has_its_own_threshold() {
 
 /// One widened pulse passes the score test at the rate of noise; separable pairs always pass.
 #[test]
-fn the_score_tells_pairs_from_widened_pulses() {
+fn score_test_separates_pairs_from_widened_pulses() {
     let mut simulation = Simulation::new(41, 4095);
     simulation.settings.max_added = 0;
     let mut scores = |pulses: &[Pulse]| {

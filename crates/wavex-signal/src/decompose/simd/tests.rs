@@ -476,7 +476,7 @@ fn near_the_ends_of_blocks_one_step_is_enough() {
 
 /// Beyond the tables `fastest` steps from their limit and flags the result.
 #[test]
-fn beyond_the_tables_a_step_tells_width_and_height() {
+fn steps_beyond_the_tables_give_width_and_height() {
     let model = model();
     let shape = Shape::of(&model).unwrap();
     let mut random = Random::new(13);
