@@ -54,12 +54,12 @@ fn a_valid_job_is_refused_as_a_case() {
 #[test]
 fn tables_of_stages_and_texts_of_special_types() {
     let chain = FULL.split("\n[[stage]]\ntype = \"write_las\"").next().unwrap();
-    let missing = "error: `mount` of `georeference` requires the key `forward_m`\n  --> job.toml:12:1\n   |\n\
-                   12 | [stage.mount]\n   | ^^^^^^^^^^^^^\n   |\n   \
+    let missing = "error: `mount` of `georeference` requires the key `forward_m`\n  --> job.toml:13:1\n   |\n\
+                   13 | [stage.mount]\n   | ^^^^^^^^^^^^^\n   |\n   \
                    = help: add `forward_m = ...`, a number: To the front.\n";
-    let item = "error: `forward_m` must be a number, got text\n  --> job.toml:12:45\n   |\n\
-                12 | control = [{ forward_m = 1 }, { forward_m = \"x\" }]\n   |                                             ^^^\n";
-    let text = "error: `crs`: \"utm\" is no code of a system\n  --> job.toml:12:7\n   |\n12 | crs = \"utm\"\n   \
+    let item = "error: `forward_m` must be a number, got text\n  --> job.toml:13:45\n   |\n\
+                13 | control = [{ forward_m = 1 }, { forward_m = \"x\" }]\n   |                                             ^^^\n";
+    let text = "error: `crs`: \"utm\" is no code of a system\n  --> job.toml:13:7\n   |\n13 | crs = \"utm\"\n   \
                 |       ^^^^^\n   |\n   = help: `crs` takes text\n";
     for (keys, expected) in [
         ("[stage.mount]\nright_m = 2\n", missing),
