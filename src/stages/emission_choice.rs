@@ -7,6 +7,7 @@
 use crate::scan_line::{Block, Blocks, Channel, Emission, EmissionReference, InputInfo, ScanLine};
 use crate::stage::{Context, Source};
 use wavex_signal::fusion::peak_above_half;
+use wavex_simd::statistics::median;
 
 mod check;
 
@@ -308,8 +309,9 @@ impl Smoothness {
     ///
     /// Their differences in each shot, without the constant part, over √12; the RMS over the shots.
     fn choice_sd_ns(&self, left: &[EmissionReference]) -> f64 {
-        let usual_ns: Vec<f64> =
-            (0..self.references.len()).map(|i| median(self.emissions_ns.iter().map(|of| of[i]))).collect();
+        let usual_ns: Vec<f64> = (0..self.references.len())
+            .map(|i| median(self.emissions_ns.iter().map(|of| of[i])).unwrap_or(f64::NAN))
+            .collect();
         let spread_ns = |of: &[f64; REFERENCES]| {
             let (mut least_ns, mut most_ns) = (f64::INFINITY, f64::NEG_INFINITY);
             for ((reference, usual_ns), emission_ns) in self.references.iter().zip(&usual_ns).zip(of) {
@@ -340,7 +342,7 @@ impl Smoothness {
 
     /// Median peak of the outgoing pulses after the clock, ns; 0 without any.
     pub(super) fn outgoing_ns(&self) -> f64 {
-        if self.outgoing_ns.is_empty() { 0.0 } else { median(self.outgoing_ns.iter().copied()) }
+        median(self.outgoing_ns.iter().copied()).unwrap_or(0.0)
     }
 
     /// The second differences of all references.
@@ -523,15 +525,8 @@ fn sd_of_lower_quartile(values: impl Iterator<Item = f64>) -> f64 {
 
 /// Robust SD; NaN without values.
 fn robust_sd(values: impl Iterator<Item = f64> + Clone) -> f64 {
-    let centre = median(values.clone());
-    SD_OF_MEDIAN * median(values.map(|value| (value - centre).abs()))
-}
-
-/// Median, the upper of the middle two; NaN without values.
-pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    let middle = values.len() / 2;
-    if values.is_empty() { f64::NAN } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    let centre = median(values.clone()).unwrap_or(f64::NAN);
+    SD_OF_MEDIAN * median(values.map(|value| (value - centre).abs())).unwrap_or(f64::NAN)
 }
 
 #[cfg(test)]

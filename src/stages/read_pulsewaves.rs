@@ -25,6 +25,7 @@ use crate::stage::{
 use description::{describe, recorded_crs};
 use wavex_formats::pulsewaves::{Pulse, Reader, Segment, SegmentKind, TimeAxis, Waves};
 use wavex_geodesy::beam_length::BeamLength;
+use wavex_simd::statistics::median;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewaves", Kind::Shots);
@@ -479,7 +480,7 @@ fn look_at_beams(reader: &mut Reader, units: Units) -> Result<(BeamLength, f64, 
         index += stride;
     }
     let metres_per_ns =
-        emission_choice::median(beams.iter().map(|beam| beam.iter().map(|x| x * x).sum::<f64>().sqrt()));
+        median(beams.iter().map(|beam| beam.iter().map(|x| x * x).sum::<f64>().sqrt())).unwrap_or(f64::NAN);
     let beams = BeamLength::learn(&beams, reader.header().scale, UNITS_TO_TARGET, projected);
     Ok((beams, metres_per_ns, around_earth))
 }

@@ -13,6 +13,8 @@
 
 use core::ops::Range;
 
+use wavex_simd::statistics::median;
+
 use super::ellipsoid::{Geodetic, WGS84};
 use super::frames::{Attitude, Rotation, Vector, ecef_from_ned, then};
 use accuracies::Accuracies;
@@ -370,9 +372,7 @@ fn index(times_s: Vec<f64>) -> Result<TimeIndex, TrajectoryError> {
 }
 
 fn median_step_s(times_s: &[f64]) -> f64 {
-    let mut steps: Vec<f64> = times_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    let middle = steps.len() / 2;
-    *steps.select_nth_unstable_by(middle, f64::total_cmp).1
+    median(times_s.array_windows().map(|[from, to]| to - from)).unwrap_or(f64::NAN)
 }
 
 fn gaps(times_s: &[f64], median_step_s: f64, longest_bridged_s: f64) -> Vec<Gap> {

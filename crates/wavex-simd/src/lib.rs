@@ -30,7 +30,7 @@
 //! assert_eq!(SimdLevel::best().run(Sum(&[[1.5; LANES]; 3])), [4.5; LANES]);
 //! ```
 //!
-//! [`dot`] and [`quantise`] are loops over doubles, which the compiler vectorises for the same levels.
+//! [`statistics`] has the median. [`dot`] and [`quantise`] are loops over doubles, which the compiler vectorises for the same levels.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -39,6 +39,7 @@ mod avx512;
 pub mod dot;
 mod portable;
 pub mod quantise;
+pub mod statistics;
 
 /// Lanes of a vector.
 pub const LANES: usize = 16;

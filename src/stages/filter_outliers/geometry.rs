@@ -3,6 +3,7 @@
 use crate::scan_line::{Emission, Frame, ScanLine};
 use wavex_geodesy::vertical::{down_at, main_axis};
 use wavex_signal::outliers::{Extent, LinePoint, PointLine};
+use wavex_simd::statistics::median;
 
 /// Smallest change of direction, m per m, that defines a sweep direction.
 const LEAST_SWEEP: f64 = 1e-9;
@@ -44,7 +45,9 @@ impl AssumedMotion {
     /// Offset of the next line from the first one, m.
     fn next_m(&mut self, spacings_m: &[f32], across: Option<[f64; 3]>) -> [f64; 3] {
         self.forward = self.forward.or(across);
-        self.spacing_m = median(spacings_m).filter(|m| m.is_finite()).map_or(self.spacing_m, f64::from);
+        self.spacing_m = median(spacings_m.iter().copied().map(f64::from))
+            .filter(|m| m.is_finite())
+            .unwrap_or(self.spacing_m);
         self.distance_m += ASSUMED_LINE_SPACING * self.spacing_m;
         self.forward.map_or([0.0; 3], |forward| forward.map(|part| part * self.distance_m))
     }
@@ -137,12 +140,6 @@ fn sweep(emissions: &[Emission], down: [f64; 3]) -> Option<[f64; 3]> {
     let level: [f64; 3] = std::array::from_fn(|axis| step[axis] - fall * down[axis]);
     let length = dot(level, level).sqrt();
     (length > LEAST_SWEEP).then(|| level.map(|part| part / length))
-}
-
-fn median(values: &[f32]) -> Option<f32> {
-    let mut values = values.to_vec();
-    let middle = values.len() / 2;
-    (middle < values.len()).then(|| *values.select_nth_unstable_by(middle, f32::total_cmp).1)
 }
 
 pub(super) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {

@@ -3,9 +3,10 @@
 use super::geometry::Geometry;
 use crate::plausibility::Check;
 use crate::stage::{Result, StageError};
-use crate::stages::emission_choice::{lone_peak, median};
+use crate::stages::emission_choice::lone_peak;
 use crate::stages::plausible;
 use wavex_formats::las::{Point, Reader};
+use wavex_simd::statistics::median;
 
 /// Number of points looked at, and single echoes needed.
 const MOST_POINTS: usize = 5_000;
@@ -91,7 +92,8 @@ pub(super) fn check_locations(reader: &mut Reader, geometry: &Geometry) -> Resul
     }
     let metres_per_ns = 0.5e-9 * geometry.group_velocity_mps;
     let off_m = |location_ns: fn(&Echo) -> f64| {
-        metres_per_ns * median(echoes.iter().map(|echo| (echo.peak_ns - location_ns(echo)).abs()))
+        metres_per_ns
+            * median(echoes.iter().map(|echo| (echo.peak_ns - location_ns(echo)).abs())).unwrap_or(f64::NAN)
     };
     let as_stored_m = off_m(|echo| echo.location_ns);
     if as_stored_m <= FARTHEST_M {

@@ -5,6 +5,8 @@
 //! it. Stretches of equal positions inside a movement are outliers, too, and attitudes beyond the limits
 //! of the vehicle.
 
+use wavex_simd::statistics::median;
+
 use super::Sample;
 use super::plausibility::{Limits, MOST_PART, wrapped_rad};
 use crate::ellipsoid::WGS84;
@@ -131,7 +133,9 @@ fn deviating(times_s: &[f64], values: &[[f64; 3]], quantity: &Quantity) -> Vec<O
         let deviations: Vec<[f64; 2]> =
             (0..kept.len()).map(|at| deviation(times_s, values, &kept, at, quantity)).collect();
         // The median of the first pass is that of the sound records.
-        let noise = *noise.get_or_insert_with(|| LEAST_MEDIANS * median(deviations.iter().map(|of| of[0])));
+        let noise = *noise.get_or_insert_with(|| {
+            LEAST_MEDIANS * median(deviations.iter().map(|of| of[0])).unwrap_or(f64::NAN)
+        });
         let of = |at: usize| deviations.get(at).map_or(0.0, |of| of[0]);
         let is_outlier = |at: usize| {
             let [own, limit] = deviations[at];
@@ -213,12 +217,6 @@ fn frozen(times_s: &[f64], places_m: &[[f64; 3]]) -> Vec<Outlier> {
         first = next;
     }
     found
-}
-
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! Behaviour of a receiver near full scale: from which height it is overdriven, and how fast it
 //! recovers from clipping.
 
+use wavex_simd::statistics::median;
+
 use super::response::{strongest, strongest_without};
 use super::{CalibrationError, CalibrationSettings, WeakPulses, decompose_each, evenly};
 use crate::decompose::{DecomposeSettings, Decomposition, OVERDRIVEN_PART, Waveform};
@@ -94,7 +96,7 @@ fn overdriven_dn(normal: Vec<f64>, high: &[(f64, f64)], full_scale_dn: f64) -> O
     if normal.len() < MIN_NORMAL || high.len() < 2 * STEP {
         return None;
     }
-    let limit = OVERDRIVEN_RATIO * median(normal).max(1.0);
+    let limit = OVERDRIVEN_RATIO * median(normal).unwrap_or(0.0).max(1.0);
     let highest_dn = high.last()?.0;
     match steps(high, STEP).find(|step| median_ratio(step) > limit) {
         Some(step) => step.first().map(|(height_dn, _)| *height_dn),
@@ -107,7 +109,7 @@ fn overdriven_dn(normal: Vec<f64>, high: &[(f64, f64)], full_scale_dn: f64) -> O
 /// `high` and `flanks` are as in [`overdriven_dn`]. None of them made the response. A contradiction by
 /// either is decisive.
 fn is_linear(normal: &[f64], high: &[(f64, f64)], flanks: &[(f64, f64)], full_scale_dn: f64) -> bool {
-    let usual = median(normal.to_vec());
+    let usual = median(normal.iter().copied()).unwrap_or(0.0);
     if normal.len() < MIN_NORMAL || usual > LINEAR_RATIO {
         return false;
     }
@@ -126,7 +128,7 @@ fn steps(pulses: &[(f64, f64)], size: usize) -> impl Iterator<Item = &[(f64, f64
 }
 
 fn median_ratio(step: &[(f64, f64)]) -> f64 {
-    median(step.iter().map(|(_, ratio)| *ratio).collect())
+    median(step.iter().map(|(_, ratio)| *ratio)).unwrap_or(0.0)
 }
 
 /// Residuals after clipped samples.
@@ -169,13 +171,9 @@ impl Clipped {
     /// Whether the first sample after clipping is as good as the following.
     fn recovers_at_once(self, noise_sd_dn: f64) -> bool {
         self.first_dn.len() >= MIN_CLIPPED
-            && median(self.first_dn) <= RECOVERED_RATIO * median(self.next_dn).max(noise_sd_dn)
+            && median(self.first_dn).unwrap_or(0.0)
+                <= RECOVERED_RATIO * median(self.next_dn).unwrap_or(0.0).max(noise_sd_dn)
     }
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]

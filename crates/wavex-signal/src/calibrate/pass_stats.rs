@@ -1,5 +1,7 @@
 //! One pass over the blocks with the current model: free samples, widths, residuals.
 
+use wavex_simd::statistics::median;
+
 use super::free_samples::FreeSamples;
 use super::width::{Width, Widths};
 use crate::decompose::Waveform;
@@ -81,7 +83,7 @@ impl PassStats {
 
     /// Median SD of the residuals, in standard deviations of the noise.
     pub(super) fn residual_sd(&self) -> f64 {
-        median(&self.residual_sds, 1.0)
+        median(self.residual_sds.iter().copied()).unwrap_or(1.0)
     }
 
     /// Half the difference of the 16th and 84th percentiles of these.
@@ -94,14 +96,8 @@ impl PassStats {
 
     /// Median of the residual SD over the highest pulse, per DN.
     pub(super) fn residual_part(&self) -> f64 {
-        median(&self.residual_parts, 0.0)
+        median(self.residual_parts.iter().copied()).unwrap_or(0.0)
     }
-}
-
-fn median(values: &[f64], without: f64) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(without)
 }
 
 /// Whether candidates exist but none could be fitted.

@@ -7,6 +7,8 @@
 //! No echo is narrower than the pulse that caused it, if the same receiver recorded both. A response
 //! that is narrower comes from echoes that the receiver or its digitiser distorted.
 
+use wavex_simd::statistics::median;
+
 use super::all_waveforms::measure_error;
 use super::quality::Quality;
 use super::{Calibrated, ERRORS, MIN_ECHOES, Single, chosen_evenly, singles, with_response};
@@ -79,8 +81,7 @@ pub fn with_outgoing_pulse<'a>(
     if common.len() < MIN_COMPARED && !is_too_narrow(&own.model, outgoing) {
         return Ok(own.clone());
     }
-    let medians =
-        [common.iter().map(|pair| pair.0).collect(), common.iter().map(|pair| pair.1).collect()].map(median);
+    let medians = [0, 1].map(|of| median(common.iter().map(|pair| [pair.0, pair.1][of])).unwrap_or(0.0));
     let mut chosen = own.clone();
     let is_widened = own.model.pulse_fwhm_ns > WIDENED * outgoing.pulse_fwhm_ns;
     let largest_part = if is_widened || own.model.response.is_none() { 1.0 } else { LARGEST_PART };
@@ -145,9 +146,4 @@ fn finished(
         Quality::of(&model, &singles, longest)?.apply_to(&mut model);
     }
     Ok(model)
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
