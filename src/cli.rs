@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser};
 
-use crate::job::{Include, Job, JobErrors, MAX_INCLUDES, Override, included, job_schema, read_text};
+use crate::job::{Include, Job, JobErrors, MAX_INCLUDES, Override, included, job_schema_text, read_text};
 use crate::printable::printable;
 use crate::registry::STAGES;
 use crate::system;
@@ -157,7 +157,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Verify { archived, seal } => archive::verify(&archived, seal.as_deref(), quiet),
         Command::Check { job, inputs } => check::check(&job, inputs),
         Command::Stages { name } => stages::stages(STAGES, name.as_deref()),
-        Command::Schema => print(&format!("{:#}\n", job_schema(STAGES))),
+        Command::Schema => print(&job_schema_text(STAGES)),
         Command::Init { file, from } => init::init(file.as_deref(), from.as_deref(), quiet),
         Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
         Command::Calibrate(args) => calibrate::calibrate(&args, quiet),

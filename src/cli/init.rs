@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::recording::{Recording, beside};
 use super::{Failure, print};
-use crate::job::{example_job, job_schema};
+use crate::job::{example_job, job_schema_text};
 use crate::registry::STAGES;
 
 /// Schema for editors, written to the folder of the job.
@@ -30,7 +30,7 @@ pub(super) fn init(file: Option<&Path>, from: Option<&Path>, quiet: bool) -> Res
     let kept = match schema.exists() {
         true => format!("kept the existing {}\n", schema.display()),
         false => {
-            write_new(&schema, &format!("{:#}\n", job_schema(STAGES)))?;
+            write_new(&schema, &job_schema_text(STAGES))?;
             format!("wrote {}\n", schema.display())
         }
     };

@@ -40,6 +40,59 @@ pub fn job_schema(stages: &[&'static StageSpec]) -> Value {
     schema
 }
 
+/// The same as JSON text, indented by tabs; values that fit are on one line.
+pub fn job_schema_text(stages: &[&'static StageSpec]) -> String {
+    let mut text = String::new();
+    write(&job_schema(stages), 0, 0, &mut text);
+    text.push('\n');
+    text
+}
+
+/// Largest width of a line with several values, columns.
+const WIDTH: usize = 100;
+
+/// Writes a value of a nesting depth after `used` columns of a line; a tab is two.
+fn write(value: &Value, depth: usize, used: usize, text: &mut String) {
+    let line = on_one_line(value);
+    let entries: Vec<(String, &Value)> = match value {
+        _ if used + line.chars().count() <= WIDTH => Vec::new(),
+        Value::Object(members) => {
+            members.iter().map(|(name, value)| (format!("{}: ", json!(name)), value)).collect()
+        }
+        Value::Array(items) => items.iter().map(|item| (String::new(), item)).collect(),
+        _ => Vec::new(),
+    };
+    if entries.is_empty() {
+        text.push_str(&line);
+        return;
+    }
+    let [open, close] = if value.is_object() { ["{", "}"] } else { ["[", "]"] };
+    text.push_str(open);
+    for (index, (name, value)) in entries.iter().enumerate() {
+        text.push_str(if index > 0 { ",\n" } else { "\n" });
+        text.extend(std::iter::repeat_n('\t', depth + 1));
+        text.push_str(name);
+        write(value, depth + 1, 2 * (depth + 1) + name.len(), text);
+    }
+    text.push('\n');
+    text.extend(std::iter::repeat_n('\t', depth));
+    text.push_str(close);
+}
+
+fn on_one_line(value: &Value) -> String {
+    match value {
+        Value::Object(members) => {
+            let members =
+                members.iter().map(|(name, value)| format!("{}: {}", json!(name), on_one_line(value)));
+            format!("{{{}}}", members.collect::<Vec<_>>().join(", "))
+        }
+        Value::Array(items) => {
+            format!("[{}]", items.iter().map(on_one_line).collect::<Vec<_>>().join(", "))
+        }
+        other => other.to_string(),
+    }
+}
+
 /// Schema of one stage: `type`, `id`, and its own keys.
 fn stage_schema(spec: &StageSpec) -> Value {
     let keys = spec.keys();
