@@ -165,7 +165,7 @@ fn a_wrong_job_is_refused_in_plain_text() {
 #[test]
 fn a_job_may_come_from_standard_input() {
     let expected = "\
-error: `threads` must be at least 0, got -1
+error: `threads` must be at least 0 and at most 65535, got -1
  --> standard input:4:11
   |
 4 | threads = -1

@@ -192,7 +192,7 @@ fn an_error_of_the_job_is_shown_at_its_option() {
     let words: Vec<String> = "-i a.sdf -det -5 -o b.laz".split(' ').map(str::to_owned).collect();
     let problem = translated(&words, None).unwrap_err();
     assert!(
-        problem.starts_with("the job of this line is invalid: `detection_sigma`: it must lie "),
+        problem.starts_with("the job of this line is invalid: `detection_sigma` must be at least "),
         "{problem}"
     );
     assert!(problem.contains("\n  | wavex -i a.sdf -det -5 -o b.laz\n  |                ^^^^"), "{problem}");

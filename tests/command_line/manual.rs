@@ -142,8 +142,14 @@ fn the_table_of_errors_names_tests_that_there_are() {
     for row in page.lines().filter(|line| line.starts_with("| 1.")) {
         let tests = row.trim_end_matches('|').rsplit(" | ").next().unwrap();
         for group in tests.split("; ") {
-            let (path, names) = group.split_once(": ").unwrap_or_else(|| panic!("{row}"));
+            // Files of cases have no names of tests.
+            let (path, names) = group.split_once(": ").unwrap_or((group, ""));
             let text = read(path.trim_matches([' ', '`']));
+            if names.is_empty() {
+                assert!(path.trim_matches([' ', '`']).ends_with(".txt"), "{row}");
+                n += 1;
+                continue;
+            }
             for name in names.split(", ").map(|name| name.trim_matches([' ', '`'])) {
                 assert!(
                     text.contains(&format!("fn {name}()")),

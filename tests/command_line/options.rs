@@ -3,7 +3,7 @@
 //! A test that finds the page outdated rewrites it and fails, so that the new one is reviewed and
 //! committed.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -35,9 +35,19 @@ fn tests_in(folder: &Path, names: &mut BTreeSet<String>) {
     }
 }
 
+/// Lines that `import` translates: text of each file of cases, by name.
+fn lines() -> BTreeMap<String, String> {
+    let files = fs::read_dir(root().join("tests/command_line/import/lines")).unwrap();
+    let files =
+        files.map(|entry| entry.unwrap().path()).filter(|path| path.extension().is_some_and(|e| e == "txt"));
+    let name = |path: &Path| format!("lines/{}", path.file_stem().unwrap().display());
+    files.map(|path| (name(&path), fs::read_to_string(&path).unwrap())).collect()
+}
+
 fn tests() -> BTreeSet<String> {
     let mut names = BTreeSet::new();
     ["tests", "src", "crates"].iter().for_each(|folder| tests_in(&root().join(folder), &mut names));
+    names.extend(lines().into_keys());
     names
 }
 
@@ -49,6 +59,22 @@ fn every_test_that_the_page_names_exists() {
     let of_features = FEATURES.iter().flat_map(|(name, _, tests)| tests.iter().map(move |test| (name, test)));
     let missing: Vec<_> = of_options.chain(of_features).filter(|(_, test)| !tests.contains(**test)).collect();
     assert!(missing.is_empty(), "no such tests: {missing:?}");
+}
+
+#[test]
+fn files_of_lines_contain_the_options_that_they_show() {
+    let lines = lines();
+    for (options, tests) in OPTIONS {
+        let has = |text: &String| {
+            let mut words = text.split_whitespace().filter_map(|word| word.strip_prefix('-'));
+            let mut names = options.split(' ').map(|name| name.rsplit(':').next().unwrap());
+            words.any(|word| names.clone().any(|name| word.trim_start_matches('-').starts_with(name)))
+                && names.next().is_some()
+        };
+        for text in tests.iter().filter_map(|test| lines.get(*test)) {
+            assert!(has(text), "{options}: {tests:?}");
+        }
+    }
 }
 
 /// Tests that show the effect of an option.

@@ -249,5 +249,5 @@ fn the_key_is_a_path_or_several() {
     let error = toml::from_str::<Config>("").unwrap_err().to_string();
     assert!(error.contains("missing field `path`"), "{error}");
     let error = toml::from_str::<Config>("path = \"a\"\nline = 3").unwrap_err().to_string();
-    assert!(error.contains("unknown field `line`, expected one of `path`"), "{error}");
+    assert!(error.contains("unknown field `line`"), "{error}");
 }

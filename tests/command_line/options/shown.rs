@@ -7,7 +7,7 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
         &[
             "the_line_of_version_1_0_with_folders_of_windows",
             "the_lines_of_version_1_1_with_a_pof",
-            "files_with_folders_of_their_own_do_not_lie_in_the_folder_of_inputs",
+            "lines/commands",
         ],
     ),
     (
@@ -19,24 +19,14 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
         ],
     ),
     ("N", &["threads_queues_and_repetition_change_no_byte", "threads_of_the_command_line_are_the_jobs"]),
-    ("q", &["matters_of_the_run_are_none_of_the_job", "quiet_prints_nothing_and_files_are_the_same_again"]),
-    ("progress", &["matters_of_the_run_are_none_of_the_job", "a_bar_is_for_terminals"]),
-    (
-        "i",
-        &[
-            "several_inputs_are_one_list",
-            "patterns_give_files_in_order_each_once",
-            "the_input_tells_the_version",
-        ],
-    ),
-    ("o", &["outputs_are_named_after_that_of_the_points", "a_star_is_the_stem_of_the_input"]),
+    ("q", &["lines/outputs", "quiet_prints_nothing_and_files_are_the_same_again"]),
+    ("progress", &["lines/outputs", "a_bar_is_for_terminals"]),
+    ("i", &["lines/inputs_and_versions", "patterns_give_files_in_order_each_once"]),
+    ("o", &["lines/outputs", "a_star_is_the_stem_of_the_input"]),
     ("oext", &["attributes_can_be_left_out", "the_line_that_writes_nothing"]),
     ("ounc", &["attributes_can_be_left_out", "the_line_of_version_1_0_with_folders_of_windows"]),
     ("nil", &["the_line_that_writes_nothing", "lines_of_version_1_1"]),
-    (
-        "log 1.0:olog",
-        &["matters_of_the_run_are_none_of_the_job", "a_run_names_all_that_it_wrote_by_short_paths"],
-    ),
+    ("log 1.0:olog", &["lines/outputs", "a_run_names_all_that_it_wrote_by_short_paths"]),
     (
         "log_flush clear_log clear_log_history",
         &["every_option_leaves_its_mark_in_the_job", "a_line_that_asks_for_information_gets_it"],
@@ -54,20 +44,20 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
         "f s",
         &[
             "modes_agree_where_returns_stand_alone_and_refine_on_request_where_they_overlap",
-            "speed_is_said_by_several_options",
+            "lines/values_and_modes",
         ],
     ),
     (
         "a slow",
         &[
             "modes_agree_where_returns_stand_alone_and_refine_on_request_where_they_overlap",
-            "speed_is_said_by_several_options",
+            "lines/values_and_modes",
         ],
     ),
     ("d", &["noise_alone_gives_no_more_returns_than_theory", "lines_of_version_1_0"]),
     (
         "min_width max_width",
-        &["clear_returns_beyond_the_range_of_widths_are_flagged", "one_end_of_a_range_leaves_the_other_open"],
+        &["clear_returns_beyond_the_range_of_widths_are_flagged", "lines/values_and_modes"],
     ),
     (
         "out_min_a out_max_h",
@@ -76,7 +66,7 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
             "false_returns_are_marked_and_waveforms_that_jump_rejected",
         ],
     ),
-    ("1.0:F 1.0:R 1.0:A icf icr ica", &["intensities_follow_their_closed_forms", "zero_means_no_correction"]),
+    ("1.0:F 1.0:R 1.0:A icf icr ica", &["intensities_follow_their_closed_forms", "lines/values_and_modes"]),
     ("1.0:dt", &["a_time_offset_moves_points_along_their_beams"]),
     ("odd_dt", &["odd_samples_that_come_late_bias_no_range"]),
     (
@@ -86,32 +76,15 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
             "single_returns_are_not_divided_and_pairs_have_true_uncertainties",
         ],
     ),
-    (
-        "olas olaz otxt",
-        &[
-            "text_output_has_columns_and_no_attributes_of_las",
-            "text_says_what_las_says",
-            "an_output_has_one_of_the_extensions_of_its_version",
-        ],
-    ),
+    ("olas olaz otxt", &["lines/outputs", "text_says_what_las_says"]),
     ("oparse", &["rows_hold_what_las_would", "every_letter_stands_once_and_every_attribute_has_its_number"]),
     ("o12", &["version_1_2_clamps_what_its_fields_cannot_hold", "lines_of_version_1_1"]),
-    ("olax", &["an_index_is_a_file_or_a_part_of_one", "an_index_lies_beside_the_points_or_within"]),
-    (
-        "lax_append",
-        &[
-            "an_index_of_las_is_a_file_of_its_own",
-            "an_index_lies_beside_the_points_or_within",
-            "lines_of_version_1_1",
-        ],
-    ),
+    ("olax", &["an_index_is_a_file_or_a_part_of_one", "lines/outputs"]),
+    ("lax_append", &["lines/outputs", "lines_of_version_1_1"]),
     ("olstat", &["a_row_has_the_columns_in_their_order", "lines_of_version_1_1"]),
-    ("1.1:ostat osdfstat name", &["statistics_of_the_recording_are_a_command", "statistics_of_a_recording"]),
+    ("1.1:ostat osdfstat name", &["lines/commands", "statistics_of_a_recording"]),
     ("sdfscan", &["the_line_that_scans", "statistics_of_a_recording"]),
-    (
-        "sdfscanfast",
-        &["fast_leaves_the_samples_out_and_says_the_same_else", "statistics_of_the_recording_are_a_command"],
-    ),
+    ("sdfscanfast", &["fast_leaves_the_samples_out_and_says_the_same_else", "lines/commands"]),
     ("det_lm", &["the_last_of_several_returns_may_have_its_own_threshold"]),
     (
         "outflt out_max_r",
@@ -154,18 +127,12 @@ pub const OPTIONS: &[(&str, &[&str])] = &[
     ),
     ("po_adj po_day", &["trajectories_that_count_in_another_way", "the_lines_with_a_trajectory_in_text"]),
     ("po_rad", &["a_text_with_angles_in_radians_gives_the_same_points", "angles_of_a_text_may_be_radians"]),
-    (
-        "po_parse",
-        &[
-            "the_lines_with_a_trajectory_in_text",
-            "columns_of_a_trajectory_that_are_not_enough_are_told_and_not_run",
-        ],
-    ),
-    ("plot_po po_sub", &["trajectory_is_projected_and_thinned", "a_trajectory_can_be_projected_by_itself"]),
+    ("po_parse", &["the_lines_with_a_trajectory_in_text", "lines/commands"]),
+    ("plot_po po_sub", &["trajectory_is_projected_and_thinned", "lines/commands"]),
     ("mount", &["a_scanner_mounted_in_another_way", "the_line_with_a_zone_and_feet"]),
     ("calib_corr", &["a_calibration_may_stand_in_a_file", "numbers_stand_in_the_classic_order"]),
     ("wkt", &["every_dialect_gives_the_same_coordinates", "the_lines_of_version_1_1_with_an_sbet"]),
-    ("utm", &["a_zone_and_a_unit_can_be_chosen", "the_trajectory_tells_the_hemisphere_of_a_zone"]),
+    ("utm", &["a_zone_and_a_unit_can_be_chosen", "lines/coordinates"]),
     ("geo", &["geodetic_coordinates_are_degrees", "the_lines_with_a_trajectory_in_text"]),
     ("ecef", &["earth_centred_coordinates_are_metres"]),
     ("geoid", &["a_conic_in_feet_with_a_geoid", "a_geoid_is_found_in_any_case"]),
@@ -186,7 +153,7 @@ pub const FEATURES: &[(&str, &str, &[&str])] = &[
     (
         "a file of persistent options",
         "`wavex import`, `[job] include`",
-        &["a_file_of_options_tells_its_line", "included_keys_count_where_the_job_gives_none"],
+        &["lines/files_of_options", "included_keys_count_where_the_job_gives_none"],
     ),
     (
         "one run per output folder",
