@@ -169,8 +169,8 @@ a.toml is valid
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
-        let error = writable(&file.join("las")).unwrap_err();
-        let begins = format!("{}: cannot create this folder: ", file.join("las").display());
+        let error = writable(&file.join("out")).unwrap_err();
+        let begins = format!("{}: cannot create this folder: ", file.join("out").display());
         assert!(error.starts_with(&begins), "{error}");
         let ends = "; choose another one with `output_dir` or in the `path` of the sink";
         assert!(error.ends_with(ends), "{error}");
