@@ -6,8 +6,6 @@ use super::*;
 use crate::stage::{Config as _, Item};
 use wavex_formats::container::{Compression, ContainerHeader, ContainerWriter, LineBuilder, channel};
 
-/// A job without declarations about the samples.
-
 fn header() -> ContainerHeader {
     ContainerHeader { time_scale: container::TimeScale::Week, ..ContainerHeader::new(1.0, 299_707_502.0) }
 }
