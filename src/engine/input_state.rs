@@ -5,15 +5,17 @@ use std::path::{Path, PathBuf};
 use super::failure::{Cause, RunError};
 use crate::stage::{StageError, Stamp};
 use wavex_formats::Error;
-use wavex_formats::format::companion;
+use wavex_formats::format::companion_or_names;
 
 /// States of an input and its companion files at the start of its run.
 pub(super) struct InputState(Vec<(PathBuf, Option<Stamp>)>);
 
 impl InputState {
     /// Takes the states; pipes and generated inputs have none.
+    ///
+    /// A companion file that is missing has a state, too: it may be created.
     pub(super) fn of(input: &Path) -> InputState {
-        let files = [input.to_owned()].into_iter().chain(companion(input));
+        let files = [input.to_owned()].into_iter().chain(companion_or_names(input));
         InputState(files.map(|file| (file.clone(), Stamp::of(&file))).collect())
     }
 

@@ -40,7 +40,7 @@ pub(crate) fn beside(recording: &Path, extension: &str) -> Option<PathBuf> {
 }
 
 /// Names with this extension in lower and upper case; first that with the case of the recording's.
-fn in_usual_cases(recording: &Path, extension: &str) -> [PathBuf; 2] {
+pub(crate) fn in_usual_cases(recording: &Path, extension: &str) -> [PathBuf; 2] {
     let is_upper = recording
         .extension()
         .is_some_and(|extension| extension.to_string_lossy().starts_with(|first: char| first.is_uppercase()));

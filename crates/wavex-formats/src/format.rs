@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use super::extensions::{LAS, LAZ, PACKETS, WAVES, WFM, beside, by_stem, extension, folder_of};
+use super::extensions::{
+    LAS, LAZ, PACKETS, WAVES, WFM, beside, by_stem, extension, folder_of, in_usual_cases,
+};
 use super::{Error, Result, las, pulsewaves};
 
 /// A format of recordings.
@@ -73,6 +75,13 @@ fn pulses_of_las(path: &Path) -> Result<u64> {
 /// A format without companions has none.
 pub fn companion(recording: &Path) -> Option<PathBuf> {
     beside(recording, Format::of(recording)?.companion?)
+}
+
+/// Companion file of a recording; without one, the names that it would have.
+pub fn companion_or_names(recording: &Path) -> Vec<PathBuf> {
+    let wanted = Format::of(recording).and_then(|format| format.companion);
+    let names = || wanted.map_or(Vec::new(), |extension| in_usual_cases(recording, extension).to_vec());
+    companion(recording).map_or_else(names, |found| vec![found])
 }
 
 /// Companion files of many recordings; lists each folder once.

@@ -2,7 +2,7 @@
 //!
 //! | module | formats |
 //! |---|---|
-//! | [`format`] | list of the formats of recordings: extensions, companion files, readers |
+//! | [`mod@format`] | list of the formats of recordings: extensions, companion files, readers |
 //! | [`las`] | LAS and LAZ with waveforms, COPC, spatial index (LAX) |
 //! | [`pulsewaves`] | PulseWaves (`.pls`, `.wvs`) |
 //! | [`sdf`] | RIEGL SDF and WFM, through RIEGL's library |
