@@ -12,6 +12,6 @@ pub struct Outgoing {
     /// Indices of the fitted samples.
     pub window: Range<usize>,
     /// Whether one pulse, or a pulse and an echo, explains the samples. `false` before
-    /// [`OutgoingBatch::judge`] and for pulses that it does not examine.
+    /// [`OutgoingBatch::judge`](super::OutgoingBatch::judge) and for pulses that it does not examine.
     pub is_explained: bool,
 }
