@@ -167,7 +167,7 @@ def check_what_if(checks, tab, wavex, recording, errors):
         job.decode(),
     )
     tab.fill("#key-decompose-split_evidence", "0")
-    tab.locator("#difference", has_text="between 4 and 1000000").wait_for()
+    tab.locator("#difference", has_text="at least 4 and at most 1000000").wait_for()
     checks.equal("another key clears the comparison", tab.locator("#comparison tr").count(), 0)
     refused = [errors.pop() for _ in list(errors)]
     checks.that("only the wrong key is refused", refused and all("400" in error for error in refused), str(refused))
