@@ -18,7 +18,7 @@ const RUNS: usize = 7;
 
 /// Runs a job with keys of the command line and returns its duration, s.
 fn run(text: &str, set: &[Override], folder: &Path) -> f64 {
-    let job = Job::parse("bench", text, set).unwrap_or_else(|errors| panic!("{errors}"));
+    let job = Job::parse(STAGES, "bench", text, set).unwrap_or_else(|errors| panic!("{errors}"));
     let options = Options { threads: 1, ..Options::of_job(&job, folder, folder) };
     let report = engine::run(&job, &options).unwrap_or_else(|error| panic!("{error}"));
     report.inputs[0].wall_s

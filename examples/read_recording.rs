@@ -9,7 +9,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use wavex::job::Job;
-use wavex::registry::reader_of;
+use wavex_formats::format::reader_of;
 use wavex::stage::{Context, Plan, RunContext};
 
 fn main() -> Result<()> {
@@ -19,7 +19,7 @@ fn main() -> Result<()> {
     // A reader is a stage with keys, as in a job; the file extension selects it.
     let reader = reader_of(&file).map_err(|problem| anyhow!(problem))?;
     let text = format!("[[stage]]\ntype = \"{reader}\"\npath = {}\n", toml::Value::String(file.clone()));
-    let job = Job::parse("example", &text, &[])?;
+    let job = Job::parse(STAGES, "example", &text, &[])?;
     let Plan::Source(source) = &job.stages.first().context("one stage")?.planned.plan else {
         bail!("{reader} is a reader");
     };

@@ -33,7 +33,7 @@ fn main() -> Result<()> {
     let folder = std::env::args().nth(1).context("missing argument: output folder")?;
     // Like `--set` on the command line: overrides a key of a stage for this run.
     let overrides = [Override::new("simulate.lines=4")];
-    let job = Job::parse("the job of this example", JOB, &overrides)?;
+    let job = Job::parse(STAGES, "the job of this example", JOB, &overrides)?;
     // The two paths are the base of relative input and output paths.
     let report = engine::run(&job, &Options::of_job(&job, ".", &folder))?;
     for input in &report.inputs {

@@ -14,7 +14,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use wavex::scan_line::{Return, ReturnChannel};
-use wavex::stages::write_table::{Format, Row, TableInfo, TableWriter};
+use wavex::stages::writers::write_table::{Format, Row, TableInfo, TableWriter};
 use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerOnline, ContainerShot, ContainerWriter,
     EmissionReference, LineBuilder, TimeScale, channel,

@@ -17,7 +17,7 @@
 //! type = 'write_arrow'
 //! path = 'flight.arrow'
 //! ";
-//! let job = Job::parse("flight.toml", text, &[])?;
+//! let job = Job::parse(STAGES, "flight.toml", text, &[])?;
 //! let folder = tempfile::tempdir()?;
 //! let run = engine::run(&job, &Options::of_job(&job, ".", folder.path()))?;
 //! assert!(run.inputs[0].totals["nw"] >= 200);
@@ -25,24 +25,11 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-pub mod archive;
-pub mod checks;
 pub mod cli;
-pub mod cluster;
-pub mod engine;
-mod explain;
-pub mod georef;
-pub mod inspect;
-pub mod job;
-pub mod keys;
-pub mod plausibility;
-mod printable;
-pub mod reason;
-pub mod recording;
-pub mod registry;
-pub mod report;
-pub mod scan_line;
-pub mod stage;
-pub mod stages;
-mod system;
-pub mod view;
+
+pub use wavex_engine::{engine, job, recording};
+pub use wavex_line::{georef, keys, plausibility, reason, scan_line, stage};
+pub use wavex_pages::{explain, inspect, report, view};
+pub use wavex_run::{archive, cluster};
+pub use wavex_stages as stages;
+pub use wavex_stages::{checks, registry};

@@ -11,7 +11,7 @@
 #![allow(missing_docs, reason = "a bench is never imported")]
 #![allow(clippy::print_stdout, clippy::expect_used, reason = "a bench prints its figures")]
 
-use wavex_signal::mta::{Cause, Echo, Emission, Line, Method, Prior, Resolved, Resolver, Settings};
+use wavex_returns::mta::{Cause, Echo, Emission, Line, Method, Prior, Resolved, Resolver, Settings};
 
 use wavex_simulation::mta_scenes::{
     EchoScene, RecordedEcho, RecordedLine, RecordingSettings, SCENES, TargetClass,

@@ -8,8 +8,8 @@ use toml::Table;
 
 use wavex::engine::{Cancel, Input, Options};
 use wavex::job::Job;
-use wavex::registry::reader_of;
-use wavex::stages::calibrate::Calibrate;
+use wavex_formats::format::reader_of;
+use wavex::stages::process::calibrate::Calibrate;
 use wavex_signal::sensor_model::SensorModel;
 
 use crate::errors;
@@ -52,7 +52,7 @@ impl Place {
             text += "\n";
             text += &toml_value::stage(name, keys)?;
         }
-        Job::parse(&self.path.display().to_string(), &text, &[]).map_err(|errors| errors::of_job(&errors))
+        Job::parse(STAGES, &self.path.display().to_string(), &text, &[]).map_err(|errors| errors::of_job(&errors))
     }
 }
 

@@ -7,8 +7,8 @@ use pyo3::prelude::*;
 use wavex::engine::Convert;
 use wavex::scan_line::{InputInfo, Kind, ScanLine};
 use wavex::stage::{Result, StageError};
-use wavex::stages::write_arrow::{shot_batch, shot_schema};
-use wavex::stages::write_table::{ROWS_PER_GROUP, Row, return_batch, return_schema, rows_of};
+use wavex::stages::writers::write_arrow::{shot_batch, shot_schema};
+use wavex::stages::writers::write_table::{ROWS_PER_GROUP, Row, return_batch, return_schema, rows_of};
 
 use crate::errors;
 

@@ -74,8 +74,8 @@ impl Line {
     /// -------
     /// Table
     fn table(&self) -> PyResult<Table> {
-        let schema = wavex::stages::write_arrow::shot_schema(&self.line.input);
-        let batch = wavex::stages::write_arrow::shot_batch(&self.line, &schema).transpose();
+        let schema = wavex::stages::writers::write_arrow::shot_schema(&self.line.input);
+        let batch = wavex::stages::writers::write_arrow::shot_batch(&self.line, &schema).transpose();
         let batch = batch.map_err(|error| errors::of_stage(&error))?;
         Ok(Table::new(batch.into_iter().collect()))
     }

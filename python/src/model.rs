@@ -7,7 +7,7 @@ use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;
 use pyo3::types::PyType;
 
-use wavex::stages::calibrate::{load_model, model_json, parse_model};
+use wavex::stages::process::calibrate::{load_model, model_json, parse_model};
 use wavex_signal::sensor_model::{ChannelModel, SensorModel as Model};
 use wavex_signal::shape::Shape;
 

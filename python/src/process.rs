@@ -13,7 +13,7 @@ use wavex::cli::{Explanation as Explained, explain_shot};
 use wavex::engine::{self, Cancel};
 use wavex::scan_line::ScanLine;
 use wavex::stage::{Context, FittedBlock};
-use wavex::stages::write_table::{Row, return_batch, return_schema};
+use wavex::stages::writers::write_table::{Row, return_batch, return_schema};
 
 use crate::batches::{BatchReader, Table};
 use crate::chain::{options, use_model};

@@ -439,7 +439,7 @@ pub fn simulate(
         toml_value::stage("simulate", &simulate)?,
         toml_value::stage("write_arrow", &container)?
     );
-    let job = wavex::job::Job::parse("the job of wavex.simulate", &text, &[]);
+    let job = wavex::job::Job::parse(STAGES, "the job of wavex.simulate", &text, &[]);
     let job = job.map_err(|errors| errors::of_job(&errors))?;
     let cancel = Cancel::default();
     let options = options(&job, &cancel);

@@ -16,7 +16,7 @@ use pyo3::types::{PyCapsule, PyDict, PyTuple};
 
 use wavex::engine::Cancel;
 use wavex::job::Job;
-use wavex::stages::decompose::{Decompose, Mode};
+use wavex::stages::process::decompose::{Decompose, Mode};
 use wavex_signal::calibrate::CalibrationError;
 use wavex_signal::decompose::{Decompositions, Tables, Waveform};
 use wavex_signal::sensor_model::ChannelModel;
@@ -281,7 +281,7 @@ fn config_of(keys: Option<&Bound<'_, PyDict>>) -> PyResult<Decompose> {
         toml_value::stage("calibrate", &toml::Table::new())?,
         toml_value::stage("decompose", &table(keys)?)?
     );
-    let job = Job::parse("the keys of decompose", &text, &[]).map_err(|errors| errors::of_job(&errors))?;
+    let job = Job::parse(STAGES, "the keys of decompose", &text, &[]).map_err(|errors| errors::of_job(&errors))?;
     let stage = job.stages.into_iter().next_back();
     let keys = stage.map(|stage| stage.planned.resolved).unwrap_or_default();
     serde_json::from_value(keys)

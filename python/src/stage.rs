@@ -11,7 +11,7 @@ use wavex::scan_line::{Content, Kind, ScanLine};
 use wavex::stage::{
     Context, Item, MakeMap, Map, Reason, Result, RoleName, RunContext, StageError, StageSpec,
 };
-use wavex::stages::write_table::{return_batch, return_schema, rows_of};
+use wavex::stages::writers::write_table::{return_batch, return_schema, rows_of};
 
 use crate::batches::Table;
 

@@ -4,11 +4,14 @@ use std::io::{IsTerminal, Write};
 use std::path::Path;
 
 use super::{CalibrateArgs, Failure, JobArgs, run, terminal};
-use crate::engine::{self, Options};
-use crate::job::{Job, Override};
-use crate::registry::reader_of;
-use crate::report::{sensor_model_words, survey_table};
-use crate::stage::{FinishedFile, OutputFile};
+use wavex_engine::engine::{self, Options};
+use wavex_engine::job::{Job, Override};
+use wavex_formats::format::reader_of;
+use wavex_run::archive::shown;
+use wavex_run::run::{RunRequest, folders};
+use wavex_stages::registry::STAGES;
+use wavex_pages::report::{sensor_model_words, survey_table};
+use wavex_line::stage::{FinishedFile, OutputFile};
 use wavex_formats::Error;
 
 /// Calibrates from a recording or a survey, saves the model if requested, prints it.
@@ -22,10 +25,10 @@ pub(super) fn calibrate(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure
     }
     let text = job_text(args).map_err(Failure::Wrong)?;
     let set = args.set.iter().map(Override::new).chain(args.machine.overrides());
-    let mut job = Job::parse("the job of `wavex calibrate`", &text, &set.collect::<Vec<_>>())?;
+    let mut job = Job::parse(STAGES, "the job of `wavex calibrate`", &text, &set.collect::<Vec<_>>())?;
     // A missing sink is intended here and needs no warning.
     job.notes.clear();
-    let report = run::run_job(&job, Path::new("."), args.machine, true)?;
+    let report = run::run_job(RunRequest::quiet(&job, Path::new(".")), args.machine, true)?;
     let Some(input) = report.inputs.first().filter(|_| !quiet) else {
         return Ok(());
     };
@@ -34,7 +37,7 @@ pub(super) fn calibrate(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure
         said += &format!("  {name:14}  {words}\n");
     }
     for output in &input.outputs {
-        let path = terminal::shown(output).display().to_string();
+        let path = shown(output).display().to_string();
         said += &format!(
             "wrote {path}; use it in a job: `load = {}` of calibrate\n",
             toml::Value::String(path.clone())
@@ -51,7 +54,7 @@ fn of_survey(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure> {
     }
     let job_args = JobArgs { job: args.file.clone(), set: args.set.clone() };
     let job = job_args.read(args.machine.overrides())?;
-    let (input_dir, output_dir) = run::folders(&job, &job_args.folder());
+    let (input_dir, output_dir) = folders(&job, &job_args.folder());
     let progress = args.machine.progress(quiet, std::io::stderr().is_terminal());
     let options = Options { progress, ..Options::of_job(&job, input_dir, output_dir) };
     run::stop_on_signals(&options.cancel);
@@ -71,7 +74,7 @@ fn of_survey(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure> {
         let written = written.and_then(|text| file.write_all(text.as_bytes()));
         written.map_err(|error| failed(&Error::io(path, "write the models")(error)))?;
         file.finish().and_then(FinishedFile::publish).map_err(|error| failed(&error))?;
-        let path = terminal::shown(path).display().to_string();
+        let path = shown(path).display().to_string();
         said += &format!(
             "wrote {path}; use it in a job: `survey_model = {}` of `[job]`, relative to `input_dir`\n",
             toml::Value::String(path.clone())

@@ -6,9 +6,9 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::{Failure, InputRule, JobArgs, check_inputs, print, run, terminal};
-use crate::georef::check_crs;
-use crate::job::Job;
-use crate::stage::fixed_folder;
+use wavex_line::georef::check_crs;
+use wavex_engine::job::Job;
+use wavex_line::stage::fixed_folder;
 
 /// Prints the job's chain, inputs and folders, or its errors.
 pub(super) fn check(args: &JobArgs, rule: InputRule) -> Result<(), Failure> {
@@ -18,7 +18,7 @@ pub(super) fn check(args: &JobArgs, rule: InputRule) -> Result<(), Failure> {
 
 /// Describes the job in `folder`, or the first problem.
 fn report(job: &Job, folder: &Path, rule: InputRule) -> Result<String, String> {
-    let (input_dir, output_dir) = run::folders(job, folder);
+    let (input_dir, output_dir) = wavex_run::run::folders(job, folder);
     check_crs(&job.settings.geometry, &input_dir).map_err(|error| error.to_string())?;
     let mut said = format!("{} is valid\n  chain:  {}\n", job.name, job.chain());
     said += &format!("  inputs: {}\n", input_dir.display());
@@ -97,7 +97,7 @@ mod tests {
         let text = "[job]\noutput_dir = \"out\"\n\n[[stage]]\ntype = \"simulate\"\n\n\
                     [[stage]]\ntype = \"write_lstat\"\npath = \"lines/*.txt\"\n\n\
                     [[stage]]\ntype = \"write_arrow\"\npath = \"*.arrow\"\n";
-        let job = Job::parse("a.toml", text, &[]).unwrap();
+        let job = Job::parse(STAGES, "a.toml", text, &[]).unwrap();
         let said = here(&report(&job, folder.path(), InputRule::Required).unwrap(), folder.path());
         let expected = "\
 a.toml is valid
@@ -117,7 +117,7 @@ a.toml is valid
                 "[job.geometry]\n{more}\n[[stage]]\ntype = 'read_arrow'\npath = '{path}'\n\
                  [[stage]]\ntype = 'calibrate'\nload = 'model.json'\n[[stage]]\ntype = 'write_arrow'\npath = 'out/*.arrow'\n"
             );
-            let job = Job::parse("a.toml", &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
+            let job = Job::parse(STAGES, "a.toml", &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
             let said = here(&report(&job, folder.path(), InputRule::Optional).unwrap(), folder.path());
             let warnings = said.lines().filter_map(|line| line.strip_prefix("  warning: "));
             warnings.map(str::to_owned).collect::<Vec<_>>()
@@ -145,7 +145,7 @@ a.toml is valid
     #[test]
     fn a_job_that_writes_nothing_is_noted() {
         let text = "[[stage]]\ntype = \"simulate\"\n";
-        let job = Job::parse("a.toml", text, &[]).unwrap();
+        let job = Job::parse(STAGES, "a.toml", text, &[]).unwrap();
         let expected = "\
 a.toml is valid
   chain:  simulate -> Shots

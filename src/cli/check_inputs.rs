@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::terminal::size;
-use crate::archive::missing_files;
-use crate::engine;
-use crate::job::Job;
+use wavex_run::archive::missing_files;
+use wavex_engine::engine;
+use wavex_engine::job::Job;
 use wavex_formats::{CompanionIndex, Format};
 
 /// Usual throughput of one core, MB of input per second, at most and at least: `fastest` on single

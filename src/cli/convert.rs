@@ -3,8 +3,10 @@
 use std::path::Path;
 
 use super::{Failure, Machine, run};
-use crate::job::Job;
-use crate::registry::reader_of;
+use wavex_engine::job::Job;
+use wavex_run::run::RunRequest;
+use wavex_stages::registry::STAGES;
+use wavex_formats::format::reader_of;
 use wavex_formats::extensions::has_extension;
 
 /// Runs the job that copies `input` to `output`.
@@ -13,8 +15,8 @@ use wavex_formats::extensions::has_extension;
 pub(super) fn convert(input: &str, output: &str, machine: Machine, quiet: bool) -> Result<(), Failure> {
     let text = job_text(input, output).map_err(Failure::Wrong)?;
     let overrides: Vec<_> = machine.overrides().into_iter().collect();
-    let job = Job::parse("the job of `wavex convert`", &text, &overrides)?;
-    run::run_job(&job, Path::new("."), machine, quiet).map(drop)
+    let job = Job::parse(STAGES, "the job of `wavex convert`", &text, &overrides)?;
+    run::run_job(RunRequest::quiet(&job, Path::new(".")), machine, quiet).map(drop)
 }
 
 /// TOML of the job that copies waveforms from `input` into container `output`.

@@ -5,9 +5,9 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 
 use super::{Failure, terminal};
-use crate::engine::{Phase, ProgressMode};
-use crate::stage::{FinishedFile, OutputFile, OutputLock, Outputs};
-use crate::stages::stac;
+use wavex_engine::engine::{Phase, ProgressMode};
+use wavex_line::stage::{FinishedFile, OutputFile, OutputLock, Outputs};
+use wavex_stages::stac;
 use wavex_formats::Error;
 use wavex_formats::extensions::{LAZ, has_extension};
 use wavex_formats::las::{CopcSummary, indexes_beside, write_copc};

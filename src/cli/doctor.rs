@@ -8,7 +8,7 @@ use wavex_simd::SimdLevel;
 use super::check::try_file_in;
 use super::terminal::size;
 use super::{Failure, print};
-use crate::archive::{Machine, Program};
+use wavex_run::archive::{Machine, Program};
 
 /// Free disk space below which a run is unlikely to end, bytes.
 const LITTLE_DISK: u64 = 1_000_000_000;

@@ -1,26 +1,13 @@
 //! `wavex explain`: one shot as a table and a picture.
 
 use std::io::Write;
-use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
-use serde::de::DeserializeOwned;
-
-use super::{ExplainArgs, Failure, JobArgs, When, run, terminal};
-use crate::engine::{Cancel, Input, Options, Phase, observe};
-use crate::explain::{ExplainError, Explained};
-use crate::job::{Job, JobStage, Override};
-use crate::recording::{Excerpt, LineIndex, Recording};
-use crate::registry::reader_of;
-use crate::scan_line::{Emission, InputInfo, Returns, ScanLine};
-use crate::stage::{Context, FittedBlock, OutputFile, Plan, RunContext, SourcePlan};
-use crate::stages::calibrate::Calibrate;
-use crate::stages::decompose::Decompose;
-use crate::stages::resolve_mta::LINES_AROUND;
+use super::{ExplainArgs, Failure, terminal};
 use wavex_formats::Error;
-use wavex_signal::sensor_model::SensorModel;
+use wavex_line::stage::OutputFile;
+use wavex_run::explain::{Chain, ExplainRequest};
 
 /// Prints the returns of a shot and writes its picture.
 pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
@@ -30,73 +17,22 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
         let problem = "the picture is SVG; give a name that ends in .svg";
         return Err(Failure::Wrong(format!("--out {}: {problem}", out.display())));
     }
-    let chain = Arc::new(Chain::of(args, quiet)?);
+    let chain = Arc::new(Chain::of(&ExplainRequest {
+        file: &args.file,
+        job: args.job.as_deref(),
+        set: &args.set,
+        model: args.model.as_deref(),
+        progress: args.progress.without_lines(quiet),
+    })?);
     let shot = match (args.shot, args.time) {
         (Some(shot), _) => shot,
         (None, time) => chain.nearest(time.unwrap_or_default())?,
     };
     let explained = chain.explain(shot)?;
     let path = args.out.clone().unwrap_or_else(|| format!("{}_shot_{shot}.svg", chain.stem).into());
-    write(&path, &explained.picture()).map_err(|error| failed(&error))?;
+    write(&path, &explained.picture()).map_err(|error| Failure::Run(error.to_string()))?;
     let said = format!("{}\nwrote {}\n", explained.table(), path.display());
     if quiet { Ok(()) } else { terminal::print(&said) }
-}
-
-/// A shot with its fit, for programs; see [`explain_shot`].
-#[derive(Debug)]
-pub struct Explanation {
-    /// The shot, with its fitted emission time.
-    pub emission: Emission,
-    /// Its returns, in order of time.
-    pub returns: Returns,
-    /// Its echo blocks with their fits, in order of time.
-    pub blocks: Vec<FittedBlock>,
-    /// Metadata of the recording.
-    pub input: Arc<InputInfo>,
-    /// The table that `wavex explain` prints.
-    pub text: String,
-    /// The picture that `wavex explain` writes, SVG.
-    pub svg: String,
-}
-
-/// Decomposes one shot of a recording like `wavex explain`, but writes and prints nothing.
-///
-/// `set` are overrides of the keys of `calibrate` and `decompose`; `model` replaces the calibration.
-/// `cancel` ends the search for the shot.
-///
-/// # Errors
-/// If the recording cannot be read, the keys are invalid, or the recording has no such shot or no
-/// echoes of it.
-pub fn explain_shot(
-    file: &Path,
-    shot: u64,
-    set: &[String],
-    model: Option<Arc<SensorModel>>,
-    cancel: Cancel,
-) -> Result<Explanation, Failure> {
-    let args = ExplainArgs {
-        file: file.to_owned(),
-        shot: Some(shot),
-        time: None,
-        job: None,
-        set: set.to_owned(),
-        model: None,
-        out: None,
-        progress: When::Never,
-    };
-    let mut chain = Chain::of(&args, true)?;
-    chain.options.cancel = cancel;
-    if let Some(model) = model {
-        let calibrate: Calibrate = keys_of(&chain.job, "calibrate")?;
-        if let Some(stage) = chain.job.stages.iter_mut().find(|stage| stage.spec.name == "calibrate") {
-            stage.planned.plan = calibrate.with_model(model);
-        }
-    }
-    let explained = Arc::new(chain).explain(shot)?;
-    let (text, svg) = (explained.table(), explained.picture());
-    let blocks = explained.blocks.into_iter().map(|block| block.shown).collect();
-    let Explained { emission, returns, input, .. } = explained;
-    Ok(Explanation { emission, returns, blocks, input, text, svg })
 }
 
 /// Writes a picture, which gets its final name only when complete.
@@ -105,195 +41,4 @@ fn write(path: &Path, picture: &str) -> wavex_formats::Result<()> {
     file.write_all(picture.as_bytes()).map_err(Error::io(path, "write"))?;
     file.finish()?.publish()?;
     Ok(())
-}
-
-/// A recording and the stages of a job that apply to it.
-struct Chain {
-    /// The reader of the recording and the stages before `decompose`, without sinks.
-    job: Job,
-    options: Options,
-    file: PathBuf,
-    stem: String,
-    decompose: Decompose,
-}
-
-impl Chain {
-    fn of(args: &ExplainArgs, quiet: bool) -> Result<Chain, Failure> {
-        let file = args.file.display().to_string();
-        let reader = reader_of(&file).map_err(Failure::Wrong)?;
-        let default_job = default_job(reader, &file, if args.job.is_some() { &[] } else { &args.set })?;
-        let (mut job, folder) = match &args.job {
-            None => (default_job.clone(), PathBuf::from(".")),
-            Some(path) => {
-                let job = JobArgs { job: path.clone(), set: args.set.clone() };
-                (job.read(None)?, job.folder())
-            }
-        };
-        let mut calibrate: Calibrate = keys_of(&job, "calibrate")?;
-        let decompose = keys_of(&job, "decompose")?;
-        calibrate.save = None;
-        if let Some(model) = &args.model {
-            // Relative paths in the job start at its input folder, paths on the command line at the
-            // current folder.
-            calibrate.load = Some(std::path::absolute(model).unwrap_or_else(|_| model.clone()));
-        }
-        let mut stages = job.stages.iter_mut();
-        match (stages.next(), default_job.stages.into_iter().next()) {
-            (Some(first), Some(default)) if first.spec.name != reader => *first = default,
-            _ => {}
-        }
-        if let Some(stage) = stages.find(|stage| stage.spec.name == "calibrate") {
-            stage.planned.plan = Plan::Transform(Arc::new(calibrate));
-        }
-        let until_decompose = job.stages.iter().position(|stage| stage.spec.name == "decompose");
-        job.stages.truncate(until_decompose.unwrap_or_default());
-        job.stages.retain(|stage| !matches!(stage.planned.plan, Plan::Sink(_)));
-        let (input_dir, output_dir) = run::folders(&job, &folder);
-        let progress = args.progress.without_lines(quiet);
-        let options = Options { progress, ..Options::of_job(&job, input_dir, output_dir) };
-        let stem = args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        Ok(Chain { job, options, file: args.file.clone(), stem, decompose })
-    }
-
-    fn input(&self) -> Input {
-        Input { path: self.file.clone(), stem: self.stem.clone() }
-    }
-
-    /// The reader of the recording, and its keys.
-    fn reader(&self) -> Result<(Arc<dyn SourcePlan>, serde_json::Value), Failure> {
-        match self.job.stages.first().map(|stage| (&stage.planned.plan, &stage.planned.resolved)) {
-            Some((Plan::Source(reader), keys)) => Ok((Arc::clone(reader), keys.clone())),
-            _ => Err(Failure::Wrong(format!("{}: the job has no reader; add one", self.job.name))),
-        }
-    }
-
-    /// Opens the recording for random access.
-    fn recording(&self) -> Result<Recording, Failure> {
-        let (reader, keys) = self.reader()?;
-        let input_dir = self.options.input_dir.clone();
-        let run = RunContext { stem: self.stem.clone(), input_dir, ..RunContext::alone(&self.file) };
-        Recording::of_reader(reader, &keys, run).map_err(|error| failed(&error))
-    }
-
-    /// Number of lines before and after that of a shot on which its blocks depend.
-    fn margin(&self) -> usize {
-        let resolves = self.job.stages.iter().any(|stage| stage.spec.name == "resolve_mta");
-        if resolves { LINES_AROUND } else { 2 }
-    }
-
-    /// Decomposes a shot of the recording.
-    ///
-    /// Reads the lines from which the stages learn, then those around the shot.
-    fn explain(self: &Arc<Self>, shot: u64) -> Result<Explained, Failure> {
-        let chain = Arc::clone(self);
-        let may_skip = Arc::<AtomicBool>::default();
-        let have_learnt = Arc::clone(&may_skip);
-        let look = move |(seen, explained): &mut (Numbers, _), line: &ScanLine| {
-            have_learnt.store(true, Ordering::Relaxed);
-            line.emissions.iter().for_each(|emission| seen.add(emission.shot));
-            if !line.emissions.iter().any(|emission| emission.shot == shot) {
-                return ControlFlow::Continue(());
-            }
-            *explained = Some(chain.explain_in(line, shot));
-            ControlFlow::Break(())
-        };
-        let (reader, keys) = self.reader()?;
-        let mut job = self.job.clone();
-        let excerpt = Excerpt { reader, keys, shot, margin: self.margin(), may_skip };
-        if let Some(first) = job.stages.first_mut() {
-            first.planned.plan = Plan::Source(Arc::new(excerpt));
-        }
-        let observed =
-            observe(&job, self.input(), &self.options, Context::of_run(), (Numbers::default(), None), look);
-        match observed.map_err(|error| failed(&error))? {
-            (_, Some(explained)) => explained,
-            (seen, None) => {
-                // Only parts of the recording may have been read.
-                let index = self.recording()?.index(&mut |_| Ok(()));
-                let numbers = index.map_or(seen, |index| Numbers::of(&index));
-                Err(Failure::Wrong(numbers.without(shot, &self.file)))
-            }
-        }
-    }
-
-    /// Decomposes a shot of a line that has passed the stages before `decompose`.
-    fn explain_in(&self, line: &ScanLine, shot: u64) -> Result<Explained, Failure> {
-        let file = self.file.display().to_string();
-        Explained::of(line, shot, &self.decompose, self.options.simd, &file).map_err(|error| match error {
-            ExplainError::Without(problem) => Failure::Wrong(problem),
-            ExplainError::Stage(error) => failed(&error),
-        })
-    }
-
-    /// Returns the number of the shot nearest to a time.
-    fn nearest(&self, time_s: f64) -> Result<u64, Failure> {
-        let mut recording = self.recording()?;
-        let mut phase = Phase::new("index", "reading shot times", self.options.progress, 1);
-        let index = recording.index(&mut |part| {
-            phase.show(&self.stem, 0, part);
-            Ok(())
-        });
-        drop(phase);
-        let nearest = index.and_then(|_| recording.nearest_shot(time_s)).map_err(|error| failed(&error))?;
-        nearest.ok_or_else(|| {
-            let file = self.file.display();
-            Failure::Wrong(format!("{file}: its shots have no times; select one with --shot"))
-        })
-    }
-}
-
-/// Count and range of the shot numbers of a recording.
-#[derive(Default)]
-struct Numbers {
-    count: u64,
-    range: Option<(u64, u64)>,
-}
-
-impl Numbers {
-    fn of(index: &LineIndex) -> Numbers {
-        Numbers { count: index.shots(), range: index.shot_range().map(Into::into) }
-    }
-
-    fn add(&mut self, shot: u64) {
-        self.count += 1;
-        let (first, last) = self.range.unwrap_or((shot, shot));
-        self.range = Some((first.min(shot), last.max(shot)));
-    }
-
-    /// Error message for a missing shot number.
-    fn without(&self, shot: u64, file: &Path) -> String {
-        let file = file.display();
-        match self.range {
-            None => format!("{file}: no shot {shot}: the recording has no shots; choose another file"),
-            Some((first, last)) => {
-                let count = self.count;
-                format!("{file}: no shot {shot}; the {count} shots are numbered {first} to {last}")
-            }
-        }
-    }
-}
-
-/// A job with the default keys of all stages.
-fn default_job(reader: &str, file: &str, set: &[String]) -> Result<Job, Failure> {
-    let path = toml::Value::String(file.to_owned());
-    let text = format!(
-        "[[stage]]\ntype = \"{reader}\"\npath = {path}\n\n[[stage]]\ntype = \"calibrate\"\n\n\
-         [[stage]]\ntype = \"decompose\"\n"
-    );
-    let overrides: Vec<Override> = set.iter().map(Override::new).collect();
-    Ok(Job::parse("the job of `wavex explain`", &text, &overrides)?)
-}
-
-/// Keys of the first stage of this type in a job.
-fn keys_of<C: DeserializeOwned>(job: &Job, stage: &str) -> Result<C, Failure> {
-    let is_it = |candidate: &&JobStage| candidate.spec.name == stage;
-    let Some(found) = job.stages.iter().find(is_it) else {
-        return Err(Failure::Wrong(format!("{}: the job has no stage `{stage}`; add one", job.name)));
-    };
-    serde_json::from_value(found.planned.resolved.clone())
-        .map_err(|error| Failure::Run(format!("`{stage}`: {error}; please report this bug in wavex")))
-}
-
-fn failed(error: &dyn std::fmt::Display) -> Failure {
-    Failure::Run(error.to_string())
 }

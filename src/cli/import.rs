@@ -10,7 +10,9 @@ use std::path::Path;
 use clap::{CommandFactory, Parser};
 
 use super::{Cli, Failure, ImportArgs, Machine, When, dispatch, run, terminal};
-use crate::job::{Job, JobError, JobErrors};
+use wavex_run::run::RunRequest;
+use wavex_stages::registry::STAGES;
+use wavex_engine::job::{Job, JobError, JobErrors};
 use wavex_formats::read_small_text;
 use wavex_formats::trajectory::{self, Records};
 
@@ -101,7 +103,7 @@ pub fn import(words: &[String], classic: Option<&str>, place: &Place) -> Result<
     let import = finished(version, words, &from_files, imported, place.known);
     if import.has_job && matches!(place.known, Known::Program(_)) {
         let first = import.text.lines().count() - n_job_lines;
-        let parsed = Job::parse(THE_JOB, &import.text, &[]);
+        let parsed = Job::parse(STAGES, THE_JOB, &import.text, &[]);
         parsed.map_err(|errors| problem::message(&of_job(&errors, first, &sources, &given)))?;
     }
     Ok(import)
@@ -238,7 +240,7 @@ pub(super) fn run_import(args: &ImportArgs, quiet: bool) -> Result<(), Failure> 
     let place = Place { known: &known, base: base.as_deref(), read: &read, latitude: &latitude };
     let import = import(&args.line, classic, &place).map_err(Failure::Wrong)?;
     let job = match import.has_job {
-        true => Some(Job::parse(THE_JOB, &import.text, &[])?),
+        true => Some(Job::parse(STAGES, THE_JOB, &import.text, &[])?),
         false => None,
     };
     match &args.output {
@@ -297,7 +299,7 @@ fn run_all(import: &Import, job: Option<Job>, folder: Option<&Path>, quiet: bool
     let progress = if import.flags.contains(&Flag::NoProgress) { When::Never } else { When::Auto };
     if let Some(job) = job {
         let machine = Machine { threads: None, profile: false, progress };
-        run::run_job(&job, folder.unwrap_or(Path::new(".")), machine, quiet)?;
+        run::run_job(RunRequest::quiet(&job, folder.unwrap_or(Path::new("."))), machine, quiet)?;
     }
     super::do_all(import.commands.iter().map(|words| command(words, quiet)))
 }

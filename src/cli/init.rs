@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use super::recording::{Recording, beside};
 use super::{Failure, print};
-use crate::job::{example_job, job_schema_text};
-use crate::registry::STAGES;
+use wavex_engine::job::{example_job, job_schema_text};
+use wavex_stages::registry::STAGES;
 
 /// Schema for editors, written to the folder of the job.
 const SCHEMA: &str = "job.schema.json";

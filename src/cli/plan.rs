@@ -5,9 +5,9 @@ use std::path::Path;
 
 use super::args::{CollectArgs, PlanArgs};
 use super::{Failure, print, run, terminal};
-use crate::archive::check_destination;
-use crate::cluster::{self, PlanOptions, SurveyPlan};
-use crate::georef::check_crs;
+use wavex_run::archive::check_destination;
+use wavex_run::cluster::{self, PlanOptions, SurveyPlan};
+use wavex_line::georef::check_crs;
 
 /// Cores per task if neither the job nor the command line has a number.
 const CORES: usize = 4;
@@ -19,9 +19,9 @@ pub(super) fn plan(args: &PlanArgs, quiet: bool) -> Result<(), Failure> {
         tracing::warn!("{note}");
     }
     let folder = args.job.folder();
-    let (input_dir, output_dir) = run::folders(&job, &folder);
+    let (input_dir, output_dir) = wavex_run::run::folders(&job, &folder);
     check_crs(&job.settings.geometry, &input_dir).map_err(|error| Failure::Wrong(error.to_string()))?;
-    if args.job.is_stdin() {
+    if wavex_run::job_file::is_stdin(&args.job.job) {
         let problem = "a job on standard input cannot be planned; save it to a file and plan that";
         return Err(Failure::Wrong(problem.to_owned()));
     }
@@ -59,7 +59,7 @@ fn words(plan: &SurveyPlan, folder: &Path) -> String {
     if plan.calibration.is_some() {
         text += "first: calibration from all inputs\n";
     }
-    let folder = terminal::shown(folder);
+    let folder = wavex_run::archive::shown(folder);
     let folder = folder.display();
     let _ = writeln!(text, "wrote {folder}");
     let _ =
@@ -74,11 +74,11 @@ pub(super) fn collect(args: &CollectArgs, quiet: bool) -> Result<(), Failure> {
     if !quiet {
         let mut said = found.table;
         for path in &found.written {
-            let _ = writeln!(said, "wrote {}", terminal::shown(path).display());
+            let _ = writeln!(said, "wrote {}", wavex_run::archive::shown(path).display());
         }
         if let Some((path, seals)) = &found.archive {
             let _ = writeln!(said, "results {}", seals.results);
-            let _ = writeln!(said, "archived in {}; seal {}", terminal::shown(path).display(), seals.seal);
+            let _ = writeln!(said, "archived in {}; seal {}", wavex_run::archive::shown(path).display(), seals.seal);
         }
         print(&said)?;
     }

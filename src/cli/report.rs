@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use super::{Failure, terminal};
-use crate::keys::listed;
-use crate::report::write_page_of;
+use wavex_line::keys::listed;
+use wavex_pages::report::write_page_of;
 
 /// Writes the page of a report; `place` is the report or its folder.
 pub(super) fn report(place: &Path, out: Option<&Path>, quiet: bool) -> Result<(), Failure> {

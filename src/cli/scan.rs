@@ -5,12 +5,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::{Failure, ScanArgs, terminal};
-use crate::engine::{self, Gauge, Input, Progress};
-use crate::inspect::{Inspection, Summary, histogram_files, page};
-use crate::job::{Job, Override};
-use crate::registry::reader_of;
-use crate::scan_line::ScanLine;
-use crate::stage::{Context, FinishedFile, OutputFile, Paths, Plan, RunContext, StageError};
+use wavex_engine::engine::{self, Gauge, Input, Progress};
+use wavex_pages::inspect::{Inspection, Summary, histogram_files, page};
+use wavex_engine::job::{Job, Override};
+use wavex_formats::format::reader_of;
+use wavex_stages::registry::STAGES;
+use wavex_line::scan_line::ScanLine;
+use wavex_line::stage::{Context, FinishedFile, OutputFile, Paths, Plan, RunContext, StageError};
 use wavex_formats::Error;
 
 /// Inspects recordings, writes the results, and prints the summaries.
@@ -109,7 +110,7 @@ pub(super) fn look_at(
     let reader = reader_of(&name).map_err(Failure::Wrong)?;
     let text = format!("[[stage]]\ntype = \"{reader}\"\npath = {}\n", toml::Value::String(name));
     let overrides: Vec<Override> = set.iter().map(Override::new).collect();
-    let job = Job::parse("the job of `wavex scan`", &text, &overrides)?;
+    let job = Job::parse(STAGES, "the job of `wavex scan`", &text, &overrides)?;
     let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
         return Err(Failure::Run("the job has no source; please report this bug in wavex".into()));
     };

@@ -1,9 +1,9 @@
 //! `wavex stages`: lists all stages or describes one.
 
 use super::{Failure, print};
-use crate::job::{manual_of, summary};
-use crate::registry::{find_in, nearest_of};
-use crate::stage::StageSpec;
+use wavex_engine::job::{manual_of, summary};
+use wavex_line::stage::{find_in, nearest_of};
+use wavex_line::stage::StageSpec;
 
 /// Prints the list, or the page of one stage.
 pub(super) fn stages(known: &[&'static StageSpec], name: Option<&str>) -> Result<(), Failure> {
@@ -46,7 +46,7 @@ fn page(known: &[&'static StageSpec], name: &str) -> Result<String, Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::registry::{STAGES, find};
+    use wavex_stages::registry::{STAGES, find};
 
     fn known<const N: usize>(names: [&str; N]) -> [&'static StageSpec; N] {
         names.map(|name| find(name).unwrap())

@@ -7,9 +7,9 @@ use serde_json::Value;
 
 use super::args::SurveyArgs;
 use super::{Failure, JobArgs, terminal};
-use crate::job::SurveyKeys;
-use crate::report::read_report;
-use crate::report::survey::{SurveyInput, ending_of_cells, write_survey};
+use wavex_engine::job::SurveyKeys;
+use wavex_pages::report::read_report;
+use wavex_pages::report::survey::{SurveyInput, ending_of_cells, write_survey};
 
 /// Writes the page of the strips in these folders.
 pub(super) fn survey(args: &SurveyArgs, quiet: bool) -> Result<(), Failure> {

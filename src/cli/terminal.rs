@@ -1,11 +1,9 @@
 //! Output to the user: results on standard output, all else on standard error.
 
 use std::io::{self, ErrorKind, IsTerminal, Write};
-use std::path::{Path, PathBuf};
 
-use super::Failure;
-use crate::archive::plain;
-use crate::printable::printable;
+use wavex_run::Failure;
+use wavex_line::printable::printable;
 
 /// Prints a result.
 ///
@@ -20,20 +18,6 @@ pub(super) fn print(text: &str) -> Result<(), Failure> {
     }
 }
 
-/// Shortens a path for display: `jobs/../out` becomes `out`.
-///
-/// Keeps the path if a symbolic link makes the short form a different place.
-pub(super) fn shown(path: &Path) -> PathBuf {
-    let plain = match plain(path) {
-        empty if empty.as_os_str().is_empty() => PathBuf::from("."),
-        plain => plain,
-    };
-    match (plain.canonicalize(), path.canonicalize()) {
-        (Ok(short), Ok(long)) if short == long => plain,
-        _ => path.to_owned(),
-    }
-}
-
 /// Prints a message to standard error.
 pub(super) fn print_message(text: &str) {
     // If standard error cannot be written, there is no other place to report it.
@@ -42,7 +26,7 @@ pub(super) fn print_message(text: &str) {
 
 /// Prints the reason why a command failed to standard error.
 pub(super) fn print_failure(failure: &Failure) {
-    let _ = io::stderr().lock().write_all(failure.message(colour()).as_bytes());
+    let _ = io::stderr().lock().write_all(message(failure, colour()).as_bytes());
 }
 
 /// Returns whether standard error takes colours.
@@ -54,7 +38,7 @@ pub(super) fn colour() -> bool {
 }
 
 /// Prefix of error messages.
-pub(super) fn error_word(colour: bool) -> &'static str {
+fn error_word(colour: bool) -> &'static str {
     if colour { "\x1b[1;31merror\x1b[0m" } else { "error" }
 }
 
@@ -63,4 +47,22 @@ pub(super) fn size(bytes: u64) -> String {
     let units = [(1e12, "TB"), (1e9, "GB"), (1e6, "MB")];
     let (unit, name) = units.into_iter().find(|(unit, _)| bytes as f64 >= *unit).unwrap_or((1e3, "kB"));
     format!("{:.1} {name}", bytes as f64 / unit)
+}
+
+/// Exit code of a failed command.
+pub(super) fn exit_code(failure: &Failure) -> u8 {
+    match failure {
+        Failure::Run(_) => 1,
+        Failure::Job(_) | Failure::Wrong(_) => 2,
+    }
+}
+
+/// Error message for the user, safe to print; ends with a line feed.
+pub(super) fn message(failure: &Failure, colour: bool) -> String {
+    match failure {
+        Failure::Job(errors) => errors.render(colour),
+        Failure::Wrong(problem) | Failure::Run(problem) => {
+            format!("{}: {}\n", error_word(colour), printable(problem))
+        }
+    }
 }

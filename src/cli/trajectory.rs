@@ -4,8 +4,8 @@ use std::io::Write;
 use std::path::Path;
 
 use super::{Failure, TrajectoryArgs, terminal};
-use crate::georef::trajectory_file::{remedy, without_outliers};
-use crate::stage::{FinishedFile, OutputFile};
+use wavex_line::georef::trajectory_file::{remedy, without_outliers};
+use wavex_line::stage::{FinishedFile, OutputFile};
 use map::Map;
 use summary::About;
 use wavex_formats::Error;

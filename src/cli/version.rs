@@ -2,7 +2,7 @@
 
 use wavex_simd::SimdLevel;
 
-use crate::archive::Program;
+use wavex_run::archive::Program;
 
 /// Lines with version, commit, compiler, target, licence and features.
 pub(super) fn details() -> String {

@@ -76,7 +76,7 @@ impl Number<'_> {
             Some(_) => format!("[{}]\n{keys}\n[[stage]]\ntype = \"simulate\"\n", self.table),
             None => chain(find(&self.table).unwrap(), &keys),
         };
-        Job::parse("job.toml", &text, &[]).map(drop).map_err(|errors| format!("{text}\n{errors}"))
+        Job::parse(STAGES, "job.toml", &text, &[]).map(drop).map_err(|errors| format!("{text}\n{errors}"))
     }
 }
 

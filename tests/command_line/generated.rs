@@ -15,7 +15,7 @@ use wavex::report::RunReport;
 use wavex::report::survey::Survey;
 use wavex::scan_line::flags::NAMES;
 use wavex::stage::{Reason, SurveyModels};
-use wavex::stages::write_lstat;
+use wavex::stages::writers::write_lstat;
 use wavex_signal::sensor_model::SensorModel;
 
 /// Rewrites an outdated file of the repository and reports it.
@@ -145,7 +145,7 @@ fn the_job_that_init_writes_fits_as_soon_as_its_stages_exist() {
     let example = example_job(STAGES);
     let needed = ["read_las", "calibrate", "decompose", "georeference", "write_las"];
     let complete = needed.iter().all(|name| find(name).is_some());
-    let parsed = Job::parse("example", &example, &[]);
+    let parsed = Job::parse(STAGES, "example", &example, &[]);
     assert!(parsed.is_ok() || !complete, "{}", parsed.unwrap_err());
 }
 

@@ -53,7 +53,7 @@ fn complete(line: &str) -> Import {
 fn here(line: &str) -> Import {
     let import = read_with(line, &Known::this_build(), &files).unwrap_or_else(|problem| panic!("{problem}"));
     if import.has_job {
-        let job = Job::parse("job", &import.text, &[]);
+        let job = Job::parse(STAGES, "job", &import.text, &[]);
         assert!(job.is_ok(), "{}\n{}", job.unwrap_err(), import.text);
     }
     import

@@ -19,7 +19,7 @@ fn every_job_fits() {
     for path in jobs {
         let text = std::fs::read_to_string(&path).unwrap();
         let name = path.display().to_string();
-        Job::parse(&name, &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
+        Job::parse(STAGES, &name, &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
         assert!(text.starts_with("#:schema ../schemas/job.schema.json\n"), "{name}");
     }
 }

@@ -14,7 +14,7 @@ use wavex_testkit::TestFolder;
 /// Errors of a job, as text.
 #[track_caller]
 fn problem(text: &str) -> String {
-    Job::parse("job.toml", text, &[]).map(|job| job.chain()).unwrap_err().to_string()
+    Job::parse(STAGES, "job.toml", text, &[]).map(|job| job.chain()).unwrap_err().to_string()
 }
 
 #[test]
@@ -270,7 +270,7 @@ proptest! {
     fn whatever_import_writes_is_a_valid_job(words in words(), classic in prop::sample::select(vec![None, Some("1.0"), Some("1.1")])) {
         match translated(&words, classic) {
             Ok(import) if import.has_job => {
-                let job = Job::parse("job.toml", &import.text, &[] as &[Override]);
+                let job = Job::parse(STAGES, "job.toml", &import.text, &[] as &[Override]);
                 prop_assert!(job.is_ok(), "{}\n{}", job.unwrap_err(), import.text);
             }
             Ok(_) => {}

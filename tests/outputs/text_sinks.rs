@@ -24,7 +24,7 @@ type = 'georeference'
 /// Runs a job of simulator, points, and these stages.
 #[track_caller]
 fn run(folder: &Path, stages: &str) -> engine::RunSummary {
-    let job = Job::parse("job.toml", &format!("{TO_POINTS}{stages}"), &[]).unwrap_or_else(|e| panic!("{e}"));
+    let job = Job::parse(STAGES, "job.toml", &format!("{TO_POINTS}{stages}"), &[]).unwrap_or_else(|e| panic!("{e}"));
     engine::run(&job, &engine::Options::of_job(&job, folder, folder)).unwrap_or_else(|e| panic!("{e}"))
 }
 
@@ -160,7 +160,7 @@ fn path_from_beams(flight: &str) {
          [[stage]]\ntype = 'write_trajectory'\nid = 'met'\nsensor = 'beams'\npath = 'met.txt'\n\
          [[stage]]\ntype = 'write_trajectory'\nid = 'some'\nevery = 5000\npath = 'some.txt'\nheader = false\n"
     );
-    let job = Job::parse("job.toml", &job, &[]).unwrap_or_else(|e| panic!("{e}"));
+    let job = Job::parse(STAGES, "job.toml", &job, &[]).unwrap_or_else(|e| panic!("{e}"));
     engine::run(&job, &engine::Options::of_job(&job, folder.path(), folder.path())).unwrap();
     let rows = numbers(folder.path(), "a_traj.txt");
     let met = numbers(folder.path(), "met.txt");
@@ -192,7 +192,7 @@ fn a_short_recording_has_one_row_from_its_beams() {
     let job = "[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 4\nshots_per_line = 100\npulse_rate_hz = 6000\n\
                [[stage]]\ntype = 'write_trajectory'\nid = 'origins'\ninterval_s = 0\n\
                [[stage]]\ntype = 'write_trajectory'\nid = 'met'\nsensor = 'beams'\npath = 'met.txt'\n";
-    let job = Job::parse("job.toml", job, &[]).unwrap_or_else(|e| panic!("{e}"));
+    let job = Job::parse(STAGES, "job.toml", job, &[]).unwrap_or_else(|e| panic!("{e}"));
     engine::run(&job, &engine::Options::of_job(&job, folder.path(), folder.path())).unwrap();
     let (rows, met) = (numbers(folder.path(), "a_traj.txt"), numbers(folder.path(), "met.txt"));
     assert!(rows.last().unwrap()[0] - rows[0][0] < 0.1, "shorter than the interval");
@@ -210,7 +210,7 @@ fn a_short_recording_has_one_row_from_its_beams() {
 fn a_path_without_rows_has_its_first_line() {
     let folder = tempfile::tempdir().unwrap();
     let run_on = |stages: &str| {
-        let job = Job::parse("job.toml", stages, &[]).unwrap_or_else(|e| panic!("{e}"));
+        let job = Job::parse(STAGES, "job.toml", stages, &[]).unwrap_or_else(|e| panic!("{e}"));
         engine::run(&job, &engine::Options::of_job(&job, folder.path(), folder.path())).unwrap();
     };
     let text = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
@@ -238,7 +238,7 @@ fn with_a_trajectory_rows_are_its_poses() {
     let read = "[job.geometry]\ntrajectory = 'a.out'\ncrs = 'geodetic'\n[[stage]]\ntype = 'read_arrow'\n\
                 path = 'a.arrow'\n[[stage]]\ntype = 'write_trajectory'\n";
     for text in [simulate, read] {
-        let job = Job::parse("job.toml", text, &[]).unwrap_or_else(|e| panic!("{e}"));
+        let job = Job::parse(STAGES, "job.toml", text, &[]).unwrap_or_else(|e| panic!("{e}"));
         engine::run(&job, &engine::Options::of_job(&job, folder.path(), folder.path())).unwrap();
     }
     let sbet = std::fs::read(folder.path().join("a.out")).unwrap();
@@ -316,7 +316,7 @@ fn what_the_geometry_says_stands_in_the_statistics() {
 #[test]
 fn statistics_need_a_name_for_each_input() {
     for (pattern, fits) in [("", true), ("logs/*.log", true), ("stat.log", true), ("*.las", false)] {
-        match Job::parse("job.toml", &format!("[job]\nstat_log = '{pattern}'\n{TO_POINTS}"), &[]) {
+        match Job::parse(STAGES, "job.toml", &format!("[job]\nstat_log = '{pattern}'\n{TO_POINTS}"), &[]) {
             Ok(_) => assert!(fits, "{pattern}"),
             Err(errors) => {
                 let errors = errors.to_string();
@@ -325,7 +325,7 @@ fn statistics_need_a_name_for_each_input() {
         }
     }
     let several = "[job]\nstat_log = 'out/stat.log'\n[[stage]]\ntype = 'read_las'\npath = '*.las'\n";
-    let errors = Job::parse("job.toml", several, &[]).unwrap_err().to_string();
+    let errors = Job::parse(STAGES, "job.toml", several, &[]).unwrap_err().to_string();
     let expected = "error: `stat_log`: every input of this job would write the same file, \"out/stat.log\"\n--> job.toml\n = \
                     help: write `*` in place of the stem of the input, such as \"out/*_stat.log\"\n";
     assert_eq!(errors, expected);

@@ -82,7 +82,7 @@ fn false_returns_of_waveforms_are_withheld() {
                     [[stage]]\ntype = 'calibrate'\nwaveforms = 2000\n[[stage]]\ntype = 'decompose'\n\
                     [[stage]]\ntype = 'correct'\n[[stage]]\ntype = 'filter_outliers'\n\
                     [[stage]]\ntype = 'write_lstat'\n[[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
-        let job = Job::parse("chain.toml", text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
+        let job = Job::parse(STAGES, "chain.toml", text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
         let out = folder.path().join(threads.to_string());
         let options = Options { threads, ..Options::of_job(&job, folder.path(), &out) };
         let report = engine::run(&job, &options).unwrap().inputs.remove(0);

@@ -22,7 +22,7 @@ fn text(line: &ScanLine) -> String {
 fn lines_of_run(path: &Path, reader: &str, set: &[String]) -> Vec<String> {
     let text_of_job = format!("[[stage]]\ntype = '{reader}'\npath = '{}'\n", path.display());
     let set: Vec<Override> = set.iter().map(Override::new).collect();
-    let job = Job::parse("job", &text_of_job, &set).unwrap();
+    let job = Job::parse(STAGES, "job", &text_of_job, &set).unwrap();
     let Plan::Source(source) = &job.stages[0].planned.plan else { panic!("a reader") };
     let mut source = source.make(&RunContext::alone(path)).unwrap();
     let mut cx = Context::default();
@@ -33,7 +33,7 @@ fn lines_of_run(path: &Path, reader: &str, set: &[String]) -> Vec<String> {
 #[track_caller]
 fn assert_same_lines(path: &Path, reader: &str, set: &[String]) -> usize {
     let expected = lines_of_run(path, reader, set);
-    let mut recording = Recording::open(path, set).unwrap();
+    let mut recording = Recording::open(STAGES, path, set).unwrap();
     let index = recording.index(&mut |_| Ok(())).unwrap();
     assert_eq!(index.lines().len(), expected.len(), "{}", path.display());
     let mut order: Vec<usize> = (0..expected.len()).rev().collect();
@@ -89,7 +89,7 @@ fn a_waveform_outside_its_file_is_no_shot_of_the_index() {
     let place = TestFolder::with(&[("a.las", &las.las()), ("a.wdp", &las.packets)]);
     let path = place.path("a.las");
     assert!(assert_same_lines(&path, "read_las", &[]) > 0);
-    let index = Recording::open(&path, &[]).unwrap().index(&mut |_| Ok(())).unwrap();
+    let index = Recording::open(STAGES, &path, &[]).unwrap().index(&mut |_| Ok(())).unwrap();
     assert_eq!(index.shots(), 399);
 }
 
@@ -100,7 +100,7 @@ fn index_of(path: &Path, set: &[String]) -> (Arc<LineIndex>, bool) {
         is_made = true;
         Ok(())
     };
-    let index = Recording::open(path, set).unwrap().index(&mut watch).unwrap();
+    let index = Recording::open(STAGES, path, set).unwrap().index(&mut watch).unwrap();
     (index, is_made)
 }
 
@@ -159,12 +159,12 @@ fn a_stream_and_an_unknown_format_are_refused() {
                [[stage]]\ntype = 'write_arrow'\npath = '-'\n";
     let stream = place.command(job).output().unwrap().stdout;
     place.write("stream.arrow", &stream);
-    let mut recording = Recording::open(&place.path("stream.arrow"), &[]).unwrap();
+    let mut recording = Recording::open(STAGES, &place.path("stream.arrow"), &[]).unwrap();
     let error = recording.line(0).err().unwrap().to_string();
     let remedy = "use a container in the file format of Arrow, or a reader without `time_s`";
     let path = place.path("stream.arrow");
     assert_eq!(error, format!("{}: scan lines cannot be read in any order; {remedy}", path.display()));
-    assert!(matches!(Recording::open(&place.path("notes.txt"), &[]), Err(OpenError::Format(_))));
+    assert!(matches!(Recording::open(STAGES, &place.path("notes.txt"), &[]), Err(OpenError::Format(_))));
 }
 
 #[test]
@@ -174,14 +174,14 @@ fn a_recording_has_its_path_and_metadata() {
                [[stage]]\ntype = 'write_arrow'\n";
     assert_eq!(place.run(job), Outcome::success());
     let path = place.path("out/flight.arrow");
-    let mut recording = Recording::open(&path, &[]).unwrap();
+    let mut recording = Recording::open(STAGES, &path, &[]).unwrap();
     assert_eq!(recording.path(), path);
     assert_eq!(recording.input().sampling_interval_ns, 1.0);
     assert!(recording.line(2).unwrap().is_none(), "past the end");
     assert!(recording.line_of_shot(600).unwrap().is_none());
-    let none = Recording::open(&path, &["read_arrow.time_s=[1.0, 2.0]".to_owned()]).err().unwrap();
+    let none = Recording::open(STAGES, &path, &["read_arrow.time_s=[1.0, 2.0]".to_owned()]).err().unwrap();
     let problem = format!("{} has no shots; choose another recording", path.display());
     assert_eq!(none.to_string(), problem);
-    let wrong = Recording::open(&path, &["read_arrow.colour=1".to_owned()]).err().unwrap();
+    let wrong = Recording::open(STAGES, &path, &["read_arrow.colour=1".to_owned()]).err().unwrap();
     assert!(matches!(wrong, OpenError::Keys(_)), "{wrong}");
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use wavex_signal::range_walk::RangeWalk;
+use wavex_returns::range_walk::RangeWalk;
 use wavex_signal::sensor_model::SensorModel;
 use wavex_testkit::data;
 use wavex_testkit::recordings::robust;

@@ -58,7 +58,7 @@ impl Instrument {
             self.reader,
             path.display()
         );
-        let mut job = Job::parse(self.name, &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
+        let mut job = Job::parse(STAGES, self.name, &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
         job.stages.push(stage(&MEASURE, ""));
         *MEASURED.lock().unwrap() = Row::default();
         let options = Options::of_job(&job, out.path(), out.path());

@@ -56,7 +56,7 @@ fn digests(threads: usize, channel_capacity: usize) -> BTreeMap<String, u64> {
 fn digests_with(threads: usize, channel_capacity: usize, set: &[&str]) -> BTreeMap<String, u64> {
     let folder = tempfile::tempdir().unwrap();
     let set: Vec<Override> = set.iter().map(|set| Override::new((*set).to_owned())).collect();
-    let job = Job::parse("repeat.toml", JOB, &set).unwrap_or_else(|errors| panic!("{errors}"));
+    let job = Job::parse(STAGES, "repeat.toml", JOB, &set).unwrap_or_else(|errors| panic!("{errors}"));
     let options =
         Options { threads, channel_capacity, ..Options::of_job(&job, folder.path(), folder.path()) };
     let report = engine::run(&job, &options).unwrap();
@@ -95,7 +95,7 @@ fn the_instructions_in_use_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     for (set, used) in [("job.simd='portable'", SimdLevel::Portable), ("job.simd='auto'", SimdLevel::best())]
     {
-        let job = Job::parse("repeat.toml", JOB, &[Override::new(set)]).unwrap();
+        let job = Job::parse(STAGES, "repeat.toml", JOB, &[Override::new(set)]).unwrap();
         let report = engine::run(&job, &Options::of_job(&job, folder.path(), folder.path())).unwrap();
         assert_eq!(report.simd, used.into());
     }
@@ -107,7 +107,7 @@ fn returns(folder: &std::path::Path, name: &str, calibrate: &str) -> Vec<u8> {
         "[[stage]]\ntype = 'simulate'\nlines = 3\nshots_per_line = 120\n[[stage]]\ntype = 'calibrate'\n{calibrate}\n\
          [[stage]]\ntype = 'decompose'\n[[stage]]\ntype = 'write_table'\npath = '{name}'\n"
     );
-    let job = Job::parse("model.toml", &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
+    let job = Job::parse(STAGES, "model.toml", &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
     engine::run(&job, &Options::of_job(&job, folder, folder)).unwrap();
     std::fs::read(folder.join(name)).unwrap()
 }

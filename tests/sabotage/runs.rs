@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use wavex::engine::InputSummary;
-use wavex::stages::calibrate::{model_json, parse_model};
+use wavex::stages::process::calibrate::{model_json, parse_model};
 use wavex_formats::container::{ContainerHeader, EmissionReference};
 use wavex_signal::sensor_model::SensorModel;
 use wavex_testkit::container::{Row, container, nadir_shot};

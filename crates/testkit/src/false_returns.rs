@@ -103,7 +103,7 @@ pub fn fly(scene: &Scene, seed: u64) -> Flight {
     let keys = keys(scene, seed);
     let folder = tempfile::tempdir().expect("a folder");
     let text = format!("[[stage]]\ntype = 'simulate'\ntruth = 'truth.csv'\n{keys}");
-    let job = Job::parse("fly.toml", &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
+    let job = Job::parse(STAGES, "fly.toml", &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
     engine::run(&job, &Options::of_job(&job, folder.path(), folder.path())).expect("a flight");
     let rows = rows(&folder.path().join("truth.csv"));
     let Plan::Source(source) = planned("simulate", &keys) else { panic!("a source") };

@@ -54,7 +54,7 @@ pub struct Truth {
 /// Runs a job stored in `folder`.
 #[track_caller]
 pub fn run(folder: &Path, text: &str) -> Result<RunSummary, String> {
-    let job = Job::parse("job.toml", text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
+    let job = Job::parse(STAGES, "job.toml", text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
     engine::run(&job, &Options::of_job(&job, folder, folder)).map_err(|error| error.to_string())
 }
 

@@ -18,7 +18,7 @@ pub fn run_job(name: &str, data: &Path, out: &Path, set: &[&str]) -> InputSummar
 /// Runs a job on the inputs of a folder; writes to `out`.
 pub fn run(name: &str, text: &str, inputs: &Path, out: &Path, set: &[&str]) -> InputSummary {
     let overrides: Vec<Override> = set.iter().map(|text| Override::new(*text)).collect();
-    let job = Job::parse(name, text, &overrides).unwrap_or_else(|errors| panic!("{errors}"));
+    let job = Job::parse(STAGES, name, text, &overrides).unwrap_or_else(|errors| panic!("{errors}"));
     let options = Options::of_job(&job, inputs, out);
     let mut report = engine::run(&job, &options).unwrap_or_else(|error| panic!("{error}"));
     report.inputs.remove(0)

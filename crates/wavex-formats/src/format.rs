@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::extensions::{
     LAS, LAZ, PACKETS, WAVES, WFM, beside, by_stem, extension, folder_of, in_usual_cases,
 };
-use super::{Error, Result, las, pulsewaves};
+use super::{Error, Result, las, pulsewaves, unsupported};
 
 /// A format of recordings.
 #[derive(Debug)]
@@ -59,6 +59,20 @@ impl Format {
         let last = all.pop().unwrap_or_default();
         format!("{} and {last}", all.join(", "))
     }
+}
+
+/// Stage that reads files with this extension.
+///
+/// # Errors
+/// If the format is not supported, with an alternative if one is known.
+pub fn reader_of(input: &str) -> std::result::Result<&'static str, String> {
+    if let Some(error) = unsupported(Path::new(input)) {
+        return Err(error.to_string());
+    }
+    let format = Format::of(Path::new(input)).map(|format| format.reader);
+    format.ok_or_else(|| {
+        format!("{input}: unknown recording format; supported extensions: {}", Format::all_extensions())
+    })
 }
 
 /// Number of first returns of a LAS file by its header.
@@ -162,5 +176,19 @@ mod tests {
         }
         fs::write(path("a.wdp"), "").unwrap();
         assert_eq!(["a.pls", "a.arrow", "a"].map(|name| companion(&path(name))), [None, None, None]);
+    }
+
+    #[test]
+    fn the_extension_chooses_the_reader() {
+        let readers =
+            ["a/B.LAS", "b.laz", "in/*.pls", "d.arrow", "130621_101500.sdf", "w.WFM"].map(reader_of);
+        let expected = ["read_las", "read_las", "read_pulsewaves", "read_arrow", "read_sdf", "read_sdf"];
+        assert_eq!(readers, expected.map(Ok));
+        let problem = "a.dat: unknown recording format; \
+                       supported extensions: .las, .laz, .pls, .sdf, .wfm and .arrow";
+        assert_eq!(reader_of("a.dat"), Err(problem.to_owned()));
+        for name in ["a.rxp", "a.h5", "a.plz"] {
+            assert!(reader_of(name).unwrap_err().contains(" is not supported; "), "{name}");
+        }
     }
 }

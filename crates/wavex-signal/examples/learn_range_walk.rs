@@ -7,7 +7,7 @@
 
 use std::io::{BufRead, Write};
 
-use wavex_signal::range_walk::{RangeWalk, SingleEcho, Triple};
+use wavex_returns::range_walk::{RangeWalk, SingleEcho, Triple};
 
 fn main() -> std::io::Result<()> {
     let mut echoes: Vec<(u64, SingleEcho)> = Vec::new();

@@ -83,20 +83,14 @@ pub mod fusion;
 pub mod gain;
 mod levenberg_marquardt;
 pub mod model_check;
-pub mod mta;
 pub mod noise;
 pub mod outgoing;
-pub mod outliers;
 mod parallel;
-pub mod penalised_spline;
 mod pulse_fit;
-pub mod radiometry;
-pub mod range_walk;
 pub mod sensor_model;
 pub mod sensor_path;
 pub mod shape;
 pub mod whitening;
-pub mod width_by_amplitude;
 
 #[cfg(test)]
 mod layers;

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::noise::{ArNoise, MAX_ORDER};
-use crate::range_walk::RangeWalk;
+use wavex_returns::range_walk::RangeWalk;
 pub use response::{ResponseNode, SystemResponse};
 
 /// Sensor model with one entry per calibrated channel.

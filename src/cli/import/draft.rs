@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use crate::georef::GeometryKeys;
-use crate::job::JobSettings;
-use crate::keys::Keys;
-use crate::registry::STAGES;
+use wavex_line::georef::GeometryKeys;
+use wavex_engine::job::JobSettings;
+use wavex_line::keys::Keys;
+use wavex_stages::registry::STAGES;
 
 /// Stages and keys that the translation may use.
 #[derive(Debug)]

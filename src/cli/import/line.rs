@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::options::{Opt, Takes, Version};
 use super::problem::{MOST_SHOWN, Place, Problem, Source};
 use super::versions::VERSIONS;
-use crate::registry::nearest_of;
+use wavex_line::stage::nearest_of;
 
 /// A parsed option.
 #[derive(Debug)]

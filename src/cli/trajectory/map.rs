@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::georef::MOST_WKT_BYTES;
+use wavex_line::georef::MOST_WKT_BYTES;
 use wavex_formats::read_small_text;
 use wavex_geodesy::crs::{Crs, Named};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};

@@ -1,7 +1,7 @@
 //! Picture of a trajectory: plan view with scale bar, and height over time.
 
 use super::map::Map;
-use crate::report::svg::{Anchor, Scale, Svg};
+use wavex_pages::report::svg::{Anchor, Scale, Svg};
 use wavex_geodesy::ellipsoid::WGS84;
 use wavex_geodesy::frames::LocalFrame;
 use wavex_geodesy::trajectory::{Sample, Trajectory};

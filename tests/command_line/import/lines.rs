@@ -73,7 +73,7 @@ fn translation(case: &Case) -> Result<String, String> {
     let (mut usual, mut chain) = (Vec::new(), None);
     if import.has_job {
         let job =
-            Job::parse("job", &import.text, &[]).map_err(|error| format!("{error}\n{}", import.text))?;
+            Job::parse(STAGES, "job", &import.text, &[]).map_err(|error| format!("{error}\n{}", import.text))?;
         usual = shown(&in_version(classic, &inputs(&job.stages), &Known::this_build(), &|_| None)?.text);
         chain = Some(format!("chain: {}", job.chain()));
     }

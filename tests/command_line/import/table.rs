@@ -193,7 +193,7 @@ fn every_option_gives_a_job_that_fits_this_build() {
         for option in version.options.iter().filter(|option| option.name() != "i") {
             let (line, _) = line_with(version, option);
             let import = imported(version, &line, &Known::this_build());
-            let job = import.has_job.then(|| Job::parse("job", &import.text, &[]));
+            let job = import.has_job.then(|| Job::parse(STAGES, "job", &import.text, &[]));
             assert!(job.is_none_or(|job| job.map_err(|error| panic!("{error}")).is_ok()), "{line}");
         }
     }
@@ -209,7 +209,7 @@ fn every_switch_may_be_off() {
             let import = imported(version, &line.replace(&written, &off), &Known::this_build());
             let below = import.text.lines().skip(3).collect::<Vec<_>>().join("\n");
             assert!(below.contains(&off), "{off}\n{}", import.text);
-            assert!(Job::parse("job", &import.text, &[]).is_ok(), "{off}\n{}", import.text);
+            assert!(Job::parse(STAGES, "job", &import.text, &[]).is_ok(), "{off}\n{}", import.text);
         }
     }
 }

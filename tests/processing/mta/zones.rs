@@ -191,7 +191,7 @@ fn threads_and_queues_change_no_byte() {
 fn with_engine(threads: usize, capacity: usize) -> Found {
     let place = TestFolder::with(&[("a.arrow", &recorded().recording)]);
     let job = format!("[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n{}", chain(""));
-    let job = wavex::job::Job::parse("job", &job, &[]).unwrap();
+    let job = wavex::job::Job::parse(STAGES, "job", &job, &[]).unwrap();
     let options = wavex::engine::Options {
         threads,
         channel_capacity: capacity,

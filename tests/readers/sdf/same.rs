@@ -58,7 +58,7 @@ fn a_library_that_serves_one_caller_at_a_time_serves_two_runs() {
         let folder = place.path("");
         move || {
             let library = Override::new(format!("read_sdf.library='{}'", stand_in().display()));
-            let job = Job::parse("job", &text, &[library]).unwrap();
+            let job = Job::parse(STAGES, "job", &text, &[library]).unwrap();
             let options = Options::of_job(&job, &folder, folder.join("out"));
             engine::run(&job, &options).map(|report| report.inputs[0].totals["nw"]).map_err(|e| e.to_string())
         }

@@ -89,7 +89,7 @@ fn write(place: &Files, parts: &[&[u8]]) -> Option<(&'static str, &'static str)>
 
 /// Runs a job of these stages and checks its outputs.
 fn points(place: &Files, stages: &str) {
-    let job = Job::parse("job.toml", stages, &[]).unwrap_or_else(|errors| panic!("{errors}"));
+    let job = Job::parse(STAGES, "job.toml", stages, &[]).unwrap_or_else(|errors| panic!("{errors}"));
     if let Ok(summary) = run_job(&job, place) {
         let path = place.path("out/points.laz");
         let mut points = RawPoints::open(&path).unwrap();
@@ -125,7 +125,7 @@ pub fn recording(bytes: &[u8]) {
     let place = Files::new();
     let Some((_, name)) = write(&place, &parts) else { return };
     let path = place.path(name);
-    let Ok(mut recording) = Recording::open(&path, &[]) else { return };
+    let Ok(mut recording) = Recording::open(STAGES, &path, &[]) else { return };
     let mut inspection = Inspection::new(true);
     let mut first: Option<ScanLine> = None;
     if let Ok(index) = recording.index(&mut |_| Ok(())) {
@@ -182,7 +182,7 @@ pub fn sdf(bytes: &[u8]) {
     let stages = "[[stage]]\ntype = 'read_sdf'\npath = '250506_100000.sdf'\n\
                   [[stage]]\ntype = 'write_arrow'\npath = 'copy.arrow'\n";
     let library = Override::new(format!("read_sdf.library={}", library.display()));
-    let job = Job::parse("job.toml", stages, &[library]).unwrap_or_else(|errors| panic!("{errors}"));
+    let job = Job::parse(STAGES, "job.toml", stages, &[library]).unwrap_or_else(|errors| panic!("{errors}"));
     let _ = run_job(&job, &place);
 }
 

@@ -11,7 +11,7 @@ use wavex::georef::calibration::Calibration;
 use wavex::job::{Include, Job, Override, included};
 use wavex::registry::STAGES;
 use wavex::report::write_page_of;
-use wavex::stages::calibrate::{model_json, parse_model};
+use wavex::stages::process::calibrate::{model_json, parse_model};
 use wavex_formats::lookup_tables::LookupTables;
 
 use super::{Files, parts};
@@ -66,7 +66,7 @@ pub fn import(bytes: &[u8]) {
         let place = Place { known: &KNOWN, base, read: &read, latitude: &latitude };
         let Ok(import) = import_line(&words, classic, &place) else { continue };
         if import.has_job
-            && let Err(errors) = Job::parse("the job of this line", &import.text, &[])
+            && let Err(errors) = Job::parse(STAGES, "the job of this line", &import.text, &[])
         {
             panic!("{errors}\n{}", import.text);
         }

@@ -48,7 +48,7 @@ fn flight() -> &'static View {
     VIEW.get_or_init(|| {
         let with = |set: &[String]| {
             let overrides: Vec<Override> = set.iter().map(Override::new).collect();
-            Job::parse("job.toml", JOB, &overrides).map_err(|errors| errors.to_string())
+            Job::parse(STAGES, "job.toml", JOB, &overrides).map_err(|errors| errors.to_string())
         };
         let opened = Opened {
             title: "flight".into(),

@@ -19,7 +19,7 @@ const NEAR_M: f64 = 0.15;
 pub fn run(folder: &Path, calibrate: &str) {
     let library = Override::new(format!("read_sdf.library='{}'", stand_in().display()));
     for (reader, set) in [("read_arrow", vec![]), ("read_sdf", vec![library])] {
-        let job = Job::parse("job.toml", &job(reader, calibrate), &set).expect("a job");
+        let job = Job::parse(STAGES, "job.toml", &job(reader, calibrate), &set).expect("a job");
         engine::run(&job, &Options::of_job(&job, folder, folder.join(reader))).expect("a run");
     }
 }

@@ -1,0 +1,180 @@
+//! Checks that consecutive stages fit, and suggests missing stages.
+
+use std::collections::VecDeque;
+use std::ops::Range;
+
+use toml::Spanned;
+use toml::de::DeValue;
+
+use super::JobError;
+use super::draft::DraftStage;
+use wavex_line::keys::listed;
+use wavex_line::stage::find_in;
+use wavex_line::scan_line::Kind;
+use wavex_line::stage::{RoleName, StageSpec};
+
+/// A stage as far as the check of the chain needs it.
+pub(super) struct Link {
+    /// Entry in the registry; `None` if the job names an unknown stage.
+    pub spec: Option<&'static StageSpec>,
+    /// Position of its name in the job.
+    pub named_at: Range<usize>,
+    /// Whether its keys remove the need for a preceding stage.
+    needs_none: bool,
+}
+
+impl Link {
+    pub(super) fn of(stage: &DraftStage) -> Link {
+        let is_said = |(key, word): (&str, &str)| {
+            let value = stage.keys.get_ref().get(key).map(Spanned::get_ref);
+            matches!(value, Some(DeValue::String(text)) if text.as_ref() == word)
+        };
+        let needs_none = stage.spec.and_then(|spec| spec.unless).is_some_and(is_said);
+        Link { spec: stage.spec, named_at: stage.named_at.clone(), needs_none }
+    }
+
+    fn is(&self, name: &str) -> bool {
+        self.spec.is_some_and(|spec| spec.name == name)
+    }
+}
+
+/// Finds errors in the order of the stages; remedies name stages of `known`.
+pub(super) fn check(links: &[Link], known: &[&'static StageSpec]) -> Vec<JobError> {
+    let mut errors = Vec::new();
+    // Kind of the lines after the stages so far; `None` if unknown.
+    let mut kind: Option<Kind> = None;
+    for (at, link) in links.iter().enumerate() {
+        let Some(spec) = link.spec else {
+            kind = None;
+            continue;
+        };
+        let chain = Chain { links, known, at, spec };
+        let problem = match (at, spec.role) {
+            (0, RoleName::Source) => None,
+            (0, _) => Some(chain.no_source()),
+            (_, RoleName::Source) => Some(chain.second_source()),
+            _ => chain.wrong_kind(kind).or_else(|| chain.too_early()),
+        };
+        errors.extend(problem.map(|(problem, help)| JobError::at(link.named_at.clone(), problem).help(help)));
+        // After a stage that does not fit, continue as if it did.
+        kind = spec.gives(match (kind, spec.accepts) {
+            (Some(kind), accepts) if accepts.contains(&kind) => Some(kind),
+            (_, &[only]) => Some(only),
+            _ => None,
+        });
+    }
+    errors
+}
+
+/// A stage at its position in the chain.
+struct Chain<'c> {
+    links: &'c [Link],
+    known: &'c [&'static StageSpec],
+    at: usize,
+    spec: &'static StageSpec,
+}
+
+/// Problem and remedy.
+type Problem = (String, String);
+
+impl Chain<'_> {
+    fn no_source(&self) -> Problem {
+        let sources = self.known.iter().filter(|spec| spec.role == RoleName::Source);
+        let sources: Vec<String> = sources.map(|spec| quoted(spec.name)).collect();
+        let problem = format!("`{}` cannot be the first stage: it has no input", self.spec.name);
+        (problem, format!("start with a source: {}", listed(&sources, "or")))
+    }
+
+    fn second_source(&self) -> Problem {
+        let problem = format!("`{}` is a source, but only the first stage can be a source", self.spec.name);
+        (problem, "list several inputs in the `path` of one source, or write two jobs".to_owned())
+    }
+
+    /// Checks that the stage accepts the kind of its input lines.
+    fn wrong_kind(&self, given: Option<Kind>) -> Option<Problem> {
+        let given = given.filter(|given| !self.spec.accepts.contains(given))?;
+        let takes: Vec<String> = self.spec.accepts.iter().map(Kind::to_string).collect();
+        let name = self.spec.name;
+        let problem = format!("`{name}` takes {}, but receives {given}", listed(&takes, "or"));
+        let help = if let Some(route) = self.route(given) {
+            let names: Vec<String> = route.iter().map(|spec| quoted(spec.name)).collect();
+            format!("insert {} before it", listed(&names, "and"))
+        } else if let Some(earlier) = self.last_fit() {
+            format!("move it up, after `{}`", earlier.name)
+        } else {
+            format!("no stage makes {} of {given}", listed(&takes, "or"))
+        };
+        Some((problem, help))
+    }
+
+    /// Checks that a stage required before this one comes before it.
+    fn too_early(&self) -> Option<Problem> {
+        let (before, behind) = self.links.split_at(self.at);
+        let after = self.spec.after;
+        let is_one = |link: &&Link| after.iter().any(|name| link.is(name));
+        // An unknown stage may be a misspelling of the missing one.
+        let needs_none = after.is_empty() || self.links[self.at].needs_none;
+        if needs_none || before.iter().any(|link| is_one(&link) || link.spec.is_none()) {
+            return None;
+        }
+        let names: Vec<String> = after.iter().map(|name| quoted(name)).collect();
+        let names = listed(&names, "or");
+        let problem = format!("`{}` requires {names} before it", self.spec.name);
+        let help = match behind.iter().find(is_one).and_then(|link| link.spec) {
+            Some(later) => format!("move `{}` up, before it", later.name),
+            None => format!("insert {names} before it"),
+        };
+        Some((problem, help))
+    }
+
+    /// Shortest list of stages that converts `given` to an accepted kind.
+    ///
+    /// Each stage is preceded by the stages that it requires.
+    fn route(&self, given: Kind) -> Option<Vec<&'static StageSpec>> {
+        let mut open = VecDeque::from([(given, Vec::new())]);
+        let mut seen = vec![given];
+        while let Some((kind, route)) = open.pop_front() {
+            if self.spec.accepts.contains(&kind) {
+                return Some(route);
+            }
+            for &spec in self.known.iter().filter(|spec| spec.accepts.contains(&kind)) {
+                let made = spec.makes.unwrap_or(kind);
+                if !seen.contains(&made) {
+                    seen.push(made);
+                    let mut longer = route.clone();
+                    longer.extend(self.missing_before(spec, &route));
+                    longer.push(spec);
+                    open.push_back((made, longer));
+                }
+            }
+        }
+        None
+    }
+
+    /// The stage required before `spec`, unless an alternative is in the chain or on the route.
+    fn missing_before(&self, spec: &StageSpec, route: &[&StageSpec]) -> Option<&'static StageSpec> {
+        let in_chain = |name: &&str| self.links[..self.at].iter().any(|link| link.is(name));
+        let on_route = |name: &&str| route.iter().any(|spec| spec.name == *name);
+        if spec.after.iter().any(|name| in_chain(name) || on_route(name)) {
+            return None;
+        }
+        find_in(self.known, spec.after.first()?)
+    }
+
+    /// The last stage before this one whose output this stage accepts.
+    fn last_fit(&self) -> Option<&'static StageSpec> {
+        let mut kind = None;
+        let mut fit = None;
+        for spec in self.links[..self.at].iter().filter_map(|link| link.spec) {
+            kind = spec.gives(kind);
+            if kind.is_some_and(|kind| self.spec.accepts.contains(&kind)) {
+                fit = Some(spec);
+            }
+        }
+        fit
+    }
+}
+
+fn quoted(name: &str) -> String {
+    format!("`{name}`")
+}

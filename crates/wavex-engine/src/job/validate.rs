@@ -1,0 +1,217 @@
+//! Validates the keys of a table against their schema.
+//!
+//! Reports all errors with their positions, whereas serde stops at the first. Editors with the
+//! schema report the same errors.
+
+use std::borrow::Cow;
+use std::ops::Range;
+
+use serde_json::Value;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::JobError;
+use super::errors::MAX_ERRORS;
+use super::manual::first_sentence;
+use wavex_line::keys::{Keys, bounds, choices, is_within, takes};
+
+/// Finds errors in the keys of `table`; errors call the table `owner`, such as "`decompose`".
+pub(super) fn check(owner: &str, keys: &Keys, table: &Spanned<DeTable>) -> Vec<JobError> {
+    check_table(owner, keys.schema(), table.get_ref(), &table.span())
+}
+
+/// Returns whether a schema accepts only text.
+pub(super) fn only_text(schema: &Value) -> bool {
+    choices(schema).is_some() || schema.get("type").is_some_and(|name| name == "string")
+}
+
+/// Describes the type of a value.
+pub(super) fn kind_of(value: &DeValue) -> String {
+    match value {
+        DeValue::String(_) => "text".to_owned(),
+        DeValue::Integer(number) => format!("the number {number}"),
+        DeValue::Float(number) => format!("the number {number}"),
+        DeValue::Boolean(value) => format!("`{value}`"),
+        DeValue::Datetime(_) => "a date or a time".to_owned(),
+        DeValue::Array(_) => "a list".to_owned(),
+        DeValue::Table(_) => "a table".to_owned(),
+    }
+}
+
+fn check_table(owner: &str, schema: &Value, table: &DeTable, header: &Range<usize>) -> Vec<JobError> {
+    let Some(properties) = schema.get("properties").and_then(Value::as_object) else {
+        return Vec::new();
+    };
+    let mut errors = Vec::new();
+    for (key, value) in table {
+        match properties.get(key.get_ref().as_ref()) {
+            Some(schema) => errors.extend(Given { owner, name: &format!("`{key}`"), schema, value }.check()),
+            None => errors.push(unknown_key(owner, key, properties.keys())),
+        }
+        if errors.len() > MAX_ERRORS {
+            break;
+        }
+    }
+    let required = schema.get("required").and_then(Value::as_array).into_iter().flatten();
+    for key in required.filter_map(Value::as_str).filter(|key| !table.contains_key(*key)) {
+        let schema = properties.get(key).unwrap_or(&Value::Null);
+        errors.push(missing_key(owner, key, schema, header));
+    }
+    errors
+}
+
+fn unknown_key<'k>(
+    owner: &str,
+    key: &Spanned<Cow<str>>,
+    known: impl Iterator<Item = &'k String>,
+) -> JobError {
+    let known: Vec<&str> = known.map(String::as_str).collect();
+    let error = JobError::at(key.span(), format!("{owner} has no key `{key}`"));
+    match known.as_slice() {
+        [] => error.help("it has no keys"),
+        known => {
+            error.meant(key.get_ref(), known.iter().copied()).help(format!("keys: {}", known.join(", ")))
+        }
+    }
+}
+
+fn missing_key(owner: &str, key: &str, schema: &Value, header: &Range<usize>) -> JobError {
+    let meaning = first_sentence(schema.get("description").and_then(Value::as_str).unwrap_or_default());
+    let error = JobError::at(header.clone(), format!("{owner} requires the key `{key}`"));
+    error.help(format!("add `{key} = ...`, {}: {meaning}", takes(schema)))
+}
+
+/// A value of a job with its schema.
+#[derive(Clone, Copy)]
+struct Given<'g> {
+    /// Name of its table in errors.
+    owner: &'g str,
+    /// Name of the value in errors.
+    name: &'g str,
+    schema: &'g Value,
+    value: &'g Spanned<DeValue<'g>>,
+}
+
+impl Given<'_> {
+    fn check(&self) -> Vec<JobError> {
+        if let Some(choices) = choices(self.schema) {
+            return self.check_choice(&choices).into_iter().collect();
+        }
+        let branches = self.schema.get("anyOf").or_else(|| self.schema.get("oneOf"));
+        if let Some(branches) = branches.and_then(Value::as_array) {
+            return self.check_branches(branches);
+        }
+        if !self.is_of_type() {
+            return vec![self.wrong_type()];
+        }
+        match self.value.get_ref() {
+            DeValue::Integer(_) | DeValue::Float(_) => self.check_number().into_iter().collect(),
+            DeValue::Table(table) => {
+                let owner = format!("{} of {}", self.name, self.owner);
+                check_table(&owner, self.schema, table, &self.value.span())
+            }
+            DeValue::Array(items) => {
+                let name = &format!("an item of {}", self.name);
+                let schema = self.schema.get("items").unwrap_or(&Value::Null);
+                let of_items = items
+                    .iter()
+                    .flat_map(|value| Given { name, schema, value, ..*self }.check())
+                    .take(MAX_ERRORS + 1);
+                self.check_length(items.len()).into_iter().chain(of_items).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// Checks alternatives: if none is valid, reports the errors of the closest one.
+    fn check_branches(&self, branches: &[Value]) -> Vec<JobError> {
+        let each = branches.iter().map(|schema| Given { schema, ..*self }).filter(Given::is_of_type);
+        let closest = each.map(|given| given.check()).min_by_key(Vec::len);
+        match (closest, self.value.get_ref()) {
+            (Some(errors), _) if errors.is_empty() => errors,
+            // No text is closer than another: name all accepted texts.
+            (Some(_), DeValue::String(text)) => vec![self.wrong_text(text)],
+            (Some(errors), _) => errors,
+            (None, _) => vec![self.wrong_type()],
+        }
+    }
+
+    /// Returns whether the value has the type of the schema.
+    fn is_of_type(&self) -> bool {
+        let fits = |name: &Value| {
+            if let (Some("boolean"), DeValue::Boolean(given)) = (name.as_str(), self.value.get_ref()) {
+                return self.schema.get("const").is_none_or(|only| only == given);
+            }
+            matches!(
+                (name.as_str(), self.value.get_ref()),
+                (Some("string"), DeValue::String(_))
+                    | (Some("integer"), DeValue::Integer(_))
+                    | (Some("number"), DeValue::Integer(_) | DeValue::Float(_))
+                    | (Some("array"), DeValue::Array(_))
+                    | (Some("object"), DeValue::Table(_))
+            )
+        };
+        match self.schema.get("type") {
+            Some(Value::Array(names)) => names.iter().any(fits),
+            Some(name) => fits(name),
+            // A fixed set of texts without `type`.
+            None => choices(self.schema).is_none() || matches!(self.value.get_ref(), DeValue::String(_)),
+        }
+    }
+
+    fn wrong_type(&self) -> JobError {
+        let error = self.must_be(&takes(self.schema), &kind_of(self.value.get_ref()));
+        let wanted = self.schema.get("type").and_then(Value::as_str);
+        match (self.value.get_ref(), wanted) {
+            (DeValue::String(text), Some("number" | "integer")) if text.parse::<f64>().is_ok() => {
+                error.help(format!("write numbers without quotation marks: {text}"))
+            }
+            (DeValue::Float(_), Some("integer")) => error.help("write it without decimal point and exponent"),
+            (DeValue::Integer(_) | DeValue::Float(_) | DeValue::Datetime(_), _) if only_text(self.schema) => {
+                error.help("put text in quotation marks: `\"text\"`")
+            }
+            _ => error,
+        }
+    }
+
+    fn check_choice(&self, choices: &[&str]) -> Option<JobError> {
+        match self.value.get_ref() {
+            DeValue::String(text) if choices.contains(&text.as_ref()) => None,
+            DeValue::String(text) => Some(self.wrong_text(text).meant(text, choices.iter().copied())),
+            _ => Some(self.wrong_type()),
+        }
+    }
+
+    fn wrong_text(&self, text: &str) -> JobError {
+        self.must_be(&takes(self.schema), &format!("{text:?}"))
+    }
+
+    fn check_number(&self) -> Option<JobError> {
+        let (given, written) = match self.value.get_ref() {
+            DeValue::Integer(number) => {
+                let given = i64::from_str_radix(number.as_str(), number.radix());
+                (given.map_or(f64::INFINITY, |given| given as f64), number.to_string())
+            }
+            DeValue::Float(number) => (number.as_str().parse().unwrap_or(f64::NAN), number.to_string()),
+            _ => return None,
+        };
+        if !given.is_finite() {
+            let problem = if given.is_nan() { "not a number" } else { "too large" };
+            return Some(self.must_be(&takes(self.schema), &format!("{written}, which is {problem}")));
+        }
+        let bounds = bounds(self.schema).filter(|_| !is_within(self.schema, given))?;
+        Some(self.must_be(&bounds, &written))
+    }
+
+    fn check_length(&self, n: usize) -> Option<JobError> {
+        let limit = |keyword: &str| self.schema.get(keyword).and_then(Value::as_u64);
+        let n = n as u64;
+        let holds =
+            limit("minItems").is_none_or(|min| n >= min) && limit("maxItems").is_none_or(|max| n <= max);
+        (!holds).then(|| self.must_be(&takes(self.schema), &format!("a list of {n}")))
+    }
+
+    fn must_be(&self, wanted: &str, given: &str) -> JobError {
+        JobError::at(self.value.span(), format!("{} must be {wanted}, got {given}", self.name))
+    }
+}

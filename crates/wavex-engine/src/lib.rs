@@ -1,0 +1,7 @@
+//! Runs a job: [`job`] makes a chain of stages of a text, [`engine`] runs it, [`recording`] reads parts of a
+//! recording.
+
+pub mod build;
+pub mod engine;
+pub mod job;
+pub mod recording;

@@ -1,0 +1,27 @@
+//! Georeferencing: the table `[job.geometry]` with trajectory, mounting and output coordinates.
+//!
+//! With a trajectory, each shot gets its pose as soon as the source delivers it
+//! ([`crate::stage::pose_source`]). Its beam is then given in the earth-centred frame (ECEF), so later stages need
+//! only the emission. `georeference` converts the result to output coordinates ([`output_crs`]).
+//! `docs/explanation/georeferencing.md` gives the formulas.
+
+mod area_of_use;
+pub mod calibration;
+mod context;
+pub mod declared;
+mod error;
+pub mod keys;
+pub mod mount;
+pub mod output_crs;
+pub mod scan_angles;
+pub mod trajectory_file;
+pub mod transform;
+
+pub use area_of_use::check as area_check;
+pub use context::week_check;
+pub use context::{Geometry, Loader, ShotPoses};
+pub use error::{Error, Result};
+pub use keys::GeometryKeys;
+pub use output_crs::MOST_WKT_BYTES;
+pub use output_crs::check_crs;
+pub use trajectory_file::checks as trajectory_checks;

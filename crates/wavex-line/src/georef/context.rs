@@ -1,0 +1,276 @@
+//! Georeferencing context of a run: the keys with their files read, shared by its stages.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::area_of_use::outside_of_map;
+use super::calibration::Calibration;
+use super::keys::{CalibrationKey, GeometryKeys};
+use super::output_crs::{CrsRequest, OutputCrs};
+use super::trajectory_file::Track;
+use super::transform::Installation;
+use super::{Error, Result};
+use crate::plausibility::Check;
+use crate::scan_line::{Frame, InputInfo};
+use wavex_geodesy::crs::Crs;
+use wavex_geodesy::frames::Vector;
+use wavex_geodesy::time_axis::{Alignment, Clock, TimeSpan};
+use wavex_geodesy::trajectory::{Pose, Poses, Trajectory};
+
+/// Georeferencing context of a run.
+#[derive(Debug)]
+pub struct Geometry {
+    keys: GeometryKeys,
+    installation: Installation,
+    track: Option<Arc<Track>>,
+    wanted: CrsRequest,
+}
+
+/// Reads the files of `[job.geometry]`.
+///
+/// Shared files are read once; a trajectory is read again only if the file changes.
+#[derive(Debug)]
+pub struct Loader {
+    keys: GeometryKeys,
+    input_dir: PathBuf,
+    installation: Installation,
+    wanted: CrsRequest,
+    last: Option<Arc<Track>>,
+}
+
+impl Default for Geometry {
+    /// No trajectory and no corrections.
+    fn default() -> Geometry {
+        let installation = Installation::new(&Default::default(), &Calibration::default());
+        Geometry::of(GeometryKeys::default(), installation, CrsRequest::default(), None)
+    }
+}
+
+impl Loader {
+    /// Reads the files that do not depend on the input.
+    ///
+    /// # Errors
+    /// A calibration or geoid that cannot be read, or an unknown coordinate reference system.
+    pub fn new(keys: &GeometryKeys, input_dir: &Path) -> Result<Loader> {
+        let calibration = match &keys.calibration {
+            Some(CalibrationKey::File(file)) => Calibration::read(&input_dir.join(file))?,
+            Some(CalibrationKey::Inline(calibration)) => *calibration,
+            None => Calibration::default(),
+        };
+        Ok(Loader {
+            installation: Installation::new(&keys.mount.unwrap_or_default(), &calibration),
+            wanted: CrsRequest::load(keys, input_dir)?,
+            keys: keys.clone(),
+            input_dir: input_dir.to_path_buf(),
+            last: None,
+        })
+    }
+
+    /// Returns the context for the input with this stem.
+    ///
+    /// # Errors
+    /// A trajectory that cannot be read.
+    pub fn load(&mut self, stem: &str) -> Result<Geometry> {
+        let track = match &self.keys.trajectory {
+            Some(pattern) => Some(self.track(&self.input_dir.join(pattern.replace('*', stem)), stem)?),
+            None => None,
+        };
+        Ok(Geometry::of(self.keys.clone(), self.installation, self.wanted.clone(), track))
+    }
+
+    fn track(&mut self, file: &Path, stem: &str) -> Result<Arc<Track>> {
+        let accuracy =
+            self.keys.trajectory_accuracy.as_ref().map(|path| self.input_dir.join(path.replace('*', stem)));
+        match &self.last {
+            Some(track) if track.is_of(file, accuracy.as_deref()) => Ok(Arc::clone(track)),
+            _ => {
+                let track = Arc::new(Track::read(file, accuracy.as_deref(), &self.keys, &self.wanted)?);
+                Ok(Arc::clone(self.last.insert(track)))
+            }
+        }
+    }
+}
+
+/// Poses at shot times; fastest for nearby consecutive times.
+pub struct ShotPoses<'a> {
+    poses: Poses<'a>,
+    alignment: Alignment,
+}
+
+impl ShotPoses<'_> {
+    /// Pose of the aircraft; `None` outside the trajectory or in a gap.
+    pub fn at(&mut self, gps_time_s: f64) -> Option<Pose> {
+        self.poses.at(self.alignment.on_trajectory(gps_time_s))
+    }
+}
+
+const NOT_FOUND: &str = "timestamp not found in PO file";
+
+/// The check of the dates of recording and trajectory.
+pub fn week_check() -> Check {
+    Check::error(
+        "GPS weeks of recording and trajectory",
+        "the same, where both are known",
+        "file name, `gps_date` or container; header of a POF, or adjusted times",
+        NOT_FOUND,
+    )
+    .with_key("gps_date")
+}
+
+impl Geometry {
+    fn of(
+        keys: GeometryKeys,
+        installation: Installation,
+        wanted: CrsRequest,
+        track: Option<Arc<Track>>,
+    ) -> Geometry {
+        Geometry { keys, installation, track, wanted }
+    }
+
+    /// The keys of the job.
+    pub fn keys(&self) -> &GeometryKeys {
+        &self.keys
+    }
+
+    /// Mounting and calibration of the scanner.
+    pub fn installation(&self) -> &Installation {
+        &self.installation
+    }
+
+    /// Whether there is a trajectory.
+    pub fn has_trajectory(&self) -> bool {
+        self.track.is_some()
+    }
+
+    /// The trajectory and its file.
+    pub fn trajectory(&self) -> Option<(&Path, &Trajectory)> {
+        self.track.as_ref().map(|track| (track.file(), &track.trajectory))
+    }
+
+    /// Whether the trajectory has accuracies.
+    pub fn knows_accuracy(&self) -> bool {
+        self.track.as_ref().is_some_and(|track| track.knows_accuracy)
+    }
+
+    /// Notes on the trajectory.
+    pub fn notes(&self) -> &[String] {
+        self.track.as_ref().map_or(&[], |track| &track.notes)
+    }
+
+    /// Aligns the times of a recording with those of the trajectory; `None` without a trajectory.
+    ///
+    /// # Errors
+    /// The time scale of the recording is unknown, its times are ambiguous on the trajectory, or both have
+    /// dates of different weeks.
+    pub fn align(&self, input: &InputInfo, first_s: f64) -> Result<Option<Alignment>> {
+        let Some(track) = &self.track else { return Ok(None) };
+        let Some(clock) = Clock::of(input.time_scale) else {
+            return Err(Error::unusable(
+                "the time scale of the recording is unknown: its shots cannot be located on the trajectory",
+                "use a recording with GPS times, or remove `trajectory` from `[job.geometry]`",
+            ));
+        };
+        let recording = TimeSpan { clock, first_s, last_s: first_s };
+        let alignment = Alignment::between(recording, track.times)?;
+        match (input.gps_week, alignment.gps_week(first_s), input.adjusted_gps_time(first_s)) {
+            (Some(own), Some(week), Some(own_s)) if own != week => {
+                let begins = TimeSpan { clock: Clock::Adjusted, first_s: own_s, last_s: own_s };
+                Err(Error::unusable(
+                    format!(
+                        "{NOT_FOUND} {}: by its date the recording is of {begins}, week {own}, but the \
+                         trajectory lasts from {}, week {week}",
+                        track.file().display(),
+                        track.times
+                    ),
+                    "check date: that of the recording is in its file name, the reader's key `gps_date` or the container, \
+                     that of the trajectory in its header or its adjusted times",
+                ))
+            }
+            _ => Ok(Some(alignment)),
+        }
+    }
+
+    /// Pose of the aircraft at the time of a shot; `None` outside the trajectory or in a gap.
+    pub fn pose(&self, input: &InputInfo, gps_time_s: f64) -> Option<Pose> {
+        self.poses(input.first_shot?.alignment?)?.at(gps_time_s)
+    }
+
+    /// Poses for a sequence of times; `None` without a trajectory.
+    pub fn poses(&self, alignment: Alignment) -> Option<ShotPoses<'_>> {
+        Some(ShotPoses { poses: self.track.as_ref()?.trajectory.poses(), alignment })
+    }
+
+    /// The output CRS, with the zone of the first shot; `None` before the first shot in the
+    /// earth-centred frame.
+    ///
+    /// # Errors
+    /// A CRS that is not usable there.
+    pub fn target(&self, input: &InputInfo) -> Result<Option<OutputCrs>> {
+        origin_m(input, Frame::Earth).map(|first_m| self.wanted.at(first_m)).transpose()
+    }
+
+    /// The CRS of a terrain model: that of its EPSG code, else that of the points.
+    ///
+    /// `None` before the first shot in the earth-centred frame.
+    ///
+    /// # Errors
+    /// A CRS that cannot be used.
+    pub fn map_of(&self, input: &InputInfo, epsg: Option<u16>) -> Result<Option<OutputCrs>> {
+        match (epsg, origin_m(input, Frame::Earth)) {
+            (Some(code), Some(first_m)) => self.wanted.in_map(code).at(first_m).map(Some),
+            _ => self.target(input),
+        }
+    }
+
+    /// Checks that a recording in a projected CRS may stay there.
+    ///
+    /// # Errors
+    /// The job requests other coordinates.
+    pub fn keep_map(&self, input: &InputInfo) -> Result<()> {
+        let Some(point) = origin_m(input, Frame::Map).filter(|_| self.keys.wants_coordinates()) else {
+            return Ok(());
+        };
+        let crs_wkt = input.crs_wkt.as_deref();
+        if crs_wkt.is_some_and(|wkt| self.wanted.is_map(wkt, point)) {
+            return Ok(());
+        }
+        let (name, remedy) = match crs_wkt.and_then(|wkt| wkt.split('"').nth(1)) {
+            Some(name) => (
+                name,
+                "remove `crs`, `geoid` and `unit`, and transform the points with another program, such as PDAL",
+            ),
+            None => (
+                "an unnamed CRS",
+                "set it with the reader's key `crs_of_input`, or remove `crs`, `geoid` and `unit`",
+            ),
+        };
+        let problem = format!(
+            "the beams of this recording are already in {name}, but `[job.geometry]` requests other coordinates"
+        );
+        Err(Error::unusable(problem, remedy))
+    }
+
+    /// A warning if the first shot of a recording in a projected CRS is outside its area of use.
+    pub fn outside_map(&self, input: &InputInfo) -> Option<String> {
+        outside_of_map(&Crs::horizontal_of_wkt(input.crs_wkt.as_deref()?)?, origin_m(input, Frame::Map)?)
+    }
+
+    /// Checks that a recording without georeferencing may stay so.
+    ///
+    /// # Errors
+    /// The job requests coordinates.
+    pub fn keep_frame(&self) -> Result<()> {
+        if !self.keys.wants_coordinates() {
+            return Ok(());
+        }
+        Err(Error::unusable(
+            "`[job.geometry]` requests coordinates, but this recording is not georeferenced",
+            "set its `trajectory`, or remove `crs`, `geoid` and `unit`",
+        ))
+    }
+}
+
+/// Origin of the first shot, m, if the recording is in this frame.
+fn origin_m(input: &InputInfo, frame: Frame) -> Option<Vector> {
+    input.first_shot.filter(|_| input.frame == frame).map(|first| first.origin_m)
+}

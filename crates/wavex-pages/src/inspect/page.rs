@@ -1,0 +1,58 @@
+//! HTML page with summary and pictures; needs no network or scripts.
+
+use maud::{DOCTYPE, html};
+
+use super::Inspection;
+use super::figures::figures;
+use super::summary::Summary;
+use wavex_line::printable::printable;
+use crate::report::page::part::{Part, figure, figures as drawn, head, section, with_contents};
+use crate::report::verdict::{self, Check, Grade};
+use wavex_line::stage::Counters;
+
+/// Renders the page as HTML; `cut`: reason why the recording could not be read to its end.
+pub fn page(summary: &Summary, inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> String {
+    let sections = html! {
+        div.sections { @for of in &summary.sections { (section(&of.title, of.rows.iter().cloned())) } }
+    };
+    let figures: Vec<_> = figures(inspection).into_iter().map(|of| figure(&of.title, of.svg, "")).collect();
+    let parts = [
+        Part::new("Summary", sections).judged(checks(inspection, counters, cut)),
+        Part::new("Figures", drawn("", &figures)),
+    ];
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            (head(&summary.file, ""))
+            body {
+                header {
+                    h1 { (summary.file) }
+                    p.about { "Summary of the recording, by wavex scan " (env!("CARGO_PKG_VERSION")) }
+                }
+                main { (with_contents(&parts, "", &html! {})) }
+            }
+        }
+    };
+    printable(&page.into_string()).into_owned()
+}
+
+fn checks(inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> Vec<Check> {
+    let shots = &inspection.shots;
+    let whole = Check {
+        grade: if cut.is_some() { Grade::Bad } else { Grade::Good },
+        measured: format!("read to the end: {}", if cut.is_some() { "no" } else { "yes" }),
+        rule: "good if yes, else bad".to_owned(),
+    };
+    let values =
+        || inspection.channels.iter().filter_map(|channel| Some((channel, channel.values.as_ref()?)));
+    let saturated = values().filter_map(|(_, values)| values.saturated()).map(|[_, blocks]| blocks).sum();
+    let blocks =
+        values().filter(|(_, values)| values.saturated().is_some()).map(|(channel, _)| channel.blocks).sum();
+    vec![
+        whole,
+        verdict::REJECTED.check(Some(counters.rejected.len() as f64), 1),
+        verdict::CLOCK_STEPS.check(Some(inspection.times.backwards.0 as f64), shots.count),
+        verdict::WITHOUT_ECHO.share(shots.count - shots.with_echoes, shots.count),
+        verdict::SATURATED_BLOCKS.share(saturated, blocks),
+    ]
+}

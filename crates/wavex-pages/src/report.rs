@@ -1,0 +1,204 @@
+//! Reports of a run: `*_report.json`, the page, and the statistics of each input.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize, Serializer};
+use serde_json::Value;
+
+use wavex_engine::engine::{InputSummary, RunSummary, StageSummary};
+use wavex_line::stage::OutputFile;
+use wavex_formats::{Error, Result, read_small_text};
+
+mod earlier;
+pub(crate) mod numbers;
+pub(crate) mod overview;
+pub(crate) mod page;
+pub(crate) mod panel;
+mod stat_log;
+pub(crate) mod style;
+pub mod survey;
+pub mod svg;
+mod tables;
+pub(crate) mod verdict;
+
+pub use earlier::difference;
+pub(crate) use overview::view::crs_name;
+pub use overview::{
+    Densities, Density, Flight, LineGroups, MapAxes, MapLine, MapPicture, Overview, Overviews, Picture,
+    PointSummary, QuantityHistogram, ShownKind, ShownReturn, ShownShot, TimeCoverage, ZoneCloud, ZoneClouds,
+    ZoneShare, Zones,
+};
+pub use stat_log::{geometry_words, sensor_model_words, stat_log};
+pub use tables::{input_table, latency_table, stage_table, survey_table};
+
+/// Report of a run (`*_report.json`).
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct RunReport<'r> {
+    /// Results of the run as a whole.
+    #[serde(flatten)]
+    pub run: &'r RunSummary,
+    /// One entry per input: an [`InputReport`].
+    #[schemars(with = "Vec<InputReport>")]
+    pub inputs: &'r [Value],
+}
+
+/// Results of the chain for one input.
+#[derive(Clone, Debug, Serialize, JsonSchema)]
+pub struct InputReport<'r> {
+    /// Facts about the input and its run.
+    #[serde(flatten)]
+    pub input: &'r InputSummary,
+    /// Data of the report page, if the job requests one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub overview: Option<&'r Overview>,
+    /// Stages in order.
+    pub stages: &'r [StageSummary],
+    /// Written files.
+    #[serde(serialize_with = "paths_as_text")]
+    #[schemars(with = "Vec<String>")]
+    pub outputs: &'r [PathBuf],
+    /// State of its files, for `--resume`.
+    pub files: InputFiles,
+}
+
+/// Files of an input and their states.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct InputFiles {
+    /// Files read, before the run.
+    pub read: Vec<FileState>,
+    /// Files written.
+    pub written: Vec<FileState>,
+}
+
+/// State of a file, to recognise changes.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct FileState {
+    /// Path, relative to the folder of the inputs or outputs if it is in it.
+    pub path: String,
+    /// Size, bytes.
+    pub bytes: u64,
+    /// Modification time, s since 1970.
+    pub modified_s: f64,
+    /// BLAKE3 digest, 64 hexadecimal digits; only with `--resume=digest`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub blake3: Option<String>,
+}
+
+impl InputReport<'_> {
+    /// Entry of the report.
+    ///
+    /// # Errors
+    /// If a value cannot be represented as JSON.
+    pub fn to_value(&self) -> serde_json::Result<Value> {
+        serde_json::to_value(self)
+    }
+}
+
+impl<'r> InputReport<'r> {
+    /// Results of an input, with the data of the page and its files.
+    pub fn new(
+        input: &'r InputSummary,
+        overview: Option<&'r Overview>,
+        files: InputFiles,
+    ) -> InputReport<'r> {
+        InputReport { input, overview, stages: &input.stages, outputs: &input.outputs, files }
+    }
+}
+
+/// Serialises paths as text; replaces invalid Unicode.
+fn paths_as_text<S: Serializer>(paths: &[PathBuf], to: S) -> std::result::Result<S::Ok, S::Error> {
+    to.collect_seq(paths.iter().map(|path| path.to_string_lossy()))
+}
+
+/// Maximum size of a report, bytes.
+const MOST_REPORT_BYTES: u64 = 2_000_000_000;
+
+impl RunReport<'_> {
+    /// Formats the report as indented JSON; ends with a line feed.
+    ///
+    /// # Errors
+    /// If a value cannot be represented as JSON.
+    pub fn to_json(&self) -> serde_json::Result<String> {
+        Ok(serde_json::to_string_pretty(self)? + "\n")
+    }
+
+    /// Writes `*_report.json`.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write_json(&self, file: OutputFile) -> Result<()> {
+        let json =
+            self.to_json().map_err(|error| Error::io(file.path(), "write the report")(error.into()))?;
+        write(file, &json, "write the report").map(drop)
+    }
+
+    /// Writes the page.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write_page(&self, file: OutputFile) -> Result<()> {
+        let defect =
+            |problem: String| Error::unusable(file.path(), problem, "please report this bug in wavex");
+        let report = serde_json::to_value(self).map_err(|error| defect(error.to_string()))?;
+        let page = page::page(&report, usize::MAX).map_err(|error| defect(error.to_string()))?;
+        write(file, &page, "write the page").map(drop)
+    }
+}
+
+/// Writes the statistics of an input of a run and returns the path; see [`stat_log()`].
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write_stat_log(
+    path: &Path,
+    run: &RunSummary,
+    input: &InputSummary,
+    own: &[PathBuf],
+    failure: Option<&str>,
+) -> Result<PathBuf> {
+    write(OutputFile::create(path)?, &stat_log(run, input, own, failure), "write the statistics")
+}
+
+/// Writes the page of a stored report.
+///
+/// # Errors
+/// If the report cannot be read or is invalid, or the page cannot be written.
+pub fn write_page_of(report: &Path, page: &Path) -> Result<()> {
+    let stored = read_report(report)?;
+    // A page has a few times the size of its report; a hostile report could have a thousand times.
+    let bytes = std::fs::metadata(report).map_or(0, |about| about.len());
+    let limit =
+        PAGE_BYTES + usize::try_from(bytes).unwrap_or(usize::MAX / 16).saturating_mul(PAGE_PER_REPORT);
+    let html = page::page(&stored, limit).map_err(|error| {
+        Error::unusable(report, error.to_string(), "run the job again to make a new report")
+    })?;
+    write(OutputFile::create(page)?, &html, "write the page").map(drop)
+}
+
+/// Maximum size of the page of a small stored report, bytes.
+const PAGE_BYTES: usize = 32_000_000;
+/// Further bytes of a page per byte of its report.
+const PAGE_PER_REPORT: usize = 10;
+
+/// Reads a stored report.
+///
+/// # Errors
+/// If it cannot be read or is invalid.
+pub fn read_report(path: &Path) -> Result<Value> {
+    let text = read_small_text(path, MOST_REPORT_BYTES, "a report", "give the report of a run")?;
+    let remedy = "give the report of a run or the folder that contains it";
+    let report: Value = serde_json::from_str(&text)
+        .map_err(|error| Error::unusable(path, format!("not a report of a run: {error}"), remedy))?;
+    match report["inputs"].is_array() {
+        true => Ok(report),
+        false => Err(Error::unusable(path, "not a report of a run: no `inputs`", remedy)),
+    }
+}
+
+fn write(mut file: OutputFile, text: &str, action: &'static str) -> Result<PathBuf> {
+    let written = file.write_all(text.as_bytes());
+    written.map_err(|error| Error::io(file.path(), action)(error))?;
+    file.finish()?.publish()
+}

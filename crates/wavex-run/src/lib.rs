@@ -1,0 +1,14 @@
+//! Commands as functions: production runs with their files, archives, surveys on clusters, single shots.
+//!
+//! [`run`] runs a job with report, log and archive; [`archive`] makes runs repeatable; [`cluster`] spreads a survey
+//! over computers; [`explain`] decomposes one shot. Nothing here parses arguments or prints.
+
+pub mod archive;
+pub mod cluster;
+pub mod explain;
+mod failure;
+pub mod job_file;
+pub mod log;
+pub mod run;
+
+pub use failure::Failure;

@@ -1,0 +1,49 @@
+//! The list of all stages, for jobs, the manual and the tests.
+
+use wavex_line::stage::{StageSpec, find_in};
+use crate::process::{
+    calibrate, correct, decompose, filter_outliers, fuse_channels, georeference, resolve_mta,
+};
+use crate::readers::{read_arrow, read_las, read_pulsewaves, read_sdf, simulate};
+use crate::writers::{write_arrow, write_ascii, write_las, write_lstat, write_table, write_trajectory};
+
+/// All stages that a job can use, in the order of the manual.
+pub const STAGES: &[&StageSpec] = &[
+    &read_las::STAGE,
+    &read_pulsewaves::STAGE,
+    &read_sdf::STAGE,
+    &read_arrow::STAGE,
+    &simulate::STAGE,
+    &resolve_mta::STAGE,
+    &fuse_channels::STAGE,
+    &calibrate::STAGE,
+    &decompose::STAGE,
+    &correct::STAGE,
+    &filter_outliers::STAGE,
+    &georeference::STAGE,
+    &write_las::STAGE,
+    &write_ascii::STAGE,
+    &write_trajectory::STAGE,
+    &write_lstat::STAGE,
+    &write_table::STAGE,
+    &write_arrow::STAGE,
+];
+
+/// Returns the stage of this name.
+pub fn find(name: &str) -> Option<&'static StageSpec> {
+    find_in(STAGES, name)
+}
+
+#[cfg(test)]
+mod tests {
+    use wavex_formats::format::FORMATS;
+
+    use super::*;
+
+    #[test]
+    fn readers_of_all_formats_are_stages() {
+        for format in FORMATS {
+            assert!(find(format.reader).is_some(), "{}", format.reader);
+        }
+    }
+}

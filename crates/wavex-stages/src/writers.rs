@@ -1,0 +1,8 @@
+//! Writers: sinks of scan lines.
+
+pub mod write_arrow;
+pub mod write_ascii;
+pub mod write_las;
+pub mod write_lstat;
+pub mod write_table;
+pub mod write_trajectory;

@@ -1,0 +1,196 @@
+//! `write_table`: writes every return in full precision as Arrow, Parquet or CSV.
+
+use arrow_array::RecordBatch;
+use arrow_schema::SchemaRef;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::container_info::time_scale_of;
+use wavex_line::keys::InvalidKey;
+use wavex_line::scan_line::{InputInfo, Kind, ScanLine, TimeScale};
+use wavex_line::stage::{
+    self, Context, OutputFile, Reason, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
+};
+use wavex_geodesy::crs::projjson_of_wkt;
+
+mod columns;
+mod geo;
+mod writer;
+
+pub use columns::{Row, description};
+pub use writer::{Format, ROWS_PER_GROUP, TableInfo, TableWriter};
+
+/// Registry entry of the stage.
+pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_table", &[Kind::Returns, Kind::Points]);
+
+/// Writes every return as a table row, in full precision.
+///
+/// Values that LAS rounds (amplitudes, deviation ratios, times) are written as computed, with every
+/// standard deviation. The file is Arrow IPC (`pyarrow.ipc.open_file`, `polars.read_ipc`), Parquet
+/// (`read_parquet` of DuckDB, pandas and R) or CSV.
+///
+/// The columns, in this order, are: shot, gps_time_s, return_number, number_of_returns, channel,
+/// mta_zone, range_m, range_sd_m, time_of_flight_ns, time_of_flight_sd_ns, amplitude_dn,
+/// amplitude_sd_dn, amplitude_db, width_ratio, width_ratio_sd, fwhm_ns, thickness_m,
+/// thickness_sd_m, deviation_ratio, intensity, intensity_sd, flags, withheld, class, x, y, z,
+/// total_uncertainty_m. `schemas/return_table.json` gives their types, units and meanings, which are
+/// also metadata of the columns. gps_time_s, mta_zone and
+/// amplitude_db are null if unknown; x, y and z are null before `georeference`; other unknown
+/// quantities are NaN.
+///
+/// Parquet of points is GeoParquet 1.1: a last column, `geometry`, repeats x, y and z as WKB, with the
+/// coordinate reference system as PROJJSON (geodetic, transverse Mercator and Lambert systems; for
+/// others, only as WKT in the metadata `wavex.crs`). GeoPandas and DuckDB's spatial extension open it.
+///
+/// Rows are written in groups of 65 536, so that memory is bounded and the same returns give the
+/// same bytes. Withheld returns are written, and marked. A table without returns has its columns
+/// but no rows. Rejected, and counted, are returns whose shot is not in the line.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Output file; `*` is the input's stem. The extension sets the format: `.arrow`, `.parquet`,
+    /// `.csv`.
+    pub path: String,
+    /// Format, if not given by the extension.
+    pub format: Option<Format>,
+}
+
+impl Default for Config {
+    fn default() -> Config {
+        Config { path: "*_returns.parquet".into(), format: None }
+    }
+}
+
+impl Config {
+    fn format(&self) -> Option<Format> {
+        self.format.or_else(|| Format::of(&self.path))
+    }
+}
+
+impl stage::Config for Config {
+    fn check(&self) -> std::result::Result<(), InvalidKey> {
+        InvalidKey::unless(!self.path.is_empty(), "path", "the path is empty")?;
+        let problem = "it does not end in .arrow, .parquet or .csv: set the key `format`";
+        InvalidKey::unless(self.format().is_some(), "path", problem)
+    }
+}
+
+impl SinkConfig for Config {
+    fn outputs(&self) -> Vec<&str> {
+        vec![&self.path]
+    }
+
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
+        let format = self.format().unwrap_or(Format::Parquet);
+        Ok(Box::new(ReturnTableWriter { state: State::Waiting(run.create(&self.path)?), format }))
+    }
+}
+
+/// Rows of the returns of a line, without those whose shot is not in it.
+pub fn rows_of(line: &ScanLine) -> impl Iterator<Item = Row> + '_ {
+    let points = line.points().unwrap_or_default();
+    line.returns().into_iter().flatten().enumerate().filter_map(move |(index, found)| {
+        let emission = line.emissions.get(found.emission as usize)?;
+        Some(Row {
+            shot: emission.shot,
+            gps_time_s: emission.gps_time_s,
+            found: *found,
+            point: points.get(index).copied(),
+            profile: line.profile(found.emission).copied(),
+        })
+    })
+}
+
+/// Schema of the table of returns of a recording; the reference system is that of points.
+pub fn return_schema(info: &InputInfo, has_points: bool) -> SchemaRef {
+    let crs_wkt = info.crs_wkt.as_deref().filter(|_| has_points);
+    columns::schema(time_scale_of(info.time_scale).name(), crs_wkt)
+}
+
+/// Rows as a record batch; `schema` is that of [`return_schema`].
+///
+/// # Errors
+/// If the schema is another one.
+pub fn return_batch(schema: &SchemaRef, rows: &[Row]) -> Result<RecordBatch> {
+    let batch = columns::record_batch(schema, rows);
+    batch.map_err(|error| StageError::failed(error.to_string(), "please report this bug in wavex"))
+}
+
+/// A table being written.
+struct ReturnTableWriter {
+    state: State,
+    format: Format,
+}
+
+enum State {
+    /// Waiting for the first line, which gives the time scale.
+    Waiting(OutputFile),
+    Open(Box<TableWriter<OutputFile>>),
+    /// A write failed; the run ends.
+    Failed,
+}
+
+/// Warning for a system that GeoParquet cannot store.
+const NO_SYSTEM: &str = "the coordinate reference system of the points cannot be written as PROJJSON (only transverse Mercator \
+     and Lambert projections and geographic systems can): `crs` of the GeoParquet metadata is null, and the WKT is in \
+     `wavex.crs`";
+
+impl ReturnTableWriter {
+    /// The table, started with what the first line has.
+    fn writer(
+        &mut self,
+        time_scale: TimeScale,
+        crs_wkt: Option<&str>,
+        has_points: bool,
+    ) -> Result<&mut TableWriter<OutputFile>> {
+        if let State::Waiting(_) = self.state
+            && let State::Waiting(to) = std::mem::replace(&mut self.state, State::Failed)
+        {
+            let path = to.path().to_path_buf();
+            let time_scale = time_scale_of(time_scale).name();
+            let info = TableInfo { time_scale, crs_wkt, has_points };
+            self.state = State::Open(Box::new(TableWriter::new(to, &path, self.format, info)?));
+        }
+        match &mut self.state {
+            State::Open(writer) => Ok(writer),
+            _ => Err(StageError::Stopped),
+        }
+    }
+}
+
+impl Sink for ReturnTableWriter {
+    fn write(&mut self, line: &ScanLine, cx: &mut Context) -> Result<()> {
+        let Some(returns) = line.returns() else {
+            return Err(StageError::failed(
+                format!("write_table received {}, but writes Returns or Points", line.kind()),
+                "put it after `decompose`",
+            ));
+        };
+        let crs_wkt = line.input.crs_wkt.as_deref();
+        let is_parquet = matches!(self.format, Format::Parquet) && line.points().is_some();
+        let is_begun = !matches!(self.state, State::Waiting(_));
+        if is_parquet && !is_begun && crs_wkt.is_some_and(|wkt| projjson_of_wkt(wkt).is_none()) {
+            cx.warn(NO_SYSTEM);
+        }
+        let writer = self.writer(line.input.time_scale, crs_wkt, line.points().is_some())?;
+        let mut rows = 0;
+        for row in rows_of(line) {
+            rows += 1;
+            writer.push(row)?;
+        }
+        cx.reject(Reason::ReturnWithoutShot, (returns.len() - rows) as u64);
+        Ok(())
+    }
+
+    fn finish(mut self: Box<Self>, cx: &mut Context) -> Result<()> {
+        // A table without lines still has its columns.
+        self.writer(TimeScale::Unknown, None, false)?;
+        if let State::Open(writer) = self.state {
+            cx.publish(writer.finish()?.finish()?);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;
