@@ -8,8 +8,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use wavex::scan_line::{Blocks, Content, Return, ScanLine};
+use wavex::stage::pose_source::PoseSource;
 use wavex::stage::{Context, RunContext, Source};
-use wavex::stages::pose_source::PoseSource;
 use wavex_testkit::georeferenced_flight::{Flight, fly, georeference, return_of, run_context, source};
 
 const GOAL_PER_S: f64 = 2e6;

@@ -7,6 +7,7 @@
 #![allow(clippy::print_stdout, clippy::panic, reason = "a bench prints its figures and panics on failure")]
 
 use std::path::Path;
+use wavex::registry::STAGES;
 
 use wavex::engine::{self, Options};
 use wavex::job::{Job, Override};

@@ -6,11 +6,12 @@
 #![allow(clippy::print_stdout, reason = "an example prints what it finds")]
 
 use std::path::Path;
+use wavex::registry::STAGES;
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use wavex::job::Job;
-use wavex_formats::format::reader_of;
 use wavex::stage::{Context, Plan, RunContext};
+use wavex_formats::format::reader_of;
 
 fn main() -> Result<()> {
     let file = std::env::args()

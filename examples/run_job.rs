@@ -8,6 +8,7 @@
 use anyhow::{Context, Result};
 use wavex::engine::{self, Options};
 use wavex::job::{Job, Override};
+use wavex::registry::STAGES;
 
 const JOB: &str = "\
 [[stage]]

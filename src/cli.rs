@@ -10,9 +10,9 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser};
 
 use wavex_engine::job::{Job, Override, job_schema_text};
-use wavex_stages::registry::STAGES;
 use wavex_line::system;
 use wavex_run::{Failure, job_file, log};
+use wavex_stages::registry::STAGES;
 
 mod archive;
 mod args;
@@ -25,7 +25,7 @@ mod copc;
 mod doctor;
 mod explain;
 mod false_alarms;
-pub mod import;
+mod import;
 mod init;
 mod man;
 mod plan;
@@ -40,7 +40,6 @@ mod trajectory;
 mod usage;
 mod version;
 mod view;
-
 
 use args::{
     ArchiveArgs, CalibrateArgs, Classic, ExplainArgs, ImportArgs, InputRule, JobArgs, Machine, ScanArgs,

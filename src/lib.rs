@@ -6,6 +6,7 @@
 //! ```
 //! use wavex::engine::{self, Options};
 //! use wavex::job::Job;
+//! use wavex::registry::STAGES;
 //!
 //! let text = "
 //! [[stage]]
@@ -27,9 +28,10 @@
 
 pub mod cli;
 
+pub use wavex_classic as classic;
 pub use wavex_engine::{engine, job, recording};
 pub use wavex_line::{georef, keys, plausibility, reason, scan_line, stage};
-pub use wavex_pages::{explain, inspect, report, view};
-pub use wavex_run::{archive, cluster};
+pub use wavex_pages::{inspect, report, view};
+pub use wavex_run::{Failure, archive, cluster, explain, job_file, run};
 pub use wavex_stages as stages;
 pub use wavex_stages::{checks, registry};

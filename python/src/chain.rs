@@ -2,14 +2,15 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use wavex::registry::STAGES;
 
 use pyo3::prelude::*;
 use toml::Table;
 
 use wavex::engine::{Cancel, Input, Options};
 use wavex::job::Job;
-use wavex_formats::format::reader_of;
 use wavex::stages::process::calibrate::Calibrate;
+use wavex_formats::format::reader_of;
 use wavex_signal::sensor_model::SensorModel;
 
 use crate::errors;
@@ -52,7 +53,8 @@ impl Place {
             text += "\n";
             text += &toml_value::stage(name, keys)?;
         }
-        Job::parse(STAGES, &self.path.display().to_string(), &text, &[]).map_err(|errors| errors::of_job(&errors))
+        Job::parse(STAGES, &self.path.display().to_string(), &text, &[])
+            .map_err(|errors| errors::of_job(&errors))
     }
 }
 

@@ -7,10 +7,11 @@ use pyo3::exceptions::{PyException, PyKeyboardInterrupt};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use wavex::cli::{Failure, RunFailure};
+use wavex::Failure;
 use wavex::engine::{Cause, RunError};
 use wavex::georef;
 use wavex::job::JobErrors;
+use wavex::run::RunFailure;
 use wavex::stage::StageError;
 
 create_exception!(wavex, Error, PyException, "Base of all errors of this package.");

@@ -6,10 +6,11 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyType};
 use toml::{Table as Keys, Value};
 
-use wavex::cli::{RunRequest, read_job, run_quietly};
 use wavex::engine::{Cancel, ProgressWatch};
 use wavex::job::{Job as Parsed, Override, manual_of, summary};
+use wavex::job_file;
 use wavex::registry::STAGES;
+use wavex::run::{RunRequest, run_quietly};
 use wavex::stage::{Plan, StageSpec};
 
 use crate::errors;
@@ -71,7 +72,7 @@ impl Job {
             }
         }
         job.insert("stage".into(), Value::Array(of_rust));
-        let parsed = Parsed::parse("the job", &toml_value::text(&job)?, &[]);
+        let parsed = Parsed::parse(STAGES, "the job", &toml_value::text(&job)?, &[]);
         let mut parsed = parsed.map_err(|errors| errors::of_job(&errors))?;
         for (place, stage) in of_python {
             insert(&mut parsed, place, &stage, py)?;
@@ -104,7 +105,7 @@ impl Job {
         name: &str,
     ) -> PyResult<Job> {
         let set: Vec<Override> = overrides(set)?.into_iter().map(Override::new).collect();
-        let parsed = Parsed::parse(name, text, &set).map_err(|errors| errors::of_job(&errors))?;
+        let parsed = Parsed::parse(STAGES, name, text, &set).map_err(|errors| errors::of_job(&errors))?;
         Ok(Job { parsed, folder: folder.unwrap_or_else(|| ".".into()) })
     }
 
@@ -125,9 +126,9 @@ impl Job {
         if !path.is_file() {
             return Err(errors::read(format!("{}: no such job; check the path", path.display()), &path));
         }
-        let (parsed, folder) =
-            read_job(&path, &overrides(set)?).map_err(|failure| errors::of_command(&failure))?;
-        Ok(Job { parsed, folder })
+        let set = overrides(set)?.into_iter().map(Override::new).collect();
+        let parsed = job_file::read(&path, set).map_err(|failure| errors::of_command(&failure))?;
+        Ok(Job { parsed, folder: job_file::folder(&path) })
     }
 
     /// The same job with a Python stage after another stage.
@@ -278,11 +279,10 @@ pub fn run<'py>(
     };
     let done = interruptible(py, &cancel, look, || {
         run_quietly(RunRequest {
-            job: &parsed,
-            folder: &folder,
             profile,
             cancel: cancel.clone(),
-            watch: watch.clone(),
+            watch: Some(watch.clone()),
+            ..RunRequest::quiet(&parsed, &folder)
         })
     })?;
     let done = done.map_err(errors::of_run_failure)?;

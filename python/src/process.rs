@@ -9,8 +9,8 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict};
 use toml::Table as Keys;
 
-use wavex::cli::{Explanation as Explained, explain_shot};
 use wavex::engine::{self, Cancel};
+use wavex::explain::{Explanation as Explained, explain_shot};
 use wavex::scan_line::ScanLine;
 use wavex::stage::{Context, FittedBlock};
 use wavex::stages::writers::write_table::{Row, return_batch, return_schema};

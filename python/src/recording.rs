@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use wavex::registry::STAGES;
 
 use pyo3::exceptions::{PyIndexError, PyKeyError};
 use pyo3::prelude::*;
@@ -55,7 +56,7 @@ impl Recording {
         let set: Vec<String> =
             place.keys.iter().map(|(key, value)| format!("{}.{key}={value}", place.reader)).collect();
         let path = place.path.clone();
-        let opened = py.detach(|| Access::open(&path, &set));
+        let opened = py.detach(|| Access::open(STAGES, &path, &set));
         let access = opened.map_err(|error| match error {
             OpenError::Format(text) => errors::read(text, &place.path),
             OpenError::Keys(errors) => errors::of_job(&errors),

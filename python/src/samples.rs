@@ -3,6 +3,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use wavex::registry::STAGES;
 
 use arrow_array::ffi::{FFI_ArrowArray, FFI_ArrowSchema, from_ffi_and_data_type};
 use arrow_array::{
@@ -281,7 +282,8 @@ fn config_of(keys: Option<&Bound<'_, PyDict>>) -> PyResult<Decompose> {
         toml_value::stage("calibrate", &toml::Table::new())?,
         toml_value::stage("decompose", &table(keys)?)?
     );
-    let job = Job::parse(STAGES, "the keys of decompose", &text, &[]).map_err(|errors| errors::of_job(&errors))?;
+    let job =
+        Job::parse(STAGES, "the keys of decompose", &text, &[]).map_err(|errors| errors::of_job(&errors))?;
     let stage = job.stages.into_iter().next_back();
     let keys = stage.map(|stage| stage.planned.resolved).unwrap_or_default();
     serde_json::from_value(keys)

@@ -5,8 +5,8 @@ use std::io::IsTerminal;
 use std::path::Path;
 
 use super::{ArchiveArgs, Failure, When, print, run};
-use wavex_run::archive::{self, Folders, Replay};
 use wavex_engine::engine::Cancel;
+use wavex_run::archive::{self, Folders, Replay};
 
 /// Runs an archived job again and reports differences.
 pub(super) fn replay(

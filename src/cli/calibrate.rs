@@ -6,13 +6,13 @@ use std::path::Path;
 use super::{CalibrateArgs, Failure, JobArgs, run, terminal};
 use wavex_engine::engine::{self, Options};
 use wavex_engine::job::{Job, Override};
+use wavex_formats::Error;
 use wavex_formats::format::reader_of;
+use wavex_line::stage::{FinishedFile, OutputFile};
+use wavex_pages::report::{sensor_model_words, survey_table};
 use wavex_run::archive::shown;
 use wavex_run::run::{RunRequest, folders};
 use wavex_stages::registry::STAGES;
-use wavex_pages::report::{sensor_model_words, survey_table};
-use wavex_line::stage::{FinishedFile, OutputFile};
-use wavex_formats::Error;
 
 /// Calibrates from a recording or a survey, saves the model if requested, prints it.
 pub(super) fn calibrate(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure> {

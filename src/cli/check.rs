@@ -5,9 +5,9 @@ use std::fs::{self, OpenOptions};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{Failure, InputRule, JobArgs, check_inputs, print, run, terminal};
-use wavex_line::georef::check_crs;
+use super::{Failure, InputRule, JobArgs, check_inputs, print, terminal};
 use wavex_engine::job::Job;
+use wavex_line::georef::check_crs;
 use wavex_line::stage::fixed_folder;
 
 /// Prints the job's chain, inputs and folders, or its errors.
@@ -81,6 +81,7 @@ pub(super) fn try_file_in(folder: &Path) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use wavex_stages::registry::STAGES;
 
     /// The text without the names of this folder and the free disk space.
     fn here(said: &str, folder: &Path) -> String {

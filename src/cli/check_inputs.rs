@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use super::terminal::size;
-use wavex_run::archive::missing_files;
 use wavex_engine::engine;
 use wavex_engine::job::Job;
 use wavex_formats::{CompanionIndex, Format};
+use wavex_run::archive::missing_files;
 
 /// Usual throughput of one core, MB of input per second, at most and at least: `fastest` on single
 /// pulses, `refined` on vegetation.

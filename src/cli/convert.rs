@@ -4,10 +4,10 @@ use std::path::Path;
 
 use super::{Failure, Machine, run};
 use wavex_engine::job::Job;
+use wavex_formats::extensions::has_extension;
+use wavex_formats::format::reader_of;
 use wavex_run::run::RunRequest;
 use wavex_stages::registry::STAGES;
-use wavex_formats::format::reader_of;
-use wavex_formats::extensions::has_extension;
 
 /// Runs the job that copies `input` to `output`.
 ///

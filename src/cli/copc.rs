@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 
 use super::{Failure, terminal};
 use wavex_engine::engine::{Phase, ProgressMode};
-use wavex_line::stage::{FinishedFile, OutputFile, OutputLock, Outputs};
-use wavex_stages::stac;
 use wavex_formats::Error;
 use wavex_formats::extensions::{LAZ, has_extension};
 use wavex_formats::las::{CopcSummary, indexes_beside, write_copc};
+use wavex_line::stage::{FinishedFile, OutputFile, OutputLock, Outputs};
+use wavex_stages::stac;
 
 /// Maximum number of sorted runs, claimed in advance.
 ///

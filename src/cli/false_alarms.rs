@@ -125,7 +125,7 @@ mod tests {
 
     #[test]
     fn correlations_that_do_not_exist_are_refused() {
-        let message = |text: &str| noise(text).unwrap_err().message(false);
+        let message = |text: &str| super::super::terminal::message(&noise(text).unwrap_err(), false);
         assert_eq!(
             message("half"),
             "error: --correlation half: not a number or a list of numbers separated by `:`\n"
@@ -145,7 +145,8 @@ mod tests {
 
     #[test]
     fn what_no_table_can_be_made_of_is_refused() {
-        let message = |args: FalseAlarmArgs| check(&args).unwrap_err().message(false);
+        let message =
+            |args: FalseAlarmArgs| super::super::terminal::message(&check(&args).unwrap_err(), false);
         let sigma = |sigma: f64| FalseAlarmArgs { sigma: vec![4.5, sigma], ..args(&["0"]) };
         assert_eq!(message(sigma(f64::NAN)), "error: --sigma NaN: must be between 1 and 30\n");
         assert_eq!(message(sigma(-1.0)), "error: --sigma -1: must be between 1 and 30\n");

@@ -4,10 +4,10 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use super::args::{CollectArgs, PlanArgs};
-use super::{Failure, print, run, terminal};
+use super::{Failure, print, terminal};
+use wavex_line::georef::check_crs;
 use wavex_run::archive::check_destination;
 use wavex_run::cluster::{self, PlanOptions, SurveyPlan};
-use wavex_line::georef::check_crs;
 
 /// Cores per task if neither the job nor the command line has a number.
 const CORES: usize = 4;
@@ -78,7 +78,12 @@ pub(super) fn collect(args: &CollectArgs, quiet: bool) -> Result<(), Failure> {
         }
         if let Some((path, seals)) = &found.archive {
             let _ = writeln!(said, "results {}", seals.results);
-            let _ = writeln!(said, "archived in {}; seal {}", wavex_run::archive::shown(path).display(), seals.seal);
+            let _ = writeln!(
+                said,
+                "archived in {}; seal {}",
+                wavex_run::archive::shown(path).display(),
+                seals.seal
+            );
         }
         print(&said)?;
     }

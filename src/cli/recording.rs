@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use super::{Failure, scan};
-use wavex_pages::inspect::Inspection;
 use wavex_formats::format::reader_of;
 use wavex_line::scan_line::{Channel, Frame};
+use wavex_pages::inspect::Inspection;
 
 /// Number of shots read to recognise a recording.
 const LOOKED_AT: u64 = 20_000;

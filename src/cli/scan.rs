@@ -6,13 +6,13 @@ use std::sync::Arc;
 
 use super::{Failure, ScanArgs, terminal};
 use wavex_engine::engine::{self, Gauge, Input, Progress};
-use wavex_pages::inspect::{Inspection, Summary, histogram_files, page};
 use wavex_engine::job::{Job, Override};
+use wavex_formats::Error;
 use wavex_formats::format::reader_of;
-use wavex_stages::registry::STAGES;
 use wavex_line::scan_line::ScanLine;
 use wavex_line::stage::{Context, FinishedFile, OutputFile, Paths, Plan, RunContext, StageError};
-use wavex_formats::Error;
+use wavex_pages::inspect::{Inspection, Summary, histogram_files, page};
+use wavex_stages::registry::STAGES;
 
 /// Inspects recordings, writes the results, and prints the summaries.
 ///

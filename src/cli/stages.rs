@@ -2,8 +2,8 @@
 
 use super::{Failure, print};
 use wavex_engine::job::{manual_of, summary};
-use wavex_line::stage::{find_in, nearest_of};
 use wavex_line::stage::StageSpec;
+use wavex_line::stage::{find_in, nearest_of};
 
 /// Prints the list, or the page of one stage.
 pub(super) fn stages(known: &[&'static StageSpec], name: Option<&str>) -> Result<(), Failure> {
@@ -71,8 +71,11 @@ mod tests {
         let error = page(&known, "simulat").unwrap_err();
         let expected =
             "error: unknown stage `simulat`; did you mean `simulate`? (stages: read_las, simulate)\n";
-        assert_eq!(error.message(false), expected);
+        assert_eq!(super::super::terminal::message(&error, false), expected);
         let error = page(&known, "fly").unwrap_err();
-        assert_eq!(error.message(false), "error: unknown stage `fly` (stages: read_las, simulate)\n");
+        assert_eq!(
+            super::super::terminal::message(&error, false),
+            "error: unknown stage `fly` (stages: read_las, simulate)\n"
+        );
     }
 }

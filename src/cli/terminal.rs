@@ -2,8 +2,8 @@
 
 use std::io::{self, ErrorKind, IsTerminal, Write};
 
-use wavex_run::Failure;
 use wavex_line::printable::printable;
+use wavex_run::Failure;
 
 /// Prints a result.
 ///

@@ -4,8 +4,6 @@ use std::io::Write;
 use std::path::Path;
 
 use super::{Failure, TrajectoryArgs, terminal};
-use wavex_line::georef::trajectory_file::{remedy, without_outliers};
-use wavex_line::stage::{FinishedFile, OutputFile};
 use map::Map;
 use summary::About;
 use wavex_formats::Error;
@@ -13,6 +11,8 @@ use wavex_formats::trajectory::{self, Angles, FileTime, Options, Unproject};
 use wavex_geodesy::time_axis::Clock;
 use wavex_geodesy::trajectory::plausibility::{Limits, contradiction};
 use wavex_geodesy::trajectory::{Accuracy, Trajectory};
+use wavex_line::georef::trajectory_file::{remedy, without_outliers};
+use wavex_line::stage::{FinishedFile, OutputFile};
 
 mod map;
 mod picture;

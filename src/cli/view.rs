@@ -8,15 +8,15 @@ use serde_json::{Map, Value};
 use super::init::of_recording;
 use super::report::only_report;
 use super::run::stop_on_signals;
-use wavex_run::run::folders;
 use super::{Failure, JobArgs, ViewArgs, terminal};
 use wavex_engine::engine::Cancel;
-use wavex_line::georef::check_crs;
 use wavex_engine::job::{Include, Job, Override};
-use wavex_stages::registry::STAGES;
-use wavex_pages::report::read_report;
+use wavex_line::georef::check_crs;
 use wavex_line::stage::counted;
+use wavex_pages::report::read_report;
 use wavex_pages::view::{self, Opened};
+use wavex_run::run::folders;
+use wavex_stages::registry::STAGES;
 
 /// Interval at which the end is looked for.
 const TICK: Duration = Duration::from_millis(100);

@@ -151,5 +151,5 @@ fn the_job_that_init_writes_fits_as_soon_as_its_stages_exist() {
 
 #[test]
 fn the_page_on_the_classic_command_line_is_up_to_date() {
-    check("docs/import.md", &wavex::cli::import::page());
+    check("docs/import.md", &wavex::classic::page());
 }

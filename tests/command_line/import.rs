@@ -7,9 +7,10 @@ mod runs;
 mod table;
 mod truth;
 
-use wavex::cli::import::draft::Known;
-use wavex::cli::import::{Import, Place, import};
+use wavex::classic::draft::Known;
+use wavex::classic::{Import, Place, import};
 use wavex::job::Job;
+use wavex::registry::STAGES;
 
 /// Words of a line without quoted blanks.
 fn words(line: &str) -> Vec<String> {

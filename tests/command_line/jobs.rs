@@ -1,6 +1,7 @@
 //! All jobs of the repository are valid, and the demo runs.
 
 use std::path::Path;
+use wavex::registry::STAGES;
 
 use wavex::job::Job;
 use wavex_testkit::recordings::{run, run_job};

@@ -3,10 +3,10 @@
 use std::sync::LazyLock;
 
 use proptest::prelude::*;
-use wavex::cli::import::draft::Known;
-use wavex::cli::import::options::Takes;
-use wavex::cli::import::versions::VERSIONS;
-use wavex::cli::import::{Place, import};
+use wavex::classic::draft::Known;
+use wavex::classic::options::Takes;
+use wavex::classic::versions::VERSIONS;
+use wavex::classic::{Place, import};
 use wavex::job::{Include, Job, MAX_BYTES, MAX_INCLUDES, Override, read_text};
 use wavex::registry::STAGES;
 use wavex_testkit::TestFolder;
@@ -150,7 +150,7 @@ fn a_log_that_cannot_be_written_is_reported() {
     assert!(ended.err.contains(expected), "{}", ended.err);
 }
 
-fn translated(words: &[String], classic: Option<&str>) -> Result<wavex::cli::import::Import, String> {
+fn translated(words: &[String], classic: Option<&str>) -> Result<wavex::classic::Import, String> {
     static KNOWN: LazyLock<Known> = LazyLock::new(Known::this_build);
     let place = Place { known: &KNOWN, base: None, read: &|_| None, latitude: &|_, _| None };
     import(words, classic, &place)

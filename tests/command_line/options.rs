@@ -8,8 +8,8 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use wavex::cli::import::becomes;
-use wavex::cli::import::versions::VERSIONS;
+use wavex::classic::becomes;
+use wavex::classic::versions::VERSIONS;
 
 mod shown;
 

@@ -1,6 +1,7 @@
 //! Text sinks: their output against that of the other sinks of the same run.
 
 use std::path::Path;
+use wavex::registry::STAGES;
 
 use wavex::engine;
 use wavex::job::Job;
@@ -24,7 +25,8 @@ type = 'georeference'
 /// Runs a job of simulator, points, and these stages.
 #[track_caller]
 fn run(folder: &Path, stages: &str) -> engine::RunSummary {
-    let job = Job::parse(STAGES, "job.toml", &format!("{TO_POINTS}{stages}"), &[]).unwrap_or_else(|e| panic!("{e}"));
+    let job = Job::parse(STAGES, "job.toml", &format!("{TO_POINTS}{stages}"), &[])
+        .unwrap_or_else(|e| panic!("{e}"));
     engine::run(&job, &engine::Options::of_job(&job, folder, folder)).unwrap_or_else(|e| panic!("{e}"))
 }
 

@@ -2,6 +2,7 @@
 
 use wavex::engine::{self, Options};
 use wavex::job::Job;
+use wavex::registry::STAGES;
 use wavex::scan_line::ScanLine;
 use wavex_testkit::false_returns::{SCENES, copy, filtered, fly, kept, score_of_stage, without_trajectory};
 

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, UNIX_EPOCH};
+use wavex::registry::STAGES;
 
 use wavex::job::{Job, Override};
 use wavex::recording::{LineIndex, OpenError, Recording, index_path};

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::sync::Mutex;
+use wavex::registry::STAGES;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

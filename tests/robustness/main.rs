@@ -15,7 +15,6 @@ mod fuzz_corpora;
 mod hostile;
 #[cfg(unix)]
 mod killed;
-mod layers;
 mod repeatable;
 #[cfg(unix)]
 mod resumed;

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
+use wavex::registry::STAGES;
 
 use wavex::engine::{self, Options};
 use wavex::job::{Job, Override, Simd};

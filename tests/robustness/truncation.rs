@@ -8,7 +8,8 @@ use std::path::Path;
 
 use wavex::engine::{self, Cause};
 use wavex::stage::StageSpec;
-use wavex::stages::{read_arrow, read_las, read_pulsewaves, simulate, write_arrow};
+use wavex::stages::readers::{read_arrow, read_las, read_pulsewaves, simulate};
+use wavex::stages::writers::write_arrow;
 
 /// Headers end before this byte; every byte up to here is tested.
 const HEADERS: usize = 400;

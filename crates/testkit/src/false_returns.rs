@@ -2,6 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
+use wavex::registry::STAGES;
 
 use wavex::engine::{self, Options};
 use wavex::job::Job;

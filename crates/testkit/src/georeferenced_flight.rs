@@ -3,14 +3,15 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use wavex::registry::STAGES;
 
 use wavex::engine::{self, Options, RunSummary};
 use wavex::georef::{GeometryKeys, Loader};
 use wavex::job::Job;
 use wavex::registry;
 use wavex::scan_line::{Content, Emission, Frame, InputInfo, LineStats, Return, ScanLine, TimeScale};
+use wavex::stage::pose_source::PoseSource;
 use wavex::stage::{Context, Map, Plan, RunContext, Source};
-use wavex::stages::pose_source::PoseSource;
 use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex_geodesy::frames::{IDENTITY, Rotation, rotate};
 use wavex_simd::SimdLevel;

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use wavex::registry::STAGES;
 
 use wavex::engine::{self, InputSummary, Options};
 use wavex::job::{Job, Override};

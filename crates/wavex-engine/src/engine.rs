@@ -15,8 +15,8 @@ use std::time::Instant;
 use rayon::ThreadPool;
 use wavex_simd::SimdLevel;
 
-use wavex_line::georef::Loader;
 use crate::job::{Job, OnError};
+use wavex_line::georef::Loader;
 use wavex_line::stage::{Context, OutputLock, Plan, RunContext, RunObservers, StageError, SurveyModels};
 
 mod chain;

@@ -6,8 +6,8 @@ use wavex_simd::SimdLevel;
 
 use wavex_line::scan_line::{Content, Emission, InputInfo, LineStats, Returns, ScanLine};
 use wavex_line::stage::{Context, Reason, StageError, counted};
-use wavex_stages::process::decompose::{Decompose, Line, Seen, SeenBlock, SeenPulse, Shot, ShotDecomposer};
 use wavex_signal::sensor_model::SensorModel;
+use wavex_stages::process::decompose::{Decompose, Line, Seen, SeenBlock, SeenPulse, Shot, ShotDecomposer};
 
 mod picture;
 mod table;
@@ -16,7 +16,9 @@ mod table;
 pub struct Explained {
     /// Path of the recording.
     pub(crate) file: String,
+    /// The shot, with its fitted emission time.
     pub emission: Emission,
+    /// Metadata of the recording.
     pub input: Arc<InputInfo>,
     /// Sorted by time.
     pub returns: Returns,
@@ -34,6 +36,7 @@ pub enum ExplainError {
     /// The shot lacks something: problem and remedy.
     #[error("{0}")]
     Without(String),
+    /// A stage failed.
     #[error(transparent)]
     Stage(#[from] StageError),
 }

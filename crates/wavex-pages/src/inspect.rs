@@ -7,10 +7,10 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use wavex_geodesy::vertical::down_at;
 use wavex_line::scan_line::{
     Block, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, ScanLine, emission_flags,
 };
-use wavex_geodesy::vertical::down_at;
 
 mod dates;
 mod figures;

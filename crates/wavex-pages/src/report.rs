@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize, Serializer};
 use serde_json::Value;
 
 use wavex_engine::engine::{InputSummary, RunSummary, StageSummary};
-use wavex_line::stage::OutputFile;
 use wavex_formats::{Error, Result, read_small_text};
+use wavex_line::stage::OutputFile;
 
 mod earlier;
 pub(crate) mod numbers;

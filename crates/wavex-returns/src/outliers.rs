@@ -228,7 +228,7 @@ mod tests {
 
     #[test]
     fn a_search_finds_what_looking_at_all_finds() {
-        use crate::simulated::Random;
+        use wavex_signal::simulated::Random;
         let mut random = Random::new(11);
         let mut cloud = || -> PointLine {
             let place = |random: &mut Random| std::array::from_fn(|_| 20.0 * random.uniform());

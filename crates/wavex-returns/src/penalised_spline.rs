@@ -100,7 +100,7 @@ fn bend_penalty(n: usize) -> DMatrix<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulated::Random;
+    use wavex_signal::simulated::Random;
 
     fn points(n: usize, y: impl Fn(f64) -> f64) -> Vec<DataPoint> {
         (0..n).map(|k| k as f64 / n as f64).map(|x| DataPoint { x, y: y(x), weight: 1.0 }).collect()

@@ -20,8 +20,8 @@ use std::path::{Path, PathBuf};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use wavex_line::stage::Result;
 use wavex_formats::{Error, path_within, read_small_text};
+use wavex_line::stage::Result;
 
 mod collect;
 mod estimate;

@@ -9,17 +9,17 @@ use serde::de::DeserializeOwned;
 
 use crate::{Failure, job_file, run};
 use wavex_engine::engine::{Cancel, Input, Options, Phase, ProgressMode, observe};
-use wavex_pages::explain::{ExplainError, Explained};
 use wavex_engine::job::{Job, JobStage, Override};
 use wavex_engine::recording::{Excerpt, LineIndex, Recording};
 use wavex_formats::format::reader_of;
 use wavex_line::scan_line::{Emission, InputInfo, Returns, ScanLine};
 use wavex_line::stage::{Context, FittedBlock, Plan, RunContext, SourcePlan};
+use wavex_pages::explain::{ExplainError, Explained};
+use wavex_signal::sensor_model::SensorModel;
 use wavex_stages::process::calibrate::Calibrate;
 use wavex_stages::process::decompose::Decompose;
 use wavex_stages::process::resolve_mta::LINES_AROUND;
 use wavex_stages::registry::STAGES;
-use wavex_signal::sensor_model::SensorModel;
 
 /// A shot with its fit, for programs; see [`explain_shot`].
 #[derive(Debug)]

@@ -2,8 +2,6 @@
 
 use wavex_engine::job::JobErrors;
 
-use crate::run::RunFailure;
-
 /// Reason why a command failed.
 #[derive(Debug)]
 pub enum Failure {
@@ -28,14 +26,5 @@ impl Failure {
 impl From<JobErrors> for Failure {
     fn from(errors: JobErrors) -> Failure {
         Failure::Job(errors)
-    }
-}
-
-impl From<RunFailure> for Failure {
-    fn from(failure: RunFailure) -> Failure {
-        match failure.is_invalid {
-            true => Failure::Wrong(failure.message),
-            false => Failure::Run(failure.message),
-        }
     }
 }

@@ -20,8 +20,11 @@ pub fn read(job: &Path, overrides: Vec<Override>) -> Result<Job, Failure> {
     };
     let text = text.map_err(|error| Failure::Wrong(format!("{name}: cannot read the job: {error}")))?;
     let folder = folder(job);
-    let includes: Result<Vec<Include>, Failure> =
-        included(&text).iter().take(MAX_INCLUDES + 1).map(|included| read_include(&folder, included)).collect();
+    let includes: Result<Vec<Include>, Failure> = included(&text)
+        .iter()
+        .take(MAX_INCLUDES + 1)
+        .map(|included| read_include(&folder, included))
+        .collect();
     Ok(Job::parse_with(STAGES, &name, &text, &includes?, &overrides)?)
 }
 

@@ -14,10 +14,10 @@ use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{Layer, fmt};
 
+use wavex_formats::{Error, Result};
 use wavex_line::printable::printable;
 use wavex_line::stage::own_file;
 use wavex_line::system::Unpoisoned as _;
-use wavex_formats::{Error, Result};
 
 /// Target of the error that ends a command.
 const FATAL: &str = "wavex_fatal";

@@ -1,23 +1,22 @@
 //! Runs a job like `wavex run`: with report, page, log, statistics and archive.
 
 use std::fmt::Write as _;
-use std::io::IsTerminal;
 use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, Mutex, TryLockError};
 use std::time::Duration;
 
+use crate::archive::Recorder;
 use crate::archive::shown;
 use crate::{Failure, log};
-use crate::archive::Recorder;
 use wavex_engine::engine::{
     self, Cancel, Cause, InputStatus, InputSummary, Options, ProgressMode, ProgressWatch, RunError,
     RunSummary,
 };
-use wavex_line::georef::check_crs;
-use wavex_engine::job::{Job, Override};
-use wavex_pages::report;
-use wavex_line::stage::{StageError, counted, release_all, remove_unfinished_files};
+use wavex_engine::job::Job;
 use wavex_formats::Error;
+use wavex_line::georef::check_crs;
+use wavex_line::stage::{StageError, counted};
+use wavex_pages::report;
 
 mod files;
 mod resume;
@@ -128,6 +127,15 @@ impl RunFailure {
     }
 }
 
+impl From<RunFailure> for Failure {
+    fn from(failure: RunFailure) -> Failure {
+        match failure.is_invalid {
+            true => Failure::Wrong(failure.message),
+            false => Failure::Run(failure.message),
+        }
+    }
+}
+
 /// Runs a job and keeps its log, without any output to the terminal.
 ///
 /// One run of the process at a time writes its log: another one waits.
@@ -158,18 +166,8 @@ pub fn run_quietly(request: RunRequest) -> Result<FinishedRun, RunFailure> {
 /// # Errors
 /// As `wavex run`.
 pub fn run(request: RunRequest) -> Result<FinishedRun, RunFailure> {
-    let RunRequest {
-        job,
-        folder,
-        archive,
-        resume,
-        relearn,
-        profile,
-        progress,
-        cancel,
-        watch,
-        listener,
-    } = request;
+    let RunRequest { job, folder, archive, resume, relearn, profile, progress, cancel, watch, listener } =
+        request;
     for note in &job.notes {
         tracing::warn!("{note}");
     }

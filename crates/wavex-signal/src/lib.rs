@@ -93,8 +93,6 @@ pub mod shape;
 pub mod whitening;
 
 #[cfg(test)]
-mod layers;
-#[cfg(test)]
 mod recordings;
 #[doc(hidden)]
 pub mod simulated;

@@ -6,8 +6,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::noise::{ArNoise, MAX_ORDER};
-use wavex_returns::range_walk::RangeWalk;
 pub use response::{ResponseNode, SystemResponse};
+use wavex_returns::range_walk::RangeWalk;
 
 /// Sensor model with one entry per calibrated channel.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]

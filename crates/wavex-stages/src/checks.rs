@@ -1,10 +1,10 @@
 //! All plausibility checks of inputs, and their page `docs/reference/checks.md`.
 
-use wavex_line::georef;
-use wavex_line::plausibility::Check;
 use crate::process::georeference;
 use crate::readers::{read_arrow, read_las};
 use crate::reading::{plausible, recording};
+use wavex_line::georef;
+use wavex_line::plausibility::Check;
 use wavex_line::stage::pose_source;
 
 /// All checks, by input.

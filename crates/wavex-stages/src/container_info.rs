@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
+use wavex_formats::RecordedCrs;
+use wavex_formats::container::{self, ContainerHeader, channel};
 use wavex_line::scan_line::{
     AmplitudeTable, Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale,
 };
-use wavex_formats::RecordedCrs;
-use wavex_formats::container::{self, ContainerHeader, channel};
 
 /// Container header with the metadata of a recording.
 pub(crate) fn header_of(info: &InputInfo) -> ContainerHeader {

@@ -1,11 +1,11 @@
 //! The list of all stages, for jobs, the manual and the tests.
 
-use wavex_line::stage::{StageSpec, find_in};
 use crate::process::{
     calibrate, correct, decompose, filter_outliers, fuse_channels, georeference, resolve_mta,
 };
 use crate::readers::{read_arrow, read_las, read_pulsewaves, read_sdf, simulate};
 use crate::writers::{write_arrow, write_ascii, write_las, write_lstat, write_table, write_trajectory};
+use wavex_line::stage::{StageSpec, find_in};
 
 /// All stages that a job can use, in the order of the manual.
 pub const STAGES: &[&StageSpec] = &[

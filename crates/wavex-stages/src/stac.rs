@@ -8,12 +8,12 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use wavex_line::stage::{FinishedFile, OutputFile};
 use wavex_formats::Error;
 use wavex_formats::las::{Description, ExtraBytes, GpsTime, Header};
 use wavex_geodesy::crs::{Outline, projjson_of_wkt};
 use wavex_geodesy::time::ADJUSTMENT_S;
 use wavex_geodesy::time_axis::{adjusted_of_date, date, utc_of_gps};
+use wavex_line::stage::{FinishedFile, OutputFile};
 
 const POINT_CLOUD: &str = "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json";
 const PROJECTION: &str = "https://stac-extensions.github.io/projection/v2.0.0/schema.json";

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use wavex_line::georef::MOST_WKT_BYTES;
 use wavex_formats::read_small_text;
 use wavex_geodesy::crs::{Crs, Named};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_geodesy::trajectory::Sample;
+use wavex_line::georef::MOST_WKT_BYTES;
 
 /// Projection of positions into a coordinate system.
 pub(super) struct Map {

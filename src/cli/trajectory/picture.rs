@@ -1,10 +1,10 @@
 //! Picture of a trajectory: plan view with scale bar, and height over time.
 
 use super::map::Map;
-use wavex_pages::report::svg::{Anchor, Scale, Svg};
 use wavex_geodesy::ellipsoid::WGS84;
 use wavex_geodesy::frames::LocalFrame;
 use wavex_geodesy::trajectory::{Sample, Trajectory};
+use wavex_pages::report::svg::{Anchor, Scale, Svg};
 
 /// Layout in SVG units.
 const WIDTH: f64 = 900.0;

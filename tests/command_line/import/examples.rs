@@ -6,7 +6,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use wavex::cli::import::draft::Known;
+use wavex::classic::draft::Known;
 
 use super::{complete, files, here, in_version, words};
 

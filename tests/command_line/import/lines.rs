@@ -3,9 +3,10 @@
 //! The cases are the text files in `lines`; their README explains the form.
 
 use std::path::Path;
+use wavex::registry::STAGES;
 
-use wavex::cli::import::draft::Known;
-use wavex::cli::import::{Place, import};
+use wavex::classic::draft::Known;
+use wavex::classic::{Place, import};
 use wavex::job::{Job, JobStage};
 use wavex::stage::Plan;
 use wavex_testkit::cases::{self, Case};
@@ -72,8 +73,8 @@ fn translation(case: &Case) -> Result<String, String> {
     }
     let (mut usual, mut chain) = (Vec::new(), None);
     if import.has_job {
-        let job =
-            Job::parse(STAGES, "job", &import.text, &[]).map_err(|error| format!("{error}\n{}", import.text))?;
+        let job = Job::parse(STAGES, "job", &import.text, &[])
+            .map_err(|error| format!("{error}\n{}", import.text))?;
         usual = shown(&in_version(classic, &inputs(&job.stages), &Known::this_build(), &|_| None)?.text);
         chain = Some(format!("chain: {}", job.chain()));
     }

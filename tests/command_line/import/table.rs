@@ -1,10 +1,11 @@
 //! The option tables are complete and match the build.
 
-use wavex::cli::import::Import;
-use wavex::cli::import::draft::Known;
-use wavex::cli::import::options::{Becomes, Form, Opt, Standard, Takes, Version};
-use wavex::cli::import::versions::{self, VERSIONS};
+use wavex::classic::Import;
+use wavex::classic::draft::Known;
+use wavex::classic::options::{Becomes, Form, Opt, Standard, Takes, Version};
+use wavex::classic::versions::{self, VERSIONS};
 use wavex::job::Job;
+use wavex::registry::STAGES;
 
 use super::{files, in_version, words};
 

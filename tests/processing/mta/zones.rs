@@ -1,6 +1,7 @@
 //! Zones from varying pulse intervals, against the truth.
 
 use std::collections::BTreeMap;
+use wavex::registry::STAGES;
 
 use super::flights::{
     FLIGHT, Found, Table, chain, fly, in_scanner_frame, lines_of, recorded, resolve, score, stage,

@@ -1,6 +1,7 @@
 //! A recording read through the interface equals its container.
 
 use std::thread;
+use wavex::registry::STAGES;
 
 use wavex::engine::{self, Options};
 use wavex::job::{Job, Override};

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use wavex::registry::STAGES;
 
 use wavex::engine::{self, Cause, Options, RunError, RunSummary};
 use wavex::inspect::{self, Inspection, Summary};

@@ -5,8 +5,8 @@ use std::io::Cursor;
 use std::path::Path;
 
 use serde_json::Value;
-use wavex::cli::import::options::Takes;
-use wavex::cli::import::versions::VERSIONS;
+use wavex::classic::options::Takes;
+use wavex::classic::versions::VERSIONS;
 use wavex::job::example_job;
 use wavex::registry::STAGES;
 use wavex_formats::container::{Compression, ContainerWriter, EmissionReference, channel};

@@ -4,8 +4,8 @@ use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use wavex::cli::import::draft::Known;
-use wavex::cli::import::{Place, import as import_line};
+use wavex::classic::draft::Known;
+use wavex::classic::{Place, import as import_line};
 use wavex::cluster::SurveyPlan;
 use wavex::georef::calibration::Calibration;
 use wavex::job::{Include, Job, Override, included};

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::OnceLock;
 use std::thread;
 use std::time::Duration;
+use wavex::registry::STAGES;
 
 use wavex::engine::Cancel;
 use wavex::job::{Job, Override};

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use wavex::registry::STAGES;
 
 use wavex::engine::{self, Options};
 use wavex::job::{Job, Override};

@@ -15,8 +15,8 @@ use super::worker::{Downstream, Gauge, Shared, WorkerContext, run_map, run_sink,
 use super::{Cause, Options};
 use crate::job::{Job, JobStage};
 use wavex_line::scan_line::Budget;
-use wavex_line::stage::{Context, FinishedFile, Holds, Plan, Result, RunContext, StageError};
 use wavex_line::stage::pose_source::PoseSource;
+use wavex_line::stage::{Context, FinishedFile, Holds, Plan, Result, RunContext, StageError};
 use wavex_line::system::Unpoisoned as _;
 
 /// Results of a stage's workers, one entry per worker.
@@ -210,14 +210,13 @@ fn collect(
         let mut cx = run.another();
         for (worker, (its_meter, its_cx)) in workers.into_iter().enumerate() {
             meter.merge(its_meter, worker);
-            let (its_counters, its_files) = its_cx.into_results();
-            cx.merge(its_counters);
-            whole.extend(its_files.into_iter().map(|file| (stage.id.clone(), file)));
+            cx.merge(its_cx);
         }
         if let Plan::Map(plan) = &stage.planned.plan {
             plan.conclude(&mut cx);
         }
-        summaries.push(StageSummary::new(stage, count, meter, cx.into_results().0));
+        whole.extend(cx.take_files().into_iter().map(|file| (stage.id.clone(), file)));
+        summaries.push(StageSummary::new(stage, count, meter, cx.into_counters()));
     }
     (summaries, whole)
 }

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use super::failure::{Cause, RunError};
-use wavex_line::stage::{StageError, Stamp};
 use wavex_formats::Error;
 use wavex_formats::format::companion_or_names;
+use wavex_line::stage::{StageError, Stamp};
 
 /// States of an input and its companion files at the start of its run.
 pub(super) struct InputState(Vec<(PathBuf, Option<Stamp>)>);

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use super::RunError;
 use crate::job::Job;
-use wavex_line::stage::{Outputs, Paths, RunContext, StageError, fixed_folder};
 use wavex_formats::{CompanionIndex, unsupported};
+use wavex_line::stage::{Outputs, Paths, RunContext, StageError, fixed_folder};
 
 /// Input of one run.
 #[derive(Debug, PartialEq)]

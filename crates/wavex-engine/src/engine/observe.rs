@@ -15,8 +15,8 @@ use super::{
     Cancel, Cause, Input, InputSummary, Options, Progress, ProgressMode, RunError, failure, pool,
     run_context, schedule, size,
 };
-use wavex_line::georef::Loader;
 use crate::job::Job;
+use wavex_line::georef::Loader;
 use wavex_line::scan_line::ScanLine;
 use wavex_line::stage::{Context, DecomposedLine, FitShot, Result, RunContext, RunObserver, RunObservers};
 use wavex_line::system::Unpoisoned as _;

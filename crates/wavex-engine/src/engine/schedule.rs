@@ -10,8 +10,8 @@ use super::chain::{self, Common};
 use super::failure::{THREAD_PREFIX, guarded, no_thread};
 use super::worker::Gauge;
 use super::{Cancel, Cause, InputSummary, Options, Progress, RunError};
-use wavex_line::georef::Loader;
 use crate::job::Job;
+use wavex_line::georef::Loader;
 use wavex_line::stage::{Context, RunContext, StageError};
 use wavex_line::system::Unpoisoned as _;
 

@@ -12,10 +12,10 @@ use super::stage_summary::StageSummary;
 use super::totals::Totals;
 use super::{Options, RunError};
 use crate::job::{Job, JobSettings, JobStage, Simd};
-use wavex_line::scan_line::{EmissionReference, Frame, TimeScale};
-use wavex_line::stage::{InstrumentModel, RunContext, SurveyModels};
 use wavex_geodesy::time::utc;
 use wavex_geodesy::trajectory::Trajectory;
+use wavex_line::scan_line::{EmissionReference, Frame, TimeScale};
+use wavex_line::stage::{InstrumentModel, RunContext, SurveyModels};
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::sensor_model::SensorModel;
 

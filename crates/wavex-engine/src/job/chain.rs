@@ -9,8 +9,8 @@ use toml::de::DeValue;
 use super::JobError;
 use super::draft::DraftStage;
 use wavex_line::keys::listed;
-use wavex_line::stage::find_in;
 use wavex_line::scan_line::Kind;
+use wavex_line::stage::find_in;
 use wavex_line::stage::{RoleName, StageSpec};
 
 /// A stage as far as the check of the chain needs it.

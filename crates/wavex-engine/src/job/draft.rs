@@ -12,8 +12,8 @@ use super::errors::MAX_ERRORS;
 use super::limits::MAX_STAGES;
 use super::{JobError, JobSettings};
 use wavex_line::keys::{FileMark, Keys};
-use wavex_line::stage::{find_in, nearest_of};
 use wavex_line::stage::StageSpec;
+use wavex_line::stage::{find_in, nearest_of};
 
 /// A job with named stages and unparsed keys.
 pub(super) struct Draft<'t> {

@@ -3,8 +3,8 @@
 use super::JobSettings;
 use super::manual::{first_sentence, summary, toml_text};
 use wavex_line::keys::Keys;
-use wavex_line::stage::find_in;
 use wavex_line::stage::StageSpec;
+use wavex_line::stage::find_in;
 
 /// Stages of the job; unknown ones are omitted.
 const CHAIN: &[&str] = &["read_las", "calibrate", "decompose", "georeference", "write_las", "write_lstat"];

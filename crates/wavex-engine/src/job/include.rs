@@ -10,8 +10,8 @@ use toml::de::{DeTable, DeValue};
 
 use super::JobError;
 use super::draft::{self, Draft};
-use wavex_line::stage::{find_in, nearest_of};
 use wavex_line::stage::StageSpec;
+use wavex_line::stage::{find_in, nearest_of};
 
 /// Names of the files that a job's text includes, in order.
 ///

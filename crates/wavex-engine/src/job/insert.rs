@@ -54,6 +54,7 @@ impl Job {
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
+    use wavex_stages::registry::STAGES;
 
     use super::*;
     use wavex_line::stage::{Context, MakeMap, Map, RoleName, RunContext};

@@ -9,8 +9,9 @@ use wavex_line::stage::{Context, Result, RunContext, Source, SourcePlan};
 
 /// Plan of a source that skips to the lines around a shot once `may_skip` is set.
 pub struct Excerpt {
-    /// Reader of the recording, and its keys.
+    /// Reader of the recording.
     pub reader: Arc<dyn SourcePlan>,
+    /// Keys of the reader.
     pub keys: serde_json::Value,
     /// The shot.
     pub shot: u64,

@@ -17,11 +17,11 @@ use arrow_array::{ArrayRef, BooleanArray, Float64Array, RecordBatch, UInt32Array
 use arrow_schema::{ArrowError, Schema};
 
 use super::index_path;
-use wavex_line::scan_line::ScanLine;
-use wavex_line::stage::{Context, LineLocation, OutputFile, Result, RunContext, SourcePlan, StageError};
 use wavex_formats::Error;
 use wavex_formats::container::{IpcWriter, TableReader};
 use wavex_formats::format::companion;
+use wavex_line::scan_line::ScanLine;
+use wavex_line::stage::{Context, LineLocation, OutputFile, Result, RunContext, SourcePlan, StageError};
 
 /// Called with the fraction of a recording that has been read; an error ends the reading.
 pub type Watch<'a> = dyn FnMut(f64) -> Result<()> + 'a;

@@ -36,9 +36,9 @@ pub fn counted(n: u64, what: &str) -> String {
 #[derive(Debug, Default)]
 pub struct Context {
     /// Counters of the stage so far.
-    pub(crate) counters: Counters,
+    counters: Counters,
     /// Finished files that get their final names at the end of the run.
-    pub(crate) whole: Vec<FinishedFile>,
+    whole: Vec<FinishedFile>,
     /// Messages of all workers and inputs of the run, so that each is logged once; `None`: none is.
     logged: Option<Arc<Mutex<BTreeSet<String>>>>,
     /// Observer of the run, if there is one.
@@ -152,14 +152,20 @@ impl Context {
         self.whole.push(file);
     }
 
-    /// Adds the counters of another context of the same stage.
-    pub fn merge(&mut self, other: Counters) {
-        self.counters.merge(other);
+    /// Adds the counters and finished files of another worker of the same stage.
+    pub fn merge(&mut self, other: Context) {
+        self.counters.merge(other.counters);
+        self.whole.extend(other.whole);
     }
 
-    /// Counters and finished files at the end of the input.
-    pub fn into_results(self) -> (Counters, Vec<FinishedFile>) {
-        (self.counters, self.whole)
+    /// Takes the finished files, in the order in which they were finished.
+    pub fn take_files(&mut self) -> Vec<FinishedFile> {
+        std::mem::take(&mut self.whole)
+    }
+
+    /// Counters at the end of the input.
+    pub fn into_counters(self) -> Counters {
+        self.counters
     }
 
     /// Counters so far.

@@ -5,7 +5,7 @@
 use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
 /// Element of a packed list.
-pub(crate) trait Packable: Copy {
+pub trait Packable: Copy {
     /// Formats the value.
     fn text(self) -> String;
     /// Parses a value; `None` if invalid.

@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use super::Explained;
 use wavex_line::scan_line::{Filtered, Return, flags};
-use wavex_stages::process::decompose::SeenBlock;
 use wavex_signal::sensor_model::{Background, ChannelModel};
+use wavex_stages::process::decompose::SeenBlock;
 
 /// Column heads.
 const HEADS: [&str; 9] = [

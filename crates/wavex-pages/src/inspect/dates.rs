@@ -1,7 +1,7 @@
 //! Dates and time scales of a recording, with their evidence.
 
-use wavex_line::scan_line::{InputInfo, TimeScale};
 use wavex_geodesy::time::{self, WEEKDAYS};
+use wavex_line::scan_line::{InputInfo, TimeScale};
 
 /// Date of the recording, or of its file, with its day of the week.
 pub(super) fn recorded(input: &InputInfo) -> Option<String> {

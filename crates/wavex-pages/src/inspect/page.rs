@@ -5,9 +5,9 @@ use maud::{DOCTYPE, html};
 use super::Inspection;
 use super::figures::figures;
 use super::summary::Summary;
-use wavex_line::printable::printable;
 use crate::report::page::part::{Part, figure, figures as drawn, head, section, with_contents};
 use crate::report::verdict::{self, Check, Grade};
+use wavex_line::printable::printable;
 use wavex_line::stage::Counters;
 
 /// Renders the page as HTML; `cut`: reason why the recording could not be read to its end.

@@ -6,9 +6,9 @@ use super::dates::{recorded, time_scale, weekday_of_times};
 use super::histogram_files::{CHANNELS, name_of};
 use super::{Angle, Histogram, Inspection, Intervals, Samples};
 use crate::report::crs_name;
+use wavex_geodesy::time;
 use wavex_line::scan_line::{Channel, EmissionReference, Frame, GainControl, InputInfo};
 use wavex_line::stage::Counters;
-use wavex_geodesy::time;
 
 /// Summary of one recording.
 pub struct Summary {

@@ -11,10 +11,10 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use wavex_line::scan_line::{Return, ScanLine};
-use wavex_line::stage::{DecomposedLine, FitShot, Result, RunObserver, RunObservers};
 use wavex_geodesy::time_axis::Alignment;
 use wavex_geodesy::trajectory::Trajectory;
+use wavex_line::scan_line::{Return, ScanLine};
+use wavex_line::stage::{DecomposedLine, FitShot, Result, RunObserver, RunObservers};
 
 mod flight;
 mod gallery;
@@ -40,11 +40,11 @@ pub use view::MapAxes;
 pub use weak_returns::WeakReturns;
 pub use zones::{ZoneCloud, ZoneClouds, ZoneShare, Zones};
 
-use wavex_line::system::Unpoisoned as _;
 use gallery::Gallery;
 use histogram::Bins;
 use lines::Groups;
 use map::Grid;
+use wavex_line::system::Unpoisoned as _;
 
 /// Overview of a run over one input.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]

@@ -7,8 +7,8 @@ use super::numbers::{label, short};
 use super::overview::{Overview, QuantityHistogram};
 use super::tables::points;
 use super::verdict::{self, Check, Grade};
-use wavex_line::printable::printable;
 use part::{Part, badge, figure, figures, head, section, table, tiles, wide_table, with_contents, worst};
+use wavex_line::printable::printable;
 
 mod content;
 mod details;

@@ -11,8 +11,8 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use wavex_engine::job::SurveyKeys;
-use wavex_line::stage::{OutputFile, SensorDrift};
 use wavex_formats::{Error, Result};
+use wavex_line::stage::{OutputFile, SensorDrift};
 
 mod cell;
 mod cells_file;

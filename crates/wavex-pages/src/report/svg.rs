@@ -10,8 +10,11 @@ pub struct Svg {
 /// Text anchor relative to its position.
 #[derive(Clone, Copy)]
 pub enum Anchor {
+    /// The text starts at the position.
     Start,
+    /// The text is centred at the position.
     Middle,
+    /// The text ends at the position.
     End,
 }
 
@@ -43,6 +46,7 @@ text{fill:#ccc}.page{fill:#16181c}.title,.num{fill:#f2f2f2}.note{fill:#999}
 ";
 
 impl Svg {
+    /// An empty picture.
     pub fn new() -> Svg {
         Svg { body: String::new() }
     }
@@ -66,6 +70,7 @@ impl Svg {
         )
     }
 
+    /// Draws a straight line between two points.
     pub fn line(&mut self, class: &str, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) {
         let _ = writeln!(
             self.body,
@@ -82,10 +87,12 @@ impl Svg {
         );
     }
 
+    /// Draws a circle around a point.
     pub fn circle(&mut self, class: &str, [x, y]: [f64; 2], radius: f64) {
         let _ = writeln!(self.body, "<circle class=\"{class}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\"/>");
     }
 
+    /// Draws straight lines from point to point; nothing if there are fewer than two.
     pub fn curve(&mut self, class: &str, points: impl Iterator<Item = [f64; 2]>) {
         let points: Vec<String> = points.map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
         if points.len() > 1 {
@@ -99,6 +106,7 @@ impl Svg {
         let _ = writeln!(self.body, "<polygon class=\"{class}\" points=\"{}\"/>", corners.join(" "));
     }
 
+    /// Writes text at a position.
     pub fn text(&mut self, class: &str, [x, y]: [f64; 2], anchor: Anchor, text: &str) {
         let (anchor, text) = (anchor.name(), escaped(text));
         let _ = writeln!(
@@ -162,11 +170,14 @@ pub(crate) fn escaped(text: &str) -> String {
 /// Linear scale: value `from[0]` maps to `to[0]`.
 #[derive(Clone, Copy)]
 pub struct Scale {
+    /// Two values.
     pub from: [f64; 2],
+    /// Their positions.
     pub to: [f64; 2],
 }
 
 impl Scale {
+    /// Position of a value.
     pub fn at(&self, value: f64) -> f64 {
         let [a, b] = self.from;
         let span = if b - a == 0.0 { 1.0 } else { b - a };

@@ -9,15 +9,15 @@ use wavex_simd::SimdLevel;
 use wavex_engine::job::{Job, JobStage};
 use wavex_engine::recording::{LineIndex, Recording};
 use wavex_line::scan_line::{InputInfo, Kind, ScanLine};
+use wavex_line::stage::pose_source::PoseSource;
 use wavex_line::stage::{
     Context, Instrument, InstrumentModel, Output, Plan, Result, RunContext, SensorDrift, Source, StageError,
     SurveyModels, Transform,
 };
-use wavex_stages::process::correct::WAVEFORMS;
-use wavex_line::stage::pose_source::PoseSource;
-use wavex_stages::process::resolve_mta::LINES_AROUND;
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::sensor_model::SensorModel;
+use wavex_stages::process::correct::WAVEFORMS;
+use wavex_stages::process::resolve_mta::LINES_AROUND;
 
 /// Lines that are read at once to learn from.
 const LINES_AT_ONCE: usize = 64;

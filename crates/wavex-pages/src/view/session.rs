@@ -8,10 +8,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard};
 
 use serde_json::Value;
 
-use wavex_engine::engine::{self, Cancel, Input, Options, ProgressWatch};
-use wavex_line::georef::Loader;
-use wavex_engine::job::{Job, JobStage};
 use crate::report::overview::view::{MapAxes, View, crs_name};
+use wavex_engine::engine::{self, Cancel, Input, Options, ProgressWatch};
+use wavex_engine::job::{Job, JobStage};
+use wavex_line::georef::Loader;
 use wavex_line::scan_line::{Content, InputInfo, Kind, ScanLine};
 use wavex_line::stage::{Context, Plan, RunContext};
 use wavex_stages::process::decompose::Decompose;

@@ -1,5 +1,5 @@
 use super::*;
-use crate::simulated::Random;
+use wavex_signal::simulated::Random;
 
 /// Delay of the simulated receiver, ns.
 fn truth_ns(amplitude_dn: f64) -> f64 {

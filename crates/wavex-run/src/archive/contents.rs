@@ -8,8 +8,8 @@ use std::path::{Component, Path, PathBuf};
 use super::digest;
 use super::paths::plain;
 use super::{ARCHIVE, Archive, FORMAT, JOB, RESOLVED, RESULTS, SEAL};
-use wavex_line::stage::own_file;
 use wavex_formats::{Error, Result, regular_file};
+use wavex_line::stage::own_file;
 
 /// Extension of a packed archive.
 const PACKED: &str = ".tar.zst";

@@ -10,9 +10,9 @@ use serde_json::Value;
 use super::paths::plain;
 use wavex_engine::engine::Input;
 use wavex_engine::job::{Job, JobSettings};
-use wavex_line::keys::{FileMark, Key, Keys};
 use wavex_formats::{CompanionIndex, Error};
 use wavex_geodesy::crs::Named;
+use wavex_line::keys::{FileMark, Key, Keys};
 
 /// JSON pointers of the keys in `[job]` with this mark.
 pub(super) fn marked(mark: FileMark) -> Vec<String> {
@@ -167,6 +167,7 @@ fn geoid(settings: &Value, input_dir: &Path) -> Option<PathBuf> {
 #[cfg(test)]
 mod tests {
     use std::fs;
+    use wavex_stages::registry::STAGES;
 
     use schemars::JsonSchema;
     use serde_json::json;

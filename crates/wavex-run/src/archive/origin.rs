@@ -1,8 +1,8 @@
 //! Origin of a run: the program with its dependencies, and the machine.
 
 use schemars::JsonSchema;
-use wavex_engine::build;
 use serde::{Deserialize, Serialize};
+use wavex_engine::build;
 
 /// A program with its dependencies.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]

@@ -17,10 +17,10 @@ use super::{
 };
 use wavex_engine::engine::{InputStatus, InputSummary, Options, RunSummary};
 use wavex_engine::job::{Include, Job, JobStage};
-use wavex_line::stage::{ConfigError, OutputFile, Result, StageError, Stamp, own_file, partial_path};
-use wavex_stages::writers::write_lstat;
 use wavex_formats::Error;
 use wavex_geodesy::time::utc;
+use wavex_line::stage::{ConfigError, OutputFile, Result, StageError, Stamp, own_file, partial_path};
+use wavex_stages::writers::write_lstat;
 
 /// Id of the stage that writes scan-line statistics for the archive.
 const STAGE_ID: &str = "archive";

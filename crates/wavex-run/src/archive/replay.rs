@@ -11,12 +11,12 @@ use super::origin::Program;
 use super::paths::{plain, relative};
 use super::verify::{self, Folders};
 use super::{Archive, DigestedFile, RESOLVED, digest, inputs, resolved};
-use wavex_stages::registry::STAGES;
 use wavex_engine::engine::{self, Cancel, InputSummary, Options, ProgressMode, RunSummary};
 use wavex_engine::job::{Job, Override, Simd};
-use wavex_line::stage::{Result, StageError, own_file};
 use wavex_formats::Error;
 use wavex_formats::sdf::library;
+use wavex_line::stage::{Result, StageError, own_file};
+use wavex_stages::registry::STAGES;
 
 /// Options of a replay.
 #[derive(Clone, Debug)]

@@ -9,12 +9,12 @@ use serde_json::{Map, Value, json};
 
 use super::inputs;
 use super::paths::{common, plain, relative};
-use wavex_stages::registry::STAGES;
 use wavex_engine::engine::{self, Input, Options};
 use wavex_engine::job::{Job, JobStage, Simd};
+use wavex_formats::Error;
 use wavex_line::keys::FileMark;
 use wavex_line::stage::{Paths, Plan, Result, StageError};
-use wavex_formats::Error;
+use wavex_stages::registry::STAGES;
 
 /// Keys of `[job]` that do not affect results, and its folders.
 const WITHOUT_EFFECT: [&str; 11] = [

@@ -6,8 +6,8 @@ use super::contents::Contents;
 use super::digest;
 use super::paths::plain;
 use super::{Archive, DigestedFile, Files, Seals};
-use wavex_line::stage::Result;
 use wavex_formats::Error;
+use wavex_line::stage::Result;
 
 /// Current folders of inputs and outputs, if different from those in the archive.
 #[derive(Clone, Debug, Default)]

@@ -11,10 +11,10 @@ use super::{INCLUDED, JOB, MOST_BYTES, REMEDY, SurveyPlan, Task};
 use crate::archive::{Seals, digest_of, plain};
 use wavex_engine::engine::{self, InputStatus, InputSummary, Options, RunSummary};
 use wavex_engine::job::{Include, Job, JobStage, Override};
-use wavex_stages::registry::STAGES;
-use wavex_pages::report::{self, FileState, InputFiles, InputReport, RunReport};
-use wavex_line::stage::{Result, StageError, SurveyModels};
 use wavex_formats::{Error, path_within, read_small_text};
+use wavex_line::stage::{Result, StageError, SurveyModels};
+use wavex_pages::report::{self, FileState, InputFiles, InputReport, RunReport};
+use wavex_stages::registry::STAGES;
 
 /// Results of a survey.
 #[derive(Debug)]

@@ -12,10 +12,10 @@ use super::{MOST_BYTES, REMEDY, SurveyPlan, Task};
 use crate::archive::{self, KnownDigests, Recorder, Seals, check_destination, plain, relative};
 use wavex_engine::engine::{InputStatus, InputSummary, Options};
 use wavex_engine::job::Job;
+use wavex_formats::{Error, path_within, read_small_text};
+use wavex_line::stage::{OutputFile, Plan, Result, StageError};
 use wavex_pages::report::survey::{StripPaths, write_survey};
 use wavex_pages::report::{FileState, InputFiles, RunReport};
-use wavex_line::stage::{OutputFile, Plan, Result, StageError};
-use wavex_formats::{Error, path_within, read_small_text};
 
 /// Digests of all outputs; `*` is the stem of the job.
 const DIGESTS: &str = "*_outputs.b3";

@@ -15,8 +15,8 @@ use super::{
 use crate::archive::{FilesRead, Resolved, common, plain, way};
 use wavex_engine::engine::{self, Input};
 use wavex_engine::job::Job;
-use wavex_line::stage::{OutputFile, Result, StageError};
 use wavex_formats::{Error, read_small_text};
+use wavex_line::stage::{OutputFile, Result, StageError};
 
 /// Rules of Snakemake.
 const SNAKEFILE: &str = include_str!("snakemake/Snakefile");

@@ -13,11 +13,11 @@ use super::resume::{Comparison, EarlierRun};
 use super::survey_files::{Collected, SurveyFiles};
 use wavex_engine::engine::{self, Input, InputStatus, InputSummary, Options, RunSummary};
 use wavex_engine::job::{Job, JobSettings};
-use wavex_pages::report::{self, FileState, InputFiles, InputReport, RunReport};
+use wavex_formats::Error;
 use wavex_line::stage::{
     OutputFile, OutputLock, Outputs, Result, RunObservers, StageError, SurveyModels, fixed_folder,
 };
-use wavex_formats::Error;
+use wavex_pages::report::{self, FileState, InputFiles, InputReport, RunReport};
 
 /// Trace that `--profile` writes to the output folder; `*` is the name of the run.
 const TRACE: &str = "*_trace.json";

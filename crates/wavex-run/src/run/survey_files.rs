@@ -7,15 +7,17 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use serde_json::Value;
 
 use wavex_engine::job::JobSettings;
+use wavex_geodesy::time_axis::Alignment;
+use wavex_geodesy::trajectory::Trajectory;
+use wavex_line::scan_line::ScanLine;
+use wavex_line::stage::{
+    DecomposedLine, FitShot, OutputFile, Result, RunObserver, RunObservers, SurveyModels,
+};
+use wavex_line::system::Unpoisoned as _;
 use wavex_pages::report::survey::{
     Strip, StripCollector, StripPaths, survey_files, write_cells, write_density, write_survey,
 };
 use wavex_pages::report::{Overview, Overviews};
-use wavex_line::scan_line::ScanLine;
-use wavex_line::stage::{DecomposedLine, FitShot, OutputFile, Result, RunObserver, RunObservers, SurveyModels};
-use wavex_line::system::Unpoisoned as _;
-use wavex_geodesy::time_axis::Alignment;
-use wavex_geodesy::trajectory::Trajectory;
 
 /// Collects the data of the pages that a job requests.
 #[derive(Debug)]

@@ -8,16 +8,16 @@ use rayon::ThreadPool;
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use wavex_simd::SimdLevel;
 
-use wavex_line::scan_line::{Channel, InputInfo, Kind, ScanLine};
-use wavex_line::stage::{
-    Holds, Learning, Learns, LookAhead, MakeTransform, Output, OutputFile, Plan, Result, RunContext,
-    StageError, StageSpec, SurveyModels, Transform, TransformConfig,
-};
 pub use keys::{Auto, AutoOrNumber, BackgroundKey, Calibrate, ResponseKey};
 use model_check::{CHECKED_WAVEFORMS, ReceiverCheck};
 pub(crate) use model_file::write_model;
 pub use model_file::{load_model, model_json, parse_model};
 pub use presets::Preset;
+use wavex_line::scan_line::{Channel, InputInfo, Kind, ScanLine};
+use wavex_line::stage::{
+    Holds, Learning, Learns, LookAhead, MakeTransform, Output, OutputFile, Plan, Result, RunContext,
+    StageError, StageSpec, SurveyModels, Transform, TransformConfig,
+};
 use wavex_signal::calibrate::response::{Calibrated, calibrate_response};
 use wavex_signal::calibrate::{self, BackgroundChoice, CalibrationError, CalibrationSettings};
 use wavex_signal::decompose::Waveform;

@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::process::calibrate::{Auto, write_model};
 use crate::process::decompose::Threshold;
+use wavex_formats::lookup_tables::LookupTables;
 use wavex_line::keys::{InvalidKey, above, at_least};
 use wavex_line::scan_line::{Content, Kind, ScanLine};
 use wavex_line::stage::{
     Config, Holds, Learning, Learns, LookAhead, Output, OutputFile, Result, RunContext, StageError,
     StageSpec, Transform, TransformConfig,
 };
-use wavex_formats::lookup_tables::LookupTables;
 
 mod apply;
 mod tables;

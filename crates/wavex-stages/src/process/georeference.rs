@@ -5,13 +5,13 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use wavex_geodesy::frames::Vector;
 use wavex_line::georef::Geometry;
 use wavex_line::georef::calibration::is_on_low_power_scale;
 use wavex_line::georef::output_crs::OutputCrs;
 use wavex_line::georef::scan_angles::complete_in_own_axes;
 use wavex_line::scan_line::{Content, Emission, Frame, InputInfo, Kind, Return, ScanLine};
 use wavex_line::stage::{Config, Context, Map, MapConfig, Result, RunContext, StageError, StageSpec};
-use wavex_geodesy::frames::Vector;
 
 mod above_ground;
 mod physics;

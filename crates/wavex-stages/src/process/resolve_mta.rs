@@ -7,11 +7,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::process::calibrate::Auto;
+use wavex_formats::terrain::Terrain;
 use wavex_line::georef::Geometry;
 use wavex_line::keys::{InvalidKey, above, at_least};
 use wavex_line::scan_line::{Kind, ScanLine};
-use wavex_line::stage::{Config, Output, Result, RunContext, StageError, StageSpec, Transform, TransformConfig};
-use wavex_formats::terrain::Terrain;
+use wavex_line::stage::{
+    Config, Output, Result, RunContext, StageError, StageSpec, Transform, TransformConfig,
+};
 use wavex_returns::mta::{Method, MtaError, Prior, Settings};
 
 mod echoes;

@@ -12,6 +12,10 @@ use crate::reading::plausible;
 use crate::reading::recording::{
     AsDeclared, Declared, FullScale, InputCrs, OddSamples, PulseSpeed, Sampling, TimeKeys,
 };
+use wavex_formats::Error;
+use wavex_formats::container::{
+    self, ContainerBlock, ContainerLine, ContainerOnline, ContainerReader, ContainerShot,
+};
 use wavex_line::keys::InvalidKey;
 use wavex_line::plausibility::Check;
 use wavex_line::scan_line::{
@@ -21,10 +25,6 @@ use wavex_line::scan_line::{
 use wavex_line::stage::{
     self, Context, LineLocation, Paths, Reason, Result, RunContext, Source, SourceConfig, StageError,
     StageSpec,
-};
-use wavex_formats::Error;
-use wavex_formats::container::{
-    self, ContainerBlock, ContainerLine, ContainerOnline, ContainerReader, ContainerShot,
 };
 
 /// Registry entry of the stage.
@@ -326,8 +326,8 @@ fn pipe(run: &RunContext) -> std::io::Result<Option<Box<dyn Read + Send>>> {
     let is_standard_input = run.input.as_os_str() == "-";
     #[cfg(unix)]
     {
-        use wavex_line::system::pipe::Pipe;
         use std::os::unix::fs::FileTypeExt;
+        use wavex_line::system::pipe::Pipe;
         let is_pipe = || std::fs::metadata(&run.input).is_ok_and(|about| about.file_type().is_fifo());
         let cancelled = Arc::clone(&run.cancelled);
         Ok(if is_standard_input {

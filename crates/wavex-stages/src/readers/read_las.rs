@@ -20,6 +20,10 @@ use crate::reading::recording::units::Units;
 use crate::reading::recording::{
     AsDeclared, Declared, FullScale, InputCrs, OddSamples, PulseSpeed, Sampling, TimeKeys,
 };
+use geometry::{Geometry, convert_heights, first_sample, is_usable};
+use pulse::same_pulse;
+use wavex_formats::RecordedCrs;
+use wavex_formats::las::{GpsTime, Point, Reader};
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::{
     Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, OnlineReturn, ScanLine,
@@ -29,10 +33,6 @@ use wavex_line::stage::{
     Config, Context, LineLocation, Paths, Reason, Result, RunContext, Source, SourceConfig, StageError,
     StageSpec,
 };
-use geometry::{Geometry, convert_heights, first_sample, is_usable};
-use pulse::same_pulse;
-use wavex_formats::RecordedCrs;
-use wavex_formats::las::{GpsTime, Point, Reader};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shots);

@@ -17,14 +17,14 @@ use crate::reading::recording::units::Units;
 use crate::reading::recording::{
     AsDeclared, Declared, FullScale, InputCrs, OddSamples, PulseSpeed, Sampling, TimeKeys,
 };
+use description::{describe, recorded_crs};
+use wavex_formats::pulsewaves::{Pulse, Reader, Segment, SegmentKind, TimeAxis, Waves};
+use wavex_geodesy::beam_length::BeamLength;
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::{Channel, Emission, EmissionReference, Kind, ScanLine, emission_flags};
 use wavex_line::stage::{
     Config, Context, LineLocation, Paths, Reason, Result, RunContext, Source, SourceConfig, StageSpec,
 };
-use description::{describe, recorded_crs};
-use wavex_formats::pulsewaves::{Pulse, Reader, Segment, SegmentKind, TimeAxis, Waves};
-use wavex_geodesy::beam_length::BeamLength;
 use wavex_simd::statistics::median;
 
 /// Registry entry of the stage.

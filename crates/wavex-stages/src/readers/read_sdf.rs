@@ -10,6 +10,8 @@ use serde::{Deserialize, Serialize};
 use crate::reading::line_splitter::Lines;
 use crate::reading::recording::time::{self, Axis, Scale, Times};
 use crate::reading::recording::{self, OddSamples, PulseSpeed, TimeKeys, Watched};
+use wavex_formats::extensions::is_wfm;
+use wavex_formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::{
     AmplitudeTable, Channel, Emission, EmissionReference, Frame, GainControl, InputInfo, Kind, ScanLine,
@@ -17,8 +19,6 @@ use wavex_line::scan_line::{
 use wavex_line::stage::{
     self, Context, LineLocation, Paths, Reason, Result, RunContext, Source, SourceConfig, StageSpec,
 };
-use wavex_formats::extensions::is_wfm;
-use wavex_formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
 
 mod shot;
 

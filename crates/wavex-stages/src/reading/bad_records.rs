@@ -1,8 +1,8 @@
 //! Handling of malformed items: a single one is counted and skipped; a file that ends with them is
 //! truncated.
 
-use wavex_line::stage::{Context, Reason};
 use wavex_formats::{Error, Result};
+use wavex_line::stage::{Context, Reason};
 
 /// The malformed items since the last good one.
 #[derive(Debug, Default)]

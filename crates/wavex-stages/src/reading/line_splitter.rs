@@ -4,9 +4,9 @@ use std::f64::consts::PI;
 use std::ops::Range;
 use std::sync::Arc;
 
+use wavex_geodesy::cone::{Cone, Turning};
 use wavex_line::scan_line::{Blocks, Emission, InputInfo, MAX_SHOTS_PER_LINE, ScanLine, emission_flags};
 use wavex_line::stage::LineLocation;
-use wavex_geodesy::cone::{Cone, Turning};
 
 /// Collects shots into scan lines.
 ///

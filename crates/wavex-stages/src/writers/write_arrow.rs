@@ -10,11 +10,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::container_info::{code_of, header_of};
-use wavex_line::keys::InvalidKey;
-use wavex_line::scan_line::{Block, Blocks, Emission, InputInfo, Kind, ScanLine};
-use wavex_line::stage::{self, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec};
 use wavex_formats::container::{
     self, ContainerBlock, ContainerOnline, ContainerShot, ContainerWriter, LineBuilder,
+};
+use wavex_line::keys::InvalidKey;
+use wavex_line::scan_line::{Block, Blocks, Emission, InputInfo, Kind, ScanLine};
+use wavex_line::stage::{
+    self, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };
 
 /// Registry entry of the stage.

@@ -6,10 +6,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::writers::write_las::{WriteLas, offsets, point};
+use wavex_formats::Error;
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::{InputInfo, Kind, ScanLine};
 use wavex_line::stage::{Config, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec};
-use wavex_formats::Error;
 
 mod columns;
 mod steps;
@@ -189,8 +189,10 @@ impl Sink for AsciiWriter {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use wavex_line::scan_line::{Blocks, Content, Emission, Return, ReturnChannel, TimeScale, emission_flags};
     use std::sync::Arc;
+    use wavex_line::scan_line::{
+        Blocks, Content, Emission, Return, ReturnChannel, TimeScale, emission_flags,
+    };
     use wavex_simd::SimdLevel;
 
     /// Two points of one shot.
@@ -246,7 +248,7 @@ mod tests {
         let mut cx = Context::default();
         lines.iter().for_each(|line| sink.write(line, &mut cx).unwrap());
         sink.finish(&mut cx).unwrap();
-        cx.whole.pop().unwrap().publish().unwrap();
+        cx.take_files().pop().unwrap().publish().unwrap();
         std::fs::read_to_string(folder.path().join("a.txt")).unwrap()
     }
 

@@ -16,13 +16,6 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::stac;
-use wavex_line::keys::InvalidKey;
-use wavex_line::scan_line::{
-    Emission, Frame, GainControl, InputInfo, Kind, Return, ScanLine, TimeScale, emission_flags,
-};
-use wavex_line::stage::{
-    Config, Context, OutputFile, Reason, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
-};
 use attributes::Attributes;
 use files::{Files, StacFile};
 use identity::{PointSourceKey, PointSourceRule};
@@ -33,6 +26,13 @@ use wavex_formats::extensions::PACKETS;
 use wavex_formats::geokeys;
 use wavex_formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions, nearest};
 use wavex_geodesy::time::day_of_year;
+use wavex_line::keys::InvalidKey;
+use wavex_line::scan_line::{
+    Emission, Frame, GainControl, InputInfo, Kind, Return, ScanLine, TimeScale, emission_flags,
+};
+use wavex_line::stage::{
+    Config, Context, OutputFile, Reason, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
+};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec =

@@ -6,9 +6,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
+use wavex_formats::Error;
 use wavex_line::scan_line::{Kind, LineStats, Return, ScanLine, flags};
 use wavex_line::stage::{Config, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec};
-use wavex_formats::Error;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec =

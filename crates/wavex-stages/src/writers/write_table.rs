@@ -6,12 +6,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::container_info::time_scale_of;
+use wavex_geodesy::crs::projjson_of_wkt;
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::{InputInfo, Kind, ScanLine, TimeScale};
 use wavex_line::stage::{
     self, Context, OutputFile, Reason, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };
-use wavex_geodesy::crs::projjson_of_wkt;
 
 mod columns;
 mod geo;

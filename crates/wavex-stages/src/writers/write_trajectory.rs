@@ -6,14 +6,14 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use wavex_formats::Error;
+use wavex_geodesy::ellipsoid::WGS84;
+use wavex_geodesy::frames::{Attitude, ecef_from_ned, inverse, then};
 use wavex_line::georef::Geometry;
 use wavex_line::georef::output_crs::OutputCrs;
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::{Emission, Frame, InputInfo, Kind, ScanLine};
 use wavex_line::stage::{Config, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec};
-use wavex_formats::Error;
-use wavex_geodesy::ellipsoid::WGS84;
-use wavex_geodesy::frames::{Attitude, ecef_from_ned, inverse, then};
 
 mod beam_intersection;
 mod decimation;

@@ -3,9 +3,9 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use wavex_line::stage::packed;
 use wavex_geodesy::ellipsoid::WGS84;
 use wavex_geodesy::trajectory::{Sample, Trajectory};
+use wavex_line::stage::packed;
 
 /// Flight during the recording, from the records of the trajectory.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]

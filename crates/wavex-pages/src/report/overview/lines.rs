@@ -47,8 +47,9 @@ impl Default for Groups {
 
 impl Groups {
     pub(super) fn add(&mut self, scan_line: &ScanLine) {
-        let kept =
-            |returns: &[wavex_line::scan_line::Return]| returns.iter().filter(|found| !found.withheld).count();
+        let kept = |returns: &[wavex_line::scan_line::Return]| {
+            returns.iter().filter(|found| !found.withheld).count()
+        };
         let points = scan_line.points().and(scan_line.returns()).map_or(0, |returns| kept(returns));
         self.count(scan_line.line, [1, scan_line.stats.nw, scan_line.n_returns() as u64, points as u64]);
     }

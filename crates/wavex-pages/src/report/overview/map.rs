@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::picture::{HEIGHTS, INTENSITIES, Picture, css};
 use super::view::MapAxes;
-use wavex_line::stage::packed;
 use grid::{Cell, STEPS};
+use wavex_line::stage::packed;
 
 mod grid;
 

@@ -6,9 +6,9 @@ use std::time::{Duration, SystemTime};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use wavex_geodesy::time::{ADJUSTMENT_S, utc};
 use wavex_line::scan_line::{InputInfo, ScanLine};
 use wavex_line::stage::packed;
-use wavex_geodesy::time::{ADJUSTMENT_S, utc};
 
 /// Times of the shots of an input.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]

@@ -19,9 +19,9 @@ use arrow_schema::{ArrowError, DataType, Field, Schema};
 use super::cell::CellSums;
 use super::grid::{PlacedCell, coarser};
 use super::strip::{Strip, StripFacts};
-use wavex_line::stage::OutputFile;
 use wavex_formats::container::TableReader;
 use wavex_formats::{Error, Result};
+use wavex_line::stage::OutputFile;
 
 /// Version of the layout.
 const VERSION: &str = "1";

@@ -4,9 +4,9 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::rasters::Frame;
-use wavex_engine::job::SurveyKeys;
 use crate::report::overview::Picture;
 use crate::report::overview::picture::{HEIGHTS, Ramp};
+use wavex_engine::job::SurveyKeys;
 
 /// Maximum number of cells of a picture in each direction.
 const MOST_CELLS: u32 = 640;

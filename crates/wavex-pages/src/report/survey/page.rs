@@ -6,7 +6,6 @@ use serde_json::json;
 use super::mosaic::Pictures;
 use super::strip::{MOST_RETURNS, UNEXPLAINED};
 use super::{StripFacts, Survey, SurveyStrip};
-use wavex_line::printable::printable;
 use crate::report::numbers::{label, short};
 use crate::report::page::drift;
 use crate::report::page::part::{
@@ -14,6 +13,7 @@ use crate::report::page::part::{
 };
 use crate::report::page::words;
 use crate::report::verdict::{self, Check};
+use wavex_line::printable::printable;
 
 mod figures;
 

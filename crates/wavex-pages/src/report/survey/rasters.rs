@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use wavex_line::stage::OutputFile;
 use wavex_formats::geotiff::{RasterGrid, RasterWriter, TILE, Tile, empty_tile};
 use wavex_formats::{Error, Result};
+use wavex_line::stage::OutputFile;
 
 /// What a raster shows, with the end of its file name and its description.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

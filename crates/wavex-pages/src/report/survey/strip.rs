@@ -317,8 +317,8 @@ fn units(wkt: &str) -> Units {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use wavex_line::scan_line::{Blocks, Content, Emission};
     use std::sync::Arc;
+    use wavex_line::scan_line::{Blocks, Content, Emission};
 
     fn line(number: u32, crs_wkt: Option<&str>, place: [f64; 2]) -> ScanLine {
         let input = InputInfo { crs_wkt: crs_wkt.map(str::to_owned), ..InputInfo::default() };

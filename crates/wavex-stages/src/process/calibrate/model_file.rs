@@ -4,9 +4,9 @@ use std::io::Write;
 use std::path::Path;
 
 use super::{Calibrate, Calibrator, name};
+use wavex_formats::{Error, read_small_text};
 use wavex_line::scan_line::{Channel, ScanLine};
 use wavex_line::stage::{Output, OutputFile, Result, StageError, check_model};
-use wavex_formats::{Error, read_small_text};
 use wavex_signal::sensor_model::SensorModel;
 
 /// Size limit of a sensor model file, bytes; a model has a few thousand numbers.
@@ -86,11 +86,7 @@ pub fn model_json(model: &SensorModel) -> Result<String> {
 }
 
 /// Writes a model to its file and publishes it.
-pub(crate) fn write_model(
-    model: &SensorModel,
-    mut file: OutputFile,
-    out: &mut Output,
-) -> Result<()> {
+pub(crate) fn write_model(model: &SensorModel, mut file: OutputFile, out: &mut Output) -> Result<()> {
     file.write_all(model_json(model)?.as_bytes()).map_err(Error::io(file.path(), "write"))?;
     out.cx.publish(file.finish()?);
     Ok(())

@@ -6,10 +6,10 @@ use super::tables::{Both, Sources, delay_in_fusion_s, receiver_of};
 use super::walk::Walks;
 use super::width::{WidthCorrection, name};
 use super::{Correct, Incidence};
-use wavex_line::scan_line::{Emission, InputInfo, LineStats, Return, ReturnChannel, ScanLine, flags};
-use wavex_line::stage::{Context, Result};
 use wavex_formats::lookup_tables::LookupTables;
 use wavex_geodesy::vertical::down_at;
+use wavex_line::scan_line::{Emission, InputInfo, LineStats, Return, ReturnChannel, ScanLine, flags};
+use wavex_line::stage::{Context, Result};
 use wavex_returns::radiometry::{LEAST_COS_INCIDENCE, RangeAndAir, target_thickness_m};
 
 /// Corrections applied to every return of a run.

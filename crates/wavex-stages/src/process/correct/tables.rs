@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use super::{Correct, TableKey};
+use wavex_formats::lookup_tables::{LookupTables, Row};
 use wavex_line::scan_line::{AmplitudeTable, InputInfo, ReturnChannel};
 use wavex_line::stage::{Result, StageError};
-use wavex_formats::lookup_tables::{LookupTables, Row};
-use wavex_signal::decompose::OVERDRIVEN_PART;
 use wavex_returns::penalised_spline::{DataPoint, smooth};
+use wavex_signal::decompose::OVERDRIVEN_PART;
 use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 
 /// Largest plausible range correction, s (150 m); larger values are not seconds.

@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize};
 
 use super::tables::{Both, receiver_of};
 use super::width::{CHANNELS, NOT_PLAIN, name};
-use wavex_line::scan_line::{LineStats, Return, ReturnChannel, ScanLine};
-use wavex_line::stage::{Context, Result};
 use crate::process::calibrate::{Auto, load_model};
 use wavex_formats::Error;
+use wavex_line::scan_line::{LineStats, Return, ReturnChannel, ScanLine};
+use wavex_line::stage::{Context, Result};
 use wavex_returns::range_walk::{LearntWalk, RangeWalk, SingleEcho, Triple};
 use wavex_signal::sensor_model::SensorModel;
 

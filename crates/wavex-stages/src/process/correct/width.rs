@@ -4,10 +4,10 @@ use super::WidthKey;
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::{Return, ReturnChannel, ScanLine, flags};
 use wavex_line::stage::Context;
-use wavex_signal::sensor_model::SensorModel;
 use wavex_returns::width_by_amplitude::{
     IsolatedPulse, NoCurve, WidthNode, ln_width_at, proven_width_by_amplitude,
 };
+use wavex_signal::sensor_model::SensorModel;
 
 /// Receivers with a width correction, in the order of the keys.
 pub(super) const CHANNELS: [ReturnChannel; 2] = [ReturnChannel::Low, ReturnChannel::High];

@@ -2,8 +2,8 @@
 
 use super::shot::{BLINDED, EmissionTime};
 use wavex_line::scan_line::{AmplitudeTable, InputInfo, Return, ReturnChannel};
-use wavex_signal::decompose::Return as Pulse;
 use wavex_returns::radiometry::target_thickness_m;
+use wavex_signal::decompose::Return as Pulse;
 use wavex_signal::sensor_model::ChannelModel;
 
 /// Standard deviation of an unreliable range, m.

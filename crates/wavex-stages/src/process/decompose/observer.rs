@@ -11,7 +11,9 @@ use wavex_signal::sensor_model::ChannelModel;
 
 /// A block of echoes with its fit.
 pub struct SeenBlock {
+    /// Samples, fitted curve and returns.
     pub shown: FittedBlock,
+    /// Statistics of the fit.
     pub fit: BlockFit,
 }
 
@@ -19,6 +21,7 @@ pub struct SeenBlock {
 pub struct SeenPulse {
     /// Time of the first sample after the shot's clock, ns.
     pub start_ns: f64,
+    /// Samples of the block, with the fitted curve.
     pub samples: FittedSamples,
     /// Pulse; its position counts from the block's first sample.
     pub pulse: Pulse,
@@ -52,11 +55,7 @@ impl<'a> Seen<'a> {
     /// Returns the collected blocks in order of time, and the outgoing pulse.
     ///
     /// `emission` and `returns` are those of the shot.
-    pub fn finish(
-        mut self,
-        emission: &Emission,
-        returns: &[Return],
-    ) -> (Vec<SeenBlock>, Option<SeenPulse>) {
+    pub fn finish(mut self, emission: &Emission, returns: &[Return]) -> (Vec<SeenBlock>, Option<SeenPulse>) {
         self.blocks.sort_by(|a, b| a.start_ns.total_cmp(&b.start_ns));
         let shown = |echoes: Echoes| {
             let first_ns = echoes.start_ns - emission.emission_ns;

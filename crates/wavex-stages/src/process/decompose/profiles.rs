@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use super::shot::{BLINDED, EmissionTime};
 use super::{Decompose, Mode};
+use crate::process::calibrate::Auto;
 use wavex_line::scan_line::{Block, Blocks, InputInfo, ReturnChannel, ShotProfile};
 use wavex_line::stage::{Result, StageError};
-use crate::process::calibrate::Auto;
 use wavex_signal::decompose::Decomposition;
 use wavex_signal::distributed::{DistributedTargets, TargetProfile, WithSd};
 use wavex_signal::sensor_model::{ChannelModel, SensorModel};

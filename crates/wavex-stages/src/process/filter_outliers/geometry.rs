@@ -1,7 +1,7 @@
 //! Positions of a line's returns for the outlier search.
 
-use wavex_line::scan_line::{Emission, Frame, ScanLine};
 use wavex_geodesy::vertical::{down_at, main_axis};
+use wavex_line::scan_line::{Emission, Frame, ScanLine};
 use wavex_returns::outliers::{Extent, LinePoint, PointLine};
 use wavex_simd::statistics::median;
 

@@ -2,9 +2,9 @@ use std::sync::Arc;
 
 use super::geometry::cross;
 use super::*;
+use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_line::scan_line::{Blocks, Content, Emission, Frame, InputInfo, Return};
 use wavex_line::stage::{Context, Item, Reason};
-use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 
 const SHOTS: u32 = 60;
 const HEIGHT_M: f64 = 500.0;

@@ -1,8 +1,8 @@
 //! Height of the sensor above the ground of its line.
 
-use wavex_line::scan_line::{Emission, Frame, Return};
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::vertical::down_at;
+use wavex_line::scan_line::{Emission, Frame, Return};
 
 /// Mean radius of the earth (IUGG 1980), m.
 const RADIUS_M: f64 = 6_371_008.8;

@@ -2,12 +2,12 @@
 
 use std::ops::RangeInclusive;
 
-use wavex_line::plausibility::Check;
-use wavex_line::scan_line::{Emission, Frame, InputInfo, Return};
-use wavex_line::stage::Context;
 use wavex_geodesy::ellipsoid::WGS84;
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::vertical::down_at;
+use wavex_line::plausibility::Check;
+use wavex_line::scan_line::{Emission, Frame, InputInfo, Return};
+use wavex_line::stage::Context;
 
 /// Fewest shots that are evidence.
 const FEWEST_SHOTS: u64 = 200;

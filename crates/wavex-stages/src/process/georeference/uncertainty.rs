@@ -1,11 +1,11 @@
 //! Total uncertainty of point positions.
 
-use wavex_line::georef::Geometry;
-use wavex_line::georef::transform::variance_m2;
-use wavex_line::scan_line::{Emission, Frame, InputInfo, Return};
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::trajectory::{Accuracy, Pose};
 use wavex_geodesy::vertical::down_at;
+use wavex_line::georef::Geometry;
+use wavex_line::georef::transform::variance_m2;
+use wavex_line::scan_line::{Emission, Frame, InputInfo, Return};
 
 /// Computes the uncertainties of a line.
 pub(super) struct Uncertainty<'g> {

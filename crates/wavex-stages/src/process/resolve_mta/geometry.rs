@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
+use wavex_formats::terrain::Terrain;
+use wavex_geodesy::cone::Turning;
+use wavex_geodesy::vertical::{down_at, main_axis};
 use wavex_line::georef::Geometry as Placed;
 use wavex_line::georef::output_crs::OutputCrs;
 use wavex_line::scan_line::{Emission, Frame, ScanLine};
 use wavex_line::stage::{Result, StageError};
-use wavex_formats::terrain::Terrain;
-use wavex_geodesy::cone::Turning;
-use wavex_geodesy::vertical::{down_at, main_axis};
 use wavex_returns::mta;
 
 /// Smallest change of direction, m per m, that defines a sweep direction.

@@ -6,10 +6,12 @@ use super::echoes::{Group, Peak, Place, Received};
 use super::geometry::Geometry;
 use super::summary::MtaCounts;
 use super::{ResolveMta, failed};
-use wavex_line::georef::Geometry as Placed;
-use wavex_line::scan_line::{Block, Blocks, Channel, Content, EmissionReference, OnlineReturn, ScanLine, Ticket};
-use wavex_line::stage::{Output, Reason, Result};
 use wavex_formats::terrain::Terrain;
+use wavex_line::georef::Geometry as Placed;
+use wavex_line::scan_line::{
+    Block, Blocks, Channel, Content, EmissionReference, OnlineReturn, ScanLine, Ticket,
+};
+use wavex_line::stage::{Output, Reason, Result};
 use wavex_returns::mta::{
     self, Assigned, BAND_LINES, BYTES_PER_ECHO, BYTES_PER_SHOT, LOOK_AHEAD_BYTES, Resolved, Resolver,
     Settings,

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use super::*;
-use wavex_line::stage::{Config as _, Item};
 use wavex_formats::container::{Compression, ContainerHeader, ContainerWriter, LineBuilder, channel};
+use wavex_line::stage::{Config as _, Item};
 
 fn header() -> ContainerHeader {
     ContainerHeader { time_scale: container::TimeScale::Week, ..ContainerHeader::new(1.0, 299_707_502.0) }

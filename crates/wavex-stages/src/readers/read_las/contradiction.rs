@@ -1,11 +1,11 @@
 //! Contradictions between the beams, return locations and points of a LAS file.
 
 use super::geometry::Geometry;
-use wavex_line::plausibility::Check;
-use wavex_line::stage::{Result, StageError};
 use crate::reading::emission_choice::lone_peak;
 use crate::reading::plausible;
 use wavex_formats::las::{Point, Reader};
+use wavex_line::plausibility::Check;
+use wavex_line::stage::{Result, StageError};
 use wavex_simd::statistics::median;
 
 /// Number of points looked at, and single echoes needed.

@@ -1,10 +1,10 @@
 //! Beam geometry of a LAS file, learnt from its first points.
 
 use super::BeamVectors;
-use wavex_line::stage::Result;
 use crate::reading::recording::units::Units;
 use wavex_formats::las::{Descriptor, MAX_COORDINATE, Point, Reader, Wave};
 use wavex_geodesy::beam_length::BeamLength;
+use wavex_line::stage::Result;
 
 /// Beam properties common to a file.
 pub(super) struct Geometry {

@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use wavex_line::scan_line::{AmplitudeTable, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
 use crate::reading::recording::units::Units;
 use wavex_formats::pulsewaves::{Reader, SegmentKind, TimeAxis};
 use wavex_formats::{RecordedCrs, geokeys};
 use wavex_geodesy::beam_length::BeamLength;
 use wavex_geodesy::crs::GeoKeys;
+use wavex_line::scan_line::{AmplitudeTable, EmissionReference, Frame, GainControl, InputInfo, TimeScale};
 
 /// Metadata of a recording from its header and records.
 pub(super) fn describe(

@@ -1,8 +1,8 @@
 //! Classification of SDF records: a shot, an end of line, or neither.
 
+use wavex_formats::sdf::{SdfBlock, SdfRecord, channel, record_flags};
 use wavex_line::scan_line::{Channel, Emission, emission_flags};
 use wavex_line::stage::Reason;
-use wavex_formats::sdf::{SdfBlock, SdfRecord, channel, record_flags};
 
 /// Kind of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

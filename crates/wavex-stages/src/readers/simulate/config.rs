@@ -4,10 +4,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{FULL_SCALE_DN, INTERVAL_NS};
+use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year};
 use wavex_line::keys::{InvalidKey, above, at_least};
 use wavex_line::scan_line::MAX_SHOTS_PER_LINE;
 use wavex_line::stage::Config;
-use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year};
 use wavex_simulation::detector::Detector;
 use wavex_simulation::platform::{Motion, Platform};
 use wavex_simulation::pulse::PulseShape;

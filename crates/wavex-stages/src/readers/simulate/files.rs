@@ -3,10 +3,10 @@
 use std::io::Write;
 
 use super::Simulate;
-use wavex_line::stage::{Context, FinishedFile, OutputFile, Result, RunContext};
 use wavex_formats::Error;
 use wavex_formats::trajectory::pof::{PofHeader, PofRecord};
 use wavex_formats::trajectory::sbet::SbetRecord;
+use wavex_line::stage::{Context, FinishedFile, OutputFile, Result, RunContext};
 use wavex_simulation::platform::Platform;
 use wavex_simulation::truth::{COLUMNS, GAIN_COLUMN, TrueReturn};
 use wavex_simulation::world::{GeodeticPose, World};

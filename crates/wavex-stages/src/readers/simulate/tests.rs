@@ -356,12 +356,13 @@ fn the_table_of_truth_is_handed_over_once_it_is_whole() {
     let mut shots = 0;
     while let Some(scan_line) = source.next(&mut cx).unwrap() {
         shots += scan_line.emissions.len();
-        assert!(cx.whole.is_empty());
+        assert!(cx.take_files().is_empty());
         assert_eq!(source.progress(), Some(f64::from(scan_line.line + 1) / 3.0));
     }
     assert!(source.next(&mut cx).unwrap().is_none(), "the end stays the end");
-    assert_eq!((shots, cx.whole.len()), (150, 1));
-    let path = cx.whole.pop().unwrap().publish().unwrap();
+    let mut files = cx.take_files();
+    assert_eq!((shots, files.len()), (150, 1));
+    let path = files.pop().unwrap().publish().unwrap();
     assert_eq!(path, folder.path().join("simulated_truth.csv"));
     let text = std::fs::read_to_string(path).unwrap();
     let rows: Vec<&str> = text.lines().collect();
@@ -383,7 +384,7 @@ fn a_run_that_ends_early_leaves_no_truth() {
 /// The demo's flight can be simulated in a short time.
 #[test]
 fn the_demonstration_starts_with_this_stage() {
-    let job: toml::Table = include_str!("../../../jobs/demo.toml").parse().unwrap();
+    let job: toml::Table = include_str!("../../../../../jobs/demo.toml").parse().unwrap();
     let mut keys = job["stage"][0].as_table().unwrap().clone();
     assert_eq!(keys.remove("type").unwrap().as_str(), Some("simulate"));
     let config: Simulate = keys.try_into().unwrap();

@@ -7,11 +7,11 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use wavex_line::scan_line::{InputInfo, TimeScale};
-use wavex_line::stage::Result;
 use wavex_formats::Error;
 use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, WEEKDAYS, day_of_year, gps_week, weekday};
 use wavex_geodesy::time_axis::{date, leap_seconds};
+use wavex_line::scan_line::{InputInfo, TimeScale};
+use wavex_line::stage::Result;
 
 const DAY_S: f64 = 86_400.0;
 

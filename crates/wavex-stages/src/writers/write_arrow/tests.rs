@@ -8,11 +8,11 @@ use proptest::option;
 use proptest::prelude::*;
 
 use super::*;
+use crate::readers::read_arrow;
 use wavex_line::scan_line::{
     AmplitudeTable, Channel, EmissionReference, Frame, GainControl, OnlineReturn, TimeScale, emission_flags,
 };
 use wavex_line::stage::{Config as _, Source, SourceConfig};
-use crate::readers::read_arrow;
 
 fn run(folder: &Path, input: &str) -> RunContext {
     RunContext {
@@ -31,7 +31,7 @@ fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
     let mut sink = config.make(&run(folder, "")).unwrap();
     batches.iter().for_each(|scan_line| sink.write(scan_line, &mut cx).unwrap());
     sink.finish(&mut cx).unwrap();
-    for whole in cx.whole.drain(..) {
+    for whole in cx.take_files() {
         whole.publish().unwrap();
     }
     cx

@@ -2,10 +2,10 @@
 
 use std::fmt::Write;
 
-use crate::writers::write_las::attributes::value;
 use super::steps::Steps;
-use wavex_line::scan_line::Return;
+use crate::writers::write_las::attributes::value;
 use wavex_formats::las::{ATTRIBUTES_1_1, ExtraAttribute, PointOut, RAW_AMP, quantise};
+use wavex_line::scan_line::Return;
 
 /// A point, and the other sources of its row.
 pub(super) struct Row<'a> {

@@ -2,10 +2,10 @@
 
 use wavex_simd::quantise::{ROUNDING, power_ratios};
 
-use wavex_line::scan_line::{Return, ReturnChannel, flags};
 use wavex_formats::las::{
     ATTRIBUTES_1_0, ATTRIBUTES_1_1, ATTRIBUTES_STANDARD, ExtraAttribute, ExtraColumns, RAW_AMP, TOGETHER,
 };
+use wavex_line::scan_line::{Return, ReturnChannel, flags};
 
 use super::AttributeLayout;
 

@@ -10,10 +10,10 @@ use std::io::Write;
 
 use super::WavePacketsKey;
 use super::waves::{self, Waves};
-use wavex_line::stage::{Context, FinishedFile, OutputFile, Reason, Result};
 use crate::stac;
 use wavex_formats::Error;
 use wavex_formats::las::{Writer, indexes_beside};
+use wavex_line::stage::{Context, FinishedFile, OutputFile, Reason, Result};
 
 /// Companion files of the points, or data appended to them.
 pub(super) struct Files {

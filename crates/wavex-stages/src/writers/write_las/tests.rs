@@ -77,7 +77,7 @@ fn write(keys: &WriteLas, lines: &[ScanLine]) -> (Vec<u8>, Vec<String>) {
     let folder = tempfile::tempdir().unwrap();
     let context = run_context(folder.path());
     let mut cx = run(keys, &context, lines);
-    let whole = cx.whole.drain(..).map(|whole| whole.publish().unwrap());
+    let whole = cx.take_files().into_iter().map(|whole| whole.publish().unwrap());
     let paths: Vec<_> = whole.collect();
     let expected: Vec<_> = keys.outputs().iter().map(|pattern| context.output_path(pattern)).collect();
     assert!(paths.iter().all(|path| expected.contains(path)) && paths.len() == expected.len());
@@ -212,7 +212,7 @@ fn an_index_of_earlier_points_is_gone() {
         }
         let mut cx = run(&WriteLas { index, ..keys("*.laz") }, &run_context(folder.path()), &lines);
         assert_eq!(std::fs::read(&index_path).unwrap(), b"old", "kept until the new points are complete");
-        cx.whole.drain(..).for_each(|whole| drop(whole.publish().unwrap()));
+        cx.take_files().into_iter().for_each(|whole| drop(whole.publish().unwrap()));
         match index {
             IndexKey::File => assert!(std::fs::read(&index_path).unwrap().starts_with(b"LASX")),
             _ => assert!(!index_path.exists()),
@@ -241,11 +241,12 @@ fn points_never_stand_beside_what_belongs_to_others() {
         names.map(state).iter().collect::<String>()
     };
     let mut states = vec![state()];
-    for whole in &mut cx.whole {
+    let mut files = cx.take_files();
+    for whole in &mut files {
         whole.remove_stale().unwrap();
         states.push(state());
     }
-    for whole in cx.whole.drain(..) {
+    for whole in files {
         whole.publish().unwrap();
         states.push(state());
     }
@@ -366,7 +367,7 @@ fn written_item(keys: &WriteLas, input: InputInfo) -> (Option<serde_json::Value>
         *places = vec![[500_000.0, 5_300_000.0, 100.0], [500_100.0, 5_300_200.0, 150.0]];
     }
     let mut cx = run(keys, &run_context(folder.path()), &[points]);
-    cx.whole.drain(..).for_each(|whole| drop(whole.publish().unwrap()));
+    cx.take_files().into_iter().for_each(|whole| drop(whole.publish().unwrap()));
     let text = std::fs::read_to_string(folder.path().join("made.json")).ok();
     let item = text.map(|text| serde_json::from_str(&text).unwrap());
     (item, cx.counters().notes.clone())

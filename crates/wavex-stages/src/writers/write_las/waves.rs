@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
+use wavex_formats::Error;
+use wavex_formats::las::{Descriptor, Packet, PacketWriter, Wave};
+use wavex_geodesy::frames::Vector;
 use wavex_line::georef::Geometry;
 use wavex_line::georef::output_crs::OutputCrs;
 use wavex_line::scan_line::{Block, Blocks, Channel, Emission, Frame, Return, ReturnChannel, ScanLine};
 use wavex_line::stage::{FinishedFile, OutputFile, Result, StageError};
-use wavex_formats::Error;
-use wavex_formats::las::{Descriptor, Packet, PacketWriter, Wave};
-use wavex_geodesy::frames::Vector;
 
 /// Length over which beams are treated as straight in any projection, m.
 const BEAM_M: f64 = 10.0;

@@ -134,7 +134,7 @@ fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
     let mut sink = config.make(&run).unwrap();
     batches.iter().for_each(|batch| sink.write(batch, &mut cx).unwrap());
     sink.finish(&mut cx).unwrap();
-    for whole in cx.whole.drain(..) {
+    for whole in cx.take_files() {
         whole.publish().unwrap();
     }
     cx
@@ -323,7 +323,7 @@ fn shots_are_refused() {
 
 #[test]
 fn the_columns_stand_in_the_schemas() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("schemas/return_table.json");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../schemas/return_table.json");
     let expected = serde_json::to_string_pretty(&description()).unwrap() + "\n";
     if fs::read_to_string(&path).ok().as_deref() != Some(&expected) {
         fs::create_dir_all(path.parent().unwrap()).unwrap();

@@ -46,8 +46,8 @@ impl Pace {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use wavex_line::stage::Config;
     use crate::writers::write_trajectory::WriteTrajectory;
+    use wavex_line::stage::Config;
 
     #[test]
     fn the_time_from_row_to_row_is_spelled_out() {

@@ -1,11 +1,11 @@
 //! From the trajectory to the truth, by the chain that a user's own georeferencing goes.
 
 use super::*;
-use wavex_line::scan_line::Frame;
 use wavex_formats::trajectory::sbet::{RECORD_BYTES, SbetRecord};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_geodesy::frames::{Attitude, ecef_from_ned, rotate, rotation_of_angles};
 use wavex_geodesy::transverse_mercator::{TransverseMercator, TransverseMercatorParameters};
+use wavex_line::scan_line::Frame;
 
 /// Flies to the end and gives the lines, and the files by their names.
 fn flown(config: &Simulate) -> (Vec<ScanLine>, std::collections::BTreeMap<String, Vec<u8>>) {
@@ -15,7 +15,7 @@ fn flown(config: &Simulate) -> (Vec<ScanLine>, std::collections::BTreeMap<String
     while let Some(line) = source.next(&mut cx).unwrap() {
         batches.push(line);
     }
-    let files = std::mem::take(&mut cx.whole).into_iter().map(|file| {
+    let files = cx.take_files().into_iter().map(|file| {
         let path = file.publish().unwrap();
         (path.file_name().unwrap().to_string_lossy().into_owned(), std::fs::read(&path).unwrap())
     });

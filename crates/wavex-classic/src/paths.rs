@@ -115,8 +115,8 @@ fn text(given: &Given) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::import::line::read_line;
-    use crate::cli::import::versions;
+    use crate::line::read_line;
+    use crate::versions;
 
     fn paths(line: &str, base: Option<&str>) -> Paths {
         let words: Vec<String> = line.split(' ').map(str::to_owned).collect();

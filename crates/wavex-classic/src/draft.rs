@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use wavex_line::georef::GeometryKeys;
 use wavex_engine::job::JobSettings;
+use wavex_line::georef::GeometryKeys;
 use wavex_line::keys::Keys;
 use wavex_stages::registry::STAGES;
 

@@ -8,8 +8,8 @@ use super::line::{Given, Value};
 use super::options::{Becomes, Flag, Form, Opt, Part, Standard, Takes, Version};
 use super::paths::Paths;
 use super::problem::Problem;
-use wavex_line::keys::listed;
 use wavex_formats::format::reader_of;
+use wavex_line::keys::listed;
 
 /// Context of a translation.
 pub struct Place<'a> {
