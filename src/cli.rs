@@ -156,11 +156,34 @@ impl JobArgs {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use wavex_formats::format::FORMATS;
 
     #[test]
     fn the_command_line_is_consistent() {
         // clap panics on contradictory definitions and names them.
         Cli::command().debug_assert();
+    }
+
+    /// Help texts of recordings list the extensions of all formats.
+    #[test]
+    fn help_texts_list_all_extensions() {
+        let extensions: Vec<String> = FORMATS
+            .iter()
+            .flat_map(|format| format.extensions)
+            .map(|extension| format!(".{extension}"))
+            .collect();
+        let mut n_texts = 0;
+        for command in Cli::command().get_subcommands() {
+            for argument in command.get_arguments() {
+                let help = argument.get_long_help().or(argument.get_help()).map(ToString::to_string);
+                let Some(help) = help.filter(|help| help.contains(".las, ")) else { continue };
+                for extension in &extensions {
+                    assert!(help.contains(extension), "{} {}: {help}", command.get_name(), argument.get_id());
+                }
+                n_texts += 1;
+            }
+        }
+        assert!(n_texts >= 5, "only {n_texts} help texts list extensions");
     }
 
     #[test]

@@ -26,6 +26,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+use std::path::Path;
+
 pub mod cli;
 
 pub use wavex_classic as classic;
@@ -35,3 +37,19 @@ pub use wavex_pages::{inspect, report, view};
 pub use wavex_run::{Failure, archive, cluster, explain, job_file, run};
 pub use wavex_stages as stages;
 pub use wavex_stages::{checks, registry};
+
+/// Opens a recording of any supported format, recognised by its extension.
+///
+/// ```no_run
+/// for line in wavex::open("flight7.pls".as_ref())?.scan_lines()? {
+///     let line = line?;
+///     println!("line {}: {} shots", line.line, line.emissions.len());
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// The format is unknown, or the file cannot be read or has no shots.
+pub fn open(path: &Path) -> Result<recording::Recording, recording::OpenError> {
+    recording::Recording::open(registry::STAGES, path, &[])
+}

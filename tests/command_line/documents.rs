@@ -184,7 +184,7 @@ fn the_index_lists_every_document() {
 #[test]
 fn pages_that_the_code_names_exist() {
     let mut files = vec![root().join("Cargo.toml")];
-    for folder in ["src", "tests", "benches", "examples", "jobs", "schemas"] {
+    for folder in ["src", "crates", "tests", "benches", "examples", "jobs", "schemas"] {
         files.extend(files_below(&root().join(folder), &[".rs", ".toml", ".json"]));
     }
     let mut n = 0;
@@ -200,6 +200,37 @@ fn pages_that_the_code_names_exist() {
         }
     }
     assert!(n > 30, "only {n} mentions of pages were found");
+}
+
+/// Documents name files and folders of the sources; a file that moves must move there, too.
+///
+/// Names with `my_` are those of a recipe.
+#[test]
+fn paths_in_documents_exist() {
+    let all =
+        ["src", "crates", "tests", "benches", "examples", "python", "fuzz"].map(|folder| root().join(folder));
+    let sources: Vec<PathBuf> = all.iter().flat_map(|folder| files_below(folder, &[".rs", ".py"])).collect();
+    let mut n = 0;
+    for path in pages().into_iter().filter(|path| !path.ends_with("CHANGELOG.md")) {
+        let page = read(&path);
+        let is_path = |c: char| c.is_ascii_alphanumeric() || "/_-.".contains(c);
+        for code in prose(&page).split('`').skip(1).step_by(2) {
+            if !code.contains('/') || !code.chars().all(is_path) || code.contains("my_") {
+                continue;
+            }
+            let is_from_root = ["src/", "crates/", "tests/", "benches/", "examples/", "python/"]
+                .iter()
+                .any(|folder| code.starts_with(folder));
+            let exists = match (is_from_root, code.ends_with(".rs")) {
+                (true, _) => root().join(code).exists(),
+                (false, true) => sources.iter().any(|source| source.ends_with(code)),
+                (false, false) => continue,
+            };
+            assert!(exists, "{} names {code}, which does not exist", path.display());
+            n += 1;
+        }
+    }
+    assert!(n > 60, "only {n} paths were found");
 }
 
 /// Jobs in documents use stages and keys that exist.

@@ -49,9 +49,28 @@ fn a_job_is_run_from_rust_and_its_recording_read() {
 }
 
 #[test]
-fn a_stage_of_ones_own_takes_part_in_a_job() {
+fn a_map_of_ones_own_drops_returns() {
     let folder = tempfile::tempdir().unwrap();
-    let out = printed("own_stage", &[folder.path()]);
+    let out = printed("writing_map", &[folder.path()]);
     assert!(out.contains("drop_weak: ") && out.contains("{\"returns: too weak\": "), "{out}");
     assert!(folder.path().join("simulated.csv").is_file());
+}
+
+#[test]
+fn a_reader_of_ones_own_reads_lines_and_counts_bad_records() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = printed("writing_reader", &[folder.path()]);
+    assert!(out.starts_with("read_shots: 2 lines, 3 shots\n"), "{out}");
+    assert!(out.contains("{\"shots: not two times and samples\": 1}"), "{out}");
+    assert!(folder.path().join("three_lstat.txt").is_file());
+}
+
+#[test]
+fn a_sink_of_ones_own_writes_a_row_per_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = printed("writing_sink", &[folder.path()]);
+    assert!(out.starts_with("wrote ") && out.ends_with("highest.txt\n"), "{out}");
+    let text = std::fs::read_to_string(folder.path().join("highest.txt")).unwrap();
+    let lines: Vec<&str> = text.lines().map(|line| line.split(' ').next().unwrap()).collect();
+    assert_eq!(lines, ["0", "1", "2"], "{text}");
 }

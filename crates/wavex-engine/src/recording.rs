@@ -87,6 +87,14 @@ impl Recording {
         &self.cx
     }
 
+    /// Reads all scan lines from the start, in the order of the file.
+    ///
+    /// # Errors
+    /// The file cannot be opened again.
+    pub fn scan_lines(&self) -> Result<ScanLines> {
+        Ok(ScanLines { source: self.reader.make(&self.run)?, cx: Context::of_run() })
+    }
+
     /// Returns the index; reads or makes it on first use.
     ///
     /// `watch` is called with the fraction read while it is made; an error of it ends that. An index
@@ -149,6 +157,27 @@ impl Recording {
             }
         }
         Ok(nearest.map(|(_, shot)| shot))
+    }
+}
+
+/// Scan lines of a recording; see [`Recording::scan_lines`].
+pub struct ScanLines {
+    source: Box<dyn Source>,
+    cx: Context,
+}
+
+impl ScanLines {
+    /// Counters and notes of the lines read so far.
+    pub fn context(&self) -> &Context {
+        &self.cx
+    }
+}
+
+impl Iterator for ScanLines {
+    type Item = Result<ScanLine>;
+
+    fn next(&mut self) -> Option<Result<ScanLine>> {
+        self.source.next(&mut self.cx).transpose()
     }
 }
 

@@ -1,6 +1,6 @@
-//! Adds a custom stage to wavex and runs a job with it.
+//! A map of your own: changes scan lines, one at a time, in parallel.
 //!
-//!     cargo run --example own_stage -- out
+//!     cargo run --example writing_map -- out
 #![allow(clippy::print_stdout, reason = "an example prints what it finds")]
 
 use anyhow::{Context as _, Result};
@@ -36,7 +36,7 @@ impl Default for DropWeak {
 impl Config for DropWeak {}
 
 impl MapConfig for DropWeak {
-    fn make(&self, _site: &RunContext) -> stage::Result<Box<dyn Map>> {
+    fn make(&self, _run: &RunContext) -> stage::Result<Box<dyn Map>> {
         Ok(Box::new(self.clone()))
     }
 }
