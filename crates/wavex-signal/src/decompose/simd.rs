@@ -82,7 +82,7 @@ pub use tables::Tables;
 
 use detection::Detect;
 use outcome::{Finish, Give};
-use pulse_model::{PulseModel, Way};
+use pulse_model::PulseModel;
 use rows::{BATCH, FAST_BATCH};
 use thresholds::Thresholds;
 use workspace::{Decompose, Workspace};
@@ -323,7 +323,7 @@ impl BatchDecomposer {
         if pulse_model.pulses().is_empty() {
             return false;
         }
-        if pulse_model.way == Way::Plain {
+        if !pulse_model.is_fast() {
             // One step on overlapping pulses leaves much of their signal to the level. A waveform
             // rejected for this reason may succeed once it is refined.
             return self.thresholds.level_response > 0.0;

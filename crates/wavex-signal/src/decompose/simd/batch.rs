@@ -8,7 +8,7 @@ use super::fit_queue::{add, take_off};
 use super::fitted::FittedPulse;
 use super::initial_guess::{ClearForStep, FromBank, OneStep};
 use super::level::{SetLevels, widen};
-use super::pulse_model::{MAX_CLUSTER, MAX_PULSES, PulseModel, Way};
+use super::pulse_model::{MAX_CLUSTER, MAX_PULSES, PulseModel};
 use super::rows::FAST_BATCH;
 use super::single_pulse::FitSingles;
 use super::workspace::{ChiSquares, Decompose, Workspace};
@@ -58,16 +58,14 @@ impl Decompose<'_> {
             }
             return;
         }
-        self.select(|pulse_model| {
-            (pulse_model.taken_off | pulse_model.pulses().is_empty()) & !pulse_model.is_settled
-        });
+        self.select(PulseModel::needs_chi_square);
         self.sum_squares();
         self.search_residuals();
     }
 
     /// Brings level and pulses of all waveforms to their joint optimum.
     fn set_levels(&mut self) {
-        self.select(|pulse_model| (pulse_model.way == Way::Fast) & !pulse_model.is_levelled);
+        self.select(PulseModel::needs_level);
         self.set_levels_of_which();
     }
 
@@ -93,17 +91,17 @@ impl Decompose<'_> {
         let follows = self.mode == Mode::Refined;
         for round in 0..LEVEL_ROUNDS {
             let Workspace { rows, pulse_models, which, due: moved, .. } = &mut *self.work;
-            which.retain(|&row| pulse_models[row].way == Way::Fast && !pulse_models[row].is_levelled);
+            which.retain(|&row| pulse_models[row].needs_level());
             moved.clear();
             self.on.run(SetLevels { tables: self.tables, level, rows, pulse_models, which, follows, moved });
             if moved.is_empty() || round + 1 == LEVEL_ROUNDS {
                 return;
             }
             self.keep_due(1);
-            self.fit_clusters(1);
             let Workspace { pulse_models, which, due, .. } = &mut *self.work;
             which.clone_from(due);
-            which.iter().for_each(|&row| pulse_models[row].is_levelled = false);
+            which.iter().for_each(|&row| pulse_models[row].reopen());
+            self.fit_clusters(1);
         }
     }
 
@@ -137,15 +135,15 @@ impl Decompose<'_> {
         moved.clear();
         self.on.run(FitSingles { tables: self.tables, rows, pulse_models, which, moved });
         for &row in moved.iter() {
-            (pulse_models[row].is_settled, pulse_models[row].is_levelled) = (false, false);
+            pulse_models[row].reopen();
         }
     }
 
-    /// Marks the clusters of all unsettled waveforms as due.
+    /// Marks the clusters of all unfitted waveforms as due.
     fn set_all_due(&mut self) {
         let Workspace { due, pulse_models, .. } = &mut *self.work;
         due.clear();
-        due.extend((0..pulse_models.len()).filter(|&row| !pulse_models[row].is_settled));
+        due.extend((0..pulse_models.len()).filter(|&row| pulse_models[row].needs_fit()));
         self.keep_due(1);
     }
 
@@ -159,15 +157,14 @@ impl Decompose<'_> {
             let pulse_model = &mut pulse_models[row];
             pulse_model.sort();
             let others = pulse_model.set_clusters(fwhm);
-            pulse_model.way == Way::Fast && (others || pulse_model.cluster(clusters - 1).is_some())
+            pulse_model.is_fast() && (others || pulse_model.cluster(clusters - 1).is_some())
         });
     }
 
     /// Subtracts all pulses from their waveform's row, unless already done.
     fn take_off_all(&mut self, row: usize) {
         let pulse_model = &mut self.work.pulse_models[row];
-        if !pulse_model.taken_off {
-            pulse_model.taken_off = true;
+        if !pulse_model.subtract() {
             for pulse in pulse_model.pulses() {
                 add(self.on, self.tables, &mut self.work.rows, row, pulse.values(), -1.0);
             }
@@ -194,7 +191,7 @@ impl Decompose<'_> {
             for &(row, number) in to_fit {
                 let Workspace { rows, pulse_models, queues, .. } = &mut *self.work;
                 let values = pulse_models[row].pulses()[number].values();
-                if pulse_models[row].taken_off {
+                if pulse_models[row].is_subtracted() {
                     add(on, tables, rows, row, values, 1.0);
                 }
                 queues.push(tables, row, &[values], Aim::OPTIMUM, number);
@@ -217,7 +214,7 @@ impl Decompose<'_> {
             tags.clear();
             round.retain(|&row| {
                 let pulse_model = &self.work.pulse_models[row];
-                pulse_model.way == Way::Fast && pulse_model.cluster(number).is_some()
+                pulse_model.is_fast() && pulse_model.cluster(number).is_some()
             });
             if round.is_empty() {
                 break;
@@ -228,7 +225,7 @@ impl Decompose<'_> {
                     self.work.pulse_models[row].beyond = 0.0;
                 }
                 if cluster.len() > MAX_CLUSTER {
-                    self.work.pulse_models[row].give_up();
+                    self.work.pulse_models[row].leave_to_scalar();
                 } else if cluster.len() >= least
                     && let Some(single) = self.queue_cluster(row, cluster.clone())
                 {
@@ -251,8 +248,8 @@ impl Decompose<'_> {
     /// Returns the job instead of queuing it for a single pulse that was never fitted: the width
     /// bank must find its start values.
     fn queue_cluster(&mut self, row: usize, cluster: std::ops::Range<usize>) -> Option<Job<1>> {
-        if self.work.pulse_models[row].taken_off || cluster.len() < self.work.pulse_models[row].pulses().len()
-        {
+        let pulse_model = &self.work.pulse_models[row];
+        if pulse_model.is_subtracted() || cluster.len() < pulse_model.pulses().len() {
             self.take_off_all(row);
             for i in cluster.clone() {
                 let values = self.work.pulse_models[row].pulses()[i].values();
@@ -281,7 +278,9 @@ impl Decompose<'_> {
         for done in &work.done.list {
             let fitted = work.done.pulses(done);
             let pulse_model = &mut work.pulse_models[done.row];
-            pulse_model.taken_off |= fitted.len() == pulse_model.pulses().len();
+            if fitted.len() == pulse_model.pulses().len() {
+                pulse_model.subtract();
+            }
             // Without an optimum the pulse counts as not fitted: another may join it, or the scalar
             // kernels take the waveform.
             let settled = done.is_optimum && fitted.iter().all(FittedPulse::is_held);

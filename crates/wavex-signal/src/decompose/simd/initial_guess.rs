@@ -78,7 +78,7 @@ impl Kernel for ClearForStep<'_> {
                 let pulse_model = &mut pulse_models[row];
                 let overlaps = |i: usize| i + 1 < count && pulse_model.overlap(i, i + 1, fwhm);
                 let is_stepped = !separated || !(overlaps(number) || number > 0 && overlaps(number - 1));
-                let is_off = std::mem::replace(&mut pulse_model.taken_off, true);
+                let is_off = pulse_model.subtract();
                 for (i, pulse) in pulse_model.pulses().iter().enumerate() {
                     let stays = i == number && is_stepped;
                     if stays == is_off {
@@ -154,7 +154,7 @@ impl Kernel for OneStep<'_> {
                     pulse.sds = stepped.sds;
                     (pulse_model.chi_square, pulse_model.samples) = (steps.chi_square[w], steps.samples[w]);
                 }
-                if pulse_model.taken_off {
+                if pulse_model.is_subtracted() {
                     let values = pulse_model.pulses()[number].values();
                     add_pulse(s, tables, rows, row, values, -1.0);
                 }

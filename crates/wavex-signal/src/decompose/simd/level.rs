@@ -16,7 +16,7 @@ use wavex_simd::{Kernel, LANES, Simd};
 use super::fit_queue::add_pulse;
 use super::layout::{U_MAX, U_MIN, Values};
 use super::level_tables::{LevelStep, LevelTables};
-use super::pulse_model::{PulseComponent, PulseModel, Way};
+use super::pulse_model::{PulseComponent, PulseModel};
 use super::rows::{EMPTY, Rows};
 use super::tables::Tables;
 use super::template::Lookup;
@@ -138,7 +138,7 @@ impl Kernel for SetLevels<'_> {
         for which in self.which.chunks(LANES) {
             for &row in which {
                 let pulse_model = &mut pulse_models[row];
-                if !std::mem::replace(&mut pulse_model.taken_off, true) {
+                if !pulse_model.subtract() {
                     for pulse in pulse_model.pulses() {
                         add_pulse(s, tables, rows, row, pulse.values(), -1.0);
                     }
@@ -176,7 +176,7 @@ pub(super) fn set_levels<S: Simd>(
     for (w, &row) in which.iter().enumerate() {
         let pulse_model = &mut pulse_models[row];
         if step.made & (1 << w) == 0 {
-            pulse_model.give_up();
+            pulse_model.leave_to_scalar();
             continue;
         }
         pulse_model.set_level(after[w], variances[w]);
@@ -273,7 +273,7 @@ impl PulseComponent {
 
 /// Adds the uncertainty of the level to the standard deviations of all pulses.
 pub(super) fn widen(pulse_models: &mut [PulseModel]) {
-    for pulse_model in pulse_models.iter_mut().filter(|pulse_model| pulse_model.way == Way::Fast) {
+    for pulse_model in pulse_models.iter_mut().filter(|pulse_model| pulse_model.is_fast()) {
         let variance = pulse_model.level_variance;
         pulse_model.pulses_mut().iter_mut().for_each(|pulse| pulse.widen(variance));
     }

@@ -9,7 +9,7 @@ use super::fit::Aim;
 use super::fit_queue::{add, take_off};
 use super::layout::U_MAX;
 use super::level::JointSquares;
-use super::pulse_model::{MAX_TRIAL, PulseComponent, PulseModel, Way};
+use super::pulse_model::{MAX_TRIAL, PulseComponent, PulseModel};
 use super::rows::BATCH;
 use super::score_test::Scores;
 use super::trial::{Change, Trial, divided};
@@ -39,7 +39,7 @@ impl Decompose<'_> {
         work.rivals.resize(work.pulse_models.len(), f32::INFINITY);
         let waveforms = work.pulse_models.iter_mut().zip(&mut work.rivals);
         for ((pulse_model, rival), block) in waveforms.zip(self.blocks) {
-            if pulse_model.way == Way::Fast && is_cut_short(pulse_model) {
+            if pulse_model.is_fast() && is_cut_short(pulse_model) {
                 match least_beyond(pulse_model) {
                     Some(least) => *rival = least,
                     // Near a good fit, only the scalar form can evaluate pulses of any width.
@@ -53,9 +53,8 @@ impl Decompose<'_> {
         }
         let room = 1..self.settings.max_returns;
         let pulse_models = work.pulse_models.iter().enumerate();
-        let begun = pulse_models.filter(|(_, pulse_model)| {
-            pulse_model.way == Way::Fast && room.contains(&pulse_model.pulses().len())
-        });
+        let begun = pulse_models
+            .filter(|(_, pulse_model)| pulse_model.is_fast() && room.contains(&pulse_model.pulses().len()));
         work.active.extend(begun.map(|(row, _)| row));
         for _ in 0..ROUNDS {
             if self.work.active.is_empty() {
@@ -75,12 +74,11 @@ impl Decompose<'_> {
         }
         for i in 0..self.work.active.len() {
             let row = self.work.active[i];
-            self.work.pulse_models[row].give_up();
+            self.work.pulse_models[row].leave_to_scalar();
         }
         for (pulse_model, &rival) in self.work.pulse_models.iter_mut().zip(&self.work.rivals) {
-            if pulse_model.way == Way::Fast && (is_cut_short(pulse_model) || is_undecided(pulse_model, rival))
-            {
-                pulse_model.give_up();
+            if pulse_model.is_fast() && (is_cut_short(pulse_model) || may_be_wider(pulse_model, rival)) {
+                pulse_model.leave_to_scalar();
             }
         }
     }
@@ -88,7 +86,7 @@ impl Decompose<'_> {
     fn start_round(&mut self) {
         self.work.due.clear();
         for &row in &self.work.active {
-            self.work.pulse_models[row].has_changed = false;
+            self.work.pulse_models[row].start_search_round();
         }
     }
 
@@ -96,7 +94,7 @@ impl Decompose<'_> {
     fn end_round(&mut self) {
         let fwhm = self.fwhm();
         let Workspace { active, due, pulse_models, .. } = &mut *self.work;
-        active.retain(|&row| pulse_models[row].has_changed && pulse_models[row].way == Way::Fast);
+        active.retain(|&row| pulse_models[row].has_changed() && pulse_models[row].is_fast());
         for &row in active.iter() {
             pulse_models[row].set_clusters(fwhm);
             let pulses = pulse_models[row].pulses();
@@ -121,7 +119,7 @@ impl Decompose<'_> {
             let pulse_model = &pulse_models[row];
             let room = pulse_model.pulses().len() < settings.max_returns
                 && pulse_model.counts.n_added < settings.max_added;
-            room && pulse_model.way == Way::Fast
+            room && pulse_model.is_fast()
         });
     }
 
@@ -140,7 +138,7 @@ impl Decompose<'_> {
         for i in 0..self.work.active.len() {
             let row = self.work.active[i];
             let pulse_model = &self.work.pulse_models[row];
-            if pulse_model.has_changed || pulse_model.way == Way::Plain {
+            if pulse_model.has_changed() || !pulse_model.is_fast() {
                 continue;
             }
             let [first, second] = self.greatest(pulse_model, &self.work.candidates[i]);
@@ -200,7 +198,7 @@ impl Decompose<'_> {
         for i in 0..self.work.active.len() {
             let row = self.work.active[i];
             let pulse_model = &self.work.pulse_models[row];
-            if pulse_model.has_changed || pulse_model.way == Way::Plain {
+            if pulse_model.has_changed() || !pulse_model.is_fast() {
                 continue;
             }
             for (number, pulse) in pulse_model.pulses().iter().enumerate() {
@@ -294,7 +292,7 @@ impl Decompose<'_> {
     fn judge(&mut self, trials: Range<usize>, best: usize) {
         let trial = self.work.trials[best];
         let pulse_model = &self.work.pulse_models[trial.row];
-        if pulse_model.way == Way::Plain {
+        if !pulse_model.is_fast() {
             return;
         }
         let gained = |trial: &Trial| pulse_model.chi_square - trial.chi_square - trial.gain;
@@ -309,7 +307,7 @@ impl Decompose<'_> {
             // A further pulse may give it an optimum.
             self.take_up(&best);
         } else if gained(&best) > -OPEN_GAIN {
-            self.work.pulse_models[trial.row].is_open = true;
+            self.work.pulse_models[trial.row].set_undecided();
         }
     }
 
@@ -385,7 +383,7 @@ impl Decompose<'_> {
         let pulse_model = &mut work.pulse_models[trial.row];
         let before = *pulse_model;
         if !pulse_model.replace(trial.old(), trial.pulses()) {
-            pulse_model.give_up();
+            pulse_model.leave_to_scalar();
             return;
         }
         let samples = work.rows.length(trial.row);
@@ -412,10 +410,7 @@ impl Decompose<'_> {
         work.rivals[trial.row] -= if replaces_wide { trial.gain } else { decrease };
         pulse_model.chi_square = trial.chi_square;
         pulse_model.sort();
-        pulse_model.counts.n_added += 1;
-        pulse_model.refined_twice = true;
-        pulse_model.has_changed = true;
-        (pulse_model.is_levelled, pulse_model.is_open) = (false, false);
+        pulse_model.accept_trial();
     }
 }
 
@@ -426,7 +421,7 @@ fn is_cut_short(pulse_model: &PulseModel) -> bool {
 
 /// Whether pulses wider than the tables might explain the waveform better than those that replaced
 /// them: `rival` is the least chi-square they could reach.
-fn is_undecided(pulse_model: &PulseModel, rival: f32) -> bool {
+fn may_be_wider(pulse_model: &PulseModel, rival: f32) -> bool {
     let is_resolved = pulse_model.chi_square < pulse_model.samples as f32 + NO_GOOD_FIT
         && pulse_model.pulses().iter().all(|pulse| pulse.width_ratio() < RESOLVED_WIDTH_RATIO);
     pulse_model.chi_square > rival && !is_resolved

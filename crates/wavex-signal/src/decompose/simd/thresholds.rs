@@ -130,7 +130,7 @@ impl Thresholds {
             parameters: 3 * pulse_model.pulses().len() + usize::from(self.level_response > 0.0),
             background_offset_dn: pulse_model.level_dn.into(),
             refined_once: pulse_model.pulses().iter().any(|p| p.flags & flags::REFINED != 0),
-            refined_twice: pulse_model.refined_twice,
+            refined_twice: pulse_model.counts.n_added > 0,
             ..Decomposition::default()
         }
     }
