@@ -85,7 +85,7 @@ use outcome::{Finish, Give};
 use pulse_model::PulseModel;
 use rows::{BATCH, FAST_BATCH};
 use thresholds::Thresholds;
-use workspace::{Decompose, Workspace};
+use workspace::{Decompose, DetectionBuffers, Workspace};
 
 /// Thoroughness of the decomposition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -219,7 +219,7 @@ impl BatchDecomposer {
         let threshold = self.settings.detection_sigma as f32;
         for (batch, blocks) in blocks.chunks(BATCH).enumerate() {
             self.work.make_room(blocks);
-            let Workspace { columns, candidates: out, .. } = &mut self.work;
+            let DetectionBuffers { columns, candidates: out, .. } = &mut self.work.detection;
             self.path.processor().run(Detect { tables: &tables, columns, blocks, threshold, out });
             for (i, candidates) in out.iter().enumerate() {
                 let index = (batch * BATCH + i) as u32;

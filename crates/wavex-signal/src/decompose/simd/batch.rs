@@ -11,7 +11,7 @@ use super::level::{SetLevels, widen};
 use super::pulse_model::{MAX_CLUSTER, MAX_PULSES, PulseModel};
 use super::rows::FAST_BATCH;
 use super::single_pulse::FitSingles;
-use super::workspace::{ChiSquares, Decompose, Workspace};
+use super::workspace::{ChiSquares, Decompose, DetectionBuffers, FitBuffers, Workspace};
 use crate::flags;
 
 /// Maximum number of joint steps of level and pulses.
@@ -23,9 +23,9 @@ impl Decompose<'_> {
     /// Processes the batch.
     pub(super) fn run(mut self) {
         self.work.pulse_models.resize_with(self.blocks.len(), PulseModel::default);
-        self.work.by_count.clear();
+        self.work.detection.by_count.clear();
         for first in (0..self.blocks.len()).step_by(FAST_BATCH) {
-            let singles = self.work.by_count.count(1);
+            let singles = self.work.detection.by_count.count(1);
             self.detect(first);
             if self.mode == Mode::Refined {
                 self.fit_singles(singles);
@@ -90,7 +90,8 @@ impl Decompose<'_> {
         let Some(level) = &self.tables.level else { return };
         let follows = self.mode == Mode::Refined;
         for round in 0..LEVEL_ROUNDS {
-            let Workspace { rows, pulse_models, which, due: moved, .. } = &mut *self.work;
+            let Workspace { rows, pulse_models, which, fits, .. } = &mut *self.work;
+            let moved = &mut fits.due;
             which.retain(|&row| pulse_models[row].needs_level());
             moved.clear();
             self.on.run(SetLevels { tables: self.tables, level, rows, pulse_models, which, follows, moved });
@@ -98,8 +99,8 @@ impl Decompose<'_> {
                 return;
             }
             self.keep_due(1);
-            let Workspace { pulse_models, which, due, .. } = &mut *self.work;
-            which.clone_from(due);
+            let Workspace { pulse_models, which, fits, .. } = &mut *self.work;
+            which.clone_from(&fits.due);
             which.iter().for_each(|&row| pulse_models[row].reopen());
             self.fit_clusters(1);
         }
@@ -115,7 +116,8 @@ impl Decompose<'_> {
     /// pulse models start with the candidates.
     fn detect(&mut self, first: usize) {
         let some = first..(first + FAST_BATCH).min(self.blocks.len());
-        let Workspace { rows, columns, pulse_models, by_count, .. } = &mut *self.work;
+        let Workspace { rows, pulse_models, detection, .. } = &mut *self.work;
+        let DetectionBuffers { columns, by_count, .. } = detection;
         let begin = Begin {
             thresholds: self.thresholds,
             settings: self.settings,
@@ -129,9 +131,10 @@ impl Decompose<'_> {
 
     /// Fits the waveforms of one pulse, except the first `done` of them.
     fn fit_singles(&mut self, done: usize) {
-        let Workspace { rows, pulse_models, by_count, which, due: moved, .. } = &mut *self.work;
+        let Workspace { rows, pulse_models, which, detection, fits, .. } = &mut *self.work;
+        let moved = &mut fits.due;
         which.clear();
-        which.extend(by_count.rows(1).skip(done));
+        which.extend(detection.by_count.rows(1).skip(done));
         moved.clear();
         self.on.run(FitSingles { tables: self.tables, rows, pulse_models, which, moved });
         for &row in moved.iter() {
@@ -141,7 +144,7 @@ impl Decompose<'_> {
 
     /// Marks the clusters of all unfitted waveforms as due.
     fn set_all_due(&mut self) {
-        let Workspace { due, pulse_models, .. } = &mut *self.work;
+        let Workspace { pulse_models, fits: FitBuffers { due, .. }, .. } = &mut *self.work;
         due.clear();
         due.extend((0..pulse_models.len()).filter(|&row| pulse_models[row].needs_fit()));
         self.keep_due(1);
@@ -152,8 +155,8 @@ impl Decompose<'_> {
     /// `clusters` is the required number of clusters.
     fn keep_due(&mut self, clusters: usize) {
         let fwhm = self.fwhm();
-        let Workspace { due, pulse_models, .. } = &mut *self.work;
-        due.retain(|&row| {
+        let Workspace { pulse_models, fits, .. } = &mut *self.work;
+        fits.due.retain(|&row| {
             let pulse_model = &mut pulse_models[row];
             pulse_model.sort();
             let others = pulse_model.set_clusters(fwhm);
@@ -177,7 +180,8 @@ impl Decompose<'_> {
     /// cannot handle are few; they are fitted together at the end.
     fn step_each(&mut self, separated: bool) {
         let (on, tables, fwhm) = (self.on, self.tables, self.fwhm());
-        let Workspace { rows, pulse_models, by_count, which, to_fit, .. } = &mut *self.work;
+        let Workspace { rows, pulse_models, which, detection, fits, .. } = &mut *self.work;
+        let (by_count, to_fit) = (&detection.by_count, &mut fits.to_fit);
         to_fit.clear();
         for number in 0..MAX_PULSES {
             on.run(ClearForStep { tables, rows, pulse_models, by_count, number, separated, fwhm, which });
@@ -185,30 +189,30 @@ impl Decompose<'_> {
                 on.run(OneStep { tables, rows, pulse_models, which, number, to_fit });
             }
         }
-        let to_fit = std::mem::take(&mut self.work.to_fit);
+        let to_fit = std::mem::take(&mut self.work.fits.to_fit);
         // One pulse per waveform at a time: `to_fit` is ordered by index.
         for to_fit in to_fit.chunk_by(|a, b| a.1 == b.1) {
             for &(row, number) in to_fit {
-                let Workspace { rows, pulse_models, queues, .. } = &mut *self.work;
+                let Workspace { rows, pulse_models, fits, .. } = &mut *self.work;
                 let values = pulse_models[row].pulses()[number].values();
                 if pulse_models[row].is_subtracted() {
                     add(on, tables, rows, row, values, 1.0);
                 }
-                queues.push(tables, row, &[values], Aim::OPTIMUM, number);
+                fits.queues.push(tables, row, &[values], Aim::OPTIMUM, number);
             }
             self.run_clusters();
         }
-        self.work.to_fit = to_fit;
+        self.work.fits.to_fit = to_fit;
     }
 
     /// Fits the clusters of at least `least` pulses in the due waveforms.
     ///
     /// Processes the first cluster of each waveform, then the second, and so on.
     pub(super) fn fit_clusters(&mut self, least: usize) {
-        let mut singles = std::mem::take(&mut self.work.singles);
-        let mut tags = std::mem::take(&mut self.work.single_tags);
-        let mut round = std::mem::take(&mut self.work.round);
-        round.clone_from(&self.work.due);
+        let mut singles = std::mem::take(&mut self.work.fits.singles);
+        let mut tags = std::mem::take(&mut self.work.fits.single_tags);
+        let mut round = std::mem::take(&mut self.work.fits.round);
+        round.clone_from(&self.work.fits.due);
         for number in 0..MAX_PULSES {
             singles.clear();
             tags.clear();
@@ -236,11 +240,12 @@ impl Decompose<'_> {
             let jobs = &mut singles;
             self.on.run(FromBank { tables: self.tables, rows: &self.work.rows, jobs });
             for (job, &tag) in singles.iter().zip(&tags) {
-                self.work.queues.push(self.tables, job.row, &job.pulses, Aim::OPTIMUM, tag);
+                self.work.fits.queues.push(self.tables, job.row, &job.pulses, Aim::OPTIMUM, tag);
             }
             self.run_clusters();
         }
-        (self.work.singles, self.work.single_tags, self.work.round) = (singles, tags, round);
+        let fits = &mut self.work.fits;
+        (fits.singles, fits.single_tags, fits.round) = (singles, tags, round);
     }
 
     /// Adds a cluster back to its row and queues its fit.
@@ -266,18 +271,19 @@ impl Decompose<'_> {
         {
             return Some(Job { row, pulses: [pulse.values()], aim: Aim::OPTIMUM });
         }
-        self.work.queues.push(self.tables, row, &values[..cluster.len()], Aim::OPTIMUM, cluster.start);
+        self.work.fits.queues.push(self.tables, row, &values[..cluster.len()], Aim::OPTIMUM, cluster.start);
         None
     }
 
     /// Runs the queued fits and subtracts their pulses from the rows.
     fn run_clusters(&mut self) {
         let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
-        let work = &mut *self.work;
-        work.queues.run(self.on, self.tables, &work.rows, precision, &mut work.done);
-        for done in &work.done.list {
-            let fitted = work.done.pulses(done);
-            let pulse_model = &mut work.pulse_models[done.row];
+        let Workspace { rows, pulse_models, fits: FitBuffers { queues, done: results, .. }, .. } =
+            &mut *self.work;
+        queues.run(self.on, self.tables, rows, precision, results);
+        for done in &results.list {
+            let fitted = results.pulses(done);
+            let pulse_model = &mut pulse_models[done.row];
             if fitted.len() == pulse_model.pulses().len() {
                 pulse_model.subtract();
             }
@@ -299,7 +305,7 @@ impl Decompose<'_> {
                 pulse.sds = if stays { fitted.sds } else { [0.0; 3] };
             }
         }
-        take_off(self.on, self.tables, &mut work.rows, &work.done);
+        take_off(self.on, self.tables, rows, results);
     }
 
     /// Computes chi-square of the waveforms in `which`, whose pulses are subtracted.
