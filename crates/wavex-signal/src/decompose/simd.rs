@@ -303,6 +303,7 @@ impl BatchDecomposer {
         let (mut to_refine, mut which) = (Vec::with_capacity(blocks.len()), Vec::with_capacity(blocks.len()));
         for (block, pulse_model) in blocks.iter().zip(&self.first_pass) {
             let is_unclear = self.needs_refinement(pulse_model, block.samples.len());
+            // `usize::MAX` is past the end of the refined models: such a waveform keeps its first pass.
             which.push(if is_unclear { to_refine.len() } else { usize::MAX });
             to_refine.extend(is_unclear.then_some(*block));
         }

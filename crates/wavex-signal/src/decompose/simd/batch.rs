@@ -25,6 +25,7 @@ impl Decompose<'_> {
         self.work.pulse_models.resize_with(self.blocks.len(), PulseModel::default);
         self.work.detection.by_count.clear();
         for first in (0..self.blocks.len()).step_by(FAST_BATCH) {
+            // Only the single pulses of this part: their rows are still in the cache.
             let singles = self.work.detection.by_count.count(1);
             self.detect(first);
             if self.mode == Mode::Refined {
@@ -35,6 +36,7 @@ impl Decompose<'_> {
             Mode::Fastest => self.step_each(false),
             Mode::FastSeparated => {
                 self.step_each(true);
+                // Separate pulses keep their step: only clusters of two or more are fitted.
                 self.set_all_due();
                 self.fit_clusters(2);
             }
@@ -54,6 +56,8 @@ impl Decompose<'_> {
             self.set_levels();
             if self.mode == Mode::Refined {
                 self.search_residuals();
+                // A fit sets standard deviations for a known level. The part of the level is added after
+                // the last fit.
                 widen(&mut self.work.pulse_models);
             }
             return;
@@ -195,6 +199,7 @@ impl Decompose<'_> {
             for &(row, number) in to_fit {
                 let Workspace { rows, pulse_models, fits, .. } = &mut *self.work;
                 let values = pulse_models[row].pulses()[number].values();
+                // A fit needs its pulses on the row.
                 if pulse_models[row].is_subtracted() {
                     add(on, tables, rows, row, values, 1.0);
                 }
@@ -225,6 +230,7 @@ impl Decompose<'_> {
             }
             for &row in &round {
                 let Some(cluster) = self.work.pulse_models[row].cluster(number) else { continue };
+                // `beyond` is the sum over the clusters of one fit of the waveform.
                 if number == 0 {
                     self.work.pulse_models[row].beyond = 0.0;
                 }
@@ -254,6 +260,7 @@ impl Decompose<'_> {
     /// bank must find its start values.
     fn queue_cluster(&mut self, row: usize, cluster: std::ops::Range<usize>) -> Option<Job<1>> {
         let pulse_model = &self.work.pulse_models[row];
+        // The only cluster of a waveform is on the row as long as its pulses were never subtracted.
         if pulse_model.is_subtracted() || cluster.len() < pulse_model.pulses().len() {
             self.take_off_all(row);
             for i in cluster.clone() {
@@ -290,6 +297,7 @@ impl Decompose<'_> {
             // Without an optimum the pulse counts as not fitted: another may join it, or the scalar
             // kernels take the waveform.
             let settled = done.is_optimum && fitted.iter().all(FittedPulse::is_held);
+            // The decrease promised beyond the tables counts only if they limit a width.
             if !fitted.iter().all(FittedPulse::is_held) {
                 pulse_model.beyond += done.beyond;
             }

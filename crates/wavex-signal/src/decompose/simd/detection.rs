@@ -197,6 +197,7 @@ impl Begin<'_> {
             pulse_model.leave_to_scalar();
             return;
         }
+        // Detection used the lower threshold, which holds only for the last of several returns.
         if thresholds.sigma.usual > thresholds.sigma.least {
             found.drop_weak(thresholds.sigma.usual as f32);
         }

@@ -49,6 +49,7 @@ impl LevelTables {
         let length = rows.length(row);
         let order = order.min(length);
         let mut out = [self.steady * sum, self.steady * self.steady * (length - order) as f32];
+        // The first samples have their own whitening; they count if no pulse reaches them.
         if rows.counted(row) == length {
             for (one, residual) in self.begin().iter().zip(rows.residual_sixteen(row, 0)).take(order) {
                 out[0] += (one - self.steady) * residual;
@@ -170,6 +171,7 @@ pub(super) fn set_levels<S: Simd>(
     s.store(step.by_dn, &mut by_dn);
     s.store(step.level_dn, &mut after);
     s.store(step.variance, &mut variances);
+    // The change is predicted by a linear model, which may fall below 0.
     s.store(s.max(s.add(squares, step.chi_square_change), s.splat(0.0)), &mut changes);
     let mut sums = [s.halved(s.splat(0.0)); LANES];
     let sd_samples = (SD_OF_FWHM * tables.fwhm_samples) as f32;

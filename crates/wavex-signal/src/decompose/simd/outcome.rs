@@ -208,6 +208,7 @@ impl Finish<'_> {
             let near =
                 i > 0 && pulse_model.pulses()[i].position() - pulse_model.pulses()[i - 1].position() < least;
             if near {
+                // The scalar kernels merge the two and fit the sum; here nothing is fitted again.
                 let weaker = if pulse_model.pulses()[i].height() < pulse_model.pulses()[i - 1].height() {
                     i
                 } else {

@@ -213,6 +213,8 @@ impl Decompose<'_> {
             }
             for (number, pulse) in pulse_model.pulses().iter().enumerate() {
                 let height = f64::from(pulse.height());
+                // Overdrive widens single echoes too. If such a waveform remains unexplained, the scalar
+                // kernels try it with a stricter rule.
                 if pulse.width_ratio() > HIDING_WIDTH_RATIO as f32
                     && !self.thresholds.allowance.overdrives(height)
                 {
@@ -228,6 +230,7 @@ impl Decompose<'_> {
             let (row, _) = self.work.search.suspects[i];
             let (score, is_earlier) = self.work.search.scores[i];
             if f64::from(score) > self.settings.split_score {
+                // The sign of the score shows which of two pulses is stronger, so one unequal start suffices.
                 let part = if is_earlier { stronger } else { weaker };
                 self.plan_division(row, self.work.search.suspect_numbers[i], [equal, part], evidence);
             }
