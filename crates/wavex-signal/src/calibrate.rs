@@ -393,6 +393,7 @@ fn better_model(
 fn from_free_samples(model: &mut ChannelModel, survey: &PassStats, settings: &CalibrationSettings) {
     let drift_sd = survey.free.variance_and_drift().1.sqrt();
     let NoiseEstimate { background_dn, mut autocovariance } = survey.free.estimate();
+    // Samples of a quiet receiver may be constant, but their rounding error still has this variance.
     autocovariance[0] = autocovariance[0].max(QUANTISATION_VARIANCE);
     let noise = fit_by_bic(&autocovariance, survey.free.samples(), settings.max_ar_order);
     model.background_dn = background_dn;

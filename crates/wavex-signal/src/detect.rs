@@ -76,6 +76,7 @@ impl Detector {
         // The length is capped: parts of a pulse outside any block are never used.
         let shape = shape.into();
         let half = (HALF_LENGTH_WIDTHS * shape.fwhm_samples()).ceil().clamp(1.0, 1e4) as usize;
+        // Late odd samples make the pulse differ between even and odd lags.
         let templates = [0, 1].map(|parity| {
             let centre = 2 * half + parity;
             let mut pulse = vec![0.0; centre + half + 1];
@@ -136,6 +137,7 @@ impl Detector {
             let end = whitener.whiten_part(pulse.clone(), &mut self.solved).max(pulse.end);
             filled = first..end;
             let known: f64 = self.solved[filled.clone()].iter().map(|v| v * v).sum();
+            // A known background has infinite information: nothing is subtracted.
             self.energy.push(known - cross * cross / self.offset_information);
             self.template_offset.push(cross);
         }
@@ -187,6 +189,7 @@ impl Detector {
         for lag in 0..self.statistic.len() {
             let value = self.statistic[lag];
             lowest_since = lowest_since.min(value);
+            // Strict on the left only: a plateau counts once.
             let rises = lag == 0 || self.statistic[lag - 1] < value;
             let falls = self.statistic.get(lag + 1).is_none_or(|&next| next <= value);
             if !(value >= threshold && rises && falls) {
@@ -294,6 +297,7 @@ pub(crate) fn plateau_candidate(values_dn: &[f64], plateau: Range<usize>, fwhm_s
     let level = plateau.clone().filter_map(|k| values_dn.get(k)).fold(1e-6, |a: f64, &b| a.max(b));
     let rise = |part: f64| crossing(values_dn, (0..plateau.start).rev(), -1.0, level, part);
     let fall = |part: f64| crossing(values_dn, plateau.end..values_dn.len(), 1.0, level, part);
+    // Of a Gaussian `exp(-c x²)`: `c (x² at LOW - x² at HIGH)`.
     let drop = (HIGH / LOW).ln();
     let calibrated = FOUR_LN_2 / (fwhm_samples * fwhm_samples);
     let (position, ln_width, outside) = match ((rise(LOW), rise(HIGH)), (fall(LOW), fall(HIGH))) {
@@ -313,6 +317,7 @@ pub(crate) fn plateau_candidate(values_dn: &[f64], plateau: Range<usize>, fwhm_s
         position_samples: position
             .clamp(plateau.start as f64 - fwhm_samples, plateau.end as f64 + fwhm_samples),
         statistic: f64::INFINITY,
+        // The extrapolation grows exponentially, so it is bounded; the pulse is at least as high as its plateau.
         height_dn: level * (HIGH * growth.min(7.0).exp()).max(1.0),
         ln_width_ratio: ln_width,
     }

@@ -284,6 +284,7 @@ impl ChannelFusion {
 fn plain_of_model(model: &ChannelModel, height_dn: f64) -> Result<(f64, f64), ModelError> {
     let shape = crate::shape::Shape::of(model)?;
     let (mut shift_samples, mut ratio) = (0.0, 0.0);
+    // The bias of the parabola depends on the sampling phase, so its mean counts.
     for phase in 0..PHASES {
         let mut signal = [0.0; MODEL_SAMPLES];
         let position_samples = MODEL_PLACE + f64::from(phase) / f64::from(PHASES);

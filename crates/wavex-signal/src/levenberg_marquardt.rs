@@ -99,6 +99,7 @@ pub(crate) fn minimise(problem: &mut impl LeastSquares, rules: &Rules) -> (Termi
                 damping *= 10.0;
                 continue;
             }
+            // A strongly damped step promises little anywhere: it indicates neither the optimum nor the reach.
             let is_newton = damping <= rules.near_newton;
             if is_newton && problem.is_out_of_reach(objective) {
                 return (Termination::OutOfReach, linearisations);

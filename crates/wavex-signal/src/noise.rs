@@ -33,6 +33,7 @@ impl ArNoise {
         let mut variance = innovation_sd * innovation_sd;
         let mut reflection = [0.0; MAX_ORDER];
         let mut variances = [variance; MAX_ORDER + 1];
+        // Levinson recursion backwards. The process is stationary if every reflection is within ±1.
         for m in (1..=order).rev() {
             lower[m] = predictor;
             let k = predictor[m - 1];
@@ -121,6 +122,7 @@ pub fn fit_by_bic(autocovariance: &[f64], samples: u64, max_order: usize) -> Opt
     for m in 1..=max_order.min(MAX_ORDER).min(lags.len()) {
         let product: f64 = (0..m - 1).map(|j| predictor[j] * autocovariance[m - 1 - j]).sum();
         let k = (autocovariance[m] - product) / error;
+        // Higher orders build on this reflection, so none of them is stationary.
         if k.is_nan() || k.abs() >= 1.0 {
             break;
         }

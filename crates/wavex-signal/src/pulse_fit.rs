@@ -247,10 +247,12 @@ impl PulseFit {
         if fit.termination == Termination::Converged && self.at_bound {
             fit.termination = Termination::AtBound;
         }
+        // The last accepted step came after the last linearisation.
         if fit.termination == Termination::IterationLimit {
             self.form_normal_equations(whitener);
         }
         fit.chi_square = dot(&self.residual, &self.residual);
+        // An abandoned fit is not used, so it needs no covariance.
         if fit.termination != Termination::OutOfReach && !self.invert_normal_matrix() {
             fit.termination = Termination::Singular;
         }
@@ -325,6 +327,7 @@ impl PulseFit {
         let n = self.parameters();
         self.damped[..n * n].copy_from_slice(&self.normal[..n * n]);
         for i in 0..n {
+            // Relative to the diagonal, because height, position and width have different units.
             self.damped[i * n + i] *= 1.0 + damping;
         }
         if !cholesky::factor(&mut self.damped[..n * n], n) {

@@ -125,6 +125,7 @@ impl Whitener {
             return part.start;
         };
         let (first, last) = (part.start + first, part.start + last);
+        // The steady part comes first: it reads the preceding values before the loop below replaces them.
         let steady = self.steady.max(first).max(N);
         let end = (last + 1 + N).min(values.len());
         if let Some(row) = self.rows.get(steady).filter(|_| steady < end) {
@@ -133,6 +134,7 @@ impl Whitener {
         // Last values: of the block in the steady state, otherwise of the predictor.
         let mut past = [0.0; N];
         for (k, (value, row)) in values.iter_mut().zip(&self.rows).enumerate().take(steady).skip(first) {
+            // All later values are 0 already.
             if k > last && past.iter().all(|past| *past == 0.0) {
                 return end.max(k);
             }
@@ -195,6 +197,7 @@ impl Whitener {
             *value = self.noise.coefficients().iter().zip(covariance.iter()).map(|(c, row)| c * row[i]).sum();
         }
         let known: f64 = self.noise.coefficients().iter().zip(&cross).map(|(c, v)| c * v).sum();
+        // Backwards: each element is read before it is overwritten.
         for i in (1..n).rev() {
             for j in (1..n).rev() {
                 covariance[i][j] = covariance[i - 1][j - 1];

@@ -26,6 +26,7 @@ const ZERO: i32 = 1 << 15;
 pub(crate) fn noise_sd_dn<'a>(blocks: impl Iterator<Item = Waveform<'a>> + Clone) -> f64 {
     let mut all = Differences::default();
     blocks.clone().for_each(|block| all.add(block, f64::INFINITY));
+    // Quartiles resist the pulses, so all samples give a first estimate.
     let rough_dn = all.sd_dn();
     let mut quiet = Differences::default();
     blocks.for_each(|block| {

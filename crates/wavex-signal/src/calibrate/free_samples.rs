@@ -93,6 +93,7 @@ impl FreeSamples {
         let Some(sums) = self.groups.last_mut() else { return };
         sums.all.add(samples, 0);
         let Some(mirror) = &mut self.mirror else { return };
+        // A stretch with a dip counts as recorded and mirrored, in place of one with a peak.
         mirror.stretches(samples, |lean, stretch, mirrored, phase| {
             if lean != Lean::Peak {
                 sums.noise.add(stretch, phase);

@@ -41,6 +41,7 @@ impl InitialEstimate {
             block.samples.iter().min().into_iter().for_each(|&s| floors.add(s));
         }
         let start_level_dn = starts.quantile(0.5);
+        // Only below the median: signal raises samples.
         let start_sd_dn = (start_level_dn - starts.quantile(0.158_655)).max(0.1);
         let threshold = start_level_dn + STRONG_SD * start_sd_dn;
         let white_sd_dn = differences::noise_sd_dn(blocks.clone());
@@ -64,6 +65,7 @@ impl InitialEstimate {
 ///
 /// `None` unless it exceeds the threshold, is unsaturated, and both flanks are in the block.
 fn width_of_highest(samples: &[u16], level_dn: f64, threshold_dn: f64, full_scale_dn: f64) -> Option<f64> {
+    // Reversed, so that `max_by_key` finds the first of equal samples.
     let (peak, &highest) = samples.iter().enumerate().rev().max_by_key(|(_, s)| **s)?;
     let highest = f64::from(highest);
     if highest <= threshold_dn || highest >= full_scale_dn {

@@ -100,6 +100,7 @@ fn overdriven_dn(normal: Vec<f64>, high: &[(f64, f64)], full_scale_dn: f64) -> O
     let highest_dn = high.last()?.0;
     match steps(high, STEP).find(|step| median_ratio(step) > limit) {
         Some(step) => step.first().map(|(height_dn, _)| *height_dn),
+        // No pulse is overdriven. This is proven up to the highest pulse only, which must be near full scale.
         None => (highest_dn > NEARLY_FULL * full_scale_dn).then_some(full_scale_dn),
     }
 }

@@ -114,6 +114,7 @@ fn samples_before_pulses(model: &ChannelModel, block: Waveform<'_>, outcome: &De
         return 0;
     }
     let before = BEGINS_WIDTHS * model.fwhm_samples();
+    // A widened pulse begins earlier. A width ratio below 1 is noise: no pulse begins later.
     let begins = |r: &Return| r.position_samples - before * r.width_ratio.max(1.0);
     let first = outcome.returns.iter().map(begins).fold(f64::INFINITY, f64::min);
     let saturated = block.samples.iter().position(|&s| f64::from(s) >= model.full_scale_dn);

@@ -53,6 +53,7 @@ pub fn separate_noise<'a>(
         set_noise(&mut model, fit_by_bic(&autocovariance, samples, settings.max_ar_order));
         model.provenance.noise = NoiseSource::QuietResiduals;
     }
+    // Residuals at all samples contain the shape error, so they are trusted less than quiet ones.
     let limit = match model.provenance.noise {
         NoiseSource::Residuals => MISSHAPEN,
         _ => STRUCTURED,

@@ -294,6 +294,7 @@ fn by_height<'a>(singles: &[Single<'a>], full_scale_dn: f64) -> Vec<Group<'a>> {
     let mut groups: Vec<Group<'a>> = Vec::new();
     // Echoes not yet in a group, in descending order of nodes.
     let mut open: Vec<Single<'a>> = Vec::new();
+    // From the highest: echoes too few for a node of their own join the next lower one.
     for (i, &height) in heights.iter().enumerate().rev() {
         let low = if i > 0 { 0.5 * (heights[i - 1] + height) } else { 0.0 };
         let high = heights.get(i + 1).map_or(f64::INFINITY, |next| 0.5 * (height + next));
@@ -368,9 +369,11 @@ fn response_of(
     nodes: &[f64],
 ) -> Result<Option<SystemResponse>, ModelError> {
     let fwhm = model.fwhm_samples();
+    // To the end of the longest block: the tail missing from a truncated response is detected as returns.
     let reach = (LEAST_REACH_WIDTHS * fwhm).max(longest as f64 + 2.0 * fwhm);
     let basis = Basis::new(fwhm, reach);
     let shape = Shape::of(model)?;
+    // A fixed number of sums, so that rounding does not depend on the number of threads.
     let problems = map_parts(narrow, narrow.len().div_ceil(SUMS), |part| {
         let mut problem = Problem::new(model, &basis, nodes, shape.clone(), longest)?;
         part.iter().for_each(|single| problem.add(single));

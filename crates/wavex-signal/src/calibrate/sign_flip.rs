@@ -110,6 +110,7 @@ impl Mirror {
 
     fn lean(&self, from: usize, to: usize) -> Lean {
         let to = (to + self.beside).min(self.filtered.len());
+        // A peak just outside raises the samples inside as well.
         let near = &self.filtered[from.saturating_sub(self.beside)..to];
         let peak = near.iter().copied().fold(0.0, f64::max);
         let dip = -near.iter().copied().fold(0.0, f64::min);

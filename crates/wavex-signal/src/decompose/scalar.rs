@@ -113,6 +113,7 @@ impl Decomposer {
         let outcome = self.outcome(samples);
         if self.settings.explains_all && outcome.deviation_ratio() > DEVIANT {
             let widened = |found: &Found| found.pulse.ln_width_ratio.exp() > HIDING_WIDTH_RATIO;
+            // With a score of 0, every widened pulse has been tried.
             if self.settings.split_score > 0.0 && self.scene.found.iter().any(widened) {
                 self.find_more_returns(samples, &outcome);
             }
@@ -193,6 +194,7 @@ impl Decomposer {
             self.candidates.push(plateau_candidate(self.scene.target_dn(), plateau, width));
         }
         self.counts.n_candidates = self.candidates.len() as u32;
+        // Strongest first: screening compares with stronger ones, and the strongest are kept.
         self.candidates.sort_unstable_by(|a, b| b.statistic.total_cmp(&a.statistic));
         self.screen_candidates();
         let scene = &mut self.scene;
@@ -276,6 +278,8 @@ fn block_flags(samples: &[u16], model: &ChannelModel, position_samples: f64, ln_
     if within(1.0, 1.0).any(saturated) {
         flags |= flags::SATURATED;
         let core = within(0.5, 0.5);
+        // The flanks determine a clipped pulse. Too little is left without one of them, or without most of
+        // the core.
         let lost = core.clone().filter(|&k| saturated(k)).count();
         let no_flank = within(1.5, 0.0).all(saturated) || within(0.0, 1.5).all(saturated);
         if lost as f64 > 0.6 * core.len() as f64 || no_flank {

@@ -82,10 +82,10 @@ pub use tables::Tables;
 
 use detection::Detect;
 use outcome::{Finish, Give};
-use pulse_model::{PulseModel, Way};
+use pulse_model::PulseModel;
 use rows::{BATCH, FAST_BATCH};
 use thresholds::Thresholds;
-use workspace::{Decompose, Workspace};
+use workspace::{Decompose, DetectionBuffers, Workspace};
 
 /// Thoroughness of the decomposition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -219,7 +219,7 @@ impl BatchDecomposer {
         let threshold = self.settings.detection_sigma as f32;
         for (batch, blocks) in blocks.chunks(BATCH).enumerate() {
             self.work.make_room(blocks);
-            let Workspace { columns, candidates: out, .. } = &mut self.work;
+            let DetectionBuffers { columns, candidates: out, .. } = &mut self.work.detection;
             self.path.processor().run(Detect { tables: &tables, columns, blocks, threshold, out });
             for (i, candidates) in out.iter().enumerate() {
                 let index = (batch * BATCH + i) as u32;
@@ -303,6 +303,7 @@ impl BatchDecomposer {
         let (mut to_refine, mut which) = (Vec::with_capacity(blocks.len()), Vec::with_capacity(blocks.len()));
         for (block, pulse_model) in blocks.iter().zip(&self.first_pass) {
             let is_unclear = self.needs_refinement(pulse_model, block.samples.len());
+            // `usize::MAX` is past the end of the refined models: such a waveform keeps its first pass.
             which.push(if is_unclear { to_refine.len() } else { usize::MAX });
             to_refine.extend(is_unclear.then_some(*block));
         }
@@ -323,7 +324,7 @@ impl BatchDecomposer {
         if pulse_model.pulses().is_empty() {
             return false;
         }
-        if pulse_model.way == Way::Plain {
+        if !pulse_model.is_fast() {
             // One step on overlapping pulses leaves much of their signal to the level. A waveform
             // rejected for this reason may succeed once it is refined.
             return self.thresholds.level_response > 0.0;

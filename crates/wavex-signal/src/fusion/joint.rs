@@ -197,6 +197,7 @@ impl JointFit {
         self.values.extend(self.pulses.iter().flat_map(|pulse| pulse.start));
         self.values.extend(self.model.offset_precision().map(|_| 0.0));
         let calibrated = self.model.pulse_error_factor.powi(2);
+        // The sample after a clipped one is left out only if the block does not fit with it.
         self.load(samples, 0);
         let mut first = self.minimise(1.0 / calibrated)?;
         let mut factor = first.variance_factor(calibrated);
@@ -205,6 +206,7 @@ impl JointFit {
             first = self.minimise(1.0 / calibrated)?;
             factor = first.variance_factor(calibrated);
         }
+        // A receiver that deviates from its model gets less weight against the other one.
         let outcome = if factor > calibrated { self.minimise(1.0 / factor)? } else { first };
         self.weight = 1.0 / factor;
         self.conclude()?;

@@ -20,6 +20,7 @@ pub(super) fn robust_mean(values: impl Iterator<Item = (f64, f64)>) -> (f64, f64
         let mut scores: Vec<f64> = values.iter().map(|(x, w)| (x - mean).abs() * w.sqrt()).collect();
         let middle = scores.len() / 2;
         let scale = SD_OF_MEDIAN * *scores.select_nth_unstable_by(middle, f64::total_cmp).1;
+        // At least half of the values equal the mean.
         if scale == 0.0 {
             return (mean, 0.0);
         }

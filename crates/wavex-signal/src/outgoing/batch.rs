@@ -136,6 +136,7 @@ impl OutgoingBatch {
             }
             if strongest.statistic > 0.0 {
                 let mut window = window(strongest.position_samples.into(), fwhm, block.samples.len());
+                // Background phase and sample parity depend on the index in the block.
                 window.start = window.start.saturating_sub(self.order) / 4 * 4;
                 self.windows.push((window.len(), i, window));
             }

@@ -300,11 +300,13 @@ impl Mixture {
         }
         let mut covariance = [0.0; PARAMETERS * PARAMETERS];
         cholesky::invert(&normal[..n * n], n, &mut covariance[..n * n]);
+        // Half the logarithm of the determinant of the covariance (Laplace).
         let ln_det: f64 = (0..n).map(|i| -normal[i * n + i].ln()).sum();
         let (place_sd, mut ln_evidence) = (covariance[n + 1].sqrt(), ln_det - 0.5 * objective);
         if echo.is_some() {
             let echo_sd_dn = covariance[n * n - 1].sqrt();
             let greatest_dn = GREATEST_HEIGHT * usual.ln_height.median.exp();
+            // Uniform prior from 0 to the greatest height; `√(2π)` for the additional parameter.
             let positive = libm::erfc(-values[3] / (echo_sd_dn * std::f64::consts::SQRT_2)) / 2.0;
             ln_evidence += (positive * std::f64::consts::TAU.sqrt() / greatest_dn).ln();
         }

@@ -266,6 +266,7 @@ impl Halves {
     /// Pulse and residual of an echo by the response of the other half; `None` if it is in neither.
     fn residual(&mut self, single: &Single<'_>, target_dn: &[f64]) -> Option<(Pulse, Vec<f64>)> {
         let half = self.half_of(single)?;
+        // An echo that made the response would fit it better than others do.
         let (fitter, shape) = &mut self.fitters[1 - half];
         self.whitener.set_used(&vec![true; target_dn.len()]);
         let fit = fitter.fit(&self.whitener, target_dn, &[start(single)], NEAR);

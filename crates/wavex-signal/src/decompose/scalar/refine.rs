@@ -70,6 +70,7 @@ impl Decomposer {
             {
                 return false;
             }
+            // A division uses only the position of its candidate.
             let half = Candidate {
                 position_samples: p.position_samples,
                 statistic: 0.0,
@@ -139,6 +140,7 @@ impl Decomposer {
         let widened = distance < 1.5 * width * ratio.max(1.0) && ratio > HIDING_WIDTH_RATIO;
         match start {
             Start::AsFitted => Some(self.scene.insert(Found::from_candidate(candidate))),
+            // The other starts change a widened neighbour.
             _ if !widened => None,
             Start::CalibratedWidth => {
                 neighbour.flags |= flags::DIVERGED;
@@ -200,6 +202,7 @@ impl Decomposer {
         left.pulse.position_samples =
             (a * left.pulse.position_samples + b * right.pulse.position_samples) / (a + b);
         left.pulse.height_dn = a + b;
+        // A merged pulse is no part of a division.
         left.flags = (left.flags | right.flags) & !flags::SPLIT;
         self.counts.np_merged += 1;
         true
@@ -248,6 +251,7 @@ impl Decomposer {
     fn relative_significance(&mut self, index: usize) -> f64 {
         let p = self.scene.found[index].pulse;
         let per_dn = self.detector.significance_per_dn(self.scene.whitener(), p.position_samples);
+        // Only higher pulses count: neither the pulse itself nor weaker ones raise its threshold.
         per_dn * p.height_dn * p.ln_width_ratio.exp() / self.threshold_at(p.position_samples, p.height_dn)
     }
 

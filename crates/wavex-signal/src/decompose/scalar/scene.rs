@@ -160,8 +160,10 @@ impl Scene {
             let value = f64::from(sample);
             let background = model.background_at(first + k);
             if value >= model.full_scale_dn {
+                // One more than recovers: the saturated sample itself.
                 recovering = recovery_samples + 1;
             }
+            // With a background far above 0, a sample of 0 is the clipped undershoot of a strong pulse.
             self.used.push(recovering == 0 && (sample > 0 || background < clear_dn));
             recovering = recovering.saturating_sub(1);
         }
@@ -292,6 +294,7 @@ impl Scene {
     /// that value.
     pub(super) fn fit_around(&mut self, index: usize, from_calibrated_width: bool, gain: f64) {
         let cluster = self.cluster_around(index);
+        // With free widths, unequal pairs often end in a local minimum: one narrow and one wide pulse.
         if from_calibrated_width {
             for f in &mut self.found[cluster.clone()] {
                 f.pulse.ln_width_ratio = 0.0;
@@ -299,6 +302,7 @@ impl Scene {
             }
             self.fit_as_is(cluster.clone(), StopCriteria::rough(FROZEN_ITERATIONS));
         }
+        // A trial must beat the best one so far and gain enough.
         let enough = self.best.objective.min(self.before.chi_square - gain);
         self.fit_cluster(cluster, StopCriteria { enough, ..StopCriteria::rough(self.limits.iterations) });
         self.sort();
@@ -342,6 +346,7 @@ impl Scene {
                 }
                 f.pulse = moved;
             }
+            // Fits of trials are rough, and end early on purpose.
             if !fit.termination.is_optimum() && limits == self.limits {
                 f.flags |= flags::DIVERGED;
             }

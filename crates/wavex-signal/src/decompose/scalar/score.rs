@@ -87,6 +87,7 @@ impl Score {
         for i in 0..fitted + 2 {
             self.project(i, i, samples);
         }
+        // Orthogonal to the fitted parameters only: it is an alternative to the two directions before it.
         self.project(fitted + 2, fitted, samples);
         let along = |i: usize| dot(&self.columns[i * samples..(i + 1) * samples], residual);
         let bent = along(fitted).powi(2) + along(fitted + 1).powi(2);

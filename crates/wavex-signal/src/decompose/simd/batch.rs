@@ -8,10 +8,10 @@ use super::fit_queue::{add, take_off};
 use super::fitted::FittedPulse;
 use super::initial_guess::{ClearForStep, FromBank, OneStep};
 use super::level::{SetLevels, widen};
-use super::pulse_model::{MAX_CLUSTER, MAX_PULSES, PulseModel, Way};
+use super::pulse_model::{MAX_CLUSTER, MAX_PULSES, PulseModel};
 use super::rows::FAST_BATCH;
 use super::single_pulse::FitSingles;
-use super::workspace::{ChiSquares, Decompose, Workspace};
+use super::workspace::{ChiSquares, Decompose, DetectionBuffers, FitBuffers, Workspace};
 use crate::flags;
 
 /// Maximum number of joint steps of level and pulses.
@@ -23,9 +23,10 @@ impl Decompose<'_> {
     /// Processes the batch.
     pub(super) fn run(mut self) {
         self.work.pulse_models.resize_with(self.blocks.len(), PulseModel::default);
-        self.work.by_count.clear();
+        self.work.detection.by_count.clear();
         for first in (0..self.blocks.len()).step_by(FAST_BATCH) {
-            let singles = self.work.by_count.count(1);
+            // Only the single pulses of this part: their rows are still in the cache.
+            let singles = self.work.detection.by_count.count(1);
             self.detect(first);
             if self.mode == Mode::Refined {
                 self.fit_singles(singles);
@@ -35,6 +36,7 @@ impl Decompose<'_> {
             Mode::Fastest => self.step_each(false),
             Mode::FastSeparated => {
                 self.step_each(true);
+                // Separate pulses keep their step: only clusters of two or more are fitted.
                 self.set_all_due();
                 self.fit_clusters(2);
             }
@@ -54,20 +56,20 @@ impl Decompose<'_> {
             self.set_levels();
             if self.mode == Mode::Refined {
                 self.search_residuals();
+                // A fit sets standard deviations for a known level. The part of the level is added after
+                // the last fit.
                 widen(&mut self.work.pulse_models);
             }
             return;
         }
-        self.select(|pulse_model| {
-            (pulse_model.taken_off | pulse_model.pulses().is_empty()) & !pulse_model.is_settled
-        });
+        self.select(PulseModel::needs_chi_square);
         self.sum_squares();
         self.search_residuals();
     }
 
     /// Brings level and pulses of all waveforms to their joint optimum.
     fn set_levels(&mut self) {
-        self.select(|pulse_model| (pulse_model.way == Way::Fast) & !pulse_model.is_levelled);
+        self.select(PulseModel::needs_level);
         self.set_levels_of_which();
     }
 
@@ -92,18 +94,19 @@ impl Decompose<'_> {
         let Some(level) = &self.tables.level else { return };
         let follows = self.mode == Mode::Refined;
         for round in 0..LEVEL_ROUNDS {
-            let Workspace { rows, pulse_models, which, due: moved, .. } = &mut *self.work;
-            which.retain(|&row| pulse_models[row].way == Way::Fast && !pulse_models[row].is_levelled);
+            let Workspace { rows, pulse_models, which, fits, .. } = &mut *self.work;
+            let moved = &mut fits.due;
+            which.retain(|&row| pulse_models[row].needs_level());
             moved.clear();
             self.on.run(SetLevels { tables: self.tables, level, rows, pulse_models, which, follows, moved });
             if moved.is_empty() || round + 1 == LEVEL_ROUNDS {
                 return;
             }
             self.keep_due(1);
+            let Workspace { pulse_models, which, fits, .. } = &mut *self.work;
+            which.clone_from(&fits.due);
+            which.iter().for_each(|&row| pulse_models[row].reopen());
             self.fit_clusters(1);
-            let Workspace { pulse_models, which, due, .. } = &mut *self.work;
-            which.clone_from(due);
-            which.iter().for_each(|&row| pulse_models[row].is_levelled = false);
         }
     }
 
@@ -117,7 +120,8 @@ impl Decompose<'_> {
     /// pulse models start with the candidates.
     fn detect(&mut self, first: usize) {
         let some = first..(first + FAST_BATCH).min(self.blocks.len());
-        let Workspace { rows, columns, pulse_models, by_count, .. } = &mut *self.work;
+        let Workspace { rows, pulse_models, detection, .. } = &mut *self.work;
+        let DetectionBuffers { columns, by_count, .. } = detection;
         let begin = Begin {
             thresholds: self.thresholds,
             settings: self.settings,
@@ -131,21 +135,22 @@ impl Decompose<'_> {
 
     /// Fits the waveforms of one pulse, except the first `done` of them.
     fn fit_singles(&mut self, done: usize) {
-        let Workspace { rows, pulse_models, by_count, which, due: moved, .. } = &mut *self.work;
+        let Workspace { rows, pulse_models, which, detection, fits, .. } = &mut *self.work;
+        let moved = &mut fits.due;
         which.clear();
-        which.extend(by_count.rows(1).skip(done));
+        which.extend(detection.by_count.rows(1).skip(done));
         moved.clear();
         self.on.run(FitSingles { tables: self.tables, rows, pulse_models, which, moved });
         for &row in moved.iter() {
-            (pulse_models[row].is_settled, pulse_models[row].is_levelled) = (false, false);
+            pulse_models[row].reopen();
         }
     }
 
-    /// Marks the clusters of all unsettled waveforms as due.
+    /// Marks the clusters of all unfitted waveforms as due.
     fn set_all_due(&mut self) {
-        let Workspace { due, pulse_models, .. } = &mut *self.work;
+        let Workspace { pulse_models, fits: FitBuffers { due, .. }, .. } = &mut *self.work;
         due.clear();
-        due.extend((0..pulse_models.len()).filter(|&row| !pulse_models[row].is_settled));
+        due.extend((0..pulse_models.len()).filter(|&row| pulse_models[row].needs_fit()));
         self.keep_due(1);
     }
 
@@ -154,20 +159,19 @@ impl Decompose<'_> {
     /// `clusters` is the required number of clusters.
     fn keep_due(&mut self, clusters: usize) {
         let fwhm = self.fwhm();
-        let Workspace { due, pulse_models, .. } = &mut *self.work;
-        due.retain(|&row| {
+        let Workspace { pulse_models, fits, .. } = &mut *self.work;
+        fits.due.retain(|&row| {
             let pulse_model = &mut pulse_models[row];
             pulse_model.sort();
             let others = pulse_model.set_clusters(fwhm);
-            pulse_model.way == Way::Fast && (others || pulse_model.cluster(clusters - 1).is_some())
+            pulse_model.is_fast() && (others || pulse_model.cluster(clusters - 1).is_some())
         });
     }
 
     /// Subtracts all pulses from their waveform's row, unless already done.
     fn take_off_all(&mut self, row: usize) {
         let pulse_model = &mut self.work.pulse_models[row];
-        if !pulse_model.taken_off {
-            pulse_model.taken_off = true;
+        if !pulse_model.subtract() {
             for pulse in pulse_model.pulses() {
                 add(self.on, self.tables, &mut self.work.rows, row, pulse.values(), -1.0);
             }
@@ -180,7 +184,8 @@ impl Decompose<'_> {
     /// cannot handle are few; they are fitted together at the end.
     fn step_each(&mut self, separated: bool) {
         let (on, tables, fwhm) = (self.on, self.tables, self.fwhm());
-        let Workspace { rows, pulse_models, by_count, which, to_fit, .. } = &mut *self.work;
+        let Workspace { rows, pulse_models, which, detection, fits, .. } = &mut *self.work;
+        let (by_count, to_fit) = (&detection.by_count, &mut fits.to_fit);
         to_fit.clear();
         for number in 0..MAX_PULSES {
             on.run(ClearForStep { tables, rows, pulse_models, by_count, number, separated, fwhm, which });
@@ -188,47 +193,49 @@ impl Decompose<'_> {
                 on.run(OneStep { tables, rows, pulse_models, which, number, to_fit });
             }
         }
-        let to_fit = std::mem::take(&mut self.work.to_fit);
+        let to_fit = std::mem::take(&mut self.work.fits.to_fit);
         // One pulse per waveform at a time: `to_fit` is ordered by index.
         for to_fit in to_fit.chunk_by(|a, b| a.1 == b.1) {
             for &(row, number) in to_fit {
-                let Workspace { rows, pulse_models, queues, .. } = &mut *self.work;
+                let Workspace { rows, pulse_models, fits, .. } = &mut *self.work;
                 let values = pulse_models[row].pulses()[number].values();
-                if pulse_models[row].taken_off {
+                // A fit needs its pulses on the row.
+                if pulse_models[row].is_subtracted() {
                     add(on, tables, rows, row, values, 1.0);
                 }
-                queues.push(tables, row, &[values], Aim::OPTIMUM, number);
+                fits.queues.push(tables, row, &[values], Aim::OPTIMUM, number);
             }
             self.run_clusters();
         }
-        self.work.to_fit = to_fit;
+        self.work.fits.to_fit = to_fit;
     }
 
     /// Fits the clusters of at least `least` pulses in the due waveforms.
     ///
     /// Processes the first cluster of each waveform, then the second, and so on.
     pub(super) fn fit_clusters(&mut self, least: usize) {
-        let mut singles = std::mem::take(&mut self.work.singles);
-        let mut tags = std::mem::take(&mut self.work.single_tags);
-        let mut round = std::mem::take(&mut self.work.round);
-        round.clone_from(&self.work.due);
+        let mut singles = std::mem::take(&mut self.work.fits.singles);
+        let mut tags = std::mem::take(&mut self.work.fits.single_tags);
+        let mut round = std::mem::take(&mut self.work.fits.round);
+        round.clone_from(&self.work.fits.due);
         for number in 0..MAX_PULSES {
             singles.clear();
             tags.clear();
             round.retain(|&row| {
                 let pulse_model = &self.work.pulse_models[row];
-                pulse_model.way == Way::Fast && pulse_model.cluster(number).is_some()
+                pulse_model.is_fast() && pulse_model.cluster(number).is_some()
             });
             if round.is_empty() {
                 break;
             }
             for &row in &round {
                 let Some(cluster) = self.work.pulse_models[row].cluster(number) else { continue };
+                // `beyond` is the sum over the clusters of one fit of the waveform.
                 if number == 0 {
                     self.work.pulse_models[row].beyond = 0.0;
                 }
                 if cluster.len() > MAX_CLUSTER {
-                    self.work.pulse_models[row].give_up();
+                    self.work.pulse_models[row].leave_to_scalar();
                 } else if cluster.len() >= least
                     && let Some(single) = self.queue_cluster(row, cluster.clone())
                 {
@@ -239,11 +246,12 @@ impl Decompose<'_> {
             let jobs = &mut singles;
             self.on.run(FromBank { tables: self.tables, rows: &self.work.rows, jobs });
             for (job, &tag) in singles.iter().zip(&tags) {
-                self.work.queues.push(self.tables, job.row, &job.pulses, Aim::OPTIMUM, tag);
+                self.work.fits.queues.push(self.tables, job.row, &job.pulses, Aim::OPTIMUM, tag);
             }
             self.run_clusters();
         }
-        (self.work.singles, self.work.single_tags, self.work.round) = (singles, tags, round);
+        let fits = &mut self.work.fits;
+        (fits.singles, fits.single_tags, fits.round) = (singles, tags, round);
     }
 
     /// Adds a cluster back to its row and queues its fit.
@@ -251,8 +259,9 @@ impl Decompose<'_> {
     /// Returns the job instead of queuing it for a single pulse that was never fitted: the width
     /// bank must find its start values.
     fn queue_cluster(&mut self, row: usize, cluster: std::ops::Range<usize>) -> Option<Job<1>> {
-        if self.work.pulse_models[row].taken_off || cluster.len() < self.work.pulse_models[row].pulses().len()
-        {
+        let pulse_model = &self.work.pulse_models[row];
+        // The only cluster of a waveform is on the row as long as its pulses were never subtracted.
+        if pulse_model.is_subtracted() || cluster.len() < pulse_model.pulses().len() {
             self.take_off_all(row);
             for i in cluster.clone() {
                 let values = self.work.pulse_models[row].pulses()[i].values();
@@ -269,22 +278,26 @@ impl Decompose<'_> {
         {
             return Some(Job { row, pulses: [pulse.values()], aim: Aim::OPTIMUM });
         }
-        self.work.queues.push(self.tables, row, &values[..cluster.len()], Aim::OPTIMUM, cluster.start);
+        self.work.fits.queues.push(self.tables, row, &values[..cluster.len()], Aim::OPTIMUM, cluster.start);
         None
     }
 
     /// Runs the queued fits and subtracts their pulses from the rows.
     fn run_clusters(&mut self) {
         let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
-        let work = &mut *self.work;
-        work.queues.run(self.on, self.tables, &work.rows, precision, &mut work.done);
-        for done in &work.done.list {
-            let fitted = work.done.pulses(done);
-            let pulse_model = &mut work.pulse_models[done.row];
-            pulse_model.taken_off |= fitted.len() == pulse_model.pulses().len();
+        let Workspace { rows, pulse_models, fits: FitBuffers { queues, done: results, .. }, .. } =
+            &mut *self.work;
+        queues.run(self.on, self.tables, rows, precision, results);
+        for done in &results.list {
+            let fitted = results.pulses(done);
+            let pulse_model = &mut pulse_models[done.row];
+            if fitted.len() == pulse_model.pulses().len() {
+                pulse_model.subtract();
+            }
             // Without an optimum the pulse counts as not fitted: another may join it, or the scalar
             // kernels take the waveform.
             let settled = done.is_optimum && fitted.iter().all(FittedPulse::is_held);
+            // The decrease promised beyond the tables counts only if they limit a width.
             if !fitted.iter().all(FittedPulse::is_held) {
                 pulse_model.beyond += done.beyond;
             }
@@ -300,7 +313,7 @@ impl Decompose<'_> {
                 pulse.sds = if stays { fitted.sds } else { [0.0; 3] };
             }
         }
-        take_off(self.on, self.tables, &mut work.rows, &work.done);
+        take_off(self.on, self.tables, rows, results);
     }
 
     /// Computes chi-square of the waveforms in `which`, whose pulses are subtracted.

@@ -127,6 +127,7 @@ impl Candidates {
         let statistics = self.as_slice().iter().map(|c| c.statistic);
         let weakest = statistics.clone().fold(f32::INFINITY, f32::min);
         let others = statistics.sum::<f32>() - weakest;
+        // Cheap bound: usually even the weakest exceeds the threshold by more than all others can leave.
         if weakest - others / per_dn * left.most < threshold {
             self.screen_each(threshold, left, per_dn);
         }

@@ -71,6 +71,7 @@ impl Columns {
             *lane = block.get(..self.capacity).unwrap_or(block);
         }
         let n = of_lane[0].len();
+        // Blocks of one length, the usual case, need neither padding nor masks.
         let alike = n >= PAIRS && n.is_multiple_of(2) && of_lane.iter().all(|block| block.len() == n);
         self.set_lengths(of_lane.map(<[u16]>::len));
         empty_behind(&mut self.pairs, (BEFORE + self.longest).div_ceil(2), &mut self.filled_pairs);

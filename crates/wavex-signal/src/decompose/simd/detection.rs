@@ -156,10 +156,13 @@ impl Kernel for DetectAll<'_> {
                 if let Some(level) = &tables.level {
                     match columns.level(lane).filter(|[level_dn, v]| level.is_likely(*level_dn, *v)) {
                         Some([level_dn, _]) => pulse_model.level_dn = level_dn,
-                        None => pulse_model.give_up(),
+                        None => pulse_model.leave_to_scalar(),
                     }
                 }
-                by_count.push(pulse_model.pulses().len(), first + lane);
+                // The later kernels take their waveforms from these lists, and none left to the scalar kernels.
+                if pulse_model.is_fast() {
+                    by_count.push(pulse_model.pulses().len(), first + lane);
+                }
             }
         }
     }
@@ -191,9 +194,10 @@ impl Begin<'_> {
         let is_cut_off = highest >= self.saturated || (lowest == 0 && self.clear_of_zero);
         let is_long = block.samples.len() > capacity;
         if is_cut_off || is_long || found.too_many {
-            pulse_model.give_up();
+            pulse_model.leave_to_scalar();
             return;
         }
+        // Detection used the lower threshold, which holds only for the last of several returns.
         if thresholds.sigma.usual > thresholds.sigma.least {
             found.drop_weak(thresholds.sigma.usual as f32);
         }

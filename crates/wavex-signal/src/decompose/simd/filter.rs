@@ -69,6 +69,7 @@ impl Filter {
         background_dn: &[f64; 4],
         gain: impl Fn(usize, Range<usize>) -> f32,
     ) -> Filter {
+        // One unit for both parities, so that their sums have the same scale.
         let per_unit = taps.iter().fold(f64::INFINITY, |least, taps| {
             let sum: f64 = taps.iter().map(|tap| tap.abs()).sum();
             let largest = taps.iter().fold(0.0, |a: f64, tap| a.max(tap.abs()));

@@ -240,7 +240,9 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Fi
         let mut point =
             NormalEquations { matrix: [[zero; N]; N], side: [zero; N], objective: s.splat(f32::MAX) };
         let mut promised = zero;
+        // Ten times the initial value, because the accepted first point lowers it.
         let mut damping = s.splat(if P == 1 { 0.0 } else { 10.0 * DAMPING[0] });
+        // One evaluation more than steps: the first has no step before it.
         for _ in 0..=iterations {
             let next = self.evaluate::<STRONG>(&trial, active, &mut inside);
             let better = active & s.ge(s.add(point.objective, s.splat(ROUNDING)), next.objective);
@@ -371,6 +373,7 @@ impl<S: Simd, const P: usize, const N: usize, const C: usize, const D: usize> Fi
             let mut residual = s.load(sixteen(row, FRONT.saturating_add_signed((first + start) as isize)));
             unrolled!(p in [0 1 2] if P => {
                 let lookup = &of_pulse[p];
+                // A pulse beyond the frame is moved into it to keep indices valid; its lane is not `inside`.
                 let shift = (lookup.first - first).clamp(0, farthest(C));
                 if start + LANES as i32 > shift && start < shift + ROW as i32 {
                     let at = LANES.saturating_add_signed((start - shift) as isize);

@@ -141,6 +141,7 @@ impl<S: Simd> ManyGroup<'_, S> {
         let mut next = point;
         let mut factors = PackedFactors::none(zero);
         let mut promised = zero;
+        // Ten times the initial value, because the accepted first point lowers it.
         let mut damping = s.splat(10.0 * DAMPING[0]);
         for _ in 0..=iterations {
             self.evaluate::<STRONG>(&trial, active, &mut inside, &mut next);

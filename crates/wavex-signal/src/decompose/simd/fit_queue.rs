@@ -311,6 +311,7 @@ fn drain_with<const P: usize>(
         weak.report(race);
         for i in 0..weak.jobs.len() {
             let fitted = &weak.fitted[i];
+            // It left the heights for which its response is valid; the other queue continues from there.
             if fitted.pulses[..count].iter().any(|pulse| pulse.values[0] > tables.strong_dn()) {
                 strong.push(Job { pulses: fitted.values(), ..weak.jobs[i] }, weak.tags[i]);
             } else {

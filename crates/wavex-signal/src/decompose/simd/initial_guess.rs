@@ -78,7 +78,7 @@ impl Kernel for ClearForStep<'_> {
                 let pulse_model = &mut pulse_models[row];
                 let overlaps = |i: usize| i + 1 < count && pulse_model.overlap(i, i + 1, fwhm);
                 let is_stepped = !separated || !(overlaps(number) || number > 0 && overlaps(number - 1));
-                let is_off = std::mem::replace(&mut pulse_model.taken_off, true);
+                let is_off = pulse_model.subtract();
                 for (i, pulse) in pulse_model.pulses().iter().enumerate() {
                     let stays = i == number && is_stepped;
                     if stays == is_off {
@@ -154,7 +154,7 @@ impl Kernel for OneStep<'_> {
                     pulse.sds = stepped.sds;
                     (pulse_model.chi_square, pulse_model.samples) = (steps.chi_square[w], steps.samples[w]);
                 }
-                if pulse_model.taken_off {
+                if pulse_model.is_subtracted() {
                     let values = pulse_model.pulses()[number].values();
                     add_pulse(s, tables, rows, row, values, -1.0);
                 }
@@ -209,6 +209,7 @@ fn vertex<S: Simd>(s: S, tables: &Tables, statistic: &[S::V; BANK]) -> (S::V, S:
     let mut best = [statistic[0], statistic[1], statistic[2]];
     let mut scales = [scale[0], scale[1], scale[2]];
     let mut centre = s.splat(Tables::bank_width(1) as f32);
+    // Only inner widths: the parabola needs a neighbour on both sides.
     for k in 2..BANK - 1 {
         let better = s.gt(statistic[k], best[1]);
         for i in 0..3 {
@@ -220,6 +221,7 @@ fn vertex<S: Simd>(s: S, tables: &Tables, statistic: &[S::V; BANK]) -> (S::V, S:
     let (best, scales) = (Parabola::through(s, best), Parabola::through(s, scales));
     // If the curvature is not that of a maximum, the shift is still bounded.
     let shift = s.div(best.rise, s.max(s.sub(zero, best.bend), s.splat(1e-3)));
+    // A shift of 1 from an inner width reaches the outermost width of the bank.
     let shift = bounded(s, shift, 1.2);
     let step = (Tables::bank_width(1) - Tables::bank_width(0)) as f32;
     (s.mul(best.at(s, shift), scales.at(s, shift)), s.fma(shift, s.splat(step), centre))
@@ -342,6 +344,7 @@ fn one_step<S: Simd>(
         for (sums, acc) in sums.iter_mut().zip(acc) {
             sums[w] = s.halved(acc);
         }
+        // The first samples of a block count only if the pulse does not reach them.
         let begin = if is_whole { 0 } else { order };
         counted[w] = ((lookup.first + ROW as i32).min(length) - lookup.first.max(begin)).max(0) as usize;
         if let Some(levels) = levels
@@ -368,6 +371,7 @@ fn one_step<S: Simd>(
     // In units of the height for position and width: the table is for a pulse of height 1.
     let row = |x, y, z| s.fma(x, right[0], s.fma(y, right[1], s.mul(z, right[2])));
     let mut unit = [row(aa, at, au), row(at, tt, tu), row(au, tu, uu)];
+    // Decrease of chi-square by the step, exact for a linear model.
     let known = s.fma(unit[0], right[0], s.fma(unit[1], right[1], s.mul(unit[2], right[2])));
     let mut chi_square = s.sub(s.sum_each(&sums[3]), known);
     let mut variances = [aa, tt, uu];

@@ -16,7 +16,7 @@ use wavex_simd::{Kernel, LANES, Simd};
 use super::fit_queue::add_pulse;
 use super::layout::{U_MAX, U_MIN, Values};
 use super::level_tables::{LevelStep, LevelTables};
-use super::pulse_model::{PulseComponent, PulseModel, Way};
+use super::pulse_model::{PulseComponent, PulseModel};
 use super::rows::{EMPTY, Rows};
 use super::tables::Tables;
 use super::template::Lookup;
@@ -49,6 +49,7 @@ impl LevelTables {
         let length = rows.length(row);
         let order = order.min(length);
         let mut out = [self.steady * sum, self.steady * self.steady * (length - order) as f32];
+        // The first samples have their own whitening; they count if no pulse reaches them.
         if rows.counted(row) == length {
             for (one, residual) in self.begin().iter().zip(rows.residual_sixteen(row, 0)).take(order) {
                 out[0] += (one - self.steady) * residual;
@@ -138,7 +139,7 @@ impl Kernel for SetLevels<'_> {
         for which in self.which.chunks(LANES) {
             for &row in which {
                 let pulse_model = &mut pulse_models[row];
-                if !std::mem::replace(&mut pulse_model.taken_off, true) {
+                if !pulse_model.subtract() {
                     for pulse in pulse_model.pulses() {
                         add_pulse(s, tables, rows, row, pulse.values(), -1.0);
                     }
@@ -170,13 +171,14 @@ pub(super) fn set_levels<S: Simd>(
     s.store(step.by_dn, &mut by_dn);
     s.store(step.level_dn, &mut after);
     s.store(step.variance, &mut variances);
+    // The change is predicted by a linear model, which may fall below 0.
     s.store(s.max(s.add(squares, step.chi_square_change), s.splat(0.0)), &mut changes);
     let mut sums = [s.halved(s.splat(0.0)); LANES];
     let sd_samples = (SD_OF_FWHM * tables.fwhm_samples) as f32;
     for (w, &row) in which.iter().enumerate() {
         let pulse_model = &mut pulse_models[row];
         if step.made & (1 << w) == 0 {
-            pulse_model.give_up();
+            pulse_model.leave_to_scalar();
             continue;
         }
         pulse_model.set_level(after[w], variances[w]);
@@ -273,7 +275,7 @@ impl PulseComponent {
 
 /// Adds the uncertainty of the level to the standard deviations of all pulses.
 pub(super) fn widen(pulse_models: &mut [PulseModel]) {
-    for pulse_model in pulse_models.iter_mut().filter(|pulse_model| pulse_model.way == Way::Fast) {
+    for pulse_model in pulse_models.iter_mut().filter(|pulse_model| pulse_model.is_fast()) {
         let variance = pulse_model.level_variance;
         pulse_model.pulses_mut().iter_mut().for_each(|pulse| pulse.widen(variance));
     }

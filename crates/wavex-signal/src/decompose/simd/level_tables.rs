@@ -50,12 +50,14 @@ pub(super) struct LevelTables {
 impl LevelTables {
     /// Creates the tables, without those of pulses.
     pub(super) fn new(noise: &ArNoise, precision: f64) -> LevelTables {
+        // Long enough for the whitened constant to be steady at the end.
         let mut ones = [1.0; 2 * MAX_ORDER];
         let mut whitener = Whitener::new(noise.clone(), ones.len());
         whitener.set_used(&[true; 2 * MAX_ORDER]);
         whitener.whiten(&mut ones);
         let mut lags = [0.0; 4];
         noise.autocovariance_into(&mut lags);
+        // Mean of four consecutive samples, with their correlation.
         let variance_of_mean = (4.0 * lags[0] + 6.0 * lags[1] + 4.0 * lags[2] + 2.0 * lags[3]) / 16.0;
         // Moments of the weights over normal noise: `E w`, and `E ψ'` with `ψ = x w`.
         let [m2, m4] = [REACH_SD.powi(-2), 3.0 * REACH_SD.powi(-4)];
@@ -141,6 +143,7 @@ impl LevelTables {
             let likely = s.add(s.splat(self.precision.recip()), variance);
             made &= s.ge(s.mul(s.splat(LIKELY_SD * LIKELY_SD), likely), s.mul(after, after));
         } else {
+            // Without a prior, every finite level is likely.
             made &= s.gt(s.splat(f32::INFINITY), s.max(after, s.sub(zero, after)));
         }
         let prior = s.mul(precision, s.sub(s.mul(level_dn, level_dn), s.mul(after, after)));

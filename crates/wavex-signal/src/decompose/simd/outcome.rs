@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use wavex_simd::{Kernel, Simd};
 
-use super::pulse_model::{PulseComponent, PulseModel, Way};
+use super::pulse_model::{PulseComponent, PulseModel};
 use super::thresholds::Thresholds;
 use crate::decompose::{DEVIANT, Waveform};
 use crate::decompose::{DecomposeSettings, Decomposer, Decomposition, Return, truncation_flag};
@@ -105,12 +105,11 @@ impl Finish<'_> {
         pulse_model: &mut PulseModel,
         outcomes: &mut Decompositions,
     ) {
-        let is_fast = pulse_model.way == Way::Fast;
-        let is_done = is_fast
+        let is_done = pulse_model.is_fast()
             && (self.all_acceptable(pulse_model, samples.len()) || self.drop(pulse_model, samples.len()));
         let mut outcome = self.thresholds.outcome(pulse_model, samples.len());
         let deviation_ratio = outcome.deviation_ratio();
-        let limit = if pulse_model.is_open { DEVIANT } else { GROSS };
+        let limit = if pulse_model.is_undecided() { DEVIANT } else { GROSS };
         let is_unexplained = self.is_refined
             && deviation_ratio > limit
             && self.settings.explains_all
@@ -209,6 +208,7 @@ impl Finish<'_> {
             let near =
                 i > 0 && pulse_model.pulses()[i].position() - pulse_model.pulses()[i - 1].position() < least;
             if near {
+                // The scalar kernels merge the two and fit the sum; here nothing is fitted again.
                 let weaker = if pulse_model.pulses()[i].height() < pulse_model.pulses()[i - 1].height() {
                     i
                 } else {

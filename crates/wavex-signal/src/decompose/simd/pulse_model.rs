@@ -99,14 +99,58 @@ impl PulseComponent {
     }
 }
 
-/// Kernels that decompose a waveform.
-#[derive(Clone, Copy, Default, PartialEq, Eq)]
-pub(super) enum Way {
-    /// SIMD kernels.
+/// Progress of a waveform through the SIMD kernels: state of its row, chi-square and level.
+///
+/// Only these methods of [`PulseModel`] change it:
+///
+/// | method | from | to |
+/// |---|---|---|
+/// | `reset` | any | `OnRow` |
+/// | `subtract` | `OnRow` | `Subtracted`; other states with subtracted pulses stay |
+/// | `settle` | `OnRow` | `Settled` |
+/// | `set_level` | `OnRow` | `LevelledOnRow` |
+/// | `set_level` | `Subtracted`, `Settled` | `Levelled` |
+/// | `reopen` | `Subtracted`, `Settled`, `Levelled` | `Subtracted` |
+/// | `leave_to_scalar` | any | `LeftToScalar` |
+///
+/// `LevelledOnRow` and `LeftToScalar` are final. The outcome of the residual search is independent
+/// of the state of the row, so it is a second enum, [`Search`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Stage {
+    /// The row holds the pulses: start values, or a single pulse after its step in the fast modes.
     #[default]
-    Fast,
-    /// Scalar kernels, for waveforms that the SIMD kernels do not support.
-    Plain,
+    OnRow,
+    /// As `OnRow`; the step of the single pulse included the level. Fast modes only.
+    LevelledOnRow,
+    /// The row is the residual; while a fit is queued, the pulses of the fit are on it.
+    Subtracted,
+    /// As `Subtracted`; the only pulse is at its optimum, with its chi-square. Refined mode only.
+    Settled,
+    /// As `Subtracted`; level and pulses are at their joint optimum, with its chi-square.
+    Levelled,
+    /// The scalar kernels decompose the waveform from its samples.
+    LeftToScalar,
+}
+
+/// State of the residual search of a waveform.
+///
+/// | method | from | to |
+/// |---|---|---|
+/// | `reset` | any | `Unchanged` |
+/// | `set_undecided` | `Unchanged`, `Undecided` | `Undecided` |
+/// | `accept_trial` | `Unchanged`, `Undecided` | `Changed` |
+/// | `start_search_round` | `Unchanged`, `Changed` | `Unchanged` |
+///
+/// Only changed waveforms are in a further round, so `Undecided` without an accepted trial is final.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Search {
+    /// No trial was accepted in this round, and no rejected one was close.
+    #[default]
+    Unchanged,
+    /// As `Unchanged`, but a trial without an optimum might have been accepted.
+    Undecided,
+    /// A trial was accepted in this round.
+    Changed,
 }
 
 /// Counts of the candidates of a waveform.
@@ -157,16 +201,8 @@ impl PulseCounts {
 #[repr(C, align(64))]
 pub(super) struct PulseModel {
     count: usize,
-    pub(super) way: Way,
-    /// Whether the pulses are subtracted from the waveform's row.
-    pub(super) taken_off: bool,
-    /// Whether a trial was accepted in this round.
-    pub(super) has_changed: bool,
-    pub(super) refined_twice: bool,
-    /// Whether a trial without an optimum might have been accepted.
-    pub(super) is_open: bool,
-    /// Whether the only pulse is fitted and subtracted, and chi-square computed.
-    pub(super) is_settled: bool,
+    stage: Stage,
+    search: Search,
     pub(super) chi_square: f32,
     /// Number of samples that count in chi-square.
     pub(super) samples: usize,
@@ -178,8 +214,6 @@ pub(super) struct PulseModel {
     /// Both are 0 for a fixed background.
     pub(super) level_dn: f32,
     pub(super) level_variance: f32,
-    /// Whether level and variance belong to the present pulses.
-    pub(super) is_levelled: bool,
     /// Ends of the jointly fitted clusters, in order; 0 after the last.
     ends: [u8; MAX_PULSES],
     pulses: [PulseComponent; MAX_PULSES],
@@ -200,28 +234,110 @@ impl PulseModel {
     #[inline(always)]
     pub(super) fn reset(&mut self) {
         let PulseModel {
-            way,
             count,
-            ends,
-            taken_off,
-            has_changed,
+            stage,
+            search,
             chi_square,
-            beyond,
             samples,
             counts,
-            refined_twice,
-            is_settled,
-            is_open,
+            beyond,
             level_dn,
             level_variance,
-            is_levelled,
-            ..
+            ends,
+            // Only those within `count` are read.
+            pulses: _,
         } = self;
-        (*way, *count, *ends) = (Way::Fast, 0, [0; MAX_PULSES]);
-        (*taken_off, *has_changed, *refined_twice) = (false, false, false);
-        (*is_settled, *is_open) = (false, false);
+        (*count, *stage, *search, *ends) = (0, Stage::OnRow, Search::Unchanged, [0; MAX_PULSES]);
         (*chi_square, *beyond, *samples, *counts) = (0.0, 0.0, 0, PulseCounts::default());
-        (*level_dn, *level_variance, *is_levelled) = (0.0, 0.0, false);
+        (*level_dn, *level_variance) = (0.0, 0.0);
+    }
+
+    /// Whether the SIMD kernels decompose the waveform.
+    #[inline(always)]
+    pub(super) fn is_fast(&self) -> bool {
+        self.stage != Stage::LeftToScalar
+    }
+
+    /// Whether the pulses are subtracted from the waveform's row.
+    #[inline(always)]
+    pub(super) fn is_subtracted(&self) -> bool {
+        matches!(self.stage, Stage::Subtracted | Stage::Settled | Stage::Levelled)
+    }
+
+    /// Whether the pulses still need a fit by the queues.
+    #[inline(always)]
+    pub(super) fn needs_fit(&self) -> bool {
+        matches!(self.stage, Stage::OnRow | Stage::Subtracted)
+    }
+
+    /// Whether level and pulses need a joint step, if each waveform has its own background.
+    #[inline(always)]
+    pub(super) fn needs_level(&self) -> bool {
+        matches!(self.stage, Stage::OnRow | Stage::Subtracted | Stage::Settled)
+    }
+
+    /// Whether the row is the residual, but its chi-square is unknown.
+    ///
+    /// Without a branch: the state of successive waveforms is unpredictable.
+    #[inline(always)]
+    pub(super) fn needs_chi_square(&self) -> bool {
+        (self.stage == Stage::Subtracted) | ((self.stage == Stage::OnRow) & (self.count == 0))
+    }
+
+    /// Records that the pulses are subtracted; returns whether they already were.
+    ///
+    /// The caller must subtract them if they were not.
+    #[inline(always)]
+    pub(super) fn subtract(&mut self) -> bool {
+        debug_assert!(!matches!(self.stage, Stage::LevelledOnRow | Stage::LeftToScalar), "{:?}", self.stage);
+        let already = self.is_subtracted();
+        if !already {
+            self.stage = Stage::Subtracted;
+        }
+        already
+    }
+
+    /// Records that the pulses have changed, and with them level and chi-square.
+    #[inline(always)]
+    pub(super) fn reopen(&mut self) {
+        debug_assert!(self.is_subtracted(), "{:?}", self.stage);
+        self.stage = Stage::Subtracted;
+    }
+
+    /// Passes the waveform to the scalar kernels.
+    pub(super) fn leave_to_scalar(&mut self) {
+        self.stage = Stage::LeftToScalar;
+    }
+
+    /// Whether a trial was accepted in this round of the residual search.
+    pub(super) fn has_changed(&self) -> bool {
+        self.search == Search::Changed
+    }
+
+    /// Whether the residual search ended without a decision.
+    #[inline(always)]
+    pub(super) fn is_undecided(&self) -> bool {
+        self.search == Search::Undecided
+    }
+
+    /// Begins a round of the residual search.
+    pub(super) fn start_search_round(&mut self) {
+        debug_assert!(!self.is_undecided());
+        self.search = Search::Unchanged;
+    }
+
+    /// Records that a trial without an optimum was nearly accepted.
+    pub(super) fn set_undecided(&mut self) {
+        debug_assert!(!self.has_changed());
+        self.search = Search::Undecided;
+    }
+
+    /// Records an accepted trial, whose pulses the caller has exchanged in model and row.
+    pub(super) fn accept_trial(&mut self) {
+        debug_assert!(!self.has_changed());
+        self.search = Search::Changed;
+        self.counts.n_added += 1;
+        self.reopen();
     }
 
     /// Information on the level that the pulses absorb, 1/DN².
@@ -233,12 +349,9 @@ impl PulseModel {
     /// Sets the level, DN, and variance, DN², for the present pulses.
     #[inline(always)]
     pub(super) fn set_level(&mut self, level_dn: f32, variance: f32) {
-        (self.level_dn, self.level_variance, self.is_levelled) = (level_dn, variance, true);
-    }
-
-    /// Passes the waveform to the scalar kernels.
-    pub(super) fn give_up(&mut self) {
-        self.way = Way::Plain;
+        debug_assert!(self.needs_level(), "{:?}", self.stage);
+        (self.level_dn, self.level_variance) = (level_dn, variance);
+        self.stage = if self.is_subtracted() { Stage::Levelled } else { Stage::LevelledOnRow };
     }
 
     /// Appends a pulse; `false` if there is no room.
@@ -255,7 +368,8 @@ impl PulseModel {
     /// The caller must subtract the pulse from the row.
     #[inline(always)]
     pub(super) fn settle(&mut self, fitted: &FittedPulse) {
-        (self.is_settled, self.taken_off) = (true, true);
+        debug_assert!(self.stage == Stage::OnRow && self.count == 1, "{:?}", self.stage);
+        self.stage = Stage::Settled;
         if let [pulse] = self.pulses_mut() {
             pulse.take(fitted);
             (pulse.sds, pulse.flags) = (fitted.sds, pulse.flags | flags::REFINED);

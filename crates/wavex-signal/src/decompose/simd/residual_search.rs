@@ -9,11 +9,11 @@ use super::fit::Aim;
 use super::fit_queue::{add, take_off};
 use super::layout::U_MAX;
 use super::level::JointSquares;
-use super::pulse_model::{MAX_TRIAL, PulseComponent, PulseModel, Way};
+use super::pulse_model::{MAX_TRIAL, PulseComponent, PulseModel};
 use super::rows::BATCH;
 use super::score_test::Scores;
 use super::trial::{Change, Trial, divided};
-use super::workspace::{ChiSquares, Decompose, Workspace};
+use super::workspace::{ChiSquares, Decompose, FitBuffers, SearchBuffers, Workspace};
 use crate::decompose::acceptance::{DIVIDED_PARTS, GAIN_PART, HIDING_WIDTH_RATIO, TRIAL_PART, too_near};
 use crate::flags;
 
@@ -33,13 +33,13 @@ impl Decompose<'_> {
         if self.mode != Mode::Refined || self.settings.max_added == 0 {
             return;
         }
-        let work = &mut *self.work;
-        work.active.clear();
-        work.rivals.clear();
-        work.rivals.resize(work.pulse_models.len(), f32::INFINITY);
-        let waveforms = work.pulse_models.iter_mut().zip(&mut work.rivals);
+        let Workspace { pulse_models, search: SearchBuffers { active, rivals, .. }, .. } = &mut *self.work;
+        active.clear();
+        rivals.clear();
+        rivals.resize(pulse_models.len(), f32::INFINITY);
+        let waveforms = pulse_models.iter_mut().zip(rivals);
         for ((pulse_model, rival), block) in waveforms.zip(self.blocks) {
-            if pulse_model.way == Way::Fast && is_cut_short(pulse_model) {
+            if pulse_model.is_fast() && is_cut_short(pulse_model) {
                 match least_beyond(pulse_model) {
                     Some(least) => *rival = least,
                     // Near a good fit, only the scalar form can evaluate pulses of any width.
@@ -52,13 +52,13 @@ impl Decompose<'_> {
             }
         }
         let room = 1..self.settings.max_returns;
-        let pulse_models = work.pulse_models.iter().enumerate();
-        let begun = pulse_models.filter(|(_, pulse_model)| {
-            pulse_model.way == Way::Fast && room.contains(&pulse_model.pulses().len())
-        });
-        work.active.extend(begun.map(|(row, _)| row));
+        let begun = pulse_models
+            .iter()
+            .enumerate()
+            .filter(|(_, pulse_model)| pulse_model.is_fast() && room.contains(&pulse_model.pulses().len()));
+        active.extend(begun.map(|(row, _)| row));
         for _ in 0..ROUNDS {
-            if self.work.active.is_empty() {
+            if self.work.search.active.is_empty() {
                 break;
             }
             self.start_round();
@@ -73,30 +73,35 @@ impl Decompose<'_> {
             }
             self.end_round();
         }
-        for i in 0..self.work.active.len() {
-            let row = self.work.active[i];
-            self.work.pulse_models[row].give_up();
+        let Workspace { pulse_models, search, .. } = &mut *self.work;
+        for &row in &search.active {
+            pulse_models[row].leave_to_scalar();
         }
-        for (pulse_model, &rival) in self.work.pulse_models.iter_mut().zip(&self.work.rivals) {
-            if pulse_model.way == Way::Fast && (is_cut_short(pulse_model) || is_undecided(pulse_model, rival))
-            {
-                pulse_model.give_up();
+        for (pulse_model, &rival) in pulse_models.iter_mut().zip(&search.rivals) {
+            if pulse_model.is_fast() && (is_cut_short(pulse_model) || may_be_wider(pulse_model, rival)) {
+                pulse_model.leave_to_scalar();
             }
         }
     }
 
     fn start_round(&mut self) {
-        self.work.due.clear();
-        for &row in &self.work.active {
-            self.work.pulse_models[row].has_changed = false;
+        let Workspace { pulse_models, fits, search, .. } = &mut *self.work;
+        fits.due.clear();
+        for &row in &search.active {
+            pulse_models[row].start_search_round();
         }
     }
 
     /// Keeps the changed waveforms with room for more pulses; fits their clusters again.
     fn end_round(&mut self) {
         let fwhm = self.fwhm();
-        let Workspace { active, due, pulse_models, .. } = &mut *self.work;
-        active.retain(|&row| pulse_models[row].has_changed && pulse_models[row].way == Way::Fast);
+        let Workspace {
+            pulse_models,
+            fits: FitBuffers { due, .. },
+            search: SearchBuffers { active, .. },
+            ..
+        } = &mut *self.work;
+        active.retain(|&row| pulse_models[row].has_changed() && pulse_models[row].is_fast());
         for &row in active.iter() {
             pulse_models[row].set_clusters(fwhm);
             let pulses = pulse_models[row].pulses();
@@ -107,28 +112,31 @@ impl Decompose<'_> {
             }
         }
         self.fit_clusters(1);
-        let Workspace { which, due, active, .. } = &mut *self.work;
+        let Workspace { which, fits, search, .. } = &mut *self.work;
         which.clear();
         if self.tables.level.is_some() {
-            which.extend_from_slice(active);
+            which.extend_from_slice(&search.active);
             self.set_levels_of_which();
         } else {
-            which.extend_from_slice(due);
+            which.extend_from_slice(&fits.due);
             self.sum_squares();
         }
-        let (pulse_models, settings) = (&self.work.pulse_models, self.settings);
-        self.work.active.retain(|&row| {
+        let Workspace { pulse_models, search, .. } = &mut *self.work;
+        let settings = self.settings;
+        search.active.retain(|&row| {
             let pulse_model = &pulse_models[row];
             let room = pulse_model.pulses().len() < settings.max_returns
                 && pulse_model.counts.n_added < settings.max_added;
-            room && pulse_model.way == Way::Fast
+            room && pulse_model.is_fast()
         });
     }
 
     /// Finds the candidates in the residual of each active waveform.
     fn search(&mut self) {
         let least = TRIAL_PART as f32 * self.thresholds.sigma.least as f32;
-        let Workspace { rows, columns, active: which, candidates: out, .. } = &mut *self.work;
+        let Workspace { rows, detection, search, .. } = &mut *self.work;
+        let (columns, which) = (&mut detection.columns, &search.active);
+        let out = &mut detection.candidates;
         self.on.run(FilterResiduals { tables: self.tables, rows, columns, which, threshold: least, out });
     }
 
@@ -137,13 +145,13 @@ impl Decompose<'_> {
     /// First at the largest maximum of each residual, from the most likely start values. Waveforms
     /// not improved by it get other start values, and a trial at the second maximum.
     fn plan_additions(&mut self, is_first: bool) {
-        for i in 0..self.work.active.len() {
-            let row = self.work.active[i];
+        for i in 0..self.work.search.active.len() {
+            let row = self.work.search.active[i];
             let pulse_model = &self.work.pulse_models[row];
-            if pulse_model.has_changed || pulse_model.way == Way::Plain {
+            if pulse_model.has_changed() || !pulse_model.is_fast() {
                 continue;
             }
-            let [first, second] = self.greatest(pulse_model, &self.work.candidates[i]);
+            let [first, second] = self.greatest(pulse_model, &self.work.detection.candidates[i]);
             if is_first {
                 first.into_iter().for_each(|candidate| self.plan_addition(row, &candidate, true));
             } else {
@@ -195,33 +203,36 @@ impl Decompose<'_> {
 
     /// Plans trials that split widened pulses with a high score.
     fn plan_divisions(&mut self, evidence: f64) {
-        self.work.suspects.clear();
-        self.work.suspect_numbers.clear();
-        for i in 0..self.work.active.len() {
-            let row = self.work.active[i];
+        self.work.search.suspects.clear();
+        self.work.search.suspect_numbers.clear();
+        for i in 0..self.work.search.active.len() {
+            let row = self.work.search.active[i];
             let pulse_model = &self.work.pulse_models[row];
-            if pulse_model.has_changed || pulse_model.way == Way::Plain {
+            if pulse_model.has_changed() || !pulse_model.is_fast() {
                 continue;
             }
             for (number, pulse) in pulse_model.pulses().iter().enumerate() {
                 let height = f64::from(pulse.height());
+                // Overdrive widens single echoes too. If such a waveform remains unexplained, the scalar
+                // kernels try it with a stricter rule.
                 if pulse.width_ratio() > HIDING_WIDTH_RATIO as f32
                     && !self.thresholds.allowance.overdrives(height)
                 {
-                    self.work.suspects.push((row, *pulse));
-                    self.work.suspect_numbers.push(number);
+                    self.work.search.suspects.push((row, *pulse));
+                    self.work.search.suspect_numbers.push(number);
                 }
             }
         }
-        let Workspace { rows, suspects, scores, .. } = &mut *self.work;
+        let Workspace { rows, search: SearchBuffers { suspects, scores, .. }, .. } = &mut *self.work;
         self.on.run(Scores { tables: self.tables, rows, pulses: suspects, out: scores });
         let [equal, stronger, weaker] = DIVIDED_PARTS.map(|part| part as f32);
-        for i in 0..self.work.suspects.len() {
-            let (row, _) = self.work.suspects[i];
-            let (score, is_earlier) = self.work.scores[i];
+        for i in 0..self.work.search.suspects.len() {
+            let (row, _) = self.work.search.suspects[i];
+            let (score, is_earlier) = self.work.search.scores[i];
             if f64::from(score) > self.settings.split_score {
+                // The sign of the score shows which of two pulses is stronger, so one unequal start suffices.
                 let part = if is_earlier { stronger } else { weaker };
-                self.plan_division(row, self.work.suspect_numbers[i], [equal, part], evidence);
+                self.plan_division(row, self.work.search.suspect_numbers[i], [equal, part], evidence);
             }
         }
     }
@@ -258,7 +269,7 @@ impl Decompose<'_> {
         }
         pulses[..count].sort_unstable_by(|a, b| a.position().total_cmp(&b.position()));
         trial.count = count;
-        self.work.trials.push(trial);
+        self.work.search.trials.push(trial);
     }
 
     /// Fits all trials and accepts the best of each waveform if justified.
@@ -266,17 +277,18 @@ impl Decompose<'_> {
     /// Each trial has its own row.
     fn run_trials(&mut self) {
         let batch = self.work.rows.batch();
-        for first in (0..self.work.trials.len()).step_by(batch) {
-            let end = (first + batch).min(self.work.trials.len());
-            self.fit_trials(first..end);
+        let count = self.work.search.trials.len();
+        for first in (0..count).step_by(batch) {
+            self.fit_trials(first..(first + batch).min(count));
         }
         let mut first = 0;
-        while first < self.work.trials.len() {
-            let row = self.work.trials[first].row;
+        while first < count {
+            let trials = &self.work.search.trials;
+            let row = trials[first].row;
             let mut best = first;
             let mut end = first;
-            while end < self.work.trials.len() && self.work.trials[end].row == row {
-                if self.work.trials[end].objective < self.work.trials[best].objective {
+            while end < count && trials[end].row == row {
+                if trials[end].objective < trials[best].objective {
                     best = end;
                 }
                 end += 1;
@@ -284,7 +296,7 @@ impl Decompose<'_> {
             self.judge(first..end, best);
             first = end;
         }
-        self.work.trials.clear();
+        self.work.search.trials.clear();
     }
 
     /// Accepts the best of a waveform's trials.
@@ -292,9 +304,9 @@ impl Decompose<'_> {
     /// If none is acceptable, but one without an optimum might be, the scalar kernels decompose the
     /// waveform unless it is explained.
     fn judge(&mut self, trials: Range<usize>, best: usize) {
-        let trial = self.work.trials[best];
+        let trial = self.work.search.trials[best];
         let pulse_model = &self.work.pulse_models[trial.row];
-        if pulse_model.way == Way::Plain {
+        if !pulse_model.is_fast() {
             return;
         }
         let gained = |trial: &Trial| pulse_model.chi_square - trial.chi_square - trial.gain;
@@ -303,30 +315,32 @@ impl Decompose<'_> {
             self.take_up(&trial);
             return;
         }
-        let open = self.work.trials[trials].iter().filter(|trial| is_open(trial));
+        let open = self.work.search.trials[trials].iter().filter(|trial| is_open(trial));
         let Some(best) = open.min_by(|a, b| a.chi_square.total_cmp(&b.chi_square)).copied() else { return };
         if gained(&best) >= 0.0 {
             // A further pulse may give it an optimum.
             self.take_up(&best);
         } else if gained(&best) > -OPEN_GAIN {
-            self.work.pulse_models[trial.row].is_open = true;
+            self.work.pulse_models[trial.row].set_undecided();
         }
     }
 
     fn fit_trials(&mut self, trials: Range<usize>) {
         let (on, tables) = (self.on, self.tables);
-        let work = &mut *self.work;
-        for (row, at) in (BATCH..).zip(trials.clone()) {
-            let trial = &work.trials[at];
-            work.rows.copy(trial.row, row);
-            for pulse in &work.pulse_models[trial.row].pulses()[trial.old()] {
-                add(on, tables, &mut work.rows, row, pulse.values(), 1.0);
+        let Workspace { rows, pulse_models, which, squares: out, fits, search, .. } = &mut *self.work;
+        let (FitBuffers { queues, done: results, .. }, SearchBuffers { trials: all, levels, .. }) =
+            (fits, search);
+        let all = &mut all[trials];
+        for ((row, at), trial) in (BATCH..).zip(0..).zip(&*all) {
+            let pulse_model = &pulse_models[trial.row];
+            rows.copy(trial.row, row);
+            for pulse in &pulse_model.pulses()[trial.old()] {
+                add(on, tables, rows, row, pulse.values(), 1.0);
             }
             let mut values = [[0.0; 3]; MAX_TRIAL];
             for (values, pulse) in values.iter_mut().zip(trial.pulses()) {
                 *values = pulse.values();
             }
-            let pulse_model = &work.pulse_models[trial.row];
             // The fit holds the level, so another pulse lowers chi-square by less than with a free
             // level.
             let least_gain = match tables.level {
@@ -334,13 +348,13 @@ impl Decompose<'_> {
                 None => trial.gain,
             };
             let aim = Aim::trial(pulse_model.chi_square - least_gain, trial.row);
-            work.queues.push(tables, row, &values[..trial.count], aim, at);
+            queues.push(tables, row, &values[..trial.count], aim, at);
         }
         let precision = self.settings.overlap_ln_width_sd.powi(-2) as f32;
-        work.queues.run(on, tables, &work.rows, precision, &mut work.done);
-        for done in &work.done.list {
-            let fitted = work.done.pulses(done);
-            let trial = &mut work.trials[done.tag];
+        queues.run(on, tables, rows, precision, results);
+        for done in &results.list {
+            let fitted = results.pulses(done);
+            let trial = &mut all[done.tag];
             trial.is_dropped = done.is_dropped;
             trial.has_ended = done.is_optimum;
             for (pulse, fitted) in trial.pulses.iter_mut().zip(fitted) {
@@ -349,14 +363,13 @@ impl Decompose<'_> {
                 pulse.flags |= flags::REFINED;
             }
         }
-        take_off(on, tables, &mut work.rows, &work.done);
+        take_off(on, tables, rows, results);
         let least = self.thresholds.least_separation;
-        work.which.clear();
-        work.which.extend(BATCH..BATCH + trials.len());
-        let Workspace { rows, which, squares: out, levels, pulse_models, trials: all, .. } = &mut *work;
+        which.clear();
+        which.extend(BATCH..BATCH + all.len());
         if let Some(level) = &tables.level {
             levels.clear();
-            levels.extend(all[trials.clone()].iter().map(|trial| {
+            levels.extend(all.iter().map(|trial| {
                 let pulse_model = &pulse_models[trial.row];
                 [pulse_model.level_dn, trial.level_information(pulse_model)]
             }));
@@ -364,10 +377,10 @@ impl Decompose<'_> {
         } else {
             on.run(ChiSquares { rows, which, out });
         }
-        for (trial, square) in work.trials[trials].iter_mut().zip(&work.squares) {
+        for (trial, square) in all.iter_mut().zip(&*out) {
             trial.chi_square = *square;
             if trial.has_ended {
-                let old = &work.pulse_models[trial.row].pulses()[trial.old()];
+                let old = &pulse_models[trial.row].pulses()[trial.old()];
                 // A trial that brings two pulses closer than the minimum separation is no
                 // improvement.
                 let near =
@@ -385,7 +398,7 @@ impl Decompose<'_> {
         let pulse_model = &mut work.pulse_models[trial.row];
         let before = *pulse_model;
         if !pulse_model.replace(trial.old(), trial.pulses()) {
-            pulse_model.give_up();
+            pulse_model.leave_to_scalar();
             return;
         }
         let samples = work.rows.length(trial.row);
@@ -409,13 +422,10 @@ impl Decompose<'_> {
         // What pulses wider than the tables could reach, with as many other pulses.
         let replaces_wide = before.pulses()[trial.old()].iter().any(is_widest);
         let decrease = pulse_model.chi_square - trial.chi_square;
-        work.rivals[trial.row] -= if replaces_wide { trial.gain } else { decrease };
+        work.search.rivals[trial.row] -= if replaces_wide { trial.gain } else { decrease };
         pulse_model.chi_square = trial.chi_square;
         pulse_model.sort();
-        pulse_model.counts.n_added += 1;
-        pulse_model.refined_twice = true;
-        pulse_model.has_changed = true;
-        (pulse_model.is_levelled, pulse_model.is_open) = (false, false);
+        pulse_model.accept_trial();
     }
 }
 
@@ -426,7 +436,7 @@ fn is_cut_short(pulse_model: &PulseModel) -> bool {
 
 /// Whether pulses wider than the tables might explain the waveform better than those that replaced
 /// them: `rival` is the least chi-square they could reach.
-fn is_undecided(pulse_model: &PulseModel, rival: f32) -> bool {
+fn may_be_wider(pulse_model: &PulseModel, rival: f32) -> bool {
     let is_resolved = pulse_model.chi_square < pulse_model.samples as f32 + NO_GOOD_FIT
         && pulse_model.pulses().iter().all(|pulse| pulse.width_ratio() < RESOLVED_WIDTH_RATIO);
     pulse_model.chi_square > rival && !is_resolved

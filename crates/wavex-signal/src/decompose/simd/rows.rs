@@ -96,6 +96,7 @@ impl Rows {
     #[inline(always)]
     pub(super) fn begin(&mut self, row: usize, length: usize) {
         let before = std::mem::replace(&mut self.lengths[row], length);
+        // The row may hold the end of a longer waveform.
         if length < before {
             let row = &mut self.residual.as_mut_slice()[row * self.stride..][..self.stride];
             row[FRONT + length..FRONT + before].fill(0.0);
@@ -173,6 +174,7 @@ impl Rows {
     ) {
         let n = self.lengths[row];
         let to = &mut self.residual.as_mut_slice()[row * self.stride..][..self.stride];
+        // A pulse reaches the first samples: from now on, they only predict the others.
         if lookup.first < tables.order as i32 && self.counted[row] == n {
             self.counted[row] = n.saturating_sub(tables.order);
             to[FRONT..FRONT + tables.order.min(n)].fill(0.0);

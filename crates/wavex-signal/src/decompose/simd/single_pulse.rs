@@ -49,6 +49,7 @@ impl Kernel for FitSingles<'_> {
             let (mut jobs, mut count) = ([Job::<1>::IDLE; LANES], 0);
             for (w, &row) in which.iter().enumerate() {
                 let pulses = [[heights[w], positions[w], widths[w]]];
+                // The response of stronger pulses depends on their height; the queued fits support that.
                 if !is_strong(tables, &pulses) {
                     jobs[count] = Job { row, pulses, aim: Aim::OPTIMUM };
                     count += 1;
@@ -59,6 +60,7 @@ impl Kernel for FitSingles<'_> {
             let (mut settled, mut count) = ([EMPTY; LANES], 0);
             for (job, fitted) in jobs.iter().zip(fitted) {
                 let [pulse] = &fitted.pulses;
+                // A fit may end above the height up to which its response is valid.
                 if fitted.is_optimum && pulse.is_held() && pulse.values[0] <= tables.strong_dn() {
                     pulse_models[job.row].settle(pulse);
                     add_pulse(s, tables, rows, job.row, pulse.values, -1.0);
@@ -67,6 +69,7 @@ impl Kernel for FitSingles<'_> {
                 }
             }
             if let Some(level) = &tables.level {
+                // It also computes chi-square, which depends on the level.
                 set_levels(s, tables, level, rows, pulse_models, &settled[..count], true, moved);
                 continue;
             }

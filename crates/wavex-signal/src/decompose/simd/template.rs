@@ -94,6 +94,7 @@ impl Lookup {
     #[inline(always)]
     pub(super) fn of(tables: &Tables, [height, position, width]: Values) -> Lookup {
         let above = width.clamp(U_MIN as f32, U_MAX as f32) - U_MIN as f32;
+        // Rounds as `Lookups::set` does, so that both find the same entry.
         let knot = (above * (1.0 / U_STEP as f32)).round_ties_even();
         let phase = (position * PHASES as f32).round_ties_even();
         let lookup = Lookup {

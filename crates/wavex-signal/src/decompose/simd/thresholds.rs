@@ -71,6 +71,7 @@ impl Thresholds {
         let detector = Detector::new(shape.clone(), model.offset_precision(), &whitener, 0);
         let held_height_dn = 2.0 * model.full_scale_dn;
         let left_out = f64::from(LEFT_OUT_SD) * model.noise_sd_dn / held_height_dn;
+        // SD of a Gaussian that falls to this part at the start of its row.
         let held_sd_samples = f64::from(BEFORE_PEAK) / (-2.0 * left_out.min(0.5).ln()).sqrt();
         let overdriven_dn = model.overdriven_dn(settings.overdriven_part);
         let echo = (0..ECHO_SAMPLES).map(|lag| detector.echo(lag as f64) as f32).collect();
@@ -130,7 +131,7 @@ impl Thresholds {
             parameters: 3 * pulse_model.pulses().len() + usize::from(self.level_response > 0.0),
             background_offset_dn: pulse_model.level_dn.into(),
             refined_once: pulse_model.pulses().iter().any(|p| p.flags & flags::REFINED != 0),
-            refined_twice: pulse_model.refined_twice,
+            refined_twice: pulse_model.counts.n_added > 0,
             ..Decomposition::default()
         }
     }
@@ -230,6 +231,7 @@ impl Thresholds {
     /// Fraction of a pulse's squared significance that remains with an uncertain level.
     #[inline(always)]
     pub(super) fn left_by_level(&self, pulse_model: &PulseModel) -> f64 {
+        // The product may exceed 1 if pulses leave little information on the level; callers take the root.
         let lost = self.level_response * self.level_response * pulse_model.level_variance;
         1.0 - f64::from(lost.min(0.9))
     }

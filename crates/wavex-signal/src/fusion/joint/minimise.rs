@@ -43,6 +43,7 @@ impl LeastSquares for JointFit {
             let (by_height, rest) = columns.split_at_mut(m);
             let (by_position, by_width) = rest.split_at_mut(m);
             self.shape.add_derivatives(&pulse, [&mut *by_height, by_position, by_width]);
+            // The parameter is the logarithm of the height.
             by_height.iter_mut().for_each(|value| *value *= pulse.height_dn);
         }
         self.columns[PARTS * self.pulses.len() * m..].fill(1.0);

@@ -69,7 +69,9 @@ impl Columns {
             }
             let sum = s.add(s.add(sums[0], sums[1]), s.add(sums[2], sums[3]));
             let weight = s.add(s.add(weights[0], weights[1]), s.add(weights[2], weights[3]));
+            // Free samples have this mean weight, samples on pulses almost none: this counts the free ones.
             free = s.mul(weight, s.splat(level.mean_weight.recip()));
+            // Without samples in reach both sums are 0, and the level stays.
             let step = s.div(sum, s.max(weight, s.splat(1e-3)));
             centre = s.fma(step, s.splat(level.newton * level.reach_dn), centre);
         }
