@@ -190,7 +190,7 @@ pub fn run(request: RunRequest) -> Result<FinishedRun, RunFailure> {
     }
     let mut options = Options {
         observers: files.observers(),
-        profile: profile,
+        profile,
         progress,
         cancel,
         watch,

@@ -63,10 +63,8 @@
 //!   recording.
 //! - [`distributed`]: continuous profiles of targets that are not a few echoes.
 //!
-//! [`mta`] assigns echoes to emissions if several pulses are in the air. [`radiometry`],
-//! [`penalised_spline`], [`range_walk`] and [`width_by_amplitude`] serve the corrections of returns. [`outliers`]
-//! finds isolated points, [`sensor_path`] estimates the sensor position from its beams, and
-//! [`false_alarms`] predicts the returns caused by noise.
+//! [`sensor_path`] estimates the sensor position from its beams, and [`false_alarms`] predicts the returns caused by
+//! noise. Corrections of returns and the assignment of echoes to shots are in the crate `wavex-returns`.
 //!
 //! docs/explanation/method.md describes the method. Positions are in samples from the waveform's
 //! first, heights in digitiser steps (DN). The position of a pulse is that of its peak.
