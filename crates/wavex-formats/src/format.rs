@@ -4,9 +4,7 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use super::extensions::{
-    LAS, LAZ, PACKETS, WAVES, WFM, beside, by_stem, extension, folder_of, in_usual_cases,
-};
+use super::extensions::{LAS, LAZ, PACKETS, WAVES, WFM, beside, by_stem, extension, folder_of, usual_names};
 use super::{Error, Result, las, pulsewaves, unsupported};
 
 /// A format of recordings.
@@ -84,18 +82,20 @@ fn pulses_of_las(path: &Path) -> Result<u64> {
     Ok(header.n_points_by_return.first().copied().filter(is_counted).unwrap_or(header.n_points))
 }
 
-/// Companion file of a recording, in the same folder.
+/// Companion file of a recording; `None` if it is missing or the format has none.
 ///
-/// A format without companions has none.
+/// Its extension may have any case; lower case is preferred.
 pub fn companion(recording: &Path) -> Option<PathBuf> {
     beside(recording, Format::of(recording)?.companion?)
 }
 
-/// Companion file of a recording; without one, the names that it would have.
-pub fn companion_or_names(recording: &Path) -> Vec<PathBuf> {
-    let wanted = Format::of(recording).and_then(|format| format.companion);
-    let names = || wanted.map_or(Vec::new(), |extension| in_usual_cases(recording, extension).to_vec());
-    companion(recording).map_or_else(names, |found| vec![found])
+/// Usual names of the companion file of a recording: its extension in lower and in upper case.
+///
+/// The files may not exist. Other spellings are left out, because they require a list of the folder,
+/// and a survey may have thousands of recordings without companions in one folder.
+pub fn companion_names(recording: &Path) -> Vec<PathBuf> {
+    let extension = Format::of(recording).and_then(|format| format.companion);
+    extension.map_or(Vec::new(), |extension| usual_names(recording, extension).to_vec())
 }
 
 /// Companion files of many recordings; lists each folder once.
@@ -154,16 +154,16 @@ mod tests {
         assert!(Format::of(Path::new("a.wdp")).is_none() && Format::of(Path::new("las")).is_none());
     }
 
-    /// The reader and the index find the same companion, whatever the case of its extension.
+    /// Names in order of preference; the index finds all of them.
     #[test]
-    fn companions_have_extensions_in_any_case() {
+    fn companion_extensions_have_any_case_and_lower_case_is_preferred() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         for (recording, names) in [
             ("a.pls", &["a.wvs", "a.WVS", "a.Wvs"][..]),
-            ("a.PLS", &["a.WVS", "a.wvs", "a.wVs"]),
+            ("a.PLS", &["a.wvs", "a.WVS", "a.WvS", "a.wVs"]),
             ("b.las", &["b.wdp", "b.WDP", "b.Wdp"]),
-            ("b.LAZ", &["b.WDP", "b.wdp", "b.wDp"]),
+            ("b.LAZ", &["b.wdp", "b.WDP", "b.wDp"]),
         ] {
             names.iter().for_each(|name| fs::write(path(name), "").unwrap());
             for name in names {
