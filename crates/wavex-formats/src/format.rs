@@ -1,4 +1,4 @@
-//! The formats of recordings: extensions, companion files and the stages that read them.
+//! Formats of recordings: reader stages, extensions and companion files.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -7,46 +7,46 @@ use std::path::{Path, PathBuf};
 use super::extensions::{LAS, LAZ, PACKETS, WAVES, WFM, beside, by_stem, extension, folder_of, usual_names};
 use super::{Error, Result, las, pulsewaves, unsupported};
 
-/// A format of recordings.
+/// Format of a recording.
 #[derive(Debug)]
-pub struct Format {
-    /// Stage that reads it.
+pub struct RecordingFormat {
+    /// Name of the stage that reads the format.
     pub reader: &'static str,
-    /// Extensions of its files, in lower case.
+    /// Extensions, in lower case.
     pub extensions: &'static [&'static str],
-    /// Extension of the file with the waveforms, beside each recording.
+    /// Extension of the companion file with the waveforms, in lower case; `None` if there is none.
     pub companion: Option<&'static str>,
-    /// Reads the number of pulses from a header; `None`: only the data tell it.
+    /// Reads the number of pulses from the header of a file; `None` if headers do not have it.
     pub pulse_count: Option<fn(&Path) -> Result<u64>>,
 }
 
-/// All formats that can be read, in the order of the manual.
-pub const FORMATS: &[Format] = &[
-    Format {
+/// All supported formats, in the order of the manual.
+pub const FORMATS: &[RecordingFormat] = &[
+    RecordingFormat {
         reader: "read_las",
         extensions: &[LAS, LAZ],
         companion: Some(PACKETS),
         pulse_count: Some(pulses_of_las),
     },
-    Format {
+    RecordingFormat {
         reader: "read_pulsewaves",
         extensions: &["pls"],
         companion: Some(WAVES),
         pulse_count: Some(|path| Ok(pulsewaves::Reader::open(path)?.pulse_count())),
     },
-    Format { reader: "read_sdf", extensions: &["sdf", WFM], companion: None, pulse_count: None },
-    Format { reader: "read_arrow", extensions: &["arrow"], companion: None, pulse_count: None },
+    RecordingFormat { reader: "read_sdf", extensions: &["sdf", WFM], companion: None, pulse_count: None },
+    RecordingFormat { reader: "read_arrow", extensions: &["arrow"], companion: None, pulse_count: None },
 ];
 
-impl Format {
-    /// Format of a recording, by its extension in any case.
-    pub fn of(recording: &Path) -> Option<&'static Format> {
+impl RecordingFormat {
+    /// Format of a recording, by its extension in any case; `None` if unknown.
+    pub fn of(recording: &Path) -> Option<&'static RecordingFormat> {
         let extension = extension(recording);
         FORMATS.iter().find(|format| format.extensions.contains(&extension.as_str()))
     }
 
-    /// Format that a stage reads.
-    pub fn read_by(stage: &str) -> Option<&'static Format> {
+    /// Format that a stage reads; `None` if it reads none.
+    pub fn read_by(stage: &str) -> Option<&'static RecordingFormat> {
         FORMATS.iter().find(|format| format.reader == stage)
     }
 
@@ -67,13 +67,16 @@ pub fn reader_of(input: &str) -> std::result::Result<&'static str, String> {
     if let Some(error) = unsupported(Path::new(input)) {
         return Err(error.to_string());
     }
-    let format = Format::of(Path::new(input)).map(|format| format.reader);
+    let format = RecordingFormat::of(Path::new(input)).map(|format| format.reader);
     format.ok_or_else(|| {
-        format!("{input}: unknown recording format; supported extensions: {}", Format::all_extensions())
+        format!(
+            "{input}: unknown recording format; supported extensions: {}",
+            RecordingFormat::all_extensions()
+        )
     })
 }
 
-/// Number of first returns of a LAS file by its header.
+/// Number of first returns in the header of a LAS file, or of points if first returns are not counted.
 fn pulses_of_las(path: &Path) -> Result<u64> {
     let reader = las::Reader::open(path)?;
     let header = reader.header();
@@ -86,7 +89,7 @@ fn pulses_of_las(path: &Path) -> Result<u64> {
 ///
 /// Its extension may have any case; lower case is preferred.
 pub fn companion(recording: &Path) -> Option<PathBuf> {
-    beside(recording, Format::of(recording)?.companion?)
+    beside(recording, RecordingFormat::of(recording)?.companion?)
 }
 
 /// Usual names of the companion file of a recording: its extension in lower and in upper case.
@@ -94,26 +97,26 @@ pub fn companion(recording: &Path) -> Option<PathBuf> {
 /// The files may not exist. Other spellings are left out, because they require a list of the folder,
 /// and a survey may have thousands of recordings without companions in one folder.
 pub fn companion_names(recording: &Path) -> Vec<PathBuf> {
-    let extension = Format::of(recording).and_then(|format| format.companion);
+    let extension = RecordingFormat::of(recording).and_then(|format| format.companion);
     extension.map_or(Vec::new(), |extension| usual_names(recording, extension).to_vec())
 }
 
 /// Companion files of many recordings; lists each folder once.
 #[derive(Clone, Debug, Default)]
 pub struct CompanionIndex {
-    /// Files that can be companions, by folder and stem.
+    /// Files with the extension of a companion, by folder and stem.
     folders: BTreeMap<PathBuf, BTreeMap<OsString, Vec<PathBuf>>>,
 }
 
 impl CompanionIndex {
-    /// Files that can be the companion of a recording.
+    /// Files with the stem of a recording and the extension of its companion, in any case.
     ///
-    /// A folder that may not be listed has none.
+    /// Empty if the folder is missing or the user has no permission to list it.
     ///
     /// # Errors
-    /// If the folder cannot be listed.
+    /// If listing the folder fails for another reason.
     pub fn of(&mut self, recording: &Path) -> Result<Vec<PathBuf>> {
-        let Some(wanted) = Format::of(recording).and_then(|format| format.companion) else {
+        let Some(wanted) = RecordingFormat::of(recording).and_then(|format| format.companion) else {
             return Ok(Vec::new());
         };
         let folder = folder_of(recording);
@@ -148,10 +151,13 @@ mod tests {
         for format in FORMATS {
             for extension in format.extensions {
                 let name = format!("a.{}", extension.to_uppercase());
-                assert_eq!(Format::of(Path::new(&name)).unwrap().reader, format.reader);
+                assert_eq!(RecordingFormat::of(Path::new(&name)).unwrap().reader, format.reader);
             }
         }
-        assert!(Format::of(Path::new("a.wdp")).is_none() && Format::of(Path::new("las")).is_none());
+        assert!(
+            RecordingFormat::of(Path::new("a.wdp")).is_none()
+                && RecordingFormat::of(Path::new("las")).is_none()
+        );
     }
 
     /// Names in order of preference; the index finds all of them.

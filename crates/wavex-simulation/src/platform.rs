@@ -2,7 +2,7 @@
 
 use core::f64::consts::TAU;
 
-use super::scene::{Area, Beam};
+use super::scene::{Beam, MapArea};
 use super::start::{GROUND_HEIGHT_M, START_M};
 use wavex_geodesy::frames::{Attitude, IDENTITY, Rotation, rotate, rotation_of_angles, then};
 
@@ -156,10 +156,10 @@ impl Platform {
     }
 
     /// Ground area covered between two scan angles up to a time, for a level flight.
-    pub fn swath(&self, scan_angle_rad: [f64; 2], end_s: f64) -> Area {
+    pub fn swath(&self, scan_angle_rad: [f64; 2], end_s: f64) -> MapArea {
         let across = |angle_rad| START_M[0] + self.flying_height_m * libm::tan(angle_rad);
         let along = |time_s| START_M[1] + self.speed_mps * time_s;
-        Area { x: scan_angle_rad.map(across), y: [along(0.0), along(end_s)] }
+        MapArea { x: scan_angle_rad.map(across), y: [along(0.0), along(end_s)] }
     }
 }
 

@@ -23,12 +23,12 @@ const HALF_DIVERGENCE_RAD: f64 = 0.25e-3;
 /// Minimum fraction of the pulse for a hit.
 const LEAST_SHARE: f64 = 0.02;
 /// Building and wood, as fractions of the swath across and along the flight.
-const BUILDING_AREA: Area = Area { x: [0.15, 0.30], y: [0.25, 0.75] };
-const CANOPY_AREA: Area = Area { x: [0.55, 0.95], y: [0.0, 1.0] };
+const BUILDING_AREA: MapArea = MapArea { x: [0.15, 0.30], y: [0.25, 0.75] };
+const CANOPY_AREA: MapArea = MapArea { x: [0.55, 0.95], y: [0.0, 1.0] };
 
 /// A rectangle of the map, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Area {
+pub struct MapArea {
     /// West and east edge.
     pub x: [f64; 2],
     /// South and north edge.
@@ -70,11 +70,11 @@ pub struct Hit {
 /// # Examples
 ///
 /// ```
-/// use wavex_simulation::scene::{Area, Beam, Class, Scene};
+/// use wavex_simulation::scene::{MapArea, Beam, Class, Scene};
 /// use wavex_simulation::world::{GROUND_HEIGHT_M, START_M};
 ///
 /// let [x, y] = START_M;
-/// let swath = Area { x: [x - 300.0, x + 300.0], y: [y, y + 100.0] };
+/// let swath = MapArea { x: [x - 300.0, x + 300.0], y: [y, y + 100.0] };
 /// let scene = Scene::strips(1, swath, 600.0, 0.0, 0.0);
 /// let beam = Beam { origin_m: [x, y, GROUND_HEIGHT_M + 600.0], direction: [0.0, 0.0, -1.0] };
 /// let mut hits = Vec::new();
@@ -99,7 +99,7 @@ enum Land {
 struct Strips {
     ground: Surface,
     building: Option<Building>,
-    canopy: Option<(Area, Canopy)>,
+    canopy: Option<(MapArea, Canopy)>,
 }
 
 /// A material.
@@ -129,7 +129,7 @@ impl Scene {
     /// wood.
     pub fn strips(
         seed: u64,
-        area: Area,
+        area: MapArea,
         flying_height_m: f64,
         building_height_m: f64,
         canopy_height_m: f64,
@@ -257,11 +257,11 @@ impl Beam {
     }
 }
 
-impl Area {
+impl MapArea {
     /// Part of the area between two fractions of its width and its length.
-    fn part(&self, shares: Area) -> Area {
+    fn part(&self, shares: MapArea) -> MapArea {
         let part = |[from, to]: [f64; 2], shares: [f64; 2]| shares.map(|share| from + share * (to - from));
-        Area { x: part(self.x, shares.x), y: part(self.y, shares.y) }
+        MapArea { x: part(self.x, shares.x), y: part(self.y, shares.y) }
     }
 
     /// Distance of a point from the edge inside the area, m; negative outside.
@@ -275,7 +275,7 @@ impl Area {
 mod tests {
     use super::*;
 
-    const SWATH: Area = Area { x: [-400.0, 600.0], y: [0.0, 100.0] };
+    const SWATH: MapArea = MapArea { x: [-400.0, 600.0], y: [0.0, 100.0] };
 
     /// A beam from 600 m above the ground that reaches it at (x, 50).
     fn beam_to(x: f64) -> Beam {

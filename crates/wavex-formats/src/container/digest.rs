@@ -12,7 +12,7 @@ use arrow_ipc::KeyValue;
 use flatbuffers::{ForwardsUOffset, Vector};
 use twox_hash::XxHash3_64;
 
-use super::location::{DAMAGED, Location};
+use super::location::{ContainerLocation, DAMAGED};
 use crate::Result;
 
 /// Key of the digest in custom metadata.
@@ -46,7 +46,7 @@ pub(super) fn check(
     body: &[u8],
     entries: Entries,
     name: &str,
-    location: Location,
+    location: ContainerLocation,
 ) -> Result<bool> {
     let Some(value) = location_of(flatbuffer, entries) else { return Ok(false) };
     let mut blank = flatbuffer.to_vec();

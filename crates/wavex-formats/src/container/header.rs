@@ -6,7 +6,7 @@ use arrow_schema::{Metadata, SchemaRef};
 use serde::{Deserialize, Serialize};
 
 use super::layout::KEYS;
-use super::location::Location;
+use super::location::ContainerLocation;
 use super::{VERSION, layout};
 use crate::{Error, Result};
 
@@ -195,22 +195,22 @@ named! {
 /// NaN is written as null.
 #[derive(Default, Serialize, Deserialize)]
 #[serde(default)]
-struct Tables {
+struct StoredTables {
     #[serde(skip_serializing_if = "Option::is_none")]
-    amplitude_low: Option<Table>,
+    amplitude_low: Option<StoredTable>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    amplitude_high: Option<Table>,
+    amplitude_high: Option<StoredTable>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    range_low: Option<Table>,
+    range_low: Option<StoredTable>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    range_high: Option<Table>,
+    range_high: Option<StoredTable>,
 }
 
-type Table = Vec<(Option<f64>, Option<f64>)>;
+type StoredTable = Vec<(Option<f64>, Option<f64>)>;
 
 /// The value of `wavex.coordinate_grid`.
 #[derive(Serialize, Deserialize)]
-struct Grid {
+struct CoordinateGrid {
     scale: [f64; 3],
     offset: [f64; 3],
 }
@@ -227,7 +227,7 @@ impl ContainerHeader {
     /// Converts the header to metadata.
     pub(super) fn to_metadata(&self) -> Metadata {
         let number = |value: f64| value.to_string();
-        let grid = self.coordinate_grid.map(|(scale, offset)| json(&Grid { scale, offset }));
+        let grid = self.coordinate_grid.map(|(scale, offset)| json(&CoordinateGrid { scale, offset }));
         let values = [
             ("wavex.container", Some(VERSION.to_string())),
             ("wavex.instrument", self.instrument.clone()),
@@ -257,9 +257,9 @@ impl ContainerHeader {
     fn tables(&self) -> Option<String> {
         let table = |pairs: &Option<Vec<(f64, f64)>>| {
             let defined = |&(x, y): &(f64, f64)| (Some(x), Some(y));
-            pairs.as_ref().map(|pairs| pairs.iter().map(defined).collect::<Table>())
+            pairs.as_ref().map(|pairs| pairs.iter().map(defined).collect::<StoredTable>())
         };
-        let tables = Tables {
+        let tables = StoredTables {
             amplitude_low: table(&self.amplitude_low),
             amplitude_high: table(&self.amplitude_high),
             range_low: table(&self.range_low),
@@ -270,11 +270,11 @@ impl ContainerHeader {
     }
 
     /// Parses the header from metadata; errors name the key.
-    pub(super) fn from_metadata(metadata: &Metadata, location: Location) -> Result<ContainerHeader> {
-        let keys = Keys { metadata, location };
+    pub(super) fn from_metadata(metadata: &Metadata, location: ContainerLocation) -> Result<ContainerHeader> {
+        let keys = MetadataKeys { metadata, location };
         keys.version()?;
-        let tables: Tables = keys.json("wavex.tables")?.unwrap_or_default();
-        let grid: Option<Grid> = keys.json("wavex.coordinate_grid")?;
+        let tables: StoredTables = keys.json("wavex.tables")?.unwrap_or_default();
+        let grid: Option<CoordinateGrid> = keys.json("wavex.coordinate_grid")?;
         let positive = |value: &f64| value.is_finite() && *value > 0.0;
         let not_negative = |value: &f64| value.is_finite() && *value >= 0.0;
         let speed = |value: &f64| *value > 0.0 && *value <= LIGHT_MPS;
@@ -307,12 +307,12 @@ impl ContainerHeader {
 }
 
 /// The metadata, with errors that name the key.
-struct Keys<'a> {
+struct MetadataKeys<'a> {
     metadata: &'a Metadata,
-    location: Location<'a>,
+    location: ContainerLocation<'a>,
 }
 
-impl<'a> Keys<'a> {
+impl<'a> MetadataKeys<'a> {
     fn text(&self, key: &str) -> Option<&'a str> {
         self.metadata.get(key).map(String::as_str)
     }
@@ -367,7 +367,7 @@ fn number(text: &str, fits: impl Fn(&f64) -> bool) -> Option<f64> {
     text.trim().parse().ok().filter(fits)
 }
 
-fn defined(table: Table) -> Vec<(f64, f64)> {
+fn defined(table: StoredTable) -> Vec<(f64, f64)> {
     table.into_iter().filter_map(|(x, y)| Some((x?, y?))).collect()
 }
 

@@ -10,7 +10,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::encoding;
-use super::header::Header;
+use super::header::LasHeader;
 use super::vlr::{self, EVLR_HEADER, SPEC, Vlr, WAVEFORM_PACKETS};
 use crate::extensions::{PACKETS, beside};
 use crate::{Error, Result, regular_file};
@@ -47,7 +47,7 @@ pub(super) struct Packets {
 /// and the header does not decide.
 pub(super) fn find(
     path: &Path,
-    header: &Header,
+    header: &LasHeader,
     evlrs: &[Vlr],
     input: &mut (impl Read + Seek),
     file_length: u64,
@@ -82,7 +82,7 @@ pub(super) fn find(
 /// after the last point.
 fn inside(
     path: &Path,
-    header: &Header,
+    header: &LasHeader,
     evlrs: &[Vlr],
     input: &mut (impl Read + Seek),
     file_length: u64,

@@ -119,7 +119,7 @@ pub(super) fn scan_angle_steps(format: u8) -> Steps {
 
 #[cfg(test)]
 mod tests {
-    use super::super::point::{Layout, Point};
+    use super::super::point::{Point, PointLayout};
     use super::super::tests::made::any_point;
     use super::super::writer::record;
     use super::*;
@@ -128,9 +128,9 @@ mod tests {
     /// Encodes and decodes a point.
     fn back(format: u8, point: &PointOut, raw: [i32; 3]) -> Point {
         let record = record(format, point, raw);
-        assert_eq!(record.len(), Layout::of(format).length);
+        assert_eq!(record.len(), PointLayout::of(format).length);
         let mut point = Point::default();
-        Layout::of(format).decode(&record, &[1.0; 3], &[0.0; 3], &mut point);
+        PointLayout::of(format).decode(&record, &[1.0; 3], &[0.0; 3], &mut point);
         point
     }
 

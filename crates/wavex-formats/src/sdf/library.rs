@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::fault::Fault;
+use super::fault::LibraryFault;
 use super::interface::{Functions, LibraryVersion};
 use crate::extensions::is_wfm;
 use crate::{Error, Result};
@@ -58,7 +58,7 @@ pub(super) fn find(
         }
         _ => in_usual_places(data, announce)?,
     };
-    let version = functions.version().map_err(|fault: Fault| fault.of_file(data))?;
+    let version = functions.version().map_err(|fault: LibraryFault| fault.of_file(data))?;
     match version.major {
         MAJOR => Ok((functions, version)),
         other => Err(Error::unusable(

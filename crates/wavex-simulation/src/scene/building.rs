@@ -1,11 +1,11 @@
 //! A block with a flat roof.
 
-use super::{Area, Beam, Class, HALF_DIVERGENCE_RAD, LEAST_SHARE, Surface, Texture, TracedPulse};
+use super::{Beam, Class, HALF_DIVERGENCE_RAD, LEAST_SHARE, MapArea, Surface, Texture, TracedPulse};
 
 /// A block with a flat roof, whose brightest spots saturate a receiver set for the ground.
 #[derive(Clone, Debug)]
 pub(super) struct Building {
-    area: Area,
+    area: MapArea,
     roof_height_m: f64,
     roof: Surface,
     wall: Surface,
@@ -35,7 +35,7 @@ impl Materials {
 
 impl Building {
     /// A block on this area with this roof height in the scene.
-    pub(super) fn new(area: Area, roof_height_m: f64, materials: &Materials) -> Building {
+    pub(super) fn new(area: MapArea, roof_height_m: f64, materials: &Materials) -> Building {
         Building { area, roof_height_m, roof: materials.roof, wall: materials.wall }
     }
 

@@ -5,7 +5,7 @@ use super::building::{Building, Materials};
 use super::canopy::Canopy;
 use super::terrain::SimulatedTerrain;
 use super::wires::Wires;
-use super::{Area, Beam, LEAST_SHARE, Surface, Texture, TracedPulse};
+use super::{Beam, LEAST_SHARE, MapArea, Surface, Texture, TracedPulse};
 
 /// Size of woods and clearings, m.
 const WOOD_M: f64 = 150.0;
@@ -132,7 +132,7 @@ impl Country {
             [from, from + size]
         };
         let [x_chance, y_chance, ..] = cell(self.plots ^ 1, 2 * column, 2 * row);
-        let area = Area { x: corner(column, width, x_chance), y: corner(row, depth, y_chance) };
+        let area = MapArea { x: corner(column, width, x_chance), y: corner(row, depth, y_chance) };
         let middle = |[from, to]: [f64; 2]| 0.5 * (from + to);
         let (x, y) = (middle(area.x), middle(area.y));
         if self.terrain.is_water(x, y) || self.is_wood(x, y) {

@@ -33,7 +33,7 @@ const ELLIPSOIDAL_HEIGHTS: std::ops::RangeInclusive<u16> = 5001..=5035;
 /// # Errors
 /// Damaged keys, an unknown code, another projection, or missing parameters.
 pub fn system_of_geotiff_keys(keys: &GeoKeys) -> Result<Option<RecordedSystem>, CrsError> {
-    let directory = Directory::new(keys);
+    let directory = KeyDirectory::new(keys);
     let mut problems = Vec::new();
     let system = directory.and_then(|directory| directory.system(&mut problems));
     let system = system.map_err(CrsError::GeoKeys)?;
@@ -41,19 +41,19 @@ pub fn system_of_geotiff_keys(keys: &GeoKeys) -> Result<Option<RecordedSystem>, 
 }
 
 /// A key directory with its values.
-struct Directory<'a> {
+struct KeyDirectory<'a> {
     entries: Vec<[u16; 4]>,
     keys: &'a GeoKeys,
 }
 
-impl Directory<'_> {
-    fn new(keys: &GeoKeys) -> Result<Directory<'_>, String> {
+impl KeyDirectory<'_> {
+    fn new(keys: &GeoKeys) -> Result<KeyDirectory<'_>, String> {
         let words: Vec<u16> =
             keys.directory.as_chunks().0.iter().map(|word| u16::from_le_bytes(*word)).collect();
         let cut_off = || "the key directory is cut off".to_owned();
         let ([_, _, _, count], entries) = words.split_first_chunk().ok_or_else(cut_off)?;
         let entries = entries.as_chunks().0.get(..usize::from(*count)).ok_or_else(cut_off)?;
-        Ok(Directory { entries: entries.to_vec(), keys })
+        Ok(KeyDirectory { entries: entries.to_vec(), keys })
     }
 
     fn entry(&self, key: u16, location: u16) -> Option<[u16; 4]> {
