@@ -11,8 +11,8 @@ use serde_json::{Value, json};
 use wavex_formats::Error;
 use wavex_formats::las::{ExtraBytes, GpsTime, LasDescription, LasHeader};
 use wavex_geodesy::crs::{Outline, projjson_of_wkt};
-use wavex_geodesy::time::ADJUSTMENT_S;
-use wavex_geodesy::time_axis::{adjusted_of_date, date, utc_of_gps};
+use wavex_geodesy::time::{ADJUSTMENT_S, date};
+use wavex_geodesy::time_axis::{adjusted_of_date, utc_of_gps};
 use wavex_line::stage::{FinishedFile, OutputFile};
 
 const POINT_CLOUD: &str = "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json";

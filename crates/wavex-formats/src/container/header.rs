@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use arrow_schema::{Metadata, SchemaRef};
 use serde::{Deserialize, Serialize};
+use wavex_geodesy::calendar;
 
 use super::layout::KEYS;
 use super::location::ContainerLocation;
@@ -371,24 +372,10 @@ fn defined(table: StoredTable) -> Vec<(f64, f64)> {
     table.into_iter().filter_map(|(x, y)| Some((x?, y?))).collect()
 }
 
-/// Days of the months of a year in the Gregorian calendar.
-fn month_lengths(year: u16) -> [u16; 12] {
-    let leap = year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
-    [31, if leap { 29 } else { 28 }, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31]
-}
-
-/// (day of the year from 1, year) as ISO 8601; `None` where there is no such day.
-fn iso_date((mut day, year): (u16, u16)) -> Option<String> {
-    if day == 0 || !(1..=9999).contains(&year) {
-        return None;
-    }
-    for (month, length) in (1..).zip(month_lengths(year)) {
-        if day <= length {
-            return Some(format!("{year:04}-{month:02}-{day:02}"));
-        }
-        day -= length;
-    }
-    None
+/// (day of the year from 1, year) as ISO 8601; `None` if there is no such day.
+fn iso_date((day, year): (u16, u16)) -> Option<String> {
+    let [year, month, day] = calendar::date_in_year(year.into(), day.into())?;
+    (1..=9999).contains(&year).then(|| format!("{year:04}-{month:02}-{day:02}"))
 }
 
 /// The inverse of [`iso_date`].
@@ -399,11 +386,10 @@ fn day_of_year(text: &str) -> Option<(u16, u16)> {
         let plain = part.len() == digits && part.bytes().all(|byte| byte.is_ascii_digit());
         plain.then(|| part.parse::<u16>().ok()).flatten()
     };
-    let (year, month, day) = (part(4)?, part(2)?, part(2)?);
-    let lengths = month_lengths(year);
-    let before = lengths.get(..usize::from(month.checked_sub(1)?))?;
-    let valid = year > 0 && day > 0 && day <= *lengths.get(before.len())?;
-    valid.then(|| (before.iter().sum::<u16>() + day, year))
+    let date = [part(4)?, part(2)?, part(2)?];
+    let (year, of_calendar) = (date[0], date.map(i64::from));
+    let is_valid = year > 0 && calendar::is_date(of_calendar);
+    is_valid.then(|| (calendar::day_of_year(of_calendar) as u16, year))
 }
 
 #[cfg(test)]
