@@ -53,14 +53,16 @@ pub(super) fn find(
     file_length: u64,
 ) -> Result<Option<Packets>> {
     let inside = inside(path, header, evlrs, input, file_length)?;
-    let beside = beside(path, PACKETS);
     let says = |bit| header.global_encoding & bit != 0;
     let (takes_inside, takes_beside) = (says(encoding::WAVES_INSIDE), says(encoding::WAVES_BESIDE));
-    match (inside, beside) {
+    // The search for a separate file may list the folder.
+    if let Some(record) = inside.as_ref().filter(|_| takes_inside && !takes_beside) {
+        return Packets::inside(path, record).map(Some);
+    }
+    match (inside, beside(path, PACKETS)) {
         (None, None) => Ok(None),
         (Some(record), None) => Packets::inside(path, &record).map(Some),
         (None, Some(beside)) => Packets::beside(&beside).map(Some),
-        (Some(record), Some(_)) if takes_inside && !takes_beside => Packets::inside(path, &record).map(Some),
         (Some(_), Some(beside)) if takes_beside && !takes_inside => Packets::beside(&beside).map(Some),
         (Some(_), Some(beside)) => Err(Error::malformed(
             path,
