@@ -2,7 +2,7 @@
 //!
 //! Tiles of 256 by 256 cells, compressed by Deflate. Tiles without values are not stored. Overviews
 //! halve the raster until it fits into one tile. In the file, the directories come first, then the
-//! tiles of the smallest overview, and last those of the raster itself (COG, "GeoTIFF file format
+//! tiles of the smallest overview, and last the tiles of the raster itself (COG, "GeoTIFF file format
 //! requirements"; TIFF 6.0, sections 2 and 15; OGC GeoTIFF 1.1).
 //!
 //! Tiles arrive row by row from the north. They are compressed at once and spooled, because the
@@ -336,7 +336,7 @@ impl ImageDirectory {
         (fixed + self.entries.iter().map(|(_, value)| outside(value.encode().len())).sum::<usize>()) as u64
     }
 
-    /// Encodes the directory at an offset; `next` is that of the next one.
+    /// Encodes the directory at an offset; `next` is the offset of the next directory.
     fn encode(mut self, start: u64, next: u64, [offsets, counts]: [Vec<u32>; 2]) -> Vec<u8> {
         for (tag, value) in &mut self.entries {
             match *tag {

@@ -1,6 +1,6 @@
 //! PulseWaves 0.3: raw pulses (`.pls`) and their waves (`.wvs`).
 //!
-//! The layout is that of the open specification (rapidlasso, "PulseWaves - Full Waveform LiDAR
+//! The layout follows the open specification (rapidlasso, "PulseWaves - Full Waveform LiDAR
 //! Specification", version 0.3 revision 6). It includes extensions of the reference library,
 //! revisions 7 to 11: lookup tables, signed durations, and the order of two fields of a descriptor.
 //! All numbers are little-endian. Compressed files (`.plz`, `.wvz`) are rejected with a remedy.

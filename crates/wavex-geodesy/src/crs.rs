@@ -80,7 +80,7 @@ impl Crs {
     ///
     /// `first_place` determines only the zone of [`Named::Utm`]. With a geoid, heights are above
     /// it, otherwise above the ellipsoid. Coordinates and heights are in `unit` if given. Otherwise
-    /// coordinates are in the unit of the CRS, and heights in that of its vertical part, or in the
+    /// coordinates are in the unit of the CRS, and heights in the unit of its vertical part, or in the
     /// same unit without one.
     ///
     /// # Errors

@@ -83,7 +83,7 @@ impl Geoid {
         sound.then(|| Geoid { name: name.into(), grid })
     }
 
-    /// The requested name, or that of the file.
+    /// The requested name, or the name of the file.
     pub fn name(&self) -> &str {
         &self.name
     }

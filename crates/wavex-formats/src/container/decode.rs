@@ -36,7 +36,7 @@ impl Decoder {
         Decoder { schema: Arc::new(Schema::new(fields)), columns, present, unpacker: Unpacker::default() }
     }
 
-    /// Leaves compressed samples as they are; those of lines then have any values.
+    /// Leaves compressed samples as they are; samples of lines then have any values.
     pub(super) fn skip_samples(&mut self) {
         self.unpacker.without_samples = true;
     }

@@ -40,7 +40,7 @@ pub(super) fn location_of(flatbuffer: &[u8], entries: Entries) -> Option<Range<u
 /// Checks the digest of a part; returns whether it has one.
 ///
 /// # Errors
-/// The digest differs from that of the bytes.
+/// The stored digest differs from the digest of the bytes.
 pub(super) fn check(
     flatbuffer: &[u8],
     body: &[u8],

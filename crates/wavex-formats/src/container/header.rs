@@ -66,7 +66,7 @@ pub struct ContainerHeader {
 impl ContainerHeader {
     /// Creates a header for the scanner frame without optional values.
     ///
-    /// Units and bounds are those of the fields.
+    /// Units and bounds: see the fields.
     pub fn new(sampling_interval_ns: f64, group_velocity_mps: f64) -> ContainerHeader {
         ContainerHeader {
             instrument: None,

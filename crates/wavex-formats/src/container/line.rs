@@ -53,7 +53,7 @@ pub struct ContainerBlock<'a> {
     pub channel: u8,
     /// Time of the first sample after the row's `clock_ps`, ns.
     pub start_ns: f64,
-    /// Sampling interval, ns; `None`: that of the header.
+    /// Sampling interval, ns; `None`: the interval of the header.
     pub interval_ns: Option<f64>,
     /// Zone of this block; `None`: the row's.
     pub zone: Option<i16>,

@@ -10,7 +10,7 @@ use super::point::PointLayout;
 use crate::bytes::{Fields, text};
 use crate::{Error, Result};
 
-/// Length of the longest header, bytes: that of LAS 1.5.
+/// Length of the longest header (LAS 1.5), bytes.
 const LONGEST: u16 = 393;
 const DAMAGED: &str = "the header is damaged: export the file again";
 const CUT_OFF: &str = "the file is cut off: copy it again from its source";
@@ -121,7 +121,8 @@ impl LasHeader {
         missing.map_or(Ok(header), Err)
     }
 
-    /// As [`LasHeader::read`], with the number of points that the file has, and the error if more are declared.
+    /// As [`LasHeader::read`], with the number of points in the file, and the error if more are
+    /// declared.
     pub(super) fn read_partial(
         input: &mut impl Read,
         file: &Path,

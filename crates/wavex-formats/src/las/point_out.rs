@@ -71,7 +71,7 @@ pub struct PointOut {
 impl PointOut {
     /// Encodes the bytes between intensity and time, from the lowest.
     ///
-    /// There are 8 bytes, or 6 in formats 0 to 5. Those of the scan angle are 0.
+    /// There are 8 bytes, or 6 in formats 0 to 5. The bytes of the scan angle are 0.
     #[inline]
     pub(super) fn fields(&self, format: u8) -> u64 {
         let bytes = if format <= 5 { self.legacy_fields() } else { self.new_fields() };

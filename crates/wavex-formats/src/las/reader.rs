@@ -157,8 +157,8 @@ impl Reader {
     /// Omits fields that the reading of waveforms does not need, where the file is compressed by
     /// layers (formats 6 to 10).
     ///
-    /// Classification, user data, point source ID, colours and extra bytes of most points are then
-    /// those of an earlier point. Decoding takes time in proportion to the fields.
+    /// Most points then have the classification, user data, point source ID, colours and extra bytes
+    /// of an earlier point. Decoding takes time in proportion to the fields.
     pub fn skip_unused_fields(&mut self) {
         self.records.skip_unused_fields();
     }

@@ -20,7 +20,7 @@ const HEADER_BYTES: usize = 96;
 const SPEC: &str = "PulseWaves_Spec";
 /// User IDs of the coordinate reference system.
 ///
-/// The second is that of LAS.
+/// The second is the user ID in LAS.
 const PROJECTION: [&str; 2] = ["PulseWaves_Proj", "LASF_Projection"];
 /// Record ID of the marker of compressed pulses.
 const COMPRESSED: u32 = 5;

@@ -154,7 +154,7 @@ impl Functions {
 
     /// Returns an error unless `code` is 0.
     ///
-    /// The lock is still that of the call, because the library's error message belongs to it.
+    /// The lock is still held since the call, because the library's error message belongs to it.
     fn check(&self, function: &'static str, code: i32, _alone: &MutexGuard<'static, ()>) -> CallResult<()> {
         if code == code::DONE {
             return Ok(());

@@ -46,7 +46,7 @@ impl SdfReader {
     /// Opens a file.
     ///
     /// `library` is RIEGL's library or its folder, if named. `index_dir` is a folder for the index,
-    /// if not that of the data. `announce` gets the file of a library before it is loaded.
+    /// if it is not the folder of the data. `announce` gets the file of a library before it is loaded.
     ///
     /// # Errors
     /// The file or the library is missing or unusable; each return code of the library has its own

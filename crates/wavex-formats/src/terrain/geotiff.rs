@@ -14,7 +14,7 @@ use super::{Raster, checked_size};
 
 /// Largest compression ratio (LZW; deflate is lower).
 const DENSEST: u64 = 4096;
-/// Largest strip or tile, bytes once decoded; that of a longer file may have its length.
+/// Largest strip or tile, bytes once decoded; in a longer file it may have the length of the file.
 ///
 /// Uncompressed files often have a single strip.
 const LARGEST_CHUNK: u64 = 1 << 26;

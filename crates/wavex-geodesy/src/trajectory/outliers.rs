@@ -11,7 +11,7 @@ use super::Sample;
 use super::plausibility::{MOST_PART, MotionLimits, wrapped_rad};
 use crate::ellipsoid::WGS84;
 
-/// Largest acceleration, m/s²: five times that of free fall.
+/// Largest acceleration, m/s²: five times the acceleration of free fall.
 pub const MOST_ACCELERATION_MPS2: f64 = 50.0;
 /// Largest angular acceleration, rad/s²: 500 degrees/s².
 pub const MOST_TURNING_RADPS2: f64 = 8.7;
@@ -132,7 +132,7 @@ fn deviating(times_s: &[f64], values: &[[f64; 3]], quantity: &LimitedQuantity) -
     for _ in 0..PASSES {
         let deviations: Vec<[f64; 2]> =
             (0..kept.len()).map(|at| deviation(times_s, values, &kept, at, quantity)).collect();
-        // The median of the first pass is that of the sound records.
+        // The median of the first pass describes the sound records.
         let noise = *noise.get_or_insert_with(|| {
             LEAST_MEDIANS * median(deviations.iter().map(|of| of[0])).unwrap_or(f64::NAN)
         });

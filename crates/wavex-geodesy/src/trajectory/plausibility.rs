@@ -77,7 +77,7 @@ pub enum ContradictionKind {
     Attitude,
     /// Speed, acceleration or turn rate beyond the limits, repeated positions, or stored speeds that differ.
     Motion,
-    /// The heading is not that of the course.
+    /// The heading differs from the course.
     Heading,
 }
 
@@ -195,7 +195,7 @@ fn heading_unit(windows: &[MotionInterval]) -> Option<Contradiction> {
     Some(Contradiction { kind, problem })
 }
 
-/// Headings that are not those of the course, in any unit.
+/// Headings that differ from the course in any unit.
 fn heading(windows: &[MotionInterval], limits: &MotionLimits) -> Option<Contradiction> {
     let off_rad = drift_rad(windows, 1.0).filter(|off| *off > limits.drift_rad)?;
     let problem = format!(

@@ -48,7 +48,7 @@ impl Octree {
     /// Keys must not decrease.
     ///
     /// # Errors
-    /// Those of `done`.
+    /// `done` fails.
     pub(super) fn push<E>(
         &mut self,
         key: u64,
@@ -77,7 +77,7 @@ impl Octree {
     /// Completes all nodes.
     ///
     /// # Errors
-    /// Those of `done`.
+    /// `done` fails.
     pub(super) fn finish<E>(mut self, done: &mut impl FnMut(OctreeNode) -> Result<(), E>) -> Result<(), E> {
         self.close(0, done)
     }

@@ -2,8 +2,8 @@
 //!
 //! LASzip item `Byte14`, version 3, one layer per byte. A layer holds the difference of each byte
 //! to the previous one, by adaptive arithmetic coding with 32-bit intervals (A. Said, "Introduction
-//! to Arithmetic Coding: Theory and Practice", HPL-2004-76). The output is identical to that of the
-//! `laz` crate's compressor. Here one layer is encoded at a time: each symbol depends on the
+//! to Arithmetic Coding: Theory and Practice", HPL-2004-76). The output is identical to the output
+//! of the `laz` crate's compressor. Here one layer is encoded at a time: each symbol depends on the
 //! interval left by the previous one, which thus stays in registers.
 
 /// Scanner channels, each with its own frequencies.

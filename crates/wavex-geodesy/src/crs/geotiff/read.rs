@@ -17,7 +17,7 @@ const INVERSE_FLATTENING: u16 = 2059;
 const PROJECTED_CITATION: u16 = 3073;
 const VERTICAL_CITATION: u16 = 4097;
 
-/// EPSG codes of systems; smaller values are those of GeoTIFF, larger ones are not EPSG's.
+/// EPSG codes of systems; smaller values are codes of GeoTIFF, larger ones are not EPSG's.
 const CODES: std::ops::Range<u16> = 1024..USER_DEFINED;
 /// EPSG codes of the projections UTM north and UTM south, zone 0.
 const UTM_NORTH: u16 = 16000;
@@ -176,7 +176,7 @@ impl KeyDirectory<'_> {
 
     /// The geographic system; `None` if no key names it.
     fn geographic(&self) -> Result<Option<WktNode>, String> {
-        // Codes of the older datums are those of their systems plus 2000.
+        // Codes of the older datums are the codes of their systems plus 2000.
         let of_datum = || self.code(GEODETIC_DATUM).filter(|code| (6001..7000).contains(code));
         if let Some(code) = self.code(GEOGRAPHIC).or_else(|| of_datum().map(|code| code - 2000)) {
             return of_code(code, "GEOGCS").map(Some);
