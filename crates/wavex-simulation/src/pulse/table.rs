@@ -37,7 +37,7 @@ struct WidthRow {
     /// `PHASES + 1` runs of `len` samples: run p holds the response at `(k - lead - p / PHASES)`
     /// samples.
     samples: Vec<f64>,
-    /// Peak amplitude relative to that of a flat target.
+    /// Peak amplitude relative to the peak amplitude of a flat target.
     peak: f64,
 }
 

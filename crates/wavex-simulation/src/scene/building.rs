@@ -1,6 +1,6 @@
 //! A block with a flat roof.
 
-use super::{Beam, Class, HALF_DIVERGENCE_RAD, LEAST_SHARE, MapArea, Surface, Texture, TracedPulse};
+use super::{Class, HALF_DIVERGENCE_RAD, LEAST_SHARE, MapArea, SceneBeam, Surface, Texture, TracedPulse};
 
 /// A block with a flat roof, whose brightest spots saturate a receiver set for the ground.
 #[derive(Clone, Debug)]
@@ -64,7 +64,7 @@ impl Building {
     ///
     /// The beam hits a wall if it would reach the ground below the block, or leaves the block
     /// before it reaches the ground.
-    fn wall(&self, beam: &Beam, ground_m: f64) -> Option<(f64, f64)> {
+    fn wall(&self, beam: &SceneBeam, ground_m: f64) -> Option<(f64, f64)> {
         // The beam enters through the last of the walls that it approaches, and leaves through the
         // first of those that it moves away from.
         let sides = [(self.area.x, 0), (self.area.y, 1)];

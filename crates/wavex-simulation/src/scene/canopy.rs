@@ -1,6 +1,6 @@
 //! A wood: layers of leaves with gaps.
 
-use super::{Beam, Class, LEAST_SHARE, Surface, Texture, TracedPulse};
+use super::{Class, LEAST_SHARE, SceneBeam, Surface, Texture, TracedPulse};
 
 /// Layers of leaves from the top down, each with its own gaps.
 #[derive(Clone, Debug)]
@@ -42,7 +42,7 @@ impl Canopy {
         let layers = [
             layer(10, 1.0, 0.75, 0.35, 0.30),
             layer(20, 0.6, 0.60, 0.45, 0.35),
-            // Undergrowth, whose echoes overlap those of the ground.
+            // Undergrowth, whose echoes overlap the echoes of the ground.
             layer(30, 0.1, 0.50, 0.45, 0.12),
         ];
         Canopy { layers }
@@ -82,7 +82,7 @@ impl Canopy {
 
 impl CanopyLayer {
     /// Range at which a beam meets the layer, which is highest in the middle of crowns.
-    fn range_m(&self, beam: &Beam, near_m: f64, ground_m: impl Fn(f64, f64) -> f64) -> f64 {
+    fn range_m(&self, beam: &SceneBeam, near_m: f64, ground_m: impl Fn(f64, f64) -> f64) -> f64 {
         let height = |ground_m: f64, relief: f64| ground_m + self.height_m * (1.0 - RELIEF * (1.0 - relief));
         let [x, y, _] = beam.at(beam.range_to(height(near_m, 0.5)));
         beam.range_to(height(ground_m(x, y), self.crowns.coarse(x, y)))
