@@ -5,7 +5,7 @@ use std::path::Path;
 use super::terminal::size;
 use wavex_engine::engine;
 use wavex_engine::job::Job;
-use wavex_formats::{CompanionIndex, Format};
+use wavex_formats::{CompanionIndex, RecordingFormat};
 use wavex_run::archive::missing_files;
 
 /// Usual throughput of one core, MB of input per second, at most and at least: `fastest` on single
@@ -38,7 +38,7 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
         threads => threads,
     };
     text += &format!("  time:   {} on {cores} cores\n", time(bytes, cores));
-    let pulse_count = Format::read_by(reader.spec.name).and_then(|format| format.pulse_count);
+    let pulse_count = RecordingFormat::read_by(reader.spec.name).and_then(|format| format.pulse_count);
     let mut total = Some(0);
     for path in files {
         match pulse_count.map(|count| count(path)) {

@@ -4,13 +4,16 @@ use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-use super::recording::{Recording, beside};
+use super::recording::Recording;
 use super::{Failure, print};
 use wavex_engine::job::{example_job, job_schema_text};
+use wavex_formats::extensions::beside;
 use wavex_stages::registry::STAGES;
 
 /// Schema for editors, written to the folder of the job.
 const SCHEMA: &str = "job.schema.json";
+/// Extensions of trajectories, in order of preference.
+const TRAJECTORIES: [&str; 5] = ["pof", "sbet", "out", "sol", "trj"];
 
 /// Writes a new job file and its schema, or prints the job.
 pub(super) fn init(file: Option<&Path>, from: Option<&Path>, quiet: bool) -> Result<(), Failure> {
@@ -57,7 +60,8 @@ pub(super) fn of_recording(path: &Path, job: Option<&Path>) -> Result<String, Fa
     let folder = job.and_then(Path::parent).filter(|folder| !folder.as_os_str().is_empty());
     let quoted = |path: &Path| toml::Value::String(seen_from(folder, path).display().to_string()).to_string();
     let name = job.and_then(Path::file_name).map_or("FILE".into(), |name| name.to_string_lossy());
-    let trajectory = beside(path, &["pof", "sbet", "out", "sol", "trj"]);
+    let trajectory =
+        TRAJECTORIES.iter().find_map(|extension| beside(path, extension).filter(|file| file.is_file()));
     let mut text = String::new();
     for paragraph in recording.kind.template().split_inclusive("\n\n") {
         let is_reader = paragraph.contains("\ntype = \"read_");

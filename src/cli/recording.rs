@@ -1,6 +1,6 @@
 //! Recognises the kind of a recording from its name and first shots.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::{Failure, scan};
 use wavex_formats::format::reader_of;
@@ -140,14 +140,4 @@ fn facts(inspection: &Inspection) -> String {
     let facts = [Some(format), instrument, rate, samples];
     // The text must fit in one comment line, whatever characters the instrument's name contains.
     facts.into_iter().flatten().collect::<Vec<_>>().join(", ").replace(char::is_control, " ")
-}
-
-/// Finds a file with the same stem and one of these extensions, in lower or upper case.
-pub(super) fn beside(path: &Path, extensions: &[&str]) -> Option<PathBuf> {
-    let both = |extension: &&str| [extension.to_string(), extension.to_uppercase()];
-    extensions
-        .iter()
-        .flat_map(both)
-        .map(|extension| path.with_extension(extension))
-        .find(|path| path.is_file())
 }

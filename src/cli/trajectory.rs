@@ -9,7 +9,7 @@ use summary::About;
 use wavex_formats::Error;
 use wavex_formats::trajectory::{self, Angles, FileTime, Options, Unproject};
 use wavex_geodesy::time_axis::Clock;
-use wavex_geodesy::trajectory::plausibility::{Limits, contradiction};
+use wavex_geodesy::trajectory::plausibility::{MotionLimits, contradiction};
 use wavex_geodesy::trajectory::{Accuracy, Trajectory};
 use wavex_line::georef::trajectory_file::{remedy, without_outliers};
 use wavex_line::stage::{FinishedFile, OutputFile};
@@ -36,7 +36,7 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
         let unproject = unproject.as_ref().map(|unproject| unproject as &Unproject);
         recorded.into_trajectory(unproject).map_err(failed)?
     };
-    let limits = &Limits::AIRPLANE;
+    let limits = &MotionLimits::AIRPLANE;
     if let Some(found) = contradiction(trajectory.samples(), &speeds_mps, limits) {
         notes.push(format!("{}; {}", found.problem, remedy(&found, is_text, options.angles)));
     }

@@ -16,7 +16,7 @@ use wavex::scan_line::{Blocks, Channel, Emission, EmissionReference, InputInfo, 
 use wavex::stage::{Config, Context, Paths, Result, RunContext, Source, SourceConfig, StageSpec};
 use wavex_simulation::pulse::PulseShape;
 use wavex_simulation::random::{Purpose, Random};
-use wavex_simulation::receiver::{HighPower, ReceivedEcho, Receiver, ReceiverSettings};
+use wavex_simulation::receiver::{HighPower, ReceivedEcho, ReceiverSettings, SimulatedReceiver};
 use wavex_testkit::engine_stages::{into, job};
 
 const FULL_SCALE_DN: f64 = 255.0;
@@ -81,7 +81,7 @@ impl SourceConfig for TwoReceivers {
         if let (true, Some(high)) = (self.few_strong, &mut settings.high_power) {
             high.from_dn = 226.0;
         }
-        let receiver = Receiver::new(&settings).unwrap();
+        let receiver = SimulatedReceiver::new(&settings).unwrap();
         Ok(Box::new(Recording { config: self.clone(), line: 0, input: Arc::new(input), receiver }))
     }
 }
@@ -106,7 +106,7 @@ struct Recording {
     config: TwoReceivers,
     line: u32,
     input: Arc<InputInfo>,
-    receiver: Receiver,
+    receiver: SimulatedReceiver,
 }
 
 /// Truth: amplitude and time of the echo of a shot.

@@ -5,7 +5,7 @@ use std::io::BufReader;
 use std::path::Path;
 
 use wavex_formats::container::{ContainerHeader, ContainerReader};
-use wavex_formats::las::Description;
+use wavex_formats::las::LasDescription;
 use wavex_geodesy::crs::wkt_of_epsg;
 use wavex_testkit::las::{Las, vlr};
 use wavex_testkit::shots::METRES_PER_NS;
@@ -66,10 +66,10 @@ fn height(las: &Las) -> (f64, String) {
 }
 
 /// Header and records of a file.
-fn described(path: &Path) -> Description {
+fn described(path: &Path) -> LasDescription {
     let mut file = BufReader::new(File::open(path).unwrap());
     let length = std::fs::metadata(path).unwrap().len();
-    Description::read(&mut file, path, length).unwrap()
+    LasDescription::read(&mut file, path, length).unwrap()
 }
 
 const UTM_32: [[u16; 4]; 3] = [[1024, 0, 1, 1], [3072, 0, 1, 25832], [3076, 0, 1, 9001]];

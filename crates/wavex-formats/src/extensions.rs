@@ -1,4 +1,4 @@
-//! Extensions of files, and files of the same name with another extension.
+//! Extensions of files; files with the same stem and another extension.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -26,29 +26,25 @@ pub fn is_wfm(recording: &Path) -> bool {
     has_extension(recording, WFM)
 }
 
-/// File of the same name with this extension, in any case.
+/// File with the stem of a recording and this extension, in any case, in the same folder.
 ///
-/// Of several, that with the case of the recording's extension, then that in lower case, then in upper
-/// case.
-pub(crate) fn beside(recording: &Path, extension: &str) -> Option<PathBuf> {
+/// The extension in lower case is preferred, because `write_las` writes lower case; then upper case,
+/// then the first other spelling in byte order.
+pub fn beside(recording: &Path, extension: &str) -> Option<PathBuf> {
     // Most names are found without listing the folder, which may have many files.
-    let usual = in_usual_cases(recording, extension).into_iter().find(|path| path.exists());
+    let usual = usual_names(recording, extension).into_iter().find(|path| path.exists());
     usual.or_else(|| {
-        let files = by_stem(folder_of(recording), |found| found == extension).ok()?;
-        files.get(recording.file_stem()?)?.iter().min().cloned()
+        let folder = folder_of(recording);
+        let names = folder.read_dir().ok()?.flatten().map(|entry| folder.join(entry.file_name()));
+        let is_wanted =
+            |path: &PathBuf| has_extension(path, extension) && path.file_stem() == recording.file_stem();
+        names.filter(is_wanted).min()
     })
 }
 
-/// Names with this extension in lower and upper case; first that with the case of the recording's.
-pub(crate) fn in_usual_cases(recording: &Path, extension: &str) -> [PathBuf; 2] {
-    let is_upper = recording
-        .extension()
-        .is_some_and(|extension| extension.to_string_lossy().starts_with(|first: char| first.is_uppercase()));
-    let mut names = [extension.to_owned(), extension.to_uppercase()];
-    if is_upper {
-        names.reverse();
-    }
-    names.map(|extension| recording.with_extension(extension))
+/// Names with the stem of a recording and this extension, in lower and in upper case.
+pub(crate) fn usual_names(recording: &Path, extension: &str) -> [PathBuf; 2] {
+    [extension.to_owned(), extension.to_uppercase()].map(|extension| recording.with_extension(extension))
 }
 
 pub(crate) fn folder_of(path: &Path) -> &Path {

@@ -1,54 +1,52 @@
-//! The formats of recordings: extensions, companion files and the stages that read them.
+//! Formats of recordings: reader stages, extensions and companion files.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use super::extensions::{
-    LAS, LAZ, PACKETS, WAVES, WFM, beside, by_stem, extension, folder_of, in_usual_cases,
-};
+use super::extensions::{LAS, LAZ, PACKETS, WAVES, WFM, beside, by_stem, extension, folder_of, usual_names};
 use super::{Error, Result, las, pulsewaves, unsupported};
 
-/// A format of recordings.
+/// Format of a recording.
 #[derive(Debug)]
-pub struct Format {
-    /// Stage that reads it.
+pub struct RecordingFormat {
+    /// Name of the stage that reads the format.
     pub reader: &'static str,
-    /// Extensions of its files, in lower case.
+    /// Extensions, in lower case.
     pub extensions: &'static [&'static str],
-    /// Extension of the file with the waveforms, beside each recording.
+    /// Extension of the companion file with the waveforms, in lower case; `None` if there is none.
     pub companion: Option<&'static str>,
-    /// Reads the number of pulses from a header; `None`: only the data tell it.
+    /// Reads the number of pulses from the header of a file; `None` if headers do not have it.
     pub pulse_count: Option<fn(&Path) -> Result<u64>>,
 }
 
-/// All formats that can be read, in the order of the manual.
-pub const FORMATS: &[Format] = &[
-    Format {
+/// All supported formats, in the order of the manual.
+pub const FORMATS: &[RecordingFormat] = &[
+    RecordingFormat {
         reader: "read_las",
         extensions: &[LAS, LAZ],
         companion: Some(PACKETS),
         pulse_count: Some(pulses_of_las),
     },
-    Format {
+    RecordingFormat {
         reader: "read_pulsewaves",
         extensions: &["pls"],
         companion: Some(WAVES),
         pulse_count: Some(|path| Ok(pulsewaves::Reader::open(path)?.pulse_count())),
     },
-    Format { reader: "read_sdf", extensions: &["sdf", WFM], companion: None, pulse_count: None },
-    Format { reader: "read_arrow", extensions: &["arrow"], companion: None, pulse_count: None },
+    RecordingFormat { reader: "read_sdf", extensions: &["sdf", WFM], companion: None, pulse_count: None },
+    RecordingFormat { reader: "read_arrow", extensions: &["arrow"], companion: None, pulse_count: None },
 ];
 
-impl Format {
-    /// Format of a recording, by its extension in any case.
-    pub fn of(recording: &Path) -> Option<&'static Format> {
+impl RecordingFormat {
+    /// Format of a recording, by its extension in any case; `None` if unknown.
+    pub fn of(recording: &Path) -> Option<&'static RecordingFormat> {
         let extension = extension(recording);
         FORMATS.iter().find(|format| format.extensions.contains(&extension.as_str()))
     }
 
-    /// Format that a stage reads.
-    pub fn read_by(stage: &str) -> Option<&'static Format> {
+    /// Format that a stage reads; `None` if it reads none.
+    pub fn read_by(stage: &str) -> Option<&'static RecordingFormat> {
         FORMATS.iter().find(|format| format.reader == stage)
     }
 
@@ -69,13 +67,16 @@ pub fn reader_of(input: &str) -> std::result::Result<&'static str, String> {
     if let Some(error) = unsupported(Path::new(input)) {
         return Err(error.to_string());
     }
-    let format = Format::of(Path::new(input)).map(|format| format.reader);
+    let format = RecordingFormat::of(Path::new(input)).map(|format| format.reader);
     format.ok_or_else(|| {
-        format!("{input}: unknown recording format; supported extensions: {}", Format::all_extensions())
+        format!(
+            "{input}: unknown recording format; supported extensions: {}",
+            RecordingFormat::all_extensions()
+        )
     })
 }
 
-/// Number of first returns of a LAS file by its header.
+/// Number of first returns in the header of a LAS file, or of points if first returns are not counted.
 fn pulses_of_las(path: &Path) -> Result<u64> {
     let reader = las::Reader::open(path)?;
     let header = reader.header();
@@ -84,36 +85,37 @@ fn pulses_of_las(path: &Path) -> Result<u64> {
     Ok(header.n_points_by_return.first().copied().filter(is_counted).unwrap_or(header.n_points))
 }
 
-/// Companion file of a recording, in the same folder.
+/// Companion file of a recording; `None` if it is missing or the format has none.
 ///
-/// A format without companions has none.
+/// Its extension may have any case; lower case is preferred.
 pub fn companion(recording: &Path) -> Option<PathBuf> {
-    beside(recording, Format::of(recording)?.companion?)
+    beside(recording, RecordingFormat::of(recording)?.companion?)
 }
 
-/// Companion file of a recording; without one, the names that it would have.
-pub fn companion_or_names(recording: &Path) -> Vec<PathBuf> {
-    let wanted = Format::of(recording).and_then(|format| format.companion);
-    let names = || wanted.map_or(Vec::new(), |extension| in_usual_cases(recording, extension).to_vec());
-    companion(recording).map_or_else(names, |found| vec![found])
+/// Companion file of a recording; without one, the names that it would usually have.
+pub fn companion_names(recording: &Path) -> Vec<PathBuf> {
+    let Some(extension) = RecordingFormat::of(recording).and_then(|format| format.companion) else {
+        return Vec::new();
+    };
+    beside(recording, extension).map_or(usual_names(recording, extension).to_vec(), |found| vec![found])
 }
 
 /// Companion files of many recordings; lists each folder once.
 #[derive(Clone, Debug, Default)]
 pub struct CompanionIndex {
-    /// Files that can be companions, by folder and stem.
+    /// Files with the extension of a companion, by folder and stem.
     folders: BTreeMap<PathBuf, BTreeMap<OsString, Vec<PathBuf>>>,
 }
 
 impl CompanionIndex {
-    /// Files that can be the companion of a recording.
+    /// Files with the stem of a recording and the extension of its companion, in any case.
     ///
-    /// A folder that may not be listed has none.
+    /// Empty if the folder is missing or the user has no permission to list it.
     ///
     /// # Errors
-    /// If the folder cannot be listed.
+    /// If listing the folder fails for another reason.
     pub fn of(&mut self, recording: &Path) -> Result<Vec<PathBuf>> {
-        let Some(wanted) = Format::of(recording).and_then(|format| format.companion) else {
+        let Some(wanted) = RecordingFormat::of(recording).and_then(|format| format.companion) else {
             return Ok(Vec::new());
         };
         let folder = folder_of(recording);
@@ -148,22 +150,25 @@ mod tests {
         for format in FORMATS {
             for extension in format.extensions {
                 let name = format!("a.{}", extension.to_uppercase());
-                assert_eq!(Format::of(Path::new(&name)).unwrap().reader, format.reader);
+                assert_eq!(RecordingFormat::of(Path::new(&name)).unwrap().reader, format.reader);
             }
         }
-        assert!(Format::of(Path::new("a.wdp")).is_none() && Format::of(Path::new("las")).is_none());
+        assert!(
+            RecordingFormat::of(Path::new("a.wdp")).is_none()
+                && RecordingFormat::of(Path::new("las")).is_none()
+        );
     }
 
-    /// The reader and the index find the same companion, whatever the case of its extension.
+    /// Names in order of preference; the index finds all of them.
     #[test]
-    fn companions_have_extensions_in_any_case() {
+    fn companion_extensions_have_any_case_and_lower_case_is_preferred() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         for (recording, names) in [
             ("a.pls", &["a.wvs", "a.WVS", "a.Wvs"][..]),
-            ("a.PLS", &["a.WVS", "a.wvs", "a.wVs"]),
+            ("a.PLS", &["a.wvs", "a.WVS", "a.WvS", "a.wVs"]),
             ("b.las", &["b.wdp", "b.WDP", "b.Wdp"]),
-            ("b.LAZ", &["b.WDP", "b.wdp", "b.wDp"]),
+            ("b.LAZ", &["b.wdp", "b.WDP", "b.wDp"]),
         ] {
             names.iter().for_each(|name| fs::write(path(name), "").unwrap());
             for name in names {

@@ -112,7 +112,7 @@ fn extension(path: &Path) -> String {
 }
 
 /// Header fields that both formats share.
-struct Header {
+struct GeoidHeader {
     south_deg: f64,
     west_deg: f64,
     latitude_step_deg: f64,
@@ -121,7 +121,7 @@ struct Header {
     columns: i32,
 }
 
-impl Header {
+impl GeoidHeader {
     /// Builds the grid from the values after the header.
     ///
     /// The header has `header_length` bytes.

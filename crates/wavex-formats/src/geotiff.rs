@@ -2,7 +2,7 @@
 //!
 //! Tiles of 256 by 256 cells, compressed by Deflate. Tiles without values are not stored. Overviews
 //! halve the raster until it fits into one tile. In the file, the directories come first, then the
-//! tiles of the smallest overview, and last those of the raster itself (COG, "GeoTIFF file format
+//! tiles of the smallest overview, and last the tiles of the raster itself (COG, "GeoTIFF file format
 //! requirements"; TIFF 6.0, sections 2 and 15; OGC GeoTIFF 1.1).
 //!
 //! Tiles arrive row by row from the north. They are compressed at once and spooled, because the
@@ -44,10 +44,10 @@ pub struct RasterGrid {
 }
 
 /// A tile's values from its north-west corner, row by row.
-pub type Tile = Box<[f32]>;
+pub type TileValues = Box<[f32]>;
 
 /// Creates a tile without data.
-pub fn empty_tile() -> Tile {
+pub fn empty_tile() -> TileValues {
     vec![NO_DATA; TILE * TILE].into()
 }
 
@@ -60,19 +60,19 @@ struct Spooled {
 
 /// The raster or one of its overviews.
 #[derive(Debug, Default)]
-struct Level {
+struct RasterLevel {
     /// Cells from west to east and from north to south.
     size: [u32; 2],
     tiles: BTreeMap<(u32, u32), Spooled>,
     /// Tiles that finer tiles still fill, by row and column.
-    pending: BTreeMap<(u32, u32), Tile>,
+    pending: BTreeMap<(u32, u32), TileValues>,
 }
 
 /// Compresses the tiles of a raster to a spool `S`.
 #[derive(Debug)]
 pub struct RasterWriter<S> {
     grid: RasterGrid,
-    levels: Vec<Level>,
+    levels: Vec<RasterLevel>,
     spool: S,
     spooled: u64,
 }
@@ -81,7 +81,7 @@ pub struct RasterWriter<S> {
 #[derive(Debug)]
 pub struct SpooledRaster {
     grid: RasterGrid,
-    levels: Vec<Level>,
+    levels: Vec<RasterLevel>,
     spooled: u64,
 }
 
@@ -89,10 +89,10 @@ impl<S: Write> RasterWriter<S> {
     /// Starts a raster.
     pub fn new(grid: RasterGrid, spool: S) -> RasterWriter<S> {
         let mut size = [grid.columns.max(1), grid.rows.max(1)];
-        let mut levels = vec![Level { size, ..Level::default() }];
+        let mut levels = vec![RasterLevel { size, ..RasterLevel::default() }];
         while size.iter().any(|cells| *cells as usize > TILE) {
             size = size.map(|cells| cells.div_ceil(2));
-            levels.push(Level { size, ..Level::default() });
+            levels.push(RasterLevel { size, ..RasterLevel::default() });
         }
         RasterWriter { grid, levels, spool, spooled: 0 }
     }
@@ -101,11 +101,11 @@ impl<S: Write> RasterWriter<S> {
     ///
     /// # Errors
     /// If the spool cannot be written.
-    pub fn tile(&mut self, row: u32, column: u32, values: Tile) -> io::Result<()> {
+    pub fn tile(&mut self, row: u32, column: u32, values: TileValues) -> io::Result<()> {
         self.store(0, row, column, values)
     }
 
-    fn store(&mut self, level: usize, row: u32, column: u32, values: Tile) -> io::Result<()> {
+    fn store(&mut self, level: usize, row: u32, column: u32, values: TileValues) -> io::Result<()> {
         if level + 1 < self.levels.len() {
             // Overview tiles above this one are complete.
             self.flush(level + 1, row / 2)?;
@@ -151,7 +151,8 @@ impl SpooledRaster {
     /// # Errors
     /// If it would exceed 4 GiB, or a file cannot be read or written.
     pub fn assemble(&self, spool: &mut (impl Read + Seek), to: &mut impl Write) -> io::Result<()> {
-        let directories: Vec<Directory> = (0..self.levels.len()).map(|level| self.directory(level)).collect();
+        let directories: Vec<ImageDirectory> =
+            (0..self.levels.len()).map(|level| self.directory(level)).collect();
         let mut starts = Vec::new();
         let mut end = 8;
         for directory in &directories {
@@ -201,30 +202,30 @@ impl SpooledRaster {
         places
     }
 
-    fn directory(&self, level: usize) -> Directory {
+    fn directory(&self, level: usize) -> ImageDirectory {
         let size = self.levels.get(level).map_or([1, 1], |level| level.size);
         let [across, down] = tiles(size);
         let grid = &self.grid;
         let mut entries = vec![
-            (254, Value::Longs(vec![u32::from(level > 0)])),
-            (256, Value::Longs(vec![size[0]])),
-            (257, Value::Longs(vec![size[1]])),
-            (258, Value::Shorts(vec![32])),
+            (254, TagValue::Longs(vec![u32::from(level > 0)])),
+            (256, TagValue::Longs(vec![size[0]])),
+            (257, TagValue::Longs(vec![size[1]])),
+            (258, TagValue::Shorts(vec![32])),
             // Deflate.
-            (259, Value::Shorts(vec![8])),
-            (262, Value::Shorts(vec![1])),
-            (277, Value::Shorts(vec![1])),
-            (284, Value::Shorts(vec![1])),
-            (322, Value::Longs(vec![TILE as u32])),
-            (323, Value::Longs(vec![TILE as u32])),
-            (OFFSETS, Value::Longs(vec![0; (across * down) as usize])),
-            (COUNTS, Value::Longs(vec![0; (across * down) as usize])),
+            (259, TagValue::Shorts(vec![8])),
+            (262, TagValue::Shorts(vec![1])),
+            (277, TagValue::Shorts(vec![1])),
+            (284, TagValue::Shorts(vec![1])),
+            (322, TagValue::Longs(vec![TILE as u32])),
+            (323, TagValue::Longs(vec![TILE as u32])),
+            (OFFSETS, TagValue::Longs(vec![0; (across * down) as usize])),
+            (COUNTS, TagValue::Longs(vec![0; (across * down) as usize])),
             // IEEE floating point.
-            (339, Value::Shorts(vec![3])),
+            (339, TagValue::Shorts(vec![3])),
         ];
         if level == 0 {
-            entries.push((33550, Value::Doubles(vec![grid.cell, grid.cell, 0.0])));
-            entries.push((33922, Value::Doubles(vec![0.0, 0.0, 0.0, grid.west, grid.north, 0.0])));
+            entries.push((33550, TagValue::Doubles(vec![grid.cell, grid.cell, 0.0])));
+            entries.push((33922, TagValue::Doubles(vec![0.0, 0.0, 0.0, grid.west, grid.north, 0.0])));
             if let Some(keys) = grid.crs_wkt.as_deref().and_then(geokeys::from_wkt) {
                 entries.extend(geo_entries(&keys));
             }
@@ -232,10 +233,10 @@ impl SpooledRaster {
                 "<GDALMetadata><Item name=\"DESCRIPTION\" sample=\"0\" role=\"description\">{}</Item></GDALMetadata>",
                 grid.description.replace('&', "&amp;").replace('<', "&lt;")
             );
-            entries.push((42112, Value::Text(metadata)));
+            entries.push((42112, TagValue::Text(metadata)));
         }
-        entries.push((42113, Value::Text(format!("{NO_DATA}"))));
-        Directory { entries }
+        entries.push((42113, TagValue::Text(format!("{NO_DATA}"))));
+        ImageDirectory { entries }
     }
 }
 
@@ -245,21 +246,21 @@ fn tiles(size: [u32; 2]) -> [u32; 2] {
 }
 
 /// Entries of the GeoTIFF keys (OGC GeoTIFF 1.1, section 7.1).
-fn geo_entries(keys: &GeoKeys) -> Vec<(u16, Value)> {
+fn geo_entries(keys: &GeoKeys) -> Vec<(u16, TagValue)> {
     let words = keys.directory.chunks_exact(2).map(|word| u16::from_le_bytes([word[0], word[1]])).collect();
     let doubles: Vec<f64> = keys
         .doubles
         .chunks_exact(8)
         .map(|bytes| f64::from_le_bytes(bytes.try_into().unwrap_or_default()))
         .collect();
-    let mut entries = vec![(34735, Value::Shorts(words))];
+    let mut entries = vec![(34735, TagValue::Shorts(words))];
     if !doubles.is_empty() {
-        entries.push((34736, Value::Doubles(doubles)));
+        entries.push((34736, TagValue::Doubles(doubles)));
     }
     let text = String::from_utf8_lossy(&keys.ascii);
     let text = text.trim_end_matches('\0');
     if !text.is_empty() {
-        entries.push((34737, Value::Text(text.to_owned())));
+        entries.push((34737, TagValue::Text(text.to_owned())));
     }
     entries
 }
@@ -295,39 +296,39 @@ const OFFSETS: u16 = 324;
 const COUNTS: u16 = 325;
 
 /// Image file directory; entries in ascending order of tags.
-struct Directory {
-    entries: Vec<(u16, Value)>,
+struct ImageDirectory {
+    entries: Vec<(u16, TagValue)>,
 }
 
-enum Value {
+enum TagValue {
     Shorts(Vec<u16>),
     Longs(Vec<u32>),
     Doubles(Vec<f64>),
     Text(String),
 }
 
-impl Value {
+impl TagValue {
     /// Type code and count.
     fn kind(&self) -> (u16, u32) {
         match self {
-            Value::Text(text) => (2, text.len() as u32 + 1),
-            Value::Shorts(values) => (3, values.len() as u32),
-            Value::Longs(values) => (4, values.len() as u32),
-            Value::Doubles(values) => (12, values.len() as u32),
+            TagValue::Text(text) => (2, text.len() as u32 + 1),
+            TagValue::Shorts(values) => (3, values.len() as u32),
+            TagValue::Longs(values) => (4, values.len() as u32),
+            TagValue::Doubles(values) => (12, values.len() as u32),
         }
     }
 
     fn encode(&self) -> Vec<u8> {
         match self {
-            Value::Text(text) => [text.as_bytes(), b"\0"].concat(),
-            Value::Shorts(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
-            Value::Longs(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
-            Value::Doubles(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+            TagValue::Text(text) => [text.as_bytes(), b"\0"].concat(),
+            TagValue::Shorts(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+            TagValue::Longs(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+            TagValue::Doubles(values) => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
         }
     }
 }
 
-impl Directory {
+impl ImageDirectory {
     /// Size with the values that do not fit into entries, bytes.
     fn bytes(&self) -> u64 {
         let outside = |bytes: usize| if bytes > 4 { bytes.next_multiple_of(8) } else { 0 };
@@ -335,12 +336,12 @@ impl Directory {
         (fixed + self.entries.iter().map(|(_, value)| outside(value.encode().len())).sum::<usize>()) as u64
     }
 
-    /// Encodes the directory at an offset; `next` is that of the next one.
+    /// Encodes the directory at an offset; `next` is the offset of the next directory.
     fn encode(mut self, start: u64, next: u64, [offsets, counts]: [Vec<u32>; 2]) -> Vec<u8> {
         for (tag, value) in &mut self.entries {
             match *tag {
-                OFFSETS => *value = Value::Longs(offsets.clone()),
-                COUNTS => *value = Value::Longs(counts.clone()),
+                OFFSETS => *value = TagValue::Longs(offsets.clone()),
+                COUNTS => *value = TagValue::Longs(counts.clone()),
                 _ => {}
             }
         }

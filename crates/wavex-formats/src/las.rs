@@ -16,7 +16,7 @@
 //! let folder = tempfile::tempdir()?;
 //! let path = folder.path().join("flight.las");
 //! let options = WriterOptions {
-//!     version: Version::V1_4,
+//!     version: LasVersion::V1_4,
 //!     scale: [0.001; 3],
 //!     offset: [0.0; 3],
 //!     wkt: None,
@@ -35,7 +35,7 @@
 //! let mut writer = Writer::new(File::create(&path)?, &path, &options)?;
 //! let mut packets = PacketWriter::new(Cursor::new(Vec::new()), &path)?;
 //! let packet = packets.add(&[12, 40, 90, 41, 13], 1000)?.ok_or("too many kinds of packets")?;
-//! let Packet { descriptor, offset, size } = packet;
+//! let PacketReference { descriptor, offset, size } = packet;
 //! let wave = Wave { descriptor, offset, size, ..Wave::default() };
 //! writer.write_point(&PointOut { z: 1.5, wave, ..PointOut::default() }, &[])?;
 //! let (mut packets, kinds) = packets.finish()?;
@@ -73,25 +73,25 @@ mod totals;
 mod vlr;
 mod writer;
 
-pub use copc::{CopcSummary, Keep, Watch, write_copc};
-pub use description::Description;
-pub use descriptor::Descriptor;
+pub use copc::{CopcSummary, Keep, ProgressObserver, write_copc};
+pub use description::LasDescription;
+pub use descriptor::PacketDescriptor;
 #[cfg(test)]
 use extra_bytes::{AMP, CHANNEL};
 pub use extra_bytes::{
     ATTRIBUTES_1_0, ATTRIBUTES_1_1, ATTRIBUTES_STANDARD, DataType, ExtraAttribute, ExtraBytes, RAW_AMP,
     quantise,
 };
-pub use header::{GpsTime, Header, MAX_COORDINATE};
+pub use header::{GpsTime, LasHeader, MAX_COORDINATE};
 pub use lax::beside as indexes_beside;
-pub use packet_writer::{Packet, PacketWriter};
+pub use packet_writer::{PacketReference, PacketWriter};
 pub use point::{Point, Wave};
 pub use point_out::PointOut;
 pub use raw::{RawField, RawPoints};
 pub use reader::Reader;
 pub use round::nearest;
 pub use vlr::Vlr;
-pub use writer::{ExtraColumns, IndexPlace, TOGETHER, Version, WavePlace, Writer, WriterOptions};
+pub use writer::{ExtraColumns, IndexPlace, LasVersion, TOGETHER, WavePlace, Writer, WriterOptions};
 
 #[cfg(test)]
 mod tests;

@@ -51,7 +51,7 @@ pub mod terrain;
 pub mod trajectory;
 mod unsupported;
 
-pub use format::{CompanionIndex, Format};
+pub use format::{CompanionIndex, RecordingFormat};
 pub use recorded_crs::RecordedCrs;
 pub use unsupported::unsupported;
 

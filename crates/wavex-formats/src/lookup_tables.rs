@@ -22,7 +22,7 @@ const REMEDY: &str = "give columns of digitiser steps and values, or JSON with \
 
 /// One row of a table.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Row {
+pub struct LookupRow {
     /// Background plus amplitude of a peak, digitiser steps.
     pub steps_dn: f64,
     /// Value of the table, in its own unit.
@@ -37,9 +37,9 @@ pub struct Row {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LookupTables {
     /// Table of the low-power receiver.
-    pub low: Vec<Row>,
+    pub low: Vec<LookupRow>,
     /// Table of the high-power receiver.
-    pub high: Vec<Row>,
+    pub high: Vec<LookupRow>,
 }
 
 /// JSON form of the tables.
@@ -78,8 +78,8 @@ fn of_json(path: &Path, text: &str) -> Result<LookupTables> {
         .map_err(|error| Error::unusable(path, format!("invalid tables: {error}"), REMEDY))?;
     let rows = |name: &str, pairs: Vec<Vec<f64>>| {
         let row = |pair: Vec<f64>| match pair[..] {
-            [steps_dn, value] => Ok(Row { steps_dn, value, weight: 1.0 }),
-            [steps_dn, value, weight] if weight > 0.0 => Ok(Row { steps_dn, value, weight }),
+            [steps_dn, value] => Ok(LookupRow { steps_dn, value, weight: 1.0 }),
+            [steps_dn, value, weight] if weight > 0.0 => Ok(LookupRow { steps_dn, value, weight }),
             [_, _, weight] => {
                 Err(Error::unusable(path, format!("{name}: invalid weight {weight}"), "give one above 0"))
             }
@@ -89,7 +89,7 @@ fn of_json(path: &Path, text: &str) -> Result<LookupTables> {
                 REMEDY,
             )),
         };
-        pairs.into_iter().map(row).collect::<Result<Vec<Row>>>()
+        pairs.into_iter().map(row).collect::<Result<Vec<LookupRow>>>()
     };
     Ok(LookupTables { low: rows("low", json.low)?, high: rows("high", json.high)? })
 }
@@ -110,7 +110,7 @@ fn of_columns(path: &Path, text: &str) -> Result<LookupTables> {
             line.split(|c: char| matches!(c, ',' | ';') || c.is_whitespace()).filter(|cell| !cell.is_empty());
         let finite = |cell: &str| cell.parse().ok().filter(|number: &f64| number.is_finite());
         let numbers: Option<Vec<f64>> = cells.map(finite).collect();
-        let row = |steps_dn, value| Row { steps_dn, value, weight: 1.0 };
+        let row = |steps_dn, value| LookupRow { steps_dn, value, weight: 1.0 };
         match numbers.as_deref() {
             Some(&[steps_dn, low]) => tables.low.push(row(steps_dn, low)),
             Some(&[steps_dn, low, high]) => {
@@ -144,8 +144,8 @@ mod tests {
         LookupTables::open(&path).map_err(without_folder)
     }
 
-    fn row(steps_dn: f64, value: f64) -> Row {
-        Row { steps_dn, value, weight: 1.0 }
+    fn row(steps_dn: f64, value: f64) -> LookupRow {
+        LookupRow { steps_dn, value, weight: 1.0 }
     }
 
     #[test]
@@ -161,7 +161,7 @@ mod tests {
 
     #[test]
     fn json_is_read_with_weights() {
-        let weighted = Row { weight: 0.5, ..row(2.0, 3.0) };
+        let weighted = LookupRow { weight: 0.5, ..row(2.0, 3.0) };
         let tables = LookupTables { low: Vec::new(), high: vec![row(1.0, 2.0), weighted] };
         assert_eq!(read(r#"{"high": [[1, 2], [2, 3, 0.5]]}"#), Ok(tables));
     }

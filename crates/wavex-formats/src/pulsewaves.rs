@@ -1,6 +1,6 @@
 //! PulseWaves 0.3: raw pulses (`.pls`) and their waves (`.wvs`).
 //!
-//! The layout is that of the open specification (rapidlasso, "PulseWaves - Full Waveform LiDAR
+//! The layout follows the open specification (rapidlasso, "PulseWaves - Full Waveform LiDAR
 //! Specification", version 0.3 revision 6). It includes extensions of the reference library,
 //! revisions 7 to 11: lookup tables, signed durations, and the order of two fields of a descriptor.
 //! All numbers are little-endian. Compressed files (`.plz`, `.wvz`) are rejected with a remedy.
@@ -10,9 +10,9 @@
 //! file. A fault in one pulse is an error of that pulse only; the next can be read.
 //!
 //! ```no_run
-//! use wavex_formats::pulsewaves::{Reader, Waves};
+//! use wavex_formats::pulsewaves::{Reader, WaveSegments};
 //!
-//! let (mut reader, mut waves) = (Reader::open("flight.pls".as_ref())?, Waves::new());
+//! let (mut reader, mut waves) = (Reader::open("flight.pls".as_ref())?, WaveSegments::new());
 //! for index in 0..reader.pulse_count() {
 //!     let pulse = reader.pulse(index)?;
 //!     reader.waves(&pulse, &mut waves)?;
@@ -40,24 +40,24 @@ mod vlr;
 mod waves;
 mod window;
 
-pub use descriptor::{Descriptor, Sampling, SegmentKind};
-pub use header::{Header, TimeAxis};
-pub use pulse::Pulse;
+pub use descriptor::{PulseDescriptor, SamplingRecord, SegmentKind};
+pub use header::{PulseHeader, TimeAxis};
+pub use pulse::PulseRecord;
 pub use table::{LookupRecord, LookupTable};
-pub use vlr::{Crs, Record, Scanner};
-pub use waves::{Segment, Waves};
+pub use vlr::{Record, ScannerRecord, StoredCrs};
+pub use waves::{Segment, WaveSegments};
 
 use vlr::RecordSet;
-use window::Window;
+use window::FileWindow;
 
 pub(crate) use super::unsupported::UNCOMPRESS;
 
 /// Reader of a pulse file and its waves file.
 #[derive(Debug)]
 pub struct Reader {
-    pulses: Window<File>,
-    waves: Window<File>,
-    header: Header,
+    pulses: FileWindow<File>,
+    waves: FileWindow<File>,
+    header: PulseHeader,
     records: RecordSet,
     pulse_count: u64,
 }
@@ -75,7 +75,7 @@ impl Reader {
     pub fn open(path: &Path) -> Result<Reader> {
         let mut pulses = open(path)?;
         let length = pulses.length().min(header::HEADER_BYTES as u64) as usize;
-        let header = Header::parse(path, pulses.bytes(0, length, "header")?.1)?;
+        let header = PulseHeader::parse(path, pulses.bytes(0, length, "header")?.1)?;
         if header.offset_to_pulses > pulses.length() {
             let problem =
                 format!("the pulses start at byte {}, but the file ends earlier", header.offset_to_pulses);
@@ -93,7 +93,7 @@ impl Reader {
     }
 
     /// Returns the header.
-    pub fn header(&self) -> &Header {
+    pub fn header(&self) -> &PulseHeader {
         &self.header
     }
 
@@ -103,22 +103,22 @@ impl Reader {
     }
 
     /// Returns the scanners by index, 1 to 255.
-    pub fn scanners(&self) -> &BTreeMap<u8, Scanner> {
+    pub fn scanners(&self) -> &BTreeMap<u8, ScannerRecord> {
         &self.records.scanners
     }
 
     /// Returns the pulse descriptors by index, 1 to 255.
-    pub fn descriptors(&self) -> &BTreeMap<u8, Descriptor> {
+    pub fn descriptors(&self) -> &BTreeMap<u8, PulseDescriptor> {
         &self.records.descriptors
     }
 
-    /// Returns the lookup tables by index, 1 to 255, as in [`Sampling::lookup_table_index`].
+    /// Returns the lookup tables by index, 1 to 255, as in [`SamplingRecord::lookup_table_index`].
     pub fn tables(&self) -> &BTreeMap<u8, LookupRecord> {
         &self.records.tables
     }
 
     /// Returns the coordinate reference system as stored.
-    pub fn crs(&self) -> &Crs {
+    pub fn crs(&self) -> &StoredCrs {
         &self.records.crs
     }
 
@@ -152,14 +152,14 @@ impl Reader {
     ///
     /// # Errors
     /// The pulse does not exist, or the file cannot be read.
-    pub fn pulse(&mut self, index: u64) -> Result<Pulse> {
+    pub fn pulse(&mut self, index: u64) -> Result<PulseRecord> {
         if index >= self.pulse_count {
             return Err(self.missing(index));
         }
         let at = self.header.record_at(index);
         let known = self.header.known_pulse_bytes();
         let (file, bytes) = self.pulses.bytes(at, known, "pulse record")?;
-        Pulse::parse(file, at, bytes, index, &self.header)
+        PulseRecord::parse(file, at, bytes, index, &self.header)
     }
 
     /// Reads the segments of `pulse` into `waves`, replacing its content.
@@ -170,7 +170,7 @@ impl Reader {
     /// The descriptor of the pulse is missing or unsupported (such as samples of more than 16
     /// bits), or its waves are outside the waves file. `waves` is then empty, and the reader can
     /// continue.
-    pub fn waves(&mut self, pulse: &Pulse, waves: &mut Waves) -> Result<()> {
+    pub fn waves(&mut self, pulse: &PulseRecord, waves: &mut WaveSegments) -> Result<()> {
         waves.clear();
         let file = self.pulses.file();
         let descriptor = descriptor(file, &self.header, &self.records, pulse)?;
@@ -203,10 +203,10 @@ impl Reader {
 /// Returns the descriptor of the pulse, if its waves can be read.
 fn descriptor<'r>(
     file: &Path,
-    header: &Header,
+    header: &PulseHeader,
     records: &'r RecordSet,
-    pulse: &Pulse,
-) -> Result<&'r Descriptor> {
+    pulse: &PulseRecord,
+) -> Result<&'r PulseDescriptor> {
     let index = pulse.descriptor;
     let bad = |field: String, problem: String| {
         let field = format!("pulse {}: {field}", pulse.index);
@@ -225,7 +225,7 @@ fn descriptor<'r>(
 /// Returns the checked offset of the waves of a pulse.
 ///
 /// It must be within the waves file of `length` bytes.
-fn wave_offset(file: &Path, header: &Header, length: u64, pulse: &Pulse) -> Result<u64> {
+fn wave_offset(file: &Path, header: &PulseHeader, length: u64, pulse: &PulseRecord) -> Result<u64> {
     let range = header::WAVES_HEADER_BYTES as u64..length;
     u64::try_from(pulse.wave_offset).ok().filter(|offset| range.contains(offset)).ok_or_else(|| {
         let field = format!("pulse {}: offset to waves", pulse.index);
@@ -237,13 +237,13 @@ fn wave_offset(file: &Path, header: &Header, length: u64, pulse: &Pulse) -> Resu
 }
 
 /// Opens a buffered window over a file.
-fn open(path: &Path) -> Result<Window<File>> {
+fn open(path: &Path) -> Result<FileWindow<File>> {
     let file = regular_file(path)?;
     let about = file.metadata().map_err(Error::io(path, "open"))?;
     if !about.is_file() {
         return Err(Error::unusable(path, "this is not a file", "give a .pls file"));
     }
-    Ok(Window::new(file, path, about.len()))
+    Ok(FileWindow::new(file, path, about.len()))
 }
 
 /// Returns the waves file of a pulse file.

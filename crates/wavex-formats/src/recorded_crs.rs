@@ -9,7 +9,7 @@ pub struct RecordedCrs {
     ///
     /// WKT that cannot be read is kept if there is nothing else.
     pub wkt: Option<String>,
-    /// Whether the system is that of the GeoTIFF keys.
+    /// Whether the system is from the GeoTIFF keys.
     pub is_of_keys: bool,
     /// Records that cannot be read or contradict, with what is used instead; for messages.
     pub problems: Vec<String>,

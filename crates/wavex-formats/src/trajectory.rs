@@ -27,7 +27,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{Error, Result};
-use input::Input;
+use input::InputFile;
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_geodesy::frames::{Attitude, ecef_from_ned, inverse, rotate};
 use wavex_geodesy::time::ADJUSTMENT_S;
@@ -189,29 +189,29 @@ struct Raw {
 /// The file has another format, is damaged, has times that contradict their declared clock, or its
 /// accuracies cannot be read.
 pub fn read(path: &Path, options: &Options) -> Result<Recorded> {
-    let mut input = Input::open(path)?;
+    let mut input = InputFile::open(path)?;
     let head = input.head()?;
-    let format = Format::of(&head);
+    let format = TrajectoryFormat::of(&head);
     let raw = match format {
-        Some(Format::Pof) => pof::read(&mut input)?,
-        Some(Format::Trj) => trj::read(&mut input)?,
-        Some(Format::Sol) => sol::read(&mut input)?,
-        Some(Format::Sbet) => sbet::read(&mut input)?,
-        Some(Format::Text) => ascii::read(&mut input, options)?,
-        Some(Format::Poq) => {
+        Some(TrajectoryFormat::Pof) => pof::read(&mut input)?,
+        Some(TrajectoryFormat::Trj) => trj::read(&mut input)?,
+        Some(TrajectoryFormat::Sol) => sol::read(&mut input)?,
+        Some(TrajectoryFormat::Sbet) => sbet::read(&mut input)?,
+        Some(TrajectoryFormat::Text) => ascii::read(&mut input, options)?,
+        Some(TrajectoryFormat::Poq) => {
             let remedy = "give the POF file; its POQ is found automatically";
             return Err(Error::unusable(path, "it is a POQ file, which has only accuracies", remedy));
         }
         None => return Err(unknown(path, input.length)),
     };
-    let poq = || if format == Some(Format::Pof) { accuracies::poq_of(path) } else { None };
+    let poq = || if format == Some(TrajectoryFormat::Pof) { accuracies::poq_of(path) } else { None };
     let accuracy = options.accuracy.clone().or_else(poq);
     axis::settle(path, raw, options, accuracy.as_deref())
 }
 
 /// Trajectory formats, and POQ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Format {
+enum TrajectoryFormat {
     Pof,
     Poq,
     Trj,
@@ -220,21 +220,21 @@ enum Format {
     Text,
 }
 
-impl Format {
+impl TrajectoryFormat {
     /// Recognises the format from the first bytes of a file.
-    fn of(head: &[u8]) -> Option<Format> {
+    fn of(head: &[u8]) -> Option<TrajectoryFormat> {
         if head.starts_with(pof::MAGIC) {
-            Some(Format::Pof)
+            Some(TrajectoryFormat::Pof)
         } else if head.starts_with(poq::MAGIC) {
-            Some(Format::Poq)
+            Some(TrajectoryFormat::Poq)
         } else if head.starts_with(trj::MAGIC) {
-            Some(Format::Trj)
+            Some(TrajectoryFormat::Trj)
         } else if ascii::is_text(head) {
-            Some(Format::Text)
+            Some(TrajectoryFormat::Text)
         } else if sol::is_one(head) {
-            Some(Format::Sol)
+            Some(TrajectoryFormat::Sol)
         } else {
-            sbet::is_one(head).then_some(Format::Sbet)
+            sbet::is_one(head).then_some(TrajectoryFormat::Sbet)
         }
     }
 }

@@ -9,12 +9,12 @@
 /// line is fitted, and used if the residual does not exceed the rounding.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BeamLength {
-    model: Option<Line>,
+    model: Option<LengthModel>,
 }
 
 /// Squared length as a linear function of the squared vertical cosine.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Line {
+struct LengthModel {
     horizontal: f64,
     slope: f64,
 }
@@ -67,7 +67,7 @@ impl BeamLength {
     }
 }
 
-impl Line {
+impl LengthModel {
     fn square(&self, vertical_square: f64) -> f64 {
         self.horizontal + self.slope * vertical_square
     }
@@ -94,7 +94,7 @@ fn sound(beams: &[[f64; 3]]) -> Vec<[f64; 3]> {
 ///
 /// It is flat if the slope is not significant: for similar beams, or in a Cartesian frame. No beam
 /// has length 0.
-fn fit(beams: &[[f64; 3]], projected: bool) -> Option<Line> {
+fn fit(beams: &[[f64; 3]], projected: bool) -> Option<LengthModel> {
     let pair = |beam: &[f64; 3]| (beam[2] * beam[2] / dot(*beam, *beam), dot(*beam, *beam));
     let pairs: Vec<(f64, f64)> = beams.iter().map(pair).collect();
     if pairs.is_empty() {
@@ -112,7 +112,7 @@ fn fit(beams: &[[f64; 3]], projected: bool) -> Option<Line> {
     let slope_sd = (left / (n * xx.max(1e-6))).sqrt();
     let seen = projected && slope.abs() > SIGNIFICANT_SLOPE_SD * slope_sd;
     let slope = if seen { slope } else { 0.0 };
-    Some(Line { horizontal: y - slope * x, slope })
+    Some(LengthModel { horizontal: y - slope * x, slope })
 }
 
 fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {

@@ -1,4 +1,4 @@
-//! Detects beams that rotate about an axis, as those of circular scanners.
+//! Detects beams that rotate about an axis, as in circular scanners.
 //!
 //! Consecutive steps of the beam rotate about the axis of its cone: their cross products add up to
 //! the axis. The azimuth of the beam about it increases with time and serves to compare

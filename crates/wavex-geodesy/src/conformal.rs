@@ -113,14 +113,14 @@ impl<const N: usize> Angles<N> {
     }
 }
 
-/// Sine and cosine of the angle of a vector; those of angle 0 for the null vector.
+/// Sine and cosine of the angle of a vector; the null vector has the angle 0.
 #[inline(always)]
 fn unit(sine: f64, cosine: f64) -> [f64; 2] {
     let length = (sine * sine + cosine * cosine).sqrt();
     if length == 0.0 { [0.0, 1.0] } else { [sine / length, cosine / length] }
 }
 
-/// Tangent of the conformal latitude from that of the geographic latitude.
+/// Tangent of the conformal latitude from the tangent of the geographic latitude.
 ///
 /// `eccentricity` is the first eccentricity of the ellipsoid (Karney 2011, J. Geod. 85:475,
 /// equations 7 to 9).

@@ -30,7 +30,7 @@ use super::ellipsoid::{Ellipsoid, Geodetic};
 use super::frames::Vector;
 use super::geoid::Geoid;
 use definition::{Definition, ProjectionMethod};
-pub use epsg_table::{Area, area_of_epsg, wkt_of_epsg};
+pub use epsg_table::{AreaOfUse, area_of_epsg, wkt_of_epsg};
 pub use error::CrsError;
 pub use geotiff::{GeoKeys, geotiff_keys_of_wkt, system_of_geotiff_keys};
 pub use named::Named;
@@ -80,7 +80,7 @@ impl Crs {
     ///
     /// `first_place` determines only the zone of [`Named::Utm`]. With a geoid, heights are above
     /// it, otherwise above the ellipsoid. Coordinates and heights are in `unit` if given. Otherwise
-    /// coordinates are in the unit of the CRS, and heights in that of its vertical part, or in the
+    /// coordinates are in the unit of the CRS, and heights in the unit of its vertical part, or in the
     /// same unit without one.
     ///
     /// # Errors
@@ -112,7 +112,7 @@ impl Crs {
     }
 
     /// Area of use; `None` if it is unknown or the whole earth.
-    pub fn area_of_use(&self) -> Option<Area> {
+    pub fn area_of_use(&self) -> Option<AreaOfUse> {
         #[cfg(feature = "proj")]
         if let Projection::Foreign(foreign) = &self.projection
             && let Some(area) = foreign.area_of_use()

@@ -83,7 +83,7 @@ impl Geoid {
         sound.then(|| Geoid { name: name.into(), grid })
     }
 
-    /// The requested name, or that of the file.
+    /// The requested name, or the name of the file.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -104,7 +104,7 @@ impl Geoid {
         let grid = &self.grid;
         let rows = (latitude_deg - grid.south_deg) / grid.latitude_step_deg;
         let columns = (longitude_deg - grid.west_deg).rem_euclid(360.0) / grid.longitude_step_deg;
-        let place = Span::rows(grid.rows, rows).zip(self.column_span(columns));
+        let place = GridSpan::rows(grid.rows, rows).zip(self.column_span(columns));
         let Some((row, column)) = place else {
             return Err(self.error(latitude_deg, longitude_deg, self.outside()));
         };
@@ -120,17 +120,17 @@ impl Geoid {
     }
 
     /// The columns around a point; a grid around the whole earth wraps around.
-    fn column_span(&self, columns: f64) -> Option<Span> {
+    fn column_span(&self, columns: f64) -> Option<GridSpan> {
         let grid = &self.grid;
         let around = 360.0 / grid.longitude_step_deg;
         if grid.columns as f64 >= around - 0.5 {
             let first = columns.floor().max(0.0) as usize;
             let part = columns - first as f64;
-            return Some(Span { first: first % grid.columns, next: (first + 1) % grid.columns, part });
+            return Some(GridSpan { first: first % grid.columns, next: (first + 1) % grid.columns, part });
         }
         // A point west of the grid by a rounding error has wrapped around.
         let columns = if around - columns <= SLACK_STEPS { 0.0 } else { columns };
-        Span::rows(grid.columns, columns)
+        GridSpan::rows(grid.columns, columns)
     }
 
     fn outside(&self) -> String {
@@ -150,22 +150,22 @@ impl Geoid {
 
 /// Two neighbouring indices, and the position between them.
 #[derive(Clone, Copy)]
-struct Span {
+struct GridSpan {
     first: usize,
     next: usize,
     /// Fraction: 0 at `first`, 1 at `next`.
     part: f64,
 }
 
-impl Span {
+impl GridSpan {
     /// The indices around a position in steps among `count` values, at least two; `None` outside.
-    fn rows(count: usize, steps: f64) -> Option<Span> {
+    fn rows(count: usize, steps: f64) -> Option<GridSpan> {
         let last = (count - 1) as f64;
         if !(steps >= -SLACK_STEPS && steps <= last + SLACK_STEPS) {
             return None;
         }
         let first = (steps.max(0.0) as usize).min(count - 2);
-        Some(Span { first, next: first + 1, part: (steps - first as f64).clamp(0.0, 1.0) })
+        Some(GridSpan { first, next: first + 1, part: (steps - first as f64).clamp(0.0, 1.0) })
     }
 }
 

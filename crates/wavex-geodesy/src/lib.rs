@@ -2,6 +2,7 @@
 #![warn(unreachable_pub)]
 
 pub mod beam_length;
+pub mod calendar;
 pub mod cone;
 mod conformal;
 pub mod crs;

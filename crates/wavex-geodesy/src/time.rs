@@ -2,6 +2,8 @@
 
 use std::time::{Duration, SystemTime};
 
+use super::calendar;
+
 /// Seconds per GPS week.
 pub const WEEK_S: f64 = 604_800.0;
 
@@ -42,25 +44,31 @@ impl TimeScale {
     }
 }
 
+/// Number of the day 1980-01-06.
+const GPS_EPOCH_DAY: i64 = calendar::day_number([1980, 1, 6]);
+
 /// GPS week of a Gregorian date, and day of the week from Sunday; `None` before 1980-01-06.
 pub fn gps_week(year: i32, month: u32, day: u32) -> Option<(u32, u32)> {
-    let days = days_since_epoch(year, month, day) - days_since_epoch(1980, 1, 6);
+    let days = calendar::day_number([year.into(), month.into(), day.into()]) - GPS_EPOCH_DAY;
     let days = u32::try_from(days).ok()?;
     Some((days / 7, days % 7))
 }
 
 /// Gregorian date of an adjusted GPS time, without leap seconds: (year, day of the year from 1).
+///
+/// `None` before 1980-01-06 and after about 2700 years.
 pub fn day_of_year(adjusted_s: f64) -> Option<(u16, u16)> {
+    let date = date(adjusted_s)?;
+    Some((date[0], calendar::day_of_year(date.map(i64::from)) as u16))
+}
+
+/// Year, month and day of an adjusted GPS time, without leap seconds.
+///
+/// `None` before 1980-01-06 and after about 2700 years.
+pub fn date(adjusted_s: f64) -> Option<[u16; 3]> {
     let days = ((adjusted_s + ADJUSTMENT_S) / 86_400.0).floor();
-    if !(0.0..1e6).contains(&days) {
-        return None;
-    }
-    let day = days as i64 + days_since_epoch(1980, 1, 6);
-    let mut year = 1980;
-    while days_since_epoch(year + 1, 1, 1) <= day {
-        year += 1;
-    }
-    Some((year as u16, (day - days_since_epoch(year, 1, 1) + 1) as u16))
+    let is_supported = (0.0..1e6).contains(&days);
+    is_supported.then(|| calendar::date_of_day(days as i64 + GPS_EPOCH_DAY).map(|part| part as u16))
 }
 
 /// Days of the week by number, from Sunday, on which a GPS week begins.
@@ -75,48 +83,17 @@ pub fn weekday(gps_s: f64) -> usize {
 
 /// Day of the week, from 0 on Sunday, of a day of the year (from 1).
 pub fn weekday_of(year: u16, day: u16) -> usize {
-    let days = days_since_epoch(i32::from(year), 1, 1) + i64::from(day) - 1;
-    (days - days_since_epoch(1980, 1, 6)).rem_euclid(7) as usize
-}
-
-/// Days since 0000-03-01 in the Gregorian calendar, with years starting in March.
-fn days_since_epoch(year: i32, month: u32, day: u32) -> i64 {
-    let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
-    let year = i64::from(year);
-    365 * year + year.div_euclid(4) - year.div_euclid(100)
-        + year.div_euclid(400)
-        + i64::from((153 * month + 2) / 5)
-        + i64::from(day)
-        - 1
+    let days = calendar::day_number([year.into(), 1, 1]) + i64::from(day) - 1;
+    (days - GPS_EPOCH_DAY).rem_euclid(7) as usize
 }
 
 /// Formats a time as ISO 8601, UTC, to a second.
 pub fn utc(time: SystemTime) -> String {
     let since = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or(Duration::ZERO).as_secs();
     let (days, second) = (since / 86_400, since % 86_400);
-    let (mut year, mut day) = (1970, days);
-    while day >= days_of(year) {
-        day -= days_of(year);
-        year += 1;
-    }
-    let february = days_of(year) - 337;
-    let months = [31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31];
-    let mut month = 1;
-    for length in months {
-        if day < length {
-            break;
-        }
-        day -= length;
-        month += 1;
-    }
+    let [year, month, day] = calendar::date_of_day(days as i64);
     let (hour, minute) = (second / 3600, second / 60 % 60);
-    format!("{year:04}-{month:02}-{:02}T{hour:02}:{minute:02}:{:02}Z", day + 1, second % 60)
-}
-
-/// Number of days of a Gregorian year.
-fn days_of(year: u64) -> u64 {
-    let is_leap = year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
-    if is_leap { 366 } else { 365 }
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{:02}Z", second % 60)
 }
 
 #[cfg(test)]

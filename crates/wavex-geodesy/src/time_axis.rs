@@ -6,7 +6,7 @@
 
 use core::fmt;
 
-use super::time::{ADJUSTMENT_S, TimeScale, WEEK_S, day_of_year, gps_week};
+use super::time::{ADJUSTMENT_S, TimeScale, WEEK_S, WEEKDAYS, date, gps_week, weekday};
 
 /// Seconds of a day.
 pub const DAY_S: f64 = 86_400.0;
@@ -130,7 +130,6 @@ impl fmt::Display for TimeSpan {
 
 /// Day, if the clock defines it, and time of day.
 fn moment(clock: Clock, time_s: f64) -> (String, String) {
-    const DAYS: [&str; 7] = ["Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday"];
     let tenths = (10.0 * (time_s + ADJUSTMENT_S + clock.base_s())).round();
     let of_day = tenths.rem_euclid(10.0 * DAY_S);
     let seconds = of_day / 10.0;
@@ -139,33 +138,14 @@ fn moment(clock: Clock, time_s: f64) -> (String, String) {
     let day = match clock {
         Clock::Adjusted => date(tenths / 10.0 - ADJUSTMENT_S)
             .map_or_else(|| "no date".to_owned(), |[year, month, day]| format!("{year}-{month:02}-{day:02}")),
-        // The cast saturates.
-        Clock::Week => DAYS[((tenths / (10.0 * DAY_S)).floor().rem_euclid(7.0) as usize).min(6)].to_owned(),
+        Clock::Week => WEEKDAYS[weekday(tenths / 10.0)].to_owned(),
         Clock::Day => String::new(),
     };
     (day, time)
 }
 
-/// Year, month and day of an adjusted GPS time; `None` before 1980-01-06 and after about 2700
-/// years.
-pub fn date(adjusted_s: f64) -> Option<[u16; 3]> {
-    let (year, mut day) = day_of_year(adjusted_s)?;
-    let is_leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
-    let february = if is_leap { 29 } else { 28 };
-    for (month, days) in (1..).zip([31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31]) {
-        if day <= days {
-            return Some([year, month, day]);
-        }
-        day -= days;
-    }
-    None
-}
-
 /// Adjusted GPS time at midnight of a date; `None` for invalid dates and before 1980-01-06.
 pub fn adjusted_of_date([year, month, day]: [u16; 3]) -> Option<f64> {
-    if !(1..=12).contains(&month) || !(1..=31).contains(&day) {
-        return None;
-    }
     let (week, day_of_week) = gps_week(year.into(), month.into(), day.into())?;
     let adjusted_s = f64::from(week) * WEEK_S + f64::from(day_of_week) * DAY_S - ADJUSTMENT_S;
     (date(adjusted_s) == Some([year, month, day])).then_some(adjusted_s)

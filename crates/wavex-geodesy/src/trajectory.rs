@@ -142,7 +142,7 @@ impl Trajectory {
         Ok(Trajectory { samples, nodes, index, median_step_s, longest_bridged_s, gaps, accuracies: None })
     }
 
-    /// Adds accuracies, whose times may differ from those of the samples.
+    /// Adds accuracies; their times may differ from the times of the samples.
     ///
     /// They are interpolated linearly; outside their time span there are none.
     ///

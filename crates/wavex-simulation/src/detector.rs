@@ -21,7 +21,7 @@ const COARSE_GAIN: f64 = 0.1;
 
 /// Model of the receiver electronics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Detector {
+pub enum DetectorModel {
     /// Amplitude is proportional to the linear amplitude: factor 1 in the sensitive receiver, 1/10
     /// in the coarse one.
     Linear,
@@ -45,28 +45,28 @@ pub enum Sensitivity {
 
 use Sensitivity::{Coarse, Sensitive};
 
-impl Detector {
+impl DetectorModel {
     /// Peak amplitude of an echo in a receiver, DN above the background.
     ///
     /// # Examples
     ///
     /// ```
-    /// use wavex_simulation::detector::{Detector, Sensitivity};
+    /// use wavex_simulation::detector::{DetectorModel, Sensitivity};
     ///
-    /// assert_eq!(Detector::Linear.height_dn(Sensitivity::Coarse, 200.0), 20.0);
-    /// assert!(Detector::Riegl.height_dn(Sensitivity::Sensitive, 200.0) < 200.0);
+    /// assert_eq!(DetectorModel::Linear.height_dn(Sensitivity::Coarse, 200.0), 20.0);
+    /// assert!(DetectorModel::Riegl.height_dn(Sensitivity::Sensitive, 200.0) < 200.0);
     /// ```
     pub fn height_dn(self, receiver: Sensitivity, linear_dn: f64) -> f64 {
         match (self, receiver) {
-            (Detector::Linear, Sensitive) => linear_dn,
-            (Detector::Linear, Coarse) => COARSE_GAIN * linear_dn,
-            (Detector::Riegl, Sensitive) if linear_dn <= LINEAR_TO_DN => linear_dn,
-            (Detector::Riegl, Sensitive) => {
+            (DetectorModel::Linear, Sensitive) => linear_dn,
+            (DetectorModel::Linear, Coarse) => COARSE_GAIN * linear_dn,
+            (DetectorModel::Riegl, Sensitive) if linear_dn <= LINEAR_TO_DN => linear_dn,
+            (DetectorModel::Riegl, Sensitive) => {
                 let (slope, bend) = compression();
                 let beyond_db = decibels(linear_dn) - decibels(LINEAR_TO_DN);
                 LINEAR_TO_DN + beyond_db * (slope + bend * beyond_db)
             }
-            (Detector::Riegl, Coarse) => {
+            (DetectorModel::Riegl, Coarse) => {
                 let (gain, from_dn) = coarse_gain();
                 let height = gain * linear_dn;
                 if height <= from_dn {
@@ -77,18 +77,18 @@ impl Detector {
         }
     }
 
-    /// Inverse of [`Detector::height_dn`]: decibels of an echo with this peak amplitude.
+    /// Inverse of [`DetectorModel::height_dn`]: decibels of an echo with this peak amplitude.
     fn decibels(self, receiver: Sensitivity, height_dn: f64) -> f64 {
         match (self, receiver) {
-            (Detector::Linear, Sensitive) => decibels(height_dn),
-            (Detector::Linear, Coarse) => decibels(height_dn / COARSE_GAIN),
-            (Detector::Riegl, Sensitive) if height_dn <= LINEAR_TO_DN => decibels(height_dn),
-            (Detector::Riegl, Sensitive) => {
+            (DetectorModel::Linear, Sensitive) => decibels(height_dn),
+            (DetectorModel::Linear, Coarse) => decibels(height_dn / COARSE_GAIN),
+            (DetectorModel::Riegl, Sensitive) if height_dn <= LINEAR_TO_DN => decibels(height_dn),
+            (DetectorModel::Riegl, Sensitive) => {
                 let (slope, bend) = compression();
                 let root = (slope * slope + 4.0 * bend * (height_dn - LINEAR_TO_DN)).sqrt();
                 decibels(LINEAR_TO_DN) + (root - slope) / (2.0 * bend)
             }
-            (Detector::Riegl, Coarse) => {
+            (DetectorModel::Riegl, Coarse) => {
                 let (gain, from_dn) = coarse_gain();
                 if height_dn <= from_dn {
                     return decibels(height_dn / gain);
@@ -130,7 +130,7 @@ fn compression() -> (f64, f64) {
 
 /// Gain and upper limit (DN) of the coarse receiver's linear range.
 ///
-/// At the limit, the slope of the logarithm equals that of a line through the origin.
+/// At the limit, the slope of the logarithm equals the slope of a line through the origin.
 fn coarse_gain() -> (f64, f64) {
     let from_dn = COARSE_DN_PER_DB * 10.0 / core::f64::consts::LN_10;
     let from_db = COARSE_END.1 + (from_dn - COARSE_END.0) / COARSE_DN_PER_DB;
@@ -142,18 +142,18 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const ALL: [(Detector, Sensitivity); 4] = [
-        (Detector::Linear, Sensitive),
-        (Detector::Linear, Coarse),
-        (Detector::Riegl, Sensitive),
-        (Detector::Riegl, Coarse),
+    const ALL: [(DetectorModel, Sensitivity); 4] = [
+        (DetectorModel::Linear, Sensitive),
+        (DetectorModel::Linear, Coarse),
+        (DetectorModel::Riegl, Sensitive),
+        (DetectorModel::Riegl, Coarse),
     ];
 
     /// Values from a real instrument's tables, with its background of 2 DN.
     #[test]
     fn tables_have_the_measured_ends() {
         let at = |receiver, dn: u16| {
-            let mut table = Detector::Riegl.table(receiver, 2.0, 255);
+            let mut table = DetectorModel::Riegl.table(receiver, 2.0, 255);
             table.find(|pair| pair.0 == f64::from(dn)).unwrap().1
         };
         assert!(at(Sensitive, 9).abs() < 1e-12, "0 dB at 9 steps");
@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn curves_are_smooth_where_they_bend() {
         for (receiver, at) in [(Sensitive, LINEAR_TO_DN), (Coarse, coarse_gain().1 / coarse_gain().0)] {
-            let height = |linear_dn| Detector::Riegl.height_dn(receiver, linear_dn);
+            let height = |linear_dn| DetectorModel::Riegl.height_dn(receiver, linear_dn);
             let (below, above) = (height(at) - height(at - 1e-4), height(at + 1e-4) - height(at));
             assert!((below / above - 1.0).abs() < 1e-4, "{below} {above}");
         }

@@ -9,7 +9,7 @@ use super::random::{Normal, Random};
 #[derive(Clone, Debug)]
 pub struct Noise {
     orders: Vec<Prediction>,
-    /// The same for odd samples, if they are late; `orders` are then those of even samples.
+    /// The same for odd samples, if they are late; `orders` are then for even samples.
     odd: Option<Vec<Prediction>>,
     normal: Normal,
 }
@@ -45,7 +45,7 @@ impl Noise {
     /// The same noise with the odd samples of each block taken this much later, samples.
     ///
     /// The autocorrelation between whole lags is linear, which keeps it positive definite. At the lag
-    /// after the last it is that of the process. The delay lies between -1 and 1.
+    /// after the last it is the autocorrelation of the process. The delay lies between -1 and 1.
     pub fn with_odd_samples_late(mut self, odd_sample_shift: f64) -> Noise {
         let Some((newest, sd)) = self.orders.last().filter(|_| odd_sample_shift != 0.0) else { return self };
         let (order, sd) = (newest.len(), self.orders.first().map_or(*sd, |(_, sd)| *sd));

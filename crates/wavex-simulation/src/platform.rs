@@ -2,7 +2,7 @@
 
 use core::f64::consts::TAU;
 
-use super::scene::{Area, Beam};
+use super::scene::{MapArea, SceneBeam};
 use super::start::{GROUND_HEIGHT_M, START_M};
 use wavex_geodesy::frames::{Attitude, IDENTITY, Rotation, rotate, rotation_of_angles, then};
 
@@ -139,27 +139,27 @@ impl Platform {
     }
 
     /// Beam in the scene for a direction in the scanner.
-    pub fn beam(&self, since_start_s: f64, direction_in_scanner: [f64; 3]) -> Beam {
+    pub fn beam(&self, since_start_s: f64, direction_in_scanner: [f64; 3]) -> SceneBeam {
         let origin_m = self.position_m(since_start_s);
         if self.is_steady {
             let [forward, right, down] = direction_in_scanner;
-            return Beam { origin_m, direction: [right, forward, -down] };
+            return SceneBeam { origin_m, direction: [right, forward, -down] };
         }
         let track_from_body = self.attitude(since_start_s).ned_from_body();
         let track_from_scanner = then(&self.body_from_scanner, &track_from_body);
         let [forward, right, down] = rotate(&track_from_body, self.lever_arm_m);
         let [along, across, below] = rotate(&track_from_scanner, direction_in_scanner);
-        Beam {
+        SceneBeam {
             origin_m: [origin_m[0] + right, origin_m[1] + forward, origin_m[2] - down],
             direction: [across, along, -below],
         }
     }
 
     /// Ground area covered between two scan angles up to a time, for a level flight.
-    pub fn swath(&self, scan_angle_rad: [f64; 2], end_s: f64) -> Area {
+    pub fn swath(&self, scan_angle_rad: [f64; 2], end_s: f64) -> MapArea {
         let across = |angle_rad| START_M[0] + self.flying_height_m * libm::tan(angle_rad);
         let along = |time_s| START_M[1] + self.speed_mps * time_s;
-        Area { x: scan_angle_rad.map(across), y: [along(0.0), along(end_s)] }
+        MapArea { x: scan_angle_rad.map(across), y: [along(0.0), along(end_s)] }
     }
 }
 

@@ -24,14 +24,14 @@ pub const TRIGGER_DN: f64 = 5.5;
 /// synchronous.
 const ECHO_RASTER_NS: f64 = 0.375;
 
-/// Delay of the high-power receiver's samples relative to those of the other receiver, ns; a
+/// Delay of the high-power receiver's samples relative to samples of the other receiver, ns; a
 /// constant measured on a real instrument.
 const HIGH_POWER_RASTER_NS: f64 = 1.43;
 
 /// Variance of the digitiser's rounding errors (steps of 1 DN), DN².
 const QUANTISATION_VARIANCE: f64 = 1.0 / 12.0;
 
-/// Settings of a [`Receiver`].
+/// Settings of a [`SimulatedReceiver`].
 #[derive(Clone, Debug)]
 pub struct ReceiverSettings {
     /// Sampling interval, ns.
@@ -67,7 +67,7 @@ pub struct HighPower {
 
 /// A receiver with one or two echo digitisers and one for the outgoing pulse.
 #[derive(Debug)]
-pub struct Receiver {
+pub struct SimulatedReceiver {
     interval_ns: f64,
     full_scale_dn: u16,
     background_dn: [f64; 2],
@@ -150,14 +150,14 @@ impl ReceiverSettings {
 #[error("no noise process has this standard deviation and autocorrelation after rounding")]
 pub struct NoSuchNoise;
 
-impl Receiver {
+impl SimulatedReceiver {
     /// Creates a receiver.
     ///
     /// # Errors
     /// If no process has the requested SD and autocorrelation.
-    pub fn new(settings: &ReceiverSettings) -> Result<Receiver, NoSuchNoise> {
+    pub fn new(settings: &ReceiverSettings) -> Result<SimulatedReceiver, NoSuchNoise> {
         let high_power_noise = settings.high_power_noise()?;
-        Ok(Receiver {
+        Ok(SimulatedReceiver {
             interval_ns: settings.interval_ns,
             full_scale_dn: settings.full_scale_dn,
             background_dn: settings.background_dn,

@@ -15,7 +15,7 @@ const FACETS: u32 = 4;
 
 /// Scan mechanism.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mirror {
+pub enum ScanMechanism {
     /// A polygon of four facets. Each sweeps one line from left to right at constant speed; a pause
     /// of half a line without pulses follows.
     RotatingPolygon,
@@ -37,7 +37,7 @@ pub enum Mirror {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scanner {
     /// Scan mechanism.
-    pub mirror: Mirror,
+    pub mirror: ScanMechanism,
     /// Shots per scan line.
     pub shots_per_line: u32,
     /// Pulse rate, Hz.
@@ -58,7 +58,7 @@ pub struct Scanner {
 
 /// An emitted pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Shot {
+pub struct ScannerShot {
     /// Shot number, from 0.
     pub number: u64,
     /// Time from the start of the flight to the last tick of the sample clock before the emission,
@@ -74,7 +74,7 @@ pub struct Shot {
     pub to_the_right: bool,
 }
 
-impl Shot {
+impl ScannerShot {
     /// Tick on the instrument's clock, ps.
     pub fn clock_ps(&self) -> i64 {
         1000 * (CLOCK_START_NS + self.since_start_ns)
@@ -88,27 +88,27 @@ impl Shot {
 
 impl Scanner {
     /// A shot by scan line and index in the line, both from 0.
-    pub fn shot(&self, line: u32, index: u32) -> Shot {
-        if self.mirror == Mirror::Circular {
+    pub fn shot(&self, line: u32, index: u32) -> ScannerShot {
+        if self.mirror == ScanMechanism::Circular {
             return self.circular_shot(line, index);
         }
-        let to_the_right = self.mirror != Mirror::Oscillating || line.is_multiple_of(2);
+        let to_the_right = self.mirror != ScanMechanism::Oscillating || line.is_multiple_of(2);
         let scan_angle_rad = self.angle_rad(to_the_right, index);
-        Shot {
+        ScannerShot {
             number: self.number(line, index),
             since_start_ns: self.tick_ns(line, index),
             scan_angle_rad,
             direction_in_scanner: [0.0, libm::sin(scan_angle_rad), libm::cos(scan_angle_rad)],
-            facet: if self.mirror == Mirror::RotatingPolygon { (line % FACETS) as u16 } else { 0 },
+            facet: if self.mirror == ScanMechanism::RotatingPolygon { (line % FACETS) as u16 } else { 0 },
             to_the_right,
         }
     }
 
-    fn circular_shot(&self, line: u32, index: u32) -> Shot {
+    fn circular_shot(&self, line: u32, index: u32) -> ScannerShot {
         let [first, last] = self.scan_angle_rad;
         let (sin, cos) = libm::sincos(TAU * (self.rotation_hz * self.time_s(line, index)).fract());
         let (away, down) = libm::sincos(0.5 * (last - first));
-        Shot {
+        ScannerShot {
             number: self.number(line, index),
             since_start_ns: self.tick_ns(line, index),
             scan_angle_rad: libm::atan2(away * sin, down),
@@ -141,7 +141,7 @@ impl Scanner {
 
     /// Pulses from the start of one line to the start of the next if the laser never paused.
     pub fn pulses_per_line(&self) -> f64 {
-        let pause = if self.mirror == Mirror::RotatingPolygon { 1.5 } else { 1.0 };
+        let pause = if self.mirror == ScanMechanism::RotatingPolygon { 1.5 } else { 1.0 };
         pause * f64::from(self.shots_per_line)
     }
 
@@ -155,8 +155,8 @@ impl Scanner {
         let steps = f64::from(self.shots_per_line.saturating_sub(1).max(1));
         let place = f64::from(index) / steps;
         match self.mirror {
-            Mirror::RotatingPolygon => first + (last - first) * place,
-            Mirror::Oscillating => {
+            ScanMechanism::RotatingPolygon => first + (last - first) * place,
+            ScanMechanism::Oscillating => {
                 // Half a step from the turning point, so that the two shots next to it do not
                 // coincide.
                 let phase = (f64::from(index) + 0.5) / f64::from(self.shots_per_line);
@@ -164,7 +164,7 @@ impl Scanner {
                 first + (last - first) * if to_the_right { swing } else { 1.0 - swing }
             }
             // On a cone, the position across follows from the azimuth.
-            Mirror::ParallelLines | Mirror::Circular => {
+            ScanMechanism::ParallelLines | ScanMechanism::Circular => {
                 let (left, right) = (libm::tan(first), libm::tan(last));
                 libm::atan(left + (right - left) * place)
             }
@@ -178,7 +178,7 @@ mod tests {
 
     fn scanner() -> Scanner {
         Scanner {
-            mirror: Mirror::RotatingPolygon,
+            mirror: ScanMechanism::RotatingPolygon,
             shots_per_line: 1001,
             pulse_rate_hz: 150_000.0,
             modulation_ns: 0.0,
@@ -188,14 +188,14 @@ mod tests {
         }
     }
 
-    fn line(mirror: Mirror, line: u32) -> Vec<Shot> {
+    fn line(mirror: ScanMechanism, line: u32) -> Vec<ScannerShot> {
         let scanner = Scanner { mirror, ..scanner() };
         (0..1001).map(|index| scanner.shot(line, index)).collect()
     }
 
     #[test]
     fn a_polygon_sweeps_from_left_to_right() {
-        let shots = line(Mirror::RotatingPolygon, 3);
+        let shots = line(ScanMechanism::RotatingPolygon, 3);
         assert_eq!((shots[0].scan_angle_rad, shots[1000].scan_angle_rad), (-0.5, 0.5));
         assert_eq!(shots[500].direction_in_scanner, [0.0, 0.0, 1.0]);
         assert_eq!(shots[0].number, 3003);
@@ -209,7 +209,7 @@ mod tests {
 
     #[test]
     fn an_oscillating_mirror_is_slowest_at_its_turning_points() {
-        let (there, back) = (line(Mirror::Oscillating, 0), line(Mirror::Oscillating, 1));
+        let (there, back) = (line(ScanMechanism::Oscillating, 0), line(ScanMechanism::Oscillating, 1));
         assert!(there.is_sorted_by(|a, b| a.scan_angle_rad < b.scan_angle_rad));
         assert!(back.is_sorted_by(|a, b| a.scan_angle_rad > b.scan_angle_rad));
         assert!(there[0].to_the_right && !back[0].to_the_right);
@@ -223,7 +223,7 @@ mod tests {
 
     #[test]
     fn fibres_are_evenly_spaced_on_the_ground() {
-        let shots = line(Mirror::ParallelLines, 7);
+        let shots = line(ScanMechanism::ParallelLines, 7);
         for pair in shots.windows(2) {
             let step = pair[1].scan_angle_rad.tan() - pair[0].scan_angle_rad.tan();
             assert!((step * 1000.0 / (2.0 * 0.5f64.tan()) - 1.0).abs() < 1e-9);
@@ -234,7 +234,8 @@ mod tests {
     /// 150 kHz and 100 revolutions per second: 1500 shots per revolution, independent of the lines.
     #[test]
     fn a_circular_scanner_rotates_about_nadir() {
-        let shots: Vec<Shot> = (0..4).flat_map(|number| line(Mirror::Circular, number)).collect();
+        let shots: Vec<ScannerShot> =
+            (0..4).flat_map(|number| line(ScanMechanism::Circular, number)).collect();
         for (number, shot) in shots.iter().enumerate() {
             let [forward, right, down] = shot.direction_in_scanner;
             assert!(

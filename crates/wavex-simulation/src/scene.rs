@@ -23,12 +23,12 @@ const HALF_DIVERGENCE_RAD: f64 = 0.25e-3;
 /// Minimum fraction of the pulse for a hit.
 const LEAST_SHARE: f64 = 0.02;
 /// Building and wood, as fractions of the swath across and along the flight.
-const BUILDING_AREA: Area = Area { x: [0.15, 0.30], y: [0.25, 0.75] };
-const CANOPY_AREA: Area = Area { x: [0.55, 0.95], y: [0.0, 1.0] };
+const BUILDING_AREA: MapArea = MapArea { x: [0.15, 0.30], y: [0.25, 0.75] };
+const CANOPY_AREA: MapArea = MapArea { x: [0.55, 0.95], y: [0.0, 1.0] };
 
 /// A rectangle of the map, m.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Area {
+pub struct MapArea {
     /// West and east edge.
     pub x: [f64; 2],
     /// South and north edge.
@@ -70,13 +70,13 @@ pub struct Hit {
 /// # Examples
 ///
 /// ```
-/// use wavex_simulation::scene::{Area, Beam, Class, Scene};
+/// use wavex_simulation::scene::{MapArea, SceneBeam, Class, Scene};
 /// use wavex_simulation::world::{GROUND_HEIGHT_M, START_M};
 ///
 /// let [x, y] = START_M;
-/// let swath = Area { x: [x - 300.0, x + 300.0], y: [y, y + 100.0] };
+/// let swath = MapArea { x: [x - 300.0, x + 300.0], y: [y, y + 100.0] };
 /// let scene = Scene::strips(1, swath, 600.0, 0.0, 0.0);
-/// let beam = Beam { origin_m: [x, y, GROUND_HEIGHT_M + 600.0], direction: [0.0, 0.0, -1.0] };
+/// let beam = SceneBeam { origin_m: [x, y, GROUND_HEIGHT_M + 600.0], direction: [0.0, 0.0, -1.0] };
 /// let mut hits = Vec::new();
 /// scene.hits(&beam, &mut hits);
 /// assert_eq!((hits[0].class, hits[0].range_m), (Class::Ground, 600.0));
@@ -99,7 +99,7 @@ enum Land {
 struct Strips {
     ground: Surface,
     building: Option<Building>,
-    canopy: Option<(Area, Canopy)>,
+    canopy: Option<(MapArea, Canopy)>,
 }
 
 /// A material.
@@ -115,7 +115,7 @@ struct Surface {
 
 /// A beam in the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Beam {
+pub struct SceneBeam {
     /// Origin, m.
     pub origin_m: [f64; 3],
     /// Unit vector along the beam; it points down.
@@ -129,7 +129,7 @@ impl Scene {
     /// wood.
     pub fn strips(
         seed: u64,
-        area: Area,
+        area: MapArea,
         flying_height_m: f64,
         building_height_m: f64,
         canopy_height_m: f64,
@@ -153,7 +153,7 @@ impl Scene {
     }
 
     /// Finds the hits of a beam, sorted by range.
-    pub fn hits(&self, beam: &Beam, hits: &mut Vec<Hit>) {
+    pub fn hits(&self, beam: &SceneBeam, hits: &mut Vec<Hit>) {
         hits.clear();
         match &self.land {
             Land::Strips(strips) => {
@@ -166,7 +166,7 @@ impl Scene {
         hits.sort_by(|a, b| a.range_m.total_cmp(&b.range_m));
     }
 
-    fn pulse<'a>(&self, beam: &'a Beam, ground_m: f64, hits: &'a mut Vec<Hit>) -> TracedPulse<'a> {
+    fn pulse<'a>(&self, beam: &'a SceneBeam, ground_m: f64, hits: &'a mut Vec<Hit>) -> TracedPulse<'a> {
         TracedPulse { beam, ground_m, reference_range_m: self.reference_range_m, left: 1.0, hits }
     }
 }
@@ -200,7 +200,7 @@ fn ground(seed: u64) -> Surface {
 
 /// A pulse on its way down.
 struct TracedPulse<'a> {
-    beam: &'a Beam,
+    beam: &'a SceneBeam,
     /// Range to the ground, m.
     ground_m: f64,
     /// Range at which level ground returns energy 1, m.
@@ -220,9 +220,9 @@ impl TracedPulse<'_> {
 impl Surface {
     /// Echo of the fraction `share` of a pulse that reaches the surface at a range.
     ///
-    /// `cosine` is that of the angle between beam and normal. An inclined footprint spreads the
+    /// `cosine` is the cosine of the angle between beam and normal. An inclined footprint spreads the
     /// echo.
-    fn hit(&self, beam: &Beam, range_m: f64, cosine: f64, share: f64, reference_range_m: f64) -> Hit {
+    fn hit(&self, beam: &SceneBeam, range_m: f64, cosine: f64, share: f64, reference_range_m: f64) -> Hit {
         let [x, y, z] = beam.at(range_m);
         // The texture of walls varies with height.
         let grain = 0.5 + self.texture.at(x + z, y);
@@ -240,7 +240,7 @@ impl Surface {
     }
 }
 
-impl Beam {
+impl SceneBeam {
     /// Point at a range, m.
     pub fn at(&self, range_m: f64) -> [f64; 3] {
         core::array::from_fn(|axis| self.origin_m[axis] + range_m * self.direction[axis])
@@ -257,11 +257,11 @@ impl Beam {
     }
 }
 
-impl Area {
+impl MapArea {
     /// Part of the area between two fractions of its width and its length.
-    fn part(&self, shares: Area) -> Area {
+    fn part(&self, shares: MapArea) -> MapArea {
         let part = |[from, to]: [f64; 2], shares: [f64; 2]| shares.map(|share| from + share * (to - from));
-        Area { x: part(self.x, shares.x), y: part(self.y, shares.y) }
+        MapArea { x: part(self.x, shares.x), y: part(self.y, shares.y) }
     }
 
     /// Distance of a point from the edge inside the area, m; negative outside.
@@ -275,13 +275,13 @@ impl Area {
 mod tests {
     use super::*;
 
-    const SWATH: Area = Area { x: [-400.0, 600.0], y: [0.0, 100.0] };
+    const SWATH: MapArea = MapArea { x: [-400.0, 600.0], y: [0.0, 100.0] };
 
     /// A beam from 600 m above the ground that reaches it at (x, 50).
-    fn beam_to(x: f64) -> Beam {
+    fn beam_to(x: f64) -> SceneBeam {
         let length = (x * x + 600.0 * 600.0).sqrt();
         let direction = [x / length, 0.0, -600.0 / length];
-        Beam { origin_m: [0.0, 50.0, GROUND_HEIGHT_M + 600.0], direction }
+        SceneBeam { origin_m: [0.0, 50.0, GROUND_HEIGHT_M + 600.0], direction }
     }
 
     fn hits(scene: &Scene, x: f64) -> Vec<Hit> {

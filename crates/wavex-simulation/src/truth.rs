@@ -23,11 +23,11 @@ pub struct TrueReturn {
     ///
     /// Includes the gain; exceeds the digitiser's limits if the echo is saturated.
     pub amplitude_dn: f64,
-    /// FWHM relative to that of a flat target's echo (of Gaussians with the response's width).
+    /// FWHM relative to the FWHM of a flat target's echo (of Gaussians with the response's width).
     pub width_ratio: f64,
     /// Position of the echo, m: easting, northing and height in the map.
     pub point_m: [f64; 3],
-    /// Emissions between that of the pulse and the block that contains the echo.
+    /// Emissions between the pulse's emission and the block that contains the echo.
     ///
     /// In a resolved recording, counted as if the laser did not pause between lines. As recorded,
     /// relative to the shot that the block is stored with.

@@ -9,9 +9,9 @@
 //! * **Earth**: the scene is a Cartesian east-north-up frame tangent to the ellipsoid of WGS 84 at
 //!   the start's geodetic position, rotated by the heading about the vertical there. All else
 //!   follows from closed formulas. The trajectory is the body's geodetic position and its attitude
-//!   relative to the local horizon. Map coordinates of a point are those of the transverse Mercator
+//!   relative to the local horizon. Map coordinates of a point are in the transverse Mercator
 //!   projection, and its height is ellipsoidal. The start can be moved to any other position, and
-//!   the UTM zone is that of the start. Level ground is the plane of the horizon at the start: it
+//!   the UTM zone is the zone of the start. Level ground is the plane of the horizon at the start: it
 //!   rises above the ellipsoid with the square of the distance, by 78 mm at 1 km.
 
 use super::platform::Platform;

@@ -9,10 +9,10 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 
 use wavex_formats::Error;
-use wavex_formats::las::{Description, ExtraBytes, GpsTime, Header};
+use wavex_formats::las::{ExtraBytes, GpsTime, LasDescription, LasHeader};
 use wavex_geodesy::crs::{Outline, projjson_of_wkt};
-use wavex_geodesy::time::ADJUSTMENT_S;
-use wavex_geodesy::time_axis::{adjusted_of_date, date, utc_of_gps};
+use wavex_geodesy::time::{ADJUSTMENT_S, date};
+use wavex_geodesy::time_axis::{adjusted_of_date, utc_of_gps};
 use wavex_line::stage::{FinishedFile, OutputFile};
 
 const POINT_CLOUD: &str = "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json";
@@ -37,7 +37,7 @@ pub fn names_system(wkt: Option<&str>) -> bool {
 /// Points that an item describes.
 pub struct Points<'a> {
     /// Header and records of the file.
-    pub about: &'a Description,
+    pub about: &'a LasDescription,
     /// Name of the file.
     pub path: &'a Path,
     /// Coordinate reference system as WKT.
@@ -50,11 +50,11 @@ pub struct Points<'a> {
 ///
 /// # Errors
 /// The file cannot be read.
-pub fn describe(points: &FinishedFile) -> wavex_formats::Result<Description> {
+pub fn describe(points: &FinishedFile) -> wavex_formats::Result<LasDescription> {
     let path = points.path();
     let file = points.open().map_err(Error::io(path, "open"))?;
     let length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
-    Description::read(&mut BufReader::new(file), path, length)
+    LasDescription::read(&mut BufReader::new(file), path, length)
 }
 
 /// Path of the item of a file: its extension becomes `.json`.
@@ -137,7 +137,7 @@ fn media_type(encoding: &str) -> &'static str {
 }
 
 /// Properties with the times of the points; without absolute times the day of the header.
-fn utc_times(header: &Header, times_s: Option<[f64; 2]>) -> Option<Value> {
+fn utc_times(header: &LasHeader, times_s: Option<[f64; 2]>) -> Option<Value> {
     if let (GpsTime::Standard { offset_s }, Some(times_s)) = (header.gps_time(), times_s) {
         let [start, end] = times_s.map(|time_s| utc_of_gps(time_s + (offset_s - ADJUSTMENT_S)));
         return Some(json!({"datetime": start.as_ref()?, "start_datetime": start?, "end_datetime": end?}));
@@ -149,7 +149,7 @@ fn utc_times(header: &Header, times_s: Option<[f64; 2]>) -> Option<Value> {
 }
 
 /// Dimensions of a point, with the types of decoded values.
-fn schemas(header: &Header, extra: &[ExtraBytes]) -> Value {
+fn schemas(header: &LasHeader, extra: &[ExtraBytes]) -> Value {
     let format = header.point_format;
     let is_new = format >= 6;
     let mut dimensions = vec![("X", 8, "floating"), ("Y", 8, "floating"), ("Z", 8, "floating")];

@@ -2,7 +2,7 @@
 
 use std::io::{Cursor, Read};
 
-use wavex_formats::las::{Description, Point, RawPoints, Reader, write_copc};
+use wavex_formats::las::{LasDescription, Point, RawPoints, Reader, write_copc};
 
 use super::{Files, parts};
 
@@ -17,7 +17,7 @@ pub fn las(bytes: &[u8]) {
         place.write("a.wdp", packets);
     }
     let path = place.path("a.las");
-    let described = Description::read(&mut Cursor::new(parts[0]), &path, parts[0].len() as u64);
+    let described = LasDescription::read(&mut Cursor::new(parts[0]), &path, parts[0].len() as u64);
     if let Ok(description) = &described {
         let _ = (description.extra_bytes(&path), description.crs());
         let _ = description.header.gps_time();

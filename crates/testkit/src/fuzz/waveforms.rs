@@ -1,6 +1,6 @@
 //! PulseWaves.
 
-use wavex_formats::pulsewaves::{Reader, Waves};
+use wavex_formats::pulsewaves::{Reader, WaveSegments};
 
 use super::{Files, parts};
 
@@ -15,7 +15,7 @@ pub fn pulsewaves(bytes: &[u8]) {
     let Ok(mut reader) = Reader::open(&place.path("a.pls")) else { return };
     let _ = (reader.check_complete(), reader.stray_bytes(), reader.header().time_axis());
     assert!(reader.pulse_count() <= parts[0].len() as u64, "more pulses than bytes");
-    let mut waves = Waves::new();
+    let mut waves = WaveSegments::new();
     for index in 0..reader.pulse_count().min(MOST_PULSES) {
         let Ok(pulse) = reader.pulse(index) else { continue };
         let _ = (pulse.position(1000.0), reader.header().gps_time_s(pulse.t));
@@ -23,7 +23,7 @@ pub fn pulsewaves(bytes: &[u8]) {
             assert!(waves.segments().is_empty());
             continue;
         }
-        let samples = |waves: &Waves| -> usize {
+        let samples = |waves: &WaveSegments| -> usize {
             waves.segments().iter().map(|segment| waves.samples(segment).len()).sum()
         };
         for segment in waves.segments() {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::failure::{Cause, RunError};
 use wavex_formats::Error;
-use wavex_formats::format::companion_or_names;
+use wavex_formats::format::companion_names;
 use wavex_line::stage::{StageError, Stamp};
 
 /// States of an input and its companion files at the start of its run.
@@ -13,9 +13,9 @@ pub(super) struct InputState(Vec<(PathBuf, Option<Stamp>)>);
 impl InputState {
     /// Takes the states; pipes and generated inputs have none.
     ///
-    /// A companion file that is missing has a state, too: it may be created.
+    /// A missing companion file has a state, too, because it may be created.
     pub(super) fn of(input: &Path) -> InputState {
-        let files = [input.to_owned()].into_iter().chain(companion_or_names(input));
+        let files = [input.to_owned()].into_iter().chain(companion_names(input));
         InputState(files.map(|file| (file.clone(), Stamp::of(&file))).collect())
     }
 
@@ -52,9 +52,8 @@ mod tests {
 
     use super::*;
 
-    /// The extension of a companion file may have any case.
     #[test]
-    fn changes_of_companion_files_are_noticed() {
+    fn changes_of_companion_files_are_noticed_whatever_the_case_of_their_extension() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         for (recording, companion) in [("a.pls", "a.Wvs"), ("b.LAS", "b.wdp")] {

@@ -93,7 +93,7 @@ impl LineBuilder {
         self.shot.len()
     }
 
-    /// Returns the record batch; `schema` is that of [`ContainerHeader::schema`](super::ContainerHeader::schema).
+    /// Returns the record batch; `schema` is [`ContainerHeader::schema`](super::ContainerHeader::schema).
     ///
     /// # Errors
     /// A list exceeds 2^31 items, the limit of Arrow lists, or a block has a gain and the schema has

@@ -4,11 +4,11 @@ use arrow_ipc::convert::try_fb_to_schema;
 use arrow_ipc::{Endianness, Field as FbField};
 use arrow_schema::Schema;
 
-use super::location::Location;
+use super::location::ContainerLocation;
 use crate::Result;
 
 /// Reads the schema at the start of a file or stream.
-pub(super) fn schema_of(schema: arrow_ipc::Schema, location: Location) -> Result<Schema> {
+pub(super) fn schema_of(schema: arrow_ipc::Schema, location: ContainerLocation) -> Result<Schema> {
     if schema.endianness() != Endianness::Little {
         return Err(location.bad(
             "schema",
@@ -23,7 +23,7 @@ pub(super) fn schema_of(schema: arrow_ipc::Schema, location: Location) -> Result
 }
 
 /// `arrow-ipc` panics on a union of over 128 types.
-fn check_unions(field: FbField, location: Location) -> Result<()> {
+fn check_unions(field: FbField, location: ContainerLocation) -> Result<()> {
     let children = field.children().unwrap_or_default();
     if field.type_as_union().is_some() && children.len() > 128 {
         let name = field.name().unwrap_or_default();

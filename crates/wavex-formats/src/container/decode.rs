@@ -9,9 +9,9 @@ use arrow_ipc::reader::read_record_batch;
 use arrow_ipc::{MessageHeader, MetadataVersion, root_as_message};
 use arrow_schema::{DataType, Field, FieldRef, Schema, SchemaRef};
 
-use super::guard::Found;
-use super::location::{DAMAGED, Location};
-use super::messages::{Message, first_line};
+use super::guard::ColumnBuffer;
+use super::location::{ContainerLocation, DAMAGED};
+use super::messages::{IpcMessage, first_line};
 use super::unpack::Unpacker;
 use super::{ContainerLine, guard};
 use crate::Result;
@@ -36,13 +36,17 @@ impl Decoder {
         Decoder { schema: Arc::new(Schema::new(fields)), columns, present, unpacker: Unpacker::default() }
     }
 
-    /// Leaves compressed samples as they are; those of lines then have any values.
+    /// Leaves compressed samples as they are; samples of lines then have any values.
     pub(super) fn skip_samples(&mut self) {
         self.unpacker.without_samples = true;
     }
 
     /// Decodes the line of a message; `None` if it is not a record batch.
-    pub(super) fn line(&mut self, message: &Message, location: Location) -> Result<Option<ContainerLine>> {
+    pub(super) fn line(
+        &mut self,
+        message: &IpcMessage,
+        location: ContainerLocation,
+    ) -> Result<Option<ContainerLine>> {
         let batch = self.batch(message, location)?;
         batch.map(|batch| ContainerLine::try_new(&self.arrays(&batch), location)).transpose()
     }
@@ -50,7 +54,11 @@ impl Decoder {
     /// Decodes the layout's columns of a message, in the order of the file.
     ///
     /// `None` if the message is not a record batch.
-    pub(super) fn batch(&mut self, message: &Message, location: Location) -> Result<Option<RecordBatch>> {
+    pub(super) fn batch(
+        &mut self,
+        message: &IpcMessage,
+        location: ContainerLocation,
+    ) -> Result<Option<RecordBatch>> {
         let parsed = parsed(message, location)?;
         let Some(batch) = record_batch_of(&parsed, location)? else { return Ok(None) };
         let found = self.check(message, &parsed, &batch, location)?;
@@ -68,7 +76,7 @@ impl Decoder {
     /// Checks a decompressed message as if it came from the file.
     ///
     /// Offsets of compressed lists are accessible only now.
-    fn unpacked(&self, message: &Message, location: Location) -> Result<Option<RecordBatch>> {
+    fn unpacked(&self, message: &IpcMessage, location: ContainerLocation) -> Result<Option<RecordBatch>> {
         let parsed = parsed(message, location)?;
         let Some(batch) = record_batch_of(&parsed, location)? else { return Ok(None) };
         if batch.compression().is_some() {
@@ -80,21 +88,21 @@ impl Decoder {
 
     fn check(
         &self,
-        message: &Message,
+        message: &IpcMessage,
         parsed: &arrow_ipc::Message,
         batch: &arrow_ipc::RecordBatch,
-        location: Location,
-    ) -> Result<Vec<Found>> {
+        location: ContainerLocation,
+    ) -> Result<Vec<ColumnBuffer>> {
         guard::check(batch, parsed.version(), &self.schema, &self.present, &message.body, location)
     }
 
     /// Decodes a record batch without compressed buffers.
     fn plain(
         &self,
-        message: &Message,
+        message: &IpcMessage,
         parsed: &arrow_ipc::Message,
         batch: arrow_ipc::RecordBatch,
-        location: Location,
+        location: ContainerLocation,
     ) -> Result<RecordBatch> {
         let decode =
             |columns: &[usize]| decode(&message.body, batch, &self.schema, columns, parsed.version());
@@ -113,7 +121,7 @@ impl Decoder {
     }
 
     /// Builds a column with the number of rows of a record batch.
-    fn rows(&self, column: &str, rows: i64, location: Location) -> String {
+    fn rows(&self, column: &str, rows: i64, location: ContainerLocation) -> String {
         let last = location.first_row + (rows.max(1) as u64 - 1);
         format!("{column}, rows {} to {last}", location.first_row)
     }
@@ -125,14 +133,14 @@ impl Decoder {
     }
 }
 
-fn parsed<'a>(message: &'a Message, location: Location) -> Result<arrow_ipc::Message<'a>> {
+fn parsed<'a>(message: &'a IpcMessage, location: ContainerLocation) -> Result<arrow_ipc::Message<'a>> {
     root_as_message(&message.metadata).map_err(|e| location.bad("message", first_line(&e), DAMAGED))
 }
 
 /// Returns the record batch of a message; `None` for a dictionary.
 fn record_batch_of<'a>(
     message: &arrow_ipc::Message<'a>,
-    location: Location,
+    location: ContainerLocation,
 ) -> Result<Option<arrow_ipc::RecordBatch<'a>>> {
     let Some(batch) = message.header_as_record_batch() else {
         return match message.header_type() {

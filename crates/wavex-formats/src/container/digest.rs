@@ -12,7 +12,7 @@ use arrow_ipc::KeyValue;
 use flatbuffers::{ForwardsUOffset, Vector};
 use twox_hash::XxHash3_64;
 
-use super::location::{DAMAGED, Location};
+use super::location::{ContainerLocation, DAMAGED};
 use crate::Result;
 
 /// Key of the digest in custom metadata.
@@ -40,13 +40,13 @@ pub(super) fn location_of(flatbuffer: &[u8], entries: Entries) -> Option<Range<u
 /// Checks the digest of a part; returns whether it has one.
 ///
 /// # Errors
-/// The digest differs from that of the bytes.
+/// The stored digest differs from the digest of the bytes.
 pub(super) fn check(
     flatbuffer: &[u8],
     body: &[u8],
     entries: Entries,
     name: &str,
-    location: Location,
+    location: ContainerLocation,
 ) -> Result<bool> {
     let Some(value) = location_of(flatbuffer, entries) else { return Ok(false) };
     let mut blank = flatbuffer.to_vec();

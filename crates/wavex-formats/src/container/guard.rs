@@ -17,7 +17,7 @@ use arrow_ipc::{CompressionType, FieldNode, MetadataVersion, RecordBatch};
 use arrow_schema::{DataType, Field, Schema, UnionMode};
 
 use super::MAX_BATCH_BYTES;
-use super::location::{DAMAGED, Location};
+use super::location::{ContainerLocation, DAMAGED};
 use crate::{Error, Result};
 
 /// Decompressed bytes that a buffer may have beyond the need of its rows.
@@ -35,7 +35,7 @@ const SAMPLES: &str = "blocks.samples";
 const MOST_BUFFERS: usize = 128;
 
 /// A buffer of a column to decode.
-pub(super) struct Found {
+pub(super) struct ColumnBuffer {
     /// Index of the buffer in the record batch.
     pub(super) number: usize,
     /// Index of its column in the schema.
@@ -57,8 +57,8 @@ pub(super) fn check(
     schema: &Schema,
     decoded: &[usize],
     body: &[u8],
-    location: Location,
-) -> Result<Vec<Found>> {
+    location: ContainerLocation,
+) -> Result<Vec<ColumnBuffer>> {
     let (Some(nodes), Some(buffers)) = (batch.nodes(), batch.buffers()) else {
         return Err(location.bad("record batch", "it lists no buffers", DAMAGED));
     };
@@ -103,8 +103,8 @@ struct BufferWalk<'a> {
     column: usize,
     /// Number of buffers listed by the record batch.
     listed: usize,
-    found: Vec<Found>,
-    location: Location<'a>,
+    found: Vec<ColumnBuffer>,
+    location: ContainerLocation<'a>,
 }
 
 /// Uncompressed offsets of lists.
@@ -285,7 +285,7 @@ impl<'a> BufferWalk<'a> {
             None => (end - bytes.len() + LENGTH_BYTES, Some(size as usize)),
         };
         let number = self.listed - self.buffers.len() - 1;
-        self.found.push(Found {
+        self.found.push(ColumnBuffer {
             number,
             column: self.column,
             bytes: start..end,

@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use arrow_schema::{Metadata, SchemaRef};
 use serde::{Deserialize, Serialize};
+use wavex_geodesy::calendar;
 
 use super::layout::KEYS;
-use super::location::Location;
+use super::location::ContainerLocation;
 use super::{VERSION, layout};
 use crate::{Error, Result};
 
@@ -65,7 +66,7 @@ pub struct ContainerHeader {
 impl ContainerHeader {
     /// Creates a header for the scanner frame without optional values.
     ///
-    /// Units and bounds are those of the fields.
+    /// Units and bounds: see the fields.
     pub fn new(sampling_interval_ns: f64, group_velocity_mps: f64) -> ContainerHeader {
         ContainerHeader {
             instrument: None,
@@ -195,22 +196,22 @@ named! {
 /// NaN is written as null.
 #[derive(Default, Serialize, Deserialize)]
 #[serde(default)]
-struct Tables {
+struct StoredTables {
     #[serde(skip_serializing_if = "Option::is_none")]
-    amplitude_low: Option<Table>,
+    amplitude_low: Option<StoredTable>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    amplitude_high: Option<Table>,
+    amplitude_high: Option<StoredTable>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    range_low: Option<Table>,
+    range_low: Option<StoredTable>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    range_high: Option<Table>,
+    range_high: Option<StoredTable>,
 }
 
-type Table = Vec<(Option<f64>, Option<f64>)>;
+type StoredTable = Vec<(Option<f64>, Option<f64>)>;
 
 /// The value of `wavex.coordinate_grid`.
 #[derive(Serialize, Deserialize)]
-struct Grid {
+struct CoordinateGrid {
     scale: [f64; 3],
     offset: [f64; 3],
 }
@@ -227,7 +228,7 @@ impl ContainerHeader {
     /// Converts the header to metadata.
     pub(super) fn to_metadata(&self) -> Metadata {
         let number = |value: f64| value.to_string();
-        let grid = self.coordinate_grid.map(|(scale, offset)| json(&Grid { scale, offset }));
+        let grid = self.coordinate_grid.map(|(scale, offset)| json(&CoordinateGrid { scale, offset }));
         let values = [
             ("wavex.container", Some(VERSION.to_string())),
             ("wavex.instrument", self.instrument.clone()),
@@ -257,9 +258,9 @@ impl ContainerHeader {
     fn tables(&self) -> Option<String> {
         let table = |pairs: &Option<Vec<(f64, f64)>>| {
             let defined = |&(x, y): &(f64, f64)| (Some(x), Some(y));
-            pairs.as_ref().map(|pairs| pairs.iter().map(defined).collect::<Table>())
+            pairs.as_ref().map(|pairs| pairs.iter().map(defined).collect::<StoredTable>())
         };
-        let tables = Tables {
+        let tables = StoredTables {
             amplitude_low: table(&self.amplitude_low),
             amplitude_high: table(&self.amplitude_high),
             range_low: table(&self.range_low),
@@ -270,11 +271,11 @@ impl ContainerHeader {
     }
 
     /// Parses the header from metadata; errors name the key.
-    pub(super) fn from_metadata(metadata: &Metadata, location: Location) -> Result<ContainerHeader> {
-        let keys = Keys { metadata, location };
+    pub(super) fn from_metadata(metadata: &Metadata, location: ContainerLocation) -> Result<ContainerHeader> {
+        let keys = MetadataKeys { metadata, location };
         keys.version()?;
-        let tables: Tables = keys.json("wavex.tables")?.unwrap_or_default();
-        let grid: Option<Grid> = keys.json("wavex.coordinate_grid")?;
+        let tables: StoredTables = keys.json("wavex.tables")?.unwrap_or_default();
+        let grid: Option<CoordinateGrid> = keys.json("wavex.coordinate_grid")?;
         let positive = |value: &f64| value.is_finite() && *value > 0.0;
         let not_negative = |value: &f64| value.is_finite() && *value >= 0.0;
         let speed = |value: &f64| *value > 0.0 && *value <= LIGHT_MPS;
@@ -307,12 +308,12 @@ impl ContainerHeader {
 }
 
 /// The metadata, with errors that name the key.
-struct Keys<'a> {
+struct MetadataKeys<'a> {
     metadata: &'a Metadata,
-    location: Location<'a>,
+    location: ContainerLocation<'a>,
 }
 
-impl<'a> Keys<'a> {
+impl<'a> MetadataKeys<'a> {
     fn text(&self, key: &str) -> Option<&'a str> {
         self.metadata.get(key).map(String::as_str)
     }
@@ -367,28 +368,14 @@ fn number(text: &str, fits: impl Fn(&f64) -> bool) -> Option<f64> {
     text.trim().parse().ok().filter(fits)
 }
 
-fn defined(table: Table) -> Vec<(f64, f64)> {
+fn defined(table: StoredTable) -> Vec<(f64, f64)> {
     table.into_iter().filter_map(|(x, y)| Some((x?, y?))).collect()
 }
 
-/// Days of the months of a year in the Gregorian calendar.
-fn month_lengths(year: u16) -> [u16; 12] {
-    let leap = year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400));
-    [31, if leap { 29 } else { 28 }, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31]
-}
-
-/// (day of the year from 1, year) as ISO 8601; `None` where there is no such day.
-fn iso_date((mut day, year): (u16, u16)) -> Option<String> {
-    if day == 0 || !(1..=9999).contains(&year) {
-        return None;
-    }
-    for (month, length) in (1..).zip(month_lengths(year)) {
-        if day <= length {
-            return Some(format!("{year:04}-{month:02}-{day:02}"));
-        }
-        day -= length;
-    }
-    None
+/// (day of the year from 1, year) as ISO 8601; `None` if there is no such day.
+fn iso_date((day, year): (u16, u16)) -> Option<String> {
+    let [year, month, day] = calendar::date_in_year(year.into(), day.into())?;
+    (1..=9999).contains(&year).then(|| format!("{year:04}-{month:02}-{day:02}"))
 }
 
 /// The inverse of [`iso_date`].
@@ -399,11 +386,10 @@ fn day_of_year(text: &str) -> Option<(u16, u16)> {
         let plain = part.len() == digits && part.bytes().all(|byte| byte.is_ascii_digit());
         plain.then(|| part.parse::<u16>().ok()).flatten()
     };
-    let (year, month, day) = (part(4)?, part(2)?, part(2)?);
-    let lengths = month_lengths(year);
-    let before = lengths.get(..usize::from(month.checked_sub(1)?))?;
-    let valid = year > 0 && day > 0 && day <= *lengths.get(before.len())?;
-    valid.then(|| (before.iter().sum::<u16>() + day, year))
+    let date = [part(4)?, part(2)?, part(2)?];
+    let (year, of_calendar) = (date[0], date.map(i64::from));
+    let is_valid = year > 0 && calendar::is_date(of_calendar);
+    is_valid.then(|| (calendar::day_of_year(of_calendar) as u16, year))
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ use flatbuffers::{FlatBufferBuilder, ForwardsUOffset, UnionWIPOffset, Vector, WI
 use super::digest;
 use super::messages::{CONTINUATION, MAGIC};
 
-/// Alignment of messages, bytes; that of the buffers in their bodies.
+/// Alignment of messages and of the buffers in their bodies, bytes.
 const ALIGNMENT: usize = 64;
 
 /// Writer of an Arrow file or stream; each record batch has a digest.
@@ -194,7 +194,7 @@ impl<W: Write> IpcWriter<W> {
     }
 }
 
-/// Replaces a blank digest by that of the flatbuffer and its body.
+/// Replaces a blank digest by the digest of the flatbuffer and its body.
 fn fill_in(flatbuffer: &mut [u8], value: Option<std::ops::Range<usize>>, body: &[u8]) {
     let digest = digest::of(flatbuffer, body);
     if let Some(value) = value.and_then(|range| flatbuffer.get_mut(range)) {

@@ -5,12 +5,12 @@ use std::sync::Arc;
 use arrow_schema::{DataType, Field, Fields, Metadata, Schema};
 use serde_json::{Value, json};
 
-use super::location::Location;
+use super::location::ContainerLocation;
 use crate::Result;
 
 /// A column, or a field of a column that is a list of structs.
 #[derive(Debug)]
-pub struct Column {
+pub struct ColumnLayout {
     /// Its name.
     pub name: &'static str,
     /// Its type.
@@ -23,7 +23,7 @@ pub struct Column {
     pub meaning: &'static str,
 }
 
-/// The type of a [`Column`].
+/// The type of a [`ColumnLayout`].
 #[derive(Debug)]
 pub enum ColumnKind {
     /// Unsigned, 8 bits.
@@ -47,12 +47,12 @@ pub enum ColumnKind {
     /// List of unsigned 16-bit numbers.
     Samples,
     /// List of structs.
-    Structs(&'static [Column]),
+    Structs(&'static [ColumnLayout]),
 }
 
 /// A key of the schema's metadata.
 #[derive(Debug)]
-pub struct Key {
+pub struct MetadataKey {
     /// Its name.
     pub name: &'static str,
     /// Whether a container without it is refused.
@@ -63,15 +63,15 @@ pub struct Key {
     pub meaning: &'static str,
 }
 
-const fn required(name: &'static str, kind: ColumnKind, meaning: &'static str) -> Column {
-    Column { name, kind, nullable: false, required: true, meaning }
+const fn required(name: &'static str, kind: ColumnKind, meaning: &'static str) -> ColumnLayout {
+    ColumnLayout { name, kind, nullable: false, required: true, meaning }
 }
 
-const fn optional(name: &'static str, kind: ColumnKind, meaning: &'static str) -> Column {
-    Column { name, kind, nullable: true, required: false, meaning }
+const fn optional(name: &'static str, kind: ColumnKind, meaning: &'static str) -> ColumnLayout {
+    ColumnLayout { name, kind, nullable: true, required: false, meaning }
 }
 
-const fn or_null(mut column: Column) -> Column {
+const fn or_null(mut column: ColumnLayout) -> ColumnLayout {
     column.nullable = true;
     column
 }
@@ -81,7 +81,7 @@ const fn or_null(mut column: Column) -> Column {
 /// Optional columns are extensions of this project. Other programs may omit or ignore them, and a
 /// null means the same as a missing column.
 #[rustfmt::skip]
-pub static COLUMNS: &[Column] = &[
+pub static COLUMNS: &[ColumnLayout] = &[
     required("shot", ColumnKind::U64, "running number of the shot, from 0"),
     required("line", ColumnKind::U32, "scan line, from 0; a change within a record batch starts another line"),
     or_null(required("gps_time_s", ColumnKind::F64, "time of the shot, s, on the scale of `wavex.time_scale`")),
@@ -99,7 +99,7 @@ pub static COLUMNS: &[Column] = &[
 
 /// The fields of the column `blocks`.
 #[rustfmt::skip]
-pub static BLOCK: &[Column] = &[
+pub static BLOCK: &[ColumnLayout] = &[
     required("channel", ColumnKind::U8, "0 high power, 1 low power, 2 saturation, 3 reference (outgoing pulse)"),
     required("start_ns", ColumnKind::F64, "time of the first sample after the row's `clock_ps`, ns"),
     required("samples", ColumnKind::Samples, "digitiser steps"),
@@ -113,20 +113,20 @@ pub(super) const GAIN: &str = "gain";
 
 /// The fields of the column `online`.
 #[rustfmt::skip]
-pub static ONLINE: &[Column] = &[
+pub static ONLINE: &[ColumnLayout] = &[
     required("time_ns", ColumnKind::F64, "time after the row's `clock_ps`, ns"),
     required("amplitude", ColumnKind::F32, "in the instrument's unit; NaN if it gave none"),
 ];
 
-const fn key(name: &'static str, required: bool, form: &'static str, meaning: &'static str) -> Key {
-    Key { name, required, form, meaning }
+const fn key(name: &'static str, required: bool, form: &'static str, meaning: &'static str) -> MetadataKey {
+    MetadataKey { name, required, form, meaning }
 }
 
 /// Metadata keys of the schema.
 ///
 /// Numbers are written with enough digits to read back the same bits.
 #[rustfmt::skip]
-pub static KEYS: &[Key] = &[
+pub static KEYS: &[MetadataKey] = &[
     key("wavex.container", true, "`1`", "version of this layout"),
     key("wavex.instrument", false, "text", "name of the instrument"),
     key("wavex.serial", false, "text", "serial number of the instrument"),
@@ -186,7 +186,7 @@ impl ColumnKind {
     }
 }
 
-impl Column {
+impl ColumnLayout {
     /// The Arrow field.
     pub fn field(&self) -> Field {
         Field::new(self.name, self.kind.data_type(), self.nullable)
@@ -194,13 +194,13 @@ impl Column {
 }
 
 /// The fields of some columns.
-pub(super) fn fields(columns: &[Column]) -> Fields {
-    columns.iter().map(Column::field).collect()
+pub(super) fn fields(columns: &[ColumnLayout]) -> Fields {
+    columns.iter().map(ColumnLayout::field).collect()
 }
 
 /// Fields of the column `blocks` to write.
 pub(super) fn block_fields(with_gain: bool) -> Fields {
-    BLOCK.iter().filter(|column| with_gain || column.name != GAIN).map(Column::field).collect()
+    BLOCK.iter().filter(|column| with_gain || column.name != GAIN).map(ColumnLayout::field).collect()
 }
 
 /// Whether the blocks of a schema have a gain.
@@ -214,7 +214,7 @@ pub(super) fn has_gain(schema: &Schema) -> bool {
 pub(super) fn schema(metadata: Metadata, with_gain: bool) -> Schema {
     let blocks = DataType::Struct(block_fields(with_gain));
     let blocks = DataType::List(Arc::new(Field::new("item", blocks, false)));
-    let field = |column: &Column| match column.name {
+    let field = |column: &ColumnLayout| match column.name {
         "blocks" => Field::new(column.name, blocks.clone(), column.nullable),
         _ => column.field(),
     };
@@ -226,20 +226,25 @@ pub(super) fn schema(metadata: Metadata, with_gain: bool) -> Schema {
 /// Errors name the column that is missing or has another type. Names of list items and declared
 /// nullability are ignored; the contents of the columns are checked instead. Large lists and signed
 /// shot numbers, as Polars writes them, are accepted.
-pub(super) fn find(schema: &Schema, location: Location) -> Result<Vec<Option<usize>>> {
+pub(super) fn find(schema: &Schema, location: ContainerLocation) -> Result<Vec<Option<usize>>> {
     find_in(schema.fields(), COLUMNS, "", location)
 }
 
 fn find_in(
     found: &Fields,
-    columns: &[Column],
+    columns: &[ColumnLayout],
     prefix: &str,
-    location: Location,
+    location: ContainerLocation,
 ) -> Result<Vec<Option<usize>>> {
     columns.iter().map(|column| find_one(found, column, prefix, location)).collect()
 }
 
-fn find_one(found: &Fields, column: &Column, prefix: &str, location: Location) -> Result<Option<usize>> {
+fn find_one(
+    found: &Fields,
+    column: &ColumnLayout,
+    prefix: &str,
+    location: ContainerLocation,
+) -> Result<Option<usize>> {
     let path = format!("{prefix}{}", column.name);
     let Some((index, field)) = found.find(column.name) else {
         if !column.required {
@@ -300,11 +305,11 @@ pub fn description() -> Value {
     })
 }
 
-fn describe(columns: &[Column]) -> Vec<Value> {
+fn describe(columns: &[ColumnLayout]) -> Vec<Value> {
     columns.iter().map(describe_one).collect()
 }
 
-fn describe_one(column: &Column) -> Value {
+fn describe_one(column: &ColumnLayout) -> Value {
     let mut value = json!({
         "name": column.name,
         "type": column.kind.name(),

@@ -16,7 +16,7 @@ use arrow_buffer::OffsetBuffer;
 use arrow_schema::Field;
 
 use super::layout::GAIN;
-use super::location::{DAMAGED, Location};
+use super::location::{ContainerLocation, DAMAGED};
 use crate::Result;
 
 /// One row: a shot without its blocks.
@@ -53,7 +53,7 @@ pub struct ContainerBlock<'a> {
     pub channel: u8,
     /// Time of the first sample after the row's `clock_ps`, ns.
     pub start_ns: f64,
-    /// Sampling interval, ns; `None`: that of the header.
+    /// Sampling interval, ns; `None`: the interval of the header.
     pub interval_ns: Option<f64>,
     /// Zone of this block; `None`: the row's.
     pub zone: Option<i16>,
@@ -86,14 +86,14 @@ pub struct ContainerLine {
     facet: UInt16Array,
     flags: UInt16Array,
     mta_zone: Int16Array,
-    blocks: Blocks,
+    blocks: BlockColumns,
     online: Online,
     scan_angle_deg: Option<Float32Array>,
     frame_scale: Option<Float64Array>,
 }
 
 #[derive(Debug)]
-struct Blocks {
+struct BlockColumns {
     rows: ListArray,
     channel: UInt8Array,
     start_ns: Float64Array,
@@ -113,8 +113,11 @@ struct Online {
 
 impl ContainerLine {
     /// `columns` as [`super::layout::COLUMNS`] lists them. An error names the column and the row.
-    pub(super) fn try_new(columns: &[Option<ArrayRef>], location: Location) -> Result<ContainerLine> {
-        let all = Columns { columns, location };
+    pub(super) fn try_new(
+        columns: &[Option<ArrayRef>],
+        location: ContainerLocation,
+    ) -> Result<ContainerLine> {
+        let all = BatchColumns { columns, location };
         Ok(ContainerLine {
             shot: all.unsigned(0, "shot")?,
             line: all.full::<UInt32Type>(1, "line")?,
@@ -191,7 +194,7 @@ impl ContainerLine {
     }
 }
 
-impl Blocks {
+impl BlockColumns {
     fn at(&self, index: usize) -> ContainerBlock<'_> {
         ContainerBlock {
             channel: self.channel.value(index),
@@ -226,12 +229,12 @@ fn row_of(lists: &ListArray, index: usize) -> usize {
 }
 
 /// Columns of a record batch, accessed by type.
-struct Columns<'a> {
+struct BatchColumns<'a> {
     columns: &'a [Option<ArrayRef>],
-    location: Location<'a>,
+    location: ContainerLocation<'a>,
 }
 
-impl Columns<'_> {
+impl BatchColumns<'_> {
     fn get(&self, index: usize) -> Option<&ArrayRef> {
         self.columns.get(index).and_then(Option::as_ref)
     }
@@ -250,7 +253,7 @@ impl Columns<'_> {
         Ok(array)
     }
 
-    /// As [`Columns::full`]; also accepts signed numbers that are not negative.
+    /// As [`BatchColumns::full`]; also accepts signed numbers that are not negative.
     fn unsigned(&self, index: usize, name: &str) -> Result<UInt64Array> {
         let Some(signed) = self.get(index).and_then(|array| array.as_primitive_opt::<Int64Type>()) else {
             return self.full(index, name);
@@ -279,7 +282,7 @@ impl Columns<'_> {
         Ok(values)
     }
 
-    fn blocks(&self, index: usize) -> Result<Blocks> {
+    fn blocks(&self, index: usize) -> Result<BlockColumns> {
         let rows = self.lists("blocks", self.get(index))?;
         self.no_null(&rows, "blocks", 0..rows.len(), |row| row)?;
         let structs = self.structs(&rows, "blocks")?;
@@ -291,7 +294,7 @@ impl Columns<'_> {
         let within = items_of(&lists, &used);
         self.no_null(&samples, "blocks.samples", within, |item| row_of(&rows, row_of(&lists, item)))?;
         let nullable = |name| structs.column_by_name(name);
-        Ok(Blocks {
+        Ok(BlockColumns {
             channel: self.inner(&rows, &structs, "blocks.channel", |array| array.as_primitive_opt())?,
             start_ns: self.inner(&rows, &structs, "blocks.start_ns", |array| array.as_primitive_opt())?,
             zone: nullable("zone")

@@ -6,7 +6,7 @@ use crate::Error;
 
 /// A record batch or another part of a container, for errors.
 #[derive(Clone, Copy)]
-pub(super) struct Location<'a> {
+pub(super) struct ContainerLocation<'a> {
     /// The file's name; `-` for standard input.
     pub(super) file: &'a Path,
     /// Start of the part, bytes from the beginning of the file.
@@ -15,7 +15,7 @@ pub(super) struct Location<'a> {
     pub(super) first_row: u64,
 }
 
-impl Location<'_> {
+impl ContainerLocation<'_> {
     /// Error in a field of the part.
     pub(super) fn bad(&self, field: impl Into<String>, problem: impl Into<String>, remedy: &str) -> Error {
         Error::malformed(self.file, self.offset, field, problem, remedy)

@@ -14,7 +14,7 @@ use arrow_ipc::{Block, Footer, root_as_footer, root_as_message};
 use arrow_schema::Schema;
 
 use super::checked_schema::schema_of;
-use super::location::{CUT_OFF, DAMAGED, Location};
+use super::location::{CUT_OFF, ContainerLocation, DAMAGED};
 use super::{MAX_BATCH_BYTES, MOST_KEPT_BYTES, digest};
 use crate::{Error, Result, make_room};
 use stream::StreamMessages;
@@ -39,7 +39,7 @@ pub(super) trait Searchable: Read + Seek + Send {}
 impl<T: Read + Seek + Send> Searchable for T {}
 
 /// One message: a record batch, or a dictionary.
-pub(super) struct Message {
+pub(super) struct IpcMessage {
     /// Start of the message, bytes from the beginning of the file.
     pub(super) offset: u64,
     /// The flatbuffer.
@@ -91,7 +91,7 @@ impl Messages {
     }
 
     /// Returns the next message, or `None` at the end.
-    pub(super) fn next(&mut self) -> Result<Option<Message>> {
+    pub(super) fn next(&mut self) -> Result<Option<IpcMessage>> {
         match self {
             Messages::File(messages) => messages.next(),
             Messages::Stream(messages) => messages.next(),
@@ -123,7 +123,7 @@ pub(super) struct FileMessages {
 impl FileMessages {
     fn open(name: &Path, mut file: Box<dyn Searchable>, len: u64) -> Result<(FileMessages, Schema)> {
         let (offset, bytes) = footer_bytes(name, &mut *file, len)?;
-        let location = Location { file: name, offset, first_row: 0 };
+        let location = ContainerLocation { file: name, offset, first_row: 0 };
         let footer = root_as_footer(&bytes).map_err(|e| location.bad("footer", first_line(&e), DAMAGED))?;
         let has_digests = digest::check(&bytes, &[], footer.custom_metadata(), "footer", location)?;
         let schema = footer.schema().ok_or_else(|| location.bad("footer", "it has no schema", DAMAGED))?;
@@ -138,7 +138,7 @@ impl FileMessages {
         self.next = usize::try_from(index).unwrap_or(usize::MAX);
     }
 
-    fn next(&mut self) -> Result<Option<Message>> {
+    fn next(&mut self) -> Result<Option<IpcMessage>> {
         let Some(block) = self.blocks.get(self.next) else {
             return Ok(None);
         };
@@ -152,7 +152,7 @@ impl FileMessages {
         read_into(&mut self.file, len, &mut bytes).map_err(&io)?;
         let bytes = Buffer::from_vec(bytes);
         self.last = (len <= MOST_KEPT_BYTES).then(|| bytes.clone());
-        let location = Location { file: &self.name, offset, first_row: 0 };
+        let location = ContainerLocation { file: &self.name, offset, first_row: 0 };
         if bytes.len() < len {
             return Err(location.bad("record batch", "the file has become shorter", CUT_OFF));
         }
@@ -162,7 +162,7 @@ impl FileMessages {
             return Err(location.bad("length of the metadata", "it passes the record batch", DAMAGED));
         }
         let metadata = bytes.slice_with_length(start, length);
-        let message = Message { offset, metadata, body: bytes.slice(head) };
+        let message = IpcMessage { offset, metadata, body: bytes.slice(head) };
         let parsed = root_as_message(&message.metadata)
             .map_err(|e| location.bad("message", first_line(&e), DAMAGED))?;
         check_digest(&message, &parsed, self.next - 1, self.has_digests, location)?;
@@ -172,11 +172,11 @@ impl FileMessages {
 
 /// Checks the digest of record batch `index`; `required` if it must have one.
 fn check_digest(
-    message: &Message,
+    message: &IpcMessage,
     parsed: &arrow_ipc::Message,
     index: usize,
     required: bool,
-    location: Location,
+    location: ContainerLocation,
 ) -> Result<()> {
     let name = format!("record batch {index}");
     let entries = parsed.custom_metadata();
@@ -188,7 +188,7 @@ fn check_digest(
 
 /// Reads the footer of a file; returns it with its start.
 fn footer_bytes(name: &Path, file: &mut dyn Searchable, len: u64) -> Result<(u64, Vec<u8>)> {
-    let location = Location { file: name, offset: len.saturating_sub(10), first_row: 0 };
+    let location = ContainerLocation { file: name, offset: len.saturating_sub(10), first_row: 0 };
     // `ARROW1` and two zeros at the beginning; the footer's length and `ARROW1` at the end.
     let Some(end) = len.checked_sub(10).filter(|&end| end >= 8) else {
         return Err(location.bad("end of the file", "the footer is missing", CUT_OFF));
@@ -214,7 +214,7 @@ fn footer_bytes(name: &Path, file: &mut dyn Searchable, len: u64) -> Result<(u64
 /// Record batches listed in the footer.
 ///
 /// Each is between the magic and the footer, which starts at `end`.
-fn blocks_of(footer: &Footer, end: u64, location: Location) -> Result<Vec<Block>> {
+fn blocks_of(footer: &Footer, end: u64, location: ContainerLocation) -> Result<Vec<Block>> {
     let blocks: Vec<Block> = footer.recordBatches().iter().flatten().copied().collect();
     for (index, block) in blocks.iter().enumerate() {
         let field = format!("footer, record batch {index}");

@@ -4,7 +4,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use super::decode::Decoder;
-use super::location::Location;
+use super::location::ContainerLocation;
 use super::messages::Messages;
 use super::{ContainerHeader, ContainerLine, layout};
 use crate::Result;
@@ -45,7 +45,7 @@ impl ContainerReader {
     }
 
     fn new(file: &Path, messages: Messages, schema: &arrow_schema::Schema) -> Result<ContainerReader> {
-        let location = Location { file, offset: 0, first_row: 0 };
+        let location = ContainerLocation { file, offset: 0, first_row: 0 };
         let header = ContainerHeader::from_metadata(schema.metadata(), location)?;
         let decoder = Decoder::new(schema, layout::find(schema, location)?);
         Ok(ContainerReader { file: file.to_path_buf(), header, messages, decoder, rows: 0 })
@@ -76,7 +76,8 @@ impl ContainerReader {
     /// Errors name the column and the row, counted from the start of the container, from 0.
     pub fn next_line(&mut self) -> Result<Option<ContainerLine>> {
         while let Some(message) = self.messages.next()? {
-            let location = Location { file: &self.file, offset: message.offset, first_row: self.rows };
+            let location =
+                ContainerLocation { file: &self.file, offset: message.offset, first_row: self.rows };
             if let Some(line) = self.decoder.line(&message, location)? {
                 self.rows += line.rows() as u64;
                 return Ok(Some(line));

@@ -6,7 +6,7 @@ use arrow_array::RecordBatch;
 use arrow_schema::Schema;
 
 use super::decode::Decoder;
-use super::location::Location;
+use super::location::ContainerLocation;
 use super::messages::Messages;
 use crate::{Result, regular_file};
 
@@ -44,7 +44,8 @@ impl TableReader {
     /// The record batch is damaged, or exceeds [`MAX_BATCH_BYTES`](super::MAX_BATCH_BYTES).
     pub fn next_batch(&mut self) -> Result<Option<RecordBatch>> {
         while let Some(message) = self.messages.next()? {
-            let location = Location { file: &self.file, offset: message.offset, first_row: self.rows };
+            let location =
+                ContainerLocation { file: &self.file, offset: message.offset, first_row: self.rows };
             if let Some(batch) = self.decoder.batch(&message, location)? {
                 self.rows += batch.num_rows() as u64;
                 return Ok(Some(batch));

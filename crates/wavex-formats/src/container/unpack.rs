@@ -9,12 +9,12 @@
 use arrow_buffer::Buffer;
 use arrow_ipc::{CompressionType, RecordBatch};
 
-use super::guard::Found;
-use super::messages::Message;
+use super::guard::ColumnBuffer;
+use super::messages::IpcMessage;
 use super::{MOST_KEPT_BYTES, lz4};
 
 /// Error of decompression: the column, if known, and the problem.
-pub(super) type Failure = (Option<usize>, String);
+pub(super) type UnpackError = (Option<usize>, String);
 
 /// Alignment of buffers in the new body, bytes (Arrow columnar format, "Buffer Alignment").
 const ALIGNMENT: usize = 64;
@@ -35,11 +35,11 @@ impl Unpacker {
     /// Buffers of other columns are removed from its body.
     pub(super) fn unpack(
         &mut self,
-        message: &Message,
+        message: &IpcMessage,
         batch: &RecordBatch,
         codec: CompressionType,
-        found: &[Found],
-    ) -> Result<Message, Failure> {
+        found: &[ColumnBuffer],
+    ) -> Result<IpcMessage, UnpackError> {
         let table = batch._tab.loc();
         let mut metadata = message.metadata.to_vec();
         let entries = buffer_entries(&metadata, table).ok_or((None, "its buffers are not listed".into()))?;
@@ -73,7 +73,7 @@ impl Unpacker {
         }
         let body = Buffer::from(body);
         self.last = (body.len() <= MOST_KEPT_BYTES).then(|| body.clone());
-        Ok(Message { offset: message.offset, metadata: Buffer::from_vec(metadata), body })
+        Ok(IpcMessage { offset: message.offset, metadata: Buffer::from_vec(metadata), body })
     }
 
     /// Decompresses a buffer, which must fill `to` exactly.

@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use super::Header;
+use super::GeoidHeader;
 use crate::Result;
 use crate::bytes::Fields;
 use wavex_geodesy::geoid::GeoidGrid;
@@ -29,7 +29,7 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<GeoidGrid> {
     ];
     let mut count = |field: &str| fields.array(field).map(i32::from_be_bytes);
     let (rows, columns) = (count("rows")?, count("columns")?);
-    let header = Header { south_deg, west_deg, latitude_step_deg, longitude_step_deg, rows, columns };
+    let header = GeoidHeader { south_deg, west_deg, latitude_step_deg, longitude_step_deg, rows, columns };
     header.grid(path, bytes, HEADER, |value| {
         let height_m = f32::from_be_bytes(value);
         if (height_m - NO_VALUE).abs() < 1e-4 { f32::NAN } else { height_m }

@@ -8,7 +8,7 @@
 
 use std::path::Path;
 
-use super::Header;
+use super::GeoidHeader;
 use crate::bytes::Fields;
 use crate::{Error, Result};
 use wavex_geodesy::geoid::GeoidGrid;
@@ -59,7 +59,7 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<GeoidGrid> {
     let height = if is_little { f32::from_le_bytes } else { f32::from_be_bytes };
     let [south_deg, west_deg, latitude_step_deg, longitude_step_deg] = numbers.map(number);
     let [rows, columns] = counts.map(count);
-    let header = Header { south_deg, west_deg, latitude_step_deg, longitude_step_deg, rows, columns };
+    let header = GeoidHeader { south_deg, west_deg, latitude_step_deg, longitude_step_deg, rows, columns };
     header.grid(path, bytes, HEADER, |value| {
         let height_m = height(value);
         if height_m.abs() <= HIGHEST_M { height_m } else { f32::NAN }

@@ -52,14 +52,14 @@ fn directory(mut entries: Vec<(u16, u16)>) -> Vec<u8> {
 
 /// WKT node: `KEYWORD[...]`.
 #[derive(Clone, Copy)]
-struct WktNode<'a> {
+struct WktSlice<'a> {
     keyword: &'a str,
     inside: &'a str,
 }
 
-impl<'a> WktNode<'a> {
+impl<'a> WktSlice<'a> {
     /// Returns the direct child nodes.
-    fn children(self) -> Vec<WktNode<'a>> {
+    fn children(self) -> Vec<WktSlice<'a>> {
         let mut children = Vec::new();
         let mut rest = self.inside;
         while let Some((child, after)) = node(rest) {
@@ -71,7 +71,7 @@ impl<'a> WktNode<'a> {
 
     /// Returns the EPSG code of the node itself.
     fn code(self) -> Option<u16> {
-        let of = |child: &WktNode| {
+        let of = |child: &WktSlice| {
             let (authority, code) = child.inside.split_once(',')?;
             let code = code.split(',').next()?.trim().trim_matches('"');
             (authority.trim() == "\"EPSG\"").then(|| code.parse().ok()).flatten()
@@ -81,7 +81,7 @@ impl<'a> WktNode<'a> {
 
     /// Returns the EPSG code of the unit of the node's coordinates.
     fn unit_code(self) -> Option<u16> {
-        let is_unit = |child: &WktNode| matches!(child.keyword, "UNIT" | "LENGTHUNIT" | "ANGLEUNIT");
+        let is_unit = |child: &WktSlice| matches!(child.keyword, "UNIT" | "LENGTHUNIT" | "ANGLEUNIT");
         self.children().into_iter().find(is_unit)?.code()
     }
 }
@@ -89,7 +89,7 @@ impl<'a> WktNode<'a> {
 /// Returns the first node and the text after it.
 ///
 /// `None` if there is no node or it is not closed.
-fn node(text: &str) -> Option<(WktNode<'_>, &str)> {
+fn node(text: &str) -> Option<(WktSlice<'_>, &str)> {
     let mut open = None;
     let (mut depth, mut quoted) = (0usize, false);
     for (at, byte) in text.bytes().enumerate() {
@@ -104,7 +104,7 @@ fn node(text: &str) -> Option<(WktNode<'_>, &str)> {
                 depth = depth.checked_sub(1)?;
                 if let (0, Some(open)) = (depth, open) {
                     let keyword = text[..open].rsplit([',', ' ', '\n', '\r', '\t']).next()?;
-                    return Some((WktNode { keyword, inside: &text[open + 1..at] }, &text[at + 1..]));
+                    return Some((WktSlice { keyword, inside: &text[open + 1..at] }, &text[at + 1..]));
                 }
             }
             _ => {}

@@ -13,8 +13,8 @@ use laz::laszip::ChunkTable;
 use laz::record::{LayeredPointRecordDecompressor, RecordDecompressor, SequentialPointRecordDecompressor};
 use laz::{DecompressionSelection, LazItemRecordBuilder, LazItemType, LazVlr};
 
-use super::header::Header;
-use super::point::Layout;
+use super::header::LasHeader;
+use super::point::PointLayout;
 use super::vlr::Vlr;
 use crate::bytes::Fields;
 use crate::{Error, Result, resize};
@@ -80,7 +80,7 @@ impl Chunks {
     pub(super) fn open(
         file: File,
         path: &Path,
-        header: &Header,
+        header: &LasHeader,
         vlrs: &[Vlr],
         file_length: u64,
     ) -> Result<Chunks> {
@@ -255,7 +255,7 @@ fn guarded<T>(decode: impl FnOnce() -> io::Result<T>) -> std::result::Result<T, 
 }
 
 /// Parses the LASzip record and checks that it matches the header.
-fn parse_vlr(path: &Path, header: &Header, vlr: &Vlr) -> Result<LazVlr> {
+fn parse_vlr(path: &Path, header: &LasHeader, vlr: &Vlr) -> Result<LazVlr> {
     let bad = |problem: String, remedy| Error::malformed(path, vlr.offset, "LASzip record", problem, remedy);
     let compressor = Fields::new(path, vlr.offset, &vlr.data).u16("compressor")?;
     if !(CHUNKED..=LAYERED).contains(&compressor) {
@@ -263,7 +263,7 @@ fn parse_vlr(path: &Path, header: &Header, vlr: &Vlr) -> Result<LazVlr> {
         return Err(bad(problem, "compress the file again with a LASzip of version 2 or later"));
     }
     let laz = LazVlr::from_buffer(&vlr.data).map_err(|error| bad(error.to_string(), CUT))?;
-    let extra = header.record_length.saturating_sub(Layout::of(header.point_format).length as u16);
+    let extra = header.record_length.saturating_sub(PointLayout::of(header.point_format).length as u16);
     if extra > EXTRA_BYTES_LIMIT {
         let problem = format!("{extra} extra bytes per point, but at most {EXTRA_BYTES_LIMIT} are supported");
         return Err(bad(problem, "remove extra attributes from the file"));
@@ -295,7 +295,7 @@ fn n_layers(item: LazItemType) -> usize {
 fn read_table(
     file: &File,
     path: &Path,
-    header: &Header,
+    header: &LasHeader,
     laz: &LazVlr,
     file_length: u64,
 ) -> Result<Vec<ChunkSize>> {
@@ -338,7 +338,7 @@ fn read_table(
 fn with_counts(
     mut chunks: Vec<ChunkSize>,
     path: &Path,
-    header: &Header,
+    header: &LasHeader,
     laz: &LazVlr,
 ) -> Result<Vec<ChunkSize>> {
     let declared = header.n_points;
@@ -372,7 +372,12 @@ fn with_counts(
 ///
 /// Its offset precedes the first chunk; writers that cannot seek back put it in the last 8 bytes of
 /// the file.
-fn find_table(input: &mut (impl Read + Seek), path: &Path, header: &Header, file_length: u64) -> Result<u64> {
+fn find_table(
+    input: &mut (impl Read + Seek),
+    path: &Path,
+    header: &LasHeader,
+    file_length: u64,
+) -> Result<u64> {
     let start = u64::from(header.offset_to_points);
     let first = start + ChunkTable::OFFSET_SIZE as u64;
     let fits = |at: &u64| (first..=file_length.saturating_sub(8)).contains(at);

@@ -6,7 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 /// Runs a compressor; converts its panic to an error.
 ///
 /// # Errors
-/// Those of the compressor; a panic, which a build with overflow checks raises for some values.
+/// The compressor fails or panics; a build with overflow checks panics for some values.
 pub(super) fn contained<T>(compress: impl FnOnce() -> io::Result<T>) -> io::Result<T> {
     catch_unwind(AssertUnwindSafe(compress)).unwrap_or_else(|_| {
         let problem = "the LASzip library cannot compress these points: their values change by more than it \

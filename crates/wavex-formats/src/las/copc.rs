@@ -23,22 +23,22 @@ use laz::record::{LayeredPointRecordCompressor, RecordCompressor};
 use laz::{LazVlr, LazVlrBuilder};
 
 use super::contained::contained;
-use super::header::Header;
-use super::point::Layout;
+use super::header::LasHeader;
+use super::point::PointLayout;
 use super::point_out::RETURNS;
 use super::raw::RawPoints;
-use super::totals::Totals;
+use super::totals::PointTotals;
 use super::vlr::{SPEC, Vlr, WAVEFORM_PACKETS};
 use super::writer::into_io;
 use super::{descriptor::FIRST_DESCRIPTOR, lax};
 use crate::{Error, Result};
 use cube::Cube;
-use header::{Entry, Metadata};
-use octree::{Node, Octree};
+use header::{HierarchyEntry, Metadata};
+use octree::{Octree, OctreeNode};
 use passes::Passes;
 use sort::Sorter;
 
-pub use passes::Watch;
+pub use passes::ProgressObserver;
 pub use sort::Keep;
 
 /// User ID of the records defined by COPC.
@@ -67,7 +67,7 @@ pub struct CopcSummary {
 
 /// Memory limits.
 #[derive(Debug, Clone, Copy)]
-struct Limits {
+struct MemoryLimits {
     leaf_points: u64,
     sort_bytes: usize,
 }
@@ -87,9 +87,16 @@ pub fn write_copc(
     sink: impl Write + Seek,
     path: &Path,
     keep: Keep,
-    watch: Watch,
+    watch: ProgressObserver,
 ) -> Result<CopcSummary> {
-    write_within(source, sink, path, keep, watch, Limits { leaf_points: LEAF_POINTS, sort_bytes: SORT_BYTES })
+    write_within(
+        source,
+        sink,
+        path,
+        keep,
+        watch,
+        MemoryLimits { leaf_points: LEAF_POINTS, sort_bytes: SORT_BYTES },
+    )
 }
 
 fn write_within(
@@ -97,11 +104,11 @@ fn write_within(
     sink: impl Write + Seek,
     path: &Path,
     keep: Keep,
-    watch: Watch,
-    limits: Limits,
+    watch: ProgressObserver,
+    limits: MemoryLimits,
 ) -> Result<CopcSummary> {
     let mut passes = Passes::new(watch);
-    let extent = Extent::of(source, &mut passes)?;
+    let extent = PointSums::of(source, &mut passes)?;
     let mut points = RawPoints::open(source)?;
     let records = Reshape::of(source, points.header())?;
     let header = points.header().clone();
@@ -118,7 +125,7 @@ fn write_within(
     let crs_problems = metadata.crs_problems.clone();
     let mut writer = CopcWriter::new(sink, path, &records, metadata)?;
     let mut octree = Octree::new(limits.leaf_points);
-    let mut done = |node: Node| writer.write_node(&node);
+    let mut done = |node: OctreeNode| writer.write_node(&node);
     sorter.finish(path, |key, record| {
         passes.count();
         octree.push(key, record, &mut done)
@@ -133,19 +140,19 @@ fn write_within(
 
 /// Sums over all points, for the header and the `copc` record.
 #[derive(Debug)]
-struct Extent {
-    totals: Totals,
+struct PointSums {
+    totals: PointTotals,
     /// Smallest and largest finite time; both 0 without any.
     times: [f64; 2],
 }
 
-impl Extent {
+impl PointSums {
     /// Reads all points of a file.
-    fn of(source: &Path, passes: &mut Passes) -> Result<Extent> {
+    fn of(source: &Path, passes: &mut Passes) -> Result<PointSums> {
         let mut points = RawPoints::open(source)?;
         check(source, points.header())?;
         passes.expect(points.header().n_points);
-        let mut totals = Totals::new();
+        let mut totals = PointTotals::new();
         let mut times = [f64::INFINITY, f64::NEG_INFINITY];
         while let Some(record) = points.next_record()? {
             // The return number is in the lowest four bits.
@@ -161,19 +168,19 @@ impl Extent {
             return Err(Error::unusable(source, "it has no points", "give a file with points"));
         }
         let times = if times[0] <= times[1] { times } else { [0.0; 2] };
-        Ok(Extent { totals, times })
+        Ok(PointSums { totals, times })
     }
 
     /// Returns the octree's cube.
     ///
     /// Its edge is at least one coordinate step.
-    fn cube(&self, header: &Header) -> Cube {
+    fn cube(&self, header: &LasHeader) -> Cube {
         let [min, max] = self.totals.bounds(header);
         Cube::around(min, max, header.scale.into_iter().map(f64::abs).fold(0.0, f64::max))
     }
 }
 
-fn check(source: &Path, header: &Header) -> Result<()> {
+fn check(source: &Path, header: &LasHeader) -> Result<()> {
     if header.point_format <= 5 {
         let problem = format!("COPC needs point format 6 to 10, but this is format {}", header.point_format);
         return Err(Error::unusable(source, problem, "write the points with `version = \"1.4\"`"));
@@ -215,19 +222,19 @@ struct Reshape {
 }
 
 impl Reshape {
-    fn of(source: &Path, header: &Header) -> Result<Reshape> {
+    fn of(source: &Path, header: &LasHeader) -> Result<Reshape> {
         let format = match header.point_format {
             9 => 6,
             10 => 8,
             format => format,
         };
-        let extra = Layout::of(header.point_format).length;
+        let extra = PointLayout::of(header.point_format).length;
         let extra_length = usize::from(header.record_length).checked_sub(extra);
         let extra_length = extra_length.and_then(|length| u16::try_from(length).ok()).ok_or_else(|| {
             let problem = format!("{} bytes are too few for its point format", header.record_length);
             Error::malformed(source, 105, "point data record length", problem, "export the file again")
         })?;
-        Ok(Reshape { format, head: Layout::of(format).length, extra, extra_length })
+        Ok(Reshape { format, head: PointLayout::of(format).length, extra, extra_length })
     }
 
     /// Returns the length of a COPC record, bytes.
@@ -258,7 +265,7 @@ struct CopcWriter<'a, W> {
     metadata: Metadata,
     laz: LazVlr,
     table: ChunkTable,
-    entries: Vec<Entry>,
+    entries: Vec<HierarchyEntry>,
     /// Offset of the field for the offset of the chunk table.
     table_offset_at: u64,
     /// Offset of the next chunk.
@@ -287,7 +294,7 @@ impl<'a, W: Write + Seek> CopcWriter<'a, W> {
     }
 
     /// Compresses a node as one chunk, sorted by time.
-    fn write_node(&mut self, node: &Node) -> Result<()> {
+    fn write_node(&mut self, node: &OctreeNode) -> Result<()> {
         let length = self.laz.items_size() as usize;
         let mut records: Vec<&[u8]> = node.records.chunks_exact(length).collect();
         records.sort_by(|one, other| gps_time(one).total_cmp(&gps_time(other)));
@@ -301,7 +308,13 @@ impl<'a, W: Write + Seek> CopcWriter<'a, W> {
         self.sink.write_all(&chunk).map_err(Error::io(self.path, "write"))?;
         self.table
             .push(ChunkTableEntry { point_count: records.len() as u64, byte_count: chunk.len() as u64 });
-        self.entries.push(Entry { level: node.level, prefix: node.prefix, at: self.at, bytes, points });
+        self.entries.push(HierarchyEntry {
+            level: node.level,
+            prefix: node.prefix,
+            at: self.at,
+            bytes,
+            points,
+        });
         self.at += chunk.len() as u64;
         Ok(())
     }

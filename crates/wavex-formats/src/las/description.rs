@@ -4,29 +4,29 @@ use std::io::{BufRead, Seek};
 use std::path::Path;
 
 use super::extra_bytes::{self, ExtraBytes};
-use super::header::Header;
+use super::header::LasHeader;
 use super::vlr::{self, SPEC, Vlr};
 use crate::{RecordedCrs, Result};
 
 /// Header and records of a LAS, LAZ or COPC file.
 #[derive(Debug, Clone)]
-pub struct Description {
+pub struct LasDescription {
     /// Public header block.
-    pub header: Header,
+    pub header: LasHeader,
     /// VLRs and EVLRs.
     pub vlrs: Vec<Vlr>,
 }
 
-impl Description {
+impl LasDescription {
     /// Reads a file of `file_length` bytes from its first byte; `path` names it in errors.
     ///
     /// # Errors
     /// The file is not LAS, is cut off, or has contradictory sizes.
-    pub fn read(input: &mut (impl BufRead + Seek), path: &Path, file_length: u64) -> Result<Description> {
-        let header = Header::read(input, path, file_length)?;
+    pub fn read(input: &mut (impl BufRead + Seek), path: &Path, file_length: u64) -> Result<LasDescription> {
+        let header = LasHeader::read(input, path, file_length)?;
         let mut vlrs = vlr::read_vlrs(input, path, &header)?;
         vlrs.extend(vlr::read_evlrs(input, path, &header, file_length)?);
-        Ok(Description { header, vlrs })
+        Ok(LasDescription { header, vlrs })
     }
 
     /// Returns the descriptors of the extra bytes.

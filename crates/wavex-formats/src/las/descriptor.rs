@@ -21,7 +21,7 @@ pub(super) const FIRST_DESCRIPTOR: u16 = 100;
 
 /// Storage and spacing of the samples of a waveform packet.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Descriptor {
+pub struct PacketDescriptor {
     /// Bits per sample; 2 to 32 by the specification.
     pub bits: u8,
     /// Compression type; only 0 (none) is defined.
@@ -40,7 +40,7 @@ pub struct Descriptor {
 ///
 /// Record ID minus 99, from 1 to 255.
 #[derive(Debug, Default)]
-pub(super) struct Descriptors(Vec<Option<Descriptor>>);
+pub(super) struct Descriptors(Vec<Option<PacketDescriptor>>);
 
 impl Descriptors {
     /// Collects the descriptors among `records`.
@@ -56,7 +56,7 @@ impl Descriptors {
         Descriptors(all)
     }
 
-    pub(super) fn get(&self, index: u8) -> Option<&Descriptor> {
+    pub(super) fn get(&self, index: u8) -> Option<&PacketDescriptor> {
         self.0.get(usize::from(index)).and_then(Option::as_ref)
     }
 
@@ -73,8 +73,8 @@ impl Descriptors {
     }
 }
 
-fn parse(fields: &mut Fields) -> Result<Descriptor> {
-    Ok(Descriptor {
+fn parse(fields: &mut Fields) -> Result<PacketDescriptor> {
+    Ok(PacketDescriptor {
         bits: fields.u8("bits per sample")?,
         compression: fields.u8("waveform compression type")?,
         samples: fields.u32("number of samples")?,
@@ -84,7 +84,7 @@ fn parse(fields: &mut Fields) -> Result<Descriptor> {
     })
 }
 
-impl Descriptor {
+impl PacketDescriptor {
     /// Returns the length of a packet, bytes.
     ///
     /// Samples are packed without padding.
@@ -96,9 +96,9 @@ impl Descriptor {
     ///
     /// Samples of 9 to 15 bits may be stored in words of 16 bits: such a packet has two bytes per
     /// sample.
-    pub(super) fn as_stored(&self, wave: &Wave) -> Descriptor {
+    pub(super) fn as_stored(&self, wave: &Wave) -> PacketDescriptor {
         let is_in_words = (9..16).contains(&self.bits) && u64::from(wave.size) == 2 * u64::from(self.samples);
-        Descriptor { bits: if is_in_words { 16 } else { self.bits }, ..*self }
+        PacketDescriptor { bits: if is_in_words { 16 } else { self.bits }, ..*self }
     }
 
     /// Number of bytes of a packet that this descriptor, as [`Reader::packet`] returns it, does not
@@ -177,8 +177,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn descriptor(bits: u8, samples: u32) -> Descriptor {
-        Descriptor { bits, compression: 0, samples, spacing_ps: 1000, gain: 1.0, offset: 0.0 }
+    fn descriptor(bits: u8, samples: u32) -> PacketDescriptor {
+        PacketDescriptor { bits, compression: 0, samples, spacing_ps: 1000, gain: 1.0, offset: 0.0 }
     }
 
     fn vlr(record_id: u16, data: &[u8]) -> Vlr {
@@ -202,8 +202,14 @@ mod tests {
         bytes.extend((-2.0f64).to_le_bytes());
         let records = [vlr(99, &bytes), vlr(100, &bytes), vlr(354, &bytes), vlr(101, &bytes[..25])];
         let descriptors = Descriptors::collect(Path::new("f"), records.iter());
-        let expected =
-            Descriptor { bits: 16, compression: 0, samples: 60, spacing_ps: 1000, gain: 0.5, offset: -2.0 };
+        let expected = PacketDescriptor {
+            bits: 16,
+            compression: 0,
+            samples: 60,
+            spacing_ps: 1000,
+            gain: 0.5,
+            offset: -2.0,
+        };
         assert_eq!(descriptors.get(1), Some(&expected));
         assert_eq!(expected.encode().as_slice(), bytes);
         assert_eq!(descriptors.get(255), Some(&expected));
@@ -214,11 +220,11 @@ mod tests {
 
     #[test]
     fn what_cannot_be_read_is_said() {
-        let said = |descriptor: Descriptor| descriptor.obstacle().map(|(problem, _)| problem);
+        let said = |descriptor: PacketDescriptor| descriptor.obstacle().map(|(problem, _)| problem);
         assert_eq!(said(descriptor(8, 60)), None);
         assert_eq!(said(descriptor(8, 0)).as_deref(), Some("it is empty (0 samples every 1000 ps)"));
         assert_eq!(
-            said(Descriptor { spacing_ps: 0, ..descriptor(8, 60) }).as_deref(),
+            said(PacketDescriptor { spacing_ps: 0, ..descriptor(8, 60) }).as_deref(),
             Some("it is empty (60 samples every 0 ps)")
         );
         assert_eq!(said(descriptor(8, MOST_SAMPLES)), None);
@@ -227,7 +233,7 @@ mod tests {
             Some("4194305 samples exceed the limit of 4194304")
         );
         assert_eq!(
-            said(Descriptor { compression: 1, ..descriptor(8, 60) }).as_deref(),
+            said(PacketDescriptor { compression: 1, ..descriptor(8, 60) }).as_deref(),
             Some("compression 1 is not defined")
         );
         assert_eq!(

@@ -3,7 +3,7 @@
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
-use super::header::Header;
+use super::header::LasHeader;
 use super::vlr::{self, Vlr};
 use crate::{Error, Result};
 
@@ -19,7 +19,7 @@ const REMEDY: &str = "correct the number of points in the header, or export the 
 pub(super) fn surplus_bytes(
     input: &mut (impl Read + Seek),
     file: &Path,
-    header: &Header,
+    header: &LasHeader,
     evlrs: &[Vlr],
     packets: Option<u64>,
     file_length: u64,

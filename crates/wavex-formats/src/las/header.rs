@@ -6,11 +6,11 @@ use std::io::Read;
 use std::path::Path;
 
 use super::encoding;
-use super::point::Layout;
+use super::point::PointLayout;
 use crate::bytes::{Fields, text};
 use crate::{Error, Result};
 
-/// Length of the longest header, bytes: that of LAS 1.5.
+/// Length of the longest header (LAS 1.5), bytes.
 const LONGEST: u16 = 393;
 const DAMAGED: &str = "the header is damaged: export the file again";
 const CUT_OFF: &str = "the file is cut off: copy it again from its source";
@@ -51,7 +51,7 @@ pub enum GpsTime {
 
 /// Public header block.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Header {
+pub struct LasHeader {
     /// File source ID (flight line), 0 if unassigned.
     pub file_source_id: u16,
     /// Field "global encoding" as stored.
@@ -110,23 +110,24 @@ pub struct Header {
     pub time_offset_megaseconds: u16,
 }
 
-impl Header {
+impl LasHeader {
     /// Reads the header at the start of `file`, which has `file_length` bytes.
     ///
     /// # Errors
     /// The file is empty, is not LAS, has an unknown version or point format, or contradictory
     /// sizes; or reading fails.
-    pub(super) fn read(input: &mut impl Read, file: &Path, file_length: u64) -> Result<Header> {
-        let (header, missing) = Header::read_partial(input, file, file_length)?;
+    pub(super) fn read(input: &mut impl Read, file: &Path, file_length: u64) -> Result<LasHeader> {
+        let (header, missing) = LasHeader::read_partial(input, file, file_length)?;
         missing.map_or(Ok(header), Err)
     }
 
-    /// As [`Header::read`], with the number of points that the file has, and the error if more are declared.
+    /// As [`LasHeader::read`], with the number of points in the file, and the error if more are
+    /// declared.
     pub(super) fn read_partial(
         input: &mut impl Read,
         file: &Path,
         file_length: u64,
-    ) -> Result<(Header, Option<Error>)> {
+    ) -> Result<(LasHeader, Option<Error>)> {
         let mut bytes = Vec::with_capacity(LONGEST.into());
         input.take(LONGEST.into()).read_to_end(&mut bytes).map_err(Error::io(file, "read the header"))?;
         let mut fields = Fields::new(file, 0, &bytes);
@@ -149,7 +150,7 @@ impl Header {
         let scale = scale(&mut fields)?;
         let offset = offset(&mut fields)?;
         let (min, max) = bounds(&mut fields)?;
-        let mut header = Header {
+        let mut header = LasHeader {
             file_source_id,
             global_encoding,
             guid,
@@ -183,7 +184,7 @@ impl Header {
         Ok((header, missing))
     }
 
-    /// Encodes the header: [`Header::header_size`] bytes, zero after the fields of the version.
+    /// Encodes the header: [`LasHeader::header_size`] bytes, zero after the fields of the version.
     ///
     /// Texts are truncated, and counts saturate. Formats 6 and above of LAS 1.4 have no legacy
     /// counts. The GPS time bounds of LAS 1.5 are zero.
@@ -380,7 +381,7 @@ fn point_format(fields: &mut Fields, version: (u8, u8)) -> Result<(u8, bool)> {
 fn record_length(fields: &mut Fields, format: u8) -> Result<u16> {
     let start = fields.clone();
     let length = fields.u16("point data record length")?;
-    let least = Layout::of(format).length;
+    let least = PointLayout::of(format).length;
     if usize::from(length) >= least {
         return Ok(length);
     }

@@ -51,7 +51,7 @@ pub fn beside(points: &Path) -> [PathBuf; 2] {
 pub(super) struct Lax {
     /// Cell length: a power of two, in units of the coordinates.
     cell_length: f64,
-    cells: BTreeMap<GridCell, Cell>,
+    cells: BTreeMap<GridCell, IndexCell>,
     n_intervals: usize,
     most_intervals: usize,
     /// Current run of consecutive points in one cell.
@@ -63,7 +63,7 @@ pub(super) struct Lax {
 type GridCell = (i64, i64);
 
 #[derive(Debug, Default, PartialEq)]
-struct Cell {
+struct IndexCell {
     points: u32,
     /// First and last point of each interval, in order.
     intervals: Vec<(u32, u32)>,
@@ -126,13 +126,13 @@ impl Lax {
     /// Doubles the cell length.
     fn coarsen(&mut self) {
         self.cell_length *= 2.0;
-        let mut coarse: BTreeMap<GridCell, Cell> = BTreeMap::new();
+        let mut coarse: BTreeMap<GridCell, IndexCell> = BTreeMap::new();
         for ((column, row), cell) in std::mem::take(&mut self.cells) {
             let into = coarse.entry((column >> 1, row >> 1)).or_default();
             into.points += cell.points;
             into.intervals.extend(cell.intervals);
         }
-        coarse.values_mut().for_each(Cell::join);
+        coarse.values_mut().for_each(IndexCell::join);
         self.n_intervals = coarse.values().map(|cell| cell.intervals.len()).sum();
         self.cells = coarse;
     }
@@ -162,7 +162,7 @@ impl Lax {
         }
         out.extend(b"LASV\0\0\0\0");
         out.extend((self.cells.len() as u32).to_le_bytes());
-        let mut cells: Vec<(u32, &Cell)> = self
+        let mut cells: Vec<(u32, &IndexCell)> = self
             .cells
             .iter()
             .map(|((column, row), cell)| (index(levels, column - low.0, row - low.1), cell))
@@ -203,7 +203,7 @@ fn place(x: f64, y: f64, cell_length: f64) -> GridCell {
     ((x / cell_length).floor() as i64, (y / cell_length).floor() as i64)
 }
 
-impl Cell {
+impl IndexCell {
     /// Sorts the intervals and joins those with small gaps.
     ///
     /// Intervals of different cells may overlap, because gaps that are read may hold points of

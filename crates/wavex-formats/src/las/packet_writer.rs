@@ -5,7 +5,7 @@
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use super::descriptor::Descriptor;
+use super::descriptor::PacketDescriptor;
 use super::vlr::{EVLR_HEADER, SPEC, Vlr, WAVEFORM_PACKETS};
 use crate::{Error, Result};
 
@@ -20,13 +20,13 @@ pub struct PacketWriter<W> {
     path: PathBuf,
     /// Number of bytes written, record header included.
     end: u64,
-    kinds: Vec<Descriptor>,
+    kinds: Vec<PacketDescriptor>,
     packet: Vec<u8>,
 }
 
 /// Reference to a written packet, for its points.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Packet {
+pub struct PacketReference {
     /// Descriptor index of the packet kind, from 1.
     pub descriptor: u8,
     /// Offset of the packet from the record header, bytes.
@@ -56,9 +56,9 @@ impl<W: Write + Seek> PacketWriter<W> {
     ///
     /// # Errors
     /// Writing fails.
-    pub fn add(&mut self, samples: &[u16], spacing_ps: u32) -> Result<Option<Packet>> {
+    pub fn add(&mut self, samples: &[u16], spacing_ps: u32) -> Result<Option<PacketReference>> {
         let is_narrow = samples.iter().all(|&sample| sample <= u16::from(u8::MAX));
-        let kind = Descriptor {
+        let kind = PacketDescriptor {
             bits: if is_narrow { 8 } else { 16 },
             compression: 0,
             samples: samples.len() as u32,
@@ -79,10 +79,10 @@ impl<W: Write + Seek> PacketWriter<W> {
         self.sink.write_all(&self.packet).map_err(Error::io(&self.path, "write"))?;
         let (offset, size) = (self.end, self.packet.len() as u32);
         self.end += u64::from(size);
-        Ok(Some(Packet { descriptor: index as u8 + 1, offset, size }))
+        Ok(Some(PacketReference { descriptor: index as u8 + 1, offset, size }))
     }
 
-    fn add_kind(&mut self, kind: Descriptor) -> Option<usize> {
+    fn add_kind(&mut self, kind: PacketDescriptor) -> Option<usize> {
         let index = self.kinds.len();
         (index < MOST_KINDS).then(|| {
             self.kinds.push(kind);
@@ -96,7 +96,7 @@ impl<W: Write + Seek> PacketWriter<W> {
     ///
     /// # Errors
     /// Writing fails.
-    pub fn finish(self) -> Result<(W, Vec<Descriptor>)> {
+    pub fn finish(self) -> Result<(W, Vec<PacketDescriptor>)> {
         let PacketWriter { mut sink, path, end, kinds, .. } = self;
         let mut patch = || {
             sink.seek(SeekFrom::Start(0))?;
@@ -135,7 +135,7 @@ mod tests {
             writer.add(&[], 1000).unwrap(),
             writer.add(&[1], 0).unwrap(),
         ];
-        let packet = |descriptor, offset, size| Some(Packet { descriptor, offset, size });
+        let packet = |descriptor, offset, size| Some(PacketReference { descriptor, offset, size });
         assert_eq!(packets, [packet(1, 60, 3), packet(2, 63, 6), packet(1, 69, 3), None, None]);
         let (sink, kinds) = writer.finish().unwrap();
         assert_eq!(kinds.iter().map(|kind| (kind.bits, kind.samples)).collect::<Vec<_>>(), [(8, 3), (16, 3)]);

@@ -10,7 +10,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::encoding;
-use super::header::Header;
+use super::header::LasHeader;
 use super::vlr::{self, EVLR_HEADER, SPEC, Vlr, WAVEFORM_PACKETS};
 use crate::extensions::{PACKETS, beside};
 use crate::{Error, Result, regular_file};
@@ -47,20 +47,22 @@ pub(super) struct Packets {
 /// and the header does not decide.
 pub(super) fn find(
     path: &Path,
-    header: &Header,
+    header: &LasHeader,
     evlrs: &[Vlr],
     input: &mut (impl Read + Seek),
     file_length: u64,
 ) -> Result<Option<Packets>> {
     let inside = inside(path, header, evlrs, input, file_length)?;
-    let beside = beside(path, PACKETS);
     let says = |bit| header.global_encoding & bit != 0;
     let (takes_inside, takes_beside) = (says(encoding::WAVES_INSIDE), says(encoding::WAVES_BESIDE));
-    match (inside, beside) {
+    // The search for a separate file may list the folder.
+    if let Some(record) = inside.as_ref().filter(|_| takes_inside && !takes_beside) {
+        return Packets::inside(path, record).map(Some);
+    }
+    match (inside, beside(path, PACKETS)) {
         (None, None) => Ok(None),
         (Some(record), None) => Packets::inside(path, &record).map(Some),
         (None, Some(beside)) => Packets::beside(&beside).map(Some),
-        (Some(record), Some(_)) if takes_inside && !takes_beside => Packets::inside(path, &record).map(Some),
         (Some(_), Some(beside)) if takes_beside && !takes_inside => Packets::beside(&beside).map(Some),
         (Some(_), Some(beside)) => Err(Error::malformed(
             path,
@@ -82,7 +84,7 @@ pub(super) fn find(
 /// after the last point.
 fn inside(
     path: &Path,
-    header: &Header,
+    header: &LasHeader,
     evlrs: &[Vlr],
     input: &mut (impl Read + Seek),
     file_length: u64,

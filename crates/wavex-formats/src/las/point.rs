@@ -52,7 +52,7 @@ pub struct Point {
     ///
     /// The file or flight line of the point.
     pub point_source_id: u16,
-    /// Time in the system of [`Header::gps_time`](super::Header::gps_time), s.
+    /// Time in the system of [`LasHeader::gps_time`](super::LasHeader::gps_time), s.
     ///
     /// 0 in formats without time.
     pub gps_time: f64,
@@ -98,7 +98,7 @@ impl Wave {
 
 /// Field layout of a point format.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Layout {
+pub(super) struct PointLayout {
     /// Length of the format's fields, bytes; extra bytes follow.
     pub(super) length: usize,
     /// Whether the format is 0 to 5.
@@ -110,9 +110,9 @@ pub(super) struct Layout {
     pub(super) wave: Option<usize>,
 }
 
-impl Layout {
+impl PointLayout {
     /// Returns the layout of `format`, at most 10.
-    pub(super) fn of(format: u8) -> Layout {
+    pub(super) fn of(format: u8) -> PointLayout {
         let (length, wave) = match format {
             0 => (20, None),
             1 => (28, None),
@@ -131,10 +131,10 @@ impl Layout {
             1..=5 => Some(20),
             _ => Some(22),
         };
-        Layout { length, legacy: format <= 5, gps_time, wave }
+        PointLayout { length, legacy: format <= 5, gps_time, wave }
     }
 
-    /// Decodes a record of at least [`Layout::length`] bytes.
+    /// Decodes a record of at least [`PointLayout::length`] bytes.
     pub(super) fn decode(&self, record: &[u8], scale: &[f64; 3], offset: &[f64; 3], point: &mut Point) {
         point.raw = std::array::from_fn(|axis| i32::from_le_bytes(at(record, 4 * axis)));
         [point.x, point.y, point.z] =
@@ -213,7 +213,7 @@ mod tests {
 
     fn decode(format: u8, record: &[u8]) -> Point {
         let mut point = Point::default();
-        Layout::of(format).decode(record, &UNIT.0, &UNIT.1, &mut point);
+        PointLayout::of(format).decode(record, &UNIT.0, &UNIT.1, &mut point);
         point
     }
 
@@ -300,7 +300,7 @@ mod tests {
             let mut record = vec![0; colours_at];
             record.extend(vec![0xaa; colours]);
             record.extend(wave_bytes());
-            assert_eq!(record.len(), Layout::of(format).length);
+            assert_eq!(record.len(), PointLayout::of(format).length);
             assert_eq!(decode(format, &record).wave, WAVE);
         }
     }
@@ -308,7 +308,7 @@ mod tests {
     #[test]
     fn formats_without_waveforms_have_none() {
         for (format, length) in [(0, 20), (1, 28), (2, 26), (3, 34), (6, 30), (7, 36), (8, 38)] {
-            assert_eq!(Layout::of(format).length, length);
+            assert_eq!(PointLayout::of(format).length, length);
             assert_eq!(decode(format, &vec![1; length]).wave, Wave::default());
         }
     }

@@ -71,7 +71,7 @@ pub struct PointOut {
 impl PointOut {
     /// Encodes the bytes between intensity and time, from the lowest.
     ///
-    /// There are 8 bytes, or 6 in formats 0 to 5. Those of the scan angle are 0.
+    /// There are 8 bytes, or 6 in formats 0 to 5. The bytes of the scan angle are 0.
     #[inline]
     pub(super) fn fields(&self, format: u8) -> u64 {
         let bytes = if format <= 5 { self.legacy_fields() } else { self.new_fields() };
@@ -119,7 +119,7 @@ pub(super) fn scan_angle_steps(format: u8) -> Steps {
 
 #[cfg(test)]
 mod tests {
-    use super::super::point::{Layout, Point};
+    use super::super::point::{Point, PointLayout};
     use super::super::tests::made::any_point;
     use super::super::writer::record;
     use super::*;
@@ -128,9 +128,9 @@ mod tests {
     /// Encodes and decodes a point.
     fn back(format: u8, point: &PointOut, raw: [i32; 3]) -> Point {
         let record = record(format, point, raw);
-        assert_eq!(record.len(), Layout::of(format).length);
+        assert_eq!(record.len(), PointLayout::of(format).length);
         let mut point = Point::default();
-        Layout::of(format).decode(&record, &[1.0; 3], &[0.0; 3], &mut point);
+        PointLayout::of(format).decode(&record, &[1.0; 3], &[0.0; 3], &mut point);
         point
     }
 

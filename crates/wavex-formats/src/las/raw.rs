@@ -5,17 +5,17 @@
 use std::io::BufReader;
 use std::path::Path;
 
-use super::description::Description;
+use super::description::LasDescription;
 use super::extra_bytes::ExtraBytes;
-use super::header::Header;
-use super::point::Layout;
+use super::header::LasHeader;
+use super::point::PointLayout;
 use super::records::RecordReader;
 use super::vlr::Vlr;
 use crate::{Error, Result, regular_file};
 
 /// Reader of header, VLRs and raw records of a file.
 pub struct RawPoints {
-    description: Description,
+    description: LasDescription,
     fields: Vec<RawField>,
     records: RecordReader,
 }
@@ -53,16 +53,16 @@ impl RawPoints {
         let file = regular_file(path)?;
         let file_length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
         let mut input = BufReader::new(file);
-        let description = Description::read(&mut input, path, file_length)?;
+        let description = LasDescription::read(&mut input, path, file_length)?;
         let header = &description.header;
         let mut fields = standard(header.point_format);
-        fields.extend(extra(&description.extra_bytes(path)?, Layout::of(header.point_format).length));
+        fields.extend(extra(&description.extra_bytes(path)?, PointLayout::of(header.point_format).length));
         let records = RecordReader::open(path, header, &description.vlrs, file_length)?;
         Ok(RawPoints { description, fields, records })
     }
 
     /// Returns the public header block.
-    pub fn header(&self) -> &Header {
+    pub fn header(&self) -> &LasHeader {
         &self.description.header
     }
 
@@ -165,7 +165,7 @@ fn standard(format: u8) -> Vec<RawField> {
             fields.push(field("near infrared", 36, Unsigned(2)));
         }
     }
-    if let Some(start) = Layout::of(format).wave {
+    if let Some(start) = PointLayout::of(format).wave {
         fields.extend([
             field("wave packet descriptor", start, Unsigned(1)),
             field("byte offset to waveform data", start + 1, Unsigned(8)),
@@ -205,7 +205,7 @@ mod tests {
     #[test]
     fn fields_fill_every_format_without_a_gap() {
         for format in 0..=10 {
-            let layout = Layout::of(format);
+            let layout = PointLayout::of(format);
             let mut fields = standard(format);
             fields.sort_by_key(|field| field.start);
             let mut end = 0;

@@ -4,12 +4,12 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use super::descriptor::{Descriptor, Descriptors};
+use super::descriptor::{Descriptors, PacketDescriptor};
 use super::extent;
 use super::extra_bytes::{self, ExtraBytes};
-use super::header::Header;
+use super::header::LasHeader;
 use super::packets::{self, Packets};
-use super::point::{Layout, Point, Wave};
+use super::point::{Point, PointLayout, Wave};
 use super::records::RecordReader;
 use super::vlr::{self, PROJECTION, SPEC, Vlr};
 use crate::{Error, RecordedCrs, Result, regular_file};
@@ -20,12 +20,12 @@ use crate::{Error, RecordedCrs, Result, regular_file};
 /// only the header.
 pub struct Reader {
     path: PathBuf,
-    header: Header,
+    header: LasHeader,
     vlrs: Vec<Vlr>,
     evlrs: Vec<Vlr>,
     descriptors: Descriptors,
     extra_bytes: Vec<ExtraBytes>,
-    layout: Layout,
+    layout: PointLayout,
     records: RecordReader,
     packets: Option<Packets>,
     surplus_bytes: u64,
@@ -52,15 +52,15 @@ impl Reader {
         let file = regular_file(path)?;
         let file_length = file.metadata().map_err(Error::io(path, "find the length"))?.len();
         let mut input = BufReader::new(file);
-        let (header, missing) = Header::read_partial(&mut input, path, file_length)?;
+        let (header, missing) = LasHeader::read_partial(&mut input, path, file_length)?;
         match Reader::begin(path, header, input, file_length) {
             Ok(reader) => Ok((reader, missing)),
             Err(error) => Err(missing.unwrap_or(error)),
         }
     }
 
-    fn begin(path: &Path, header: Header, mut input: BufReader<File>, file_length: u64) -> Result<Reader> {
-        let layout = Layout::of(header.point_format);
+    fn begin(path: &Path, header: LasHeader, mut input: BufReader<File>, file_length: u64) -> Result<Reader> {
+        let layout = PointLayout::of(header.point_format);
         if layout.wave.is_none() {
             let problem = format!("no waveforms in point data format {}", header.point_format);
             let remedy = "export the flight with waveforms, as LAS point format 4, 5, 9 or 10";
@@ -96,7 +96,7 @@ impl Reader {
     }
 
     /// Returns the public header block.
-    pub fn header(&self) -> &Header {
+    pub fn header(&self) -> &LasHeader {
         &self.header
     }
 
@@ -157,8 +157,8 @@ impl Reader {
     /// Omits fields that the reading of waveforms does not need, where the file is compressed by
     /// layers (formats 6 to 10).
     ///
-    /// Classification, user data, point source ID, colours and extra bytes of most points are then
-    /// those of an earlier point. Decoding takes time in proportion to the fields.
+    /// Most points then have the classification, user data, point source ID, colours and extra bytes
+    /// of an earlier point. Decoding takes time in proportion to the fields.
     pub fn skip_unused_fields(&mut self) {
         self.records.skip_unused_fields();
     }
@@ -183,7 +183,7 @@ impl Reader {
     /// # Errors
     /// The point has no waveform, or its descriptor is missing or unsupported. Other points may be
     /// valid.
-    pub fn descriptor(&self, wave: &Wave) -> Result<&Descriptor> {
+    pub fn descriptor(&self, wave: &Wave) -> Result<&PacketDescriptor> {
         let index = wave.descriptor;
         let bad = |problem: String, remedy| Error::unusable(&self.path, problem, remedy);
         if index == 0 {
@@ -212,7 +212,7 @@ impl Reader {
     /// # Errors
     /// As [`Reader::descriptor`]; or the packet is too short or outside the waveform data. Other
     /// points may be valid.
-    pub fn packet(&mut self, wave: &Wave, samples: &mut Vec<u16>) -> Result<Descriptor> {
+    pub fn packet(&mut self, wave: &Wave, samples: &mut Vec<u16>) -> Result<PacketDescriptor> {
         samples.clear();
         let descriptor = self.packet_descriptor(wave)?;
         let Some(packets) = &mut self.packets else { return Err(packets::missing(&self.path)) };
@@ -224,7 +224,7 @@ impl Reader {
     ///
     /// # Errors
     /// As [`Reader::packet`].
-    pub fn packet_descriptor(&self, wave: &Wave) -> Result<Descriptor> {
+    pub fn packet_descriptor(&self, wave: &Wave) -> Result<PacketDescriptor> {
         let descriptor = self.descriptor(wave)?.as_stored(wave);
         let length = descriptor.packet_bytes();
         if length > u64::from(wave.size) {

@@ -5,7 +5,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use super::chunks::Chunks;
-use super::header::Header;
+use super::header::LasHeader;
 use super::vlr::Vlr;
 use crate::{Error, Result, regular_file};
 
@@ -14,7 +14,7 @@ const SLAB: u64 = 1024;
 
 /// Iterator over the records of a file.
 pub(super) struct RecordReader {
-    source: Source,
+    source: RecordSource,
     record_length: usize,
     /// Number of records in the file.
     count: u64,
@@ -25,7 +25,7 @@ pub(super) struct RecordReader {
     at: usize,
 }
 
-enum Source {
+enum RecordSource {
     /// The file, its path and the offset of its first point.
     Plain(File, PathBuf, u64),
     Compressed(Box<Chunks>),
@@ -36,14 +36,19 @@ impl RecordReader {
     ///
     /// # Errors
     /// The LASzip record is missing or contradicts the header.
-    pub(super) fn open(path: &Path, header: &Header, vlrs: &[Vlr], file_length: u64) -> Result<RecordReader> {
+    pub(super) fn open(
+        path: &Path,
+        header: &LasHeader,
+        vlrs: &[Vlr],
+        file_length: u64,
+    ) -> Result<RecordReader> {
         let mut file = regular_file(path)?;
         let source = if header.compressed {
-            Source::Compressed(Box::new(Chunks::open(file, path, header, vlrs, file_length)?))
+            RecordSource::Compressed(Box::new(Chunks::open(file, path, header, vlrs, file_length)?))
         } else {
             let start = u64::from(header.offset_to_points);
             file.seek(SeekFrom::Start(start)).map_err(Error::io(path, "seek to the points"))?;
-            Source::Plain(file, path.to_path_buf(), start)
+            RecordSource::Plain(file, path.to_path_buf(), start)
         };
         let record_length = header.record_length.into();
         let count = header.n_points;
@@ -52,7 +57,7 @@ impl RecordReader {
 
     /// See [`Reader::skip_unused_fields`](super::Reader::skip_unused_fields).
     pub(super) fn skip_unused_fields(&mut self) {
-        if let Source::Compressed(chunks) = &mut self.source {
+        if let RecordSource::Compressed(chunks) = &mut self.source {
             chunks.skip_unused_fields();
         }
     }
@@ -66,11 +71,11 @@ impl RecordReader {
         (self.at, self.left) = (0, 0);
         let Some(left) = self.count.checked_sub(index) else { return Ok(()) };
         match &mut self.source {
-            Source::Plain(file, path, start) => {
+            RecordSource::Plain(file, path, start) => {
                 let to = SeekFrom::Start(*start + index * self.record_length as u64);
                 file.seek(to).map_err(Error::io(path, "seek to a point"))?;
             }
-            Source::Compressed(chunks) => chunks.seek(index)?,
+            RecordSource::Compressed(chunks) => chunks.seek(index)?,
         }
         self.left = left;
         Ok(())
@@ -93,10 +98,10 @@ impl RecordReader {
         self.slab.resize(count as usize * self.record_length, 0);
         self.left -= count;
         let filled = match &mut self.source {
-            Source::Plain(file, path, _) => {
+            RecordSource::Plain(file, path, _) => {
                 file.read_exact(&mut self.slab).map_err(Error::io(path, "read the points"))
             }
-            Source::Compressed(chunks) => chunks.fill(&mut self.slab),
+            RecordSource::Compressed(chunks) => chunks.fill(&mut self.slab),
         };
         if filled.is_err() {
             self.slab.clear();

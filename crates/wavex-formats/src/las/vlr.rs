@@ -8,7 +8,7 @@ use std::path::Path;
 
 use wavex_geodesy::crs::GeoKeys;
 
-use super::header::Header;
+use super::header::LasHeader;
 use crate::bytes::{Fields, text};
 use crate::{Error, RecordedCrs, Result};
 
@@ -117,7 +117,7 @@ impl Vlr {
 /// GeoTIFF keys are preferred only by files of LAS 1.4 on in point formats 0 to 5 without the WKT bit
 /// (LAS 1.4 R15, "Global Encoding").
 pub(super) fn recorded_crs<'a>(
-    header: &Header,
+    header: &LasHeader,
     records: impl Iterator<Item = &'a Vlr> + Clone,
 ) -> RecordedCrs {
     let of = |id| records.clone().filter(move |vlr| vlr.is(PROJECTION, id));
@@ -138,7 +138,11 @@ pub(super) fn recorded_crs<'a>(
 ///
 /// # Errors
 /// A record does not fit between the header and the points.
-pub(super) fn read_vlrs(input: &mut (impl BufRead + Seek), file: &Path, header: &Header) -> Result<Vec<Vlr>> {
+pub(super) fn read_vlrs(
+    input: &mut (impl BufRead + Seek),
+    file: &Path,
+    header: &LasHeader,
+) -> Result<Vec<Vlr>> {
     let (mut at, end) = (u64::from(header.header_size), u64::from(header.offset_to_points));
     seek(input, file, at)?;
     let mut vlrs = Vec::new();
@@ -162,7 +166,7 @@ pub(super) fn read_vlrs(input: &mut (impl BufRead + Seek), file: &Path, header: 
 pub(super) fn read_evlrs(
     input: &mut (impl BufRead + Seek),
     file: &Path,
-    header: &Header,
+    header: &LasHeader,
     file_length: u64,
 ) -> Result<Vec<Vlr>> {
     let mut at = header.start_of_evlrs;

@@ -13,20 +13,20 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use super::descriptor::Descriptor;
-use super::header::Header;
+use super::descriptor::PacketDescriptor;
+use super::header::LasHeader;
 use super::lax::Lax;
-use super::point::Layout;
+use super::point::PointLayout;
 use super::point_out::{LEGACY_RETURNS, PointOut, RETURNS};
 use super::round::nearest;
-use super::totals::Totals;
+use super::totals::PointTotals;
 use crate::{Error, Result};
 pub(super) use chunk::into_io;
 use compression::ChunkCompressor;
-pub use options::{IndexPlace, Version, WavePlace, WriterOptions};
+pub use options::{IndexPlace, LasVersion, WavePlace, WriterOptions};
 use records::EncodedVlrs;
 pub(super) use records::laz_record;
-use tile::Tile;
+use tile::PointTile;
 #[cfg(test)]
 pub(super) use tile::record;
 pub use tile::{ExtraColumns, TOGETHER};
@@ -43,21 +43,21 @@ const PLAIN_SLAB: usize = 4096;
 pub struct Writer<W> {
     sink: W,
     path: PathBuf,
-    version: Version,
-    header: Header,
+    version: LasVersion,
+    header: LasHeader,
     /// Length of a record, bytes.
     record_length: usize,
     /// Length of the standard fields of a record, bytes.
     standard_length: usize,
     /// Points being encoded.
-    tile: Box<Tile>,
+    tile: Box<PointTile>,
     /// Encoded records that are not yet written.
     slab: Vec<u8>,
     /// Size at which the slab is written, bytes.
     slab_bytes: usize,
     compression: Option<ChunkCompressor>,
     index: Option<Lax>,
-    totals: Totals,
+    totals: PointTotals,
     /// Offset reserved for the waveform descriptors.
     descriptors_at: u64,
 }
@@ -74,7 +74,7 @@ impl<W: Write + Seek> Writer<W> {
         options.check(path)?;
         let laz = compressed.then(|| records::laz_vlr(path, options)).transpose()?;
         let records = EncodedVlrs::new(path, options, laz.as_ref())?;
-        let standard_length = Layout::of(options.point_format()).length;
+        let standard_length = PointLayout::of(options.point_format()).length;
         let record_length = standard_length + options.extra_bytes();
         let mut header = options.header();
         let header_bytes = usize::from(header.header_size);
@@ -98,7 +98,7 @@ impl<W: Write + Seek> Writer<W> {
             header,
             record_length,
             standard_length,
-            tile: Box::new(Tile::new(options.point_format())),
+            tile: Box::new(PointTile::new(options.point_format())),
             slab: Vec::with_capacity(slab * record_length),
             slab_bytes: slab * record_length,
             compression: laz.map(|laz| {
@@ -106,7 +106,7 @@ impl<W: Write + Seek> Writer<W> {
                 ChunkCompressor::new(laz, offset_to_points as u64, special_evlrs_at, options.pool.clone())
             }),
             index: (options.index != IndexPlace::None).then(|| Lax::new(options.scale[0])),
-            totals: Totals::new(),
+            totals: PointTotals::new(),
             descriptors_at: (header_bytes + records.descriptors_at) as u64,
         })
     }
@@ -255,7 +255,11 @@ impl<W: Write + Seek> Writer<W> {
     ///
     /// # Errors
     /// Writing fails, or the packets cannot be read.
-    pub fn finish_with_waveforms(mut self, kinds: &[Descriptor], inside: Option<&mut dyn Read>) -> Result<W> {
+    pub fn finish_with_waveforms(
+        mut self,
+        kinds: &[PacketDescriptor],
+        inside: Option<&mut dyn Read>,
+    ) -> Result<W> {
         self.flush_slab()?;
         let index = self.take_index();
         self.totals.store(&mut self.header);
@@ -280,7 +284,7 @@ impl<W: Write + Seek> Writer<W> {
         if let Some(packets) = packets {
             io::copy(packets, sink)?;
             self.header.start_of_waveforms = packets_at;
-            if self.version == Version::V1_4 {
+            if self.version == LasVersion::V1_4 {
                 (self.header.start_of_evlrs, self.header.n_evlrs) = (packets_at, 1);
             }
         }

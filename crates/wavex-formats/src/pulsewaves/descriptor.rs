@@ -31,7 +31,7 @@ pub enum SegmentKind {
 /// compression field before the scanner index, in reverse of the specification's table; this reader
 /// follows the files.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Descriptor {
+pub struct PulseDescriptor {
     /// Sampling units from the optical centre to the anchor.
     ///
     /// `None` if not constant; 0 if they coincide.
@@ -49,7 +49,7 @@ pub struct Descriptor {
     /// Description of the descriptor.
     pub description: String,
     /// Samplings, in the order of their segments in the waves file.
-    pub samplings: Vec<Sampling>,
+    pub samplings: Vec<SamplingRecord>,
 }
 
 /// Sampling of a pulse (specification 0.3, "Sampling Records").
@@ -57,7 +57,7 @@ pub struct Descriptor {
 /// One or more segments of a detector. Version 0.3 declares neither gain nor offset of the
 /// digitiser.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Sampling {
+pub struct SamplingRecord {
     /// Outgoing or returning.
     pub kind: SegmentKind,
     /// Channel, from 0.
@@ -98,9 +98,9 @@ pub struct Sampling {
     pub description: String,
 }
 
-impl Descriptor {
+impl PulseDescriptor {
     /// Parses the payload of a descriptor record at byte `base` of `file`.
-    pub(super) fn parse(file: &Path, base: u64, payload: &[u8]) -> Result<Descriptor> {
+    pub(super) fn parse(file: &Path, base: u64, payload: &[u8]) -> Result<PulseDescriptor> {
         let mut f = Fields::new(file, base, payload);
         let (mut head, description) = record(file, &mut f, "composition record", COMPOSITION_BYTES)?;
         head.skip(8, "composition record: size, reserved")?;
@@ -112,9 +112,9 @@ impl Descriptor {
         let scanner_index = head.u32("scanner index")?;
         let mut samplings = Vec::new();
         for _ in 0..count {
-            samplings.push(Sampling::parse(file, &mut f)?);
+            samplings.push(SamplingRecord::parse(file, &mut f)?);
         }
-        Ok(Descriptor {
+        Ok(PulseDescriptor {
             optical_center_to_anchor: (center != NO_CONSTANT).then_some(center as i32),
             extra_wave_bytes,
             sample_units_ns,
@@ -128,7 +128,7 @@ impl Descriptor {
     /// Returns the sampling units per sample.
     ///
     /// 1, unless the descriptor mixes resolutions.
-    pub fn units_per_sample(&self, sampling: &Sampling) -> f64 {
+    pub fn units_per_sample(&self, sampling: &SamplingRecord) -> f64 {
         sampling.sample_units_ns / self.sample_units_ns
     }
 
@@ -150,8 +150,8 @@ impl Descriptor {
     }
 }
 
-impl Sampling {
-    fn parse<'a>(file: &'a Path, f: &mut Fields<'a>) -> Result<Sampling> {
+impl SamplingRecord {
+    fn parse<'a>(file: &'a Path, f: &mut Fields<'a>) -> Result<SamplingRecord> {
         let (mut f, description) = record(file, f, "sampling record", SAMPLING_BYTES)?;
         f.skip(8, "sampling record: size, reserved")?;
         let kind = match f.u8("type")? {
@@ -161,7 +161,7 @@ impl Sampling {
         };
         let channel = f.u8("channel")?;
         f.skip(1, "unused")?;
-        Ok(Sampling {
+        Ok(SamplingRecord {
             kind,
             channel,
             duration_bits: f.u8("bits for duration from anchor")?,

@@ -33,7 +33,7 @@ const EXPORT: &str = "export the file again from its source";
 ///
 /// The project GUID is not read.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Header {
+pub struct PulseHeader {
     /// Bit field of global properties; version 0.3 defines none.
     pub global_parameters: u32,
     /// Flight line or scan; 0 after merging several.
@@ -96,7 +96,7 @@ pub struct Header {
     pub max: [f64; 3],
 }
 
-/// Epoch of [`Header::gps_time_s`].
+/// Epoch of [`PulseHeader::gps_time_s`].
 ///
 /// The format has no flag for it (specification 0.3, "T Offset", "GPS timestamp T"); it is inferred
 /// from offset and values.
@@ -116,11 +116,11 @@ pub enum TimeAxis {
     Undecided,
 }
 
-impl Header {
+impl PulseHeader {
     /// Parses the header of `file`.
     ///
     /// `bytes` are its first [`HEADER_BYTES`], or all of a shorter file.
-    pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<Header> {
+    pub(super) fn parse(file: &Path, bytes: &[u8]) -> Result<PulseHeader> {
         check_signature(file, bytes)?;
         let mut f = Fields::new(file, 0, bytes);
         f.skip(16, "file signature")?;
@@ -152,7 +152,7 @@ impl Header {
             min[axis] = f.f64("min x, y, z")?;
             max[axis] = f.f64("max x, y, z")?;
         }
-        Ok(Header {
+        Ok(PulseHeader {
             global_parameters,
             source_id,
             system_identifier,
@@ -181,7 +181,7 @@ impl Header {
 
     /// Converts a raw `t` to GPS time, s.
     ///
-    /// `t * scale + offset`; see [`Header::time_axis`] for the epoch. With an offset of 1e9 s a
+    /// `t * scale + offset`; see [`PulseHeader::time_axis`] for the epoch. With an offset of 1e9 s a
     /// double resolves 0.12 µs: compare and order pulses by raw T.
     pub fn gps_time_s(&self, t: i64) -> f64 {
         t as f64 * self.t_scale_s + self.t_offset_s

@@ -2,23 +2,23 @@
 
 use std::path::Path;
 
-use super::header::Header;
+use super::header::PulseHeader;
 use crate::Result;
 use crate::bytes::Fields;
 
 /// Pulse record (specification 0.3, "Pulse Record Type 0", 48 bytes).
 ///
 /// Sample `k` of a segment is at `anchor + (duration + k * units_per_sample) * step`, where `step`
-/// is `(target - anchor) / 1000`: see [`Pulse::position`] and [`super::Segment::duration_of`].
+/// is `(target - anchor) / 1000`: see [`PulseRecord::position`] and [`super::Segment::duration_of`].
 #[derive(Debug, Clone, PartialEq)]
-pub struct Pulse {
+pub struct PulseRecord {
     /// Number of the pulse in the file, from 0.
     pub index: u64,
     /// GPS time as stored; exact, defines the order of pulses.
     pub t: i64,
-    /// GPS time, s: [`Header::gps_time_s`] of `t`.
+    /// GPS time, s: [`PulseHeader::gps_time_s`] of `t`.
     ///
-    /// See [`Header::time_axis`] for the epoch.
+    /// See [`PulseHeader::time_axis`] for the epoch.
     pub gps_time_s: f64,
     /// Offset of the waves from the start of the waves file, bytes.
     pub wave_offset: i64,
@@ -65,9 +65,15 @@ pub struct Pulse {
     pub source_id: Option<u32>,
 }
 
-impl Pulse {
+impl PulseRecord {
     /// Parses record `index` from its bytes, at byte `base` of `file`.
-    pub(super) fn parse(file: &Path, base: u64, bytes: &[u8], index: u64, header: &Header) -> Result<Pulse> {
+    pub(super) fn parse(
+        file: &Path,
+        base: u64,
+        bytes: &[u8],
+        index: u64,
+        header: &PulseHeader,
+    ) -> Result<PulseRecord> {
         let mut f = Fields::new(file, base, bytes);
         let t = f.i64("GPS timestamp T")?;
         let wave_offset = f.i64("offset to waves")?;
@@ -88,7 +94,7 @@ impl Pulse {
         let step = std::array::from_fn(|axis| {
             (f64::from(target_raw[axis]) - f64::from(anchor_raw[axis])) * header.scale[axis] / 1000.0
         });
-        Ok(Pulse {
+        Ok(PulseRecord {
             index,
             t,
             gps_time_s: header.gps_time_s(t),

@@ -19,7 +19,7 @@ const FLOAT: u8 = 8;
 
 /// Lookup tables of a record (`PulseWaves_Spec` 300001 to 300255).
 ///
-/// The layout is that of the reference library from revision 7 on; the text of specification 0.3
+/// The layout follows the reference library from revision 7 on; the text of specification 0.3
 /// only names them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LookupRecord {

@@ -5,10 +5,10 @@ use std::io::{Read, Seek};
 use std::path::Path;
 
 use super::UNCOMPRESS;
-use super::descriptor::{DESCRIPTION_BYTES, Descriptor, record};
-use super::header::Header;
+use super::descriptor::{DESCRIPTION_BYTES, PulseDescriptor, record};
+use super::header::PulseHeader;
 use super::table::LookupRecord;
-use super::window::Window;
+use super::window::FileWindow;
 use crate::bytes::Fields;
 use crate::{Error, Result};
 
@@ -20,7 +20,7 @@ const HEADER_BYTES: usize = 96;
 const SPEC: &str = "PulseWaves_Spec";
 /// User IDs of the coordinate reference system.
 ///
-/// The second is that of LAS.
+/// The second is the user ID in LAS.
 const PROJECTION: [&str; 2] = ["PulseWaves_Proj", "LASF_Projection"];
 /// Record ID of the marker of compressed pulses.
 const COMPRESSED: u32 = 5;
@@ -58,7 +58,7 @@ pub struct Record {
 ///
 /// Numbers are 0 if not set by the writer.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Scanner {
+pub struct ScannerRecord {
     /// Model name.
     pub instrument: String,
     /// Serial number.
@@ -99,7 +99,7 @@ pub struct Scanner {
 ///
 /// Records of `PulseWaves_Proj` or `LASF_Projection`; GeoTIFF keys as in LAS 1.4 R11.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Crs {
+pub struct StoredCrs {
     /// GeoKeyDirectory (34735): little-endian u16, four for the directory and four per key.
     pub geo_keys: Option<Vec<u8>>,
     /// GeoDoubleParams (34736): little-endian f64.
@@ -116,10 +116,10 @@ pub struct Crs {
 #[derive(Debug, Default)]
 pub(super) struct RecordSet {
     pub(super) list: Vec<Record>,
-    pub(super) scanners: BTreeMap<u8, Scanner>,
-    pub(super) descriptors: BTreeMap<u8, Descriptor>,
+    pub(super) scanners: BTreeMap<u8, ScannerRecord>,
+    pub(super) descriptors: BTreeMap<u8, PulseDescriptor>,
     pub(super) tables: BTreeMap<u8, LookupRecord>,
-    pub(super) crs: Crs,
+    pub(super) crs: StoredCrs,
     /// Offset of the appended records, if any.
     pub(super) appended_at: Option<u64>,
 }
@@ -128,7 +128,10 @@ impl RecordSet {
     /// Reads all records of the pulse file.
     ///
     /// An appended record replaces one of the same ID.
-    pub(super) fn read<R: Read + Seek>(window: &mut Window<R>, header: &Header) -> Result<RecordSet> {
+    pub(super) fn read<R: Read + Seek>(
+        window: &mut FileWindow<R>,
+        header: &PulseHeader,
+    ) -> Result<RecordSet> {
         let mut records = RecordSet::default();
         let mut at = u64::from(header.header_size);
         for number in 0..header.vlr_count {
@@ -145,7 +148,7 @@ impl RecordSet {
     }
 
     /// Stores the record and, if it is known, its content.
-    fn keep<R: Read + Seek>(&mut self, window: &mut Window<R>, record: Record) -> Result<()> {
+    fn keep<R: Read + Seek>(&mut self, window: &mut FileWindow<R>, record: Record) -> Result<()> {
         if record.user_id == SPEC {
             self.keep_defined(window, &record)?;
         } else if PROJECTION.contains(&record.user_id.as_str()) {
@@ -155,17 +158,17 @@ impl RecordSet {
         Ok(())
     }
 
-    fn keep_defined<R: Read + Seek>(&mut self, window: &mut Window<R>, record: &Record) -> Result<()> {
+    fn keep_defined<R: Read + Seek>(&mut self, window: &mut FileWindow<R>, record: &Record) -> Result<()> {
         let base = record.offset;
         if record.record_id == COMPRESSED {
             let problem = "its pulses are compressed (PulseZIP)";
             return Err(Error::unusable(window.file(), problem, UNCOMPRESS));
         } else if let Some(index) = index(record.record_id, 100_000) {
             let (file, bytes) = payload(window, record)?;
-            self.scanners.insert(index, Scanner::parse(file, base, bytes)?);
+            self.scanners.insert(index, ScannerRecord::parse(file, base, bytes)?);
         } else if let Some(index) = index(record.record_id, 200_000) {
             let (file, bytes) = payload(window, record)?;
-            self.descriptors.insert(index, Descriptor::parse(file, base, bytes)?);
+            self.descriptors.insert(index, PulseDescriptor::parse(file, base, bytes)?);
         } else if let Some(index) = index(record.record_id, 300_000) {
             let (file, bytes) = payload(window, record)?;
             self.tables.insert(index, LookupRecord::parse(file, base, bytes)?);
@@ -173,7 +176,7 @@ impl RecordSet {
         Ok(())
     }
 
-    fn keep_projection<R: Read + Seek>(&mut self, window: &mut Window<R>, record: &Record) -> Result<()> {
+    fn keep_projection<R: Read + Seek>(&mut self, window: &mut FileWindow<R>, record: &Record) -> Result<()> {
         let slot = match record.record_id {
             34735 => &mut self.crs.geo_keys,
             34736 => &mut self.crs.geo_doubles,
@@ -187,14 +190,14 @@ impl RecordSet {
     }
 }
 
-impl Scanner {
+impl ScannerRecord {
     /// Parses the payload of a scanner record at byte `base` of `file`.
-    fn parse(file: &Path, base: u64, payload: &[u8]) -> Result<Scanner> {
+    fn parse(file: &Path, base: u64, payload: &[u8]) -> Result<ScannerRecord> {
         let mut f = Fields::new(file, base, payload);
         let (mut f, description) = record(file, &mut f, "scanner", SCANNER_BYTES)?;
         f.skip(8, "scanner: size, reserved")?;
         let float = |f: &mut Fields<'_>, field: &str| f.f32(field).map(f64::from);
-        Ok(Scanner {
+        Ok(ScannerRecord {
             instrument: f.text(DESCRIPTION_BYTES, "instrument")?,
             serial: f.text(DESCRIPTION_BYTES, "serial")?,
             wave_length_nm: float(&mut f, "wave length")?,
@@ -237,8 +240,8 @@ fn parse(file: &Path, base: u64, bytes: &[u8]) -> Result<(String, u32, i64, Stri
 ///
 /// The record must end before the pulses.
 fn read_header<R: Read + Seek>(
-    window: &mut Window<R>,
-    header: &Header,
+    window: &mut FileWindow<R>,
+    header: &PulseHeader,
     number: u32,
     at: u64,
 ) -> Result<Record> {
@@ -266,7 +269,7 @@ fn read_header<R: Read + Seek>(
 /// all of them except the marker, the last in the file first. A chain that does not reach the
 /// marker is ignored.
 fn find_appended<R: Read + Seek>(
-    window: &mut Window<R>,
+    window: &mut FileWindow<R>,
     offset_to_pulses: u64,
 ) -> Result<(Option<u64>, Vec<Record>)> {
     let mut end = window.length();
@@ -292,7 +295,10 @@ fn find_appended<R: Read + Seek>(
 /// Reads the payload of a record.
 ///
 /// Also returns the file name.
-fn payload<'w, R: Read + Seek>(window: &'w mut Window<R>, record: &Record) -> Result<(&'w Path, &'w [u8])> {
+fn payload<'w, R: Read + Seek>(
+    window: &'w mut FileWindow<R>,
+    record: &Record,
+) -> Result<(&'w Path, &'w [u8])> {
     let field = format!("record {} of {}", record.record_id, record.user_id);
     if record.length > MOST_PAYLOAD {
         let problem = format!("its {} bytes exceed the limit of {MOST_PAYLOAD}", record.length);
@@ -302,7 +308,7 @@ fn payload<'w, R: Read + Seek>(window: &'w mut Window<R>, record: &Record) -> Re
 }
 
 /// Reads a payload as text up to its first zero.
-fn text<R: Read + Seek>(window: &mut Window<R>, record: &Record) -> Result<String> {
+fn text<R: Read + Seek>(window: &mut FileWindow<R>, record: &Record) -> Result<String> {
     let (file, bytes) = payload(window, record)?;
     Fields::new(file, record.offset, bytes).text(bytes.len(), "WKT")
 }

@@ -3,8 +3,8 @@
 use std::io::{Read, Seek};
 use std::ops::Range;
 
-use super::descriptor::{Descriptor, Sampling, SegmentKind};
-use super::window::Window;
+use super::descriptor::{PulseDescriptor, SamplingRecord, SegmentKind};
+use super::window::FileWindow;
 use crate::{Error, Result};
 
 /// Largest size of the waves of a pulse, bytes.
@@ -18,7 +18,7 @@ const DAMAGED: &str = "leave the pulse out, or copy or export the pair of files 
 
 /// Segments of a pulse; reuse avoids allocations.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Waves {
+pub struct WaveSegments {
     segments: Vec<Segment>,
     samples: Vec<u16>,
 }
@@ -59,16 +59,16 @@ impl Segment {
 
     /// Returns the sampling units from the anchor to sample `k`.
     ///
-    /// `k` may be fractional. For use with [`super::Pulse::position`].
+    /// `k` may be fractional. For use with [`super::PulseRecord::position`].
     pub fn duration_of(&self, k: f64) -> f64 {
         self.duration.unwrap_or(0.0) + k * self.units_per_sample
     }
 }
 
-impl Waves {
+impl WaveSegments {
     /// Creates empty waves.
-    pub fn new() -> Waves {
-        Waves::default()
+    pub fn new() -> WaveSegments {
+        WaveSegments::default()
     }
 
     /// Returns the segments in file order: sampling by sampling.
@@ -78,7 +78,7 @@ impl Waves {
 
     /// Returns the samples of `segment`, digitiser steps.
     ///
-    /// It must be one of [`Waves::segments`] of these waves.
+    /// It must be one of [`WaveSegments::segments`] of these waves.
     pub fn samples(&self, segment: &Segment) -> &[u16] {
         self.samples.get(segment.range.clone()).unwrap_or(&[])
     }
@@ -116,10 +116,10 @@ impl Waves {
     /// They are at byte `offset` of the waves file. Empty after an error.
     pub(super) fn read<R: Read + Seek>(
         &mut self,
-        window: &mut Window<R>,
+        window: &mut FileWindow<R>,
         offset: u64,
         pulse: u64,
-        descriptor: &Descriptor,
+        descriptor: &PulseDescriptor,
     ) -> Result<()> {
         self.clear();
         let mut walk = WaveCursor { window, pulse, start: offset, at: offset };
@@ -133,7 +133,7 @@ impl Waves {
     fn read_all<R: Read + Seek>(
         &mut self,
         walk: &mut WaveCursor<'_, R>,
-        descriptor: &Descriptor,
+        descriptor: &PulseDescriptor,
     ) -> Result<()> {
         walk.take(usize::from(descriptor.extra_wave_bytes), "extra waves bytes")?;
         for (number, sampling) in descriptor.samplings.iter().enumerate() {
@@ -156,7 +156,7 @@ impl Waves {
     fn read_segment<R: Read + Seek>(
         &mut self,
         walk: &mut WaveCursor<'_, R>,
-        sampling: &Sampling,
+        sampling: &SamplingRecord,
         (number, segment): (u16, u16),
         units_per_sample: f64,
     ) -> Result<()> {
@@ -194,7 +194,7 @@ impl Waves {
 
 /// Cursor over the waves of a pulse.
 struct WaveCursor<'a, R> {
-    window: &'a mut Window<R>,
+    window: &'a mut FileWindow<R>,
     pulse: u64,
     start: u64,
     at: u64,

@@ -14,7 +14,7 @@ const CUT: &str = "it is cut off or damaged: copy it again from its source";
 
 /// Window of bytes that moves over `source`.
 #[derive(Debug)]
-pub(super) struct Window<R> {
+pub(super) struct FileWindow<R> {
     source: R,
     file: PathBuf,
     length: u64,
@@ -22,10 +22,10 @@ pub(super) struct Window<R> {
     buffer: Vec<u8>,
 }
 
-impl<R: Read + Seek> Window<R> {
+impl<R: Read + Seek> FileWindow<R> {
     /// Creates a window over `source`, the file `file` of `length` bytes.
-    pub(super) fn new(source: R, file: &Path, length: u64) -> Window<R> {
-        Window { source, file: file.to_path_buf(), length, start: 0, buffer: Vec::new() }
+    pub(super) fn new(source: R, file: &Path, length: u64) -> FileWindow<R> {
+        FileWindow { source, file: file.to_path_buf(), length, start: 0, buffer: Vec::new() }
     }
 
     /// Returns the file name, for errors.
@@ -109,9 +109,9 @@ mod tests {
         }
     }
 
-    fn window(n: usize) -> Window<Counted> {
+    fn window(n: usize) -> FileWindow<Counted> {
         let bytes = (0..n).map(|i| (i % 251) as u8).collect();
-        Window::new(Counted { source: Cursor::new(bytes), seeks: 0 }, Path::new("f"), n as u64)
+        FileWindow::new(Counted { source: Cursor::new(bytes), seeks: 0 }, Path::new("f"), n as u64)
     }
 
     #[test]

@@ -19,7 +19,7 @@ pub(super) mod code {
 
 /// Failed call, or call with unusable results.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Fault {
+pub(super) enum LibraryFault {
     /// The library returned an error.
     Refused {
         /// Function called.
@@ -39,29 +39,29 @@ pub(super) enum Fault {
 }
 
 /// Result of a call.
-pub(super) type Answer<T> = std::result::Result<T, Fault>;
+pub(super) type CallResult<T> = std::result::Result<T, LibraryFault>;
 
-impl Fault {
-    pub(super) fn nonsense(function: &'static str, problem: impl Into<String>) -> Fault {
-        Fault::Nonsense { function, problem: problem.into() }
+impl LibraryFault {
+    pub(super) fn nonsense(function: &'static str, problem: impl Into<String>) -> LibraryFault {
+        LibraryFault::Nonsense { function, problem: problem.into() }
     }
 
     /// Returns the return code; `None` if the call itself succeeded.
     pub(super) fn code(&self) -> Option<i32> {
         match self {
-            Fault::Refused { code, .. } => Some(*code),
-            Fault::Nonsense { .. } => None,
+            LibraryFault::Refused { code, .. } => Some(*code),
+            LibraryFault::Nonsense { .. } => None,
         }
     }
 
     /// Describes the problem.
     pub(super) fn problem(&self) -> String {
         match self {
-            Fault::Refused { function, code, words } => {
+            LibraryFault::Refused { function, code, words } => {
                 let own = if words.is_empty() { String::new() } else { format!(": \"{words}\"") };
                 format!("{function} of RIEGL's library failed with {code}, {}{own}", meaning(*code))
             }
-            Fault::Nonsense { function, problem } => {
+            LibraryFault::Nonsense { function, problem } => {
                 format!("{function} of RIEGL's library returned invalid data: {problem}")
             }
         }

@@ -2,7 +2,7 @@
 //!
 //! The library writes its index next to the path it is given, and the interface has no argument for
 //! another location. A symbolic link to the data in a writable folder provides one. Each file gets
-//! its own folder, so an index is never taken for that of another file of the same name. The folder
+//! its own folder, so an index is never used for another file of the same name. The folder
 //! stays for later runs.
 
 use std::fs;

@@ -12,7 +12,7 @@ use std::sync::{Mutex, MutexGuard};
 
 use libloading::Library;
 
-use super::fault::{Answer, Fault, code};
+use super::fault::{CallResult, LibraryFault, code};
 use super::{MAX_TABLE, SdfInfo, SdfRecord};
 use block::{RawBlock, check_array, check_block, copy_block};
 
@@ -23,7 +23,7 @@ type RawText = *const c_char;
 
 type GetLibraryVersion = unsafe extern "C" fn(*mut u16, *mut u16, *mut RawText, *mut RawText) -> i32;
 type GetLastError = unsafe extern "C" fn(*mut RawText) -> i32;
-type Open = unsafe extern "C" fn(RawText, *mut RawFile) -> i32;
+type OpenFile = unsafe extern "C" fn(RawText, *mut RawFile) -> i32;
 type OnFile = unsafe extern "C" fn(RawFile) -> i32;
 type SetRelative = unsafe extern "C" fn(RawFile, i32) -> i32;
 type GetInfo = unsafe extern "C" fn(
@@ -37,7 +37,7 @@ type GetInfo = unsafe extern "C" fn(
     *mut u16,
 ) -> i32;
 type GetCalib = unsafe extern "C" fn(RawFile, u16, *mut u32, *mut *const f64, *mut *const f64) -> i32;
-type Read = unsafe extern "C" fn(
+type ReadRecord = unsafe extern "C" fn(
     RawFile,
     *mut f64,
     *mut f64,
@@ -60,13 +60,13 @@ type SeekTime = unsafe extern "C" fn(RawFile, f64) -> i32;
 pub(super) struct Functions {
     get_library_version: GetLibraryVersion,
     get_last_error: GetLastError,
-    open: Open,
+    open: OpenFile,
     close: OnFile,
     reindex: OnFile,
     set_sosbl_relative: SetRelative,
     get_info: GetInfo,
     get_calib: GetCalib,
-    read: Read,
+    read: ReadRecord,
     seek: Seek,
     tell: Tell,
     seek_time: SeekTime,
@@ -125,7 +125,7 @@ impl Functions {
     }
 
     /// Returns the version of the library; needs no file.
-    pub(super) fn version(&self) -> Answer<LibraryVersion> {
+    pub(super) fn version(&self) -> CallResult<LibraryVersion> {
         const NAME: &str = "fwifc_get_library_version";
         let alone = alone();
         let (mut major, mut minor) = (0, 0);
@@ -139,7 +139,7 @@ impl Functions {
     }
 
     /// Opens a file.
-    pub(super) fn open(&self, path: &CStr) -> Answer<Handle> {
+    pub(super) fn open(&self, path: &CStr) -> CallResult<Handle> {
         const NAME: &str = "fwifc_open";
         let alone = alone();
         let mut file = std::ptr::null_mut();
@@ -148,14 +148,14 @@ impl Functions {
         self.check(NAME, code, &alone)?;
         match file.is_null() {
             false => Ok(Handle { functions: *self, file }),
-            true => Err(Fault::nonsense(NAME, "neither a file nor an error")),
+            true => Err(LibraryFault::nonsense(NAME, "neither a file nor an error")),
         }
     }
 
     /// Returns an error unless `code` is 0.
     ///
-    /// The lock is still that of the call, because the library's error message belongs to it.
-    fn check(&self, function: &'static str, code: i32, _alone: &MutexGuard<'static, ()>) -> Answer<()> {
+    /// The lock is still held since the call, because the library's error message belongs to it.
+    fn check(&self, function: &'static str, code: i32, _alone: &MutexGuard<'static, ()>) -> CallResult<()> {
         if code == code::DONE {
             return Ok(());
         }
@@ -167,7 +167,7 @@ impl Functions {
                 _ => String::new(),
             }
         };
-        Err(Fault::Refused { function, code, words })
+        Err(LibraryFault::Refused { function, code, words })
     }
 }
 
@@ -223,7 +223,7 @@ impl Handle {
     /// Rebuilds the index next to the data.
     ///
     /// Reads the whole file.
-    pub(super) fn reindex(&mut self) -> Answer<()> {
+    pub(super) fn reindex(&mut self) -> CallResult<()> {
         let alone = alone();
         // SAFETY: the file is open.
         let code = unsafe { (self.functions.reindex)(self.file) };
@@ -231,7 +231,7 @@ impl Handle {
     }
 
     /// Makes block times relative to the time of their record.
-    pub(super) fn set_relative(&mut self) -> Answer<()> {
+    pub(super) fn set_relative(&mut self) -> CallResult<()> {
         let alone = alone();
         // SAFETY: the file is open.
         let code = unsafe { (self.functions.set_sosbl_relative)(self.file, 1) };
@@ -239,7 +239,7 @@ impl Handle {
     }
 
     /// Returns the metadata of the file.
-    pub(super) fn info(&mut self) -> Answer<SdfInfo> {
+    pub(super) fn info(&mut self) -> CallResult<SdfInfo> {
         let alone = alone();
         let (mut instrument, mut serial, mut epoch): (RawText, RawText, RawText) =
             (std::ptr::null(), std::ptr::null(), std::ptr::null());
@@ -268,7 +268,7 @@ impl Handle {
     /// Returns a calibration table.
     ///
     /// Amplitude of channels 0 and 1 (kinds 0, 1), range of channels 0 and 1 (kinds 2, 3).
-    pub(super) fn table(&mut self, kind: u16) -> Answer<Vec<(f64, f64)>> {
+    pub(super) fn table(&mut self, kind: u16) -> CallResult<Vec<(f64, f64)>> {
         const NAME: &str = "fwifc_get_calib";
         let alone = alone();
         let mut count = 0;
@@ -278,10 +278,10 @@ impl Handle {
             unsafe { (self.functions.get_calib)(self.file, kind, &mut count, &mut abscissa, &mut ordinate) };
         self.functions.check(NAME, code, &alone)?;
         if count > MAX_TABLE {
-            return Err(Fault::nonsense(NAME, format!("a table of {count} entries")));
+            return Err(LibraryFault::nonsense(NAME, format!("a table of {count} entries")));
         }
         if count > 0 && (abscissa.is_null() || ordinate.is_null()) {
-            return Err(Fault::nonsense(NAME, "a null pointer to a table"));
+            return Err(LibraryFault::nonsense(NAME, "a null pointer to a table"));
         }
         // SAFETY: the library states that both arrays have `count` numbers, and the lock is held.
         // They may be unaligned.
@@ -291,7 +291,7 @@ impl Handle {
     }
 
     /// Copies the next record; fails with [`code::END_OF_FILE`] after the last.
-    pub(super) fn read(&mut self, record: &mut SdfRecord) -> Answer<()> {
+    pub(super) fn read(&mut self, record: &mut SdfRecord) -> CallResult<()> {
         const NAME: &str = "fwifc_read";
         record.clear();
         let alone = alone();
@@ -314,14 +314,15 @@ impl Handle {
             )
         };
         self.functions.check(NAME, code, &alone)?;
-        check_array(count, stride, blocks).map_err(|problem| Fault::nonsense(NAME, problem))?;
+        check_array(count, stride, blocks).map_err(|problem| LibraryFault::nonsense(NAME, problem))?;
         for index in 0..count as usize {
             // SAFETY: the library states that there are `count` blocks, `stride` bytes apart, each
             // at least as large as `RawBlock`. They may be unaligned.
             let block = unsafe {
                 blocks.cast::<u8>().add(index * stride as usize).cast::<RawBlock>().read_unaligned()
             };
-            check_block(&block, record.n_samples()).map_err(|problem| Fault::nonsense(NAME, problem))?;
+            check_block(&block, record.n_samples())
+                .map_err(|problem| LibraryFault::nonsense(NAME, problem))?;
             // SAFETY: `check_block` ensures that the pointer is not null and the count within the
             // limit, and the lock is still held.
             unsafe { copy_block(&block, record) };
@@ -330,7 +331,7 @@ impl Handle {
     }
 
     /// Seeks to a record; records count from 1.
-    pub(super) fn seek(&mut self, record: u32) -> Answer<()> {
+    pub(super) fn seek(&mut self, record: u32) -> CallResult<()> {
         let alone = alone();
         // SAFETY: the file is open.
         let code = unsafe { (self.functions.seek)(self.file, record) };
@@ -338,7 +339,7 @@ impl Handle {
     }
 
     /// Returns the number of the next record, from 1.
-    pub(super) fn tell(&mut self) -> Answer<u32> {
+    pub(super) fn tell(&mut self) -> CallResult<u32> {
         let alone = alone();
         let mut record = 0;
         // SAFETY: the file is open, and the output pointer is valid.
@@ -348,7 +349,7 @@ impl Handle {
     }
 
     /// Seeks to a time of the instrument's clock, s.
-    pub(super) fn seek_time(&mut self, time_s: f64) -> Answer<()> {
+    pub(super) fn seek_time(&mut self, time_s: f64) -> CallResult<()> {
         let alone = alone();
         // SAFETY: the file is open.
         let code = unsafe { (self.functions.seek_time)(self.file, time_s) };
@@ -356,7 +357,7 @@ impl Handle {
     }
 
     /// Seeks to an external time, s.
-    pub(super) fn seek_time_external(&mut self, time_s: f64) -> Answer<()> {
+    pub(super) fn seek_time_external(&mut self, time_s: f64) -> CallResult<()> {
         let alone = alone();
         // SAFETY: the file is open.
         let code = unsafe { (self.functions.seek_time_external)(self.file, time_s) };

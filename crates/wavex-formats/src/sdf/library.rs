@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::fault::Fault;
+use super::fault::LibraryFault;
 use super::interface::{Functions, LibraryVersion};
 use crate::extensions::is_wfm;
 use crate::{Error, Result};
@@ -58,7 +58,7 @@ pub(super) fn find(
         }
         _ => in_usual_places(data, announce)?,
     };
-    let version = functions.version().map_err(|fault: Fault| fault.of_file(data))?;
+    let version = functions.version().map_err(|fault: LibraryFault| fault.of_file(data))?;
     match version.major {
         MAJOR => Ok((functions, version)),
         other => Err(Error::unusable(
@@ -96,7 +96,7 @@ fn is_there(data: &Path) -> bool {
     is_named || usual_folders().any(|folder| names(data).iter().any(|name| folder.join(name).is_file()))
 }
 
-/// Folders that are searched: that of the program, then the common ones.
+/// Folders that are searched: the folder of the program, then the common ones.
 fn usual_folders() -> impl Iterator<Item = PathBuf> {
     let program = std::env::current_exe().ok();
     let beside = program.and_then(|program| program.parent().map(Path::to_path_buf));
@@ -180,7 +180,7 @@ fn file_name(path: &Path) -> String {
 
 /// Returns the loader's error message.
 ///
-/// It includes that of the system, if present.
+/// It includes the system's error message, if present.
 fn reason(error: &libloading::Error) -> String {
     match std::error::Error::source(error) {
         Some(source) => format!("{error}: {source}"),

@@ -5,7 +5,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::fault::{Answer, Fault, code};
+use super::fault::{CallResult, LibraryFault, code};
 use super::interface::{Handle, LibraryVersion};
 use super::{SdfInfo, SdfRecord, index_dir, library};
 use crate::{Error, Result};
@@ -46,7 +46,7 @@ impl SdfReader {
     /// Opens a file.
     ///
     /// `library` is RIEGL's library or its folder, if named. `index_dir` is a folder for the index,
-    /// if not that of the data. `announce` gets the file of a library before it is loaded.
+    /// if it is not the folder of the data. `announce` gets the file of a library before it is loaded.
     ///
     /// # Errors
     /// The file or the library is missing or unusable; each return code of the library has its own
@@ -68,7 +68,7 @@ impl SdfReader {
         };
         let path = CString::new(path.as_os_str().as_encoded_bytes())
             .map_err(|_| Error::unusable(file, "the path contains a zero byte", "rename the file"))?;
-        let of_file = |fault: Fault| fault.of_file(file);
+        let of_file = |fault: LibraryFault| fault.of_file(file);
         let mut handle = functions.open(&path).map_err(of_file)?;
         handle.set_relative().map_err(of_file)?;
         let info = handle.info().and_then(checked).map_err(of_file)?;
@@ -151,7 +151,7 @@ impl SdfReader {
         self.navigate(|handle| handle.seek_time_external(time_s))
     }
 
-    fn navigate(&mut self, go: impl Fn(&mut Handle) -> Answer<()>) -> Result<bool> {
+    fn navigate(&mut self, go: impl Fn(&mut Handle) -> CallResult<()>) -> Result<bool> {
         let mut gone = go(&mut self.handle);
         if self.needs_index(&gone)? {
             gone = go(&mut self.handle);
@@ -167,8 +167,8 @@ impl SdfReader {
     }
 
     /// Builds a missing index; returns whether to repeat the call.
-    fn needs_index<T>(&mut self, answer: &Answer<T>) -> Result<bool> {
-        let missing = answer.as_ref().err().and_then(Fault::code) == Some(code::MISSING_INDEX);
+    fn needs_index<T>(&mut self, answer: &CallResult<T>) -> Result<bool> {
+        let missing = answer.as_ref().err().and_then(LibraryFault::code) == Some(code::MISSING_INDEX);
         if !missing || self.reindexed {
             return Ok(false);
         }
@@ -187,15 +187,15 @@ impl SdfReader {
 }
 
 /// Checks the metadata for plausibility.
-fn checked(info: SdfInfo) -> Answer<SdfInfo> {
+fn checked(info: SdfInfo) -> CallResult<SdfInfo> {
     const NAME: &str = "fwifc_get_info";
     if !(info.group_velocity_mps > 0.0 && info.group_velocity_mps <= LIGHT_MPS) {
         let problem = format!("a group velocity of {} m/s", info.group_velocity_mps);
-        return Err(Fault::nonsense(NAME, problem));
+        return Err(LibraryFault::nonsense(NAME, problem));
     }
     if !(info.sampling_interval_s > 0.0 && info.sampling_interval_s <= 1e-6) {
         let problem = format!("a sampling interval of {} s", info.sampling_interval_s);
-        return Err(Fault::nonsense(NAME, problem));
+        return Err(LibraryFault::nonsense(NAME, problem));
     }
     Ok(info)
 }

@@ -19,7 +19,7 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
     let file = regular_file(path)?;
     let length = file.metadata().map_err(Error::io(path, "open"))?.len();
     let mut words = Words { path, reader: BufReader::new(file), offset: 0, word: String::new() };
-    let header = Header::read(&mut words)?;
+    let header = GridHeader::read(&mut words)?;
     let (columns, rows) = (header.whole("ncols", path)?, header.whole("nrows", path)?);
     // A height needs at least a digit and a space.
     let (columns, rows) = checked_size(path, columns, rows, length / 2 + 1)?;
@@ -52,17 +52,17 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
 }
 
 /// Header values by lower-case keyword.
-struct Header(BTreeMap<String, f64>);
+struct GridHeader(BTreeMap<String, f64>);
 
-impl Header {
+impl GridHeader {
     /// Reads keywords and numbers.
     ///
     /// Leaves the first height as the current word.
-    fn read(words: &mut Words) -> Result<Header> {
+    fn read(words: &mut Words) -> Result<GridHeader> {
         let mut header = BTreeMap::new();
         while words.next()? {
             if words.word.parse::<f64>().is_ok() {
-                return Ok(Header(header));
+                return Ok(GridHeader(header));
             }
             let name = words.word.to_ascii_lowercase();
             let known = [

@@ -14,7 +14,7 @@ use super::{Raster, checked_size};
 
 /// Largest compression ratio (LZW; deflate is lower).
 const DENSEST: u64 = 4096;
-/// Largest strip or tile, bytes once decoded; that of a longer file may have its length.
+/// Largest strip or tile, bytes once decoded; in a longer file it may have the length of the file.
 ///
 /// Uncompressed files often have a single strip.
 const LARGEST_CHUNK: u64 = 1 << 26;
@@ -67,22 +67,22 @@ pub(super) fn read(path: &Path) -> Result<Raster> {
     let half = if geokeys::is_point_raster(&keys) { 0.0 } else { 0.5 };
     let first_m = [east_m + (half - column) * east_step_m, north_m - (half - row) * south_step_m];
     let heights_m = read_heights(&mut tiff, [columns, rows], nodata).map_err(|failure| match failure {
-        Failure::SampleType => {
+        HeightsError::SampleType => {
             Error::unusable(path, "the sample type of the GeoTIFF is not supported for heights", REMEDY)
         }
-        Failure::Tiff(TiffError::LimitsExceeded) => Error::unusable(
+        HeightsError::Tiff(TiffError::LimitsExceeded) => Error::unusable(
             path,
             format!("a strip or tile of the GeoTIFF has over {largest_chunk} bytes"),
             "write it with tiles",
         ),
-        Failure::Tiff(error) => bad(error),
+        HeightsError::Tiff(error) => bad(error),
     })?;
     let step_m = [east_step_m, south_step_m];
     Ok(Raster { columns, rows, first_m, step_m, heights_m, epsg: geokeys::epsg(&keys) })
 }
 
 /// Failure to read the heights.
-enum Failure {
+enum HeightsError {
     Tiff(TiffError),
     /// The samples are no numbers of up to 32 bits, or `f64`.
     SampleType,
@@ -95,7 +95,7 @@ fn read_heights(
     tiff: &mut Decoder<BufReader<File>>,
     [columns, rows]: [usize; 2],
     nodata: Option<f64>,
-) -> std::result::Result<Vec<f32>, Failure> {
+) -> std::result::Result<Vec<f32>, HeightsError> {
     let mut heights_m: Vec<f32> = Vec::new();
     let (width, height) = tiff.chunk_dimensions();
     let (width, height) = (width.max(1) as usize, height.max(1) as usize);
@@ -109,8 +109,8 @@ fn read_heights(
         heights_m.resize(end_row * columns, f32::NAN);
         for number in 0..per_band {
             let index = u32::try_from(band * per_band + number).unwrap_or(u32::MAX);
-            let chunk = tiff.read_chunk(index).map_err(Failure::Tiff)?;
-            let chunk = heights(chunk, nodata).ok_or(Failure::SampleType)?;
+            let chunk = tiff.read_chunk(index).map_err(HeightsError::Tiff)?;
+            let chunk = heights(chunk, nodata).ok_or(HeightsError::SampleType)?;
             let first_column = number * width;
             let width = width.min(columns - first_column);
             for (row, from) in (first_row..end_row).zip(chunk.chunks_exact(width)) {

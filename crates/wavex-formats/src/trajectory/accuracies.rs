@@ -3,14 +3,18 @@
 use std::path::{Path, PathBuf};
 
 use super::super::{Error, Result};
-use super::clock_range::{Placed, may_be};
-use super::input::Input;
+use super::clock_range::{TimeConversion, may_be};
+use super::input::InputFile;
 use super::{Recorded, poq, smrmsg};
 use wavex_geodesy::time_axis::{Clock, TimeSpan, Unwrap, align};
 use wavex_geodesy::trajectory::AccuracySample;
 
 /// Reads the accuracies in the file `path`, on the time axis of a trajectory.
-pub(super) fn on_axis(path: &Path, recorded: &Recorded, placed: Placed) -> Result<Vec<AccuracySample>> {
+pub(super) fn on_axis(
+    path: &Path,
+    recorded: &Recorded,
+    placed: TimeConversion,
+) -> Result<Vec<AccuracySample>> {
     let mut samples = read(path)?;
     if samples.is_empty() || recorded.records.is_empty() {
         return Ok(samples);
@@ -25,7 +29,7 @@ pub(super) fn poq_of(pof: &Path) -> Option<PathBuf> {
 }
 
 fn read(path: &Path) -> Result<Vec<AccuracySample>> {
-    let mut input = Input::open(path)?;
+    let mut input = InputFile::open(path)?;
     let head = input.head()?;
     if head.starts_with(poq::MAGIC) {
         return poq::read(&mut input);
@@ -41,7 +45,12 @@ fn read(path: &Path) -> Result<Vec<AccuracySample>> {
 ///
 /// They use its clock, unless the trajectory has adjusted times and the accuracies fit seconds of
 /// the week.
-fn place(path: &Path, samples: &mut [AccuracySample], trajectory: TimeSpan, placed: Placed) -> Result<()> {
+fn place(
+    path: &Path,
+    samples: &mut [AccuracySample],
+    trajectory: TimeSpan,
+    placed: TimeConversion,
+) -> Result<()> {
     let times_s = samples.iter().map(|sample| sample.time_s);
     let limits_s = times_s.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], t| [a.min(t), b.max(t)]);
     let is_week = placed.clock == Clock::Adjusted && may_be(Clock::Week, limits_s);

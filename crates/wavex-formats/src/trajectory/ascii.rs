@@ -8,7 +8,7 @@ use std::path::Path;
 
 use super::super::{Error, Result};
 use super::axis::Stated;
-use super::input::Input;
+use super::input::InputFile;
 use super::{Angles, Options, Raw, Records, check, sample_of_degrees};
 use wavex_geodesy::frames::Attitude;
 use wavex_geodesy::trajectory::Sample;
@@ -39,7 +39,7 @@ pub(super) fn is_text(head: &[u8]) -> bool {
 }
 
 /// Reads all records.
-pub(super) fn read(input: &mut Input, options: &Options) -> Result<Raw> {
+pub(super) fn read(input: &mut InputFile, options: &Options) -> Result<Raw> {
     let path = input.path.clone();
     let Some(letters) = &options.columns else {
         let first = input.line(LONGEST_LINE)?.unwrap_or_default();

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use super::super::{Error, Result};
-use super::clock_range::{Placed, may_be};
+use super::clock_range::{TimeConversion, may_be};
 use super::{FileTime, Options, Raw, Recorded, accuracies};
 use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, gps_week};
 use wavex_geodesy::time_axis::{Clock, DAY_S, Unwrap, adjusted_of_date, leap_seconds, utc_of_gps};
@@ -62,7 +62,7 @@ pub(super) fn settle(path: &Path, raw: Raw, options: &Options, accuracy: Option<
     };
     if let Some(path) = accuracy {
         recorded.accuracies =
-            accuracies::on_axis(path, &recorded, Placed { clock, leap_s: offset_s + leap_s })?;
+            accuracies::on_axis(path, &recorded, TimeConversion { clock, leap_s: offset_s + leap_s })?;
     }
     Ok(recorded)
 }

@@ -5,7 +5,7 @@ use wavex_geodesy::time_axis::{Clock, DAY_S};
 
 /// Conversion applied to the file's times.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Placed {
+pub(super) struct TimeConversion {
     /// Clock of the file's times.
     pub(super) clock: Clock,
     /// GPS time minus the file's time, s.

@@ -15,7 +15,7 @@ const HEAD_BYTES: usize = 4096;
 pub(super) const LONGEST_RECORD: usize = 4096;
 
 /// Sequential reader of a file.
-pub(super) struct Input {
+pub(super) struct InputFile {
     pub(super) path: PathBuf,
     /// Length of the file, bytes.
     pub(super) length: u64,
@@ -24,11 +24,11 @@ pub(super) struct Input {
     reader: BufReader<File>,
 }
 
-impl Input {
-    pub(super) fn open(path: &Path) -> Result<Input> {
+impl InputFile {
+    pub(super) fn open(path: &Path) -> Result<InputFile> {
         let file = regular_file(path)?;
         let length = file.metadata().map_err(Error::io(path, "open"))?.len();
-        Ok(Input {
+        Ok(InputFile {
             path: path.to_owned(),
             length,
             offset: 0,

@@ -6,7 +6,7 @@
 
 use super::super::bytes::Fields;
 use super::axis::Stated;
-use super::input::Input;
+use super::input::InputFile;
 use super::{Raw, Records, Result, check, sample_of_degrees};
 use wavex_geodesy::frames::Attitude;
 use wavex_geodesy::time_axis::Clock;
@@ -145,7 +145,7 @@ fn decode_header(mut fields: Fields) -> Result<(PofHeader, [u16; 2], u32)> {
 }
 
 /// Reads header and records.
-pub(super) fn read(input: &mut Input) -> Result<Raw> {
+pub(super) fn read(input: &mut InputFile) -> Result<Raw> {
     let path = input.path.clone();
     let header = input.header(HEADER_BYTES)?;
     let (header, version, data_offset) = decode_header(Fields::new(&path, 0, &header))?;
@@ -187,7 +187,7 @@ fn stated(header: &PofHeader, notes: &mut Vec<String>) -> Stated {
 /// Returns the number of records to read.
 ///
 /// The header's count, or all if it gives none.
-fn counted(header: &PofHeader, input: &Input, size: usize, notes: &mut Vec<String>) -> Option<u64> {
+fn counted(header: &PofHeader, input: &InputFile, size: usize, notes: &mut Vec<String>) -> Option<u64> {
     let bytes = input.length.saturating_sub(input.offset);
     match u64::try_from(header.records) {
         Ok(count) if count > 0 => {

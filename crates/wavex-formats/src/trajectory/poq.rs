@@ -7,7 +7,7 @@
 use super::super::Error;
 use super::super::bytes::Fields;
 use super::Result;
-use super::input::Input;
+use super::input::InputFile;
 use wavex_geodesy::trajectory::{Accuracy, AccuracySample};
 
 /// First bytes of a POQ file.
@@ -21,7 +21,7 @@ const TITLE_BYTES: usize = 35;
 const HEADER_BYTES: usize = 67;
 
 /// Reads all accuracies, with times as in the file.
-pub(super) fn read(input: &mut Input) -> Result<Vec<AccuracySample>> {
+pub(super) fn read(input: &mut InputFile) -> Result<Vec<AccuracySample>> {
     let path = input.path.clone();
     let header = input.header(HEADER_BYTES)?;
     let mut fields = Fields::new(&path, 0, &header);
@@ -83,7 +83,7 @@ pub(super) mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.poq");
         std::fs::write(&path, bytes).unwrap();
-        let read = read(&mut Input::open(&path).unwrap());
+        let read = read(&mut InputFile::open(&path).unwrap());
         read.map_err(|error| error.to_string().replace(&format!("{}/", folder.path().display()), ""))
     }
 

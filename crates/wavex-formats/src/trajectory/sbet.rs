@@ -4,7 +4,7 @@
 //! appendix on output file formats.
 
 use super::axis::Stated;
-use super::input::Input;
+use super::input::InputFile;
 use super::{HIGHEST_M, Raw, Records, Result, check, wrapped_rad};
 use wavex_geodesy::ellipsoid::Geodetic;
 use wavex_geodesy::frames::Attitude;
@@ -139,7 +139,7 @@ pub(super) fn is_one(head: &[u8]) -> bool {
 }
 
 /// Reads all records.
-pub(super) fn read(input: &mut Input) -> Result<Raw> {
+pub(super) fn read(input: &mut InputFile) -> Result<Raw> {
     let path = input.path.clone();
     let (mut samples, mut speeds_mps) = (Vec::new(), Vec::new());
     input.each(RECORD_BYTES, None, |number, mut fields| {

@@ -4,7 +4,7 @@
 //! appendix on output file formats.
 
 use super::Result;
-use super::input::Input;
+use super::input::InputFile;
 use wavex_geodesy::trajectory::{Accuracy, AccuracySample};
 
 /// Size of a record, bytes.
@@ -28,7 +28,7 @@ pub(super) fn is_one(head: &[u8], length: u64) -> bool {
 }
 
 /// Reads all accuracies, with times as in the file.
-pub(super) fn read(input: &mut Input) -> Result<Vec<AccuracySample>> {
+pub(super) fn read(input: &mut InputFile) -> Result<Vec<AccuracySample>> {
     let mut samples = Vec::new();
     input.each(RECORD_BYTES, None, |_, mut fields| {
         let time_s = fields.f64("time")?;
@@ -66,7 +66,7 @@ pub(super) mod tests {
             is_one(&bytes, 160) && !is_one(&bytes, 161) && !is_one(&[0; 80], 80) && !is_one(&bytes[..72], 80)
         );
         std::fs::write(&path, bytes).unwrap();
-        let samples = read(&mut Input::open(&path).unwrap()).unwrap();
+        let samples = read(&mut InputFile::open(&path).unwrap()).unwrap();
         assert_eq!(samples[1].time_s, 11.0);
         assert_eq!(samples[0].accuracy.position_sd_m, [0.01, 0.02, 0.03]);
         assert_eq!(samples[0].accuracy.attitude_sd_rad, [0.01f64, 0.02, 0.1].map(f64::to_radians));

@@ -5,7 +5,7 @@
 
 use super::super::Error;
 use super::axis::Stated;
-use super::input::Input;
+use super::input::InputFile;
 use super::{HIGHEST_M, Raw, Records, Result, check, wrapped_rad};
 use crate::bytes::Fields;
 use wavex_geodesy::ellipsoid::Geodetic;
@@ -64,7 +64,7 @@ fn decode(mut fields: Fields) -> Result<(u16, Sample)> {
 }
 
 /// Reads all records.
-pub(super) fn read(input: &mut Input) -> Result<Raw> {
+pub(super) fn read(input: &mut InputFile) -> Result<Raw> {
     let path = input.path.clone();
     let mut samples = Vec::new();
     input.each(RECORD_BYTES, None, |number, fields| {

@@ -7,7 +7,7 @@
 use super::super::Error;
 use super::super::bytes::Fields;
 use super::axis::Stated;
-use super::input::{Input, LONGEST_RECORD};
+use super::input::{InputFile, LONGEST_RECORD};
 use super::{LARGEST_ANGLE_RAD, MapSample, Raw, Records, Result};
 use wavex_geodesy::frames::Attitude;
 
@@ -21,7 +21,7 @@ const NEEDED_BYTES: i32 = 24;
 const LEAST_RECORD: i32 = 56;
 
 /// Reads header and records.
-pub(super) fn read(input: &mut Input) -> Result<Raw> {
+pub(super) fn read(input: &mut InputFile) -> Result<Raw> {
     let path = input.path.clone();
     let header = input.header(NEEDED_BYTES as usize)?;
     let mut fields = Fields::new(&path, 0, &header);

@@ -242,7 +242,7 @@ pub(super) fn ellipsoidal(unit: &Unit) -> WktNode {
 
 /// Vertical part of an EPSG code, of its system or its datum, or of a title alone.
 ///
-/// Heights are in `unit`, or in the unit of the code, or in that of the map.
+/// Heights are in `unit`, or in the unit of the code, or in the unit of the map.
 pub(super) fn vertical_of_epsg(
     code: Option<u16>,
     title: Option<&str>,
@@ -281,7 +281,7 @@ struct Vertical {
 
 /// Vertical CRSs by prefix of the geoid model's name.
 ///
-/// Of the American models, only those of the 48 states and Alaska; the others use other datums.
+/// Of the American models, only the models of the 48 states and Alaska; the others use other datums.
 const VERTICALS: [Vertical; 4] = [
     Vertical {
         models: &[

@@ -14,14 +14,14 @@ static BYTES: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/epsg.deflate"));
 /// `west` exceeds `east` if the box crosses the meridian of 180 degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(missing_docs, reason = "the fields are the ends of the box")]
-pub struct Area {
+pub struct AreaOfUse {
     pub west: f64,
     pub south: f64,
     pub east: f64,
     pub north: f64,
 }
 
-impl Area {
+impl AreaOfUse {
     /// Whether a position lies in the box or at most `margin` outside; all in degrees.
     pub fn contains(&self, longitude: f64, latitude: f64, margin: f64) -> bool {
         let width = self.east - self.west + if self.east < self.west { 360.0 } else { 0.0 };
@@ -36,11 +36,11 @@ pub fn wkt_of_epsg(code: u16) -> Option<String> {
 }
 
 /// Returns the area of use of an EPSG code; `None` if it is unknown or the whole earth.
-pub fn area_of_epsg(code: u16) -> Option<Area> {
+pub fn area_of_epsg(code: u16) -> Option<AreaOfUse> {
     let [area, _] = row(code)?;
     let mut degrees = area.split(' ').filter_map(|degrees| degrees.parse().ok());
     let mut next = || degrees.next();
-    Some(Area { west: next()?, south: next()?, east: next()?, north: next()? })
+    Some(AreaOfUse { west: next()?, south: next()?, east: next()?, north: next()? })
 }
 
 /// Area of use and WKT of an EPSG code.

@@ -49,7 +49,7 @@ pub fn geotiff_keys_of_wkt(text: &str) -> Option<GeoKeys> {
     let unit = &definition.unit;
     let height_unit = definition.vertical_unit().unwrap_or_else(|| unit.clone());
     let vertical = definition.vertical.as_ref().and_then(WktNode::epsg);
-    let mut keys = Keys::default();
+    let mut keys = CollectedKeys::default();
     let code = definition.epsg.and_then(|code| u16::try_from(code).ok());
     let model = match definition.method {
         ProjectionMethod::Geodetic => 2,
@@ -79,7 +79,7 @@ pub fn geotiff_keys_of_wkt(text: &str) -> Option<GeoKeys> {
     Some(keys.records())
 }
 
-fn linear_unit(keys: &mut Keys, unit: &Unit) {
+fn linear_unit(keys: &mut CollectedKeys, unit: &Unit) {
     keys.short(LINEAR_UNIT, unit.epsg.unwrap_or(USER_DEFINED));
     if unit.epsg.is_none() {
         keys.double(LINEAR_UNIT_SIZE, unit.metres);
@@ -87,7 +87,7 @@ fn linear_unit(keys: &mut Keys, unit: &Unit) {
 }
 
 /// Adds the keys of the base CRS of a projection, or of an unprojected CRS without a code.
-fn geographic(keys: &mut Keys, definition: &Definition) {
+fn geographic(keys: &mut CollectedKeys, definition: &Definition) {
     let code = definition.horizontal.find(&GEODETIC).and_then(|node| node.epsg());
     match code.and_then(|code| u16::try_from(code).ok()) {
         Some(code) => keys.short(GEOGRAPHIC, code),
@@ -99,7 +99,7 @@ fn geographic(keys: &mut Keys, definition: &Definition) {
     }
 }
 
-fn projection(keys: &mut Keys, definition: &Definition) -> Option<()> {
+fn projection(keys: &mut CollectedKeys, definition: &Definition) -> Option<()> {
     let in_unit = |metres: f64| metres / definition.unit.metres;
     // Method codes: 1 transverse Mercator, 8 Lambert with two parallels, 9 with one (section
     // 6.3.3.3).
@@ -141,13 +141,13 @@ fn key_of_parameter(name: &str, of_two_parallels: bool) -> Option<u16> {
 
 /// Keys being collected; the directory is sorted.
 #[derive(Default)]
-struct Keys {
+struct CollectedKeys {
     entries: Vec<[u16; 4]>,
     doubles: Vec<f64>,
     ascii: String,
 }
 
-impl Keys {
+impl CollectedKeys {
     fn short(&mut self, key: u16, value: u16) {
         self.entries.push([key, 0, 1, value]);
     }

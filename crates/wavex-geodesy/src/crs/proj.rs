@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use proj_sys as sys;
 
-use super::Area;
+use super::AreaOfUse;
 
 /// A CRS of PROJ, opened separately by every thread.
 #[derive(Debug)]
@@ -28,7 +28,7 @@ pub(in crate::crs) struct Foreign {
 }
 
 thread_local! {
-    static OPENED: RefCell<HashMap<u64, Option<Opened>>> = RefCell::new(HashMap::new());
+    static OPENED: RefCell<HashMap<u64, Option<ProjTransformation>>> = RefCell::new(HashMap::new());
 }
 
 static NEXT: AtomicU64 = AtomicU64::new(0);
@@ -45,7 +45,7 @@ impl Foreign {
 
     /// The CRS as WKT 1.
     pub(super) fn wkt(&self) -> Option<String> {
-        let context = Context::new()?;
+        let context = ProjContext::new()?;
         let system = Object::of(&context, &self.definition)?;
         let options = [c"MULTILINE=NO".as_ptr(), std::ptr::null()];
         // SAFETY: both are alive, and the options end with null, as PROJ requires.
@@ -61,9 +61,9 @@ impl Foreign {
     }
 
     /// Area of use in PROJ's database, or of the definition itself.
-    pub(super) fn area_of_use(&self) -> Option<Area> {
+    pub(super) fn area_of_use(&self) -> Option<AreaOfUse> {
         let (area, _) = proj::Proj::new(self.definition.to_str().ok()?).ok()?.area_of_use().ok()?;
-        area.map(|proj::Area { west, south, east, north }| Area { west, south, east, north })
+        area.map(|proj::Area { west, south, east, north }| AreaOfUse { west, south, east, north })
     }
 
     /// x and y of longitude and latitude, degrees, and ellipsoidal height on WGS 84, m.
@@ -94,19 +94,19 @@ impl Foreign {
     }
 
     /// Calls `act` with this thread's objects, opened on first use.
-    fn with<T>(&self, act: impl FnOnce(&Opened) -> T) -> Option<T> {
+    fn with<T>(&self, act: impl FnOnce(&ProjTransformation) -> T) -> Option<T> {
         OPENED.with_borrow_mut(|all| {
-            let opened = all.entry(self.number).or_insert_with(|| Opened::new(&self.definition));
+            let opened = all.entry(self.number).or_insert_with(|| ProjTransformation::new(&self.definition));
             opened.as_ref().map(act)
         })
     }
 }
 
 /// A PROJ context; its objects must stay in one thread.
-struct Context(*mut sys::PJ_CONTEXT);
+struct ProjContext(*mut sys::PJ_CONTEXT);
 
-impl Context {
-    fn new() -> Option<Context> {
+impl ProjContext {
+    fn new() -> Option<ProjContext> {
         // SAFETY: the function has no preconditions; it returns null on failure.
         let context = unsafe { sys::proj_context_create() };
         if context.is_null() {
@@ -115,11 +115,11 @@ impl Context {
         // SAFETY: the context was just created. Errors are reported by wavex, not on standard
         // error.
         unsafe { sys::proj_log_level(context, sys::PJ_LOG_LEVEL_PJ_LOG_NONE) };
-        Some(Context(context))
+        Some(ProjContext(context))
     }
 }
 
-impl Drop for Context {
+impl Drop for ProjContext {
     fn drop(&mut self) {
         // SAFETY: the context is alive, and all its objects are gone: fields drop in order.
         unsafe { sys::proj_context_destroy(self.0) };
@@ -130,7 +130,7 @@ impl Drop for Context {
 struct Object(*mut sys::PJ);
 
 impl Object {
-    fn of(context: &Context, definition: &CStr) -> Option<Object> {
+    fn of(context: &ProjContext, definition: &CStr) -> Option<Object> {
         // SAFETY: the context is alive and the text is null-terminated.
         Object::unless_null(unsafe { sys::proj_create(context.0, definition.as_ptr()) })
     }
@@ -148,14 +148,14 @@ impl Drop for Object {
 }
 
 /// Transformation from WGS 84 to a CRS; the operation drops before its context.
-struct Opened {
+struct ProjTransformation {
     operation: Object,
-    _context: Context,
+    _context: ProjContext,
 }
 
-impl Opened {
-    fn new(definition: &CStr) -> Option<Opened> {
-        let context = Context::new()?;
+impl ProjTransformation {
+    fn new(definition: &CStr) -> Option<ProjTransformation> {
+        let context = ProjContext::new()?;
         let (from, to) = (Object::of(&context, c"EPSG:4979")?, Object::of(&context, definition)?);
         let options = [c"ALLOW_BALLPARK=NO".as_ptr(), std::ptr::null()];
         // SAFETY: all are alive; a null area is allowed; the options end with null, as PROJ
@@ -172,7 +172,7 @@ impl Opened {
         // SAFETY: both are alive; the result is a new object.
         let operation =
             Object::unless_null(unsafe { sys::proj_normalize_for_visualization(context.0, operation.0) })?;
-        Some(Opened { operation, _context: context })
+        Some(ProjTransformation { operation, _context: context })
     }
 
     fn transform(&self, direction: sys::PJ_DIRECTION, point: [f64; 4]) -> Option<[f64; 4]> {

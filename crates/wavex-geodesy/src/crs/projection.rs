@@ -22,7 +22,7 @@ pub(super) enum Projection {
     Ecef,
     TransverseMercator(TransverseMercator),
     Lambert(LambertConformal),
-    Other(Box<Other>),
+    Other(Box<Proj4Projection>),
     #[cfg(feature = "proj")]
     Foreign(super::proj::Foreign),
 }
@@ -52,7 +52,8 @@ impl Projection {
                     .ok_or_else(|| unsupported("PROJ has no transformation to it from WGS 84".into()))?,
             ),
             ProjectionMethod::Other(text) => Projection::Other(Box::new(
-                Other::new(text).map_err(|problem| unsupported(format!("its projection: {problem}")))?,
+                Proj4Projection::new(text)
+                    .map_err(|problem| unsupported(format!("its projection: {problem}")))?,
             )),
         })
     }
@@ -121,19 +122,19 @@ impl Projection {
 
 /// A projection of the crate `proj4rs`, a port of PROJ; depends on the system's mathematical
 /// library.
-pub(super) struct Other {
+pub(super) struct Proj4Projection {
     text: String,
     from: Proj,
     to: Proj,
 }
 
-impl Other {
-    fn new(text: &str) -> Result<Other, proj4rs::errors::Error> {
+impl Proj4Projection {
+    fn new(text: &str) -> Result<Proj4Projection, proj4rs::errors::Error> {
         // Same figure of the earth on both sides: a projection of the sphere uses angles unchanged.
         let is_figure = |word: &&str| ["+a=", "+b=", "+rf=", "+R="].iter().any(|key| word.starts_with(key));
         let figure: Vec<&str> = text.split(' ').filter(is_figure).collect();
         let from = format!("+proj=longlat {} +no_defs", figure.join(" "));
-        Ok(Other {
+        Ok(Proj4Projection {
             text: text.into(),
             from: Proj::from_proj_string(&from)?,
             to: Proj::from_proj_string(text)?,
@@ -152,7 +153,7 @@ impl Other {
     }
 }
 
-impl fmt::Debug for Other {
+impl fmt::Debug for Proj4Projection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_tuple("Other").field(&self.text).finish()
     }

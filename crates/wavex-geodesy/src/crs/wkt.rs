@@ -35,7 +35,7 @@ impl WktNode {
     /// # Errors
     /// The problem and the character position, as the end of a sentence.
     pub(crate) fn parse(text: &str) -> Result<WktNode, String> {
-        let mut reader = Reader { text: text.trim_start_matches('\u{feff}'), at: 0 };
+        let mut reader = WktReader { text: text.trim_start_matches('\u{feff}'), at: 0 };
         let mut node = reader.node(0)?;
         if reader.eat(&[',']) {
             let vertical = reader.node(0)?;
@@ -170,12 +170,12 @@ impl std::fmt::Display for WktNode {
 }
 
 /// A position in the text.
-struct Reader<'a> {
+struct WktReader<'a> {
     text: &'a str,
     at: usize,
 }
 
-impl Reader<'_> {
+impl WktReader<'_> {
     fn rest(&self) -> &str {
         self.text.get(self.at..).unwrap_or_default()
     }

@@ -8,10 +8,10 @@
 use wavex_simd::statistics::median;
 
 use super::Sample;
-use super::plausibility::{Limits, MOST_PART, wrapped_rad};
+use super::plausibility::{MOST_PART, MotionLimits, wrapped_rad};
 use crate::ellipsoid::WGS84;
 
-/// Largest acceleration, m/s²: five times that of free fall.
+/// Largest acceleration, m/s²: five times the acceleration of free fall.
 pub const MOST_ACCELERATION_MPS2: f64 = 50.0;
 /// Largest angular acceleration, rad/s²: 500 degrees/s².
 pub const MOST_TURNING_RADPS2: f64 = 8.7;
@@ -30,7 +30,7 @@ pub const LEAST_SPEED_MPS: f64 = 5.0;
 
 /// What is wrong with a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fault {
+pub enum RecordFault {
     /// Its position.
     Position,
     /// Its roll, pitch or heading.
@@ -49,7 +49,7 @@ pub struct Outlier {
     /// Time, s.
     pub time_s: f64,
     /// What is wrong.
-    pub fault: Fault,
+    pub fault: RecordFault,
     /// Deviation from its neighbours or limits, m or rad; 0 for a frozen record.
     pub deviation: f64,
 }
@@ -59,7 +59,7 @@ pub struct Outlier {
 /// More than 5 % of one kind are noise of the trajectory or a contradiction of the whole
 /// ([`super::plausibility`]), not outliers; repeated positions are always. Records with times out of order
 /// have none.
-pub fn outliers(samples: &[Sample], limits: Option<&Limits>) -> Vec<Outlier> {
+pub fn outliers(samples: &[Sample], limits: Option<&MotionLimits>) -> Vec<Outlier> {
     let is_ordered = samples.windows(2).all(|pair| pair[0].time_s < pair[1].time_s);
     if samples.len() < 4 || !is_ordered {
         return Vec::new();
@@ -88,7 +88,7 @@ pub fn outliers(samples: &[Sample], limits: Option<&Limits>) -> Vec<Outlier> {
 }
 
 /// Records with roll or pitch beyond the limits.
-fn beyond(samples: &[Sample], limits: &Limits) -> Vec<Outlier> {
+fn beyond(samples: &[Sample], limits: &MotionLimits) -> Vec<Outlier> {
     let excess_rad = |sample: &Sample| {
         let roll_rad = wrapped_rad(sample.attitude.roll_rad).abs() - limits.roll_rad;
         roll_rad.max(wrapped_rad(sample.attitude.pitch_rad).abs() - limits.pitch_rad)
@@ -96,43 +96,43 @@ fn beyond(samples: &[Sample], limits: &Limits) -> Vec<Outlier> {
     let records = samples.iter().enumerate().map(|(record, sample)| Outlier {
         record,
         time_s: sample.time_s,
-        fault: Fault::Limit,
+        fault: RecordFault::Limit,
         deviation: excess_rad(sample),
     });
     records.filter(|outlier| outlier.deviation > 0.0).collect()
 }
 
 /// A quantity and its limits.
-struct Quantity {
-    fault: Fault,
+struct LimitedQuantity {
+    fault: RecordFault,
     most_acceleration: f64,
     least: f64,
     /// Difference of two values.
     difference: fn([f64; 3], [f64; 3]) -> [f64; 3],
 }
 
-const POSITION: Quantity = Quantity {
-    fault: Fault::Position,
+const POSITION: LimitedQuantity = LimitedQuantity {
+    fault: RecordFault::Position,
     most_acceleration: MOST_ACCELERATION_MPS2,
     least: LEAST_M,
     difference: |a, b| core::array::from_fn(|axis| a[axis] - b[axis]),
 };
-const ATTITUDE: Quantity = Quantity {
-    fault: Fault::Attitude,
+const ATTITUDE: LimitedQuantity = LimitedQuantity {
+    fault: RecordFault::Attitude,
     most_acceleration: MOST_TURNING_RADPS2,
     least: LEAST_RAD,
     difference: |a, b| core::array::from_fn(|axis| wrapped_rad(a[axis] - b[axis])),
 };
 
 /// Outliers of one quantity, found and left out one by one.
-fn deviating(times_s: &[f64], values: &[[f64; 3]], quantity: &Quantity) -> Vec<Outlier> {
+fn deviating(times_s: &[f64], values: &[[f64; 3]], quantity: &LimitedQuantity) -> Vec<Outlier> {
     let mut kept: Vec<usize> = (0..times_s.len()).collect();
     let mut found = Vec::new();
     let mut noise = None;
     for _ in 0..PASSES {
         let deviations: Vec<[f64; 2]> =
             (0..kept.len()).map(|at| deviation(times_s, values, &kept, at, quantity)).collect();
-        // The median of the first pass is that of the sound records.
+        // The median of the first pass describes the sound records.
         let noise = *noise.get_or_insert_with(|| {
             LEAST_MEDIANS * median(deviations.iter().map(|of| of[0])).unwrap_or(f64::NAN)
         });
@@ -172,7 +172,7 @@ fn deviation(
     values: &[[f64; 3]],
     kept: &[usize],
     at: usize,
-    quantity: &Quantity,
+    quantity: &LimitedQuantity,
 ) -> [f64; 2] {
     let from_line = |[a, b]: [usize; 2]| {
         let [a, b, record] = [kept[a], kept[b], kept[at]];
@@ -210,8 +210,12 @@ fn frozen(times_s: &[f64], places_m: &[[f64; 3]]) -> Vec<Outlier> {
             && speed_mps(first - 1, first) > LEAST_SPEED_MPS
             && speed_mps(next, next + 1) > LEAST_SPEED_MPS;
         if same >= FEWEST_FROZEN && is_moving {
-            let of =
-                |record| Outlier { record, time_s: times_s[record], fault: Fault::Frozen, deviation: 0.0 };
+            let of = |record| Outlier {
+                record,
+                time_s: times_s[record],
+                fault: RecordFault::Frozen,
+                deviation: 0.0,
+            };
             found.extend((first + 1..next).map(of));
         }
         first = next;
@@ -246,10 +250,10 @@ mod tests {
         (0..records).map(sample).collect()
     }
 
-    fn found(change: impl Fn(&mut Vec<Sample>), step_s: f64) -> Vec<(usize, Fault)> {
+    fn found(change: impl Fn(&mut Vec<Sample>), step_s: f64) -> Vec<(usize, RecordFault)> {
         let mut samples = flight(1000, step_s);
         change(&mut samples);
-        outliers(&samples, Some(&Limits::AIRPLANE))
+        outliers(&samples, Some(&MotionLimits::AIRPLANE))
             .iter()
             .map(|outlier| (outlier.record, outlier.fault))
             .collect()
@@ -259,24 +263,27 @@ mod tests {
     fn single_records_far_from_their_neighbours_are_outliers() {
         for step_s in [0.005, 1.0] {
             assert_eq!(found(|_| {}, step_s), []);
-            assert_eq!(found(|s| s[500].place.latitude_rad += 0.0175, step_s), [(500, Fault::Position)]);
-            assert_eq!(found(|s| s[500].place.height_m += 100.0, step_s), [(500, Fault::Position)]);
+            assert_eq!(
+                found(|s| s[500].place.latitude_rad += 0.0175, step_s),
+                [(500, RecordFault::Position)]
+            );
+            assert_eq!(found(|s| s[500].place.height_m += 100.0, step_s), [(500, RecordFault::Position)]);
             assert_eq!(
                 found(
                     |s| s[0].place = Geodetic { latitude_rad: 0.0, longitude_rad: 0.0, height_m: 0.0 },
                     step_s
                 ),
-                [(0, Fault::Position)]
+                [(0, RecordFault::Position)]
             );
-            assert_eq!(found(|s| s[999].place.height_m += 500.0, step_s), [(999, Fault::Position)]);
+            assert_eq!(found(|s| s[999].place.height_m += 500.0, step_s), [(999, RecordFault::Position)]);
         }
-        assert_eq!(found(|s| s[500].attitude.roll_rad += 1.57, 0.005), [(500, Fault::Attitude)]);
+        assert_eq!(found(|s| s[500].attitude.roll_rad += 1.57, 0.005), [(500, RecordFault::Attitude)]);
         let bank = |s: &mut Vec<Sample>| s[400..420].iter_mut().for_each(|s| s.attitude.roll_rad = 1.57);
         let banked: Vec<usize> = found(bank, 0.005).iter().map(|of| of.0).collect();
         assert!((400..420).all(|record| banked.contains(&record)) && banked.len() <= 26, "{banked:?}");
         for step_s in [0.005, 1.0] {
-            assert_eq!(found(|s| s[1].place.height_m += 500.0, step_s), [(1, Fault::Position)]);
-            assert_eq!(found(|s| s[997].place.height_m += 500.0, step_s), [(997, Fault::Position)]);
+            assert_eq!(found(|s| s[1].place.height_m += 500.0, step_s), [(1, RecordFault::Position)]);
+            assert_eq!(found(|s| s[997].place.height_m += 500.0, step_s), [(997, RecordFault::Position)]);
         }
         assert_eq!(
             found(
@@ -292,7 +299,7 @@ mod tests {
     fn repeated_positions_of_a_moving_vehicle_are_outliers() {
         let freeze = |s: &mut Vec<Sample>| (401..421).for_each(|k| s[k].place = s[400].place);
         let frozen = found(freeze, 0.005);
-        assert!(frozen.len() >= 20 && frozen.contains(&(410, Fault::Frozen)), "{frozen:?}");
+        assert!(frozen.len() >= 20 && frozen.contains(&(410, RecordFault::Frozen)), "{frozen:?}");
         let stand = |s: &mut Vec<Sample>| {
             let place = s[0].place;
             s.iter_mut().for_each(|s| s.place = place)

@@ -9,7 +9,7 @@ use crate::frames::{Vector, ecef_from_ned, inverse, rotate};
 
 /// Limits of plausible attitudes and motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
+pub struct MotionLimits {
     /// Largest roll, rad.
     pub roll_rad: f64,
     /// Largest pitch, rad.
@@ -24,9 +24,9 @@ pub struct Limits {
     pub drift_rad: f64,
 }
 
-impl Limits {
+impl MotionLimits {
     /// An airplane: banks of 75 degrees, pitch of 45 degrees, 350 m/s, 3 g, 90 degrees/s.
-    pub const AIRPLANE: Limits = Limits {
+    pub const AIRPLANE: MotionLimits = MotionLimits {
         roll_rad: 75.0 * DEGREE,
         pitch_rad: 45.0 * DEGREE,
         speed_mps: 350.0,
@@ -35,7 +35,7 @@ impl Limits {
         drift_rad: DRIFT_RAD,
     };
     /// A helicopter or drone, which may fly sideways: 85 degrees, 350 m/s, 6 g, 170 degrees/s.
-    pub const HELICOPTER: Limits = Limits {
+    pub const HELICOPTER: MotionLimits = MotionLimits {
         roll_rad: 85.0 * DEGREE,
         pitch_rad: 85.0 * DEGREE,
         speed_mps: 350.0,
@@ -68,7 +68,7 @@ const SPEED_DIFFERS_PART: f64 = 0.1;
 
 /// Kind of a contradiction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum ContradictionKind {
     /// Angles were read as degrees, but are radians.
     AnglesAreRadians,
     /// Angles were read as radians, but are degrees.
@@ -77,7 +77,7 @@ pub enum Kind {
     Attitude,
     /// Speed, acceleration or turn rate beyond the limits, repeated positions, or stored speeds that differ.
     Motion,
-    /// The heading is not that of the course.
+    /// The heading differs from the course.
     Heading,
 }
 
@@ -85,13 +85,13 @@ pub enum Kind {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Contradiction {
     /// Its kind.
-    pub kind: Kind,
+    pub kind: ContradictionKind,
     /// Description with figures.
     pub problem: String,
 }
 
 /// Motion between two records.
-struct Window {
+struct MotionInterval {
     /// In the earth-centred frame, m/s.
     velocity_mps: Vector,
     speed_mps: f64,
@@ -113,7 +113,7 @@ struct Window {
 /// ```
 /// use wavex_geodesy::ellipsoid::Geodetic;
 /// use wavex_geodesy::frames::Attitude;
-/// use wavex_geodesy::trajectory::plausibility::{Kind, Limits, contradiction};
+/// use wavex_geodesy::trajectory::plausibility::{ContradictionKind, MotionLimits, contradiction};
 /// use wavex_geodesy::trajectory::Sample;
 ///
 /// let sample = |k: u32| Sample {
@@ -122,9 +122,9 @@ struct Window {
 ///     attitude: Attitude { roll_rad: 1.5, ..Attitude::default() },
 /// };
 /// let samples: Vec<Sample> = (0..10).map(sample).collect();
-/// assert_eq!(contradiction(&samples, &[], &Limits::AIRPLANE).unwrap().kind, Kind::Attitude);
+/// assert_eq!(contradiction(&samples, &[], &MotionLimits::AIRPLANE).unwrap().kind, ContradictionKind::Attitude);
 /// ```
-pub fn contradiction(samples: &[Sample], speeds_mps: &[f64], limits: &Limits) -> Option<Contradiction> {
+pub fn contradiction(samples: &[Sample], speeds_mps: &[f64], limits: &MotionLimits) -> Option<Contradiction> {
     let windows = windows(samples, speeds_mps);
     heading_unit(&windows)
         .or_else(|| attitude(samples, limits))
@@ -134,7 +134,7 @@ pub fn contradiction(samples: &[Sample], speeds_mps: &[f64], limits: &Limits) ->
         .or_else(|| heading(&windows, limits))
 }
 
-fn windows(samples: &[Sample], speeds_mps: &[f64]) -> Vec<Window> {
+fn windows(samples: &[Sample], speeds_mps: &[f64]) -> Vec<MotionInterval> {
     let has_speeds = speeds_mps.len() == samples.len() && speeds_mps.iter().any(|speed| *speed != 0.0);
     let mut windows = Vec::new();
     let (mut from, mut is_next) = (0, false);
@@ -146,7 +146,7 @@ fn windows(samples: &[Sample], speeds_mps: &[f64]) -> Vec<Window> {
         }
         if length_s <= LONGEST_WINDOW_S {
             let stored_mps = has_speeds.then(|| 0.5 * (speeds_mps[from] + speeds_mps[to]));
-            windows.push(Window::between(first, sample, stored_mps, is_next));
+            windows.push(MotionInterval::between(first, sample, stored_mps, is_next));
         }
         is_next = length_s <= LONGEST_WINDOW_S;
         from = to;
@@ -154,15 +154,15 @@ fn windows(samples: &[Sample], speeds_mps: &[f64]) -> Vec<Window> {
     windows
 }
 
-impl Window {
-    fn between(first: &Sample, last: &Sample, stored_mps: Option<f64>, is_next: bool) -> Window {
+impl MotionInterval {
+    fn between(first: &Sample, last: &Sample, stored_mps: Option<f64>, is_next: bool) -> MotionInterval {
         let length_s = last.time_s - first.time_s;
         let [from_m, to_m] = [first, last].map(|sample| WGS84.ecef_of(sample.place));
         let velocity_mps: Vector = core::array::from_fn(|axis| (to_m[axis] - from_m[axis]) / length_s);
         let ned_from_ecef = inverse(&ecef_from_ned(first.place.latitude_rad, first.place.longitude_rad));
         let [north, east, down] = rotate(&ned_from_ecef, velocity_mps);
         let turned_rad = wrapped_rad(last.attitude.heading_rad - first.attitude.heading_rad);
-        Window {
+        MotionInterval {
             velocity_mps,
             speed_mps: (north * north + east * east + down * down).sqrt(),
             horizontal_mps: (north * north + east * east).sqrt(),
@@ -177,11 +177,11 @@ impl Window {
 }
 
 /// Headings that fit the course in the other unit only.
-fn heading_unit(windows: &[Window]) -> Option<Contradiction> {
+fn heading_unit(windows: &[MotionInterval]) -> Option<Contradiction> {
     let off_rad = drift_rad(windows, 1.0).filter(|off| *off > DRIFT_RAD)?;
     let units = [
-        (Kind::AnglesAreRadians, 1.0 / DEGREE, "degrees", "radians"),
-        (Kind::AnglesAreDegrees, DEGREE, "radians", "degrees"),
+        (ContradictionKind::AnglesAreRadians, 1.0 / DEGREE, "degrees", "radians"),
+        (ContradictionKind::AnglesAreDegrees, DEGREE, "radians", "degrees"),
     ];
     let fitting = units.map(|unit| (unit, drift_rad(windows, unit.1).unwrap_or(PI)));
     let best = fitting.into_iter().min_by(|a, b| a.1.total_cmp(&b.1));
@@ -195,34 +195,34 @@ fn heading_unit(windows: &[Window]) -> Option<Contradiction> {
     Some(Contradiction { kind, problem })
 }
 
-/// Headings that are not those of the course, in any unit.
-fn heading(windows: &[Window], limits: &Limits) -> Option<Contradiction> {
+/// Headings that differ from the course in any unit.
+fn heading(windows: &[MotionInterval], limits: &MotionLimits) -> Option<Contradiction> {
     let off_rad = drift_rad(windows, 1.0).filter(|off| *off > limits.drift_rad)?;
     let problem = format!(
         "its headings differ by {:.0} degrees and more from the course over ground in a quarter of the flight",
         off_rad / DEGREE
     );
-    Some(Contradiction { kind: Kind::Heading, problem })
+    Some(Contradiction { kind: ContradictionKind::Heading, problem })
 }
 
 /// Upper quartile of the angles between course and scaled heading, rad.
 ///
 /// Not the median: of flights to the north and south, half fits in either unit.
-fn drift_rad(windows: &[Window], scale: f64) -> Option<f64> {
+fn drift_rad(windows: &[MotionInterval], scale: f64) -> Option<f64> {
     let moving = windows.iter().filter(|window| window.horizontal_mps > LEAST_SPEED_MPS);
     let off = moving.map(|window| wrapped_rad(scale * window.heading_rad - window.course_rad).abs());
     quantile(off, 0.75)
 }
 
-fn attitude(samples: &[Sample], limits: &Limits) -> Option<Contradiction> {
+fn attitude(samples: &[Sample], limits: &MotionLimits) -> Option<Contradiction> {
     let roll = samples.iter().map(|sample| wrapped_rad(sample.attitude.roll_rad).abs());
     let pitch = samples.iter().map(|sample| wrapped_rad(sample.attitude.pitch_rad).abs());
     let problem = exceeds("roll", "degrees", DEGREE, roll, limits.roll_rad)
         .or_else(|| exceeds("pitch", "degrees", DEGREE, pitch, limits.pitch_rad))?;
-    Some(Contradiction { kind: Kind::Attitude, problem })
+    Some(Contradiction { kind: ContradictionKind::Attitude, problem })
 }
 
-fn motion(windows: &[Window], limits: &Limits) -> Option<Contradiction> {
+fn motion(windows: &[MotionInterval], limits: &MotionLimits) -> Option<Contradiction> {
     let speeds = windows.iter().map(|window| window.speed_mps);
     let accelerations = windows.windows(2).filter(|pair| pair[1].is_next).map(|pair| {
         let square: f64 =
@@ -233,11 +233,11 @@ fn motion(windows: &[Window], limits: &Limits) -> Option<Contradiction> {
     let problem = exceeds("speed", "m/s", 1.0, speeds, limits.speed_mps)
         .or_else(|| exceeds("acceleration", "m/s²", 1.0, accelerations, limits.acceleration_mps2))
         .or_else(|| exceeds("turn rate", "degrees/s", DEGREE, turns, limits.turn_rate_rad_per_s))?;
-    Some(Contradiction { kind: Kind::Motion, problem })
+    Some(Contradiction { kind: ContradictionKind::Motion, problem })
 }
 
 /// Positions that are sparser than the records.
-fn repeated(samples: &[Sample], windows: &[Window]) -> Option<Contradiction> {
+fn repeated(samples: &[Sample], windows: &[MotionInterval]) -> Option<Contradiction> {
     let speed_mps = quantile(windows.iter().map(|window| window.speed_mps), 0.5)?;
     let count = samples.windows(2).filter(|pair| pair[0].place == pair[1].place).count();
     let part = count as f64 / samples.len() as f64;
@@ -246,10 +246,10 @@ fn repeated(samples: &[Sample], windows: &[Window]) -> Option<Contradiction> {
         100.0 * part
     );
     (part > MOST_REPEATED && speed_mps > LEAST_MOVING_MPS)
-        .then_some(Contradiction { kind: Kind::Motion, problem })
+        .then_some(Contradiction { kind: ContradictionKind::Motion, problem })
 }
 
-fn stored_speed(windows: &[Window]) -> Option<Contradiction> {
+fn stored_speed(windows: &[MotionInterval]) -> Option<Contradiction> {
     let pairs = || windows.iter().filter_map(|window| Some([window.stored_mps?, window.horizontal_mps]));
     let difference = pairs().map(|[stored, own]| (stored - own).abs() - SPEED_DIFFERS_PART * own.max(stored));
     if quantile(difference, 0.5)? <= SPEED_DIFFERS_MPS {
@@ -260,7 +260,7 @@ fn stored_speed(windows: &[Window]) -> Option<Contradiction> {
         "its stored velocity has a median of {:.1} m/s, but its positions move at {:.1} m/s by its times",
         stored?, own?
     );
-    Some(Contradiction { kind: Kind::Motion, problem })
+    Some(Contradiction { kind: ContradictionKind::Motion, problem })
 }
 
 /// Describes values that exceed a limit in more than 5 % of the cases.
@@ -336,7 +336,11 @@ mod tests {
             .collect()
     }
 
-    fn found(course_deg: f64, limits: &Limits, change: impl Fn(&mut Sample)) -> Option<Kind> {
+    fn found(
+        course_deg: f64,
+        limits: &MotionLimits,
+        change: impl Fn(&mut Sample),
+    ) -> Option<ContradictionKind> {
         let mut samples = flight(course_deg);
         samples.iter_mut().for_each(change);
         contradiction(&samples, &[], limits).map(|found| found.kind)
@@ -351,7 +355,7 @@ mod tests {
     #[test]
     fn sound_flights_have_no_contradiction() {
         for course_deg in [0.0, 47.0, 90.0, 200.0] {
-            for limits in [Limits::AIRPLANE, Limits::HELICOPTER] {
+            for limits in [MotionLimits::AIRPLANE, MotionLimits::HELICOPTER] {
                 assert_eq!(found(course_deg, &limits, |_| {}), None, "{course_deg}");
                 let bank = |s: &mut Sample| s.attitude.roll_rad = 60.0 * DEGREE;
                 assert_eq!(found(course_deg, &limits, bank), None, "{course_deg}");
@@ -362,51 +366,57 @@ mod tests {
     #[test]
     fn angles_in_the_other_unit_are_found() {
         for course_deg in [0.0, 47.0, 90.0, 200.0] {
-            let small = found(course_deg, &Limits::AIRPLANE, |s| scale(&mut s.attitude, DEGREE));
-            assert_eq!(small, Some(Kind::AnglesAreRadians), "{course_deg}");
+            let small = found(course_deg, &MotionLimits::AIRPLANE, |s| scale(&mut s.attitude, DEGREE));
+            assert_eq!(small, Some(ContradictionKind::AnglesAreRadians), "{course_deg}");
         }
         // At 90 degrees, 275 rad happen to fit the course.
         for course_deg in [0.0, 47.0, 200.0] {
-            let large = found(course_deg, &Limits::AIRPLANE, |s| scale(&mut s.attitude, 1.0 / DEGREE));
-            assert_eq!(large, Some(Kind::AnglesAreDegrees), "{course_deg}");
+            let large = found(course_deg, &MotionLimits::AIRPLANE, |s| scale(&mut s.attitude, 1.0 / DEGREE));
+            assert_eq!(large, Some(ContradictionKind::AnglesAreDegrees), "{course_deg}");
             let heading = |s: &mut Sample| s.attitude.heading_rad /= DEGREE;
-            assert_eq!(found(course_deg, &Limits::HELICOPTER, heading), Some(Kind::AnglesAreDegrees));
+            assert_eq!(
+                found(course_deg, &MotionLimits::HELICOPTER, heading),
+                Some(ContradictionKind::AnglesAreDegrees)
+            );
         }
     }
 
     #[test]
     fn headings_across_the_course_are_found_for_airplanes() {
         let turn = |s: &mut Sample| s.attitude.heading_rad += 90.0 * DEGREE;
-        assert_eq!(found(47.0, &Limits::AIRPLANE, turn), Some(Kind::Heading));
-        assert_eq!(found(47.0, &Limits::HELICOPTER, turn), None);
+        assert_eq!(found(47.0, &MotionLimits::AIRPLANE, turn), Some(ContradictionKind::Heading));
+        assert_eq!(found(47.0, &MotionLimits::HELICOPTER, turn), None);
     }
 
     #[test]
     fn attitudes_and_motion_beyond_limits_are_found() {
-        let of = |change: fn(&mut Sample)| found(47.0, &Limits::AIRPLANE, change);
-        assert_eq!(of(|s| s.attitude.roll_rad = 1.5), Some(Kind::Attitude));
-        assert_eq!(of(|s| s.attitude.pitch_rad = 1.0), Some(Kind::Attitude));
+        let of = |change: fn(&mut Sample)| found(47.0, &MotionLimits::AIRPLANE, change);
+        assert_eq!(of(|s| s.attitude.roll_rad = 1.5), Some(ContradictionKind::Attitude));
+        assert_eq!(of(|s| s.attitude.pitch_rad = 1.0), Some(ContradictionKind::Attitude));
         assert_eq!(
             of(|s| s.place.latitude_rad = 0.8 + 10.0 * (s.place.latitude_rad - 0.8)),
-            Some(Kind::Motion)
+            Some(ContradictionKind::Motion)
         );
         let oscillate = |s: &mut Sample| s.place.height_m += 100.0 * (s.time_s * 2.0).sin();
-        assert_eq!(of(oscillate), Some(Kind::Motion));
-        assert_eq!(of(|s| s.attitude.heading_rad += 100.0 * DEGREE * s.time_s), Some(Kind::Motion));
+        assert_eq!(of(oscillate), Some(ContradictionKind::Motion));
+        assert_eq!(
+            of(|s| s.attitude.heading_rad += 100.0 * DEGREE * s.time_s),
+            Some(ContradictionKind::Motion)
+        );
     }
 
     #[test]
     fn positions_sparser_than_the_records_are_found() {
         let mut samples = flight(47.0);
         (0..2000).for_each(|k| samples[k].place = samples[k / 20 * 20].place);
-        let found = contradiction(&samples, &[], &Limits::AIRPLANE).unwrap();
+        let found = contradiction(&samples, &[], &MotionLimits::AIRPLANE).unwrap();
         assert!(found.problem.starts_with("95.0 % of its records repeat the position"), "{found:?}");
     }
 
     #[test]
     fn stored_speeds_must_be_those_of_the_positions() {
         let samples = flight(47.0);
-        let of = |speed_mps: f64| contradiction(&samples, &[speed_mps; 2000], &Limits::AIRPLANE);
+        let of = |speed_mps: f64| contradiction(&samples, &[speed_mps; 2000], &MotionLimits::AIRPLANE);
         assert_eq!((of(0.0), of(SPEED_MPS), of(SPEED_MPS + 3.0)), (None, None, None));
         let problem = of(SPEED_MPS * 3.6).unwrap().problem;
         assert!(problem.contains("216.0 m/s, but its positions move at 6"), "{problem}");

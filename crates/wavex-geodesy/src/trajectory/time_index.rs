@@ -41,7 +41,7 @@ impl TimeIndex {
 
     /// Index of the last time not later than this one.
     ///
-    /// Never that of the last time of all; `None` outside the span.
+    /// Never the index of the last time of all; `None` outside the span.
     pub(super) fn before(&self, time_s: f64) -> Option<usize> {
         let [first_s, last_s] = self.span_s();
         if !(first_s..=last_s).contains(&time_s) {

@@ -1,7 +1,7 @@
 //! Positions outside the area of use of their coordinate reference system.
 
 use crate::plausibility::Check;
-use wavex_geodesy::crs::{Area, Crs};
+use wavex_geodesy::crs::{AreaOfUse, Crs};
 use wavex_geodesy::ellipsoid::Geodetic;
 use wavex_geodesy::frames::Vector;
 
@@ -49,7 +49,11 @@ pub(super) fn outside_of_map(crs: &Crs, point: Vector) -> Option<String> {
 }
 
 /// Describes a position outside the area of use of a CRS, with the likely mistake, in a map that of `in_map`.
-fn outside(crs: &Crs, place: Geodetic, in_map: impl Fn(&Area) -> Option<&'static str>) -> Option<String> {
+fn outside(
+    crs: &Crs,
+    place: Geodetic,
+    in_map: impl Fn(&AreaOfUse) -> Option<&'static str>,
+) -> Option<String> {
     let area = crs.area_of_use().filter(|area| !is_in(area, place))?;
     let name = match (crs.name(), crs.epsg()) {
         (name, Some(code)) if !name.starts_with("EPSG:") => format!("EPSG:{code} ({name})"),
@@ -61,14 +65,14 @@ fn outside(crs: &Crs, place: Geodetic, in_map: impl Fn(&Area) -> Option<&'static
         () if (area.south..=area.north).contains(&latitude) => "the zone, or a code of another country",
         () => "the code",
     });
-    let Area { west, south, east, north } = area;
+    let AreaOfUse { west, south, east, north } = area;
     Some(format!(
         "{name} {MADE_FOR} longitude {west} to {east} and latitude {south} to {north} degrees, but the recording begins at \
          longitude {longitude:.1}, latitude {latitude:.1}: the likely mistake is {mistake}"
     ))
 }
 
-fn is_in(area: &Area, place: Geodetic) -> bool {
+fn is_in(area: &AreaOfUse, place: Geodetic) -> bool {
     area.contains(place.longitude_rad.to_degrees(), place.latitude_rad.to_degrees(), MARGIN_DEG)
 }
 

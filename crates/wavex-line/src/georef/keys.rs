@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::calibration::Calibration;
 use super::mount::Mount;
 use crate::keys::{InvalidKey, Keys};
-use wavex_geodesy::trajectory::plausibility::Limits;
+use wavex_geodesy::trajectory::plausibility::MotionLimits;
 
 /// Table `[job.geometry]`: trajectory, mounting of the scanner, and output coordinates.
 ///
@@ -130,10 +130,10 @@ impl LimitsKey {
     }
 
     /// The limits, if any.
-    pub fn limits(self) -> Option<&'static Limits> {
+    pub fn limits(self) -> Option<&'static MotionLimits> {
         match self {
-            LimitsKey::Airplane => Some(&Limits::AIRPLANE),
-            LimitsKey::Helicopter => Some(&Limits::HELICOPTER),
+            LimitsKey::Airplane => Some(&MotionLimits::AIRPLANE),
+            LimitsKey::Helicopter => Some(&MotionLimits::HELICOPTER),
             LimitsKey::None => None,
         }
     }

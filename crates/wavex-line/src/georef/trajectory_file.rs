@@ -12,10 +12,12 @@ use wavex_geodesy::crs::CrsError;
 use wavex_geodesy::ellipsoid::Geodetic;
 use wavex_geodesy::time_axis::TimeSpan;
 use wavex_geodesy::trajectory::outliers::{
-    FEWEST_FROZEN, Fault, LEAST_M, LEAST_RAD, LEAST_SPEED_MPS, MOST_ACCELERATION_MPS2, MOST_TURNING_RADPS2,
-    Outlier, outliers,
+    FEWEST_FROZEN, LEAST_M, LEAST_RAD, LEAST_SPEED_MPS, MOST_ACCELERATION_MPS2, MOST_TURNING_RADPS2, Outlier,
+    RecordFault, outliers,
 };
-use wavex_geodesy::trajectory::plausibility::{Contradiction, Kind, Limits, contradiction};
+use wavex_geodesy::trajectory::plausibility::{
+    Contradiction, ContradictionKind, MotionLimits, contradiction,
+};
 use wavex_geodesy::trajectory::{Gap, Trajectory, TrajectoryError};
 
 /// A trajectory and its files.
@@ -105,22 +107,22 @@ impl Track {
 /// The key that mends a contradiction, and the key that overrides the check.
 pub fn remedy(found: &Contradiction, is_text: bool, angles: Option<Angles>) -> String {
     let mend = match found.kind {
-        Kind::AnglesAreRadians if is_text => "set `trajectory_angles = \"rad\"`",
-        Kind::AnglesAreDegrees if is_text => "set `trajectory_angles = \"deg\"`",
-        Kind::Attitude if is_text && angles == Some(Angles::Radians) => {
+        ContradictionKind::AnglesAreRadians if is_text => "set `trajectory_angles = \"rad\"`",
+        ContradictionKind::AnglesAreDegrees if is_text => "set `trajectory_angles = \"deg\"`",
+        ContradictionKind::Attitude if is_text && angles == Some(Angles::Radians) => {
             "set `trajectory_angles = \"deg\"` if its angles are degrees"
         }
-        Kind::Attitude | Kind::Motion | Kind::Heading if is_text => {
+        ContradictionKind::Attitude | ContradictionKind::Motion | ContradictionKind::Heading if is_text => {
             "check the order and units of its columns in `trajectory_columns`"
         }
-        Kind::AnglesAreRadians => "export it again with angles in degrees",
-        Kind::AnglesAreDegrees => "export it again with angles in radians",
-        Kind::Attitude | Kind::Motion | Kind::Heading => {
+        ContradictionKind::AnglesAreRadians => "export it again with angles in degrees",
+        ContradictionKind::AnglesAreDegrees => "export it again with angles in radians",
+        ContradictionKind::Attitude | ContradictionKind::Motion | ContradictionKind::Heading => {
             "export it again, and check its units and time scale"
         }
     };
     let wider = match found.kind {
-        Kind::Heading => "if it flies sideways or its axes are turned by the `mount`",
+        ContradictionKind::Heading => "if it flies sideways or its axes are turned by the `mount`",
         _ => "if it is right",
     };
     format!("{mend}; {wider}, set `trajectory_limits` to \"helicopter\" (also for drones) or \"none\"")
@@ -168,8 +170,8 @@ pub fn checks() -> Vec<Check> {
     let limit = |compared, accepted: String, source, message| {
         Check::error(compared, accepted, source, message).with_key("trajectory_limits")
     };
-    let [airplane, helicopter] = [Limits::AIRPLANE, Limits::HELICOPTER];
-    let of_both = |of: fn(&Limits) -> f64, unit: &str| {
+    let [airplane, helicopter] = [MotionLimits::AIRPLANE, MotionLimits::HELICOPTER];
+    let of_both = |of: fn(&MotionLimits) -> f64, unit: &str| {
         format!("{:.0} {unit}; helicopter {:.0}", of(&airplane), of(&helicopter))
     };
     vec![
@@ -258,7 +260,7 @@ pub fn checks() -> Vec<Check> {
 pub fn without_outliers(
     file: &Path,
     trajectory: Trajectory,
-    limits: Option<&Limits>,
+    limits: Option<&MotionLimits>,
 ) -> std::result::Result<(Trajectory, Option<String>), Error> {
     let found = outliers(trajectory.samples(), limits);
     let Some(note) = note_on(file, &found) else { return Ok((trajectory, None)) };
@@ -277,10 +279,10 @@ fn note_on(file: &Path, outliers: &[Outlier]) -> Option<String> {
     };
     let mut parts = Vec::new();
     for (fault, what, unit, scale) in [
-        (Fault::Position, FAR, " m", 1.0),
-        (Fault::Attitude, TURNED, " degrees", 1f64.to_degrees()),
-        (Fault::Limit, BEYOND, " degrees", 1f64.to_degrees()),
-        (Fault::Frozen, REPEATED, "", 0.0),
+        (RecordFault::Position, FAR, " m", 1.0),
+        (RecordFault::Attitude, TURNED, " degrees", 1f64.to_degrees()),
+        (RecordFault::Limit, BEYOND, " degrees", 1f64.to_degrees()),
+        (RecordFault::Frozen, REPEATED, "", 0.0),
     ] {
         if let Some((count, worst)) = worst(fault) {
             let by = if scale > 0.0 {

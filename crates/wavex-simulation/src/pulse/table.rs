@@ -24,12 +24,12 @@ pub struct PulseTable {
     variance_ns2: f64,
     /// Decay of the slow tail over one sample, where only the tail remains; 0: no tail.
     tail_factor: f64,
-    rows: Vec<OnceCell<Row>>,
+    rows: Vec<OnceCell<WidthRow>>,
 }
 
 /// One width: the response at all samples, for each phase of the first sample relative to the peak.
 #[derive(Clone, Debug)]
-struct Row {
+struct WidthRow {
     /// Number of samples before the one at or before the peak.
     lead: i64,
     /// Total number of samples.
@@ -37,7 +37,7 @@ struct Row {
     /// `PHASES + 1` runs of `len` samples: run p holds the response at `(k - lead - p / PHASES)`
     /// samples.
     samples: Vec<f64>,
-    /// Peak amplitude relative to that of a flat target.
+    /// Peak amplitude relative to the peak amplitude of a flat target.
     peak: f64,
 }
 
@@ -115,7 +115,7 @@ impl PulseTable {
         }
     }
 
-    fn row(&self, width: WidthIndex) -> &Row {
+    fn row(&self, width: WidthIndex) -> &WidthRow {
         self.rows[width.0].get_or_init(|| {
             let ratio = self.width_ratio(width);
             let widening_ns2 = self.variance_ns2 * (ratio * ratio - 1.0);
@@ -128,7 +128,7 @@ impl PulseTable {
             };
             let samples = (0..=PHASES).flat_map(|phase| (0..len).map(move |k| value(phase, k))).collect();
             let peak = self.shape.at(self.shape.peak_ns(widening_ns2), widening_ns2);
-            Row { lead, len, samples, peak }
+            WidthRow { lead, len, samples, peak }
         })
     }
 }

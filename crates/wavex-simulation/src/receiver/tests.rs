@@ -15,8 +15,8 @@ fn settings() -> ReceiverSettings {
     }
 }
 
-fn receiver() -> Receiver {
-    Receiver::new(&settings()).unwrap()
+fn receiver() -> SimulatedReceiver {
+    SimulatedReceiver::new(&settings()).unwrap()
 }
 
 fn random() -> Random {
@@ -24,7 +24,7 @@ fn random() -> Random {
 }
 
 /// Echoes of flat targets at these times with these amplitudes.
-fn echoes(receiver: &Receiver, echoes: &[(f64, f64)]) -> Vec<ReceivedEcho> {
+fn echoes(receiver: &SimulatedReceiver, echoes: &[(f64, f64)]) -> Vec<ReceivedEcho> {
     let width = receiver.response().width(0.0);
     echoes.iter().map(|&(time_ns, amplitude_dn)| echo(time_ns, amplitude_dn, width)).collect()
 }
@@ -81,7 +81,7 @@ fn samples_of_a_block_without_noise() {
 fn late_odd_samples_are_taken_at_their_own_time() {
     let late = ReceiverSettings { odd_sample_shift: 0.25, ..settings() };
     let recorded = |settings: &ReceiverSettings, time_ns: f64| {
-        let mut receiver = Receiver::new(settings).unwrap();
+        let mut receiver = SimulatedReceiver::new(settings).unwrap();
         let one = echoes(&receiver, &[(time_ns, 100.0)]);
         receiver.record(&SampleWindow { start: 84, len: 60 }, &one, &mut random()).1.to_vec()
     };
@@ -114,7 +114,7 @@ fn the_outgoing_pulse_begins_on_the_raster_and_lies_between_samples() {
 fn the_second_receiver_sees_strong_echoes_later_and_on_its_own_raster() {
     let high_power = HighPower { from_dn: 150.0, noise_sd_dn: 0.0, delay_ns: 0.43 };
     let mut receiver =
-        Receiver::new(&ReceiverSettings { high_power: Some(high_power), ..settings() }).unwrap();
+        SimulatedReceiver::new(&ReceiverSettings { high_power: Some(high_power), ..settings() }).unwrap();
     let mut windows = Vec::new();
     let strong = echoes(&receiver, &[(101.375, 1000.0)]);
     receiver.windows(&strong, &mut windows);

@@ -1,11 +1,11 @@
 //! A block with a flat roof.
 
-use super::{Area, Beam, Class, HALF_DIVERGENCE_RAD, LEAST_SHARE, Surface, Texture, TracedPulse};
+use super::{Class, HALF_DIVERGENCE_RAD, LEAST_SHARE, MapArea, SceneBeam, Surface, Texture, TracedPulse};
 
 /// A block with a flat roof, whose brightest spots saturate a receiver set for the ground.
 #[derive(Clone, Debug)]
 pub(super) struct Building {
-    area: Area,
+    area: MapArea,
     roof_height_m: f64,
     roof: Surface,
     wall: Surface,
@@ -35,7 +35,7 @@ impl Materials {
 
 impl Building {
     /// A block on this area with this roof height in the scene.
-    pub(super) fn new(area: Area, roof_height_m: f64, materials: &Materials) -> Building {
+    pub(super) fn new(area: MapArea, roof_height_m: f64, materials: &Materials) -> Building {
         Building { area, roof_height_m, roof: materials.roof, wall: materials.wall }
     }
 
@@ -64,7 +64,7 @@ impl Building {
     ///
     /// The beam hits a wall if it would reach the ground below the block, or leaves the block
     /// before it reaches the ground.
-    fn wall(&self, beam: &Beam, ground_m: f64) -> Option<(f64, f64)> {
+    fn wall(&self, beam: &SceneBeam, ground_m: f64) -> Option<(f64, f64)> {
         // The beam enters through the last of the walls that it approaches, and leaves through the
         // first of those that it moves away from.
         let sides = [(self.area.x, 0), (self.area.y, 1)];

@@ -1,15 +1,15 @@
 //! A wood: layers of leaves with gaps.
 
-use super::{Beam, Class, LEAST_SHARE, Surface, Texture, TracedPulse};
+use super::{Class, LEAST_SHARE, SceneBeam, Surface, Texture, TracedPulse};
 
 /// Layers of leaves from the top down, each with its own gaps.
 #[derive(Clone, Debug)]
 pub(super) struct Canopy {
-    layers: [Layer; 3],
+    layers: [CanopyLayer; 3],
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Layer {
+struct CanopyLayer {
     /// Maximum height above the ground, m.
     height_m: f64,
     /// Maximum fraction that it takes from a beam.
@@ -27,7 +27,7 @@ const RISE: f64 = 0.25;
 
 impl Canopy {
     pub(super) fn new(seed: u64, height_m: f64) -> Canopy {
-        let layer = |name, height, density, gap, roughness_m| Layer {
+        let layer = |name, height, density, gap, roughness_m| CanopyLayer {
             height_m: height * height_m,
             density,
             gap,
@@ -42,7 +42,7 @@ impl Canopy {
         let layers = [
             layer(10, 1.0, 0.75, 0.35, 0.30),
             layer(20, 0.6, 0.60, 0.45, 0.35),
-            // Undergrowth, whose echoes overlap those of the ground.
+            // Undergrowth, whose echoes overlap the echoes of the ground.
             layer(30, 0.1, 0.50, 0.45, 0.12),
         ];
         Canopy { layers }
@@ -80,9 +80,9 @@ impl Canopy {
     }
 }
 
-impl Layer {
+impl CanopyLayer {
     /// Range at which a beam meets the layer, which is highest in the middle of crowns.
-    fn range_m(&self, beam: &Beam, near_m: f64, ground_m: impl Fn(f64, f64) -> f64) -> f64 {
+    fn range_m(&self, beam: &SceneBeam, near_m: f64, ground_m: impl Fn(f64, f64) -> f64) -> f64 {
         let height = |ground_m: f64, relief: f64| ground_m + self.height_m * (1.0 - RELIEF * (1.0 - relief));
         let [x, y, _] = beam.at(beam.range_to(height(near_m, 0.5)));
         beam.range_to(height(ground_m(x, y), self.crowns.coarse(x, y)))

@@ -5,7 +5,7 @@ use super::building::{Building, Materials};
 use super::canopy::Canopy;
 use super::terrain::SimulatedTerrain;
 use super::wires::Wires;
-use super::{Area, Beam, LEAST_SHARE, Surface, Texture, TracedPulse};
+use super::{LEAST_SHARE, MapArea, SceneBeam, Surface, Texture, TracedPulse};
 
 /// Size of woods and clearings, m.
 const WOOD_M: f64 = 150.0;
@@ -65,7 +65,7 @@ impl Country {
     }
 
     /// Range at which a beam reaches the ground, m.
-    pub(super) fn range_to_ground(&self, beam: &Beam) -> f64 {
+    pub(super) fn range_to_ground(&self, beam: &SceneBeam) -> f64 {
         self.terrain.range_to(beam)
     }
 
@@ -132,7 +132,7 @@ impl Country {
             [from, from + size]
         };
         let [x_chance, y_chance, ..] = cell(self.plots ^ 1, 2 * column, 2 * row);
-        let area = Area { x: corner(column, width, x_chance), y: corner(row, depth, y_chance) };
+        let area = MapArea { x: corner(column, width, x_chance), y: corner(row, depth, y_chance) };
         let middle = |[from, to]: [f64; 2]| 0.5 * (from + to);
         let (x, y) = (middle(area.x), middle(area.y));
         if self.terrain.is_water(x, y) || self.is_wood(x, y) {
@@ -160,14 +160,14 @@ mod tests {
     };
 
     /// Hits of 40 000 beams at angles up to 35 degrees.
-    fn flown(settings: CountrySettings) -> Vec<(Beam, Vec<Hit>)> {
+    fn flown(settings: CountrySettings) -> Vec<(SceneBeam, Vec<Hit>)> {
         let scene = Scene::country(1, 900.0, settings);
         let beam = |k: u32| {
             let across = 1.4 * (f64::from(k % 500) / 499.0 - 0.5);
             let length = (1.0 + across * across).sqrt();
             let y = 7.3 * f64::from(k / 500);
             let origin_m = [320_000.0, 5_300_000.0 + y, GROUND_HEIGHT_M + 900.0];
-            Beam { origin_m, direction: [across / length, 0.0, -1.0 / length] }
+            SceneBeam { origin_m, direction: [across / length, 0.0, -1.0 / length] }
         };
         (0..40_000)
             .map(|k| {

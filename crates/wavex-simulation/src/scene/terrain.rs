@@ -1,7 +1,7 @@
 //! Ground with hills, and lakes in its hollows.
 
 use super::super::start::GROUND_HEIGHT_M;
-use super::{Beam, Texture};
+use super::{SceneBeam, Texture};
 
 /// Size of hills, m; knolls are a seventh of it.
 const HILL_M: f64 = 400.0;
@@ -48,7 +48,7 @@ impl SimulatedTerrain {
     }
 
     /// Range at which a beam first meets the ground, m.
-    pub(super) fn range_to(&self, beam: &Beam) -> f64 {
+    pub(super) fn range_to(&self, beam: &SceneBeam) -> f64 {
         let [lowest, highest] = self.bounds_m();
         if lowest == highest {
             return beam.range_to(lowest);
@@ -74,7 +74,7 @@ impl SimulatedTerrain {
     }
 
     /// Cosine of the angle between a beam and the ground's normal at a range.
-    pub(super) fn cosine(&self, beam: &Beam, range_m: f64) -> f64 {
+    pub(super) fn cosine(&self, beam: &SceneBeam, range_m: f64) -> f64 {
         if self.relief_m == 0.0 {
             return beam.cosine();
         }
@@ -122,9 +122,9 @@ fn crossing(
 mod tests {
     use super::*;
 
-    fn beam(x: f64, direction: [f64; 3]) -> Beam {
+    fn beam(x: f64, direction: [f64; 3]) -> SceneBeam {
         let length = direction.iter().map(|d| d * d).sum::<f64>().sqrt();
-        Beam { origin_m: [x, 77.0, GROUND_HEIGHT_M + 1500.0], direction: direction.map(|d| d / length) }
+        SceneBeam { origin_m: [x, 77.0, GROUND_HEIGHT_M + 1500.0], direction: direction.map(|d| d / length) }
     }
 
     #[test]

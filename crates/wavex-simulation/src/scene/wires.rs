@@ -1,7 +1,7 @@
 //! Power lines: wires between pylons.
 
 use super::terrain::SimulatedTerrain;
-use super::{Beam, Class, HALF_DIVERGENCE_RAD, LEAST_SHARE, Surface, Texture, TracedPulse};
+use super::{Class, HALF_DIVERGENCE_RAD, LEAST_SHARE, SceneBeam, Surface, Texture, TracedPulse};
 
 /// Distance between power lines, which run along the track, m.
 const LINE_SPACING_M: f64 = 150.0;
@@ -57,7 +57,13 @@ impl Wires {
     /// Range of closest approach of a beam to a wire, and their distance there, m.
     ///
     /// The wire is at `x` and, at its pylons, `above_m` above the ground.
-    fn nearest(&self, beam: &Beam, terrain: &SimulatedTerrain, x: f64, above_m: f64) -> Option<(f64, f64)> {
+    fn nearest(
+        &self,
+        beam: &SceneBeam,
+        terrain: &SimulatedTerrain,
+        x: f64,
+        above_m: f64,
+    ) -> Option<(f64, f64)> {
         let [dx, _, dz] = beam.direction;
         let across2 = dx * dx + dz * dz;
         let along = |z: f64| ((x - beam.origin_m[0]) * dx + (z - beam.origin_m[2]) * dz) / across2;
@@ -110,15 +116,15 @@ mod tests {
     use super::*;
 
     /// A beam from 500 m that passes through a point.
-    fn through(point_m: [f64; 3]) -> Beam {
+    fn through(point_m: [f64; 3]) -> SceneBeam {
         let origin_m = [60.0, 20.0, GROUND_HEIGHT_M + 500.0];
         let offset: [f64; 3] = core::array::from_fn(|axis| point_m[axis] - origin_m[axis]);
         let length = offset.iter().map(|d| d * d).sum::<f64>().sqrt();
-        Beam { origin_m, direction: offset.map(|d| d / length) }
+        SceneBeam { origin_m, direction: offset.map(|d| d / length) }
     }
 
     /// Hits of a beam, and the fraction of the pulse below the wires.
-    fn traced(wires: &Wires, beam: &Beam, ground_m: f64, terrain: &SimulatedTerrain) -> (Vec<Hit>, f64) {
+    fn traced(wires: &Wires, beam: &SceneBeam, ground_m: f64, terrain: &SimulatedTerrain) -> (Vec<Hit>, f64) {
         let mut hits = Vec::new();
         let mut pulse = TracedPulse { beam, ground_m, reference_range_m: 500.0, left: 1.0, hits: &mut hits };
         wires.trace(&mut pulse, terrain);

@@ -18,7 +18,7 @@ use crate::reading::recording::{
     AsDeclared, Declared, FullScale, InputCrs, OddSamples, PulseSpeed, Sampling, TimeKeys,
 };
 use description::{describe, recorded_crs};
-use wavex_formats::pulsewaves::{Pulse, Reader, Segment, SegmentKind, TimeAxis, Waves};
+use wavex_formats::pulsewaves::{PulseRecord, Reader, Segment, SegmentKind, TimeAxis, WaveSegments};
 use wavex_geodesy::beam_length::BeamLength;
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::{Channel, Emission, EmissionReference, Kind, ScanLine, emission_flags};
@@ -172,7 +172,7 @@ struct PulseWavesReader {
     /// Added to pulse times, s, to give seconds of the GPS week or adjusted GPS time.
     time_shift_s: f64,
     next_pulse: u64,
-    waves: Waves,
+    waves: WaveSegments,
     lines: Lines,
     beams: BeamLength,
     units: Units,
@@ -268,7 +268,7 @@ impl PulseWavesReader {
             with_samples: true,
             time_shift_s,
             next_pulse: 0,
-            waves: Waves::new(),
+            waves: WaveSegments::new(),
             lines: Lines::new(input).marking_edges(),
             beams,
             units,
@@ -371,7 +371,7 @@ impl PulseWavesReader {
         }
     }
 
-    fn emission(&self, pulse: &Pulse, unit_ns: f64) -> Emission {
+    fn emission(&self, pulse: &PulseRecord, unit_ns: f64) -> Emission {
         let beam = pulse.step.map(|metres| metres / unit_ns);
         let own_length = beam.iter().map(|x| x * x).sum::<f64>().sqrt();
         let clock_s = (pulse.t.wrapping_sub(self.first_t)) as f64 * self.reader.header().t_scale_s;
@@ -453,12 +453,12 @@ impl Source for PulseWavesReader {
 }
 
 /// Sampling unit of a pulse, ns: anchor and target are 1000 units apart.
-fn unit_ns(reader: &Reader, pulse: &Pulse) -> f64 {
+fn unit_ns(reader: &Reader, pulse: &PulseRecord) -> f64 {
     reader.descriptors().get(&pulse.descriptor).map_or(1.0, |descriptor| descriptor.sample_units_ns)
 }
 
 /// Converts the height of a pulse and of its vector to the unit of x and y.
-fn with_heights_in(mut pulse: Pulse, units: Units) -> Pulse {
+fn with_heights_in(mut pulse: PulseRecord, units: Units) -> PulseRecord {
     pulse.anchor[2] *= units.height_factor;
     pulse.step[2] *= units.height_factor;
     pulse

@@ -24,7 +24,7 @@ use waves::Waves;
 use wavex_formats::Error;
 use wavex_formats::extensions::PACKETS;
 use wavex_formats::geokeys;
-use wavex_formats::las::{IndexPlace, PointOut, Version, Wave, WavePlace, Writer, WriterOptions, nearest};
+use wavex_formats::las::{IndexPlace, LasVersion, PointOut, Wave, WavePlace, Writer, WriterOptions, nearest};
 use wavex_geodesy::time::day_of_year;
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::{
@@ -318,9 +318,9 @@ impl LasWriter {
         let (creation_day, creation_year) = recorded.unwrap_or((0, 0));
         let options = WriterOptions {
             version: match config.version {
-                VersionKey::V1_4 => Version::V1_4,
-                VersionKey::V1_3 => Version::V1_3,
-                VersionKey::V1_2 => Version::V1_2,
+                VersionKey::V1_4 => LasVersion::V1_4,
+                VersionKey::V1_3 => LasVersion::V1_3,
+                VersionKey::V1_2 => LasVersion::V1_2,
             },
             scale: config.steps(input),
             offset: offsets(input, first),

@@ -3,8 +3,8 @@
 use super::*;
 use std::path::Path;
 
-fn location() -> Location<'static> {
-    Location { file: Path::new("a.arrow"), offset: 8, first_row: 0 }
+fn location() -> ContainerLocation<'static> {
+    ContainerLocation { file: Path::new("a.arrow"), offset: 8, first_row: 0 }
 }
 
 fn header() -> ContainerHeader {

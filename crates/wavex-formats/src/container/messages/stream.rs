@@ -8,10 +8,11 @@ use arrow_ipc::{MessageHeader, root_as_message};
 use arrow_schema::Schema;
 
 use super::{
-    CONTINUATION, MAGIC, MAX_METADATA_BYTES, Message, SHORTER, check_digest, first_line, read_up_to, too_long,
+    CONTINUATION, IpcMessage, MAGIC, MAX_METADATA_BYTES, SHORTER, check_digest, first_line, read_up_to,
+    too_long,
 };
 use crate::container::checked_schema::schema_of;
-use crate::container::location::{CUT_OFF, DAMAGED, Location};
+use crate::container::location::{CUT_OFF, ContainerLocation, DAMAGED};
 use crate::container::{MAX_BATCH_BYTES, digest};
 use crate::{Error, Result};
 
@@ -25,7 +26,7 @@ pub(in crate::container) struct StreamMessages {
     pub(super) len: Option<u64>,
     /// Whether it is a file, which starts with the magic.
     is_file: bool,
-    state: State,
+    state: StreamState,
     /// Whether the schema has a digest; each record batch then needs one.
     has_digests: bool,
     /// Number of messages read after the schema.
@@ -33,7 +34,7 @@ pub(in crate::container) struct StreamMessages {
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum State {
+enum StreamState {
     Open,
     /// The end marker was read.
     Ended,
@@ -55,7 +56,7 @@ impl StreamMessages {
         };
         let from = BufReader::with_capacity(1 << 18, from);
         let name = name.to_path_buf();
-        let (state, has_digests) = (State::Open, false);
+        let (state, has_digests) = (StreamState::Open, false);
         let mut stream =
             StreamMessages { name, from, at, len: None, is_file, state, has_digests, batches: 0 };
         if is_file {
@@ -82,7 +83,7 @@ impl StreamMessages {
         let Some(message) = self.next()? else {
             return Err(not_arrow(&self.name));
         };
-        let location = Location { file: &self.name, offset: message.offset, first_row: 0 };
+        let location = ContainerLocation { file: &self.name, offset: message.offset, first_row: 0 };
         let parsed = root_as_message(&message.metadata)
             .map_err(|e| location.bad("schema", first_line(&e), DAMAGED))?;
         let Some(schema) = parsed.header_as_schema() else {
@@ -94,8 +95,8 @@ impl StreamMessages {
     }
 
     /// Returns the next message, or `None` at the end.
-    pub(super) fn next(&mut self) -> Result<Option<Message>> {
-        if self.state != State::Open {
+    pub(super) fn next(&mut self) -> Result<Option<IpcMessage>> {
+        if self.state != StreamState::Open {
             return Ok(None);
         }
         let offset = self.at;
@@ -103,7 +104,7 @@ impl StreamMessages {
             return Ok(None);
         };
         let metadata = Buffer::from_vec(self.take(length, "metadata of a message")?);
-        let location = Location { file: &self.name, offset, first_row: 0 };
+        let location = ContainerLocation { file: &self.name, offset, first_row: 0 };
         let parsed =
             root_as_message(&metadata).map_err(|e| location.bad("message", first_line(&e), DAMAGED))?;
         let (body, is_schema) = (parsed.bodyLength(), parsed.header_type() == MessageHeader::Schema);
@@ -115,9 +116,9 @@ impl StreamMessages {
             _ => return Err(location.bad("length of the body", format!("it is {body}"), DAMAGED)),
         };
         let body = Buffer::from_vec(self.take(bytes, "body of a message")?);
-        let message = Message { offset, metadata: metadata.clone(), body };
+        let message = IpcMessage { offset, metadata: metadata.clone(), body };
         if !is_schema {
-            let location = Location { file: &self.name, offset, first_row: 0 };
+            let location = ContainerLocation { file: &self.name, offset, first_row: 0 };
             check_digest(&message, &parsed, self.batches, self.has_digests, location)?;
             self.batches += 1;
         }
@@ -137,18 +138,18 @@ impl StreamMessages {
         match word.map(i32::from_le_bytes) {
             None if self.is_file => Err(self.cut_off(start, "end of the file")),
             None => {
-                self.state = State::Stopped;
+                self.state = StreamState::Stopped;
                 Ok(None)
             }
             Some(0) => {
-                self.state = State::Ended;
+                self.state = StreamState::Ended;
                 Ok(None)
             }
             Some(length) => match usize::try_from(length) {
                 Ok(length) if length <= MAX_METADATA_BYTES => Ok(Some(length)),
                 _ if start == 0 => Err(not_arrow(&self.name)),
                 _ => {
-                    let location = Location { file: &self.name, offset: start, first_row: 0 };
+                    let location = ContainerLocation { file: &self.name, offset: start, first_row: 0 };
                     Err(location.bad("length of a message", format!("it is {length}"), DAMAGED))
                 }
             },
@@ -175,13 +176,13 @@ impl StreamMessages {
     }
 
     fn cut_off(&self, offset: u64, field: &str) -> Error {
-        let location = Location { file: &self.name, offset, first_row: 0 };
+        let location = ContainerLocation { file: &self.name, offset, first_row: 0 };
         location.bad(field, format!("the bytes end at byte {}", self.at), CUT_OFF)
     }
 
     /// Whether the bytes ended without the end-of-stream marker.
     pub(in crate::container) fn stopped(&self) -> bool {
-        self.state == State::Stopped
+        self.state == StreamState::Stopped
     }
 }
 

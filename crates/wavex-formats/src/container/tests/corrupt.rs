@@ -312,7 +312,7 @@ fn big_endian_numbers_are_refused() {
     let root = schema.finish();
     made.finish(root, None);
     let schema = arrow_ipc::root_as_schema(made.finished_data()).unwrap();
-    let location = location::Location { file: Path::new("a.arrow"), offset: 0, first_row: 0 };
+    let location = location::ContainerLocation { file: Path::new("a.arrow"), offset: 0, first_row: 0 };
     let error = checked_schema::schema_of(schema, location).unwrap_err().to_string();
     assert_eq!(
         error,

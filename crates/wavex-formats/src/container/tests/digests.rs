@@ -109,7 +109,7 @@ fn a_digest_of_another_length_is_refused_as_text() {
     };
     let bytes = entries("\u{1b}[2J");
     let message = arrow_ipc::root_as_message(&bytes).unwrap();
-    let location = location::Location { file: Path::new("a"), offset: 0, first_row: 0 };
+    let location = location::ContainerLocation { file: Path::new("a"), offset: 0, first_row: 0 };
     let error = digest::check(&bytes, &[], message.custom_metadata(), "schema", location).unwrap_err();
     assert!(error.to_string().contains("its digest is \\u{1b}[2J, but"), "{error}");
 }

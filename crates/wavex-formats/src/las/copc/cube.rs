@@ -14,7 +14,7 @@ pub(super) const KEY_LEVELS: u32 = 21;
 pub(super) const CELL_LEVELS: u32 = 7;
 /// Level of the smallest nodes.
 ///
-/// Their cells are those of the keys.
+/// Their cells are as long as the cells of the keys.
 pub(super) const DEEPEST: u32 = KEY_LEVELS - CELL_LEVELS;
 
 /// Axis-aligned cube, in units of the coordinate system.

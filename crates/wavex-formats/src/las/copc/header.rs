@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::cube::{self, CELL_LEVELS, Cube};
-use super::{COPC, Extent, Reshape, into_io, is_left_out};
+use super::{COPC, PointSums, Reshape, into_io, is_left_out};
 use crate::las::encoding;
-use crate::las::header::{Header, header_bytes};
+use crate::las::header::{LasHeader, header_bytes};
 use crate::las::vlr::{EVLR_HEADER, PROJECTION, VLR_HEADER, Vlr, WKT, recorded_crs};
 use crate::las::writer::laz_record;
 use crate::{Error, Result};
@@ -20,7 +20,7 @@ const HIERARCHY: u16 = 1000;
 ///
 /// COPC 1.0, "hierarchy VLR".
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Entry {
+pub(super) struct HierarchyEntry {
     pub(super) level: u32,
     pub(super) prefix: u64,
     /// Offset of its chunk in the file.
@@ -39,7 +39,7 @@ pub(super) struct Hierarchy {
 /// Encodes the octree as an extended record at byte `at`.
 ///
 /// All nodes are on one page.
-pub(super) fn hierarchy(at: u64, entries: &[Entry]) -> Hierarchy {
+pub(super) fn hierarchy(at: u64, entries: &[HierarchyEntry]) -> Hierarchy {
     let mut data = Vec::with_capacity(entries.len() * 32);
     for entry in entries {
         data.extend((entry.level as i32).to_le_bytes());
@@ -55,7 +55,7 @@ pub(super) fn hierarchy(at: u64, entries: &[Entry]) -> Hierarchy {
 /// Header and records known from the source alone.
 pub(super) struct Metadata {
     /// Header, without fields that are known only at the end.
-    header: Header,
+    header: LasHeader,
     /// VLRs after the COPC record.
     vlrs: Vec<u8>,
     /// EVLRs after the octree.
@@ -73,9 +73,9 @@ impl Metadata {
     /// A record cannot be copied, or there are too many.
     pub(super) fn new(
         source: &Path,
-        header: &Header,
+        header: &LasHeader,
         records: (&[Vlr], &Reshape),
-        extent: &Extent,
+        extent: &PointSums,
     ) -> Result<Metadata> {
         let (of_source, reshape) = records;
         let crs = recorded_crs(header, of_source.iter());
@@ -141,9 +141,9 @@ impl Metadata {
 /// Creates the public header block of LAS 1.4.
 ///
 /// Valid fields of the source are kept.
-fn public_header(source: &Header, extent: &Extent, reshape: &Reshape, has_wkt: bool) -> Header {
+fn public_header(source: &LasHeader, extent: &PointSums, reshape: &Reshape, has_wkt: bool) -> LasHeader {
     let kept = encoding::ADJUSTED_TIME | encoding::SYNTHETIC_RETURNS | encoding::WKT;
-    let mut header = Header {
+    let mut header = LasHeader {
         global_encoding: source.global_encoding & kept | if has_wkt { encoding::WKT } else { 0 },
         version: (1, 4),
         generating_software: concat!("wavex ", env!("CARGO_PKG_VERSION")).into(),

@@ -8,7 +8,7 @@ use super::cube::{self, CELL_LEVELS, DEEPEST};
 
 /// Complete node.
 #[derive(Debug, PartialEq)]
-pub(super) struct Node {
+pub(super) struct OctreeNode {
     pub(super) level: u32,
     /// Common leading key bits of its points.
     pub(super) prefix: u64,
@@ -35,7 +35,7 @@ struct OpenNode {
     /// Leaves below.
     ///
     /// They are merged into this node if it becomes a leaf itself.
-    leaves: Vec<Node>,
+    leaves: Vec<OctreeNode>,
 }
 
 impl Octree {
@@ -48,12 +48,12 @@ impl Octree {
     /// Keys must not decrease.
     ///
     /// # Errors
-    /// Those of `done`.
+    /// `done` fails.
     pub(super) fn push<E>(
         &mut self,
         key: u64,
         record: &[u8],
-        done: &mut impl FnMut(Node) -> Result<(), E>,
+        done: &mut impl FnMut(OctreeNode) -> Result<(), E>,
     ) -> Result<(), E> {
         let is_open = |(level, node): (usize, &OpenNode)| node.prefix == cube::prefix(key, level as u32);
         let kept = self.open.iter().enumerate().take_while(|(level, node)| is_open((*level, node))).count();
@@ -77,13 +77,13 @@ impl Octree {
     /// Completes all nodes.
     ///
     /// # Errors
-    /// Those of `done`.
-    pub(super) fn finish<E>(mut self, done: &mut impl FnMut(Node) -> Result<(), E>) -> Result<(), E> {
+    /// `done` fails.
+    pub(super) fn finish<E>(mut self, done: &mut impl FnMut(OctreeNode) -> Result<(), E>) -> Result<(), E> {
         self.close(0, done)
     }
 
     /// Closes nodes from the deepest up, until `kept` are left.
-    fn close<E>(&mut self, kept: usize, done: &mut impl FnMut(Node) -> Result<(), E>) -> Result<(), E> {
+    fn close<E>(&mut self, kept: usize, done: &mut impl FnMut(OctreeNode) -> Result<(), E>) -> Result<(), E> {
         while self.open.len() > kept {
             let Some(node) = self.open.pop() else { break };
             let is_leaf = node.points <= self.leaf_points;
@@ -110,12 +110,12 @@ impl OpenNode {
     /// Returns the node and the leaves below it.
     ///
     /// A leaf absorbs them.
-    fn into_nodes(self, level: u32, is_leaf: bool) -> (Node, Vec<Node>) {
+    fn into_nodes(self, level: u32, is_leaf: bool) -> (OctreeNode, Vec<OctreeNode>) {
         let OpenNode { prefix, mut records, mut leaves, .. } = self;
         if is_leaf {
             leaves.drain(..).for_each(|leaf| records.extend(leaf.records));
         }
-        (Node { level, prefix, records }, leaves)
+        (OctreeNode { level, prefix, records }, leaves)
     }
 }
 
@@ -130,7 +130,7 @@ mod tests {
     use super::*;
 
     /// Returns the nodes of points whose records are their keys.
-    fn nodes(keys: &[u64], leaf_points: u64) -> Vec<Node> {
+    fn nodes(keys: &[u64], leaf_points: u64) -> Vec<OctreeNode> {
         let mut nodes = Vec::new();
         let mut done = |node| {
             nodes.push(node);
@@ -144,7 +144,7 @@ mod tests {
         nodes
     }
 
-    fn keys(node: &Node) -> Vec<u64> {
+    fn keys(node: &OctreeNode) -> Vec<u64> {
         node.records.chunks(8).map(|bytes| u64::from_le_bytes(bytes.try_into().unwrap())).collect()
     }
 
@@ -186,7 +186,7 @@ mod tests {
             let mut all: Vec<u64> = found.iter().flat_map(keys).collect();
             all.sort();
             prop_assert_eq!(all, points);
-            let places: BTreeMap<(u32, u64), &Node> =
+            let places: BTreeMap<(u32, u64), &OctreeNode> =
                 found.iter().map(|node| ((node.level, node.prefix), node)).collect();
             prop_assert_eq!(places.len(), found.len());
             for node in &found {

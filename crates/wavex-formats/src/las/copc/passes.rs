@@ -1,7 +1,7 @@
 //! Progress of a conversion over all passes.
 
 /// Receives the part done, 0 to 1.
-pub type Watch<'a> = &'a mut dyn FnMut(f64);
+pub type ProgressObserver<'a> = &'a mut dyn FnMut(f64);
 
 /// Number of passes: bounds, sorting, writing.
 const PASSES: u64 = 3;
@@ -13,11 +13,11 @@ pub(super) struct Passes<'w> {
     /// Points of all passes, as the header declares them.
     expected: u64,
     counted: u64,
-    watch: Watch<'w>,
+    watch: ProgressObserver<'w>,
 }
 
 impl<'w> Passes<'w> {
-    pub(super) fn new(watch: Watch<'w>) -> Passes<'w> {
+    pub(super) fn new(watch: ProgressObserver<'w>) -> Passes<'w> {
         Passes { expected: 1, counted: 0, watch }
     }
 

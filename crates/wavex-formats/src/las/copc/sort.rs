@@ -57,7 +57,7 @@ impl<'a> Sorter<'a> {
     /// `path` names the output in errors.
     ///
     /// # Errors
-    /// Those of `take`, or a run cannot be read.
+    /// `take` fails, or a run cannot be read.
     pub(super) fn finish(
         mut self,
         path: &Path,

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::*;
 use crate::las::encoding;
-use crate::las::{AMP, IndexPlace, PointOut, Version, WavePlace, WriterOptions};
+use crate::las::{AMP, IndexPlace, LasVersion, PointOut, WavePlace, WriterOptions};
 
 const WKT_TEXT: &str = "LOCAL_CS[\"a place\"]";
 const STEP: f64 = 0.01;
@@ -37,7 +37,7 @@ fn points(n: usize) -> Vec<PointOut> {
 
 fn options(waveforms: WavePlace, index: IndexPlace) -> WriterOptions<'static> {
     WriterOptions {
-        version: Version::V1_4,
+        version: LasVersion::V1_4,
         scale: [STEP; 3],
         offset: [500_000.0, 5_000_000.0, 0.0],
         wkt: Some(WKT_TEXT),
@@ -67,7 +67,7 @@ fn write(path: &Path, points: &[PointOut], options: &WriterOptions) {
     writer.finish().unwrap();
 }
 
-fn convert(source: &Path, out: &Path, limits: Limits) -> Result<CopcSummary> {
+fn convert(source: &Path, out: &Path, limits: MemoryLimits) -> Result<CopcSummary> {
     let mut keep = |run: &[u8]| Ok(Box::new(Cursor::new(run.to_vec())) as Box<dyn io::Read>);
     write_within(source, fs::File::create(out).unwrap(), out, &mut keep, &mut |_| (), limits)
 }
@@ -107,7 +107,7 @@ impl Folder {
     }
 }
 
-const SMALL: Limits = Limits { leaf_points: 500, sort_bytes: 300_000 };
+const SMALL: MemoryLimits = MemoryLimits { leaf_points: 500, sort_bytes: 300_000 };
 
 #[test]
 fn records_are_unchanged() {
@@ -127,7 +127,7 @@ fn header_and_records_are_kept_and_the_info_is_first() {
     write(&source, &points(3000), &options(WavePlace::None, IndexPlace::Appended));
     convert(&source, &out, SMALL).unwrap();
     let (before, after) = (RawPoints::open(&source).unwrap(), RawPoints::open(&out).unwrap());
-    let expected = Header {
+    let expected = LasHeader {
         generating_software: format!("wavex {}", env!("CARGO_PKG_VERSION")),
         offset_to_points: after.header().offset_to_points,
         n_vlrs: before.header().n_vlrs + 1,
@@ -215,7 +215,7 @@ fn bytes_do_not_depend_on_memory() {
     write(&source, &points(5000), &options(WavePlace::None, IndexPlace::None));
     let file = |name: &str, sort_bytes| {
         let out = folder.path(name);
-        convert(&source, &out, Limits { leaf_points: 500, sort_bytes }).unwrap();
+        convert(&source, &out, MemoryLimits { leaf_points: 500, sort_bytes }).unwrap();
         fs::read(out).unwrap()
     };
     assert!(file("a.copc.laz", 20_000) == file("b.copc.laz", 1 << 30));
@@ -254,7 +254,7 @@ fn unsupported_sources_are_refused() {
     let refusal = || convert(&source, &folder.path("a.copc.laz"), SMALL).unwrap_err().to_string();
     let expected = |problem: &str| format!("{}: {problem}", source.display());
 
-    let legacy = WriterOptions { version: Version::V1_2, ..options(WavePlace::None, IndexPlace::None) };
+    let legacy = WriterOptions { version: LasVersion::V1_2, ..options(WavePlace::None, IndexPlace::None) };
     write(&source, &points(3), &legacy);
     let problem = "COPC needs point format 6 to 10, but this is format 1; write the points with \
                    `version = \"1.4\"`";

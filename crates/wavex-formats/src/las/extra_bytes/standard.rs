@@ -72,7 +72,7 @@ pub const RAW_AMPLITUDE: ExtraAttribute = scaled(
     (0.0, 4_294_967_294.0),
     u32::MAX as i64,
 );
-/// Full width at half maximum over that of the system response.
+/// Full width at half maximum (FWHM) over the FWHM of the system response.
 pub const WIDTH_RATIO: ExtraAttribute =
     scaled("Width ratio", "Pulse width / system response", DataType::U16, 0.001, LIMITS_U16, NO_DATA_U16);
 /// Extent of the target along the beam, m.

@@ -14,11 +14,11 @@ prop_compose! {
         numbers in [1e-9..1e3f64, 1e-9..1e3, 1e-9..1e3],
         boxes in any::<[[i32; 3]; 3]>(),
         later in any::<(u64, u64, u32)>(),
-    ) -> Header {
+    ) -> LasHeader {
         let header_size = header_bytes(minor) + sizes.0;
         let from = |version: u8| u64::from(minor >= version);
         let (point_format, n_counts) = if minor >= 4 { (sizes.3, 15) } else { (sizes.3 % 6, 5) };
-        Header {
+        LasHeader {
             file_source_id: ids.0,
             global_encoding: ids.1,
             guid: ids.2,
@@ -32,7 +32,7 @@ prop_compose! {
             n_vlrs: sizes.2,
             point_format,
             compressed: ids.3,
-            record_length: Layout::of(point_format).length as u16 + sizes.4,
+            record_length: PointLayout::of(point_format).length as u16 + sizes.4,
             n_points: counts.0.into(),
             n_points_by_return: std::array::from_fn(|n| if n < n_counts { counts.1[n].into() } else { 0 }),
             scale: numbers,
@@ -52,7 +52,7 @@ proptest! {
     fn a_written_header_reads_as_the_same(header in any_header()) {
         let bytes = header.write();
         prop_assert_eq!(bytes.len(), usize::from(header.header_size));
-        let read = Header::read(&mut bytes.as_slice(), Path::new("a.las"), u64::MAX).unwrap();
+        let read = LasHeader::read(&mut bytes.as_slice(), Path::new("a.las"), u64::MAX).unwrap();
         prop_assert_eq!(read, header);
     }
 }

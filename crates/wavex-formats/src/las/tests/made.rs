@@ -5,9 +5,9 @@ use std::path::Path;
 
 use proptest::prelude::*;
 
-use crate::las::header::{Header, header_bytes};
+use crate::las::header::{LasHeader, header_bytes};
 use crate::las::vlr::Vlr;
-use crate::las::{Descriptor, PointOut, Wave};
+use crate::las::{PacketDescriptor, PointOut, Wave};
 
 /// Generates points whose fields are in range.
 pub(crate) fn any_point() -> impl Strategy<Value = PointOut> {
@@ -101,7 +101,7 @@ impl Made {
 
     /// Encodes header and VLRs.
     fn start(&self) -> Vec<u8> {
-        let header = Header {
+        let header = LasHeader {
             global_encoding: self.encoding,
             version: (1, self.minor),
             header_size: header_bytes(self.minor),
@@ -114,7 +114,7 @@ impl Made {
             start_of_waveforms: self.start_of_waveforms,
             start_of_evlrs: self.offset_to_tail() as u64,
             n_evlrs: self.n_evlrs,
-            ..Header::default()
+            ..LasHeader::default()
         };
         [header.write(), self.vlrs.concat()].concat()
     }
@@ -172,7 +172,7 @@ pub(crate) fn evlr(user_id: &str, record_id: u16, data: &[u8]) -> Vec<u8> {
 
 /// Encodes the data of a waveform descriptor.
 pub(crate) fn descriptor(bits: u8, compression: u8, samples: u32, spacing_ps: u32) -> Vec<u8> {
-    Descriptor { bits, compression, samples, spacing_ps, gain: 1.0, offset: 0.0 }.encode().to_vec()
+    PacketDescriptor { bits, compression, samples, spacing_ps, gain: 1.0, offset: 0.0 }.encode().to_vec()
 }
 
 /// Encodes the waveform packet record with the four samples 1, 2, 3, 258.

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::made::{Made, descriptor, evlr, packets, vlr};
-use crate::las::{GpsTime, Header, Point, Reader, Wave};
+use crate::las::{GpsTime, LasHeader, Point, Reader, Wave};
 
 /// Creates a folder with `a.las` of these bytes.
 fn folder(bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
@@ -145,10 +145,10 @@ fn every_field_of_the_header_is_read() {
     }
     put(255, &2u64.to_le_bytes());
     put(391, &1500u16.to_le_bytes());
-    let header = Header::read(&mut bytes.as_slice(), Path::new("a.las"), bytes.len() as u64).unwrap();
+    let header = LasHeader::read(&mut bytes.as_slice(), Path::new("a.las"), bytes.len() as u64).unwrap();
     let mut by_return = [0; 15];
     by_return[0] = 2;
-    let expected = Header {
+    let expected = LasHeader {
         file_source_id: 7,
         global_encoding: 81,
         guid: [9; 16],
@@ -177,9 +177,9 @@ fn every_field_of_the_header_is_read() {
     assert_eq!(header, expected);
     assert_eq!(header.gps_time(), GpsTime::Standard { offset_s: 1.5e9 });
     assert!(header.says_wkt());
-    let older = Header { version: (1, 4), ..header };
+    let older = LasHeader { version: (1, 4), ..header };
     assert_eq!(older.gps_time(), GpsTime::Standard { offset_s: 1e9 });
-    let week = Header { global_encoding: 64, ..older };
+    let week = LasHeader { global_encoding: 64, ..older };
     assert_eq!((week.gps_time(), week.says_wkt()), (GpsTime::Week, false));
 }
 

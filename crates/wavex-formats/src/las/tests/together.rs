@@ -8,7 +8,7 @@ use proptest::prelude::*;
 
 use super::writer::{cloud, options, u64_at};
 use crate::Error;
-use crate::las::{AMP, CHANNEL, ExtraColumns, IndexPlace, Version, Writer, WriterOptions};
+use crate::las::{AMP, CHANNEL, ExtraColumns, IndexPlace, LasVersion, Writer, WriterOptions};
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
@@ -17,7 +17,7 @@ proptest! {
         n in 0..600usize,
         too_far in prop::collection::vec(0..600usize, 0..3),
         format in prop::sample::select(vec!["a.las", "a.laz"]),
-        version in prop::sample::select(vec![Version::V1_2, Version::V1_4]),
+        version in prop::sample::select(vec![LasVersion::V1_2, LasVersion::V1_4]),
     ) {
         let options = WriterOptions { version, wkt: None, index: IndexPlace::Beside, ..options(&[AMP, CHANNEL]) };
         let mut points = cloud(n);

@@ -8,11 +8,11 @@ use proptest::prelude::*;
 
 use super::made::any_point;
 use crate::las::extra_bytes;
-use crate::las::point::Layout;
+use crate::las::point::PointLayout;
 use crate::las::vlr::{self, Vlr};
 use crate::las::{
-    AMP, ATTRIBUTES_1_1, CHANNEL, ExtraAttribute, Header, IndexPlace, Point, PointOut, Version, WavePlace,
-    Writer, WriterOptions,
+    AMP, ATTRIBUTES_1_1, CHANNEL, ExtraAttribute, IndexPlace, LasHeader, LasVersion, Point, PointOut,
+    WavePlace, Writer, WriterOptions,
 };
 
 mod refused;
@@ -21,7 +21,7 @@ const WKT: &str = "PROJCS[\"UTM 33N\"]";
 
 pub(super) fn options(extra_attributes: &[ExtraAttribute]) -> WriterOptions<'_> {
     WriterOptions {
-        version: Version::V1_4,
+        version: LasVersion::V1_4,
         scale: [0.001, 0.001, 0.002],
         offset: [1000.0, -2000.0, 0.0],
         wkt: Some(WKT),
@@ -145,7 +145,7 @@ fn the_header_of_version_1_2_is_spelled_out() {
     let point = |return_number| PointOut { x: 1001.0, y: -2001.0, return_number, ..PointOut::default() };
     let points: Vec<PointOut> = [1, 1, 5, 6, 15, 0].into_iter().map(point).collect();
     let utm_33 = utm_33();
-    let old = WriterOptions { version: Version::V1_2, wkt: Some(&utm_33), ..options(&[AMP]) };
+    let old = WriterOptions { version: LasVersion::V1_2, wkt: Some(&utm_33), ..options(&[AMP]) };
     let las = write("a.las", &old, &points, &[7, 0]);
     assert_eq!((u16_at(&las, 6), las[24], las[25]), (1, 1, 2), "adjusted time, no bit for WKT");
     // Model, raster, citation, system, unit, unit of heights; then the citation itself with a bar
@@ -184,8 +184,8 @@ fn without_crs_and_in_week_time_the_bits_are_clear() {
 /// Returns header and uncompressed records of a file.
 ///
 /// LAZ is decoded by the `laz` crate.
-fn records(bytes: &[u8]) -> (Header, Vec<u8>) {
-    let header = Header::read(&mut &*bytes, Path::new("a"), bytes.len() as u64).unwrap();
+fn records(bytes: &[u8]) -> (LasHeader, Vec<u8>) {
+    let header = LasHeader::read(&mut &*bytes, Path::new("a"), bytes.len() as u64).unwrap();
     let start = header.offset_to_points as usize;
     let length = header.n_points as usize * usize::from(header.record_length);
     if !header.compressed {
@@ -220,7 +220,7 @@ fn las_and_laz_hold_the_same_records_whatever_the_threads() {
     assert!(plain == compressed);
     assert_eq!(header.n_points, 230_000);
     assert_eq!(header.n_points_by_return[..4], [76_667, 76_667, 76_666, 0]);
-    let same = Header {
+    let same = LasHeader {
         compressed: false,
         n_vlrs: 2,
         offset_to_points: header.offset_to_points,
@@ -256,7 +256,8 @@ fn an_index_follows_compressed_points() {
 
 #[test]
 fn waveforms_of_old_formats_are_compressed_as_laszip_reads_them() {
-    let old = WriterOptions { version: Version::V1_3, waveforms: WavePlace::Beside, ..options(&[CHANNEL]) };
+    let old =
+        WriterOptions { version: LasVersion::V1_3, waveforms: WavePlace::Beside, ..options(&[CHANNEL]) };
     let bytes = write("a.laz", &old, &cloud(10), &[1]);
     let at = bytes.windows(14).position(|window| window == b"laszip encoded").unwrap() - 2 + 54 + 32;
     let item = |number: usize| [0, 2, 4].map(|field| u16_at(&bytes, at + 2 + 6 * number + field));
@@ -274,8 +275,8 @@ fn whole_chunks_and_empty_files_are_valid() {
     }
 }
 
-fn assert_read_by_las(version: Version, bytes: Vec<u8>, points: &[PointOut], extra: &[u8]) {
-    let is_new = version == Version::V1_4;
+fn assert_read_by_las(version: LasVersion, bytes: Vec<u8>, points: &[PointOut], extra: &[u8]) {
+    let is_new = version == LasVersion::V1_4;
     let mut reader = las::Reader::new(Cursor::new(bytes)).unwrap();
     let header = reader.header().clone();
     assert_eq!(header.version(), las::Version::new(1, if is_new { 4 } else { 2 }));
@@ -316,7 +317,7 @@ fn attributes_are_described_for_other_readers() {
     ATTRIBUTES_1_1.iter().for_each(|attribute| attribute.push(1.0, &mut extra));
     assert_eq!(extra.len(), 10);
     let bytes = write("a.las", &options(&ATTRIBUTES_1_1), &cloud(10), &extra);
-    assert_read_by_las(Version::V1_4, bytes.clone(), &cloud(10), &extra);
+    assert_read_by_las(LasVersion::V1_4, bytes.clone(), &cloud(10), &extra);
     let reader = las::Reader::new(Cursor::new(bytes)).unwrap();
     let vlrs = reader.header().vlrs();
     let vlr = vlrs.iter().find(|vlr| (vlr.user_id.as_str(), vlr.record_id) == ("LASF_Spec", 4)).unwrap();

@@ -2,8 +2,8 @@
 //!
 //! LASzip item `Byte14`, version 3, one layer per byte. A layer holds the difference of each byte
 //! to the previous one, by adaptive arithmetic coding with 32-bit intervals (A. Said, "Introduction
-//! to Arithmetic Coding: Theory and Practice", HPL-2004-76). The output is identical to that of the
-//! `laz` crate's compressor. Here one layer is encoded at a time: each symbol depends on the
+//! to Arithmetic Coding: Theory and Practice", HPL-2004-76). The output is identical to the output
+//! of the `laz` crate's compressor. Here one layer is encoded at a time: each symbol depends on the
 //! interval left by the previous one, which thus stays in registers.
 
 /// Scanner channels, each with its own frequencies.
@@ -15,15 +15,15 @@ pub(super) const TOGETHER: usize = 512;
 
 /// Layers of a chunk.
 pub(super) struct ByteLayers {
-    layers: Vec<Layer>,
+    layers: Vec<ByteLayer>,
     is_used: [bool; CHANNELS],
     channel: u8,
-    steps: Vec<Step>,
+    steps: Vec<ChannelStep>,
 }
 
 /// Dependence of a point's bytes on previous points.
 #[derive(Clone, Copy)]
-struct Step {
+struct ChannelStep {
     /// Scanner channel, which selects the frequencies.
     channel: u8,
     /// Channel whose last byte is subtracted.
@@ -32,7 +32,7 @@ struct Step {
     to: u8,
 }
 
-struct Layer {
+struct ByteLayer {
     encoder: Encoder,
     models: [Model; CHANNELS],
     last: [u8; CHANNELS],
@@ -44,7 +44,7 @@ impl ByteLayers {
     ///
     /// The extra bytes of that point are not part of the layers.
     pub(super) fn new(first: &[u8], channel: u8) -> ByteLayers {
-        let layer = |byte: &u8| Layer {
+        let layer = |byte: &u8| ByteLayer {
             encoder: Encoder::new(),
             models: std::array::from_fn(|_| Model::new()),
             last: [*byte; CHANNELS],
@@ -92,10 +92,10 @@ impl ByteLayers {
     ///
     /// As in LASzip version 3, the first byte after a change to an already used channel is still
     /// compared with the previous channel.
-    fn step(&mut self, channel: u8) -> Step {
+    fn step(&mut self, channel: u8) -> ChannelStep {
         let before = std::mem::replace(&mut self.channel, channel);
         let is_new = !std::mem::replace(&mut self.is_used[usize::from(channel) % CHANNELS], true);
-        Step { channel, from: before, to: if is_new { channel } else { before } }
+        ChannelStep { channel, from: before, to: if is_new { channel } else { before } }
     }
 
     /// Returns the bytes of each layer.
@@ -170,7 +170,7 @@ impl Encoder {
     fn encode<'a>(
         &mut self,
         models: &mut [Model; CHANNELS],
-        symbols: impl ExactSizeIterator<Item = (&'a Step, &'a u8)>,
+        symbols: impl ExactSizeIterator<Item = (&'a ChannelStep, &'a u8)>,
     ) {
         // A symbol finishes at most three bytes. Four are written each time; unfinished ones are
         // overwritten.

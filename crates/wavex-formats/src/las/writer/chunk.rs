@@ -115,6 +115,7 @@ impl StandardFields {
     }
 }
 
+/// Converts an error of the LAZ coder; an I/O error keeps its kind, another one its message.
 pub(in crate::las) fn into_io(error: LasZipError) -> io::Error {
     match error {
         LasZipError::IoError(error) => error,
@@ -205,6 +206,15 @@ mod tests {
             let laz = LazVlrBuilder::default().with_point_format(format, 0).unwrap().build();
             let _ = compress(&bytes[..length * (bytes.len() / length)], &laz);
         }
+    }
+
+    #[test]
+    fn errors_of_the_laz_coder_keep_their_kind_or_their_message() {
+        let full = LasZipError::IoError(io::ErrorKind::StorageFull.into());
+        assert_eq!(into_io(full).kind(), io::ErrorKind::StorageFull);
+        let other = into_io(LasZipError::UnsupportedPointFormat(99));
+        assert_eq!(other.kind(), io::ErrorKind::Other);
+        assert_eq!(other.to_string(), LasZipError::UnsupportedPointFormat(99).to_string());
     }
 
     #[test]

@@ -8,14 +8,14 @@ use rayon::ThreadPool;
 use crate::extensions::{LAS, LAZ, has_extension};
 use crate::las::ExtraAttribute;
 use crate::las::encoding;
-use crate::las::header::{Header, header_bytes};
+use crate::las::header::{LasHeader, header_bytes};
 use crate::{Error, Result};
 
 /// LAS versions for output.
 ///
 /// Points have a time and no colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Version {
+pub enum LasVersion {
     /// LAS 1.2: point format 1.
     V1_2,
     /// LAS 1.3: point format 1, or 4 with waveforms.
@@ -24,13 +24,13 @@ pub enum Version {
     V1_4,
 }
 
-impl Version {
+impl LasVersion {
     /// Returns the minor version.
     pub(super) fn minor(self) -> u8 {
         match self {
-            Version::V1_2 => 2,
-            Version::V1_3 => 3,
-            Version::V1_4 => 4,
+            LasVersion::V1_2 => 2,
+            LasVersion::V1_3 => 3,
+            LasVersion::V1_4 => 4,
         }
     }
 
@@ -38,7 +38,7 @@ impl Version {
     ///
     /// Points are then counted in 32 bits, and the CRS is stored as GeoTIFF keys.
     pub(super) fn is_legacy(self) -> bool {
-        self != Version::V1_4
+        self != LasVersion::V1_4
     }
 }
 
@@ -68,7 +68,7 @@ pub enum IndexPlace {
 #[derive(Debug, Clone)]
 pub struct WriterOptions<'a> {
     /// LAS version; determines the point format.
-    pub version: Version,
+    pub version: LasVersion,
     /// Coordinate steps of x, y, z, above 0.
     ///
     /// In units of the coordinate system.
@@ -125,7 +125,7 @@ impl WriterOptions<'_> {
     }
 
     /// Returns the header without fields that depend on records or points.
-    pub(super) fn header(&self) -> Header {
+    pub(super) fn header(&self) -> LasHeader {
         let minor = self.version.minor();
         let bit = |set: bool, bit: u16| if set { bit } else { 0 };
         let waves = match self.waveforms {
@@ -133,7 +133,7 @@ impl WriterOptions<'_> {
             WavePlace::Inside => encoding::WAVES_INSIDE,
             WavePlace::Beside => encoding::WAVES_BESIDE,
         };
-        Header {
+        LasHeader {
             file_source_id: self.file_source_id,
             guid: self.project_id,
             global_encoding: waves
@@ -148,7 +148,7 @@ impl WriterOptions<'_> {
             point_format: self.point_format(),
             scale: self.scale,
             offset: self.offset,
-            ..Header::default()
+            ..LasHeader::default()
         }
     }
 
@@ -160,7 +160,7 @@ impl WriterOptions<'_> {
     /// Checks whether a file can be written with these options.
     pub(super) fn check(&self, path: &Path) -> Result<()> {
         let bad = |problem: String, remedy| Err(Error::unusable(path, problem, remedy));
-        if self.version == Version::V1_2 && self.waveforms != WavePlace::None {
+        if self.version == LasVersion::V1_2 && self.waveforms != WavePlace::None {
             return bad("LAS 1.2 has no waveforms".into(), "write LAS 1.3 or 1.4");
         }
         if self.index == IndexPlace::Appended && !is_laz(path)? {

@@ -7,7 +7,7 @@ use laz::{LazItemType, LazVlr, LazVlrBuilder};
 use super::CHUNK;
 use super::chunk::into_io;
 use super::options::{WavePlace, WriterOptions};
-use crate::las::descriptor::{DESCRIPTOR_BYTES, Descriptor, FIRST_DESCRIPTOR};
+use crate::las::descriptor::{DESCRIPTOR_BYTES, FIRST_DESCRIPTOR, PacketDescriptor};
 use crate::las::extra_bytes::ExtraAttribute;
 use crate::las::packet_writer::MOST_KINDS;
 use crate::las::vlr::{
@@ -96,7 +96,7 @@ impl EncodedVlrs {
 }
 
 /// Encodes the descriptor records of the packet kinds.
-pub(super) fn descriptors(path: &Path, kinds: &[Descriptor]) -> Result<Vec<u8>> {
+pub(super) fn descriptors(path: &Path, kinds: &[PacketDescriptor]) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     for (id, kind) in (FIRST_DESCRIPTOR..).zip(kinds.iter().take(MOST_KINDS)) {
         let data = kind.encode().to_vec();

@@ -3,7 +3,7 @@
 use wavex_simd::quantise::Steps;
 
 use crate::las::extra_bytes::ExtraAttribute;
-use crate::las::point::{Layout, Wave};
+use crate::las::point::{PointLayout, Wave};
 use crate::las::point_out::{PointOut, scan_angle_steps};
 
 /// Points encoded at once; their columns fit the L1 cache.
@@ -11,7 +11,7 @@ pub const TOGETHER: usize = 128;
 
 /// Columns of up to [`TOGETHER`] points.
 #[derive(Clone)]
-pub(super) struct Tile {
+pub(super) struct PointTile {
     format: u8,
     n: usize,
     coordinates: [[f64; TOGETHER]; 3],
@@ -27,10 +27,10 @@ pub(super) struct Tile {
     scan_angles: [i32; TOGETHER],
 }
 
-impl Tile {
+impl PointTile {
     /// Creates an empty tile for records of this format.
-    pub(super) fn new(format: u8) -> Tile {
-        Tile {
+    pub(super) fn new(format: u8) -> PointTile {
+        PointTile {
             format,
             n: 0,
             coordinates: [[0.0; TOGETHER]; 3],
@@ -48,7 +48,7 @@ impl Tile {
     /// Replaces the points; ignores points beyond [`TOGETHER`].
     #[inline]
     pub(super) fn fill(&mut self, points: impl Iterator<Item = PointOut>) {
-        let has_waves = Layout::of(self.format).wave.is_some();
+        let has_waves = PointLayout::of(self.format).wave.is_some();
         let mut n = 0;
         for (i, point) in (0..TOGETHER).zip(points) {
             for (column, value) in self.coordinates.iter_mut().zip([point.x, point.y, point.z]) {
@@ -70,7 +70,7 @@ impl Tile {
     }
 
     /// Replaces the points by one point of another tile.
-    pub(super) fn take_one(&mut self, from: &Tile, number: usize) {
+    pub(super) fn take_one(&mut self, from: &PointTile, number: usize) {
         let point = number % TOGETHER;
         for (column, from) in self.coordinates.iter_mut().zip(&from.coordinates) {
             column[0] = from[point];
@@ -132,7 +132,7 @@ impl Tile {
         } else {
             self.encode_at::<22>(records, record_length);
         }
-        if let Some(at) = Layout::of(self.format).wave {
+        if let Some(at) = PointLayout::of(self.format).wave {
             for (record, wave) in records.chunks_exact_mut(record_length).zip(&self.waves) {
                 encode_wave(wave, &mut record[at..at + WAVE_BYTES]);
             }
@@ -238,10 +238,10 @@ impl<'a> ExtraColumns<'a> {
 /// Encodes one point without extra bytes, with these stored coordinates.
 #[cfg(test)]
 pub(in crate::las) fn record(format: u8, point: &PointOut, raw: [i32; 3]) -> Vec<u8> {
-    let mut tile = Tile::new(format);
+    let mut tile = PointTile::new(format);
     tile.fill(std::iter::once(point.clone()));
     tile.set_raw(raw);
-    let length = Layout::of(format).length;
+    let length = PointLayout::of(format).length;
     let mut record = vec![0; length];
     tile.encode(&mut record, length);
     record

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::pulsewaves::{Descriptor, Reader, Sampling, SegmentKind};
+use crate::pulsewaves::{PulseDescriptor, Reader, SamplingRecord, SegmentKind};
 
 /// Little-endian encoder.
 #[derive(Clone, Default)]
@@ -48,8 +48,8 @@ pub(super) fn pulse(t: i64, offset: i64, descriptor: u8, flags: u8) -> Vec<u8> {
 }
 
 /// Creates a sampling of 8-bit samples with fixed counts and no durations.
-pub(super) fn sampling(kind: SegmentKind, segments: u16, samples: u32) -> Sampling {
-    Sampling {
+pub(super) fn sampling(kind: SegmentKind, segments: u16, samples: u32) -> SamplingRecord {
+    SamplingRecord {
         kind,
         channel: 0,
         duration_bits: 0,
@@ -68,8 +68,8 @@ pub(super) fn sampling(kind: SegmentKind, segments: u16, samples: u32) -> Sampli
 }
 
 /// Creates a descriptor of these samplings in units of 1 ns.
-pub(super) fn descriptor(samplings: Vec<Sampling>) -> Descriptor {
-    Descriptor {
+pub(super) fn descriptor(samplings: Vec<SamplingRecord>) -> PulseDescriptor {
+    PulseDescriptor {
         optical_center_to_anchor: Some(0),
         extra_wave_bytes: 0,
         sample_units_ns: 1.0,
@@ -82,7 +82,7 @@ pub(super) fn descriptor(samplings: Vec<Sampling>) -> Descriptor {
 
 /// Encodes a descriptor record's payload, with `more` bytes of later versions before each
 /// description.
-pub(super) fn encode(d: &Descriptor, more: usize) -> Vec<u8> {
+pub(super) fn encode(d: &PulseDescriptor, more: usize) -> Vec<u8> {
     let center = d.optical_center_to_anchor.map_or(0x8FFF_FFFF, |c| c as u32);
     let b = Bytes::default().u32(92 + more as u32).u32(0).u32(center).u16(d.extra_wave_bytes);
     let b = b.u16(d.samplings.len() as u16).f32(d.sample_units_ns as f32).u32(d.compression);
@@ -119,7 +119,7 @@ pub(super) struct Pair {
 
 impl Pair {
     /// Creates a pair without pulses; the descriptor has index 1.
-    pub(super) fn new(descriptor: &Descriptor) -> Pair {
+    pub(super) fn new(descriptor: &PulseDescriptor) -> Pair {
         Pair {
             attributes: 0,
             pulse_size: 48,

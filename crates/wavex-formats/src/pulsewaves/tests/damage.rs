@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 use super::build::{Pair, descriptor, encode, pulse, sampling, write};
 use super::peer::data;
-use crate::pulsewaves::{Descriptor, Reader, Sampling, SegmentKind, Waves};
+use crate::pulsewaves::{PulseDescriptor, Reader, SamplingRecord, SegmentKind, WaveSegments};
 
 mod pulses;
 

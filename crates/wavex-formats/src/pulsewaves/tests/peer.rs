@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use flate2::read::GzDecoder;
 
-use crate::pulsewaves::{Pulse, Reader, Segment, SegmentKind, Waves};
+use crate::pulsewaves::{PulseRecord, Reader, Segment, SegmentKind, WaveSegments};
 
 /// Returns the folder of recordings, if set.
 pub(super) fn data() -> Option<PathBuf> {
@@ -27,7 +27,7 @@ where
     words.iter().map(|w| w.parse().unwrap()).collect()
 }
 
-fn check_pulse(words: &[&str], p: &Pulse) {
+fn check_pulse(words: &[&str], p: &PulseRecord) {
     let mut expected = vec![p.index as i64, p.t];
     expected.extend(p.anchor_raw.map(i64::from));
     expected.extend(p.target_raw.map(i64::from));
@@ -41,7 +41,7 @@ fn check_pulse(words: &[&str], p: &Pulse) {
 ///
 /// The reference library stores durations as 32-bit floats. Computed that way they agree in every
 /// printed digit; the 64-bit duration is within the rounding of the float.
-fn check_segment(words: &[&str], segment: &Segment, samples: &[u16], pulse: &Pulse, reader: &Reader) {
+fn check_segment(words: &[&str], segment: &Segment, samples: &[u16], pulse: &PulseRecord, reader: &Reader) {
     let kind = match segment.kind {
         SegmentKind::Outgoing => 1,
         SegmentKind::Returning => 2,
@@ -66,7 +66,7 @@ fn check_segment(words: &[&str], segment: &Segment, samples: &[u16], pulse: &Pul
 }
 
 /// Returns the duration in the arithmetic of the reference library.
-fn float_duration(segment: &Segment, reader: &Reader, pulse: &Pulse) -> f32 {
+fn float_duration(segment: &Segment, reader: &Reader, pulse: &PulseRecord) -> f32 {
     let sampling = &reader.descriptors()[&pulse.descriptor].samplings[usize::from(segment.sampling)];
     if segment.duration.is_none() {
         return 0.0;
@@ -78,7 +78,7 @@ fn float_duration(segment: &Segment, reader: &Reader, pulse: &Pulse) -> f32 {
 ///
 /// It agrees to every printed digit in the arithmetic of the reference library (direction, duration
 /// and their product are 32-bit floats), and within three roundings of such floats in ours.
-fn check_position(words: &[&str], segment: &Segment, pulse: &Pulse, reader: &Reader) {
+fn check_position(words: &[&str], segment: &Segment, pulse: &PulseRecord, reader: &Reader) {
     let ours = pulse.position(segment.duration_of(0.0));
     for axis in 0..3 {
         let direction = ((pulse.target[axis] - pulse.anchor[axis]) / 1000.0) as f32;
@@ -98,8 +98,8 @@ fn compare(folder: &Path, name: &str) -> (u64, usize, usize) {
     let mut reader = Reader::open(&folder.join(format!("{name}.pls"))).unwrap();
     reader.check_complete().unwrap();
     let dump = File::open(folder.join(format!("{name}.txt.gz"))).unwrap();
-    let mut waves = Waves::new();
-    let mut pulse: Option<Pulse> = None;
+    let mut waves = WaveSegments::new();
+    let mut pulse: Option<PulseRecord> = None;
     let (mut pulses, mut next, mut segments, mut samples) = (0, 0, 0, 0);
     for line in BufReader::new(GzDecoder::new(dump)).lines() {
         let line = line.unwrap();

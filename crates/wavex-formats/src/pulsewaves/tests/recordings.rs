@@ -4,14 +4,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use super::peer::data;
-use crate::pulsewaves::{Pulse, Reader, SegmentKind, TimeAxis, Waves};
+use crate::pulsewaves::{PulseRecord, Reader, SegmentKind, TimeAxis, WaveSegments};
 
 const EXAMPLE_3: &str = "pulsewaves/riegl_example3.pls";
 const Q680I: &str = "riegl_q680i_dev/riegl_q680i_dev.pls";
 
 /// Calls `each` with every pulse and its waves.
-fn for_each(reader: &mut Reader, mut each: impl FnMut(&Pulse, &Waves)) {
-    let mut waves = Waves::new();
+fn for_each(reader: &mut Reader, mut each: impl FnMut(&PulseRecord, &WaveSegments)) {
+    let mut waves = WaveSegments::new();
     for index in 0..reader.pulse_count() {
         let pulse = reader.pulse(index).unwrap();
         reader.waves(&pulse, &mut waves).unwrap();
@@ -110,7 +110,7 @@ fn the_q680i_channels_are_reference_and_low_power() {
 fn the_vendors_returns_lie_on_the_beams() {
     let Some(data) = data() else { return };
     let mut reader = Reader::open(&data.join(Q680I)).unwrap();
-    let mut waves = Waves::new();
+    let mut waves = WaveSegments::new();
     let rows = csv(&data.join("riegl_q680i_dev/riegl_q680i_dev_vendor_returns.csv"));
     assert_eq!(rows.len(), 667);
     for row in rows {

@@ -1,13 +1,13 @@
 //! Header, variable length records and pulse records.
 
 use super::build::{Bytes, Pair, descriptor, encode, pulse, sampling};
-use crate::pulsewaves::{Header, LookupRecord, LookupTable, Scanner, SegmentKind, TimeAxis};
+use crate::pulsewaves::{LookupRecord, LookupTable, PulseHeader, ScannerRecord, SegmentKind, TimeAxis};
 
 #[test]
 fn every_field_of_the_header_is_read() {
     let mut pair = Pair::plain(2);
     pair.more_header = 10;
-    let expected = Header {
+    let expected = PulseHeader {
         global_parameters: 7,
         source_id: 4711,
         system_identifier: "the system".to_string(),
@@ -101,7 +101,7 @@ fn a_scanner_is_read_by_its_fields() {
     let mut pair = Pair::plain(0);
     pair.records.push(("PulseWaves_Spec", 100_255, b.0));
     let (reader, _dir) = pair.open();
-    let expected = Scanner {
+    let expected = ScannerRecord {
         instrument: "Q680i".to_string(),
         serial: "9997848".to_string(),
         wave_length_nm: 1550.0,

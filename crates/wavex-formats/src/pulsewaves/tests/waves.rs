@@ -5,14 +5,14 @@
 use proptest::prelude::*;
 
 use super::build::{Bytes, Pair, descriptor, sampling};
-use crate::pulsewaves::{Reader, Sampling, SegmentKind, Waves};
+use crate::pulsewaves::{Reader, SamplingRecord, SegmentKind, WaveSegments};
 
 /// Returns the segments of pulse `index` as (sampling, number, quantised duration, duration,
 /// samples).
 type Flat = Vec<(u16, u16, i32, Option<f64>, Vec<u16>)>;
 
 fn flat(reader: &mut Reader, index: u64) -> Flat {
-    let mut waves = Waves::new();
+    let mut waves = WaveSegments::new();
     let pulse = reader.pulse(index).unwrap();
     reader.waves(&pulse, &mut waves).unwrap();
     let one = |s: &crate::pulsewaves::Segment| {
@@ -67,13 +67,13 @@ fn a_segment_carries_what_its_sampling_says() {
     let mut pair = Pair::new(&descriptor(vec![s]));
     pair.add(1, &Bytes::default().i8(1).u16(300).u16(7).0);
     let (mut reader, _dir) = pair.open();
-    let (pulse, mut waves) = (reader.pulse(0).unwrap(), Waves::new());
+    let (pulse, mut waves) = (reader.pulse(0).unwrap(), WaveSegments::new());
     reader.waves(&pulse, &mut waves).unwrap();
     let segment = &waves.segments()[0];
     assert_eq!((segment.kind, segment.channel, segment.bits), (SegmentKind::Returning, 3, 16));
     assert_eq!((segment.sample_count(), segment.sample_units_ns, segment.units_per_sample), (2, 2.0, 2.0));
     assert_eq!(segment.duration_of(1.5), 11.0 + 3.0);
-    assert!(Waves::new().samples(segment).is_empty());
+    assert!(WaveSegments::new().samples(segment).is_empty());
 }
 
 #[test]
@@ -85,19 +85,19 @@ fn an_outgoing_pulse_of_bytes_declared_as_words_is_read_again() {
     let b = Bytes::default().raw(&[1, 9, 200, 2]).u16(3).u16(300).u16(258).u16(4).raw(&[7; 4]);
     pair.add(1, &b.0);
     let (mut reader, _dir) = pair.open();
-    let (pulse, mut waves) = (reader.pulse(0).unwrap(), Waves::new());
+    let (pulse, mut waves) = (reader.pulse(0).unwrap(), WaveSegments::new());
     reader.waves(&pulse, &mut waves).unwrap();
     assert!(waves.read_outgoing_as_bytes());
     let read: Vec<_> = waves.segments().iter().map(|s| (s.bits, waves.samples(s).to_vec())).collect();
     assert_eq!(read, [(8, vec![1, 9, 200, 2]), (16, vec![3, 300, 258, 4])]);
     assert!(!waves.read_outgoing_as_bytes());
-    assert!(!Waves::new().read_outgoing_as_bytes());
+    assert!(!WaveSegments::new().read_outgoing_as_bytes());
 }
 
 #[test]
 fn warm_waves_keep_their_memory() {
     let (mut reader, _dir) = Pair::plain(50).open();
-    let mut waves = Waves::new();
+    let mut waves = WaveSegments::new();
     let pulse = reader.pulse(0).unwrap();
     reader.waves(&pulse, &mut waves).unwrap();
     let first = waves.samples(&waves.segments()[0]).as_ptr();
@@ -112,7 +112,7 @@ fn warm_waves_keep_their_memory() {
 type Run = Vec<(i32, Vec<u16>)>;
 
 /// Generates a sampling and the segments of each pulse.
-fn any_sampling() -> impl Strategy<Value = (Sampling, Vec<Run>)> {
+fn any_sampling() -> impl Strategy<Value = (SamplingRecord, Vec<Run>)> {
     let bits = || prop::sample::select(vec![0_u8, 8, 16]);
     let layout =
         (prop::sample::select(vec![0_u8, 8, 16, 32]), bits(), bits(), any::<bool>(), 1..4_u16, 1..6_u32);
@@ -140,7 +140,7 @@ fn low(value: i64, bits: u8) -> Vec<u8> {
     value.to_le_bytes()[..usize::from(bits / 8)].to_vec()
 }
 
-fn encode(sampling: &Sampling, segments: &[(i32, Vec<u16>)]) -> Vec<u8> {
+fn encode(sampling: &SamplingRecord, segments: &[(i32, Vec<u16>)]) -> Vec<u8> {
     let mut bytes = low(segments.len() as i64, sampling.segment_count_bits);
     for (duration, samples) in segments {
         bytes.extend(low(i64::from(*duration), sampling.duration_bits));

@@ -17,7 +17,7 @@ const INVERSE_FLATTENING: u16 = 2059;
 const PROJECTED_CITATION: u16 = 3073;
 const VERTICAL_CITATION: u16 = 4097;
 
-/// EPSG codes of systems; smaller values are those of GeoTIFF, larger ones are not EPSG's.
+/// EPSG codes of systems; smaller values are codes of GeoTIFF, larger ones are not EPSG's.
 const CODES: std::ops::Range<u16> = 1024..USER_DEFINED;
 /// EPSG codes of the projections UTM north and UTM south, zone 0.
 const UTM_NORTH: u16 = 16000;
@@ -33,7 +33,7 @@ const ELLIPSOIDAL_HEIGHTS: std::ops::RangeInclusive<u16> = 5001..=5035;
 /// # Errors
 /// Damaged keys, an unknown code, another projection, or missing parameters.
 pub fn system_of_geotiff_keys(keys: &GeoKeys) -> Result<Option<RecordedSystem>, CrsError> {
-    let directory = Directory::new(keys);
+    let directory = KeyDirectory::new(keys);
     let mut problems = Vec::new();
     let system = directory.and_then(|directory| directory.system(&mut problems));
     let system = system.map_err(CrsError::GeoKeys)?;
@@ -41,19 +41,19 @@ pub fn system_of_geotiff_keys(keys: &GeoKeys) -> Result<Option<RecordedSystem>, 
 }
 
 /// A key directory with its values.
-struct Directory<'a> {
+struct KeyDirectory<'a> {
     entries: Vec<[u16; 4]>,
     keys: &'a GeoKeys,
 }
 
-impl Directory<'_> {
-    fn new(keys: &GeoKeys) -> Result<Directory<'_>, String> {
+impl KeyDirectory<'_> {
+    fn new(keys: &GeoKeys) -> Result<KeyDirectory<'_>, String> {
         let words: Vec<u16> =
             keys.directory.as_chunks().0.iter().map(|word| u16::from_le_bytes(*word)).collect();
         let cut_off = || "the key directory is cut off".to_owned();
         let ([_, _, _, count], entries) = words.split_first_chunk().ok_or_else(cut_off)?;
         let entries = entries.as_chunks().0.get(..usize::from(*count)).ok_or_else(cut_off)?;
-        Ok(Directory { entries: entries.to_vec(), keys })
+        Ok(KeyDirectory { entries: entries.to_vec(), keys })
     }
 
     fn entry(&self, key: u16, location: u16) -> Option<[u16; 4]> {
@@ -176,7 +176,7 @@ impl Directory<'_> {
 
     /// The geographic system; `None` if no key names it.
     fn geographic(&self) -> Result<Option<WktNode>, String> {
-        // Codes of the older datums are those of their systems plus 2000.
+        // Codes of the older datums are the codes of their systems plus 2000.
         let of_datum = || self.code(GEODETIC_DATUM).filter(|code| (6001..7000).contains(code));
         if let Some(code) = self.code(GEOGRAPHIC).or_else(|| of_datum().map(|code| code - 2000)) {
             return of_code(code, "GEOGCS").map(Some);

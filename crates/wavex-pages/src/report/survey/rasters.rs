@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use wavex_formats::geotiff::{RasterGrid, RasterWriter, TILE, Tile, empty_tile};
+use wavex_formats::geotiff::{RasterGrid, RasterWriter, TILE, TileValues, empty_tile};
 use wavex_formats::{Error, Result};
 use wavex_line::stage::OutputFile;
 
@@ -79,7 +79,7 @@ pub(super) struct Rasters {
 struct Raster {
     layer: Layer,
     writer: RasterWriter<OutputFile>,
-    tiles: BTreeMap<u32, Tile>,
+    tiles: BTreeMap<u32, TileValues>,
     path: PathBuf,
 }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::{Correct, TableKey};
-use wavex_formats::lookup_tables::{LookupTables, Row};
+use wavex_formats::lookup_tables::{LookupRow, LookupTables};
 use wavex_line::scan_line::{AmplitudeTable, InputInfo, ReturnChannel};
 use wavex_line::stage::{Result, StageError};
 use wavex_returns::penalised_spline::{DataPoint, smooth};
@@ -32,7 +32,7 @@ pub(super) struct Sources {
 enum Source {
     Own,
     None,
-    File([Vec<Row>; 2]),
+    File([Vec<LookupRow>; 2]),
 }
 
 impl Source {
@@ -45,10 +45,10 @@ impl Source {
     }
 
     /// Table rows; `own` are the tables of the recording.
-    fn rows(&self, own: [&Option<AmplitudeTable>; 2]) -> [Vec<Row>; 2] {
+    fn rows(&self, own: [&Option<AmplitudeTable>; 2]) -> [Vec<LookupRow>; 2] {
         let of_table = |table: &Option<AmplitudeTable>| {
             let pairs = table.as_ref().map(AmplitudeTable::pairs).unwrap_or_default();
-            pairs.iter().map(|&(steps_dn, value)| Row { steps_dn, value, weight: 1.0 }).collect()
+            pairs.iter().map(|&(steps_dn, value)| LookupRow { steps_dn, value, weight: 1.0 }).collect()
         };
         match self {
             Source::Own => own.map(of_table),
@@ -103,17 +103,17 @@ fn is_defined(value: f64) -> bool {
     value.is_finite() && value.abs() < 1e30
 }
 
-fn table(rows: Vec<Row>) -> Option<Arc<AmplitudeTable>> {
+fn table(rows: Vec<LookupRow>) -> Option<Arc<AmplitudeTable>> {
     AmplitudeTable::new(rows.into_iter().map(|row| (row.steps_dn, row.value))).map(Arc::new)
 }
 
 /// Smooths the values over the logarithm of the digitiser steps; drops steps below 1.
-fn smoothed(mut rows: Vec<Row>) -> Vec<Row> {
+fn smoothed(mut rows: Vec<LookupRow>) -> Vec<LookupRow> {
     rows.retain(|row| is_defined(row.value) && row.steps_dn >= 1.0 && row.steps_dn.is_finite());
     rows.sort_by(|a, b| a.steps_dn.total_cmp(&b.steps_dn));
-    let point = |row: &Row| DataPoint { x: row.steps_dn.ln(), y: row.value, weight: row.weight };
+    let point = |row: &LookupRow| DataPoint { x: row.steps_dn.ln(), y: row.value, weight: row.weight };
     let values = smooth(&rows.iter().map(point).collect::<Vec<DataPoint>>());
-    rows.iter().zip(values).map(|(row, value)| Row { value, ..*row }).collect()
+    rows.iter().zip(values).map(|(row, value)| LookupRow { value, ..*row }).collect()
 }
 
 /// Difference of the receivers' range tables, s, where the low-power receiver becomes overdriven.

@@ -2,7 +2,7 @@
 
 use super::BeamVectors;
 use crate::reading::recording::units::Units;
-use wavex_formats::las::{Descriptor, MAX_COORDINATE, Point, Reader, Wave};
+use wavex_formats::las::{MAX_COORDINATE, PacketDescriptor, Point, Reader, Wave};
 use wavex_geodesy::beam_length::BeamLength;
 use wavex_line::stage::Result;
 
@@ -16,7 +16,7 @@ pub(super) struct Geometry {
     pub(super) units: Units,
     pub(super) has_locations: bool,
     /// Descriptor of the first readable waveform.
-    pub(super) sampling: Option<Descriptor>,
+    pub(super) sampling: Option<PacketDescriptor>,
 }
 
 /// One-way path of light in air, m per ns.

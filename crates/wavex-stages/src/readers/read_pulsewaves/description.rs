@@ -115,7 +115,7 @@ const GROUP_VELOCITY_MPS: f64 = 299_707_502.0;
 /// Amplitude table of a returning channel.
 fn amplitude_table(reader: &Reader, channel: u8) -> Option<AmplitudeTable> {
     let mut samplings = reader.descriptors().values().flat_map(|descriptor| &descriptor.samplings);
-    let of_channel = |s: &&wavex_formats::pulsewaves::Sampling| {
+    let of_channel = |s: &&wavex_formats::pulsewaves::SamplingRecord| {
         s.kind == SegmentKind::Returning && s.channel == channel && s.lookup_table_index > 0
     };
     let index = u8::try_from(samplings.find(of_channel)?.lookup_table_index).ok()?;

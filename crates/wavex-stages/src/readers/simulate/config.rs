@@ -8,11 +8,11 @@ use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, day_of_year};
 use wavex_line::keys::{InvalidKey, above, at_least};
 use wavex_line::scan_line::MAX_SHOTS_PER_LINE;
 use wavex_line::stage::Config;
-use wavex_simulation::detector::Detector;
+use wavex_simulation::detector::DetectorModel;
 use wavex_simulation::platform::{Motion, Platform};
 use wavex_simulation::pulse::PulseShape;
 use wavex_simulation::receiver::{HighPower, ReceiverSettings};
-use wavex_simulation::scanner::{GPS_WEEK, Mirror, START_S, Scanner};
+use wavex_simulation::scanner::{GPS_WEEK, START_S, ScanMechanism, Scanner};
 use wavex_simulation::scene::{CountrySettings, Scene};
 use wavex_simulation::world::World;
 
@@ -450,10 +450,10 @@ impl Simulate {
     pub(super) fn scanner(&self) -> Scanner {
         Scanner {
             mirror: match self.scanner {
-                ScannerKind::RotatingPolygon => Mirror::RotatingPolygon,
-                ScannerKind::Oscillating => Mirror::Oscillating,
-                ScannerKind::ParallelLines => Mirror::ParallelLines,
-                ScannerKind::Circular => Mirror::Circular,
+                ScannerKind::RotatingPolygon => ScanMechanism::RotatingPolygon,
+                ScannerKind::Oscillating => ScanMechanism::Oscillating,
+                ScannerKind::ParallelLines => ScanMechanism::ParallelLines,
+                ScannerKind::Circular => ScanMechanism::Circular,
             },
             shots_per_line: self.shots_per_line,
             pulse_rate_hz: self.pulse_rate_hz,
@@ -511,10 +511,10 @@ impl Simulate {
         }
     }
 
-    pub(super) fn detector(&self) -> Detector {
+    pub(super) fn detector(&self) -> DetectorModel {
         match self.detector {
-            DetectorKind::Linear => Detector::Linear,
-            DetectorKind::Riegl => Detector::Riegl,
+            DetectorKind::Linear => DetectorModel::Linear,
+            DetectorKind::Riegl => DetectorModel::Riegl,
         }
     }
 

@@ -9,13 +9,13 @@ use wavex_line::scan_line::{
     TimeScale, emission_flags,
 };
 use wavex_line::stage::{Result, StageError};
-use wavex_simulation::detector::{Detector, Sensitivity};
+use wavex_simulation::detector::{DetectorModel, Sensitivity};
 use wavex_simulation::platform::Platform;
 use wavex_simulation::pulse::WidthIndex;
 use wavex_simulation::random::{Normal, Purpose, Random};
-use wavex_simulation::receiver::{ReceivedEcho, Receiver, SampleWindow, TRIGGER_DN};
-use wavex_simulation::scanner::{self, Mirror, Scanner, Shot};
-use wavex_simulation::scene::{Beam, Class, Hit, Scene};
+use wavex_simulation::receiver::{ReceivedEcho, SampleWindow, SimulatedReceiver, TRIGGER_DN};
+use wavex_simulation::scanner::{self, ScanMechanism, Scanner, ScannerShot};
+use wavex_simulation::scene::{Class, Hit, Scene, SceneBeam};
 use wavex_simulation::truth::TrueReturn;
 use wavex_simulation::world::{self, World};
 use wavex_simulation::{GROUP_VELOCITY_MPS, time_of_flight_ns};
@@ -50,8 +50,8 @@ pub(super) struct Flight {
     platform: Platform,
     world: World,
     scene: Scene,
-    detector: Detector,
-    pub(super) receiver: Receiver,
+    detector: DetectorModel,
+    pub(super) receiver: SimulatedReceiver,
     normal: Normal,
     agc: Option<Agc>,
     /// Buffers for one shot: hits, echoes (in the same order) and blocks.
@@ -65,9 +65,9 @@ pub(super) struct Flight {
 pub(super) struct Cast {
     pub(super) line: u32,
     pub(super) index: u32,
-    pub(super) shot: Shot,
+    pub(super) shot: ScannerShot,
     /// Its beam through the scene.
-    beam: Beam,
+    beam: SceneBeam,
     pub(super) pulse: Pulse,
 }
 
@@ -125,7 +125,7 @@ pub(super) fn strongest(echoes: &[ReceivedEcho]) -> Option<f64> {
 
 impl Flight {
     pub(super) fn new(config: &Simulate) -> Result<Flight> {
-        let receiver = Receiver::new(&config.receiver()).map_err(|_| {
+        let receiver = SimulatedReceiver::new(&config.receiver()).map_err(|_| {
             StageError::failed(
                 "no noise has this spread and autocorrelation",
                 "leave `noise_autocorrelation` out",
@@ -296,7 +296,7 @@ impl Flight {
     /// Outside the line, ticks of the neighbouring lines, unless the laser pauses there.
     fn emission_at(&self, line: u32, index: i64) -> Option<i64> {
         let shots = i64::from(self.scanner.shots_per_line);
-        if !(0..shots).contains(&index) && self.scanner.mirror == Mirror::RotatingPolygon {
+        if !(0..shots).contains(&index) && self.scanner.mirror == ScanMechanism::RotatingPolygon {
             return None;
         }
         let number = u64::try_from(i64::from(line) * shots + index).ok()?;
@@ -371,7 +371,7 @@ impl Flight {
 
     pub(super) fn emission(&self, cast: &Cast, mta_zone: Option<i16>) -> Emission {
         let Cast { shot, beam, .. } = cast;
-        let has_edges = self.scanner.mirror != Mirror::Circular;
+        let has_edges = self.scanner.mirror != ScanMechanism::Circular;
         let is_last = has_edges && cast.index + 1 == self.scanner.shots_per_line;
         let edge = if is_last { emission_flags::EDGE_OF_FLIGHT_LINE } else { 0 };
         let to_the_right = if shot.to_the_right { emission_flags::SCAN_DIRECTION_POSITIVE } else { 0 };
@@ -417,7 +417,7 @@ fn zone_of(scanner: &Scanner, cast: &Cast, time_ns: f64) -> i16 {
     let is_out = |zone: i16| {
         let following = cast.index.saturating_add_signed(i32::from(zone));
         let (line, index) = match scanner.mirror {
-            Mirror::RotatingPolygon => (cast.line, following),
+            ScanMechanism::RotatingPolygon => (cast.line, following),
             _ => scanner.place(scanner.number(cast.line, 0) + u64::from(following)),
         };
         (scanner.tick_ns(line, index) - cast.shot.since_start_ns) as f64 <= time_ns
@@ -440,7 +440,7 @@ impl Recorder {
     /// Records the outgoing pulse.
     pub(super) fn emission(
         &mut self,
-        receiver: &mut Receiver,
+        receiver: &mut SimulatedReceiver,
         index: u32,
         pulse: &Pulse,
         blocks: &mut Blocks,
@@ -453,7 +453,7 @@ impl Recorder {
     /// Records a window with each receiver that keeps it.
     pub(super) fn block(
         &mut self,
-        receiver: &mut Receiver,
+        receiver: &mut SimulatedReceiver,
         index: u32,
         zone: Option<i16>,
         window: &SampleWindow,

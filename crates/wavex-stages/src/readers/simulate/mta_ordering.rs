@@ -149,7 +149,7 @@ impl Stream {
     /// Index in `casts` of the shot with which each window is stored.
     ///
     /// The last shot emitted before the window begins.
-    fn received(&self, receiver: &wavex_simulation::receiver::Receiver) -> Vec<usize> {
+    fn received(&self, receiver: &wavex_simulation::receiver::SimulatedReceiver) -> Vec<usize> {
         let began = |window: &SampleWindow| {
             let start_ns = receiver.start_ns(window);
             let out = |cast: &Cast| (cast.shot.since_start_ns - self.base_ns) as f64 <= start_ns;

@@ -8,8 +8,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use wavex_formats::Error;
-use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, WEEKDAYS, day_of_year, gps_week, weekday};
-use wavex_geodesy::time_axis::{date, leap_seconds};
+use wavex_geodesy::calendar::is_date;
+use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, WEEKDAYS, date, day_of_year, gps_week, weekday};
+use wavex_geodesy::time_axis::leap_seconds;
 use wavex_line::scan_line::{InputInfo, TimeScale};
 use wavex_line::stage::Result;
 
@@ -365,18 +366,8 @@ fn day(date: &str) -> Option<SinceEpoch> {
 
 fn midnight(year: i32, month: u32, day: u32) -> Option<SinceEpoch> {
     let (week, day_of_week) = gps_week(year, month, day)?;
-    let is_date = (1..=12).contains(&month) && (1..=days_of(year, month)).contains(&day);
+    let is_date = is_date([year.into(), month.into(), day.into()]);
     is_date.then(|| f64::from(week) * WEEK_S + f64::from(day_of_week) * DAY_S)
-}
-
-fn days_of(year: i32, month: u32) -> u32 {
-    let leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
-    match month {
-        2 if leap => 29,
-        2 => 28,
-        4 | 6 | 9 | 11 => 30,
-        _ => 31,
-    }
 }
 
 fn seconds(hour: u32, minute: u32, second: f64) -> Option<f64> {

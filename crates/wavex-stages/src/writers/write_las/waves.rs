@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use wavex_formats::Error;
-use wavex_formats::las::{Descriptor, Packet, PacketWriter, Wave};
+use wavex_formats::las::{PacketDescriptor, PacketReference, PacketWriter, Wave};
 use wavex_geodesy::frames::Vector;
 use wavex_line::georef::Geometry;
 use wavex_line::georef::output_crs::OutputCrs;
@@ -20,7 +20,7 @@ pub(super) struct Waves {
     /// Output CRS of points from the earth-centred frame.
     target: Option<OutputCrs>,
     /// Packet of each block of the current line, once a return has requested it.
-    written: Vec<Option<Option<Packet>>>,
+    written: Vec<Option<Option<PacketReference>>>,
     /// Number of blocks that could not be written.
     pub(super) n_refused: u64,
 }
@@ -66,7 +66,7 @@ impl Waves {
         })
     }
 
-    fn packet(&mut self, index: usize, blocks: &Blocks, block: &Block) -> Result<Option<Packet>> {
+    fn packet(&mut self, index: usize, blocks: &Blocks, block: &Block) -> Result<Option<PacketReference>> {
         if let Some(Some(packet)) = self.written.get(index) {
             return Ok(*packet);
         }
@@ -94,7 +94,7 @@ impl Waves {
     }
 
     /// Completes the packet file; returns it with its descriptors.
-    pub(super) fn finish(self) -> Result<(FinishedFile, Vec<Descriptor>)> {
+    pub(super) fn finish(self) -> Result<(FinishedFile, Vec<PacketDescriptor>)> {
         let (file, kinds) = self.packets.finish()?;
         Ok((file.finish()?, kinds))
     }

@@ -95,7 +95,7 @@ proptest! {
         let mut back = Point::default();
         let (mut min, mut max) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for (written, record) in points.iter().zip(plain.chunks_exact(33)) {
-            Layout::of(6).decode(record, &header.scale, &header.offset, &mut back);
+            PointLayout::of(6).decode(record, &header.scale, &header.offset, &mut back);
             prop_assert!((back.x - written.x).abs() <= 0.000_501);
             prop_assert!((back.y - written.y).abs() <= 0.000_501);
             prop_assert!((back.z - written.z).abs() <= 0.001_001);
@@ -106,7 +106,7 @@ proptest! {
             }
         }
         prop_assert_eq!((header.min, header.max), (min, max));
-        assert_read_by_las(Version::V1_4, las, &points, &extra);
+        assert_read_by_las(LasVersion::V1_4, las, &points, &extra);
     }
 
     #[test]
@@ -127,12 +127,12 @@ proptest! {
         };
         let points: Vec<PointOut> = points.into_iter().map(fits).collect();
         let utm_33 = utm_33();
-        let options = WriterOptions { version: Version::V1_2, wkt: Some(&utm_33), ..options(&[AMP, CHANNEL]) };
+        let options = WriterOptions { version: LasVersion::V1_2, wkt: Some(&utm_33), ..options(&[AMP, CHANNEL]) };
         let las = write("a.las", &options, &points, &extra);
         let (header, plain) = records(&las);
         let (_, compressed) = records(&write("a.laz", &options, &points, &extra));
         prop_assert_eq!(&plain, &compressed);
         prop_assert_eq!((header.point_format, header.n_points), (1, points.len() as u64));
-        assert_read_by_las(Version::V1_2, las, &points, &extra);
+        assert_read_by_las(LasVersion::V1_2, las, &points, &extra);
     }
 }

@@ -5,7 +5,7 @@ use super::*;
 /// Returns the message of reading the waves of pulse 1 of three; the other pulses can be read.
 fn waves_of(pair: &Pair) -> String {
     let (mut reader, dir) = pair.open();
-    let mut waves = Waves::new();
+    let mut waves = WaveSegments::new();
     let bad = reader.pulse(1).unwrap();
     let mut found = String::new();
     for index in [0, 1, 2] {
@@ -53,7 +53,7 @@ fn a_bad_pulse_is_an_error_of_that_pulse_alone() {
 
 #[test]
 fn a_descriptor_that_is_not_supported_spoils_its_pulses_alone() {
-    let with = |change: &dyn Fn(&mut Descriptor)| {
+    let with = |change: &dyn Fn(&mut PulseDescriptor)| {
         let mut pair = Pair::plain(3);
         let mut d = descriptor(vec![sampling(SegmentKind::Outgoing, 1, 3)]);
         change(&mut d);
@@ -64,7 +64,8 @@ fn a_descriptor_that_is_not_supported_spoils_its_pulses_alone() {
         let end = "; leave the pulse out, or export the files with 8 or 16 bit uncompressed waves";
         message.strip_prefix(start).and_then(|m| m.strip_suffix(end)).unwrap_or(&message).to_string()
     };
-    let first = |change: fn(&mut Sampling)| with(&|d: &mut Descriptor| change(&mut d.samplings[0]));
+    let first =
+        |change: fn(&mut SamplingRecord)| with(&|d: &mut PulseDescriptor| change(&mut d.samplings[0]));
     assert_eq!(with(&|d| d.compression = 1), "compression: scheme 1 is unknown");
     assert_eq!(with(&|d| d.sample_units_ns = 0.0), "sample units: 0 ns is not a time above zero");
     for (found, expected) in [
@@ -140,7 +141,7 @@ fn a_promise_of_too_many_pulses_is_checked_against_the_file() {
 /// All others must give an error.
 fn read_all(path: &Path) -> (u64, u64) {
     let Ok(mut reader) = Reader::open(path) else { return (0, 0) };
-    let (mut waves, mut with_waves) = (Waves::new(), 0);
+    let (mut waves, mut with_waves) = (WaveSegments::new(), 0);
     for index in 0..reader.pulse_count() {
         let pulse = reader.pulse(index).unwrap();
         with_waves += u64::from(reader.waves(&pulse, &mut waves).is_ok());
