@@ -1,4 +1,4 @@
-//! One shot with its fit, as a table and as a picture: what `wavex explain` and `wavex view` show.
+//! One shot with its fit, as a table and as a picture, for `wavex explain` and `wavex view`.
 
 use std::sync::Arc;
 

@@ -65,7 +65,7 @@ pub struct Inspection {
     pub zones: BTreeMap<Option<i16>, u64>,
     /// Beam angles, degrees.
     pub angles_deg: Histogram,
-    /// Definition of these angles; `None` without any.
+    /// Definition of the beam angles; `None` without any.
     pub angle: Option<Angle>,
     /// Time since the first shot (s) and angle (degrees) of selected shots.
     pub angles_over_time: Thinned<[f64; 2]>,
@@ -96,7 +96,7 @@ pub struct Shots {
     pub by_facet: BTreeMap<u16, u64>,
     /// Number of online returns, and of shots with any.
     pub online: [u64; 2],
-    /// Shots whose waveforms are copies of those of the shot before.
+    /// Shots whose waveforms are copies of the previous shot's waveforms.
     pub copies: u64,
 }
 

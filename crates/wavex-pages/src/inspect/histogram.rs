@@ -1,4 +1,7 @@
 //! Histograms of unknown range, whose bins double in width as needed.
+//!
+//! The histograms of a run's overview are separate: their bins are fixed, and a common implementation
+//! would change the bins and quantiles of one of them.
 
 /// Values are clamped to this distance from zero.
 const FARTHEST: f64 = 1e15;

@@ -97,8 +97,8 @@ impl Intervals {
         self.all_ps.len()
     }
 
-    /// Mean and standard deviation of the usual intervals, ps: those within 50 % of the median of
-    /// the first 1023.
+    /// Mean and standard deviation of the usual intervals, ps: intervals within 50 % of the
+    /// median of the first 1023.
     pub fn usual_ps(&self) -> Option<[f64; 2]> {
         let usual = self.usual.filter(|usual| usual.count > 0)?;
         let count = usual.count as f64;

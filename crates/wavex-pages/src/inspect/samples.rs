@@ -2,7 +2,7 @@
 //!
 //! The first blocks give the level and spread of the background. After that, the samples of a block
 //! before the first rise above the noise, minus a margin, count as free of signal. Their statistics
-//! are those of the calibration ([`NoiseStatistics`]); only the selection of free samples is
+//! are computed as in the calibration ([`NoiseStatistics`]); only the selection of free samples is
 //! simpler: no pulses are fitted.
 
 use super::histogram::Histogram;

@@ -1,22 +1,18 @@
 //! HTML page of a run; needs no network or scripts.
 
-use maud::{DOCTYPE, Markup, html};
+use maud::{Markup, html};
 use serde_json::Value;
 
-use super::numbers::{label, short};
 use super::overview::{Overview, QuantityHistogram};
 use super::tables::points;
-use super::verdict::{self, Check, Grade};
-use part::{Part, badge, figure, figures, head, section, table, tiles, wide_table, with_contents, worst};
-use wavex_line::printable::printable;
+use crate::numbers::{label, short};
+use crate::page::{Part, badge, document, figure, figures, section, table, tiles, with_contents, worst};
+use crate::verdict::{self, Check, Grade};
 
 mod content;
 mod details;
 pub(super) mod drift;
 mod flight;
-pub(crate) mod map_frame;
-pub(crate) mod part;
-pub(crate) mod plot;
 mod results;
 mod stages_and_sensor;
 mod waveforms;
@@ -49,7 +45,7 @@ pub(super) enum NoPage {
     },
 }
 
-/// Renders a report as HTML; omits what the report lacks.
+/// Renders a report as HTML; omits parts that the report lacks.
 ///
 /// # Errors
 /// If the overview of an input is invalid, or the page is larger than about `limit` bytes.
@@ -67,26 +63,19 @@ pub(super) fn page(report: &Value, limit: usize) -> Result<String, NoPage> {
         }
         shown.push(part);
     }
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            (head(&format!("wavex report: {}", names.join(", ")), ""))
-            body {
-                header {
-                    h1 { "Report of a run" }
-                    p.about { (about_run(report, inputs)) }
-                    p.chain { (chain.join(" → ")) }
-                }
-                main {
-                    (of_inputs(inputs, &shown))
-                    (drift::of_survey(&report["survey_models"]))
-                    @for part in &shown { (part.body) }
-                    details.job open { summary { "Job with all keys" } (details::all_keys(report)) }
-                }
-            }
-        }
+    let title = format!("wavex report: {}", names.join(", "));
+    let header = html! {
+        h1 { "Report of a run" }
+        p.about { (about_run(report, inputs)) }
+        p.chain { (chain.join(" → ")) }
     };
-    let page = printable(&page.into_string()).into_owned();
+    let main = html! {
+        (of_inputs(inputs, &shown))
+        (drift::of_survey(&report["survey_models"]))
+        @for part in &shown { (part.body) }
+        details.job open { summary { "Job with all keys" } (details::all_keys(report)) }
+    };
+    let page = document(&title, "", &header, &main);
     if page.len() > limit { Err(NoPage::TooLarge { limit }) } else { Ok(page) }
 }
 
@@ -271,7 +260,7 @@ fn of_returns(overview: &Overview) -> Part {
     if known > 0 {
         checks.push(verdict::TOTAL_SD.check(content::median(overview, "total uncertainty"), known));
     }
-    Part::new("Returns", figures("", &drawn.collect::<Vec<Markup>>())).judged(checks)
+    Part::new("Returns", figures(&drawn.collect::<Vec<Markup>>())).judged(checks)
 }
 
 /// Shows the share of each MTA zone, and the recording computed with each zone.
@@ -295,7 +284,7 @@ fn of_zones(overview: &Overview) -> Option<Part> {
     });
     let heads = ["zone", "returns", "% of all", "uncertain", "% of the zone"];
     let body = html! {
-        (figures("", clouds.as_slice()))
+        (figures(clouds.as_slice()))
         (table("Returns by MTA zone", &heads, rows))
     };
     let checks = vec![verdict::UNCERTAIN_ZONES.share(sum(|share| share.uncertain), all)];
@@ -310,7 +299,7 @@ fn of_waveforms(overview: &Overview, input: &Value) -> Part {
     let shots: Vec<Markup> = overview.waveforms.iter().map(waveforms::figure).collect();
     let weak = overview.weak_returns.as_ref();
     let body = html! {
-        @if !shots.is_empty() { (waveforms::legend()) (figures("", &shots)) }
+        @if !shots.is_empty() { (waveforms::legend()) (figures(&shots)) }
         @if let Some(weak) = weak { (waveforms::weak_returns(weak)) }
     };
     let total = |key: &str| input["totals"][key].as_u64().unwrap_or(0);
@@ -346,7 +335,7 @@ fn of_run(input: &Value) -> Part {
     let stages = list(input, "stages");
     let times = stages_and_sensor::times(stages).map(|svg| figure("Time per stage", svg, words));
     let tables = html! { (details::stages(input)) (details::observed(input)) };
-    Part::new("Processing", html! { (figures("", times.as_slice())) (tables) })
+    Part::new("Processing", html! { (figures(times.as_slice())) (tables) })
 }
 
 /// Channels of a sensor model that are shown, with their names.
@@ -371,7 +360,7 @@ fn of_sensor(model: &Value) -> Part {
         verdict::CALIBRATION.check(echoes["waveforms"].as_f64(), 1),
         verdict::SHAPE_ERROR.check(largest, 1),
     ];
-    Part::new("Sensor model", figures("", &drawn)).judged(checks)
+    Part::new("Sensor model", figures(&drawn)).judged(checks)
 }
 
 fn list<'v>(value: &'v Value, key: &str) -> &'v [Value] {

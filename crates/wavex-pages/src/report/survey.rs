@@ -273,7 +273,7 @@ fn survey(
     Ok((survey, Some(pictures)))
 }
 
-/// Why the cells of a strip cannot be compared with those of the first one.
+/// Reason why the cells of a strip and of the first strip cannot be compared.
 fn mismatch(reader: &CellsReader, first: Option<&CellsReader>) -> Option<String> {
     let (own, first) = (&reader.facts, &first?.facts);
     if own.crs_wkt != first.crs_wkt {

@@ -10,7 +10,7 @@ pub(super) struct Attribute {
     label: &'static str,
     unit: &'static str,
     is_class: bool,
-    /// Value of a point; the height of the origin is added to that of `height_m`.
+    /// Value of a point; `height_m` lacks the height of the origin.
     pub(super) of: fn(&Point) -> f32,
 }
 
@@ -67,7 +67,7 @@ impl Attribute {
         if self.name == "height_m" { value + origin_m } else { value }
     }
 
-    /// Description for the page, with the range of these points; `None` if no point has it.
+    /// Description for the page, with its range over the points; `None` if no point has it.
     ///
     /// Heights are relative to `origin_m`, and in `height_unit`.
     pub(super) fn describe(&self, points: &[Point], origin_m: f64, height_unit: &str) -> Option<Value> {

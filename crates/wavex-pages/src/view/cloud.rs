@@ -98,7 +98,7 @@ fn describe(points: &Points, placing: &Placing) -> Value {
     json!({ "min": low, "max": high, "attributes": attributes.collect::<Vec<Value>>() })
 }
 
-/// Checks that the points are still those of a generation.
+/// Points in the tree; an error if their generation is no longer this one.
 fn current(points: &Points, generation: u32) -> Answer<&[Point]> {
     if points.generation() == generation { Ok(points.in_tree()) } else { Err(Refused::Outdated) }
 }

@@ -14,7 +14,7 @@ use wavex_line::scan_line::ScanLine;
 
 /// Limit of the shots that are decomposed for one answer.
 const MAX_SHOTS: usize = 50_000;
-/// Time after which a comparison ends with what it has.
+/// Time after which a comparison ends with its results so far.
 const MAX_TIME: Duration = Duration::from_secs(5);
 /// Limit of the entries of each list of changes.
 const MAX_CHANGES: usize = 5000;
@@ -161,7 +161,7 @@ struct Compared {
     is_limited: bool,
 }
 
-/// For each shot of a line, whether it is compared: `wanted` are shots with returns; `returns` are those of each shot.
+/// For each shot of a line, whether it is compared: `wanted`: shots with returns; `returns`: returns of each shot.
 ///
 /// A shot without returns is compared if the nearest ones with returns before and after it in the line are.
 fn are_compared(

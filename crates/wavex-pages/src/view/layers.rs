@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use crate::report::overview::picture::{HEIGHTS, Picture};
+use crate::plot::{HEIGHTS, Picture};
 use crate::report::survey::{DIFFERENCES, raster_description};
 use wavex_formats::terrain::Terrain;
 

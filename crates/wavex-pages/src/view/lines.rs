@@ -59,7 +59,7 @@ pub(super) struct Lines {
     run: RunContext,
     /// Transforms after `decompose`, which have learnt from the first lines as in a run; `None` until then.
     trained: Option<Vec<Box<dyn Transform>>>,
-    /// Lines that passed the stages before `decompose` last: their numbers, the keys of these stages, and
+    /// Lines that passed the stages before `decompose` last: their numbers, the keys of the stages, and
     /// the lines.
     before_decompose: Option<(Range<usize>, String, Vec<ScanLine>)>,
 }
@@ -103,7 +103,7 @@ impl Lines {
         Ok(None)
     }
 
-    /// Lines of these positions after the stages before `decompose`.
+    /// Lines with these numbers after the stages before `decompose`.
     pub(super) fn before_decompose(&mut self, job: &Job, numbers: Range<usize>) -> Result<&[ScanLine]> {
         let stages = before_decompose(job);
         let keys: String = stages.iter().map(|stage| stage.planned.resolved.to_string()).collect();
@@ -116,9 +116,9 @@ impl Lines {
         Ok(self.before_decompose.as_ref().map_or(&[], |(_, _, lines)| lines))
     }
 
-    /// Lines of these positions after all stages that determine their points.
+    /// Lines with these numbers after all stages that determine their points.
     ///
-    /// Stages after `decompose` use what they have learnt with the keys of the view's job.
+    /// Stages after `decompose` keep what they learnt with the keys of the view's job.
     pub(super) fn with_points(&mut self, job: &Job, numbers: Range<usize>) -> Result<Vec<ScanLine>> {
         self.train()?;
         let before: Vec<ScanLine> =

@@ -65,9 +65,9 @@ pub(super) struct Node {
     pub(super) level: u8,
     /// Column and row among the squares of its level, from the south-west corner.
     pub(super) place: [u32; 2],
-    /// Its own points: a random sample of those in its square, without those of its ancestors.
+    /// Its own points: a random sample of the points in its square that no ancestor has.
     pub(super) points: Range<usize>,
-    /// Own points and those of all descendants.
+    /// Own points and the points of all descendants.
     pub(super) all: Range<usize>,
     /// Lowest and highest z of its own points, relative to the origin, m.
     pub(super) z_m: [f32; 2],
@@ -218,7 +218,7 @@ struct Builder<'a> {
 }
 
 impl Builder<'_> {
-    /// Orders points, of which `first` is the index of the first, so that those of each node are adjacent.
+    /// Orders points, the first of which has the index `first`: points of a node become adjacent.
     fn build(&mut self, points: &mut [Point], first: usize, level: u8, place: [u32; 2]) {
         let n = points.len();
         if n == 0 {

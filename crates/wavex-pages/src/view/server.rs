@@ -62,7 +62,7 @@ fn token() -> Result<String, String> {
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// What a request must have.
+/// Token and port that a request must have.
 struct Gate {
     token: String,
     port: u16,
@@ -71,7 +71,7 @@ struct Gate {
 impl Gate {
     /// Target below the token, with its query; `None` if the request is not of this page.
     ///
-    /// `Host` and `Origin` must be those of the page: a foreign page that the browser shows, also under a name
+    /// `Host` and `Origin` must be the page's: a foreign page that the browser shows, also under a name
     /// that resolves to this computer, has others.
     fn path<'r>(&self, request: &'r Request) -> Option<&'r str> {
         let target = request.target.as_str();
@@ -97,7 +97,7 @@ impl Gate {
         (is_own_host && is_own_origin && is_own_site && is_equal(token, &self.token)).then_some(path)
     }
 
-    /// Whether a host, with its port unless this is 80, is that of the page.
+    /// Whether a host, with its port unless this is 80, is the page's host.
     fn is_own(&self, host: &str) -> bool {
         let (name, port) = host.split_once(':').unwrap_or((host, "80"));
         let is_name = ["127.0.0.1", "localhost"].iter().any(|own| own.eq_ignore_ascii_case(name));

@@ -26,7 +26,7 @@ const ORIGIN_STEP_M: f64 = 100.0;
 /// Parses a job with overrides; returns the error as text.
 pub type ParseWith = dyn Fn(&[String]) -> Result<Job, String> + Send + Sync;
 
-/// What to open.
+/// Content of a view to open.
 pub struct Opened {
     /// Title of the page.
     pub title: String,

@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::picture::{HEIGHTS, INTENSITIES, Picture, css};
 use super::view::MapAxes;
+use crate::plot::{HEIGHTS, INTENSITIES, Picture};
 use grid::{Cell, STEPS};
 use wavex_line::stage::packed;
 
@@ -123,18 +123,6 @@ pub struct MapLine {
     #[serde(serialize_with = "packed::serialize", deserialize_with = "packed::deserialize")]
     #[schemars(with = "String")]
     pub places: Vec<f64>,
-}
-
-impl MapPicture {
-    /// Colours of heights from low to high, equally spaced, in CSS notation.
-    pub fn height_colours() -> Vec<String> {
-        css(&HEIGHTS)
-    }
-
-    /// Colours of intensities from weak to strong.
-    pub fn intensity_colours() -> Vec<String> {
-        css(&INTENSITIES)
-    }
 }
 
 /// Minimum number of cells with points per gap; a map with more gaps is coarsened.

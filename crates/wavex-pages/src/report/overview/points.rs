@@ -33,7 +33,7 @@ pub struct PointSummary {
     pub scan_angles: Option<QuantityHistogram>,
 }
 
-/// Highest number of returns of a shot that is counted separately: that of LAS 1.4.
+/// Highest number of returns of a shot that is counted separately: the limit of LAS 1.4.
 const MOST_RETURNS: usize = 15;
 /// Largest valid coordinate, m or degrees.
 const FARTHEST: f64 = 1e8;

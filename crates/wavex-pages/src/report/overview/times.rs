@@ -33,7 +33,7 @@ pub struct TimeCoverage {
 const MOST_BINS: usize = 512;
 /// Binary logarithm of the smallest bin, s.
 const SMALLEST_BIN: i32 = -10;
-/// Seconds from the Unix epoch to that of GPS.
+/// Seconds from the Unix epoch to the GPS epoch.
 const GPS_EPOCH_S: f64 = 315_964_800.0;
 /// Latest valid time, s.
 const LATEST_S: f64 = 1e11;

@@ -36,7 +36,7 @@ const EARTH_M: [f64; 2] = [6.33e6, 6.39e6];
 const MAP_HEIGHT_M: f64 = 1e5;
 /// Length of a degree on the sphere, m: areas are accurate to 1 %.
 const DEGREE_M: f64 = 111_195.0;
-/// Length of a foot, m; that of the US survey differs by 2e-6.
+/// Length of a foot, m; the US survey foot differs by 2e-6.
 const FOOT_M: f64 = 0.3048;
 /// Spacing of the possible tangent points, m, so that all points of a place share one.
 const PLANES_M: f64 = 20_000.0;

@@ -3,11 +3,11 @@
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::part::{Part, figure, maps, section, table};
 use super::{results, words};
-use crate::report::numbers::{label, short};
+use crate::numbers::{label, short};
+use crate::page::{Part, figure, maps, section, table};
 use crate::report::overview::{MapAxes, MapPicture, Overview, PointSummary};
-use crate::report::verdict;
+use crate::verdict;
 
 /// Median of a quantity of the returns; `None` if unknown.
 pub(super) fn median(overview: &Overview, quantity: &str) -> Option<f64> {

@@ -1,4 +1,4 @@
-//! Distributions of what the sweep measures, and the offsets of strips.
+//! Distributions of the measurements of the sweep, and the offsets of strips.
 
 use std::collections::BTreeMap;
 

@@ -4,8 +4,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::rasters::Frame;
-use crate::report::overview::Picture;
-use crate::report::overview::picture::{HEIGHTS, Ramp};
+use crate::plot::{HEIGHTS, Picture, Ramp};
 use wavex_engine::job::SurveyKeys;
 
 /// Maximum number of cells of a picture in each direction.
@@ -78,11 +77,6 @@ pub(super) struct Pictures {
     pub(super) gaps: Option<Picture>,
     /// Cells below the required pulse density.
     pub(super) below_target: Option<Picture>,
-}
-
-/// CSS colours of the differences.
-pub(super) fn difference_colours() -> Vec<String> {
-    crate::report::overview::picture::css(&DIFFERENCES)
 }
 
 impl Mosaic {

@@ -1,19 +1,15 @@
 //! HTML page of a survey; needs no network or scripts.
 
-use maud::{DOCTYPE, Markup, html};
+use maud::{Markup, html};
 use serde_json::json;
 
 use super::mosaic::Pictures;
 use super::strip::{MOST_RETURNS, UNEXPLAINED};
 use super::{StripFacts, Survey, SurveyStrip};
-use crate::report::numbers::{label, short};
-use crate::report::page::drift;
-use crate::report::page::part::{
-    Part, figure, head, maps as map_figures, section, table, tiles, with_contents,
-};
-use crate::report::page::words;
-use crate::report::verdict::{self, Check};
-use wavex_line::printable::printable;
+use crate::numbers::{label, short};
+use crate::page::{Part, document, figure, maps as map_figures, section, table, tiles, with_contents};
+use crate::report::page::{drift, words};
+use crate::verdict::{self, Check};
 
 mod figures;
 
@@ -37,20 +33,11 @@ pub(super) fn page(survey: &Survey, pictures: Option<&Pictures>) -> String {
         Part::new("Limits", limits(survey)),
     ];
     let first = html! { (key_figures(survey)) (warnings(survey)) };
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            (head("wavex survey", OWN_STYLE))
-            body {
-                header {
-                    h1 { "Survey" }
-                    p.about { "wavex " (survey.wavex) "; " (coordinates(survey)) }
-                }
-                main { (with_contents(&parts, "", &first)) }
-            }
-        }
+    let header = html! {
+        h1 { "Survey" }
+        p.about { "wavex " (survey.wavex) "; " (coordinates(survey)) }
     };
-    printable(&page.into_string()).into_owned()
+    document("wavex survey", OWN_STYLE, &header, &with_contents(&parts, "", &first))
 }
 
 /// Additions for this page.

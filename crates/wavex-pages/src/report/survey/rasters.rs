@@ -7,7 +7,7 @@ use wavex_formats::geotiff::{RasterGrid, RasterWriter, TILE, Tile, empty_tile};
 use wavex_formats::{Error, Result};
 use wavex_line::stage::OutputFile;
 
-/// What a raster shows, with the end of its file name and its description.
+/// Quantity of a raster, with the end of its file name and its description.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Layer {
     Pulses,
