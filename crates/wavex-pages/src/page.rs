@@ -2,7 +2,7 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use crate::verdict::{Check, Grade, Verdict};
+use crate::verdict::{Grade, QualityCheck, Verdict};
 use style::{RUN_STYLE, STYLE};
 use wavex_line::printable::printable;
 
@@ -12,22 +12,22 @@ mod style;
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:";
 
 /// A part of a page, which the contents list.
-pub(crate) struct Part {
+pub(crate) struct PagePart {
     pub(crate) title: String,
     /// Checks of the part; `None` if there is nothing to judge.
     pub(crate) verdict: Option<Verdict>,
     pub(crate) body: Markup,
 }
 
-impl Part {
+impl PagePart {
     /// A part without verdict.
-    pub(crate) fn new(title: &str, body: Markup) -> Part {
-        Part { title: title.to_owned(), verdict: None, body }
+    pub(crate) fn new(title: &str, body: Markup) -> PagePart {
+        PagePart { title: title.to_owned(), verdict: None, body }
     }
 
     /// Adds the verdict of some checks.
-    pub(crate) fn judged(self, checks: Vec<Check>) -> Part {
-        Part { verdict: Some(Verdict(checks)), ..self }
+    pub(crate) fn judged(self, checks: Vec<QualityCheck>) -> PagePart {
+        PagePart { verdict: Some(Verdict(checks)), ..self }
     }
 
     fn id(&self, prefix: &str) -> String {
@@ -38,14 +38,14 @@ impl Part {
 }
 
 /// Worst grade of some parts.
-pub(crate) fn worst(parts: &[Part]) -> Grade {
+pub(crate) fn worst(parts: &[PagePart]) -> Grade {
     let grades = parts.iter().filter_map(|part| Some(part.verdict.as_ref()?.grade()));
     grades.max().unwrap_or(Grade::NotAssessed)
 }
 
 /// Contents, then `first`, then the parts; empty parts are omitted. Their names begin with `prefix`.
-pub(crate) fn with_contents(parts: &[Part], prefix: &str, first: &Markup) -> Markup {
-    let shown: Vec<&Part> = parts.iter().filter(|part| !part.body.0.is_empty()).collect();
+pub(crate) fn with_contents(parts: &[PagePart], prefix: &str, first: &Markup) -> Markup {
+    let shown: Vec<&PagePart> = parts.iter().filter(|part| !part.body.0.is_empty()).collect();
     html! {
         nav aria-label="Contents" {
             ol {

@@ -1,6 +1,6 @@
 //! Picture of a trajectory: plan view with scale bar, and height over time.
 
-use super::map::Map;
+use super::map::TrajectoryMap;
 use wavex_geodesy::ellipsoid::WGS84;
 use wavex_geodesy::frames::LocalFrame;
 use wavex_geodesy::trajectory::{Sample, Trajectory};
@@ -17,7 +17,7 @@ const HEIGHTS: [f64; 2] = [650.0, 800.0];
 const POINTS: usize = 4000;
 
 /// Draws the picture as SVG.
-pub(super) fn draw(title: &str, note: &str, trajectory: &Trajectory, map: &Map) -> String {
+pub(super) fn draw(title: &str, note: &str, trajectory: &Trajectory, map: &TrajectoryMap) -> String {
     let mut svg = Svg::new();
     svg.text("title", [LEFT, 30.0], Anchor::Start, title);
     svg.text("note", [LEFT, 52.0], Anchor::Start, note);
@@ -45,12 +45,12 @@ fn parts(trajectory: &Trajectory) -> Vec<Vec<Sample>> {
 }
 
 /// Easting and northing, m: of the map, else local at the first position.
-fn on_plane(sample: &Sample, map: &Map, horizon: &LocalFrame) -> [f64; 2] {
+fn on_plane(sample: &Sample, map: &TrajectoryMap, horizon: &LocalFrame) -> [f64; 2] {
     let [x, y, _] = if map.is_plane() { map.project(sample.place) } else { horizon.local_of(sample.place) };
     [x, y]
 }
 
-fn plan(svg: &mut Svg, parts: &[Vec<Sample>], map: &Map) {
+fn plan(svg: &mut Svg, parts: &[Vec<Sample>], map: &TrajectoryMap) {
     let Some(first) = parts.first().and_then(|part| part.first()) else { return };
     let horizon = LocalFrame::at(WGS84, first.place);
     let on_plane = |part: &Vec<Sample>| part.iter().map(|sample| on_plane(sample, map, &horizon)).collect();
@@ -171,7 +171,7 @@ mod tests {
                 for duration_s in [0.01, 0.4, 3.0, 61.0, 7300.0] {
                     let trajectory = flight(length_m, climb_m, duration_s);
                     for map in ["utm:33N", "EPSG:2225", "geodetic", "ecef"] {
-                        let map = Map::of(map, None).unwrap().unwrap();
+                        let map = TrajectoryMap::of(map, None).unwrap().unwrap();
                         let labels = labels(&draw("a", "b", &trajectory, &map));
                         assert_eq!(labels.len(), 4, "{length_m} {climb_m} {duration_s}: {labels:?}");
                         for labels in labels.values() {

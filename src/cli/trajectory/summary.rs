@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::map::Map;
+use super::map::TrajectoryMap;
 use wavex_geodesy::ellipsoid::WGS84;
 use wavex_geodesy::time_axis::{Clock, TimeSpan};
 use wavex_geodesy::trajectory::{Accuracy, Sample, Trajectory};
@@ -22,7 +22,7 @@ pub(super) struct About<'a> {
 }
 
 /// Returns the summary; each line ends with a line feed.
-pub(super) fn text(about: &About, trajectory: &Trajectory, map: &Map) -> String {
+pub(super) fn text(about: &About, trajectory: &Trajectory, map: &TrajectoryMap) -> String {
     let samples = trajectory.samples();
     let mut text = format!("{}: {}, {} records\n", about.file, about.format, samples.len());
     let mut row = |name: &str, value: String| {

@@ -1,6 +1,6 @@
 //! Picture of a shot: samples with fit, residuals, and the outgoing pulse.
 
-use super::Explained;
+use super::ExplainedShot;
 use crate::plot::{Anchor, AxisScale, Legend, Panels, Plot, PlotStyle, Svg, dots, fit_marks};
 use wavex_line::stage::{CURVE_POINTS_PER_SAMPLE, FittedBlock};
 use wavex_stages::process::decompose::SeenPulse;
@@ -19,7 +19,7 @@ const WIDTHS: [f64; 2] = [900.0, 1700.0];
 const PER_NS: f64 = 12.0;
 
 /// Draws the picture as SVG.
-pub(super) fn draw(explained: &Explained) -> String {
+pub(super) fn draw(explained: &ExplainedShot) -> String {
     let mut svg = Svg::new();
     let blocks: Vec<&FittedBlock> = explained.blocks.iter().map(|block| &block.shown).collect();
     let total_ns: f64 = blocks.iter().map(|block| block.samples.span_ns()).sum();
@@ -40,7 +40,7 @@ pub(super) fn draw(explained: &Explained) -> String {
     svg.finish((right + RIGHT).round(), HEIGHT, &explained.title())
 }
 
-fn header(svg: &mut Svg, explained: &Explained) {
+fn header(svg: &mut Svg, explained: &ExplainedShot) {
     svg.text("title", [LEFT, 32.0], Anchor::Start, &explained.title());
     let fit = |block: &FittedBlock| {
         format!(
@@ -86,7 +86,7 @@ fn legend(svg: &mut Svg, left: f64) {
 }
 
 /// Draws a short table of the first returns; the printed table has all of them.
-fn returns(svg: &mut Svg, explained: &Explained, left: f64) {
+fn returns(svg: &mut Svg, explained: &ExplainedShot, left: f64) {
     const SHOWN: usize = 7;
     let columns = [12.0, 136.0, 246.0, 346.0];
     let heads = ["", "range, m", "amplitude, DN", "width ratio"];

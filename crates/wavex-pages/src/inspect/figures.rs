@@ -2,9 +2,9 @@
 
 use maud::Markup;
 
-use super::histogram_files::{Part, amplitudes, angles, name_of, noise, ranges};
+use super::histogram_files::{LabelledHistogram, amplitudes, angles, name_of, noise, ranges};
 use super::summary::grouped;
-use super::{Histogram, Inspection, ShownBlock, Waveform};
+use super::{GrowingHistogram, Inspection, ShownBlock, Waveform};
 use crate::page::figure;
 use crate::plot::{AxisScale, Plot, PlotStyle, Svg, extent};
 use wavex_line::scan_line::Channel;
@@ -49,7 +49,7 @@ fn label(value: f64, digits: usize) -> String {
     }
 }
 
-fn histogram(part: &Part) -> Markup {
+fn histogram(part: &LabelledHistogram) -> Markup {
     let width = part.histogram.width();
     let shown = bulk(part);
     let inside = |&(centre, _): &(f64, u64)| centre > shown[0] && centre < shown[1];
@@ -65,7 +65,7 @@ fn histogram(part: &Part) -> Markup {
 }
 
 /// Range of the bins without the tails (see [`TAIL`]).
-fn bulk(part: &Part) -> [f64; 2] {
+fn bulk(part: &LabelledHistogram) -> [f64; 2] {
     let width = part.histogram.width();
     let most = (TAIL * part.histogram.total() as f64) as u64;
     let mut bins: Vec<(f64, u64)> = part.bins().collect();
@@ -85,7 +85,7 @@ fn bulk(part: &Part) -> [f64; 2] {
     [low - 0.5 * width - few, high + 0.5 * width + few]
 }
 
-fn over_time(times_s: &Histogram) -> Option<Markup> {
+fn over_time(times_s: &GrowingHistogram) -> Option<Markup> {
     let [first, last] = times_s.range()?;
     let width = times_s.width();
     let rate = |(_, count): (f64, u64)| count as f64 / width;

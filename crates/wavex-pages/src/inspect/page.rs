@@ -4,19 +4,24 @@ use maud::html;
 
 use super::Inspection;
 use super::figures::figures;
-use super::summary::Summary;
-use crate::page::{Part, document, figures as side_by_side, section, with_contents};
-use crate::verdict::{self, Check, Grade};
+use super::summary::RecordingSummary;
+use crate::page::{PagePart, document, figures as side_by_side, section, with_contents};
+use crate::verdict::{self, Grade, QualityCheck};
 use wavex_line::stage::Counters;
 
 /// Renders the page as HTML; `cut`: reason why the recording could not be read to its end.
-pub fn page(summary: &Summary, inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> String {
+pub fn page(
+    summary: &RecordingSummary,
+    inspection: &Inspection,
+    counters: &Counters,
+    cut: Option<&str>,
+) -> String {
     let sections = html! {
         div.sections { @for of in &summary.sections { (section(&of.title, of.rows.iter().cloned())) } }
     };
     let parts = [
-        Part::new("Summary", sections).judged(checks(inspection, counters, cut)),
-        Part::new("Figures", side_by_side(&figures(inspection))),
+        PagePart::new("Summary", sections).judged(checks(inspection, counters, cut)),
+        PagePart::new("Figures", side_by_side(&figures(inspection))),
     ];
     let header = html! {
         h1 { (summary.file) }
@@ -25,9 +30,9 @@ pub fn page(summary: &Summary, inspection: &Inspection, counters: &Counters, cut
     document(&summary.file, "", &header, &with_contents(&parts, "", &html! {}))
 }
 
-fn checks(inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> Vec<Check> {
+fn checks(inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> Vec<QualityCheck> {
     let shots = &inspection.shots;
-    let whole = Check {
+    let whole = QualityCheck {
         grade: if cut.is_some() { Grade::Bad } else { Grade::Good },
         measured: format!("read to the end: {}", if cut.is_some() { "no" } else { "yes" }),
         rule: "good if yes, else bad".to_owned(),

@@ -5,7 +5,7 @@ use maud::Markup;
 use super::reservoir::Thinned;
 use crate::page::figure;
 use crate::plot::{MapFrame, Svg, extent};
-use crate::report::overview::view::View;
+use crate::report::overview::view::MapProjection;
 use wavex_line::scan_line::{Emission, Frame, InputInfo};
 
 /// Maximum number of echoes, and of sensor positions, that are kept.
@@ -15,7 +15,7 @@ const KEPT: usize = 3000;
 #[derive(Debug)]
 pub struct PlanView {
     /// The view, set by the first echo.
-    view: Option<View>,
+    view: Option<MapProjection>,
     echoes: Thinned<[f64; 2]>,
     track: Thinned<[f64; 2]>,
 }
@@ -38,7 +38,7 @@ impl PlanView {
         if !echo.iter().chain(&emission.origin_m).all(|coordinate| coordinate.is_finite()) {
             return;
         }
-        let view = self.view.get_or_insert_with(|| View::of(input, echo));
+        let view = self.view.get_or_insert_with(|| MapProjection::of(input, echo));
         let flat = |point: [f64; 3]| {
             let [east, north, _] = view.place(point);
             [east, north]

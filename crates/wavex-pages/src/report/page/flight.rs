@@ -6,13 +6,13 @@ use maud::Markup;
 
 use super::results;
 use crate::numbers::{label, short};
-use crate::page::{Part, figure, figures};
+use crate::page::{PagePart, figure, figures};
 use crate::plot::{Legend, Mark, Plot, extent};
 use crate::report::overview::{Flight, Overview, TimeCoverage};
 use crate::verdict;
 
 /// Waveforms along the flight, shots over time, scan angles, attitude, speed and height.
-pub(super) fn part(overview: &Overview) -> Part {
+pub(super) fn part(overview: &Overview) -> PagePart {
     let mut drawn: Vec<Markup> = Vec::new();
     let words = match overview.lines.lines_per_group {
         0 | 1 => String::new(),
@@ -42,7 +42,7 @@ pub(super) fn part(overview: &Overview) -> Part {
         let roll_deg = flight.roll_range_deg.map(f64::abs);
         checks.push(verdict::ROLL.check(Some(roll_deg[0].max(roll_deg[1])), flight.records));
     }
-    Part::new("Times and flight", figures(&drawn)).judged(checks)
+    PagePart::new("Times and flight", figures(&drawn)).judged(checks)
 }
 
 /// Maximum number of bars of the shots over time.
