@@ -11,7 +11,7 @@ use wavex_formats::Error;
 use wavex_formats::format::reader_of;
 use wavex_line::scan_line::ScanLine;
 use wavex_line::stage::{Context, FinishedFile, OutputFile, Paths, Plan, RunContext, StageError};
-use wavex_pages::inspect::{Inspection, Summary, histogram_files, page};
+use wavex_pages::inspect::{Inspection, RecordingSummary, histogram_files, page};
 use wavex_stages::registry::STAGES;
 
 /// Inspects recordings, writes the results, and prints the summaries.
@@ -60,7 +60,7 @@ const FIRST_SHOTS: u64 = 2000;
 fn print_first_look(file: &Path, args: &ScanArgs) -> Result<(), Failure> {
     let (inspection, cx, _) = look_at(file, &args.set, !args.fast, FIRST_SHOTS, |_, _| ())?;
     let shots = inspection.shots.count;
-    let text = Summary::of(file, &inspection, cx.counters(), None).text();
+    let text = RecordingSummary::of(file, &inspection, cx.counters(), None).text();
     terminal::print_message(&format!(
         "The first {shots} shots of {text}
 Reading all of the recording.\n\n"
@@ -82,7 +82,7 @@ fn write_scan(file: &Path, name: &str, (inspection, cx, ended): Read, quiet: boo
         return Err(failed(error));
     }
     let cut = ended.as_ref().err().map(ToString::to_string);
-    let summary = Summary::of(file, &inspection, cx.counters(), cut.as_deref());
+    let summary = RecordingSummary::of(file, &inspection, cx.counters(), cut.as_deref());
     let text = summary.text();
     let mut files = vec![(format!("{name}_scan.txt"), text.clone())];
     files.extend(

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use super::{Failure, TrajectoryArgs, terminal};
-use map::Map;
+use map::TrajectoryMap;
 use summary::About;
 use wavex_formats::Error;
 use wavex_formats::trajectory::{self, Angles, FileTime, Options, Unproject};
@@ -26,13 +26,13 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
     let failed = |error: Error| Failure::Run(error.to_string());
     let options = args.options();
     let recorded = trajectory::read(&args.file, &options).map_err(failed)?;
-    let map = Map::of(&args.crs, None).map_err(Failure::Wrong)?;
+    let map = TrajectoryMap::of(&args.crs, None).map_err(Failure::Wrong)?;
     let (format, counts, clock) = (recorded.format.clone(), recorded.counts.clone(), recorded.clock);
     let accuracies: Vec<Accuracy> = recorded.accuracies.iter().map(|sample| sample.accuracy).collect();
     let (mut notes, is_text, speeds_mps) =
         (recorded.notes.clone(), recorded.is_text(), recorded.speeds_mps.clone());
     let trajectory = {
-        let unproject = map.as_ref().and_then(Map::unproject);
+        let unproject = map.as_ref().and_then(TrajectoryMap::unproject);
         let unproject = unproject.as_ref().map(|unproject| unproject as &Unproject);
         recorded.into_trajectory(unproject).map_err(failed)?
     };
@@ -47,8 +47,8 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
         // `utm` is the zone of the first position.
         None => {
             let first = trajectory.samples().first().map(|sample| sample.place);
-            let map = Map::of(&args.crs, first).map_err(Failure::Wrong)?;
-            map.map_or_else(Map::geodetic, Ok).map_err(Failure::Run)?
+            let map = TrajectoryMap::of(&args.crs, first).map_err(Failure::Wrong)?;
+            map.map_or_else(TrajectoryMap::geodetic, Ok).map_err(Failure::Run)?
         }
     };
     map.covers(trajectory.samples()).map_err(Failure::Run)?;
@@ -83,7 +83,7 @@ fn write(
     args: &TrajectoryArgs,
     about: &About,
     trajectory: &Trajectory,
-    map: &Map,
+    map: &TrajectoryMap,
 ) -> Result<Vec<String>, Error> {
     let mut whole: Vec<FinishedFile> = Vec::new();
     if let Some(path) = &args.out {
@@ -108,7 +108,7 @@ fn table(
     every: usize,
     clock: Clock,
     trajectory: &Trajectory,
-    map: &Map,
+    map: &TrajectoryMap,
 ) -> Result<FinishedFile, Error> {
     let mut file = OutputFile::create(path)?;
     let mut rows = format!(

@@ -1,4 +1,4 @@
-//! One shot with its fit, as a table and as a picture: what `wavex explain` and `wavex view` show.
+//! One shot with its fit, as a table and as a picture, for `wavex explain` and `wavex view`.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ mod picture;
 mod table;
 
 /// A shot with its decomposition.
-pub struct Explained {
+pub struct ExplainedShot {
     /// Path of the recording.
     pub(crate) file: String,
     /// The shot, with its fitted emission time.
@@ -41,7 +41,7 @@ pub enum ExplainError {
     Stage(#[from] StageError),
 }
 
-impl Explained {
+impl ExplainedShot {
     /// Decomposes one shot of a scan line that has passed the stages before `decompose`.
     ///
     /// `file` names the recording.
@@ -51,7 +51,7 @@ impl Explained {
         config: &Decompose,
         simd: SimdLevel,
         file: &str,
-    ) -> Result<Explained, ExplainError> {
+    ) -> Result<ExplainedShot, ExplainError> {
         let without =
             |what: &str| ExplainError::Without(format!("{file}: shot {shot} has {what}; choose another one"));
         let model = line.model.clone().ok_or_else(|| without("no sensor model"))?;
@@ -104,7 +104,7 @@ impl Explained {
             remarks.push("ranges start at the first sample: the recording has no sensor position".into());
         }
         let (file, input) = (file.to_owned(), Arc::clone(&line.input));
-        Ok(Explained { file, emission, input, returns, blocks, outgoing, model, remarks })
+        Ok(ExplainedShot { file, emission, input, returns, blocks, outgoing, model, remarks })
     }
 
     /// Returns and fit statistics as text.

@@ -25,14 +25,14 @@ mod summary;
 #[cfg(test)]
 mod tests;
 
-pub use histogram::Histogram;
+pub use histogram::GrowingHistogram;
 pub use histogram_files::files as histogram_files;
 pub use intervals::{Intervals, LongInterval};
 pub use page::page;
 pub use plan_view::PlanView;
 pub use reservoir::Thinned;
-pub use samples::{Peak, Samples, peak_of};
-pub use summary::{Section, Summary};
+pub use samples::{BlockPeak, SampleStatistics, peak_of};
+pub use summary::{RecordingSummary, SummarySection};
 
 /// Maximum number of bins of a histogram.
 const BINS: usize = 400;
@@ -56,23 +56,23 @@ pub struct Inspection {
     /// Times of the shots.
     pub times: Times,
     /// Scan lines.
-    pub lines: Lines,
+    pub lines: LineStatistics,
     /// Channels, in the order of [`Channel`].
     pub channels: [ChannelInspection; 4],
     /// Echo blocks per shot.
-    pub blocks_per_shot: Histogram,
+    pub blocks_per_shot: GrowingHistogram,
     /// Echo blocks by zone; `None` means unresolved.
     pub zones: BTreeMap<Option<i16>, u64>,
     /// Beam angles, degrees.
-    pub angles_deg: Histogram,
-    /// Definition of these angles; `None` without any.
+    pub angles_deg: GrowingHistogram,
+    /// Definition of the beam angles; `None` without any.
     pub angle: Option<Angle>,
     /// Time since the first shot (s) and angle (degrees) of selected shots.
     pub angles_over_time: Thinned<[f64; 2]>,
     /// Times of echo blocks since the first shot, s.
-    pub blocks_over_time_s: Histogram,
+    pub blocks_over_time_s: GrowingHistogram,
     /// Ranges of the highest peak of each echo block, m.
-    pub ranges_m: Histogram,
+    pub ranges_m: GrowingHistogram,
     /// Echoes and sensor from above.
     pub plan: PlanView,
     /// Selected shots with their blocks.
@@ -96,7 +96,7 @@ pub struct Shots {
     pub by_facet: BTreeMap<u16, u64>,
     /// Number of online returns, and of shots with any.
     pub online: [u64; 2],
-    /// Shots whose waveforms are copies of those of the shot before.
+    /// Shots whose waveforms are copies of the previous shot's waveforms.
     pub copies: u64,
 }
 
@@ -122,11 +122,11 @@ pub struct Times {
 
 /// Scan lines.
 #[derive(Debug)]
-pub struct Lines {
+pub struct LineStatistics {
     /// Number of lines.
     pub count: u64,
     /// Shots per line.
-    pub shots: Histogram,
+    pub shots: GrowingHistogram,
     /// Number of the current line, and its shots so far.
     at: Option<(u32, u64)>,
 }
@@ -139,13 +139,13 @@ pub struct ChannelInspection {
     /// Number of samples.
     pub samples: u64,
     /// Samples per block.
-    pub lengths: Histogram,
+    pub lengths: GrowingHistogram,
     /// Time of a block's first sample after the shot's clock, ns.
-    pub starts_ns: Histogram,
+    pub starts_ns: GrowingHistogram,
     /// Smallest and largest gain of a block.
     pub gains: [f64; 2],
     /// Sample statistics, if samples are inspected.
-    pub values: Option<Samples>,
+    pub values: Option<SampleStatistics>,
 }
 
 /// Definition of a beam angle.
@@ -187,8 +187,8 @@ impl Inspection {
         let channel = || ChannelInspection {
             blocks: 0,
             samples: 0,
-            lengths: Histogram::of_whole_numbers(BINS),
-            starts_ns: Histogram::new(0.125, BINS),
+            lengths: GrowingHistogram::of_whole_numbers(BINS),
+            starts_ns: GrowingHistogram::new(0.125, BINS),
             gains: [f64::INFINITY, f64::NEG_INFINITY],
             values: None,
         };
@@ -197,15 +197,15 @@ impl Inspection {
             with_samples,
             shots: Shots::default(),
             times: Times::default(),
-            lines: Lines { count: 0, shots: Histogram::of_whole_numbers(8192), at: None },
+            lines: LineStatistics { count: 0, shots: GrowingHistogram::of_whole_numbers(8192), at: None },
             channels: [channel(), channel(), channel(), channel()],
-            blocks_per_shot: Histogram::of_whole_numbers(64),
+            blocks_per_shot: GrowingHistogram::of_whole_numbers(64),
             zones: BTreeMap::new(),
-            angles_deg: Histogram::new(0.125, BINS),
+            angles_deg: GrowingHistogram::new(0.125, BINS),
             angle: None,
             angles_over_time: Thinned::new(ANGLES),
-            blocks_over_time_s: Histogram::new(1.0 / 1024.0, BINS),
-            ranges_m: Histogram::new(0.125, BINS),
+            blocks_over_time_s: GrowingHistogram::new(1.0 / 1024.0, BINS),
+            ranges_m: GrowingHistogram::new(0.125, BINS),
             plan: PlanView::default(),
             waveforms: Thinned::new(WAVEFORMS),
         }
@@ -216,7 +216,7 @@ impl Inspection {
         if self.input.is_none() {
             let full_scale_dn = scan_line.input.full_scale_dn;
             for channel in self.channels.iter_mut().filter(|_| self.with_samples) {
-                channel.values = Some(Samples::new(full_scale_dn));
+                channel.values = Some(SampleStatistics::new(full_scale_dn));
             }
             self.input = Some(Arc::clone(&scan_line.input));
         }
@@ -239,7 +239,10 @@ impl Inspection {
         self.lines.end();
         self.times.shots.finish();
         self.times.lines.finish();
-        self.channels.iter_mut().filter_map(|channel| channel.values.as_mut()).for_each(Samples::finish);
+        self.channels
+            .iter_mut()
+            .filter_map(|channel| channel.values.as_mut())
+            .for_each(SampleStatistics::finish);
     }
 
     /// Statistics of a channel.
@@ -309,7 +312,7 @@ impl Inspection {
 
 impl ChannelInspection {
     /// Adds a block; sample statistics leave copies out.
-    fn add(&mut self, block: &Block, samples: &[u16], is_copy: bool) -> Option<Peak> {
+    fn add(&mut self, block: &Block, samples: &[u16], is_copy: bool) -> Option<BlockPeak> {
         self.blocks += 1;
         self.samples += block.len() as u64;
         self.lengths.add(block.len() as f64);
@@ -363,7 +366,7 @@ impl Times {
     }
 }
 
-impl Lines {
+impl LineStatistics {
     fn begin(&mut self, line: u32) {
         self.end();
         self.count += 1;

@@ -2,5 +2,9 @@
 
 pub mod explain;
 pub mod inspect;
+mod numbers;
+mod page;
+pub mod plot;
 pub mod report;
+mod verdict;
 pub mod view;

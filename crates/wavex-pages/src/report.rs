@@ -12,16 +12,11 @@ use wavex_formats::{Error, Result, read_small_text};
 use wavex_line::stage::OutputFile;
 
 mod earlier;
-pub(crate) mod numbers;
 pub(crate) mod overview;
-pub(crate) mod page;
-pub(crate) mod panel;
+mod page;
 mod stat_log;
-pub(crate) mod style;
 pub mod survey;
-pub mod svg;
 mod tables;
-pub(crate) mod verdict;
 
 pub use earlier::difference;
 pub(crate) use overview::view::crs_name;

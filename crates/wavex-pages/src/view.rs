@@ -27,7 +27,7 @@ mod shots;
 
 pub use session::{Opened, ParseWith};
 
-use session::{Session, State};
+use session::{Session, SessionState};
 
 /// A view that is served until the process ends.
 pub struct View {
@@ -64,9 +64,9 @@ impl View {
     /// Number of points, and why reading failed; `None` while it goes on.
     pub fn ended(&self) -> Option<Result<usize, String>> {
         match self.session.state().0 {
-            State::Reading => None,
-            State::Ready => Some(Ok(self.session.points().len())),
-            State::Failed(problem) => Some(Err(problem)),
+            SessionState::Reading => None,
+            SessionState::Ready => Some(Ok(self.session.points().len())),
+            SessionState::Failed(problem) => Some(Err(problem)),
         }
     }
 }

@@ -14,7 +14,7 @@ use wavex_engine::recording::{Excerpt, LineIndex, Recording};
 use wavex_formats::format::reader_of;
 use wavex_line::scan_line::{Emission, InputInfo, Returns, ScanLine};
 use wavex_line::stage::{Context, FittedBlock, Plan, RunContext, SourcePlan};
-use wavex_pages::explain::{ExplainError, Explained};
+use wavex_pages::explain::{ExplainError, ExplainedShot};
 use wavex_signal::sensor_model::SensorModel;
 use wavex_stages::process::calibrate::Calibrate;
 use wavex_stages::process::decompose::Decompose;
@@ -65,7 +65,7 @@ pub fn explain_shot(
     let explained = Arc::new(chain).explain(shot)?;
     let (text, svg) = (explained.table(), explained.picture());
     let blocks = explained.blocks.into_iter().map(|block| block.shown).collect();
-    let Explained { emission, returns, input, .. } = explained;
+    let ExplainedShot { emission, returns, input, .. } = explained;
     Ok(Explanation { emission, returns, blocks, input, text, svg })
 }
 
@@ -175,7 +175,7 @@ impl Chain {
     ///
     /// # Errors
     /// If the recording cannot be read, or has no such shot or no echoes of it.
-    pub fn explain(self: &Arc<Self>, shot: u64) -> Result<Explained, Failure> {
+    pub fn explain(self: &Arc<Self>, shot: u64) -> Result<ExplainedShot, Failure> {
         let chain = Arc::clone(self);
         let may_skip = Arc::<AtomicBool>::default();
         let have_learnt = Arc::clone(&may_skip);
@@ -208,12 +208,14 @@ impl Chain {
     }
 
     /// Decomposes a shot of a line that has passed the stages before `decompose`.
-    fn explain_in(&self, line: &ScanLine, shot: u64) -> Result<Explained, Failure> {
+    fn explain_in(&self, line: &ScanLine, shot: u64) -> Result<ExplainedShot, Failure> {
         let file = self.file.display().to_string();
-        Explained::of(line, shot, &self.decompose, self.options.simd, &file).map_err(|error| match error {
-            ExplainError::Without(problem) => Failure::Wrong(problem),
-            ExplainError::Stage(error) => failed(&error),
-        })
+        ExplainedShot::of(line, shot, &self.decompose, self.options.simd, &file).map_err(
+            |error| match error {
+                ExplainError::Without(problem) => Failure::Wrong(problem),
+                ExplainError::Stage(error) => failed(&error),
+            },
+        )
     }
 
     /// Returns the number of the shot nearest to a time.

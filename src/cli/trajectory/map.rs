@@ -9,19 +9,19 @@ use wavex_geodesy::trajectory::Sample;
 use wavex_line::georef::MOST_WKT_BYTES;
 
 /// Projection of positions into a coordinate system.
-pub(super) struct Map {
+pub(super) struct TrajectoryMap {
     crs: Crs,
 }
 
 /// Placeholder position for systems that do not depend on one.
 const ANYWHERE: Geodetic = Geodetic { latitude_rad: 0.0, longitude_rad: 0.0, height_m: 0.0 };
 
-impl Map {
+impl TrajectoryMap {
     /// Coordinate system named by the user; `None` for `utm` without a position.
     ///
     /// `word` is `utm` (zone of `place`), `utm:33N`, `EPSG:2154`, `geodetic`, `ecef`, or the path
     /// of a WKT file.
-    pub(super) fn of(word: &str, place: Option<Geodetic>) -> Result<Option<Map>, String> {
+    pub(super) fn of(word: &str, place: Option<Geodetic>) -> Result<Option<TrajectoryMap>, String> {
         let message = |problem: &dyn std::fmt::Display| format!("--crs {word}: {problem}");
         let named = match Named::parse(word).map_err(|error| message(&error))? {
             Some(Named::Utm) if place.is_none() => return Ok(None),
@@ -33,12 +33,12 @@ impl Map {
             }
         };
         let crs = Crs::new(&named, place.unwrap_or(ANYWHERE), None, None).map_err(|error| message(&error))?;
-        Ok(Some(Map { crs }))
+        Ok(Some(TrajectoryMap { crs }))
     }
 
     /// Geodetic coordinates, which need no first position.
-    pub(super) fn geodetic() -> Result<Map, String> {
-        Map::of("geodetic", None)?.ok_or_else(|| "no geodetic coordinates".into())
+    pub(super) fn geodetic() -> Result<TrajectoryMap, String> {
+        TrajectoryMap::of("geodetic", None)?.ok_or_else(|| "no geodetic coordinates".into())
     }
 
     /// Name for display.
@@ -87,32 +87,33 @@ mod tests {
 
     #[test]
     fn coordinates_are_those_of_the_name() {
-        let project =
-            |name: &str| Map::of(name, Some(place(0.0, 15.0))).unwrap().unwrap().project(place(0.0, 15.0));
+        let project = |name: &str| {
+            TrajectoryMap::of(name, Some(place(0.0, 15.0))).unwrap().unwrap().project(place(0.0, 15.0))
+        };
         assert!((project("utm")[0] - 500_000.0).abs() < 1e-6);
         assert!((project("utm:33S")[1] - 1e7).abs() < 1e-6);
         assert!((project("geodetic")[0] - 15.0).abs() < 1e-13);
         assert!((project("ecef")[0] - 6_378_142.0 * 15f64.to_radians().cos()).abs() < 1e-6);
-        assert!(Map::of("utm", None).unwrap().is_none());
-        assert!(Map::of("EPSG:2154", None).unwrap().unwrap().is_plane());
+        assert!(TrajectoryMap::of("utm", None).unwrap().is_none());
+        assert!(TrajectoryMap::of("EPSG:2154", None).unwrap().unwrap().is_plane());
     }
 
     #[test]
     fn a_map_leads_back_to_the_place() {
-        let map = Map::of("EPSG:2154", None).unwrap().unwrap();
+        let map = TrajectoryMap::of("EPSG:2154", None).unwrap().unwrap();
         let there = map.project(place(46.5, 3.0));
         let back = (map.unproject().unwrap())(there).unwrap();
         assert!(
             (back.latitude_rad - 46.5f64.to_radians()).abs() < 1e-11 && (back.height_m - 5.0).abs() < 1e-6
         );
-        assert!(Map::geodetic().unwrap().unproject().is_none());
+        assert!(TrajectoryMap::geodetic().unwrap().unproject().is_none());
     }
 
     #[test]
     fn unknown_words_are_errors() {
-        let message = Map::of("nowhere.wkt", None).err().unwrap();
+        let message = TrajectoryMap::of("nowhere.wkt", None).err().unwrap();
         assert!(message.starts_with("--crs nowhere.wkt: nowhere.wkt: cannot open: "), "{message}");
-        let message = Map::of("EPSG:1", None).err().unwrap();
+        let message = TrajectoryMap::of("EPSG:1", None).err().unwrap();
         assert!(message.starts_with("--crs EPSG:1: "), "{message}");
     }
 }

@@ -1,10 +1,10 @@
 //! Picture of a trajectory: plan view with scale bar, and height over time.
 
-use super::map::Map;
+use super::map::TrajectoryMap;
 use wavex_geodesy::ellipsoid::WGS84;
 use wavex_geodesy::frames::LocalFrame;
 use wavex_geodesy::trajectory::{Sample, Trajectory};
-use wavex_pages::report::svg::{Anchor, Scale, Svg};
+use wavex_pages::plot::{Anchor, AxisScale, Plot, PlotStyle, Svg, extent};
 
 /// Layout in SVG units.
 const WIDTH: f64 = 900.0;
@@ -17,7 +17,7 @@ const HEIGHTS: [f64; 2] = [650.0, 800.0];
 const POINTS: usize = 4000;
 
 /// Draws the picture as SVG.
-pub(super) fn draw(title: &str, note: &str, trajectory: &Trajectory, map: &Map) -> String {
+pub(super) fn draw(title: &str, note: &str, trajectory: &Trajectory, map: &TrajectoryMap) -> String {
     let mut svg = Svg::new();
     svg.text("title", [LEFT, 30.0], Anchor::Start, title);
     svg.text("note", [LEFT, 52.0], Anchor::Start, note);
@@ -45,55 +45,39 @@ fn parts(trajectory: &Trajectory) -> Vec<Vec<Sample>> {
 }
 
 /// Easting and northing, m: of the map, else local at the first position.
-fn on_plane(sample: &Sample, map: &Map, horizon: &LocalFrame) -> [f64; 2] {
+fn on_plane(sample: &Sample, map: &TrajectoryMap, horizon: &LocalFrame) -> [f64; 2] {
     let [x, y, _] = if map.is_plane() { map.project(sample.place) } else { horizon.local_of(sample.place) };
     [x, y]
 }
 
-fn plan(svg: &mut Svg, parts: &[Vec<Sample>], map: &Map) {
+fn plan(svg: &mut Svg, parts: &[Vec<Sample>], map: &TrajectoryMap) {
     let Some(first) = parts.first().and_then(|part| part.first()) else { return };
     let horizon = LocalFrame::at(WGS84, first.place);
     let on_plane = |part: &Vec<Sample>| part.iter().map(|sample| on_plane(sample, map, &horizon)).collect();
     let lines: Vec<Vec<[f64; 2]>> = parts.iter().map(on_plane).collect();
-    let [x, y] = fitted(lines.iter().flatten());
-    let axes = [Scale { from: x, to: [LEFT, RIGHT] }, Scale { from: y, to: [PLAN[1], PLAN[0]] }];
-    let at = |place: &[f64; 2]| [axes[0].at(place[0]), axes[1].at(place[1])];
-    let (values, digits) = axes[0].ticks(5.0);
-    for value in values {
-        svg.line("grid", [axes[0].at(value), PLAN[0]], [axes[0].at(value), PLAN[1]]);
-        svg.text("", [axes[0].at(value), PLAN[1] + 17.0], Anchor::Middle, &format!("{value:.digits$}"));
-    }
-    let (values, digits) = axes[1].ticks(5.0);
-    for value in values {
-        svg.line("grid", [LEFT, axes[1].at(value)], [RIGHT, axes[1].at(value)]);
-        svg.text("", [LEFT - 7.0, axes[1].at(value) + 4.0], Anchor::End, &format!("{value:.digits$}"));
-    }
+    let [x, y] = fitted(&lines.concat());
+    let plot = plot(x, y, PLAN, 36.0);
+    plot.grid_x(svg, plot.ticks_x(5.0));
+    plot.grid_y(svg, plot.ticks_y(5.0));
     for line in &lines {
-        svg.curve("fit", line.iter().map(at));
+        plot.curve(svg, "fit", line.iter().copied());
     }
     let last = lines.last().and_then(|line| line.last());
     for (place, word, class) in
         [(lines.first().and_then(|line| line.first()), "start", "sample"), (last, "end", "left")]
     {
-        let Some(place) = place.map(at) else { continue };
+        let Some(place) = place.map(|place| plot.at(*place)) else { continue };
         svg.circle(class, place, 4.0);
         svg.text("num", [place[0] + 8.0, place[1] - 6.0], Anchor::Start, word);
     }
-    scale_bar(svg, &axes[0]);
-    svg.rect("frame", [LEFT, PLAN[0]], [RIGHT, PLAN[1]]);
+    scale_bar(svg, &plot.x);
     let whose = if map.is_plane() { "m" } else { "m from the start" };
-    svg.text("", [0.5 * (LEFT + RIGHT), PLAN[1] + 36.0], Anchor::Middle, &format!("easting, {whose}"));
-    svg.upright_text("", [16.0, 0.5 * (PLAN[0] + PLAN[1])], &format!("northing, {whose}"));
+    plot.frame(svg, &[format!("easting, {whose}"), format!("northing, {whose}")]);
 }
 
 /// Equal-scale ranges of x and y that contain all positions, with a margin.
-fn fitted<'a>(places: impl Iterator<Item = &'a [f64; 2]>) -> [[f64; 2]; 2] {
-    let mut ranges = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
-    for place in places {
-        for ([low, high], value) in ranges.iter_mut().zip(place) {
-            (*low, *high) = (low.min(*value), high.max(*value));
-        }
-    }
+fn fitted(places: &[[f64; 2]]) -> [[f64; 2]; 2] {
+    let ranges = [0, 1].map(|axis| extent(places.iter().map(|place| place[axis])));
     let room = [RIGHT - LEFT, PLAN[1] - PLAN[0]];
     let per_unit = ranges.iter().zip(room).map(|([low, high], room)| 1.1 * (high - low).max(1.0) / room);
     let per_unit = per_unit.fold(0.0, f64::max);
@@ -105,7 +89,7 @@ fn fitted<'a>(places: impl Iterator<Item = &'a [f64; 2]>) -> [[f64; 2]; 2] {
 }
 
 /// Draws a bar of a round length, at most a quarter of the width.
-fn scale_bar(svg: &mut Svg, x: &Scale) {
+fn scale_bar(svg: &mut Svg, x: &AxisScale) {
     let span_m = x.from[1] - x.from[0];
     let unit_m = 10f64.powf((0.25 * span_m).log10().floor());
     let fits = |factor: &f64| factor * unit_m <= 0.25 * span_m;
@@ -121,30 +105,21 @@ fn scale_bar(svg: &mut Svg, x: &Scale) {
 }
 
 fn heights(svg: &mut Svg, parts: &[Vec<Sample>], [first_s, last_s]: [f64; 2]) {
-    let all = parts.iter().flatten().map(|sample| sample.place.height_m);
-    let [low, high] = all.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], h| [a.min(h), b.max(h)]);
+    let [low, high] = extent(parts.iter().flatten().map(|sample| sample.place.height_m));
     let margin_m = (0.08 * (high - low)).max(0.5);
-    let x = Scale { from: [0.0, last_s - first_s], to: [LEFT, RIGHT] };
-    let y = Scale { from: [low - margin_m, high + margin_m], to: [HEIGHTS[1], HEIGHTS[0]] };
-    let (values, digits) = y.ticks(4.0);
-    for value in values {
-        svg.line("grid", [LEFT, y.at(value)], [RIGHT, y.at(value)]);
-        svg.text("", [LEFT - 7.0, y.at(value) + 4.0], Anchor::End, &format!("{value:.digits$}"));
-    }
-    let (values, digits) = x.ticks(7.0);
-    for value in values {
-        svg.line("grid", [x.at(value), HEIGHTS[0]], [x.at(value), HEIGHTS[1]]);
-        svg.text("", [x.at(value), HEIGHTS[1] + 17.0], Anchor::Middle, &format!("{value:.digits$}"));
-    }
+    let plot = plot([0.0, last_s - first_s], [low - margin_m, high + margin_m], HEIGHTS, 38.0);
+    plot.grid(svg, [7.0, 4.0]);
     for part in parts {
-        svg.curve(
-            "fit",
-            part.iter().map(|sample| [x.at(sample.time_s - first_s), y.at(sample.place.height_m)]),
-        );
+        let points = part.iter().map(|sample| [sample.time_s - first_s, sample.place.height_m]);
+        plot.curve(svg, "fit", points);
     }
-    svg.rect("frame", [LEFT, HEIGHTS[0]], [RIGHT, HEIGHTS[1]]);
-    svg.text("", [0.5 * (LEFT + RIGHT), HEIGHTS[1] + 38.0], Anchor::Middle, "time since the first record, s");
-    svg.upright_text("", [16.0, 0.5 * (HEIGHTS[0] + HEIGHTS[1])], "height, m");
+    plot.frame(svg, &["time since the first record, s", "height, m"]);
+}
+
+/// Plot between these heights; `title`: distance of the horizontal axis's title below the frame.
+fn plot(x: [f64; 2], y: [f64; 2], [top, bottom]: [f64; 2], title: f64) -> Plot {
+    let (x, y) = (AxisScale { from: x, to: [LEFT, RIGHT] }, AxisScale { from: y, to: [bottom, top] });
+    Plot { x, y, style: PlotStyle { below: [17.0, title, 0.0], ..PlotStyle::FILE } }
 }
 
 #[cfg(test)]
@@ -196,7 +171,7 @@ mod tests {
                 for duration_s in [0.01, 0.4, 3.0, 61.0, 7300.0] {
                     let trajectory = flight(length_m, climb_m, duration_s);
                     for map in ["utm:33N", "EPSG:2225", "geodetic", "ecef"] {
-                        let map = Map::of(map, None).unwrap().unwrap();
+                        let map = TrajectoryMap::of(map, None).unwrap().unwrap();
                         let labels = labels(&draw("a", "b", &trajectory, &map));
                         assert_eq!(labels.len(), 4, "{length_m} {climb_m} {duration_s}: {labels:?}");
                         for labels in labels.values() {

@@ -2,10 +2,11 @@
 
 use std::fmt::Write;
 
-use super::map::Map;
+use super::map::TrajectoryMap;
 use wavex_geodesy::ellipsoid::WGS84;
 use wavex_geodesy::time_axis::{Clock, TimeSpan};
 use wavex_geodesy::trajectory::{Accuracy, Sample, Trajectory};
+use wavex_pages::plot::extent;
 
 /// Maximum number of gaps listed individually.
 const GAPS_TOLD: usize = 5;
@@ -21,7 +22,7 @@ pub(super) struct About<'a> {
 }
 
 /// Returns the summary; each line ends with a line feed.
-pub(super) fn text(about: &About, trajectory: &Trajectory, map: &Map) -> String {
+pub(super) fn text(about: &About, trajectory: &Trajectory, map: &TrajectoryMap) -> String {
     let samples = trajectory.samples();
     let mut text = format!("{}: {}, {} records\n", about.file, about.format, samples.len());
     let mut row = |name: &str, value: String| {
@@ -38,10 +39,10 @@ pub(super) fn text(about: &About, trajectory: &Trajectory, map: &Map) -> String 
         let bridged = if gap.is_bridged { "bridged" } else { "no poses in it" };
         row("", format!("{:.3} s after {:.3} s: {bridged}", gap.length_s(), gap.between_s[0]));
     }
-    let degrees = |of: fn(&Sample) -> f64| range(samples.iter().map(|sample| of(sample).to_degrees()));
+    let degrees = |of: fn(&Sample) -> f64| extent(samples.iter().map(|sample| of(sample).to_degrees()));
     row("latitude", span(degrees(|s| s.place.latitude_rad), 7));
     row("longitude", span(longitudes(samples), 7));
-    row("height", format!("{} m", span(range(samples.iter().map(|s| s.place.height_m)), 2)));
+    row("height", format!("{} m", span(extent(samples.iter().map(|s| s.place.height_m)), 2)));
     row("roll", span(degrees(|s| s.attitude.roll_rad), 2));
     row("pitch", span(degrees(|s| s.attitude.pitch_rad), 2));
     let length_m = length_m(samples);
@@ -49,7 +50,7 @@ pub(super) fn text(about: &About, trajectory: &Trajectory, map: &Map) -> String 
     row("map", map.name().to_owned());
     let places: Vec<[f64; 3]> = samples.iter().map(|sample| map.project(sample.place)).collect();
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
-        row(name, span(range(places.iter().map(|place| place[axis])), map.digits().min(7)));
+        row(name, span(extent(places.iter().map(|place| place[axis])), map.digits().min(7)));
     }
     if !about.accuracies.is_empty() {
         row("accuracy", accuracy(about.accuracies));
@@ -73,10 +74,6 @@ fn gaps(trajectory: &Trajectory) -> String {
     }
 }
 
-fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
-    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
-}
-
 fn span([low, high]: [f64; 2], digits: usize) -> String {
     format!("{low:.digits$} to {high:.digits$}")
 }
@@ -86,7 +83,7 @@ fn span([low, high]: [f64; 2], digits: usize) -> String {
 /// The east end exceeds 180 degrees if the path crosses the antimeridian.
 fn longitudes(samples: &[Sample]) -> [f64; 2] {
     let mut last_deg = samples.first().map_or(0.0, |sample| sample.place.longitude_rad.to_degrees());
-    range(samples.iter().map(|sample| {
+    extent(samples.iter().map(|sample| {
         let step_deg = sample.place.longitude_rad.to_degrees() - last_deg;
         last_deg += step_deg - 360.0 * (step_deg / 360.0).round();
         last_deg

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use wavex::registry::STAGES;
 
 use wavex::engine::{self, Cause, Options, RunError, RunSummary};
-use wavex::inspect::{self, Inspection, Summary};
+use wavex::inspect::{self, Inspection, RecordingSummary};
 use wavex::job::{Job, Override};
 use wavex::recording::Recording;
 use wavex::scan_line::ScanLine;
@@ -148,7 +148,7 @@ pub fn recording(bytes: &[u8]) {
     }
     inspection.finish();
     let counters = recording.context().counters();
-    let summary = Summary::of(Path::new(name), &inspection, counters, None);
+    let summary = RecordingSummary::of(Path::new(name), &inspection, counters, None);
     assert!(!summary.text().is_empty());
     let html = inspect::page(&summary, &inspection, counters, None);
     assert!(html.len() < 20_000_000, "a page of {} bytes", html.len());

@@ -1,8 +1,7 @@
 //! Picture of a shot: samples with fit, residuals, and the outgoing pulse.
 
-use super::Explained;
-use crate::report::panel::{FAR_LABEL, Panels, dots};
-use crate::report::svg::{Anchor, Scale, Svg};
+use super::ExplainedShot;
+use crate::plot::{Anchor, AxisScale, Legend, Panels, Plot, PlotStyle, Svg, dots, fit_marks};
 use wavex_line::stage::{CURVE_POINTS_PER_SAMPLE, FittedBlock};
 use wavex_stages::process::decompose::SeenPulse;
 
@@ -20,7 +19,7 @@ const WIDTHS: [f64; 2] = [900.0, 1700.0];
 const PER_NS: f64 = 12.0;
 
 /// Draws the picture as SVG.
-pub(super) fn draw(explained: &Explained) -> String {
+pub(super) fn draw(explained: &ExplainedShot) -> String {
     let mut svg = Svg::new();
     let blocks: Vec<&FittedBlock> = explained.blocks.iter().map(|block| &block.shown).collect();
     let total_ns: f64 = blocks.iter().map(|block| block.samples.span_ns()).sum();
@@ -41,7 +40,7 @@ pub(super) fn draw(explained: &Explained) -> String {
     svg.finish((right + RIGHT).round(), HEIGHT, &explained.title())
 }
 
-fn header(svg: &mut Svg, explained: &Explained) {
+fn header(svg: &mut Svg, explained: &ExplainedShot) {
     svg.text("title", [LEFT, 32.0], Anchor::Start, &explained.title());
     let fit = |block: &FittedBlock| {
         format!(
@@ -58,7 +57,7 @@ fn outgoing(svg: &mut Svg, pulse: &SeenPulse) {
     let samples = &pulse.samples;
     let peak_ns = pulse.start_ns + pulse.pulse.position_samples * samples.interval_ns;
     let time = |k: f64| pulse.start_ns + k * samples.interval_ns - peak_ns;
-    let x = Scale {
+    let x = AxisScale {
         from: [time(-0.5), time(samples.samples_dn.len() as f64 - 0.5)],
         to: [LEFT, LEFT + OUTGOING_WIDTH],
     };
@@ -69,63 +68,25 @@ fn outgoing(svg: &mut Svg, pulse: &SeenPulse) {
         .map(|&sample| f64::from(sample))
         .chain(fit.iter().copied())
         .fold(1.0, f64::max);
-    let y = Scale { from: [-0.03 * highest, 1.08 * highest], to: [BOTTOM[1], BOTTOM[0]] };
+    let y = AxisScale { from: [-0.03 * highest, 1.08 * highest], to: [BOTTOM[1], BOTTOM[0]] };
+    let plot = Plot { x, y, style: PlotStyle::FILE };
     svg.text("num", [LEFT, BOTTOM[0] - 12.0], Anchor::Start, "outgoing pulse");
-    frame_of(svg, &x, &y);
-    let points = fit.iter().enumerate().map(|(i, &dn)| {
-        [
-            x.at(time(pulse.window as f64 + i as f64 / CURVE_POINTS_PER_SAMPLE as f64)),
-            y.at(dn).clamp(BOTTOM[0], BOTTOM[1]),
-        ]
-    });
-    svg.curve("fit", points);
-    dots(svg, samples, pulse.window, |k| x.at(time(k)), |dn| y.at(dn));
-    svg.text(
-        "",
-        [LEFT + 0.5 * OUTGOING_WIDTH, BOTTOM[1] + 38.0],
-        Anchor::Middle,
-        "time from its fitted peak, ns",
-    );
-    svg.upright_text("", [16.0, 0.5 * (BOTTOM[0] + BOTTOM[1])], "DN");
+    plot.grid(svg, [5.0, 5.0]);
+    plot.border(svg);
+    let position = |i: usize| time(pulse.window as f64 + i as f64 / CURVE_POINTS_PER_SAMPLE as f64);
+    plot.curve(svg, "fit", fit.iter().enumerate().map(|(i, &dn)| [position(i), dn]));
+    dots(svg, samples, pulse.window, |k| plot.x.at(time(k)), |dn| plot.y.at(dn));
+    plot.titles(svg, &["time from its fitted peak, ns", "DN"]);
 }
 
-fn frame_of(svg: &mut Svg, x: &Scale, y: &Scale) {
-    let ([left, right], [bottom, top]) = (x.to, y.to);
-    let (values, digits) = y.ticks(5.0);
-    for value in values {
-        svg.line("grid", [left, y.at(value)], [right, y.at(value)]);
-        svg.text("", [left - 7.0, y.at(value) + 4.0], Anchor::End, &format!("{value:.digits$}"));
-    }
-    let (times, digits) = x.ticks(5.0);
-    for time in times {
-        svg.line("grid", [x.at(time), top], [x.at(time), bottom]);
-        svg.text("", [x.at(time), bottom + 17.0], Anchor::Middle, &format!("{time:.digits$}"));
-    }
-    svg.rect("frame", [left, top], [right, bottom]);
-}
-
-/// Draws the legend.
 fn legend(svg: &mut Svg, left: f64) {
-    let lines =
-        [("fit", "fit"), ("pulse", "one return's pulse"), ("level", "background"), ("limit", FAR_LABEL)];
-    let dots = [("sample", "sample"), ("sat", "saturated sample"), ("left", "sample not used")];
-    let mut y = BOTTOM[0] + 4.0;
-    for (class, text) in lines {
-        svg.line(class, [left, y], [left + 24.0, y]);
-        svg.text("", [left + 34.0, y + 4.0], Anchor::Start, text);
-        y += 21.0;
-    }
-    svg.rect("one", [left, y - 6.0], [left + 24.0, y + 6.0]);
-    svg.text("", [left + 34.0, y + 4.0], Anchor::Start, "± 1 standard deviation");
-    for (class, text) in dots {
-        y += 21.0;
-        svg.circle(class, [left + 12.0, y], 3.0);
-        svg.text("", [left + 34.0, y + 4.0], Anchor::Start, text);
+    for (i, (mark, text)) in fit_marks("one return's pulse").into_iter().enumerate() {
+        Legend::FILE.entry(svg, mark, [left, BOTTOM[0] + 4.0 + 21.0 * i as f64], text);
     }
 }
 
 /// Draws a short table of the first returns; the printed table has all of them.
-fn returns(svg: &mut Svg, explained: &Explained, left: f64) {
+fn returns(svg: &mut Svg, explained: &ExplainedShot, left: f64) {
     const SHOWN: usize = 7;
     let columns = [12.0, 136.0, 246.0, 346.0];
     let heads = ["", "range, m", "amplitude, DN", "width ratio"];

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::Explained;
+use super::ExplainedShot;
 use wavex_line::scan_line::{Filtered, Return, flags};
 use wavex_signal::sensor_model::{Background, ChannelModel};
 use wavex_stages::process::decompose::SeenBlock;
@@ -21,7 +21,7 @@ const HEADS: [&str; 9] = [
 ];
 
 /// The complete text for a shot.
-pub(super) fn table(explained: &Explained) -> String {
+pub(super) fn table(explained: &ExplainedShot) -> String {
     let mut text = format!("{}\n\n", title(explained, &explained.file));
     let rows: Vec<[String; 9]> = explained.returns.iter().map(row).collect();
     let width =
@@ -47,7 +47,7 @@ pub(super) fn table(explained: &Explained) -> String {
 }
 
 /// Title with shot number, time, and counts of returns and blocks.
-pub(super) fn title(explained: &Explained, file: &str) -> String {
+pub(super) fn title(explained: &ExplainedShot, file: &str) -> String {
     let time = explained.emission.gps_time_s;
     let time = if time.is_nan() { String::new() } else { format!(", GPS time {time:.6} s") };
     let blocks = counted(explained.blocks.len(), "echo block");
@@ -74,7 +74,7 @@ fn row(found: &Return) -> [String; 9] {
     ]
 }
 
-fn outgoing(explained: &Explained) -> String {
+fn outgoing(explained: &ExplainedShot) -> String {
     let emission = &explained.emission;
     match &explained.outgoing {
         Some(seen) => format!(
@@ -134,7 +134,7 @@ fn dropped_by_reason(filtered: &Filtered) -> impl Iterator<Item = String> {
     filtered.counts().filter(|(_, n)| *n > 0).map(|(reason, n)| format!("{n} {reason}"))
 }
 
-fn sensor(explained: &Explained) -> String {
+fn sensor(explained: &ExplainedShot) -> String {
     let model = &explained.model;
     let channels = [
         ("low power", &model.low_power),

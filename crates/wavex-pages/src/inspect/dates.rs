@@ -29,7 +29,7 @@ pub(super) fn time_scale(input: &InputInfo) -> String {
     format!("{scale}{week}{evidence}")
 }
 
-/// Day of the week by seconds of the GPS week, compared with that of the date.
+/// Day of the week by seconds of the GPS week, compared with the weekday of the date.
 pub(super) fn weekday_of_times(input: &InputInfo, first_s: f64) -> Option<String> {
     if input.time_scale != TimeScale::Week || !first_s.is_finite() {
         return None;

@@ -1,4 +1,7 @@
 //! Histograms of unknown range, whose bins double in width as needed.
+//!
+//! The histograms of a run's overview are separate: their bins are fixed, and a common implementation
+//! would change the bins and quantiles of one of them.
 
 /// Values are clamped to this distance from zero.
 const FARTHEST: f64 = 1e15;
@@ -8,7 +11,7 @@ const FARTHEST: f64 = 1e15;
 /// Bins are merged in pairs whenever the values would need more than `most_bins`. The result
 /// depends only on the values, not on their order.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Histogram {
+pub struct GrowingHistogram {
     width: f64,
     most_bins: usize,
     /// For whole numbers: a bin of width 1 holds one of them, which is its centre.
@@ -21,10 +24,10 @@ pub struct Histogram {
     largest: f64,
 }
 
-impl Histogram {
+impl GrowingHistogram {
     /// Bins of initially `width`, at most `most_bins` (2 or more).
-    pub fn new(width: f64, most_bins: usize) -> Histogram {
-        Histogram {
+    pub fn new(width: f64, most_bins: usize) -> GrowingHistogram {
+        GrowingHistogram {
             width,
             most_bins: most_bins.max(2),
             whole: false,
@@ -37,8 +40,8 @@ impl Histogram {
     }
 
     /// For whole numbers, each in its own bin as long as `most_bins` suffice.
-    pub fn of_whole_numbers(most_bins: usize) -> Histogram {
-        Histogram { whole: true, ..Histogram::new(1.0, most_bins) }
+    pub fn of_whole_numbers(most_bins: usize) -> GrowingHistogram {
+        GrowingHistogram { whole: true, ..GrowingHistogram::new(1.0, most_bins) }
     }
 
     /// Counts a value; NaN is ignored.
@@ -145,8 +148,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn of(width: f64, most_bins: usize, values: &[f64]) -> Histogram {
-        let mut histogram = Histogram::new(width, most_bins);
+    fn of(width: f64, most_bins: usize, values: &[f64]) -> GrowingHistogram {
+        let mut histogram = GrowingHistogram::new(width, most_bins);
         values.iter().for_each(|&value| histogram.add(value));
         histogram
     }
@@ -166,7 +169,7 @@ mod tests {
         let histogram = of(10.0, 8, &[0.0, 4.0, 6.0, 10.0]);
         assert_eq!(histogram.quantile(0.375), Some(5.0));
         assert_eq!(histogram.quantile(1.0), Some(10.0), "never above the largest value");
-        let mut whole = Histogram::of_whole_numbers(8);
+        let mut whole = GrowingHistogram::of_whole_numbers(8);
         [40.0, 40.0, 41.0].into_iter().for_each(|value| whole.add(value));
         assert_eq!((whole.median(), whole.quantile(1.0)), (Some(40.0), Some(41.0)));
         assert_eq!(whole.bins().collect::<Vec<_>>(), [(40.0, 2), (41.0, 1)]);

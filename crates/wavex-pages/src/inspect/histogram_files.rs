@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::{Angle, Histogram, Inspection, Samples};
+use super::{Angle, GrowingHistogram, Inspection, SampleStatistics};
 use wavex_line::scan_line::Channel;
 
 /// Non-empty histograms: suffix of the file name, and text.
@@ -13,22 +13,24 @@ pub fn files(inspection: &Inspection) -> Vec<(&'static str, String)> {
         ("angles", angles(inspection)),
         ("ranges", ranges(inspection)),
     ];
-    let text = |parts: Vec<Part>| parts.iter().map(Part::text).collect::<Vec<_>>().join("\n\n");
+    let text = |parts: Vec<LabelledHistogram>| {
+        parts.iter().map(LabelledHistogram::text).collect::<Vec<_>>().join("\n\n")
+    };
     all.into_iter().filter(|(_, parts)| !parts.is_empty()).map(|(what, parts)| (what, text(parts))).collect()
 }
 
 /// A histogram with its labels.
-pub(super) struct Part<'a> {
+pub(super) struct LabelledHistogram<'a> {
     /// Title of the histogram.
     pub(super) title: String,
     /// Counted quantity with its unit.
     pub(super) quantity: &'static str,
-    pub(super) histogram: &'a Histogram,
+    pub(super) histogram: &'a GrowingHistogram,
     /// Offset subtracted from the values.
     zero: f64,
 }
 
-impl Part<'_> {
+impl LabelledHistogram<'_> {
     /// Bins as centre minus `zero`, and count.
     pub(super) fn bins(&self) -> impl ExactSizeIterator<Item = (f64, u64)> + Clone + '_ {
         self.histogram.bins().map(|(centre, count)| (centre - self.zero, count))
@@ -68,14 +70,14 @@ pub(super) fn name_of(channel: Channel) -> &'static str {
 }
 
 /// Channels with inspected samples.
-pub(super) fn with_samples(inspection: &Inspection) -> impl Iterator<Item = (Channel, &Samples)> {
+pub(super) fn with_samples(inspection: &Inspection) -> impl Iterator<Item = (Channel, &SampleStatistics)> {
     let values = |channel| inspection.channel(channel).values.as_ref().map(|values| (channel, values));
     CHANNELS.into_iter().filter_map(values).filter(|(_, values)| !values.peaks_dn().is_empty())
 }
 
 /// Histograms of the highest sample of each block above background, by channel.
-pub(super) fn amplitudes(inspection: &Inspection) -> Vec<Part<'_>> {
-    let part = |(channel, values): (Channel, &'_ Samples)| {
+pub(super) fn amplitudes(inspection: &Inspection) -> Vec<LabelledHistogram<'_>> {
+    let part = |(channel, values): (Channel, &'_ SampleStatistics)| {
         let level_dn = values.level_dn();
         let quantity = match level_dn {
             Some(_) => "highest sample of a block above the background, DN",
@@ -84,11 +86,13 @@ pub(super) fn amplitudes(inspection: &Inspection) -> Vec<Part<'_>> {
         (format!("amplitudes, {}", name_of(channel)), quantity, level_dn.unwrap_or(0.0))
     };
     let parts = with_samples(inspection).map(|found| (part(found), found.1.peaks_dn()));
-    parts.map(|((title, quantity, zero), histogram)| Part { title, quantity, histogram, zero }).collect()
+    parts
+        .map(|((title, quantity, zero), histogram)| LabelledHistogram { title, quantity, histogram, zero })
+        .collect()
 }
 
 /// Histograms of signal-free samples of the echo receivers, by channel.
-pub(super) fn noise(inspection: &Inspection) -> Vec<Part<'_>> {
+pub(super) fn noise(inspection: &Inspection) -> Vec<LabelledHistogram<'_>> {
     let receivers =
         with_samples(inspection).filter(|(channel, values)| channel.is_echo() && values.free() > 0);
     let part =
@@ -96,7 +100,7 @@ pub(super) fn noise(inspection: &Inspection) -> Vec<Part<'_>> {
     let quantity = "sample, DN";
     receivers
         .map(part)
-        .map(|(title, values): (String, &Samples)| Part {
+        .map(|(title, values): (String, &SampleStatistics)| LabelledHistogram {
             title,
             quantity,
             histogram: values.free_dn(),
@@ -106,7 +110,7 @@ pub(super) fn noise(inspection: &Inspection) -> Vec<Part<'_>> {
 }
 
 /// Histogram of beam angles.
-pub(super) fn angles(inspection: &Inspection) -> Vec<Part<'_>> {
+pub(super) fn angles(inspection: &Inspection) -> Vec<LabelledHistogram<'_>> {
     let title = match inspection.angle {
         Some(Angle::Scan) | None => "scan angles",
         Some(Angle::FromNadir) => "angles of the beams from nadir",
@@ -116,7 +120,7 @@ pub(super) fn angles(inspection: &Inspection) -> Vec<Part<'_>> {
 }
 
 /// Histogram of the range of each block's highest peak.
-pub(super) fn ranges(inspection: &Inspection) -> Vec<Part<'_>> {
+pub(super) fn ranges(inspection: &Inspection) -> Vec<LabelledHistogram<'_>> {
     let title = match (inspection.ranges_from_first_sample(), inspection.zones.contains_key(&None)) {
         (true, _) => "ranges from the first sample of each shot",
         (false, true) => "ranges from the latest emission before reception",
@@ -125,7 +129,11 @@ pub(super) fn ranges(inspection: &Inspection) -> Vec<Part<'_>> {
     one(&inspection.ranges_m, title, "range of a block's highest peak, m")
 }
 
-fn one<'a>(histogram: &'a Histogram, title: &str, quantity: &'static str) -> Vec<Part<'a>> {
-    let part = || Part { title: title.to_owned(), quantity, histogram, zero: 0.0 };
+fn one<'a>(
+    histogram: &'a GrowingHistogram,
+    title: &str,
+    quantity: &'static str,
+) -> Vec<LabelledHistogram<'a>> {
+    let part = || LabelledHistogram { title: title.to_owned(), quantity, histogram, zero: 0.0 };
     if histogram.is_empty() { Vec::new() } else { vec![part()] }
 }

@@ -21,7 +21,7 @@ pub struct Intervals {
     all_ps: Histogram<u64>,
     /// The first intervals, until there are enough.
     first_ps: Vec<u64>,
-    usual: Option<Usual>,
+    usual: Option<UsualIntervals>,
     longest: Vec<LongInterval>,
 }
 
@@ -38,7 +38,7 @@ pub struct LongInterval {
 
 /// Exact sums over the usual intervals, relative to a reference.
 #[derive(Clone, Copy, Debug)]
-struct Usual {
+struct UsualIntervals {
     reference_ps: u64,
     count: u64,
     sum: i128,
@@ -87,7 +87,7 @@ impl Intervals {
     fn settle(&mut self) {
         let middle = self.first_ps.len() / 2;
         let reference_ps = *self.first_ps.select_nth_unstable(middle).1;
-        let mut usual = Usual { reference_ps, count: 0, sum: 0, squares: 0, step_ps: 0 };
+        let mut usual = UsualIntervals { reference_ps, count: 0, sum: 0, squares: 0, step_ps: 0 };
         self.first_ps.drain(..).for_each(|ps| usual.add(ps));
         self.usual = Some(usual);
     }
@@ -97,8 +97,8 @@ impl Intervals {
         self.all_ps.len()
     }
 
-    /// Mean and standard deviation of the usual intervals, ps: those within 50 % of the median of
-    /// the first 1023.
+    /// Mean and standard deviation of the usual intervals, ps: intervals within 50 % of the
+    /// median of the first 1023.
     pub fn usual_ps(&self) -> Option<[f64; 2]> {
         let usual = self.usual.filter(|usual| usual.count > 0)?;
         let count = usual.count as f64;
@@ -130,7 +130,7 @@ impl Intervals {
     }
 }
 
-impl Usual {
+impl UsualIntervals {
     fn add(&mut self, ps: u64) {
         let off = i128::from(ps) - i128::from(self.reference_ps);
         if off.unsigned_abs() as f64 <= USUAL_PART * self.reference_ps as f64 {

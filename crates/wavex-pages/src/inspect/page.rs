@@ -1,44 +1,38 @@
 //! HTML page with summary and pictures; needs no network or scripts.
 
-use maud::{DOCTYPE, html};
+use maud::html;
 
 use super::Inspection;
 use super::figures::figures;
-use super::summary::Summary;
-use crate::report::page::part::{Part, figure, figures as drawn, head, section, with_contents};
-use crate::report::verdict::{self, Check, Grade};
-use wavex_line::printable::printable;
+use super::summary::RecordingSummary;
+use crate::page::{PagePart, document, figures as side_by_side, section, with_contents};
+use crate::verdict::{self, Grade, QualityCheck};
 use wavex_line::stage::Counters;
 
 /// Renders the page as HTML; `cut`: reason why the recording could not be read to its end.
-pub fn page(summary: &Summary, inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> String {
+pub fn page(
+    summary: &RecordingSummary,
+    inspection: &Inspection,
+    counters: &Counters,
+    cut: Option<&str>,
+) -> String {
     let sections = html! {
         div.sections { @for of in &summary.sections { (section(&of.title, of.rows.iter().cloned())) } }
     };
-    let figures: Vec<_> = figures(inspection).into_iter().map(|of| figure(&of.title, of.svg, "")).collect();
     let parts = [
-        Part::new("Summary", sections).judged(checks(inspection, counters, cut)),
-        Part::new("Figures", drawn("", &figures)),
+        PagePart::new("Summary", sections).judged(checks(inspection, counters, cut)),
+        PagePart::new("Figures", side_by_side(&figures(inspection))),
     ];
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            (head(&summary.file, ""))
-            body {
-                header {
-                    h1 { (summary.file) }
-                    p.about { "Summary of the recording, by wavex scan " (env!("CARGO_PKG_VERSION")) }
-                }
-                main { (with_contents(&parts, "", &html! {})) }
-            }
-        }
+    let header = html! {
+        h1 { (summary.file) }
+        p.about { "Summary of the recording, by wavex scan " (env!("CARGO_PKG_VERSION")) }
     };
-    printable(&page.into_string()).into_owned()
+    document(&summary.file, "", &header, &with_contents(&parts, "", &html! {}))
 }
 
-fn checks(inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> Vec<Check> {
+fn checks(inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> Vec<QualityCheck> {
     let shots = &inspection.shots;
-    let whole = Check {
+    let whole = QualityCheck {
         grade: if cut.is_some() { Grade::Bad } else { Grade::Good },
         measured: format!("read to the end: {}", if cut.is_some() { "no" } else { "yes" }),
         rule: "good if yes, else bad".to_owned(),

@@ -1,10 +1,11 @@
 //! Echoes and sensor positions of a recording from above.
 
-use super::figures::Figure;
+use maud::Markup;
+
 use super::reservoir::Thinned;
-use crate::report::overview::view::View;
-use crate::report::page::map_frame::MapFrame;
-use crate::report::svg::Svg;
+use crate::page::figure;
+use crate::plot::{MapFrame, Svg, extent};
+use crate::report::overview::view::MapProjection;
 use wavex_line::scan_line::{Emission, Frame, InputInfo};
 
 /// Maximum number of echoes, and of sensor positions, that are kept.
@@ -14,7 +15,7 @@ const KEPT: usize = 3000;
 #[derive(Debug)]
 pub struct PlanView {
     /// The view, set by the first echo.
-    view: Option<View>,
+    view: Option<MapProjection>,
     echoes: Thinned<[f64; 2]>,
     track: Thinned<[f64; 2]>,
 }
@@ -37,7 +38,7 @@ impl PlanView {
         if !echo.iter().chain(&emission.origin_m).all(|coordinate| coordinate.is_finite()) {
             return;
         }
-        let view = self.view.get_or_insert_with(|| View::of(input, echo));
+        let view = self.view.get_or_insert_with(|| MapProjection::of(input, echo));
         let flat = |point: [f64; 3]| {
             let [east, north, _] = view.place(point);
             [east, north]
@@ -49,12 +50,11 @@ impl PlanView {
     }
 
     /// Draws the view; `None` without echoes.
-    pub(super) fn figure(&self) -> Option<Figure> {
+    pub(super) fn figure(&self) -> Option<Markup> {
         let view = self.view.as_ref()?;
         let all = || self.echoes.items().iter().chain(self.track.items());
         let span = |axis: usize| {
-            let low = all().map(|place| place[axis]).fold(f64::INFINITY, f64::min);
-            let high = all().map(|place| place[axis]).fold(f64::NEG_INFINITY, f64::max);
+            let [low, high] = extent(all().map(|place| place[axis]));
             let room = (0.03 * (high - low)).max(1e-6);
             [low - room, high + room]
         };
@@ -71,7 +71,7 @@ impl PlanView {
             true => "plan view: some echoes",
             false => "plan view: some echoes (blue) and sensor positions (orange)",
         };
-        Some(Figure { title: title.to_owned(), svg: frame.finish(svg, title, None) })
+        Some(figure(title, frame.finish(svg, title), ""))
     }
 }
 
@@ -93,7 +93,7 @@ mod tests {
         assert!(plan.figure().is_none());
         plan.add(&input, &emission, 1000.0);
         assert_eq!((plan.echoes.items(), plan.track.items()), (&[[190.0, 200.0]][..], &[[100.0, 200.0]][..]));
-        assert!(plan.figure().unwrap().svg.contains("east, m"));
+        assert!(plan.figure().unwrap().0.contains("east, m"));
         let mut scanner = PlanView::default();
         scanner.add(&InputInfo { frame: Frame::Scanner, ..input }, &emission, 1000.0);
         assert!(scanner.figure().is_none(), "a scanner has no place");

@@ -2,10 +2,10 @@
 //!
 //! The first blocks give the level and spread of the background. After that, the samples of a block
 //! before the first rise above the noise, minus a margin, count as free of signal. Their statistics
-//! are those of the calibration ([`NoiseStatistics`]); only the selection of free samples is
+//! are computed as in the calibration ([`NoiseStatistics`]); only the selection of free samples is
 //! simpler: no pulses are fitted.
 
-use super::histogram::Histogram;
+use super::histogram::GrowingHistogram;
 use wavex_signal::calibrate::NoiseStatistics;
 
 /// Number of blocks used to determine level and spread.
@@ -25,14 +25,14 @@ const LEAST_STRETCH: usize = 4;
 
 /// Running statistics of a channel's samples.
 #[derive(Clone, Debug)]
-pub struct Samples {
+pub struct SampleStatistics {
     /// The first blocks, until the level is known.
     ahead: Vec<Vec<u16>>,
     n_ahead: usize,
     signal_from_dn: Option<f64>,
     noise: NoiseStatistics,
-    free_dn: Histogram,
-    peaks_dn: Histogram,
+    free_dn: GrowingHistogram,
+    peaks_dn: GrowingHistogram,
     /// Numbers of samples and of blocks.
     added: [u64; 2],
     saturated_samples: u64,
@@ -42,23 +42,23 @@ pub struct Samples {
 
 /// Highest sample of a block, and its position.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Peak {
+pub struct BlockPeak {
     /// Position in the block, refined by a parabola through the sample and its neighbours.
     pub position_samples: f64,
     /// Value of the sample, DN.
     pub dn: u16,
 }
 
-impl Samples {
+impl SampleStatistics {
     /// Creates statistics for a digitiser with an optional full scale.
-    pub fn new(full_scale_dn: Option<u16>) -> Samples {
-        Samples {
+    pub fn new(full_scale_dn: Option<u16>) -> SampleStatistics {
+        SampleStatistics {
             ahead: Vec::new(),
             n_ahead: 0,
             signal_from_dn: None,
             noise: NoiseStatistics::default(),
-            free_dn: Histogram::of_whole_numbers(512),
-            peaks_dn: Histogram::of_whole_numbers(512),
+            free_dn: GrowingHistogram::of_whole_numbers(512),
+            peaks_dn: GrowingHistogram::of_whole_numbers(512),
             added: [0; 2],
             saturated_samples: 0,
             saturated_blocks: 0,
@@ -67,7 +67,7 @@ impl Samples {
     }
 
     /// Adds the samples of a block; returns its peak, or `None` for an empty block.
-    pub fn add(&mut self, samples: &[u16]) -> Option<Peak> {
+    pub fn add(&mut self, samples: &[u16]) -> Option<BlockPeak> {
         let peak = peak_of(samples)?;
         self.added = [self.added[0] + samples.len() as u64, self.added[1] + 1];
         self.peaks_dn.add(f64::from(peak.dn));
@@ -98,7 +98,7 @@ impl Samples {
 
     /// Determines the signal threshold from the first blocks, then counts their free samples.
     fn settle(&mut self) {
-        let mut starts = Histogram::of_whole_numbers(1 << 16);
+        let mut starts = GrowingHistogram::of_whole_numbers(1 << 16);
         for block in &self.ahead {
             block.iter().take(START_SAMPLES).for_each(|&sample| starts.add(f64::from(sample)));
         }
@@ -132,7 +132,7 @@ impl Samples {
         (self.free() > 0).then(|| self.noise.background_dn())
     }
 
-    /// Mean of [`Samples::background_dn`].
+    /// Mean of [`SampleStatistics::background_dn`].
     pub fn level_dn(&self) -> Option<f64> {
         self.background_dn().map(|phases| phases.iter().sum::<f64>() / 4.0)
     }
@@ -153,12 +153,12 @@ impl Samples {
     }
 
     /// Histogram of the free samples, DN.
-    pub fn free_dn(&self) -> &Histogram {
+    pub fn free_dn(&self) -> &GrowingHistogram {
         &self.free_dn
     }
 
     /// Histogram of the highest sample of each block, DN, including background.
-    pub fn peaks_dn(&self) -> &Histogram {
+    pub fn peaks_dn(&self) -> &GrowingHistogram {
         &self.peaks_dn
     }
 
@@ -174,7 +174,7 @@ impl Samples {
 }
 
 /// Peak at the first of a block's highest samples.
-pub fn peak_of(samples: &[u16]) -> Option<Peak> {
+pub fn peak_of(samples: &[u16]) -> Option<BlockPeak> {
     let (at, &dn) = samples.iter().enumerate().rev().max_by_key(|(_, sample)| **sample)?;
     let beside = |at: Option<usize>| at.and_then(|at| samples.get(at)).map(|&sample| f64::from(sample));
     let off = match (beside(at.checked_sub(1)), beside(at.checked_add(1))) {
@@ -184,11 +184,11 @@ pub fn peak_of(samples: &[u16]) -> Option<Peak> {
         }
         _ => 0.0,
     };
-    Some(Peak { position_samples: at as f64 + off, dn })
+    Some(BlockPeak { position_samples: at as f64 + off, dn })
 }
 
 /// Quantile of values rounded to integers, each spread uniformly over its rounding interval.
-fn quantile_of_rounded(rounded: &Histogram, part: f64) -> Option<f64> {
+fn quantile_of_rounded(rounded: &GrowingHistogram, part: f64) -> Option<f64> {
     let mut left = part * rounded.total() as f64;
     let width = rounded.width();
     for (centre, count) in rounded.bins() {
@@ -212,10 +212,10 @@ mod tests {
         // 100 - 4 (x - 2.25)² at integer x, rounded: exact at 2.25 with these three samples.
         let samples = [80, 94, 100, 98, 88];
         let peak = peak_of(&samples).unwrap();
-        assert_eq!(peak, Peak { position_samples: 2.25, dn: 100 });
+        assert_eq!(peak, BlockPeak { position_samples: 2.25, dn: 100 });
         assert_eq!(
             peak_of(&[5, 1]),
-            Some(Peak { position_samples: 0.0, dn: 5 }),
+            Some(BlockPeak { position_samples: 0.0, dn: 5 }),
             "at the edge, the sample itself"
         );
         assert_eq!(peak_of(&[1, 9, 9, 1]).unwrap().position_samples, 1.5, "two equal samples: their middle");
@@ -224,12 +224,12 @@ mod tests {
 
     #[test]
     fn saturated_samples_are_counted_where_the_end_is_known() {
-        let mut known = Samples::new(Some(255));
+        let mut known = SampleStatistics::new(Some(255));
         known.add(&[1, 255, 255, 3]);
         known.add(&[1, 254, 3]);
         assert_eq!(known.saturated(), Some([2, 1]));
         assert_eq!(known.peaks_dn().range(), Some([254.0, 255.0]));
-        assert_eq!(Samples::new(None).saturated(), None);
+        assert_eq!(SampleStatistics::new(None).saturated(), None);
     }
 
     #[test]
@@ -238,7 +238,7 @@ mod tests {
         let mut exact = [0.0; 5];
         process.autocovariance_into(&mut exact);
         exact[0] += 1.0 / 12.0;
-        let (mut random, mut samples) = (Random::new(5), Samples::new(Some(255)));
+        let (mut random, mut samples) = (Random::new(5), SampleStatistics::new(Some(255)));
         for _ in 0..5000 {
             let mut values = noise(&mut random, &process, 60);
             for (k, value) in values.iter_mut().enumerate() {
@@ -264,7 +264,7 @@ mod tests {
 
     #[test]
     fn short_runs_of_samples_give_no_noise() {
-        let mut samples = Samples::new(None);
+        let mut samples = SampleStatistics::new(None);
         samples.add(&[200, 210, 220]);
         samples.finish();
         assert_eq!((samples.noise_sd_dn(), samples.background_dn()), (None, None));

@@ -4,31 +4,36 @@ use std::path::Path;
 
 use super::dates::{recorded, time_scale, weekday_of_times};
 use super::histogram_files::{CHANNELS, name_of};
-use super::{Angle, Histogram, Inspection, Intervals, Samples};
+use super::{Angle, GrowingHistogram, Inspection, Intervals, SampleStatistics};
 use crate::report::crs_name;
 use wavex_geodesy::time;
 use wavex_line::scan_line::{Channel, EmissionReference, Frame, GainControl, InputInfo};
 use wavex_line::stage::Counters;
 
 /// Summary of one recording.
-pub struct Summary {
+pub struct RecordingSummary {
     /// File name without its folder.
     pub file: String,
     /// Sections of the text.
-    pub sections: Vec<Section>,
+    pub sections: Vec<SummarySection>,
 }
 
 /// A titled group of rows.
-pub struct Section {
+pub struct SummarySection {
     /// Heading.
     pub title: String,
     /// Pairs of name and value.
     pub rows: Vec<(String, String)>,
 }
 
-impl Summary {
+impl RecordingSummary {
     /// `cut`: reason why the recording could not be read to its end.
-    pub fn of(file: &Path, inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> Summary {
+    pub fn of(
+        file: &Path,
+        inspection: &Inspection,
+        counters: &Counters,
+        cut: Option<&str>,
+    ) -> RecordingSummary {
         let mut sections = vec![about_file(file, inspection)];
         if inspection.shots.count > 0 {
             sections.extend([times(inspection), rates(inspection), lines(inspection), blocks(inspection)]);
@@ -37,7 +42,7 @@ impl Summary {
         }
         sections.push(integrity(inspection, counters, cut));
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        Summary { file: name, sections }
+        RecordingSummary { file: name, sections }
     }
 
     /// Summary as text with aligned columns.
@@ -55,9 +60,9 @@ impl Summary {
     }
 }
 
-impl Section {
-    fn new(title: impl Into<String>) -> Section {
-        Section { title: title.into(), rows: Vec::new() }
+impl SummarySection {
+    fn new(title: impl Into<String>) -> SummarySection {
+        SummarySection { title: title.into(), rows: Vec::new() }
     }
 
     fn say(&mut self, name: &str, value: impl Into<String>) {
@@ -71,8 +76,8 @@ impl Section {
     }
 }
 
-fn about_file(file: &Path, inspection: &Inspection) -> Section {
-    let mut section = Section::new("File");
+fn about_file(file: &Path, inspection: &Inspection) -> SummarySection {
+    let mut section = SummarySection::new("File");
     section.say("file", file.display().to_string());
     section
         .say_if("size", std::fs::metadata(file).ok().map(|about| format!("{} bytes", grouped(about.len()))));
@@ -135,8 +140,8 @@ fn tables(input: &InputInfo) -> String {
     if there.is_empty() { "none".into() } else { there.join(", ") }
 }
 
-fn times(inspection: &Inspection) -> Section {
-    let mut section = Section::new("Times");
+fn times(inspection: &Inspection) -> SummarySection {
+    let mut section = SummarySection::new("Times");
     let (times, shots) = (&inspection.times, inspection.shots.count);
     section.say("shots", grouped(shots));
     if let (Some([first_s, last_s]), Some([least_s, largest_s])) = (times.first_last_s, times.range_s) {
@@ -187,8 +192,8 @@ const COARSE_LAS_PS: f64 = 1e6;
 /// Minimum number of line periods to determine the typical one.
 const LEAST_LINES: u64 = 3;
 
-fn rates(inspection: &Inspection) -> Section {
-    let mut section = Section::new("Rates");
+fn rates(inspection: &Inspection) -> SummarySection {
+    let mut section = SummarySection::new("Rates");
     let input = inspection.input.as_ref();
     let nominal = input.and_then(|input| input.pulse_rate_hz);
     section
@@ -215,9 +220,9 @@ fn rates(inspection: &Inspection) -> Section {
     section
 }
 
-fn lines(inspection: &Inspection) -> Section {
+fn lines(inspection: &Inspection) -> SummarySection {
     const SHOWN: usize = 8;
-    let mut section = Section::new("Lines");
+    let mut section = SummarySection::new("Lines");
     section.say("scan lines", grouped(inspection.lines.count));
     section.say("shots per line", of(&inspection.lines.shots, "", 0));
     let facets = &inspection.shots.by_facet;
@@ -230,8 +235,8 @@ fn lines(inspection: &Inspection) -> Section {
     section
 }
 
-fn blocks(inspection: &Inspection) -> Section {
-    let mut section = Section::new("Echoes");
+fn blocks(inspection: &Inspection) -> SummarySection {
+    let mut section = SummarySection::new("Echoes");
     if !inspection.with_samples && inspection.channels.iter().all(|channel| channel.blocks == 0) {
         section.say("blocks", "not read (--fast)");
         return section;
@@ -279,12 +284,12 @@ fn zones(inspection: &Inspection) -> String {
     if parts.is_empty() { "no blocks".into() } else { parts.join("   ") }
 }
 
-fn receiver(inspection: &Inspection, channel: Channel) -> Option<Section> {
+fn receiver(inspection: &Inspection, channel: Channel) -> Option<SummarySection> {
     let seen = inspection.channel(channel);
     if seen.blocks == 0 {
         return None;
     }
-    let mut section = Section::new(format!("Channel: {}", name_of(channel)));
+    let mut section = SummarySection::new(format!("Channel: {}", name_of(channel)));
     section.say("blocks", grouped(seen.blocks));
     section.say("samples per block", of(&seen.lengths, "", 0));
     section.say("first sample after the clock", of(&seen.starts_ns, " ns", 2));
@@ -301,7 +306,7 @@ fn receiver(inspection: &Inspection, channel: Channel) -> Option<Section> {
 /// Minimum number of signal-free samples for noise statistics.
 const LEAST_FREE: u64 = 200;
 
-fn sample_rows(section: &mut Section, values: &Samples, channel: Channel) {
+fn sample_rows(section: &mut SummarySection, values: &SampleStatistics, channel: Channel) {
     let level_dn = values.level_dn();
     if channel.is_echo() {
         match (values.background_dn(), values.noise_sd_dn()) {
@@ -340,8 +345,8 @@ fn sample_rows(section: &mut Section, values: &Samples, channel: Channel) {
     );
 }
 
-fn flight(inspection: &Inspection) -> Section {
-    let mut section = Section::new("Beams");
+fn flight(inspection: &Inspection) -> SummarySection {
+    let mut section = SummarySection::new("Beams");
     let title = match inspection.angle {
         Some(Angle::Scan) | None => "scan angles",
         Some(Angle::FromNadir) => "angles from nadir",
@@ -361,8 +366,8 @@ fn flight(inspection: &Inspection) -> Section {
     section
 }
 
-fn integrity(inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> Section {
-    let mut section = Section::new("Integrity");
+fn integrity(inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> SummarySection {
+    let mut section = SummarySection::new("Integrity");
     section.say("read to the end", cut.map_or("yes".into(), |problem| format!("no: {problem}")));
     if counters.rejected.is_empty() {
         section.say("rejected", "nothing");
@@ -383,7 +388,7 @@ fn integrity(inspection: &Inspection, counters: &Counters, cut: Option<&str>) ->
 }
 
 /// Minimum, maximum and median as text.
-fn of(histogram: &Histogram, unit: &str, digits: usize) -> String {
+fn of(histogram: &GrowingHistogram, unit: &str, digits: usize) -> String {
     match (histogram.range(), histogram.median()) {
         (Some([least, largest]), Some(_)) if least == largest => format!("{least:.digits$}{unit}"),
         (Some([least, largest]), Some(median)) => {
@@ -450,15 +455,19 @@ mod tests {
     #[test]
     fn columns_are_aligned() {
         let rows = vec![("a".to_owned(), "1".to_owned()), ("größe".to_owned(), "2".to_owned())];
-        let sections = vec![Section { title: "File".into(), rows }];
-        let text = Summary { file: "x.pls".into(), sections }.text();
+        let sections = vec![SummarySection { title: "File".into(), rows }];
+        let text = RecordingSummary { file: "x.pls".into(), sections }.text();
         assert_eq!(text, "x.pls\n\nFile\n  a      1\n  größe  2\n");
     }
 
     #[test]
     fn recordings_without_shots_have_a_short_summary() {
-        let summary =
-            Summary::of(Path::new("gone/a.arrow"), &Inspection::new(true), &Counters::default(), None);
+        let summary = RecordingSummary::of(
+            Path::new("gone/a.arrow"),
+            &Inspection::new(true),
+            &Counters::default(),
+            None,
+        );
         let expected = "a.arrow\n\nFile\n  file             gone/a.arrow\n  content          no shots\n\n\
                         Integrity\n  read to the end  yes\n  rejected         nothing\n";
         assert_eq!(summary.text(), expected);

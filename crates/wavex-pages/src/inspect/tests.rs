@@ -75,8 +75,8 @@ fn inspection_lists_channels_zones_and_ranges() {
     assert_eq!(inspection.channel(Channel::Saturation).blocks, 0);
     assert_eq!(inspection.zones, BTreeMap::from([(Some(0), 2), (Some(1), 1)]));
     assert_eq!(inspection.blocks_per_shot.bins().collect::<Vec<_>>(), [(0.0, 3), (1.0, 1), (2.0, 1)]);
-    // The parabola of the outgoing pulse peaks at sample 2.25, 0.25 ns after the clock; that of the
-    // low-power echo is at 1002 ns.
+    // The parabola of the outgoing pulse peaks at sample 2.25, 0.25 ns after the clock; the parabola of
+    // the low-power echo peaks at 1002 ns.
     let [nearest_m, farthest_m] = inspection.ranges_m.range().unwrap();
     assert!((nearest_m - (1002.0 - 0.25) * 0.15).abs() < 1e-9, "{nearest_m}");
     assert!((farthest_m - 2001.5 * 0.15).abs() < 1e-9, "{farthest_m}");

@@ -21,19 +21,18 @@ mod gallery;
 pub(in crate::report) mod histogram;
 mod lines;
 mod map;
-pub(crate) mod picture;
 mod points;
 mod times;
 pub(crate) mod view;
 mod weak_returns;
 mod zones;
 
+pub use crate::plot::Picture;
 pub use flight::Flight;
 pub use gallery::{ShownKind, ShownReturn, ShownShot};
 pub use histogram::QuantityHistogram;
 pub use lines::LineGroups;
 pub use map::{Densities, Density, MapLine, MapPicture};
-pub use picture::Picture;
 pub use points::PointSummary;
 pub use times::TimeCoverage;
 pub use view::MapAxes;
@@ -43,7 +42,7 @@ pub use zones::{ZoneCloud, ZoneClouds, ZoneShare, Zones};
 use gallery::Gallery;
 use histogram::Bins;
 use lines::Groups;
-use map::Grid;
+use map::MapGrid;
 use wavex_line::system::Unpoisoned as _;
 
 /// Overview of a run over one input.
@@ -128,7 +127,7 @@ pub struct Overviews(Mutex<BTreeMap<String, Arc<Collector>>>);
 /// Collects the overview of one input.
 #[derive(Debug, Default)]
 struct Collector {
-    gathering: Mutex<Gathering>,
+    gathering: Mutex<OverviewCollector>,
     gallery: Mutex<Gallery>,
 }
 
@@ -180,30 +179,30 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 /// Collects an [`Overview`] line by line, without the shots.
 #[derive(Clone, Debug)]
-struct Gathering {
-    quantities: [Quantity; 5],
+struct OverviewCollector {
+    quantities: [ReturnQuantity; 5],
     lines: Groups,
-    grid: Grid,
-    zones: zones::Counted,
-    points: points::Counted,
-    times: times::Counted,
+    grid: MapGrid,
+    zones: zones::ZoneCounts,
+    points: points::PointCounts,
+    times: times::TimeCounts,
     flight: Option<Flight>,
-    weak_returns: weak_returns::Counted,
+    weak_returns: weak_returns::WeakReturnCounts,
 }
 
 /// A quantity of returns with its histogram.
 #[derive(Clone, Debug)]
-struct Quantity {
+struct ReturnQuantity {
     name: &'static str,
     unit: &'static str,
     of: fn(&Return) -> f64,
     bins: Bins,
 }
 
-impl Default for Gathering {
-    fn default() -> Gathering {
-        let quantity = |name, unit, of, bins| Quantity { name, unit, of, bins };
-        Gathering {
+impl Default for OverviewCollector {
+    fn default() -> OverviewCollector {
+        let quantity = |name, unit, of, bins| ReturnQuantity { name, unit, of, bins };
+        OverviewCollector {
             quantities: [
                 quantity("amplitude", "DN", |r| r.amplitude_dn, Bins::logarithmic()),
                 quantity("width ratio", "", |r| r.width_ratio, Bins::linear(0.0, 0.02, 300)),
@@ -212,17 +211,17 @@ impl Default for Gathering {
                 quantity("total uncertainty", "m", |r| r.total_sd_m, Bins::logarithmic()),
             ],
             lines: Groups::default(),
-            grid: Grid::default(),
-            zones: zones::Counted::default(),
-            points: points::Counted::default(),
-            times: times::Counted::default(),
+            grid: MapGrid::default(),
+            zones: zones::ZoneCounts::default(),
+            points: points::PointCounts::default(),
+            times: times::TimeCounts::default(),
             flight: None,
-            weak_returns: weak_returns::Counted::default(),
+            weak_returns: weak_returns::WeakReturnCounts::default(),
         }
     }
 }
 
-impl Gathering {
+impl OverviewCollector {
     /// Adds a line that leaves the chain.
     fn add(&mut self, scan_line: &ScanLine) {
         self.lines.add(scan_line);

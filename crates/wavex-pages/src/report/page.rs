@@ -1,22 +1,18 @@
 //! HTML page of a run; needs no network or scripts.
 
-use maud::{DOCTYPE, Markup, html};
+use maud::{Markup, html};
 use serde_json::Value;
 
-use super::numbers::{label, short};
 use super::overview::{Overview, QuantityHistogram};
 use super::tables::points;
-use super::verdict::{self, Check, Grade};
-use part::{Part, badge, figure, figures, head, section, table, tiles, wide_table, with_contents, worst};
-use wavex_line::printable::printable;
+use crate::numbers::{label, short};
+use crate::page::{PagePart, badge, document, figure, figures, section, table, tiles, with_contents, worst};
+use crate::verdict::{self, Grade, QualityCheck};
 
 mod content;
 mod details;
 pub(super) mod drift;
 mod flight;
-pub(crate) mod map_frame;
-pub(crate) mod part;
-pub(crate) mod plot;
 mod results;
 mod stages_and_sensor;
 mod waveforms;
@@ -49,7 +45,7 @@ pub(super) enum NoPage {
     },
 }
 
-/// Renders a report as HTML; omits what the report lacks.
+/// Renders a report as HTML; omits parts that the report lacks.
 ///
 /// # Errors
 /// If the overview of an input is invalid, or the page is larger than about `limit` bytes.
@@ -67,26 +63,19 @@ pub(super) fn page(report: &Value, limit: usize) -> Result<String, NoPage> {
         }
         shown.push(part);
     }
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            (head(&format!("wavex report: {}", names.join(", ")), ""))
-            body {
-                header {
-                    h1 { "Report of a run" }
-                    p.about { (about_run(report, inputs)) }
-                    p.chain { (chain.join(" → ")) }
-                }
-                main {
-                    (of_inputs(inputs, &shown))
-                    (drift::of_survey(&report["survey_models"]))
-                    @for part in &shown { (part.body) }
-                    details.job open { summary { "Job with all keys" } (details::all_keys(report)) }
-                }
-            }
-        }
+    let title = format!("wavex report: {}", names.join(", "));
+    let header = html! {
+        h1 { "Report of a run" }
+        p.about { (about_run(report, inputs)) }
+        p.chain { (chain.join(" → ")) }
     };
-    let page = printable(&page.into_string()).into_owned();
+    let main = html! {
+        (of_inputs(inputs, &shown))
+        (drift::of_survey(&report["survey_models"]))
+        @for part in &shown { (part.body) }
+        details.job open { summary { "Job with all keys" } (details::all_keys(report)) }
+    };
+    let page = document(&title, "", &header, &main);
     if page.len() > limit { Err(NoPage::TooLarge { limit }) } else { Ok(page) }
 }
 
@@ -183,7 +172,7 @@ impl InputPart {
 }
 
 /// Parts of an input in their order.
-fn parts(report: &Value, input: &Value, overview: Option<&Overview>, number: usize) -> Vec<Part> {
+fn parts(report: &Value, input: &Value, overview: Option<&Overview>, number: usize) -> Vec<PagePart> {
     let mut parts = vec![notes(input)];
     if let Some(overview) = overview {
         parts.push(content::extent(overview, input));
@@ -196,7 +185,7 @@ fn parts(report: &Value, input: &Value, overview: Option<&Overview>, number: usi
     parts.extend([
         of_sensor(&input["sensor_model"]),
         of_run(input),
-        Part::new("Details", details::tables(input)),
+        PagePart::new("Details", details::tables(input)),
     ]);
     parts
 }
@@ -224,7 +213,7 @@ fn key_figures(input: &Value, overview: Option<&Overview>) -> Markup {
 }
 
 /// Lists warnings and rejections, then findings that need no action.
-fn notes(input: &Value) -> Part {
+fn notes(input: &Value) -> PagePart {
     let (mut warnings, mut findings) = (Vec::new(), Vec::new());
     for stage in list(input, "stages") {
         let of_stage = |text: String| (name(stage), text);
@@ -253,12 +242,12 @@ fn notes(input: &Value) -> Part {
     if input["status"] == "failed" {
         let [measured, rule] =
             ["the input failed", "good if it was processed completely, else bad"].map(str::to_owned);
-        checks.insert(0, Check { grade: Grade::Bad, measured, rule });
+        checks.insert(0, QualityCheck { grade: Grade::Bad, measured, rule });
     }
-    Part::new("Result", body).judged(checks)
+    PagePart::new("Result", body).judged(checks)
 }
 
-fn of_returns(overview: &Overview) -> Part {
+fn of_returns(overview: &Overview) -> PagePart {
     let drawn = overview.histograms.iter().filter_map(|histogram| {
         let (svg, words) = results::histogram(histogram, "returns")?;
         Some(figure(&capitalised(&histogram.quantity), svg, &words))
@@ -271,11 +260,11 @@ fn of_returns(overview: &Overview) -> Part {
     if known > 0 {
         checks.push(verdict::TOTAL_SD.check(content::median(overview, "total uncertainty"), known));
     }
-    Part::new("Returns", figures("", &drawn.collect::<Vec<Markup>>())).judged(checks)
+    PagePart::new("Returns", figures(&drawn.collect::<Vec<Markup>>())).judged(checks)
 }
 
 /// Shows the share of each MTA zone, and the recording computed with each zone.
-fn of_zones(overview: &Overview) -> Option<Part> {
+fn of_zones(overview: &Overview) -> Option<PagePart> {
     let zones = overview.zones.as_ref()?;
     let sum = |of: fn(&super::overview::ZoneShare) -> u64| zones.shares.iter().map(of).sum::<u64>();
     let all = sum(|share| share.returns);
@@ -295,22 +284,22 @@ fn of_zones(overview: &Overview) -> Option<Part> {
     });
     let heads = ["zone", "returns", "% of all", "uncertain", "% of the zone"];
     let body = html! {
-        (figures("", clouds.as_slice()))
+        (figures(clouds.as_slice()))
         (table("Returns by MTA zone", &heads, rows))
     };
     let checks = vec![verdict::UNCERTAIN_ZONES.share(sum(|share| share.uncertain), all)];
-    Some(Part::new("Multiple time around", body).judged(checks))
+    Some(PagePart::new("Multiple time around", body).judged(checks))
 }
 
 /// Deviation ratio above which a fit does not explain its waveform; below its negative, the expected
 /// misfit is too large.
 const UNEXPLAINED: f64 = super::survey::UNEXPLAINED;
 
-fn of_waveforms(overview: &Overview, input: &Value) -> Part {
+fn of_waveforms(overview: &Overview, input: &Value) -> PagePart {
     let shots: Vec<Markup> = overview.waveforms.iter().map(waveforms::figure).collect();
     let weak = overview.weak_returns.as_ref();
     let body = html! {
-        @if !shots.is_empty() { (waveforms::legend()) (figures("", &shots)) }
+        @if !shots.is_empty() { (waveforms::legend()) (figures(&shots)) }
         @if let Some(weak) = weak { (waveforms::weak_returns(weak)) }
     };
     let total = |key: &str| input["totals"][key].as_u64().unwrap_or(0);
@@ -321,11 +310,11 @@ fn of_waveforms(overview: &Overview, input: &Value) -> Part {
             .check(weak.map(|weak| weak.pile_up().percent), weak.map_or(0, |weak| weak.strong_shots)),
     );
     checks.push(verdict::SATURATED.share(total("nw_saturated"), total("nw")));
-    Part::new("Waveforms and their fits", body).judged(checks)
+    PagePart::new("Waveforms and their fits", body).judged(checks)
 }
 
 /// Checks of both sides of the deviation ratio and of its centre.
-fn deviation_checks(deviations: Option<&QuantityHistogram>) -> Vec<verdict::Check> {
+fn deviation_checks(deviations: Option<&QuantityHistogram>) -> Vec<verdict::QualityCheck> {
     let returns = deviations.map_or(0, QuantityHistogram::total);
     let count = |is_beyond: fn([f64; 2]) -> bool| -> u64 {
         let bins = deviations.into_iter().flat_map(|of| of.bins());
@@ -341,19 +330,19 @@ fn deviation_checks(deviations: Option<&QuantityHistogram>) -> Vec<verdict::Chec
     ]
 }
 
-fn of_run(input: &Value) -> Part {
+fn of_run(input: &Value) -> PagePart {
     let words = "sum over all workers of a stage; waiting: for input lines; blocked: by the next stage";
     let stages = list(input, "stages");
     let times = stages_and_sensor::times(stages).map(|svg| figure("Time per stage", svg, words));
     let tables = html! { (details::stages(input)) (details::observed(input)) };
-    Part::new("Processing", html! { (figures("", times.as_slice())) (tables) })
+    PagePart::new("Processing", html! { (figures(times.as_slice())) (tables) })
 }
 
 /// Channels of a sensor model that are shown, with their names.
 const CHANNELS: [(&str, &str); 3] =
     [("low_power", "low power"), ("high_power", "high power"), ("reference", "outgoing pulse")];
 
-fn of_sensor(model: &Value) -> Part {
+fn of_sensor(model: &Value) -> PagePart {
     let mut drawn = Vec::new();
     for (key, channel) in CHANNELS {
         let response = stages_and_sensor::response(&model[key]["response"]);
@@ -371,7 +360,7 @@ fn of_sensor(model: &Value) -> Part {
         verdict::CALIBRATION.check(echoes["waveforms"].as_f64(), 1),
         verdict::SHAPE_ERROR.check(largest, 1),
     ];
-    Part::new("Sensor model", figures("", &drawn)).judged(checks)
+    PagePart::new("Sensor model", figures(&drawn)).judged(checks)
 }
 
 fn list<'v>(value: &'v Value, key: &str) -> &'v [Value] {

@@ -37,9 +37,9 @@ const COUNTS: [(&str, &str); 23] = [
 ];
 
 /// A text of titled sections, with one name and value per row.
-struct Text(String);
+struct SectionedText(String);
 
-impl Text {
+impl SectionedText {
     fn title(&mut self, title: &str) {
         // Writing to a string cannot fail, here and below.
         let _ = write!(self.0, "\n{title}\n{}\n", "-".repeat(title.len()));
@@ -62,7 +62,7 @@ impl Text {
 /// Sections: run time, input, decoding, extraction, trajectory, georeferencing, output. `own` are
 /// the files of the run as a whole. `failure` is the message of a failed run.
 pub fn stat_log(run: &RunSummary, input: &InputSummary, own: &[PathBuf], failure: Option<&str>) -> String {
-    let mut text = Text(format!("wavex {}: statistics of {}\n", run.wavex, input.stem));
+    let mut text = SectionedText(format!("wavex {}: statistics of {}\n", run.wavex, input.stem));
     run_time(&mut text, run, input, failure);
     about_input(&mut text, input);
     decoding(&mut text, input);
@@ -77,7 +77,7 @@ fn total(input: &InputSummary, name: &str) -> u64 {
     input.totals.get(name).copied().unwrap_or(0)
 }
 
-fn run_time(text: &mut Text, run: &RunSummary, input: &InputSummary, failure: Option<&str>) {
+fn run_time(text: &mut SectionedText, run: &RunSummary, input: &InputSummary, failure: Option<&str>) {
     text.title("Run time");
     text.row("start", &input.started);
     text.row("end", &input.ended);
@@ -92,7 +92,7 @@ fn run_time(text: &mut Text, run: &RunSummary, input: &InputSummary, failure: Op
     let _ = write!(text.0, "\n{}", stage_table(input));
 }
 
-fn about_input(text: &mut Text, input: &InputSummary) {
+fn about_input(text: &mut SectionedText, input: &InputSummary) {
     text.title("Input");
     match input.path.as_os_str().is_empty() {
         true => text.row("file", "none: simulated"),
@@ -109,7 +109,7 @@ fn about_input(text: &mut Text, input: &InputSummary) {
     text.known("ranges start at", input.ranges_count_from.as_ref().map(|word| word.replace('_', " ")));
 }
 
-fn decoding(text: &mut Text, input: &InputSummary) {
+fn decoding(text: &mut SectionedText, input: &InputSummary) {
     text.title("Decoding");
     for stage in input.stages.iter().filter(|stage| stage.role == RoleName::Source) {
         text.row("read by", &stage.id);
@@ -120,7 +120,7 @@ fn decoding(text: &mut Text, input: &InputSummary) {
     }
 }
 
-fn extraction(text: &mut Text, run: &RunSummary, input: &InputSummary) {
+fn extraction(text: &mut SectionedText, run: &RunSummary, input: &InputSummary) {
     text.title("Extraction");
     for (name, words) in COUNTS.iter().filter(|(name, _)| *name != "n_georef") {
         text.known(words, input.totals.get(name));
@@ -157,7 +157,7 @@ fn calibration(channel: &ChannelModel) -> String {
     )
 }
 
-fn trajectory(text: &mut Text, trajectory: Option<&TrajectorySummary>) {
+fn trajectory(text: &mut SectionedText, trajectory: Option<&TrajectorySummary>) {
     text.title("Trajectory");
     let Some(trajectory) = trajectory else {
         text.row("file", "none");
@@ -197,7 +197,7 @@ fn words(value: &impl serde::Serialize) -> String {
     }
 }
 
-fn georeferencing(text: &mut Text, run: &RunSummary, input: &InputSummary) {
+fn georeferencing(text: &mut SectionedText, run: &RunSummary, input: &InputSummary) {
     text.title("Georeferencing");
     text.row("coordinates", input.coordinates.as_deref().unwrap_or("as in the input"));
     for (name, words) in geometry_words(&run.job.geometry) {
@@ -209,7 +209,7 @@ fn georeferencing(text: &mut Text, run: &RunSummary, input: &InputSummary) {
     }
 }
 
-fn output(text: &mut Text, input: &InputSummary, own: &[PathBuf]) {
+fn output(text: &mut SectionedText, input: &InputSummary, own: &[PathBuf]) {
     text.title("Output");
     for output in input.outputs.iter().chain(own) {
         text.row("file", output.display());
@@ -223,7 +223,7 @@ fn output(text: &mut Text, input: &InputSummary, own: &[PathBuf]) {
 }
 
 /// Writes the rejections, notes and findings of a stage.
-fn remarks(text: &mut Text, stage: &StageSummary) {
+fn remarks(text: &mut SectionedText, stage: &StageSummary) {
     for (what, n) in &stage.rejected {
         text.row(&format!("{}: rejected", stage.id), format_args!("{n} {what}"));
     }

@@ -27,19 +27,19 @@ mod sweep;
 
 pub use cells_file::write_cells;
 pub use inputs::{StripPaths, ending_of_cells};
-pub use measures::Density;
+pub use measures::CellDensity;
 pub use mosaic::{Gap, Gaps};
-pub use strip::{Strip, StripCollector, StripFacts};
+pub use strip::{CollectedStrip, StripCollector, StripFacts};
 
 pub(crate) use mosaic::DIFFERENCES;
 pub(crate) use rasters::description as raster_description;
 pub(super) use strip::UNEXPLAINED;
 
 use cells_file::CellsReader;
-use measures::{Lengths, Link, offsets};
+use measures::{Lengths, PairOffset, offsets};
 use mosaic::Pictures;
-use rasters::{Frame, Layer, Rasters};
-use sweep::{Measures, Scale, StripMeasures};
+use rasters::{RasterContent, RasterFrame, Rasters};
+use sweep::{CellScale, Measures, StripMeasures};
 
 /// An input of a survey.
 #[derive(Clone, Debug, Default)]
@@ -87,13 +87,13 @@ pub struct Survey {
     /// Area of the cells below the required pulse density, m²; only with a target.
     pub below_target_m2: Option<f64>,
     /// Density of first returns, all strips together.
-    pub pulses: Option<Density>,
+    pub pulses: Option<CellDensity>,
     /// Density of points, all strips together.
-    pub points: Option<Density>,
+    pub points: Option<CellDensity>,
     /// Areas without points within the survey.
     pub gaps: Gaps,
     /// Height differences of all pairs of strips on smooth cells.
-    pub differences: Option<Differences>,
+    pub differences: Option<HeightDifferences>,
     /// Histogram of the differences.
     pub difference_histogram: DifferenceHistogram,
     /// Roughness of the smooth cells of all strips.
@@ -108,7 +108,8 @@ pub struct Survey {
 
 /// Height differences, later strip minus earlier one.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-pub struct Differences {
+#[schemars(rename = "Differences")]
+pub struct HeightDifferences {
     /// Number of cells compared.
     pub cells: u64,
     /// Mean, m.
@@ -161,9 +162,9 @@ pub struct SurveyStrip {
     /// Area of its cells, m².
     pub area_m2: f64,
     /// Density of its first returns.
-    pub pulses: Option<Density>,
+    pub pulses: Option<CellDensity>,
     /// Density of its points.
-    pub points: Option<Density>,
+    pub points: Option<CellDensity>,
     /// Area of its cells below the required pulse density, m²; only with a target.
     pub below_target_m2: Option<f64>,
     /// Roughness of its smooth cells.
@@ -183,7 +184,7 @@ pub struct StripPair {
     pub strips: [String; 2],
     /// Their differences.
     #[serde(flatten)]
-    pub differences: Differences,
+    pub differences: HeightDifferences,
     /// Whether the RMS exceeds the limit.
     pub exceeds_limit: bool,
 }
@@ -218,13 +219,13 @@ pub fn write_survey(inputs: &[SurveyInput], keys: &SurveyKeys, page: &Path) -> R
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn write_density(strip: &Strip, path: &Path) -> Result<Option<PathBuf>> {
-    let Some(frame) = frame([&strip.facts]).filter(Frame::is_possible) else { return Ok(None) };
+pub fn write_density(strip: &CollectedStrip, path: &Path) -> Result<Option<PathBuf>> {
+    let Some(frame) = frame([&strip.facts]).filter(RasterFrame::is_possible) else { return Ok(None) };
     let area_m2 = (frame.cell * strip.facts.unit_m).powi(2);
     let mut rasters = Rasters::of_strip(frame, path)?;
     for cell in &strip.cells {
         rasters.begin_row(cell.row)?;
-        rasters.set(Layer::Pulses, cell.row, cell.column, f64::from(cell.sums.pulses) / area_m2);
+        rasters.set(RasterContent::Pulses, cell.row, cell.column, f64::from(cell.sums.pulses) / area_m2);
     }
     Ok(rasters.finish()?.pop())
 }
@@ -266,14 +267,14 @@ fn survey(
     let mut survey = Survey::new(keys, strips);
     let Some(frame) = frame(readers.iter().map(|reader| &reader.facts)) else { return Ok((survey, None)) };
     let cell_m = readers.first().map_or(keys.cell_m, |reader| reader.facts.cell * reader.facts.unit_m);
-    let scale = Scale::new(keys, frame.level, cell_m);
+    let scale = CellScale::new(keys, frame.level, cell_m);
     let stem = stem.filter(|_| frame.is_possible());
     let measures = sweep::sweep(&mut readers, &scale, &frame, stem)?;
     let pictures = survey.fill(&measures, &scale, &frame, &places);
     Ok((survey, Some(pictures)))
 }
 
-/// Why the cells of a strip cannot be compared with those of the first one.
+/// Reason why the cells of a strip and of the first strip cannot be compared.
 fn mismatch(reader: &CellsReader, first: Option<&CellsReader>) -> Option<String> {
     let (own, first) = (&reader.facts, &first?.facts);
     if own.crs_wkt != first.crs_wkt {
@@ -287,7 +288,7 @@ fn mismatch(reader: &CellsReader, first: Option<&CellsReader>) -> Option<String>
 }
 
 /// Frame of all cells at the level of the coarsest strip.
-fn frame<'f>(strips: impl IntoIterator<Item = &'f StripFacts>) -> Option<Frame> {
+fn frame<'f>(strips: impl IntoIterator<Item = &'f StripFacts>) -> Option<RasterFrame> {
     let strips: Vec<&StripFacts> = strips.into_iter().collect();
     let level = strips.iter().map(|facts| facts.level).max()?;
     let extents = strips.iter().filter_map(|facts| {
@@ -300,7 +301,7 @@ fn frame<'f>(strips: impl IntoIterator<Item = &'f StripFacts>) -> Option<Frame> 
     })?;
     let facts = strips.first()?;
     let size = |axis: usize| u32::try_from(i64::from(high[axis]) - i64::from(low[axis]) + 1).ok();
-    Some(Frame {
+    Some(RasterFrame {
         west: low[0],
         north: high[1],
         columns: size(0)?,
@@ -329,11 +330,11 @@ impl SurveyStrip {
         }
     }
 
-    fn fill(&mut self, measures: &StripMeasures, scale: &Scale) {
+    fn fill(&mut self, measures: &StripMeasures, scale: &CellScale) {
         let area_m2 = scale.area_m2();
         self.area_m2 = measures.points.cells() as f64 * area_m2;
-        self.pulses = Some(Density::of(&measures.pulses, area_m2));
-        self.points = Some(Density::of(&measures.points, area_m2));
+        self.pulses = Some(CellDensity::of(&measures.pulses, area_m2));
+        self.points = Some(CellDensity::of(&measures.points, area_m2));
         let target = scale.keys.target_pulses_per_m2;
         self.below_target_m2 = target.map(|target| measures.pulses.below(target * area_m2) as f64 * area_m2);
         self.roughness = Roughness::of(&measures.roughness, &measures.precision);
@@ -364,17 +365,23 @@ impl Survey {
     }
 
     /// Sets the results; `places` are the strips with cells.
-    fn fill(&mut self, measures: &Measures, scale: &Scale, frame: &Frame, places: &[usize]) -> Pictures {
+    fn fill(
+        &mut self,
+        measures: &Measures,
+        scale: &CellScale,
+        frame: &RasterFrame,
+        places: &[usize],
+    ) -> Pictures {
         let area_m2 = scale.area_m2();
         for (place, of_strip) in places.iter().zip(&measures.strips) {
             self.strips[*place].fill(of_strip, scale);
         }
-        let links = measures.pairs.iter().map(|((a, b), lengths)| Link {
+        let links = measures.pairs.iter().map(|((a, b), lengths)| PairOffset {
             strips: [*a, *b],
             difference_m: lengths.quantile(0.5),
             weight: lengths.count() as f64,
         });
-        let heights = offsets(places.len(), &links.collect::<Vec<Link>>());
+        let heights = offsets(places.len(), &links.collect::<Vec<PairOffset>>());
         for (place, height) in places.iter().zip(heights) {
             self.strips[*place].offset_m = height;
         }
@@ -382,14 +389,14 @@ impl Survey {
             |strip: usize| places.get(strip).map_or_else(String::new, |at| self.strips[*at].stem.clone());
         let limit_m = self.limits.max_difference_rms_m;
         let pair = |((a, b), lengths): (&(usize, usize), &Lengths)| {
-            let differences = Differences::of(lengths)?;
+            let differences = HeightDifferences::of(lengths)?;
             let exceeds_limit = differences.rms_m > limit_m;
             Some(StripPair { strips: [stem(*a), stem(*b)], differences, exceeds_limit })
         };
         self.pairs = measures.pairs.iter().filter_map(pair).collect();
         let mut all = Lengths::new();
         measures.pairs.values().for_each(|lengths| all.merge(lengths));
-        self.differences = Differences::of(&all);
+        self.differences = HeightDifferences::of(&all);
         let (first_edge_m, counts) = all.histogram();
         self.difference_histogram = DifferenceHistogram { first_edge_m, counts };
         let (mut roughness, mut precision) = (Lengths::new(), Lengths::new());
@@ -398,11 +405,11 @@ impl Survey {
             precision.merge(&of_strip.precision);
         }
         self.roughness = Roughness::of(&roughness, &precision);
-        let pulses = Density::of(&measures.pulses, area_m2);
+        let pulses = CellDensity::of(&measures.pulses, area_m2);
         let (gaps, mask) = measures.mosaic.gaps(self.limits.gap_width_m, pulses.median_per_m2);
         self.gaps = gaps;
         self.pulses = Some(pulses);
-        self.points = Some(Density::of(&measures.points, area_m2));
+        self.points = Some(CellDensity::of(&measures.points, area_m2));
         let target = self.limits.target_pulses_per_m2;
         self.below_target_m2 = target.map(|target| measures.pulses.below(target * area_m2) as f64 * area_m2);
         self.cell_m = scale.edge_m;
@@ -418,11 +425,11 @@ impl Survey {
     }
 }
 
-impl Differences {
+impl HeightDifferences {
     /// `None` without values.
-    fn of(lengths: &Lengths) -> Option<Differences> {
+    fn of(lengths: &Lengths) -> Option<HeightDifferences> {
         let cells = lengths.count();
-        (cells > 0).then(|| Differences {
+        (cells > 0).then(|| HeightDifferences {
             cells,
             mean_m: lengths.mean(),
             median_m: lengths.quantile(0.5),

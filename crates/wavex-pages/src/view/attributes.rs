@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::points::Point;
+use super::points::ViewPoint;
 
 /// A quantity of points.
 pub(super) struct Attribute {
@@ -10,8 +10,8 @@ pub(super) struct Attribute {
     label: &'static str,
     unit: &'static str,
     is_class: bool,
-    /// Value of a point; the height of the origin is added to that of `height_m`.
-    pub(super) of: fn(&Point) -> f32,
+    /// Value of a point; `height_m` lacks the height of the origin.
+    pub(super) of: fn(&ViewPoint) -> f32,
 }
 
 /// All quantities.
@@ -40,12 +40,12 @@ const fn number(
     name: &'static str,
     label: &'static str,
     unit: &'static str,
-    of: fn(&Point) -> f32,
+    of: fn(&ViewPoint) -> f32,
 ) -> Attribute {
     Attribute { name, label, unit, is_class: false, of }
 }
 
-const fn class(name: &'static str, label: &'static str, of: fn(&Point) -> f32) -> Attribute {
+const fn class(name: &'static str, label: &'static str, of: fn(&ViewPoint) -> f32) -> Attribute {
     Attribute { name, label, unit: "", is_class: true, of }
 }
 
@@ -62,15 +62,15 @@ impl Attribute {
     }
 
     /// Value of a point whose origin has this height.
-    pub(super) fn value(&self, point: &Point, origin_m: f64) -> f64 {
+    pub(super) fn value(&self, point: &ViewPoint, origin_m: f64) -> f64 {
         let value = f64::from((self.of)(point));
         if self.name == "height_m" { value + origin_m } else { value }
     }
 
-    /// Description for the page, with the range of these points; `None` if no point has it.
+    /// Description for the page, with its range over the points; `None` if no point has it.
     ///
     /// Heights are relative to `origin_m`, and in `height_unit`.
-    pub(super) fn describe(&self, points: &[Point], origin_m: f64, height_unit: &str) -> Option<Value> {
+    pub(super) fn describe(&self, points: &[ViewPoint], origin_m: f64, height_unit: &str) -> Option<Value> {
         let unit = if self.name == "height_m" { height_unit } else { self.unit };
         let step = points.len().div_ceil(SAMPLE).max(1);
         let values = points.iter().step_by(step).map(|point| self.value(point, origin_m));
@@ -131,7 +131,7 @@ impl Condition {
     }
 
     /// Whether a point fulfils it; one without the quantity does not.
-    pub(super) fn holds(&self, point: &Point, origin_m: f64) -> bool {
+    pub(super) fn holds(&self, point: &ViewPoint, origin_m: f64) -> bool {
         let value = self.attribute.value(point, origin_m);
         match self.operator {
             "<=" => value <= self.value,
@@ -148,9 +148,9 @@ mod tests {
     use super::*;
     use wavex_line::scan_line::Return;
 
-    fn point(return_number: u8, height_m: f32) -> Point {
+    fn point(return_number: u8, height_m: f32) -> ViewPoint {
         let found = Return { return_number, amplitude_dn: 30.0, ..Return::default() };
-        Point::of(&found, 7, 0, [1.0, 2.0, height_m])
+        ViewPoint::of(&found, 7, 0, [1.0, 2.0, height_m])
     }
 
     #[test]
@@ -176,7 +176,7 @@ mod tests {
 
     #[test]
     fn an_attribute_that_no_point_has_is_not_described() {
-        let points: Vec<Point> = (0..100).map(|i| point(1 + i % 3, f32::from(i))).collect();
+        let points: Vec<ViewPoint> = (0..100).map(|i| point(1 + i % 3, f32::from(i))).collect();
         let describe = |name| Attribute::named(name).unwrap().describe(&points, 100.0, "m");
         assert_eq!(describe("total_sd_m"), None);
         assert_eq!(describe("height_m").unwrap()["range"], json!([102.0, 197.0]));

@@ -6,8 +6,8 @@ use std::ops::Range;
 use serde_json::{Value, json};
 
 use super::attributes::{ATTRIBUTES, Attribute, Condition};
-use super::points::{Point, Points};
-use super::session::{Placing, Session, State};
+use super::points::{ViewPoint, ViewPoints};
+use super::session::{Placing, Session, SessionState};
 use super::shots::{names, number_or_null};
 use wavex_line::scan_line::flags;
 
@@ -33,16 +33,16 @@ impl From<String> for Refused {
     }
 }
 
-type Answer<T> = Result<T, Refused>;
+type CloudAnswer<T> = Result<T, Refused>;
 
 /// State of the view.
 pub(super) fn info(session: &Session) -> Value {
     let (state, mut warnings) = session.state();
     let points = session.points();
     let (state, error) = match state {
-        State::Reading => ("reading", None),
-        State::Ready => ("ready", None),
-        State::Failed(problem) => ("failed", Some(problem)),
+        SessionState::Reading => ("reading", None),
+        SessionState::Ready => ("ready", None),
+        SessionState::Failed(problem) => ("failed", Some(problem)),
     };
     if points.kept_one_of() > 1 {
         warnings.push(format!(
@@ -64,7 +64,7 @@ pub(super) fn info(session: &Session) -> Value {
         "inputs": inputs, "generation": points.generation(), "points": points.len(),
         "kept_one_of": points.kept_one_of(), "keys": super::keys::keys(&session.opened.job),
         "flags": flags::NAMES.iter().enumerate().map(|(bit, (_, name))| json!({ "bit": bit, "name": name })).collect::<Vec<Value>>(),
-        "layers": session.layers.iter().map(super::layers::Layer::describe).collect::<Vec<Value>>(),
+        "layers": session.layers.iter().map(super::layers::RasterLayer::describe).collect::<Vec<Value>>(),
         "attributes": [],
     });
     if let Some(placing) = session.placing() {
@@ -84,7 +84,7 @@ pub(super) fn info(session: &Session) -> Value {
 }
 
 /// Bounds and attributes of the points in the tree.
-fn describe(points: &Points, placing: &Placing) -> Value {
+fn describe(points: &ViewPoints, placing: &Placing) -> Value {
     let origin_m = placing.origin_m;
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for point in points.in_tree() {
@@ -98,13 +98,13 @@ fn describe(points: &Points, placing: &Placing) -> Value {
     json!({ "min": low, "max": high, "attributes": attributes.collect::<Vec<Value>>() })
 }
 
-/// Checks that the points are still those of a generation.
-fn current(points: &Points, generation: u32) -> Answer<&[Point]> {
+/// Points in the tree; an error if their generation is no longer this one.
+fn current(points: &ViewPoints, generation: u32) -> CloudAnswer<&[ViewPoint]> {
     if points.generation() == generation { Ok(points.in_tree()) } else { Err(Refused::Outdated) }
 }
 
 /// All nodes.
-pub(super) fn tree(session: &Session, generation: u32) -> Answer<Value> {
+pub(super) fn tree(session: &Session, generation: u32) -> CloudAnswer<Value> {
     let points = session.points();
     current(&points, generation)?;
     let nodes: Vec<Value> = points
@@ -122,7 +122,7 @@ pub(super) fn tree(session: &Session, generation: u32) -> Answer<Value> {
 }
 
 /// Points of a range of indices.
-fn range(points: &[Point], first: usize, count: usize) -> Answer<&[Point]> {
+fn range(points: &[ViewPoint], first: usize, count: usize) -> CloudAnswer<&[ViewPoint]> {
     if count > MAX_POINTS {
         return Err(format!("at most {MAX_POINTS} points at once").into());
     }
@@ -131,7 +131,12 @@ fn range(points: &[Point], first: usize, count: usize) -> Answer<&[Point]> {
 }
 
 /// Positions, m relative to the origin, as 32-bit numbers.
-pub(super) fn positions(session: &Session, generation: u32, first: usize, count: usize) -> Answer<Vec<u8>> {
+pub(super) fn positions(
+    session: &Session,
+    generation: u32,
+    first: usize,
+    count: usize,
+) -> CloudAnswer<Vec<u8>> {
     let points = session.points();
     let chosen = range(current(&points, generation)?, first, count)?;
     Ok(chosen.iter().flat_map(|point| point.position_m).flat_map(f32::to_le_bytes).collect())
@@ -144,7 +149,7 @@ pub(super) fn values(
     first: usize,
     count: usize,
     attribute: &Attribute,
-) -> Answer<Vec<u8>> {
+) -> CloudAnswer<Vec<u8>> {
     let origin_m = session.placing().map_or(0.0, |placing| placing.origin_m[2]);
     let points = session.points();
     let chosen = range(current(&points, generation)?, first, count)?;
@@ -153,12 +158,12 @@ pub(super) fn values(
 }
 
 /// Position in the coordinates of the page, m.
-fn absolute(point: &Point, placing: &Placing) -> [f64; 3] {
+fn absolute(point: &ViewPoint, placing: &Placing) -> [f64; 3] {
     std::array::from_fn(|i| f64::from(point.position_m[i]) + placing.origin_m[i])
 }
 
 /// All quantities of a point.
-pub(super) fn point(session: &Session, generation: u32, index: usize) -> Answer<Value> {
+pub(super) fn point(session: &Session, generation: u32, index: usize) -> CloudAnswer<Value> {
     let placing = session.placing().ok_or(Refused::Outdated)?;
     let points = session.points();
     let found = range(current(&points, generation)?, index, 1)?;
@@ -180,7 +185,7 @@ pub(super) fn profile(
     [from, to]: [[f64; 2]; 2],
     width_m: f64,
     attribute: &Attribute,
-) -> Answer<Vec<u8>> {
+) -> CloudAnswer<Vec<u8>> {
     let placing = session.placing().ok_or(Refused::Outdated)?;
     let points = session.points();
     let all = current(&points, generation)?;
@@ -213,9 +218,9 @@ pub(super) fn profile(
     bytes.extend((found.len() as u32).to_le_bytes());
     bytes.extend(u32::try_from(total).unwrap_or(u32::MAX).to_le_bytes());
     bytes.extend(found.iter().flat_map(|(along_m, _)| along_m.to_le_bytes()));
-    let height_m = |point: &Point| (f64::from(point.position_m[2]) + placing.origin_m[2]) as f32;
+    let height_m = |point: &ViewPoint| (f64::from(point.position_m[2]) + placing.origin_m[2]) as f32;
     bytes.extend(found.iter().flat_map(|&(_, index)| height_m(of(index)).to_le_bytes()));
-    let value = |point: &Point| attribute.value(point, placing.origin_m[2]) as f32;
+    let value = |point: &ViewPoint| attribute.value(point, placing.origin_m[2]) as f32;
     bytes.extend(found.iter().flat_map(|&(_, index)| value(of(index)).to_le_bytes()));
     bytes.extend(found.iter().flat_map(|(_, index)| index.to_le_bytes()));
     Ok(bytes)
@@ -232,16 +237,16 @@ pub(super) struct Search {
 }
 
 /// The first shots of a search, each by the point that comes first.
-pub(super) fn find(session: &Session, generation: u32, search: &Search) -> Answer<Value> {
+pub(super) fn find(session: &Session, generation: u32, search: &Search) -> CloudAnswer<Value> {
     let placing = session.placing().ok_or(Refused::Outdated)?;
     let points = session.points();
     let all = current(&points, generation)?;
     let origin_m = placing.origin_m[2];
-    let is_wanted = |point: &Point| {
+    let is_wanted = |point: &ViewPoint| {
         search.flag.is_none_or(|bit| point.flags & bit != 0)
             && search.conditions.iter().all(|condition| condition.holds(point, origin_m))
     };
-    let value = |point: &Point| {
+    let value = |point: &ViewPoint| {
         let value = search.sort.value(point, origin_m);
         if search.is_descending { -value } else { value }
     };
@@ -282,7 +287,7 @@ pub(super) fn shots_within(
     session: &Session,
     generation: u32,
     [from, to]: [[f64; 2]; 2],
-) -> Answer<BTreeMap<usize, BTreeSet<u64>>> {
+) -> CloudAnswer<BTreeMap<usize, BTreeSet<u64>>> {
     let placing = session.placing().ok_or(Refused::Outdated)?;
     let points = session.points();
     let all = current(&points, generation)?;
@@ -291,7 +296,7 @@ pub(super) fn shots_within(
     let mut shots: BTreeMap<usize, BTreeSet<u64>> = BTreeMap::new();
     let mut left = MAX_SHOTS;
     let is_inside =
-        |point: &&Point| (0..2).all(|i| (low[i]..=high[i]).contains(&f64::from(point.position_m[i])));
+        |point: &&ViewPoint| (0..2).all(|i| (low[i]..=high[i]).contains(&f64::from(point.position_m[i])));
     for Range { start, end } in points.near(low, high) {
         for point in all[start..end].iter().filter(is_inside) {
             if left > 0 && shots.entry(point.input.into()).or_default().insert(point.shot) {

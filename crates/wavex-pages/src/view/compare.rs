@@ -7,14 +7,14 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use super::lines::Lines;
-use super::placed::{Placed, placed, text};
+use super::lines::InputLines;
+use super::placed::{PlacedReturn, placed, text};
 use super::session::{Placing, Session};
 use wavex_line::scan_line::ScanLine;
 
 /// Limit of the shots that are decomposed for one answer.
 const MAX_SHOTS: usize = 50_000;
-/// Time after which a comparison ends with what it has.
+/// Time after which a comparison ends with its results so far.
 const MAX_TIME: Duration = Duration::from_secs(5);
 /// Limit of the entries of each list of changes.
 const MAX_CHANGES: usize = 5000;
@@ -68,7 +68,7 @@ pub(super) fn compare(
 ///
 /// Lines that are `done` are left out; those found are added to them.
 fn next_lines(
-    lines: &mut Lines,
+    lines: &mut InputLines,
     shots: &mut Peekable<impl Iterator<Item = u64>>,
     done: &mut BTreeSet<usize>,
     most: usize,
@@ -114,35 +114,47 @@ fn ranges(numbers: &BTreeSet<usize>) -> Vec<Range<usize>> {
 }
 
 /// A change of a return.
-pub(super) struct Change<'p> {
+pub(super) struct ReturnChange<'p> {
     pub(super) kind: &'static str,
-    pub(super) before: Option<&'p Placed>,
-    pub(super) after: Option<&'p Placed>,
+    pub(super) before: Option<&'p PlacedReturn>,
+    pub(super) after: Option<&'p PlacedReturn>,
     pub(super) moved_m: Option<f64>,
 }
 
 /// Pairs the returns of a shot before and after a change of keys, both in order of time.
-pub(super) fn changes<'p>(before: &'p [Placed], after: &'p [Placed]) -> Vec<Change<'p>> {
-    let mut left: Vec<&Placed> = after.iter().collect();
-    let mut changes: Vec<Change> = Vec::new();
+pub(super) fn changes<'p>(before: &'p [PlacedReturn], after: &'p [PlacedReturn]) -> Vec<ReturnChange<'p>> {
+    let mut left: Vec<&PlacedReturn> = after.iter().collect();
+    let mut changes: Vec<ReturnChange> = Vec::new();
     for old in before {
-        let distance = |new: &&Placed| (new.found.time_of_flight_ns - old.found.time_of_flight_ns).abs();
+        let distance =
+            |new: &&PlacedReturn| (new.found.time_of_flight_ns - old.found.time_of_flight_ns).abs();
         let nearest = left.iter().enumerate().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
         match nearest.filter(|(_, new)| distance(new) < SAME_NS).map(|(at, _)| at) {
             Some(at) => {
                 let new = left.remove(at);
                 let kind = if distance(&new) < MOVED_NS { "same" } else { "moved" };
                 let moved_m = (new.found.range_m - old.found.range_m).abs();
-                changes.push(Change { kind, before: Some(old), after: Some(new), moved_m: Some(moved_m) });
+                changes.push(ReturnChange {
+                    kind,
+                    before: Some(old),
+                    after: Some(new),
+                    moved_m: Some(moved_m),
+                });
             }
-            None => changes.push(Change { kind: "gone", before: Some(old), after: None, moved_m: None }),
+            None => {
+                changes.push(ReturnChange { kind: "gone", before: Some(old), after: None, moved_m: None })
+            }
         }
     }
-    let new =
-        left.into_iter().map(|new| Change { kind: "new", before: None, after: Some(new), moved_m: None });
+    let new = left.into_iter().map(|new| ReturnChange {
+        kind: "new",
+        before: None,
+        after: Some(new),
+        moved_m: None,
+    });
     changes.extend(new);
     changes.sort_by(|a, b| {
-        let time_ns = |change: &Change| {
+        let time_ns = |change: &ReturnChange| {
             change.before.or(change.after).map_or(0.0, |placed| placed.found.time_of_flight_ns)
         };
         time_ns(a).total_cmp(&time_ns(b))
@@ -161,12 +173,12 @@ struct Compared {
     is_limited: bool,
 }
 
-/// For each shot of a line, whether it is compared: `wanted` are shots with returns; `returns` are those of each shot.
+/// For each shot of a line, whether it is compared: `wanted`: shots with returns; `returns`: returns of each shot.
 ///
 /// A shot without returns is compared if the nearest ones with returns before and after it in the line are.
 fn are_compared(
     shots: impl Iterator<Item = u64>,
-    returns: &[Vec<Placed>],
+    returns: &[Vec<PlacedReturn>],
     wanted: &BTreeSet<u64>,
 ) -> Vec<bool> {
     let own = shots.zip(returns);
@@ -237,14 +249,14 @@ mod tests {
     use super::*;
     use wavex_line::scan_line::Return;
 
-    fn placed(number: u8, flight_ns: f64) -> Placed {
+    fn placed(number: u8, flight_ns: f64) -> PlacedReturn {
         let found = Return {
             return_number: number,
             time_of_flight_ns: flight_ns,
             range_m: 0.15 * flight_ns,
             ..Return::default()
         };
-        Placed { found, position: None }
+        PlacedReturn { found, position: None }
     }
 
     #[test]

@@ -74,7 +74,7 @@ impl Status {
 }
 
 /// An answer.
-pub(super) struct Response {
+pub(super) struct HttpResponse {
     pub(super) status: Status,
     pub(super) headers: Vec<(&'static str, &'static str)>,
     pub(super) body: Vec<u8>,
@@ -88,16 +88,16 @@ struct Connection {
 }
 
 /// Open connections, oldest first.
-type Open = Mutex<VecDeque<Arc<Connection>>>;
+type OpenConnections = Mutex<VecDeque<Arc<Connection>>>;
 
 /// Serves until the process ends, one thread per connection.
 ///
 /// With the most connections open, a new one replaces the oldest that waits for a request.
 pub(super) fn serve(
     listener: TcpListener,
-    respond: impl Fn(&Request) -> Response + Send + Sync + 'static,
+    respond: impl Fn(&Request) -> HttpResponse + Send + Sync + 'static,
 ) -> io::Result<()> {
-    let (open, respond) = (Arc::<Open>::default(), Arc::new(respond));
+    let (open, respond) = (Arc::<OpenConnections>::default(), Arc::new(respond));
     let accept = move || {
         for stream in listener.incoming().flatten() {
             let Some(connection) = admit(&open, stream) else { continue };
@@ -117,7 +117,7 @@ pub(super) fn serve(
 }
 
 /// Adds a connection, if there is room.
-fn admit(open: &Open, stream: TcpStream) -> Option<Arc<Connection>> {
+fn admit(open: &OpenConnections, stream: TcpStream) -> Option<Arc<Connection>> {
     let mut open = open.lock().unwrap_or_else(PoisonError::into_inner);
     if open.len() >= MAX_CONNECTIONS {
         let oldest = open.iter().position(|connection| connection.waits.load(Ordering::Relaxed))?;
@@ -131,14 +131,14 @@ fn admit(open: &Open, stream: TcpStream) -> Option<Arc<Connection>> {
     Some(connection)
 }
 
-fn close(open: &Open, connection: &Arc<Connection>) {
+fn close(open: &OpenConnections, connection: &Arc<Connection>) {
     let mut open = open.lock().unwrap_or_else(PoisonError::into_inner);
     open.retain(|other| !Arc::ptr_eq(other, connection));
     let _gone = connection.stream.shutdown(Shutdown::Both);
 }
 
 /// Answers the requests of a connection, in order.
-fn converse(connection: &Connection, respond: &dyn Fn(&Request) -> Response) -> io::Result<()> {
+fn converse(connection: &Connection, respond: &dyn Fn(&Request) -> HttpResponse) -> io::Result<()> {
     // Bytes received and not yet used: a client may send requests before it has the answers.
     let mut received = Vec::new();
     loop {
@@ -148,7 +148,7 @@ fn converse(connection: &Connection, respond: &dyn Fn(&Request) -> Response) -> 
         let (response, keeps_alive) = match request {
             None => return Ok(()),
             Some(Ok(request)) => (respond(&request), request.keeps_alive),
-            Some(Err(status)) => (Response { status, headers: Vec::new(), body: Vec::new() }, false),
+            Some(Err(status)) => (HttpResponse { status, headers: Vec::new(), body: Vec::new() }, false),
         };
         send(&connection.stream, &response, keeps_alive)?;
         if !keeps_alive {
@@ -202,8 +202,8 @@ fn receive(mut stream: &TcpStream, received: &mut Vec<u8>) -> io::Result<Option<
     }
 }
 
-fn send(mut stream: &TcpStream, response: &Response, keeps_alive: bool) -> io::Result<()> {
-    let Response { status: Status(code, reason), headers, body } = response;
+fn send(mut stream: &TcpStream, response: &HttpResponse, keeps_alive: bool) -> io::Result<()> {
+    let HttpResponse { status: Status(code, reason), headers, body } = response;
     let connection = if keeps_alive { "keep-alive" } else { "close" };
     let mut head =
         format!("HTTP/1.1 {code} {reason}\r\ncontent-length: {}\r\nconnection: {connection}\r\n", body.len());

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use crate::report::overview::picture::{HEIGHTS, Picture};
+use crate::plot::{HEIGHTS, Picture};
 use crate::report::survey::{DIFFERENCES, raster_description};
 use wavex_formats::terrain::Terrain;
 
@@ -14,7 +14,7 @@ const MOST_LAYERS: usize = 20;
 const MAX_CELLS: usize = 2048;
 
 /// A raster of a survey.
-pub(super) struct Layer {
+pub(super) struct RasterLayer {
     name: String,
     label: String,
     /// South-west and north-east corner, m.
@@ -25,9 +25,9 @@ pub(super) struct Layer {
     picture: Picture,
 }
 
-impl Layer {
+impl RasterLayer {
     /// Reads the rasters of surveys in a folder; those that cannot be read become warnings.
-    pub(super) fn of_folder(folder: &Path) -> (Vec<Layer>, Vec<String>) {
+    pub(super) fn of_folder(folder: &Path) -> (Vec<RasterLayer>, Vec<String>) {
         let entries = folder.read_dir().into_iter().flatten().flatten();
         let mut paths: Vec<_> = entries.map(|entry| entry.path()).collect();
         paths.sort();
@@ -35,7 +35,7 @@ impl Layer {
         for (path, label) in
             paths.iter().filter_map(|path| Some((path, raster_description(path)?))).take(MOST_LAYERS)
         {
-            match Layer::read(path, label) {
+            match RasterLayer::read(path, label) {
                 Ok(layer) => layers.push(layer),
                 Err(error) => warnings.push(error.to_string()),
             }
@@ -43,7 +43,7 @@ impl Layer {
         (layers, warnings)
     }
 
-    fn read(path: &Path, label: &str) -> wavex_formats::Result<Layer> {
+    fn read(path: &Path, label: &str) -> wavex_formats::Result<RasterLayer> {
         let raster = Terrain::open(path)?;
         let [columns, rows] = raster.size();
         let step = columns.max(rows).div_ceil(MAX_CELLS).max(1);
@@ -63,7 +63,7 @@ impl Layer {
             picture = Picture::within(&cells, columns, &DIFFERENCES, range);
         }
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        Ok(Layer {
+        Ok(RasterLayer {
             name,
             label: label.to_owned(),
             corners_m: raster.corners_m(),

@@ -51,7 +51,7 @@ impl Learnt {
 }
 
 /// An input whose lines can be read in any order.
-pub(super) struct Lines {
+pub(super) struct InputLines {
     recording: Recording,
     index: Arc<LineIndex>,
     /// The job of the view.
@@ -59,17 +59,17 @@ pub(super) struct Lines {
     run: RunContext,
     /// Transforms after `decompose`, which have learnt from the first lines as in a run; `None` until then.
     trained: Option<Vec<Box<dyn Transform>>>,
-    /// Lines that passed the stages before `decompose` last: their numbers, the keys of these stages, and
+    /// Lines that passed the stages before `decompose` last: their numbers, the keys of the stages, and
     /// the lines.
     before_decompose: Option<(Range<usize>, String, Vec<ScanLine>)>,
 }
 
-impl Lines {
+impl InputLines {
     /// Opens the input of a run, and reads or makes its index.
     ///
     /// # Errors
     /// If it cannot be read in any order.
-    pub(super) fn open(job: Job, run: RunContext) -> Result<Lines> {
+    pub(super) fn open(job: Job, run: RunContext) -> Result<InputLines> {
         let Some((Plan::Source(reader), keys)) =
             job.stages.first().map(|stage| (&stage.planned.plan, &stage.planned.resolved))
         else {
@@ -80,7 +80,7 @@ impl Lines {
             true => Err(StageError::Stopped),
             false => Ok(()),
         })?;
-        Ok(Lines { recording, index, job, run, trained: None, before_decompose: None })
+        Ok(InputLines { recording, index, job, run, trained: None, before_decompose: None })
     }
 
     pub(super) fn simd(&self) -> SimdLevel {
@@ -103,7 +103,7 @@ impl Lines {
         Ok(None)
     }
 
-    /// Lines of these positions after the stages before `decompose`.
+    /// Lines with these numbers after the stages before `decompose`.
     pub(super) fn before_decompose(&mut self, job: &Job, numbers: Range<usize>) -> Result<&[ScanLine]> {
         let stages = before_decompose(job);
         let keys: String = stages.iter().map(|stage| stage.planned.resolved.to_string()).collect();
@@ -116,9 +116,9 @@ impl Lines {
         Ok(self.before_decompose.as_ref().map_or(&[], |(_, _, lines)| lines))
     }
 
-    /// Lines of these positions after all stages that determine their points.
+    /// Lines with these numbers after all stages that determine their points.
     ///
-    /// Stages after `decompose` use what they have learnt with the keys of the view's job.
+    /// Stages after `decompose` keep what they learnt with the keys of the view's job.
     pub(super) fn with_points(&mut self, job: &Job, numbers: Range<usize>) -> Result<Vec<ScanLine>> {
         self.train()?;
         let before: Vec<ScanLine> =
@@ -175,7 +175,8 @@ impl Lines {
         }
         let wanted: Vec<u32> =
             self.index.lines().get(numbers).into_iter().flatten().map(|line| line.location.line).collect();
-        let mut source = PoseSource::new(Box::new(Given(lines.into_iter())), Arc::clone(&self.run.geometry));
+        let mut source =
+            PoseSource::new(Box::new(GivenLines(lines.into_iter())), Arc::clone(&self.run.geometry));
         let (mut placed, mut cx) = (Vec::new(), Context::default());
         while let Some(line) = source.next(&mut cx)? {
             placed.push(line);
@@ -240,9 +241,9 @@ fn through(
 }
 
 /// A source of given lines.
-struct Given(std::vec::IntoIter<ScanLine>);
+struct GivenLines(std::vec::IntoIter<ScanLine>);
 
-impl Source for Given {
+impl Source for GivenLines {
     fn next(&mut self, _: &mut Context) -> Result<Option<ScanLine>> {
         Ok(self.0.next())
     }

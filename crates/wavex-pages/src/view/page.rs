@@ -1,6 +1,6 @@
 //! Files of the page, which are part of the program.
 
-/// Kind and content of a file of the page; the empty name is that of the page itself.
+/// Kind and content of a file of the page; the empty name is the page itself.
 pub(super) fn file(name: &str) -> Option<(&'static str, &'static [u8])> {
     let name = if name.is_empty() { "index.html" } else { name };
     let (name, body) = FILES.iter().find(|(known, _)| *known == name)?;

@@ -5,13 +5,13 @@ use wavex_line::scan_line::{Return, ScanLine};
 
 /// A return with its position on the map, m.
 #[derive(Clone, Debug)]
-pub(super) struct Placed {
+pub(super) struct PlacedReturn {
     pub(super) found: Return,
     pub(super) position: Option<[f64; 3]>,
 }
 
 /// Returns of each emission of a line, with their positions on the map.
-pub(super) fn placed(line: &ScanLine, placing: Option<&Placing>) -> Vec<Vec<Placed>> {
+pub(super) fn placed(line: &ScanLine, placing: Option<&Placing>) -> Vec<Vec<PlacedReturn>> {
     let mut placed = vec![Vec::new(); line.emissions.len()];
     let position = |at: usize| {
         let on_map = placing?.on_map(*line.points()?.get(at)?);
@@ -19,7 +19,7 @@ pub(super) fn placed(line: &ScanLine, placing: Option<&Placing>) -> Vec<Vec<Plac
     };
     for (at, found) in line.returns().into_iter().flatten().enumerate() {
         if let Some(of_emission) = placed.get_mut(found.emission as usize) {
-            of_emission.push(Placed { found: *found, position: position(at) });
+            of_emission.push(PlacedReturn { found: *found, position: position(at) });
         }
     }
     placed

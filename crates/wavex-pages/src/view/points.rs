@@ -16,7 +16,7 @@ const MAX_THINNING: u32 = 32;
 
 /// A point with the quantities that the page can show.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Point {
+pub(super) struct ViewPoint {
     /// Shot in its input.
     pub(super) shot: u64,
     /// Position relative to the origin of the view, m.
@@ -36,10 +36,10 @@ pub(super) struct Point {
     pub(super) class: u8,
 }
 
-impl Point {
+impl ViewPoint {
     /// Point of a return of a shot; `input` is the index of its input.
-    pub(super) fn of(found: &Return, shot: u64, input: u16, position_m: [f32; 3]) -> Point {
-        Point {
+    pub(super) fn of(found: &Return, shot: u64, input: u16, position_m: [f32; 3]) -> ViewPoint {
+        ViewPoint {
             shot,
             position_m,
             intensity: found.intensity as f32,
@@ -60,14 +60,14 @@ impl Point {
 
 /// A square of the quadtree.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Node {
+pub(super) struct QuadtreeNode {
     /// Level; the root has 0.
     pub(super) level: u8,
     /// Column and row among the squares of its level, from the south-west corner.
     pub(super) place: [u32; 2],
-    /// Its own points: a random sample of those in its square, without those of its ancestors.
+    /// Its own points: a random sample of the points in its square that no ancestor has.
     pub(super) points: Range<usize>,
-    /// Own points and those of all descendants.
+    /// Own points and the points of all descendants.
     pub(super) all: Range<usize>,
     /// Lowest and highest z of its own points, relative to the origin, m.
     pub(super) z_m: [f32; 2],
@@ -75,9 +75,9 @@ pub(super) struct Node {
 
 /// Points of a view.
 #[derive(Debug, Default)]
-pub(super) struct Points {
-    points: Vec<Point>,
-    nodes: Vec<Node>,
+pub(super) struct ViewPoints {
+    points: Vec<ViewPoint>,
+    nodes: Vec<QuadtreeNode>,
     /// South-west corner and side of the square of the root, m.
     square: Square,
     /// Number of times that the tree was built; 0: none.
@@ -97,14 +97,14 @@ pub(super) struct Square {
     pub(super) side_m: f64,
 }
 
-impl Points {
+impl ViewPoints {
     /// Points that take at most this memory, bytes.
-    pub(super) fn within(bytes: usize) -> Points {
-        Points { most: (bytes / size_of::<Point>()).max(2 * NODE_POINTS), ..Points::default() }
+    pub(super) fn within(bytes: usize) -> ViewPoints {
+        ViewPoints { most: (bytes / size_of::<ViewPoint>()).max(2 * NODE_POINTS), ..ViewPoints::default() }
     }
 
     /// Adds a point; drops further shots once there are too many points.
-    pub(super) fn add(&mut self, point: Point) {
+    pub(super) fn add(&mut self, point: ViewPoint) {
         if !self.keeps(&point) {
             return;
         }
@@ -121,7 +121,7 @@ impl Points {
         }
     }
 
-    fn keeps(&self, point: &Point) -> bool {
+    fn keeps(&self, point: &ViewPoint) -> bool {
         is_kept(point, self.thinning)
     }
 
@@ -153,7 +153,7 @@ impl Points {
         self.generation
     }
 
-    pub(super) fn nodes(&self) -> &[Node] {
+    pub(super) fn nodes(&self) -> &[QuadtreeNode] {
         &self.nodes
     }
 
@@ -162,7 +162,7 @@ impl Points {
     }
 
     /// Points in the tree; an index among them identifies a point of this generation.
-    pub(super) fn in_tree(&self) -> &[Point] {
+    pub(super) fn in_tree(&self) -> &[ViewPoint] {
         self.points.get(..self.in_tree).unwrap_or_default()
     }
 
@@ -189,13 +189,13 @@ impl Points {
 }
 
 /// Whether a point is of a kept shot: a hash of its number decides.
-fn is_kept(point: &Point, thinning: u32) -> bool {
+fn is_kept(point: &ViewPoint, thinning: u32) -> bool {
     let hash = (point.shot ^ (u64::from(point.input) << 48)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     thinning == 0 || hash >> (64 - thinning) == 0
 }
 
 /// Smallest square with all points.
-fn square_of(points: &[Point]) -> Square {
+fn square_of(points: &[ViewPoint]) -> Square {
     let mut low = [f32::INFINITY; 2];
     let mut high = [f32::NEG_INFINITY; 2];
     for point in points {
@@ -212,14 +212,14 @@ fn square_of(points: &[Point]) -> Square {
 }
 
 struct Builder<'a> {
-    nodes: &'a mut Vec<Node>,
+    nodes: &'a mut Vec<QuadtreeNode>,
     square: Square,
     random: Xoshiro256PlusPlus,
 }
 
 impl Builder<'_> {
-    /// Orders points, of which `first` is the index of the first, so that those of each node are adjacent.
-    fn build(&mut self, points: &mut [Point], first: usize, level: u8, place: [u32; 2]) {
+    /// Orders points, the first of which has the index `first`: points of a node become adjacent.
+    fn build(&mut self, points: &mut [ViewPoint], first: usize, level: u8, place: [u32; 2]) {
         let n = points.len();
         if n == 0 {
             return;
@@ -236,7 +236,13 @@ impl Builder<'_> {
         let z_m = sample.iter().fold([f32::INFINITY, f32::NEG_INFINITY], |[low, high], point| {
             [low.min(point.position_m[2]), high.max(point.position_m[2])]
         });
-        self.nodes.push(Node { level, place, points: first..first + own, all: first..first + n, z_m });
+        self.nodes.push(QuadtreeNode {
+            level,
+            place,
+            points: first..first + own,
+            all: first..first + n,
+            z_m,
+        });
         let side_m = self.square.side_m / f64::from(1_u32 << (level + 1));
         let middle = [0, 1].map(|i| (self.square.corner_m[i] + f64::from(2 * place[i] + 1) * side_m) as f32);
         let north = partition(rest, |point| point.position_m[1] < middle[1]);
@@ -255,7 +261,7 @@ impl Builder<'_> {
 }
 
 /// Moves the points that fulfil a condition to the front; returns their number.
-fn partition(points: &mut [Point], is_first: impl Fn(&Point) -> bool) -> usize {
+fn partition(points: &mut [ViewPoint], is_first: impl Fn(&ViewPoint) -> bool) -> usize {
     let (mut front, mut end) = (0, points.len());
     while front < end {
         if is_first(&points[front]) {
@@ -273,11 +279,11 @@ mod tests {
     use super::*;
 
     /// Points on a grid of 1 m with `columns` columns.
-    fn grid(columns: u32, rows: u32) -> Points {
-        let mut points = Points::within(1 << 30);
+    fn grid(columns: u32, rows: u32) -> ViewPoints {
+        let mut points = ViewPoints::within(1 << 30);
         for shot in 0..columns * rows {
             let position_m = [(shot % columns) as f32, (shot / columns) as f32, (shot % 7) as f32];
-            points.add(Point::of(&Return::default(), shot.into(), 0, position_m));
+            points.add(ViewPoint::of(&Return::default(), shot.into(), 0, position_m));
         }
         points
     }
@@ -309,8 +315,9 @@ mod tests {
         let mut points = grid(400, 300);
         points.build();
         let (from_m, to_m) = ([100.0, 50.0], [110.0, 60.0]);
-        let is_inside =
-            |point: &Point| (0..2).all(|i| (from_m[i]..=to_m[i]).contains(&f64::from(point.position_m[i])));
+        let is_inside = |point: &ViewPoint| {
+            (0..2).all(|i| (from_m[i]..=to_m[i]).contains(&f64::from(point.position_m[i])))
+        };
         let near: Vec<Range<usize>> = points.near(from_m, to_m).collect();
         let looked_at: usize = near.iter().map(ExactSizeIterator::len).sum();
         let found = near.into_iter().flatten().filter(|&index| is_inside(&points.in_tree()[index])).count();
@@ -320,11 +327,11 @@ mod tests {
 
     #[test]
     fn memory_is_bounded_by_leaving_out_whole_shots() {
-        let mut points = Points::within(0);
+        let mut points = ViewPoints::within(0);
         for shot in 0..100_000 {
             for return_number in 1..=2 {
                 let found = Return { return_number, ..Return::default() };
-                points.add(Point::of(&found, shot, 0, [shot as f32, 0.0, 0.0]));
+                points.add(ViewPoint::of(&found, shot, 0, [shot as f32, 0.0, 0.0]));
             }
         }
         points.build();
@@ -337,20 +344,20 @@ mod tests {
 
     #[test]
     fn memory_is_bounded_although_all_points_are_of_one_shot() {
-        let mut points = Points::within(0);
+        let mut points = ViewPoints::within(0);
         for n in 0..3 * NODE_POINTS {
-            points.add(Point::of(&Return::default(), 0, 0, [n as f32, 0.0, 0.0]));
+            points.add(ViewPoint::of(&Return::default(), 0, 0, [n as f32, 0.0, 0.0]));
         }
         assert_eq!(points.len(), 2 * NODE_POINTS);
     }
 
     #[test]
     fn no_points_and_points_at_one_place_have_a_tree() {
-        let mut points = Points::within(1 << 20);
+        let mut points = ViewPoints::within(1 << 20);
         points.build();
         assert_eq!((points.nodes().len(), points.generation()), (0, 1));
-        let mut points = Points::within(1 << 30);
-        (0..50_000).for_each(|shot| points.add(Point::of(&Return::default(), shot, 0, [0.0; 3])));
+        let mut points = ViewPoints::within(1 << 30);
+        (0..50_000).for_each(|shot| points.add(ViewPoint::of(&Return::default(), shot, 0, [0.0; 3])));
         points.build();
         assert_eq!(points.nodes().iter().map(|node| node.points.len()).sum::<usize>(), 50_000);
     }

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::attributes::{Attribute, Condition};
 use super::cloud::{self, Refused, Search};
 use super::compare;
-use super::http::{self, Request, Response, Status};
+use super::http::{self, HttpResponse, Request, Status};
 use super::job_text;
 use super::page;
 use super::query::Query;
@@ -34,7 +34,7 @@ const HEADERS: [(&str, &str); 6] = [
 ];
 
 /// A running server.
-pub(super) struct Running {
+pub(super) struct RunningServer {
     /// Address of the page.
     pub(super) address: String,
 }
@@ -43,16 +43,16 @@ pub(super) struct Running {
 ///
 /// # Errors
 /// If the port is in use, or the system has no random numbers.
-pub(super) fn start(session: &Arc<Session>, port: u16) -> Result<Running, String> {
+pub(super) fn start(session: &Arc<Session>, port: u16) -> Result<RunningServer, String> {
     let refused =
         |error: std::io::Error| format!("cannot listen on port {port}: {error}; choose another --port");
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port)).map_err(refused)?;
     let port = listener.local_addr().map_err(refused)?.port();
     let token = token()?;
-    let gate = Gate { token: token.clone(), port };
+    let gate = RequestGate { token: token.clone(), port };
     let session = Arc::clone(session);
     http::serve(listener, move |request| answer(&gate, &session, request)).map_err(refused)?;
-    Ok(Running { address: format!("http://127.0.0.1:{port}/{token}/") })
+    Ok(RunningServer { address: format!("http://127.0.0.1:{port}/{token}/") })
 }
 
 /// Random text that nobody can guess.
@@ -62,16 +62,16 @@ fn token() -> Result<String, String> {
     Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// What a request must have.
-struct Gate {
+/// Token and port that a request must have.
+struct RequestGate {
     token: String,
     port: u16,
 }
 
-impl Gate {
+impl RequestGate {
     /// Target below the token, with its query; `None` if the request is not of this page.
     ///
-    /// `Host` and `Origin` must be those of the page: a foreign page that the browser shows, also under a name
+    /// `Host` and `Origin` must be the page's: a foreign page that the browser shows, also under a name
     /// that resolves to this computer, has others.
     fn path<'r>(&self, request: &'r Request) -> Option<&'r str> {
         let target = request.target.as_str();
@@ -97,7 +97,7 @@ impl Gate {
         (is_own_host && is_own_origin && is_own_site && is_equal(token, &self.token)).then_some(path)
     }
 
-    /// Whether a host, with its port unless this is 80, is that of the page.
+    /// Whether a host, with its port unless this is 80, is the page's host.
     fn is_own(&self, host: &str) -> bool {
         let (name, port) = host.split_once(':').unwrap_or((host, "80"));
         let is_name = ["127.0.0.1", "localhost"].iter().any(|own| own.eq_ignore_ascii_case(name));
@@ -111,65 +111,68 @@ fn is_equal(a: &str, b: &str) -> bool {
 }
 
 /// Content of an answer.
-struct Answer {
+struct AnswerContent {
     status: Status,
     kind: &'static str,
     body: Vec<u8>,
 }
 
-impl Answer {
-    fn ok(kind: &'static str, body: impl Into<Vec<u8>>) -> Answer {
-        Answer { status: Status::OK, kind, body: body.into() }
+impl AnswerContent {
+    fn ok(kind: &'static str, body: impl Into<Vec<u8>>) -> AnswerContent {
+        AnswerContent { status: Status::OK, kind, body: body.into() }
     }
 
-    fn json(value: &Value) -> Answer {
-        Answer::ok("application/json", value.to_string())
+    fn json(value: &Value) -> AnswerContent {
+        AnswerContent::ok("application/json", value.to_string())
     }
 
-    fn binary(body: Vec<u8>) -> Answer {
-        Answer::ok("application/octet-stream", body)
+    fn binary(body: Vec<u8>) -> AnswerContent {
+        AnswerContent::ok("application/octet-stream", body)
     }
 
-    fn error(status: Status, problem: &str) -> Answer {
-        Answer { status, ..Answer::json(&json!({ "error": problem })) }
-    }
-}
-
-impl From<String> for Answer {
-    fn from(problem: String) -> Answer {
-        Answer::error(Status::BAD_REQUEST, &problem)
+    fn error(status: Status, problem: &str) -> AnswerContent {
+        AnswerContent { status, ..AnswerContent::json(&json!({ "error": problem })) }
     }
 }
 
-impl From<Refused> for Answer {
-    fn from(refused: Refused) -> Answer {
+impl From<String> for AnswerContent {
+    fn from(problem: String) -> AnswerContent {
+        AnswerContent::error(Status::BAD_REQUEST, &problem)
+    }
+}
+
+impl From<Refused> for AnswerContent {
+    fn from(refused: Refused) -> AnswerContent {
         match refused {
-            Refused::Outdated => Answer::error(Status::GONE, "the points have changed; read them again"),
+            Refused::Outdated => {
+                AnswerContent::error(Status::GONE, "the points have changed; read them again")
+            }
             Refused::Wrong(problem) => problem.into(),
         }
     }
 }
 
 /// Answers a request; a panic becomes an error.
-fn answer(gate: &Gate, session: &Session, request: &Request) -> Response {
+fn answer(gate: &RequestGate, session: &Session, request: &Request) -> HttpResponse {
     let answer = match gate.path(request) {
-        None => Answer::error(Status::FORBIDDEN, "open the address that wavex printed"),
+        None => AnswerContent::error(Status::FORBIDDEN, "open the address that wavex printed"),
         Some(_) if request.method != "GET" => {
-            Answer::error(Status::METHOD_NOT_ALLOWED, "only GET is answered")
+            AnswerContent::error(Status::METHOD_NOT_ALLOWED, "only GET is answered")
         }
         Some(target) => {
             let (path, query) = target.split_once('?').unwrap_or((target, ""));
             let routed = catch_unwind(AssertUnwindSafe(|| route(session, path, query)));
             match routed {
                 Ok(Ok(answer) | Err(answer)) => answer,
-                Err(_) => {
-                    Answer::error(Status::INTERNAL, "an internal error; please report this bug in wavex")
-                }
+                Err(_) => AnswerContent::error(
+                    Status::INTERNAL,
+                    "an internal error; please report this bug in wavex",
+                ),
             }
         }
     };
     let headers = [("content-type", answer.kind)].into_iter().chain(HEADERS).collect();
-    Response { status: answer.status, headers, body: answer.body }
+    HttpResponse { status: answer.status, headers, body: answer.body }
 }
 
 /// Status and content of the answer to a request for an address below the token.
@@ -180,31 +183,31 @@ pub(super) fn content(session: &Session, address: &str) -> (u16, Vec<u8>) {
 }
 
 /// Answers a request of the page.
-fn route(session: &Session, path: &str, query: &str) -> Result<Answer, Answer> {
+fn route(session: &Session, path: &str, query: &str) -> Result<AnswerContent, AnswerContent> {
     let query = Query::parse(query)?;
     let generation = || query.number::<u32>("generation");
     let attribute = || Attribute::named(query.get("attribute").unwrap_or("height_m"));
     let set = || query.all("set");
     Ok(match path {
-        "info" => Answer::json(&cloud::info(session)),
-        "tree" => Answer::json(&cloud::tree(session, generation()?)?),
-        "points" => Answer::binary(cloud::positions(
+        "info" => AnswerContent::json(&cloud::info(session)),
+        "tree" => AnswerContent::json(&cloud::tree(session, generation()?)?),
+        "points" => AnswerContent::binary(cloud::positions(
             session,
             generation()?,
             query.number("first")?,
             query.number("count")?,
         )?),
-        "values" => Answer::binary(cloud::values(
+        "values" => AnswerContent::binary(cloud::values(
             session,
             generation()?,
             query.number("first")?,
             query.number("count")?,
             attribute()?,
         )?),
-        "point" => Answer::json(&cloud::point(session, generation()?, query.number("index")?)?),
+        "point" => AnswerContent::json(&cloud::point(session, generation()?, query.number("index")?)?),
         "profile" => {
             let line = [query.place("from")?, query.place("to")?];
-            Answer::binary(cloud::profile(
+            AnswerContent::binary(cloud::profile(
                 session,
                 generation()?,
                 line,
@@ -220,29 +223,31 @@ fn route(session: &Session, path: &str, query: &str) -> Result<Answer, Answer> {
                 flag: query.get("flag").filter(|name| !name.is_empty()).map(flag).transpose()?,
                 limit: query.get("limit").map_or(Ok(500), |_| query.number("limit"))?,
             };
-            Answer::json(&cloud::find(session, generation()?, &search)?)
+            AnswerContent::json(&cloud::find(session, generation()?, &search)?)
         }
-        "shot" => Answer::json(&shots::shot(session, query.number("input")?, query.number("shot")?, &set())?),
-        "line" => Answer::json(&shots::line(session, query.number("input")?, query.number("shot")?)?),
+        "shot" => {
+            AnswerContent::json(&shots::shot(session, query.number("input")?, query.number("shot")?, &set())?)
+        }
+        "line" => AnswerContent::json(&shots::line(session, query.number("input")?, query.number("shot")?)?),
         "compare" if query.get("shot").is_some() => {
             let of_line = [(query.number("input")?, [query.number("shot")?].into())].into();
-            Answer::json(&compare::compare(session, &of_line, true, &set())?)
+            AnswerContent::json(&compare::compare(session, &of_line, true, &set())?)
         }
         "compare" => {
             let rectangle = [query.place("from")?, query.place("to")?];
             let within = cloud::shots_within(session, generation()?, rectangle)?;
-            Answer::json(&compare::compare(session, &within, false, &set())?)
+            AnswerContent::json(&compare::compare(session, &within, false, &set())?)
         }
-        "job" => Answer::ok("text/plain; charset=utf-8", job_text::job(session, &set())?),
+        "job" => AnswerContent::ok("text/plain; charset=utf-8", job_text::job(session, &set())?),
         "layer" => {
             let name = query.get("name").unwrap_or_default();
             let layer = session.layers.iter().find(|layer| layer.name() == name);
             let layer = layer.ok_or_else(|| format!("{name}: no such layer"))?;
-            Answer::ok("image/png", layer.png())
+            AnswerContent::ok("image/png", layer.png())
         }
         name => match page::file(name) {
-            Some((kind, body)) => Answer::ok(kind, body),
-            None => Answer::error(Status::NOT_FOUND, "no such page"),
+            Some((kind, body)) => AnswerContent::ok(kind, body),
+            None => AnswerContent::error(Status::NOT_FOUND, "no such page"),
         },
     })
 }
@@ -258,8 +263,8 @@ fn flag(name: &str) -> Result<u16, String> {
 mod tests {
     use super::*;
 
-    fn gate() -> Gate {
-        Gate { token: "0123456789abcdef".into(), port: 8123 }
+    fn gate() -> RequestGate {
+        RequestGate { token: "0123456789abcdef".into(), port: 8123 }
     }
 
     #[test]
@@ -304,7 +309,7 @@ mod tests {
         ] {
             assert_eq!(passes(foreign, "/0123456789abcdef/info"), None, "{foreign:?}");
         }
-        let at_80 = Gate { port: 80, ..gate() };
+        let at_80 = RequestGate { port: 80, ..gate() };
         assert!(at_80.is_own("localhost") && at_80.is_own("127.0.0.1:80") && !at_80.is_own("localhost:8123"));
     }
 

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard};
 
 use serde_json::Value;
 
-use crate::report::overview::view::{MapAxes, View, crs_name};
+use crate::report::overview::view::{MapAxes, MapProjection, crs_name};
 use wavex_engine::engine::{self, Cancel, Input, Options, ProgressWatch};
 use wavex_engine::job::{Job, JobStage};
 use wavex_line::georef::Loader;
@@ -16,9 +16,9 @@ use wavex_line::scan_line::{Content, InputInfo, Kind, ScanLine};
 use wavex_line::stage::{Context, Plan, RunContext};
 use wavex_stages::process::decompose::Decompose;
 
-use super::layers::Layer;
-use super::lines::{Learnt, Lines};
-use super::points::{Point, Points};
+use super::layers::RasterLayer;
+use super::lines::{InputLines, Learnt};
+use super::points::{ViewPoint, ViewPoints};
 
 /// Origins are multiples of this, m, so that positions can be read.
 const ORIGIN_STEP_M: f64 = 100.0;
@@ -26,7 +26,7 @@ const ORIGIN_STEP_M: f64 = 100.0;
 /// Parses a job with overrides; returns the error as text.
 pub type ParseWith = dyn Fn(&[String]) -> Result<Job, String> + Send + Sync;
 
-/// What to open.
+/// Content of a view to open.
 pub struct Opened {
     /// Title of the page.
     pub title: String,
@@ -52,7 +52,7 @@ pub(super) struct ViewedInput {
 }
 
 /// Lines of an input; `None` until they are open.
-type OpenLines = Arc<Mutex<Option<Lines>>>;
+type OpenLines = Arc<Mutex<Option<InputLines>>>;
 
 /// A job by which shots are decomposed.
 pub(super) struct Chosen {
@@ -70,7 +70,7 @@ const KEPT_INPUTS: usize = 32;
 
 /// Progress of reading.
 #[derive(Clone, Debug)]
-pub(super) enum State {
+pub(super) enum SessionState {
     Reading,
     Ready,
     Failed(String),
@@ -79,7 +79,7 @@ pub(super) enum State {
 /// How points become positions on the map.
 #[derive(Clone, Debug)]
 pub(super) struct Placing {
-    view: View,
+    view: MapProjection,
     /// Metres per unit of the first two coordinates.
     scale: [f64; 2],
     /// Origin of positions, map coordinates times `scale`, m.
@@ -91,7 +91,7 @@ pub(super) struct Placing {
 
 impl Placing {
     fn new(input: &InputInfo, point: [f64; 3]) -> Placing {
-        let view = View::of(input, point);
+        let view = MapProjection::of(input, point);
         let north = view.place(point)[1];
         let scale = if view.axes() == MapAxes::Degrees { view.units_m(north) } else { [1.0; 2] };
         let crs = input.crs_wkt.as_deref().map(crs_name);
@@ -133,10 +133,10 @@ pub(super) struct Session {
     /// Description of the points of a generation.
     described: Mutex<(u32, Value)>,
     /// Rasters of the survey.
-    pub(super) layers: Vec<Layer>,
-    points: RwLock<Points>,
+    pub(super) layers: Vec<RasterLayer>,
+    points: RwLock<ViewPoints>,
     placing: RwLock<Option<Placing>>,
-    state: Mutex<(State, Vec<String>)>,
+    state: Mutex<(SessionState, Vec<String>)>,
     watch: ProgressWatch,
     /// Number of inputs that have been read.
     read: AtomicU64,
@@ -171,18 +171,18 @@ impl Session {
         let viewed = |input| ViewedInput { input, shots: AtomicU64::new(0), learnt: Mutex::default() };
         let loader = Loader::new(&opened.job.settings.geometry, &opened.input_dir);
         let loader = loader.map_err(|error| error.to_string())?;
-        let (layers, warnings) = opened.folder.as_deref().map(Layer::of_folder).unwrap_or_default();
+        let (layers, warnings) = opened.folder.as_deref().map(RasterLayer::of_folder).unwrap_or_default();
         Ok(Session {
             layers,
             described: Mutex::default(),
             open: Mutex::default(),
             loader: Mutex::new(loader),
             chosen: Mutex::default(),
-            points: RwLock::new(Points::within(opened.memory_bytes)),
+            points: RwLock::new(ViewPoints::within(opened.memory_bytes)),
             inputs: inputs.into_iter().take(usize::from(u16::MAX)).map(viewed).collect(),
             opened,
             placing: RwLock::default(),
-            state: Mutex::new((State::Reading, warnings)),
+            state: Mutex::new((SessionState::Reading, warnings)),
             watch: ProgressWatch::default(),
             read: AtomicU64::new(0),
             cancel,
@@ -194,13 +194,13 @@ impl Session {
     /// `prepare` is called with the first input and shot, once points are there.
     pub(super) fn read(self: &Arc<Session>, prepare: impl FnOnce(&Session, usize, u64)) {
         if let Err(problem) = self.read_all() {
-            lock(&self.state).0 = State::Failed(problem);
+            lock(&self.state).0 = SessionState::Failed(problem);
             return;
         }
         self.build();
         let state = match self.points().len() {
-            0 => State::Failed(self.without_points()),
-            _ => State::Ready,
+            0 => SessionState::Failed(self.without_points()),
+            _ => SessionState::Ready,
         };
         // The index of the first inputs is ready when the first point is selected.
         for number in 0..self.inputs.len().min(KEPT_INPUTS) {
@@ -274,7 +274,7 @@ impl Session {
             if let Some(emission) = line.emissions.get(found.emission as usize)
                 && relative_m.iter().all(|value| value.is_finite())
             {
-                points.add(Point::of(found, emission.shot, number as u16, relative_m));
+                points.add(ViewPoint::of(found, emission.shot, number as u16, relative_m));
             }
         }
         if points.has_outgrown_its_tree() {
@@ -286,7 +286,7 @@ impl Session {
         self.points.write().unwrap_or_else(PoisonError::into_inner).build();
     }
 
-    pub(super) fn points(&self) -> RwLockReadGuard<'_, Points> {
+    pub(super) fn points(&self) -> RwLockReadGuard<'_, ViewPoints> {
         self.points.read().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -312,7 +312,7 @@ impl Session {
     }
 
     /// State and warnings.
-    pub(super) fn state(&self) -> (State, Vec<String>) {
+    pub(super) fn state(&self) -> (SessionState, Vec<String>) {
         lock(&self.state).clone()
     }
 
@@ -362,7 +362,7 @@ impl Session {
     pub(super) fn with_lines<T>(
         &self,
         number: usize,
-        body: impl FnOnce(&mut Lines) -> Result<T, String>,
+        body: impl FnOnce(&mut InputLines) -> Result<T, String>,
     ) -> Result<T, String> {
         let viewed = self.inputs.get(number).ok_or("the view has no such input; reload the page")?;
         let slot = self.slot(number);
@@ -385,7 +385,7 @@ impl Session {
             // The tables of `decompose` are shared with the answers.
             let base = self.with(&[]);
             let job = base.map_or_else(|_| self.opened.job.clone(), |chosen| chosen.job.clone());
-            *lines = Some(Lines::open(job, run).map_err(|error| error.to_string())?);
+            *lines = Some(InputLines::open(job, run).map_err(|error| error.to_string())?);
         }
         match lines.as_mut() {
             Some(lines) => body(lines),

@@ -5,10 +5,10 @@ use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 
 use super::compare::changes;
-use super::lines::Lines;
-use super::placed::{Placed, placed, text};
+use super::lines::InputLines;
+use super::placed::{PlacedReturn, placed, text};
 use super::session::{Placing, Session};
-use crate::explain::{ExplainError, Explained};
+use crate::explain::{ExplainError, ExplainedShot};
 use wavex_engine::job::Job;
 use wavex_line::scan_line::{Block, Channel, Content, Emission, ScanLine, flags};
 
@@ -33,7 +33,7 @@ pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -
         let others = || line.emissions.iter().map(|emission| emission.shot);
         let previous = others().filter(|&other| other < shot).max().or(line_before.map(|[_, last]| last));
         let next = others().filter(|&other| other > shot).min().or(line_after.map(|[first, _]| first));
-        let explained = match Explained::of(line, shot, &chosen.decompose, simd, &file) {
+        let explained = match ExplainedShot::of(line, shot, &chosen.decompose, simd, &file) {
             Ok(explained) => explained,
             Err(ExplainError::Stage(error)) => return Err(error.to_string()),
             // The page can go on to the next shot.
@@ -126,18 +126,18 @@ pub(super) fn line(session: &Session, input: usize, shot: u64) -> Result<Value, 
 }
 
 /// Position of the line of a shot.
-fn place(lines: &mut Lines, shot: u64) -> Result<usize, String> {
+fn place(lines: &mut InputLines, shot: u64) -> Result<usize, String> {
     lines.of_shot(shot).map_err(text)?.ok_or_else(|| format!("the recording has no shot {shot}"))
 }
 
 /// Returns of a shot by the keys of a job.
 fn returns_of(
-    lines: &mut Lines,
+    lines: &mut InputLines,
     job: &Job,
     number: usize,
     shot: u64,
     placing: Option<&Placing>,
-) -> Result<Vec<Placed>, String> {
+) -> Result<Vec<PlacedReturn>, String> {
     let found = lines.with_points(job, number..number + 1).map_err(text)?;
     let Some(line) = found.first() else { return Ok(Vec::new()) };
     let of_shot =
@@ -230,7 +230,7 @@ fn grey_png(width: usize, height: usize, pixels: &[u8]) -> Result<Vec<u8>, png::
 }
 
 /// All quantities of a return.
-fn return_value(placed: &Placed) -> Value {
+fn return_value(placed: &PlacedReturn) -> Value {
     let found = &placed.found;
     json!({
         "return_number": found.return_number, "number_of_returns": found.number_of_returns,

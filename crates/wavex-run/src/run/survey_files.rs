@@ -15,7 +15,7 @@ use wavex_line::stage::{
 };
 use wavex_line::system::Unpoisoned as _;
 use wavex_pages::report::survey::{
-    Strip, StripCollector, StripPaths, survey_files, write_cells, write_density, write_survey,
+    CollectedStrip, StripCollector, StripPaths, survey_files, write_cells, write_density, write_survey,
 };
 use wavex_pages::report::{Overview, Overviews};
 
@@ -43,7 +43,7 @@ impl Collected {
     }
 
     /// Takes the strip of an input that has ended.
-    pub(super) fn strip(&self, stem: &str) -> Option<Strip> {
+    pub(super) fn strip(&self, stem: &str) -> Option<CollectedStrip> {
         let strip = self.strips().remove(stem)?;
         Some(strip.take(stem))
     }
@@ -125,7 +125,7 @@ impl SurveyFiles {
     ///
     /// # Errors
     /// If a file cannot be written.
-    pub(super) fn write_strip(&self, strip: &Strip) -> Result<Vec<PathBuf>> {
+    pub(super) fn write_strip(&self, strip: &CollectedStrip) -> Result<Vec<PathBuf>> {
         let [cells, density] = self.of_input(&strip.facts.stem);
         let mut written = vec![write_cells(strip, OutputFile::create(&cells)?)?];
         written.extend(write_density(strip, &density)?);

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::plot::extent;
 use wavex_geodesy::ellipsoid::WGS84;
 use wavex_geodesy::trajectory::{Sample, Trajectory};
 use wavex_line::stage::packed;
@@ -61,7 +62,7 @@ impl Flight {
         let until = all.partition_point(|sample| sample.time_s <= last_s);
         let records = all.get(from..until).filter(|records| records.len() > 1)?;
         let speeds_mps: Vec<f64> = (0..records.len()).map(|record| speed_mps(records, record)).collect();
-        let range = |of: &dyn Fn(&Sample) -> f64| span(records.iter().map(of));
+        let range = |of: &dyn Fn(&Sample) -> f64| extent(records.iter().map(of));
         let gaps =
             trajectory.gaps().iter().filter(|gap| gap.between_s[1] > first_s && gap.between_s[0] < last_s);
         let shown = || (0..records.len()).step_by(records.len().div_ceil(MOST_RECORDS));
@@ -74,7 +75,7 @@ impl Flight {
             longest_gap_s: gaps.map(|gap| gap.length_s()).fold(0.0, f64::max),
             roll_range_deg: range(&roll),
             pitch_range_deg: range(&pitch),
-            speed_range_mps: span(speeds_mps.iter().copied()),
+            speed_range_mps: extent(speeds_mps.iter().copied()),
             height_range_m: range(&|sample| sample.place.height_m),
             times_s: list(&|sample| sample.time_s - first_s),
             roll_deg: list(&roll),
@@ -84,11 +85,6 @@ impl Flight {
             height_m: list(&|sample| sample.place.height_m),
         })
     }
-}
-
-/// Smallest and largest value.
-fn span(values: impl Iterator<Item = f64>) -> [f64; 2] {
-    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
 }
 
 /// Half the time over which a speed is averaged, s: positions are rounded.

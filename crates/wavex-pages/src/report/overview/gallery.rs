@@ -99,7 +99,7 @@ impl Merit {
 
 /// A shot that improves on the current one of its kind.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Candidate {
+pub(super) struct ShotCandidate {
     kind: ShownKind,
     merit: Merit,
     /// Index of its emission in the line.
@@ -113,9 +113,9 @@ const CLEAR: f64 = 20.0;
 
 impl Gallery {
     /// The best shots of a line, for each kind that they improve.
-    pub(super) fn candidates(&self, of: &DecomposedLine) -> Vec<Candidate> {
+    pub(super) fn candidates(&self, of: &DecomposedLine) -> Vec<ShotCandidate> {
         let DecomposedLine { line, emissions, returns } = *of;
-        let mut best: BTreeMap<ShownKind, Candidate> = BTreeMap::new();
+        let mut best: BTreeMap<ShownKind, ShotCandidate> = BTreeMap::new();
         for of_shot in returns.chunk_by(|a, b| a.emission == b.emission) {
             let Some(emission) = of_shot.first().map(|found| found.emission) else { continue };
             let Some(shot) = emissions.get(emission as usize).map(|emission| emission.shot) else { continue };
@@ -128,7 +128,7 @@ impl Gallery {
                 let rival = best.get(&kind).map(|best| best.merit);
                 let rival = rival.or(self.shown.get(&kind).map(|(merit, _)| *merit));
                 if rival.is_none_or(|rival| merit.exceeds(&rival)) {
-                    best.insert(kind, Candidate { kind, merit, emission, deviation_ratio });
+                    best.insert(kind, ShotCandidate { kind, merit, emission, deviation_ratio });
                 }
             }
         }
@@ -136,8 +136,8 @@ impl Gallery {
     }
 
     /// Replaces the current shot of the kind, if this one is still better.
-    pub(super) fn show(&mut self, candidate: &Candidate, fitted: FittedShot) {
-        let Candidate { kind, merit, deviation_ratio, .. } = *candidate;
+    pub(super) fn show(&mut self, candidate: &ShotCandidate, fitted: FittedShot) {
+        let ShotCandidate { kind, merit, deviation_ratio, .. } = *candidate;
         if self.shown.get(&kind).is_some_and(|(kept, _)| !merit.exceeds(kept)) {
             return;
         }

@@ -46,14 +46,14 @@ const OCTAVES: [i64; 2] = [-20, 20];
 /// A histogram being filled.
 #[derive(Clone, Debug)]
 pub(in crate::report) struct Bins {
-    scale: Scale,
+    scale: BinScale,
     counts: Vec<u64>,
     below: u64,
     above: u64,
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Scale {
+enum BinScale {
     Linear { first_edge: f64, width: f64 },
     Logarithmic,
 }
@@ -61,13 +61,13 @@ enum Scale {
 impl Bins {
     /// Creates `bins` bins of equal width.
     pub(in crate::report) fn linear(first_edge: f64, width: f64, bins: usize) -> Bins {
-        Bins { scale: Scale::Linear { first_edge, width }, counts: vec![0; bins], below: 0, above: 0 }
+        Bins { scale: BinScale::Linear { first_edge, width }, counts: vec![0; bins], below: 0, above: 0 }
     }
 
     /// Creates [`PER_OCTAVE`] bins per factor of two.
     pub(in crate::report) fn logarithmic() -> Bins {
         let bins = (OCTAVES[1] - OCTAVES[0]) as usize * PER_OCTAVE;
-        Bins { scale: Scale::Logarithmic, counts: vec![0; bins], below: 0, above: 0 }
+        Bins { scale: BinScale::Logarithmic, counts: vec![0; bins], below: 0, above: 0 }
     }
 
     /// Counts a value; NaN is ignored.
@@ -77,8 +77,8 @@ impl Bins {
         }
         let bin = match self.scale {
             // The cast saturates.
-            Scale::Linear { first_edge, width } => ((value - first_edge) / width).floor() as i64,
-            Scale::Logarithmic => logarithmic_bin(value),
+            BinScale::Linear { first_edge, width } => ((value - first_edge) / width).floor() as i64,
+            BinScale::Logarithmic => logarithmic_bin(value),
         };
         match usize::try_from(bin) {
             Err(_) => self.below += 1,
@@ -98,8 +98,8 @@ impl Bins {
             }
         };
         let (first_edge, bin) = match self.scale {
-            Scale::Linear { first_edge, width } => (first_edge + first as f64 * width, width),
-            Scale::Logarithmic => {
+            BinScale::Linear { first_edge, width } => (first_edge + first as f64 * width, width),
+            BinScale::Logarithmic => {
                 let octaves = OCTAVES[0] as f64 + first as f64 / PER_OCTAVE as f64;
                 (libm::exp2(octaves), EDGES[0])
             }
@@ -107,7 +107,7 @@ impl Bins {
         Some(QuantityHistogram {
             quantity: quantity.to_owned(),
             unit: unit.to_owned(),
-            logarithmic: matches!(self.scale, Scale::Logarithmic),
+            logarithmic: matches!(self.scale, BinScale::Logarithmic),
             first_edge,
             bin,
             counts,

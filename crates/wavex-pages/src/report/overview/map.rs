@@ -3,14 +3,14 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::picture::{HEIGHTS, INTENSITIES, Picture, css};
 use super::view::MapAxes;
-use grid::{Cell, STEPS};
+use crate::plot::{HEIGHTS, INTENSITIES, Picture};
+use grid::{MapCell, STEPS};
 use wavex_line::stage::packed;
 
 mod grid;
 
-pub(super) use grid::Grid;
+pub(super) use grid::MapGrid;
 
 /// Points in cells of a grid; rows from north to south, columns from west to east.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
@@ -85,10 +85,10 @@ pub struct Density {
 }
 
 impl Densities {
-    fn of(cells: &[Cell], columns: usize, cell_m2: f64) -> Densities {
-        let with_points: Vec<&Cell> = cells.iter().filter(|cell| cell.points > 0).collect();
+    fn of(cells: &[MapCell], columns: usize, cell_m2: f64) -> Densities {
+        let with_points: Vec<&MapCell> = cells.iter().filter(|cell| cell.points > 0).collect();
         let area_m2 = with_points.len() as f64 * cell_m2;
-        let density = |count: fn(&Cell) -> u64| {
+        let density = |count: fn(&MapCell) -> u64| {
             let mut counts: Vec<u64> = with_points.iter().map(|cell| count(cell)).collect();
             counts.sort_unstable();
             let at = |part: f64| counts.get((part * counts.len().saturating_sub(1) as f64).round() as usize);
@@ -125,18 +125,6 @@ pub struct MapLine {
     pub places: Vec<f64>,
 }
 
-impl MapPicture {
-    /// Colours of heights from low to high, equally spaced, in CSS notation.
-    pub fn height_colours() -> Vec<String> {
-        css(&HEIGHTS)
-    }
-
-    /// Colours of intensities from weak to strong.
-    pub fn intensity_colours() -> Vec<String> {
-        css(&INTENSITIES)
-    }
-}
-
 /// Minimum number of cells with points per gap; a map with more gaps is coarsened.
 const ENOUGH_FULL: u64 = 10;
 /// Maps of at most this many cells in both directions are not coarsened.
@@ -144,7 +132,7 @@ const FEW_CELLS: i64 = 24;
 /// Maximum fraction of the points outside each side of the map.
 const OUTSIDE: f64 = 0.0005;
 
-impl Grid {
+impl MapGrid {
     /// Returns the map; `None` without points.
     pub(super) fn finish(mut self) -> Option<MapPicture> {
         let mut bulk = self.bulk(self.span?);
@@ -155,10 +143,10 @@ impl Grid {
         let [x, y] = bulk;
         let view = self.view.as_ref()?;
         let rows = (y[0]..=y[1]).rev();
-        let cells: Vec<Cell> =
+        let cells: Vec<MapCell> =
             rows.flat_map(|y| (x[0]..=x[1]).map(move |x| [x, y])).map(|at| self.cell(at)).collect();
-        let mean = |steps: fn(&Cell) -> i64| -> Vec<Option<f64>> {
-            let mean = |cell: &Cell| steps(cell) as f64 / STEPS / cell.points as f64;
+        let mean = |steps: fn(&MapCell) -> i64| -> Vec<Option<f64>> {
+            let mean = |cell: &MapCell| steps(cell) as f64 / STEPS / cell.points as f64;
             cells.iter().map(|cell| (cell.points > 0).then(|| mean(cell))).collect()
         };
         let columns = x[1] - x[0] + 1;
@@ -270,8 +258,8 @@ mod tests {
     use super::*;
     use wavex_line::scan_line::{InputInfo, Return};
 
-    fn grid(points: &[[f64; 3]]) -> Grid {
-        let mut grid = Grid::default();
+    fn grid(points: &[[f64; 3]]) -> MapGrid {
+        let mut grid = MapGrid::default();
         for (line, point) in (0..).zip(points) {
             grid.add_line(
                 line,
@@ -345,7 +333,7 @@ mod tests {
     fn densities_are_per_square_metre() {
         let of = |wkt: &str| {
             let input = InputInfo { crs_wkt: Some(wkt.to_owned()), ..InputInfo::default() };
-            let mut grid = Grid::default();
+            let mut grid = MapGrid::default();
             let numbers = [1, 2, 1];
             let returns = numbers.map(|return_number| Return { return_number, ..Return::default() });
             grid.add_line(0, &input, &returns, &[[0.5, 0.5, 0.0], [0.5, 0.5, 1.0], [1.5, 0.5, 0.0]]);
@@ -368,7 +356,7 @@ mod tests {
     /// The cell size is 4.
     #[test]
     fn some_lines_are_kept_with_both_ends() {
-        let mut grid = Grid::default();
+        let mut grid = MapGrid::default();
         for line in 0..1000 {
             let points: Vec<[f64; 3]> = (0..21).map(|i| [f64::from(i), f64::from(line), 0.0]).collect();
             grid.add_line(line, &InputInfo::default(), &[Return::default(); 21], &points);

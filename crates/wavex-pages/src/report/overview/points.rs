@@ -33,14 +33,14 @@ pub struct PointSummary {
     pub scan_angles: Option<QuantityHistogram>,
 }
 
-/// Highest number of returns of a shot that is counted separately: that of LAS 1.4.
+/// Highest number of returns of a shot that is counted separately: the limit of LAS 1.4.
 const MOST_RETURNS: usize = 15;
 /// Largest valid coordinate, m or degrees.
 const FARTHEST: f64 = 1e8;
 
 /// Counts collected while lines leave the chain.
 #[derive(Clone, Debug)]
-pub(super) struct Counted {
+pub(super) struct PointCounts {
     crs: Option<String>,
     bounds: Option<[[f64; 2]; 3]>,
     by_class: BTreeMap<u8, u64>,
@@ -50,9 +50,9 @@ pub(super) struct Counted {
     scan_angles: Bins,
 }
 
-impl Default for Counted {
-    fn default() -> Counted {
-        Counted {
+impl Default for PointCounts {
+    fn default() -> PointCounts {
+        PointCounts {
             crs: None,
             bounds: None,
             by_class: BTreeMap::new(),
@@ -64,7 +64,7 @@ impl Default for Counted {
     }
 }
 
-impl Counted {
+impl PointCounts {
     pub(super) fn add(&mut self, scan_line: &ScanLine) {
         for emission in &scan_line.emissions {
             self.scan_angles.add(f64::from(emission.scan_angle_deg));
@@ -148,7 +148,7 @@ mod tests {
         };
         let returns = vec![of(0, 1, 0, false), of(0, 2, 0, false), of(2, 1, 7, true), of(3, 1, 0, false)];
         let points = vec![[5.0, -0.0, 2.0], [4.0, 3.0, 9.0], [99.0; 3], [f64::NAN, 0.0, 0.0]];
-        let mut counted = Counted::default();
+        let mut counted = PointCounts::default();
         counted.add(&line(returns, points));
         let found = counted.finish().unwrap();
         assert_eq!(found.crs.as_deref(), Some("WGS 84 / UTM zone 33N"));
@@ -165,11 +165,11 @@ mod tests {
     #[test]
     fn more_returns_than_las_has_are_counted_as_its_most() {
         let returns = (0..20u8).map(|i| Return { return_number: i + 1, ..Return::default() }).collect();
-        let mut counted = Counted::default();
+        let mut counted = PointCounts::default();
         counted.add(&line(returns, Vec::new()));
         let found = counted.finish().unwrap();
         assert_eq!((found.shots_by_returns.len(), found.by_return_number.last()), (16, Some(&6)));
         assert_eq!(found.bounds, None);
-        assert!(Counted::default().finish().is_none());
+        assert!(PointCounts::default().finish().is_none());
     }
 }

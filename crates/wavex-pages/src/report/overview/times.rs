@@ -33,14 +33,14 @@ pub struct TimeCoverage {
 const MOST_BINS: usize = 512;
 /// Binary logarithm of the smallest bin, s.
 const SMALLEST_BIN: i32 = -10;
-/// Seconds from the Unix epoch to that of GPS.
+/// Seconds from the Unix epoch to the GPS epoch.
 const GPS_EPOCH_S: f64 = 315_964_800.0;
 /// Latest valid time, s.
 const LATEST_S: f64 = 1e11;
 
 /// Shots by time; bins double their width whenever there are too many.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Counted {
+pub(super) struct TimeCounts {
     input: Option<std::sync::Arc<InputInfo>>,
     span_s: Option<[f64; 2]>,
     /// Doublings of the smallest width.
@@ -48,7 +48,7 @@ pub(super) struct Counted {
     bins: BTreeMap<i64, u64>,
 }
 
-impl Counted {
+impl TimeCounts {
     pub(super) fn add(&mut self, scan_line: &ScanLine) {
         self.input.get_or_insert_with(|| scan_line.input.clone());
         scan_line.emissions.iter().for_each(|emission| self.count(emission.gps_time_s));
@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     fn of(times_s: impl Iterator<Item = f64>) -> Option<TimeCoverage> {
-        let mut counted = Counted::default();
+        let mut counted = TimeCounts::default();
         times_s.for_each(|time_s| counted.count(time_s));
         counted.finish()
     }

@@ -25,7 +25,7 @@ pub enum MapAxes {
 
 /// Conversion of coordinates to map positions.
 #[derive(Clone, Debug)]
-pub(crate) enum View {
+pub(crate) enum MapProjection {
     Map { axes: MapAxes, unit: &'static str },
     Plane { origin: [f64; 3], axes: [[f64; 3]; 3] },
 }
@@ -36,17 +36,17 @@ const EARTH_M: [f64; 2] = [6.33e6, 6.39e6];
 const MAP_HEIGHT_M: f64 = 1e5;
 /// Length of a degree on the sphere, m: areas are accurate to 1 %.
 const DEGREE_M: f64 = 111_195.0;
-/// Length of a foot, m; that of the US survey differs by 2e-6.
+/// Length of a foot, m; the US survey foot differs by 2e-6.
 const FOOT_M: f64 = 0.3048;
 /// Spacing of the possible tangent points, m, so that all points of a place share one.
 const PLANES_M: f64 = 20_000.0;
 
-impl View {
+impl MapProjection {
     /// The view for a recording with this point.
-    pub(crate) fn of(input: &InputInfo, point: [f64; 3]) -> View {
+    pub(crate) fn of(input: &InputInfo, point: [f64; 3]) -> MapProjection {
         let length = dot(point, point).sqrt();
         if point[2].abs() > MAP_HEIGHT_M && EARTH_M[0] < length && length < EARTH_M[1] {
-            return View::plane(point.map(|coordinate| (coordinate / PLANES_M).round() * PLANES_M));
+            return MapProjection::plane(point.map(|coordinate| (coordinate / PLANES_M).round() * PLANES_M));
         }
         let wkt = input.crs_wkt.as_deref().unwrap_or_default();
         // Heights may have another unit.
@@ -54,13 +54,13 @@ impl View {
         let has = |words: [&str; 2]| words.iter().any(|word| horizontal.contains(word));
         let degrees = has(["GEOGCS", "GEOGCRS"]) && !has(["PROJCS", "PROJCRS"]);
         match degrees {
-            true => View::Map { axes: MapAxes::Degrees, unit: "°" },
-            false if has(["foot", "Foot"]) => View::Map { axes: MapAxes::Coordinates, unit: "ft" },
-            false => View::Map { axes: MapAxes::Coordinates, unit: "m" },
+            true => MapProjection::Map { axes: MapAxes::Degrees, unit: "°" },
+            false if has(["foot", "Foot"]) => MapProjection::Map { axes: MapAxes::Coordinates, unit: "ft" },
+            false => MapProjection::Map { axes: MapAxes::Coordinates, unit: "m" },
         }
     }
 
-    fn plane(origin: [f64; 3]) -> View {
+    fn plane(origin: [f64; 3]) -> MapProjection {
         let up = unit(origin);
         let east = unit([-up[1], up[0], 0.0]);
         let north = [
@@ -68,14 +68,14 @@ impl View {
             up[2] * east[0] - up[0] * east[2],
             up[0] * east[1] - up[1] * east[0],
         ];
-        View::Plane { origin, axes: [east, north, up] }
+        MapProjection::Plane { origin, axes: [east, north, up] }
     }
 
     /// Map position of a point: east, north, height.
     pub(crate) fn place(&self, point: [f64; 3]) -> [f64; 3] {
         match self {
-            View::Map { .. } => point,
-            View::Plane { origin, axes } => {
+            MapProjection::Map { .. } => point,
+            MapProjection::Plane { origin, axes } => {
                 let from_origin = std::array::from_fn(|i| point[i] - origin[i]);
                 axes.map(|axis| dot(axis, from_origin))
             }
@@ -84,16 +84,16 @@ impl View {
 
     pub(crate) fn axes(&self) -> MapAxes {
         match self {
-            View::Map { axes, .. } => *axes,
-            View::Plane { .. } => MapAxes::Plane,
+            MapProjection::Map { axes, .. } => *axes,
+            MapProjection::Plane { .. } => MapAxes::Plane,
         }
     }
 
     /// Unit of the east and north coordinates.
     pub(crate) fn unit(&self) -> &'static str {
         match self {
-            View::Map { unit, .. } => unit,
-            View::Plane { .. } => "m",
+            MapProjection::Map { unit, .. } => unit,
+            MapProjection::Plane { .. } => "m",
         }
     }
 
@@ -126,8 +126,8 @@ fn unit(vector: [f64; 3]) -> [f64; 3] {
 mod tests {
     use super::*;
 
-    fn of(wkt: &str, point: [f64; 3]) -> View {
-        View::of(&InputInfo { crs_wkt: Some(wkt.to_owned()), ..InputInfo::default() }, point)
+    fn of(wkt: &str, point: [f64; 3]) -> MapProjection {
+        MapProjection::of(&InputInfo { crs_wkt: Some(wkt.to_owned()), ..InputInfo::default() }, point)
     }
 
     #[test]

@@ -51,13 +51,13 @@ pub(in crate::report) struct PileUp {
 
 /// Collects [`WeakReturns`] line by line.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Counted {
+pub(super) struct WeakReturnCounts {
     strong_shots: u64,
     pulse_fwhm_ns: Option<f64>,
     counts: Vec<u64>,
 }
 
-impl Counted {
+impl WeakReturnCounts {
     pub(super) fn add(&mut self, line: &ScanLine, returns: &[Return]) {
         let model =
             line.model.as_deref().and_then(|model| model.low_power.as_ref().or(model.high_power.as_ref()));
@@ -93,7 +93,7 @@ impl Counted {
 
     /// The counts; `None` without strong returns.
     pub(super) fn finish(self) -> Option<WeakReturns> {
-        let Counted { strong_shots, pulse_fwhm_ns, counts } = self;
+        let WeakReturnCounts { strong_shots, pulse_fwhm_ns, counts } = self;
         let is_known = strong_shots > 0;
         pulse_fwhm_ns.filter(|_| is_known).map(|pulse_fwhm_ns| WeakReturns {
             strong_shots,
@@ -138,7 +138,7 @@ mod tests {
 
     /// Shots with a return of 200 DN and weak ones at these lags, widths, and relative amplitudes.
     fn counted(shots: usize, weak: impl Fn(usize) -> Option<(f64, f64)>) -> WeakReturns {
-        let mut counted = Counted { counts: vec![0; LAGS * OCTAVES], ..Counted::default() };
+        let mut counted = WeakReturnCounts { counts: vec![0; LAGS * OCTAVES], ..WeakReturnCounts::default() };
         counted.pulse_fwhm_ns = Some(5.0);
         let of = |lag: f64, amplitude_dn: f64| Return {
             time_of_flight_ns: 1000.0 + 5.0 * lag,

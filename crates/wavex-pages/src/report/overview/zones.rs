@@ -60,17 +60,17 @@ const LEAST_RETURNS: usize = 20;
 
 /// Counts collected while lines leave the chain.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Counted {
+pub(super) struct ZoneCounts {
     /// Number of returns, and of uncertain ones, by zone.
     shares: BTreeMap<i16, [u64; 2]>,
     /// The line with the most returns so far, the first of equals: its number of returns, and its
     /// last returns.
-    best: Option<(usize, Window)>,
+    best: Option<(usize, LineSection)>,
 }
 
 /// The middle section of a line.
 #[derive(Clone, Debug)]
-struct Window {
+struct LineSection {
     line: u32,
     /// Shot number and emission time, ns after the first shot.
     shots: Vec<(u64, f64)>,
@@ -79,18 +79,18 @@ struct Window {
     m_per_ns: f64,
 }
 
-impl Counted {
+impl ZoneCounts {
     pub(super) fn add(&mut self, scan_line: &ScanLine, returns: &[Return]) {
         for found in returns {
             let share = self.shares.entry(found.mta_zone).or_default();
             share[0] += 1;
             share[1] += u64::from(found.flags & ZONE_UNCERTAIN != 0);
         }
-        let is_better = |(most, window): &(usize, Window)| {
+        let is_better = |(most, window): &(usize, LineSection)| {
             returns.len() > *most || (returns.len() == *most && scan_line.line < window.line)
         };
         if self.best.as_ref().is_none_or(is_better) && returns.iter().any(|found| found.mta_zone > 0) {
-            self.best = Some((returns.len(), Window::of(scan_line, returns)));
+            self.best = Some((returns.len(), LineSection::of(scan_line, returns)));
         }
     }
 
@@ -109,8 +109,8 @@ impl Counted {
     }
 }
 
-impl Window {
-    fn of(scan_line: &ScanLine, returns: &[Return]) -> Window {
+impl LineSection {
+    fn of(scan_line: &ScanLine, returns: &[Return]) -> LineSection {
         let emissions = &scan_line.emissions;
         let from = emissions.len().saturating_sub(SHOTS) / 2;
         let until = (from + SHOTS).min(emissions.len());
@@ -126,7 +126,7 @@ impl Window {
             let shot = found.emission as usize;
             (from..until).contains(&shot).then(|| (shot - from, found.mta_zone, found.range_m))
         });
-        Window {
+        LineSection {
             line: scan_line.line,
             shots: emissions[from..until].iter().map(left).collect(),
             returns: within.collect(),

@@ -3,11 +3,11 @@
 use maud::{Markup, html};
 use serde_json::Value;
 
-use super::part::{Part, figure, maps, section, table};
 use super::{results, words};
-use crate::report::numbers::{label, short};
+use crate::numbers::{label, short};
+use crate::page::{PagePart, figure, maps, section, table};
 use crate::report::overview::{MapAxes, MapPicture, Overview, PointSummary};
-use crate::report::verdict;
+use crate::verdict;
 
 /// Median of a quantity of the returns; `None` if unknown.
 pub(super) fn median(overview: &Overview, quantity: &str) -> Option<f64> {
@@ -24,7 +24,7 @@ fn percent(part: u64, of: u64) -> String {
 }
 
 /// Extent, dates, classes and return numbers.
-pub(super) fn extent(overview: &Overview, input: &Value) -> Part {
+pub(super) fn extent(overview: &Overview, input: &Value) -> PagePart {
     let points = overview.points.clone().unwrap_or_default();
     let body = html! {
         div.sections {
@@ -41,7 +41,7 @@ pub(super) fn extent(overview: &Overview, input: &Value) -> Part {
         verdict::WITHOUT_RETURN.share(total("nw_empty"), total("nw")),
     ];
     let is_known = overview.points.is_some() || overview.times.is_some();
-    Part::new("Extent and content", if is_known { body } else { Markup::default() }).judged(checks)
+    PagePart::new("Extent and content", if is_known { body } else { Markup::default() }).judged(checks)
 }
 
 fn extent_rows(
@@ -136,8 +136,8 @@ fn by_class(points: &PointSummary) -> Markup {
 }
 
 /// Map views and densities.
-pub(super) fn from_above(overview: &Overview, report: &Value, input: &Value, number: usize) -> Part {
-    let Some(map) = &overview.map else { return Part::new("Density and maps", Markup::default()) };
+pub(super) fn from_above(overview: &Overview, report: &Value, input: &Value, number: usize) -> PagePart {
+    let Some(map) = &overview.map else { return PagePart::new("Density and maps", Markup::default()) };
     let view = results::MapView::new(map, input["frame"].as_str());
     let mut figures = vec![
         figure("Points by height", view.heights(&format!("heights-{number}")), ""),
@@ -160,7 +160,7 @@ pub(super) fn from_above(overview: &Overview, report: &Value, input: &Value, num
     let rule = target.map_or(verdict::PULSE_DENSITY, verdict::target_density);
     let pulses = map.densities.as_ref().map(|densities| &densities.pulses);
     let check = rule.check(pulses.map(|of| of.mean_per_m2), pulses.map_or(0, |of| of.count));
-    Part::new("Density and maps", body).judged(vec![check])
+    PagePart::new("Density and maps", body).judged(vec![check])
 }
 
 fn densities(map: &MapPicture) -> Markup {

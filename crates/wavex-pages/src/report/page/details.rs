@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use serde_json::Value;
 
 use super::{CHANNELS, list, name, plain, section, table, words};
-use crate::report::numbers::{label, short, with_unit};
+use crate::numbers::{label, short, with_unit};
 
 /// Lists the keys of the job and of its stages.
 pub(super) fn all_keys(report: &Value) -> Markup {
@@ -79,7 +79,7 @@ fn row(key: &str, value: &Value) -> (String, String) {
     (name, with_unit(&text, unit))
 }
 
-/// Formats a number: whole ones and those from 1000 on in full, others with three significant digits.
+/// Formats a number: whole numbers and numbers from 1000 on in full, others with three significant digits.
 fn number(value: &Value) -> String {
     match value.as_f64() {
         Some(number) if number.fract() == 0.0 => label(number, 0),

@@ -4,10 +4,9 @@ use maud::{Markup, html};
 use serde_json::Value;
 
 use super::details::of_channels;
-use super::plot::{Plot, ticks};
 use super::{figure, figures, list, of_sensor, plain, table};
-use crate::report::numbers::short;
-use crate::report::svg::Svg;
+use crate::numbers::short;
+use crate::plot::{Plot, Svg, extent};
 
 /// A measured quantity: path in the entry of an input, title, unit.
 const QUANTITIES: [(&str, &str, &str); 12] = [
@@ -77,7 +76,7 @@ pub(in crate::report) fn of_survey(survey: &Value) -> Markup {
             (of_sensor(&instrument["sensor_model"]).body)
             div.sections { (of_channels(&instrument["sensor_model"])) }
         }
-        @if !drawn.is_empty() { h2.group { "Drift of the sensor" } (figures("", &drawn)) }
+        @if !drawn.is_empty() { h2.group { "Drift of the sensor" } (figures(&drawn)) }
         (table("Sensor model by input (low-power receiver)", &heads, rows))
     }
 }
@@ -96,18 +95,15 @@ fn along(inputs: &[Value], path: &str, title: &str, unit: &str) -> Option<String
     if found.len() < 2 {
         return None;
     }
-    let ends = found.iter().fold([f64::MAX, f64::MIN], |[low, high], (_, value, sd, _)| {
-        [low.min(value - 2.0 * sd), high.max(value + 2.0 * sd)]
-    });
+    let ends = extent(found.iter().flat_map(|(_, value, sd, _)| [value - 2.0 * sd, value + 2.0 * sd]));
     let margin = (0.05 * (ends[1] - ends[0])).max(1e-3 * ends[1].abs()).max(1e-9);
     let plot = Plot::new([0.5, inputs.len() as f64 + 0.5], [ends[0] - margin, ends[1] + margin]);
     let mut svg = Svg::new();
-    plot.grid_y(&mut svg, ticks(&plot.y, 5.0));
+    plot.grid_y(&mut svg, plot.ticks_y(5.0));
     let every = inputs.len().div_ceil(12);
-    plot.grid_x(&mut svg, (1..=inputs.len()).step_by(every).map(|n| (n as f64, n.to_string())).collect());
+    plot.grid_x(&mut svg, (1..=inputs.len()).step_by(every).map(|n| (n as f64, n.to_string())));
     for (number, value, sd, has_own) in found {
-        let [low, high] = [-2.0, 2.0].map(|times| plot.at([number, value + times * sd]));
-        svg.line("span", low, high);
+        plot.error_bar(&mut svg, [number, value], sd);
         svg.circle(if has_own { "high dot" } else { "dot" }, plot.at([number, value]), 3.0);
     }
     let axis = if unit.is_empty() { title.to_owned() } else { unit.to_owned() };

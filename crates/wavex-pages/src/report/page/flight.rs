@@ -4,16 +4,15 @@ use std::collections::BTreeMap;
 
 use maud::Markup;
 
-use super::part::{Part, figure, figures};
-use super::plot::{Plot, ticks};
 use super::results;
-use crate::report::numbers::{label, short};
+use crate::numbers::{label, short};
+use crate::page::{PagePart, figure, figures};
+use crate::plot::{Legend, Mark, Plot, extent};
 use crate::report::overview::{Flight, Overview, TimeCoverage};
-use crate::report::svg::{Anchor, Svg};
-use crate::report::verdict;
+use crate::verdict;
 
 /// Waveforms along the flight, shots over time, scan angles, attitude, speed and height.
-pub(super) fn part(overview: &Overview) -> Part {
+pub(super) fn part(overview: &Overview) -> PagePart {
     let mut drawn: Vec<Markup> = Vec::new();
     let words = match overview.lines.lines_per_group {
         0 | 1 => String::new(),
@@ -43,7 +42,7 @@ pub(super) fn part(overview: &Overview) -> Part {
         let roll_deg = flight.roll_range_deg.map(f64::abs);
         checks.push(verdict::ROLL.check(Some(roll_deg[0].max(roll_deg[1])), flight.records));
     }
-    Part::new("Times and flight", figures("", &drawn)).judged(checks)
+    PagePart::new("Times and flight", figures(&drawn)).judged(checks)
 }
 
 /// Maximum number of bars of the shots over time.
@@ -62,8 +61,7 @@ fn shots_over_time(times: &TimeCoverage) -> String {
     let highest = bars.values().map(|shots| rate(*shots)).fold(1.0, f64::max);
     let from = (times.span_s[0] / times.bin_s).floor() * times.bin_s - times.span_s[0];
     let plot = Plot::new([from, from + last as f64 * times.bin_s], [0.0, 1.06 * highest]);
-    let mut svg = Svg::new();
-    plot.grid(&mut svg);
+    let mut svg = plot.with_grid([6.0, 5.0]);
     for (bar, shots) in bars {
         let left = from + bar as f64 * bar_s;
         let [[x0, y0], [x1, y1]] = [plot.at([left, rate(shots)]), plot.at([left + bar_s, 0.0])];
@@ -97,21 +95,20 @@ fn of_trajectory(flight: &Flight) -> [Markup; 3] {
 
 /// Draws quantities over time: class, name and values of each.
 fn curves(times_s: &[f64], curves: &[(&str, &str, &Vec<f64>)], axis: &str) -> String {
-    let values = || curves.iter().flat_map(|(_, _, values)| values.iter().copied());
-    let [low, high] = [values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max)];
+    let [low, high] = extent(curves.iter().flat_map(|(_, _, values)| values.iter().copied()));
     let room = (0.08 * (high - low)).max(1e-3 * high.abs()).max(0.05);
     // Room for the legend above the curves.
     let above = if curves.len() > 1 { 4.0 * room } else { room };
     let plot = Plot::new([0.0, times_s.last().copied().unwrap_or(0.0).max(1e-3)], [low - room, high + above]);
-    let mut svg = Svg::new();
-    plot.grid_y(&mut svg, ticks(&plot.y, 5.0));
-    plot.grid_x(&mut svg, ticks(&plot.x, 6.0));
+    let mut svg = plot.with_grid([6.0, 5.0]);
     for (i, (class, name, values)) in curves.iter().enumerate() {
-        svg.curve(class, times_s.iter().zip(values.iter()).map(|(time_s, value)| plot.at([*time_s, *value])));
+        plot.curve(
+            &mut svg,
+            class,
+            times_s.iter().zip(values.iter()).map(|(time_s, value)| [*time_s, *value]),
+        );
         if !name.is_empty() {
-            let x = 110.0 + 110.0 * i as f64;
-            svg.curve(class, [[x, 28.0], [x + 22.0, 28.0]].into_iter());
-            svg.text("", [x + 28.0, 32.0], Anchor::Start, name);
+            Legend::CURVES.entry(&mut svg, Mark::Curve(class), [110.0 + 110.0 * i as f64, 28.0], name);
         }
     }
     plot.finish(svg, axis, "time since the first shot, s", axis)

@@ -1,12 +1,13 @@
 //! Figures of a run's results: counts along the flight, histograms, map views.
 
-use super::map_frame::MapFrame;
-use super::plot::{Plot, WIDTH, decades, ticks};
-use crate::report::numbers::{label, short, with_unit};
-use crate::report::overview::{
-    Density, LineGroups, MapAxes, MapLine, MapPicture, Picture, QuantityHistogram, ZoneCloud, ZoneClouds,
+use crate::numbers::{label, short, with_unit};
+use crate::plot::{
+    Anchor, AxisScale, HEIGHTS, INTENSITIES, Legend, MapFrame, Mark, Picture, Plot, PlotStyle, Ramp, Svg,
+    WIDTH, decades, extent,
 };
-use crate::report::svg::{Anchor, Scale, Svg};
+use crate::report::overview::{
+    Density, LineGroups, MapAxes, MapLine, MapPicture, QuantityHistogram, ZoneCloud, ZoneClouds,
+};
 
 /// Draws waveforms, returns and points per scan line; `None` without lines.
 pub(super) fn along(groups: &LineGroups) -> Option<String> {
@@ -27,18 +28,15 @@ pub(super) fn along(groups: &LineGroups) -> Option<String> {
     let until = groups.lines.len() as f64 * width;
     // Room for the legend above the curves, also with the large text of narrow screens.
     let plot = Plot::new([0.0, until], [0.0, 1.2 * highest]);
-    let mut svg = Svg::new();
-    plot.grid(&mut svg);
+    let mut svg = plot.with_grid([6.0, 5.0]);
     let shown = curves.iter().take(if with_points { 3 } else { 2 });
     for (i, (class, name, values)) in shown.enumerate() {
         let steps = values.iter().enumerate().flat_map(|(group, value)| {
             let left = group as f64 * width;
             [[left, *value], [left + width, *value]]
         });
-        svg.curve(class, steps.map(|corner| plot.at(corner)));
-        let x = 104.0 + 140.0 * i as f64;
-        svg.curve(class, [[x, 26.0], [x + 22.0, 26.0]].into_iter());
-        svg.text("", [x + 28.0, 30.0], Anchor::Start, name);
+        plot.curve(&mut svg, class, steps);
+        Legend::CURVES.entry(&mut svg, Mark::Curve(class), [104.0 + 140.0 * i as f64, 26.0], name);
     }
     let title = "Waveforms, returns and points per scan line";
     (!groups.lines.is_empty()).then(|| plot.finish(svg, title, "scan line", "per line"))
@@ -49,7 +47,7 @@ const TAIL: f64 = 0.0005;
 
 /// Draws a histogram with its statistics as text; `None` if all values are outside its bins.
 ///
-/// `items`: what is counted.
+/// `items`: name of the counted items.
 pub(super) fn histogram(histogram: &QuantityHistogram, items: &str) -> Option<(String, String)> {
     let on_axis = |value: f64| if histogram.logarithmic { value.log10() } else { value };
     let ends = [TAIL, 1.0 - TAIL].map(|part| histogram.quantile(part));
@@ -64,18 +62,11 @@ pub(super) fn histogram(histogram: &QuantityHistogram, items: &str) -> Option<(S
     let room = (0.15 - 0.5 * (x[1] - x[0])).max(0.0);
     let plot = Plot::new([x[0] - room, x[1] + room], [0.0, 1.06 * highest as f64]);
     let mut svg = Svg::new();
-    plot.grid_y(&mut svg, ticks(&plot.y, 4.0));
-    let values = if histogram.logarithmic { decades(plot.x.from) } else { ticks(&plot.x, 6.0) };
-    plot.grid_x(&mut svg, values);
-    let steps = shown
-        .iter()
-        .flat_map(|([low, high], count)| [[on_axis(*low), *count as f64], [on_axis(*high), *count as f64]]);
-    let corners = [[x[0], 0.0]].into_iter().chain(steps).chain([[x[1], 0.0]]);
-    svg.area("bars", corners.map(|corner| plot.at(corner)));
-    let median = histogram.quantile(0.5);
-    if let Some(median) = median {
-        let [at, foot] = plot.at([on_axis(median), 0.0]);
-        svg.line("middle", [at, plot.y.to[1]], [at, foot]);
+    plot.grid_y(&mut svg, plot.ticks_y(4.0));
+    plot.grid_x(&mut svg, if histogram.logarithmic { decades(plot.x.from) } else { plot.ticks_x(6.0) });
+    plot.bars(&mut svg, shown.iter().map(|(edges, count)| (edges.map(on_axis), *count as f64)), x);
+    if let Some(median) = histogram.quantile(0.5) {
+        plot.line_x(&mut svg, "middle", on_axis(median));
     }
     let unit = if histogram.unit.is_empty() { String::new() } else { format!(", {}", histogram.unit) };
     let name = format!("{}{unit}", histogram.quantity);
@@ -130,44 +121,36 @@ impl<'m> MapView<'m> {
     }
 
     /// Draws the map coloured by one attribute.
-    fn coloured(
-        &self,
-        id: &str,
-        picture: &Picture,
-        colours: &[String],
-        range: [f64; 2],
-        name: &str,
-    ) -> String {
+    fn coloured(&self, id: &str, picture: &Picture, colours: &Ramp, range: [f64; 2], name: &str) -> String {
         let mut svg = Svg::new();
         self.frame.image(&mut svg, id, picture);
-        self.frame.grid(&mut svg);
         let [low, high] = range.map(short);
         let unit = name.rsplit_once(", ").map_or(String::new(), |(_, unit)| format!(" {unit}"));
-        self.frame.finish(svg, &format!("Points by {name}"), Some((colours, [low, high + &unit])))
+        self.frame.finish_coloured(svg, &format!("Points by {name}"), colours, [low, high + &unit])
     }
 
     /// Coloured by height.
     pub(super) fn heights(&self, id: &str) -> String {
         let (picture, range) = (&self.map.heights, self.map.height_range_m);
-        self.coloured(id, picture, &MapPicture::height_colours(), range, "height, m")
+        self.coloured(id, picture, &HEIGHTS, range, "height, m")
     }
 
     /// Coloured by intensity; other figures reuse the image as `id`.
     pub(super) fn intensities(&self, id: &str) -> String {
         let (picture, range) = (&self.map.intensities, self.map.intensity_range);
-        self.coloured(id, picture, &MapPicture::intensity_colours(), range, "intensity")
+        self.coloured(id, picture, &INTENSITIES, range, "intensity")
     }
 
     /// Coloured by the density of pulses or points.
     pub(super) fn density(&self, density: &Density, kind: &str, id: &str) -> String {
         let name = format!("{kind} density, per m²");
-        self.coloured(id, &density.picture, &MapPicture::height_colours(), density.range_per_m2, &name)
+        self.coloured(id, &density.picture, &HEIGHTS, density.range_per_m2, &name)
     }
 
     /// Coloured by MTA zone; `None` if all points are in zone 0.
     pub(super) fn zones(&self, id: &str) -> Option<String> {
         let picture = self.map.zones.as_ref()?;
-        Some(self.coloured(id, picture, &MapPicture::height_colours(), self.map.zone_range, "MTA zone"))
+        Some(self.coloured(id, picture, &HEIGHTS, self.map.zone_range, "MTA zone"))
     }
 
     /// Draws some scan lines over the image with the id `below`.
@@ -188,7 +171,7 @@ impl<'m> MapView<'m> {
         let middle = |line: &Vec<[f64; 2]>| line.get(line.len() / 2).copied();
         let first = lines.first().and_then(middle)?;
         svg.circle("begin", first, 5.0);
-        Some(self.frame.finish(svg, "Swath on the map grid", None))
+        Some(self.frame.finish(svg, "Swath on the map grid"))
     }
 }
 
@@ -211,25 +194,21 @@ pub(super) fn clouds(clouds: &ZoneClouds) -> String {
 
 fn one_cloud(svg: &mut Svg, cloud: &ZoneCloud, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
     let points = || cloud.points.chunks_exact(2).map(|pair| [pair[0], pair[1]]);
-    let ends = |of: fn([f64; 2]) -> f64| {
-        points()
-            .map(of)
-            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
-    };
     let name = match cloud.roughness_m {
         Some(roughness_m) => format!("zone {}: {} m", cloud.zone, short(roughness_m)),
         None => format!("zone {}: no range", cloud.zone),
     };
     svg.text("", [0.5 * (left + right), top - 6.0], Anchor::Middle, &name);
-    let [x, y] = [ends(|point| point[0]), ends(|point| point[1])];
+    let [x, y] = [0, 1].map(|axis| extent(points().map(|point| point[axis])));
     if points().next().is_some() {
         let room = (0.05 * (y[1] - y[0])).max(0.5);
         let plot = Plot {
-            x: Scale { from: [x[0], x[1].max(x[0] + 1.0)], to: [left, right] },
-            y: Scale { from: [y[0] - room, y[1] + room], to: [bottom, top] },
+            x: AxisScale { from: [x[0], x[1].max(x[0] + 1.0)], to: [left, right] },
+            y: AxisScale { from: [y[0] - room, y[1] + room], to: [bottom, top] },
+            style: PlotStyle::RUN,
         };
-        plot.grid_x(svg, ticks(&plot.x, 3.0));
-        plot.grid_y(svg, ticks(&plot.y, 3.0));
+        plot.grid_x(svg, plot.ticks_x(3.0));
+        plot.grid_y(svg, plot.ticks_y(3.0));
         points().for_each(|point| svg.circle("dot", plot.at(point), 1.1));
     }
     svg.rect("frame", [left, top], [right, bottom]);

@@ -2,8 +2,7 @@
 
 use serde_json::Value;
 
-use super::plot::{Plot, WIDTH, middle_of_label, ticks};
-use crate::report::svg::{Anchor, Scale, Svg};
+use crate::plot::{Anchor, AxisScale, Legend, Mark, Plot, PlotStyle, Svg, WIDTH};
 
 const LEFT: f64 = 150.0;
 const RIGHT: f64 = 546.0;
@@ -18,31 +17,29 @@ pub(super) fn times(stages: &[Value]) -> Option<String> {
     let parts = ["working", "waiting", "blocked"];
     let sum = |stage: &Value| parts.iter().map(|part| seconds(stage, &format!("{part}_s"))).sum::<f64>();
     let longest = stages.iter().map(sum).reduce(f64::max).filter(|longest| *longest > 1e-6)?;
-    let x = Scale { from: [0.0, longest], to: [LEFT, RIGHT] };
     let mut svg = Svg::new();
     for (index, part) in parts.iter().enumerate() {
-        let left = LEFT + 120.0 * index as f64;
-        svg.rect(part, [left, 6.0], [left + 12.0, 18.0]);
-        svg.text("", [left + 18.0, 16.0], Anchor::Start, part);
+        Legend::BARS.entry(&mut svg, Mark::Band(part), [LEFT + 120.0 * index as f64, 12.0], part);
     }
     let top_of = |row: usize| 32.0 + row as f64 * ROW;
     let bottom = top_of(stages.len());
-    for (value, text) in ticks(&x, 5.0) {
-        svg.line("grid", [x.at(value), 28.0], [x.at(value), bottom]);
-        let text = format!("{text} s");
-        svg.text("", [middle_of_label(x.at(value), &text), bottom + 15.0], Anchor::Middle, &text);
-    }
+    let plot = Plot {
+        x: AxisScale { from: [0.0, longest], to: [LEFT, RIGHT] },
+        y: AxisScale { from: [0.0, 1.0], to: [bottom, 28.0] },
+        style: PlotStyle { below: [15.0, 0.0, 26.0], ..PlotStyle::RUN },
+    };
+    plot.grid_x(&mut svg, plot.ticks_x(5.0).into_iter().map(|(value, text)| (value, format!("{text} s"))));
     for (row, stage) in stages.iter().enumerate() {
         let top = top_of(row);
         svg.text("", [LEFT - 7.0, top + 14.0], Anchor::End, stage["id"].as_str().unwrap_or_default());
         let mut from = 0.0;
         for part in parts {
             let until = from + seconds(stage, &format!("{part}_s"));
-            svg.rect(part, [x.at(from), top], [x.at(until), top + ROW - 8.0]);
+            svg.rect(part, [plot.x.at(from), top], [plot.x.at(until), top + ROW - 8.0]);
             from = until;
         }
     }
-    Some(svg.inline(WIDTH, bottom + 26.0, "time per stage"))
+    Some(svg.inline(WIDTH, bottom + plot.style.below[2], "time per stage"))
 }
 
 /// A response is drawn as far as it exceeds this fraction of its peak.
@@ -66,19 +63,17 @@ pub(super) fn response(response: &Value) -> Option<String> {
     let (low, high) =
         nodes.iter().flatten().fold((0.0f64, 1.0f64), |(low, high), v| (low.min(*v), high.max(*v)));
     let plot = Plot::new([first, first + (1.1 * last).max(1.0)], [low, 1.05 * high]);
-    let mut svg = Svg::new();
-    plot.grid(&mut svg);
+    let is_inside = |[x, _]: &[f64; 2]| (plot.x.from[0]..=plot.x.from[1]).contains(x);
+    let mut svg = plot.with_grid([6.0, 5.0]);
     for node in &nodes {
         let points = node.iter().enumerate().map(|(i, value)| [first + i as f64 / PER_SAMPLE, *value]);
-        svg.curve("returns", plot.inside(points));
+        plot.curve(&mut svg, "returns", points.filter(is_inside));
     }
     let errors = numbers(&response["template_error"]);
     let points = errors.iter().enumerate().map(|(i, error)| [first + i as f64, *error]);
-    svg.curve("found", plot.inside(points));
-    svg.curve("returns", [[380.0, 28.0], [402.0, 28.0]].into_iter());
-    svg.text("", [408.0, 32.0], Anchor::Start, "response");
-    svg.curve("found", [[380.0, 48.0], [402.0, 48.0]].into_iter());
-    svg.text("", [408.0, 52.0], Anchor::Start, "shape error");
+    plot.curve(&mut svg, "found", points.filter(is_inside));
+    Legend::CURVES.entry(&mut svg, Mark::Curve("returns"), [380.0, 28.0], "response");
+    Legend::CURVES.entry(&mut svg, Mark::Curve("found"), [380.0, 48.0], "shape error");
     Some(plot.finish(svg, "system response", "samples from the peak", "fraction of the peak"))
 }
 
@@ -95,19 +90,17 @@ pub(super) fn noise(channel: &Value) -> Option<String> {
     let least = measured.iter().copied().fold(0.0, f64::min);
     let plot = Plot::new([-0.5, lags as f64 - 0.5], [(1.2 * least).min(-0.1), 1.08]);
     let mut svg = Svg::new();
-    plot.grid_y(&mut svg, ticks(&plot.y, 5.0));
+    plot.grid_y(&mut svg, plot.ticks_y(5.0));
     let every = lags.div_ceil(12);
-    plot.grid_x(&mut svg, (0..lags).step_by(every).map(|lag| (lag as f64, lag.to_string())).collect());
-    let [_, zero] = plot.at([0.0, 0.0]);
-    svg.line("zero", [plot.x.to[0], zero], [plot.x.to[1], zero]);
+    plot.grid_x(&mut svg, (0..lags).step_by(every).map(|lag| (lag as f64, lag.to_string())));
+    plot.line_y(&mut svg, "zero", 0.0);
     for (lag, value) in [1.0].iter().chain(&measured).enumerate() {
-        let [x, y] = plot.at([lag as f64, *value]);
-        svg.line("rod", [x, zero], [x, y]);
+        let at = [lag as f64, *value];
+        svg.line("rod", plot.at([at[0], 0.0]), plot.at(at));
         if let Some(error) = lag.checked_sub(1).and_then(|lag| errors.get(lag)) {
-            let [low, high] = [-2.0, 2.0].map(|times| plot.at([lag as f64, value + times * error]));
-            svg.line("span", low, high);
+            plot.error_bar(&mut svg, at, *error);
         }
-        svg.circle("dot", [x, y], 3.0);
+        svg.circle("dot", plot.at(at), 3.0);
     }
     Some(plot.finish(svg, "noise autocorrelation", "lag, samples", "correlation"))
 }

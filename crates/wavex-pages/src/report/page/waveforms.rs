@@ -2,12 +2,10 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::plot::WIDTH;
-use super::wide_table;
-use crate::report::numbers::label;
+use crate::numbers::label;
+use crate::page::wide_table;
+use crate::plot::{Anchor, Panels, Svg, WIDTH, fit_marks};
 use crate::report::overview::{ShownKind, ShownReturn, ShownShot, WeakReturns};
-use crate::report::panel::{FAR_LABEL, Panels};
-use crate::report::svg::{Anchor, Svg};
 use wavex_line::stage::FittedBlock;
 
 /// Maximum number of returns in the table of a shot.
@@ -86,29 +84,10 @@ pub(super) fn weak_returns(weak: &WeakReturns) -> Markup {
 
 /// Legend of the waveform figures: a small picture and a text for each mark.
 pub(super) fn legend() -> Markup {
-    let line = |class: &str| {
-        let mut svg = Svg::new();
-        svg.line(class, [2.0, 8.0], [30.0, 8.0]);
-        svg
-    };
-    let dot = |class: &str| {
-        let mut svg = Svg::new();
-        svg.circle(class, [16.0, 8.0], 3.4);
-        svg
-    };
-    let mut band = Svg::new();
-    band.rect("one", [2.0, 2.0], [30.0, 14.0]);
-    let marks = [
-        (line("fit"), "fit"),
-        (line("pulse"), "pulse of one return"),
-        (line("level"), "background"),
-        (line("limit"), FAR_LABEL),
-        (dot("sample"), "sample"),
-        (dot("sat"), "saturated sample"),
-        (dot("left"), "sample not used"),
-        (band, "± 1 standard deviation"),
-    ];
+    let mut marks = fit_marks("pulse of one return");
+    // The band is last.
+    marks[4..].rotate_left(1);
     html! {
-        ul.legend { @for (mark, text) in marks { li { (PreEscaped(mark.inline(32.0, 16.0, text))) (text) } } }
+        ul.legend { @for (mark, text) in marks { li { (PreEscaped(mark.picture(text))) (text) } } }
     }
 }

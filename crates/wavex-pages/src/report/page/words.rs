@@ -88,7 +88,7 @@ pub(in crate::report) fn of_key(key: &str) -> (String, &'static str) {
     }
 }
 
-/// Text of a value that stands for a choice.
+/// Text of a value that names a choice.
 pub(super) fn of_choice(value: &str) -> String {
     let words = match value {
         "map" => "map coordinates",

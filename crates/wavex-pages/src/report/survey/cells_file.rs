@@ -18,7 +18,7 @@ use arrow_schema::{ArrowError, DataType, Field, Schema};
 
 use super::cell::CellSums;
 use super::grid::{PlacedCell, coarser};
-use super::strip::{Strip, StripFacts};
+use super::strip::{CollectedStrip, StripFacts};
 use wavex_formats::container::TableReader;
 use wavex_formats::{Error, Result};
 use wavex_line::stage::OutputFile;
@@ -41,7 +41,7 @@ const SIGNED: usize = 5;
 ///
 /// # Errors
 /// If the file cannot be written.
-pub fn write_cells(strip: &Strip, mut file: OutputFile) -> Result<PathBuf> {
+pub fn write_cells(strip: &CollectedStrip, mut file: OutputFile) -> Result<PathBuf> {
     let path = file.path().to_owned();
     let written = write(strip, &mut file);
     written.map_err(|error| match error {
@@ -51,7 +51,7 @@ pub fn write_cells(strip: &Strip, mut file: OutputFile) -> Result<PathBuf> {
     file.finish()?.publish()
 }
 
-fn write(strip: &Strip, file: &mut (impl Write + Send)) -> std::result::Result<(), ArrowError> {
+fn write(strip: &CollectedStrip, file: &mut (impl Write + Send)) -> std::result::Result<(), ArrowError> {
     let facts =
         serde_json::to_string(&strip.facts).map_err(|error| ArrowError::JsonError(error.to_string()))?;
     let small = SMALL.iter().enumerate().map(|(i, name)| {

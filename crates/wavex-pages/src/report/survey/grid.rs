@@ -26,7 +26,7 @@ pub(super) struct PlacedCell {
     pub(super) sums: CellSums,
 }
 
-type Tile = Box<[CellSums; TILE_CELLS]>;
+type CellTile = Box<[CellSums; TILE_CELLS]>;
 
 /// Sparse grid of cells that double in size when they become too many.
 ///
@@ -38,9 +38,9 @@ pub(super) struct StripGrid {
     cell: f64,
     /// Binary logarithm of the cell size relative to `cell`.
     level: u8,
-    tiles: HashMap<[i32; 2], Tile>,
+    tiles: HashMap<[i32; 2], CellTile>,
     /// Tile of the last point, which is not in `tiles`.
-    current: Option<([i32; 2], Tile)>,
+    current: Option<([i32; 2], CellTile)>,
     max_tiles: usize,
 }
 
@@ -81,8 +81,8 @@ impl StripGrid {
         self.tiles.len() + usize::from(self.current.is_some()) > self.max_tiles && self.level < COARSEST
     }
 
-    fn tile(&mut self, at: [i32; 2]) -> &mut Tile {
-        let is_other = |(place, _): &mut ([i32; 2], Tile)| *place != at;
+    fn tile(&mut self, at: [i32; 2]) -> &mut CellTile {
+        let is_other = |(place, _): &mut ([i32; 2], CellTile)| *place != at;
         if let Some((place, tile)) = self.current.take_if(is_other) {
             self.tiles.insert(place, tile);
         }

@@ -1,4 +1,4 @@
-//! Inputs of a survey: the files of each strip, and what reports say about it.
+//! Inputs of a survey: the files of each strip, and its facts in reports.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! Distributions of what the sweep measures, and the offsets of strips.
+//! Distributions of the measurements of the sweep, and the offsets of strips.
 
 use std::collections::BTreeMap;
 
@@ -108,12 +108,12 @@ fn interpolated(counts: impl Iterator<Item = u64>, wanted: f64) -> f64 {
 
 /// Counts of a number per cell.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Counts {
+pub(super) struct CellCounts {
     cells: BTreeMap<u32, u64>,
     sum: u64,
 }
 
-impl Counts {
+impl CellCounts {
     pub(super) fn add(&mut self, number: u32) {
         *self.cells.entry(number).or_default() += 1;
         self.sum += u64::from(number);
@@ -147,7 +147,8 @@ impl Counts {
 
 /// Densities of the cells with points.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-pub struct Density {
+#[schemars(rename = "Density")]
+pub struct CellDensity {
     /// Number divided by the area of the cells with points, 1/m².
     pub mean_per_m2: f64,
     /// Median of the cells, 1/m².
@@ -156,10 +157,10 @@ pub struct Density {
     pub low_per_m2: f64,
 }
 
-impl Density {
-    pub(super) fn of(counts: &Counts, cell_area_m2: f64) -> Density {
+impl CellDensity {
+    pub(super) fn of(counts: &CellCounts, cell_area_m2: f64) -> CellDensity {
         let area_m2 = (counts.cells() as f64 * cell_area_m2).max(f64::MIN_POSITIVE);
-        Density {
+        CellDensity {
             mean_per_m2: counts.sum() as f64 / area_m2,
             median_per_m2: f64::from(counts.quantile(0.5)) / cell_area_m2,
             low_per_m2: f64::from(counts.quantile(0.05)) / cell_area_m2,
@@ -169,7 +170,7 @@ impl Density {
 
 /// Offset of a strip from the others.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Link {
+pub(super) struct PairOffset {
     /// The two strips.
     pub(super) strips: [usize; 2],
     /// Height of the second above the first, m.
@@ -182,10 +183,10 @@ pub(super) struct Link {
 ///
 /// Weighted least squares by conjugate gradients; `None` for strips without differences. Strips
 /// that no differences connect have their own median.
-pub(super) fn offsets(strips: usize, links: &[Link]) -> Vec<Option<f64>> {
+pub(super) fn offsets(strips: usize, links: &[PairOffset]) -> Vec<Option<f64>> {
     let apply = |values: &[f64]| {
         let mut product = vec![0.0; strips];
-        for Link { strips: [a, b], weight, .. } in links {
+        for PairOffset { strips: [a, b], weight, .. } in links {
             let flow = weight * (values[*b] - values[*a]);
             product[*b] += flow;
             product[*a] -= flow;
@@ -194,7 +195,7 @@ pub(super) fn offsets(strips: usize, links: &[Link]) -> Vec<Option<f64>> {
     };
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let mut residual = vec![0.0; strips];
-    for Link { strips: [a, b], difference_m, weight } in links {
+    for PairOffset { strips: [a, b], difference_m, weight } in links {
         residual[*b] += weight * difference_m;
         residual[*a] -= weight * difference_m;
     }
@@ -231,9 +232,9 @@ pub(super) fn offsets(strips: usize, links: &[Link]) -> Vec<Option<f64>> {
 }
 
 /// Groups of at least two strips that differences connect.
-fn connected(strips: usize, links: &[Link]) -> Vec<Vec<usize>> {
+fn connected(strips: usize, links: &[PairOffset]) -> Vec<Vec<usize>> {
     let mut group: Vec<usize> = (0..strips).collect();
-    for Link { strips: [a, b], .. } in links {
+    for PairOffset { strips: [a, b], .. } in links {
         let (from, to) = (group[*a].max(group[*b]), group[*a].min(group[*b]));
         group.iter_mut().filter(|own| **own == from).for_each(|own| *own = to);
     }
@@ -260,16 +261,16 @@ mod tests {
 
     #[test]
     fn densities_are_of_cells_with_points() {
-        let mut counts = Counts::default();
+        let mut counts = CellCounts::default();
         [8, 8, 12, 40].into_iter().for_each(|n| counts.add(n));
-        let density = Density::of(&counts, 4.0);
+        let density = CellDensity::of(&counts, 4.0);
         assert_eq!((density.mean_per_m2, density.median_per_m2), (4.25, 2.0));
         assert_eq!(counts.below(9.0), 2);
     }
 
     #[test]
     fn offsets_reproduce_differences() {
-        let link = |a, b, difference_m| Link { strips: [a, b], difference_m, weight: 50.0 + a as f64 };
+        let link = |a, b, difference_m| PairOffset { strips: [a, b], difference_m, weight: 50.0 + a as f64 };
         // Strip 1 is 5 cm high; strip 4 has no neighbours; 5 and 6 are on their own.
         let links = [link(0, 1, 0.05), link(1, 2, -0.05), link(2, 3, 0.0), link(0, 3, 0.0), link(5, 6, 0.02)];
         let offsets = offsets(7, &links);

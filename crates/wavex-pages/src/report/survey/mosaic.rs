@@ -3,9 +3,8 @@
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::rasters::Frame;
-use crate::report::overview::Picture;
-use crate::report::overview::picture::{HEIGHTS, Ramp};
+use super::rasters::RasterFrame;
+use crate::plot::{HEIGHTS, Picture, Ramp};
 use wavex_engine::job::SurveyKeys;
 
 /// Maximum number of cells of a picture in each direction.
@@ -23,7 +22,7 @@ const GAPS: Ramp = [[206, 32, 41]; 6];
 
 /// Sums of the cells that a cell of the pictures covers.
 #[derive(Clone, Copy, Debug, Default)]
-struct Sums {
+struct PictureCellSums {
     cells: u32,
     pulses: u64,
     strips: u32,
@@ -34,12 +33,12 @@ struct Sums {
 /// The pictures being filled.
 #[derive(Debug)]
 pub(super) struct Mosaic {
-    frame: Frame,
+    frame: RasterFrame,
     /// Cells per cell of the pictures, in each direction.
     factor: u32,
     columns: usize,
     rows: usize,
-    sums: Vec<Sums>,
+    sums: Vec<PictureCellSums>,
     cell_area_m2: f64,
 }
 
@@ -80,17 +79,19 @@ pub(super) struct Pictures {
     pub(super) below_target: Option<Picture>,
 }
 
-/// CSS colours of the differences.
-pub(super) fn difference_colours() -> Vec<String> {
-    crate::report::overview::picture::css(&DIFFERENCES)
-}
-
 impl Mosaic {
     /// `cell_area_m2` is the area of a cell of the frame.
-    pub(super) fn new(frame: Frame, cell_area_m2: f64) -> Mosaic {
+    pub(super) fn new(frame: RasterFrame, cell_area_m2: f64) -> Mosaic {
         let factor = frame.columns.max(frame.rows).div_ceil(MOST_CELLS).max(1);
         let [columns, rows] = [frame.columns, frame.rows].map(|cells| cells.div_ceil(factor).max(1) as usize);
-        Mosaic { frame, factor, columns, rows, sums: vec![Sums::default(); columns * rows], cell_area_m2 }
+        Mosaic {
+            frame,
+            factor,
+            columns,
+            rows,
+            sums: vec![PictureCellSums::default(); columns * rows],
+            cell_area_m2,
+        }
     }
 
     /// Adds a cell with the number of its pulses and strips, and the largest difference.
@@ -252,19 +253,20 @@ impl Mosaic {
 
     /// Pictures, with `gaps` as a mask.
     pub(super) fn pictures(&self, gaps: &[bool], limits: &SurveyKeys) -> Pictures {
-        let picture_area_m2 = |sums: &Sums| f64::from(sums.cells) * self.cell_area_m2;
-        let values = |of: &dyn Fn(&Sums) -> f64| -> Vec<Option<f64>> {
+        let picture_area_m2 = |sums: &PictureCellSums| f64::from(sums.cells) * self.cell_area_m2;
+        let values = |of: &dyn Fn(&PictureCellSums) -> f64| -> Vec<Option<f64>> {
             self.sums.iter().map(|sums| (sums.cells > 0).then(|| of(sums))).collect()
         };
         let strips = values(&|sums| f64::from(sums.strips));
         let most = strips.iter().flatten().copied().fold(2.0, f64::max);
-        let difference =
-            |sums: &Sums| (sums.differences > 0).then(|| sums.difference_m / f64::from(sums.differences));
+        let difference = |sums: &PictureCellSums| {
+            (sums.differences > 0).then(|| sums.difference_m / f64::from(sums.differences))
+        };
         let differences: Vec<Option<f64>> = self.sums.iter().map(difference).collect();
         let limit_m = limits.max_difference_rms_m;
         let target = limits.target_pulses_per_m2.unwrap_or(0.0);
-        let density = |sums: &Sums| sums.pulses as f64 / picture_area_m2(sums);
-        let is_below = |sums: &Sums| sums.cells > 0 && density(sums) < target;
+        let density = |sums: &PictureCellSums| sums.pulses as f64 / picture_area_m2(sums);
+        let is_below = |sums: &PictureCellSums| sums.cells > 0 && density(sums) < target;
         let below: Vec<Option<f64>> = self.sums.iter().map(|sums| is_below(sums).then_some(1.0)).collect();
         let has_differences = differences.iter().any(Option::is_some);
         let is_gap: Vec<Option<f64>> = gaps.iter().map(|gap| gap.then_some(1.0)).collect();
@@ -313,7 +315,8 @@ mod tests {
 
     fn mosaic(rows: &[&str]) -> Mosaic {
         let (columns, n) = (rows[0].len() as u32, rows.len() as u32);
-        let frame = Frame { west: 100, north: 50, columns, rows: n, level: 0, cell: 10.0, crs_wkt: None };
+        let frame =
+            RasterFrame { west: 100, north: 50, columns, rows: n, level: 0, cell: 10.0, crs_wkt: None };
         let mut mosaic = Mosaic::new(frame, 100.0);
         for (y, row) in (0..).zip(rows) {
             for (x, cell) in (0..).zip(row.chars()) {

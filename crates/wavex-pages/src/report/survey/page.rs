@@ -1,19 +1,15 @@
 //! HTML page of a survey; needs no network or scripts.
 
-use maud::{DOCTYPE, Markup, html};
+use maud::{Markup, html};
 use serde_json::json;
 
 use super::mosaic::Pictures;
 use super::strip::{MOST_RETURNS, UNEXPLAINED};
 use super::{StripFacts, Survey, SurveyStrip};
-use crate::report::numbers::{label, short};
-use crate::report::page::drift;
-use crate::report::page::part::{
-    Part, figure, head, maps as map_figures, section, table, tiles, with_contents,
-};
-use crate::report::page::words;
-use crate::report::verdict::{self, Check};
-use wavex_line::printable::printable;
+use crate::numbers::{label, short};
+use crate::page::{PagePart, document, figure, maps as map_figures, section, table, tiles, with_contents};
+use crate::report::page::{drift, words};
+use crate::verdict::{self, QualityCheck};
 
 mod figures;
 
@@ -27,30 +23,21 @@ const OFFSET: f64 = 0.25;
 /// Renders a survey; `pictures` exist if any strip has cells.
 pub(super) fn page(survey: &Survey, pictures: Option<&Pictures>) -> String {
     let parts = [
-        Part::new("Coverage and density", html! { (maps(survey, pictures)) (gaps(survey)) })
+        PagePart::new("Coverage and density", html! { (maps(survey, pictures)) (gaps(survey)) })
             .judged(coverage_checks(survey)),
-        Part::new("Height differences", differences(survey)).judged(difference_checks(survey)),
-        Part::new("Strips", strips(survey)).judged(strip_checks(survey)),
-        Part::new("Waveforms and returns", quality(survey)).judged(quality_checks(survey)),
-        Part::new("Uncertainty and trajectories", uncertainty(survey)).judged(uncertainty_checks(survey)),
-        Part::new("Sensor", drift_of_sensor(survey)),
-        Part::new("Limits", limits(survey)),
+        PagePart::new("Height differences", differences(survey)).judged(difference_checks(survey)),
+        PagePart::new("Strips", strips(survey)).judged(strip_checks(survey)),
+        PagePart::new("Waveforms and returns", quality(survey)).judged(quality_checks(survey)),
+        PagePart::new("Uncertainty and trajectories", uncertainty(survey)).judged(uncertainty_checks(survey)),
+        PagePart::new("Sensor", drift_of_sensor(survey)),
+        PagePart::new("Limits", limits(survey)),
     ];
     let first = html! { (key_figures(survey)) (warnings(survey)) };
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            (head("wavex survey", OWN_STYLE))
-            body {
-                header {
-                    h1 { "Survey" }
-                    p.about { "wavex " (survey.wavex) "; " (coordinates(survey)) }
-                }
-                main { (with_contents(&parts, "", &first)) }
-            }
-        }
+    let header = html! {
+        h1 { "Survey" }
+        p.about { "wavex " (survey.wavex) "; " (coordinates(survey)) }
     };
-    printable(&page.into_string()).into_owned()
+    document("wavex survey", OWN_STYLE, &header, &with_contents(&parts, "", &first))
 }
 
 /// Additions for this page.
@@ -60,7 +47,7 @@ text.strip{font-weight:600;paint-order:stroke;stroke:var(--card);stroke-width:3p
 image.gap{image-rendering:pixelated}
 ";
 
-fn coverage_checks(survey: &Survey) -> Vec<Check> {
+fn coverage_checks(survey: &Survey) -> Vec<QualityCheck> {
     let cells = |area_m2: f64| (area_m2 / (survey.cell_m * survey.cell_m)).round() as u64;
     let area = (survey.area_m2 > 0.0).then_some(survey.area_m2);
     let percent = |part_m2: f64| area.map(|area_m2| 100.0 * part_m2 / area_m2);
@@ -76,7 +63,7 @@ fn coverage_checks(survey: &Survey) -> Vec<Check> {
     checks
 }
 
-fn difference_checks(survey: &Survey) -> Vec<Check> {
+fn difference_checks(survey: &Survey) -> Vec<QualityCheck> {
     let of = survey.differences.as_ref();
     let exceeding = survey.pairs.iter().filter(|pair| pair.exceeds_limit).count();
     let rms = verdict::difference_rms(survey.limits.max_difference_rms_m);
@@ -86,7 +73,7 @@ fn difference_checks(survey: &Survey) -> Vec<Check> {
     ]
 }
 
-fn strip_checks(survey: &Survey) -> Vec<Check> {
+fn strip_checks(survey: &Survey) -> Vec<QualityCheck> {
     let failed = survey.strips.len() - processed(survey);
     let roughness = survey.roughness.as_ref();
     let offsets = || survey.strips.iter().filter_map(|strip| strip.offset_m.map(f64::abs));
@@ -98,7 +85,7 @@ fn strip_checks(survey: &Survey) -> Vec<Check> {
     ]
 }
 
-fn quality_checks(survey: &Survey) -> Vec<Check> {
+fn quality_checks(survey: &Survey) -> Vec<QualityCheck> {
     let sum =
         |of: fn(&StripFacts) -> u64| processed_facts(survey).map(|(_, _, facts)| of(facts)).sum::<u64>();
     vec![
@@ -111,7 +98,7 @@ fn quality_checks(survey: &Survey) -> Vec<Check> {
 }
 
 /// Checks the strip with the largest median uncertainty.
-fn uncertainty_checks(survey: &Survey) -> Vec<Check> {
+fn uncertainty_checks(survey: &Survey) -> Vec<QualityCheck> {
     let worst = |of: fn(&StripFacts) -> Option<f64>| {
         let known = processed_facts(survey).filter_map(|(_, _, facts)| Some((of(facts)?, facts.returns)));
         known.max_by(|a, b| a.0.total_cmp(&b.0))

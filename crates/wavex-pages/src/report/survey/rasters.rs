@@ -7,9 +7,9 @@ use wavex_formats::geotiff::{RasterGrid, RasterWriter, TILE, TileValues, empty_t
 use wavex_formats::{Error, Result};
 use wavex_line::stage::OutputFile;
 
-/// What a raster shows, with the end of its file name and its description.
+/// Quantity of a raster, with the end of its file name and its description.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Layer {
+pub(super) enum RasterContent {
     Pulses,
     Points,
     Strips,
@@ -18,16 +18,16 @@ pub(super) enum Layer {
 }
 
 /// The rasters of a survey: content, end of the name, description with unit.
-const LAYERS: [(Layer, &str, &str); 5] = [
-    (Layer::Pulses, "pulse_density", "pulse density (first returns of all strips), 1/m2"),
-    (Layer::Points, "point_density", "point density (returns of all strips), 1/m2"),
-    (Layer::Strips, "strips", "number of strips"),
+const LAYERS: [(RasterContent, &str, &str); 5] = [
+    (RasterContent::Pulses, "pulse_density", "pulse density (first returns of all strips), 1/m2"),
+    (RasterContent::Points, "point_density", "point density (returns of all strips), 1/m2"),
+    (RasterContent::Strips, "strips", "number of strips"),
     (
-        Layer::Difference,
+        RasterContent::Difference,
         "height_difference",
         "largest height difference of two strips, later minus earlier, m",
     ),
-    (Layer::Roughness, "roughness", "largest SD of the points of a strip from their plane, m"),
+    (RasterContent::Roughness, "roughness", "largest SD of the points of a strip from their plane, m"),
 ];
 
 /// Largest number of tiles of a raster: their directory stays below 100 MB.
@@ -35,7 +35,7 @@ const MOST_TILES: u64 = 8_000_000;
 
 /// Grid common to all rasters.
 #[derive(Clone, Debug)]
-pub(super) struct Frame {
+pub(super) struct RasterFrame {
     /// Westernmost and northernmost cell.
     pub(super) west: i32,
     pub(super) north: i32,
@@ -48,7 +48,7 @@ pub(super) struct Frame {
     pub(super) crs_wkt: Option<String>,
 }
 
-impl Frame {
+impl RasterFrame {
     /// Whether rasters of this size can be written.
     pub(super) fn is_possible(&self) -> bool {
         let tiles = |cells: u32| u64::from(cells.div_ceil(TILE as u32));
@@ -70,14 +70,14 @@ impl Frame {
 
 /// The rasters being written.
 pub(super) struct Rasters {
-    frame: Frame,
+    frame: RasterFrame,
     rasters: Vec<Raster>,
     /// Row of the tiles being filled.
     row: u32,
 }
 
 struct Raster {
-    layer: Layer,
+    layer: RasterContent,
     writer: RasterWriter<OutputFile>,
     tiles: BTreeMap<u32, TileValues>,
     path: PathBuf,
@@ -88,7 +88,7 @@ impl Rasters {
     ///
     /// # Errors
     /// If a file cannot be created.
-    pub(super) fn create(frame: Frame, stem: &Path) -> Result<Rasters> {
+    pub(super) fn create(frame: RasterFrame, stem: &Path) -> Result<Rasters> {
         let mut rasters = Rasters { frame, rasters: Vec::new(), row: 0 };
         for ((layer, _, description), path) in LAYERS.into_iter().zip(paths(stem)) {
             rasters.add(layer, description, path)?;
@@ -100,13 +100,13 @@ impl Rasters {
     ///
     /// # Errors
     /// If the file cannot be created.
-    pub(super) fn of_strip(frame: Frame, path: &Path) -> Result<Rasters> {
+    pub(super) fn of_strip(frame: RasterFrame, path: &Path) -> Result<Rasters> {
         let mut rasters = Rasters { frame, rasters: Vec::new(), row: 0 };
-        rasters.add(Layer::Pulses, "pulse density (first returns), 1/m2", path.to_owned())?;
+        rasters.add(RasterContent::Pulses, "pulse density (first returns), 1/m2", path.to_owned())?;
         Ok(rasters)
     }
 
-    fn add(&mut self, layer: Layer, description: &str, path: PathBuf) -> Result<()> {
+    fn add(&mut self, layer: RasterContent, description: &str, path: PathBuf) -> Result<()> {
         // The tiles are spooled next to the file; the spool is never published.
         let spool = OutputFile::create(&path.with_extension("tif.tiles"))?;
         let writer = RasterWriter::new(self.frame.grid(description), spool);
@@ -128,7 +128,7 @@ impl Rasters {
     }
 
     /// Sets a value of the current row.
-    pub(super) fn set(&mut self, layer: Layer, row: i32, column: i32, value: f64) {
+    pub(super) fn set(&mut self, layer: RasterContent, row: i32, column: i32, value: f64) {
         let (y, x) = (self.row_index(row) as usize % TILE, column.wrapping_sub(self.frame.west) as u32);
         if let Some(raster) = self.rasters.iter_mut().find(|raster| raster.layer == layer) {
             let tile = raster.tiles.entry(x / TILE as u32).or_insert_with(empty_tile);

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::grid::{PlacedCell, StripGrid};
 use crate::report::overview::QuantityHistogram;
 use crate::report::overview::histogram::Bins;
-use crate::report::overview::view::{MapAxes, View};
+use crate::report::overview::view::{MapAxes, MapProjection};
 use wavex_line::scan_line::{InputInfo, Return, ScanLine};
 use wavex_line::system::Unpoisoned as _;
 
@@ -74,13 +74,13 @@ pub struct StripFacts {
 /// Collects the facts and cells of a strip; lines may come in any order and from any thread.
 #[derive(Debug)]
 pub struct StripCollector {
-    state: Mutex<State>,
+    state: Mutex<CollectorState>,
 }
 
 impl StripCollector {
     /// An empty collector; `cell_m` is the cell size of level 0, m.
     pub fn new(cell_m: f64) -> StripCollector {
-        StripCollector { state: Mutex::new(State::new(cell_m)) }
+        StripCollector { state: Mutex::new(CollectorState::new(cell_m)) }
     }
 
     /// Adds a line that leaves the chain.
@@ -89,20 +89,20 @@ impl StripCollector {
     }
 
     /// Takes the strip collected so far and starts the next one.
-    pub fn take(&self, stem: &str) -> Strip {
+    pub fn take(&self, stem: &str) -> CollectedStrip {
         let mut state = self.locked();
-        let next = State::new(state.cell_m);
+        let next = CollectorState::new(state.cell_m);
         std::mem::replace(&mut *state, next).finish(stem)
     }
 
-    fn locked(&self) -> MutexGuard<'_, State> {
+    fn locked(&self) -> MutexGuard<'_, CollectorState> {
         self.state.lock().unpoisoned()
     }
 }
 
 /// A strip: facts, and cells from north to south, then from west to east.
 #[derive(Clone, Debug)]
-pub struct Strip {
+pub struct CollectedStrip {
     /// Facts about it.
     pub facts: StripFacts,
     pub(super) cells: Vec<PlacedCell>,
@@ -110,7 +110,7 @@ pub struct Strip {
 
 /// Units of coordinates, m.
 #[derive(Clone, Copy, Debug)]
-struct Units {
+struct CoordinateUnits {
     horizontal_m: f64,
     height_m: f64,
 }
@@ -118,13 +118,13 @@ struct Units {
 /// What a map can be made of.
 #[derive(Debug)]
 struct Mapped {
-    units: Units,
+    units: CoordinateUnits,
     crs_wkt: Option<String>,
     grid: StripGrid,
 }
 
 #[derive(Debug)]
-struct State {
+struct CollectorState {
     cell_m: f64,
     /// Grid, or the reason why points cannot be mapped; set by the first point.
     map: Option<Result<Mapped, &'static str>>,
@@ -145,9 +145,9 @@ struct State {
     track: BTreeMap<u32, [f64; 2]>,
 }
 
-impl State {
-    fn new(cell_m: f64) -> State {
-        State {
+impl CollectorState {
+    fn new(cell_m: f64) -> CollectorState {
+        CollectorState {
             cell_m,
             map: None,
             lines: 0,
@@ -222,7 +222,7 @@ impl State {
         }
     }
 
-    fn finish(self, stem: &str) -> Strip {
+    fn finish(self, stem: &str) -> CollectedStrip {
         let at = |bins: Bins, parts: [f64; 2]| {
             let histogram: Option<QuantityHistogram> = bins.finish("", "m");
             parts.map(|part| histogram.as_ref().and_then(|histogram| histogram.quantile(part)))
@@ -271,7 +271,7 @@ impl State {
                 cells
             }
         };
-        Strip { facts, cells }
+        CollectedStrip { facts, cells }
     }
 }
 
@@ -288,7 +288,7 @@ fn extent(cells: &[PlacedCell]) -> Option<[[i32; 2]; 2]> {
 
 /// Grid for points like this one.
 fn mapped(input: &InputInfo, point: [f64; 3], cell_m: f64) -> Result<Mapped, &'static str> {
-    let view = View::of(input, point);
+    let view = MapProjection::of(input, point);
     if view.axes() != MapAxes::Coordinates {
         return Err(NOT_PROJECTED);
     }
@@ -298,7 +298,7 @@ fn mapped(input: &InputInfo, point: [f64; 3], cell_m: f64) -> Result<Mapped, &'s
 }
 
 /// Units of projected coordinates and of heights.
-fn units(wkt: &str) -> Units {
+fn units(wkt: &str) -> CoordinateUnits {
     let unit = |text: &str| {
         let is = |words: [&str; 2]| words.iter().any(|word| text.contains(word));
         match (is(["US survey foot", "Foot_US"]), is(["foot", "Foot"])) {
@@ -311,7 +311,7 @@ fn units(wkt: &str) -> Units {
     let (horizontal, vertical) = wkt.split_at(vertical.unwrap_or(wkt.len()));
     let horizontal_m = unit(horizontal);
     let height_m = if vertical.is_empty() { horizontal_m } else { unit(vertical) };
-    Units { horizontal_m, height_m }
+    CoordinateUnits { horizontal_m, height_m }
 }
 
 #[cfg(test)]

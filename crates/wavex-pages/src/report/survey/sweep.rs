@@ -6,17 +6,17 @@ use std::path::Path;
 use super::cell::{CellSums, Plane, STEPS_PER_CELL};
 use super::cells_file::CellsReader;
 use super::grid::PlacedCell;
-use super::measures::{Counts, Lengths};
+use super::measures::{CellCounts, Lengths};
 use super::mosaic::Mosaic;
-use super::rasters::{Frame, Layer, Rasters};
+use super::rasters::{RasterContent, RasterFrame, Rasters};
 use wavex_engine::job::SurveyKeys;
 use wavex_formats::Result;
 
 /// Measurements of one strip.
 #[derive(Clone, Debug)]
 pub(super) struct StripMeasures {
-    pub(super) pulses: Counts,
-    pub(super) points: Counts,
+    pub(super) pulses: CellCounts,
+    pub(super) points: CellCounts,
     /// SD of the points from the plane of each smooth cell.
     pub(super) roughness: Lengths,
     /// Range of heights in each smooth cell less the part of the slope.
@@ -29,8 +29,8 @@ pub(super) struct Measures {
     pub(super) strips: Vec<StripMeasures>,
     /// Differences of pairs of strips, later minus earlier.
     pub(super) pairs: BTreeMap<(usize, usize), Lengths>,
-    pub(super) pulses: Counts,
-    pub(super) points: Counts,
+    pub(super) pulses: CellCounts,
+    pub(super) points: CellCounts,
     /// Cells with points of two strips or more.
     pub(super) overlap_cells: u64,
     pub(super) mosaic: Mosaic,
@@ -39,7 +39,7 @@ pub(super) struct Measures {
 }
 
 /// Scale and limits of the cells.
-pub(super) struct Scale<'k> {
+pub(super) struct CellScale<'k> {
     pub(super) keys: &'k SurveyKeys,
     /// Level of all cells.
     pub(super) level: u8,
@@ -49,11 +49,11 @@ pub(super) struct Scale<'k> {
     pub(super) edge_m: f64,
 }
 
-impl<'k> Scale<'k> {
+impl<'k> CellScale<'k> {
     /// `cell_m` is the edge of a cell of level 0.
-    pub(super) fn new(keys: &'k SurveyKeys, level: u8, cell_m: f64) -> Scale<'k> {
+    pub(super) fn new(keys: &'k SurveyKeys, level: u8, cell_m: f64) -> CellScale<'k> {
         let edge_m = cell_m * f64::from(level).exp2();
-        Scale { keys, level, step_m: cell_m / STEPS_PER_CELL as f64, edge_m }
+        CellScale { keys, level, step_m: cell_m / STEPS_PER_CELL as f64, edge_m }
     }
 
     pub(super) fn area_m2(&self) -> f64 {
@@ -75,21 +75,21 @@ impl<'k> Scale<'k> {
 /// If the cells of a strip are damaged, or a raster cannot be written.
 pub(super) fn sweep(
     readers: &mut [CellsReader],
-    scale: &Scale,
-    frame: &Frame,
+    scale: &CellScale,
+    frame: &RasterFrame,
     stem: Option<&Path>,
 ) -> Result<Measures> {
     let empty = StripMeasures {
-        pulses: Counts::default(),
-        points: Counts::default(),
+        pulses: CellCounts::default(),
+        points: CellCounts::default(),
         roughness: Lengths::new(),
         precision: Lengths::new(),
     };
     let mut measures = Measures {
         strips: vec![empty; readers.len()],
         pairs: BTreeMap::new(),
-        pulses: Counts::default(),
-        points: Counts::default(),
+        pulses: CellCounts::default(),
+        points: CellCounts::default(),
         overlap_cells: 0,
         mosaic: Mosaic::new(frame.clone(), scale.area_m2()),
         rasters: Vec::new(),
@@ -119,7 +119,7 @@ pub(super) fn sweep(
 
 impl Measures {
     /// Adds a cell with the sums of all strips that have points in it.
-    fn add(&mut self, strips: &[(usize, PlacedCell)], scale: &Scale, rasters: Option<&mut Rasters>) {
+    fn add(&mut self, strips: &[(usize, PlacedCell)], scale: &CellScale, rasters: Option<&mut Rasters>) {
         let Some((_, PlacedCell { column, row, .. })) = strips.first() else { return };
         let (mut pulses, mut points) = (0u32, 0u32);
         let mut planes: Vec<(usize, Plane)> = Vec::new();
@@ -145,15 +145,15 @@ impl Measures {
         self.mosaic.add(*row, *column, pulses, strips.len() as u32, largest);
         if let Some(rasters) = rasters {
             let mut set = |layer, value| rasters.set(layer, *row, *column, value);
-            set(Layer::Pulses, f64::from(pulses) / scale.area_m2());
-            set(Layer::Points, f64::from(points) / scale.area_m2());
-            set(Layer::Strips, strips.len() as f64);
+            set(RasterContent::Pulses, f64::from(pulses) / scale.area_m2());
+            set(RasterContent::Points, f64::from(points) / scale.area_m2());
+            set(RasterContent::Strips, strips.len() as f64);
             if let Some(largest) = largest {
-                set(Layer::Difference, largest);
+                set(RasterContent::Difference, largest);
             }
             let roughness = planes.iter().map(|(_, plane)| plane.residual_sd_m).reduce(f64::max);
             if let Some(roughness) = roughness {
-                set(Layer::Roughness, roughness);
+                set(RasterContent::Roughness, roughness);
             }
         }
     }

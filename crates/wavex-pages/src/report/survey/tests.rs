@@ -10,7 +10,7 @@ const UTM: &str = "PROJCS[\"WGS 84 / UTM zone 33N\",GEOGCS[\"WGS 84\"],UNIT[\"me
 /// A strip of points every 0.5 m on a plane, from a corner, with an area in metres.
 ///
 /// Heights have an error of ±5 mm.
-fn strip(stem: &str, [x0, y0]: [f64; 2], [width, length]: [u32; 2], raised_m: f64) -> Strip {
+fn strip(stem: &str, [x0, y0]: [f64; 2], [width, length]: [u32; 2], raised_m: f64) -> CollectedStrip {
     let collector = StripCollector::new(2.0);
     let input = Arc::new(InputInfo { crs_wkt: Some(UTM.to_owned()), ..InputInfo::default() });
     for line in 0..2 * length {
@@ -30,7 +30,7 @@ fn strip(stem: &str, [x0, y0]: [f64; 2], [width, length]: [u32; 2], raised_m: f6
 }
 
 /// Writes cells and returns the input.
-fn stored(folder: &Path, strip: &Strip) -> SurveyInput {
+fn stored(folder: &Path, strip: &CollectedStrip) -> SurveyInput {
     let path = folder.join(format!("{}_cells.arrow", strip.facts.stem));
     let cells = write_cells(strip, OutputFile::create(&path).unwrap()).unwrap();
     SurveyInput { stem: strip.facts.stem.clone(), cells: Some(cells), ..SurveyInput::default() }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::report::overview::view::View;
+use crate::report::overview::view::MapProjection;
 use wavex_line::scan_line::{InputInfo, Return};
 
 /// Maximum number of cells in each direction.
@@ -22,7 +22,7 @@ pub(super) const PER_LINE: usize = 9;
 
 /// Sums over the points of a cell.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Cell {
+pub(super) struct MapCell {
     pub(super) points: u64,
     /// First returns.
     pub(super) pulses: u64,
@@ -31,8 +31,8 @@ pub(super) struct Cell {
     pub(super) zone_steps: i64,
 }
 
-impl Cell {
-    fn add(&mut self, other: Cell) {
+impl MapCell {
+    fn add(&mut self, other: MapCell) {
         self.points += other.points;
         self.pulses += other.pulses;
         self.height_steps = self.height_steps.saturating_add(other.height_steps);
@@ -43,24 +43,24 @@ impl Cell {
 
 /// The grid being filled.
 #[derive(Clone, Debug)]
-pub(in crate::report::overview) struct Grid {
+pub(in crate::report::overview) struct MapGrid {
     /// The view, set by the first point.
-    pub(super) view: Option<View>,
+    pub(super) view: Option<MapProjection>,
     /// Binary logarithm of the cell size.
     size: i32,
     /// Lowest and highest cell in both directions, once there are points.
     pub(super) span: Option<[[i64; 2]; 2]>,
     /// Cells by index modulo [`CELLS`]: unique as long as the span does not exceed it.
-    pub(super) cells: Vec<Cell>,
+    pub(super) cells: Vec<MapCell>,
     pub(super) without_place: u64,
     /// Lines whose number is a multiple of this are kept.
     every: u32,
     pub(super) lines: BTreeMap<u32, Vec<[f64; 2]>>,
 }
 
-impl Default for Grid {
-    fn default() -> Grid {
-        Grid {
+impl Default for MapGrid {
+    fn default() -> MapGrid {
+        MapGrid {
             view: None,
             size: SMALLEST_CELL,
             span: None,
@@ -86,7 +86,7 @@ fn is_place(point: &[f64; 3]) -> bool {
     point.iter().all(|coordinate| coordinate.abs() < FARTHEST)
 }
 
-impl Grid {
+impl MapGrid {
     /// Adds the points of a line; withheld ones are skipped.
     pub(in crate::report::overview) fn add_line(
         &mut self,
@@ -102,7 +102,7 @@ impl Grid {
                 self.without_place += 1;
                 continue;
             }
-            let place = self.view.get_or_insert_with(|| View::of(input, *point)).place(*point);
+            let place = self.view.get_or_insert_with(|| MapProjection::of(input, *point)).place(*point);
             self.add(&place, found);
             if is_kept {
                 places.push([place[0], place[1]]);
@@ -120,7 +120,7 @@ impl Grid {
         }
         // The cast saturates; NaN counts as 0.
         let steps = |value: f64| (value.clamp(-HIGHEST, HIGHEST) * STEPS).round() as i64;
-        let cell = Cell {
+        let cell = MapCell {
             points: 1,
             pulses: u64::from(found.return_number == 1),
             height_steps: steps(*z),
@@ -135,7 +135,7 @@ impl Grid {
     /// Extends the span to a cell; returns the cell's index in the resulting grid.
     fn make_room(&mut self, at: [i64; 2]) -> [i64; 2] {
         let Some(before) = self.span else {
-            self.cells = vec![Cell::default(); (CELLS * CELLS) as usize];
+            self.cells = vec![MapCell::default(); (CELLS * CELLS) as usize];
             self.span = Some(at.map(|at| [at, at]));
             return at;
         };
@@ -153,7 +153,7 @@ impl Grid {
 
     /// Enlarges cells by this power of two.
     fn merge(&mut self, span: [[i64; 2]; 2], larger: i32) {
-        let mut merged = vec![Cell::default(); self.cells.len()];
+        let mut merged = vec![MapCell::default(); self.cells.len()];
         for y in span[1][0]..=span[1][1] {
             for x in span[0][0]..=span[0][1] {
                 let from = self.cells.get(place([x, y])).copied().unwrap_or_default();
@@ -178,7 +178,7 @@ impl Grid {
         }
     }
 
-    pub(super) fn cell(&self, at: [i64; 2]) -> Cell {
+    pub(super) fn cell(&self, at: [i64; 2]) -> MapCell {
         self.cells.get(place(at)).copied().unwrap_or_default()
     }
 

@@ -1,12 +1,9 @@
 //! Pictures of the survey's page.
 
 use super::super::Survey;
-use super::super::mosaic::{Pictures, difference_colours};
-use crate::report::numbers::{label, short};
-use crate::report::overview::MapPicture;
-use crate::report::page::map_frame::MapFrame;
-use crate::report::page::plot::Plot;
-use crate::report::svg::{Anchor, Svg};
+use super::super::mosaic::{DIFFERENCES, Pictures};
+use crate::numbers::{label, short};
+use crate::plot::{Anchor, HEIGHTS, MapFrame, Plot, Svg};
 
 /// Maximum number of strips with a number in the map.
 const MOST_NUMBERS: usize = 80;
@@ -16,12 +13,6 @@ pub(super) fn frame(pictures: &Pictures) -> MapFrame {
     let [width, height] = pictures.size;
     let (x, y) = ([pictures.west, pictures.west + width], [pictures.north - height, pictures.north]);
     MapFrame::new(x, y, 1.0, ["east, m", "north, m"].map(str::to_owned))
-}
-
-/// Adds grid, frame and the colour scale with its end values.
-fn finish(map: &MapFrame, mut svg: Svg, colours: &[String], ends: [String; 2], name: &str) -> String {
-    map.grid(&mut svg);
-    map.finish(svg, name, Some((colours, ends)))
 }
 
 /// Draws the number of strips per cell, gaps, and the strips' lines with their numbers.
@@ -36,14 +27,14 @@ pub(super) fn strips(survey: &Survey, pictures: &Pictures) -> String {
     let is_numbered = survey.strips.len() <= MOST_NUMBERS;
     for (i, strip) in survey.strips.iter().enumerate().filter(|(_, strip)| strip.failure.is_none()) {
         let track = strip.facts.as_ref().map_or(&[][..], |facts| &facts.track);
-        svg.curve("track", track.iter().map(|place| map.plot.at(*place)));
+        map.plot.curve(&mut svg, "track", track.iter().copied());
         if let Some(middle) = track.get(track.len() / 2).filter(|_| is_numbered) {
             let [x, y] = map.plot.at(*middle);
             svg.text("strip", [x, y + 4.0], Anchor::Middle, &(i + 1).to_string());
         }
     }
     let ends = [label(*low, 0), format!("{} strips", label(*high, 0))];
-    finish(&map, svg, &MapPicture::height_colours(), ends, "strips per cell")
+    map.finish_coloured(svg, "strips per cell", &HEIGHTS, ends)
 }
 
 /// Draws the pulse density.
@@ -55,13 +46,8 @@ pub(super) fn pulses(pictures: &Pictures) -> String {
     if let Some(below) = &pictures.below_target {
         map.image(&mut svg, "below-target", below);
     }
-    finish(
-        &map,
-        svg,
-        &MapPicture::height_colours(),
-        [short(*low), format!("{} per m²", short(*high))],
-        "pulses per m²",
-    )
+    let ends = [short(*low), format!("{} per m²", short(*high))];
+    map.finish_coloured(svg, "pulses per m²", &HEIGHTS, ends)
 }
 
 /// Draws the height differences; `None` without any.
@@ -70,7 +56,7 @@ pub(super) fn differences(pictures: &Pictures, limit_m: f64) -> Option<String> {
     let mut svg = Svg::new();
     map.image(&mut svg, "differences", pictures.differences.as_ref()?);
     let ends = [short(-limit_m), format!("{} m", short(limit_m))];
-    Some(finish(&map, svg, &difference_colours(), ends, "height difference, m"))
+    Some(map.finish_coloured(svg, "height difference, m", &DIFFERENCES, ends))
 }
 
 /// Draws the histogram of height differences; `None` without any.
@@ -83,17 +69,13 @@ pub(super) fn histogram(survey: &Survey) -> Option<String> {
     let edge = |i: usize| histogram.first_edge_m + 0.001 * i as f64;
     let bins = histogram.counts.iter().enumerate().map(|(i, count)| (edge(i), *count));
     let shown = bins.filter(|(low, _)| (-wide_m..wide_m).contains(low));
+    let shown: Vec<([f64; 2], f64)> = shown.map(|(low, count)| ([low, low + 0.001], count as f64)).collect();
+    let feet = [shown.first()?.0[0], shown.last()?.0[1]];
     let plot = Plot::new([-wide_m, wide_m], [0.0, 1.06 * *highest as f64]);
-    let mut svg = Svg::new();
-    plot.grid(&mut svg);
-    let steps: Vec<[f64; 2]> =
-        shown.flat_map(|(low, count)| [[low, count as f64], [low + 0.001, count as f64]]).collect();
-    let (first, last) = (steps.first()?[0], steps.last()?[0]);
-    let corners = [[first, 0.0]].into_iter().chain(steps).chain([[last, 0.0]]);
-    svg.area("bars", corners.map(|corner| plot.at(corner)));
+    let mut svg = plot.with_grid([6.0, 5.0]);
+    plot.bars(&mut svg, shown, feet);
     for at_m in [-limit_m, limit_m] {
-        let [x, foot] = plot.at([at_m, 0.0]);
-        svg.line("limit", [x, plot.y.to[1]], [x, foot]);
+        plot.line_x(&mut svg, "limit", at_m);
     }
     Some(plot.finish(svg, "Histogram of height differences", "height difference, m", "cells"))
 }

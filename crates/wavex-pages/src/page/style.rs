@@ -1,7 +1,7 @@
 //! Style sheets of the pages of recordings and runs.
 
 /// Style sheet: follows the system's light or dark theme; prints black on white.
-pub(crate) const STYLE: &str = "\
+pub(super) const STYLE: &str = "\
 :root{color-scheme:light dark;--page:#fff;--card:#fff;--text:#222;--faint:#666;--rule:#d8d8d8;--grid:#e8e8e8;
 --frame:#888;--bar:#3f7fc1;--low:#1565c0;--high:#c2590a}
 @media (prefers-color-scheme:dark){:root{--page:#121417;--card:#1a1d21;--text:#ddd;--faint:#9a9a9a;--rule:#33383f;

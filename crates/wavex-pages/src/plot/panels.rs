@@ -1,6 +1,8 @@
 //! Panels of a shot's sample blocks: samples and fit above, residuals below.
 
-use super::svg::{Anchor, Scale, Svg};
+use super::frame::{Plot, PlotStyle, Tick};
+use super::scale::AxisScale;
+use super::svg::{Anchor, Svg};
 use wavex_line::stage::{CURVE_POINTS_PER_SAMPLE, FittedBlock, FittedSamples};
 
 /// Layout of the panels in a picture.
@@ -16,9 +18,7 @@ pub(crate) struct Panels {
 }
 
 /// Limit that residuals of pure noise rarely exceed, standard deviations.
-pub(crate) const FAR_SD: f64 = 3.0;
-/// Legend of the limit lines.
-pub(crate) const FAR_LABEL: &str = "± 3 standard deviations";
+const FAR_SD: f64 = 3.0;
 
 impl Panels {
     /// Draws the blocks side by side with a common amplitude axis.
@@ -30,10 +30,11 @@ impl Panels {
         let mut left = self.x[0];
         for (i, block) in blocks.iter().enumerate() {
             let right = left + room * block.samples.span_ns() / total_ns.max(1e-9);
-            let panel = Panel::of(block, [left, right]);
-            panel.samples(svg, &Scale { from: heights, to: [self.samples[1], self.samples[0]] }, i == 0);
-            let y = Scale { from: [-largest, largest], to: [self.residual[1], self.residual[0]] };
-            panel.residual(svg, &y, i == 0);
+            let panel = |from: [f64; 2], [top, bottom]: [f64; 2]| {
+                Panel::of(block, [left, right], AxisScale { from, to: [bottom, top] })
+            };
+            panel(heights, self.samples).samples(svg, i == 0);
+            panel([-largest, largest], self.residual).residual(svg, i == 0);
             left = right + self.gap;
         }
     }
@@ -64,47 +65,40 @@ fn heights(blocks: &[&FittedBlock]) -> [f64; 2] {
 /// Panel of one block.
 struct Panel<'a> {
     block: &'a FittedBlock,
-    x: Scale,
+    plot: Plot,
 }
 
 impl Panel<'_> {
-    fn of(block: &FittedBlock, to: [f64; 2]) -> Panel<'_> {
+    fn of(block: &FittedBlock, to: [f64; 2], y: AxisScale) -> Panel<'_> {
         let begin = block.first_ns - 0.5 * block.samples.interval_ns;
-        Panel { block, x: Scale { from: [begin, begin + block.samples.span_ns()], to } }
+        let x = AxisScale { from: [begin, begin + block.samples.span_ns()], to };
+        Panel { block, plot: Plot { x, y, style: PlotStyle::FILE } }
     }
 
     /// Horizontal position of a sample index.
     fn at(&self, position_samples: f64) -> f64 {
-        self.x.at(self.block.first_ns + position_samples * self.block.samples.interval_ns)
+        self.plot.x.at(self.block.first_ns + position_samples * self.block.samples.interval_ns)
     }
 
-    fn samples(&self, svg: &mut Svg, y: &Scale, is_first: bool) {
-        let samples = &self.block.samples;
-        self.frame(svg, y, 6.0, is_first, false);
-        let level = y.at(samples.background_dn);
-        svg.line("level", [self.x.to[0], level], [self.x.to[1], level]);
+    fn samples(&self, svg: &mut Svg, is_first: bool) {
+        let (samples, y) = (&self.block.samples, &self.plot.y);
+        self.frame(svg, 6.0, is_first, false);
+        self.plot.line_y(svg, "level", samples.background_dn);
         let clip = |dn: f64| y.at(dn).clamp(y.to[1], y.to[0]);
-        let curve = |values: Vec<f64>, above: f64| {
-            let points = values.into_iter().enumerate();
-            points
-                .map(move |(i, value)| (i as f64 / CURVE_POINTS_PER_SAMPLE as f64, value + above))
-                .collect::<Vec<_>>()
-        };
+        let point = |(i, dn): (usize, f64)| [self.at(i as f64 / CURVE_POINTS_PER_SAMPLE as f64), clip(dn)];
         for pulse in &samples.pulses_dn {
             let visible = visible(pulse);
-            let seen = curve(pulse.clone(), samples.background_dn);
-            let part = seen.into_iter().skip(visible.start).take(visible.len());
-            svg.curve("pulse", part.map(|(at, dn)| [self.at(at), clip(dn)]));
+            let part = pulse.iter().enumerate().skip(visible.start).take(visible.len());
+            svg.curve("pulse", part.map(|(i, dn)| point((i, dn + samples.background_dn))));
         }
-        let fit = curve(samples.fit_dn(), 0.0);
-        svg.curve("fit", fit.iter().map(|&(at, dn)| [self.at(at), clip(dn)]));
+        svg.curve("fit", samples.fit_dn().into_iter().enumerate().map(point));
         dots(svg, samples, 0, |k| self.at(k), clip);
-        self.numbers(svg, y);
+        self.numbers(svg);
     }
 
     /// Draws each return number above its peak; stacks numbers that are close.
-    fn numbers(&self, svg: &mut Svg, y: &Scale) {
-        let samples = &self.block.samples;
+    fn numbers(&self, svg: &mut Svg) {
+        let (samples, Plot { x: across, y, .. }) = (&self.block.samples, &self.plot);
         let fit = samples.fit_dn();
         let mut taken: Vec<[f64; 2]> = Vec::new();
         for peak in &self.block.peaks {
@@ -114,7 +108,7 @@ impl Panel<'_> {
                 .round()
                 .clamp(0.0, fit.len().saturating_sub(1) as f64);
             let top = fit.get(nearest as usize).copied().unwrap_or(0.0).max(samples.background_dn);
-            let x = self.at(position).clamp(self.x.to[0] + 4.0, self.x.to[1] - 4.0);
+            let x = self.at(position).clamp(across.to[0] + 4.0, across.to[1] - 4.0);
             let mut label = y.at(top).clamp(y.to[1] + 22.0, y.to[0]) - 9.0;
             while taken.iter().any(|other| (other[0] - x).abs() < 15.0 && (other[1] - label).abs() < 14.0) {
                 label -= 14.0;
@@ -125,13 +119,13 @@ impl Panel<'_> {
         }
     }
 
-    fn residual(&self, svg: &mut Svg, y: &Scale, is_first: bool) {
-        let [left, right] = self.x.to;
+    fn residual(&self, svg: &mut Svg, is_first: bool) {
+        let (y, [left, right]) = (&self.plot.y, self.plot.x.to);
         svg.rect("one", [left, y.at(1.0)], [right, y.at(-1.0)]);
-        self.frame(svg, y, 4.0, is_first, true);
-        svg.line("zero", [left, y.at(0.0)], [right, y.at(0.0)]);
+        self.frame(svg, 4.0, is_first, true);
+        self.plot.line_y(svg, "zero", 0.0);
         for limit in [FAR_SD, -FAR_SD] {
-            svg.line("limit", [left, y.at(limit)], [right, y.at(limit)]);
+            self.plot.line_y(svg, "limit", limit);
         }
         let samples = &self.block.samples;
         let residual = samples.residual.iter().zip(&samples.used);
@@ -146,24 +140,16 @@ impl Panel<'_> {
         }
     }
 
-    /// Draws frame, grid and axis labels.
-    fn frame(&self, svg: &mut Svg, y: &Scale, wanted: f64, is_first: bool, with_times: bool) {
-        let ([left, right], [bottom, top]) = (self.x.to, y.to);
-        let (values, digits) = y.ticks(wanted);
-        for value in values {
-            svg.line("grid", [left, y.at(value)], [right, y.at(value)]);
-            if is_first {
-                svg.text("", [left - 7.0, y.at(value) + 4.0], Anchor::End, &format!("{value:.digits$}"));
-            }
-        }
-        let (times, digits) = self.x.ticks(((right - left) / 75.0).max(2.0));
-        for time in times {
-            svg.line("grid", [self.x.at(time), top], [self.x.at(time), bottom]);
-            if with_times {
-                svg.text("", [self.x.at(time), bottom + 17.0], Anchor::Middle, &format!("{time:.digits$}"));
-            }
-        }
-        svg.rect("frame", [left, top], [right, bottom]);
+    /// Draws grid and frame; labels of the amplitudes and of the times are optional.
+    fn frame(&self, svg: &mut Svg, wanted: f64, with_heights: bool, with_times: bool) {
+        let [left, right] = self.plot.x.to;
+        let labelled = |is_labelled: bool| {
+            move |(value, text): Tick| (value, if is_labelled { text } else { String::new() })
+        };
+        self.plot.grid_y(svg, self.plot.ticks_y(wanted).into_iter().map(labelled(with_heights)));
+        let times = self.plot.ticks_x(((right - left) / 75.0).max(2.0));
+        self.plot.grid_x(svg, times.into_iter().map(labelled(with_times)));
+        self.plot.border(svg);
     }
 }
 

@@ -1,30 +1,33 @@
-//! Building blocks of a page: parts with verdicts, contents, figures and tables.
+//! Builder of the pages: document, parts with verdicts, contents, figures and tables.
 
-use maud::{Markup, PreEscaped, html};
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use crate::report::style::{RUN_STYLE, STYLE};
-use crate::report::verdict::{Check, Grade, Verdict};
+use crate::verdict::{Grade, QualityCheck, Verdict};
+use style::{RUN_STYLE, STYLE};
+use wavex_line::printable::printable;
+
+mod style;
 
 /// Content security policy: only styles and pictures embedded in the page.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:";
 
 /// A part of a page, which the contents list.
-pub(crate) struct Part {
+pub(crate) struct PagePart {
     pub(crate) title: String,
     /// Checks of the part; `None` if there is nothing to judge.
     pub(crate) verdict: Option<Verdict>,
     pub(crate) body: Markup,
 }
 
-impl Part {
+impl PagePart {
     /// A part without verdict.
-    pub(crate) fn new(title: &str, body: Markup) -> Part {
-        Part { title: title.to_owned(), verdict: None, body }
+    pub(crate) fn new(title: &str, body: Markup) -> PagePart {
+        PagePart { title: title.to_owned(), verdict: None, body }
     }
 
-    /// The part with the verdict of these checks.
-    pub(crate) fn judged(self, checks: Vec<Check>) -> Part {
-        Part { verdict: Some(Verdict(checks)), ..self }
+    /// Adds the verdict of some checks.
+    pub(crate) fn judged(self, checks: Vec<QualityCheck>) -> PagePart {
+        PagePart { verdict: Some(Verdict(checks)), ..self }
     }
 
     fn id(&self, prefix: &str) -> String {
@@ -35,14 +38,14 @@ impl Part {
 }
 
 /// Worst grade of some parts.
-pub(crate) fn worst(parts: &[Part]) -> Grade {
+pub(crate) fn worst(parts: &[PagePart]) -> Grade {
     let grades = parts.iter().filter_map(|part| Some(part.verdict.as_ref()?.grade()));
     grades.max().unwrap_or(Grade::NotAssessed)
 }
 
 /// Contents, then `first`, then the parts; empty parts are omitted. Their names begin with `prefix`.
-pub(crate) fn with_contents(parts: &[Part], prefix: &str, first: &Markup) -> Markup {
-    let shown: Vec<&Part> = parts.iter().filter(|part| !part.body.0.is_empty()).collect();
+pub(crate) fn with_contents(parts: &[PagePart], prefix: &str, first: &Markup) -> Markup {
+    let shown: Vec<&PagePart> = parts.iter().filter(|part| !part.body.0.is_empty()).collect();
     html! {
         nav aria-label="Contents" {
             ol {
@@ -83,30 +86,33 @@ fn checks(verdict: &Verdict) -> Markup {
     }
 }
 
-/// Head of a page, with further styles.
-pub(crate) fn head(title: &str, style: &str) -> Markup {
-    html! {
-        head {
-            meta charset="utf-8";
-            meta http-equiv="Content-Security-Policy" content=(POLICY);
-            meta name="viewport" content="width=device-width, initial-scale=1";
-            title { (title) }
-            style { (PreEscaped(STYLE)) (PreEscaped(RUN_STYLE)) (PreEscaped(style)) }
+/// A complete page, with further styles; it needs no network or scripts.
+pub(crate) fn document(title: &str, style: &str, header: &Markup, main: &Markup) -> String {
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta http-equiv="Content-Security-Policy" content=(POLICY);
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { (title) }
+                style { (PreEscaped(STYLE)) (PreEscaped(RUN_STYLE)) (PreEscaped(style)) }
+            }
+            body {
+                header { (header) }
+                main { (main) }
+            }
         }
-    }
+    };
+    printable(&page.into_string()).into_owned()
 }
 
-/// Figures with an introduction; empty if there are none.
-pub(crate) fn figures(about: &str, figures: &[Markup]) -> Markup {
-    html! {
-        @if !figures.is_empty() {
-            @if !about.is_empty() { p.about { (about) } }
-            div.figures { @for figure in figures { (figure) } }
-        }
-    }
+/// Figures side by side; empty if there are none.
+pub(crate) fn figures(figures: &[Markup]) -> Markup {
+    html! { @if !figures.is_empty() { div.figures { @for figure in figures { (figure) } } } }
 }
 
-/// Pictures of `width` SVG units: as many side by side as there is room.
+/// Pictures of `width` SVG units with an introduction: as many side by side as there is room.
 pub(crate) fn maps(about: &str, width: f64, figures: &[Markup]) -> Markup {
     let columns =
         format!("grid-template-columns:repeat(auto-fill,minmax(min(100%,{:.0}px),1fr))", 0.92 * width);

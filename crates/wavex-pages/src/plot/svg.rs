@@ -79,12 +79,25 @@ impl Svg {
     }
 
     /// Draws a rectangle from its upper left to its lower right corner.
-    pub fn rect(&mut self, class: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
-        let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
-        let _ = writeln!(
-            self.body,
-            "<rect class=\"{class}\" x=\"{left:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{height:.1}\"/>"
-        );
+    pub fn rect(&mut self, class: &str, corner: [f64; 2], other: [f64; 2]) {
+        let _ = writeln!(self.body, "<rect class=\"{class}\" {}/>", within(corner, other));
+    }
+
+    /// Draws a rectangle of this colour, for legends.
+    pub(crate) fn swatch(&mut self, colour: &str, corner: [f64; 2], other: [f64; 2]) {
+        let _ = writeln!(self.body, "<rect fill=\"{colour}\" {}/>", within(corner, other));
+    }
+
+    /// Embeds a raster image from its upper left to its lower right corner.
+    pub(crate) fn image(&mut self, id: &str, url: &str, corner: [f64; 2], other: [f64; 2]) {
+        let place = within(corner, other);
+        let _ =
+            writeln!(self.body, "<image id=\"{id}\" href=\"{url}\" {place} preserveAspectRatio=\"none\"/>");
+    }
+
+    /// Repeats an element of the same page at the same position.
+    pub(crate) fn again(&mut self, class: &str, id: &str) {
+        let _ = writeln!(self.body, "<use class=\"{class}\" href=\"#{id}\"/>");
     }
 
     /// Draws a circle around a point.
@@ -94,64 +107,50 @@ impl Svg {
 
     /// Draws straight lines from point to point; nothing if there are fewer than two.
     pub fn curve(&mut self, class: &str, points: impl Iterator<Item = [f64; 2]>) {
-        let points: Vec<String> = points.map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
-        if points.len() > 1 {
-            let _ = writeln!(self.body, "<polyline class=\"{class}\" points=\"{}\"/>", points.join(" "));
+        let points = list(points);
+        if points.contains(' ') {
+            let _ = writeln!(self.body, "<polyline class=\"{class}\" points=\"{points}\"/>");
         }
     }
 
     /// Draws a filled polygon with these corners.
     pub(crate) fn area(&mut self, class: &str, corners: impl Iterator<Item = [f64; 2]>) {
-        let corners: Vec<String> = corners.map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
-        let _ = writeln!(self.body, "<polygon class=\"{class}\" points=\"{}\"/>", corners.join(" "));
+        let _ = writeln!(self.body, "<polygon class=\"{class}\" points=\"{}\"/>", list(corners));
     }
 
     /// Writes text at a position.
-    pub fn text(&mut self, class: &str, [x, y]: [f64; 2], anchor: Anchor, text: &str) {
-        let (anchor, text) = (anchor.name(), escaped(text));
-        let _ = writeln!(
-            self.body,
-            "<text class=\"{class}\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\">{text}</text>"
-        );
-    }
-
-    /// Draws a rectangle of this colour, for legends.
-    pub(crate) fn swatch(&mut self, colour: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
-        let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
-        let _ = writeln!(
-            self.body,
-            "<rect fill=\"{colour}\" x=\"{left:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{height:.1}\"/>"
-        );
-    }
-
-    /// Repeats an element of the same page at the same position.
-    pub(crate) fn again(&mut self, class: &str, id: &str) {
-        let _ = writeln!(self.body, "<use class=\"{class}\" href=\"#{id}\"/>");
-    }
-
-    /// Embeds a raster image from its upper left to its lower right corner.
-    pub(crate) fn image(&mut self, id: &str, url: &str, [left, top]: [f64; 2], [right, bottom]: [f64; 2]) {
-        let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
-        let _ = writeln!(
-            self.body,
-            "<image id=\"{id}\" href=\"{url}\" x=\"{left:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" \
-             preserveAspectRatio=\"none\"/>"
-        );
+    pub fn text(&mut self, class: &str, at: [f64; 2], anchor: Anchor, text: &str) {
+        self.place_text(class, at, anchor, "", text);
     }
 
     /// Draws text rotated by 90 degrees, centred at a position.
     pub fn upright_text(&mut self, class: &str, [x, y]: [f64; 2], text: &str) {
+        let turn = format!(" transform=\"rotate(-90 {x:.1} {y:.1})\"");
+        self.place_text(class, [x, y], Anchor::Middle, &turn, text);
+    }
+
+    fn place_text(&mut self, class: &str, [x, y]: [f64; 2], anchor: Anchor, turn: &str, text: &str) {
+        let (anchor, text) = (anchor.name(), escaped(text));
         let _ = writeln!(
             self.body,
-            "<text class=\"{class}\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"middle\" \
-             transform=\"rotate(-90 {x:.1} {y:.1})\">{}</text>",
-            escaped(text)
+            "<text class=\"{class}\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\"{turn}>{text}</text>"
         );
     }
 }
 
+/// Position and size of an element from its upper left to its lower right corner.
+fn within([left, top]: [f64; 2], [right, bottom]: [f64; 2]) -> String {
+    let (width, height) = ((right - left).max(0.0), (bottom - top).max(0.0));
+    format!("x=\"{left:.1}\" y=\"{top:.1}\" width=\"{width:.1}\" height=\"{height:.1}\"")
+}
+
+/// Coordinates of points.
+fn list(points: impl Iterator<Item = [f64; 2]>) -> String {
+    points.map(|[x, y]| format!("{x:.1},{y:.1}")).collect::<Vec<String>>().join(" ")
+}
+
 /// Escapes text for XML.
-pub(crate) fn escaped(text: &str) -> String {
+fn escaped(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for character in text.chars() {
         match character {
@@ -167,38 +166,6 @@ pub(crate) fn escaped(text: &str) -> String {
     safe
 }
 
-/// Linear scale: value `from[0]` maps to `to[0]`.
-#[derive(Clone, Copy)]
-pub struct Scale {
-    /// Two values.
-    pub from: [f64; 2],
-    /// Their positions.
-    pub to: [f64; 2],
-}
-
-impl Scale {
-    /// Position of a value.
-    pub fn at(&self, value: f64) -> f64 {
-        let [a, b] = self.from;
-        let span = if b - a == 0.0 { 1.0 } else { b - a };
-        self.to[0] + (value - a) / span * (self.to[1] - self.to[0])
-    }
-
-    /// Round tick values within the scale, about `wanted`, and their decimal places.
-    pub fn ticks(&self, wanted: f64) -> (Vec<f64>, usize) {
-        let span = (self.from[1] - self.from[0]).abs().max(1e-9);
-        let raw = span / wanted.max(1.0);
-        let unit = 10f64.powf(raw.log10().floor());
-        let step =
-            [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * unit).find(|step| *step >= raw).unwrap_or(unit);
-        let digits = (-step.log10().floor()).max(0.0) as usize;
-        let (low, high) = (self.from[0].min(self.from[1]), self.from[0].max(self.from[1]));
-        let first = (low / step).ceil() as i64;
-        let last = (high / step).floor() as i64;
-        ((first..=last.min(first.saturating_add(100))).map(|i| i as f64 * step).collect(), digits)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -206,14 +173,5 @@ mod tests {
     #[test]
     fn what_xml_reserves_is_escaped() {
         assert_eq!(escaped("a<b> & \"c\"\u{1}"), "a&lt;b&gt; &amp; &quot;c&quot; ");
-    }
-
-    #[test]
-    fn ticks_are_round_and_within() {
-        let ticks = |low, high, wanted| Scale { from: [low, high], to: [0.0, 1.0] }.ticks(wanted);
-        assert_eq!(ticks(0.0, 100.0, 5.0), (vec![0.0, 20.0, 40.0, 60.0, 80.0, 100.0], 0));
-        assert_eq!(ticks(-0.3, 0.31, 4.0), (vec![-0.2, 0.0, 0.2], 1));
-        assert_eq!(ticks(4003.2, 4059.0, 6.0).0, [4010.0, 4020.0, 4030.0, 4040.0, 4050.0]);
-        assert_eq!(ticks(5.0, 5.0, 4.0).0.len(), 1, "an empty span has one tick");
     }
 }

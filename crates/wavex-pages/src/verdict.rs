@@ -130,7 +130,7 @@ pub(crate) const SATURATED_BLOCKS: Rule = at_most("saturated blocks", "%", [5.0,
 
 /// A graded quantity.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Check {
+pub(crate) struct QualityCheck {
     /// Grade.
     pub(crate) grade: Grade,
     /// The value, or why there is none.
@@ -141,7 +141,7 @@ pub(crate) struct Check {
 
 /// Verdict on a section.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Verdict(pub(crate) Vec<Check>);
+pub(crate) struct Verdict(pub(crate) Vec<QualityCheck>);
 
 impl Verdict {
     /// Worst grade; not assessed without any other.
@@ -152,13 +152,13 @@ impl Verdict {
 
 impl Rule {
     /// Checks a value that was measured from `items`; `None` if it is unknown.
-    pub(crate) fn check(&self, value: Option<f64>, items: u64) -> Check {
+    pub(crate) fn check(&self, value: Option<f64>, items: u64) -> QualityCheck {
         let rule = self.words();
         let (least, name) = self.enough;
         let Some(value) = value.filter(|value| value.is_finite() && items >= least) else {
             let few = format!("{}: {} {name}, {least} needed", self.quantity, label(items as f64, 0));
             let measured = if items < least { few } else { format!("{}: unknown", self.quantity) };
-            return Check { grade: Grade::NotAssessed, measured, rule };
+            return QualityCheck { grade: Grade::NotAssessed, measured, rule };
         };
         let is_within = |limit: f64| if self.is_minimum { value >= limit } else { value <= limit };
         let grade = match self.limits.map(is_within) {
@@ -166,11 +166,15 @@ impl Rule {
             [false, true] => Grade::Look,
             [false, false] => Grade::Bad,
         };
-        Check { grade, measured: self.with_unit(&format!("{}: {}", self.quantity, short(value))), rule }
+        QualityCheck {
+            grade,
+            measured: self.with_unit(&format!("{}: {}", self.quantity, short(value))),
+            rule,
+        }
     }
 
     /// Checks the share of a part in percent.
-    pub(crate) fn share(&self, part: u64, of: u64) -> Check {
+    pub(crate) fn share(&self, part: u64, of: u64) -> QualityCheck {
         self.check((of > 0).then(|| 100.0 * part as f64 / of as f64), of)
     }
 
@@ -239,7 +243,8 @@ mod tests {
     #[test]
     fn the_worst_check_decides() {
         let of = |grades: &[Grade]| {
-            let check = |grade: &Grade| Check { grade: *grade, measured: String::new(), rule: String::new() };
+            let check =
+                |grade: &Grade| QualityCheck { grade: *grade, measured: String::new(), rule: String::new() };
             Verdict(grades.iter().map(check).collect()).grade()
         };
         assert_eq!(of(&[Grade::Good, Grade::NotAssessed]), Grade::Good);

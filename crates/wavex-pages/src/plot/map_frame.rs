@@ -1,8 +1,9 @@
 //! Frame of a map view, with grid and colour scale.
 
-use super::plot::{Plot, WIDTH, ticks};
-use crate::report::overview::Picture;
-use crate::report::svg::{Anchor, Scale, Svg};
+use super::frame::{Plot, PlotStyle, WIDTH};
+use super::picture::{Picture, Ramp, css};
+use super::scale::AxisScale;
+use super::svg::{Anchor, Svg};
 
 /// Maximum size of a map, SVG units.
 const MAP: [f64; 2] = [440.0, 420.0];
@@ -14,6 +15,7 @@ const MARGIN: f64 = 16.0;
 const LEAST_WIDTH: f64 = 334.0;
 /// Length of a colour scale, SVG units.
 const COLOURS: f64 = 130.0;
+const STYLE: PlotStyle = PlotStyle { below: [22.0, 40.0, 46.0], ..PlotStyle::RUN };
 
 /// Frame of a map view.
 pub(crate) struct MapFrame {
@@ -27,10 +29,8 @@ impl MapFrame {
         let (width, height) = (slimmer * (x[1] - x[0]).max(1e-12), (y[1] - y[0]).max(1e-12));
         let size = (MAP[0] / width).min(MAP[1] / height);
         let (right, bottom) = (LEFT + (width * size).max(40.0), TOP + (height * size).max(40.0));
-        MapFrame {
-            plot: Plot { x: Scale { from: x, to: [LEFT, right] }, y: Scale { from: y, to: [bottom, TOP] } },
-            axes,
-        }
+        let (x, y) = (AxisScale { from: x, to: [LEFT, right] }, AxisScale { from: y, to: [bottom, TOP] });
+        MapFrame { plot: Plot { x, y, style: STYLE }, axes }
     }
 
     /// Width of the picture, SVG units.
@@ -48,30 +48,39 @@ impl MapFrame {
     pub(crate) fn grid(&self, svg: &mut Svg) {
         let ([left, right], [bottom, top]) = (self.plot.x.to, self.plot.y.to);
         let (width, height) = (right - left, bottom - top);
-        self.plot.grid_y(svg, ticks(&self.plot.y, (height / 60.0).max(1.0)));
+        self.plot.grid_y(svg, self.plot.ticks_y((height / 60.0).max(1.0)));
         // The last label must not exceed the picture, nor the first one the axis title.
         let room = |(value, text): &(f64, String)| {
             let half = 4.5 * text.chars().count() as f64;
             (half..self.width() - half).contains(&self.plot.x.at(*value))
         };
-        let labels = ticks(&self.plot.x, (width / 110.0).max(1.0)).into_iter().filter(room).collect();
-        self.plot.grid_x(svg, labels);
+        self.plot.grid_x(svg, self.plot.ticks_x((width / 110.0).max(1.0)).into_iter().filter(room));
     }
 
-    /// Draws frame, axis titles, and the colours with their first and last value.
-    pub(crate) fn finish(
+    /// Draws frame and axis titles, and returns the figure.
+    pub(crate) fn finish(&self, mut svg: Svg, title: &str) -> String {
+        let below = self.frame(&mut svg);
+        svg.inline(self.width(), below, title)
+    }
+
+    /// Draws frame and axis titles; returns the lower edge of the titles.
+    fn frame(&self, svg: &mut Svg) -> f64 {
+        self.plot.frame(svg, &self.axes);
+        self.plot.y.to[0] + STYLE.below[2]
+    }
+
+    /// Draws grid, frame, axis titles and the colours between two values, and returns the figure.
+    pub(crate) fn finish_coloured(
         &self,
         mut svg: Svg,
         title: &str,
-        colours: Option<(&[String], [String; 2])>,
+        colours: &Ramp,
+        [low, high]: [String; 2],
     ) -> String {
-        let [x, y] = &self.axes;
-        self.plot.frame(&mut svg, x, y);
-        let below = self.plot.y.to[0] + 46.0;
-        let Some((colours, [low, high])) = colours else { return svg.inline(self.width(), below, title) };
-        let top = below + 8.0;
-        let each = COLOURS / colours.len().max(1) as f64;
-        for (i, colour) in colours.iter().enumerate() {
+        self.grid(&mut svg);
+        let top = self.frame(&mut svg) + 8.0;
+        let each = COLOURS / colours.len() as f64;
+        for (i, colour) in css(colours).iter().enumerate() {
             let left = LEFT + each * i as f64;
             svg.swatch(colour, [left, top], [left + each, top + 12.0]);
         }

@@ -38,7 +38,7 @@ pub(crate) type Ramp = [[u8; 3]; 6];
 pub(crate) const HEIGHTS: Ramp =
     [[62, 54, 130], [48, 98, 146], [34, 138, 141], [62, 172, 112], [142, 200, 66], [226, 205, 38]];
 /// Intensities from weak to strong: greys.
-pub(in crate::report) const INTENSITIES: Ramp =
+pub(crate) const INTENSITIES: Ramp =
     [[52, 52, 54], [86, 86, 88], [120, 120, 121], [154, 154, 154], [188, 188, 186], [222, 222, 218]];
 
 /// Fraction of the cells beyond either end of the colours.
@@ -94,7 +94,7 @@ fn mixed(ramp: &Ramp, i: usize) -> [u8; 3] {
 }
 
 /// Colours of a ramp in CSS notation.
-pub(in crate::report) fn css(ramp: &Ramp) -> Vec<String> {
+pub(super) fn css(ramp: &Ramp) -> Vec<String> {
     ramp.iter().map(|[red, green, blue]| format!("#{red:02x}{green:02x}{blue:02x}")).collect()
 }
 
