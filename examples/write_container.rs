@@ -14,7 +14,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use wavex::scan_line::{Return, ReturnChannel};
-use wavex::stages::writers::write_table::{Format, Row, TableInfo, TableWriter};
+use wavex::stages::writers::write_table::{ReturnRow, TableFormat, TableInfo, TableWriter};
 use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerOnline, ContainerShot, ContainerWriter,
     EmissionReference, LineBuilder, TimeScale, channel,
@@ -39,9 +39,11 @@ fn main() -> Result<()> {
     let path = folder.join("stream.arrows");
     let to = BufWriter::new(File::create(&path)?);
     write_lines(ContainerWriter::stream(to, &path, &header(), Compression::Lz4)?)?;
-    for (name, format) in
-        [("returns.arrow", Format::Arrow), ("returns.parquet", Format::Parquet), ("returns.csv", Format::Csv)]
-    {
+    for (name, format) in [
+        ("returns.arrow", TableFormat::Arrow),
+        ("returns.parquet", TableFormat::Parquet),
+        ("returns.csv", TableFormat::Csv),
+    ] {
         let path = folder.join(name);
         let to = BufWriter::new(File::create(&path)?);
         let mut table =
@@ -118,9 +120,9 @@ fn add_shot(line: &mut LineBuilder, n: u64, number: u32) {
     }
 }
 
-fn returns(n: u64) -> impl Iterator<Item = Row> {
+fn returns(n: u64) -> impl Iterator<Item = ReturnRow> {
     let count = (n % 3) as u8;
-    (0..count).map(move |index| Row {
+    (0..count).map(move |index| ReturnRow {
         shot: n,
         gps_time_s: if n % 5 == 4 { f64::NAN } else { 1000.0 + n as f64 / 2.0 },
         found: found(n, index, count),

@@ -36,7 +36,7 @@ impl Default for DropWeak {
 impl Config for DropWeak {}
 
 impl MapConfig for DropWeak {
-    fn make(&self, _run: &RunContext) -> stage::Result<Box<dyn Map>> {
+    fn make(&self, _: &RunContext) -> stage::Result<Box<dyn Map>> {
         Ok(Box::new(self.clone()))
     }
 }

@@ -42,7 +42,7 @@ mod version;
 mod view;
 
 use args::{
-    ArchiveArgs, CalibrateArgs, Classic, ExplainArgs, ImportArgs, InputRule, JobArgs, Machine, ScanArgs,
+    ArchiveArgs, CalibrateArgs, Classic, ExplainArgs, ImportArgs, InputRule, JobArgs, MachineArgs, ScanArgs,
     TrajectoryArgs, ViewArgs, When,
 };
 use commands::{Cli, Command};

@@ -8,7 +8,7 @@ use wavex::engine::Convert;
 use wavex::scan_line::{InputInfo, Kind, ScanLine};
 use wavex::stage::{Result, StageError};
 use wavex::stages::writers::write_arrow::{shot_batch, shot_schema};
-use wavex::stages::writers::write_table::{ROWS_PER_GROUP, Row, return_batch, return_schema, rows_of};
+use wavex::stages::writers::write_table::{ROWS_PER_GROUP, ReturnRow, return_batch, return_schema, rows_of};
 
 use crate::errors;
 
@@ -85,7 +85,7 @@ impl Convert for Shots {
 pub struct Returns {
     columns: Columns,
     schema: Option<SchemaRef>,
-    rows: Vec<Row>,
+    rows: Vec<ReturnRow>,
     has_batches: bool,
 }
 
@@ -94,7 +94,7 @@ impl Returns {
         Returns { columns, schema: None, rows: Vec::new(), has_batches: false }
     }
 
-    fn batch(&mut self, rows: &[Row]) -> Result<RecordBatch> {
+    fn batch(&mut self, rows: &[ReturnRow]) -> Result<RecordBatch> {
         let schema = self.schema.get_or_insert_with(|| return_schema(&InputInfo::default(), false));
         self.has_batches = true;
         self.columns.keep(return_batch(schema, rows)?)

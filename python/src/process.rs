@@ -13,7 +13,7 @@ use wavex::engine::{self, Cancel};
 use wavex::explain::{Explanation as Explained, explain_shot};
 use wavex::scan_line::ScanLine;
 use wavex::stage::{Context, FittedBlock};
-use wavex::stages::writers::write_table::{Row, return_batch, return_schema};
+use wavex::stages::writers::write_table::{ReturnRow, return_batch, return_schema};
 
 use crate::batches::{BatchReader, Table};
 use crate::chain::{options, use_model};
@@ -212,14 +212,14 @@ impl Explanation {
     #[getter]
     fn returns(&self) -> PyResult<Table> {
         let Explained { emission, returns, input, .. } = &self.explained;
-        let row = |found: &wavex::scan_line::Return| Row {
+        let row = |found: &wavex::scan_line::Return| ReturnRow {
             shot: emission.shot,
             gps_time_s: emission.gps_time_s,
             found: *found,
             point: None,
             profile: None,
         };
-        let rows: Vec<Row> = returns.iter().map(row).collect();
+        let rows: Vec<ReturnRow> = returns.iter().map(row).collect();
         let batch = return_batch(&return_schema(input, false), &rows);
         Ok(Table::new(vec![batch.map_err(|error| errors::of_stage(&error))?]))
     }

@@ -35,7 +35,7 @@ pub(super) struct CalibrateArgs {
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     pub(super) set: Vec<String>,
     #[command(flatten)]
-    pub(super) machine: Machine,
+    pub(super) machine: MachineArgs,
 }
 
 /// Shot to explain and stages to decompose it with.
@@ -249,7 +249,7 @@ pub(super) struct JobArgs {
 
 /// Threads, profiling and progress of a run.
 #[derive(Args, Clone, Copy)]
-pub(super) struct Machine {
+pub(super) struct MachineArgs {
     /// Number of worker threads; 0: one per core [default: the job's `threads`]
     #[arg(long, value_name = "N")]
     pub(super) threads: Option<usize>,

@@ -7,6 +7,7 @@ use super::{CalibrateArgs, Failure, JobArgs, run, terminal};
 use wavex_engine::engine::{self, Options};
 use wavex_engine::job::{Job, Override};
 use wavex_formats::Error;
+use wavex_formats::extensions::has_extension;
 use wavex_formats::format::reader_of;
 use wavex_line::stage::{FinishedFile, OutputFile};
 use wavex_pages::report::{sensor_model_words, survey_table};
@@ -16,7 +17,7 @@ use wavex_stages::registry::STAGES;
 
 /// Calibrates from a recording or a survey, saves the model if requested, prints it.
 pub(super) fn calibrate(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure> {
-    if args.file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
+    if has_extension(&args.file, "toml") {
         return of_survey(args, quiet);
     }
     if args.out.is_some() {
@@ -89,7 +90,7 @@ fn job_text(args: &CalibrateArgs) -> Result<String, String> {
     let reader = reader_of(&file)?;
     let quoted = |text: String| toml::Value::String(text);
     let save = match &args.save_preset {
-        Some(path) if !path.extension().is_some_and(|found| found.eq_ignore_ascii_case("json")) => {
+        Some(path) if !has_extension(path, "json") => {
             return Err(format!(
                 "--save-preset {}: a sensor model is JSON; give a name that ends in .json",
                 path.display()

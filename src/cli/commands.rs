@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::{ArgAction, Args, Parser, Subcommand};
 
 use super::args::{
-    ArchiveArgs, CalibrateArgs, CollectArgs, ExplainArgs, ImportArgs, InputRule, JobArgs, Machine, PlanArgs,
-    ResumeCheck, ScanArgs, SurveyArgs, TrajectoryArgs, ViewArgs, When,
+    ArchiveArgs, CalibrateArgs, CollectArgs, ExplainArgs, ImportArgs, InputRule, JobArgs, MachineArgs,
+    PlanArgs, ResumeCheck, ScanArgs, SurveyArgs, TrajectoryArgs, ViewArgs, When,
 };
 use super::false_alarms::FalseAlarmArgs;
 use super::usage;
@@ -46,7 +46,7 @@ pub(super) enum Command {
         #[command(flatten)]
         job: JobArgs,
         #[command(flatten)]
-        machine: Machine,
+        machine: MachineArgs,
         /// Archive how the outputs were made, in a new folder or a file that ends in .tar.zst
         ///
         /// The archive holds the job as written and as resolved, digests of all inputs and outputs,
@@ -163,7 +163,7 @@ pub(super) enum Command {
         /// Container to write: .arrow; with several inputs, `*` is replaced by the name of each
         output: String,
         #[command(flatten)]
-        machine: Machine,
+        machine: MachineArgs,
     },
     /// Convert points to a cloud-optimised point cloud (COPC)
     ///

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{Failure, Machine, run};
+use super::{Failure, MachineArgs, run};
 use wavex_engine::job::Job;
 use wavex_formats::extensions::has_extension;
 use wavex_formats::format::reader_of;
@@ -12,7 +12,7 @@ use wavex_stages::registry::STAGES;
 /// Runs the job that copies `input` to `output`.
 ///
 /// Relative paths start at the current folder.
-pub(super) fn convert(input: &str, output: &str, machine: Machine, quiet: bool) -> Result<(), Failure> {
+pub(super) fn convert(input: &str, output: &str, machine: MachineArgs, quiet: bool) -> Result<(), Failure> {
     let text = job_text(input, output).map_err(Failure::Wrong)?;
     let overrides: Vec<_> = machine.overrides().into_iter().collect();
     let job = Job::parse(STAGES, "the job of `wavex convert`", &text, &overrides)?;

@@ -101,7 +101,7 @@ fn finish_item(
     if !stac::names_system(wkt.as_deref()) {
         tracing::warn!("{}", stac::NO_SYSTEM);
     }
-    let points = stac::Points { about: &about, path: points.path(), wkt: wkt.as_deref(), times_s };
+    let points = stac::ItemPoints { about: &about, path: points.path(), wkt: wkt.as_deref(), times_s };
     stac::finish(OutputFile::create(path)?, &points)
 }
 

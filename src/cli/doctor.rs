@@ -17,7 +17,7 @@ const LITTLE_MEMORY_MB: u64 = 2_000;
 
 /// How a finding affects runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum State {
+enum Severity {
     Ok,
     /// Something is slower or cannot be read.
     Note,
@@ -26,25 +26,25 @@ enum State {
 }
 
 /// A property of the machine or of the program.
-struct Finding {
-    state: State,
+struct MachineFinding {
+    state: Severity,
     subject: &'static str,
     found: String,
     /// What to do, unless the state is `Ok`.
     advice: String,
 }
 
-impl Finding {
-    fn ok(subject: &'static str, found: impl Into<String>) -> Finding {
-        Finding { state: State::Ok, subject, found: found.into(), advice: String::new() }
+impl MachineFinding {
+    fn ok(subject: &'static str, found: impl Into<String>) -> MachineFinding {
+        MachineFinding { state: Severity::Ok, subject, found: found.into(), advice: String::new() }
     }
 
-    fn note(subject: &'static str, found: impl Into<String>, advice: impl Into<String>) -> Finding {
-        Finding { state: State::Note, subject, found: found.into(), advice: advice.into() }
+    fn note(subject: &'static str, found: impl Into<String>, advice: impl Into<String>) -> MachineFinding {
+        MachineFinding { state: Severity::Note, subject, found: found.into(), advice: advice.into() }
     }
 
-    fn problem(subject: &'static str, found: impl Into<String>, advice: impl Into<String>) -> Finding {
-        Finding { state: State::Problem, ..Finding::note(subject, found, advice) }
+    fn problem(subject: &'static str, found: impl Into<String>, advice: impl Into<String>) -> MachineFinding {
+        MachineFinding { state: Severity::Problem, ..MachineFinding::note(subject, found, advice) }
     }
 }
 
@@ -54,7 +54,7 @@ pub(super) fn doctor() -> Result<(), Failure> {
     let findings = [
         program(),
         instructions(SimdLevel::best()),
-        Finding::ok(
+        MachineFinding::ok(
             "cores",
             machine.cores.map_or("unknown on this system".to_owned(), |cores| cores.to_string()),
         ),
@@ -64,7 +64,7 @@ pub(super) fn doctor() -> Result<(), Failure> {
         proj(),
     ];
     print(&report(&findings))?;
-    match findings.iter().filter(|finding| finding.state == State::Problem).count() {
+    match findings.iter().filter(|finding| finding.state == Severity::Problem).count() {
         0 => Ok(()),
         1 => Err(Failure::Run("runs in this folder will fail: 1 problem".to_owned())),
         problems => Err(Failure::Run(format!("runs in this folder will fail: {problems} problems"))),
@@ -72,12 +72,12 @@ pub(super) fn doctor() -> Result<(), Failure> {
 }
 
 /// One row per finding; advice on a row of its own.
-fn report(findings: &[Finding]) -> String {
-    let row = |finding: &Finding| {
+fn report(findings: &[MachineFinding]) -> String {
+    let row = |finding: &MachineFinding| {
         let state = match finding.state {
-            State::Ok => "ok",
-            State::Note => "note",
-            State::Problem => "problem",
+            Severity::Ok => "ok",
+            Severity::Note => "note",
+            Severity::Problem => "problem",
         };
         let advice = match finding.advice.is_empty() {
             true => String::new(),
@@ -88,29 +88,31 @@ fn report(findings: &[Finding]) -> String {
     findings.iter().map(row).collect()
 }
 
-fn program() -> Finding {
+fn program() -> MachineFinding {
     let program = Program::this();
     match program.profile.as_str() {
-        "debug" => Finding::note(
+        "debug" => MachineFinding::note(
             "wavex",
             program.words(),
             "this build is several times slower: install it with `cargo install --locked --path .`",
         ),
-        _ => Finding::ok("wavex", program.words()),
+        _ => MachineFinding::ok("wavex", program.words()),
     }
 }
 
-fn instructions(level: SimdLevel) -> Finding {
+fn instructions(level: SimdLevel) -> MachineFinding {
     match level {
-        SimdLevel::Avx512 => Finding::ok("instructions", "AVX-512"),
-        SimdLevel::Avx2 => Finding::ok("instructions", "AVX2 with FMA"),
-        SimdLevel::Portable if cfg!(target_arch = "x86_64") => Finding::note(
+        SimdLevel::Avx512 => MachineFinding::ok("instructions", "AVX-512"),
+        SimdLevel::Avx2 => MachineFinding::ok("instructions", "AVX2 with FMA"),
+        SimdLevel::Portable if cfg!(target_arch = "x86_64") => MachineFinding::note(
             "instructions",
             "neither AVX2 with FMA nor AVX-512",
             "results are the same, but decomposition is many times slower: use a processor from 2013 or later, \
              or a virtual machine that passes these instructions on",
         ),
-        SimdLevel::Portable => Finding::ok("instructions", "those that every processor of this kind has"),
+        SimdLevel::Portable => {
+            MachineFinding::ok("instructions", "those that every processor of this kind has")
+        }
     }
 }
 
@@ -121,54 +123,60 @@ fn memory_limit_mb() -> Option<u64> {
 }
 
 /// Judges the memory of the machine and the limit of the process, MB.
-fn memory(machine_mb: Option<u64>, limit_mb: Option<u64>) -> Finding {
+fn memory(machine_mb: Option<u64>, limit_mb: Option<u64>) -> MachineFinding {
     let Some(memory_mb) = machine_mb.into_iter().chain(limit_mb).min() else {
-        return Finding::ok("memory", "unknown on this system");
+        return MachineFinding::ok("memory", "unknown on this system");
     };
     let limited = limit_mb.is_some_and(|limit_mb| machine_mb.is_none_or(|machine_mb| limit_mb < machine_mb));
     let limited = if limited { " (limit of this container or job)" } else { "" };
     let found = format!("{}{limited}", size(memory_mb * 1_000_000));
     if memory_mb < LITTLE_MEMORY_MB {
-        return Finding::note("memory", found, "set `memory_mb` and `threads` in `[job]` to smaller numbers");
+        return MachineFinding::note(
+            "memory",
+            found,
+            "set `memory_mb` and `threads` in `[job]` to smaller numbers",
+        );
     }
-    Finding::ok("memory", found)
+    MachineFinding::ok("memory", found)
 }
 
 /// Judges the current folder as an output folder.
-fn disk(folder: &Path) -> Finding {
+fn disk(folder: &Path) -> MachineFinding {
     let free = fs4::available_space(folder).unwrap_or(u64::MAX);
     let advice = "change to another folder, or choose one with `output_dir` in `[job]`";
     if let Err(error) = try_file_in(folder) {
-        return Finding::problem("disk", format!("cannot write to this folder: {error}"), advice);
+        return MachineFinding::problem("disk", format!("cannot write to this folder: {error}"), advice);
     }
     match free {
-        u64::MAX => Finding::ok("disk", "this folder is writable"),
-        _ if free < LITTLE_DISK => Finding::problem("disk", format!("{} free", size(free)), advice),
-        _ => Finding::ok("disk", format!("{} free in this folder", size(free))),
+        u64::MAX => MachineFinding::ok("disk", "this folder is writable"),
+        _ if free < LITTLE_DISK => MachineFinding::problem("disk", format!("{} free", size(free)), advice),
+        _ => MachineFinding::ok("disk", format!("{} free in this folder", size(free))),
     }
 }
 
 /// Judges RIEGL's library for SDF files.
-fn riegl(installed: Installed) -> Finding {
+fn riegl(installed: Installed) -> MachineFinding {
     let subject = "RIEGL library";
     let advice = format!(
         "only for SDF and WFM files: get RiWAVELib from RIEGL, and set {} to its file or folder",
         library::VARIABLE
     );
     match installed {
-        Installed::Loaded(version) => Finding::ok(subject, format!("{}.{}", version.major, version.minor)),
-        Installed::Missing => Finding::note(subject, "not found", advice),
-        Installed::Unusable(problem) => Finding::note(subject, problem, advice),
+        Installed::Loaded(version) => {
+            MachineFinding::ok(subject, format!("{}.{}", version.major, version.minor))
+        }
+        Installed::Missing => MachineFinding::note(subject, "not found", advice),
+        Installed::Unusable(problem) => MachineFinding::note(subject, problem, advice),
     }
 }
 
-fn proj() -> Finding {
+fn proj() -> MachineFinding {
     if cfg!(feature = "proj") {
-        return Finding::ok("PROJ", "built in");
+        return MachineFinding::ok("PROJ", "built in");
     }
     let advice =
         "only for systems on other datums: build with `--features proj` (docs/reference/coordinates.md)";
-    Finding::note("PROJ", "not built in", advice)
+    MachineFinding::note("PROJ", "not built in", advice)
 }
 
 #[cfg(test)]
@@ -181,23 +189,23 @@ mod tests {
             let finding = memory(machine, limit);
             (finding.state, finding.found)
         };
-        assert_eq!(found(Some(24_000), None), (State::Ok, "24.0 GB".to_owned()));
+        assert_eq!(found(Some(24_000), None), (Severity::Ok, "24.0 GB".to_owned()));
         let limited = "1.5 GB (limit of this container or job)".to_owned();
-        assert_eq!(found(Some(24_000), Some(1_500)), (State::Note, limited));
-        assert_eq!(found(Some(24_000), Some(64_000)), (State::Ok, "24.0 GB".to_owned()));
-        assert_eq!(found(None, None), (State::Ok, "unknown on this system".to_owned()));
+        assert_eq!(found(Some(24_000), Some(1_500)), (Severity::Note, limited));
+        assert_eq!(found(Some(24_000), Some(64_000)), (Severity::Ok, "24.0 GB".to_owned()));
+        assert_eq!(found(None, None), (Severity::Ok, "unknown on this system".to_owned()));
     }
 
     #[test]
     fn a_folder_that_cannot_be_written_to_is_a_problem() {
         let finding = disk(Path::new("/dev/null/folder"));
-        assert_eq!(finding.state, State::Problem);
+        assert_eq!(finding.state, Severity::Problem);
         assert!(finding.found.starts_with("cannot write to this folder: "), "{}", finding.found);
     }
 
     #[test]
     fn what_is_missing_comes_with_advice() {
-        let text = report(&[Finding::ok("cores", "2"), riegl(Installed::Missing)]);
+        let text = report(&[MachineFinding::ok("cores", "2"), riegl(Installed::Missing)]);
         let expected = "ok       cores           2\n\
             note     RIEGL library   not found\n                         \
             only for SDF and WFM files: get RiWAVELib from RIEGL, and set WAVEX_RIWAVELIB to its file or folder\n";

@@ -6,13 +6,14 @@ use std::sync::Arc;
 
 use super::{ExplainArgs, Failure, terminal};
 use wavex_formats::Error;
+use wavex_formats::extensions::has_extension;
 use wavex_line::stage::OutputFile;
 use wavex_run::explain::{Chain, ExplainRequest};
 
 /// Prints the returns of a shot and writes its picture.
 pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
     if let Some(out) = &args.out
-        && !out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"))
+        && !has_extension(out, "svg")
     {
         let problem = "the picture is SVG; give a name that ends in .svg";
         return Err(Failure::Wrong(format!("--out {}: {problem}", out.display())));

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use clap::Parser;
 
-use super::{Cli, Failure, ImportArgs, Machine, When, dispatch, run, terminal};
+use super::{Cli, Failure, ImportArgs, MachineArgs, When, dispatch, run, terminal};
 use wavex_classic::draft::Known;
 use wavex_classic::options::Flag;
 use wavex_classic::{Import, Place, THE_JOB, import};
@@ -93,7 +93,7 @@ fn run_all(import: &Import, job: Option<Job>, folder: Option<&Path>, quiet: bool
     let quiet = quiet || import.flags.contains(&Flag::Quiet);
     let progress = if import.flags.contains(&Flag::NoProgress) { When::Never } else { When::Auto };
     if let Some(job) = job {
-        let machine = Machine { threads: None, profile: false, progress };
+        let machine = MachineArgs { threads: None, profile: false, progress };
         run::run_job(RunRequest::quiet(&job, folder.unwrap_or(Path::new("."))), machine, quiet)?;
     }
     super::do_all(import.commands.iter().map(|words| command(words, quiet)))

@@ -25,7 +25,7 @@ pub(super) fn plan(args: &PlanArgs, quiet: bool) -> Result<(), Failure> {
         let problem = "a job on standard input cannot be planned; save it to a file and plan that";
         return Err(Failure::Wrong(problem.to_owned()));
     }
-    // An existing archive may be that of this plan: `collect` compares them.
+    // An existing archive may belong to this plan: `collect` compares them.
     if let Some(archive) = args.archive.as_ref().filter(|archive| !archive.exists()) {
         check_destination(archive).map_err(|error| Failure::Wrong(error.to_string()))?;
     }

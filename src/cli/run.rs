@@ -4,7 +4,7 @@ use std::io::IsTerminal;
 use std::path::Path;
 use std::time::Duration;
 
-use super::{Failure, JobArgs, Machine, When, args, terminal};
+use super::{Failure, JobArgs, MachineArgs, When, args, terminal};
 use wavex_engine::engine::{Cancel, Cause, ProgressMode, RunError, RunSummary};
 use wavex_engine::job::Override;
 use wavex_line::stage::{release_all, remove_unfinished_files};
@@ -14,7 +14,7 @@ use wavex_run::run::{Listener, ResumeCheck, RunRequest};
 /// Reads and runs the job; `archive` names the archive to make, `resume` skips complete inputs.
 pub(super) fn run(
     args: &JobArgs,
-    machine: Machine,
+    machine: MachineArgs,
     archive: Option<&Path>,
     resume: Option<args::ResumeCheck>,
     relearn: bool,
@@ -36,7 +36,7 @@ pub(super) fn run(
 }
 
 /// Runs a job until it ends or a signal comes; shows progress and messages.
-pub(super) fn run_job(request: RunRequest, machine: Machine, quiet: bool) -> Result<RunSummary, Failure> {
+pub(super) fn run_job(request: RunRequest, machine: MachineArgs, quiet: bool) -> Result<RunSummary, Failure> {
     let request = RunRequest {
         profile: machine.profile,
         progress: machine.progress(quiet, std::io::stderr().is_terminal()),
@@ -112,7 +112,7 @@ pub(super) fn stop_on_signals(cancel: &Cancel) {
     }
 }
 
-impl Machine {
+impl MachineArgs {
     /// Job keys set by these arguments.
     pub(super) fn overrides(self) -> Option<Override> {
         self.threads.map(|threads| Override::new(format!("job.threads={threads}")))
@@ -152,7 +152,7 @@ mod tests {
     #[test]
     fn a_bar_is_for_terminals() {
         let shown = |progress, quiet, on_terminal| {
-            Machine { threads: None, profile: false, progress }.progress(quiet, on_terminal)
+            MachineArgs { threads: None, profile: false, progress }.progress(quiet, on_terminal)
         };
         assert_eq!(shown(When::Auto, false, true), ProgressMode::Bar);
         assert_eq!(shown(When::Auto, false, false), ProgressMode::Lines);
@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn threads_of_the_command_line_are_the_jobs() {
-        let machine = Machine { threads: Some(3), profile: false, progress: When::Auto };
+        let machine = MachineArgs { threads: Some(3), profile: false, progress: When::Auto };
         assert_eq!(machine.overrides(), Some(Override::new("job.threads=3")));
     }
 }

@@ -69,13 +69,18 @@ Reading all of the recording.\n\n"
 }
 
 /// Results of an inspection, and the error that ended it.
-pub(super) type Read = (Inspection, Context, Result<(), StageError>);
+pub(super) type InspectedRecording = (Inspection, Context, Result<(), StageError>);
 
 /// Prints and writes the results of an inspection.
 ///
 /// If the recording could not be read to its end, these are of the readable part; then returns the
 /// error.
-fn write_scan(file: &Path, name: &str, (inspection, cx, ended): Read, quiet: bool) -> Result<(), Failure> {
+fn write_scan(
+    file: &Path,
+    name: &str,
+    (inspection, cx, ended): InspectedRecording,
+    quiet: bool,
+) -> Result<(), Failure> {
     if let Err(error) = &ended
         && inspection.shots.count == 0
     {
@@ -105,7 +110,7 @@ pub(super) fn look_at(
     with_samples: bool,
     shots: u64,
     mut watch: impl FnMut(&ScanLine, Option<f64>),
-) -> Result<Read, Failure> {
+) -> Result<InspectedRecording, Failure> {
     let name = file.display().to_string();
     let reader = reader_of(&name).map_err(Failure::Wrong)?;
     let text = format!("[[stage]]\ntype = \"{reader}\"\npath = {}\n", toml::Value::String(name));

@@ -11,6 +11,7 @@ use super::run::stop_on_signals;
 use super::{Failure, JobArgs, ViewArgs, terminal};
 use wavex_engine::engine::Cancel;
 use wavex_engine::job::{Include, Job, Override};
+use wavex_formats::extensions::has_extension;
 use wavex_line::georef::check_crs;
 use wavex_line::stage::counted;
 use wavex_pages::report::read_report;
@@ -61,20 +62,20 @@ fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
     let memory_bytes = usize::try_from(args.memory_mb).unwrap_or(usize::MAX).saturating_mul(1_000_000);
     let kind = match () {
         () if place.is_dir() => "folder",
-        () if place.extension().is_some_and(|end| end.eq_ignore_ascii_case("toml")) => "job",
+        () if has_extension(place, "toml") => "job",
         () => "recording",
     };
     let (source, folder) = match kind {
-        "folder" => Source::of_folder(place)?,
+        "folder" => JobText::of_folder(place)?,
         "job" => {
             let job = JobArgs { job: place.clone(), set: Vec::new() };
             let folder = job.folder();
-            (Source::of_job(&job.read(None)?), folder)
+            (JobText::of_job(&job.read(None)?), folder)
         }
         _ => {
             let (name, text) = (format!("the job for {}", place.display()), of_recording(place, None)?);
             // Paths in messages stay as they are given.
-            (Source { name, text, includes: Vec::new() }, PathBuf::new())
+            (JobText { name, text, includes: Vec::new() }, PathBuf::new())
         }
     };
     let set = args.set.clone();
@@ -90,19 +91,19 @@ fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
 }
 
 /// Text of a job.
-struct Source {
+struct JobText {
     name: String,
     text: String,
     includes: Vec<Include>,
 }
 
-impl Source {
-    fn of_job(job: &Job) -> Source {
-        Source { name: job.name.clone(), text: job.text.clone(), includes: job.includes.clone() }
+impl JobText {
+    fn of_job(job: &Job) -> JobText {
+        JobText { name: job.name.clone(), text: job.text.clone(), includes: job.includes.clone() }
     }
 
     /// Job of the run whose outputs are in a folder, by its report, and the folder of its inputs.
-    fn of_folder(folder: &Path) -> Result<(Source, PathBuf), Failure> {
+    fn of_folder(folder: &Path) -> Result<(JobText, PathBuf), Failure> {
         let path = only_report(folder)?;
         let name = path.display().to_string();
         let wrong = |problem: &str| {
@@ -123,7 +124,7 @@ impl Source {
         let mut job = Value::Object(job);
         without_null(&mut job);
         let text = toml::to_string(&job).map_err(|error| wrong(&format!("its job is damaged: {error}")))?;
-        Ok((Source { name, text, includes: Vec::new() }, PathBuf::from(input_dir)))
+        Ok((JobText { name, text, includes: Vec::new() }, PathBuf::from(input_dir)))
     }
 
     fn parse(&self, set: &[String]) -> Result<Job, Failure> {

@@ -70,7 +70,7 @@ impl SourceConfig for TwoReceivers {
         None
     }
 
-    fn make(&self, _site: &RunContext) -> Result<Box<dyn Source>> {
+    fn make(&self, _: &RunContext) -> Result<Box<dyn Source>> {
         let input = InputInfo {
             stem: "two".into(),
             full_scale_dn: Some(FULL_SCALE_DN as u16),

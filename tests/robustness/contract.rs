@@ -158,15 +158,15 @@ struct GapSource {
 impl Source for GapSource {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         self.step += 1;
-        let mut batch = match self.step {
+        let mut scan_line = match self.step {
             1 | 4 | 7 => Some(ScanLine::of_shots(empty_input(), 0, Vec::new(), Blocks::default())),
             5 if !self.only_empty => self.lines.next(cx)?.map(without_blocks),
             2 | 3 | 6 if !self.only_empty => self.lines.next(cx)?,
             2..=7 => return self.next(cx),
             _ => None,
         };
-        batch.iter_mut().for_each(|batch| batch.line = self.step);
-        Ok(batch)
+        scan_line.iter_mut().for_each(|scan_line| scan_line.line = self.step);
+        Ok(scan_line)
     }
 }
 

@@ -22,7 +22,7 @@ pub fn input_info() -> InputInfo {
     InputInfo { stem: "test".into(), format: "test".into(), frame: Frame::Map, ..InputInfo::default() }
 }
 
-/// An emission at nadir from 1000 m; 10 us per shot.
+/// A shot at nadir from 1000 m; 10 us per shot.
 pub fn emission(shot: u64) -> Emission {
     Emission {
         shot,
@@ -151,7 +151,7 @@ pub struct Work {
 impl Config for Work {}
 
 impl MapConfig for Work {
-    fn make(&self, _site: &RunContext) -> Result<Box<dyn Map>> {
+    fn make(&self, _: &RunContext) -> Result<Box<dyn Map>> {
         Ok(Box::new(self.clone()))
     }
 }
@@ -187,7 +187,7 @@ impl Default for Hold {
 impl Config for Hold {}
 
 impl TransformConfig for Hold {
-    fn make(&self, _site: &RunContext) -> Result<Box<dyn Transform>> {
+    fn make(&self, _: &RunContext) -> Result<Box<dyn Transform>> {
         Ok(Box::new(Holding { lines: self.lines, held: Vec::new(), released: false }))
     }
 }

@@ -111,10 +111,10 @@ pub fn fly(scene: &Scene, seed: u64) -> Flight {
     let mut source = source.make(&run()).expect("a flight");
     let mut flight = Flight { lines: Vec::new(), truth: Vec::new() };
     let mut rows = rows.into_iter().peekable();
-    while let Some(mut batch) = source.next(&mut Context::default()).expect("a line") {
+    while let Some(mut scan_line) = source.next(&mut Context::default()).expect("a line") {
         let mut returns = Vec::new();
         let mut truth = Vec::new();
-        for (index, emission) in batch.emissions.iter().enumerate() {
+        for (index, emission) in scan_line.emissions.iter().enumerate() {
             let mut of_shot: Vec<True> = Vec::new();
             while let Some(row) = rows.next_if(|row| row.shot == emission.shot) {
                 of_shot.push(row);
@@ -125,10 +125,10 @@ pub fn fly(scene: &Scene, seed: u64) -> Flight {
             );
             truth.extend(of_shot);
         }
-        batch.stats.nw_with_points = batch.stats.nw;
-        batch.stats.np = returns.len() as u64;
-        batch.content = Content::Returns(returns);
-        flight.lines.push(batch);
+        scan_line.stats.nw_with_points = scan_line.stats.nw;
+        scan_line.stats.np = returns.len() as u64;
+        scan_line.content = Content::Returns(returns);
+        flight.lines.push(scan_line);
         flight.truth.push(truth);
     }
     flight
@@ -224,8 +224,8 @@ pub fn filtered(lines: Vec<ScanLine>, keys: &str, may_hold_bytes: usize) -> (Vec
     let Plan::Transform(filter) = planned("filter_outliers", keys) else { panic!("a transform") };
     let mut filter = filter.make(&run()).expect("a filter");
     let (mut cx, mut given_on) = (Context::default(), Vec::new());
-    let mut emit = |batch: ScanLine| {
-        given_on.push(batch);
+    let mut emit = |scan_line: ScanLine| {
+        given_on.push(scan_line);
         Ok(())
     };
     let mut out = Output::new(&mut cx, may_hold_bytes, &mut emit);

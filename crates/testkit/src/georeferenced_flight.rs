@@ -21,7 +21,7 @@ pub struct Flight {
     folder: tempfile::TempDir,
     /// True returns, in the order of the recording.
     pub truth: Vec<Truth>,
-    /// Rotation from the recording's frame to that of a scanner with another mounting.
+    /// Rotation from the recording's frame to the frame of a scanner with another mounting.
     turned: Rotation,
     /// Information missing from the recording.
     unsaid: Unsaid,
@@ -138,7 +138,7 @@ impl Flight {
     /// Runs the stage on the recording with poses and with true ranges instead of those of
     /// `decompose`.
     ///
-    /// The errors are therefore those of georeferencing only. `measured` converts a true to a
+    /// The errors are therefore caused by georeferencing only. `measured` converts a true to a
     /// measured range.
     pub fn place(&self, geometry: &str, measured: impl Fn(&Truth) -> f64) -> Result<Placed, String> {
         let text = |error: &dyn std::fmt::Display| error.to_string();
@@ -151,9 +151,9 @@ impl Flight {
         let mut cx = Context::default();
         let (mut points, mut returns, mut stats) = (Vec::new(), Vec::new(), Vec::new());
         let (mut wkt, mut gps_week) = (None, None);
-        while let Some(mut batch) = source.next(&mut cx).map_err(|e| text(&e))? {
-            batch.content = Content::Returns(true_returns(&batch, &by_shot, &measured));
-            let placed = stage.map(batch, &mut cx).map_err(|e| text(&e))?;
+        while let Some(mut scan_line) = source.next(&mut cx).map_err(|e| text(&e))? {
+            scan_line.content = Content::Returns(true_returns(&scan_line, &by_shot, &measured));
+            let placed = stage.map(scan_line, &mut cx).map_err(|e| text(&e))?;
             points.extend(placed.points().unwrap());
             returns.extend(placed.returns().unwrap());
             stats.push(placed.stats);
@@ -176,29 +176,29 @@ struct Changed {
 impl Source for Changed {
     fn next(&mut self, cx: &mut Context) -> wavex::stage::Result<Option<ScanLine>> {
         let mut next = self.source.next(cx)?;
-        for emission in next.iter_mut().flat_map(|batch| &mut batch.emissions) {
+        for emission in next.iter_mut().flat_map(|scan_line| &mut scan_line.emissions) {
             emission.origin_m = rotate(&self.turned, emission.origin_m);
             emission.direction = rotate(&self.turned, emission.direction);
             if self.unsaid == Unsaid::Times {
                 emission.gps_time_s = f64::NAN;
             }
         }
-        if let Some(batch) = &mut next {
-            let mut input = InputInfo::clone(&batch.input);
+        if let Some(scan_line) = &mut next {
+            let mut input = InputInfo::clone(&scan_line.input);
             match self.unsaid {
                 Unsaid::Week => input.gps_week = None,
                 Unsaid::Scale => input.time_scale = TimeScale::Unknown,
                 Unsaid::Scanner => input.frame = Frame::Body,
                 Unsaid::Nothing | Unsaid::Times => return Ok(next),
             }
-            batch.input = Arc::new(input);
+            scan_line.input = Arc::new(input);
         }
         Ok(next)
     }
 }
 
 fn true_returns(
-    batch: &ScanLine,
+    scan_line: &ScanLine,
     truth: &BTreeMap<u64, Vec<&Truth>>,
     measured: &impl Fn(&Truth) -> f64,
 ) -> Vec<Return> {
@@ -211,7 +211,7 @@ fn true_returns(
             .map(move |(truth, number)| return_of(index as u32, [number, n], measured(truth)))
             .collect::<Vec<_>>()
     };
-    batch.emissions.iter().enumerate().flat_map(of_shot).collect()
+    scan_line.emissions.iter().enumerate().flat_map(of_shot).collect()
 }
 
 /// A return with a position only.

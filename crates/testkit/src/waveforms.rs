@@ -89,7 +89,7 @@ pub fn model(noise: &ArNoise) -> ChannelModel {
     }
 }
 
-/// Noise of the recorded samples: that of the receiver, and the rounding to whole steps.
+/// Noise of the recorded samples: receiver noise, and the rounding to whole steps.
 ///
 /// Without the rounding chi-square per degree of freedom is 1.3.
 fn recorded(noise: &ArNoise) -> ArNoise {

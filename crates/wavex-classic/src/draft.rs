@@ -20,19 +20,19 @@ pub enum Known {
 /// A job under construction.
 #[derive(Debug, Default)]
 pub struct Draft {
-    sections: Vec<Section>,
+    sections: Vec<DraftSection>,
 }
 
 /// Keys of `[job]`, of `[job.geometry]`, or of one stage.
 #[derive(Debug)]
-struct Section {
+struct DraftSection {
     name: String,
-    entries: Vec<Entry>,
+    entries: Vec<DraftEntry>,
 }
 
 /// A key with its value.
 #[derive(Debug)]
-struct Entry {
+struct DraftEntry {
     key: &'static str,
     toml: String,
     /// Source of the key: an option or a default.
@@ -49,7 +49,7 @@ struct Entry {
 
 /// Result of writing a draft.
 #[derive(Debug, Default, PartialEq)]
-pub struct Text {
+pub struct DraftText {
     /// The job.
     pub toml: String,
     /// Requests that this build does not support.
@@ -91,7 +91,8 @@ impl Draft {
     /// Sets a key; replaces an earlier value together with its source.
     pub fn set(&mut self, section: &str, key: &'static str, toml: String, why: &str, is_asked: bool) {
         let section = self.section(section);
-        let entry = Entry { key, toml, why: why.to_owned(), remark: "", obstacle: String::new(), is_asked };
+        let entry =
+            DraftEntry { key, toml, why: why.to_owned(), remark: "", obstacle: String::new(), is_asked };
         match section.entries.iter_mut().find(|entry| entry.key == key) {
             Some(old) => *old = entry,
             None => section.entries.push(entry),
@@ -126,7 +127,7 @@ impl Draft {
     /// Requested keys outside of these sections: section and source (such as `-o12`).
     pub fn asked_outside_of(&self, sections: &[&str]) -> Vec<(String, String)> {
         let outside = self.sections.iter().filter(|section| !sections.contains(&section.name.as_str()));
-        let asked = |section: &Section| {
+        let asked = |section: &DraftSection| {
             let entries = section.entries.iter().filter(|entry| entry.is_asked);
             entries.map(|entry| (section.name.clone(), entry.why.clone())).collect::<Vec<_>>()
         };
@@ -134,8 +135,8 @@ impl Draft {
     }
 
     /// Writes the job of these stages; unsupported parts become comments.
-    pub fn text(&self, stages: &[&str], known: &Known) -> Text {
-        let mut text = Text::default();
+    pub fn text(&self, stages: &[&str], known: &Known) -> DraftText {
+        let mut text = DraftText::default();
         if !self.entries("job").is_empty() {
             text.toml += "\n[job]\n";
             text.sources.push((text.toml.lines().count() - 1, String::new()));
@@ -152,7 +153,7 @@ impl Draft {
         text
     }
 
-    fn write_section(&self, name: &str, header: &str, is_known: bool, known: &Known, text: &mut Text) {
+    fn write_section(&self, name: &str, header: &str, is_known: bool, known: &Known, text: &mut DraftText) {
         if is_known {
             // An error at the header is of no key.
             text.sources.push((text.toml.lines().count() + 1, String::new()));
@@ -160,7 +161,7 @@ impl Draft {
             self.write_entries(name, known, text);
             return;
         }
-        let mut inner = Text { toml: format!("{header}\n"), ..Text::default() };
+        let mut inner = DraftText { toml: format!("{header}\n"), ..DraftText::default() };
         self.write_entries(name, &Known::Everything, &mut inner);
         let _ = writeln!(text.toml, "\n# Not supported by this build:");
         for line in inner.toml.lines() {
@@ -170,7 +171,7 @@ impl Draft {
         text.missing.extend(asked.map(|entry| format!("{} (`{name}`)", entry.why)));
     }
 
-    fn write_entries(&self, section: &str, known: &Known, text: &mut Text) {
+    fn write_entries(&self, section: &str, known: &Known, text: &mut DraftText) {
         let mut lines: Vec<(String, String, &str)> = Vec::new();
         for entry in self.entries(section) {
             let line = format!("{} = {}", entry.key, entry.toml);
@@ -202,15 +203,15 @@ impl Draft {
         }
     }
 
-    fn entries(&self, name: &str) -> &[Entry] {
+    fn entries(&self, name: &str) -> &[DraftEntry] {
         let found = self.sections.iter().find(|section| section.name == name);
         found.map_or(&[], |section| &section.entries)
     }
 
-    fn section(&mut self, name: &str) -> &mut Section {
+    fn section(&mut self, name: &str) -> &mut DraftSection {
         let at = self.sections.iter().position(|section| section.name == name);
         let at = at.unwrap_or_else(|| {
-            self.sections.push(Section { name: name.to_owned(), entries: Vec::new() });
+            self.sections.push(DraftSection { name: name.to_owned(), entries: Vec::new() });
             self.sections.len() - 1
         });
         &mut self.sections[at]

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::options::{Opt, Takes, Version};
-use super::problem::{MOST_SHOWN, Place, Problem, Source};
+use super::problem::{MOST_SHOWN, OptionPlace, OptionText, Problem};
 use super::versions::VERSIONS;
 use wavex_line::stage::nearest_of;
 
@@ -18,7 +18,7 @@ pub struct Given {
     /// Text as written: `-det 6`, or `wavex.opt.txt: det=6`.
     pub written: String,
     /// Position in its source.
-    pub place: Place,
+    pub place: OptionPlace,
 }
 
 /// Value of an option.
@@ -39,7 +39,7 @@ pub enum Value {
 /// A word with its position.
 struct Word {
     text: String,
-    place: Place,
+    place: OptionPlace,
 }
 
 /// Joins the words into one command line that starts with `wavex`; quotes words with blanks.
@@ -77,7 +77,7 @@ pub fn read_line(version: &Version, words: &[String]) -> (Vec<Given>, Vec<Proble
             Ok(option) => given.push(option),
             Err(problem) => problems.push(problem),
         }
-        // Each further error is most likely a consequence of these.
+        // Each further error is most likely a consequence of the errors so far.
         if problems.len() > MOST_SHOWN {
             break;
         }
@@ -88,12 +88,12 @@ pub fn read_line(version: &Version, words: &[String]) -> (Vec<Given>, Vec<Proble
 
 /// The words with their positions in the line.
 fn placed(words: &[String]) -> Vec<Word> {
-    let source = Arc::new(Source { name: None, text: joined(words) });
+    let source = Arc::new(OptionText { name: None, text: joined(words) });
     let mut start = "wavex ".len();
     let word = |word: &String| {
         let range = start..start + quoted(word).len();
         start = range.end + 1;
-        Word { text: word.clone(), place: Place { source: Arc::clone(&source), range } }
+        Word { text: word.clone(), place: OptionPlace { source: Arc::clone(&source), range } }
     };
     words.iter().map(word).collect()
 }
@@ -141,7 +141,11 @@ fn is_option(word: &Word) -> bool {
 /// Finds the option that a word names, with an argument attached to it.
 ///
 /// `body` is the word without its dash: `det`, `det=6`, `d6`, `o*_abc`.
-fn find(version: &Version, body: &str, place: &Place) -> Result<(&'static Opt, Option<String>), Problem> {
+fn find(
+    version: &Version,
+    body: &str,
+    place: &OptionPlace,
+) -> Result<(&'static Opt, Option<String>), Problem> {
     if let Some(option) = version.option(body) {
         return Ok((option, None));
     }
@@ -198,7 +202,7 @@ fn is_text(takes: Takes) -> bool {
 const MOST_ALIKE: usize = 5;
 
 /// Error for an unknown option, with the most likely intended one.
-fn unknown(version: &Version, name: &str, place: &Place) -> Problem {
+fn unknown(version: &Version, name: &str, place: &OptionPlace) -> Problem {
     let problem = Problem::at(place, format!("version {} has no option `-{name}`", version.name));
     if let Some(other) = VERSIONS.iter().find(|other| other.option(name).is_some()) {
         return problem.help(format!("version {0} has this option; use `--classic {0}`", other.name));
@@ -231,7 +235,12 @@ fn alike(version: &Version, name: &str) -> String {
 }
 
 /// Converts the argument of an option to its value.
-fn value(option: &'static Opt, written: &str, texts: &[String], place: &Place) -> Result<Value, Problem> {
+fn value(
+    option: &'static Opt,
+    written: &str,
+    texts: &[String],
+    place: &OptionPlace,
+) -> Result<Value, Problem> {
     let wrong = |text: &str| {
         let name = written.split_once('=').map_or(written, |(name, _)| name);
         let expected = option.takes.words();
@@ -282,8 +291,9 @@ pub fn read_file(version: &Version, path: &Path, text: &str) -> (Vec<Given>, Vec
         if line.is_empty() || line.starts_with('#') {
             continue;
         }
-        let source = Source { name: Some(format!("{}:{number}", path.display())), text: quoted_line(line) };
-        let place = Place { range: 0..source.text.len(), source: Arc::new(source) };
+        let source =
+            OptionText { name: Some(format!("{}:{number}", path.display())), text: quoted_line(line) };
+        let place = OptionPlace { range: 0..source.text.len(), source: Arc::new(source) };
         match read_file_line(version, line, &place) {
             Ok(mut option) => {
                 option.written = format!("{}: {}", path.display(), option.written);
@@ -302,7 +312,7 @@ fn quoted_line(line: &str) -> String {
     line.replace(char::is_control, "?")
 }
 
-fn read_file_line(version: &Version, line: &str, place: &Place) -> Result<Given, Problem> {
+fn read_file_line(version: &Version, line: &str, place: &OptionPlace) -> Result<Given, Problem> {
     let Some((name, argument)) = line.split_once('=') else {
         let problem = Problem::at(place, format!("`{line}` is not `name=argument`"));
         return Err(problem.help("an options file has one option per line, such as `det=5`"));

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 /// Text that contains options: the command line or a line of a file.
 #[derive(Debug, PartialEq)]
-pub struct Source {
+pub struct OptionText {
     /// File name and line number; `None` for the command line.
     pub name: Option<String>,
     /// The complete line.
@@ -14,9 +14,9 @@ pub struct Source {
 
 /// Byte range in a source.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Place {
+pub struct OptionPlace {
     /// The source.
-    pub source: Arc<Source>,
+    pub source: Arc<OptionText>,
     /// The range, bytes.
     pub range: Range<usize>,
 }
@@ -29,12 +29,12 @@ pub struct Problem {
     /// Remedy; empty if `what` implies it.
     pub help: String,
     /// Position; `None` for the line as a whole.
-    pub place: Option<Place>,
+    pub place: Option<OptionPlace>,
 }
 
 impl Problem {
     /// An error at a position.
-    pub fn at(place: &Place, what: String) -> Problem {
+    pub fn at(place: &OptionPlace, what: String) -> Problem {
         Problem { what, help: String::new(), place: Some(place.clone()) }
     }
 

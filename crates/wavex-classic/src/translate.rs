@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::draft::{Draft, Known, Text, toml_number, toml_text};
+use super::draft::{Draft, DraftText, Known, toml_number, toml_text};
 use super::line::{Given, Value};
 use super::options::{Becomes, Flag, Form, Opt, Part, Standard, Takes, Version};
 use super::paths::Paths;
@@ -28,7 +28,7 @@ pub struct Place<'a> {
 #[derive(Debug, Default)]
 pub struct Imported {
     /// The job; empty if the line requests commands only.
-    pub job: Text,
+    pub job: DraftText,
     /// Commands to run besides or instead of the job, each a `wavex` command line.
     pub commands: Vec<Vec<String>>,
     /// Options without a key: as written, and the explanation.
@@ -68,7 +68,7 @@ const TRAJECTORY_COLUMNS: [(char, &str); 7] = [
 ];
 
 /// Keys that are pairs, of which each option sets one number.
-type Ends = BTreeMap<(&'static str, &'static str), ([f64; 2], Vec<String>)>;
+type NumberPairs = BTreeMap<(&'static str, &'static str), ([f64; 2], Vec<String>)>;
 
 /// Translates the options of a line; later options override earlier ones.
 pub fn translate(
@@ -251,7 +251,7 @@ impl Translation<'_> {
 
     /// Sets the keys of all options, in the order of the table.
     pub(super) fn keys(&mut self) {
-        let mut ends = Ends::new();
+        let mut ends = NumberPairs::new();
         let default_of = format!("default of {}", self.version.name);
         for option in self.version.options {
             let given = self.given.iter().find(|given| std::ptr::eq(given.option, option));

@@ -72,7 +72,7 @@ pub struct Options {
     pub progress: ProgressMode,
     /// Receives the progress, whether it is displayed or not.
     pub watch: Option<ProgressWatch>,
-    /// Observers of the lines, such as those of the report page.
+    /// Observers of the lines, such as the observer of the report page.
     pub observers: Option<Arc<dyn RunObservers>>,
     /// Number of inputs that run at the same time; 0: as many as help.
     pub inputs_at_once: usize,
@@ -153,7 +153,7 @@ pub fn find_inputs(job: &Job, input_dir: &Path) -> (Vec<Input>, Vec<RunError>) {
 
 /// Receives the results of a run after each input.
 ///
-/// The number is that of the input in [`RunSummary::inputs`]; the error is its failure, unless that
+/// The number is the index of the input in [`RunSummary::inputs`]; the error is its failure, unless that
 /// ends the run.
 pub type InputDone<'a> = dyn FnMut(&mut RunSummary, usize, Option<RunError>) -> Result<(), StageError> + 'a;
 

@@ -43,7 +43,7 @@ pub use schema::{job_schema, job_schema_text};
 pub use simd::Simd;
 pub use survey::{CELLS, SurveyKeys};
 
-use sources::Sources;
+use sources::JobSources;
 pub use sources::{Include, Override};
 
 /// A validated job.
@@ -262,9 +262,9 @@ impl Job {
         overrides: &[Override],
     ) -> Result<Job, JobErrors> {
         if let Some(error) = limits::check(text, includes) {
-            return Err(JobErrors::new(vec![error], Sources::new(name, "", &[], &[])));
+            return Err(JobErrors::new(vec![error], JobSources::new(name, "", &[], &[])));
         }
-        let sources = Sources::new(name, text, includes, overrides);
+        let sources = JobSources::new(name, text, includes, overrides);
         match read(stages, text, &sources) {
             Ok((settings, stages)) => Ok(Job {
                 name: name.to_owned(),
@@ -307,7 +307,7 @@ impl Job {
 fn read(
     stages: &[&'static StageSpec],
     text: &str,
-    sources: &Sources,
+    sources: &JobSources,
 ) -> Result<(JobSettings, Vec<JobStage>), Vec<JobError>> {
     let included: Vec<String> = sources.includes().map(|(start, text)| include::pad(start, text)).collect();
     let padded: Vec<String> = sources.overrides().map(|(start, text)| overrides::pad(start, text)).collect();
@@ -316,7 +316,7 @@ fn read(
         Ok(root) => root,
         Err(syntax) => return Err(syntax.into_iter().chain(errors).collect()),
     };
-    let (mut draft, problems) = draft::Draft::new(root, stages);
+    let (mut draft, problems) = draft::JobDraft::new(root, stages);
     errors.extend(problems);
     errors.extend(include::apply(&included, &mut draft, stages));
     errors.extend(draft.libraries());
@@ -324,9 +324,9 @@ fn read(
     errors.extend(include::check(&draft, included.len()));
 
     let settings = tables::settings(draft.settings, &mut errors);
-    let links: Vec<chain::Link> = draft.stages.iter().map(chain::Link::of).collect();
+    let links: Vec<chain::ChainLink> = draft.stages.iter().map(chain::ChainLink::of).collect();
     errors.extend(chain::check(&links, stages));
-    let planned: Vec<Option<tables::Stage>> =
+    let planned: Vec<Option<tables::ParsedStage>> =
         draft.stages.into_iter().map(|stage| tables::stage(stage, &mut errors)).collect();
     errors.extend(outputs::check(&planned, settings.as_ref()));
 

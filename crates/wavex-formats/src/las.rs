@@ -77,11 +77,8 @@ pub use copc::{CopcSummary, Keep, ProgressObserver, write_copc};
 pub use description::LasDescription;
 pub use descriptor::PacketDescriptor;
 #[cfg(test)]
-use extra_bytes::{AMP, CHANNEL};
-pub use extra_bytes::{
-    ATTRIBUTES_1_0, ATTRIBUTES_1_1, ATTRIBUTES_STANDARD, DataType, ExtraAttribute, ExtraBytes, RAW_AMP,
-    quantise,
-};
+use extra_bytes::tests::{AMP, CHANNEL};
+pub use extra_bytes::{DataType, ExtraAttribute, ExtraBytes, quantise};
 pub use header::{GpsTime, LasHeader, MAX_COORDINATE};
 pub use lax::beside as indexes_beside;
 pub use packet_writer::{PacketReference, PacketWriter};

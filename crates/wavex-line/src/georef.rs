@@ -2,7 +2,7 @@
 //!
 //! With a trajectory, each shot gets its pose as soon as the source delivers it
 //! ([`crate::stage::pose_source`]). Its beam is then given in the earth-centred frame (ECEF), so later stages need
-//! only the emission. `georeference` converts the result to output coordinates ([`output_crs`]).
+//! only the shot. `georeference` converts the result to output coordinates ([`output_crs`]).
 //! `docs/explanation/georeferencing.md` gives the formulas.
 
 mod area_of_use;

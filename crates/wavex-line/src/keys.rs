@@ -57,7 +57,7 @@ impl Keys {
 
     /// Describes the first number of a table that is outside the bounds of its key, if any.
     ///
-    /// For tables in files of their own: those of a job are checked with their positions.
+    /// For tables in files of their own: the tables of a job are checked with their positions.
     pub fn violation(&self, table: &impl Serialize) -> Option<String> {
         bounds::violation(&self.schema, &serde_json::to_value(table).ok()?)
     }

@@ -259,6 +259,14 @@ impl Reason {
         self.description().item
     }
 
+    /// Whether a stage may use it, by the list of its stages.
+    ///
+    /// The engine applies poses to every source, so any source may have shots outside the trajectory.
+    pub fn is_of(self, stage: &str) -> bool {
+        let stages = self.description().stages;
+        stages.is_empty() || stages.contains(&stage) || self == Reason::OutsideTrajectory
+    }
+
     /// Whether the loss is expected, and no reason for a warning.
     pub const fn is_expected(self) -> bool {
         matches!(self.description().counter, Counter::Expected)
@@ -305,6 +313,13 @@ mod tests {
             assert!(!text.is_empty() && !remedy.is_empty(), "{reason:?}");
             assert!(!stages.is_empty() || matches!(reason, Reason::OwnStage), "{reason:?}");
         }
+    }
+
+    #[test]
+    fn reasons_belong_to_their_stages() {
+        assert!(Reason::TooWeak.is_of("decompose") && !Reason::TooWeak.is_of("calibrate"));
+        assert!(Reason::OutsideTrajectory.is_of("a source of a user"));
+        assert!(Reason::Custom(Item::Shots, "truncated").is_of("a stage of a user"));
     }
 
     #[test]

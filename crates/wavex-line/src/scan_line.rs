@@ -1,6 +1,6 @@
 //! Data that flows through a chain of stages.
 //!
-//! A [`ScanLine`] is one scan line. A batch always holds the shots of its line. Its [`Kind`]
+//! A [`ScanLine`] is one scan line. It always holds its shots. Its [`Kind`]
 //! determines its other content: recorded sample blocks, returns found in them, or points computed
 //! from them. The samples of a line share one buffer, so a line needs few allocations, whatever its
 //! number of shots.
@@ -61,11 +61,11 @@ pub struct ScanLine {
     pub waveforms: Option<Blocks>,
     /// Share of the memory budget.
     ///
-    /// Released when the batch is dropped.
+    /// Released when the scan line is dropped.
     pub ticket: Option<Ticket>,
 }
 
-/// Content of a batch besides its shots.
+/// Content of a scan line besides its shots.
 #[derive(Debug)]
 pub enum Content {
     /// Recorded sample blocks.
@@ -78,7 +78,7 @@ pub enum Content {
     Points(Returns, Vec<[f64; 3]>),
 }
 
-/// Kind of batch.
+/// Kind of scan line.
 ///
 /// The input and output type of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -191,7 +191,7 @@ impl ScanLine {
         self.returns().map_or(0, |returns| returns.len())
     }
 
-    /// Returns the memory used by the batch, bytes.
+    /// Returns the memory used by the scan line, bytes.
     ///
     /// It is limited by `memory_mb`.
     pub fn bytes(&self) -> usize {

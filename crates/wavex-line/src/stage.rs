@@ -142,7 +142,7 @@ pub trait Source: Send {
 ///
 /// The engine may run several instances in parallel.
 pub trait Map {
-    /// Processes a line. Keeps its emissions; rejects what it drops.
+    /// Processes a line. Keeps its shots; rejects what it drops.
     fn map(&mut self, line: ScanLine, cx: &mut Context) -> Result<ScanLine>;
 }
 

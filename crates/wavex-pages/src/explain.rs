@@ -7,7 +7,9 @@ use wavex_simd::SimdLevel;
 use wavex_line::scan_line::{Content, Emission, InputInfo, LineStats, Returns, ScanLine};
 use wavex_line::stage::{Context, Reason, StageError, counted};
 use wavex_signal::sensor_model::SensorModel;
-use wavex_stages::process::decompose::{Decompose, Line, Seen, SeenBlock, SeenPulse, Shot, ShotDecomposer};
+use wavex_stages::process::decompose::{
+    Decompose, DecomposedShots, Seen, SeenBlock, SeenPulse, ShotBlocks, ShotDecomposer,
+};
 
 mod picture;
 mod table;
@@ -69,13 +71,13 @@ impl ExplainedShot {
         let (mut returns, mut cx) = (Returns::new(), Context::default());
         let tables = config.tables(&model);
         let mut shots = ShotDecomposer::new(&model, &tables, config, simd)?.fusing(line.fusion.as_deref())?;
-        let of_line = Shot { index, blocks, of_shot, input: &line.input };
+        let of_line = ShotBlocks { index, blocks, of_shot, input: &line.input };
         // The whole line is decomposed first: it defines the usual outgoing pulse.
-        let shot_of = |(index, of_shot)| Shot { index, blocks, of_shot, input: &line.input };
-        let all: Vec<Shot> = blocks.by_emission().map(shot_of).collect();
+        let shot_of = |(index, of_shot)| ShotBlocks { index, blocks, of_shot, input: &line.input };
+        let all: Vec<ShotBlocks> = blocks.by_emission().map(shot_of).collect();
         let (mut emissions, mut stats) = (line.emissions.clone(), line.stats.clone());
         let mut profiles = Vec::new();
-        let mut whole = Line {
+        let mut whole = DecomposedShots {
             emissions: &mut emissions,
             returns: &mut Returns::new(),
             profiles: &mut profiles,
@@ -85,7 +87,7 @@ impl ExplainedShot {
         let mut emissions = line.emissions.clone();
         profiles.clear();
         let mut of_shot = LineStats::default();
-        let mut into = Line {
+        let mut into = DecomposedShots {
             emissions: &mut emissions,
             returns: &mut returns,
             profiles: &mut profiles,

@@ -82,9 +82,9 @@ pub struct Archive {
     /// Machine that it ran on.
     pub machine: Machine,
     /// All files that the run read.
-    pub inputs: Files,
+    pub inputs: ArchivedFiles,
     /// All files that its stages wrote.
-    pub outputs: Files,
+    pub outputs: ArchivedFiles,
     /// Inputs that failed and have no outputs.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub failed: Vec<FailedInput>,
@@ -101,8 +101,8 @@ pub struct FailedInput {
 
 /// Files below one folder.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
-pub struct Files {
-    /// The folder, relative to that of the archive (for a `.tar.zst`, to the folder it unpacks to).
+pub struct ArchivedFiles {
+    /// The folder, relative to the archive's folder (for a `.tar.zst`, to the folder it unpacks to).
     pub folder: String,
     /// Absolute path of the folder on the machine of the run.
     pub folder_was: String,

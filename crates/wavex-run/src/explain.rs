@@ -163,7 +163,7 @@ impl Chain {
         Recording::of_reader(reader, &keys, run).map_err(|error| failed(&error))
     }
 
-    /// Number of lines before and after that of a shot on which its blocks depend.
+    /// Number of lines before and after a shot's line on which its blocks depend.
     fn margin(&self) -> usize {
         let resolves = self.job.stages.iter().any(|stage| stage.spec.name == "resolve_mta");
         if resolves { LINES_AROUND } else { 2 }
@@ -179,7 +179,7 @@ impl Chain {
         let chain = Arc::clone(self);
         let may_skip = Arc::<AtomicBool>::default();
         let have_learnt = Arc::clone(&may_skip);
-        let look = move |(seen, explained): &mut (Numbers, _), line: &ScanLine| {
+        let look = move |(seen, explained): &mut (ShotNumbers, _), line: &ScanLine| {
             have_learnt.store(true, Ordering::Relaxed);
             line.emissions.iter().for_each(|emission| seen.add(emission.shot));
             if !line.emissions.iter().any(|emission| emission.shot == shot) {
@@ -194,14 +194,20 @@ impl Chain {
         if let Some(first) = job.stages.first_mut() {
             first.planned.plan = Plan::Source(Arc::new(excerpt));
         }
-        let observed =
-            observe(&job, self.input(), &self.options, Context::of_run(), (Numbers::default(), None), look);
+        let observed = observe(
+            &job,
+            self.input(),
+            &self.options,
+            Context::of_run(),
+            (ShotNumbers::default(), None),
+            look,
+        );
         match observed.map_err(|error| failed(&error))? {
             (_, Some(explained)) => explained,
             (seen, None) => {
                 // Only parts of the recording may have been read.
                 let index = self.recording()?.index(&mut |_| Ok(()));
-                let numbers = index.map_or(seen, |index| Numbers::of(&index));
+                let numbers = index.map_or(seen, |index| ShotNumbers::of(&index));
                 Err(Failure::Wrong(numbers.without(shot, &self.file)))
             }
         }
@@ -240,14 +246,14 @@ impl Chain {
 
 /// Count and range of the shot numbers of a recording.
 #[derive(Default)]
-struct Numbers {
+struct ShotNumbers {
     count: u64,
     range: Option<(u64, u64)>,
 }
 
-impl Numbers {
-    fn of(index: &LineIndex) -> Numbers {
-        Numbers { count: index.shots(), range: index.shot_range().map(Into::into) }
+impl ShotNumbers {
+    fn of(index: &LineIndex) -> ShotNumbers {
+        ShotNumbers { count: index.shots(), range: index.shot_range().map(Into::into) }
     }
 
     fn add(&mut self, shot: u64) {

@@ -232,7 +232,7 @@ pub fn run(request: RunRequest) -> Result<FinishedRun, RunFailure> {
             if let Some(recorder) = &recorder {
                 recorder.strip(&mut run.inputs[number]);
             }
-            // The error of a single input is that of the command.
+            // The error of a single input is the error of the command.
             if let Some(error) = failure {
                 if run.inputs.len() > 1 {
                     log::fatal(&error);

@@ -50,7 +50,7 @@ pub(crate) fn header_of(info: &InputInfo) -> ContainerHeader {
     }
 }
 
-/// Converts an emission reference to that of the container.
+/// Converts an emission reference to its code in the container.
 pub(crate) fn reference_of(reference: EmissionReference) -> container::EmissionReference {
     match reference {
         EmissionReference::OutgoingPulse => container::EmissionReference::OutgoingPulse,
@@ -60,7 +60,7 @@ pub(crate) fn reference_of(reference: EmissionReference) -> container::EmissionR
     }
 }
 
-/// Converts a time scale to that of the container.
+/// Converts a time scale to its code in the container.
 pub(crate) fn time_scale_of(time_scale: TimeScale) -> container::TimeScale {
     match time_scale {
         TimeScale::Week => container::TimeScale::Week,

@@ -35,7 +35,7 @@ pub fn names_system(wkt: Option<&str>) -> bool {
 }
 
 /// Points that an item describes.
-pub struct Points<'a> {
+pub struct ItemPoints<'a> {
     /// Header and records of the file.
     pub about: &'a LasDescription,
     /// Name of the file.
@@ -66,14 +66,14 @@ pub fn item_path(points: &Path) -> PathBuf {
 ///
 /// # Errors
 /// A descriptor of an extra attribute is damaged, or writing fails.
-pub fn finish(mut file: OutputFile, points: &Points) -> wavex_formats::Result<Option<FinishedFile>> {
+pub fn finish(mut file: OutputFile, points: &ItemPoints) -> wavex_formats::Result<Option<FinishedFile>> {
     let Some(item) = item(points)? else { return Ok(None) };
     let path = file.path().to_path_buf();
     writeln!(file, "{item:#}").map_err(Error::io(&path, "write"))?;
     Ok(Some(file.finish()?))
 }
 
-fn item(points: &Points) -> wavex_formats::Result<Option<Value>> {
+fn item(points: &ItemPoints) -> wavex_formats::Result<Option<Value>> {
     let header = &points.about.header;
     let Some(times) = utc_times(header, points.times_s) else { return Ok(None) };
     let name = |name: Option<&std::ffi::OsStr>| name.unwrap_or_default().to_string_lossy().into_owned();

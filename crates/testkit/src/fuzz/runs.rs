@@ -21,7 +21,7 @@ const MOST_BYTES: usize = 1 << 17;
 /// Most records or lines that are read.
 const MOST_RECORDS: usize = 2_000;
 
-/// End of a job that decomposes and writes points; `KEYS` are those of `calibrate`.
+/// End of a job that decomposes and writes points; `KEYS` are the keys of `calibrate`.
 const TO_POINTS: &str = "\
 [[stage]]
 type = 'resolve_mta'

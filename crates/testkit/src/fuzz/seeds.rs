@@ -128,7 +128,7 @@ fn samples(bytes: Vec<u8>) -> Vec<u16> {
     bytes.into_iter().map(u16::from).collect()
 }
 
-/// Short sensor model of both receivers: Gaussian pulses as those of [`crate::shots`].
+/// Short sensor model of both receivers: Gaussian pulses as in [`crate::shots`].
 fn sensor_model() -> Vec<u8> {
     let channel = ChannelModel {
         pulse_fwhm_ns: 4.5,

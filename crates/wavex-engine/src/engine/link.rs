@@ -12,7 +12,7 @@ use wavex_line::stage::{Result, StageError};
     clippy::large_enum_variant,
     reason = "an End is sent once: a box per line would cost more than it saves"
 )]
-pub(super) enum Message {
+pub(super) enum LinkMessage {
     /// A line with its position in the stream.
     Line(u64, ScanLine),
     /// The sender is finished.
@@ -21,7 +21,7 @@ pub(super) enum Message {
 
 /// Receiving end of a worker.
 pub(super) struct Inlet {
-    channel: Receiver<Message>,
+    channel: Receiver<LinkMessage>,
     /// Number of senders that have not yet sent `End`.
     senders: usize,
     order: Order,
@@ -37,7 +37,7 @@ enum Order {
 
 /// Sending end of a worker.
 pub(super) struct Outlet {
-    channel: Sender<Message>,
+    channel: Sender<LinkMessage>,
     receivers: usize,
 }
 
@@ -50,7 +50,7 @@ pub(super) fn link(capacity: usize, senders: usize, receivers: usize) -> (Outlet
 }
 
 impl Inlet {
-    fn new(channel: Receiver<Message>, senders: usize, ordered: bool) -> Inlet {
+    fn new(channel: Receiver<LinkMessage>, senders: usize, ordered: bool) -> Inlet {
         let order = if ordered { Order::Sequence { next: 0, early: BTreeMap::new() } } else { Order::Any };
         Inlet { channel, senders, order }
     }
@@ -74,8 +74,8 @@ impl Inlet {
             }
             // A disconnect without `End` is a consequence of a failure elsewhere.
             match self.channel.recv().map_err(|_| StageError::Stopped)? {
-                Message::End => self.senders -= 1,
-                Message::Line(place, line) => match &mut self.order {
+                LinkMessage::End => self.senders -= 1,
+                LinkMessage::Line(place, line) => match &mut self.order {
                     Order::Any => return Ok(Some((place, line))),
                     Order::Sequence { early, .. } => {
                         early.insert(place, line);
@@ -94,11 +94,12 @@ impl Outlet {
 
     /// Sends a line; blocks while the channel is full.
     pub(super) fn send(&self, place: u64, line: ScanLine) -> Result<()> {
-        self.channel.send(Message::Line(place, line)).map_err(|_| StageError::Stopped)
+        self.channel.send(LinkMessage::Line(place, line)).map_err(|_| StageError::Stopped)
     }
 
     /// Sends the end mark to each receiver.
     pub(super) fn end(&self) -> Result<()> {
-        (0..self.receivers).try_for_each(|_| self.channel.send(Message::End).map_err(|_| StageError::Stopped))
+        (0..self.receivers)
+            .try_for_each(|_| self.channel.send(LinkMessage::End).map_err(|_| StageError::Stopped))
     }
 }

@@ -20,7 +20,7 @@ pub(super) struct Meter {
     /// Working time per line, ns.
     pub(super) latency_ns: Histogram<u64>,
     /// Work intervals of each line, if a trace is requested.
-    pub(super) spans: Vec<Span>,
+    pub(super) spans: Vec<WorkInterval>,
     tracing: bool,
     lap: Instant,
     line_working: Duration,
@@ -28,7 +28,7 @@ pub(super) struct Meter {
 
 /// A work interval of one line.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Span {
+pub(super) struct WorkInterval {
     pub(super) worker: usize,
     pub(super) start: Instant,
     pub(super) length: Duration,
@@ -83,7 +83,7 @@ impl Meter {
         let length = self.lap();
         self.line_working += length;
         if self.tracing && self.spans.len() < MAX_SPANS {
-            self.spans.push(Span { worker: 0, start, length });
+            self.spans.push(WorkInterval { worker: 0, start, length });
         }
     }
 
@@ -118,7 +118,7 @@ impl Meter {
         }
         // Adding cannot fail: the histogram resizes itself.
         let _ = self.latency_ns.add(&other.latency_ns);
-        self.spans.extend(other.spans.into_iter().map(|span| Span { worker, ..span }));
+        self.spans.extend(other.spans.into_iter().map(|span| WorkInterval { worker, ..span }));
     }
 }
 

@@ -62,7 +62,7 @@ pub struct Progress {
     begun: usize,
     done: usize,
     failed: usize,
-    running: BTreeMap<usize, Running>,
+    running: BTreeMap<usize, RunningInput>,
     /// Stem and place of the last input that ended.
     last: (String, usize),
     run_started: Instant,
@@ -74,7 +74,7 @@ pub struct Progress {
 
 /// An input that is running.
 #[derive(Debug)]
-struct Running {
+struct RunningInput {
     stem: String,
     /// Its place among the inputs to run, from 1.
     place: usize,
@@ -82,16 +82,19 @@ struct Running {
     gauge: Arc<Gauge>,
 }
 
-impl Running {
-    fn state(&self) -> State {
-        let state = State::of(&self.gauge);
-        State { shots_per_s: state.shots as f64 / self.started.elapsed().as_secs_f64().max(1e-3), ..state }
+impl RunningInput {
+    fn state(&self) -> InputProgress {
+        let state = InputProgress::of(&self.gauge);
+        InputProgress {
+            shots_per_s: state.shots as f64 / self.started.elapsed().as_secs_f64().max(1e-3),
+            ..state
+        }
     }
 }
 
 /// State of an input, or the sum of several.
 #[derive(Clone, Copy, Debug, Default)]
-struct State {
+struct InputProgress {
     shots: u64,
     shots_read: u64,
     shots_per_s: f64,
@@ -99,14 +102,19 @@ struct State {
     fraction: Option<f64>,
 }
 
-impl State {
-    fn of(gauge: &Gauge) -> State {
+impl InputProgress {
+    fn of(gauge: &Gauge) -> InputProgress {
         let get = |count: &AtomicU64| count.load(Ordering::Relaxed);
         let read = Some(get(&gauge.read_ppm)).filter(|read| *read != u64::MAX);
         // What is read is not done: a stage may hold the first lines, such as `calibrate`.
         let passed = get(&gauge.lines) as f64 / get(&gauge.lines_read).max(1) as f64;
         let fraction = read.map(|read| read as f64 * 1e-6 * passed.min(1.0));
-        State { shots: get(&gauge.shots), shots_read: get(&gauge.shots_read), shots_per_s: 0.0, fraction }
+        InputProgress {
+            shots: get(&gauge.shots),
+            shots_read: get(&gauge.shots_read),
+            shots_per_s: 0.0,
+            fraction,
+        }
     }
 }
 
@@ -146,7 +154,7 @@ impl Progress {
     pub fn begin(&mut self, number: usize, stem: &str, gauge: &Arc<Gauge>) {
         self.begun += 1;
         let (stem, started, gauge) = (stem.to_string(), Instant::now(), Arc::clone(gauge));
-        self.running.insert(number, Running { stem, place: self.begun, started, gauge });
+        self.running.insert(number, RunningInput { stem, place: self.begun, started, gauge });
         match self.mode {
             ProgressMode::Bar => {
                 let label = self.label();
@@ -217,9 +225,9 @@ impl Progress {
     }
 
     /// Sum of the running inputs.
-    fn state(&self) -> State {
-        let states = self.running.values().map(Running::state);
-        states.fold(State::default(), |sum, state| State {
+    fn state(&self) -> InputProgress {
+        let states = self.running.values().map(RunningInput::state);
+        states.fold(InputProgress::default(), |sum, state| InputProgress {
             shots: sum.shots + state.shots,
             shots_read: sum.shots_read + state.shots_read,
             shots_per_s: sum.shots_per_s + state.shots_per_s,
@@ -294,7 +302,7 @@ fn bar() -> ProgressBar {
 }
 
 /// Names of running inputs, their places, and how many have failed.
-fn label<'a>(running: impl Iterator<Item = &'a Running>, inputs: usize, failed: usize) -> String {
+fn label<'a>(running: impl Iterator<Item = &'a RunningInput>, inputs: usize, failed: usize) -> String {
     let (stems, places): (Vec<&str>, Vec<String>) =
         running.map(|input| (input.stem.as_str(), input.place.to_string())).unzip();
     let failed = if failed > 0 { format!(", {failed} failed") } else { String::new() };
@@ -304,9 +312,9 @@ fn label<'a>(running: impl Iterator<Item = &'a Running>, inputs: usize, failed: 
     }
 }
 
-fn rate(state: State) -> String {
+fn rate(state: InputProgress) -> String {
     match state {
-        State { shots: 0, shots_read: 1.., .. } => format!("{} shots read", state.shots_read),
+        InputProgress { shots: 0, shots_read: 1.., .. } => format!("{} shots read", state.shots_read),
         _ => format!("{} shots, {:.3} M shots/s", state.shots, state.shots_per_s / 1e6),
     }
 }

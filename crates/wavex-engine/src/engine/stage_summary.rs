@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::meter::{Meter, Span};
+use super::meter::{Meter, WorkInterval};
 use crate::job::JobStage;
 use wavex_line::stage::{Counters, Distribution, Item, Reason, RoleName};
 
@@ -48,7 +48,7 @@ pub struct StageSummary {
     pub line_us: Percentiles,
     #[serde(skip)]
     #[schemars(skip)]
-    pub(super) spans: Vec<Span>,
+    pub(super) spans: Vec<WorkInterval>,
 }
 
 /// Item counts by type.

@@ -1,7 +1,7 @@
 //! Runs a chain on its own threads and hands out its results one by one.
 
 use std::fmt;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -13,6 +13,7 @@ use super::{Cancel, Input, InputSummary, Options, RunError};
 use crate::job::Job;
 use wavex_line::scan_line::{Kind, ScanLine};
 use wavex_line::stage::{Context, Plan, Result, RoleName, RunContext, Sink, SinkPlan, StageError, StageSpec};
+use wavex_line::system::Unpoisoned as _;
 
 /// Converts the lines of a chain, in their order, to items of a [`Stream`].
 pub trait Convert: Send {
@@ -40,13 +41,13 @@ pub trait Convert: Send {
 pub struct Stream<T> {
     /// `None` after the end.
     items: Option<Receiver<T>>,
-    run: Option<JoinHandle<Ended>>,
+    run: Option<JoinHandle<StreamResult>>,
     summary: Option<Box<InputSummary>>,
     cancel: Cancel,
     process: u32,
 }
 
-type Ended = std::result::Result<Box<InputSummary>, RunError>;
+type StreamResult = std::result::Result<Box<InputSummary>, RunError>;
 
 /// Next result of a [`Stream`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -166,7 +167,7 @@ struct Exit<C: Convert>(Mutex<Option<Forward<C>>>);
 
 impl<C: Convert + 'static> SinkPlan for Exit<C> {
     fn make(&self, _: &RunContext) -> Result<Box<dyn Sink>> {
-        let forward = self.0.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let forward = self.0.lock().unpoisoned().take();
         forward.map_or(Err(StageError::Stopped), |forward| Ok(Box::new(forward)))
     }
 }

@@ -9,7 +9,7 @@ use schemars::JsonSchema;
 use serde::{Serialize, Serializer};
 
 use super::stage_summary::StageSummary;
-use super::totals::Totals;
+use super::totals::LineTotals;
 use super::{Options, RunError};
 use crate::job::{Job, JobSettings, JobStage, Simd};
 use wavex_geodesy::time::utc;
@@ -181,7 +181,7 @@ impl InputSummary {
     pub(super) fn new(
         run: &RunContext,
         started: Instant,
-        totals: Totals,
+        totals: LineTotals,
         stages: Vec<StageSummary>,
         outputs: Vec<PathBuf>,
         peak_in_flight_bytes: usize,
@@ -225,7 +225,8 @@ impl InputSummary {
 
     /// Results of an input that no stage has started.
     pub(super) fn not_run(run: &RunContext) -> InputSummary {
-        let nothing = InputSummary::new(run, Instant::now(), Totals::default(), Vec::new(), Vec::new(), 0);
+        let nothing =
+            InputSummary::new(run, Instant::now(), LineTotals::default(), Vec::new(), Vec::new(), 0);
         let (started, ended) = (String::new(), String::new());
         InputSummary { status: InputStatus::NotRun, started, ended, wall_s: 0.0, ..nothing }
     }
@@ -269,7 +270,7 @@ impl RunSummary {
         }
     }
 
-    /// Sensor model of an input: its own or that of the survey.
+    /// Sensor model of an input: its own or the survey's.
     pub fn sensor_model<'a>(&'a self, input: &'a InputSummary) -> Option<&'a SensorModel> {
         let of_survey = || {
             let instruments = &self.survey_models.as_ref()?.instruments;
@@ -301,7 +302,7 @@ pub fn host() -> Option<String> {
 }
 
 /// Index of the instrument in the survey whose model the input has.
-fn survey_instrument(run: &RunContext, totals: &Totals) -> Option<usize> {
+fn survey_instrument(run: &RunContext, totals: &LineTotals) -> Option<usize> {
     let model = totals.model.as_ref()?;
     let is_same = |of: &InstrumentModel| of.sensor_model.as_ref().is_some_and(|of| Arc::ptr_eq(of, model));
     run.survey.as_ref()?.instruments.iter().position(is_same)

@@ -34,7 +34,7 @@ const GAIN: f64 = 0.03;
 /// Difference of the delay of the receivers, ns.
 const DELAY_NS: f64 = 0.1;
 
-/// Sensor models for a run: those of `survey_model`, otherwise learnt from all inputs.
+/// Sensor models for a run: read from `survey_model`, otherwise learnt from all inputs.
 ///
 /// `None` if each input has its own model: with one input, with `model = "input"`, or if no stage
 /// calibrates.
@@ -91,7 +91,7 @@ fn learn(job: &Job, options: &Options, inputs: Vec<Input>) -> Result<SurveyModel
     let inputs: Vec<Input> = inputs.into_iter().filter(|input| input.path.is_file()).collect();
     let rows = inputs.iter().map(|input| SensorDrift { stem: input.stem.clone(), ..SensorDrift::default() });
     let models = SurveyModels { inputs: rows.collect(), ..SurveyModels::new() };
-    let mut survey = Survey { job, options, models, pool: pool::start(options)? };
+    let mut survey = SurveyLearner { job, options, models, pool: pool::start(options)? };
     for stage in 0..job.stages.len() {
         if let Some(learns) = learns(job, stage) {
             survey.learn(stage, learns, &inputs)?;
@@ -105,14 +105,14 @@ fn learn(job: &Job, options: &Options, inputs: Vec<Input>) -> Result<SurveyModel
     Ok(survey.models)
 }
 
-struct Survey<'a> {
+struct SurveyLearner<'a> {
     job: &'a Job,
     options: &'a Options,
     models: SurveyModels,
     pool: Option<Arc<ThreadPool>>,
 }
 
-impl Survey<'_> {
+impl SurveyLearner<'_> {
     /// Learns what a stage learns, from the lines that reach it.
     fn learn(&mut self, stage: usize, learns: Learns, inputs: &[Input]) -> Result<(), RunError> {
         let inputs_n = inputs.len().max(1);
@@ -185,7 +185,7 @@ impl Survey<'_> {
         upstream.stages.truncate(stage);
         upstream.stages.retain(|stage| !matches!(stage.planned.plan, Plan::Sink(_)));
         let user = self.options.cancel.clone();
-        let look = move |sample: &mut Sample, line: &ScanLine| {
+        let look = move |sample: &mut SampledLines, line: &ScanLine| {
             sample.waveforms += line.stats.nw;
             sample.bytes += line.bytes() as u64;
             sample.lines.push(line.copied());
@@ -201,7 +201,8 @@ impl Survey<'_> {
             ..self.options.clone()
         };
         let input_again = Input { path: input.path.clone(), stem: input.stem.clone() };
-        let seen = observe(&upstream, input_again, &options, Context::default(), Sample::default(), look);
+        let seen =
+            observe(&upstream, input_again, &options, Context::default(), SampledLines::default(), look);
         if self.options.cancel.is_cancelled() {
             return Err(RunError { stage: None, input: None, cause: Cause::Interrupted });
         }
@@ -279,13 +280,13 @@ fn thinned(lines: Vec<ScanLine>, step: u64) -> (Vec<ScanLine>, Vec<ScanLine>) {
 
 /// Lines of an input.
 #[derive(Default)]
-struct Sample {
+struct SampledLines {
     lines: Vec<ScanLine>,
     waveforms: u64,
     bytes: u64,
 }
 
-/// Marks inputs that differ from the median of these inputs of an instrument.
+/// Marks inputs that differ from the median of their instrument.
 ///
 /// If more than half of them do, all have their own models.
 fn mark_contradictions(rows: &mut [SensorDrift], of_instrument: &[usize]) {
@@ -361,7 +362,10 @@ fn quantities(noise_dn: &[f64]) -> Vec<(String, &'static str, OfRow, Tolerance)>
     quantities
 }
 
-/// Median of values; NaN of none.
+/// Median of values, of an even number the mean of the middle two; NaN of none.
+///
+/// `wavex_simd::statistics::median` takes the upper one. A survey may have only two inputs, and both
+/// must be at the same distance from the median.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     match values.len() {

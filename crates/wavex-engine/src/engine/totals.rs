@@ -9,7 +9,7 @@ use wavex_signal::sensor_model::SensorModel;
 
 /// Counters of lines that have left the chain, with what the first lines carry.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Totals {
+pub(super) struct LineTotals {
     pub(super) counts: BTreeMap<&'static str, u64>,
     /// `np_filtered` by the text of its reasons.
     pub(super) filtered: BTreeMap<&'static str, u64>,
@@ -18,7 +18,7 @@ pub(super) struct Totals {
     pub(super) fusion: Option<Arc<ChannelFusion>>,
 }
 
-impl Totals {
+impl LineTotals {
     pub(super) fn add(&mut self, line: &ScanLine) {
         for (name, count) in line.stats.counts() {
             *self.counts.entry(name).or_default() += count;

@@ -8,16 +8,16 @@ use super::failure::Failure;
 use super::link::{Inlet, Outlet};
 use super::meter::Meter;
 use super::pool::Permits;
-use super::totals::Totals;
+use super::totals::LineTotals;
 use wavex_line::scan_line::{Blocks, Budget, NoRoom, ScanLine};
 use wavex_line::stage::{Context, Map, Output, Result, Sink, Source, StageError, Transform};
 use wavex_line::system::Unpoisoned as _;
 
 /// State shared by the threads of one chain.
-pub(super) struct Shared<'a> {
+pub(super) struct ChainState<'a> {
     pub(super) failure: Failure,
     pub(super) budget: Arc<Budget>,
-    /// Workers of maps, those of other inputs included, that may work at the same time.
+    /// Workers of maps, of all inputs, that may work at the same time.
     pub(super) workers: &'a Permits,
     pub(super) may_hold_bytes: usize,
     /// Maximum number of transforms that hold lines at the same time.
@@ -28,7 +28,7 @@ pub(super) struct Shared<'a> {
     /// Whether lines keep their sample blocks after `decompose`.
     pub(super) keeps_waveforms: bool,
     pub(super) gauge: &'a Gauge,
-    pub(super) totals: Mutex<Totals>,
+    pub(super) totals: Mutex<LineTotals>,
     /// Parent of all workers' contexts.
     pub(super) cx: Context,
 }
@@ -71,7 +71,7 @@ pub(super) enum Downstream {
 pub(super) struct WorkerContext<'a> {
     /// Name of the stage in the job.
     pub(super) stage: &'a str,
-    pub(super) shared: &'a Shared<'a>,
+    pub(super) shared: &'a ChainState<'a>,
     pub(super) exit: Downstream,
     pub(super) meter: Meter,
     pub(super) cx: Context,
@@ -161,7 +161,7 @@ pub(super) fn run_source(mut source: Box<dyn Source>, worker: &mut WorkerContext
     worker.end()
 }
 
-fn too_large(line: u32, bytes: usize, shared: &Shared) -> StageError {
+fn too_large(line: u32, bytes: usize, shared: &ChainState) -> StageError {
     let needed_mb =
         (shared.budget.limit() as f64 * bytes as f64 / shared.largest_line_bytes as f64 / 1e6).ceil();
     StageError::failed(
@@ -171,7 +171,7 @@ fn too_large(line: u32, bytes: usize, shared: &Shared) -> StageError {
 }
 
 /// Error if a line does not fit because stages require all `held` bytes that they hold back.
-fn no_room(line: u32, bytes: usize, held: usize, shared: &Shared) -> StageError {
+fn no_room(line: u32, bytes: usize, held: usize, shared: &ChainState) -> StageError {
     let (foreseen, stage) = &*shared.foreseen.lock().unpoisoned();
     let needs = match stage.as_str() {
         "" => String::new(),

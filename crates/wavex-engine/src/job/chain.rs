@@ -14,7 +14,7 @@ use wavex_line::stage::find_in;
 use wavex_line::stage::{RoleName, StageSpec};
 
 /// A stage as far as the check of the chain needs it.
-pub(super) struct Link {
+pub(super) struct ChainLink {
     /// Entry in the registry; `None` if the job names an unknown stage.
     pub spec: Option<&'static StageSpec>,
     /// Position of its name in the job.
@@ -23,14 +23,14 @@ pub(super) struct Link {
     needs_none: bool,
 }
 
-impl Link {
-    pub(super) fn of(stage: &DraftStage) -> Link {
+impl ChainLink {
+    pub(super) fn of(stage: &DraftStage) -> ChainLink {
         let is_said = |(key, word): (&str, &str)| {
             let value = stage.keys.get_ref().get(key).map(Spanned::get_ref);
             matches!(value, Some(DeValue::String(text)) if text.as_ref() == word)
         };
         let needs_none = stage.spec.and_then(|spec| spec.unless).is_some_and(is_said);
-        Link { spec: stage.spec, named_at: stage.named_at.clone(), needs_none }
+        ChainLink { spec: stage.spec, named_at: stage.named_at.clone(), needs_none }
     }
 
     fn is(&self, name: &str) -> bool {
@@ -39,7 +39,7 @@ impl Link {
 }
 
 /// Finds errors in the order of the stages; remedies name stages of `known`.
-pub(super) fn check(links: &[Link], known: &[&'static StageSpec]) -> Vec<JobError> {
+pub(super) fn check(links: &[ChainLink], known: &[&'static StageSpec]) -> Vec<JobError> {
     let mut errors = Vec::new();
     // Kind of the lines after the stages so far; `None` if unknown.
     let mut kind: Option<Kind> = None;
@@ -48,7 +48,7 @@ pub(super) fn check(links: &[Link], known: &[&'static StageSpec]) -> Vec<JobErro
             kind = None;
             continue;
         };
-        let chain = Chain { links, known, at, spec };
+        let chain = ChainStage { links, known, at, spec };
         let problem = match (at, spec.role) {
             (0, RoleName::Source) => None,
             (0, _) => Some(chain.no_source()),
@@ -67,31 +67,31 @@ pub(super) fn check(links: &[Link], known: &[&'static StageSpec]) -> Vec<JobErro
 }
 
 /// A stage at its position in the chain.
-struct Chain<'c> {
-    links: &'c [Link],
+struct ChainStage<'c> {
+    links: &'c [ChainLink],
     known: &'c [&'static StageSpec],
     at: usize,
     spec: &'static StageSpec,
 }
 
 /// Problem and remedy.
-type Problem = (String, String);
+type ChainProblem = (String, String);
 
-impl Chain<'_> {
-    fn no_source(&self) -> Problem {
+impl ChainStage<'_> {
+    fn no_source(&self) -> ChainProblem {
         let sources = self.known.iter().filter(|spec| spec.role == RoleName::Source);
         let sources: Vec<String> = sources.map(|spec| quoted(spec.name)).collect();
         let problem = format!("`{}` cannot be the first stage: it has no input", self.spec.name);
         (problem, format!("start with a source: {}", listed(&sources, "or")))
     }
 
-    fn second_source(&self) -> Problem {
+    fn second_source(&self) -> ChainProblem {
         let problem = format!("`{}` is a source, but only the first stage can be a source", self.spec.name);
         (problem, "list several inputs in the `path` of one source, or write two jobs".to_owned())
     }
 
     /// Checks that the stage accepts the kind of its input lines.
-    fn wrong_kind(&self, given: Option<Kind>) -> Option<Problem> {
+    fn wrong_kind(&self, given: Option<Kind>) -> Option<ChainProblem> {
         let given = given.filter(|given| !self.spec.accepts.contains(given))?;
         let takes: Vec<String> = self.spec.accepts.iter().map(Kind::to_string).collect();
         let name = self.spec.name;
@@ -108,10 +108,10 @@ impl Chain<'_> {
     }
 
     /// Checks that a stage required before this one comes before it.
-    fn too_early(&self) -> Option<Problem> {
+    fn too_early(&self) -> Option<ChainProblem> {
         let (before, behind) = self.links.split_at(self.at);
         let after = self.spec.after;
-        let is_one = |link: &&Link| after.iter().any(|name| link.is(name));
+        let is_one = |link: &&ChainLink| after.iter().any(|name| link.is(name));
         // An unknown stage may be a misspelling of the missing one.
         let needs_none = after.is_empty() || self.links[self.at].needs_none;
         if needs_none || before.iter().any(|link| is_one(&link) || link.spec.is_none()) {

@@ -16,7 +16,7 @@ use wavex_line::stage::StageSpec;
 use wavex_line::stage::{find_in, nearest_of};
 
 /// A job with named stages and unparsed keys.
-pub(super) struct Draft<'t> {
+pub(super) struct JobDraft<'t> {
     /// The keys of `[job]`.
     pub settings: Spanned<DeTable<'t>>,
     /// Stages in order.
@@ -35,7 +35,7 @@ pub(super) struct DraftStage<'t> {
     pub id: String,
     /// Position of its `id`, if given.
     id_at: Option<Range<usize>>,
-    /// Its keys; the span is that of the header.
+    /// Its keys, with the span of the header.
     pub keys: Spanned<DeTable<'t>>,
 }
 
@@ -74,9 +74,9 @@ pub(super) fn syntax_error(span: Range<usize>, problem: &toml::de::Error) -> Job
     error
 }
 
-impl<'t> Draft<'t> {
+impl<'t> JobDraft<'t> {
     /// Splits the table into settings and stages; also returns errors.
-    pub(super) fn new(mut root: DeTable<'t>, known: &[&'static StageSpec]) -> (Draft<'t>, Vec<JobError>) {
+    pub(super) fn new(mut root: DeTable<'t>, known: &[&'static StageSpec]) -> (JobDraft<'t>, Vec<JobError>) {
         let mut errors = Vec::new();
         let settings = root.remove("job").and_then(|job| table(job, "[job]", &mut errors));
         let settings = settings.unwrap_or_else(|| Spanned::new(0..0, DeTable::new()));
@@ -84,7 +84,7 @@ impl<'t> Draft<'t> {
         if let Some(first) = stages.get(MAX_STAGES) {
             let problem = format!("the job has {} stages, more than {MAX_STAGES}", stages.len());
             let error = JobError::at(first.span(), problem).help("write several jobs");
-            return (Draft { settings, stages: Vec::new() }, vec![error]);
+            return (JobDraft { settings, stages: Vec::new() }, vec![error]);
         }
         let mut stages: Vec<DraftStage> =
             stages.into_iter().map(|keys| DraftStage::new(keys, known, &mut errors)).collect();
@@ -94,11 +94,11 @@ impl<'t> Draft<'t> {
             let help = "`wavex init` writes a starter job; `wavex stages` lists the stages";
             errors.push(JobError::of_job("the job has no stage").help(help));
         }
-        (Draft { settings, stages }, errors)
+        (JobDraft { settings, stages }, errors)
     }
 }
 
-impl Draft<'_> {
+impl JobDraft<'_> {
     /// Errors for libraries that the text names.
     ///
     /// Jobs pass from hand to hand, and a library runs with all rights of the user.

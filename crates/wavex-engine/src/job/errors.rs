@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use annotate_snippets::{AnnotationKind, Level, Origin, Renderer, Snippet};
 
-use super::sources::{Place, Sources, shown};
+use super::sources::{JobSources, TextPosition, shown};
 use wavex_line::stage::nearest_of;
 
 /// Maximum number of errors that are reported.
@@ -31,7 +31,7 @@ pub struct JobErrors {
     errors: Vec<JobError>,
     /// Whether there are more than the reported ones.
     has_more: bool,
-    sources: Sources,
+    sources: JobSources,
 }
 
 impl JobError {
@@ -64,7 +64,7 @@ impl JobError {
 const WIDEST: usize = 1000;
 
 impl JobErrors {
-    pub(super) fn new(mut errors: Vec<JobError>, sources: Sources) -> JobErrors {
+    pub(super) fn new(mut errors: Vec<JobError>, sources: JobSources) -> JobErrors {
         errors.sort_by_key(|error| error.span.clone().map_or((0, 0), |span| (span.start, span.end)));
         // An error in an included file is reported once for each stage of the type.
         errors.dedup();
@@ -103,7 +103,7 @@ impl JobErrors {
         let group = match &error.span {
             None => title.element(Origin::path(shown(self.sources.name()))),
             Some(span) => {
-                let Place { name, line, column, text, marked } = self.sources.place(span);
+                let TextPosition { name, line, column, text, marked } = self.sources.place(span);
                 let is_shown = !text.is_empty() || column == 1;
                 let snippet = Snippet::source(text).line_start(line).path(shown(name));
                 if is_shown {

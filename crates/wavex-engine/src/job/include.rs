@@ -9,7 +9,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::JobError;
-use super::draft::{self, Draft};
+use super::draft::{self, JobDraft};
 use wavex_line::stage::StageSpec;
 use wavex_line::stage::{find_in, nearest_of};
 
@@ -45,7 +45,7 @@ pub(super) fn pad(start: usize, text: &str) -> String {
 /// Later files override earlier ones.
 pub(super) fn apply<'t>(
     padded: &'t [String],
-    draft: &mut Draft<'t>,
+    draft: &mut JobDraft<'t>,
     known: &[&'static StageSpec],
 ) -> Vec<JobError> {
     let mut errors = Vec::new();
@@ -63,7 +63,7 @@ pub(super) fn apply<'t>(
 /// Error if the job names a different number of files than were read.
 ///
 /// This happens if an override changes `include`, or if the caller did not read the files.
-pub(super) fn check(draft: &Draft, n_read: usize) -> Option<JobError> {
+pub(super) fn check(draft: &JobDraft, n_read: usize) -> Option<JobError> {
     let value = draft.settings.get_ref().get(KEY)?;
     let n_named = match value.get_ref() {
         DeValue::Array(names) => names.len(),
@@ -79,7 +79,7 @@ pub(super) fn check(draft: &Draft, n_read: usize) -> Option<JobError> {
 fn give<'t>(
     name: Spanned<Cow<'t, str>>,
     value: Spanned<DeValue<'t>>,
-    draft: &mut Draft<'t>,
+    draft: &mut JobDraft<'t>,
     known: &[&'static StageSpec],
     errors: &mut Vec<JobError>,
 ) {

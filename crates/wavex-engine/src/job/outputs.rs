@@ -4,13 +4,13 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use super::tables::Stage;
+use super::tables::ParsedStage;
 use super::{JobError, JobSettings};
 use wavex_line::stage::{Paths, Plan};
 
 /// Finds errors in the output patterns of the sinks; unparsed stages are `None`.
-pub(super) fn check(stages: &[Option<Stage>], settings: Option<&JobSettings>) -> Vec<JobError> {
-    let Some(source) = stages.iter().flatten().find_map(Input::of) else {
+pub(super) fn check(stages: &[Option<ParsedStage>], settings: Option<&JobSettings>) -> Vec<JobError> {
+    let Some(source) = stages.iter().flatten().find_map(SourceFiles::of) else {
         return Vec::new();
     };
     let same_folder = settings.is_some_and(|settings| settings.input_dir == settings.output_dir);
@@ -49,7 +49,7 @@ fn shared_stat_log(settings: &JobSettings) -> Option<JobError> {
 }
 
 /// Input files as described by the source.
-struct Input {
+struct SourceFiles {
     /// Whether a run may have several inputs.
     several: bool,
     /// Files and file patterns.
@@ -58,8 +58,8 @@ struct Input {
     stem: Option<String>,
 }
 
-impl Input {
-    fn of(stage: &Stage) -> Option<Input> {
+impl SourceFiles {
+    fn of(stage: &ParsedStage) -> Option<SourceFiles> {
         let Plan::Source(source) = &stage.stage.planned.plan else {
             return None;
         };
@@ -71,7 +71,7 @@ impl Input {
             [file] => Some(stem_of(file)),
             _ => Some(source.stem().to_owned()),
         };
-        Some(Input { several, files, stem })
+        Some(SourceFiles { several, files, stem })
     }
 
     /// File of an output pattern, as far as known.
@@ -89,7 +89,7 @@ impl Input {
 }
 
 /// Output patterns of a stage.
-fn patterns(stage: &Stage) -> Vec<(&Stage, &str)> {
+fn patterns(stage: &ParsedStage) -> Vec<(&ParsedStage, &str)> {
     stage.stage.planned.plan.outputs().into_iter().map(|pattern| (stage, pattern)).collect()
 }
 

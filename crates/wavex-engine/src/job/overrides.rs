@@ -5,23 +5,23 @@ use std::borrow::Cow;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::draft::{Draft, DraftStage, syntax_error};
-use super::sources::Sources;
+use super::draft::{DraftStage, JobDraft, syntax_error};
+use super::sources::JobSources;
 use super::validate::only_text;
 use super::{JobError, JobSettings};
 use wavex_line::keys::{Keys, listed};
 use wavex_line::stage::StageSpec;
 
 /// A parsed override that is not yet applied: stage, key and value.
-pub(super) struct Change<'t> {
+pub(super) struct ParsedOverride<'t> {
     stage: Spanned<&'t str>,
-    key: Key<'t>,
+    key: OverrideKey<'t>,
     value: Spanned<DeValue<'t>>,
     /// Value as written.
     written: &'t str,
 }
 
-type Key<'t> = Spanned<Cow<'t, str>>;
+type OverrideKey<'t> = Spanned<Cow<'t, str>>;
 
 /// Prepends blanks to `KEY=VALUE` up to its position among all texts of a job.
 ///
@@ -38,7 +38,10 @@ fn stage_of(text: &str) -> Option<&str> {
 }
 
 /// Parses the overrides; `padded` are the results of [`pad`].
-pub(super) fn read<'t>(sources: &'t Sources, padded: &'t [String]) -> (Vec<Change<'t>>, Vec<JobError>) {
+pub(super) fn read<'t>(
+    sources: &'t JobSources,
+    padded: &'t [String],
+) -> (Vec<ParsedOverride<'t>>, Vec<JobError>) {
     let (mut changes, mut errors) = (Vec::new(), Vec::new());
     for ((start, text), padded) in sources.overrides().zip(padded) {
         match read_one(start, text, padded) {
@@ -49,7 +52,7 @@ pub(super) fn read<'t>(sources: &'t Sources, padded: &'t [String]) -> (Vec<Chang
     (changes, errors)
 }
 
-fn read_one<'t>(start: usize, text: &'t str, padded: &'t str) -> Result<Change<'t>, JobError> {
+fn read_one<'t>(start: usize, text: &'t str, padded: &'t str) -> Result<ParsedOverride<'t>, JobError> {
     let malformed = || {
         let error = JobError::at(start..start + text.len(), "expected STAGE.KEY=VALUE");
         error.help("for example `--set decompose.detection_sigma=5` or `--set job.threads=2`")
@@ -70,11 +73,11 @@ fn read_one<'t>(start: usize, text: &'t str, padded: &'t str) -> Result<Change<'
         })?,
     };
     let stage = Spanned::new(start..start + stage.len(), stage);
-    Ok(Change { stage, key, value, written })
+    Ok(ParsedOverride { stage, key, value, written })
 }
 
 /// A key with a text value without quotation marks; `None` if it looks like TOML.
-fn bare<'t>(key: &'t str, written: &'t str, padded: &str) -> Option<(Key<'t>, Spanned<DeValue<'t>>)> {
+fn bare<'t>(key: &'t str, written: &'t str, padded: &str) -> Option<(OverrideKey<'t>, Spanned<DeValue<'t>>)> {
     let path = key.trim();
     let plain = |character: char| character.is_ascii_alphanumeric() || matches!(character, '_' | '-');
     let is_name = |name: &str| !name.is_empty() && name.chars().all(plain);
@@ -90,7 +93,7 @@ fn bare<'t>(key: &'t str, written: &'t str, padded: &str) -> Option<(Key<'t>, Sp
         at += name.len() + 1;
         Spanned::new(start..start + name.len(), Cow::Borrowed(name))
     });
-    let mut names: Vec<Key> = spanned.collect();
+    let mut names: Vec<OverrideKey> = spanned.collect();
     // A dotted path names nested tables.
     let inner = names.split_off(1);
     let value = inner.into_iter().rfold(value, |value, name| {
@@ -100,7 +103,7 @@ fn bare<'t>(key: &'t str, written: &'t str, padded: &str) -> Option<(Key<'t>, Sp
 }
 
 /// Applies the changes; returns errors.
-pub(super) fn apply<'t>(changes: Vec<Change<'t>>, draft: &mut Draft<'t>) -> Vec<JobError> {
+pub(super) fn apply<'t>(changes: Vec<ParsedOverride<'t>>, draft: &mut JobDraft<'t>) -> Vec<JobError> {
     let mut errors = Vec::new();
     for change in changes {
         let keys = if *change.stage.get_ref() == "job" {
@@ -119,7 +122,7 @@ pub(super) fn apply<'t>(changes: Vec<Change<'t>>, draft: &mut Draft<'t>) -> Vec<
     errors
 }
 
-impl<'t> Change<'t> {
+impl<'t> ParsedOverride<'t> {
     /// The value, converted to text if the key accepts only text.
     fn value_for(&self, keys: &Keys) -> Spanned<DeValue<'t>> {
         let compound =
@@ -134,7 +137,7 @@ impl<'t> Change<'t> {
 
 /// The table that an override changes, with its key definitions.
 fn target<'d, 't>(
-    change: &Change,
+    change: &ParsedOverride,
     stages: &'d mut [DraftStage<'t>],
 ) -> Result<(&'d mut DeTable<'t>, Keys), JobError> {
     let (name, name_at) = (*change.stage.get_ref(), change.stage.span());
@@ -164,7 +167,7 @@ fn target<'d, 't>(
 }
 
 /// Sets a key; a table is merged, so keys not named by the override keep their values.
-fn set<'t>(table: &mut DeTable<'t>, key: Key<'t>, value: Spanned<DeValue<'t>>) {
+fn set<'t>(table: &mut DeTable<'t>, key: OverrideKey<'t>, value: Spanned<DeValue<'t>>) {
     let span = value.span();
     match (table.get_mut(key.get_ref().as_ref()).map(Spanned::get_mut), value.into_inner()) {
         (Some(DeValue::Table(old)), DeValue::Table(new)) => {

@@ -35,16 +35,16 @@ impl Override {
 
 /// The job's text, its includes, and its overrides.
 #[derive(Clone, Debug)]
-pub(super) struct Sources {
-    file: Source,
+pub(super) struct JobSources {
+    file: JobSource,
     /// Included files, then overrides.
-    others: Vec<Source>,
+    others: Vec<JobSource>,
     /// Number of included files.
     n_includes: usize,
 }
 
 #[derive(Clone, Debug)]
-struct Source {
+struct JobSource {
     name: String,
     text: String,
     /// Start of the text in the concatenation, bytes.
@@ -56,7 +56,7 @@ const LONGEST_LINE: usize = 10_000;
 
 /// Position of a span as an error shows it.
 #[derive(Debug, PartialEq)]
-pub(super) struct Place<'s> {
+pub(super) struct TextPosition<'s> {
     /// The file, or `--set`.
     pub name: &'s str,
     /// Line number, from 1.
@@ -69,19 +69,19 @@ pub(super) struct Place<'s> {
     pub marked: Range<usize>,
 }
 
-impl Sources {
-    pub(super) fn new(name: &str, text: &str, includes: &[Include], overrides: &[Override]) -> Sources {
-        let file = Source { name: name.to_owned(), text: text.to_owned(), start: 0 };
+impl JobSources {
+    pub(super) fn new(name: &str, text: &str, includes: &[Include], overrides: &[Override]) -> JobSources {
+        let file = JobSource { name: name.to_owned(), text: text.to_owned(), start: 0 };
         let mut end = text.len();
         let follow = |(name, text): (&str, &str)| {
             // A gap of one byte separates the end of one text from the start of the next.
             let start = end + 1;
             end = start + text.len();
-            Source { name: name.to_owned(), text: text.to_owned(), start }
+            JobSource { name: name.to_owned(), text: text.to_owned(), start }
         };
         let files = includes.iter().map(|file| (file.name.as_str(), file.text.as_str()));
         let changes = overrides.iter().map(|change| ("--set", change.text.as_str()));
-        Sources { file, others: files.chain(changes).map(follow).collect(), n_includes: includes.len() }
+        JobSources { file, others: files.chain(changes).map(follow).collect(), n_includes: includes.len() }
     }
 
     /// Name of the job in errors.
@@ -100,7 +100,7 @@ impl Sources {
     }
 
     /// Position of a span.
-    pub(super) fn place(&self, span: &Range<usize>) -> Place<'_> {
+    pub(super) fn place(&self, span: &Range<usize>) -> TextPosition<'_> {
         let source = self.others.iter().rfind(|source| source.start <= span.start).unwrap_or(&self.file);
         let text = &source.text;
         let start = text.floor_char_boundary(span.start - source.start);
@@ -114,7 +114,7 @@ impl Sources {
         let column = before.chars().count() + 1;
         let before = before.len().min(line.len());
         let width = shown(text[start..end.min(line_end).max(start)].trim_end()).len();
-        Place {
+        TextPosition {
             name: &source.name,
             line: text[..start].matches('\n').count() + 1,
             column,
@@ -138,8 +138,8 @@ mod tests {
 
     fn place(text: &str, overrides: &[&str], span: Range<usize>) -> (String, usize, String, Range<usize>) {
         let overrides: Vec<Override> = overrides.iter().map(|&text| Override::new(text)).collect();
-        let sources = Sources::new("job.toml", text, &[], &overrides);
-        let Place { name, line, text, marked, .. } = sources.place(&span);
+        let sources = JobSources::new("job.toml", text, &[], &overrides);
+        let TextPosition { name, line, text, marked, .. } = sources.place(&span);
         (name.to_owned(), line, text, marked)
     }
 

@@ -13,7 +13,7 @@ use wavex_line::keys::{InvalidKey, Keys};
 use wavex_line::stage::ConfigError;
 
 /// A parsed stage with the positions of its texts.
-pub(super) struct Stage {
+pub(super) struct ParsedStage {
     /// The stage.
     pub stage: JobStage,
     /// Position of its name.
@@ -22,7 +22,7 @@ pub(super) struct Stage {
     texts: Vec<Spanned<String>>,
 }
 
-impl Stage {
+impl ParsedStage {
     /// Position of a text among its keys, or of the stage's name if the text is a default.
     pub(super) fn place_of(&self, text: &str) -> Range<usize> {
         let same = |found: &&Spanned<String>| found.get_ref() == text;
@@ -43,7 +43,7 @@ pub(super) fn settings(table: Spanned<DeTable>, errors: &mut Vec<JobError>) -> O
         }));
         return None;
     }
-    let places = Places::of(&table);
+    let places = EntryPositions::of(&table);
     match JobSettings::deserialize(toml::de::Deserializer::from(table)) {
         Ok(settings) => match settings.check() {
             Ok(()) => Some(settings),
@@ -60,7 +60,7 @@ pub(super) fn settings(table: Spanned<DeTable>, errors: &mut Vec<JobError>) -> O
 }
 
 /// Parses the keys of a stage.
-pub(super) fn stage(draft: DraftStage, errors: &mut Vec<JobError>) -> Option<Stage> {
+pub(super) fn stage(draft: DraftStage, errors: &mut Vec<JobError>) -> Option<ParsedStage> {
     let spec = draft.spec?;
     let keys = spec.keys();
     let problems = validate::check(&format!("`{}`", spec.name), &keys, &draft.keys);
@@ -68,13 +68,13 @@ pub(super) fn stage(draft: DraftStage, errors: &mut Vec<JobError>) -> Option<Sta
         errors.extend(problems);
         return None;
     }
-    let places = Places::of(&draft.keys);
+    let places = EntryPositions::of(&draft.keys);
     let mut texts = Vec::new();
     draft.keys.get_ref().values().for_each(|value| collect_texts(value, &mut texts));
     match (spec.parse)(draft.keys) {
         Ok(planned) => {
             let stage = JobStage { id: draft.id, spec, planned };
-            Some(Stage { stage, named_at: draft.named_at, texts })
+            Some(ParsedStage { stage, named_at: draft.named_at, texts })
         }
         Err(ConfigError::Toml(error)) => {
             errors.push(places.refused(&keys, &error));
@@ -88,16 +88,16 @@ pub(super) fn stage(draft: DraftStage, errors: &mut Vec<JobError>) -> Option<Sta
 }
 
 /// Positions of the entries of a table.
-struct Places {
+struct EntryPositions {
     header: Range<usize>,
     entries: Vec<(String, Range<usize>)>,
 }
 
-impl Places {
-    fn of(table: &Spanned<DeTable>) -> Places {
+impl EntryPositions {
+    fn of(table: &Spanned<DeTable>) -> EntryPositions {
         let mut entries = Vec::new();
         collect_entries("", table.get_ref(), &mut entries);
-        Places { header: table.span(), entries }
+        EntryPositions { header: table.span(), entries }
     }
 
     /// Error for a value that passes the schema but fails to deserialize.

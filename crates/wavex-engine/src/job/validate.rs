@@ -45,7 +45,9 @@ fn check_table(owner: &str, schema: &Value, table: &DeTable, header: &Range<usiz
     let mut errors = Vec::new();
     for (key, value) in table {
         match properties.get(key.get_ref().as_ref()) {
-            Some(schema) => errors.extend(Given { owner, name: &format!("`{key}`"), schema, value }.check()),
+            Some(schema) => {
+                errors.extend(CheckedValue { owner, name: &format!("`{key}`"), schema, value }.check())
+            }
             None => errors.push(unknown_key(owner, key, properties.keys())),
         }
         if errors.len() > MAX_ERRORS {
@@ -83,7 +85,7 @@ fn missing_key(owner: &str, key: &str, schema: &Value, header: &Range<usize>) ->
 
 /// A value of a job with its schema.
 #[derive(Clone, Copy)]
-struct Given<'g> {
+struct CheckedValue<'g> {
     /// Name of its table in errors.
     owner: &'g str,
     /// Name of the value in errors.
@@ -92,7 +94,7 @@ struct Given<'g> {
     value: &'g Spanned<DeValue<'g>>,
 }
 
-impl Given<'_> {
+impl CheckedValue<'_> {
     fn check(&self) -> Vec<JobError> {
         if let Some(choices) = choices(self.schema) {
             return self.check_choice(&choices).into_iter().collect();
@@ -115,7 +117,7 @@ impl Given<'_> {
                 let schema = self.schema.get("items").unwrap_or(&Value::Null);
                 let of_items = items
                     .iter()
-                    .flat_map(|value| Given { name, schema, value, ..*self }.check())
+                    .flat_map(|value| CheckedValue { name, schema, value, ..*self }.check())
                     .take(MAX_ERRORS + 1);
                 self.check_length(items.len()).into_iter().chain(of_items).collect()
             }
@@ -125,7 +127,8 @@ impl Given<'_> {
 
     /// Checks alternatives: if none is valid, reports the errors of the closest one.
     fn check_branches(&self, branches: &[Value]) -> Vec<JobError> {
-        let each = branches.iter().map(|schema| Given { schema, ..*self }).filter(Given::is_of_type);
+        let each =
+            branches.iter().map(|schema| CheckedValue { schema, ..*self }).filter(CheckedValue::is_of_type);
         let closest = each.map(|given| given.check()).min_by_key(Vec::len);
         match (closest, self.value.get_ref()) {
             (Some(errors), _) if errors.is_empty() => errors,

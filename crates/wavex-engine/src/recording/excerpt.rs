@@ -15,7 +15,7 @@ pub struct Excerpt {
     pub keys: serde_json::Value,
     /// The shot.
     pub shot: u64,
-    /// Number of lines to read before and after that of the shot.
+    /// Number of lines to read before and after the line of the shot.
     pub margin: usize,
     /// Set once the stages have learnt from the first lines.
     pub may_skip: Arc<AtomicBool>,

@@ -24,11 +24,11 @@ use wavex_line::scan_line::ScanLine;
 use wavex_line::stage::{Context, LineLocation, OutputFile, Result, RunContext, SourcePlan, StageError};
 
 /// Called with the fraction of a recording that has been read; an error ends the reading.
-pub type Watch<'a> = dyn FnMut(f64) -> Result<()> + 'a;
+pub type ProgressObserver<'a> = dyn FnMut(f64) -> Result<()> + 'a;
 
 /// Key of the metadata that identifies the recording.
 const RECORDING_KEY: &str = "wavex.recording";
-/// Smallest recording whose index is kept, bytes; that of a smaller one is cheap to make again.
+/// Smallest recording whose index is kept, bytes; the index of a smaller one is quickly made again.
 const SMALLEST_KEPT_BYTES: u64 = 64 << 20;
 const ROWS_PER_BATCH: usize = 1 << 16;
 
@@ -37,7 +37,7 @@ const ROWS_PER_BATCH: usize = 1 << 16;
 pub struct IndexedLine {
     /// Location in the recording.
     pub location: LineLocation,
-    /// Number of shots; those of PulseWaves include pulses whose waves cannot be read.
+    /// Number of shots; in PulseWaves, including pulses whose waves cannot be read.
     pub shots: u32,
     /// Smallest and largest shot number.
     pub shot_range: [u64; 2],
@@ -59,7 +59,7 @@ impl IndexedLine {
         })
     }
 
-    /// Distance of a time from those of the line, s; `None` without times.
+    /// Distance of a time from the times of the line, s; `None` without times.
     fn distance_s(&self, time_s: f64) -> Option<f64> {
         let [first_s, last_s] = self.time_range_s;
         let distance_s = (first_s - time_s).max(time_s - last_s).max(0.0);
@@ -79,7 +79,7 @@ impl LineIndex {
         reader: &dyn SourcePlan,
         keys: &str,
         run: &RunContext,
-        watch: &mut Watch,
+        watch: &mut ProgressObserver,
     ) -> Result<LineIndex> {
         let identity = identity(&run.input, keys);
         let path = index_path(&run.input);
@@ -98,7 +98,7 @@ impl LineIndex {
     /// Makes the index in one pass, without samples where the format permits.
     ///
     /// Ends with [`StageError::Stopped`] once the run is cancelled.
-    fn make(reader: &dyn SourcePlan, run: &RunContext, watch: &mut Watch) -> Result<LineIndex> {
+    fn make(reader: &dyn SourcePlan, run: &RunContext, watch: &mut ProgressObserver) -> Result<LineIndex> {
         let mut source = reader.make_for_inspection(run, false)?;
         let (mut lines, mut cx) = (Vec::new(), Context::default());
         while let Some(line) = source.next(&mut cx)? {

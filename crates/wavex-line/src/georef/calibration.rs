@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::keys::{Keys, at_least};
 use crate::scan_line::ReturnChannel;
+use wavex_formats::extensions::has_extension;
 use wavex_formats::{Error, Result, read_small_text};
 
 /// Calibration; all zero means none.
@@ -66,7 +67,7 @@ impl Calibration {
     /// A file that cannot be read, or is neither.
     pub fn read(path: &Path) -> Result<Calibration> {
         let text = read_small_text(path, MOST_BYTES, "a calibration", REMEDY)?;
-        let is_toml = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"));
+        let is_toml = has_extension(path, "toml");
         let found = if is_toml {
             toml::from_str(&text).map_err(|error| error.to_string().trim_end().to_owned())
         } else {

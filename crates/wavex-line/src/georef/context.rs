@@ -157,7 +157,7 @@ impl Geometry {
         self.track.as_ref().map_or(&[], |track| &track.notes)
     }
 
-    /// Aligns the times of a recording with those of the trajectory; `None` without a trajectory.
+    /// Aligns the times of a recording with the times of the trajectory; `None` without a trajectory.
     ///
     /// # Errors
     /// The time scale of the recording is unknown, its times are ambiguous on the trajectory, or both have
@@ -209,7 +209,7 @@ impl Geometry {
         origin_m(input, Frame::Earth).map(|first_m| self.wanted.at(first_m)).transpose()
     }
 
-    /// The CRS of a terrain model: that of its EPSG code, else that of the points.
+    /// The CRS of a terrain model, from its EPSG code; without one, the CRS of the points.
     ///
     /// `None` before the first shot in the earth-centred frame.
     ///

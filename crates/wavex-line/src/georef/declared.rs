@@ -28,7 +28,7 @@ pub fn is_file(word: &str) -> bool {
     matches!(Named::parse(word), Ok(None))
 }
 
-/// WKT of the named CRS; that of a file is returned unchanged.
+/// WKT of the named CRS; WKT from a file is returned unchanged.
 ///
 /// # Errors
 /// An unknown code, a file that cannot be read, or text that is not WKT.

@@ -103,7 +103,7 @@ impl CrsRequest {
         Ok(OutputCrs { wkt: crs.wkt(), crs, first_place })
     }
 
-    /// Whether this CRS is equivalent to that of a recording, judged by one point.
+    /// Whether this CRS is equivalent to the CRS of a recording, judged by one point.
     pub(super) fn is_map(&self, wkt: &str, point: Vector) -> bool {
         let same = || {
             let map = |geoid| Crs::new(&Named::Wkt(wkt.to_owned()), ANYWHERE, geoid, None);

@@ -99,7 +99,7 @@ pub struct ScanAngles {
 }
 
 impl ScanAngles {
-    /// Adds a line; angles that its beams exclude are replaced by those of the beams.
+    /// Adds a line; angles that its beams exclude are replaced by the angles of the beams.
     pub fn push(&mut self, mut scan_line: ScanLine) {
         let frame = scan_line.input.frame;
         let is_placed = matches!(frame, Frame::Map | Frame::Earth);

@@ -220,7 +220,7 @@ mod tests {
         assert_eq!(emission.frame_scale, 1.0);
     }
 
-    /// In level flight the angle is that of the scanner. With the right wing down by 10 degrees,
+    /// In level flight it is the angle of the scanner. With the right wing down by 10 degrees,
     /// the scanner's down points 10 degrees to the left. Pitch and heading have no effect.
     #[test]
     fn scan_angles_count_from_the_vertical() {

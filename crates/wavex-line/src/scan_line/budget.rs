@@ -1,4 +1,4 @@
-//! Memory budget for batches in flight.
+//! Memory budget for scan lines in flight.
 
 use crate::system::Unpoisoned as _;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
@@ -13,12 +13,12 @@ pub struct Budget {
     limit: usize,
     /// Limit common to several budgets, if there is one.
     common: Option<Arc<Budget>>,
-    state: Mutex<State>,
+    state: Mutex<BudgetState>,
     freed: Condvar,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct BudgetState {
     used: usize,
     peak: usize,
     /// Number of lines in flight.
@@ -30,7 +30,7 @@ struct State {
     busy: usize,
 }
 
-impl State {
+impl BudgetState {
     /// Returns whether no line can leave before another arrives.
     ///
     /// All are held by waiting transforms.
@@ -39,7 +39,7 @@ impl State {
     }
 }
 
-/// Share of a [`Budget`] held by a batch.
+/// Share of a [`Budget`] held by a scan line.
 #[derive(Debug)]
 pub struct Ticket {
     budget: Arc<Budget>,
@@ -126,13 +126,13 @@ impl Budget {
     }
 
     /// Waits until memory is released; times out regularly so that cancellation is noticed.
-    fn wait<'a>(&self, state: MutexGuard<'a, State>) -> MutexGuard<'a, State> {
+    fn wait<'a>(&self, state: MutexGuard<'a, BudgetState>) -> MutexGuard<'a, BudgetState> {
         let waited = self.freed.wait_timeout(state, Duration::from_millis(50));
         waited.unpoisoned().0
     }
 
     /// Replaces a share of `before` bytes by one of `after`, here and in the common budget.
-    fn replace(&self, before: usize, after: usize) -> MutexGuard<'_, State> {
+    fn replace(&self, before: usize, after: usize) -> MutexGuard<'_, BudgetState> {
         if let Some(common) = &self.common {
             drop(common.replace(before, after));
         }
@@ -143,7 +143,7 @@ impl Budget {
         state
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, BudgetState> {
         // Every state change is a single addition, so a panic cannot leave it inconsistent.
         self.state.lock().unpoisoned()
     }

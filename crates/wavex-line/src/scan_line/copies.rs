@@ -1,4 +1,4 @@
-//! Waveforms that are byte-identical copies of those of the shot before.
+//! Waveforms that are byte-identical copies of the previous shot's waveforms.
 //!
 //! Exporters and converters write such copies. They are no measurements of their own, so calibration and
 //! statistics use each waveform once.
@@ -11,11 +11,11 @@ use super::{Block, Blocks, Channel, Content, ScanLine, emission_flags};
 /// waveforms of a quiet digitiser are often equal by chance and have few bits; noise of 1 DN has two
 /// bits per sample, and a pulse tens of bits.
 const LEAST_BITS: f64 = 64.0;
-/// Number of samples by which most waveforms differ from those of the shot before.
+/// Number of samples by which most waveforms differ from the previous shot's waveform.
 const FIRST_SAMPLES: usize = 8;
 
 impl ScanLine {
-    /// Marks the shots whose echo blocks are copies of those of the shot before in the line; returns their
+    /// Marks the shots whose echo blocks are copies of the previous shot's blocks in the line; returns their
     /// number.
     ///
     /// The first shot of a line has none before it, so that a line alone has the marks that it has in a run.

@@ -3,7 +3,7 @@
 use crate::reason::Reason;
 use wavex_signal::decompose;
 
-/// Reasons counted in `np_filtered`; the first are those of [`decompose::Filter`], in its order.
+/// Reasons counted in `np_filtered`; the first are the reasons of [`decompose::Filter`], in its order.
 const REASONS: [Reason; 12] = [
     Reason::Screened,
     Reason::InExcess,

@@ -152,7 +152,7 @@ pub struct FirstShot {
     pub origin_m: Vector,
     /// GPS time if it has one, else time of the instrument clock, s.
     pub time_s: f64,
-    /// Maps times of the recording to those of its trajectory.
+    /// Maps times of the recording to times of its trajectory.
     pub alignment: Option<Alignment>,
 }
 

@@ -6,7 +6,7 @@ pub type Returns = Vec<Return>;
 /// Return: an echo of a shot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Return {
-    /// Index of the causing shot in the batch.
+    /// Index of the causing shot in the line.
     pub emission: u32,
     /// Return number, from 1.
     pub return_number: u8,

@@ -1,4 +1,4 @@
-//! Emissions and the sample blocks recorded for them.
+//! Shots and the sample blocks recorded for them.
 
 /// Receiver channels of an instrument.
 ///
@@ -18,7 +18,7 @@ pub enum Channel {
 /// One laser shot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Emission {
-    /// Running number of the emission in its input, from 0.
+    /// Running number of the shot in its input, from 0.
     pub shot: u64,
     /// Time on the input's [`super::TimeScale`], s; NaN where unknown.
     pub gps_time_s: f64,
@@ -46,7 +46,7 @@ pub struct Emission {
 }
 
 impl Emission {
-    /// Whether the waveform is a copy of that of the shot before.
+    /// Whether the waveform is a copy of the previous shot's waveform.
     pub fn is_copy(&self) -> bool {
         self.flags & emission_flags::COPY != 0
     }
@@ -89,22 +89,22 @@ pub mod emission_flags {
     pub const SCAN_DIRECTION_POSITIVE: u16 = 1 << 8;
     /// Last shot of a scan line (LAS: edge of flight line).
     pub const EDGE_OF_FLIGHT_LINE: u16 = 1 << 9;
-    /// The echo blocks are byte-identical copies of those of the shot before; set by readers.
+    /// The echo blocks are byte-identical copies of the previous shot's blocks; set by readers.
     pub const COPY: u16 = 1 << 10;
 }
 
 /// Contiguous samples of one receiver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Block {
-    /// Index of the block's emission in the line.
+    /// Index of the block's shot in the line.
     pub emission: u32,
     /// The receiver.
     pub channel: Channel,
-    /// Multiple-time-around zone of the block, if different from the emission's.
+    /// Multiple-time-around zone of the block, if different from the shot's.
     pub zone: Option<i16>,
     /// Whether the zone was assigned on weak evidence.
     pub is_zone_uncertain: bool,
-    /// Time of the first sample after the emission's `clock_ps`, ns.
+    /// Time of the first sample after the shot's `clock_ps`, ns.
     pub start_ns: f64,
     /// Sampling interval, ns.
     pub interval_ns: f64,
@@ -124,20 +124,20 @@ const NOT_HELD: u32 = u32::MAX;
 /// A return computed by the instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OnlineReturn {
-    /// Index of the emission in the line.
+    /// Index of the shot in the line.
     pub emission: u32,
-    /// Time after the emission's `clock_ps`, ns.
+    /// Time after the shot's `clock_ps`, ns.
     pub time_ns: f64,
     /// Amplitude in the instrument's own unit; NaN if unknown.
     pub amplitude: f32,
 }
 
-/// Sample blocks of a line, ordered by emission, with a shared arena of samples.
+/// Sample blocks of a line, ordered by shot; their samples are in one buffer.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Blocks {
     list: Vec<Block>,
     arena: Vec<u16>,
-    /// The instrument's own returns, ordered by emission.
+    /// The instrument's own returns, ordered by shot.
     pub online: Vec<OnlineReturn>,
 }
 
@@ -154,7 +154,7 @@ impl Blocks {
 
     /// Adds a block of `samples` (digitiser steps).
     ///
-    /// Blocks must be added in order of their emissions.
+    /// Blocks must be added in order of their shots.
     ///
     /// # Panics
     /// The arena would exceed 2^32 samples; [`super::MAX_SHOTS_PER_LINE`] prevents this.
@@ -226,7 +226,7 @@ impl Blocks {
         self.list.get(index)
     }
 
-    /// Iterates over the blocks, ordered by emission.
+    /// Iterates over the blocks, ordered by shot.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = &Block> + Clone + '_ {
         self.list.iter()
     }
@@ -253,26 +253,26 @@ impl Blocks {
         held.and_then(|samples| samples.get(..block.len as usize)).unwrap_or_default()
     }
 
-    /// Groups the blocks by emission: `(emission, its blocks)`, in order.
+    /// Groups the blocks by shot: `(shot, its blocks)`, in order.
     pub fn by_emission(&self) -> impl Iterator<Item = (u32, &[Block])> + '_ {
         self.list.chunk_by(|a, b| a.emission == b.emission).map(|blocks| (blocks[0].emission, blocks))
     }
 
-    /// Blocks of one emission, each with its index.
+    /// Blocks of one shot, each with its index.
     pub fn of_emission(&self, emission: u32) -> impl Iterator<Item = (usize, &Block)> + Clone + '_ {
         let from = self.list.partition_point(|block| block.emission < emission);
         let until = self.list.partition_point(|block| block.emission <= emission);
         (from..until).zip(&self.list[from..until])
     }
 
-    /// The instrument's own returns of one emission.
+    /// The instrument's own returns of one shot.
     pub fn online_of(&self, emission: u32) -> &[OnlineReturn] {
         let from = self.online.partition_point(|online| online.emission < emission);
         let until = self.online.partition_point(|online| online.emission <= emission);
         &self.online[from..until]
     }
 
-    /// Number of waveforms: emissions with at least one echo block (`nw`).
+    /// Number of waveforms: shots with at least one echo block (`nw`).
     pub fn waveforms(&self) -> usize {
         self.by_emission().filter(|(_, blocks)| blocks.iter().any(|block| block.channel.is_echo())).count()
     }
@@ -288,7 +288,7 @@ impl Blocks {
         });
     }
 
-    /// Keeps the blocks of the emissions that have a new index.
+    /// Keeps the blocks of the shots that have a new index.
     ///
     /// `place` is the new index by old index. Samples of removed blocks stay in the arena until the
     /// line is dropped.
@@ -340,7 +340,7 @@ impl Block {
         self.len > MOST_SAMPLES
     }
 
-    /// Time of a position in the block after the emission's clock, ns.
+    /// Time of a position in the block after the shot's clock, ns.
     ///
     /// The position is in samples, with fraction.
     pub fn time_ns(&self, position_samples: f64) -> f64 {

@@ -12,7 +12,7 @@ pub const CURVE_POINTS_PER_SAMPLE: usize = 8;
 /// A shot with its fit.
 #[derive(Clone, Debug)]
 pub struct FittedShot {
-    /// The emission, with its fitted time.
+    /// The shot, with its fitted emission time.
     pub emission: Emission,
     /// Returns, in time order.
     pub returns: Returns,

@@ -14,6 +14,9 @@ pub struct LookAhead {
 }
 
 impl LookAhead {
+    /// Default number of waveforms that a stage learns from.
+    pub const WAVEFORMS: u64 = 100_000;
+
     /// Creates a buffer for `wanted` waveforms.
     pub fn new(wanted: u64) -> LookAhead {
         LookAhead { lines: Vec::new(), bytes: 0, waveforms: 0, wanted }

@@ -37,11 +37,11 @@ pub trait RunObserver: Debug + Send + Sync {
 pub struct DecomposedLine<'a> {
     /// Scan line number.
     pub line: u32,
-    /// Emissions of the line.
+    /// Shots of the line.
     pub emissions: &'a [Emission],
-    /// Returns of the line, grouped by emission.
+    /// Returns of the line, grouped by shot.
     pub returns: &'a [Return],
 }
 
-/// Fits the shot with this emission index again; `None` if it has no blocks.
+/// Fits the shot with this index again; `None` if it has no blocks.
 pub type FitShot<'a> = dyn FnMut(u32) -> Result<Option<FittedShot>> + 'a;

@@ -67,7 +67,7 @@ pub fn release_all() {
 /// Removes a claim, and the gate with the last claim.
 fn give_up(claim: &Path) {
     // Without the gate the file can still be removed: its lock ends with the process.
-    let gate = Gate::enter(claim.parent().unwrap_or(Path::new(".")));
+    let gate = FolderGate::enter(claim.parent().unwrap_or(Path::new(".")));
     remove(claim);
     if let Ok(gate) = gate {
         gate.leave();
@@ -105,7 +105,7 @@ fn is_unsupported(error: &io::Error) -> bool {
 }
 
 fn claim(folder: &Path, paths: &BTreeSet<PathBuf>) -> Result<Claim> {
-    let gate = Gate::enter(folder).map_err(Error::io(folder, "lock the output folder"))?;
+    let gate = FolderGate::enter(folder).map_err(Error::io(folder, "lock the output folder"))?;
     let claimed = claim_in(folder, paths);
     gate.leave();
     claimed
@@ -116,7 +116,7 @@ fn claim_in(folder: &Path, paths: &BTreeSet<PathBuf>) -> Result<Claim> {
     let wanted = paths.iter().map(|path| below(folder, path)).collect();
     for claim in claims(folder).map_err(Error::io(folder, "list the claims in"))? {
         if let Some(other) =
-            Other::look(&claim).map_err(Error::io(&claim, "read the claim of another run"))?
+            OtherClaim::look(&claim).map_err(Error::io(&claim, "read the claim of another run"))?
         {
             other.check(folder, &wanted)?;
         }
@@ -172,15 +172,15 @@ fn make(folder: &Path, wanted: &BTreeSet<String>) -> io::Result<Claim> {
 }
 
 /// Claim of a live run.
-struct Other {
+struct OtherClaim {
     process: u32,
     /// Its outputs; `None` if the system does not permit reading a locked file.
     outputs: Option<BTreeSet<String>>,
 }
 
-impl Other {
+impl OtherClaim {
     /// Inspects a claim; `None` if its run is dead, after removing its remains.
-    fn look(claim: &Path) -> io::Result<Option<Other>> {
+    fn look(claim: &Path) -> io::Result<Option<OtherClaim>> {
         let mut file = match own_file::no_link().read(true).write(true).open(claim) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             opened => opened?,
@@ -195,7 +195,7 @@ impl Other {
         let outputs: Option<BTreeSet<String>> = serde_json::from_slice(&list).ok();
         let process = process_of(claim);
         if lives {
-            return Ok(Some(Other { process, outputs }));
+            return Ok(Some(OtherClaim { process, outputs }));
         }
         let folder = claim.parent().unwrap_or(Path::new("."));
         for output in outputs.iter().flatten().filter_map(|output| inside(folder, output)) {
@@ -295,13 +295,13 @@ fn ends_with(path: &Path, bytes: &[u8]) -> bool {
 }
 
 /// Serialises access to the claims of a folder.
-struct Gate {
+struct FolderGate {
     file: File,
     folder: PathBuf,
 }
 
-impl Gate {
-    fn enter(folder: &Path) -> io::Result<Gate> {
+impl FolderGate {
+    fn enter(folder: &Path) -> io::Result<FolderGate> {
         let path = folder.join(GATE);
         let started = Instant::now();
         for attempt in 0..MOST_ATTEMPTS {
@@ -309,7 +309,7 @@ impl Gate {
             let mut file = opened.map_err(|error| own_file::explained(&path, error))?;
             lock_within(&file, started, &path)?;
             if file.metadata()?.len() == 0 {
-                return Ok(Gate { file, folder: folder.to_owned() });
+                return Ok(FolderGate { file, folder: folder.to_owned() });
             }
             // Its holder gave it up. Either the gate is a new file by now, or the holder was killed
             // before it could remove this one. A mark written to this file shows which.

@@ -103,8 +103,8 @@ impl PoseSource {
         self.coverage.finish(self.alignment.as_ref(), cx)
     }
 
-    fn place(&mut self, mut batch: ScanLine, cx: &mut Context) -> Result<ScanLine> {
-        let mut frame = batch.input.frame;
+    fn place(&mut self, mut scan_line: ScanLine, cx: &mut Context) -> Result<ScanLine> {
+        let mut frame = scan_line.input.frame;
         match frame {
             Frame::Map if self.geometry.keys().places_scanners() => {
                 cx.warn("the recording is already in a projected CRS: trajectory, mount and calibration are not used");
@@ -115,24 +115,24 @@ impl PoseSource {
             ),
             Frame::Scanner | Frame::Body if self.geometry.has_trajectory() => {
                 self.check_frame(frame)?;
-                self.pose(&mut batch, cx)?;
+                self.pose(&mut scan_line, cx)?;
                 frame = Frame::Earth;
             }
             Frame::Scanner | Frame::Body if !self.geometry.installation().is_plain() => {
                 self.check_frame(frame)?;
                 let installation = *self.geometry.installation();
-                batch.emissions.iter_mut().for_each(|emission| installation.to_body(emission));
+                scan_line.emissions.iter_mut().for_each(|emission| installation.to_body(emission));
                 frame = Frame::Body;
             }
             _ => {}
         }
-        if let (None, Some(first)) = (self.first_shot, batch.emissions.first()) {
+        if let (None, Some(first)) = (self.first_shot, scan_line.emissions.first()) {
             let (origin_m, time_s, alignment) = (first.origin_m, first.time_s(), self.alignment);
             self.first_shot = Some(FirstShot { origin_m, time_s, alignment });
             self.input = None;
         }
-        batch.input = self.info(&batch.input, frame);
-        Ok(batch)
+        scan_line.input = self.info(&scan_line.input, frame);
+        Ok(scan_line)
     }
 
     /// Rejects a `mount` for a recording already in body axes.
@@ -147,22 +147,22 @@ impl PoseSource {
     }
 
     /// Applies the pose to every shot of a line; shots without a pose are rejected.
-    fn pose(&mut self, batch: &mut ScanLine, cx: &mut Context) -> Result<()> {
-        unwrap_times(&mut self.times, batch)?;
-        let Some(first) = batch.emissions.first() else { return Ok(()) };
+    fn pose(&mut self, scan_line: &mut ScanLine, cx: &mut Context) -> Result<()> {
+        unwrap_times(&mut self.times, scan_line)?;
+        let Some(first) = scan_line.emissions.first() else { return Ok(()) };
         if self.alignment.is_none() {
-            self.alignment = self.geometry.align(&batch.input, first.gps_time_s)?;
+            self.alignment = self.geometry.align(&scan_line.input, first.gps_time_s)?;
         }
         if self.coverage.span_s.is_none() {
             self.geometry.notes().iter().for_each(|note| cx.warn(note));
         }
-        let without_angles = are_unknown(&batch.emissions);
+        let without_angles = are_unknown(&scan_line.emissions);
         let mut down = None;
-        let mut place = Vec::with_capacity(batch.emissions.len());
+        let mut place = Vec::with_capacity(scan_line.emissions.len());
         let mut kept = 0;
         let geometry = Arc::clone(&self.geometry);
         let mut poses = self.alignment.and_then(|alignment| geometry.poses(alignment));
-        batch.emissions.retain_mut(|emission| {
+        scan_line.emissions.retain_mut(|emission| {
             let pose = poses.as_mut().and_then(|poses| poses.at(emission.gps_time_s));
             self.coverage.add(emission.gps_time_s, pose.is_some());
             place.push(pose.is_some().then_some(kept));
@@ -174,12 +174,12 @@ impl PoseSource {
         });
         if (kept as usize) < place.len() {
             self.coverage.check(self.alignment.as_ref())?;
-            reject(batch, &place, cx);
+            reject(scan_line, &place, cx);
         }
         if without_angles {
-            set_directions(&mut batch.emissions);
+            set_directions(&mut scan_line.emissions);
         }
-        batch.stats.gps_time_s = batch.emissions.first().map_or(f64::NAN, |first| first.gps_time_s);
+        scan_line.stats.gps_time_s = scan_line.emissions.first().map_or(f64::NAN, |first| first.gps_time_s);
         Ok(())
     }
 
@@ -226,23 +226,23 @@ fn pose_one(geometry: &Geometry, emission: &mut Emission, pose: &Pose, down: &mu
 }
 
 /// Removes the shots without a pose and their blocks; `place` gives the new indices of the others.
-fn reject(batch: &mut ScanLine, place: &[Option<u32>], cx: &mut Context) {
+fn reject(scan_line: &mut ScanLine, place: &[Option<u32>], cx: &mut Context) {
     let shots = place.iter().filter(|place| place.is_none()).count() as u64;
     let mut n_blocks = 0;
-    if let Content::Shots(blocks) = &mut batch.content {
+    if let Content::Shots(blocks) = &mut scan_line.content {
         let before = blocks.len();
         blocks.keep(place);
         n_blocks = (before - blocks.len()) as u64;
-        batch.stats.nw = blocks.waveforms() as u64;
+        scan_line.stats.nw = blocks.waveforms() as u64;
     }
     cx.reject_with_blocks(Reason::OutsideTrajectory, shots, n_blocks);
 }
 
 /// Unwraps the times of a line, continuing from earlier lines.
-fn unwrap_times(times: &mut Option<Unwrap>, batch: &mut ScanLine) -> Result<()> {
-    let clock = Clock::of(batch.input.time_scale).unwrap_or(Clock::Adjusted);
+fn unwrap_times(times: &mut Option<Unwrap>, scan_line: &mut ScanLine) -> Result<()> {
+    let clock = Clock::of(scan_line.input.time_scale).unwrap_or(Clock::Adjusted);
     let times = times.get_or_insert(Unwrap::new(clock));
-    for emission in &mut batch.emissions {
+    for emission in &mut scan_line.emissions {
         if !emission.gps_time_s.is_finite() {
             return Err(StageError::failed(
                 format!("shot {} has no GPS time and cannot be located on the trajectory", emission.shot),

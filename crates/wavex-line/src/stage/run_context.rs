@@ -11,6 +11,7 @@ use wavex_simd::SimdLevel;
 
 use super::{OutputFile, Result, SurveyModels};
 use crate::georef::Geometry;
+use crate::keys::InvalidKey;
 
 /// Per-run context of a stage.
 #[derive(Clone, Debug)]
@@ -108,6 +109,16 @@ impl Paths {
             Paths::One(path) => std::slice::from_ref(path),
             Paths::Many(paths) => paths,
         }
+    }
+
+    /// Checks the key `path` of a reader.
+    ///
+    /// # Errors
+    /// No path, or an empty one.
+    pub fn check(&self) -> std::result::Result<(), InvalidKey> {
+        let patterns = self.patterns();
+        InvalidKey::unless(!patterns.is_empty(), "path", "at least one file is needed")?;
+        InvalidKey::unless(!patterns.iter().any(String::is_empty), "path", "a path is empty")
     }
 }
 

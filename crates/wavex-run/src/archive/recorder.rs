@@ -12,8 +12,8 @@ use super::origin::{Machine, Program};
 use super::paths::relative;
 use super::resolved::Resolved;
 use super::{
-    ARCHIVE, Archive, DigestedFile, FORMAT, FailedInput, Files, INCLUDED, JOB, LINES, LOG, MODELS, REPORT,
-    RESOLVED, RESULTS, SEAL,
+    ARCHIVE, Archive, ArchivedFiles, DigestedFile, FORMAT, FailedInput, INCLUDED, JOB, LINES, LOG, MODELS,
+    REPORT, RESOLVED, RESULTS, SEAL,
 };
 use wavex_engine::engine::{InputStatus, InputSummary, Options, RunSummary};
 use wavex_engine::job::{Include, Job, JobStage};
@@ -30,7 +30,7 @@ pub struct Recorder {
     /// Final path.
     path: PathBuf,
     /// Folder of its files until then.
-    gathering: Gathering,
+    gathering: TemporaryFolder,
     made: SystemTime,
     archive: Archive,
     job: String,
@@ -59,9 +59,9 @@ pub struct Seals {
 }
 
 /// A temporary folder, removed on drop.
-struct Gathering(PathBuf);
+struct TemporaryFolder(PathBuf);
 
-impl Drop for Gathering {
+impl Drop for TemporaryFolder {
     fn drop(&mut self) {
         // A folder that cannot be removed is recognisable by its name.
         let _ = fs::remove_dir_all(&self.0);
@@ -117,9 +117,9 @@ impl Recorder {
         let resolved =
             Resolved::new(job, &options.input_dir, &options.output_dir, &folder)?.run_with(options);
         let resolved_text = resolved.text(&job.name)?;
-        let gathering = Gathering(partial_path(path, std::process::id()));
+        let gathering = TemporaryFolder(partial_path(path, std::process::id()));
         // Remove remains of a dead process with the same id.
-        drop(Gathering(gathering.0.clone()));
+        drop(TemporaryFolder(gathering.0.clone()));
         fs::create_dir_all(gathering.0.join(LINES)).map_err(Error::io(&gathering.0, "create the folder"))?;
         let stamps: Vec<Option<Stamp>> = resolved.inputs.iter().map(|path| Stamp::of(path)).collect();
         let unknown = resolved.inputs.iter().zip(&stamps).filter(|(_, stamp)| stamp.is_none());
@@ -346,7 +346,7 @@ fn digested(root: &Path, path: &Path, stage: Option<String>, known: &KnownDigest
 }
 
 /// Describes files below a folder for the archive in `archive`.
-fn files(archive: &Path, root: &Path, files: Vec<DigestedFile>) -> Files {
+fn files(archive: &Path, root: &Path, files: Vec<DigestedFile>) -> ArchivedFiles {
     let folder_was = root.display().to_string();
-    Files { folder: relative(archive, root).unwrap_or_else(|| folder_was.clone()), folder_was, files }
+    ArchivedFiles { folder: relative(archive, root).unwrap_or_else(|| folder_was.clone()), folder_was, files }
 }

@@ -167,7 +167,7 @@ fn other_program(archive: &Archive) -> Option<String> {
         .then(|| format!("the archive was made by wavex {}, this is wavex {}", then.words(), now.words()))
 }
 
-/// Compares the inputs that failed with those of the archived run.
+/// Compares the inputs that failed with the failed inputs of the archived run.
 fn compare_failures(archive: &Archive, run: &RunSummary) -> Vec<String> {
     let compare = |input: &InputSummary| {
         let failed_then = archive.failed.iter().any(|failed| failed.stem == input.stem);

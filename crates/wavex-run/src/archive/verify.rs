@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::contents::Contents;
 use super::digest;
 use super::paths::plain;
-use super::{Archive, DigestedFile, Files, Seals};
+use super::{Archive, ArchivedFiles, DigestedFile, Seals};
 use wavex_formats::Error;
 use wavex_line::stage::Result;
 
@@ -100,7 +100,7 @@ fn outputs(archive: &Archive, contents: &Contents, folders: &Folders) -> Vec<Str
 }
 
 /// Current folder of files: as given by the user, else relative to the archive, else the original.
-pub(super) fn place(files: &Files, contents: &Contents, said: Option<&Path>) -> PathBuf {
+pub(super) fn place(files: &ArchivedFiles, contents: &Contents, said: Option<&Path>) -> PathBuf {
     if let Some(said) = said {
         return said.to_owned();
     }

@@ -188,7 +188,7 @@ impl<'c> Checker<'c> {
         models
     }
 
-    /// Result of a task; `number` is that of its input in the survey, from 1.
+    /// Result of a task; `number` counts the inputs of the survey from 1.
     fn check(&self, number: usize, task: &Task) -> TaskResult {
         let missing = |problem: String| TaskResult {
             status: InputStatus::NotRun,
@@ -220,7 +220,7 @@ impl<'c> Checker<'c> {
         }
     }
 
-    /// First difference between the job of a task and that of the plan.
+    /// First difference between the job of a task and the plan.
     fn difference(&self, report: &Value, number: usize, task: &Task) -> Option<String> {
         let mut report = report.clone();
         if report["survey_models"] != self.models_of(task) {
@@ -304,7 +304,7 @@ fn texts(table: &Value) -> BTreeSet<String> {
     }
 }
 
-/// Replaces the paths of files in a table by those of the job, if the files have the same names.
+/// Replaces the paths of files in a table by the paths of the job, if the files have the same names.
 fn same_paths(keys: &mut Value, planned: &Value, paths: &BTreeSet<String>) {
     match (keys, planned) {
         (Value::Object(keys), Value::Object(planned)) => {

@@ -1,4 +1,4 @@
-//! Files of a whole survey, from those of its tasks.
+//! Files of a whole survey, made from the files of its tasks.
 
 use std::collections::BTreeMap;
 use std::fs;

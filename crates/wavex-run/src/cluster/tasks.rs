@@ -52,7 +52,7 @@ impl<'r> TaskWriter<'r> {
         self.resolved.patterns.clone()
     }
 
-    /// Text of the job of one input; `number` is that of the input in the whole job, from 1.
+    /// Text of the job of one input; `number` counts the inputs of the whole job from 1.
     pub(super) fn text(&self, number: usize, source: &Input, root: &Path) -> Result<String> {
         let mut table = self.table.clone();
         // A task has one input, so it cannot count flight lines.

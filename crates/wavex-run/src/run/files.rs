@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::ResumeCheck;
 use super::resume::{Comparison, EarlierRun};
-use super::survey_files::{Collected, SurveyFiles};
+use super::survey_files::{PageCollector, SurveyFiles};
 use wavex_engine::engine::{self, Input, InputStatus, InputSummary, Options, RunSummary};
 use wavex_engine::job::{Job, JobSettings};
 use wavex_formats::Error;
@@ -30,7 +30,7 @@ pub(super) struct RunFiles<'j> {
     output_dir: PathBuf,
     profile: bool,
     /// Data of the pages about the inputs, if the job requests any.
-    collected: Option<Arc<Collected>>,
+    collected: Option<Arc<PageCollector>>,
     /// Files of the survey, if the job requests its page.
     survey: Option<SurveyFiles>,
     comparison: Comparison,
@@ -61,7 +61,7 @@ impl<'j> RunFiles<'j> {
             settings,
             name,
             profile,
-            collected: Collected::new(settings).map(Arc::new),
+            collected: PageCollector::new(settings).map(Arc::new),
             survey: SurveyFiles::new(settings, &output_dir),
             output_dir,
             comparison,

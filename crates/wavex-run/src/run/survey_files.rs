@@ -21,20 +21,20 @@ use wavex_pages::report::{Overview, Overviews};
 
 /// Collects the data of the pages that a job requests.
 #[derive(Debug)]
-pub(super) struct Collected {
+pub(super) struct PageCollector {
     overviews: Option<Overviews>,
     /// Cell size of the strips, m, if the job requests their cells.
     cell_m: Option<f64>,
     strips: Mutex<BTreeMap<String, Arc<StripCollector>>>,
 }
 
-impl Collected {
+impl PageCollector {
     /// `None` if the job requests no page.
-    pub(super) fn new(settings: &JobSettings) -> Option<Collected> {
+    pub(super) fn new(settings: &JobSettings) -> Option<PageCollector> {
         let overviews = (!settings.report_page.is_empty()).then(Overviews::default);
         let cell_m = settings.cells().map(|_| settings.survey.cell_m);
         let strips = Mutex::default();
-        (overviews.is_some() || cell_m.is_some()).then_some(Collected { overviews, cell_m, strips })
+        (overviews.is_some() || cell_m.is_some()).then_some(PageCollector { overviews, cell_m, strips })
     }
 
     /// Takes the overview of an input that has ended.
@@ -53,7 +53,7 @@ impl Collected {
     }
 }
 
-impl RunObservers for Collected {
+impl RunObservers for PageCollector {
     fn of_input(&self, stem: &str) -> Arc<dyn RunObserver> {
         let overview = self.overviews.as_ref().map(|overviews| overviews.of_input(stem));
         let strip = self.cell_m.map(|cell_m| Arc::new(StripCollector::new(cell_m)));
@@ -96,7 +96,7 @@ impl RunObserver for OfInput {
 #[derive(Debug)]
 pub(super) struct SurveyFiles {
     strips: StripPaths,
-    /// Written files, apart from those of strips.
+    /// Written files, apart from the files of strips.
     written: Vec<PathBuf>,
 }
 

@@ -365,7 +365,7 @@ impl Calibrator {
 
     fn settings(&self, channel: Channel) -> CalibrationSettings {
         let unknown = InputInfo::default();
-        let input = self.look_ahead.lines().first().map_or(&unknown, |batch| &batch.input);
+        let input = self.look_ahead.lines().first().map_or(&unknown, |scan_line| &scan_line.input);
         let full_scale_dn = f64::from(self.clipping_dn(channel).or(input.full_scale_dn).unwrap_or(u16::MAX));
         let settings = match channel {
             Channel::Reference => CalibrationSettings::reference(input.sampling_interval_ns, full_scale_dn),

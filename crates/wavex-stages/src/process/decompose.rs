@@ -35,8 +35,8 @@ pub use profiles::ProfilesKey;
 
 pub use observer::{Seen, SeenBlock, SeenPulse};
 pub(crate) use receivers::SensorTables;
-pub use shot::Shot;
-pub use shots::{BlockFit, Line, Observer, ShotDecomposer};
+pub use shot::ShotBlocks;
+pub use shots::{BlockFit, DecomposedShots, Observer, ShotDecomposer};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::map::<Decompose>("decompose", &[Kind::Shots], Some(Kind::Returns))
@@ -290,11 +290,11 @@ impl Worker {
 
 impl Worker {
     /// Decomposes one shot of the last line again, with an observer.
-    fn fit(&mut self, shot: &Shot, line: &DecomposedLine) -> Result<Option<FittedShot>> {
+    fn fit(&mut self, shot: &ShotBlocks, line: &DecomposedLine) -> Result<Option<FittedShot>> {
         let mut seen = Seen::new(shot.blocks);
         let (mut emissions, mut returns, mut profiles) =
             (line.emissions.to_vec(), Returns::new(), Vec::new());
-        let mut of_shot = Line {
+        let mut of_shot = DecomposedShots {
             emissions: &mut emissions,
             returns: &mut returns,
             profiles: &mut profiles,
@@ -360,17 +360,17 @@ impl LineDecomposer {
             Some(worker) if worker.is_for(model, scan_line.fusion.as_ref()) => worker,
             _ => Worker::new(model, scan_line.fusion.as_ref(), &self.config, self.path)?,
         };
-        let shot = |(index, of_shot)| Shot { index, blocks, of_shot, input: &scan_line.input };
+        let shot = |(index, of_shot)| ShotBlocks { index, blocks, of_shot, input: &scan_line.input };
         let is_only = self.config.online_points == OnlinePoints::Only;
         let outgoing = if is_only { online::outgoing_only(blocks) } else { Vec::new() };
-        let shots: Vec<Shot> = match is_only {
+        let shots: Vec<ShotBlocks> = match is_only {
             true => outgoing
                 .chunk_by(|a, b| a.emission == b.emission)
                 .map(|of_shot| shot((of_shot[0].emission, of_shot)))
                 .collect(),
             false => blocks.by_emission().map(shot).collect(),
         };
-        let mut line = Line {
+        let mut line = DecomposedShots {
             emissions: &mut scan_line.emissions,
             returns,
             profiles: &mut scan_line.profiles,

@@ -12,7 +12,7 @@ mod line_window;
 #[cfg(test)]
 mod tests;
 
-use line_window::Strip;
+use line_window::OutlierWindow;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<FilterOutliers>("filter_outliers", &[Kind::Returns]);
@@ -74,13 +74,13 @@ impl Config for FilterOutliers {
 }
 
 impl TransformConfig for FilterOutliers {
-    fn make(&self, _site: &RunContext) -> Result<Box<dyn Transform>> {
-        Ok(Box::new(OutlierFilter { strip: Strip::new(self.clone()) }))
+    fn make(&self, _: &RunContext) -> Result<Box<dyn Transform>> {
+        Ok(Box::new(OutlierFilter { strip: OutlierWindow::new(self.clone()) }))
     }
 }
 
 struct OutlierFilter {
-    strip: Strip,
+    strip: OutlierWindow,
 }
 
 impl Transform for OutlierFilter {

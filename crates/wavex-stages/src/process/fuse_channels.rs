@@ -72,7 +72,11 @@ pub struct FuseChannels {
 
 impl Default for FuseChannels {
     fn default() -> FuseChannels {
-        FuseChannels { gain_ratio: AutoOrNumber::AUTO, delay_ns: AutoOrNumber::AUTO, waveforms: 100_000 }
+        FuseChannels {
+            gain_ratio: AutoOrNumber::AUTO,
+            delay_ns: AutoOrNumber::AUTO,
+            waveforms: LookAhead::WAVEFORMS,
+        }
     }
 }
 
@@ -121,7 +125,8 @@ impl TransformConfig for FuseChannels {
 
 impl FuseChannels {
     fn fuser(&self, look_ahead: LookAhead) -> ChannelFuser {
-        let state = self.given().map_or(State::Surveying, |fusion| State::Known(Arc::new(fusion)));
+        let state =
+            self.given().map_or(FusionState::Surveying, |fusion| FusionState::Known(Arc::new(fusion)));
         ChannelFuser { config: self.clone(), look_ahead, state, survey: None, stem: String::new() }
     }
 }
@@ -129,14 +134,14 @@ impl FuseChannels {
 struct ChannelFuser {
     config: FuseChannels,
     look_ahead: LookAhead,
-    state: State,
+    state: FusionState,
     /// Models of the survey, which are used instead of estimating.
     survey: Option<Arc<SurveyModels>>,
     stem: String,
 }
 
 /// State of the estimation.
-enum State {
+enum FusionState {
     Surveying,
     Known(Arc<ChannelFusion>),
     /// Nothing to fuse.
@@ -150,9 +155,9 @@ impl Transform for ChannelFuser {
                 survey.of_recording(&self.stem, &line.input).and_then(|model| model.fusion.clone())
         {
             out.cx.info("gain and delay of the receivers are those of the survey");
-            self.state = State::Known(Arc::new(fusion));
+            self.state = FusionState::Known(Arc::new(fusion));
         }
-        if !matches!(self.state, State::Surveying) {
+        if !matches!(self.state, FusionState::Surveying) {
             return out.emit(self.fused(line));
         }
         let is_enough = self.look_ahead.hold(line, "gain and delay of the receivers were estimated", out);
@@ -168,15 +173,15 @@ impl ChannelFuser {
     /// Estimates gain and delay from the held lines and emits these.
     fn release(&mut self, out: &mut Output) -> Result<()> {
         self.state = match self.found(out) {
-            Some(fusion) => State::Known(Arc::new(fusion)),
-            None => State::Alone,
+            Some(fusion) => FusionState::Known(Arc::new(fusion)),
+            None => FusionState::Alone,
         };
         self.look_ahead.release().into_iter().try_for_each(|line| out.emit(self.fused(line)))
     }
 
     /// Shifts the times of the high-power blocks of a line.
     fn fused(&self, mut line: ScanLine) -> ScanLine {
-        if let State::Known(fusion) = &self.state {
+        if let FusionState::Known(fusion) = &self.state {
             if let Content::Shots(blocks) = &mut line.content {
                 blocks.shift(Channel::HighPower, -fusion.delay_ns);
             }
@@ -345,8 +350,8 @@ mod tests {
     fn run(config: &FuseChannels, lines: Vec<ScanLine>) -> (Vec<ScanLine>, Vec<String>) {
         let mut stage = config.fuser(LookAhead::new(config.waveforms));
         let (mut cx, mut given_on) = (Context::default(), Vec::new());
-        let mut emit = |batch: ScanLine| {
-            given_on.push(batch);
+        let mut emit = |scan_line: ScanLine| {
+            given_on.push(scan_line);
             Ok(())
         };
         let mut out = Output::new(&mut cx, usize::MAX, &mut emit);
@@ -355,8 +360,8 @@ mod tests {
         (given_on, cx.counters().notes.clone())
     }
 
-    fn start_ns(batch: &ScanLine, channel: Channel) -> f64 {
-        batch.blocks().unwrap().iter().find(|block| block.channel == channel).unwrap().start_ns
+    fn start_ns(scan_line: &ScanLine, channel: Channel) -> f64 {
+        scan_line.blocks().unwrap().iter().find(|block| block.channel == channel).unwrap().start_ns
     }
 
     #[test]
@@ -364,13 +369,13 @@ mod tests {
         let (lines, notes) = run(&FuseChannels::default(), vec![line(0, 40, true), line(1, 40, true)]);
         assert_eq!(notes, [""; 0]);
         assert_eq!(lines.len(), 2);
-        for batch in &lines {
-            let fusion = batch.fusion.as_ref().unwrap();
+        for scan_line in &lines {
+            let fusion = scan_line.fusion.as_ref().unwrap();
             assert_eq!(fusion.pairs, 80);
             assert!((fusion.gain_ratio - 5.0).abs() < 0.05, "{fusion:?}");
             assert!((fusion.delay_ns - 0.5).abs() < 0.01, "{fusion:?}");
-            assert_eq!(start_ns(batch, Channel::LowPower), 100.0);
-            assert_eq!(start_ns(batch, Channel::HighPower), 101.25 - fusion.delay_ns);
+            assert_eq!(start_ns(scan_line, Channel::LowPower), 100.0);
+            assert_eq!(start_ns(scan_line, Channel::HighPower), 101.25 - fusion.delay_ns);
         }
     }
 
@@ -404,8 +409,8 @@ mod tests {
     fn lines_are_held_back_only_until_there_are_enough() {
         let config = FuseChannels { waveforms: 40, ..FuseChannels::default() };
         let (lines, _) = run(&config, (0..3).map(|k| line(k, 30, true)).collect());
-        assert_eq!(lines.iter().map(|batch| batch.line).collect::<Vec<_>>(), [0, 1, 2]);
-        assert!(lines.iter().all(|batch| batch.fusion.as_ref().unwrap().pairs == 60));
+        assert_eq!(lines.iter().map(|scan_line| scan_line.line).collect::<Vec<_>>(), [0, 1, 2]);
+        assert!(lines.iter().all(|scan_line| scan_line.fusion.as_ref().unwrap().pairs == 60));
     }
 
     #[test]

@@ -17,7 +17,7 @@ mod above_ground;
 mod physics;
 mod uncertainty;
 
-use above_ground::Level;
+use above_ground::ReferenceLevel;
 pub(crate) use physics::checks;
 use uncertainty::Uncertainty;
 
@@ -92,7 +92,7 @@ impl Map for Georeferencer {
         }
         let mut points: Vec<Vector> =
             returns.iter().map(|r| position(&line.emissions[r.emission as usize], r)).collect();
-        line.stats.agl_m = Level::of(frame, &line.emissions)
+        line.stats.agl_m = ReferenceLevel::of(frame, &line.emissions)
             .filter(|_| line.input.origin_is_sensor)
             .and_then(|level| level.agl_m(&line.emissions, &returns, &points));
         physics::count(&line.input, &line.emissions, &returns, &points, cx);
@@ -184,7 +184,7 @@ impl Georeferencer {
     }
 }
 
-/// Position of a return in the frame of its emission, m.
+/// Position of a return in the frame of its shot, m.
 fn position(emission: &Emission, r: &Return) -> Vector {
     let reach_m = r.range_m * emission.frame_scale;
     std::array::from_fn(|axis| emission.origin_m[axis] + emission.direction[axis] * reach_m)

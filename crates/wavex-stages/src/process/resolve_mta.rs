@@ -23,7 +23,7 @@ mod summary;
 #[cfg(test)]
 mod tests;
 
-use line_window::Strip;
+use line_window::ZoneWindow;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::transform::<ResolveMta>("resolve_mta", &[Kind::Shots]);
@@ -223,7 +223,7 @@ struct MtaResolver {
     /// Positions of the shots on the earth.
     placed: Arc<Geometry>,
     /// The pending lines, while any have unknown zones.
-    strip: Option<Strip>,
+    strip: Option<ZoneWindow>,
 }
 
 impl Transform for MtaResolver {
@@ -238,9 +238,13 @@ impl Transform for MtaResolver {
             Some(strip) => strip,
             // A line without shots is held back only if earlier lines are.
             None if !is_unresolved => return out.emit(line),
-            None => {
-                self.strip.insert(Strip::new(&self.config, &line, self.terrain.as_ref(), &self.placed, out)?)
-            }
+            None => self.strip.insert(ZoneWindow::new(
+                &self.config,
+                &line,
+                self.terrain.as_ref(),
+                &self.placed,
+                out,
+            )?),
         };
         strip.push(line, self.terrain.as_ref(), out)
     }

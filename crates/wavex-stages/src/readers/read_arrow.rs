@@ -28,7 +28,7 @@ use wavex_line::stage::{
 };
 
 /// Registry entry of the stage.
-pub const STAGE: StageSpec = StageSpec::source::<Config>("read_arrow", Kind::Shots);
+pub const STAGE: StageSpec = StageSpec::source::<ReadArrow>("read_arrow", Kind::Shots);
 
 /// Reads recorded waveforms from the open waveform container (Arrow IPC).
 ///
@@ -56,7 +56,7 @@ pub const STAGE: StageSpec = StageSpec::source::<Config>("read_arrow", Kind::Sho
 /// between 1/1024 and 1024, or an online return without a time. The line continues without them.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Config {
+pub struct ReadArrow {
     /// The container: a file, a pattern, or a list of them; `-` is standard input. The job runs
     /// once for each.
     pub path: Paths,
@@ -77,11 +77,9 @@ pub struct Config {
     pub times: TimeKeys,
 }
 
-impl stage::Config for Config {
+impl stage::Config for ReadArrow {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
-        let patterns = self.path.patterns();
-        InvalidKey::unless(!patterns.is_empty(), "path", "at least one file is needed")?;
-        InvalidKey::unless(!patterns.iter().any(String::is_empty), "path", "a path is empty")?;
+        self.path.check()?;
         self.times.check()?;
         self.input_crs.check()
     }
@@ -91,7 +89,7 @@ impl stage::Config for Config {
     }
 }
 
-impl SourceConfig for Config {
+impl SourceConfig for ReadArrow {
     fn paths(&self) -> Option<&Paths> {
         Some(&self.path)
     }
@@ -109,7 +107,7 @@ impl SourceConfig for Config {
     }
 }
 
-impl Config {
+impl ReadArrow {
     fn declare(
         &self,
         mut source: ArrowLineReader,
@@ -364,7 +362,7 @@ fn emission_of(shot: &ContainerShot) -> Emission {
     }
 }
 
-/// The reason to reject a row, if any; `last` is the previous emission of its line.
+/// The reason to reject a row, if any; `last` is the previous shot of its line.
 fn wrong_row(
     line: &ContainerLine,
     row: usize,

@@ -14,13 +14,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::reading::bad_records::BrokenRun;
-use crate::reading::emission_choice::{self, Message, Smoothness};
-use crate::reading::line_splitter::Lines;
-use crate::reading::recording::units::Units;
+use crate::reading::emission_choice::{self, ChoiceMessage, Smoothness};
+use crate::reading::line_splitter::LineSplitter;
+use crate::reading::recording::units::RecordingUnits;
 use crate::reading::recording::{
     AsDeclared, Declared, FullScale, InputCrs, OddSamples, PulseSpeed, Sampling, TimeKeys,
 };
-use geometry::{Geometry, convert_heights, first_sample, is_usable};
+use geometry::{FileGeometry, convert_heights, first_sample, is_usable};
 use pulse::same_pulse;
 use wavex_formats::RecordedCrs;
 use wavex_formats::las::{GpsTime, Point, Reader};
@@ -191,16 +191,16 @@ struct LasReader {
     /// Number of the first point of the current pulse.
     first_point: u64,
     /// A complete shot that begins the next line.
-    waiting: Option<Shot>,
+    waiting: Option<PendingShot>,
     next_shot: u64,
-    geometry: Geometry,
-    lines: Lines,
+    geometry: FileGeometry,
+    lines: LineSplitter,
     recent: Recent,
     broken: BrokenRun,
     /// Number of points without a waveform.
     without_waveform: u64,
     /// Message about the emission reference, until it is reported.
-    message: Option<Message>,
+    message: Option<ChoiceMessage>,
     /// Bytes after the points that belong to nothing, until they are reported.
     surplus_bytes: u64,
     /// Number of packets with more samples than their descriptor says.
@@ -210,16 +210,16 @@ struct LasReader {
 }
 
 /// A shot assembled from its points.
-struct Shot {
+struct PendingShot {
     first_point: u64,
     emission: Emission,
-    waveforms: Waveforms,
+    waveforms: ShotWaveforms,
 }
 
 /// The waveforms of a shot.
 #[derive(Default)]
-struct Waveforms {
-    packets: Vec<Packet>,
+struct ShotWaveforms {
+    packets: Vec<PacketBytes>,
     /// Return locations of the pulse's points.
     online: Vec<OnlineReturn>,
     /// Position of the first sample of the first waveform; `None` without a usable waveform.
@@ -227,7 +227,7 @@ struct Waveforms {
 }
 
 /// One waveform of a shot.
-struct Packet {
+struct PacketBytes {
     start_ns: f64,
     interval_ns: f64,
     n_samples: u32,
@@ -243,8 +243,8 @@ impl LasReader {
     fn open(path: &Path, stem: &str, keys: &ReadLas, declared_crs: Option<&str>) -> Result<LasReader> {
         let (reader, missing) = Reader::open_partial(path)?;
         let of_file = reader.crs();
-        let units = Units::of(declared_crs.or(of_file.wkt.as_deref()));
-        let geometry = Geometry::learn(&mut Reader::open_partial(path)?.0, keys.beam_vectors, units)?;
+        let units = RecordingUnits::of(declared_crs.or(of_file.wkt.as_deref()));
+        let geometry = FileGeometry::learn(&mut Reader::open_partial(path)?.0, keys.beam_vectors, units)?;
         let crs = units.describe(of_file, declared_crs.is_some());
         let input =
             Sampling(keys.odd_samples, keys.full_scale).with(describe(&reader, path, stem, &geometry, crs));
@@ -259,7 +259,7 @@ impl LasReader {
             first_point: 0,
             waiting: None,
             next_shot: 0,
-            lines: Lines::new(Arc::new(input)),
+            lines: LineSplitter::new(Arc::new(input)),
             recent: Recent::default(),
             broken: BrokenRun::default(),
             without_waveform: 0,
@@ -284,7 +284,7 @@ impl LasReader {
             LasEmission::ReturnLocations => smoothness.set(EmissionReference::ReturnLocations),
             LasEmission::Clock => smoothness.set(EmissionReference::Clock),
         };
-        self.lines = Lines::new(Arc::new(choice.describe(self.lines.input())));
+        self.lines = LineSplitter::new(Arc::new(choice.describe(self.lines.input())));
         self.message = choice.message;
     }
 
@@ -326,7 +326,7 @@ impl LasReader {
     }
 
     /// Assembles the current pulse; `None` without a usable waveform.
-    fn shot(&mut self, cx: &mut Context) -> Result<Option<Shot>> {
+    fn shot(&mut self, cx: &mut Context) -> Result<Option<PendingShot>> {
         let Some(first) = self.pulse.first() else { return Ok(None) };
         let (time_s, scan_angle_deg, direction_positive) =
             (first.gps_time, first.scan_angle_deg, first.scan_direction);
@@ -352,12 +352,17 @@ impl LasReader {
             ..Emission::default()
         };
         self.next_shot += 1;
-        Ok(Some(Shot { first_point: self.first_point, emission, waveforms }))
+        Ok(Some(PendingShot { first_point: self.first_point, emission, waveforms }))
     }
 
     /// Reads the waveforms of the current pulse.
-    fn waveforms(&mut self, direction: [f64; 3], metres_per_ns: f64, cx: &mut Context) -> Result<Waveforms> {
-        let mut found = Waveforms::default();
+    fn waveforms(
+        &mut self,
+        direction: [f64; 3],
+        metres_per_ns: f64,
+        cx: &mut Context,
+    ) -> Result<ShotWaveforms> {
+        let mut found = ShotWaveforms::default();
         for i in 0..self.pulse.len() {
             let wave = self.pulse[i].wave;
             if self.pulse[..i].iter().any(|earlier| earlier.wave.offset == wave.offset) {
@@ -392,7 +397,7 @@ impl LasReader {
                     amplitude: f32::from(point.intensity),
                 });
             }
-            found.packets.push(Packet { start_ns, interval_ns, n_samples, samples });
+            found.packets.push(PacketBytes { start_ns, interval_ns, n_samples, samples });
         }
         found.online.sort_by(|a, b| a.time_ns.total_cmp(&b.time_ns));
         Ok(found)
@@ -414,7 +419,7 @@ impl LasReader {
         ))
     }
 
-    fn add(&mut self, shot: Shot) {
+    fn add(&mut self, shot: PendingShot) {
         let index = self.lines.add(shot.first_point, shot.emission);
         let blocks = self.lines.blocks();
         for packet in &shot.waveforms.packets {
@@ -529,7 +534,13 @@ fn time_shift_s(reader: &Reader) -> f64 {
     }
 }
 
-fn describe(reader: &Reader, path: &Path, stem: &str, geometry: &Geometry, crs: RecordedCrs) -> InputInfo {
+fn describe(
+    reader: &Reader,
+    path: &Path,
+    stem: &str,
+    geometry: &FileGeometry,
+    crs: RecordedCrs,
+) -> InputInfo {
     let header = reader.header();
     let (mut scale, mut offset) = (header.scale, header.offset);
     scale[2] *= geometry.units.height_factor;

@@ -10,10 +10,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::reading::bad_records::BrokenRun;
-use crate::reading::emission_choice::{self, Message, Smoothness};
-use crate::reading::line_splitter::Lines;
+use crate::reading::emission_choice::{self, ChoiceMessage, Smoothness};
+use crate::reading::line_splitter::LineSplitter;
 use crate::reading::plausible;
-use crate::reading::recording::units::Units;
+use crate::reading::recording::units::RecordingUnits;
 use crate::reading::recording::{
     AsDeclared, Declared, FullScale, InputCrs, OddSamples, PulseSpeed, Sampling, TimeKeys,
 };
@@ -173,10 +173,10 @@ struct PulseWavesReader {
     time_shift_s: f64,
     next_pulse: u64,
     waves: WaveSegments,
-    lines: Lines,
+    lines: LineSplitter,
     beams: BeamLength,
-    units: Units,
-    receivers: Receivers,
+    units: RecordingUnits,
+    receivers: FileReceivers,
     first_t: i64,
     /// The shot that begins the next line, and its sampling unit, ns.
     last_seen: Option<(Emission, f64)>,
@@ -184,7 +184,7 @@ struct PulseWavesReader {
     /// Correction of times and origins that the choice of the emission reference requires.
     clock: ClockShift,
     /// Message about the emission reference, until it is reported.
-    message: Option<Message>,
+    message: Option<ChoiceMessage>,
     /// Whether the writer of the file stores outgoing pulses of 16 bits in 8 …
     has_outgoing_bytes: bool,
     /// … and the number of such pulses read.
@@ -201,11 +201,11 @@ enum ClockShift {
 }
 
 /// Maps the returning channels of a file to receivers.
-struct Receivers {
+struct FileReceivers {
     single: bool,
 }
 
-impl Receivers {
+impl FileReceivers {
     fn of(&self, segment: &Segment) -> Option<Channel> {
         match (segment.kind, segment.channel) {
             (SegmentKind::Outgoing, _) => Some(Channel::Reference),
@@ -240,7 +240,7 @@ impl PulseWavesReader {
     ) -> Result<PulseWavesReader> {
         let mut reader = Reader::open(path)?;
         let of_file = recorded_crs(&reader);
-        let units = Units::of(declared_crs.or(of_file.wkt.as_deref()));
+        let units = RecordingUnits::of(declared_crs.or(of_file.wkt.as_deref()));
         let (beams, metres_per_ns, around_earth) = look_at_beams(&mut reader, units)?;
         let crs = units.describe(of_file, declared_crs.is_some());
         let single = returning_channels(&reader).len() < 2;
@@ -269,10 +269,10 @@ impl PulseWavesReader {
             time_shift_s,
             next_pulse: 0,
             waves: WaveSegments::new(),
-            lines: Lines::new(input).marking_edges(),
+            lines: LineSplitter::new(input).marking_edges(),
             beams,
             units,
-            receivers: Receivers { single },
+            receivers: FileReceivers { single },
             first_t,
             last_seen: None,
             broken: BrokenRun::default(),
@@ -307,7 +307,7 @@ impl PulseWavesReader {
             }
             _ => ClockShift::Constant(0.0),
         };
-        self.lines = Lines::new(Arc::new(choice.describe(self.lines.input()))).marking_edges();
+        self.lines = LineSplitter::new(Arc::new(choice.describe(self.lines.input()))).marking_edges();
         self.message = choice.message;
         self.broken = BrokenRun::default();
         (self.next_pulse, self.last_seen, self.outgoing_bytes_pulses) = (0, None, 0);
@@ -458,14 +458,14 @@ fn unit_ns(reader: &Reader, pulse: &PulseRecord) -> f64 {
 }
 
 /// Converts the height of a pulse and of its vector to the unit of x and y.
-fn with_heights_in(mut pulse: PulseRecord, units: Units) -> PulseRecord {
+fn with_heights_in(mut pulse: PulseRecord, units: RecordingUnits) -> PulseRecord {
     pulse.anchor[2] *= units.height_factor;
     pulse.step[2] *= units.height_factor;
     pulse
 }
 
 /// Beam lengths, their median, m per ns, and whether all anchors are at the earth's radius from the origin.
-fn look_at_beams(reader: &mut Reader, units: Units) -> Result<(BeamLength, f64, bool)> {
+fn look_at_beams(reader: &mut Reader, units: RecordingUnits) -> Result<(BeamLength, f64, bool)> {
     let stride = (reader.pulse_count() / BEAMS_LOOKED_AT).max(1);
     let mut beams = Vec::new();
     let (mut projected, mut around_earth) = (true, reader.pulse_count() > 0);

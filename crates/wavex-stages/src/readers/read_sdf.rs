@@ -7,8 +7,8 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::reading::line_splitter::Lines;
-use crate::reading::recording::time::{self, Axis, Scale, Times};
+use crate::reading::line_splitter::LineSplitter;
+use crate::reading::recording::time::{self, Axis, RecordedTimeScale, Times};
 use crate::reading::recording::{self, OddSamples, PulseSpeed, TimeKeys, Watched};
 use wavex_formats::extensions::is_wfm;
 use wavex_formats::sdf::{CalibrationTables, SdfReader, SdfRecord, channel};
@@ -22,10 +22,10 @@ use wavex_line::stage::{
 
 mod shot;
 
-use shot::{Found, What, channel_of, fine_ns, what_is, zero_of};
+use shot::{ReadShot, What, channel_of, fine_ns, what_is, zero_of};
 
 /// Registry entry of the stage.
-pub const STAGE: StageSpec = StageSpec::source::<Config>("read_sdf", Kind::Shots);
+pub const STAGE: StageSpec = StageSpec::source::<ReadSdf>("read_sdf", Kind::Shots);
 
 /// Reads RIEGL SDF and WFM files through RIEGL's library; untested on real files.
 ///
@@ -72,7 +72,7 @@ pub const STAGE: StageSpec = StageSpec::source::<Config>("read_sdf", Kind::Shots
 /// blocks and direction is not a shot; it ends a line.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Config {
+pub struct ReadSdf {
     /// The `.sdf` or `.wfm` file, a list of files, or a pattern. The job runs once for each.
     pub path: Paths,
     /// RIEGL's library, or the folder that contains it. Cannot be set in a job file, which may come
@@ -95,14 +95,12 @@ pub struct Config {
     pub times: TimeKeys,
 }
 
-impl stage::Config for Config {
+impl stage::Config for ReadSdf {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
-        let patterns = self.path.patterns();
+        self.path.check()?;
         let unless = InvalidKey::unless;
-        unless(!patterns.is_empty(), "path", "at least one file is needed")?;
-        unless(!patterns.iter().any(String::is_empty), "path", "a path is empty")?;
         unless(
-            !patterns.iter().any(|path| path == "-"),
+            !self.path.patterns().iter().any(|path| path == "-"),
             "path",
             "standard input cannot be read: give a file",
         )?;
@@ -117,7 +115,7 @@ impl stage::Config for Config {
     }
 }
 
-impl SourceConfig for Config {
+impl SourceConfig for ReadSdf {
     fn paths(&self) -> Option<&Paths> {
         Some(&self.path)
     }
@@ -130,8 +128,8 @@ impl SourceConfig for Config {
 /// A file being read.
 struct SdfLineReader {
     reader: SdfReader,
-    lines: Lines,
-    window: Option<Window>,
+    lines: LineSplitter,
+    window: Option<TimeWindow>,
     /// Converts external times to times of the recording.
     axis: Axis,
     /// Records read ahead to inspect the file.
@@ -152,7 +150,7 @@ struct SdfLineReader {
 }
 
 /// The time window to read.
-struct Window {
+struct TimeWindow {
     watched: Watched,
     /// True for external times, false for times of the instrument clock.
     is_external: bool,
@@ -170,7 +168,7 @@ const SAMPLES_LOOKED_AT: usize = 1 << 22;
 const LATE_SHOTS: u32 = 100;
 
 impl SdfLineReader {
-    fn open(config: &Config, run: &RunContext) -> Result<SdfLineReader> {
+    fn open(config: &ReadSdf, run: &RunContext) -> Result<SdfLineReader> {
         let path = &run.input;
         let library = config.library.as_ref().map(|library| {
             let in_folder = run.input_path(Path::new(library));
@@ -193,9 +191,9 @@ impl SdfLineReader {
         let first_s = ahead.iter().find(is_first).map(|record| record.time_external_s);
         let is_external = reader.info().is_synchronised();
         let scale = match config.times.recording_time {
-            _ if !is_external => Scale::Unknown,
+            _ if !is_external => RecordedTimeScale::Unknown,
             Some(said) => said.into(),
-            None => Scale::of_epoch(&reader.info().epoch),
+            None => RecordedTimeScale::of_epoch(&reader.info().epoch),
         };
         let misfit = first_s.and_then(|first_s| scale.misfit(first_s, None));
         remarks.extend(misfit.map(|problem| format!("{problem}; {}", time::SAY_SCALE)));
@@ -207,7 +205,7 @@ impl SdfLineReader {
         remarks.extend(recording::green_note(input.instrument.as_deref()));
         let mut at_end = false;
         let window_s = config.times.window_s(&times, path)?;
-        let window = window_s.map(|window_s| Window {
+        let window = window_s.map(|window_s| TimeWindow {
             watched: Watched::new(window_s),
             is_external,
             now_s: window_s[0],
@@ -229,7 +227,7 @@ impl SdfLineReader {
         }
         Ok(SdfLineReader {
             reader,
-            lines: Lines::new(Arc::new(input)).marking_edges(),
+            lines: LineSplitter::new(Arc::new(input)).marking_edges(),
             window,
             axis: times.axis(),
             ahead,
@@ -259,8 +257,8 @@ impl SdfLineReader {
     /// The shot of the current record, if valid and inside the window; invalid ones are rejected.
     fn shot(&mut self, cx: &mut Context) -> Option<Emission> {
         let mut emission = match shot::read(&self.record) {
-            Found::Shot(emission) => emission,
-            Found::Wrong(reason) => {
+            ReadShot::Shot(emission) => emission,
+            ReadShot::Wrong(reason) => {
                 self.reject(reason, cx);
                 return None;
             }
@@ -347,7 +345,7 @@ fn has_outgoing_pulse(record: &SdfRecord) -> bool {
 const FULL_SCALE_DN: u16 = 255;
 
 fn describe(
-    config: &Config,
+    config: &ReadSdf,
     run: &RunContext,
     reader: &SdfReader,
     times: &Times,

@@ -13,7 +13,7 @@ mod tests;
 pub use config::{DetectorKind, GainFollows, Landscape, Response, ScannerKind, Simulate};
 
 use files::{TrajectoryFiles, TruthFile};
-use flight::Flight;
+use flight::SimulatedFlight;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<Simulate>("simulate", Kind::Shots);
@@ -42,14 +42,14 @@ impl SourceConfig for Simulate {
             None => None,
         };
         let trajectory = run.has_outputs.then(|| TrajectoryFiles::create(run, self)).transpose()?;
-        let flight = Flight::new(self)?.telling_truth(truth.is_some());
+        let flight = SimulatedFlight::new(self)?.telling_truth(truth.is_some());
         Ok(Box::new(Simulator { flight, line: 0, last: None, lines: self.lines, truth, trajectory }))
     }
 }
 
 /// Source that generates one scan line after the other.
 struct Simulator {
-    flight: Flight,
+    flight: SimulatedFlight,
     /// Number of the next line.
     line: u32,
     /// Number of the last line and of its first shot.

@@ -36,7 +36,7 @@ const CLEARLY_SMOOTHER: f64 = 0.8;
 const LEAST_SNR: f64 = 20.0;
 /// Largest relative height of other samples beside a single echo.
 const BESIDE: f64 = 0.3;
-/// Smallest noise of a digitised signal, DN: that of rounding.
+/// Smallest noise of a digitised signal, DN: the rounding error.
 const LEAST_NOISE_DN: f64 = 0.3;
 /// Second difference of independent values over their SD.
 const SECOND_DIFFERENCE: f64 = 2.449_489_742_783_178;
@@ -95,7 +95,7 @@ pub(crate) struct Choice {
     clock_sd_ns: Option<f64>,
     /// See [`InputInfo::emission_choice_sd_ns`].
     choice_sd_ns: f64,
-    pub(crate) message: Option<Message>,
+    pub(crate) message: Option<ChoiceMessage>,
 }
 
 impl Choice {
@@ -111,16 +111,16 @@ impl Choice {
 }
 
 /// A message of a reader about its recording.
-pub(crate) enum Message {
+pub(crate) enum ChoiceMessage {
     Finding(String),
     Warning(String),
 }
 
-impl Message {
+impl ChoiceMessage {
     pub(crate) fn report(self, cx: &mut Context) {
         match self {
-            Message::Finding(text) => cx.info(text),
-            Message::Warning(text) => cx.warn(text),
+            ChoiceMessage::Finding(text) => cx.info(text),
+            ChoiceMessage::Warning(text) => cx.warn(text),
         }
     }
 }
@@ -171,7 +171,7 @@ impl Smoothness {
             if let Some(single) = singles.get_mut(index as usize) {
                 *single = single_echo(blocks, of_shot, index, self.references);
             }
-            if let Some(outgoing) = Outgoing::of(blocks, of_shot) {
+            if let Some(outgoing) = OutgoingPeak::of(blocks, of_shot) {
                 let of = |reference: &EmissionReference| outgoing.emission_ns(*reference).unwrap_or(0.0);
                 let mut emission_ns = [0.0; REFERENCES];
                 emission_ns.iter_mut().zip(self.references).for_each(|(ns, reference)| *ns = of(reference));
@@ -243,7 +243,7 @@ impl Smoothness {
     }
 
     /// The finding about a reference; `None` without second differences.
-    fn finding(&self, reference: EmissionReference, choice_sd_ns: f64) -> Option<Message> {
+    fn finding(&self, reference: EmissionReference, choice_sd_ns: f64) -> Option<ChoiceMessage> {
         let mut text = format!("emission times by `emission = \"{}\"`: {}", name(reference), self.text());
         if let (EmissionReference::Clock, Some(sd_ns)) = (reference, self.clock_sd_ns()) {
             text.push_str(&format!(
@@ -254,7 +254,7 @@ impl Smoothness {
         if choice_sd_ns > 0.0 {
             text.push_str(&format!("; {}", with_choice(choice_sd_ns)));
         }
-        (!self.points_ns.is_empty()).then_some(Message::Finding(text))
+        (!self.points_ns.is_empty()).then_some(ChoiceMessage::Finding(text))
     }
 
     /// Keeps the default without a decision between the references that are `left`.
@@ -271,7 +271,7 @@ impl Smoothness {
             return Choice { message, ..choice };
         }
         let choice_sd_ns = self.choice_sd_ns(left);
-        let message = Message::Warning(format!(
+        let message = ChoiceMessage::Warning(format!(
             "the source of emission times is uncertain ({why}): `emission = \"{}\"` is assumed, and ranges may \
              have a constant error; {}; set `emission` of the reader if the instrument's description states it",
             name(default),
@@ -280,7 +280,7 @@ impl Smoothness {
         Choice { choice_sd_ns, message: Some(message), ..self.take(default) }
     }
 
-    /// SD of the clock, ns, if the points prove it to be below that of a position within one sample.
+    /// SD of the clock, ns, if the points prove it to be below the SD of a position within one sample.
     ///
     /// From the lower quartile of absolute second differences: terrain only makes small ones rarer, so any
     /// quantile bounds a normal jitter from above, and a low one includes less of the terrain. The larger
@@ -411,7 +411,7 @@ fn single_echo(
     let (Some(block), None) = (echoes.next(), echoes.next()) else { return None };
     let samples = blocks.samples(block);
     let echo_ns = block.time_ns(single_peak(samples, true)?);
-    let outgoing = Outgoing::of(blocks, of_shot);
+    let outgoing = OutgoingPeak::of(blocks, of_shot);
     let location_ns = match blocks.online_of(index) {
         [online] => Some(online.time_ns),
         _ => None,
@@ -428,19 +428,19 @@ fn single_echo(
 }
 
 /// Peak of the outgoing pulse of a shot.
-struct Outgoing {
+struct OutgoingPeak {
     /// After the clock, ns.
     peak_ns: f64,
     /// After the nearest sample, ns.
     fraction_ns: f64,
 }
 
-impl Outgoing {
-    fn of(blocks: &Blocks, of_shot: &[Block]) -> Option<Outgoing> {
+impl OutgoingPeak {
+    fn of(blocks: &Blocks, of_shot: &[Block]) -> Option<OutgoingPeak> {
         let block = of_shot.iter().find(|block| block.channel == Channel::Reference)?;
         let position = single_peak(blocks.samples(block), false)?;
         let fraction_ns = (position - position.round()) * block.interval_ns;
-        Some(Outgoing { peak_ns: block.time_ns(position), fraction_ns })
+        Some(OutgoingPeak { peak_ns: block.time_ns(position), fraction_ns })
     }
 
     /// Emission time after the clock, ns; `None` by return locations.

@@ -16,7 +16,7 @@ use wavex_line::stage::LineLocation;
 /// unless the file itself ends lines, a line is one revolution, counted from the file's first beam.
 /// A line also ends where time runs backwards, as between flights merged into one file: the shots
 /// of a line are in time order.
-pub(crate) struct Lines {
+pub(crate) struct LineSplitter {
     input: Arc<InputInfo>,
     next_line: u32,
     emissions: Vec<Emission>,
@@ -54,9 +54,9 @@ const JUMP_STEPS: f64 = 8.0;
 /// Number of shots needed to know the mean step before jumps are detected.
 const STEADY_SHOTS: usize = 8;
 
-impl Lines {
-    pub(crate) fn new(input: Arc<InputInfo>) -> Lines {
-        Lines {
+impl LineSplitter {
+    pub(crate) fn new(input: Arc<InputInfo>) -> LineSplitter {
+        LineSplitter {
             input,
             next_line: 0,
             emissions: Vec::new(),
@@ -91,8 +91,8 @@ impl Lines {
     /// Sets the edge-of-flight-line flag on the last shot of complete lines.
     ///
     /// For formats that lack the flag or often leave it unset.
-    pub(crate) fn marking_edges(self) -> Lines {
-        Lines { marks_edges: true, ..self }
+    pub(crate) fn marking_edges(self) -> LineSplitter {
+        LineSplitter { marks_edges: true, ..self }
     }
 
     /// Properties of the recording.
@@ -100,7 +100,7 @@ impl Lines {
         &self.input
     }
 
-    /// Whether a shot begins a new line; if so, [`Lines::take`] the current one first.
+    /// Whether a shot begins a new line; if so, [`LineSplitter::take`] the current one first.
     pub(crate) fn ends_before(&mut self, next: &Emission) -> bool {
         self.is_complete = false;
         let Some(last) = self.emissions.last() else { return false };
@@ -127,7 +127,7 @@ impl Lines {
         self.take()
     }
 
-    /// Adds the shot of a record; its blocks go to [`Lines::blocks`] with the returned index.
+    /// Adds the shot of a record; its blocks go to [`LineSplitter::blocks`] with the returned index.
     ///
     /// Records of the file are numbered from 0, in its order.
     pub(crate) fn add(&mut self, record: u64, emission: Emission) -> u32 {
@@ -220,7 +220,7 @@ mod tests {
 
     /// Lengths of the lines made from these shots.
     fn lengths(shots: impl IntoIterator<Item = Emission>) -> Vec<usize> {
-        let mut lines = Lines::new(Arc::new(InputInfo::default()));
+        let mut lines = LineSplitter::new(Arc::new(InputInfo::default()));
         let mut lengths = Vec::new();
         for shot in shots {
             if lines.ends_before(&shot) {
@@ -286,7 +286,7 @@ mod tests {
         };
         assert_eq!(lengths(on_cone(100..1100, 500.0).map(to_the_right)), [150, 250, 250, 250, 100]);
         // Lines ended by records that are not shots: two thirds of a revolution each.
-        let mut lines = Lines::new(Arc::new(InputInfo::default()));
+        let mut lines = LineSplitter::new(Arc::new(InputInfo::default()));
         let mut lengths = Vec::new();
         for shot in on_cone(0..2000, 500.0) {
             let ends = lines.ends_before(&shot);
@@ -302,7 +302,7 @@ mod tests {
     fn the_last_shot_of_a_complete_line_is_an_edge() {
         let with = |facet| Emission { facet, ..shot(3.0) };
         let facets = [0, 0, 1, 1, 1, 2].map(with).into_iter().chain((0..4999).map(|_| with(2)));
-        let edges = |mut lines: Lines| {
+        let edges = |mut lines: LineSplitter| {
             let (mut edges, mut n) = (Vec::new(), 0);
             let mut look = |line: Option<ScanLine>| {
                 let emissions = line.map_or(Vec::new(), |line| line.emissions);
@@ -319,7 +319,7 @@ mod tests {
             look(lines.take());
             edges
         };
-        let lines = || Lines::new(Arc::new(InputInfo::default()));
+        let lines = || LineSplitter::new(Arc::new(InputInfo::default()));
         // Neither a full line nor the end of the file marks an edge.
         assert_eq!(edges(lines().marking_edges()), [1, 4]);
         assert_eq!(edges(lines()), Vec::<usize>::new());
@@ -334,7 +334,7 @@ mod tests {
     #[test]
     fn no_line_is_longer_than_the_limit() {
         assert_eq!(lengths((0..5000).map(|_| shot(3.0))), [4096, 904]);
-        let mut lines = Lines::new(Arc::new(InputInfo::default()));
+        let mut lines = LineSplitter::new(Arc::new(InputInfo::default()));
         let megabytes = vec![0; 10 << 20];
         for shot_is_last in [false, false, true] {
             let index = lines.add(0, shot(3.0));

@@ -15,7 +15,7 @@ pub(crate) mod units;
 
 pub(crate) use keys::Sampling;
 pub use keys::{FullScale, InputCrs, OddSamples, PulseSpeed, TimeKeys};
-use time::{Axis, Scale, Times};
+use time::{Axis, RecordedTimeScale, Times};
 
 /// Metadata of a recording as declared by the job.
 #[derive(Clone, Debug, Default)]
@@ -230,7 +230,8 @@ impl<S: Source> AsDeclared<S> {
             first.emissions.iter().map(|shot| shot.gps_time_s).filter(|time_s| time_s.is_finite()).collect();
         let first_s = times_s.first().copied();
         times_s.sort_by(f64::total_cmp);
-        let scale = keys.recording_time.map_or(Scale::of(from.time_scale), Scale::from);
+        let scale =
+            keys.recording_time.map_or(RecordedTimeScale::of(from.time_scale), RecordedTimeScale::from);
         // A time scale declared by the job takes precedence over the date of the file.
         let file_date = from.recorded.filter(|_| keys.recording_time.is_none());
         let usual_s = times_s.get(times_s.len() / 2).copied();
@@ -247,7 +248,7 @@ impl<S: Source> AsDeclared<S> {
             cx.warn(note);
         }
         let about = keys.gps_date.as_deref().and_then(time::noon);
-        if let (Scale::Week, Some(about), Some(first_s)) = (scale, about, first_s)
+        if let (RecordedTimeScale::Week, Some(about), Some(first_s)) = (scale, about, first_s)
             && let Some(problem) = time::other_weekday(about, first_s)
         {
             cx.warn(problem);

@@ -20,7 +20,7 @@ use wavex_line::stage::{
 };
 
 /// Registry entry of the stage.
-pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_arrow", &[Kind::Shots]);
+pub const STAGE: StageSpec = StageSpec::sink::<WriteArrow>("write_arrow", &[Kind::Shots]);
 
 /// Writes recorded waveforms as the open waveform container (Arrow IPC).
 ///
@@ -41,24 +41,24 @@ pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_arrow", &[Kind::Sh
 /// Without any shots no container is written, and the report says so. Nothing is rejected.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct Config {
+pub struct WriteArrow {
     /// Output file; `*` is the input's stem. `-` is standard output, in the stream format.
     pub path: String,
     /// Compression of the buffers. 8-bit samples take 16 bits here; `lz4` reduces them to about a
     /// half, `zstd` to about a third.
-    pub compression: Compression,
+    pub compression: ContainerCompression,
 }
 
-impl Default for Config {
-    fn default() -> Config {
-        Config { path: "*.arrow".into(), compression: Compression::Lz4 }
+impl Default for WriteArrow {
+    fn default() -> WriteArrow {
+        WriteArrow { path: "*.arrow".into(), compression: ContainerCompression::Lz4 }
     }
 }
 
 /// Compression of the buffers of an Arrow file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum Compression {
+pub enum ContainerCompression {
     /// None: fastest to read, and other programs can memory-map the file.
     None,
     /// LZ4 frames.
@@ -67,7 +67,7 @@ pub enum Compression {
     Zstd,
 }
 
-impl stage::Config for Config {
+impl stage::Config for WriteArrow {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         InvalidKey::unless(!self.path.is_empty(), "path", "the path is empty")
     }
@@ -76,81 +76,81 @@ impl stage::Config for Config {
 /// Path that means standard output.
 const STANDARD_OUTPUT: &str = "-";
 
-impl SinkConfig for Config {
+impl SinkConfig for WriteArrow {
     fn outputs(&self) -> Vec<&str> {
         if self.path == STANDARD_OUTPUT { vec![] } else { vec![&self.path] }
     }
 
     fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
         let to = match self.path == STANDARD_OUTPUT {
-            true => Target::Stream(io::stdout()),
-            false => Target::File(run.create(&self.path)?),
+            true => ContainerTarget::Stream(io::stdout()),
+            false => ContainerTarget::File(run.create(&self.path)?),
         };
         let compression = match self.compression {
-            Compression::None => container::Compression::None,
-            Compression::Lz4 => container::Compression::Lz4,
-            Compression::Zstd => container::Compression::Zstd,
+            ContainerCompression::None => container::Compression::None,
+            ContainerCompression::Lz4 => container::Compression::Lz4,
+            ContainerCompression::Zstd => container::Compression::Zstd,
         };
-        Ok(Box::new(ArrowLineWriter { state: State::Waiting(to), compression }))
+        Ok(Box::new(ArrowLineWriter { state: ContainerState::Waiting(to), compression }))
     }
 }
 
 /// A container being written.
 struct ArrowLineWriter {
-    state: State,
+    state: ContainerState,
     compression: container::Compression,
 }
 
-enum State {
+enum ContainerState {
     /// Waiting for the first line, which gives the header.
-    Waiting(Target),
-    Open(Box<ContainerWriter<Target>>),
+    Waiting(ContainerTarget),
+    Open(Box<ContainerWriter<ContainerTarget>>),
     /// A write failed; the run ends.
     Failed,
 }
 
 /// Destination of the bytes.
-enum Target {
+enum ContainerTarget {
     File(OutputFile),
     Stream(Stdout),
 }
 
-impl Write for Target {
+impl Write for ContainerTarget {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match self {
-            Target::File(file) => file.write(bytes),
-            Target::Stream(stream) => stream.write(bytes),
+            ContainerTarget::File(file) => file.write(bytes),
+            ContainerTarget::Stream(stream) => stream.write(bytes),
         }
     }
 
     fn flush(&mut self) -> io::Result<()> {
         match self {
-            Target::File(file) => file.flush(),
-            Target::Stream(stream) => stream.flush(),
+            ContainerTarget::File(file) => file.flush(),
+            ContainerTarget::Stream(stream) => stream.flush(),
         }
     }
 }
 
 impl ArrowLineWriter {
     /// The writer, started with the metadata of the first line.
-    fn writer(&mut self, info: &InputInfo) -> Result<&mut ContainerWriter<Target>> {
-        if let State::Waiting(_) = self.state
-            && let State::Waiting(to) = std::mem::replace(&mut self.state, State::Failed)
+    fn writer(&mut self, info: &InputInfo) -> Result<&mut ContainerWriter<ContainerTarget>> {
+        if let ContainerState::Waiting(_) = self.state
+            && let ContainerState::Waiting(to) = std::mem::replace(&mut self.state, ContainerState::Failed)
         {
             let header = header_of(info);
             let writer = match &to {
-                Target::File(file) => {
+                ContainerTarget::File(file) => {
                     let path = file.path().to_path_buf();
                     ContainerWriter::file(to, &path, &header, self.compression)?
                 }
-                Target::Stream(_) => {
+                ContainerTarget::Stream(_) => {
                     ContainerWriter::stream(to, Path::new(STANDARD_OUTPUT), &header, self.compression)?
                 }
             };
-            self.state = State::Open(Box::new(writer));
+            self.state = ContainerState::Open(Box::new(writer));
         }
         match &mut self.state {
-            State::Open(writer) => Ok(writer),
+            ContainerState::Open(writer) => Ok(writer),
             _ => Err(StageError::Stopped),
         }
     }
@@ -173,13 +173,13 @@ impl Sink for ArrowLineWriter {
 
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()> {
         match self.state {
-            State::Open(writer) => {
-                if let Target::File(file) = writer.finish()? {
+            ContainerState::Open(writer) => {
+                if let ContainerTarget::File(file) = writer.finish()? {
                     cx.publish(file.finish()?);
                 }
             }
-            State::Waiting(_) => cx.warn("no container is written: there were no shots"),
-            State::Failed => {}
+            ContainerState::Waiting(_) => cx.warn("no container is written: there were no shots"),
+            ContainerState::Failed => {}
         }
         Ok(())
     }
@@ -192,7 +192,7 @@ pub fn shot_schema(info: &InputInfo) -> SchemaRef {
 
 /// Shots and blocks of a scan line as a record batch, as in a container; `None` without blocks.
 ///
-/// `schema` is that of [`shot_schema`].
+/// `schema` is [`shot_schema`].
 ///
 /// # Errors
 /// If a list has more than 2^31 items.

@@ -14,8 +14,8 @@ use wavex_line::stage::{Config, Context, OutputFile, Result, RunContext, Sink, S
 mod columns;
 mod steps;
 
-use columns::{ATTRIBUTES, Column, Row, attribute_steps, columns};
-use steps::Steps;
+use columns::{ATTRIBUTES, AsciiColumn, AsciiRow, attribute_steps, columns};
+use steps::DecimalSteps;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec =
@@ -133,22 +133,22 @@ impl SinkConfig for WriteAscii {
 
 struct AsciiWriter {
     config: WriteAscii,
-    columns: Vec<&'static Column>,
+    columns: Vec<&'static AsciiColumn>,
     separator: &'static str,
     file: OutputFile,
     /// Set with the first point.
-    steps: Option<[Steps; 3]>,
-    attribute_steps: [Steps; ATTRIBUTES.len()],
+    steps: Option<[DecimalSteps; 3]>,
+    attribute_steps: [DecimalSteps; ATTRIBUTES.len()],
     /// Text of the rows of a line.
     text: String,
     n_points: u64,
 }
 
 impl AsciiWriter {
-    fn steps(&mut self, input: &InputInfo, first: [f64; 3]) -> [Steps; 3] {
+    fn steps(&mut self, input: &InputInfo, first: [f64; 3]) -> [DecimalSteps; 3] {
         *self.steps.get_or_insert_with(|| {
             let (step, offset) = (self.config.as_las().steps(input), offsets(input, Some(first)));
-            std::array::from_fn(|axis| Steps::new(step[axis], offset[axis]))
+            std::array::from_fn(|axis| DecimalSteps::new(step[axis], offset[axis]))
         })
     }
 }
@@ -164,7 +164,8 @@ impl Sink for AsciiWriter {
         for (found, position) in returns.iter().zip(points) {
             let emission = &scan_line.emissions[found.emission as usize];
             let point = point(&scan_line.input, emission, found, *position);
-            let row = Row { point: &point, found, steps: &steps, attribute_steps: &self.attribute_steps };
+            let row =
+                AsciiRow { point: &point, found, steps: &steps, attribute_steps: &self.attribute_steps };
             for (index, column) in self.columns.iter().enumerate() {
                 self.text.push_str(if index == 0 { "" } else { self.separator });
                 column.write(&row, &mut self.text);

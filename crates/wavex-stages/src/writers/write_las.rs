@@ -16,11 +16,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::stac;
-use attributes::Attributes;
-use files::{Files, StacFile};
+use attributes::{ReturnAttribute, attributes_of};
+use files::{CompanionFiles, StacFile};
 use identity::{PointSourceKey, PointSourceRule};
 pub use keys::{AttributeLayout, IndexKey, VersionKey, WavePacketsKey};
-use waves::Waves;
+use waves::PacketFile;
 use wavex_formats::Error;
 use wavex_formats::extensions::PACKETS;
 use wavex_formats::geokeys;
@@ -207,7 +207,7 @@ impl SinkConfig for WriteLas {
             stac: self.stac.then(|| run.create(&self.beside().stac)).transpose()?,
             times_s: [f64::INFINITY, f64::NEG_INFINITY],
             waves: self.waves(run)?,
-            state: State::Empty(file),
+            state: LasState::Empty(file),
             input: None,
             refused: None,
             flight_line: self.point_source().flight_line(run)?,
@@ -216,7 +216,7 @@ impl SinkConfig for WriteLas {
 }
 
 impl WriteLas {
-    /// Source of the point source ID, by default that of the layout.
+    /// Source of the point source ID; the layout gives the default.
     fn point_source(&self) -> PointSourceKey {
         let usual = match self.attribute_layout {
             AttributeLayout::Standard => PointSourceRule::Line,
@@ -225,10 +225,10 @@ impl WriteLas {
         self.point_source_id.unwrap_or(PointSourceKey::Rule(usual))
     }
 
-    fn attributes(&self) -> Attributes {
+    fn attributes(&self) -> Vec<ReturnAttribute> {
         match self.extra_attributes {
-            true => Attributes::of(self.attribute_layout, self.uncertainty),
-            false => Attributes::none(),
+            true => attributes_of(self.attribute_layout, self.uncertainty),
+            false => Vec::new(),
         }
     }
 
@@ -243,13 +243,13 @@ impl WriteLas {
         })
     }
 
-    fn waves(&self, run: &RunContext) -> Result<Option<Waves>> {
+    fn waves(&self, run: &RunContext) -> Result<Option<PacketFile>> {
         let pattern = match self.wave_packets {
             WavePacketsKey::None => return Ok(None),
             WavePacketsKey::External => &self.beside().packets,
             WavePacketsKey::Internal => &self.beside().packets_inside,
         };
-        Waves::new(run.create(pattern)?, &run.geometry).map(Some)
+        PacketFile::new(run.create(pattern)?, &run.geometry).map(Some)
     }
 
     /// Step of each coordinate.
@@ -268,7 +268,7 @@ const DEGREES_STEP: f64 = 1e-5;
 
 struct LasWriter {
     config: WriteLas,
-    attributes: Attributes,
+    attributes: Vec<ReturnAttribute>,
     pool: Option<Arc<ThreadPool>>,
     /// File of the spatial index.
     index: Option<OutputFile>,
@@ -277,8 +277,8 @@ struct LasWriter {
     /// Smallest and largest time of the points, for the STAC item, s.
     times_s: [f64; 2],
     /// The waveforms of the points.
-    waves: Option<Waves>,
-    state: State,
+    waves: Option<PacketFile>,
+    state: LasState,
     input: Option<Arc<InputInfo>>,
     /// Error of the first rejected point, outside the range of the file's coordinates.
     refused: Option<Error>,
@@ -287,7 +287,7 @@ struct LasWriter {
 }
 
 /// The header needs the input's metadata: it is written with the first line.
-enum State {
+enum LasState {
     Empty(OutputFile),
     Open(Box<Writer<OutputFile>>),
     Broken,
@@ -296,10 +296,10 @@ enum State {
 impl LasWriter {
     /// Starts the file, unless already started.
     fn begin(&mut self, input: &InputInfo, first: Option<[f64; 3]>, time_s: f64) -> Result<()> {
-        if let State::Empty(_) = self.state
-            && let State::Empty(file) = std::mem::replace(&mut self.state, State::Broken)
+        if let LasState::Empty(_) = self.state
+            && let LasState::Empty(file) = std::mem::replace(&mut self.state, LasState::Broken)
         {
-            self.state = State::Open(Box::new(self.header(file, input, first, time_s)?));
+            self.state = LasState::Open(Box::new(self.header(file, input, first, time_s)?));
         }
         Ok(())
     }
@@ -316,6 +316,7 @@ impl LasWriter {
         let adjusted = input.adjusted_gps_time(time_s);
         let recorded = adjusted.and_then(day_of_year).map(|(year, day)| (day, year)).or(input.recorded);
         let (creation_day, creation_year) = recorded.unwrap_or((0, 0));
+        let extra_attributes: Vec<_> = self.attributes.iter().map(|attribute| attribute.stored).collect();
         let options = WriterOptions {
             version: match config.version {
                 VersionKey::V1_4 => LasVersion::V1_4,
@@ -325,7 +326,7 @@ impl LasWriter {
             scale: config.steps(input),
             offset: offsets(input, first),
             wkt: input.crs_wkt.as_deref(),
-            extra_attributes: &self.attributes.stored,
+            extra_attributes: &extra_attributes,
             adjusted_gps_time: adjusted.is_some(),
             creation_day,
             creation_year,
@@ -390,38 +391,40 @@ impl LasWriter {
 }
 
 impl Sink for LasWriter {
-    fn write(&mut self, batch: &ScanLine, cx: &mut Context) -> Result<()> {
-        let (Some(returns), Some(points)) = (batch.returns(), batch.points()) else {
+    fn write(&mut self, scan_line: &ScanLine, cx: &mut Context) -> Result<()> {
+        let (Some(returns), Some(points)) = (scan_line.returns(), scan_line.points()) else {
             return Ok(());
         };
-        let input = &batch.input;
+        let input = &scan_line.input;
         self.input.get_or_insert_with(|| Arc::clone(input));
         // The first point sets the coordinate offset, so the file starts with it.
         if points.is_empty() {
             return Ok(());
         }
-        if let State::Empty(_) = self.state {
+        if let LasState::Empty(_) = self.state {
             self.note(input, cx);
-            LasWriter::note_times(input, batch.stats.gps_time_s, cx);
+            LasWriter::note_times(input, scan_line.stats.gps_time_s, cx);
         }
-        self.begin(input, points.first().copied(), batch.stats.gps_time_s)?;
-        let State::Open(writer) = &mut self.state else {
+        self.begin(input, points.first().copied(), scan_line.stats.gps_time_s)?;
+        let LasState::Open(writer) = &mut self.state else {
             return Err(StageError::Stopped);
         };
         if self.waves.is_some() && input.gain_control == GainControl::Recorded {
             cx.warn("waveform packets do not contain the gain of their blocks, so their amplitudes are not comparable; keep the container of the recording");
         }
-        let blocks = self.waves.as_mut().map(|waves| waves.begin_line(batch)).transpose()?;
-        let wave_of = |(waves, blocks): (&mut Waves, &_)| {
+        let blocks = self.waves.as_mut().map(|waves| waves.begin_line(scan_line)).transpose()?;
+        let wave_of = |(waves, blocks): (&mut PacketFile, &_)| {
             let points = returns.iter().zip(points);
-            points.map(|(r, position)| waves.of(batch, blocks, r, *position)).collect::<Result<Vec<Wave>>>()
+            points
+                .map(|(r, position)| waves.of(scan_line, blocks, r, *position))
+                .collect::<Result<Vec<Wave>>>()
         };
         let waves = self.waves.as_mut().zip(blocks).map_or(Ok(Vec::new()), wave_of)?;
         let (layout, line) = (self.config.attribute_layout, self.flight_line);
         let is_legacy = self.config.version != VersionKey::V1_4;
         let made = |number: usize| {
             let r = &returns[number];
-            let point = point(input, &batch.emissions[r.emission as usize], r, points[number]);
+            let point = point(input, &scan_line.emissions[r.emission as usize], r, points[number]);
             PointOut {
                 classification: attributes::class(layout, is_legacy, r),
                 user_data: attributes::user_data(layout, r),
@@ -431,7 +434,7 @@ impl Sink for LasWriter {
             }
         };
         if self.stac.is_some() {
-            let times = returns.iter().map(|r| gps_time(input, &batch.emissions[r.emission as usize]));
+            let times = returns.iter().map(|r| gps_time(input, &scan_line.emissions[r.emission as usize]));
             self.times_s =
                 times.fold(self.times_s, |[least, most], time_s| [least.min(time_s), most.max(time_s)]);
         }
@@ -439,7 +442,10 @@ impl Sink for LasWriter {
         writer.write_points(
             returns.len().min(points.len()),
             made,
-            |numbers, columns| self.attributes.put(&returns[numbers], columns),
+            |numbers, columns| {
+                let returns = &returns[numbers];
+                self.attributes.iter().for_each(|attribute| attribute.put(returns, columns));
+            },
             |error| {
                 n_refused += 1;
                 refused.get_or_insert(error);
@@ -458,7 +464,7 @@ impl Sink for LasWriter {
     fn finish(mut self: Box<Self>, cx: &mut Context) -> Result<()> {
         let input = self.input.take().unwrap_or_default();
         self.begin(&input, None, f64::NAN)?;
-        if let State::Open(writer) = self.state {
+        if let LasState::Open(writer) = self.state {
             if writer.n_points() == 0 {
                 // If no point fits, the coordinates of the file are wrong.
                 self.refused.map_or(Ok(()), Err)?;
@@ -473,14 +479,19 @@ impl Sink for LasWriter {
                 wkt: input.crs_wkt.clone(),
                 times_s: (first_s <= last_s).then_some(self.times_s),
             });
-            let files = Files { index: self.index, waves: self.waves, place: self.config.wave_packets, item };
+            let files = CompanionFiles {
+                index: self.index,
+                waves: self.waves,
+                place: self.config.wave_packets,
+                item,
+            };
             files.finish(*writer, cx)?;
         }
         Ok(())
     }
 }
 
-/// Offset of each coordinate: that of the input, else the first point rounded to 1000.
+/// Offset of each coordinate: the offset of the input, else the first point rounded to 1000.
 pub(crate) fn offsets(input: &InputInfo, first: Option<[f64; 3]>) -> [f64; 3] {
     let near = |m: f64| (m / 1000.0).round() * 1000.0;
     let own = input.coordinate_grid.map(|(_, offset)| offset);

@@ -15,10 +15,10 @@ pub const STAGE: StageSpec =
     StageSpec::sink::<WriteLstat>("write_lstat", &[Kind::Shots, Kind::Returns, Kind::Points]);
 
 /// A column: name, value and meaning.
-struct Column(&'static str, Values, &'static str);
+struct StatColumn(&'static str, StatValue, &'static str);
 
 /// Source of a column's value.
-enum Values {
+enum StatValue {
     /// A counter.
     Count(fn(&LineStats) -> u64),
     /// Number of iteratively refined returns.
@@ -29,63 +29,71 @@ enum Values {
     Metres(fn(&LineStats) -> Option<f64>),
 }
 
-use Values::{Count, Metres, Refined, Time};
+use StatValue::{Count, Metres, Refined, Time};
 
 /// Columns of BayesWavEx 1.1 (section 3, stat files), in order.
-const COLUMNS: [Column; 20] = [
-    Column(
+const COLUMNS: [StatColumn; 20] = [
+    StatColumn(
         "gps_time",
         Time,
         "time of the first shot of the line, s: adjusted GPS time if it can be derived from the input, else the time of the input",
     ),
-    Column("nw", Count(|stats| stats.nw), "waveforms: shots with at least one echo block"),
-    Column("np", Count(|stats| stats.np), "returns kept, including withheld ones"),
-    Column("np_xtalk", Count(|stats| stats.np_xtalk), "returns affected by cross-talk of the emission"),
-    Column(
+    StatColumn("nw", Count(|stats| stats.nw), "waveforms: shots with at least one echo block"),
+    StatColumn("np", Count(|stats| stats.np), "returns kept, including withheld ones"),
+    StatColumn("np_xtalk", Count(|stats| stats.np_xtalk), "returns affected by cross-talk of the emission"),
+    StatColumn(
         "np_filtered",
         Count(LineStats::np_filtered),
         "candidates rejected by a threshold, or without a peak of their own",
     ),
-    Column("np_merged", Count(|stats| stats.np_merged), "candidates merged with another"),
-    Column("np_air", Count(|stats| stats.np_air), "outliers above their neighbours"),
-    Column("np_low", Count(|stats| stats.np_low), "outliers below their neighbours"),
-    Column("np_range", Count(|stats| stats.np_range), "returns whose intensity was corrected for range"),
-    Column("np_atm", Count(|stats| stats.np_atm), "returns whose intensity was corrected for the atmosphere"),
-    Column("np_ibrc", Count(|stats| stats.np_ibrc), "returns whose range was corrected for amplitude"),
-    Column(
+    StatColumn("np_merged", Count(|stats| stats.np_merged), "candidates merged with another"),
+    StatColumn("np_air", Count(|stats| stats.np_air), "outliers above their neighbours"),
+    StatColumn("np_low", Count(|stats| stats.np_low), "outliers below their neighbours"),
+    StatColumn("np_range", Count(|stats| stats.np_range), "returns whose intensity was corrected for range"),
+    StatColumn(
+        "np_atm",
+        Count(|stats| stats.np_atm),
+        "returns whose intensity was corrected for the atmosphere",
+    ),
+    StatColumn("np_ibrc", Count(|stats| stats.np_ibrc), "returns whose range was corrected for amplitude"),
+    StatColumn(
         "np_ibic",
         Count(|stats| stats.np_ibic),
         "returns whose amplitude was corrected with the instrument's table",
     ),
-    Column("nw_empty", Count(|stats| stats.nw_empty), "waveforms without any return"),
-    Column("nw_saturated", Count(|stats| stats.nw_saturated), "waveforms with saturated samples"),
-    Column("nw_refined1x", Count(|stats| stats.nw_refined1x), "waveforms that needed iterative refinement"),
-    Column("nw_refined2x", Count(|stats| stats.nw_refined2x), "waveforms that needed a second one"),
-    Column("nw_deleted", Count(|stats| stats.nw_deleted), "waveforms that could not be used"),
-    Column(
+    StatColumn("nw_empty", Count(|stats| stats.nw_empty), "waveforms without any return"),
+    StatColumn("nw_saturated", Count(|stats| stats.nw_saturated), "waveforms with saturated samples"),
+    StatColumn(
+        "nw_refined1x",
+        Count(|stats| stats.nw_refined1x),
+        "waveforms that needed iterative refinement",
+    ),
+    StatColumn("nw_refined2x", Count(|stats| stats.nw_refined2x), "waveforms that needed a second one"),
+    StatColumn("nw_deleted", Count(|stats| stats.nw_deleted), "waveforms that could not be used"),
+    StatColumn(
         "nw_truncated",
         Count(|stats| stats.nw_truncated),
         "waveforms with a return truncated by the edge of the block",
     ),
-    Column("n_georef", Count(|stats| stats.n_georef), "points with coordinates"),
-    Column("AGL", Metres(|stats| stats.agl_m), "height above the ground of the line, m"),
+    StatColumn("n_georef", Count(|stats| stats.n_georef), "points with coordinates"),
+    StatColumn("AGL", Metres(|stats| stats.agl_m), "height above the ground of the line, m"),
 ];
 
 /// Columns of BayesWavEx 1.0 (section 2, scanline statistics file), in order.
 ///
 /// In 1.0, all waveforms without a valid return count as empty.
-const COLUMNS_1_0: [Column; 11] = [
-    Column("gps_time", Time, "as in layout 1.1"),
-    Column("n_waveforms", Count(|stats| stats.nw), "nw"),
-    Column("n_points", Count(|stats| stats.np), "np"),
-    Column("n_empty", Count(|stats| stats.nw_empty + stats.nw_deleted), "nw_empty + nw_deleted"),
-    Column("n_filtered", Count(LineStats::np_filtered), "np_filtered"),
-    Column("n_merged", Count(|stats| stats.np_merged), "np_merged"),
-    Column("n_refined", Refined, "iteratively refined returns"),
-    Column("n_air", Count(|stats| stats.np_air), "np_air"),
-    Column("n_low", Count(|stats| stats.np_low), "np_low"),
-    Column("n_range", Count(|stats| stats.np_range), "np_range"),
-    Column("n_atm", Count(|stats| stats.np_atm), "np_atm"),
+const COLUMNS_1_0: [StatColumn; 11] = [
+    StatColumn("gps_time", Time, "as in layout 1.1"),
+    StatColumn("n_waveforms", Count(|stats| stats.nw), "nw"),
+    StatColumn("n_points", Count(|stats| stats.np), "np"),
+    StatColumn("n_empty", Count(|stats| stats.nw_empty + stats.nw_deleted), "nw_empty + nw_deleted"),
+    StatColumn("n_filtered", Count(LineStats::np_filtered), "np_filtered"),
+    StatColumn("n_merged", Count(|stats| stats.np_merged), "np_merged"),
+    StatColumn("n_refined", Refined, "iteratively refined returns"),
+    StatColumn("n_air", Count(|stats| stats.np_air), "np_air"),
+    StatColumn("n_low", Count(|stats| stats.np_low), "np_low"),
+    StatColumn("n_range", Count(|stats| stats.np_range), "np_range"),
+    StatColumn("n_atm", Count(|stats| stats.np_atm), "np_atm"),
 ];
 
 /// Writes the counters of every scan line as text.
@@ -107,12 +115,12 @@ pub struct WriteLstat {
     /// Write a header line that starts with `#` and names the columns.
     pub header: bool,
     /// BayesWavEx version that defines the columns.
-    pub layout: Layout,
+    pub layout: StatLayout,
 }
 
 /// BayesWavEx version that defines the columns.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
-pub enum Layout {
+pub enum StatLayout {
     /// 11 columns.
     #[serde(rename = "1.0")]
     V10,
@@ -121,18 +129,18 @@ pub enum Layout {
     V11,
 }
 
-impl Layout {
-    fn columns(self) -> &'static [Column] {
+impl StatLayout {
+    fn columns(self) -> &'static [StatColumn] {
         match self {
-            Layout::V10 => &COLUMNS_1_0,
-            Layout::V11 => &COLUMNS,
+            StatLayout::V10 => &COLUMNS_1_0,
+            StatLayout::V11 => &COLUMNS,
         }
     }
 }
 
 impl Default for WriteLstat {
     fn default() -> WriteLstat {
-        WriteLstat { path: "*_lstat.txt".into(), header: true, layout: Layout::V11 }
+        WriteLstat { path: "*_lstat.txt".into(), header: true, layout: StatLayout::V11 }
     }
 }
 
@@ -156,7 +164,7 @@ impl SinkConfig for WriteLstat {
 
 struct LstatWriter {
     file: OutputFile,
-    columns: &'static [Column],
+    columns: &'static [StatColumn],
 }
 
 impl Sink for LstatWriter {
@@ -177,8 +185,8 @@ impl Sink for LstatWriter {
 }
 
 /// Formats the row of a line.
-fn row(columns: &[Column], stats: &LineStats, gps_time_s: f64, n_refined: u64) -> String {
-    let text = |column: &Column| match column.1 {
+fn row(columns: &[StatColumn], stats: &LineStats, gps_time_s: f64, n_refined: u64) -> String {
+    let text = |column: &StatColumn| match column.1 {
         Time => number(gps_time_s, 6),
         Count(count) => count(stats).to_string(),
         Refined => n_refined.to_string(),
@@ -189,7 +197,7 @@ fn row(columns: &[Column], stats: &LineStats, gps_time_s: f64, n_refined: u64) -
 
 /// Description of the file as JSON, stored in `schemas/lstat.json`.
 pub fn description() -> Value {
-    let column = |Column(name, values, meaning): &Column| {
+    let column = |StatColumn(name, values, meaning): &StatColumn| {
         let kind = match values {
             Count(_) | Refined => "u64",
             Time | Metres(_) => "f64",
@@ -259,7 +267,8 @@ mod tests {
     /// The columns as printed in the documents of both versions.
     #[test]
     fn the_columns_are_those_of_the_documents() {
-        let names = |columns: &[Column]| columns.iter().map(|column| column.0).collect::<Vec<_>>().join(" ");
+        let names =
+            |columns: &[StatColumn]| columns.iter().map(|column| column.0).collect::<Vec<_>>().join(" ");
         assert_eq!(
             names(&COLUMNS),
             "gps_time nw np np_xtalk np_filtered np_merged np_air np_low np_range np_atm np_ibrc np_ibic \

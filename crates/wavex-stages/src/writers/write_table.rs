@@ -17,11 +17,11 @@ mod columns;
 mod geo;
 mod writer;
 
-pub use columns::{Row, description};
-pub use writer::{Format, ROWS_PER_GROUP, TableInfo, TableWriter};
+pub use columns::{ReturnRow, description};
+pub use writer::{ROWS_PER_GROUP, TableFormat, TableInfo, TableWriter};
 
 /// Registry entry of the stage.
-pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_table", &[Kind::Returns, Kind::Points]);
+pub const STAGE: StageSpec = StageSpec::sink::<WriteTable>("write_table", &[Kind::Returns, Kind::Points]);
 
 /// Writes every return as a table row, in full precision.
 ///
@@ -47,27 +47,27 @@ pub const STAGE: StageSpec = StageSpec::sink::<Config>("write_table", &[Kind::Re
 /// but no rows. Rejected, and counted, are returns whose shot is not in the line.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct Config {
+pub struct WriteTable {
     /// Output file; `*` is the input's stem. The extension sets the format: `.arrow`, `.parquet`,
     /// `.csv`.
     pub path: String,
     /// Format, if not given by the extension.
-    pub format: Option<Format>,
+    pub format: Option<TableFormat>,
 }
 
-impl Default for Config {
-    fn default() -> Config {
-        Config { path: "*_returns.parquet".into(), format: None }
+impl Default for WriteTable {
+    fn default() -> WriteTable {
+        WriteTable { path: "*_returns.parquet".into(), format: None }
     }
 }
 
-impl Config {
-    fn format(&self) -> Option<Format> {
-        self.format.or_else(|| Format::of(&self.path))
+impl WriteTable {
+    fn format(&self) -> Option<TableFormat> {
+        self.format.or_else(|| TableFormat::of(&self.path))
     }
 }
 
-impl stage::Config for Config {
+impl stage::Config for WriteTable {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         InvalidKey::unless(!self.path.is_empty(), "path", "the path is empty")?;
         let problem = "it does not end in .arrow, .parquet or .csv: set the key `format`";
@@ -75,23 +75,23 @@ impl stage::Config for Config {
     }
 }
 
-impl SinkConfig for Config {
+impl SinkConfig for WriteTable {
     fn outputs(&self) -> Vec<&str> {
         vec![&self.path]
     }
 
     fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
-        let format = self.format().unwrap_or(Format::Parquet);
-        Ok(Box::new(ReturnTableWriter { state: State::Waiting(run.create(&self.path)?), format }))
+        let format = self.format().unwrap_or(TableFormat::Parquet);
+        Ok(Box::new(ReturnTableWriter { state: TableState::Waiting(run.create(&self.path)?), format }))
     }
 }
 
 /// Rows of the returns of a line, without those whose shot is not in it.
-pub fn rows_of(line: &ScanLine) -> impl Iterator<Item = Row> + '_ {
+pub fn rows_of(line: &ScanLine) -> impl Iterator<Item = ReturnRow> + '_ {
     let points = line.points().unwrap_or_default();
     line.returns().into_iter().flatten().enumerate().filter_map(move |(index, found)| {
         let emission = line.emissions.get(found.emission as usize)?;
-        Some(Row {
+        Some(ReturnRow {
             shot: emission.shot,
             gps_time_s: emission.gps_time_s,
             found: *found,
@@ -101,28 +101,28 @@ pub fn rows_of(line: &ScanLine) -> impl Iterator<Item = Row> + '_ {
     })
 }
 
-/// Schema of the table of returns of a recording; the reference system is that of points.
+/// Schema of the table of returns of a recording; with the coordinate reference system of its points.
 pub fn return_schema(info: &InputInfo, has_points: bool) -> SchemaRef {
     let crs_wkt = info.crs_wkt.as_deref().filter(|_| has_points);
     columns::schema(time_scale_of(info.time_scale).name(), crs_wkt)
 }
 
-/// Rows as a record batch; `schema` is that of [`return_schema`].
+/// Rows as a record batch; `schema` is [`return_schema`].
 ///
 /// # Errors
 /// If the schema is another one.
-pub fn return_batch(schema: &SchemaRef, rows: &[Row]) -> Result<RecordBatch> {
+pub fn return_batch(schema: &SchemaRef, rows: &[ReturnRow]) -> Result<RecordBatch> {
     let batch = columns::record_batch(schema, rows);
     batch.map_err(|error| StageError::failed(error.to_string(), "please report this bug in wavex"))
 }
 
 /// A table being written.
 struct ReturnTableWriter {
-    state: State,
-    format: Format,
+    state: TableState,
+    format: TableFormat,
 }
 
-enum State {
+enum TableState {
     /// Waiting for the first line, which gives the time scale.
     Waiting(OutputFile),
     Open(Box<TableWriter<OutputFile>>),
@@ -143,16 +143,16 @@ impl ReturnTableWriter {
         crs_wkt: Option<&str>,
         has_points: bool,
     ) -> Result<&mut TableWriter<OutputFile>> {
-        if let State::Waiting(_) = self.state
-            && let State::Waiting(to) = std::mem::replace(&mut self.state, State::Failed)
+        if let TableState::Waiting(_) = self.state
+            && let TableState::Waiting(to) = std::mem::replace(&mut self.state, TableState::Failed)
         {
             let path = to.path().to_path_buf();
             let time_scale = time_scale_of(time_scale).name();
             let info = TableInfo { time_scale, crs_wkt, has_points };
-            self.state = State::Open(Box::new(TableWriter::new(to, &path, self.format, info)?));
+            self.state = TableState::Open(Box::new(TableWriter::new(to, &path, self.format, info)?));
         }
         match &mut self.state {
-            State::Open(writer) => Ok(writer),
+            TableState::Open(writer) => Ok(writer),
             _ => Err(StageError::Stopped),
         }
     }
@@ -167,8 +167,8 @@ impl Sink for ReturnTableWriter {
             ));
         };
         let crs_wkt = line.input.crs_wkt.as_deref();
-        let is_parquet = matches!(self.format, Format::Parquet) && line.points().is_some();
-        let is_begun = !matches!(self.state, State::Waiting(_));
+        let is_parquet = matches!(self.format, TableFormat::Parquet) && line.points().is_some();
+        let is_begun = !matches!(self.state, TableState::Waiting(_));
         if is_parquet && !is_begun && crs_wkt.is_some_and(|wkt| projjson_of_wkt(wkt).is_none()) {
             cx.warn(NO_SYSTEM);
         }
@@ -185,7 +185,7 @@ impl Sink for ReturnTableWriter {
     fn finish(mut self: Box<Self>, cx: &mut Context) -> Result<()> {
         // A table without lines still has its columns.
         self.writer(TimeScale::Unknown, None, false)?;
-        if let State::Open(writer) = self.state {
+        if let TableState::Open(writer) = self.state {
             cx.publish(writer.finish()?.finish()?);
         }
         Ok(())

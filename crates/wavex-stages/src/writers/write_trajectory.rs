@@ -132,7 +132,7 @@ struct TrajectoryWriter {
     met: Met,
     /// The last shot, if it has no row yet: the path ends with it.
     last: Option<(Arc<InputInfo>, Emission)>,
-    /// The recording, if positions are those of beam intersections.
+    /// The recording, if positions are beam intersections.
     of_beams: Option<Arc<InputInfo>>,
     has_row: bool,
 }

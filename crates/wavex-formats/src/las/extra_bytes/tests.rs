@@ -3,6 +3,52 @@
 use super::*;
 use proptest::prelude::*;
 
+/// Undeclared limits; NaN is stored as 0.
+const fn undeclared(
+    name: &'static str,
+    description: &'static str,
+    data_type: DataType,
+    scale: Option<f64>,
+    offset: Option<f64>,
+) -> ExtraAttribute {
+    let (nan, nan_is_no_data, limits) = (0, false, None);
+    ExtraAttribute { name, description, data_type, scale, offset, nan, nan_is_no_data, limits }
+}
+
+/// Declared limits and no-data value.
+const fn declared(
+    name: &'static str,
+    data_type: DataType,
+    scale: Option<f64>,
+    limits: (f64, f64),
+    nan: i64,
+) -> ExtraAttribute {
+    let (limits, nan_is_no_data) = (Some(limits), true);
+    ExtraAttribute { nan, nan_is_no_data, limits, ..undeclared(name, "", data_type, scale, None) }
+}
+
+const WIDE_RATIO: ExtraAttribute =
+    undeclared("WideRatio", "Pulse widening ratio", DataType::U8, Some(0.025), Some(0.5));
+pub(in crate::las) const AMP: ExtraAttribute =
+    undeclared("Amp", "Target amplitude", DataType::U16, Some(1.0), Some(0.0));
+const DEV_RATIO: ExtraAttribute =
+    undeclared("DevRatio", "Residual against noise (sigma)", DataType::U8, Some(0.1), Some(0.0));
+const RANGE_ERR: ExtraAttribute = ExtraAttribute {
+    nan: u8::MAX as i64,
+    ..undeclared("RangeErr", "Range std. dev. (m)", DataType::U8, Some(0.001), Some(0.0))
+};
+pub(in crate::las) const CHANNEL: ExtraAttribute =
+    undeclared("Channel", "Power channel (0 low, 1 high)", DataType::U8, None, None);
+
+/// Attributes of several types, scales and offsets.
+pub(in crate::las) const ATTRIBUTES: [ExtraAttribute; 5] = [WIDE_RATIO, AMP, DEV_RATIO, RANGE_ERR, CHANNEL];
+
+const AMPLITUDE: ExtraAttribute =
+    declared("Amplitude", DataType::U16, Some(0.01), (0.0, 10_000.0), u16::MAX as i64);
+const REFLECTANCE: ExtraAttribute =
+    declared("Reflectance", DataType::I16, Some(0.01), (-5_000.0, 15_000.0), i16::MIN as i64);
+const RANGE_SD: ExtraAttribute = declared("Range SD", DataType::F32, None, (0.0, (1u64 << 40) as f64), 0);
+
 #[test]
 fn a_descriptor_is_spelled_out() {
     let bytes = WIDE_RATIO.descriptor();
@@ -24,50 +70,6 @@ fn a_descriptor_is_spelled_out() {
 }
 
 #[test]
-fn layout_1_1_has_the_names_steps_and_types_of_its_manual() {
-    let table = [
-        ("WideRatio", Some(0.025), Some(0.5), 1),
-        ("TargetThick", Some(0.008), Some(0.0), 1),
-        ("Amp", Some(1.0), Some(0.0), 2),
-        ("DevRatio", Some(0.1), Some(0.0), 1),
-        ("RangeErr", Some(0.001), Some(0.0), 1),
-        ("IntErr", Some(0.2), Some(0.0), 1),
-        ("WideErr", Some(0.002), Some(0.0), 1),
-        ("ThickErr", Some(0.001), Some(0.0), 1),
-        ("Channel", None, None, 1),
-    ];
-    for (attribute, row) in ATTRIBUTES_1_1.iter().zip(table) {
-        assert_eq!((attribute.name, attribute.scale, attribute.offset, attribute.data_type.bytes()), row);
-    }
-}
-
-#[test]
-fn layout_1_0_has_the_names_steps_and_types_of_its_manual() {
-    let table = [
-        ("Widening", Some(0.02), Some(1.0), 1),
-        ("Target Thickness", Some(0.008), Some(0.0), 1),
-        ("Amplitude", Some(1.0), Some(0.0), 2),
-        ("Raw Amplitude", Some(1.0), Some(0.0), 2),
-        ("Deviation Ratio", Some(0.05), Some(0.0), 1),
-        ("Range Error", Some(0.001), Some(0.0), 1),
-        ("Intensity Error", Some(0.2), Some(0.0), 1),
-        ("Widening Error", Some(0.002), Some(0.0), 1),
-        ("Thickness Error", Some(0.001), Some(0.0), 1),
-    ];
-    for (attribute, row) in ATTRIBUTES_1_0.iter().zip(table) {
-        assert_eq!((attribute.name, attribute.scale, attribute.offset, attribute.data_type.bytes()), row);
-    }
-}
-
-#[test]
-fn names_fit_and_no_value_is_negative() {
-    for attribute in ATTRIBUTES_1_1.iter().chain(&ATTRIBUTES_1_0) {
-        assert!(attribute.name.len() < 32 && attribute.description.len() < 32);
-        assert_eq!(attribute.data_type.range().0, 0);
-    }
-}
-
-#[test]
 fn values_are_rounded_and_clamped() {
     assert_eq!(quantise(1.0, &WIDE_RATIO), 20);
     assert_eq!(quantise(0.4, &WIDE_RATIO), 0);
@@ -84,7 +86,7 @@ fn values_are_rounded_and_clamped() {
 }
 
 #[test]
-fn the_standard_layout_declares_limits_and_no_data() {
+fn limits_and_no_data_are_declared() {
     let bytes = |number: i64| number.to_le_bytes();
     let amplitude = AMPLITUDE.descriptor();
     assert_eq!(amplitude[..4], [0, 0, 3, 0b1111]);
@@ -97,23 +99,10 @@ fn the_standard_layout_declares_limits_and_no_data() {
     assert_eq!(sd[..4], [0, 0, 9, 0b111]);
     assert!(f64::from_le_bytes(*sd[40..].first_chunk().unwrap()).is_nan());
     assert_eq!(&sd[64..72], &0.0f64.to_le_bytes());
-    for attribute in ATTRIBUTES_STANDARD {
-        assert!(attribute.name.len() < 32 && attribute.description.len() < 32, "{}", attribute.name);
-        let is_outside = |(least, largest): (f64, f64)| !(least..=largest).contains(&(attribute.nan as f64));
-        let no_data = attribute.nan_is_no_data && attribute.data_type != DataType::F32;
-        assert!(!no_data || attribute.limits.is_some_and(is_outside), "{}", attribute.name);
-    }
 }
 
 #[test]
-fn standard_attributes_clamp_values_to_their_limits() {
-    assert_eq!(quantise(23.456, &AMPLITUDE), 2346);
-    assert_eq!(quantise(1e9, &AMPLITUDE), 10_000);
-    assert_eq!(quantise(f64::NAN, &AMPLITUDE), 65_535);
-    assert_eq!(quantise(-1e9, &REFLECTANCE), -5000);
-    assert_eq!(quantise(f64::NAN, &REFLECTANCE), -32_768);
-    assert_eq!(quantise(1e9, &MTA_ZONE), 254);
-    assert_eq!(quantise(f64::NAN, &RAW_AMPLITUDE), i64::from(u32::MAX));
+fn single_precision_values_are_clamped_to_their_limits() {
     let sd = |value: f64| f32::from_bits(quantise(value, &RANGE_SD) as u32);
     assert_eq!((sd(0.0), sd(-1.0), sd(0.5)), (0.0, 0.0, 0.5));
     assert!(sd(f64::NAN).is_nan() && sd(f64::INFINITY).is_finite());
@@ -123,7 +112,7 @@ proptest! {
     #[test]
     fn a_column_is_stored_as_its_values(
         values in prop::collection::vec(prop_oneof![-10.0..10.0f64, -1e5..1e5f64, any::<f64>()], 0..40),
-        attribute in prop::sample::select([ATTRIBUTES_1_1, ATTRIBUTES_1_0].concat()),
+        attribute in prop::sample::select(ATTRIBUTES.to_vec()),
         data_type in prop::sample::select(vec![
             DataType::U8, DataType::I8, DataType::U16, DataType::I16, DataType::U32, DataType::I32, DataType::F32,
         ]),
@@ -156,17 +145,17 @@ fn record(data: Vec<u8>) -> Vlr {
 
 #[test]
 fn written_descriptors_read_back() {
-    let data: Vec<u8> = ATTRIBUTES_1_1.iter().flat_map(ExtraAttribute::descriptor).collect();
+    let data: Vec<u8> = ATTRIBUTES.iter().flat_map(ExtraAttribute::descriptor).collect();
     let read = parse(Path::new("f"), &record(data)).unwrap();
-    assert_eq!(read.len(), ATTRIBUTES_1_1.len());
+    assert_eq!(read.len(), ATTRIBUTES.len());
     let mut start = 0;
-    for (read, written) in read.iter().zip(&ATTRIBUTES_1_1) {
+    for (read, written) in read.iter().zip(&ATTRIBUTES) {
         assert_eq!((read.name.as_str(), read.description.as_str()), (written.name, written.description));
         assert_eq!((read.scale, read.offset, read.no_data), (written.scale, written.offset, None));
         assert_eq!((read.start, read.bytes), (start, written.data_type.bytes()));
         start += read.bytes;
     }
-    assert_eq!(start, 10);
+    assert_eq!(start, 6);
 }
 
 #[test]
@@ -198,7 +187,7 @@ proptest! {
 
     #[test]
     fn nothing_leaves_the_range_of_its_type(value in any::<f64>()) {
-        for attribute in ATTRIBUTES_1_1.into_iter().chain(ATTRIBUTES_1_0).chain(ATTRIBUTES_STANDARD) {
+        for attribute in ATTRIBUTES.into_iter().chain([AMPLITUDE, REFLECTANCE, RANGE_SD]) {
             let (least, largest) = attribute.data_type.range();
             prop_assert!((least..=largest).contains(&quantise(value, &attribute)));
         }

@@ -38,7 +38,7 @@ pub(super) fn unreadable(path: &Path, error: &dyn std::fmt::Display) -> Error {
     Error::unusable(path, error, REMEDY)
 }
 
-fn parquet(path: &Path) -> Result<Rows> {
+fn parquet(path: &Path) -> Result<TableRows> {
     let file = regular_file(path)?;
     let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| unreadable(path, &error))?;
     let schema = Schema::clone(builder.schema());
@@ -46,23 +46,27 @@ fn parquet(path: &Path) -> Result<Rows> {
         builder.with_batch_size(MOST_ROWS_AT_ONCE).build().map_err(|error| unreadable(path, &error))?;
     let path = path.to_path_buf();
     let next = move || reader.next().transpose().map_err(|error| unreadable(&path, &error));
-    Ok(Rows { schema, next: Box::new(next), batch: None })
+    Ok(TableRows { schema, next: Box::new(next), batch: None })
 }
 
-fn arrow(path: &Path) -> Result<Rows> {
+fn arrow(path: &Path) -> Result<TableRows> {
     let mut reader = TableReader::open(path)?;
-    Ok(Rows { schema: reader.schema().clone(), next: Box::new(move || reader.next_batch()), batch: None })
+    Ok(TableRows {
+        schema: reader.schema().clone(),
+        next: Box::new(move || reader.next_batch()),
+        batch: None,
+    })
 }
 
 /// Rows of a file, read batch by batch.
-struct Rows {
+struct TableRows {
     schema: Schema,
     next: Box<dyn FnMut() -> Result<Option<RecordBatch>>>,
     /// Remaining rows of the current batch.
     batch: Option<RecordBatch>,
 }
 
-impl Rows {
+impl TableRows {
     /// Number of available rows; 0 at the end.
     fn at_hand(&mut self) -> Result<usize> {
         while self.batch.as_ref().is_none_or(|batch| batch.num_rows() == 0) {
@@ -83,7 +87,7 @@ impl Rows {
     }
 }
 
-fn compare(mut then: Rows, mut now: Rows) -> Result<Option<String>> {
+fn compare(mut then: TableRows, mut now: TableRows) -> Result<Option<String>> {
     let (was, is) = (then.schema.clone(), now.schema.clone());
     let columns = |schema: &Schema| -> Vec<String> {
         schema.fields().iter().map(|field| format!("{} {}", field.name(), field.data_type())).collect()

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Preset;
 use wavex_line::keys::{InvalidKey, above};
-use wavex_line::stage::Config;
+use wavex_line::stage::{Config, LookAhead};
 
 /// Estimates the sensor model for `decompose` from the first waveforms.
 ///
@@ -133,7 +133,7 @@ pub enum BackgroundKey {
 impl Default for Calibrate {
     fn default() -> Calibrate {
         Calibrate {
-            waveforms: 100_000,
+            waveforms: LookAhead::WAVEFORMS,
             background: BackgroundKey::Auto,
             response: ResponseKey::Auto,
             decay_amplitude: AutoOrNumber::AUTO,

@@ -68,7 +68,7 @@ impl Calibrator {
         }
     }
 
-    /// The model for the recording: that of the stage, or one with the measured noise and background.
+    /// The model for the recording: the model of the stage, or one with the measured noise and background.
     ///
     /// Only a given model is changed; one that was calibrated from the recording is not.
     pub(super) fn checked(&self, is_given: bool, out: &mut Output) -> Result<Option<Arc<SensorModel>>> {

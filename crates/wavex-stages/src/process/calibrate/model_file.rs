@@ -19,14 +19,14 @@ impl Calibrator {
     /// Compares a loaded model with a line.
     ///
     /// A different sampling interval is an error; other differences are noted.
-    pub(super) fn compare(&self, model: &SensorModel, batch: &ScanLine, out: &mut Output) -> Result<()> {
+    pub(super) fn compare(&self, model: &SensorModel, scan_line: &ScanLine, out: &mut Output) -> Result<()> {
         if self.config.load.is_none() && self.config.preset.is_none() {
             return Ok(());
         }
         if self.config.preset.is_some() {
             out.cx.warn("the sensor model is a preset, measured on another instrument of this type: background, noise and pulse shape may differ; calibrate if the recording has 200 waveforms");
         }
-        let input = &batch.input;
+        let input = &scan_line.input;
         let channels = [
             (Channel::LowPower, &model.low_power),
             (Channel::HighPower, &model.high_power),
@@ -35,7 +35,7 @@ impl Calibrator {
         for (channel, known) in channels {
             let Some(known) = known else {
                 if channel == Channel::LowPower
-                    && batch
+                    && scan_line
                         .blocks()
                         .is_some_and(|blocks| blocks.iter().any(|block| block.channel == channel))
                 {

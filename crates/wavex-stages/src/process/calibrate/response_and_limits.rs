@@ -12,7 +12,7 @@ use wavex_signal::decompose::{OVERDRIVEN_PART, Waveform};
 use wavex_signal::sensor_model::{ChannelModel, NoiseSource, ReceiverLimits, ResponseSource};
 
 impl Calibrator {
-    /// Replaces a response that is narrower than the outgoing pulse by that of lower echoes.
+    /// Replaces a response that is narrower than the outgoing pulse by the response of lower echoes.
     ///
     /// A receiver or digitiser that distorts its strongest echoes makes them narrower. Echoes as low
     /// as the outgoing pulses are not distorted more than these; higher ones count as overdriven.
@@ -179,7 +179,7 @@ impl Calibrator {
         }
     }
 
-    /// Completes a channel's model: without its own response, it gets that of the other
+    /// Completes a channel's model: without its own response, it gets the response of the other
     /// receiver, or a Gaussian.
     pub(super) fn completed(
         &self,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::tables::{Both, Sources, delay_in_fusion_s, receiver_of};
+use super::tables::{TableSources, TwoTables, delay_in_fusion_s, receiver_of};
 use super::walk::Walks;
 use super::width::{WidthCorrection, name};
 use super::{Correct, Incidence};
@@ -14,18 +14,18 @@ use wavex_returns::radiometry::{LEAST_COS_INCIDENCE, RangeAndAir, target_thickne
 
 /// Corrections applied to every return of a run.
 pub(super) struct Corrections {
-    sources: Sources,
+    sources: TableSources,
     range_and_air: RangeAndAir,
     incidence: Incidence,
     /// Tables of the current recording.
-    tables: Option<Tables>,
+    tables: Option<RecordingTables>,
 }
 
 /// The tables for one recording.
-struct Tables {
+struct RecordingTables {
     input: Arc<InputInfo>,
-    range: Both,
-    amplitude: Both,
+    range: TwoTables,
+    amplitude: TwoTables,
 }
 
 impl Corrections {
@@ -39,12 +39,12 @@ impl Corrections {
             reference_range_m: keys.reference_range_m.number(),
             attenuation_db_per_km: keys.attenuation_db_per_km.number(),
         };
-        let sources = Sources::new(keys, range, amplitude)?;
+        let sources = TableSources::new(keys, range, amplitude)?;
         Ok(Corrections { sources, range_and_air, incidence: keys.incidence, tables: None })
     }
 
     /// Range tables of a recording.
-    pub(super) fn range_tables(&self, input: &InputInfo) -> Both {
+    pub(super) fn range_tables(&self, input: &InputInfo) -> TwoTables {
         self.sources.range(input)
     }
 
@@ -59,7 +59,7 @@ impl Corrections {
     ) {
         let tables = match self.tables.take() {
             Some(tables) if Arc::ptr_eq(&tables.input, &line.input) => tables,
-            _ => Tables {
+            _ => RecordingTables {
                 input: Arc::clone(&line.input),
                 range: self.sources.range(&line.input),
                 amplitude: self.sources.amplitude(&line.input),
@@ -71,7 +71,7 @@ impl Corrections {
             _ => 0.0,
         };
         let half_speed_m_per_ns = 0.5e-9 * line.input.group_velocity_mps;
-        // Tables and widths apply to computed returns only, not to those of the instrument.
+        // Tables and widths apply to computed returns only, not to the instrument's returns.
         for r in returns.iter_mut().filter(|r| r.flags & flags::INSTRUMENT == 0) {
             match tables.range[receiver_of(r.channel)] {
                 Some(_) => correct_range(r, &tables.range, in_fusion_s, half_speed_m_per_ns, &mut line.stats),
@@ -130,7 +130,7 @@ impl Corrections {
 /// Notes tables that are requested but missing.
 fn note_what_is_missing(
     wanted: [bool; 2],
-    tables: &Tables,
+    tables: &RecordingTables,
     walks: &Walks,
     returns: &[Return],
     cx: &mut Context,
@@ -165,7 +165,7 @@ fn cos_to_vertical(frame: wavex_line::scan_line::Frame, emission: &Emission) -> 
 /// Subtracts the value of the range table.
 fn correct_range(
     r: &mut Return,
-    ranges: &Both,
+    ranges: &TwoTables,
     in_fusion_s: f64,
     half_speed_m_per_ns: f64,
     stats: &mut LineStats,
@@ -182,7 +182,7 @@ fn correct_range(
     stats.np_ibrc += 1;
 }
 
-/// Normalises widths so that a flat target has that of the calibrated pulse.
+/// Normalises widths so that a flat target has the width of the calibrated pulse.
 ///
 /// Returns of joint fits are left unchanged: neither receiver's curve applies.
 fn correct_width(r: &mut Return, [low, high]: [&WidthCorrection; 2], half_speed_m_per_ns: f64) {
@@ -204,7 +204,7 @@ fn correct_width(r: &mut Return, [low, high]: [&WidthCorrection; 2], half_speed_
 }
 
 /// Sets amplitude and intensity, before the corrections for range, attenuation and incidence.
-fn take_amplitude(r: &mut Return, amplitudes: &Both, stats: &mut LineStats) {
+fn take_amplitude(r: &mut Return, amplitudes: &TwoTables, stats: &mut LineStats) {
     match &amplitudes[receiver_of(r.channel)] {
         Some(table) => {
             let amplitude = table.amplitude(r.peak_dn, r.peak_sd_dn);

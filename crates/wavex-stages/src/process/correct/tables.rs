@@ -14,7 +14,7 @@ use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 const MOST_RANGE_CORRECTION_S: f64 = 1e-6;
 
 /// Tables of the low-power and of the high-power receiver.
-pub(super) type Both = [Option<Arc<AmplitudeTable>>; 2];
+pub(super) type TwoTables = [Option<Arc<AmplitudeTable>>; 2];
 
 /// Index of a return's table.
 pub(super) fn receiver_of(channel: ReturnChannel) -> usize {
@@ -22,25 +22,25 @@ pub(super) fn receiver_of(channel: ReturnChannel) -> usize {
 }
 
 /// Sources of the tables of a run.
-pub(super) struct Sources {
-    range: Source,
+pub(super) struct TableSources {
+    range: TableSource,
     range_table_fit: bool,
-    amplitude: Source,
+    amplitude: TableSource,
 }
 
 /// Source of the tables of one kind.
-enum Source {
+enum TableSource {
     Own,
     None,
     File([Vec<LookupRow>; 2]),
 }
 
-impl Source {
-    fn new(key: &TableKey, file: Option<LookupTables>) -> Source {
+impl TableSource {
+    fn new(key: &TableKey, file: Option<LookupTables>) -> TableSource {
         match (key, file) {
-            (_, Some(tables)) => Source::File([tables.low, tables.high]),
-            (TableKey::Own(true), None) => Source::Own,
-            _ => Source::None,
+            (_, Some(tables)) => TableSource::File([tables.low, tables.high]),
+            (TableKey::Own(true), None) => TableSource::Own,
+            _ => TableSource::None,
         }
     }
 
@@ -51,20 +51,20 @@ impl Source {
             pairs.iter().map(|&(steps_dn, value)| LookupRow { steps_dn, value, weight: 1.0 }).collect()
         };
         match self {
-            Source::Own => own.map(of_table),
-            Source::None => Default::default(),
-            Source::File(rows) => rows.clone(),
+            TableSource::Own => own.map(of_table),
+            TableSource::None => Default::default(),
+            TableSource::File(rows) => rows.clone(),
         }
     }
 }
 
-impl Sources {
+impl TableSources {
     /// `range` and `amplitude` are the tables of the files named by the keys.
     pub(super) fn new(
         keys: &Correct,
         range: Option<LookupTables>,
         amplitude: Option<LookupTables>,
-    ) -> Result<Sources> {
+    ) -> Result<TableSources> {
         let rows = range.iter().flat_map(|tables| tables.low.iter().chain(&tables.high));
         let too_much = rows
             .map(|row| row.value)
@@ -74,27 +74,27 @@ impl Sources {
                 format!("the range table has {value:e} s, which is too large for a range correction"),
                 "give its values in seconds",
             )),
-            None => Ok(Sources {
-                range: Source::new(&keys.range_table, range),
+            None => Ok(TableSources {
+                range: TableSource::new(&keys.range_table, range),
                 range_table_fit: keys.range_table_fit,
-                amplitude: Source::new(&keys.amplitude_table, amplitude),
+                amplitude: TableSource::new(&keys.amplitude_table, amplitude),
             }),
         }
     }
 
     /// Whether range tables, and amplitude tables, are requested.
     pub(super) fn wanted(&self) -> [bool; 2] {
-        [&self.range, &self.amplitude].map(|source| !matches!(source, Source::None))
+        [&self.range, &self.amplitude].map(|source| !matches!(source, TableSource::None))
     }
 
     /// Range tables of a recording, s by digitiser steps.
-    pub(super) fn range(&self, input: &InputInfo) -> Both {
+    pub(super) fn range(&self, input: &InputInfo) -> TwoTables {
         let rows = self.range.rows([&input.range_low, &input.range_high]);
         rows.map(|rows| table(if self.range_table_fit { smoothed(rows) } else { rows }))
     }
 
     /// Amplitude tables of a recording, dB by digitiser steps.
-    pub(super) fn amplitude(&self, input: &InputInfo) -> Both {
+    pub(super) fn amplitude(&self, input: &InputInfo) -> TwoTables {
         self.amplitude.rows([&input.amplitude_low, &input.amplitude_high]).map(table)
     }
 }
@@ -120,7 +120,7 @@ fn smoothed(mut rows: Vec<LookupRow>) -> Vec<LookupRow> {
 ///
 /// `fuse_channels` has shifted the times of the high-power receiver so that both agree for such
 /// echoes as recorded. That shift already contains the difference of the two tables there.
-pub(super) fn delay_in_fusion_s(ranges: &Both, model: &SensorModel, gain_ratio: f64) -> f64 {
+pub(super) fn delay_in_fusion_s(ranges: &TwoTables, model: &SensorModel, gain_ratio: f64) -> f64 {
     let (Some(low), Some(high)) = (&model.low_power, &model.high_power) else { return 0.0 };
     let background_dn = |channel: &ChannelModel| channel.background_dn.iter().sum::<f64>() / 4.0;
     let height_dn = OVERDRIVEN_PART * low.full_scale_dn;

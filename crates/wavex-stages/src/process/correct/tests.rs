@@ -271,9 +271,9 @@ fn survey_line(line: u32) -> ScanLine {
             ..found(ReturnChannel::Low, 6000.0, amplitude_dn)
         }
     };
-    let mut batch = line_of(map(), (0..2500).map(|k| one(line * 2500 + k)).collect());
-    batch.line = line;
-    batch
+    let mut scan_line = line_of(map(), (0..2500).map(|k| one(line * 2500 + k)).collect());
+    scan_line.line = line;
+    scan_line
 }
 
 #[test]
@@ -281,8 +281,8 @@ fn automatic_widths_make_flat_targets_as_wide_as_the_pulse() {
     let keys = Correct { width_correction_low: WidthKey::Auto(Auto::Auto), ..nothing() };
     let (lines, notes) = run(&keys, (0..8).map(survey_line).collect());
     assert_eq!(notes, [""; 0]);
-    assert_eq!(lines.iter().map(|batch| batch.line).collect::<Vec<_>>(), (0..8).collect::<Vec<_>>());
-    let flat = lines.iter().flat_map(|batch| batch.returns().unwrap()).filter(|r| r.flags == 0);
+    assert_eq!(lines.iter().map(|scan_line| scan_line.line).collect::<Vec<_>>(), (0..8).collect::<Vec<_>>());
+    let flat = lines.iter().flat_map(|scan_line| scan_line.returns().unwrap()).filter(|r| r.flags == 0);
     let (mut below, mut above) = (0, 0);
     for r in flat {
         assert!((r.width_ratio - 1.0).abs() < 0.017, "{r:?}");

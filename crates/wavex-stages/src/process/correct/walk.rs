@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::tables::{Both, receiver_of};
+use super::tables::{TwoTables, receiver_of};
 use super::width::{CHANNELS, NOT_PLAIN, name};
 use crate::process::calibrate::{Auto, load_model};
 use wavex_formats::Error;
@@ -121,7 +121,7 @@ impl Walks {
     ///
     /// None are learnt if both receivers are fused: their ranges are aligned already, and each walk
     /// has its own zero.
-    pub(super) fn learnt(lines: &[ScanLine], tables: &Both, cx: &mut Context) -> Walks {
+    pub(super) fn learnt(lines: &[ScanLine], tables: &TwoTables, cx: &mut Context) -> Walks {
         if lines.iter().any(|line| line.fusion.is_some()) {
             cx.info("no delay by amplitude was learnt: both receivers are fused");
             return Walks::of_model(lines, cx);
@@ -179,7 +179,7 @@ fn delays(walk: &RangeWalk) -> String {
     format!("{texts} against {:.0} DN", walk.reference_dn)
 }
 
-/// Learns the walk of a receiver, with a finding; `expected` is that of the loaded model.
+/// Learns the walk of a receiver, with a finding; `expected` is the walk of the loaded model.
 ///
 /// `expected` again if the recording shows none that proves itself.
 fn learn(

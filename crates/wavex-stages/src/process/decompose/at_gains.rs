@@ -76,7 +76,7 @@ impl<T> ByGain<T> {
         ByGain(Vec::new())
     }
 
-    /// Queues an item and returns its index among those of its gain.
+    /// Queues an item and returns its index among the items of its gain.
     pub(super) fn push(&mut self, level: GainLevel, item: T) -> usize {
         let at = match self.0.iter().position(|(of, _)| *of == level) {
             Some(at) => at,

@@ -1,7 +1,7 @@
 //! Cross-talk from the emission of one shot into the block of another.
 
-use super::echo::Found;
-use super::shot::Shot;
+use super::echo::FoundEcho;
+use super::shot::ShotBlocks;
 use wavex_line::scan_line::{Block, Emission, flags};
 
 /// Largest distance of a return from an emission to be flagged, pulse widths.
@@ -22,7 +22,7 @@ pub(super) struct Departures<'a> {
 
 impl<'a> Departures<'a> {
     /// `delay_ns` is the delay of the shot's emission after its clock.
-    pub(super) fn of(emissions: &'a [Emission], shot: &Shot, delay_ns: f64) -> Departures<'a> {
+    pub(super) fn of(emissions: &'a [Emission], shot: &ShotBlocks, delay_ns: f64) -> Departures<'a> {
         // Without a sensor position, block times count from their own first sample.
         let known = shot.input.origin_is_sensor;
         let index = shot.index as usize;
@@ -65,7 +65,7 @@ impl<'a> Departures<'a> {
         block: &Block,
         fwhm_ns: f64,
         drop_overlapped: bool,
-        found: &mut Vec<Found>,
+        found: &mut Vec<FoundEcho>,
         first: usize,
     ) -> u64 {
         let (from_ns, to_ns) = (block.time_ns(0.0), block.time_ns(block.len().saturating_sub(1) as f64));

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use super::echo::{Found, HighPowerView};
-use super::shot::{BLINDED, Shot};
+use super::echo::{FoundEcho, HighPowerView};
+use super::shot::{BLINDED, ShotBlocks};
 use wavex_line::scan_line::{Block, Channel, LineStats, ReturnChannel, flags};
 use wavex_line::stage::{Reason, Result, StageError};
 use wavex_signal::decompose::{DEVIANT, OVERDRIVEN_PART};
@@ -28,19 +28,19 @@ const OVERLAP_LN_WIDTH_SD: f64 = 0.15;
 
 /// Two receivers with known gain ratio and delay, at the gains of the blocks.
 pub(super) struct BothReceivers {
-    unit: Both,
+    unit: TwoReceivers,
     model: SensorModel,
     fusion: ChannelFusion,
     template_error: f64,
     /// Other gains, by level of the low-power and high-power receiver.
-    others: BTreeMap<(GainLevel, GainLevel), Both>,
+    others: BTreeMap<(GainLevel, GainLevel), TwoReceivers>,
 }
 
 /// Maximum number of pairs of gains kept, besides (1, 1).
 const MOST_PAIRS: usize = 64;
 
 /// Two receivers, each at one gain.
-struct Both {
+struct TwoReceivers {
     /// Gain and delay between pulses fitted with the models.
     between: ChannelFusion,
     /// Remaining delay of high-power fits on the common time axis, ns.
@@ -49,14 +49,14 @@ struct Both {
     high: JointFit,
     overdriven_dn: f64,
     detection_sigma: f64,
-    /// Gain ratio of fitted pulses over that of plain peaks.
+    /// Gain ratio of fitted pulses over the gain ratio of plain peaks.
     over_plain_ratio: f64,
     /// Gain of the high-power receiver.
     high_gain: f64,
 }
 
 /// A pulse of the low-power block in the joint fit.
-struct Candidate {
+struct JointCandidate {
     /// Index of the return that receives the result.
     found: usize,
     /// Index of the high-power return.
@@ -68,10 +68,10 @@ struct Candidate {
     walk_samples: f64,
 }
 
-impl Candidate {
+impl JointCandidate {
     /// Candidate without a high-power return.
-    fn alone(index: usize, found: &Found) -> Candidate {
-        Candidate { found: index, high: None, pulse: start(found), sure_part: 1.0, walk_samples: 0.0 }
+    fn alone(index: usize, found: &FoundEcho) -> JointCandidate {
+        JointCandidate { found: index, high: None, pulse: start(found), sure_part: 1.0, walk_samples: 0.0 }
     }
 
     /// Converts the fitted pulse to the common time axis.
@@ -99,7 +99,7 @@ impl BothReceivers {
         detection_sigma: f64,
         template_error: f64,
     ) -> Result<Option<BothReceivers>> {
-        let unit = Both::new(model, fusion, [GainLevel::UNIT; 2], detection_sigma, template_error)?;
+        let unit = TwoReceivers::new(model, fusion, [GainLevel::UNIT; 2], detection_sigma, template_error)?;
         Ok(unit.map(|unit| BothReceivers {
             unit,
             model: model.clone(),
@@ -115,7 +115,7 @@ impl BothReceivers {
     }
 
     /// Converts the time of a return to the common axis and adds the uncertainty.
-    pub(super) fn align(&self, found: &mut Found) {
+    pub(super) fn align(&self, found: &mut FoundEcho) {
         self.unit.align(found);
     }
 
@@ -125,7 +125,12 @@ impl BothReceivers {
     ///
     /// # Errors
     /// A receiver's model is invalid at the gain of a block.
-    pub(super) fn fuse(&mut self, shot: &Shot, all: &mut Vec<Found>, stats: &mut LineStats) -> Result<()> {
+    pub(super) fn fuse(
+        &mut self,
+        shot: &ShotBlocks,
+        all: &mut Vec<FoundEcho>,
+        stats: &mut LineStats,
+    ) -> Result<()> {
         let mut gone = vec![false; all.len()];
         for (h, high) in shot.of_shot.iter().enumerate() {
             let has_returns = all.iter().any(|found| found.block == h);
@@ -146,7 +151,7 @@ impl BothReceivers {
     }
 
     /// Returns the receivers at the gains of two blocks.
-    fn at_gains(&mut self, gains: [f64; 2]) -> Result<&mut Both> {
+    fn at_gains(&mut self, gains: [f64; 2]) -> Result<&mut TwoReceivers> {
         let levels = gains.map(GainLevel::of);
         let [low, high] = levels;
         let is_unit = levels == [GainLevel::UNIT; 2];
@@ -155,7 +160,7 @@ impl BothReceivers {
                 self.others.clear();
             }
             let (sigma, error) = (self.unit.detection_sigma, self.template_error);
-            let made = Both::new(&self.model, &self.fusion, levels, sigma, error)?;
+            let made = TwoReceivers::new(&self.model, &self.fusion, levels, sigma, error)?;
             self.others.extend(made.map(|made| ((low, high), made)));
         }
         let BothReceivers { unit, others, fusion, .. } = self;
@@ -169,7 +174,7 @@ impl BothReceivers {
     }
 }
 
-impl Both {
+impl TwoReceivers {
     /// `None` if one of the receivers was not calibrated.
     fn new(
         model: &SensorModel,
@@ -177,12 +182,12 @@ impl Both {
         [low_level, high_level]: [GainLevel; 2],
         detection_sigma: f64,
         template_error: f64,
-    ) -> Result<Option<Both>> {
+    ) -> Result<Option<TwoReceivers>> {
         let (Some(low), Some(high)) = (&model.low_power, &model.high_power) else { return Ok(None) };
         let made = || {
             let (low, high) = (&low.at_gain(low_level.gain())?, &high.at_gain(high_level.gain())?);
             let between = fusion.at_gains(low_level.gain(), high_level.gain()).between_models(low, high)?;
-            Ok(Both {
+            Ok(TwoReceivers {
                 over_plain_ratio: between.gain_ratio
                     / fusion.at_gains(low_level.gain(), high_level.gain()).gain_ratio,
                 high_gain: high_level.gain(),
@@ -219,7 +224,7 @@ impl Both {
     }
 
     /// Converts the time of a return to the common axis and adds the uncertainty.
-    fn align(&self, found: &mut Found) {
+    fn align(&self, found: &mut FoundEcho) {
         let (shift_ns, sd_ns) = match found.channel {
             ReturnChannel::Low => self.walk_ns(found.fitted.amplitude_dn, found.fitted.flags & BLINDED != 0),
             _ => (-self.left_ns, self.between.delay_sd_ns),
@@ -230,9 +235,9 @@ impl Both {
 
     fn fuse_blocks(
         &mut self,
-        shot: &Shot,
+        shot: &ShotBlocks,
         [(l, low), (h, high)]: [(usize, &Block); 2],
-        all: &mut [Found],
+        all: &mut [FoundEcho],
         gone: &mut [bool],
         stats: &mut LineStats,
     ) {
@@ -299,9 +304,9 @@ impl Both {
     /// receiver, and be too weak for the high-power receiver.
     fn stands_out(
         &self,
-        found: &Found,
+        found: &FoundEcho,
         [low, high]: [&Block; 2],
-        all: &[Found],
+        all: &[FoundEcho],
         joined: &[(usize, Option<usize>)],
     ) -> bool {
         let gain = self.between.gain_ratio;
@@ -320,7 +325,13 @@ impl Both {
     }
 
     /// Nearest low-power return of each high-power return that may be the same echo.
-    fn partners(&self, all: &[Found], lows: &[usize], highs: &[usize], low: &Block) -> Vec<Option<usize>> {
+    fn partners(
+        &self,
+        all: &[FoundEcho],
+        lows: &[usize],
+        highs: &[usize],
+        low: &Block,
+    ) -> Vec<Option<usize>> {
         let mut taken: Vec<usize> = Vec::new();
         let wide_ns = self.wide_ns();
         let mut partner = vec![None; highs.len()];
@@ -367,9 +378,9 @@ impl Both {
     /// if the receivers contradict each other or the fit fails.
     fn fit_jointly(
         &mut self,
-        shot: &Shot,
+        shot: &ShotBlocks,
         [low, high]: [&Block; 2],
-        all: &mut [Found],
+        all: &mut [FoundEcho],
         highs: &[usize],
         (joined, others): (&[(usize, Option<usize>)], &[usize]),
     ) {
@@ -385,7 +396,7 @@ impl Both {
                 .max(of_low.map_or(0.0, |i| 0.5 * all[i].fitted.amplitude_dn));
             let (walk_ns, walk_sd_ns) = self.walk_ns(height_dn, true);
             let expected = self.expected(fitted, [low, high], (walk_ns, walk_sd_ns));
-            candidates.push(Candidate {
+            candidates.push(JointCandidate {
                 found: of_high,
                 high: Some(of_high),
                 pulse: JointPulse { start: expected.mean, expected: Some(expected), ln_width_precision: 0.0 },
@@ -393,7 +404,7 @@ impl Both {
                 walk_samples: walk_ns / low.interval_ns,
             });
         }
-        candidates.extend(others.iter().map(|&i| Candidate::alone(i, &all[i])));
+        candidates.extend(others.iter().map(|&i| JointCandidate::alone(i, &all[i])));
         let pulses = candidates.iter().map(|candidate| candidate.pulse);
         let Some(outcome) = self.low.fit(shot.blocks.samples(low), pulses) else { return };
         if self.low.fitted().iter().any(|fitted| fitted.distance > CONTRADICTION) {
@@ -459,7 +470,7 @@ impl Both {
 }
 
 /// Start values from a return for a fit of its own block.
-fn start(found: &Found) -> JointPulse {
+fn start(found: &FoundEcho) -> JointPulse {
     let fitted = &found.fitted;
     let overlaps = fitted.flags & flags::OVERLAP != 0;
     JointPulse {
@@ -476,7 +487,7 @@ fn is_beside(block: &Block, other: &Block) -> bool {
 }
 
 /// Stores a fitted pulse of a block of the fit's receiver in a return.
-fn write(fit: &JointFit, fitted: &JointFitted, block: &Block, found: &mut Found) {
+fn write(fit: &JointFit, fitted: &JointFitted, block: &Block, found: &mut FoundEcho) {
     let [ln_height, position, ln_width] = fitted.value;
     let sd = |part: usize| fitted.covariance[part][part].sqrt();
     let (amplitude_dn, width_ratio) = (ln_height.exp(), ln_width.exp());

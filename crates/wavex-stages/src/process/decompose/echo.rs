@@ -13,7 +13,7 @@ pub(super) const UNRELIABLE_RANGE_SD_M: f64 = 0.255;
 
 /// A return before its range is known.
 #[derive(Clone, Copy)]
-pub(super) struct Found {
+pub(super) struct FoundEcho {
     /// Time of the echo's peak after the shot's clock.
     pub(super) time_ns: f64,
     pub(super) time_sd_ns: f64,
@@ -28,7 +28,7 @@ pub(super) struct Found {
     /// Values of the high-power receiver, if both were fitted together.
     pub(super) high_power: Option<HighPowerView>,
     pub(super) fitted: Pulse,
-    /// Flag bits besides those of the fit.
+    /// Flag bits besides the flags of the fit.
     pub(super) flags: u16,
 }
 
@@ -41,7 +41,7 @@ pub(super) struct HighPowerView {
     pub(super) background_dn: f64,
 }
 
-impl Found {
+impl FoundEcho {
     /// Adds the standard deviations of overdriven and clipped pulses.
     ///
     /// In fused receivers, the time of the low-power one has the error of its walk instead.

@@ -5,7 +5,7 @@
 //! under a large footprint, its error and the shape of the target cannot be distinguished, and
 //! components on the slopes of a peak are no evidence of a target there.
 
-use super::echo::Found;
+use super::echo::FoundEcho;
 use wavex_line::scan_line::Block;
 use wavex_signal::sensor_model::{ChannelModel, ModelError, ResponseSource};
 
@@ -64,14 +64,14 @@ impl Modes {
         &mut self,
         samples: &[u16],
         block: &Block,
-        found: &mut Vec<Found>,
+        found: &mut Vec<FoundEcho>,
         first: usize,
     ) -> u64 {
         self.find(samples);
         let mut fitted = found.split_off(first);
         let before = fitted.len();
         for &mode in &self.modes {
-            let distance = |found: &Found| {
+            let distance = |found: &FoundEcho| {
                 let reach = REACH_WIDTHS * self.fwhm_samples * found.fitted.width_ratio.max(1.0);
                 (found.fitted.position_samples - mode).abs() / reach
             };
@@ -105,7 +105,7 @@ impl Modes {
 }
 
 /// The return at a mode of its block.
-fn moved(mut found: Found, mode: f64, block: &Block) -> Found {
+fn moved(mut found: FoundEcho, mode: f64, block: &Block) -> FoundEcho {
     let moved_ns = block.time_ns(mode) - block.time_ns(found.fitted.position_samples);
     let sd_samples = (mode - found.fitted.position_samples) / 12f64.sqrt();
     found.fitted.position_sd_samples = found.fitted.position_sd_samples.hypot(sd_samples);
@@ -149,7 +149,7 @@ mod tests {
     }
 
     /// Returns left of those at `positions`, in a waveform of Gaussian `peaks`: position and height.
-    fn kept(peaks: &[(f64, f64)], positions: &[f64]) -> (Vec<Found>, u64) {
+    fn kept(peaks: &[(f64, f64)], positions: &[f64]) -> (Vec<FoundEcho>, u64) {
         let model = large_footprint();
         let sd_samples = SD_OF_FWHM * model.fwhm_samples();
         let signal_dn = |k: usize| -> f64 {
@@ -159,7 +159,7 @@ mod tests {
         let samples: Vec<u16> = (0..SAMPLES).map(|k| signal_dn(k).round() as u16).collect();
         let mut blocks = Blocks::default();
         blocks.push(0, Channel::LowPower, None, 100.0, 1.0, &samples);
-        let found = |position: &f64| Found {
+        let found = |position: &f64| FoundEcho {
             time_ns: 100.0 + position,
             time_sd_ns: 0.02,
             channel: ReturnChannel::Low,
@@ -182,7 +182,7 @@ mod tests {
             flags: 0,
         };
         // A return of another block is not changed.
-        let mut all: Vec<Found> = [7.0].iter().chain(positions).map(found).collect();
+        let mut all: Vec<FoundEcho> = [7.0].iter().chain(positions).map(found).collect();
         let (_, of_shot) = blocks.by_emission().next().unwrap();
         let block = &of_shot[0];
         let dropped = Modes::of(&model, 4.5).unwrap().unwrap().keep(&samples, block, &mut all, 1);

@@ -54,7 +54,7 @@ impl<'a> Seen<'a> {
 
     /// Returns the collected blocks in order of time, and the outgoing pulse.
     ///
-    /// `emission` and `returns` are those of the shot.
+    /// `emission` is the shot, `returns` are its returns.
     pub fn finish(mut self, emission: &Emission, returns: &[Return]) -> (Vec<SeenBlock>, Option<SeenPulse>) {
         self.blocks.sort_by(|a, b| a.start_ns.total_cmp(&b.start_ns));
         let shown = |echoes: Echoes| {

@@ -32,7 +32,7 @@ pub(super) fn unresolved(shot: u64) -> StageError {
     )
 }
 
-/// Adds the instrument's own returns to a line, by emission and time.
+/// Adds the instrument's own returns to a line, by shot and time.
 ///
 /// # Errors
 /// The zone of a shot is not resolved.

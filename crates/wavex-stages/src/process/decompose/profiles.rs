@@ -53,7 +53,7 @@ pub(super) struct Profiles {
     low_power: Option<DistributedTargets>,
     high_power: Option<DistributedTargets>,
     choice: ProfilesKey,
-    /// Whether misfits are those of the target; the fast modes have others.
+    /// Whether misfits are caused by the target; in the fast modes the fit causes some.
     has_fits: bool,
     timing_error_ns: f64,
     of_shot: Option<(Block, TargetProfile)>,

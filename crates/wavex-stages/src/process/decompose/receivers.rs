@@ -1,16 +1,17 @@
 //! The receivers of a sensor; each decomposes all its blocks of a line at once.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 
 use wavex_simd::SimdLevel;
 
 use super::at_gains::{AtGains, ByGain};
 use super::dual_channel::BothReceivers;
-use super::shot::Shot;
+use super::shot::ShotBlocks;
 use super::{Decompose, Mode};
 use wavex_line::scan_line::{Block, Channel, ReturnChannel};
 use wavex_line::stage::{Reason, Result, StageError};
+use wavex_line::system::Unpoisoned as _;
 use wavex_signal::decompose::{
     self, BatchDecomposer, DecomposeSettings, Decomposition, Decompositions, Tables, Waveform,
 };
@@ -41,7 +42,7 @@ impl TablesAtGains {
     ///
     /// `model` is the channel's model at that gain.
     fn of(&self, channel: Channel, level: GainLevel, model: &ChannelModel) -> Option<Arc<Tables>> {
-        let mut made = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut made = self.0.lock().unpoisoned();
         if let Some(tables) = made.get(&(channel, level)).and_then(Weak::upgrade) {
             return Some(tables);
         }
@@ -71,13 +72,13 @@ impl SensorTables {
 ///
 /// The first worker that needs them creates them; the last ones are kept.
 #[derive(Clone, Default)]
-pub(super) struct SharedTables(Arc<Mutex<Shared>>);
+pub(super) struct SharedTables(Arc<Mutex<CachedTables>>);
 
 /// Number of tables that are kept.
 const KEPT_TABLES: usize = 2;
 
 #[derive(Default)]
-struct Shared {
+struct CachedTables {
     /// Tables by model and mode, those used last at the end.
     known: Vec<(Arc<SensorModel>, Mode, Arc<SensorTables>)>,
     /// Data of the model of the first echo receiver.
@@ -87,7 +88,7 @@ struct Shared {
 impl SharedTables {
     /// Returns the tables of this model.
     pub(super) fn of(&self, model: &Arc<SensorModel>, mode: Mode) -> Arc<SensorTables> {
-        let mut shared = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut shared = self.0.lock().unpoisoned();
         let is_theirs =
             |known: &&(Arc<SensorModel>, Mode, _)| Arc::ptr_eq(&known.0, model) && known.1 == mode;
         if let Some((_, _, tables)) = shared.known.iter().find(is_theirs) {
@@ -104,7 +105,7 @@ impl SharedTables {
 
     /// Data of the model last used.
     pub(super) fn provenance(&self) -> Provenance {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).provenance
+        self.0.lock().unpoisoned().provenance
     }
 }
 
@@ -136,7 +137,7 @@ pub(super) enum BlockRoute {
 }
 
 /// A receiver at one gain and its results of the line.
-struct Receiver {
+struct ReceiverAtGain {
     kernels: BatchDecomposer,
     outcomes: Decompositions,
 }
@@ -155,23 +156,23 @@ impl Reference {
     }
 }
 
-impl Receiver {
+impl ReceiverAtGain {
     fn new(
         channel: Option<&ChannelModel>,
         tables: Option<&Arc<Tables>>,
         config: &Decompose,
         path: SimdLevel,
-    ) -> std::result::Result<Option<Receiver>, ModelError> {
+    ) -> std::result::Result<Option<ReceiverAtGain>, ModelError> {
         let Some(channel) = channel else { return Ok(None) };
         let kernels = config.kernels(channel, tables.cloned(), path)?;
-        Ok(Some(Receiver { kernels, outcomes: Decompositions::default() }))
+        Ok(Some(ReceiverAtGain { kernels, outcomes: Decompositions::default() }))
     }
 }
 
 impl Decompose {
     /// Kernels of a channel with these keys, without the use of other channels.
     ///
-    /// `tables` are those of the model, or `None` for the mode `slow`.
+    /// `tables` belong to the model; `None` for the mode `slow`.
     ///
     /// # Errors
     /// If the model is invalid.
@@ -212,8 +213,8 @@ fn settings(config: &Decompose) -> DecomposeSettings {
 
 /// Calibrated receivers and their results of the line.
 pub(super) struct Receivers {
-    low: Option<AtGains<Receiver>>,
-    high: Option<AtGains<Receiver>>,
+    low: Option<AtGains<ReceiverAtGain>>,
+    high: Option<AtGains<ReceiverAtGain>>,
     reference: Option<AtGains<Reference>>,
     config: Decompose,
     /// Tables of other gains; `None` if only the plain kernels are used.
@@ -231,7 +232,7 @@ impl Receivers {
         path: SimdLevel,
     ) -> Result<Receivers> {
         let make = |channel: &Option<ChannelModel>, tables: &Option<Arc<Tables>>| {
-            Receiver::new(channel.as_ref(), tables.as_ref(), config, path).map_err(unusable)
+            ReceiverAtGain::new(channel.as_ref(), tables.as_ref(), config, path).map_err(unusable)
         };
         let reference = (model.reference.as_ref())
             .map(|channel| OutgoingBatch::new(channel, tables.reference.clone(), path));
@@ -256,7 +257,7 @@ impl Receivers {
     ///
     /// # Errors
     /// A channel's model is invalid at the gain of a block.
-    pub(super) fn decompose(&mut self, shots: &[Shot], both: Option<&BothReceivers>) -> Result<()> {
+    pub(super) fn decompose(&mut self, shots: &[ShotBlocks], both: Option<&BothReceivers>) -> Result<()> {
         let (mut low, mut high, mut outgoing) = (ByGain::new(), ByGain::new(), ByGain::new());
         self.routes.clear();
         for shot in shots {
@@ -293,10 +294,11 @@ impl Receivers {
         let receiver = if channel == Channel::LowPower { low } else { high };
         let Some(receiver) = receiver else { return Ok(()) };
         for (level, waveforms) in queue.iter() {
-            let Receiver { kernels, outcomes } = receiver.need(level, |unit| {
+            let ReceiverAtGain { kernels, outcomes } = receiver.need(level, |unit| {
                 let model = unit.kernels.model().at_gain(level.gain()).map_err(unusable)?;
                 let tables = tables.as_ref().and_then(|tables| tables.of(channel, level, &model));
-                let made = Receiver::new(Some(&model), tables.as_ref(), config, *path).map_err(unusable)?;
+                let made =
+                    ReceiverAtGain::new(Some(&model), tables.as_ref(), config, *path).map_err(unusable)?;
                 made.ok_or(StageError::Stopped)
             })?;
             kernels.decompose(waveforms, outcomes);
@@ -322,7 +324,7 @@ impl Receivers {
     }
 
     /// Number of the shots decomposed last with echoes left to the plain kernels.
-    pub(super) fn left_to_plain(&self, shots: &[Shot]) -> usize {
+    pub(super) fn left_to_plain(&self, shots: &[ShotBlocks]) -> usize {
         let is_left =
             |route: &&BlockRoute| self.found(**route).is_some_and(|(_, found, _)| found.left_to_plain);
         let mut routes = self.routes.iter();
@@ -334,10 +336,10 @@ impl Receivers {
     /// Detects echoes on the outgoing pulses of the shots decomposed last, by gain.
     ///
     /// With `is_line` the shots are a whole line, which gives the reference; otherwise the last line
-    /// does. `is_expected` returns whether an echo was received during the emission of an index.
+    /// does. `is_expected`: whether an echo was received during the emission of a shot, by its index.
     pub(super) fn judge_outgoing(
         &mut self,
-        shots: &[Shot],
+        shots: &[ShotBlocks],
         is_line: bool,
         is_expected: impl Fn(u32) -> bool,
     ) {
@@ -399,7 +401,7 @@ impl Receivers {
 
 /// Routes a block of echoes to its receiver, if calibrated.
 fn echoes(
-    receiver: &Option<AtGains<Receiver>>,
+    receiver: &Option<AtGains<ReceiverAtGain>>,
     block: &Block,
     route: impl FnOnce() -> BlockRoute,
 ) -> BlockRoute {

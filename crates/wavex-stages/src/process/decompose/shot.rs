@@ -23,8 +23,8 @@ impl EmissionTime {
 }
 
 /// One shot of a line.
-pub struct Shot<'a> {
-    /// Index of the emission in its line.
+pub struct ShotBlocks<'a> {
+    /// Index of the shot in its line.
     pub index: u32,
     /// Blocks of the line.
     pub blocks: &'a Blocks,

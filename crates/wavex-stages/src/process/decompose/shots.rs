@@ -5,13 +5,13 @@ use wavex_simd::SimdLevel;
 use super::Decompose;
 use super::crosstalk::Departures;
 use super::dual_channel::BothReceivers;
-use super::echo::{Found, UNRELIABLE_RANGE_SD_M};
+use super::echo::{FoundEcho, UNRELIABLE_RANGE_SD_M};
 use super::modes::Modes;
 use super::online::unresolved;
 use super::profiles::Profiles;
 use super::receivers::{BlockRoute, Receivers, SensorTables};
-use super::shot::{EmissionTime, Shot};
-use super::unexplained::Explained;
+use super::shot::{EmissionTime, ShotBlocks};
+use super::unexplained::FitCounts;
 use wavex_line::scan_line::{
     Block, Channel, Emission, EmissionReference, Filtered, LineStats, OnlineReturn, ReturnChannel, Returns,
     ShotProfile, flags,
@@ -102,7 +102,7 @@ pub trait Observer {
 
 impl Observer for () {}
 
-impl Shot<'_> {
+impl ShotBlocks<'_> {
     fn online(&self) -> &[OnlineReturn] {
         self.blocks.online_of(self.index)
     }
@@ -134,7 +134,12 @@ impl Shot<'_> {
     /// echoes is the sub-sample emission offset.
     /// `jitter_ns` is the SD of the clock; by default the one that the reader proved, otherwise that of a
     /// position within one sample.
-    fn anchored_departure(&self, found: &[Found], jitter_ns: Option<f64>, cx: &mut Context) -> EmissionTime {
+    fn anchored_departure(
+        &self,
+        found: &[FoundEcho],
+        jitter_ns: Option<f64>,
+        cx: &mut Context,
+    ) -> EmissionTime {
         let interval_ns = self.input.sampling_interval_ns;
         let clock_sd_ns = self.input.clock_or_sample_sd_ns();
         let unknown = EmissionTime::of_clock(jitter_ns.unwrap_or(clock_sd_ns));
@@ -171,18 +176,18 @@ impl Shot<'_> {
     }
 }
 
-/// Whether the mark of an emission is set.
+/// Whether the mark of a shot is set.
 fn is_set(marks: &[bool], index: u32) -> bool {
     marks.get(index as usize).copied().unwrap_or(false)
 }
 
 /// Data of a line that decomposition changes.
-pub struct Line<'a> {
-    /// Emissions, whose emission times are set.
+pub struct DecomposedShots<'a> {
+    /// Shots, whose emission times are set.
     pub emissions: &'a mut [Emission],
-    /// Returns; those of each shot are appended in order of time.
+    /// Returns of all shots so far, by shot and time.
     pub returns: &'a mut Returns,
-    /// Profiles of unexplained waveforms; those of each shot are appended.
+    /// Profiles of unexplained waveforms of all shots so far.
     pub profiles: &'a mut Vec<ShotProfile>,
     /// Counts of candidates are added.
     pub stats: &'a mut LineStats,
@@ -190,9 +195,9 @@ pub struct Line<'a> {
 
 /// The current shot.
 struct CurrentShot<'a> {
-    shot: &'a Shot<'a>,
+    shot: &'a ShotBlocks<'a>,
     emission: Emission,
-    /// Index of its first block among those of all shots.
+    /// Index of its first block among the blocks of all shots.
     first_block: usize,
 }
 
@@ -208,10 +213,10 @@ pub struct ShotDecomposer {
     timing_error_ns: f64,
     emission_jitter_ns: Option<f64>,
     drop_emission_crosstalk: bool,
-    found: Vec<Found>,
+    found: Vec<FoundEcho>,
     profiles: Profiles,
-    explained: Explained,
-    /// By emission index: whether an echo was received during the emission.
+    explained: FitCounts,
+    /// By shot index: whether an echo was received during the emission.
     expected: Vec<bool>,
 }
 
@@ -239,7 +244,7 @@ impl ShotDecomposer {
             drop_emission_crosstalk: config.drop_emission_crosstalk,
             found: Vec::new(),
             profiles: Profiles::new(model, config)?,
-            explained: Explained::default(),
+            explained: FitCounts::default(),
             expected: Vec::new(),
         })
     }
@@ -255,8 +260,8 @@ impl ShotDecomposer {
     /// Decomposes the shots of a line.
     pub fn decompose(
         &mut self,
-        shots: &[Shot],
-        line: &mut Line,
+        shots: &[ShotBlocks],
+        line: &mut DecomposedShots,
         cx: &mut Context,
         watch: &mut impl Observer,
     ) -> Result<()> {
@@ -273,8 +278,8 @@ impl ShotDecomposer {
     /// Decomposes one shot of the last line again, with the same result.
     pub fn decompose_again(
         &mut self,
-        shot: &Shot,
-        line: &mut Line,
+        shot: &ShotBlocks,
+        line: &mut DecomposedShots,
         cx: &mut Context,
         watch: &mut impl Observer,
     ) -> Result<()> {
@@ -282,12 +287,12 @@ impl ShotDecomposer {
         self.receivers.decompose(shots, self.both.as_ref())?;
         self.receivers.judge_outgoing(shots, false, |index| is_set(&self.expected, index));
         self.finish_shots(shots, line, cx, watch)?;
-        self.explained = Explained::default();
+        self.explained = FitCounts::default();
         Ok(())
     }
 
-    /// Finds the emissions of the line during which echoes were received.
-    fn expect_echoes_on_outgoing(&mut self, shots: &[Shot], emissions: &[Emission]) {
+    /// Finds the shots of the line during whose emission echoes were received.
+    fn expect_echoes_on_outgoing(&mut self, shots: &[ShotBlocks], emissions: &[Emission]) {
         self.expected.clear();
         self.expected.resize(emissions.len(), false);
         let Some(reference) = &self.model.reference else { return };
@@ -321,8 +326,8 @@ impl ShotDecomposer {
     /// Converts the results of the receivers to returns, shot by shot.
     fn finish_shots(
         &mut self,
-        shots: &[Shot],
-        line: &mut Line,
+        shots: &[ShotBlocks],
+        line: &mut DecomposedShots,
         cx: &mut Context,
         watch: &mut impl Observer,
     ) -> Result<()> {
@@ -340,7 +345,7 @@ impl ShotDecomposer {
     fn shot(
         &mut self,
         turn: &CurrentShot,
-        line: &mut Line,
+        line: &mut DecomposedShots,
         cx: &mut Context,
         watch: &mut impl Observer,
     ) -> Result<()> {
@@ -369,7 +374,7 @@ impl ShotDecomposer {
     }
 
     /// Converts the echoes of a shot to returns, in order of time.
-    fn finish(&mut self, shot: &Shot, departure: EmissionTime, returns: &mut Returns) {
+    fn finish(&mut self, shot: &ShotBlocks, departure: EmissionTime, returns: &mut Returns) {
         self.found.sort_by(|a, b| a.time_ns.total_cmp(&b.time_ns));
         let number_of_returns = self.found.len().min(255) as u8;
         for (i, found) in self.found.iter().enumerate() {
@@ -409,7 +414,7 @@ impl ShotDecomposer {
     /// Outgoing pulse of a shot, with its fit if the block has samples.
     ///
     /// Emission time after the clock, ns.
-    fn outgoing<'a>(&'a self, shot: &Shot<'a>, routes: &[BlockRoute]) -> Option<OutgoingBlock<'a>> {
+    fn outgoing<'a>(&'a self, shot: &ShotBlocks<'a>, routes: &[BlockRoute]) -> Option<OutgoingBlock<'a>> {
         let mut with_routes = shot.of_shot.iter().zip(routes);
         let (block, &route) = with_routes.find(|(block, _)| block.channel == Channel::Reference)?;
         if block.is_empty() {
@@ -442,7 +447,7 @@ impl ShotDecomposer {
         watch: &mut impl Observer,
     ) -> Result<()> {
         let CurrentShot { shot, emission, first_block } = turn;
-        let mut waveform = Waveform::default();
+        let mut waveform = WaveformOutcome::default();
         let routes = self.receivers.routes(*first_block);
         let blocks = shot.of_shot.iter().zip(routes).enumerate();
         for (index, (block, &route)) in blocks.filter(|(_, (block, _))| block.channel.is_echo()) {
@@ -468,7 +473,7 @@ impl ShotDecomposer {
             let flags = if block.is_zone_uncertain { flags::ZONE_UNCERTAIN } else { 0 };
             let delay_sd_ns = self.delay_sd_ns(channel, model);
             self.found.extend(result.returns.iter().map(|fitted| {
-                let mut found = Found {
+                let mut found = FoundEcho {
                     time_ns: block.time_ns(fitted.position_samples),
                     time_sd_ns: (fitted.position_sd_samples * block.interval_ns).hypot(delay_sd_ns),
                     channel,
@@ -517,7 +522,7 @@ impl ShotDecomposer {
 
 /// Outcome of one waveform, over all its blocks.
 #[derive(Default)]
-struct Waveform {
+struct WaveformOutcome {
     recorded: bool,
     used: bool,
     saturated: bool,
@@ -525,7 +530,7 @@ struct Waveform {
     refined_twice: bool,
 }
 
-impl Waveform {
+impl WaveformOutcome {
     fn add(&mut self, result: &Decomposition, stats: &mut LineStats) {
         stats.n_candidates += u64::from(result.counts.n_candidates);
         stats.n_added += u64::from(result.counts.n_added);
@@ -537,7 +542,7 @@ impl Waveform {
         self.refined_twice |= result.refined_twice;
     }
 
-    fn count(&self, found: &[Found], stats: &mut LineStats, cx: &mut Context) {
+    fn count(&self, found: &[FoundEcho], stats: &mut LineStats, cx: &mut Context) {
         if !self.recorded {
             return;
         }

@@ -21,7 +21,7 @@ const MIN_WAVEFORMS: u64 = 100;
 
 /// Counts of waveforms by the quality of their fits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Explained {
+pub(super) struct FitCounts {
     waveforms: u64,
     by_chi_square: u64,
     by_deviation_ratio: u64,
@@ -31,7 +31,7 @@ pub(super) struct Explained {
     exceeded: u64,
 }
 
-impl Explained {
+impl FitCounts {
     /// Adds a block of echoes.
     pub(super) fn add(&mut self, result: &Decomposition) {
         let freedom = result.degrees_of_freedom();
@@ -47,7 +47,7 @@ impl Explained {
 
     /// Moves the counts to the counters of the stage.
     pub(super) fn report(&mut self, cx: &mut Context) {
-        let Explained { waveforms, by_chi_square, by_deviation_ratio, overestimated, exceeded } =
+        let FitCounts { waveforms, by_chi_square, by_deviation_ratio, overestimated, exceeded } =
             std::mem::take(self);
         let counts = [waveforms, by_chi_square, by_deviation_ratio, overestimated, exceeded];
         NAMES.into_iter().zip(counts).for_each(|(name, n)| cx.count(name, n));
@@ -122,7 +122,7 @@ fn pulse_shape(provenance: &Provenance) -> String {
 mod tests {
     use super::*;
 
-    fn warnings(counts: Explained) -> Vec<String> {
+    fn warnings(counts: FitCounts) -> Vec<String> {
         let mut cx = Context::default();
         { counts }.report(&mut cx);
         conclude(&SharedTables::default(), &mut cx);
@@ -131,11 +131,11 @@ mod tests {
 
     #[test]
     fn most_waveforms_must_be_explained() {
-        let of = |waveforms, by_chi_square, by_deviation_ratio| Explained {
+        let of = |waveforms, by_chi_square, by_deviation_ratio| FitCounts {
             waveforms,
             by_chi_square,
             by_deviation_ratio,
-            ..Explained::default()
+            ..FitCounts::default()
         };
         assert_eq!(warnings(of(1000, 500, 100)), Vec::<String>::new());
         assert_eq!(warnings(of(50, 50, 50)), Vec::<String>::new());
@@ -146,11 +146,11 @@ mod tests {
 
     #[test]
     fn a_misfit_far_below_the_expected_one_is_a_warning() {
-        let of = |overestimated, exceeded| Explained {
+        let of = |overestimated, exceeded| FitCounts {
             waveforms: 1000,
             overestimated,
             exceeded,
-            ..Explained::default()
+            ..FitCounts::default()
         };
         assert_eq!(warnings(of(100, 10)), Vec::<String>::new());
         let text = warnings(of(840, 0)).pop().unwrap();
@@ -161,12 +161,12 @@ mod tests {
     #[test]
     fn blocks_count_by_their_fits() {
         let fit = |chi_square| Decomposition { chi_square, samples: 60, ..Decomposition::default() };
-        let mut explained = Explained::default();
+        let mut explained = FitCounts::default();
         [60.0, 110.0, 130.0].iter().for_each(|&chi_square| explained.add(&fit(chi_square)));
         explained.add(&Decomposition::default());
         // The response's error should add 200 to a chi-square of 60.
         explained.add(&Decomposition { expected_excess: 200.0, ..fit(60.0) });
-        let expected = Explained {
+        let expected = FitCounts {
             waveforms: 4,
             by_chi_square: 1,
             by_deviation_ratio: 2,

@@ -14,7 +14,7 @@ const ASSUMED_LINE_SPACING: f64 = 0.5;
 
 /// Positions of the returns of a line.
 #[derive(Debug)]
-pub(super) struct Places {
+pub(super) struct ReturnPositions {
     /// The returns, in their order in the line.
     pub(super) line: PointLine,
     /// Spacing to the neighbouring shot at each return, m.
@@ -53,9 +53,9 @@ impl AssumedMotion {
     }
 }
 
-impl Places {
+impl ReturnPositions {
     /// Positions of a line's returns; `motion` applies if the frame has no vertical.
-    pub(super) fn of(scan_line: &ScanLine, motion: &mut AssumedMotion) -> Places {
+    pub(super) fn of(scan_line: &ScanLine, motion: &mut AssumedMotion) -> ReturnPositions {
         let emissions = &scan_line.emissions;
         let down = emissions.first().and_then(|first| down_at(scan_line.input.frame, first.origin_m));
         let down = down.unwrap_or_else(|| main_axis(emissions.iter().map(|emission| emission.direction)));
@@ -89,7 +89,7 @@ impl Places {
         }
         // Any direction is right without a sweep; it only affects the speed of searches.
         let along = sweep.unwrap_or([1.0, 0.0, 0.0]);
-        Places { line: PointLine::new(points, along), spacing_m, height_m, middle_m }
+        ReturnPositions { line: PointLine::new(points, along), spacing_m, height_m, middle_m }
     }
 
     /// Memory used, bytes.
@@ -121,7 +121,7 @@ fn turn(emissions: &[Emission], shot: usize) -> f64 {
 
 /// Distance of a point from the next shot's beam, m.
 ///
-/// For the last shot, from that of the previous one.
+/// For the last shot, from the previous shot.
 fn to_next_beam_m(emissions: &[Emission], shot: usize, position_m: [f64; 3], unit_m: f64) -> f64 {
     let next = emissions.get(shot + 1).or_else(|| emissions.get(shot.checked_sub(1)?));
     next.map_or(0.0, |next| {
@@ -172,7 +172,7 @@ mod tests {
             let emissions = (0..3).map(emission).collect();
             let mut scan_line = ScanLine::of_shots(Arc::new(input), 0, emissions, Blocks::default());
             scan_line.content = Content::Returns((0..3).map(found).collect());
-            Places::of(&scan_line, &mut AssumedMotion::default()).spacing_m
+            ReturnPositions::of(&scan_line, &mut AssumedMotion::default()).spacing_m
         };
         for origin_is_sensor in [true, false] {
             let spacings_m = spacings(origin_is_sensor);

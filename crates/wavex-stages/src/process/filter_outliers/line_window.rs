@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::ops::Range;
 
 use super::FilterOutliers;
-use super::geometry::{AssumedMotion, Places, dot, has_vertical};
+use super::geometry::{AssumedMotion, ReturnPositions, dot, has_vertical};
 use wavex_line::scan_line::{Content, ScanLine};
 use wavex_line::stage::{Output, Reason, Result};
 use wavex_returns::outliers::{PointLine, Side, SupportSearch, jump};
@@ -20,10 +20,10 @@ const LOW_NOISE: u8 = 7;
 const HIGH_NOISE: u8 = 18;
 
 /// Pending lines, and emitted lines still needed for others.
-pub(super) struct Strip {
+pub(super) struct OutlierWindow {
     config: FilterOutliers,
     motion: AssumedMotion,
-    lines: VecDeque<Held>,
+    lines: VecDeque<HeldLine>,
     /// Index of the first line in `lines` not yet classified.
     next: usize,
     bytes: usize,
@@ -31,9 +31,9 @@ pub(super) struct Strip {
 }
 
 /// A line; its line is taken when it is emitted.
-struct Held {
+struct HeldLine {
     scan_line: Option<ScanLine>,
-    places: Places,
+    places: ReturnPositions,
     bytes: usize,
 }
 
@@ -48,9 +48,9 @@ struct Verdicts {
     sides: Vec<Option<Side>>,
 }
 
-impl Strip {
-    pub(super) fn new(config: FilterOutliers) -> Strip {
-        Strip {
+impl OutlierWindow {
+    pub(super) fn new(config: FilterOutliers) -> OutlierWindow {
+        OutlierWindow {
             config,
             motion: AssumedMotion::default(),
             lines: VecDeque::new(),
@@ -65,10 +65,10 @@ impl Strip {
         if !has_vertical(scan_line.input.frame) {
             out.cx.info("without a trajectory, outliers are detected as if the sensor moved straight on by half a shot spacing per line");
         }
-        let places = Places::of(&scan_line, &mut self.motion);
+        let places = ReturnPositions::of(&scan_line, &mut self.motion);
         let bytes = scan_line.bytes() + places.bytes();
         self.bytes += bytes;
-        self.lines.push_back(Held { scan_line: Some(scan_line), places, bytes });
+        self.lines.push_back(HeldLine { scan_line: Some(scan_line), places, bytes });
         while self.lines.len() - self.next > LINES_APART {
             self.judge_next(out)?;
         }
@@ -155,7 +155,7 @@ impl Strip {
 /// Determines whether each outlier lies above or below the line.
 ///
 /// The level is the mean height of the nearest supported returns before and after it.
-fn find_sides(places: &Places, verdicts: &mut Verdicts) {
+fn find_sides(places: &ReturnPositions, verdicts: &mut Verdicts) {
     let heights = &places.height_m;
     let mut before = vec![f64::NAN; heights.len()];
     let mut last = f64::NAN;
@@ -181,7 +181,7 @@ fn find_sides(places: &Places, verdicts: &mut Verdicts) {
 }
 
 /// Rejects waveforms that consist of outliers and jump from their neighbours.
-fn reject_jumps(places: &Places, verdicts: &mut Verdicts, config: &FilterOutliers) {
+fn reject_jumps(places: &ReturnPositions, verdicts: &mut Verdicts, config: &FilterOutliers) {
     let mut waves: Vec<Range<usize>> = Vec::new();
     for of_wave in places.line.points().chunk_by(|a, b| a.waveform == b.waveform) {
         let from = waves.last().map_or(0, |last| last.end);

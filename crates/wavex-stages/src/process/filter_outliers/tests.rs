@@ -79,7 +79,7 @@ fn scene(lying: &Lying) -> Vec<ScanLine> {
 
 /// Runs the stage; returns its lines, counters and notes.
 fn run(keys: &FilterOutliers, lines: Vec<ScanLine>, may_hold_bytes: usize) -> (Vec<ScanLine>, Context) {
-    let mut stage = OutlierFilter { strip: Strip::new(keys.clone()) };
+    let mut stage = OutlierFilter { strip: OutlierWindow::new(keys.clone()) };
     let (mut cx, mut given_on) = (Context::default(), Vec::new());
     let mut emit = |scan_line: ScanLine| {
         given_on.push(scan_line);
@@ -209,7 +209,7 @@ fn what_memory_holds_is_held_and_what_it_does_not_is_said() {
         cx.counters().notes,
         ["outliers are detected with fewer neighbouring lines than wanted: more do not fit into memory_mb"]
     );
-    assert_eq!(lines.iter().map(|batch| batch.line).collect::<Vec<_>>(), (0..20).collect::<Vec<_>>());
+    assert_eq!(lines.iter().map(|scan_line| scan_line.line).collect::<Vec<_>>(), (0..20).collect::<Vec<_>>());
     let marked = marked(&lines);
     assert!([(4, 10), (6, 40), (9, 30)].iter().all(|at| marked.contains(at)), "{marked:?}");
 }

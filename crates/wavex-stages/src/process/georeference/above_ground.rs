@@ -12,19 +12,19 @@ const RADIUS_M: f64 = 6_371_008.8;
 /// They are measured along the vertical there, with a spherical correction for the curvature of the
 /// earth. Within 5 km they differ from ellipsoidal heights by less than 2 cm; the difference of two
 /// nearby heights is more accurate.
-pub(super) struct Level {
+pub(super) struct ReferenceLevel {
     place_m: Vector,
     down: Vector,
     /// Half the curvature, 1/m; 0 in a projected CRS.
     half_curvature: f64,
 }
 
-impl Level {
+impl ReferenceLevel {
     /// Height reference for a line; `None` if the frame has no vertical.
-    pub(super) fn of(frame: Frame, emissions: &[Emission]) -> Option<Level> {
+    pub(super) fn of(frame: Frame, emissions: &[Emission]) -> Option<ReferenceLevel> {
         let place_m = emissions.first()?.origin_m;
         let half_curvature = if frame == Frame::Earth { 0.5 / RADIUS_M } else { 0.0 };
-        Some(Level { place_m, down: down_at(frame, place_m)?, half_curvature })
+        Some(ReferenceLevel { place_m, down: down_at(frame, place_m)?, half_curvature })
     }
 
     /// Median height of the sensor above the last returns that are not withheld; `None` without
@@ -67,7 +67,7 @@ mod tests {
                 );
                 WGS84.ecef_of(Geodetic { latitude_rad, longitude_rad, height_m })
             };
-            let level = Level::of(Frame::Earth, &[emission(ecef_m(0.0, 0.0, 3000.0))]).unwrap();
+            let level = ReferenceLevel::of(Frame::Earth, &[emission(ecef_m(0.0, 0.0, 3000.0))]).unwrap();
             for (north_m, east_m) in [(0.0, 0.0), (5000.0, 0.0), (-3000.0, 4000.0), (0.0, -5000.0)] {
                 let [high, low] =
                     [2500.0, 100.0].map(|height_m| level.height_m(ecef_m(north_m, east_m, height_m)));
@@ -95,9 +95,12 @@ mod tests {
             found(2, [1, 1], true),
         ];
         let points = [100.0, 130.0, 90.0, -500.0].map(|z| [0.0, 0.0, z]);
-        let level = Level::of(Frame::Map, &emissions).unwrap();
+        let level = ReferenceLevel::of(Frame::Map, &emissions).unwrap();
         assert_eq!(level.agl_m(&emissions, &returns, &points), Some(900.0), "the lower of two middles");
         assert_eq!(level.agl_m(&emissions, &returns[3..], &points[3..]), None);
-        assert!(Level::of(Frame::Scanner, &emissions).is_none() && Level::of(Frame::Map, &[]).is_none());
+        assert!(
+            ReferenceLevel::of(Frame::Scanner, &emissions).is_none()
+                && ReferenceLevel::of(Frame::Map, &[]).is_none()
+        );
     }
 }

@@ -19,7 +19,7 @@ const LATEST_NS: f64 = 1e9;
 
 /// Destination of a block or online return before its zone is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Place {
+pub(super) enum Destination {
     /// Stays with its shot: an outgoing pulse, or a block with a known zone.
     Stays,
     /// Goes where its group goes.
@@ -31,9 +31,9 @@ pub(super) enum Place {
 /// Blocks of one record that overlap in time, and so come from one shot.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Group {
-    /// Index of the emission whose record contains them.
+    /// Index of the shot whose record contains them.
     pub record: u32,
-    /// Start and end after that emission's clock, ns.
+    /// Start and end after the clock of that shot, ns.
     pub from_ns: f64,
     to_ns: f64,
     /// Its echoes in [`Received::echoes`].
@@ -42,8 +42,8 @@ pub(super) struct Group {
 
 /// One echo.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Peak {
-    /// Time after the clock of the emission whose record contains it, ns.
+pub(super) struct EchoPeak {
+    /// Time after the clock of the shot whose record contains it, ns.
     pub time_ns: f64,
     /// Height above the background at gain 1, digitiser steps.
     pub height_dn: f64,
@@ -54,11 +54,11 @@ pub(super) struct Peak {
 pub(super) struct Received {
     pub groups: Vec<Group>,
     /// The echoes of the groups, group by group.
-    pub echoes: Vec<Peak>,
+    pub echoes: Vec<EchoPeak>,
     /// One entry per block.
-    pub blocks: Vec<Place>,
+    pub blocks: Vec<Destination>,
     /// One entry per online return.
-    pub online: Vec<Place>,
+    pub online: Vec<Destination>,
     /// Delay of each shot's outgoing pulse after its clock, ns; NaN if not recorded.
     pub outgoing_ns: Vec<f64>,
 }
@@ -66,8 +66,8 @@ pub(super) struct Received {
 impl Received {
     pub fn of(emissions: &[Emission], blocks: &Blocks) -> Received {
         let mut received = Received {
-            blocks: vec![Place::Stays; blocks.len()],
-            online: vec![Place::Stays; blocks.online.len()],
+            blocks: vec![Destination::Stays; blocks.len()],
+            online: vec![Destination::Stays; blocks.online.len()],
             outgoing_ns: vec![f64::NAN; emissions.len()],
             ..Received::default()
         };
@@ -80,7 +80,7 @@ impl Received {
                 if next.channel == Channel::Reference {
                     received.outgoing_ns[record as usize] = outgoing_ns(next, blocks.samples(next));
                 }
-                if received.blocks[block] == Place::Group(0) {
+                if received.blocks[block] == Destination::Group(0) {
                     members.push((block, *next));
                 }
                 block += 1;
@@ -110,7 +110,7 @@ impl Received {
             }
             let group = self.groups.len() as u32;
             let of_group = &members[from..until];
-            of_group.iter().for_each(|&(index, _)| self.blocks[index] = Place::Group(group));
+            of_group.iter().for_each(|&(index, _)| self.blocks[index] = Destination::Group(group));
             let first = self.echoes.len() as u32;
             find(of_group, blocks, &mut self.echoes);
             let echoes = first..self.echoes.len() as u32;
@@ -123,7 +123,7 @@ impl Received {
     fn add_online(&mut self, first: usize, index: usize, record: u32, blocks: &Blocks) {
         let time_ns = blocks.online[index].time_ns;
         if !has_time(time_ns) {
-            self.online[index] = Place::Nowhere;
+            self.online[index] = Destination::Nowhere;
             return;
         }
         let covers = |group: &Group| {
@@ -133,13 +133,13 @@ impl Received {
             Some(group) => first + group,
             None => {
                 let echo = self.echoes.len() as u32;
-                self.echoes.push(Peak { time_ns, height_dn: 1.0 });
+                self.echoes.push(EchoPeak { time_ns, height_dn: 1.0 });
                 let (from_ns, to_ns) = (time_ns, time_ns);
                 self.groups.push(Group { record, from_ns, to_ns, echoes: echo..echo + 1 });
                 self.groups.len() - 1
             }
         };
-        self.online[index] = Place::Group(group as u32);
+        self.online[index] = Destination::Group(group as u32);
     }
 }
 
@@ -152,18 +152,18 @@ fn has_time(time_ns: f64) -> bool {
 }
 
 /// Whether a block stays; otherwise its group is set later.
-fn place_of(block: &Block, emission: &Emission) -> Place {
+fn place_of(block: &Block, emission: &Emission) -> Destination {
     if block.channel == Channel::Reference || block.zone.or(emission.mta_zone).is_some() {
-        Place::Stays
+        Destination::Stays
     } else if has_time(block.start_ns) && has_time(end_ns(block)) {
-        Place::Group(0)
+        Destination::Group(0)
     } else {
-        Place::Nowhere
+        Destination::Nowhere
     }
 }
 
 /// Finds the echoes of a group in its most sensitive receiver; at least one.
-fn find(group: &[(usize, Block)], blocks: &Blocks, echoes: &mut Vec<Peak>) {
+fn find(group: &[(usize, Block)], blocks: &Blocks, echoes: &mut Vec<EchoPeak>) {
     let order = [Channel::LowPower, Channel::HighPower, Channel::Saturation];
     let recorded = |channel: &Channel| group.iter().any(|(_, block)| block.channel == *channel);
     let channel = order.into_iter().find(recorded).unwrap_or(Channel::LowPower);
@@ -178,7 +178,7 @@ fn find(group: &[(usize, Block)], blocks: &Blocks, echoes: &mut Vec<Peak>) {
     let kept = own.iter().take(MOST_ECHOES).filter(|peak| peak.height_dn >= least_dn).count().max(1);
     echoes.truncate(first + kept);
     if echoes.len() == first {
-        echoes.extend(group.first().map(|(_, block)| Peak { time_ns: block.start_ns, height_dn: 1.0 }));
+        echoes.extend(group.first().map(|(_, block)| EchoPeak { time_ns: block.start_ns, height_dn: 1.0 }));
     }
 }
 
@@ -186,7 +186,7 @@ fn find(group: &[(usize, Block)], blocks: &Blocks, echoes: &mut Vec<Peak>) {
 ///
 /// The position is the middle of the run; for a single sample it is the vertex of the parabola
 /// through it and its neighbours.
-fn peaks(block: &Block, samples: &[u16], echoes: &mut Vec<Peak>) {
+fn peaks(block: &Block, samples: &[u16], echoes: &mut Vec<EchoPeak>) {
     let background_dn = f64::from(background(samples));
     let mut from = 0;
     while from < samples.len() {
@@ -202,7 +202,7 @@ fn peaks(block: &Block, samples: &[u16], echoes: &mut Vec<Peak>) {
                 _ => 0.5 * (from + until - 1) as f64,
             };
             let height_dn = (f64::from(level) - background_dn) / block.gain;
-            echoes.push(Peak { time_ns: block.time_ns(position), height_dn });
+            echoes.push(EchoPeak { time_ns: block.time_ns(position), height_dn });
         }
         from = until;
     }
@@ -298,8 +298,8 @@ mod tests {
         blocks.push(0, Channel::HighPower, None, 101.43, 1.0, &[2, 9, 2, 2, 2]);
         blocks.push(1, Channel::HighPower, None, 301.43, 1.0, &[2, 9, 2, 2, 2]);
         let received = Received::of(&unresolved(2), &blocks);
-        let group = Place::Group;
-        assert_eq!(received.blocks, [Place::Stays, group(0), group(1), group(0), group(2)]);
+        let group = Destination::Group;
+        assert_eq!(received.blocks, [Destination::Stays, group(0), group(1), group(0), group(2)]);
         assert_eq!([0, 1, 2].map(|g| times(&received, g)), [[102.0], [302.0], [302.43]]);
         assert_eq!(received.groups.iter().map(|group| group.record).collect::<Vec<_>>(), [0, 0, 1]);
     }
@@ -312,7 +312,10 @@ mod tests {
         blocks.push(0, Channel::LowPower, None, f64::NAN, 1.0, &[1]);
         blocks.push(0, Channel::LowPower, Some(3), 500.0, 1.0, &[1]);
         let received = Received::of(&unresolved(1), &blocks);
-        assert_eq!(received.blocks, [Place::Group(0), Place::Nowhere, Place::Nowhere, Place::Stays]);
+        assert_eq!(
+            received.blocks,
+            [Destination::Group(0), Destination::Nowhere, Destination::Nowhere, Destination::Stays]
+        );
         assert_eq!(times(&received, 0), [100.0]);
     }
 
@@ -323,7 +326,7 @@ mod tests {
         let online = |time_ns| wavex_line::scan_line::OnlineReturn { emission: 0, time_ns, amplitude: 1.0 };
         blocks.online = vec![online(102.1), online(700.0), online(f64::NAN)];
         let received = Received::of(&unresolved(1), &blocks);
-        assert_eq!(received.online, [Place::Group(0), Place::Group(1), Place::Nowhere]);
+        assert_eq!(received.online, [Destination::Group(0), Destination::Group(1), Destination::Nowhere]);
         assert_eq!(times(&received, 1), [700.0]);
     }
 }

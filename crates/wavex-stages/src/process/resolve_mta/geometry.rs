@@ -21,7 +21,7 @@ const MOST_BEAMS: usize = 4096;
 
 /// Beam geometry of a recording.
 #[derive(Clone, Debug)]
-pub(super) struct Geometry {
+pub(super) struct BeamGeometry {
     frame: Frame,
     range_m: [f64; 2],
     /// Straight down, or the best estimate in frames without a vertical.
@@ -39,7 +39,7 @@ pub(super) struct Geometry {
     is_circular: Option<bool>,
 }
 
-impl Geometry {
+impl BeamGeometry {
     /// The geometry of a recording, from its first line.
     ///
     /// In the scanner frame, down is the axis nearest to the mean direction of the line.
@@ -48,7 +48,7 @@ impl Geometry {
         range_m: [f64; 2],
         terrain: Option<&Terrain>,
         placed: &Placed,
-    ) -> Result<Geometry> {
+    ) -> Result<BeamGeometry> {
         let frame = line.input.frame;
         let map = match terrain {
             Some(terrain) if frame == Frame::Earth => {
@@ -74,7 +74,7 @@ impl Geometry {
             Frame::Body => [0.0, 0.0, 1.0],
             _ => main_axis(line.emissions.iter().map(|emission| emission.direction)),
         });
-        Ok(Geometry {
+        Ok(BeamGeometry {
             frame,
             range_m,
             down,

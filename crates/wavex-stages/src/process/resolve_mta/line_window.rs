@@ -2,8 +2,8 @@
 
 use std::collections::VecDeque;
 
-use super::echoes::{Group, Peak, Place, Received};
-use super::geometry::Geometry;
+use super::echoes::{Destination, EchoPeak, Group, Received};
+use super::geometry::BeamGeometry;
 use super::summary::MtaCounts;
 use super::{ResolveMta, failed};
 use wavex_formats::terrain::Terrain;
@@ -25,10 +25,10 @@ const WINDOW_BYTES_PER_SHOT: usize = 256;
 const WINDOW_BYTES_PER_BLOCK: usize = 240;
 
 /// Lines whose zones are being resolved.
-pub(super) struct Strip {
+pub(super) struct ZoneWindow {
     resolver: Resolver,
     settings: Settings,
-    geometry: Geometry,
+    geometry: BeamGeometry,
     /// The first lines, until it is known whether the scanner is circular.
     first_lines: Vec<ScanLine>,
     held: VecDeque<HeldLine>,
@@ -53,7 +53,7 @@ pub(super) struct Strip {
 struct HeldLine {
     scan_line: ScanLine,
     received: Received,
-    /// Index in the line of each emission known to the resolver.
+    /// Index in the line of each shot known to the resolver.
     known: Vec<u32>,
     /// Group of each echo known to the resolver.
     group_of_echo: Vec<u32>,
@@ -87,7 +87,7 @@ struct Assignment {
     is_uncertain: bool,
 }
 
-impl Strip {
+impl ZoneWindow {
     /// Starts with the first line of a recording.
     pub fn new(
         config: &ResolveMta,
@@ -95,16 +95,16 @@ impl Strip {
         terrain: Option<&Terrain>,
         placed: &Placed,
         out: &mut Output,
-    ) -> Result<Strip> {
+    ) -> Result<ZoneWindow> {
         let settings = config.settings(first.input.group_velocity_mps);
         let resolver = Resolver::new(&settings).map_err(|error| failed(&error))?;
-        let geometry = Geometry::of(first, config.range_m, terrain, placed)?;
+        let geometry = BeamGeometry::of(first, config.range_m, terrain, placed)?;
         let mut terrain_bytes = 0;
         if let Some(terrain) = terrain {
             terrain_elsewhere(terrain, first, out);
             terrain_bytes = terrain.bytes();
         }
-        Ok(Strip {
+        Ok(ZoneWindow {
             resolver,
             settings,
             geometry,
@@ -277,7 +277,7 @@ impl Strip {
         for (echo, _) in votes() {
             let of_cause = votes().filter(|(other, _)| other.cause == echo.cause);
             let weight: f64 = of_cause.map(|(_, peak)| peak.height_dn.max(1.0)).sum();
-            // Of equal weights the first wins, which is that of the highest pulse.
+            // Of equal weights the first wins; it belongs to the highest pulse.
             if best.is_none_or(|(most, _)| weight > most) {
                 best = Some((weight, echo));
             }
@@ -315,7 +315,7 @@ impl HeldLine {
     /// `outgoing_ps` is the delay of the last outgoing pulse relative to its clock.
     fn for_kernel(
         &mut self,
-        geometry: &Geometry,
+        geometry: &BeamGeometry,
         terrain: Option<&Terrain>,
         outgoing_ps: &mut i64,
     ) -> mta::Line {
@@ -370,10 +370,10 @@ impl HeldLine {
         let received = &self.received;
         self.bytes = self.scan_line.bytes()
             + shots * (BYTES_PER_SHOT + CELL_BYTES_PER_SHOT + size_of::<u32>() + size_of::<f64>())
-            + received.echoes.len() * (BYTES_PER_ECHO + size_of::<Peak>() + size_of::<u32>())
+            + received.echoes.len() * (BYTES_PER_ECHO + size_of::<EchoPeak>() + size_of::<u32>())
             + received.groups.len() * (size_of::<Group>() + size_of::<Option<Assignment>>())
-            + received.blocks.len() * (size_of::<Place>() + 2 * size_of::<Relocation>())
-            + received.online.len() * (size_of::<Place>() + 2 * size_of::<OnlineReturn>());
+            + received.blocks.len() * (size_of::<Destination>() + 2 * size_of::<Relocation>())
+            + received.online.len() * (size_of::<Destination>() + 2 * size_of::<OnlineReturn>());
         if let Some(ticket) = &mut self.scan_line.ticket {
             ticket.resize(self.bytes);
         }
@@ -403,8 +403,8 @@ impl HeldLine {
         out: &mut Output,
     ) -> (Vec<(u64, Relocation)>, Vec<(u64, OnlineReturn)>) {
         let Some(blocks) = self.scan_line.blocks() else { return (Vec::new(), Vec::new()) };
-        let verdict = |place: Place| match place {
-            Place::Group(group) => verdicts.get(group as usize).copied().flatten(),
+        let verdict = |place: Destination| match place {
+            Destination::Group(group) => verdicts.get(group as usize).copied().flatten(),
             _ => None,
         };
         let mut moves = Vec::with_capacity(blocks.len());
@@ -418,13 +418,13 @@ impl HeldLine {
                 is_uncertain: block.is_zone_uncertain,
             };
             let line = match (place, verdict(place)) {
-                (Place::Group(_), Some(verdict)) => {
+                (Destination::Group(_), Some(verdict)) => {
                     moved.to = verdict.emission;
                     moved.start_ns += verdict.later_ns;
                     (moved.zone, moved.is_uncertain) = (Some(verdict.zone), verdict.is_uncertain);
                     verdict.line
                 }
-                (Place::Stays, _) => {
+                (Destination::Stays, _) => {
                     let Some(emission) = self.scan_line.emissions.get(block.emission as usize) else {
                         out.cx.reject(Reason::BlockWithoutShot, 1);
                         continue;
@@ -434,11 +434,11 @@ impl HeldLine {
                     }
                     number
                 }
-                (Place::Nowhere, _) => {
+                (Destination::Nowhere, _) => {
                     out.cx.reject(Reason::BlockFarFromShot, 1);
                     continue;
                 }
-                (Place::Group(_), None) => {
+                (Destination::Group(_), None) => {
                     out.cx.reject(Reason::NoEmission, 1);
                     continue;
                 }
@@ -451,14 +451,14 @@ impl HeldLine {
     fn online_moves(
         &self,
         number: u64,
-        verdict: impl Fn(Place) -> Option<Assignment>,
+        verdict: impl Fn(Destination) -> Option<Assignment>,
         out: &mut Output,
     ) -> Vec<(u64, OnlineReturn)> {
         let online = self.scan_line.blocks().map_or(&[][..], |blocks| &blocks.online);
         let mut moves = Vec::with_capacity(online.len());
         for (&returned, &place) in online.iter().zip(&self.received.online) {
             match (place, verdict(place)) {
-                (Place::Stays, _) => moves.push((number, returned)),
+                (Destination::Stays, _) => moves.push((number, returned)),
                 (_, Some(Assignment { line, emission, later_ns, .. })) => {
                     let time_ns = returned.time_ns + later_ns;
                     moves.push((line, OnlineReturn { emission, time_ns, ..returned }));

@@ -237,15 +237,15 @@ fn an_empty_container_has_no_lines() {
 
 #[test]
 fn the_key_is_a_path_or_several() {
-    let config: Config = toml::from_str("path = \"-\"").unwrap();
+    let config: ReadArrow = toml::from_str("path = \"-\"").unwrap();
     assert_eq!(config.paths().unwrap().patterns(), ["-"]);
     assert_eq!(config.check(), Ok(()));
-    let config: Config = toml::from_str("path = [\"a.arrow\", \"\"]").unwrap();
+    let config: ReadArrow = toml::from_str("path = [\"a.arrow\", \"\"]").unwrap();
     assert_eq!(config.check(), Err(InvalidKey::new("path", "a path is empty")));
-    let config: Config = toml::from_str("path = []").unwrap();
+    let config: ReadArrow = toml::from_str("path = []").unwrap();
     assert_eq!(config.check(), Err(InvalidKey::new("path", "at least one file is needed")));
-    let error = toml::from_str::<Config>("").unwrap_err().to_string();
+    let error = toml::from_str::<ReadArrow>("").unwrap_err().to_string();
     assert!(error.contains("missing field `path`"), "{error}");
-    let error = toml::from_str::<Config>("path = \"a\"\nline = 3").unwrap_err().to_string();
+    let error = toml::from_str::<ReadArrow>("path = \"a\"\nline = 3").unwrap_err().to_string();
     assert!(error.contains("unknown field `line`"), "{error}");
 }

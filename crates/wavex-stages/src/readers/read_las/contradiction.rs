@@ -1,6 +1,6 @@
 //! Contradictions between the beams, return locations and points of a LAS file.
 
-use super::geometry::Geometry;
+use super::geometry::FileGeometry;
 use crate::reading::emission_choice::lone_peak;
 use crate::reading::plausible;
 use wavex_formats::las::{Point, Reader};
@@ -52,7 +52,7 @@ pub(crate) fn crs_check() -> Check {
 }
 
 /// Refuses vectors and sampling intervals that contradict physics, if any waveform can be read.
-pub(super) fn check_beams(geometry: &Geometry) -> Result<()> {
+pub(super) fn check_beams(geometry: &FileGeometry) -> Result<()> {
     let Some(sampling) = geometry.sampling else { return Ok(()) };
     plausible::check_interval(
         f64::from(sampling.spacing_ps) / 1000.0,
@@ -70,8 +70,8 @@ pub(super) fn check_beams(geometry: &Geometry) -> Result<()> {
 ///
 /// The points of the file are the reference: where a waveform has a single echo and a single point, the
 /// location is to be that of its peak.
-pub(super) fn check_locations(reader: &mut Reader, geometry: &Geometry) -> Result<()> {
-    let mut echoes: Vec<Echo> = Vec::new();
+pub(super) fn check_locations(reader: &mut Reader, geometry: &FileGeometry) -> Result<()> {
+    let mut echoes: Vec<SingleEcho> = Vec::new();
     let (mut point, mut samples) = (Point::default(), Vec::new());
     let mut looked_at = 0;
     while looked_at < MOST_POINTS && reader.next_point(&mut point)? {
@@ -84,14 +84,14 @@ pub(super) fn check_locations(reader: &mut Reader, geometry: &Geometry) -> Resul
         let location_ns = f64::from(point.wave.location_ps) / 1000.0;
         if let Some(peak) = lone_peak(&samples).filter(|_| location_ns.is_finite()) {
             let last_ns = (samples.len() - 1) as f64 * spacing_ns;
-            echoes.push(Echo { peak_ns: peak * spacing_ns, location_ns, last_ns });
+            echoes.push(SingleEcho { peak_ns: peak * spacing_ns, location_ns, last_ns });
         }
     }
     if echoes.len() < FEWEST_ECHOES {
         return Ok(());
     }
     let metres_per_ns = 0.5e-9 * geometry.group_velocity_mps;
-    let off_m = |location_ns: fn(&Echo) -> f64| {
+    let off_m = |location_ns: fn(&SingleEcho) -> f64| {
         metres_per_ns
             * median(echoes.iter().map(|echo| (echo.peak_ns - location_ns(echo)).abs())).unwrap_or(f64::NAN)
     };
@@ -120,7 +120,7 @@ pub(super) fn check_locations(reader: &mut Reader, geometry: &Geometry) -> Resul
 }
 
 /// A single echo with one point, times since the first sample.
-struct Echo {
+struct SingleEcho {
     peak_ns: f64,
     location_ns: f64,
     last_ns: f64,

@@ -1,19 +1,19 @@
 //! Beam geometry of a LAS file, learnt from its first points.
 
 use super::BeamVectors;
-use crate::reading::recording::units::Units;
+use crate::reading::recording::units::RecordingUnits;
 use wavex_formats::las::{MAX_COORDINATE, PacketDescriptor, Point, Reader, Wave};
 use wavex_geodesy::beam_length::BeamLength;
 use wavex_line::stage::Result;
 
 /// Beam properties common to a file.
-pub(super) struct Geometry {
+pub(super) struct FileGeometry {
     pub(super) beams: BeamLength,
     pub(super) group_velocity_mps: f64,
     /// True if direction vectors point up to the sensor; files differ in this.
     towards_sensor: bool,
     vectors: BeamVectors,
-    pub(super) units: Units,
+    pub(super) units: RecordingUnits,
     pub(super) has_locations: bool,
     /// Descriptor of the first readable waveform.
     pub(super) sampling: Option<PacketDescriptor>,
@@ -24,9 +24,13 @@ const METRES_PER_NS: f64 = 0.149_853_751;
 /// Number of points used to determine the geometry of a file.
 const POINTS_LOOKED_AT: usize = 10_000;
 
-impl Geometry {
+impl FileGeometry {
     /// Determines beam geometry from the first points of a file.
-    pub(super) fn learn(reader: &mut Reader, of_file: BeamVectors, units: Units) -> Result<Geometry> {
+    pub(super) fn learn(
+        reader: &mut Reader,
+        of_file: BeamVectors,
+        units: RecordingUnits,
+    ) -> Result<FileGeometry> {
         let mut vectors: Vec<[f64; 3]> = Vec::new();
         let (mut has_locations, mut sampling) = (false, None);
         let mut point = Point::default();
@@ -46,7 +50,7 @@ impl Geometry {
         let median = lengths.get(lengths.len() / 2).copied();
         let units_per_ns = beams.vertical().or(median).unwrap_or(METRES_PER_NS / units.map_m);
         let group_velocity_mps = units_per_ns * units.map_m * 2e9;
-        Ok(Geometry {
+        Ok(FileGeometry {
             beams,
             group_velocity_mps,
             towards_sensor,
@@ -65,13 +69,13 @@ impl Geometry {
 }
 
 /// Converts the height of a point and of its vector to the unit of x and y.
-pub(super) fn convert_heights(point: &mut Point, units: Units) {
+pub(super) fn convert_heights(point: &mut Point, units: RecordingUnits) {
     point.z *= units.height_factor;
     point.wave.direction_per_ps[2] *= units.height_factor as f32;
 }
 
 /// Vector of a waveform per nanosecond, in units of x and y.
-fn per_ns(wave: &Wave, vectors: BeamVectors, units: Units) -> [f64; 3] {
+fn per_ns(wave: &Wave, vectors: BeamVectors, units: RecordingUnits) -> [f64; 3] {
     let stored = wave.direction_per_ps.map(|x| 1000.0 * f64::from(x));
     let scale = match vectors {
         BeamVectors::Stored => 1.0,
@@ -89,7 +93,7 @@ const LEARN_BASELINE_NS: f64 = 1000.0;
 ///
 /// Sample `i` lies at `P + (location − i × spacing) × vector` (LAS 1.4 R15, "Parametric dx, dy,
 /// dz").
-pub(super) fn first_sample(pulse: &[Point], packet_offset: u64, geometry: &Geometry) -> [f64; 3] {
+pub(super) fn first_sample(pulse: &[Point], packet_offset: u64, geometry: &FileGeometry) -> [f64; 3] {
     let sharing = || pulse.iter().filter(|point| point.wave.offset == packet_offset);
     let n = sharing().count().max(1) as f64;
     let mut mean_m = [0.0; 3];

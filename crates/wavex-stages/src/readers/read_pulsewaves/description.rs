@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::reading::recording::units::Units;
+use crate::reading::recording::units::RecordingUnits;
 use wavex_formats::pulsewaves::{Reader, SegmentKind, TimeAxis};
 use wavex_formats::{RecordedCrs, geokeys};
 use wavex_geodesy::beam_length::BeamLength;
@@ -15,7 +15,7 @@ pub(super) fn describe(
     path: &Path,
     stem: &str,
     beams: &BeamLength,
-    (units, crs, around_earth): (Units, RecordedCrs, bool),
+    (units, crs, around_earth): (RecordingUnits, RecordedCrs, bool),
 ) -> InputInfo {
     let header = reader.header();
     let scanner = reader.scanners().values().next();

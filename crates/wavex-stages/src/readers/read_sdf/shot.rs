@@ -33,7 +33,7 @@ pub(super) fn what_is(record: &SdfRecord) -> What {
 
 /// Result of reading a shot record.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Found {
+pub(super) enum ReadShot {
     /// A valid shot; its number is not known yet.
     Shot(Emission),
     /// The reason why the shot is rejected.
@@ -41,13 +41,13 @@ pub(super) enum Found {
 }
 
 /// Reads the shot of a record; its time is external time.
-pub(super) fn read(record: &SdfRecord) -> Found {
+pub(super) fn read(record: &SdfRecord) -> ReadShot {
     if let Some(reason) = wrong(record) {
-        return Found::Wrong(reason);
+        return ReadShot::Wrong(reason);
     }
     let length = length(record.direction);
     let is_unit = (length - 1.0).abs() <= AS_GOOD_AS_UNIT;
-    Found::Shot(Emission {
+    ReadShot::Shot(Emission {
         gps_time_s: record.time_external_s,
         clock_ps: clock_ps(record.time_s) + zero_of(record).map_or(0, clock_ps),
         origin_m: record.origin_m,
@@ -182,7 +182,7 @@ mod tests {
 
     #[test]
     fn the_last_shot_of_a_line_says_so_and_unknown_bits_are_left_out() {
-        let Found::Shot(shot) = read(&record(0xff0b, DOWN, 1)) else { panic!("a shot") };
+        let ReadShot::Shot(shot) = read(&record(0xff0b, DOWN, 1)) else { panic!("a shot") };
         assert_eq!(shot.flags, 3 | emission_flags::EDGE_OF_FLIGHT_LINE);
         assert!(ends_line(&shot));
         assert_eq!((shot.mta_zone, shot.frame_scale), (None, 1.0));
@@ -207,15 +207,15 @@ mod tests {
         for (reason, change) in changes {
             let mut record = record(3, DOWN, 1);
             change(&mut record);
-            assert_eq!(read(&record), Found::Wrong(reason));
+            assert_eq!(read(&record), ReadShot::Wrong(reason));
         }
     }
 
     #[test]
     fn a_direction_of_few_digits_is_made_a_unit_vector() {
         let direction_of = |z| match read(&record(3, [0.0, 0.6, z], 0)) {
-            Found::Shot(shot) => shot.direction,
-            Found::Wrong(reason) => panic!("{reason}"),
+            ReadShot::Shot(shot) => shot.direction,
+            ReadShot::Wrong(reason) => panic!("{reason}"),
         };
         assert_eq!(direction_of(0.800_000_9), [0.0, 0.6, 0.800_000_9]);
         assert!((length(direction_of(0.8001)) - 1.0).abs() < 1e-15);
@@ -228,7 +228,7 @@ mod tests {
         assert_eq!(zero_of(&record), None);
         record.push(channel::REFERENCE, -2.5e-9, &[]);
         assert_eq!(zero_of(&record), Some(-2.5e-9));
-        assert!(matches!(read(&record), Found::Shot(shot) if shot.clock_ps == 4_999_999_997_500));
+        assert!(matches!(read(&record), ReadShot::Shot(shot) if shot.clock_ps == 4_999_999_997_500));
     }
 
     proptest! {

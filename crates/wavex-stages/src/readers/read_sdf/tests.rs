@@ -4,7 +4,7 @@ use super::*;
 use wavex_line::stage::Config as _;
 
 fn check(keys: &str) -> std::result::Result<(), InvalidKey> {
-    toml::from_str::<Config>(&format!("path = \"a.sdf\"\n{keys}")).unwrap().check()
+    toml::from_str::<ReadSdf>(&format!("path = \"a.sdf\"\n{keys}")).unwrap().check()
 }
 
 #[test]
@@ -24,7 +24,7 @@ fn keys_that_cannot_be_are_refused() {
         ("\"\"", "a path is empty"),
         ("\"-\"", "standard input cannot be read: give a file"),
     ] {
-        let config: Config = toml::from_str(&format!("path = {path}")).unwrap();
+        let config: ReadSdf = toml::from_str(&format!("path = {path}")).unwrap();
         assert_eq!(config.check(), Err(InvalidKey::new("path", problem)));
     }
 }

@@ -29,7 +29,7 @@ const FALSE_ALARM_REACH: f64 = 1.25;
 
 /// A flight whose scan lines can be generated in any order.
 #[derive(Debug)]
-pub(super) struct Flight {
+pub(super) struct SimulatedFlight {
     input: Arc<InputInfo>,
     pub(super) seed: u64,
     pub(super) lines: u32,
@@ -68,12 +68,12 @@ pub(super) struct Cast {
     pub(super) shot: ScannerShot,
     /// Its beam through the scene.
     beam: SceneBeam,
-    pub(super) pulse: Pulse,
+    pub(super) pulse: SimulatedPulse,
 }
 
 /// Random properties of a pulse.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Pulse {
+pub(super) struct SimulatedPulse {
     /// Emission time after the tick of the sample clock, ns.
     pub(super) emission_ns: f64,
     /// Energy relative to the mean.
@@ -84,7 +84,7 @@ pub(super) struct Pulse {
 
 /// Recording conditions of an echo.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Recorded {
+pub(super) struct RecordingConditions {
     pub(super) zone: i16,
     pub(super) in_high_power: bool,
     pub(super) gain: f64,
@@ -123,8 +123,8 @@ pub(super) fn strongest(echoes: &[ReceivedEcho]) -> Option<f64> {
     echoes.iter().map(|echo| echo.amplitude_dn).reduce(f64::max)
 }
 
-impl Flight {
-    pub(super) fn new(config: &Simulate) -> Result<Flight> {
+impl SimulatedFlight {
+    pub(super) fn new(config: &Simulate) -> Result<SimulatedFlight> {
         let receiver = SimulatedReceiver::new(&config.receiver()).map_err(|_| {
             StageError::failed(
                 "no noise has this spread and autocorrelation",
@@ -133,7 +133,7 @@ impl Flight {
         })?;
         // The scanner can be higher than the aircraft's reference point.
         let furthest_m = (config.flying_height_m + 20.0) / libm::cos(config.steepest_deg().to_radians());
-        Ok(Flight {
+        Ok(SimulatedFlight {
             input: Arc::new(input(config)),
             seed: config.seed,
             lines: config.lines,
@@ -161,8 +161,8 @@ impl Flight {
     }
 
     /// Sets whether lines are generated with their truth.
-    pub(super) fn telling_truth(self, tells_truth: bool) -> Flight {
-        Flight { tells_truth, ..self }
+    pub(super) fn telling_truth(self, tells_truth: bool) -> SimulatedFlight {
+        SimulatedFlight { tells_truth, ..self }
     }
 
     /// Generates a scan line and the truth of its returns.
@@ -212,7 +212,7 @@ impl Flight {
     pub(super) fn cast(&self, line: u32, index: u32) -> Cast {
         let shot = self.scanner.shot(line, index);
         let mut random = Random::of_shot(self.seed, line, index, Purpose::Laser);
-        let pulse = Pulse {
+        let pulse = SimulatedPulse {
             emission_ns: INTERVAL_NS * random.uniform(),
             is_lost: random.uniform() < self.dropout_rate,
             energy: 1.0 + ENERGY_SD * self.normal.draw(&mut random),
@@ -306,7 +306,7 @@ impl Flight {
 
     /// Records outgoing pulse and echoes. Returns the zone of the first echoes.
     fn record(&mut self, cast: &Cast, blocks: &mut Blocks) -> i16 {
-        let mut noise = Recorder::new(self.seed, cast);
+        let mut noise = SampleNoise::new(self.seed, cast);
         noise.emission(&mut self.receiver, cast.index, &cast.pulse, blocks);
         let mut first_zone = None;
         for window in &self.windows {
@@ -333,7 +333,7 @@ impl Flight {
                 cast,
                 hit,
                 echo,
-                Recorded { zone, in_high_power, gain: self.receiver.gain() },
+                RecordingConditions { zone, in_high_power, gain: self.receiver.gain() },
             ));
         }
         number(&mut truth[first..]);
@@ -345,7 +345,7 @@ impl Flight {
         cast: &Cast,
         hit: &Hit,
         echo: &ReceivedEcho,
-        recorded: Recorded,
+        recorded: RecordingConditions,
     ) -> TrueReturn {
         let point_m = cast.beam.at(hit.range_m);
         TrueReturn {
@@ -426,15 +426,15 @@ fn zone_of(scanner: &Scanner, cast: &Cast, time_ns: f64) -> i16 {
 }
 
 /// Random numbers for the samples recorded with one shot.
-pub(super) struct Recorder {
+pub(super) struct SampleNoise {
     low_power: Random,
     high_power: Random,
 }
 
-impl Recorder {
-    pub(super) fn new(seed: u64, cast: &Cast) -> Recorder {
+impl SampleNoise {
+    pub(super) fn new(seed: u64, cast: &Cast) -> SampleNoise {
         let of = |purpose| Random::of_shot(seed, cast.line, cast.index, purpose);
-        Recorder { low_power: of(Purpose::Noise), high_power: of(Purpose::HighPowerNoise) }
+        SampleNoise { low_power: of(Purpose::Noise), high_power: of(Purpose::HighPowerNoise) }
     }
 
     /// Records the outgoing pulse.
@@ -442,7 +442,7 @@ impl Recorder {
         &mut self,
         receiver: &mut SimulatedReceiver,
         index: u32,
-        pulse: &Pulse,
+        pulse: &SimulatedPulse,
         blocks: &mut Blocks,
     ) {
         let (start_ns, samples) =

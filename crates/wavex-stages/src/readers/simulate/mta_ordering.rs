@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::INTERVAL_NS;
-use super::flight::{Cast, Flight, Recorded, Recorder, number, strongest};
+use super::flight::{Cast, RecordingConditions, SampleNoise, SimulatedFlight, number, strongest};
 use wavex_line::scan_line::{Blocks, Emission};
 use wavex_simulation::receiver::{ReceivedEcho, SampleWindow};
 use wavex_simulation::scene::Hit;
@@ -18,7 +18,7 @@ const RISE_NS: f64 = 60.0;
 const DECAY_NS: f64 = 1000.0;
 
 /// Echoes received during a line and around it, in order of time.
-struct Stream {
+struct EchoStream {
     /// Running number of the first shot in `casts`.
     first: u64,
     casts: Vec<Cast>,
@@ -32,10 +32,10 @@ struct Stream {
     strongest: Vec<Option<f64>>,
 }
 
-impl Flight {
+impl SimulatedFlight {
     /// Generates a line with the blocks received during it.
     ///
-    /// The truth is that of the returns of its own shots.
+    /// The truth contains the returns of its own shots.
     pub(super) fn recorded_line(
         &mut self,
         line: u32,
@@ -49,7 +49,7 @@ impl Flight {
         let mut next = received.partition_point(|&place| place < own.start);
         let mut near = Vec::new();
         for (place, cast) in stream.casts.iter().enumerate().take(own.end).skip(own.start) {
-            let mut recorder = Recorder::new(self.seed, cast);
+            let mut recorder = SampleNoise::new(self.seed, cast);
             let gain = self.gain(cast, stream.before(place));
             self.receiver.set_gain(gain);
             recorder.emission(&mut self.receiver, cast.index, &cast.pulse, blocks);
@@ -68,7 +68,7 @@ impl Flight {
     }
 
     /// Collects the echoes that affect a line's blocks or the returns of its shots.
-    fn stream(&mut self, line: u32) -> Stream {
+    fn stream(&mut self, line: u32) -> EchoStream {
         let shots = self.scanner.shots_per_line;
         let tick_ns = |number: u64| {
             let (line, index) = self.scanner.place(number);
@@ -84,7 +84,7 @@ impl Flight {
         while end < all && tick_ns(end) <= last_ns + reach_ns {
             end += 1;
         }
-        let mut stream = Stream {
+        let mut stream = EchoStream {
             first,
             casts: Vec::with_capacity((end - first) as usize),
             base_ns,
@@ -116,7 +116,7 @@ impl Flight {
     /// Adds the truth of the returns of some shots, wherever they were recorded.
     fn tell_stream(
         &self,
-        stream: &Stream,
+        stream: &EchoStream,
         received: &[usize],
         own: Range<usize>,
         truth: &mut Vec<TrueReturn>,
@@ -135,7 +135,7 @@ impl Flight {
                 let in_high_power = self.receiver.is_strong(window, &near);
                 let zone = (received[at] - place) as i16;
                 let gain = self.gain(&stream.casts[received[at]], stream.before(received[at]));
-                let recorded = Recorded { zone, in_high_power, gain };
+                let recorded = RecordingConditions { zone, in_high_power, gain };
                 truth.push(self.true_return(&stream.casts[*place], hit, echo, recorded));
             }
         }
@@ -145,7 +145,7 @@ impl Flight {
     }
 }
 
-impl Stream {
+impl EchoStream {
     /// Index in `casts` of the shot with which each window is stored.
     ///
     /// The last shot emitted before the window begins.

@@ -20,7 +20,7 @@ fn bare() -> Simulate {
 }
 
 fn lines(config: &Simulate, lines: std::ops::Range<u32>) -> Vec<(ScanLine, Vec<TrueReturn>)> {
-    let mut flight = Flight::new(config).unwrap();
+    let mut flight = SimulatedFlight::new(config).unwrap();
     lines.map(|line| flight.line(line)).collect()
 }
 
@@ -219,10 +219,10 @@ fn a_line_alone_is_the_line_in_sequence() {
     let config = Simulate::default();
     let text = |line: &(ScanLine, Vec<TrueReturn>)| format!("{:?} {:?}", line.0, line.1);
     let sequence = lines(&config, 0..6);
-    let alone = Flight::new(&config).unwrap().line(5);
+    let alone = SimulatedFlight::new(&config).unwrap().line(5);
     assert_eq!(text(&sequence[5]), text(&alone));
     assert_ne!(text(&sequence[4]), text(&alone));
-    let other = Flight::new(&Simulate { seed: 2, ..config }).unwrap().line(5);
+    let other = SimulatedFlight::new(&Simulate { seed: 2, ..config }).unwrap().line(5);
     assert_ne!(text(&other), text(&alone));
 }
 
@@ -288,7 +288,7 @@ fn any_kind_of_line_alone_is_the_line_in_sequence() {
             let config =
                 Simulate { as_recorded, scanner, sbet: as_recorded.then(|| "*.sbet".to_owned()), ..rich() };
             let sequence = lines(&config, 0..6);
-            assert_eq!(digest(&sequence[4]), digest(&Flight::new(&config).unwrap().line(4)));
+            assert_eq!(digest(&sequence[4]), digest(&SimulatedFlight::new(&config).unwrap().line(4)));
             assert!(sequence.iter().map(|line| line.1.len()).sum::<usize>() > 2000);
         }
     }
@@ -416,7 +416,7 @@ proptest! {
             ..Simulate::default()
         };
         prop_assert_eq!(config.check(), Ok(()));
-        let (scan_line, truth) = Flight::new(&config).unwrap().line(line);
+        let (scan_line, truth) = SimulatedFlight::new(&config).unwrap().line(line);
         let blocks = scan_line.blocks().unwrap();
         prop_assert_eq!(scan_line.emissions.len(), shots_per_line as usize);
         prop_assert!(scan_line.emissions.windows(2).all(|pair| pair[0].clock_ps <= pair[1].clock_ps));

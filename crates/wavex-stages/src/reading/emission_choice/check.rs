@@ -1,6 +1,6 @@
 //! Check of an emission reference that a file states or a job sets.
 
-use super::{Choice, Message, Smoothness, WITH_LOCATIONS, WITH_OUTGOING, name};
+use super::{Choice, ChoiceMessage, Smoothness, WITH_LOCATIONS, WITH_OUTGOING, name};
 use wavex_line::scan_line::{Block, Channel, EmissionReference, ScanLine};
 use wavex_line::stage::Context;
 
@@ -17,7 +17,7 @@ impl Smoothness {
     /// Takes the reference that the job sets, with a warning if the points contradict it.
     pub(crate) fn set(&self, reference: EmissionReference) -> Choice {
         let choice = self.take(reference);
-        let warning = self.contradiction(reference).map(Message::Warning);
+        let warning = self.contradiction(reference).map(ChoiceMessage::Warning);
         Choice { message: warning.or(choice.message), ..choice }
     }
 
@@ -40,7 +40,7 @@ impl Smoothness {
                 self.text()
             ));
         }
-        // The standard deviation of a clock without proof is that of one sample already.
+        // The standard deviation of a clock without proof already covers one sample.
         let is_displaced = self.displaced_part(index) >= DISPLACED_PART;
         (reference != EmissionReference::Clock && is_displaced).then(|| {
             format!(

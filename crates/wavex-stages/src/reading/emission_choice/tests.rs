@@ -101,14 +101,14 @@ fn decided(made: Made, lines: usize, roughness_ns: f64, default: EmissionReferen
 
 fn finding(choice: &Choice) -> &str {
     match &choice.message {
-        Some(Message::Finding(text)) => text,
+        Some(ChoiceMessage::Finding(text)) => text,
         _ => "",
     }
 }
 
 fn warning(choice: &Choice) -> &str {
     match &choice.message {
-        Some(Message::Warning(text)) => text,
+        Some(ChoiceMessage::Warning(text)) => text,
         _ => "",
     }
 }

@@ -102,7 +102,7 @@ pub struct PulseSpeed {
 }
 
 impl PulseSpeed {
-    /// Group velocity of the pulse in air of this refractivity, m/s; `None`: that of the recording.
+    /// Group velocity of the pulse in air of this refractivity, m/s; `None`: the recording gives it.
     pub(crate) fn group_velocity_mps(self) -> Option<f64> {
         self.refractive_index_ppm.map(|ppm| LIGHT_MPS / (1.0 + 1e-6 * ppm))
     }

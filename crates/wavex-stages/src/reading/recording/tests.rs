@@ -93,7 +93,7 @@ fn times_that_do_not_fit_their_label_are_named() {
 
 #[test]
 fn the_date_of_a_file_shows_seconds_of_the_week_called_adjusted() {
-    let adjusted = Scale::of(TimeScale::Adjusted);
+    let adjusted = RecordedTimeScale::of(TimeScale::Adjusted);
     assert_eq!(adjusted.misfit(400_000.0, Some((260, 2011))), None);
     assert!(adjusted.misfit(400_000.0, Some((188, 2015))).is_some());
     assert!(adjusted.misfit(430_000_000.0, Some((188, 2015))).is_some(), "2025 in a file of 2015");

@@ -45,7 +45,7 @@ pub enum RecordingTime {
 
 /// Time scale of a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Scale {
+pub(crate) enum RecordedTimeScale {
     Week,
     Day,
     /// Seconds since this moment.
@@ -53,34 +53,34 @@ pub(crate) enum Scale {
     Unknown,
 }
 
-impl From<RecordingTime> for Scale {
-    fn from(said: RecordingTime) -> Scale {
+impl From<RecordingTime> for RecordedTimeScale {
+    fn from(said: RecordingTime) -> RecordedTimeScale {
         match said {
-            RecordingTime::Week => Scale::Week,
-            RecordingTime::Day => Scale::Day,
-            RecordingTime::Adjusted => Scale::Since(ADJUSTMENT_S),
-            RecordingTime::Standard => Scale::Since(0.0),
+            RecordingTime::Week => RecordedTimeScale::Week,
+            RecordingTime::Day => RecordedTimeScale::Day,
+            RecordingTime::Adjusted => RecordedTimeScale::Since(ADJUSTMENT_S),
+            RecordingTime::Standard => RecordedTimeScale::Since(0.0),
         }
     }
 }
 
-impl Scale {
+impl RecordedTimeScale {
     /// The scale that a reader reports.
-    pub(crate) fn of(scale: TimeScale) -> Scale {
+    pub(crate) fn of(scale: TimeScale) -> RecordedTimeScale {
         match scale {
-            TimeScale::Week => Scale::Week,
-            TimeScale::Day => Scale::Day,
-            TimeScale::Adjusted => Scale::Since(ADJUSTMENT_S),
-            TimeScale::Unknown => Scale::Unknown,
+            TimeScale::Week => RecordedTimeScale::Week,
+            TimeScale::Day => RecordedTimeScale::Day,
+            TimeScale::Adjusted => RecordedTimeScale::Since(ADJUSTMENT_S),
+            TimeScale::Unknown => RecordedTimeScale::Unknown,
         }
     }
 
     /// The scale of an SDF epoch, as returned by the library.
-    pub(crate) fn of_epoch(epoch: &str) -> Scale {
+    pub(crate) fn of_epoch(epoch: &str) -> RecordedTimeScale {
         match epoch.trim() {
-            "WEEKSEC" => Scale::Week,
-            "DAYSEC" => Scale::Day,
-            epoch => date_and_time(epoch).map_or(Scale::Unknown, Scale::Since),
+            "WEEKSEC" => RecordedTimeScale::Week,
+            "DAYSEC" => RecordedTimeScale::Day,
+            epoch => date_and_time(epoch).map_or(RecordedTimeScale::Unknown, RecordedTimeScale::Since),
         }
     }
 
@@ -90,12 +90,12 @@ impl Scale {
     pub(crate) fn misfit(self, time_s: f64, file_date: Option<(u16, u16)>) -> Option<String> {
         let (fits, what) = match self {
             // A clock may run on past the end of its week or day.
-            Scale::Week => ((0.0..WEEK_S + DAY_S).contains(&time_s), "seconds of the GPS week"),
-            Scale::Day => ((0.0..2.0 * DAY_S).contains(&time_s), "seconds of the day"),
-            Scale::Since(epoch) => {
+            RecordedTimeScale::Week => ((0.0..WEEK_S + DAY_S).contains(&time_s), "seconds of the GPS week"),
+            RecordedTimeScale::Day => ((0.0..2.0 * DAY_S).contains(&time_s), "seconds of the day"),
+            RecordedTimeScale::Since(epoch) => {
                 (is_plausible(epoch + time_s, file_date), "seconds since a day in 1980 or later")
             }
-            Scale::Unknown => (true, ""),
+            RecordedTimeScale::Unknown => (true, ""),
         };
         let dates = || {
             let readings = [("adjusted", 0.0), ("standard", -ADJUSTMENT_S)].map(|(name, shift_s)| {
@@ -106,8 +106,8 @@ impl Scale {
             if readings.is_empty() { String::new() } else { format!(" (as {})", readings.join(", as ")) }
         };
         let what = match self {
-            Scale::Since(ADJUSTMENT_S) => "adjusted GPS time",
-            Scale::Since(0.0) => "standard GPS time",
+            RecordedTimeScale::Since(ADJUSTMENT_S) => "adjusted GPS time",
+            RecordedTimeScale::Since(0.0) => "standard GPS time",
             _ => what,
         };
         (!fits).then(|| {
@@ -181,7 +181,7 @@ pub(crate) struct Times {
     pub(crate) remark: Option<&'static str>,
 }
 
-/// Converts times of a file to those of the recording in sequence, unwrapping them.
+/// Converts times of a file to times of the recording in sequence, unwrapping them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Axis {
     /// Added to times of the file, s; increases by one period at each wrap-around.
@@ -216,16 +216,16 @@ impl Times {
     ///
     /// `first_s`: time of the first shot in the file, if any; `about`: moment of the recording, to
     /// half a day for seconds of the day, to half a week for seconds of the week.
-    pub(crate) fn new(scale: Scale, first_s: Option<f64>, about: Option<SinceEpoch>) -> Times {
+    pub(crate) fn new(scale: RecordedTimeScale, first_s: Option<f64>, about: Option<SinceEpoch>) -> Times {
         match scale {
-            Scale::Week => Times::periodic(WEEK_S, TimeScale::Week, first_s, about),
-            Scale::Day => Times::periodic(DAY_S, TimeScale::Day, first_s, about),
-            Scale::Since(epoch) => Times {
+            RecordedTimeScale::Week => Times::periodic(WEEK_S, TimeScale::Week, first_s, about),
+            RecordedTimeScale::Day => Times::periodic(DAY_S, TimeScale::Day, first_s, about),
+            RecordedTimeScale::Since(epoch) => Times {
                 scale: TimeScale::Adjusted,
                 offset_s: epoch - ADJUSTMENT_S,
                 ..Times::dated(first_s.map(|s| epoch + s))
             },
-            Scale::Unknown => Times { remark: Some(NO_SCALE), ..Times::dated(None) },
+            RecordedTimeScale::Unknown => Times { remark: Some(NO_SCALE), ..Times::dated(None) },
         }
     }
 
@@ -391,7 +391,7 @@ mod tests {
     use super::*;
 
     fn times_of(epoch: &str, first_s: Option<f64>, about: Option<SinceEpoch>) -> Times {
-        Times::new(Scale::of_epoch(epoch), first_s, about)
+        Times::new(RecordedTimeScale::of_epoch(epoch), first_s, about)
     }
 
     /// 2013-06-21: Friday of GPS week 1745.

@@ -7,7 +7,7 @@ use wavex_geodesy::crs::{units_of_wkt, with_heights_in_map_unit};
 ///
 /// Coordinates stay in the unit of the map, to which readers convert heights; ranges are in metres.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Units {
+pub(crate) struct RecordingUnits {
     /// Unit of x and y, m.
     pub(crate) map_m: f64,
     /// Unit of heights in units of x and y.
@@ -18,11 +18,11 @@ pub(crate) struct Units {
 const OTHER_HEIGHTS: &str = "the heights of the file are in another unit than its eastings and northings: they are converted to the \
      latter, also in the coordinate reference system of the points";
 
-impl Units {
+impl RecordingUnits {
     /// Units of a CRS as WKT.
-    pub(crate) fn of(crs_wkt: Option<&str>) -> Units {
+    pub(crate) fn of(crs_wkt: Option<&str>) -> RecordingUnits {
         let [map_m, height_m] = crs_wkt.map_or([1.0; 2], units_of_wkt);
-        Units { map_m, height_factor: height_m / map_m }
+        RecordingUnits { map_m, height_factor: height_m / map_m }
     }
 
     fn has_other_heights(self) -> bool {

@@ -26,7 +26,7 @@ fn run(folder: &Path, input: &str) -> RunContext {
 }
 
 /// Writes lines as a job does; returns the notes and counters.
-fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
+fn write(folder: &Path, config: &WriteArrow, batches: &[ScanLine]) -> Context {
     let mut cx = Context::default();
     let mut sink = config.make(&run(folder, "")).unwrap();
     batches.iter().for_each(|scan_line| sink.write(scan_line, &mut cx).unwrap());
@@ -38,7 +38,7 @@ fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
 }
 
 fn read(folder: &Path) -> Vec<ScanLine> {
-    let config: read_arrow::Config = toml::from_str("path = \"made.arrow\"").unwrap();
+    let config: read_arrow::ReadArrow = toml::from_str("path = \"made.arrow\"").unwrap();
     let mut source: Box<dyn Source> = config.make(&run(folder, "made.arrow")).unwrap();
     let mut cx = Context::default();
     let batches = std::iter::from_fn(|| source.next(&mut cx).unwrap()).collect();
@@ -237,13 +237,13 @@ proptest! {
     fn what_is_written_comes_back(
         info in info(),
         lines in vec((any::<u32>(), vec(shot(), 1..6)), 1..4),
-        compression in prop::sample::select(vec![Compression::None, Compression::Lz4, Compression::Zstd]),
+        compression in prop::sample::select(vec![ContainerCompression::None, ContainerCompression::Lz4, ContainerCompression::Zstd]),
     ) {
         let info = Arc::new(info);
         let batches: Vec<ScanLine> =
             lines.into_iter().map(|(line, shots)| scan_line(&info, line, shots)).collect();
         let folder = tempfile::tempdir().unwrap();
-        let cx = write(folder.path(), &Config { compression, ..Config::default() }, &batches);
+        let cx = write(folder.path(), &WriteArrow { compression, ..WriteArrow::default() }, &batches);
         prop_assert!(cx.counters().rejected.is_empty());
         let found = read(folder.path());
         let expected: Vec<String> = batches.iter().map(words).collect();
@@ -295,7 +295,7 @@ fn without_a_shot_there_is_no_file_but_a_note() {
     let folder = tempfile::tempdir().unwrap();
     let empty = ScanLine::of_shots(plain_info(), 0, vec![], Blocks::default());
     for batches in [&[][..], &[empty][..]] {
-        let cx = write(folder.path(), &Config::default(), batches);
+        let cx = write(folder.path(), &WriteArrow::default(), batches);
         assert_eq!(cx.counters().notes, ["no container is written: there were no shots"]);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
@@ -304,7 +304,7 @@ fn without_a_shot_there_is_no_file_but_a_note() {
 #[test]
 fn an_abandoned_container_leaves_no_file() {
     let folder = tempfile::tempdir().unwrap();
-    let mut sink = Config::default().make(&run(folder.path(), "")).unwrap();
+    let mut sink = WriteArrow::default().make(&run(folder.path(), "")).unwrap();
     let shot = Emission {
         shot: 0,
         gps_time_s: 0.0,
@@ -327,24 +327,24 @@ fn an_abandoned_container_leaves_no_file() {
 
 #[test]
 fn keys_have_defaults_and_limits() {
-    let config: Config = toml::from_str("").unwrap();
-    assert_eq!((config.path.as_str(), config.compression), ("*.arrow", Compression::Lz4));
+    let config: WriteArrow = toml::from_str("").unwrap();
+    assert_eq!((config.path.as_str(), config.compression), ("*.arrow", ContainerCompression::Lz4));
     assert_eq!(config.outputs(), ["*.arrow"]);
-    let config: Config = toml::from_str("path = \"-\"\ncompression = \"none\"").unwrap();
-    assert_eq!((config.outputs().len(), config.compression), (0, Compression::None));
+    let config: WriteArrow = toml::from_str("path = \"-\"\ncompression = \"none\"").unwrap();
+    assert_eq!((config.outputs().len(), config.compression), (0, ContainerCompression::None));
     assert_eq!(config.check(), Ok(()));
-    let config: Config = toml::from_str("path = \"\"").unwrap();
+    let config: WriteArrow = toml::from_str("path = \"\"").unwrap();
     assert_eq!(config.check(), Err(InvalidKey::new("path", "the path is empty")));
-    let error = toml::from_str::<Config>("compression = \"gzip\"").unwrap_err().to_string();
+    let error = toml::from_str::<WriteArrow>("compression = \"gzip\"").unwrap_err().to_string();
     assert!(error.contains("expected one of `none`, `lz4`, `zstd`"), "{error}");
-    let error = toml::from_str::<Config>("level = 3").unwrap_err().to_string();
+    let error = toml::from_str::<WriteArrow>("level = 3").unwrap_err().to_string();
     assert!(error.contains("unknown field `level`"), "{error}");
 }
 
 #[test]
 fn other_kinds_of_batches_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let mut sink = Config::default().make(&run(folder.path(), "")).unwrap();
+    let mut sink = WriteArrow::default().make(&run(folder.path(), "")).unwrap();
     let mut scan_line = ScanLine::of_shots(plain_info(), 0, vec![], Blocks::default());
     scan_line.content = wavex_line::scan_line::Content::Returns(vec![]);
     let error = sink.write(&scan_line, &mut Context::default()).unwrap_err().to_string();
@@ -361,7 +361,7 @@ fn only_recordings_with_gain_control_have_a_field_for_the_gain() {
         let mut blocks = Blocks::default();
         blocks.push(0, Channel::LowPower, None, 0.0, 1.0, &[1, 2]);
         let emission = Emission { mta_zone: Some(0), ..Emission::default() };
-        write(folder.path(), &Config::default(), &[ScanLine::of_shots(info, 0, vec![emission], blocks)]);
+        write(folder.path(), &WriteArrow::default(), &[ScanLine::of_shots(info, 0, vec![emission], blocks)]);
         let table = container::TableReader::open(&folder.path().join("made.arrow")).unwrap();
         let fields = format!("{:?}", table.schema().field_with_name("blocks").unwrap());
         assert_eq!(fields.contains("gain"), has_field, "{fields}");
@@ -378,7 +378,7 @@ fn a_gain_that_the_header_does_not_announce_is_an_error() {
     blocks.push(0, Channel::LowPower, None, 0.0, 1.0, &[1, 2]);
     blocks.set_last_gain(2.0);
     let scan_line = ScanLine::of_shots(plain_info(), 0, vec![Emission::default()], blocks);
-    let mut sink = Config::default().make(&run(folder.path(), "")).unwrap();
+    let mut sink = WriteArrow::default().make(&run(folder.path(), "")).unwrap();
     let error = sink.write(&scan_line, &mut Context::default()).unwrap_err().to_string();
     assert!(error.contains("a block has a gain, but the container header declares none"), "{error}");
 }

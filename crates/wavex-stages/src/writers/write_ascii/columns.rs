@@ -2,40 +2,42 @@
 
 use std::fmt::Write;
 
-use super::steps::Steps;
-use crate::writers::write_las::attributes::value;
-use wavex_formats::las::{ATTRIBUTES_1_1, ExtraAttribute, PointOut, RAW_AMP, quantise};
+use super::steps::DecimalSteps;
+use crate::writers::write_las::attributes::{self, ATTRIBUTES_1_1, RAW_AMP};
+use wavex_formats::las::{PointOut, quantise};
 use wavex_line::scan_line::Return;
 
 /// A point, and the other sources of its row.
-pub(super) struct Row<'a> {
+pub(super) struct AsciiRow<'a> {
     pub(super) point: &'a PointOut,
     pub(super) found: &'a Return,
-    pub(super) steps: &'a [Steps; 3],
-    pub(super) attribute_steps: &'a [Steps; ATTRIBUTES.len()],
+    pub(super) steps: &'a [DecimalSteps; 3],
+    pub(super) attribute_steps: &'a [DecimalSteps; ATTRIBUTES.len()],
 }
 
-/// Attributes by number: those of layout 1.1 in order, then the raw amplitude.
-pub(super) const ATTRIBUTES: [ExtraAttribute; 10] = {
+/// Attributes by number: layout 1.1 in order, then the raw amplitude.
+pub(super) const ATTRIBUTES: [attributes::ReturnAttribute; 10] = {
     let [a, b, c, d, e, f, g, h, i] = ATTRIBUTES_1_1;
     [a, b, c, d, e, f, g, h, i, RAW_AMP]
 };
 
 /// The steps of the extra attributes.
-pub(super) fn attribute_steps() -> [Steps; ATTRIBUTES.len()] {
-    ATTRIBUTES.map(|attribute| Steps::new(attribute.scale.unwrap_or(1.0), attribute.offset.unwrap_or(0.0)))
+pub(super) fn attribute_steps() -> [DecimalSteps; ATTRIBUTES.len()] {
+    ATTRIBUTES.map(|attributes::ReturnAttribute { stored, .. }| {
+        DecimalSteps::new(stored.scale.unwrap_or(1.0), stored.offset.unwrap_or(0.0))
+    })
 }
 
 /// A column.
-pub(super) struct Column {
+pub(super) struct AsciiColumn {
     letter: char,
     /// Name in the header line.
     pub(super) name: &'static str,
-    cell: Cell,
+    cell: CellSource,
 }
 
 /// Source of a column's values.
-enum Cell {
+enum CellSource {
     /// Time, s.
     Time,
     /// A coordinate, by axis.
@@ -50,10 +52,10 @@ enum Cell {
     Attribute(usize),
 }
 
-use Cell::{Attribute, Coordinate, CoordinateSteps, ScanAngle, Time, Whole};
+use CellSource::{Attribute, Coordinate, CoordinateSteps, ScanAngle, Time, Whole};
 
 /// All columns. Flags that waveform points never have (key point, synthetic, overlap) are 0.
-static COLUMNS: [Column; 31] = [
+static COLUMNS: [AsciiColumn; 31] = [
     column('t', "gps_time", Time),
     column('x', "x", Coordinate(0)),
     column('y', "y", Coordinate(1)),
@@ -87,19 +89,19 @@ static COLUMNS: [Column; 31] = [
     attribute('9', 9),
 ];
 
-const fn column(letter: char, name: &'static str, cell: Cell) -> Column {
-    Column { letter, name, cell }
+const fn column(letter: char, name: &'static str, cell: CellSource) -> AsciiColumn {
+    AsciiColumn { letter, name, cell }
 }
 
-const fn attribute(letter: char, number: usize) -> Column {
-    Column { letter, name: ATTRIBUTES[number].name, cell: Attribute(number) }
+const fn attribute(letter: char, number: usize) -> AsciiColumn {
+    AsciiColumn { letter, name: ATTRIBUTES[number].stored.name, cell: Attribute(number) }
 }
 
 /// Returns the columns named by letters.
 ///
 /// # Errors
 /// No letters, or an unknown letter: names it, its position and the valid letters.
-pub(super) fn columns(letters: &str) -> Result<Vec<&'static Column>, String> {
+pub(super) fn columns(letters: &str) -> Result<Vec<&'static AsciiColumn>, String> {
     if letters.is_empty() {
         return Err(format!("no columns are given; {}", choices()));
     }
@@ -130,9 +132,9 @@ fn choices() -> String {
     format!("valid letters are {}", names.join(", "))
 }
 
-impl Column {
+impl AsciiColumn {
     /// Appends the column's value in a row. (Writing into a string cannot fail.)
-    pub(super) fn write(&self, row: &Row, text: &mut String) {
+    pub(super) fn write(&self, row: &AsciiRow, text: &mut String) {
         match self.cell {
             Time => {
                 let _ = write!(text, "{}", row.point.gps_time);
@@ -150,14 +152,14 @@ impl Column {
             }
             Attribute(number) => {
                 let attribute = &ATTRIBUTES[number];
-                let count = quantise(value(attribute, row.found), attribute);
+                let count = quantise(attribute.value(row.found), &attribute.stored);
                 row.attribute_steps[number].write(count as f64, text);
             }
         }
     }
 }
 
-fn steps(row: &Row, axis: usize) -> f64 {
+fn steps(row: &AsciiRow, axis: usize) -> f64 {
     row.steps[axis].count([row.point.x, row.point.y, row.point.z][axis])
 }
 
@@ -173,7 +175,7 @@ mod tests {
         assert_eq!(letters.len(), COLUMNS.len());
         let numbered: Vec<&str> =
             COLUMNS.iter().filter(|c| c.letter.is_ascii_digit()).map(|c| c.name).collect();
-        assert_eq!(numbered, ATTRIBUTES.map(|attribute| attribute.name));
+        assert_eq!(numbered, ATTRIBUTES.map(|attribute| attribute.stored.name));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 /// Steps from an offset, with the number of decimals they need.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Steps {
+pub(super) struct DecimalSteps {
     step: f64,
     offset: f64,
     /// `None` if no number of decimals is exact; the shortest text that reads back exactly is then
@@ -15,11 +15,11 @@ pub(super) struct Steps {
 /// Largest number of decimals expected in user input.
 const MOST_DECIMALS: usize = 12;
 
-impl Steps {
+impl DecimalSteps {
     /// Steps of `step` (above 0) from `offset`.
-    pub(super) fn new(step: f64, offset: f64) -> Steps {
+    pub(super) fn new(step: f64, offset: f64) -> DecimalSteps {
         let decimals = decimals_of(step).zip(decimals_of(offset)).map(|(a, b)| a.max(b));
-        Steps { step, offset, decimals }
+        DecimalSteps { step, offset, decimals }
     }
 
     /// Number of steps from the offset to a value.
@@ -54,7 +54,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn text(steps: Steps, value: f64) -> String {
+    fn text(steps: DecimalSteps, value: f64) -> String {
         let mut text = String::new();
         steps.write(steps.count(value), &mut text);
         text
@@ -62,7 +62,7 @@ mod tests {
 
     #[test]
     fn decimals_are_those_of_step_and_offset() {
-        let decimals = |step, offset| Steps::new(step, offset).decimals;
+        let decimals = |step, offset| DecimalSteps::new(step, offset).decimals;
         assert_eq!(decimals(0.001, 540_000.0), Some(3));
         assert_eq!(decimals(1e-8, 11.0), Some(8));
         assert_eq!(decimals(0.25, 0.125), Some(3));
@@ -72,11 +72,11 @@ mod tests {
 
     #[test]
     fn values_are_rounded_to_the_nearest_step() {
-        assert_eq!(text(Steps::new(0.001, 500_000.0), 512_345.678_4), "512345.678");
-        assert_eq!(text(Steps::new(0.025, 0.5), 1.26), "1.250");
-        assert_eq!(text(Steps::new(0.001, 0.0), -0.000_1), "0.000");
-        assert_eq!(text(Steps::new(1.0 / 3.0, 0.0), 1.7), "1.6666666666666665");
-        assert_eq!(text(Steps::new(0.001, 0.0), f64::NAN), "nan");
+        assert_eq!(text(DecimalSteps::new(0.001, 500_000.0), 512_345.678_4), "512345.678");
+        assert_eq!(text(DecimalSteps::new(0.025, 0.5), 1.26), "1.250");
+        assert_eq!(text(DecimalSteps::new(0.001, 0.0), -0.000_1), "0.000");
+        assert_eq!(text(DecimalSteps::new(1.0 / 3.0, 0.0), 1.7), "1.6666666666666665");
+        assert_eq!(text(DecimalSteps::new(0.001, 0.0), f64::NAN), "nan");
     }
 
     proptest! {
@@ -87,7 +87,7 @@ mod tests {
             step in prop::sample::select(vec![1e-8, 0.001, 0.0005, 0.006, 0.01, 0.25, 1.0 / 3.0, 0.000_304_8]),
             offset in prop::sample::select(vec![0.0, -117.0, 540_000.0, 5_200_000.5, 0.1]),
         ) {
-            let steps = Steps::new(step, offset);
+            let steps = DecimalSteps::new(step, offset);
             let mut text = String::new();
             steps.write(f64::from(count), &mut text);
             prop_assert_eq!(steps.count(text.parse().unwrap()), f64::from(count), "{}", text);

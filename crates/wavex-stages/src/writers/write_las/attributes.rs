@@ -1,113 +1,36 @@
 //! Extra attributes, class and user data of points, in all layouts.
 
+mod bayes_wavex;
+mod standard;
+
+use std::slice;
+
 use wavex_simd::quantise::{ROUNDING, power_ratios};
 
-use wavex_formats::las::{
-    ATTRIBUTES_1_0, ATTRIBUTES_1_1, ATTRIBUTES_STANDARD, ExtraAttribute, ExtraColumns, RAW_AMP, TOGETHER,
-};
+use wavex_formats::las::{ExtraAttribute, ExtraColumns, TOGETHER};
 use wavex_line::scan_line::{Return, ReturnChannel, flags};
 
 use super::AttributeLayout;
+pub(crate) use bayes_wavex::{ATTRIBUTES_1_1, RAW_AMP};
 
-/// Defines the quantities that extra attributes store, each by its value of a return.
-macro_rules! quantities {
-    ($($name:ident: $of:expr,)+) => {
-        /// Quantity of a return stored in an extra attribute.
-        #[derive(Clone, Copy, Debug, PartialEq)]
-        enum Quantity { $($name,)+ }
+/// Extra attribute of points: its storage, and its value of a return.
+#[derive(Clone, Copy)]
+pub(crate) struct ReturnAttribute {
+    pub(crate) stored: ExtraAttribute,
+    is_uncertainty: bool,
+    fill: Fill,
+}
 
-        use Quantity::{$($name,)+};
+/// Computes the value of each return, of at most [`TOGETHER`].
+type Fill = fn(&[Return], &mut [f64]);
 
-        impl Quantity {
-            #[inline]
-            fn of(self, r: &Return) -> f64 {
-                match self { $($name => value_of(r, $of),)+ }
-            }
-
-            /// Applies [`Quantity::of`] to each return.
-            ///
-            /// Linear amplitudes are approximate, but accurate enough for rounding to whole numbers.
-            fn column(self, returns: &[Return], values: &mut [f64]) {
-                if self == LinearAmplitude {
-                    return linear_amplitudes(values, returns);
-                }
-                // The quantity is matched once, not per value.
-                match self { $($name => fill(values, returns, |r| value_of(r, $of)),)+ }
-            }
-        }
+/// A [`Fill`] that applies a closure to each return.
+macro_rules! each {
+    ($value:expr) => {
+        |returns, values| crate::writers::write_las::attributes::fill(values, returns, $value)
     };
 }
-
-quantities! {
-    WidthRatio: |r| r.width_ratio,
-    Thickness: |r| r.thickness_m,
-    LinearAmplitude: linear_amplitude,
-    RawAmplitude: |r| r.amplitude_dn,
-    DeviationRatio: |r| r.deviation_ratio,
-    RangeSd: |r| r.range_sd_m,
-    IntensitySd: |r| r.intensity_sd,
-    WidthSd: |r| r.width_ratio_sd,
-    ThicknessSd: |r| r.thickness_sd_m,
-    Channel: |r| f64::from(power_channel(r)),
-    AmplitudeDb: |r| r.amplitude_db,
-    ReflectanceDb: reflectance_db,
-    FwhmNs: |r| r.fwhm_ns,
-    FwhmSdNs: |r| r.width_ratio_sd * (r.fwhm_ns / r.width_ratio),
-    AmplitudeSd: |r| r.amplitude_sd_dn,
-    TotalSd: |r| r.total_sd_m,
-    Receivers: receivers,
-    Zone: |r| if r.mta_zone < 0 { f64::NAN } else { f64::from(r.mta_zone) },
-    Flags: |r| f64::from(r.flags),
-}
-
-/// Calls `of`; it gives closures their argument type.
-#[inline]
-fn value_of(r: &Return, of: impl Fn(&Return) -> f64) -> f64 {
-    of(r)
-}
-
-/// Quantities of the attributes of each layout, in their order.
-const QUANTITIES_1_1: [Quantity; 9] = [
-    WidthRatio,
-    Thickness,
-    LinearAmplitude,
-    DeviationRatio,
-    RangeSd,
-    IntensitySd,
-    WidthSd,
-    ThicknessSd,
-    Channel,
-];
-const QUANTITIES_1_0: [Quantity; 9] = [
-    WidthRatio,
-    Thickness,
-    LinearAmplitude,
-    RawAmplitude,
-    DeviationRatio,
-    RangeSd,
-    IntensitySd,
-    WidthSd,
-    ThicknessSd,
-];
-
-const QUANTITIES_STANDARD: [Quantity; 16] = [
-    AmplitudeDb,
-    ReflectanceDb,
-    FwhmNs,
-    DeviationRatio,
-    RawAmplitude,
-    WidthRatio,
-    Thickness,
-    RangeSd,
-    AmplitudeSd,
-    FwhmSdNs,
-    ThicknessSd,
-    IntensitySd,
-    TotalSd,
-    Receivers,
-    Zone,
-    Flags,
-];
+use each;
 
 /// Deviation ratio above which points of layout 1.0 are of class 20.
 const UNDEFINED_DEVIATION_RATIO: f64 = 3.0;
@@ -117,64 +40,43 @@ const UNDEFINED: u8 = 20;
 const LOW_NOISE: u8 = 7;
 const HIGH_NOISE: u8 = 18;
 
-/// The extra attributes of a file: storage, and quantities.
-pub(super) struct Attributes {
-    pub(super) stored: Vec<ExtraAttribute>,
-    quantities: Vec<Quantity>,
+/// Returns the attributes of a layout, with or without standard deviations.
+pub(super) fn attributes_of(layout: AttributeLayout, uncertainty: bool) -> Vec<ReturnAttribute> {
+    let all: &[ReturnAttribute] = match layout {
+        AttributeLayout::Standard => &standard::ATTRIBUTES,
+        AttributeLayout::V1_1 => &ATTRIBUTES_1_1,
+        AttributeLayout::V1_0 => &bayes_wavex::ATTRIBUTES_1_0,
+    };
+    all.iter().filter(|attribute| uncertainty || !attribute.is_uncertainty).copied().collect()
 }
 
-impl Attributes {
-    /// The attributes of a layout, with or without standard deviations.
-    pub(super) fn of(layout: AttributeLayout, uncertainty: bool) -> Attributes {
-        let (stored, quantities): (&[ExtraAttribute], &[Quantity]) = match layout {
-            AttributeLayout::Standard => (&ATTRIBUTES_STANDARD, &QUANTITIES_STANDARD),
-            AttributeLayout::V1_1 => (&ATTRIBUTES_1_1, &QUANTITIES_1_1),
-            AttributeLayout::V1_0 => (&ATTRIBUTES_1_0, &QUANTITIES_1_0),
-        };
-        let all = stored.iter().copied().zip(quantities.iter().copied());
-        let (stored, quantities) =
-            all.filter(|(_, quantity)| uncertainty || !quantity.is_uncertainty()).unzip();
-        Attributes { stored, quantities }
+impl ReturnAttribute {
+    /// Computes the value of a return.
+    pub(crate) fn value(&self, r: &Return) -> f64 {
+        let mut value = [0.0];
+        (self.fill)(slice::from_ref(r), &mut value);
+        value[0]
     }
 
-    pub(super) fn none() -> Attributes {
-        Attributes { stored: Vec::new(), quantities: Vec::new() }
-    }
-
-    /// Writes the attributes of at most [`TOGETHER`] returns.
+    /// Writes the values of at most [`TOGETHER`] returns.
     pub(super) fn put(&self, returns: &[Return], columns: &mut ExtraColumns) {
         let mut values = [0.0; TOGETHER];
         let values = &mut values[..returns.len().min(TOGETHER)];
-        for (attribute, quantity) in self.stored.iter().zip(&self.quantities) {
-            quantity.column(returns, values);
-            columns.put(attribute, values);
-        }
+        (self.fill)(returns, values);
+        columns.put(&self.stored, values);
     }
 }
 
-impl Quantity {
-    fn is_uncertainty(self) -> bool {
-        matches!(self, RangeSd | IntensitySd | WidthSd | ThicknessSd | FwhmSdNs | AmplitudeSd | TotalSd)
-    }
-}
-
-/// Computes the value of each return.
+/// Applies a closure to each return.
 #[inline]
 fn fill(values: &mut [f64], returns: &[Return], of: impl Fn(&Return) -> f64) {
     values.iter_mut().zip(returns).for_each(|(value, r)| *value = of(r));
 }
 
-/// Value of an attribute of layout 1.1, or of the raw amplitude; NaN for others.
-pub(crate) fn value(attribute: &ExtraAttribute, r: &Return) -> f64 {
-    let mut all = ATTRIBUTES_1_1.iter().zip(QUANTITIES_1_1).chain([(&RAW_AMP, RawAmplitude)]);
-    let found = all.find(|(stored, _)| stored.name == attribute.name);
-    found.map_or(f64::NAN, |(_, quantity)| quantity.of(r))
-}
-
 /// Linear amplitudes that round to the same whole numbers as [`linear_amplitude`].
 ///
 /// A value so close to a rounding boundary that this is not certain is recomputed exactly.
-fn linear_amplitudes(values: &mut [f64], returns: &[Return]) {
+fn linear_amplitudes(returns: &[Return], values: &mut [f64]) {
     /// Relative uncertainty, far larger than the error of either method.
     const UNCERTAIN: f64 = 1e-11;
     let (mut decibels, mut ratios) = ([0.0; TOGETHER], [0.0; TOGETHER]);
@@ -208,6 +110,11 @@ fn reflectance_db(r: &Return) -> f64 {
         true => f64::NAN,
         false => 10.0 * (r.intensity / 7.0).log10(),
     }
+}
+
+/// Emissions between the shot and the reception of its echo; NaN if unknown.
+fn mta_zone(r: &Return) -> f64 {
+    if r.mta_zone < 0 { f64::NAN } else { f64::from(r.mta_zone) }
 }
 
 /// Receivers of the return: 0 low power, 1 high power, 2 both.
@@ -262,9 +169,8 @@ mod tests {
         };
         let returns: Vec<Return> = amplitudes.iter().map(of).collect();
         let mut values = vec![0.0; returns.len()];
-        LinearAmplitude.column(&returns, &mut values);
-        let amp = Attributes::of(AttributeLayout::V1_1, false).stored[2];
-        let whole = |value: f64| quantise(value, &amp);
+        linear_amplitudes(&returns, &mut values);
+        let whole = |value: f64| quantise(value, &ATTRIBUTES_1_1[2].stored);
         (
             values.into_iter().map(whole).collect(),
             returns.iter().map(|r| whole(linear_amplitude(r))).collect(),
@@ -274,9 +180,8 @@ mod tests {
     #[test]
     fn amplitudes_are_stored_as_whole_numbers() {
         for layout in [AttributeLayout::V1_0, AttributeLayout::V1_1] {
-            let attributes = Attributes::of(layout, true);
-            let at = attributes.quantities.iter().position(|quantity| *quantity == LinearAmplitude).unwrap();
-            let amplitude = &attributes.stored[at];
+            let amplitude = attributes_of(layout, true)[2].stored;
+            assert!(["Amp", "Amplitude"].contains(&amplitude.name));
             assert_eq!((amplitude.scale, amplitude.offset), (Some(1.0), Some(0.0)));
         }
     }

@@ -9,18 +9,18 @@
 use std::io::Write;
 
 use super::WavePacketsKey;
-use super::waves::{self, Waves};
+use super::waves::{self, PacketFile};
 use crate::stac;
 use wavex_formats::Error;
 use wavex_formats::las::{Writer, indexes_beside};
 use wavex_line::stage::{Context, FinishedFile, OutputFile, Reason, Result};
 
 /// Companion files of the points, or data appended to them.
-pub(super) struct Files {
+pub(super) struct CompanionFiles {
     /// File of the spatial index.
     pub index: Option<OutputFile>,
     /// The waveforms of the points.
-    pub waves: Option<Waves>,
+    pub waves: Option<PacketFile>,
     /// Destination of the waveforms.
     pub place: WavePacketsKey,
     /// STAC item of the points.
@@ -36,7 +36,7 @@ pub(super) struct StacFile {
     pub times_s: Option<[f64; 2]>,
 }
 
-impl Files {
+impl CompanionFiles {
     /// Completes the files and publishes them in order.
     pub fn finish(self, mut writer: Writer<OutputFile>, cx: &mut Context) -> Result<()> {
         let index = self.index.map(|file| finish_index(file, &mut writer)).transpose()?.flatten();
@@ -65,8 +65,12 @@ fn finish_index(mut file: OutputFile, writer: &mut Writer<OutputFile>) -> Result
 /// Completes the STAC item of complete points; `None` if they have no date.
 fn finish_item(item: StacFile, points: &FinishedFile, cx: &mut Context) -> Result<Option<FinishedFile>> {
     let about = stac::describe(points)?;
-    let points =
-        stac::Points { about: &about, path: points.path(), wkt: item.wkt.as_deref(), times_s: item.times_s };
+    let points = stac::ItemPoints {
+        about: &about,
+        path: points.path(),
+        wkt: item.wkt.as_deref(),
+        times_s: item.times_s,
+    };
     let finished = stac::finish(item.file, &points)?;
     if finished.is_none() {
         cx.warn(stac::NO_DATE);
@@ -78,7 +82,7 @@ fn finish_item(item: StacFile, points: &FinishedFile, cx: &mut Context) -> Resul
 
 fn finish_with_waveforms(
     writer: Writer<OutputFile>,
-    waves: Waves,
+    waves: PacketFile,
     place: WavePacketsKey,
     cx: &mut Context,
 ) -> Result<OutputFile> {

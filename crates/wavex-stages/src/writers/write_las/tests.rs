@@ -98,13 +98,12 @@ fn keys(path: &str) -> WriteLas {
 /// Stored steps of the attributes.
 fn stored(point: &las::Point, layout: AttributeLayout) -> Vec<u16> {
     let mut rest = point.extra_bytes.as_slice();
-    let stored = Attributes::of(layout, true).stored;
-    let next = |attribute: &wavex_formats::las::ExtraAttribute| {
-        let (now, later) = rest.split_at(attribute.data_type.bytes());
+    let next = |attribute: &ReturnAttribute| {
+        let (now, later) = rest.split_at(attribute.stored.data_type.bytes());
         rest = later;
         u16::from(now[0]) | now.get(1).map_or(0, |high| u16::from(*high) << 8)
     };
-    stored.iter().map(next).collect()
+    attributes_of(layout, true).iter().map(next).collect()
 }
 
 #[test]
@@ -179,8 +178,8 @@ fn attributes_can_be_left_out() {
         assert_eq!(points(&bytes).1[0].extra_bytes.len(), length);
     }
     let names = |layout| {
-        let without = Attributes::of(layout, false).stored;
-        without.iter().map(|attribute| attribute.name).collect::<Vec<_>>().join(", ")
+        let without = attributes_of(layout, false);
+        without.iter().map(|attribute| attribute.stored.name).collect::<Vec<_>>().join(", ")
     };
     assert_eq!(names(AttributeLayout::V1_1), "WideRatio, TargetThick, Amp, DevRatio, Channel");
     let of_1_0 = "Widening, Target Thickness, Amplitude, Raw Amplitude, Deviation Ratio";

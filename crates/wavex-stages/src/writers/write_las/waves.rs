@@ -14,7 +14,7 @@ use wavex_line::stage::{FinishedFile, OutputFile, Result, StageError};
 const BEAM_M: f64 = 10.0;
 
 /// The packets of a run's points.
-pub(super) struct Waves {
+pub(super) struct PacketFile {
     packets: PacketWriter<OutputFile>,
     geometry: Arc<Geometry>,
     /// Output CRS of points from the earth-centred frame.
@@ -25,12 +25,18 @@ pub(super) struct Waves {
     pub(super) n_refused: u64,
 }
 
-impl Waves {
+impl PacketFile {
     /// Starts the packets in a new file.
-    pub(super) fn new(file: OutputFile, geometry: &Arc<Geometry>) -> Result<Waves> {
+    pub(super) fn new(file: OutputFile, geometry: &Arc<Geometry>) -> Result<PacketFile> {
         let path = file.path().to_path_buf();
         let packets = PacketWriter::new(file, &path)?;
-        Ok(Waves { packets, geometry: Arc::clone(geometry), target: None, written: Vec::new(), n_refused: 0 })
+        Ok(PacketFile {
+            packets,
+            geometry: Arc::clone(geometry),
+            target: None,
+            written: Vec::new(),
+            n_refused: 0,
+        })
     }
 
     /// Returns the recorded blocks of a line.

@@ -14,7 +14,7 @@ use wavex_line::scan_line::{Return, ShotProfile};
 
 /// One return, with the fields of its shot that the table needs.
 #[derive(Clone, Copy, Debug)]
-pub struct Row {
+pub struct ReturnRow {
     /// Running number of the shot.
     pub shot: u64,
     /// Time of the shot, s; NaN where unknown.
@@ -28,131 +28,131 @@ pub struct Row {
 }
 
 /// A column.
-pub(super) struct Column {
+pub(super) struct ReturnColumn {
     name: &'static str,
-    values: Values,
+    values: ColumnValues,
     meaning: &'static str,
 }
 
 /// Type of a column, and how a row gives its value; `Maybe...` may be null.
-enum Values {
-    U8(fn(&Row) -> u8),
-    U16(fn(&Row) -> u16),
-    U64(fn(&Row) -> u64),
-    MaybeI16(fn(&Row) -> Option<i16>),
-    F64(fn(&Row) -> f64),
-    MaybeF64(fn(&Row) -> Option<f64>),
-    Bool(fn(&Row) -> bool),
-    Text(fn(&Row) -> &'static str),
+enum ColumnValues {
+    U8(fn(&ReturnRow) -> u8),
+    U16(fn(&ReturnRow) -> u16),
+    U64(fn(&ReturnRow) -> u64),
+    MaybeI16(fn(&ReturnRow) -> Option<i16>),
+    F64(fn(&ReturnRow) -> f64),
+    MaybeF64(fn(&ReturnRow) -> Option<f64>),
+    Bool(fn(&ReturnRow) -> bool),
+    Text(fn(&ReturnRow) -> &'static str),
 }
 
 fn known(value: f64) -> Option<f64> {
     Some(value).filter(|value| !value.is_nan())
 }
 
-fn of_profile<T>(row: &Row, value: fn(&ShotProfile) -> T) -> Option<T> {
+fn of_profile<T>(row: &ReturnRow, value: fn(&ShotProfile) -> T) -> Option<T> {
     row.profile.as_ref().map(value)
 }
 
-const fn column(name: &'static str, values: Values, meaning: &'static str) -> Column {
-    Column { name, values, meaning }
+const fn column(name: &'static str, values: ColumnValues, meaning: &'static str) -> ReturnColumn {
+    ReturnColumn { name, values, meaning }
 }
 
 #[rustfmt::skip]
-pub(super) static COLUMNS: &[Column] = &[
-    column("shot", Values::U64(|row| row.shot), "running number of the shot, from 0"),
-    column("gps_time_s", Values::MaybeF64(|row| known(row.gps_time_s)), "time of the shot, s, on the scale of the metadata `wavex.time_scale`"),
-    column("return_number", Values::U8(|row| row.found.return_number), "1 for the first return of its shot"),
-    column("number_of_returns", Values::U8(|row| row.found.number_of_returns), "number of returns of the shot, including withheld ones"),
-    column("channel", Values::Text(|row| row.found.channel.name()), "the receiver that gave the intensity: `low`, `high` or `joint`"),
-    column("mta_zone", Values::MaybeI16(|row| Some(row.found.mta_zone).filter(|&zone| zone != -1)), "number of emissions between the causing shot and the reception; null if unresolved"),
-    column("range_m", Values::F64(|row| row.found.range_m), "range along the beam from the origin of the shot, m: from the sensor, or from the first sample for recordings without the sensor position (LAS)"),
-    column("range_sd_m", Values::F64(|row| row.found.range_sd_m), "standard deviation of range_m"),
-    column("time_of_flight_ns", Values::F64(|row| row.found.time_of_flight_ns), "echo minus outgoing pulse, both at the peak of the response, ns"),
-    column("time_of_flight_sd_ns", Values::F64(|row| row.found.time_of_flight_sd_ns), "standard deviation of time_of_flight_ns"),
-    column("amplitude_dn", Values::F64(|row| row.found.amplitude_dn), "peak height of the fitted pulse above the background, digitiser steps"),
-    column("amplitude_sd_dn", Values::F64(|row| row.found.amplitude_sd_dn), "standard deviation of amplitude_dn"),
-    column("amplitude_db", Values::MaybeF64(|row| known(row.found.amplitude_db)), "amplitude above the detection limit from the amplitude table of the input, dB; null without a table"),
-    column("width_ratio", Values::F64(|row| row.found.width_ratio), "full width at half maximum over that of the system response; 1 for a flat target"),
-    column("width_ratio_sd", Values::F64(|row| row.found.width_ratio_sd), "standard deviation of width_ratio"),
-    column("fwhm_ns", Values::F64(|row| row.found.fwhm_ns), "full width at half maximum, ns"),
-    column("thickness_m", Values::F64(|row| row.found.thickness_m), "full width at half maximum of the target along the beam, m"),
-    column("thickness_sd_m", Values::F64(|row| row.found.thickness_sd_m), "standard deviation of thickness_m"),
-    column("deviation_ratio", Values::F64(|row| row.found.deviation_ratio), "(chi-square - degrees of freedom) / sqrt(2 degrees of freedom) of the waveform's fit, with its sign"),
-    column("intensity", Values::F64(|row| row.found.intensity), "amplitude after all corrections"),
-    column("intensity_sd", Values::F64(|row| row.found.intensity_sd), "standard deviation of intensity"),
-    column("flags", Values::U16(|row| row.found.flags), "low byte: the LAS user data; 8 overdriven, 9 truncated, 10 split, 11 zone uncertain"),
-    column("withheld", Values::Bool(|row| row.found.withheld), "marked as an outlier"),
-    column("class", Values::U8(|row| row.found.class), "LAS class: 0; of outliers 7 (low) or 18 (high)"),
-    column("x", Values::MaybeF64(|row| row.point.map(|point| point[0])), "coordinate in the output frame; null before `georeference`"),
-    column("y", Values::MaybeF64(|row| row.point.map(|point| point[1])), "see x"),
-    column("z", Values::MaybeF64(|row| row.point.map(|point| point[2])), "see x"),
-    column("total_uncertainty_m", Values::MaybeF64(|row| known(row.found.total_sd_m)), "square root of the trace of the covariance of the point, m: position, attitude × range and range; null if the trajectory has no accuracies"),
-    column("profile_peaks", Values::MaybeI16(|row| of_profile(row, |p| p.peaks.min(9999) as i16)), "number of significant modes of the waveform of the shot; null, as all columns of the profile, for shots without one"),
-    column("profile_first_range_m", Values::MaybeF64(|row| of_profile(row, |p| p.first_range_m.value)), "range of the first significant mode, m"),
-    column("profile_first_range_sd_m", Values::MaybeF64(|row| of_profile(row, |p| p.first_range_m.sd)), "standard deviation of profile_first_range_m"),
-    column("profile_last_range_m", Values::MaybeF64(|row| of_profile(row, |p| p.last_range_m.value)), "range of the last significant mode, m: the ground; NaN if it is missing"),
-    column("profile_last_range_sd_m", Values::MaybeF64(|row| of_profile(row, |p| p.last_range_m.sd)), "standard deviation of profile_last_range_m"),
-    column("rh25_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[0].value)), "relative height along the beam: 25 % of the energy of the waveform lies below it, counted from the ground, m; NaN if the ground or the top is missing"),
-    column("rh25_sd_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[0].sd)), "standard deviation of rh25_m"),
-    column("rh50_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[1].value)), "as rh25_m, of 50 %"),
-    column("rh50_sd_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[1].sd)), "standard deviation of rh50_m"),
-    column("rh75_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[2].value)), "as rh25_m, of 75 %"),
-    column("rh75_sd_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[2].sd)), "standard deviation of rh75_m"),
-    column("rh98_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[3].value)), "as rh25_m, of 98 %"),
-    column("rh98_sd_m", Values::MaybeF64(|row| of_profile(row, |p| p.heights_m[3].sd)), "standard deviation of rh98_m"),
-    column("rh100_m", Values::MaybeF64(|row| of_profile(row, |p| p.top_m.value)), "height above the ground at which the signal begins, m"),
-    column("rh100_sd_m", Values::MaybeF64(|row| of_profile(row, |p| p.top_m.sd)), "standard deviation of rh100_m"),
-    column("profile_energy_dn", Values::MaybeF64(|row| of_profile(row, |p| p.energy_dn.value)), "energy of the waveform, as the height of a flat target's echo of the same energy, digitiser steps"),
-    column("profile_energy_sd_dn", Values::MaybeF64(|row| of_profile(row, |p| p.energy_dn.sd)), "standard deviation of profile_energy_dn"),
-    column("profile_flags", Values::MaybeI16(|row| of_profile(row, |p| i16::from(p.flags))), "1: the ground is missing, 2: the signal begins before the block, 4: clipped samples"),
+pub(super) static COLUMNS: &[ReturnColumn] = &[
+    column("shot", ColumnValues::U64(|row| row.shot), "running number of the shot, from 0"),
+    column("gps_time_s", ColumnValues::MaybeF64(|row| known(row.gps_time_s)), "time of the shot, s, on the scale of the metadata `wavex.time_scale`"),
+    column("return_number", ColumnValues::U8(|row| row.found.return_number), "1 for the first return of its shot"),
+    column("number_of_returns", ColumnValues::U8(|row| row.found.number_of_returns), "number of returns of the shot, including withheld ones"),
+    column("channel", ColumnValues::Text(|row| row.found.channel.name()), "the receiver that gave the intensity: `low`, `high` or `joint`"),
+    column("mta_zone", ColumnValues::MaybeI16(|row| Some(row.found.mta_zone).filter(|&zone| zone != -1)), "number of emissions between the causing shot and the reception; null if unresolved"),
+    column("range_m", ColumnValues::F64(|row| row.found.range_m), "range along the beam from the origin of the shot, m: from the sensor, or from the first sample for recordings without the sensor position (LAS)"),
+    column("range_sd_m", ColumnValues::F64(|row| row.found.range_sd_m), "standard deviation of range_m"),
+    column("time_of_flight_ns", ColumnValues::F64(|row| row.found.time_of_flight_ns), "echo minus outgoing pulse, both at the peak of the response, ns"),
+    column("time_of_flight_sd_ns", ColumnValues::F64(|row| row.found.time_of_flight_sd_ns), "standard deviation of time_of_flight_ns"),
+    column("amplitude_dn", ColumnValues::F64(|row| row.found.amplitude_dn), "peak height of the fitted pulse above the background, digitiser steps"),
+    column("amplitude_sd_dn", ColumnValues::F64(|row| row.found.amplitude_sd_dn), "standard deviation of amplitude_dn"),
+    column("amplitude_db", ColumnValues::MaybeF64(|row| known(row.found.amplitude_db)), "amplitude above the detection limit from the amplitude table of the input, dB; null without a table"),
+    column("width_ratio", ColumnValues::F64(|row| row.found.width_ratio), "full width at half maximum over that of the system response; 1 for a flat target"),
+    column("width_ratio_sd", ColumnValues::F64(|row| row.found.width_ratio_sd), "standard deviation of width_ratio"),
+    column("fwhm_ns", ColumnValues::F64(|row| row.found.fwhm_ns), "full width at half maximum, ns"),
+    column("thickness_m", ColumnValues::F64(|row| row.found.thickness_m), "full width at half maximum of the target along the beam, m"),
+    column("thickness_sd_m", ColumnValues::F64(|row| row.found.thickness_sd_m), "standard deviation of thickness_m"),
+    column("deviation_ratio", ColumnValues::F64(|row| row.found.deviation_ratio), "(chi-square - degrees of freedom) / sqrt(2 degrees of freedom) of the waveform's fit, with its sign"),
+    column("intensity", ColumnValues::F64(|row| row.found.intensity), "amplitude after all corrections"),
+    column("intensity_sd", ColumnValues::F64(|row| row.found.intensity_sd), "standard deviation of intensity"),
+    column("flags", ColumnValues::U16(|row| row.found.flags), "low byte: the LAS user data; 8 overdriven, 9 truncated, 10 split, 11 zone uncertain"),
+    column("withheld", ColumnValues::Bool(|row| row.found.withheld), "marked as an outlier"),
+    column("class", ColumnValues::U8(|row| row.found.class), "LAS class: 0; of outliers 7 (low) or 18 (high)"),
+    column("x", ColumnValues::MaybeF64(|row| row.point.map(|point| point[0])), "coordinate in the output frame; null before `georeference`"),
+    column("y", ColumnValues::MaybeF64(|row| row.point.map(|point| point[1])), "see x"),
+    column("z", ColumnValues::MaybeF64(|row| row.point.map(|point| point[2])), "see x"),
+    column("total_uncertainty_m", ColumnValues::MaybeF64(|row| known(row.found.total_sd_m)), "square root of the trace of the covariance of the point, m: position, attitude × range and range; null if the trajectory has no accuracies"),
+    column("profile_peaks", ColumnValues::MaybeI16(|row| of_profile(row, |p| p.peaks.min(9999) as i16)), "number of significant modes of the waveform of the shot; null, as all columns of the profile, for shots without one"),
+    column("profile_first_range_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.first_range_m.value)), "range of the first significant mode, m"),
+    column("profile_first_range_sd_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.first_range_m.sd)), "standard deviation of profile_first_range_m"),
+    column("profile_last_range_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.last_range_m.value)), "range of the last significant mode, m: the ground; NaN if it is missing"),
+    column("profile_last_range_sd_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.last_range_m.sd)), "standard deviation of profile_last_range_m"),
+    column("rh25_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.heights_m[0].value)), "relative height along the beam: 25 % of the energy of the waveform lies below it, counted from the ground, m; NaN if the ground or the top is missing"),
+    column("rh25_sd_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.heights_m[0].sd)), "standard deviation of rh25_m"),
+    column("rh50_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.heights_m[1].value)), "as rh25_m, of 50 %"),
+    column("rh50_sd_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.heights_m[1].sd)), "standard deviation of rh50_m"),
+    column("rh75_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.heights_m[2].value)), "as rh25_m, of 75 %"),
+    column("rh75_sd_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.heights_m[2].sd)), "standard deviation of rh75_m"),
+    column("rh98_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.heights_m[3].value)), "as rh25_m, of 98 %"),
+    column("rh98_sd_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.heights_m[3].sd)), "standard deviation of rh98_m"),
+    column("rh100_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.top_m.value)), "height above the ground at which the signal begins, m"),
+    column("rh100_sd_m", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.top_m.sd)), "standard deviation of rh100_m"),
+    column("profile_energy_dn", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.energy_dn.value)), "energy of the waveform, as the height of a flat target's echo of the same energy, digitiser steps"),
+    column("profile_energy_sd_dn", ColumnValues::MaybeF64(|row| of_profile(row, |p| p.energy_dn.sd)), "standard deviation of profile_energy_dn"),
+    column("profile_flags", ColumnValues::MaybeI16(|row| of_profile(row, |p| i16::from(p.flags))), "1: the ground is missing, 2: the signal begins before the block, 4: clipped samples"),
 ];
 
-impl Values {
+impl ColumnValues {
     fn data_type(&self) -> DataType {
         match self {
-            Values::U8(_) => DataType::UInt8,
-            Values::U16(_) => DataType::UInt16,
-            Values::U64(_) => DataType::UInt64,
-            Values::MaybeI16(_) => DataType::Int16,
-            Values::F64(_) | Values::MaybeF64(_) => DataType::Float64,
-            Values::Bool(_) => DataType::Boolean,
-            Values::Text(_) => DataType::Utf8,
+            ColumnValues::U8(_) => DataType::UInt8,
+            ColumnValues::U16(_) => DataType::UInt16,
+            ColumnValues::U64(_) => DataType::UInt64,
+            ColumnValues::MaybeI16(_) => DataType::Int16,
+            ColumnValues::F64(_) | ColumnValues::MaybeF64(_) => DataType::Float64,
+            ColumnValues::Bool(_) => DataType::Boolean,
+            ColumnValues::Text(_) => DataType::Utf8,
         }
     }
 
     fn nullable(&self) -> bool {
-        matches!(self, Values::MaybeI16(_) | Values::MaybeF64(_))
+        matches!(self, ColumnValues::MaybeI16(_) | ColumnValues::MaybeF64(_))
     }
 
-    fn array(&self, rows: &[Row]) -> ArrayRef {
+    fn array(&self, rows: &[ReturnRow]) -> ArrayRef {
         let rows = rows.iter();
         match self {
-            Values::U8(value) => Arc::new(UInt8Array::from_iter_values(rows.map(value))),
-            Values::U16(value) => Arc::new(UInt16Array::from_iter_values(rows.map(value))),
-            Values::U64(value) => Arc::new(UInt64Array::from_iter_values(rows.map(value))),
-            Values::MaybeI16(value) => Arc::new(rows.map(value).collect::<Int16Array>()),
-            Values::F64(value) => Arc::new(Float64Array::from_iter_values(rows.map(value))),
-            Values::MaybeF64(value) => Arc::new(rows.map(value).collect::<Float64Array>()),
-            Values::Bool(value) => Arc::new(rows.map(|row| Some(value(row))).collect::<BooleanArray>()),
-            Values::Text(value) => Arc::new(StringArray::from_iter_values(rows.map(value))),
+            ColumnValues::U8(value) => Arc::new(UInt8Array::from_iter_values(rows.map(value))),
+            ColumnValues::U16(value) => Arc::new(UInt16Array::from_iter_values(rows.map(value))),
+            ColumnValues::U64(value) => Arc::new(UInt64Array::from_iter_values(rows.map(value))),
+            ColumnValues::MaybeI16(value) => Arc::new(rows.map(value).collect::<Int16Array>()),
+            ColumnValues::F64(value) => Arc::new(Float64Array::from_iter_values(rows.map(value))),
+            ColumnValues::MaybeF64(value) => Arc::new(rows.map(value).collect::<Float64Array>()),
+            ColumnValues::Bool(value) => Arc::new(rows.map(|row| Some(value(row))).collect::<BooleanArray>()),
+            ColumnValues::Text(value) => Arc::new(StringArray::from_iter_values(rows.map(value))),
         }
     }
 }
 
-impl Values {
+impl ColumnValues {
     /// Adds the value of a row as text, nothing for null; a number is read back exactly.
-    fn add_text(&self, row: &Row, text: &mut String) {
+    fn add_text(&self, row: &ReturnRow, text: &mut String) {
         let added = match self {
-            Values::U8(value) => write!(text, "{}", value(row)),
-            Values::U16(value) => write!(text, "{}", value(row)),
-            Values::U64(value) => write!(text, "{}", value(row)),
-            Values::MaybeI16(value) => value(row).map_or(Ok(()), |value| write!(text, "{value}")),
-            Values::F64(value) => write!(text, "{:?}", value(row)),
-            Values::MaybeF64(value) => value(row).map_or(Ok(()), |value| write!(text, "{value:?}")),
-            Values::Bool(value) => write!(text, "{}", value(row)),
+            ColumnValues::U8(value) => write!(text, "{}", value(row)),
+            ColumnValues::U16(value) => write!(text, "{}", value(row)),
+            ColumnValues::U64(value) => write!(text, "{}", value(row)),
+            ColumnValues::MaybeI16(value) => value(row).map_or(Ok(()), |value| write!(text, "{value}")),
+            ColumnValues::F64(value) => write!(text, "{:?}", value(row)),
+            ColumnValues::MaybeF64(value) => value(row).map_or(Ok(()), |value| write!(text, "{value:?}")),
+            ColumnValues::Bool(value) => write!(text, "{}", value(row)),
             // Names without commas or quotes.
-            Values::Text(value) => write!(text, "{}", value(row)),
+            ColumnValues::Text(value) => write!(text, "{}", value(row)),
         };
         debug_assert!(added.is_ok(), "a string accepts text");
     }
@@ -165,7 +165,7 @@ pub(super) fn csv_header() -> String {
 }
 
 /// Formats the rows as lines of CSV.
-pub(super) fn csv(rows: &[Row]) -> String {
+pub(super) fn csv(rows: &[ReturnRow]) -> String {
     let mut text = String::new();
     for row in rows {
         for (number, column) in COLUMNS.iter().enumerate() {
@@ -195,7 +195,7 @@ fn unit(name: &str) -> Option<&'static str> {
 ///
 /// Each field has its `description`, and its `unit` if it has one.
 pub(super) fn schema(time_scale: &str, crs_wkt: Option<&str>) -> SchemaRef {
-    let field = |column: &Column| {
+    let field = |column: &ReturnColumn| {
         let about = [("description", Some(column.meaning)), ("unit", unit(column.name))];
         let about = about.into_iter().filter_map(|(key, text)| Some((key, text?)));
         let data_type = column.values.data_type();
@@ -210,21 +210,21 @@ pub(super) fn schema(time_scale: &str, crs_wkt: Option<&str>) -> SchemaRef {
 }
 
 /// Converts the rows to a record batch.
-pub(super) fn record_batch(schema: &SchemaRef, rows: &[Row]) -> Result<RecordBatch, ArrowError> {
+pub(super) fn record_batch(schema: &SchemaRef, rows: &[ReturnRow]) -> Result<RecordBatch, ArrowError> {
     let arrays = COLUMNS.iter().map(|column| column.values.array(rows)).collect();
     RecordBatch::try_new(Arc::clone(schema), arrays)
 }
 
 /// Description of the table as JSON, stored in `schemas/return_table.json`.
 pub fn description() -> Value {
-    let name = |values: &Values| match values {
-        Values::U8(_) => "u8",
-        Values::U16(_) => "u16",
-        Values::U64(_) => "u64",
-        Values::MaybeI16(_) => "i16",
-        Values::F64(_) | Values::MaybeF64(_) => "f64",
-        Values::Bool(_) => "bool",
-        Values::Text(_) => "utf8",
+    let name = |values: &ColumnValues| match values {
+        ColumnValues::U8(_) => "u8",
+        ColumnValues::U16(_) => "u16",
+        ColumnValues::U64(_) => "u64",
+        ColumnValues::MaybeI16(_) => "i16",
+        ColumnValues::F64(_) | ColumnValues::MaybeF64(_) => "f64",
+        ColumnValues::Bool(_) => "bool",
+        ColumnValues::Text(_) => "utf8",
     };
     let columns: Vec<Value> = COLUMNS
         .iter()

@@ -10,7 +10,7 @@ use arrow_array::{ArrayRef, RecordBatch};
 use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef};
 use serde_json::{Value, json};
 
-use super::Row;
+use super::ReturnRow;
 use wavex_geodesy::crs::projjson_of_wkt;
 
 /// Name of the column.
@@ -19,17 +19,17 @@ pub(super) const COLUMN: &str = "geometry";
 const POINT_Z: u32 = 1001;
 
 /// The points of a table.
-pub struct Geometry {
+pub struct GeoParquetColumn {
     /// Coordinate reference system as PROJJSON; null if it is unknown.
     crs: Value,
     /// Smallest and largest coordinates, if there is a point.
     bounds: Option<[[f64; 3]; 2]>,
 }
 
-impl Geometry {
+impl GeoParquetColumn {
     /// Points in this coordinate reference system.
-    pub(super) fn new(crs_wkt: Option<&str>) -> Geometry {
-        Geometry { crs: crs_wkt.and_then(projjson_of_wkt).unwrap_or_default(), bounds: None }
+    pub(super) fn new(crs_wkt: Option<&str>) -> GeoParquetColumn {
+        GeoParquetColumn { crs: crs_wkt.and_then(projjson_of_wkt).unwrap_or_default(), bounds: None }
     }
 
     /// Adds the column to a schema.
@@ -45,7 +45,7 @@ impl Geometry {
         &mut self,
         schema: &SchemaRef,
         batch: &RecordBatch,
-        rows: &[Row],
+        rows: &[ReturnRow],
     ) -> Result<RecordBatch, ArrowError> {
         let mut column = BinaryBuilder::with_capacity(rows.len(), rows.len() * 29);
         for row in rows {

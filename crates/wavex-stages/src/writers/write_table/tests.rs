@@ -104,7 +104,7 @@ fn found(emission: u32, value: f64) -> Return {
     }
 }
 
-/// A line of three emissions from `shot` on, with three returns and optional coordinates.
+/// A line of three shots from `shot` on, with three returns and optional coordinates.
 fn line(shot: u64, with_points: bool) -> ScanLine {
     let emissions = (shot..shot + 3).map(emission).collect();
     let mut returns = vec![found(0, 1000.0), found(1, 2000.0), found(1, 3000.5)];
@@ -113,15 +113,15 @@ fn line(shot: u64, with_points: bool) -> ScanLine {
     returns[2].channel = ReturnChannel::Joint;
     returns[2].mta_zone = -1;
     returns[2].total_sd_m = 0.0625;
-    let mut batch = ScanLine::of_shots(info(), 0, emissions, Blocks::default());
-    batch.content = match with_points {
+    let mut scan_line = ScanLine::of_shots(info(), 0, emissions, Blocks::default());
+    scan_line.content = match with_points {
         true => Content::Points(returns, vec![[1.5, 2.5, 3.5], [4.0, 5.0, 6.0], [7.0, 8.0, -9.125]]),
         false => Content::Returns(returns),
     };
-    batch
+    scan_line
 }
 
-fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
+fn write(folder: &Path, config: &WriteTable, lines: &[ScanLine]) -> Context {
     let run = RunContext {
         input: "made.sdf".into(),
         stem: "made".into(),
@@ -132,7 +132,7 @@ fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
     };
     let mut cx = Context::default();
     let mut sink = config.make(&run).unwrap();
-    batches.iter().for_each(|batch| sink.write(batch, &mut cx).unwrap());
+    lines.iter().for_each(|scan_line| sink.write(scan_line, &mut cx).unwrap());
     sink.finish(&mut cx).unwrap();
     for whole in cx.take_files() {
         whole.publish().unwrap();
@@ -140,8 +140,8 @@ fn write(folder: &Path, config: &Config, batches: &[ScanLine]) -> Context {
     cx
 }
 
-fn config(path: &str) -> Config {
-    Config { path: path.into(), format: None }
+fn config(path: &str) -> WriteTable {
+    WriteTable { path: path.into(), format: None }
 }
 
 fn arrow(path: &Path) -> Vec<RecordBatch> {
@@ -157,9 +157,9 @@ fn parquet(path: &Path) -> Vec<RecordBatch> {
 fn arrow_and_parquet_hold_the_same_columns() {
     let folder = tempfile::tempdir().unwrap();
     for with_points in [false, true] {
-        let batches = [line(10, with_points)];
-        write(folder.path(), &config("*.arrow"), &batches);
-        write(folder.path(), &config("*.parquet"), &batches);
+        let lines = [line(10, with_points)];
+        write(folder.path(), &config("*.arrow"), &lines);
+        write(folder.path(), &config("*.parquet"), &lines);
         let of_arrow = arrow(&folder.path().join("made.arrow")).remove(0);
         let of_parquet = parquet(&folder.path().join("made.parquet")).remove(0);
         // The geometry is the last column.
@@ -226,10 +226,10 @@ fn a_table_without_returns_has_its_columns() {
 #[test]
 fn rows_are_grouped_by_their_number_whatever_the_lines_and_the_bytes_repeat() {
     let emissions: Vec<Emission> = (0..4).map(emission).collect();
-    let batch = |n: usize| {
-        let mut batch = ScanLine::of_shots(info(), 0, emissions.clone(), Blocks::default());
-        batch.content = Content::Returns((0..n).map(|i| found((i % 4) as u32, 7.0)).collect());
-        batch
+    let scan_line = |n: usize| {
+        let mut scan_line = ScanLine::of_shots(info(), 0, emissions.clone(), Blocks::default());
+        scan_line.content = Content::Returns((0..n).map(|i| found((i % 4) as u32, 7.0)).collect());
+        scan_line
     };
     // Multiples of 4, so that the rows are the same for any division into lines.
     let total = ROWS_PER_GROUP + 4000;
@@ -237,8 +237,8 @@ fn rows_are_grouped_by_their_number_whatever_the_lines_and_the_bytes_repeat() {
     for (path, name) in [("*.arrow", "made.arrow"), ("*.parquet", "made.parquet"), ("*.csv", "made.csv")] {
         let bytes = cuts.clone().map(|sizes| {
             let folder = tempfile::tempdir().unwrap();
-            let batches: Vec<ScanLine> = sizes.into_iter().map(batch).collect();
-            write(folder.path(), &config(path), &batches);
+            let lines: Vec<ScanLine> = sizes.into_iter().map(scan_line).collect();
+            write(folder.path(), &config(path), &lines);
             let path = folder.path().join(name);
             let groups: Vec<usize> = match name {
                 "made.arrow" => arrow(&path).iter().map(RecordBatch::num_rows).collect(),
@@ -273,32 +273,35 @@ fn a_parquet_file_says_who_made_it_and_what_its_times_count() {
 #[test]
 fn a_return_of_no_emission_is_counted() {
     let folder = tempfile::tempdir().unwrap();
-    let mut batch = line(0, false);
-    if let Content::Returns(returns) = &mut batch.content {
+    let mut scan_line = line(0, false);
+    if let Content::Returns(returns) = &mut scan_line.content {
         returns[2].emission = 3;
     }
-    let cx = write(folder.path(), &config("*.csv"), &[batch]);
+    let cx = write(folder.path(), &config("*.csv"), &[scan_line]);
     assert_eq!(cx.counters().rejected[&(Item::Returns, Reason::ReturnWithoutShot)], 1);
     assert_eq!(fs::read_to_string(folder.path().join("made.csv")).unwrap().lines().count(), 3);
 }
 
 #[test]
 fn the_extension_or_the_key_names_the_format() {
-    assert_eq!(config("a/b.PARQUET").format(), Some(Format::Parquet));
-    assert_eq!(config("a.csv").format(), Some(Format::Csv));
+    assert_eq!(config("a/b.PARQUET").format(), Some(TableFormat::Parquet));
+    assert_eq!(config("a.csv").format(), Some(TableFormat::Csv));
     assert_eq!(config("a.csv.arrow").check(), Ok(()));
     let problem = "it does not end in .arrow, .parquet or .csv: set the key `format`";
     for path in ["a.txt", "arrow", ".csv"] {
         assert_eq!(config(path).check(), Err(InvalidKey::new("path", problem)), "{path}");
     }
     assert_eq!(config("").check(), Err(InvalidKey::new("path", "the path is empty")));
-    let given: Config = toml::from_str("path = \"a.txt\"\nformat = \"csv\"").unwrap();
-    assert_eq!((given.format(), given.check()), (Some(Format::Csv), Ok(())));
-    let default: Config = toml::from_str("").unwrap();
-    assert_eq!((default.outputs(), default.format()), (vec!["*_returns.parquet"], Some(Format::Parquet)));
-    let error = toml::from_str::<Config>("compression = \"lz4\"").unwrap_err().to_string();
+    let given: WriteTable = toml::from_str("path = \"a.txt\"\nformat = \"csv\"").unwrap();
+    assert_eq!((given.format(), given.check()), (Some(TableFormat::Csv), Ok(())));
+    let default: WriteTable = toml::from_str("").unwrap();
+    assert_eq!(
+        (default.outputs(), default.format()),
+        (vec!["*_returns.parquet"], Some(TableFormat::Parquet))
+    );
+    let error = toml::from_str::<WriteTable>("compression = \"lz4\"").unwrap_err().to_string();
     assert!(error.contains("unknown field `compression`"), "{error}");
-    let error = toml::from_str::<Config>("format = \"xlsx\"").unwrap_err().to_string();
+    let error = toml::from_str::<WriteTable>("format = \"xlsx\"").unwrap_err().to_string();
     assert!(error.contains("expected one of `arrow`, `parquet`, `csv`"), "{error}");
 }
 
@@ -314,8 +317,8 @@ fn shots_are_refused() {
         ..RunContext::alone("".as_ref())
     };
     let mut sink = config("*.csv").make(&run).unwrap();
-    let batch = ScanLine::of_shots(info(), 0, vec![], Blocks::default());
-    let error = sink.write(&batch, &mut Context::default()).unwrap_err().to_string();
+    let scan_line = ScanLine::of_shots(info(), 0, vec![], Blocks::default());
+    let error = sink.write(&scan_line, &mut Context::default()).unwrap_err().to_string();
     assert_eq!(error, "write_table received Shots, but writes Returns or Points; put it after `decompose`");
     drop(sink);
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
@@ -348,9 +351,9 @@ impl std::io::Write for Full {
 
 #[test]
 fn a_full_disk_is_an_error_in_each_format() {
-    for format in [Format::Arrow, Format::Parquet, Format::Csv] {
+    for format in [TableFormat::Arrow, TableFormat::Parquet, TableFormat::Csv] {
         for room in [0, 5000] {
-            let rows = (0..1000).map(|shot| Row {
+            let rows = (0..1000).map(|shot| ReturnRow {
                 shot,
                 gps_time_s: shot as f64,
                 found: found(0, shot as f64),

@@ -15,8 +15,8 @@ use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::columns::{self, Row};
-use super::geo::{self, Geometry};
+use super::columns::{self, ReturnRow};
+use super::geo::{self, GeoParquetColumn};
 use wavex_formats::Error;
 use wavex_formats::container::IpcWriter;
 
@@ -28,7 +28,7 @@ pub const ROWS_PER_GROUP: usize = 1 << 16;
 /// File format of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum Format {
+pub enum TableFormat {
     /// Arrow IPC file format, compressed with LZ4.
     Arrow,
     /// Parquet, compressed with ZSTD.
@@ -38,13 +38,13 @@ pub enum Format {
     Csv,
 }
 
-impl Format {
+impl TableFormat {
     /// The format of a path's extension, case-insensitive.
-    pub fn of(path: &str) -> Option<Format> {
+    pub fn of(path: &str) -> Option<TableFormat> {
         match Path::new(path).extension()?.to_ascii_lowercase().to_str()? {
-            "arrow" => Some(Format::Arrow),
-            "parquet" => Some(Format::Parquet),
-            "csv" => Some(Format::Csv),
+            "arrow" => Some(TableFormat::Arrow),
+            "parquet" => Some(TableFormat::Parquet),
+            "csv" => Some(TableFormat::Csv),
             _ => None,
         }
     }
@@ -52,13 +52,13 @@ impl Format {
 
 /// Writes a table to `W`. The bytes depend only on the rows and the info.
 pub struct TableWriter<W: Write + Send> {
-    form: Form<W>,
+    form: TableFile<W>,
     schema: SchemaRef,
-    rows: Vec<Row>,
+    rows: Vec<ReturnRow>,
     file: PathBuf,
 }
 
-enum Form<W: Write + Send> {
+enum TableFile<W: Write + Send> {
     Arrow(Box<IpcWriter<W>>),
     Parquet(Box<ParquetForm<W>>),
     Csv(W),
@@ -67,18 +67,22 @@ enum Form<W: Write + Send> {
 struct ParquetForm<W: Write + Send> {
     writer: ArrowWriter<W>,
     schema: SchemaRef,
-    geometry: Option<Geometry>,
+    geometry: Option<GeoParquetColumn>,
 }
 
 impl<W: Write + Send> ParquetForm<W> {
-    fn new(to: W, table: &SchemaRef, geometry: Option<Geometry>) -> Result<ParquetForm<W>, ArrowError> {
-        let schema = if geometry.is_some() { Geometry::extend(table) } else { Arc::clone(table) };
+    fn new(
+        to: W,
+        table: &SchemaRef,
+        geometry: Option<GeoParquetColumn>,
+    ) -> Result<ParquetForm<W>, ArrowError> {
+        let schema = if geometry.is_some() { GeoParquetColumn::extend(table) } else { Arc::clone(table) };
         let writer = ArrowWriter::try_new(to, Arc::clone(&schema), Some(properties(&schema)));
         Ok(ParquetForm { writer: writer.map_err(arrow_error)?, schema, geometry })
     }
 
     /// Writes a row group.
-    fn write(&mut self, batch: &RecordBatch, rows: &[Row]) -> Result<(), ArrowError> {
+    fn write(&mut self, batch: &RecordBatch, rows: &[ReturnRow]) -> Result<(), ArrowError> {
         let with_points = self.geometry.as_mut().map(|points| points.add(&self.schema, batch, rows));
         let with_points = with_points.transpose()?;
         self.writer.write(with_points.as_ref().unwrap_or(batch)).map_err(arrow_error)?;
@@ -109,18 +113,18 @@ impl<W: Write + Send> TableWriter<W> {
     /// Starts a table.
     ///
     /// `file` is the name used in errors.
-    pub fn new(mut to: W, file: &Path, format: Format, info: TableInfo) -> Result<TableWriter<W>> {
+    pub fn new(mut to: W, file: &Path, format: TableFormat, info: TableInfo) -> Result<TableWriter<W>> {
         let schema = columns::schema(info.time_scale, info.crs_wkt.filter(|_| info.has_points));
         let form = match format {
-            Format::Arrow => IpcWriter::file(to, Arc::clone(&schema), Some(CompressionType::LZ4_FRAME))
-                .map(|writer| Form::Arrow(Box::new(writer))),
-            Format::Parquet => {
-                let geometry = info.has_points.then(|| Geometry::new(info.crs_wkt));
-                ParquetForm::new(to, &schema, geometry).map(|form| Form::Parquet(Box::new(form)))
+            TableFormat::Arrow => IpcWriter::file(to, Arc::clone(&schema), Some(CompressionType::LZ4_FRAME))
+                .map(|writer| TableFile::Arrow(Box::new(writer))),
+            TableFormat::Parquet => {
+                let geometry = info.has_points.then(|| GeoParquetColumn::new(info.crs_wkt));
+                ParquetForm::new(to, &schema, geometry).map(|form| TableFile::Parquet(Box::new(form)))
             }
-            Format::Csv => to
+            TableFormat::Csv => to
                 .write_all(columns::csv_header().as_bytes())
-                .map(|()| Form::Csv(to))
+                .map(|()| TableFile::Csv(to))
                 .map_err(ArrowError::from),
         };
         let form = form.map_err(|error| failed(file, error))?;
@@ -128,7 +132,7 @@ impl<W: Write + Send> TableWriter<W> {
     }
 
     /// Adds a return.
-    pub fn push(&mut self, row: Row) -> Result<()> {
+    pub fn push(&mut self, row: ReturnRow) -> Result<()> {
         self.rows.push(row);
         if self.rows.len() >= ROWS_PER_GROUP { self.write_rows() } else { Ok(()) }
     }
@@ -138,9 +142,9 @@ impl<W: Write + Send> TableWriter<W> {
         let rows = std::mem::take(&mut self.rows);
         let batch = || columns::record_batch(&self.schema, &rows);
         let written = match &mut self.form {
-            Form::Arrow(writer) => batch().and_then(|batch| writer.write(&batch)),
-            Form::Csv(to) => to.write_all(columns::csv(&rows).as_bytes()).map_err(ArrowError::from),
-            Form::Parquet(form) => batch().and_then(|batch| form.write(&batch, &rows)),
+            TableFile::Arrow(writer) => batch().and_then(|batch| writer.write(&batch)),
+            TableFile::Csv(to) => to.write_all(columns::csv(&rows).as_bytes()).map_err(ArrowError::from),
+            TableFile::Parquet(form) => batch().and_then(|batch| form.write(&batch, &rows)),
         };
         self.rows = rows;
         self.rows.clear();
@@ -153,9 +157,9 @@ impl<W: Write + Send> TableWriter<W> {
             self.write_rows()?;
         }
         match self.form {
-            Form::Arrow(writer) => writer.finish(),
-            Form::Parquet(form) => form.finish(),
-            Form::Csv(to) => Ok(to),
+            TableFile::Arrow(writer) => writer.finish(),
+            TableFile::Parquet(form) => form.finish(),
+            TableFile::Csv(to) => Ok(to),
         }
         .map_err(|error| failed(&self.file, error))
     }

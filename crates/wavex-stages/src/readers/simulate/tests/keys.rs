@@ -63,7 +63,7 @@ fn each_limit_has_its_message() {
 fn noise_that_nothing_can_have_is_an_error_with_a_remedy() {
     let config = Simulate { noise_autocorrelation: vec![1.0], ..bare() };
     assert_eq!(
-        Flight::new(&config).unwrap_err().to_string(),
+        SimulatedFlight::new(&config).unwrap_err().to_string(),
         "no noise has this spread and autocorrelation; leave `noise_autocorrelation` out"
     );
 }

@@ -11,15 +11,15 @@ use wavex_line::scan_line::Frame;
 fn flown(config: &Simulate) -> (Vec<ScanLine>, std::collections::BTreeMap<String, Vec<u8>>) {
     let folder = tempfile::tempdir().unwrap();
     let (mut source, mut cx) = (config.make(&run(folder.path())).unwrap(), Context::default());
-    let mut batches = Vec::new();
+    let mut lines = Vec::new();
     while let Some(line) = source.next(&mut cx).unwrap() {
-        batches.push(line);
+        lines.push(line);
     }
     let files = cx.take_files().into_iter().map(|file| {
         let path = file.publish().unwrap();
         (path.file_name().unwrap().to_string_lossy().into_owned(), std::fs::read(&path).unwrap())
     });
-    (batches, files.collect())
+    (lines, files.collect())
 }
 
 fn records(bytes: &[u8]) -> Vec<SbetRecord> {
@@ -55,9 +55,9 @@ fn georeferenced_returns_are_the_truth_to_a_millimetre() {
         sbet: Some("*.sbet".to_owned()),
         ..rich()
     };
-    let (batches, files) = flown(&config);
+    let (lines, files) = flown(&config);
     let trajectory = records(&files["simulated.sbet"]);
-    assert!(batches.iter().all(|line| line.input.frame == Frame::Scanner && line.input.crs_wkt.is_none()));
+    assert!(lines.iter().all(|line| line.input.frame == Frame::Scanner && line.input.crs_wkt.is_none()));
     let map = TransverseMercator::new(WGS84, TransverseMercatorParameters::utm(33, true));
     let boresight = rotation_of_angles(config.boresight_deg.map(f64::to_radians));
     let truth = String::from_utf8(files["simulated_truth.csv"].clone()).unwrap();
@@ -66,7 +66,7 @@ fn georeferenced_returns_are_the_truth_to_a_millimetre() {
         let fields: Vec<&str> = row.split(',').collect();
         let number = |k: usize| fields[k].parse::<f64>().unwrap();
         let shot = number(0) as usize;
-        let emission = &batches[shot / 400].emissions[shot % 400];
+        let emission = &lines[shot / 400].emissions[shot % 400];
         assert_eq!(emission.origin_m, [0.0; 3]);
         let (place, attitude) = pose(&trajectory, emission.gps_time_s);
         let in_body = rotate(&boresight, emission.direction.map(|d| d * number(5)));
@@ -94,11 +94,11 @@ fn a_trajectory_begins_before_the_flight_and_ends_after_it() {
         roll_deg: 1.0,
         ..bare()
     };
-    let (batches, files) = flown(&config);
+    let (lines, files) = flown(&config);
     let trajectory = records(&files["simulated.out"]);
     let steps = trajectory.windows(2).map(|pair| pair[1].time_s - pair[0].time_s);
     assert!(steps.into_iter().all(|step| (step - 0.005).abs() < 1e-9));
-    let last_s = batches.last().and_then(|line| line.emissions.last()).unwrap().gps_time_s;
+    let last_s = lines.last().and_then(|line| line.emissions.last()).unwrap().gps_time_s;
     assert_eq!(trajectory[0].time_s, 208_799.0);
     assert!(trajectory.last().unwrap().time_s > last_s + 0.9);
     // North from 47.828 N, 600 m above level ground of 400 m; the horizon of the start is straight.
@@ -125,9 +125,9 @@ fn a_trajectory_begins_before_the_flight_and_ends_after_it() {
 #[test]
 fn without_a_trajectory_beams_stand_in_the_map() {
     let config = Simulate { heading_deg: 90.0, roll_deg: 3.0, lever_arm_m: [1.0, 2.0, 3.0], ..bare() };
-    let (batches, files) = flown(&Simulate { lines: 2, ..config });
+    let (lines, files) = flown(&Simulate { lines: 2, ..config });
     assert!(files.is_empty());
-    for emission in batches.iter().flat_map(|line| &line.emissions) {
+    for emission in lines.iter().flat_map(|line| &line.emissions) {
         let length = emission.direction.iter().map(|d| d * d).sum::<f64>();
         assert!((length - 1.0).abs() < 1e-13);
         // The lever arm's right is south of a flight to the east.
