@@ -22,15 +22,15 @@ const LARGE_FOOTPRINTS: [&str; 3] = ["LVIS", "GEDI", "GLAS"];
 pub(super) struct Recording {
     /// Name of the stage that reads it.
     pub(super) reader: &'static str,
-    /// Kind of the recording, which selects the job.
-    pub(super) kind: Kind,
+    /// Job for this kind of recording.
+    pub(super) kind: JobTemplate,
     /// Properties that identified the kind, as text.
     pub(super) facts: String,
 }
 
 /// Kinds of recordings, one job template each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum JobTemplate {
     /// Raw recording in the scanner's frame.
     Raw,
     /// LAS with waveforms.
@@ -43,26 +43,26 @@ pub(super) enum Kind {
     LargeFootprint,
 }
 
-impl Kind {
+impl JobTemplate {
     /// File name of the job in the folder `jobs`.
     pub(super) fn file(self) -> &'static str {
         match self {
-            Kind::Raw => "sdf.toml",
-            Kind::Las => "las.toml",
-            Kind::PulseWaves => "pulsewaves.toml",
-            Kind::Container => "container.toml",
-            Kind::LargeFootprint => "large_footprint.toml",
+            JobTemplate::Raw => "sdf.toml",
+            JobTemplate::Las => "las.toml",
+            JobTemplate::PulseWaves => "pulsewaves.toml",
+            JobTemplate::Container => "container.toml",
+            JobTemplate::LargeFootprint => "large_footprint.toml",
         }
     }
 
     /// Text of the job.
     pub(super) fn template(self) -> &'static str {
         match self {
-            Kind::Raw => include_str!("../../jobs/sdf.toml"),
-            Kind::Las => include_str!("../../jobs/las.toml"),
-            Kind::PulseWaves => include_str!("../../jobs/pulsewaves.toml"),
-            Kind::Container => include_str!("../../jobs/container.toml"),
-            Kind::LargeFootprint => include_str!("../../jobs/large_footprint.toml"),
+            JobTemplate::Raw => include_str!("../../jobs/sdf.toml"),
+            JobTemplate::Las => include_str!("../../jobs/las.toml"),
+            JobTemplate::PulseWaves => include_str!("../../jobs/pulsewaves.toml"),
+            JobTemplate::Container => include_str!("../../jobs/container.toml"),
+            JobTemplate::LargeFootprint => include_str!("../../jobs/large_footprint.toml"),
         }
     }
 }
@@ -83,7 +83,7 @@ impl Recording {
         if reader == "read_sdf" {
             return Ok(Recording {
                 reader,
-                kind: Kind::Raw,
+                kind: JobTemplate::Raw,
                 facts: "RIEGL SDF or WFM, by its extension".into(),
             });
         }
@@ -99,16 +99,16 @@ impl Recording {
 }
 
 /// Selects the kind, with the reason if the format alone does not decide.
-fn kind_of(reader: &str, inspection: &Inspection) -> (Kind, &'static str) {
+fn kind_of(reader: &str, inspection: &Inspection) -> (JobTemplate, &'static str) {
     let input = inspection.input.as_deref();
     if is_large_footprint(inspection) {
-        return (Kind::LargeFootprint, ": a large footprint");
+        return (JobTemplate::LargeFootprint, ": a large footprint");
     }
     match (reader, input.map(|input| input.frame)) {
-        ("read_las", _) => (Kind::Las, ""),
-        ("read_pulsewaves", _) => (Kind::PulseWaves, ""),
-        (_, Some(Frame::Scanner | Frame::Body)) => (Kind::Raw, ", in the instrument's frame"),
-        _ => (Kind::Container, ", in map coordinates"),
+        ("read_las", _) => (JobTemplate::Las, ""),
+        ("read_pulsewaves", _) => (JobTemplate::PulseWaves, ""),
+        (_, Some(Frame::Scanner | Frame::Body)) => (JobTemplate::Raw, ", in the instrument's frame"),
+        _ => (JobTemplate::Container, ", in map coordinates"),
     }
 }
 

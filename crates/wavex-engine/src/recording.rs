@@ -103,7 +103,7 @@ impl Recording {
     /// # Errors
     /// The recording cannot be read to its end, or its reader cannot return to lines (a stream, or
     /// an SDF file with `time_s`).
-    pub fn index(&mut self, watch: &mut index::ProgressObserver) -> Result<Arc<LineIndex>> {
+    pub fn index(&mut self, watch: &mut index::IndexObserver) -> Result<Arc<LineIndex>> {
         if let Some(index) = &self.index {
             return Ok(Arc::clone(index));
         }

@@ -191,7 +191,7 @@ reasons! {
     /// A shot without a time, if a time window is set.
     WithoutTime => shot("no time, although `time_s` is set", READERS, "remove `time_s`, or cut the window from a recording with times"),
     /// A shot at a time without a pose.
-    OutsideTrajectory => shot("outside the trajectory", SOURCES, "give a trajectory of the whole flight; check `trajectory_time` and `time_offset_s` of the reader"),
+    OutsideTrajectory => shot("outside the trajectory", SOURCES, "give a trajectory of the whole flight; check `trajectory_time` of `[job.geometry]` and `time_offset_s` of the reader"),
     /// Range ambiguity: no shot can have caused the block.
     NoEmission => block("no emission at a distance within `range_m`", MTA, "widen `range_m` if the ground or the air between is outside of it"),
     /// Range ambiguity: a block too far from the shot in whose record it is.

@@ -16,7 +16,7 @@ mod stretches;
 #[cfg(test)]
 mod tests;
 
-pub use proof::{Measured, Proof, Refusal};
+pub use proof::{MeasuredDelay, Proof, Refusal};
 
 /// Fewest triples to learn from.
 pub const LEAST_TRIPLES: usize = 1000;

@@ -17,8 +17,8 @@ use crate::noise::ArNoise;
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::{Pulse, Shape};
 
-use linear::{Kernel, variance};
-use modes::{Mode, largest_rise, modes};
+use linear::{LinearKernel, variance};
+use modes::{ProfileMode, largest_rise, modes};
 
 /// Parts of the energy whose heights above the ground are given.
 pub const RELATIVE_HEIGHTS: [f64; 4] = [0.25, 0.5, 0.75, 0.98];
@@ -85,7 +85,7 @@ pub struct DistributedTargets {
     model: ChannelModel,
     noise: ArNoise,
     fwhm_samples: f64,
-    kernel: Kernel,
+    kernel: LinearKernel,
     /// Standard deviation of the noise of the smoothed waveform, DN.
     smoothed_sd_dn: f64,
     echo: SmoothedEcho,
@@ -93,7 +93,7 @@ pub struct DistributedTargets {
     smoothed_dn: Vec<f64>,
     /// Energy up to each edge of the samples, DN.
     cumulative_dn: Vec<f64>,
-    modes: Vec<Mode>,
+    modes: Vec<ProfileMode>,
     weights: Weights,
 }
 
@@ -116,7 +116,7 @@ struct SmoothedEcho {
 }
 
 impl SmoothedEcho {
-    fn of(model: &ChannelModel, kernel: &Kernel) -> Result<SmoothedEcho, ModelError> {
+    fn of(model: &ChannelModel, kernel: &LinearKernel) -> Result<SmoothedEcho, ModelError> {
         const NOISE_SDS: f64 = 50.0;
         let shape = Shape::of(model)?;
         let before = (8.0 * shape.fwhm_samples()).ceil() as usize + 1;
@@ -133,7 +133,7 @@ impl SmoothedEcho {
         kernel.smooth_into(&samples, &mut smoothed);
         let top = (1..smoothed.len() - 1).max_by(|&i, &j| smoothed[i].total_cmp(&smoothed[j])).unwrap_or(1);
         Ok(SmoothedEcho {
-            delay_samples: Mode::at(&smoothed, top).position() - before as f64,
+            delay_samples: ProfileMode::at(&smoothed, top).position() - before as f64,
             ringing: largest_rise(&smoothed[top..]) / smoothed[top],
             area_samples: samples.iter().sum(),
         })
@@ -162,7 +162,7 @@ impl DistributedTargets {
     pub fn new(model: &ChannelModel) -> Result<DistributedTargets, ModelError> {
         let noise = model.noise()?;
         let fwhm_samples = Shape::of(model)?.fwhm_samples();
-        let kernel = Kernel::of_fwhm(fwhm_samples);
+        let kernel = LinearKernel::of_fwhm(fwhm_samples);
         Ok(DistributedTargets {
             smoothed_sd_dn: variance(&noise, &mut kernel.weights().to_vec()).sqrt(),
             echo: SmoothedEcho::of(model, &kernel)?,
@@ -300,7 +300,7 @@ impl DistributedTargets {
     }
 
     /// Position of a mode as the peak of an echo.
-    fn position(&mut self, mode: &Mode, extent: &Extent) -> WithSd {
+    fn position(&mut self, mode: &ProfileMode, extent: &Extent) -> WithSd {
         self.clear_weights();
         mode.add_slopes(1.0, &mut self.weights.of_smoothed);
         WithSd { value: mode.position() - self.echo.delay_samples, sd: self.sd(extent) }
@@ -345,7 +345,7 @@ impl DistributedTargets {
     }
 
     /// Height above the ground below which a part of the energy lies.
-    fn height(&mut self, part: f64, ground: &Mode, window: [f64; 2], extent: &Extent) -> WithSd {
+    fn height(&mut self, part: f64, ground: &ProfileMode, window: [f64; 2], extent: &Extent) -> WithSd {
         // Beams travel downwards: the part of the energy from below is the rest of that from above.
         let above = 1.0 - part;
         let wanted_dn = above * self.cumulative_dn[self.signal_dn.len()];
@@ -392,7 +392,7 @@ impl DistributedTargets {
     }
 
     /// Height above the ground at which the signal begins.
-    fn top(&mut self, ground: &Mode, extent: &Extent) -> WithSd {
+    fn top(&mut self, ground: &ProfileMode, extent: &Extent) -> WithSd {
         let (position, slopes) = self.crossing(extent, 0);
         self.clear_weights();
         ground.add_slopes(1.0, &mut self.weights.of_smoothed);

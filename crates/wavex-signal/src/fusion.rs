@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::decompose::OVERDRIVEN_PART;
 use crate::sensor_model::{ChannelModel, ModelError};
-pub use joint::{Expected, JointFit, JointFitted, JointPulse, Outcome};
+pub use joint::{Expected, JointFit, JointFitted, JointOutcome, JointPulse};
 pub(crate) use plain_peak::plain_peak_of;
 pub use plain_peak::{PlainPeak, lead_noise_sd_dn, peak_above_half, plain_peak};
 pub use proof::{FusionProof, prove};

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use crate::sensor_model::response::{self, STEPS_PER_SAMPLE, SystemResponse};
 use crate::sensor_model::{ChannelModel, ModelError};
-use templates::{Part, Templates};
+use templates::{TemplatePart, Templates};
 
 pub(crate) use pulse::FOUR_LN_2;
 pub use pulse::Pulse;
@@ -111,7 +111,7 @@ impl Shape {
             match &self.family {
                 Family::Gaussian { fwhm_samples } => pulse.add_lane_to(*fwhm_samples, sign, lane, values),
                 Family::Response(response) => {
-                    response.add([(Part::Value, sign * pulse.height_dn)], &pulse, lane, [values]);
+                    response.add([(TemplatePart::Value, sign * pulse.height_dn)], &pulse, lane, [values]);
                 }
             }
         }
@@ -163,7 +163,11 @@ impl ResponseShape {
     fn add_derivatives(&self, pulse: &Pulse, lane: Lane, columns: [&mut [f64]; 3]) -> usize {
         let [by_height, by_position, by_width] = columns;
         let height_dn = pulse.height_dn;
-        let parts = [(Part::Value, 1.0), (Part::ByTime, -height_dn), (Part::ByLnWidth, height_dn)];
+        let parts = [
+            (TemplatePart::Value, 1.0),
+            (TemplatePart::ByTime, -height_dn),
+            (TemplatePart::ByLnWidth, height_dn),
+        ];
         self.add(parts, pulse, lane, [&mut *by_height, by_position, by_width]);
         self.add_change_with_height(pulse, lane, by_height);
         0
@@ -172,7 +176,7 @@ impl ResponseShape {
     /// Adds parts of the pulse, each with its factor.
     fn add<const T: usize>(
         &self,
-        parts: [(Part, f64); T],
+        parts: [(TemplatePart, f64); T],
         pulse: &Pulse,
         lane: Lane,
         mut values: [&mut [f64]; T],
@@ -197,7 +201,7 @@ impl ResponseShape {
         for (node, factor) in [(low, -per_dn), (high, per_dn)] {
             let table = &self.nodes[node].1;
             let (place, width) = (pulse.position_samples, pulse.ln_width_ratio);
-            table.add([(Part::Value, factor)], place, width, lane, [&mut *by_height]);
+            table.add([(TemplatePart::Value, factor)], place, width, lane, [&mut *by_height]);
         }
     }
 }

@@ -15,7 +15,7 @@ use crate::noise::{ArNoise, MAX_ORDER};
 
 /// Row of one sample: inverse SD of its prediction error (0 if unused), and state correction.
 #[derive(Debug, Clone, Copy, Default)]
-struct Row {
+struct WhiteningRow {
     weight: f64,
     gain: [f64; MAX_ORDER],
     /// Whether the preceding `order` samples are all used; they alone then determine the
@@ -30,7 +30,7 @@ pub struct Whitener {
     /// Size of the predictor's state: the order, at least one.
     states: usize,
     used: Vec<bool>,
-    rows: Vec<Row>,
+    rows: Vec<WhiteningRow>,
     /// From this sample on, all samples and the preceding `order` samples are used.
     steady: usize,
 }
@@ -76,7 +76,7 @@ impl Whitener {
         let mut covariance = self.stationary_covariance();
         let mut run = 0;
         for &used in &self.used {
-            let mut row = if used { update(&mut covariance, self.states) } else { Row::default() };
+            let mut row = if used { update(&mut covariance, self.states) } else { WhiteningRow::default() };
             row.is_steady = used && run >= self.noise.order();
             run = if used { run + 1 } else { 0 };
             self.rows.push(row);
@@ -212,9 +212,9 @@ impl Whitener {
 }
 
 /// Updates the state covariance with a used sample and returns its row.
-fn update(covariance: &mut [[f64; MAX_ORDER]; MAX_ORDER], states: usize) -> Row {
+fn update(covariance: &mut [[f64; MAX_ORDER]; MAX_ORDER], states: usize) -> WhiteningRow {
     let first = covariance[0];
-    let mut row = Row { weight: 1.0 / first[0].sqrt(), gain: [0.0; MAX_ORDER], is_steady: false };
+    let mut row = WhiteningRow { weight: 1.0 / first[0].sqrt(), gain: [0.0; MAX_ORDER], is_steady: false };
     for (i, line) in covariance.iter_mut().enumerate().take(states) {
         row.gain[i] = first[i] / first[0];
         for (value, known) in line.iter_mut().zip(&first).take(states) {

@@ -24,7 +24,7 @@ use wavex_line::scan_line::ScanLine;
 use wavex_line::stage::{Context, LineLocation, OutputFile, Result, RunContext, SourcePlan, StageError};
 
 /// Called with the fraction of a recording that has been read; an error ends the reading.
-pub type ProgressObserver<'a> = dyn FnMut(f64) -> Result<()> + 'a;
+pub type IndexObserver<'a> = dyn FnMut(f64) -> Result<()> + 'a;
 
 /// Key of the metadata that identifies the recording.
 const RECORDING_KEY: &str = "wavex.recording";
@@ -79,7 +79,7 @@ impl LineIndex {
         reader: &dyn SourcePlan,
         keys: &str,
         run: &RunContext,
-        watch: &mut ProgressObserver,
+        watch: &mut IndexObserver,
     ) -> Result<LineIndex> {
         let identity = identity(&run.input, keys);
         let path = index_path(&run.input);
@@ -98,7 +98,7 @@ impl LineIndex {
     /// Makes the index in one pass, without samples where the format permits.
     ///
     /// Ends with [`StageError::Stopped`] once the run is cancelled.
-    fn make(reader: &dyn SourcePlan, run: &RunContext, watch: &mut ProgressObserver) -> Result<LineIndex> {
+    fn make(reader: &dyn SourcePlan, run: &RunContext, watch: &mut IndexObserver) -> Result<LineIndex> {
         let mut source = reader.make_for_inspection(run, false)?;
         let (mut lines, mut cx) = (Vec::new(), Context::default());
         while let Some(line) = source.next(&mut cx)? {

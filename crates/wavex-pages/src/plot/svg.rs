@@ -45,6 +45,12 @@ text{fill:#ccc}.page{fill:#16181c}.title,.num{fill:#f2f2f2}.note{fill:#999}
 .one{fill:#64b5f6;fill-opacity:.18}.limit{stroke:#ff6b6b}.stem{stroke:#777}}
 ";
 
+impl Default for Svg {
+    fn default() -> Svg {
+        Svg::new()
+    }
+}
+
 impl Svg {
     /// An empty picture.
     pub fn new() -> Svg {

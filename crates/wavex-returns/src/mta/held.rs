@@ -1,6 +1,6 @@
 //! Pending scan lines and their echoes.
 
-use super::pulses::Pulses;
+use super::pulses::LinePulses;
 
 /// An echo of a pending line.
 #[derive(Debug, Clone, Copy)]
@@ -34,7 +34,7 @@ impl HeldEcho {
 #[derive(Debug)]
 pub(super) struct Held {
     pub number: u64,
-    pub pulses: Pulses,
+    pub pulses: LinePulses,
     /// Sorted by column and time.
     pub echoes: Vec<HeldEcho>,
     /// Columns of a revolution, whose last is adjacent to the first; 0 for a sweep.

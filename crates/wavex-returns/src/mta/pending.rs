@@ -1,7 +1,7 @@
 //! A pending scan line.
 
 use super::held::{Held, HeldEcho};
-use super::pulses::{CELL_SHOTS, Pulses, Tail};
+use super::pulses::{CELL_SHOTS, LinePulses, Tail};
 use super::summary::Summary;
 use super::{Assigned, Line, Resolved, Settings};
 
@@ -69,7 +69,7 @@ pub(super) struct LastEmission {
 
 impl Held {
     pub fn new(line: &Line, number: u64, settings: &Settings, places: &mut Places, tail: &mut Tail) -> Held {
-        let pulses = Pulses::new(&line.emissions, places.columns(line), number, settings, tail);
+        let pulses = LinePulses::new(&line.emissions, places.columns(line), number, settings, tail);
         let mut echoes: Vec<HeldEcho> = (0u32..)
             .zip(&line.echoes)
             .map(|(input, echo)| place(input, echo.emission as usize, echo.time_ns, &pulses, settings))
@@ -149,7 +149,7 @@ impl Held {
 }
 
 /// Locates an echo `time_ns` after the line's emission `emission` among all emissions.
-fn place(input: u32, emission: usize, time_ns: f64, pulses: &Pulses, settings: &Settings) -> HeldEcho {
+fn place(input: u32, emission: usize, time_ns: f64, pulses: &LinePulses, settings: &Settings) -> HeldEcho {
     let clocks = &pulses.clock_ps;
     let record = pulses.lead + emission;
     let since = |place: usize| time_ns - clocks[place].saturating_sub(clocks[record]) as f64 * 1e-3;

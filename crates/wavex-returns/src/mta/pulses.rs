@@ -17,7 +17,7 @@ pub(super) const REGULAR_PART: f64 = 0.05;
 
 /// Emissions in time order: those before the line, then its own.
 #[derive(Debug, Default)]
-pub(super) struct Pulses {
+pub(super) struct LinePulses {
     pub clock_ps: Vec<i64>,
     pub shot: Vec<u64>,
     /// Column of each emission.
@@ -48,7 +48,7 @@ pub(super) struct Tail {
     interval_ps: Option<f64>,
 }
 
-impl Pulses {
+impl LinePulses {
     /// Combines the emissions of line `number` with those of `tail`, and updates `tail`.
     pub fn new(
         emissions: &[Emission],
@@ -56,9 +56,9 @@ impl Pulses {
         number: u64,
         settings: &Settings,
         tail: &mut Tail,
-    ) -> Pulses {
+    ) -> LinePulses {
         let reach_ps = 2e12 * settings.range_m[1] / settings.group_velocity_mps;
-        let mut pulses = Pulses::default();
+        let mut pulses = LinePulses::default();
         let first = emissions.first().map_or(0, |emission| emission.clock_ps);
         // After a clock reset, no earlier emission is comparable.
         let follows = tail.clock_ps.last().is_some_and(|&last| last < first) && !emissions.is_empty();
@@ -164,7 +164,7 @@ impl Pulses {
 }
 
 impl Tail {
-    fn follow(&mut self, pulses: &Pulses, line: u64) {
+    fn follow(&mut self, pulses: &LinePulses, line: u64) {
         let from = pulses.clock_ps.len().saturating_sub(MOST_BEFORE);
         self.clock_ps = pulses.clock_ps[from..].to_vec();
         self.shot = pulses.shot[from..].to_vec();

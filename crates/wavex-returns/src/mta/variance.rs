@@ -60,7 +60,7 @@ impl Ring {
 
 /// The chain of one zone.
 #[derive(Debug, Clone)]
-struct Chain {
+struct ZoneChain {
     /// Buffer including adjacent zones, then of the zone alone.
     overlapping: Ring,
     alone: Ring,
@@ -81,7 +81,7 @@ pub(super) struct Variance {
     settings: Settings,
     half: usize,
     lines: VecDeque<Waiting>,
-    chains: Vec<Chain>,
+    chains: Vec<ZoneChain>,
     length: usize,
     /// Echoes that wait for the second half of the buffer: line, and index in it.
     pending: VecDeque<(u64, u32)>,
@@ -146,7 +146,7 @@ impl Variance {
         if self.chains.is_empty() && count > 0 {
             let most = self.settings.range_m[1] / f64::from(line.pulses.interval_m);
             let zones = most.ceil().clamp(1.0, MOST_ZONES) as usize + 1;
-            self.chains = vec![Chain::new(self.length); zones];
+            self.chains = vec![ZoneChain::new(self.length); zones];
         }
         let mut ranges = vec![f64::NAN; self.chains.len()];
         self.lines.push_back(Waiting { line, decided: vec![(None, 0.0); count] });
@@ -183,7 +183,7 @@ impl Variance {
         let Some(waiting) = self.lines.get_mut((number - first) as usize) else { return };
         let (line, echo) = (&waiting.line, &waiting.line.echoes[i as usize]);
         let count = self.length as f64;
-        let cost = |chain: &Chain, zone: usize| {
+        let cost = |chain: &ZoneChain, zone: usize| {
             let variance = (chain.overlapping.sum / count).max(LEAST_VARIANCE_M2);
             0.5 * count * variance.ln() + prior_nats(line, echo, zone, &self.settings)
         };
@@ -231,10 +231,10 @@ impl Variance {
     }
 }
 
-impl Chain {
-    fn new(length: usize) -> Chain {
+impl ZoneChain {
+    fn new(length: usize) -> ZoneChain {
         let ring = Ring::new(length);
-        Chain { overlapping: ring.clone(), alone: ring, last_m: f64::NAN, last_alone_m: f64::NAN }
+        ZoneChain { overlapping: ring.clone(), alone: ring, last_m: f64::NAN, last_alone_m: f64::NAN }
     }
 
     /// Continues with a range of the chain's or an adjacent zone, and with that of the zone alone.

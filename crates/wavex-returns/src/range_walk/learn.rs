@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::proof::Proof;
-use super::row::{REACH_SD, Row, spread_ln, weight};
+use super::row::{AmplitudeRow, REACH_SD, spread_ln, weight};
 use super::stretches::{jackknife_variance, stretches};
 use super::{DelayNode, LEAST_TRIPLES, LearntWalk, NoWalk, RangeWalk, SingleEcho, Triple};
 
@@ -35,7 +35,7 @@ const ROUGHNESS_EVERY: usize = 5;
 const SD_OF_MEDIAN: f64 = 1.4826;
 
 /// Nodes of a walk, and the prior of their delays.
-struct Grid {
+struct DelayGrid {
     reference_dn: f64,
     /// Logarithm of the first node's amplitude over the reference.
     first_ln: f64,
@@ -44,8 +44,8 @@ struct Grid {
     precision: DMatrix<f64>,
 }
 
-impl Grid {
-    fn new(reference_dn: f64, least_dn: f64, most_dn: f64) -> Option<Grid> {
+impl DelayGrid {
+    fn new(reference_dn: f64, least_dn: f64, most_dn: f64) -> Option<DelayGrid> {
         let below = (-(least_dn / reference_dn).ln() / STEP_LN).ceil().max(0.0) as usize + MARGIN_NODES;
         let above = ((most_dn / reference_dn).ln() / STEP_LN).ceil().max(0.0) as usize + MARGIN_NODES;
         let nodes = below + above + 1;
@@ -58,14 +58,14 @@ impl Grid {
             PRIOR_SD_NS.powi(2) * (correlation(a, b) - correlation(a, 0.0) * correlation(b, 0.0)) + nugget_ns2
         });
         let precision = covariance.cholesky()?.inverse();
-        Some(Grid { reference_dn, first_ln: at(0), nodes, precision })
+        Some(DelayGrid { reference_dn, first_ln: at(0), nodes, precision })
     }
 
     fn amplitude_dn(&self, node: usize) -> f64 {
         self.reference_dn * (self.first_ln + node as f64 * STEP_LN).exp()
     }
 
-    fn row(&self, triple: &Triple, stretch: usize, prior: Option<&RangeWalk>) -> Row {
+    fn row(&self, triple: &Triple, stretch: usize, prior: Option<&RangeWalk>) -> AmplitudeRow {
         let prior_ns = |echo: &SingleEcho| prior.map_or(0.0, |walk| walk.late_ns(echo.amplitude_dn).0);
         let of_three = |[a, b, c]: [f64; 3]| a - 2.0 * b + c;
         let variance_ns2 = triple.echoes.map(|echo| echo.flight_sd_ns.powi(2));
@@ -77,7 +77,7 @@ impl Grid {
             terms[2 * k] = (node, factor * (1.0 - part));
             terms[2 * k + 1] = (node + 1, factor * part);
         }
-        Row {
+        AmplitudeRow {
             shot: triple.shot,
             stretch,
             difference_ns: of_three(triple.echoes.each_ref().map(|echo| echo.flight_ns - prior_ns(echo))),
@@ -90,17 +90,17 @@ impl Grid {
 
 /// Sums of weighted equations.
 #[derive(Clone)]
-struct NormalEquations {
+struct DelayEquations {
     matrix: DMatrix<f64>,
     right: DVector<f64>,
 }
 
-impl NormalEquations {
-    fn zero(nodes: usize) -> NormalEquations {
-        NormalEquations { matrix: DMatrix::zeros(nodes, nodes), right: DVector::zeros(nodes) }
+impl DelayEquations {
+    fn zero(nodes: usize) -> DelayEquations {
+        DelayEquations { matrix: DMatrix::zeros(nodes, nodes), right: DVector::zeros(nodes) }
     }
 
-    fn add(&mut self, row: &Row, weight: f64) {
+    fn add(&mut self, row: &AmplitudeRow, weight: f64) {
         for &(i, a) in &row.terms {
             self.right[i] += weight * a * row.difference_ns;
             for &(j, b) in &row.terms {
@@ -111,7 +111,7 @@ impl NormalEquations {
 }
 
 /// Result of a fit.
-struct Fit {
+struct DelayFit {
     coefficients_ns: DVector<f64>,
     /// Variances of the coefficients, ns².
     variances_ns2: Vec<f64>,
@@ -137,9 +137,9 @@ pub(super) fn learn(triples: &[Triple], prior: Option<&RangeWalk>) -> Result<Lea
     let (least_dn, most_dn) =
         all_dn().fold((f64::INFINITY, 0.0f64), |(least, most), dn| (least.min(dn), most.max(dn)));
     let reference_dn = prior.map_or(at(0.5), |walk| walk.reference_dn);
-    let grid = Grid::new(reference_dn, least_dn, most_dn).ok_or(NoWalk::OneAmplitude)?;
+    let grid = DelayGrid::new(reference_dn, least_dn, most_dn).ok_or(NoWalk::OneAmplitude)?;
     let (stretch_of, stretches) = stretches(&triples);
-    let rows: Vec<Row> =
+    let rows: Vec<AmplitudeRow> =
         triples.iter().zip(stretch_of).map(|(triple, stretch)| grid.row(triple, stretch, prior)).collect();
     let variance_ln = rows.iter().map(|row| spread_ln(row).powi(2)).sum::<f64>() / rows.len() as f64;
     if variance_ln < LEAST_VARIANCE_LN {
@@ -177,15 +177,15 @@ pub(super) fn learn(triples: &[Triple], prior: Option<&RangeWalk>) -> Result<Lea
 
 /// Fits the used rows; `sds_ns` are those of another fit, measured here if `None`.
 fn fit(
-    rows: &[Row],
-    grid: &Grid,
+    rows: &[AmplitudeRow],
+    grid: &DelayGrid,
     stretches: usize,
     sds_ns: Option<&[f64]>,
-    is_used: impl Fn(&Row) -> bool,
-) -> Option<Fit> {
+    is_used: impl Fn(&AmplitudeRow) -> bool,
+) -> Option<DelayFit> {
     let mut coefficients_ns = DVector::zeros(grid.nodes);
     let mut own_sds_ns = sds_ns.map(<[f64]>::to_vec).unwrap_or_default();
-    let mut parts = vec![NormalEquations::zero(grid.nodes); stretches];
+    let mut parts = vec![DelayEquations::zero(grid.nodes); stretches];
     let (mut weights, mut slopes) = (0.0, 0.0);
     for pass in 0..PASSES {
         let residuals_ns: Vec<f64> =
@@ -193,7 +193,7 @@ fn fit(
         if sds_ns.is_none() && pass.is_multiple_of(ROUGHNESS_EVERY) {
             own_sds_ns = roughness_ns(rows, &residuals_ns);
         }
-        parts.fill(NormalEquations::zero(grid.nodes));
+        parts.fill(DelayEquations::zero(grid.nodes));
         (weights, slopes) = (0.0, 0.0);
         for ((row, residual_ns), sd_ns) in rows.iter().zip(&residuals_ns).zip(&own_sds_ns) {
             let u2 = (residual_ns / (REACH_SD * sd_ns)).powi(2);
@@ -222,10 +222,10 @@ fn fit(
         covariance[(k, k)] + (factor * jackknife - by_model[(k, k)]).max(0.0)
     };
     let variances_ns2 = (0..grid.nodes).map(variance_ns2).collect();
-    Some(Fit { coefficients_ns, variances_ns2, sds_ns: own_sds_ns })
+    Some(DelayFit { coefficients_ns, variances_ns2, sds_ns: own_sds_ns })
 }
 
-fn sum(parts: &[NormalEquations]) -> Option<NormalEquations> {
+fn sum(parts: &[DelayEquations]) -> Option<DelayEquations> {
     let (first, others) = parts.split_first()?;
     let mut all = first.clone();
     for part in others {
@@ -238,10 +238,10 @@ fn sum(parts: &[NormalEquations]) -> Option<NormalEquations> {
 /// SD of the second difference of every row, from its neighbours and its noise, ns.
 ///
 /// Infinite if there are too few neighbours.
-fn roughness_ns(rows: &[Row], residuals_ns: &[f64]) -> Vec<f64> {
+fn roughness_ns(rows: &[AmplitudeRow], residuals_ns: &[f64]) -> Vec<f64> {
     let mut first = 0;
     let mut near_ns = Vec::new();
-    let sd_ns = |(i, row): (usize, &Row)| {
+    let sd_ns = |(i, row): (usize, &AmplitudeRow)| {
         while row.shot.abs_diff(rows[first].shot) > *NEIGHBOURS.end() && first < i {
             first += 1;
         }

@@ -6,7 +6,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::row::{Row, spread_ln, weight};
+use super::row::{AmplitudeRow, spread_ln, weight};
 use super::stretches::jackknife_variance;
 
 /// Smallest factor in either half, in its standard deviations.
@@ -34,14 +34,14 @@ const RIDGE: f64 = 1e-9;
 
 /// A value with its standard deviation by the jackknife over stretches.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Measured {
+pub struct MeasuredDelay {
     /// Value.
     pub value: f64,
     /// Standard deviation.
     pub sd: f64,
 }
 
-impl Measured {
+impl MeasuredDelay {
     /// Whether the recording determines the value.
     fn is_determined(&self) -> bool {
         self.value.is_finite() && self.sd.is_finite() && self.sd > 0.0
@@ -58,23 +58,23 @@ impl Measured {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Proof {
     /// Factor of the prediction in either half, made by the other half.
-    pub halves: [Measured; 2],
+    pub halves: [MeasuredDelay; 2],
     /// Fall of the weighted sum of squared second differences in either half.
-    pub falls: [Measured; 2],
+    pub falls: [MeasuredDelay; 2],
     /// Fall in both halves.
-    pub fall: Measured,
+    pub fall: MeasuredDelay,
     /// Factor, and largest factor of 200 permutations of amplitudes between neighbours.
     pub factor: f64,
     /// See `factor`.
     pub most_permuted: f64,
     /// Factors extrapolated to a surface without roughness, and to one without contrast.
-    pub without_roughness: Measured,
+    pub without_roughness: MeasuredDelay,
     /// See `without_roughness`.
-    pub without_contrast: Measured,
+    pub without_contrast: MeasuredDelay,
     /// Changes of the factor with properties of triples, with the names of these.
-    pub differences: Vec<(&'static str, Measured)>,
+    pub differences: Vec<(&'static str, MeasuredDelay)>,
     /// Factor of the amplitudes one shot before and after.
-    pub neighbours: Measured,
+    pub neighbours: MeasuredDelay,
 }
 
 /// Reason why a walk is not used.
@@ -129,7 +129,7 @@ pub enum Refusal {
 
 impl Proof {
     /// `predicted_ns` are the second differences by the walk of the other half.
-    pub(super) fn of(rows: &[Row], predicted_ns: &[f64], sds_ns: &[f64], stretches: usize) -> Proof {
+    pub(super) fn of(rows: &[AmplitudeRow], predicted_ns: &[f64], sds_ns: &[f64], stretches: usize) -> Proof {
         let tests = Tests::new(rows, predicted_ns, sds_ns, stretches);
         let [first, second, ..] = tests.regress(|i| {
             let is_first = rows[i].stretch.is_multiple_of(2);
@@ -154,7 +154,7 @@ impl Proof {
 
     /// The first reason why the walk must not be used.
     pub fn refusal(&self) -> Option<Refusal> {
-        let is_visible = |measured: &Measured| measured.ratio() >= LEAST_SD;
+        let is_visible = |measured: &MeasuredDelay| measured.ratio() >= LEAST_SD;
         if let Some(half) = self.halves.iter().find(|half| !is_visible(half)) {
             return Some(Refusal::Halves(half.value, half.sd));
         }
@@ -168,7 +168,7 @@ impl Proof {
             return Some(Refusal::Permutation(self.most_permuted, self.factor));
         }
         let extrapolated = [("roughness", self.without_roughness), ("contrast", self.without_contrast)];
-        let is_left = |left: &Measured| left.ratio() >= LEAST_EXTRAPOLATED_SD;
+        let is_left = |left: &MeasuredDelay| left.ratio() >= LEAST_EXTRAPOLATED_SD;
         if let Some((what, left)) = extrapolated.iter().find(|(_, left)| !is_left(left)) {
             return Some(Refusal::Extrapolated(what, left.value, left.sd));
         }
@@ -176,7 +176,7 @@ impl Proof {
         if let Some((kind, _)) = comparisons.find(|(_, measured)| !measured.is_determined()) {
             return Some(Refusal::Undetermined(kind));
         }
-        let squares = |(_, change): &(&str, Measured)| change.ratio().powi(2);
+        let squares = |(_, change): &(&str, MeasuredDelay)| change.ratio().powi(2);
         let chi_square: f64 = self.differences.iter().map(squares).sum();
         let most = MOST_CHI_SQUARE * self.differences.len() as f64;
         let largest = self.differences.iter().max_by(|a, b| squares(a).total_cmp(&squares(b)));
@@ -189,13 +189,13 @@ impl Proof {
 }
 
 /// Adds the tilt of the surface, which makes slopes towards the sensor bright, as two columns.
-fn with_tilt(row: &Row, [a, b]: [f64; 2]) -> [f64; 4] {
+fn with_tilt(row: &AmplitudeRow, [a, b]: [f64; 2]) -> [f64; 4] {
     let [before, _, after] = row.ln_amplitudes;
     [a, b, before - after, before * before - after * after]
 }
 
 struct Tests<'a> {
-    rows: &'a [Row],
+    rows: &'a [AmplitudeRow],
     predicted_ns: &'a [f64],
     sds_ns: &'a [f64],
     /// Weights about half the prediction, ns⁻².
@@ -207,7 +207,12 @@ struct Tests<'a> {
 }
 
 impl<'a> Tests<'a> {
-    fn new(rows: &'a [Row], predicted_ns: &'a [f64], sds_ns: &'a [f64], stretches: usize) -> Tests<'a> {
+    fn new(
+        rows: &'a [AmplitudeRow],
+        predicted_ns: &'a [f64],
+        sds_ns: &'a [f64],
+        stretches: usize,
+    ) -> Tests<'a> {
         let weights = rows.iter().zip(predicted_ns).zip(sds_ns);
         let weights = weights.map(|((row, x), sd_ns)| weight(row.difference_ns - 0.5 * x, *sd_ns)).collect();
         Tests { rows, predicted_ns, sds_ns, weights, stretches }
@@ -227,7 +232,7 @@ impl<'a> Tests<'a> {
     }
 
     /// Weighted regression of the second differences on the columns of every triple.
-    fn regress<const K: usize>(&self, columns: impl Fn(usize) -> [f64; K]) -> [Measured; K] {
+    fn regress<const K: usize>(&self, columns: impl Fn(usize) -> [f64; K]) -> [MeasuredDelay; K] {
         let mut parts = vec![(SMatrix::<f64, K, K>::zeros(), SVector::<f64, K>::zeros()); self.stretches];
         for (i, (row, weight)) in self.rows.iter().zip(&self.weights).enumerate() {
             if *weight > 0.0 {
@@ -243,10 +248,10 @@ impl<'a> Tests<'a> {
             let ridge = RIDGE * SMatrix::from_diagonal(&matrix.diagonal());
             (matrix + ridge).cholesky().map(|cholesky| cholesky.solve(&right))
         };
-        let Some(all) = solve(matrix, right) else { return [Measured { value: 0.0, sd: f64::NAN }; K] };
+        let Some(all) = solve(matrix, right) else { return [MeasuredDelay { value: 0.0, sd: f64::NAN }; K] };
         let without_one: Vec<SVector<f64, K>> =
             parts.iter().filter_map(|part| solve(matrix - part.0, right - part.1)).collect();
-        std::array::from_fn(|k| Measured {
+        std::array::from_fn(|k| MeasuredDelay {
             value: all[k],
             sd: jackknife_variance(all[k], without_one.iter().map(|found| found[k])).sqrt(),
         })
@@ -264,7 +269,7 @@ impl<'a> Tests<'a> {
     }
 
     /// Fall of the weighted sum of squares by the prediction.
-    fn fall(&self, is_used: impl Fn(&Row) -> bool) -> Measured {
+    fn fall(&self, is_used: impl Fn(&AmplitudeRow) -> bool) -> MeasuredDelay {
         let mut sums = vec![None; self.stretches];
         for ((row, weight), x) in self.rows.iter().zip(&self.weights).zip(self.predicted_ns) {
             if is_used(row) {
@@ -275,7 +280,7 @@ impl<'a> Tests<'a> {
         let count = sums.len() as f64;
         let mean = sums.iter().sum::<f64>() / count;
         let variance = sums.iter().map(|sum| (sum - mean).powi(2)).sum::<f64>() / (count - 1.0);
-        Measured { value: mean * count, sd: (count * variance).sqrt() }
+        MeasuredDelay { value: mean * count, sd: (count * variance).sqrt() }
     }
 
     /// Largest factor of predictions that are permuted between neighbouring triples.
@@ -298,7 +303,7 @@ impl<'a> Tests<'a> {
     }
 
     /// Changes of the factor with the kind of triple.
-    fn differences(&self) -> Vec<(&'static str, Measured)> {
+    fn differences(&self) -> Vec<(&'static str, MeasuredDelay)> {
         let ln = |i: usize| self.rows[i].ln_amplitudes;
         let sign = |value: f64| if value == 0.0 { 0.0 } else { value.signum() };
         let contrast = |i: usize| spread_ln(&self.rows[i]).max(LEAST_CONTRAST_LN);
@@ -314,7 +319,7 @@ impl<'a> Tests<'a> {
     }
 
     /// Factor extrapolated linearly to triples with zero of a positive property.
-    fn extrapolated(&self, property: impl Fn(usize) -> f64) -> Measured {
+    fn extrapolated(&self, property: impl Fn(usize) -> f64) -> MeasuredDelay {
         let mean = self.mean(&property);
         let [factor, ..] = self.regress(|i| {
             let x = self.predicted_ns[i];
@@ -324,7 +329,7 @@ impl<'a> Tests<'a> {
     }
 
     /// Change of the factor with a property of triples.
-    fn change(&self, property: &dyn Fn(usize) -> f64) -> Measured {
+    fn change(&self, property: &dyn Fn(usize) -> f64) -> MeasuredDelay {
         let mean = self.mean(property);
         let [_, change, ..] = self.regress(|i| {
             let x = self.predicted_ns[i];
@@ -335,7 +340,7 @@ impl<'a> Tests<'a> {
 
     /// Factor of the predictions one shot before and after; a receiver delays an echo by its own
     /// amplitude, a surface also follows the reflectance of its neighbourhood.
-    fn neighbours(&self) -> Measured {
+    fn neighbours(&self) -> MeasuredDelay {
         let neighbour = |i: usize, is_after: bool| {
             let other = if is_after { i.checked_add(1) } else { i.checked_sub(1) }?;
             let row = self.rows.get(other)?;

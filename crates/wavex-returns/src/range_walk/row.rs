@@ -6,7 +6,7 @@ use nalgebra::DVector;
 pub(super) const REACH_SD: f64 = 4.0;
 
 /// Equation of one triple.
-pub(super) struct Row {
+pub(super) struct AmplitudeRow {
     pub shot: u64,
     /// Stretch of the recording.
     pub stretch: usize,
@@ -19,7 +19,7 @@ pub(super) struct Row {
     pub terms: [(usize, f64); 6],
 }
 
-impl Row {
+impl AmplitudeRow {
     /// Second difference of a walk's delays, ns.
     pub fn walk_ns(&self, coefficients_ns: &DVector<f64>) -> f64 {
         self.terms.iter().map(|&(node, factor)| factor * coefficients_ns[node]).sum()
@@ -33,7 +33,7 @@ pub(super) fn weight(residual_ns: f64, sd_ns: f64) -> f64 {
 }
 
 /// Difference of the largest and smallest logarithm of the amplitudes.
-pub(super) fn spread_ln(row: &Row) -> f64 {
+pub(super) fn spread_ln(row: &AmplitudeRow) -> f64 {
     let [a, b, c] = row.ln_amplitudes;
     a.max(b).max(c) - a.min(b).min(c)
 }

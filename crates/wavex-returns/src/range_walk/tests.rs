@@ -195,7 +195,7 @@ fn amplitudes_of_other_echoes_prove_nothing() {
 /// Every part of the proof, broken alone, refuses.
 #[test]
 fn each_part_of_the_proof_can_refuse() {
-    let of = |value: f64, sd: f64| Measured { value, sd };
+    let of = |value: f64, sd: f64| MeasuredDelay { value, sd };
     let sound = Proof {
         halves: [of(1.0, 0.1); 2],
         falls: [of(50.0, 10.0); 2],

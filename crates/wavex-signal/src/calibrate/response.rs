@@ -17,7 +17,7 @@ use crate::sensor_model::response::{ResponseNode, STEPS_PER_SAMPLE, SystemRespon
 use crate::sensor_model::{ChannelModel, ModelError, NoiseSource, ResponseSource};
 use crate::shape::Shape;
 use quality::Quality;
-use solve::Problem;
+use solve::SolverProblem;
 use spline::Basis;
 
 mod all_waveforms;
@@ -375,12 +375,12 @@ fn response_of(
     let shape = Shape::of(model)?;
     // A fixed number of sums, so that rounding does not depend on the number of threads.
     let problems = map_parts(narrow, narrow.len().div_ceil(SUMS), |part| {
-        let mut problem = Problem::new(model, &basis, nodes, shape.clone(), longest)?;
+        let mut problem = SolverProblem::new(model, &basis, nodes, shape.clone(), longest)?;
         part.iter().for_each(|single| problem.add(single));
         Ok(problem)
     });
     let problems = problems.into_iter().collect::<Result<Vec<_>, ModelError>>()?;
-    let Some(problem) = problems.into_iter().reduce(Problem::merged) else { return Ok(None) };
+    let Some(problem) = problems.into_iter().reduce(SolverProblem::merged) else { return Ok(None) };
     let Some(solution) = problem.solve() else { return Ok(None) };
     let first_sample = basis.extent().start.floor() as i32;
     let last_sample = basis.extent().end.ceil() as i32;

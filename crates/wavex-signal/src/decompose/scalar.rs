@@ -10,7 +10,7 @@ use crate::detect::{Candidate, Detector, next_plateau, plateau_candidate};
 use crate::flags;
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Shape;
-use scene::{Found, Scene};
+use scene::{FitScene, Found};
 
 mod refine;
 mod scene;
@@ -41,7 +41,7 @@ pub struct Decomposer {
     settings: DecomposeSettings,
     sigma: DetectionSigma,
     allowance: Allowance,
-    scene: Scene,
+    scene: FitScene,
     detector: Detector,
     candidates: Vec<Candidate>,
     returns: Vec<Return>,
@@ -60,7 +60,7 @@ impl Decomposer {
         settings: &DecomposeSettings,
         max_samples: usize,
     ) -> Result<Decomposer, ModelError> {
-        let scene = Scene::new(model, settings, max_samples)?;
+        let scene = FitScene::new(model, settings, max_samples)?;
         let detector =
             Detector::new(scene.shape().clone(), model.offset_precision(), scene.whitener(), max_samples);
         Ok(Decomposer {

@@ -6,18 +6,18 @@ use crate::noise::ArNoise;
 const HALF_LENGTH_SDS: f64 = 4.0;
 
 /// A symmetric Gaussian of sum 1.
-pub(super) struct Kernel {
+pub(super) struct LinearKernel {
     weights: Vec<f64>,
 }
 
-impl Kernel {
+impl LinearKernel {
     /// Of this full width at half maximum, samples.
-    pub(super) fn of_fwhm(fwhm_samples: f64) -> Kernel {
+    pub(super) fn of_fwhm(fwhm_samples: f64) -> LinearKernel {
         let sd_samples = fwhm_samples / (8.0 * 2f64.ln()).sqrt();
         let half = (HALF_LENGTH_SDS * sd_samples).ceil().max(1.0) as i32;
         let weight = |k: i32| (-0.5 * (f64::from(k) / sd_samples).powi(2)).exp();
         let sum: f64 = (-half..=half).map(weight).sum();
-        Kernel { weights: (-half..=half).map(|k| weight(k) / sum).collect() }
+        LinearKernel { weights: (-half..=half).map(|k| weight(k) / sum).collect() }
     }
 
     pub(super) fn weights(&self) -> &[f64] {
@@ -81,7 +81,7 @@ mod tests {
         let mut smoothed = Vec::new();
         let mut values = vec![0.0; 60];
         values[30] = 2.0;
-        Kernel::of_fwhm(6.0).smooth_into(&values, &mut smoothed);
+        LinearKernel::of_fwhm(6.0).smooth_into(&values, &mut smoothed);
         let centre: f64 = smoothed.iter().enumerate().map(|(k, dn)| k as f64 * dn).sum();
         assert!((smoothed.iter().sum::<f64>() - 2.0).abs() < 1e-12 && (centre - 60.0).abs() < 1e-9);
         assert!((smoothed[33] / smoothed[30] - 0.5).abs() < 1e-3);

@@ -2,7 +2,7 @@
 
 /// A local maximum, with the vertex of the parabola through it and its neighbours.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Mode {
+pub(super) struct ProfileMode {
     top: usize,
     /// Distance of the vertex from the maximum, samples.
     offset: f64,
@@ -10,17 +10,17 @@ pub(super) struct Mode {
     slopes: [f64; 3],
 }
 
-impl Mode {
+impl ProfileMode {
     /// The maximum `top`, which is neither the first value nor the last.
-    pub(super) fn at(values: &[f64], top: usize) -> Mode {
+    pub(super) fn at(values: &[f64], top: usize) -> ProfileMode {
         let (before, here, behind) = (values[top - 1], values[top], values[top + 1]);
         let bend = before - 2.0 * here + behind;
         if bend >= 0.0 {
-            return Mode { top, offset: 0.0, slopes: [0.0; 3] };
+            return ProfileMode { top, offset: 0.0, slopes: [0.0; 3] };
         }
         let offset = 0.5 * (before - behind) / bend;
         let slopes = [(0.5 - offset) / bend, 2.0 * offset / bend, (-0.5 - offset) / bend];
-        Mode { top, offset, slopes }
+        ProfileMode { top, offset, slopes }
     }
 
     /// Position of the vertex.
@@ -40,7 +40,7 @@ impl Mode {
 ///
 /// The least rise behind a higher maximum is at least `of_highest` times that maximum. Values begin
 /// at 0.
-pub(super) fn modes(values: &[f64], least: f64, of_highest: f64, found: &mut Vec<Mode>) {
+pub(super) fn modes(values: &[f64], least: f64, of_highest: f64, found: &mut Vec<ProfileMode>) {
     found.clear();
     let (mut lowest, mut highest) = (0.0, 0.0);
     let mut top: Option<usize> = None;
@@ -56,7 +56,7 @@ pub(super) fn modes(values: &[f64], least: f64, of_highest: f64, found: &mut Vec
             Some(at) if values[at] - value >= least => {
                 highest = values[at].max(highest);
                 if at > 0 {
-                    found.push(Mode::at(values, at));
+                    found.push(ProfileMode::at(values, at));
                 }
                 (top, lowest) = (None, value);
             }

@@ -12,7 +12,7 @@ mod minimise;
 use crate::cholesky;
 use crate::decompose::OVERDRIVEN_PART;
 use crate::decompose::acceptance::CLEAR_OF_ZERO_SD;
-use crate::decompose::acceptance::response_error::{Allowance, Source};
+use crate::decompose::acceptance::response_error::{Allowance, ErrorSource};
 use crate::levenberg_marquardt::{self, LeastSquares};
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::Pulse;
@@ -63,14 +63,14 @@ pub struct JointFitted {
 
 /// Goodness of fit of a block.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Outcome {
+pub struct JointOutcome {
     /// `‖L⁻¹(y − model)‖²`.
     pub chi_square: f64,
     /// Used samples minus parameters.
     pub degrees_of_freedom: usize,
 }
 
-impl Outcome {
+impl JointOutcome {
     /// Variance factor from the samples, or `calibrated` if that explains them.
     fn variance_factor(&self, calibrated: f64) -> f64 {
         let nu = self.degrees_of_freedom.max(1) as f64;
@@ -170,7 +170,7 @@ impl JointFit {
         beside: impl Iterator<Item = (f64, f64)>,
     ) -> f64 {
         let source =
-            |(position_samples, height_dn)| Source { position_samples, height_dn, energy_dn: height_dn };
+            |(position_samples, height_dn)| ErrorSource { position_samples, height_dn, energy_dn: height_dn };
         let raise = self.allowance.raise(position_samples, f64::INFINITY, self.per_dn, beside.map(source));
         sigma * raise / self.per_dn
     }
@@ -182,7 +182,7 @@ impl JointFit {
 
     /// Fits pulses to a block. `None` without an optimum, or if a prior covariance is not positive
     /// definite.
-    pub fn fit(&mut self, samples: &[u16], pulses: impl Iterator<Item = JointPulse>) -> Option<Outcome> {
+    pub fn fit(&mut self, samples: &[u16], pulses: impl Iterator<Item = JointPulse>) -> Option<JointOutcome> {
         self.fitted.clear();
         self.pulses.clear();
         self.pulses.extend(pulses);
@@ -295,12 +295,12 @@ impl JointFit {
     }
 
     /// Minimises the objective with this weight of the samples; `None` without an optimum.
-    fn minimise(&mut self, weight: f64) -> Option<Outcome> {
+    fn minimise(&mut self, weight: f64) -> Option<JointOutcome> {
         self.weight = weight;
         let (termination, _) = levenberg_marquardt::minimise(self, &RULES);
         self.values.clone_from(&self.best);
         let degrees_of_freedom = self.whitener.used_count().saturating_sub(self.values.len());
-        termination.is_optimum().then_some(Outcome { chi_square: self.chi_square, degrees_of_freedom })
+        termination.is_optimum().then_some(JointOutcome { chi_square: self.chi_square, degrees_of_freedom })
     }
 
     /// Computes the covariances at the optimum.

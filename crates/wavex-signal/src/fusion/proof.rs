@@ -31,16 +31,16 @@ impl FusionProof {
 }
 
 /// Halves of a recording, of pairs with their stretch.
-struct Halves([Vec<(usize, Pair)>; 2]);
+struct ProofHalves([Vec<(usize, Pair)>; 2]);
 
-impl Halves {
-    fn of(pairs: &[Pair]) -> Halves {
+impl ProofHalves {
+    fn of(pairs: &[Pair]) -> ProofHalves {
         let stretch = |i: usize| i * STRETCHES / pairs.len().max(1);
         let half = |of: usize| {
             let of_half = pairs.iter().enumerate().filter(|(i, _)| stretch(*i) % 2 == of);
             of_half.map(|(i, pair)| (stretch(i), *pair)).collect()
         };
-        Halves([half(0), half(1)])
+        ProofHalves([half(0), half(1)])
     }
 
     /// Falls of squared differences `without` to those `with` what the other half shows.
@@ -88,7 +88,7 @@ fn in_standard_deviations(values: &[f64]) -> f64 {
 /// Proves the estimates of [`super::estimate`] from the same pairs, in the order of the recording.
 pub fn prove(fusion: &ChannelFusion, pairs: &[Pair], full_scale_dn: f64, high_noise_dn: f64) -> FusionProof {
     let (linear, overdriven) = strong_pairs(pairs, full_scale_dn, high_noise_dn).unwrap_or_default();
-    let halves = Halves::of(&linear);
+    let halves = ProofHalves::of(&linear);
     // The noise of the high-power receiver is the same for all heights.
     let gain_falls = halves.falls(
         |pairs| ratio(pairs).0,
@@ -113,7 +113,7 @@ pub fn prove(fusion: &ChannelFusion, pairs: &[Pair], full_scale_dn: f64, high_no
         ChannelFusion { walk: monotone(base, nodes), ..fusion.clone() }
     };
     let walk_falls = (!fusion.walk.is_empty()).then(|| {
-        Halves::of(&overdriven).falls(
+        ProofHalves::of(&overdriven).falls(
             of_half,
             |pair| pair.low_power_dn * (pair.delay_ns - fusion.delay_ns),
             |half, pair| {

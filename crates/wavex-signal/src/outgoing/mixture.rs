@@ -122,7 +122,7 @@ impl Mixture {
         let step = fitted.len().div_ceil(SAMPLED);
         let mut left: Vec<f64> = Vec::with_capacity(SAMPLED);
         for (block, outgoing) in fitted.iter().step_by(step) {
-            if let Some(Loaded { window, start }) = self.load(block, outgoing, &usual)
+            if let Some(LoadedPulse { window, start }) = self.load(block, outgoing, &usual)
                 && let Some(one) = self.optimum(None, start, &usual)
             {
                 left.push(one.chi_square / window.len().saturating_sub(3).max(1) as f64);
@@ -155,7 +155,7 @@ impl Mixture {
         if !(is_expected || usual.is_unusual(pulse, place)) {
             return;
         }
-        let Some(Loaded { window, start }) = self.load(block, outgoing, usual) else { return };
+        let Some(LoadedPulse { window, start }) = self.load(block, outgoing, usual) else { return };
         let Some(one) = self.optimum(None, start, usual) else { return };
         let with_echo = self.with_echo(start, usual);
         let odds = if is_expected { EXPECTED_ODDS } else { PRIOR_ODDS };
@@ -179,7 +179,12 @@ impl Mixture {
     }
 
     /// Loads the samples around the typical position, or around the pulse if that is not known.
-    fn load(&mut self, block: &ReferenceBlock<'_>, outgoing: &Outgoing, usual: &Usual) -> Option<Loaded> {
+    fn load(
+        &mut self,
+        block: &ReferenceBlock<'_>,
+        outgoing: &Outgoing,
+        usual: &Usual,
+    ) -> Option<LoadedPulse> {
         let expected = usual.place.median - block.start_samples;
         let at = if usual.knows_place() { expected } else { outgoing.pulse.position_samples };
         let mut range = window(at, self.model.fwhm_samples(), block.samples.len());
@@ -201,7 +206,7 @@ impl Mixture {
         }
         let first = range.start as f64;
         let values = [usual.ln_height.median.exp(), at - first, usual.ln_width.median, 0.0];
-        Some(Loaded { window: range, start: StartValues { values, place: expected - first } })
+        Some(LoadedPulse { window: range, start: StartValues { values, place: expected - first } })
     }
 
     /// Fits the pulse with an echo, over all echo positions.
@@ -209,7 +214,7 @@ impl Mixture {
         let reach = REACH_WIDTHS * self.model.fwhm_samples();
         let at = start.values[1];
         let mut tried = Vec::new();
-        let whole = Grid { low: at - reach, high: at + reach, places: PLACES };
+        let whole = PulseGrid { low: at - reach, high: at + reach, places: PLACES };
         self.explore(whole, LEVELS, start, usual, &mut tried);
         let best = tried.iter().map(|(ln_weight, _)| *ln_weight).fold(f64::NEG_INFINITY, f64::max);
         let mut all = WithEcho { ln_evidence: best, place: Moments::default(), chi_square: f64::INFINITY };
@@ -226,7 +231,7 @@ impl Mixture {
     /// Appends optima with their log evidence times the step.
     fn explore(
         &mut self,
-        Grid { low, high, places }: Grid,
+        PulseGrid { low, high, places }: PulseGrid,
         levels: usize,
         start: StartValues,
         usual: &Usual,
@@ -262,7 +267,7 @@ impl Mixture {
         while i < places {
             let run = (i..places).take_while(matters).count();
             if run > 0 {
-                let finer = Grid {
+                let finer = PulseGrid {
                     low: low + i as f64 * step,
                     high: low + (i + run) as f64 * step,
                     places: PLACES_PER_STEP * run,
@@ -358,14 +363,14 @@ impl Mixture {
 }
 
 /// Echo positions in the middle of equal parts of an interval, samples.
-struct Grid {
+struct PulseGrid {
     low: f64,
     high: f64,
     places: usize,
 }
 
 /// Fitted samples and start values.
-struct Loaded {
+struct LoadedPulse {
     window: Range<usize>,
     start: StartValues,
 }

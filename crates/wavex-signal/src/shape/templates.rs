@@ -56,7 +56,7 @@ pub(crate) struct Templates {
 
 /// Part of a shape to evaluate.
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Part {
+pub(crate) enum TemplatePart {
     /// Shape.
     Value,
     /// Derivative in time, per sample.
@@ -103,7 +103,7 @@ impl Templates {
     /// The peak is at `position_samples`; only samples of the lane are changed.
     pub(crate) fn add<const T: usize>(
         &self,
-        parts: [(Part, f64); T],
+        parts: [(TemplatePart, f64); T],
         position_samples: f64,
         ln_width_ratio: f64,
         lane: Lane,
@@ -135,11 +135,11 @@ impl Templates {
 }
 
 /// Weights of a part in the rows of knot `j`: the four channels of a phase, then of the next.
-fn weights(part: Part, factor: f64, by_time: &Hermite, by_width: &Hermite, j: usize) -> [f64; ROWS] {
+fn weights(part: TemplatePart, factor: f64, by_time: &Hermite, by_width: &Hermite, j: usize) -> [f64; ROWS] {
     let (time, width) = match part {
-        Part::Value => (by_time.value(), by_width.value()),
-        Part::ByTime => (by_time.slope(), by_width.value()),
-        Part::ByLnWidth => (by_time.value(), by_width.slope()),
+        TemplatePart::Value => (by_time.value(), by_width.value()),
+        TemplatePart::ByTime => (by_time.slope(), by_width.value()),
+        TemplatePart::ByLnWidth => (by_time.value(), by_width.slope()),
     };
     let (c, d) = (factor * width[2 * j], factor * width[2 * j + 1]);
     let [a, b, e, f] = time;
@@ -299,7 +299,9 @@ mod tests {
         for (position, u) in [(20.0, 0.0), (19.3, 0.013), (25.77, 0.4), (3.1, 0.21), (30.5, 1.3)] {
             let width = FWHM * f64::exp(u);
             let mut parts = [vec![0.0; 60], vec![0.0; 60], vec![0.0; 60]];
-            for (values, part) in parts.iter_mut().zip([Part::Value, Part::ByTime, Part::ByLnWidth]) {
+            for (values, part) in
+                parts.iter_mut().zip([TemplatePart::Value, TemplatePart::ByTime, TemplatePart::ByLnWidth])
+            {
                 tables.add([(part, 1.0)], position, u, Lane::All, [values]);
             }
             for k in 0..60 {
@@ -324,13 +326,19 @@ mod tests {
         let tables = Templates::new(&skewed, -12, FWHM);
         let value = |position: f64, u: f64| {
             let mut values = vec![0.0; 50];
-            tables.add([(Part::Value, 3.0)], position, u, Lane::All, [&mut values]);
+            tables.add([(TemplatePart::Value, 3.0)], position, u, Lane::All, [&mut values]);
             values
         };
         let (position, u, step) = (17.4321, -0.137, 1e-6);
         let mut slopes = [vec![0.0; 50], vec![0.0; 50]];
         let columns = slopes.each_mut().map(Vec::as_mut_slice);
-        tables.add([(Part::ByTime, -3.0), (Part::ByLnWidth, 3.0)], position, u, Lane::All, columns);
+        tables.add(
+            [(TemplatePart::ByTime, -3.0), (TemplatePart::ByLnWidth, 3.0)],
+            position,
+            u,
+            Lane::All,
+            columns,
+        );
         let [ahead, behind] = [value(position + step, u), value(position - step, u)];
         let [wider, narrower] = [value(position, u + step), value(position, u - step)];
         for k in 0..50 {
@@ -344,7 +352,7 @@ mod tests {
         let tables = Templates::new(&gaussian(-12, 30), -12, FWHM);
         for position in [-1e4, 1e4] {
             let mut values = vec![0.0; 20];
-            tables.add([(Part::Value, 1.0)], position, 0.0, Lane::All, [&mut values]);
+            tables.add([(TemplatePart::Value, 1.0)], position, 0.0, Lane::All, [&mut values]);
             assert!(values.iter().all(|v| *v == 0.0));
         }
     }

@@ -73,7 +73,7 @@ pub(crate) struct Smoothness {
 
 /// A shot with a single echo.
 #[derive(Clone, Copy)]
-struct SingleEcho {
+struct SampledEcho {
     echo_ns: f64,
     /// Emission time, by reference.
     emission_ns: [f64; REFERENCES],
@@ -183,7 +183,7 @@ impl Smoothness {
         // The second difference of a waveform and its copies would be 0.
         let distinct =
             line.emissions.iter().copied().zip(singles).filter(|(emission, _)| !emission.is_copy());
-        let echoes: Vec<(usize, Emission, SingleEcho)> = (distinct.enumerate())
+        let echoes: Vec<(usize, Emission, SampledEcho)> = (distinct.enumerate())
             .filter_map(|(place, (emission, single))| Some((place, emission, single?)))
             .collect();
         for &[(i, a, x), (j, b, y), (k, c, z)] in echoes.array_windows() {
@@ -406,7 +406,7 @@ fn single_echo(
     of_shot: &[Block],
     index: u32,
     references: &[EmissionReference],
-) -> Option<SingleEcho> {
+) -> Option<SampledEcho> {
     let mut echoes = of_shot.iter().filter(|block| block.channel.is_echo());
     let (Some(block), None) = (echoes.next(), echoes.next()) else { return None };
     let samples = blocks.samples(block);
@@ -424,7 +424,7 @@ fn single_echo(
             _ => outgoing.as_ref()?.emission_ns(*reference)?,
         };
     }
-    Some(SingleEcho { echo_ns, emission_ns, outgoing_ns: outgoing.map(|outgoing| outgoing.peak_ns) })
+    Some(SampledEcho { echo_ns, emission_ns, outgoing_ns: outgoing.map(|outgoing| outgoing.peak_ns) })
 }
 
 /// Peak of the outgoing pulse of a shot.

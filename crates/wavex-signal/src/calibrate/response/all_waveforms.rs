@@ -8,7 +8,7 @@
 use super::quality::excess_part;
 use super::{chosen_evenly, least_errors, strong_dn};
 use crate::calibrate::{CalibrationError, CalibrationSettings, WeakPulses, decompose_each};
-use crate::decompose::acceptance::response_error::{Allowance, Source};
+use crate::decompose::acceptance::response_error::{Allowance, ErrorSource};
 use crate::decompose::{DecomposeSettings, Decomposition, Return, Waveform};
 use crate::sensor_model::ChannelModel;
 use crate::sensor_model::response::STEPS_PER_SAMPLE;
@@ -90,7 +90,7 @@ impl Residuals {
         let least_dn = (LAST_PART * highest_dn).max(strong_dn(model));
         let Some(last) = outcome.returns.iter().rposition(|r| r.amplitude_dn >= least_dn) else { return };
         let pulses: Vec<Pulse> = outcome.returns[..=last].iter().map(pulse).collect();
-        let mut energies = pulses.iter().map(|pulse| Source::of(pulse).energy_dn);
+        let mut energies = pulses.iter().map(|pulse| ErrorSource::of(pulse).energy_dn);
         let (total_dn, last_dn) = (energies.clone().sum::<f64>(), energies.next_back().unwrap_or(0.0));
         if outcome.saturated || last_dn < DOMINANT_PART * total_dn {
             return;

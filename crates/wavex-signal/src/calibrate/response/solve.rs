@@ -26,7 +26,7 @@ const NODE_CHANGE_SD: f64 = 0.02;
 const NEAR: StopCriteria = StopCriteria { iterations: 30, decrease: 1e-4, enough: f64::INFINITY };
 
 /// Normal equations of the splines of all nodes.
-pub(super) struct Problem<'a> {
+pub(super) struct SolverProblem<'a> {
     model: &'a ChannelModel,
     basis: &'a Basis,
     nodes: &'a [f64],
@@ -48,16 +48,16 @@ pub(super) struct Solution {
     decrease: f64,
 }
 
-impl<'a> Problem<'a> {
+impl<'a> SolverProblem<'a> {
     pub(super) fn new(
         model: &'a ChannelModel,
         basis: &'a Basis,
         nodes: &'a [f64],
         shape: Shape,
         longest: usize,
-    ) -> Result<Problem<'a>, ModelError> {
+    ) -> Result<SolverProblem<'a>, ModelError> {
         let unknowns = basis.len() * nodes.len();
-        Ok(Problem {
+        Ok(SolverProblem {
             model,
             basis,
             nodes,
@@ -72,7 +72,7 @@ impl<'a> Problem<'a> {
     }
 
     /// Adds the equations of another problem with the same splines.
-    pub(super) fn merged(mut self, other: Problem<'a>) -> Problem<'a> {
+    pub(super) fn merged(mut self, other: SolverProblem<'a>) -> SolverProblem<'a> {
         let add = |sums: &mut [f64], more: &[f64]| sums.iter_mut().zip(more).for_each(|(a, b)| *a += b);
         add(&mut self.normal, &other.normal);
         add(&mut self.right, &other.right);
@@ -107,7 +107,7 @@ impl<'a> Problem<'a> {
     ///
     /// Whitening extends this range by the order of the noise model.
     fn fill_columns(&mut self, pulse: &Pulse, samples: usize) {
-        let Problem { basis, model, whitener, columns, extents, .. } = self;
+        let SolverProblem { basis, model, whitener, columns, extents, .. } = self;
         columns.clear();
         columns.resize(basis.len() * samples, 0.0);
         extents.clear();
@@ -209,7 +209,7 @@ impl<'a> Problem<'a> {
     }
 
     /// Reduces the problem to one node: shares of nodes sum to one, so its equations are sums.
-    fn with_one_node(&self) -> Problem<'a> {
+    fn with_one_node(&self) -> SolverProblem<'a> {
         let (count, unknowns) = (self.basis.len(), self.right.len());
         let nodes = &self.nodes[..1];
         let mut normal = vec![0.0; count * count];
@@ -221,7 +221,7 @@ impl<'a> Problem<'a> {
             }
         }
         let (fitter, whitener) = (self.fitter.clone(), self.whitener.clone());
-        Problem {
+        SolverProblem {
             nodes,
             fitter,
             whitener,
@@ -292,7 +292,7 @@ mod tests {
     }
 
     /// Complete columns, whitened over the whole block, and all their products.
-    fn add_densely(problem: &Problem<'_>, single: &Single<'_>, normal: &mut [f64], right: &mut [f64]) {
+    fn add_densely(problem: &SolverProblem<'_>, single: &Single<'_>, normal: &mut [f64], right: &mut [f64]) {
         let echo = problem.fitter.pulses()[0];
         let (count, unknowns) = (problem.basis.len(), right.len());
         let mut target = Vec::new();
@@ -323,7 +323,7 @@ mod tests {
             let model = ChannelModel { full_scale_dn: 255.0, ..channel(&process, 4.4, 5.0) };
             let basis = Basis::new(4.4, 70.0);
             let mut problem =
-                Problem::new(&model, &basis, &NODES, Shape::of(&model).unwrap(), SAMPLES).unwrap();
+                SolverProblem::new(&model, &basis, &NODES, Shape::of(&model).unwrap(), SAMPLES).unwrap();
             let (mut normal, mut right) = (problem.normal.clone(), problem.right.clone());
             let mut random = Random::new(4);
             for (height, place) in [(70.0, 3.3), (120.0, 15.1), (140.0, 30.7), (190.0, 54.2)] {

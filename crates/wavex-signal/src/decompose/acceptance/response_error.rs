@@ -21,7 +21,7 @@ const FAR_PART: f64 = 0.5;
 
 /// A pulse whose response error raises the threshold near it.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Source {
+pub(crate) struct ErrorSource {
     pub(crate) position_samples: f64,
     pub(crate) height_dn: f64,
     /// Height times width ratio, the latter at least 1.
@@ -30,9 +30,9 @@ pub(crate) struct Source {
     pub(crate) energy_dn: f64,
 }
 
-impl Source {
-    pub(crate) fn of(pulse: &Pulse) -> Source {
-        Source {
+impl ErrorSource {
+    pub(crate) fn of(pulse: &Pulse) -> ErrorSource {
+        ErrorSource {
             position_samples: pulse.position_samples,
             height_dn: pulse.height_dn,
             energy_dn: pulse.height_dn * pulse.ln_width_ratio.max(0.0).exp(),
@@ -136,7 +136,7 @@ impl Allowance {
 
     /// Response error that a pulse may leave at a position, DN.
     #[inline(always)]
-    fn error_dn(&self, source: &Source, position_samples: f64) -> f64 {
+    fn error_dn(&self, source: &ErrorSource, position_samples: f64) -> f64 {
         let errors = if self.overdrives(source.height_dn) { &self.overdriven_errors } else { &self.errors };
         let lag = (position_samples - source.position_samples).round() as i64;
         let index = usize::try_from(lag - self.first_lag).unwrap_or(usize::MAX);
@@ -155,7 +155,7 @@ impl Allowance {
         position_samples: f64,
         height_dn: f64,
         per_dn: f64,
-        pulses: impl Iterator<Item = Source>,
+        pulses: impl Iterator<Item = ErrorSource>,
     ) -> f64 {
         // Without a response, residuals of a Gaussian prevent adding pulses but do not remove
         // detected ones.
@@ -173,7 +173,7 @@ impl Allowance {
 
     /// Upper bound of [`Allowance::raise`] for these pulses at any position; cheaper to compute.
     #[inline(always)]
-    pub(crate) fn raise_at_most(&self, per_dn: f64, pulses: impl Iterator<Item = Source>) -> f64 {
+    pub(crate) fn raise_at_most(&self, per_dn: f64, pulses: impl Iterator<Item = ErrorSource>) -> f64 {
         let (mut heights_dn, mut energies_dn, mut highest_dn) = (0.0, 0.0, 0.0);
         for source in pulses {
             heights_dn += source.height_dn;
@@ -224,8 +224,8 @@ mod tests {
         model
     }
 
-    fn source(position_samples: f64, height_dn: f64) -> Source {
-        Source { position_samples, height_dn, energy_dn: height_dn }
+    fn source(position_samples: f64, height_dn: f64) -> ErrorSource {
+        ErrorSource { position_samples, height_dn, energy_dn: height_dn }
     }
 
     /// A target of three widths lowers the peak to a third, but not the tail.
@@ -234,7 +234,7 @@ mod tests {
         let mut errors = [0.0; 50];
         (errors[3], errors[32]) = (0.02, 0.02);
         let allowance = Allowance::new(&model(&errors), 0.01, 200.0);
-        let broad = Source { energy_dn: 300.0, ..source(30.0, 100.0) };
+        let broad = ErrorSource { energy_dn: 300.0, ..source(30.0, 100.0) };
         let raise = |lag: f64| allowance.raise(30.0 + lag, 10.0, 0.5, [broad].into_iter());
         for (lag, error_dn) in
             [(1.0, 0.02 * 100.0), (7.0, 0.01 * 100.0), (30.0, 0.02 * 300.0), (90.0, 0.005 * 100.0)]

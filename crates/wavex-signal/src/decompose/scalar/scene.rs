@@ -13,7 +13,7 @@ use crate::shape::Shape;
 use crate::whitening::Whitener;
 
 use super::DecomposeSettings;
-use super::score::Score;
+use super::score::TestScore;
 use crate::decompose::acceptance::{CLEAR_OF_ZERO_SD, CLUSTER_WIDTHS, least_separation_samples};
 use trial::Saved;
 
@@ -44,7 +44,7 @@ impl Found {
 
 /// Samples, pulses and workspace of the fit.
 #[derive(Debug, Clone)]
-pub(super) struct Scene {
+pub(super) struct FitScene {
     pub(super) found: Vec<Found>,
     shape: Shape,
     fwhm_samples: f64,
@@ -64,20 +64,20 @@ pub(super) struct Scene {
     cluster_ends: Vec<usize>,
     before: Saved,
     best: Saved,
-    score: Score,
+    score: TestScore,
 }
 
-impl Scene {
+impl FitScene {
     pub(super) fn new(
         model: &ChannelModel,
         settings: &DecomposeSettings,
         max_samples: usize,
-    ) -> Result<Scene, ModelError> {
+    ) -> Result<FitScene, ModelError> {
         let shape = Shape::of(model)?;
         let fwhm_samples = shape.fwhm_samples();
         let pulses = settings.max_returns;
         let saved = || Saved { found: Vec::with_capacity(pulses), ..Saved::default() };
-        Ok(Scene {
+        Ok(FitScene {
             found: Vec::with_capacity(pulses),
             shape: shape.clone(),
             fwhm_samples,
@@ -96,7 +96,7 @@ impl Scene {
             cluster_ends: Vec::with_capacity(pulses),
             before: saved(),
             best: saved(),
-            score: Score::new(shape, model.offset_precision().is_some(), max_samples, pulses),
+            score: TestScore::new(shape, model.offset_precision().is_some(), max_samples, pulses),
         })
     }
 

@@ -33,17 +33,22 @@ const SECOND: [[f64; 3]; 3] = [[1.0, 1.0, 0.0], [-2.0, 0.0, 0.0], [1.0, -1.0, 0.
 
 /// Workspace of the score test.
 #[derive(Debug, Clone)]
-pub(super) struct Score {
+pub(super) struct TestScore {
     /// Whitened directions, orthonormalised, stored column by column.
     columns: Vec<f64>,
     shape: Shape,
     offset_is_free: bool,
 }
 
-impl Score {
+impl TestScore {
     /// Creates a workspace for blocks of up to `max_samples` and clusters of up to `max_pulses`.
-    pub(super) fn new(shape: Shape, offset_is_free: bool, max_samples: usize, max_pulses: usize) -> Score {
-        Score { columns: Vec::with_capacity((3 * max_pulses + 4) * max_samples), shape, offset_is_free }
+    pub(super) fn new(
+        shape: Shape,
+        offset_is_free: bool,
+        max_samples: usize,
+        max_pulses: usize,
+    ) -> TestScore {
+        TestScore { columns: Vec::with_capacity((3 * max_pulses + 4) * max_samples), shape, offset_is_free }
     }
 
     /// Returns `q` of pulse `index` of a cluster.

@@ -2,7 +2,7 @@
 
 use super::Decomposer;
 use crate::decompose::acceptance::TAIL_START_WIDTHS;
-use crate::decompose::acceptance::response_error::Source;
+use crate::decompose::acceptance::response_error::ErrorSource;
 use crate::shape::Pulse;
 
 impl Decomposer {
@@ -40,7 +40,7 @@ impl Decomposer {
     /// Of pulses higher than `height_dn`; infinity means all pulses.
     pub(super) fn allowance_at(&self, position_samples: f64, height_dn: f64) -> f64 {
         let per_dn = self.detector.full_significance_per_dn();
-        let pulses = self.scene.found.iter().map(|f| Source::of(&f.pulse));
+        let pulses = self.scene.found.iter().map(|f| ErrorSource::of(&f.pulse));
         self.allowance.raise(position_samples, height_dn, per_dn, pulses)
     }
 
@@ -50,7 +50,7 @@ impl Decomposer {
         let found = &self.scene.found;
         let of = |i: usize| {
             let part = if i == index { 0.5 } else { 1.0 };
-            Source::of(&Pulse { height_dn: part * found[i].pulse.height_dn, ..found[i].pulse })
+            ErrorSource::of(&Pulse { height_dn: part * found[i].pulse.height_dn, ..found[i].pulse })
         };
         let pulses = (0..found.len()).chain([index]).map(of);
         self.allowance.raise(found[index].pulse.position_samples, f64::INFINITY, per_dn, pulses)

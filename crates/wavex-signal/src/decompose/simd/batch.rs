@@ -3,7 +3,7 @@
 use super::Mode;
 use super::detection::{Begin, DetectAll};
 use super::filter::HIGHEST;
-use super::fit::{Aim, Job};
+use super::fit::{Aim, FitJob};
 use super::fit_queue::{add, take_off};
 use super::fitted::FittedPulse;
 use super::initial_guess::{ClearForStep, FromBank, OneStep};
@@ -258,7 +258,7 @@ impl Decompose<'_> {
     ///
     /// Returns the job instead of queuing it for a single pulse that was never fitted: the width
     /// bank must find its start values.
-    fn queue_cluster(&mut self, row: usize, cluster: std::ops::Range<usize>) -> Option<Job<1>> {
+    fn queue_cluster(&mut self, row: usize, cluster: std::ops::Range<usize>) -> Option<FitJob<1>> {
         let pulse_model = &self.work.pulse_models[row];
         // The only cluster of a waveform is on the row as long as its pulses were never subtracted.
         if pulse_model.is_subtracted() || cluster.len() < pulse_model.pulses().len() {
@@ -276,7 +276,7 @@ impl Decompose<'_> {
         if let [pulse] = pulses
             && !pulse.is_fitted()
         {
-            return Some(Job { row, pulses: [pulse.values()], aim: Aim::OPTIMUM });
+            return Some(FitJob { row, pulses: [pulse.values()], aim: Aim::OPTIMUM });
         }
         self.work.fits.queues.push(self.tables, row, &values[..cluster.len()], Aim::OPTIMUM, cluster.start);
         None

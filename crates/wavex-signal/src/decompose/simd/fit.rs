@@ -31,16 +31,17 @@ impl Aim {
 
 /// Pulses to fit to a row that contains no others.
 #[derive(Clone, Copy)]
-pub(super) struct Job<const P: usize> {
+pub(super) struct FitJob<const P: usize> {
     pub(super) row: usize,
     /// Start values, in order of position.
     pub(super) pulses: [Values; P],
     pub(super) aim: Aim,
 }
 
-impl<const P: usize> Job<P> {
+impl<const P: usize> FitJob<P> {
     /// Job of a lane without work.
-    pub(super) const IDLE: Job<P> = Job { row: EMPTY, pulses: [[1.0, 20.0, 0.0]; P], aim: Aim::OPTIMUM };
+    pub(super) const IDLE: FitJob<P> =
+        FitJob { row: EMPTY, pulses: [[1.0, 20.0, 0.0]; P], aim: Aim::OPTIMUM };
 }
 
 /// Promised decrease of chi-square below which a fit has converged.
@@ -90,7 +91,7 @@ pub(super) struct Fit<'a, const P: usize, const N: usize, const C: usize, const 
 {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a Rows,
-    pub(super) jobs: &'a [Job<P>],
+    pub(super) jobs: &'a [FitJob<P>],
     pub(super) precision: f32,
     pub(super) iterations: usize,
     pub(super) out: &'a mut Vec<Fitted<P>>,
@@ -151,7 +152,7 @@ pub(super) fn fit<
     s: S,
     tables: &Tables,
     rows: &Rows,
-    jobs: &[Job<P>],
+    jobs: &[FitJob<P>],
     precision: f32,
     iterations: usize,
     sums: &mut ProductSums<S::Half, D>,
@@ -168,9 +169,9 @@ pub(super) fn fit<
 pub(super) fn start_of<S: Simd, const P: usize>(
     s: S,
     rows: &Rows,
-    jobs: &[Job<P>],
+    jobs: &[FitJob<P>],
 ) -> ([usize; LANES], S::V, [Pulses<S::V>; P]) {
-    let row: [usize; LANES] = std::array::from_fn(|w| jobs.get(w).unwrap_or(&Job::IDLE).row);
+    let row: [usize; LANES] = std::array::from_fn(|w| jobs.get(w).unwrap_or(&FitJob::IDLE).row);
     let lengths: [f32; LANES] = std::array::from_fn(|w| rows.length(row[w]).saturating_sub(1) as f32);
     let last = s.load(&lengths);
     let zero = s.splat(0.0);
@@ -178,7 +179,7 @@ pub(super) fn start_of<S: Simd, const P: usize>(
     for (p, pulse) in start.iter_mut().enumerate() {
         let mut values = [[0.0; LANES]; 3];
         for w in 0..LANES {
-            let of_job = jobs.get(w).unwrap_or(&Job::IDLE).pulses[p];
+            let of_job = jobs.get(w).unwrap_or(&FitJob::IDLE).pulses[p];
             for i in 0..3 {
                 values[i][w] = of_job[i];
             }

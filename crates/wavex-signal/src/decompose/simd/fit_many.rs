@@ -6,7 +6,7 @@
 use wavex_simd::{Kernel, LANES, Simd};
 
 use super::fit::{
-    DAMPING, DECREASE, HELD, Job, NO_DECREASE, ProductSums, ROUNDING, beyond_limits, results_of_lanes,
+    DAMPING, DECREASE, FitJob, HELD, NO_DECREASE, ProductSums, ROUNDING, beyond_limits, results_of_lanes,
     start_of,
 };
 use super::fitted::Fitted;
@@ -38,7 +38,7 @@ const INDEPENDENT_WIDTHS: f64 = 4.0;
 pub(super) struct FitMany<'a, const STRONG: bool> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a Rows,
-    pub(super) jobs: &'a [Job<MAX_CLUSTER>],
+    pub(super) jobs: &'a [FitJob<MAX_CLUSTER>],
     pub(super) count: usize,
     pub(super) precision: f32,
     pub(super) iterations: usize,

@@ -2,7 +2,7 @@
 
 use wavex_simd::{Kernel, Processor, Simd};
 
-use super::fit::{Aim, Fit, Job};
+use super::fit::{Aim, Fit, FitJob};
 use super::fit_many::FitMany;
 use super::fitted::{Fitted, FittedPulse};
 use super::layout::Values;
@@ -33,7 +33,7 @@ const NEARLY_STRONG: f32 = 0.93;
 /// Jobs of one size, and the tags that assign their results.
 #[derive(Clone)]
 pub(super) struct Queue<const P: usize> {
-    jobs: Vec<Job<P>>,
+    jobs: Vec<FitJob<P>>,
     tags: Vec<usize>,
     fitted: Vec<Fitted<P>>,
     /// Number of fits at the front that need more iterations.
@@ -47,7 +47,7 @@ impl<const P: usize> Default for Queue<P> {
 }
 
 impl<const P: usize> Queue<P> {
-    pub(super) fn push(&mut self, job: Job<P>, tag: usize) {
+    pub(super) fn push(&mut self, job: FitJob<P>, tag: usize) {
         self.jobs.push(job);
         self.tags.push(tag);
     }
@@ -91,10 +91,10 @@ impl<const P: usize> Queue<P> {
     #[inline]
     fn settle(&mut self, i: usize, count: usize, is_last: bool, race: &Race, done: &mut Results) {
         let (fitted, tag) = (&self.fitted[i], self.tags[i]);
-        let Job { row, aim, .. } = self.jobs[i];
+        let FitJob { row, aim, .. } = self.jobs[i];
         let is_dropped = fitted.may_go_on && aim.is_out_of_reach(fitted.objective, fitted.promised, race);
         if fitted.may_go_on && !is_dropped && !is_last {
-            self.jobs[self.unsettled] = Job { row, pulses: fitted.values(), aim };
+            self.jobs[self.unsettled] = FitJob { row, pulses: fitted.values(), aim };
             self.tags[self.unsettled] = tag;
             self.unsettled += 1;
         } else {
@@ -227,16 +227,16 @@ impl Queues {
         let strong = usize::from(is_strong(tables, pulses));
         match *pulses {
             [a, .., b] if b[1] - a[1] > FARTHEST => self.push_many(row, pulses, aim, tag, strong),
-            [a] => self.one[strong].push(Job { row, pulses: [a], aim }, tag),
-            [a, b] if b[1] - a[1] > FAR => self.far[strong].push(Job { row, pulses: [a, b], aim }, tag),
-            [a, b] => self.two[strong].push(Job { row, pulses: [a, b], aim }, tag),
-            [a, b, c] => self.three[strong].push(Job { row, pulses: [a, b, c], aim }, tag),
+            [a] => self.one[strong].push(FitJob { row, pulses: [a], aim }, tag),
+            [a, b] if b[1] - a[1] > FAR => self.far[strong].push(FitJob { row, pulses: [a, b], aim }, tag),
+            [a, b] => self.two[strong].push(FitJob { row, pulses: [a, b], aim }, tag),
+            [a, b, c] => self.three[strong].push(FitJob { row, pulses: [a, b, c], aim }, tag),
             _ => self.push_many(row, pulses, aim, tag, strong),
         }
     }
 
     fn push_many(&mut self, row: usize, pulses: &[Values], aim: Aim, tag: usize, strong: usize) {
-        let mut job = Job { row, aim, ..Job::IDLE };
+        let mut job = FitJob { row, aim, ..FitJob::IDLE };
         if let Some(queues) = self.many.get_mut(pulses.len().wrapping_sub(2)) {
             job.pulses[..pulses.len()].copy_from_slice(pulses);
             queues[strong].push(job, tag);
@@ -313,7 +313,7 @@ fn drain_with<const P: usize>(
             let fitted = &weak.fitted[i];
             // It left the heights for which its response is valid; the other queue continues from there.
             if fitted.pulses[..count].iter().any(|pulse| pulse.values[0] > tables.strong_dn()) {
-                strong.push(Job { pulses: fitted.values(), ..weak.jobs[i] }, weak.tags[i]);
+                strong.push(FitJob { pulses: fitted.values(), ..weak.jobs[i] }, weak.tags[i]);
             } else {
                 weak.settle(i, count, is_last, race, done);
             }

@@ -3,7 +3,7 @@
 use wavex_simd::{Kernel, LANES, Simd, Sixteen};
 
 use super::detection::ByCount;
-use super::fit::Job;
+use super::fit::FitJob;
 use super::fit_queue::add_pulse;
 use super::fitted::FittedLanes;
 use super::layout::{BEFORE_PEAK, PHASES, ROW, sixteen};
@@ -20,7 +20,7 @@ pub(super) type BankSums<H> = [[H; LANES]; BANK];
 pub(super) struct FromBank<'a> {
     pub(super) tables: &'a Tables,
     pub(super) rows: &'a Rows,
-    pub(super) jobs: &'a mut [Job<1>],
+    pub(super) jobs: &'a mut [FitJob<1>],
 }
 
 impl Kernel for FromBank<'_> {

@@ -116,7 +116,7 @@ impl PulseComponent {
 /// `LevelledOnRow` and `LeftToScalar` are final. The outcome of the residual search is independent
 /// of the state of the row, so it is a second enum, [`Search`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Stage {
+enum RowState {
     /// The row holds the pulses: start values, or a single pulse after its step in the fast modes.
     #[default]
     OnRow,
@@ -201,7 +201,7 @@ impl PulseCounts {
 #[repr(C, align(64))]
 pub(super) struct PulseModel {
     count: usize,
-    stage: Stage,
+    stage: RowState,
     search: Search,
     pub(super) chi_square: f32,
     /// Number of samples that count in chi-square.
@@ -247,7 +247,7 @@ impl PulseModel {
             // Only those within `count` are read.
             pulses: _,
         } = self;
-        (*count, *stage, *search, *ends) = (0, Stage::OnRow, Search::Unchanged, [0; MAX_PULSES]);
+        (*count, *stage, *search, *ends) = (0, RowState::OnRow, Search::Unchanged, [0; MAX_PULSES]);
         (*chi_square, *beyond, *samples, *counts) = (0.0, 0.0, 0, PulseCounts::default());
         (*level_dn, *level_variance) = (0.0, 0.0);
     }
@@ -255,25 +255,25 @@ impl PulseModel {
     /// Whether the SIMD kernels decompose the waveform.
     #[inline(always)]
     pub(super) fn is_fast(&self) -> bool {
-        self.stage != Stage::LeftToScalar
+        self.stage != RowState::LeftToScalar
     }
 
     /// Whether the pulses are subtracted from the waveform's row.
     #[inline(always)]
     pub(super) fn is_subtracted(&self) -> bool {
-        matches!(self.stage, Stage::Subtracted | Stage::Settled | Stage::Levelled)
+        matches!(self.stage, RowState::Subtracted | RowState::Settled | RowState::Levelled)
     }
 
     /// Whether the pulses still need a fit by the queues.
     #[inline(always)]
     pub(super) fn needs_fit(&self) -> bool {
-        matches!(self.stage, Stage::OnRow | Stage::Subtracted)
+        matches!(self.stage, RowState::OnRow | RowState::Subtracted)
     }
 
     /// Whether level and pulses need a joint step, if each waveform has its own background.
     #[inline(always)]
     pub(super) fn needs_level(&self) -> bool {
-        matches!(self.stage, Stage::OnRow | Stage::Subtracted | Stage::Settled)
+        matches!(self.stage, RowState::OnRow | RowState::Subtracted | RowState::Settled)
     }
 
     /// Whether the row is the residual, but its chi-square is unknown.
@@ -281,7 +281,7 @@ impl PulseModel {
     /// Without a branch: the state of successive waveforms is unpredictable.
     #[inline(always)]
     pub(super) fn needs_chi_square(&self) -> bool {
-        (self.stage == Stage::Subtracted) | ((self.stage == Stage::OnRow) & (self.count == 0))
+        (self.stage == RowState::Subtracted) | ((self.stage == RowState::OnRow) & (self.count == 0))
     }
 
     /// Records that the pulses are subtracted; returns whether they already were.
@@ -289,10 +289,14 @@ impl PulseModel {
     /// The caller must subtract them if they were not.
     #[inline(always)]
     pub(super) fn subtract(&mut self) -> bool {
-        debug_assert!(!matches!(self.stage, Stage::LevelledOnRow | Stage::LeftToScalar), "{:?}", self.stage);
+        debug_assert!(
+            !matches!(self.stage, RowState::LevelledOnRow | RowState::LeftToScalar),
+            "{:?}",
+            self.stage
+        );
         let already = self.is_subtracted();
         if !already {
-            self.stage = Stage::Subtracted;
+            self.stage = RowState::Subtracted;
         }
         already
     }
@@ -301,12 +305,12 @@ impl PulseModel {
     #[inline(always)]
     pub(super) fn reopen(&mut self) {
         debug_assert!(self.is_subtracted(), "{:?}", self.stage);
-        self.stage = Stage::Subtracted;
+        self.stage = RowState::Subtracted;
     }
 
     /// Passes the waveform to the scalar kernels.
     pub(super) fn leave_to_scalar(&mut self) {
-        self.stage = Stage::LeftToScalar;
+        self.stage = RowState::LeftToScalar;
     }
 
     /// Whether a trial was accepted in this round of the residual search.
@@ -351,7 +355,7 @@ impl PulseModel {
     pub(super) fn set_level(&mut self, level_dn: f32, variance: f32) {
         debug_assert!(self.needs_level(), "{:?}", self.stage);
         (self.level_dn, self.level_variance) = (level_dn, variance);
-        self.stage = if self.is_subtracted() { Stage::Levelled } else { Stage::LevelledOnRow };
+        self.stage = if self.is_subtracted() { RowState::Levelled } else { RowState::LevelledOnRow };
     }
 
     /// Appends a pulse; `false` if there is no room.
@@ -368,8 +372,8 @@ impl PulseModel {
     /// The caller must subtract the pulse from the row.
     #[inline(always)]
     pub(super) fn settle(&mut self, fitted: &FittedPulse) {
-        debug_assert!(self.stage == Stage::OnRow && self.count == 1, "{:?}", self.stage);
-        self.stage = Stage::Settled;
+        debug_assert!(self.stage == RowState::OnRow && self.count == 1, "{:?}", self.stage);
+        self.stage = RowState::Settled;
         if let [pulse] = self.pulses_mut() {
             pulse.take(fitted);
             (pulse.sds, pulse.flags) = (fitted.sds, pulse.flags | flags::REFINED);

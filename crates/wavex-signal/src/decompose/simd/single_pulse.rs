@@ -4,7 +4,7 @@
 
 use wavex_simd::{Kernel, LANES, Simd};
 
-use super::fit::{Aim, Job, fit};
+use super::fit::{Aim, FitJob, fit};
 use super::fit_queue::{ITERATIONS, add_pulse, is_strong};
 use super::fitted::Fitted;
 use super::initial_guess::{BankSums, SOMEWHERE, from_bank};
@@ -46,12 +46,12 @@ impl Kernel for FitSingles<'_> {
             let (height, width) = from_bank(s, tables, rows, which, s.load(&positions), &mut bank);
             s.store(height, &mut heights);
             s.store(width, &mut widths);
-            let (mut jobs, mut count) = ([Job::<1>::IDLE; LANES], 0);
+            let (mut jobs, mut count) = ([FitJob::<1>::IDLE; LANES], 0);
             for (w, &row) in which.iter().enumerate() {
                 let pulses = [[heights[w], positions[w], widths[w]]];
                 // The response of stronger pulses depends on their height; the queued fits support that.
                 if !is_strong(tables, &pulses) {
-                    jobs[count] = Job { row, pulses, aim: Aim::OPTIMUM };
+                    jobs[count] = FitJob { row, pulses, aim: Aim::OPTIMUM };
                     count += 1;
                 }
             }

@@ -3,7 +3,7 @@
 use super::candidates::LeftBehind;
 use super::layout::BEFORE_PEAK;
 use super::pulse_model::{PulseComponent, PulseModel};
-use crate::decompose::acceptance::response_error::{Allowance, Source};
+use crate::decompose::acceptance::response_error::{Allowance, ErrorSource};
 use crate::decompose::acceptance::{
     CLEAR_PART, DetectionSigma, is_misshapen, is_outside, least_separation_samples, width_filter,
 };
@@ -51,9 +51,9 @@ pub(super) struct Thresholds {
 
 /// A pulse as the source of response errors.
 #[inline(always)]
-fn source(pulse: &PulseComponent) -> Source {
+fn source(pulse: &PulseComponent) -> ErrorSource {
     let height_dn = f64::from(pulse.height());
-    Source {
+    ErrorSource {
         position_samples: pulse.position().into(),
         height_dn,
         energy_dn: height_dn * f64::from(pulse.width_ratio().max(1.0)),

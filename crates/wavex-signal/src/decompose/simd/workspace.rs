@@ -6,7 +6,7 @@ use super::Mode;
 use super::candidates::Candidates;
 use super::columns::Columns;
 use super::detection::ByCount;
-use super::fit::Job;
+use super::fit::FitJob;
 use super::fit_queue::{Queues, Results};
 use super::pulse_model::{PulseComponent, PulseModel};
 use super::rows::{BATCH, EMPTY, Rows};
@@ -47,7 +47,7 @@ pub(super) struct FitBuffers {
     /// Waveforms of `due` that have a cluster of the current number.
     pub(super) round: Vec<usize>,
     /// Single pulses that start from the width bank.
-    pub(super) singles: Vec<Job<1>>,
+    pub(super) singles: Vec<FitJob<1>>,
     /// Indices of these pulses in their waveforms.
     pub(super) single_tags: Vec<usize>,
     /// Rows and indices of pulses that one step cannot handle.

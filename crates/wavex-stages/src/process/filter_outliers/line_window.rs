@@ -23,7 +23,7 @@ const HIGH_NOISE: u8 = 18;
 pub(super) struct OutlierWindow {
     config: FilterOutliers,
     motion: AssumedMotion,
-    lines: VecDeque<HeldLine>,
+    lines: VecDeque<OutlierLine>,
     /// Index of the first line in `lines` not yet classified.
     next: usize,
     bytes: usize,
@@ -31,7 +31,7 @@ pub(super) struct OutlierWindow {
 }
 
 /// A line; its line is taken when it is emitted.
-struct HeldLine {
+struct OutlierLine {
     scan_line: Option<ScanLine>,
     places: ReturnPositions,
     bytes: usize,
@@ -68,7 +68,7 @@ impl OutlierWindow {
         let places = ReturnPositions::of(&scan_line, &mut self.motion);
         let bytes = scan_line.bytes() + places.bytes();
         self.bytes += bytes;
-        self.lines.push_back(HeldLine { scan_line: Some(scan_line), places, bytes });
+        self.lines.push_back(OutlierLine { scan_line: Some(scan_line), places, bytes });
         while self.lines.len() - self.next > LINES_APART {
             self.judge_next(out)?;
         }

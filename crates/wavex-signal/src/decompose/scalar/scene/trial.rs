@@ -1,6 +1,6 @@
 //! Saved states of a waveform's pulses, and acceptance of a trial.
 
-use super::{Found, Scene};
+use super::{FitScene, Found};
 use crate::decompose::acceptance::too_near;
 
 /// State that a trial changes and a rejected trial restores.
@@ -13,7 +13,7 @@ pub(super) struct Saved {
     pub(super) objective: f64,
 }
 
-impl Scene {
+impl FitScene {
     /// Saves the current state for [`Scene::restore`].
     pub(in super::super) fn save(&mut self) {
         store(&mut self.before, &self.found, self.offset_dn, self.chi_square);
