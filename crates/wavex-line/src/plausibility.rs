@@ -1,7 +1,7 @@
 //! Description of a plausibility check.
 //!
 //! An input that contradicts physics or itself is refused, left out or reported. Each module that checks one
-//! describes its checks, with the limits that it uses; [`wavex_stages::checks`] lists them.
+//! describes its checks, with the limits that it uses; `wavex_stages::checks` lists them.
 
 use std::fmt::{self, Display, Formatter};
 
