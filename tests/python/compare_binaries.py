@@ -9,7 +9,7 @@ Runs with each binary, in a folder of its own:
 - the real recordings of `--data` (default: `WAVEX_DATA`), by `read_pulsewaves` and `read_las`, in the four modes.
 
 Lists every difference of an exit status, message or output and exits with 1 if there is one. Times, digests of outputs
-and the machine are removed from reports before the comparison, and the name of the folder from messages.
+and the machine are removed from reports before the comparison, logs are left out, and the name of the folder from messages.
 """
 
 import argparse
@@ -80,7 +80,7 @@ LINES = [
 MODES = ["refined", "fast_separated", "fastest", "slow"]
 
 # Members of a report that differ from run to run.
-VOLATILE = re.compile(r"(wall|working|waiting|blocked)_s$|^(line_us|started|ended|commit|threads|stages_s)$|peak")
+VOLATILE = re.compile(r"(wall|working|waiting|blocked|modified)_s$|^(line_us|started|ended|commit|threads|stages_s)$|peak")
 
 
 def run(binary, words, folder, environment):
@@ -134,6 +134,11 @@ def digest(path):
         changing = rb"^(start|end|duration|waveforms per second|peak memory.*)\b|( +\d+\.\d+){3} +\d+%"
         data = b"\n".join(line for line in data.splitlines() if not re.search(changing, line))
     return hashlib.sha256(data).hexdigest()[:16]
+
+
+def is_log(path):
+    """Logs of runs contain times."""
+    return path.suffix == ".log" and not path.name.endswith("_stat.log")
 
 
 def real_recordings(data):
@@ -190,7 +195,7 @@ def outputs(binary, folder, arguments):
     for name, text in messages.items():
         found[f"messages of {name}"] = hashlib.sha256(text.encode()).hexdigest()[:16]
     for path in sorted(folder.rglob("*")):
-        if path.is_file() and not path.is_symlink() and path.suffix not in (".toml", ".html") and path.name not in ("job.log", "wavex.log"):
+        if path.is_file() and not path.is_symlink() and path.suffix not in (".toml", ".html") and not is_log(path):
             found[str(path.relative_to(folder))] = digest(path)
     return found, messages
 
