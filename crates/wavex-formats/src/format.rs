@@ -14,7 +14,7 @@ pub struct RecordingFormat {
     pub reader: &'static str,
     /// Extensions, in lower case.
     pub extensions: &'static [&'static str],
-    /// Extension of the companion file with the waveforms, in lower case; `None` if there is none.
+    /// Extension of the companion file with the waveforms, in lower case; `None`: the format has no companion.
     pub companion: Option<&'static str>,
     /// Reads the number of pulses from the header of a file; `None` if headers do not have it.
     pub pulse_count: Option<fn(&Path) -> Result<u64>>,

@@ -125,7 +125,7 @@ fn ground_that_imitates_a_walk_is_refused() {
 
 /// The full number of flights.
 #[test]
-#[ignore = "a minute; `cargo test -p wavex-signal range_walk -- --ignored`"]
+#[ignore = "a minute; `cargo test -p wavex-returns range_walk -- --ignored`"]
 fn at_most_one_imitation_in_two_hundred_is_believed() {
     let (applied, seen) = believed(0..400);
     assert!(applied <= 2 && seen >= 200, "{applied} of 400, {seen} without proof");

@@ -3,10 +3,10 @@
 mod contradiction;
 mod geometry;
 mod pulse;
+mod recent;
 
 pub(crate) use contradiction::{checks, crs_check};
 
-use std::collections::{HashSet, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -22,6 +22,7 @@ use crate::reading::recording::{
 };
 use geometry::{FileGeometry, convert_heights, first_sample, is_usable};
 use pulse::same_pulse;
+use recent::RecentPackets;
 use wavex_formats::RecordedCrs;
 use wavex_formats::las::{GpsTime, Point, Reader};
 use wavex_line::keys::InvalidKey;
@@ -195,7 +196,7 @@ struct LasReader {
     next_shot: u64,
     geometry: FileGeometry,
     lines: LineSplitter,
-    recent: Recent,
+    recent: RecentPackets,
     broken: BrokenRun,
     /// Number of points without a waveform.
     without_waveform: u64,
@@ -260,7 +261,7 @@ impl LasReader {
             waiting: None,
             next_shot: 0,
             lines: LineSplitter::new(Arc::new(input)),
-            recent: Recent::default(),
+            recent: RecentPackets::default(),
             broken: BrokenRun::default(),
             without_waveform: 0,
             message: None,
@@ -499,7 +500,7 @@ impl Source for LasReader {
         self.reader.seek(location.records.start)?;
         (self.ahead, self.waiting) = (None, None);
         (self.points_read, self.next_shot) = (location.records.start, location.first_shot);
-        (self.recent, self.broken) = (Recent::default(), BrokenRun::default());
+        (self.recent, self.broken) = (RecentPackets::default(), BrokenRun::default());
         self.lines.begin_at(location);
         while self.next_pulse(cx)? && self.first_point < location.records.end {
             if let Some(shot) = self.shot(cx)? {
@@ -585,57 +586,9 @@ fn describe(
     }
 }
 
-/// Packet offsets of recently read waveforms, to avoid decomposing one twice.
-#[derive(Default)]
-struct Recent {
-    order: VecDeque<u64>,
-    /// The same offsets, once they no longer ascend; most files ascend, and need no set.
-    unordered: Option<HashSet<u64>>,
-}
-
-/// Number of waveforms remembered.
-const REMEMBERED: usize = 1 << 16;
-
-impl Recent {
-    fn is_new(&mut self, offset: u64) -> bool {
-        let is_known = match &mut self.unordered {
-            Some(offsets) => !offsets.insert(offset),
-            None if self.order.back().is_none_or(|last| *last < offset) => false,
-            None if self.order.binary_search(&offset).is_ok() => true,
-            None => {
-                self.unordered = Some(self.order.iter().copied().chain([offset]).collect());
-                false
-            }
-        };
-        if is_known {
-            return false;
-        }
-        self.order.push_back(offset);
-        if self.order.len() > REMEMBERED {
-            let oldest = self.order.pop_front();
-            if let (Some(oldest), Some(offsets)) = (oldest, &mut self.unordered) {
-                offsets.remove(&oldest);
-            }
-        }
-        true
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_waveform_is_read_once() {
-        let mut recent = Recent::default();
-        assert!(recent.is_new(60));
-        assert!(recent.is_new(180));
-        assert!(!recent.is_new(60));
-        assert!(recent.is_new(120), "offsets need not ascend");
-        assert!(!recent.is_new(120) && !recent.is_new(60) && !recent.is_new(180));
-        (0..REMEMBERED as u64).for_each(|i| assert!(recent.is_new(1000 + i)));
-        assert!(recent.is_new(60), "old offsets are forgotten");
-    }
 
     #[test]
     fn clocks_keep_their_picoseconds() {

@@ -202,7 +202,7 @@ impl Decomposer {
         left.pulse.position_samples =
             (a * left.pulse.position_samples + b * right.pulse.position_samples) / (a + b);
         left.pulse.height_dn = a + b;
-        // A merged pulse is no part of a division.
+        // A merged pulse is one echo, not a part of a split one.
         left.flags = (left.flags | right.flags) & !flags::SPLIT;
         self.counts.np_merged += 1;
         true
