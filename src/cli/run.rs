@@ -53,7 +53,7 @@ struct Terminal {
 }
 
 impl Listener for Terminal {
-    fn skipped(&self, message: &str) {
+    fn resume_decision(&self, message: &str) {
         if !self.quiet {
             terminal::print_message(&format!("{message}\n"));
         }

@@ -78,8 +78,8 @@ pub enum ResumeCheck {
 
 /// Receives the messages of a run.
 pub trait Listener {
-    /// An input is skipped, and why.
-    fn skipped(&self, _message: &str) {}
+    /// Whether an input of an earlier run is skipped, and why not.
+    fn resume_decision(&self, _message: &str) {}
 
     /// One of several inputs has failed.
     fn input_failed(&self, _message: &str) {}
@@ -222,7 +222,7 @@ pub fn run(request: RunRequest) -> Result<FinishedRun, RunFailure> {
     (options.skip, messages) = files.plan(job, &options.input_dir, &run, resume.is_some());
     for message in &messages {
         tracing::info!("{message}");
-        listener.skipped(message);
+        listener.resume_decision(message);
     }
     let ended = engine::run_each(
         archived.as_ref().unwrap_or(job),

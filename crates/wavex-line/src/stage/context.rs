@@ -84,7 +84,8 @@ impl Context {
 
     /// Drops `n` items of the reason's type.
     ///
-    /// This and [`Context::reject_with_blocks`] are the only ways to drop items.
+    /// This and [`Context::reject_with_blocks`] are the only ways to drop items. Candidates that `decompose` does not report
+    /// are counted in [`LineStats::filtered`](crate::scan_line::LineStats::filtered).
     pub fn reject(&mut self, reason: Reason, n: u64) {
         self.count_rejected(reason.item(), reason, n);
     }
