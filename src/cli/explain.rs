@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::{ExplainArgs, Failure, terminal};
+use wavex_engine::engine::terminal_columns;
 use wavex_formats::Error;
 use wavex_formats::extensions::has_extension;
 use wavex_line::stage::OutputFile;
@@ -32,7 +33,8 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
     let explained = chain.explain(shot)?;
     let path = args.out.clone().unwrap_or_else(|| format!("{}_shot_{shot}.svg", chain.stem).into());
     write(&path, &explained.picture()).map_err(|error| Failure::Run(error.to_string()))?;
-    let said = format!("{}\nwrote {}\n", explained.table(), path.display());
+    let table = explained.table_within(terminal_columns());
+    let said = format!("{table}\nwrote {}\n", path.display());
     if quiet { Ok(()) } else { terminal::print(&said) }
 }
 

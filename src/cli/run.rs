@@ -9,7 +9,8 @@ use wavex_engine::engine::{Cancel, Cause, ProgressMode, RunError, RunSummary};
 use wavex_engine::job::Override;
 use wavex_line::stage::{release_all, remove_unfinished_files};
 use wavex_run::archive::check_destination;
-use wavex_run::run::{Listener, ResumeCheck, RunRequest};
+use wavex_run::log;
+use wavex_run::run::{Ending, Listener, ResumeCheck, RunRequest};
 
 /// Reads and runs the job; `archive` names the archive to make, `resume` skips complete inputs.
 pub(super) fn run(
@@ -39,6 +40,7 @@ pub(super) fn run(
 pub(super) fn run_job(request: RunRequest, machine: MachineArgs, quiet: bool) -> Result<RunSummary, Failure> {
     let request = RunRequest {
         profile: machine.profile,
+        with_stages: log::is_verbose(),
         progress: machine.progress(quiet, std::io::stderr().is_terminal()),
         listener: &Terminal { quiet },
         ..request
@@ -63,8 +65,8 @@ impl Listener for Terminal {
         terminal::print_failure(&Failure::Run(message.to_owned()));
     }
 
-    fn ended(&self, summary: &str) -> Result<(), Failure> {
-        if self.quiet { Ok(()) } else { terminal::print(summary) }
+    fn ended(&self, ending: &Ending) -> Result<(), Failure> {
+        if self.quiet { Ok(()) } else { terminal::print_ending(ending) }
     }
 }
 

@@ -122,9 +122,9 @@ fn warnings_stand_first_with_their_stage() {
     assert_eq!(place.run(&with_page("").replace("[[stage]]\ntype = 'calibrate'", fused)), Outcome::success());
     let page = place.text("out/page.html");
     let (before, rest) = page.split_once("<h2>Warnings</h2>").unwrap();
-    let (warnings, _) = rest.split_once("</section>").unwrap();
+    let (_, findings) = rest.split_once("</section>").unwrap();
     let said = "<li><b>fuse_channels</b>: the recording has one receiver: there is nothing to fuse</li>";
-    assert!(warnings.contains(said), "{warnings}");
+    assert!(findings.contains(said), "{findings}");
     assert!(!before.contains("<figure>"));
 }
 

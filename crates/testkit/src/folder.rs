@@ -199,9 +199,11 @@ pub fn rejected(input: &Value) -> BTreeMap<String, u64> {
     rejected.map(|(what, n)| (what.clone(), n.as_u64().unwrap())).collect()
 }
 
-/// All notes of the stages of an input.
+/// All warnings of the stages of an input, then consequences without their causes.
 pub fn notes(input: &Value) -> Vec<String> {
     let stages = input["stages"].as_array().unwrap();
     let notes = stages.iter().flat_map(|stage| stage["notes"].as_array().unwrap());
-    notes.map(|note| note.as_str().unwrap().to_owned()).collect()
+    let by_cause = stages.iter().flat_map(|stage| stage["consequences"].as_object().unwrap().values());
+    let consequences = by_cause.flat_map(|texts| texts.as_array().unwrap());
+    notes.chain(consequences).map(|note| note.as_str().unwrap().to_owned()).collect()
 }

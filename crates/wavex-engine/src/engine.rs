@@ -42,7 +42,7 @@ pub use inputs::Input;
 pub use inputs::{expand, size, sizes};
 pub use observe::observe;
 pub use observe::observe_all;
-pub use progress::{Phase, Progress, ProgressMode, ProgressWatch};
+pub use progress::{Phase, Progress, ProgressMode, ProgressWatch, rate, terminal_columns, without_bar};
 pub use stage_summary::{ItemCounts, Percentiles, StageSummary};
 pub use stream::{Convert, Next, Stream, stream};
 pub use summary::{InputStatus, InputSummary, RunSummary, StageKeys, TrajectorySummary, host};
@@ -262,6 +262,7 @@ fn run_context(options: &Options, input: Input, pool: Option<Arc<ThreadPool>>) -
         geometry: Arc::default(),
         survey: options.survey.clone(),
         read_ppm: Arc::default(),
+        calibration: Arc::default(),
         has_outputs: true,
     }
 }

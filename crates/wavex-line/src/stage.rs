@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use crate::georef;
 use crate::scan_line::ScanLine;
 
+mod cause;
 mod context;
 mod fitted;
 mod lookahead;
@@ -25,6 +26,7 @@ mod stamp;
 mod survey_models;
 
 pub use crate::reason::{Item, Reason};
+pub use cause::Cause;
 pub use context::{Context, Counters, Distribution, counted};
 pub use fitted::{CURVE_POINTS_PER_SAMPLE, FittedBlock, FittedPeak, FittedSamples, FittedShot};
 pub use lookahead::LookAhead;

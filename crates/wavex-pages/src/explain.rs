@@ -111,7 +111,12 @@ impl ExplainedShot {
 
     /// Returns and fit statistics as text.
     pub fn table(&self) -> String {
-        table::table(self)
+        table::table(self, None)
+    }
+
+    /// The same in lines of at most this many characters, if it is given.
+    pub fn table_within(&self, columns: Option<usize>) -> String {
+        table::table(self, columns)
     }
 
     /// Number and time of the shot, name of the recording, counts of returns and blocks.
@@ -135,5 +140,5 @@ fn remarks(cx: &Context) -> Vec<String> {
     let dropped = rejected
         .iter()
         .map(|((item, why), n)| format!("rejected {}", counted(*n, &format!("{}: {why}", item.name()))));
-    dropped.chain(cx.counters().notes.iter().cloned()).collect()
+    dropped.chain(cx.counters().warnings()).collect()
 }

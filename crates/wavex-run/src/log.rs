@@ -4,6 +4,7 @@ use std::fmt::Debug;
 use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard};
 
 use tracing::field::Field;
@@ -14,6 +15,7 @@ use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{Layer, fmt};
 
+use wavex_engine::engine::without_bar;
 use wavex_formats::{Error, Result};
 use wavex_line::printable::printable;
 use wavex_line::stage::own_file;
@@ -35,11 +37,20 @@ struct LogFile {
 /// Copy of the log in memory, if a run archives it.
 static KEPT: Mutex<Option<Vec<u8>>> = Mutex::new(None);
 
+/// Whether more messages are requested.
+static VERBOSE: AtomicBool = AtomicBool::new(false);
+
+/// Whether logging was started with more messages than warnings.
+pub fn is_verbose() -> bool {
+    VERBOSE.load(Ordering::Relaxed)
+}
+
 /// Starts logging to standard error, with colours if it takes them.
 ///
 /// The level is WARN by default. `RUST_LOG` overrides the arguments: levels, or `TARGET=LEVEL`, by commas.
 /// A value that is neither is ignored.
 pub fn begin(verbose: u8, quiet: bool, colour: bool) {
+    VERBOSE.store(verbose > 0, Ordering::Relaxed);
     let level = match (quiet, verbose) {
         (true, _) => LevelFilter::ERROR,
         (false, 0) => LevelFilter::WARN,
@@ -51,7 +62,7 @@ pub fn begin(verbose: u8, quiet: bool, colour: bool) {
     let wanted =
         wanted.unwrap_or_else(|| Targets::new().with_default(level)).with_target(FATAL, LevelFilter::OFF);
     let fields = format::debug_fn(write_message);
-    let on_terminal = fmt::layer().fmt_fields(fields.clone()).with_writer(io::stderr).with_target(false);
+    let on_terminal = fmt::layer().fmt_fields(fields.clone()).with_writer(|| ToTerminal).with_target(false);
     let on_terminal = on_terminal.with_ansi(colour).without_time();
     let in_file = fmt::layer().fmt_fields(fields).with_writer(ToFile).with_target(false).with_ansi(false);
     let log = tracing_subscriber::registry()
@@ -110,6 +121,19 @@ fn lock_kept() -> MutexGuard<'static, Option<Vec<u8>>> {
 
 fn lock() -> MutexGuard<'static, Option<LogFile>> {
     FILE.lock().unpoisoned()
+}
+
+/// Writes to standard error, with the progress bar drawn again below.
+struct ToTerminal;
+
+impl Write for ToTerminal {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        without_bar(|| io::stderr().write(bytes))
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        io::stderr().flush()
+    }
 }
 
 /// Writes to the log file, if any, and to the copy in memory.

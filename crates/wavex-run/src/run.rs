@@ -1,6 +1,5 @@
 //! Runs a job like `wavex run`: with report, page, log, statistics and archive.
 
-use std::fmt::Write as _;
 use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, Mutex, TryLockError};
 use std::time::Duration;
@@ -15,13 +14,16 @@ use wavex_engine::engine::{
 use wavex_engine::job::Job;
 use wavex_formats::Error;
 use wavex_line::georef::check_crs;
-use wavex_line::stage::{StageError, counted};
+use wavex_line::stage::StageError;
 use wavex_pages::report;
 
+mod ending;
 mod files;
 mod resume;
 mod survey_files;
 
+use ending::Detail;
+pub use ending::{EndMessage, Ending};
 use files::RunFiles;
 
 /// A run of a job, with its report, page, log, statistics and archive.
@@ -39,6 +41,8 @@ pub struct RunRequest<'a> {
     pub relearn: bool,
     /// Whether to write a trace.
     pub profile: bool,
+    /// Whether the end of the run says what each stage did.
+    pub with_stages: bool,
     /// Progress display.
     pub progress: ProgressMode,
     /// Ends the run early when set.
@@ -59,6 +63,7 @@ impl<'a> RunRequest<'a> {
             resume: None,
             relearn: false,
             profile: false,
+            with_stages: false,
             progress: ProgressMode::Hidden,
             cancel: Cancel::default(),
             watch: None,
@@ -84,11 +89,11 @@ pub trait Listener {
     /// One of several inputs has failed.
     fn input_failed(&self, _message: &str) {}
 
-    /// The run has ended: times, rejections and outputs of each input.
+    /// The run has ended: results, rejections and files.
     ///
     /// # Errors
-    /// The message could not be delivered, and why.
-    fn ended(&self, _summary: &str) -> Result<(), Failure> {
+    /// The messages could not be delivered, and why.
+    fn ended(&self, _ending: &Ending) -> Result<(), Failure> {
         Ok(())
     }
 }
@@ -166,8 +171,20 @@ pub fn run_quietly(request: RunRequest) -> Result<FinishedRun, RunFailure> {
 /// # Errors
 /// As `wavex run`.
 pub fn run(request: RunRequest) -> Result<FinishedRun, RunFailure> {
-    let RunRequest { job, folder, archive, resume, relearn, profile, progress, cancel, watch, listener } =
-        request;
+    let RunRequest {
+        job,
+        folder,
+        archive,
+        resume,
+        relearn,
+        profile,
+        with_stages,
+        progress,
+        cancel,
+        watch,
+        listener,
+    } = request;
+    let detail = Detail { stages: with_stages || profile, latencies: profile };
     for note in &job.notes {
         tracing::warn!("{note}");
     }
@@ -258,34 +275,35 @@ pub fn run(request: RunRequest) -> Result<FinishedRun, RunFailure> {
     }
     let is_done = |input: &InputSummary| input.status == InputStatus::Done;
     let to_archive = recorder.zip(archive).filter(|_| ended.is_ok() && run.inputs.iter().any(is_done));
-    let finished = finish(&run, &mut files, to_archive, profile);
+    let finished = finish(&run, job, &mut files, to_archive, detail);
     let failure = match (&ended, &finished) {
         (Err(error), _) => Some(error.to_string()),
         (Ok(()), Err(error)) => Some(error.to_string()),
         (Ok(()), Ok(_)) => failed_inputs(&run),
     };
-    if let Ok(said) = &finished
+    if let Ok(ending) = &finished
         && (failure.is_none() || run.inputs.len() > 1)
     {
-        listener.ended(said).map_err(|failure| RunFailure::of(failure.text()))?;
+        listener.ended(ending).map_err(|failure| RunFailure::of(failure.text()))?;
     }
     if let Some(message) = failure {
         log::fatal(&message);
         return Err(RunFailure { message, is_invalid: false, error: first.or(ended.err()) });
     }
     let report = files.report(&run).to_json().map_err(|error| failed(&error))?;
-    let written = files.written(&run);
+    let written = files.written(&run).concat();
     drop(files);
     Ok(FinishedRun { run, report, written })
 }
 
-/// Completes report, trace and archive of a run; returns its summary for the user.
+/// Completes report, trace and archive of a run; returns its messages for the user.
 fn finish(
     run: &RunSummary,
+    job: &Job,
     files: &mut RunFiles,
     archive: Option<(Recorder, &Path)>,
-    profile: bool,
-) -> Result<String, StageError> {
+    detail: Detail,
+) -> Result<Ending, StageError> {
     files.complete(run)?;
     // A problem with this page costs neither trace nor archive.
     let survey = files.write_survey(run);
@@ -293,18 +311,24 @@ fn finish(
     for (note, inputs) in run.repeated_notes() {
         tracing::warn!("{inputs} of {} inputs: {note}", run.inputs.len());
     }
-    let mut said = summary(run, &files.written(run), profile);
-    if run.inputs.len() > 1 {
-        said.push_str(&report::input_table(&files.report(run)));
+    let table = (run.inputs.len() > 1).then(|| report::input_table(&files.report(run)));
+    let [of_run, of_inputs] = files.written(run);
+    let of_stages = run.inputs.iter().flat_map(|input| &input.outputs);
+    for path in of_stages.chain(&of_inputs).chain(&of_run) {
+        tracing::info!("wrote {}", shown(path).display());
     }
+    let mut messages = ending::messages(run, table, [&of_run, &of_inputs], detail);
     if let Some((recorder, archive)) = archive {
         let text = files.report(run).to_json().map_err(std::io::Error::from);
         let text = text.map_err(Error::io(archive, "write the report"))?;
         let seals = recorder.finish(run, text, &log::kept())?;
-        let _ = writeln!(said, "results {}", seals.results);
-        let _ = writeln!(said, "archived in {}; seal {}", archive.display(), seals.seal);
+        messages.push(EndMessage::File(format!("results {}", seals.results)));
+        messages.push(EndMessage::File(format!("archived in {}; seal {}", archive.display(), seals.seal)));
     }
-    survey.map(|()| said)
+    if run.inputs.iter().any(|input| input.status == InputStatus::Done) {
+        messages.extend(files.next(job));
+    }
+    survey.map(|()| Ending(messages))
 }
 
 /// Error of a run with failed inputs.
@@ -318,39 +342,6 @@ fn failed_inputs(run: &RunSummary) -> Option<String> {
             let stems: Vec<&str> = failed.iter().map(|input| input.stem.as_str()).collect();
             Some(format!("{} of {} inputs failed: {}", failed.len(), run.inputs.len(), stems.join(", ")))
         }
-    }
-}
-
-/// Summary for the user: times, rejections and outputs of each input.
-///
-/// `own` are the files of the run as a whole.
-fn summary(run: &RunSummary, own: &[PathBuf], profile: bool) -> String {
-    let mut text = String::new();
-    for input in run.inputs.iter().filter(|input| input.status == InputStatus::Done) {
-        let totals = |name: &str| input.totals.get(name).copied().unwrap_or(0);
-        let (waveforms, returns) = (totals("nw"), totals("np"));
-        let _ =
-            writeln!(text, "{}: {waveforms} waveforms, {returns} returns, {:.1} s", input.stem, input.wall_s);
-        text.push_str(&report::stage_table(input));
-        if profile {
-            text.push_str(&report::latency_table(input));
-        }
-        for stage in &input.stages {
-            for (what, n) in &stage.rejected {
-                let _ = writeln!(text, "{}: rejected {}", stage.id, counted(*n, what));
-            }
-        }
-        wrote(&mut text, &input.outputs);
-    }
-    wrote(&mut text, own);
-    text
-}
-
-fn wrote(text: &mut String, paths: &[PathBuf]) {
-    for path in paths {
-        let path = shown(path);
-        tracing::info!("wrote {}", path.display());
-        let _ = writeln!(text, "wrote {}", path.display());
     }
 }
 

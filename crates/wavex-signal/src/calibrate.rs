@@ -32,6 +32,7 @@ mod jackknife;
 mod limits;
 mod noise_statistics;
 mod pass_stats;
+mod progress;
 pub(crate) mod quiet;
 pub mod response;
 mod sign_flip;
@@ -47,6 +48,7 @@ pub(crate) use differences::noise_sd_dn as noise_by_differences_dn;
 pub(crate) use jackknife::jackknife_sd;
 pub use limits::receiver_limits;
 pub use noise_statistics::NoiseStatistics;
+pub use progress::CalibrationProgress;
 pub use quiet::separate_noise;
 pub(crate) use width::{Narrow, Width};
 
@@ -114,6 +116,8 @@ pub struct CalibrationSettings {
     pub simd: SimdLevel,
     /// Ends the calibration with [`CalibrationError::Cancelled`] once set.
     pub cancelled: Arc<AtomicBool>,
+    /// Counts decomposed blocks.
+    pub progress: Arc<CalibrationProgress>,
 }
 
 impl CalibrationSettings {
@@ -130,6 +134,7 @@ impl CalibrationSettings {
             decompose: DecomposeSettings::default(),
             simd: SimdLevel::best(),
             cancelled: Arc::default(),
+            progress: Arc::default(),
         }
     }
 

@@ -51,7 +51,12 @@ fn points_stand_in_the_aircraft() {
     let flight = fly(&format!("{QUIET}scan_angle_deg = [-20.0, 20.0]"));
     let plain = flight.place("", |truth| truth.range_m).unwrap();
     let notes = |placed: &wavex_testkit::georeferenced_flight::Placed| placed.cx.counters().notes.clone();
-    assert_eq!(notes(&plain), ["the input is not georeferenced: its points are in the scanner frame"]);
+    let expected = |axes: &str| {
+        format!(
+            "the input is not georeferenced: its points are in the {axes}; give [job.geometry] a `trajectory` and a `crs`"
+        )
+    };
+    assert_eq!(notes(&plain), [expected("scanner frame")]);
     assert!(plain.points.iter().zip(&flight.truth).all(|(point, truth)| {
         let length_m = distance_m(*point, [0.0; 3]);
         point[0] == 0.0 && (length_m - truth.range_m).abs() < 1e-9
@@ -59,10 +64,7 @@ fn points_stand_in_the_aircraft() {
     let installed = flight
         .place("calibration = { lever_arm_m = [1.0, 2.0, 3.0] }\nmount = [0, 0, 90]", |truth| truth.range_m)
         .unwrap();
-    assert_eq!(
-        notes(&installed),
-        ["the input is not georeferenced: its points are in the body frame of the aircraft"]
-    );
+    assert_eq!(notes(&installed), [expected("body frame of the aircraft")]);
     for (point, [x, y, z]) in installed.points.iter().zip(&plain.points) {
         assert!(distance_m(*point, [1.0 - y, 2.0 + x, 3.0 + z]) < 1e-9, "a yaw of 90 degrees to the right");
     }

@@ -153,8 +153,8 @@ fn what_is_resolved_passes_through_as_it_is() {
     };
     let (report, resolved) = run(&format!("[[stage]]\ntype = 'resolve_mta'\n{copy}"));
     assert!(resolved == run(copy).1, "to the byte");
-    let notes = &stage(&report, "resolve_mta")["notes"];
-    assert_eq!(notes[0], "lines with known zones pass through unchanged");
+    let findings = &stage(&report, "resolve_mta")["findings"];
+    assert_eq!(findings[0], "lines with known zones pass through unchanged");
 }
 
 #[test]

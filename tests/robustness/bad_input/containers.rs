@@ -145,7 +145,8 @@ fn a_shot_that_cannot_be_is_counted_and_passed_over() {
     let expected = [
         "emission times are those of the clock: standard deviations of ranges include a jitter of one \
          sample, because no smooth points prove a smaller one; set `emission_jitter_ns` of `decompose` if the clock is more exact",
-        "the input is not georeferenced: its points are in the scanner frame",
+        "the input is not georeferenced: its points are in the scanner frame; give [job.geometry] a `trajectory` \
+         and a `crs`",
     ];
     assert_eq!(notes(&input), expected);
     // One message, regardless of the number of workers that reported the problem.

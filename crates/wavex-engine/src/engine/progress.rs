@@ -6,15 +6,20 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
 
 use super::worker::Gauge;
 use wavex_line::printable::printable;
 
+mod bar;
 mod phase;
+mod words;
 
+use bar::{Bar, shortened};
+pub use bar::{terminal_columns, without_bar};
 pub use phase::Phase;
+use words::duration;
+pub use words::rate;
 
 /// Progress display of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -68,7 +73,7 @@ pub struct Progress {
     run_started: Instant,
     /// Shots of inputs that have ended.
     shots_before: u64,
-    bar: Option<ProgressBar>,
+    bar: Option<Bar>,
     next: Duration,
 }
 
@@ -79,15 +84,26 @@ struct RunningInput {
     /// Its place among the inputs to run, from 1.
     place: usize,
     started: Instant,
+    /// Time at which its first line was seen to have passed the chain.
+    passing_since: Option<Instant>,
     gauge: Arc<Gauge>,
 }
 
 impl RunningInput {
     fn state(&self) -> InputProgress {
         let state = InputProgress::of(&self.gauge);
-        InputProgress {
-            shots_per_s: state.shots as f64 / self.started.elapsed().as_secs_f64().max(1e-3),
-            ..state
+        // The time before the first line has passed is no work on shots that have.
+        let since = self.passing_since.unwrap_or(self.started);
+        InputProgress { shots_per_s: state.shots as f64 / since.elapsed().as_secs_f64().max(1e-3), ..state }
+    }
+
+    /// What most of the work is now, and the done fraction of it, if known.
+    fn activity(&self) -> (&'static str, Option<f64>) {
+        let state = self.state();
+        match self.gauge.calibration.fraction() {
+            Some(fraction) => ("calibrating", Some(fraction)),
+            None if self.passing_since.is_none() => ("reading", state.read),
+            None => ("processing", state.fraction),
         }
     }
 }
@@ -98,6 +114,8 @@ struct InputProgress {
     shots: u64,
     shots_read: u64,
     shots_per_s: f64,
+    /// Part of the input that has been read, if known.
+    read: Option<f64>,
     /// Part of the input that has passed the whole chain, if known.
     fraction: Option<f64>,
 }
@@ -105,14 +123,15 @@ struct InputProgress {
 impl InputProgress {
     fn of(gauge: &Gauge) -> InputProgress {
         let get = |count: &AtomicU64| count.load(Ordering::Relaxed);
-        let read = Some(get(&gauge.read_ppm)).filter(|read| *read != u64::MAX);
+        let read = Some(get(&gauge.read_ppm)).filter(|read| *read != u64::MAX).map(|ppm| ppm as f64 * 1e-6);
         // What is read is not done: a stage may hold the first lines, such as `calibrate`.
         let passed = get(&gauge.lines) as f64 / get(&gauge.lines_read).max(1) as f64;
-        let fraction = read.map(|read| read as f64 * 1e-6 * passed.min(1.0));
+        let fraction = read.map(|read| read * passed.min(1.0));
         InputProgress {
             shots: get(&gauge.shots),
             shots_read: get(&gauge.shots_read),
             shots_per_s: 0.0,
+            read,
             fraction,
         }
     }
@@ -153,25 +172,40 @@ impl Progress {
     /// Shows an input that begins.
     pub fn begin(&mut self, number: usize, stem: &str, gauge: &Arc<Gauge>) {
         self.begun += 1;
-        let (stem, started, gauge) = (stem.to_string(), Instant::now(), Arc::clone(gauge));
-        self.running.insert(number, RunningInput { stem, place: self.begun, started, gauge });
+        let running = RunningInput {
+            stem: stem.to_string(),
+            place: self.begun,
+            started: Instant::now(),
+            passing_since: None,
+            gauge: Arc::clone(gauge),
+        };
+        self.running.insert(number, running);
         match self.mode {
-            ProgressMode::Bar => {
-                let label = self.label();
-                self.bar.get_or_insert_with(bar).set_prefix(printable(&label).into_owned());
-            }
+            ProgressMode::Bar => self.draw(),
             ProgressMode::Json => self.json(),
             ProgressMode::Lines | ProgressMode::Hidden => {}
         }
     }
 
+    /// Draws the bar.
+    fn draw(&mut self) {
+        let (activity, fraction) = self.activity();
+        let text = format!("{} {activity}", shortened(&self.label()));
+        let bar = self.bar.get_or_insert_with(Bar::new);
+        bar.show(&text, fraction);
+    }
+
     /// Shows the state of the running inputs, if it is time.
     pub fn show(&mut self) {
         self.update_watch();
-        let state = self.state();
-        if let Some(bar) = &self.bar {
-            bar.set_position((self.fraction().unwrap_or(0.0) * 1e6) as u64);
-            bar.set_message(format!("{}{}", rate(state), self.left()));
+        for running in self.running.values_mut().filter(|running| running.passing_since.is_none()) {
+            running.passing_since = (running.gauge.shots.load(Ordering::Relaxed) > 0).then(Instant::now);
+        }
+        if self.bar.is_some() {
+            self.draw();
+            if let Some(bar) = &self.bar {
+                bar.set_message(format!("{}{}", self.rate(), self.left()).trim_start_matches(", "));
+            }
             return;
         }
         if self.run_started.elapsed() < self.next {
@@ -180,8 +214,9 @@ impl Progress {
         self.next += interval(self.mode);
         match self.mode {
             ProgressMode::Lines => {
-                let part = self.fraction().map_or(String::new(), |part| format!("{:.0} %, ", 100.0 * part));
-                line(&self.label(), &format!("{part}{}{}", rate(state), self.left()));
+                let (activity, fraction) = self.activity();
+                let percent = fraction.map_or(String::new(), |part| format!(" {:.0} %", 100.0 * part));
+                line(&self.label(), &format!("{activity}{percent}{}{}", self.rate(), self.left()));
             }
             ProgressMode::Json => self.json(),
             ProgressMode::Bar | ProgressMode::Hidden => {}
@@ -190,12 +225,15 @@ impl Progress {
 
     /// Shows the result of an input.
     pub fn end(&mut self, number: usize) {
-        self.bar.take().inspect(ProgressBar::finish_and_clear);
+        self.bar = None;
         let Some(ended) = self.running.remove(&number) else { return };
         let state = ended.state();
-        if matches!(self.mode, ProgressMode::Bar | ProgressMode::Lines) {
+        // The end of a run says the same of a single input.
+        if matches!(self.mode, ProgressMode::Bar | ProgressMode::Lines) && self.sizes.len() > 1 {
             let label = label([&ended].into_iter(), self.sizes.len(), self.failed);
-            line(&label, &format!("{}, {:.1} s", rate(state), ended.started.elapsed().as_secs_f64()));
+            let seconds = ended.started.elapsed().as_secs_f64();
+            let per_s = rate(state.shots as f64 / seconds.max(1e-3));
+            line(&label, &format!("{} shots, {per_s}, {}", state.shots, duration(seconds)));
         }
         self.shots_before += state.shots;
         self.ended_bytes += self.sizes.get(&number).copied().unwrap_or(0);
@@ -214,9 +252,20 @@ impl Progress {
             self.json();
         }
         if self.mode == ProgressMode::Bar && !self.running.is_empty() {
-            let label = self.label();
-            self.bar.get_or_insert_with(bar).set_prefix(printable(&label).into_owned());
+            self.draw();
         }
+    }
+
+    /// What most of the work is now and its done fraction; of several inputs, the fraction of the run.
+    fn activity(&self) -> (&'static str, Option<f64>) {
+        let first = self.running.values().next().map_or(("reading", None), RunningInput::activity);
+        if self.sizes.len() == 1 { first } else { (first.0, self.fraction()) }
+    }
+
+    /// Rate at which shots pass the chain, if any have.
+    fn rate(&self) -> String {
+        let state = self.state();
+        if state.shots > 0 { format!(", {}", rate(state.shots_per_s)) } else { String::new() }
     }
 
     /// Names and places of the running inputs.
@@ -231,7 +280,7 @@ impl Progress {
             shots: sum.shots + state.shots,
             shots_read: sum.shots_read + state.shots_read,
             shots_per_s: sum.shots_per_s + state.shots_per_s,
-            fraction: None,
+            ..InputProgress::default()
         })
     }
 
@@ -249,11 +298,12 @@ impl Progress {
 
     /// Time until the end of the run, s, if known.
     fn left_s(&self) -> Option<f64> {
-        left(self.run_started.elapsed(), self.fraction()?)
+        let of_single = || self.running.values().next().filter(|_| self.sizes.len() == 1)?.passing_since;
+        left(of_single().unwrap_or(self.run_started).elapsed(), self.fraction()?)
     }
 
     fn left(&self) -> String {
-        self.left_s().map_or(String::new(), |left_s| format!(", {left_s:.0} s left"))
+        self.left_s().map_or(String::new(), |left_s| format!(", {} left", duration(left_s)))
     }
 
     fn json(&self) {
@@ -261,6 +311,7 @@ impl Progress {
         let shots = self.shots_before + self.state().shots;
         let first = self.running.values().next();
         let (stem, place) = first.map_or((&self.last.0, self.last.1), |first| (&first.stem, first.place));
+        let (activity, activity_fraction) = self.activity();
         let object = json!({
             "phase": "run",
             "input": stem,
@@ -270,18 +321,14 @@ impl Progress {
             "done": self.done,
             "failed": self.failed,
             "fraction": self.fraction(),
+            "activity": activity,
+            "activity_fraction": activity_fraction,
             "shots": shots,
             "shots_per_s": shots as f64 / elapsed_s.max(1e-3),
             "elapsed_s": elapsed_s,
             "left_s": self.left_s(),
         });
         print_line(&object.to_string());
-    }
-}
-
-impl Drop for Progress {
-    fn drop(&mut self) {
-        self.bar.take().inspect(ProgressBar::finish_and_clear);
     }
 }
 
@@ -294,13 +341,6 @@ fn interval(mode: ProgressMode) -> Duration {
     Duration::from_secs(if mode == ProgressMode::Json { 1 } else { 10 })
 }
 
-fn bar() -> ProgressBar {
-    let bar = ProgressBar::with_draw_target(Some(1_000_000), ProgressDrawTarget::stderr());
-    let style = ProgressStyle::with_template("{prefix} [{bar:30}] {percent:>3}% {msg}");
-    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
-    bar
-}
-
 /// Names of running inputs, their places, and how many have failed.
 fn label<'a>(running: impl Iterator<Item = &'a RunningInput>, inputs: usize, failed: usize) -> String {
     let (stems, places): (Vec<&str>, Vec<String>) =
@@ -309,13 +349,6 @@ fn label<'a>(running: impl Iterator<Item = &'a RunningInput>, inputs: usize, fai
     match inputs {
         1 => stems.join(", "),
         inputs => format!("{} ({} of {inputs}{failed})", stems.join(", "), places.join(", ")),
-    }
-}
-
-fn rate(state: InputProgress) -> String {
-    match state {
-        InputProgress { shots: 0, shots_read: 1.., .. } => format!("{} shots read", state.shots_read),
-        _ => format!("{} shots, {:.3} M shots/s", state.shots, state.shots_per_s / 1e6),
     }
 }
 
@@ -360,8 +393,8 @@ mod tests {
         assert_eq!(fraction(gauge(1_000_000, 40, 40)), Some(1.0));
         assert_eq!(fraction(gauge(u64::MAX, 40, 20)), None);
         let held = running(gauge(1_000_000, 40, 0));
-        assert_eq!(rate(held.state()), "4000 shots read");
-        assert_eq!(held.left(), "", "the time left is unknown");
+        assert_eq!(held.activity(), ("reading", Some(1.0)));
+        assert_eq!((held.rate(), held.left()), (String::new(), String::new()), "both are unknown");
     }
 
     #[test]
@@ -391,22 +424,36 @@ mod tests {
         assert_eq!(progress.fraction(), Some(0.25));
         assert_eq!(label(progress.running.values(), 3, 0), "a, c (1, 3 of 3)");
     }
+
+    #[test]
+    fn the_activity_of_a_single_input_has_its_own_fraction() {
+        let mut progress = progress(&[1]);
+        let gauge = Arc::new(gauge(1_000_000, 40, 0));
+        progress.begin(0, "a", &gauge);
+        gauge.calibration.begin(100);
+        assert_eq!(progress.activity(), ("calibrating", Some(0.0)));
+        gauge.calibration.end();
+        gauge.passed(100);
+        progress.show();
+        assert_eq!(progress.activity(), ("processing", Some(0.025)));
+    }
+
     #[test]
     fn a_bar_shows_the_running_inputs_their_part_and_the_time_left() {
         let mut progress = Progress::new(ProgressMode::Bar, BTreeMap::from([(0, 30), (1, 10)]));
         progress.begin(0, "a", &Arc::new(gauge(500_000, 2, 2)));
         progress.begin(1, "b", &Arc::new(gauge(0, 0, 0)));
         progress.show();
-        let bar = progress.bar.clone().unwrap();
-        assert_eq!((bar.prefix().as_str(), bar.position()), ("a, b (1, 2 of 2)", 375_000));
+        let bar = progress.bar.as_ref().unwrap().shown();
+        assert_eq!((bar.prefix().as_str(), bar.position()), ("a, b (1, 2 of 2) processing", 375_000));
         let message = bar.message();
-        assert!(message.starts_with("200 shots, ") && message.ends_with(" s left"), "{message}");
+        assert!(message.contains(" shots/s, ") && message.ends_with(" s left"), "{message}");
         // A failed input clears the bar for its line; the rest has a new one.
         progress.end(0);
         assert!(bar.is_finished() && progress.bar.is_none());
         progress.count(true);
-        let bar = progress.bar.clone().unwrap();
-        assert_eq!(bar.prefix(), "b (2 of 2, 1 failed)");
+        let bar = progress.bar.as_ref().unwrap().shown();
+        assert_eq!(bar.prefix(), "b (2 of 2, 1 failed) reading");
         drop(progress);
         assert!(bar.is_finished(), "a bar does not outlast its run");
     }

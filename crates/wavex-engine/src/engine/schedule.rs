@@ -123,6 +123,7 @@ pub(super) fn run_input(shared: &Shared, mut run: RunContext, options: &Options,
         Ok(its_geometry) => {
             run.geometry = Arc::new(its_geometry);
             run.read_ppm = Arc::clone(&gauge.read_ppm);
+            run.calibration = Arc::clone(&gauge.calibration);
         }
         Err(error) => {
             let not_run = InputSummary::not_run(&run);

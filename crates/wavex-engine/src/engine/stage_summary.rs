@@ -36,6 +36,8 @@ pub struct StageSummary {
     pub observed: BTreeMap<String, Percentiles>,
     /// Warnings of the stage.
     pub notes: Vec<String>,
+    /// Consequences of causes that other stages warn of, by cause.
+    pub consequences: BTreeMap<&'static str, Vec<String>>,
     /// Findings that need no action.
     pub findings: Vec<String>,
     /// Working time, s, summed over all workers.
@@ -135,6 +137,10 @@ fn dropped((item, reason): &(Item, Reason)) -> String {
 impl StageSummary {
     pub(super) fn new(stage: &JobStage, workers: usize, meter: Meter, counters: Counters) -> StageSummary {
         let expected = counters.rejected.keys().filter(|(_, reason)| reason.is_expected());
+        let mut consequences: BTreeMap<&'static str, Vec<String>> = BTreeMap::new();
+        for (cause, text) in counters.consequences {
+            consequences.entry(cause.words()).or_default().push(text);
+        }
         StageSummary {
             id: stage.id.clone(),
             r#type: stage.spec.name.to_string(),
@@ -148,6 +154,7 @@ impl StageSummary {
             set_aside: expected.map(dropped).collect(),
             observed: counters.observed.iter().map(|(name, d)| (name.to_string(), d.into())).collect(),
             notes: counters.notes,
+            consequences,
             findings: counters.findings,
             working_s: meter.working.as_secs_f64(),
             waiting_s: meter.waiting.as_secs_f64(),
@@ -155,6 +162,13 @@ impl StageSummary {
             line_us: Percentiles::of_latency(&meter.latency_ns),
             spans: meter.spans,
         }
+    }
+
+    /// Warnings, then consequences with their causes.
+    pub fn warnings(&self) -> impl Iterator<Item = String> {
+        let of_cause =
+            |(cause, texts): (&&'static str, &Vec<String>)| format!("{cause}: {}", texts.join("; "));
+        self.notes.iter().cloned().chain(self.consequences.iter().map(of_cause))
     }
 
     /// Number of rejected items of this type, for all reasons.

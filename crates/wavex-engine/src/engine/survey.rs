@@ -158,7 +158,7 @@ impl SurveyLearner<'_> {
             let mut known = self.models.instruments[instrument].clone();
             let learnt = self.teach(stage, &mut lines, &mut known, &mut cx, false)?;
             let counters = cx.counters();
-            known.notes.extend(counters.notes.iter().chain(&counters.findings).cloned());
+            known.notes.extend(counters.warnings().chain(counters.findings.iter().cloned()));
             known.inputs = agreeing.len();
             match learnt {
                 Ok(()) => self.models.instruments[instrument] = known,

@@ -12,6 +12,7 @@ use super::totals::LineTotals;
 use wavex_line::scan_line::{Blocks, Budget, NoRoom, ScanLine};
 use wavex_line::stage::{Context, Map, Output, Result, Sink, Source, StageError, Transform};
 use wavex_line::system::Unpoisoned as _;
+use wavex_signal::calibrate::CalibrationProgress;
 
 /// State shared by the threads of one chain.
 pub(super) struct ChainState<'a> {
@@ -38,6 +39,7 @@ pub(super) struct ChainState<'a> {
 pub struct Gauge {
     /// Fraction of the input read, ppm; `u64::MAX` if unknown.
     pub(super) read_ppm: Arc<AtomicU64>,
+    pub(super) calibration: Arc<CalibrationProgress>,
     pub(super) lines_read: AtomicU64,
     pub(super) shots_read: AtomicU64,
     /// Lines and shots that have left the chain.

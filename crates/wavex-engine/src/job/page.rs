@@ -8,6 +8,14 @@ const USUAL_NAME: &str = "*_report.html";
 /// Default name of the survey's page.
 const SURVEY_NAME: &str = "*_survey.html";
 
+/// Name of a file of a run whose job file has this stem: `*` is replaced, and `survey_survey` becomes `survey`.
+pub fn named(pattern: &str, stem: &str) -> String {
+    match pattern.strip_prefix("*_survey") {
+        Some(rest) if stem.ends_with("survey") => format!("{stem}{rest}"),
+        _ => pattern.replace('*', stem),
+    }
+}
+
 /// Message if `report` is given a Boolean value.
 pub(super) const REPORT_IS_A_NAME: &str = "it is the name of the JSON report, or \"\" for none; to get the report as a page, set \
                                            `report_page = true`";
@@ -38,4 +46,17 @@ fn name_or<'de, D: Deserializer<'de>>(usual: &str, from: D) -> Result<String, D:
         PageKey::IsWanted(false) => String::new(),
         PageKey::Name(name) => name,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_do_not_repeat_survey() {
+        let names =
+            ["*_survey.html", "*_report.html", "*.html", "page.html"].map(|pattern| named(pattern, "survey"));
+        assert_eq!(names, ["survey.html", "survey_report.html", "survey.html", "page.html"]);
+        assert_eq!(named("*_survey.html", "night7"), "night7_survey.html");
+    }
 }

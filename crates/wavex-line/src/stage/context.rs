@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use hdrhistogram::Histogram;
 
-use super::{FinishedFile, RunObserver};
+use super::{Cause, FinishedFile, RunObserver};
 use crate::reason::{Item, Reason};
 use crate::scan_line::ScanLine;
 use crate::system::Unpoisoned as _;
@@ -56,6 +56,8 @@ pub struct Counters {
     pub counts: BTreeMap<&'static str, u64>,
     /// Warnings in order, each once.
     pub notes: Vec<String>,
+    /// Consequences of a cause that another stage warns of, each once.
+    pub consequences: Vec<(Cause, String)>,
     /// Findings that need no action, in order, each once.
     pub findings: Vec<String>,
 }
@@ -131,6 +133,21 @@ impl Context {
         self.counters.notes.push(text);
     }
 
+    /// Reports a consequence of a cause that another stage warns of.
+    ///
+    /// It is in the report and in the log; the end of the run lists all consequences of a cause together.
+    pub fn consequence(&mut self, cause: Cause, text: impl Into<String>) {
+        let consequence = (cause, text.into());
+        if self.counters.consequences.contains(&consequence) {
+            return;
+        }
+        let text = format!("{}: {}", cause.words(), consequence.1);
+        if self.is_new(&text) {
+            tracing::info!("{text}");
+        }
+        self.counters.consequences.push(consequence);
+    }
+
     /// Reports a finding like [`Context::warn`], but not as a warning.
     pub fn info(&mut self, text: impl Into<String>) {
         let text = text.into();
@@ -176,6 +193,12 @@ impl Context {
 }
 
 impl Counters {
+    /// Warnings, then consequences with their causes.
+    pub fn warnings(&self) -> impl Iterator<Item = String> {
+        let consequence = |(cause, text): &(Cause, String)| format!("{}: {text}", cause.words());
+        self.notes.iter().cloned().chain(self.consequences.iter().map(consequence))
+    }
+
     /// Adds the counters of another worker of the same stage.
     pub fn merge(&mut self, other: Counters) {
         for (key, n) in other.rejected {
@@ -188,6 +211,7 @@ impl Counters {
             *self.counts.entry(name).or_default() += n;
         }
         add_new(&mut self.notes, other.notes);
+        add_new(&mut self.consequences, other.consequences);
         add_new(&mut self.findings, other.findings);
     }
 
@@ -197,11 +221,11 @@ impl Counters {
     }
 }
 
-/// Adds the texts that are not yet in the list.
-fn add_new(texts: &mut Vec<String>, more: Vec<String>) {
-    for text in more {
-        if !texts.contains(&text) {
-            texts.push(text);
+/// Adds the messages that are not yet in the list.
+fn add_new<T: PartialEq>(messages: &mut Vec<T>, more: Vec<T>) {
+    for message in more {
+        if !messages.contains(&message) {
+            messages.push(message);
         }
     }
 }
@@ -317,6 +341,18 @@ mod tests {
         cx.warn("no outgoing pulse");
         cx.warn("no outgoing pulse");
         assert_eq!(cx.counters.notes, ["no outgoing pulse"]);
+    }
+
+    #[test]
+    fn consequences_follow_the_warnings_with_their_cause() {
+        let (mut cx, mut other) = (Context::default(), Context::default());
+        cx.consequence(Cause::NoTrajectory, "the file has no coordinate reference system");
+        other.consequence(Cause::NoTrajectory, "the file has no coordinate reference system");
+        other.warn("the input is not georeferenced");
+        cx.merge(other);
+        let warnings: Vec<String> = cx.counters.warnings().collect();
+        let consequence = "without a trajectory: the file has no coordinate reference system";
+        assert_eq!(warnings, ["the input is not georeferenced", consequence]);
     }
 
     #[test]

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 use rayon::ThreadPool;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use wavex_signal::calibrate::CalibrationProgress;
 use wavex_simd::SimdLevel;
 
 use super::{OutputFile, Result, SurveyModels};
@@ -41,6 +42,8 @@ pub struct RunContext {
     ///
     /// The engine sets it behind each line; a source that works long on one line sets it meanwhile.
     pub read_ppm: Arc<AtomicU64>,
+    /// Progress of `calibrate`, for the progress display.
+    pub calibration: Arc<CalibrationProgress>,
     /// Whether stages write files; if not, their lines are only observed.
     pub has_outputs: bool,
 }
@@ -60,6 +63,7 @@ impl RunContext {
             simd: SimdLevel::Portable,
             cancelled: Arc::default(),
             read_ppm: Arc::default(),
+            calibration: Arc::default(),
             geometry: Arc::default(),
             survey: None,
             has_outputs: true,

@@ -20,21 +20,73 @@ const HEADS: [&str; 9] = [
     "flags",
 ];
 
-/// The complete text for a shot.
-pub(super) fn table(explained: &ExplainedShot) -> String {
-    let mut text = format!("{}\n\n", title(explained, &explained.file));
-    let rows: Vec<[String; 9]> = explained.returns.iter().map(row).collect();
-    let width =
-        |i: usize| rows.iter().map(|row| row[i].chars().count()).chain([HEADS[i].len()]).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..HEADS.len()).map(width).collect();
-    let mut line = |cells: &[String]| {
-        let padded = cells.iter().zip(&widths).map(|(cell, width)| format!("{cell:<width$}"));
-        text.push_str(padded.collect::<Vec<_>>().join("  ").trim_end());
-        text.push('\n');
+/// The complete text for a shot, in lines of at most this many characters, if it is given.
+pub(super) fn table(explained: &ExplainedShot, width: Option<usize>) -> String {
+    let width = width.unwrap_or(usize::MAX);
+    let returns = of_returns(explained.returns.iter().map(row).collect(), width);
+    let (title, rest) = (title(explained, &explained.file), remarks(explained));
+    let wrapped = |text: &str| text.lines().map(|line| wrapped(line, width)).collect::<String>();
+    format!("{}\n{returns}\n{}", wrapped(&title), wrapped(&rest))
+}
+
+/// Table with one row per return; with one column per return, where rows do not fit the width.
+fn of_returns(rows: Vec<[String; 9]>, width: usize) -> String {
+    let by_return: Vec<[String; 9]> = [HEADS.map(str::to_owned)].into_iter().chain(rows).collect();
+    let text = columns(&by_return);
+    if text.lines().all(|line| line.chars().count() <= width) {
+        return text;
+    }
+    let longest = |row: &[String; 9]| row.iter().map(|cell| cell.chars().count()).max().unwrap_or(0);
+    let (heads, returns) = by_return.split_at(1);
+    let heads_chars = heads.iter().map(longest).max().unwrap_or(0);
+    let return_chars = returns.iter().map(longest).max().unwrap_or(0) + GAP.len();
+    let at_once = (width.saturating_sub(heads_chars) / return_chars).max(1);
+    let group = |returns: &[[String; 9]]| {
+        let quantities = (0..HEADS.len())
+            .map(|i| heads.iter().chain(returns).map(|row| row[i].clone()).collect::<Vec<String>>());
+        columns(&quantities.collect::<Vec<_>>())
     };
-    line(&HEADS.map(str::to_owned));
-    rows.iter().for_each(|row| line(row));
-    text.push('\n');
+    returns.chunks(at_once).map(group).collect::<Vec<_>>().join("\n")
+}
+
+/// Characters between two columns.
+const GAP: &str = "  ";
+
+/// Rows with aligned cells.
+fn columns(rows: &[impl AsRef<[String]>]) -> String {
+    let n = rows.first().map_or(0, |row| row.as_ref().len());
+    let chars = |i: usize| rows.iter().map(|row| row.as_ref()[i].chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..n).map(chars).collect();
+    let line = |row: &[String]| {
+        let padded = row.iter().zip(&widths).map(|(cell, width)| format!("{cell:<width$}"));
+        format!("{}\n", padded.collect::<Vec<_>>().join(GAP).trim_end())
+    };
+    rows.iter().map(|row| line(row.as_ref())).collect()
+}
+
+/// A line as one or more lines of at most `width` characters; further ones are indented.
+fn wrapped(line: &str, width: usize) -> String {
+    let indent = line.len() - line.trim_start().len();
+    let mut text = " ".repeat(indent);
+    let mut chars = indent;
+    for word in line.split_whitespace() {
+        let needed = word.chars().count() + usize::from(chars > indent);
+        if chars > indent && chars.saturating_add(needed) > width {
+            text.push_str(&format!("\n{}", " ".repeat(indent + 4)));
+            chars = indent + 4;
+        } else if chars > indent {
+            text.push(' ');
+            chars += 1;
+        }
+        text.push_str(word);
+        chars += word.chars().count();
+    }
+    text + "\n"
+}
+
+/// Outgoing pulse, blocks, remarks and sensor model.
+fn remarks(explained: &ExplainedShot) -> String {
+    let mut text = String::new();
     text.push_str(&outgoing(explained));
     for (number, block) in (1..).zip(&explained.blocks) {
         text.push_str(&of_block(number, block));
@@ -167,4 +219,31 @@ fn of_channel(channel: &ChannelModel) -> String {
         channel.pulse_error_factor,
         channel.waveforms
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_fits_the_width() {
+        let row = |n: usize| HEADS.map(|head| format!("{head} of {n}"));
+        let rows: Vec<[String; 9]> = (1..=3).map(row).collect();
+        let longest = |text: &str| text.lines().map(|line| line.chars().count()).max();
+        let wide = of_returns(rows.clone(), usize::MAX);
+        assert_eq!(wide.lines().count(), 4);
+        let narrow = of_returns(rows, 60);
+        assert!(longest(&narrow) <= Some(60), "{narrow}");
+        // Two groups of nine quantities, and an empty line between them.
+        assert_eq!(narrow.lines().count(), 2 * 9 + 1, "{narrow}");
+        assert!(narrow.contains("range, m of 3"));
+    }
+
+    #[test]
+    fn lines_are_wrapped_between_words() {
+        assert_eq!(wrapped("  ab cd ef", 8), "  ab cd\n      ef\n");
+        assert_eq!(wrapped("a", 1), "a\n");
+        assert_eq!(wrapped("", 10), "\n");
+        assert_eq!(wrapped("  filtered: 1 explained", usize::MAX), "  filtered: 1 explained\n");
+    }
 }

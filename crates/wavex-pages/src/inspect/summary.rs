@@ -375,8 +375,8 @@ fn integrity(inspection: &Inspection, counters: &Counters, cut: Option<&str>) ->
     for ((item, reason), count) in &counters.rejected {
         section.say(&format!("rejected {}", item.name()), format!("{}: {reason}", grouped(*count)));
     }
-    for note in &counters.notes {
-        section.say("note", note.clone());
+    for note in counters.warnings() {
+        section.say("note", note);
     }
     for finding in &counters.findings {
         section.say("finding", finding.clone());

@@ -1,5 +1,7 @@
 //! HTML page of a run; needs no network or scripts.
 
+use std::collections::BTreeMap;
+
 use maud::{Markup, html};
 use serde_json::Value;
 
@@ -215,9 +217,15 @@ fn key_figures(input: &Value, overview: Option<&Overview>) -> Markup {
 /// Lists warnings and rejections, then findings that need no action.
 fn notes(input: &Value) -> PagePart {
     let (mut warnings, mut findings) = (Vec::new(), Vec::new());
+    let mut consequences = BTreeMap::<String, Vec<String>>::new();
     for stage in list(input, "stages") {
         let of_stage = |text: String| (name(stage), text);
         warnings.extend(list(stage, "notes").iter().map(plain).map(of_stage));
+        for (cause, texts) in stage["consequences"].as_object().into_iter().flatten() {
+            for text in texts.as_array().into_iter().flatten() {
+                consequences.entry(cause.clone()).or_insert_with(Vec::new).push(plain(text));
+            }
+        }
         findings.extend(list(stage, "findings").iter().map(plain).map(of_stage));
         for (what, n) in stage["rejected"].as_object().into_iter().flatten() {
             let n = label(n.as_f64().unwrap_or(0.0), 0);
@@ -227,6 +235,7 @@ fn notes(input: &Value) -> PagePart {
             }
         }
     }
+    warnings.extend(consequences.into_iter().map(|(cause, texts)| (cause, texts.join("; "))));
     let listed = |items: &[(String, String)]| {
         html! { ul.notes { @for (stage, text) in items { li { b { (stage) } ": " (text) } } } }
     };

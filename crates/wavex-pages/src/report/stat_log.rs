@@ -227,7 +227,7 @@ fn remarks(text: &mut SectionedText, stage: &StageSummary) {
     for (what, n) in &stage.rejected {
         text.row(&format!("{}: rejected", stage.id), format_args!("{n} {what}"));
     }
-    for note in &stage.notes {
+    for note in stage.warnings() {
         text.row(&format!("{}: note", stage.id), note);
     }
     for finding in &stage.findings {

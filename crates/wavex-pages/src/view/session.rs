@@ -244,8 +244,7 @@ impl Session {
             let input = Input { path, stem };
             let observed = engine::observe_all(&job, input, &options, Context::of_run(), (), look);
             let ((), summary) = observed.map_err(|error| error.to_string())?;
-            let notes = summary.stages.iter().flat_map(|stage| &stage.notes);
-            notes.for_each(|note| self.warn(note.clone()));
+            summary.stages.iter().flat_map(|stage| stage.warnings()).for_each(|warning| self.warn(warning));
             if self.cancel.is_cancelled() {
                 return Err("interrupted".into());
             }

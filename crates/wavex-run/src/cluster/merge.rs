@@ -11,7 +11,7 @@ use super::tasks::{ARCHIVE_STAGE, LINES};
 use super::{MOST_BYTES, REMEDY, SurveyPlan, Task};
 use crate::archive::{self, KnownDigests, Recorder, Seals, check_destination, plain, relative};
 use wavex_engine::engine::{InputStatus, InputSummary, Options};
-use wavex_engine::job::Job;
+use wavex_engine::job::{Job, named};
 use wavex_formats::{Error, path_within, read_small_text};
 use wavex_line::stage::{OutputFile, Plan, Result, StageError};
 use wavex_pages::report::survey::{StripPaths, write_survey};
@@ -153,7 +153,7 @@ impl<'m> Merge<'m> {
         report: &RunReport,
         results: &[TaskResult],
     ) -> Result<Vec<PathBuf>> {
-        let file = |pattern: &str| self.output_dir.join(pattern.replace('*', &job.stem()));
+        let file = |pattern: &str| self.output_dir.join(named(pattern, &job.stem()));
         let mut written = Vec::new();
         let settings = &job.settings;
         if !settings.report.is_empty() {

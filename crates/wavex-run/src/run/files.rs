@@ -9,10 +9,11 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 use super::ResumeCheck;
+use super::ending::{self, EndMessage};
 use super::resume::{Comparison, EarlierRun};
 use super::survey_files::{PageCollector, SurveyFiles};
 use wavex_engine::engine::{self, Input, InputStatus, InputSummary, Options, RunSummary};
-use wavex_engine::job::{Job, JobSettings};
+use wavex_engine::job::{Job, JobSettings, named};
 use wavex_formats::Error;
 use wavex_line::stage::{
     OutputFile, OutputLock, Outputs, Result, RunObservers, StageError, SurveyModels, fixed_folder,
@@ -226,7 +227,7 @@ impl<'j> RunFiles<'j> {
 
     /// File of the run with this pattern.
     fn of_name(&self, pattern: &str) -> Option<PathBuf> {
-        self.path(&pattern.replace('*', &self.name))
+        self.path(&named(pattern, &self.name))
     }
 
     fn path(&self, name: &str) -> Option<PathBuf> {
@@ -348,8 +349,8 @@ impl<'j> RunFiles<'j> {
         RunReport { run, inputs: &self.entries }
     }
 
-    /// Files written for the run and its inputs.
-    pub(super) fn written(&self, run: &RunSummary) -> Vec<PathBuf> {
+    /// Files written for the run, and for its inputs.
+    pub(super) fn written(&self, run: &RunSummary) -> [Vec<PathBuf>; 2] {
         let was_run = |input: &&InputSummary| matches!(input.status, InputStatus::Done | InputStatus::Failed);
         let inputs: Vec<&InputSummary> = run.inputs.iter().filter(was_run).collect();
         let mut of_run = if inputs.is_empty() { Vec::from_iter(self.log()) } else { self.of_run() };
@@ -358,8 +359,17 @@ impl<'j> RunFiles<'j> {
             of_run.retain(|path| !requested.contains(path));
             of_run.extend_from_slice(survey.written());
         }
-        let stat_logs = inputs.into_iter().filter_map(|input| self.stat_log(&input.stem));
-        of_run.into_iter().chain(stat_logs).collect()
+        let is_done = |input: &&&InputSummary| input.status == InputStatus::Done;
+        let of_strip = |input: &&InputSummary| Some(self.survey.as_ref()?.of_input(&input.stem));
+        let of_strips = inputs.iter().filter(is_done).filter_map(of_strip).flatten();
+        let stat_logs = inputs.iter().filter_map(|input| self.stat_log(&input.stem));
+        // A strip without cells has no raster.
+        [of_run, stat_logs.chain(of_strips.filter(|path| path.exists())).collect()]
+    }
+
+    /// The next command for the user.
+    pub(super) fn next(&self, job: &Job) -> Option<EndMessage> {
+        ending::next(job, &self.output_dir, self.of_name(&self.settings.report).as_deref())
     }
 }
 

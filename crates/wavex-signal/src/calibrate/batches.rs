@@ -54,6 +54,7 @@ pub(crate) fn decompose_each<'a>(
             }
             let mut outcomes = Decompositions::default();
             decomposer.decompose(batch, &mut outcomes);
+            settings.progress.add(batch.len());
             Ok(outcomes)
         };
         let outcomes = part.chunks(CHUNK).map(decompose_batch).collect();

@@ -19,7 +19,9 @@ use wavex_line::stage::{
     StageError, StageSpec, SurveyModels, Transform, TransformConfig,
 };
 use wavex_signal::calibrate::response::{Calibrated, calibrate_response};
-use wavex_signal::calibrate::{self, BackgroundChoice, CalibrationError, CalibrationSettings};
+use wavex_signal::calibrate::{
+    self, BackgroundChoice, CalibrationError, CalibrationProgress, CalibrationSettings,
+};
 use wavex_signal::decompose::Waveform;
 use wavex_signal::gain::calibrate_at_unit_gain;
 use wavex_signal::sensor_model::{Decay, Digitiser, SensorModel};
@@ -92,6 +94,7 @@ impl Calibrate {
             simd: run.simd,
             pool: run.pool.clone(),
             cancelled: Arc::clone(&run.cancelled),
+            progress: Arc::clone(&run.calibration),
             look_ahead: LookAhead::new(self.waveforms),
             clipping_dn: [None; 2],
             survey: run.survey.clone().filter(|_| TransformConfig::learns(self).is_some()),
@@ -109,6 +112,7 @@ struct Calibrator {
     simd: SimdLevel,
     pool: Option<Arc<ThreadPool>>,
     cancelled: Arc<AtomicBool>,
+    progress: Arc<CalibrationProgress>,
     look_ahead: LookAhead,
     /// Levels at which the samples of the low-power and the high-power receiver are clipped, DN.
     clipping_dn: [Option<u16>; 2],
@@ -203,7 +207,10 @@ impl Calibrator {
     fn release(&mut self, out: &mut Output) -> Result<()> {
         let is_given = self.model.is_some();
         if !is_given {
-            self.model = Some(Arc::new(self.calibrate(out)?));
+            self.progress.begin(self.blocks_to_use());
+            let model = self.calibrate(out);
+            self.progress.end();
+            self.model = Some(Arc::new(model?));
             self.save(out)?;
         }
         let mut lines = self.look_ahead.release();
@@ -373,7 +380,8 @@ impl Calibrator {
         };
         let digitiser = self.digitiser(channel, input);
         let cancelled = Arc::clone(&self.cancelled);
-        let settings = CalibrationSettings { digitiser, simd: self.simd, cancelled, ..settings };
+        let progress = Arc::clone(&self.progress);
+        let settings = CalibrationSettings { digitiser, simd: self.simd, cancelled, progress, ..settings };
         match (channel, self.config.background) {
             (Channel::Reference, _) | (_, BackgroundKey::Auto) => settings,
             (_, BackgroundKey::Fixed) => {
@@ -402,6 +410,12 @@ impl Calibrator {
 
     fn count(&self, channel: Channel) -> u64 {
         self.blocks(channel).count() as u64
+    }
+
+    /// Number of blocks of all receivers from which the model is made.
+    fn blocks_to_use(&self) -> u64 {
+        let of = |channel| self.count(channel).min(self.settings(channel).max_blocks as u64);
+        [Channel::LowPower, Channel::HighPower, Channel::Reference].map(of).iter().sum()
     }
 }
 
@@ -444,6 +458,7 @@ mod tests {
             simd: SimdLevel::Portable,
             pool: None,
             cancelled: Arc::default(),
+            progress: Arc::default(),
             look_ahead: LookAhead::new(Calibrate::default().waveforms),
             config: Calibrate::default(),
             clipping_dn: [None; 2],

@@ -194,7 +194,7 @@ impl ChannelFuser {
     fn found(&self, out: &mut Output) -> Option<ChannelFusion> {
         let one = |channel| self.look_ahead.samples(channel).next().is_none();
         if one(Channel::LowPower) || one(Channel::HighPower) {
-            out.cx.warn("the recording has one receiver: there is nothing to fuse");
+            out.cx.info("the recording has one receiver: there is nothing to fuse");
             return None;
         }
         let lines = self.look_ahead.lines();
@@ -433,7 +433,7 @@ mod tests {
     #[test]
     fn one_receiver_passes_as_it_is() {
         let (lines, notes) = run(&FuseChannels::default(), vec![line(0, 40, false)]);
-        assert_eq!(notes, ["the recording has one receiver: there is nothing to fuse"]);
+        assert!(notes.is_empty(), "{notes:?}");
         assert!(lines.len() == 1 && lines[0].fusion.is_none());
     }
 

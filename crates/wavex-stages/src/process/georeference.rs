@@ -104,12 +104,11 @@ impl Map for Georeferencer {
             }
             Frame::Scanner | Frame::Body => {
                 self.geometry.keep_frame()?;
-                cx.warn(match frame {
-                    Frame::Body => {
-                        "the input is not georeferenced: its points are in the body frame of the aircraft"
-                    }
-                    _ => "the input is not georeferenced: its points are in the scanner frame",
-                });
+                let axes = if frame == Frame::Body { "body frame of the aircraft" } else { "scanner frame" };
+                cx.warn(format!(
+                    "the input is not georeferenced: its points are in the {axes}; give [job.geometry] a `trajectory` \
+                     and a `crs`"
+                ));
                 complete_in_own_axes(frame, &mut line.emissions);
                 self.spread(&line.input, &line.emissions, &returns, &mut points);
             }

@@ -230,7 +230,7 @@ impl Transform for MtaResolver {
     fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
         let is_unresolved = line.emissions.iter().any(|emission| emission.mta_zone.is_none());
         if !is_unresolved && !line.emissions.is_empty() {
-            out.cx.warn("lines with known zones pass through unchanged");
+            out.cx.info("lines with known zones pass through unchanged");
             self.finish(out)?;
             return out.emit(line);
         }

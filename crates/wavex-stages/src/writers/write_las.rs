@@ -31,7 +31,7 @@ use wavex_line::scan_line::{
     Emission, Frame, GainControl, InputInfo, Kind, Return, ScanLine, TimeScale, emission_flags,
 };
 use wavex_line::stage::{
-    Config, Context, OutputFile, Reason, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
+    Cause, Config, Context, OutputFile, Reason, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
 };
 
 /// Registry entry of the stage.
@@ -90,6 +90,9 @@ pub struct WriteLas {
     pub version: VersionKey,
     /// Write the extra attributes.
     pub extra_attributes: bool,
+    /// Names of the extra attributes to write, such as `["RangeErr", "DevRatio"]`; all by default.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub attributes: Option<Vec<String>>,
     /// Include the standard deviations among the extra attributes.
     pub uncertainty: bool,
     /// Names and scales of the extra attributes, and meaning of class and user data.
@@ -135,6 +138,7 @@ impl Default for WriteLas {
             path: "*.laz".into(),
             version: VersionKey::V1_4,
             extra_attributes: true,
+            attributes: None,
             uncertainty: true,
             attribute_layout: AttributeLayout::Standard,
             point_source_id: None,
@@ -156,6 +160,12 @@ impl Config for WriteLas {
             "path",
             "the file name must end in .las or .laz",
         )?;
+        InvalidKey::unless(
+            !lower.ends_with(".copc.laz"),
+            "path",
+            "this stage does not sort points, as COPC needs: write `*.laz`, and then convert it with `wavex copc`",
+        )?;
+        self.check_attributes()?;
         InvalidKey::unless(
             self.project_id.is_empty() || identity::guid(&self.project_id).is_some(),
             "project_id",
@@ -225,11 +235,32 @@ impl WriteLas {
         self.point_source_id.unwrap_or(PointSourceKey::Rule(usual))
     }
 
+    /// Extra attributes to write, in the order of the layout.
     fn attributes(&self) -> Vec<ReturnAttribute> {
-        match self.extra_attributes {
-            true => attributes_of(self.attribute_layout, self.uncertainty),
-            false => Vec::new(),
+        if !self.extra_attributes {
+            return Vec::new();
         }
+        let mut all = attributes_of(self.attribute_layout, self.uncertainty);
+        if let Some(names) = &self.attributes {
+            all.retain(|attribute| names.iter().any(|name| name == attribute.stored.name));
+        }
+        all
+    }
+
+    /// Checks the key `attributes`: all names belong to the layout.
+    fn check_attributes(&self) -> std::result::Result<(), InvalidKey> {
+        let Some(names) = &self.attributes else { return Ok(()) };
+        InvalidKey::unless(
+            self.extra_attributes,
+            "attributes",
+            "`extra_attributes = false` leaves out all: remove one of both",
+        )?;
+        let layout = attributes_of(self.attribute_layout, true);
+        let known: Vec<&str> = layout.iter().map(|attribute| attribute.stored.name).collect();
+        let unknown = names.iter().find(|name| !known.contains(&name.as_str()));
+        let problem =
+            unknown.map(|name| format!("no attribute is named `{name}`; there are: {}", known.join(", ")));
+        InvalidKey::unless(problem.is_none(), "attributes", problem.as_deref().unwrap_or_default())
     }
 
     fn beside(&self) -> &Beside {
@@ -357,10 +388,7 @@ impl LasWriter {
                 "the input has no coordinate reference system (WKT or EPSG code), so the file has none; set it with the \
                  reader's key `crs_of_input`",
             ),
-            None => cx.warn(
-                "the points are not georeferenced: the file has no coordinate reference system; give [job.geometry] a \
-                 `trajectory` and a `crs`",
-            ),
+            None => cx.consequence(Cause::NoTrajectory, "the LAS file has no coordinate reference system"),
             Some(wkt) if self.config.version != VersionKey::V1_4 => {
                 if geokeys::from_wkt(wkt).is_none() {
                     cx.warn(

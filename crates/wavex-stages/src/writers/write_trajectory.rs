@@ -13,7 +13,9 @@ use wavex_line::georef::Geometry;
 use wavex_line::georef::output_crs::OutputCrs;
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::{Emission, Frame, InputInfo, Kind, ScanLine};
-use wavex_line::stage::{Config, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec};
+use wavex_line::stage::{
+    Cause, Config, Context, OutputFile, Result, RunContext, Sink, SinkConfig, StageSpec,
+};
 
 mod beam_intersection;
 mod decimation;
@@ -144,9 +146,7 @@ impl Sink for TrajectoryWriter {
             return Ok(());
         }
         if matches!(line.input.frame, Frame::Scanner | Frame::Body) {
-            cx.warn(
-                "the input is not georeferenced: the sensor position is unknown, and its path has no rows",
-            );
+            cx.consequence(Cause::NoTrajectory, "the path of the sensor has no rows");
             return Ok(());
         }
         self.begin()?;

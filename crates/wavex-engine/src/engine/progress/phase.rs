@@ -2,11 +2,11 @@
 
 use std::time::{Duration, Instant};
 
-use indicatif::ProgressBar;
 use serde_json::json;
 
-use super::{ProgressMode, bar, interval, left, line, print_line};
-use wavex_line::printable::printable;
+use super::bar::{Bar, shortened};
+use super::words::duration;
+use super::{ProgressMode, interval, left, line, print_line};
 
 /// Displays the progress of a phase over some inputs on standard error.
 #[derive(Debug)]
@@ -18,14 +18,14 @@ pub struct Phase {
     mode: ProgressMode,
     inputs: usize,
     started: Instant,
-    bar: Option<ProgressBar>,
+    bar: Option<Bar>,
     next: Duration,
 }
 
 impl Phase {
     /// Creates a display for programs (`name`) and people (`title`).
     pub fn new(name: &'static str, title: &'static str, mode: ProgressMode, inputs: usize) -> Phase {
-        let bar = (mode == ProgressMode::Bar).then(bar);
+        let bar = (mode == ProgressMode::Bar).then(Bar::new);
         Phase { name, title, mode, inputs, started: Instant::now(), bar, next: Duration::ZERO }
     }
 
@@ -38,8 +38,7 @@ impl Phase {
             inputs => format!("{stem} ({place} of {inputs})"),
         };
         if let Some(bar) = &self.bar {
-            bar.set_position((1e6 * fraction) as u64);
-            bar.set_prefix(format!("{}: {}", self.title, printable(&label)));
+            bar.show(&format!("{}: {}", self.title, shortened(&label)), Some(fraction));
         }
         let elapsed = self.started.elapsed();
         if elapsed < self.next {
@@ -62,17 +61,11 @@ impl Phase {
                 print_line(&object.to_string());
             }
             ProgressMode::Bar => {
-                let left = left_s.map_or(String::new(), |left_s| format!("{left_s:.0} s left"));
-                self.bar.iter().for_each(|bar| bar.set_message(left.clone()));
+                let left = left_s.map_or(String::new(), |left_s| format!("{} left", duration(left_s)));
+                self.bar.iter().for_each(|bar| bar.set_message(&left));
             }
             ProgressMode::Hidden => {}
         }
-    }
-}
-
-impl Drop for Phase {
-    fn drop(&mut self) {
-        self.bar.take().inspect(ProgressBar::finish_and_clear);
     }
 }
 
@@ -84,7 +77,7 @@ mod tests {
     fn a_bar_shows_the_input_and_its_part_of_the_phase() {
         let mut phase = Phase::new("calibrate", "calibrating", ProgressMode::Bar, 4);
         phase.show("a", 0, 0.5);
-        let bar = phase.bar.clone().unwrap();
+        let bar = phase.bar.as_ref().unwrap().shown();
         assert_eq!((bar.prefix().as_str(), bar.position()), ("calibrating: a (1 of 4)", 125_000));
         assert!(bar.message().ends_with(" s left"), "{}", bar.message());
         phase.show("b", 3, 1.0);
@@ -97,7 +90,7 @@ mod tests {
     fn a_single_input_has_no_number() {
         let mut phase = Phase::new("copc", "sorting", ProgressMode::Bar, 1);
         phase.show("a", 0, 0.0);
-        let bar = phase.bar.clone().unwrap();
+        let bar = phase.bar.as_ref().unwrap().shown();
         assert_eq!((bar.prefix().as_str(), bar.message().as_str()), ("sorting: a", ""));
     }
 

@@ -9,7 +9,7 @@ use super::{Correct, Incidence};
 use wavex_formats::lookup_tables::LookupTables;
 use wavex_geodesy::vertical::down_at;
 use wavex_line::scan_line::{Emission, InputInfo, LineStats, Return, ReturnChannel, ScanLine, flags};
-use wavex_line::stage::{Context, Result};
+use wavex_line::stage::{Cause, Context, Result};
 use wavex_returns::radiometry::{LEAST_COS_INCIDENCE, RangeAndAir, target_thickness_m};
 
 /// Corrections applied to every return of a run.
@@ -96,7 +96,7 @@ impl Corrections {
                 Incidence::Flat => match emission.and_then(|emission| cos_to_vertical(frame, emission)) {
                     Some(cosine) => cosine.max(LEAST_COS_INCIDENCE),
                     None => {
-                        cx.warn("intensities are not corrected for incidence: without a trajectory the angle between beam and vertical is unknown");
+                        cx.consequence(Cause::NoTrajectory, "intensities are not corrected for incidence");
                         1.0
                     }
                 },
@@ -127,7 +127,7 @@ impl Corrections {
     }
 }
 
-/// Notes tables that are requested but missing.
+/// Notes tables that are requested but missing: without a range table, ranges depend on amplitude.
 fn note_what_is_missing(
     wanted: [bool; 2],
     tables: &RecordingTables,
@@ -147,10 +147,11 @@ fn note_what_is_missing(
             }
             let is_of = |r: &Return| receiver_of(r.channel) == receiver;
             if is_wanted && both[receiver].is_none() && returns.iter().any(is_of) {
-                cx.warn(format!(
+                let text = format!(
                     "{}: there is no {kind} table: {so}; set {kind}_table to a file, or to false if none is wanted",
                     name(channel)
-                ));
+                );
+                if kind == "range" { cx.warn(text) } else { cx.info(text) }
             }
         }
     }

@@ -70,29 +70,38 @@ pub(super) fn conclude(tables: &SharedTables, cx: &mut Context) {
         return;
     }
     let part = |n: u64| n as f64 / waveforms as f64;
-    if part(by_chi_square) > CHI_SQUARE_PART || part(by_deviation_ratio) > DEVIATION_RATIO_PART {
-        cx.warn(format!(
+    let unexplained =
+        part(by_chi_square) > CHI_SQUARE_PART || part(by_deviation_ratio) > DEVIATION_RATIO_PART;
+    let overestimates = part(overestimated) > DEVIATION_RATIO_PART || part(exceeded) > EXCEEDED_PART;
+    let unexplained = unexplained.then(|| {
+        format!(
             "the returns do not explain the waveforms: chi-square per degree of freedom is above {CHI_SQUARE} \
              in {:.0} % of them, and the deviation ratio above {DEVIATION_RATIO} in {:.0} %; \
-             standard deviations may be too small there. Used: {}. {REMEDY}",
+             standard deviations may be too small there",
             100.0 * part(by_chi_square),
             100.0 * part(by_deviation_ratio),
-            pulse_shape(&tables.provenance()),
-        ));
-    }
-    if part(overestimated) > DEVIATION_RATIO_PART || part(exceeded) > EXCEEDED_PART {
-        cx.warn(format!(
+        )
+    });
+    let overestimates = overestimates.then(|| {
+        format!(
             "the sensor model overestimates the misfit of the waveforms: the deviation ratio is below \
              -{DEVIATION_RATIO} in {:.0} % of them, and the error of the response alone should add more than \
              the whole chi-square in {:.1} %; its noise or the error of its response is too large: standard \
-             deviations may be too large, and waveforms that returns do not explain go unnoticed. Used: {}. \
-             Calibrate from this recording, or load a sensor model of this instrument",
+             deviations may be too large, and waveforms that returns do not explain go unnoticed",
             100.0 * part(overestimated),
             100.0 * part(exceeded),
-            pulse_shape(&tables.provenance()),
-        ));
+        )
+    });
+    // One model is the cause of both.
+    let remedy = if unexplained.is_some() { REMEDY } else { CALIBRATE };
+    let findings: Vec<String> = unexplained.into_iter().chain(overestimates).collect();
+    if !findings.is_empty() {
+        let shape = pulse_shape(&tables.provenance());
+        cx.warn(format!("{}. Used: {shape}. {remedy}", findings.join(". Elsewhere, ")));
     }
 }
+
+const CALIBRATE: &str = "Calibrate from this recording, or load a sensor model of this instrument";
 
 const REMEDY: &str = "Look at single shots with `wavex explain`. If pulses are clipped, set the reader's \
                       `full_scale_dn`; if the shape is wrong, set `response` of calibrate or load a sensor \
