@@ -22,5 +22,6 @@ mod jobs;
 mod limits;
 mod manual;
 mod options;
+mod run_messages;
 mod scan;
 mod view;
