@@ -4,14 +4,13 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::ThreadId;
 
-use arrow_array::ffi::{FFI_ArrowArray, FFI_ArrowSchema};
 use arrow_array::ffi_stream::FFI_ArrowArrayStream;
-use arrow_array::{Array, RecordBatch, RecordBatchIterator, RecordBatchReader, StructArray};
+use arrow_array::{Array, RecordBatch, RecordBatchIterator, RecordBatchReader};
 use arrow_schema::{ArrowError, SchemaRef};
 use numpy::{IntoPyArray, PyArray1};
 use pyo3::exceptions::{PyImportError, PyKeyError, PyStopIteration};
 use pyo3::prelude::*;
-use pyo3::types::{PyCapsule, PyDict, PyTuple};
+use pyo3::types::{PyCapsule, PyDict, PyIterator, PyTuple};
 
 use wavex::engine::{Next, RunError, Stream};
 
@@ -80,9 +79,9 @@ fn ended() -> PyErr {
 /// Reader of record batches, which come from a run of the engine.
 ///
 /// Iterating yields tables of one batch. Any library that knows the Arrow PyCapsule interface takes a
-/// reader as it is: ``pyarrow.table(reader)``, ``polars.DataFrame(reader)``,
-/// ``pandas.DataFrame.from_arrow(reader)``, ``duckdb.sql("from reader")``. A reader is read once. Memory is bounded: the run waits until a batch is taken. Closing or deleting the reader ends the
-/// run.
+/// reader as it is: ``pyarrow.table(reader)``, ``polars.DataFrame(reader)``, ``duckdb.sql("from reader")``.
+/// A reader is read once. Memory is bounded: the run waits until a batch is taken. Closing or deleting the
+/// reader ends the run.
 #[pyclass(module = "wavex", frozen)]
 pub struct BatchReader {
     reading: Shared,
@@ -154,13 +153,12 @@ impl BatchReader {
         stream_capsule(py, Box::new(Exported { shared: Arc::clone(&self.reading), reading: None, schema }))
     }
 
-    /// Refuse to become an array: pandas would make one of the batches as objects.
+    /// Refuse to become an array: `pandas.DataFrame` would make one of the batches as objects.
     #[pyo3(signature = (*_args, **_kwargs))]
     fn __array__(&self, _args: Bound<'_, PyTuple>, _kwargs: Option<Bound<'_, PyDict>>) -> PyResult<()> {
         Err(errors::data(
-            "a reader is no array",
-            "use `pandas.DataFrame.from_arrow(reader)`, `reader.to_arrow().read_pandas()`, or a column of \
-             `reader.read_all()`",
+            "a reader is not an array",
+            "use `reader.to_pandas()`, or a column: `reader.read_all()[\"range_m\"]`",
         ))
     }
 
@@ -302,9 +300,10 @@ fn pyarrow(py: Python<'_>) -> PyResult<Bound<'_, PyModule>> {
 
 /// Table in memory: columns of equal length.
 ///
-/// Libraries that know the Arrow PyCapsule interface take it as it is: ``pyarrow.table(table)``,
-/// ``polars.DataFrame(table)``, ``pandas.DataFrame.from_arrow(table)``. ``table["range_m"]`` is a column
-/// as a NumPy array.
+/// A mapping of names to columns as NumPy arrays: ``table["range_m"]``, ``"range_m" in table``,
+/// ``dict(table)``. As for frames of pandas, ``len(table)`` is the number of rows, and ``len(table.keys())``
+/// that of columns. Libraries that know the Arrow PyCapsule interface take a table as it is:
+/// ``pyarrow.table(table)``, ``polars.DataFrame(table)``, ``duckdb.sql("from table")``.
 #[pyclass(module = "wavex", frozen)]
 pub struct Table {
     batches: Vec<RecordBatch>,
@@ -338,7 +337,68 @@ impl Table {
         format!("<wavex.Table of {} rows: {}>", self.__len__(), self.column_names().join(", "))
     }
 
-    /// A column as a NumPy array; nulls are NaN, and columns with nulls are ``float64``.
+    /// Names of the columns, as :attr:`column_names`.
+    ///
+    /// Returns
+    /// -------
+    /// list of str
+    fn keys(&self) -> Vec<String> {
+        self.column_names()
+    }
+
+    fn __iter__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyIterator>> {
+        self.column_names().into_pyobject(py)?.try_iter()
+    }
+
+    fn __contains__(&self, column: &Bound<'_, PyAny>) -> bool {
+        let schema = self.schema();
+        column.extract::<String>().is_ok_and(|name| schema.fields().find(&name).is_some())
+    }
+
+    /// Columns as NumPy arrays.
+    ///
+    /// Returns
+    /// -------
+    /// list of numpy.ndarray
+    fn values<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        self.column_names().iter().map(|name| self.__getitem__(py, name)).collect()
+    }
+
+    /// Names and columns.
+    ///
+    /// Returns
+    /// -------
+    /// list of (str, numpy.ndarray)
+    fn items<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyAny>)>> {
+        Ok(self.column_names().into_iter().zip(self.values(py)?).collect())
+    }
+
+    /// A column, or `default` if the table has none of this name.
+    #[pyo3(signature = (column, default=None, /))]
+    fn get<'py>(
+        &self,
+        py: Python<'py>,
+        column: &Bound<'py, PyAny>,
+        default: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Option<Bound<'py, PyAny>>> {
+        match column.extract::<String>() {
+            Ok(name) if self.__contains__(column) => self.__getitem__(py, &name).map(Some),
+            _ => Ok(default),
+        }
+    }
+
+    /// Refuse to become an array: `pandas.DataFrame` would make one of the names of the columns.
+    #[pyo3(signature = (*_args, **_kwargs))]
+    fn __array__(&self, _args: Bound<'_, PyTuple>, _kwargs: Option<Bound<'_, PyDict>>) -> PyResult<()> {
+        Err(errors::data(
+            "a table is not an array",
+            "use `table.to_pandas()`, or a column: `table[\"range_m\"]`",
+        ))
+    }
+
+    /// A column as a NumPy array, shape (n,), of lists of equal length (n, m).
+    ///
+    /// Nulls are NaN, and columns with nulls are ``float64``.
     fn __getitem__<'py>(&self, py: Python<'py>, column: &str) -> PyResult<Bound<'py, PyAny>> {
         let schema = self.schema();
         let Some((index, _)) = schema.fields().find(column) else {
@@ -360,27 +420,6 @@ impl Table {
         drop(requested_schema);
         let batches: Vec<_> = self.batches.iter().cloned().map(Ok).collect();
         stream_capsule(py, Box::new(RecordBatchIterator::new(batches, self.schema())))
-    }
-
-    #[pyo3(signature = (requested_schema=None))]
-    fn __arrow_c_array__<'py>(
-        &self,
-        py: Python<'py>,
-        requested_schema: Option<Bound<'py, PyAny>>,
-    ) -> PyResult<Bound<'py, PyTuple>> {
-        drop(requested_schema);
-        let [batch] = self.batches.as_slice() else {
-            return Err(errors::data(
-                format!("the table has {} batches, an array has one", self.batches.len()),
-                "use the table as a stream",
-            ));
-        };
-        let data = StructArray::from(batch.clone()).to_data();
-        let failed = |error: ArrowError| errors::data(error.to_string(), "please report this bug in wavex");
-        let schema = FFI_ArrowSchema::try_from(batch.schema().as_ref()).map_err(failed)?;
-        let schema = PyCapsule::new_with_value(py, Sendable(schema), c"arrow_schema")?;
-        let array = PyCapsule::new_with_value(py, Sendable(FFI_ArrowArray::new(&data)), c"arrow_array")?;
-        PyTuple::new(py, [schema, array])
     }
 
     /// The table as a ``pyarrow.Table``, without copying.
@@ -418,7 +457,7 @@ fn to_numpy<'py>(py: Python<'py>, column: &str, parts: &[&dyn Array]) -> PyResul
         ArrowPrimitiveType, Float32Type, Float64Type, Int16Type, Int64Type, UInt8Type, UInt16Type,
         UInt32Type, UInt64Type,
     };
-    use arrow_array::{BooleanArray, PrimitiveArray, StringArray};
+    use arrow_array::{ArrayRef, BooleanArray, FixedSizeListArray, PrimitiveArray, StringArray};
     use arrow_schema::DataType;
     /// Values as they are; whole numbers with nulls become floating-point numbers.
     fn values<'py, T>(py: Python<'py>, parts: &[&dyn Array]) -> Bound<'py, PyAny>
@@ -469,10 +508,25 @@ fn to_numpy<'py>(py: Python<'py>, column: &str, parts: &[&dyn Array]) -> PyResul
                 .collect();
             py.import("numpy")?.call_method1("array", (all,))?
         }
+        DataType::FixedSizeList(_, length) => {
+            let of = |part: &&dyn Array| {
+                Some(ArrayRef::clone(part.as_any().downcast_ref::<FixedSizeListArray>()?.values()))
+            };
+            let values: Vec<ArrayRef> = parts.iter().filter_map(of).collect();
+            let values: Vec<&dyn Array> = values.iter().map(AsRef::as_ref).collect();
+            to_numpy(py, column, &values)?.call_method1("reshape", (-1, *length))?
+        }
+        DataType::List(_) | DataType::LargeList(_) => {
+            return Err(errors::data(
+                format!("column {column}: lists have no simple NumPy form"),
+                "take it with `to_arrow()` or `to_polars()`, choose others with `columns=[...]`, or read samples \
+                 with `Recording.waveforms()`",
+            ));
+        }
         other => {
             return Err(errors::data(
                 format!("column {column}: {other} has no simple NumPy form"),
-                "take it with `to_arrow()` or Polars",
+                "take it with `to_arrow()` or `to_polars()`",
             ));
         }
     })

@@ -20,6 +20,7 @@ mod samples;
 mod stage;
 mod toml_value;
 mod wait;
+mod waveforms;
 
 /// Runs the command line; returns the exit code.
 #[pyfunction]
@@ -47,6 +48,7 @@ fn _wavex(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(process::explain, module)?)?;
     module.add_function(wrap_pyfunction!(samples::calibrate_samples, module)?)?;
     module.add_function(wrap_pyfunction!(samples::decompose_samples, module)?)?;
+    module.add_function(wrap_pyfunction!(waveforms::read_blocks, module)?)?;
     module.add_function(wrap_pyfunction!(job::run, module)?)?;
     module.add_function(wrap_pyfunction!(job::stages, module)?)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))

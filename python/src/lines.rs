@@ -33,7 +33,7 @@ impl Lines {
 }
 
 /// Index from the start; a negative one counts from the end.
-fn at(number: isize, len: usize, what: &str) -> PyResult<usize> {
+pub fn at(number: isize, len: usize, what: &str) -> PyResult<usize> {
     let index = if number < 0 { number.checked_add_unsigned(len) } else { Some(number) };
     let index = index.and_then(|index| usize::try_from(index).ok()).filter(|index| *index < len);
     index.ok_or_else(|| PyIndexError::new_err(format!("no {what} {number} of {len}")))

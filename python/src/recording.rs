@@ -184,6 +184,12 @@ impl Recording {
         Ok(BatchReader::new(stream.map_err(|error| errors::of_run(&error))?))
     }
 
+    /// Numbers of scan lines and shots, if they are known without a pass over the recording.
+    #[getter]
+    fn _counts(&self) -> Option<(usize, u64)> {
+        lock(&self.index).as_ref().map(|index| (index.lines().len(), index.shots()))
+    }
+
     /// True returns of a simulated recording, as a ``pyarrow.Table``; ``None`` for others.
     #[getter]
     fn truth<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {

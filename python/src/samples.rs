@@ -46,6 +46,8 @@ struct Samples<'a> {
 enum Ends<'a> {
     /// All have this number of samples; and the number of waveforms.
     Equal(usize, usize),
+    /// Rows of this number of samples, and how many of each row are the waveform.
+    Padded(usize, Vec<usize>),
     Small(&'a [i32]),
     Large(&'a [i64]),
 }
@@ -54,6 +56,7 @@ impl Samples<'_> {
     fn waveforms(&self) -> usize {
         match self.ends {
             Ends::Equal(_, waveforms) => waveforms,
+            Ends::Padded(_, ref lengths) => lengths.len(),
             Ends::Small(ends) => ends.len().saturating_sub(1),
             Ends::Large(ends) => ends.len().saturating_sub(1),
         }
@@ -62,6 +65,7 @@ impl Samples<'_> {
     fn range(&self, waveform: usize) -> Range<usize> {
         match self.ends {
             Ends::Equal(samples, _) => waveform * samples..(waveform + 1) * samples,
+            Ends::Padded(samples, ref lengths) => waveform * samples..waveform * samples + lengths[waveform],
             // Arrow checks that offsets are not negative and do not fall.
             Ends::Small(ends) => ends[waveform] as usize..ends[waveform + 1] as usize,
             Ends::Large(ends) => ends[waveform] as usize..ends[waveform + 1] as usize,
@@ -310,6 +314,23 @@ fn start_times(t0: &Bound<'_, PyAny>, waveforms: usize) -> PyResult<Vec<f64>> {
     }
 }
 
+/// Numbers of samples of the rows of an array of a shape.
+fn row_lengths(lengths: &Bound<'_, PyAny>, (waveforms, samples): (usize, usize)) -> PyResult<Vec<usize>> {
+    let wrong = |problem: String| errors::data(problem, "give one number of samples per waveform");
+    let list = lengths.call_method0("tolist").unwrap_or_else(|_| lengths.clone());
+    let lengths: Vec<usize> =
+        list.extract().map_err(|error| wrong(format!("`lengths` cannot be converted: {error}")))?;
+    if lengths.len() != waveforms {
+        return Err(wrong(format!("`lengths` has {} values for {waveforms} waveforms", lengths.len())));
+    }
+    match lengths.iter().position(|&length| length > samples) {
+        Some(row) => {
+            Err(wrong(format!("lengths[{row}] is {}, but rows have {samples} samples", lengths[row])))
+        }
+        None => Ok(lengths),
+    }
+}
+
 /// What is decomposed, and how.
 struct Task<'a> {
     t0: &'a Bound<'a, PyAny>,
@@ -352,15 +373,22 @@ trait Work: Sized {
 
     fn run(&self, samples: &Samples) -> PyResult<Self::Output>;
 
-    fn of(&self, samples: &Bound<'_, PyAny>) -> PyResult<Self::Output> {
+    fn of(&self, samples: &Bound<'_, PyAny>, lengths: Option<&Bound<'_, PyAny>>) -> PyResult<Self::Output> {
         with_samples(samples, |given| match given {
-            Given::Array(array) => self.of_array(array),
+            Given::Array(array) => self.of_array(array, lengths),
+            Given::Arrow(_) if lengths.is_some() => {
+                Err(errors::data("lists have their own lengths", "leave out `lengths`"))
+            }
             Given::Arrow(array) => self.of_arrow(array),
         })
     }
 
     /// Uses a two-dimensional array.
-    fn of_array(&self, array: &Bound<'_, PyUntypedArray>) -> PyResult<Self::Output> {
+    fn of_array(
+        &self,
+        array: &Bound<'_, PyUntypedArray>,
+        lengths: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self::Output> {
         let shape = match array.shape() {
             [waveforms, samples] => (*waveforms, *samples),
             shape => {
@@ -371,6 +399,10 @@ trait Work: Sized {
                 ));
             }
         };
+        let ends = match lengths {
+            Some(lengths) => Ends::Padded(shape.1, row_lengths(lengths, shape)?),
+            None => Ends::Equal(shape.1, shape.0),
+        };
         // Other byte orders and strides are copied.
         let numpy = array.py().import("numpy")?;
         let native = array.dtype().call_method1("newbyteorder", ("=",))?;
@@ -378,7 +410,7 @@ trait Work: Sized {
         macro_rules! of_types {
             ($($t:ty)*) => {$(
                 if let Ok(array) = array.extract::<PyReadonlyArray2<$t>>() {
-                    return self.of_slice(slice(&array)?, shape);
+                    return self.run(&Samples { values: u16_of(slice(&array)?)?, ends });
                 }
             )*};
         }
@@ -388,15 +420,6 @@ trait Work: Sized {
             format!("samples of type {dtype} cannot be used"),
             "convert them to whole numbers, such as uint16",
         ))
-    }
-
-    fn of_slice<T: Sample + 'static>(
-        &self,
-        values: &[T],
-        (waveforms, samples): (usize, usize),
-    ) -> PyResult<Self::Output> {
-        let ends = Ends::Equal(samples, waveforms);
-        self.run(&Samples { values: u16_of(values)?, ends })
     }
 
     /// Uses a list array.
@@ -495,6 +518,8 @@ pub fn import_array(object: &Bound<'_, PyAny>) -> PyResult<ArrayRef> {
 ///     Model of the receiver, from :func:`wavex.calibrate` or :func:`wavex.calibrate_samples`.
 /// channel : str, optional
 ///     Channel of the model; defaults to the first with echoes.
+/// lengths : array of int, shape (n,), optional
+///     Number of samples of each waveform, if rows are padded at their ends.
 /// threads : int, optional
 ///     Number of threads; 0: one per core.
 /// **keys
@@ -512,18 +537,19 @@ pub fn import_array(object: &Bound<'_, PyAny>) -> PyResult<ArrayRef> {
 /// DataError
 ///     If the samples are not digitiser steps.
 #[pyfunction]
-#[pyo3(signature = (samples, t0, model, *, channel=None, threads=0, **keys))]
+#[pyo3(signature = (samples, t0, model, *, channel=None, lengths=None, threads=0, **keys))]
 pub fn decompose_samples<'py>(
     samples: &Bound<'py, PyAny>,
     t0: &Bound<'py, PyAny>,
     model: &Bound<'py, SensorModel>,
     channel: Option<&str>,
+    lengths: Option<&Bound<'py, PyAny>>,
     threads: usize,
     keys: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Table> {
     let threads = if threads == 0 { wavex::engine::cores().unwrap_or(1) } else { threads };
     let task = Task { t0, channel: model.get().channel(channel)?, config: config_of(keys)?, threads };
-    task.of(samples)
+    task.of(samples, lengths)
 }
 
 enum Given<'a, 'py> {
@@ -558,24 +584,27 @@ fn with_samples<'py, T>(
 /// Parameters
 /// ----------
 /// samples : numpy.ndarray, shape (n, m), or Arrow list array
-///     One waveform per row, digitiser steps; at least 200 with an echo. Zeros that fill rows at their ends are
-///     left out.
+///     One waveform per row, digitiser steps; at least 200 with an echo. Without `lengths`, zeros that fill
+///     rows at their ends are left out.
 /// interval_ns : float
 ///     Sampling interval, ns.
 /// full_scale_dn : float, optional
 ///     Largest value of the digitiser: samples of this value are saturated.
+/// lengths : array of int, shape (n,), optional
+///     Number of samples of each waveform, if rows are padded at their ends.
 ///
 /// Returns
 /// -------
 /// SensorModel
 ///     With the channel ``low``.
 #[pyfunction]
-#[pyo3(signature = (samples, interval_ns=1.0, full_scale_dn=65535.0))]
+#[pyo3(signature = (samples, interval_ns=1.0, full_scale_dn=65535.0, *, lengths=None))]
 pub fn calibrate_samples(
     py: Python<'_>,
     samples: &Bound<'_, PyAny>,
     interval_ns: f64,
     full_scale_dn: f64,
+    lengths: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<SensorModel> {
     if !(interval_ns > 0.0 && interval_ns.is_finite() && full_scale_dn > 0.0) {
         return Err(errors::data(
@@ -583,7 +612,7 @@ pub fn calibrate_samples(
             "give positive numbers",
         ));
     }
-    Calibration { py, interval_ns, full_scale_dn }.of(samples)
+    Calibration { py, interval_ns, full_scale_dn }.of(samples, lengths)
 }
 
 /// Calibration of a receiver.

@@ -60,7 +60,7 @@ def test_a_reader_is_exported_once_it_is_read_and_is_no_array(flight, model):
     reader = wavex.decompose(flight, model, columns=["shot"], mode="fastest")
     reader.__arrow_c_stream__()
     assert pl.DataFrame(reader).height > 4000
-    with pytest.raises(wavex.DataError, match=r"pandas.DataFrame.from_arrow\(reader\)"):
+    with pytest.raises(wavex.DataError, match=r"a reader is not an array; use `reader.to_pandas\(\)`"):
         np.asarray(wavex.decompose(flight, model))
 
 

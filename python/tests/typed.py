@@ -27,3 +27,15 @@ def use(path: Path) -> float:
     report = wavex.run(wavex.Job([{"type": "simulate"}, strong]), progress=True)
     print(rows, report["files"], wavex.stages("decompose"))
     return float(table["time_ns"][0])
+
+
+def matrices(recording: wavex.Recording) -> NDArray[np.uint16]:
+    """Use tables as mappings, and waveforms."""
+    table = wavex.decompose(recording).read_all()
+    columns: dict[str, NDArray[np.float64]] = dict(table)
+    ranges = table.get("range_m")
+    assert "range_m" in table and ranges is not None and len(columns) == len(table.keys())
+    waveforms: wavex.Waveforms = recording.waveforms("low", lines=slice(0, 10))
+    print(waveforms.to_xarray(), table.to_pandas(), table.to_polars(), list(table))
+    wavex.calibrate_samples(waveforms.samples, lengths=waveforms.lengths)
+    return waveforms.samples

@@ -38,6 +38,20 @@ from ._wavex import (
 )
 
 
+from ._frames import to_pandas, to_polars
+from ._html import explanation_html, model_html, recording_html
+from ._waveforms import Waveforms, waveforms
+
+# Methods that are shorter in Python; packages that they need are imported when they are called.
+for _table in (BatchReader, Table):
+    _table.to_pandas, _table.to_polars = to_pandas, to_polars
+Recording.waveforms = waveforms
+Recording._repr_html_ = recording_html
+SensorModel._repr_html_ = model_html
+Explanation._repr_html_ = explanation_html
+del _table, to_pandas, to_polars, waveforms, recording_html, model_html, explanation_html
+
+
 def stage(function=None, *, name=None, reason=None):
     """Make a stage of a job from a function.
 
@@ -84,6 +98,7 @@ __all__ = [
     "Shot",
     "Stage",
     "Table",
+    "Waveforms",
     "__version__",
     "calibrate",
     "calibrate_samples",

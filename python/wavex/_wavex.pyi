@@ -1,1 +1,6 @@
+from typing import Any
+
+from . import Recording
+
 def main(arguments: list[str]) -> int: ...
+def read_blocks(recording: Recording, channel: str, lines: list[int]) -> dict[str, Any]: ...
