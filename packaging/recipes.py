@@ -3,9 +3,11 @@
 
     packaging/recipes.py check
     packaging/recipes.py fill target/dist
+    packaging/recipes.py test
 
 `check` compares them with Cargo.toml: version, licence, address, and the keys that a recipe needs. `fill` writes them
 to the folder of a release with the checksum of its source archive, and the release notes from CHANGELOG.md as NOTES.md.
+`test` breaks the recipes in every way that `check` must notice.
 Needs PyYAML; Ruby checks the syntax of the formula where it is installed.
 """
 
@@ -70,8 +72,8 @@ def homebrew(text):
     }
 
 
-def check(recipe, formula, checksum):
-    """Compares both with Cargo.toml; exits with all differences."""
+def problems(recipe, formula, checksum):
+    """Differences of both from Cargo.toml."""
     expected = {
         "name": "wavex",
         "version": VERSION,
@@ -82,18 +84,47 @@ def check(recipe, formula, checksum):
         # Keys, parts and files.
         "missing": [],
     }
-    problems = []
+    result = []
     for path, read, text in ((RECIPE, conda, recipe), (FORMULA, homebrew, formula)):
-        found = read(text)
+        try:
+            found = read(text)
+        except (KeyError, TypeError, yaml.YAMLError) as error:
+            result.append(f"{path.name}: a key is missing or malformed: {error}")
+            continue
         different = [key for key in expected if found[key] != expected[key]]
-        problems += [f"{path.name}: {key} is {found[key]}, not {expected[key]}" for key in different]
+        result += [f"{path.name}: {key} is {found[key]}, not {expected[key]}" for key in different]
     if shutil.which("ruby"):
         ruby = subprocess.run(["ruby", "-c"], input=formula, capture_output=True, text=True)
-        problems += [f"{FORMULA.name}: {ruby.stderr.strip()}"] if ruby.returncode else []
+        result += [f"{FORMULA.name}: {ruby.stderr.strip()}"] if ruby.returncode else []
     else:
         print("SKIPPED: the syntax of the formula: Ruby is not installed")
-    if problems:
-        sys.exit("\n".join(problems))
+    return result
+
+
+def check(recipe, formula, checksum):
+    """Exits with all differences."""
+    if found := problems(recipe, formula, checksum):
+        sys.exit("\n".join(found))
+
+
+def test(recipe, formula):
+    """Breaks both; exits if a change is not noticed."""
+    changes = [
+        (VERSION, "9.9.9"),
+        (ABOUT["homepage"], "https://elsewhere.example"),
+        ("MIT", "GPL-3.0-only"),
+        ("-source.tar.gz", ".zip"),
+        (NO_CHECKSUM, NO_CHECKSUM[1:]),
+    ]
+    of_recipe = [("LICENSE-MIT", "LICENSE"), ("tests:", "test:"), ("name: wavex", "name: wave"), ("build:", "build: [")]
+    of_formula = [("  def install", "  def compile"), ("class Wavex", "class Waves"), ("  license", "  licence")]
+    for old, new in changes + of_recipe:
+        if not problems(recipe.replace(old, new), formula, NO_CHECKSUM):
+            sys.exit(f"{RECIPE.name}: `{new}` in place of `{old}` is not noticed")
+    for old, new in changes + of_formula + [("\nend", "\n")]:
+        if not problems(recipe, formula.replace(old, new), NO_CHECKSUM):
+            sys.exit(f"{FORMULA.name}: `{new}` in place of `{old}` is not noticed")
+    print(f"{2 * len(changes) + len(of_recipe) + len(of_formula) + 1} changes are noticed")
 
 
 def notes():
@@ -114,6 +145,8 @@ def main(arguments):
         case ["check"]:
             check(recipe, formula, NO_CHECKSUM)
             print("both recipes agree with Cargo.toml")
+        case ["test"]:
+            test(recipe, formula)
         case ["fill", folder]:
             folder = pathlib.Path(folder)
             checksum = hashlib.sha256((folder / SOURCE).read_bytes()).hexdigest()
