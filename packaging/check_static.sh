@@ -22,5 +22,5 @@ inside() { env -i chroot "$root" /wavex "$@"; }
 inside doctor | grep 'a static program cannot load it'
 inside --quiet run /jobs/demo.toml
 "$other" --quiet run --set "job.output_dir=$work/other" ../jobs/demo.toml
-./compare_outputs.sh "$root/out/demo" "$work/other"
+./compare_outputs.sh --other-library "$root/out/demo" "$work/other"
 echo "the static program works in a root of $(find "$root" -path "$root/out" -prune -o -type f -print | wc -l) files"
