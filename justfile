@@ -43,6 +43,10 @@ coverage *ARGS:
 sbom FILE='target/sbom.cdx.json':
     packaging/sbom.py {{FILE}}
 
+# What a release page offers, built and tried; docs/reference/releases.md
+release FOLDER='target/dist':
+    packaging/release.sh {{FOLDER}}
+
 # Licences and advisories of the dependencies (needs cargo-deny)
 deny:
     cargo deny check

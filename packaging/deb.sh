@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
 # Builds a Debian package of the release program, with manual pages, completions, documents and example jobs.
+# With SOURCE_DATE_EPOCH set, the same inputs give the same bytes.
 #
 #     packaging/deb.sh target/release/wavex target/wavex.deb
 set -euo pipefail
@@ -10,18 +11,8 @@ cd "$(dirname "$0")/.."
 root="$(mktemp -d)"
 trap 'rm -rf "$root"' EXIT
 chmod 755 "$root"
-install -D -m 755 "$program" "$root/usr/bin/wavex"
-"$program" --quiet man "$root/usr/share/man/man1"
-gzip -9n "$root"/usr/share/man/man1/*
-completions() { mkdir -p "$root/usr/share/$(dirname "$2")" && "$program" completions "$1" > "$root/usr/share/$2"; }
-completions bash bash-completion/completions/wavex
-completions zsh zsh/vendor-completions/_wavex
-completions fish fish/vendor_completions.d/wavex.fish
-documents="$root/usr/share/doc/wavex"
-mkdir -p "$documents"
-cp -r README.md CHANGELOG.md SECURITY.md docs jobs schemas "$documents"
-python3 packaging/sbom.py "$documents/sbom.cdx.json"
-cat > "$documents/copyright" << 'TEXT'
+packaging/tree.sh "$program" "$root/usr"
+cat > "$root/usr/share/doc/wavex/copyright" << 'TEXT'
 Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/
 Upstream-Name: wavex
 
@@ -29,9 +20,7 @@ Files: *
 Copyright: the wavex authors
 License: MIT or Apache-2.0
 TEXT
-find "$root" -type d -exec chmod 755 {} +
-find "$root" -type f ! -path '*/bin/*' -exec chmod 644 {} +
-
+chmod 644 "$root/usr/share/doc/wavex/copyright"
 # The oldest C library that has all functions which the program uses.
 libc="$(objdump -T "$program" | grep -o 'GLIBC_2\.[0-9.]*' | sort -Vu | tail -1)"
 mkdir "$root/DEBIAN"
@@ -41,7 +30,7 @@ Version: $("$program" --version | cut -d ' ' -f 2)
 Architecture: $(dpkg --print-architecture)
 Maintainer: the wavex authors <wavex@example.org>
 Depends: libc6 (>= ${libc#GLIBC_}), libgcc-s1
-Installed-Size: $(du -sk "$root/usr" | cut -f 1)
+Installed-Size: $(du -sk --apparent-size "$root/usr" | cut -f 1)
 Section: science
 Priority: optional
 Description: full-waveform lidar to point clouds with uncertainties

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Writes a bill of materials of the program as CycloneDX 1.5 JSON, from `cargo metadata` and Cargo.lock.
 
-    packaging/sbom.py target/sbom.cdx.json
+    packaging/sbom.py target/sbom.cdx.json [TARGET]
 
-It lists the crates that are linked into `wavex` for this machine's target, with versions, licences,
-checksums and dependencies. Build-time, test and benchmark dependencies are omitted. The same commit gives
+It lists the crates that are linked into `wavex` for a target, by default that of this machine, with versions,
+licences, checksums and dependencies. Build-time, test and benchmark dependencies are omitted. The same commit gives
 the same bytes.
 """
 
@@ -17,10 +17,14 @@ import tomllib
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 
 
-def metadata():
-    """Resolved packages for this machine's target."""
+def host():
+    """This machine's target."""
     version = subprocess.run(["rustc", "-vV"], capture_output=True, text=True, check=True).stdout
-    target = next(line.split()[1] for line in version.splitlines() if line.startswith("host:"))
+    return next(line.split()[1] for line in version.splitlines() if line.startswith("host:"))
+
+
+def metadata(target):
+    """Resolved packages for a target."""
     command = ["cargo", "metadata", "--format-version=1", "--locked", f"--filter-platform={target}"]
     return json.loads(subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout)
 
@@ -38,8 +42,8 @@ def linked(nodes, start):
     return found
 
 
-def main(path):
-    about = metadata()
+def main(path, target=None):
+    about = metadata(target or host())
     packages = {package["id"]: package for package in about["packages"]}
     nodes = {node["id"]: node for node in about["resolve"]["nodes"]}
     program = next(id for id, package in packages.items() if package["name"] == "wavex")
@@ -86,6 +90,6 @@ def main(path):
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2:
+    if len(sys.argv) not in (2, 3):
         sys.exit(__doc__)
-    main(sys.argv[1])
+    main(*sys.argv[1:])

@@ -167,6 +167,11 @@ fn riegl(installed: Installed) -> MachineFinding {
         }
         Installed::Missing => MachineFinding::note(subject, "not found", advice),
         Installed::Unusable(problem) => MachineFinding::note(subject, problem, advice),
+        Installed::Unsupported => MachineFinding::note(
+            subject,
+            "a static program cannot load it",
+            format!("only for SDF and WFM files: {}", library::LOADING_PROGRAM),
+        ),
     }
 }
 
@@ -209,6 +214,10 @@ mod tests {
         let expected = "ok       cores           2\n\
             note     RIEGL library   not found\n                         \
             only for SDF and WFM files: get RiWAVELib from RIEGL, and set WAVEX_RIWAVELIB to its file or folder\n";
+        assert_eq!(text, expected);
+        let text = report(&[riegl(Installed::Unsupported)]);
+        let expected = "note     RIEGL library   a static program cannot load it\n                         \
+            only for SDF and WFM files: use wavex from its Debian package, or built by `cargo install`\n";
         assert_eq!(text, expected);
     }
 }

@@ -24,6 +24,12 @@ const FOLDERS: &[&str] =
 #[cfg(windows)]
 const FOLDERS: &[&str] = &["C:\\Program Files\\RIEGL\\RiWAVELib\\lib", "C:\\riwavelib\\lib"];
 
+/// Whether the program is static: it cannot load libraries.
+const IS_STATIC: bool = cfg!(all(unix, target_feature = "crt-static"));
+
+/// Remedy for a static program.
+pub const LOADING_PROGRAM: &str = "use wavex from its Debian package, or built by `cargo install`";
+
 /// Source of a library path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Said {
@@ -51,6 +57,14 @@ pub(super) fn find(
     key: Option<&Path>,
     announce: &dyn Fn(&Path),
 ) -> Result<(Functions, LibraryVersion)> {
+    if IS_STATIC {
+        return Err(Error::unusable(
+            data,
+            "this format needs RIEGL's Waveform Extraction Library (RiWAVELib), \
+             which a static program cannot load",
+            LOADING_PROGRAM,
+        ));
+    }
     let functions = match (key, std::env::var_os(VARIABLE)) {
         (Some(key), _) => named(data, key, Said::ByKey, announce)?,
         (None, Some(variable)) if !variable.is_empty() => {
@@ -78,10 +92,15 @@ pub enum Installed {
     Missing,
     /// It was found, but cannot be used: the reason.
     Unusable(String),
+    /// This program is static and loads no libraries.
+    Unsupported,
 }
 
 /// Looks for the library for SDF where readers do without a key.
 pub fn installed() -> Installed {
+    if IS_STATIC {
+        return Installed::Unsupported;
+    }
     let data = Path::new("recording.sdf");
     match find(data, None, &|_| {}) {
         Ok((_, version)) => Installed::Loaded(version),
