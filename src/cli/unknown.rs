@@ -116,6 +116,7 @@ fn tip(command: &str, argument: &str) -> Option<String> {
                 .into()
         }
         ("convert", _) if is_outputs => "name the output second: wavex convert RECORDING OUTPUT.arrow".into(),
+        ("import", _) => "put the command line after `--`: wavex import -- OPTIONS".into(),
         ("init", _) if is_outputs => "name the job second: wavex init RECORDING JOB.toml".into(),
         ("check" | "view", _) if is_outputs => format!("`wavex {command}` writes no outputs"),
         (_, "i" | "in" | "input" | "file") => {
@@ -222,6 +223,7 @@ mod tests {
             ("wavex run a.toml --detection-sigma 5", "--set decompose.detection_sigma=VALUE"),
             ("wavex run a.toml --decompose.detection_sigma=5", "--set decompose.detection_sigma=VALUE"),
             ("wavex run a.toml --memory_mb=500", "--set job.memory_mb=VALUE"),
+            ("wavex import -i a.sdf", "put the command line after `--`: wavex import -- OPTIONS"),
             ("wavex run a.toml b.toml", "name one job; "),
             ("wavex check a.toml -o b", "`wavex check` writes no outputs"),
             ("wavex -i a.sdf -po a.pof", "is translated by `wavex import -- -i a.sdf -po a.pof`"),
