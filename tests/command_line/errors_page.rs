@@ -126,8 +126,8 @@ fn every_message_of_the_cases_of_jobs_is_on_the_page() {
     for path in files(&root().join("tests/command_line/job_errors"), "txt") {
         for line in fs::read_to_string(&path).unwrap().lines().filter_map(|line| line.strip_prefix("error: "))
         {
-            let known = rows.iter().filter(|row| row.is_of_job).flat_map(|row| &row.messages);
-            assert!(known.into_iter().any(|message| is_message(line, message)), "{}: {line}", path.display());
+            let mut known = rows.iter().filter(|row| row.is_of_job).flat_map(|row| &row.messages);
+            assert!(known.any(|message| is_message(line, message)), "{}: {line}", path.display());
             count += 1;
         }
     }
