@@ -19,10 +19,12 @@ mod args;
 mod calibrate;
 mod check;
 mod check_inputs;
+mod check_times;
 mod commands;
 mod convert;
 mod copc;
 mod doctor;
+mod estimate;
 mod explain;
 mod false_alarms;
 mod import;
@@ -37,6 +39,7 @@ mod stages;
 mod survey;
 mod terminal;
 mod trajectory;
+mod unknown;
 mod usage;
 mod version;
 mod view;
@@ -63,7 +66,15 @@ pub fn main_with(arguments: Vec<OsString>) -> u8 {
         Err(answer) if answer.kind() == ErrorKind::DisplayVersion && asks_for_more(&arguments) => {
             return print(&version::details()).map_or_else(|error| exit_code(&error), |()| 0);
         }
-        Err(answer) => answer.exit(),
+        Err(mut answer) => {
+            if let Some(problem) = unknown::not_a_command(&answer, &arguments) {
+                let failure = Failure::Wrong(problem);
+                terminal::print_failure(&failure);
+                return exit_code(&failure);
+            }
+            unknown::explain_argument(&mut answer, &arguments);
+            answer.exit()
+        }
     };
     log::begin(cli.loudness.verbose, cli.loudness.quiet, terminal::colour());
     let exit_code = match dispatch(cli) {
@@ -104,7 +115,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Check { job, inputs } => check::check(&job, inputs),
         Command::Stages { name } => stages::stages(STAGES, name.as_deref()),
         Command::Schema => print(&job_schema_text(STAGES)),
-        Command::Init { file, from } => init::init(file.as_deref(), from.as_deref(), quiet),
+        Command::Init { files, from } => init::init(&files, from.as_deref(), quiet),
         Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
         Command::Calibrate(args) => calibrate::calibrate(&args, quiet),
         Command::Copc { input, out, stac, progress } => {

@@ -100,11 +100,19 @@ pub(super) struct ScanArgs {
     /// containers. RIEGL's library, which reads SDF, still reads the samples.
     #[arg(long)]
     pub(super) fast: bool,
-    /// Name prefix of the written files; may contain a folder [default: STEM in the current folder]
+    /// Print the summary as JSON, one line per recording, with units in the names of its keys
+    #[arg(long)]
+    pub(super) json: bool,
+    /// Write the summary with pictures as a page: STEM_scan.html in the current folder
+    #[arg(long)]
+    pub(super) page: bool,
+    /// Write all files under this name: NAME_scan.txt, NAME_scan.html, and the histograms
+    /// NAME_angles.txt, NAME_amplitudes.txt, NAME_noise.txt and NAME_ranges.txt
     ///
-    /// With several recordings, the prefix is NAME_STEM with the stem of each recording.
-    #[arg(long, value_name = "NAME")]
-    pub(super) name: Option<String>,
+    /// The name may contain a folder. With several recordings, the files are named NAME_STEM with the
+    /// stem of each recording; if it ends in `/`, they are named after the stems in this folder.
+    #[arg(short, long, alias = "name", value_name = "NAME")]
+    pub(super) out: Option<String>,
     /// Override a key of the reader for this run, as for `wavex run`; may be repeated
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     pub(super) set: Vec<String>,

@@ -2,15 +2,14 @@
 
 use std::path::Path;
 
+use super::check_times;
+use super::estimate::{self, Amount};
 use super::terminal::size;
 use wavex_engine::engine;
 use wavex_engine::job::Job;
 use wavex_formats::{CompanionIndex, RecordingFormat};
 use wavex_run::archive::missing_files;
 
-/// Usual throughput of one core, MB of input per second, at most and at least: `fastest` on single
-/// pulses, `refined` on vegetation.
-const MB_PER_S: [f64; 2] = [30.0, 5.0];
 /// Usual number of points per pulse, at least and at most.
 const POINTS_PER_PULSE: [u64; 2] = [1, 3];
 
@@ -21,6 +20,7 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
     let (inputs, errors) = engine::find_inputs(job, input_dir);
     let mut problems: Vec<String> = errors.iter().map(ToString::to_string).collect();
     problems.extend(missing_files(job, &inputs, input_dir));
+    problems.extend(check_times::problems(job, &inputs, input_dir));
     let files: Vec<&Path> =
         inputs.iter().map(|input| input.path.as_path()).filter(|path| path.is_file()).collect();
     let Some(reader) = job.stages.first().filter(|_| !files.is_empty()) else {
@@ -33,11 +33,7 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
     };
     let bytes: u64 = files.iter().map(with_companions).sum();
     let mut text = format!("  files:  {}, {}\n", files.len(), size(bytes));
-    let cores = match job.settings.threads {
-        0 => engine::cores().unwrap_or(1),
-        threads => threads,
-    };
-    text += &format!("  time:   {} on {cores} cores\n", time(bytes, cores));
+    let inputs = files.len();
     let pulse_count = RecordingFormat::read_by(reader.spec.name).and_then(|format| format.pulse_count);
     let mut total = Some(0);
     for path in files {
@@ -47,6 +43,13 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
             Some(Err(error)) => problems.push(error.to_string()),
         }
     }
+    let cores = match job.settings.threads {
+        0 => engine::cores().unwrap_or(1),
+        threads => threads,
+    };
+    let seconds = estimate::seconds(job, Amount { inputs, bytes, shots: total }, cores);
+    let s = if cores == 1 { "" } else { "s" };
+    text += &format!("  time:   {} on {cores} core{s}\n", estimate::words(seconds));
     text += &match total {
         Some(pulses) => {
             let points: Vec<String> =
@@ -61,30 +64,8 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
     (text, problems)
 }
 
-/// Usual time for inputs of this size, in words.
-fn time(bytes: u64, cores: usize) -> String {
-    let minutes = MB_PER_S.map(|rate| (bytes as f64 / 1e6 / rate / cores as f64 / 60.0).ceil());
-    match minutes {
-        [least, most] if most <= 1.0 || least == most => format!("about {most} min"),
-        [least, most] if most <= 120.0 => format!("about {least} to {most} min"),
-        [least, most] => format!("about {:.1} to {:.1} h", least / 60.0, most / 60.0),
-    }
-}
-
 /// Error for inputs that must be there.
 pub(super) fn required(job: &Job, problems: &[String]) -> String {
     let what = if problems.len() == 1 { "1 problem" } else { &format!("{} problems", problems.len()) };
     format!("{}: {what} with the inputs\n  {}", job.name, problems.join("\n  "))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::time;
-
-    #[test]
-    fn times_are_a_range() {
-        assert_eq!(time(1_000_000, 2), "about 1 min");
-        assert_eq!(time(40_000_000_000, 4), "about 6 to 34 min");
-        assert_eq!(time(2_000_000_000_000, 2), "about 9.3 to 55.6 h");
-    }
 }

@@ -114,8 +114,9 @@ pub(super) enum Command {
     },
     /// Validate a job without reading data: keys, chain, folders, inputs
     ///
-    /// Prints number and size of the input files, their pulses and the expected number of points if
-    /// the headers have them, and the free disk space. Warns about missing and damaged inputs.
+    /// Prints number and size of the input files, the expected time, their pulses and the expected
+    /// number of points if the headers have them, and the free disk space. Warns about missing and
+    /// damaged inputs, and about trajectories that do not cover their recordings.
     #[command(after_help = usage::CHECK)]
     Check {
         #[command(flatten)]
@@ -137,12 +138,14 @@ pub(super) enum Command {
     Schema,
     /// Write a commented starter job
     ///
-    /// With --from, writes a job for this recording: its format, instrument and frame select the
-    /// stages. Also writes the schema for editors, job.schema.json, to the folder of the job.
+    /// With a recording, writes a job for it: its format, instrument and frame select the stages.
+    /// Also writes the schema for editors, job.schema.json, to the folder of the job. Replaces no
+    /// file.
     #[command(after_help = usage::INIT)]
     Init {
-        /// Job to write; must not exist yet [default: standard output]
-        file: Option<PathBuf>,
+        /// Recording, job to write, or both; without a job, prints it
+        #[arg(value_name = "RECORDING|JOB", num_args = 0..=2)]
+        files: Vec<PathBuf>,
         /// Recording to write the job for
         #[arg(long, value_name = "RECORDING")]
         from: Option<PathBuf>,
@@ -197,8 +200,7 @@ pub(super) enum Command {
     Explain(ExplainArgs),
     /// Summarise a recording: times, rates, lines, channels, noise, integrity
     ///
-    /// Prints a summary and writes it with histograms and a page of pictures: NAME_scan.txt,
-    /// NAME_scan.html, NAME_angles.txt, NAME_amplitudes.txt, NAME_noise.txt and NAME_ranges.txt.
+    /// Prints a summary. Writes files only with --page or --out.
     #[command(after_help = usage::SCAN)]
     Scan(ScanArgs),
     /// Render a run's report as a page: timing, counts, sensor model, warnings

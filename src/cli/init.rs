@@ -7,21 +7,23 @@ use std::path::{Path, PathBuf};
 use super::recording::Recording;
 use super::{Failure, print};
 use wavex_engine::job::{example_job, job_schema_text};
-use wavex_formats::extensions::beside;
+use wavex_formats::extensions::{beside, has_extension};
+use wavex_formats::{RecordingFormat, TRAJECTORIES, unsupported};
 use wavex_stages::registry::STAGES;
 
 /// Schema for editors, written to the folder of the job.
 const SCHEMA: &str = "job.schema.json";
-/// Extensions of trajectories, in order of preference.
-const TRAJECTORIES: [&str; 5] = ["pof", "sbet", "out", "sol", "trj"];
 
 /// Writes a new job file and its schema, or prints the job.
-pub(super) fn init(file: Option<&Path>, from: Option<&Path>, quiet: bool) -> Result<(), Failure> {
+///
+/// `files` are a recording, a job, or both.
+pub(super) fn init(files: &[PathBuf], from: Option<&Path>, quiet: bool) -> Result<(), Failure> {
+    let (from, file) = roles(files, from)?;
     let (text, remark) = match from {
         Some(recording) => (of_recording(recording, file)?, String::new()),
         None => (
             example_job(STAGES),
-            "the job reads RECORDING.las: edit `type` and `path` of the first stage, or use `wavex init --from RECORDING`\n"
+            "the job reads RECORDING.las: edit `type` and `path` of the first stage, or use `wavex init RECORDING`\n"
                 .to_owned(),
         ),
     };
@@ -40,15 +42,47 @@ pub(super) fn init(file: Option<&Path>, from: Option<&Path>, quiet: bool) -> Res
     if quiet { Ok(()) } else { print(&format!("wrote {}\n{kept}{remark}", file.display())) }
 }
 
-/// Creates a file; fails if it exists.
+/// Which of the files is the recording, and which the job.
+///
+/// # Errors
+/// Two recordings or two jobs: a job is not written under the name of a recording.
+fn roles<'p>(
+    files: &'p [PathBuf],
+    from: Option<&'p Path>,
+) -> Result<(Option<&'p Path>, Option<&'p Path>), Failure> {
+    let (mut recording, mut job) = (from, None);
+    for file in files.iter().map(PathBuf::as_path) {
+        let role = if is_data(file) { &mut recording } else { &mut job };
+        if let Some(other) = role.replace(file) {
+            let problem = match is_data(file) {
+                true => {
+                    "both are recordings; give one, and a name for the job that ends in .toml. A job reads several \
+                         recordings by a pattern in `path`"
+                }
+                false => "both are jobs; give a recording and one job",
+            };
+            return Err(Failure::Wrong(format!("{}, {}: {problem}", other.display(), file.display())));
+        }
+    }
+    Ok((recording, job))
+}
+
+/// Whether a name is the name of data, not of a job.
+fn is_data(file: &Path) -> bool {
+    !has_extension(file, "toml") && (RecordingFormat::of(file).is_some() || unsupported(file).is_some())
+}
+
+/// Creates a file; fails if it exists or has the name of a recording.
 pub(super) fn write_new(file: &Path, text: &str) -> Result<(), Failure> {
+    if is_data(file) {
+        let problem = "a job is not written under the name of a recording or a folder; end its name in .toml";
+        return Err(Failure::Wrong(format!("{}: {problem}", file.display())));
+    }
     let written = OpenOptions::new().write(true).create_new(true).open(file);
     written.and_then(|mut file| file.write_all(text.as_bytes())).map_err(|error| {
         let problem = match error.kind() {
-            ErrorKind::AlreadyExists => {
-                "the file already exists; choose another name or remove it".to_owned()
-            }
-            _ => format!("cannot write the job: {error}"),
+            ErrorKind::AlreadyExists => "the file already exists; choose another name".to_owned(),
+            _ => format!("cannot write the job: {error}; choose another folder"),
         };
         Failure::Wrong(format!("{}: {problem}", file.display()))
     })

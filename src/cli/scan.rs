@@ -1,4 +1,4 @@
-//! `wavex scan`: inspects recordings; writes a summary, histograms and a page.
+//! `wavex scan`: inspects recordings; prints summaries; writes histograms and pages if asked.
 
 use std::io::Write;
 use std::path::Path;
@@ -11,10 +11,14 @@ use wavex_formats::Error;
 use wavex_formats::format::reader_of;
 use wavex_line::scan_line::ScanLine;
 use wavex_line::stage::{Context, FinishedFile, OutputFile, Paths, Plan, RunContext, StageError};
-use wavex_pages::inspect::{Inspection, RecordingSummary, histogram_files, page};
+use wavex_pages::inspect::{Inspection, RecordingSummary, ScanSummary, histogram_files, page};
 use wavex_stages::registry::STAGES;
 
-/// Inspects recordings, writes the results, and prints the summaries.
+/// Remedy for a pattern without matches in a job, and on the command line.
+const OF_JOB: &str = "check `path` of the reader and `input_dir` of the job";
+const OF_LINE: &str = "check the pattern and the folder";
+
+/// Inspects recordings, prints the summaries, and writes files if asked.
 ///
 /// An unreadable recording does not stop the inspection of the others.
 pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
@@ -22,22 +26,23 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
     let inputs = inputs.map_err(|error| {
         // An unsupported format is the more helpful reason.
         let unreadable = args.files.iter().find_map(|file| reader_of(file).err());
-        unreadable.map_or_else(|| failed(&error), Failure::Wrong)
+        unreadable.map_or_else(|| failed(&error.to_string().replace(OF_JOB, OF_LINE)), Failure::Wrong)
     })?;
     let are_many = inputs.len() > 1;
+    let prefix = |stem: &str| match &args.out {
+        None => stem.to_owned(),
+        Some(name) if name.ends_with(std::path::is_separator) => format!("{name}{stem}"),
+        Some(name) if are_many => format!("{name}_{stem}"),
+        Some(name) => name.clone(),
+    };
     let sizes = (0..).zip(engine::sizes(inputs.iter().map(|input| input.path.as_path())));
     let mut progress = Progress::new(args.progress.without_lines(quiet), sizes.collect());
     let scans = inputs.into_iter().enumerate().map(|(number, Input { path, stem })| {
-        let name = match &args.name {
-            None => stem,
-            Some(name) if are_many => format!("{name}_{stem}"),
-            Some(name) => name.clone(),
-        };
         if !quiet && engine::size(&path) >= LARGE_BYTES {
             print_first_look(&path, args)?;
         }
         let gauge = Arc::<Gauge>::default();
-        progress.begin(number, &name, &gauge);
+        progress.begin(number, &stem, &gauge);
         let read = look_at(&path, &args.set, !args.fast, u64::MAX, |line, fraction| {
             let shots = line.emissions.len() as u64;
             gauge.read(shots, fraction);
@@ -46,7 +51,7 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
         });
         progress.end(number);
         progress.count(!matches!(read, Ok((_, _, Ok(())))));
-        write_scan(&path, &name, read?, quiet)
+        conclude(&path, &prefix(&stem), read?, args, quiet)
     });
     super::do_all(scans)
 }
@@ -71,14 +76,15 @@ Reading all of the recording.\n\n"
 /// Results of an inspection, and the error that ended it.
 pub(super) type InspectedRecording = (Inspection, Context, Result<(), StageError>);
 
-/// Prints and writes the results of an inspection.
+/// Prints the results of an inspection; writes files if asked.
 ///
 /// If the recording could not be read to its end, these are of the readable part; then returns the
 /// error.
-fn write_scan(
+fn conclude(
     file: &Path,
-    name: &str,
+    prefix: &str,
     (inspection, cx, ended): InspectedRecording,
+    args: &ScanArgs,
     quiet: bool,
 ) -> Result<(), Failure> {
     if let Err(error) = &ended
@@ -87,16 +93,27 @@ fn write_scan(
         return Err(failed(error));
     }
     let cut = ended.as_ref().err().map(ToString::to_string);
-    let summary = RecordingSummary::of(file, &inspection, cx.counters(), cut.as_deref());
-    let text = summary.text();
-    let mut files = vec![(format!("{name}_scan.txt"), text.clone())];
-    files.extend(
-        histogram_files(&inspection).into_iter().map(|(what, text)| (format!("{name}_{what}.txt"), text)),
-    );
-    files.push((format!("{name}_scan.html"), page(&summary, &inspection, cx.counters(), cut.as_deref())));
+    let cut = cut.as_deref();
+    let summary = RecordingSummary::of(file, &inspection, cx.counters(), cut);
+    let mut files = Vec::new();
+    if args.out.is_some() {
+        files.push((format!("{prefix}_scan.txt"), summary.text()));
+        let histograms = histogram_files(&inspection).into_iter();
+        files.extend(histograms.map(|(what, text)| (format!("{prefix}_{what}.txt"), text)));
+    }
+    if args.page || args.out.is_some() {
+        files.push((format!("{prefix}_scan.html"), page(&summary, &inspection, cx.counters(), cut)));
+    }
     let written = write(&files).map_err(|error| failed(&error))?;
-    if !quiet {
-        terminal::print(&format!("{text}\nwrote {}\n", written.join(", ")))?;
+    let said = if written.is_empty() { String::new() } else { format!("\nwrote {}\n", written.join(", ")) };
+    if args.json {
+        // Standard output has JSON alone.
+        terminal::print(&ScanSummary::of(file, &inspection, cx.counters(), cut).line())?;
+        if !quiet {
+            terminal::print_message(said.trim_start());
+        }
+    } else if !quiet {
+        terminal::print(&(summary.text() + &said))?;
     }
     ended.map_err(|error| failed(&error))
 }

@@ -6,8 +6,8 @@ use std::path::Path;
 use super::{Failure, TrajectoryArgs, terminal};
 use map::TrajectoryMap;
 use summary::About;
-use wavex_formats::Error;
 use wavex_formats::trajectory::{self, Angles, FileTime, Options, Unproject};
+use wavex_formats::{Error, RecordingFormat};
 use wavex_geodesy::time_axis::Clock;
 use wavex_geodesy::trajectory::plausibility::{MotionLimits, contradiction};
 use wavex_geodesy::trajectory::{Accuracy, Trajectory};
@@ -24,6 +24,12 @@ const CHUNK: usize = 1 << 16;
 /// Reads the trajectory, writes the requested files, and prints the summary.
 pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failure> {
     let failed = |error: Error| Failure::Run(error.to_string());
+    if RecordingFormat::of(&args.file).is_some() {
+        let name = args.file.display();
+        let problem =
+            format!("{name}: it is a recording, not a trajectory; `wavex scan {name}` describes it");
+        return Err(Failure::Wrong(problem));
+    }
     let options = args.options();
     let recorded = trajectory::read(&args.file, &options).map_err(failed)?;
     let map = TrajectoryMap::of(&args.crs, None).map_err(Failure::Wrong)?;

@@ -46,9 +46,9 @@ Example:
 
 pub(super) const INIT: &str = "\
 Examples:
-  wavex init --from flight7.pls flight7.toml    a job for this recording
-  wavex init flight7.toml                       every stage from LAS to points, with all keys
-  wavex init --from flight7.sdf                 to standard output";
+  wavex init flight7.pls flight7.toml    a job for this recording
+  wavex init flight7.toml                every stage from LAS to points, with all keys
+  wavex init flight7.sdf                 to standard output";
 
 pub(super) const CONVERT: &str = "\
 Examples:
@@ -83,7 +83,9 @@ Examples:
 pub(super) const SCAN: &str = "\
 Examples:
   wavex scan flight7.pls
-  wavex scan flight7.sdf --fast --name out/flight7";
+  wavex scan 'lines/*.sdf' --fast --page
+  wavex scan flight7.las --out checks/flight7
+  wavex scan 'lines/*.las' --json > lines.jsonl";
 
 pub(super) const VIEW: &str = "\
 Examples:

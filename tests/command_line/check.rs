@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use wavex_testkit::flight::sbet;
 use wavex_testkit::las::Las;
 use wavex_testkit::pulsewaves::PulseWaves;
 use wavex_testkit::{Outcome, TestFolder};
@@ -53,6 +54,60 @@ fn the_size_of_the_inputs_and_the_number_of_points_are_printed() {
     place.write("a.pls", &pulses.pls());
     place.write("a.wvs", &pulses.waves);
     assert_eq!(lines(&check(&place, &[]), "pulses"), ["5; about 5 to 15 points"]);
+}
+
+#[test]
+fn the_expected_time_of_a_small_job_is_seconds() {
+    let place = place("read_pulsewaves", "'a.pls'");
+    let pulses = PulseWaves::new(5);
+    place.write("a.pls", &pulses.pls());
+    place.write("a.wvs", &pulses.waves);
+    let time = |arguments: &[&str]| lines(&check(&place, arguments), "time")[0].to_owned();
+    assert_eq!(time(&["--set", "job.threads=1"]), "about 1 s on 1 core");
+    assert_eq!(time(&["--set", "job.threads=4"]), "about 1 s on 4 cores");
+}
+
+#[test]
+fn a_trajectory_must_cover_its_recording() {
+    for (reader, name) in [("read_las", "a.las"), ("read_pulsewaves", "a.pls"), ("read_arrow", "a.arrow")] {
+        let place = place(reader, &format!("'{name}'"));
+        let (las, waves) = (Las::new(300), PulseWaves::new(300));
+        let files: [(&str, &[u8]); 4] = [
+            ("a.las", &las.las()),
+            ("a.wdp", &las.packets),
+            ("a.pls", &waves.pls()),
+            ("a.wvs", &waves.waves),
+        ];
+        files.iter().for_each(|(name, bytes)| place.write(name, bytes));
+        assert_eq!(place.run("[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 6\nshots_per_line = 200\npulse_rate_hz = 1000\n[[stage]]\ntype = 'write_arrow'\npath = '../*.arrow'\n").code, Some(0));
+        let job = format!(
+            "[job.geometry]\ntrajectory = '*.sbet'\n[[stage]]\ntype = '{reader}'\npath = '{name}'\n[[stage]]\ntype = 'write_arrow'\npath = 'out/*.arrow'\n"
+        );
+        place.write("job.toml", job.as_bytes());
+        let scanned: serde_json::Value =
+            serde_json::from_str(&place.wavex(&["scan", name, "--json"]).out).unwrap();
+        let [first_s, last_s] = ["first_shot_s", "last_shot_s"].map(|key| scanned[key].as_f64().unwrap());
+        let warnings = |times_s: [f64; 2]| -> Vec<String> {
+            place.write("a.sbet", &sbet(times_s));
+            lines(&check(&place, &[]), "warning").into_iter().map(str::to_owned).collect()
+        };
+        assert_eq!(warnings([first_s - 1.0, last_s + 1.0]), Vec::<String>::new(), "{name}");
+        let elsewhere = warnings([first_s + 5_000.0, last_s + 5_000.0]);
+        let problem = format!(
+            "HERE/{name}: the recording and the trajectory have no time in common: the recording lasts from "
+        );
+        assert!(elsewhere.len() == 1 && elsewhere[0].starts_with(&problem), "{elsewhere:?}");
+        if last_s - first_s > 0.5 {
+            let half = warnings([first_s - 1.0, 0.5 * (first_s + last_s)]);
+            let problem = format!(
+                "HERE/{name}: the trajectory covers 50 % of the recording: the recording lasts from "
+            );
+            assert!(half.len() == 1 && half[0].starts_with(&problem), "{half:?}");
+        }
+        place.write("a.sbet", b"no trajectory");
+        let unreadable = lines(&check(&place, &[]), "warning").join("\n");
+        assert!(unreadable.starts_with("HERE/a.sbet: ") && !unreadable.contains('\n'), "{unreadable}");
+    }
 }
 
 #[test]

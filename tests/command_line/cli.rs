@@ -139,6 +139,90 @@ fn a_command_line_that_is_wrong_is_refused() {
     }
 }
 
+/// Job and recording in each other's place.
+#[test]
+fn a_file_in_the_wrong_place_gets_the_command_for_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    fs::write(here.join("x.pls"), b"").unwrap();
+    fs::write(here.join("flight.toml"), b"").unwrap();
+    for (words, expected) in [
+        (&["x.pls"][..], "`x.pls` is a recording, not a command; choose one:\n  wavex scan x.pls "),
+        (&["flight.toml"], "`flight.toml` is a job, not a command; run it with `wavex run flight.toml`"),
+        (&["info", "x.pls"], "there is no command `info`; use `wavex scan x.pls`\n"),
+        (
+            &["run", "x.pls"],
+            "x.pls: it is a recording, not a job; write its job with `wavex init --from x.pls x.toml`",
+        ),
+        (&["check", "x.pls"], "x.pls: it is a recording, not a job; "),
+        (&["run", "x.wvs"], "x.wvs: it holds only the samples of a PulseWaves recording; give x.pls\n"),
+        (&["run", "."], ".: it is a folder, not a job; give a job in it, such as ./flight.toml; "),
+        (
+            &["run", "flihgt.toml"],
+            "flihgt.toml: cannot read the job: No such file or directory (os error 2); did you mean flight.toml?\n",
+        ),
+        (
+            &["scan", "flight.toml"],
+            "flight.toml: it is a job, not a recording; run it with `wavex run flight.toml`",
+        ),
+        (&["convert", "flight.toml", "a.arrow"], "flight.toml: it is a job, not a recording; "),
+        (&["scan", "."], ".: it is a folder, not a recording; give a recording in it, or all: './*.pls'\n"),
+        (&["explain", ".", "--shot", "1"], ".: it is a folder, not a recording; "),
+        (&["run", "out_report.json"], "out_report.json: it is JSON, but a job is TOML: "),
+        (
+            &["trajectory", "x.pls"],
+            "x.pls: it is a recording, not a trajectory; `wavex scan x.pls` describes it\n",
+        ),
+        (&["view", "x.sbet"], "x.sbet: it is a trajectory, not a recording; "),
+        (&["init", "x.sbet"], "x.sbet: it is a trajectory, not a recording; "),
+        (&["init", "flight9.pls"], "flight9.pls: no such file; check the path\n"),
+        (
+            &["init", "--from", "x.pls", "y.pls"],
+            "x.pls, y.pls: both are recordings; give one, and a name for the job that ends in .toml.",
+        ),
+        (&["init", "a.toml", "b.toml"], "a.toml, b.toml: both are jobs; give a recording and one job\n"),
+        (
+            &["import", "-o", "flight9.pls", "--", "-i", "a.sdf", "-o", "b.laz"],
+            "flight9.pls: a job is not written under the name of a recording or a folder; end its name in .toml\n",
+        ),
+    ] {
+        let outcome = wavex_in(here, words);
+        assert_eq!((outcome.code, outcome.out.as_str()), (Some(2), ""), "{words:?}: {}", outcome.err);
+        assert!(outcome.err.starts_with(&format!("error: {expected}")), "{words:?}: {}", outcome.err);
+    }
+    assert_eq!(fs::read_dir(here).unwrap().count(), 2, "nothing is written");
+}
+
+#[test]
+fn options_of_other_programs_are_answered_with_a_tip() {
+    for (words, tip) in [
+        (
+            &["run", "a.toml", "-o", "out"][..],
+            "  tip: `path` of the job's writers names the outputs; for another folder: --set job.output_dir=FOLDER\n",
+        ),
+        (&["-i", "a.sdf"], "a command line of BayesWavEx is translated by `wavex import -- -i a.sdf`\n"),
+    ] {
+        let outcome = wavex(words);
+        assert_eq!(outcome.code, Some(2));
+        assert!(outcome.err.contains(tip), "{words:?}: {}", outcome.err);
+    }
+}
+
+#[test]
+fn jobs_in_utf_16_get_the_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    let text: Vec<u8> = "\u{feff}[job]\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let expected = "error: a.toml: cannot read the job: it is UTF-16 text, as `>` of Windows PowerShell writes; save it as UTF-8, \
+                    or let wavex write the file: `wavex init RECORDING JOB.toml`\n";
+    for text in [&text[..], &text[2..]] {
+        fs::write(folder.path().join("a.toml"), text).unwrap();
+        refused(wavex_in(folder.path(), &["run", "a.toml"]), expected);
+    }
+    // A byte order mark of UTF-8 is no error.
+    fs::write(folder.path().join("a.toml"), "\u{feff}[[stage]]\ntype = 'simulate'\n").unwrap();
+    assert_eq!(wavex_in(folder.path(), &["check", "a.toml"]).code, Some(0));
+}
+
 #[test]
 fn a_job_that_cannot_be_read_is_refused() {
     let outcome = wavex(&["run", "no/such/job.toml"]);
@@ -229,7 +313,7 @@ fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
     let [file, schema] = ["job.toml", "job.schema.json"].map(|name| folder.path().join(name));
     let (file, schema) = (file.to_str().unwrap(), schema.to_str().unwrap());
     let written = wavex(&["init", file]);
-    let remark = "the job reads RECORDING.las: edit `type` and `path` of the first stage, or use `wavex init --from RECORDING`\n";
+    let remark = "the job reads RECORDING.las: edit `type` and `path` of the first stage, or use `wavex init RECORDING`\n";
     let expected = format!("wrote {file}\nwrote {schema}\n{remark}");
     assert_eq!(written, Outcome { code: Some(0), out: expected, err: String::new() });
     assert_eq!(fs::read_to_string(file).unwrap(), printed.out);
@@ -241,7 +325,7 @@ fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
     assert!(checked.out.contains(&warning), "{}", checked.out);
 
     fs::write(file, "mine").unwrap();
-    let expected = format!("error: {file}: the file already exists; choose another name or remove it\n");
+    let expected = format!("error: {file}: the file already exists; choose another name\n");
     refused(wavex(&["init", file]), &expected);
     assert_eq!(fs::read_to_string(file).unwrap(), "mine");
 }
@@ -265,12 +349,26 @@ fn a_format_that_cannot_be_read_is_named_with_the_way_round_wherever_it_is_tried
         ("flight.rxp", "RIEGL RXP is not supported; export the waveforms with RIEGL's software "),
         ("flight.h5", "HDF5 (F5) is not supported; copy its waveforms into the open waveform container "),
         ("flight.plz", "compressed PulseWaves (.plz, .wvz) is not supported; uncompress the pair "),
+        (
+            "flight.wvs",
+            "it holds only the samples of a PulseWaves recording; give the .pls or .plz of the same name",
+        ),
+        (
+            "flight.wdp",
+            "it holds only the waveform packets of a LAS recording; give the .las or .laz of the same name",
+        ),
+        (
+            "flight.sbet",
+            "it is a trajectory, not a recording; give the recording, and name the trajectory in the job",
+        ),
+        ("flight.zip", "it is a compressed file or an archive; unpack it and give a recording in it"),
     ] {
         for words in [
             &["convert", file, "a.arrow"][..],
             &["scan", file],
             &["explain", file, "--shot", "1"],
-            &["init", "--from", file],
+            &["init", file],
+            &["view", file],
             &["calibrate", file],
         ] {
             let outcome = wavex(words);
@@ -400,6 +498,23 @@ fn a_system_in_another_spelling_is_a_wrong_job() {
             assert!(code == Some(2) && is_said, "{err}");
         }
     }
+}
+
+/// A word without extension is the name of a system, not a file.
+#[test]
+fn an_unknown_system_and_a_missing_file_are_told_apart() {
+    let folder = place_with_wkt("");
+    let path = folder.path().join("job.toml");
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replace("zone.prj", "Lambert93")).unwrap();
+    for command in ["check", "run"] {
+        let Outcome { code, err, .. } = wavex_in(folder.path(), &[command, "job.toml"]);
+        let expected = "error: crs `Lambert93`: it is neither a known system nor a file; write `utm`";
+        assert!(code == Some(2) && err.starts_with(expected), "{err}");
+    }
+    fs::write(&path, text.replace("zone.prj", "EPSG2154.prj")).unwrap();
+    let Outcome { code, out, .. } = wavex_in(folder.path(), &["check", "job.toml"]);
+    assert!(code == Some(0) && out.contains("EPSG2154.prj: no such file\n"), "{out}");
 }
 
 /// A shared file may set the geoid folder, also for jobs without a geoid.

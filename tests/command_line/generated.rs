@@ -9,6 +9,7 @@ use std::path::Path;
 use schemars::generate::SchemaSettings;
 use wavex::archive::Archive;
 use wavex::cluster::SurveyPlan;
+use wavex::inspect::ScanSummary;
 use wavex::job::{Job, JobSettings, example_job, job_schema_text, manual};
 use wavex::registry::{STAGES, find};
 use wavex::report::RunReport;
@@ -66,6 +67,13 @@ fn the_schema_of_surveys_is_up_to_date() {
     let settings = SchemaSettings::draft2020_12().for_serialize();
     let schema = settings.into_generator().into_root_schema_for::<Survey>();
     check("schemas/survey.schema.json", &format!("{:#}\n", schema.to_value()));
+}
+
+#[test]
+fn the_schema_of_scans_is_up_to_date() {
+    let settings = SchemaSettings::draft2020_12().for_serialize();
+    let schema = settings.into_generator().into_root_schema_for::<ScanSummary>();
+    check("schemas/scan.schema.json", &format!("{:#}\n", schema.to_value()));
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use wavex_testkit::flight::sbet;
 use wavex_testkit::las::Las;
 use wavex_testkit::pulsewaves::PulseWaves;
 use wavex_testkit::{Outcome, TestFolder, data};
@@ -38,7 +39,7 @@ fn las_and_pulsewaves_have_their_jobs() {
         ("b.pls", &pulsewaves.pls()),
         ("b.wvs", &pulsewaves.waves),
         ("c.sdf", b"not opened"),
-        ("c.POF", b"not opened"),
+        ("c.POF", &sbet([1.0, 2.0])),
     ]);
     let text = job_for(&place, "in/a.las");
     assert!(text.starts_with("#:schema job.schema.json\n\n# For in/a.las: LAS 1."), "{text}");

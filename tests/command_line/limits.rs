@@ -87,7 +87,10 @@ fn a_job_is_at_most_8_mb() {
 fn an_endless_job_is_read_up_to_its_limit() {
     let problem = read_text(std::io::repeat(b'#')).unwrap_err().to_string();
     assert_eq!(problem, "it is larger than 8 MB");
-    assert_eq!(read_text(&b"\xff"[..]).unwrap_err().to_string(), "it is not UTF-8 text");
+    assert_eq!(
+        read_text(&b"\xff"[..]).unwrap_err().to_string(),
+        "it is not UTF-8 text: byte 0; save it as UTF-8"
+    );
     let place = TestFolder::new();
     let ended = place.wavex(&["check", "/dev/zero"]);
     assert_eq!(
@@ -101,8 +104,13 @@ fn an_output_has_a_name_of_visible_characters() {
     let text =
         "[[stage]]\ntype = 'simulate'\n[[stage]]\ntype = 'write_arrow'\npath = \"a\\nERROR b.arrow\"\n";
     let problem = problem(text);
-    let expected = "error: the name of an output contains control characters: \"a\\nERROR b.arrow\"\n";
+    let expected = "error: the path in `path` has a control character: \"a\\nERROR b.arrow\"\n";
     assert!(problem.starts_with(expected), "{problem}");
+    assert!(problem.contains("help: a backslash begins an escape; "), "{problem}");
+    // A key that is no path.
+    let text = "[[stage]]\ntype = 'simulate'\n[[stage]]\ntype = 'calibrate'\nsave = \"a\\nb.json\"\n";
+    let problem = self::problem(text);
+    assert!(problem.starts_with("error: the name of an output contains control characters: "), "{problem}");
     assert!(problem.ends_with("help: write a name of visible characters\n"), "{problem}");
 }
 

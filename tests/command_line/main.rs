@@ -11,6 +11,7 @@ mod cases;
 mod check;
 mod cli;
 mod documents;
+mod errors_page;
 mod examples;
 mod explain;
 mod generated;

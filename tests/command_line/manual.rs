@@ -129,15 +129,15 @@ fn a_summary_is_the_first_sentence() {
     assert_eq!(summary(&job_stages::READ_LAS), "Reads waveforms from LAS files.");
 }
 
-/// All tests named in the table of errors exist.
+/// All tests named in the table of BayesWavEx's errors exist.
 #[test]
-fn the_table_of_errors_names_tests_that_there_are() {
+fn the_table_of_messages_names_tests_that_exist() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let read = |path: &str| {
         let text = std::fs::read_to_string(root.join(path));
-        text.unwrap_or_else(|error| panic!("docs/reference/errors.md names {path}: {error}"))
+        text.unwrap_or_else(|error| panic!("docs/explanation/testing.md names {path}: {error}"))
     };
-    let page = read("docs/reference/errors.md");
+    let page = read("docs/explanation/testing.md");
     let mut n = 0;
     for row in page.lines().filter(|line| line.starts_with("| 1.")) {
         let tests = row.trim_end_matches('|').rsplit(" | ").next().unwrap();
@@ -153,7 +153,7 @@ fn the_table_of_errors_names_tests_that_there_are() {
             for name in names.split(", ").map(|name| name.trim_matches([' ', '`'])) {
                 assert!(
                     text.contains(&format!("fn {name}()")),
-                    "docs/reference/errors.md: {path} has no test {name}"
+                    "docs/explanation/testing.md: {path} has no test {name}"
                 );
                 n += 1;
             }

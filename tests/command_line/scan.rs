@@ -61,7 +61,7 @@ fn simulated(keys: &str) -> TestFolder {
 fn scan_describes_a_simulated_flight() {
     let place =
         simulated("modulation_ns = 30\nhigh_power = true\nground_amplitude_dn = 180\nflying_height_m = 800");
-    let out = summary(&place, &["out/flight.arrow"]);
+    let out = summary(&place, &["out/flight.arrow", "--out", "flight"]);
     assert_eq!(said(&out, "Times", "shots"), "10 000");
     assert_eq!(said(&out, "Times", "gaps within lines"), "none");
     assert_eq!(said(&out, "Times", "clock runs backwards"), "never");
@@ -111,7 +111,7 @@ fn scan_describes_a_simulated_flight() {
 fn fast_leaves_the_samples_out_and_says_the_same_else() {
     let place = simulated("as_recorded = true");
     let whole = summary(&place, &["out/flight.arrow", "--name", "checks/whole"]);
-    let fast = summary(&place, &["--fast", "out/flight.arrow"]);
+    let fast = summary(&place, &["--fast", "out/flight.arrow", "-o", "flight"]);
     assert_eq!(files(&place), ["flight_angles.txt", "flight_scan.html", "flight_scan.txt"]);
     assert!(place.path("checks/whole_ranges.txt").exists());
     assert!(!fast.contains("noise") && whole.contains("noise"));
@@ -190,7 +190,7 @@ fn a_file_that_is_cut_off_is_an_error_behind_what_it_holds() {
     let pls = waves.pls();
     let cut = &pls[..waves.offset_of(200)];
     let place = TestFolder::with(&[("b.pls", cut), ("b.wvs", &waves.waves)]);
-    let Outcome { code, out, err } = scan(&place, &["b.pls"]);
+    let Outcome { code, out, err } = scan(&place, &["b.pls", "--out", "b"]);
     let offset = waves.offset_of(200);
     let message = format!(
         "b.pls: byte {offset}: pulse 200: the header declares 300 pulses, but the file has 200; \
@@ -241,6 +241,7 @@ fn what_cannot_be_scanned_is_said() {
     };
     refused(&["x.dat"], 2, "x.dat: unknown recording format; supported extensions");
     refused(&["gone.arrow"], 1, "gone.arrow: cannot open: ");
+    refused(&["gone*.arrow"], 1, "no file matches `gone*.arrow`; check the pattern and the folder\n");
     refused(
         &["x.arrow", "--set", "read_arrow.odd_sample_shift=3"],
         2,
@@ -252,11 +253,78 @@ fn what_cannot_be_scanned_is_said() {
 #[test]
 fn quiet_prints_nothing_and_files_are_the_same_again() {
     let place = simulated("");
-    let Outcome { code, out, err } = scan(&place, &["-q", "out/flight.arrow"]);
+    let Outcome { code, out, err } = scan(&place, &["-q", "out/flight.arrow", "--out", "flight"]);
     assert_eq!((code, out.as_str(), err.as_str()), (Some(0), "", ""));
     let (text, page) = (place.text("flight_scan.txt"), place.text("flight_scan.html"));
-    summary(&place, &["out/flight.arrow"]);
+    summary(&place, &["out/flight.arrow", "--out", "flight"]);
     assert_eq!((place.text("flight_scan.txt"), place.text("flight_scan.html")), (text, page));
+}
+
+#[test]
+fn files_are_written_only_if_asked() {
+    let place = simulated("");
+    let entries = || {
+        let mut names: Vec<_> =
+            fs::read_dir(place.path("")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        names
+    };
+    let before = entries();
+    let out = summary(&place, &["out/flight.arrow"]);
+    assert!(!out.contains("wrote "), "{out}");
+    assert_eq!(entries(), before);
+    let out = summary(&place, &["out/flight.arrow", "--page"]);
+    assert!(out.ends_with("\nwrote flight_scan.html\n"), "{out}");
+    assert_eq!(files(&place), ["flight_scan.html"]);
+    // A name that ends in `/` is a folder.
+    summary(&place, &["out/flight.arrow", "--out", "checks/"]);
+    assert!(place.path("checks/flight_scan.txt").exists() && place.path("checks/flight_ranges.txt").exists());
+}
+
+#[test]
+fn the_summary_is_printed_as_json() {
+    let place = simulated("high_power = true");
+    fs::copy(place.path("out/flight.arrow"), place.path("b.arrow")).unwrap();
+    let Outcome { code, out, err } = scan(&place, &["out/flight.arrow", "b.arrow", "--json", "--page"]);
+    assert_eq!((code, err.as_str()), (Some(0), "wrote flight_scan.html\nwrote b_scan.html\n"));
+    let found: Vec<serde_json::Value> = out.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(found.len(), 2);
+    assert_eq!((&found[0]["file"], &found[1]["file"]), (&"out/flight.arrow".into(), &"b.arrow".into()));
+    assert_eq!((&found[0]["shots"], &found[0]["scan_lines"]), (&10_000.into(), &20.into()));
+    assert_eq!((&found[0]["read_to_end"], &found[0]["error"]), (&true.into(), &serde_json::Value::Null));
+    assert!((found[0]["pulse_rate_hz"].as_f64().unwrap() - 400_000.0).abs() < 100.0, "{out}");
+    let channels = found[0]["channels"].as_array().unwrap();
+    let low = channels.iter().find(|channel| channel["name"] == "low power").unwrap();
+    assert!((low["noise_sd_dn"].as_f64().unwrap() - 0.94).abs() < 0.04, "{low}");
+    let range = &found[0]["range_m"];
+    assert!(
+        range["min"].as_f64() < range["median"].as_f64() && range["median"].as_f64() < range["max"].as_f64()
+    );
+    // A truncated file: the readable part, and the error.
+    let waves = PulseWaves::new(300);
+    fs::write(place.path("c.pls"), &waves.pls()[..waves.offset_of(200)]).unwrap();
+    fs::write(place.path("c.wvs"), &waves.waves).unwrap();
+    let Outcome { code, out, .. } = scan(&place, &["c.pls", "--json"]);
+    let cut: serde_json::Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((code, &cut["shots"], &cut["read_to_end"]), (Some(1), &200.into(), &false.into()));
+    assert!(cut["error"].as_str().unwrap().contains("the file is cut off"), "{out}");
+}
+
+/// Permissions do not bind root.
+#[cfg(unix)]
+#[test]
+fn a_read_only_folder_is_enough() {
+    use std::os::unix::fs::PermissionsExt;
+    let place = TestFolder::new();
+    let waves = PulseWaves::new(300);
+    place.write("in/b.pls", &waves.pls());
+    place.write("in/b.wvs", &waves.waves);
+    let folder = place.path("in");
+    fs::set_permissions(&folder, fs::Permissions::from_mode(0o555)).unwrap();
+    let scanned = wavex_testkit::outcome(wavex_testkit::wavex().args(["scan", "b.pls"]).current_dir(&folder));
+    let count = fs::read_dir(&folder).unwrap().count();
+    fs::set_permissions(&folder, fs::Permissions::from_mode(0o755)).unwrap();
+    assert_eq!((scanned.code, scanned.err.as_str(), count), (Some(0), "", 2));
 }
 
 #[test]

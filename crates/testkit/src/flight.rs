@@ -5,6 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::{Outcome, TestFolder};
+use wavex_formats::trajectory::sbet::SbetRecord;
 
 /// Makes the recording `in/a.arrow` and its sensor model.
 const MAKE: &str = "\
@@ -60,6 +61,18 @@ pub fn flight() -> TestFolder {
     assert_eq!(place.run(MAKE), Outcome::success());
     fs::remove_dir_all(place.path("out")).unwrap();
     place
+}
+
+/// A trajectory (SBET) with records at these times, s.
+pub fn sbet(times_s: [f64; 2]) -> Vec<u8> {
+    let record = |time_s| SbetRecord {
+        time_s,
+        latitude_rad: 0.84,
+        longitude_rad: 0.26,
+        height_m: 900.0,
+        ..SbetRecord::default()
+    };
+    times_s.into_iter().flat_map(|time_s| record(time_s).encode()).collect()
 }
 
 /// Runs the program in the folder; returns exit code and all messages.

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
+use super::container::ContainerReader;
 use super::extensions::{LAS, LAZ, PACKETS, WAVES, WFM, beside, by_stem, extension, folder_of, usual_names};
 use super::{Error, Result, las, pulsewaves, unsupported};
 
@@ -18,6 +19,8 @@ pub struct RecordingFormat {
     pub companion: Option<&'static str>,
     /// Reads the number of pulses from the header of a file; `None` if headers do not have it.
     pub pulse_count: Option<fn(&Path) -> Result<u64>>,
+    /// Reads the times of the first and the last record, s, as stored; `None` if this needs the whole file.
+    pub first_last_s: Option<fn(&Path) -> Result<Option<[f64; 2]>>>,
 }
 
 /// All supported formats, in the order of the manual.
@@ -27,15 +30,29 @@ pub const FORMATS: &[RecordingFormat] = &[
         extensions: &[LAS, LAZ],
         companion: Some(PACKETS),
         pulse_count: Some(pulses_of_las),
+        first_last_s: Some(times_of_las),
     },
     RecordingFormat {
         reader: "read_pulsewaves",
         extensions: &["pls"],
         companion: Some(WAVES),
         pulse_count: Some(|path| Ok(pulsewaves::Reader::open(path)?.pulse_count())),
+        first_last_s: Some(times_of_pulsewaves),
     },
-    RecordingFormat { reader: "read_sdf", extensions: &["sdf", WFM], companion: None, pulse_count: None },
-    RecordingFormat { reader: "read_arrow", extensions: &["arrow"], companion: None, pulse_count: None },
+    RecordingFormat {
+        reader: "read_sdf",
+        extensions: &["sdf", WFM],
+        companion: None,
+        pulse_count: None,
+        first_last_s: None,
+    },
+    RecordingFormat {
+        reader: "read_arrow",
+        extensions: &["arrow"],
+        companion: None,
+        pulse_count: None,
+        first_last_s: Some(times_of_container),
+    },
 ];
 
 impl RecordingFormat {
@@ -83,6 +100,41 @@ fn pulses_of_las(path: &Path) -> Result<u64> {
     // Some writers do not count by return.
     let is_counted = |first: &u64| *first > 0 && *first <= header.n_points;
     Ok(header.n_points_by_return.first().copied().filter(is_counted).unwrap_or(header.n_points))
+}
+
+/// Times of the first and the last point of a LAS file.
+fn times_of_las(path: &Path) -> Result<Option<[f64; 2]>> {
+    let mut reader = las::Reader::open(path)?;
+    let mut point = las::Point::default();
+    let mut times_s = [0.0; 2];
+    for (at, time_s) in [0, reader.header().n_points.saturating_sub(1)].into_iter().zip(&mut times_s) {
+        reader.seek(at)?;
+        if !reader.next_point(&mut point)? {
+            return Ok(None);
+        }
+        *time_s = point.gps_time;
+    }
+    Ok(Some(times_s))
+}
+
+/// Times of the first and the last pulse of a PulseWaves file.
+fn times_of_pulsewaves(path: &Path) -> Result<Option<[f64; 2]>> {
+    let mut reader = pulsewaves::Reader::open(path)?;
+    let Some(last) = reader.pulse_count().checked_sub(1) else { return Ok(None) };
+    Ok(Some([reader.pulse(0)?.gps_time_s, reader.pulse(last)?.gps_time_s]))
+}
+
+/// Times of the first and the last shot of a container; `None` for a stream.
+fn times_of_container(path: &Path) -> Result<Option<[f64; 2]>> {
+    let mut reader = ContainerReader::open(path)?;
+    reader.skip_samples();
+    let first_s = reader.next_line()?.filter(|line| line.rows() > 0).and_then(|line| line.shot(0).gps_time_s);
+    if !reader.seek_last() {
+        return Ok(None);
+    }
+    let last = reader.next_line()?.filter(|line| line.rows() > 0);
+    let last_s = last.and_then(|line| line.shot(line.rows() - 1).gps_time_s);
+    Ok(first_s.zip(last_s).map(|(first_s, last_s)| [first_s, last_s]))
 }
 
 /// Companion file of a recording; `None` if it is missing or the format has none.
@@ -181,6 +233,14 @@ mod tests {
         }
         fs::write(path("a.wdp"), "").unwrap();
         assert_eq!(["a.pls", "a.arrow", "a"].map(|name| companion(&path(name))), [None, None, None]);
+    }
+
+    #[test]
+    fn folders_are_searched_for_all_extensions() {
+        let searched = super::super::misplaced::RECORDINGS;
+        for extension in FORMATS.iter().flat_map(|format| format.extensions) {
+            assert!(searched.contains(extension), "{extension}");
+        }
     }
 
     #[test]

@@ -44,6 +44,7 @@ pub mod geokeys;
 pub mod geotiff;
 pub mod las;
 pub mod lookup_tables;
+mod misplaced;
 pub mod pulsewaves;
 mod recorded_crs;
 pub mod sdf;
@@ -52,6 +53,7 @@ pub mod trajectory;
 mod unsupported;
 
 pub use format::{CompanionIndex, RecordingFormat};
+pub use misplaced::TRAJECTORIES;
 pub use recorded_crs::RecordedCrs;
 pub use unsupported::unsupported;
 

@@ -189,24 +189,40 @@ struct Raw {
 /// The file has another format, is damaged, has times that contradict their declared clock, or its
 /// accuracies cannot be read.
 pub fn read(path: &Path, options: &Options) -> Result<Recorded> {
-    let mut input = InputFile::open(path)?;
-    let head = input.head()?;
-    let format = TrajectoryFormat::of(&head);
-    let raw = match format {
-        Some(TrajectoryFormat::Pof) => pof::read(&mut input)?,
-        Some(TrajectoryFormat::Trj) => trj::read(&mut input)?,
-        Some(TrajectoryFormat::Sol) => sol::read(&mut input)?,
-        Some(TrajectoryFormat::Sbet) => sbet::read(&mut input)?,
-        Some(TrajectoryFormat::Text) => ascii::read(&mut input, options)?,
-        Some(TrajectoryFormat::Poq) => {
-            let remedy = "give the POF file; its POQ is found automatically";
-            return Err(Error::unusable(path, "it is a POQ file, which has only accuracies", remedy));
-        }
-        None => return Err(unknown(path, input.length)),
-    };
-    let poq = || if format == Some(TrajectoryFormat::Pof) { accuracies::poq_of(path) } else { None };
+    let (format, raw) = decode(&mut InputFile::open(path)?, options)?;
+    let poq = || if format == TrajectoryFormat::Pof { accuracies::poq_of(path) } else { None };
     let accuracy = options.accuracy.clone().or_else(poq);
     axis::settle(path, raw, options, accuracy.as_deref())
+}
+
+/// Time span by the first and the last record; reads no others of a binary file.
+///
+/// # Errors
+/// The file has another format, or its first or last record is damaged.
+pub fn time_span(path: &Path, options: &Options) -> Result<TimeSpan> {
+    let mut input = InputFile::open(path)?;
+    input.only_ends();
+    let (_, raw) = decode(&mut input, options)?;
+    Ok(axis::settle(path, raw, options, None)?.times())
+}
+
+/// Recognises the format and decodes the records.
+fn decode(input: &mut InputFile, options: &Options) -> Result<(TrajectoryFormat, Raw)> {
+    let Some(format) = TrajectoryFormat::of(&input.head()?) else {
+        return Err(unknown(&input.path, input.length));
+    };
+    let raw = match format {
+        TrajectoryFormat::Pof => pof::read(input)?,
+        TrajectoryFormat::Trj => trj::read(input)?,
+        TrajectoryFormat::Sol => sol::read(input)?,
+        TrajectoryFormat::Sbet => sbet::read(input)?,
+        TrajectoryFormat::Text => ascii::read(input, options)?,
+        TrajectoryFormat::Poq => {
+            let remedy = "give the POF file; its POQ is found automatically";
+            return Err(Error::unusable(&input.path, "it is a POQ file, which has only accuracies", remedy));
+        }
+    };
+    Ok((format, raw))
 }
 
 /// Trajectory formats, and POQ.

@@ -3,6 +3,8 @@
 use std::path::Path;
 
 use super::Error;
+use super::extensions::extension;
+use super::misplaced::misplaced;
 
 /// Remedy for compressed PulseWaves.
 pub(crate) const UNCOMPRESS: &str =
@@ -21,16 +23,16 @@ const UNSUPPORTED: [(&[&str], &str, &str); 3] = [
         "copy its waveforms into the open waveform container (.arrow), for example with h5py and pyarrow: schemas/container.json \
          lists the columns, examples/write_container.rs writes one",
     ),
-    (&["plz", "wvz"], "compressed PulseWaves (.plz, .wvz) is not supported", UNCOMPRESS),
+    (&["plz"], "compressed PulseWaves (.plz, .wvz) is not supported", UNCOMPRESS),
 ];
 
-/// Returns the error for a known but unsupported format.
+/// Returns the error for a known but unsupported format, or for a path that is no recording.
 ///
-/// `None` for all other extensions.
+/// `None` for all other paths.
 pub fn unsupported(path: &Path) -> Option<Error> {
-    let extension = path.extension()?.to_string_lossy().to_lowercase();
-    let known = UNSUPPORTED.iter().find(|(extensions, ..)| extensions.contains(&extension.as_str()));
-    known.map(|(_, problem, remedy)| Error::unusable(path, *problem, *remedy))
+    let own = extension(path);
+    let known = UNSUPPORTED.iter().find(|(extensions, ..)| extensions.contains(&own.as_str()));
+    known.map(|(_, problem, remedy)| Error::unusable(path, *problem, *remedy)).or_else(|| misplaced(path))
 }
 
 #[cfg(test)]
@@ -44,7 +46,6 @@ mod tests {
             ("a.H5", "a.H5: HDF5 (F5) is not supported; copy "),
             ("a.f5", "a.f5: HDF5 (F5) is not supported; copy "),
             ("a.plz", "a.plz: compressed PulseWaves (.plz, .wvz) is not supported; uncompress the pair "),
-            ("a.wvz", "a.wvz: compressed PulseWaves (.plz, .wvz) is not supported; uncompress the pair "),
         ] {
             let error = unsupported(Path::new(name)).unwrap().to_string();
             assert!(error.starts_with(begins), "{error}");

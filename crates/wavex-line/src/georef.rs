@@ -25,3 +25,4 @@ pub use keys::GeometryKeys;
 pub use output_crs::MOST_WKT_BYTES;
 pub use output_crs::check_crs;
 pub use trajectory_file::checks as trajectory_checks;
+pub use trajectory_file::trajectory_times;

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use crate::Failure;
 use wavex_engine::job::{Include, Job, MAX_INCLUDES, Override, included, read_text};
-use wavex_formats::{Error, regular_file};
+use wavex_formats::extensions::has_extension;
+use wavex_formats::{Error, RecordingFormat, regular_file, unsupported};
+use wavex_line::stage::nearest_of;
 use wavex_stages::registry::STAGES;
 
 /// Reads a job with the files that it includes; `-` is standard input.
@@ -15,10 +17,15 @@ use wavex_stages::registry::STAGES;
 pub fn read(job: &Path, overrides: Vec<Override>) -> Result<Job, Failure> {
     let (name, text) = if is_stdin(job) {
         ("standard input".to_owned(), read_text(std::io::stdin()))
+    } else if let Some(problem) = not_a_job(job) {
+        return Err(Failure::Wrong(problem));
     } else {
         (job.display().to_string(), read_file(job))
     };
-    let text = text.map_err(|error| Failure::Wrong(format!("{name}: cannot read the job: {error}")))?;
+    let text = text.map_err(|error| {
+        let remedy = if error.kind() == io::ErrorKind::NotFound { nearby(job) } else { String::new() };
+        Failure::Wrong(format!("{name}: cannot read the job: {error}{remedy}"))
+    })?;
     let folder = folder(job);
     let includes: Result<Vec<Include>, Failure> = included(&text)
         .iter()
@@ -26,6 +33,59 @@ pub fn read(job: &Path, overrides: Vec<Override>) -> Result<Job, Failure> {
         .map(|included| read_include(&folder, included))
         .collect();
     Ok(Job::parse_with(STAGES, &name, &text, &includes?, &overrides)?)
+}
+
+/// Error for a recording, a folder or another file that is given as a job, with the next step.
+fn not_a_job(path: &Path) -> Option<String> {
+    if has_extension(path, "toml") && !path.is_dir() {
+        return None;
+    }
+    let name = path.display();
+    if path.is_dir() {
+        let remedy = match jobs_in(path).as_slice() {
+            [] => "a job is a file that ends in .toml: `wavex init RECORDING` writes one".to_owned(),
+            [job, ..] => format!("give a job in it, such as {}", path.join(job).display()),
+        };
+        return Some(format!(
+            "{name}: it is a folder, not a job; {remedy}; to see the outputs of a run, use `wavex view {name}`"
+        ));
+    }
+    if RecordingFormat::of(path).is_some() {
+        let job = path.with_extension("toml");
+        let job = Path::new(job.file_name().unwrap_or_default()).display();
+        return Some(format!(
+            "{name}: it is a recording, not a job; write its job with `wavex init --from {name} {job}`, and run that: \
+             `wavex run {job}`"
+        ));
+    }
+    if has_extension(path, "json") {
+        return Some(format!(
+            "{name}: it is JSON, but a job is TOML: `wavex init RECORDING` writes one; `wavex report {name}` renders the \
+             report of a run"
+        ));
+    }
+    unsupported(path).map(|error| error.to_string())
+}
+
+/// Names of the jobs in a folder, sorted.
+fn jobs_in(folder: &Path) -> Vec<String> {
+    let entries = folder.read_dir().into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries
+        .filter(|entry| has_extension(&entry.path(), "toml"))
+        .filter_map(|entry| entry.file_name().into_string().ok())
+        .collect();
+    names.sort();
+    names
+}
+
+/// Remedy for a job that does not exist.
+fn nearby(job: &Path) -> String {
+    let name = job.file_name().unwrap_or_default().to_string_lossy();
+    let names = jobs_in(&folder(job));
+    match nearest_of(&name, names.iter().map(String::as_str)) {
+        Some(meant) => format!("; did you mean {}?", job.with_file_name(meant).display()),
+        None => "; check the path, or write a job with `wavex init RECORDING`".to_owned(),
+    }
 }
 
 /// Folder at which relative paths of a job start.

@@ -157,7 +157,7 @@ fn a_job_is_printed_or_written_and_what_is_there_is_left_alone() {
     assert_eq!(wavex(&place, &format!("-o job.toml {line}")).out, "");
     assert_eq!(place.text("job.toml"), printed.out);
     let again = wavex(&place, &format!("-o job.toml {line}"));
-    let expected = "error: job.toml: the file already exists; choose another name or remove it\n";
+    let expected = "error: job.toml: the file already exists; choose another name\n";
     assert_eq!(again, Outcome::failure(2, expected));
     std::fs::create_dir(place.path("jobs")).unwrap();
     assert_eq!(wavex(&place, &format!("--run -o jobs/job.toml {line}")).code, Some(0));

@@ -8,7 +8,7 @@ use std::ops::Range;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::errors::MAX_ERRORS;
+use super::errors::{BACKSLASHES, MAX_ERRORS};
 use super::limits::MAX_STAGES;
 use super::{JobError, JobSettings};
 use wavex_line::keys::{FileMark, Keys};
@@ -57,7 +57,7 @@ pub(super) fn syntax(text: &str) -> Result<DeTable<'_>, Vec<JobError>> {
         }
         line += text.get(at..span.start).unwrap_or_default().matches('\n').count();
         at = span.start;
-        of_lines.entry(line).or_insert_with(|| syntax_error(span, problem));
+        of_lines.entry(line).or_insert_with(|| syntax_error(text, span, problem));
         if of_lines.len() > MAX_ERRORS {
             break;
         }
@@ -65,13 +65,16 @@ pub(super) fn syntax(text: &str) -> Result<DeTable<'_>, Vec<JobError>> {
     Err(of_lines.into_values().collect())
 }
 
-/// Converts a TOML syntax error.
-pub(super) fn syntax_error(span: Range<usize>, problem: &toml::de::Error) -> JobError {
-    let error = JobError::at(span, format!("invalid TOML: {}", problem.message()));
+/// Converts a TOML syntax error of this text.
+pub(super) fn syntax_error(text: &str, span: Range<usize>, problem: &toml::de::Error) -> JobError {
+    let start = text.get(..span.start).and_then(|before| before.rfind('\n')).map_or(0, |end| end + 1);
+    let has_backslash =
+        text.get(start..).and_then(|rest| rest.lines().next()).is_some_and(|line| line.contains('\\'));
+    let mut error = JobError::at(span, format!("invalid TOML: {}", problem.message()));
     if problem.message().starts_with("string values must be quoted") {
-        return error.help("put text in quotation marks: `\"text\"`");
+        error = error.help("put text in quotation marks: `\"text\"`");
     }
-    error
+    if has_backslash { error.help(BACKSLASHES) } else { error }
 }
 
 impl<'t> JobDraft<'t> {

@@ -11,6 +11,10 @@ use wavex_line::stage::nearest_of;
 /// Maximum number of errors that are reported.
 pub(super) const MAX_ERRORS: usize = 100;
 
+/// Remedy for backslashes in text.
+pub(super) const BACKSLASHES: &str =
+    "a backslash begins an escape; write paths with `/`, or in single quotes: 'C:\\data\\flight.las'";
+
 /// One error in a job.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JobError {

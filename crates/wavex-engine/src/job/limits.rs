@@ -21,7 +21,17 @@ pub fn read_text(file: impl Read) -> io::Result<String> {
     if bytes.len() as u64 > MAX_BYTES {
         return Err(io::Error::other(format!("it is larger than {} MB", MAX_BYTES / 1_000_000)));
     }
-    String::from_utf8(bytes).map_err(|_| io::Error::other("it is not UTF-8 text"))
+    // Text in UTF-16 begins with a byte order mark, or has a zero byte in each ASCII character.
+    if matches!(bytes.as_slice(), [0xff, 0xfe, ..] | [0xfe, 0xff, ..] | [_, 0, ..] | [0, _, ..]) {
+        return Err(io::Error::other(
+            "it is UTF-16 text, as `>` of Windows PowerShell writes; save it as UTF-8, or let wavex write the file: \
+             `wavex init RECORDING JOB.toml`",
+        ));
+    }
+    String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        io::Error::other(format!("it is not UTF-8 text: byte {at}; save it as UTF-8"))
+    })
 }
 
 /// Error if the texts of a job are too large or too many.

@@ -68,7 +68,9 @@ fn read_one<'t>(start: usize, text: &'t str, padded: &'t str) -> Result<ParsedOv
     let (key, value) = match (entries.next(), entries.next(), problems.first()) {
         (Some(entry), None, None) => entry,
         (_, _, problem) => bare(key, written, padded).ok_or_else(|| match problem {
-            Some(problem) => syntax_error(problem.span().unwrap_or(start..start + text.len()), problem),
+            Some(problem) => {
+                syntax_error(padded, problem.span().unwrap_or(start..start + text.len()), problem)
+            }
             None => malformed(),
         })?,
     };

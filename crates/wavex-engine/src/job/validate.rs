@@ -11,7 +11,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::JobError;
-use super::errors::MAX_ERRORS;
+use super::errors::{BACKSLASHES, MAX_ERRORS};
 use super::manual::first_sentence;
 use wavex_line::keys::{Keys, bounds, choices, is_within, takes};
 
@@ -46,7 +46,10 @@ fn check_table(owner: &str, schema: &Value, table: &DeTable, header: &Range<usiz
     for (key, value) in table {
         match properties.get(key.get_ref().as_ref()) {
             Some(schema) => {
-                errors.extend(CheckedValue { owner, name: &format!("`{key}`"), schema, value }.check())
+                errors.extend(CheckedValue { owner, name: &format!("`{key}`"), schema, value }.check());
+                if key.get_ref() == "path" || schema.get("x-file").is_some() {
+                    errors.extend(control_character(key.get_ref(), value));
+                }
             }
             None => errors.push(unknown_key(owner, key, properties.keys())),
         }
@@ -60,6 +63,18 @@ fn check_table(owner: &str, schema: &Value, table: &DeTable, header: &Range<usiz
         errors.push(missing_key(owner, key, schema, header));
     }
     errors
+}
+
+/// Error for a path with a control character, which is mostly an escape: `"C:\new"`.
+fn control_character(key: &str, value: &Spanned<DeValue>) -> Option<JobError> {
+    match value.get_ref() {
+        DeValue::String(text) if text.contains(char::is_control) => {
+            let problem = format!("the path in `{key}` has a control character: {text:?}");
+            Some(JobError::at(value.span(), problem).help(BACKSLASHES))
+        }
+        DeValue::Array(items) => items.iter().find_map(|item| control_character(key, item)),
+        _ => None,
+    }
 }
 
 fn unknown_key<'k>(

@@ -133,6 +133,11 @@ impl FileMessages {
         Ok((FileMessages { name, file, blocks, next: 0, has_digests, last: None }, schema))
     }
 
+    /// Number of record batches.
+    pub(super) fn count(&self) -> u64 {
+        self.blocks.len() as u64
+    }
+
     /// Continues with message `index`, from 0.
     pub(super) fn seek(&mut self, index: u64) {
         self.next = usize::try_from(index).unwrap_or(usize::MAX);

@@ -96,6 +96,14 @@ impl ContainerReader {
         true
     }
 
+    /// Continues with the last record batch; `false` if the container is a stream.
+    ///
+    /// Rows in later errors count from this record batch.
+    pub fn seek_last(&mut self) -> bool {
+        let Messages::File(messages) = &self.messages else { return false };
+        self.seek(messages.count().saturating_sub(1))
+    }
+
     /// Fraction of the container that was read, 0 to 1, if its length is known.
     pub fn progress(&self) -> Option<f64> {
         self.messages.progress()

@@ -13,6 +13,8 @@ use super::super::{Error, Result, regular_file};
 const HEAD_BYTES: usize = 4096;
 /// Largest accepted record, bytes.
 pub(super) const LONGEST_RECORD: usize = 4096;
+/// Size of the parts of a text that are read for its ends, bytes.
+const END_BYTES: u64 = 1 << 16;
 
 /// Sequential reader of a file.
 pub(super) struct InputFile {
@@ -22,6 +24,8 @@ pub(super) struct InputFile {
     /// Offset of the next byte.
     pub(super) offset: u64,
     reader: BufReader<File>,
+    /// Whether records and lines between the first and the last ones are skipped.
+    skips: bool,
 }
 
 impl InputFile {
@@ -33,7 +37,13 @@ impl InputFile {
             length,
             offset: 0,
             reader: BufReader::with_capacity(1 << 16, file),
+            skips: false,
         })
+    }
+
+    /// Skips all records but the first and the last, and the middle of a text.
+    pub(super) fn only_ends(&mut self) {
+        self.skips = true;
     }
 
     /// Returns the first bytes, at most [`HEAD_BYTES`], without advancing.
@@ -70,7 +80,13 @@ impl InputFile {
     ) -> Result<()> {
         let mut bytes = vec![0; size.clamp(1, LONGEST_RECORD)];
         let mut record = 0;
+        let size_bytes = bytes.len() as u64;
+        let total = count.unwrap_or(self.length.saturating_sub(self.offset) / size_bytes);
         while count.is_none_or(|count| record < count) {
+            if self.skips && record == 1 && total > 2 {
+                self.go_to(self.offset.saturating_add((total - 2).saturating_mul(size_bytes)))?;
+                record = total - 1;
+            }
             record += 1;
             let offset = self.offset;
             let read = self.fill(&mut bytes)?;
@@ -97,6 +113,11 @@ impl InputFile {
     ///
     /// `None` at the end of the file. Invalid UTF-8 is replaced.
     pub(super) fn line(&mut self, longest: u64) -> Result<Option<String>> {
+        if self.skips && (END_BYTES..self.length.saturating_sub(END_BYTES)).contains(&self.offset) {
+            self.go_to(self.length - END_BYTES)?;
+            // The rest of the line at this place.
+            self.line(longest)?;
+        }
         let mut bytes = Vec::new();
         let read = self.reader.by_ref().take(longest + 1).read_until(b'\n', &mut bytes);
         let read = read.map_err(Error::io(&self.path, "read"))? as u64;

@@ -58,6 +58,29 @@ fn the_two_sbet_records_of_pdal_are_read() {
     assert!((south_mps - 2.33).abs() < 0.05, "{south_mps}");
 }
 
+/// The middle of the files is not read: its records are damaged.
+#[test]
+fn time_spans_need_the_ends_of_a_file_only() {
+    let samples = flight(MIDNIGHT_S + 36_000.0, 4000);
+    let files: [(&str, Vec<u8>); 5] = [
+        ("SBET", sbet(&samples, week)),
+        ("POF", pof(&samples, 2, 0, week)),
+        ("SOL", sol(&samples)),
+        ("TRJ", trj(&samples, week)),
+        ("text", text(&samples, week)),
+    ];
+    for (format, mut bytes) in files {
+        let folder = Folder::with(&[("whole", &bytes)]);
+        let options = columns("tyx_zwpk");
+        let times = folder.read("whole", &options).unwrap().times();
+        let middle = bytes.len() / 2;
+        bytes[middle..middle + 300].fill(b'x');
+        let folder = Folder::with(&[("damaged", &bytes)]);
+        assert!(folder.read("damaged", &options).is_err(), "{format}");
+        assert_eq!(time_span(&folder.path("damaged"), &options).unwrap(), times, "{format}");
+    }
+}
+
 /// Every format, recognised by content alone, yields the same flight.
 #[test]
 fn every_format_gives_the_same_flight() {

@@ -123,9 +123,18 @@ fn named(keys: &GeometryKeys, input_dir: &Path) -> Result<(Named, Option<PathBuf
         Some(named) => Ok((named, None)),
         None => {
             let file = input_dir.join(word);
+            if is_name(word) && !file.exists() {
+                let problem = "it is neither a known system nor a file";
+                return Err(CrsError::Word { word: word.clone(), problem }.into());
+            }
             Ok((Named::Wkt(read_wkt(&file)?), Some(file)))
         }
     }
+}
+
+/// Whether a word looks like the name of a system, not like a path: no folder and no extension.
+fn is_name(word: &str) -> bool {
+    !word.contains(['/', '\\']) && Path::new(word).extension().is_none()
 }
 
 /// Checks the coordinate reference system of a job.
@@ -135,8 +144,9 @@ fn named(keys: &GeometryKeys, input_dir: &Path) -> Result<(Named, Option<PathBuf
 /// # Errors
 /// A system that cannot be computed. The message names its file and the missing or unsupported part.
 pub fn check_crs(keys: &GeometryKeys, input_dir: &Path) -> Result<()> {
-    let is_missing =
-        |word: &String| matches!(Named::parse(word), Ok(None)) && !input_dir.join(word).is_file();
+    let is_missing = |word: &String| {
+        matches!(Named::parse(word), Ok(None)) && !is_name(word) && !input_dir.join(word).is_file()
+    };
     if keys.crs.as_ref().is_some_and(is_missing) {
         return Ok(());
     }

@@ -104,6 +104,14 @@ impl Track {
     }
 }
 
+/// Time span of a trajectory, read with the keys of a job; see [`trajectory::time_span`].
+///
+/// # Errors
+/// As [`trajectory::time_span`].
+pub fn trajectory_times(keys: &GeometryKeys, file: &Path) -> wavex_formats::Result<TimeSpan> {
+    trajectory::time_span(file, &options(keys, None))
+}
+
 /// The key that mends a contradiction, and the key that overrides the check.
 pub fn remedy(found: &Contradiction, is_text: bool, angles: Option<Angles>) -> String {
     let mend = match found.kind {

@@ -1,0 +1,132 @@
+//! Paths given as a recording by mistake: folders, parts of recordings, trajectories, jobs.
+
+use std::path::Path;
+
+use super::Error;
+use super::extensions::{beside, extension};
+
+/// Extensions of trajectories, in order of preference.
+pub const TRAJECTORIES: [&str; 5] = ["pof", "sbet", "out", "sol", "trj"];
+/// Extensions of recordings that a folder is searched for, in order of preference.
+pub(super) const RECORDINGS: [&str; 7] = ["pls", "plz", "las", "laz", "sdf", "wfm", "arrow"];
+/// Extensions of files with samples, their content, and the extensions of the recordings.
+const SAMPLES: [(&[&str], &str, &[&str]); 2] = [
+    (&["wvs", "wvz"], "the samples of a PulseWaves recording", &["pls", "plz"]),
+    (&["wdp", "wdz"], "the waveform packets of a LAS recording", &["las", "laz"]),
+];
+/// Extensions of compressed files and archives.
+const PACKED: [&str; 9] = ["zip", "gz", "7z", "tar", "tgz", "bz2", "xz", "rar", "zst"];
+/// Number of entries of a folder that are searched.
+const MOST_ENTRIES: usize = 10_000;
+
+/// Returns the error for a path that is no recording, with what to give instead.
+///
+/// `None` if it may be one.
+pub(super) fn misplaced(path: &Path) -> Option<Error> {
+    if path.is_dir() {
+        return Some(folder(path));
+    }
+    let name = path.display();
+    let own = extension(path);
+    let is_one_of = |extensions: &[&str]| extensions.contains(&own.as_str());
+    let (problem, remedy) = if let Some((_, content, recordings)) =
+        SAMPLES.iter().find(|(extensions, ..)| is_one_of(extensions))
+    {
+        let remedy = match recordings.iter().find_map(|extension| beside(path, extension)) {
+            Some(recording) => format!("give {}", recording.display()),
+            None => format!(
+                "give the .{} of the same name, which must be in its folder",
+                recordings.join(" or .")
+            ),
+        };
+        (format!("it holds only {content}"), remedy)
+    } else if is_one_of(&TRAJECTORIES) || own == "poq" {
+        let remedy = format!(
+            "give the recording, and name the trajectory in the job: `trajectory = \"{name}\"` in `[job.geometry]`; \
+             `wavex trajectory {name}` describes it"
+        );
+        ("it is a trajectory, not a recording".to_owned(), remedy)
+    } else if own == "toml" {
+        let remedy = format!("run it with `wavex run {name}`, or view it with `wavex view {name}`");
+        ("it is a job, not a recording".to_owned(), remedy)
+    } else if own == "wvxi" {
+        ("it is the index of a recording".to_owned(), format!("give {}", path.with_extension("").display()))
+    } else if is_one_of(&PACKED) {
+        (
+            "it is a compressed file or an archive".to_owned(),
+            "unpack it and give a recording in it".to_owned(),
+        )
+    } else {
+        return None;
+    };
+    Some(Error::unusable(path, problem, remedy))
+}
+
+/// The error for a folder, with a pattern of the recordings in it.
+fn folder(path: &Path) -> Error {
+    let entries = path.read_dir().into_iter().flatten().flatten().take(MOST_ENTRIES);
+    let found: Vec<String> = entries.map(|entry| extension(&entry.path())).collect();
+    let remedy = match RECORDINGS.iter().find(|extension| found.iter().any(|own| own == *extension)) {
+        Some(extension) => {
+            format!("give a recording in it, or all: '{}'", path.join(format!("*.{extension}")).display())
+        }
+        None => "give a recording; there is none in it".to_owned(),
+    };
+    Error::unusable(path, "it is a folder, not a recording", remedy)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn what_to_give_instead_is_named() {
+        for (name, expected) in [
+            (
+                "a.wvs",
+                "it holds only the samples of a PulseWaves recording; give the .pls or .plz of the same name, which must be in its folder",
+            ),
+            (
+                "a.WVZ",
+                "it holds only the samples of a PulseWaves recording; give the .pls or .plz of the same name, which must be in its folder",
+            ),
+            (
+                "a.wdp",
+                "it holds only the waveform packets of a LAS recording; give the .las or .laz of the same name, which must be in its folder",
+            ),
+            (
+                "a.wdz",
+                "it holds only the waveform packets of a LAS recording; give the .las or .laz of the same name, which must be in its folder",
+            ),
+            (
+                "a.sbet",
+                "it is a trajectory, not a recording; give the recording, and name the trajectory in the job: `trajectory = \"a.sbet\"` in `[job.geometry]`; `wavex trajectory a.sbet` describes it",
+            ),
+            (
+                "a.toml",
+                "it is a job, not a recording; run it with `wavex run a.toml`, or view it with `wavex view a.toml`",
+            ),
+            ("a.las.wvxi", "it is the index of a recording; give a.las"),
+            ("a.zip", "it is a compressed file or an archive; unpack it and give a recording in it"),
+        ] {
+            let error = misplaced(Path::new(name)).map(|error| error.to_string());
+            assert_eq!(error, Some(format!("{name}: {expected}")));
+        }
+        assert!(["a.las", "wdp", "a", "a.txt"].iter().all(|name| misplaced(Path::new(name)).is_none()));
+    }
+
+    #[test]
+    fn recordings_next_to_it_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let remedy = |name: &str| {
+            let error = misplaced(&path(name)).unwrap().to_string();
+            error.rsplit_once("; ").unwrap().1.to_owned()
+        };
+        assert_eq!(remedy(""), "give a recording; there is none in it");
+        fs::write(path("a.LAZ"), b"").unwrap();
+        assert_eq!(remedy("a.wdp"), format!("give {}", path("a.LAZ").display()));
+        assert_eq!(remedy(""), format!("give a recording in it, or all: '{}'", path("*.laz").display()));
+    }
+}
