@@ -17,7 +17,7 @@ COLUMNS, ROWS, STEP_M = 120, 100, 1.0
 ORIGIN = np.array([500_000.0, 5_300_000.0, 400.0])
 CLASSES = {2: "2 ground", 6: "6 building", 5: "5 high vegetation"}
 POOR = 70
-LOW_M = -245.0
+LOW_M = -1500.0
 
 
 def write_points(path, has_outlier, poor):

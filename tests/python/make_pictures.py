@@ -6,7 +6,7 @@ Runs a job that simulates its recording (by default `jobs/demo.toml`), and takes
 (map with a waveform, 3-D), the page of the run and the page of a survey over the same scene: light and
 dark, and at a width of 390 px. Runs `check`, `run`, `scan` and `explain` in a terminal of 80 and of 140
 columns, and takes pictures of it. All are PNG files in FOLDER. With --images, the pictures for documents
-are also written to IMAGES as WebP of at most 150 kB. Needs playwright and pyte.
+are also written to IMAGES as WebP of at most 150 kB. Needs `requirements-pictures.txt`.
 """
 
 import argparse
@@ -49,6 +49,14 @@ ANSI = {
 def stage_text(stage):
     """A stage as TOML."""
     return "[[stage]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in stage.items())
+
+
+def value_of(text):
+    """Value of an override, as `--set` reads it."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
 
 
 def run(wavex, *arguments):
@@ -213,7 +221,7 @@ def main():
     simulate = job["stage"][0]
     assert simulate["type"] == "simulate", f"{chosen.job}: its first stage is not `simulate`"
     for key, value in (one.split("=", 1) for one in chosen.set if one.startswith("simulate.")):
-        simulate[key.removeprefix("simulate.")] = tomllib.loads(f"value = {value}")["value"]
+        simulate[key.removeprefix("simulate.")] = value_of(value)
     # The job is shown as the tutorial has it, with its outputs in this folder.
     text = re.sub(r'(?m)^output_dir = .*$', 'output_dir = "out/demo"', chosen.job.read_text())
     (work / "demo.toml").write_text(text)
