@@ -488,8 +488,8 @@ fn points_without_waveforms_are_shown_with_their_attributes() {
                 let written: f64 = column(row, name).parse().unwrap();
                 assert!((number(name) - written).abs() <= tolerance, "{name}: {point} {written}");
             }
-            let written: f64 = column(row, "total_sd_m").parse().unwrap();
-            assert!((number("total_sd_m") / written - 1.0).abs() < 0.005, "{point} {written}");
+            let written: f64 = column(row, "range_sd_m").parse().unwrap();
+            assert!((number("range_sd_m") / written - 1.0).abs() < 0.005, "{point} {written}");
         }
         let refused = view.ask("shot?input=0&shot=0");
         assert_eq!(refused.status, 400);
