@@ -198,6 +198,6 @@ mod tests {
         assert_eq!(describe("height_m").unwrap()["extent"], json!([100.0, 199.0]));
         assert_eq!(describe("return_number").unwrap()["values"], json!([1.0, 2.0, 3.0]));
         // All points have the same.
-        assert!(["class", "input", "withheld", "mta_zone"].iter().all(|name| describe(name).is_none()));
+        assert!(["class", "input", "withheld", "mta_zone"].into_iter().all(|name| describe(name).is_none()));
     }
 }
