@@ -1,4 +1,4 @@
-//! `wavex view`: serves the page of a recording, a job or a run.
+//! `wavex view`: serves the page of a recording, a job, a run or a file of points.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -11,7 +11,8 @@ use super::run::stop_on_signals;
 use super::{Failure, JobArgs, ViewArgs, terminal};
 use wavex_engine::engine::Cancel;
 use wavex_engine::job::{Include, Job, Override};
-use wavex_formats::extensions::has_extension;
+use wavex_formats::extensions::{LAS, LAZ, has_extension};
+use wavex_formats::las::RawPoints;
 use wavex_line::georef::check_crs;
 use wavex_line::stage::counted;
 use wavex_pages::report::read_report;
@@ -25,6 +26,9 @@ const TICK: Duration = Duration::from_millis(100);
 /// Serves the page until a signal ends it.
 pub(super) fn view(args: &ViewArgs, quiet: bool) -> Result<(), Failure> {
     let opened = opened(args)?;
+    if let Some(instead) = &opened.without_waveforms {
+        tracing::warn!("{instead}");
+    }
     check_crs(&opened.job.settings.geometry, &opened.input_dir)
         .map_err(|error| Failure::Wrong(error.to_string()))?;
     let cancel = Cancel::default();
@@ -63,6 +67,7 @@ fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
     let kind = match () {
         () if place.is_dir() => "folder",
         () if has_extension(place, "toml") => "job",
+        () if is_without_waveforms(place) => "points",
         () => "recording",
     };
     let (source, folder) = match kind {
@@ -71,6 +76,13 @@ fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
             let job = JobArgs { job: place.clone(), set: Vec::new() };
             let folder = job.folder();
             (JobText::of_job(&job.read(None)?), folder)
+        }
+        "points" => {
+            let mut path = Map::new();
+            path.insert("path".into(), place.display().to_string().into());
+            let reader = toml::to_string(&path).unwrap_or_default();
+            let text = format!("[[stage]]\ntype = \"read_las\"\n{reader}");
+            (JobText { name: place.display().to_string(), text, includes: Vec::new() }, PathBuf::new())
         }
         _ => {
             let (name, text) = (format!("the job for {}", place.display()), of_recording(place, None)?);
@@ -86,8 +98,25 @@ fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
         let all: Vec<String> = set.iter().chain(more).cloned().collect();
         source.parse(&all).map_err(|failure| failure.text())
     };
-    let folder = (kind != "recording").then_some(layers);
-    Ok(Opened { title, kind, job, with: Box::new(with), input_dir, folder, memory_bytes })
+    let folder = matches!(kind, "folder" | "job").then_some(layers);
+    let without_waveforms = (kind == "points").then(|| place_of_waveforms(place));
+    Ok(Opened { title, kind, without_waveforms, job, with: Box::new(with), input_dir, folder, memory_bytes })
+}
+
+/// Whether a file is LAS of a point format without waveforms.
+fn is_without_waveforms(place: &Path) -> bool {
+    let is_las = [LAS, LAZ].iter().any(|extension| has_extension(place, extension));
+    is_las && RawPoints::open(place).is_ok_and(|points| !points.header().has_waveforms())
+}
+
+/// Why points have no waveforms, and what to open instead: the folder of the run if it is theirs.
+fn place_of_waveforms(points: &Path) -> String {
+    let folder = points.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let instead = match only_report(folder) {
+        Ok(_) => format!("`wavex view {}` shows the run in this folder with its waveforms", folder.display()),
+        Err(_) => "view the folder of the run that wrote them, its job or its recording".to_owned(),
+    };
+    format!("{}: points without waveforms; {instead}", points.display())
 }
 
 /// Text of a job.

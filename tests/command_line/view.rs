@@ -427,3 +427,110 @@ fn the_folder_of_a_survey_has_its_strips_and_rasters() {
         assert!(!shot["returns"].as_array().unwrap().is_empty());
     }
 }
+
+/// A folder `out` with points of a run, as LAZ and as COPC, and the number of points.
+fn points_of_a_run() -> (TestFolder, u64) {
+    let place = TestFolder::new();
+    let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 6\nshots_per_line = 300\n\
+               [[stage]]\ntype = 'calibrate'\n\
+               [[stage]]\ntype = 'decompose'\n\
+               [[stage]]\ntype = 'georeference'\n\
+               [[stage]]\ntype = 'write_las'\npath = '*.laz'\n\
+               [[stage]]\ntype = 'write_table'\npath = '*.csv'\n";
+    assert_eq!(place.run(job), Outcome::success());
+    assert_eq!(place.wavex(&["--quiet", "copc", "out/flight.laz"]), Outcome::success());
+    let points = place.text("out/flight.csv").lines().count() as u64 - 1;
+    (place, points)
+}
+
+#[test]
+fn points_without_waveforms_are_shown_with_their_attributes() {
+    let (place, points) = points_of_a_run();
+    for file in ["out/flight.laz", "out/flight.copc.laz"] {
+        let view = view(&place, &[file]);
+        let info = view.ready();
+        assert_eq!(
+            (&info["state"], &info["kind"], &info["error"]),
+            (&"ready".into(), &"points".into(), &Value::Null)
+        );
+        assert_eq!(info["points"].as_u64(), Some(points), "{info}");
+        let reason = info["without_waveforms"].as_str().unwrap();
+        assert_eq!(
+            reason,
+            format!(
+                "{file}: points without waveforms; `wavex view out` shows the run in this folder with its waveforms"
+            )
+        );
+        assert!(info["crs"].as_str().unwrap().contains("UTM zone 33N"), "{info}");
+        assert_eq!(info["keys"], serde_json::json!([]));
+        // Each point has the values that the run has written.
+        let table = place.text("out/flight.csv");
+        let generation = &info["generation"];
+        let found =
+            view.json(&format!("find?generation={generation}&sort=amplitude_dn&descending=true&limit=5"));
+        for entry in found["found"].as_array().unwrap() {
+            let point = view.json(&format!("point?generation={generation}&index={}", entry["index"]));
+            let number = |name: &str| point["values"][name].as_f64().unwrap();
+            let rows = rows(&table);
+            let row = rows.iter().find(|row| {
+                ["x", "y", "z"].iter().enumerate().all(|(i, name)| {
+                    (column(row, name).parse::<f64>().unwrap() - point["position"][i].as_f64().unwrap()).abs()
+                        < 0.01
+                })
+            });
+            let row = row.unwrap_or_else(|| panic!("{point}"));
+            for (name, tolerance) in [
+                ("amplitude_dn", 0.006),
+                ("deviation_ratio", 0.06),
+                ("width_ratio", 0.0006),
+                ("return_number", 0.0),
+            ] {
+                let written: f64 = column(row, name).parse().unwrap();
+                assert!((number(name) - written).abs() <= tolerance, "{name}: {point} {written}");
+            }
+            let written: f64 = column(row, "range_sd_m").parse().unwrap();
+            assert!((number("range_sd_m") / written - 1.0).abs() < 0.005, "{point} {written}");
+        }
+        let refused = view.ask("shot?input=0&shot=0");
+        assert_eq!(refused.status, 400);
+    }
+}
+
+#[test]
+fn points_name_what_has_their_waveforms() {
+    let (place, _) = points_of_a_run();
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port().to_string();
+    // The port is in use: the command ends after the message.
+    let said = |file: &str| place.wavex(&["view", "--no-open", "--port", &port, file]).err;
+    let of_run = said("out/flight.laz");
+    assert!(of_run.contains("`wavex view out` shows the run in this folder with its waveforms"), "{of_run}");
+    place.write("alone.laz", &std::fs::read(place.path("out/flight.laz")).unwrap());
+    let alone = said("alone.laz");
+    let instead = "alone.laz: points without waveforms; view the folder of the run that wrote them, its job or its recording";
+    assert!(alone.contains(instead), "{alone}");
+}
+
+#[test]
+fn a_file_without_points_says_so_on_the_page() {
+    let place = TestFolder::new();
+    let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 2\nshots_per_line = 300\n\
+               [[stage]]\ntype = 'calibrate'\nwaveforms = 500\n\
+               [[stage]]\ntype = 'decompose'\n\
+               [[stage]]\ntype = 'georeference'\n\
+               [[stage]]\ntype = 'write_las'\npath = '*.las'\n";
+    assert_eq!(place.run(job), Outcome::success());
+    let mut empty = std::fs::read(place.path("out/flight.las")).unwrap();
+    let first_point = u32::from_le_bytes(empty[96..100].try_into().unwrap());
+    empty.truncate(first_point as usize);
+    // Numbers of points, in all and by return, in the fields of LAS 1.0 and 1.4.
+    empty[107..131].fill(0);
+    empty[247..375].fill(0);
+    place.write("empty.las", &empty);
+    let view = view(&place, &["empty.las"]);
+    let info = view.ready();
+    assert_eq!(
+        (info["state"].as_str(), info["error"].as_str()),
+        (Some("failed"), Some("the file has no points"))
+    );
+}

@@ -14,73 +14,20 @@ import re
 import subprocess
 import sys
 import tempfile
-import time
 import xml.etree.ElementTree as ElementTree
-from contextlib import contextmanager
 from pathlib import Path
 
 from playwright.sync_api import sync_playwright
 
 from check_pages import MEASURE, SIMULATE, browser_path, run
+from check_view_tools import check_tools
 from checks import Checks
+from view_page import FLAGS, opened, pixels, saved, select, served, wait
 
-FLAGS = [
-    "--no-sandbox",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]
 THRESHOLD = 30
 # Rows of the page's table of returns and columns of the table of `explain`.
 QUANTITIES = ["time of flight", "range", "amplitude", "width ratio", "thickness"]
 RETURN = re.compile(r"^\d+ +\S+ +" + r" +".join([r"(-?[\d.]+ ± [\d.]+)"] * len(QUANTITIES)))
-SECONDS = 30
-
-
-@contextmanager
-def served(wavex, place):
-    """Address of the page of a place, while it is served; also the process."""
-    server = subprocess.Popen([wavex, "view", place, "--no-open"], stdout=subprocess.PIPE, text=True)
-    try:
-        address = next((found[0] for line in server.stdout if (found := re.search(r"http://\S+", line))), None)
-        assert address, "wavex view prints no address"
-        yield address, server
-    finally:
-        server.terminate()
-        server.wait()
-
-
-def wait(tab, expression):
-    """Waits until an expression holds; the page's policy forbids `wait_for_function`."""
-    end = time.monotonic() + SECONDS
-    while not tab.evaluate(expression):
-        assert time.monotonic() < end, f"not within {SECONDS} s: {expression}"
-        tab.wait_for_timeout(20)
-
-
-@contextmanager
-def opened(browser, address, scheme="light", width=1280, height=800):
-    """The page, with its points drawn; and the list of its errors."""
-    context = browser.new_context(color_scheme=scheme, viewport={"width": width, "height": height})
-    tab = context.new_page()
-    errors = []
-    tab.on("console", lambda message: errors.append(message.text) if message.type in ("error", "warning") else None)
-    tab.on("pageerror", lambda error: errors.append(str(error)))
-    tab.goto(address)
-    wait(tab, "Boolean(window.wavexView && wavexView.isComplete())")
-    wait(tab, "document.getElementById('progress').hidden")
-    wait(tab, "wavexView.isComplete()")
-    # 410: points were ordered anew while they were loaded, and the page asked again. Later it is an error.
-    errors[:] = [error for error in errors if "410" not in error]
-    yield tab, errors
-    context.close()
-
-
 def explained(wavex, recording, shot, *sets):
     """Returns of a shot by `wavex explain`, as rows of texts."""
     options = [part for one in sets for part in ("--set", one)]
@@ -97,30 +44,9 @@ def shown(tab, changes=("same", "new", "moved")):
     return list(zip(*(rows[quantity] for quantity in QUANTITIES)))
 
 
-def select(tab, press):
-    """Does what selects another shot; waits for it."""
-    before = tab.evaluate("wavexView.shot()?.shot ?? null")
-    press()
-    wait(tab, f"wavexView.shot() && wavexView.shot().shot !== {'null' if before is None else before}")
-    return tab.evaluate("wavexView.shot()")
-
-
-def saved(tab, press):
-    """Name and bytes of the download that something starts."""
-    with tab.expect_download() as download:
-        press()
-    return download.value.suggested_filename, Path(download.value.path()).read_bytes()
-
-
 def check_shot(checks, tab, wavex, recording):
     """A clicked point shows the returns of its shot."""
-    colours = tab.evaluate("""() => {
-        const points = document.getElementById("points");
-        const copy = Object.assign(document.createElement("canvas"), { width: points.width, height: points.height });
-        const context = copy.getContext("2d", { willReadFrequently: true });
-        context.drawImage(points, 0, 0);
-        return new Set(new Uint32Array(context.getImageData(0, 0, copy.width, copy.height).data.buffer)).size;
-    }""")
+    colours = pixels(tab)["colours"]
     checks.that("draws points in colours", colours > 50, f"{colours} colours")
     at = tab.evaluate("wavexView.screenOf(1234)")
     shot = select(tab, lambda: tab.mouse.click(*at))
@@ -160,6 +86,10 @@ def check_what_if(checks, tab, wavex, recording, errors):
         "[...document.querySelectorAll('#comparison td:nth-child(2)')].map((cell) => Number(cell.textContent.replace(/\\D/g, '')))"
     )
     checks.that("returns of the line are gone", numbers[1] > len(gone), f"new, gone, moved: {numbers}")
+    legend = tab.evaluate("""[...document.querySelectorAll("#symbols li")].map((item) =>
+        [item.dataset.kind, Number(item.querySelector("span").textContent.replace(/\\D/g, ""))])""")
+    kinds = ["new", "gone", "moved"]
+    checks.equal("legend of the map", [pair for pair in legend if pair[0] in kinds], list(map(list, zip(kinds, numbers))))
     name, job = saved(tab, lambda: tab.get_by_role("button", name="Save job").click())
     checks.that(
         "the job has the key",
@@ -169,6 +99,7 @@ def check_what_if(checks, tab, wavex, recording, errors):
     tab.fill("#key-decompose-split_evidence", "0")
     tab.locator("#difference", has_text="at least 4 and at most 1000000").wait_for()
     checks.equal("another key clears the comparison", tab.locator("#comparison tr").count(), 0)
+    checks.equal("and its legend", tab.locator("#symbols li[data-kind=gone]").count(), 0)
     refused = [errors.pop() for _ in list(errors)]
     checks.that("only the wrong key is refused", refused and all("400" in error for error in refused), str(refused))
     tab.get_by_role("button", name="Reset").click()
@@ -316,6 +247,7 @@ def main(wavex):
                         check(checks, tab, *more)
                 checks.equal("no error", errors, [])
                 check_looks(checks, browser, address)
+                check_tools(checks, browser, wavex, folder)
                 with checks.of("server"):
                     server.terminate()
                     server.wait()

@@ -1,7 +1,7 @@
 //! `wavex view`: recordings, fits and points in a browser.
 //!
 //! The chain of a job runs over its inputs without its sinks; the points are kept in memory
-//! (`points`) and shown while it runs. A shot that the user selects is read and decomposed again
+//! (`points`) and shown while it runs. A file of points without waveforms is read as it is (`point_file`). A shot that the user selects is read and decomposed again
 //! (`lines`, `shots`), also with other keys. The page is a few static files (`page`); the server
 //! (`server`) answers only to it.
 
@@ -12,6 +12,7 @@ use wavex_engine::engine::Cancel;
 mod attributes;
 mod cloud;
 mod compare;
+mod extent;
 mod http;
 mod job_text;
 mod keys;
@@ -19,6 +20,7 @@ mod layers;
 mod lines;
 mod page;
 mod placed;
+mod point_file;
 mod points;
 mod query;
 mod server;

@@ -54,6 +54,7 @@ fn flight() -> &'static View {
         let opened = Opened {
             title: "flight".into(),
             kind: "job",
+            without_waveforms: None,
             job: with(&[]).unwrap(),
             with: Box::new(with),
             input_dir: PathBuf::new(),

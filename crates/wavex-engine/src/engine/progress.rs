@@ -46,7 +46,8 @@ impl ProgressWatch {
         (ppm.load(Ordering::Relaxed) as f64 * 1e-6, shots.load(Ordering::Relaxed))
     }
 
-    fn set(&self, part: Option<f64>, passed: u64) {
+    /// Sets the part, unless it is unknown, and the number of shots.
+    pub fn set(&self, part: Option<f64>, passed: u64) {
         let [ppm, shots] = &*self.0;
         if let Some(part) = part {
             ppm.store((part.clamp(0.0, 1.0) * 1e6) as u64, Ordering::Relaxed);

@@ -217,6 +217,36 @@ pub struct ExtraBytes {
     pub no_data: Option<[u8; 8]>,
 }
 
+impl ExtraBytes {
+    /// Returns the value in the extra bytes of a point.
+    ///
+    /// NaN without data, and for undocumented bytes, pairs and triples.
+    pub fn value(&self, extra: &[u8]) -> f64 {
+        let stored = self.start.checked_add(self.bytes).and_then(|end| extra.get(self.start..end));
+        let Some(stored) = stored.filter(|stored| stored.len() <= 8) else { return f64::NAN };
+        let mut wide = [0; 8];
+        wide.iter_mut().zip(stored).for_each(|(to, from)| *to = *from);
+        let unsigned = u64::from_le_bytes(wide);
+        let unused_bits = 64 - 8 * self.bytes as u32;
+        // Sign-extends the number to eight bytes, as the no-data value has.
+        let signed = unsigned.checked_shl(unused_bits).map_or(0, |shifted| shifted as i64 >> unused_bits);
+        let (number, in_eight_bytes) = match self.data_type {
+            1 | 3 | 5 | 7 => (unsigned as f64, unsigned),
+            2 | 4 | 6 | 8 => (signed as f64, signed as u64),
+            9 => {
+                let number = f64::from(f32::from_bits(unsigned as u32));
+                (number, number.to_bits())
+            }
+            10 => (f64::from_bits(unsigned), unsigned),
+            _ => return f64::NAN,
+        };
+        if self.no_data.map(u64::from_le_bytes) == Some(in_eight_bytes) {
+            return f64::NAN;
+        }
+        number * self.scale.unwrap_or(1.0) + self.offset.unwrap_or(0.0)
+    }
+}
+
 /// Parses the attributes of record `vlr`.
 ///
 /// Stops at the first of unknown length.

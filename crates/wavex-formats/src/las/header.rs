@@ -111,6 +111,11 @@ pub struct LasHeader {
 }
 
 impl LasHeader {
+    /// Returns whether points of this format refer to waveforms: formats 4, 5, 9 and 10.
+    pub fn has_waveforms(&self) -> bool {
+        PointLayout::of(self.point_format).wave.is_some()
+    }
+
     /// Reads the header at the start of `file`, which has `file_length` bytes.
     ///
     /// # Errors

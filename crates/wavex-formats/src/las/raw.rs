@@ -1,6 +1,6 @@
-//! Raw records of any LAS or LAZ file.
+//! Points and raw records of any LAS or LAZ file.
 //!
-//! Their fields have names.
+//! The fields of records have names.
 
 use std::io::BufReader;
 use std::path::Path;
@@ -8,14 +8,15 @@ use std::path::Path;
 use super::description::LasDescription;
 use super::extra_bytes::ExtraBytes;
 use super::header::LasHeader;
-use super::point::PointLayout;
+use super::point::{Point, PointLayout};
 use super::records::RecordReader;
 use super::vlr::Vlr;
-use crate::{Error, Result, regular_file};
+use crate::{Error, RecordedCrs, Result, regular_file};
 
-/// Reader of header, VLRs and raw records of a file.
+/// Reader of header, VLRs, points and raw records of a file.
 pub struct RawPoints {
     description: LasDescription,
+    extra_bytes: Vec<ExtraBytes>,
     fields: Vec<RawField>,
     records: RecordReader,
 }
@@ -56,9 +57,10 @@ impl RawPoints {
         let description = LasDescription::read(&mut input, path, file_length)?;
         let header = &description.header;
         let mut fields = standard(header.point_format);
-        fields.extend(extra(&description.extra_bytes(path)?, PointLayout::of(header.point_format).length));
+        let extra_bytes = description.extra_bytes(path)?;
+        fields.extend(extra(&extra_bytes, PointLayout::of(header.point_format).length));
         let records = RecordReader::open(path, header, &description.vlrs, file_length)?;
-        Ok(RawPoints { description, fields, records })
+        Ok(RawPoints { description, extra_bytes, fields, records })
     }
 
     /// Returns the public header block.
@@ -69,6 +71,16 @@ impl RawPoints {
     /// Returns the VLRs and EVLRs.
     pub fn vlrs(&self) -> &[Vlr] {
         &self.description.vlrs
+    }
+
+    /// Returns the coordinate reference system, and what is wrong with its records.
+    pub fn crs(&self) -> RecordedCrs {
+        self.description.crs()
+    }
+
+    /// Returns the descriptors of the extra bytes.
+    pub fn extra_bytes_descriptors(&self) -> &[ExtraBytes] {
+        &self.extra_bytes
     }
 
     /// Returns the fields of a point record.
@@ -84,6 +96,20 @@ impl RawPoints {
     /// The file cannot be read, or its compressed points are damaged.
     pub fn next_record(&mut self) -> Result<Option<&[u8]>> {
         Ok(if self.records.advance()? { Some(self.records.record()) } else { None })
+    }
+
+    /// Reads the next point and returns its extra bytes; `None` after the last, with `point` unchanged.
+    ///
+    /// # Errors
+    /// As [`RawPoints::next_record`].
+    pub fn next_point(&mut self, point: &mut Point) -> Result<Option<&[u8]>> {
+        if !self.records.advance()? {
+            return Ok(None);
+        }
+        let (header, record) = (&self.description.header, self.records.record());
+        let layout = PointLayout::of(header.point_format);
+        layout.decode(record, &header.scale, &header.offset, point);
+        Ok(Some(record.get(layout.length..).unwrap_or_default()))
     }
 }
 
@@ -201,6 +227,7 @@ fn extra(attributes: &[ExtraBytes], length: usize) -> Vec<RawField> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::las::tests::made::Made;
 
     #[test]
     fn fields_fill_every_format_without_a_gap() {
@@ -231,5 +258,25 @@ mod tests {
         assert_eq!(value(4, F32), "1");
         assert_eq!(value(0, Unsigned(8)), "4575657225703391230");
         assert_eq!(value(6, Signed(4)), "", "the record is too short");
+    }
+
+    #[test]
+    fn points_have_their_fields_and_extra_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("points.las");
+        let mut made = Made::new(4, 9);
+        made.record_length += 2;
+        for (number, record) in (1_u8..).zip(&mut made.records) {
+            record[0] = 100 * number;
+            record.extend([number, 7]);
+        }
+        std::fs::write(&path, made.las()).unwrap();
+        let mut points = RawPoints::open(&path).unwrap();
+        let mut point = Point::default();
+        for number in 1..=2 {
+            assert_eq!(points.next_point(&mut point).unwrap(), Some(&[number, 7][..]));
+            assert_eq!((point.x, point.return_number), (f64::from(number), 1));
+        }
+        assert_eq!(points.next_point(&mut point).unwrap(), None);
     }
 }

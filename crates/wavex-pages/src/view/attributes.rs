@@ -15,7 +15,7 @@ pub(super) struct Attribute {
 }
 
 /// All quantities.
-pub(super) const ATTRIBUTES: [Attribute; 13] = [
+pub(super) const ATTRIBUTES: [Attribute; 14] = [
     number("height_m", "height", "m", |point| point.position_m[2]),
     number("intensity", "intensity", "", |point| point.intensity),
     number("amplitude_dn", "amplitude at unit gain", "DN", |point| point.amplitude_dn),
@@ -27,10 +27,13 @@ pub(super) const ATTRIBUTES: [Attribute; 13] = [
     class("number_of_returns", "number of returns", |point| point.number_of_returns.into()),
     class("mta_zone", "MTA zone", |point| point.mta_zone.into()),
     class("class", "class", |point| point.class.into()),
-    class("input", "input", |point| point.input.into()),
+    class("input", "strip (recording)", |point| point.input.into()),
+    class("withheld", "withheld", |point| point.withheld.into()),
     class("flags", "flags", |point| point.flags.into()),
 ];
 
+/// Classes that are left out where all points have the same value.
+const LEFT_OUT_IF_SAME: [&str; 4] = ["mta_zone", "class", "input", "withheld"];
 /// Most values of a class that are listed.
 const MOST_VALUES: usize = 64;
 /// Number of points from which ranges are estimated.
@@ -67,7 +70,8 @@ impl Attribute {
         if self.name == "height_m" { value + origin_m } else { value }
     }
 
-    /// Description for the page, with its range over the points; `None` if no point has it.
+    /// Description for the page, with the range of 96 % of the points and of all; `None` if no point has
+    /// it, or nothing distinguishes the points.
     ///
     /// Heights are relative to `origin_m`, and in `height_unit`.
     pub(super) fn describe(&self, points: &[ViewPoint], origin_m: f64, height_unit: &str) -> Option<Value> {
@@ -80,8 +84,12 @@ impl Attribute {
             |part: f64| values.get((part * values.len().saturating_sub(1) as f64).round() as usize).copied();
         let (low, high) = (at(0.02)?, at(0.98)?);
         let mut value = json!({ "name": self.name, "label": self.label, "unit": unit });
+        value["extent"] = json!(self.extent(points, origin_m));
         if self.is_class {
             values.dedup();
+            if values.len() == 1 && LEFT_OUT_IF_SAME.contains(&self.name) {
+                return None;
+            }
             values.truncate(MOST_VALUES);
             value["kind"] = "class".into();
             value["values"] = values.into();
@@ -90,6 +98,13 @@ impl Attribute {
             value["range"] = json!([low, high]);
         }
         Some(value)
+    }
+
+    /// Smallest and largest value.
+    fn extent(&self, points: &[ViewPoint], origin_m: f64) -> [f64; 2] {
+        let values = points.iter().map(|point| self.value(point, origin_m)).filter(|value| value.is_finite());
+        values
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
     }
 }
 
@@ -180,6 +195,9 @@ mod tests {
         let describe = |name| Attribute::named(name).unwrap().describe(&points, 100.0, "m");
         assert_eq!(describe("total_sd_m"), None);
         assert_eq!(describe("height_m").unwrap()["range"], json!([102.0, 197.0]));
+        assert_eq!(describe("height_m").unwrap()["extent"], json!([100.0, 199.0]));
         assert_eq!(describe("return_number").unwrap()["values"], json!([1.0, 2.0, 3.0]));
+        // All points have the same.
+        assert!(["class", "input", "withheld", "mta_zone"].into_iter().all(|name| describe(name).is_none()));
     }
 }

@@ -6,6 +6,7 @@ use std::ops::Range;
 use serde_json::{Value, json};
 
 use super::attributes::{ATTRIBUTES, Attribute, Condition};
+use super::extent::{box_of, usual_box};
 use super::points::{ViewPoint, ViewPoints};
 use super::session::{Placing, Session, SessionState};
 use super::shots::{names, number_or_null};
@@ -65,7 +66,7 @@ pub(super) fn info(session: &Session) -> Value {
         "kept_one_of": points.kept_one_of(), "keys": super::keys::keys(&session.opened.job),
         "flags": flags::NAMES.iter().enumerate().map(|(bit, (_, name))| json!({ "bit": bit, "name": name })).collect::<Vec<Value>>(),
         "layers": session.layers.iter().map(super::layers::RasterLayer::describe).collect::<Vec<Value>>(),
-        "attributes": [],
+        "attributes": [], "without_waveforms": session.opened.without_waveforms,
     });
     if let Some(placing) = session.placing() {
         let [unit, height_unit] = placing.units;
@@ -86,16 +87,13 @@ pub(super) fn info(session: &Session) -> Value {
 /// Bounds and attributes of the points in the tree.
 fn describe(points: &ViewPoints, placing: &Placing) -> Value {
     let origin_m = placing.origin_m;
-    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-    for point in points.in_tree() {
-        for i in 0..3 {
-            low[i] = low[i].min(f64::from(point.position_m[i]) + origin_m[i]);
-            high[i] = high[i].max(f64::from(point.position_m[i]) + origin_m[i]);
-        }
-    }
+    let absolute = |corner_m: [f64; 3]| [0, 1, 2].map(|i| corner_m[i] + origin_m[i]);
+    let [low, high] = box_of(points.in_tree()).map(absolute);
+    let [usual_low, usual_high] = usual_box(points.in_tree()).map(absolute);
     let attributes =
         ATTRIBUTES.iter().filter_map(|of| of.describe(points.in_tree(), origin_m[2], placing.units[1]));
-    json!({ "min": low, "max": high, "attributes": attributes.collect::<Vec<Value>>() })
+    json!({ "min": low, "max": high, "usual_min": usual_low, "usual_max": usual_high,
+            "attributes": attributes.collect::<Vec<Value>>() })
 }
 
 /// Points in the tree; an error if their generation is no longer this one.

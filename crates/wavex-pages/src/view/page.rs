@@ -20,10 +20,12 @@ macro_rules! files {
 }
 
 /// All files.
-const FILES: [(&str, &[u8]); 27] = files![
+const FILES: [(&str, &[u8]); 37] = files![
     "api.js",
     "axes.js",
     "camera.js",
+    "clip.js",
+    "clip_region.js",
     "cloud.js",
     "colours.js",
     "dock.js",
@@ -31,6 +33,7 @@ const FILES: [(&str, &[u8]); 27] = files![
     "draw_webgl.js",
     "elements.js",
     "find.js",
+    "find_columns.js",
     "format.js",
     "index.html",
     "interaction.js",
@@ -38,14 +41,21 @@ const FILES: [(&str, &[u8]); 27] = files![
     "layers.js",
     "legend.js",
     "main.js",
+    "map_legend.js",
     "marks.js",
+    "measure.js",
     "overlay.js",
     "picture.js",
+    "point.js",
     "profile.js",
+    "shade_software.js",
+    "shade_webgl.js",
     "shot.js",
     "stage.js",
     "state.js",
     "style.css",
+    "symbols.js",
+    "tools.js",
     "waterfall.js",
     "what_if.js",
 ];

@@ -34,6 +34,8 @@ pub(super) struct ViewPoint {
     pub(super) return_number: u8,
     pub(super) number_of_returns: u8,
     pub(super) class: u8,
+    /// Whether it is marked as an outlier.
+    pub(super) withheld: bool,
 }
 
 impl ViewPoint {
@@ -54,6 +56,7 @@ impl ViewPoint {
             return_number: found.return_number,
             number_of_returns: found.number_of_returns,
             class: found.class,
+            withheld: found.withheld,
         }
     }
 }

@@ -18,10 +18,14 @@ use wavex_stages::process::decompose::Decompose;
 
 use super::layers::RasterLayer;
 use super::lines::{InputLines, Learnt};
+use super::point_file::{FilePoint, PointFile};
 use super::points::{ViewPoint, ViewPoints};
 
 /// Origins are multiples of this, m, so that positions can be read.
 const ORIGIN_STEP_M: f64 = 100.0;
+
+/// Points of a file that are added together.
+const POINTS_AT_ONCE: usize = 10_000;
 
 /// Parses a job with overrides; returns the error as text.
 pub type ParseWith = dyn Fn(&[String]) -> Result<Job, String> + Send + Sync;
@@ -30,8 +34,12 @@ pub type ParseWith = dyn Fn(&[String]) -> Result<Job, String> + Send + Sync;
 pub struct Opened {
     /// Title of the page.
     pub title: String,
-    /// `recording`, `job` or `folder`.
+    /// `recording`, `points`, `job` or `folder`.
     pub kind: &'static str,
+    /// Of a file of points without waveforms: why there are none, and what to open instead.
+    ///
+    /// The job then consists of a reader of the file.
+    pub without_waveforms: Option<String>,
     /// The job; files that it would write are not written.
     pub job: Job,
     /// Parses the job again, with overrides such as `decompose.detection_sigma=6`.
@@ -193,7 +201,11 @@ impl Session {
     ///
     /// `prepare` is called with the first input and shot, once points are there.
     pub(super) fn read(self: &Arc<Session>, prepare: impl FnOnce(&Session, usize, u64)) {
-        if let Err(problem) = self.read_all() {
+        let is_read = match self.opened.without_waveforms {
+            None => self.read_all(),
+            Some(_) => self.read_points(),
+        };
+        if let Err(problem) = is_read {
             lock(&self.state).0 = SessionState::Failed(problem);
             return;
         }
@@ -202,6 +214,10 @@ impl Session {
             0 => SessionState::Failed(self.without_points()),
             _ => SessionState::Ready,
         };
+        if self.opened.without_waveforms.is_some() {
+            lock(&self.state).0 = state;
+            return;
+        }
         // The index of the first inputs is ready when the first point is selected.
         for number in 0..self.inputs.len().min(KEPT_INPUTS) {
             if let Err(problem) = self.with_lines(number, |_| Ok(())) {
@@ -218,6 +234,9 @@ impl Session {
 
     /// Why there are no points.
     fn without_points(&self) -> String {
+        if self.opened.without_waveforms.is_some() {
+            return "the file has no points".into();
+        }
         let gives_points = |stage: &JobStage| stage.spec.gives(Some(Kind::Returns)) == Some(Kind::Points);
         match self.opened.job.stages.iter().any(gives_points) {
             true => "the recording has no returns; lower the detection threshold".into(),
@@ -253,7 +272,38 @@ impl Session {
         Ok(())
     }
 
-    /// Adds the points of a line, and builds a new tree if there are many more.
+    /// Reads files of points without waveforms.
+    fn read_points(&self) -> Result<(), String> {
+        for viewed in &self.inputs {
+            let mut file = PointFile::open(&viewed.input.path).map_err(|error| error.to_string())?;
+            let (input, count) = (file.input(), file.count().max(1));
+            input.crs_problems.iter().for_each(|problem| self.warn(problem.clone()));
+            let (mut number, mut is_whole) = (0, false);
+            while !is_whole {
+                let mut together = Vec::with_capacity(POINTS_AT_ONCE);
+                while together.len() < POINTS_AT_ONCE && !is_whole {
+                    match file.next().map_err(|error| error.to_string())? {
+                        Some(FilePoint { found, position, strip }) => {
+                            let relative_m = self.placing_at(&input, position).relative(position);
+                            together.push(ViewPoint::of(&found, number, strip, relative_m));
+                            number += 1;
+                        }
+                        None => is_whole = true,
+                    }
+                }
+                self.add_points(together);
+                self.watch.set(Some(number as f64 / count as f64), number);
+                if self.cancel.is_cancelled() {
+                    return Err("interrupted".into());
+                }
+            }
+            viewed.shots.fetch_add(number, Ordering::Relaxed);
+            self.read.fetch_add(1, Ordering::Relaxed);
+        }
+        Ok(())
+    }
+
+    /// Adds the points of a line.
     fn add(&self, number: usize, line: &ScanLine) {
         let viewed = &self.inputs[number];
         viewed.shots.fetch_add(line.emissions.len() as u64, Ordering::Relaxed);
@@ -262,18 +312,28 @@ impl Session {
         let Some(first) = positions.iter().find(|point| point.iter().all(|value| value.is_finite())) else {
             return;
         };
-        let placing = self.placing().unwrap_or_else(|| {
-            let placing = Placing::new(&line.input, *first);
+        let placing = self.placing_at(&line.input, *first);
+        self.add_points(returns.iter().zip(positions).filter_map(|(found, position)| {
+            let shot = line.emissions.get(found.emission as usize)?.shot;
+            Some(ViewPoint::of(found, shot, number as u16, placing.relative(*position)))
+        }));
+    }
+
+    /// How points are placed; by this input and point if they are the first.
+    fn placing_at(&self, input: &InputInfo, point: [f64; 3]) -> Placing {
+        self.placing().unwrap_or_else(|| {
+            let placing = Placing::new(input, point);
             *self.placing.write().unwrap_or_else(PoisonError::into_inner) = Some(placing.clone());
             placing
-        });
+        })
+    }
+
+    /// Adds points with a place, and builds a new tree if there are many more.
+    fn add_points(&self, new: impl IntoIterator<Item = ViewPoint>) {
         let mut points = self.points.write().unwrap_or_else(PoisonError::into_inner);
-        for (found, position) in returns.iter().zip(positions) {
-            let relative_m = placing.relative(*position);
-            if let Some(emission) = line.emissions.get(found.emission as usize)
-                && relative_m.iter().all(|value| value.is_finite())
-            {
-                points.add(ViewPoint::of(found, emission.shot, number as u16, relative_m));
+        for point in new {
+            if point.position_m.iter().all(|value| value.is_finite()) {
+                points.add(point);
             }
         }
         if points.has_outgrown_its_tree() {

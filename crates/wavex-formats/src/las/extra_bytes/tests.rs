@@ -193,3 +193,36 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn stored_values_are_scaled_and_no_data_is_nan() {
+    let attribute = |data_type: u8, bytes, no_data: Option<[u8; 8]>| ExtraBytes {
+        name: String::new(),
+        description: String::new(),
+        data_type,
+        start: 1,
+        bytes,
+        scale: Some(0.5),
+        offset: Some(10.0),
+        no_data,
+    };
+    let extra = [9, 0xfe, 0xff, 0xff, 0xff, 0, 0, 0x80, 0x3f];
+    let value = |data_type, bytes| attribute(data_type, bytes, None).value(&extra);
+    assert_eq!(value(1, 1), 137.0);
+    assert_eq!([value(2, 1), value(4, 2), value(6, 4)], [9.0; 3]);
+    assert_eq!(value(3, 2), 0.5 * 65_534.0 + 10.0);
+    assert_eq!(attribute(9, 4, None).value(&[0, 0, 0, 0x80, 0x3f]), 10.5);
+    assert_eq!(attribute(10, 8, None).value(&[&[0][..], &2.0_f64.to_le_bytes()].concat()), 11.0);
+    // Undocumented, too wide for a number, and beyond the end of the point.
+    assert!(
+        [value(0, 4), value(11, 2), value(21, 24), value(9, 12), value(10, 9)]
+            .iter()
+            .all(|value| value.is_nan())
+    );
+    assert!(ExtraBytes { start: usize::MAX, ..attribute(1, 1, None) }.value(&extra).is_nan());
+    assert!(attribute(4, 2, Some((-2_i64).to_le_bytes())).value(&extra).is_nan());
+    assert!(attribute(3, 2, Some(65_534_u64.to_le_bytes())).value(&extra).is_nan());
+    let nan = attribute(9, 4, Some(0_f64.to_bits().to_le_bytes()));
+    assert!(nan.value(&[0; 5]).is_nan());
+    assert_eq!(attribute(3, 2, Some([0; 8])).value(&extra), 0.5 * 65_534.0 + 10.0);
+}

@@ -4,6 +4,7 @@
 // square. Nodes are loaded in the order in which they are drawn: the largest on the screen first.
 
 import { getBytes } from "./api.js";
+import { hideOutside, touches } from "./clip_region.js";
 import { coloursOf, colouring, plainColours } from "./colours.js";
 import { state } from "./state.js";
 
@@ -71,6 +72,7 @@ export class Cloud {
   choose(camera, limit) {
     const seen = [];
     const visit = (node, most, covered) => {
+      if (state.clip && !touches(state.clip, node.low, node.side)) return;
       const [half, height] = [node.side / 2, (node.z[1] - node.z[0]) / 2];
       const centre = [node.low[0] + half, node.low[1] + half, node.z[0] + height];
       // From above, the square itself is tested: `look` uses its half side as a box.
@@ -207,6 +209,7 @@ export function nodeColours(node) {
   if (node.coloursVersion !== colouring.version || node.colours === null) {
     const values = node.values.get(state.attribute);
     node.colours = values ? coloursOf(values, node.colours || undefined) : plainColours(node.count);
+    if (state.clip) hideOutside(state.clip, node.xyz, node.colours);
     node.coloursVersion = colouring.version;
     node.coloured += 1;
   }

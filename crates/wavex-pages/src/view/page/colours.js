@@ -92,7 +92,10 @@ function attributeKey() {
 }
 
 function classLabel(name, value) {
-  if (name === "input") return state.info.inputs[value]?.name ?? `input ${value}`;
+  // The points of a file have the numbers of their strips.
+  if (name === "input")
+    return (!state.info.without_waveforms && state.info.inputs[value]?.name) || `strip ${value}`;
+  if (name === "withheld") return value ? "withheld" : "not withheld";
   if (name === "class") return LAS_CLASSES[value] ? `${value} ${LAS_CLASSES[value]}` : `${value}`;
   return `${value}`;
 }

@@ -3,6 +3,8 @@
 // Software implementations of WebGL need about 0.5 µs per point, this loop less than 0.1 µs.
 
 import { nodeColours } from "./cloud.js";
+import { shade } from "./shade_software.js";
+import { state } from "./state.js";
 
 export class SoftwarePainter {
   constructor(canvas) {
@@ -16,6 +18,8 @@ export class SoftwarePainter {
     Object.assign(this.canvas, { width, height });
     this.image = this.context.createImageData(width, height);
     this.pixels = new Uint32Array(this.image.data.buffer);
+    this.shadedImage = this.context.createImageData(width, height);
+    this.shadedPixels = new Uint32Array(this.shadedImage.data.buffer);
     // Inverse depth in perspective, height above the target from above.
     this.depth = new Float32Array(width * height);
   }
@@ -143,8 +147,13 @@ export class SoftwarePainter {
     }
   }
 
-  /** Shows what is drawn. */
+  /** Shows what is drawn; in perspective shaded. */
   present() {
-    this.context.putImageData(this.image, 0, 0);
+    const isShaded = state.isShaded && this.camera.isOrbit;
+    if (isShaded) {
+      const { width, height } = this.canvas;
+      shade(this.pixels, this.depth, this.shadedPixels, width, height, this.size);
+    }
+    this.context.putImageData(isShaded ? this.shadedImage : this.image, 0, 0);
   }
 }

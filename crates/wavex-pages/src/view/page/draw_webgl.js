@@ -1,6 +1,8 @@
 // Draws points by WebGL 2.
 
 import { nodeColours } from "./cloud.js";
+import { linked, ShadedTarget } from "./shade_webgl.js";
+import { state } from "./state.js";
 
 const VERTEX = `#version 300 es
 layout(location = 0) in vec3 position;
@@ -21,15 +23,21 @@ in vec3 shade;
 out vec4 pixel;
 void main() { pixel = vec4(shade, 1.0); }`;
 
+/** Depths in perspective that are drawn, in units of the distance to the target: nearest and farthest. */
+const DEPTHS = [0.02, 50];
+/** End of the page's address that accepts an emulated graphics processor. */
+const ACCEPTS_EMULATED = "#webgl";
+
 /** Context of a canvas on a graphics processor; null if there is none or it is emulated. */
 function hardwareContext(canvas) {
+  const acceptsEmulated = location.hash === ACCEPTS_EMULATED;
   const context = canvas.getContext("webgl2", {
     antialias: false,
     alpha: false,
     preserveDrawingBuffer: true,
-    failIfMajorPerformanceCaveat: true,
+    failIfMajorPerformanceCaveat: !acceptsEmulated,
   });
-  if (!context) return null;
+  if (!context || acceptsEmulated) return context;
   const info = context.getExtension("WEBGL_debug_renderer_info");
   const name = info ? context.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
   return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name) ? null : context;
@@ -46,32 +54,25 @@ export class WebglPainter {
     this.canvas = canvas;
     this.gl = gl;
     this.ratio = Math.min(2, devicePixelRatio);
-    const program = gl.createProgram();
-    for (const [kind, text] of [
-      [gl.VERTEX_SHADER, VERTEX],
-      [gl.FRAGMENT_SHADER, FRAGMENT],
-    ]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, text);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-    }
-    gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
-    gl.useProgram(program);
-    gl.enable(gl.DEPTH_TEST);
+    this.program = linked(gl, VERTEX, FRAGMENT);
     this.places = Object.fromEntries(
-      ["target", "projection", "size"].map((name) => [name, gl.getUniformLocation(program, name)]),
+      ["target", "projection", "size"].map((name) => [name, gl.getUniformLocation(this.program, name)]),
     );
+    this.target = new ShadedTarget(gl);
   }
 
   resize(width, height) {
     Object.assign(this.canvas, { width, height });
     this.gl.viewport(0, 0, width, height);
+    this.target.resize(width, height);
   }
 
   begin(camera, background, size) {
     const { gl } = this;
+    this.isOrbit = camera.isOrbit;
+    this.size = Math.max(1, size * this.ratio);
+    this.target.begin();
+    gl.useProgram(this.program);
     gl.clearColor(
       (background & 255) / 255,
       ((background >> 8) & 255) / 255,
@@ -80,7 +81,7 @@ export class WebglPainter {
     );
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.uniform3fv(this.places.target, camera.target);
-    gl.uniform1f(this.places.size, Math.max(1, size * this.ratio));
+    gl.uniform1f(this.places.size, this.size);
     gl.uniformMatrix4fv(this.places.projection, false, clipMatrix(camera));
   }
 
@@ -88,6 +89,8 @@ export class WebglPainter {
     const { gl } = this;
     node.buffers ??= this.upload(node);
     const colours = nodeColours(node);
+    this.target.begin();
+    gl.useProgram(this.program);
     gl.bindVertexArray(node.buffers.array);
     if (node.buffers.coloured !== node.coloured) {
       gl.bindBuffer(gl.ARRAY_BUFFER, node.buffers.colours);
@@ -119,9 +122,19 @@ export class WebglPainter {
     return { array, colours, coloured: -1 };
   }
 
+  /** Shows what is drawn; in perspective shaded. */
   present() {
-    this.gl.flush();
+    this.target.present(
+      state.isShaded && this.isOrbit ? depthCoefficients() : null,
+      Math.max(1, Math.round(this.size)),
+    );
   }
+}
+
+/** Coefficients a and b of depths a + b / w in clip coordinates. */
+function depthCoefficients() {
+  const [near, far] = DEPTHS;
+  return [(far + near) / (far - near), (-2 * far * near) / (far - near)];
 }
 
 /** Matrix from `p - target` to clip coordinates, column by column. */
@@ -133,10 +146,8 @@ function clipMatrix(camera) {
   let z;
   let w;
   if (camera.isOrbit) {
-    // Depth in units of the distance to the target, from 0.02 to 50.
-    const [near, far] = [0.02, 50];
     const depth = [...forward.map((c) => c / camera.distance), 1];
-    const [a, b] = [(far + near) / (far - near), (-2 * far * near) / (far - near)];
+    const [a, b] = depthCoefficients();
     w = depth;
     z = depth.map((c, i) => a * c + (i === 3 ? b : 0));
   } else {

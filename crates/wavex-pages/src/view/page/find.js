@@ -3,11 +3,16 @@
 import { getJson } from "./api.js";
 import { byId, fill, make, problem } from "./elements.js";
 import { count, significant } from "./format.js";
-import { emit, on, select, state } from "./state.js";
+import { emit, on, relative, select, state } from "./state.js";
+import { columnsTable } from "./find_columns.js";
 import { isMarked } from "./marks.js";
+import { isWithoutWaveforms } from "./point.js";
+import { stage } from "./stage.js";
 
 /** Largest number of shots in the list. */
 const LIMIT = 500;
+/** The worst fits end at this deviation ratio, and after this many shots. */
+const WORST = { ratio: 3, limit: 50 };
 const page = byId("page-find");
 const sort = make("select", { id: "find-sort", "aria-label": "Sort by" });
 const order = make(
@@ -25,12 +30,13 @@ const where = make("input", {
   autocomplete: "off",
 });
 const presets = make("div", { class: "bar wrap", role: "group", "aria-label": "Presets" });
+const columns = make("div");
 const results = make("div", { id: "found" });
 let request = null;
 
-/** Presets: label, attribute, order, words of a flag. */
+/** Presets: label, attribute, order, words of a flag, conditions, limit, and what it says without results. */
 const PRESETS = [
-  ["Worst fits", "deviation_ratio", true],
+  ["Worst fits", "deviation_ratio", true, null, `deviation_ratio >= ${WORST.ratio}`, WORST.limit, noBadFit],
   ["Overlapping", "deviation_ratio", true, /overlap/],
   ["Saturated", "amplitude_dn", true, /saturat/],
   ["Weakest", "amplitude_dn", false],
@@ -38,9 +44,15 @@ const PRESETS = [
   ["Largest uncertainty", "total_sd_m", true],
 ];
 
+/** Why there are no worst fits. */
+function noBadFit() {
+  const [, largest] = state.info.attributes.find(({ name }) => name === "deviation_ratio").extent;
+  return `No fit has a deviation ratio of ${WORST.ratio} or more; the largest is ${significant(largest, 3)}.`;
+}
+
 function buildPresets() {
   const names = state.info.attributes.map(({ name }) => name);
-  const buttons = PRESETS.map(([label, attribute, descending, words]) => {
+  const buttons = PRESETS.map(([label, attribute, descending, words, conditions, limit, whyNone]) => {
     const by = [attribute, "range_sd_m", "amplitude_dn", names[0]].find((name) => names.includes(name));
     const found = words && state.info.flags.find(({ name }) => words.test(name));
     if ((words && !found) || (!words && by !== attribute && attribute !== "total_sd_m")) return null;
@@ -51,8 +63,8 @@ function buildPresets() {
           sort.value = by;
           order.value = String(descending);
           flag.value = found ? found.name : "";
-          where.value = "";
-          search();
+          where.value = conditions ?? "";
+          search(limit, whyNone);
         },
       },
       label,
@@ -81,6 +93,7 @@ function build() {
   if (numbers.some(({ name }) => name === "deviation_ratio")) sort.value = "deviation_ratio";
   if (before[0]) [sort.value, flag.value] = before;
   buildPresets();
+  fill(columns, columnsTable(useColumn));
   if (page.childElementCount) return;
   fill(
     page,
@@ -105,12 +118,20 @@ function build() {
         make("button", { class: "primary" }, "Find"),
       ),
     ),
+    columns,
     results,
   );
 }
 
-/** Searches and selects the first shot found. */
-async function search() {
+/** Adds a column to the conditions. */
+function useColumn(name) {
+  const before = where.value.trim();
+  where.value = `${before}${before && !before.endsWith(",") ? ", " : before ? " " : ""}${name} `;
+  where.focus();
+}
+
+/** Searches and selects the first shot found; `whyNone` gives the text without results. */
+async function search(limit = LIMIT, whyNone = () => "No shot fulfils the conditions.") {
   request?.abort();
   request = new AbortController();
   fill(results, make("p", { class: "faint", role: "status" }, "Searching …"));
@@ -128,13 +149,14 @@ async function search() {
         descending: order.value,
         where: conditions,
         flag: flag.value,
-        limit: LIMIT,
+        limit,
       },
       request.signal,
     );
     state.found = answer.found;
     state.foundAt = -1;
-    show(answer.total, sort.value);
+    if (answer.found.length) show(answer.total, sort.value, limit);
+    else fill(results, make("p", { role: "status", id: "found-none" }, whyNone()));
     emit("found");
     if (answer.found.length > 0) go(0);
   } catch (error) {
@@ -146,11 +168,7 @@ async function search() {
   }
 }
 
-function show(total, by) {
-  if (state.found.length === 0) {
-    fill(results, make("p", { role: "status" }, "No shot fulfils the conditions."));
-    return;
-  }
+function show(total, by, limit) {
   const attribute = state.info.attributes.find(({ name }) => name === by);
   const several = state.info.inputs.length > 1;
   const row = (each, i) =>
@@ -180,7 +198,7 @@ function show(total, by) {
       make(
         "p",
         { role: "status", id: "found-count" },
-        `${count(total)} ${total === 1 ? "return" : "returns"}; ${state.found.length >= LIMIT ? "first " : ""}${count(state.found.length)} ${state.found.length === 1 ? "shot" : "shots"} listed`,
+        `${count(total)} ${total === 1 ? "return" : "returns"}; ${state.found.length >= limit ? "first " : ""}${count(state.found.length)} ${state.found.length === 1 ? "shot" : "shots"} listed`,
       ),
       make(
         "button",
@@ -224,7 +242,12 @@ function go(at) {
   for (const row of results.querySelectorAll("tr[data-at]"))
     row.classList.toggle("current", Number(row.dataset.at) === at);
   results.querySelector("tr.current")?.scrollIntoView({ block: "nearest" });
-  const { input, shot, return_number: number } = state.found[at];
+  const { input, shot, return_number: number, index, position } = state.found[at];
+  if (isWithoutWaveforms()) {
+    stage.centre(relative(position));
+    emit("found-point", index);
+    return;
+  }
   select(input, shot, number, { move: true });
 }
 

@@ -1,9 +1,10 @@
-// Pointer and keys on the stage: pan, zoom, turn, draw the line of a profile, click a point.
+// Pointer and keys on the stage: pan, zoom, turn, click a point; what the active tool takes instead.
 
 import { byId } from "./elements.js";
 import { fixed } from "./format.js";
 import { absolute, emit, mapUnit, on, state } from "./state.js";
 import { stage } from "./stage.js";
+import { currentTool, setTool } from "./tools.js";
 
 /** Largest movement of a click, px. */
 const CLICK_PX = 5;
@@ -11,8 +12,6 @@ const TURN_PER_PX = 0.006;
 const element = byId("stage");
 const pointers = new Map();
 let gesture = null;
-/** Whether the next drag draws the line of a profile. */
-let isDrawing = false;
 
 /** Position of an event on the stage, CSS px. */
 function place(event) {
@@ -22,35 +21,10 @@ function place(event) {
 
 /** Switches between map and perspective. */
 export function setView(isOrbit) {
-  stage.camera.isOrbit = isOrbit;
   byId("view-map").setAttribute("aria-pressed", String(!isOrbit));
   byId("view-orbit").setAttribute("aria-pressed", String(isOrbit));
-  if (isOrbit) setDrawing(false);
-  stage.moved();
-}
-
-/** Drops the line that is being drawn. */
-function dropDraft() {
-  if (gesture?.kind === "line") gesture = null;
-  if (!state.draft) return;
-  state.draft = null;
-  emit("profile");
-}
-
-/** Starts or ends drawing the line of a profile. */
-export function setDrawing(wanted) {
-  isDrawing = wanted;
-  if (!wanted) dropDraft();
-  if (wanted && stage.camera.isOrbit) setView(false);
-  byId("draw-profile").setAttribute("aria-pressed", String(wanted));
-  element.classList.toggle("drawing", wanted);
-  byId("hint").hidden = !wanted;
-  byId("hint").textContent = "Drag a line from A to B to see the points along it.";
-}
-
-/** Whether the next drag draws a line. */
-export function drawing() {
-  return isDrawing;
+  if (isOrbit && currentTool()?.needsMap) setTool(null);
+  stage.setOrbit(isOrbit);
 }
 
 function start(event) {
@@ -60,14 +34,14 @@ function start(event) {
   pointers.set(event.pointerId, place(event));
   const at = place(event);
   if (pointers.size === 1) {
-    const kind = isDrawing
-      ? "line"
+    const kind = currentTool()?.drag
+      ? "tool"
       : stage.camera.isOrbit && event.button === 0 && !event.shiftKey
         ? "turn"
         : "pan";
     gesture = { kind, begin: at, last: at, hasMoved: false };
   } else {
-    dropDraft();
+    if (gesture?.kind === "tool") currentTool()?.cancel();
     gesture = { kind: "pinch", hasMoved: true, ...spread() };
   }
 }
@@ -84,7 +58,11 @@ function spread() {
 
 function move(event) {
   const at = place(event);
-  if (!pointers.has(event.pointerId) || !gesture) return readout(at);
+  state.isByKeyboard = false;
+  if (!pointers.has(event.pointerId) || !gesture) {
+    currentTool()?.move?.(at);
+    return readout(at);
+  }
   pointers.set(event.pointerId, at);
   if (gesture.kind === "pinch") {
     if (pointers.size < 2) return;
@@ -99,11 +77,7 @@ function move(event) {
   gesture.hasMoved = true;
   const [dx, dy] = [at[0] - gesture.last[0], at[1] - gesture.last[1]];
   gesture.last = at;
-  if (gesture.kind === "line") {
-    const [from, to] = [stage.camera.unproject(...gesture.begin), stage.camera.unproject(...at)];
-    emit("profile-line", { from, to, isDone: false });
-    return;
-  }
+  if (gesture.kind === "tool") return currentTool()?.drag(gesture.begin, at, false);
   if (gesture.kind !== "turn") return stage.pan(dx, dy);
   stage.camera.turn(dx * TURN_PER_PX, dy * TURN_PER_PX);
   stage.moved();
@@ -118,18 +92,18 @@ function end(event) {
     return;
   }
   gesture = null;
-  if (event.type === "pointercancel") return dropDraft();
-  if (ended.kind === "line" && ended.hasMoved) {
-    setDrawing(false);
-    emit("profile-line", {
-      from: stage.camera.unproject(...ended.begin),
-      to: stage.camera.unproject(...ended.last),
-      isDone: true,
-    });
-  } else if (!ended.hasMoved) {
-    const index = stage.pick(...place(event));
-    if (index !== null) emit("click-point", index);
-  }
+  const tool = currentTool();
+  if (event.type === "pointercancel") tool?.cancel();
+  else if (ended.kind === "tool" && ended.hasMoved) tool?.drag(ended.begin, ended.last, true);
+  else if (!ended.hasMoved) click(place(event));
+}
+
+/** A click at a position: of the active tool, or on a point. */
+function click(at) {
+  const tool = currentTool();
+  if (tool) return tool.click(at);
+  const index = stage.pick(...at);
+  if (index !== null) emit("click-point", index);
 }
 
 /** Coordinates under the pointer; from above only, where they are unambiguous. */
@@ -155,10 +129,20 @@ function wheel(event) {
 /** Keys of the stage; whether the key is one of them. */
 export function stageKey(event) {
   const { camera } = stage;
+  const isOnStage = document.activeElement === element;
+  if (isOnStage && /^(Arrow| )/.test(event.key)) state.isByKeyboard = true;
+  if (event.key === " " && isOnStage) {
+    click([camera.width / 2, camera.height / 2]);
+    return true;
+  }
+  if (event.key === "Enter" && isOnStage && currentTool()?.finish) {
+    currentTool().finish();
+    return true;
+  }
   const step = 60;
   const turns = camera.isOrbit && !event.shiftKey;
   const arrows = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
-  if (arrows[event.key] && document.activeElement === element) {
+  if (arrows[event.key] && isOnStage) {
     const [dx, dy] = arrows[event.key];
     if (turns) camera.turn(dx * 0.1, -dy * 0.1);
     else {
@@ -167,8 +151,10 @@ export function stageKey(event) {
     }
   } else if (event.key === "+" || event.key === "=") camera.zoom(1.4);
   else if (event.key === "-") camera.zoom(1 / 1.4);
-  else if (event.key === "0") stage.fit();
-  else return false;
+  else if (event.key === "0") {
+    stage.fit();
+    return true;
+  } else return false;
   stage.moved();
   return true;
 }
@@ -181,6 +167,7 @@ element.addEventListener("wheel", wheel, { passive: false });
 element.addEventListener("contextmenu", (event) => event.preventDefault());
 element.addEventListener("dblclick", (event) => {
   if (event.target.closest("#tools, #legend")) return;
+  if (currentTool()) return currentTool().finish?.();
   stage.camera.zoom(2, ...place(event));
   stage.moved();
 });
@@ -195,7 +182,9 @@ byId("zoom-out").addEventListener("click", () => {
 byId("fit").addEventListener("click", () => stage.fit());
 byId("view-map").addEventListener("click", () => setView(false));
 byId("view-orbit").addEventListener("click", () => setView(true));
-byId("draw-profile").addEventListener("click", () => setDrawing(!isDrawing));
+on("tool", (tool) => {
+  if (tool?.needsMap) setView(false);
+});
 on("camera", () => {
   byId("readout").textContent = "";
 });

@@ -2,13 +2,17 @@
 
 import { byId, fill, make } from "./elements.js";
 import { emit, state } from "./state.js";
-import { drawing, setDrawing, setView, stageKey } from "./interaction.js";
+import { clipTool } from "./clip.js";
+import { setView, stageKey } from "./interaction.js";
 import { closeDock } from "./dock.js";
-import { nextAttribute } from "./legend.js";
+import { nextAttribute, toggleShading } from "./legend.js";
+import { measureTool } from "./measure.js";
+import { profileTool } from "./profile.js";
 import { enlarge, step, toggleJobKeys } from "./shot.js";
 import { focusFind, stepFound } from "./find.js";
 import { toggleMark } from "./marks.js";
 import { toggleLine } from "./waterfall.js";
+import { currentTool, setTool, toggleTool } from "./tools.js";
 import { stage } from "./stage.js";
 import { relative } from "./state.js";
 
@@ -17,7 +21,10 @@ const KEYS = [
   ["1", "Map from above", () => setView(false)],
   ["2", "Perspective view", () => setView(true)],
   ["c", "Colour by the next attribute", nextAttribute],
-  ["l", "Draw the line of a profile", () => setDrawing(!drawing())],
+  ["v", "Shade shapes in perspective, or not", toggleShading],
+  ["l", "Profile along a line of two clicks", () => toggleTool(profileTool)],
+  ["d", "Distance and height difference of two clicks", () => toggleTool(measureTool)],
+  ["x", "Clip to a box or polygon; again: show all points", () => toggleTool(clipTool)],
   ["t", "Waveforms of the scan line", toggleLine],
   ["[", "Previous shot", () => step(-1)],
   ["]", "Next shot", () => step(1)],
@@ -37,9 +44,11 @@ const OTHERS = [
   ["Drag", "Move the map; turn the perspective view (Shift or right button: move)"],
   ["Wheel, + −", "Zoom; two fingers also move"],
   ["Arrows", "Move the map; turn the perspective view"],
-  ["0", "Show all points"],
+  ["0", "Show all points but outliers"],
   ["Click", "Select the shot of a point, in map, perspective, profile or scan line"],
-  ["Esc", "Close the dialog or the dock; end drawing"],
+  ["Space", "Click in the middle of the map, for the active tool too"],
+  ["Enter", "Close the polygon of a clip"],
+  ["Esc", "Close the dialog or the dock; end the tool"],
 ];
 
 function goToShot() {
@@ -60,7 +69,7 @@ function pressed(event) {
   if (event.key === "Escape") {
     for (const open of document.querySelectorAll("details.popover[open]")) open.open = false;
     if (isText) event.target.blur();
-    else if (drawing()) setDrawing(false);
+    else if (currentTool()) setTool(null);
     else closeDock();
     return;
   }

@@ -43,6 +43,13 @@ function setAttribute(value) {
   emit("attribute");
 }
 
+/** Shades shapes in perspective, or not. */
+export function toggleShading() {
+  state.isShaded = !state.isShaded;
+  byId("shading").checked = state.isShaded;
+  stage.redraw();
+}
+
 /** Colours the points by the next attribute of the list. */
 export function nextAttribute() {
   const list = byId("attribute");
@@ -152,6 +159,7 @@ byId("point-size").addEventListener("input", (event) => {
   stage.redraw();
   emit("colours");
 });
+byId("shading").addEventListener("change", toggleShading);
 byId("point-limit").addEventListener("change", (event) => {
   state.pointLimit = Number(event.target.value);
   stage.redraw();

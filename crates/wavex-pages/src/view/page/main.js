@@ -8,11 +8,14 @@ import { stage } from "./stage.js";
 import { draw as drawOverlay, redrawOverlay } from "./overlay.js";
 import "./layers.js";
 import "./legend.js";
+import "./clip.js";
 import "./interaction.js";
 import "./shot.js";
 import "./what_if.js";
 import "./find.js";
 import "./marks.js";
+import "./map_legend.js";
+import { measured } from "./measure.js";
 import "./profile.js";
 import "./waterfall.js";
 import "./keyboard.js";
@@ -65,26 +68,15 @@ async function open(generation) {
     if (error.status !== 410) announce(error.message, true);
     return false;
   }
-  const bounds = JSON.stringify([state.info.min, state.info.max]);
-  if (isFirst || (!hasMoved && bounds !== shownBounds)) stage.fit();
+  const bounds = JSON.stringify([state.info.usual_min, state.info.usual_max]);
+  if (isFirst || (stage.showsAll && bounds !== shownBounds)) stage.fit();
   shownBounds = bounds;
   return true;
 }
 
 let shownBounds = "";
 
-/** Whether the user has chosen what the map shows; until then it shows all points. */
-let hasMoved = false;
-for (const name of ["pointerdown", "wheel", "keydown"])
-  byId("stage").addEventListener(
-    name,
-    () => {
-      hasMoved = true;
-    },
-    { passive: true },
-  );
-
-const KINDS = { recording: "recording", job: "job", folder: "survey" };
+const KINDS = { recording: "recording", points: "points", job: "job", folder: "survey" };
 
 function showStatus() {
   const { info } = state;
@@ -201,6 +193,16 @@ new ResizeObserver(redrawOverlay).observe(byId("stage"));
 window.wavexView = Object.freeze({
   /** Number of points in the picture. */
   pointsDrawn: () => stage.pointsDrawn,
+  /** Number of points in the picture that are not hidden, by the legend or a clip. */
+  pointsShown: () => stage.pointsShown,
+  /** Measured points and distances; null without. */
+  measured: () => measured(),
+  /** Clipped region; null without. */
+  clip: () => structuredClone(state.clip),
+  /** Line of the profile; null without. */
+  profile: () => structuredClone(state.profile),
+  /** Clicked point of a file without waveforms; null without. */
+  point: () => structuredClone(state.point),
   /** Whether all points of the view are loaded and drawn. */
   isComplete: () =>
     Boolean(

@@ -1,10 +1,13 @@
-// What lies over the points: layers, the line of the profile, marks, north arrow and scale bar.
+// What lies over the points: layers, lines that are drawn, marks, north arrow and scale bar.
 
 import { colour, fitted, byId } from "./elements.js";
-import { length, roundStep } from "./format.js";
+import { fixed, length, roundStep } from "./format.js";
 import { mapUnit, on, relative, state } from "./state.js";
 import { stage } from "./stage.js";
 import { shownLayers } from "./layers.js";
+import { measured } from "./measure.js";
+import { label, path, stroke, symbol } from "./symbols.js";
+import { currentTool } from "./tools.js";
 
 const LONGEST_SCALE_PX = 150;
 let scheduled = false;
@@ -24,8 +27,11 @@ export function draw({ context, width, height }) {
   context.clearRect(0, 0, width, height);
   if (!state.info || !stage.cloud) return;
   layers(context);
+  clipOutline(context);
   profileLine(context);
   marks(context);
+  measuredLine(context);
+  crosshair(context, width, height);
   scaleBar(context, width, height);
   if (stage.camera.isOrbit) northArrow(context, width);
 }
@@ -71,15 +77,61 @@ function profileLine(context) {
     label(context, text, x, y - 10);
 }
 
-/** Symbols: colour and shape of each kind of mark. */
-export const SYMBOLS = {
-  found: { name: "accent", shape: "circle", size: 3.5 },
-  marked: { name: "star", shape: "star", size: 7 },
-  new: { name: "new", shape: "plus", size: 6 },
-  gone: { name: "gone", shape: "cross", size: 5 },
-  moved: { name: "moved", shape: "diamond", size: 5 },
-  selected: { name: "selected", shape: "ring", size: 9 },
-};
+/** Outline of the clipped region, or of the one that is being drawn. */
+function clipOutline(context) {
+  const corners = state.clipDraft ?? state.clip?.corners;
+  if (!corners) return;
+  const height = stage.camera.target[2];
+  const onScreen = corners.map((corner) => stage.camera.project([...corner, height]));
+  if (onScreen.some(([, , w]) => w <= 0)) return;
+  path(context, onScreen, corners.length > 2);
+  stroke(context, colour("accent"), 1.5);
+  if (state.clipDraft) symbol(context, "corner", ...onScreen[0]);
+}
+
+/** Line between the measured points, and in perspective its horizontal and vertical part. */
+function measuredLine(context) {
+  if (!state.measure) return;
+  const { from, to, pointer } = state.measure;
+  const a = stage.camera.project(from);
+  const b = to ? stage.camera.project(to) : pointer;
+  if (a[2] <= 0 || (to && b[2] <= 0)) return;
+  symbol(context, "measured", a[0], a[1]);
+  if (!b) return;
+  if (to && stage.camera.isOrbit) {
+    context.setLineDash([4, 4]);
+    path(context, [a, stage.camera.project([to[0], to[1], from[2]]), b]);
+    stroke(context, colour("accent"), 1.2);
+    context.setLineDash([]);
+  }
+  path(context, [a, b]);
+  stroke(context, colour("accent"), 2);
+  if (!to) return;
+  symbol(context, "measured", b[0], b[1]);
+  const { distance, horizontal } = measured();
+  label(
+    context,
+    `${fixed(distance ?? horizontal, 3)} ${mapUnit()}`,
+    (a[0] + b[0]) / 2,
+    (a[1] + b[1]) / 2 - 8,
+  );
+}
+
+/** Middle of the view, where the space bar clicks, while a tool is used by the keyboard. */
+function crosshair(context, width, height) {
+  if (!currentTool() || !state.isByKeyboard) return;
+  const [x, y] = [width / 2, height / 2];
+  for (const [dx, dy] of [
+    [12, 0],
+    [0, 12],
+  ]) {
+    path(context, [
+      [x - dx, y - dy],
+      [x + dx, y + dy],
+    ]);
+    stroke(context, colour("text"), 1.2);
+  }
+}
 
 /** Number of marks of a kind above which they are smaller. */
 const MANY = 200;
@@ -98,105 +150,13 @@ function marks(context) {
   }
   for (const { shot } of state.marks.values())
     for (const { position } of shot.returns.slice(0, 1)) put("marked", position);
+  if (state.point) put("selected", state.point.position);
   const shown = state.changedShot || state.shot;
   if (!shown) return;
   for (const { change, before, after } of state.changedShot?.difference?.changes || []) {
     if (change !== "same") put(change, (after || before).position);
   }
   for (const each of shown.returns) put("selected", each.position);
-}
-
-/** Draws one symbol with a halo. */
-export function symbol(context, kind, x, y, scale = 1) {
-  const { name, shape, size: full } = SYMBOLS[kind];
-  const size = full * scale;
-  context.beginPath();
-  if (shape === "circle" || shape === "ring") context.arc(x, y, size, 0, 2 * Math.PI);
-  else if (shape === "plus")
-    lines(
-      context,
-      [
-        [x - size, y],
-        [x + size, y],
-      ],
-      [
-        [x, y - size],
-        [x, y + size],
-      ],
-    );
-  else if (shape === "cross")
-    lines(
-      context,
-      [
-        [x - size, y - size],
-        [x + size, y + size],
-      ],
-      [
-        [x - size, y + size],
-        [x + size, y - size],
-      ],
-    );
-  else if (shape === "diamond")
-    path(
-      context,
-      [
-        [x, y - size],
-        [x + size, y],
-        [x, y + size],
-        [x - size, y],
-      ],
-      true,
-    );
-  else {
-    path(
-      context,
-      Array.from({ length: 10 }, (_, i) => {
-        const [radius, angle] = [i % 2 ? size * 0.45 : size, (i * Math.PI) / 5 - Math.PI / 2];
-        return [x + radius * Math.cos(angle), y + radius * Math.sin(angle)];
-      }),
-      true,
-    );
-  }
-  stroke(context, colour(name), scale < 1 ? 1.3 : 2, scale < 1 ? 1 : 2.5);
-  if (shape === "star") {
-    context.fillStyle = colour(name);
-    context.fill();
-  }
-}
-
-function lines(context, ...parts) {
-  for (const [[ax, ay], [bx, by]] of parts) {
-    context.moveTo(ax, ay);
-    context.lineTo(bx, by);
-  }
-}
-
-function path(context, corners, isClosed = false) {
-  context.beginPath();
-  corners.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
-  if (isClosed) context.closePath();
-}
-
-/** Draws the current path with a halo in the colour of the stage. */
-function stroke(context, accent, width, halo = 2.5) {
-  context.lineJoin = "round";
-  context.strokeStyle = colour("stage");
-  context.lineWidth = width + halo;
-  context.stroke();
-  context.strokeStyle = accent;
-  context.lineWidth = width;
-  context.stroke();
-}
-
-function label(context, text, x, y, align = "center") {
-  context.font = "600 12px 'Segoe UI','Helvetica Neue','Liberation Sans','DejaVu Sans',Arial,sans-serif";
-  context.textAlign = align;
-  context.lineWidth = 3;
-  context.lineJoin = "round";
-  context.strokeStyle = colour("stage");
-  context.strokeText(text, x, y);
-  context.fillStyle = colour("text");
-  context.fillText(text, x, y);
 }
 
 /** In perspective the scale holds at the centre of the view. */
@@ -236,5 +196,10 @@ for (const name of [
   "profile",
   "layers",
   "scheme",
+  "clip",
+  "clip-draft",
+  "measure",
+  "point",
+  "tool",
 ])
   on(name, redrawOverlay);

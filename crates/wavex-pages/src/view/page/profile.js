@@ -8,7 +8,8 @@ import { byId, debounced, fitted, make } from "./elements.js";
 import { count, counted, length, roundStep } from "./format.js";
 import { absolute, emit, heightUnit, mapUnit, on, relative, state } from "./state.js";
 import { stage } from "./stage.js";
-import { symbol } from "./overlay.js";
+import { symbol } from "./symbols.js";
+import { addTool, setTool } from "./tools.js";
 
 const MARGIN = { left: 62, top: 8, right: 12, bottom: 38 };
 const HIT_PX = 8;
@@ -263,11 +264,48 @@ function pick(x, y) {
   return best;
 }
 
-on("profile-line", ({ from, to, isDone }) => {
+/** First end of the line, once it is clicked. */
+let firstEnd = null;
+
+export const profileTool = addTool({
+  button: "draw-profile",
+  needsMap: true,
+  hint: "Click both ends of a line, or drag it, to see the points along it.",
+  click(at) {
+    const place = stage.camera.unproject(...at);
+    if (!firstEnd) {
+      firstEnd = place;
+      setLine("draft", place, place);
+    } else if (Math.hypot(place[0] - firstEnd[0], place[1] - firstEnd[1]) > stage.camera.scale) {
+      open(firstEnd, place);
+    }
+  },
+  move(at) {
+    if (firstEnd) setLine("draft", firstEnd, stage.camera.unproject(...at));
+  },
+  drag(begin, at, isDone) {
+    const [from, to] = [stage.camera.unproject(...begin), stage.camera.unproject(...at)];
+    if (isDone) open(from, to);
+    else setLine("draft", from, to);
+  },
+  cancel() {
+    firstEnd = null;
+    state.draft = null;
+    emit("profile");
+  },
+});
+
+function setLine(what, from, to) {
   const wide = state.profile?.width_m ?? Math.max(0.01, roundStep(WIDTH_PX * stage.camera.scale));
-  state[isDone ? "profile" : "draft"] = { from, to, width_m: wide };
+  state[what] = { from, to, width_m: wide };
   emit("profile");
-  if (!isDone) return;
+}
+
+/** Opens the profile of a line. */
+function open(from, to) {
+  setTool(null);
+  setLine("profile", from, to);
+  const wide = state.profile.width_m;
   width.value = Number(wide.toPrecision(3));
   width.setAttribute("aria-label", `Width of the profile, ${mapUnit()}`);
   widthUnit.textContent = ` ${mapUnit()}`;
@@ -276,7 +314,7 @@ on("profile-line", ({ from, to, isDone }) => {
   setTitle("Profile");
   openDock(content);
   load();
-});
+}
 for (const name of ["attribute", "generation"])
   on(name, () => {
     if (isDocked(content)) load();

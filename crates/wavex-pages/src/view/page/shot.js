@@ -5,6 +5,7 @@ import { announce, byId, debounced, download, fill, make, problem } from "./elem
 import { counted, fixed, significant, withSd } from "./format.js";
 import { emit, on, overrides, relative, select, state } from "./state.js";
 import { showPanels, showWhole } from "./picture.js";
+import { isWithoutWaveforms, pointPanel, showPoint } from "./point.js";
 import { stage } from "./stage.js";
 
 let request = null;
@@ -64,7 +65,7 @@ function show() {
   const isEmpty = !shot && !state.failure;
   byId("picture").hidden = isEmpty || !["shot", "what-if"].includes(document.body.dataset.tab);
   if (isEmpty) {
-    fill(byId("shot"), intro());
+    fill(byId("shot"), ...(isWithoutWaveforms() ? pointPanel() : [intro()]));
     return;
   }
   const title = shot?.title ?? `shot ${state.selected.shot}`;
@@ -348,12 +349,13 @@ export async function savePng() {
 }
 
 /** Selects the shot of a point. */
-async function clickPoint(index) {
+async function clickPoint(index, { opensTab }) {
   pointRequest?.abort();
   pointRequest = new AbortController();
   try {
     const point = await getJson("point", { generation: state.generation, index }, pointRequest.signal);
-    if (!["shot", "what-if"].includes(document.body.dataset.tab)) emit("open-tab", "shot");
+    if (opensTab && !["shot", "what-if"].includes(document.body.dataset.tab)) emit("open-tab", "shot");
+    if (isWithoutWaveforms()) return showPoint(point);
     select(point.input, point.shot, point.return_number);
   } catch (error) {
     if (error.name === "AbortError") return;
@@ -375,7 +377,8 @@ byId("shown-job").addEventListener("click", () => {
 byId("whole-picture").addEventListener("click", enlarge);
 byId("save-svg").addEventListener("click", saveSvg);
 byId("save-png").addEventListener("click", savePng);
-on("click-point", clickPoint);
+on("click-point", (index) => clickPoint(index, { opensTab: true }));
+on("found-point", (index) => clickPoint(index, { opensTab: false }));
 on("select", load);
 on("keys", () => {
   showsJob = false;

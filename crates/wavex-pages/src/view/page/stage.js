@@ -18,6 +18,8 @@ const MOVING_MS = 13;
 const RESTING_MS = 24;
 /** Longest frame while moving, ms. */
 const FRAME_MS = 33;
+/** Number of heights from which a median is taken. */
+const ENOUGH_HEIGHTS = 20_000;
 /** Distance at which a click hits a point, CSS pixels. */
 const HIT_PX = 8;
 
@@ -41,6 +43,8 @@ class Stage {
     this.drawn = [];
     this.pointsDrawn = 0;
     this.isFresh = false;
+    /** Whether the camera shows all points, as `fit` left it. */
+    this.showsAll = false;
     /** Movement of the picture since the last frame, and fractions of pixels that are left, px. */
     this.slid = [0, 0];
     this.fraction = [0, 0];
@@ -111,18 +115,45 @@ class Stage {
     this.schedule();
   }
 
-  /** Shows all points. */
+  /** Shows all points but outliers. */
   fit() {
-    const { min, max, origin } = state.info;
+    const { usual_min: min, usual_max: max, origin } = state.info;
     if (!min) return;
     this.wantsFit = this.camera.width <= 1;
     const inside = (corner) => corner.map((at, i) => at - origin[i]);
     this.camera.fit(inside(min), inside(max));
     this.moved();
+    this.showsAll = true;
+  }
+
+  /** Switches between map and perspective; a view of all points stays one. */
+  setOrbit(isOrbit) {
+    const { camera } = this;
+    if (camera.isOrbit === isOrbit) return;
+    if (isOrbit) camera.target[2] = this.heightAround();
+    camera.isOrbit = isOrbit;
+    if (this.showsAll) this.fit();
+    else this.moved();
+  }
+
+  /** Median height of the drawn points around the middle of the map; of the target without any. */
+  heightAround() {
+    const { target, scale, width, height } = this.camera;
+    const reach = 0.25 * Math.min(width, height) * scale;
+    const heights = [];
+    for (const { xyz } of this.drawn) {
+      for (let j = 0; xyz && j < xyz.length; j += 3)
+        if (Math.abs(xyz[j] - target[0]) < reach && Math.abs(xyz[j + 1] - target[1]) < reach)
+          heights.push(xyz[j + 2]);
+      if (heights.length > ENOUGH_HEIGHTS) break;
+    }
+    heights.sort((a, b) => a - b);
+    return heights.length ? heights[heights.length >> 1] : target[2];
   }
 
   /** Announces that the camera has moved. */
   moved() {
+    this.showsAll = false;
     this.movedAt = performance.now();
     this.isMoving = true;
     this.redraw();
@@ -136,6 +167,7 @@ class Stage {
       this.moved();
       return;
     }
+    this.showsAll = false;
     const whole = [dx, dy].map((by, i) => Math.round(by + this.fraction[i]));
     this.fraction = [dx, dy].map((by, i) => by + this.fraction[i] - whole[i]);
     this.camera.pan(...whole);
@@ -267,13 +299,26 @@ class Stage {
     return sum > 0 ? (1000 * this.frames.length) / sum : 0;
   }
 
+  /** Position of a point that is drawn, relative to the origin; null for others. */
+  pointAt(index) {
+    const node = this.drawn.find(({ first, count }) => index >= first && index < first + count);
+    if (index === null || !node || node.colours?.[index - node.first] === 0) return null;
+    const at = 3 * (index - node.first);
+    return [...node.xyz.subarray(at, at + 3)];
+  }
+
   /** Screen position of a point that is drawn; null for others. */
   screenOf(index) {
-    const node = this.drawn.find(({ first, count }) => index >= first && index < first + count);
-    if (!node) return null;
-    const at = 3 * (index - node.first);
-    const [x, y, w] = this.camera.project([...node.xyz.subarray(at, at + 3)]);
+    const point = this.pointAt(index);
+    if (!point) return null;
+    const [x, y, w] = this.camera.project(point);
     return w > 0 ? [x, y] : null;
+  }
+
+  /** Number of points in the picture that are not hidden. */
+  get pointsShown() {
+    const shown = (node) => node.colours?.reduce((sum, packed) => sum + (packed !== 0 ? 1 : 0), 0) ?? 0;
+    return this.drawn.reduce((sum, node) => sum + shown(node), 0);
   }
 
   /** Index of the drawn point at a screen position; null if there is none. */

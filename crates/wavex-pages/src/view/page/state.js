@@ -13,6 +13,17 @@ export const state = {
   pointSize: 2,
   /** Limit of the number of points drawn. */
   pointLimit: 1_500_000,
+  /** Whether shapes are shaded in perspective. */
+  isShaded: true,
+  /** Region to which the points are clipped (see `clip_region.js`), and corners of the one that is being drawn. */
+  clip: null,
+  clipDraft: null,
+  /** Measured points: from and to (null before the second click), relative to the origin; pointer, px. */
+  measure: null,
+  /** Whether the last action on the stage was by the keyboard. */
+  isByKeyboard: false,
+  /** Clicked point of a file without waveforms: answer of `point`. */
+  point: null,
   /** Selected shot: input, shot, return_number. */
   selected: null,
   /** Answer of `shot` with the keys of the job, and with the changed keys. */

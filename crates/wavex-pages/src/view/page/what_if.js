@@ -4,7 +4,7 @@ import { getJson, getText } from "./api.js";
 import { announce, byId, debounced, download, fill, make, problem } from "./elements.js";
 import { count, counted, significant, unitAfter } from "./format.js";
 import { absolute, emit, on, overrides, select, state } from "./state.js";
-import { symbol } from "./overlay.js";
+import { sign } from "./symbols.js";
 import { stage } from "./stage.js";
 
 const page = byId("page-what-if");
@@ -321,15 +321,6 @@ async function compare(what) {
     fill(results, problem(error.message));
     if (error.status === 410) emit("loading-failed", error);
   }
-}
-
-/** Picture of a symbol for texts. */
-function sign(kind) {
-  const canvas = make("canvas", { width: 40, height: 40, class: "sign", "aria-hidden": "true" });
-  const context = canvas.getContext("2d");
-  context.scale(2, 2);
-  symbol(context, kind, 10, 10);
-  return canvas;
 }
 
 function showComparison(answer, what) {
