@@ -1,6 +1,6 @@
 //! Messages of `wavex run`: warnings, progress and the end of a run.
 
-use wavex_testkit::folder::TestFolder;
+use wavex_testkit::TestFolder;
 
 /// A job over a simulated flight in the scanner frame, without its trajectory.
 const WITHOUT_TRAJECTORY: &str = "\
@@ -51,7 +51,11 @@ fn a_missing_trajectory_is_one_warning_with_its_consequences() {
     assert_eq!(run.code, Some(0), "{}", run.err);
     let warnings = lines_with(&run.err, "WARN");
     assert_eq!(warnings.len(), 1, "{}", run.err);
-    assert!(warnings[0].contains("not georeferenced") && warnings[0].contains("`trajectory`"), "{}", warnings[0]);
+    assert!(
+        warnings[0].contains("not georeferenced") && warnings[0].contains("`trajectory`"),
+        "{}",
+        warnings[0]
+    );
     let consequences = "without a trajectory: intensities are not corrected for incidence; the LAS file has no \
                         coordinate reference system; the path of the sensor has no rows";
     assert_eq!(lines_with(&run.out, "without a trajectory"), [consequences]);
@@ -67,10 +71,15 @@ fn the_end_of_a_run_is_results_files_and_the_next_command() {
     let run = place.wavex(&["run", "flight.toml", "--progress=never"]);
     let lines: Vec<&str> = run.out.lines().collect();
     let (first, last) = (lines[0], lines[lines.len() - 1]);
-    assert!(first.starts_with("flight: ") && first.contains(" returns in ") && first.ends_with("shots/s)"), "{first}");
+    assert!(
+        first.starts_with("flight: ") && first.contains(" returns in ") && first.ends_with("shots/s)"),
+        "{first}"
+    );
     assert_eq!(last, "look: wavex view out");
     let between = &lines[1..lines.len() - 1];
-    let is_known = |line: &&str| ["without a trajectory", "wrote ", "decompose: rejected "].iter().any(|start| line.starts_with(start));
+    let is_known = |line: &&str| {
+        ["without a trajectory", "wrote ", "decompose: rejected "].iter().any(|start| line.starts_with(start))
+    };
     assert!(between.iter().all(is_known), "{}", run.out);
     assert!(!run.out.contains("working s"));
     // The table of stages is for who asks for it.
@@ -87,8 +96,7 @@ fn several_inputs_have_a_line_each() {
     let survey = "[job]\noutput_dir = 'out'\nsurvey_page = true\n[[stage]]\ntype = 'read_arrow'\npath = '?.arrow'\n\
                   [[stage]]\ntype = 'calibrate'\nwaveforms = 200\n[[stage]]\ntype = 'decompose'\n[[stage]]\n\
                   type = 'georeference'\n[[stage]]\ntype = 'write_las'\n";
-    let place =
-        TestFolder::with(&[("convert.toml", convert.as_bytes()), ("survey.toml", survey.as_bytes())]);
+    let place = TestFolder::with(&[("convert.toml", convert.as_bytes()), ("survey.toml", survey.as_bytes())]);
     for stem in ["a", "b"] {
         let made = place.wavex(&["run", "convert.toml", "--set", &format!("simulate.stem={stem}")]);
         assert_eq!(made.code, Some(0), "{}", made.err);
@@ -99,7 +107,11 @@ fn several_inputs_have_a_line_each() {
         assert_eq!(lines_with(&run.out, &format!("{stem}     done ")).len(), 1, "{}", run.out);
     }
     // The name of the job is not repeated, and all files of the survey are listed.
-    assert!(run.out.contains("wrote out/survey.html\n") && run.out.contains("wrote out/survey.json\n"), "{}", run.out);
+    assert!(
+        run.out.contains("wrote out/survey.html\n") && run.out.contains("wrote out/survey.json\n"),
+        "{}",
+        run.out
+    );
     assert!(run.out.contains(" files of the inputs to out (-v lists them)\n"), "{}", run.out);
     let all = place.wavex(&["run", "survey.toml", "-v"]);
     let listed = lines_with(&all.out, "wrote ").len();
