@@ -8,6 +8,9 @@ use super::container::ContainerReader;
 use super::extensions::{LAS, LAZ, PACKETS, WAVES, WFM, beside, by_stem, extension, folder_of, usual_names};
 use super::{Error, Result, las, pulsewaves, unsupported};
 
+/// Reads the times of the first and the last shot of a recording, s.
+pub type FirstLastTime = fn(&Path) -> Result<Option<[f64; 2]>>;
+
 /// Format of a recording.
 #[derive(Debug)]
 pub struct RecordingFormat {
@@ -20,7 +23,7 @@ pub struct RecordingFormat {
     /// Reads the number of pulses from the header of a file; `None` if headers do not have it.
     pub pulse_count: Option<fn(&Path) -> Result<u64>>,
     /// Reads the times of the first and the last record, s, as stored; `None` if this needs the whole file.
-    pub first_last_s: Option<fn(&Path) -> Result<Option<[f64; 2]>>>,
+    pub first_last_s: Option<FirstLastTime>,
 }
 
 /// All supported formats, in the order of the manual.

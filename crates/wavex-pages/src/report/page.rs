@@ -223,7 +223,7 @@ fn notes(input: &Value) -> PagePart {
         warnings.extend(list(stage, "notes").iter().map(plain).map(of_stage));
         for (cause, texts) in stage["consequences"].as_object().into_iter().flatten() {
             for text in texts.as_array().into_iter().flatten() {
-                consequences.entry(cause.clone()).or_insert_with(Vec::new).push(plain(text));
+                consequences.entry(cause.clone()).or_default().push(plain(text));
             }
         }
         findings.extend(list(stage, "findings").iter().map(plain).map(of_stage));
