@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result};
 fn main() -> Result<()> {
     let file = std::env::args()
         .nth(1)
-        .context("missing argument: recording (.las, .laz, .pls, .sdf, .wfm or .arrow)")?;
+        .context("missing argument: recording (.las, .laz, .pls, .plz, .sdf, .wfm or .arrow)")?;
     let recording = wavex::open(file.as_ref())?;
     println!("{}, group velocity {} m/s", recording.input().format, recording.input().group_velocity_mps);
     let (mut n_lines, mut n_shots, mut n_samples) = (0, 0, 0);

@@ -22,7 +22,7 @@ pub(super) struct ArchiveArgs {
 /// Recording to calibrate from and sensor model to write.
 #[derive(Args)]
 pub(super) struct CalibrateArgs {
-    /// Recording: .las, .laz, .pls, .sdf, .wfm or .arrow; or the job of a survey: .toml
+    /// Recording: .las, .laz, .pls, .plz, .sdf, .wfm or .arrow; or the job of a survey: .toml
     pub(super) file: PathBuf,
     /// Sensor model of the recording to write (.json)
     #[arg(long, value_name = "NAME.json")]
@@ -42,7 +42,7 @@ pub(super) struct CalibrateArgs {
 #[derive(Args)]
 #[command(group = clap::ArgGroup::new("which").required(true))]
 pub(super) struct ExplainArgs {
-    /// Recording: .las, .laz, .pls, .sdf, .wfm or .arrow
+    /// Recording: .las, .laz, .pls, .plz, .sdf, .wfm or .arrow
     pub(super) file: PathBuf,
     /// Number of the shot, as in the column `shot` of write_table
     #[arg(long, value_name = "N", group = "which")]
@@ -71,7 +71,7 @@ pub(super) struct ExplainArgs {
 /// What to view, and how it is served.
 #[derive(Args)]
 pub(super) struct ViewArgs {
-    /// Recording (.las, .laz, .pls, .sdf, .wfm, .arrow), job (.toml), or the folder of a run's outputs
+    /// Recording (.las, .laz, .pls, .plz, .sdf, .wfm, .arrow), job (.toml), or the folder of a run's outputs
     pub(super) place: PathBuf,
     /// Port to listen on; 0: any free port
     #[arg(long, value_name = "PORT", default_value_t = 0)]
@@ -90,13 +90,13 @@ pub(super) struct ViewArgs {
 /// Recordings to inspect and files to write.
 #[derive(Args)]
 pub(super) struct ScanArgs {
-    /// Recordings: .las, .laz, .pls, .sdf, .wfm or .arrow; each may be a pattern such as
+    /// Recordings: .las, .laz, .pls, .plz, .sdf, .wfm or .arrow; each may be a pattern such as
     /// 'lines/*.sdf'
     #[arg(required = true, value_name = "FILE")]
     pub(super) files: Vec<String>,
     /// Skip samples: no noise, amplitudes or ranges
     ///
-    /// Does not read waveform packets of LAS or the .wvs file of PulseWaves, and ignores samples of
+    /// Does not read waveform packets of LAS or the waves of PulseWaves, and ignores samples of
     /// containers. RIEGL's library, which reads SDF, still reads the samples.
     #[arg(long)]
     pub(super) fast: bool,

@@ -333,7 +333,7 @@ fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
 #[test]
 fn an_input_of_an_unknown_kind_is_not_converted() {
     let expected = "error: flight.dat: unknown recording format; \
-                    supported extensions: .las, .laz, .pls, .sdf, .wfm and .arrow\n";
+                    supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm and .arrow\n";
     refused(wavex(&["convert", "flight.dat", "flight.arrow"]), expected);
 }
 
@@ -348,7 +348,6 @@ fn a_format_that_cannot_be_read_is_named_with_the_way_round_wherever_it_is_tried
     for (file, problem) in [
         ("flight.rxp", "RIEGL RXP is not supported; export the waveforms with RIEGL's software "),
         ("flight.h5", "HDF5 (F5) is not supported; copy its waveforms into the open waveform container "),
-        ("flight.plz", "compressed PulseWaves (.plz, .wvz) is not supported; uncompress the pair "),
         (
             "flight.wvs",
             "it holds only the samples of a PulseWaves recording; give the .pls or .plz of the same name",

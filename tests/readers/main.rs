@@ -6,6 +6,7 @@
     reason = "a test fails by panicking, and prints its figures and what it skips"
 )]
 
+mod compressed;
 mod crs_records;
 mod declared;
 mod foreign;

@@ -7,6 +7,7 @@
 )]
 
 mod agreement;
+mod compressed;
 mod geometry_alone;
 mod instruments;
 mod planes;

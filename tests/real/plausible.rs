@@ -15,6 +15,7 @@ const RECORDINGS: &[(&str, &str, &[&str])] = &[
     ("read_pulsewaves", "pulsewaves/riegl_example3.pls", &[]),
     ("read_pulsewaves", "pulsewaves/riegl_example4.pls", &[]),
     ("read_pulsewaves", "pulsewaves/test.pls", &[]),
+    ("read_pulsewaves", "pulsewaves/tezt.plz", &[]),
     ("read_pulsewaves", "riegl_q680i_dev/riegl_q680i_dev.pls", &[]),
     // Scan angles of 85 degrees and more beside beams near nadir.
     (
@@ -23,6 +24,7 @@ const RECORDINGS: &[(&str, &str, &[&str])] = &[
         &["the scan angles in the file contradict its beams"],
     ),
     ("read_las", "las_compressed/fwf_uncompressed.las", &[]),
+    ("read_las", "las_compressed/fwf.laz", &[]),
 ];
 
 #[test]

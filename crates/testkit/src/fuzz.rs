@@ -25,13 +25,13 @@ use tempfile::TempDir;
 
 pub use archives::{archive_folder, archive_tar};
 pub use geodesy::{geoid, geokeys, terrain_ascii, terrain_geotiff, wkt};
-pub use points::{copc, las};
+pub use points::{compressed_packets, copc, las};
 pub use runs::{recording, run, sdf};
 pub use tables::{container, survey_cells, table};
 pub use texts::{calibration, import, job, lookup_tables, plan, report, sensor_model};
 pub use trajectories::{accuracy, pof, sbet, sol, trajectory_text, trj};
 pub use views::view;
-pub use waveforms::pulsewaves;
+pub use waveforms::{compressed_pulses, pulsewaves};
 
 /// Separates the parts of an input.
 pub const SEPARATOR: &[u8] = b"\n--next part--\n";
@@ -45,6 +45,8 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("archive_folder", archive_folder),
     ("archive_tar", archive_tar),
     ("calibration", calibration),
+    ("compressed_packets", compressed_packets),
+    ("compressed_pulses", compressed_pulses),
     ("container", container),
     ("copc", copc),
     ("geoid", geoid),

@@ -2,6 +2,7 @@
 
 use std::io::{Cursor, Seek, SeekFrom};
 
+use crate::compression::packet;
 use crate::shots::{METRES_PER_NS, SAMPLES, echo_with, peak, time_s};
 
 /// Size of the header, bytes.
@@ -49,6 +50,26 @@ impl Las {
     /// waveforms.
     pub fn without_locations(mut self) -> Las {
         self.points.iter_mut().for_each(|point| point[43..47].fill(0));
+        self
+    }
+
+    /// The same with compressed waveform packets, for a `.wdz` file with the descriptors of LAStools.
+    pub fn with_compressed_packets(mut self) -> Las {
+        self.vlrs[0][54 + 1] = 1;
+        let old = std::mem::take(&mut self.packets);
+        self.packets = old[..60].to_vec();
+        self.packets.extend(b"LAStools waveform 210117\x01\0\x01\0\x01\x08");
+        self.packets.extend((SAMPLES as u16).to_le_bytes());
+        for point in &mut self.points {
+            let from = u64::from_le_bytes(point[31..39].try_into().unwrap()) as usize;
+            let samples: Vec<u16> = old[from..from + SAMPLES].iter().map(|&byte| byte.into()).collect();
+            let packet = packet(8, &samples);
+            point[31..39].copy_from_slice(&(self.packets.len() as u64).to_le_bytes());
+            point[39..43].copy_from_slice(&(packet.len() as u32).to_le_bytes());
+            self.packets.extend(packet);
+        }
+        let length = self.packets.len() as u64 - 60;
+        self.packets[20..28].copy_from_slice(&length.to_le_bytes());
         self
     }
 

@@ -30,6 +30,7 @@
 
 pub mod cases;
 pub mod clock;
+pub mod compression;
 pub mod container;
 pub mod engine_stages;
 pub mod false_returns;

@@ -1,5 +1,6 @@
 //! PulseWaves 0.3, built by hand: an outgoing and a returning segment per pulse.
 
+use crate::compression::{Segment, chunks, waves};
 use crate::shots::{METRES_PER_NS, SAMPLES, echo, peak, time_s, waveform};
 
 /// Size of the header, bytes.
@@ -50,6 +51,44 @@ impl PulseWaves {
     /// Offset of a pulse.
     pub fn offset_of(&self, pulse: usize) -> usize {
         HEADER + self.records.iter().map(|(_, payload)| 96 + payload.len()).sum::<usize>() + pulse * PULSE
+    }
+
+    /// The same with compressed waves: the waves file is a `.wvz`.
+    pub fn with_compressed_waves(mut self) -> PulseWaves {
+        let old = std::mem::take(&mut self.waves);
+        self.waves = old[..WAVES_HEADER].to_vec();
+        self.waves[16] = 1;
+        for pulse in &mut self.pulses {
+            let from = u64::from_le_bytes(pulse[8..16].try_into().unwrap()) as usize;
+            let segment = |number: usize| {
+                let bytes = &old[from + number * (4 + SAMPLES)..][..4 + SAMPLES];
+                Segment {
+                    is_returning: number == 1,
+                    bits: 8,
+                    segments: None,
+                    duration: Some(i32::from_le_bytes(bytes[..4].try_into().unwrap())),
+                    has_count: false,
+                    samples: bytes[4..].iter().map(|&byte| byte.into()).collect(),
+                }
+            };
+            pulse[8..16].copy_from_slice(&(self.waves.len() as i64).to_le_bytes());
+            self.waves.extend(waves(&[segment(0), segment(1)]));
+        }
+        self
+    }
+
+    /// Bytes of the compressed pulse file, with this many pulses per chunk.
+    pub fn plz(&self, chunk: u32) -> Vec<u8> {
+        // Compressor 1, coder 0, version 0.0, no options; one item: a pulse.
+        let mut zip = vec![1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+        zip.extend(chunk.to_le_bytes());
+        zip.extend([1, 0, 0xe9, 3, PULSE as u8, 0, 1, 0]);
+        let records = [&self.records[..], &[(5, zip)]].concat();
+        let made = PulseWaves { records, pulses: self.pulses.clone(), waves: Vec::new() };
+        let mut bytes = made.pls();
+        bytes.truncate(made.offset_of(0));
+        bytes.extend(chunks(made.offset_of(0), &made.pulses, chunk as usize, 0, false));
+        bytes
     }
 
     /// Bytes of the pulse file.

@@ -11,10 +11,18 @@ pub const LAS: &str = "las";
 pub const LAZ: &str = "laz";
 /// Extension of the waveform packets of LAS.
 pub const PACKETS: &str = "wdp";
+/// Extension of the compressed waveform packets of LAS, as LAStools writes them.
+pub const COMPRESSED_PACKETS: &str = "wdz";
 /// Extension of RIEGL WFM.
 pub(crate) const WFM: &str = "wfm";
 /// Extension of the waves of PulseWaves.
 pub const WAVES: &str = "wvs";
+/// Extension of PulseWaves.
+pub const PULSES: &str = "pls";
+/// Extension of compressed PulseWaves.
+pub const COMPRESSED_PULSES: &str = "plz";
+/// Extension of the compressed waves of PulseWaves.
+pub const COMPRESSED_WAVES: &str = "wvz";
 
 /// Whether a name ends in this extension, in any case.
 pub fn has_extension(path: &Path, wanted: &str) -> bool {

@@ -5,7 +5,10 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use super::container::ContainerReader;
-use super::extensions::{LAS, LAZ, PACKETS, WAVES, WFM, beside, by_stem, extension, folder_of, usual_names};
+use super::extensions::{
+    COMPRESSED_PACKETS, COMPRESSED_PULSES, COMPRESSED_WAVES, LAS, LAZ, PACKETS, PULSES, WAVES, WFM, beside,
+    by_stem, extension, folder_of, usual_names,
+};
 use super::{Error, Result, las, pulsewaves, unsupported};
 
 /// Reads the times of the first and the last shot of a recording, s.
@@ -18,8 +21,8 @@ pub struct RecordingFormat {
     pub reader: &'static str,
     /// Extensions, in lower case.
     pub extensions: &'static [&'static str],
-    /// Extension of the companion file with the waveforms, in lower case; `None`: the format has no companion.
-    pub companion: Option<&'static str>,
+    /// Extensions of companion files with the waveforms, in lower case.
+    pub companions: &'static [&'static str],
     /// Reads the number of pulses from the header of a file; `None` if headers do not have it.
     pub pulse_count: Option<fn(&Path) -> Result<u64>>,
     /// Reads the times of the first and the last record, s, as stored; `None` if this needs the whole file.
@@ -31,28 +34,28 @@ pub const FORMATS: &[RecordingFormat] = &[
     RecordingFormat {
         reader: "read_las",
         extensions: &[LAS, LAZ],
-        companion: Some(PACKETS),
+        companions: &[PACKETS, COMPRESSED_PACKETS],
         pulse_count: Some(pulses_of_las),
         first_last_s: Some(times_of_las),
     },
     RecordingFormat {
         reader: "read_pulsewaves",
-        extensions: &["pls"],
-        companion: Some(WAVES),
+        extensions: &[PULSES, COMPRESSED_PULSES],
+        companions: &[WAVES, COMPRESSED_WAVES],
         pulse_count: Some(|path| Ok(pulsewaves::Reader::open(path)?.pulse_count())),
         first_last_s: Some(times_of_pulsewaves),
     },
     RecordingFormat {
         reader: "read_sdf",
         extensions: &["sdf", WFM],
-        companion: None,
+        companions: &[],
         pulse_count: None,
         first_last_s: None,
     },
     RecordingFormat {
         reader: "read_arrow",
         extensions: &["arrow"],
-        companion: None,
+        companions: &[],
         pulse_count: None,
         first_last_s: Some(times_of_container),
     },
@@ -140,19 +143,24 @@ fn times_of_container(path: &Path) -> Result<Option<[f64; 2]>> {
     Ok(first_s.zip(last_s).map(|(first_s, last_s)| [first_s, last_s]))
 }
 
-/// Companion file of a recording; `None` if it is missing or the format has none.
-///
-/// Its extension may have any case; lower case is preferred.
-pub fn companion(recording: &Path) -> Option<PathBuf> {
-    beside(recording, RecordingFormat::of(recording)?.companion?)
+/// Extensions of the companion files of a recording.
+fn companion_extensions(recording: &Path) -> &'static [&'static str] {
+    RecordingFormat::of(recording).map_or(&[], |format| format.companions)
 }
 
-/// Companion file of a recording; without one, the names that it would usually have.
+/// Companion files of a recording, at most one of each extension.
+///
+/// Their extensions may have any case; lower case is preferred.
+pub fn companions(recording: &Path) -> Vec<PathBuf> {
+    companion_extensions(recording).iter().filter_map(|extension| beside(recording, extension)).collect()
+}
+
+/// Companion files of a recording; for each missing one, the names that it would usually have.
 pub fn companion_names(recording: &Path) -> Vec<PathBuf> {
-    let Some(extension) = RecordingFormat::of(recording).and_then(|format| format.companion) else {
-        return Vec::new();
+    let names = |extension: &&str| {
+        beside(recording, extension).map_or(usual_names(recording, extension).to_vec(), |found| vec![found])
     };
-    beside(recording, extension).map_or(usual_names(recording, extension).to_vec(), |found| vec![found])
+    companion_extensions(recording).iter().flat_map(names).collect()
 }
 
 /// Companion files of many recordings; lists each folder once.
@@ -163,16 +171,17 @@ pub struct CompanionIndex {
 }
 
 impl CompanionIndex {
-    /// Files with the stem of a recording and the extension of its companion, in any case.
+    /// Files with the stem of a recording and an extension of its companions, in any case.
     ///
     /// Empty if the folder is missing or the user has no permission to list it.
     ///
     /// # Errors
     /// If listing the folder fails for another reason.
     pub fn of(&mut self, recording: &Path) -> Result<Vec<PathBuf>> {
-        let Some(wanted) = RecordingFormat::of(recording).and_then(|format| format.companion) else {
+        let wanted = companion_extensions(recording);
+        if wanted.is_empty() {
             return Ok(Vec::new());
-        };
+        }
         let folder = folder_of(recording);
         if !self.folders.contains_key(folder) {
             let files = by_stem(folder, is_companion).map_err(Error::io(folder, "list"))?;
@@ -180,12 +189,12 @@ impl CompanionIndex {
         }
         let Some(files) = self.folders.get(folder) else { return Ok(Vec::new()) };
         let of_stem = files.get(recording.file_stem().unwrap_or_default()).map_or(&[][..], Vec::as_slice);
-        Ok(of_stem.iter().filter(|other| extension(other) == wanted).cloned().collect())
+        Ok(of_stem.iter().filter(|other| wanted.contains(&extension(other).as_str())).cloned().collect())
     }
 }
 
 fn is_companion(extension: &str) -> bool {
-    FORMATS.iter().any(|format| format.companion == Some(extension))
+    FORMATS.iter().any(|format| format.companions.contains(&extension))
 }
 
 #[cfg(test)]
@@ -197,7 +206,7 @@ mod tests {
     #[test]
     fn extensions_belong_to_one_format() {
         let mut all: Vec<&str> = FORMATS.iter().flat_map(|format| format.extensions).copied().collect();
-        all.extend(FORMATS.iter().filter_map(|format| format.companion));
+        all.extend(FORMATS.iter().flat_map(|format| format.companions));
         let count = all.len();
         all.sort_unstable();
         all.dedup();
@@ -224,18 +233,23 @@ mod tests {
             ("a.PLS", &["a.wvs", "a.WVS", "a.WvS", "a.wVs"]),
             ("b.las", &["b.wdp", "b.WDP", "b.Wdp"]),
             ("b.LAZ", &["b.wdp", "b.WDP", "b.wDp"]),
+            ("b.laz", &["b.wdz", "b.WDZ", "b.wDz"]),
+            ("c.plz", &["c.wvz", "c.WVZ", "c.wVz"]),
+            ("c.PLZ", &["c.wvs", "c.WVS"]),
         ] {
             names.iter().for_each(|name| fs::write(path(name), "").unwrap());
             for name in names {
-                assert_eq!(companion(&path(recording)), Some(path(name)));
+                assert_eq!(companions(&path(recording)), [path(name)]);
                 assert!(CompanionIndex::default().of(&path(recording)).unwrap().contains(&path(name)));
                 fs::remove_file(path(name)).unwrap();
             }
-            assert_eq!(companion(&path(recording)), None);
+            assert!(companions(&path(recording)).is_empty());
             assert!(CompanionIndex::default().of(&path(recording)).unwrap().is_empty());
         }
         fs::write(path("a.wdp"), "").unwrap();
-        assert_eq!(["a.pls", "a.arrow", "a"].map(|name| companion(&path(name))), [None, None, None]);
+        assert!(["a.pls", "a.arrow", "a"].iter().all(|name| companions(&path(name)).is_empty()));
+        fs::write(path("a.wdz"), "").unwrap();
+        assert_eq!(companions(&path("a.las")), ["a.wdp", "a.wdz"].map(path), "all are inputs");
     }
 
     #[test]
@@ -248,14 +262,21 @@ mod tests {
 
     #[test]
     fn the_extension_chooses_the_reader() {
-        let readers =
-            ["a/B.LAS", "b.laz", "in/*.pls", "d.arrow", "130621_101500.sdf", "w.WFM"].map(reader_of);
-        let expected = ["read_las", "read_las", "read_pulsewaves", "read_arrow", "read_sdf", "read_sdf"];
-        assert_eq!(readers, expected.map(Ok));
+        for (name, reader) in [
+            ("a/B.LAS", "read_las"),
+            ("b.laz", "read_las"),
+            ("in/*.pls", "read_pulsewaves"),
+            ("in/*.PLZ", "read_pulsewaves"),
+            ("d.arrow", "read_arrow"),
+            ("130621_101500.sdf", "read_sdf"),
+            ("w.WFM", "read_sdf"),
+        ] {
+            assert_eq!(reader_of(name), Ok(reader));
+        }
         let problem = "a.dat: unknown recording format; \
-                       supported extensions: .las, .laz, .pls, .sdf, .wfm and .arrow";
+                       supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm and .arrow";
         assert_eq!(reader_of("a.dat"), Err(problem.to_owned()));
-        for name in ["a.rxp", "a.h5", "a.plz"] {
+        for name in ["a.rxp", "a.h5"] {
             assert!(reader_of(name).unwrap_err().contains(" is not supported; "), "{name}");
         }
     }

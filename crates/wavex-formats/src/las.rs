@@ -3,7 +3,8 @@
 //! Input has point formats 4, 5, 9 and 10. Output has formats 1 and 6, or 4 and 9 with waveforms.
 //!
 //! The specification is ASPRS LAS 1.4 R15. Older versions differ only in the length of the header;
-//! LAS 1.5 appends three fields to it. Compression is LASzip, through the `laz` crate.
+//! LAS 1.5 appends three fields to it. Points are compressed by LASzip, through the `laz` crate;
+//! waveform packets can be compressed as by LAStools (`.wdz`).
 //!
 //! [`Reader`] yields points one by one and, on request, the waveform packet of a point. [`Writer`]
 //! takes points, preferably many at once, and compresses them in parallel slabs. Neither allocates
@@ -61,6 +62,7 @@ mod extent;
 mod extra_bytes;
 mod header;
 mod lax;
+mod packet_decoder;
 mod packet_writer;
 mod packets;
 mod point;

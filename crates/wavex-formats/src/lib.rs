@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`mod@format`] | list of the formats of recordings: extensions, companion files, readers |
 //! | [`las`] | LAS and LAZ with waveforms, COPC, spatial index (LAX) |
-//! | [`pulsewaves`] | PulseWaves (`.pls`, `.wvs`) |
+//! | [`pulsewaves`] | PulseWaves (`.pls`, `.wvs`; compressed `.plz`, `.wvz`) |
 //! | [`sdf`] | RIEGL SDF and WFM, through RIEGL's library |
 //! | [`container`] | the open waveform container (Arrow IPC) |
 //! | [`trajectory`] | SBET, POF, SOL, TRJ, text; accuracies: POQ, smrmsg |
@@ -35,6 +35,7 @@ use std::io::{self, Read};
 use std::path::{Component, Path, PathBuf};
 use std::string::FromUtf8Error;
 
+mod arithmetic;
 mod bytes;
 pub mod container;
 pub mod extensions;

@@ -1,9 +1,10 @@
-//! PulseWaves 0.3: raw pulses (`.pls`) and their waves (`.wvs`).
+//! PulseWaves 0.3: pulses (`.pls`) and their waves (`.wvs`), both also compressed (`.plz`, `.wvz`).
 //!
 //! The layout follows the open specification (rapidlasso, "PulseWaves - Full Waveform LiDAR
 //! Specification", version 0.3 revision 6). It includes extensions of the reference library,
 //! revisions 7 to 11: lookup tables, signed durations, and the order of two fields of a descriptor.
-//! All numbers are little-endian. Compressed files (`.plz`, `.wvz`) are rejected with a remedy.
+//! All numbers are little-endian. The compression is PulseTools': pulses in chunks, and the waves of each
+//! pulse on their own.
 //!
 //! A pulse record has an anchor, a target 1000 sampling units further along the beam, and an offset
 //! to its waves; its descriptor defines their layout. A faulty header or VLR is an error of the
@@ -27,7 +28,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use super::extensions::{WAVES, beside};
+use super::extensions::{COMPRESSED_PULSES, COMPRESSED_WAVES, WAVES, beside, has_extension};
 use super::{Error, Result, regular_file};
 
 mod descriptor;
@@ -37,8 +38,10 @@ mod table;
 #[cfg(test)]
 mod tests;
 mod vlr;
+mod wave_input;
 mod waves;
 mod window;
+mod zip;
 
 pub use descriptor::{PulseDescriptor, SamplingRecord, SegmentKind};
 pub use header::{PulseHeader, TimeAxis};
@@ -48,9 +51,9 @@ pub use vlr::{Record, ScannerRecord, StoredCrs};
 pub use waves::{Segment, WaveSegments};
 
 use vlr::RecordSet;
+use wave_input::WaveDecoder;
 use window::FileWindow;
-
-pub(crate) use super::unsupported::UNCOMPRESS;
+use zip::PulseChunks;
 
 /// Reader of a pulse file and its waves file.
 #[derive(Debug)]
@@ -60,6 +63,10 @@ pub struct Reader {
     header: PulseHeader,
     records: RecordSet,
     pulse_count: u64,
+    /// Compressed pulses.
+    chunks: Option<PulseChunks>,
+    /// Decoder of compressed waves.
+    wave_decoder: Option<WaveDecoder>,
 }
 
 impl Reader {
@@ -68,8 +75,8 @@ impl Reader {
     /// Reads header and records.
     ///
     /// # Errors
-    /// A file cannot be opened, is empty, compressed, of another format or version, or cut off
-    /// before its first pulse; the waves file is missing; or the header or a record violates the
+    /// A file cannot be opened, is empty, of another format, version or compression, or cut off
+    /// before its first pulse; compressed pulses lack their chunk table; the waves file is missing; or the header or a record violates the
     /// specification. A file with fewer pulses than its header declares can be opened, see
     /// [`Reader::check_complete`].
     pub fn open(path: &Path) -> Result<Reader> {
@@ -81,15 +88,28 @@ impl Reader {
                 format!("the pulses start at byte {}, but the file ends earlier", header.offset_to_pulses);
             return Err(Error::unusable(path, problem, "it is cut off: copy it again from its source"));
         }
-        let records = RecordSet::read(&mut pulses, &header)?;
+        let mut records = RecordSet::read(&mut pulses, &header)?;
+        let chunks = match records.zip.take() {
+            Some(zip) => Some(PulseChunks::open(zip, &mut pulses, &header)?),
+            None if header.pulse_compression != 0 => {
+                let problem = format!(
+                    "its pulses are compressed (scheme {}), but the PulseZIP record is missing",
+                    header.pulse_compression
+                );
+                return Err(Error::unusable(path, problem, zip::CUT));
+            }
+            None => None,
+        };
         let end = records.appended_at.unwrap_or(pulses.length());
-        let held = (end - header.offset_to_pulses) / u64::from(header.pulse_size);
+        let held = chunks
+            .as_ref()
+            .map_or((end - header.offset_to_pulses) / u64::from(header.pulse_size), PulseChunks::pulse_count);
         let mut waves = open(&waves_path(path)?)?;
         let length = waves.length().min(header::WAVES_HEADER_BYTES as u64) as usize;
         let (file, bytes) = waves.bytes(0, length, "header")?;
-        header::check_waves_header(file, bytes)?;
+        let wave_decoder = header::check_waves_header(file, bytes)?.then(WaveDecoder::new);
         let pulse_count = held.min(header.pulse_count);
-        Ok(Reader { pulses, waves, header, records, pulse_count })
+        Ok(Reader { pulses, waves, header, records, pulse_count, chunks, wave_decoder })
     }
 
     /// Returns the header.
@@ -144,6 +164,10 @@ impl Reader {
     ///
     /// They belong to no record. They are remains of appended records in a truncated file.
     pub fn stray_bytes(&self) -> u64 {
+        // The chunk table follows compressed pulses.
+        if self.chunks.is_some() {
+            return 0;
+        }
         let end = self.records.appended_at.unwrap_or(self.pulses.length());
         end.saturating_sub(self.header.record_at(self.header.pulse_count))
     }
@@ -156,10 +180,20 @@ impl Reader {
         if index >= self.pulse_count {
             return Err(self.missing(index));
         }
-        let at = self.header.record_at(index);
+        let at = self.pulse_at(index, 0);
         let known = self.header.known_pulse_bytes();
+        if let Some(chunks) = &mut self.chunks {
+            let bytes = chunks.record(&mut self.pulses, index)?;
+            return PulseRecord::parse(self.pulses.file(), at, bytes, index, &self.header);
+        }
         let (file, bytes) = self.pulses.bytes(at, known, "pulse record")?;
         PulseRecord::parse(file, at, bytes, index, &self.header)
+    }
+
+    /// Returns the file offset of a field of a pulse; of its chunk if pulses are compressed.
+    fn pulse_at(&self, index: u64, field: u64) -> u64 {
+        let of_chunk = self.chunks.as_ref().map(|chunks| chunks.chunk_at(index));
+        of_chunk.unwrap_or_else(|| self.header.record_at(index).saturating_add(field))
     }
 
     /// Reads the segments of `pulse` into `waves`, replacing its content.
@@ -173,9 +207,13 @@ impl Reader {
     pub fn waves(&mut self, pulse: &PulseRecord, waves: &mut WaveSegments) -> Result<()> {
         waves.clear();
         let file = self.pulses.file();
-        let descriptor = descriptor(file, &self.header, &self.records, pulse)?;
-        let offset = wave_offset(file, &self.header, self.waves.length(), pulse)?;
-        waves.read(&mut self.waves, offset, pulse.index, descriptor)
+        let at = |field| self.pulse_at(pulse.index, field);
+        let descriptor = descriptor(file, at(44), &self.records, pulse)?;
+        let offset = wave_offset(file, at(8), self.waves.length(), pulse)?;
+        match &mut self.wave_decoder {
+            None => waves.read(&mut self.waves, offset, pulse.index, descriptor),
+            Some(decoder) => waves.read_compressed(&mut self.waves, decoder, offset, pulse.index, descriptor),
+        }
     }
 
     /// Creates the error for a missing pulse.
@@ -192,7 +230,7 @@ impl Reader {
         };
         Error::malformed(
             self.pulses.file(),
-            self.header.record_at(index),
+            self.pulse_at(index, 0),
             format!("pulse {index}"),
             problem,
             remedy,
@@ -201,9 +239,11 @@ impl Reader {
 }
 
 /// Returns the descriptor of the pulse, if its waves can be read.
+///
+/// Its index is at byte `at`.
 fn descriptor<'r>(
     file: &Path,
-    header: &PulseHeader,
+    at: u64,
     records: &'r RecordSet,
     pulse: &PulseRecord,
 ) -> Result<&'r PulseDescriptor> {
@@ -211,7 +251,7 @@ fn descriptor<'r>(
     let bad = |field: String, problem: String| {
         let field = format!("pulse {}: {field}", pulse.index);
         let remedy = "leave the pulse out, or export the files with 8 or 16 bit uncompressed waves";
-        Error::malformed(file, header.record_at(pulse.index).saturating_add(44), field, problem, remedy)
+        Error::malformed(file, at, field, problem, remedy)
     };
     let descriptor = records.descriptors.get(&index).ok_or_else(|| {
         bad("pulse descriptor index".to_string(), format!("the file has no descriptor {index}"))
@@ -224,15 +264,15 @@ fn descriptor<'r>(
 
 /// Returns the checked offset of the waves of a pulse.
 ///
-/// It must be within the waves file of `length` bytes.
-fn wave_offset(file: &Path, header: &PulseHeader, length: u64, pulse: &PulseRecord) -> Result<u64> {
+/// It is stored at byte `at` and must be within the waves file of `length` bytes.
+fn wave_offset(file: &Path, at: u64, length: u64, pulse: &PulseRecord) -> Result<u64> {
     let range = header::WAVES_HEADER_BYTES as u64..length;
     u64::try_from(pulse.wave_offset).ok().filter(|offset| range.contains(offset)).ok_or_else(|| {
         let field = format!("pulse {}: offset to waves", pulse.index);
         let problem =
             format!("{} is outside the waves file's bytes {} to {length}", pulse.wave_offset, range.start);
         let remedy = "leave the pulse out, or copy both files again: the waves file may be cut off";
-        Error::malformed(file, header.record_at(pulse.index).saturating_add(8), field, problem, remedy)
+        Error::malformed(file, at, field, problem, remedy)
     })
 }
 
@@ -241,18 +281,19 @@ fn open(path: &Path) -> Result<FileWindow<File>> {
     let file = regular_file(path)?;
     let about = file.metadata().map_err(Error::io(path, "open"))?;
     if !about.is_file() {
-        return Err(Error::unusable(path, "this is not a file", "give a .pls file"));
+        return Err(Error::unusable(path, "this is not a file", "give a .pls or .plz file"));
     }
     Ok(FileWindow::new(file, path, about.len()))
 }
 
-/// Returns the waves file of a pulse file.
+/// Returns the waves file of a pulse file: of the same compression, or else the other one.
 fn waves_path(path: &Path) -> Result<PathBuf> {
-    beside(path, WAVES).ok_or_else(|| {
-        if beside(path, "wvz").is_some() {
-            return Error::unusable(path, "its waves are compressed (.wvz)", UNCOMPRESS);
-        }
-        let wanted = path.with_extension(WAVES);
+    let extensions = match has_extension(path, COMPRESSED_PULSES) {
+        true => [COMPRESSED_WAVES, WAVES],
+        false => [WAVES, COMPRESSED_WAVES],
+    };
+    extensions.iter().find_map(|extension| beside(path, extension)).ok_or_else(|| {
+        let wanted = path.with_extension(extensions[0]);
         let problem = format!("its waves file {} is missing", wanted.display());
         Error::unusable(path, problem, "put it into the folder of the pulse file")
     })

@@ -6,12 +6,8 @@ use super::Error;
 use super::extensions::extension;
 use super::misplaced::misplaced;
 
-/// Remedy for compressed PulseWaves.
-pub(crate) const UNCOMPRESS: &str =
-    "uncompress the pair with rapidlasso's pulsezip (pulsezip -i in.plz -o out.pls)";
-
 /// Extensions, problem and remedy of each format.
-const UNSUPPORTED: [(&[&str], &str, &str); 3] = [
+const UNSUPPORTED: [(&[&str], &str, &str); 2] = [
     (
         &["rxp"],
         "RIEGL RXP is not supported",
@@ -23,7 +19,6 @@ const UNSUPPORTED: [(&[&str], &str, &str); 3] = [
         "copy its waveforms into the open waveform container (.arrow), for example with h5py and pyarrow: schemas/container.json \
          lists the columns, examples/write_container.rs writes one",
     ),
-    (&["plz"], "compressed PulseWaves (.plz, .wvz) is not supported", UNCOMPRESS),
 ];
 
 /// Returns the error for a known but unsupported format, or for a path that is no recording.
@@ -45,7 +40,6 @@ mod tests {
             ("a.rxp", "a.rxp: RIEGL RXP is not supported; export "),
             ("a.H5", "a.H5: HDF5 (F5) is not supported; copy "),
             ("a.f5", "a.f5: HDF5 (F5) is not supported; copy "),
-            ("a.plz", "a.plz: compressed PulseWaves (.plz, .wvz) is not supported; uncompress the pair "),
         ] {
             let error = unsupported(Path::new(name)).unwrap().to_string();
             assert!(error.starts_with(begins), "{error}");

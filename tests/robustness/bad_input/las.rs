@@ -73,7 +73,7 @@ fn waveforms_that_were_cut_off() {
         (
             59,
             "byte 0: header: this is not a waveform packet file (LASF_Spec/65535); give the `.wdp` \
-             file that was exported together with the points"
+             or `.wdz` file that was exported together with the points"
                 .to_string(),
         ),
         (

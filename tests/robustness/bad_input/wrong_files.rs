@@ -35,7 +35,7 @@ fn a_folder() {
         fs::create_dir(place.path(name)).unwrap();
         let problem = match reader {
             "read_las" => "cannot read the header: Is a directory (os error 21); give a file",
-            "read_pulsewaves" => "this is not a file; give a .pls file",
+            "read_pulsewaves" => "this is not a file; give a .pls or .plz file",
             _ => "cannot read: Is a directory (os error 21); give a file",
         };
         let message = format!("stage {reader}: ./{name}: {problem}");
@@ -50,7 +50,7 @@ fn a_file_of_another_format() {
     let text = b"x,y,z\n1,2,3\n4,5,6\n7,8,9\n".to_vec();
     let no_las = "byte 0: file signature: expected `LASF`; give a LAS or LAZ file";
     let no_pls = |start: &str| {
-        format!("this is not a PulseWaves pulse file: it starts with \"{start}\"; give a .pls file")
+        format!("this is not a PulseWaves pulse file: it starts with \"{start}\"; give a .pls or .plz file")
     };
     let no_arrow = "neither an Arrow IPC file nor a stream; \
                     give a waveform container, or use the reader of the file's own format";
@@ -64,7 +64,7 @@ fn a_file_of_another_format() {
             "read_pulsewaves",
             "a.pls",
             &pls.waves,
-            "this is the waves file of a PulseWaves pair; give the .pls file of the same name".into(),
+            "this is the waves file of a PulseWaves pair; give the .pls or .plz file of the same name".into(),
         ),
         ("read_arrow", "a.arrow", &text, no_arrow.into()),
         ("read_arrow", "a.arrow", &las, no_arrow.into()),

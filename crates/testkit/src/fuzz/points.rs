@@ -5,9 +5,15 @@ use std::io::{Cursor, Read};
 use wavex_formats::las::{LasDescription, Point, RawPoints, Reader, write_copc};
 
 use super::{Files, parts};
+use crate::compression::packet;
 
 /// Most points of an input that are read: a compressed file can declare more than time allows.
 const MOST_POINTS: u64 = 20_000;
+
+/// Most samples of an input that are read.
+const MOST_SAMPLES: usize = 1 << 20;
+/// Most packets of an input that are compressed again.
+const MOST_COMPRESSED: usize = 20;
 
 /// A LAS or LAZ file, and its waveform packets (`.wdp`) as second part.
 pub fn las(bytes: &[u8]) {
@@ -66,6 +72,54 @@ pub fn las(bytes: &[u8]) {
     {
         assert_eq!(format!("{point:?}"), first, "the first point after seeking");
     }
+}
+
+/// A LAS file, and its compressed waveform packets (`.wdz`) as second part.
+///
+/// Samples that are compressed again stay the same.
+pub fn compressed_packets(bytes: &[u8]) {
+    let parts = parts(bytes);
+    let place = Files::with(&[("a.las", parts[0]), ("a.wdz", parts.get(1).copied().unwrap_or_default())]);
+    let Ok(mut reader) = Reader::open(&place.path("a.las")) else { return };
+    let (mut point, mut samples) = (Point::default(), Vec::new());
+    let (mut left, mut n_packets) = (MOST_SAMPLES, 0);
+    while left > 0
+        && let Ok(true) = reader.next_point(&mut point)
+    {
+        left -= 1;
+        let Ok(descriptor) = reader.packet(&point.wave, &mut samples) else {
+            assert!(samples.is_empty(), "a damaged packet has samples");
+            continue;
+        };
+        assert_eq!(samples.len() as u64, u64::from(descriptor.samples));
+        assert_eq!(reader.packet_descriptor(&point.wave).unwrap(), descriptor);
+        left = left.saturating_sub(samples.len());
+        n_packets += 1;
+        if descriptor.compression == 1 && n_packets <= MOST_COMPRESSED {
+            let packet = packet(descriptor.bits, &samples);
+            assert_eq!(decoded(&packet, descriptor.bits, descriptor.samples), samples);
+        }
+    }
+}
+
+/// Samples of a compressed packet, by a recording of one point.
+fn decoded(packet: &[u8], bits: u8, samples: u32) -> Vec<u16> {
+    let mut las = crate::las::Las::new(1);
+    las.vlrs[0] = crate::las::vlr("LASF_Spec", 100, &crate::las::descriptor(bits, samples, 1000));
+    las.vlrs[0][54 + 1] = 1;
+    las.packets.truncate(60);
+    las.packets[20..28].fill(0);
+    las.packets.extend(packet);
+    let las = las.change(0, 39, &(packet.len() as u32).to_le_bytes());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("b.las");
+    std::fs::write(&path, las.las()).unwrap();
+    std::fs::write(folder.path().join("b.wdz"), &las.packets).unwrap();
+    let mut reader = Reader::open(&path).unwrap();
+    let (mut point, mut samples) = (Point::default(), Vec::new());
+    assert!(reader.next_point(&mut point).unwrap());
+    reader.packet(&point.wave, &mut samples).unwrap();
+    samples
 }
 
 /// A LAS or LAZ file whose points become a COPC file, which has the same points.

@@ -106,6 +106,16 @@ fn recordings(add: &mut Add) {
             }
         }
     }
+    let compressed_las = Las::new(3).with_compressed_packets();
+    add("compressed_packets", "three_points", joined(&[&compressed_las.las(), &compressed_las.packets]));
+    add("compressed_packets", "laz", joined(&[&compressed_las.laz(), &compressed_las.packets]));
+    let compressed_pulses = PulseWaves::new(7).with_compressed_waves();
+    add("compressed_pulses", "two_chunks", joined(&[&compressed_pulses.plz(4), &compressed_pulses.waves]));
+    add(
+        "compressed_pulses",
+        "compressed_waves",
+        joined(&[&compressed_pulses.pls(), &compressed_pulses.waves]),
+    );
     let las = Las::new(2).without_locations();
     add("las", "without_locations", joined(&[&las.las(), &las.packets]));
     let pls = PulseWaves::new(3);

@@ -9,12 +9,21 @@ const MOST_PULSES: u64 = 5_000;
 
 /// A PulseWaves file (`.pls`), and its waves (`.wvs`) as second part.
 pub fn pulsewaves(bytes: &[u8]) {
+    read(bytes, ["a.pls", "a.wvs"]);
+}
+
+/// A compressed PulseWaves file (`.plz`), and its waves (`.wvz`) as second part.
+pub fn compressed_pulses(bytes: &[u8]) {
+    read(bytes, ["a.plz", "a.wvz"]);
+}
+
+fn read(bytes: &[u8], [pulses, waves]: [&str; 2]) {
     let parts = parts(bytes);
-    let waves: &[u8] = parts.get(1).copied().unwrap_or_default();
-    let place = Files::with(&[("a.pls", parts[0]), ("a.wvs", waves)]);
-    let Ok(mut reader) = Reader::open(&place.path("a.pls")) else { return };
+    let place = Files::with(&[(pulses, parts[0]), (waves, parts.get(1).copied().unwrap_or_default())]);
+    let Ok(mut reader) = Reader::open(&place.path(pulses)) else { return };
     let _ = (reader.check_complete(), reader.stray_bytes(), reader.header().time_axis());
-    assert!(reader.pulse_count() <= parts[0].len() as u64, "more pulses than bytes");
+    let is_compressed = reader.records().iter().any(|record| record.record_id == 5);
+    assert!(is_compressed || reader.pulse_count() <= parts[0].len() as u64, "more pulses than bytes");
     let mut waves = WaveSegments::new();
     for index in 0..reader.pulse_count().min(MOST_PULSES) {
         let Ok(pulse) = reader.pulse(index) else { continue };

@@ -56,7 +56,9 @@ mod tests {
     fn changes_of_companion_files_are_noticed_whatever_the_case_of_their_extension() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
-        for (recording, companion) in [("a.pls", "a.Wvs"), ("b.LAS", "b.wdp")] {
+        for (recording, companion) in
+            [("a.pls", "a.Wvs"), ("b.LAS", "b.wdp"), ("c.laz", "c.wdz"), ("d.plz", "d.wvz")]
+        {
             [recording, companion].iter().for_each(|name| fs::write(path(name), "before").unwrap());
             let state = InputState::of(&path(recording));
             assert!(state.check().is_ok());

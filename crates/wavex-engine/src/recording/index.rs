@@ -19,7 +19,7 @@ use arrow_schema::{ArrowError, Schema};
 use super::index_path;
 use wavex_formats::Error;
 use wavex_formats::container::{IpcWriter, TableReader};
-use wavex_formats::format::companion;
+use wavex_formats::format::companions;
 use wavex_line::scan_line::ScanLine;
 use wavex_line::stage::{Context, LineLocation, OutputFile, Result, RunContext, SourcePlan, StageError};
 
@@ -201,8 +201,9 @@ fn identity(recording: &Path, keys: &str) -> Option<String> {
         let modified = about.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
         Some(format!("{} bytes, {} ns", about.len(), modified.as_nanos()))
     };
-    let companion = companion(recording).and_then(|path| of(&path)).unwrap_or_default();
-    Some(format!("wavex {}; {}; {companion}; {keys}", env!("CARGO_PKG_VERSION"), of(recording)?))
+    let companions: Vec<String> = companions(recording).iter().filter_map(|path| of(path)).collect();
+    let companions = companions.join(", ");
+    Some(format!("wavex {}; {}; {companions}; {keys}", env!("CARGO_PKG_VERSION"), of(recording)?))
 }
 
 fn columns(lines: &[IndexedLine]) -> std::result::Result<RecordBatch, ArrowError> {

@@ -14,6 +14,8 @@ use crate::bytes::Fields;
 /// Over 600 km of range at 1 ns.
 const MOST_SAMPLES: u32 = 1 << 22;
 
+/// Compression type of LAStools.
+const COMPRESSED: u8 = 1;
 /// Length of a descriptor's data, bytes.
 pub(super) const DESCRIPTOR_BYTES: usize = 26;
 /// Record ID of the first descriptor.
@@ -24,7 +26,7 @@ pub(super) const FIRST_DESCRIPTOR: u16 = 100;
 pub struct PacketDescriptor {
     /// Bits per sample; 2 to 32 by the specification.
     pub bits: u8,
-    /// Compression type; only 0 (none) is defined.
+    /// Compression type: 0 none, 1 that of LAStools.
     pub compression: u8,
     /// Number of samples per packet.
     pub samples: u32,
@@ -67,6 +69,11 @@ impl Descriptors {
         gains.any(|gain| Some(gain) != first)
     }
 
+    /// Returns whether a non-empty descriptor has compressed packets.
+    pub(super) fn are_compressed(&self) -> bool {
+        self.0.iter().flatten().any(|descriptor| descriptor.samples > 0 && descriptor.is_compressed())
+    }
+
     /// Returns whether the file has a non-empty descriptor.
     pub(super) fn describe_anything(&self) -> bool {
         self.0.iter().flatten().any(|descriptor| descriptor.samples > 0)
@@ -85,7 +92,7 @@ fn parse(fields: &mut Fields) -> Result<PacketDescriptor> {
 }
 
 impl PacketDescriptor {
-    /// Returns the length of a packet, bytes.
+    /// Returns the length of an uncompressed packet, bytes.
     ///
     /// Samples are packed without padding.
     pub fn packet_bytes(&self) -> u64 {
@@ -97,8 +104,15 @@ impl PacketDescriptor {
     /// Samples of 9 to 15 bits may be stored in words of 16 bits: such a packet has two bytes per
     /// sample.
     pub(super) fn as_stored(&self, wave: &Wave) -> PacketDescriptor {
-        let is_in_words = (9..16).contains(&self.bits) && u64::from(wave.size) == 2 * u64::from(self.samples);
+        let is_in_words = !self.is_compressed()
+            && (9..16).contains(&self.bits)
+            && u64::from(wave.size) == 2 * u64::from(self.samples);
         PacketDescriptor { bits: if is_in_words { 16 } else { self.bits }, ..*self }
+    }
+
+    /// Returns whether packets are compressed.
+    pub(super) fn is_compressed(&self) -> bool {
+        self.compression == COMPRESSED
     }
 
     /// Number of bytes of a packet that this descriptor, as [`Reader::packet`] returns it, does not
@@ -106,6 +120,10 @@ impl PacketDescriptor {
     ///
     /// [`Reader::packet`]: super::Reader::packet
     pub fn surplus_bytes(&self, wave: &Wave) -> u64 {
+        // All bytes of a compressed packet are read.
+        if self.is_compressed() {
+            return 0;
+        }
         let surplus = u64::from(wave.size).saturating_sub(self.packet_bytes());
         if 8 * surplus >= 2 * u64::from(self.bits.max(8)) { surplus } else { 0 }
     }
@@ -132,8 +150,11 @@ impl PacketDescriptor {
             let problem = format!("{} samples exceed the limit of {MOST_SAMPLES}", self.samples);
             return Some((problem, "the descriptor is damaged: export the file again"));
         }
-        if self.compression != 0 {
+        if self.compression > COMPRESSED {
             return Some((format!("compression {} is not defined", self.compression), EXPORT));
+        }
+        if self.is_compressed() && !matches!(self.bits, 8 | 16) {
+            return Some((format!("compressed samples have 8 or 16 bits, not {}", self.bits), EXPORT));
         }
         if !(2..=16).contains(&self.bits) {
             return Some((format!("{} bits per sample are not supported, only 2 to 16", self.bits), EXPORT));
@@ -233,8 +254,13 @@ mod tests {
             Some("4194305 samples exceed the limit of 4194304")
         );
         assert_eq!(
-            said(PacketDescriptor { compression: 1, ..descriptor(8, 60) }).as_deref(),
-            Some("compression 1 is not defined")
+            said(PacketDescriptor { compression: 2, ..descriptor(8, 60) }).as_deref(),
+            Some("compression 2 is not defined")
+        );
+        assert_eq!(said(PacketDescriptor { compression: 1, ..descriptor(16, 60) }), None);
+        assert_eq!(
+            said(PacketDescriptor { compression: 1, ..descriptor(12, 60) }).as_deref(),
+            Some("compressed samples have 8 or 16 bits, not 12")
         );
         assert_eq!(
             said(descriptor(17, 60)).as_deref(),

@@ -1,18 +1,23 @@
 //! Waveform packets: LAS 1.4 R15, section "Waveform Data Packets".
 //!
 //! Packets are in an extended record inside the file or, after the same 60-byte header, in a `.wdp`
-//! file next to it. Two bits of the LAS header select the location. If the selected location has no
+//! file next to it; compressed ones in a `.wdz` file (LAStools). Two bits of the LAS header select the location. If the selected location has no
 //! packets, or the bits select none or both, packets at the only other location are used. Packets
 //! at both locations without a single deciding bit are an error.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use super::descriptor::{Descriptors, PacketDescriptor};
 use super::encoding;
 use super::header::LasHeader;
+use super::packet_decoder::PacketDecoder;
+use super::point::Wave;
 use super::vlr::{self, EVLR_HEADER, SPEC, Vlr, WAVEFORM_PACKETS};
-use crate::extensions::{PACKETS, beside};
+use crate::bytes::Fields;
+use crate::extensions::{COMPRESSED_PACKETS, PACKETS, beside};
 use crate::{Error, Result, regular_file};
 
 /// Bytes read after a jump.
@@ -36,7 +41,14 @@ pub(super) struct Packets {
     window_at: u64,
     /// Number of bytes to read next, if access is sequential.
     span: usize,
+    decoder: PacketDecoder,
 }
+
+/// Copy of the descriptors at the start of packets from LAStools: signature, size of the signature and of
+/// the version after it, bytes, and size of a descriptor, bytes.
+const DESCRIBED: &[u8] = b"LAStools waveform ";
+const DESCRIBED_BYTES: u64 = 24;
+const DESCRIPTION_BYTES: u64 = 6;
 
 /// Finds the packets of the file `path`.
 ///
@@ -49,6 +61,7 @@ pub(super) fn find(
     path: &Path,
     header: &LasHeader,
     evlrs: &[Vlr],
+    descriptors: &Descriptors,
     input: &mut (impl Read + Seek),
     file_length: u64,
 ) -> Result<Option<Packets>> {
@@ -59,7 +72,7 @@ pub(super) fn find(
     if let Some(record) = inside.as_ref().filter(|_| takes_inside && !takes_beside) {
         return Packets::inside(path, record).map(Some);
     }
-    match (inside, beside(path, PACKETS)) {
+    match (inside, extensions(descriptors).into_iter().find_map(|extension| beside(path, extension))) {
         (None, None) => Ok(None),
         (Some(record), None) => Packets::inside(path, &record).map(Some),
         (None, Some(beside)) => Packets::beside(&beside).map(Some),
@@ -75,6 +88,14 @@ pub(super) fn find(
             ),
             "move away the waveform file that does not belong to these points",
         )),
+    }
+}
+
+/// Returns the extensions of separate files, the expected one first.
+fn extensions(descriptors: &Descriptors) -> [&'static str; 2] {
+    match descriptors.are_compressed() {
+        true => [COMPRESSED_PACKETS, PACKETS],
+        false => [PACKETS, COMPRESSED_PACKETS],
     }
 }
 
@@ -106,16 +127,9 @@ fn inside(
 }
 
 /// Creates the error for points that refer to missing packets.
-pub(super) fn missing(path: &Path) -> Error {
-    if let Some(packed) = beside(path, "wdz") {
-        return Error::unusable(
-            path,
-            format!("its waveforms are compressed, in `{}`, which cannot be read", packed.display()),
-            "decompress points and waveforms together, to `.las` and `.wdp`, with the program that compressed them \
-             (LASzip: `laszip -i FILE.laz -o FILE.las -waveforms`)",
-        );
-    }
-    let name = path.with_extension(PACKETS);
+pub(super) fn missing(path: &Path, descriptors: &Descriptors) -> Error {
+    let [extension, _] = extensions(descriptors);
+    let name = path.with_extension(extension);
     let name = name.file_name().unwrap_or_default().display();
     Error::unusable(
         path,
@@ -138,7 +152,7 @@ impl Packets {
         Ok(Packets::new(file, path, record.offset - EVLR_HEADER, end))
     }
 
-    /// Opens a `.wdp` file.
+    /// Opens a `.wdp` or `.wdz` file.
     ///
     /// A declared length that is too short is ignored, as nothing else can follow.
     fn beside(path: &Path) -> Result<Packets> {
@@ -153,14 +167,74 @@ impl Packets {
                 0,
                 "header",
                 "this is not a waveform packet file (LASF_Spec/65535)",
-                "give the `.wdp` file that was exported together with the points",
+                "give the `.wdp` or `.wdz` file that was exported together with the points",
             ));
         }
         Ok(Packets::new(file, path, 0, length))
     }
 
     fn new(file: File, path: &Path, start: u64, end: u64) -> Packets {
-        Packets { file, path: path.to_path_buf(), start, end, window: Vec::new(), window_at: 0, span: SMALL }
+        let (path, window, decoder) = (path.to_path_buf(), Vec::new(), PacketDecoder::new());
+        Packets { file, path, start, end, window, window_at: 0, span: SMALL, decoder }
+    }
+
+    /// Compares the copy of the descriptors at the start of packets from LAStools.
+    ///
+    /// # Errors
+    /// They differ: the packets belong to other points.
+    pub(super) fn check_descriptors(&mut self, descriptors: &Descriptors) -> Result<()> {
+        if self.end - self.start < EVLR_HEADER + DESCRIBED_BYTES + 2
+            || !self.bytes(EVLR_HEADER, DESCRIBED_BYTES)?.starts_with(DESCRIBED)
+        {
+            return Ok(());
+        }
+        let at = EVLR_HEADER + DESCRIBED_BYTES;
+        let count = self.bytes(at, 2)?.iter().rev().fold(0, |count, &byte| count << 8 | u64::from(byte));
+        let (path, base) = (self.path.clone(), self.start + at + 2);
+        let mut fields = Fields::new(&path, base, self.bytes(at + 2, DESCRIPTION_BYTES * count)?);
+        for _ in 0..count {
+            let here = fields.clone();
+            let index = fields.u16("index of a waveform descriptor")?;
+            let stored = (
+                fields.u8("compression of a waveform descriptor")?,
+                fields.u8("bits of a waveform descriptor")?,
+                fields.u16("samples of a waveform descriptor")?,
+            );
+            let of_points = u8::try_from(index).ok().and_then(|index| descriptors.get(index));
+            let same = of_points.is_some_and(|of| stored == (of.compression, of.bits, of.samples as u16));
+            if !same {
+                let problem = "it differs from that of the points";
+                let remedy =
+                    "the waveforms belong to another file: give those that were exported with the points";
+                return Err(here.bad(&format!("waveform descriptor {index}"), problem, remedy));
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads the waveform `wave` into `samples`, replacing its content.
+    ///
+    /// # Errors
+    /// As [`Packets::check`]; the file cannot be read; or the packet is not a compressed packet, although
+    /// `descriptor` says so. `samples` is then empty.
+    pub(super) fn samples(
+        &mut self,
+        wave: &Wave,
+        descriptor: &PacketDescriptor,
+        samples: &mut Vec<u16>,
+    ) -> Result<()> {
+        if !descriptor.is_compressed() {
+            descriptor.unpack(self.bytes(wave.offset, descriptor.packet_bytes())?, samples);
+            return Ok(());
+        }
+        let Range { start, end } = self.range_in_window(wave.offset, wave.size.into())?;
+        let decoded = self.decoder.decode(&self.window[start..end], descriptor, samples);
+        decoded.map_err(|problem| {
+            samples.clear();
+            let problem = format!("{} bytes cannot be decompressed: {problem}", wave.size);
+            let remedy = "the waveform is damaged: copy the file again from its source, or export it again";
+            Error::malformed(&self.path, self.start + wave.offset, "waveform packet", problem, remedy)
+        })
     }
 
     /// Checks that `length` bytes from `offset`, relative to the record header, are within the packets.
@@ -187,7 +261,13 @@ impl Packets {
     ///
     /// # Errors
     /// As [`Packets::check`], or the file cannot be read.
-    pub(super) fn bytes(&mut self, offset: u64, length: u64) -> Result<&[u8]> {
+    fn bytes(&mut self, offset: u64, length: u64) -> Result<&[u8]> {
+        let range = self.range_in_window(offset, length)?;
+        Ok(&self.window[range])
+    }
+
+    /// Moves the window to `length` bytes from `offset`; returns where in it they are.
+    fn range_in_window(&mut self, offset: u64, length: u64) -> Result<Range<usize>> {
         self.check(offset, length)?;
         let at = self.start + offset;
         // Both lengths are below the file length, which fits the address space once the window is
@@ -197,7 +277,7 @@ impl Packets {
             self.load(at, length)?;
         }
         let from = (at - self.window_at) as usize;
-        Ok(&self.window[from..from + length])
+        Ok(from..from + length)
     }
 
     /// Moves the window to byte `at`.

@@ -8,6 +8,7 @@ use super::descriptor::{Descriptors, PacketDescriptor};
 use super::extent;
 use super::extra_bytes::{self, ExtraBytes};
 use super::header::LasHeader;
+use super::packet_decoder::PacketDecoder;
 use super::packets::{self, Packets};
 use super::point::{Point, PointLayout, Wave};
 use super::records::RecordReader;
@@ -29,6 +30,8 @@ pub struct Reader {
     records: RecordReader,
     packets: Option<Packets>,
     surplus_bytes: u64,
+    /// Samples of packets that are only checked.
+    unwanted: Vec<u16>,
 }
 
 impl Reader {
@@ -73,9 +76,12 @@ impl Reader {
             Some(vlr) => extra_bytes::parse(path, vlr)?,
             None => Vec::new(),
         };
-        let packets = packets::find(path, &header, &evlrs, &mut input, file_length)?;
+        let mut packets = packets::find(path, &header, &evlrs, &descriptors, &mut input, file_length)?;
         if packets.is_none() && descriptors.describe_anything() {
-            return Err(packets::missing(path));
+            return Err(packets::missing(path, &descriptors));
+        }
+        if let Some(packets) = packets.as_mut().filter(|_| descriptors.are_compressed()) {
+            packets.check_descriptors(&descriptors)?;
         }
         let inside = packets.as_ref().and_then(|packets| packets.start_in(path));
         let surplus_bytes = extent::surplus_bytes(&mut input, path, &header, &evlrs, inside, file_length)?;
@@ -92,6 +98,7 @@ impl Reader {
             records,
             packets,
             surplus_bytes,
+            unwanted: Vec::new(),
         })
     }
 
@@ -214,29 +221,53 @@ impl Reader {
     /// points may be valid.
     pub fn packet(&mut self, wave: &Wave, samples: &mut Vec<u16>) -> Result<PacketDescriptor> {
         samples.clear();
-        let descriptor = self.packet_descriptor(wave)?;
-        let Some(packets) = &mut self.packets else { return Err(packets::missing(&self.path)) };
-        descriptor.unpack(packets.bytes(wave.offset, descriptor.packet_bytes())?, samples);
+        let descriptor = self.located_packet(wave)?;
+        let Some(packets) = &mut self.packets else { return Err(self.without_packets()) };
+        packets.samples(wave, &descriptor, samples)?;
         Ok(descriptor)
     }
 
-    /// Returns the descriptor of a waveform that [`Reader::packet`] can read, without reading it.
+    /// Returns the descriptor of a waveform that [`Reader::packet`] can read.
+    ///
+    /// Only compressed packets are read: whether they are valid is not known otherwise.
     ///
     /// # Errors
     /// As [`Reader::packet`].
-    pub fn packet_descriptor(&self, wave: &Wave) -> Result<PacketDescriptor> {
+    pub fn packet_descriptor(&mut self, wave: &Wave) -> Result<PacketDescriptor> {
+        let descriptor = self.located_packet(wave)?;
+        if descriptor.is_compressed() {
+            let mut samples = std::mem::take(&mut self.unwanted);
+            let read = self.packet(wave, &mut samples);
+            self.unwanted = samples;
+            return read;
+        }
+        Ok(descriptor)
+    }
+
+    fn without_packets(&self) -> Error {
+        packets::missing(&self.path, &self.descriptors)
+    }
+
+    /// Returns the descriptor of a waveform whose size and location are possible.
+    fn located_packet(&self, wave: &Wave) -> Result<PacketDescriptor> {
         let descriptor = self.descriptor(wave)?.as_stored(wave);
-        let length = descriptor.packet_bytes();
-        if length > u64::from(wave.size) {
-            let problem = format!(
-                "the waveform packet at byte {} has {} bytes, but {} samples of {} bits need \
-                 {length}",
-                wave.offset, wave.size, descriptor.samples, descriptor.bits
-            );
+        let (samples, size) = (descriptor.samples, u64::from(wave.size));
+        let (length, problem) = if descriptor.is_compressed() {
+            let most = PacketDecoder::most_bytes(&descriptor);
+            let problem = || format!("{samples} compressed samples take at most {most}");
+            (size, (size > most).then(problem))
+        } else {
+            let length = descriptor.packet_bytes();
+            let problem = || format!("{samples} samples of {} bits need {length}", descriptor.bits);
+            (length, (size < length).then(problem))
+        };
+        if let Some(problem) = problem {
+            let problem =
+                format!("the waveform packet at byte {} has {size} bytes, but {problem}", wave.offset);
             let remedy = "the point or its descriptor is damaged: export the file again";
             return Err(Error::unusable(&self.path, problem, remedy));
         }
-        let Some(packets) = &self.packets else { return Err(packets::missing(&self.path)) };
+        let Some(packets) = &self.packets else { return Err(self.without_packets()) };
         packets.check(wave.offset, length)?;
         Ok(descriptor)
     }

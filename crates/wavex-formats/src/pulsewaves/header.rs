@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use super::UNCOMPRESS;
 use crate::bytes::Fields;
 use crate::{Error, Result};
 
@@ -10,12 +9,16 @@ use crate::{Error, Result};
 const SIGNATURE: &[u8] = b"PulseWavesPulse";
 /// Signature of a waves file, without its terminating zero.
 const WAVES_SIGNATURE: &[u8] = b"PulseWavesWaves";
+/// Compression scheme of a waves file: arithmetic coding.
+const WAVES_COMPRESSED: u32 = 1;
 /// Size of the header in version 0.3, bytes.
 pub(super) const HEADER_BYTES: usize = 352;
 /// Size of the header of the waves file, bytes.
 pub(super) const WAVES_HEADER_BYTES: usize = 60;
 /// Size of pulse record type 0 without attributes, bytes.
 pub(super) const PULSE_BYTES: u32 = 48;
+/// Largest accepted size of a pulse record, bytes.
+const MOST_PULSE_BYTES: u32 = 1 << 20;
 /// Bit of `pulse_attributes`: a 16-bit source ID follows the record.
 const SOURCE_ID_16: u32 = 1;
 /// Bit of `pulse_attributes`: a 32-bit source ID follows the record.
@@ -66,6 +69,8 @@ pub struct PulseHeader {
     ///
     /// It includes attributes and extra bytes.
     pub pulse_size: u32,
+    /// Compression of the pulse records; compressed files have a record of PulseZIP, but often 0 here.
+    pub pulse_compression: u32,
     /// Number of variable length records before the pulses.
     pub vlr_count: u32,
     /// Number of appended records after the pulses; -1 if unknown.
@@ -133,7 +138,7 @@ impl PulseHeader {
         let creation_year = f.u16("file creation year")?;
         let version = version(file, &mut f)?;
         let (header_size, offset_to_pulses, pulse_count) = sizes(&mut f)?;
-        let (pulse_format, pulse_attributes, pulse_size) = record_layout(file, &mut f)?;
+        let (pulse_format, pulse_attributes, pulse_size, pulse_compression) = record_layout(file, &mut f)?;
         f.skip(8, "reserved")?;
         let at = f.clone();
         let vlr_count = f.u32("number of variable length records")?;
@@ -166,6 +171,7 @@ impl PulseHeader {
             pulse_format,
             pulse_attributes,
             pulse_size,
+            pulse_compression,
             vlr_count,
             avlr_count,
             t_scale_s,
@@ -235,14 +241,14 @@ fn check_signature(file: &Path, bytes: &[u8]) -> Result<()> {
         return Err(Error::unusable(file, "the file is empty", "copy it again from its source"));
     }
     if bytes.starts_with(WAVES_SIGNATURE) {
-        let remedy = "give the .pls file of the same name";
+        let remedy = "give the .pls or .plz file of the same name";
         return Err(Error::unusable(file, "this is the waves file of a PulseWaves pair", remedy));
     }
     let start = &bytes[..bytes.len().min(SIGNATURE.len())];
     if !SIGNATURE.starts_with(start) {
         let start = String::from_utf8_lossy(start).escape_debug().to_string();
         let problem = format!("this is not a PulseWaves pulse file: it starts with \"{start}\"");
-        return Err(Error::unusable(file, problem, "give a .pls file"));
+        return Err(Error::unusable(file, problem, "give a .pls or .plz file"));
     }
     Ok(())
 }
@@ -282,10 +288,8 @@ fn sizes(f: &mut Fields<'_>) -> Result<(u16, u64, u64)> {
     Ok((header_size, offset, count))
 }
 
-/// Reads format, attributes and size of the pulse records.
-///
-/// Rejects compressed ones.
-fn record_layout(file: &Path, f: &mut Fields<'_>) -> Result<(u32, u32, u32)> {
+/// Reads format, attributes, size and compression of the pulse records.
+fn record_layout(file: &Path, f: &mut Fields<'_>) -> Result<(u32, u32, u32, u32)> {
     let format = f.u32("pulse format")?;
     if format != 0 {
         let problem = format!("pulse format {format} is not defined in PulseWaves 0.3, only 0 is");
@@ -298,12 +302,10 @@ fn record_layout(file: &Path, f: &mut Fields<'_>) -> Result<(u32, u32, u32)> {
     if size < known {
         return Err(at.bad("pulse size", format!("{size} is below the {known} bytes of a pulse"), EXPORT));
     }
-    let compression = f.u32("pulse compression")?;
-    if compression != 0 {
-        let problem = format!("its pulses are compressed (scheme {compression})");
-        return Err(Error::unusable(file, problem, UNCOMPRESS));
+    if size > MOST_PULSE_BYTES {
+        return Err(at.bad("pulse size", format!("{size} exceeds the limit of {MOST_PULSE_BYTES}"), EXPORT));
     }
-    Ok((format, attributes, size))
+    Ok((format, attributes, size, f.u32("pulse compression")?))
 }
 
 /// Reads a finite number.
@@ -331,20 +333,25 @@ fn three<'a>(
 
 /// Checks the 60-byte header of the waves file (specification 0.3, "The Waves Header").
 ///
-/// It holds the signature, the compression scheme, and zeros.
-pub(super) fn check_waves_header(file: &Path, bytes: &[u8]) -> Result<()> {
+/// It holds the signature, the compression scheme, and zeros. Returns whether the waves are compressed.
+pub(super) fn check_waves_header(file: &Path, bytes: &[u8]) -> Result<bool> {
     if bytes.is_empty() {
         return Err(Error::unusable(file, "the file is empty", "copy it again from its source"));
     }
     let mut f = Fields::new(file, 0, bytes);
     if !f.take(16, "file signature")?.starts_with(WAVES_SIGNATURE) {
         let problem = "this is not a PulseWaves waves file: its signature differs";
-        return Err(Error::unusable(file, problem, "put the .wvs file of the same export next to the .pls"));
+        return Err(Error::unusable(
+            file,
+            problem,
+            "put the .wvs or .wvz file of the same export next to the pulses",
+        ));
     }
+    let at = f.clone();
     let compression = f.u32("compression")?;
-    if compression != 0 {
-        let problem = format!("its waves are compressed (scheme {compression})");
-        return Err(Error::unusable(file, problem, UNCOMPRESS));
+    if compression > WAVES_COMPRESSED {
+        return Err(at.bad("compression", format!("scheme {compression} is unknown, only 0 and 1"), EXPORT));
     }
-    f.skip(40, "reserved")
+    f.skip(40, "reserved")?;
+    Ok(compression == WAVES_COMPRESSED)
 }

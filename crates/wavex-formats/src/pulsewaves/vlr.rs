@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::io::{Read, Seek};
 use std::path::Path;
 
-use super::UNCOMPRESS;
 use super::descriptor::{DESCRIPTION_BYTES, PulseDescriptor, record};
 use super::header::PulseHeader;
 use super::table::LookupRecord;
 use super::window::FileWindow;
+use super::zip::PulseZip;
 use crate::bytes::Fields;
 use crate::{Error, Result};
 
@@ -22,7 +22,7 @@ const SPEC: &str = "PulseWaves_Spec";
 ///
 /// The second is the user ID in LAS.
 const PROJECTION: [&str; 2] = ["PulseWaves_Proj", "LASF_Projection"];
-/// Record ID of the marker of compressed pulses.
+/// Record ID of the description of compressed pulses.
 const COMPRESSED: u32 = 5;
 /// Record ID of the empty record before the appended ones.
 const FIRST_APPENDED: u32 = u32::MAX;
@@ -120,6 +120,8 @@ pub(super) struct RecordSet {
     pub(super) descriptors: BTreeMap<u8, PulseDescriptor>,
     pub(super) tables: BTreeMap<u8, LookupRecord>,
     pub(super) crs: StoredCrs,
+    /// Description of compressed pulses.
+    pub(super) zip: Option<PulseZip>,
     /// Offset of the appended records, if any.
     pub(super) appended_at: Option<u64>,
 }
@@ -137,19 +139,27 @@ impl RecordSet {
         for number in 0..header.vlr_count {
             let record = read_header(window, header, number, at)?;
             at = record.offset + record.length;
-            records.keep(window, record)?;
+            records.keep(window, header, record)?;
         }
         let (appended_at, appended) = find_appended(window, header.offset_to_pulses)?;
         records.appended_at = appended_at;
         for record in appended.into_iter().rev() {
-            records.keep(window, record)?;
+            records.keep(window, header, record)?;
         }
         Ok(records)
     }
 
     /// Stores the record and, if it is known, its content.
-    fn keep<R: Read + Seek>(&mut self, window: &mut FileWindow<R>, record: Record) -> Result<()> {
-        if record.user_id == SPEC {
+    fn keep<R: Read + Seek>(
+        &mut self,
+        window: &mut FileWindow<R>,
+        header: &PulseHeader,
+        record: Record,
+    ) -> Result<()> {
+        if record.user_id == SPEC && record.record_id == COMPRESSED {
+            let (file, bytes) = payload(window, &record)?;
+            self.zip = Some(PulseZip::parse(Fields::new(file, record.offset, bytes), header)?);
+        } else if record.user_id == SPEC {
             self.keep_defined(window, &record)?;
         } else if PROJECTION.contains(&record.user_id.as_str()) {
             self.keep_projection(window, &record)?;
@@ -160,10 +170,7 @@ impl RecordSet {
 
     fn keep_defined<R: Read + Seek>(&mut self, window: &mut FileWindow<R>, record: &Record) -> Result<()> {
         let base = record.offset;
-        if record.record_id == COMPRESSED {
-            let problem = "its pulses are compressed (PulseZIP)";
-            return Err(Error::unusable(window.file(), problem, UNCOMPRESS));
-        } else if let Some(index) = index(record.record_id, 100_000) {
+        if let Some(index) = index(record.record_id, 100_000) {
             let (file, bytes) = payload(window, record)?;
             self.scanners.insert(index, ScannerRecord::parse(file, base, bytes)?);
         } else if let Some(index) = index(record.record_id, 200_000) {

@@ -4,17 +4,16 @@ use std::io::{Read, Seek};
 use std::ops::Range;
 
 use super::descriptor::{PulseDescriptor, SamplingRecord, SegmentKind};
+use super::wave_input::{CompressedWaves, MOST_BYTES, StoredWaves, WaveDecoder, WaveInput, bytes_per_sample};
 use super::window::FileWindow;
-use crate::{Error, Result};
+use crate::Result;
 
-/// Largest size of the waves of a pulse, bytes.
-///
-/// Over 600 km of range at one byte per ns.
-const MOST_BYTES: u64 = 1 << 22;
+/// Bytes of compressed waves that are decoded first; more if they do not suffice.
+const FIRST_BYTES: u64 = 1 << 12;
+/// Bytes that suffice for all waves of a pulse: a sample takes at most five.
+const MOST_COMPRESSED_BYTES: u64 = 8 * MOST_BYTES;
 /// Maximum number of segments of a pulse.
 const MOST_SEGMENTS: usize = 1 << 16;
-
-const DAMAGED: &str = "leave the pulse out, or copy or export the pair of files again";
 
 /// Segments of a pulse; reuse avoids allocations.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -121,67 +120,86 @@ impl WaveSegments {
         pulse: u64,
         descriptor: &PulseDescriptor,
     ) -> Result<()> {
+        self.read_all(&mut StoredWaves::new(window, pulse, offset), descriptor)
+    }
+
+    /// As [`WaveSegments::read`], for compressed waves.
+    pub(super) fn read_compressed<R: Read + Seek>(
+        &mut self,
+        window: &mut FileWindow<R>,
+        decoder: &mut WaveDecoder,
+        offset: u64,
+        pulse: u64,
+        descriptor: &PulseDescriptor,
+    ) -> Result<()> {
+        let left = window.length().saturating_sub(offset);
+        let mut length = FIRST_BYTES + u64::from(descriptor.extra_wave_bytes);
+        loop {
+            let (file, bytes) = window.bytes(offset, length.min(left) as usize, "compressed waves")?;
+            let mut input = CompressedWaves::new(decoder, bytes, (file, pulse, offset));
+            let read = self.read_all(&mut input, descriptor).and_then(|()| input.finish());
+            // Their size is not stored.
+            if !input.is_past_end() || length >= left.min(MOST_COMPRESSED_BYTES) {
+                if read.is_err() {
+                    self.clear();
+                }
+                return read;
+            }
+            length *= 8;
+        }
+    }
+
+    fn read_all(&mut self, input: &mut impl WaveInput, descriptor: &PulseDescriptor) -> Result<()> {
         self.clear();
-        let mut walk = WaveCursor { window, pulse, start: offset, at: offset };
-        let read = self.read_all(&mut walk, descriptor);
+        let read = self.read_samplings(input, descriptor);
         if read.is_err() {
             self.clear();
         }
         read
     }
 
-    fn read_all<R: Read + Seek>(
-        &mut self,
-        walk: &mut WaveCursor<'_, R>,
-        descriptor: &PulseDescriptor,
-    ) -> Result<()> {
-        walk.take(usize::from(descriptor.extra_wave_bytes), "extra waves bytes")?;
+    fn read_samplings(&mut self, input: &mut impl WaveInput, descriptor: &PulseDescriptor) -> Result<()> {
+        input.skip(descriptor.extra_wave_bytes.into())?;
         for (number, sampling) in descriptor.samplings.iter().enumerate() {
             let units_per_sample = descriptor.units_per_sample(sampling);
             let segments = match sampling.segment_count_bits {
                 0 => u32::from(sampling.segment_count),
-                bits => walk.unsigned(bits, "number of segments")?,
+                bits => input.segment_count(bits)?,
             };
             for segment in 0..segments {
                 if self.segments.len() >= MOST_SEGMENTS {
-                    return Err(walk.bad("segments", format!("there are more than {MOST_SEGMENTS}")));
+                    return Err(input.bad("segments", format!("there are more than {MOST_SEGMENTS}")));
                 }
                 let place = (number as u16, segment as u16);
-                self.read_segment(walk, sampling, place, units_per_sample)?;
+                self.read_segment(input, sampling, place, units_per_sample)?;
             }
         }
         Ok(())
     }
 
-    fn read_segment<R: Read + Seek>(
+    fn read_segment(
         &mut self,
-        walk: &mut WaveCursor<'_, R>,
+        input: &mut impl WaveInput,
         sampling: &SamplingRecord,
         (number, segment): (u16, u16),
         units_per_sample: f64,
     ) -> Result<()> {
         let quantized = match sampling.duration_bits {
             0 => None,
-            bits => Some(walk.signed(bits, "duration from anchor")?),
+            bits => Some(input.duration(bits)?),
         };
         let count = match sampling.sample_count_bits {
             0 => sampling.sample_count,
-            bits => walk.unsigned(bits, "number of samples")?,
+            bits => input.sample_count(bits)?,
         };
         let start = self.samples.len();
-        let bytes_per_sample = if sampling.bits_per_sample > 8 { 2 } else { 1 };
-        let bytes = walk.take((count as usize).saturating_mul(bytes_per_sample), "samples")?;
-        if bytes_per_sample == 1 {
-            self.samples.extend(bytes.iter().map(|&b| u16::from(b)));
-        } else {
-            self.samples.extend(bytes.chunks_exact(2).map(|b| u16::from_le_bytes([b[0], b[1]])));
-        }
+        input.samples(sampling, count as usize, &mut self.samples)?;
         self.segments.push(Segment {
             sampling: number,
             number: segment,
             kind: sampling.kind,
             channel: sampling.channel,
-            bits: (8 * bytes_per_sample) as u8,
+            bits: 8 * bytes_per_sample(sampling) as u8,
             quantized_duration: quantized.unwrap_or(0),
             duration: quantized.map(|q| sampling.duration_scale * f64::from(q) + sampling.duration_offset),
             units_per_sample,
@@ -189,47 +207,5 @@ impl WaveSegments {
             range: start..self.samples.len(),
         });
         Ok(())
-    }
-}
-
-/// Cursor over the waves of a pulse.
-struct WaveCursor<'a, R> {
-    window: &'a mut FileWindow<R>,
-    pulse: u64,
-    start: u64,
-    at: u64,
-}
-
-impl<R: Read + Seek> WaveCursor<'_, R> {
-    /// Reads `n` bytes.
-    fn take(&mut self, n: usize, field: &str) -> Result<&[u8]> {
-        let at = self.at;
-        let left = self.window.length().saturating_sub(at);
-        if n as u64 > left {
-            return Err(self.bad(field, format!("{n} bytes needed, {left} left in the file")));
-        }
-        if at + n as u64 - self.start > MOST_BYTES {
-            return Err(self.bad(field, format!("the waves of the pulse take more than {MOST_BYTES} bytes")));
-        }
-        self.at += n as u64;
-        Ok(self.window.bytes(at, n, field)?.1)
-    }
-
-    /// Reads an unsigned number of 8 or 16 bits.
-    fn unsigned(&mut self, bits: u8, field: &str) -> Result<u32> {
-        let bytes = self.take(usize::from(bits / 8), field)?;
-        Ok(bytes.iter().rev().fold(0, |number, &byte| (number << 8) | u32::from(byte)))
-    }
-
-    /// Reads a signed number of 8, 16 or 32 bits.
-    fn signed(&mut self, bits: u8, field: &str) -> Result<i32> {
-        let unused = 32 - u32::from(bits);
-        Ok(((self.unsigned(bits, field)? << unused) as i32) >> unused)
-    }
-
-    /// Creates an error at the next field.
-    fn bad(&self, field: &str, problem: String) -> Error {
-        let field = format!("pulse {}: {field}", self.pulse);
-        Error::malformed(self.window.file(), self.at, field, problem, DAMAGED)
     }
 }

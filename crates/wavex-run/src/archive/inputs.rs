@@ -183,14 +183,14 @@ mod tests {
     fn files_beside_an_input_and_those_that_stages_name_are_read() {
         let folder = tempfile::tempdir().unwrap();
         let dir = folder.path();
-        for name in ["a.las", "a.WDP", "b.las", "other.wdp", "model.json"] {
+        for name in ["a.las", "a.WDP", "b.las", "b.wdz", "other.wdp", "model.json"] {
             fs::write(dir.join(name), "").unwrap();
         }
         let text = "[[stage]]\ntype = 'read_las'\npath = '*.las'\n[[stage]]\ntype = 'calibrate'\nload = './model.json'\n";
         let job = Job::parse(STAGES, "a.toml", text, &[]).unwrap();
         let inputs = [input(&dir.join("a.las"), "a"), input(&dir.join("b.las"), "b")];
         let found = of_job(&job, &json!({}), &inputs, dir).unwrap();
-        let expected = ["a.WDP", "a.las", "b.las", "model.json"].map(|name| dir.join(name));
+        let expected = ["a.WDP", "a.las", "b.las", "b.wdz", "model.json"].map(|name| dir.join(name));
         assert_eq!(found.into_iter().collect::<Vec<_>>(), expected);
     }
 

@@ -41,7 +41,7 @@ pub const STAGE: StageSpec = StageSpec::source::<ReadLas>("read_las", Kind::Shot
 /// Reads full-waveform LAS and LAZ.
 ///
 /// Supports versions 1.3 and 1.4 with point formats 4, 5, 9 and 10, and waveform packets inside the
-/// file or in the `.wdp` file next to it.
+/// file or in the `.wdp` file next to it, or compressed in its `.wdz` file (LAStools).
 ///
 /// Consecutive points with the same time and direction form one shot and share its waveforms; shots
 /// keep the order of the file. Points of several scanner channels form one shot only if their

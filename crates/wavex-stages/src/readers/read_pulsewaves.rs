@@ -32,6 +32,8 @@ pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewave
 
 /// Reads PulseWaves 0.3: a `.pls` file of pulses and its `.wvs` file of waveforms.
 ///
+/// Both may be compressed: `.plz` and `.wvz`.
+///
 /// Every pulse becomes a shot and every segment of samples a sample block. Outgoing segments become
 /// the reference channel. Returning channels follow RIEGL's files: 0 is high power, 1 is low power;
 /// a single returning channel is low power. Amplitude tables (digitiser steps to dB) are adopted
@@ -71,12 +73,11 @@ pub const STAGE: StageSpec = StageSpec::source::<ReadPulseWaves>("read_pulsewave
 /// the edge-of-flight-line flag.
 ///
 /// Rejects pulses whose waveforms cannot be read, and continues with the next. A file that ends
-/// with such pulses is truncated, which is an error. Compressed files (`.plz`, `.wvz`) are not
-/// supported.
+/// with such pulses is truncated, which is an error.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ReadPulseWaves {
-    /// The `.pls` file, a list of files, or a pattern.
+    /// The `.pls` or `.plz` file, a list of files, or a pattern.
     pub path: Paths,
     /// Timing of the samples of a block.
     #[serde(flatten)]

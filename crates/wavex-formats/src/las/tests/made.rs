@@ -175,6 +175,18 @@ pub(crate) fn descriptor(bits: u8, compression: u8, samples: u32, spacing_ps: u3
     PacketDescriptor { bits, compression, samples, spacing_ps, gain: 1.0, offset: 0.0 }.encode().to_vec()
 }
 
+/// Encodes a compressed packet with the coder of the crate `laz`.
+pub(crate) fn packet(bits: u32, samples: &[u16]) -> Vec<u8> {
+    let mut encoder = laz::encoders::ArithmeticEncoder::new(Vec::new());
+    let mut numbers = laz::compressors::IntegerCompressor::new(bits, 1, 8, 0);
+    numbers.init();
+    for pair in samples.windows(2) {
+        numbers.compress(&mut encoder, pair[0].into(), pair[1].into(), 0).unwrap();
+    }
+    encoder.done().unwrap();
+    [&samples[0].to_le_bytes()[..bits as usize / 8], &encoder.into_inner()].concat()
+}
+
 /// Encodes the waveform packet record with the four samples 1, 2, 3, 258.
 pub(crate) fn packets() -> Vec<u8> {
     evlr("LASF_Spec", 65535, &[1, 0, 2, 0, 3, 0, 2, 1])

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::made::{Made, descriptor, evlr, packets, vlr};
+use super::made::{Made, descriptor, evlr, packet, packets, vlr};
 use crate::las::{GpsTime, LasHeader, Point, Reader, Wave};
 
 /// Creates a folder with `a.las` of these bytes.
@@ -229,12 +229,92 @@ fn with_packets_inside_and_beside_the_header_decides() {
     );
 }
 
+/// Two points of format 4 whose packet of four samples, 1, 2, 3 and 258, is compressed.
+fn compressed() -> (Made, Vec<u8>) {
+    let packet = packet(16, &[1, 2, 3, 258]);
+    let mut made = Made { encoding: 4, ..Made::new(3, 4) };
+    made.vlrs = vec![vlr("LASF_Spec", 100, &descriptor(16, 1, 4, 1000))];
+    made.records.iter_mut().for_each(|record| record[37] = packet.len() as u8);
+    (made, evlr("LASF_Spec", 65535, &packet))
+}
+
 #[test]
-fn compressed_waveforms_are_named() {
-    let (folder, path) = folder(&Made { encoding: 4, ..Made::new(3, 4) }.las());
-    fs::write(folder.path().join("a.wdz"), b"compressed").unwrap();
-    let text = Reader::open(&path).err().unwrap().to_string();
-    assert!(text.contains("a.wdz") && text.contains("laszip") && !text.contains("a.wdp"), "{text}");
+fn compressed_waveforms_are_read_from_any_place() {
+    let (made, packets) = compressed();
+    let (folder, path) = folder(&made.las());
+    for name in ["a.wdz", "a.WDZ", "a.wdp"] {
+        fs::write(folder.path().join(name), &packets).unwrap();
+        assert_eq!(first_samples(&path), [1, 2, 3, 258]);
+        fs::remove_file(folder.path().join(name)).unwrap();
+    }
+    // The expected one is taken.
+    fs::write(folder.path().join("a.wdz"), &packets).unwrap();
+    fs::write(folder.path().join("a.wdp"), b"another").unwrap();
+    assert_eq!(first_samples(&path), [1, 2, 3, 258]);
+    fs::write(&path, Made { tail: packets, encoding: 2, ..made }.las()).unwrap();
+    fs::remove_file(folder.path().join("a.wdz")).unwrap();
+    assert_eq!(first_samples(&path), [1, 2, 3, 258]);
+}
+
+#[test]
+fn a_damaged_compressed_packet_is_lost_alone() {
+    let (made, packets) = compressed();
+    let (folder, path) = folder(&made.las());
+    let place = folder.path().join("a.wdz");
+    fs::write(&place, [&packets[..], &[0; 300]].concat()).unwrap();
+    let mut reader = Reader::open(&path).unwrap();
+    let mut samples = vec![5; 5];
+    let good = Wave { descriptor: 1, offset: 60, size: packets.len() as u32 - 60, ..Wave::default() };
+    let mut problem = |wave: Wave| {
+        let error = reader.packet(&wave, &mut samples).unwrap_err();
+        assert!(samples.is_empty());
+        assert_eq!(reader.packet_descriptor(&wave).unwrap_err().to_string(), error.to_string());
+        reader.packet(&good, &mut samples).unwrap();
+        assert_eq!(samples, [1, 2, 3, 258]);
+        assert_eq!(reader.packet_descriptor(&good).unwrap().samples, 4);
+        words(error)
+    };
+    const AGAIN: &str = "the waveform is damaged: copy the file again from its source, or export it again";
+    let cannot = |bytes: u32, problem: &str| {
+        format!("byte 60: waveform packet: {bytes} bytes cannot be decompressed: {problem}; {AGAIN}")
+    };
+    for size in [0, 1, good.size - 1] {
+        let problem = problem(Wave { size, ..good });
+        assert_eq!(problem, cannot(size, "the encoded data end too early"));
+    }
+    let longer = problem(Wave { size: good.size + 2, ..good });
+    assert_eq!(longer, cannot(good.size + 2, "2 bytes follow its samples"));
+    let shifted = problem(Wave { offset: 61, ..good });
+    assert!(shifted.contains("61: waveform packet: ") && shifted.ends_with(AGAIN), "{shifted}");
+    assert_eq!(
+        problem(Wave { size: 37, ..good }),
+        "the waveform packet at byte 60 has 37 bytes, but 4 compressed samples take at most 36; the point or \
+         its descriptor is damaged: export the file again"
+    );
+    let outside = problem(Wave { offset: 60 + 10_000, ..good });
+    assert!(outside.contains("are outside the packets"), "{outside}");
+}
+
+#[test]
+fn descriptors_of_lastools_must_be_those_of_the_points() {
+    let (made, packets) = compressed();
+    let described = |description: &[u8]| {
+        let (folder, path) = folder(&made.las());
+        let bytes = [&packets[..60], b"LAStools waveform 210117", description].concat();
+        fs::write(folder.path().join("a.wdz"), bytes).unwrap();
+        Reader::open(&path).err().map(words)
+    };
+    assert_eq!(described(&[1, 0, 1, 0, 1, 16, 4, 0]), None);
+    for other in [[2, 0, 1, 16, 4, 0], [1, 0, 0, 16, 4, 0], [1, 0, 1, 8, 4, 0], [1, 0, 1, 16, 5, 0]] {
+        let differs = format!(
+            "byte 86: waveform descriptor {}: it differs from that of the points; the waveforms belong to \
+             another file: give those that were exported with the points",
+            other[0]
+        );
+        assert_eq!(described(&[&[1, 0], &other[..]].concat()), Some(differs));
+    }
+    let cut = described(&[2, 0, 1, 0, 1, 16, 4, 0]).unwrap();
+    assert!(cut.contains("are outside the packets"), "{cut}");
 }
 
 #[test]
@@ -256,7 +336,7 @@ fn waveform_files_that_are_missing_or_no_such_are_refused() {
     assert_eq!(
         refusal(&[0; 100]),
         "byte 0: header: this is not a waveform packet file (LASF_Spec/65535); give the `.wdp` \
-         file that was exported together with the points"
+         or `.wdz` file that was exported together with the points"
     );
     assert_eq!(
         refusal(&packets()[..67]),
@@ -277,7 +357,7 @@ fn a_length_of_zero_means_to_the_end_of_the_file() {
 fn a_bad_packet_is_lost_alone() {
     let mut made = Made { tail: packets(), ..Made::new(3, 4) };
     made.vlrs.push(vlr("LASF_Spec", 102, &descriptor(16, 0, 0, 0)));
-    made.vlrs.push(vlr("LASF_Spec", 103, &descriptor(16, 1, 4, 1000)));
+    made.vlrs.push(vlr("LASF_Spec", 103, &descriptor(16, 2, 4, 1000)));
     made.vlrs.push(vlr("LASF_Spec", 104, &descriptor(32, 0, 4, 1000)));
     let (_folder, path) = folder(&made.las());
     let mut reader = Reader::open(&path).unwrap();
@@ -303,7 +383,7 @@ fn a_bad_packet_is_lost_alone() {
     );
     assert_eq!(
         problem(Wave { descriptor: 4, ..good }),
-        "waveform descriptor 4 (LASF_Spec/103): compression 1 is not defined; \
+        "waveform descriptor 4 (LASF_Spec/103): compression 2 is not defined; \
          export the waveforms again, uncompressed and with 8 or 16 bits"
     );
     assert_eq!(

@@ -30,7 +30,6 @@ fn opening_with(at: usize, bytes: &[u8]) -> String {
     opening(&pls, &pair.waves)
 }
 
-const PULSEZIP: &str = "uncompress the pair with rapidlasso's pulsezip (pulsezip -i in.plz -o out.pls)";
 const AGAIN: &str = "export the file again from its source";
 const TOOLS: &str = "write the file again with PulseTools of version 0.3";
 
@@ -41,12 +40,12 @@ fn a_file_of_another_kind_is_named() {
         (vec![], "t.pls: the file is empty; copy it again from its source".to_string()),
         (
             b"LASF\0\0\0\0 and so on".to_vec(),
-            "t.pls: this is not a PulseWaves pulse file: it starts with \"LASF\\0\\0\\0\\0 and so\"; give a .pls file"
+            "t.pls: this is not a PulseWaves pulse file: it starts with \"LASF\\0\\0\\0\\0 and so\"; give a .pls or .plz file"
                 .to_string(),
         ),
         (
             plain.waves.clone(),
-            "t.pls: this is the waves file of a PulseWaves pair; give the .pls file of the same name".to_string(),
+            "t.pls: this is the waves file of a PulseWaves pair; give the .pls or .plz file of the same name".to_string(),
         ),
         (
             plain.pls()[..200].to_vec(),
@@ -69,7 +68,7 @@ fn a_file_of_another_kind_is_named() {
 #[test]
 fn a_field_of_the_header_that_cannot_be_is_named() {
     let nan = f64::NAN.to_le_bytes();
-    let cases: [(usize, &[u8], String); 11] = [
+    let cases: [(usize, &[u8], String); 12] = [
         (172, &[0, 2], format!("t.pls: PulseWaves version 0.2 is not supported, only 0.3; {TOOLS}")),
         (174, &[95, 1], format!("t.pls: byte 174: header size: 351 is below 352; {AGAIN}")),
         (
@@ -82,7 +81,18 @@ fn a_field_of_the_header_that_cannot_be_is_named() {
         (184, &(-1_i64).to_le_bytes(), format!("t.pls: byte 184: number of pulses: -1 is negative; {AGAIN}")),
         (192, &[1], format!("t.pls: pulse format 1 is not defined in PulseWaves 0.3, only 0 is; {TOOLS}")),
         (196, &[1], format!("t.pls: byte 200: pulse size: 48 is below the 50 bytes of a pulse; {AGAIN}")),
-        (204, &[1], format!("t.pls: its pulses are compressed (scheme 1); {PULSEZIP}")),
+        (
+            200,
+            &(1_u32 << 21).to_le_bytes(),
+            format!("t.pls: byte 200: pulse size: 2097152 exceeds the limit of 1048576; {AGAIN}"),
+        ),
+        (
+            204,
+            &[1],
+            "t.pls: its pulses are compressed (scheme 1), but the PulseZIP record is missing; the file is cut \
+             off or damaged: copy it again from its source"
+                .to_string(),
+        ),
         (
             216,
             &70_000_u32.to_le_bytes(),
@@ -126,7 +136,13 @@ fn a_record_that_cannot_be_is_named() {
              copy it again from its source"
                 .to_string(),
         ),
-        (352 + 16, &[5, 0, 0, 0], format!("t.pls: its pulses are compressed (PulseZIP); {PULSEZIP}")),
+        (
+            352 + 16,
+            &[5, 0, 0, 0],
+            "t.pls: byte 448: PulseZIP record: compressor 92 and coder 0 are not supported, only 1 and 0; write \
+             the file again with PulseTools, or uncompressed"
+                .to_string(),
+        ),
     ];
     for (at, bytes, expected) in cases {
         assert_eq!(opening_with(at, bytes), expected);
@@ -178,9 +194,15 @@ fn the_waves_file_is_found_or_named() {
     std::fs::rename(dir.path().join("t.wvs"), dir.path().join("t.WVS")).unwrap();
     assert_eq!(Reader::open(&path).unwrap().pulse_count(), 1);
     std::fs::rename(dir.path().join("t.WVS"), dir.path().join("t.wvz")).unwrap();
+    assert_eq!(Reader::open(&path).unwrap().pulse_count(), 1);
     let opened = |path: &Path| message(dir.path(), &Reader::open(path).unwrap_err());
-    assert_eq!(opened(&path), format!("t.pls: its waves are compressed (.wvz); {PULSEZIP}"));
     std::fs::remove_file(dir.path().join("t.wvz")).unwrap();
+    let compressed = dir.path().join("t.plz");
+    std::fs::copy(&path, &compressed).unwrap();
+    assert_eq!(
+        opened(&compressed),
+        "t.plz: its waves file t.wvz is missing; put it into the folder of the pulse file"
+    );
     assert_eq!(
         opened(&path),
         "t.pls: its waves file t.wvs is missing; put it into the folder of the pulse file"
@@ -188,7 +210,7 @@ fn the_waves_file_is_found_or_named() {
     let absent = opened(&dir.path().join("absent.pls"));
     assert!(absent.starts_with("absent.pls: cannot open: "), "{absent}");
     let folder = Reader::open(dir.path()).unwrap_err().to_string();
-    assert!(folder.ends_with("this is not a file; give a .pls file"), "{folder}");
+    assert!(folder.ends_with("this is not a file; give a .pls or .plz file"), "{folder}");
 }
 
 #[test]
@@ -196,13 +218,16 @@ fn a_waves_file_that_is_none_is_named() {
     let pair = Pair::plain(1);
     let with = |wvs: &[u8]| opening(&pair.pls(), wvs);
     let mut compressed = pair.waves.clone();
-    compressed[16] = 1;
-    assert_eq!(with(&compressed), format!("t.wvs: its waves are compressed (scheme 1); {PULSEZIP}"));
+    compressed[16] = 2;
+    assert_eq!(
+        with(&compressed),
+        format!("t.wvs: byte 16: compression: scheme 2 is unknown, only 0 and 1; {AGAIN}")
+    );
     assert_eq!(with(&[]), "t.wvs: the file is empty; copy it again from its source");
     assert_eq!(
         with(&[7; 100]),
-        "t.wvs: this is not a PulseWaves waves file: its signature differs; put the .wvs file of \
-         the same export next to the .pls"
+        "t.wvs: this is not a PulseWaves waves file: its signature differs; put the .wvs or \
+         .wvz file of the same export next to the pulses"
     );
     assert_eq!(
         with(&pair.waves[..59]),

@@ -21,6 +21,7 @@ fn every_field_of_the_header_is_read() {
         pulse_format: 0,
         pulse_attributes: 0,
         pulse_size: 48,
+        pulse_compression: 0,
         vlr_count: 1,
         avlr_count: -1,
         t_scale_s: 1e-6,
