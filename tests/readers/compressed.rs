@@ -175,7 +175,7 @@ fn change(record: &mut [u8], choice: &[u8; 8], noise: &[u32; 4], source_id_bytes
         let value = u32::from_le_bytes(record[at..at + 4].try_into().unwrap()).wrapping_add(step);
         record[at..at + 4].copy_from_slice(&value.to_le_bytes());
     }
-    if choice[3] % 4 == 0 {
+    if choice[3].is_multiple_of(4) {
         record[40..44].copy_from_slice(&noise[2].to_le_bytes());
     } else if choice[3] % 4 == 1 {
         record[40] = record[40].wrapping_add(1);
@@ -183,13 +183,14 @@ fn change(record: &mut [u8], choice: &[u8; 8], noise: &[u32; 4], source_id_bytes
     }
     for k in 0..4 {
         if choice[4] >> k & 3 == 3 {
-            record[44 + k] = if choice[5] % 2 == 0 { noise[3].to_le_bytes()[k] } else { choice[5] % 3 };
+            record[44 + k] =
+                if choice[5].is_multiple_of(2) { noise[3].to_le_bytes()[k] } else { choice[5] % 3 };
         }
     }
     let rest = &mut record[PULSE..];
-    if choice[6] % 3 == 0 {
+    if choice[6].is_multiple_of(3) {
         let ids = noise[3].to_le_bytes();
-        let id = if choice[6] % 2 == 0 { ids } else { [ids[0] % 40, 0, 0, 0] };
+        let id = if choice[6].is_multiple_of(2) { ids } else { [ids[0] % 40, 0, 0, 0] };
         rest[..source_id_bytes].copy_from_slice(&id[..source_id_bytes]);
     }
     rest[source_id_bytes..].iter_mut().for_each(|byte| *byte = byte.wrapping_add(choice[7] % 5));

@@ -225,16 +225,16 @@ impl Pulses {
             }
         }
         let mut differences = [0; 3];
-        for axis in 0..3 {
+        for (axis, to_target) in differences.iter_mut().enumerate() {
             let (known, last, numbers) = &mut self.anchor_differences[axis];
             let prediction = known.get(&anchor_context).copied().unwrap_or(*last);
             let difference = to.anchor[axis].wrapping_sub(from.anchor[axis]);
             numbers.compress(encoder, prediction, difference, anchor_context as u32).unwrap();
             remember(known, last, anchor_context, difference);
-            differences[axis] = difference;
+            *to_target = difference;
         }
-        for axis in 0..3 {
-            let prediction = from.target[axis].wrapping_add(differences[axis]);
+        for (axis, difference) in differences.into_iter().enumerate() {
+            let prediction = from.target[axis].wrapping_add(difference);
             self.targets[axis].compress(encoder, prediction, to.target[axis], 0).unwrap();
         }
     }
