@@ -14,7 +14,6 @@ use wavex_engine::job::{Include, Job, Override};
 use wavex_formats::extensions::{LAS, LAZ, has_extension};
 use wavex_formats::las::RawPoints;
 use wavex_line::georef::check_crs;
-use wavex_line::stage::counted;
 use wavex_pages::report::read_report;
 use wavex_pages::view::{self, Opened};
 use wavex_run::run::folders;
@@ -48,7 +47,7 @@ pub(super) fn view(args: &ViewArgs, quiet: bool) -> Result<(), Failure> {
         if let Some(ended) = view.ended().filter(|_| !is_reported) {
             is_reported = true;
             match ended {
-                Ok(points) if !quiet => terminal::print(&format!("{}\n", counted(points as u64, "point")))?,
+                Ok(points) if !quiet => terminal::print(&format!("{points} point{}\n", if points == 1 { "" } else { "s" }))?,
                 Ok(_) => {}
                 Err(problem) => tracing::error!("{problem}"),
             }
