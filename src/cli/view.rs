@@ -47,7 +47,9 @@ pub(super) fn view(args: &ViewArgs, quiet: bool) -> Result<(), Failure> {
         if let Some(ended) = view.ended().filter(|_| !is_reported) {
             is_reported = true;
             match ended {
-                Ok(points) if !quiet => terminal::print(&format!("{points} point{}\n", if points == 1 { "" } else { "s" }))?,
+                Ok(points) if !quiet => {
+                    terminal::print(&format!("{points} point{}\n", if points == 1 { "" } else { "s" }))?
+                }
                 Ok(_) => {}
                 Err(problem) => tracing::error!("{problem}"),
             }

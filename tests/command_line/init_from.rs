@@ -158,7 +158,7 @@ fn a_run_names_all_that_it_wrote_by_short_paths() {
     let Outcome { code, out, err } = place.wavex(&["run", "jobs/a.toml", "--profile", "--progress", "never"]);
     assert_eq!((code, err.as_str()), (Some(0), ""));
     let written: Vec<&str> = out.lines().filter_map(|line| line.strip_prefix("wrote ")).collect();
-    let expected = ["a.arrow", "a_report.json", "a_report.html", "a_trace.json", "a.log", "a_stat.log"]
+    let expected = ["a.arrow", "a_stat.log", "a_report.json", "a_report.html", "a_trace.json", "a.log"]
         .map(|name| format!("out/{name}"));
     assert_eq!(written, expected);
     let log = place.text("out/a.log");

@@ -131,8 +131,7 @@ fn statistics_of_each_recording_of_a_pattern() {
         assert!(place.path(file).is_file(), "{file} is missing: {}", ended.err);
     }
     let none = wavex(&place, "--run -- -sdfscan -i nowhere/*.sdf");
-    let expected =
-        "error: no file matches `nowhere/*.sdf`; check `path` of the reader and `input_dir` of the job\n";
+    let expected = "error: no file matches `nowhere/*.sdf`; check the pattern and the folder\n";
     assert_eq!((none.code, none.err.as_str()), (Some(1), expected));
 }
 

@@ -169,7 +169,7 @@ pub const FEATURES: &[(&str, &str, &[&str])] = &[
             "a_bad_input_costs_only_its_own_outputs",
         ],
     ),
-    ("errors of appendix A1", "messages", &["the_table_of_errors_names_tests_that_there_are"]),
+    ("errors of appendix A1", "messages", &["the_table_of_messages_names_tests_that_exist"]),
     (
         "LAS with waveforms",
         "`read_las`",
