@@ -318,15 +318,15 @@ fn finish(
         tracing::info!("wrote {}", shown(path).display());
     }
     let mut messages = ending::messages(run, table, [&of_run, &of_inputs], detail);
+    if run.inputs.iter().any(|input| input.status == InputStatus::Done) {
+        messages.extend(files.next(job));
+    }
     if let Some((recorder, archive)) = archive {
         let text = files.report(run).to_json().map_err(std::io::Error::from);
         let text = text.map_err(Error::io(archive, "write the report"))?;
         let seals = recorder.finish(run, text, &log::kept())?;
         messages.push(EndMessage::File(format!("results {}", seals.results)));
         messages.push(EndMessage::File(format!("archived in {}; seal {}", archive.display(), seals.seal)));
-    }
-    if run.inputs.iter().any(|input| input.status == InputStatus::Done) {
-        messages.extend(files.next(job));
     }
     survey.map(|()| Ending(messages))
 }
