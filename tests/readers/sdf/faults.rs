@@ -191,6 +191,6 @@ fn a_missing_file_is_missing_and_a_folder_is_none() {
     let outcome = place.run(&wavex_testkit::sdf::copy(""));
     place.left_nothing(
         outcome,
-        &format!("stage read_sdf: ./{NAME}: cannot open: is a directory; give a file"),
+        &format!("./{NAME}: it is a folder, not a recording; give a recording; there is none in it"),
     );
 }
