@@ -100,15 +100,14 @@ fn the_end_of_a_run_is_a_table_of_its_inputs() {
     place.write("job.toml", format!("[job]\noutput_dir = 'out'\n{COPY}").as_bytes());
     let Outcome { code, out, .. } = place.wavex(&["run", "job.toml", "--progress", "never"]);
     assert_eq!(code, Some(1));
-    let rows: Vec<Vec<&str>> =
-        out.lines().rev().take(4).map(|row| row.split_whitespace().collect()).collect();
-    assert_eq!(rows[3], ["input", "status", "points", "time", "s", "reason"]);
+    let rows: Vec<Vec<&str>> = out.lines().take(4).map(|row| row.split_whitespace().collect()).collect();
+    assert_eq!(rows[0], ["input", "status", "points", "time", "s", "reason"]);
     let begin = |row: usize| rows[row][..3].to_vec();
     assert_eq!(
-        [begin(2), begin(1), begin(0)],
+        [begin(1), begin(2), begin(3)],
         [["a", "done", "0"], ["b", "failed", "0"], ["c", "done", "0"]]
     );
-    assert!(rows[1][4..].join(" ") == CUT_OFF, "{out}");
+    assert!(rows[2][4..].join(" ") == CUT_OFF, "{out}");
 }
 
 #[test]

@@ -124,7 +124,7 @@ fn sizes_that_lie() {
     refused_with(
         200,
         &u32::MAX.to_le_bytes(),
-        &format!("byte {start}: pulse 0: the header declares 3 pulses, but the file has 0; {CUT}"),
+        "byte 200: pulse size: 4294967295 exceeds the limit of 1048576; export the file again from its source",
     );
     refused_with(
         216,

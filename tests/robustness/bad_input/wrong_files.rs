@@ -33,12 +33,8 @@ fn a_folder() {
     for (reader, name) in READERS {
         let place = TestFolder::new();
         fs::create_dir(place.path(name)).unwrap();
-        let problem = match reader {
-            "read_las" => "cannot read the header: Is a directory (os error 21); give a file",
-            "read_pulsewaves" => "this is not a file; give a .pls or .plz file",
-            _ => "cannot read: Is a directory (os error 21); give a file",
-        };
-        let message = format!("stage {reader}: ./{name}: {problem}");
+        let message =
+            format!("./{name}: it is a folder, not a recording; give a recording; there is none in it");
         place.fails(reader, name, &message);
     }
 }
