@@ -122,7 +122,7 @@ mod tests {
         let path = |name: &str| folder.path().join(name);
         let remedy = |name: &str| {
             let error = misplaced(&path(name)).unwrap().to_string();
-            error.rsplit_once("; ").unwrap().1.to_owned()
+            error.split_once("; ").unwrap().1.to_owned()
         };
         assert_eq!(remedy(""), "give a recording; there is none in it");
         fs::write(path("a.LAZ"), b"").unwrap();

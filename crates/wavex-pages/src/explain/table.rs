@@ -232,8 +232,8 @@ mod tests {
         let longest = |text: &str| text.lines().map(|line| line.chars().count()).max();
         let wide = of_returns(rows.clone(), usize::MAX);
         assert_eq!(wide.lines().count(), 4);
-        let narrow = of_returns(rows, 60);
-        assert!(longest(&narrow) <= Some(60), "{narrow}");
+        let narrow = of_returns(rows, 70);
+        assert!(longest(&narrow) <= Some(70), "{narrow}");
         // Two groups of nine quantities, and an empty line between them.
         assert_eq!(narrow.lines().count(), 2 * 9 + 1, "{narrow}");
         assert!(narrow.contains("range, m of 3"));
