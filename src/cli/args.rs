@@ -61,7 +61,7 @@ pub(super) struct ExplainArgs {
     #[arg(long, value_name = "FILE")]
     pub(super) model: Option<PathBuf>,
     /// Picture to write [default: STEM_shot_N.svg in the current folder]
-    #[arg(long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE")]
     pub(super) out: Option<PathBuf>,
     /// When to show progress; auto: a bar on a terminal
     #[arg(long, value_name = "WHEN", default_value = "auto")]
@@ -71,7 +71,7 @@ pub(super) struct ExplainArgs {
 /// What to view, and how it is served.
 #[derive(Args)]
 pub(super) struct ViewArgs {
-    /// Recording (.las, .laz, .pls, .plz, .sdf, .wfm, .arrow), job (.toml), or the folder of a run's outputs
+    /// Recording (.las, .laz, .pls, .plz, .sdf, .wfm, .arrow), job (.toml), the report of a run (JOB_report.json), or its folder
     pub(super) place: PathBuf,
     /// Port to listen on; 0: any free port
     #[arg(long, value_name = "PORT", default_value_t = 0)]

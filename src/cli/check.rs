@@ -20,8 +20,7 @@ pub(super) fn check(args: &JobArgs, rule: InputRule) -> Result<(), Failure> {
 fn report(job: &Job, folder: &Path, rule: InputRule) -> Result<String, String> {
     let (input_dir, output_dir) = wavex_run::run::folders(job, folder);
     check_crs(&job.settings.geometry, &input_dir).map_err(|error| error.to_string())?;
-    let mut said = format!("{} is valid\n  chain:  {}\n", job.name, job.chain());
-    said += &format!("  inputs: {}\n", input_dir.display());
+    let mut said = format!("  chain:  {}\n  inputs: {}\n", job.chain(), input_dir.display());
     let absolute = std::path::absolute(&input_dir).unwrap_or(input_dir);
     let (about_inputs, problems) = check_inputs::inspect(job, &absolute);
     if rule == InputRule::Required && !problems.is_empty() {
@@ -32,13 +31,22 @@ fn report(job: &Job, folder: &Path, rule: InputRule) -> Result<String, String> {
         let found = writable(&folder)?;
         said += &format!("  output: {} ({found})\n", folder.display());
     }
+    let verdict = match problems.len() {
+        0 => "is valid".to_owned(),
+        n => format!("is valid, with {}", counted_warnings(n)),
+    };
     for problem in problems {
         said += &format!("  warning: {problem}\n");
     }
     for note in &job.notes {
         said += &format!("  note:   {note}\n");
     }
-    Ok(said)
+    Ok(format!("{} {verdict}\n{said}", job.name))
+}
+
+/// `1 warning`, `2 warnings`.
+fn counted_warnings(n: usize) -> String {
+    format!("{n} warning{}", if n == 1 { "" } else { "s" })
 }
 
 /// Output folders of the job, without parts that depend on the input's name.
@@ -121,7 +129,13 @@ a.toml is valid
             let job = Job::parse(STAGES, "a.toml", &text, &[]).unwrap_or_else(|errors| panic!("{errors}"));
             let said = here(&report(&job, folder.path(), InputRule::Optional).unwrap(), folder.path());
             let warnings = said.lines().filter_map(|line| line.strip_prefix("  warning: "));
-            warnings.map(str::to_owned).collect::<Vec<_>>()
+            let warnings = warnings.map(str::to_owned).collect::<Vec<_>>();
+            let verdict = match warnings.len() {
+                0 => "a.toml is valid\n".to_owned(),
+                n => format!("a.toml is valid, with {n} warnings\n"),
+            };
+            assert!(said.starts_with(&verdict), "{said}");
+            warnings
         };
         let geometry = "trajectory = '*.pof'\ncrs = 'zone.wkt'\ngeoid = 'egm96'\ngeoid_dir = 'geoids'";
         assert_eq!(

@@ -150,10 +150,10 @@ pub(super) enum Command {
         #[arg(long, value_name = "RECORDING")]
         from: Option<PathBuf>,
     },
-    /// Calibrate from a recording, or from all inputs of a job, and save the sensor model
+    /// Calibrate from a recording, or from all inputs of a job
     ///
-    /// With a recording, reads all of it, prints noise, background and pulse width of each receiver,
-    /// and writes the model as JSON. A job uses it with the key `load` of `calibrate`. With a job
+    /// With a recording, reads all of it and prints noise, background and pulse width of each receiver.
+    /// With --save-preset, writes the model as JSON; a job uses it with the key `load` of `calibrate`. With a job
     /// (.toml), takes waveforms from all its inputs and writes one model per instrument, which jobs use
     /// with the key `survey_model` of `[job]`. docs/how-to/calibrate-once.md describes both.
     #[command(after_help = usage::CALIBRATE)]

@@ -29,5 +29,5 @@ pub(super) fn only_report(folder: &Path) -> Result<PathBuf, Failure> {
         [] => "no report of a run in this folder".to_owned(),
         _ => format!("several reports in this folder: {}", listed(&names, "and")),
     };
-    Err(Failure::Run(format!("{}: {problem}; give the report of a run", folder.display())))
+    Err(Failure::Run(format!("{}: {problem}; give the report or the job of a run", folder.display())))
 }

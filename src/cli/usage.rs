@@ -127,5 +127,6 @@ Examples:
 
 pub(super) const COMPLETIONS: &str = "\
 Examples:
+  mkdir -p ~/.local/share/bash-completion/completions
   wavex completions bash > ~/.local/share/bash-completion/completions/wavex
   wavex completions zsh > ~/.zfunc/_wavex";

@@ -66,13 +66,14 @@ fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
         place.file_name().map_or_else(|| place.display().to_string(), |name| name.to_string_lossy().into());
     let memory_bytes = usize::try_from(args.memory_mb).unwrap_or(usize::MAX).saturating_mul(1_000_000);
     let kind = match () {
-        () if place.is_dir() => "folder",
+        () if place.is_dir() || has_extension(place, "json") => "folder",
         () if has_extension(place, "toml") => "job",
         () if is_without_waveforms(place) => "points",
         () => "recording",
     };
     let (source, folder) = match kind {
-        "folder" => JobText::of_folder(place)?,
+        "folder" if place.is_dir() => JobText::of_report(&only_report(place)?)?,
+        "folder" => JobText::of_report(place)?,
         "job" => {
             let job = JobArgs { job: place.clone(), set: Vec::new() };
             let folder = job.folder();
@@ -94,7 +95,11 @@ fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
     let set = args.set.clone();
     let job = source.parse(&set)?;
     let (input_dir, output_dir) = folders(&job, &folder);
-    let layers = if kind == "folder" { place.clone() } else { output_dir };
+    let layers = match kind {
+        "folder" if place.is_dir() => place.clone(),
+        "folder" => place.parent().map_or_else(PathBuf::new, Path::to_path_buf),
+        _ => output_dir,
+    };
     let with = move |more: &[String]| {
         let all: Vec<String> = set.iter().chain(more).cloned().collect();
         source.parse(&all).map_err(|failure| failure.text())
@@ -132,14 +137,13 @@ impl JobText {
         JobText { name: job.name.clone(), text: job.text.clone(), includes: job.includes.clone() }
     }
 
-    /// Job of the run whose outputs are in a folder, by its report, and the folder of its inputs.
-    fn of_folder(folder: &Path) -> Result<(JobText, PathBuf), Failure> {
-        let path = only_report(folder)?;
+    /// Job of the run with this report, and the folder of its inputs.
+    fn of_report(path: &Path) -> Result<(JobText, PathBuf), Failure> {
         let name = path.display().to_string();
         let wrong = |problem: &str| {
             Failure::Wrong(format!("{name}: {problem}; give the job or the recording instead of the folder"))
         };
-        let report = read_report(&path).map_err(|error| Failure::Wrong(error.to_string()))?;
+        let report = read_report(path).map_err(|error| Failure::Wrong(error.to_string()))?;
         let Some(input_dir) = report["input_dir"].as_str() else {
             return Err(wrong("the report does not name the folder of the inputs"));
         };

@@ -44,7 +44,7 @@ Commands:
   stages        List the stages, or describe one stage and its keys
   schema        Print the JSON Schema of jobs, for editors that validate and complete TOML
   init          Write a commented starter job
-  calibrate     Calibrate from a recording, or from all inputs of a job, and save the sensor model
+  calibrate     Calibrate from a recording, or from all inputs of a job
   convert       Copy recorded waveforms into the open container format (Arrow)
   copc          Convert points to a cloud-optimised point cloud (COPC)
   false-alarms  Print the false-return rate of pure noise for each threshold

@@ -304,6 +304,9 @@ fn the_job_of_a_folder_or_with_other_keys_is_whole() {
     let place = simulated();
     let folder = view(&place, &["out"]);
     folder.ready();
+    // The report is the same as its folder, and tells runs into one folder apart.
+    let report = view(&place, &["out/job_report.json"]);
+    assert_eq!(report.ready()["points"], folder.ready()["points"]);
     let text = |view: &Viewer| String::from_utf8(view.ask("job?set=decompose.mode%3Dslow").body).unwrap();
     let job = text(&folder);
     assert!(
@@ -347,7 +350,7 @@ fn what_cannot_be_viewed_is_refused_with_a_remedy() {
         assert_eq!((code == Some(0), out.as_str()), (false, ""));
         err
     };
-    let no_report = "error: empty: no report of a run in this folder; give the report of a run\n";
+    let no_report = "error: empty: no report of a run in this folder; give the report or the job of a run\n";
     assert_eq!(refused(&["empty"]), no_report);
     assert!(refused(&["a.xyz"]).starts_with("error: a.xyz"), "{}", refused(&["a.xyz"]));
     assert!(refused(&["missing.las"]).contains("no such file"));

@@ -425,12 +425,11 @@ fn what_is_no_report_is_said() {
     refused("b.json", "b.json: not a report of a run: expected");
     refused("c.json", "c.json: the overview of \"s\" is invalid: invalid type: integer `7`");
     refused("gone.json", "gone.json: cannot open: ");
-    refused(".", ".: no report of a run in this folder; give the report of a run");
+    refused(".", ".: no report of a run in this folder; give the report or the job of a run");
     for name in ["a_report.json", "b_report.json"] {
         place.write(name, b"{}");
     }
-    let several =
-        ".: several reports in this folder: a_report.json and b_report.json; give the report of a run";
+    let several = ".: several reports in this folder: a_report.json and b_report.json; give the report or the job of a run";
     refused(".", several);
 }
 

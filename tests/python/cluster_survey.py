@@ -126,7 +126,7 @@ class Survey:
     def products(self):
         """Digests of the products by name."""
         out = self.folder / "out"
-        files = [*out.glob("strip*"), *out.glob("survey_survey*")]
+        files = [*out.glob("strip*"), out / "survey.html", out / "survey.json", *out.glob("survey_*.tif")]
         return {file.name: hashlib.sha256(file.read_bytes()).hexdigest()
                 for file in files if not file.name.endswith(".log")}
 

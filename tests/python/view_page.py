@@ -18,6 +18,8 @@ FLAGS = [
     "--enable-unsafe-swiftshader",
 ]
 SECONDS = 30
+# Time in which a server has found the points of a recording.
+SECONDS_OF_SERVER = 180
 
 
 @contextmanager
@@ -33,11 +35,11 @@ def served(wavex, place):
         server.wait()
 
 
-def wait(tab, expression):
+def wait(tab, expression, seconds=SECONDS):
     """Waits until an expression holds; the page's policy forbids `wait_for_function`."""
-    end = time.monotonic() + SECONDS
+    end = time.monotonic() + seconds
     while not tab.evaluate(expression):
-        assert time.monotonic() < end, f"not within {SECONDS} s: {expression}"
+        assert time.monotonic() < end, f"not within {seconds} s: {expression}"
         tab.wait_for_timeout(20)
 
 
@@ -50,8 +52,8 @@ def opened(browser, address, scheme="light", width=1280, height=800):
     tab.on("console", lambda message: errors.append(message.text) if message.type in ("error", "warning") else None)
     tab.on("pageerror", lambda error: errors.append(str(error)))
     tab.goto(address)
-    wait(tab, "Boolean(window.wavexView && wavexView.isComplete())")
-    wait(tab, "document.getElementById('progress').hidden")
+    wait(tab, "Boolean(window.wavexView && wavexView.isComplete())", SECONDS_OF_SERVER)
+    wait(tab, "document.getElementById('progress').hidden", SECONDS_OF_SERVER)
     wait(tab, "wavexView.isComplete()")
     # 410: points were ordered anew while they were loaded, and the page asked again. Later it is an error.
     errors[:] = [error for error in errors if "410" not in error]

@@ -95,7 +95,12 @@ pub(super) fn messages(
 }
 
 /// Command that shows the results: `wavex view` with the output folder, or with the job if the folder has other reports.
+///
+/// `None` for a job without points, and for one that is not in a file.
 pub(super) fn next(job: &Job, output_dir: &Path, report: Option<&Path>) -> Option<EndMessage> {
+    if job.stages.iter().all(|stage| stage.spec.name != "georeference") {
+        return None;
+    }
     let has_only = |report: &Path| {
         let names = output_dir.read_dir().ok()?.flatten().map(|entry| entry.file_name());
         let mut reports = names.filter(|name| name.to_string_lossy().ends_with("report.json"));
@@ -112,14 +117,21 @@ pub(super) fn next(job: &Job, output_dir: &Path, report: Option<&Path>) -> Optio
 /// Waveforms, returns, time and rate.
 fn results<'a>(inputs: impl IntoIterator<Item = &'a InputSummary>, wall_s: f64) -> String {
     let (mut waveforms, mut returns, mut shots) = (0, 0, 0);
+    let mut has_decomposed = false;
     for input in inputs {
+        has_decomposed |= input.stages.iter().any(|stage| stage.r#type == "decompose");
         let total = |name: &str| input.totals.get(name).copied().unwrap_or(0);
         waveforms += total("nw");
         returns += total("np");
         shots += input.stages.first().map_or(0, |reader| reader.items_out.shots);
     }
     let per_s = rate(shots as f64 / wall_s.max(1e-3));
-    format!("{} and {} in {wall_s:.1} s ({per_s})", count(waveforms, "waveform"), count(returns, "return"))
+    // A job that only copies waveforms looks for no returns.
+    let what = match has_decomposed {
+        true => format!("{} and {}", count(waveforms, "waveform"), count(returns, "return")),
+        false => count(shots, "shot"),
+    };
+    format!("{what} in {wall_s:.1} s ({per_s})")
 }
 
 /// Rejected items and consequences, each with the number of its inputs if there are several.

@@ -90,7 +90,7 @@ pub struct WriteLas {
     pub version: VersionKey,
     /// Write the extra attributes.
     pub extra_attributes: bool,
-    /// Names of the extra attributes to write, such as `["RangeErr", "DevRatio"]`; all by default.
+    /// Names of the extra attributes to write, such as `["Range SD", "Deviation"]`; all by default.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub attributes: Option<Vec<String>>,
     /// Include the standard deviations among the extra attributes.

@@ -85,7 +85,7 @@ impl Calibrator {
             let is_adapted = is_given && level == GainLevel::UNIT;
             let in_use = if is_adapted { compared.model_in_use(known) } else { Ok(None) };
             let in_use = in_use.map_err(|error| unusable(channel, &error))?;
-            report(channel, &compared, known, in_use.as_ref().unwrap_or(known), out);
+            report(channel, &compared, known, in_use.as_ref().unwrap_or(known), is_given, out);
             if let Some(in_use) = in_use {
                 *known = in_use;
             }
@@ -172,12 +172,17 @@ impl Calibrator {
 /// Part of the text of a finding on the clipping level.
 const FULL_SCALE: &str = "clipping level";
 
+/// Remedy if a recording contradicts the model that was calibrated from it.
+const CONTRADICTED: &str =
+    "the recording contradicts its own calibration; look at single shots with `wavex explain`";
+
 /// Warns of the differences between model and recording, and says what the run uses instead.
 fn report(
     channel: Channel,
     compared: &Comparison,
     known: &ChannelModel,
     in_use: &ChannelModel,
+    is_given: bool,
     out: &mut Output,
 ) {
     let has_own_noise = (in_use.noise_sd_dn, &in_use.ar) != (known.noise_sd_dn, &known.ar);
@@ -192,6 +197,12 @@ fn report(
                 "; standard deviations are raised by the misfit"
             }
             _ => "",
+        };
+        let finding = finding.to_string();
+        // The remedies, the last clause, are for a model from elsewhere.
+        let finding = match finding.rsplit_once(": ").filter(|_| !is_given) {
+            Some((figures, _)) => format!("{figures}: {CONTRADICTED}"),
+            None => finding,
         };
         out.cx.warn(format!("{}: {finding}{adapted} ({} waveforms)", name(channel), compared.waveforms));
     }
