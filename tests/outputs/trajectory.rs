@@ -129,7 +129,7 @@ fn what_is_no_trajectory_is_refused() {
     };
     let (code, err) = refused(&["a.las", "-o", "a.txt"]);
     assert_eq!(err, "error: a.las: it is a recording, not a trajectory; `wavex scan a.las` describes it\n");
-    assert_eq!(code, Some(1));
+    assert_eq!(code, Some(2));
     let options = ["t.txt", "--columns", "txyzwpk"];
     assert_eq!(
         refused(&options),
