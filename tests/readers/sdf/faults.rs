@@ -187,6 +187,7 @@ fn a_missing_file_is_missing_and_a_folder_is_none() {
         "stage read_sdf: ./{NAME}: cannot open: No such file or directory (os error 2); check the path"
     );
     place.left_nothing(outcome, &message);
+    let place = TestFolder::new();
     std::fs::create_dir(place.path(NAME)).unwrap();
     let outcome = place.run(&wavex_testkit::sdf::copy(""));
     place.left_nothing(
