@@ -304,7 +304,7 @@ fn the_job_of_a_folder_or_with_other_keys_is_whole() {
     let place = simulated();
     let folder = view(&place, &["out"]);
     folder.ready();
-    // The report is the same as its folder, and tells runs into one folder apart.
+    // A report selects one of several runs in a folder.
     let report = view(&place, &["out/job_report.json"]);
     assert_eq!(report.ready()["points"], folder.ready()["points"]);
     let text = |view: &Viewer| String::from_utf8(view.ask("job?set=decompose.mode%3Dslow").body).unwrap();

@@ -125,7 +125,7 @@ impl<'a> Decoder<'a> {
         self.take(model, found)
     }
 
-    /// Decodes a symbol that is none of the first two, as [`Decoder::first_symbol`] has found.
+    /// Decodes a symbol after [`Decoder::first_symbol`] has excluded the first two.
     #[inline(always)]
     fn later_symbol(&mut self, model: &mut SymbolModel) -> usize {
         let found = model.find_after_two(self.value, self.length >> models::SYMBOL_SHIFT);

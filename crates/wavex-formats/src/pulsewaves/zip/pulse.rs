@@ -107,7 +107,7 @@ impl Differences {
     }
 
     fn remember(&mut self, context: usize, difference: i32) {
-        // The largest number stands for "none" in the format.
+        // In the format, the largest number means that there is none.
         self.of_contexts[context] = Some(difference).filter(|&difference| difference != i32::MAX);
         self.last = difference;
     }
