@@ -151,6 +151,23 @@ fn version_1_2_clamps_what_its_fields_cannot_hold() {
 }
 
 #[test]
+fn only_the_named_attributes_are_written() {
+    let lines = [line(info(None), vec![found(1)])];
+    let names = |chosen: Option<Vec<String>>| -> Vec<String> {
+        let (bytes, _) = write(
+            &WriteLas { attributes: chosen, attribute_layout: AttributeLayout::Standard, ..keys("*.las") },
+            &lines,
+        );
+        let text = String::from_utf8_lossy(&bytes).into_owned();
+        let known = ["Range SD", "Deviation", "Width ratio", "MTA zone", "Channel"];
+        known.into_iter().filter(|name| text.contains(name)).map(str::to_owned).collect()
+    };
+    assert_eq!(names(None), ["Range SD", "Deviation", "Width ratio", "MTA zone", "Channel"]);
+    assert_eq!(names(Some(vec!["Deviation".into(), "Range SD".into()])), ["Range SD", "Deviation"]);
+    assert_eq!(names(Some(Vec::new())), Vec::<String>::new());
+}
+
+#[test]
 fn layout_1_0_has_its_own_steps_bits_and_class() {
     let bad = Return { deviation_ratio: 3.01, flags: flags::DIVERGED | flags::SATURATED, ..found(2) };
     let lines = [line(info(None), vec![found(1), bad])];
