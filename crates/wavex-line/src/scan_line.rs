@@ -13,6 +13,7 @@ use wavex_signal::sensor_model::SensorModel;
 mod budget;
 mod copies;
 mod filtered;
+mod footprint;
 mod input;
 mod line_stats;
 mod points;
@@ -22,6 +23,7 @@ mod shots;
 
 pub use budget::{AtWork, Budget, NoRoom, Ticket};
 pub use filtered::Filtered;
+pub use footprint::{Footprint, GroundCandidate, footprint_flags};
 pub use input::{AmplitudeTable, EmissionReference, FirstShot, GainControl, InputInfo, LinearAmplitude};
 pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};
@@ -57,6 +59,8 @@ pub struct ScanLine {
     pub content: Content,
     /// Profiles of shots with distributed targets, ordered by shot; set by `decompose`.
     pub profiles: Vec<ShotProfile>,
+    /// Footprints of the shots, ordered by shot; set by `measure_footprints`.
+    pub footprints: Vec<Footprint>,
     /// Sample blocks kept after `decompose`, if a sink needs them.
     pub waveforms: Option<Blocks>,
     /// Share of the memory budget.
@@ -83,8 +87,10 @@ pub enum Content {
 /// The input and output type of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
-    /// Shots and recorded sample blocks.
+    /// Shots and recorded sample blocks, in digitiser steps.
     Shots,
+    /// Shots and recorded sample blocks with fractions of digitiser steps (GEDI).
+    Footprints,
     /// Shots and returns.
     Returns,
     /// Returns with coordinates in the output frame.
@@ -95,6 +101,7 @@ impl std::fmt::Display for Kind {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Kind::Shots => "Shots",
+            Kind::Footprints => "Footprints",
             Kind::Returns => "Returns",
             Kind::Points => "Points",
         })
@@ -121,6 +128,7 @@ impl ScanLine {
             emissions,
             content,
             profiles: Vec::new(),
+            footprints: Vec::new(),
             waveforms: None,
             ticket: None,
         }
@@ -142,6 +150,7 @@ impl ScanLine {
             emissions: self.emissions.clone(),
             content,
             profiles: self.profiles.clone(),
+            footprints: self.footprints.clone(),
             waveforms: self.waveforms.clone(),
             ticket: None,
         }
@@ -156,6 +165,7 @@ impl ScanLine {
     /// Returns the kind of content.
     pub fn kind(&self) -> Kind {
         match self.content {
+            Content::Shots(blocks) if blocks.has_fractions() => Kind::Footprints,
             Content::Shots(_) => Kind::Shots,
             Content::Returns(_) => Kind::Returns,
             Content::Points(..) => Kind::Points,
@@ -203,7 +213,11 @@ impl ScanLine {
             }
         };
         let waveforms = self.waveforms.as_ref().map_or(0, Blocks::bytes);
-        size_of::<ScanLine>() + self.emissions.capacity() * size_of::<Emission>() + content + waveforms
+        size_of::<ScanLine>()
+            + self.emissions.capacity() * size_of::<Emission>()
+            + self.footprints.capacity() * size_of::<Footprint>()
+            + content
+            + waveforms
     }
 
     /// Updates the share of the budget after a change.

@@ -112,7 +112,9 @@ pub struct Block {
     ///
     /// Positive; 1 without automatic gain control.
     pub gain: f64,
-    /// Index of the first sample in the arena; [`NOT_HELD`] if samples were not read.
+    /// Whether samples are fractions of a digitiser step.
+    has_fractions: bool,
+    /// Index of the first sample in its arena; [`NOT_HELD`] if samples were not read.
     first: u32,
     /// Number of samples.
     len: u32,
@@ -132,11 +134,12 @@ pub struct OnlineReturn {
     pub amplitude: f32,
 }
 
-/// Sample blocks of a line, ordered by shot; their samples are in one buffer.
+/// Sample blocks of a line, ordered by shot; their samples are in one buffer per sample type.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Blocks {
     list: Vec<Block>,
     arena: Vec<u16>,
+    fractions: Vec<f32>,
     /// The instrument's own returns, ordered by shot.
     pub online: Vec<OnlineReturn>,
 }
@@ -144,7 +147,7 @@ pub struct Blocks {
 impl Blocks {
     /// Creates an empty list with capacity for blocks and for samples.
     pub fn with_capacity(blocks: usize, samples: usize) -> Blocks {
-        Blocks { list: Vec::with_capacity(blocks), arena: Vec::with_capacity(samples), online: Vec::new() }
+        Blocks { list: Vec::with_capacity(blocks), arena: Vec::with_capacity(samples), ..Blocks::default() }
     }
 
     /// Creates an empty list with room for as many blocks and samples.
@@ -179,10 +182,35 @@ impl Blocks {
             start_ns,
             interval_ns,
             gain: 1.0,
+            has_fractions: false,
             first,
             len,
         });
         self.arena.extend_from_slice(samples);
+    }
+
+    /// Adds a block of samples that are fractions of a digitiser step, as [`Blocks::push`].
+    ///
+    /// # Panics
+    /// The arena would exceed 2^32 samples; [`super::MAX_SHOTS_PER_LINE`] prevents this.
+    pub fn push_fractions(
+        &mut self,
+        emission: u32,
+        channel: Channel,
+        start_ns: f64,
+        interval_ns: f64,
+        samples: &[f32],
+    ) {
+        assert!(
+            self.fractions.len() + samples.len() <= u32::MAX as usize,
+            "a scan line of over 2^32 samples"
+        );
+        self.push_without_samples(emission, channel, None, start_ns, interval_ns, samples.len() as u32);
+        if let Some(last) = self.list.last_mut() {
+            last.has_fractions = true;
+            last.first = self.fractions.len() as u32;
+        }
+        self.fractions.extend_from_slice(samples);
     }
 
     /// Adds a block with a known number of samples but no samples.
@@ -205,6 +233,7 @@ impl Blocks {
             start_ns,
             interval_ns,
             gain: 1.0,
+            has_fractions: false,
             first: NOT_HELD,
             len,
             is_zone_uncertain: false,
@@ -247,10 +276,22 @@ impl Blocks {
         of_channel.for_each(|block| block.start_ns += by_ns);
     }
 
-    /// Samples of a block, digitiser steps; empty if they were not read.
+    /// Samples of a block, digitiser steps; empty if they were not read, or are fractions.
     pub fn samples(&self, block: &Block) -> &[u16] {
-        let held = self.arena.get(block.first as usize..);
-        held.and_then(|samples| samples.get(..block.len as usize)).unwrap_or_default()
+        held(&self.arena, block, false)
+    }
+
+    /// Replaces the content of `into` by the samples of a block of either type, digitiser steps; by none if
+    /// they were not read.
+    pub fn fractions_into(&self, block: &Block, into: &mut Vec<f32>) {
+        into.clear();
+        into.extend_from_slice(held(&self.fractions, block, true));
+        into.extend(self.samples(block).iter().map(|&sample| f32::from(sample)));
+    }
+
+    /// Whether samples are fractions of a digitiser step.
+    pub fn has_fractions(&self) -> bool {
+        self.list.iter().any(|block| block.has_fractions)
     }
 
     /// Groups the blocks by shot: `(shot, its blocks)`, in order.
@@ -282,10 +323,7 @@ impl Blocks {
     /// Samples of removed blocks stay in the arena until the line is dropped.
     pub fn retain(&mut self, mut keep: impl FnMut(&Block, &[u16]) -> bool) {
         let Blocks { list, arena, .. } = self;
-        list.retain(|block| {
-            let held = arena.get(block.first as usize..);
-            keep(block, held.and_then(|samples| samples.get(..block.len as usize)).unwrap_or_default())
-        });
+        list.retain(|block| keep(block, held(arena, block, false)));
     }
 
     /// Keeps the blocks of the shots that have a new index.
@@ -308,8 +346,15 @@ impl Blocks {
     pub fn bytes(&self) -> usize {
         self.list.capacity() * size_of::<Block>()
             + self.arena.capacity() * size_of::<u16>()
+            + self.fractions.capacity() * size_of::<f32>()
             + self.online.capacity() * size_of::<OnlineReturn>()
     }
+}
+
+/// Samples of a block in the arena of its sample type; empty if they are of the other type, or not held.
+fn held<'a, T>(arena: &'a [T], block: &Block, fractions: bool) -> &'a [T] {
+    let from = (block.has_fractions == fractions).then(|| arena.get(block.first as usize..)).flatten();
+    from.and_then(|samples| samples.get(..block.len as usize)).unwrap_or_default()
 }
 
 impl Channel {
@@ -376,6 +421,26 @@ mod tests {
         let seen: Vec<(usize, &[u16])> =
             blocks.iter().map(|block| (block.len(), blocks.samples(block))).collect();
         assert_eq!(seen, [(3, &[][..]), (4, &[1, 2, 3, 4])]);
+    }
+
+    #[test]
+    fn fractions_are_kept_beside_steps() {
+        let mut blocks = Blocks::default();
+        blocks.push_fractions(0, Channel::Reference, 0.0, 1.0, &[0.25, 0.5]);
+        blocks.push(0, Channel::LowPower, None, 0.0, 1.0, &[7, 9]);
+        blocks.push_fractions(1, Channel::LowPower, 5.0, 1.0, &[1.5]);
+        let mut of_block = Vec::new();
+        let all: Vec<Vec<f32>> = blocks
+            .iter()
+            .map(|block| {
+                blocks.fractions_into(block, &mut of_block);
+                of_block.clone()
+            })
+            .collect();
+        assert_eq!(all, [vec![0.25, 0.5], vec![7.0, 9.0], vec![1.5]]);
+        let steps: Vec<&[u16]> = blocks.iter().map(|block| blocks.samples(block)).collect();
+        assert_eq!(steps, [&[][..], &[7, 9], &[]]);
+        assert!(blocks.has_fractions() && !Blocks::default().has_fractions());
     }
 
     #[test]

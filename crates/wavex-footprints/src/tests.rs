@@ -1,0 +1,3 @@
+//! Footprints of known ground and canopy.
+
+use super::*;
