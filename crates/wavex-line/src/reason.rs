@@ -97,9 +97,11 @@ const ARROW: &[&str] = &["read_arrow"];
 const ARROW_AND_SDF: &[&str] = &["read_arrow", "read_sdf"];
 const LAS: &[&str] = &["read_las"];
 const PULSEWAVES: &[&str] = &["read_pulsewaves"];
+const HDF5: &[&str] = &["read_hdf5"];
+const FOOTPRINTS: &[&str] = &["measure_footprints"];
 const SDF: &[&str] = &["read_sdf"];
-const READERS: &[&str] = &["read_las", "read_pulsewaves", "read_sdf", "read_arrow"];
-const SOURCES: &[&str] = &["read_las", "read_pulsewaves", "read_sdf", "read_arrow", "simulate"];
+const READERS: &[&str] = &["read_las", "read_pulsewaves", "read_sdf", "read_arrow", "read_hdf5"];
+const SOURCES: &[&str] = &["read_las", "read_pulsewaves", "read_sdf", "read_arrow", "read_hdf5", "simulate"];
 const MTA: &[&str] = &["resolve_mta"];
 const CALIBRATE: &[&str] = &["calibrate"];
 const DECOMPOSE: &[&str] = &["decompose"];
@@ -154,6 +156,10 @@ reasons! {
     PulseWithoutDirection => rejected(Item::Shots, "a pulse without direction", PULSEWAVES, EXPORT_AGAIN),
     /// PulseWaves: a block of a channel without a receiver.
     UnknownChannel => block("a block of an unknown channel", PULSEWAVES, "export it with channel 0 (high power), 1 (low power) or 2 (saturation)"),
+    /// HDF5: the values of a shot cannot be read.
+    UnreadableShot => rejected(Item::Shots, "a shot that cannot be read", HDF5, "copy or download the file again; the warning names the first one"),
+    /// HDF5: the positions of a shot's first and last sample are missing.
+    ShotWithoutPosition => rejected(Item::Shots, "a shot without the positions of its first and last sample", HDF5, "none: the product did not locate it"),
     /// Container: the clock of a shot is earlier than the one before.
     BackwardClock => shot("the clock runs backwards", ARROW, CORRECT_WRITER),
     /// Container: two rows in sequence have the same shot number.
@@ -206,6 +212,8 @@ reasons! {
     LongBlock => block("a block of more than 16384 samples", DECOMPOSE, "split the block into blocks of at most 16384 samples"),
     /// A block of a receiver without a sensor model.
     UnknownReceiver => block("its receiver is not in the sensor model", DECOMPOSE, "calibrate on a part of the recording with echoes of this receiver, or give a model that has it"),
+    /// A waveform that cannot be measured as a large footprint.
+    WithoutBackground => block("a waveform without background beside its signal", FOOTPRINTS, "none if the signal fills the block; else check the sample type of the file"),
     /// A block without samples.
     EmptyBlock => block("a block without samples", DECOMPOSE, "none: nothing was recorded"),
     /// A high-power block whose echoes the low-power receiver has as well.

@@ -28,7 +28,7 @@ pub use input::{AmplitudeTable, EmissionReference, FirstShot, GainControl, Input
 pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};
 pub use profiles::ShotProfile;
-pub use shots::{Block, Blocks, Channel, Emission, OnlineReturn, emission_flags};
+pub use shots::{Block, Blocks, Channel, Emission, FootprintRecord, OnlineReturn, emission_flags};
 pub use wavex_geodesy::{time::TimeScale, vertical::Frame};
 
 /// Maximum length of a scan line, shots.
@@ -164,7 +164,7 @@ impl ScanLine {
 
     /// Returns the kind of content.
     pub fn kind(&self) -> Kind {
-        match self.content {
+        match &self.content {
             Content::Shots(blocks) if blocks.has_fractions() => Kind::Footprints,
             Content::Shots(_) => Kind::Shots,
             Content::Returns(_) => Kind::Returns,

@@ -38,6 +38,8 @@ pub struct Footprint {
     pub deviation_ratio: f64,
     /// Bits of [`footprint_flags`].
     pub flags: u8,
+    /// Values of the recording's further columns ([`super::InputInfo::columns`]).
+    pub columns: Box<[f64]>,
 }
 
 /// A mode that may be the ground.

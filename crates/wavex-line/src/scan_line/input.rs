@@ -77,6 +77,10 @@ pub struct InputInfo {
     pub origin_is_sensor: bool,
     /// First shot; `None` before it.
     pub first_shot: Option<FirstShot>,
+    /// Name of the beam, of an instrument with several.
+    pub beam: Option<String>,
+    /// Names of further values that a recording of large footprints has of each shot.
+    pub columns: Vec<&'static str>,
     /// Amplitude table of the low-power channel: digitiser steps to dB.
     pub amplitude_low: Option<AmplitudeTable>,
     /// Amplitude table of the high-power channel: digitiser steps to dB.
@@ -137,6 +141,8 @@ impl Default for InputInfo {
             emission_choice_sd_ns: 0.0,
             origin_is_sensor: true,
             first_shot: None,
+            beam: None,
+            columns: Vec::new(),
             amplitude_low: None,
             amplitude_high: None,
             range_low: None,

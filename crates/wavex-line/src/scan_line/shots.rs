@@ -1,5 +1,7 @@
 //! Shots and the sample blocks recorded for them.
 
+use wavex_footprints::RecordedNoise;
+
 /// Receiver channels of an instrument.
 ///
 /// Their codes in files are defined in `formats` only.
@@ -134,6 +136,21 @@ pub struct OnlineReturn {
     pub amplitude: f32,
 }
 
+/// What a recording of large footprints says of a shot besides its samples.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FootprintRecord {
+    /// Index of the shot in the line.
+    pub emission: u32,
+    /// Number of the shot in its mission.
+    pub shot_number: u64,
+    /// Background and noise by the instrument's processing, if it states them.
+    pub noise: Option<RecordedNoise>,
+    /// Whether the instrument's own flags advise against the shot.
+    pub is_degraded: bool,
+    /// Values of the recording's further columns ([`super::InputInfo::columns`]).
+    pub columns: Box<[f64]>,
+}
+
 /// Sample blocks of a line, ordered by shot; their samples are in one buffer per sample type.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Blocks {
@@ -142,6 +159,8 @@ pub struct Blocks {
     fractions: Vec<f32>,
     /// The instrument's own returns, ordered by shot.
     pub online: Vec<OnlineReturn>,
+    /// Records of large footprints, ordered by shot.
+    pub footprints: Vec<FootprintRecord>,
 }
 
 impl Blocks {
@@ -313,6 +332,12 @@ impl Blocks {
         &self.online[from..until]
     }
 
+    /// The record of the large footprint of a shot.
+    pub fn footprint_of(&self, emission: u32) -> Option<&FootprintRecord> {
+        let found = self.footprints.binary_search_by_key(&emission, |record| record.emission);
+        self.footprints.get(found.ok()?)
+    }
+
     /// Number of waveforms: shots with at least one echo block (`nw`).
     pub fn waveforms(&self) -> usize {
         self.by_emission().filter(|(_, blocks)| blocks.iter().any(|block| block.channel.is_echo())).count()
@@ -340,6 +365,7 @@ impl Blocks {
         };
         self.list.retain_mut(|block| keep(&mut block.emission));
         self.online.retain_mut(|online| keep(&mut online.emission));
+        self.footprints.retain_mut(|record| keep(&mut record.emission));
     }
 
     /// Memory used, bytes.
@@ -348,6 +374,7 @@ impl Blocks {
             + self.arena.capacity() * size_of::<u16>()
             + self.fractions.capacity() * size_of::<f32>()
             + self.online.capacity() * size_of::<OnlineReturn>()
+            + self.footprints.capacity() * size_of::<FootprintRecord>()
     }
 }
 

@@ -419,7 +419,7 @@ impl StageSpec {
         }
     }
 
-    /// A transform, which keeps the kind.
+    /// A transform, which keeps the kind unless it is [`StageSpec::making`] another.
     pub const fn transform<C: TransformConfig>(name: &'static str, accepts: &'static [Kind]) -> StageSpec {
         StageSpec {
             name,
@@ -478,6 +478,12 @@ impl StageSpec {
     /// Requires one of `stages` to precede it.
     pub const fn after(mut self, stages: &'static [&'static str]) -> StageSpec {
         self.after = stages;
+        self
+    }
+
+    /// Its lines are of this kind.
+    pub const fn making(mut self, kind: Kind) -> StageSpec {
+        self.makes = Some(kind);
         self
     }
 

@@ -1,0 +1,282 @@
+//! `read_hdf5`: reads waveforms of large footprints from HDF5 files: GEDI and LVIS.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::reading::bad_records::BrokenRun;
+use crate::reading::recording::{AsDeclared, Declared, InputCrs, PulseSpeed, TimeKeys};
+use wavex_footprints::RecordedNoise;
+use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
+use wavex_hdf5::{Beam, BeamReader, Granule, Position, Power, Product, Shot};
+use wavex_line::keys::InvalidKey;
+use wavex_line::scan_line::{
+    Blocks, Channel, Emission, EmissionReference, FootprintRecord, Frame, InputInfo, Kind, ScanLine, TimeScale,
+};
+use wavex_line::stage::{
+    Config, Context, LineLocation, Paths, Reason, Result, RunContext, Source, SourceConfig, StageError, StageSpec,
+};
+
+/// Registry entry of the stage.
+pub const STAGE: StageSpec = StageSpec::source::<ReadHdf5>("read_hdf5", Kind::Footprints);
+
+/// Shots of a line: recordings of profiles have no scan lines.
+const SHOTS_PER_LINE: usize = 256;
+/// Seconds from 1980-01-06 to the origin of adjusted GPS time.
+const ADJUSTED_ORIGIN_S: f64 = 1e9;
+/// Sampling interval of both instruments, ns.
+const INTERVAL_NS: f64 = 1.0;
+
+/// Reads GEDI level 1B (`GEDI01_B`) and LVIS level 1B (`ILVIS1B`) from HDF5 files.
+///
+/// Samples are kept as stored: GEDI's are fractions of a digitiser step. `measure_footprints` measures them; stages
+/// for whole steps (`calibrate`, `decompose`) do not take them. Every received waveform becomes a
+/// sample block, and every outgoing one the reference channel. Beams follow each other, each with a
+/// response and noise of its own. The geolocation of the first and the last sample gives origin and direction
+/// of each shot, so heights are above the ellipsoid WGS 84, and ranges count from the first sample.
+/// Flags, tides and further values of the product pass through to `write_footprints`.
+///
+/// Files with results only (`GEDI02_A`) are refused, and named. Rejected, and counted, are shots that cannot be read
+/// and shots without position.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ReadHdf5 {
+    /// The `.h5` file, a list of files, or a pattern.
+    pub path: Paths,
+    /// Beams to read: names as in the file (`BEAM0101`), `"power"` or `"coverage"`. All if left out.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub beams: Vec<String>,
+    /// Times of the recording.
+    #[serde(flatten)]
+    pub times: TimeKeys,
+}
+
+impl Config for ReadHdf5 {
+    fn check(&self) -> std::result::Result<(), InvalidKey> {
+        self.times.check()
+    }
+}
+
+impl SourceConfig for ReadHdf5 {
+    fn paths(&self) -> Option<&Paths> {
+        Some(&self.path)
+    }
+
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
+        let declared = Declared::new(&self.times, &InputCrs::default(), PulseSpeed::default(), run)?;
+        let source = FootprintReader::open(&run.input, &run.stem, &self.beams)?;
+        Ok(Box::new(AsDeclared::new(source, declared)))
+    }
+}
+
+/// Beams of a granule that a list of names and powers selects.
+///
+/// # Errors
+/// An entry selects none.
+fn selected<'a>(granule: &'a Granule, path: &Path, wanted: &[String]) -> Result<Vec<&'a Beam>> {
+    let is = |beam: &Beam, word: &str| match word {
+        "power" => beam.power == Some(Power::Full),
+        "coverage" => beam.power == Some(Power::Coverage),
+        name => beam.name == name,
+    };
+    let recorded = || granule.beams().iter().filter(|beam| beam.shots > 0);
+    if let Some(none) = wanted.iter().find(|word| !recorded().any(|beam| is(beam, word))) {
+        let names: Vec<&str> = recorded().map(|beam| beam.name.as_str()).collect();
+        return Err(StageError::failed(
+            format!("{}: no beam with waveforms is `{none}`", path.display()),
+            format!("choose from `beams` of: {}", names.join(", ")),
+        ));
+    }
+    Ok(recorded().filter(|beam| wanted.is_empty() || wanted.iter().any(|word| is(beam, word))).collect())
+}
+
+struct FootprintReader {
+    granule: Granule,
+    /// Names of the beams, in the order in which they are read.
+    beams: Vec<String>,
+    /// Numbers of the first shot of each beam, and of all shots.
+    first_shots: Vec<u64>,
+    info: InputInfo,
+    /// The open beam, with its number and metadata.
+    open: Option<(usize, BeamReader, Arc<InputInfo>)>,
+    next_shot: u64,
+    next_line: u32,
+    shot: Shot,
+    location: Option<LineLocation>,
+    broken: BrokenRun,
+}
+
+impl FootprintReader {
+    fn open(path: &Path, stem: &str, beams: &[String]) -> Result<FootprintReader> {
+        let granule = Granule::open(path)?;
+        let selected = selected(&granule, path, beams)?;
+        let mut total = 0;
+        let mut first_shots = vec![0];
+        first_shots.extend(selected.iter().map(|beam| {
+            total += beam.shots;
+            total
+        }));
+        let beams = selected.iter().map(|beam| beam.name.clone()).collect();
+        let (instrument, format, time_scale) = match granule.product() {
+            Product::GediL1b => ("GEDI", "GEDI L1B", TimeScale::Adjusted),
+            Product::LvisL1b => ("LVIS", "LVIS L1B", TimeScale::Day),
+        };
+        let info = InputInfo {
+            path: path.to_owned(),
+            stem: stem.to_owned(),
+            format: format.to_owned(),
+            instrument: Some(instrument.to_owned()),
+            sampling_interval_ns: INTERVAL_NS,
+            time_scale,
+            frame: Frame::Earth,
+            emission_reference: EmissionReference::Clock,
+            clock_sd_ns: Some(0.0),
+            origin_is_sensor: false,
+            ..InputInfo::default()
+        };
+        Ok(FootprintReader {
+            granule,
+            beams,
+            first_shots,
+            info,
+            open: None,
+            next_shot: 0,
+            next_line: 0,
+            shot: Shot::default(),
+            location: None,
+            broken: BrokenRun::default(),
+        })
+    }
+
+    fn total(&self) -> u64 {
+        self.first_shots.last().copied().unwrap_or(0)
+    }
+
+    /// Opens the beam of a shot, unless it is open; returns its number and the shot's index in it.
+    fn open_beam_of(&mut self, shot: u64) -> Result<Option<(usize, usize)>> {
+        let number = self.first_shots.partition_point(|first| *first <= shot).saturating_sub(1);
+        let (Some(name), Some(first)) = (self.beams.get(number), self.first_shots.get(number)) else { return Ok(None) };
+        if self.open.as_ref().is_none_or(|(open, ..)| *open != number) {
+            let reader = self.granule.beam(name)?;
+            let info = InputInfo { beam: Some(name.clone()), columns: reader.columns(), ..self.info.clone() };
+            self.open = Some((number, reader, Arc::new(info)));
+        }
+        Ok(Some((number, (shot - first) as usize)))
+    }
+
+    /// Reads shots from `next_shot` to the end of the line or of the beam.
+    fn line(&mut self, until: u64, cx: &mut Context) -> Result<Option<ScanLine>> {
+        let first_shot = self.next_shot;
+        let Some((beam, _)) = self.open_beam_of(first_shot)? else { return Ok(None) };
+        let end = self.first_shots.get(beam + 1).copied().unwrap_or(0).min(until);
+        let (mut emissions, mut blocks) = (Vec::new(), Blocks::default());
+        while self.next_shot < end {
+            let number = self.next_shot;
+            self.next_shot += 1;
+            let Some((_, index)) = self.open_beam_of(number)? else { break };
+            let Some((_, reader, info)) = &mut self.open else { break };
+            let read = reader.shot(index, &mut self.shot);
+            if !self.broken.accepts(read, cx, Reason::UnreadableShot)? {
+                continue;
+            }
+            match emission(number, &self.shot, info) {
+                Some(emission) => {
+                    add_blocks(emissions.len() as u32, &self.shot, info, &mut blocks);
+                    emissions.push(emission);
+                }
+                None => cx.reject(Reason::ShotWithoutPosition, 1),
+            }
+        }
+        let Some((_, _, info)) = &self.open else { return Ok(None) };
+        let line = ScanLine::of_shots(Arc::clone(info), self.next_line, emissions, blocks);
+        self.location = Some(LineLocation {
+            records: first_shot..self.next_shot,
+            row: 0,
+            line: self.next_line,
+            first_shot,
+            is_complete: true,
+        });
+        self.next_line += 1;
+        Ok(Some(line))
+    }
+}
+
+impl Source for FootprintReader {
+    fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
+        while self.next_shot < self.total() {
+            let until = self.next_shot + SHOTS_PER_LINE as u64;
+            if let Some(line) = self.line(until, cx)?.filter(|line| !line.emissions.is_empty()) {
+                return Ok(Some(line));
+            }
+        }
+        self.broken.check_at_end()?;
+        Ok(None)
+    }
+
+    fn progress(&self) -> Option<f64> {
+        Some(self.next_shot as f64 / self.total().max(1) as f64)
+    }
+
+    fn location(&self) -> Option<LineLocation> {
+        self.location.clone()
+    }
+
+    fn line_at(&mut self, location: &LineLocation, cx: &mut Context) -> Result<Option<ScanLine>> {
+        (self.next_shot, self.next_line) = (location.records.start, location.line);
+        self.line(location.records.end, cx)
+    }
+}
+
+/// The shot with origin and direction from the positions of its first and last sample; `None` without them.
+fn emission(number: u64, shot: &Shot, info: &InputInfo) -> Option<Emission> {
+    let steps = shot.received_dn.len().checked_sub(1).filter(|steps| *steps > 0)? as f64;
+    let [first, last] = [&shot.first_bin, &shot.last_bin].map(|place| ecef_m(place).filter(|_| place.is_known()));
+    let (first, last) = (first?, last?);
+    let along = [0, 1, 2].map(|axis| last[axis] - first[axis]);
+    let length_m = along.iter().map(|part| part * part).sum::<f64>().sqrt();
+    if !(length_m > 0.0 && length_m.is_finite()) {
+        return None;
+    }
+    let gps_time_s = match info.time_scale {
+        TimeScale::Adjusted => shot.time_s - ADJUSTED_ORIGIN_S,
+        _ => shot.time_s,
+    };
+    let nominal_m = 0.5e-9 * info.group_velocity_mps * INTERVAL_NS * steps;
+    Some(Emission {
+        shot: number,
+        gps_time_s,
+        clock_ps: 0,
+        origin_m: first,
+        direction: along.map(|part| part / length_m),
+        frame_scale: length_m / nominal_m,
+        ..Emission::default()
+    })
+}
+
+fn ecef_m(place: &Position) -> Option<[f64; 3]> {
+    let Position { longitude_rad, latitude_rad, height_m } = *place;
+    let ecef_m = WGS84.ecef_of(Geodetic { latitude_rad, longitude_rad, height_m });
+    ecef_m.iter().all(|value| value.is_finite()).then_some(ecef_m)
+}
+
+fn add_blocks(emission: u32, shot: &Shot, info: &InputInfo, blocks: &mut Blocks) {
+    if !shot.outgoing_dn.is_empty() {
+        blocks.push_fractions(emission, Channel::Reference, 0.0, INTERVAL_NS, &shot.outgoing_dn);
+    }
+    blocks.push_fractions(emission, Channel::LowPower, 0.0, INTERVAL_NS, &shot.received_dn);
+    let noise = RecordedNoise { mean_dn: f64::from(shot.noise_mean_dn), sd_dn: f64::from(shot.noise_sd_dn) };
+    let value = |name: &str| {
+        let index = info.columns.iter().position(|column| *column == name)?;
+        shot.columns.get(index).copied()
+    };
+    let is_set = |name: &str| value(name).is_some_and(|flag| flag != 0.0);
+    blocks.footprints.push(FootprintRecord {
+        emission,
+        shot_number: shot.shot_number,
+        noise: Some(noise).filter(|noise| noise.mean_dn.is_finite() && noise.sd_dn > 0.0),
+        is_degraded: is_set("degrade") || is_set("stale_return_flag"),
+        columns: shot.columns.clone().into_boxed_slice(),
+    });
+}
