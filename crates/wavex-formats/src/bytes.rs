@@ -81,6 +81,12 @@ impl<'a> Fields<'a> {
     number!(f32, f32);
     number!(f64, f64);
 
+    /// Reads an unsigned integer of `n` bytes, at most 8.
+    pub fn uint(&mut self, n: usize, field: &str) -> Result<u64> {
+        let bytes = self.take(n, field)?;
+        Ok(bytes.iter().rev().fold(0, |value, &byte| value << 8 | u64::from(byte)))
+    }
+
     /// Reads `n` bytes as text up to the first zero byte.
     ///
     /// Invalid UTF-8 is replaced.
@@ -111,6 +117,7 @@ mod tests {
     fn fields_are_little_endian_and_in_order() {
         let bytes = [1, 2, 0, 0xff, 0xff, 0xff, 0xff, b'a', b'b', 0, b'c'];
         let mut fields = Fields::new(Path::new("f"), 100, &bytes);
+        assert_eq!(fields.clone().uint(3, "three bytes").unwrap(), 0x00_0201);
         assert_eq!(fields.u8("one").unwrap(), 1);
         assert_eq!(fields.u16("two").unwrap(), 2);
         assert_eq!(fields.i32("minus one").unwrap(), -1);

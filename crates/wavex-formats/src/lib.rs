@@ -36,7 +36,7 @@ use std::path::{Component, Path, PathBuf};
 use std::string::FromUtf8Error;
 
 mod arithmetic;
-mod bytes;
+pub mod bytes;
 pub mod container;
 pub mod extensions;
 pub mod format;

@@ -1,0 +1,37 @@
+//! Readers of large-footprint lidar waveforms in HDF5.
+//!
+//! | product | content |
+//! |---|---|
+//! | GEDI L1B (`GEDI01_B_*.h5`) | eight beams, each a recording |
+//! | LVIS L1B (`ILVIS1B_*.h5`, `LVIS1B_*.h5`) | one beam; 352 to 1216 samples per shot |
+//!
+//! The crate has its own reader of HDF5, because no size in a file is trusted: every address, count and size is
+//! checked against the file before anything is allocated. It reads integers and IEEE floats with one or two
+//! dimensions in all layouts except virtual ones, with the filters deflate, shuffle and Fletcher-32.
+//!
+//! [`Granule`] lists the beams, [`BeamReader`] reads shots in any order. One row of chunks of each data set is
+//! kept decoded, so reading in order decodes each chunk once, and a shot at any place needs at most two.
+
+mod beam;
+mod chunk_arrays;
+mod chunk_index;
+mod dataset;
+mod filters;
+mod fractal_heap;
+mod gedi;
+mod granule;
+mod group;
+mod input;
+mod lvis;
+mod members;
+mod number;
+mod object;
+mod product;
+mod shot;
+mod superblock;
+mod tree;
+
+pub use beam::BeamReader;
+pub use granule::{Beam, Granule, Power};
+pub use product::{Product, product_of};
+pub use shot::{Position, Shot, TimeScale};
