@@ -14,7 +14,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use wavex::scan_line::{Return, ReturnChannel};
-use wavex::stages::writers::write_table::{ReturnRow, TableFormat, TableInfo, TableWriter};
+use wavex::stages::writers::write_table::{ReturnColumns, ReturnRow, TableFormat, TableInfo, TableWriter};
 use wavex_formats::container::{
     Compression, ContainerBlock, ContainerHeader, ContainerOnline, ContainerShot, ContainerWriter,
     EmissionReference, LineBuilder, TimeScale, channel,
@@ -46,8 +46,13 @@ fn main() -> Result<()> {
     ] {
         let path = folder.join(name);
         let to = BufWriter::new(File::create(&path)?);
-        let mut table =
-            TableWriter::new(to, &path, format, TableInfo { time_scale: "week", ..TableInfo::default() })?;
+        let mut table = TableWriter::new(
+            to,
+            &path,
+            format,
+            ReturnColumns,
+            TableInfo { time_scale: "week", ..TableInfo::default() },
+        )?;
         (0..LINES * SHOTS_PER_LINE).flat_map(returns).try_for_each(|row| table.push(row))?;
         table.finish()?.into_inner()?.sync_all()?;
     }

@@ -192,7 +192,7 @@ mod tests {
             ("wavex x.pls", "`x.pls` is a recording, not a command; choose one:\n  wavex scan x.pls "),
             ("wavex x.toml", "`x.toml` is a job, not a command; run it with `wavex run x.toml`, or "),
             ("wavex x.sbet", "x.sbet: it is a trajectory, not a recording; "),
-            ("wavex x.h5", "x.h5: HDF5 (F5) is not supported; "),
+            ("wavex x.f5", "x.f5: F5, the layout of HydroVISH in HDF5, is not supported; "),
             ("wavex src", "`src` is a folder, not a command; `wavex view src` "),
             ("wavex Cargo.lock", "`Cargo.lock` is a file, not a command; "),
             ("wavex decompose", "`decompose` is a stage of a job, not a command; `wavex stages decompose` "),

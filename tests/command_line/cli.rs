@@ -347,7 +347,10 @@ fn a_container_has_the_name_of_what_it_is() {
 fn a_format_that_cannot_be_read_is_named_with_the_way_round_wherever_it_is_tried() {
     for (file, problem) in [
         ("flight.rxp", "RIEGL RXP is not supported; export the waveforms with RIEGL's software "),
-        ("flight.h5", "HDF5 (F5) is not supported; copy its waveforms into the open waveform container "),
+        (
+            "flight.f5",
+            "F5, the layout of HydroVISH in HDF5, is not supported; copy its waveforms into the open waveform container ",
+        ),
         (
             "flight.wvs",
             "it holds only the samples of a PulseWaves recording; give the .pls or .plz of the same name",

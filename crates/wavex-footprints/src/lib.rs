@@ -73,6 +73,8 @@ pub struct Measured {
     pub ground_energy_ratio: WithSd,
     /// Cover of a canopy through which the ground would be found with a probability of 0.9.
     pub sensitivity: f64,
+    /// Deviation ratio of the fit.
+    pub deviation_ratio: f64,
     /// Level of the background, DN.
     pub background_dn: f64,
     /// Standard deviation of a sample without signal, DN.
@@ -235,6 +237,7 @@ impl FootprintEstimator {
             energy_dn: WithSd::UNKNOWN,
             ground_energy_ratio: WithSd::UNKNOWN,
             sensitivity: f64::NAN,
+            deviation_ratio: f64::NAN,
             background_dn: background.mean_dn,
             noise_sd_dn: background.sd_dn,
             is_cut: [first == Some(0), last == Some(n - 1)],

@@ -59,6 +59,13 @@ pub const FORMATS: &[RecordingFormat] = &[
         pulse_count: None,
         first_last_s: Some(times_of_container),
     },
+    RecordingFormat {
+        reader: "read_hdf5",
+        extensions: &["h5", "hdf5", "hdf", "he5"],
+        companions: &[],
+        pulse_count: None,
+        first_last_s: None,
+    },
 ];
 
 impl RecordingFormat {
@@ -276,7 +283,7 @@ mod tests {
         let problem = "a.dat: unknown recording format; \
                        supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm and .arrow";
         assert_eq!(reader_of("a.dat"), Err(problem.to_owned()));
-        for name in ["a.rxp", "a.h5"] {
+        for name in ["a.rxp", "a.f5"] {
             assert!(reader_of(name).unwrap_err().contains(" is not supported; "), "{name}");
         }
     }

@@ -14,8 +14,8 @@ const UNSUPPORTED: [(&[&str], &str, &str); 2] = [
         "export the waveforms with RIEGL's software as .sdf or .wfm, or as LAS 1.3 or 1.4 with waveforms, and read that",
     ),
     (
-        &["h5", "hdf5", "hdf", "he5", "f5"],
-        "HDF5 (F5) is not supported",
+        &["f5"],
+        "F5, the layout of HydroVISH in HDF5, is not supported",
         "copy its waveforms into the open waveform container (.arrow), for example with h5py and pyarrow: schemas/container.json \
          lists the columns, examples/write_container.rs writes one",
     ),
@@ -38,8 +38,7 @@ mod tests {
     fn formats_that_cannot_be_read_have_a_way_round() {
         for (name, begins) in [
             ("a.rxp", "a.rxp: RIEGL RXP is not supported; export "),
-            ("a.H5", "a.H5: HDF5 (F5) is not supported; copy "),
-            ("a.f5", "a.f5: HDF5 (F5) is not supported; copy "),
+            ("a.f5", "a.f5: F5, the layout of HydroVISH in HDF5, is not supported; copy "),
         ] {
             let error = unsupported(Path::new(name)).unwrap().to_string();
             assert!(error.starts_with(begins), "{error}");

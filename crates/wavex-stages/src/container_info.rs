@@ -90,6 +90,8 @@ pub(crate) fn info_of(
         instrument: header.instrument.clone(),
         serial: header.serial.clone(),
         first_shot: None,
+        beam: None,
+        columns: Vec::new(),
         sampling_interval_ns: header.sampling_interval_ns,
         odd_sample_shift: 0.0,
         full_scale_dn: header.full_scale_dn,

@@ -1,10 +1,13 @@
 //! The list of all stages, for jobs, the manual and the tests.
 
 use crate::process::{
-    calibrate, correct, decompose, filter_outliers, fuse_channels, georeference, resolve_mta,
+    calibrate, correct, decompose, filter_outliers, fuse_channels, georeference, measure_footprints,
+    resolve_mta,
 };
-use crate::readers::{read_arrow, read_las, read_pulsewaves, read_sdf, simulate};
-use crate::writers::{write_arrow, write_ascii, write_las, write_lstat, write_table, write_trajectory};
+use crate::readers::{read_arrow, read_hdf5, read_las, read_pulsewaves, read_sdf, simulate};
+use crate::writers::{
+    write_arrow, write_ascii, write_footprints, write_las, write_lstat, write_table, write_trajectory,
+};
 use wavex_line::stage::{StageSpec, find_in};
 
 /// All stages that a job can use, in the order of the manual.
@@ -13,11 +16,13 @@ pub const STAGES: &[&StageSpec] = &[
     &read_pulsewaves::STAGE,
     &read_sdf::STAGE,
     &read_arrow::STAGE,
+    &read_hdf5::STAGE,
     &simulate::STAGE,
     &resolve_mta::STAGE,
     &fuse_channels::STAGE,
     &calibrate::STAGE,
     &decompose::STAGE,
+    &measure_footprints::STAGE,
     &correct::STAGE,
     &filter_outliers::STAGE,
     &georeference::STAGE,
@@ -26,6 +31,7 @@ pub const STAGES: &[&StageSpec] = &[
     &write_trajectory::STAGE,
     &write_lstat::STAGE,
     &write_table::STAGE,
+    &write_footprints::STAGE,
     &write_arrow::STAGE,
 ];
 

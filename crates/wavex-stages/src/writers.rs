@@ -1,7 +1,9 @@
 //! Writers: sinks of scan lines.
 
+pub mod table;
 pub mod write_arrow;
 pub mod write_ascii;
+pub mod write_footprints;
 pub mod write_las;
 pub mod write_lstat;
 pub mod write_table;

@@ -13,10 +13,12 @@ use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_hdf5::{Beam, BeamReader, Granule, Position, Power, Product, Shot};
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::{
-    Blocks, Channel, Emission, EmissionReference, FootprintRecord, Frame, InputInfo, Kind, ScanLine, TimeScale,
+    Blocks, Channel, Emission, EmissionReference, FootprintRecord, Frame, InputInfo, Kind, ScanLine,
+    TimeScale,
 };
 use wavex_line::stage::{
-    Config, Context, LineLocation, Paths, Reason, Result, RunContext, Source, SourceConfig, StageError, StageSpec,
+    Config, Context, LineLocation, Paths, Reason, Result, RunContext, Source, SourceConfig, StageError,
+    StageSpec,
 };
 
 /// Registry entry of the stage.
@@ -157,7 +159,9 @@ impl FootprintReader {
     /// Opens the beam of a shot, unless it is open; returns its number and the shot's index in it.
     fn open_beam_of(&mut self, shot: u64) -> Result<Option<(usize, usize)>> {
         let number = self.first_shots.partition_point(|first| *first <= shot).saturating_sub(1);
-        let (Some(name), Some(first)) = (self.beams.get(number), self.first_shots.get(number)) else { return Ok(None) };
+        let (Some(name), Some(first)) = (self.beams.get(number), self.first_shots.get(number)) else {
+            return Ok(None);
+        };
         if self.open.as_ref().is_none_or(|(open, ..)| *open != number) {
             let reader = self.granule.beam(name)?;
             let info = InputInfo { beam: Some(name.clone()), columns: reader.columns(), ..self.info.clone() };
@@ -232,7 +236,8 @@ impl Source for FootprintReader {
 /// The shot with origin and direction from the positions of its first and last sample; `None` without them.
 fn emission(number: u64, shot: &Shot, info: &InputInfo) -> Option<Emission> {
     let steps = shot.received_dn.len().checked_sub(1).filter(|steps| *steps > 0)? as f64;
-    let [first, last] = [&shot.first_bin, &shot.last_bin].map(|place| ecef_m(place).filter(|_| place.is_known()));
+    let [first, last] =
+        [&shot.first_bin, &shot.last_bin].map(|place| ecef_m(place).filter(|_| place.is_known()));
     let (first, last) = (first?, last?);
     let along = [0, 1, 2].map(|axis| last[axis] - first[axis]);
     let length_m = along.iter().map(|part| part * part).sum::<f64>().sqrt();

@@ -14,11 +14,11 @@ use wavex_line::stage::{
 };
 
 mod columns;
-mod geo;
-mod writer;
 
-pub use columns::{ReturnRow, description};
-pub use writer::{ROWS_PER_GROUP, TableFormat, TableInfo, TableWriter};
+use super::table::TableColumns;
+pub use super::table::{ROWS_PER_GROUP, TableFormat, TableInfo, TableWriter};
+pub(crate) use columns::described;
+pub use columns::{ReturnColumns, ReturnRow, description};
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::sink::<WriteTable>("write_table", &[Kind::Returns, Kind::Points]);
@@ -104,7 +104,7 @@ pub fn rows_of(line: &ScanLine) -> impl Iterator<Item = ReturnRow> + '_ {
 /// Schema of the table of returns of a recording; with the coordinate reference system of its points.
 pub fn return_schema(info: &InputInfo, has_points: bool) -> SchemaRef {
     let crs_wkt = info.crs_wkt.as_deref().filter(|_| has_points);
-    columns::schema(time_scale_of(info.time_scale).name(), crs_wkt)
+    ReturnColumns.schema(time_scale_of(info.time_scale).name(), crs_wkt)
 }
 
 /// Rows as a record batch; `schema` is [`return_schema`].
@@ -112,7 +112,7 @@ pub fn return_schema(info: &InputInfo, has_points: bool) -> SchemaRef {
 /// # Errors
 /// If the schema is another one.
 pub fn return_batch(schema: &SchemaRef, rows: &[ReturnRow]) -> Result<RecordBatch> {
-    let batch = columns::record_batch(schema, rows);
+    let batch = ReturnColumns.batch(schema, rows);
     batch.map_err(|error| StageError::failed(error.to_string(), "please report this bug in wavex"))
 }
 
@@ -125,7 +125,7 @@ struct ReturnTableWriter {
 enum TableState {
     /// Waiting for the first line, which gives the time scale.
     Waiting(OutputFile),
-    Open(Box<TableWriter<OutputFile>>),
+    Open(Box<TableWriter<OutputFile, ReturnColumns>>),
     /// A write failed; the run ends.
     Failed,
 }
@@ -142,14 +142,15 @@ impl ReturnTableWriter {
         time_scale: TimeScale,
         crs_wkt: Option<&str>,
         has_points: bool,
-    ) -> Result<&mut TableWriter<OutputFile>> {
+    ) -> Result<&mut TableWriter<OutputFile, ReturnColumns>> {
         if let TableState::Waiting(_) = self.state
             && let TableState::Waiting(to) = std::mem::replace(&mut self.state, TableState::Failed)
         {
             let path = to.path().to_path_buf();
             let time_scale = time_scale_of(time_scale).name();
             let info = TableInfo { time_scale, crs_wkt, has_points };
-            self.state = TableState::Open(Box::new(TableWriter::new(to, &path, self.format, info)?));
+            self.state =
+                TableState::Open(Box::new(TableWriter::new(to, &path, self.format, ReturnColumns, info)?));
         }
         match &mut self.state {
             TableState::Open(writer) => Ok(writer),

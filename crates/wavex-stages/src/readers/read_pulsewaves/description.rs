@@ -65,6 +65,8 @@ pub(super) fn describe(
         emission_choice_sd_ns: 0.0,
         origin_is_sensor: anchors_are_sensor(reader),
         first_shot: None,
+        beam: None,
+        columns: Vec::new(),
         amplitude_low: amplitude_table(reader, 1),
         amplitude_high: amplitude_table(reader, 0),
         range_low: None,

@@ -10,6 +10,7 @@ use arrow_array::{
 use arrow_schema::{ArrowError, DataType, Field, Metadata, Schema, SchemaRef};
 use serde_json::{Value, json};
 
+use crate::writers::table::TableColumns;
 use wavex_line::scan_line::{Return, ShotProfile};
 
 /// One return, with the fields of its shot that the table needs.
@@ -158,25 +159,60 @@ impl ColumnValues {
     }
 }
 
-/// Header line of a table in CSV.
-pub(super) fn csv_header() -> String {
-    let names: Vec<&str> = COLUMNS.iter().map(|column| column.name).collect();
-    names.join(",") + "\n"
+/// The columns of the table of returns.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ReturnColumns;
+
+impl TableColumns for ReturnColumns {
+    type Row = ReturnRow;
+
+    /// Each field has its `description`, and its `unit` if it has one.
+    fn schema(&self, time_scale: &str, crs_wkt: Option<&str>) -> SchemaRef {
+        let field = |column: &ReturnColumn| {
+            let about = described(column.name, column.meaning);
+            let data_type = column.values.data_type();
+            Field::new(column.name, data_type, column.values.nullable()).with_metadata(about)
+        };
+        let fields: Vec<Field> = COLUMNS.iter().map(field).collect();
+        let metadata =
+            [("wavex.table", Some("1")), ("wavex.time_scale", Some(time_scale)), ("wavex.crs", crs_wkt)];
+        let metadata = metadata.into_iter().filter_map(|(key, text)| Some((key, text?)));
+        Arc::new(Schema::new_with_metadata(fields, metadata.collect::<Metadata>()))
+    }
+
+    fn batch(&self, schema: &SchemaRef, rows: &[ReturnRow]) -> Result<RecordBatch, ArrowError> {
+        let arrays = COLUMNS.iter().map(|column| column.values.array(rows)).collect();
+        RecordBatch::try_new(Arc::clone(schema), arrays)
+    }
+
+    fn csv_header(&self) -> String {
+        let names: Vec<&str> = COLUMNS.iter().map(|column| column.name).collect();
+        names.join(",") + "\n"
+    }
+
+    fn csv(&self, rows: &[ReturnRow]) -> String {
+        let mut text = String::new();
+        for row in rows {
+            for (number, column) in COLUMNS.iter().enumerate() {
+                if number > 0 {
+                    text.push(',');
+                }
+                column.values.add_text(row, &mut text);
+            }
+            text.push('\n');
+        }
+        text
+    }
+
+    fn point(row: &ReturnRow) -> Option<[f64; 3]> {
+        row.point
+    }
 }
 
-/// Formats the rows as lines of CSV.
-pub(super) fn csv(rows: &[ReturnRow]) -> String {
-    let mut text = String::new();
-    for row in rows {
-        for (number, column) in COLUMNS.iter().enumerate() {
-            if number > 0 {
-                text.push(',');
-            }
-            column.values.add_text(row, &mut text);
-        }
-        text.push('\n');
-    }
-    text
+/// Metadata of a column: its description, and its unit if it has one.
+pub(crate) fn described(name: &str, meaning: &str) -> Metadata {
+    let about = [("description", Some(meaning)), ("unit", unit(name))];
+    about.into_iter().filter_map(|(key, text)| Some((key, text?))).collect()
 }
 
 /// Unit of a column, which is part of its name; `None` for pure numbers and for coordinates.
@@ -189,30 +225,6 @@ fn unit(name: &str) -> Option<&'static str> {
         "dn" => "digitiser steps",
         _ => return None,
     })
-}
-
-/// Schema of a table with this time scale and coordinate reference system.
-///
-/// Each field has its `description`, and its `unit` if it has one.
-pub(super) fn schema(time_scale: &str, crs_wkt: Option<&str>) -> SchemaRef {
-    let field = |column: &ReturnColumn| {
-        let about = [("description", Some(column.meaning)), ("unit", unit(column.name))];
-        let about = about.into_iter().filter_map(|(key, text)| Some((key, text?)));
-        let data_type = column.values.data_type();
-        Field::new(column.name, data_type, column.values.nullable())
-            .with_metadata(about.collect::<Metadata>())
-    };
-    let fields: Vec<Field> = COLUMNS.iter().map(field).collect();
-    let metadata =
-        [("wavex.table", Some("1")), ("wavex.time_scale", Some(time_scale)), ("wavex.crs", crs_wkt)];
-    let metadata = metadata.into_iter().filter_map(|(key, text)| Some((key, text?)));
-    Arc::new(Schema::new_with_metadata(fields, metadata.collect::<Metadata>()))
-}
-
-/// Converts the rows to a record batch.
-pub(super) fn record_batch(schema: &SchemaRef, rows: &[ReturnRow]) -> Result<RecordBatch, ArrowError> {
-    let arrays = COLUMNS.iter().map(|column| column.values.array(rows)).collect();
-    RecordBatch::try_new(Arc::clone(schema), arrays)
 }
 
 /// Description of the table as JSON, stored in `schemas/return_table.json`.

@@ -360,11 +360,17 @@ fn a_full_disk_is_an_error_in_each_format() {
                 point: None,
                 profile: None,
             });
-            let written = TableWriter::new(Full(room), Path::new("a.table"), format, TableInfo::default())
-                .and_then(|mut table| {
-                    rows.into_iter().try_for_each(|row| table.push(row))?;
-                    table.finish()
-                });
+            let written = TableWriter::new(
+                Full(room),
+                Path::new("a.table"),
+                format,
+                ReturnColumns,
+                TableInfo::default(),
+            )
+            .and_then(|mut table| {
+                rows.into_iter().try_for_each(|row| table.push(row))?;
+                table.finish()
+            });
             let Err(error) = written else { panic!("{format:?} was written") };
             assert_eq!(error.to_string(), "a.table: cannot write: no space left", "{format:?}");
         }

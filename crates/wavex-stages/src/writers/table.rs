@@ -1,4 +1,4 @@
-//! Writes the return table as Arrow IPC, Parquet or CSV.
+//! Tables as Arrow IPC, Parquet or CSV.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -15,10 +15,11 @@ use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::columns::{self, ReturnRow};
-use super::geo::{self, GeoParquetColumn};
+use geo::GeoParquetColumn;
 use wavex_formats::Error;
 use wavex_formats::container::IpcWriter;
+
+mod geo;
 
 type Result<T, E = Error> = std::result::Result<T, E>;
 
@@ -50,11 +51,36 @@ impl TableFormat {
     }
 }
 
+/// Columns of a table, and how its rows become columns and text.
+pub trait TableColumns {
+    /// A row.
+    type Row;
+
+    /// Rows buffered before writing.
+    const ROWS_PER_GROUP: usize = ROWS_PER_GROUP;
+
+    /// Schema with its metadata: time scale, and coordinate reference system of the points.
+    fn schema(&self, time_scale: &str, crs_wkt: Option<&str>) -> SchemaRef;
+
+    /// Converts rows to a record batch of this schema.
+    fn batch(&self, schema: &SchemaRef, rows: &[Self::Row]) -> Result<RecordBatch, ArrowError>;
+
+    /// Header line of CSV.
+    fn csv_header(&self) -> String;
+
+    /// Rows as lines of CSV.
+    fn csv(&self, rows: &[Self::Row]) -> String;
+
+    /// Position of a row in the output frame, if known.
+    fn point(row: &Self::Row) -> Option<[f64; 3]>;
+}
+
 /// Writes a table to `W`. The bytes depend only on the rows and the info.
-pub struct TableWriter<W: Write + Send> {
+pub struct TableWriter<W: Write + Send, C: TableColumns> {
     form: TableFile<W>,
+    columns: C,
     schema: SchemaRef,
-    rows: Vec<ReturnRow>,
+    rows: Vec<C::Row>,
     file: PathBuf,
 }
 
@@ -82,8 +108,9 @@ impl<W: Write + Send> ParquetForm<W> {
     }
 
     /// Writes a row group.
-    fn write(&mut self, batch: &RecordBatch, rows: &[ReturnRow]) -> Result<(), ArrowError> {
-        let with_points = self.geometry.as_mut().map(|points| points.add(&self.schema, batch, rows));
+    fn write<C: TableColumns>(&mut self, batch: &RecordBatch, rows: &[C::Row]) -> Result<(), ArrowError> {
+        let points = rows.iter().map(C::point);
+        let with_points = self.geometry.as_mut().map(|column| column.add(&self.schema, batch, points));
         let with_points = with_points.transpose()?;
         self.writer.write(with_points.as_ref().unwrap_or(batch)).map_err(arrow_error)?;
         self.writer.flush().map_err(arrow_error)
@@ -109,12 +136,18 @@ pub struct TableInfo<'a> {
     pub has_points: bool,
 }
 
-impl<W: Write + Send> TableWriter<W> {
+impl<W: Write + Send, C: TableColumns> TableWriter<W, C> {
     /// Starts a table.
     ///
     /// `file` is the name used in errors.
-    pub fn new(mut to: W, file: &Path, format: TableFormat, info: TableInfo) -> Result<TableWriter<W>> {
-        let schema = columns::schema(info.time_scale, info.crs_wkt.filter(|_| info.has_points));
+    pub fn new(
+        mut to: W,
+        file: &Path,
+        format: TableFormat,
+        columns: C,
+        info: TableInfo,
+    ) -> Result<TableWriter<W, C>> {
+        let schema = columns.schema(info.time_scale, info.crs_wkt.filter(|_| info.has_points));
         let form = match format {
             TableFormat::Arrow => IpcWriter::file(to, Arc::clone(&schema), Some(CompressionType::LZ4_FRAME))
                 .map(|writer| TableFile::Arrow(Box::new(writer))),
@@ -123,28 +156,28 @@ impl<W: Write + Send> TableWriter<W> {
                 ParquetForm::new(to, &schema, geometry).map(|form| TableFile::Parquet(Box::new(form)))
             }
             TableFormat::Csv => to
-                .write_all(columns::csv_header().as_bytes())
+                .write_all(columns.csv_header().as_bytes())
                 .map(|()| TableFile::Csv(to))
                 .map_err(ArrowError::from),
         };
         let form = form.map_err(|error| failed(file, error))?;
-        Ok(TableWriter { form, schema, rows: Vec::new(), file: file.to_path_buf() })
+        Ok(TableWriter { form, columns, schema, rows: Vec::new(), file: file.to_path_buf() })
     }
 
-    /// Adds a return.
-    pub fn push(&mut self, row: ReturnRow) -> Result<()> {
+    /// Adds a row.
+    pub fn push(&mut self, row: C::Row) -> Result<()> {
         self.rows.push(row);
-        if self.rows.len() >= ROWS_PER_GROUP { self.write_rows() } else { Ok(()) }
+        if self.rows.len() >= C::ROWS_PER_GROUP { self.write_rows() } else { Ok(()) }
     }
 
     /// Writes the buffered rows.
     fn write_rows(&mut self) -> Result<()> {
         let rows = std::mem::take(&mut self.rows);
-        let batch = || columns::record_batch(&self.schema, &rows);
+        let batch = || self.columns.batch(&self.schema, &rows);
         let written = match &mut self.form {
             TableFile::Arrow(writer) => batch().and_then(|batch| writer.write(&batch)),
-            TableFile::Csv(to) => to.write_all(columns::csv(&rows).as_bytes()).map_err(ArrowError::from),
-            TableFile::Parquet(form) => batch().and_then(|batch| form.write(&batch, &rows)),
+            TableFile::Csv(to) => to.write_all(self.columns.csv(&rows).as_bytes()).map_err(ArrowError::from),
+            TableFile::Parquet(form) => batch().and_then(|batch| form.write::<C>(&batch, &rows)),
         };
         self.rows = rows;
         self.rows.clear();

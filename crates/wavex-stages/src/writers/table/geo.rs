@@ -10,7 +10,6 @@ use arrow_array::{ArrayRef, RecordBatch};
 use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef};
 use serde_json::{Value, json};
 
-use super::ReturnRow;
 use wavex_geodesy::crs::projjson_of_wkt;
 
 /// Name of the column.
@@ -45,11 +44,11 @@ impl GeoParquetColumn {
         &mut self,
         schema: &SchemaRef,
         batch: &RecordBatch,
-        rows: &[ReturnRow],
+        points: impl ExactSizeIterator<Item = Option<[f64; 3]>>,
     ) -> Result<RecordBatch, ArrowError> {
-        let mut column = BinaryBuilder::with_capacity(rows.len(), rows.len() * 29);
-        for row in rows {
-            match row.point.filter(|point| point.iter().all(|coordinate| coordinate.is_finite())) {
+        let mut column = BinaryBuilder::with_capacity(points.len(), points.len() * 29);
+        for point in points {
+            match point.filter(|point| point.iter().all(|coordinate| coordinate.is_finite())) {
                 None => column.append_null(),
                 Some(point) => {
                     self.include(point);

@@ -1,0 +1,301 @@
+//! `measure_footprints`: ground, canopy and relative heights of waveforms with large footprints.
+
+use std::sync::Arc;
+
+use rayon::ThreadPool;
+use rayon::iter::ParallelIterator;
+use rayon::slice::ParallelSlice;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use wavex_footprints::{
+    FootprintEstimator, FootprintLearner, FootprintModel, FootprintSettings, outgoing_fwhm_samples,
+};
+use wavex_line::keys::InvalidKey;
+use wavex_line::scan_line::{Blocks, Channel, Content, InputInfo, Kind, Returns, ScanLine};
+use wavex_line::stage::{
+    Config, Holds, Learning, Learns, LookAhead, Output, Reason, Result, RunContext, StageError, StageSpec,
+    Transform, TransformConfig,
+};
+
+mod result;
+#[cfg(test)]
+mod tests;
+
+use result::ShotFootprint;
+
+/// Registry entry of the stage.
+pub const STAGE: StageSpec =
+    StageSpec::transform::<MeasureFootprints>("measure_footprints", &[Kind::Shots, Kind::Footprints])
+        .making(Kind::Returns);
+
+/// Shots that one thread measures in a row.
+const SHOTS_PER_TASK: usize = 32;
+
+/// Measures ground, canopy and relative heights of every shot, with standard deviations.
+///
+/// For instruments with footprints of 20 m and more (GEDI, LVIS), whose waveforms are profiles of ground and
+/// vegetation, not a few echoes. The noise of each beam and its response, the mean outgoing pulse, are learnt
+/// from its first `shots` shots. Each waveform is smoothed; its signal lies between the first and the last crossing
+/// of a threshold; modes become returns. One of the lowest is the ground: its return has class 2. Where another mode
+/// may be the ground, both are given with their probabilities. Relative heights count from
+/// the ground upwards: below RH50 lies half of the energy, and RH100 is where the signal begins. Heights are
+/// vertical. `docs/explanation/footprints.md` describes the method; `write_footprints` writes one row per shot.
+///
+/// A preset repeats one of the six settings of NASA's product GEDI02_A, for comparison: smoothing, thresholds and
+/// noise as there, and every maximum of the smoothed waveform as a mode.
+///
+/// Cover and plant area index are those of GEDI02_B: the energy of canopy and ground, with the ratio of their
+/// reflectances, give the gap probability.
+///
+/// Rejected, and counted, are waveforms without background beside their signal. The stage needs outgoing pulses.
+#[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct MeasureFootprints {
+    /// Settings of NASA's product GEDI02_A, for comparison with it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub preset: Option<GediPreset>,
+    /// Reflectance of the canopy over that of the ground, at the wavelength of the laser.
+    #[schemars(range(min = 0.1, max = 10.0))]
+    pub reflectance_ratio: f64,
+    /// Number of shots of each beam from which noise and response are learnt.
+    #[schemars(range(min = 100, max = 1_000_000))]
+    pub shots: u64,
+}
+
+/// Settings groups of GEDI02_A.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum GediPreset {
+    /// Group 1: modes smoothed by 6.5 ns; signal from 3 to 6 standard deviations of the noise.
+    GediL2aA1,
+    /// Group 2: modes smoothed by 3.5 ns; thresholds 3 and 3.
+    GediL2aA2,
+    /// Group 3: 3.5 ns; 3 and 6.
+    GediL2aA3,
+    /// Group 4: 6.5 ns; 6 and 6.
+    GediL2aA4,
+    /// Group 5: 3.5 ns; 3 and 2.
+    GediL2aA5,
+    /// Group 6: 3.5 ns; 3 and 4.
+    GediL2aA6,
+}
+
+impl GediPreset {
+    /// Number of the group.
+    fn group(self) -> u8 {
+        self as u8 + 1
+    }
+}
+
+impl Default for MeasureFootprints {
+    fn default() -> MeasureFootprints {
+        let reflectance_ratio = FootprintSettings::default().reflectance_ratio;
+        MeasureFootprints { preset: None, reflectance_ratio, shots: 1000 }
+    }
+}
+
+impl MeasureFootprints {
+    fn settings(&self) -> FootprintSettings {
+        let of_preset = self.preset.and_then(|preset| FootprintSettings::gedi_l2a(preset.group()));
+        FootprintSettings { reflectance_ratio: self.reflectance_ratio, ..of_preset.unwrap_or_default() }
+    }
+}
+
+impl Config for MeasureFootprints {
+    fn check(&self) -> std::result::Result<(), InvalidKey> {
+        Ok(())
+    }
+}
+
+impl TransformConfig for MeasureFootprints {
+    fn outputs(&self) -> Vec<&str> {
+        Vec::new()
+    }
+
+    fn holds(&self) -> Holds {
+        Holds::First
+    }
+
+    fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>> {
+        Ok(Box::new(Measurer {
+            settings: self.settings(),
+            shots: self.shots,
+            pool: run.pool.clone(),
+            look_ahead: LookAhead::new(self.shots),
+            beam: None,
+        }))
+    }
+
+    fn learns(&self) -> Option<Learns> {
+        None
+    }
+
+    fn learn(&self, _: &mut Vec<ScanLine>, _: &mut Learning) -> Result<()> {
+        Ok(())
+    }
+}
+
+struct Measurer {
+    settings: FootprintSettings,
+    /// Shots to learn from.
+    shots: u64,
+    pool: Option<Arc<ThreadPool>>,
+    /// First lines of the current beam.
+    look_ahead: LookAhead,
+    beam: Option<Beam>,
+}
+
+/// The current beam, and its model as soon as it is learnt.
+struct Beam {
+    input: Arc<InputInfo>,
+    model: Option<FootprintModel>,
+}
+
+impl Transform for Measurer {
+    fn process(&mut self, line: ScanLine, out: &mut Output) -> Result<()> {
+        if self.beam.as_ref().is_none_or(|beam| !Arc::ptr_eq(&beam.input, &line.input)) {
+            self.release(out)?;
+            self.beam = Some(Beam { input: Arc::clone(&line.input), model: None });
+            self.look_ahead = LookAhead::new(self.shots);
+        }
+        if let Some(Beam { model: Some(model), .. }) = &self.beam {
+            return out_line(self.measured(line, model, out)?, out);
+        }
+        let is_enough = self.look_ahead.hold(line, "noise and response were learnt", out);
+        if is_enough { self.release(out) } else { Ok(()) }
+    }
+
+    fn finish(&mut self, out: &mut Output) -> Result<()> {
+        self.release(out)
+    }
+}
+
+fn out_line(line: ScanLine, out: &mut Output) -> Result<()> {
+    out.emit(line)
+}
+
+impl Measurer {
+    /// Learns the model of the current beam from the held lines, measures and emits them.
+    fn release(&mut self, out: &mut Output) -> Result<()> {
+        let lines = self.look_ahead.release();
+        if lines.is_empty() {
+            return Ok(());
+        }
+        let model = learnt(&lines)?;
+        if let Some(name) = self.beam.as_ref().and_then(|beam| beam.input.beam.as_deref()) {
+            out.cx.info(format!(
+                "{name}: outgoing pulse of {:.1} ns, noise of {:.2} DN, from {} shots",
+                model.pulse_fwhm_ns, model.noise_sd_dn, model.shots
+            ));
+        }
+        for line in lines {
+            let line = self.measured(line, &model, out)?;
+            out.emit(line)?;
+        }
+        if let Some(beam) = &mut self.beam {
+            beam.model = Some(model);
+        }
+        Ok(())
+    }
+
+    /// Measures the shots of a line.
+    fn measured(&self, mut line: ScanLine, model: &FootprintModel, out: &mut Output) -> Result<ScanLine> {
+        let Content::Shots(blocks) = std::mem::replace(&mut line.content, Content::Returns(Returns::new()))
+        else {
+            return Err(StageError::failed(
+                "measure_footprints received no waveforms",
+                "put it before the stages that use returns",
+            ));
+        };
+        let shots: Vec<u32> = blocks.by_emission().map(|(emission, _)| emission).collect();
+        let task = || -> Vec<Option<ShotFootprint>> {
+            let of_task = |shots: &[u32]| {
+                let mut estimator = FootprintEstimator::new(model, self.settings);
+                let mut samples = Vec::new();
+                let measure =
+                    |emission: &u32| self.shot(*emission, &line, &blocks, &mut estimator, &mut samples);
+                shots.iter().map(measure).collect::<Vec<_>>()
+            };
+            shots.par_chunks(SHOTS_PER_TASK).flat_map_iter(of_task).collect()
+        };
+        let found = match &self.pool {
+            Some(pool) => pool.install(task),
+            None => task(),
+        };
+        let missing = found.iter().filter(|shot| shot.is_none()).count();
+        out.cx.reject(Reason::WithoutBackground, missing as u64);
+        let mut returns = Returns::new();
+        for shot in found.into_iter().flatten() {
+            out.cx.observe("modes", f64::from(shot.footprint.modes));
+            out.cx.observe("ground_sd_m", shot.footprint.ground.range_m.sd);
+            out.cx.observe("sensitivity", shot.footprint.sensitivity);
+            returns.extend(shot.returns);
+            line.footprints.push(shot.footprint);
+        }
+        line.stats.np += returns.len() as u64;
+        line.content = Content::Returns(returns);
+        if let Some(kept) = &mut line.waveforms {
+            *kept = blocks;
+        }
+        line.recount();
+        Ok(line)
+    }
+
+    /// Measures one shot: its longest echo block.
+    fn shot(
+        &self,
+        emission: u32,
+        line: &ScanLine,
+        blocks: &Blocks,
+        estimator: &mut FootprintEstimator,
+        samples: &mut Vec<f32>,
+    ) -> Option<ShotFootprint> {
+        let echoes =
+            blocks.of_emission(emission).map(|(_, block)| block).filter(|block| block.channel.is_echo());
+        let block = echoes.max_by_key(|block| block.len())?;
+        blocks.fractions_into(block, samples);
+        let record = blocks.footprint_of(emission);
+        let measured = estimator.measure(samples, record.and_then(|record| record.noise))?;
+        let shot = line.emissions.get(emission as usize)?;
+        Some(ShotFootprint::of(&measured, block, shot, record, &line.input, self.settings.reflectance_ratio))
+    }
+}
+
+/// Learns noise and response from the shots of lines.
+fn learnt(lines: &[ScanLine]) -> Result<FootprintModel> {
+    let mut samples = Vec::new();
+    let blocks_of = |channel: fn(Channel) -> bool| {
+        let all = lines
+            .iter()
+            .filter_map(|line| line.blocks())
+            .flat_map(|blocks| blocks.iter().map(move |block| (blocks, block)));
+        all.filter(move |(_, block)| channel(block.channel))
+    };
+    let is_outgoing: fn(Channel) -> bool = |channel| channel == Channel::Reference;
+    let mut widths: Vec<f64> = blocks_of(is_outgoing)
+        .filter_map(|(blocks, block)| {
+            blocks.fractions_into(block, &mut samples);
+            outgoing_fwhm_samples(&samples)
+        })
+        .collect();
+    widths.sort_unstable_by(f64::total_cmp);
+    let interval_ns =
+        blocks_of(|channel| channel.is_echo()).next().map_or(1.0, |(_, block)| block.interval_ns);
+    let width_ns = widths.get(widths.len() / 2).copied().unwrap_or(15.0) * interval_ns;
+    let mut learner = FootprintLearner::new(interval_ns, width_ns);
+    for (blocks, block) in blocks_of(is_outgoing) {
+        blocks.fractions_into(block, &mut samples);
+        learner.add_outgoing(&samples);
+    }
+    for (blocks, block) in blocks_of(|channel| channel.is_echo()) {
+        blocks.fractions_into(block, &mut samples);
+        learner.add_waveform(&samples);
+    }
+    learner.finish().map_err(|error| {
+        StageError::failed(
+            error.to_string(),
+            "read a longer part of the beam, or leave the beam out with `beams` of read_hdf5; small footprints are for `calibrate` and `decompose`",
+        )
+    })
+}

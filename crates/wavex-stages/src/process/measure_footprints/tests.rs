@@ -1,0 +1,1 @@
+//! Footprints of made shots, through the stage.
