@@ -105,7 +105,8 @@ def write_beam(group, name, shots, sample_m, stated_noise):
 def write(path, table, sample_m, stated_noise):
     """Writes the file; returns the truth of the shots in the order of the file."""
     truth = {}
-    with h5py.File(path, "w") as file:
+    partial = path.with_name(path.name + ".partial")
+    with h5py.File(partial, "w") as file:
         file.attrs["short_name"] = np.array(["GEDI_L1B"], dtype=h5py.string_dtype())
         metadata = file.create_group("METADATA/DatasetIdentification")
         for key, value in (("shortName", "GEDI_L1B"), ("VersionID", "01"), ("fileName", path.name)):
@@ -116,6 +117,7 @@ def write(path, table, sample_m, stated_noise):
             found = write_beam(file.create_group(name), name, shots, sample_m, stated_noise)
             for key, values in found.items():
                 truth.setdefault(key, []).append(values)
+    partial.replace(path)
     left_out = ("rx", "tx", "stretch", "tx_decay", "tx_gaussian", "gradient_x", "gradient_y")
     kept = {key: values for key, values in table.items() if key not in left_out}
     return {key: np.concatenate(values) for key, values in truth.items()} | kept
