@@ -38,7 +38,9 @@ KERNEL = np.concatenate([HALF_KERNEL[:0:-1], HALF_KERNEL]) / (2 * HALF_KERNEL.su
 STATED_NOISE = 1.76
 FALSE_ALARM_SD, DETECTION_SD, ECHO_WIDTH = 3.48, 1.28, 28.4
 # Pulse per beam: SD of a Gaussian and decay of an exponential, samples; noise mean and SD, DN.
-WIDE, NARROW = (4.36, 7.6), (3.60, 6.0)
+WIDE, NARROW = (4.36, 7.5), (3.60, 5.9)
+# Recorded outgoing pulses fall to 0.3-1 % of their peak 50 samples later, and then by half in 25 samples or more.
+TAIL_SHARE, TAIL_DECAY = 0.04, 35.0
 BEAMS = {
     "BEAM0000": (WIDE, 231.0, 1.60), "BEAM0001": (WIDE, 245.5, 1.65), "BEAM0010": (WIDE, 241.0, 1.42),
     "BEAM0011": (WIDE, 238.2, 1.50), "BEAM0101": (WIDE, 204.9, 1.86), "BEAM0110": (WIDE, 215.3, 1.80),
@@ -61,10 +63,14 @@ def gaussian_centre(samples):
     return centre, sd
 
 
-def transfer(frequency, shape, stretch):
-    """Spectrum of the outgoing pulse of unit energy: a Gaussian convolved with an exponential."""
+def transfer(frequency, shape, stretch, tail):
+    """Spectrum of the outgoing pulse of unit energy.
+
+    A Gaussian convolved with an exponential; a share of it decays slowly (`tail`).
+    """
     sd, decay = shape[0] * stretch[:, None], shape[1] * stretch[:, None]
-    return np.exp(-2 * (np.pi * frequency * sd) ** 2) / (1 + 2j * np.pi * frequency * decay)
+    slow = 1 - tail + tail / (1 + 2j * np.pi * frequency * TAIL_DECAY)
+    return slow * np.exp(-2 * (np.pi * frequency * sd) ** 2) / (1 + 2j * np.pi * frequency * decay)
 
 
 def smoothed(samples):
@@ -73,11 +79,11 @@ def smoothed(samples):
     return sum(weight * padded[:, k : k + samples.shape[1]] for k, weight in enumerate(KERNEL))
 
 
-def reference_offsets(shape, stretch):
+def reference_offsets(shape, stretch, tail):
     """Distance from the Gaussian part of the pulse to its reference point, and its fitted SD, per shot."""
     grid = np.linspace(0.85, 1.15, 7)
     frequency = np.fft.rfftfreq(512)
-    pulse = np.fft.irfft(transfer(frequency, shape, grid) * np.exp(-2j * np.pi * frequency * 200), 512)
+    pulse = np.fft.irfft(transfer(frequency, shape, grid, tail) * np.exp(-2j * np.pi * frequency * 200), 512)
     fits = np.array([gaussian_centre(row) for row in smoothed(pulse)])
     return np.interp(stretch, grid, fits[:, 0] - 200), np.interp(stretch, grid, fits[:, 1])
 
@@ -226,7 +232,7 @@ def relative_heights(energy, edges):
     return result
 
 
-def simulate(random, table, drift=0.0, shot_noise=0.0):
+def simulate(random, table, drift=0.0, shot_noise=0.0, tail=TAIL_SHARE):
     """Adds received and outgoing samples and the truth to the table."""
     shots = table["cover"].size
     profile, ground_part, ground_sd = profiles(random, table)
@@ -253,7 +259,7 @@ def simulate(random, table, drift=0.0, shot_noise=0.0):
     offset, table["tx_sd"] = np.empty((2, shots))
     for shape in (WIDE, NARROW):
         own = [beam[0] == shape for beam in setting]
-        offset[own], table["tx_sd"][own] = reference_offsets(shape, table["stretch"][own])
+        offset[own], table["tx_sd"][own] = reference_offsets(shape, table["stretch"][own], tail)
 
     table["tx_gaussian"], table["tx_decay"] = shapes[:, :, 0] * table["stretch"]
     white = table["noise_sd_dn"] / np.sqrt((KERNEL**2).sum())
@@ -270,10 +276,10 @@ def simulate(random, table, drift=0.0, shot_noise=0.0):
     table["rh_waveform"] = np.empty((shots, 101), dtype=np.float32)
     peak, ground_peak = np.empty((2, shots))
     table["tx_gloc"] = random.uniform(52, 62, shots)
-    frequency, tx_frequency = np.fft.rfftfreq(LENGTH * STEPS, 1 / STEPS), np.fft.rfftfreq(256)
+    frequency, tx_frequency = np.fft.rfftfreq(LENGTH * STEPS, 1 / STEPS), np.fft.rfftfreq(512)
     for start in range(0, shots, 250):
         k = np.arange(start, min(start + 250, shots))
-        response = transfer(frequency, shapes[:, k], table["stretch"][k])
+        response = transfer(frequency, shapes[:, k], table["stretch"][k], tail)
         delay = centre[k] + PAD - ORIGIN / STEPS - offset[k]
         response *= np.exp(-2j * np.pi * frequency * delay[:, None]) * STEPS * energy[k, None]
         clean, ground = (np.fft.irfft(np.fft.rfft(part[k], LENGTH * STEPS) * response)[:, ::STEPS]
@@ -285,9 +291,9 @@ def simulate(random, table, drift=0.0, shot_noise=0.0):
         wave = 2 * np.pi * (np.arange(LENGTH) / random.uniform(300, 1200, (k.size, 1)) + random.random((k.size, 1)))
         samples = recorded(clean + drift * np.sin(wave), k).astype(np.float32)
         table["rx"] += [row[PAD : PAD + count[j]] for row, j in zip(samples, k)]
-        pulse = transfer(tx_frequency, shapes[:, k], table["stretch"][k])
+        pulse = transfer(tx_frequency, shapes[:, k], table["stretch"][k], tail)
         pulse *= np.exp(-2j * np.pi * tx_frequency * (table["tx_gloc"][k] + PAD - offset[k])[:, None])
-        outgoing = 18000.0 * np.fft.irfft(pulse, 256)[:, : 128 + 2 * PAD]
+        outgoing = 18000.0 * np.fft.irfft(pulse, 512)[:, : 128 + 2 * PAD]
         table["tx"] += list(recorded(outgoing, k)[:, PAD : PAD + 128].astype(np.float32))
     table["energy_dn"] = energy
     table["snr"], table["ground_snr"] = peak / table["noise_sd_dn"], ground_peak / table["noise_sd_dn"]
@@ -303,11 +309,12 @@ def main():
     parser.add_argument("--slope-max", type=float, default=40.0, help="degrees")
     parser.add_argument("--drift", type=float, default=0.0, help="amplitude of a slow drift of the baseline, DN")
     parser.add_argument("--shot-noise", type=float, default=0.0, help="variance of the signal per DN, before smoothing")
+    parser.add_argument("--tail", type=float, default=TAIL_SHARE, help="share of the pulse that decays slowly")
     parser.add_argument("--out", type=Path, default=Path("footprints.h5"), help="the truth is written as OUT_truth.npz")
     options = parser.parse_args()
     random = np.random.default_rng(options.seed)
     table = simulate(random, draw(random, options.shots, options.kind, options.beams, options.slope_max),
-                     options.drift, options.shot_noise)  # fmt: skip
+                     options.drift, options.shot_noise, options.tail)  # fmt: skip
     truth = footprint_file.write(options.out, table, SAMPLE_M, STATED_NOISE)
     truth["kind"] = np.array(KINDS)[truth["kind"]]
     np.savez_compressed(options.out.with_name(options.out.stem + "_truth.npz"), **truth)
