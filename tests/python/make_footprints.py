@@ -14,8 +14,8 @@ Conventions
 - `cover` is the share of the light that foliage intercepts.
 - `sensitivity` is the cover at which ground of foliage's reflectance is detected in 90 % of shots at 5 % false
   alarms in a search window of 200 samples (30 m): 1 - (3.48 + 1.28) x SD x W / E. E is the received energy,
-  SD the noise before smoothing, W = 28.4 ns the equivalent width of a smoothed ground echo. W reproduces
-  the sensitivities of recorded shots within 7 %. `sensitivity_slope` replaces W and the reflectance by
+  SD the noise before smoothing, W = 28.4 ns the equivalent width of a smoothed ground echo. W is fitted: it
+  reproduces 1 - sensitivity of 164 recorded shots to 7 % (SD). `sensitivity_slope` replaces W and the reflectance by
   those of the shot's own ground.
 """
 
