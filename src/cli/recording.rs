@@ -41,6 +41,8 @@ pub(super) enum JobTemplate {
     Container,
     /// Footprints of 10 m and more.
     LargeFootprint,
+    /// The same, in HDF5: GEDI and LVIS.
+    Hdf5,
 }
 
 impl JobTemplate {
@@ -52,6 +54,7 @@ impl JobTemplate {
             JobTemplate::PulseWaves => "pulsewaves.toml",
             JobTemplate::Container => "container.toml",
             JobTemplate::LargeFootprint => "large_footprint.toml",
+            JobTemplate::Hdf5 => "gedi.toml",
         }
     }
 
@@ -63,6 +66,7 @@ impl JobTemplate {
             JobTemplate::PulseWaves => include_str!("../../jobs/pulsewaves.toml"),
             JobTemplate::Container => include_str!("../../jobs/container.toml"),
             JobTemplate::LargeFootprint => include_str!("../../jobs/large_footprint.toml"),
+            JobTemplate::Hdf5 => include_str!("../../jobs/gedi.toml"),
         }
     }
 }
@@ -101,6 +105,9 @@ impl Recording {
 /// Selects the kind, with the reason if the format alone does not decide.
 fn kind_of(reader: &str, inspection: &Inspection) -> (JobTemplate, &'static str) {
     let input = inspection.input.as_deref();
+    if reader == "read_hdf5" {
+        return (JobTemplate::Hdf5, ": profiles of ground and canopy");
+    }
     if is_large_footprint(inspection) {
         return (JobTemplate::LargeFootprint, ": a large footprint");
     }

@@ -8,6 +8,7 @@
 
 mod agreement;
 mod compressed;
+mod footprints;
 mod geometry_alone;
 mod instruments;
 mod planes;

@@ -1,1 +1,142 @@
 //! Footprints of made shots, through the stage.
+
+use super::*;
+use wavex_footprints::RecordedNoise;
+use wavex_line::scan_line::{Emission, FootprintRecord, Frame, footprint_flags};
+use wavex_line::stage::Context;
+
+/// Samples of a waveform, and the sample of its ground.
+const SAMPLES: usize = 700;
+const GROUND: f64 = 420.0;
+/// SD of the outgoing pulse, samples.
+const PULSE_SD: f64 = 6.6;
+const LEVEL_DN: f64 = 220.0;
+
+/// Noise of SD 1 that neighbours share, from a counter.
+struct Noise(u32);
+
+impl Noise {
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f64::from(self.0 >> 8) / f64::from(1 << 24) - 0.5
+    }
+
+    fn samples(&mut self) -> Vec<f64> {
+        let white: Vec<f64> = (0..SAMPLES + 8).map(|_| self.next()).collect();
+        white.windows(9).map(|window| window.iter().sum::<f64>() / 3.0 * 12f64.sqrt()).collect()
+    }
+}
+
+fn pulse(height_dn: f64, at: f64, k: usize) -> f64 {
+    height_dn * (-0.5 * ((k as f64 - at) / PULSE_SD).powi(2)).exp()
+}
+
+/// A line of shots with ground and a layer 10 m above it, straight down from a height of 1 km.
+fn line(input: &Arc<InputInfo>, number: u32, shots: u32, has_outgoing: bool) -> ScanLine {
+    let (mut blocks, mut noise) = (Blocks::default(), Noise(number + 1));
+    for shot in 0..shots {
+        let outgoing: Vec<f32> = (0..128).map(|k| (200.0 + pulse(1000.0, 60.3, k)) as f32).collect();
+        if has_outgoing {
+            blocks.push_fractions(shot, Channel::Reference, 0.0, 1.0, &outgoing);
+        }
+        let echo = noise.samples().into_iter().enumerate().map(|(k, noise)| {
+            (LEVEL_DN + 1.5 * noise + pulse(120.0, GROUND, k) + pulse(80.0, GROUND - 66.7, k)) as f32
+        });
+        blocks.push_fractions(shot, Channel::LowPower, 0.0, 1.0, &echo.collect::<Vec<_>>());
+        blocks.footprints.push(FootprintRecord {
+            emission: shot,
+            shot_number: 19_000 + u64::from(shot),
+            noise: Some(RecordedNoise { mean_dn: LEVEL_DN, sd_dn: 1.5 }),
+            is_degraded: shot == 1,
+            columns: Box::new([f64::from(shot)]),
+        });
+    }
+    let emissions = (0..shots).map(|shot| Emission { shot: u64::from(shot), ..Emission::default() });
+    ScanLine::of_shots(Arc::clone(input), number, emissions.collect(), blocks)
+}
+
+fn input(beam: &str) -> Arc<InputInfo> {
+    Arc::new(InputInfo { frame: Frame::Map, beam: Some(beam.to_owned()), ..InputInfo::default() })
+}
+
+/// Runs the stage with this number of shots to learn from.
+fn run(shots: u64, lines: Vec<ScanLine>) -> (Result<()>, Vec<ScanLine>, Context) {
+    let config = MeasureFootprints { shots, ..MeasureFootprints::default() };
+    let mut stage = Measurer {
+        settings: config.settings(),
+        shots,
+        pool: None,
+        look_ahead: LookAhead::new(shots),
+        beam: None,
+    };
+    let (mut cx, mut given) = (Context::default(), Vec::new());
+    let mut emit = |line: ScanLine| {
+        given.push(line);
+        Ok(())
+    };
+    let mut out = Output::new(&mut cx, usize::MAX, &mut emit);
+    let outcome = lines.into_iter().try_for_each(|line| stage.process(line, &mut out));
+    let outcome = outcome.and_then(|()| stage.finish(&mut out));
+    (outcome, given, cx)
+}
+
+#[test]
+fn the_ground_is_the_lowest_mode_and_heights_count_from_it() {
+    let (outcome, given, _) = run(100, vec![line(&input("BEAM0101"), 0, 40, true)]);
+    outcome.unwrap();
+    let [line] = given.as_slice() else { panic!("{} lines", given.len()) };
+    assert_eq!((line.footprints.len(), line.kind()), (40, Kind::Returns));
+    let m_per_sample = 0.5e-9 * line.input.group_velocity_mps;
+    for footprint in &line.footprints {
+        let error_m = footprint.ground.range_m.value - m_per_sample * GROUND;
+        assert!(error_m.abs() < 0.15 && footprint.ground.range_m.sd > 0.0, "{footprint:?}");
+        assert!(footprint.modes == 2 && footprint.ground.probability > 0.5, "{footprint:?}");
+        let [low_m, middle_m, high_m] = [25, 50, 90].map(|percent| footprint.heights_m[percent]);
+        assert!(low_m.abs() < 1.0 && (0.0..9.0).contains(&middle_m) && (8.0..13.0).contains(&high_m), "{footprint:?}");
+        assert!(footprint.heights_m.is_sorted(), "{footprint:?}");
+        assert!((footprint.cover.value - 0.31).abs() < 0.08, "{footprint:?}");
+    }
+    let returns = line.returns().unwrap();
+    let classes: Vec<u8> = returns.iter().take(2).map(|found| found.class).collect();
+    assert_eq!((returns.len(), classes), (80, vec![0, 2]));
+}
+
+#[test]
+fn what_the_recording_says_of_a_shot_is_kept() {
+    let (outcome, given, _) = run(100, vec![line(&input("BEAM0101"), 0, 20, true)]);
+    outcome.unwrap();
+    let [first, second, ..] = given[0].footprints.as_slice() else { panic!("no shots") };
+    assert_eq!((first.shot_number, second.shot_number), (19_000, 19_001));
+    assert_eq!((first.flags & footprint_flags::DEGRADED, second.flags), (0, footprint_flags::DEGRADED));
+    assert_eq!((&*first.columns, &*second.columns), (&[0.0][..], &[1.0][..]));
+}
+
+/// Each beam has a model of its own; lines keep their order.
+#[test]
+fn beams_are_learnt_one_after_the_other() {
+    let beams = [input("BEAM0001"), input("BEAM0101")];
+    let lines = (0..6).map(|number| line(&beams[number as usize / 3], number, 20, true)).collect();
+    let (outcome, given, cx) = run(30, lines);
+    outcome.unwrap();
+    let numbers: Vec<u32> = given.iter().map(|line| line.line).collect();
+    assert_eq!(numbers, [0, 1, 2, 3, 4, 5]);
+    let learnt: Vec<&str> = cx.counters().notes.iter().map(|note| &note[..8]).collect();
+    assert_eq!(learnt, ["BEAM0001", "BEAM0101"]);
+}
+
+#[test]
+fn shots_without_outgoing_pulses_have_no_response() {
+    let (outcome, ..) = run(100, vec![line(&input("BEAM0101"), 0, 20, false)]);
+    let error = outcome.unwrap_err().to_string();
+    assert!(error.contains("0 shots have a recorded outgoing pulse"), "{error}");
+}
+
+#[test]
+fn a_waveform_without_background_is_rejected() {
+    let mut line = line(&input("BEAM0101"), 0, 20, true);
+    let Content::Shots(blocks) = &mut line.content else { panic!("no blocks") };
+    blocks.push_fractions(19, Channel::LowPower, 0.0, 1.0, &[f32::NAN; SAMPLES + 1]);
+    let (outcome, given, cx) = run(100, vec![line]);
+    outcome.unwrap();
+    assert_eq!((given[0].footprints.len(), cx.counters().rejected_of(Reason::WithoutBackground.item())), (19, 1));
+}
