@@ -101,10 +101,12 @@ fn a_large_footprint_is_recognised() {
         ("pulsewaves/riegl_example3.pls", "pulsewaves"),
         ("pulsewaves/optech_example1.pls", "pulsewaves"),
         ("riegl_q680i_dev/riegl_q680i_dev.las", "las"),
+        ("gedi/gedi_l1b.h5", "gedi"),
     ] {
         let text = job_for(&place, data.join(file).to_str().unwrap());
         assert_eq!(text.contains("a large footprint"), job == "large_footprint", "{text}");
         assert_eq!(text.contains("mode = \"slow\""), job == "large_footprint", "{text}");
+        assert_eq!(text.contains("measure_footprints"), job == "gedi", "{text}");
     }
 }
 

@@ -14,8 +14,16 @@ struct Shots {
 
 /// Columns of both: ground, modes, RH25, RH50, RH75, RH98, cover.
 const OURS: [&str; 8] = ["z", "modes", "rh25_m", "rh50_m", "rh75_m", "rh98_m", "cover", "ground_sd_m"];
-const NASA: [&str; 8] =
-    ["elev_lowestmode_m", "num_detectedmodes", "rh25_m", "rh50_m", "rh75_m", "rh98_m", "cover", "sensitivity"];
+const NASA: [&str; 8] = [
+    "elev_lowestmode_m",
+    "num_detectedmodes",
+    "rh25_m",
+    "rh50_m",
+    "rh75_m",
+    "rh98_m",
+    "cover",
+    "sensitivity",
+];
 
 impl Shots {
     fn of(data: &Path, keys: &str) -> Shots {
@@ -56,7 +64,10 @@ fn check(shots: &Shots, ground_sd_m: f64) {
     let (centre_m, sd_m) = robust(&ground_m);
     let near = ground_m.iter().filter(|error_m| error_m.abs() < 0.3).count();
     let below = ground_m.iter().filter(|error_m| **error_m < -2.0).count();
-    println!("ground: median {:.3} m, robust SD {sd_m:.3} m, {near} of 164 within 0.3 m, {below} below", centre_m);
+    println!(
+        "ground: median {:.3} m, robust SD {sd_m:.3} m, {near} of 164 within 0.3 m, {below} below",
+        centre_m
+    );
     assert!(sd_m <= ground_sd_m && near >= 161 && below <= 1);
     let [ours, nasa] = [&shots.ours, &shots.nasa].map(|rows| Shots::sum(rows, 1));
     println!("modes: {ours} and {nasa}");

@@ -92,7 +92,10 @@ fn the_ground_is_the_lowest_mode_and_heights_count_from_it() {
         assert!(error_m.abs() < 0.15 && footprint.ground.range_m.sd > 0.0, "{footprint:?}");
         assert!(footprint.modes == 2 && footprint.ground.probability > 0.5, "{footprint:?}");
         let [low_m, middle_m, high_m] = [25, 50, 90].map(|percent| footprint.heights_m[percent]);
-        assert!(low_m.abs() < 1.0 && (0.0..9.0).contains(&middle_m) && (8.0..13.0).contains(&high_m), "{footprint:?}");
+        assert!(
+            low_m.abs() < 1.0 && (0.0..9.0).contains(&middle_m) && (8.0..13.0).contains(&high_m),
+            "{footprint:?}"
+        );
         assert!(footprint.heights_m.is_sorted(), "{footprint:?}");
         assert!((footprint.cover.value - 0.31).abs() < 0.08, "{footprint:?}");
     }
@@ -138,5 +141,8 @@ fn a_waveform_without_background_is_rejected() {
     blocks.push_fractions(19, Channel::LowPower, 0.0, 1.0, &[f32::NAN; SAMPLES + 1]);
     let (outcome, given, cx) = run(100, vec![line]);
     outcome.unwrap();
-    assert_eq!((given[0].footprints.len(), cx.counters().rejected_of(Reason::WithoutBackground.item())), (19, 1));
+    assert_eq!(
+        (given[0].footprints.len(), cx.counters().rejected_of(Reason::WithoutBackground.item())),
+        (19, 1)
+    );
 }
