@@ -1,10 +1,13 @@
 //! A data set of numbers with one or two dimensions, read by rows of chunks.
 
+use std::io::ErrorKind;
+use std::ops::Range;
+
 use wavex_formats::bytes::Fields;
 use wavex_formats::{Error, Result};
 
 use super::chunk_index::{Chunk, Grid, Index};
-use super::filters::{self, Decoder, Filter, Sizes};
+use super::filters::{self, Decoder, Failure, Filter, Sizes};
 use super::input::{Address, COPY_AGAIN, Input, REPACK, address, within};
 use super::number::Number;
 use super::object::{Message, kind, messages};
@@ -37,7 +40,7 @@ enum Storage {
 #[derive(Default)]
 struct Band {
     /// Numbers of the elements.
-    elements: std::ops::Range<u64>,
+    elements: Range<u64>,
     /// Values of the elements; empty if all have the fill value.
     bytes: Vec<u8>,
 }
@@ -154,7 +157,7 @@ impl Dataset {
         &mut self,
         input: &Input,
         decoder: &mut Decoder,
-        elements: std::ops::Range<u64>,
+        elements: Range<u64>,
         samples: &mut Vec<f32>,
     ) -> Result<()> {
         self.check(input, elements.end)?;
@@ -224,13 +227,11 @@ impl Dataset {
                 let first = chunks.partition_point(|chunk| chunk.number < number * beside);
                 let end = chunks.partition_point(|chunk| chunk.number < (number + 1) * beside);
                 let chunks = &chunks[first..end];
+                input.resize(bytes, if chunks.is_empty() { 0 } else { length })?;
                 if (chunks.len() as u64) < beside {
-                    bytes.clear();
-                    if !chunks.is_empty() {
-                        bytes.extend(std::iter::repeat_n(&self.fill, length / self.fill.len()).flatten());
-                    }
-                } else {
-                    bytes.resize(length, 0);
+                    bytes
+                        .chunks_exact_mut(self.fill.len())
+                        .for_each(|value| value.copy_from_slice(&self.fill));
                 }
                 let chunk_columns = grid.chunk_shape.get(1).copied().unwrap_or(1);
                 let chunk_row = chunk_columns as usize * self.number.bytes;
@@ -272,10 +273,13 @@ fn decode<'a>(
     if chunk.stored_bytes > sizes.chunk as u64 + sizes.chunk as u64 / 8 + 1024 {
         return Err(input.bad(chunk.address, &field, "larger than without compression", COPY_AGAIN));
     }
-    decoder.stored.resize(chunk.stored_bytes as usize, 0);
+    input.resize(&mut decoder.stored, chunk.stored_bytes as usize)?;
     input.read(chunk.address, &mut decoder.stored, &field)?;
     let decoded = decoder.decode(filters, chunk.skipped_filters, sizes);
-    decoded.map_err(|damage| input.bad(chunk.address, &field, damage, COPY_AGAIN))
+    decoded.map_err(|failure| match failure {
+        Failure::Damaged(damage) => input.bad(chunk.address, &field, damage, COPY_AGAIN),
+        Failure::OutOfMemory => Error::io(input.path(), "read")(ErrorKind::OutOfMemory.into()),
+    })
 }
 
 /// Reads the extent and the largest extent, `u64::MAX` if unlimited.
@@ -369,6 +373,17 @@ fn read_layout(input: &Input, fields: &mut Fields, mut grid: Grid, extent: &[u64
                 index = Index::read(fields, flags)?;
                 at = address(fields, field)?;
             }
+            let grows_sideways = grid.most.get(1) == Some(&u64::MAX);
+            if grows_sideways && matches!(index, Index::ExtensibleArray) {
+                return Err(before.bad(field, "rows that grow are not supported", REPACK));
+            }
+            if flags & 1 != 0 && grid.filtered {
+                return Err(before.bad(
+                    field,
+                    "chunks at the edge without filters are not supported",
+                    REPACK,
+                ));
+            }
             let chunks = match at {
                 Some(at) if !extent.contains(&0) => index.chunks(input, at, &grid, extent)?,
                 _ => Vec::new(),
@@ -377,5 +392,80 @@ fn read_layout(input: &Input, fields: &mut Fields, mut grid: Grid, extent: &[u64
         }
         (3..=5, _) => Err(before.bad(field, "virtual data sets are not supported", REPACK)),
         _ => Err(before.bad(field, format!("version {version} is not supported"), REPACK)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::{Path, PathBuf};
+
+    use super::*;
+    use crate::group::links;
+    use crate::superblock;
+
+    fn open(name: &str) -> Result<(Input, Dataset)> {
+        let path: PathBuf = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/odd_data_sets.h5");
+        let mut input = Input::open(&path)?;
+        let root = superblock::root(&mut input)?;
+        let (_, at) = links(&input, root)?.into_iter().find(|(link, _)| link == name).unwrap();
+        let dataset = Dataset::open(&input, name, at)?;
+        Ok((input, dataset))
+    }
+
+    #[test]
+    fn unsupported_data_sets_are_named_with_their_reason() {
+        for (name, expected) in [
+            ("text", "text: data type: numbers expected, but this is text; rewrite the file with `h5repack"),
+            ("compound", "numbers expected, but this is compound"),
+            ("half", "unusual number of 2 bytes"),
+            ("volume", "3 dimensions, only 1 and 2 are supported"),
+            ("shared_type", "missing: this is no data set"),
+            ("of_shared_type", "shared between objects"),
+            ("lzf", "filter 32000 lzf is not supported"),
+            ("large_chunks", "80000000 bytes in a chunk, at most 67108864"),
+            ("wide", "80000000 bytes in a row of chunks, at most 67108864"),
+            ("sideways", "rows that grow are not supported"),
+            ("virtual", "virtual data sets are not supported"),
+        ] {
+            let text = open(name).err().map(|error| error.to_string()).unwrap_or_default();
+            assert!(text.contains(&format!("odd_data_sets.h5: byte ")), "{name}: {text}");
+            assert!(text.contains(&format!("{name}: ")) && text.contains(expected), "{name}: {text}");
+        }
+    }
+
+    #[test]
+    fn numbers_of_every_type_are_converted() {
+        for kind in ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"] {
+            for order in ["l", "b"] {
+                let (input, mut dataset) = open(&format!("number_{order}{kind}")).unwrap();
+                let first = if kind.starts_with('u') { 0.0 } else { -7.0 };
+                let decoder = &mut Decoder::new();
+                let mut samples = vec![5.0];
+                dataset.append_f32(&input, decoder, 0..3, &mut samples).unwrap();
+                assert_eq!(samples, [5.0, first, 100.0, 3.0], "{kind}");
+                assert_eq!(dataset.f64_at(&input, decoder, 0).unwrap(), f64::from(first));
+                assert_eq!(dataset.u64_at(&input, decoder, 1).unwrap(), Some(100));
+                assert_eq!(
+                    dataset.u64_at(&input, decoder, 0).unwrap(),
+                    (first == 0.0).then_some(0),
+                    "{kind}"
+                );
+            }
+        }
+        let (input, mut dataset) = open("fractions").unwrap();
+        let found = [0, 1, 2].map(|index| dataset.u64_at(&input, &mut Decoder::new(), index).unwrap());
+        assert_eq!(found, [None, None, Some(3)]);
+    }
+
+    #[test]
+    fn elements_beyond_the_end_take_no_memory() {
+        let (input, mut dataset) = open("edges").unwrap();
+        let (decoder, mut samples) = (&mut Decoder::new(), Vec::new());
+        dataset.append_f32(&input, decoder, 2..7, &mut samples).unwrap();
+        assert_eq!(samples, [2.0, 3.0, 4.0, 5.0, 6.0]);
+        let error = dataset.append_f32(&input, decoder, 2..1 << 60, &mut Vec::new()).unwrap_err().to_string();
+        assert!(
+            error.contains("edges: element 1152921504606846976 is needed, it has 7; the file is damaged")
+        );
     }
 }

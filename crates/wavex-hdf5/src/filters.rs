@@ -3,7 +3,7 @@
 use flate2::{Decompress, FlushDecompress, Status};
 use wavex_formats::bytes::Fields;
 
-use super::input::REPACK;
+use super::input::{self, REPACK};
 
 /// A filter of a chunk, in the order in which a writer applies them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,8 +69,14 @@ pub struct Decoder {
     spare: Vec<u8>,
 }
 
-/// Description of the damage of a chunk.
-pub type Damage = &'static str;
+/// Reason why a chunk cannot be decoded.
+#[derive(Debug, PartialEq)]
+pub enum Failure {
+    /// The chunk is damaged: description.
+    Damaged(&'static str),
+    /// There is not enough memory.
+    OutOfMemory,
+}
 
 impl Decoder {
     /// Creates a decoder.
@@ -83,8 +89,8 @@ impl Decoder {
     /// Bit i of `skipped` says that filter i was not applied.
     ///
     /// # Errors
-    /// If the chunk is damaged.
-    pub fn decode(&mut self, filters: &[Filter], skipped: u32, sizes: Sizes) -> Result<&[u8], Damage> {
+    /// If the chunk is damaged, or there is not enough memory.
+    pub fn decode(&mut self, filters: &[Filter], skipped: u32, sizes: Sizes) -> Result<&[u8], Failure> {
         let applied = |&(index, _): &(usize, &Filter)| skipped >> index & 1 == 0;
         let applied = || filters.iter().enumerate().filter(applied).map(|(_, &filter)| filter);
         for (index, filter) in applied().enumerate().collect::<Vec<_>>().into_iter().rev() {
@@ -98,10 +104,10 @@ impl Decoder {
                     check_sum(&mut self.stored)?;
                     continue;
                 }
-                Filter::Deflate => self.inflate(if all { whole } else { sizes.needed })?,
+                Filter::Deflate => self.inflate(if all { whole } else { sizes.needed }, whole)?,
                 Filter::Shuffle => {
                     let shuffled = self.stored.get(..whole).ok_or(SHORT)?;
-                    self.spare.resize(if all { whole } else { sizes.needed }, 0);
+                    resize(&mut self.spare, if all { whole } else { sizes.needed })?;
                     unshuffle(shuffled, sizes.number, &mut self.spare);
                 }
             }
@@ -110,21 +116,21 @@ impl Decoder {
         self.stored.get(..sizes.needed).ok_or(SHORT)
     }
 
-    /// Inflates into the spare buffer.
-    fn inflate(&mut self, length: usize) -> Result<(), Damage> {
+    /// Inflates the first `length` bytes into the spare buffer.
+    fn inflate(&mut self, length: usize, whole: usize) -> Result<(), Failure> {
         // Deflate makes data at most 1032 times smaller: nothing is allocated for a chunk that cannot be so large.
         if length / 1032 > self.stored.len() {
             return Err(SHORT);
         }
         self.inflate.reset(true);
-        self.spare.resize(length, 0);
+        resize(&mut self.spare, length)?;
         let status = self.inflate.decompress(&self.stored, &mut self.spare, FlushDecompress::Finish);
         let status = status.map_err(|_| DAMAGED)?;
         if self.inflate.total_out() < length as u64 {
             return Err(DAMAGED);
         }
-        if status != Status::StreamEnd {
-            // Reads the checksum, if the data end here.
+        if length == whole && status != Status::StreamEnd {
+            // The end of the stream has its checksum.
             let rest = self.stored.get(self.inflate.total_in() as usize..).unwrap_or(&[]);
             self.inflate.decompress(rest, &mut [], FlushDecompress::Finish).map_err(|_| DAMAGED)?;
         }
@@ -132,8 +138,13 @@ impl Decoder {
     }
 }
 
-const SHORT: Damage = "shorter than the chunk's size";
-const DAMAGED: Damage = "its compressed data are damaged";
+const SHORT: Failure = Failure::Damaged("shorter than the chunk's size");
+const DAMAGED: Failure = Failure::Damaged("its compressed data are damaged");
+
+/// Changes the length of a buffer.
+fn resize(bytes: &mut Vec<u8>, length: usize) -> Result<(), Failure> {
+    input::resize(bytes, length).map_err(|_| Failure::OutOfMemory)
+}
 
 /// Puts the bytes of the first numbers together.
 fn unshuffle(shuffled: &[u8], number_bytes: usize, numbers: &mut [u8]) {
@@ -160,10 +171,10 @@ fn interleave<const N: usize>(shuffled: &[u8], count: usize, numbers: &mut [u8])
 }
 
 /// Checks and removes the checksum at the end of a chunk.
-fn check_sum(stored: &mut Vec<u8>) -> Result<(), Damage> {
+fn check_sum(stored: &mut Vec<u8>) -> Result<(), Failure> {
     let (data, expected) = stored.split_last_chunk::<4>().ok_or(SHORT)?;
     if fletcher32(data) != u32::from_le_bytes(*expected) {
-        return Err("its checksum is wrong");
+        return Err(Failure::Damaged("its checksum is wrong"));
     }
     let length = data.len();
     stored.truncate(length);
@@ -189,4 +200,104 @@ fn fletcher32(data: &[u8]) -> u32 {
     }
     (first, second) = (fold(fold(first)), fold(fold(second)));
     second << 16 | first
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use flate2::Compression;
+    use flate2::write::ZlibEncoder;
+
+    use super::*;
+
+    const SIZES: Sizes = Sizes { chunk: 24, number: 4, needed: 24 };
+
+    fn numbers() -> Vec<u8> {
+        (0..6_u32).flat_map(|number| (number * 0x0102_0304).to_le_bytes()).collect()
+    }
+
+    fn deflated(bytes: &[u8]) -> Vec<u8> {
+        let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
+        encoder.write_all(bytes).unwrap();
+        encoder.finish().unwrap()
+    }
+
+    fn with_sum(bytes: &[u8]) -> Vec<u8> {
+        [bytes, &fletcher32(bytes).to_le_bytes()].concat()
+    }
+
+    /// Bytes behind the last whole number stay in their place.
+    fn shuffled(bytes: &[u8]) -> Vec<u8> {
+        let (numbers, rest) = bytes.as_chunks::<4>();
+        let planes = (0..4).flat_map(|byte| numbers.iter().map(move |number| number[byte]));
+        planes.chain(rest.iter().copied()).collect()
+    }
+
+    fn decode(filters: &[Filter], skipped: u32, stored: Vec<u8>, needed: usize) -> Result<Vec<u8>, Failure> {
+        let mut decoder = Decoder { stored, ..Decoder::new() };
+        decoder.decode(filters, skipped, Sizes { needed, ..SIZES }).map(<[u8]>::to_vec)
+    }
+
+    #[test]
+    fn filters_are_undone_in_any_usual_order() {
+        use Filter::{Deflate, Fletcher32, Shuffle};
+        let numbers = numbers();
+        let cases: &[(&[Filter], Vec<u8>)] = &[
+            (&[], numbers.clone()),
+            (&[Deflate], deflated(&numbers)),
+            (&[Shuffle, Deflate], deflated(&shuffled(&numbers))),
+            (&[Shuffle, Deflate, Fletcher32], with_sum(&deflated(&shuffled(&numbers)))),
+            (&[Fletcher32, Shuffle, Deflate], deflated(&shuffled(&with_sum(&numbers)))),
+            (&[Shuffle, Fletcher32, Deflate], deflated(&with_sum(&shuffled(&numbers)))),
+        ];
+        for (filters, stored) in cases {
+            for needed in [24, 12, 4] {
+                let found = decode(filters, 0, stored.clone(), needed).unwrap();
+                assert_eq!(found, numbers[..needed], "{filters:?}");
+            }
+        }
+        // Deflate was not worth it, and was skipped.
+        let skipped = decode(&[Shuffle, Deflate], 2, shuffled(&numbers), 24);
+        assert_eq!(skipped.unwrap(), numbers);
+    }
+
+    #[test]
+    fn numbers_of_every_size_are_unshuffled() {
+        for bytes in [1, 2, 8] {
+            let shuffled: Vec<u8> = (0..16).collect();
+            let mut numbers = [0; 16];
+            unshuffle(&shuffled, bytes, &mut numbers);
+            let expected = (0..16).map(|at| ((at % bytes) * (16 / bytes) + at / bytes) as u8);
+            assert!(expected.eq(numbers), "{bytes} bytes: {numbers:?}");
+        }
+    }
+
+    /// Values by the HDF5 library: `H5_checksum_fletcher32`.
+    #[test]
+    fn fletcher_is_the_library_s() {
+        assert_eq!(fletcher32(b""), 0);
+        assert_eq!(fletcher32(&[0xff; 4]), 0xffff_ffff);
+        assert_eq!(fletcher32(&[1, 2, 3]), 0x0504_0402);
+    }
+
+    #[test]
+    fn damage_is_reported_before_memory_is_taken() {
+        use Filter::{Deflate, Fletcher32, Shuffle};
+        let numbers = numbers();
+        assert_eq!(decode(&[], 0, numbers[..20].to_vec(), 24), Err(SHORT));
+        assert_eq!(decode(&[Shuffle], 0, numbers[..20].to_vec(), 24), Err(SHORT));
+        assert_eq!(decode(&[Fletcher32], 0, vec![1, 2], 24), Err(SHORT));
+        assert_eq!(decode(&[Deflate], 0, deflated(&numbers[..20]), 24), Err(DAMAGED));
+        let mut wrong_end = deflated(&numbers);
+        *wrong_end.last_mut().unwrap() ^= 1;
+        assert_eq!(decode(&[Deflate], 0, wrong_end.clone(), 24), Err(DAMAGED));
+        // The end is not read if the beginning is enough.
+        assert_eq!(decode(&[Deflate], 0, wrong_end, 20).unwrap(), numbers[..20]);
+
+        let mut decoder = Decoder { stored: vec![0x78; 100], ..Decoder::new() };
+        let sizes = Sizes { chunk: 1 << 40, number: 4, needed: 1 << 40 };
+        assert_eq!(decoder.decode(&[Deflate], 0, sizes), Err(SHORT));
+        assert_eq!(decoder.spare.capacity(), 0);
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use wavex_formats::bytes::Fields;
@@ -106,9 +106,18 @@ impl Input {
                 return Err(self.bad(address, field, problem, COPY_AGAIN));
             }
         }
-        let mut bytes = vec![0; length as usize];
+        let mut bytes = Vec::new();
+        self.resize(&mut bytes, length as usize)?;
         self.read(address, &mut bytes, field)?;
         Ok(bytes)
+    }
+
+    /// Changes the length of a buffer to a checked one; new bytes are zero.
+    ///
+    /// # Errors
+    /// If there is not enough memory.
+    pub fn resize(&self, bytes: &mut Vec<u8>, length: usize) -> Result<()> {
+        resize(bytes, length).map_err(Error::io(&self.path, "read"))
     }
 
     /// Starts reading the fields of a block of metadata.
@@ -120,6 +129,17 @@ impl Input {
     pub fn bad(&self, address: Address, field: &str, problem: impl Into<String>, remedy: &str) -> Error {
         Error::malformed(&self.path, self.base.saturating_add(address), field, problem, remedy)
     }
+}
+
+/// Changes the length of a buffer; new bytes are zero.
+///
+/// # Errors
+/// If there is not enough memory.
+pub fn resize(bytes: &mut Vec<u8>, length: usize) -> io::Result<()> {
+    let further = length.saturating_sub(bytes.len());
+    bytes.try_reserve_exact(further).map_err(|_| io::ErrorKind::OutOfMemory)?;
+    bytes.resize(length, 0);
+    Ok(())
 }
 
 /// Reads an address; `None` if it is undefined.

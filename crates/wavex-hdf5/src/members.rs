@@ -126,10 +126,10 @@ impl Members {
         value.ok_or_else(|| self.unusable(format!("{}: not a whole number", dataset.name())))
     }
 
-    /// Reads samples; `samples` is emptied before.
+    /// Reads samples, at most [`MOST_SAMPLES`]; `samples` is emptied before.
     ///
     /// # Errors
-    /// If their chunk is damaged, or they are too many.
+    /// If their chunk is damaged, or they are beyond the end.
     pub fn samples(
         &mut self,
         dataset: &mut Dataset,
@@ -137,11 +137,6 @@ impl Members {
         samples: &mut Vec<f32>,
     ) -> Result<()> {
         samples.clear();
-        let count = elements.end.saturating_sub(elements.start);
-        if count > MOST_SAMPLES {
-            let problem = format!("{}: {count} samples, at most {MOST_SAMPLES}", dataset.name());
-            return Err(self.unusable(problem));
-        }
         dataset.append_f32(&self.input, &mut self.decoder, elements, samples)
     }
 

@@ -2,7 +2,7 @@
 
 use wavex_formats::{Error, Result};
 
-use super::input::{Address, COPY_AGAIN, Input, REPACK};
+use super::input::{Address, Input, REPACK};
 
 const SIGNATURE: &[u8; 8] = b"\x89HDF\r\n\x1a\n";
 
@@ -43,19 +43,15 @@ pub fn root(input: &mut Input) -> Result<Address> {
         return Err(input.bad(8, "sizes of offsets and lengths", problem, REPACK));
     }
     let end = fields.u64("end of file address")?;
-    if base.saturating_add(end) > input.length() {
-        let problem = format!("cut off: {} of {} bytes", input.length(), base.saturating_add(end));
+    // Unlike addresses, the end is counted from the first byte of the file.
+    if end > input.length() {
+        let problem = format!("cut off: {} of {end} bytes", input.length());
         return Err(Error::unusable(input.path(), problem, "copy it again from its source"));
     }
     if version < 2 {
         fields.skip(16, "driver information address")?;
     }
-    let field = "address of the root group";
-    let root = fields.u64(field)?;
-    if root >= end {
-        return Err(input.bad(8, field, "beyond the end of the file", COPY_AGAIN));
-    }
-    Ok(root)
+    fields.u64("address of the root group")
 }
 
 /// Returns the byte of the signature: 0, or behind a user block 512, 1024, 2048 and so on.
