@@ -61,8 +61,8 @@ pub struct RecordedNoise {
 pub struct Measured {
     /// Modes, ordered by position.
     pub modes: Vec<FootprintMode>,
-    /// Index of the mode that is the ground, and of the one that is it otherwise, with probabilities.
-    pub ground: [Option<Candidate>; 2],
+    /// The mode that is the ground, if there is one.
+    pub ground: Option<Candidate>,
     /// Position at which the signal begins.
     pub top_samples: WithSd,
     /// Heights below which 0, 1, … 100 % of the energy lie.
@@ -90,6 +90,8 @@ pub struct FootprintMode {
     pub position_samples: WithSd,
     /// Height above the background, DN.
     pub amplitude_dn: WithSd,
+    /// Distances to half the height, or to the next valley, behind the mode and before it, over those of a flat target.
+    pub half_widths: [f64; 2],
     /// Index of the highest smoothed sample.
     top: usize,
 }
@@ -104,6 +106,7 @@ pub struct FootprintEstimator {
     /// Variance of the mean of many samples times their number, over the variance of a sample.
     long_run: f64,
     fwhm_samples: f64,
+    interval_ns: f64,
     echo: Echo,
     samples: Vec<f32>,
     cumulative_dn: Vec<f64>,
@@ -126,6 +129,8 @@ struct Echo {
     area_samples: f64,
     /// Part of its energy behind its mode.
     behind: f64,
+    /// Distances from its mode to half its height, behind and before, samples.
+    half_widths: [f64; 2],
     /// Its largest value at this distance or more behind its mode, relative to its height.
     tail: Vec<f64>,
 }
@@ -165,6 +170,7 @@ impl Echo {
         let area: f64 = smoothed.iter().map(|dn| f64::from(*dn)).sum();
         let before: f64 =
             (0..).zip(&smoothed).map(|(k, dn)| share_before(k, position) * f64::from(*dn)).sum();
+        let half_widths = half_widths(&smoothed, top, position, height);
         let mut tail: Vec<f64> = smoothed.iter().skip(top).map(|dn| f64::from(*dn) / height).collect();
         // The largest value from here on: a mode is not made by a ringing response.
         let mut largest = 0.0f64;
@@ -173,8 +179,32 @@ impl Echo {
             *value = largest;
         }
         let height_before = model.response.iter().copied().fold(0.0, f64::max);
-        Echo { area_samples: area / height_before, behind: 1.0 - before / area, tail }
+        Echo { area_samples: area / height_before, behind: 1.0 - before / area, half_widths, tail }
     }
+}
+
+/// Distances from a mode to half its height behind it and before it, samples; to the next valley if that is higher.
+fn half_widths(values: &[f32], top: usize, position: f64, height: f64) -> [f64; 2] {
+    let half = 0.5 * height;
+    let behind = values.get(top..).unwrap_or_default().iter().map(|dn| f64::from(*dn));
+    let before = values.get(..=top).unwrap_or_default().iter().rev().map(|dn| f64::from(*dn));
+    let offset = position - top as f64;
+    [steps_to(behind, half) - offset, steps_to(before, half) + offset]
+}
+
+/// Number of steps, with its fraction, until values fall below a level or rise again.
+fn steps_to(values: impl Iterator<Item = f64>, level: f64) -> f64 {
+    let mut last = f64::INFINITY;
+    for (step, value) in (0u32..).zip(values) {
+        if value <= level {
+            return f64::from(step) - (level - value) / (last - value);
+        }
+        if value > last {
+            return f64::from(step.saturating_sub(1));
+        }
+        last = value;
+    }
+    f64::INFINITY
 }
 
 /// Part of sample `k` that lies before a position.
@@ -202,6 +232,7 @@ impl FootprintEstimator {
             settings,
             long_run: (1.0 + 2.0 * lags).max(0.1),
             fwhm_samples: model.pulse_fwhm_ns / model.sampling_interval_ns,
+            interval_ns: model.sampling_interval_ns,
             echo: Echo::of(model, &narrow.kernel),
             wide,
             narrow,
@@ -231,7 +262,7 @@ impl FootprintEstimator {
         let last = self.wide.values_dn.iter().rposition(|dn| f64::from(*dn) > back_dn);
         let mut measured = Measured {
             modes: Vec::new(),
-            ground: [None; 2],
+            ground: None,
             top_samples: WithSd::UNKNOWN,
             heights_samples: Box::new([WithSd::UNKNOWN; HEIGHTS]),
             energy_dn: WithSd::UNKNOWN,
@@ -259,23 +290,25 @@ impl FootprintEstimator {
         let energy_sd = noise.sd_of_sum(length, length);
         measured.energy_dn =
             WithSd { value: energy / self.echo.area_samples, sd: energy_sd / self.echo.area_samples };
-        measured.sensitivity = self.sensitivity(energy, &background);
+        measured.sensitivity = self.sensitivity(energy, &background, self.settings.back_sigma * unit_dn[1]);
         measured.top_samples = self.crossing(first, front_dn, wide_sd_dn);
-        let ground = measured.modes.last().copied();
-        if let Some(ground) = ground.filter(|_| energy > 0.0) {
+        let modes = measured.modes.len();
+        if let Some(ground) = measured.modes.last_mut().filter(|_| energy > 0.0) {
             let below_dn = self.energy_below(ground.position_samples.value, first, last);
-            let of_ground = WithSd { value: below_dn / self.echo.behind / energy, sd: f64::NAN };
-            let sd =
-                noise.sd_of_sum(last as f64 - ground.position_samples.value, 0.0) / self.echo.behind / energy;
-            let ratio = of_ground.value.min(1.0);
+            let scale = 1.0 / (self.echo.behind * energy);
+            let ratio = (below_dn * scale).min(1.0);
+            let sd = noise.sd_of_sum(last as f64 - ground.position_samples.value, 0.0) * scale;
             measured.ground_energy_ratio = WithSd { value: ratio, sd };
-            let evidence = ground::Evidence {
-                height_sds: ground.amplitude_dn.value / ground.amplitude_dn.sd,
-                energy_ratio: ratio,
-                sensitivity: measured.sensitivity,
-            };
             if !measured.is_cut[1] {
-                measured.ground = ground::candidates(&measured.modes, Some(evidence));
+                let evidence = ground::Evidence {
+                    half_widths: ground.half_widths,
+                    energy_ratio: ratio,
+                    height_sds: ground.amplitude_dn.value / ground.amplitude_dn.sd,
+                    modes,
+                };
+                ground.position_samples = evidence.position(ground, self.interval_ns);
+                measured.ground = Some(Candidate { mode: modes - 1, probability: evidence.probability() });
+                let ground = *ground;
                 self.heights(&ground, first, last, energy, &noise, &mut measured.heights_samples);
             }
         }
@@ -337,6 +370,7 @@ impl FootprintEstimator {
             let mode = FootprintMode {
                 position_samples: WithSd { value: top as f64 + offset, sd: slope_sd_dn / -bend_dn },
                 amplitude_dn: WithSd { value: height_dn, sd: height_sd_dn },
+                half_widths: self.widths_of(top, top as f64 + offset, height_dn),
                 top,
             };
             if let Some(last) = modes.last().copied() {
@@ -362,6 +396,12 @@ impl FootprintEstimator {
             }
             modes.push(mode);
         }
+    }
+
+    /// Half widths of a mode over those of a flat target.
+    fn widths_of(&self, top: usize, position: f64, height_dn: f64) -> [f64; 2] {
+        let own = half_widths(&self.narrow.values_dn, top, position, height_dn);
+        [0, 1].map(|side| own[side] / self.echo.half_widths[side])
     }
 
     /// Largest signal that the tails of modes leave at a position behind them, DN.
@@ -393,10 +433,10 @@ impl FootprintEstimator {
     }
 
     /// Cover at which a ground echo would still be detected in nine of ten waveforms.
-    fn sensitivity(&self, energy: f64, background: &Background) -> f64 {
-        /// Normal deviates of a false alarm in a waveform, 5 %, and of a detection of 90 %.
-        const DEVIATES: f64 = 1.645 + 1.282;
-        let least_height_dn = DEVIATES * background.sd_dn * self.narrow.sd;
+    fn sensitivity(&self, energy: f64, background: &Background, threshold_dn: f64) -> f64 {
+        /// Normal deviate of nine of ten.
+        const DEVIATE: f64 = 1.282;
+        let least_height_dn = threshold_dn + DEVIATE * background.sd_dn * self.narrow.sd;
         let least_energy = least_height_dn * self.echo.area_samples;
         (1.0 - least_energy / energy).clamp(0.0, 1.0)
     }

@@ -37,7 +37,8 @@ impl Default for FootprintSettings {
             smoothing_ns: None,
             mode_smoothing_ns: None,
             front_sigma: 4.5,
-            back_sigma: 4.5,
+            // Levels wander by more than their noise; one simulated ground of 300 is weaker.
+            back_sigma: 8.0,
             takes_every_maximum: false,
             noise: NoiseSource::Waveform,
             reflectance_ratio: 1.5,

@@ -14,8 +14,6 @@ pub struct Footprint {
     pub shot_number: u64,
     /// The ground. Its return has class 2.
     pub ground: GroundCandidate,
-    /// The mode that is the ground if the chosen one is not.
-    pub other_ground: GroundCandidate,
     /// Range at which the signal begins, m: the top of the canopy.
     pub top_range_m: WithSd,
     /// Heights above the ground below which 0, 1, … 100 % of the energy lie, m.
@@ -59,7 +57,7 @@ pub mod footprint_flags {
     pub const TOP_MISSING: u8 = 1 << 1;
     /// Samples are clipped.
     pub const CLIPPED: u8 = 1 << 2;
-    /// Another mode is the ground with a probability of more than 0.1.
+    /// The ground has a probability below 0.9.
     pub const AMBIGUOUS: u8 = 1 << 3;
     /// The instrument's own flags advise against the shot (degraded pointing, stale waveform).
     pub const DEGRADED: u8 = 1 << 4;

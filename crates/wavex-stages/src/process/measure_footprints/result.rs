@@ -8,8 +8,8 @@ use wavex_line::scan_line::{
 
 /// LAS class of the ground.
 const GROUND_CLASS: u8 = 2;
-/// Probability of the second candidate from which the ground is ambiguous.
-const AMBIGUOUS: f64 = 0.1;
+/// Probability from which the ground is not ambiguous.
+const CLEAR: f64 = 0.9;
 /// Most returns of a shot in LAS.
 const MOST_RETURNS: usize = 15;
 
@@ -30,7 +30,7 @@ impl ShotFootprint {
         reflectance_ratio: f64,
     ) -> ShotFootprint {
         let metres = Metres::of(block, shot, input);
-        let [ground, other] = measured.ground;
+        let ground = measured.ground;
         let candidate = |found: Option<Candidate>| {
             let mode = found.and_then(|found| measured.modes.get(found.mode));
             GroundCandidate {
@@ -53,7 +53,6 @@ impl ShotFootprint {
             emission: block.emission,
             shot_number: record.map_or(shot.shot, |record| record.shot_number),
             ground: candidate(ground),
-            other_ground: candidate(other),
             top_range_m: metres.range(measured.top_samples),
             heights_m: all(&height),
             heights_sd_m: all(&height_sd),
@@ -148,11 +147,11 @@ fn plant_area_index(cover: WithSd) -> WithSd {
 }
 
 fn flags(measured: &Measured, record: Option<&FootprintRecord>) -> u8 {
-    let [ground, other] = measured.ground;
+    let ground = measured.ground;
     let set = |bit: u8, is_set: bool| if is_set { bit } else { 0 };
     let [is_top_cut, _] = measured.is_cut;
     set(footprint_flags::GROUND_MISSING, ground.is_none())
         | set(footprint_flags::TOP_MISSING, is_top_cut)
-        | set(footprint_flags::AMBIGUOUS, other.is_some_and(|other| other.probability > AMBIGUOUS))
+        | set(footprint_flags::AMBIGUOUS, ground.is_some_and(|ground| ground.probability < CLEAR))
         | set(footprint_flags::DEGRADED, record.is_some_and(|record| record.is_degraded))
 }

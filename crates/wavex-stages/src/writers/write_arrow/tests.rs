@@ -124,6 +124,8 @@ prop_compose! {
             emission_choice_sd_ns,
             origin_is_sensor,
             first_shot: None,
+            beam: None,
+            columns: Vec::new(),
             amplitude_low: tables.0,
             amplitude_high: tables.1,
             range_low: tables.2,

@@ -17,7 +17,6 @@ fn footprint(emission: u32) -> Footprint {
         emission,
         shot_number: 19_640_119_100_108_615 + u64::from(emission),
         ground: candidate(60.0, 0.9),
-        other_ground: candidate(52.0, 0.08),
         top_range_m: known(40.0),
         heights_m: Box::new(std::array::from_fn(|percent| percent as f32 * 0.25)),
         heights_sd_m: Box::new([0.5; HEIGHTS]),
@@ -60,7 +59,7 @@ fn a_row_is_a_shot_with_the_position_of_its_ground() {
     };
     assert_eq!((batch.num_rows(), of("x").value(0), of("z").value(0)), (2, 4.0, 6.0));
     assert!(arrow_array::Array::is_null(of("x"), 1), "without ground");
-    assert_eq!((of("other_ground_height_m").value(0), of("geoid").value(1)), (8.0, 1.0));
+    assert_eq!((of("ground_sd_m").value(0), of("geoid").value(1)), (6.0, 1.0));
     let numbers = batch.column_by_name("shot_number").unwrap().as_primitive::<UInt64Type>();
     assert_eq!(numbers.value(1), 19_640_119_100_108_616, "more digits than a double");
     let heights = batch.column_by_name("rh_m").unwrap().as_fixed_size_list().value(1);
