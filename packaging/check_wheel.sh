@@ -7,6 +7,7 @@ wheel="$(realpath "$1")"
 other="$(realpath "$2")"
 cd "$(dirname "$0")"
 work="$(mktemp -d)"
+truth=(--set 'simulate.truth=*_truth.csv')
 trap 'rm -rf "$work"' EXIT
 python3 -m venv "$work/tools"
 "$work/tools/bin/pip" install --quiet --disable-pip-version-check auditwheel
@@ -21,7 +22,7 @@ python3 -m venv "$work/venv"
 "$work/venv/bin/pip" install --quiet --disable-pip-version-check "$wheel"
 version="$(basename "$wheel" | cut -d - -f 2)"
 (cd "$work" && venv/bin/python -c "import wavex; assert wavex.__version__ == '$version', wavex.__version__")
-"$work/venv/bin/wavex" --quiet run --set "job.output_dir=$work/wheel" ../jobs/demo.toml
-"$other" --quiet run --set "job.output_dir=$work/other" ../jobs/demo.toml
+"$work/venv/bin/wavex" --quiet run "${truth[@]}" --set "job.output_dir=$work/wheel" ../jobs/demo.toml
+"$other" --quiet run "${truth[@]}" --set "job.output_dir=$work/other" ../jobs/demo.toml
 ./compare_outputs.sh "$work/wheel" "$work/other"
 echo "the wheel works: $tag"

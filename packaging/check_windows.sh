@@ -6,15 +6,18 @@ set -euo pipefail
 archive="$(realpath "$1")"
 other="$(realpath "$2")"
 cd "$(dirname "$0")"
-# Debian's package `wine64` alone has the program in this folder.
-wine="$(PATH="$PATH:/usr/lib/wine" command -v wine64)" ||
+# Debian's package `wine64` alone has its programs in this folder.
+export PATH="$PATH:/usr/lib/wine"
+command -v wine64 > /dev/null ||
     { echo 'SKIPPED: the program for Windows does not run here: install Wine (Debian: wine64)'; exit 0; }
 work="$(mktemp -d)"
-trap 'rm -rf "$work"' EXIT
+truth=(--set 'simulate.truth=*_truth.csv')
+# Wine's server writes into the folder for some seconds after the last program.
+trap 'wineserver -k || true; rm -rf "$work"' EXIT
 export WINEPREFIX="$work/wine" WINEDEBUG=-all
 unset DISPLAY
 # Wine unpacks its system first.
-"$wine" wineboot --init > "$work/wineboot.log" 2>&1 || { tail -5 "$work/wineboot.log"; exit 1; }
+wine64 wineboot --init > "$work/wineboot.log" 2>&1 || { tail -5 "$work/wineboot.log"; exit 1; }
 python3 -m zipfile -e "$archive" "$work/archive"
 cd "$work"/archive/*
 # Wine before version 9 lacks a library of Windows 8 and later with one function, which the standard library calls.
@@ -25,8 +28,8 @@ if [ ! -e "$WINEPREFIX/drive_c/windows/system32/bcryptprimitives.dll" ]; then
 __declspec(dllexport) BOOL ProcessPrng(PBYTE data, SIZE_T size) { return RtlGenRandom(data, size); }
 C
 fi
-"$wine" wavex.exe doctor
-"$wine" wavex.exe --quiet run jobs/demo.toml
-"$other" --quiet run --set "job.output_dir=$work/other" jobs/demo.toml
+wine64 wavex.exe doctor
+wine64 wavex.exe --quiet run "${truth[@]}" jobs/demo.toml
+"$other" --quiet run "${truth[@]}" --set "job.output_dir=$work/other" jobs/demo.toml
 "$OLDPWD/compare_outputs.sh" --other-library out/demo "$work/other"
-echo "the program for Windows works under $("$wine" --version)"
+echo "the program for Windows works under $(wine64 --version)"

@@ -59,7 +59,7 @@ fi
 step 'archives'
 packaging/tree.sh "$static" "$work/wavex-$version-x86_64-linux"
 pack "wavex-$version-x86_64-linux"
-git archive --format=tar --prefix="wavex-$version/" HEAD | gzip -9n > "$dist/wavex-$version-source.tar.gz"
+git archive --format=tar --prefix="wavex-$version/" "$WAVEX_COMMIT" | gzip -9n > "$dist/wavex-$version-source.tar.gz"
 packaging/deb.sh "$linked" "$dist/wavex_${version}_amd64.deb"
 if [ -z "$quick" ]; then
     folder="$work/wavex-$version-x86_64-windows"
