@@ -273,12 +273,27 @@ mod tests {
         }
     }
 
-    /// Values by the HDF5 library: `H5_checksum_fletcher32`.
     #[test]
-    fn fletcher_is_the_library_s() {
-        assert_eq!(fletcher32(b""), 0);
-        assert_eq!(fletcher32(&[0xff; 4]), 0xffff_ffff);
+    fn fletcher_sums_big_endian_words() {
+        // Words 0x0102 and 0x0300.
         assert_eq!(fletcher32(&[1, 2, 3]), 0x0504_0402);
+        // 65535 is 0, but no sum is reduced to 0.
+        assert_eq!(fletcher32(&[0xff; 4]), 0xffff_ffff);
+    }
+
+    #[test]
+    fn sizes_between_filters_must_be_known() {
+        let message = |ids: [u8; 2]| {
+            let mut bytes = vec![2, 2];
+            ids.into_iter().for_each(|id| bytes.extend([id, 0, 0, 0, 0, 0]));
+            let text = read(&mut Fields::new(std::path::Path::new("f.h5"), 0, &bytes))
+                .map_err(|error| error.to_string());
+            text.err().unwrap_or_default()
+        };
+        assert_eq!(message([2, 1]), "");
+        for ids in [[1, 1], [1, 2]] {
+            assert!(message(ids).contains("f.h5: byte 8: filters: unusual order of filters; rewrite"));
+        }
     }
 
     #[test]

@@ -4,6 +4,7 @@
 
 use wavex_formats::Result;
 
+use super::beam::Shots;
 use super::dataset::Dataset;
 use super::group::{Link, links};
 use super::input::Input;
@@ -121,22 +122,18 @@ impl GediBeam {
             columns,
         })
     }
+}
 
-    /// Returns the number of shots.
-    pub fn len(&self) -> usize {
+impl Shots for GediBeam {
+    fn len(&self) -> usize {
         self.shots
     }
 
-    /// Returns the names of the further values.
-    pub fn columns(&self) -> Vec<&'static str> {
+    fn columns(&self) -> Vec<&'static str> {
         self.columns.iter().map(|&(name, _)| name).collect()
     }
 
-    /// Reads a shot.
-    ///
-    /// # Errors
-    /// If its values are damaged.
-    pub fn read(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
+    fn read(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
         let members = &mut self.members;
         shot.shot_number = members.whole(&mut self.shot_number, index)?;
         shot.time_s = self.epoch_s + members.value(&mut self.delta_time, index)?;
@@ -202,7 +199,7 @@ struct Waveforms {
 /// Where the waveform of a shot begins.
 enum Place {
     /// The file says it, counted from 1.
-    Start(Dataset),
+    Start(Box<Dataset>),
     /// Behind the waveforms of the shots before: end of each shot's samples.
     Ends(Vec<u64>),
 }
@@ -230,7 +227,7 @@ impl Waveforms {
         }
         let place = match start {
             Some(start) if all_fit || ends.len() as u64 != shots || sum != samples.len() => {
-                Place::Start(start)
+                Place::Start(Box::new(start))
             }
             _ => Place::Ends(ends),
         };

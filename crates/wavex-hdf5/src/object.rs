@@ -77,7 +77,7 @@ pub fn messages(input: &Input, address: Address) -> Result<Vec<Message>> {
     while let Some((address, length)) = blocks.pop() {
         let bytes = input.metadata(address, length, field)?;
         let mut fields = input.fields(address, &bytes);
-        if found.len() > 0 && matches!(format, Format::Two { .. }) {
+        if !found.is_empty() && matches!(format, Format::Two { .. }) {
             signature(&mut fields, b"OCHK", field)?;
         }
         while let Some(message) = format.next(&mut fields, address, length)? {

@@ -51,6 +51,36 @@ fn other_products_are_named() {
     assert!(error("BEAM1111").contains("no beam BEAM1111; choose one of: BEAM0000, BEAM0101"));
 }
 
+#[test]
+fn impossible_beams_are_refused() {
+    for (name, expected) in [
+        ("counts", "BEAM0101/delta_time: 3 values for 2 shots; the file is damaged"),
+        ("negative", "shot 1 of BEAM0101: BEAM0101/shot_number: not a whole number"),
+        ("start_missing", "shot 1 of BEAM0101: BEAM0101/rx_sample_count: not a whole number"),
+        ("epoch", "BEAM0101/ancillary/master_time_epoch: element 1 is needed, it has 0"),
+        ("shots", "BEAM0101: 20000000 shots, at most 10000000"),
+        ("kept", "more than 536870912 bytes of chunks; rewrite the file with smaller chunks: `h5repack"),
+        ("no_waveforms", "a GEDI file whose beams have no waveforms; give a whole GEDI01_B file"),
+        ("lvis_part", "an LVIS file without RXWAVE, SHOTNUMBER or Z0; give the level 1B file"),
+        ("lvis_long", "RXWAVE: 70000 samples per shot, at most 65536"),
+    ] {
+        let found = first_error(&data(&format!("refused_{name}.h5")));
+        assert!(found.contains(expected), "{name}: {found}");
+    }
+    // A data set that is no longer where the list of beams says.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("changed.h5");
+    fs::copy(data("gedi_bad_shots.h5"), &path).unwrap();
+    let granule = Granule::open(&path).unwrap();
+    let mut bytes = fs::read(&path).unwrap();
+    let at = bytes.windows(15).position(|name| name == b"rx_sample_count").unwrap();
+    bytes[at] = b'X';
+    fs::write(&path, bytes).unwrap();
+    assert!(
+        granule.beam("BEAM0110").err().unwrap().to_string().contains("no data set BEAM0110/rx_sample_count")
+    );
+}
+
 /// Replaces bytes in all blocks with a signature, or at the beginning if it is empty.
 fn damaged(folder: &TempDir, name: &str, signature: &[u8], offset: usize, with: &[u8]) -> PathBuf {
     let mut bytes = fs::read(data(name)).unwrap();

@@ -88,6 +88,18 @@ fn beams_without_waveforms_are_listed() {
 }
 
 #[test]
+fn a_beam_that_is_named_twice_is_listed_once() {
+    let bytes = std::fs::read(data("twice.h5")).unwrap();
+    let at = bytes.windows(8).position(|name| name == b"BEAM0110").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("twice.h5");
+    std::fs::write(&path, [&bytes[..at], b"BEAM0101", &bytes[at + 8..]].concat()).unwrap();
+    let granule = Granule::open(&path).unwrap();
+    assert_eq!(granule.beams().len(), 1);
+    assert_eq!(granule.beam("BEAM0101").unwrap().len() as u64, granule.beams()[0].shots);
+}
+
+#[test]
 fn a_group_of_three_hundred_links_is_read() {
     let granule = Granule::open(&data("many_links.h5")).unwrap();
     assert_gedi(&mut granule.beam("BEAM0101").unwrap(), 5);
