@@ -276,10 +276,15 @@ fn decode<'a>(
     input.resize(&mut decoder.stored, chunk.stored_bytes as usize)?;
     input.read(chunk.address, &mut decoder.stored, &field)?;
     let decoded = decoder.decode(filters, chunk.skipped_filters, sizes);
-    decoded.map_err(|failure| match failure {
-        Failure::Damaged(damage) => input.bad(chunk.address, &field, damage, COPY_AGAIN),
+    decoded.map_err(|failure| of_chunk(failure, input, chunk, &field))
+}
+
+/// Creates the error of a chunk.
+fn of_chunk(failure: Failure, input: &Input, chunk: &Chunk, field: &str) -> Error {
+    match failure {
+        Failure::Damaged(damage) => input.bad(chunk.address, field, damage, COPY_AGAIN),
         Failure::OutOfMemory => Error::io(input.path(), "read")(ErrorKind::OutOfMemory.into()),
-    })
+    }
 }
 
 /// Reads the extent and the largest extent, `u64::MAX` if unlimited.
@@ -466,6 +471,18 @@ mod tests {
         let error = dataset.append_f32(&input, decoder, 2..1 << 60, &mut Vec::new()).unwrap_err().to_string();
         assert!(
             error.contains("edges: element 1152921504606846976 is needed, it has 7; the file is damaged")
+        );
+    }
+
+    #[test]
+    fn missing_memory_is_no_damage() {
+        let (input, _) = open("edges").unwrap();
+        let chunk = Chunk { number: 3, address: 9, stored_bytes: 4, skipped_filters: 0 };
+        let text = |failure| of_chunk(failure, &input, &chunk, "chunk 3").to_string();
+        assert!(text(Failure::OutOfMemory).contains("odd_data_sets.h5: cannot read: out of memory"));
+        assert!(
+            text(Failure::Damaged("cut"))
+                .contains("odd_data_sets.h5: byte 9: chunk 3: cut; the file is damaged")
         );
     }
 

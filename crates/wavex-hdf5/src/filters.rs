@@ -314,5 +314,6 @@ mod tests {
         let sizes = Sizes { chunk: 1 << 40, number: 4, needed: 1 << 40 };
         assert_eq!(decoder.decode(&[Deflate], 0, sizes), Err(SHORT));
         assert_eq!(decoder.spare.capacity(), 0);
+        assert_eq!(resize(&mut Vec::new(), usize::MAX), Err(Failure::OutOfMemory));
     }
 }

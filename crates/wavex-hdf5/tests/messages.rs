@@ -1,6 +1,7 @@
 //! Every message about a file that cannot be read.
 //!
 //! Sound files are damaged at known places: all blocks with a signature get other bytes.
+#![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -97,10 +98,13 @@ fn damaged(folder: &TempDir, name: &str, signature: &[u8], offset: usize, with: 
     path
 }
 
+/// File, signature of the blocks, offset and value of the damage, expected part of the message.
+type Case = (&'static str, &'static [u8], usize, &'static [u8], &'static str);
+
 #[test]
 fn damaged_structures_are_reported() {
-    let far = &0x7fff_ffff_u64.to_le_bytes();
-    let cases: &[(&str, &[u8], usize, &[u8], &str)] = &[
+    const FAR: &[u8] = &0x7fff_ffff_u64.to_le_bytes();
+    let cases: &[Case] = &[
         ("gedi_product.h5", b"", 0, b"?", "not an HDF5 file; give a file of GEDI L1B or LVIS L1B"),
         (
             "gedi_product.h5",
@@ -116,18 +120,18 @@ fn damaged_structures_are_reported() {
             &[4],
             "sizes of offsets and lengths: 4 and 8 bytes, only 8 are supported",
         ),
-        ("gedi_product.h5", b"", 40, far, "bytes; copy it again from its source"),
+        ("gedi_product.h5", b"", 40, FAR, "bytes; copy it again from its source"),
         (
             "gedi_product.h5",
             b"",
             64,
-            far,
+            FAR,
             "object header: 16 bytes at this address are beyond the end of the file",
         ),
         ("gedi_product.h5", b"TREE", 0, b"F", "B-tree: the signature `TREE` is missing; the file is damaged"),
         ("gedi_product.h5", b"TREE", 4, &[7], "B-tree: a node of another tree or level"),
         ("gedi_product.h5", b"HEAP", 0, b"F", "local heap: the signature `HEAP` is missing"),
-        ("gedi_product.h5", b"SNOD", 8, far, "name of a member: beyond the end of the heap"),
+        ("gedi_product.h5", b"SNOD", 8, FAR, "name of a member: beyond the end of the heap"),
         ("gedi_latest.h5", b"OHDR", 0, b"F", "object header: neither version 1 nor 2"),
         ("gedi_latest.h5", b"OHDR", 4, &[9], "object header: unknown version"),
         ("gedi_latest.h5", b"BTHD", 5, &[9], "B-tree: unexpected type or sizes"),

@@ -1,4 +1,5 @@
 //! Values of the files that `tests/python/make_hdf5.py` makes, and of a real granule.
+#![allow(clippy::unwrap_used, reason = "a test fails by it")]
 #![allow(clippy::print_stdout, reason = "a test says that it is skipped")]
 
 use std::env;
