@@ -233,6 +233,9 @@ def refused(folder):
     beam("kept", **columns)
     with create(folder / "refused_no_waveforms.h5") as file:
         file["BEAM0101/shot_number"] = [1]
+    with create(folder / "refused_beams.h5", "latest") as file:
+        for number in range(65):
+            file[f"BEAM{number}"] = file["/"]
     with create(folder / "refused_lvis_part.h5") as file:
         file["SHOTNUMBER"] = [1]
     with create(folder / "refused_lvis_long.h5") as file:
@@ -254,6 +257,7 @@ def odd(folder):
         file.create_dataset("large_chunks", (1,), "f4", chunks=(20_000_000,), maxshape=(None,))
         file.create_dataset("wide", (1000, 20_000), "f4", chunks=(1000, 100))
         file.create_dataset("sideways", data=np.zeros((4, 3)), chunks=(4, 2), maxshape=(4, None))
+        file.create_dataset("external", (4,), "f4", external=[("other.bin", 0, 16)])
         layout = h5py.VirtualLayout((4,), "f4")
         layout[:] = h5py.VirtualSource(".", "source", (4,))
         file.create_virtual_dataset("virtual", layout)

@@ -1,4 +1,4 @@
-//! Measures reading on Linux: samples in order, single shots in any order, in processor time; the largest memory.
+//! Measures reading on Linux: processor time of all samples in order and of single shots, largest memory.
 //!
 //! usage: speed_hdf5 FILE BEAM
 

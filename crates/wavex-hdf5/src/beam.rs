@@ -48,7 +48,9 @@ impl BeamReader {
         self.len() == 0
     }
 
-    /// Returns the names of [`Shot::columns`]; a name without its unit is the product's, with the product's unit.
+    /// Returns the names of [`Shot::columns`].
+    ///
+    /// A name without a unit is the product's, with the product's unit.
     pub fn columns(&self) -> Vec<&'static str> {
         self.shots.columns()
     }

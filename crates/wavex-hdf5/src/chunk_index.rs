@@ -39,7 +39,7 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// Returns the number of chunks beside each other in a row of chunks.
+    /// Returns the number of chunks in a row of chunks.
     pub fn columns(&self, extent: &[u64]) -> u64 {
         extent.iter().zip(&self.chunk_shape).skip(1).map(|(&all, &one)| all.div_ceil(one)).product()
     }

@@ -75,6 +75,9 @@ impl Dataset {
         for message in messages {
             match message.kind {
                 kind::FILTERS => filters = filters::read(&mut message.fields(input)?)?,
+                kind::EXTERNAL_FILES => {
+                    return Err(space.bad("storage", "data in other files are not supported", REPACK));
+                }
                 kind::FILL_VALUE => read_fill_value(&mut message.fields(input)?, &mut fill)?,
                 _ => {}
             }
@@ -223,12 +226,12 @@ impl Dataset {
                 input.read(at + start, bytes, "data").map_err(within(&self.name))?;
             }
             Storage::Chunked(grid, chunks) => {
-                let beside = grid.columns(&self.extent);
-                let first = chunks.partition_point(|chunk| chunk.number < number * beside);
-                let end = chunks.partition_point(|chunk| chunk.number < (number + 1) * beside);
+                let chunks_per_row = grid.columns(&self.extent);
+                let first = chunks.partition_point(|chunk| chunk.number < number * chunks_per_row);
+                let end = chunks.partition_point(|chunk| chunk.number < (number + 1) * chunks_per_row);
                 let chunks = &chunks[first..end];
                 input.resize(bytes, if chunks.is_empty() { 0 } else { length })?;
-                if (chunks.len() as u64) < beside {
+                if (chunks.len() as u64) < chunks_per_row {
                     bytes
                         .chunks_exact_mut(self.fill.len())
                         .for_each(|value| value.copy_from_slice(&self.fill));
@@ -244,7 +247,7 @@ impl Dataset {
                     let decoded =
                         decode(input, decoder, &self.filters, chunk, sizes).map_err(within(&self.name))?;
                     let row_bytes = row_bytes as usize;
-                    let left = (chunk.number % beside) as usize * chunk_row;
+                    let left = (chunk.number % chunks_per_row) as usize * chunk_row;
                     let width = chunk_row.min(row_bytes - left);
                     for (row, from) in bytes.chunks_exact_mut(row_bytes).zip(decoded.chunks_exact(chunk_row))
                     {
@@ -430,6 +433,7 @@ mod tests {
             ("large_chunks", "80000000 bytes in a chunk, at most 67108864"),
             ("wide", "80000000 bytes in a row of chunks, at most 67108864"),
             ("sideways", "rows that grow are not supported"),
+            ("external", "data in other files are not supported"),
             ("virtual", "virtual data sets are not supported"),
         ] {
             let text = open(name).err().map(|error| error.to_string()).unwrap_or_default();

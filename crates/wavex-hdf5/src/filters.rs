@@ -118,7 +118,7 @@ impl Decoder {
 
     /// Inflates the first `length` bytes into the spare buffer.
     fn inflate(&mut self, length: usize, whole: usize) -> Result<(), Failure> {
-        // Deflate makes data at most 1032 times smaller: nothing is allocated for a chunk that cannot be so large.
+        // Deflate makes data at most 1032 times smaller: no memory for a chunk that cannot be so large.
         if length / 1032 > self.stored.len() {
             return Err(SHORT);
         }
@@ -155,7 +155,7 @@ fn unshuffle(shuffled: &[u8], number_bytes: usize, numbers: &mut [u8]) {
         8 => interleave::<8>(shuffled, count, numbers),
         _ => numbers.copy_from_slice(&shuffled[..numbers.len()]),
     }
-    // Bytes behind the last number, which belong to a checksum, are not shuffled.
+    // Bytes after the last number, which belong to a checksum, are not shuffled.
     let end = numbers.len();
     if let Some(rest) = numbers.get_mut(count * number_bytes..) {
         rest.copy_from_slice(&shuffled[count * number_bytes..end]);
@@ -227,7 +227,7 @@ mod tests {
         [bytes, &fletcher32(bytes).to_le_bytes()].concat()
     }
 
-    /// Bytes behind the last whole number stay in their place.
+    /// Bytes after the last whole number stay in their place.
     fn shuffled(bytes: &[u8]) -> Vec<u8> {
         let (numbers, rest) = bytes.as_chunks::<4>();
         let planes = (0..4).flat_map(|byte| numbers.iter().map(move |number| number[byte]));

@@ -200,15 +200,16 @@ struct Waveforms {
 enum Place {
     /// The file says it, counted from 1.
     Start(Box<Dataset>),
-    /// Behind the waveforms of the shots before: end of each shot's samples.
+    /// The waveform follows the previous one: end of each shot's samples.
     Ends(Vec<u64>),
 }
 
 impl Waveforms {
     /// Opens the waveforms `rx` or `tx`.
     ///
-    /// Programs that cut granules may keep the start indices of the whole granule. If those do not fit the samples,
-    /// but the number of samples is the sum of all counts, each waveform begins behind the one before.
+    /// Programs that cut granules may keep the start indices of the whole granule. If those do not fit
+    /// the samples, but the number of samples is the sum of all counts, each waveform follows the
+    /// previous one.
     fn open(members: &mut Members, samples: Dataset, direction: &str, shots: u64) -> Result<Waveforms> {
         let mut count = members.required(&format!("{direction}_sample_count"))?;
         members.check_rows(&count, shots)?;

@@ -1,7 +1,7 @@
 //! The beam of LVIS L1B.
 //!
-//! Source: LVIS Data Structure 1.04, 1.05 and 2.0.3 to 2.0.5. All have the same data sets in the root group; the
-//! names of the last sample's position contain its index: `Z431`, `Z527`, `Z1023`, `Z1215`.
+//! Source: LVIS Data Structure 1.04, 1.05 and 2.0.3 to 2.0.5. All have the same data sets in the root
+//! group; the names of the last sample's position contain its index: `Z431`, `Z527`, `Z1023`, `Z1215`.
 
 use wavex_formats::Result;
 

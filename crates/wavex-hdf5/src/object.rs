@@ -12,6 +12,7 @@ pub mod kind {
     pub const DATATYPE: u16 = 0x03;
     pub const FILL_VALUE: u16 = 0x05;
     pub const LINK: u16 = 0x06;
+    pub const EXTERNAL_FILES: u16 = 0x07;
     pub const LAYOUT: u16 = 0x08;
     pub const FILTERS: u16 = 0x0b;
     pub const CONTINUATION: u16 = 0x10;

@@ -62,6 +62,7 @@ fn impossible_beams_are_refused() {
         ("shots", "BEAM0101: 20000000 shots, at most 10000000"),
         ("kept", "more than 536870912 bytes of chunks; rewrite the file with smaller chunks: `h5repack"),
         ("no_waveforms", "a GEDI file whose beams have no waveforms; give a whole GEDI01_B file"),
+        ("beams", "65 beams, at most 64; the file is damaged"),
         ("lvis_part", "an LVIS file without RXWAVE, SHOTNUMBER or Z0; give the level 1B file"),
         ("lvis_long", "RXWAVE: 70000 samples per shot, at most 65536"),
     ] {
