@@ -73,7 +73,8 @@ def compare(program, path):
                 at += 8 + found.nbytes
                 assert np.frombuffer(dump, "<u8", 1, at)[0] == number, (path, name, number)
                 found = np.frombuffer(dump, "<f8", len(values), at + 8)
-                assert np.allclose(found, values, rtol=1e-15, atol=0, equal_nan=True), (path, name, number, found, values)
+                equal = np.allclose(found, values, rtol=1e-15, atol=0, equal_nan=True)
+                assert equal, (path, name, number, found, values)
                 at += 8 + found.nbytes
                 digest = zlib.crc32(every.tobytes(), digest)
                 shots, samples = shots + 1, samples + len(every)

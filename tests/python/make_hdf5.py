@@ -2,6 +2,8 @@
 
 Values follow formulas that the tests in Rust repeat: sample k of shot i is `200 + (7 i + 3 k) % 101 + (i % 4) / 4`.
 
+All but `odd_data_sets.h5`, which has times of creation, are the same at each run.
+
 usage: make_hdf5.py FOLDER
 """
 
@@ -141,6 +143,7 @@ def make(folder):
     lvis(folder / "lvis_without_pulse.h5", 352, "u2", {}, with_pulse=False)
     special(folder)
     odd(folder)
+    refused(folder)
 
 
 def chunks_of_rows(rows, columns):
@@ -156,6 +159,7 @@ def special(folder):
         for name, data in (("shot_number", np.arange(3, dtype="u8")), ("rx_sample_count", np.full(3, 4, "u2"))):
             options = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
             options.set_layout(h5py.h5d.COMPACT)
+            options.set_obj_track_times(False)
             kind = h5py.h5t.py_create(data.dtype)
             made = h5py.h5d.create(beam.id, name.encode(), kind, h5py.h5s.create_simple(data.shape), options)
             made.write(h5py.h5s.ALL, h5py.h5s.ALL, data)
@@ -186,6 +190,7 @@ def special(folder):
         data = np.concatenate([sample(i, np.arange(count(i))) for i in range(SHOTS)]).astype("f4")
         options = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
         options.set_chunk((50,))
+        options.set_obj_track_times(False)
         options.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
         space = h5py.h5s.create_simple(data.shape)
         made = h5py.h5d.create(file["BEAM0101"].id, b"rxwaveform", h5py.h5t.IEEE_F32LE, space, options)
@@ -195,6 +200,48 @@ def special(folder):
         for index in range(300):
             file.create_group(f"a_group_with_a_rather_long_name_{index:03}")
         gedi_beam(file.create_group("BEAM0101"), {}, {})
+
+
+def refused(folder):
+    """Makes files whose beams are refused."""
+
+    def beam(name, **columns):
+        with create(folder / f"refused_{name}.h5") as file:
+            group = file.create_group("BEAM0101")
+            sound = dict(shot_number=[5, 6], rx_sample_count=[2, 2], rx_sample_start_index=[1, 3], rxwaveform=[0.5] * 4)
+            for key, value in {**sound, **columns}.items():
+                if isinstance(value, dict):
+                    group.create_dataset(key, **value)
+                elif value is not None:
+                    group[key] = value
+
+    with create(folder / "twice.h5") as file:
+        gedi_beam(file.create_group("BEAM0101"), {}, {})
+        file.create_group("BEAM0110")
+    beam("counts", delta_time=[1.0, 2.0, 3.0])
+    beam("negative", shot_number=[5, -6])
+    beam("start_missing", rx_sample_count=[2, -1], rx_sample_start_index=None)
+    beam("epoch", **{"ancillary/master_time_epoch": np.zeros(0)})
+    many = 20_000_000
+    beam("shots", shot_number=dict(shape=(many,), dtype="u8"))
+    # Nothing is stored in these chunks of 64 MB.
+    rows = 8 << 20
+    column = dict(shape=(rows,), dtype="f8", chunks=(rows,))
+    names = ["delta_time", "noise_mean_corrected", "noise_stddev_corrected", "rx_energy"]
+    places = [f"geolocation/{of}_bin0" for of in ("longitude", "latitude", "elevation")]
+    columns = dict.fromkeys(["shot_number", "rx_sample_count", "rx_sample_start_index", *names, *places], column)
+    beam("kept", **columns)
+    with create(folder / "refused_no_waveforms.h5") as file:
+        file["BEAM0101/shot_number"] = [1]
+    with create(folder / "refused_beams.h5", "latest") as file:
+        for number in range(65):
+            file[f"BEAM{number}"] = file["/"]
+    with create(folder / "refused_lvis_part.h5") as file:
+        file["SHOTNUMBER"] = [1]
+    with create(folder / "refused_lvis_long.h5") as file:
+        file["SHOTNUMBER"] = [1]
+        file["Z0"] = [1.0]
+        file.create_dataset("RXWAVE", (1, 70_000), "u2")
 
 
 def odd(folder):
@@ -210,6 +257,7 @@ def odd(folder):
         file.create_dataset("large_chunks", (1,), "f4", chunks=(20_000_000,), maxshape=(None,))
         file.create_dataset("wide", (1000, 20_000), "f4", chunks=(1000, 100))
         file.create_dataset("sideways", data=np.zeros((4, 3)), chunks=(4, 2), maxshape=(4, None))
+        file.create_dataset("external", (4,), "f4", external=[("other.bin", 0, 16)])
         layout = h5py.VirtualLayout((4,), "f4")
         layout[:] = h5py.VirtualSource(".", "source", (4,))
         file.create_virtual_dataset("virtual", layout)

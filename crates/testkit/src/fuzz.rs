@@ -9,6 +9,7 @@
 
 mod archives;
 mod geodesy;
+mod hdf5;
 mod points;
 mod runs;
 pub mod seeds;
@@ -25,6 +26,7 @@ use tempfile::TempDir;
 
 pub use archives::{archive_folder, archive_tar};
 pub use geodesy::{geoid, geokeys, terrain_ascii, terrain_geotiff, wkt};
+pub use hdf5::hdf5;
 pub use points::{compressed_packets, copc, las};
 pub use runs::{recording, run, sdf};
 pub use tables::{container, survey_cells, table};
@@ -51,6 +53,7 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("copc", copc),
     ("geoid", geoid),
     ("geokeys", geokeys),
+    ("hdf5", hdf5),
     ("import", import),
     ("job", job),
     ("las", las),

@@ -1,6 +1,6 @@
 //! Writes all samples of a file, for comparison with other readers.
 //!
-//! For each beam and shot: number of received samples, number of outgoing samples (`u32`), the samples (`f32`), and
+//! For each shot: number of received samples, number of outgoing samples (`u32`), the samples (`f32`),
 //! shot number (`u64`), time, noise mean and SD, three positions (`f64`); all little-endian.
 //!
 //! usage: dump_hdf5 FILE BEAM > samples.bin

@@ -2,8 +2,6 @@
 
 use wavex_formats::{Error, Result};
 
-use super::gedi::GediBeam;
-use super::lvis::LvisBeam;
 use super::shot::Shot;
 
 /// Reads the shots of a beam, in any order.
@@ -11,19 +9,28 @@ use super::shot::Shot;
 /// One row of chunks of each data set is kept decoded.
 pub struct BeamReader {
     name: String,
-    data: Data,
+    shots: Box<dyn Shots + Send>,
 }
 
-/// Data sets of the products.
-pub enum Data {
-    Gedi(GediBeam),
-    Lvis(LvisBeam),
+/// Shots of a beam, as a product stores them.
+pub trait Shots {
+    /// Returns the number of shots.
+    fn len(&self) -> usize;
+
+    /// Returns the names of the further values.
+    fn columns(&self) -> Vec<&'static str>;
+
+    /// Reads a shot.
+    ///
+    /// # Errors
+    /// If its values are damaged, or there is no such shot.
+    fn read(&mut self, index: u64, shot: &mut Shot) -> Result<()>;
 }
 
 impl BeamReader {
     /// Creates a reader of a beam with this name.
-    pub(crate) fn new(name: &str, data: Data) -> BeamReader {
-        BeamReader { name: name.to_owned(), data }
+    pub(crate) fn new(name: &str, shots: impl Shots + Send + 'static) -> BeamReader {
+        BeamReader { name: name.to_owned(), shots: Box::new(shots) }
     }
 
     /// Returns the name of the beam.
@@ -33,10 +40,7 @@ impl BeamReader {
 
     /// Returns the number of shots.
     pub fn len(&self) -> usize {
-        match &self.data {
-            Data::Gedi(beam) => beam.len(),
-            Data::Lvis(beam) => beam.len(),
-        }
+        self.shots.len()
     }
 
     /// Returns whether there are no shots.
@@ -44,12 +48,11 @@ impl BeamReader {
         self.len() == 0
     }
 
-    /// Returns the names of [`Shot::columns`]; a name without its unit is the product's, with the product's unit.
+    /// Returns the names of [`Shot::columns`].
+    ///
+    /// A name without a unit is the product's, with the product's unit.
     pub fn columns(&self) -> Vec<&'static str> {
-        match &self.data {
-            Data::Gedi(beam) => beam.columns(),
-            Data::Lvis(beam) => beam.columns(),
-        }
+        self.shots.columns()
     }
 
     /// Reads a shot; index 0 is the first.
@@ -57,11 +60,7 @@ impl BeamReader {
     /// # Errors
     /// If its values are damaged, or there is no such shot; other shots can still be read.
     pub fn shot(&mut self, index: usize, shot: &mut Shot) -> Result<()> {
-        let read = match &mut self.data {
-            Data::Gedi(beam) => beam.read(index as u64, shot),
-            Data::Lvis(beam) => beam.read(index as u64, shot),
-        };
-        read.map_err(|error| of_shot(error, &self.name, index))
+        self.shots.read(index as u64, shot).map_err(|error| of_shot(error, &self.name, index))
     }
 }
 

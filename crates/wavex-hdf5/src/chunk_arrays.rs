@@ -5,7 +5,7 @@ use wavex_formats::bytes::Fields;
 
 use super::input::{Address, COPY_AGAIN, Input, address, signature};
 
-/// Bytes of a checksum behind each block and page; it is not checked.
+/// Bytes of the checksum after each block and page; it is not checked.
 const CHECKSUM_BYTES: u64 = 4;
 
 /// Gets the number of an entry and its fields.

@@ -39,7 +39,7 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// Returns the number of chunks beside each other in a row of chunks.
+    /// Returns the number of chunks in a row of chunks.
     pub fn columns(&self, extent: &[u64]) -> u64 {
         extent.iter().zip(&self.chunk_shape).skip(1).map(|(&all, &one)| all.div_ceil(one)).product()
     }
@@ -204,5 +204,44 @@ impl Found<'_> {
         }
         self.chunks.push(Chunk { number, address, stored_bytes, skipped_filters });
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    #[test]
+    fn the_number_of_chunks_is_limited() {
+        let input = Input::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml")).unwrap();
+        let grid = Grid {
+            chunk_shape: vec![1],
+            most: vec![u64::MAX],
+            chunk_bytes: 4,
+            filtered: false,
+            size_bytes: 8,
+        };
+        let chunk = Chunk { number: 0, address: 0, stored_bytes: 4, skipped_filters: 0 };
+        let chunks = vec![chunk; MOST_CHUNKS - 1];
+        let mut found = Found { input: &input, at: 8, grid: &grid, extent: &[u64::MAX], chunks };
+        // Chunks beyond the extent, and without an address, do not count.
+        found.push_number(7, u64::MAX, 4, 0).unwrap();
+        found.push(&[u64::MAX], 0, 4, 0).unwrap();
+        found.push(&[9], 0, 4, 0).unwrap();
+        let error = found.push(&[10], 0, 4, 0).unwrap_err().to_string();
+        assert!(
+            error.contains(
+                "byte 8: chunk index: more than 1000000 chunks; rewrite the file with larger chunks"
+            )
+        );
+    }
+
+    #[test]
+    fn unknown_kinds_are_refused() {
+        let error =
+            Index::read(&mut Fields::new(Path::new("f.h5"), 40, &[9, 0, 0]), 0).err().unwrap().to_string();
+        assert!(error.contains("f.h5: byte 40: kind of chunk index: unknown"), "{error}");
     }
 }

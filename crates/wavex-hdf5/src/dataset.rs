@@ -75,6 +75,9 @@ impl Dataset {
         for message in messages {
             match message.kind {
                 kind::FILTERS => filters = filters::read(&mut message.fields(input)?)?,
+                kind::EXTERNAL_FILES => {
+                    return Err(space.bad("storage", "data in other files are not supported", REPACK));
+                }
                 kind::FILL_VALUE => read_fill_value(&mut message.fields(input)?, &mut fill)?,
                 _ => {}
             }
@@ -223,12 +226,12 @@ impl Dataset {
                 input.read(at + start, bytes, "data").map_err(within(&self.name))?;
             }
             Storage::Chunked(grid, chunks) => {
-                let beside = grid.columns(&self.extent);
-                let first = chunks.partition_point(|chunk| chunk.number < number * beside);
-                let end = chunks.partition_point(|chunk| chunk.number < (number + 1) * beside);
+                let chunks_per_row = grid.columns(&self.extent);
+                let first = chunks.partition_point(|chunk| chunk.number < number * chunks_per_row);
+                let end = chunks.partition_point(|chunk| chunk.number < (number + 1) * chunks_per_row);
                 let chunks = &chunks[first..end];
                 input.resize(bytes, if chunks.is_empty() { 0 } else { length })?;
-                if (chunks.len() as u64) < beside {
+                if (chunks.len() as u64) < chunks_per_row {
                     bytes
                         .chunks_exact_mut(self.fill.len())
                         .for_each(|value| value.copy_from_slice(&self.fill));
@@ -244,7 +247,7 @@ impl Dataset {
                     let decoded =
                         decode(input, decoder, &self.filters, chunk, sizes).map_err(within(&self.name))?;
                     let row_bytes = row_bytes as usize;
-                    let left = (chunk.number % beside) as usize * chunk_row;
+                    let left = (chunk.number % chunks_per_row) as usize * chunk_row;
                     let width = chunk_row.min(row_bytes - left);
                     for (row, from) in bytes.chunks_exact_mut(row_bytes).zip(decoded.chunks_exact(chunk_row))
                     {
@@ -276,10 +279,15 @@ fn decode<'a>(
     input.resize(&mut decoder.stored, chunk.stored_bytes as usize)?;
     input.read(chunk.address, &mut decoder.stored, &field)?;
     let decoded = decoder.decode(filters, chunk.skipped_filters, sizes);
-    decoded.map_err(|failure| match failure {
-        Failure::Damaged(damage) => input.bad(chunk.address, &field, damage, COPY_AGAIN),
+    decoded.map_err(|failure| of_chunk(failure, input, chunk, &field))
+}
+
+/// Creates the error of a chunk.
+fn of_chunk(failure: Failure, input: &Input, chunk: &Chunk, field: &str) -> Error {
+    match failure {
+        Failure::Damaged(damage) => input.bad(chunk.address, field, damage, COPY_AGAIN),
         Failure::OutOfMemory => Error::io(input.path(), "read")(ErrorKind::OutOfMemory.into()),
-    })
+    }
 }
 
 /// Reads the extent and the largest extent, `u64::MAX` if unlimited.
@@ -304,7 +312,7 @@ fn read_extent(fields: &mut Fields) -> Result<[Vec<u64>; 2]> {
 }
 
 /// Reads the value of elements that are not stored, if it is defined.
-fn read_fill_value(fields: &mut Fields, fill: &mut Vec<u8>) -> Result<()> {
+fn read_fill_value(fields: &mut Fields, fill: &mut [u8]) -> Result<()> {
     let field = "fill value";
     let version = fields.u8(field)?;
     let defined = if version < 3 {
@@ -425,10 +433,11 @@ mod tests {
             ("large_chunks", "80000000 bytes in a chunk, at most 67108864"),
             ("wide", "80000000 bytes in a row of chunks, at most 67108864"),
             ("sideways", "rows that grow are not supported"),
+            ("external", "data in other files are not supported"),
             ("virtual", "virtual data sets are not supported"),
         ] {
             let text = open(name).err().map(|error| error.to_string()).unwrap_or_default();
-            assert!(text.contains(&format!("odd_data_sets.h5: byte ")), "{name}: {text}");
+            assert!(text.contains("odd_data_sets.h5: byte "), "{name}: {text}");
             assert!(text.contains(&format!("{name}: ")) && text.contains(expected), "{name}: {text}");
         }
     }
@@ -467,5 +476,82 @@ mod tests {
         assert!(
             error.contains("edges: element 1152921504606846976 is needed, it has 7; the file is damaged")
         );
+    }
+
+    #[test]
+    fn missing_memory_is_no_damage() {
+        let (input, _) = open("edges").unwrap();
+        let chunk = Chunk { number: 3, address: 9, stored_bytes: 4, skipped_filters: 0 };
+        let text = |failure| of_chunk(failure, &input, &chunk, "chunk 3").to_string();
+        assert!(text(Failure::OutOfMemory).contains("odd_data_sets.h5: cannot read: out of memory"));
+        assert!(
+            text(Failure::Damaged("cut"))
+                .contains("odd_data_sets.h5: byte 9: chunk 3: cut; the file is damaged")
+        );
+    }
+
+    /// Error of a layout message for eight floats; `filtered` chunks.
+    fn layout_error(filtered: bool, bytes: &[u8]) -> String {
+        let (input, _) = open("edges").unwrap();
+        let grid = Grid { chunk_shape: Vec::new(), most: vec![8], chunk_bytes: 4, filtered, size_bytes: 8 };
+        let fields = &mut Fields::new(Path::new("f.h5"), 0, bytes);
+        read_layout(&input, fields, grid, &[8]).err().map(|error| error.to_string()).unwrap_or_default()
+    }
+
+    #[test]
+    fn impossible_layouts_are_refused() {
+        let undefined = [0xff; 8];
+        let chunked = |head: &[u8], sizes: [u32; 2], flags: u8| {
+            let mut bytes = vec![4, 2, flags, head[0], 4];
+            sizes.into_iter().for_each(|size| bytes.extend(size.to_le_bytes()));
+            [&bytes[..], &[2], &undefined].concat()
+        };
+        assert_eq!(layout_error(false, &chunked(&[2], [5, 4], 0)), "");
+        for (filtered, bytes, expected) in [
+            (false, vec![3, 0, 3, 0, 1, 2, 3], "3 bytes of 32"),
+            (false, vec![2, 1], "version 2 is not supported"),
+            (false, chunked(&[3], [5, 4], 0), "dimensions of chunks differ from the data's"),
+            (false, chunked(&[2], [0, 4], 0), "impossible size of chunks"),
+            (false, chunked(&[2], [5, 8], 0), "impossible size of chunks"),
+            (true, chunked(&[2], [5, 4], 1), "chunks at the edge without filters are not supported"),
+        ] {
+            let found = layout_error(filtered, &bytes);
+            assert!(found.contains(&format!("f.h5: byte 0: layout: {expected}")), "{found}");
+        }
+    }
+
+    #[test]
+    fn fill_values_have_the_size_of_the_numbers() {
+        let read = |bytes: &[u8]| {
+            let mut fill = vec![1, 2];
+            let text = read_fill_value(&mut Fields::new(Path::new("f.h5"), 0, bytes), &mut fill);
+            text.map(|_| fill).map_err(|error| error.to_string())
+        };
+        assert_eq!(read(&[3, 0x20, 2, 0, 0, 0, 7, 8]), Ok(vec![7, 8]));
+        assert_eq!(read(&[2, 0, 0, 1, 2, 0, 0, 0, 7, 8]), Ok(vec![7, 8]));
+        assert_eq!(read(&[3, 0x20, 0, 0, 0, 0]), Ok(vec![1, 2]));
+        assert_eq!(read(&[3, 0]), Ok(vec![1, 2]));
+        assert!(
+            read(&[3, 0x20, 1, 0, 0, 0, 7]).unwrap_err().contains("fill value: not as long as the numbers")
+        );
+    }
+
+    #[test]
+    fn sizes_that_overflow_are_refused() {
+        let sound =
+            std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/odd_data_sets.h5")).unwrap();
+        // Dataspace of `wide`.
+        let shape: Vec<u8> = [1000_u64, 20_000].into_iter().flat_map(u64::to_le_bytes).collect();
+        let at = sound.windows(16).position(|bytes| bytes == shape).unwrap();
+        let mut bytes = sound;
+        bytes[at..at + 16].fill(0x7f);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("f.h5");
+        std::fs::write(&path, bytes).unwrap();
+        let mut input = Input::open(&path).unwrap();
+        let root = superblock::root(&mut input).unwrap();
+        let (_, at) = links(&input, root).unwrap().into_iter().find(|(link, _)| link == "wide").unwrap();
+        let error = Dataset::open(&input, "wide", at).err().unwrap().to_string();
+        assert!(error.contains("wide: dataspace: impossible size"), "{error}");
     }
 }

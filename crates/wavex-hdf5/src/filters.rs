@@ -118,7 +118,7 @@ impl Decoder {
 
     /// Inflates the first `length` bytes into the spare buffer.
     fn inflate(&mut self, length: usize, whole: usize) -> Result<(), Failure> {
-        // Deflate makes data at most 1032 times smaller: nothing is allocated for a chunk that cannot be so large.
+        // Deflate makes data at most 1032 times smaller: no memory for a chunk that cannot be so large.
         if length / 1032 > self.stored.len() {
             return Err(SHORT);
         }
@@ -155,7 +155,7 @@ fn unshuffle(shuffled: &[u8], number_bytes: usize, numbers: &mut [u8]) {
         8 => interleave::<8>(shuffled, count, numbers),
         _ => numbers.copy_from_slice(&shuffled[..numbers.len()]),
     }
-    // Bytes behind the last number, which belong to a checksum, are not shuffled.
+    // Bytes after the last number, which belong to a checksum, are not shuffled.
     let end = numbers.len();
     if let Some(rest) = numbers.get_mut(count * number_bytes..) {
         rest.copy_from_slice(&shuffled[count * number_bytes..end]);
@@ -227,7 +227,7 @@ mod tests {
         [bytes, &fletcher32(bytes).to_le_bytes()].concat()
     }
 
-    /// Bytes behind the last whole number stay in their place.
+    /// Bytes after the last whole number stay in their place.
     fn shuffled(bytes: &[u8]) -> Vec<u8> {
         let (numbers, rest) = bytes.as_chunks::<4>();
         let planes = (0..4).flat_map(|byte| numbers.iter().map(move |number| number[byte]));
@@ -273,12 +273,27 @@ mod tests {
         }
     }
 
-    /// Values by the HDF5 library: `H5_checksum_fletcher32`.
     #[test]
-    fn fletcher_is_the_library_s() {
-        assert_eq!(fletcher32(b""), 0);
-        assert_eq!(fletcher32(&[0xff; 4]), 0xffff_ffff);
+    fn fletcher_sums_big_endian_words() {
+        // Words 0x0102 and 0x0300.
         assert_eq!(fletcher32(&[1, 2, 3]), 0x0504_0402);
+        // 65535 is 0, but no sum is reduced to 0.
+        assert_eq!(fletcher32(&[0xff; 4]), 0xffff_ffff);
+    }
+
+    #[test]
+    fn sizes_between_filters_must_be_known() {
+        let message = |ids: [u8; 2]| {
+            let mut bytes = vec![2, 2];
+            ids.into_iter().for_each(|id| bytes.extend([id, 0, 0, 0, 0, 0]));
+            let text = read(&mut Fields::new(std::path::Path::new("f.h5"), 0, &bytes))
+                .map_err(|error| error.to_string());
+            text.err().unwrap_or_default()
+        };
+        assert_eq!(message([2, 1]), "");
+        for ids in [[1, 1], [1, 2]] {
+            assert!(message(ids).contains("f.h5: byte 8: filters: unusual order of filters; rewrite"));
+        }
     }
 
     #[test]
@@ -299,5 +314,6 @@ mod tests {
         let sizes = Sizes { chunk: 1 << 40, number: 4, needed: 1 << 40 };
         assert_eq!(decoder.decode(&[Deflate], 0, sizes), Err(SHORT));
         assert_eq!(decoder.spare.capacity(), 0);
+        assert_eq!(resize(&mut Vec::new(), usize::MAX), Err(Failure::OutOfMemory));
     }
 }

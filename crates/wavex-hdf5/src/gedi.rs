@@ -4,6 +4,7 @@
 
 use wavex_formats::Result;
 
+use super::beam::Shots;
 use super::dataset::Dataset;
 use super::group::{Link, links};
 use super::input::Input;
@@ -121,22 +122,18 @@ impl GediBeam {
             columns,
         })
     }
+}
 
-    /// Returns the number of shots.
-    pub fn len(&self) -> usize {
+impl Shots for GediBeam {
+    fn len(&self) -> usize {
         self.shots
     }
 
-    /// Returns the names of the further values.
-    pub fn columns(&self) -> Vec<&'static str> {
+    fn columns(&self) -> Vec<&'static str> {
         self.columns.iter().map(|&(name, _)| name).collect()
     }
 
-    /// Reads a shot.
-    ///
-    /// # Errors
-    /// If its values are damaged.
-    pub fn read(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
+    fn read(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
         let members = &mut self.members;
         shot.shot_number = members.whole(&mut self.shot_number, index)?;
         shot.time_s = self.epoch_s + members.value(&mut self.delta_time, index)?;
@@ -202,16 +199,17 @@ struct Waveforms {
 /// Where the waveform of a shot begins.
 enum Place {
     /// The file says it, counted from 1.
-    Start(Dataset),
-    /// Behind the waveforms of the shots before: end of each shot's samples.
+    Start(Box<Dataset>),
+    /// The waveform follows the previous one: end of each shot's samples.
     Ends(Vec<u64>),
 }
 
 impl Waveforms {
     /// Opens the waveforms `rx` or `tx`.
     ///
-    /// Programs that cut granules may keep the start indices of the whole granule. If those do not fit the samples,
-    /// but the number of samples is the sum of all counts, each waveform begins behind the one before.
+    /// Programs that cut granules may keep the start indices of the whole granule. If those do not fit
+    /// the samples, but the number of samples is the sum of all counts, each waveform follows the
+    /// previous one.
     fn open(members: &mut Members, samples: Dataset, direction: &str, shots: u64) -> Result<Waveforms> {
         let mut count = members.required(&format!("{direction}_sample_count"))?;
         members.check_rows(&count, shots)?;
@@ -230,7 +228,7 @@ impl Waveforms {
         }
         let place = match start {
             Some(start) if all_fit || ends.len() as u64 != shots || sum != samples.len() => {
-                Place::Start(start)
+                Place::Start(Box::new(start))
             }
             _ => Place::Ends(ends),
         };

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use wavex_formats::{Error, Result};
 
-use super::beam::{BeamReader, Data};
+use super::beam::BeamReader;
 use super::dataset::Dataset;
 use super::gedi::{self, GediBeam};
 use super::group::{Link, links};
@@ -56,16 +56,25 @@ impl Granule {
         let mut beams = Vec::new();
         match product {
             Product::LvisL1b => {
-                beams.push(Beam { name: LVIS.to_owned(), power: None, shots: shots(&input, "", &root)? });
+                beams.push(Beam {
+                    name: LVIS.to_owned(),
+                    power: None,
+                    shots: shots(&input, "SHOTNUMBER", &root)?,
+                });
             }
             Product::GediL1b => {
                 for (name, at) in root.iter().filter(|(name, _)| name.starts_with("BEAM")) {
                     let members = links(&input, *at)?;
-                    let shots =
-                        if gedi::has_waveforms(&members) { shots(&input, name, &members)? } else { 0 };
+                    let shots = if gedi::has_waveforms(&members) {
+                        shots(&input, "shot_number", &members)?
+                    } else {
+                        0
+                    };
                     beams.push(Beam { name: name.clone(), power: power(name), shots });
                 }
                 beams.sort_by(|one, other| one.name.cmp(&other.name));
+                // A damaged group can name a member twice; the first is read.
+                beams.dedup_by(|later, first| later.name == first.name);
             }
         }
         Ok(Granule { path: path.to_owned(), product, beams })
@@ -103,15 +112,14 @@ impl Granule {
             return refused(format!("beam {name} has no shots"), "choose another beam".to_owned());
         }
         let (input, root) = open(&self.path)?;
-        let data = match self.product {
-            Product::LvisL1b => Data::Lvis(LvisBeam::open(input, root)?),
+        match self.product {
+            Product::LvisL1b => Ok(BeamReader::new(name, LvisBeam::open(input, root)?)),
             Product::GediL1b => {
                 let group = root.iter().find(|(link, _)| link == name).map_or(0, |&(_, at)| at);
                 let members = links(&input, group)?;
-                Data::Gedi(GediBeam::open(input, name, members)?)
+                Ok(BeamReader::new(name, GediBeam::open(input, name, members)?))
             }
-        };
-        Ok(BeamReader::new(name, data))
+        }
     }
 }
 
@@ -123,13 +131,10 @@ fn open(path: &Path) -> Result<(Input, Vec<Link>)> {
     Ok((input, root))
 }
 
-/// Returns the number of shots of a beam.
-fn shots(input: &Input, group: &str, members: &[Link]) -> Result<u64> {
-    let found = members.iter().find(|(name, _)| {
-        name.eq_ignore_ascii_case("shot_number") || name.eq_ignore_ascii_case("SHOTNUMBER")
-    });
-    match found {
-        Some((name, at)) => Ok(Dataset::open(input, &format!("{group}/{name}"), *at)?.rows()),
+/// Returns the number of shots of a beam, from its data set of shot numbers.
+fn shots(input: &Input, name: &str, members: &[Link]) -> Result<u64> {
+    match members.iter().find(|(member, _)| member.eq_ignore_ascii_case(name)) {
+        Some((_, at)) => Ok(Dataset::open(input, name, *at)?.rows()),
         None => Ok(0),
     }
 }

@@ -172,3 +172,26 @@ pub fn within(name: &str) -> impl Fn(Error) -> Error + '_ {
         error => error,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn missing_memory_is_an_error() {
+        let input = Input::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml")).unwrap();
+        let error = input.resize(&mut Vec::new(), usize::MAX).unwrap_err().to_string();
+        assert!(error.contains("Cargo.toml: cannot read: out of memory; end other programs"), "{error}");
+    }
+
+    #[test]
+    fn addresses_that_overflow_are_beyond_the_end() {
+        let mut input = Input::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml")).unwrap();
+        input.set_base(512);
+        for (address, length) in [(u64::MAX - 100, 16), (0, u64::MAX), (input.length() - 512, 1)] {
+            let error = input.check(address, length, "block").unwrap_err().to_string();
+            assert!(error.contains("block: ") && error.contains("beyond the end of the file"), "{error}");
+        }
+        assert_eq!(input.check(8, input.length() - 520, "block").unwrap(), 520);
+    }
+}

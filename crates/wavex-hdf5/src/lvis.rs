@@ -1,10 +1,11 @@
 //! The beam of LVIS L1B.
 //!
-//! Source: LVIS Data Structure 1.04, 1.05 and 2.0.3 to 2.0.5. All have the same data sets in the root group; the
-//! names of the last sample's position contain its index: `Z431`, `Z527`, `Z1023`, `Z1215`.
+//! Source: LVIS Data Structure 1.04, 1.05 and 2.0.3 to 2.0.5. All have the same data sets in the root
+//! group; the names of the last sample's position contain its index: `Z431`, `Z527`, `Z1023`, `Z1215`.
 
 use wavex_formats::Result;
 
+use super::beam::Shots;
 use super::dataset::Dataset;
 use super::group::Link;
 use super::input::Input;
@@ -55,7 +56,8 @@ impl LvisBeam {
         let outgoing = members.column("TXWAVE", rows)?;
         for waveforms in [Some(&received), outgoing.as_ref()].into_iter().flatten() {
             if waveforms.columns() > MOST_SAMPLES {
-                let problem = format!("{}: {} samples per shot", waveforms.name(), waveforms.columns());
+                let (name, samples) = (waveforms.name(), waveforms.columns());
+                let problem = format!("{name}: {samples} samples per shot, at most {MOST_SAMPLES}");
                 return Err(members.unusable(problem));
             }
         }
@@ -87,22 +89,18 @@ impl LvisBeam {
             members,
         })
     }
+}
 
-    /// Returns the number of shots.
-    pub fn len(&self) -> usize {
+impl Shots for LvisBeam {
+    fn len(&self) -> usize {
         self.shots
     }
 
-    /// Returns the names of the further values.
-    pub fn columns(&self) -> Vec<&'static str> {
+    fn columns(&self) -> Vec<&'static str> {
         self.columns.iter().map(|&(name, _)| name).collect()
     }
 
-    /// Reads a shot.
-    ///
-    /// # Errors
-    /// If its values are damaged.
-    pub fn read(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
+    fn read(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
         let members = &mut self.members;
         shot.shot_number = members.whole(&mut self.shot_number, index)?;
         shot.time_s = members.value(&mut self.time, index)?;

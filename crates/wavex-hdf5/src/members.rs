@@ -103,7 +103,8 @@ impl Members {
         if shots <= MOST_SHOTS {
             return Ok(shots as usize);
         }
-        Err(self.unusable(format!("{}{shots} shots, at most {MOST_SHOTS}", self.prefix)))
+        let group = self.prefix.trim_end_matches('/');
+        Err(self.unusable(format!("{group}: {shots} shots, at most {MOST_SHOTS}")))
     }
 
     /// Reads the value of a shot; NaN without a data set.

@@ -12,6 +12,7 @@ pub mod kind {
     pub const DATATYPE: u16 = 0x03;
     pub const FILL_VALUE: u16 = 0x05;
     pub const LINK: u16 = 0x06;
+    pub const EXTERNAL_FILES: u16 = 0x07;
     pub const LAYOUT: u16 = 0x08;
     pub const FILTERS: u16 = 0x0b;
     pub const CONTINUATION: u16 = 0x10;
@@ -77,7 +78,7 @@ pub fn messages(input: &Input, address: Address) -> Result<Vec<Message>> {
     while let Some((address, length)) = blocks.pop() {
         let bytes = input.metadata(address, length, field)?;
         let mut fields = input.fields(address, &bytes);
-        if found.len() > 0 && matches!(format, Format::Two { .. }) {
+        if !found.is_empty() && matches!(format, Format::Two { .. }) {
             signature(&mut fields, b"OCHK", field)?;
         }
         while let Some(message) = format.next(&mut fields, address, length)? {

@@ -5,8 +5,11 @@ use std::path::Path;
 use wavex_formats::{Error, Result};
 
 use super::group::{Link, links};
-use super::input::Input;
+use super::input::{COPY_AGAIN, Input};
 use super::{gedi, lvis, superblock};
+
+/// Most groups that are named like beams; GEDI has eight.
+const MOST_BEAMS: usize = 64;
 
 /// Product of an HDF5 file.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,7 +39,12 @@ pub fn recognise(input: &Input, root: &[Link]) -> Result<Product> {
     let has = |name: &str| root.iter().any(|(link, _)| link.eq_ignore_ascii_case(name));
     let refused = |problem: &str, remedy: &str| Err(Error::unusable(input.path(), problem, remedy));
     let mut results = false;
-    for (_, at) in root.iter().filter(|(name, _)| name.starts_with("BEAM")) {
+    let beams = || root.iter().filter(|(name, _)| name.starts_with("BEAM"));
+    // Links to the same group of many members would take time in proportion to the product of both.
+    if beams().count() > MOST_BEAMS {
+        return refused(&format!("{} beams, at most {MOST_BEAMS}", beams().count()), COPY_AGAIN);
+    }
+    for (_, at) in beams() {
         let members = links(input, *at)?;
         if gedi::has_waveforms(&members) {
             return Ok(Product::GediL1b);
@@ -49,7 +57,7 @@ pub fn recognise(input: &Input, root: &[Link]) -> Result<Product> {
         let problem = "GEDI L2 or L4: it holds results, not waveforms";
         return refused(problem, "give the GEDI01_B file of the same orbit");
     }
-    if root.iter().any(|(name, _)| name.starts_with("BEAM")) {
+    if beams().count() > 0 {
         return refused("a GEDI file whose beams have no waveforms", "give a whole GEDI01_B file");
     }
     if has("DATA") && has("HEADER") && has("INDEX") {

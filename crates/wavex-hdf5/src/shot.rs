@@ -18,7 +18,7 @@ impl Position {
 
     /// Creates a position from degrees; unknown if a value is impossible, as fill values are.
     pub fn from_degrees(longitude_deg: f64, latitude_deg: f64, height_m: f64) -> Position {
-        // Below the deepest trench, and above every orbit of a lidar: fill values are -9999, -999999 and the like.
+        // Fill values are -9999, -999999 and the like; lidars are below 2000 km.
         let possible = (-360.0..=360.0).contains(&longitude_deg)
             && (-90.0..=90.0).contains(&latitude_deg)
             && (-9990.0..2e6).contains(&height_m);

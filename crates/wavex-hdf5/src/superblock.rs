@@ -54,7 +54,7 @@ pub fn root(input: &mut Input) -> Result<Address> {
     fields.u64("address of the root group")
 }
 
-/// Returns the byte of the signature: 0, or behind a user block 512, 1024, 2048 and so on.
+/// Returns the byte of the signature: 0, or after a user block 512, 1024, 2048 and so on.
 fn find(input: &Input) -> Result<u64> {
     let mut at = 0;
     while at + 8 <= input.length() {

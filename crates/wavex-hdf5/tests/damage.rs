@@ -1,6 +1,7 @@
 //! Damaged files: an error or values, never a panic, and no large allocation.
 //!
 //! Cargo runs the tests of a program side by side, and they share the allocator: there is only one.
+#![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::fs;

@@ -1,6 +1,7 @@
 //! Every message about a file that cannot be read.
 //!
 //! Sound files are damaged at known places: all blocks with a signature get other bytes.
+#![allow(clippy::unwrap_used, reason = "a test fails by it")]
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -51,6 +52,37 @@ fn other_products_are_named() {
     assert!(error("BEAM1111").contains("no beam BEAM1111; choose one of: BEAM0000, BEAM0101"));
 }
 
+#[test]
+fn impossible_beams_are_refused() {
+    for (name, expected) in [
+        ("counts", "BEAM0101/delta_time: 3 values for 2 shots; the file is damaged"),
+        ("negative", "shot 1 of BEAM0101: BEAM0101/shot_number: not a whole number"),
+        ("start_missing", "shot 1 of BEAM0101: BEAM0101/rx_sample_count: not a whole number"),
+        ("epoch", "BEAM0101/ancillary/master_time_epoch: element 1 is needed, it has 0"),
+        ("shots", "BEAM0101: 20000000 shots, at most 10000000"),
+        ("kept", "more than 536870912 bytes of chunks; rewrite the file with smaller chunks: `h5repack"),
+        ("no_waveforms", "a GEDI file whose beams have no waveforms; give a whole GEDI01_B file"),
+        ("beams", "65 beams, at most 64; the file is damaged"),
+        ("lvis_part", "an LVIS file without RXWAVE, SHOTNUMBER or Z0; give the level 1B file"),
+        ("lvis_long", "RXWAVE: 70000 samples per shot, at most 65536"),
+    ] {
+        let found = first_error(&data(&format!("refused_{name}.h5")));
+        assert!(found.contains(expected), "{name}: {found}");
+    }
+    // A data set that is no longer where the list of beams says.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("changed.h5");
+    fs::copy(data("gedi_bad_shots.h5"), &path).unwrap();
+    let granule = Granule::open(&path).unwrap();
+    let mut bytes = fs::read(&path).unwrap();
+    let at = bytes.windows(15).position(|name| name == b"rx_sample_count").unwrap();
+    bytes[at] = b'X';
+    fs::write(&path, bytes).unwrap();
+    assert!(
+        granule.beam("BEAM0110").err().unwrap().to_string().contains("no data set BEAM0110/rx_sample_count")
+    );
+}
+
 /// Replaces bytes in all blocks with a signature, or at the beginning if it is empty.
 fn damaged(folder: &TempDir, name: &str, signature: &[u8], offset: usize, with: &[u8]) -> PathBuf {
     let mut bytes = fs::read(data(name)).unwrap();
@@ -67,10 +99,13 @@ fn damaged(folder: &TempDir, name: &str, signature: &[u8], offset: usize, with: 
     path
 }
 
+/// File, signature of the blocks, offset and value of the damage, expected part of the message.
+type Case = (&'static str, &'static [u8], usize, &'static [u8], &'static str);
+
 #[test]
 fn damaged_structures_are_reported() {
-    let far = &0x7fff_ffff_u64.to_le_bytes();
-    let cases: &[(&str, &[u8], usize, &[u8], &str)] = &[
+    const FAR: &[u8] = &0x7fff_ffff_u64.to_le_bytes();
+    let cases: &[Case] = &[
         ("gedi_product.h5", b"", 0, b"?", "not an HDF5 file; give a file of GEDI L1B or LVIS L1B"),
         (
             "gedi_product.h5",
@@ -86,18 +121,18 @@ fn damaged_structures_are_reported() {
             &[4],
             "sizes of offsets and lengths: 4 and 8 bytes, only 8 are supported",
         ),
-        ("gedi_product.h5", b"", 40, far, "bytes; copy it again from its source"),
+        ("gedi_product.h5", b"", 40, FAR, "bytes; copy it again from its source"),
         (
             "gedi_product.h5",
             b"",
             64,
-            far,
+            FAR,
             "object header: 16 bytes at this address are beyond the end of the file",
         ),
         ("gedi_product.h5", b"TREE", 0, b"F", "B-tree: the signature `TREE` is missing; the file is damaged"),
         ("gedi_product.h5", b"TREE", 4, &[7], "B-tree: a node of another tree or level"),
         ("gedi_product.h5", b"HEAP", 0, b"F", "local heap: the signature `HEAP` is missing"),
-        ("gedi_product.h5", b"SNOD", 8, far, "name of a member: beyond the end of the heap"),
+        ("gedi_product.h5", b"SNOD", 8, FAR, "name of a member: beyond the end of the heap"),
         ("gedi_latest.h5", b"OHDR", 0, b"F", "object header: neither version 1 nor 2"),
         ("gedi_latest.h5", b"OHDR", 4, &[9], "object header: unknown version"),
         ("gedi_latest.h5", b"BTHD", 5, &[9], "B-tree: unexpected type or sizes"),

@@ -1,4 +1,5 @@
 //! Values of the files that `tests/python/make_hdf5.py` makes, and of a real granule.
+#![allow(clippy::unwrap_used, reason = "a test fails by it")]
 #![allow(clippy::print_stdout, reason = "a test says that it is skipped")]
 
 use std::env;
@@ -85,6 +86,18 @@ fn beams_without_waveforms_are_listed() {
     let granule = Granule::open(&data("gedi_product.h5")).unwrap();
     let beam = |name: &str, power, shots| Beam { name: name.to_owned(), power: Some(power), shots };
     assert_eq!(granule.beams(), [beam("BEAM0000", Power::Coverage, 0), beam("BEAM0101", Power::Full, 12)]);
+}
+
+#[test]
+fn a_beam_that_is_named_twice_is_listed_once() {
+    let bytes = std::fs::read(data("twice.h5")).unwrap();
+    let at = bytes.windows(8).position(|name| name == b"BEAM0110").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("twice.h5");
+    std::fs::write(&path, [&bytes[..at], b"BEAM0101", &bytes[at + 8..]].concat()).unwrap();
+    let granule = Granule::open(&path).unwrap();
+    assert_eq!(granule.beams().len(), 1);
+    assert_eq!(granule.beam("BEAM0101").unwrap().len() as u64, granule.beams()[0].shots);
 }
 
 #[test]

@@ -62,11 +62,29 @@ pub fn seeds() -> Vec<Seed> {
     surveys(&mut add);
     trajectories(&mut add);
     maps(&mut add);
+    granules(&mut add);
     texts(&mut add);
     add("sdf", "two_records", any_values());
     add("view", "points", VIEWED_POINTS.into());
     add("view", "shots", VIEWED_SHOTS.into());
     seeds
+}
+
+/// Granules that `tests/python/make_hdf5.py` makes: one for each kind of structure.
+fn granules(add: &mut Add) {
+    let names = [
+        "gedi_compact_fill",
+        "gedi_extensible",
+        "gedi_latest",
+        "gedi_product",
+        "gedi_v110",
+        "lvis_432",
+        "lvis_528",
+    ];
+    for name in names {
+        let path = root().join(format!("crates/wavex-hdf5/tests/data/{name}.h5"));
+        add("hdf5", name, fs::read(path).unwrap());
+    }
 }
 
 type Add<'a> = dyn FnMut(&'static str, &str, Vec<u8>) + 'a;
