@@ -45,7 +45,7 @@ pub(super) struct ExplainArgs {
     /// Recording: .las, .laz, .pls, .plz, .sdf, .wfm or .arrow
     pub(super) file: PathBuf,
     /// Number of the shot, as in the column `shot` of write_table
-    #[arg(long, value_name = "N", group = "which")]
+    #[arg(long, value_name = "N", group = "which", allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub(super) shot: Option<u64>,
     /// Explain the shot nearest to this time, as in the column `gps_time_s` of write_table
     #[arg(long, value_name = "GPS_SECONDS", group = "which", allow_negative_numbers = true)]
@@ -106,7 +106,7 @@ pub(super) struct ScanArgs {
     /// Write the summary with pictures as a page: STEM_scan.html in the current folder
     #[arg(long)]
     pub(super) page: bool,
-    /// Write all files under this name: NAME_scan.txt, NAME_scan.html, and the histograms
+    /// Write all files with this beginning of their names: NAME_scan.txt, NAME_scan.html, and the histograms
     /// NAME_angles.txt, NAME_amplitudes.txt, NAME_noise.txt and NAME_ranges.txt
     ///
     /// The name may contain a folder. With several recordings, the files are named NAME_STEM with the
@@ -199,6 +199,11 @@ impl From<AnglesName> for Angles {
     }
 }
 
+/// Parses a whole number from 0.
+fn whole<N: std::str::FromStr>(text: &str) -> Result<N, String> {
+    text.parse().map_err(|_| "give a whole number of at least 0".to_owned())
+}
+
 /// Parses a count of at least 1.
 pub(super) fn every(text: &str) -> Result<usize, String> {
     text.parse()
@@ -259,7 +264,7 @@ pub(super) struct JobArgs {
 #[derive(Args, Clone, Copy)]
 pub(super) struct MachineArgs {
     /// Number of worker threads; 0: one per core [default: the job's `threads`]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole::<usize>)]
     pub(super) threads: Option<usize>,
     /// Print the time of each stage per scan line at the end, and write a Perfetto trace
     /// (JOB_trace.json)

@@ -19,6 +19,9 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
         let problem = "the picture is SVG; give a name that ends in .svg";
         return Err(Failure::Wrong(format!("--out {}: {problem}", out.display())));
     }
+    if let Some(problem) = job_as_recording(&args.file) {
+        return Err(Failure::Wrong(problem));
+    }
     let chain = Arc::new(Chain::of(&ExplainRequest {
         file: &args.file,
         job: args.job.as_deref(),
@@ -36,6 +39,17 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
     let table = explained.table_within(terminal_columns());
     let said = format!("{table}\nwrote {}\n", path.display());
     if quiet { Ok(()) } else { terminal::print(&said) }
+}
+
+/// The answer to a job in place of the recording.
+pub(super) fn job_as_recording(file: &Path) -> Option<String> {
+    let job = file.display();
+    has_extension(file, "toml").then(|| {
+        format!(
+            "{job}: it is a job, not a recording; give the recording, and the job by an option: wavex explain \
+             RECORDING --job {job} --shot N"
+        )
+    })
 }
 
 /// Writes a picture, which gets its final name only when complete.

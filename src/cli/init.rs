@@ -117,11 +117,23 @@ pub(super) fn of_recording(path: &Path, job: Option<&Path>) -> Result<String, Fa
                 _ if line.starts_with("#:schema ") => {
                     format!("#:schema {SCHEMA}\n\n# For {}: {}.\n", path.display(), recording.facts)
                 }
-                _ => line.replace(&format!("jobs/{}", recording.kind.file()), &name),
+                _ => match line.strip_prefix("#   wavex ") {
+                    Some(command) => command_line(command, recording.kind.file(), &name),
+                    None => line.to_owned(),
+                },
             };
         }
     }
     Ok(text)
+}
+
+/// A comment line with a command and its description, for the job of this name.
+fn command_line(line: &str, template: &str, name: &str) -> String {
+    let Some((command, description)) = line.split_once("  ") else { return format!("#   wavex {line}") };
+    let command = command.replace(&format!("jobs/{template}"), name);
+    // The longest command of the templates.
+    let width = "check ".len() + name.chars().count().max("NAME".len() + 1);
+    format!("#   wavex {command:width$}    {}", description.trim_start())
 }
 
 /// Path as a job in this folder names it.

@@ -8,6 +8,7 @@ use super::{Failure, ScanArgs, terminal};
 use wavex_engine::engine::{self, Gauge, Input, Progress};
 use wavex_engine::job::{Job, Override};
 use wavex_formats::Error;
+use wavex_formats::extensions::has_extension;
 use wavex_formats::format::reader_of;
 use wavex_line::scan_line::ScanLine;
 use wavex_line::stage::{Context, FinishedFile, OutputFile, Paths, Plan, RunContext, StageError};
@@ -28,6 +29,9 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
         let unreadable = args.files.iter().find_map(|file| reader_of(file).err());
         unreadable.map_or_else(|| failed(&error.to_string().replace(OF_JOB, OF_LINE)), Failure::Wrong)
     })?;
+    if let Some(problem) = args.out.as_deref().and_then(one_file) {
+        return Err(Failure::Wrong(problem));
+    }
     let are_many = inputs.len() > 1;
     let prefix = |stem: &str| match &args.out {
         None => stem.to_owned(),
@@ -54,6 +58,21 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
         conclude(&path, &prefix(&stem), read?, args, quiet)
     });
     super::do_all(scans)
+}
+
+/// Extensions of the files that are written.
+const WRITTEN: [&str; 4] = ["html", "htm", "txt", "json"];
+
+/// The answer to the name of one file: `--out` begins the names of several.
+fn one_file(out: &str) -> Option<String> {
+    let path = Path::new(out);
+    let stem = WRITTEN.iter().any(|written| has_extension(path, written)).then(|| path.with_extension(""))?;
+    let stem = stem.display();
+    Some(format!(
+        "--out {out}: it is the beginning of the names of several files, not one file; `--out {stem}` writes \
+         {stem}_scan.html, {stem}_scan.txt and the histograms, `--page` only the page of each recording, and `--json` \
+         prints JSON"
+    ))
 }
 
 /// Size from which the first shots are summarised before all others are read, bytes.

@@ -37,8 +37,16 @@ fn page(known: &[&'static StageSpec], name: &str) -> Result<String, Failure> {
         return Ok(manual_of(spec));
     }
     let names: Vec<&str> = known.iter().map(|spec| spec.name).collect();
-    let meant = nearest_of(name, names.iter().copied());
-    let meant = meant.map(|name| format!("; did you mean `{name}`?")).unwrap_or_default();
+    // `las` is a part of two names.
+    let has_part = |stage: &&&str| stage.split('_').any(|part| part == name);
+    let mut meant: Vec<&str> = nearest_of(name, names.iter().copied()).into_iter().collect();
+    if meant.is_empty() {
+        meant.extend(names.iter().filter(has_part));
+    }
+    let meant = match meant.join("` or `") {
+        none if none.is_empty() => none,
+        meant => format!("; did you mean `{meant}`?"),
+    };
     let names = names.join(", ");
     Err(Failure::Wrong(format!("unknown stage `{name}`{meant} (stages: {names})")))
 }
@@ -72,6 +80,14 @@ mod tests {
         let expected =
             "error: unknown stage `simulat`; did you mean `simulate`? (stages: read_las, simulate)\n";
         assert_eq!(super::super::terminal::message(&error, false), expected);
+        let error = page(STAGES, "decomp").unwrap_err();
+        assert!(
+            error.text().starts_with("unknown stage `decomp`; did you mean `decompose`? "),
+            "{}",
+            error.text()
+        );
+        let error = page(STAGES, "las").unwrap_err();
+        assert!(error.text().contains("; did you mean `read_las` or `write_las`? "), "{}", error.text());
         let error = page(&known, "fly").unwrap_err();
         assert_eq!(
             super::super::terminal::message(&error, false),

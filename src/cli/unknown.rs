@@ -8,6 +8,7 @@ use clap::builder::StyledStr;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 
 use super::commands::Cli;
+use super::explain::job_as_recording;
 use wavex_formats::extensions::has_extension;
 use wavex_formats::{RecordingFormat, unsupported};
 use wavex_line::stage::nearest_of;
@@ -25,8 +26,14 @@ const SYNONYMS: [(&[&str], &str); 8] = [
     (&["version"], "--version"),
 ];
 
-/// Returns the answer to a word that is no command; `None` if nothing better is known than clap's.
+/// Returns the answer to a word that is no command, or a job in place of a recording; `None` if nothing better is known than clap's.
 pub(super) fn not_a_command(problem: &clap::Error, arguments: &[OsString]) -> Option<String> {
+    if problem.kind() == ErrorKind::MissingRequiredArgument {
+        let mut words = arguments.iter().skip(1).skip_while(|word| word.to_string_lossy().starts_with('-'));
+        let is_explain = words.next().is_some_and(|word| word == "explain");
+        let file = words.next().filter(|_| is_explain)?;
+        return job_as_recording(Path::new(file));
+    }
     if problem.kind() != ErrorKind::InvalidSubcommand {
         return None;
     }
@@ -195,6 +202,16 @@ mod tests {
             ("wavex x.f5", "x.f5: F5, the layout of HydroVISH in HDF5, is not supported; "),
             ("wavex src", "`src` is a folder, not a command; `wavex view src` "),
             ("wavex Cargo.lock", "`Cargo.lock` is a file, not a command; "),
+            ("wavex explain x.toml", "x.toml: it is a job, not a recording; give the recording, and "),
+            ("wavex explain x.pls", "error: the following required arguments"),
+            (
+                "wavex explain x.pls --shot -1",
+                "error: invalid value '-1' for '--shot <N>': give a whole number of ",
+            ),
+            (
+                "wavex run x.toml --threads=-1",
+                "error: invalid value '-1' for '--threads <N>': give a whole number ",
+            ),
             ("wavex decompose", "`decompose` is a stage of a job, not a command; `wavex stages decompose` "),
         ] {
             assert!(answer(line).starts_with(expected), "{}", answer(line));

@@ -1,7 +1,8 @@
-//! `wavex check`: inputs, sizes, pulses, free space.
+//! `wavex check`: inputs, sizes, shots, free space.
 
 use std::fs;
 
+use wavex_geodesy::crs::wkt_of_epsg;
 use wavex_testkit::flight::sbet;
 use wavex_testkit::las::Las;
 use wavex_testkit::pulsewaves::PulseWaves;
@@ -42,7 +43,9 @@ fn the_size_of_the_inputs_and_the_number_of_points_are_printed() {
     assert_eq!(outcome.code, Some(0), "{}", outcome.err);
     let kilobytes = 2.0 * (las.las().len() + las.packets.len()) as f64 / 1e3;
     assert_eq!(lines(&outcome, "files"), [format!("2, {kilobytes:.1} kB")]);
-    assert_eq!(lines(&outcome, "pulses"), ["14; about 14 to 42 points"]);
+    // Two first returns may be of one shot.
+    let counted = "at most 14, the number of points that are first returns; about 14 to 42 points";
+    assert_eq!(lines(&outcome, "shots"), [counted]);
     let output = lines(&outcome, "output");
     assert!(
         output[0].starts_with("./out (will be created, ") && output[0].ends_with("B free)"),
@@ -53,7 +56,31 @@ fn the_size_of_the_inputs_and_the_number_of_points_are_printed() {
     let pulses = PulseWaves::new(5);
     place.write("a.pls", &pulses.pls());
     place.write("a.wvs", &pulses.waves);
-    assert_eq!(lines(&check(&place, &[]), "pulses"), ["5; about 5 to 15 points"]);
+    assert_eq!(lines(&check(&place, &[]), "shots"), ["5; about 5 to 15 points"]);
+}
+
+#[test]
+fn a_geographic_crs_of_the_beams_is_a_problem() {
+    let place = place("read_las", "'a.las'\ncrs_of_input = 'degrees.wkt'");
+    let las = Las::new(5).at_northing(530_000_000);
+    place.write("a.las", &las.las());
+    place.write("a.wdp", &las.packets);
+    place.write("degrees.wkt", wkt_of_epsg(4326).unwrap().as_bytes());
+    for set in [&[][..], &["--set", "read_las.crs_of_input=EPSG:4326"]] {
+        let outcome = check(&place, set);
+        let [warning] = lines(&outcome, "warning")[..] else { panic!("{}", outcome.out) };
+        assert!(
+            warning.starts_with("HERE/a.las: `crs_of_input`: ") && warning.contains("WGS 84"),
+            "{warning}"
+        );
+        assert!(warning.contains(" is in degrees, but the recording begins at "), "{warning}");
+    }
+    place.write("text.wkt", b"no WKT");
+    let outcome = check(&place, &["--set", "read_las.crs_of_input=text.wkt"]);
+    let [warning] = lines(&outcome, "warning")[..] else { panic!("{}", outcome.out) };
+    assert!(warning.contains("the WKT cannot be read"), "{warning}");
+    let outcome = check(&place, &["--set", "read_las.crs_of_input=utm:33N"]);
+    assert_eq!(lines(&outcome, "warning"), Vec::<&str>::new());
 }
 
 #[test]
@@ -111,11 +138,11 @@ fn a_trajectory_must_cover_its_recording() {
 }
 
 #[test]
-fn a_format_without_a_number_of_pulses_is_named() {
+fn a_format_without_a_number_of_shots_is_named() {
     let place = place("read_arrow", "'a.arrow'");
     place.write("a.arrow", b"");
-    let expected = "unknown, and so are the points: read_arrow counts pulses only by reading the data";
-    assert_eq!(lines(&check(&place, &[]), "pulses"), [expected]);
+    let expected = "unknown, and so are the points: read_arrow counts shots only by reading the data";
+    assert_eq!(lines(&check(&place, &[]), "shots"), [expected]);
 }
 
 #[test]

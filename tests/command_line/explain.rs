@@ -246,3 +246,12 @@ fn a_file_without_waveforms_is_refused() {
     assert_eq!(code, Some(2));
     assert!(err.contains("cannot be used with"), "{err}");
 }
+
+#[test]
+fn a_job_in_place_of_the_recording_is_given_by_its_option() {
+    let place = TestFolder::with(&[("a.toml", b"")]);
+    let message = "a.toml: it is a job, not a recording; give the recording, and the job by an option: wavex explain \
+                   RECORDING --job a.toml --shot N";
+    refused(&place, &["a.toml"], 2, message);
+    refused(&place, &["a.toml", "--shot", "1"], 2, message);
+}

@@ -46,6 +46,12 @@ fn las_and_pulsewaves_have_their_jobs() {
     assert!(text.contains("\ntype = \"read_las\"\npath = \"in/a.las\"\n"), "{text}");
     assert!(text.contains("#   wavex run flight.toml"), "{text}");
     assert_eq!(stages(&text)[..3], ["read_las", "calibrate", "decompose"]);
+    let descriptions = text.lines().filter(|line| line.starts_with("#   wavex ")).map(|line| {
+        let description =
+            line.find("    ").map(|end| end + line[end..].find(|letter| letter != ' ').unwrap());
+        description.unwrap()
+    });
+    assert_eq!(descriptions.collect::<Vec<_>>(), [31; 3], "{text}");
     let text = job_for(&place, "b.pls");
     assert!(text.contains("\ntype = \"read_pulsewaves\"\npath = \"b.pls\"\n"), "{text}");
     let text = job_for(&place, "c.sdf");
@@ -198,4 +204,19 @@ fn a_warning_of_several_inputs_is_given_once_with_their_number() {
     for warning in first {
         assert!(repeated.contains(&format!("3 of 3 inputs: {warning}").as_str()), "{err}");
     }
+}
+
+/// The job makes no demand that the recording cannot meet.
+#[test]
+fn the_job_of_a_recording_without_a_range_table_asks_for_none() {
+    let Some(data) = data() else { return };
+    let place = TestFolder::new();
+    let recording = data.join("riegl_q680i_dev/riegl_q680i_dev.pls");
+    job_for(&place, recording.to_str().unwrap());
+    let Outcome { code, err, .. } = place.wavex(&["run", "flight.toml", "--progress", "never"]);
+    assert_eq!(code, Some(0), "{err}");
+    // The recording names no CRS.
+    let warnings: Vec<&str> =
+        err.lines().filter(|line| !line.contains("has no coordinate reference system")).collect();
+    assert_eq!(warnings, Vec::<&str>::new());
 }

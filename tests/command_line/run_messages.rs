@@ -117,3 +117,46 @@ fn several_inputs_have_a_line_each() {
     let listed = lines_with(&all.out, "wrote ").len();
     assert_eq!(listed, place.outputs().len(), "{}\n{:?}", all.out, place.outputs());
 }
+
+#[test]
+fn a_failed_run_names_its_report() {
+    let place = TestFolder::new();
+    let job = "[job]\noutput_dir = 'out'\n[[stage]]\ntype = 'read_las'\npath = 'none.las'\n[[stage]]\ntype = 'write_arrow'\n";
+    place.write("out/kept.txt", b"");
+    place.write("job.toml", job.as_bytes());
+    let run = place.wavex(&["run", "job.toml", "--progress", "never"]);
+    assert_eq!(
+        (run.code, run.out.as_str()),
+        (Some(1), "report of the failed run: out/job_report.json\n"),
+        "{}",
+        run.err
+    );
+    // A pattern without matches begins no input.
+    let run = place.wavex(&["run", "job.toml", "--progress", "never", "--set", "read_las.path=*.las"]);
+    assert_eq!((run.code, run.out.as_str()), (Some(1), ""), "{}", run.err);
+    let run = place.wavex(&["run", "job.toml", "-q"]);
+    assert_eq!((run.code, run.out.as_str()), (Some(1), ""), "{}", run.err);
+}
+
+#[cfg(not(windows))]
+#[test]
+fn outputs_with_a_drive_of_windows_are_named() {
+    let place = TestFolder::new();
+    let job = "[[stage]]\ntype = 'simulate'\nlines = 1\nshots_per_line = 10\n[[stage]]\ntype = 'write_arrow'\npath = 'a.arrow'\n";
+    place.write("job.toml", job.as_bytes());
+    let of = |set: &str, name: &str, path: &str| {
+        let note = format!(
+            "`{name}`: the output {path} is a path of Windows: here it becomes a folder `{}`; write a path of this system",
+            &path[..2]
+        );
+        let checked = place.wavex(&["check", "job.toml", "--set", set]);
+        assert!(checked.out.contains(&format!("  note:   {note}\n")), "{}", checked.out);
+    };
+    of("write_arrow.path=C:/data/a.arrow", "write_arrow", "C:/data/a.arrow");
+    of("job.output_dir=d:\\data", "job", "d:\\data");
+    let run =
+        place.wavex(&["run", "job.toml", "--progress", "never", "--set", "write_arrow.path=C:/data/a.arrow"]);
+    assert_eq!(lines_with(&run.err, "is a path of Windows").len(), 1, "{}", run.err);
+    let checked = place.wavex(&["check", "job.toml", "--set", "write_arrow.path=C/a.arrow"]);
+    assert!(!checked.out.contains("Windows"), "{}", checked.out);
+}

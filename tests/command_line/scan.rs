@@ -348,3 +348,19 @@ fn scan_describes_real_recordings() {
     assert_eq!((said(&third, "File", "instrument"), said(&third, "Times", "shots")), ("Q680", "16 486"));
     assert_eq!(said(&third, "Rates", "pulse rate, nominal"), "150000 Hz");
 }
+
+#[test]
+fn one_file_is_no_name_of_several_files() {
+    let pulses = PulseWaves::new(5);
+    let place = TestFolder::with(&[("a.pls", &pulses.pls()), ("a.wvs", &pulses.waves)]);
+    for name in ["x/b.html", "x/b.txt", "x/b.JSON"] {
+        let Outcome { code, out, err } = scan(&place, &["a.pls", "--out", name]);
+        let expected = format!(
+            "error: --out {name}: it is the beginning of the names of several files, not one file; `--out x/b` writes \
+             x/b_scan.html, x/b_scan.txt and the histograms, `--page` only the page of each recording, and `--json` \
+             prints JSON\n"
+        );
+        assert_eq!((code, out.as_str(), err), (Some(2), "", expected));
+    }
+    assert!(!place.path("x").exists());
+}

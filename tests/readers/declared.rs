@@ -2,6 +2,7 @@
 
 use wavex_formats::container::{ContainerHeader, ContainerReader, EmissionReference, TimeScale};
 use wavex_formats::las::{GpsTime, Point, Reader};
+use wavex_geodesy::crs::wkt_of_epsg;
 use wavex_testkit::container::{Shot, of_shots};
 use wavex_testkit::las::Las;
 use wavex_testkit::pulsewaves::PulseWaves;
@@ -188,12 +189,18 @@ fn the_map_of_a_recording_can_be_declared() {
 
 #[test]
 fn a_declared_map_that_cannot_be_used_is_refused() {
-    let place = place(&Las::new(20));
+    let place = place(&Las::new(20).at_northing(530_000_000));
     place.write("no.wkt", b"no text of that kind");
+    place.write("degrees.wkt", wkt_of_epsg(4326).unwrap().as_bytes());
     for (reader, input, word, said) in [
         ("read_las", "a.las", "none.wkt", "none.wkt"),
         ("read_las", "a.las", "no.wkt", "the WKT cannot be read"),
-        ("read_las", "a.las", "EPSG:1", "EPSG:1 is not in the table of coordinate reference systems"),
+        (
+            "read_las",
+            "a.las",
+            "degrees.wkt",
+            "`crs_of_input`: WGS 84 is in degrees, but the recording begins at ",
+        ),
         (
             "read_arrow",
             "a.arrow",
@@ -204,6 +211,26 @@ fn a_declared_map_that_cannot_be_used_is_refused() {
         let outcome = place.read(reader, input, &format!("crs_of_input = '{word}'\n{COPY}"));
         assert!(outcome.code == Some(1) && outcome.err.contains(said), "{word}: {outcome:?}");
     }
+}
+
+/// Outputs must not claim degrees.
+#[test]
+fn a_geographic_crs_of_a_file_in_metres_is_not_used() {
+    let degrees = wkt_of_epsg(4326).unwrap();
+    let place = place(&Las::new(20).at_northing(530_000_000).with_crs(&degrees));
+    let (notes, header, _) = copied(&place, "read_las", "a.las", "");
+    let [note] = &notes[..] else { panic!("{notes:?}") };
+    assert!(
+        note.starts_with("the CRS of the file is not used: WGS 84 is in degrees, but the recording "),
+        "{note}"
+    );
+    assert!(note.ends_with(" with `crs_of_input`, such as `utm:33N`"), "{note}");
+    assert_eq!(header.crs_wkt, None);
+    assert_eq!(copied(&place, "read_las", "a.las", "crs_of_input = 'utm:33N'").0.len(), 1, "overridden");
+    // A recording in degrees keeps its CRS.
+    let place = self::place(&Las::new(20).with_crs(&degrees));
+    let (notes, header, _) = copied(&place, "read_las", "a.las", "");
+    assert!(notes.is_empty() && header.crs_wkt == Some(degrees), "{notes:?}");
 }
 
 /// A map without a name is accepted.

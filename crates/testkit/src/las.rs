@@ -46,6 +46,11 @@ impl Las {
         self
     }
 
+    /// The same with this northing of all points, cm.
+    pub fn at_northing(self, y_cm: i32) -> Las {
+        (0..self.points.len()).fold(self, |las, point| las.change(point, 4, &y_cm.to_le_bytes()))
+    }
+
     /// The same without return locations in the waveforms: points are at the start of their
     /// waveforms.
     pub fn without_locations(mut self) -> Las {

@@ -272,7 +272,7 @@ impl Job {
                 text: text.to_owned(),
                 includes: includes.to_vec(),
                 overrides: overrides.to_vec(),
-                notes: notes(&stages),
+                notes: notes(&settings, &stages),
                 settings,
                 stages,
             }),
@@ -339,11 +339,27 @@ fn read(
     }
 }
 
-/// Warnings about a valid chain.
-fn notes(stages: &[JobStage]) -> Vec<String> {
-    let writes = stages.iter().any(|stage| matches!(stage.planned.plan, wavex_line::stage::Plan::Sink(_)));
-    if writes {
-        return Vec::new();
+/// Warnings about a valid job.
+fn notes(settings: &JobSettings, stages: &[JobStage]) -> Vec<String> {
+    let mut notes = Vec::new();
+    if !stages.iter().any(|stage| matches!(stage.planned.plan, wavex_line::stage::Plan::Sink(_))) {
+        notes.push("no stage of this job writes a file: a run produces only the report".to_owned());
     }
-    vec!["no stage of this job writes a file: a run produces only the report".to_owned()]
+    let of_stages = stages
+        .iter()
+        .flat_map(|stage| stage.planned.plan.outputs().into_iter().map(|path| (stage.id.as_str(), path)));
+    let folder = settings.output_dir.as_deref().map(|folder| ("job", folder));
+    let foreign = folder.into_iter().chain(of_stages).filter(|(_, path)| !cfg!(windows) && has_drive(path));
+    notes.extend(foreign.map(|(name, path)| {
+        format!(
+            "`{name}`: the output {path} is a path of Windows: here it becomes a folder `{}`; write a path of this system",
+            path.get(..2).unwrap_or_default()
+        )
+    }));
+    notes
+}
+
+/// Whether a path begins with a drive of Windows: `C:/data`.
+fn has_drive(path: &str) -> bool {
+    matches!(path.as_bytes(), [drive, b':', b'/' | b'\\', ..] if drive.is_ascii_alphabetic())
 }

@@ -23,8 +23,10 @@ pub struct RecordingFormat {
     pub extensions: &'static [&'static str],
     /// Extensions of companion files with the waveforms, in lower case.
     pub companions: &'static [&'static str],
-    /// Reads the number of pulses from the header of a file; `None` if headers do not have it.
-    pub pulse_count: Option<fn(&Path) -> Result<u64>>,
+    /// Reads the number of shots from the header of a file; `None` if headers do not have it.
+    pub shot_count: Option<fn(&Path) -> Result<u64>>,
+    /// What headers count instead of shots, of which there are at most as many; `None` if they count shots.
+    pub counted: Option<&'static str>,
     /// Reads the times of the first and the last record, s, as stored; `None` if this needs the whole file.
     pub first_last_s: Option<FirstLastTime>,
 }
@@ -35,28 +37,32 @@ pub const FORMATS: &[RecordingFormat] = &[
         reader: "read_las",
         extensions: &[LAS, LAZ],
         companions: &[PACKETS, COMPRESSED_PACKETS],
-        pulse_count: Some(pulses_of_las),
+        shot_count: Some(first_returns_of_las),
+        counted: Some("points that are first returns"),
         first_last_s: Some(times_of_las),
     },
     RecordingFormat {
         reader: "read_pulsewaves",
         extensions: &[PULSES, COMPRESSED_PULSES],
         companions: &[WAVES, COMPRESSED_WAVES],
-        pulse_count: Some(|path| Ok(pulsewaves::Reader::open(path)?.pulse_count())),
+        shot_count: Some(|path| Ok(pulsewaves::Reader::open(path)?.pulse_count())),
+        counted: None,
         first_last_s: Some(times_of_pulsewaves),
     },
     RecordingFormat {
         reader: "read_sdf",
         extensions: &["sdf", WFM],
         companions: &[],
-        pulse_count: None,
+        shot_count: None,
+        counted: None,
         first_last_s: None,
     },
     RecordingFormat {
         reader: "read_arrow",
         extensions: &["arrow"],
         companions: &[],
-        pulse_count: None,
+        shot_count: None,
+        counted: None,
         first_last_s: Some(times_of_container),
     },
     RecordingFormat {
@@ -107,7 +113,9 @@ pub fn reader_of(input: &str) -> std::result::Result<&'static str, String> {
 }
 
 /// Number of first returns in the header of a LAS file, or of points if first returns are not counted.
-fn pulses_of_las(path: &Path) -> Result<u64> {
+///
+/// At least the number of shots: several points of a shot may be first returns, as of two receivers.
+fn first_returns_of_las(path: &Path) -> Result<u64> {
     let reader = las::Reader::open(path)?;
     let header = reader.header();
     // Some writers do not count by return.
@@ -265,6 +273,14 @@ mod tests {
         for extension in FORMATS.iter().flat_map(|format| format.extensions) {
             assert!(searched.contains(extension), "{extension}");
         }
+    }
+
+    #[test]
+    fn contents_of_all_formats_are_known() {
+        let contents = super::super::other_format::CONTENTS.iter();
+        let known: Vec<_> = contents.map(|format| (format.reader, format.extensions)).collect();
+        let formats: Vec<_> = FORMATS.iter().map(|format| (format.reader, format.extensions)).collect();
+        assert_eq!(known, formats);
     }
 
     #[test]

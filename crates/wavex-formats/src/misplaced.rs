@@ -70,7 +70,7 @@ fn folder(path: &Path) -> Error {
         Some(extension) => {
             format!("give a recording in it, or all: '{}'", path.join(format!("*.{extension}")).display())
         }
-        None => "give a recording; there is none in it".to_owned(),
+        None => "there is no recording in it: give the path of one".to_owned(),
     };
     Error::unusable(path, "it is a folder, not a recording", remedy)
 }
@@ -124,7 +124,7 @@ mod tests {
             let error = misplaced(&path(name)).unwrap().to_string();
             error.split_once("; ").unwrap().1.to_owned()
         };
-        assert_eq!(remedy(""), "give a recording; there is none in it");
+        assert_eq!(remedy(""), "there is no recording in it: give the path of one");
         fs::write(path("a.LAZ"), b"").unwrap();
         assert_eq!(remedy("a.wdp"), format!("give {}", path("a.LAZ").display()));
         assert_eq!(remedy(""), format!("give a recording in it, or all: '{}'", path("*.laz").display()));

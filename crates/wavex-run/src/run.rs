@@ -287,6 +287,11 @@ pub fn run(request: RunRequest) -> Result<FinishedRun, RunFailure> {
         listener.ended(ending).map_err(|failure| RunFailure::of(failure.text()))?;
     }
     if let Some(message) = failure {
+        if run.inputs.len() == 1
+            && let Some(said) = files.of_failed(&run)
+        {
+            listener.ended(&Ending(vec![said])).map_err(|failure| RunFailure::of(failure.text()))?;
+        }
         log::fatal(&message);
         return Err(RunFailure { message, is_invalid: false, error: first.or(ended.err()) });
     }

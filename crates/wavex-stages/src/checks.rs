@@ -16,7 +16,10 @@ pub fn checks() -> Vec<(&'static str, Vec<Check>)> {
         ("Waveforms", waveforms),
         ("Beams and points", [pose_source::checks(), georeference::checks()].concat()),
         ("Times and dates", dates),
-        ("Coordinate reference systems", vec![read_las::crs_check(), georef::area_check()]),
+        (
+            "Coordinate reference systems",
+            vec![read_las::crs_check(), georef::area_check(), georef::declared::degrees_check()],
+        ),
         ("Trajectories", georef::trajectory_checks()),
     ]
 }

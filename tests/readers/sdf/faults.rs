@@ -192,6 +192,8 @@ fn a_missing_file_is_missing_and_a_folder_is_none() {
     let outcome = place.run(&wavex_testkit::sdf::copy(""));
     place.left_nothing(
         outcome,
-        &format!("./{NAME}: it is a folder, not a recording; give a recording; there is none in it"),
+        &format!(
+            "./{NAME}: it is a folder, not a recording; there is no recording in it: give the path of one"
+        ),
     );
 }

@@ -33,8 +33,9 @@ fn a_folder() {
     for (reader, name) in READERS {
         let place = TestFolder::new();
         fs::create_dir(place.path(name)).unwrap();
-        let message =
-            format!("./{name}: it is a folder, not a recording; give a recording; there is none in it");
+        let message = format!(
+            "./{name}: it is a folder, not a recording; there is no recording in it: give the path of one"
+        );
         place.fails(reader, name, &message);
     }
 }
@@ -50,12 +51,22 @@ fn a_file_of_another_format() {
     };
     let no_arrow = "neither an Arrow IPC file nor a stream; \
                     give a waveform container, or use the reader of the file's own format";
-    let cases: [(&str, &str, &[u8], String); 9] = [
+    let other = |what: &str, reader: &str| format!("this is {what} read it with the stage `{reader}`");
+    let cases: [(&str, &str, &[u8], String); 13] = [
         ("read_las", "a.las", &text, no_las.into()),
         ("read_las", "a.laz", &text, no_las.into()),
-        ("read_las", "a.las", &pls.pls(), no_las.into()),
+        (
+            "read_las",
+            "a.las",
+            &pls.pls(),
+            other("PulseWaves, not LAS; rename it to .pls, and", "read_pulsewaves"),
+        ),
+        ("read_las", "a.pls", &pls.pls(), other("PulseWaves, not LAS;", "read_pulsewaves")),
+        ("read_las", "a.sdf", &text, format!("by its extension {}", other("SDF, not LAS;", "read_sdf"))),
+        ("read_sdf", "a.laz", &las, format!("by its extension {}", other("LAS, not SDF;", "read_las"))),
         ("read_pulsewaves", "a.pls", &text, no_pls("x,y,z\\n1,2,3\\n4,5")),
-        ("read_pulsewaves", "a.pls", &las, no_pls("LASF\\0\\0\\u{4}\\0\\0\\0\\0\\0\\0\\0\\0")),
+        ("read_pulsewaves", "a.pls", &las, other("LAS, not PulseWaves; rename it to .las, and", "read_las")),
+        ("read_pulsewaves", "a.laz", &las, other("LAS, not PulseWaves;", "read_las")),
         (
             "read_pulsewaves",
             "a.pls",
@@ -63,8 +74,8 @@ fn a_file_of_another_format() {
             "this is the waves file of a PulseWaves pair; give the .pls or .plz file of the same name".into(),
         ),
         ("read_arrow", "a.arrow", &text, no_arrow.into()),
-        ("read_arrow", "a.arrow", &las, no_arrow.into()),
-        ("read_arrow", "a.arrow", &pls.pls(), no_arrow.into()),
+        ("read_arrow", "a.arrow", &las, other("LAS, not Arrow; rename it to .las, and", "read_las")),
+        ("read_arrow", "a.pls", &pls.pls(), other("PulseWaves, not Arrow;", "read_pulsewaves")),
     ];
     for (reader, name, bytes, problem) in cases {
         TestFolder::with(&[(name, bytes)]).fails(

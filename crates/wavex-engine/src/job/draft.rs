@@ -48,6 +48,7 @@ pub(super) fn syntax(text: &str) -> Result<DeTable<'_>, Vec<JobError>> {
         return Ok(root.into_inner());
     }
     let mut of_lines: BTreeMap<usize, JobError> = BTreeMap::new();
+    let single = single_stage(text);
     // Lines are counted on from the problem before; most problems come in the order of the text.
     let (mut at, mut line) = (0, 0);
     for problem in &problems {
@@ -57,12 +58,41 @@ pub(super) fn syntax(text: &str) -> Result<DeTable<'_>, Vec<JobError>> {
         }
         line += text.get(at..span.start).unwrap_or_default().matches('\n').count();
         at = span.start;
-        of_lines.entry(line).or_insert_with(|| syntax_error(text, span, problem));
+        match &single {
+            // Stages below `[stage]` are duplicates of each other.
+            Some(header) if problem.message() == "duplicate key" && header.start <= span.start => {
+                let line = text.get(..header.start).unwrap_or_default().matches('\n').count();
+                of_lines.insert(line, not_a_list(header.clone()));
+            }
+            _ => {
+                of_lines.entry(line).or_insert_with(|| syntax_error(text, span, problem));
+            }
+        }
         if of_lines.len() > MAX_ERRORS {
             break;
         }
     }
     Err(of_lines.into_values().collect())
+}
+
+/// Position of the first `[stage]`.
+fn single_stage(text: &str) -> Option<Range<usize>> {
+    let mut start = 0;
+    for line in text.split_inclusive('\n') {
+        let header = line.split('#').next().unwrap_or_default();
+        if header.split_whitespace().collect::<String>() == "[stage]" {
+            let indent = header.len() - header.trim_start().len();
+            return Some(start + indent..start + header.trim_end().len());
+        }
+        start += line.len();
+    }
+    None
+}
+
+/// Error for stages that are not a list of tables.
+fn not_a_list(span: Range<usize>) -> JobError {
+    let error = JobError::at(span, "`stage` must be a list of tables");
+    error.help("write `[[stage]]`, with two brackets, above the keys of each stage")
 }
 
 /// Converts a TOML syntax error of this text.
@@ -236,8 +266,7 @@ fn elements<'t>(value: Spanned<DeValue<'t>>, errors: &mut Vec<JobError>) -> Vec<
             items.into_iter().filter_map(|item| table(item, "[[stage]]", errors)).collect()
         }
         _ => {
-            let error = JobError::at(span, "`stage` must be a list of tables");
-            errors.push(error.help("write `[[stage]]`, with two brackets, above the keys of each stage"));
+            errors.push(not_a_list(span));
             Vec::new()
         }
     }

@@ -51,7 +51,7 @@ fn check_table(owner: &str, schema: &Value, table: &DeTable, header: &Range<usiz
                     errors.extend(control_character(key.get_ref(), value));
                 }
             }
-            None => errors.push(unknown_key(owner, key, properties.keys())),
+            None => errors.push(unknown_key(owner, key, value, properties.keys())),
         }
         if errors.len() > MAX_ERRORS {
             break;
@@ -80,6 +80,7 @@ fn control_character(key: &str, value: &Spanned<DeValue>) -> Option<JobError> {
 fn unknown_key<'k>(
     owner: &str,
     key: &Spanned<Cow<str>>,
+    value: &Spanned<DeValue>,
     known: impl Iterator<Item = &'k String>,
 ) -> JobError {
     let known: Vec<&str> = known.map(String::as_str).collect();
@@ -87,9 +88,38 @@ fn unknown_key<'k>(
     match known.as_slice() {
         [] => error.help("it has no keys"),
         known => {
+            let error = match crs_key(key.get_ref(), known).zip(code(value.get_ref())) {
+                Some((name, code)) => error.help(crs_help(name, code)),
+                None => error,
+            };
             error.meant(key.get_ref(), known.iter().copied()).help(format!("keys: {}", known.join(", ")))
         }
     }
+}
+
+/// Keys for coordinate reference systems.
+const CRS_KEYS: [&str; 2] = ["crs", "crs_of_input"];
+/// Names that such keys do not have.
+const CRS_SYNONYMS: [&str; 5] = ["epsg", "epsg_code", "srs", "srid", "crs"];
+
+/// Key that was meant by a name of a coordinate reference system.
+fn crs_key<'k>(name: &str, known: &[&'k str]) -> Option<&'k str> {
+    let is_synonym = CRS_SYNONYMS.contains(&name.to_lowercase().as_str());
+    known.iter().find(|key| is_synonym && CRS_KEYS.contains(key)).copied()
+}
+
+/// EPSG code of a value.
+fn code<'v>(value: &'v DeValue) -> Option<&'v str> {
+    let text = match value {
+        DeValue::Integer(number) => number.as_str(),
+        DeValue::String(text) => text.rsplit(':').next()?,
+        _ => return None,
+    };
+    ((4..=6).contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_digit())).then_some(text)
+}
+
+fn crs_help(key: &str, code: &str) -> String {
+    format!("write `{key} = \"EPSG:{code}\"`")
 }
 
 fn missing_key(owner: &str, key: &str, schema: &Value, header: &Range<usize>) -> JobError {
@@ -180,6 +210,11 @@ impl CheckedValue<'_> {
     fn wrong_type(&self) -> JobError {
         let error = self.must_be(&takes(self.schema), &kind_of(self.value.get_ref()));
         let wanted = self.schema.get("type").and_then(Value::as_str);
+        let name = self.name.trim_matches('`');
+        let code = code(self.value.get_ref()).filter(|_| CRS_KEYS.contains(&name));
+        if let (DeValue::Integer(_), Some(code)) = (self.value.get_ref(), code) {
+            return error.help(crs_help(name, code));
+        }
         match (self.value.get_ref(), wanted) {
             (DeValue::String(text), Some("number" | "integer")) if text.parse::<f64>().is_ok() => {
                 error.help(format!("write numbers without quotation marks: {text}"))

@@ -16,6 +16,7 @@ use arrow_schema::Schema;
 use super::checked_schema::schema_of;
 use super::location::{CUT_OFF, ContainerLocation, DAMAGED};
 use super::{MAX_BATCH_BYTES, MOST_KEPT_BYTES, digest};
+use crate::other_format::{DECISIVE_BYTES, other_format};
 use crate::{Error, Result, make_room};
 use stream::StreamMessages;
 
@@ -73,13 +74,17 @@ impl Messages {
         mut from: Box<dyn Searchable>,
         len: u64,
     ) -> Result<(Messages, Schema)> {
-        let start = read_up_to(&mut from, MAGIC.len()).map_err(Error::io(name, "read"))?;
+        let start = read_up_to(&mut from, DECISIVE_BYTES).map_err(Error::io(name, "read"))?;
         from.seek(SeekFrom::Start(0)).map_err(Error::io(name, "read"))?;
-        if start == MAGIC {
+        if start.starts_with(MAGIC) {
             let (messages, schema) = FileMessages::open(name, from, len)?;
             return Ok((Messages::File(messages), schema));
         }
-        let (mut stream, schema) = StreamMessages::open(name, Box::new(from))?;
+        let opened = StreamMessages::open(name, Box::new(from)).map_err(|error| match error {
+            Error::Unusable { .. } => other_format(name, &start, "read_arrow").unwrap_or(error),
+            error => error,
+        });
+        let (mut stream, schema) = opened?;
         stream.len = Some(len);
         Ok((Messages::Stream(stream), schema))
     }

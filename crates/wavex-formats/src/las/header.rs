@@ -8,6 +8,7 @@ use std::path::Path;
 use super::encoding;
 use super::point::PointLayout;
 use crate::bytes::{Fields, text};
+use crate::other_format::other_format;
 use crate::{Error, Result};
 
 /// Length of the longest header (LAS 1.5), bytes.
@@ -318,7 +319,9 @@ fn check_signature(file: &Path, bytes: &[u8]) -> Result<()> {
     if bytes.starts_with(b"LASF") {
         return Ok(());
     }
-    Err(Error::malformed(file, 0, "file signature", "expected `LASF`", "give a LAS or LAZ file"))
+    Err(other_format(file, bytes, "read_las").unwrap_or_else(|| {
+        Error::malformed(file, 0, "file signature", "expected `LASF`", "give a LAS or LAZ file")
+    }))
 }
 
 fn version(fields: &mut Fields) -> Result<(u8, u8)> {

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::bytes::Fields;
+use crate::other_format::other_format;
 use crate::{Error, Result};
 
 /// Signature of a pulse file, without its terminating zero.
@@ -246,6 +247,9 @@ fn check_signature(file: &Path, bytes: &[u8]) -> Result<()> {
     }
     let start = &bytes[..bytes.len().min(SIGNATURE.len())];
     if !SIGNATURE.starts_with(start) {
+        if let Some(error) = other_format(file, bytes, "read_pulsewaves") {
+            return Err(error);
+        }
         let start = String::from_utf8_lossy(start).escape_debug().to_string();
         let problem = format!("this is not a PulseWaves pulse file: it starts with \"{start}\"");
         return Err(Error::unusable(file, problem, "give a .pls or .plz file"));

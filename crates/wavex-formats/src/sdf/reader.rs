@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use super::fault::{CallResult, LibraryFault, code};
 use super::interface::{Handle, LibraryVersion};
 use super::{SdfInfo, SdfRecord, index_dir, library};
+use crate::other_format::other_format;
 use crate::{Error, Result};
 
 /// The four calibration tables.
@@ -60,6 +61,9 @@ impl SdfReader {
         let metadata = fs::metadata(file).map_err(Error::io(file, "open"))?;
         if metadata.is_dir() {
             return Err(Error::io(file, "open")(io::ErrorKind::IsADirectory.into()));
+        }
+        if let Some(error) = other_format(file, &[], "read_sdf") {
+            return Err(error);
         }
         let (functions, version) = library::find(file, library, announce)?;
         let path = match index_dir {

@@ -4,23 +4,56 @@ use std::path::Path;
 
 use super::Result;
 use super::output_crs::{ANYWHERE, CrsRequest, read_wkt};
+use crate::plausibility::Check;
 use wavex_geodesy::crs::{Crs, CrsError, Named, system_of_wkt};
 use wavex_geodesy::frames::Vector;
 
 /// Requirement for names of the CRS of a recording.
 const MUST_BE: &str = "it must name a projected CRS: `utm:33N`, `EPSG:2154`, or a file with WKT";
+/// Largest longitude and latitude, degrees.
+const MOST_DEG: [f64; 2] = [360.0, 90.0];
 
-/// Checks the value of `crs_of_input`.
+/// Checks the value of `crs_of_input`, except a file.
 ///
 /// # Errors
-/// A name that is not a CRS, or whose CRS depends on the position.
+/// A name that is not a CRS, or whose CRS depends on the position or is geocentric.
 pub fn check(word: &str) -> std::result::Result<(), String> {
     match Named::parse(word) {
         Ok(Some(Named::Utm | Named::Geodetic | Named::Ecef)) => Err(MUST_BE.to_owned()),
         Ok(None) if word.is_empty() => Err(MUST_BE.to_owned()),
-        Ok(_) => Ok(()),
+        Ok(None) => Ok(()),
+        Ok(Some(named)) => match Crs::new(&named, ANYWHERE, None, None) {
+            Ok(crs) if crs.is_ecef() => Err(MUST_BE.to_owned()),
+            Ok(_) => Ok(()),
+            Err(error) => Err(error.to_string()),
+        },
         Err(error) => Err(error.to_string()),
     }
+}
+
+/// Words of the message.
+const IN_DEGREES: &str = "is in degrees, but the recording begins at";
+
+/// The check of coordinates in a geographic CRS.
+pub fn degrees_check() -> Check {
+    Check::error(
+        "first coordinates and a geographic CRS: that of the job, or of the file, which is then not used (warning)",
+        format!("at most {} and {} degrees", MOST_DEG[0], MOST_DEG[1]),
+        "longitude and latitude",
+        IN_DEGREES,
+    )
+    .with_key("crs_of_input")
+}
+
+/// Why a recording with this point cannot be in a CRS: its coordinates are no degrees.
+///
+/// `None` for projected and unreadable CRSs.
+pub fn not_in_degrees(wkt: &str, point: Vector) -> Option<String> {
+    let crs = Crs::horizontal_of_wkt(wkt).filter(Crs::is_geodetic)?;
+    let are_degrees = point.iter().zip(MOST_DEG).all(|(value, most)| value.abs() <= most);
+    let [x, y, _] = point;
+    (!are_degrees)
+        .then(|| format!("{} {IN_DEGREES} {x:.1}, {y:.1}: its beams are in metres or feet", crs.name()))
 }
 
 /// Whether the value is the path of a WKT file.

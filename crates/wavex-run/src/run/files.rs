@@ -12,6 +12,7 @@ use super::ResumeCheck;
 use super::ending::{self, EndMessage};
 use super::resume::{Comparison, EarlierRun};
 use super::survey_files::{PageCollector, SurveyFiles};
+use crate::archive::shown;
 use wavex_engine::engine::{self, Input, InputStatus, InputSummary, Options, RunSummary};
 use wavex_engine::job::{Job, JobSettings, named};
 use wavex_formats::Error;
@@ -365,6 +366,16 @@ impl<'j> RunFiles<'j> {
         let stat_logs = inputs.iter().filter_map(|input| self.stat_log(&input.stem));
         // A strip without cells has no raster.
         [of_run, stat_logs.chain(of_strips.filter(|path| path.exists())).collect()]
+    }
+
+    /// The file that describes a failed run: its report, or its log if no input was begun.
+    pub(super) fn of_failed(&self, run: &RunSummary) -> Option<EndMessage> {
+        let [of_run, _] = self.written(run);
+        let report = self.of_name(&self.settings.report).filter(|report| of_run.contains(report));
+        let found = [("report", report), ("log", self.log())].into_iter();
+        let (what, path) =
+            found.filter_map(|(what, path)| Some((what, path?))).find(|(_, path)| path.exists())?;
+        Some(EndMessage::File(format!("{what} of the failed run: {}", shown(&path).display())))
     }
 
     /// The next command for the user.

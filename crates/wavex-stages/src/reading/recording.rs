@@ -129,6 +129,9 @@ const UNKNOWN_GAINS: &str = "the receiver gain varies between shots, but the rec
      different digitizer gains in waveform packet descriptors): amplitudes and intensities are not comparable, and \
      thresholds and standard deviations are those of a mean gain; use a container whose blocks have a `gain`";
 
+/// Remedy for a CRS that the beams cannot be in.
+const SET_CRS: &str = "set the projected CRS of the recording with `crs_of_input`, such as `utm:33N`";
+
 /// Words of the messages.
 const COPIES: &str = "are byte-identical copies of the waveform of the shot before";
 const OTHER_WEEK: &str = "the file states week";
@@ -293,7 +296,20 @@ impl<S: Source> AsDeclared<S> {
     fn crs(&self, first: &ScanLine, cx: &mut Context) -> Result<Option<String>> {
         let of_file = &first.input.crs_wkt;
         first.input.crs_problems.iter().for_each(|problem| cx.warn(problem.clone()));
-        let Some(declared) = &self.declared.crs_wkt else { return Ok(of_file.clone()) };
+        let place_m = first.emissions.first().map(|shot| shot.origin_m).unwrap_or_default();
+        let misfit = |wkt: &String| {
+            (first.input.frame == Frame::Map).then(|| declared::not_in_degrees(wkt, place_m)).flatten()
+        };
+        let Some(declared) = &self.declared.crs_wkt else {
+            let problem = of_file.as_ref().and_then(misfit);
+            if let Some(problem) = &problem {
+                cx.warn(format!("the CRS of the file is not used: {problem}; {SET_CRS}"));
+            }
+            return Ok(of_file.clone().filter(|_| problem.is_none()));
+        };
+        if let Some(problem) = misfit(declared) {
+            return Err(StageError::failed(format!("`crs_of_input`: {problem}"), SET_CRS));
+        }
         let frame = match first.input.frame {
             Frame::Map => None,
             Frame::Scanner => Some("the scanner frame"),
@@ -306,7 +322,6 @@ impl<S: Source> AsDeclared<S> {
                 "remove the key; the output CRS is `crs` of `[job.geometry]`",
             ));
         }
-        let place_m = first.emissions.first().map(|shot| shot.origin_m).unwrap_or_default();
         if let Some(other) = of_file.as_deref().filter(|wkt| declared::differ(wkt, declared, place_m)) {
             let [file, job] = [other, declared].map(|wkt| wkt.split('"').nth(1).unwrap_or("an unnamed CRS"));
             cx.warn(format!("the file gives {file} as its CRS; `crs_of_input` overrides it with {job}"));

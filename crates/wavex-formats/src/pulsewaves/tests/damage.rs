@@ -40,12 +40,13 @@ fn a_file_of_another_kind_is_named() {
         (vec![], "t.pls: the file is empty; copy it again from its source".to_string()),
         (
             b"LASF\0\0\0\0 and so on".to_vec(),
-            "t.pls: this is not a PulseWaves pulse file: it starts with \"LASF\\0\\0\\0\\0 and so\"; give a .pls or .plz file"
+            "t.pls: this is LAS, not PulseWaves; rename it to .las, and read it with the stage `read_las`"
                 .to_string(),
         ),
         (
             plain.waves.clone(),
-            "t.pls: this is the waves file of a PulseWaves pair; give the .pls or .plz file of the same name".to_string(),
+            "t.pls: this is the waves file of a PulseWaves pair; give the .pls or .plz file of the same name"
+                .to_string(),
         ),
         (
             plain.pls()[..200].to_vec(),

@@ -210,8 +210,9 @@ fn learn(
         let [first, second] = proof.halves;
         cx.info(format!(
             "{name}: ranges are corrected for the delay by amplitude, learnt from {} triples of neighbouring single \
-             returns: {delays}; each half of the lines explains {:.2} ± {:.2} and {:.2} ± {:.2} of it in the other half, \
-             whose second differences fall by {:.1} standard deviations",
+             returns: {delays}. Proof: the delay from one half of the lines explains {:.2} ± {:.2} of the delay in the other \
+             half, and {:.2} ± {:.2} with the halves exchanged (1 is all of it); with the correction, second differences of \
+             ranges fall by {:.1} standard deviations",
             walk.triples,
             first.value,
             first.sd,

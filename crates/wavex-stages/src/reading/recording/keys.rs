@@ -112,7 +112,8 @@ impl PulseSpeed {
 #[derive(Clone, Debug, Default, Deserialize, Serialize, JsonSchema)]
 pub struct InputCrs {
     /// Projected coordinate reference system of the recording, if the file names none or a wrong
-    /// one: `utm:33N`, `EPSG:2154`, or a file with WKT. Overrides the one in the file.
+    /// one: `utm:33N`, `EPSG:2154`, or a file with WKT. Overrides the one in the file. A
+    /// geographic one is only for coordinates in degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crs_of_input: Option<String>,
 }

@@ -170,7 +170,7 @@ fn copies_of_waveforms_are_a_warning() {
 #[test]
 fn a_map_that_is_declared_must_be_one() {
     let keys = |word: &str| InputCrs { crs_of_input: Some(word.to_owned()) };
-    for word in ["utm", "geodetic", "ecef", ""] {
+    for word in ["utm", "geodetic", "ecef", "", "EPSG:4978", "EPSG:99999"] {
         assert_eq!(keys(word).check().unwrap_err().key, "crs_of_input", "{word}");
     }
     assert!(keys("utm:99N").check().is_err());
