@@ -69,7 +69,8 @@ pub const FORMATS: &[RecordingFormat] = &[
         reader: "read_hdf5",
         extensions: &["h5", "hdf5", "hdf", "he5"],
         companions: &[],
-        pulse_count: None,
+        shot_count: None,
+        counted: None,
         first_last_s: None,
     },
 ];
@@ -297,7 +298,7 @@ mod tests {
             assert_eq!(reader_of(name), Ok(reader));
         }
         let problem = "a.dat: unknown recording format; \
-                       supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm and .arrow";
+                       supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5, .hdf and .he5";
         assert_eq!(reader_of("a.dat"), Err(problem.to_owned()));
         for name in ["a.rxp", "a.f5"] {
             assert!(reader_of(name).unwrap_err().contains(" is not supported; "), "{name}");

@@ -160,7 +160,8 @@ impl Transform for Measurer {
             self.look_ahead = LookAhead::new(self.shots);
         }
         if let Some(Beam { model: Some(model), .. }) = &self.beam {
-            return out_line(self.measured(line, model, out)?, out);
+            let line = self.measured(line, model, out)?;
+            return out.emit(line);
         }
         let is_enough = self.look_ahead.hold(line, "noise and response were learnt", out);
         if is_enough { self.release(out) } else { Ok(()) }
@@ -171,16 +172,18 @@ impl Transform for Measurer {
     }
 }
 
-fn out_line(line: ScanLine, out: &mut Output) -> Result<()> {
-    out.emit(line)
-}
-
 impl Measurer {
     /// Learns the model of the current beam from the held lines, measures and emits them.
     fn release(&mut self, out: &mut Output) -> Result<()> {
         let lines = self.look_ahead.release();
         if lines.is_empty() {
             return Ok(());
+        }
+        let has_blocks = |line: &ScanLine| line.blocks().is_some_and(|blocks| !blocks.is_empty());
+        if !lines.iter().any(has_blocks) {
+            return lines.into_iter().try_for_each(|line| {
+                out.emit(ScanLine { content: Content::Returns(Returns::new()), ..line })
+            });
         }
         let model = learnt(&lines)?;
         if let Some(name) = self.beam.as_ref().and_then(|beam| beam.input.beam.as_deref()) {

@@ -146,3 +146,11 @@ fn a_waveform_without_background_is_rejected() {
         (19, 1)
     );
 }
+
+#[test]
+fn lines_without_shots_pass_through() {
+    let empty = || ScanLine::of_shots(input("BEAM0101"), 0, Vec::new(), Blocks::default());
+    let (outcome, given, _) = run(100, vec![empty(), empty()]);
+    outcome.unwrap();
+    assert!(given.len() == 2 && given.iter().all(|line| line.kind() == Kind::Returns));
+}
