@@ -90,7 +90,7 @@ fn chain(spec: &StageSpec, keys: &str) -> String {
     let needed: &[&str] = match spec.accepts {
         [] => &[],
         _ if spec.name == "decompose" => &["simulate", "calibrate"],
-        [Kind::Shots, ..] => &["simulate"],
+        [Kind::Shots | Kind::Footprints, ..] => &["simulate"],
         [Kind::Returns, ..] => &["simulate", "calibrate", "decompose"],
         [Kind::Points, ..] => &["simulate", "calibrate", "decompose", "georeference"],
     };

@@ -28,8 +28,10 @@ pub const STAGE: StageSpec = StageSpec::source::<ReadHdf5>("read_hdf5", Kind::Fo
 const SHOTS_PER_LINE: usize = 256;
 /// Seconds from 1980-01-06 to the origin of adjusted GPS time.
 const ADJUSTED_ORIGIN_S: f64 = 1e9;
-/// Sampling interval of both instruments, ns.
+/// Sampling interval of GEDI and of younger LVIS files, ns; the positions of first and last sample give others.
 const INTERVAL_NS: f64 = 1.0;
+/// Step to which sampling intervals are rounded, ns: positions include delays in the atmosphere.
+const INTERVAL_STEP_NS: f64 = 0.1;
 
 /// Reads GEDI level 1B (`GEDI01_B`) and LVIS level 1B (`ILVIS1B`) from HDF5 files.
 ///
@@ -186,8 +188,8 @@ impl FootprintReader {
                 continue;
             }
             match emission(number, &self.shot, info) {
-                Some(emission) => {
-                    add_blocks(emissions.len() as u32, &self.shot, info, &mut blocks);
+                Some((emission, interval_ns)) => {
+                    add_blocks(emissions.len() as u32, &self.shot, interval_ns, info, &mut blocks);
                     emissions.push(emission);
                 }
                 None => cx.reject(Reason::ShotWithoutPosition, 1),
@@ -233,8 +235,9 @@ impl Source for FootprintReader {
     }
 }
 
-/// The shot with origin and direction from the positions of its first and last sample; `None` without them.
-fn emission(number: u64, shot: &Shot, info: &InputInfo) -> Option<Emission> {
+/// The shot with origin and direction from the positions of its first and last sample, and its sampling interval, ns;
+/// `None` without them.
+fn emission(number: u64, shot: &Shot, info: &InputInfo) -> Option<(Emission, f64)> {
     let steps = shot.received_dn.len().checked_sub(1).filter(|steps| *steps > 0)? as f64;
     let [first, last] =
         [&shot.first_bin, &shot.last_bin].map(|place| ecef_m(place).filter(|_| place.is_known()));
@@ -248,16 +251,18 @@ fn emission(number: u64, shot: &Shot, info: &InputInfo) -> Option<Emission> {
         TimeScale::Adjusted => shot.time_s - ADJUSTED_ORIGIN_S,
         _ => shot.time_s,
     };
-    let nominal_m = 0.5e-9 * info.group_velocity_mps * INTERVAL_NS * steps;
-    Some(Emission {
+    let m_per_ns = 0.5e-9 * info.group_velocity_mps;
+    let interval_ns = (length_m / steps / m_per_ns / INTERVAL_STEP_NS).round() * INTERVAL_STEP_NS;
+    let emission = Emission {
         shot: number,
         gps_time_s,
         clock_ps: 0,
         origin_m: first,
         direction: along.map(|part| part / length_m),
-        frame_scale: length_m / nominal_m,
+        frame_scale: length_m / (m_per_ns * interval_ns * steps),
         ..Emission::default()
-    })
+    };
+    (interval_ns > 0.0).then_some((emission, interval_ns))
 }
 
 fn ecef_m(place: &Position) -> Option<[f64; 3]> {
@@ -266,11 +271,11 @@ fn ecef_m(place: &Position) -> Option<[f64; 3]> {
     ecef_m.iter().all(|value| value.is_finite()).then_some(ecef_m)
 }
 
-fn add_blocks(emission: u32, shot: &Shot, info: &InputInfo, blocks: &mut Blocks) {
+fn add_blocks(emission: u32, shot: &Shot, interval_ns: f64, info: &InputInfo, blocks: &mut Blocks) {
     if !shot.outgoing_dn.is_empty() {
-        blocks.push_fractions(emission, Channel::Reference, 0.0, INTERVAL_NS, &shot.outgoing_dn);
+        blocks.push_fractions(emission, Channel::Reference, 0.0, interval_ns, &shot.outgoing_dn);
     }
-    blocks.push_fractions(emission, Channel::LowPower, 0.0, INTERVAL_NS, &shot.received_dn);
+    blocks.push_fractions(emission, Channel::LowPower, 0.0, interval_ns, &shot.received_dn);
     let noise = RecordedNoise { mean_dn: f64::from(shot.noise_mean_dn), sd_dn: f64::from(shot.noise_sd_dn) };
     let value = |name: &str| {
         let index = info.columns.iter().position(|column| *column == name)?;
