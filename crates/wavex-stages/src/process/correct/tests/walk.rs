@@ -83,7 +83,10 @@ fn a_delay_is_removed_only_if_it_is_proven() {
         let (after, _, findings) = run_with_findings(&keys(WalkKey::Auto(Auto::Auto)), recorded);
         if findings[0].contains("ranges are corrected for the delay by amplitude") {
             proven += 1;
-            assert!(findings[0].contains("each half of the lines explains"), "{findings:?}");
+            assert!(
+                findings[0].contains("Proof: the delay from one half of the lines explains"),
+                "{findings:?}"
+            );
             assert!(slope_ns(&after).abs() < 0.012 && slope_ns(&before) < -0.025, "{}", slope_ns(&after));
         } else {
             refused += 1;
