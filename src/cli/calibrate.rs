@@ -8,7 +8,7 @@ use wavex_engine::engine::{self, Options};
 use wavex_engine::job::{Job, Override};
 use wavex_formats::Error;
 use wavex_formats::extensions::has_extension;
-use wavex_formats::format::reader_of;
+use wavex_formats::format::small_footprint_reader_of;
 use wavex_line::stage::{FinishedFile, OutputFile};
 use wavex_pages::report::{sensor_model_words, survey_table};
 use wavex_run::archive::shown;
@@ -87,7 +87,7 @@ fn of_survey(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure> {
 /// TOML of a job that reads the recording and calibrates.
 fn job_text(args: &CalibrateArgs) -> Result<String, String> {
     let file = args.file.display().to_string();
-    let reader = reader_of(&file)?;
+    let reader = small_footprint_reader_of(&file)?;
     let quoted = |text: String| toml::Value::String(text);
     let save = match &args.save_preset {
         Some(path) if !has_extension(path, "json") => {

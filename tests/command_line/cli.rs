@@ -338,6 +338,16 @@ fn an_input_of_an_unknown_kind_is_not_converted() {
 }
 
 #[test]
+fn large_footprints_are_not_decomposed() {
+    for arguments in [&["convert", "a.h5", "a.arrow"][..], &["explain", "a.h5", "--shot", "3"]] {
+        let Outcome { code, err, .. } = wavex(arguments);
+        assert_eq!(code, Some(2), "{err}");
+        let begins = "error: a.h5: its waveforms are profiles of large footprints, ";
+        assert!(err.starts_with(begins) && err.contains("`wavex init a.h5 job.toml` writes a job"), "{err}");
+    }
+}
+
+#[test]
 fn a_container_has_the_name_of_what_it_is() {
     let expected = "error: flight.parquet: the container is Arrow; give a name that ends in .arrow. To write tables of returns (Parquet, CSV or Arrow), use the stage write_table in a job\n";
     refused(wavex(&["convert", "flight.pls", "flight.parquet"]), expected);

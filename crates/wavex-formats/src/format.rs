@@ -113,6 +113,20 @@ pub fn reader_of(input: &str) -> std::result::Result<&'static str, String> {
     })
 }
 
+/// Stage that reads files with this extension, of recordings with small footprints.
+///
+/// # Errors
+/// As [`reader_of`], and for recordings with large footprints.
+pub fn small_footprint_reader_of(input: &str) -> std::result::Result<&'static str, String> {
+    match reader_of(input)? {
+        "read_hdf5" => Err(format!(
+            "{input}: its waveforms are profiles of large footprints, which this command does not decompose; \
+             `wavex init {input} job.toml` writes a job that measures ground and heights, and `wavex view {input}` shows them"
+        )),
+        reader => Ok(reader),
+    }
+}
+
 /// Number of first returns in the header of a LAS file, or of points if first returns are not counted.
 ///
 /// At least the number of shots: several points of a shot may be first returns, as of two receivers.
@@ -300,6 +314,9 @@ mod tests {
         let problem = "a.dat: unknown recording format; \
                        supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5, .hdf and .he5";
         assert_eq!(reader_of("a.dat"), Err(problem.to_owned()));
+        let problem = small_footprint_reader_of("a.h5").unwrap_err();
+        assert!(problem.contains("profiles of large footprints"), "{problem}");
+        assert_eq!(small_footprint_reader_of("a.las"), Ok("read_las"));
         for name in ["a.rxp", "a.f5"] {
             assert!(reader_of(name).unwrap_err().contains(" is not supported; "), "{name}");
         }

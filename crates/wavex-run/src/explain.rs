@@ -11,7 +11,7 @@ use crate::{Failure, job_file, run};
 use wavex_engine::engine::{Cancel, Input, Options, Phase, ProgressMode, observe};
 use wavex_engine::job::{Job, JobStage, Override};
 use wavex_engine::recording::{Excerpt, LineIndex, Recording};
-use wavex_formats::format::reader_of;
+use wavex_formats::format::small_footprint_reader_of;
 use wavex_line::scan_line::{Emission, InputInfo, Returns, ScanLine};
 use wavex_line::stage::{Context, FittedBlock, Plan, RunContext, SourcePlan};
 use wavex_pages::explain::{ExplainError, ExplainedShot};
@@ -108,7 +108,7 @@ impl Chain {
     /// If the format is unknown or the job invalid.
     pub fn of(request: &ExplainRequest) -> Result<Chain, Failure> {
         let file = request.file.display().to_string();
-        let reader = reader_of(&file).map_err(Failure::Wrong)?;
+        let reader = small_footprint_reader_of(&file).map_err(Failure::Wrong)?;
         let default_job = default_job(reader, &file, if request.job.is_some() { &[] } else { request.set })?;
         let (mut job, folder) = match request.job {
             None => (default_job.clone(), PathBuf::from(".")),

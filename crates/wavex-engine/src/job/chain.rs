@@ -102,7 +102,16 @@ impl ChainStage<'_> {
         } else if let Some(earlier) = self.last_fit() {
             format!("move it up, after `{}`", earlier.name)
         } else {
-            format!("no stage makes {} of {given}", listed(&takes, "or"))
+            // Waveforms of large footprints have a stage of their own.
+            let takes_given = |spec: &&&StageSpec| given == Kind::Footprints && spec.accepts.contains(&given);
+            let others: Vec<String> =
+                self.known.iter().filter(takes_given).map(|spec| quoted(spec.name)).collect();
+            let instead = if others.is_empty() {
+                String::new()
+            } else {
+                format!("; use {} in its place", listed(&others, "or"))
+            };
+            format!("no stage makes {} of {given}{instead}", listed(&takes, "or"))
         };
         Some((problem, help))
     }
