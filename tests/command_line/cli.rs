@@ -333,7 +333,7 @@ fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
 #[test]
 fn an_input_of_an_unknown_kind_is_not_converted() {
     let expected = "error: flight.dat: unknown recording format; \
-                    supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5, .hdf and .he5\n";
+                    supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 and .hdf5\n";
     refused(wavex(&["convert", "flight.dat", "flight.arrow"]), expected);
 }
 

@@ -224,7 +224,7 @@ fn what_cannot_be_explained_is_said() {
     refused(&place, &["-q", "a.arrow", "--shot", "102"], 2, message);
     let message = "timeless.arrow: its shots have no times; select one with --shot";
     refused(&place, &["-q", "timeless.arrow", "--time", "1"], 2, message);
-    let message = "a.dat: unknown recording format; supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5, .hdf and .he5";
+    let message = "a.dat: unknown recording format; supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 and .hdf5";
     refused(&place, &["a.dat", "--shot", "1"], 2, message);
     place.write("short.toml", b"[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n");
     let message = "short.toml: the job has no stage `calibrate`; add one";

@@ -11,6 +11,8 @@ pub const LAS: &str = "las";
 pub const LAZ: &str = "laz";
 /// Extension of the waveform packets of LAS.
 pub const PACKETS: &str = "wdp";
+/// HDF5: GEDI and LVIS.
+pub const HDF5: &str = "h5";
 /// Extension of the compressed waveform packets of LAS, as LAStools writes them.
 pub const COMPRESSED_PACKETS: &str = "wdz";
 /// Extension of RIEGL WFM.

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use super::container::ContainerReader;
 use super::extensions::{
-    COMPRESSED_PACKETS, COMPRESSED_PULSES, COMPRESSED_WAVES, LAS, LAZ, PACKETS, PULSES, WAVES, WFM, beside,
-    by_stem, extension, folder_of, usual_names,
+    COMPRESSED_PACKETS, COMPRESSED_PULSES, COMPRESSED_WAVES, HDF5, LAS, LAZ, PACKETS, PULSES, WAVES, WFM,
+    beside, by_stem, extension, folder_of, usual_names,
 };
 use super::{Error, Result, las, pulsewaves, unsupported};
 
@@ -67,7 +67,7 @@ pub const FORMATS: &[RecordingFormat] = &[
     },
     RecordingFormat {
         reader: "read_hdf5",
-        extensions: &["h5", "hdf5", "hdf", "he5"],
+        extensions: &[HDF5, "hdf5"],
         companions: &[],
         shot_count: None,
         counted: None,
@@ -312,7 +312,7 @@ mod tests {
             assert_eq!(reader_of(name), Ok(reader));
         }
         let problem = "a.dat: unknown recording format; \
-                       supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5, .hdf and .he5";
+                       supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 and .hdf5";
         assert_eq!(reader_of("a.dat"), Err(problem.to_owned()));
         let problem = small_footprint_reader_of("a.h5").unwrap_err();
         assert!(problem.contains("profiles of large footprints"), "{problem}");

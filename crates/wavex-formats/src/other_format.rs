@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::Error;
-use super::extensions::{COMPRESSED_PULSES, LAS, LAZ, PULSES, WFM, extension};
+use super::extensions::{COMPRESSED_PULSES, HDF5, LAS, LAZ, PULSES, WFM, extension};
 
 /// Content of a recording format.
 pub(super) struct FormatContent {
@@ -18,7 +18,7 @@ pub(super) struct FormatContent {
 }
 
 /// All formats.
-pub(super) const CONTENTS: [FormatContent; 4] = [
+pub(super) const CONTENTS: [FormatContent; 5] = [
     FormatContent { signature: b"LASF", name: "LAS", reader: "read_las", extensions: &[LAS, LAZ] },
     FormatContent {
         signature: b"PulseWavesPulse",
@@ -28,6 +28,12 @@ pub(super) const CONTENTS: [FormatContent; 4] = [
     },
     FormatContent { signature: b"", name: "SDF", reader: "read_sdf", extensions: &["sdf", WFM] },
     FormatContent { signature: b"ARROW1", name: "Arrow", reader: "read_arrow", extensions: &["arrow"] },
+    FormatContent {
+        signature: b"\x89HDF\r\n\x1a\n",
+        name: "HDF5",
+        reader: "read_hdf5",
+        extensions: &[HDF5, "hdf5"],
+    },
 ];
 
 /// Number of bytes that decide on the format.
