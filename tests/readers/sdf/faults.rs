@@ -76,11 +76,7 @@ fn invalid_files_show_the_message_of_the_library() {
     let message = "fwifc_open of RIEGL's library failed with 2, an unsupported format: ";
     let place = place(b"no recording", "");
     let outcome = place.run(&wavex_testkit::sdf::copy(""));
-    assert!(
-        outcome.err.contains(message) && outcome.err.contains("neither an Arrow IPC file"),
-        "{}",
-        outcome.err
-    );
+    assert!(outcome.err.contains(message) && outcome.err.contains("not Arrow"), "{}", outcome.err);
 }
 
 #[test]
