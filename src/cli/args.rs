@@ -71,7 +71,7 @@ pub(super) struct ExplainArgs {
 /// What to view, and how it is served.
 #[derive(Args)]
 pub(super) struct ViewArgs {
-    /// Recording (.las, .laz, .pls, .plz, .sdf, .wfm, .arrow), job (.toml), the report of a run (JOB_report.json), or its folder
+    /// Recording (.las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5), job (.toml), the report of a run (JOB_report.json), or its folder
     pub(super) place: PathBuf,
     /// Port to listen on; 0: any free port
     #[arg(long, value_name = "PORT", default_value_t = 0)]

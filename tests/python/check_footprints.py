@@ -15,8 +15,8 @@ import sys
 import numpy as np
 
 # Columns of the results. Relative heights are one list column, or `rh_0` to `rh_100`.
-SHOT, GROUND, GROUND_SD, PROBABILITY, COVER = "shot_number", "ground_m", "ground_sd_m", "ground_probability", "cover"
-RH_LIST, RH_COLUMN = "rh", "rh_{}"
+SHOT, GROUND, GROUND_SD, PROBABILITY, COVER = "shot_number", "z", "ground_sd_m", "ground_probability", "cover"
+RH_LIST, RH_COLUMN = "rh_m", "rh{}_m"
 
 # Name: lowest and highest value that reaches the goal, and the fewest shots for a verdict. None: information only.
 CLASSES = ("bare", "0-30 %", "30-60 %", "60-80 %", "80-90 %", "90-95 %", "95-99 %")

@@ -62,7 +62,7 @@ static COLUMNS: &[FootprintColumn] = &[
     column("x", Values::MaybeF64(|row| row.ground.map(|point| point[0])), "coordinate of the ground in the output frame; null before `georeference`, and without ground"),
     column("y", Values::MaybeF64(|row| row.ground.map(|point| point[1])), "see x"),
     column("z", Values::MaybeF64(|row| row.ground.map(|point| point[2])), "see x"),
-    column("ground_sd_m", Values::F64(|of| of.ground.range_m.sd), "standard deviation of the ground along the beam, by noise, slope and vegetation, without that of the geolocation"),
+    column("ground_sd_m", Values::F64(|of| of.ground.range_m.sd), "standard deviation of the ground along the beam if this mode is the ground: by noise, slope and vegetation, without that of the geolocation"),
     column("ground_probability", Values::F64(|of| of.ground.probability), "probability that the lowest mode is the ground, and not a layer above one that is not seen"),
     column("modes", Values::U32(|of| of.modes), "number of significant modes"),
     column("energy_dn", Values::F64(|of| of.energy_dn.value), "energy of the waveform, as the height of a flat target's echo of the same energy, digitiser steps"),
