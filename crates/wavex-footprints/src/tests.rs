@@ -1,3 +1,140 @@
 //! Footprints of known ground and canopy.
 
 use super::*;
+
+const SAMPLES: usize = 900;
+const LEVEL_DN: f64 = 210.0;
+const GROUND: f64 = 520.4;
+/// SD of the outgoing pulse, samples.
+const PULSE_SD: f64 = 6.6;
+
+/// Noise that neighbours share, of SD 1.5 DN, about the level.
+fn noise(seed: u32) -> Vec<f64> {
+    let mut state = seed.wrapping_mul(2_654_435_761).wrapping_add(1);
+    let mut white = || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (f64::from(state >> 8) / f64::from(1 << 24) - 0.5) * 12f64.sqrt()
+    };
+    let white: Vec<f64> = (0..SAMPLES + 4).map(|_| white()).collect();
+    white.windows(5).map(|near| LEVEL_DN + 1.5 * near.iter().sum::<f64>() / 5f64.sqrt()).collect()
+}
+
+/// A waveform with echoes: height, position and SD in samples.
+fn waveform(seed: u32, echoes: &[[f64; 3]]) -> Vec<f32> {
+    let of = |k: usize, [height, at, sd]: [f64; 3]| height * (-0.5 * ((k as f64 - at) / sd).powi(2)).exp();
+    let signal = |k: usize| echoes.iter().map(|echo| of(k, *echo)).sum::<f64>();
+    noise(seed).into_iter().enumerate().map(|(k, dn)| (dn + signal(k)) as f32).collect()
+}
+
+fn model() -> FootprintModel {
+    let mut learner = FootprintLearner::new(1.0, 15.5);
+    for seed in 0..40 {
+        let pulse = |k: usize| 200.0 + 900.0 * (-0.5 * ((k as f64 - 60.25) / PULSE_SD).powi(2)).exp();
+        learner.add_outgoing(&(0..128).map(|k| pulse(k) as f32).collect::<Vec<_>>());
+        learner.add_waveform(&waveform(seed, &[[150.0, GROUND, PULSE_SD]]));
+    }
+    learner.finish().unwrap()
+}
+
+fn measured(settings: FootprintSettings, seed: u32, echoes: &[[f64; 3]]) -> Measured {
+    FootprintEstimator::new(&model(), settings).measure(&waveform(seed, echoes), None).unwrap()
+}
+
+#[test]
+fn noise_and_pulse_are_learnt() {
+    let model = model();
+    assert!((model.pulse_fwhm_ns - 2.3548 * PULSE_SD).abs() < 0.3, "{}", model.pulse_fwhm_ns);
+    assert!((model.noise_sd_dn - 1.5).abs() < 0.1, "{}", model.noise_sd_dn);
+    for (lag, expected) in [1.0, 0.8, 0.6, 0.4, 0.2, 0.0].into_iter().enumerate() {
+        assert!(
+            (model.autocorrelation[lag] - expected).abs() < 0.05,
+            "lag {lag}: {}",
+            model.autocorrelation[lag]
+        );
+    }
+}
+
+/// Errors of positions are as large as the noise makes them; the shift by slope is added to the ground alone.
+#[test]
+fn positions_have_the_sd_of_the_noise() {
+    let model = model();
+    let mut estimator = FootprintEstimator::new(&model, FootprintSettings::default());
+    let mut scores = Vec::new();
+    for seed in 100..400 {
+        let echoes = [[60.0, 380.3, PULSE_SD], [150.0, GROUND, PULSE_SD]];
+        let found = estimator.measure(&waveform(seed, &echoes), None).unwrap();
+        let [canopy, ground] = found.modes.as_slice() else { panic!("{} modes", found.modes.len()) };
+        scores.push((canopy.position_samples.value - 380.3) / canopy.position_samples.sd);
+        assert!((ground.position_samples.value - GROUND).abs() < 0.5 && ground.position_samples.sd > 0.1);
+    }
+    let square = scores.iter().map(|score| score * score).sum::<f64>() / scores.len() as f64;
+    assert!((0.85..1.15).contains(&square.sqrt()), "{}", square.sqrt());
+}
+
+#[test]
+fn heights_and_energy_follow_from_the_echoes() {
+    let found = measured(
+        FootprintSettings::default(),
+        7,
+        &[[100.0, GROUND - 100.0, PULSE_SD], [100.0, GROUND, PULSE_SD]],
+    );
+    let of = |percent: usize| found.heights_samples[percent].value;
+    assert!(of(25).abs() < 2.0 && (of(75) - 100.0).abs() < 2.0, "{} {}", of(25), of(75));
+    assert!((found.ground_energy_ratio.value - 0.5).abs() < 0.02, "{:?}", found.ground_energy_ratio);
+    assert!((found.energy_dn.value - 200.0).abs() < 5.0, "{:?}", found.energy_dn);
+    assert!(found.sensitivity > 0.9 && found.sensitivity < 1.0, "{}", found.sensitivity);
+}
+
+#[test]
+fn noise_has_neither_modes_nor_ground() {
+    for seed in 1000..1200 {
+        let found = measured_by(seed, &[]);
+        assert!(
+            found.modes.is_empty() && found.ground.is_none() && found.energy_dn.value.is_nan(),
+            "{found:?}"
+        );
+    }
+}
+
+/// With the default settings, from one model.
+fn measured_by(seed: u32, echoes: &[[f64; 3]]) -> Measured {
+    thread_local!(static MODEL: FootprintModel = model());
+    MODEL.with(|model| {
+        let mut estimator = FootprintEstimator::new(model, FootprintSettings::default());
+        estimator.measure(&waveform(seed, echoes), None).unwrap()
+    })
+}
+
+#[test]
+fn a_signal_that_is_cut_off_has_no_ground() {
+    let found = measured_by(3, &[[100.0, 700.0, PULSE_SD], [100.0, 899.0, PULSE_SD]]);
+    assert!(
+        found.is_cut[1] && found.ground.is_none() && found.heights_samples[50].value.is_nan(),
+        "{found:?}"
+    );
+    assert!(measured_by(4, &[[100.0, 0.0, PULSE_SD], [100.0, 500.0, PULSE_SD]]).is_cut[0]);
+}
+
+#[test]
+fn presets_are_the_groups_of_the_product() {
+    let echoes = [[100.0, GROUND - 17.0, PULSE_SD], [100.0, GROUND, PULSE_SD]];
+    let modes = |group: u8| measured(FootprintSettings::gedi_l2a(group).unwrap(), 5, &echoes).modes.len();
+    assert!(modes(1) < modes(2), "the narrower kernel separates more");
+    assert!(FootprintSettings::gedi_l2a(0).is_none() && FootprintSettings::gedi_l2a(7).is_none());
+}
+
+#[test]
+fn what_cannot_be_measured_gives_none() {
+    let model = model();
+    let mut estimator = FootprintEstimator::new(&model, FootprintSettings::default());
+    for samples in [&[][..], &[1.0; 20], &[f32::NAN; 900], &[0.0; MOST_SAMPLES + 1]] {
+        assert_eq!(estimator.measure(samples, None), None);
+    }
+}
+
+#[test]
+fn too_few_shots_are_an_error() {
+    let mut learner = FootprintLearner::new(1.0, 15.5);
+    learner.add_waveform(&waveform(1, &[]));
+    assert_eq!(learner.finish(), Err(LearningError::TooFewPulses { found: 0 }));
+}
