@@ -13,7 +13,7 @@ debootstrap --variant=minbase --include=man-db bookworm "$root" > "$root.log" 2>
     { tail -5 "$root.log"; exit 1; }
 rm "$root.log"
 cp "$package" "$root/wavex.deb"
-inside() { chroot "$root" env -i HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C.UTF-8 "$@"; }
+inside() { chroot "$root" env -i HOME=/ PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C.UTF-8 "$@"; }
 inside dpkg --install /wavex.deb > /dev/null
 inside wavex doctor
 inside wavex --quiet run --set job.output_dir=/out /usr/share/doc/wavex/jobs/demo.toml

@@ -21,7 +21,7 @@ pub(super) struct Background {
 /// Scratch of [`estimate`].
 #[derive(Default)]
 pub(super) struct Scratch {
-    sorted: Vec<f32>,
+    ordered: Vec<f32>,
     is_free: Vec<bool>,
 }
 
@@ -42,7 +42,7 @@ pub(super) fn estimate(
     reach: usize,
     scratch: &mut Scratch,
 ) -> Option<Background> {
-    let [mut level, mut sd] = robust(smoothed, &mut scratch.sorted)?;
+    let [mut level, mut sd] = robust(smoothed, &mut scratch.ordered)?;
     for _ in 0..ROUNDS {
         mark_free(smoothed, level, FREE_SDS * sd, reach, &mut scratch.is_free);
         let free = || smoothed.iter().zip(&scratch.is_free).filter(|(_, free)| **free).map(|(dn, _)| *dn);
@@ -63,11 +63,14 @@ pub(super) fn estimate(
 }
 
 /// Median, and a robust SD of what lies below it: signals are positive.
-fn robust(values: &[f32], sorted: &mut Vec<f32>) -> Option<[f32; 2]> {
-    sorted.clear();
-    sorted.extend(values.iter().filter(|value| value.is_finite()));
-    sorted.sort_unstable_by(f32::total_cmp);
-    let at = |part: f64| sorted.get((part * sorted.len() as f64) as usize).copied();
+fn robust(values: &[f32], ordered: &mut Vec<f32>) -> Option<[f32; 2]> {
+    ordered.clear();
+    ordered.extend(values.iter().filter(|value| value.is_finite()));
+    let count = ordered.len() as f64;
+    let mut at = |part: f64| {
+        let index = (part * count) as usize;
+        (index < ordered.len()).then(|| *ordered.select_nth_unstable_by(index, f32::total_cmp).1)
+    };
     // The lower third of the samples is background, whatever the signal adds above it.
     let [low, middle] = [at(0.15)?, at(0.35)?];
     Some([middle, ((middle - low) / 0.65).max(f32::MIN_POSITIVE)])

@@ -1,25 +1,18 @@
 //! The ground: how far the lowest mode may be from it, and the probability that it is it.
 //!
 //! Slopes and low vegetation merge with the ground into one mode, and shift it by more than the noise does. How much
-//! follows from the mode's shape: the constants are maximum-likelihood estimates from 14 000 shots of
-//! `tests/python/make_footprints.py` (seeds 101 to 106, 301), for a mixture of a Gaussian error about the
-//! ground and an exponential one of modes above a ground that is not seen.
+//! follows from the mode's shape: the constants are maximum-likelihood estimates from 12 000 shots of
+//! `tests/python/make_footprints.py` (seeds 11 to 16), for a mixture of a Gaussian error about the
+//! ground and an exponential one of modes above a ground that is not seen (`tests/python/fit_ground.py`).
 
-use super::{FootprintMode, WithSd};
+use wavex_simd::statistics::WithSd;
 
-/// A mode that may be the ground.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Candidate {
-    /// Index of the mode.
-    pub mode: usize,
-    /// Probability that it is the ground.
-    pub probability: f64,
-}
+use super::measured::FootprintMode;
 
 /// Constants, and factors of [`Evidence::features`]: of the log-odds that the mode is the ground.
-const LOG_ODDS: [f64; 6] = [-1.1245, -11.4451, 9.1842, 0.4554, 0.4191, 1.2012];
+const LOG_ODDS: [f64; 6] = [-0.6299, -11.6645, 8.9003, 0.4434, 0.3793, 0.9416];
 /// The same of the logarithm of the SD of its distance from the ground, m.
-const LOG_SD: [f64; 6] = [-3.5765, -2.9106, 4.9119, 0.2636, 0.0104, -0.1129];
+const LOG_SD: [f64; 6] = [-3.3577, -3.5224, 5.2481, 0.2175, -0.0310, -0.0694];
 /// Smallest and largest logarithm of that SD.
 const LOG_SD_BOUNDS: [f64; 2] = [-5.0, 2.0];
 /// Distance per nanosecond, m.
@@ -29,19 +22,29 @@ const M_PER_NS: f64 = 0.149_896_229;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Evidence {
     /// Half widths behind and before the mode, over those of a flat target.
-    pub(super) half_widths: [f64; 2],
+    half_width_ratios: [f64; 2],
     /// Energy of the mode over that of the waveform.
-    pub(super) energy_ratio: f64,
+    energy_ratio: f64,
     /// Height of the mode over the SD of its noise.
-    pub(super) height_sds: f64,
+    height_sds: f64,
     /// Number of modes.
-    pub(super) modes: usize,
+    modes: usize,
 }
 
 impl Evidence {
+    /// Of the lowest of several modes.
+    pub(super) fn of(lowest: &FootprintMode, energy_ratio: f64, modes: usize) -> Evidence {
+        Evidence {
+            half_width_ratios: lowest.half_width_ratios,
+            energy_ratio,
+            height_sds: lowest.amplitude_dn.value / lowest.amplitude_dn.sd,
+            modes,
+        }
+    }
+
     /// What the constants multiply; bounded, because nothing is known beyond the simulated shots.
     fn features(self) -> [f64; 6] {
-        let [behind, before] = self.half_widths.map(|width| libm::log(width.clamp(0.5, 8.0)));
+        let [behind, before] = self.half_width_ratios.map(|width| libm::log(width.clamp(0.5, 8.0)));
         let canopy = -libm::log(self.energy_ratio.clamp(0.02, 1.0));
         let strength = libm::log(self.height_sds.clamp(3.0, 2000.0));
         [1.0, behind, before, canopy, strength, (self.modes as f64 - 1.0).clamp(0.0, 3.0)]
@@ -74,7 +77,7 @@ mod tests {
     use super::*;
 
     const BARE: Evidence =
-        Evidence { half_widths: [1.0, 1.0], energy_ratio: 1.0, height_sds: 200.0, modes: 1 };
+        Evidence { half_width_ratios: [1.0, 1.0], energy_ratio: 1.0, height_sds: 200.0, modes: 1 };
 
     #[test]
     fn a_narrow_mode_is_the_ground_within_centimetres() {
@@ -85,16 +88,20 @@ mod tests {
     /// Vegetation that merges with the ground widens the mode on its upper side.
     #[test]
     fn a_mode_widened_above_is_uncertain() {
-        let widened = Evidence { half_widths: [1.1, 2.0], energy_ratio: 0.6, ..BARE };
+        let widened = Evidence { half_width_ratios: [1.1, 2.0], energy_ratio: 0.6, ..BARE };
         assert!(widened.shift_sd_ns() > 10.0 * BARE.shift_sd_ns());
-        let layers = Evidence { half_widths: [1.6, 1.0], modes: 3, ..BARE };
+        let layers = Evidence { half_width_ratios: [1.6, 1.0], modes: 3, ..BARE };
         assert!(layers.probability() < BARE.probability(), "wide below: a layer above a hidden ground");
     }
 
     #[test]
     fn nothing_is_extrapolated() {
-        let far =
-            Evidence { half_widths: [1e9, f64::INFINITY], energy_ratio: 0.0, height_sds: 0.0, modes: 90 };
+        let far = Evidence {
+            half_width_ratios: [1e9, f64::INFINITY],
+            energy_ratio: 0.0,
+            height_sds: 0.0,
+            modes: 90,
+        };
         assert!((0.0..=1.0).contains(&far.probability()) && far.shift_sd_ns() * M_PER_NS < 7.5);
     }
 }

@@ -55,6 +55,34 @@ impl Kernel {
     }
 }
 
+/// A kernel with the noise that it leaves, relative to that of a sample.
+pub(super) struct Smoother {
+    pub(super) kernel: Kernel,
+    /// Standard deviation of a smoothed sample.
+    pub(super) sd: f64,
+    /// Standard deviation of half the difference of its neighbours.
+    pub(super) slope_sd: f64,
+    pub(super) values_dn: Vec<f32>,
+}
+
+impl Smoother {
+    pub(super) fn new(sd_samples: f64, autocorrelation: &[f64]) -> Smoother {
+        let kernel = Kernel::of_sd(sd_samples);
+        let left = kernel.autocorrelation_after(autocorrelation, 3);
+        let [own, _, second] = [0, 1, 2].map(|lag| left.get(lag).copied().unwrap_or(0.0));
+        Smoother {
+            kernel,
+            sd: own.max(0.0).sqrt(),
+            slope_sd: (0.5 * (own - second)).max(0.0).sqrt(),
+            values_dn: Vec::new(),
+        }
+    }
+
+    pub(super) fn smooth(&mut self, samples: &[f32]) {
+        self.kernel.smooth_into(samples, &mut self.values_dn);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,8 +1,5 @@
 //! What a recording of large footprints shows of its receiver: noise and response.
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
 use super::background::{self, Scratch};
 use super::kernel::Kernel;
 
@@ -23,8 +20,7 @@ const BEHIND_WIDTHS: f64 = 6.0;
 const FOOT: f64 = 0.004;
 
 /// Noise and response of a receiver of large footprints.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct FootprintModel {
     /// Sampling interval, ns.
     pub sampling_interval_ns: f64,
@@ -34,8 +30,6 @@ pub struct FootprintModel {
     pub autocorrelation: Vec<f64>,
     /// Mean outgoing pulse, four values per sample, peak 1: the echo of a flat target.
     pub response: Vec<f64>,
-    /// Index of its peak.
-    pub response_peak: usize,
     /// Full width at half maximum of the response, ns.
     pub pulse_fwhm_ns: f64,
     /// Number of shots from which it was learnt.
@@ -157,7 +151,6 @@ impl FootprintLearner {
             noise_sd_dn: self.noise_sds_dn.get(waveforms / 2).copied().unwrap_or_default(),
             autocorrelation: self.products.iter().map(|product| product / own).collect(),
             response,
-            response_peak: self.peak,
             pulse_fwhm_ns: above as f64 / OVERSAMPLING as f64 * self.interval_ns,
             shots: waveforms as u64,
         })
@@ -200,7 +193,7 @@ impl Peak {
 }
 
 /// Value between two samples; `None` beyond the ends.
-pub(super) fn interpolated(samples: &[f32], at: f64) -> Option<f64> {
+fn interpolated(samples: &[f32], at: f64) -> Option<f64> {
     let first = (at >= 0.0).then(|| at.floor() as usize)?;
     let part = at - first as f64;
     let [a, b] = [*samples.get(first)?, *samples.get(first + 1)?].map(f64::from);

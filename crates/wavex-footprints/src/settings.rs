@@ -14,12 +14,11 @@ pub struct FootprintSettings {
     pub front_sigma: f64,
     /// The same where it ends.
     pub back_sigma: f64,
-    /// Whether every local maximum is a mode, or only one that stands out of noise and of the tails of higher modes.
+    /// Whether every local maximum above the threshold is a mode. Otherwise a mode must also be higher than the valleys
+    /// beside it and than the tails of earlier modes.
     pub takes_every_maximum: bool,
     /// Background and noise to which thresholds refer.
     pub noise: NoiseSource,
-    /// Reflectance of the canopy over that of the ground, for cover and energy ratios.
-    pub reflectance_ratio: f64,
 }
 
 /// Source of background and noise.
@@ -41,7 +40,6 @@ impl Default for FootprintSettings {
             back_sigma: 8.0,
             takes_every_maximum: false,
             noise: NoiseSource::Waveform,
-            reflectance_ratio: 1.5,
         }
     }
 }
@@ -67,7 +65,6 @@ impl FootprintSettings {
             back_sigma,
             takes_every_maximum: true,
             noise: NoiseSource::Recorded,
-            ..FootprintSettings::default()
         })
     }
 

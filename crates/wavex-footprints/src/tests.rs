@@ -90,7 +90,7 @@ fn noise_has_neither_modes_nor_ground() {
     for seed in 1000..1200 {
         let found = measured_by(seed, &[]);
         assert!(
-            found.modes.is_empty() && found.ground.is_none() && found.energy_dn.value.is_nan(),
+            found.modes.is_empty() && found.ground().is_none() && found.energy_dn.value.is_nan(),
             "{found:?}"
         );
     }
@@ -109,7 +109,7 @@ fn measured_by(seed: u32, echoes: &[[f64; 3]]) -> Measured {
 fn a_signal_that_is_cut_off_has_no_ground() {
     let found = measured_by(3, &[[100.0, 700.0, PULSE_SD], [100.0, 899.0, PULSE_SD]]);
     assert!(
-        found.is_cut[1] && found.ground.is_none() && found.heights_samples[50].value.is_nan(),
+        found.is_cut[1] && found.ground().is_none() && found.heights_samples[50].value.is_nan(),
         "{found:?}"
     );
     assert!(measured_by(4, &[[100.0, 0.0, PULSE_SD], [100.0, 500.0, PULSE_SD]]).is_cut[0]);

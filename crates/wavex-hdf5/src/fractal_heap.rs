@@ -67,7 +67,7 @@ impl FractalHeap {
     /// Reads the object with the ID at the next field; returns its address, too.
     ///
     /// # Errors
-    /// If there is none, or it has its own block, which is not supported.
+    /// If the object is missing, or stored in a block of its own, which is not supported.
     pub fn object(&self, input: &Input, id: &mut Fields) -> Result<(Address, Vec<u8>)> {
         let field = "ID of an object in a heap";
         if id.u8(field)? & 0x30 != 0 {

@@ -101,7 +101,7 @@ impl Granule {
     /// Opens a beam.
     ///
     /// # Errors
-    /// If there is none of this name, it has no shots, or its data sets are damaged.
+    /// If no beam has this name, or the beam has no shots or damaged data sets.
     pub fn beam(&self, name: &str) -> Result<BeamReader> {
         let refused = |problem: String, remedy: String| Err(Error::unusable(&self.path, problem, remedy));
         let beams: Vec<&str> = self.beams.iter().map(|beam| beam.name.as_str()).collect();

@@ -22,6 +22,7 @@ mod gedi;
 mod granule;
 mod group;
 mod input;
+mod layout;
 mod lvis;
 mod members;
 mod number;

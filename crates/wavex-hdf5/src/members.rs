@@ -66,7 +66,7 @@ impl Members {
     /// Opens a data set.
     ///
     /// # Errors
-    /// As [`Members::optional`], and if there is none of this name.
+    /// As [`Members::optional`], and if no data set has this name.
     pub fn required(&mut self, name: &str) -> Result<Dataset> {
         let found = self.optional(name)?;
         found.ok_or_else(|| self.unusable(format!("no data set {}{name}", self.prefix)))

@@ -50,7 +50,7 @@ impl Message {
 /// Reads all messages of the object at an address.
 ///
 /// # Errors
-/// If there is none, its blocks form a circle, or it has too many messages.
+/// If the address has no object, the object's blocks form a circle, or it has too many messages.
 pub fn messages(input: &Input, address: Address) -> Result<Vec<Message>> {
     let field = "object header";
     let start = input.metadata(address, 16, field)?;

@@ -23,7 +23,7 @@ mod shots;
 
 pub use budget::{AtWork, Budget, NoRoom, Ticket};
 pub use filtered::Filtered;
-pub use footprint::{Footprint, GroundCandidate, footprint_flags};
+pub use footprint::{Footprint, footprint_flags};
 pub use input::{AmplitudeTable, EmissionReference, FirstShot, GainControl, InputInfo, LinearAmplitude};
 pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};

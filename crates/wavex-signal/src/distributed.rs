@@ -17,6 +17,8 @@ use crate::noise::ArNoise;
 use crate::sensor_model::{ChannelModel, ModelError};
 use crate::shape::{Pulse, Shape};
 
+pub use wavex_simd::statistics::WithSd;
+
 use linear::{LinearKernel, variance};
 use modes::{ProfileMode, largest_rise, modes};
 
@@ -44,20 +46,6 @@ const CUT_WIDTHS: f64 = 0.25;
 const SECANT_SDS: f64 = 1.5;
 /// A mode behind a higher one is this many times as prominent as the ringing of the response there.
 const RINGING_FACTOR: f64 = 2.0;
-
-/// A value with its standard deviation.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct WithSd {
-    /// The value.
-    pub value: f64,
-    /// Its standard deviation.
-    pub sd: f64,
-}
-
-impl WithSd {
-    /// An unknown value.
-    pub const UNKNOWN: WithSd = WithSd { value: f64::NAN, sd: f64::NAN };
-}
 
 /// Profile of a distributed target. Positions are samples from the first of the block; unknown values
 /// are NaN.

@@ -1,4 +1,18 @@
-//! Statistics of short lists.
+//! Statistics of short lists, and values with their standard deviations.
+
+/// A value with its standard deviation.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct WithSd {
+    /// The value.
+    pub value: f64,
+    /// Its standard deviation.
+    pub sd: f64,
+}
+
+impl WithSd {
+    /// An unknown value.
+    pub const UNKNOWN: WithSd = WithSd { value: f64::NAN, sd: f64::NAN };
+}
 
 /// Returns the median; of an even number of values the upper of the middle two, of none `None`.
 ///

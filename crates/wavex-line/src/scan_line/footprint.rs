@@ -12,11 +12,15 @@ pub struct Footprint {
     pub emission: u32,
     /// Number of the shot in its mission; the running number if it has none.
     pub shot_number: u64,
-    /// The ground. Its return has class 2.
-    pub ground: GroundCandidate,
-    /// Range at which the signal begins, m: the top of the canopy.
-    pub top_range_m: WithSd,
-    /// Heights above the ground below which 0, 1, … 100 % of the energy lie, m.
+    /// Range of the ground, m; its SD includes shifts by slope and vegetation. Its return has class 2.
+    pub ground_range_m: WithSd,
+    /// Probability that the lowest mode is the ground.
+    pub ground_probability: f64,
+    /// Height of the lowest mode above the background, digitiser steps.
+    pub ground_amplitude_dn: WithSd,
+    /// Distances from the lowest mode to half its height below and above it, over those of a flat target.
+    pub ground_half_width_ratios: [f64; 2],
+    /// Heights above the ground below which 0, 1, … 100 % of the energy lie, m; the last one is where the signal begins.
     pub heights_m: Box<[f32; HEIGHTS]>,
     /// Their standard deviations, m.
     pub heights_sd_m: Box<[f32; HEIGHTS]>,
@@ -32,21 +36,10 @@ pub struct Footprint {
     pub plant_area_index: WithSd,
     /// Cover of a canopy through which the ground would be found with a probability of 0.9.
     pub sensitivity: f64,
-    /// Deviation ratio of the modes' fit.
-    pub deviation_ratio: f64,
     /// Bits of [`footprint_flags`].
     pub flags: u8,
     /// Values of the recording's further columns ([`super::InputInfo::columns`]).
     pub columns: Box<[f64]>,
-}
-
-/// A mode that may be the ground.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GroundCandidate {
-    /// Its range, m.
-    pub range_m: WithSd,
-    /// Probability that it is the ground; 0 if there is no such mode.
-    pub probability: f64,
 }
 
 /// Bits of [`Footprint::flags`].

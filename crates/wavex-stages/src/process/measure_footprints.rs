@@ -12,23 +12,29 @@ use wavex_footprints::{
     FootprintEstimator, FootprintLearner, FootprintModel, FootprintSettings, outgoing_fwhm_samples,
 };
 use wavex_line::keys::InvalidKey;
-use wavex_line::scan_line::{Blocks, Channel, Content, InputInfo, Kind, Returns, ScanLine};
+use wavex_line::scan_line::{
+    Block, Blocks, Channel, Content, Footprint, InputInfo, Kind, Return, Returns, ScanLine,
+};
 use wavex_line::stage::{
     Config, Holds, Learning, Learns, LookAhead, Output, Reason, Result, RunContext, StageError, StageSpec,
     Transform, TransformConfig,
 };
+use wavex_simd::statistics::median;
 
 mod result;
 #[cfg(test)]
 mod tests;
 
-use result::ShotFootprint;
+pub use result::GROUND_CLASS;
+use result::MeasuredShot;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec =
     StageSpec::transform::<MeasureFootprints>("measure_footprints", &[Kind::Shots, Kind::Footprints])
         .making(Kind::Returns);
 
+/// Width of outgoing pulses while none has shown its own, samples.
+const USUAL_WIDTH_SAMPLES: f64 = 15.0;
 /// Shots that one thread measures in a row.
 const SHOTS_PER_TASK: usize = 32;
 
@@ -90,15 +96,13 @@ impl GediPreset {
 
 impl Default for MeasureFootprints {
     fn default() -> MeasureFootprints {
-        let reflectance_ratio = FootprintSettings::default().reflectance_ratio;
-        MeasureFootprints { preset: None, reflectance_ratio, shots: 1000 }
+        MeasureFootprints { preset: None, reflectance_ratio: 1.5, shots: 1000 }
     }
 }
 
 impl MeasureFootprints {
     fn settings(&self) -> FootprintSettings {
-        let of_preset = self.preset.and_then(|preset| FootprintSettings::gedi_l2a(preset.group()));
-        FootprintSettings { reflectance_ratio: self.reflectance_ratio, ..of_preset.unwrap_or_default() }
+        self.preset.and_then(|preset| FootprintSettings::gedi_l2a(preset.group())).unwrap_or_default()
     }
 }
 
@@ -120,6 +124,7 @@ impl TransformConfig for MeasureFootprints {
     fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>> {
         Ok(Box::new(Measurer {
             settings: self.settings(),
+            reflectance_ratio: self.reflectance_ratio,
             shots: self.shots,
             pool: run.pool.clone(),
             look_ahead: LookAhead::new(self.shots),
@@ -138,6 +143,7 @@ impl TransformConfig for MeasureFootprints {
 
 struct Measurer {
     settings: FootprintSettings,
+    reflectance_ratio: f64,
     /// Shots to learn from.
     shots: u64,
     pool: Option<Arc<ThreadPool>>,
@@ -212,7 +218,7 @@ impl Measurer {
             ));
         };
         let shots: Vec<u32> = blocks.by_emission().map(|(emission, _)| emission).collect();
-        let task = || -> Vec<Option<ShotFootprint>> {
+        let task = || -> Vec<Option<(Footprint, Vec<Return>)>> {
             let of_task = |shots: &[u32]| {
                 let mut estimator = FootprintEstimator::new(model, self.settings);
                 let mut samples = Vec::new();
@@ -229,12 +235,13 @@ impl Measurer {
         let missing = found.iter().filter(|shot| shot.is_none()).count();
         out.cx.reject(Reason::WithoutBackground, missing as u64);
         let mut returns = Returns::new();
-        for shot in found.into_iter().flatten() {
-            out.cx.observe("modes", f64::from(shot.footprint.modes));
-            out.cx.observe("ground_sd_m", shot.footprint.ground.range_m.sd);
-            out.cx.observe("sensitivity", shot.footprint.sensitivity);
-            returns.extend(shot.returns);
-            line.footprints.push(shot.footprint);
+        for (footprint, of_shot) in found.into_iter().flatten() {
+            out.cx.observe("modes", f64::from(footprint.modes));
+            out.cx.observe("ground_sd_m", footprint.ground_range_m.sd);
+            out.cx.observe("ground_probability", footprint.ground_probability);
+            out.cx.observe("sensitivity", footprint.sensitivity);
+            returns.extend(of_shot);
+            line.footprints.push(footprint);
         }
         line.stats.np += returns.len() as u64;
         line.content = Content::Returns(returns);
@@ -253,52 +260,50 @@ impl Measurer {
         blocks: &Blocks,
         estimator: &mut FootprintEstimator,
         samples: &mut Vec<f32>,
-    ) -> Option<ShotFootprint> {
+    ) -> Option<(Footprint, Vec<Return>)> {
         let echoes =
             blocks.of_emission(emission).map(|(_, block)| block).filter(|block| block.channel.is_echo());
         let block = echoes.max_by_key(|block| block.len())?;
         blocks.fractions_into(block, samples);
         let record = blocks.footprint_of(emission);
         let measured = estimator.measure(samples, record.and_then(|record| record.noise))?;
-        let shot = line.emissions.get(emission as usize)?;
-        Some(ShotFootprint::of(&measured, block, shot, record, &line.input, self.settings.reflectance_ratio))
+        let full_scale_dn = line.input.full_scale_dn.map_or(f32::INFINITY, f32::from);
+        let shot = MeasuredShot {
+            block,
+            emission: line.emissions.get(emission as usize)?,
+            record,
+            is_clipped: samples.iter().any(|dn| *dn >= full_scale_dn),
+            input: &line.input,
+        };
+        Some(shot.footprint(&measured, self.reflectance_ratio))
     }
 }
 
 /// Learns noise and response from the shots of lines.
 fn learnt(lines: &[ScanLine]) -> Result<FootprintModel> {
-    let mut samples = Vec::new();
-    let blocks_of = |channel: fn(Channel) -> bool| {
-        let all = lines
-            .iter()
-            .filter_map(|line| line.blocks())
-            .flat_map(|blocks| blocks.iter().map(move |block| (blocks, block)));
-        all.filter(move |(_, block)| channel(block.channel))
-    };
-    let is_outgoing: fn(Channel) -> bool = |channel| channel == Channel::Reference;
-    let mut widths: Vec<f64> = blocks_of(is_outgoing)
-        .filter_map(|(blocks, block)| {
-            blocks.fractions_into(block, &mut samples);
-            outgoing_fwhm_samples(&samples)
-        })
-        .collect();
-    widths.sort_unstable_by(f64::total_cmp);
-    let interval_ns =
-        blocks_of(|channel| channel.is_echo()).next().map_or(1.0, |(_, block)| block.interval_ns);
-    let width_ns = widths.get(widths.len() / 2).copied().unwrap_or(15.0) * interval_ns;
+    let (mut widths, mut interval_ns) = (Vec::new(), 1.0);
+    let is_outgoing = |channel: Channel| channel == Channel::Reference;
+    each_block(lines, is_outgoing, |_, samples| widths.extend(outgoing_fwhm_samples(samples)));
+    each_block(lines, Channel::is_echo, |block, _| interval_ns = block.interval_ns);
+    let width_ns = median(widths).unwrap_or(USUAL_WIDTH_SAMPLES) * interval_ns;
     let mut learner = FootprintLearner::new(interval_ns, width_ns);
-    for (blocks, block) in blocks_of(is_outgoing) {
-        blocks.fractions_into(block, &mut samples);
-        learner.add_outgoing(&samples);
-    }
-    for (blocks, block) in blocks_of(|channel| channel.is_echo()) {
-        blocks.fractions_into(block, &mut samples);
-        learner.add_waveform(&samples);
-    }
+    each_block(lines, is_outgoing, |_, samples| learner.add_outgoing(samples));
+    each_block(lines, Channel::is_echo, |_, samples| learner.add_waveform(samples));
     learner.finish().map_err(|error| {
         StageError::failed(
             error.to_string(),
             "read a longer part of the beam, or leave the beam out with `beams` of read_hdf5; small footprints are for `calibrate` and `decompose`",
         )
     })
+}
+
+/// Gives each block of these channels with its samples.
+fn each_block(lines: &[ScanLine], is_wanted: fn(Channel) -> bool, mut take: impl FnMut(&Block, &[f32])) {
+    let mut samples = Vec::new();
+    for blocks in lines.iter().filter_map(|line| line.blocks()) {
+        for block in blocks.iter().filter(|block| is_wanted(block.channel)) {
+            blocks.fractions_into(block, &mut samples);
+            take(block, &samples);
+        }
+    }
 }

@@ -21,6 +21,9 @@ use wavex_line::stage::{
     StageSpec,
 };
 
+#[cfg(test)]
+mod tests;
+
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<ReadHdf5>("read_hdf5", Kind::Footprints);
 

@@ -15,9 +15,13 @@ use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::container_info::time_scale_of;
 use geo::GeoParquetColumn;
 use wavex_formats::Error;
 use wavex_formats::container::IpcWriter;
+use wavex_line::keys::InvalidKey;
+use wavex_line::scan_line::InputInfo;
+use wavex_line::stage::{self, Context, OutputFile, RunContext, StageError};
 
 mod geo;
 
@@ -195,6 +199,67 @@ impl<W: Write + Send, C: TableColumns> TableWriter<W, C> {
             TableFile::Csv(to) => Ok(to),
         }
         .map_err(|error| failed(&self.file, error))
+    }
+}
+
+/// Format of an output: the given one, else that of the extension.
+///
+/// # Errors
+/// There is no path, or neither says the format.
+pub(super) fn format_of(path: &str, format: Option<TableFormat>) -> Result<TableFormat, InvalidKey> {
+    InvalidKey::unless(!path.is_empty(), "path", "the path is empty")?;
+    let problem = "it does not end in .arrow, .parquet or .csv: set the key `format`";
+    format.or_else(|| TableFormat::of(path)).ok_or_else(|| InvalidKey::new("path", problem))
+}
+
+/// A table of a sink, which begins when the first line gives its columns.
+pub(super) enum SinkTable<C: TableColumns> {
+    /// Waiting for the first line.
+    Waiting(OutputFile, TableFormat),
+    Open(Box<TableWriter<OutputFile, C>>),
+    /// A write failed; the run ends.
+    Failed,
+}
+
+impl<C: TableColumns> SinkTable<C> {
+    /// Creates the file of a table.
+    pub(super) fn create(
+        run: &RunContext,
+        path: &str,
+        format: Option<TableFormat>,
+    ) -> stage::Result<SinkTable<C>> {
+        let format = format_of(path, format).unwrap_or(TableFormat::Parquet);
+        Ok(SinkTable::Waiting(run.create(path)?, format))
+    }
+
+    /// The table, begun with what the first line has.
+    pub(super) fn writer(
+        &mut self,
+        columns: impl FnOnce() -> C,
+        input: &InputInfo,
+        has_points: bool,
+    ) -> stage::Result<&mut TableWriter<OutputFile, C>> {
+        if let SinkTable::Waiting(..) = self
+            && let SinkTable::Waiting(to, format) = std::mem::replace(self, SinkTable::Failed)
+        {
+            let path = to.path().to_path_buf();
+            let time_scale = time_scale_of(input.time_scale).name();
+            let info = TableInfo { time_scale, crs_wkt: input.crs_wkt.as_deref(), has_points };
+            *self = SinkTable::Open(Box::new(TableWriter::new(to, &path, format, columns(), info)?));
+        }
+        match self {
+            SinkTable::Open(writer) => Ok(writer),
+            _ => Err(StageError::Stopped),
+        }
+    }
+
+    /// Completes the file; a table without lines still has its columns.
+    pub(super) fn finish(mut self, columns: impl FnOnce() -> C, cx: &mut Context) -> stage::Result<()> {
+        self.writer(columns, &InputInfo::default(), false)?;
+        if let SinkTable::Open(writer) = self {
+            cx.publish(writer.finish()?.finish()?);
+        }
+        Ok(())
     }
 }
 

@@ -8,15 +8,13 @@ use serde::{Deserialize, Serialize};
 use crate::container_info::time_scale_of;
 use wavex_geodesy::crs::projjson_of_wkt;
 use wavex_line::keys::InvalidKey;
-use wavex_line::scan_line::{InputInfo, Kind, ScanLine, TimeScale};
-use wavex_line::stage::{
-    self, Context, OutputFile, Reason, Result, RunContext, Sink, SinkConfig, StageError, StageSpec,
-};
+use wavex_line::scan_line::{InputInfo, Kind, ScanLine};
+use wavex_line::stage::{self, Context, Reason, Result, RunContext, Sink, SinkConfig, StageError, StageSpec};
 
 mod columns;
 
-use super::table::TableColumns;
 pub use super::table::{ROWS_PER_GROUP, TableFormat, TableInfo, TableWriter};
+use super::table::{SinkTable, TableColumns, format_of};
 pub(crate) use columns::described;
 pub use columns::{ReturnColumns, ReturnRow, description};
 
@@ -61,17 +59,9 @@ impl Default for WriteTable {
     }
 }
 
-impl WriteTable {
-    fn format(&self) -> Option<TableFormat> {
-        self.format.or_else(|| TableFormat::of(&self.path))
-    }
-}
-
 impl stage::Config for WriteTable {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
-        InvalidKey::unless(!self.path.is_empty(), "path", "the path is empty")?;
-        let problem = "it does not end in .arrow, .parquet or .csv: set the key `format`";
-        InvalidKey::unless(self.format().is_some(), "path", problem)
+        format_of(&self.path, self.format).map(|_| ())
     }
 }
 
@@ -81,8 +71,8 @@ impl SinkConfig for WriteTable {
     }
 
     fn make(&self, run: &RunContext) -> Result<Box<dyn Sink>> {
-        let format = self.format().unwrap_or(TableFormat::Parquet);
-        Ok(Box::new(ReturnTableWriter { state: TableState::Waiting(run.create(&self.path)?), format }))
+        let table = SinkTable::create(run, &self.path, self.format)?;
+        Ok(Box::new(ReturnTableWriter { table }))
     }
 }
 
@@ -118,46 +108,13 @@ pub fn return_batch(schema: &SchemaRef, rows: &[ReturnRow]) -> Result<RecordBatc
 
 /// A table being written.
 struct ReturnTableWriter {
-    state: TableState,
-    format: TableFormat,
-}
-
-enum TableState {
-    /// Waiting for the first line, which gives the time scale.
-    Waiting(OutputFile),
-    Open(Box<TableWriter<OutputFile, ReturnColumns>>),
-    /// A write failed; the run ends.
-    Failed,
+    table: SinkTable<ReturnColumns>,
 }
 
 /// Warning for a system that GeoParquet cannot store.
 const NO_SYSTEM: &str = "the coordinate reference system of the points cannot be written as PROJJSON (only transverse Mercator \
      and Lambert projections and geographic systems can): `crs` of the GeoParquet metadata is null, and the WKT is in \
      `wavex.crs`";
-
-impl ReturnTableWriter {
-    /// The table, started with what the first line has.
-    fn writer(
-        &mut self,
-        time_scale: TimeScale,
-        crs_wkt: Option<&str>,
-        has_points: bool,
-    ) -> Result<&mut TableWriter<OutputFile, ReturnColumns>> {
-        if let TableState::Waiting(_) = self.state
-            && let TableState::Waiting(to) = std::mem::replace(&mut self.state, TableState::Failed)
-        {
-            let path = to.path().to_path_buf();
-            let time_scale = time_scale_of(time_scale).name();
-            let info = TableInfo { time_scale, crs_wkt, has_points };
-            self.state =
-                TableState::Open(Box::new(TableWriter::new(to, &path, self.format, ReturnColumns, info)?));
-        }
-        match &mut self.state {
-            TableState::Open(writer) => Ok(writer),
-            _ => Err(StageError::Stopped),
-        }
-    }
-}
 
 impl Sink for ReturnTableWriter {
     fn write(&mut self, line: &ScanLine, cx: &mut Context) -> Result<()> {
@@ -168,12 +125,12 @@ impl Sink for ReturnTableWriter {
             ));
         };
         let crs_wkt = line.input.crs_wkt.as_deref();
-        let is_parquet = matches!(self.format, TableFormat::Parquet) && line.points().is_some();
-        let is_begun = !matches!(self.state, TableState::Waiting(_));
-        if is_parquet && !is_begun && crs_wkt.is_some_and(|wkt| projjson_of_wkt(wkt).is_none()) {
+        let begins_geometry =
+            matches!(self.table, SinkTable::Waiting(_, TableFormat::Parquet)) && line.points().is_some();
+        if begins_geometry && crs_wkt.is_some_and(|wkt| projjson_of_wkt(wkt).is_none()) {
             cx.warn(NO_SYSTEM);
         }
-        let writer = self.writer(line.input.time_scale, crs_wkt, line.points().is_some())?;
+        let writer = self.table.writer(|| ReturnColumns, &line.input, line.points().is_some())?;
         let mut rows = 0;
         for row in rows_of(line) {
             rows += 1;
@@ -183,13 +140,8 @@ impl Sink for ReturnTableWriter {
         Ok(())
     }
 
-    fn finish(mut self: Box<Self>, cx: &mut Context) -> Result<()> {
-        // A table without lines still has its columns.
-        self.writer(TimeScale::Unknown, None, false)?;
-        if let TableState::Open(writer) = self.state {
-            cx.publish(writer.finish()?.finish()?);
-        }
-        Ok(())
+    fn finish(self: Box<Self>, cx: &mut Context) -> Result<()> {
+        self.table.finish(|| ReturnColumns, cx)
     }
 }
 

@@ -1,82 +1,79 @@
 //! Results of one shot in metres.
 
-use wavex_footprints::{Candidate, FootprintMode, HEIGHTS, Measured, WithSd};
+use wavex_footprints::{FootprintMode, HEIGHTS, Measured, WithSd, cover, plant_area_index};
 use wavex_geodesy::vertical::down_at;
 use wavex_line::scan_line::{
-    Block, Emission, Footprint, FootprintRecord, GroundCandidate, InputInfo, Return, footprint_flags,
+    Block, Emission, Footprint, FootprintRecord, InputInfo, Return, footprint_flags,
 };
 
 /// LAS class of the ground.
-const GROUND_CLASS: u8 = 2;
+pub const GROUND_CLASS: u8 = 2;
 /// Probability from which the ground is not ambiguous.
 const CLEAR: f64 = 0.9;
 /// Most returns of a shot in LAS.
 const MOST_RETURNS: usize = 15;
 
-/// Footprint of a shot, with its modes as returns.
-pub(super) struct ShotFootprint {
-    pub(super) footprint: Footprint,
-    pub(super) returns: Vec<Return>,
+/// One shot: its block, what the recording says of it, and whether samples are clipped.
+pub(super) struct MeasuredShot<'a> {
+    pub(super) block: &'a Block,
+    pub(super) emission: &'a Emission,
+    pub(super) record: Option<&'a FootprintRecord>,
+    pub(super) is_clipped: bool,
+    pub(super) input: &'a InputInfo,
 }
 
-impl ShotFootprint {
-    /// Converts what was measured in a block.
-    pub(super) fn of(
-        measured: &Measured,
-        block: &Block,
-        shot: &Emission,
-        record: Option<&FootprintRecord>,
-        input: &InputInfo,
-        reflectance_ratio: f64,
-    ) -> ShotFootprint {
-        let metres = Metres::of(block, shot, input);
-        let ground = measured.ground;
-        let candidate = |found: Option<Candidate>| {
-            let mode = found.and_then(|found| measured.modes.get(found.mode));
-            GroundCandidate {
-                range_m: mode.map_or(WithSd::UNKNOWN, |mode| metres.range(mode.position_samples)),
-                probability: found.map_or(0.0, |found| found.probability),
-            }
-        };
-        let height = |height: &WithSd| metres.height_m * height.value;
-        let height_sd = |height: &WithSd| metres.height_m * height.sd;
-        let all = |of: &dyn Fn(&WithSd) -> f64| {
-            let mut values = Box::new([f32::NAN; HEIGHTS]);
-            values
-                .iter_mut()
-                .zip(measured.heights_samples.iter())
-                .for_each(|(to, from)| *to = of(from) as f32);
-            values
-        };
+impl MeasuredShot<'_> {
+    /// The footprint, with its modes as returns.
+    pub(super) fn footprint(&self, measured: &Measured, reflectance_ratio: f64) -> (Footprint, Vec<Return>) {
+        let metres = Metres::of(self.block, self.emission, self.input);
+        let ground = measured.ground();
+        let of_ground = |value: fn(&FootprintMode) -> WithSd| ground.map_or(WithSd::UNKNOWN, value);
         let cover = cover(measured.ground_energy_ratio, reflectance_ratio);
         let footprint = Footprint {
-            emission: block.emission,
-            shot_number: record.map_or(shot.shot, |record| record.shot_number),
-            ground: candidate(ground),
-            top_range_m: metres.range(measured.top_samples),
-            heights_m: all(&height),
-            heights_sd_m: all(&height_sd),
+            emission: self.block.emission,
+            shot_number: self.record.map_or(self.emission.shot, |record| record.shot_number),
+            ground_range_m: metres.range(of_ground(|mode| mode.position_samples)),
+            ground_probability: measured.ground_probability,
+            ground_amplitude_dn: of_ground(|mode| mode.amplitude_dn),
+            ground_half_width_ratios: ground.map_or([f64::NAN; 2], |mode| mode.half_width_ratios),
+            heights_m: metres.heights(measured, |height| height.value),
+            heights_sd_m: metres.heights(measured, |height| height.sd),
             modes: measured.modes.len() as u32,
             energy_dn: measured.energy_dn,
             ground_energy_ratio: measured.ground_energy_ratio,
             cover,
             plant_area_index: plant_area_index(cover),
             sensitivity: measured.sensitivity,
-            deviation_ratio: measured.deviation_ratio,
-            flags: flags(measured, record),
-            columns: record.map(|record| record.columns.clone()).unwrap_or_default(),
+            flags: self.flags(measured),
+            columns: self.record.map(|record| record.columns.clone()).unwrap_or_default(),
         };
-        let lowest = measured.modes.len().saturating_sub(MOST_RETURNS);
-        let modes = measured.modes.get(lowest..).unwrap_or_default();
-        let returns = (lowest..).zip(modes).map(|(index, mode)| Return {
-            emission: block.emission,
-            return_number: (index - lowest + 1) as u8,
-            number_of_returns: modes.len() as u8,
-            class: if ground.is_some_and(|ground| ground.mode == index) { GROUND_CLASS } else { 0 },
-            deviation_ratio: measured.deviation_ratio,
+        (footprint, self.returns(measured, &metres))
+    }
+
+    /// The lowest modes as returns; that of the ground has its class.
+    fn returns(&self, measured: &Measured, metres: &Metres) -> Vec<Return> {
+        let modes = measured.modes.as_slice();
+        let lowest = modes.get(modes.len().saturating_sub(MOST_RETURNS)..).unwrap_or_default();
+        let has_ground = measured.ground().is_some();
+        let class = |number: usize| if has_ground && number == lowest.len() { GROUND_CLASS } else { 0 };
+        let numbered = (1..).zip(lowest).map(|(number, mode)| Return {
+            emission: self.block.emission,
+            return_number: number as u8,
+            number_of_returns: lowest.len() as u8,
+            class: class(number),
             ..metres.of_mode(mode, measured.background_dn)
         });
-        ShotFootprint { returns: returns.collect(), footprint }
+        numbered.collect()
+    }
+
+    fn flags(&self, measured: &Measured) -> u8 {
+        let set = |bit: u8, is_set: bool| if is_set { bit } else { 0 };
+        let [is_top_cut, _] = measured.is_cut;
+        set(footprint_flags::GROUND_MISSING, measured.ground().is_none())
+            | set(footprint_flags::TOP_MISSING, is_top_cut)
+            | set(footprint_flags::CLIPPED, self.is_clipped)
+            | set(footprint_flags::AMBIGUOUS, measured.ground_probability < CLEAR)
+            | set(footprint_flags::DEGRADED, self.record.is_some_and(|record| record.is_degraded))
     }
 }
 
@@ -112,6 +109,14 @@ impl Metres {
         WithSd { value: self.first_m + self.range_m * position.value, sd: self.range_m * position.sd }
     }
 
+    fn heights(&self, measured: &Measured, part: fn(&WithSd) -> f64) -> Box<[f32; HEIGHTS]> {
+        let mut heights_m = Box::new([f32::NAN; HEIGHTS]);
+        for (to, height) in heights_m.iter_mut().zip(measured.heights_samples.iter()) {
+            *to = (self.height_m * part(height)) as f32;
+        }
+        heights_m
+    }
+
     fn of_mode(&self, mode: &FootprintMode, background_dn: f64) -> Return {
         let range_m = self.range(mode.position_samples);
         Return {
@@ -127,31 +132,8 @@ impl Metres {
             intensity_sd: mode.amplitude_dn.sd,
             width_ratio: f64::NAN,
             thickness_m: f64::NAN,
+            deviation_ratio: f64::NAN,
             ..Return::default()
         }
     }
-}
-
-/// Canopy cover from the ground's part of the energy: what the beam does not pass, for canopy and ground of these
-/// reflectances.
-fn cover(ground: WithSd, reflectance_ratio: f64) -> WithSd {
-    let of_canopy = 1.0 - ground.value;
-    let sum = of_canopy + reflectance_ratio * ground.value;
-    WithSd { value: of_canopy / sum, sd: reflectance_ratio / sum.powi(2) * ground.sd }
-}
-
-/// Plant area index for randomly oriented leaves, whose projection is a half: twice the logarithm of the gaps.
-fn plant_area_index(cover: WithSd) -> WithSd {
-    let gaps = 1.0 - cover.value;
-    WithSd { value: -2.0 * libm::log(gaps), sd: 2.0 * cover.sd / gaps }
-}
-
-fn flags(measured: &Measured, record: Option<&FootprintRecord>) -> u8 {
-    let ground = measured.ground;
-    let set = |bit: u8, is_set: bool| if is_set { bit } else { 0 };
-    let [is_top_cut, _] = measured.is_cut;
-    set(footprint_flags::GROUND_MISSING, ground.is_none())
-        | set(footprint_flags::TOP_MISSING, is_top_cut)
-        | set(footprint_flags::AMBIGUOUS, ground.is_some_and(|ground| ground.probability < CLEAR))
-        | set(footprint_flags::DEGRADED, record.is_some_and(|record| record.is_degraded))
 }

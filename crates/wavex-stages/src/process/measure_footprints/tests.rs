@@ -64,6 +64,7 @@ fn run(shots: u64, lines: Vec<ScanLine>) -> (Result<()>, Vec<ScanLine>, Context)
     let config = MeasureFootprints { shots, ..MeasureFootprints::default() };
     let mut stage = Measurer {
         settings: config.settings(),
+        reflectance_ratio: config.reflectance_ratio,
         shots,
         pool: None,
         look_ahead: LookAhead::new(shots),
@@ -88,9 +89,9 @@ fn the_ground_is_the_lowest_mode_and_heights_count_from_it() {
     assert_eq!((line.footprints.len(), line.kind()), (40, Kind::Returns));
     let m_per_sample = 0.5e-9 * line.input.group_velocity_mps;
     for footprint in &line.footprints {
-        let error_m = footprint.ground.range_m.value - m_per_sample * GROUND;
-        assert!(error_m.abs() < 0.15 && footprint.ground.range_m.sd > 0.0, "{footprint:?}");
-        assert!(footprint.modes == 2 && footprint.ground.probability > 0.5, "{footprint:?}");
+        let error_m = footprint.ground_range_m.value - m_per_sample * GROUND;
+        assert!(error_m.abs() < 0.15 && footprint.ground_range_m.sd > 0.0, "{footprint:?}");
+        assert!(footprint.modes == 2 && footprint.ground_probability > 0.5, "{footprint:?}");
         let [low_m, middle_m, high_m] = [25, 50, 90].map(|percent| footprint.heights_m[percent]);
         assert!(
             low_m.abs() < 1.0 && (0.0..9.0).contains(&middle_m) && (8.0..13.0).contains(&high_m),
@@ -126,6 +127,36 @@ fn beams_are_learnt_one_after_the_other() {
     assert_eq!(numbers, [0, 1, 2, 3, 4, 5]);
     let learnt: Vec<&str> = cx.counters().findings.iter().map(|note| &note[..8]).collect();
     assert_eq!(learnt, ["BEAM0001", "BEAM0101"]);
+}
+
+/// Flags of a shot with echoes of these heights and positions, among sound shots; samples of 340 DN are clipped.
+fn flags_of(echoes: &[[f64; 2]]) -> u8 {
+    let input = Arc::new(InputInfo { full_scale_dn: Some(340), ..InputInfo::clone(&input("BEAM0101")) });
+    let mut line = line(&input, 0, 20, true);
+    let Content::Shots(blocks) = &mut line.content else { panic!("no blocks") };
+    let samples = Noise(99).samples().into_iter().enumerate().map(|(k, noise)| {
+        let signal: f64 = echoes.iter().map(|[height_dn, at]| pulse(*height_dn, *at, k)).sum();
+        (LEVEL_DN + 1.5 * noise + signal).min(340.0) as f32
+    });
+    // A longer block takes the place of the last shot's own.
+    let samples: Vec<f32> = samples.chain([LEVEL_DN as f32; 1]).collect();
+    blocks.push_fractions(19, Channel::LowPower, 0.0, 1.0, &samples);
+    let (outcome, given, _) = run(100, vec![line]);
+    outcome.unwrap();
+    given[0].footprints[19].flags
+}
+
+#[test]
+fn each_flag_says_what_is_wrong() {
+    use footprint_flags::{AMBIGUOUS, CLIPPED, GROUND_MISSING, TOP_MISSING};
+    assert_eq!(flags_of(&[]) & GROUND_MISSING, GROUND_MISSING, "no signal");
+    assert_eq!(flags_of(&[[90.0, 400.0], [90.0, 699.0]]) & GROUND_MISSING, GROUND_MISSING, "cut at the end");
+    assert_eq!(flags_of(&[[90.0, 1.0], [90.0, 400.0]]) & (TOP_MISSING | GROUND_MISSING), TOP_MISSING);
+    assert_eq!(flags_of(&[[150.0, 400.0]]) & CLIPPED, CLIPPED);
+    // Layers 1.3 m apart merge into a broad mode, below which any ground may be hidden.
+    let merged: Vec<[f64; 2]> = (0..6).map(|layer| [30.0, 400.0 - 9.0 * f64::from(layer)]).collect();
+    assert_eq!(flags_of(&merged) & AMBIGUOUS, AMBIGUOUS);
+    assert_eq!(flags_of(&[[60.0, 300.0], [100.0, 400.0]]), 0, "a narrow ground below a canopy");
 }
 
 #[test]

@@ -5,19 +5,20 @@ use std::path::Path;
 use arrow_array::cast::AsArray;
 use arrow_array::types::{Float32Type, Float64Type, UInt64Type};
 use wavex_footprints::{HEIGHTS, WithSd};
-use wavex_line::scan_line::{Content, Emission, Footprint, GroundCandidate, Return};
+use wavex_line::scan_line::{Content, Emission, Footprint, InputInfo, Return};
 
 use super::*;
 use crate::writers::table::TableColumns;
 
 fn footprint(emission: u32) -> Footprint {
     let known = |value: f64| WithSd { value, sd: 0.1 * value };
-    let candidate = |range_m: f64, probability: f64| GroundCandidate { range_m: known(range_m), probability };
     Footprint {
         emission,
         shot_number: 19_640_119_100_108_615 + u64::from(emission),
-        ground: candidate(60.0, 0.9),
-        top_range_m: known(40.0),
+        ground_range_m: known(60.0),
+        ground_probability: 0.9,
+        ground_amplitude_dn: known(80.0),
+        ground_half_width_ratios: [1.1, 1.3],
         heights_m: Box::new(std::array::from_fn(|percent| percent as f32 * 0.25)),
         heights_sd_m: Box::new([0.5; HEIGHTS]),
         modes: 2,
@@ -26,7 +27,6 @@ fn footprint(emission: u32) -> Footprint {
         cover: known(0.4),
         plant_area_index: known(1.0),
         sensitivity: 0.97,
-        deviation_ratio: 0.3,
         flags: 8,
         columns: Box::new([1.5, f64::from(emission)]),
     }

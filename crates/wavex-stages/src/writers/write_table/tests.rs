@@ -38,7 +38,7 @@ fn info() -> Arc<InputInfo> {
         full_scale_dn: None,
         group_velocity_mps: 299_707_502.0,
         pulse_rate_hz: None,
-        time_scale: TimeScale::Adjusted,
+        time_scale: wavex_line::scan_line::TimeScale::Adjusted,
         gps_week: None,
         recorded: None,
         frame: Frame::Body,
@@ -284,8 +284,8 @@ fn a_return_of_no_emission_is_counted() {
 
 #[test]
 fn the_extension_or_the_key_names_the_format() {
-    assert_eq!(config("a/b.PARQUET").format(), Some(TableFormat::Parquet));
-    assert_eq!(config("a.csv").format(), Some(TableFormat::Csv));
+    assert_eq!(format_of("a/b.PARQUET", None), Ok(TableFormat::Parquet));
+    assert_eq!(format_of("a.csv", None), Ok(TableFormat::Csv));
     assert_eq!(config("a.csv.arrow").check(), Ok(()));
     let problem = "it does not end in .arrow, .parquet or .csv: set the key `format`";
     for path in ["a.txt", "arrow", ".csv"] {
@@ -293,11 +293,11 @@ fn the_extension_or_the_key_names_the_format() {
     }
     assert_eq!(config("").check(), Err(InvalidKey::new("path", "the path is empty")));
     let given: WriteTable = toml::from_str("path = \"a.txt\"\nformat = \"csv\"").unwrap();
-    assert_eq!((given.format(), given.check()), (Some(TableFormat::Csv), Ok(())));
+    assert_eq!((format_of(&given.path, given.format), given.check()), (Ok(TableFormat::Csv), Ok(())));
     let default: WriteTable = toml::from_str("").unwrap();
     assert_eq!(
-        (default.outputs(), default.format()),
-        (vec!["*_returns.parquet"], Some(TableFormat::Parquet))
+        (default.outputs(), format_of(&default.path, default.format)),
+        (vec!["*_returns.parquet"], Ok(TableFormat::Parquet))
     );
     let error = toml::from_str::<WriteTable>("compression = \"lz4\"").unwrap_err().to_string();
     assert!(error.contains("unknown field `compression`"), "{error}");
