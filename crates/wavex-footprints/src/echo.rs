@@ -1,8 +1,8 @@
 //! The echo of a flat target after smoothing, with which modes are compared.
 
 use super::kernel::Kernel;
+use super::maximum::{half_widths, parabola};
 use super::model::{FootprintModel, OVERSAMPLING};
-use super::modes::{half_widths, parabola};
 use super::profile::share_before;
 
 /// A flat target's echo, after smoothing.

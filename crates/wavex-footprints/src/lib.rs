@@ -18,6 +18,7 @@ mod echo;
 mod estimator;
 mod ground;
 mod kernel;
+mod maximum;
 mod measured;
 mod model;
 mod modes;

@@ -6,6 +6,7 @@ use std::ops::Range;
 use wavex_simd::statistics::WithSd;
 
 use super::echo::Echo;
+use super::maximum::{half_widths, parabola};
 use super::measured::FootprintMode;
 
 /// What a maximum must exceed to be a mode.
@@ -73,37 +74,4 @@ fn tails_dn(modes: &[FootprintMode], position: f64, echo: &Echo) -> f64 {
         mode.amplitude_dn.value * echo.tail.get(distance).copied().unwrap_or(0.0)
     };
     modes.iter().map(tail).sum()
-}
-
-/// Distances from a mode to half its height behind it and before it, samples; to the next valley if that is higher.
-pub(super) fn half_widths(values: &[f32], top: usize, position: f64, height: f64) -> [f64; 2] {
-    let half = 0.5 * height;
-    let behind = values.get(top..).unwrap_or_default().iter().map(|dn| f64::from(*dn));
-    let before = values.get(..=top).unwrap_or_default().iter().rev().map(|dn| f64::from(*dn));
-    let offset = position - top as f64;
-    [steps_to(behind, half) - offset, steps_to(before, half) + offset]
-}
-
-/// Number of steps, with its fraction, until values fall below a level or rise again.
-fn steps_to(values: impl Iterator<Item = f64>, level: f64) -> f64 {
-    let mut last = f64::INFINITY;
-    for (step, value) in (0u32..).zip(values) {
-        if value <= level {
-            return f64::from(step) - (level - value) / (last - value);
-        }
-        if value > last {
-            return f64::from(step.saturating_sub(1));
-        }
-        last = value;
-    }
-    f64::INFINITY
-}
-
-/// The parabola through a local maximum and its neighbours: distance of its vertex from the maximum, and its second
-/// difference; `None` at the ends and elsewhere.
-pub(super) fn parabola(values: &[f32], top: usize) -> Option<(f64, f64)> {
-    let at = |k: usize| values.get(k).copied().map(f64::from);
-    let (before, here, behind) = (at(top.checked_sub(1)?)?, at(top)?, at(top + 1)?);
-    let bend = before - 2.0 * here + behind;
-    (here > before && here >= behind).then(|| (0.5 * (before - behind) / bend, bend))
 }

@@ -46,7 +46,7 @@ pub mod geotiff;
 pub mod las;
 pub mod lookup_tables;
 mod misplaced;
-mod other_format;
+pub mod other_format;
 pub mod pulsewaves;
 mod recorded_crs;
 pub mod sdf;

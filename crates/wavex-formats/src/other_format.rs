@@ -37,12 +37,12 @@ pub(super) const CONTENTS: [FormatContent; 5] = [
 ];
 
 /// Number of bytes that decide on the format.
-pub(super) const DECISIVE_BYTES: usize = 16;
+pub const DECISIVE_BYTES: usize = 16;
 
 /// Returns the error for a file that another stage reads; `None` if none is known.
 ///
 /// `start` are its first bytes, at most; without a known signature in them, the extension decides.
-pub(super) fn other_format(path: &Path, start: &[u8], reader: &str) -> Option<Error> {
+pub fn other_format(path: &Path, start: &[u8], reader: &str) -> Option<Error> {
     let own = extension(path);
     let expected = CONTENTS.iter().find(|format| format.reader == reader)?.name;
     let by_content =

@@ -1,5 +1,6 @@
 //! The superblock: position of the root group.
 
+use wavex_formats::other_format::{DECISIVE_BYTES, other_format};
 use wavex_formats::{Error, Result};
 
 use super::input::{Address, Input, REPACK};
@@ -56,6 +57,9 @@ pub fn root(input: &mut Input) -> Result<Address> {
 
 /// Returns the byte of the signature: 0, or after a user block 512, 1024, 2048 and so on.
 fn find(input: &Input) -> Result<u64> {
+    let mut start = [0; DECISIVE_BYTES];
+    let held = start.len().min(usize::try_from(input.length()).unwrap_or(start.len()));
+    input.read(0, &mut start[..held], "signature")?;
     let mut at = 0;
     while at + 8 <= input.length() {
         let mut bytes = [0; 8];
@@ -65,5 +69,7 @@ fn find(input: &Input) -> Result<u64> {
         }
         at = if at == 0 { 512 } else { at * 2 };
     }
-    Err(Error::unusable(input.path(), "not an HDF5 file", "give a file of GEDI L1B or LVIS L1B"))
+    Err(other_format(input.path(), &start[..held], "read_hdf5").unwrap_or_else(|| {
+        Error::unusable(input.path(), "not an HDF5 file", "give a file of GEDI L1B or LVIS L1B")
+    }))
 }

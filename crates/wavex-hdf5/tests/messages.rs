@@ -110,6 +110,13 @@ fn damaged_structures_are_reported() {
         (
             "gedi_product.h5",
             b"",
+            0,
+            b"LASF",
+            "this is LAS, not HDF5; rename it to .las, and read it with the stage `read_las`",
+        ),
+        (
+            "gedi_product.h5",
+            b"",
             8,
             &[9],
             "byte 8: version of the superblock: version 9 is not supported; rewrite",
