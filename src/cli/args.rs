@@ -44,7 +44,7 @@ pub(super) struct CalibrateArgs {
 pub(super) struct ExplainArgs {
     /// Recording: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 or .hdf5
     pub(super) file: PathBuf,
-    /// Number of the shot, as in the column `shot` of write_table
+    /// Number of the shot, as in the column `shot` of write_table or `shot_number` of write_footprints
     #[arg(long, value_name = "N", group = "which", allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub(super) shot: Option<u64>,
     /// Explain the shot nearest to this time, as in the column `gps_time_s` of write_table

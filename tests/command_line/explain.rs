@@ -232,6 +232,24 @@ fn what_cannot_be_explained_is_said() {
 }
 
 #[test]
+fn a_large_footprint_that_cannot_be_measured_is_named() {
+    let granule = include_bytes!("../../crates/wavex-hdf5/tests/data/gedi_product.h5");
+    let place = TestFolder::with(&[("a.h5", granule)]);
+    let message = "a.h5: no shot 99; give a number of the column `shot_number`, or a running number below 12";
+    refused(&place, &["a.h5", "--shot", "99"], 1, message);
+    let message =
+        "a.h5: noise and response of large footprints are learnt from their beam; leave out --model";
+    refused(&place, &["a.h5", "--shot", "3", "--model", "m.json"], 2, message);
+    place.write("short.toml", b"[[stage]]\ntype = 'read_hdf5'\npath = 'a.h5'\n");
+    let message = "short.toml: the job has no stage `measure_footprints`; add one";
+    refused(&place, &["a.h5", "--shot", "1", "--job", "short.toml"], 2, message);
+    let message = "a.h5: 0 shots have a recorded outgoing pulse, and 10 are needed for the response of the receiver; \
+                   read a longer part of the beam, or leave the beam out with `beams` of read_hdf5; small footprints \
+                   are for `calibrate` and `decompose`";
+    refused(&place, &["a.h5", "--shot", "3"], 1, message);
+}
+
+#[test]
 fn a_file_without_waveforms_is_refused() {
     let empty = of_shots(
         &[Shot { clock_ps: 0, blocks: Vec::new() }, Shot { clock_ps: 5, blocks: Vec::new() }],

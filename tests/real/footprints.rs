@@ -1,10 +1,11 @@
 //! GEDI: ground, modes, heights and cover against NASA's products of the same shots.
 
 use std::collections::BTreeMap;
+use std::fs;
 use std::path::Path;
 
-use wavex_testkit::data;
 use wavex_testkit::recordings::{Table, robust, run};
+use wavex_testkit::{TestFolder, data};
 
 /// Our results and NASA's, by shot number.
 struct Shots {
@@ -94,4 +95,45 @@ fn the_preset_repeats_gedis_own_results() {
 fn the_ground_of_gedi_is_found_by_default() {
     let Some(data) = data() else { return };
     check(&Shots::of(&data, ""), 0.10);
+}
+
+/// `wavex explain` finds a shot by number, running number and time, and says what the table of a run says.
+#[test]
+fn an_explained_shot_is_that_of_the_table() {
+    let Some(data) = data() else { return };
+    let place = TestFolder::new();
+    let file = data.join("gedi/gedi_l1b.h5").display().to_string();
+    let job = format!(
+        "[[stage]]\ntype = 'read_hdf5'\npath = '{file}'\n[[stage]]\ntype = 'measure_footprints'\n\
+         [[stage]]\ntype = 'write_footprints'\npath = '*.csv'\n"
+    );
+    place.write("gedi.toml", job.as_bytes());
+    assert_eq!(place.wavex(&["run", "gedi.toml"]).code, Some(0));
+    let table = fs::read_to_string(place.path("gedi_l1b.csv")).unwrap();
+    let mut lines = table.lines();
+    let names: Vec<&str> = lines.next().unwrap().split(',').collect();
+    // A shot of the third beam.
+    let (running, row) = (100, lines.nth(100).unwrap().split(',').collect::<Vec<&str>>());
+    let cell = |name: &str| row[names.iter().position(|column| *column == name).unwrap()];
+    let number = |name: &str| cell(name).parse::<f64>().unwrap();
+    let shot = cell("shot_number");
+    let explained = place.wavex(&["explain", &file, "--shot", shot, "--out", "a.svg"]);
+    assert_eq!(explained.code, Some(0), "{}", explained.err);
+    let text = explained.out.as_str();
+    assert!(text.starts_with(&format!("shot {shot} of {file}, BEAM")), "{text}");
+    for line in [
+        format!("ground, probability  {:.2}", number("ground_probability")),
+        format!("RH50, m              {:.2} ± {:.2}", number("rh50_m"), number("rh50_sd_m")),
+        format!("RH98, m              {:.2} ± {:.2}", number("rh98_m"), number("rh98_sd_m")),
+        format!("cover                {:.3} ± {:.3}", number("cover"), number("cover_sd")),
+        format!("sensitivity          {:.3}", number("sensitivity")),
+    ] {
+        assert!(text.contains(&format!("{line}\n")), "{line}\n{text}");
+    }
+    let picture = fs::read_to_string(place.path("a.svg")).unwrap();
+    assert!(picture.contains(">RH98</text>") && picture.contains("height above the ground, m"));
+    for other in [["--shot", &running.to_string()], ["--time", cell("gps_time_s")]] {
+        let again = place.wavex(&["explain", &file, other[0], other[1]]);
+        assert_eq!(again.out.replace(&format!("gedi_l1b_shot_{shot}.svg"), "a.svg"), text, "{other:?}");
+    }
 }

@@ -121,7 +121,7 @@ pub fn small_footprint_reader_of(input: &str) -> std::result::Result<&'static st
     match reader_of(input)? {
         "read_hdf5" => Err(format!(
             "{input}: its waveforms are profiles of large footprints, which this command does not decompose; \
-             `wavex init {input} job.toml` writes a job that measures ground and heights, and `wavex view {input}` shows them"
+             `wavex init {input} job.toml` writes a job that measures ground and heights, `wavex explain` measures one shot, and `wavex view {input}` shows all"
         )),
         reader => Ok(reader),
     }

@@ -20,6 +20,12 @@ pub trait Shots {
     /// Returns the names of the further values.
     fn columns(&self) -> Vec<&'static str>;
 
+    /// Reads the number of a shot in its mission.
+    ///
+    /// # Errors
+    /// If it is no whole number, or there is no such shot.
+    fn number(&mut self, index: u64) -> Result<u64>;
+
     /// Reads a shot.
     ///
     /// # Errors
@@ -53,6 +59,21 @@ impl BeamReader {
     /// A name without a unit is the product's, with the product's unit.
     pub fn columns(&self) -> Vec<&'static str> {
         self.shots.columns()
+    }
+
+    /// Returns the index of the shot with this number in its mission; damaged numbers are passed over.
+    ///
+    /// Reads the numbers of all shots before it.
+    pub fn index_of(&mut self, shot_number: u64) -> Option<usize> {
+        (0..self.len()).find(|index| self.number(*index).is_ok_and(|found| found == shot_number))
+    }
+
+    /// Reads the number of a shot in its mission; index 0 is the first.
+    ///
+    /// # Errors
+    /// If it is no whole number, or there is no such shot.
+    pub fn number(&mut self, index: usize) -> Result<u64> {
+        self.shots.number(index as u64).map_err(|error| of_shot(error, &self.name, index))
     }
 
     /// Reads a shot; index 0 is the first.

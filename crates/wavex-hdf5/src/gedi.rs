@@ -133,9 +133,13 @@ impl Shots for GediBeam {
         self.columns.iter().map(|&(name, _)| name).collect()
     }
 
+    fn number(&mut self, index: u64) -> Result<u64> {
+        self.members.whole(&mut self.shot_number, index)
+    }
+
     fn read(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
+        shot.shot_number = self.number(index)?;
         let members = &mut self.members;
-        shot.shot_number = members.whole(&mut self.shot_number, index)?;
         shot.time_s = self.epoch_s + members.value(&mut self.delta_time, index)?;
         shot.noise_mean_dn = members.value(&mut self.noise_mean, index)? as f32;
         shot.noise_sd_dn = members.value(&mut self.noise_sd, index)? as f32;

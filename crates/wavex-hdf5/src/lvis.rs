@@ -100,9 +100,13 @@ impl Shots for LvisBeam {
         self.columns.iter().map(|&(name, _)| name).collect()
     }
 
+    fn number(&mut self, index: u64) -> Result<u64> {
+        self.members.whole(&mut self.shot_number, index)
+    }
+
     fn read(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
+        shot.shot_number = self.number(index)?;
         let members = &mut self.members;
-        shot.shot_number = members.whole(&mut self.shot_number, index)?;
         shot.time_s = members.value(&mut self.time, index)?;
         shot.noise_mean_dn = members.value(&mut self.noise_mean, index)? as f32;
         let places = [(&mut self.first_bin, &mut shot.first_bin), (&mut self.last_bin, &mut shot.last_bin)];

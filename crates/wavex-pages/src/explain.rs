@@ -11,8 +11,11 @@ use wavex_stages::process::decompose::{
     Decompose, DecomposedShots, Seen, SeenBlock, SeenPulse, ShotBlocks, ShotDecomposer,
 };
 
+mod footprint;
 mod picture;
 mod table;
+
+pub use footprint::ExplainedFootprint;
 
 /// A shot with its decomposition.
 pub struct ExplainedShot {

@@ -11,15 +11,20 @@ use crate::{Failure, job_file, run};
 use wavex_engine::engine::{Cancel, Input, Options, Phase, ProgressMode, observe};
 use wavex_engine::job::{Job, JobStage, Override};
 use wavex_engine::recording::{Excerpt, LineIndex, Recording};
-use wavex_formats::format::small_footprint_reader_of;
+use wavex_formats::format::{reader_of, small_footprint_reader_of};
 use wavex_line::scan_line::{Emission, InputInfo, Returns, ScanLine};
 use wavex_line::stage::{Context, FittedBlock, Plan, RunContext, SourcePlan};
-use wavex_pages::explain::{ExplainError, ExplainedShot};
+use wavex_pages::explain::{ExplainError, ExplainedFootprint, ExplainedShot};
 use wavex_signal::sensor_model::SensorModel;
 use wavex_stages::process::calibrate::Calibrate;
 use wavex_stages::process::decompose::Decompose;
+use wavex_stages::process::measure_footprints::SeenFootprint;
 use wavex_stages::process::resolve_mta::LINES_AROUND;
 use wavex_stages::registry::STAGES;
+
+mod footprint;
+
+pub use footprint::FootprintChain;
 
 /// A shot with its fit, for programs; see [`explain_shot`].
 #[derive(Debug)]
@@ -54,6 +59,9 @@ pub fn explain_shot(
     cancel: Cancel,
 ) -> Result<Explanation, Failure> {
     let request = ExplainRequest { set, ..ExplainRequest::of(file) };
+    if request.has_large_footprints() {
+        return Ok(of_footprint(FootprintChain::of(&request)?.explain(shot)?));
+    }
     let mut chain = Chain::of(&request)?;
     chain.options.cancel = cancel;
     if let Some(model) = model {
@@ -67,6 +75,13 @@ pub fn explain_shot(
     let blocks = explained.blocks.into_iter().map(|block| block.shown).collect();
     let ExplainedShot { emission, returns, input, .. } = explained;
     Ok(Explanation { emission, returns, blocks, input, text, svg })
+}
+
+/// A footprint for programs; its samples are in the picture only.
+fn of_footprint(explained: ExplainedFootprint) -> Explanation {
+    let (text, svg) = (explained.table_within(None), explained.picture());
+    let SeenFootprint { emission, input, modes, .. } = explained.seen;
+    Explanation { emission, returns: modes, blocks: Vec::new(), input, text, svg }
 }
 
 /// A recording, and the job whose stages are applied to it.
@@ -88,7 +103,17 @@ impl<'a> ExplainRequest<'a> {
     pub fn of(file: &'a Path) -> ExplainRequest<'a> {
         ExplainRequest { file, job: None, set: &[], model: None, progress: ProgressMode::Hidden }
     }
+
+    /// Whether the recording has large footprints, which [`FootprintChain`] measures.
+    pub fn has_large_footprints(&self) -> bool {
+        reader_of(&self.file.display().to_string()).is_ok_and(|reader| reader == FOOTPRINTS)
+    }
 }
+
+/// Reader of recordings with large footprints.
+const FOOTPRINTS: &str = "read_hdf5";
+/// Stages after the reader of recordings with small footprints.
+const SMALL: [&str; 2] = ["calibrate", "decompose"];
 
 /// A recording and the stages of a job that apply to it.
 pub struct Chain {
@@ -109,7 +134,8 @@ impl Chain {
     pub fn of(request: &ExplainRequest) -> Result<Chain, Failure> {
         let file = request.file.display().to_string();
         let reader = small_footprint_reader_of(&file).map_err(Failure::Wrong)?;
-        let default_job = default_job(reader, &file, if request.job.is_some() { &[] } else { request.set })?;
+        let default_job =
+            default_job(reader, &SMALL, &file, if request.job.is_some() { &[] } else { request.set })?;
         let (mut job, folder) = match request.job {
             None => (default_job.clone(), PathBuf::from(".")),
             Some(path) => {
@@ -275,13 +301,12 @@ impl ShotNumbers {
     }
 }
 
-/// A job with the default keys of all stages.
-fn default_job(reader: &str, file: &str, set: &[String]) -> Result<Job, Failure> {
+/// A job with the default keys of these stages.
+fn default_job(reader: &str, stages: &[&str], file: &str, set: &[String]) -> Result<Job, Failure> {
     let path = toml::Value::String(file.to_owned());
-    let text = format!(
-        "[[stage]]\ntype = \"{reader}\"\npath = {path}\n\n[[stage]]\ntype = \"calibrate\"\n\n\
-         [[stage]]\ntype = \"decompose\"\n"
-    );
+    let stage = |name: &&str| format!("\n[[stage]]\ntype = \"{name}\"\n");
+    let stages: String = stages.iter().map(stage).collect();
+    let text = format!("[[stage]]\ntype = \"{reader}\"\npath = {path}\n{stages}");
     let overrides: Vec<Override> = set.iter().map(Override::new).collect();
     Ok(Job::parse(STAGES, "the job of `wavex explain`", &text, &overrides)?)
 }

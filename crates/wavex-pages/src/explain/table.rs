@@ -53,7 +53,7 @@ fn of_returns(rows: Vec<[String; 9]>, width: usize) -> String {
 const GAP: &str = "  ";
 
 /// Rows with aligned cells.
-fn columns(rows: &[impl AsRef<[String]>]) -> String {
+pub(super) fn columns(rows: &[impl AsRef<[String]>]) -> String {
     let n = rows.first().map_or(0, |row| row.as_ref().len());
     let chars = |i: usize| rows.iter().map(|row| row.as_ref()[i].chars().count()).max().unwrap_or(0);
     let widths: Vec<usize> = (0..n).map(chars).collect();
@@ -65,7 +65,7 @@ fn columns(rows: &[impl AsRef<[String]>]) -> String {
 }
 
 /// A line as one or more lines of at most `width` characters; further ones are indented.
-fn wrapped(line: &str, width: usize) -> String {
+pub(super) fn wrapped(line: &str, width: usize) -> String {
     let indent = line.len() - line.trim_start().len();
     let mut text = " ".repeat(indent);
     let mut chars = indent;

@@ -17,6 +17,7 @@ use wavex_line::stage::{
 use wavex_signal::fusion::ChannelFusion;
 use wavex_signal::sensor_model::SensorModel;
 use wavex_stages::process::correct::WAVEFORMS;
+use wavex_stages::process::measure_footprints::MeasureFootprints;
 use wavex_stages::process::resolve_mta::LINES_AROUND;
 
 /// Lines that are read at once to learn from.
@@ -120,10 +121,47 @@ impl InputLines {
     ///
     /// Stages after `decompose` keep what they learnt with the keys of the view's job.
     pub(super) fn with_points(&mut self, job: &Job, numbers: Range<usize>) -> Result<Vec<ScanLine>> {
+        if let Some(measure) = measures_footprints(job)? {
+            return self.with_footprints(job, measure.shots, numbers);
+        }
         self.train()?;
         let before: Vec<ScanLine> =
             self.before_decompose(job, numbers)?.iter().map(ScanLine::copied).collect();
         through(after_decompose(job), &self.run, before, self.trained.as_deref_mut().unwrap_or_default())
+    }
+
+    /// Lines of one beam with these numbers, measured by the model of the first shots of the beam, as in a run.
+    fn with_footprints(&mut self, job: &Job, shots: u64, numbers: Range<usize>) -> Result<Vec<ScanLine>> {
+        let mut lines = self.first_of_beam(numbers.start, shots)?;
+        let wanted = self.before_decompose(job, numbers)?;
+        let numbers: Vec<u32> = wanted.iter().map(|line| line.line).collect();
+        lines.retain(|line| !numbers.contains(&line.line));
+        lines.extend(wanted.iter().map(ScanLine::copied));
+        lines.sort_by_key(|line| line.line);
+        // The stage knows a beam by its metadata, which each reading makes anew.
+        if let Some(input) = lines.first().map(|line| Arc::clone(&line.input)) {
+            lines.iter_mut().for_each(|line| line.input = Arc::clone(&input));
+        }
+        let mut measured = through(after_decompose(job), &self.run, lines, &mut [])?;
+        measured.retain(|line| numbers.contains(&line.line));
+        Ok(measured)
+    }
+
+    /// The first lines of the beam of a line, with at least this many shots if it has them.
+    pub(super) fn first_of_beam(&mut self, number: usize, shots: u64) -> Result<Vec<ScanLine>> {
+        let mut beam_of = |number: usize| {
+            Ok::<_, StageError>(self.recording.line(number)?.and_then(|line| line.input.beam.clone()))
+        };
+        let beam = beam_of(number)?;
+        let (mut first, mut high) = (0, number);
+        while first < high {
+            let middle = first.midpoint(high);
+            if beam_of(middle)? == beam { high = middle } else { first = middle + 1 }
+        }
+        let end = self.end_of_waveforms(first, shots);
+        let mut lines = self.read(&self.job.stages.clone()[..1], first..end)?;
+        lines.retain(|line| line.input.beam == beam);
+        Ok(lines)
     }
 
     /// Lets the transforms after `decompose` learn from as many waveforms as in a run.
@@ -185,6 +223,15 @@ impl InputLines {
         lines.retain(|line| wanted.contains(&line.line));
         Ok(lines)
     }
+}
+
+/// Keys of the stage of a job that measures footprints, if it has one.
+pub(super) fn measures_footprints(job: &Job) -> Result<Option<MeasureFootprints>> {
+    let stage = job.stages.iter().find(|stage| stage.spec.name == "measure_footprints");
+    let keys = stage.map(|stage| serde_json::from_value(stage.planned.resolved.clone()));
+    keys.transpose().map_err(|error| {
+        StageError::failed(format!("`measure_footprints`: {error}"), "please report this bug in wavex")
+    })
 }
 
 /// Stages before `decompose`, the reader included.

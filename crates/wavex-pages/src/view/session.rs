@@ -17,7 +17,7 @@ use wavex_line::stage::{Context, Plan, RunContext};
 use wavex_stages::process::decompose::Decompose;
 
 use super::layers::RasterLayer;
-use super::lines::{InputLines, Learnt};
+use super::lines::{InputLines, Learnt, measures_footprints};
 use super::point_file::{FilePoint, PointFile};
 use super::points::{ViewPoint, ViewPoints};
 
@@ -381,6 +381,17 @@ impl Session {
         let all = self.inputs.len().max(1) as f64;
         let part = if read < all { self.watch.get().0 } else { 0.0 };
         ((read + part) / all).min(1.0)
+    }
+
+    /// The job by which lines are processed again.
+    ///
+    /// # Errors
+    /// As [`Session::with`].
+    pub(super) fn job(&self) -> Result<Job, String> {
+        match measures_footprints(&self.opened.job) {
+            Ok(Some(_)) => Ok(self.opened.job.clone()),
+            _ => self.with(&[]).map(|chosen| chosen.job.clone()),
+        }
     }
 
     /// The job with other keys of `decompose`.

@@ -5,34 +5,35 @@ use base64::prelude::BASE64_STANDARD;
 use serde_json::{Value, json};
 
 use super::compare::changes;
-use super::lines::InputLines;
+use super::lines::{InputLines, measures_footprints};
 use super::placed::{PlacedReturn, placed, text};
 use super::session::{Placing, Session};
-use crate::explain::{ExplainError, ExplainedShot};
+use crate::explain::{ExplainError, ExplainedFootprint, ExplainedShot};
 use wavex_engine::job::Job;
 use wavex_line::scan_line::{Block, Channel, Content, Emission, ScanLine, flags};
+use wavex_simd::statistics::median;
+use wavex_stages::process::measure_footprints::MeasureFootprints;
 
 /// Limit of the rows of a picture of a scan line.
 const MAX_ROWS: usize = 2000;
 
 /// A shot with the keys of the job, and its difference by other keys.
 pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -> Result<Value, String> {
+    if let Some(measure) = measures_footprints(&session.opened.job).map_err(text)? {
+        return footprint(session, input, shot, &measure);
+    }
     let (base, chosen, placing) = (session.with(&[])?, session.with(set)?, session.placing());
     let placing = placing.as_ref();
     session.with_lines(input, |lines| {
         let number = place(lines, shot)?;
-        let shots_of = |at: Option<usize>| Some(lines.index().lines().get(at?)?.shot_range);
-        let [line_before, line_after] = [number.checked_sub(1), number.checked_add(1)].map(shots_of);
+        let around = lines_around(lines, number);
         let file = session.inputs[input].input.path.display().to_string();
         let file = if file.is_empty() { session.inputs[input].input.stem.clone() } else { file };
         let simd = lines.simd();
         let before = lines.before_decompose(&chosen.job, number..number + 1).map_err(text)?;
         let Some(line) = before.first() else { return Err(format!("shot {shot}: its line cannot be read")) };
         let place = line.emissions.iter().position(|emission| emission.shot == shot);
-        let of_line = place.map(|place| json!({ "number": line.line, "shot": place, "shots": line.emissions.len() }));
-        let others = || line.emissions.iter().map(|emission| emission.shot);
-        let previous = others().filter(|&other| other < shot).max().or(line_before.map(|[_, last]| last));
-        let next = others().filter(|&other| other > shot).min().or(line_after.map(|[first, _]| first));
+        let InLine { of_line, previous, next } = InLine::of(line, shot, around);
         let explained = match ExplainedShot::of(line, shot, &chosen.decompose, simd, &file) {
             Ok(explained) => explained,
             Err(ExplainError::Stage(error)) => return Err(error.to_string()),
@@ -94,13 +95,75 @@ pub(super) fn shot(session: &Session, input: usize, shot: u64, set: &[String]) -
     })
 }
 
-/// The waveforms of the scan line of a shot as a picture, and its returns.
-pub(super) fn line(session: &Session, input: usize, shot: u64) -> Result<Value, String> {
-    let base = session.with(&[])?;
+/// A shot with a large footprint.
+fn footprint(
+    session: &Session,
+    input: usize,
+    shot: u64,
+    measure: &MeasureFootprints,
+) -> Result<Value, String> {
+    let placing = session.placing();
     session.with_lines(input, |lines| {
         let number = place(lines, shot)?;
-        let decomposed = lines.with_points(&base.job, number..number + 1).map_err(text)?;
-        let before = lines.before_decompose(&base.job, number..number + 1).map_err(text)?;
+        let around = lines_around(lines, number);
+        let job = session.job()?;
+        let first = lines.first_of_beam(number, measure.shots).map_err(text)?;
+        let found = returns_of(lines, &job, number, shot, placing.as_ref())?;
+        let before = lines.before_decompose(&job, number..number + 1).map_err(text)?;
+        let Some(line) = before.first() else { return Err(format!("shot {shot}: its line cannot be read")) };
+        let InLine { of_line, previous, next } = InLine::of(line, shot, around);
+        let index = line.emissions.iter().position(|emission| emission.shot == shot);
+        let seen = measure.seen(&first, line, index.unwrap_or_default() as u32).map_err(text)?;
+        let none: [Value; 0] = [];
+        let file = session.inputs[input].input.path.display().to_string();
+        let explained = seen.map(|seen| ExplainedFootprint { file, seen });
+        let gps_time_s = index.and_then(|index| line.emissions.get(index)).map_or(f64::NAN, |shot| shot.gps_time_s);
+        Ok(json!({
+            "input": input, "shot": shot, "gps_time_s": number_or_null(gps_time_s),
+            "problem": explained.is_none().then_some("the shot has no background beside its signal; choose another one"),
+            "title": explained.as_ref().map_or_else(|| format!("shot {shot}"), ExplainedFootprint::title),
+            "text": explained.as_ref().map_or_else(String::new, |explained| explained.table_within(None)),
+            "svg": explained.as_ref().map(ExplainedFootprint::picture),
+            "line": of_line, "previous": previous, "next": next,
+            "returns": found.iter().map(return_value).collect::<Vec<Value>>(),
+            "instrument": none, "blocks": none, "difference": null,
+        }))
+    })
+}
+
+/// Ranges of the shot numbers of the lines before and after a line.
+fn lines_around(lines: &InputLines, number: usize) -> [Option<[u64; 2]>; 2] {
+    let shots_of = |at: Option<usize>| Some(lines.index().lines().get(at?)?.shot_range);
+    [number.checked_sub(1), number.checked_add(1)].map(shots_of)
+}
+
+/// Place of a shot in its line, and the numbers of the shots before and after it.
+struct InLine {
+    of_line: Option<Value>,
+    previous: Option<u64>,
+    next: Option<u64>,
+}
+
+impl InLine {
+    fn of(line: &ScanLine, shot: u64, [before, after]: [Option<[u64; 2]>; 2]) -> InLine {
+        let place = line.emissions.iter().position(|emission| emission.shot == shot);
+        let others = || line.emissions.iter().map(|emission| emission.shot);
+        InLine {
+            of_line: place
+                .map(|place| json!({ "number": line.line, "shot": place, "shots": line.emissions.len() })),
+            previous: others().filter(|&other| other < shot).max().or(before.map(|[_, last]| last)),
+            next: others().filter(|&other| other > shot).min().or(after.map(|[first, _]| first)),
+        }
+    }
+}
+
+/// The waveforms of the scan line of a shot as a picture, and its returns.
+pub(super) fn line(session: &Session, input: usize, shot: u64) -> Result<Value, String> {
+    let job = session.job()?;
+    session.with_lines(input, |lines| {
+        let number = place(lines, shot)?;
+        let decomposed = lines.with_points(&job, number..number + 1).map_err(text)?;
+        let before = lines.before_decompose(&job, number..number + 1).map_err(text)?;
         let (Some(recorded), Some(decomposed)) = (before.first(), decomposed.first()) else {
             return Err(format!("shot {shot}: its line cannot be read"));
         };
@@ -193,10 +256,13 @@ impl LinePicture {
             let levels_dn = &of.as_ref()?.background_dn;
             Some(levels_dn.iter().sum::<f64>() / levels_dn.len().max(1) as f64)
         };
+        let mut samples_dn = Vec::new();
         let mut heights_dn = vec![0.0_f32; width * height];
         for (index, start_ns, block) in &shown {
-            let background_dn = background(block.channel).unwrap_or_default();
-            for (k, &sample) in blocks.samples(block).iter().enumerate() {
+            blocks.fractions_into(block, &mut samples_dn);
+            let usual = || median(samples_dn.iter().map(|dn| f64::from(*dn)));
+            let background_dn = background(block.channel).or_else(usual).unwrap_or_default();
+            for (k, &sample) in samples_dn.iter().enumerate() {
                 let row = ((start_ns + block.interval_ns * k as f64 - first_ns) / interval_ns) as usize;
                 if let Some(height_dn) = heights_dn.get_mut(row.min(height - 1) * width + index) {
                     *height_dn = height_dn.max((f64::from(sample) - background_dn) as f32);

@@ -22,11 +22,13 @@ use wavex_line::stage::{
 use wavex_simd::statistics::median;
 
 mod result;
+mod seen;
 #[cfg(test)]
 mod tests;
 
 pub use result::GROUND_CLASS;
 use result::MeasuredShot;
+pub use seen::SeenFootprint;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec =
@@ -104,6 +106,30 @@ impl MeasureFootprints {
     fn settings(&self) -> FootprintSettings {
         self.preset.and_then(|preset| FootprintSettings::gedi_l2a(preset.group())).unwrap_or_default()
     }
+
+    /// Measures one shot: its longest echo block.
+    fn shot(
+        &self,
+        emission: u32,
+        line: &ScanLine,
+        blocks: &Blocks,
+        estimator: &mut FootprintEstimator,
+        samples: &mut Vec<f32>,
+    ) -> Option<(Footprint, Vec<Return>)> {
+        let block = echo_block(blocks, emission)?;
+        blocks.fractions_into(block, samples);
+        let record = blocks.footprint_of(emission);
+        let measured = estimator.measure(samples, record.and_then(|record| record.noise))?;
+        let full_scale_dn = line.input.full_scale_dn.map_or(f32::INFINITY, f32::from);
+        let shot = MeasuredShot {
+            block,
+            emission: line.emissions.get(emission as usize)?,
+            record,
+            is_clipped: samples.iter().any(|dn| *dn >= full_scale_dn),
+            input: &line.input,
+        };
+        Some(shot.footprint(&measured, self.reflectance_ratio))
+    }
 }
 
 impl Config for MeasureFootprints {
@@ -123,9 +149,7 @@ impl TransformConfig for MeasureFootprints {
 
     fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>> {
         Ok(Box::new(Measurer {
-            settings: self.settings(),
-            reflectance_ratio: self.reflectance_ratio,
-            shots: self.shots,
+            config: self.clone(),
             pool: run.pool.clone(),
             look_ahead: LookAhead::new(self.shots),
             beam: None,
@@ -142,10 +166,7 @@ impl TransformConfig for MeasureFootprints {
 }
 
 struct Measurer {
-    settings: FootprintSettings,
-    reflectance_ratio: f64,
-    /// Shots to learn from.
-    shots: u64,
+    config: MeasureFootprints,
     pool: Option<Arc<ThreadPool>>,
     /// First lines of the current beam.
     look_ahead: LookAhead,
@@ -163,7 +184,7 @@ impl Transform for Measurer {
         if self.beam.as_ref().is_none_or(|beam| !Arc::ptr_eq(&beam.input, &line.input)) {
             self.release(out)?;
             self.beam = Some(Beam { input: Arc::clone(&line.input), model: None });
-            self.look_ahead = LookAhead::new(self.shots);
+            self.look_ahead = LookAhead::new(self.config.shots);
         }
         if let Some(Beam { model: Some(model), .. }) = &self.beam {
             let line = self.measured(line, model, out)?;
@@ -220,10 +241,11 @@ impl Measurer {
         let shots: Vec<u32> = blocks.by_emission().map(|(emission, _)| emission).collect();
         let task = || -> Vec<Option<(Footprint, Vec<Return>)>> {
             let of_task = |shots: &[u32]| {
-                let mut estimator = FootprintEstimator::new(model, self.settings);
+                let mut estimator = FootprintEstimator::new(model, self.config.settings());
                 let mut samples = Vec::new();
-                let measure =
-                    |emission: &u32| self.shot(*emission, &line, &blocks, &mut estimator, &mut samples);
+                let measure = |emission: &u32| {
+                    self.config.shot(*emission, &line, &blocks, &mut estimator, &mut samples)
+                };
                 shots.iter().map(measure).collect::<Vec<_>>()
             };
             shots.par_chunks(SHOTS_PER_TASK).flat_map_iter(of_task).collect()
@@ -251,32 +273,12 @@ impl Measurer {
         line.recount();
         Ok(line)
     }
+}
 
-    /// Measures one shot: its longest echo block.
-    fn shot(
-        &self,
-        emission: u32,
-        line: &ScanLine,
-        blocks: &Blocks,
-        estimator: &mut FootprintEstimator,
-        samples: &mut Vec<f32>,
-    ) -> Option<(Footprint, Vec<Return>)> {
-        let echoes =
-            blocks.of_emission(emission).map(|(_, block)| block).filter(|block| block.channel.is_echo());
-        let block = echoes.max_by_key(|block| block.len())?;
-        blocks.fractions_into(block, samples);
-        let record = blocks.footprint_of(emission);
-        let measured = estimator.measure(samples, record.and_then(|record| record.noise))?;
-        let full_scale_dn = line.input.full_scale_dn.map_or(f32::INFINITY, f32::from);
-        let shot = MeasuredShot {
-            block,
-            emission: line.emissions.get(emission as usize)?,
-            record,
-            is_clipped: samples.iter().any(|dn| *dn >= full_scale_dn),
-            input: &line.input,
-        };
-        Some(shot.footprint(&measured, self.reflectance_ratio))
-    }
+/// The longest echo block of a shot.
+fn echo_block(blocks: &Blocks, emission: u32) -> Option<&Block> {
+    let echoes = blocks.of_emission(emission).map(|(_, block)| block).filter(|block| block.channel.is_echo());
+    echoes.max_by_key(|block| block.len())
 }
 
 /// Learns noise and response from the shots of lines.

@@ -99,6 +99,55 @@ fn selected<'a>(granule: &'a Granule, path: &Path, wanted: &[String]) -> Result<
     Ok(recorded().filter(|beam| wanted.is_empty() || wanted.iter().any(|word| is(beam, word))).collect())
 }
 
+/// A beam of a file, and the index of a shot in it.
+pub struct BeamShot {
+    /// Name of the beam.
+    pub beam: String,
+    /// Index, from 0.
+    pub index: u64,
+}
+
+impl ReadHdf5 {
+    /// Finds a shot by its number in its mission, or else by its running number.
+    ///
+    /// # Errors
+    /// As [`ReadHdf5::at`].
+    pub fn find(&self, path: &Path, shot: u64) -> Result<BeamShot> {
+        let granule = Granule::open(path)?;
+        for beam in selected(&granule, path, &self.beams)? {
+            if let Some(index) = granule.beam(&beam.name)?.index_of(shot) {
+                return Ok(BeamShot { beam: beam.name.clone(), index: index as u64 });
+            }
+        }
+        self.at(path, shot)
+    }
+
+    /// Finds a shot by its running number in the selected beams, from 0.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or there is no such shot.
+    pub fn at(&self, path: &Path, shot: u64) -> Result<BeamShot> {
+        let granule = Granule::open(path)?;
+        let mut before = 0;
+        for beam in selected(&granule, path, &self.beams)? {
+            let index = shot.saturating_sub(before);
+            if index < beam.shots {
+                return Ok(BeamShot { beam: beam.name.clone(), index });
+            }
+            before += beam.shots;
+        }
+        let problem = format!("{}: no shot {shot}", path.display());
+        let remedy = format!("give a number of the column `shot_number`, or a running number below {before}");
+        Err(StageError::failed(problem, remedy))
+    }
+
+    /// The reader of one beam.
+    #[must_use]
+    pub fn of_beam(&self, beam: &str) -> ReadHdf5 {
+        ReadHdf5 { beams: vec![beam.to_owned()], ..self.clone() }
+    }
+}
+
 struct FootprintReader {
     granule: Granule,
     /// Names of the beams, in the order in which they are read.

@@ -77,13 +77,21 @@ impl MeasuredShot<'_> {
     }
 }
 
+/// Height per range along the beam of a shot: vertical if the frame knows the vertical, else along the beam.
+pub(super) fn height_per_range(shot: &Emission, input: &InputInfo) -> f64 {
+    let down = down_at(input.frame, shot.origin_m);
+    let cosine =
+        down.map_or(1.0, |down| down.iter().zip(shot.direction).map(|(a, b)| a * b).sum::<f64>().abs());
+    shot.frame_scale * cosine
+}
+
 /// Metres of the samples of a block.
 struct Metres {
     /// Range of the first sample, m.
     first_m: f64,
     /// Range per sample, m.
     range_m: f64,
-    /// Height per sample, m: vertical if the frame knows the vertical, else along the beam.
+    /// Height per sample, m.
     height_m: f64,
     start_ns: f64,
     interval_ns: f64,
@@ -93,13 +101,10 @@ impl Metres {
     fn of(block: &Block, shot: &Emission, input: &InputInfo) -> Metres {
         let m_per_ns = 0.5e-9 * input.group_velocity_mps;
         let range_m = m_per_ns * block.interval_ns;
-        let down = down_at(input.frame, shot.origin_m);
-        let cosine =
-            down.map_or(1.0, |down| down.iter().zip(shot.direction).map(|(a, b)| a * b).sum::<f64>().abs());
         Metres {
             first_m: m_per_ns * block.start_ns,
             range_m,
-            height_m: range_m * shot.frame_scale * cosine,
+            height_m: range_m * height_per_range(shot, input),
             start_ns: block.start_ns,
             interval_ns: block.interval_ns,
         }
