@@ -30,6 +30,7 @@ mod false_alarms;
 mod import;
 mod init;
 mod man;
+mod place;
 mod plan;
 mod recording;
 mod report;

@@ -3,6 +3,7 @@
 use std::io::{IsTerminal, Write};
 use std::path::Path;
 
+use super::place::check_recording;
 use super::{CalibrateArgs, Failure, JobArgs, run, terminal};
 use wavex_engine::engine::{self, Options};
 use wavex_engine::job::{Job, Override};
@@ -24,6 +25,7 @@ pub(super) fn calibrate(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure
         let problem = "--out is for the models of a job; to save the model of a recording, use --save-preset";
         return Err(Failure::Wrong(problem.to_owned()));
     }
+    check_recording(&args.file)?;
     let text = job_text(args).map_err(Failure::Wrong)?;
     let set = args.set.iter().map(Override::new).chain(args.machine.overrides());
     let mut job = Job::parse(STAGES, "the job of `wavex calibrate`", &text, &set.collect::<Vec<_>>())?;

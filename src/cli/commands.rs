@@ -208,7 +208,7 @@ pub(super) enum Command {
     /// The page is one HTML file without scripts or network access.
     #[command(after_help = usage::REPORT)]
     Report {
-        /// The report of a run (JOB_report.json), or the folder that contains it
+        /// The report of a run (JOB_report.json), its folder, or its job (.toml)
         place: PathBuf,
         /// Page to write [default: JOB_report.html next to the report]
         #[arg(short, long, value_name = "FILE")]

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::place::check_recording;
 use super::{Failure, MachineArgs, run};
 use wavex_engine::job::Job;
 use wavex_formats::extensions::has_extension;
@@ -13,6 +14,7 @@ use wavex_stages::registry::STAGES;
 ///
 /// Relative paths start at the current folder.
 pub(super) fn convert(input: &str, output: &str, machine: MachineArgs, quiet: bool) -> Result<(), Failure> {
+    check_recording(Path::new(input))?;
     let text = job_text(input, output).map_err(Failure::Wrong)?;
     let overrides: Vec<_> = machine.overrides().into_iter().collect();
     let job = Job::parse(STAGES, "the job of `wavex convert`", &text, &overrides)?;

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use super::{Failure, terminal};
 use wavex_engine::engine::{Phase, ProgressMode};
-use wavex_formats::Error;
 use wavex_formats::extensions::{LAZ, has_extension};
 use wavex_formats::las::{CopcSummary, indexes_beside, write_copc};
+use wavex_formats::{Error, RecordingFormat};
 use wavex_line::stage::{FinishedFile, OutputFile, OutputLock, Outputs};
 use wavex_stages::stac;
 
@@ -25,6 +25,9 @@ pub(super) fn copc(
     progress: ProgressMode,
     quiet: bool,
 ) -> Result<(), Failure> {
+    if RecordingFormat::of(input).is_some_and(|format| format.reader != "read_las") {
+        return Err(Failure::Wrong(recording_without_points(input)));
+    }
     let out = out.unwrap_or_else(|| input.with_extension("copc.laz"));
     check_name(input, &out).map_err(Failure::Wrong)?;
     let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -42,6 +45,17 @@ pub(super) fn copc(
         tracing::warn!("{}", stac::NO_DATE);
     }
     if quiet { Ok(()) } else { terminal::print(&summary_text(&out, &summary)) }
+}
+
+/// The answer to a recording in place of points.
+fn recording_without_points(input: &Path) -> String {
+    let job = input.with_extension("toml");
+    let job = Path::new(job.file_name().unwrap_or_default()).display();
+    format!(
+        "{}: a recording has no points before a run; write its job with `wavex init --from {0} {job}`, run it with \
+         `wavex run {job}`, and give the LAS or LAZ that it writes",
+        input.display()
+    )
 }
 
 fn check_name(input: &Path, out: &Path) -> Result<(), String> {

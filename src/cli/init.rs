@@ -1,6 +1,6 @@
 //! `wavex init`: writes a starter job, generic or for a recording.
 
-use std::fs::OpenOptions;
+use std::fs::{self, OpenOptions};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
@@ -9,6 +9,7 @@ use super::{Failure, print};
 use wavex_engine::job::{example_job, job_schema_text};
 use wavex_formats::extensions::{beside, has_extension};
 use wavex_formats::{RecordingFormat, TRAJECTORIES, unsupported};
+use wavex_run::missing;
 use wavex_stages::registry::STAGES;
 
 /// Schema for editors, written to the folder of the job.
@@ -19,6 +20,7 @@ const SCHEMA: &str = "job.schema.json";
 /// `files` are a recording, a job, or both.
 pub(super) fn init(files: &[PathBuf], from: Option<&Path>, quiet: bool) -> Result<(), Failure> {
     let (from, file) = roles(files, from)?;
+    file.map_or(Ok(()), check_job_name)?;
     let (text, remark) = match from {
         Some(recording) => (of_recording(recording, file)?, String::new()),
         None => (
@@ -67,18 +69,36 @@ fn roles<'p>(
     Ok((recording, job))
 }
 
+/// Refuses the name of a job that other commands would not take for one.
+fn check_job_name(job: &Path) -> Result<(), Failure> {
+    if has_extension(job, "toml") {
+        return Ok(());
+    }
+    let name = job.display();
+    let recording =
+        missing::remedy(job, |path| RecordingFormat::of(path).is_some()).filter(|_| !job.exists());
+    let remedy = match recording {
+        Some(remedy) => format!("for the recording, {remedy}"),
+        None if job.is_dir() => format!("write {}", job.join("job.toml").display()),
+        None => format!("write {name}.toml"),
+    };
+    Err(Failure::Wrong(format!("{name}: the name of a job ends in .toml; {remedy}")))
+}
+
 /// Whether a name is the name of data, not of a job.
 fn is_data(file: &Path) -> bool {
     !has_extension(file, "toml") && (RecordingFormat::of(file).is_some() || unsupported(file).is_some())
 }
 
-/// Creates a file; fails if it exists or has the name of a recording.
+/// Creates a file and its folder; fails if the file exists or has the name of a recording.
 pub(super) fn write_new(file: &Path, text: &str) -> Result<(), Failure> {
     if is_data(file) {
         let problem = "a job is not written under the name of a recording or a folder; end its name in .toml";
         return Err(Failure::Wrong(format!("{}: {problem}", file.display())));
     }
-    let written = OpenOptions::new().write(true).create_new(true).open(file);
+    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let created = folder.map_or(Ok(()), fs::create_dir_all);
+    let written = created.and_then(|()| OpenOptions::new().write(true).create_new(true).open(file));
     written.and_then(|mut file| file.write_all(text.as_bytes())).map_err(|error| {
         let problem = match error.kind() {
             ErrorKind::AlreadyExists => "the file already exists; choose another name".to_owned(),

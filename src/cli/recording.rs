@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::place::check_recording;
 use super::{Failure, scan};
 use wavex_formats::format::reader_of;
 use wavex_line::scan_line::{Channel, Frame};
@@ -79,11 +80,9 @@ impl Recording {
     /// # Errors
     /// If the file does not exist, its format is not supported, or no shot can be read.
     pub(super) fn recognise(path: &Path) -> Result<Recording, Failure> {
+        check_recording(path)?;
         let name = path.display().to_string();
         let reader = reader_of(&name).map_err(Failure::Wrong)?;
-        if !path.is_file() {
-            return Err(Failure::Wrong(format!("{name}: no such file; check the path")));
-        }
         if reader == "read_sdf" {
             return Ok(Recording {
                 reader,

@@ -2,32 +2,45 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Failure, terminal};
-use wavex_line::keys::listed;
+use super::place::{only_report, page};
+use super::{Failure, JobArgs, terminal};
+use wavex_formats::extensions::has_extension;
 use wavex_pages::report::write_page_of;
+use wavex_run::archive::shown;
+use wavex_run::run::folders;
 
-/// Writes the page of a report; `place` is the report or its folder.
+/// Writes the page of a report; `place` is the report, its folder or its job.
 pub(super) fn report(place: &Path, out: Option<&Path>, quiet: bool) -> Result<(), Failure> {
-    let path = if place.is_dir() { only_report(place)? } else { place.to_path_buf() };
+    let path = report_of(place)?;
     let out: PathBuf = out.map_or_else(|| path.with_extension("html"), Path::to_path_buf);
     write_page_of(&path, &out).map_err(|error| Failure::Run(error.to_string()))?;
     if quiet { Ok(()) } else { terminal::print(&format!("wrote {}\n", out.display())) }
 }
 
-/// The report in a folder.
+/// The report of a report, a folder or a job.
+fn report_of(place: &Path) -> Result<PathBuf, Failure> {
+    match page(place) {
+        Some(problem) => Err(Failure::Wrong(problem)),
+        None if place.is_dir() => only_report(place),
+        None if has_extension(place, "toml") => report_of_job(place),
+        None => Ok(place.to_path_buf()),
+    }
+}
+
+/// The report of the last run of a job.
 ///
 /// # Errors
-/// If there is none, or several.
-pub(super) fn only_report(folder: &Path) -> Result<PathBuf, Failure> {
-    let is_report = |name: &String| name == "report.json" || name.ends_with("_report.json");
-    let entries = folder.read_dir().into_iter().flatten().flatten();
-    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
-    let mut names: Vec<String> = names.filter(is_report).collect();
-    names.sort();
-    let problem = match names.as_slice() {
-        [only] => return Ok(folder.join(only)),
-        [] => "no report of a run in this folder".to_owned(),
-        _ => format!("several reports in this folder: {}", listed(&names, "and")),
-    };
-    Err(Failure::Run(format!("{}: {problem}; give the report or the job of a run", folder.display())))
+/// If the job is invalid, writes no report, or was not run.
+fn report_of_job(file: &Path) -> Result<PathBuf, Failure> {
+    let args = JobArgs { job: file.to_path_buf(), set: Vec::new() };
+    let job = args.read(None)?;
+    let (_, output_dir) = folders(&job, &args.folder());
+    let report = shown(&output_dir.join(job.settings.report.replace('*', &job.stem())));
+    match report.is_file() {
+        true => Ok(report),
+        false => Err(Failure::Run(format!(
+            "{}: this job has no report of a run: run it with `wavex run {0}`, with `report` in `[job]`",
+            file.display()
+        ))),
+    }
 }

@@ -92,13 +92,19 @@ fn of_path(word: &str) -> Option<String> {
 /// Adds what was meant to clap's message on an unexpected argument.
 pub(super) fn explain_argument(problem: &mut clap::Error, arguments: &[OsString]) {
     let Some(ContextValue::String(argument)) = problem.get(ContextKind::InvalidArg) else { return };
-    if problem.kind() != ErrorKind::UnknownArgument || problem.get(ContextKind::SuggestedArg).is_some() {
+    if problem.kind() != ErrorKind::UnknownArgument {
         return;
     }
     let words: Vec<String> = arguments.iter().skip(1).map(|word| word.to_string_lossy().into()).collect();
     let command = words.iter().find(|word| !word.starts_with('-'));
+    // clap suggests arguments of similar spelling.
+    let better = set_tip(&words).or_else(|| command.and_then(|command| shot_tip(command, argument)));
+    if better.is_none() && problem.get(ContextKind::SuggestedArg).is_some() {
+        return;
+    }
     let is_first = words.first().is_some_and(|word| word.starts_with(argument.as_str()));
     let tip = match command {
+        _ if better.is_some() => better,
         _ if is_first => Some(format!(
             "options follow the command, as in `wavex run JOB`; a command line of BayesWavEx is translated by \
              `wavex import -- {}`",
@@ -108,8 +114,31 @@ pub(super) fn explain_argument(problem: &mut clap::Error, arguments: &[OsString]
         None => None,
     };
     if let Some(tip) = tip {
+        problem.remove(ContextKind::SuggestedArg);
         problem.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![StyledStr::from(tip)]));
     }
+}
+
+/// How to write `--set KEY VALUE`, whose value became an argument.
+fn set_tip(words: &[String]) -> Option<String> {
+    let split = |word: &String| match word.strip_prefix("--set=") {
+        Some(key) => vec!["--set".to_owned(), key.to_owned()],
+        None => vec![word.clone()],
+    };
+    let words: Vec<String> = words.iter().flat_map(split).collect();
+    words.windows(3).find_map(|window| match window {
+        [set, key, value] if set == "--set" && !key.contains('=') && !value.starts_with("--") => {
+            let word = shell_word(&format!("{key}={value}"));
+            Some(format!("write key and value as one word: --set {word}"))
+        }
+        _ => None,
+    })
+}
+
+/// The command that takes the number of a shot.
+fn shot_tip(command: &str, argument: &str) -> Option<String> {
+    let is_shot = command != "explain" && argument.split('=').next() == Some("--shot");
+    is_shot.then(|| "one shot is shown by `wavex explain RECORDING --shot N`".to_owned())
 }
 
 /// What to use instead of an argument that a command does not have.
@@ -245,8 +274,19 @@ mod tests {
             ("wavex check a.toml -o b", "`wavex check` writes no outputs"),
             ("wavex -i a.sdf -po a.pof", "is translated by `wavex import -- -i a.sdf -po a.pof`"),
             ("wavex scan --fsat a.pls", "a similar argument exists: '--fast'"),
+            ("wavex scan a.pls --shot 5", "tip: one shot is shown by `wavex explain RECORDING --shot N`"),
+            ("wavex view a.pls --shot=5", "tip: one shot is shown by `wavex explain RECORDING --shot N`"),
+            (
+                "wavex run a.toml --set decompose.detection_sigma 5",
+                "write key and value as one word: --set decompose.detection_sigma=5",
+            ),
+            ("wavex run --set decompose.mode slow a.toml", "as one word: --set decompose.mode=slow"),
+            ("wavex check a.toml --set=job.threads -1", "as one word: --set job.threads=-1"),
+            ("wavex run a.toml --set job.threads=1 b.toml", "name one job; "),
         ] {
             assert!(answer(line).contains(expected), "{line}: {}", answer(line));
+            let is_clap = expected.starts_with("a similar");
+            assert_eq!(answer(line).contains("a similar argument"), is_clap, "{line}: {}", answer(line));
         }
     }
 

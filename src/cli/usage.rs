@@ -98,6 +98,7 @@ On another computer: wavex view out/demo --port 8080 --no-open there, ssh -L 808
 pub(super) const REPORT: &str = "\
 Examples:
   wavex report out/flight7_report.json
+  wavex report flight7.toml
   wavex report out --out flight7.html";
 
 pub(super) const SURVEY: &str = "\

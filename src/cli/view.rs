@@ -6,13 +6,12 @@ use std::time::Duration;
 use serde_json::{Map, Value};
 
 use super::init::of_recording;
-use super::report::only_report;
+use super::place::{check_viewable, instead_of_points, is_without_waveforms, only_report};
 use super::run::stop_on_signals;
 use super::{Failure, JobArgs, ViewArgs, terminal};
 use wavex_engine::engine::Cancel;
 use wavex_engine::job::{Include, Job, Override};
-use wavex_formats::extensions::{LAS, LAZ, has_extension};
-use wavex_formats::las::RawPoints;
+use wavex_formats::extensions::has_extension;
 use wavex_line::georef::check_crs;
 use wavex_pages::report::read_report;
 use wavex_pages::view::{self, Opened};
@@ -62,6 +61,7 @@ pub(super) fn view(args: &ViewArgs, quiet: bool) -> Result<(), Failure> {
 /// Recognises what the place is.
 fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
     let place = &args.place;
+    check_viewable(place)?;
     let title =
         place.file_name().map_or_else(|| place.display().to_string(), |name| name.to_string_lossy().into());
     let memory_bytes = usize::try_from(args.memory_mb).unwrap_or(usize::MAX).saturating_mul(1_000_000);
@@ -105,24 +105,8 @@ fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
         source.parse(&all).map_err(|failure| failure.text())
     };
     let folder = matches!(kind, "folder" | "job").then_some(layers);
-    let without_waveforms = (kind == "points").then(|| place_of_waveforms(place));
+    let without_waveforms = (kind == "points").then(|| instead_of_points(place));
     Ok(Opened { title, kind, without_waveforms, job, with: Box::new(with), input_dir, folder, memory_bytes })
-}
-
-/// Whether a file is LAS of a point format without waveforms.
-fn is_without_waveforms(place: &Path) -> bool {
-    let is_las = [LAS, LAZ].iter().any(|extension| has_extension(place, extension));
-    is_las && RawPoints::open(place).is_ok_and(|points| !points.header().has_waveforms())
-}
-
-/// Why points have no waveforms, and what to open instead: the folder of the run if it is theirs.
-fn place_of_waveforms(points: &Path) -> String {
-    let folder = points.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let instead = match only_report(folder) {
-        Ok(_) => format!("`wavex view {}` shows the run in this folder with its waveforms", folder.display()),
-        Err(_) => "view the folder of the run that wrote them, its job or its recording".to_owned(),
-    };
-    format!("{}: points without waveforms; {instead}", points.display())
 }
 
 /// Text of a job.

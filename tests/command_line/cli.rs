@@ -156,7 +156,7 @@ fn a_file_in_the_wrong_place_gets_the_command_for_it() {
         ),
         (&["check", "x.pls"], "x.pls: it is a recording, not a job; "),
         (&["run", "x.wvs"], "x.wvs: it holds only the samples of a PulseWaves recording; give x.pls\n"),
-        (&["run", "."], ".: it is a folder, not a job; give a job in it, such as ./flight.toml; "),
+        (&["run", "."], ".: it is a folder, not a job; give a job in it, such as ./flight.toml\n"),
         (
             &["run", "flihgt.toml"],
             "flihgt.toml: cannot read the job: No such file or directory (os error 2); did you mean flight.toml?\n",
@@ -175,7 +175,17 @@ fn a_file_in_the_wrong_place_gets_the_command_for_it() {
         ),
         (&["view", "x.sbet"], "x.sbet: it is a trajectory, not a recording; "),
         (&["init", "x.sbet"], "x.sbet: it is a trajectory, not a recording; "),
-        (&["init", "flight9.pls"], "flight9.pls: no such file; check the path\n"),
+        (&["init", "flight9.pls"], "flight9.pls: no such file or folder; check the path\n"),
+        (&["init", "x"], "x: the name of a job ends in .toml; for the recording, did you mean x.pls?\n"),
+        (&["init", "--from", "x.pls", "y"], "y: the name of a job ends in .toml; write y.toml\n"),
+        (&["init", "--from", "x.pls", "."], ".: the name of a job ends in .toml; write ./job.toml\n"),
+        (&["view", "nofolder"], "nofolder: no such file or folder; check the path\n"),
+        (&["view", "flight"], "flight: no such file or folder; did you mean flight.toml?\n"),
+        (&["scan", "x"], "x: no such file or folder; did you mean x.pls?\n"),
+        (&["scan", "x.las"], "x.las: no such file or folder; did you mean x.pls?\n"),
+        (&["explain", "x.txt", "--shot", "1"], "x.txt: no such file or folder; did you mean x.pls?\n"),
+        (&["convert", "x", "x.arrow"], "x: no such file or folder; did you mean x.pls?\n"),
+        (&["calibrate", "x"], "x: no such file or folder; did you mean x.pls?\n"),
         (
             &["init", "--from", "x.pls", "y.pls"],
             "x.pls, y.pls: both are recordings; give one, and a name for the job that ends in .toml.",
@@ -334,12 +344,16 @@ fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
 fn an_input_of_an_unknown_kind_is_not_converted() {
     let expected = "error: flight.dat: unknown recording format; \
                     supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 and .hdf5\n";
-    refused(wavex(&["convert", "flight.dat", "flight.arrow"]), expected);
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("flight.dat"), b"").unwrap();
+    refused(wavex_in(folder.path(), &["convert", "flight.dat", "flight.arrow"]), expected);
 }
 
 #[test]
 fn large_footprints_are_not_decomposed() {
-    let Outcome { code, err, .. } = wavex(&["convert", "a.h5", "a.arrow"]);
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("a.h5"), b"").unwrap();
+    let Outcome { code, err, .. } = wavex_in(folder.path(), &["convert", "a.h5", "a.arrow"]);
     assert_eq!(code, Some(2), "{err}");
     let begins = "error: a.h5: its waveforms are profiles of large footprints, ";
     assert!(err.starts_with(begins) && err.contains("`wavex init a.h5 job.toml` writes a job"), "{err}");

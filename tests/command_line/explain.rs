@@ -180,15 +180,17 @@ fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
     assert_eq!(place.text(&name), svg);
 
     // Points without waveforms cannot be explained.
-    let message = "stage read_las: out/flight.las: byte 104: point data record format: no waveforms in \
-                   point data format 6; export the flight with waveforms, as LAS point format 4, 5, 9 or 10";
-    refused(&place, &["out/flight.las", "--shot", shot], 1, message);
+    let message = "out/flight.las: points without waveforms; `wavex view out` shows the run in this folder with its waveforms";
+    refused(&place, &["out/flight.las", "--shot", shot], 2, message);
 
     // The time of the shot selects it, and the keys of a job apply.
     let time = rows[0]["gps_time_s"].clone();
-    let Outcome { code, out: by_time, .. } =
+    let Outcome { code, out: by_time, err } =
         explain(&place, &["out/flight.arrow", "--time", &time, "--job", "job.toml"]);
     assert_eq!((code, by_time), (Some(0), by_itself));
+    let other = "job.toml: its first stage `simulate` does not read out/flight.arrow: it is read by `read_arrow` with \
+                 default keys\n";
+    assert!(err.ends_with(other) && err.lines().count() == 1, "{err}");
     let set = ["--job", "job.toml", "--set", "decompose.detection_sigma=100"];
     let Outcome { code, out: none, .. } = explain(&place, &[&with_model[..], &set].concat());
     assert_eq!(code, Some(0));
@@ -204,9 +206,14 @@ fn the_table_is_that_of_the_run_and_the_picture_is_whole() {
 
 /// Shots with one echo each, except the third, which has only an outgoing pulse.
 fn by_hand(timed: bool) -> Vec<u8> {
+    with_gap(timed, 0)
+}
+
+/// The same, with a gap before the last ten shots.
+fn with_gap(timed: bool, gap_ps: i64) -> Vec<u8> {
     let block = |shot: usize| shots::echo(shot).into_iter().map(u16::from).collect::<Vec<u16>>();
     let shot = |number: usize| Shot {
-        clock_ps: number as i64 * 5_000_000,
+        clock_ps: number as i64 * 5_000_000 + if number < 250 { 0 } else { gap_ps },
         blocks: vec![if number == 2 { (3, 0.0, block(number)) } else { (1, 1000.0, block(number)) }],
     };
     of_shots(&(0..260).map(shot).collect::<Vec<_>>(), EmissionReference::Clock, timed)
@@ -224,6 +231,12 @@ fn what_cannot_be_explained_is_said() {
     refused(&place, &["-q", "a.arrow", "--shot", "102"], 2, message);
     let message = "timeless.arrow: its shots have no times; select one with --shot";
     refused(&place, &["-q", "timeless.arrow", "--time", "1"], 2, message);
+    for time in ["-5", "NaN"] {
+        let message = format!(
+            "a.arrow: no shot at {time} s; its times are from 0.000000 to 0.001295 s, on a time scale that the file does not state"
+        );
+        refused(&place, &["-q", "a.arrow", "--time", time], 2, &message);
+    }
     let message = "a.dat: unknown recording format; supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 and .hdf5";
     refused(&place, &["a.dat", "--shot", "1"], 2, message);
     place.write("short.toml", b"[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n");
@@ -247,6 +260,22 @@ fn a_large_footprint_that_cannot_be_measured_is_named() {
                    read a longer part of the beam, or leave the beam out with `beams` of read_hdf5; small footprints \
                    are for `calibrate` and `decompose`";
     refused(&place, &["a.h5", "--shot", "3"], 1, message);
+}
+
+#[test]
+fn a_shot_that_is_not_at_the_time_is_reported() {
+    let place = TestFolder::with(&[("a.arrow", &with_gap(true, 100_000_000_000))]);
+    for (time, said) in [
+        ("0.011245", Some("\nthe nearest shot is 10.000 ms before 0.011245 s\nwrote a_shot_349.svg\n")),
+        ("0.09925", Some("\nthe nearest shot is 2.000 ms after 0.09925 s\nwrote a_shot_350.svg\n")),
+        ("0.0005", None),
+        ("-0.0005", None),
+    ] {
+        let Outcome { code, out, err } = explain(&place, &["a.arrow", "--time", time]);
+        assert_eq!((code, err.as_str()), (Some(0), ""));
+        assert_eq!(out.contains("the nearest shot"), said.is_some(), "{time}: {out}");
+        assert!(out.ends_with(said.unwrap_or_default()), "{time}: {out}");
+    }
 }
 
 #[test]

@@ -61,8 +61,7 @@ fn las_and_pulsewaves_have_their_jobs() {
         "{text}"
     );
     assert_eq!(stages(&text)[..5], ["read_sdf", "resolve_mta", "fuse_channels", "calibrate", "decompose"]);
-    // A job in another folder also finds the recording.
-    fs::create_dir(place.path("jobs")).unwrap();
+    // A job in another folder, which is created, also finds the recording.
     let Outcome { code, err, .. } = place.wavex(&["-q", "init", "--from", "b.pls", "jobs/b.toml"]);
     assert_eq!((code, err.as_str()), (Some(0), ""));
     let Outcome { out, .. } = place.wavex(&["check", "jobs/b.toml"]);
@@ -121,7 +120,7 @@ fn what_is_no_recording_has_no_job() {
     let place = TestFolder::with(&[("a.las", b"no LAS")]);
     let Outcome { code, out, err } = place.wavex(&["init", "--from", "b.las", "b.toml"]);
     assert_eq!((code, out.as_str()), (Some(2), ""));
-    assert_eq!(err, "error: b.las: no such file; check the path\n");
+    assert_eq!(err, "error: b.las: no such file or folder; did you mean a.las?\n");
     let Outcome { code, err, .. } = place.wavex(&["init", "--from", "a.las", "a.toml"]);
     assert!(code == Some(1) && err.starts_with("error: a.las: "), "{err}");
     assert!(!place.path("a.toml").exists() && !place.path("b.toml").exists());

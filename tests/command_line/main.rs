@@ -23,6 +23,7 @@ mod jobs;
 mod limits;
 mod manual;
 mod options;
+mod places;
 mod run_messages;
 mod scan;
 mod view;

@@ -144,16 +144,16 @@ fn outputs_with_a_drive_of_windows_are_named() {
     let place = TestFolder::new();
     let job = "[[stage]]\ntype = 'simulate'\nlines = 1\nshots_per_line = 10\n[[stage]]\ntype = 'write_arrow'\npath = 'a.arrow'\n";
     place.write("job.toml", job.as_bytes());
-    let of = |set: &str, name: &str, path: &str| {
+    let of = |set: &str, name: &str, path: &str, becomes: &str| {
         let note = format!(
-            "`{name}`: the output {path} is a path of Windows: here it becomes a folder `{}`; write a path of this system",
-            &path[..2]
+            "`{name}`: the output {path} is a path of Windows: here it becomes a {becomes}; write a path of this system"
         );
         let checked = place.wavex(&["check", "job.toml", "--set", set]);
         assert!(checked.out.contains(&format!("  note:   {note}\n")), "{}", checked.out);
     };
-    of("write_arrow.path=C:/data/a.arrow", "write_arrow", "C:/data/a.arrow");
-    of("job.output_dir=d:\\data", "job", "d:\\data");
+    of("write_arrow.path=C:/data/a.arrow", "write_arrow", "C:/data/a.arrow", "folder `C:`");
+    of("write_arrow.path=C:\\data\\a.arrow", "write_arrow", "C:\\data\\a.arrow", "file of this name");
+    of("job.output_dir=d:\\data", "job", "d:\\data", "folder `d:\\data`");
     let run =
         place.wavex(&["run", "job.toml", "--progress", "never", "--set", "write_arrow.path=C:/data/a.arrow"]);
     assert_eq!(lines_with(&run.err, "is a path of Windows").len(), 1, "{}", run.err);

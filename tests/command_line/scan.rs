@@ -233,14 +233,14 @@ fn truncated_las_and_containers_are_read_up_to_the_damage() {
 
 #[test]
 fn what_cannot_be_scanned_is_said() {
-    let place = TestFolder::with(&[("x.dat", b"")]);
+    let place = TestFolder::with(&[("x.dat", b""), ("x.arrow", b"")]);
     let refused = |arguments: &[&str], code: i32, message: &str| {
         let Outcome { code: found, out, err } = scan(&place, arguments);
         assert_eq!((found, out.as_str()), (Some(code), ""), "{err}");
         assert!(err.starts_with(&format!("error: {message}")), "{err}");
     };
     refused(&["x.dat"], 2, "x.dat: unknown recording format; supported extensions");
-    refused(&["gone.arrow"], 1, "gone.arrow: cannot open: ");
+    refused(&["gone.arrow"], 2, "gone.arrow: no such file or folder; check the path\n");
     refused(&["gone*.arrow"], 1, "no file matches `gone*.arrow`; check the pattern and the folder\n");
     refused(
         &["x.arrow", "--set", "read_arrow.odd_sample_shift=3"],

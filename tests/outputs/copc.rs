@@ -100,6 +100,12 @@ fn failed_conversions_leave_no_file() {
     refused(&["a.laz", "-o", "a.laz"], 2, "a.laz: this is the input; give another name with --out");
     refused(&["a.laz", "-o", "b.las"], 2, "b.las: COPC is LAZ; give a name that ends in .copc.laz");
     refused(&["c.laz"], 1, "c.laz: cannot open: No such file or directory (os error 2); check the path");
+    refused(
+        &["a.pls"],
+        2,
+        "a.pls: a recording has no points before a run; write its job with `wavex init --from a.pls a.toml`, run it \
+         with `wavex run a.toml`, and give the LAS or LAZ that it writes",
+    );
     let (code, problem) = copc(&place, &["cut.laz"]).unwrap_err();
     assert_eq!(code, Some(1));
     assert!(problem.contains("copy it again from its source"), "{problem}");

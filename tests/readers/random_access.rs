@@ -46,7 +46,8 @@ fn assert_same_lines(path: &Path, reader: &str, set: &[String]) -> usize {
         let last = line.emissions[line.emissions.len() - 1];
         let of_shot = recording.line_of_shot(last.shot).unwrap().unwrap();
         assert!(of_shot.emissions.iter().any(|emission| emission.shot == last.shot));
-        let nearest = recording.nearest_shot(last.gps_time_s).unwrap().unwrap();
+        let (nearest, time_s) = recording.nearest_shot(last.gps_time_s).unwrap().unwrap();
+        assert_eq!(time_s, last.gps_time_s);
         let time_of =
             |line: &ScanLine, shot| line.emissions.iter().find(|e| e.shot == shot).unwrap().gps_time_s;
         let line = recording.line_of_shot(nearest).unwrap().unwrap();

@@ -351,10 +351,13 @@ fn notes(settings: &JobSettings, stages: &[JobStage]) -> Vec<String> {
     let folder = settings.output_dir.as_deref().map(|folder| ("job", folder));
     let foreign = folder.into_iter().chain(of_stages).filter(|(_, path)| !cfg!(windows) && has_drive(path));
     notes.extend(foreign.map(|(name, path)| {
-        format!(
-            "`{name}`: the output {path} is a path of Windows: here it becomes a folder `{}`; write a path of this system",
-            path.get(..2).unwrap_or_default()
-        )
+        // Only a slash separates folders here.
+        let folder = path.split('/').next().unwrap_or(path);
+        let problem = match folder == path && name != "job" {
+            true => "is a path of Windows: here it becomes a file of this name".to_owned(),
+            false => format!("is a path of Windows: here it becomes a folder `{folder}`"),
+        };
+        format!("`{name}`: the output {path} {problem}; write a path of this system")
     }));
     notes
 }

@@ -138,25 +138,25 @@ impl Recording {
         Ok(None)
     }
 
-    /// Number of the shot nearest to a time, s, and its line; `None` if no shot has a time.
+    /// Number and time, s, of the shot nearest to a time; `None` if no shot has a time.
     ///
     /// # Errors
     /// As [`Recording::index`].
-    pub fn nearest_shot(&mut self, gps_time_s: f64) -> Result<Option<u64>> {
+    pub fn nearest_shot(&mut self, gps_time_s: f64) -> Result<Option<(u64, f64)>> {
         let index = self.index(&mut |_| Ok(()))?;
-        let mut nearest: Option<(f64, u64)> = None;
+        let mut nearest: Option<(f64, u64, f64)> = None;
         for (least_s, number) in index.by_time(gps_time_s) {
-            if nearest.is_some_and(|(found_s, _)| found_s < least_s) {
+            if nearest.is_some_and(|(found_s, ..)| found_s < least_s) {
                 break;
             }
             for emission in self.line(number)?.map(|line| line.emissions).unwrap_or_default() {
                 let distance_s = (emission.gps_time_s - gps_time_s).abs();
-                if distance_s.is_finite() && nearest.is_none_or(|(found_s, _)| distance_s < found_s) {
-                    nearest = Some((distance_s, emission.shot));
+                if distance_s.is_finite() && nearest.is_none_or(|(found_s, ..)| distance_s < found_s) {
+                    nearest = Some((distance_s, emission.shot, emission.gps_time_s));
                 }
             }
         }
-        Ok(nearest.map(|(_, shot)| shot))
+        Ok(nearest.map(|(_, shot, time_s)| (shot, time_s)))
     }
 }
 

@@ -1,9 +1,10 @@
 //! Paths given as a recording by mistake: folders, parts of recordings, trajectories, jobs.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::Error;
-use super::extensions::{beside, extension};
+use super::extensions::{LAS, LAZ, beside, extension};
+use super::las::RawPoints;
 
 /// Extensions of trajectories, in order of preference.
 pub const TRAJECTORIES: [&str; 5] = ["pof", "sbet", "out", "sol", "trj"];
@@ -62,17 +63,51 @@ pub(super) fn misplaced(path: &Path) -> Option<Error> {
     Some(Error::unusable(path, problem, remedy))
 }
 
-/// The error for a folder, with a pattern of the recordings in it.
+/// The error for a folder, with a pattern of the recordings in it, and the outputs of a run.
 fn folder(path: &Path) -> Error {
-    let entries = path.read_dir().into_iter().flatten().flatten().take(MOST_ENTRIES);
-    let found: Vec<String> = entries.map(|entry| extension(&entry.path())).collect();
-    let remedy = match RECORDINGS.iter().find(|extension| found.iter().any(|own| own == *extension)) {
-        Some(extension) => {
-            format!("give a recording in it, or all: '{}'", path.join(format!("*.{extension}")).display())
-        }
-        None => "there is no recording in it: give the path of one".to_owned(),
+    let entries = entries(path);
+    let has =
+        |wanted: &&&str| entries.iter().any(|file| extension(file) == **wanted && !is_only_points(file));
+    let recordings = RECORDINGS.iter().find(has).map(|extension| {
+        format!("give a recording in it, or all: '{}'", path.join(format!("*.{extension}")).display())
+    });
+    let outputs = entries
+        .iter()
+        .any(|file| is_report(file))
+        .then(|| format!("`wavex view {}` shows the outputs of a run in it", path.display()));
+    let remedies: Vec<String> = recordings.into_iter().chain(outputs).collect();
+    let remedy = match remedies.is_empty() {
+        true => "there is no recording in it: give the path of one".to_owned(),
+        false => remedies.join("; "),
     };
     Error::unusable(path, "it is a folder, not a recording", remedy)
+}
+
+/// Whether a file is LAS without waveforms, as a run writes it.
+fn is_only_points(file: &Path) -> bool {
+    let is_las = [LAS, LAZ].contains(&extension(file).as_str());
+    is_las && RawPoints::open(file).is_ok_and(|points| !points.header().has_waveforms())
+}
+
+/// Whether a file is the report of a run, by its name.
+pub fn is_report(file: &Path) -> bool {
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    name == "report.json" || name.ends_with("_report.json")
+}
+
+/// The folder with the report of a run: this folder, or else the first one in it.
+pub fn folder_of_outputs(folder: &Path) -> Option<PathBuf> {
+    let has_report = |folder: &Path| entries(folder).iter().any(|file| is_report(file));
+    if has_report(folder) {
+        return Some(folder.to_owned());
+    }
+    entries(folder).into_iter().filter(|entry| entry.is_dir() && has_report(entry)).min()
+}
+
+/// Paths in a folder; none if it cannot be read.
+fn entries(folder: &Path) -> Vec<PathBuf> {
+    let entries = folder.read_dir().into_iter().flatten().flatten().take(MOST_ENTRIES);
+    entries.map(|entry| entry.path()).collect()
 }
 
 #[cfg(test)]
@@ -127,6 +162,17 @@ mod tests {
         assert_eq!(remedy(""), "there is no recording in it: give the path of one");
         fs::write(path("a.LAZ"), b"").unwrap();
         assert_eq!(remedy("a.wdp"), format!("give {}", path("a.LAZ").display()));
-        assert_eq!(remedy(""), format!("give a recording in it, or all: '{}'", path("*.laz").display()));
+        let recordings = format!("give a recording in it, or all: '{}'", path("*.laz").display());
+        assert_eq!(remedy(""), recordings);
+        fs::create_dir(path("out")).unwrap();
+        assert_eq!(folder_of_outputs(folder.path()), None);
+        fs::write(path("out/job_report.json"), b"").unwrap();
+        assert_eq!(folder_of_outputs(folder.path()), Some(path("out")));
+        let outputs =
+            |name: &str| format!("`wavex view {}` shows the outputs of a run in it", path(name).display());
+        assert_eq!(remedy("out"), outputs("out"));
+        fs::write(path("a_report.json"), b"").unwrap();
+        assert_eq!(folder_of_outputs(folder.path()), Some(folder.path().to_owned()));
+        assert_eq!(remedy(""), format!("{recordings}; {}", outputs("")));
     }
 }

@@ -24,6 +24,16 @@ pub enum TimeScale {
 }
 
 impl TimeScale {
+    /// What its seconds are; `None` if unknown.
+    pub fn words(self) -> Option<&'static str> {
+        match self {
+            TimeScale::Week => Some("seconds of the GPS week"),
+            TimeScale::Day => Some("seconds of the day"),
+            TimeScale::Adjusted => Some("GPS seconds minus 1e9"),
+            TimeScale::Unknown => None,
+        }
+    }
+
     /// Converts a time to adjusted GPS time, s; `None` if the week is unknown.
     ///
     /// # Examples

@@ -153,7 +153,14 @@ impl Chain {
         }
         let mut stages = job.stages.iter_mut();
         match (stages.next(), default_job.stages.into_iter().next()) {
-            (Some(first), Some(default)) if first.spec.name != reader => *first = default,
+            (Some(first), Some(default)) if first.spec.name != reader => {
+                tracing::warn!(
+                    "{}: its first stage `{}` does not read {file}: it is read by `{reader}` with default keys",
+                    job.name,
+                    first.id
+                );
+                *first = default;
+            }
             _ => {}
         }
         if let Some(stage) = stages.find(|stage| stage.spec.name == "calibrate") {
@@ -250,25 +257,48 @@ impl Chain {
         )
     }
 
-    /// Returns the number of the shot nearest to a time.
+    /// Returns the number of the shot nearest to a time, and its time, s.
     ///
     /// # Errors
-    /// If the recording cannot be read or its shots have no times.
-    pub fn nearest(&self, time_s: f64) -> Result<u64, Failure> {
-        let mut recording = self.recording()?;
-        let mut phase = Phase::new("index", "reading shot times", self.options.progress, 1);
-        let index = recording.index(&mut |part| {
-            phase.show(&self.stem, 0, part);
-            Ok(())
-        });
-        drop(phase);
-        let nearest = index.and_then(|_| recording.nearest_shot(time_s)).map_err(|error| failed(&error))?;
-        nearest.ok_or_else(|| {
-            let file = self.file.display();
-            Failure::Wrong(format!("{file}: its shots have no times; select one with --shot"))
-        })
+    /// If the recording cannot be read, its shots have no times, or the time is outside of theirs.
+    pub fn nearest(&self, time_s: f64) -> Result<(u64, f64), Failure> {
+        nearest(self.recording()?, &self.file, self.options.progress, time_s)
     }
 }
+
+/// Returns the number of the shot of a recording nearest to a time, and its time, s.
+fn nearest(
+    mut recording: Recording,
+    file: &Path,
+    progress: ProgressMode,
+    time_s: f64,
+) -> Result<(u64, f64), Failure> {
+    let mut phase = Phase::new("index", "reading shot times", progress, 1);
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+    let index = recording.index(&mut |part| {
+        phase.show(&stem, 0, part);
+        Ok(())
+    });
+    drop(phase);
+    let index = index.map_err(|error| failed(&error))?;
+    let file = file.display();
+    let without_times = || Failure::Wrong(format!("{file}: its shots have no times; select one with --shot"));
+    let [first_s, last_s] = index.time_range_s().ok_or_else(without_times)?;
+    if !(first_s - NEAR_S..=last_s + NEAR_S).contains(&time_s) {
+        let input = recording.input();
+        let week = input.gps_week.map_or(String::new(), |week| format!(", GPS week {week}"));
+        let scale = input.time_scale.words().unwrap_or("on a time scale that the file does not state");
+        return Err(Failure::Wrong(format!(
+            "{file}: no shot at {time_s} s; its times are from {first_s:.6} to {last_s:.6} s, {scale}{week}"
+        )));
+    }
+    recording.nearest_shot(time_s).map_err(|error| failed(&error))?.ok_or_else(without_times)
+}
+
+/// Largest distance of a shot from the time that selects it, s; larger ones are reported.
+///
+/// Tables and other programs round times to a millisecond or less.
+pub const NEAR_S: f64 = 1e-3;
 
 /// Count and range of the shot numbers of a recording.
 #[derive(Default)]

@@ -3,11 +3,10 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::Failure;
+use crate::{Failure, missing};
 use wavex_engine::job::{Include, Job, MAX_INCLUDES, Override, included, read_text};
 use wavex_formats::extensions::has_extension;
-use wavex_formats::{Error, RecordingFormat, regular_file, unsupported};
-use wavex_line::stage::nearest_of;
+use wavex_formats::{Error, RecordingFormat, folder_of_outputs, regular_file, unsupported};
 use wavex_stages::registry::STAGES;
 
 /// Reads a job with the files that it includes; `-` is standard input.
@@ -46,9 +45,10 @@ fn not_a_job(path: &Path) -> Option<String> {
             [] => "a job is a file that ends in .toml: `wavex init RECORDING` writes one".to_owned(),
             [job, ..] => format!("give a job in it, such as {}", path.join(job).display()),
         };
-        return Some(format!(
-            "{name}: it is a folder, not a job; {remedy}; to see the outputs of a run, use `wavex view {name}`"
-        ));
+        let outputs = folder_of_outputs(path).map_or(String::new(), |folder| {
+            format!("; to see the outputs of a run, use `wavex view {}`", folder.display())
+        });
+        return Some(format!("{name}: it is a folder, not a job; {remedy}{outputs}"));
     }
     if RecordingFormat::of(path).is_some() {
         let job = path.with_extension("toml");
@@ -80,12 +80,10 @@ fn jobs_in(folder: &Path) -> Vec<String> {
 
 /// Remedy for a job that does not exist.
 fn nearby(job: &Path) -> String {
-    let name = job.file_name().unwrap_or_default().to_string_lossy();
-    let names = jobs_in(&folder(job));
-    match nearest_of(&name, names.iter().map(String::as_str)) {
-        Some(meant) => format!("; did you mean {}?", job.with_file_name(meant).display()),
-        None => "; check the path, or write a job with `wavex init RECORDING`".to_owned(),
-    }
+    let remedy = missing::remedy(job, |path| has_extension(path, "toml"));
+    let remedy =
+        remedy.unwrap_or_else(|| "check the path, or write a job with `wavex init RECORDING`".to_owned());
+    format!("; {remedy}")
 }
 
 /// Folder at which relative paths of a job start.

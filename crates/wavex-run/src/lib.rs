@@ -9,6 +9,7 @@ pub mod explain;
 mod failure;
 pub mod job_file;
 pub mod log;
+pub mod missing;
 pub mod run;
 
 pub use failure::Failure;

@@ -132,6 +132,14 @@ impl LineIndex {
         Some([first, self.lines.iter().map(|line| line.shot_range[1]).max()?])
     }
 
+    /// Earliest and latest time, s; `None` if no shot has one.
+    pub fn time_range_s(&self) -> Option<[f64; 2]> {
+        // `min` and `max` of floats return the number if the other is NaN.
+        let first_s = self.lines.iter().map(|line| line.time_range_s[0]).fold(f64::NAN, f64::min);
+        let last_s = self.lines.iter().map(|line| line.time_range_s[1]).fold(f64::NAN, f64::max);
+        (first_s.is_finite() && last_s.is_finite()).then_some([first_s, last_s])
+    }
+
     /// Positions of the lines that may contain a shot.
     pub fn of_shot(&self, shot: u64) -> impl Iterator<Item = usize> {
         let may_have = move |line: &IndexedLine| (line.shot_range[0]..=line.shot_range[1]).contains(&shot);

@@ -14,14 +14,8 @@ pub(super) fn recorded(input: &InputInfo) -> Option<String> {
 /// Time scale of the shots, with its evidence.
 pub(super) fn time_scale(input: &InputInfo) -> String {
     let week = input.gps_week.map_or(String::new(), |week| format!(", GPS week {week}"));
-    let scale = match input.time_scale {
-        TimeScale::Week => "seconds of the GPS week",
-        TimeScale::Day => "seconds of the day",
-        TimeScale::Adjusted => "GPS seconds minus 1e9",
-        TimeScale::Unknown => {
-            "unknown: the file does not state it, and its times do not show it; set `recording_time`"
-        }
-    };
+    let unknown = "unknown: the file does not state it, and its times do not show it; set `recording_time`";
+    let scale = input.time_scale.words().unwrap_or(unknown);
     let evidence = match input.time_scale_is_inferred {
         true => "; assumed from the size of the times: the file states no scale, nor GPS time or UTC",
         false => "",

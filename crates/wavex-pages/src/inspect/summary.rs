@@ -160,7 +160,11 @@ fn times(inspection: &Inspection) -> SummarySection {
         section.say("shots without a time", share(times.without, shots));
     }
     let backwards = match times.backwards {
-        (count, Some(shot)) => format!("{}, first at shot {shot}", counted(count, "time")),
+        (count, Some(shot)) => format!(
+            "{}, first at shot {shot}: shots are not in order of time, as in a clipped or merged file; each step begins \
+             a scan line, which does not change the points of a shot",
+            counted(count, "time")
+        ),
         _ => "never".into(),
     };
     section.say("clock runs backwards", backwards);

@@ -1,4 +1,7 @@
+use std::path::Path;
+
 use super::*;
+use wavex_line::stage::Context;
 
 /// A line of shots, 2500 ns apart from `start_ps` on, straight down, with times.
 fn line(
@@ -110,6 +113,11 @@ fn a_clock_that_runs_backwards_and_shots_without_time_are_counted() {
     inspection.finish();
     assert_eq!((inspection.times.backwards, inspection.times.without), ((1, Some(3)), 3));
     assert_eq!(inspection.times.lines.count(), 0, "a backward step is not an interval");
+    let text =
+        RecordingSummary::of(Path::new("a.pls"), &inspection, Context::of_run().counters(), None).text();
+    let said = "1 time, first at shot 3: shots are not in order of time, as in a clipped or merged file; each step begins \
+                a scan line, which does not change the points of a shot\n";
+    assert!(text.contains(said), "{text}");
     assert_eq!(inspection.blocks_per_shot.bins().collect::<Vec<_>>(), [(0.0, 6)]);
 }
 

@@ -8,9 +8,10 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::paths::plain;
+use crate::missing;
 use wavex_engine::engine::Input;
 use wavex_engine::job::{Job, JobSettings};
-use wavex_formats::{CompanionIndex, Error};
+use wavex_formats::{CompanionIndex, Error, RecordingFormat};
 use wavex_geodesy::crs::Named;
 use wavex_line::keys::{FileMark, Key, Keys};
 
@@ -102,7 +103,7 @@ pub fn missing_files(job: &Job, inputs: &[Input], input_dir: &Path) -> Vec<Strin
         Ok(files) => files,
     };
     let files = files.into_iter().filter(|path| !is_standard_input(path) && !path.exists());
-    let mut missing: Vec<String> = files.map(|path| format!("{}: no such file", path.display())).collect();
+    let mut missing: Vec<String> = files.map(|path| no_such_file(&path)).collect();
     let geometry = &job.settings.geometry;
     let names_crs = |word: &str| !matches!(Named::parse(word), Ok(None)) || input_dir.join(word).is_file();
     if let Some(word) = geometry.crs.as_deref().filter(|word| !names_crs(word)) {
@@ -115,6 +116,17 @@ pub fn missing_files(job: &Job, inputs: &[Input], input_dir: &Path) -> Vec<Strin
         missing.push(format!("{}: no geoid {name} (.bin, .gtx)", plain(&input_dir.join(folder)).display()));
     }
     missing
+}
+
+/// Describes a missing file; the file that was meant is of the same kind.
+fn no_such_file(path: &Path) -> String {
+    let is_recording = |path: &Path| RecordingFormat::of(path).is_some();
+    let is_like = |other: &Path| match is_recording(path) {
+        true => is_recording(other),
+        false => other.extension() == path.extension(),
+    };
+    let remedy = missing::remedy(path, is_like).map_or(String::new(), |remedy| format!("; {remedy}"));
+    format!("{}: no such file{remedy}", path.display())
 }
 
 /// JSON pointers of the texts in `[job]` that name input files.

@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::{ExplainRequest, FOOTPRINTS, default_job, failed, keys_of};
+use super::{ExplainRequest, FOOTPRINTS, default_job, failed, keys_of, nearest};
 use crate::{Failure, job_file};
+use wavex_engine::engine::ProgressMode;
 use wavex_engine::job::Override;
 use wavex_engine::recording::Recording;
 use wavex_line::stage::{Context, LineLocation, RunContext, SourceConfig};
@@ -15,6 +16,7 @@ use wavex_stages::readers::read_hdf5::{BeamShot, ReadHdf5};
 /// A recording, and the stages that measure its footprints.
 pub struct FootprintChain {
     file: PathBuf,
+    progress: ProgressMode,
     reader: ReadHdf5,
     measure: MeasureFootprints,
 }
@@ -39,7 +41,12 @@ impl FootprintChain {
         };
         let reads_it = job.stages.first().is_some_and(|first| first.spec.name == FOOTPRINTS);
         let reader = keys_of(if reads_it { job } else { &default_job }, FOOTPRINTS)?;
-        Ok(FootprintChain { file, reader, measure: keys_of(job, "measure_footprints")? })
+        Ok(FootprintChain {
+            file,
+            progress: request.progress,
+            reader,
+            measure: keys_of(job, "measure_footprints")?,
+        })
     }
 
     /// Opens the recording for random access.
@@ -60,14 +67,21 @@ impl FootprintChain {
         self.explain_at(&place)
     }
 
-    /// Measures the shot nearest to a time.
+    /// Measures the shot with this running number.
     ///
     /// # Errors
-    /// As [`FootprintChain::explain`], and if the time is outside of those of the shots.
-    pub fn explain_nearest(&self, time_s: f64) -> Result<ExplainedFootprint, Failure> {
-        let shot = self.recording()?.nearest_shot(time_s).map_err(|error| failed(&error))?;
-        let place = self.reader.at(&self.file, shot.unwrap_or_default()).map_err(|error| failed(&error))?;
+    /// As [`FootprintChain::explain`].
+    pub fn explain_running(&self, shot: u64) -> Result<ExplainedFootprint, Failure> {
+        let place = self.reader.at(&self.file, shot).map_err(|error| failed(&error))?;
         self.explain_at(&place)
+    }
+
+    /// Returns the running number of the shot nearest to a time, and its time, s.
+    ///
+    /// # Errors
+    /// If the recording cannot be read, its shots have no times, or the time is outside of theirs.
+    pub fn nearest(&self, time_s: f64) -> Result<(u64, f64), Failure> {
+        nearest(self.recording()?, &self.file, self.progress, time_s)
     }
 
     fn explain_at(&self, BeamShot { beam, index }: &BeamShot) -> Result<ExplainedFootprint, Failure> {
