@@ -91,6 +91,11 @@ impl CrsRequest {
         if self.named == Named::Utm { None } else { self.crs(ANYWHERE).ok() }
     }
 
+    /// The CRS, if it is requested by a code or as WKT: its name matters, not only its coordinates.
+    pub(super) fn by_name(&self) -> Option<Crs> {
+        matches!(self.named, Named::Epsg(_) | Named::Wkt(_)).then(|| self.crs(ANYWHERE).ok()).flatten()
+    }
+
     /// The CRS of an EPSG code, with the same height reference.
     pub(super) fn in_map(&self, code: u16) -> CrsRequest {
         CrsRequest { named: Named::Epsg(code.into()), geoid: self.geoid.clone(), unit: None }

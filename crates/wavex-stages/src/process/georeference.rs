@@ -103,7 +103,7 @@ impl Map for Georeferencer {
                 self.project(&mut line.input, &mut points, cx)?;
             }
             Frame::Scanner | Frame::Body => {
-                self.geometry.keep_frame()?;
+                self.geometry.judge(&line.input)?;
                 let axes = if frame == Frame::Body { "body frame of the aircraft" } else { "scanner frame" };
                 cx.warn(format!(
                     "the input is not georeferenced: its points are in the {axes}; give [job.geometry] a `trajectory` \
@@ -139,12 +139,8 @@ impl Georeferencer {
     fn project(&mut self, input: &mut Arc<InputInfo>, points: &mut [Vector], cx: &mut Context) -> Result<()> {
         // Without a first shot there are no points.
         if self.target.is_none() {
+            self.geometry.judge(input)?.into_iter().for_each(|problem| cx.warn(problem));
             self.target = self.geometry.target(input)?;
-            self.target
-                .as_ref()
-                .and_then(OutputCrs::outside_area)
-                .into_iter()
-                .for_each(|problem| cx.warn(problem));
         }
         let Some(target) = &self.target else { return Ok(()) };
         target.replace(points)?;
@@ -163,8 +159,7 @@ impl Georeferencer {
     /// Checks once that points in a projected CRS may stay there.
     fn keep_map(&mut self, input: &Arc<InputInfo>, cx: &mut Context) -> Result<()> {
         if !self.input.as_ref().is_some_and(|[from, _]| Arc::ptr_eq(from, input)) {
-            self.geometry.keep_map(input)?;
-            self.geometry.outside_map(input).into_iter().for_each(|problem| cx.warn(problem));
+            self.geometry.judge(input)?.into_iter().for_each(|problem| cx.warn(problem));
             self.input = Some([Arc::clone(input), Arc::clone(input)]);
         }
         Ok(())
