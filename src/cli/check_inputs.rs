@@ -78,7 +78,7 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
             let points: Vec<String> =
                 POINTS_PER_SHOT.iter().map(|each| each.saturating_mul(shots).to_string()).collect();
             let shots = match format.and_then(|format| format.counted) {
-                Some(counted) => format!("at most {shots}, the number of {counted}"),
+                Some(counted) => format!("about {shots}, the number of {counted}"),
                 None => shots.to_string(),
             };
             format!("  shots:  {shots}; about {} points\n", points.join(" to "))
