@@ -34,8 +34,12 @@ pub const STAGE: StageSpec =
 /// `docs/explanation/georeferencing.md` gives the formulas. If the trajectory has accuracies
 /// (`trajectory_accuracy`), each point gets its total standard deviation.
 ///
-/// **Already in a projected CRS** (LAS, PulseWaves, `simulate` without a trajectory): points stay
-/// in that CRS, and ranges are scaled along each beam like the geometry of the input.
+/// **Already earth-centred** (PulseWaves in ECEF, containers with poses): as with a trajectory, but
+/// without one.
+///
+/// **Already in a projected CRS** (LAS, other PulseWaves, `simulate` without a trajectory): points stay
+/// in that CRS, and ranges are scaled along each beam like the geometry of the input. Another `crs` is
+/// an error; `crs_of_input` of the reader names the CRS of the recording.
 ///
 /// **Otherwise**, points stay in the frame of the aircraft or the scanner, and the report says so.
 ///
