@@ -17,7 +17,7 @@ const POINTS_PER_SHOT: [u64; 2] = [1, 3];
 
 /// Describes the inputs of a job and lists their problems; `input_dir` is absolute.
 ///
-/// Reads headers only.
+/// Reads headers only, and the first scan lines if the job has keys of coordinates.
 pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
     let (inputs, errors) = engine::find_inputs(job, input_dir);
     let mut problems: Vec<String> = errors.iter().map(ToString::to_string).collect();
@@ -25,7 +25,8 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
         let line = engine::first_line(job, &input.path, input_dir);
         line.map(|line| line.as_ref().map(engine::info_of)).map_err(|error| error.to_string())
     };
-    let firsts: Vec<FirstLine> = inputs.iter().map(first).collect();
+    let has_keys = job.settings.geometry != GeometryKeys::default() || crs_of_input(job).is_some();
+    let firsts: Vec<FirstLine> = inputs.iter().filter(|_| has_keys).map(first).collect();
     let known: Vec<&InputInfo> = firsts.iter().flatten().flatten().collect();
     let mut needed = job.clone();
     if !known.is_empty() && known.iter().all(|info| info.frame.is_georeferenced()) {
@@ -93,9 +94,7 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
 
 /// Problems of coordinates with the first scan lines of the recordings, as a run finds them.
 fn crs_problems(job: &Job, inputs: &[Input], firsts: &[FirstLine], input_dir: &Path) -> Vec<String> {
-    let Some(reader) = job.stages.first() else { return Vec::new() };
-    let named = reader.planned.resolved.get("crs_of_input").and_then(serde_json::Value::as_str);
-    if let Some(word) = named.filter(|word| declared::is_file(word)) {
+    if let Some(word) = crs_of_input(job).filter(|word| declared::is_file(word)) {
         let is_there = input_dir.join(word).is_file();
         match declared::wkt(word, input_dir) {
             Ok(_) => {}
@@ -132,6 +131,11 @@ fn crs_problems(job: &Job, inputs: &[Input], firsts: &[FirstLine], input_dir: &P
             .collect::<Vec<_>>()
     };
     inputs.iter().zip(firsts).flat_map(named).collect()
+}
+
+/// The key `crs_of_input` of the reader.
+fn crs_of_input(job: &Job) -> Option<&str> {
+    job.stages.first()?.planned.resolved.get("crs_of_input")?.as_str()
 }
 
 /// Metadata of an input with its first shot, `None` if unknown; or why it cannot be read.
