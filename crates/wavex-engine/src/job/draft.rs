@@ -8,10 +8,10 @@ use std::ops::Range;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::JobError;
 use super::errors::{BACKSLASHES, MAX_ERRORS};
 use super::limits::MAX_STAGES;
-use super::validate::truth_of;
-use super::{JobError, JobSettings};
+use super::validate::{table_of, truth_of};
 use wavex_line::keys::{FileMark, Keys};
 use wavex_line::stage::StageSpec;
 use wavex_line::stage::{find_in, nearest_of};
@@ -307,8 +307,8 @@ fn unknown_keys(root: &DeTable) -> Vec<JobError> {
 /// Error for a top-level key other than `job` and `stage`.
 fn unknown(key: &Spanned<std::borrow::Cow<str>>) -> JobError {
     let name = key.get_ref();
-    let help = if JobSettings::keys().get(name).is_some() {
-        format!("move `{name}` to `[job]`")
+    let help = if let Some(table) = table_of(name) {
+        format!("move `{name}` to `{table}`")
     } else {
         match nearest_of(name, ["job", "stage"]) {
             Some("job") => "did you mean `[job]`?".to_owned(),

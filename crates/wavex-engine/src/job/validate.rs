@@ -112,8 +112,8 @@ fn unknown_key<'k>(
     }
 }
 
-/// Other table of the job that has a key.
-fn table_of(key: &str) -> Option<&'static str> {
+/// Table of the job, outside of stages, that has a key.
+pub(super) fn table_of(key: &str) -> Option<&'static str> {
     match () {
         () if GeometryKeys::keys().get(key).is_some() => Some("[job.geometry]"),
         () if JobSettings::keys().get(key).is_some() => Some("[job]"),
