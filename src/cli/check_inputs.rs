@@ -8,8 +8,8 @@ use super::terminal::size;
 use wavex_engine::engine::{self, Input};
 use wavex_engine::job::Job;
 use wavex_formats::{CompanionIndex, RecordingFormat};
-use wavex_line::georef::declared;
-use wavex_line::stage::{Context, Plan, RunContext};
+use wavex_line::georef::{GeometryKeys, Loader, declared};
+use wavex_line::scan_line::InputInfo;
 use wavex_run::archive::missing_files;
 
 /// Usual number of points per shot, at least and at most.
@@ -17,13 +17,25 @@ const POINTS_PER_SHOT: [u64; 2] = [1, 3];
 
 /// Describes the inputs of a job and lists their problems; `input_dir` is absolute.
 ///
-/// Reads headers only.
+/// Reads headers only, and the first scan lines if the job has keys of coordinates.
 pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
     let (inputs, errors) = engine::find_inputs(job, input_dir);
     let mut problems: Vec<String> = errors.iter().map(ToString::to_string).collect();
-    problems.extend(missing_files(job, &inputs, input_dir));
-    problems.extend(check_times::problems(job, &inputs, input_dir));
-    problems.extend(crs_problems(job, &inputs, input_dir));
+    let first = |input: &Input| -> FirstLine {
+        let line = engine::first_line(job, &input.path, input_dir);
+        line.map(|line| line.as_ref().map(engine::info_of)).map_err(|error| error.to_string())
+    };
+    let has_keys = job.settings.geometry != GeometryKeys::default() || crs_of_input(job).is_some();
+    let firsts: Vec<FirstLine> = inputs.iter().filter(|_| has_keys).map(first).collect();
+    let known: Vec<&InputInfo> = firsts.iter().flatten().flatten().collect();
+    let mut needed = job.clone();
+    if !known.is_empty() && known.iter().all(|info| info.frame.is_georeferenced()) {
+        // A run does not read the trajectory.
+        (needed.settings.geometry.trajectory, needed.settings.geometry.trajectory_accuracy) = (None, None);
+    }
+    problems.extend(missing_files(&needed, &inputs, input_dir));
+    problems.extend(check_times::problems(&needed, &inputs, input_dir));
+    problems.extend(crs_problems(job, &inputs, &firsts, input_dir));
     let files: Vec<&Path> =
         inputs.iter().map(|input| input.path.as_path()).filter(|path| path.is_file()).collect();
     let Some(reader) = job.stages.first().filter(|_| !files.is_empty()) else {
@@ -67,7 +79,7 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
             let points: Vec<String> =
                 POINTS_PER_SHOT.iter().map(|each| each.saturating_mul(shots).to_string()).collect();
             let shots = match format.and_then(|format| format.counted) {
-                Some(counted) => format!("at most {shots}, the number of {counted}"),
+                Some(counted) => format!("about {shots}, the number of {counted}"),
                 None => shots.to_string(),
             };
             format!("  shots:  {shots}; about {} points\n", points.join(" to "))
@@ -80,13 +92,9 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
     (text, problems)
 }
 
-/// Problems of `crs_of_input` with the first scan lines of the recordings.
-fn crs_problems(job: &Job, inputs: &[Input], input_dir: &Path) -> Vec<String> {
-    let Some(reader) = job.stages.first() else { return Vec::new() };
-    let Plan::Source(source) = &reader.planned.plan else { return Vec::new() };
-    let named = reader.planned.resolved.get("crs_of_input").and_then(serde_json::Value::as_str);
-    let Some(word) = named else { return Vec::new() };
-    if declared::is_file(word) {
+/// Problems of coordinates with the first scan lines of the recordings, as a run finds them.
+fn crs_problems(job: &Job, inputs: &[Input], firsts: &[FirstLine], input_dir: &Path) -> Vec<String> {
+    if let Some(word) = crs_of_input(job).filter(|word| declared::is_file(word)) {
         let is_there = input_dir.join(word).is_file();
         match declared::wkt(word, input_dir) {
             Ok(_) => {}
@@ -95,17 +103,43 @@ fn crs_problems(job: &Job, inputs: &[Input], input_dir: &Path) -> Vec<String> {
             Err(_) => return Vec::new(),
         }
     }
-    let problem = |input: &Input| {
-        let run = RunContext { input_dir: input_dir.to_owned(), ..RunContext::alone(&input.path) };
-        let begun = source.make_for_inspection(&run, false);
-        let read = begun.and_then(|mut source| source.next(&mut Context::of_run()).map(drop));
-        // Other problems are found by their own checks.
-        let error =
-            read.err().map(|error| error.to_string()).filter(|error| error.contains("crs_of_input"))?;
-        Some(format!("{}: {error}", input.path.display()))
+    // Without the files of the trajectory; unreadable files have their own messages.
+    let keys = GeometryKeys { trajectory: None, ..job.settings.geometry.clone() };
+    let geometry = Loader::new(&keys, input_dir).and_then(|mut loader| loader.load("", || false)).ok();
+    let has_coordinates = job.stages.iter().any(|stage| stage.spec.name == "georeference");
+    let problems = |first: &FirstLine| -> Vec<String> {
+        let info = match first {
+            Ok(Some(info)) => info,
+            Ok(None) => return Vec::new(),
+            // Other problems are found by their own checks.
+            Err(error) if error.contains("crs_of_input") => return vec![error.clone()],
+            Err(_) => return Vec::new(),
+        };
+        let mut problems: Vec<String> = job.settings.geometry.unused_in(info.frame).into_iter().collect();
+        // The trajectory gives beams other coordinates.
+        let is_judged =
+            has_coordinates && (info.frame.is_georeferenced() || job.settings.geometry.trajectory.is_none());
+        if let Some(geometry) = geometry.as_ref().filter(|_| is_judged) {
+            problems.extend(geometry.judge(info).unwrap_or_else(|error| vec![error.to_string()]));
+        }
+        problems
     };
-    inputs.iter().filter(|input| input.path.is_file()).filter_map(problem).collect()
+    let named = |(input, first): (&Input, &FirstLine)| {
+        problems(first)
+            .into_iter()
+            .map(|problem| format!("{}: {problem}", input.path.display()))
+            .collect::<Vec<_>>()
+    };
+    inputs.iter().zip(firsts).flat_map(named).collect()
 }
+
+/// The key `crs_of_input` of the reader.
+fn crs_of_input(job: &Job) -> Option<&str> {
+    job.stages.first()?.planned.resolved.get("crs_of_input")?.as_str()
+}
+
+/// Metadata of an input with its first shot, `None` if unknown; or why it cannot be read.
+type FirstLine = Result<Option<InputInfo>, String>;
 
 /// Error for inputs that must be there.
 pub(super) fn required(job: &Job, problems: &[String]) -> String {

@@ -3,12 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use wavex_engine::engine::Input;
+use wavex_engine::engine::{self, Input};
 use wavex_engine::job::Job;
 use wavex_formats::RecordingFormat;
 use wavex_geodesy::time_axis::{Clock, TimeSpan, align};
 use wavex_line::georef::trajectory_times;
-use wavex_line::stage::{Context, Plan, RunContext};
 
 /// Time without trajectory that is not reported, s.
 const TOLERANCE_S: f64 = 0.1;
@@ -28,7 +27,8 @@ pub(super) fn problems(job: &Job, inputs: &[Input], input_dir: &Path) -> Vec<Str
             let times = file.is_file().then(|| trajectory_times(geometry, &file))?;
             times.map_err(|error| problems.push(error.to_string())).ok()
         });
-        let Some((trajectory, recording)) = trajectory.zip(recording_times(job, &input.path)) else {
+        let Some((trajectory, recording)) = trajectory.zip(recording_times(job, &input.path, input_dir))
+        else {
             continue;
         };
         problems.extend(
@@ -39,18 +39,16 @@ pub(super) fn problems(job: &Job, inputs: &[Input], input_dir: &Path) -> Vec<Str
 }
 
 /// Time span of a recording as its reader gives the times; `None` if it is unknown.
-fn recording_times(job: &Job, path: &Path) -> Option<TimeSpan> {
+fn recording_times(job: &Job, path: &Path, input_dir: &Path) -> Option<TimeSpan> {
     let reader = job.stages.first()?;
     let first_last_s = RecordingFormat::read_by(reader.spec.name)?.first_last_s?;
     // A window of time may begin anywhere in the recording.
     let has_window = reader.planned.resolved.get("time_s").is_some_and(|window| !window.is_null());
-    let Plan::Source(source) = &reader.planned.plan else { return None };
     if has_window || !path.is_file() {
         return None;
     }
     let [stored_first_s, stored_last_s] = first_last_s(path).ok()??;
-    let mut source = source.make_for_inspection(&RunContext::alone(path), false).ok()?;
-    let line = source.next(&mut Context::of_run()).ok()??;
+    let line = engine::first_line(job, path, input_dir).ok()??;
     let first_s = line.emissions.first()?.gps_time_s;
     let clock = Clock::of(line.input.time_scale)?;
     let mut duration_s = stored_last_s - stored_first_s;

@@ -43,6 +43,10 @@ pub(super) fn survey(args: &SurveyArgs, quiet: bool) -> Result<(), Failure> {
 fn add_strips(folder: &Path, inputs: &mut BTreeMap<String, SurveyInput>) -> Result<(), Failure> {
     let failed =
         |error: std::io::Error| Failure::Run(format!("{}: {error}; check the path", folder.display()));
+    if folder.is_file() {
+        let problem = "it is a file, not a folder; give the folder of the outputs, and the job by `--job`";
+        return Err(Failure::Wrong(format!("{}: {problem}", folder.display())));
+    }
     let mut names = Vec::new();
     for entry in folder.read_dir().map_err(failed)? {
         names.push(entry.map_err(failed)?.file_name().to_string_lossy().into_owned());

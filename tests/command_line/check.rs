@@ -6,7 +6,7 @@ use wavex_geodesy::crs::wkt_of_epsg;
 use wavex_testkit::flight::sbet;
 use wavex_testkit::las::Las;
 use wavex_testkit::pulsewaves::PulseWaves;
-use wavex_testkit::{Outcome, TestFolder};
+use wavex_testkit::{Outcome, TO_TABLE, TestFolder};
 
 /// A folder with a job of this reader.
 fn place(reader: &str, paths: &str) -> TestFolder {
@@ -43,8 +43,8 @@ fn the_size_of_the_inputs_and_the_number_of_points_are_printed() {
     assert_eq!(outcome.code, Some(0), "{}", outcome.err);
     let kilobytes = 2.0 * (las.las().len() + las.packets.len()) as f64 / 1e3;
     assert_eq!(lines(&outcome, "files"), [format!("2, {kilobytes:.1} kB")]);
-    // Two first returns may be of one shot.
-    let counted = "at most 14, the number of points that are first returns; about 14 to 42 points";
+    // Two first returns may be of one shot, and a shot may have none.
+    let counted = "about 14, the number of points that are first returns; about 14 to 42 points";
     assert_eq!(lines(&outcome, "shots"), [counted]);
     let output = lines(&outcome, "output");
     assert!(
@@ -96,9 +96,44 @@ fn the_expected_time_of_a_small_job_is_seconds() {
 
 #[test]
 fn a_trajectory_must_cover_its_recording() {
-    for (reader, name) in [("read_las", "a.las"), ("read_pulsewaves", "a.pls"), ("read_arrow", "a.arrow")] {
-        let place = place(reader, &format!("'{name}'"));
-        let (las, waves) = (Las::new(300), PulseWaves::new(300));
+    let (reader, name) = ("read_arrow", "a.arrow");
+    let place = place(reader, &format!("'{name}'"));
+    assert_eq!(place.run("[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 6\nshots_per_line = 200\npulse_rate_hz = 1000\nsbet = '*.out'\n[[stage]]\ntype = 'write_arrow'\npath = '../*.arrow'\n").code, Some(0));
+    let job = format!(
+        "[job.geometry]\ntrajectory = '*.sbet'\n[[stage]]\ntype = '{reader}'\npath = '{name}'\n[[stage]]\ntype = 'write_arrow'\npath = 'out/*.arrow'\n"
+    );
+    place.write("job.toml", job.as_bytes());
+    let scanned: serde_json::Value =
+        serde_json::from_str(&place.wavex(&["scan", name, "--json"]).out).unwrap();
+    let [first_s, last_s] = ["first_shot_s", "last_shot_s"].map(|key| scanned[key].as_f64().unwrap());
+    let warnings = |times_s: [f64; 2]| -> Vec<String> {
+        place.write("a.sbet", &sbet(times_s));
+        lines(&check(&place, &[]), "warning").into_iter().map(str::to_owned).collect()
+    };
+    assert_eq!(warnings([first_s - 1.0, last_s + 1.0]), Vec::<String>::new(), "{name}");
+    let elsewhere = warnings([first_s + 5_000.0, last_s + 5_000.0]);
+    let problem = format!(
+        "HERE/{name}: the recording and the trajectory have no time in common: the recording lasts from "
+    );
+    assert!(elsewhere.len() == 1 && elsewhere[0].starts_with(&problem), "{elsewhere:?}");
+    if last_s - first_s > 0.5 {
+        let half = warnings([first_s - 1.0, 0.5 * (first_s + last_s)]);
+        let problem =
+            format!("HERE/{name}: the trajectory covers 50 % of the recording: the recording lasts from ");
+        assert!(half.len() == 1 && half[0].starts_with(&problem), "{half:?}");
+    }
+    place.write("a.sbet", b"no trajectory");
+    let unreadable = lines(&check(&place, &[]), "warning").join("\n");
+    assert!(unreadable.starts_with("HERE/a.sbet: ") && !unreadable.contains('\n'), "{unreadable}");
+}
+
+/// LAS and PulseWaves of the tests are in a map.
+#[test]
+fn a_trajectory_that_is_not_used_is_named_and_need_not_exist() {
+    let said = "the recording is already in a projected CRS: `trajectory` is not used; remove it from `[job.geometry]`";
+    let (las, waves) = (Las::new(20), PulseWaves::new(20));
+    for (reader, name) in [("read_las", "a.las"), ("read_pulsewaves", "a.pls")] {
+        let place = place(reader, "''");
         let files: [(&str, &[u8]); 4] = [
             ("a.las", &las.las()),
             ("a.wdp", &las.packets),
@@ -106,34 +141,56 @@ fn a_trajectory_must_cover_its_recording() {
             ("a.wvs", &waves.waves),
         ];
         files.iter().for_each(|(name, bytes)| place.write(name, bytes));
-        assert_eq!(place.run("[[stage]]\ntype = 'simulate'\nstem = 'a'\nlines = 6\nshots_per_line = 200\npulse_rate_hz = 1000\n[[stage]]\ntype = 'write_arrow'\npath = '../*.arrow'\n").code, Some(0));
         let job = format!(
-            "[job.geometry]\ntrajectory = '*.sbet'\n[[stage]]\ntype = '{reader}'\npath = '{name}'\n[[stage]]\ntype = 'write_arrow'\npath = 'out/*.arrow'\n"
+            "[job]\noutput_dir = 'out'\n[job.geometry]\ntrajectory = '*.sbet'\n[[stage]]\ntype = '{reader}'\npath = '{name}'\n[[stage]]\ntype = 'write_arrow'\n"
         );
         place.write("job.toml", job.as_bytes());
-        let scanned: serde_json::Value =
-            serde_json::from_str(&place.wavex(&["scan", name, "--json"]).out).unwrap();
-        let [first_s, last_s] = ["first_shot_s", "last_shot_s"].map(|key| scanned[key].as_f64().unwrap());
-        let warnings = |times_s: [f64; 2]| -> Vec<String> {
-            place.write("a.sbet", &sbet(times_s));
-            lines(&check(&place, &[]), "warning").into_iter().map(str::to_owned).collect()
-        };
-        assert_eq!(warnings([first_s - 1.0, last_s + 1.0]), Vec::<String>::new(), "{name}");
-        let elsewhere = warnings([first_s + 5_000.0, last_s + 5_000.0]);
-        let problem = format!(
-            "HERE/{name}: the recording and the trajectory have no time in common: the recording lasts from "
-        );
-        assert!(elsewhere.len() == 1 && elsewhere[0].starts_with(&problem), "{elsewhere:?}");
-        if last_s - first_s > 0.5 {
-            let half = warnings([first_s - 1.0, 0.5 * (first_s + last_s)]);
-            let problem = format!(
-                "HERE/{name}: the trajectory covers 50 % of the recording: the recording lasts from "
-            );
-            assert!(half.len() == 1 && half[0].starts_with(&problem), "{half:?}");
+        for trajectory in [None, Some(sbet([1.0, 2.0])), Some(b"no trajectory".to_vec())] {
+            trajectory.into_iter().for_each(|bytes| place.write("a.sbet", &bytes));
+            assert_eq!(lines(&check(&place, &[]), "warning"), [format!("HERE/{name}: {said}")]);
+            let outcome = place.wavex(&["run", "job.toml"]);
+            assert!(outcome.code == Some(0) && outcome.err.contains(said), "{outcome:?}");
         }
-        place.write("a.sbet", b"no trajectory");
-        let unreadable = lines(&check(&place, &[]), "warning").join("\n");
-        assert!(unreadable.starts_with("HERE/a.sbet: ") && !unreadable.contains('\n'), "{unreadable}");
+    }
+}
+
+/// A run judges by the same function.
+#[test]
+fn coordinates_of_beams_are_judged_as_by_a_run() {
+    let place = place("read_las", "''");
+    let las = Las::new(320);
+    place.write("a.las", &las.las());
+    place.write("a.wdp", &las.packets);
+    let keeps = "the points stay in EPSG:32633 (WGS 84 / UTM zone 33N), the CRS of the recording: `crs` of `[job.geometry]` \
+                 names EPSG:25833 (ETRS89 / UTM zone 33N), which has the same coordinates; remove `crs`, or name the CRS \
+                 with the reader's key `crs_of_input`, to write that name";
+    let refuses = "the beams of this recording are already in WGS 84 / UTM zone 33N, but `[job.geometry]` requests other \
+                   coordinates; ";
+    for (crs, code, expected) in [
+        ("EPSG:32633", 0, None),
+        ("utm:33N", 0, None),
+        ("EPSG:25833", 0, Some(keeps)),
+        ("EPSG:25832", 1, Some(refuses)),
+        ("EPSG:4326", 1, Some(refuses)),
+    ] {
+        let job = format!(
+            "[job]\noutput_dir = 'out'\n[job.geometry]\ncrs = '{crs}'\n[[stage]]\ntype = 'read_las'\npath = 'a.las'\ncrs_of_input = 'EPSG:32633'\n{TO_TABLE}"
+        );
+        place.write("job.toml", job.as_bytes());
+        let checked = check(&place, &[]);
+        let outcome = place.wavex(&["run", "job.toml"]);
+        assert_eq!(outcome.code, Some(code), "{outcome:?}");
+        match (lines(&checked, "warning").as_slice(), expected) {
+            ([], None) => {}
+            ([warning], Some(expected)) => {
+                assert!(
+                    warning.strip_prefix("HERE/a.las: ").is_some_and(|said| said.starts_with(expected)),
+                    "{warning}"
+                );
+                assert!(outcome.err.contains(expected), "{}", outcome.err);
+            }
+            (warnings, _) => panic!("{crs}: {warnings:?}"),
+        }
     }
 }
 

@@ -45,6 +45,28 @@ fn lines_with<'t>(text: &'t str, part: &str) -> Vec<&'t str> {
 }
 
 #[test]
+fn outputs_of_another_job_are_named_before_they_are_replaced() {
+    let job = b"[job]\noutput_dir = 'out'\n[[stage]]\ntype = 'simulate'\nlines = 1\n[[stage]]\ntype = 'write_arrow'\npath = '*.arrow'\n";
+    let place = TestFolder::with(&[("a.toml", job), ("b.toml", job)]);
+    let warnings = |name: &str| -> Vec<String> {
+        let run = place.wavex(&["run", name]);
+        assert_eq!(run.code, Some(0), "{}", run.err);
+        lines_with(&run.err, "replaces").into_iter().map(str::to_owned).collect()
+    };
+    assert!(warnings("a.toml").is_empty() && warnings("a.toml").is_empty(), "its own outputs");
+    for (job, other) in [("b.toml", "a"), ("a.toml", "b")] {
+        let [warning] = &warnings(job)[..] else { panic!("{job}") };
+        assert!(
+            warning.contains("the run replaces outputs of another job: out.arrow, which ")
+                && warning
+                    .ends_with(&format!("{other}_report.json describes; give each job its own `output_dir`")),
+            "{warning}"
+        );
+    }
+    assert!(warnings("a.toml").is_empty(), "its own outputs again");
+}
+
+#[test]
 fn a_missing_trajectory_is_one_warning_with_its_consequences() {
     let place = place();
     let run = place.wavex(&["run", "flight.toml"]);

@@ -232,7 +232,7 @@ pub fn return_of(emission: u32, [number, of]: [u8; 2], range_m: f64) -> Return {
 pub fn run_context(flight: &Flight, geometry: &str) -> Result<RunContext, String> {
     let keys: GeometryKeys = toml::from_str(geometry).unwrap();
     keys.check().unwrap();
-    let loaded = Loader::new(&keys, flight.folder()).and_then(|mut loader| loader.load("a"));
+    let loaded = Loader::new(&keys, flight.folder()).and_then(|mut loader| loader.load("a", || false));
     Ok(RunContext {
         input: flight.path("a.arrow"),
         stem: "a".into(),

@@ -21,6 +21,7 @@ use wavex_line::stage::{Context, OutputLock, Plan, RunContext, RunObservers, Sta
 
 mod chain;
 mod failure;
+mod first_line;
 mod input_state;
 mod inputs;
 mod link;
@@ -38,6 +39,7 @@ mod trace;
 mod worker;
 
 pub use failure::{Cancel, Cause, RunError};
+pub use first_line::{first_line, info_of, is_placed};
 pub use inputs::Input;
 pub use inputs::{expand, size, sizes};
 pub use observe::observe;

@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use wavex_simd::SimdLevel;
 
-use wavex_line::georef::GeometryKeys;
+use wavex_line::georef::{GeometryKeys, check_crs_name};
 use wavex_line::keys::{InvalidKey, Keys};
 use wavex_line::scan_line::Kind;
 use wavex_line::stage::{Paths, Planned, StageSpec};
@@ -214,16 +214,25 @@ impl JobSettings {
         let is_name = !matches!(self.report.as_str(), "true" | "false");
         InvalidKey::unless(is_name, "report", page::REPORT_IS_A_NAME)?;
         let fits = self.report_page.is_empty() || self.report_page.ends_with(".html");
-        InvalidKey::unless(fits, "report_page", "it must end in .html, such as \"report.html\"")?;
+        InvalidKey::unless(
+            fits,
+            "report_page",
+            "it must end in .html, such as \"report.html\", or be `true` without quotation marks",
+        )?;
         let fits = self.survey_page.is_empty() || self.survey_page.ends_with(".html");
-        InvalidKey::unless(fits, "survey_page", "it must end in .html, such as \"survey.html\"")?;
+        InvalidKey::unless(
+            fits,
+            "survey_page",
+            "it must end in .html, such as \"survey.html\", or be `true` without quotation marks",
+        )?;
         let fits = self.survey.cells.is_empty() || self.survey.cells.ends_with(CELLS);
         InvalidKey::unless(
             fits,
             "survey.cells",
             "it must end in *_cells.arrow, such as \"qc/*_cells.arrow\"",
         )?;
-        self.geometry.check()
+        self.geometry.check()?;
+        check_crs_name(&self.geometry)
     }
 
     /// Pattern of the files of cells, if the job requests them.

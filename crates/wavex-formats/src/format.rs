@@ -25,7 +25,7 @@ pub struct RecordingFormat {
     pub companions: &'static [&'static str],
     /// Reads the number of shots from the header of a file; `None` if headers do not have it.
     pub shot_count: Option<fn(&Path) -> Result<u64>>,
-    /// What headers count instead of shots, of which there are at most as many; `None` if they count shots.
+    /// What headers count instead of shots, of which there are about as many; `None` if they count shots.
     pub counted: Option<&'static str>,
     /// Reads the times of the first and the last record, s, as stored; `None` if this needs the whole file.
     pub first_last_s: Option<FirstLastTime>,
@@ -129,7 +129,8 @@ pub fn small_footprint_reader_of(input: &str) -> std::result::Result<&'static st
 
 /// Number of first returns in the header of a LAS file, or of points if first returns are not counted.
 ///
-/// At least the number of shots: several points of a shot may be first returns, as of two receivers.
+/// Near the number of shots: several points of a shot may be first returns, as of two receivers, and shots may lack
+/// theirs.
 fn first_returns_of_las(path: &Path) -> Result<u64> {
     let reader = las::Reader::open(path)?;
     let header = reader.header();

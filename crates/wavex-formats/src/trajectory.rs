@@ -26,7 +26,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Error, Result};
+use super::{Error, RecordingFormat, Result};
 use input::InputFile;
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_geodesy::frames::{Attitude, ecef_from_ned, inverse, rotate};
@@ -256,6 +256,10 @@ impl TrajectoryFormat {
 }
 
 fn unknown(path: &Path, length: u64) -> Error {
+    if RecordingFormat::of(path).is_some() {
+        let remedy = "give the positions and attitudes of the flight: SBET, POF, SOL, TRJ or columns of text";
+        return Error::unusable(path, "it is a recording, not a trajectory", remedy);
+    }
     let problem = format!(
         "unknown trajectory format: its {length} bytes do not begin with `RIEGL \
          POSITION&ORIENTATION` (POF) or `TSCANTRJ` (TRJ), byte 34 is not the XOR of the bytes \

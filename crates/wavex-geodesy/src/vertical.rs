@@ -16,6 +16,13 @@ pub enum Frame {
     Earth,
 }
 
+impl Frame {
+    /// Whether coordinates in this frame are positions on the earth.
+    pub fn is_georeferenced(self) -> bool {
+        matches!(self, Frame::Map | Frame::Earth)
+    }
+}
+
 /// Unit vector straight down at a position (m in `frame`); `None` for instrument frames.
 pub fn down_at(frame: Frame, place_m: Vector) -> Option<Vector> {
     match frame {

@@ -23,6 +23,6 @@ pub use context::{Geometry, Loader, ShotPoses};
 pub use error::{Error, Result};
 pub use keys::GeometryKeys;
 pub use output_crs::MOST_WKT_BYTES;
-pub use output_crs::check_crs;
+pub use output_crs::{check_crs, check_crs_name};
 pub use trajectory_file::checks as trajectory_checks;
 pub use trajectory_file::trajectory_times;

@@ -19,6 +19,7 @@ use wavex_pages::report;
 
 mod ending;
 mod files;
+mod replaced;
 mod resume;
 mod survey_files;
 
@@ -240,6 +241,9 @@ pub fn run(request: RunRequest) -> Result<FinishedRun, RunFailure> {
     for message in &messages {
         tracing::info!("{message}");
         listener.resume_decision(message);
+    }
+    for warning in files.replaced(job, &options.input_dir) {
+        tracing::warn!("{warning}");
     }
     let ended = engine::run_each(
         archived.as_ref().unwrap_or(job),

@@ -165,16 +165,16 @@ fn a_place_is_given_once() {
     let placed = flight.place("calibration = { e0 = 1.0 }", |truth| truth.range_m - 1.0).unwrap();
     let off = placed.points.iter().zip(&flight.truth).map(|(point, truth)| distance_m(*point, truth.point_m));
     assert!(off.fold(0.0, f64::max) < 1e-3, "a container keeps the poses");
-    let notes = &placed.cx.counters().notes;
+    assert_eq!(placed.cx.counters().notes, Vec::<String>::new(), "ranges are corrected");
+    let report = with("trajectory = 'missing.out'", posed);
     assert_eq!(
-        notes[..],
-        ["the beams of the recording are already georeferenced: of `[job.geometry]`, only the keys for \
-             ranges and coordinates are used"]
+        report.inputs[0].stages[0].notes,
+        ["the recording is already georeferenced: `trajectory` is not used; remove it from `[job.geometry]`"]
     );
     let report = with("mount = 'x_down_z_left'", "[[stage]]\ntype = 'simulate'\nlines = 1\n");
     assert_eq!(
         report.inputs[0].stages[0].notes,
-        ["the recording is already in a projected CRS: trajectory, mount and calibration are not used"]
+        ["the recording is already in a projected CRS: `mount` is not used; remove it from `[job.geometry]`"]
     );
 }
 

@@ -9,7 +9,7 @@ use crossbeam_channel::Sender;
 use super::chain::{self, Common};
 use super::failure::{THREAD_PREFIX, guarded, no_thread};
 use super::worker::Gauge;
-use super::{Cancel, Cause, InputSummary, Options, Progress, RunError};
+use super::{Cancel, Cause, InputSummary, Options, Progress, RunError, is_placed};
 use crate::job::Job;
 use wavex_line::georef::Loader;
 use wavex_line::stage::{Context, RunContext, StageError};
@@ -118,7 +118,8 @@ fn one(
 
 /// Runs the chain over one input; returns the work done and the first cause of a failure.
 pub(super) fn run_input(shared: &Shared, mut run: RunContext, options: &Options, gauge: &Gauge) -> Ended {
-    let loaded = shared.geometry.lock().unpoisoned().load(&run.stem);
+    let is_placed = || is_placed(shared.job, &run.input, &run.input_dir);
+    let loaded = shared.geometry.lock().unpoisoned().load(&run.stem, is_placed);
     match loaded {
         Ok(its_geometry) => {
             run.geometry = Arc::new(its_geometry);

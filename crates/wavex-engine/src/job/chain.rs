@@ -97,10 +97,9 @@ impl ChainStage<'_> {
         let name = self.spec.name;
         let problem = format!("`{name}` takes {}, but receives {given}", listed(&takes, "or"));
         let help = if let Some(route) = self.route(given) {
-            let names: Vec<String> = route.iter().map(|spec| quoted(spec.name)).collect();
-            format!("insert {} before it", listed(&names, "and"))
-        } else if let Some(earlier) = self.last_fit() {
-            format!("move it up, after `{}`", earlier.name)
+            self.completion(&route)
+        } else if let Some(place) = self.earlier_place() {
+            format!("move it up, {place}")
         } else {
             // Waveforms of large footprints have a stage of their own.
             let takes_given = |spec: &&&StageSpec| given == Kind::Footprints && spec.accepts.contains(&given);
@@ -114,6 +113,20 @@ impl ChainStage<'_> {
             format!("no stage makes {} of {given}{instead}", listed(&takes, "or"))
         };
         Some((problem, help))
+    }
+
+    /// Help that brings the stages of a route before this one: moves those that follow, inserts the others.
+    fn completion(&self, route: &[&'static StageSpec]) -> String {
+        let follows = |spec: &&StageSpec| self.links[self.at..].iter().any(|link| link.is(spec.name));
+        let (late, missing): (Vec<&StageSpec>, Vec<&StageSpec>) = route.iter().copied().partition(follows);
+        let names = |specs: Vec<&StageSpec>| {
+            listed(&specs.iter().map(|spec| quoted(spec.name)).collect::<Vec<_>>(), "and")
+        };
+        match (missing.is_empty(), late.is_empty()) {
+            (_, true) => format!("insert {} before it", names(missing)),
+            (true, _) => format!("move {} up, before it", names(late)),
+            _ => format!("insert {} and move {} up, before it", names(missing), names(late)),
+        }
     }
 
     /// Checks that a stage required before this one comes before it.
@@ -170,17 +183,22 @@ impl ChainStage<'_> {
         find_in(self.known, spec.after.first()?)
     }
 
-    /// The last stage before this one whose output this stage accepts.
-    fn last_fit(&self) -> Option<&'static StageSpec> {
+    /// The last earlier place in the chain whose lines this stage accepts.
+    fn earlier_place(&self) -> Option<String> {
+        let fits = |kind: Option<Kind>| kind.is_some_and(|kind| self.spec.accepts.contains(&kind));
         let mut kind = None;
-        let mut fit = None;
+        let mut place = None;
         for spec in self.links[..self.at].iter().filter_map(|link| link.spec) {
+            // A stage that needs what this one makes.
+            if fits(kind) && kind.is_some_and(|kind| !spec.accepts.contains(&kind)) {
+                return Some(format!("before `{}`", spec.name));
+            }
             kind = spec.gives(kind);
-            if kind.is_some_and(|kind| self.spec.accepts.contains(&kind)) {
-                fit = Some(spec);
+            if fits(kind) {
+                place = Some(format!("after `{}`", spec.name));
             }
         }
-        fit
+        place
     }
 }
 

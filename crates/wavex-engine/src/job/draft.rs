@@ -8,9 +8,10 @@ use std::ops::Range;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::JobError;
 use super::errors::{BACKSLASHES, MAX_ERRORS};
 use super::limits::MAX_STAGES;
-use super::{JobError, JobSettings};
+use super::validate::{table_of, truth_of};
 use wavex_line::keys::{FileMark, Keys};
 use wavex_line::stage::StageSpec;
 use wavex_line::stage::{find_in, nearest_of};
@@ -98,14 +99,38 @@ fn not_a_list(span: Range<usize>) -> JobError {
 /// Converts a TOML syntax error of this text.
 pub(super) fn syntax_error(text: &str, span: Range<usize>, problem: &toml::de::Error) -> JobError {
     let start = text.get(..span.start).and_then(|before| before.rfind('\n')).map_or(0, |end| end + 1);
-    let has_backslash =
-        text.get(start..).and_then(|rest| rest.lines().next()).is_some_and(|line| line.contains('\\'));
-    let mut error = JobError::at(span, format!("invalid TOML: {}", problem.message()));
-    if problem.message().starts_with("string values must be quoted") {
-        error = error.help("put text in quotation marks: `\"text\"`");
-    }
-    if has_backslash { error.help(BACKSLASHES) } else { error }
+    let line = text.get(start..).and_then(|rest| rest.lines().next()).unwrap_or_default();
+    let value =
+        line.split_once('=').map_or("", |(_, value)| value.split('#').next().unwrap_or_default().trim());
+    let error = JobError::at(span, format!("invalid TOML: {}", problem.message()));
+    let error = match value_help(value, problem.message()) {
+        Some(help) => error.help(help),
+        None => error,
+    };
+    if line.contains('\\') { error.help(BACKSLASHES) } else { error }
 }
+
+/// Help for a value that is not TOML.
+fn value_help(value: &str, message: &str) -> Option<String> {
+    let is_unquoted =
+        message.starts_with("string values must be quoted") || message.contains("invalid boolean");
+    let number = value.replacen(',', ".", 1);
+    match truth_of(value) {
+        _ if value.starts_with(TYPOGRAPHIC) => {
+            Some("write `\"` for the typographic quotation marks".to_owned())
+        }
+        _ if number != value && number.parse::<f64>().is_ok() => {
+            Some(format!("write numbers with a decimal point: {number}"))
+        }
+        Some(truth) if is_unquoted => {
+            Some(format!("write `{truth}` for a flag, or text in quotation marks: `\"{value}\"`"))
+        }
+        _ => is_unquoted.then(|| "put text in quotation marks: `\"text\"`".to_owned()),
+    }
+}
+
+/// Quotation marks of word processors.
+const TYPOGRAPHIC: [char; 8] = ['“', '”', '„', '‟', '‘', '’', '‚', '«'];
 
 impl<'t> JobDraft<'t> {
     /// Splits the table into settings and stages; also returns errors.
@@ -282,8 +307,8 @@ fn unknown_keys(root: &DeTable) -> Vec<JobError> {
 /// Error for a top-level key other than `job` and `stage`.
 fn unknown(key: &Spanned<std::borrow::Cow<str>>) -> JobError {
     let name = key.get_ref();
-    let help = if JobSettings::keys().get(name).is_some() {
-        format!("move `{name}` to `[job]`")
+    let help = if let Some(table) = table_of(name) {
+        format!("move `{name}` to `{table}`")
     } else {
         match nearest_of(name, ["job", "stage"]) {
             Some("job") => "did you mean `[job]`?".to_owned(),

@@ -57,6 +57,16 @@ impl JobError {
         }
     }
 
+    /// Suggests a key like [`JobError::meant`], or the shortest one with `name` as one of its words.
+    pub(super) fn meant_key(self, name: &str, keys: &[&str]) -> JobError {
+        let has_word = |key: &&&str| key.split('_').any(|word| word == name);
+        let with_word = || keys.iter().filter(has_word).min_by_key(|key| key.len()).copied();
+        match nearest_of(name, keys.iter().copied()).or_else(with_word) {
+            Some(meant) => self.help(format!("did you mean `{meant}`?")),
+            None => self,
+        }
+    }
+
     /// Adds a remedy.
     pub(super) fn help(mut self, help: impl Into<String>) -> JobError {
         self.help.push(help.into());

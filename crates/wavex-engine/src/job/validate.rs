@@ -10,9 +10,10 @@ use serde_json::Value;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::JobError;
 use super::errors::{BACKSLASHES, MAX_ERRORS};
 use super::manual::first_sentence;
+use super::{JobError, JobSettings};
+use wavex_line::georef::GeometryKeys;
 use wavex_line::keys::{Keys, bounds, choices, is_within, takes};
 
 /// Finds errors in the keys of `table`; errors call the table `owner`, such as "`decompose`".
@@ -23,6 +24,15 @@ pub(super) fn check(owner: &str, keys: &Keys, table: &Spanned<DeTable>) -> Vec<J
 /// Returns whether a schema accepts only text.
 pub(super) fn only_text(schema: &Value) -> bool {
     choices(schema).is_some() || schema.get("type").is_some_and(|name| name == "string")
+}
+
+/// The Boolean value that a word of another language or program means.
+pub(super) fn truth_of(word: &str) -> Option<bool> {
+    match word.to_lowercase().as_str() {
+        "yes" | "on" | "true" => Some(true),
+        "no" | "off" | "false" => Some(false),
+        _ => None,
+    }
 }
 
 /// Describes the type of a value.
@@ -88,12 +98,26 @@ fn unknown_key<'k>(
     match known.as_slice() {
         [] => error.help("it has no keys"),
         known => {
-            let error = match crs_key(key.get_ref(), known).zip(code(value.get_ref())) {
-                Some((name, code)) => error.help(crs_help(name, code)),
-                None => error,
+            let error = match (crs_key(key.get_ref(), known), code(value.get_ref()), table_of(key.get_ref()))
+            {
+                (Some(Some(name)), Some(code), _) => error.help(crs_help(name, code)),
+                (Some(None), Some(code), _) => {
+                    error.help(format!("{} in `[job.geometry]`", crs_help("crs", code)))
+                }
+                (.., Some(table)) => error.help(format!("write it in `{table}`")),
+                _ => error.meant_key(key.get_ref(), known),
             };
-            error.meant(key.get_ref(), known.iter().copied()).help(format!("keys: {}", known.join(", ")))
+            error.help(format!("keys: {}", known.join(", ")))
         }
+    }
+}
+
+/// Table of the job, outside of stages, that has a key.
+pub(super) fn table_of(key: &str) -> Option<&'static str> {
+    match () {
+        () if GeometryKeys::keys().get(key).is_some() => Some("[job.geometry]"),
+        () if JobSettings::keys().get(key).is_some() => Some("[job]"),
+        () => None,
     }
 }
 
@@ -102,10 +126,10 @@ const CRS_KEYS: [&str; 2] = ["crs", "crs_of_input"];
 /// Names that such keys do not have.
 const CRS_SYNONYMS: [&str; 5] = ["epsg", "epsg_code", "srs", "srid", "crs"];
 
-/// Key that was meant by a name of a coordinate reference system.
-fn crs_key<'k>(name: &str, known: &[&'k str]) -> Option<&'k str> {
+/// Key of this table that was meant by a name of a coordinate reference system; `None` for other names.
+fn crs_key<'k>(name: &str, known: &[&'k str]) -> Option<Option<&'k str>> {
     let is_synonym = CRS_SYNONYMS.contains(&name.to_lowercase().as_str());
-    known.iter().find(|key| is_synonym && CRS_KEYS.contains(key)).copied()
+    is_synonym.then(|| known.iter().find(|key| CRS_KEYS.contains(key)).copied())
 }
 
 /// EPSG code of a value.
@@ -216,8 +240,18 @@ impl CheckedValue<'_> {
             return error.help(crs_help(name, code));
         }
         match (self.value.get_ref(), wanted) {
-            (DeValue::String(text), Some("number" | "integer")) if text.parse::<f64>().is_ok() => {
-                error.help(format!("write numbers without quotation marks: {text}"))
+            (DeValue::String(text), Some("number" | "integer")) => {
+                match Some(text.replace(',', ".")).filter(|text| text.parse::<f64>().is_ok()) {
+                    Some(number) => error.help(format!("write numbers without quotation marks: {number}")),
+                    None => error,
+                }
+            }
+            (DeValue::String(text), Some("boolean")) => match truth_of(text) {
+                Some(value) => error.help(format!("write `{value}`, without quotation marks")),
+                None => error,
+            },
+            (DeValue::String(text), _) if takes(self.schema).starts_with("a list of texts") => {
+                error.help(format!("write a list: `{name} = [{text:?}]`"))
             }
             (DeValue::Float(_), Some("integer")) => error.help("write it without decimal point and exponent"),
             (DeValue::Integer(_) | DeValue::Float(_) | DeValue::Datetime(_), _) if only_text(self.schema) => {

@@ -55,10 +55,7 @@ fn outside(
     in_map: impl Fn(&AreaOfUse) -> Option<&'static str>,
 ) -> Option<String> {
     let area = crs.area_of_use().filter(|area| !is_in(area, place))?;
-    let name = match (crs.name(), crs.epsg()) {
-        (name, Some(code)) if !name.starts_with("EPSG:") => format!("EPSG:{code} ({name})"),
-        (name, _) => name.to_owned(),
-    };
+    let name = label(crs);
     let [longitude, latitude] = [place.longitude_rad, place.latitude_rad].map(f64::to_degrees);
     let mistake = in_map(&area).unwrap_or_else(|| match () {
         () if area.contains(longitude, -latitude, MARGIN_DEG) => "the hemisphere",
@@ -70,6 +67,14 @@ fn outside(
         "{name} {MADE_FOR} longitude {west} to {east} and latitude {south} to {north} degrees, but the recording begins at \
          longitude {longitude:.1}, latitude {latitude:.1}: the likely mistake is {mistake}"
     ))
+}
+
+/// Name of a CRS with its code, such as `EPSG:32633 (WGS 84 / UTM zone 33N)`.
+pub(super) fn label(crs: &Crs) -> String {
+    match (crs.name(), crs.epsg()) {
+        (name, Some(code)) if code > 0 && !name.starts_with("EPSG:") => format!("EPSG:{code} ({name})"),
+        (name, _) => name.to_owned(),
+    }
 }
 
 fn is_in(area: &AreaOfUse, place: Geodetic) -> bool {

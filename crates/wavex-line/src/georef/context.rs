@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::area_of_use::outside_of_map;
+use super::area_of_use::{label, outside_of_map};
 use super::calibration::Calibration;
 use super::keys::{CalibrationKey, GeometryKeys};
 use super::output_crs::{CrsRequest, OutputCrs};
@@ -68,12 +68,17 @@ impl Loader {
 
     /// Returns the context for the input with this stem.
     ///
+    /// `is_placed` returns whether the beams of the input are georeferenced already; it is called only if the
+    /// trajectory cannot be read.
+    ///
     /// # Errors
-    /// A trajectory that cannot be read.
-    pub fn load(&mut self, stem: &str) -> Result<Geometry> {
-        let track = match &self.keys.trajectory {
-            Some(pattern) => Some(self.track(&self.input_dir.join(pattern.replace('*', stem)), stem)?),
-            None => None,
+    /// A trajectory that cannot be read, but is needed.
+    pub fn load(&mut self, stem: &str, is_placed: impl FnOnce() -> bool) -> Result<Geometry> {
+        let file =
+            self.keys.trajectory.as_ref().map(|pattern| self.input_dir.join(pattern.replace('*', stem)));
+        let track = match file.map(|file| self.track(&file, stem)).transpose() {
+            Err(_) if is_placed() => None,
+            track => track?,
         };
         Ok(Geometry::of(self.keys.clone(), self.installation, self.wanted.clone(), track))
     }
@@ -222,11 +227,30 @@ impl Geometry {
         }
     }
 
-    /// Checks that a recording in a projected CRS may stay there.
+    /// Checks what `georeference` does with the coordinates of a recording; returns warnings.
+    ///
+    /// Judges by the frame and the first shot of the input of `georeference`, which the trajectory may have changed.
     ///
     /// # Errors
-    /// The job requests other coordinates.
-    pub fn keep_map(&self, input: &InputInfo) -> Result<()> {
+    /// The job requests coordinates that the recording cannot get.
+    pub fn judge(&self, input: &InputInfo) -> Result<Vec<String>> {
+        Ok(match input.frame {
+            Frame::Map => {
+                self.keep_map(input)?;
+                [self.kept_name(input), outside_map(input)].into_iter().flatten().collect()
+            }
+            Frame::Earth => {
+                self.target(input)?.and_then(|target| target.outside_area()).into_iter().collect()
+            }
+            Frame::Scanner | Frame::Body => {
+                self.keep_frame()?;
+                Vec::new()
+            }
+        })
+    }
+
+    /// Checks that a recording in a projected CRS may stay there.
+    fn keep_map(&self, input: &InputInfo) -> Result<()> {
         let Some(point) = origin_m(input, Frame::Map).filter(|_| self.keys.wants_coordinates()) else {
             return Ok(());
         };
@@ -250,16 +274,25 @@ impl Geometry {
         Err(Error::unusable(problem, remedy))
     }
 
-    /// A warning if the first shot of a recording in a projected CRS is outside its area of use.
-    pub fn outside_map(&self, input: &InputInfo) -> Option<String> {
-        outside_of_map(&Crs::horizontal_of_wkt(input.crs_wkt.as_deref()?)?, origin_m(input, Frame::Map)?)
+    /// A warning if a recording keeps its CRS, although `crs` names another one with the same coordinates.
+    fn kept_name(&self, input: &InputInfo) -> Option<String> {
+        let (own, wanted) = (Crs::horizontal_of_wkt(input.crs_wkt.as_deref()?)?, self.wanted.by_name()?);
+        let is_same = match (own.epsg(), wanted.epsg()) {
+            (Some(own), Some(wanted)) => own == wanted,
+            _ => own.name() == wanted.name(),
+        };
+        (!is_same).then(|| {
+            format!(
+                "the points stay in {}, the CRS of the recording: `crs` of `[job.geometry]` names {}, which has the same \
+                 coordinates; remove `crs`, or name the CRS with the reader's key `crs_of_input`, to write that name",
+                label(&own),
+                label(&wanted)
+            )
+        })
     }
 
     /// Checks that a recording without georeferencing may stay so.
-    ///
-    /// # Errors
-    /// The job requests coordinates.
-    pub fn keep_frame(&self) -> Result<()> {
+    fn keep_frame(&self) -> Result<()> {
         if !self.keys.wants_coordinates() {
             return Ok(());
         }
@@ -268,6 +301,11 @@ impl Geometry {
             "set its `trajectory`, or remove `crs`, `geoid` and `unit`",
         ))
     }
+}
+
+/// A warning if the first shot of a recording in a projected CRS is outside its area of use.
+fn outside_map(input: &InputInfo) -> Option<String> {
+    outside_of_map(&Crs::horizontal_of_wkt(input.crs_wkt.as_deref()?)?, origin_m(input, Frame::Map)?)
 }
 
 /// Origin of the first shot, m, if the recording is in this frame.

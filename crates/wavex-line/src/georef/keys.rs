@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::calibration::Calibration;
 use super::mount::Mount;
-use crate::keys::{InvalidKey, Keys};
+use crate::keys::{InvalidKey, Keys, listed};
+use crate::scan_line::Frame;
 use wavex_geodesy::trajectory::plausibility::MotionLimits;
 
 /// Table `[job.geometry]`: trajectory, mounting of the scanner, and output coordinates.
@@ -235,12 +236,38 @@ impl GeometryKeys {
         self.calibration.get_or_insert(CalibrationKey::Inline(Calibration::default()));
     }
 
-    /// Whether the job defines scanner poses.
-    pub fn places_scanners(&self) -> bool {
-        let none = CalibrationKey::Inline(Calibration::default());
-        self.trajectory.is_some()
-            || self.turns_scanners()
-            || self.calibration.as_ref().is_some_and(|calibration| *calibration != none)
+    /// Warning about keys that a recording with coordinates does not use; `None` in other frames.
+    pub fn unused_in(&self, frame: Frame) -> Option<String> {
+        let is_map = match frame {
+            Frame::Map => true,
+            Frame::Earth => false,
+            Frame::Scanner | Frame::Body => return None,
+        };
+        let own = if is_map { "already in a projected CRS" } else { "already georeferenced" };
+        // Ranges from the sensor are corrected in the earth-centred frame only.
+        let calibration = if is_map { "`calibration`" } else { "the angles and lever arm of `calibration`" };
+        let calibrates = match &self.calibration {
+            Some(CalibrationKey::Inline(given)) if is_map => *given != Calibration::default(),
+            Some(CalibrationKey::Inline(given)) => {
+                Calibration { e0: 0.0, e1: 0.0, e7: 0.0, ..*given } != Calibration::default()
+            }
+            Some(CalibrationKey::File(_)) => true,
+            None => false,
+        };
+        let given = [
+            ("`trajectory`", self.trajectory.is_some()),
+            ("`mount`", self.turns_scanners()),
+            (calibration, calibrates),
+        ];
+        let unused: Vec<String> =
+            given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name.to_owned()).collect();
+        let (are, them) = match unused.as_slice() {
+            [] => return None,
+            [one] if one != "the angles and lever arm of `calibration`" => ("is", "it"),
+            _ => ("are", "them"),
+        };
+        let names = listed(&unused, "and");
+        Some(format!("the recording is {own}: {names} {are} not used; remove {them} from `[job.geometry]`"))
     }
 
     /// Whether the job has a mount that rotates the scanner axes.
@@ -288,6 +315,36 @@ mod tests {
     }
 
     #[test]
+    fn keys_that_a_recording_does_not_use_are_named() {
+        let unused = |text: &str, frame| toml::from_str::<GeometryKeys>(text).unwrap().unused_in(frame);
+        let all = "trajectory = 'a.out'\nmount = 'x_down_z_left'\ncalibration = 'c.toml'";
+        let given = [
+            (
+                "trajectory = 'a.out'",
+                Frame::Map,
+                "the recording is already in a projected CRS: `trajectory` is not used; remove it from `[job.geometry]`",
+            ),
+            (
+                all,
+                Frame::Map,
+                "the recording is already in a projected CRS: `trajectory`, `mount` and `calibration` are not used; \
+                 remove them from `[job.geometry]`",
+            ),
+            (
+                "calibration = { e0 = 1.0, e2 = 0.1 }",
+                Frame::Earth,
+                "the recording is already georeferenced: the angles and lever arm of `calibration` are not used; \
+                 remove them from `[job.geometry]`",
+            ),
+        ];
+        for (text, frame, expected) in given {
+            assert_eq!(unused(text, frame).as_deref(), Some(expected), "{text}");
+        }
+        assert_eq!(unused("calibration = { e0 = 1.0 }", Frame::Earth), None);
+        assert_eq!((unused(all, Frame::Scanner), unused("crs = 'utm'", Frame::Map)), (None, None));
+    }
+
+    #[test]
     fn what_is_spelled_out_changes_nothing() {
         let mut keys = GeometryKeys::default();
         keys.spell_out();
@@ -298,11 +355,14 @@ mod tests {
             ..GeometryKeys::default()
         };
         assert_eq!(keys, expected);
-        assert_eq!((keys.check(), keys.places_scanners(), keys.wants_coordinates()), (Ok(()), false, false));
+        assert_eq!(
+            (keys.check(), keys.unused_in(Frame::Map), keys.wants_coordinates()),
+            (Ok(()), None, false)
+        );
         let given = "mount = 'x_down_z_left'\ncalibration = 'c.toml'";
         let mut keys: GeometryKeys = toml::from_str(given).unwrap();
         let before = keys.clone();
         keys.spell_out();
-        assert_eq!((&keys, keys.turns_scanners(), keys.places_scanners()), (&before, true, true));
+        assert_eq!((&keys, keys.turns_scanners()), (&before, true));
     }
 }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use super::area_of_use::outside_of_output;
 use super::keys::{GeometryKeys, UnitKey};
 use super::{Error as GeorefError, Result};
+use crate::keys::InvalidKey;
 use wavex_formats::{geoid, read_small_text};
 use wavex_geodesy::crs::{Crs, CrsError, Named, Unit};
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
@@ -91,6 +92,11 @@ impl CrsRequest {
         if self.named == Named::Utm { None } else { self.crs(ANYWHERE).ok() }
     }
 
+    /// The CRS, if it is requested by a code or as WKT: its name matters, not only its coordinates.
+    pub(super) fn by_name(&self) -> Option<Crs> {
+        matches!(self.named, Named::Epsg(_) | Named::Wkt(_)).then(|| self.crs(ANYWHERE).ok()).flatten()
+    }
+
     /// The CRS of an EPSG code, with the same height reference.
     pub(super) fn in_map(&self, code: u16) -> CrsRequest {
         CrsRequest { named: Named::Epsg(code.into()), geoid: self.geoid.clone(), unit: None }
@@ -135,6 +141,19 @@ fn named(keys: &GeometryKeys, input_dir: &Path) -> Result<(Named, Option<PathBuf
 /// Whether a word looks like the name of a system, not like a path: no folder and no extension.
 fn is_name(word: &str) -> bool {
     !word.contains(['/', '\\']) && Path::new(word).extension().is_none()
+}
+
+/// Checks the key `crs`, except a file.
+///
+/// # Errors
+/// A name that is not a CRS, or a system that cannot be computed.
+pub fn check_crs_name(keys: &GeometryKeys) -> std::result::Result<(), InvalidKey> {
+    let check = |word: &String| match Named::parse(word)? {
+        Some(named) => Crs::new(&named, ANYWHERE, None, None).map(drop),
+        None => Ok(()),
+    };
+    let checked = keys.crs.as_ref().map_or(Ok(()), check);
+    checked.map_err(|error: CrsError| InvalidKey::new("geometry.crs", error.to_string()))
 }
 
 /// Checks the coordinate reference system of a job.

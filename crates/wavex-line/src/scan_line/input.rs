@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::Emission;
 use wavex_geodesy::crs::units_of_wkt;
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::time::TimeScale;
@@ -160,6 +161,13 @@ pub struct FirstShot {
     pub time_s: f64,
     /// Maps times of the recording to times of its trajectory.
     pub alignment: Option<Alignment>,
+}
+
+impl FirstShot {
+    /// The first shot of a recording without an alignment.
+    pub fn of(shot: &Emission) -> FirstShot {
+        FirstShot { origin_m: shot.origin_m, time_s: shot.time_s(), alignment: None }
+    }
 }
 
 /// Automatic gain control of a recording.

@@ -106,13 +106,9 @@ impl PoseSource {
     fn place(&mut self, mut scan_line: ScanLine, cx: &mut Context) -> Result<ScanLine> {
         let mut frame = scan_line.input.frame;
         match frame {
-            Frame::Map if self.geometry.keys().places_scanners() => {
-                cx.warn("the recording is already in a projected CRS: trajectory, mount and calibration are not used");
+            Frame::Map | Frame::Earth => {
+                self.geometry.keys().unused_in(frame).into_iter().for_each(|problem| cx.warn(problem));
             }
-            Frame::Earth if self.geometry.keys().places_scanners() => cx.warn(
-                "the beams of the recording are already georeferenced: of `[job.geometry]`, only the keys for \
-                 ranges and coordinates are used",
-            ),
             Frame::Scanner | Frame::Body if self.geometry.has_trajectory() => {
                 self.check_frame(frame)?;
                 self.pose(&mut scan_line, cx)?;
@@ -127,8 +123,7 @@ impl PoseSource {
             _ => {}
         }
         if let (None, Some(first)) = (self.first_shot, scan_line.emissions.first()) {
-            let (origin_m, time_s, alignment) = (first.origin_m, first.time_s(), self.alignment);
-            self.first_shot = Some(FirstShot { origin_m, time_s, alignment });
+            self.first_shot = Some(FirstShot { alignment: self.alignment, ..FirstShot::of(first) });
             self.input = None;
         }
         scan_line.input = self.info(&scan_line.input, frame);

@@ -2,6 +2,7 @@
 
 use wavex_geodesy::time::{self, WEEKDAYS};
 use wavex_line::scan_line::{InputInfo, TimeScale};
+use wavex_stages::reading::recording::possible_scales;
 
 /// Date of the recording, or of its file, with its day of the week.
 pub(super) fn recorded(input: &InputInfo) -> Option<String> {
@@ -12,10 +13,14 @@ pub(super) fn recorded(input: &InputInfo) -> Option<String> {
 }
 
 /// Time scale of the shots, with its evidence.
-pub(super) fn time_scale(input: &InputInfo) -> String {
+pub(super) fn time_scale(input: &InputInfo, first_s: Option<f64>) -> String {
     let week = input.gps_week.map_or(String::new(), |week| format!(", GPS week {week}"));
-    let unknown = "unknown: the file does not state it, and its times do not show it; set `recording_time`";
-    let scale = input.time_scale.words().unwrap_or(unknown);
+    let Some(scale) = input.time_scale.words() else {
+        let values = first_s.map(|first_s| format!(": {}", possible_scales(first_s))).unwrap_or_default();
+        return format!(
+            "unknown: the file does not state it, and its times do not show it; set `recording_time`{values}"
+        );
+    };
     let evidence = match input.time_scale_is_inferred {
         true => "; assumed from the size of the times: the file states no scale, nor GPS time or UTC",
         false => "",
@@ -61,18 +66,24 @@ mod tests {
             ..InputInfo::default()
         };
         assert!(recorded(&input).unwrap().ends_with("a Friday: creation of the file, not the flight"));
-        assert!(time_scale(&input).contains("assumed from the size of the times"), "{}", time_scale(&input));
+        assert!(
+            time_scale(&input, None).contains("assumed from the size of the times"),
+            "{}",
+            time_scale(&input, None)
+        );
         let weekday = |input: &InputInfo, first_s| weekday_of_times(input, first_s).unwrap();
         let expected = "Wednesday by the seconds of the week; the file was created on a Friday";
         assert_eq!(weekday(&input, 302_400.0), expected);
         let dated = InputInfo { is_file_date: false, time_scale_is_inferred: false, ..input.clone() };
         assert_eq!(recorded(&dated).unwrap(), "day 172 of 2013, a Friday");
-        assert_eq!(time_scale(&dated), "seconds of the GPS week");
+        assert_eq!(time_scale(&dated, None), "seconds of the GPS week");
         assert!(weekday(&dated, 302_400.0).contains("but the date is a Friday: one of them is wrong"));
         assert_eq!(weekday(&dated, 5.5 * 86_400.0), "Friday by the seconds of the week");
         let adjusted = InputInfo { time_scale: TimeScale::Adjusted, ..input };
         assert_eq!(weekday_of_times(&adjusted, 302_400.0), None);
         let unknown = InputInfo::default();
-        assert!(time_scale(&unknown).contains("set `recording_time`") && recorded(&unknown).is_none());
+        let expected = "; set `recording_time`: \"adjusted\" (2043-05-23) or \"standard\" (2011-09-14)";
+        let said = time_scale(&unknown, Some(1_000_061_758.0));
+        assert!(said.ends_with(expected) && recorded(&unknown).is_none(), "{said}");
     }
 }

@@ -102,7 +102,8 @@ fn about_file(file: &Path, inspection: &Inspection) -> SummarySection {
     if input.frame == Frame::Map {
         section.say("coordinate system", input.crs_wkt.as_deref().map_or("not given".into(), crs_name));
     }
-    section.say("time scale", time_scale(input));
+    let first_s = inspection.times.first_last_s.map(|[first_s, _]| first_s);
+    section.say("time scale", time_scale(input, first_s));
     section.say("group velocity", format!("{:.0} m/s", input.group_velocity_mps));
     section.say("sampling interval", format!("{} ns", number(input.sampling_interval_ns, 6)));
     let full = input.full_scale_dn.map_or("unknown".into(), |full| format!("{full} DN"));

@@ -441,7 +441,10 @@ impl Session {
             let Some(learnt) = lock(&viewed.learnt).clone() else {
                 return Err(format!("{}: not yet read; wait", viewed.input.stem));
             };
-            let geometry = lock(&self.loader).load(&viewed.input.stem).map_err(|error| error.to_string())?;
+            let is_placed =
+                || engine::is_placed(&self.opened.job, &viewed.input.path, &self.opened.input_dir);
+            let geometry = lock(&self.loader).load(&viewed.input.stem, is_placed);
+            let geometry = geometry.map_err(|error| error.to_string())?;
             let run = RunContext {
                 stem: viewed.input.stem.clone(),
                 input_dir: self.opened.input_dir.clone(),

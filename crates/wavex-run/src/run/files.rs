@@ -10,6 +10,7 @@ use serde_json::Value;
 
 use super::ResumeCheck;
 use super::ending::{self, EndMessage};
+use super::replaced;
 use super::resume::{Comparison, EarlierRun};
 use super::survey_files::{PageCollector, SurveyFiles};
 use crate::archive::shown;
@@ -164,6 +165,15 @@ impl<'j> RunFiles<'j> {
             }
         }
         (self.skipped.keys().cloned().collect(), messages)
+    }
+
+    /// Warnings about outputs of other jobs that the run of the inputs not skipped replaces.
+    pub(super) fn replaced(&self, job: &Job, input_dir: &Path) -> Vec<String> {
+        let inputs = engine::inputs(job, input_dir).unwrap_or_default();
+        let to_run = inputs.iter().filter(|input| !self.skipped.contains_key(&input.stem));
+        let planned: Vec<PathBuf> = to_run.flat_map(|input| self.planned(job, &input.stem)).collect();
+        let own_report = self.of_name(&self.settings.report);
+        replaced::warnings(&self.output_dir, own_report.as_deref(), &self.comparison.written(&planned))
     }
 
     /// Report of the earlier run, or why it cannot be read; `None` without a report.

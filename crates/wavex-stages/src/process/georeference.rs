@@ -34,8 +34,12 @@ pub const STAGE: StageSpec =
 /// `docs/explanation/georeferencing.md` gives the formulas. If the trajectory has accuracies
 /// (`trajectory_accuracy`), each point gets its total standard deviation.
 ///
-/// **Already in a projected CRS** (LAS, PulseWaves, `simulate` without a trajectory): points stay
-/// in that CRS, and ranges are scaled along each beam like the geometry of the input.
+/// **Already earth-centred** (PulseWaves in ECEF, containers with poses): as with a trajectory, but
+/// without one.
+///
+/// **Already in a projected CRS** (LAS, other PulseWaves, `simulate` without a trajectory): points stay
+/// in that CRS, and ranges are scaled along each beam like the geometry of the input. Another `crs` is
+/// an error; `crs_of_input` of the reader names the CRS of the recording.
 ///
 /// **Otherwise**, points stay in the frame of the aircraft or the scanner, and the report says so.
 ///
@@ -103,7 +107,7 @@ impl Map for Georeferencer {
                 self.project(&mut line.input, &mut points, cx)?;
             }
             Frame::Scanner | Frame::Body => {
-                self.geometry.keep_frame()?;
+                self.geometry.judge(&line.input)?;
                 let axes = if frame == Frame::Body { "body frame of the aircraft" } else { "scanner frame" };
                 cx.warn(format!(
                     "the input is not georeferenced: its points are in the {axes}; give [job.geometry] a `trajectory` \
@@ -139,12 +143,8 @@ impl Georeferencer {
     fn project(&mut self, input: &mut Arc<InputInfo>, points: &mut [Vector], cx: &mut Context) -> Result<()> {
         // Without a first shot there are no points.
         if self.target.is_none() {
+            self.geometry.judge(input)?.into_iter().for_each(|problem| cx.warn(problem));
             self.target = self.geometry.target(input)?;
-            self.target
-                .as_ref()
-                .and_then(OutputCrs::outside_area)
-                .into_iter()
-                .for_each(|problem| cx.warn(problem));
         }
         let Some(target) = &self.target else { return Ok(()) };
         target.replace(points)?;
@@ -163,8 +163,7 @@ impl Georeferencer {
     /// Checks once that points in a projected CRS may stay there.
     fn keep_map(&mut self, input: &Arc<InputInfo>, cx: &mut Context) -> Result<()> {
         if !self.input.as_ref().is_some_and(|[from, _]| Arc::ptr_eq(from, input)) {
-            self.geometry.keep_map(input)?;
-            self.geometry.outside_map(input).into_iter().for_each(|problem| cx.warn(problem));
+            self.geometry.judge(input)?.into_iter().for_each(|problem| cx.warn(problem));
             self.input = Some([Arc::clone(input), Arc::clone(input)]);
         }
         Ok(())

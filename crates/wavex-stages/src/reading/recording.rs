@@ -15,6 +15,7 @@ pub(crate) mod units;
 
 pub(crate) use keys::Sampling;
 pub use keys::{FullScale, InputCrs, OddSamples, PulseSpeed, TimeKeys};
+pub use time::possible_scales;
 use time::{Axis, RecordedTimeScale, Times};
 
 /// Metadata of a recording as declared by the job.

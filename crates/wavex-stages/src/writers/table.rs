@@ -19,6 +19,7 @@ use crate::container_info::time_scale_of;
 use geo::GeoParquetColumn;
 use wavex_formats::Error;
 use wavex_formats::container::IpcWriter;
+use wavex_formats::extensions::has_extension;
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::InputInfo;
 use wavex_line::stage::{self, Context, OutputFile, RunContext, StageError};
@@ -208,6 +209,10 @@ impl<W: Write + Send, C: TableColumns> TableWriter<W, C> {
 /// There is no path, or neither says the format.
 pub(super) fn format_of(path: &str, format: Option<TableFormat>) -> Result<TableFormat, InvalidKey> {
     InvalidKey::unless(!path.is_empty(), "path", "the path is empty")?;
+    let is_spreadsheet =
+        ["xlsx", "xls", "ods"].iter().any(|extension| has_extension(Path::new(path), extension));
+    let spreadsheet = "files of spreadsheet programs are not written; they read .csv: end the name in .csv";
+    InvalidKey::unless(!is_spreadsheet, "path", spreadsheet)?;
     let problem = "it does not end in .arrow, .parquet or .csv: set the key `format`";
     format.or_else(|| TableFormat::of(path)).ok_or_else(|| InvalidKey::new("path", problem))
 }

@@ -15,6 +15,7 @@ use rayon::ThreadPool;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::reading::recording::possible_scales;
 use crate::stac;
 use attributes::{ReturnAttribute, attributes_of};
 use files::{CompanionFiles, StacFile};
@@ -158,7 +159,7 @@ impl Config for WriteLas {
         InvalidKey::unless(
             lower.ends_with(".las") || lower.ends_with(".laz"),
             "path",
-            "the file name must end in .las or .laz",
+            "the file name must end in .las or .laz; `write_ascii` writes text, and `write_table` tables",
         )?;
         InvalidKey::unless(
             !lower.ends_with(".copc.laz"),
@@ -409,10 +410,11 @@ impl LasWriter {
                 "the times of the points are seconds of the day, but the LAS header can only declare seconds of \
                  the GPS week; set the day with the reader's key `gps_date`",
             ),
-            TimeScale::Unknown => cx.warn(
+            TimeScale::Unknown => cx.warn(format!(
                 "the time scale of the recording is unknown, and the LAS header declares seconds of the GPS \
-                 week; set it with the reader's key `recording_time`",
-            ),
+                 week; set it with the reader's key `recording_time`: {}",
+                possible_scales(time_s)
+            )),
             TimeScale::Week | TimeScale::Adjusted => {}
         }
     }

@@ -35,6 +35,12 @@ fn companions_of_something_else_are_refused() {
 #[test]
 fn files_of_other_formats_are_refused() {
     let nothing = Options::default();
+    let folder = Folder::with(&[("a.pls", b"PulseWavesPulse\0 and so on")]);
+    assert_eq!(
+        folder.read("a.pls", &nothing).unwrap_err(),
+        "a.pls: it is a recording, not a trajectory; give the positions and attitudes of the flight: SBET, POF, SOL, TRJ \
+         or columns of text"
+    );
     assert_eq!(
         read_bytes(b"LASF\0\0\0\0 and so on", &nothing).unwrap_err(),
         "t.dat: unknown trajectory format: its 18 bytes do not begin with `RIEGL \

@@ -11,6 +11,7 @@ use wavex_formats::Error;
 use wavex_geodesy::calendar::is_date;
 use wavex_geodesy::time::{ADJUSTMENT_S, WEEK_S, WEEKDAYS, date, day_of_year, gps_week, weekday};
 use wavex_geodesy::time_axis::leap_seconds;
+use wavex_line::keys::listed;
 use wavex_line::scan_line::{InputInfo, TimeScale};
 use wavex_line::stage::Result;
 
@@ -98,11 +99,8 @@ impl RecordedTimeScale {
             RecordedTimeScale::Unknown => (true, ""),
         };
         let dates = || {
-            let readings = [("adjusted", 0.0), ("standard", -ADJUSTMENT_S)].map(|(name, shift_s)| {
-                let [year, month, day] = date(time_s + shift_s)?;
-                Some(format!("{name} GPS time: {year}-{month:02}-{day:02}"))
-            });
-            let readings: Vec<String> = readings.into_iter().flatten().collect();
+            let readings: Vec<String> =
+                dates_of(time_s).map(|(name, date)| format!("{name} GPS time: {date}")).collect();
             if readings.is_empty() { String::new() } else { format!(" (as {})", readings.join(", as ")) }
         };
         let what = match self {
@@ -114,6 +112,24 @@ impl RecordedTimeScale {
             format!("the recording's times, such as {time_s:.1} s, {NOT_PLAUSIBLE} {what}{}", dates())
         })
     }
+}
+
+/// Dates of a time, as adjusted and as standard GPS time.
+fn dates_of(time_s: f64) -> impl Iterator<Item = (&'static str, String)> {
+    [("adjusted", 0.0), ("standard", -ADJUSTMENT_S)].into_iter().filter_map(move |(name, shift_s)| {
+        let [year, month, day] = date(time_s + shift_s)?;
+        Some((name, format!("{year}-{month:02}-{day:02}")))
+    })
+}
+
+/// Values of `recording_time` that fit a time of unknown scale, with the dates they give.
+pub fn possible_scales(time_s: f64) -> String {
+    let periods = [("week", WEEK_S), ("day", DAY_S)];
+    let of_period = periods.into_iter().filter(|(_, period_s)| (0.0..*period_s).contains(&time_s));
+    let values: Vec<String> = (of_period.map(|(name, _)| format!("\"{name}\"")))
+        .chain(dates_of(time_s).map(|(name, date)| format!("\"{name}\" ({date})")))
+        .collect();
+    listed(&values, "or")
 }
 
 /// Whether a moment is plausible for airborne full-waveform data.

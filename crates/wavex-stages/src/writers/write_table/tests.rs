@@ -291,6 +291,8 @@ fn the_extension_or_the_key_names_the_format() {
     for path in ["a.txt", "arrow", ".csv"] {
         assert_eq!(config(path).check(), Err(InvalidKey::new("path", problem)), "{path}");
     }
+    let spreadsheet = "files of spreadsheet programs are not written; they read .csv: end the name in .csv";
+    assert_eq!(format_of("a.xlsx", Some(TableFormat::Parquet)), Err(InvalidKey::new("path", spreadsheet)));
     assert_eq!(config("").check(), Err(InvalidKey::new("path", "the path is empty")));
     let given: WriteTable = toml::from_str("path = \"a.txt\"\nformat = \"csv\"").unwrap();
     assert_eq!((format_of(&given.path, given.format), given.check()), (Ok(TableFormat::Csv), Ok(())));
