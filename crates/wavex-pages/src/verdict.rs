@@ -87,6 +87,10 @@ pub(crate) const DEVIATION_CENTRE: Rule =
 pub(crate) const PILE_UP: Rule =
     at_most("shots whose weak returns pile up at one distance behind strong ones", "%", [2.0, 10.0])
         .from(100, "shots with a strong return");
+pub(crate) const GROUND_MISSING: Rule =
+    at_most("shots without ground", "%", [10.0, NEVER_BAD]).from(100, "shots");
+pub(crate) const AMBIGUOUS_GROUND: Rule =
+    at_most("shots whose ground has a probability below 0.9", "%", [50.0, NEVER_BAD]).from(100, "shots");
 pub(crate) const SATURATED: Rule = at_most("saturated waveforms", "%", [5.0, 20.0]).from(100, "waveforms");
 pub(crate) const CALIBRATION: Rule =
     Rule { is_minimum: true, ..at_most("waveforms of the calibration", "", [500.0, 100.0]) };

@@ -17,6 +17,7 @@ use wavex_line::scan_line::{Return, ScanLine};
 use wavex_line::stage::{DecomposedLine, FitShot, Result, RunObserver, RunObservers};
 
 mod flight;
+mod footprints;
 mod gallery;
 pub(in crate::report) mod histogram;
 mod lines;
@@ -29,6 +30,7 @@ mod zones;
 
 pub use crate::plot::Picture;
 pub use flight::Flight;
+pub use footprints::Footprints;
 pub use gallery::{ShownKind, ShownReturn, ShownShot};
 pub use histogram::QuantityHistogram;
 pub use lines::LineGroups;
@@ -69,6 +71,9 @@ pub struct Overview {
     /// Weak returns behind strong ones, if there are strong returns.
     #[serde(default)]
     pub weak_returns: Option<WeakReturns>,
+    /// Ground, canopy and sensitivity, if the shots have large footprints.
+    #[serde(default)]
+    pub footprints: Option<Footprints>,
     /// Selected waveforms with their fits.
     pub waveforms: Vec<ShownShot>,
 }
@@ -88,7 +93,10 @@ impl Overview {
             numbers("lines", self.lines.returns.len()),
             numbers("lines", self.lines.points.len()),
         ];
-        lists.extend(self.histograms.iter().map(|of| numbers("counts", of.counts.len())));
+        let of_footprints = self.footprints.iter().flat_map(|found| &found.histograms);
+        lists.push(("histograms of footprints", of_footprints.clone().count(), 64));
+        let histograms = self.histograms.iter().chain(of_footprints);
+        lists.extend(histograms.map(|of| numbers("counts", of.counts.len())));
         if let Some(map) = &self.map {
             lists.push(("lines of the map", map.lines.len(), 1000));
             lists.extend(map.lines.iter().map(|line| numbers("places", line.places.len())));
@@ -188,6 +196,7 @@ struct OverviewCollector {
     times: times::TimeCounts,
     flight: Option<Flight>,
     weak_returns: weak_returns::WeakReturnCounts,
+    footprints: footprints::FootprintCounts,
 }
 
 /// A quantity of returns with its histogram.
@@ -217,6 +226,7 @@ impl Default for OverviewCollector {
             times: times::TimeCounts::default(),
             flight: None,
             weak_returns: weak_returns::WeakReturnCounts::default(),
+            footprints: footprints::FootprintCounts::default(),
         }
     }
 }
@@ -227,6 +237,7 @@ impl OverviewCollector {
         self.lines.add(scan_line);
         self.points.add(scan_line);
         self.times.add(scan_line);
+        self.footprints.add(scan_line);
         let Some(returns) = scan_line.returns() else { return };
         for quantity in &mut self.quantities {
             // Copies of waveforms are no measurements of their own.
@@ -255,6 +266,7 @@ impl OverviewCollector {
             times: self.times.finish(),
             flight: self.flight,
             weak_returns: self.weak_returns.finish(),
+            footprints: self.footprints.finish(),
             waveforms: gallery.finish(),
         }
     }

@@ -15,6 +15,7 @@ mod content;
 mod details;
 pub(super) mod drift;
 mod flight;
+mod footprints;
 mod results;
 mod stages_and_sensor;
 mod waveforms;
@@ -182,7 +183,10 @@ fn parts(report: &Value, input: &Value, overview: Option<&Overview>, number: usi
         parts.push(flight::part(overview));
         parts.push(of_returns(overview));
         parts.extend(of_zones(overview));
-        parts.push(of_waveforms(overview, input));
+        match &overview.footprints {
+            Some(found) => parts.push(footprints::part(found)),
+            None => parts.push(of_waveforms(overview, input)),
+        }
     }
     parts.extend([
         of_sensor(&input["sensor_model"]),
@@ -261,6 +265,10 @@ fn of_returns(overview: &Overview) -> PagePart {
         let (svg, words) = results::histogram(histogram, "returns")?;
         Some(figure(&capitalised(&histogram.quantity), svg, &words))
     });
+    // The limits are those of small footprints.
+    if overview.footprints.is_some() {
+        return PagePart::new("Returns", figures(&drawn.collect::<Vec<Markup>>()));
+    }
     let mut checks = vec![verdict::RANGE_SD.check(
         content::median(overview, "range uncertainty"),
         content::total(overview, "range uncertainty"),

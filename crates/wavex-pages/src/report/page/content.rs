@@ -7,7 +7,7 @@ use super::{results, words};
 use crate::numbers::{label, short};
 use crate::page::{PagePart, figure, maps, section, table};
 use crate::report::overview::{MapAxes, MapPicture, Overview, PointSummary};
-use crate::verdict;
+use crate::verdict::{self, Rule};
 
 /// Median of a quantity of the returns; `None` if unknown.
 pub(super) fn median(overview: &Overview, quantity: &str) -> Option<f64> {
@@ -157,10 +157,12 @@ pub(super) fn from_above(overview: &Overview, report: &Value, input: &Value, num
     let about = results::about(map, input["coordinates"].as_str());
     let body = html! { (densities(map)) (maps(&about, view.width(), &figures)) };
     let target = report["job"]["survey"]["target_pulses_per_m2"].as_f64();
-    let rule = target.map_or(verdict::PULSE_DENSITY, verdict::target_density);
+    // The usual limit is that of small footprints; a job can have its own.
+    let usual = overview.footprints.is_none().then_some(verdict::PULSE_DENSITY);
     let pulses = map.densities.as_ref().map(|densities| &densities.pulses);
-    let check = rule.check(pulses.map(|of| of.mean_per_m2), pulses.map_or(0, |of| of.count));
-    PagePart::new("Density and maps", body).judged(vec![check])
+    let check = |rule: Rule| rule.check(pulses.map(|of| of.mean_per_m2), pulses.map_or(0, |of| of.count));
+    let checks = target.map(verdict::target_density).or(usual).map(check);
+    PagePart::new("Density and maps", body).judged(checks.into_iter().collect())
 }
 
 fn densities(map: &MapPicture) -> Markup {

@@ -1,0 +1,127 @@
+//! Shots with large footprints: ground, canopy and sensitivity.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::histogram::{Bins, QuantityHistogram};
+use wavex_line::scan_line::{Footprint, ScanLine, footprint_flags};
+
+/// Ground, canopy and sensitivity of the shots that `measure_footprints` has measured.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+pub struct Footprints {
+    /// Number of shots.
+    pub shots: u64,
+    /// Shots without ground.
+    pub ground_missing: u64,
+    /// Shots whose ground has a probability below 0.9.
+    pub ambiguous: u64,
+    /// Shots whose signal begins before the first sample.
+    pub top_missing: u64,
+    /// Shots with clipped samples.
+    pub clipped: u64,
+    /// Shots against which the flags of the instrument advise.
+    pub degraded: u64,
+    /// Standard deviation and probability of the ground, RH50 and RH98, cover, sensitivity; those without known values are omitted.
+    pub histograms: Vec<QuantityHistogram>,
+}
+
+/// Collects [`Footprints`] line by line.
+#[derive(Clone, Debug)]
+pub(super) struct FootprintCounts {
+    shots: u64,
+    /// Shots with each flag.
+    flagged: [(u8, u64); 5],
+    quantities: [FootprintQuantity; 6],
+}
+
+/// A quantity of footprints with its histogram.
+#[derive(Clone, Debug)]
+struct FootprintQuantity {
+    name: &'static str,
+    unit: &'static str,
+    of: fn(&Footprint) -> f64,
+    bins: Bins,
+}
+
+impl Default for FootprintCounts {
+    fn default() -> FootprintCounts {
+        let quantity = |name, unit, of, bins| FootprintQuantity { name, unit, of, bins };
+        let part = || Bins::linear(0.0, 0.02, 50);
+        let height = || Bins::linear(-20.0, 1.0, 140);
+        use footprint_flags::{AMBIGUOUS, CLIPPED, DEGRADED, GROUND_MISSING, TOP_MISSING};
+        FootprintCounts {
+            shots: 0,
+            flagged: [GROUND_MISSING, AMBIGUOUS, TOP_MISSING, CLIPPED, DEGRADED].map(|flag| (flag, 0)),
+            quantities: [
+                quantity("ground uncertainty", "m", |found| found.ground_range_m.sd, Bins::logarithmic()),
+                quantity("ground probability", "", |found| found.ground_probability, part()),
+                quantity("RH50", "m", |found| found.heights_m[50].into(), height()),
+                quantity("RH98", "m", |found| found.heights_m[98].into(), height()),
+                quantity("cover", "", |found| found.cover.value, part()),
+                // Most shots lie between 0.9 and 1.
+                quantity("sensitivity", "", |found| found.sensitivity, Bins::linear(0.0, 0.005, 200)),
+            ],
+        }
+    }
+}
+
+impl FootprintCounts {
+    pub(super) fn add(&mut self, line: &ScanLine) {
+        self.shots += line.footprints.len() as u64;
+        for found in &line.footprints {
+            for (flag, count) in &mut self.flagged {
+                *count += u64::from(found.flags & *flag != 0);
+            }
+            self.quantities.iter_mut().for_each(|quantity| quantity.bins.add((quantity.of)(found)));
+        }
+    }
+
+    /// Returns the counts; `None` without footprints.
+    pub(super) fn finish(self) -> Option<Footprints> {
+        let [ground_missing, ambiguous, top_missing, clipped, degraded] =
+            self.flagged.map(|(_, count)| count);
+        let histograms = self.quantities.into_iter();
+        (self.shots > 0).then(|| Footprints {
+            shots: self.shots,
+            ground_missing,
+            ambiguous,
+            top_missing,
+            clipped,
+            degraded,
+            histograms: histograms.filter_map(|of| of.bins.finish(of.name, of.unit)).collect(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use wavex_line::scan_line::{Blocks, Emission, InputInfo};
+
+    #[test]
+    fn flags_and_quantities_are_counted() {
+        let known = Footprint { ground_probability: 0.93, sensitivity: 0.971, ..Footprint::default() };
+        let flagged = footprint_flags::AMBIGUOUS | footprint_flags::DEGRADED;
+        let ambiguous = Footprint { ground_probability: 0.4, flags: flagged, ..Footprint::default() };
+        let missing = Footprint {
+            flags: footprint_flags::GROUND_MISSING,
+            ground_probability: f64::NAN,
+            ..Footprint::default()
+        };
+        let info = Arc::new(InputInfo::default());
+        let mut line = ScanLine::of_shots(info, 0, vec![Emission::default(); 3], Blocks::default());
+        let mut counts = FootprintCounts::default();
+        counts.add(&line);
+        assert_eq!(counts.clone().finish(), None);
+        line.footprints = vec![known, ambiguous, missing];
+        counts.add(&line);
+        let found = counts.finish().unwrap();
+        let Footprints { shots, ground_missing, ambiguous, top_missing, clipped, degraded, .. } = found;
+        assert_eq!([shots, ground_missing, ambiguous, top_missing, clipped, degraded], [3, 1, 1, 0, 0, 1]);
+        let of = |name: &str| found.histograms.iter().find(|of| of.quantity == name);
+        assert_eq!(of("ground probability").map(QuantityHistogram::total), Some(2));
+        assert!(of("sensitivity").is_some());
+    }
+}
