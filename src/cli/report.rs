@@ -34,13 +34,16 @@ fn report_of(place: &Path) -> Result<PathBuf, Failure> {
 fn report_of_job(file: &Path) -> Result<PathBuf, Failure> {
     let args = JobArgs { job: file.to_path_buf(), set: Vec::new() };
     let job = args.read(None)?;
+    let wrong = |problem: &str| Err(Failure::Wrong(format!("{}: {problem}", file.display())));
+    if job.settings.report.is_empty() {
+        return wrong("the job writes no report; set `report` in `[job]`, and run it");
+    }
     let (_, output_dir) = folders(&job, &args.folder());
     let report = shown(&output_dir.join(job.settings.report.replace('*', &job.stem())));
     match report.is_file() {
         true => Ok(report),
-        false => Err(Failure::Run(format!(
-            "{}: this job has no report of a run: run it with `wavex run {0}`, with `report` in `[job]`",
-            file.display()
-        ))),
+        false => {
+            wrong(&format!("the job has no report of a run; run it with `wavex run {}`", file.display()))
+        }
     }
 }

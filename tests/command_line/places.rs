@@ -72,7 +72,10 @@ fn the_report_of_a_job_is_found() {
     assert_eq!((code, out.as_str(), err.as_str()), (Some(0), "wrote out/job_report.html\n", ""));
     assert_eq!(place.text("out/job_report.html"), page);
     std::fs::remove_file(place.path("out/job_report.json")).unwrap();
-    let message = "job.toml: this job has no report of a run: run it with `wavex run job.toml`, with `report` in `[job]`";
+    let message = "job.toml: the job has no report of a run; run it with `wavex run job.toml`";
+    refused(&place, "report job.toml", message);
+    place.write("job.toml", b"[job]\nreport = ''\n[[stage]]\ntype = 'simulate'\n");
+    let message = "job.toml: the job writes no report; set `report` in `[job]`, and run it";
     refused(&place, "report job.toml", message);
 }
 
