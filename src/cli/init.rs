@@ -54,7 +54,8 @@ fn roles<'p>(
 ) -> Result<(Option<&'p Path>, Option<&'p Path>), Failure> {
     let (mut recording, mut job) = (from, None);
     for file in files.iter().map(PathBuf::as_path) {
-        let role = if is_data(file) { &mut recording } else { &mut job };
+        let is_place_of_job = file.is_dir() && recording.is_some();
+        let role = if is_data(file) && !is_place_of_job { &mut recording } else { &mut job };
         if let Some(other) = role.replace(file) {
             let problem = match is_data(file) {
                 true => {

@@ -180,7 +180,10 @@ fn coordinates_of_beams_are_judged_as_by_a_run() {
         let checked = check(&place, &[]);
         let outcome = place.wavex(&["run", "job.toml"]);
         assert_eq!(outcome.code, Some(code), "{outcome:?}");
-        match (lines(&checked, "warning").as_slice(), expected) {
+        // The beams are made west of the zone.
+        let mut warnings = lines(&checked, "warning");
+        warnings.retain(|warning| !warning.contains("is made for longitude"));
+        match (warnings.as_slice(), expected) {
             ([], None) => {}
             ([warning], Some(expected)) => {
                 assert!(
@@ -209,7 +212,7 @@ fn inputs_that_are_missing_or_damaged_are_warnings_or_errors() {
     let problems = [
         "no file matches `HERE/none/*.las`; check `path` of the reader and `input_dir` of the job",
         "no file matches `HERE/more/*.laz`; check `path` of the reader and `input_dir` of the job",
-        "HERE/b.las: no such file",
+        "HERE/b.las: no such file; did you mean HERE/a.las?",
         "HERE/a.las: byte 4: file source ID: 2 bytes needed, 0 left; the file is cut off: copy it again from its source",
     ];
     for arguments in [&[][..], &["--inputs=optional"]] {

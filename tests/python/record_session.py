@@ -45,7 +45,9 @@ class Recorder:
         child, self.terminal = pty.fork()
         if child == 0:
             os.chdir(folder)
-            shown = {"TERM": "xterm-256color", "PS1": PROMPT, "HOME": os.environ["HOME"], "PATH": os.environ["PATH"]}
+            # The shell then writes nothing between a command and its output.
+            (Path(folder) / ".inputrc").write_text("set enable-bracketed-paste off\n")
+            shown = {"TERM": "xterm-256color", "PS1": PROMPT, "INPUTRC": f"{folder}/.inputrc", "HOME": os.environ["HOME"], "PATH": os.environ["PATH"]}
             git = {"GIT_CONFIG_COUNT": "1", "GIT_CONFIG_KEY_0": f"url.{repository}.insteadOf", "GIT_CONFIG_VALUE_0": SHOWN_ADDRESS}
             kept = {key: os.environ[key] for key in ("CARGO_HOME", "RUSTUP_HOME") if key in os.environ}
             os.execvpe("bash", ["bash", "--norc", "--noprofile"], shown | git | kept)
@@ -82,7 +84,7 @@ def record(folder, repository):
             with urllib.request.urlopen(address) as answer:
                 assert answer.status == 200, answer.status
             recorder.type("\x03")
-        recorder.until(r"\n(\x1b\[\?2004h)?" + re.escape(PROMPT), 7200)
+        recorder.until(r"\n" + re.escape(PROMPT), 7200)
     recorder.type("echo status $?\r")
     status = recorder.until(r"status (\d+)\r", 10).group(1)
     assert status == "0", f"the last command ended with {status}"
