@@ -206,7 +206,8 @@ fn keys_and_commands_without_a_survey_are_refused() {
     assert!(missing.code == Some(1) && missing.err.contains("check the path"), "{missing:?}");
     place.write("job.toml", b"");
     let file = place.wavex(&["survey", "job.toml"]);
-    let remedy = "job.toml: it is a file, not a folder; give the folder of the outputs, and the job by `--job`";
+    let remedy =
+        "job.toml: it is a file, not a folder; give the folder of the outputs, and the job by `--job`";
     assert!(file.code == Some(2) && file.err.contains(remedy), "{file:?}");
 }
 
