@@ -5,7 +5,8 @@ use std::fs;
 use std::path::Path;
 
 use wavex_testkit::recordings::{Table, robust, run};
-use wavex_testkit::{TestFolder, data};
+use wavex_testkit::view::Viewer;
+use wavex_testkit::{TestFolder, data, wavex};
 
 /// Our results and NASA's, by shot number.
 struct Shots {
@@ -132,6 +133,15 @@ fn an_explained_shot_is_that_of_the_table() {
     }
     let picture = fs::read_to_string(place.path("a.svg")).unwrap();
     assert!(picture.contains(">RH98</text>") && picture.contains("height above the ground, m"));
+    let view = Viewer::start(wavex().current_dir(place.path("")).args(["view", "--no-open", &file]));
+    view.ready();
+    let shown = view.json(&format!("shot?input=0&shot={running}"));
+    assert!(text.starts_with(shown["text"].as_str().unwrap()), "{shown}");
+    assert_eq!(shown["svg"].as_str(), Some(picture.as_str()));
+    let modes: f64 = number("modes");
+    assert_eq!(shown["returns"].as_array().unwrap().len() as f64, modes, "its modes as points");
+    let line = view.json(&format!("line?input=0&shot={running}"));
+    assert!(line["highest_dn"].as_f64().unwrap() > 20.0, "above the background");
     for other in [["--shot", &running.to_string()], ["--time", cell("gps_time_s")]] {
         let again = place.wavex(&["explain", &file, other[0], other[1]]);
         assert_eq!(again.out.replace(&format!("gedi_l1b_shot_{shot}.svg"), "a.svg"), text, "{other:?}");
