@@ -180,17 +180,10 @@ fn coordinates_of_beams_are_judged_as_by_a_run() {
         let checked = check(&place, &[]);
         let outcome = place.wavex(&["run", "job.toml"]);
         assert_eq!(outcome.code, Some(code), "{outcome:?}");
-<<<<<<< HEAD
         // The beams are made west of the zone.
         let mut warnings = lines(&checked, "warning");
         warnings.retain(|warning| !warning.contains("is made for longitude"));
         match (warnings.as_slice(), expected) {
-=======
-        // The beams begin outside of the zone.
-        let warnings =
-            lines(&checked, "warning").into_iter().filter(|warning| !warning.contains(" is made for "));
-        match (warnings.collect::<Vec<_>>().as_slice(), expected) {
->>>>>>> job-hints
             ([], None) => {}
             ([warning], Some(expected)) => {
                 assert!(

@@ -62,14 +62,7 @@ fn input(beam: &str) -> Arc<InputInfo> {
 /// Runs the stage with this number of shots to learn from.
 fn run(shots: u64, lines: Vec<ScanLine>) -> (Result<()>, Vec<ScanLine>, Context) {
     let config = MeasureFootprints { shots, ..MeasureFootprints::default() };
-    let mut stage = Measurer {
-        settings: config.settings(),
-        reflectance_ratio: config.reflectance_ratio,
-        shots,
-        pool: None,
-        look_ahead: LookAhead::new(shots),
-        beam: None,
-    };
+    let mut stage = Measurer { config, pool: None, look_ahead: LookAhead::new(shots), beam: None };
     let (mut cx, mut given) = (Context::default(), Vec::new());
     let mut emit = |line: ScanLine| {
         given.push(line);
