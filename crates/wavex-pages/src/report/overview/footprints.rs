@@ -98,30 +98,48 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
+
     use wavex_line::scan_line::{Blocks, Emission, InputInfo};
+    use wavex_simd::statistics::WithSd;
+
+    fn shot(flags: u8, ground_probability: f64) -> Footprint {
+        Footprint {
+            emission: 0,
+            shot_number: 0,
+            ground_range_m: WithSd::UNKNOWN,
+            ground_probability,
+            ground_amplitude_dn: WithSd::UNKNOWN,
+            ground_half_width_ratios: [1.0; 2],
+            heights_m: Box::new([f32::NAN; 101]),
+            heights_sd_m: Box::new([f32::NAN; 101]),
+            modes: 1,
+            energy_dn: WithSd::UNKNOWN,
+            ground_energy_ratio: WithSd::UNKNOWN,
+            cover: WithSd::UNKNOWN,
+            plant_area_index: WithSd::UNKNOWN,
+            sensitivity: 0.97,
+            flags,
+            columns: Box::default(),
+        }
+    }
 
     #[test]
     fn flags_and_quantities_are_counted() {
-        let known = Footprint { ground_probability: 0.93, sensitivity: 0.971, ..Footprint::default() };
-        let flagged = footprint_flags::AMBIGUOUS | footprint_flags::DEGRADED;
-        let ambiguous = Footprint { ground_probability: 0.4, flags: flagged, ..Footprint::default() };
-        let missing = Footprint {
-            flags: footprint_flags::GROUND_MISSING,
-            ground_probability: f64::NAN,
-            ..Footprint::default()
-        };
+        use footprint_flags::{AMBIGUOUS, DEGRADED, GROUND_MISSING};
         let info = Arc::new(InputInfo::default());
         let mut line = ScanLine::of_shots(info, 0, vec![Emission::default(); 3], Blocks::default());
         let mut counts = FootprintCounts::default();
         counts.add(&line);
         assert_eq!(counts.clone().finish(), None);
-        line.footprints = vec![known, ambiguous, missing];
+        line.footprints =
+            vec![shot(0, 0.93), shot(AMBIGUOUS | DEGRADED, 0.4), shot(GROUND_MISSING, f64::NAN)];
         counts.add(&line);
         let found = counts.finish().unwrap();
         let Footprints { shots, ground_missing, ambiguous, top_missing, clipped, degraded, .. } = found;
         assert_eq!([shots, ground_missing, ambiguous, top_missing, clipped, degraded], [3, 1, 1, 0, 0, 1]);
         let of = |name: &str| found.histograms.iter().find(|of| of.quantity == name);
         assert_eq!(of("ground probability").map(QuantityHistogram::total), Some(2));
-        assert!(of("sensitivity").is_some());
+        assert_eq!(of("sensitivity").map(QuantityHistogram::total), Some(3));
+        assert_eq!(of("RH98"), None, "no height is known");
     }
 }
