@@ -157,7 +157,8 @@ pub fn decompose(
 /// ----------
 /// recording : Recording or path
 /// shot : int
-///     Running number of the shot.
+///     Running number of the shot; of large footprints, their ``shot_number``. These are
+///     measured as by ``measure_footprints``: ``model`` and ``keys`` are not for them.
 /// model : SensorModel, optional
 ///     By default the recording is calibrated first.
 /// **keys
