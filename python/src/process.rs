@@ -203,7 +203,7 @@ pub struct Explanation {
 
 #[pymethods]
 impl Explanation {
-    /// Running number of the shot.
+    /// Running number of the shot; ``shot_number`` of large footprints.
     #[getter]
     fn shot(&self) -> u64 {
         self.explained.emission.shot

@@ -1,7 +1,9 @@
 """Calibration, decomposition, explanation."""
 
 import json
+import os
 import pickle
+from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -105,3 +107,21 @@ def test_a_shot_is_explained(flight, model):
     np.testing.assert_allclose(explained.returns["range_m"], of_shot["range_m"][rows], rtol=0, atol=0)
     with pytest.raises(wavex.JobError, match="no shot 99999"):
         wavex.explain(flight, 99999, model)
+
+
+def test_a_large_footprint_needs_no_model(model):
+    granule = Path(__file__).parents[2] / "crates/wavex-hdf5/tests/data/gedi_product.h5"
+    with pytest.raises(wavex.Error, match="learnt from their beam; leave out `model`"):
+        wavex.explain(granule, 3, model)
+    with pytest.raises(wavex.Error, match="0 shots have a recorded outgoing pulse"):
+        wavex.explain(granule, 3)
+
+
+def test_a_large_footprint_is_explained():
+    granule = Path(os.environ.get("WAVEX_DATA", "/nowhere")) / "gedi" / "gedi_l1b.h5"
+    if not granule.exists():
+        pytest.skip("SKIPPED: WAVEX_DATA has no GEDI granule")
+    explained = wavex.explain(granule, 19640522900108417)
+    assert explained.shot == 19640522900108417 and "BEAM0101" in str(explained)
+    assert len(explained.returns) == 1 and len(explained.blocks) == 0
+    assert "height above the ground, m" in explained.svg

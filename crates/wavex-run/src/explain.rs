@@ -60,6 +60,9 @@ pub fn explain_shot(
 ) -> Result<Explanation, Failure> {
     let request = ExplainRequest { set, ..ExplainRequest::of(file) };
     if request.has_large_footprints() {
+        if model.is_some() {
+            return Err(footprint::without_model(&request, "leave out `model`"));
+        }
         return Ok(of_footprint(FootprintChain::of(&request)?.explain(shot)?));
     }
     let mut chain = Chain::of(&request)?;
@@ -80,7 +83,8 @@ pub fn explain_shot(
 /// A footprint for programs; its samples are in the picture only.
 fn of_footprint(explained: ExplainedFootprint) -> Explanation {
     let (text, svg) = (explained.table_within(None), explained.picture());
-    let SeenFootprint { emission, input, modes, .. } = explained.seen;
+    let SeenFootprint { emission, input, footprint, modes, .. } = explained.seen;
+    let emission = Emission { shot: footprint.shot_number, ..emission };
     Explanation { emission, returns: modes, blocks: Vec::new(), input, text, svg }
 }
 

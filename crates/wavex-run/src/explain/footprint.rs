@@ -21,6 +21,12 @@ pub struct FootprintChain {
     measure: MeasureFootprints,
 }
 
+/// Error for a sensor model, with its remedy.
+pub(super) fn without_model(request: &ExplainRequest, remedy: &str) -> Failure {
+    let problem = "noise and response of large footprints are learnt from their beam";
+    Failure::Wrong(format!("{}: {problem}; {remedy}", request.file.display()))
+}
+
 impl FootprintChain {
     /// Chain of a request.
     ///
@@ -29,9 +35,7 @@ impl FootprintChain {
     pub fn of(request: &ExplainRequest) -> Result<FootprintChain, Failure> {
         let file = request.file.to_owned();
         if request.model.is_some() {
-            let problem =
-                "noise and response of large footprints are learnt from their beam; leave out --model";
-            return Err(Failure::Wrong(format!("{}: {problem}", file.display())));
+            return Err(without_model(request, "leave out --model"));
         }
         let set = if request.job.is_some() { &[] } else { request.set };
         let default_job = default_job(FOOTPRINTS, &["measure_footprints"], &file.display().to_string(), set)?;
