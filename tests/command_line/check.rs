@@ -226,6 +226,6 @@ fn inputs_that_are_missing_or_damaged_are_warnings_or_errors() {
 
     fs::remove_file(place.path("job.toml")).unwrap();
     place.write("job.toml", b"[[stage]]\ntype = 'read_las'\npath = 'b.las'\n");
-    let expected = "error: job.toml: 1 problem with the inputs\n  HERE/b.las: no such file\n";
+    let expected = "error: job.toml: 1 problem with the inputs\n  HERE/b.las: no such file; did you mean HERE/a.las?\n";
     assert_eq!(check(&place, &["--inputs=required"]), Outcome::failure(2, expected));
 }
