@@ -54,7 +54,15 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
     let (mut total, n_problems) = (Some(0), problems.len());
     for path in files {
         match shot_count.map(|count| count(path)) {
-            None => total = None,
+            None => {
+                total = None;
+                // Its header says whether it is a file of this format.
+                if reader.spec.name == "read_hdf5" {
+                    problems.extend(
+                        engine::first_line(job, path, input_dir).err().map(|error| error.to_string()),
+                    );
+                }
+            }
             Some(Ok(shots)) => total = total.map(|total: u64| total.saturating_add(shots)),
             Some(Err(error)) => problems.push(error.to_string()),
         }

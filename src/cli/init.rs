@@ -25,7 +25,7 @@ pub(super) fn init(files: &[PathBuf], from: Option<&Path>, quiet: bool) -> Resul
         Some(recording) => (of_recording(recording, file)?, String::new()),
         None => (
             example_job(STAGES),
-            "the job reads RECORDING.las: edit `type` and `path` of the first stage, or use `wavex init RECORDING`\n"
+            "the job reads RECORDING.las: edit `type` and `path` of the first stage, or use `wavex init RECORDING JOB.toml`\n"
                 .to_owned(),
         ),
     };

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::place::{only_report, page};
 use super::{Failure, JobArgs, terminal};
+use wavex_formats::RecordingFormat;
 use wavex_formats::extensions::has_extension;
 use wavex_pages::report::write_page_of;
 use wavex_run::archive::shown;
@@ -21,6 +22,10 @@ pub(super) fn report(place: &Path, out: Option<&Path>, quiet: bool) -> Result<()
 fn report_of(place: &Path) -> Result<PathBuf, Failure> {
     match page(place) {
         Some(problem) => Err(Failure::Wrong(problem)),
+        None if RecordingFormat::of(place).is_some() => Err(Failure::Wrong(format!(
+            "{}: it is a recording or the points of a run; give the report of a run, its job or its folder",
+            place.display()
+        ))),
         None if place.is_dir() => only_report(place),
         None if has_extension(place, "toml") => report_of_job(place),
         None => Ok(place.to_path_buf()),

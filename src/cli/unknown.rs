@@ -180,6 +180,13 @@ fn tip(command: &str, argument: &str) -> Option<String> {
 /// How to set a key of a job, if there is one of this name.
 fn key_tip(name: &str) -> Option<String> {
     let key = name.rsplit('.').next().unwrap_or(name);
+    match key {
+        "crs" | "epsg" | "srs" | "t_srs" => {
+            return Some("write --set job.geometry.crs=EPSG:25833".to_owned());
+        }
+        "beam" => return key_tip("beams"),
+        _ => {}
+    }
     let is_setting = wavex_engine::job::JobSettings::keys().get(key).is_some();
     let mut stages = STAGES.iter().filter(|spec| spec.keys().get(key).is_some()).map(|spec| spec.name);
     let table = if is_setting { "job" } else { stages.next()? };
@@ -258,6 +265,8 @@ mod tests {
         for (line, expected) in [
             ("wavex run a.toml -o out", "--set job.output_dir=FOLDER"),
             ("wavex run a.toml --output=out", "--set job.output_dir=FOLDER"),
+            ("wavex run a.toml --crs EPSG:25833", "write --set job.geometry.crs=EPSG:25833"),
+            ("wavex run a.toml --beam BEAM0101", "keys of a job are set with --set read_hdf5.beams=VALUE"),
             ("wavex init a.pls -o a.toml", "name the job second: wavex init RECORDING JOB.toml"),
             ("wavex convert a.pls b.arrow -o c", "name the output second: "),
             ("wavex scan -i a.pls", "name the file without an option: wavex scan FILE"),

@@ -226,6 +226,15 @@ fn inputs_that_are_missing_or_damaged_are_warnings_or_errors() {
 
     fs::remove_file(place.path("job.toml")).unwrap();
     place.write("job.toml", b"[[stage]]\ntype = 'read_las'\npath = 'b.las'\n");
-    let expected = "error: job.toml: 1 problem with the inputs\n  HERE/b.las: no such file; did you mean HERE/a.las?\n";
+    let expected =
+        "error: job.toml: 1 problem with the inputs\n  HERE/b.las: no such file; did you mean HERE/a.las?\n";
     assert_eq!(check(&place, &["--inputs=required"]), Outcome::failure(2, expected));
+}
+
+#[test]
+fn a_recording_of_another_format_than_hdf5_is_named() {
+    let place = place("read_hdf5", "'a.pls'");
+    place.write("a.pls", b"PulseWavesPulse\0");
+    let warnings = lines(&check(&place, &[]), "warning");
+    assert!(warnings.iter().any(|warning| warning.contains("this is PulseWaves, not HDF5")), "{warnings:?}");
 }

@@ -323,7 +323,7 @@ fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
     let [file, schema] = ["job.toml", "job.schema.json"].map(|name| folder.path().join(name));
     let (file, schema) = (file.to_str().unwrap(), schema.to_str().unwrap());
     let written = wavex(&["init", file]);
-    let remark = "the job reads RECORDING.las: edit `type` and `path` of the first stage, or use `wavex init RECORDING`\n";
+    let remark = "the job reads RECORDING.las: edit `type` and `path` of the first stage, or use `wavex init RECORDING JOB.toml`\n";
     let expected = format!("wrote {file}\nwrote {schema}\n{remark}");
     assert_eq!(written, Outcome { code: Some(0), out: expected, err: String::new() });
     assert_eq!(fs::read_to_string(file).unwrap(), printed.out);

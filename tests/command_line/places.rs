@@ -108,3 +108,10 @@ fn a_missing_file_of_a_job_gets_the_file_that_was_meant() {
         refused(&place, &format!("scan {path}"), &message);
     }
 }
+
+#[test]
+fn a_recording_has_no_report() {
+    let place = TestFolder::with(&[("a.laz", b"LASF")]);
+    let message = "error: a.laz: it is a recording or the points of a run; give the report of a run, its job or its folder\n";
+    assert_eq!(place.wavex(&["report", "a.laz"]), Outcome::failure(2, message));
+}

@@ -42,7 +42,7 @@ fn not_a_job(path: &Path) -> Option<String> {
     let name = path.display();
     if path.is_dir() {
         let remedy = match jobs_in(path).as_slice() {
-            [] => "a job is a file that ends in .toml: `wavex init RECORDING` writes one".to_owned(),
+            [] => "a job is a file that ends in .toml: `wavex init RECORDING JOB.toml` writes one".to_owned(),
             [job, ..] => format!("give a job in it, such as {}", path.join(job).display()),
         };
         let outputs = folder_of_outputs(path).map_or(String::new(), |folder| {
@@ -60,7 +60,7 @@ fn not_a_job(path: &Path) -> Option<String> {
     }
     if has_extension(path, "json") {
         return Some(format!(
-            "{name}: it is JSON, but a job is TOML: `wavex init RECORDING` writes one; `wavex report {name}` renders the \
+            "{name}: it is JSON, but a job is TOML: `wavex init RECORDING JOB.toml` writes one; `wavex report {name}` renders the \
              report of a run"
         ));
     }
@@ -81,8 +81,8 @@ fn jobs_in(folder: &Path) -> Vec<String> {
 /// Remedy for a job that does not exist.
 fn nearby(job: &Path) -> String {
     let remedy = missing::remedy(job, |path| has_extension(path, "toml"));
-    let remedy =
-        remedy.unwrap_or_else(|| "check the path, or write a job with `wavex init RECORDING`".to_owned());
+    let remedy = remedy
+        .unwrap_or_else(|| "check the path, or write a job with `wavex init RECORDING JOB.toml`".to_owned());
     format!("; {remedy}")
 }
 

@@ -39,7 +39,7 @@ fn warning(path: &Path, report: &Value, now: &[FileState]) -> Option<String> {
         n => format!(" and {n} more"),
     };
     Some(format!(
-        "the run replaces outputs of another job: {first}{more}, which {} describes; give each job its own `output_dir`",
+        "if it succeeds, the run replaces outputs of another job: {first}{more}, which {} describes; give each job its own `output_dir`",
         path.display()
     ))
 }
