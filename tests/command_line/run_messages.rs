@@ -57,7 +57,8 @@ fn outputs_of_another_job_are_named_before_they_are_replaced() {
     for (job, other) in [("b.toml", "a"), ("a.toml", "b")] {
         let [warning] = &warnings(job)[..] else { panic!("{job}") };
         assert!(
-            warning.contains("the run replaces outputs of another job: simulated.arrow, which ")
+            warning
+                .contains("if it succeeds, the run replaces outputs of another job: simulated.arrow, which ")
                 && warning
                     .ends_with(&format!("{other}_report.json describes; give each job its own `output_dir`")),
             "{warning}"
