@@ -233,8 +233,9 @@ fn inputs_that_are_missing_or_damaged_are_warnings_or_errors() {
 
 #[test]
 fn a_recording_of_another_format_than_hdf5_is_named() {
-    let place = place("read_hdf5", "'a.pls'");
-    place.write("a.pls", b"PulseWavesPulse\0");
+    let job = b"[[stage]]\ntype = 'read_hdf5'\npath = 'a.pls'\n[[stage]]\ntype = 'measure_footprints'\n\
+        [[stage]]\ntype = 'write_footprints'\n";
+    let place = TestFolder::with(&[("job.toml", job), ("a.pls", b"PulseWavesPulse\0")]);
     let checked = check(&place, &[]);
     let warnings = lines(&checked, "warning");
     assert!(warnings.iter().any(|warning| warning.contains("this is PulseWaves, not HDF5")), "{warnings:?}");

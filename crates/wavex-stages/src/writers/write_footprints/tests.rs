@@ -93,6 +93,7 @@ fn the_extension_or_the_format_says_what_to_write() {
     use wavex_line::stage::Config;
     let of = |path: &str, format| WriteFootprints { path: path.to_owned(), format };
     assert!(of("a.xlsx", None).check().is_err() && of("", None).check().is_err());
-    assert!(of("a.xlsx", Some(TableFormat::Csv)).check().is_ok() && of("a.CSV", None).check().is_ok());
+    assert!(of("a.xlsx", Some(TableFormat::Csv)).check().is_err(), "spreadsheet programs read .csv");
+    assert!(of("a.txt", Some(TableFormat::Csv)).check().is_ok() && of("a.CSV", None).check().is_ok());
     assert_eq!(Path::new(&WriteFootprints::default().path).extension().unwrap(), "parquet");
 }
