@@ -9,7 +9,7 @@ use wavex_engine::engine::{self, Input};
 use wavex_engine::job::Job;
 use wavex_formats::{CompanionIndex, RecordingFormat};
 use wavex_line::georef::{GeometryKeys, Loader, declared};
-use wavex_line::scan_line::InputInfo;
+use wavex_line::scan_line::ScanLine;
 use wavex_run::archive::missing_files;
 
 /// Usual number of points per shot, at least and at most.
@@ -17,24 +17,26 @@ const POINTS_PER_SHOT: [u64; 2] = [1, 3];
 
 /// Describes the inputs of a job and lists their problems; `input_dir` is absolute.
 ///
-/// Reads headers only, and the first scan lines if the job has keys of coordinates.
+/// Reads headers only, and first scan lines if the job has keys of coordinates or no header counts the shots.
 pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
     let (inputs, errors) = engine::find_inputs(job, input_dir);
     let mut problems: Vec<String> = errors.iter().map(ToString::to_string).collect();
-    let first = |input: &Input| -> FirstLine {
-        let line = engine::first_line(job, &input.path, input_dir);
-        line.map(|line| line.as_ref().map(engine::info_of)).map_err(|error| error.to_string())
-    };
+    let format = job.stages.first().and_then(|reader| RecordingFormat::read_by(reader.spec.name));
+    let shot_count = format.and_then(|format| format.shot_count);
     let has_keys = job.settings.geometry != GeometryKeys::default() || crs_of_input(job).is_some();
-    let firsts: Vec<FirstLine> = inputs.iter().filter(|_| has_keys).map(first).collect();
-    let known: Vec<&InputInfo> = firsts.iter().flatten().flatten().collect();
+    let first = |input: &Input| -> FirstLine {
+        engine::first_line(job, &input.path, input_dir).map_err(|error| error.to_string())
+    };
+    let is_read = has_keys || shot_count.is_none();
+    let firsts: Vec<FirstLine> = inputs.iter().filter(|_| is_read).map(first).collect();
+    let known: Vec<&ScanLine> = firsts.iter().flatten().flatten().collect();
     let mut needed = job.clone();
-    if !known.is_empty() && known.iter().all(|info| info.frame.is_georeferenced()) {
+    if !known.is_empty() && known.iter().all(|line| line.input.frame.is_georeferenced()) {
         // A run does not read the trajectory.
         (needed.settings.geometry.trajectory, needed.settings.geometry.trajectory_accuracy) = (None, None);
     }
     problems.extend(missing_files(&needed, &inputs, input_dir));
-    problems.extend(check_times::problems(&needed, &inputs, input_dir));
+    problems.extend(check_times::problems(&needed, &inputs, &firsts, input_dir));
     problems.extend(crs_problems(job, &inputs, &firsts, input_dir));
     let files: Vec<&Path> =
         inputs.iter().map(|input| input.path.as_path()).filter(|path| path.is_file()).collect();
@@ -49,20 +51,14 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
     let bytes: u64 = files.iter().map(with_companions).sum();
     let mut text = format!("  files:  {}, {}\n", files.len(), size(bytes));
     let inputs = files.len();
-    let format = RecordingFormat::read_by(reader.spec.name);
-    let shot_count = format.and_then(|format| format.shot_count);
+    if shot_count.is_none() {
+        problems
+            .extend(firsts.iter().filter_map(|first| first.as_ref().err()).filter(is_not_of_crs).cloned());
+    }
     let (mut total, n_problems) = (Some(0), problems.len());
     for path in files {
         match shot_count.map(|count| count(path)) {
-            None => {
-                total = None;
-                // Its header says whether it is a file of this format.
-                if reader.spec.name == "read_hdf5" {
-                    problems.extend(
-                        engine::first_line(job, path, input_dir).err().map(|error| error.to_string()),
-                    );
-                }
-            }
+            None => total = None,
             Some(Ok(shots)) => total = total.map(|total: u64| total.saturating_add(shots)),
             Some(Err(error)) => problems.push(error.to_string()),
         }
@@ -117,18 +113,19 @@ fn crs_problems(job: &Job, inputs: &[Input], firsts: &[FirstLine], input_dir: &P
     let has_coordinates = job.stages.iter().any(|stage| stage.spec.name == "georeference");
     let problems = |first: &FirstLine| -> Vec<String> {
         let info = match first {
-            Ok(Some(info)) => info,
+            Ok(Some(line)) => engine::info_of(line),
             Ok(None) => return Vec::new(),
             // Other problems are found by their own checks.
-            Err(error) if error.contains("crs_of_input") => return vec![error.clone()],
-            Err(_) => return Vec::new(),
+            Err(error) => {
+                return Some(error).filter(|error| !is_not_of_crs(error)).cloned().into_iter().collect();
+            }
         };
         let mut problems: Vec<String> = job.settings.geometry.unused_in(info.frame).into_iter().collect();
         // The trajectory gives beams other coordinates.
         let is_judged =
             has_coordinates && (info.frame.is_georeferenced() || job.settings.geometry.trajectory.is_none());
         if let Some(geometry) = geometry.as_ref().filter(|_| is_judged) {
-            problems.extend(geometry.judge(info).unwrap_or_else(|error| vec![error.to_string()]));
+            problems.extend(geometry.judge(&info).unwrap_or_else(|error| vec![error.to_string()]));
         }
         problems
     };
@@ -146,8 +143,13 @@ fn crs_of_input(job: &Job) -> Option<&str> {
     job.stages.first()?.planned.resolved.get("crs_of_input")?.as_str()
 }
 
-/// Metadata of an input with its first shot, `None` if unknown; or why it cannot be read.
-type FirstLine = Result<Option<InputInfo>, String>;
+/// Whether an error of a reader is about something else than its key `crs_of_input`.
+fn is_not_of_crs(error: &&String) -> bool {
+    !error.contains("crs_of_input")
+}
+
+/// First scan line of an input, `None` if unknown; or why it cannot be read.
+pub(super) type FirstLine = Result<Option<ScanLine>, String>;
 
 /// Error for inputs that must be there.
 pub(super) fn required(job: &Job, problems: &[String]) -> String {

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use wavex_engine::engine::{self, Input};
+use super::check_inputs::FirstLine;
+use wavex_engine::engine::Input;
 use wavex_engine::job::Job;
 use wavex_formats::RecordingFormat;
 use wavex_geodesy::time_axis::{Clock, TimeSpan, align};
@@ -14,21 +15,20 @@ const TOLERANCE_S: f64 = 0.1;
 
 /// Lists recordings that their trajectory does not cover, and unreadable trajectories.
 ///
-/// Reads the first scan line and the last record of each recording, and the first and the last record
-/// of each trajectory. Missing files, and recordings without random access, are passed over.
-pub(super) fn problems(job: &Job, inputs: &[Input], input_dir: &Path) -> Vec<String> {
+/// `firsts` are the first scan lines of the inputs. Reads the last record of each recording, and the first and the last
+/// record of each trajectory. Missing files, and recordings without random access, are passed over.
+pub(super) fn problems(job: &Job, inputs: &[Input], firsts: &[FirstLine], input_dir: &Path) -> Vec<String> {
     let geometry = &job.settings.geometry;
     let Some(pattern) = &geometry.trajectory else { return Vec::new() };
     let mut trajectories: BTreeMap<PathBuf, Option<TimeSpan>> = BTreeMap::new();
     let mut problems = Vec::new();
-    for input in inputs {
+    for (input, first) in inputs.iter().zip(firsts) {
         let file = input_dir.join(pattern.replace('*', &input.stem));
         let trajectory = trajectories.entry(file.clone()).or_insert_with(|| {
             let times = file.is_file().then(|| trajectory_times(geometry, &file))?;
             times.map_err(|error| problems.push(error.to_string())).ok()
         });
-        let Some((trajectory, recording)) = trajectory.zip(recording_times(job, &input.path, input_dir))
-        else {
+        let Some((trajectory, recording)) = trajectory.zip(recording_times(job, &input.path, first)) else {
             continue;
         };
         problems.extend(
@@ -39,7 +39,7 @@ pub(super) fn problems(job: &Job, inputs: &[Input], input_dir: &Path) -> Vec<Str
 }
 
 /// Time span of a recording as its reader gives the times; `None` if it is unknown.
-fn recording_times(job: &Job, path: &Path, input_dir: &Path) -> Option<TimeSpan> {
+fn recording_times(job: &Job, path: &Path, first: &FirstLine) -> Option<TimeSpan> {
     let reader = job.stages.first()?;
     let first_last_s = RecordingFormat::read_by(reader.spec.name)?.first_last_s?;
     // A window of time may begin anywhere in the recording.
@@ -48,7 +48,7 @@ fn recording_times(job: &Job, path: &Path, input_dir: &Path) -> Option<TimeSpan>
         return None;
     }
     let [stored_first_s, stored_last_s] = first_last_s(path).ok()??;
-    let line = engine::first_line(job, path, input_dir).ok()??;
+    let line = first.as_ref().ok()?.as_ref()?;
     let first_s = line.emissions.first()?.gps_time_s;
     let clock = Clock::of(line.input.time_scale)?;
     let mut duration_s = stored_last_s - stored_first_s;

@@ -2,7 +2,6 @@
 
 use std::io::Write;
 use std::path::Path;
-use std::sync::Arc;
 
 use super::place::check_recording;
 use super::{ExplainArgs, Failure, terminal};
@@ -10,7 +9,7 @@ use wavex_engine::engine::terminal_columns;
 use wavex_formats::Error;
 use wavex_formats::extensions::has_extension;
 use wavex_line::stage::OutputFile;
-use wavex_run::explain::{Chain, ExplainRequest, FootprintChain, NEAR_S};
+use wavex_run::explain::{ExplainRequest, Explainer, NEAR_S, ShotChoice};
 
 /// Prints the returns of a shot and writes its picture.
 pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
@@ -31,37 +30,14 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
         model: args.model.as_deref(),
         progress: args.progress.without_lines(quiet),
     };
-    let wanted_s = args.time.unwrap_or_default();
-    let mut distance = String::new();
-    let (shot, table, picture) = if request.has_large_footprints() {
-        let chain = FootprintChain::of(&request)?;
-        let explained = match args.shot {
-            Some(shot) => chain.explain(shot)?,
-            None => {
-                let (shot, time_s) = chain.nearest(wanted_s)?;
-                distance = distance_of(time_s - wanted_s, wanted_s);
-                chain.explain_running(shot)?
-            }
-        };
-        let shot = explained.seen.footprint.shot_number;
-        (shot, explained.table_within(terminal_columns()), explained.picture())
-    } else {
-        let chain = Arc::new(Chain::of(&request)?);
-        let shot = match args.shot {
-            Some(shot) => shot,
-            None => {
-                let (shot, time_s) = chain.nearest(wanted_s)?;
-                distance = distance_of(time_s - wanted_s, wanted_s);
-                shot
-            }
-        };
-        let explained = chain.explain(shot)?;
-        (shot, explained.table_within(terminal_columns()), explained.picture())
-    };
+    let time_s = args.time.unwrap_or_default();
+    let choice = args.shot.map_or(ShotChoice::Time(time_s), ShotChoice::Number);
+    let explained = Explainer::of(&request)?.explain(choice, terminal_columns())?;
     let stem = args.file.file_stem().unwrap_or_default().to_string_lossy();
-    let path = args.out.clone().unwrap_or_else(|| format!("{stem}_shot_{shot}.svg").into());
-    write(&path, &picture).map_err(|error| Failure::Run(error.to_string()))?;
-    let said = format!("{table}\n{distance}wrote {}\n", path.display());
+    let path = args.out.clone().unwrap_or_else(|| format!("{stem}_shot_{}.svg", explained.shot).into());
+    write(&path, &explained.picture).map_err(|error| Failure::Run(error.to_string()))?;
+    let distance = distance_of(explained.later_s, time_s);
+    let said = format!("{}\n{distance}wrote {}\n", explained.table, path.display());
     if quiet { Ok(()) } else { terminal::print(&said) }
 }
 

@@ -3,9 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use super::Failure;
-use wavex_formats::extensions::{LAS, LAZ, has_extension};
-use wavex_formats::las::RawPoints;
-use wavex_formats::{RecordingFormat, folder_of_outputs, is_report, unsupported};
+use wavex_formats::extensions::has_extension;
+use wavex_formats::{RecordingFormat, folder_of_outputs, is_only_points, is_report, unsupported};
 use wavex_line::keys::listed;
 use wavex_run::missing::missing;
 
@@ -40,12 +39,6 @@ pub(super) fn page(path: &Path) -> Option<String> {
     is_page.then(|| format!("{}: it is a page; open it in a browser{report}", path.display()))
 }
 
-/// Whether a file is LAS of a point format without waveforms.
-pub(super) fn is_without_waveforms(path: &Path) -> bool {
-    let is_las = [LAS, LAZ].iter().any(|extension| has_extension(path, extension));
-    is_las && RawPoints::open(path).is_ok_and(|points| !points.header().has_waveforms())
-}
-
 /// Why points have no waveforms, and what to open instead: the run in their folder if there is one.
 pub(super) fn instead_of_points(points: &Path) -> String {
     let instead = points_of_run(points);
@@ -59,21 +52,22 @@ pub(super) fn instead_of_points(points: &Path) -> String {
 fn points_of_run(points: &Path) -> Option<String> {
     let folder = points.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let reports = reports_in(folder);
+    let in_folder = |name: &String| points.with_file_name(name).display().to_string();
     let run = match reports.as_slice() {
         [] => return None,
         [_] => format!("`wavex view {}` shows the run in this folder with its waveforms", folder.display()),
         _ => format!(
             "`wavex view` shows a run in this folder with its waveforms; give its report: {}",
-            listed(&reports, "or")
+            listed(&reports.iter().map(in_folder).collect::<Vec<_>>(), "or")
         ),
     };
-    is_without_waveforms(points).then(|| format!("{}: points without waveforms; {run}", points.display()))
+    is_only_points(points).then(|| format!("{}: points without waveforms; {run}", points.display()))
 }
 
 /// The report in a folder.
 ///
 /// # Errors
-/// If there is none, or several.
+/// If the folder has no report, or several.
 pub(super) fn only_report(folder: &Path) -> Result<PathBuf, Failure> {
     let names = reports_in(folder);
     let problem = match (names.as_slice(), folder_of_outputs(folder)) {

@@ -6,12 +6,13 @@ use std::time::Duration;
 use serde_json::{Map, Value};
 
 use super::init::of_recording;
-use super::place::{check_viewable, instead_of_points, is_without_waveforms, only_report};
+use super::place::{check_viewable, instead_of_points, only_report};
 use super::run::stop_on_signals;
 use super::{Failure, JobArgs, ViewArgs, terminal};
 use wavex_engine::engine::Cancel;
 use wavex_engine::job::{Include, Job, Override};
 use wavex_formats::extensions::has_extension;
+use wavex_formats::is_only_points;
 use wavex_line::georef::check_crs;
 use wavex_pages::report::read_report;
 use wavex_pages::view::{self, Opened};
@@ -68,7 +69,7 @@ fn opened(args: &ViewArgs) -> Result<Opened, Failure> {
     let kind = match () {
         () if place.is_dir() || has_extension(place, "json") => "folder",
         () if has_extension(place, "toml") => "job",
-        () if is_without_waveforms(place) => "points",
+        () if is_only_points(place) => "points",
         () => "recording",
     };
     let (source, folder) = match kind {

@@ -55,7 +55,7 @@ pub mod trajectory;
 mod unsupported;
 
 pub use format::{CompanionIndex, RecordingFormat};
-pub use misplaced::{TRAJECTORIES, folder_of_outputs, is_report};
+pub use misplaced::{TRAJECTORIES, folder_of_outputs, is_only_points, is_report};
 pub use recorded_crs::RecordedCrs;
 pub use unsupported::unsupported;
 

@@ -83,8 +83,8 @@ fn folder(path: &Path) -> Error {
     Error::unusable(path, "it is a folder, not a recording", remedy)
 }
 
-/// Whether a file is LAS without waveforms, as a run writes it.
-fn is_only_points(file: &Path) -> bool {
+/// Whether a file is LAS of a point format without waveforms, as a run writes it.
+pub fn is_only_points(file: &Path) -> bool {
     let is_las = [LAS, LAZ].contains(&extension(file).as_str());
     is_las && RawPoints::open(file).is_ok_and(|points| !points.header().has_waveforms())
 }

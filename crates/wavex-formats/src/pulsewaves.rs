@@ -250,7 +250,7 @@ fn descriptor<'r>(
     let index = pulse.descriptor;
     let bad = |field: String, problem: String| {
         let field = format!("pulse {}: {field}", pulse.index);
-        let remedy = "leave the pulse out, or export the files with 8 or 16 bit uncompressed waves";
+        let remedy = "export the files with 8 or 16 bit uncompressed waves";
         Error::malformed(file, at, field, problem, remedy)
     };
     let descriptor = records.descriptors.get(&index).ok_or_else(|| {
@@ -271,7 +271,7 @@ fn wave_offset(file: &Path, at: u64, length: u64, pulse: &PulseRecord) -> Result
         let field = format!("pulse {}: offset to waves", pulse.index);
         let problem =
             format!("{} is outside the waves file's bytes {} to {length}", pulse.wave_offset, range.start);
-        let remedy = "leave the pulse out, or copy both files again: the waves file may be cut off";
+        let remedy = "copy both files again: the waves file may be cut off, or that of another recording";
         Error::malformed(file, at, field, problem, remedy)
     })
 }

@@ -61,7 +61,7 @@ pub fn explain_shot(
     let request = ExplainRequest { set, ..ExplainRequest::of(file) };
     if request.has_large_footprints() {
         if model.is_some() {
-            return Err(footprint::without_model(&request, "leave out `model`"));
+            return Err(footprint::without_model(file, "leave out `model`"));
         }
         return Ok(of_footprint(FootprintChain::of(&request)?.explain(shot)?));
     }
@@ -114,6 +114,81 @@ impl<'a> ExplainRequest<'a> {
     }
 }
 
+/// Explains shots of a recording with footprints of its size.
+pub enum Explainer {
+    /// Decomposes them.
+    Small(Arc<Chain>),
+    /// Measures their ground and heights.
+    Large(FootprintChain),
+}
+
+/// Selects a shot.
+#[derive(Clone, Copy, Debug)]
+pub enum ShotChoice {
+    /// By its number in outputs: of large footprints that of their mission, or else the running number.
+    Number(u64),
+    /// The nearest to a time, s.
+    Time(f64),
+}
+
+/// An explained shot as it is printed and drawn.
+pub struct ShownExplanation {
+    /// Its number in outputs.
+    pub shot: u64,
+    /// Its time less the wanted one, s; 0 without a wanted one.
+    pub later_s: f64,
+    /// Table in lines of at most the wanted number of characters.
+    pub table: String,
+    /// Picture, SVG.
+    pub picture: String,
+}
+
+impl Explainer {
+    /// Explainer of a request.
+    ///
+    /// # Errors
+    /// If the format is unknown or the job invalid.
+    pub fn of(request: &ExplainRequest) -> Result<Explainer, Failure> {
+        match request.has_large_footprints() {
+            true => FootprintChain::of(request).map(Explainer::Large),
+            false => Chain::of(request).map(|chain| Explainer::Small(Arc::new(chain))),
+        }
+    }
+
+    /// Explains a shot; the table has lines of at most `columns` characters, if it is given.
+    ///
+    /// # Errors
+    /// If the recording cannot be read, has no such shot, or nothing of it can be explained.
+    pub fn explain(&self, choice: ShotChoice, columns: Option<usize>) -> Result<ShownExplanation, Failure> {
+        match self {
+            Explainer::Small(chain) => {
+                let (shot, later_s) = match choice {
+                    ShotChoice::Number(shot) => (shot, 0.0),
+                    ShotChoice::Time(time_s) => {
+                        let (shot, found_s) = chain.nearest(time_s)?;
+                        (shot, found_s - time_s)
+                    }
+                };
+                let explained = chain.explain(shot)?;
+                let (table, picture) = (explained.table_within(columns), explained.picture());
+                Ok(ShownExplanation { shot, later_s, table, picture })
+            }
+            Explainer::Large(chain) => {
+                let (explained, later_s) = match choice {
+                    ShotChoice::Number(shot) => (chain.explain(shot)?, 0.0),
+                    ShotChoice::Time(time_s) => {
+                        let (running, found_s) = chain.nearest(time_s)?;
+                        (chain.explain_running(running)?, found_s - time_s)
+                    }
+                };
+                let (table, picture) = (explained.table_within(columns), explained.picture());
+                let shot = explained.seen.footprint.shot_number;
+                Ok(ShownExplanation { shot, later_s, table, picture })
+            }
+        }
+    }
+}
+
 /// Reader of recordings with large footprints.
 const FOOTPRINTS: &str = "read_hdf5";
 /// Stages after the reader of recordings with small footprints.
@@ -126,7 +201,7 @@ pub struct Chain {
     options: Options,
     file: PathBuf,
     /// Stem of the recording.
-    pub stem: String,
+    stem: String,
     decompose: Decompose,
 }
 

@@ -7,7 +7,7 @@ use wavex_testkit::{TO_TABLE, TestFolder, notes, outcome, rejected};
 
 const CUT: &str = "the file is cut off: copy it again from its source";
 const AGAIN: &str = "export the file again from its source";
-const LEAVE_OUT: &str = "leave the pulse out, or copy both files again: the waves file may be cut off";
+const LEAVE_OUT: &str = "copy both files again: the waves file may be cut off, or that of another recording";
 
 fn place(pulses: &[u8], waves: &[u8]) -> TestFolder {
     TestFolder::with(&[("a.pls", pulses), ("a.wvs", waves)])
@@ -146,7 +146,7 @@ fn a_descriptor_of_more_samples_than_a_waveform_has() {
     let mut whole = PulseWaves::new(3);
     whole.records[0].1 = descriptor(u32::MAX);
     let message = "a.wvs: byte 64: pulse 0: samples: 4294967295 bytes needed, 308 left in the \
-                   file; leave the pulse out, or copy or export the pair of files again";
+                   file; copy both files again: the waves file may be cut off, or that of another recording";
     refused(&place(&whole.pls(), &whole.waves), message);
 }
 
@@ -190,7 +190,7 @@ fn a_pulse_of_a_descriptor_that_is_missing_is_counted_and_passed_over() {
     let bad = PulseWaves::new(250).change(100, 44, &[9]);
     let note = format!(
         "a.pls: byte {}: pulse 100: pulse descriptor index: the file has no descriptor 9; \
-         leave the pulse out, or export the files with 8 or 16 bit uncompressed waves",
+         export the files with 8 or 16 bit uncompressed waves",
         bad.offset_of(100) + 44
     );
     loses_one_pulse(&bad, "shots: a pulse whose waves cannot be read", Some(&note));

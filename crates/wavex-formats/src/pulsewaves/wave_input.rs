@@ -14,7 +14,7 @@ use crate::{Error, Result};
 /// Over 600 km of range at one byte per ns.
 pub(super) const MOST_BYTES: u64 = 1 << 22;
 
-const DAMAGED: &str = "leave the pulse out, or copy or export the pair of files again";
+const DAMAGED: &str = "copy both files again: the waves file may be cut off, or that of another recording";
 
 /// Numbers and samples of the waves of a pulse, in file order.
 pub(super) trait WaveInput {

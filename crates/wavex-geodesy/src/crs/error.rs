@@ -83,7 +83,7 @@ pub enum CrsError {
     /// A point far outside the area of the projection.
     #[error(
         "{name}: the point at latitude {latitude_deg:.6}, longitude {longitude_deg:.6} degrees cannot be projected; \
-         check the trajectory, or choose a CRS for that area"
+         choose a CRS for that area; with a trajectory, check its positions"
     )]
     OutsideProjection {
         /// The CRS.

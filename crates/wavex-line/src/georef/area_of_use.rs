@@ -25,7 +25,7 @@ pub fn check() -> Check {
 /// A warning if a recording begins outside the area of use of its output CRS.
 pub(super) fn outside_of_output(crs: &Crs, place: Geodetic) -> Option<String> {
     let problem = outside(crs, place, |_| None)?;
-    Some(format!("{problem}; check `crs` in `[job.geometry]`, and the positions of the trajectory"))
+    Some(format!("{problem}; check `crs` in `[job.geometry]`; with a trajectory, also its positions"))
 }
 
 /// A warning if a recording in a map begins outside the area of use of the map's CRS.
@@ -105,7 +105,7 @@ mod tests {
             said(32733).unwrap(),
             "EPSG:32733 (WGS 84 / UTM zone 33S) is made for longitude 12 to 18 and latitude -80 to 0 degrees, but the \
              recording begins at longitude 15.0, latitude 47.0: the likely mistake is the hemisphere; check `crs` in \
-             `[job.geometry]`, and the positions of the trajectory"
+             `[job.geometry]`; with a trajectory, also its positions"
         );
         for (code, mistake) in [(32632, "is the zone"), (2271, "is the code"), (2154, "is the zone")] {
             assert!(said(code).unwrap().contains(mistake), "{code}");

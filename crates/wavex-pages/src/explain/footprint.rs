@@ -17,7 +17,7 @@ const HEIGHT: f64 = 676.0;
 const WAVEFORM: [f64; 2] = [70.0, 590.0];
 const HEIGHTS: [f64; 2] = [700.0, 1000.0];
 const WIDTH: f64 = 1030.0;
-/// Shown above the top of the signal and below the ground, m.
+/// Shown above and below the signal, m.
 const MARGIN_M: f64 = 10.0;
 
 /// A shot of a large footprint with its measurement.
@@ -70,12 +70,16 @@ impl ExplainedFootprint {
             sd: found.heights_sd_m.get(percent).copied().map_or(f64::NAN, f64::from),
         };
         let mut rows = vec![
-            ["ground, range, m".to_owned(), with_sd(found.ground_range_m, 3)],
+            ["ground, range from the first sample, m".to_owned(), with_sd(found.ground_range_m, 3)],
             ["ground, probability".to_owned(), number(found.ground_probability, 2)],
         ];
+        let ground_m = self.seen.height_above_ellipsoid_m(found.ground_range_m.value);
+        rows.extend(
+            ground_m.map(|height| ["ground, height above the ellipsoid, m".to_owned(), number(height, 3)]),
+        );
         rows.extend(SHOWN.iter().map(|&percent| [format!("RH{percent}, m"), with_sd(height(percent), 2)]));
         rows.extend([
-            ["ground of energy".to_owned(), with_sd(found.ground_energy_ratio, 3)],
+            ["energy of the ground, part".to_owned(), with_sd(found.ground_energy_ratio, 3)],
             ["cover".to_owned(), with_sd(found.cover, 3)],
             ["plant area index".to_owned(), with_sd(found.plant_area_index, 2)],
             ["sensitivity".to_owned(), number(found.sensitivity, 3)],
@@ -124,19 +128,14 @@ impl ExplainedFootprint {
         let mut svg = Svg::new();
         svg.text("title", [WAVEFORM[0], 32.0], Anchor::Start, &self.title());
         let found = &self.seen.footprint;
-        let notes: Vec<String> = [
-            Some(format!(
-                "ground {} m of range, probability {}",
-                with_sd(found.ground_range_m, 3),
-                number(found.ground_probability, 2)
-            )),
-            Some(format!("cover {}", with_sd(found.cover, 2))),
-            Some(format!("sensitivity {}", number(found.sensitivity, 3))),
-        ]
-        .into_iter()
-        .flatten()
-        .collect();
-        svg.text("note", [WAVEFORM[0], 54.0], Anchor::Start, &notes.join(" · "));
+        let note = format!(
+            "ground at a range of {} m, probability {} · cover {} · sensitivity {}",
+            with_sd(found.ground_range_m, 3),
+            number(found.ground_probability, 2),
+            with_sd(found.cover, 2),
+            number(found.sensitivity, 3)
+        );
+        svg.text("note", [WAVEFORM[0], 54.0], Anchor::Start, &note);
         let y = AxisScale { from: self.shown_m(), to: [BOTTOM, TOP] };
         self.waveform(&mut svg, y);
         self.heights(&mut svg, y);
@@ -147,11 +146,9 @@ impl ExplainedFootprint {
     fn shown_m(&self) -> [f64; 2] {
         let ends = [0, self.seen.samples_dn.len().saturating_sub(1)].map(|k| self.height_of(k));
         let [lowest, highest] = extent(ends.into_iter());
-        let top_m = self.seen.footprint.heights_m.last().copied().map_or(f64::NAN, f64::from);
-        if top_m.is_nan() {
-            return [lowest, highest];
-        }
-        [(-MARGIN_M).max(lowest), (top_m + MARGIN_M).min(highest)]
+        // Without a ground they are NaN, which `max` and `min` pass over.
+        let [bottom_m, top_m] = [0, 100].map(|percent| f64::from(self.seen.footprint.heights_m[percent]));
+        [(bottom_m - MARGIN_M).max(lowest), (top_m + MARGIN_M).min(highest)]
     }
 
     /// Height of a sample, m.

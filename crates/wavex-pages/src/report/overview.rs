@@ -42,7 +42,7 @@ pub use weak_returns::WeakReturns;
 pub use zones::{ZoneCloud, ZoneClouds, ZoneShare, Zones};
 
 use gallery::Gallery;
-use histogram::Bins;
+use histogram::{Bins, Quantity};
 use lines::Groups;
 use map::MapGrid;
 use wavex_line::system::Unpoisoned as _;
@@ -188,7 +188,7 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 /// Collects an [`Overview`] line by line, without the shots.
 #[derive(Clone, Debug)]
 struct OverviewCollector {
-    quantities: [ReturnQuantity; 5],
+    quantities: [Quantity<Return>; 5],
     lines: Groups,
     grid: MapGrid,
     zones: zones::ZoneCounts,
@@ -199,25 +199,15 @@ struct OverviewCollector {
     footprints: footprints::FootprintCounts,
 }
 
-/// A quantity of returns with its histogram.
-#[derive(Clone, Debug)]
-struct ReturnQuantity {
-    name: &'static str,
-    unit: &'static str,
-    of: fn(&Return) -> f64,
-    bins: Bins,
-}
-
 impl Default for OverviewCollector {
     fn default() -> OverviewCollector {
-        let quantity = |name, unit, of, bins| ReturnQuantity { name, unit, of, bins };
         OverviewCollector {
             quantities: [
-                quantity("amplitude", "DN", |r| r.amplitude_dn, Bins::logarithmic()),
-                quantity("width ratio", "", |r| r.width_ratio, Bins::linear(0.0, 0.02, 300)),
-                quantity("deviation ratio", "", |r| r.deviation_ratio, Bins::linear(-10.0, 0.25, 240)),
-                quantity("range uncertainty", "m", |r| r.range_sd_m, Bins::logarithmic()),
-                quantity("total uncertainty", "m", |r| r.total_sd_m, Bins::logarithmic()),
+                Quantity::new("amplitude", "DN", |r| r.amplitude_dn, Bins::logarithmic()),
+                Quantity::new("width ratio", "", |r| r.width_ratio, Bins::linear(0.0, 0.02, 300)),
+                Quantity::new("deviation ratio", "", |r| r.deviation_ratio, Bins::linear(-10.0, 0.25, 240)),
+                Quantity::new("range uncertainty", "m", |r| r.range_sd_m, Bins::logarithmic()),
+                Quantity::new("total uncertainty", "m", |r| r.total_sd_m, Bins::logarithmic()),
             ],
             lines: Groups::default(),
             grid: MapGrid::default(),
@@ -245,7 +235,7 @@ impl OverviewCollector {
                 scan_line.emissions.get(found.emission as usize).is_some_and(|emission| emission.is_copy())
             };
             let measured = returns.iter().filter(|found| !of_copy(found));
-            measured.for_each(|found| quantity.bins.add((quantity.of)(found)));
+            measured.for_each(|found| quantity.add(found));
         }
         self.zones.add(scan_line, returns);
         self.weak_returns.add(scan_line, returns);
@@ -258,7 +248,7 @@ impl OverviewCollector {
     fn finish(self, gallery: Gallery) -> Overview {
         let histograms = self.quantities.into_iter();
         Overview {
-            histograms: histograms.filter_map(|of| of.bins.finish(of.name, of.unit)).collect(),
+            histograms: histograms.filter_map(Quantity::finish).collect(),
             lines: self.lines.finish(),
             map: self.grid.finish(),
             zones: self.zones.finish(),

@@ -122,7 +122,8 @@ impl InputLines {
     /// Stages after `decompose` keep what they learnt with the keys of the view's job.
     pub(super) fn with_points(&mut self, job: &Job, numbers: Range<usize>) -> Result<Vec<ScanLine>> {
         if let Some(measure) = measures_footprints(job)? {
-            return self.with_footprints(job, measure.shots, numbers);
+            let first = self.first_of_beam(numbers.start, measure.shots)?;
+            return self.with_footprints(job, &first, numbers);
         }
         self.train()?;
         let before: Vec<ScanLine> =
@@ -130,13 +131,17 @@ impl InputLines {
         through(after_decompose(job), &self.run, before, self.trained.as_deref_mut().unwrap_or_default())
     }
 
-    /// Lines of one beam with these numbers, measured by the model of the first shots of the beam, as in a run.
-    fn with_footprints(&mut self, job: &Job, shots: u64, numbers: Range<usize>) -> Result<Vec<ScanLine>> {
-        let mut lines = self.first_of_beam(numbers.start, shots)?;
+    /// Lines of one beam with these numbers, measured by the model of the first lines of the beam, as in a run.
+    pub(super) fn with_footprints(
+        &mut self,
+        job: &Job,
+        first: &[ScanLine],
+        numbers: Range<usize>,
+    ) -> Result<Vec<ScanLine>> {
         let wanted = self.before_decompose(job, numbers)?;
         let numbers: Vec<u32> = wanted.iter().map(|line| line.line).collect();
-        lines.retain(|line| !numbers.contains(&line.line));
-        lines.extend(wanted.iter().map(ScanLine::copied));
+        let others = first.iter().filter(|line| !numbers.contains(&line.line));
+        let mut lines: Vec<ScanLine> = others.chain(wanted).map(ScanLine::copied).collect();
         lines.sort_by_key(|line| line.line);
         // The stage knows a beam by its metadata, which each reading makes anew.
         if let Some(input) = lines.first().map(|line| Arc::clone(&line.input)) {

@@ -108,7 +108,8 @@ fn footprint(
         let around = lines_around(lines, number);
         let job = session.job()?;
         let first = lines.first_of_beam(number, measure.shots).map_err(text)?;
-        let found = returns_of(lines, &job, number, shot, placing.as_ref())?;
+        let found = lines.with_footprints(&job, &first, number..number + 1).map_err(text)?;
+        let found = returns_in(&found, shot, placing.as_ref());
         let before = lines.before_decompose(&job, number..number + 1).map_err(text)?;
         let Some(line) = before.first() else { return Err(format!("shot {shot}: its line cannot be read")) };
         let InLine { of_line, previous, next } = InLine::of(line, shot, around);
@@ -201,11 +202,15 @@ fn returns_of(
     shot: u64,
     placing: Option<&Placing>,
 ) -> Result<Vec<PlacedReturn>, String> {
-    let found = lines.with_points(job, number..number + 1).map_err(text)?;
-    let Some(line) = found.first() else { return Ok(Vec::new()) };
+    Ok(returns_in(&lines.with_points(job, number..number + 1).map_err(text)?, shot, placing))
+}
+
+/// Returns of a shot of the first of these lines.
+fn returns_in(lines: &[ScanLine], shot: u64, placing: Option<&Placing>) -> Vec<PlacedReturn> {
+    let Some(line) = lines.first() else { return Vec::new() };
     let of_shot =
         line.emissions.iter().zip(placed(line, placing)).find(|(emission, _)| emission.shot == shot);
-    Ok(of_shot.map_or(Vec::new(), |(_, returns)| returns))
+    of_shot.map_or(Vec::new(), |(_, returns)| returns)
 }
 
 /// Waveforms of a scan line: amplitudes by shot and time of flight.

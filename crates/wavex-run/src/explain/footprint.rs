@@ -1,6 +1,6 @@
 //! Measures one shot with a large footprint.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::{ExplainRequest, FOOTPRINTS, default_job, failed, keys_of, nearest};
@@ -22,9 +22,9 @@ pub struct FootprintChain {
 }
 
 /// Error for a sensor model, with its remedy.
-pub(super) fn without_model(request: &ExplainRequest, remedy: &str) -> Failure {
+pub(super) fn without_model(file: &Path, remedy: &str) -> Failure {
     let problem = "noise and response of large footprints are learnt from their beam";
-    Failure::Wrong(format!("{}: {problem}; {remedy}", request.file.display()))
+    Failure::Wrong(format!("{}: {problem}; {remedy}", file.display()))
 }
 
 impl FootprintChain {
@@ -35,7 +35,7 @@ impl FootprintChain {
     pub fn of(request: &ExplainRequest) -> Result<FootprintChain, Failure> {
         let file = request.file.to_owned();
         if request.model.is_some() {
-            return Err(without_model(request, "leave out --model"));
+            return Err(without_model(request.file, "leave out --model"));
         }
         let set = if request.job.is_some() { &[] } else { request.set };
         let default_job = default_job(FOOTPRINTS, &["measure_footprints"], &file.display().to_string(), set)?;

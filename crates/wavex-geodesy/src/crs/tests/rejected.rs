@@ -207,7 +207,7 @@ fn invalid_positions_are_reported() {
     assert_eq!(
         error,
         "EPSG:32633 (WGS 84 / UTM zone 33N): the point at latitude 3.000000, longitude -90.000000 degrees \
-         cannot be projected; check the trajectory, or choose a CRS for that area"
+         cannot be projected; choose a CRS for that area; with a trajectory, check its positions"
     );
     let error = crs("EPSG:2154").to_ecef([f64::NAN, 0.0, 0.0]).unwrap_err().to_string();
     assert_eq!(

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::histogram::{Bins, QuantityHistogram};
+use super::histogram::{Bins, Quantity, QuantityHistogram};
 use wavex_line::scan_line::{Footprint, ScanLine, footprint_flags};
 
 /// Ground, canopy and sensitivity of the shots that `measure_footprints` has measured.
@@ -31,21 +31,11 @@ pub(super) struct FootprintCounts {
     shots: u64,
     /// Shots with each flag.
     flagged: [(u8, u64); 5],
-    quantities: [FootprintQuantity; 6],
-}
-
-/// A quantity of footprints with its histogram.
-#[derive(Clone, Debug)]
-struct FootprintQuantity {
-    name: &'static str,
-    unit: &'static str,
-    of: fn(&Footprint) -> f64,
-    bins: Bins,
+    quantities: [Quantity<Footprint>; 6],
 }
 
 impl Default for FootprintCounts {
     fn default() -> FootprintCounts {
-        let quantity = |name, unit, of, bins| FootprintQuantity { name, unit, of, bins };
         let part = || Bins::linear(0.0, 0.02, 50);
         let height = || Bins::linear(-20.0, 1.0, 140);
         use footprint_flags::{AMBIGUOUS, CLIPPED, DEGRADED, GROUND_MISSING, TOP_MISSING};
@@ -53,13 +43,18 @@ impl Default for FootprintCounts {
             shots: 0,
             flagged: [GROUND_MISSING, AMBIGUOUS, TOP_MISSING, CLIPPED, DEGRADED].map(|flag| (flag, 0)),
             quantities: [
-                quantity("ground uncertainty", "m", |found| found.ground_range_m.sd, Bins::logarithmic()),
-                quantity("ground probability", "", |found| found.ground_probability, part()),
-                quantity("RH50", "m", |found| found.heights_m[50].into(), height()),
-                quantity("RH98", "m", |found| found.heights_m[98].into(), height()),
-                quantity("cover", "", |found| found.cover.value, part()),
+                Quantity::new(
+                    "ground uncertainty",
+                    "m",
+                    |found| found.ground_range_m.sd,
+                    Bins::logarithmic(),
+                ),
+                Quantity::new("ground probability", "", |found| found.ground_probability, part()),
+                Quantity::new("RH50", "m", |found| found.heights_m[50].into(), height()),
+                Quantity::new("RH98", "m", |found| found.heights_m[98].into(), height()),
+                Quantity::new("cover", "", |found| found.cover.value, part()),
                 // Most shots lie between 0.9 and 1.
-                quantity("sensitivity", "", |found| found.sensitivity, Bins::linear(0.0, 0.005, 200)),
+                Quantity::new("sensitivity", "", |found| found.sensitivity, Bins::linear(0.0, 0.005, 200)),
             ],
         }
     }
@@ -72,7 +67,7 @@ impl FootprintCounts {
             for (flag, count) in &mut self.flagged {
                 *count += u64::from(found.flags & *flag != 0);
             }
-            self.quantities.iter_mut().for_each(|quantity| quantity.bins.add((quantity.of)(found)));
+            self.quantities.iter_mut().for_each(|quantity| quantity.add(found));
         }
     }
 
@@ -88,7 +83,7 @@ impl FootprintCounts {
             top_missing,
             clipped,
             degraded,
-            histograms: histograms.filter_map(|of| of.bins.finish(of.name, of.unit)).collect(),
+            histograms: histograms.filter_map(Quantity::finish).collect(),
         })
     }
 }

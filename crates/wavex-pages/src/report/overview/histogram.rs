@@ -28,6 +28,36 @@ pub struct QuantityHistogram {
     pub above: u64,
 }
 
+/// A quantity of items, and its histogram being filled.
+#[derive(Clone, Debug)]
+pub(in crate::report) struct Quantity<T> {
+    name: &'static str,
+    unit: &'static str,
+    of: fn(&T) -> f64,
+    bins: Bins,
+}
+
+impl<T> Quantity<T> {
+    pub(in crate::report) fn new(
+        name: &'static str,
+        unit: &'static str,
+        of: fn(&T) -> f64,
+        bins: Bins,
+    ) -> Quantity<T> {
+        Quantity { name, unit, of, bins }
+    }
+
+    /// Counts an item; unknown values are ignored.
+    pub(in crate::report) fn add(&mut self, item: &T) {
+        self.bins.add((self.of)(item));
+    }
+
+    /// Returns the histogram; `None` without known values.
+    pub(in crate::report) fn finish(self) -> Option<QuantityHistogram> {
+        self.bins.finish(self.name, self.unit)
+    }
+}
+
 /// Bins per factor of two.
 const PER_OCTAVE: usize = 8;
 /// `2^(i/8)` from `i = 1`.

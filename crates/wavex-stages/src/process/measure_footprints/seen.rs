@@ -5,7 +5,8 @@ use std::sync::Arc;
 use super::result::height_per_range;
 use super::{MeasureFootprints, echo_block, learnt};
 use wavex_footprints::{FootprintEstimator, FootprintModel};
-use wavex_line::scan_line::{Channel, Emission, Footprint, InputInfo, Return, ScanLine};
+use wavex_geodesy::ellipsoid::WGS84;
+use wavex_line::scan_line::{Channel, Emission, Footprint, Frame, InputInfo, Return, ScanLine};
 use wavex_line::stage::Result;
 use wavex_simd::statistics::median;
 
@@ -21,7 +22,7 @@ pub struct SeenFootprint {
     pub modes: Vec<Return>,
     /// Samples of the waveform, DN.
     pub samples_dn: Vec<f32>,
-    /// Samples of the outgoing pulse, DN; empty if there is none.
+    /// Samples of the outgoing pulse, DN; empty if it was not recorded.
     pub outgoing_dn: Vec<f32>,
     /// Range of the first sample, m.
     pub first_range_m: f64,
@@ -77,6 +78,14 @@ impl SeenFootprint {
         let ground = self.footprint.ground_range_m.value;
         let zero_m = if ground.is_nan() { self.first_range_m } else { ground };
         self.height_per_range * (zero_m - range_m)
+    }
+
+    /// Height of a range above the ellipsoid WGS 84, m; `None` if the beams are not earth-centred, or the range is NaN.
+    pub fn height_above_ellipsoid_m(&self, range_m: f64) -> Option<f64> {
+        let Emission { origin_m, direction, frame_scale, .. } = self.emission;
+        let place_m = [0, 1, 2].map(|axis| origin_m[axis] + frame_scale * range_m * direction[axis]);
+        let is_known = self.input.frame == Frame::Earth && range_m.is_finite();
+        is_known.then(|| WGS84.geodetic_of(place_m).height_m)
     }
 
     /// Level of the background, DN; that of the median sample without modes.

@@ -31,8 +31,8 @@ fn a_bad_pulse_is_an_error_of_that_pulse_alone() {
     let offset = |offset: i64| {
         format!(
             "t.pls: byte 804: pulse 1: offset to waves: {offset} is outside the waves file's bytes \
-             60 to 75; leave the pulse out, or copy both files again: the waves file may be cut \
-             off"
+             60 to 75; copy both files again: the waves file may be cut off, or that of \
+             another recording"
         )
     };
     assert_eq!(with(-1, 1), offset(-1));
@@ -47,7 +47,7 @@ fn a_bad_pulse_is_an_error_of_that_pulse_alone() {
     assert_eq!(
         with(65, 9),
         "t.pls: byte 840: pulse 1: pulse descriptor index: the file has no descriptor 9; \
-         leave the pulse out, or export the files with 8 or 16 bit uncompressed waves"
+         export the files with 8 or 16 bit uncompressed waves"
     );
 }
 
@@ -61,7 +61,7 @@ fn a_descriptor_that_is_not_supported_spoils_its_pulses_alone() {
         pair.pulses[1] = pulse(0, 65, 2, 0);
         let message = waves_of(&pair);
         let start = "t.pls: byte 1132: pulse 1: descriptor 2: ";
-        let end = "; leave the pulse out, or export the files with 8 or 16 bit uncompressed waves";
+        let end = "; export the files with 8 or 16 bit uncompressed waves";
         message.strip_prefix(start).and_then(|m| m.strip_suffix(end)).unwrap_or(&message).to_string()
     };
     let first =
@@ -103,7 +103,7 @@ fn a_pulse_of_megabytes_is_refused_before_it_is_read() {
     assert_eq!(
         waves_of(&pair),
         "t.wvs: byte 60: pulse 1: samples: the waves of the pulse take more than 4194304 bytes; \
-         leave the pulse out, or copy or export the pair of files again"
+         copy both files again: the waves file may be cut off, or that of another recording"
     );
     pair.pulses[1] = pulse(0, 1000, 2, 0);
     let mut many = sampling(SegmentKind::Outgoing, 60_000, 0);
@@ -112,7 +112,7 @@ fn a_pulse_of_megabytes_is_refused_before_it_is_read() {
     assert_eq!(
         waves_of(&pair),
         "t.wvs: byte 66536: pulse 1: segments: there are more than 65536; \
-         leave the pulse out, or copy or export the pair of files again"
+         copy both files again: the waves file may be cut off, or that of another recording"
     );
 }
 
