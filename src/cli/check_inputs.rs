@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::check_times;
+use super::check_times::{self, FirstLine};
 use super::estimate::{self, Amount};
 use super::terminal::size;
 use wavex_engine::engine::{self, Input};
@@ -147,9 +147,6 @@ fn crs_of_input(job: &Job) -> Option<&str> {
 fn is_not_of_crs(error: &&String) -> bool {
     !error.contains("crs_of_input")
 }
-
-/// First scan line of an input, `None` if unknown; or why it cannot be read.
-pub(super) type FirstLine = Result<Option<ScanLine>, String>;
 
 /// Error for inputs that must be there.
 pub(super) fn required(job: &Job, problems: &[String]) -> String {

@@ -3,15 +3,18 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::check_inputs::FirstLine;
 use wavex_engine::engine::Input;
 use wavex_engine::job::Job;
 use wavex_formats::RecordingFormat;
 use wavex_geodesy::time_axis::{Clock, TimeSpan, align};
 use wavex_line::georef::trajectory_times;
+use wavex_line::scan_line::ScanLine;
 
 /// Time without trajectory that is not reported, s.
 const TOLERANCE_S: f64 = 0.1;
+
+/// First scan line of an input, `None` if unknown; or why it cannot be read.
+pub(super) type FirstLine = Result<Option<ScanLine>, String>;
 
 /// Lists recordings that their trajectory does not cover, and unreadable trajectories.
 ///
