@@ -105,7 +105,8 @@ fn an_explained_shot_is_that_of_the_table() {
     let place = TestFolder::new();
     let file = data.join("gedi/gedi_l1b.h5").display().to_string();
     let job = format!(
-        "[[stage]]\ntype = 'read_hdf5'\npath = '{file}'\n[[stage]]\ntype = 'measure_footprints'\n\
+        "[job.geometry]\ncrs = 'EPSG:4979'\n[[stage]]\ntype = 'read_hdf5'\npath = '{file}'\n\
+         [[stage]]\ntype = 'measure_footprints'\n[[stage]]\ntype = 'georeference'\n\
          [[stage]]\ntype = 'write_footprints'\npath = '*.csv'\n"
     );
     place.write("gedi.toml", job.as_bytes());
@@ -122,14 +123,16 @@ fn an_explained_shot_is_that_of_the_table() {
     assert_eq!(explained.code, Some(0), "{}", explained.err);
     let text = explained.out.as_str();
     assert!(text.starts_with(&format!("shot {shot} of {file}, BEAM")), "{text}");
-    for line in [
-        format!("ground, probability  {:.2}", number("ground_probability")),
-        format!("RH50, m              {:.2} ± {:.2}", number("rh50_m"), number("rh50_sd_m")),
-        format!("RH98, m              {:.2} ± {:.2}", number("rh98_m"), number("rh98_sd_m")),
-        format!("cover                {:.3} ± {:.3}", number("cover"), number("cover_sd")),
-        format!("sensitivity          {:.3}", number("sensitivity")),
+    for (name, value) in [
+        ("ground, probability", format!("{:.2}", number("ground_probability"))),
+        ("ground, height above the ellipsoid, m", format!("{:.3}", number("z"))),
+        ("RH50, m", format!("{:.2} ± {:.2}", number("rh50_m"), number("rh50_sd_m"))),
+        ("RH98, m", format!("{:.2} ± {:.2}", number("rh98_m"), number("rh98_sd_m"))),
+        ("cover", format!("{:.3} ± {:.3}", number("cover"), number("cover_sd"))),
+        ("sensitivity", format!("{:.3}", number("sensitivity"))),
     ] {
-        assert!(text.contains(&format!("{line}\n")), "{line}\n{text}");
+        let is_it = |line: &str| line.strip_prefix(name).is_some_and(|rest| rest.trim() == value);
+        assert!(text.lines().any(is_it), "{name} {value}\n{text}");
     }
     let picture = fs::read_to_string(place.path("a.svg")).unwrap();
     assert!(picture.contains(">RH98</text>") && picture.contains("height above the ground, m"));
