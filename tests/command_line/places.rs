@@ -66,7 +66,7 @@ fn the_report_of_a_job_is_found() {
     let several = "out: several reports in this folder: b_report.json and job_report.json; give the report or the job of a run";
     refused(&place, "report out", several);
     let message = "out/flight.laz: points without waveforms; `wavex view` shows a run in this folder with its waveforms; \
-                   give its report: b_report.json or job_report.json";
+                   give its report: out/b_report.json or out/job_report.json";
     refused(&place, "scan out/flight.laz", message);
     let Outcome { code, out, err } = place.wavex(&["report", "job.toml"]);
     assert_eq!((code, out.as_str(), err.as_str()), (Some(0), "wrote out/job_report.html\n", ""));
