@@ -7,7 +7,7 @@ use wavex_testkit::{TO_TABLE, TestFolder, notes, outcome, rejected};
 
 const CUT: &str = "the file is cut off: copy it again from its source";
 const AGAIN: &str = "export the file again from its source";
-const LEAVE_OUT: &str = "copy both files again: the waves file may be cut off, or that of another recording";
+const COPY_AGAIN: &str = "copy both files again: the waves file may be cut off, or that of another recording";
 
 fn place(pulses: &[u8], waves: &[u8]) -> TestFolder {
     TestFolder::with(&[("a.pls", pulses), ("a.wvs", waves)])
@@ -85,15 +85,14 @@ fn waves_that_were_cut_off() {
             last,
             format!(
                 "a.pls: byte {}: pulse 2: offset to waves: {last} is outside the waves file's \
-                 bytes 60 to {last}; {LEAVE_OUT}",
+                 bytes 60 to {last}; {COPY_AGAIN}",
                 whole.offset_of(2) + 8
             ),
         ),
         (
             last + WAVES - 1,
             format!(
-                "a.wvs: byte {}: pulse 2: samples: 48 bytes needed, 47 left in the file; leave the \
-                 pulse out, or copy or export the pair of files again",
+                "a.wvs: byte {}: pulse 2: samples: 48 bytes needed, 47 left in the file; {COPY_AGAIN}",
                 last + 56
             ),
         ),
@@ -202,7 +201,7 @@ fn a_pulse_whose_waves_lie_outside_of_the_file_is_counted_and_passed_over() {
         let bad = PulseWaves::new(250).change(100, 8, &offset.to_le_bytes());
         let note = format!(
             "a.pls: byte {}: pulse 100: offset to waves: {offset} is outside the waves file's \
-             bytes 60 to 26060; {LEAVE_OUT}",
+             bytes 60 to 26060; {COPY_AGAIN}",
             bad.offset_of(100) + 8
         );
         loses_one_pulse(&bad, "shots: a pulse whose waves cannot be read", Some(&note));

@@ -41,8 +41,8 @@ fn a_bad_pulse_is_an_error_of_that_pulse_alone() {
     assert_eq!(with(65, 1), "");
     assert_eq!(
         with(72, 1),
-        "t.wvs: byte 75: pulse 1: samples: 2 bytes needed, 0 left in the file; leave the pulse \
-         out, or copy or export the pair of files again"
+        "t.wvs: byte 75: pulse 1: samples: 2 bytes needed, 0 left in the file; copy both \
+         files again: the waves file may be cut off, or that of another recording"
     );
     assert_eq!(
         with(65, 9),
