@@ -17,7 +17,7 @@ pub(super) fn replay(
     quiet: bool,
 ) -> Result<(), Failure> {
     let cancel = Cancel::default();
-    run::stop_on_signals(&cancel);
+    run::stop_on_signals(&cancel, run::end_run);
     let progress = when.mode(quiet, std::io::stderr().is_terminal());
     let replay = Replay { folders: folders(&args), seal, threads, progress, cancel };
     let found = archive::replay(&args.archive, &replay).map_err(|error| Failure::Run(error.to_string()))?;

@@ -48,7 +48,7 @@ pub(super) struct ExplainArgs {
     #[arg(long, value_name = "N", group = "which", allow_negative_numbers = true, value_parser = whole::<u64>)]
     pub(super) shot: Option<u64>,
     /// Explain the shot nearest to this time, as in the column `gps_time_s` of write_table
-    #[arg(long, value_name = "GPS_SECONDS", group = "which", allow_negative_numbers = true)]
+    #[arg(long, value_name = "GPS_SECONDS", group = "which", allow_negative_numbers = true, value_parser = seconds)]
     pub(super) time: Option<f64>,
     /// Job to take the keys of all stages up to decompose from; its reader is used if it reads this
     /// format
@@ -202,6 +202,18 @@ impl From<AnglesName> for Angles {
 /// Parses a whole number from 0.
 fn whole<N: std::str::FromStr>(text: &str) -> Result<N, String> {
     text.parse().map_err(|_| "give a whole number of at least 0".to_owned())
+}
+
+/// Parses a time, s.
+fn seconds(text: &str) -> Result<f64, String> {
+    let with_point = text.replace(',', ".");
+    match (text.parse(), with_point.parse::<f64>()) {
+        (Ok(time_s), _) => Ok(time_s),
+        (Err(_), Ok(_)) => Err(format!("write a decimal point: {with_point}")),
+        (Err(_), Err(_)) => Err("give GPS seconds on the time scale of the recording, as in the column \
+                             `gps_time_s` of write_table"
+            .to_owned()),
+    }
 }
 
 /// Parses a count of at least 1.

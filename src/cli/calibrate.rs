@@ -60,7 +60,7 @@ fn of_survey(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure> {
     let (input_dir, output_dir) = folders(&job, &job_args.folder());
     let progress = args.machine.progress(quiet, std::io::stderr().is_terminal());
     let options = Options { progress, ..Options::of_job(&job, input_dir, output_dir) };
-    run::stop_on_signals(&options.cancel);
+    run::stop_on_signals(&options.cancel, run::end_run);
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
     let models = engine::learn_survey_models(&job, &options).map_err(|error| failed(&error))?;
     // Inputs that contradict each other have their own models, which their runs make.

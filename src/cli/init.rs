@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use super::recording::Recording;
 use super::{Failure, print};
 use wavex_engine::job::{example_job, job_schema_text};
+use wavex_engine::missing;
 use wavex_formats::extensions::{beside, has_extension};
 use wavex_formats::{RecordingFormat, TRAJECTORIES, unsupported};
-use wavex_run::missing;
 use wavex_stages::registry::STAGES;
 
 /// Schema for editors, written to the folder of the job.

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use super::Failure;
+use wavex_engine::missing::missing;
 use wavex_formats::extensions::has_extension;
 use wavex_formats::{RecordingFormat, folder_of_outputs, is_only_points, is_report, unsupported};
 use wavex_line::keys::listed;
-use wavex_run::missing::missing;
 
 /// Refuses a recording that does not exist, and the points of a run.
 ///
@@ -28,6 +28,21 @@ pub(super) fn check_viewable(path: &Path) -> Result<(), Failure> {
     let is_other = unsupported(path).is_some() && !has_extension(path, "toml");
     let problem = page(path).or_else(|| missing(path, is_viewable).filter(|_| !is_other));
     problem.map_or(Ok(()), |problem| Err(Failure::Wrong(problem)))
+}
+
+/// The answer to a report that does not exist: those in its folder, which are named by their jobs.
+pub(super) fn missing_report(path: &Path) -> Option<String> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let in_folder = |name: &String| path.with_file_name(name).display().to_string();
+    let reports: Vec<String> = reports_in(folder).iter().map(in_folder).collect();
+    let is_missing = is_report(path) && !reports.is_empty();
+    missing(path, is_report).filter(|_| is_missing).map(|_| {
+        format!(
+            "{}: no such report; reports are named by the job; did you mean {}?",
+            path.display(),
+            listed(&reports, "or")
+        )
+    })
 }
 
 /// The answer to the page of a run or of a recording.

@@ -45,7 +45,7 @@ pub(super) fn run_job(request: RunRequest, machine: MachineArgs, quiet: bool) ->
         listener: &Terminal { quiet },
         ..request
     };
-    stop_on_signals(&request.cancel);
+    stop_on_signals(&request.cancel, end_run);
     Ok(wavex_run::run::run(request)?.run)
 }
 
@@ -82,8 +82,8 @@ impl From<args::ResumeCheck> for ResumeCheck {
 /// Time in which an interrupted run may end in order.
 const TIME_TO_STOP: Duration = Duration::from_millis(800);
 
-/// Ends the process without waiting for its stages.
-fn end_process() -> ! {
+/// Ends the process of a run without waiting for its stages.
+pub(super) fn end_run() -> ! {
     remove_unfinished_files();
     release_all();
     let error = RunError { stage: None, input: None, cause: Cause::Interrupted };
@@ -95,8 +95,8 @@ fn end_process() -> ! {
 /// Ends the run in order on Ctrl-C or a termination request.
 ///
 /// Every stage completes its current line first, if that takes less than [`TIME_TO_STOP`]. A second signal
-/// ends the process at once.
-pub(super) fn stop_on_signals(cancel: &Cancel) {
+/// ends the process at once, by `end_process`.
+pub(super) fn stop_on_signals(cancel: &Cancel, end_process: fn() -> !) {
     let cancel = cancel.clone();
     let handler = move || {
         if cancel.is_cancelled() {
@@ -104,7 +104,7 @@ pub(super) fn stop_on_signals(cancel: &Cancel) {
         }
         cancel.cancel();
         // The handler must be free for a second signal.
-        let _ = std::thread::Builder::new().spawn(|| {
+        let _ = std::thread::Builder::new().spawn(move || {
             std::thread::sleep(TIME_TO_STOP);
             end_process();
         });

@@ -31,8 +31,12 @@ pub(super) fn view(args: &ViewArgs, quiet: bool) -> Result<(), Failure> {
     check_crs(&opened.job.settings.geometry, &opened.input_dir)
         .map_err(|error| Failure::Wrong(error.to_string()))?;
     let cancel = Cancel::default();
-    stop_on_signals(&cancel);
-    let view = view::open(opened, args.port, cancel.clone()).map_err(Failure::Run)?;
+    // Nothing is written, so nothing is lost.
+    stop_on_signals(&cancel, || std::process::exit(0));
+    let view = match view::open(opened, args.port, cancel.clone()) {
+        Err(_) if cancel.is_cancelled() => return Ok(()),
+        opened => opened.map_err(Failure::Run)?,
+    };
     terminal::print(&format!("{}\n", view.address))?;
     if !quiet {
         terminal::print("Ctrl-C ends it.\n")?;

@@ -237,6 +237,17 @@ fn what_cannot_be_explained_is_said() {
         );
         refused(&place, &["-q", "a.arrow", "--time", time], 2, &message);
     }
+    for (time, remedy) in [
+        ("0,001", "write a decimal point: 0.001"),
+        (
+            "2026-11-27",
+            "give GPS seconds on the time scale of the recording, as in the column `gps_time_s` of write_table",
+        ),
+    ] {
+        let Outcome { code, err, .. } = place.wavex(&["explain", "a.arrow", "--time", time]);
+        let message = format!("error: invalid value '{time}' for '--time <GPS_SECONDS>': {remedy}\n");
+        assert!(code == Some(2) && err.starts_with(&message), "{err}");
+    }
     let message = "a.dat: unknown recording format; supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 and .hdf5";
     refused(&place, &["a.dat", "--shot", "1"], 2, message);
     place.write("short.toml", b"[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n");

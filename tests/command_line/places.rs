@@ -80,6 +80,30 @@ fn the_report_of_a_job_is_found() {
 }
 
 #[test]
+fn a_report_of_another_name_gets_those_of_the_folder() {
+    let place = outputs();
+    let message = "out/flight_report.json: no such report; reports are named by the job; did you mean out/job_report.json?";
+    refused(&place, "report out/flight_report.json", message);
+}
+
+#[test]
+fn a_report_tells_that_outputs_or_job_were_changed() {
+    let place = outputs();
+    let warnings = |argument: &str| place.wavex(&["report", argument]).err;
+    assert_eq!(warnings("job.toml"), "");
+    let job = place.text("job.toml");
+    place.write("job.toml", job.replace("lines = 2", "lines = 9").as_bytes());
+    let changed = "job.toml: the job differs from that of the run in out/job_report.json: it was changed, or run \
+                   with `--set`; run it again\n";
+    assert!(warnings("job.toml").ends_with(changed), "{}", warnings("job.toml"));
+    assert_eq!(warnings("out"), "");
+    place.write("out/flight.laz", b"LASF");
+    let changed =
+        "out/flight.laz was changed after the run that out/job_report.json describes; run the job again\n";
+    assert!(warnings("out").ends_with(changed), "{}", warnings("out"));
+}
+
+#[test]
 fn a_missing_file_of_a_job_gets_the_file_that_was_meant() {
     let place = TestFolder::with(&[("fligth.pls", b""), ("flight.toml", b""), ("mount.sbet", b"")]);
     let warnings = |path: &str| {

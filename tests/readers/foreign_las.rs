@@ -70,6 +70,7 @@ fn directions_of_vectors_give_the_same_points() {
 #[test]
 fn locations_that_are_no_echoes_are_refused() {
     is_refused(&with(LOCATION, |_| 0.0), "all locations are 0");
+    is_refused(&with(LOCATION, |_| 0.0), "copy both files again: it may be that of another recording");
     is_refused(&with(LOCATION, peak), "in nanoseconds");
     is_refused(&with(LOCATION, |pulse| 1000.0 * (SAMPLES as f64 - 1.0 - peak(pulse) + 10.0)), "other points");
     let from_last = |pulse| 1000.0 * ((SAMPLES - 1) as f64 - peak(pulse));

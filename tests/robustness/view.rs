@@ -2,7 +2,7 @@
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use wavex_testkit::view::Viewer;
@@ -204,4 +204,23 @@ fn a_signal_ends_the_view() {
         !viewer.is_running()
     });
     assert!(ends, "Ctrl-C ends it");
+}
+
+/// Nothing is written, so nothing is lost.
+#[cfg(unix)]
+#[test]
+fn a_signal_ends_a_view_that_computes() {
+    let slow =
+        JOB.replace("lines = 4\n", "lines = 5000\n").replace("waveforms = 500\n", "waveforms = 500000\n");
+    let place = TestFolder::with(&[("job.toml", slow.as_bytes())]);
+    let mut command: Command = wavex();
+    command.current_dir(place.path("")).args(["-q", "view", "--no-open", "job.toml"]);
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    std::thread::sleep(Duration::from_secs(1));
+    assert_eq!(child.try_wait().unwrap(), None, "it ended before it was interrupted");
+    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), said.as_str()), (Some(0), ""));
 }

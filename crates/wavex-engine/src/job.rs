@@ -321,7 +321,7 @@ fn read(
 ) -> Result<(JobSettings, Vec<JobStage>), Vec<JobError>> {
     let included: Vec<String> = sources.includes().map(|(start, text)| include::pad(start, text)).collect();
     let padded: Vec<String> = sources.overrides().map(|(start, text)| overrides::pad(start, text)).collect();
-    let (changes, mut errors) = overrides::read(sources, &padded);
+    let (changes, mut errors) = overrides::read(sources, &padded, stages);
     let root = match draft::syntax(text) {
         Ok(root) => root,
         Err(syntax) => return Err(syntax.into_iter().chain(errors).collect()),
@@ -333,7 +333,7 @@ fn read(
     errors.extend(overrides::apply(changes, &mut draft));
     errors.extend(include::check(&draft, included.len()));
 
-    let settings = tables::settings(draft.settings, &mut errors);
+    let settings = tables::settings(draft.settings, &draft.stages, &mut errors);
     let links: Vec<chain::ChainLink> = draft.stages.iter().map(chain::ChainLink::of).collect();
     errors.extend(chain::check(&links, stages));
     let planned: Vec<Option<tables::ParsedStage>> =

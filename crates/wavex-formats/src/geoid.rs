@@ -31,6 +31,17 @@ pub fn find(folder: &Path, name: &str) -> Result<Geoid> {
     let found: Vec<&PathBuf> = grids.iter().filter(is_wanted).collect();
     match found.as_slice() {
         [path] => read(path),
+        [] if name.contains(['/', '\\']) => {
+            let problem = format!("a geoid is given by its name, not by a path such as `{name}`");
+            let path = Path::new(name);
+            let remedy = match path.parent().filter(|_| path.is_file()) {
+                Some(parent) => {
+                    format!("write `geoid = {:?}` and `geoid_dir = {:?}`", stem(path), parent.display())
+                }
+                None => "write the folder of the grid in `geoid_dir`".to_owned(),
+            };
+            Err(Error::unusable(folder, problem, remedy))
+        }
         [] => {
             let problem =
                 format!("there is no geoid `{name}` in this folder, which holds {}", listed(&grids));

@@ -172,6 +172,11 @@ impl Reader {
         end.saturating_sub(self.header.record_at(self.header.pulse_count))
     }
 
+    /// Returns the size of the waves file, bytes.
+    pub fn waves_bytes(&self) -> u64 {
+        self.waves.length()
+    }
+
     /// Reads pulse `index`, from 0; sequential reads are buffered.
     ///
     /// # Errors

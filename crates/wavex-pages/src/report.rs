@@ -156,17 +156,16 @@ pub fn write_stat_log(
     write(OutputFile::create(path)?, &stat_log(run, input, own, failure), "write the statistics")
 }
 
-/// Writes the page of a stored report.
+/// Writes the page of the report `stored` in the file `report`.
 ///
 /// # Errors
-/// If the report cannot be read or is invalid, or the page cannot be written.
-pub fn write_page_of(report: &Path, page: &Path) -> Result<()> {
-    let stored = read_report(report)?;
+/// If the report is invalid, or the page cannot be written.
+pub fn write_page_of(report: &Path, stored: &Value, page: &Path) -> Result<()> {
     // A page has a few times the size of its report; a hostile report could have a thousand times.
     let bytes = std::fs::metadata(report).map_or(0, |about| about.len());
     let limit =
         PAGE_BYTES + usize::try_from(bytes).unwrap_or(usize::MAX / 16).saturating_mul(PAGE_PER_REPORT);
-    let html = page::page(&stored, limit).map_err(|error| {
+    let html = page::page(stored, limit).map_err(|error| {
         Error::unusable(report, error.to_string(), "run the job again to make a new report")
     })?;
     write(OutputFile::create(page)?, &html, "write the page").map(drop)

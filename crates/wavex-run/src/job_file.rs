@@ -3,8 +3,9 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::{Failure, missing};
+use crate::Failure;
 use wavex_engine::job::{Include, Job, MAX_INCLUDES, Override, included, read_text};
+use wavex_engine::missing;
 use wavex_formats::extensions::has_extension;
 use wavex_formats::{Error, RecordingFormat, folder_of_outputs, regular_file, unsupported};
 use wavex_stages::registry::STAGES;

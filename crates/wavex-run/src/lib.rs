@@ -9,7 +9,6 @@ pub mod explain;
 mod failure;
 pub mod job_file;
 pub mod log;
-pub mod missing;
 pub mod run;
 
 pub use failure::Failure;

@@ -21,11 +21,13 @@ mod ending;
 mod files;
 mod replaced;
 mod resume;
+mod since;
 mod survey_files;
 
 use ending::Detail;
 pub use ending::{EndMessage, Ending};
 use files::RunFiles;
+pub use since::changes_since;
 
 /// A run of a job, with its report, page, log, statistics and archive.
 pub struct RunRequest<'a> {

@@ -225,3 +225,22 @@ fn a_coordinate_system_that_is_missing_is_noted() {
           with the reader's key `crs_of_input`"];
     assert_eq!(notes(&input), expected);
 }
+
+#[test]
+fn waves_of_another_recording_are_suspected() {
+    let whole = PulseWaves::new(250);
+    let with_unused = |bytes: usize| [whole.waves.clone(), vec![0; bytes]].concat();
+    let suspicions = |waves: &[u8]| {
+        let input = place(&whole.pls(), waves).succeeds("read_pulsewaves", "a.pls", TO_TABLE);
+        notes(&input).into_iter().filter(|note| note.contains("another recording")).collect::<Vec<_>>()
+    };
+    assert_eq!(suspicions(&with_unused(whole.waves.len() / 2)), Vec::<String>::new());
+    let waves = with_unused(2 * whole.waves.len());
+    let expected = format!(
+        "the pulses use the first {} of the {} bytes of the waves file: it may be that of another recording; copy \
+         both files again, unless the pulses are a part of a recording",
+        whole.waves.len() - (whole.waves.len() - 60) / 250,
+        waves.len()
+    );
+    assert_eq!(suspicions(&waves), [expected]);
+}

@@ -21,6 +21,17 @@ fn a_missing_file() {
 }
 
 #[test]
+fn a_misspelt_file_gets_the_recording_that_was_meant() {
+    for (reader, name) in READERS {
+        let missing = name.replace("a.", "b.");
+        let message = format!(
+            "stage {reader}: ./{missing}: cannot open: No such file or directory (os error 2); did you mean ./{name}?"
+        );
+        TestFolder::with(&[(name, b"")]).fails(reader, &missing, &message);
+    }
+}
+
+#[test]
 fn an_empty_file() {
     for (reader, name) in READERS {
         let message = format!("stage {reader}: ./{name}: the file is empty; copy it again from its source");

@@ -10,7 +10,7 @@ use wavex::cluster::SurveyPlan;
 use wavex::georef::calibration::Calibration;
 use wavex::job::{Include, Job, Override, included};
 use wavex::registry::STAGES;
-use wavex::report::write_page_of;
+use wavex::report::{read_report, write_page_of};
 use wavex::stages::process::calibrate::{model_json, parse_model};
 use wavex_formats::lookup_tables::LookupTables;
 
@@ -77,7 +77,8 @@ pub fn import(bytes: &[u8]) {
 pub fn report(bytes: &[u8]) {
     let place = Files::with(&[("job_report.json", bytes)]);
     let page = place.path("page.html");
-    if write_page_of(&place.path("job_report.json"), &page).is_ok() {
+    let report = place.path("job_report.json");
+    if read_report(&report).and_then(|stored| write_page_of(&report, &stored, &page)).is_ok() {
         let html = fs::read_to_string(&page).unwrap();
         assert!(!html.contains(MARKUP), "unescaped text in the page");
         assert!(html.len() < 1_000_000 + 1000 * bytes.len(), "a page of {} bytes", html.len());

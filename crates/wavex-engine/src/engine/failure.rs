@@ -9,6 +9,8 @@ use std::sync::{Arc, Mutex, Once};
 
 use super::Options;
 use crate::job::Job;
+use crate::missing::{self, CHECK_THE_PATH};
+use wavex_formats::RecordingFormat;
 use wavex_line::stage::{Outputs, StageError};
 use wavex_line::system::Unpoisoned as _;
 
@@ -80,6 +82,15 @@ impl RunError {
     }
 }
 
+impl RunError {
+    /// Next step for an input that does not exist; `None` if no recording is similar.
+    fn meant(&self) -> Option<String> {
+        let is_recording = |path: &Path| RecordingFormat::of(path).is_some();
+        let input = self.input.as_deref().filter(|path| matches!(path.try_exists(), Ok(false)))?;
+        missing::remedy(input, is_recording)
+    }
+}
+
 impl std::error::Error for RunError {}
 
 impl std::fmt::Display for RunError {
@@ -95,7 +106,11 @@ impl std::fmt::Display for RunError {
                 {
                     write!(f, "{}: ", input.display())?;
                 }
-                write!(f, "{error}")
+                let text = error.to_string();
+                match (text.strip_suffix(CHECK_THE_PATH), self.meant()) {
+                    (Some(problem), Some(remedy)) => write!(f, "{problem}{remedy}"),
+                    _ => f.write_str(&text),
+                }
             }
             Cause::Panic(message) => write!(
                 f,

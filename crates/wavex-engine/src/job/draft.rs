@@ -307,8 +307,11 @@ fn unknown_keys(root: &DeTable) -> Vec<JobError> {
 /// Error for a top-level key other than `job` and `stage`.
 fn unknown(key: &Spanned<std::borrow::Cow<str>>) -> JobError {
     let name = key.get_ref();
-    let help = if let Some(table) = table_of(name) {
-        format!("move `{name}` to `{table}`")
+    let help = if let Some((table, meant)) = table_of(name) {
+        match meant == **name {
+            true => format!("move `{name}` to `{table}`"),
+            false => format!("write `{meant}` in `{table}`"),
+        }
     } else {
         match nearest_of(name, ["job", "stage"]) {
             Some("job") => "did you mean `[job]`?".to_owned(),

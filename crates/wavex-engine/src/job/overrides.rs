@@ -7,7 +7,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::draft::{DraftStage, JobDraft, syntax_error};
 use super::sources::JobSources;
-use super::validate::only_text;
+use super::validate::{only_text, table_of};
 use super::{JobError, JobSettings};
 use wavex_line::keys::{Keys, listed};
 use wavex_line::stage::StageSpec;
@@ -37,14 +37,15 @@ fn stage_of(text: &str) -> Option<&str> {
     Some(name.split_once('.')?.0)
 }
 
-/// Parses the overrides; `padded` are the results of [`pad`].
+/// Parses the overrides; `padded` are the results of [`pad`], `known` all stages.
 pub(super) fn read<'t>(
     sources: &'t JobSources,
     padded: &'t [String],
+    known: &[&'static StageSpec],
 ) -> (Vec<ParsedOverride<'t>>, Vec<JobError>) {
     let (mut changes, mut errors) = (Vec::new(), Vec::new());
     for ((start, text), padded) in sources.overrides().zip(padded) {
-        match read_one(start, text, padded) {
+        match read_one(start, text, padded, known) {
             Ok(change) => changes.push(change),
             Err(error) => errors.push(error),
         }
@@ -52,10 +53,18 @@ pub(super) fn read<'t>(
     (changes, errors)
 }
 
-fn read_one<'t>(start: usize, text: &'t str, padded: &'t str) -> Result<ParsedOverride<'t>, JobError> {
+fn read_one<'t>(
+    start: usize,
+    text: &'t str,
+    padded: &'t str,
+    known: &[&'static StageSpec],
+) -> Result<ParsedOverride<'t>, JobError> {
     let malformed = || {
         let error = JobError::at(start..start + text.len(), "expected STAGE.KEY=VALUE");
-        error.help("for example `--set decompose.detection_sigma=5` or `--set job.threads=2`")
+        match with_table(text, known) {
+            Some(meant) => error.help(format!("write `--set {meant}`")),
+            None => error.help("for example `--set decompose.detection_sigma=5` or `--set job.threads=2`"),
+        }
     };
     let stage = stage_of(text).ok_or_else(malformed)?;
     let (key, value) = padded.split_once('=').ok_or_else(malformed)?;
@@ -76,6 +85,17 @@ fn read_one<'t>(start: usize, text: &'t str, padded: &'t str) -> Result<ParsedOv
     };
     let stage = Spanned::new(start..start + stage.len(), stage);
     Ok(ParsedOverride { stage, key, value, written })
+}
+
+/// `KEY=VALUE` with the table that has the key, or the first stage that has it.
+fn with_table(text: &str, known: &[&'static StageSpec]) -> Option<String> {
+    let (key, value) = text.split_once('=')?;
+    let of_stage = || known.iter().find(|spec| spec.keys().get(key.trim()).is_some());
+    let (table, name) = table_of(key.trim()).or_else(|| {
+        let spec = of_stage()?;
+        Some((spec.name.to_owned(), key.trim().to_owned()))
+    })?;
+    Some(format!("{}.{name}={}", table.trim_matches(['[', ']']), value.trim()))
 }
 
 /// A key with a text value without quotation marks; `None` if it looks like TOML.

@@ -30,11 +30,25 @@ impl ParsedStage {
     }
 }
 
-/// Parses the settings of `[job]`.
-pub(super) fn settings(table: Spanned<DeTable>, errors: &mut Vec<JobError>) -> Option<JobSettings> {
+/// Parses the settings of `[job]`; `stages` are those of the job.
+pub(super) fn settings(
+    table: Spanned<DeTable>,
+    stages: &[DraftStage],
+    errors: &mut Vec<JobError>,
+) -> Option<JobSettings> {
     let keys = JobSettings::keys();
-    let problems = validate::check("`[job]`", &keys, &table);
+    let mut problems = validate::check("`[job]`", &keys, &table);
     if !problems.is_empty() {
+        for problem in &mut problems {
+            let unknown = table.get_ref().keys().find(|key| Some(key.span()) == problem.span);
+            let has_key = |stage: &&DraftStage| {
+                let key = unknown.filter(|key| keys.get(key.get_ref()).is_none());
+                key.zip(stage.spec).is_some_and(|(key, spec)| spec.keys().get(key.get_ref()).is_some())
+            };
+            if let Some(stage) = stages.iter().find(has_key) {
+                problem.help.insert(0, format!("it is a key of the stage `{}`", stage.id));
+            }
+        }
         let report = table.get_ref().get("report").filter(|report| report.get_ref().is_bool());
         let place = report.map(Spanned::span);
         errors.extend(problems.into_iter().map(|error| match &place {

@@ -104,7 +104,12 @@ fn unknown_key<'k>(
                 (Some(None), Some(code), _) => {
                     error.help(format!("{} in `[job.geometry]`", crs_help("crs", code)))
                 }
-                (.., Some(table)) => error.help(format!("write it in `{table}`")),
+                (.., Some((table, name))) if name == **key.get_ref() => {
+                    error.help(format!("write it in `{table}`"))
+                }
+                (.., Some((table, name))) if !known.contains(&name.as_str()) => {
+                    error.help(format!("write `{name}` in `{table}`"))
+                }
                 _ => error.meant_key(key.get_ref(), known),
             };
             error.help(format!("keys: {}", known.join(", ")))
@@ -112,12 +117,22 @@ fn unknown_key<'k>(
     }
 }
 
-/// Table of the job, outside of stages, that has a key.
-pub(super) fn table_of(key: &str) -> Option<&'static str> {
+/// Table of the job, outside of stages, that has a key, and the key's name, which may lack its unit in `key`.
+pub(super) fn table_of(key: &str) -> Option<(String, String)> {
+    let geometry = GeometryKeys::keys();
+    let own = |table: &str| Some((table.to_owned(), key.to_owned()));
     match () {
-        () if GeometryKeys::keys().get(key).is_some() => Some("[job.geometry]"),
-        () if JobSettings::keys().get(key).is_some() => Some("[job]"),
-        () => None,
+        () if geometry.get(key).is_some() => own("[job.geometry]"),
+        () if JobSettings::keys().get(key).is_some() => own("[job]"),
+        () => geometry.iter().find_map(|outer| {
+            let is_meant = |name: &&String| {
+                name.strip_prefix(key).is_some_and(|unit| unit.is_empty() || unit.starts_with('_'))
+            };
+            let branches = outer.schema.get("anyOf").and_then(Value::as_array).into_iter().flatten();
+            let tables = branches.chain([outer.schema]).filter_map(|schema| schema["properties"].as_object());
+            let inner = tables.flat_map(|table| table.keys()).find(is_meant)?;
+            Some((format!("[job.geometry.{}]", outer.name), inner.clone()))
+        }),
     }
 }
 
@@ -241,9 +256,11 @@ impl CheckedValue<'_> {
         }
         match (self.value.get_ref(), wanted) {
             (DeValue::String(text), Some("number" | "integer")) => {
-                match Some(text.replace(',', ".")).filter(|text| text.parse::<f64>().is_ok()) {
-                    Some(number) => error.help(format!("write numbers without quotation marks: {number}")),
-                    None => error,
+                let number = text.replace(',', ".");
+                let with = if number == **text { "" } else { "with a decimal point and " };
+                match number.parse::<f64>() {
+                    Ok(_) => error.help(format!("write numbers {with}without quotation marks: {number}")),
+                    Err(_) => error,
                 }
             }
             (DeValue::String(text), Some("boolean")) => match truth_of(text) {

@@ -101,6 +101,20 @@ fn a_missing_geoid_names_those_that_are_there() {
 }
 
 #[test]
+fn a_path_gets_the_two_keys() {
+    let folder = folder_of(&[("b.gtx", gtx())]);
+    let (elsewhere, dir) = (folder_of(&[]), folder.path().display());
+    let error = |name: &Path| find(elsewhere.path(), &name.to_string_lossy()).unwrap_err().to_string();
+    let of_file = error(&folder.path().join("b.gtx"));
+    assert!(
+        of_file.ends_with(&format!("; write `geoid = \"b\"` and `geoid_dir = {:?}`", dir.to_string())),
+        "{of_file}"
+    );
+    let of_nothing = error(&folder.path().join("c.gtx"));
+    assert!(of_nothing.ends_with("; write the folder of the grid in `geoid_dir`"), "{of_nothing}");
+}
+
+#[test]
 fn a_name_of_two_files_is_an_error() {
     let folder = folder_of(&[("a.bin", bin_le()), ("a.gtx", gtx())]);
     assert_eq!(

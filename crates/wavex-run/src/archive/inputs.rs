@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::paths::plain;
-use crate::missing;
 use wavex_engine::engine::Input;
 use wavex_engine::job::{Job, JobSettings};
+use wavex_engine::missing;
 use wavex_formats::{CompanionIndex, Error, RecordingFormat};
 use wavex_geodesy::crs::Named;
 use wavex_line::keys::{FileMark, Key, Keys};

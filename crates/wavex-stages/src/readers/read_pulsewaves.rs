@@ -166,6 +166,9 @@ impl ReadPulseWaves {
     }
 }
 
+/// Part of the waves file that pulses use at least, if it is theirs.
+const LEAST_USED_WAVES: f64 = 0.5;
+
 struct PulseWavesReader {
     reader: Reader,
     /// If false, the waves file is not read and shots have no blocks.
@@ -181,6 +184,8 @@ struct PulseWavesReader {
     first_t: i64,
     /// The shot that begins the next line, and its sampling unit, ns.
     last_seen: Option<(Emission, f64)>,
+    /// Last byte of the waves file at which the waves of a pulse start.
+    last_waves_at: u64,
     broken: BrokenRun,
     /// Correction of times and origins that the choice of the emission reference requires.
     clock: ClockShift,
@@ -276,6 +281,7 @@ impl PulseWavesReader {
             receivers: FileReceivers { single },
             first_t,
             last_seen: None,
+            last_waves_at: 0,
             broken: BrokenRun::default(),
             clock: ClockShift::Constant(0.0),
             message: None,
@@ -334,6 +340,7 @@ impl PulseWavesReader {
     fn shot(&mut self, cx: &mut Context) -> Result<Option<(Emission, f64)>> {
         let pulse = with_heights_in(self.reader.pulse(self.next_pulse)?, self.units);
         self.next_pulse += 1;
+        self.last_waves_at = self.last_waves_at.max(u64::try_from(pulse.wave_offset).unwrap_or(0));
         let read = match self.with_samples {
             true => self.reader.waves(&pulse, &mut self.waves),
             false => Ok(()),
@@ -417,6 +424,10 @@ impl Source for PulseWavesReader {
                 self.reader.check_complete()?;
                 if self.outgoing_bytes_pulses > 0 {
                     cx.warn(format!("the file declares the outgoing pulses of {} pulses with 16 bits but stores them with 8 (an error of {OUTGOING_BYTES_WRITER}): they and their echoes were read accordingly", self.outgoing_bytes_pulses));
+                }
+                let waves_bytes = self.reader.waves_bytes();
+                if self.last_waves_at as f64 <= LEAST_USED_WAVES * waves_bytes as f64 {
+                    cx.warn(format!("the pulses use the first {} of the {waves_bytes} bytes of the waves file: it may be that of another recording; copy both files again, unless the pulses are a part of a recording", self.last_waves_at));
                 }
                 if self.reader.stray_bytes() > 0 {
                     let stray = self.reader.stray_bytes();

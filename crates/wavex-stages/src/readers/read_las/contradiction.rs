@@ -114,8 +114,9 @@ pub(super) fn check_locations(reader: &mut Reader, geometry: &FileGeometry) -> R
              return locations: {why}",
             echoes.len()
         ),
-        "export the file again with return locations; if the locations are right, set `check_locations = false` of \
-         the reader",
+        "if the packets are in a .wdp or .wdz file, copy both files again: it may be that of another recording; \
+         otherwise export the file again with return locations; if points and packets belong together and the \
+         locations are right, set `check_locations = false` of the reader",
     ))
 }
 

@@ -7,6 +7,9 @@ use wavex_line::stage::nearest_of;
 /// Number of entries of a folder that are searched.
 const MOST_ENTRIES: usize = 10_000;
 
+/// Remedy for a path that does not exist, if nothing similar is in its folder.
+pub(crate) const CHECK_THE_PATH: &str = "check the path";
+
 /// Error for a path that does not exist, with the next step; `None` for other paths and patterns.
 ///
 /// `is_wanted` selects the paths in its folder that may have been meant.
@@ -14,7 +17,7 @@ pub fn missing(path: &Path, is_wanted: impl Fn(&Path) -> bool) -> Option<String>
     let is_pattern = path.to_string_lossy().contains(['*', '?', '[']);
     let is_missing = path.as_os_str() != "-" && !is_pattern && matches!(path.try_exists(), Ok(false));
     is_missing.then(|| {
-        let remedy = remedy(path, is_wanted).unwrap_or_else(|| "check the path".to_owned());
+        let remedy = remedy(path, is_wanted).unwrap_or_else(|| CHECK_THE_PATH.to_owned());
         format!("{}: no such file or folder; {remedy}", path.display())
     })
 }
