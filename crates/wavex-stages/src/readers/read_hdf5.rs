@@ -218,7 +218,14 @@ impl FootprintReader {
         };
         if self.open.as_ref().is_none_or(|(open, ..)| *open != number) {
             let reader = self.granule.beam(name)?;
-            let info = InputInfo { beam: Some(name.clone()), columns: reader.columns(), ..self.info.clone() };
+            let power =
+                self.granule.beams().iter().find(|beam| beam.name == *name).and_then(|beam| beam.power);
+            let info = InputInfo {
+                beam: Some(name.clone()),
+                beam_power: power.map(Power::name),
+                columns: reader.columns(),
+                ..self.info.clone()
+            };
             self.open = Some((number, reader, Arc::new(info)));
         }
         Ok(Some((number, (shot - first) as usize)))
@@ -308,13 +315,18 @@ fn emission(number: u64, shot: &Shot, info: &InputInfo) -> Option<(Emission, f64
     let emission = Emission {
         shot: number,
         gps_time_s,
-        clock_ps: 0,
+        clock_ps: clock_ps(gps_time_s),
         origin_m: first,
         direction: along.map(|part| part / length_m),
         frame_scale: length_m / (m_per_ns * interval_ns * steps),
         ..Emission::default()
     };
     (interval_ns > 0.0).then_some((emission, interval_ns))
+}
+
+/// Clock of a time; multiples of 1e6 s, which it could not hold, are dropped.
+fn clock_ps(time_s: f64) -> i64 {
+    (time_s.rem_euclid(1e6) * 1e12).round() as i64
 }
 
 fn ecef_m(place: &Position) -> Option<[f64; 3]> {
