@@ -63,6 +63,10 @@ pub struct ReadHdf5 {
     /// Beams to read: names as in the file (`BEAM0101`), `"power"` or `"coverage"`. All if left out.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub beams: Vec<String>,
+    /// Makes each beam a recording of its own: it has its own run, model, report entry and outputs, whose names end in
+    /// the name of the beam, as in `GEDI01_B_2019_BEAM0101.laz`. Otherwise outputs have all beams.
+    #[serde(default)]
+    pub split_beams: bool,
     /// Box to read: west, south, east and north, degrees on WGS 84, all included. A west greater than the east
     /// crosses the antimeridian. The position of a shot is that of its first sample.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -96,10 +100,25 @@ impl SourceConfig for ReadHdf5 {
         Some(&self.path)
     }
 
+    fn part_key(&self) -> Option<&'static str> {
+        self.split_beams.then_some("beams")
+    }
+
+    fn parts(&self, path: &Path) -> Vec<String> {
+        if !self.split_beams {
+            return Vec::new();
+        }
+        // The run of a file that cannot be read has the error.
+        let Ok(granule) = Granule::open(path) else { return Vec::new() };
+        let beams = selected(&granule, path, &self.beams).unwrap_or_default();
+        beams.iter().map(|beam| beam.name.clone()).collect()
+    }
+
     fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
         let declared = Declared::new(&self.times, &InputCrs::default(), PulseSpeed::default(), run)?;
         let cut = Cut::of(self, run)?;
-        let source = FootprintReader { cut, ..FootprintReader::open(&run.input, &run.stem, &self.beams)? };
+        let beams = run.part.as_ref().map_or_else(|| self.beams.clone(), |beam| vec![beam.clone()]);
+        let source = FootprintReader { cut, ..FootprintReader::open(&run.input, &run.stem, &beams)? };
         Ok(Box::new(AsDeclared::new(source, declared)))
     }
 }
