@@ -367,6 +367,7 @@ fn beams_have_a_table() {
     );
     assert_eq!(said(&out, "Times", "clock runs backwards"), "never");
     assert!(said(&out, "Rates", "pulse rate, measured").starts_with("121.1 Hz"), "{out}");
+    assert!(!out.contains("resolve_mta"), "it does not take large footprints: {out}");
     let page = place.text("a_scan.html");
     assert!(
         page.contains("<h3>Beams of the instrument</h3>") && page.contains("<td>BEAM0101</td>"),

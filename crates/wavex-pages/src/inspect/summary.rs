@@ -267,7 +267,10 @@ fn blocks(inspection: &Inspection) -> SummarySection {
     let online = inspection.shots.online;
     let both = || format!("{} in {} shots", grouped(online[0]), grouped(online[1]));
     section.say("instrument returns", if online[0] > 0 { both() } else { "none".into() });
-    section.say("pulses in the air", zones(inspection));
+    // Stages that resolve zones do not take large footprints.
+    if !inspection.has_fractions {
+        section.say("pulses in the air", zones(inspection));
+    }
     if let Some(range) = inspection.ranges_m.range() {
         let from = if inspection.ranges_from_first_sample() {
             "; from the first sample of each shot: the recording has no sensor position"
@@ -436,7 +439,7 @@ fn integrity(inspection: &Inspection, counters: &Counters, cut: Option<&str>) ->
     for finding in &counters.findings {
         section.say("finding", finding.clone());
     }
-    if inspection.zones.contains_key(&None) {
+    if inspection.zones.contains_key(&None) && !inspection.has_fractions {
         section.say("note", "zones are unresolved: put `resolve_mta` before `decompose`");
     }
     section
