@@ -35,7 +35,7 @@ impl Place {
     /// The file as input of a run.
     pub fn input(&self) -> Input {
         let stem = self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        Input { path: self.path.clone(), stem }
+        Input { path: self.path.clone(), stem, part: None }
     }
 
     /// A job that reads the recording, followed by `stages`.

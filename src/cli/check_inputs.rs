@@ -19,7 +19,9 @@ const POINTS_PER_SHOT: [u64; 2] = [1, 3];
 ///
 /// Reads headers only, and first scan lines if the job has keys of coordinates or no header counts the shots.
 pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
-    let (inputs, errors) = engine::find_inputs(job, input_dir);
+    let (mut inputs, errors) = engine::find_inputs(job, input_dir);
+    // Parts of a file follow each other.
+    inputs.dedup_by(|later, first| later.path == first.path);
     let mut problems: Vec<String> = errors.iter().map(ToString::to_string).collect();
     let format = job.stages.first().and_then(|reader| RecordingFormat::read_by(reader.spec.name));
     let shot_count = format.and_then(|format| format.shot_count);

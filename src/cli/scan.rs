@@ -42,7 +42,7 @@ pub(super) fn scan(args: &ScanArgs, quiet: bool) -> Result<(), Failure> {
     };
     let sizes = (0..).zip(engine::sizes(inputs.iter().map(|input| input.path.as_path())));
     let mut progress = Progress::new(args.progress.without_lines(quiet), sizes.collect());
-    let scans = inputs.into_iter().enumerate().map(|(number, Input { path, stem })| {
+    let scans = inputs.into_iter().enumerate().map(|(number, Input { path, stem, .. })| {
         check_recording(&path)?;
         if !quiet && engine::size(&path) >= LARGE_BYTES {
             print_first_look(&path, args)?;

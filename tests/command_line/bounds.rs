@@ -100,9 +100,10 @@ fn chain(spec: &StageSpec, keys: &str) -> String {
 }
 
 /// Values of lists whose items have further conditions.
-const SPECIAL: [(&str, &str); 3] = [
+const SPECIAL: [(&str, &str); 4] = [
     ("correct.width_correction_low", "[[FIRST, 1.0], [500.0, 1.0], [SECOND, 1.0]]"),
     ("correct.width_correction_high", "[[FIRST, 1.0], [500.0, 1.0], [SECOND, 1.0]]"),
+    ("read_hdf5.extent_deg", "[FIRST, 1.0, SECOND, 2.0]"),
     ("simulate.start_deg", "[FIRST, 47.0]"),
 ];
 

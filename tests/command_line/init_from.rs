@@ -224,3 +224,20 @@ fn the_job_of_a_recording_without_a_range_table_asks_for_none() {
         err.lines().filter(|line| !line.contains("has no coordinate reference system")).collect();
     assert_eq!(warnings, Vec::<&str>::new());
 }
+
+#[test]
+fn the_job_of_gedi_shows_the_keys_of_beams_and_cuts() {
+    let place = TestFolder::new();
+    place.write("a.h5", include_bytes!("../../crates/wavex-hdf5/tests/data/gedi_product.h5"));
+    let Outcome { code, out, err } = place.wavex(&["init", "--from", "a.h5"]);
+    assert_eq!(code, Some(0), "{err}");
+    for key in ["beams", "split_beams", "extent_deg", "time_s", "shots"] {
+        let line =
+            out.lines().find_map(|line| line.strip_prefix("# ")?.strip_prefix(key)?.strip_prefix(" = "));
+        let value = line.unwrap_or_else(|| panic!("{key}: {out}"));
+        let job = format!("[[stage]]\ntype = 'read_hdf5'\npath = 'a.h5'\n{key} = {value}\n");
+        place.write("job.toml", job.as_bytes());
+        let Outcome { out, err, .. } = place.wavex(&["check", "job.toml"]);
+        assert!(!err.contains("no key") && !err.contains("must be"), "{key}: {out}{err}");
+    }
+}

@@ -349,6 +349,63 @@ fn scan_describes_real_recordings() {
     assert_eq!(said(&third, "Rates", "pulse rate, nominal"), "150000 Hz");
 }
 
+/// Summary of the made file of GEDI; `tests/python/make_hdf5.py` has the formulas of its values.
+#[test]
+fn beams_have_a_table() {
+    let place = TestFolder::new();
+    place.write("a.h5", include_bytes!("../../crates/wavex-hdf5/tests/data/gedi_product.h5"));
+    let out = summary(&place, &["a.h5", "--page"]);
+    // Shots have the flags `shots % 3` and `shots % 2`, and the noise 200 + shot / 8 and 2 + shot / 16.
+    let words = |name: &str| said(&out, "Beams", name).split_whitespace().collect::<Vec<_>>().join(" ");
+    assert_eq!(words("beam "), "power shots degraded stale noise mean, DN noise SD, DN first, s last, s");
+    let first_s = 1_198_800_018.0 + 4.08e7 - 1e9;
+    let times = format!("{first_s:.6} {:.6}", first_s + 11.0 * 0.00826);
+    assert_eq!(words("BEAM0101"), format!("full 12 8 (66.7 %) 6 (50.0 %) 200.69 2.34 {times}"));
+    assert_eq!(
+        said(&out, "Channel: low power", "noise"),
+        "not measured here: samples are fractions of a digitiser step; Beams has the noise recorded by the file"
+    );
+    assert_eq!(said(&out, "Times", "clock runs backwards"), "never");
+    assert!(said(&out, "Rates", "pulse rate, measured").starts_with("121.1 Hz"), "{out}");
+    assert!(!out.contains("resolve_mta"), "it does not take large footprints: {out}");
+    let page = place.text("a_scan.html");
+    assert!(
+        page.contains("<h3>Beams of the instrument</h3>") && page.contains("<td>BEAM0101</td>"),
+        "{page}"
+    );
+    let json: serde_json::Value = serde_json::from_str(&summary(&place, &["a.h5", "--json"])).unwrap();
+    let beam = &json["beams"][0];
+    assert_eq!(
+        (&beam["name"], &beam["power"], &beam["shots"]),
+        (&"BEAM0101".into(), &"full".into(), &12.into())
+    );
+    assert_eq!((&beam["degraded_shots"], &beam["stale_shots"]), (&8.into(), &6.into()));
+    // LVIS has one beam, without flags, and records no spread of the noise.
+    place.write("b.h5", include_bytes!("../../crates/wavex-hdf5/tests/data/lvis_432.h5"));
+    let json: serde_json::Value = serde_json::from_str(&summary(&place, &["b.h5", "--json"])).unwrap();
+    let beam = &json["beams"][0];
+    assert_eq!((&beam["name"], &beam["shots"]), (&"LVIS".into(), &6.into()));
+    assert!(beam["power"].is_null() && beam["degraded_shots"].is_null(), "{beam}");
+}
+
+/// Times of beams overlap, as beams follow each other in a reading.
+#[test]
+fn a_change_of_beam_is_no_step_of_the_clock() {
+    let Some(data) = data() else { return };
+    let place = TestFolder::new();
+    let granule = data.join("gedi/gedi_l1b.h5").display().to_string();
+    let out = summary(&place, &[&granule]);
+    assert_eq!(said(&out, "Times", "clock runs backwards"), "never within a beam");
+    let json: serde_json::Value = serde_json::from_str(&summary(&place, &[&granule, "--json"])).unwrap();
+    let beams = json["beams"].as_array().unwrap();
+    let ends = |key: &'static str| beams.iter().map(move |beam| beam[key].as_f64().unwrap());
+    let (first_s, last_s) =
+        (ends("first_shot_s").fold(f64::INFINITY, f64::min), ends("last_shot_s").fold(0.0, f64::max));
+    assert_eq!((json["first_shot_s"].as_f64(), json["last_shot_s"].as_f64()), (Some(first_s), Some(last_s)));
+    assert_eq!(beams.iter().map(|beam| beam["shots"].as_u64().unwrap()).sum::<u64>(), 164);
+    assert_eq!(json["clock_backwards"], 0);
+}
+
 #[test]
 fn one_file_is_no_name_of_several_files() {
     let pulses = PulseWaves::new(5);

@@ -147,6 +147,33 @@ fn tasks_give_the_bytes_and_the_results_digest_of_one_run() {
     assert_eq!(skipped, 2, "{err}");
 }
 
+/// Beams of a granule are strips: each is a task.
+#[test]
+fn beams_are_tasks() {
+    let Some(data) = wavex_testkit::data() else { return };
+    let place = TestFolder::new();
+    place.write("s/in/g.h5", &fs::read(data.join("gedi/gedi_l1b.h5")).unwrap());
+    let job = "[job]\noutput_dir = 'out'\n[[stage]]\ntype = 'read_hdf5'\npath = 'in/*.h5'\nsplit_beams = true\n\
+               [[stage]]\ntype = 'measure_footprints'\n[[stage]]\ntype = 'georeference'\n\
+               [[stage]]\ntype = 'write_footprints'\npath = '*.csv'\n[[stage]]\ntype = 'write_las'\npath = '*.laz'\n";
+    place.write("s/job.toml", job.as_bytes());
+    assert_eq!(wavex(&place, &["run", "s/job.toml"]).0, Some(0));
+    let whole = products(&place, "s/out");
+    assert_eq!(whole.keys().filter(|name| name.starts_with("g_BEAM") && name.ends_with(".laz")).count(), 4);
+    fs::remove_dir_all(place.path("s/out")).unwrap();
+
+    plan(&place, &[]);
+    let described: Value = serde_json::from_str(&place.text("s/plan/plan.json")).unwrap();
+    let tasks = described["tasks"].as_array().unwrap();
+    assert_eq!((tasks.len(), described["shared_inputs"].as_array().map(Vec::len)), (4, Some(0)));
+    assert!(tasks.iter().all(|task| task["inputs"][0]["path"] == "in/g.h5"), "{described}");
+    run_tasks(&place, "s");
+    assert_eq!(collect(&place, &["--no-archive"]), (Some(0), String::new()));
+    let mut found = products(&place, "s/out");
+    found.retain(|name, _| whole.contains_key(name));
+    assert!(found == whole, "{:?} instead of {:?}", found.keys(), whole.keys());
+}
+
 #[test]
 fn digests_and_line_statistics_of_all_strips_are_collected() {
     let place = survey();

@@ -11,6 +11,7 @@ mod crs_records;
 mod declared;
 mod foreign;
 mod foreign_las;
+mod hdf5;
 mod random_access;
 mod scan_angles;
 mod sdf;

@@ -43,7 +43,7 @@ impl Convert for Groups {
 /// A stream of these stages with three workers and room for one item.
 fn stream<C: Convert + 'static>(stages: &[(&'static StageSpec, &str)], convert: C) -> Stream<C::Item> {
     let job = job(stages);
-    let input = Input { path: "generated".into(), stem: "generated".into() };
+    let input = Input { path: "generated".into(), stem: "generated".into(), part: None };
     let options = Options { threads: 3, ..into(&job, std::path::Path::new(".")) };
     engine::stream(&job, input, &options, 1, convert).unwrap()
 }

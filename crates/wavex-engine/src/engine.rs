@@ -145,7 +145,9 @@ pub fn inputs(job: &Job, input_dir: &Path) -> Result<Vec<Input>, RunError> {
 /// Lists the inputs of a job like [`inputs`], and the problems of others.
 pub fn find_inputs(job: &Job, input_dir: &Path) -> (Vec<Input>, Vec<RunError>) {
     match job.stages.first().map(|stage| &stage.planned.plan) {
-        Some(Plan::Source(source)) => inputs::find(source.paths(), source.stem(), input_dir),
+        Some(Plan::Source(source)) => {
+            inputs::find(source.paths(), source.stem(), input_dir, |path| source.parts(path))
+        }
         _ => {
             let error = StageError::failed("the job has no source", "start it with a reader");
             (Vec::new(), vec![RunError::of_job(error)])
@@ -254,6 +256,7 @@ pub fn run_each(
 fn run_context(options: &Options, input: Input, pool: Option<Arc<ThreadPool>>) -> RunContext {
     RunContext {
         input: input.path,
+        part: input.part,
         stem: input.stem,
         number: 1,
         input_dir: options.input_dir.clone(),

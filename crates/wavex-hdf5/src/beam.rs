@@ -26,6 +26,12 @@ pub trait Shots {
     /// If it is no whole number, or there is no such shot.
     fn number(&mut self, index: u64) -> Result<u64>;
 
+    /// Reads number, time and positions of a shot.
+    ///
+    /// # Errors
+    /// As [`Shots::read`].
+    fn locate(&mut self, index: u64, shot: &mut Shot) -> Result<()>;
+
     /// Reads a shot.
     ///
     /// # Errors
@@ -74,6 +80,16 @@ impl BeamReader {
     /// If it is no whole number, or there is no such shot.
     pub fn number(&mut self, index: usize) -> Result<u64> {
         self.shots.number(index as u64).map_err(|error| of_shot(error, &self.name, index))
+    }
+
+    /// Reads number, time and positions of a shot, and leaves its other values as they are; index 0 is the first.
+    ///
+    /// Decodes no samples.
+    ///
+    /// # Errors
+    /// As [`BeamReader::shot`].
+    pub fn locate(&mut self, index: usize, shot: &mut Shot) -> Result<()> {
+        self.shots.locate(index as u64, shot).map_err(|error| of_shot(error, &self.name, index))
     }
 
     /// Reads a shot; index 0 is the first.

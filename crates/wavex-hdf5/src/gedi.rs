@@ -137,12 +137,10 @@ impl Shots for GediBeam {
         self.members.whole(&mut self.shot_number, index)
     }
 
-    fn read(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
+    fn locate(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
         shot.shot_number = self.number(index)?;
         let members = &mut self.members;
         shot.time_s = self.epoch_s + members.value(&mut self.delta_time, index)?;
-        shot.noise_mean_dn = members.value(&mut self.noise_mean, index)? as f32;
-        shot.noise_sd_dn = members.value(&mut self.noise_sd, index)? as f32;
         let places = [
             (&mut self.first_bin, &mut shot.first_bin),
             (&mut self.last_bin, &mut shot.last_bin),
@@ -153,6 +151,14 @@ impl Shots for GediBeam {
             let latitude_deg = members.value(latitude, index)?;
             *place = Position::from_degrees(longitude_deg, latitude_deg, members.value(height, index)?);
         }
+        Ok(())
+    }
+
+    fn read(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
+        self.locate(index, shot)?;
+        let members = &mut self.members;
+        shot.noise_mean_dn = members.value(&mut self.noise_mean, index)? as f32;
+        shot.noise_sd_dn = members.value(&mut self.noise_sd, index)? as f32;
         let [first_delay, last_delay] = &mut self.delays;
         shot.first_bin_delay_s = members.value(first_delay, index)?;
         shot.last_bin_delay_s = members.value(last_delay, index)?;

@@ -26,6 +26,16 @@ pub enum Power {
     Coverage,
 }
 
+impl Power {
+    /// Returns the name: `full` or `coverage`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Power::Full => "full",
+            Power::Coverage => "coverage",
+        }
+    }
+}
+
 /// Beam of a granule.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Beam {

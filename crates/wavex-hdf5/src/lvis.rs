@@ -104,17 +104,23 @@ impl Shots for LvisBeam {
         self.members.whole(&mut self.shot_number, index)
     }
 
-    fn read(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
+    fn locate(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
         shot.shot_number = self.number(index)?;
         let members = &mut self.members;
         shot.time_s = members.value(&mut self.time, index)?;
-        shot.noise_mean_dn = members.value(&mut self.noise_mean, index)? as f32;
         let places = [(&mut self.first_bin, &mut shot.first_bin), (&mut self.last_bin, &mut shot.last_bin)];
         for ([longitude, latitude, height], place) in places {
             let longitude_deg = members.value(longitude, index)?;
             let latitude_deg = members.value(latitude, index)?;
             *place = Position::from_degrees(longitude_deg, latitude_deg, members.value(height, index)?);
         }
+        Ok(())
+    }
+
+    fn read(&mut self, index: u64, shot: &mut Shot) -> Result<()> {
+        self.locate(index, shot)?;
+        let members = &mut self.members;
+        shot.noise_mean_dn = members.value(&mut self.noise_mean, index)? as f32;
         shot.columns.clear();
         for (_, column) in &mut self.columns {
             shot.columns.push(members.value(column, index)?);

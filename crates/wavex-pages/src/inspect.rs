@@ -12,6 +12,7 @@ use wavex_line::scan_line::{
     Block, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, ScanLine, emission_flags,
 };
 
+mod beams;
 mod dates;
 mod figures;
 mod histogram;
@@ -26,6 +27,7 @@ mod summary;
 #[cfg(test)]
 mod tests;
 
+pub use beams::BeamSummary;
 pub use histogram::GrowingHistogram;
 pub use histogram_files::files as histogram_files;
 pub use intervals::{Intervals, LongInterval};
@@ -53,10 +55,14 @@ pub struct Inspection {
     pub input: Option<Arc<InputInfo>>,
     /// Whether samples are inspected.
     pub with_samples: bool,
+    /// Whether samples are fractions of a digitiser step, which are not evaluated.
+    pub has_fractions: bool,
     /// Shot counts.
     pub shots: Shots,
     /// Times of the shots.
     pub times: Times,
+    /// Beams of an instrument that names them, in the order of the recording.
+    pub beams: Vec<BeamSummary>,
     /// Scan lines.
     pub lines: LineStatistics,
     /// Channels, in the order of [`Channel`].
@@ -111,7 +117,7 @@ pub struct Times {
     pub range_s: Option<[f64; 2]>,
     /// Number of shots without a time.
     pub without: u64,
-    /// Number of backward steps of the clock, and the first shot after one.
+    /// Number of backward steps of the clock within a beam, and the first shot after one.
     pub backwards: (u64, Option<u64>),
     /// Intervals between shots within a line.
     pub shots: Intervals,
@@ -197,8 +203,10 @@ impl Inspection {
         Inspection {
             input: None,
             with_samples,
+            has_fractions: false,
             shots: Shots::default(),
             times: Times::default(),
+            beams: Vec::new(),
             lines: LineStatistics { count: 0, shots: GrowingHistogram::of_whole_numbers(8192), at: None },
             channels: [channel(), channel(), channel(), channel()],
             blocks_per_shot: GrowingHistogram::of_whole_numbers(64),
@@ -222,8 +230,10 @@ impl Inspection {
             }
             self.input = Some(Arc::clone(&scan_line.input));
         }
+        self.add_to_beam(scan_line);
         let none = Blocks::default();
         let blocks = scan_line.blocks().unwrap_or(&none);
+        self.has_fractions |= blocks.has_fractions();
         let mut by_emission = blocks.by_emission().peekable();
         let is_new_line = self.lines.at.is_none_or(|(line, _)| line != scan_line.line);
         for (index, emission) in scan_line.emissions.iter().enumerate() {
@@ -252,9 +262,26 @@ impl Inspection {
         &self.channels[channel as usize]
     }
 
+    /// Times of the first and last shot, s; of several beams, which follow each other, the earliest and latest.
+    pub fn first_last_s(&self) -> Option<[f64; 2]> {
+        if self.beams.len() > 1 { self.times.range_s } else { self.times.first_last_s }
+    }
+
     /// Whether ranges count from near the waveform, for lack of a sensor position.
     pub fn ranges_from_first_sample(&self) -> bool {
         self.input.as_ref().is_some_and(|input| !input.origin_is_sensor)
+    }
+
+    /// Adds a line to its beam; the clock of another beam begins anew.
+    fn add_to_beam(&mut self, scan_line: &ScanLine) {
+        let name = scan_line.input.beam.as_deref();
+        if self.beams.last().map(|beam| beam.name.as_str()) != name {
+            self.beams.extend(BeamSummary::of(scan_line));
+            self.times.begin_beam();
+        }
+        if let Some(beam) = self.beams.last_mut() {
+            beam.add(scan_line);
+        }
     }
 
     fn add_shot(&mut self, scan_line: &ScanLine, emission: &Emission, begins_line: bool) {
@@ -357,6 +384,11 @@ impl Times {
             self.line_start_ps = Some(clock_ps);
         }
         self.last = Some((clock_ps, emission.shot));
+    }
+
+    /// Forgets the last shot and line: intervals to another beam have no meaning.
+    fn begin_beam(&mut self) {
+        (self.last, self.line_start_ps) = (None, None);
     }
 
     /// Time since the first shot, s: GPS time if available, else the instrument clock.

@@ -256,7 +256,7 @@ impl Chain {
     }
 
     fn input(&self) -> Input {
-        Input { path: self.file.clone(), stem: self.stem.clone() }
+        Input { path: self.file.clone(), stem: self.stem.clone(), part: None }
     }
 
     /// The reader of the recording, and its keys.

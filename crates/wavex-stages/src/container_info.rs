@@ -91,6 +91,7 @@ pub(crate) fn info_of(
         serial: header.serial.clone(),
         first_shot: None,
         beam: None,
+        beam_power: None,
         columns: Vec::new(),
         sampling_interval_ns: header.sampling_interval_ns,
         odd_sample_shift: 0.0,

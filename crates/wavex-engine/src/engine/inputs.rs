@@ -10,24 +10,42 @@ use wavex_formats::{CompanionIndex, unsupported};
 use wavex_line::stage::{Outputs, Paths, RunContext, StageError, fixed_folder};
 
 /// Input of one run.
-#[derive(Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Input {
     /// The file, or `-` for standard input; empty if the source generates its data.
     pub path: PathBuf,
     /// Stem after which outputs are named.
     pub stem: String,
+    /// Part of the file, if each part is an input of its own; the stem ends in its name.
+    pub part: Option<String>,
+}
+
+impl Input {
+    /// The input that is a part of a file; other characters than letters, digits, `-` and `_` become `_` in its stem.
+    fn of_part(path: &Path, stem: &str, part: String) -> Input {
+        let is_plain = |letter: char| letter.is_ascii_alphanumeric() || matches!(letter, '-' | '_');
+        let name: String = part.chars().map(|letter| if is_plain(letter) { letter } else { '_' }).collect();
+        Input { path: path.to_owned(), stem: format!("{stem}_{name}"), part: Some(part) }
+    }
 }
 
 /// Lists the inputs in the order of the job; matches of a pattern are sorted by name.
 pub fn expand(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> Result<Vec<Input>, RunError> {
-    let (inputs, errors) = find(paths, stem, input_dir);
+    let (inputs, errors) = find(paths, stem, input_dir, |_| Vec::new());
     errors.into_iter().next().map_or(Ok(inputs), Err)
 }
 
 /// Lists the inputs like [`expand`], and the problems of others.
-pub(super) fn find(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> (Vec<Input>, Vec<RunError>) {
+///
+/// `parts` lists the parts of a file that are inputs of their own; none: the file is one.
+pub(super) fn find(
+    paths: Option<&Paths>,
+    stem: &str,
+    input_dir: &Path,
+    parts: impl Fn(&Path) -> Vec<String>,
+) -> (Vec<Input>, Vec<RunError>) {
     let Some(paths) = paths else {
-        return (vec![Input { path: PathBuf::new(), stem: stem.to_string() }], Vec::new());
+        return (vec![Input { stem: stem.to_string(), ..Input::default() }], Vec::new());
     };
     let (mut inputs, mut errors): (Vec<Input>, _) = (Vec::new(), Vec::new());
     let mut stems: BTreeMap<String, PathBuf> = BTreeMap::new();
@@ -60,7 +78,10 @@ pub(super) fn find(paths: Option<&Paths>, stem: &str, input_dir: &Path) -> (Vec<
                     "run them as two jobs with different output folders",
                 )));
             }
-            inputs.push(Input { path, stem });
+            match parts(&path) {
+                parts if parts.is_empty() => inputs.push(Input { path, stem, part: None }),
+                parts => inputs.extend(parts.into_iter().map(|part| Input::of_part(&path, &stem, part))),
+            }
         }
     }
     (inputs, errors)
@@ -196,6 +217,19 @@ mod tests {
         let inputs = expand(Some(&paths), "", &dir).unwrap();
         let stems: Vec<&str> = inputs.iter().map(|input| input.stem.as_str()).collect();
         assert_eq!(stems, ["c", "a", "b"]);
+    }
+
+    #[test]
+    fn parts_of_files_are_inputs() {
+        let paths = Paths::Many(vec!["a.h5".into(), "b.h5".into()]);
+        let parts = |path: &Path| match path.ends_with("a.h5") {
+            true => vec!["B1".to_owned(), "../2".to_owned()],
+            false => Vec::new(),
+        };
+        let (inputs, errors) = find(Some(&paths), "", Path::new("in"), parts);
+        let found: Vec<_> = inputs.iter().map(|input| (input.stem.as_str(), input.part.as_deref())).collect();
+        assert_eq!(found, [("a_B1", Some("B1")), ("a____2", Some("../2")), ("b", None)]);
+        assert!(errors.is_empty() && inputs.iter().take(2).all(|input| input.path == Path::new("in/a.h5")));
     }
 
     #[test]

@@ -200,7 +200,7 @@ impl SurveyLearner<'_> {
             profile: false,
             ..self.options.clone()
         };
-        let input_again = Input { path: input.path.clone(), stem: input.stem.clone() };
+        let input_again = input.clone();
         let seen =
             observe(&upstream, input_again, &options, Context::default(), SampledLines::default(), look);
         if self.options.cancel.is_cancelled() {
@@ -254,7 +254,7 @@ impl SurveyLearner<'_> {
         only_compares: bool,
     ) -> Result<Result<(), StageError>, RunError> {
         let Plan::Transform(plan) = &self.job.stages[stage].planned.plan else { return Ok(Ok(())) };
-        let input = Input { path: Default::default(), stem: String::new() };
+        let input = Input::default();
         let run: RunContext = run_context(self.options, input, self.pool.clone());
         let learnt = plan.learn(lines, &mut Learning { run: &run, known, cx, only_compares });
         match learnt {

@@ -8,7 +8,7 @@
 use std::collections::VecDeque;
 
 use super::transform::{cross, dot};
-use crate::scan_line::{Emission, Frame, InputInfo, ScanLine, emission_flags};
+use crate::scan_line::{Emission, Frame, InputInfo, Kind, ScanLine, emission_flags};
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::vertical::{down_at, main_axis};
 use wavex_signal::sensor_path::{Beam, Window};
@@ -93,7 +93,7 @@ pub struct ScanAngles {
     held_bytes: usize,
     /// Lines ready to be emitted.
     ready: VecDeque<ScanLine>,
-    /// Whether lines were emitted without scan angles.
+    /// Whether lines of scanners were emitted without scan angles.
     gave_up: bool,
     contradiction: Option<[f64; 2]>,
 }
@@ -138,7 +138,7 @@ impl ScanAngles {
         self.contradiction
     }
 
-    /// Whether any line was emitted without scan angles.
+    /// Whether any line of a scanner was emitted without scan angles; beams of large footprints do not scan.
     pub fn gave_up(&self) -> bool {
         self.gave_up
     }
@@ -148,7 +148,7 @@ impl ScanAngles {
         for mut scan_line in self.held.drain(..) {
             let frame = scan_line.input.frame;
             let Some(forward) = self.course.forward else {
-                self.gave_up = true;
+                self.gave_up |= scan_line.kind() != Kind::Footprints;
                 self.ready.push_back(scan_line);
                 continue;
             };
@@ -318,6 +318,21 @@ mod tests {
         emissions.reverse();
         set_directions(&mut emissions);
         assert!(found(&emissions).iter().all(|(_, is_positive)| !is_positive));
+    }
+
+    #[test]
+    fn large_footprints_have_no_scan_angles() {
+        let input = std::sync::Arc::new(InputInfo { frame: Frame::Map, ..InputInfo::default() });
+        let gives_up = |blocks: crate::scan_line::Blocks| {
+            let mut angles = ScanAngles::default();
+            angles.push(ScanLine::of_shots(input.clone(), 0, vec![beam([0.0, 0.0, -1.0])], blocks));
+            angles.finish();
+            assert!(angles.pop().is_some());
+            angles.gave_up()
+        };
+        let mut footprint = crate::scan_line::Blocks::default();
+        footprint.push_fractions(0, crate::scan_line::Channel::LowPower, 0.0, 1.0, &[0.5, 1.5]);
+        assert_eq!([gives_up(footprint), gives_up(Default::default())], [false, true]);
     }
 
     #[test]

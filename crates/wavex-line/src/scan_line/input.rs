@@ -80,6 +80,8 @@ pub struct InputInfo {
     pub first_shot: Option<FirstShot>,
     /// Name of the beam, of an instrument with several.
     pub beam: Option<String>,
+    /// Power of the beam, `full` or `coverage`, of an instrument whose beams differ.
+    pub beam_power: Option<&'static str>,
     /// Names of further values that a recording of large footprints has of each shot.
     pub columns: Vec<&'static str>,
     /// Amplitude table of the low-power channel: digitiser steps to dB.
@@ -143,6 +145,7 @@ impl Default for InputInfo {
             origin_is_sensor: true,
             first_shot: None,
             beam: None,
+            beam_power: None,
             columns: Vec::new(),
             amplitude_low: None,
             amplitude_high: None,

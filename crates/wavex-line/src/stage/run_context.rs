@@ -20,6 +20,8 @@ pub struct RunContext {
     /// Input of this run: a file, or `-` for standard input; empty if the source generates its
     /// data.
     pub input: PathBuf,
+    /// Part of the file that is the input of this run, such as a beam; `None`: all of it.
+    pub part: Option<String>,
     /// Stem after which outputs are named.
     pub stem: String,
     /// Number of the input in the job, from 1.
@@ -55,6 +57,7 @@ impl RunContext {
     pub fn alone(input: &Path) -> RunContext {
         RunContext {
             input: input.to_owned(),
+            part: None,
             stem: input.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
             number: 1,
             input_dir: ".".into(),

@@ -1,5 +1,6 @@
 //! Registry entry of a stage: name, input and output kinds, keys, constructor.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator};
@@ -46,6 +47,17 @@ pub trait SourceConfig: Config {
     /// Stem of the outputs if there are no input files.
     fn stem(&self) -> &str {
         "out"
+    }
+
+    /// Key with the names of the parts to read, if each part of a file is an input of its own; `None`: each file is
+    /// one.
+    fn part_key(&self) -> Option<&'static str> {
+        None
+    }
+
+    /// Names of the parts of a file that are inputs, see [`RunContext::part`]; none if the file cannot be read.
+    fn parts(&self, _path: &Path) -> Vec<String> {
+        Vec::new()
     }
 
     /// Patterns of additional files that the source writes.
@@ -242,6 +254,14 @@ pub trait SourcePlan: Send + Sync {
     fn stem(&self) -> &str {
         ""
     }
+    /// See [`SourceConfig::part_key`].
+    fn part_key(&self) -> Option<&'static str> {
+        None
+    }
+    /// See [`SourceConfig::parts`].
+    fn parts(&self, _path: &Path) -> Vec<String> {
+        Vec::new()
+    }
     /// See [`SourceConfig::outputs`].
     fn outputs(&self) -> Vec<&str> {
         Vec::new()
@@ -305,6 +325,12 @@ impl<C: SourceConfig> SourcePlan for C {
     }
     fn stem(&self) -> &str {
         SourceConfig::stem(self)
+    }
+    fn part_key(&self) -> Option<&'static str> {
+        SourceConfig::part_key(self)
+    }
+    fn parts(&self, path: &Path) -> Vec<String> {
+        SourceConfig::parts(self, path)
     }
     fn outputs(&self) -> Vec<&str> {
         SourceConfig::outputs(self)

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::histogram_files::{CHANNELS, name_of};
-use super::{GrowingHistogram, Inspection};
+use super::{BeamSummary, GrowingHistogram, Inspection};
 use wavex_geodesy::time::TimeScale;
 use wavex_geodesy::time_axis::utc_of_gps;
 use wavex_line::scan_line::{Channel, Frame};
@@ -41,9 +41,9 @@ pub struct ScanSummary {
     pub full_scale_dn: Option<u16>,
     /// Number of shots.
     pub shots: u64,
-    /// Time of the first shot, s, on the time scale.
+    /// Time of the first shot, s, on the time scale; of several beams, the earliest.
     pub first_shot_s: Option<f64>,
-    /// Time of the last shot, s, on the time scale.
+    /// Time of the last shot, s, on the time scale; of several beams, the latest.
     pub last_shot_s: Option<f64>,
     /// Time of the first shot, ISO 8601, UTC; null without a week.
     pub first_shot_utc: Option<String>,
@@ -51,7 +51,7 @@ pub struct ScanSummary {
     pub duration_s: Option<f64>,
     /// Shots without a time.
     pub shots_without_time: u64,
-    /// Shots with an earlier time than the shot before.
+    /// Shots with an earlier time than the shot before, of the same beam.
     pub clock_backwards: u64,
     /// Gaps within scan lines: intervals of more than 2.5 usual ones.
     pub gaps_within_lines: u64,
@@ -81,6 +81,8 @@ pub struct ScanSummary {
     pub range_m: Option<Distribution>,
     /// Scan angles, or angles from the vertical or the third axis, degrees.
     pub angle_deg: Option<Distribution>,
+    /// Beams of an instrument that names them.
+    pub beams: Vec<BeamSummary>,
     /// Recorded channels.
     pub channels: Vec<ChannelSummary>,
     /// Whether the recording was read to its end.
@@ -173,7 +175,7 @@ impl ScanSummary {
         let input = inspection.input.as_deref();
         let (times, shots) = (&inspection.times, &inspection.shots);
         let usual = times.shots.usual_ps().filter(|[mean_ps, _]| *mean_ps > 0.0);
-        let times_s = times.first_last_s;
+        let times_s = inspection.first_last_s();
         let first_adjusted_s =
             input.zip(times_s).and_then(|(input, [first_s, _])| input.adjusted_gps_time(first_s));
         ScanSummary {
@@ -220,6 +222,7 @@ impl ScanSummary {
             zones: inspection.zones.iter().map(|(&zone, &blocks)| ZoneCount { zone, blocks }).collect(),
             range_m: Distribution::of(&inspection.ranges_m),
             angle_deg: Distribution::of(&inspection.angles_deg),
+            beams: inspection.beams.clone(),
             channels: CHANNELS.iter().filter_map(|channel| of_channel(inspection, *channel)).collect(),
             read_to_end: cut.is_none(),
             error: cut.map(str::to_owned),

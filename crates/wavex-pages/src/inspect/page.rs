@@ -5,7 +5,7 @@ use maud::html;
 use super::Inspection;
 use super::figures::figures;
 use super::summary::RecordingSummary;
-use crate::page::{PagePart, document, figures as side_by_side, section, with_contents};
+use crate::page::{PagePart, document, figures as side_by_side, section, table, with_contents};
 use crate::verdict::{self, Grade, QualityCheck};
 use wavex_line::stage::Counters;
 
@@ -16,8 +16,11 @@ pub fn page(
     counters: &Counters,
     cut: Option<&str>,
 ) -> String {
+    let beams = summary.sections.iter().find_map(|of| of.table.split_first());
+    let beams = beams.map(|(heads, rows)| (heads.iter().map(String::as_str).collect::<Vec<_>>(), rows));
     let sections = html! {
         div.sections { @for of in &summary.sections { (section(&of.title, of.rows.iter().cloned())) } }
+        @if let Some((heads, rows)) = beams { (table("Beams of the instrument", &heads, rows.iter().cloned())) }
     };
     let parts = [
         PagePart::new("Summary", sections).judged(checks(inspection, counters, cut)),

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::dates::{recorded, time_scale, weekday_of_times};
 use super::histogram_files::{CHANNELS, name_of};
-use super::{Angle, GrowingHistogram, Inspection, Intervals, SampleStatistics};
+use super::{Angle, BeamSummary, GrowingHistogram, Inspection, Intervals, SampleStatistics};
 use crate::report::crs_name;
 use wavex_geodesy::time;
 use wavex_line::scan_line::{Channel, EmissionReference, Frame, GainControl, InputInfo};
@@ -24,6 +24,8 @@ pub struct SummarySection {
     pub title: String,
     /// Pairs of name and value.
     pub rows: Vec<(String, String)>,
+    /// Table below the rows, headings first; empty: none.
+    pub table: Vec<Vec<String>>,
 }
 
 impl RecordingSummary {
@@ -55,6 +57,7 @@ impl RecordingSummary {
             for (name, value) in &section.rows {
                 text.push_str(&format!("  {name:width$}  {value}\n"));
             }
+            text.push_str(&aligned(&section.table));
         }
         text
     }
@@ -62,7 +65,7 @@ impl RecordingSummary {
 
 impl SummarySection {
     fn new(title: impl Into<String>) -> SummarySection {
-        SummarySection { title: title.into(), rows: Vec::new() }
+        SummarySection { title: title.into(), rows: Vec::new(), table: Vec::new() }
     }
 
     fn say(&mut self, name: &str, value: impl Into<String>) {
@@ -102,7 +105,7 @@ fn about_file(file: &Path, inspection: &Inspection) -> SummarySection {
     if input.frame == Frame::Map {
         section.say("coordinate system", input.crs_wkt.as_deref().map_or("not given".into(), crs_name));
     }
-    let first_s = inspection.times.first_last_s.map(|[first_s, _]| first_s);
+    let first_s = inspection.first_last_s().map(|[first_s, _]| first_s);
     section.say("time scale", time_scale(input, first_s));
     section.say("group velocity", format!("{:.0} m/s", input.group_velocity_mps));
     section.say("sampling interval", format!("{} ns", number(input.sampling_interval_ns, 6)));
@@ -145,7 +148,8 @@ fn times(inspection: &Inspection) -> SummarySection {
     let mut section = SummarySection::new("Times");
     let (times, shots) = (&inspection.times, inspection.shots.count);
     section.say("shots", grouped(shots));
-    if let (Some([first_s, last_s]), Some([least_s, largest_s])) = (times.first_last_s, times.range_s) {
+    if let (Some([first_s, last_s]), Some([least_s, largest_s])) = (inspection.first_last_s(), times.range_s)
+    {
         let date = |time_s: f64| {
             let adjusted = inspection.input.as_ref().and_then(|input| input.adjusted_gps_time(time_s));
             let day = adjusted.and_then(time::day_of_year);
@@ -166,6 +170,7 @@ fn times(inspection: &Inspection) -> SummarySection {
              a scan line, which does not change the points of a shot",
             counted(count, "time")
         ),
+        _ if inspection.beams.len() > 1 => "never within a beam".into(),
         _ => "never".into(),
     };
     section.say("clock runs backwards", backwards);
@@ -262,7 +267,10 @@ fn blocks(inspection: &Inspection) -> SummarySection {
     let online = inspection.shots.online;
     let both = || format!("{} in {} shots", grouped(online[0]), grouped(online[1]));
     section.say("instrument returns", if online[0] > 0 { both() } else { "none".into() });
-    section.say("pulses in the air", zones(inspection));
+    // Stages that resolve zones do not take large footprints.
+    if !inspection.has_fractions {
+        section.say("pulses in the air", zones(inspection));
+    }
     if let Some(range) = inspection.ranges_m.range() {
         let from = if inspection.ranges_from_first_sample() {
             "; from the first sample of each shot: the recording has no sensor position"
@@ -303,11 +311,18 @@ fn receiver(inspection: &Inspection, channel: Channel) -> Option<SummarySection>
         section.say("gain", format!("{least:.3} to {greatest:.3}; noise and peaks below include the gain"));
     }
     if let Some(values) = &seen.values {
-        sample_rows(&mut section, values, channel);
+        if inspection.has_fractions && channel.is_echo() {
+            section.say("noise", NOT_MEASURED);
+        } else {
+            sample_rows(&mut section, values, channel);
+        }
     }
     Some(section)
 }
 
+/// Noise of samples that are not evaluated.
+const NOT_MEASURED: &str =
+    "not measured here: samples are fractions of a digitiser step; Beams has the noise recorded by the file";
 /// Minimum number of signal-free samples for noise statistics.
 const LEAST_FREE: u64 = 200;
 
@@ -368,7 +383,45 @@ fn flight(inspection: &Inspection) -> SummarySection {
         ),
     };
     section.say("synchronised with GPS", synchronised);
+    section.table = beams(inspection);
     section
+}
+
+/// Table of the beams of an instrument; empty if it names none.
+fn beams(inspection: &Inspection) -> Vec<Vec<String>> {
+    const HEADS: [&str; 9] = [
+        "beam",
+        "power",
+        "shots",
+        "degraded",
+        "stale",
+        "noise mean, DN",
+        "noise SD, DN",
+        "first, s",
+        "last, s",
+    ];
+    if inspection.beams.is_empty() {
+        return Vec::new();
+    }
+    let unknown = || "unknown".to_owned();
+    let row = |beam: &BeamSummary| {
+        let flagged = |count: Option<u64>| count.map_or_else(unknown, |count| share(count, beam.shots));
+        let fixed =
+            |value: Option<f64>, digits| value.map_or_else(unknown, |value| format!("{value:.digits$}"));
+        vec![
+            beam.name.clone(),
+            beam.power.unwrap_or("not given").to_owned(),
+            grouped(beam.shots),
+            flagged(beam.degraded_shots),
+            flagged(beam.stale_shots),
+            fixed(beam.recorded_noise_mean_dn, 2),
+            fixed(beam.recorded_noise_sd_dn, 2),
+            fixed(beam.first_shot_s, 6),
+            fixed(beam.last_shot_s, 6),
+        ]
+    };
+    let heads = HEADS.map(str::to_owned).to_vec();
+    std::iter::once(heads).chain(inspection.beams.iter().map(row)).collect()
 }
 
 fn integrity(inspection: &Inspection, counters: &Counters, cut: Option<&str>) -> SummarySection {
@@ -386,10 +439,21 @@ fn integrity(inspection: &Inspection, counters: &Counters, cut: Option<&str>) ->
     for finding in &counters.findings {
         section.say("finding", finding.clone());
     }
-    if inspection.zones.contains_key(&None) {
+    if inspection.zones.contains_key(&None) && !inspection.has_fractions {
         section.say("note", "zones are unresolved: put `resolve_mta` before `decompose`");
     }
     section
+}
+
+/// Table as text; columns are two spaces apart.
+fn aligned(table: &[Vec<String>]) -> String {
+    let width = |column: usize| {
+        table.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max().unwrap_or(0)
+    };
+    let cell = |(column, cell): (usize, &String)| format!("  {cell:width$}", width = width(column));
+    let line =
+        |row: &Vec<String>| row.iter().enumerate().map(cell).collect::<String>().trim_end().to_owned() + "\n";
+    table.iter().map(line).collect()
 }
 
 /// Minimum, maximum and median as text.
@@ -459,10 +523,15 @@ mod tests {
 
     #[test]
     fn columns_are_aligned() {
+        let row = |cells: [&str; 2]| cells.map(str::to_owned).to_vec();
         let rows = vec![("a".to_owned(), "1".to_owned()), ("größe".to_owned(), "2".to_owned())];
-        let sections = vec![SummarySection { title: "File".into(), rows }];
+        let sections = vec![SummarySection {
+            title: "File".into(),
+            rows,
+            table: vec![row(["beam", "shots"]), row(["B1", "7"])],
+        }];
         let text = RecordingSummary { file: "x.pls".into(), sections }.text();
-        assert_eq!(text, "x.pls\n\nFile\n  a      1\n  größe  2\n");
+        assert_eq!(text, "x.pls\n\nFile\n  a      1\n  größe  2\n  beam  shots\n  B1    7\n");
     }
 
     #[test]

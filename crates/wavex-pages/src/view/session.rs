@@ -253,14 +253,12 @@ impl Session {
         let survey = engine::survey_models(&job, &options).map_err(|error| error.to_string())?;
         options.survey = survey.map(Arc::new);
         for number in 0..self.inputs.len() {
-            let (path, stem) =
-                (self.inputs[number].input.path.clone(), self.inputs[number].input.stem.clone());
+            let input = self.inputs[number].input.clone();
             let session = Arc::clone(self);
             let look = move |(): &mut (), line: &ScanLine| {
                 session.add(number, line);
                 ControlFlow::Continue(())
             };
-            let input = Input { path, stem };
             let observed = engine::observe_all(&job, input, &options, Context::of_run(), (), look);
             let ((), summary) = observed.map_err(|error| error.to_string())?;
             summary.stages.iter().flat_map(|stage| stage.warnings()).for_each(|warning| self.warn(warning));

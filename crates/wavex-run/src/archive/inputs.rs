@@ -188,7 +188,7 @@ mod tests {
     use wavex_line::keys::choices;
 
     fn input(path: &Path, stem: &str) -> Input {
-        Input { path: path.to_owned(), stem: stem.to_owned() }
+        Input { path: path.to_owned(), stem: stem.to_owned(), part: None }
     }
 
     #[test]

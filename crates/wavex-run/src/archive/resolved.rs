@@ -38,6 +38,8 @@ pub(crate) struct Resolved {
     pub table: Value,
     /// Key of the reader that lists the inputs; none for a simulated input.
     pub path_key: Option<String>,
+    /// Key of the reader that lists the parts of a file, if each is an input of its own.
+    pub part_key: Option<&'static str>,
     /// Folder that contains all inputs.
     pub input_root: PathBuf,
     /// Folder that contains all outputs.
@@ -107,12 +109,17 @@ impl Resolved {
         let stages: Result<Vec<Value>> =
             job.stages.iter().map(|stage| roots.stage(stage, &sources, &mut path_key)).collect();
         let of_source = |input: Input| Input { path: plain(&roots.input_dir.join(&input.path)), ..input };
+        let part_key = job.stages.first().and_then(|stage| match &stage.planned.plan {
+            Plan::Source(source) => source.part_key(),
+            _ => None,
+        });
         let patterns = job.stages.iter().flat_map(|stage| stage.planned.plan.outputs());
         Ok(Resolved {
             patterns: patterns.map(|pattern| roots.output(pattern)).collect::<Result<_>>()?,
             job_input_dir: roots.input_dir.clone(),
             table: json!({"job": job_table, "stage": stages?}),
             path_key,
+            part_key,
             sources: sources.into_iter().map(of_source).collect(),
             input_root: roots.input_root,
             output_root: roots.output_root,
@@ -258,12 +265,14 @@ impl Roots {
         if let Plan::Source(source) = &stage.planned.plan
             && let Some(paths) = source.paths()
         {
-            let files: Result<Vec<String>> =
-                sources.iter().map(|input| self.input_file(&input.path)).collect();
+            let mut files: Vec<String> =
+                sources.iter().map(|input| self.input_file(&input.path)).collect::<Result<_>>()?;
+            // Parts of a file follow each other.
+            files.dedup();
             // Replace patterns: they could match other files later.
             if let Some((key, value)) = table.iter_mut().find(|(_, value)| **value == json!(paths)) {
                 *path_key = Some(key.clone());
-                *value = match (paths, files?.as_slice()) {
+                *value = match (paths, files.as_slice()) {
                     (Paths::One(_), [only]) => json!(only),
                     (_, files) => json!(files),
                 };

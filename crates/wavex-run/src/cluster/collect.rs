@@ -12,7 +12,7 @@ use crate::archive::{Seals, digest_of, plain};
 use wavex_engine::engine::{self, InputStatus, InputSummary, Options, RunSummary};
 use wavex_engine::job::{Include, Job, JobStage, Override};
 use wavex_formats::{Error, path_within, read_small_text};
-use wavex_line::stage::{Result, StageError, SurveyModels};
+use wavex_line::stage::{Plan, Result, StageError, SurveyModels};
 use wavex_pages::report::{self, FileState, InputFiles, InputReport, RunReport};
 use wavex_stages::registry::STAGES;
 
@@ -180,6 +180,14 @@ impl<'c> Checker<'c> {
         }
     }
 
+    /// Key of the reader that lists the parts of a file, if each is an input of its own.
+    fn part_key(&self) -> Option<&'static str> {
+        match &self.job.stages.first()?.planned.plan {
+            Plan::Source(source) => source.part_key(),
+            _ => None,
+        }
+    }
+
     /// Sensor models of the survey as in the report of a task.
     fn models_of(&self, task: &Task) -> Value {
         let Some(mut models) = self.models.clone() else { return Value::Null };
@@ -234,6 +242,10 @@ impl<'c> Checker<'c> {
             for (stage, planned) in stages.iter_mut().zip(&self.next.stages) {
                 if let Some(keys) = stage.get_mut("keys") {
                     same_paths(keys, &planned.keys, &self.paths);
+                    // A task reads one part of its file.
+                    if let Some(key) = self.part_key() {
+                        same_key(keys, &planned.keys, key);
+                    }
                     // A task has one input, so its job numbers the flight line.
                     if planned.keys["point_source_id"] == "line" && keys["point_source_id"] == number {
                         keys["point_source_id"] = json!("line");
@@ -292,6 +304,15 @@ impl<'c> Checker<'c> {
             Err(error) => Some(error.to_string()),
         }
     }
+}
+
+/// Gives a key of a table the value that it has in another one; none if it has none there.
+fn same_key(keys: &mut Value, planned: &Value, key: &str) {
+    let Some(keys) = keys.as_object_mut() else { return };
+    match planned.get(key) {
+        Some(value) => keys.insert(key.to_owned(), value.clone()),
+        None => keys.remove(key),
+    };
 }
 
 /// All texts in a table.

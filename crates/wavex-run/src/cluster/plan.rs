@@ -95,6 +95,10 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
     if archive.is_some() {
         output_patterns.push(in_folder(&plan_dir, LINES));
     }
+    let mut tasks_of_file: BTreeMap<&PathBuf, u64> = BTreeMap::new();
+    for source in &resolved.sources {
+        *tasks_of_file.entry(&source.path).or_default() += 1;
+    }
     let mut tasks = Vec::new();
     for (number, (source, files)) in (1..).zip(resolved.sources.iter().zip(&own_files)) {
         let name = &source.stem;
@@ -107,7 +111,8 @@ pub fn plan(job: &Job, options: &PlanOptions) -> Result<SurveyPlan> {
             outputs: output_patterns.iter().map(|pattern| pattern.replace('*', name)).collect(),
             report: in_folder(&plan_dir, &format!("reports/{name}_report.json")),
             log: in_folder(&plan_dir, &format!("logs/{name}.log")),
-            estimate: estimator.task(inputs.iter().map(|file| file.bytes).sum()),
+            estimate: estimator
+                .task(inputs.iter().map(|file| file.bytes).sum::<u64>() / tasks_of_file[&source.path]),
             inputs,
         });
     }
@@ -195,8 +200,10 @@ fn own_files(job: &Job, resolved: &Resolved) -> Result<Vec<Vec<PathBuf>>> {
         for path in all.iter().flatten() {
             *seen.entry(path.clone()).or_default() += 1;
         }
+        // A file with several parts is the input of several tasks.
+        let sources: BTreeSet<&PathBuf> = resolved.sources.iter().map(|source| &source.path).collect();
         for files in &mut all {
-            files.retain(|path| seen.get(path) == Some(&1));
+            files.retain(|path| seen.get(path) == Some(&1) || sources.contains(path));
         }
     }
     for (source, files) in resolved.sources.iter().zip(&mut all) {

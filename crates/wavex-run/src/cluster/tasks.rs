@@ -73,6 +73,9 @@ impl<'r> TaskWriter<'r> {
         if let Some(key) = &self.resolved.path_key {
             table["stage"][0][key] = json!(way(root, &source.path)?);
         }
+        if let (Some(key), Some(part)) = (self.resolved.part_key, &source.part) {
+            table["stage"][0][key] = json!([part]);
+        }
         job_text(&table)
     }
 }

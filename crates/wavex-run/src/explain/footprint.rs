@@ -112,7 +112,7 @@ impl FootprintChain {
             Failure::Wrong(format!("{file}: shot {index} of {beam} has {what}; choose another one"))
         };
         let line = source.line_at(&location, &mut cx).map_err(stage_failed)?;
-        let line = line.ok_or_else(|| without("no position, or cannot be read"))?;
+        let line = line.ok_or_else(|| without("no position, cannot be read, or is cut by the job"))?;
         let seen = self.measure.seen(&first, &line, 0);
         let seen = seen.map_err(|error| Failure::Run(format!("{file}: {error}")))?;
         let seen = seen.ok_or_else(|| without("no background beside its signal"))?;

@@ -64,7 +64,7 @@ impl Comparison {
             // The paths of inputs contain the folder.
             let path = std::path::absolute(&input.path).unwrap_or_else(|_| input.path.clone());
             // Without their states, the input is not skipped later.
-            let read = files.of(&[Input { path, stem: input.stem.clone() }]).unwrap_or_default();
+            let read = files.of(&[Input { path, ..input.clone() }]).unwrap_or_default();
             read.iter().filter_map(|path| self.state(&self.input_dir, path)).collect()
         };
         inputs.iter().map(|input| (input.stem.clone(), of_input(input))).collect()

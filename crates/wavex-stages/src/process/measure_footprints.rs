@@ -153,6 +153,8 @@ impl TransformConfig for MeasureFootprints {
             pool: run.pool.clone(),
             look_ahead: LookAhead::new(self.shots),
             beam: None,
+            has_learnt: false,
+            failure: None,
         }))
     }
 
@@ -171,6 +173,10 @@ struct Measurer {
     /// First lines of the current beam.
     look_ahead: LookAhead,
     beam: Option<Beam>,
+    /// Whether the model of any beam was learnt.
+    has_learnt: bool,
+    /// Why that of the first other beam was not.
+    failure: Option<StageError>,
 }
 
 /// The current beam, and its model as soon as it is learnt.
@@ -195,7 +201,8 @@ impl Transform for Measurer {
     }
 
     fn finish(&mut self, out: &mut Output) -> Result<()> {
-        self.release(out)
+        self.release(out)?;
+        self.failure.take().filter(|_| !self.has_learnt).map_or(Ok(()), Err)
     }
 }
 
@@ -208,12 +215,25 @@ impl Measurer {
         }
         let has_blocks = |line: &ScanLine| line.blocks().is_some_and(|blocks| !blocks.is_empty());
         if !lines.iter().any(has_blocks) {
-            return lines.into_iter().try_for_each(|line| {
-                out.emit(ScanLine { content: Content::Returns(Returns::new()), ..line })
-            });
+            return emit_without_returns(lines, out);
         }
-        let model = learnt(&lines)?;
-        if let Some(name) = self.beam.as_ref().and_then(|beam| beam.input.beam.as_deref()) {
+        let name = self.beam.as_ref().and_then(|beam| beam.input.beam.as_deref());
+        let model = match (learnt(&lines), name) {
+            (Ok(model), _) => model,
+            (Err(error), None) => return Err(error),
+            // Other beams can be measured.
+            (Err(error), Some(name)) => {
+                out.cx.warn(format!("{name} is not measured: {error}"));
+                out.cx.reject(
+                    Reason::BeamNotLearnt,
+                    lines.iter().map(|line| line.emissions.len() as u64).sum(),
+                );
+                self.failure.get_or_insert(error);
+                return emit_without_returns(lines, out);
+            }
+        };
+        self.has_learnt = true;
+        if let Some(name) = name {
             out.cx.info(format!(
                 "{name}: outgoing pulse of {:.1} ns, noise of {:.2} DN, from {} shots",
                 model.pulse_fwhm_ns, model.noise_sd_dn, model.shots
@@ -273,6 +293,11 @@ impl Measurer {
         line.recount();
         Ok(line)
     }
+}
+
+fn emit_without_returns(lines: Vec<ScanLine>, out: &mut Output) -> Result<()> {
+    let mut lines = lines.into_iter();
+    lines.try_for_each(|line| out.emit(ScanLine { content: Content::Returns(Returns::new()), ..line }))
 }
 
 /// The longest echo block of a shot.

@@ -11,7 +11,7 @@ use crate::reading::recording::{AsDeclared, Declared, InputCrs, PulseSpeed, Time
 use wavex_footprints::RecordedNoise;
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
 use wavex_hdf5::{Beam, BeamReader, Granule, Position, Power, Product, Shot};
-use wavex_line::keys::InvalidKey;
+use wavex_line::keys::{InvalidKey, at_least};
 use wavex_line::scan_line::{
     Blocks, Channel, Emission, EmissionReference, FootprintRecord, Frame, InputInfo, Kind, ScanLine,
     TimeScale,
@@ -21,8 +21,12 @@ use wavex_line::stage::{
     StageSpec,
 };
 
+mod cut;
 #[cfg(test)]
 mod tests;
+
+use cut::Cut;
+pub use cut::ShotList;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<ReadHdf5>("read_hdf5", Kind::Footprints);
@@ -45,6 +49,10 @@ const INTERVAL_STEP_NS: f64 = 0.1;
 /// of each shot, so heights are above the ellipsoid WGS 84, and ranges count from the first sample.
 /// Flags, tides and further values of the product pass through to `write_footprints`.
 ///
+/// `extent_deg`, `time_s` and `shots` cut the recording: a shot is read if it meets all that are given. The samples of other
+/// shots are not decoded, and the shots are counted by the reason. A cut that leaves no shot is a warning, which has the
+/// longitudes, latitudes, times or numbers of the file.
+///
 /// Files with results only (`GEDI02_A`) are refused, and named. Rejected, and counted, are shots that cannot be read
 /// and shots without position.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -55,6 +63,19 @@ pub struct ReadHdf5 {
     /// Beams to read: names as in the file (`BEAM0101`), `"power"` or `"coverage"`. All if left out.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub beams: Vec<String>,
+    /// Makes each beam a recording of its own: it has its own run, model, report entry and outputs, whose names end in
+    /// the name of the beam, as in `GEDI01_B_2019_BEAM0101.laz`. Otherwise outputs have all beams.
+    #[serde(default)]
+    pub split_beams: bool,
+    /// Box to read: west, south, east and north, degrees on WGS 84, all included. A west greater than the east
+    /// crosses the antimeridian. The position of a shot is that of its first sample.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(transform = at_least(-180.0).at_most(360.0))]
+    pub extent_deg: Option<[f64; 4]>,
+    /// Shots to read: their numbers as in the file (`shot_number`), or a text file with one number per line. All if
+    /// left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shots: Option<ShotList>,
     /// Times of the recording.
     #[serde(flatten)]
     pub times: TimeKeys,
@@ -62,7 +83,15 @@ pub struct ReadHdf5 {
 
 impl Config for ReadHdf5 {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
-        self.times.check()
+        self.times.check()?;
+        cut::check(self)
+    }
+
+    fn inputs(&self) -> Vec<&str> {
+        match &self.shots {
+            Some(ShotList::File(name)) => vec![name],
+            _ => Vec::new(),
+        }
     }
 }
 
@@ -71,9 +100,25 @@ impl SourceConfig for ReadHdf5 {
         Some(&self.path)
     }
 
+    fn part_key(&self) -> Option<&'static str> {
+        self.split_beams.then_some("beams")
+    }
+
+    fn parts(&self, path: &Path) -> Vec<String> {
+        if !self.split_beams {
+            return Vec::new();
+        }
+        // The run of a file that cannot be read has the error.
+        let Ok(granule) = Granule::open(path) else { return Vec::new() };
+        let beams = selected(&granule, path, &self.beams).unwrap_or_default();
+        beams.iter().map(|beam| beam.name.clone()).collect()
+    }
+
     fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
         let declared = Declared::new(&self.times, &InputCrs::default(), PulseSpeed::default(), run)?;
-        let source = FootprintReader::open(&run.input, &run.stem, &self.beams)?;
+        let cut = Cut::of(self, run)?;
+        let beams = run.part.as_ref().map_or_else(|| self.beams.clone(), |beam| vec![beam.clone()]);
+        let source = FootprintReader { cut, ..FootprintReader::open(&run.input, &run.stem, &beams)? };
         Ok(Box::new(AsDeclared::new(source, declared)))
     }
 }
@@ -162,6 +207,8 @@ struct FootprintReader {
     shot: Shot,
     location: Option<LineLocation>,
     broken: BrokenRun,
+    /// Shots to read; `None`: all.
+    cut: Option<Cut>,
 }
 
 impl FootprintReader {
@@ -203,6 +250,7 @@ impl FootprintReader {
             shot: Shot::default(),
             location: None,
             broken: BrokenRun::default(),
+            cut: None,
         })
     }
 
@@ -218,23 +266,42 @@ impl FootprintReader {
         };
         if self.open.as_ref().is_none_or(|(open, ..)| *open != number) {
             let reader = self.granule.beam(name)?;
-            let info = InputInfo { beam: Some(name.clone()), columns: reader.columns(), ..self.info.clone() };
+            let power =
+                self.granule.beams().iter().find(|beam| beam.name == *name).and_then(|beam| beam.power);
+            let info = InputInfo {
+                beam: Some(name.clone()),
+                beam_power: power.map(Power::name),
+                columns: reader.columns(),
+                ..self.info.clone()
+            };
             self.open = Some((number, reader, Arc::new(info)));
+            self.cut.iter_mut().for_each(Cut::begin_beam);
         }
         Ok(Some((number, (shot - first) as usize)))
     }
 
-    /// Reads shots from `next_shot` to the end of the line or of the beam.
+    /// Reads shots from `next_shot` up to `until`, until the line is full or the beam ends.
     fn line(&mut self, until: u64, cx: &mut Context) -> Result<Option<ScanLine>> {
         let first_shot = self.next_shot;
         let Some((beam, _)) = self.open_beam_of(first_shot)? else { return Ok(None) };
         let end = self.first_shots.get(beam + 1).copied().unwrap_or(0).min(until);
         let (mut emissions, mut blocks) = (Vec::new(), Blocks::default());
-        while self.next_shot < end {
+        while self.next_shot < end && emissions.len() < SHOTS_PER_LINE {
             let number = self.next_shot;
             self.next_shot += 1;
             let Some((_, index)) = self.open_beam_of(number)? else { break };
             let Some((_, reader, info)) = &mut self.open else { break };
+            if let Some(cut) = &mut self.cut {
+                // The samples of shots that are cut are not decoded.
+                let located = reader.locate(index, &mut self.shot);
+                if !self.broken.accepts(located, cx, Reason::UnreadableShot)? {
+                    continue;
+                }
+                if let Some(reason) = cut.reason(&self.shot, info)? {
+                    cx.reject(reason, 1);
+                    continue;
+                }
+            }
             let read = reader.shot(index, &mut self.shot);
             if !self.broken.accepts(read, cx, Reason::UnreadableShot)? {
                 continue;
@@ -264,12 +331,12 @@ impl FootprintReader {
 impl Source for FootprintReader {
     fn next(&mut self, cx: &mut Context) -> Result<Option<ScanLine>> {
         while self.next_shot < self.total() {
-            let until = self.next_shot + SHOTS_PER_LINE as u64;
-            if let Some(line) = self.line(until, cx)?.filter(|line| !line.emissions.is_empty()) {
+            if let Some(line) = self.line(u64::MAX, cx)?.filter(|line| !line.emissions.is_empty()) {
                 return Ok(Some(line));
             }
         }
         self.broken.check_at_end()?;
+        self.cut.iter().for_each(|cut| cut.report(cx));
         Ok(None)
     }
 
@@ -299,22 +366,32 @@ fn emission(number: u64, shot: &Shot, info: &InputInfo) -> Option<(Emission, f64
     if !(length_m > 0.0 && length_m.is_finite()) {
         return None;
     }
-    let gps_time_s = match info.time_scale {
-        TimeScale::Adjusted => shot.time_s - ADJUSTED_ORIGIN_S,
-        _ => shot.time_s,
-    };
+    let gps_time_s = gps_time_s(shot, info);
     let m_per_ns = 0.5e-9 * info.group_velocity_mps;
     let interval_ns = (length_m / steps / m_per_ns / INTERVAL_STEP_NS).round() * INTERVAL_STEP_NS;
     let emission = Emission {
         shot: number,
         gps_time_s,
-        clock_ps: 0,
+        clock_ps: clock_ps(gps_time_s),
         origin_m: first,
         direction: along.map(|part| part / length_m),
         frame_scale: length_m / (m_per_ns * interval_ns * steps),
         ..Emission::default()
     };
     (interval_ns > 0.0).then_some((emission, interval_ns))
+}
+
+/// Time of a shot on the scale of the recording, s.
+fn gps_time_s(shot: &Shot, info: &InputInfo) -> f64 {
+    match info.time_scale {
+        TimeScale::Adjusted => shot.time_s - ADJUSTED_ORIGIN_S,
+        _ => shot.time_s,
+    }
+}
+
+/// Clock of a time; multiples of 1e6 s, which it could not hold, are dropped.
+fn clock_ps(time_s: f64) -> i64 {
+    (time_s.rem_euclid(1e6) * 1e12).round() as i64
 }
 
 fn ecef_m(place: &Position) -> Option<[f64; 3]> {

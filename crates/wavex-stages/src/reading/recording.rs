@@ -258,10 +258,7 @@ impl<S: Source> AsDeclared<S> {
             cx.warn(problem);
         }
         let is_as_read = keys.recording_time.is_none() && about.is_none();
-        let times = match (keys.recording_time, about) {
-            (None, None) => Times::as_said(from),
-            _ => Times::new(scale, first_s, about),
-        };
+        let times = keys.interpret(from, first_s)?;
         if let (Some(_), Some(own), Some(week)) = (about, from.gps_week, times.gps_week)
             && own != week
         {
@@ -275,8 +272,6 @@ impl<S: Source> AsDeclared<S> {
                 "remove the key",
             ));
         }
-        let leap_s = if keys.utc { times.leap_s(&from.path, first_s)? } else { 0.0 };
-        let times = times.later_by(leap_s + keys.time_offset_s);
         let window = keys.window_s(&times, &from.path)?.map(Watched::new);
         let is_changed = times.offset_s != 0.0 || times.period_s.is_some();
         let info = InputInfo {
@@ -332,6 +327,22 @@ impl<S: Source> AsDeclared<S> {
 }
 
 impl TimeKeys {
+    /// Interprets the times of a recording, whose first one is `first_s`, s.
+    ///
+    /// # Errors
+    /// The times are UTC, but the day is not known.
+    pub(crate) fn interpret(&self, from: &InputInfo, first_s: Option<f64>) -> Result<Times> {
+        let times = match (self.recording_time, self.gps_date.as_deref().and_then(time::noon)) {
+            (None, None) => Times::as_said(from),
+            (given, about) => {
+                let scale = given.map_or(RecordedTimeScale::of(from.time_scale), RecordedTimeScale::from);
+                Times::new(scale, first_s, about)
+            }
+        };
+        let leap_s = if self.utc { times.leap_s(&from.path, first_s)? } else { 0.0 };
+        Ok(times.later_by(leap_s + self.time_offset_s))
+    }
+
     /// The time window on the scale of these times, s.
     ///
     /// # Errors

@@ -62,7 +62,14 @@ fn input(beam: &str) -> Arc<InputInfo> {
 /// Runs the stage with this number of shots to learn from.
 fn run(shots: u64, lines: Vec<ScanLine>) -> (Result<()>, Vec<ScanLine>, Context) {
     let config = MeasureFootprints { shots, ..MeasureFootprints::default() };
-    let mut stage = Measurer { config, pool: None, look_ahead: LookAhead::new(shots), beam: None };
+    let mut stage = Measurer {
+        config,
+        pool: None,
+        look_ahead: LookAhead::new(shots),
+        beam: None,
+        has_learnt: false,
+        failure: None,
+    };
     let (mut cx, mut given) = (Context::default(), Vec::new());
     let mut emit = |line: ScanLine| {
         given.push(line);
@@ -120,6 +127,23 @@ fn beams_are_learnt_one_after_the_other() {
     assert_eq!(numbers, [0, 1, 2, 3, 4, 5]);
     let learnt: Vec<&str> = cx.counters().findings.iter().map(|note| &note[..8]).collect();
     assert_eq!(learnt, ["BEAM0001", "BEAM0101"]);
+}
+
+/// A beam from which nothing can be learnt leaves the others; without any other it is an error.
+#[test]
+fn a_short_beam_is_counted() {
+    let [short, long] = [input("BEAM0001"), input("BEAM0101")];
+    let (outcome, given, cx) = run(100, vec![line(&short, 0, 5, true), line(&long, 1, 20, true)]);
+    outcome.unwrap();
+    let measured: Vec<usize> = given.iter().map(|line| line.footprints.len()).collect();
+    assert_eq!((measured, cx.counters().rejected_of(Reason::BeamNotLearnt.item())), (vec![0, 20], 5));
+    let note = &cx.counters().notes[0];
+    assert!(
+        note.starts_with("BEAM0001 is not measured: 5 shots have a recorded outgoing pulse, and 10"),
+        "{note}"
+    );
+    let (outcome, ..) = run(100, vec![line(&short, 0, 5, true)]);
+    assert!(outcome.unwrap_err().to_string().contains("and 10 are needed"));
 }
 
 /// Flags of a shot with echoes of these heights and positions, among sound shots; samples of 340 DN are clipped.

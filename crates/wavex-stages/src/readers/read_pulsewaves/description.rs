@@ -66,6 +66,7 @@ pub(super) fn describe(
         origin_is_sensor: anchors_are_sensor(reader),
         first_shot: None,
         beam: None,
+        beam_power: None,
         columns: Vec::new(),
         amplitude_low: amplitude_table(reader, 1),
         amplitude_high: amplitude_table(reader, 0),

@@ -125,6 +125,7 @@ prop_compose! {
             origin_is_sensor,
             first_shot: None,
             beam: None,
+            beam_power: None,
             columns: Vec::new(),
             amplitude_low: tables.0,
             amplitude_high: tables.1,
