@@ -102,7 +102,9 @@ impl ChainStage<'_> {
             format!("move it up, {place}")
         } else {
             // Waveforms of large footprints have a stage of their own.
-            let takes_given = |spec: &&&StageSpec| given == Kind::Footprints && spec.accepts.contains(&given);
+            let takes_given = |spec: &&&StageSpec| {
+                given == Kind::Footprints && spec.role == self.spec.role && spec.accepts.contains(&given)
+            };
             let others: Vec<String> =
                 self.known.iter().filter(takes_given).map(|spec| quoted(spec.name)).collect();
             let instead = if others.is_empty() {
