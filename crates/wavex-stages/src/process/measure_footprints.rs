@@ -39,7 +39,7 @@ pub const STAGE: StageSpec =
 /// Width of outgoing pulses while none has shown its own, samples.
 const USUAL_WIDTH_SAMPLES: f64 = 15.0;
 /// Part of the echoes, the narrowest, that give the response without outgoing pulses.
-const NARROWEST: f64 = 0.1;
+const NARROWEST: f64 = 0.02;
 /// Shots that one thread measures in a row.
 const SHOTS_PER_TASK: usize = 32;
 
@@ -48,7 +48,7 @@ const SHOTS_PER_TASK: usize = 32;
 /// For instruments with footprints of 20 m and more (GEDI, LVIS), whose waveforms are profiles of ground and
 /// vegetation, not a few echoes. Any reader gives such waveforms: GEDI and LVIS as HDF5, LVIS as PulseWaves, and
 /// containers. The noise of each beam and its response, the mean outgoing pulse, are learnt
-/// from its first `shots` shots. Without outgoing pulses the response is the mean of the narrowest tenth of the echoes. Each waveform is smoothed; its signal lies between the first and the last crossing
+/// from its first `shots` shots. Without outgoing pulses the response is the mean of the narrowest 2 % of the echoes. Each waveform is smoothed; its signal lies between the first and the last crossing
 /// of a threshold; modes become returns. The lowest is the ground: its return has class 2. Its standard deviation
 /// includes shifts by slope and low vegetation, and it has the probability that it is the ground, and not a layer
 /// above one that is not seen; both follow from the shape of the mode. Relative heights count from the ground upwards: below RH50 lies half of the energy, and RH100 is where the signal begins. Heights are
