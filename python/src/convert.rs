@@ -31,7 +31,7 @@ impl Columns {
 
     /// Columns of the table of shots.
     pub fn of_shots(names: Option<Vec<String>>) -> PyResult<Columns> {
-        Columns::of(names, &shot_schema(&InputInfo::default()))
+        Columns::of(names, &shot_schema(&InputInfo::default(), false))
     }
 
     /// Columns of the table of returns.
@@ -66,7 +66,9 @@ impl Convert for Shots {
     type Item = RecordBatch;
 
     fn line(&mut self, line: &ScanLine) -> Result<Option<RecordBatch>> {
-        let schema = self.schema.get_or_insert_with(|| shot_schema(&line.input));
+        let schema = self.schema.get_or_insert_with(|| {
+            shot_schema(&line.input, line.blocks().is_some_and(|blocks| blocks.has_fractions()))
+        });
         let batch = shot_batch(line, schema).transpose()?;
         batch.map(|batch| self.columns.keep(batch)).transpose()
     }
@@ -76,7 +78,7 @@ impl Convert for Shots {
         if self.schema.is_some() {
             return Ok(None);
         }
-        let empty = RecordBatch::new_empty(shot_schema(&InputInfo::default()));
+        let empty = RecordBatch::new_empty(shot_schema(&InputInfo::default(), false));
         self.columns.keep(empty).map(Some)
     }
 }

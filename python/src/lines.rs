@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use numpy::ndarray::ArrayView1;
-use numpy::{PyArray1, PyArrayMethods};
+use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -74,7 +74,10 @@ impl Line {
     /// -------
     /// Table
     fn table(&self) -> PyResult<Table> {
-        let schema = wavex::stages::writers::write_arrow::shot_schema(&self.line.input);
+        let schema = wavex::stages::writers::write_arrow::shot_schema(
+            &self.line.input,
+            self.line.blocks().is_some_and(|blocks| blocks.has_fractions()),
+        );
         let batch = wavex::stages::writers::write_arrow::shot_batch(&self.line, &schema).transpose();
         let batch = batch.map_err(|error| errors::of_stage(&error))?;
         Ok(Table::new(batch.into_iter().collect()))
@@ -158,12 +161,12 @@ impl Shot {
         self.emission().facet
     }
 
-    /// Samples of the first block of each channel, digitiser steps: ``uint16`` arrays without a copy.
+    /// Samples of the first block of each channel, digitiser steps: arrays without a copy, as :attr:`Block.samples`.
     ///
     /// Arrays are read-only. :attr:`blocks` has all blocks.
     #[getter]
     fn samples<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyDict>> {
-        Shot::by_channel(slf, |block| Ok(Block::samples(&block)?.into_any()))
+        Shot::by_channel(slf, |block| Block::samples(&block))
     }
 
     /// Time of the first sample of each channel's first block after the shot's clock, ns.
@@ -246,18 +249,17 @@ impl Block {
         self.block().gain
     }
 
-    /// Samples, digitiser steps: a read-only ``uint16`` array without a copy, shape (n,).
+    /// Samples, digitiser steps: a read-only array without a copy, shape (n,). ``float32`` if they are
+    /// fractions of a step, else ``uint16``.
     #[getter]
-    fn samples<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray1<u16>>> {
+    fn samples<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
         let this = slf.get();
         let block = this.block();
-        let samples = this.line.blocks().map_or(&[][..], |blocks| blocks.samples(&block));
-        // SAFETY: the samples belong to the line, which the array's base, this object, keeps; nothing
-        // changes them, and the array is read-only.
-        let array =
-            unsafe { PyArray1::borrow_from_array(&ArrayView1::from(samples), slf.clone().into_any()) };
-        array.readwrite().make_nonwriteable();
-        Ok(array)
+        let blocks = this.line.blocks();
+        Ok(match block.has_fractions() {
+            true => borrowed(slf, blocks.map_or(&[][..], |blocks| blocks.fractions(&block))),
+            false => borrowed(slf, blocks.map_or(&[][..], |blocks| blocks.samples(&block))),
+        })
     }
 
     fn __len__(&self) -> usize {
@@ -273,6 +275,15 @@ impl Block {
             block.start_ns
         )
     }
+}
+
+/// Read-only array of samples that belong to the line of a block.
+fn borrowed<'py, T: Element>(block: &Bound<'py, Block>, samples: &[T]) -> Bound<'py, PyAny> {
+    // SAFETY: the samples belong to the line, which the array's base, the block, keeps; nothing changes
+    // them, and the array is read-only.
+    let array = unsafe { PyArray1::borrow_from_array(&ArrayView1::from(samples), block.clone().into_any()) };
+    array.readwrite().make_nonwriteable();
+    array.into_any()
 }
 
 /// Adds the classes to the module.

@@ -16,11 +16,13 @@ struct Columns {
     gain: Vec<f64>,
     length: Vec<u64>,
     samples: Vec<u16>,
+    fractions: Vec<f32>,
 }
 
 /// Reads the sample blocks of a channel from scan lines.
 ///
-/// Returns a dictionary of arrays: one value per block, and ``samples``, those of all blocks.
+/// Returns a dictionary of arrays: one value per block, and ``samples``, those of all blocks: ``float32`` if they are
+/// fractions of a step.
 #[pyfunction]
 pub fn read_blocks<'py>(
     recording: &Bound<'py, Recording>,
@@ -42,6 +44,7 @@ pub fn read_blocks<'py>(
             columns.gain.push(block.gain);
             columns.length.push(block.len() as u64);
             columns.samples.extend_from_slice(blocks.samples(block));
+            columns.fractions.extend_from_slice(blocks.fractions(block));
         }
     }
     let arrays = PyDict::new(py);
@@ -50,6 +53,9 @@ pub fn read_blocks<'py>(
     arrays.set_item("interval_ns", columns.interval_ns.into_pyarray(py))?;
     arrays.set_item("gain", columns.gain.into_pyarray(py))?;
     arrays.set_item("length", columns.length.into_pyarray(py))?;
-    arrays.set_item("samples", columns.samples.into_pyarray(py))?;
+    match columns.fractions.is_empty() {
+        true => arrays.set_item("samples", columns.samples.into_pyarray(py))?,
+        false => arrays.set_item("samples", columns.fractions.into_pyarray(py))?,
+    }
     Ok(arrays)
 }

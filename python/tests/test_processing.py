@@ -117,6 +117,18 @@ def test_a_large_footprint_needs_no_model(model):
         wavex.explain(granule, 3)
 
 
+def test_samples_of_large_footprints_are_floats():
+    granule = Path(os.environ.get("WAVEX_DATA", "/nowhere")) / "gedi" / "gedi_l1b.h5"
+    if not granule.exists():
+        pytest.skip("WAVEX_DATA not set")
+    recording = wavex.open(granule)
+    samples = recording.lines[0][0].samples["low"]
+    assert samples.dtype == np.float32 and np.any(samples % 1 != 0)
+    waveforms = recording.waveforms("low")
+    assert waveforms.samples.dtype == np.float32
+    assert np.array_equal(waveforms.samples[0][waveforms.mask[0]], samples)
+
+
 def test_a_large_footprint_is_explained():
     granule = Path(os.environ.get("WAVEX_DATA", "/nowhere")) / "gedi" / "gedi_l1b.h5"
     if not granule.exists():

@@ -112,7 +112,7 @@ class Block:
     @property
     def gain(self) -> float: ...
     @property
-    def samples(self) -> NDArray[np.uint16]: ...
+    def samples(self) -> NDArray[np.uint16] | NDArray[np.float32]: ...
     def __len__(self) -> int: ...
 
 @final
@@ -132,7 +132,7 @@ class Shot:
     @property
     def facet(self) -> int: ...
     @property
-    def samples(self) -> dict[str, NDArray[np.uint16]]: ...
+    def samples(self) -> dict[str, NDArray[np.uint16] | NDArray[np.float32]]: ...
     @property
     def t0_ns(self) -> dict[str, float]: ...
     @property
@@ -217,7 +217,7 @@ class Recording:
 
 class Waveforms:
     channel: str
-    samples: NDArray[np.uint16]
+    samples: NDArray[np.uint16] | NDArray[np.float32]
     mask: NDArray[np.bool_]
     time_ns: NDArray[np.float64]
     t0_ns: NDArray[np.float64]

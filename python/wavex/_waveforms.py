@@ -18,8 +18,8 @@ class Waveforms:
     Attributes
     ----------
     channel : str
-    samples : numpy.ndarray, shape (n, m), uint16
-        Digitiser steps; 0 after the end of a block.
+    samples : numpy.ndarray, shape (n, m), uint16 or float32
+        Digitiser steps; 0 after the end of a block. ``float32`` if they are fractions of a step (GEDI, LVIS in HDF5).
     mask : numpy.ndarray, shape (n, m), bool
         Where samples were recorded.
     time_ns : numpy.ndarray, shape (m,)
@@ -43,7 +43,7 @@ class Waveforms:
         index = np.arange(max(self.lengths, default=0))
         self.time_ns = index * float(blocks["interval_ns"][0]) if len(index) else index * 1.0
         self.mask = index < self.lengths[:, None]
-        self.samples = np.zeros(self.mask.shape, np.uint16)
+        self.samples = np.zeros(self.mask.shape, blocks["samples"].dtype)
         self.samples[self.mask] = blocks["samples"]
 
     def to_xarray(self) -> Any:

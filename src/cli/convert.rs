@@ -6,7 +6,7 @@ use super::place::check_recording;
 use super::{Failure, MachineArgs, run};
 use wavex_engine::job::Job;
 use wavex_formats::extensions::has_extension;
-use wavex_formats::format::small_footprint_reader_of;
+use wavex_formats::format::reader_of;
 use wavex_run::run::RunRequest;
 use wavex_stages::registry::STAGES;
 
@@ -23,7 +23,7 @@ pub(super) fn convert(input: &str, output: &str, machine: MachineArgs, quiet: bo
 
 /// TOML of the job that copies waveforms from `input` into container `output`.
 fn job_text(input: &str, output: &str) -> Result<String, String> {
-    let reader = small_footprint_reader_of(input)?;
+    let reader = reader_of(input)?;
     let is_arrow = has_extension(Path::new(output), "arrow");
     if output != "-" && !is_arrow {
         return Err(format!(

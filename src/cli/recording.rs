@@ -5,20 +5,11 @@ use std::path::Path;
 use super::place::check_recording;
 use super::{Failure, scan};
 use wavex_formats::format::reader_of;
-use wavex_line::scan_line::{Channel, Frame};
+use wavex_line::scan_line::Frame;
 use wavex_pages::inspect::Inspection;
 
 /// Number of shots read to recognise a recording.
 const LOOKED_AT: u64 = 20_000;
-/// Maximum pulse rate of a large-footprint instrument, Hz.
-const LARGE_FOOTPRINT_RATE_HZ: f64 = 5_000.0;
-/// Minimum waveform length of a large-footprint instrument, samples.
-///
-/// Its waveforms span whole tree crowns.
-const LARGE_FOOTPRINT_SAMPLES: f64 = 256.0;
-/// Names of large-footprint instruments, matched as whole words.
-const LARGE_FOOTPRINTS: [&str; 3] = ["LVIS", "GEDI", "GLAS"];
-
 /// Properties of a recording that select its job.
 pub(super) struct Recording {
     /// Name of the stage that reads it.
@@ -107,8 +98,8 @@ fn kind_of(reader: &str, inspection: &Inspection) -> (JobTemplate, &'static str)
     if reader == "read_hdf5" {
         return (JobTemplate::Hdf5, ": profiles of ground and canopy");
     }
-    if is_large_footprint(inspection) {
-        return (JobTemplate::LargeFootprint, ": a large footprint");
+    if inspection.has_large_footprints() {
+        return (JobTemplate::LargeFootprint, ": profiles of ground and canopy");
     }
     match (reader, input.map(|input| input.frame)) {
         ("read_las", _) => (JobTemplate::Las, ""),
@@ -118,31 +109,12 @@ fn kind_of(reader: &str, inspection: &Inspection) -> (JobTemplate, &'static str)
     }
 }
 
-fn is_large_footprint(inspection: &Inspection) -> bool {
-    let instrument = inspection.input.as_deref().and_then(|input| input.instrument.as_deref());
-    let words = instrument.unwrap_or_default().split(|letter: char| !letter.is_alphanumeric());
-    let is_named = words.into_iter().any(|word| LARGE_FOOTPRINTS.contains(&word));
-    let is_slow = rate_hz(inspection).is_some_and(|hz| hz < LARGE_FOOTPRINT_RATE_HZ);
-    is_named || (is_slow && samples(inspection).is_some_and(|samples| samples >= LARGE_FOOTPRINT_SAMPLES))
-}
-
-/// Measured pulse rate, Hz.
-fn rate_hz(inspection: &Inspection) -> Option<f64> {
-    let [mean_ps, _] = inspection.times.shots.usual_ps()?;
-    (mean_ps > 0.0).then(|| 1e12 / mean_ps)
-}
-
-/// Median waveform length, samples.
-fn samples(inspection: &Inspection) -> Option<f64> {
-    inspection.channel(Channel::LowPower).lengths.median()
-}
-
 fn facts(inspection: &Inspection) -> String {
     let input = inspection.input.as_deref();
     let format = input.map_or(String::new(), |input| input.format.clone());
     let instrument = input.and_then(|input| input.instrument.clone()).filter(|name| !name.is_empty());
-    let rate = rate_hz(inspection).map(|hz| format!("{hz:.0} pulses per second"));
-    let samples = samples(inspection).map(|samples| format!("waveforms of {samples:.0} samples"));
+    let rate = inspection.pulse_rate_hz().map(|hz| format!("{hz:.0} pulses per second"));
+    let samples = inspection.waveform_samples().map(|samples| format!("waveforms of {samples:.0} samples"));
     let facts = [Some(format), instrument, rate, samples];
     // The text must fit in one comment line, whatever characters the instrument's name contains.
     facts.into_iter().flatten().collect::<Vec<_>>().join(", ").replace(char::is_control, " ")

@@ -353,7 +353,8 @@ fn an_input_of_an_unknown_kind_is_not_converted() {
 fn large_footprints_are_not_decomposed() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("a.h5"), b"").unwrap();
-    let Outcome { code, err, .. } = wavex_in(folder.path(), &["convert", "a.h5", "a.arrow"]);
+    let Outcome { code, err, .. } =
+        wavex_in(folder.path(), &["calibrate", "a.h5", "--save-preset", "a.json"]);
     assert_eq!(code, Some(2), "{err}");
     let begins = "error: a.h5: its waveforms are profiles of large footprints, ";
     assert!(err.starts_with(begins) && err.contains("`wavex init a.h5 job.toml` writes a job"), "{err}");

@@ -111,12 +111,19 @@ fn a_large_footprint_is_recognised() {
         ("pulsewaves/riegl_example3.pls", "pulsewaves"),
         ("pulsewaves/optech_example1.pls", "pulsewaves"),
         ("riegl_q680i_dev/riegl_q680i_dev.las", "las"),
+        ("pulsewaves/lvis_example2_first.pls", "large_footprint"),
+        ("pulsewaves/geolas_example1.pls", "pulsewaves"),
+        ("pulsewaves/las13fwf_example1.pls", "pulsewaves"),
+        ("pulsewaves/riegl_example4.pls", "pulsewaves"),
         ("gedi/gedi_l1b.h5", "gedi"),
     ] {
         let text = job_for(&place, data.join(file).to_str().unwrap());
-        assert_eq!(text.contains("a large footprint"), job == "large_footprint", "{text}");
-        assert_eq!(text.contains("mode = \"slow\""), job == "large_footprint", "{text}");
-        assert_eq!(text.contains("measure_footprints"), job == "gedi", "{text}");
+        let is_large = ["large_footprint", "gedi"].contains(&job);
+        assert_eq!(text.contains("profiles of ground and canopy"), is_large, "{text}");
+        assert_eq!(stages(&text).contains(&"measure_footprints".to_owned()), is_large, "{text}");
+        assert_eq!(stages(&text).contains(&"decompose".to_owned()), !is_large, "{text}");
+        let Outcome { out, .. } = place.wavex(&["scan", "--fast", data.join(file).to_str().unwrap()]);
+        assert_eq!(out.contains("  footprints "), is_large, "{out}");
     }
 }
 

@@ -98,6 +98,78 @@ fn the_ground_of_gedi_is_found_by_default() {
     check(&Shots::of(&data, ""), 0.10);
 }
 
+/// All columns of the table but the product's own, as text, by name.
+fn measured(reader: &str, file: &Path, keys: &str) -> BTreeMap<String, Vec<String>> {
+    let place = TestFolder::new();
+    let job = format!(
+        "[job.geometry]\ncrs = 'EPSG:4979'\n[[stage]]\ntype = '{reader}'\npath = '{}'\n[[stage]]\n\
+         type = 'measure_footprints'\n{keys}[[stage]]\ntype = 'georeference'\n\
+         [[stage]]\ntype = 'write_footprints'\npath = 'a.csv'\n",
+        file.display()
+    );
+    place.write("gedi.toml", job.as_bytes());
+    let outcome = place.wavex(&["run", "gedi.toml"]);
+    assert_eq!(outcome.code, Some(0), "{}", outcome.err);
+    let text = fs::read_to_string(place.path("a.csv")).unwrap();
+    let mut rows = text.lines().map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
+    let names = rows.next().unwrap();
+    let mut columns: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for row in rows {
+        for (name, cell) in names.iter().zip(row) {
+            columns.entry(name.clone()).or_default().push(cell);
+        }
+    }
+    columns
+}
+
+/// Version 2 of the container keeps samples, beams, noise and flags: every digit of the results is the same.
+#[test]
+fn a_container_of_gedi_gives_the_same_results() {
+    let Some(data) = data() else { return };
+    let place = TestFolder::new();
+    let file = data.join("gedi/gedi_l1b.h5");
+    let copied = place.wavex(&["convert", &file.display().to_string(), "gedi.arrow"]);
+    assert_eq!(copied.code, Some(0), "{}", copied.err);
+    let container = place.path("gedi.arrow");
+    let header = wavex_formats::container::ContainerReader::open(&container).unwrap().header().clone();
+    assert_eq!(header.version(), "2");
+    for keys in ["", "preset = 'gedi_l2a_a1'\n"] {
+        let [direct, copied] = [("read_hdf5", &file), ("read_arrow", &container)]
+            .map(|(reader, file)| measured(reader, file, keys));
+        assert_eq!(copied["shot_number"].len(), 164);
+        assert!(copied.len() > 220, "{} columns", copied.len());
+        for (name, cells) in &copied {
+            assert_eq!(Some(cells), direct.get(name), "{name} {keys}");
+        }
+    }
+    let again = place.wavex(&["convert", "gedi.arrow", "again.arrow"]);
+    assert_eq!(again.code, Some(0), "{}", again.err);
+    let [first, second] = ["gedi.arrow", "again.arrow"].map(|name| fs::read(place.path(name)).unwrap());
+    assert!(first == second, "a copy of the copy");
+    // Stages for whole steps refuse the container, and name the stage that does not.
+    let job = "[[stage]]\ntype = 'read_arrow'\npath = 'gedi.arrow'\n[[stage]]\ntype = 'calibrate'\n[[stage]]\n\
+               type = 'decompose'\n[[stage]]\ntype = 'write_table'\n";
+    place.write("small.toml", job.as_bytes());
+    let refused = place.wavex(&["run", "small.toml"]);
+    let expected =
+        "`calibrate` needs samples in whole digitiser steps, but the recording has fractions of a step";
+    assert!(refused.code == Some(1) && refused.err.contains(expected), "{}", refused.err);
+    let proposed = place.wavex(&["init", "--from", "gedi.arrow"]);
+    assert!(proposed.out.contains("\ntype = \"measure_footprints\"\n"), "{}", proposed.out);
+    let shot = &measured("read_arrow", &container, "")["shot_number"][100];
+    place.write("large.toml", proposed.out.as_bytes());
+    let texts = [file.display().to_string(), "gedi.arrow".to_owned()].map(|file| {
+        let mut arguments = vec!["explain", &file, "--shot", shot, "--out", "a.svg"];
+        if file.ends_with("arrow") {
+            arguments.extend(["--job", "large.toml"]);
+        }
+        let explained = place.wavex(&arguments);
+        assert_eq!(explained.code, Some(0), "{}", explained.err);
+        explained.out.split_once('\n').unwrap().1.to_owned()
+    });
+    assert_eq!(texts[0], texts[1]);
+}
+
 /// `wavex explain` finds a shot by number, running number and time, and says what the table of a run says.
 #[test]
 fn an_explained_shot_is_that_of_the_table() {

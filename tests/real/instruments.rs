@@ -369,6 +369,9 @@ fn check(instruments: &[Instrument]) {
     for (name, report, row, warnings) in &rows {
         let expected = EXPECTED.iter().find(|bounds| bounds.name == *name).unwrap();
         let is_unexplained = warnings.iter().any(|text| text.contains("do not explain the waveforms"));
+        let proposes = warnings.iter().any(|text| text.contains("`measure_footprints` in place of"));
+        let is_lvis = [FOREST, "lvis_example1"].contains(name);
+        assert_eq!(proposes, is_lvis && is_unexplained, "{name}");
         match *name {
             "riegl_q680i_dev" | "riegl_example3" | "riegl_example4" => assert!(!is_unexplained, "{name}"),
             NEON => assert!(is_unexplained, "{name}"),

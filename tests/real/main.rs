@@ -11,6 +11,7 @@ mod compressed;
 mod footprints;
 mod geometry_alone;
 mod instruments;
+mod lvis;
 mod planes;
 mod plausible;
 mod relative_heights;

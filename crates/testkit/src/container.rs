@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use wavex_formats::container::{
-    Compression, ContainerBlock, ContainerHeader, ContainerReader, ContainerShot, ContainerWriter,
-    EmissionReference, LineBuilder, TimeScale,
+    Compression, ContainerBlock, ContainerFootprint, ContainerHeader, ContainerReader, ContainerShot,
+    ContainerWriter, EmissionReference, LineBuilder, TimeScale, channel,
 };
 
 /// A row of a container.
@@ -67,6 +67,32 @@ pub fn container(header: &ContainerHeader, lines: &[Vec<Row>]) -> Vec<u8> {
 pub fn compressed(header: &ContainerHeader, lines: &[Vec<Row>], compression: Compression) -> Vec<u8> {
     let mut writer = ContainerWriter::file(Vec::new(), Path::new("made"), header, compression).unwrap();
     lines.iter().for_each(|rows| writer.write(line_of(rows)).unwrap());
+    writer.finish().unwrap()
+}
+
+/// A container of two beams whose samples are fractions of a digitiser step.
+pub fn of_fractions() -> Vec<u8> {
+    let header = ContainerHeader { has_fractions: true, ..ContainerHeader::new(1.0, 299_792_458.0) };
+    let mut writer = ContainerWriter::file(Vec::new(), Path::new("made"), &header, Compression::Lz4).unwrap();
+    for beam in ["BEAM0101", "BEAM1011"] {
+        let mut line = LineBuilder::new();
+        for shot in 0..3 {
+            line.shot(&nadir_shot(shot, 0));
+            for (code, samples) in
+                [(channel::REFERENCE, &[0.5, 9.25, 0.75][..]), (channel::LOW_POWER, &[2.0, 7.5, 3.25, 2.125])]
+            {
+                line.block_of_fractions(&block(code, 0.0, &[]), samples);
+            }
+            line.footprint(&ContainerFootprint {
+                beam: Some(beam),
+                shot_number: Some(19_000 + shot),
+                noise_mean_dn: Some(2.0),
+                noise_sd_dn: Some(0.5),
+                is_advised_against: shot == 1,
+            });
+        }
+        writer.write(line).unwrap();
+    }
     writer.finish().unwrap()
 }
 

@@ -30,6 +30,8 @@ mod tests;
 pub use cover::{cover, plant_area_index};
 pub use estimator::FootprintEstimator;
 pub use measured::{FootprintMode, HEIGHTS, MOST_SAMPLES, Measured, RecordedNoise};
-pub use model::{FootprintLearner, FootprintModel, LEAST_SHOTS, LearningError, outgoing_fwhm_samples};
+pub use model::{
+    EchoWidth, FootprintLearner, FootprintModel, LEAST_SHOTS, LearningError, outgoing_fwhm_samples,
+};
 pub use settings::{FootprintSettings, NoiseSource};
 pub use wavex_simd::statistics::WithSd;

@@ -18,6 +18,8 @@ const BEFORE_WIDTHS: f64 = 3.0;
 const BEHIND_WIDTHS: f64 = 6.0;
 /// Relative height at which the response ends before its peak.
 const FOOT: f64 = 0.004;
+/// Height of an echo from which its width is known, SDs of a sample.
+const CLEAR_SDS: f64 = 20.0;
 
 /// Noise and response of a receiver of large footprints.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,7 +30,7 @@ pub struct FootprintModel {
     pub noise_sd_dn: f64,
     /// Autocorrelation of the noise, at lags of 0, 1, … samples.
     pub autocorrelation: Vec<f64>,
-    /// Mean outgoing pulse, four values per sample, peak 1: the echo of a flat target.
+    /// Mean outgoing pulse, or narrowest echo, four values per sample, peak 1: the echo of a flat target.
     pub response: Vec<f64>,
     /// Full width at half maximum of the response, ns.
     pub pulse_fwhm_ns: f64,
@@ -95,7 +97,19 @@ impl FootprintLearner {
 
     /// Adds the outgoing pulse of a shot; ignores one without a clear peak.
     pub fn add_outgoing(&mut self, samples: &[f32]) {
-        let Some(pulse) = Peak::of(samples) else { return };
+        if let Some(pulse) = Peak::of(samples) {
+            self.add_pulse(samples, &pulse);
+        }
+    }
+
+    /// Adds a waveform with one narrow echo in place of an outgoing pulse; ignores one without a clear peak.
+    pub fn add_echo(&mut self, samples: &[f32]) {
+        if let Some((echo, _)) = Peak::of_echo(samples) {
+            self.add_pulse(samples, &echo);
+        }
+    }
+
+    fn add_pulse(&mut self, samples: &[f32], pulse: &Peak) {
         for (k, sum) in self.sum.iter_mut().enumerate() {
             let at = pulse.position + (k as f64 - self.peak as f64) / OVERSAMPLING as f64;
             *sum += (interpolated(samples, at).unwrap_or(pulse.level) - pulse.level) / pulse.height;
@@ -174,12 +188,28 @@ struct Peak {
 }
 
 impl Peak {
-    /// Peak as the vertex of the parabola through the logarithms of the three highest samples; the level is
-    /// the median of the samples of the first fifth.
+    /// Peak above the median of the samples of the first fifth.
     fn of(samples: &[f32]) -> Option<Peak> {
-        let mut first: Vec<f32> = samples.get(..samples.len() / 5)?.to_vec();
-        first.sort_unstable_by(f32::total_cmp);
-        let level = f64::from(*first.get(first.len() / 2)?);
+        Peak::above(samples, level_of(samples.get(..samples.len() / 5)?)?)
+    }
+
+    /// Peak of an echo above the lower median of the first and the last fifth, with the SD of a sample there.
+    fn of_echo(samples: &[f32]) -> Option<(Peak, f64)> {
+        let fifth = samples.len() / 5;
+        let ends = [samples.get(..fifth)?, samples.get(samples.len() - fifth..)?];
+        let of_end = |end: &[f32]| {
+            let level = level_of(end)?;
+            let squares: f64 = end.iter().map(|dn| (f64::from(*dn) - level).powi(2)).sum();
+            Some((level, (squares / end.len() as f64).sqrt()))
+        };
+        let [first, last] = ends.map(of_end);
+        let ((level, sd), other) = (first?, last?);
+        let (level, sd) = if other.0 < level { other } else { (level, sd) };
+        Some((Peak::above(samples, level)?, sd))
+    }
+
+    /// Peak as the vertex of the parabola through the logarithms of the three highest samples.
+    fn above(samples: &[f32], level: f64) -> Option<Peak> {
         let top = (0..samples.len()).max_by(|&a, &b| samples[a].total_cmp(&samples[b]))?;
         let height_at = |k: usize| Some(f64::from(*samples.get(k)?) - level).filter(|dn| *dn > 0.0);
         let [before, here, behind] =
@@ -192,6 +222,13 @@ impl Peak {
     }
 }
 
+/// Median of samples.
+fn level_of(samples: &[f32]) -> Option<f64> {
+    let mut ordered = samples.to_vec();
+    ordered.sort_unstable_by(f32::total_cmp);
+    ordered.get(ordered.len() / 2).copied().map(f64::from)
+}
+
 /// Value between two samples; `None` beyond the ends.
 fn interpolated(samples: &[f32], at: f64) -> Option<f64> {
     let first = (at >= 0.0).then(|| at.floor() as usize)?;
@@ -202,7 +239,37 @@ fn interpolated(samples: &[f32], at: f64) -> Option<f64> {
 
 /// Full width at half maximum of an outgoing pulse, samples; `None` without a clear peak.
 pub fn outgoing_fwhm_samples(samples: &[f32]) -> Option<f64> {
-    let peak = Peak::of(samples)?;
+    fwhm_samples(samples, &Peak::of(samples)?)
+}
+
+/// Widths of a waveform's highest echo.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EchoWidth {
+    /// Full width at half maximum, samples.
+    pub fwhm_samples: f64,
+    /// Energy from three of these widths before its peak to six behind, over its height, samples.
+    ///
+    /// Neighbouring echoes raise it.
+    pub spread_samples: f64,
+}
+
+impl EchoWidth {
+    /// `None` without an echo that is clearly above the noise.
+    pub fn of(samples: &[f32]) -> Option<EchoWidth> {
+        let (echo, sd) = Peak::of_echo(samples)?;
+        if echo.height < CLEAR_SDS * sd {
+            return None;
+        }
+        let fwhm_samples = fwhm_samples(samples, &echo)?;
+        let from = (echo.position - BEFORE_WIDTHS * fwhm_samples).max(0.0) as usize;
+        let until = (echo.position + BEHIND_WIDTHS * fwhm_samples) as usize + 1;
+        let around = samples.get(from..until)?.iter();
+        let energy: f64 = around.map(|dn| f64::from(*dn) - echo.level).sum();
+        Some(EchoWidth { fwhm_samples, spread_samples: energy / echo.height })
+    }
+}
+
+fn fwhm_samples(samples: &[f32], peak: &Peak) -> Option<f64> {
     let half = (peak.level + 0.5 * peak.height) as f32;
     let top = peak.position.round() as usize;
     let crossing = |inside: f32, outside: f32| f64::from((inside - half) / (inside - outside));

@@ -138,3 +138,30 @@ fn too_few_shots_are_an_error() {
     learner.add_waveform(&waveform(1, &[]));
     assert_eq!(learner.finish(), Err(LearningError::TooFewPulses { found: 0 }));
 }
+
+/// Waveforms of bare ground have the narrowest echoes; a layer that merges with the ground, a second echo and noise do not.
+#[test]
+fn narrow_echoes_replace_outgoing_pulses() {
+    let width = |echoes: &[[f64; 3]]| EchoWidth::of(&waveform(1, echoes));
+    let bare = width(&[[150.0, GROUND, PULSE_SD]]).unwrap();
+    assert!((bare.fwhm_samples - 2.3548 * PULSE_SD).abs() < 0.5, "{bare:?}");
+    assert!((bare.spread_samples - 2.5066 * PULSE_SD).abs() < 1.0, "{bare:?}");
+    for others in [[150.0, GROUND, 1.5 * PULSE_SD], [60.0, GROUND - 30.0, PULSE_SD]] {
+        let wide = width(&[[150.0, GROUND, PULSE_SD], others]).unwrap();
+        assert!(wide.spread_samples > 1.2 * bare.spread_samples, "{others:?}: {wide:?}");
+    }
+    // A signal in the first fifth does not raise the level.
+    let high = width(&[[150.0, GROUND, PULSE_SD], [60.0, 90.0, 40.0]]).unwrap();
+    assert!((high.spread_samples / bare.spread_samples - 1.0).abs() < 0.1, "{high:?}");
+    assert_eq!(width(&[]), None);
+    assert_eq!(width(&[[20.0, GROUND, PULSE_SD]]), None, "weak");
+    assert_eq!(EchoWidth::of(&[]), None);
+    let mut learner = FootprintLearner::new(1.0, 15.5);
+    for seed in 0..40 {
+        let samples = waveform(seed, &[[150.0, GROUND + 0.1 * f64::from(seed), PULSE_SD]]);
+        learner.add_echo(&samples);
+        learner.add_waveform(&samples);
+    }
+    let [of_echoes, of_outgoing] = [learner.finish().unwrap(), model()].map(|model| model.pulse_fwhm_ns);
+    assert!((of_echoes - of_outgoing).abs() < 0.4, "{of_echoes} {of_outgoing}");
+}

@@ -10,6 +10,12 @@
 //! 1.5, "Serialization and Interprocess Communication (IPC)". Unknown columns and metadata keys are
 //! ignored.
 //!
+//! # Versions
+//! In version 1 samples are whole digitiser steps (`u16`). Version 2 has the same columns with samples
+//! that are fractions of a step (`f32`), as instruments with large footprints deliver them, and the columns
+//! of [`layout::FOOTPRINT`]. A container is written in version 1 unless its samples need version 2
+//! ([`ContainerHeader::has_fractions`]).
+//!
 //! # Digests
 //! The writer stores a digest with the schema, each record batch and the footer (`digest`); the
 //! reader refuses a part whose bytes give another one. Files without digests are read. If schema or
@@ -81,13 +87,16 @@ mod writer;
 pub use builder::LineBuilder;
 pub use header::{ContainerHeader, EmissionReference, Frame, GainControl, Origin, TimeScale};
 pub use ipc_writer::IpcWriter;
-pub use line::{ContainerBlock, ContainerLine, ContainerOnline, ContainerShot};
+pub use line::{ContainerBlock, ContainerFootprint, ContainerLine, ContainerOnline, ContainerShot};
 pub use reader::ContainerReader;
 pub use table::TableReader;
 pub use writer::{Compression, ContainerWriter};
 
-/// Version of the layout, the value of `wavex.container`.
+/// Version of the layout, the value of `wavex.container`: samples are whole digitiser steps.
 pub const VERSION: &str = "1";
+
+/// Version of the layout whose samples are fractions of a digitiser step.
+pub const VERSION_OF_FRACTIONS: &str = "2";
 
 /// Largest accepted record batch, bytes, compressed or not.
 ///

@@ -199,6 +199,8 @@ reasons! {
     WrongGain => shot("a block whose gain is not between 1/1024 and 1024", ARROW, CORRECT_WRITER),
     /// Container: a shot with a return of the instrument that has no time.
     OnlineWithoutTime => shot("an online return without a time", ARROW, CORRECT_WRITER),
+    /// A sample that is NaN or infinite.
+    SampleNotFinite => shot("a sample is not finite", ARROW, CORRECT_WRITER),
     /// SDF: the clock of a shot is not finite.
     ClockNotFinite => shot("the clock is not finite", SDF, EXPORT_AGAIN),
     /// SDF: the clock of a shot does not fit into whole picoseconds.

@@ -23,7 +23,7 @@ mod shots;
 
 pub use budget::{AtWork, Budget, NoRoom, Ticket};
 pub use filtered::Filtered;
-pub use footprint::{Footprint, footprint_flags};
+pub use footprint::{Footprint, LARGE_FOOTPRINT_NS, footprint_flags, has_large_footprints};
 pub use input::{AmplitudeTable, EmissionReference, FirstShot, GainControl, InputInfo, LinearAmplitude};
 pub use line_stats::LineStats;
 pub use points::{Return, ReturnChannel, Returns, flags};
@@ -109,6 +109,17 @@ impl std::fmt::Display for Kind {
 }
 
 impl ScanLine {
+    /// Whether the shots have large footprints ([`has_large_footprints`]), by the first waveform and the mean pulse rate.
+    pub fn has_large_footprints(&self) -> bool {
+        let first = self.blocks().and_then(|blocks| blocks.iter().find(|block| block.channel.is_echo()));
+        let length_ns = first.map_or(f64::NAN, |block| block.len() as f64 * block.interval_ns);
+        let ends = self.emissions.first().zip(self.emissions.last());
+        let duration_ps = ends.map_or(0, |(first, last)| last.clock_ps.saturating_sub(first.clock_ps));
+        let intervals = self.emissions.len().saturating_sub(1);
+        let rate_hz = if duration_ps > 0 { intervals as f64 / duration_ps as f64 * 1e12 } else { f64::NAN };
+        has_large_footprints(self.input.instrument.as_deref(), length_ns, rate_hz)
+    }
+
     /// Creates a line as delivered by a reader.
     ///
     /// Sets `nw` and the line's time.

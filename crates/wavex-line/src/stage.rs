@@ -24,6 +24,7 @@ mod run_context;
 mod spec;
 mod stamp;
 mod survey_models;
+mod whole_steps;
 
 pub use crate::reason::{Item, Reason};
 pub use cause::Cause;
@@ -43,6 +44,7 @@ pub use spec::{
 pub use stamp::Stamp;
 pub use survey_models::check_model;
 pub use survey_models::{ChannelDrift, Instrument, InstrumentModel, Measured, SensorDrift, SurveyModels};
+pub use whole_steps::check_whole_steps;
 
 /// Failure of a stage.
 #[derive(Debug, thiserror::Error)]

@@ -10,6 +10,7 @@ use std::sync::Arc;
 use wavex_geodesy::vertical::down_at;
 use wavex_line::scan_line::{
     Block, Blocks, Channel, Emission, EmissionReference, Frame, InputInfo, ScanLine, emission_flags,
+    has_large_footprints,
 };
 
 mod beams;
@@ -255,6 +256,26 @@ impl Inspection {
             .iter_mut()
             .filter_map(|channel| channel.values.as_mut())
             .for_each(SampleStatistics::finish);
+    }
+
+    /// Measured pulse rate, Hz.
+    pub fn pulse_rate_hz(&self) -> Option<f64> {
+        let [mean_ps, _] = self.times.shots.usual_ps()?;
+        (mean_ps > 0.0).then(|| 1e12 / mean_ps)
+    }
+
+    /// Median length of the waveforms of the low-power channel, samples.
+    pub fn waveform_samples(&self) -> Option<f64> {
+        self.channel(Channel::LowPower).lengths.median()
+    }
+
+    /// Whether the footprints are large ([`has_large_footprints`]).
+    pub fn has_large_footprints(&self) -> bool {
+        let Some(input) = self.input.as_deref() else { return false };
+        let length_ns =
+            self.waveform_samples().map_or(f64::NAN, |samples| samples * input.sampling_interval_ns);
+        let rate_hz = self.pulse_rate_hz().unwrap_or(f64::NAN);
+        has_large_footprints(input.instrument.as_deref(), length_ns, rate_hz)
     }
 
     /// Statistics of a channel.

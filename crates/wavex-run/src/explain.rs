@@ -59,7 +59,7 @@ pub fn explain_shot(
     cancel: Cancel,
 ) -> Result<Explanation, Failure> {
     let request = ExplainRequest { set, ..ExplainRequest::of(file) };
-    if request.has_large_footprints() {
+    if request.has_large_footprints()? {
         if model.is_some() {
             return Err(footprint::without_model(file, "leave out `model`"));
         }
@@ -108,9 +108,17 @@ impl<'a> ExplainRequest<'a> {
         ExplainRequest { file, job: None, set: &[], model: None, progress: ProgressMode::Hidden }
     }
 
-    /// Whether the recording has large footprints, which [`FootprintChain`] measures.
-    pub fn has_large_footprints(&self) -> bool {
-        reader_of(&self.file.display().to_string()).is_ok_and(|reader| reader == FOOTPRINTS)
+    /// Whether the recording has large footprints, which [`FootprintChain`] measures: by its format, or by its job.
+    ///
+    /// # Errors
+    /// If the job is invalid.
+    pub fn has_large_footprints(&self) -> Result<bool, Failure> {
+        if reader_of(&self.file.display().to_string()).is_ok_and(|reader| reader == FOOTPRINTS) {
+            return Ok(true);
+        }
+        let Some(path) = self.job else { return Ok(false) };
+        let job = job_file::read(path, self.set.iter().map(Override::new).collect())?;
+        Ok(job.stages.iter().any(|stage| stage.spec.name == MEASURE))
     }
 }
 
@@ -149,7 +157,7 @@ impl Explainer {
     /// # Errors
     /// If the format is unknown or the job invalid.
     pub fn of(request: &ExplainRequest) -> Result<Explainer, Failure> {
-        match request.has_large_footprints() {
+        match request.has_large_footprints()? {
             true => FootprintChain::of(request).map(Explainer::Large),
             false => Chain::of(request).map(|chain| Explainer::Small(Arc::new(chain))),
         }
@@ -191,6 +199,8 @@ impl Explainer {
 
 /// Reader of recordings with large footprints.
 const FOOTPRINTS: &str = "read_hdf5";
+/// Stage that measures them.
+const MEASURE: &str = "measure_footprints";
 /// Stages after the reader of recordings with small footprints.
 const SMALL: [&str; 2] = ["calibrate", "decompose"];
 

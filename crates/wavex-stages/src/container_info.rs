@@ -8,8 +8,8 @@ use wavex_line::scan_line::{
     AmplitudeTable, Channel, EmissionReference, Frame, GainControl, InputInfo, TimeScale,
 };
 
-/// Container header with the metadata of a recording.
-pub(crate) fn header_of(info: &InputInfo) -> ContainerHeader {
+/// Container header with the metadata of a recording; `has_fractions` as in the header.
+pub(crate) fn header_of(info: &InputInfo, has_fractions: bool) -> ContainerHeader {
     let pairs = |table: &Option<AmplitudeTable>| table.as_ref().map(|table| table.pairs().to_vec());
     ContainerHeader {
         instrument: info.instrument.clone(),
@@ -47,6 +47,7 @@ pub(crate) fn header_of(info: &InputInfo) -> ContainerHeader {
             (true, EmissionReference::ReturnLocations) => Some(container::Origin::Sensor),
             (true, _) => None,
         },
+        has_fractions,
     }
 }
 

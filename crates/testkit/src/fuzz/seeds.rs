@@ -20,7 +20,7 @@ use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 
 use super::texts::MARKUP;
 use super::{SEPARATOR, joined};
-use crate::container::{Shot, compressed, container, line_of, of_shots};
+use crate::container::{Shot, compressed, container, line_of, of_fractions, of_shots};
 use crate::flight::{STAGES as FLIGHT_STAGES, flight};
 use crate::las::Las;
 use crate::pulsewaves::PulseWaves;
@@ -147,6 +147,9 @@ fn recordings(add: &mut Add) {
     let mut stream = stream.unwrap();
     lines.iter().for_each(|rows| stream.write(line_of(rows)).unwrap());
     add("container", "stream", stream.finish().unwrap());
+    let profiles = of_fractions();
+    add("container", "fractions", profiles.clone());
+    add("recording", "container_of_profiles", joined(&[&profiles, b""]));
     add("table", "container", container(&header, &lines[..1]));
     let flown = [sdf_flight()[0][..12].to_vec()];
     add("run", "two_receivers", joined(&[&container(&header, &flown), b"", &model]));

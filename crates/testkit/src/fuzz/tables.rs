@@ -51,7 +51,10 @@ fn lines(mut reader: ContainerReader) -> (ContainerHeader, Vec<String>) {
     {
         lines.push(text(&line));
         let (blocks, samples) = line.blocks_and_samples(0..line.rows());
-        let of_rows = |row: usize| line.blocks(row).map(|block| block.samples.len()).collect::<Vec<_>>();
+        let of_rows = |row: usize| {
+            let blocks = line.blocks(row).zip(line.fractions(row));
+            blocks.map(|(block, fractions)| block.samples.len() + fractions.len()).collect::<Vec<_>>()
+        };
         let of_rows: Vec<usize> = (0..line.rows()).flat_map(of_rows).collect();
         assert_eq!((of_rows.len(), of_rows.iter().sum::<usize>()), (blocks, samples));
     }
@@ -64,7 +67,8 @@ fn text(line: &ContainerLine) -> String {
     let row = |row: usize| {
         let blocks: Vec<String> = line.blocks(row).map(|block| format!("{block:?}")).collect();
         let online: Vec<String> = line.online(row).map(|online| format!("{online:?}")).collect();
-        format!("{:?} {blocks:?} {online:?}\n", line.shot(row))
+        let fractions: Vec<&[f32]> = line.fractions(row).collect();
+        format!("{:?} {blocks:?} {fractions:?} {online:?} {:?}\n", line.shot(row), line.footprint(row))
     };
     (0..line.rows()).map(row).collect()
 }
@@ -78,7 +82,13 @@ fn written_again(path: &Path, header: &ContainerHeader, lines: &[String]) {
         let mut builder = LineBuilder::new();
         for row in 0..line.rows() {
             builder.shot(&line.shot(row));
-            line.blocks(row).for_each(|block| builder.block(&block));
+            for (block, fractions) in line.blocks(row).zip(line.fractions(row)) {
+                match header.has_fractions {
+                    true => builder.block_of_fractions(&block, fractions),
+                    false => builder.block(&block),
+                }
+            }
+            builder.footprint(&line.footprint(row));
             line.online(row).for_each(|online| builder.online(&online));
         }
         writer.write(builder).unwrap();

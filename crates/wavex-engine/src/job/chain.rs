@@ -102,7 +102,11 @@ impl ChainStage<'_> {
             format!("move it up, {place}")
         } else {
             // Waveforms of large footprints have a stage of their own.
-            let takes_given = |spec: &&&StageSpec| given == Kind::Footprints && spec.accepts.contains(&given);
+            let takes_given = |spec: &&&StageSpec| {
+                let is_sink = |spec: &StageSpec| spec.role == RoleName::Sink;
+                let is_alike = is_sink(spec) == is_sink(self.spec);
+                given == Kind::Footprints && is_alike && spec.accepts.contains(&given)
+            };
             let others: Vec<String> =
                 self.known.iter().filter(takes_given).map(|spec| quoted(spec.name)).collect();
             let instead = if others.is_empty() {

@@ -6,9 +6,9 @@ use arrow_schema::{Metadata, SchemaRef};
 use serde::{Deserialize, Serialize};
 use wavex_geodesy::calendar;
 
-use super::layout::KEYS;
+use super::layout::{KEYS, LayoutOptions};
 use super::location::ContainerLocation;
-use super::{VERSION, layout};
+use super::{VERSION, VERSION_OF_FRACTIONS, layout};
 use crate::{Error, Result};
 
 /// Metadata of a recording; see [`layout::KEYS`].
@@ -61,6 +61,8 @@ pub struct ContainerHeader {
     ///
     /// `None`: the sensor position, unless emission times are from return locations.
     pub origin: Option<Origin>,
+    /// Whether samples are fractions of a digitiser step, which version 2 of the layout stores.
+    pub has_fractions: bool,
 }
 
 impl ContainerHeader {
@@ -91,12 +93,18 @@ impl ContainerHeader {
             emission_choice_sd_ns: None,
             gain_control: None,
             origin: None,
+            has_fractions: false,
         }
+    }
+
+    /// Version of the layout, the value of `wavex.container`.
+    pub fn version(&self) -> &'static str {
+        if self.has_fractions { VERSION_OF_FRACTIONS } else { VERSION }
     }
 
     /// Arrow schema of a container with this header.
     pub fn schema(&self) -> SchemaRef {
-        Arc::new(layout::schema(self.to_metadata(), self.has_gain()))
+        Arc::new(layout::schema(self.to_metadata(), self.options()))
     }
 }
 
@@ -220,9 +228,9 @@ struct CoordinateGrid {
 const LIGHT_MPS: f64 = 299_792_458.0;
 
 impl ContainerHeader {
-    /// Whether written blocks have a gain.
-    pub(super) fn has_gain(&self) -> bool {
-        self.gain_control == Some(GainControl::Recorded)
+    fn options(&self) -> LayoutOptions {
+        let has_gain = self.gain_control == Some(GainControl::Recorded);
+        LayoutOptions { has_gain, has_fractions: self.has_fractions }
     }
 
     /// Converts the header to metadata.
@@ -230,7 +238,7 @@ impl ContainerHeader {
         let number = |value: f64| value.to_string();
         let grid = self.coordinate_grid.map(|(scale, offset)| json(&CoordinateGrid { scale, offset }));
         let values = [
-            ("wavex.container", Some(VERSION.to_string())),
+            ("wavex.container", Some(self.version().to_string())),
             ("wavex.instrument", self.instrument.clone()),
             ("wavex.serial", self.serial.clone()),
             ("wavex.sampling_interval_ns", Some(number(self.sampling_interval_ns))),
@@ -273,7 +281,7 @@ impl ContainerHeader {
     /// Parses the header from metadata; errors name the key.
     pub(super) fn from_metadata(metadata: &Metadata, location: ContainerLocation) -> Result<ContainerHeader> {
         let keys = MetadataKeys { metadata, location };
-        keys.version()?;
+        let has_fractions = keys.version()? == VERSION_OF_FRACTIONS;
         let tables: StoredTables = keys.json("wavex.tables")?.unwrap_or_default();
         let grid: Option<CoordinateGrid> = keys.json("wavex.coordinate_grid")?;
         let positive = |value: &f64| value.is_finite() && *value > 0.0;
@@ -303,6 +311,7 @@ impl ContainerHeader {
                 .value("wavex.emission_choice_sd_ns", |text| number(text, not_negative))?,
             gain_control: keys.value("wavex.gain_control", GainControl::of)?,
             origin: keys.value("wavex.origin", Origin::of)?,
+            has_fractions,
         })
     }
 }
@@ -318,12 +327,14 @@ impl<'a> MetadataKeys<'a> {
         self.metadata.get(key).map(String::as_str)
     }
 
-    fn version(&self) -> Result<()> {
+    fn version(&self) -> Result<&'a str> {
         match self.text("wavex.container") {
-            Some(VERSION) => Ok(()),
+            Some(known @ (VERSION | VERSION_OF_FRACTIONS)) => Ok(known),
             Some(other) => Err(Error::unusable(
                 self.location.file,
-                format!("a waveform container of version `{other}`, where {VERSION} is known"),
+                format!(
+                    "a waveform container of version `{other}`, where {VERSION} and {VERSION_OF_FRACTIONS} are known"
+                ),
                 "use a newer wavex",
             )),
             None => Err(Error::unusable(

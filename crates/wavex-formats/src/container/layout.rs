@@ -44,8 +44,10 @@ pub enum ColumnKind {
     F64,
     /// Fixed-size list of three doubles.
     Triple,
-    /// List of unsigned 16-bit numbers.
+    /// List of unsigned 16-bit numbers; of singles in version 2.
     Samples,
+    /// UTF-8 text.
+    Text,
     /// List of structs.
     Structs(&'static [ColumnLayout]),
 }
@@ -97,12 +99,55 @@ pub static COLUMNS: &[ColumnLayout] = &[
     optional("frame_scale", ColumnKind::F64, "metres in the frame per metre of range along the beam; null: 1"),
 ];
 
+/// Further columns of version 2, whose samples are fractions: of shots with large footprints.
+#[rustfmt::skip]
+pub static FOOTPRINT: &[ColumnLayout] = &[
+    optional("beam", ColumnKind::Text, "name of the beam, of an instrument with several; a change starts another line"),
+    optional("shot_number", ColumnKind::U64, "number of the shot in its mission"),
+    optional("noise_mean_dn", ColumnKind::F64, "background by the instrument's processing, digitiser steps"),
+    optional("noise_sd_dn", ColumnKind::F64, "standard deviation of a sample by the instrument's processing, digitiser steps"),
+    optional("advised_against", ColumnKind::U8, "1: the instrument's flags advise against the shot"),
+];
+
+/// What a container is written with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct LayoutOptions {
+    /// Whether blocks have a gain.
+    pub(super) has_gain: bool,
+    /// Whether samples are fractions of a digitiser step: version 2.
+    pub(super) has_fractions: bool,
+}
+
+impl LayoutOptions {
+    /// The options by which a schema was made.
+    pub(super) fn of(schema: &Schema) -> LayoutOptions {
+        let fields = |data_type: &DataType| match data_type {
+            DataType::List(item) => match item.data_type() {
+                DataType::Struct(fields) => Some(fields.clone()),
+                _ => None,
+            },
+            _ => None,
+        };
+        let blocks = schema.fields().find("blocks").and_then(|(_, field)| fields(field.data_type()));
+        let field = |name: &str| blocks.as_ref().and_then(|fields| fields.find(name));
+        LayoutOptions {
+            has_gain: field(GAIN).is_some(),
+            has_fractions: field("samples").is_some_and(|(_, field)| *field.data_type() == fractions()),
+        }
+    }
+
+    /// The columns.
+    pub(super) fn columns(self) -> impl Iterator<Item = &'static ColumnLayout> {
+        COLUMNS.iter().chain(if self.has_fractions { FOOTPRINT } else { &[] })
+    }
+}
+
 /// The fields of the column `blocks`.
 #[rustfmt::skip]
 pub static BLOCK: &[ColumnLayout] = &[
     required("channel", ColumnKind::U8, "0 high power, 1 low power, 2 saturation, 3 reference (outgoing pulse)"),
     required("start_ns", ColumnKind::F64, "time of the first sample after the row's `clock_ps`, ns"),
-    required("samples", ColumnKind::Samples, "digitiser steps"),
+    required("samples", ColumnKind::Samples, "digitiser steps; in version 2 of the layout f32, fractions of a step"),
     optional("zone", ColumnKind::I16, "zone of this block; null: the row's `mta_zone`"),
     optional("interval_ns", ColumnKind::F64, "sampling interval, ns; null: `wavex.sampling_interval_ns`"),
     optional(GAIN, ColumnKind::F64, "gain relative to the reference gain, 1/1024 to 1024: samples are background + gain x (signal + receiver noise) + quantisation noise; null: 1. Written only with automatic gain control"),
@@ -127,7 +172,7 @@ const fn key(name: &'static str, required: bool, form: &'static str, meaning: &'
 /// Numbers are written with enough digits to read back the same bits.
 #[rustfmt::skip]
 pub static KEYS: &[MetadataKey] = &[
-    key("wavex.container", true, "`1`", "version of this layout"),
+    key("wavex.container", true, "`1` or `2`", "version of this layout: with `2`, samples are fractions of a digitiser step (f32)"),
     key("wavex.instrument", false, "text", "name of the instrument"),
     key("wavex.serial", false, "text", "serial number of the instrument"),
     key("wavex.sampling_interval_ns", true, "number > 0", "sampling interval, ns, unless a block has its own"),
@@ -164,6 +209,7 @@ impl ColumnKind {
             ColumnKind::F64 => DataType::Float64,
             ColumnKind::Triple => DataType::FixedSizeList(item(DataType::Float64), 3),
             ColumnKind::Samples => DataType::List(item(DataType::UInt16)),
+            ColumnKind::Text => DataType::Utf8,
             ColumnKind::Structs(columns) => DataType::List(item(DataType::Struct(fields(columns)))),
         }
     }
@@ -181,6 +227,7 @@ impl ColumnKind {
             ColumnKind::F64 => "f64",
             ColumnKind::Triple => "fixed-size list of 3 f64",
             ColumnKind::Samples => "list of u16",
+            ColumnKind::Text => "utf8",
             ColumnKind::Structs(_) => "list of struct",
         }
     }
@@ -199,50 +246,51 @@ pub(super) fn fields(columns: &[ColumnLayout]) -> Fields {
 }
 
 /// Fields of the column `blocks` to write.
-pub(super) fn block_fields(with_gain: bool) -> Fields {
-    BLOCK.iter().filter(|column| with_gain || column.name != GAIN).map(ColumnLayout::field).collect()
+pub(super) fn block_fields(options: LayoutOptions) -> Fields {
+    let written = BLOCK.iter().filter(|column| options.has_gain || column.name != GAIN);
+    let field = |column: &ColumnLayout| match column.kind {
+        ColumnKind::Samples if options.has_fractions => Field::new(column.name, fractions(), column.nullable),
+        _ => column.field(),
+    };
+    written.map(field).collect()
 }
 
-/// Whether the blocks of a schema have a gain.
-pub(super) fn has_gain(schema: &Schema) -> bool {
-    let blocks = schema.fields().find("blocks").map(|(_, field)| field.data_type());
-    let Some(DataType::List(item)) = blocks else { return false };
-    matches!(item.data_type(), DataType::Struct(fields) if fields.find(GAIN).is_some())
+/// Type of the samples of version 2.
+pub(super) fn fractions() -> DataType {
+    DataType::List(Arc::new(Field::new("item", DataType::Float32, false)))
 }
 
 /// The schema of a container with this metadata.
-pub(super) fn schema(metadata: Metadata, with_gain: bool) -> Schema {
-    let blocks = DataType::Struct(block_fields(with_gain));
+pub(super) fn schema(metadata: Metadata, options: LayoutOptions) -> Schema {
+    let blocks = DataType::Struct(block_fields(options));
     let blocks = DataType::List(Arc::new(Field::new("item", blocks, false)));
     let field = |column: &ColumnLayout| match column.name {
         "blocks" => Field::new(column.name, blocks.clone(), column.nullable),
         _ => column.field(),
     };
-    Schema::new_with_metadata(COLUMNS.iter().map(field).collect::<Fields>(), metadata)
+    Schema::new_with_metadata(options.columns().map(field).collect::<Fields>(), metadata)
 }
 
-/// Indices of [`COLUMNS`] in a schema; `None` for a missing optional one.
+/// Indices of the columns of a version in a schema; `None` for a missing optional one.
 ///
 /// Errors name the column that is missing or has another type. Names of list items and declared
 /// nullability are ignored; the contents of the columns are checked instead. Large lists and signed
 /// shot numbers, as Polars writes them, are accepted.
-pub(super) fn find(schema: &Schema, location: ContainerLocation) -> Result<Vec<Option<usize>>> {
-    find_in(schema.fields(), COLUMNS, "", location)
-}
-
-fn find_in(
-    found: &Fields,
-    columns: &[ColumnLayout],
-    prefix: &str,
+pub(super) fn find(
+    schema: &Schema,
+    has_fractions: bool,
     location: ContainerLocation,
 ) -> Result<Vec<Option<usize>>> {
-    columns.iter().map(|column| find_one(found, column, prefix, location)).collect()
+    let columns = LayoutOptions { has_fractions, ..LayoutOptions::default() }.columns();
+    let sample = if has_fractions { DataType::Float32 } else { DataType::UInt16 };
+    columns.map(|column| find_one(schema.fields(), column, "", &sample, location)).collect()
 }
 
 fn find_one(
     found: &Fields,
     column: &ColumnLayout,
     prefix: &str,
+    sample: &DataType,
     location: ContainerLocation,
 ) -> Result<Option<usize>> {
     let path = format!("{prefix}{}", column.name);
@@ -260,19 +308,27 @@ fn find_one(
     let same = match (&column.kind, field.data_type()) {
         (ColumnKind::Triple, DataType::FixedSizeList(item, 3)) => *item.data_type() == DataType::Float64,
         (ColumnKind::U64, DataType::Int64) => true,
-        (ColumnKind::Samples, DataType::List(item) | DataType::LargeList(item)) => {
-            *item.data_type() == DataType::UInt16
+        (ColumnKind::Samples, DataType::List(item) | DataType::LargeList(item)) => item.data_type() == sample,
+        (ColumnKind::Structs(inner), DataType::List(item) | DataType::LargeList(item)) => {
+            match item.data_type() {
+                DataType::Struct(found) => {
+                    let prefix = format!("{path}.");
+                    inner.iter().try_for_each(|column| {
+                        find_one(found, column, &prefix, sample, location).map(drop)
+                    })?;
+                    true
+                }
+                _ => false,
+            }
         }
-        (ColumnKind::Structs(inner), DataType::List(item) | DataType::LargeList(item)) => match item
-            .data_type()
-        {
-            DataType::Struct(found) => find_in(found, inner, &format!("{path}."), location).map(|_| true)?,
-            _ => false,
-        },
         (kind, found) => kind.data_type() == *found,
     };
     if !same {
-        let problem = format!("the type is {} and should be {}", field.data_type(), column.kind.name());
+        let expected = match column.kind {
+            ColumnKind::Samples if *sample == DataType::Float32 => "list of f32",
+            _ => column.kind.name(),
+        };
+        let problem = format!("the type is {} and should be {expected}", field.data_type());
         return Err(location.bad(
             format!("column `{path}`"),
             problem,
@@ -289,11 +345,12 @@ pub fn description() -> Value {
         .map(|key| json!({"key": key.name, "required": key.required, "form": key.form, "meaning": key.meaning}))
         .collect();
     json!({
-        "title": "wavex open waveform container, version 1",
+        "title": "wavex open waveform container, versions 1 and 2",
         "format": "Apache Arrow IPC, file or stream; buffers plain, LZ4_FRAME or ZSTD",
         "record_batch": "one scan line",
         "row": "one shot",
         "columns": describe(COLUMNS),
+        "columns_of_version_2": describe(FOOTPRINT),
         "metadata": keys,
         "digest": {
             "key": super::digest::KEY,

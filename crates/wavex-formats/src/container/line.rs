@@ -5,11 +5,12 @@ use std::sync::Arc;
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::{
-    ArrowPrimitiveType, Float32Type, Float64Type, Int16Type, Int64Type, UInt16Type, UInt32Type,
+    ArrowPrimitiveType, Float32Type, Float64Type, Int16Type, Int64Type, UInt8Type, UInt16Type, UInt32Type,
+    UInt64Type,
 };
 use arrow_array::{
     Array, ArrayRef, FixedSizeListArray, Float32Array, Float64Array, Int16Array, Int64Array, LargeListArray,
-    ListArray, PrimitiveArray, StructArray, UInt8Array, UInt16Array, UInt32Array, UInt64Array,
+    ListArray, PrimitiveArray, StringArray, StructArray, UInt8Array, UInt16Array, UInt32Array, UInt64Array,
 };
 
 use arrow_buffer::OffsetBuffer;
@@ -59,8 +60,23 @@ pub struct ContainerBlock<'a> {
     pub zone: Option<i16>,
     /// Gain relative to the reference gain; `None`: 1.
     pub gain: Option<f64>,
-    /// Digitiser steps.
+    /// Digitiser steps; empty if they are fractions ([`ContainerLine::fractions`]).
     pub samples: &'a [u16],
+}
+
+/// What a recording of large footprints says of a row; unknown in version 1 of the layout.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ContainerFootprint<'a> {
+    /// Name of the beam.
+    pub beam: Option<&'a str>,
+    /// Number of the shot in its mission.
+    pub shot_number: Option<u64>,
+    /// Background by the instrument's processing, digitiser steps.
+    pub noise_mean_dn: Option<f64>,
+    /// Standard deviation of a sample by the instrument's processing, digitiser steps.
+    pub noise_sd_dn: Option<f64>,
+    /// Whether the instrument's flags advise against the shot.
+    pub is_advised_against: bool,
 }
 
 /// A return computed by the instrument.
@@ -90,6 +106,17 @@ pub struct ContainerLine {
     online: Online,
     scan_angle_deg: Option<Float32Array>,
     frame_scale: Option<Float64Array>,
+    footprint: FootprintColumns,
+}
+
+/// Columns of version 2.
+#[derive(Debug)]
+struct FootprintColumns {
+    beam: Option<StringArray>,
+    shot_number: Option<UInt64Array>,
+    noise_mean_dn: Option<Float64Array>,
+    noise_sd_dn: Option<Float64Array>,
+    advised_against: Option<UInt8Array>,
 }
 
 #[derive(Debug)]
@@ -98,10 +125,17 @@ struct BlockColumns {
     channel: UInt8Array,
     start_ns: Float64Array,
     lists: ListArray,
-    samples: UInt16Array,
+    samples: SampleValues,
     zone: Option<Int16Array>,
     interval_ns: Option<Float64Array>,
     gain: Option<Float64Array>,
+}
+
+/// Samples of all blocks.
+#[derive(Debug)]
+enum SampleValues {
+    Steps(UInt16Array),
+    Fractions(Float32Array),
 }
 
 #[derive(Debug)]
@@ -132,6 +166,13 @@ impl ContainerLine {
             online: all.online(10)?,
             scan_angle_deg: all.optional::<Float32Type>(11, "scan_angle_deg")?,
             frame_scale: all.optional::<Float64Type>(12, "frame_scale")?,
+            footprint: FootprintColumns {
+                beam: all.text(13, "beam")?,
+                shot_number: all.optional::<UInt64Type>(14, "shot_number")?,
+                noise_mean_dn: all.optional::<Float64Type>(15, "noise_mean_dn")?,
+                noise_sd_dn: all.optional::<Float64Type>(16, "noise_sd_dn")?,
+                advised_against: all.optional::<UInt8Type>(17, "advised_against")?,
+            },
         })
     }
 
@@ -184,6 +225,31 @@ impl ContainerLine {
         items(&self.blocks.rows, row).map(|index| self.blocks.at(index))
     }
 
+    /// Samples of the blocks of a row that are fractions of a digitiser step, in the same order.
+    ///
+    /// Empty for blocks of whole steps.
+    pub fn fractions(&self, row: usize) -> impl ExactSizeIterator<Item = &[f32]> {
+        let blocks = &self.blocks;
+        items(&blocks.rows, row).map(|index| match &blocks.samples {
+            SampleValues::Steps(_) => &[],
+            SampleValues::Fractions(values) => &values.values()[items(&blocks.lists, index)],
+        })
+    }
+
+    /// What a recording of large footprints says of a row.
+    pub fn footprint(&self, row: usize) -> ContainerFootprint<'_> {
+        let FootprintColumns { beam, shot_number, noise_mean_dn, noise_sd_dn, advised_against } =
+            &self.footprint;
+        let beam = beam.as_ref().filter(|names| names.is_valid(row)).map(|names| names.value(row));
+        ContainerFootprint {
+            beam,
+            shot_number: shot_number.as_ref().and_then(|array| value(array, row)),
+            noise_mean_dn: noise_mean_dn.as_ref().and_then(|array| value(array, row)),
+            noise_sd_dn: noise_sd_dn.as_ref().and_then(|array| value(array, row)),
+            is_advised_against: advised_against.as_ref().and_then(|array| value(array, row)) == Some(1),
+        }
+    }
+
     /// The instrument's own returns of a row.
     pub fn online(&self, row: usize) -> impl ExactSizeIterator<Item = ContainerOnline> + '_ {
         let online = &self.online;
@@ -202,7 +268,10 @@ impl BlockColumns {
             interval_ns: self.interval_ns.as_ref().and_then(|array| value(array, index)),
             zone: self.zone.as_ref().and_then(|array| value(array, index)),
             gain: self.gain.as_ref().and_then(|array| value(array, index)),
-            samples: &self.samples.values()[items(&self.lists, index)],
+            samples: match &self.samples {
+                SampleValues::Steps(values) => &values.values()[items(&self.lists, index)],
+                SampleValues::Fractions(_) => &[],
+            },
         }
     }
 }
@@ -247,6 +316,10 @@ impl BatchColumns<'_> {
         self.get(index).map(|array| self.typed(name, array.as_primitive_opt::<T>())).transpose()
     }
 
+    fn text(&self, index: usize, name: &str) -> Result<Option<StringArray>> {
+        self.get(index).map(|array| self.typed(name, array.as_string_opt::<i32>())).transpose()
+    }
+
     fn full<T: ArrowPrimitiveType>(&self, index: usize, name: &str) -> Result<PrimitiveArray<T>> {
         let array = self.primitive::<T>(index, name)?;
         self.no_null(&array, name, 0..array.len(), |row| row)?;
@@ -288,11 +361,15 @@ impl BatchColumns<'_> {
         let structs = self.structs(&rows, "blocks")?;
         let lists = self.lists("blocks.samples", structs.column_by_name("samples"))?;
         self.no_null(&lists, "blocks.samples", span(&rows), |item| row_of(&rows, item))?;
-        let samples: UInt16Array =
-            self.typed("blocks.samples", lists.values().as_primitive_opt::<UInt16Type>())?;
+        let samples = match lists.values().as_primitive_opt::<Float32Type>() {
+            Some(fractions) => SampleValues::Fractions(fractions.clone()),
+            None => SampleValues::Steps(
+                self.typed("blocks.samples", lists.values().as_primitive_opt::<UInt16Type>())?,
+            ),
+        };
         let used = span(&rows);
         let within = items_of(&lists, &used);
-        self.no_null(&samples, "blocks.samples", within, |item| row_of(&rows, row_of(&lists, item)))?;
+        self.no_null(lists.values(), "blocks.samples", within, |item| row_of(&rows, row_of(&lists, item)))?;
         let nullable = |name| structs.column_by_name(name);
         Ok(BlockColumns {
             channel: self.inner(&rows, &structs, "blocks.channel", |array| array.as_primitive_opt())?,

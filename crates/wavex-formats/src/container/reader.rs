@@ -47,7 +47,7 @@ impl ContainerReader {
     fn new(file: &Path, messages: Messages, schema: &arrow_schema::Schema) -> Result<ContainerReader> {
         let location = ContainerLocation { file, offset: 0, first_row: 0 };
         let header = ContainerHeader::from_metadata(schema.metadata(), location)?;
-        let decoder = Decoder::new(schema, layout::find(schema, location)?);
+        let decoder = Decoder::new(schema, layout::find(schema, header.has_fractions, location)?);
         Ok(ContainerReader { file: file.to_path_buf(), header, messages, decoder, rows: 0 })
     }
 

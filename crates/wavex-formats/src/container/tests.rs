@@ -11,6 +11,7 @@ use crate::Result;
 mod corrupt;
 mod digests;
 mod foreign;
+mod fractions;
 
 /// Channel, start, interval, zone and samples of a block.
 type OwnBlock = (u8, f64, Option<f64>, Option<i16>, Vec<u16>);

@@ -2,6 +2,27 @@
 
 use wavex_footprints::{HEIGHTS, WithSd};
 
+/// Names of instruments with large footprints, as whole words.
+const INSTRUMENTS: [&str; 3] = ["LVIS", "GEDI", "GLAS"];
+/// Shortest waveform of an instrument with large footprints, ns.
+///
+/// LVIS records 864 ns and GEDI 700 ns and more, whole crowns with the ground. Small-footprint instruments record at most
+/// 256 ns around their echoes.
+pub const LARGE_FOOTPRINT_NS: f64 = 400.0;
+/// Highest pulse rate of an instrument with large footprints, Hz: each needs a pulse of several mJ.
+const LARGE_FOOTPRINT_RATE_HZ: f64 = 5_000.0;
+
+/// Whether a recording has footprints of about 10 m and more, profiles of ground and canopy.
+///
+/// Decides by the name of the instrument, or else by the length of the waveforms, ns, and the pulse rate, Hz; NaN where
+/// unknown. Pulse width, divergence and height do not decide: converters fill the width with a constant, and few files
+/// state the others.
+pub fn has_large_footprints(instrument: Option<&str>, length_ns: f64, rate_hz: f64) -> bool {
+    let mut words = instrument.unwrap_or_default().split(|letter: char| !letter.is_alphanumeric());
+    let is_named = words.any(|word| INSTRUMENTS.contains(&word));
+    is_named || (length_ns >= LARGE_FOOTPRINT_NS && rate_hz < LARGE_FOOTPRINT_RATE_HZ)
+}
+
 /// Ground, canopy and relative heights of a shot with a large footprint.
 ///
 /// Set by `measure_footprints`. Ranges as in [`Return`](super::Return); heights are along the beam, from the
@@ -54,4 +75,21 @@ pub mod footprint_flags {
     pub const AMBIGUOUS: u8 = 1 << 3;
     /// The instrument's own flags advise against the shot (degraded pointing, stale waveform).
     pub const DEGRADED: u8 = 1 << 4;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_or_long_waveforms_at_a_low_rate_are_of_large_footprints() {
+        let lvis = Some("NASA Laser Vegetation Imaging Sensor (LVIS)");
+        assert!(has_large_footprints(lvis, f64::NAN, f64::NAN));
+        assert!(has_large_footprints(None, 864.0, 500.0), "unnamed");
+        assert!(!has_large_footprints(Some("LVISION"), 256.0, 500.0), "part of a word");
+        assert!(!has_large_footprints(Some("Q680"), 240.0, 150_000.0));
+        assert!(!has_large_footprints(None, 864.0, 150_000.0), "of a long block");
+        assert!(!has_large_footprints(None, 240.0, 1_000.0), "of a slow scanner");
+        assert!(!has_large_footprints(None, 864.0, f64::NAN), "of one shot");
+    }
 }

@@ -264,6 +264,11 @@ impl Blocks {
         self.list.last_mut().into_iter().for_each(|last| last.gain = gain);
     }
 
+    /// Sets the zone of the last block.
+    pub fn set_last_zone(&mut self, zone: Option<i16>) {
+        self.list.last_mut().into_iter().for_each(|last| last.zone = zone);
+    }
+
     /// Marks the zone of the last block as assigned on weak evidence.
     pub fn doubt_last_zone(&mut self) {
         self.list.last_mut().into_iter().for_each(|last| last.is_zone_uncertain = true);
@@ -300,11 +305,16 @@ impl Blocks {
         held(&self.arena, block, false)
     }
 
+    /// Samples of a block that are fractions of a digitiser step; empty if they were not read, or are whole steps.
+    pub fn fractions(&self, block: &Block) -> &[f32] {
+        held(&self.fractions, block, true)
+    }
+
     /// Replaces the content of `into` by the samples of a block of either type, digitiser steps; by none if
     /// they were not read.
     pub fn fractions_into(&self, block: &Block, into: &mut Vec<f32>) {
         into.clear();
-        into.extend_from_slice(held(&self.fractions, block, true));
+        into.extend_from_slice(self.fractions(block));
         into.extend(self.samples(block).iter().map(|&sample| f32::from(sample)));
     }
 
@@ -398,6 +408,11 @@ impl Block {
     /// Number of samples, whether they were read or not.
     pub fn len(&self) -> usize {
         self.len as usize
+    }
+
+    /// Whether its samples are fractions of a digitiser step.
+    pub fn has_fractions(&self) -> bool {
+        self.has_fractions
     }
 
     /// Whether the block has no samples.

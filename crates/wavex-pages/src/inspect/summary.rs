@@ -91,6 +91,8 @@ fn about_file(file: &Path, inspection: &Inspection) -> SummarySection {
     section.say("format", input.format.clone());
     section.say_if("instrument", input.instrument.clone());
     section.say_if("serial number", input.serial.clone());
+    let of_large = "large: profiles of ground and canopy, which `measure_footprints` measures";
+    section.say_if("footprints", inspection.has_large_footprints().then_some(of_large));
     let day_of = if input.is_file_date { "file created" } else { "recorded" };
     section.say_if(day_of, recorded(input));
     section.say(

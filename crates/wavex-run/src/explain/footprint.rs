@@ -3,12 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{ExplainRequest, FOOTPRINTS, default_job, failed, keys_of, nearest};
+use super::{ExplainRequest, FOOTPRINTS, MEASURE, ShotNumbers, default_job, failed, keys_of, nearest};
 use crate::{Failure, job_file};
 use wavex_engine::engine::ProgressMode;
-use wavex_engine::job::Override;
+use wavex_engine::job::{Job, Override};
 use wavex_engine::recording::Recording;
-use wavex_line::stage::{Context, LineLocation, RunContext, SourceConfig};
+use wavex_formats::format::reader_of;
+use wavex_line::scan_line::ScanLine;
+use wavex_line::stage::{Context, LineLocation, Plan, RunContext, SourceConfig, SourcePlan};
 use wavex_pages::explain::ExplainedFootprint;
 use wavex_stages::process::measure_footprints::MeasureFootprints;
 use wavex_stages::readers::read_hdf5::{BeamShot, ReadHdf5};
@@ -17,8 +19,28 @@ use wavex_stages::readers::read_hdf5::{BeamShot, ReadHdf5};
 pub struct FootprintChain {
     file: PathBuf,
     progress: ProgressMode,
-    reader: ReadHdf5,
+    reader: ProfileReader,
     measure: MeasureFootprints,
+}
+
+/// Reader of a recording of large footprints.
+enum ProfileReader {
+    Hdf5(ReadHdf5),
+    /// Another reader, with its keys.
+    Other(Arc<dyn SourcePlan>, serde_json::Value),
+}
+
+impl ProfileReader {
+    /// Of the first stage of a job.
+    fn of(job: &Job) -> Result<ProfileReader, Failure> {
+        if job.stages.first().is_some_and(|first| first.spec.name == FOOTPRINTS) {
+            return Ok(ProfileReader::Hdf5(keys_of(job, FOOTPRINTS)?));
+        }
+        match job.stages.first().map(|stage| (&stage.planned.plan, &stage.planned.resolved)) {
+            Some((Plan::Source(reader), keys)) => Ok(ProfileReader::Other(Arc::clone(reader), keys.clone())),
+            _ => Err(Failure::Wrong(format!("{}: the job has no reader; add one", job.name))),
+        }
+    }
 }
 
 /// Error for a sensor model, with its remedy.
@@ -38,25 +60,30 @@ impl FootprintChain {
             return Err(without_model(request.file, "leave out --model"));
         }
         let set = if request.job.is_some() { &[] } else { request.set };
-        let default_job = default_job(FOOTPRINTS, &["measure_footprints"], &file.display().to_string(), set)?;
+        let name = file.display().to_string();
+        let format = reader_of(&name).map_err(Failure::Wrong)?;
+        let default_job = default_job(format, &[MEASURE], &name, set)?;
         let job = match request.job {
             None => &default_job,
             Some(path) => &job_file::read(path, request.set.iter().map(Override::new).collect())?,
         };
-        let reads_it = job.stages.first().is_some_and(|first| first.spec.name == FOOTPRINTS);
-        let reader = keys_of(if reads_it { job } else { &default_job }, FOOTPRINTS)?;
+        let reads_it = job.stages.first().is_some_and(|first| first.spec.name == format);
         Ok(FootprintChain {
             file,
             progress: request.progress,
-            reader,
-            measure: keys_of(job, "measure_footprints")?,
+            reader: ProfileReader::of(if reads_it { job } else { &default_job })?,
+            measure: keys_of(job, MEASURE)?,
         })
     }
 
     /// Opens the recording for random access.
     fn recording(&self) -> Result<Recording, Failure> {
-        let keys = serde_json::to_value(&self.reader).map_err(|error| failed(&error))?;
-        let reader = Arc::new(self.reader.clone());
+        let (reader, keys): (Arc<dyn SourcePlan>, _) = match &self.reader {
+            ProfileReader::Hdf5(reader) => {
+                (Arc::new(reader.clone()), serde_json::to_value(reader).map_err(|error| failed(&error))?)
+            }
+            ProfileReader::Other(reader, keys) => (Arc::clone(reader), keys.clone()),
+        };
         Recording::of_reader(reader, &keys, RunContext::alone(&self.file)).map_err(|error| failed(&error))
     }
 
@@ -67,8 +94,13 @@ impl FootprintChain {
     /// # Errors
     /// If the recording cannot be read, has no such shot, or the shot cannot be measured.
     pub fn explain(&self, shot: u64) -> Result<ExplainedFootprint, Failure> {
-        let place = self.reader.find(&self.file, shot).map_err(|error| failed(&error))?;
-        self.explain_at(&place)
+        match &self.reader {
+            ProfileReader::Hdf5(reader) => {
+                let place = reader.find(&self.file, shot).map_err(|error| failed(&error))?;
+                self.explain_at(reader, &place)
+            }
+            ProfileReader::Other(reader, _) => self.explain_in_order(&**reader, shot),
+        }
     }
 
     /// Measures the shot with this running number.
@@ -76,8 +108,13 @@ impl FootprintChain {
     /// # Errors
     /// As [`FootprintChain::explain`].
     pub fn explain_running(&self, shot: u64) -> Result<ExplainedFootprint, Failure> {
-        let place = self.reader.at(&self.file, shot).map_err(|error| failed(&error))?;
-        self.explain_at(&place)
+        match &self.reader {
+            ProfileReader::Hdf5(reader) => {
+                let place = reader.at(&self.file, shot).map_err(|error| failed(&error))?;
+                self.explain_at(reader, &place)
+            }
+            ProfileReader::Other(reader, _) => self.explain_in_order(&**reader, shot),
+        }
     }
 
     /// Returns the running number of the shot nearest to a time, and its time, s.
@@ -88,11 +125,50 @@ impl FootprintChain {
         nearest(self.recording()?, &self.file, self.progress, time_s)
     }
 
-    fn explain_at(&self, BeamShot { beam, index }: &BeamShot) -> Result<ExplainedFootprint, Failure> {
+    /// Reads lines until the shot was found and those from which the stage learns, the first ones of its beam.
+    fn explain_in_order(&self, reader: &dyn SourcePlan, shot: u64) -> Result<ExplainedFootprint, Failure> {
+        let mut source = reader.make(&RunContext::alone(&self.file)).map_err(|error| failed(&error))?;
+        let (mut cx, mut seen) = (Context::default(), ShotNumbers::default());
+        let (mut first, mut shots) = (Vec::<ScanLine>::new(), 0);
+        let mut found: Option<(ScanLine, u32)> = None;
+        while let Some(line) = source.next(&mut cx).map_err(|error| failed(&error))? {
+            let is_other_beam = first.first().is_some_and(|first| !Arc::ptr_eq(&first.input, &line.input));
+            if found.is_some() && (is_other_beam || shots >= self.measure.shots) {
+                break;
+            }
+            if is_other_beam {
+                (first, shots) = (Vec::new(), 0);
+            }
+            line.emissions.iter().for_each(|emission| seen.add(emission.shot));
+            if found.is_none() {
+                found = index_of(&line, shot).map(|index| (line.copied(), index));
+            }
+            if shots < self.measure.shots {
+                shots += line.distinct_waveforms();
+                first.push(line);
+            }
+        }
+        let Some((line, index)) = found else {
+            return Err(Failure::Wrong(seen.without(shot, &self.file)));
+        };
+        let file = self.file.display().to_string();
+        let seen = self.measure.seen(&first, &line, index);
+        let seen = seen.map_err(|error| Failure::Run(format!("{file}: {error}")))?;
+        let problem = format!("{file}: shot {shot} has no background beside its signal; choose another one");
+        let seen = seen.ok_or(Failure::Wrong(problem))?;
+        Ok(ExplainedFootprint { file, seen })
+    }
+
+    fn explain_at(
+        &self,
+        reader: &ReadHdf5,
+        BeamShot { beam, index }: &BeamShot,
+    ) -> Result<ExplainedFootprint, Failure> {
         let file = self.file.display().to_string();
         let stage_failed = |error| failed(&error);
-        let reader = self.reader.of_beam(beam);
-        let mut source = reader.make(&RunContext::alone(&self.file)).map_err(stage_failed)?;
+        let reader = reader.of_beam(beam);
+        let run = RunContext::alone(&self.file);
+        let mut source = SourceConfig::make(&reader, &run).map_err(stage_failed)?;
         let mut cx = Context::default();
         let (mut first, mut shots) = (Vec::new(), 0);
         while shots < self.measure.shots
@@ -118,4 +194,12 @@ impl FootprintChain {
         let seen = seen.ok_or_else(|| without("no background beside its signal"))?;
         Ok(ExplainedFootprint { file, seen })
     }
+}
+
+/// Index in a line of the shot with this number in its mission, or else this running number.
+fn index_of(line: &ScanLine, shot: u64) -> Option<u32> {
+    let records = line.blocks().map_or(&[][..], |blocks| &blocks.footprints);
+    let by_mission = records.iter().find(|record| record.shot_number == shot).map(|record| record.emission);
+    by_mission
+        .or_else(|| (0..).zip(&line.emissions).find(|(_, found)| found.shot == shot).map(|(index, _)| index))
 }

@@ -16,7 +16,7 @@ pub use presets::Preset;
 use wavex_line::scan_line::{Channel, InputInfo, Kind, ScanLine};
 use wavex_line::stage::{
     Holds, Learning, Learns, LookAhead, MakeTransform, Output, OutputFile, Plan, Result, RunContext,
-    StageError, StageSpec, SurveyModels, Transform, TransformConfig,
+    StageError, StageSpec, SurveyModels, Transform, TransformConfig, check_whole_steps,
 };
 use wavex_signal::calibrate::response::{Calibrated, calibrate_response};
 use wavex_signal::calibrate::{
@@ -159,6 +159,7 @@ impl MakeTransform for WithModel {
 
 impl Transform for Calibrator {
     fn process(&mut self, mut line: ScanLine, out: &mut Output) -> Result<()> {
+        check_whole_steps(&line, "calibrate")?;
         self.take_from_survey(&line, out);
         self.save(out)?;
         if let Some(model) = &self.model {

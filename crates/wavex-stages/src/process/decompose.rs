@@ -10,6 +10,7 @@ use wavex_line::keys::{InvalidKey, above, at_least};
 use wavex_line::scan_line::{Blocks, Content, Kind, LineStats, Returns, ScanLine};
 use wavex_line::stage::{
     Config, Context, DecomposedLine, FittedShot, Map, MapConfig, Result, RunContext, StageError, StageSpec,
+    check_whole_steps,
 };
 use wavex_signal::decompose::DecomposeSettings;
 use wavex_signal::fusion::ChannelFusion;
@@ -311,6 +312,10 @@ impl Worker {
 
 impl Map for LineDecomposer {
     fn map(&mut self, mut scan_line: ScanLine, cx: &mut Context) -> Result<ScanLine> {
+        check_whole_steps(&scan_line, "decompose")?;
+        if scan_line.has_large_footprints() {
+            self.config.tables.set_large_footprints();
+        }
         let choice = self.config.online_points;
         let model = scan_line.model.clone();
         if model.is_none() && choice != OnlinePoints::Only {

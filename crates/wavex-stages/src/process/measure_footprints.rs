@@ -9,7 +9,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use wavex_footprints::{
-    FootprintEstimator, FootprintLearner, FootprintModel, FootprintSettings, outgoing_fwhm_samples,
+    EchoWidth, FootprintEstimator, FootprintLearner, FootprintModel, FootprintSettings, LEAST_SHOTS,
+    outgoing_fwhm_samples,
 };
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::{
@@ -37,14 +38,17 @@ pub const STAGE: StageSpec =
 
 /// Width of outgoing pulses while none has shown its own, samples.
 const USUAL_WIDTH_SAMPLES: f64 = 15.0;
+/// Part of the echoes, the narrowest, that give the response without outgoing pulses.
+const NARROWEST: f64 = 0.02;
 /// Shots that one thread measures in a row.
 const SHOTS_PER_TASK: usize = 32;
 
 /// Measures ground, canopy and relative heights of every shot, with standard deviations.
 ///
 /// For instruments with footprints of 20 m and more (GEDI, LVIS), whose waveforms are profiles of ground and
-/// vegetation, not a few echoes. The noise of each beam and its response, the mean outgoing pulse, are learnt
-/// from its first `shots` shots. Each waveform is smoothed; its signal lies between the first and the last crossing
+/// vegetation, not a few echoes. Any reader gives such waveforms: GEDI and LVIS as HDF5, LVIS as PulseWaves, and
+/// containers. The noise of each beam and its response, the mean outgoing pulse, are learnt
+/// from its first `shots` shots. Without outgoing pulses the response is the mean of the narrowest 2 % of the echoes. Each waveform is smoothed; its signal lies between the first and the last crossing
 /// of a threshold; modes become returns. The lowest is the ground: its return has class 2. Its standard deviation
 /// includes shifts by slope and low vegetation, and it has the probability that it is the ground, and not a layer
 /// above one that is not seen; both follow from the shape of the mode. Relative heights count from the ground upwards: below RH50 lies half of the energy, and RH100 is where the signal begins. Heights are
@@ -56,7 +60,7 @@ const SHOTS_PER_TASK: usize = 32;
 /// Cover and plant area index are those of GEDI02_B: the energy of canopy and ground, with the ratio of their
 /// reflectances, give the gap probability.
 ///
-/// Rejected, and counted, are waveforms without background beside their signal. The stage needs outgoing pulses.
+/// Rejected, and counted, are waveforms without background beside their signal: at least 100 samples.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MeasureFootprints {
@@ -217,13 +221,13 @@ impl Measurer {
         if !lines.iter().any(has_blocks) {
             return emit_without_returns(lines, out);
         }
-        let name = self.beam.as_ref().and_then(|beam| beam.input.beam.as_deref());
-        let model = match (learnt(&lines), name) {
-            (Ok(model), _) => model,
+        let beam = self.beam.as_ref().and_then(|beam| beam.input.beam.clone());
+        let Learnt { model, of_echoes } = match (learnt(&lines), &beam) {
+            (Ok(learnt), _) => learnt,
             (Err(error), None) => return Err(error),
             // Other beams can be measured.
-            (Err(error), Some(name)) => {
-                out.cx.warn(format!("{name} is not measured: {error}"));
+            (Err(error), Some(beam)) => {
+                out.cx.warn(format!("{beam} is not measured: {error}"));
                 out.cx.reject(
                     Reason::BeamNotLearnt,
                     lines.iter().map(|line| line.emissions.len() as u64).sum(),
@@ -233,11 +237,17 @@ impl Measurer {
             }
         };
         self.has_learnt = true;
-        if let Some(name) = name {
-            out.cx.info(format!(
-                "{name}: outgoing pulse of {:.1} ns, noise of {:.2} DN, from {} shots",
-                model.pulse_fwhm_ns, model.noise_sd_dn, model.shots
-            ));
+        let name = beam.map_or(String::new(), |beam| format!("{beam}: "));
+        let FootprintModel { pulse_fwhm_ns, noise_sd_dn, shots, .. } = &model;
+        match of_echoes {
+            None => out.cx.info(format!(
+                "{name}outgoing pulse of {pulse_fwhm_ns:.1} ns, noise of {noise_sd_dn:.2} DN, from {shots} shots"
+            )),
+            Some([count, of]) => out.cx.warn(format!(
+                "{name}no outgoing pulses are recorded: the response is the mean of the {count} narrowest of {of} \
+                 echoes, {pulse_fwhm_ns:.1} ns wide; if none of them is from flat ground, it is too wide, and the \
+                 ground too probable"
+            )),
         }
         for line in lines {
             let line = self.measured(line, &model, out)?;
@@ -306,22 +316,70 @@ fn echo_block(blocks: &Blocks, emission: u32) -> Option<&Block> {
     echoes.max_by_key(|block| block.len())
 }
 
+/// Noise and response of a beam.
+struct Learnt {
+    model: FootprintModel,
+    /// Number of echoes that gave the response, and number of clear ones; `None` if outgoing pulses gave it.
+    of_echoes: Option<[usize; 2]>,
+}
+
 /// Learns noise and response from the shots of lines.
-fn learnt(lines: &[ScanLine]) -> Result<FootprintModel> {
+fn learnt(lines: &[ScanLine]) -> Result<Learnt> {
     let (mut widths, mut interval_ns) = (Vec::new(), 1.0);
     let is_outgoing = |channel: Channel| channel == Channel::Reference;
     each_block(lines, is_outgoing, |_, samples| widths.extend(outgoing_fwhm_samples(samples)));
     each_block(lines, Channel::is_echo, |block, _| interval_ns = block.interval_ns);
-    let width_ns = median(widths).unwrap_or(USUAL_WIDTH_SAMPLES) * interval_ns;
-    let mut learner = FootprintLearner::new(interval_ns, width_ns);
-    each_block(lines, is_outgoing, |_, samples| learner.add_outgoing(samples));
+    let narrowest = if widths.len() < LEAST_SHOTS { NarrowestEchoes::of(lines) } else { None };
+    let width = narrowest.as_ref().map_or_else(|| median(widths), |echoes| Some(echoes.fwhm_samples));
+    let mut learner = FootprintLearner::new(interval_ns, width.unwrap_or(USUAL_WIDTH_SAMPLES) * interval_ns);
+    match &narrowest {
+        None => each_block(lines, is_outgoing, |_, samples| learner.add_outgoing(samples)),
+        Some(echoes) => each_block(lines, Channel::is_echo, |_, samples| {
+            if echoes.includes(samples) {
+                learner.add_echo(samples);
+            }
+        }),
+    }
     each_block(lines, Channel::is_echo, |_, samples| learner.add_waveform(samples));
-    learner.finish().map_err(|error| {
+    let model = learner.finish().map_err(|error| {
         StageError::failed(
             error.to_string(),
             "read a longer part of the beam, or leave the beam out with `beams` of read_hdf5; small footprints are for `calibrate` and `decompose`",
         )
-    })
+    })?;
+    Ok(Learnt { model, of_echoes: narrowest.map(|echoes| [echoes.count, echoes.of]) })
+}
+
+/// The narrowest echoes of lines, which are as wide as the outgoing pulse if they are from flat ground.
+struct NarrowestEchoes {
+    /// Their median full width at half maximum, samples.
+    fwhm_samples: f64,
+    /// Their largest spread, samples.
+    spread_samples: f64,
+    /// Their number, and the number of clear echoes.
+    count: usize,
+    of: usize,
+}
+
+impl NarrowestEchoes {
+    /// `None` if there are too few.
+    fn of(lines: &[ScanLine]) -> Option<NarrowestEchoes> {
+        let mut widths = Vec::new();
+        each_block(lines, Channel::is_echo, |_, samples| widths.extend(EchoWidth::of(samples)));
+        widths.sort_unstable_by(|a, b| a.spread_samples.total_cmp(&b.spread_samples));
+        let count = ((NARROWEST * widths.len() as f64) as usize).max(LEAST_SHOTS);
+        let narrowest = widths.get(..count)?;
+        Some(NarrowestEchoes {
+            fwhm_samples: median(narrowest.iter().map(|width| width.fwhm_samples))?,
+            spread_samples: narrowest.last()?.spread_samples,
+            count,
+            of: widths.len(),
+        })
+    }
+
+    fn includes(&self, samples: &[f32]) -> bool {
+        EchoWidth::of(samples).is_some_and(|width| width.spread_samples <= self.spread_samples)
+    }
 }
 
 /// Gives each block of these channels with its samples.

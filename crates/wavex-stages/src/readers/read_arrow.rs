@@ -12,15 +12,16 @@ use crate::reading::plausible;
 use crate::reading::recording::{
     AsDeclared, Declared, FullScale, InputCrs, OddSamples, PulseSpeed, Sampling, TimeKeys,
 };
+use wavex_footprints::RecordedNoise;
 use wavex_formats::Error;
 use wavex_formats::container::{
-    self, ContainerBlock, ContainerLine, ContainerOnline, ContainerReader, ContainerShot,
+    self, ContainerBlock, ContainerFootprint, ContainerLine, ContainerOnline, ContainerReader, ContainerShot,
 };
 use wavex_line::keys::InvalidKey;
 use wavex_line::plausibility::Check;
 use wavex_line::scan_line::{
-    Blocks, Emission, EmissionReference, GainControl, InputInfo, Kind, MAX_SHOTS_PER_LINE, OnlineReturn,
-    ScanLine,
+    Blocks, Emission, EmissionReference, FootprintRecord, GainControl, InputInfo, Kind, MAX_SHOTS_PER_LINE,
+    OnlineReturn, ScanLine,
 };
 use wavex_line::stage::{
     self, Context, LineLocation, Paths, Reason, Result, RunContext, Source, SourceConfig, StageError,
@@ -41,7 +42,10 @@ pub const STAGE: StageSpec = StageSpec::source::<ReadArrow>("read_arrow", Kind::
 /// error that names the column and the row. Large lists and signed shot numbers are accepted. A group
 /// velocity that light does not have in air, and a sampling interval outside 0.05 to 20 ns, are errors.
 ///
-/// A scan line ends with its record line, where the column `line` changes, and after 4096 shots;
+/// Samples of version 2 of the container are fractions of a digitiser step: `measure_footprints` measures them, and
+/// stages for whole steps (`calibrate`, `decompose`) refuse them. Beams follow each other, as in `read_hdf5`.
+///
+/// A scan line ends with its record line, where the column `line` or `beam` changes, and after 4096 shots;
 /// the parts of a longer line keep its number. Record lines are limited to 1 GiB.
 ///
 /// Without the key `wavex.emission_reference`, the time of emission is taken from the outgoing
@@ -53,7 +57,7 @@ pub const STAGE: StageSpec = StageSpec::source::<ReadArrow>("read_arrow", Kind::
 /// earlier than that of the previous shot in its line or its number, a frame scale that is not between
 /// 0.1 and 10, a scan angle beyond 180 degrees, a block of an unknown channel, a block without a time, more
 /// than 0.01 s from its shot, with an interval that is not between 0.05 and 20 ns or with a gain that is not
-/// between 1/1024 and 1024, or an online return without a time. The line continues without them.
+/// between 1/1024 and 1024, a sample that is not finite, or an online return without a time. The line continues without them.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ReadArrow {
@@ -141,6 +145,8 @@ struct ArrowLineReader {
     /// If false, blocks have a sample count but no samples.
     with_samples: bool,
     info: Arc<InputInfo>,
+    /// Metadata with the name of the current beam, of a recording with beams.
+    of_beam: Option<Arc<InputInfo>>,
     /// The current record line, and its first row not yet emitted.
     at: Option<(ContainerLine, usize)>,
     /// Number of the current record line.
@@ -189,7 +195,7 @@ impl ArrowLineReader {
             true => EmissionReference::OutgoingPulse,
             false => EmissionReference::Clock,
         };
-        let format = format!("wavex container {} (Arrow IPC {})", container::VERSION, reader.form());
+        let format = format!("wavex container {} (Arrow IPC {})", reader.header().version(), reader.form());
         let info = info_of(reader.header(), path.clone(), stem.clone(), format, reference);
         let mut info = sampling.with(info);
         if first.as_ref().is_some_and(ContainerLine::has_gain) {
@@ -198,7 +204,17 @@ impl ArrowLineReader {
         let info = Arc::new(info);
         let at = first.map(|line| (line, 0));
         let (number, location, damage) = (0, None, None);
-        Ok(ArrowLineReader { reader, with_samples: true, info, at, number, location, damage })
+        Ok(ArrowLineReader { reader, with_samples: true, info, of_beam: None, at, number, location, damage })
+    }
+
+    /// Metadata of a beam: the same for successive lines of it.
+    fn info_of_beam(&mut self, name: Option<&str>) -> Arc<InputInfo> {
+        let Some(name) = name else { return Arc::clone(&self.info) };
+        let current = self.of_beam.take().filter(|info| info.beam.as_deref() == Some(name));
+        let of_beam = current.unwrap_or_else(|| {
+            Arc::new(InputInfo { beam: Some(name.to_owned()), ..InputInfo::clone(&self.info) })
+        });
+        Arc::clone(self.of_beam.insert(of_beam))
     }
 
     /// Takes the next rows that form a line from the current record line.
@@ -207,14 +223,16 @@ impl ArrowLineReader {
         if from >= line.rows() {
             return None;
         }
-        let number = line.line(from);
-        let is_next = |row: usize| row < line.rows() && line.line(row) == number;
+        let (number, beam) = (line.line(from), line.footprint(from).beam);
+        let is_next =
+            |row: usize| row < line.rows() && line.line(row) == number && line.footprint(row).beam == beam;
         let room = (from..from + MAX_SHOTS_PER_LINE).take_while(|&row| is_next(row)).count();
         let (mut emissions, mut rows) = (Vec::with_capacity(room), Vec::with_capacity(room));
         let mut row = from;
         while is_next(row) && emissions.len() < MAX_SHOTS_PER_LINE {
             let shot = line.shot(row);
-            match wrong_row(&line, row, &shot, emissions.last()) {
+            let wrong = wrong_row(&line, row, &shot, emissions.last());
+            match wrong.or_else(|| wrong_samples(&line, row).filter(|_| self.with_samples)) {
                 None => {
                     emissions.push(emission_of(&shot));
                     rows.push(row);
@@ -226,6 +244,7 @@ impl ArrowLineReader {
             row += 1;
         }
         let blocks = self.blocks(&line, &rows);
+        let info = self.info_of_beam(beam);
         self.at = Some((line, row));
         self.location = (self.reader.form() == "file").then(|| LineLocation {
             records: self.number..self.number + 1,
@@ -234,7 +253,7 @@ impl ArrowLineReader {
             first_shot: emissions.first().map_or(0, |first| first.shot),
             is_complete: true,
         });
-        Some(ScanLine::of_shots(Arc::clone(&self.info), number, emissions, blocks))
+        Some(ScanLine::of_shots(info, number, emissions, blocks))
     }
 
     /// Blocks and online returns of the rows `kept`.
@@ -243,15 +262,20 @@ impl ArrowLineReader {
         let (n, samples) = sizes.fold((0, 0), |sum, row| (sum.0 + row.0, sum.1 + row.1));
         let mut blocks = Blocks::with_capacity(n, if self.with_samples { samples } else { 0 });
         for (emission, &row) in (0..).zip(kept) {
-            for block in line.blocks(row) {
+            for (block, fractions) in line.blocks(row).zip(line.fractions(row)) {
                 let Some(channel) = channel_of(block.channel) else { continue };
                 let interval_ns = block.interval_ns.unwrap_or(self.info.sampling_interval_ns);
                 let (zone, start_ns, samples) = (block.zone, block.start_ns, block.samples);
-                if self.with_samples {
-                    blocks.push(emission, channel, zone, start_ns, interval_ns, samples);
-                } else {
-                    let len = samples.len() as u32;
-                    blocks.push_without_samples(emission, channel, zone, start_ns, interval_ns, len);
+                match (self.with_samples, self.reader.header().has_fractions) {
+                    (true, false) => blocks.push(emission, channel, zone, start_ns, interval_ns, samples),
+                    (true, true) => {
+                        blocks.push_fractions(emission, channel, start_ns, interval_ns, fractions);
+                        blocks.set_last_zone(zone);
+                    }
+                    (false, _) => {
+                        let len = samples.len().max(fractions.len()) as u32;
+                        blocks.push_without_samples(emission, channel, zone, start_ns, interval_ns, len);
+                    }
                 }
                 blocks.set_last_gain(block.gain.unwrap_or(1.0));
             }
@@ -260,6 +284,9 @@ impl ArrowLineReader {
             let online =
                 |ContainerOnline { time_ns, amplitude }| OnlineReturn { emission, time_ns, amplitude };
             blocks.online.extend(line.online(row).map(online));
+            if self.reader.header().has_fractions {
+                blocks.footprints.push(record_of(emission, line, row));
+            }
         }
         blocks
     }
@@ -343,6 +370,21 @@ fn pipe(run: &RunContext) -> std::io::Result<Option<Box<dyn Read + Send>>> {
 fn has_outgoing_pulse(line: &ContainerLine) -> bool {
     let is_reference = |block: ContainerBlock| block.channel == container::channel::REFERENCE;
     (0..line.rows()).any(|row| line.blocks(row).any(is_reference))
+}
+
+/// What the recording says of a shot with a large footprint.
+fn record_of(emission: u32, line: &ContainerLine, row: usize) -> FootprintRecord {
+    let ContainerFootprint { shot_number, noise_mean_dn, noise_sd_dn, is_advised_against, .. } =
+        line.footprint(row);
+    let noise = noise_mean_dn.zip(noise_sd_dn).map(|(mean_dn, sd_dn)| RecordedNoise { mean_dn, sd_dn });
+    FootprintRecord {
+        emission,
+        shot_number: shot_number.unwrap_or_else(|| line.shot(row).shot),
+        noise: noise
+            .filter(|noise| noise.mean_dn.is_finite() && noise.sd_dn.is_finite() && noise.sd_dn > 0.0),
+        is_degraded: is_advised_against,
+        columns: Box::default(),
+    }
 }
 
 fn emission_of(shot: &ContainerShot) -> Emission {
@@ -449,6 +491,12 @@ fn wrong_block(block: ContainerBlock) -> Option<Reason> {
     } else {
         None
     }
+}
+
+/// The reason to reject a row for its samples, if any: fractions of a step may be anything.
+fn wrong_samples(line: &ContainerLine, row: usize) -> Option<Reason> {
+    let is_finite = |samples: &[f32]| samples.iter().all(|sample| sample.is_finite());
+    (!line.fractions(row).all(is_finite)).then_some(Reason::SampleNotFinite)
 }
 
 fn wrong_online(online: ContainerOnline) -> Option<Reason> {

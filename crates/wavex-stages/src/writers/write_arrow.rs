@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::container_info::{code_of, header_of};
 use wavex_formats::container::{
-    self, ContainerBlock, ContainerOnline, ContainerShot, ContainerWriter, LineBuilder,
+    self, ContainerBlock, ContainerFootprint, ContainerOnline, ContainerShot, ContainerWriter, LineBuilder,
 };
 use wavex_line::keys::InvalidKey;
 use wavex_line::scan_line::{Block, Blocks, Emission, InputInfo, Kind, ScanLine};
@@ -20,7 +20,7 @@ use wavex_line::stage::{
 };
 
 /// Registry entry of the stage.
-pub const STAGE: StageSpec = StageSpec::sink::<WriteArrow>("write_arrow", &[Kind::Shots]);
+pub const STAGE: StageSpec = StageSpec::sink::<WriteArrow>("write_arrow", &[Kind::Shots, Kind::Footprints]);
 
 /// Writes recorded waveforms as the open waveform container (Arrow IPC).
 ///
@@ -37,6 +37,10 @@ pub const STAGE: StageSpec = StageSpec::sink::<WriteArrow>("write_arrow", &[Kind
 /// blocks, are extensions of this program. They are null for default values (no angle; a scale of
 /// 1; the zone of the row; the sampling interval of the recording). The field `gain` of blocks is
 /// written only for recordings with automatic gain control; null means 1.
+///
+/// Samples that are fractions of a digitiser step (GEDI and LVIS in HDF5) are written as 32-bit floats, in version 2
+/// of the container, with the beam of each shot, its number in the mission, and background, noise and flag by the
+/// instrument's processing. Further values of the product are not written. All other recordings have version 1.
 ///
 /// Without any shots no container is written, and the report says so. Nothing is rejected.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
@@ -133,11 +137,15 @@ impl Write for ContainerTarget {
 
 impl ArrowLineWriter {
     /// The writer, started with the metadata of the first line.
-    fn writer(&mut self, info: &InputInfo) -> Result<&mut ContainerWriter<ContainerTarget>> {
+    fn writer(
+        &mut self,
+        info: &InputInfo,
+        has_fractions: bool,
+    ) -> Result<&mut ContainerWriter<ContainerTarget>> {
         if let ContainerState::Waiting(_) = self.state
             && let ContainerState::Waiting(to) = std::mem::replace(&mut self.state, ContainerState::Failed)
         {
-            let header = header_of(info);
+            let header = header_of(info, has_fractions);
             let writer = match &to {
                 ContainerTarget::File(file) => {
                     let path = file.path().to_path_buf();
@@ -168,7 +176,7 @@ impl Sink for ArrowLineWriter {
             return Ok(());
         }
         let line = line_of(scan_line, blocks);
-        Ok(self.writer(&scan_line.input)?.write(line)?)
+        Ok(self.writer(&scan_line.input, blocks.has_fractions())?.write(line)?)
     }
 
     fn finish(self: Box<Self>, cx: &mut Context) -> Result<()> {
@@ -186,8 +194,10 @@ impl Sink for ArrowLineWriter {
 }
 
 /// Schema of the record batches of a recording, as in a container.
-pub fn shot_schema(info: &InputInfo) -> SchemaRef {
-    header_of(info).schema()
+///
+/// `has_fractions`: whether samples are fractions of a digitiser step ([`Blocks::has_fractions`]).
+pub fn shot_schema(info: &InputInfo, has_fractions: bool) -> SchemaRef {
+    header_of(info, has_fractions).schema()
 }
 
 /// Shots and blocks of a scan line as a record batch, as in a container; `None` without blocks.
@@ -209,7 +219,20 @@ fn line_of(scan_line: &ScanLine, blocks: &Blocks) -> LineBuilder {
     for (index, emission) in (0..).zip(&scan_line.emissions) {
         line.shot(&shot_of(emission, scan_line.line));
         while let Some(block) = rest.next_if(|block| block.emission == index) {
-            line.block(&block_of(block, blocks, &scan_line.input));
+            let of_container = block_of(block, blocks, &scan_line.input);
+            match block.has_fractions() {
+                true => line.block_of_fractions(&of_container, blocks.fractions(block)),
+                false => line.block(&of_container),
+            }
+        }
+        if let Some(record) = blocks.footprint_of(index) {
+            line.footprint(&ContainerFootprint {
+                beam: scan_line.input.beam.as_deref(),
+                shot_number: Some(record.shot_number),
+                noise_mean_dn: record.noise.map(|noise| noise.mean_dn),
+                noise_sd_dn: record.noise.map(|noise| noise.sd_dn),
+                is_advised_against: record.is_degraded,
+            });
         }
         while let Some(found) = online.next_if(|online| online.emission == index) {
             line.online(&ContainerOnline { time_ns: found.time_ns, amplitude: found.amplitude });

@@ -31,6 +31,7 @@ fn header() -> ContainerHeader {
         emission_choice_sd_ns: Some(0.5),
         gain_control: Some(GainControl::NotRecorded),
         origin: Some(Origin::Waveform),
+        has_fractions: false,
     }
 }
 
@@ -126,11 +127,28 @@ fn wrong_values_are_reported_with_the_expected_form() {
     }
 }
 
+/// The version follows from the samples; all else is the same.
+#[test]
+fn fractions_are_version_2() {
+    let of_fractions = ContainerHeader { has_fractions: true, ..header() };
+    let metadata = of_fractions.to_metadata();
+    assert_eq!((header().version(), of_fractions.version()), ("1", "2"));
+    assert_eq!(metadata.get("wavex.container").map(String::as_str), Some("2"));
+    assert_eq!(metadata.with("wavex.container", "1"), header().to_metadata());
+    assert_eq!(
+        ContainerHeader::from_metadata(&of_fractions.to_metadata(), location()).unwrap(),
+        of_fractions
+    );
+}
+
 #[test]
 fn other_versions_and_other_files_have_different_errors() {
-    let newer = header().to_metadata().with("wavex.container", "2");
+    let newer = header().to_metadata().with("wavex.container", "3");
     let error = ContainerHeader::from_metadata(&newer, location()).unwrap_err().to_string();
-    assert_eq!(error, "a.arrow: a waveform container of version `2`, where 1 is known; use a newer wavex");
+    assert_eq!(
+        error,
+        "a.arrow: a waveform container of version `3`, where 1 and 2 are known; use a newer wavex"
+    );
     let error = ContainerHeader::from_metadata(&Metadata::default(), location()).unwrap_err().to_string();
     assert!(error.contains("no waveform container: its metadata has no key `wavex.container`"), "{error}");
 }

@@ -16,7 +16,8 @@ use super::*;
 
 /// Returns the columns of the first line of [`lines`] by index.
 fn columns() -> BTreeMap<usize, (Field, ArrayRef)> {
-    let schema: SchemaRef = Arc::new(layout::schema(header().to_metadata(), false));
+    let schema: SchemaRef =
+        Arc::new(layout::schema(header().to_metadata(), layout::LayoutOptions::default()));
     let batch = builder(&lines()[0]).finish(schema.clone()).unwrap();
     let fields = schema.fields().iter().map(|field| field.as_ref().clone());
     fields.zip(batch.columns().to_vec()).enumerate().collect()

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::shot::{BLINDED, EmissionTime};
 use super::{Decompose, Mode};
 use crate::process::calibrate::Auto;
-use wavex_line::scan_line::{Block, Blocks, InputInfo, ReturnChannel, ShotProfile};
+use wavex_line::scan_line::{Block, Blocks, InputInfo, LARGE_FOOTPRINT_NS, ReturnChannel, ShotProfile};
 use wavex_line::stage::{Result, StageError};
 use wavex_signal::decompose::Decomposition;
 use wavex_signal::distributed::{DistributedTargets, TargetProfile, WithSd};
@@ -16,12 +16,6 @@ use wavex_signal::sensor_model::{ChannelModel, SensorModel};
 ///
 /// Noise alone exceeds it in 0.003 % of waveforms.
 const UNEXPLAINED: f64 = 5.0;
-/// Length of a block of a large-footprint recording, ns.
-///
-/// LVIS records 864 ns and GEDI 700 ns and more. Small-footprint instruments record at most 256 ns
-/// around their echoes.
-const LARGE_FOOTPRINT_NS: f64 = 400.0;
-
 /// Waveforms with relative heights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
 #[serde(untagged)]

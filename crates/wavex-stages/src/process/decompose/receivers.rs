@@ -83,9 +83,21 @@ struct CachedTables {
     known: Vec<(Arc<SensorModel>, Mode, Arc<SensorTables>)>,
     /// Data of the model of the first echo receiver.
     provenance: Provenance,
+    /// Whether a line had large footprints.
+    has_large_footprints: bool,
 }
 
 impl SharedTables {
+    /// Notes that a line had large footprints.
+    pub(super) fn set_large_footprints(&self) {
+        self.0.lock().unpoisoned().has_large_footprints = true;
+    }
+
+    /// Whether a line had large footprints.
+    pub(super) fn have_large_footprints(&self) -> bool {
+        self.0.lock().unpoisoned().has_large_footprints
+    }
+
     /// Returns the tables of this model.
     pub(super) fn of(&self, model: &Arc<SensorModel>, mode: Mode) -> Arc<SensorTables> {
         let mut shared = self.0.lock().unpoisoned();

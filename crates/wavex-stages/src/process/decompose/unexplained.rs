@@ -97,11 +97,16 @@ pub(super) fn conclude(tables: &SharedTables, cx: &mut Context) {
     let findings: Vec<String> = unexplained.into_iter().chain(overestimates).collect();
     if !findings.is_empty() {
         let shape = pulse_shape(&tables.provenance());
-        cx.warn(format!("{}. Used: {shape}. {remedy}", findings.join(". Elsewhere, ")));
+        let instead = if tables.have_large_footprints() { INSTEAD } else { "" };
+        cx.warn(format!("{}. Used: {shape}. {remedy}{instead}", findings.join(". Elsewhere, ")));
     }
 }
 
 const CALIBRATE: &str = "Calibrate from this recording, or load a sensor model of this instrument";
+
+/// Alternative for waveforms that are profiles.
+const INSTEAD: &str = ". The footprints are large: `measure_footprints` in place of calibrate and decompose measures \
+                       ground and heights, and needs no response of single echoes; `wavex init` writes such a job";
 
 const REMEDY: &str = "Look at single shots with `wavex explain`. If pulses are clipped, set the reader's \
                       `full_scale_dn`; if the shape is wrong, set `response` of calibrate or load a sensor \

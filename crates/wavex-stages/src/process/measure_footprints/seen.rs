@@ -42,7 +42,7 @@ impl MeasureFootprints {
     /// # Errors
     /// If the first lines have too few shots to learn from.
     pub fn seen(&self, first: &[ScanLine], line: &ScanLine, emission: u32) -> Result<Option<SeenFootprint>> {
-        let model = learnt(first)?;
+        let model = learnt(first)?.model;
         let mut estimator = FootprintEstimator::new(&model, self.settings());
         let (mut samples_dn, mut outgoing_dn) = (Vec::new(), Vec::new());
         let (Some(blocks), Some(shot)) = (line.blocks(), line.emissions.get(emission as usize)) else {

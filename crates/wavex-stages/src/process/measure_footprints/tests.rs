@@ -177,8 +177,22 @@ fn each_flag_says_what_is_wrong() {
 }
 
 #[test]
-fn shots_without_outgoing_pulses_have_no_response() {
-    let (outcome, ..) = run(100, vec![line(&input("BEAM0101"), 0, 20, false)]);
+fn without_outgoing_pulses_the_narrowest_echoes_are_the_response() {
+    let (outcome, given, cx) = run(100, vec![line(&input("BEAM0101"), 0, 40, false)]);
+    outcome.unwrap();
+    let m_per_sample = 0.5e-9 * given[0].input.group_velocity_mps;
+    for footprint in &given[0].footprints {
+        let error_m = footprint.ground_range_m.value - m_per_sample * GROUND;
+        assert!(error_m.abs() < 0.15 && footprint.modes == 2, "{footprint:?}");
+    }
+    let [warning] = cx.counters().notes.as_slice() else { panic!("{:?}", cx.counters()) };
+    let expected = "BEAM0101: no outgoing pulses are recorded: the response is the mean of the 10 narrowest of 40 echoes, ";
+    assert!(warning.starts_with(expected), "{warning}");
+}
+
+#[test]
+fn few_shots_without_outgoing_pulses_have_no_response() {
+    let (outcome, ..) = run(100, vec![line(&input("BEAM0101"), 0, 9, false)]);
     let error = outcome.unwrap_err().to_string();
     assert!(error.contains("0 shots have a recorded outgoing pulse"), "{error}");
 }

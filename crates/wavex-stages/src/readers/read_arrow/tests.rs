@@ -37,6 +37,65 @@ fn echo<'a>() -> ContainerBlock<'a> {
     }
 }
 
+/// Rows of beams with fractions of a step.
+fn of_fractions(rows: &[(&str, &[f32])]) -> (Vec<ScanLine>, Context) {
+    let mut line = LineBuilder::new();
+    for (shot, (beam, samples)) in (0..).zip(rows) {
+        line.shot(&good(shot, 0));
+        line.block_of_fractions(&ContainerBlock { zone: Some(1), samples: &[], ..echo() }, samples);
+        let shot_number = (shot > 0).then_some(900 + shot);
+        let beam = Some(*beam).filter(|beam| !beam.is_empty());
+        line.footprint(&ContainerFootprint {
+            beam,
+            shot_number,
+            noise_mean_dn: Some(200.0),
+            noise_sd_dn: Some(if shot == 0 { f64::NAN } else { 2.0 }),
+            is_advised_against: shot == 1,
+        });
+    }
+    read(&bytes(&ContainerHeader { has_fractions: true, ..header() }, vec![line]))
+}
+
+#[test]
+fn fractions_and_beams_are_read() {
+    let (lines, cx) = of_fractions(&[("", &[0.5]), ("A", &[1.5, 2.25]), ("A", &[3.0]), ("B", &[4.0])]);
+    assert!(cx.counters().rejected.is_empty(), "{:?}", cx.counters());
+    let beams: Vec<(Option<&str>, usize, Kind)> =
+        lines.iter().map(|line| (line.input.beam.as_deref(), line.emissions.len(), line.kind())).collect();
+    let kind = Kind::Footprints;
+    assert_eq!(beams, [(None, 1, kind), (Some("A"), 2, kind), (Some("B"), 1, kind)]);
+    assert_eq!(lines[0].input.format, "wavex container 2 (Arrow IPC stream)");
+    let blocks = lines[1].blocks().unwrap();
+    let samples: Vec<&[f32]> = blocks.iter().map(|block| blocks.fractions(block)).collect();
+    assert_eq!(samples, [&[1.5, 2.25][..], &[3.0]]);
+    assert_eq!(blocks.iter().next().unwrap().zone, Some(1));
+    let [first, second] = [0, 1].map(|shot| blocks.footprint_of(shot).unwrap());
+    let noise = Some(RecordedNoise { mean_dn: 200.0, sd_dn: 2.0 });
+    assert_eq!((first.shot_number, first.is_degraded, first.noise), (901, true, noise));
+    assert_eq!((second.shot_number, second.is_degraded), (902, false));
+    let other = lines[0].blocks().unwrap().footprint_of(0).unwrap();
+    assert_eq!((other.shot_number, other.noise), (0, None), "its running number, and impossible noise");
+}
+
+#[test]
+fn samples_that_are_not_finite_reject_their_shot() {
+    for wrong in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        let (lines, cx) = of_fractions(&[("A", &[1.0]), ("A", &[1.0, wrong]), ("A", &[1.0])]);
+        assert_eq!(lines.iter().map(|line| line.emissions.len()).sum::<usize>(), 2);
+        assert_eq!(cx.counters().rejected_of(Reason::SampleNotFinite.item()), 1);
+    }
+}
+
+#[test]
+fn stages_for_whole_steps_refuse_fractions() {
+    let (lines, _) = of_fractions(&[("A", &[1.5])]);
+    let error = stage::check_whole_steps(&lines[0], "decompose").unwrap_err().to_string();
+    assert!(
+        error.starts_with("`decompose` needs samples in whole digitiser steps, but the recording"),
+        "{error}"
+    );
+}
+
 /// Rows with one echo block each.
 fn plain(shots: impl IntoIterator<Item = ContainerShot>) -> LineBuilder {
     let mut line = LineBuilder::new();
