@@ -1,122 +1,192 @@
-"""Fits the constants of crates/wavex-footprints/src/ground.rs: how far the lowest mode is from the ground, and the
-probability that it is the ground.
+"""Fits the constants of crates/wavex-footprints/src/constants.rs, and compares probabilities and SDs with the truth.
 
-Errors are Gaussian about the ground with the probability of the log-odds, and exponential above it otherwise, where a
-layer hides the ground. Both the log-odds and the logarithm of the SD are linear in the features of the mode.
+The distance of the ground below the lowest mode is normal about 0, normal about a second candidate, or exponential, where
+nothing shows the ground. Weights, SDs and the second candidate are linear in the features of the mode, or their logarithms are.
+Then probabilities are calibrated, and the SD of the first candidate is scaled to the robust SD of the training shots.
 
-usage: fit_ground.py TABLE.parquet TRUTH.npz [TABLE.parquet TRUTH.npz ...] [--test TABLE.parquet TRUTH.npz ...]
+usage: fit_ground.py PROGRAM [--train FILE.h5 ...] [--test FILE.h5 ...]
 
-Tables are written by `write_footprints` (crs = "EPSG:4979", default settings of `measure_footprints`) from files of
-make_footprints.py. Needs numpy, pyarrow and scipy.
+PROGRAM is the example `ground_features` of wavex-footprints. Files are written by make_footprints.py, with their truth. Without
+--train nothing is fitted; tests are those of the constants in PROGRAM. Needs h5py, numpy and scipy.
 """
 
-import sys
+import argparse
+import subprocess
 
+import h5py
 import numpy as np
-import pyarrow.parquet
 from scipy.optimize import minimize
+from scipy.special import ndtr
 
-COLUMNS = ["shot_number", "z", "ground_width_below_ratio", "ground_width_above_ratio", "ground_energy_ratio",
-           "ground_amplitude_dn", "ground_amplitude_sd_dn", "modes"]
+M_PER_SAMPLE = 0.149896229
+FEATURES = 12
 # As in ground.rs.
-LOG_SD_BOUNDS = (-5.0, 2.0)
-# Weight of the squared constants; features have similar scales.
-RIDGE = 1e-4
+LOG_BOUNDS = np.array([(-5.0, 1.0), (-2.0, 3.0), (-2.0, 1.1)]).T
+NEAR_M, NEAR_SDS, ABOVE_M = 1.0, 3.0, 1.0
+# Weight of the squared constants; features are scaled.
+RIDGE = 2e-5
+# Robust SD of a standard normal variable over its median absolute value.
+ROBUST = 1.4826
 
 
-def features(table):
-    """One row per shot, as `Evidence::features`."""
-    log = lambda name, least, most: np.log(np.clip(table[name], least, most))
-    strength = table["ground_amplitude_dn"] / table["ground_amplitude_sd_dn"]
-    return np.column_stack([
-        np.ones(len(strength)),
-        log("ground_width_below_ratio", 0.5, 8.0),
-        log("ground_width_above_ratio", 0.5, 8.0),
-        -log("ground_energy_ratio", 0.02, 1.0),
-        np.log(np.clip(strength, 3.0, 2000.0)),
-        np.clip(table["modes"] - 1.0, 0.0, 3.0),
-    ])
+def measured(program, path, beam):
+    """One row per shot: numbers printed by the program."""
+    samples = []
+    for outgoing, received in zip(*(split(beam, kind) for kind in ("tx", "rx"))):
+        samples += [np.array([outgoing.size, received.size], "<u4").tobytes(), outgoing.tobytes(), received.tobytes()]
+    lines = subprocess.run([program], input=b"".join(samples), stdout=subprocess.PIPE, check=True).stdout.decode().splitlines()
+    width = FEATURES + 8
+    return np.array([np.array(line.split() or [np.nan] * width, float) for line in lines])
 
 
-def read(pairs):
-    """Features, errors, slopes and covers of all shots with a ground."""
+def split(beam, kind):
+    ends = np.cumsum(beam[f"{kind}_sample_count"][:].astype(int))
+    return np.split(beam[f"{kind}waveform"][:].astype("<f4"), ends[:-1])
+
+
+def read(program, paths):
+    """Results with a ground and their truth."""
     parts = []
-    for table_path, truth_path in zip(pairs[::2], pairs[1::2]):
-        table = pyarrow.parquet.read_table(table_path, columns=COLUMNS).to_pydict()
-        # Numbers of shots have more digits than a double.
-        numbers = np.array(table.pop("shot_number"), "u8")
-        known = lambda values: np.array([np.nan if value is None else value for value in values], float)
-        table = {name: known(values) for name, values in table.items()}
-        truth = np.load(truth_path)
+    for path in paths:
+        truth = np.load(path.replace(".h5", "_truth.npz"))
         place = {number: row for row, number in enumerate(truth["shot_number"])}
-        rows = np.array([place[number] for number in numbers])
-        found = np.isfinite(table["z"])
-        error = table["z"] - truth["ground_m"][rows]
-        parts.append([part[found] for part in (features(table), error, truth["slope_deg"][rows], truth["cover"][rows])])
-    return [np.concatenate(part) for part in zip(*parts)]
+        with h5py.File(path) as file:
+            beams = [beam for name, beam in file.items() if name.startswith("BEAM")]
+            rows = np.concatenate([measured(program, path, beam) for beam in beams])
+            order = [place[number] for beam in beams for number in beam["shot_number"][:]]
+        known = {name: truth[name][order] for name in ("ground_sample", "cover", "sensitivity", "slope_deg")}
+        error = (known["ground_sample"] - rows[:, 0]) * M_PER_SAMPLE
+        # The truth refers to a Gaussian of the outgoing pulse, not to the mode of a flat target's echo.
+        offset = np.nanmedian(error[(known["cover"] == 0) & (known["slope_deg"] < 5)])
+        parts.append(np.column_stack([rows, error - offset, known["cover"], known["sensitivity"]]))
+    rows = np.concatenate(parts)
+    rows = rows[np.isfinite(rows[:, 0])]
+    second_m = (rows[:, FEATURES + 4] - rows[:, 0]) * M_PER_SAMPLE
+    stated = {"sd": rows[:, FEATURES + 1] * M_PER_SAMPLE, "probability": rows[:, FEATURES + 2],
+              "total_sd": rows[:, FEATURES + 3] * M_PER_SAMPLE, "second_m": second_m,
+              "second_sd": rows[:, FEATURES + 5] * M_PER_SAMPLE, "second_probability": rows[:, FEATURES + 6],
+              "deviation": rows[:, FEATURES + 7]}  # fmt: skip
+    return {"features": rows[:, 1 : FEATURES + 1], "error": rows[:, -3], "cover": rows[:, -2], "sensitivity": rows[:, -1]} | stated
 
 
-def split(constants, count):
-    return constants[:count], constants[count:2 * count], np.exp(constants[2 * count])
+def distribution(constants, features):
+    """Logarithms of the weights, parameters and which of them are within bounds."""
+    outputs = features @ constants[:-1].reshape(6, -1).T
+    scores = outputs[:, :3] - outputs[:, :3].max(1, keepdims=True)
+    inside = (outputs[:, 3:] > LOG_BOUNDS[0]) & (outputs[:, 3:] < LOG_BOUNDS[1])
+    return scores - np.log(np.exp(scores).sum(1, keepdims=True)), np.exp(np.clip(outputs[:, 3:], *LOG_BOUNDS)), inside
 
 
-def predicted(constants, rows):
-    """Probability and SD of each shot, and the scale of missed grounds."""
-    odds, log_sd, missed = split(constants, rows.shape[1])
-    return 1 / (1 + np.exp(-rows @ odds)), np.exp(np.clip(rows @ log_sd, *LOG_SD_BOUNDS)), missed
+def misfit(constants, features, error):
+    """Mean negative log-likelihood and its gradient."""
+    weights, parameters, inside = distribution(constants, features)
+    (sd, second, second_sd), inside = parameters.T, inside.T
+    missed = np.exp(constants[-1])
+    score, second_score = error / sd, (error - second) / second_sd
+    parts = weights + np.stack([
+        -0.5 * score**2 - np.log(sd * np.sqrt(2 * np.pi)),
+        -0.5 * second_score**2 - np.log(second_sd * np.sqrt(2 * np.pi)),
+        np.where(error > 0, -error / missed, error / ABOVE_M) - np.log(missed + ABOVE_M),
+    ], axis=1)  # fmt: skip
+    highest = parts.max(1, keepdims=True)
+    total = highest + np.log(np.exp(parts - highest).sum(1, keepdims=True))
+    share = np.exp(parts - total)
+    slopes = np.column_stack([
+        np.exp(weights) - share, -share[:, 0] * (score**2 - 1) * inside[0],
+        -share[:, 1] * second_score / second_sd * second * inside[1], -share[:, 1] * (second_score**2 - 1) * inside[2],
+    ]) / len(error)  # fmt: skip
+    of_missed = -(share[:, 2] * (np.maximum(error, 0) / missed - missed / (missed + ABOVE_M))).mean()
+    small = constants.copy()
+    small[-1] = small[: 6 * features.shape[1] : features.shape[1]] = 0
+    return -total.mean() + RIDGE * small @ small, np.append((slopes.T @ features).ravel(), of_missed) + 2 * RIDGE * small
 
 
-def misfit(constants, rows, error):
-    probability, sd, missed = predicted(constants, rows)
-    ground = np.log(probability + 1e-9) - np.log(sd) - 0.5 * (error / sd) ** 2 - 0.5 * np.log(2 * np.pi)
-    # A mode is hardly ever below the ground by more than half a metre.
-    layer = np.log(1 - probability + 1e-9) - np.log(missed + 0.5) - np.where(error > 0, error / missed, -error / 0.5)
-    return -np.logaddexp(ground, layer).mean() + RIDGE * (constants ** 2).mean()
+def below(constants, features, factor, distance):
+    """Probability that the ground is less than a distance below the mode."""
+    weights, parameters, _ = distribution(constants, features)
+    (sd, second, second_sd), missed = parameters.T, np.exp(constants[-1])
+    share = missed / (missed + ABOVE_M)
+    tail = np.where(distance > 0, 1 - share * np.exp(-np.maximum(distance, 0) / missed),
+                    (1 - share) * np.exp(np.minimum(distance, 0) / ABOVE_M))  # fmt: skip
+    parts = np.stack([ndtr(distance / (factor * sd)), ndtr((distance - second) / second_sd), tail], axis=1)
+    return (np.exp(weights) * parts).sum(1)
 
 
-def fit(rows, error):
-    count = rows.shape[1]
-    mean, scale = rows.mean(0), rows.std(0)
+def fit(features, error):
+    mean, scale = features.mean(0), features.std(0)
     mean[0], scale[0] = 0.0, 1.0
-    start = np.zeros(2 * count + 1)
-    start[0], start[count], start[-1] = 1.0, -2.0, 1.5
-    options = {"maxiter": 1000, "maxfun": 10 ** 6}
-    best = minimize(misfit, start, args=((rows - mean) / scale, error), method="L-BFGS-B", options=options)
-    odds, log_sd, _ = split(best.x, count)
-    plain = []
-    for weights in (odds, log_sd):
-        weights = weights / scale
-        weights[0] -= weights[1:] @ mean[1:]
-        plain.append(weights)
-    return np.concatenate([*plain, best.x[-1:]])
+    start = np.zeros(6 * FEATURES + 1)
+    start[: 6 * FEATURES : FEATURES], start[-1] = [1.0, -0.5, -1.0, -2.5, 0.7, 0.0], 2.0
+    options = {"maxiter": 600, "maxfun": 10**6}
+    best = minimize(misfit, start, args=((features - mean) / scale, error), jac=True, method="L-BFGS-B", options=options).x
+    factors = best[:-1].reshape(6, FEATURES) / scale
+    factors[:, 0] -= factors[:, 1:] @ mean[1:]
+    constants = np.append(factors.ravel(), best[-1])
+    sd = distribution(constants, features)[1][:, 0]
+    near = abs(error) < np.maximum(NEAR_M, NEAR_SDS * sd)
+    factor = ROBUST * np.median(abs(error / sd)[near])
+    half = np.maximum(NEAR_M, NEAR_SDS * factor * sd)
+    part = below(constants, features, factor, half) - below(constants, features, factor, -half)
+    return constants, factor, calibration(part, abs(error) < half)
 
 
-def report(constants, rows, error, slope, cover):
-    probability, sd, _ = predicted(constants, rows)
-    right = abs(error) < np.maximum(1.0, 3 * sd)
-    robust = lambda values: 1.4826 * np.median(abs(values - np.median(values)))
+def calibration(part, right):
+    """Logistic regression of right on the log-odds of a probability and their square."""
+    part = np.clip(part, 1e-3, 0.9995)
+    odds = np.log(part / (1 - part))
+    powers, found = np.stack([np.ones_like(odds), odds, odds**2], axis=1), np.array([0.0, 1.0, 0.0])
+    for _ in range(30):
+        now = 1 / (1 + np.exp(-powers @ found))
+        found += np.linalg.solve((powers * (now * (1 - now))[:, None]).T @ powers, powers.T @ (right - now))
+    return found
+
+
+def show(constants, factor, calibrated):
+    row = lambda values: "[" + ", ".join(f"{value:.4f}" for value in values) + "]"
+    print("OUTPUTS = [", *(f"    {row(factors)}," for factors in constants[:-1].reshape(6, -1)), "];", sep="\n")
+    print(f"MISSED_M = {np.exp(constants[-1]):.4f};\nSD_FACTOR = {factor:.4f};\nCALIBRATION = {row(calibrated)};")
+
+
+def table(name, stated, right, edges):
+    print(f"{name}:")
+    for least, most in zip(edges[:-1], edges[1:]):
+        of = (stated >= least) & (stated < most)
+        print(f"  {least:.2f} to {most:.2f}: {of.sum():5} shots, mean {stated[of].mean():.3f}, right {right[of].mean():.3f}")
+
+
+def report(shots):
+    error, sd, second_sd = shots["error"], shots["sd"], shots["second_sd"]
+    right = abs(error) < np.maximum(NEAR_M, NEAR_SDS * sd)
+    second = ~right & (abs(error - shots["second_m"]) < np.maximum(NEAR_M, NEAR_SDS * second_sd))
+    table("probability of the ground", shots["probability"], right, (0, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99, 1))
+    table("probability of the second candidate", shots["second_probability"], second, (0.05, 0.2, 0.4, 0.6, 0.8, 1))
     for least, most in ((0, 0.001), (0.001, 0.3), (0.3, 0.6), (0.6, 0.8), (0.8, 0.9), (0.9, 1)):
-        of = (cover >= least) & (cover < most)
-        sure = of & (probability > 0.9)
-        score = error / sd
-        print(f"cover {least:.1f} to {most:.1f}: {of.sum():5} shots, z {robust(score[of]):6.2f}; of those with "
-              f"p > 0.9: {sure.sum():5}, z {robust(score[sure]):5.2f}, right {right[sure].mean():.3f}")
-    for least, most in ((0, 0.5), (0.5, 0.7), (0.7, 0.85), (0.85, 0.95), (0.95, 0.99), (0.99, 1)):
-        of = (probability >= least) & (probability < most)
-        print(f"p {least:.2f} to {most:.2f}: {of.sum():5} shots, mean p {probability[of].mean():.3f}, right {right[of].mean():.3f}")
+        of = (shots["cover"] >= least) & (shots["cover"] < most)
+        score = ROBUST * np.median(abs(error / sd)[of & right])
+        total = np.sqrt(((error / shots["total_sd"])[of] ** 2).mean())
+        print(f"cover {least:.1f} to {most:.1f}: {of.sum():5} shots, mean probability {shots['probability'][of].mean():.2f}, right "
+              f"{right[of].mean():.3f}, z of these {score:.2f}, root mean square of z with the total SD {total:.2f}")  # fmt: skip
+    seen = shots["cover"] < shots["sensitivity"]
+    print(f"cover below the sensitivity: {seen.sum()} shots, first candidate right {right[seen].mean():.3f}, "
+          f"one of both {(right | second)[seen].mean():.3f}; distance to the second where it is right, median "
+          f"{np.median(abs(error - shots['second_m'])[second]):.2f} m, its SD {np.median(second_sd[second]):.2f} m")  # fmt: skip
+    median, *ends = np.nanquantile(shots["deviation"], [0.5, 0.01, 0.99])
+    spread = ROBUST * np.nanmedian(abs(shots["deviation"] - median))
+    print(f"deviation: median {median:.2f}, robust SD {spread:.2f}, 1 and 99 % {ends[0]:.2f} and {ends[1]:.2f}")
 
 
-def main(arguments):
-    at = arguments.index("--test") if "--test" in arguments else len(arguments)
-    rows, error, *_ = train = read(arguments[:at])
-    constants = fit(rows, error)
-    odds, log_sd, missed = split(constants, rows.shape[1])
-    show = lambda values: "[" + ", ".join(f"{value:.4f}" for value in values) + "]"
-    print(f"{len(error)} shots\nLOG_ODDS {show(odds)}\nLOG_SD   {show(log_sd)}\nscale of missed grounds {missed:.2f} m")
-    report(constants, *(read(arguments[at + 1:]) if at < len(arguments) else train))
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("program")
+    parser.add_argument("--train", nargs="+", default=[])
+    parser.add_argument("--test", nargs="+", default=[])
+    options = parser.parse_args()
+    if options.train:
+        shots = read(options.program, options.train)
+        show(*fit(shots["features"], shots["error"]))
+    if options.test:
+        report(read(options.program, options.test))
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 3:
-        sys.exit(__doc__)
-    main(sys.argv[1:])
+    main()

@@ -14,7 +14,8 @@ pub fn cover(ground_energy_ratio: WithSd, reflectance_ratio: f64) -> WithSd {
 /// Area of leaves and branches per area of ground, of leaves in random directions, half of which face the beam.
 pub fn plant_area_index(cover: WithSd) -> WithSd {
     let gaps = 1.0 - cover.value;
-    WithSd { value: -2.0 * libm::log(gaps), sd: 2.0 * cover.sd / gaps }
+    // The logarithm of 1 would give -0, which is printed.
+    WithSd { value: 0.0 - 2.0 * libm::log(gaps), sd: 2.0 * cover.sd / gaps }
 }
 
 #[cfg(test)]
@@ -29,6 +30,7 @@ mod tests {
         assert!(cover(ground, 1.5).value < equal.value, "a bright canopy covers less");
         let index = plant_area_index(equal);
         assert!((index.value + 2.0 * 0.7f64.ln()).abs() < 1e-12 && (index.sd - 0.02 / 0.7).abs() < 1e-12);
-        assert_eq!(plant_area_index(cover(WithSd { value: 1.0, sd: 0.0 }, 1.5)).value, 0.0);
+        let bare = plant_area_index(cover(WithSd { value: 1.0, sd: 0.0 }, 1.5));
+        assert_eq!(format!("{:.2}", bare.value), "0.00", "not -0.00");
     }
 }

@@ -1,7 +1,7 @@
 //! The echo of a flat target after smoothing, with which modes are compared.
 
 use super::kernel::Kernel;
-use super::maximum::{half_widths, parabola};
+use super::maximum::{half_widths, parabola, steps_to};
 use super::model::{FootprintModel, OVERSAMPLING};
 use super::profile::share_before;
 
@@ -15,6 +15,8 @@ pub(super) struct Echo {
     pub(super) half_widths_samples: [f64; 2],
     /// Its largest value at this distance or more behind its mode, relative to its height.
     pub(super) tail: Vec<f64>,
+    /// Distance from its largest sample to its mode, samples.
+    offset: f64,
 }
 
 impl Echo {
@@ -43,6 +45,17 @@ impl Echo {
             *value = largest;
         }
         let height_before = model.response.iter().copied().fold(0.0, f64::max);
-        Echo { area_samples: area / height_before, behind: 1.0 - before / area, half_widths_samples, tail }
+        Echo {
+            area_samples: area / height_before,
+            behind: 1.0 - before / area,
+            half_widths_samples,
+            tail,
+            offset: position - top as f64,
+        }
+    }
+
+    /// Distance behind its mode at which it falls to this part of its height, samples.
+    pub(super) fn fall_behind(&self, part: f64) -> f64 {
+        steps_to(self.tail.iter().copied(), part) - self.offset
     }
 }

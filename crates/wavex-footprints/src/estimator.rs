@@ -3,11 +3,12 @@
 use wavex_simd::statistics::WithSd;
 
 use super::background::{self, Background, Scratch};
+use super::deviation::{Residual, ResidualNoise};
 use super::echo::Echo;
-use super::ground::Evidence;
+use super::ground::{GroundDistribution, Lowest, M_PER_NS};
 use super::kernel::Smoother;
-use super::measured::{MOST_SAMPLES, Measured, RecordedNoise};
-use super::model::{FREE_WIDTHS, FootprintModel};
+use super::measured::{GROUND_FEATURES, GroundCandidate, MOST_SAMPLES, Measured, RecordedNoise};
+use super::model::{FREE_WIDTHS, FootprintModel, SD_OF_FWHM};
 use super::modes::{ModeRules, SmoothedNoise, modes};
 use super::profile::{Profile, SumNoise};
 use super::settings::{FootprintSettings, NoiseSource};
@@ -24,6 +25,8 @@ pub struct FootprintEstimator {
     fwhm_samples: f64,
     interval_ns: f64,
     echo: Echo,
+    residual: Residual,
+    residual_noise: ResidualNoise,
     samples: Vec<f32>,
     cumulative_dn: Vec<f64>,
     scratch: Scratch,
@@ -37,10 +40,13 @@ impl FootprintEstimator {
         let smoother = |sd_ns: f64| Smoother::new(sd_ns / model.sampling_interval_ns, autocorrelation);
         let (wide, narrow) = (smoother(wide_ns), (narrow_ns != wide_ns).then(|| smoother(narrow_ns)));
         let lags: f64 = autocorrelation.iter().skip(1).sum();
+        let fwhm_samples = model.pulse_fwhm_ns / model.sampling_interval_ns;
         FootprintEstimator {
             settings,
             long_run: (1.0 + 2.0 * lags).max(0.1),
-            fwhm_samples: model.pulse_fwhm_ns / model.sampling_interval_ns,
+            fwhm_samples,
+            residual: Residual::new(SD_OF_FWHM * fwhm_samples),
+            residual_noise: model.residual_noise,
             interval_ns: model.sampling_interval_ns,
             echo: Echo::of(model, &narrow.as_ref().unwrap_or(&wide).kernel),
             wide,
@@ -61,6 +67,8 @@ impl FootprintEstimator {
         }
         let background = self.remove_background(samples, recorded)?;
         let mut measured = Measured::without_signal(background.mean_dn);
+        measured.deviation = self.deviation();
+        let m_per_sample = M_PER_NS * self.interval_ns;
         let narrow = self.narrow.as_ref().unwrap_or(&self.wide);
         let [wide_sd_dn, narrow_sd_dn] = [&self.wide, narrow].map(|smoother| background.sd_dn * smoother.sd);
         // What the thresholds count in.
@@ -93,27 +101,55 @@ impl FootprintEstimator {
         // A ground echo at the threshold is found in every second waveform; at 1.282 SDs above it in nine of ten.
         let least_energy_dn = (least_dn + 1.282 * narrow_sd_dn) * self.echo.area_samples;
         measured.sensitivity = (1.0 - least_energy_dn / energy.value).clamp(0.0, 1.0);
-        let count = measured.modes.len();
-        if let Some(ground) = measured.modes.last_mut() {
+        if let Some(ground) = measured.modes.last() {
             let behind = profile.energy_behind_dn(ground.position_samples.value);
             let ratio = scaled(behind, 1.0 / (self.echo.behind * energy.value));
             measured.ground_energy_ratio = WithSd { value: ratio.value.min(1.0), ..ratio };
             if !measured.is_cut[1] {
-                let evidence = Evidence::of(ground, measured.ground_energy_ratio.value, count);
-                ground.position_samples = evidence.position(ground, self.interval_ns);
-                measured.ground_probability = evidence.probability();
+                let lowest = Lowest {
+                    values_dn: &narrow.values_dn,
+                    modes: &measured.modes,
+                    echo: &self.echo,
+                    signal: [first, last],
+                    least_dn,
+                    energy_ratio: measured.ground_energy_ratio.value,
+                    m_per_sample,
+                    pulse_sd_samples: SD_OF_FWHM * self.fwhm_samples,
+                };
+                if let Some(features) = lowest.features() {
+                    choose_ground(&mut measured, features, m_per_sample);
+                }
+                let ground = measured.modes.last().map_or(WithSd::UNKNOWN, |mode| mode.position_samples);
                 let top = crossing(values, first, front_dn, wide_sd_dn);
-                profile.heights(ground.position_samples, top, &mut measured.heights_samples);
+                profile.heights(ground, top, &mut measured.heights_samples);
             }
         }
         Some(measured)
     }
 
+    /// Excess of power beyond the frequencies of the response, within the signal.
+    fn deviation(&self) -> f64 {
+        let per_dn = self.residual_noise.variance_ratio_per_dn;
+        let (values, is_free) = (&self.wide.values_dn, self.scratch.is_free());
+        let edge = self.edge(self.samples.len());
+        let powers = self.residual.power_ratio(values, 0.0, is_free, edge, per_dn);
+        powers.map_or(f64::NAN, |powers| powers.deviation(self.residual_noise))
+    }
+
+    /// Distance of samples without signal from the signal, and from the ends, which are smoothed with what lies beyond them.
+    fn reach(&self) -> usize {
+        (FREE_WIDTHS * self.fwhm_samples).ceil() as usize
+    }
+
+    fn edge(&self, samples: usize) -> usize {
+        self.reach().min(samples / 2)
+    }
+
     /// Subtracts the background and smooths.
     fn remove_background(&mut self, samples: &[f32], recorded: Option<RecordedNoise>) -> Option<Background> {
         self.wide.smooth(samples);
-        let reach = (FREE_WIDTHS * self.fwhm_samples).ceil() as usize;
-        let edge = reach.min(samples.len() / 2);
+        let reach = self.reach();
+        let edge = self.edge(samples.len());
         let inner = edge..samples.len() - edge;
         let found = background::estimate(
             samples.get(inner.clone())?,
@@ -135,10 +171,27 @@ impl FootprintEstimator {
         let level = background.mean_dn as f32;
         self.samples.clear();
         self.samples.extend(samples.iter().map(|dn| dn - level));
+        self.residual.filter(&self.samples);
         self.wide.smooth(&self.samples);
         self.narrow.iter_mut().for_each(|narrow| narrow.smooth(&self.samples));
         Some(background)
     }
+}
+
+/// Adds SDs and probabilities of the ground.
+fn choose_ground(measured: &mut Measured, features: [f64; GROUND_FEATURES], m_per_sample: f64) {
+    let Some(ground) = measured.modes.last_mut() else { return };
+    let distribution = GroundDistribution::of(&features);
+    let position = &mut ground.position_samples;
+    position.sd = position.sd.max(distribution.sd_m() / m_per_sample);
+    measured.ground_features = features;
+    measured.ground_probability = distribution.probability();
+    measured.ground_total_sd_samples = position.sd.max(distribution.total_sd_m() / m_per_sample);
+    measured.second_ground = distribution.second().map(|candidate| {
+        let below = scaled(candidate.position_samples, 1.0 / m_per_sample);
+        let position_samples = WithSd { value: position.value + below.value, ..below };
+        GroundCandidate { position_samples, ..candidate }
+    });
 }
 
 fn scaled(value: WithSd, factor: f64) -> WithSd {

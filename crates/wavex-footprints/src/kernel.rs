@@ -1,9 +1,9 @@
-//! Smoothing with a Gaussian in single precision, and what it leaves of correlated noise.
+//! Filters in single precision: smoothing with a Gaussian, its complement, and what smoothing leaves of correlated noise.
 
 /// Half length of a kernel, SDs of its Gaussian.
 const HALF_LENGTH_SDS: f64 = 4.0;
 
-/// A symmetric Gaussian of sum 1.
+/// A symmetric kernel.
 #[derive(Clone, Debug)]
 pub(super) struct Kernel {
     /// Weight of the centre, then of the neighbours at distance 1, 2, …
@@ -11,7 +11,7 @@ pub(super) struct Kernel {
 }
 
 impl Kernel {
-    /// Of this standard deviation, samples; positive.
+    /// A Gaussian of sum 1 and this standard deviation, samples; positive.
     pub(super) fn of_sd(sd_samples: f64) -> Kernel {
         let half = (HALF_LENGTH_SDS * sd_samples).ceil().max(1.0) as i32;
         let weight = |k: i32| libm::exp(-0.5 * (f64::from(k) / sd_samples).powi(2));
@@ -19,7 +19,23 @@ impl Kernel {
         Kernel { weights: (0..=half).map(|k| (weight(k) / sum) as f32).collect() }
     }
 
-    /// Smooths values that continue as 0 beyond their ends.
+    /// What is left when a Gaussian of this standard deviation, samples, is removed `order` times: `(1 - G)^order`.
+    pub(super) fn high_pass(sd_samples: f64, order: u32) -> Kernel {
+        let half = (HALF_LENGTH_SDS * sd_samples * f64::from(order).sqrt()).ceil() as i32;
+        // Binomial terms; the Gaussian of k passes is wider by the root of k.
+        let (mut weights, mut binomial) = (vec![0.0; half as usize + 1], 1.0);
+        for passes in 1..=order {
+            binomial *= -f64::from(order + 1 - passes) / f64::from(passes);
+            let weight =
+                |k: i32| libm::exp(-0.5 * f64::from(k).powi(2) / (sd_samples.powi(2) * f64::from(passes)));
+            let sum: f64 = (-half..=half).map(weight).sum();
+            (0..=half).zip(&mut weights).for_each(|(k, total)| *total += binomial * weight(k) / sum);
+        }
+        weights.iter_mut().take(1).for_each(|centre| *centre += 1.0);
+        Kernel { weights: weights.into_iter().map(|weight| weight as f32).collect() }
+    }
+
+    /// Filters values that continue as 0 beyond their ends.
     ///
     /// One pass per distance, because such loops become vector instructions of any processor with the
     /// same result.
@@ -107,6 +123,23 @@ mod tests {
         assert!(smoothed.len() == 2 && smoothed[0] < 0.2);
         kernel.smooth_into(&[], &mut smoothed);
         assert!(smoothed.is_empty());
+    }
+
+    /// A wide Gaussian passes none of it, an impulse nearly all.
+    #[test]
+    fn a_high_pass_removes_what_is_smooth() {
+        let bell: Vec<f32> =
+            (0..200).map(|k| 500.0 * (-0.5 * ((k as f32 - 100.3) / 6.6).powi(2)).exp()).collect();
+        let mut left = Vec::new();
+        let kernel = Kernel::high_pass(2.0, 6);
+        kernel.smooth_into(&bell, &mut left);
+        let largest = left.iter().fold(0.0f32, |largest, dn| largest.max(dn.abs()));
+        assert!(largest < 0.2, "{largest}");
+        let mut impulse = vec![0.0; 101];
+        impulse[50] = 1.0;
+        kernel.smooth_into(&impulse, &mut left);
+        let sum: f32 = left.iter().sum();
+        assert!(sum.abs() < 1e-4 && left[50] > 0.4, "{sum} {}", left[50]);
     }
 
     /// White noise keeps the sum of the squared weights; smooth noise keeps more.

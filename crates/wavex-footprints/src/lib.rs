@@ -13,7 +13,9 @@
 //! fractions of a digitiser step. The cost is linear in their number.
 
 mod background;
+mod constants;
 mod cover;
+mod deviation;
 mod echo;
 mod estimator;
 mod ground;
@@ -28,8 +30,11 @@ mod settings;
 mod tests;
 
 pub use cover::{cover, plant_area_index};
+pub use deviation::ResidualNoise;
 pub use estimator::FootprintEstimator;
-pub use measured::{FootprintMode, HEIGHTS, MOST_SAMPLES, Measured, RecordedNoise};
+pub use measured::{
+    FootprintMode, GROUND_FEATURES, GroundCandidate, HEIGHTS, MOST_SAMPLES, Measured, RecordedNoise,
+};
 pub use model::{
     EchoWidth, FootprintLearner, FootprintModel, LEAST_SHOTS, LearningError, outgoing_fwhm_samples,
 };

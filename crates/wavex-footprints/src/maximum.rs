@@ -9,8 +9,17 @@ pub(super) fn half_widths(values: &[f32], top: usize, position: f64, height: f64
     [steps_to(behind, half) - offset, steps_to(before, half) + offset]
 }
 
+/// Number of steps, with its fraction, until values fall below a level for the first time.
+pub(super) fn fall(values: &[f32], level: f64) -> f64 {
+    let falling = values.iter().scan(f64::INFINITY, |least, value| {
+        *least = least.min(f64::from(*value));
+        Some(*least)
+    });
+    steps_to(falling, level)
+}
+
 /// Number of steps, with its fraction, until values fall below a level or rise again.
-fn steps_to(values: impl Iterator<Item = f64>, level: f64) -> f64 {
+pub(super) fn steps_to(values: impl Iterator<Item = f64>, level: f64) -> f64 {
     let mut last = f64::INFINITY;
     for (step, value) in (0u32..).zip(values) {
         if value <= level {
@@ -44,6 +53,12 @@ mod tests {
         let valley = [5.0, 4.5, 8.0, 6.0, 7.0];
         assert_eq!(half_widths(&valley, 2, 2.0, 8.0), [1.0, 1.0], "to the valleys");
         assert_eq!(half_widths(&[1.0, 8.0], 1, 1.0, 8.0)[0], f64::INFINITY, "to no end");
+    }
+
+    #[test]
+    fn a_fall_passes_over_ripples() {
+        assert_eq!(fall(&[8.0, 6.0, 7.0, 4.0, 0.0], 5.0), 2.5);
+        assert_eq!(fall(&[8.0, 6.0], 5.0), f64::INFINITY);
     }
 
     #[test]

@@ -1,6 +1,9 @@
 //! What a recording of large footprints shows of its receiver: noise and response.
 
+use wavex_simd::statistics::median;
+
 use super::background::{self, Scratch};
+use super::deviation::{self, Residual, ResidualNoise};
 use super::kernel::Kernel;
 
 /// Samples of the response per sample of a waveform.
@@ -30,6 +33,8 @@ pub struct FootprintModel {
     pub noise_sd_dn: f64,
     /// Autocorrelation of the noise, at lags of 0, 1, … samples.
     pub autocorrelation: Vec<f64>,
+    /// Noise beyond the frequencies of the response.
+    pub residual_noise: ResidualNoise,
     /// Mean outgoing pulse, or narrowest echo, four values per sample, peak 1: the echo of a flat target.
     pub response: Vec<f64>,
     /// Full width at half maximum of the response, ns.
@@ -68,6 +73,11 @@ pub struct FootprintLearner {
     pulses: usize,
     /// Sums of products at each lag over the sum of squares, per waveform.
     products: [f64; LAGS],
+    /// The same of the noise that the residual's filter leaves.
+    residual_products: [f64; deviation::LAGS],
+    /// Variance that the signal adds per DN, over that of the background, per waveform.
+    variance_ratios_per_dn: Vec<f64>,
+    residual: Residual,
     noise_sds_dn: Vec<f64>,
     kernel: Kernel,
     scratch: Scratch,
@@ -87,6 +97,9 @@ impl FootprintLearner {
             peak,
             pulses: 0,
             products: [0.0; LAGS],
+            residual_products: [0.0; deviation::LAGS],
+            variance_ratios_per_dn: Vec::new(),
+            residual: Residual::new(SD_OF_FWHM * fwhm),
             noise_sds_dn: Vec::new(),
             kernel: Kernel::of_sd(SD_OF_FWHM * fwhm),
             scratch: Scratch::default(),
@@ -131,15 +144,12 @@ impl FootprintLearner {
             return;
         };
         let is_free = self.scratch.is_free();
-        for (lag, product) in self.products.iter_mut().enumerate() {
-            let pairs = inside.iter().zip(is_free).zip(inside.iter().zip(is_free).skip(lag));
-            let (mut sum, mut count) = (0.0, 0u32);
-            for ((a, _), (b, _)) in pairs.filter(|((_, free), (_, other))| **free && **other) {
-                sum += (f64::from(*a) - found.mean_dn) * (f64::from(*b) - found.mean_dn);
-                count += 1;
-            }
-            *product += sum / f64::from(count.max(1)) / found.sd_dn.powi(2);
-        }
+        add_products(&mut self.products, inside, is_free, found.mean_dn);
+        self.residual.filter(samples);
+        let residual_dn = self.residual.values_dn.get(edge..inner).unwrap_or_default();
+        add_products(&mut self.residual_products, residual_dn, is_free, 0.0);
+        let powers = self.residual.power_ratio(&self.smoothed, found.mean_dn, is_free, edge, 0.0);
+        self.variance_ratios_per_dn.extend(powers.map(|of| (of.ratio - 1.0) / of.mean_signal_dn));
         self.noise_sds_dn.push(found.sd_dn);
     }
 
@@ -156,19 +166,48 @@ impl FootprintLearner {
             return Err(LearningError::TooFewBackgrounds { found: waveforms });
         }
         self.noise_sds_dn.sort_unstable_by(f64::total_cmp);
-        let [own, ..] = self.products;
         let mut response: Vec<f64> = self.sum.iter().map(|sum| sum / self.pulses as f64).collect();
         trim(&mut response, self.peak);
+        let residual_squares: f64 =
+            autocorrelation(&self.residual_products).iter().map(|value| value * value).sum();
         let above = response.iter().filter(|value| **value > 0.5).count();
         Ok(FootprintModel {
             sampling_interval_ns: self.interval_ns,
             noise_sd_dn: self.noise_sds_dn.get(waveforms / 2).copied().unwrap_or_default(),
-            autocorrelation: self.products.iter().map(|product| product / own).collect(),
+            autocorrelation: autocorrelation(&self.products),
+            residual_noise: ResidualNoise {
+                samples_per_independent: 2.0 * residual_squares - 1.0,
+                variance_ratio_per_dn: median(self.variance_ratios_per_dn).unwrap_or(0.0).max(0.0),
+            },
             response,
             pulse_fwhm_ns: above as f64 / OVERSAMPLING as f64 * self.interval_ns,
             shots: waveforms as u64,
         })
     }
+}
+
+/// Adds the mean products of samples without signal at each lag, over their mean square.
+fn add_products(sums: &mut [f64], samples: &[f32], is_free: &[bool], level_dn: f64) {
+    let mut square = 0.0;
+    for (lag, total) in sums.iter_mut().enumerate() {
+        let pairs = samples.iter().zip(is_free).zip(samples.iter().zip(is_free).skip(lag));
+        let (mut sum, mut count) = (0.0, 0u32);
+        for ((a, _), (b, _)) in pairs.filter(|((_, free), (_, other))| **free && **other) {
+            sum += (f64::from(*a) - level_dn) * (f64::from(*b) - level_dn);
+            count += 1;
+        }
+        let mean = sum / f64::from(count.max(1));
+        if lag == 0 {
+            square = mean;
+        }
+        *total += mean / square.max(f64::MIN_POSITIVE);
+    }
+}
+
+/// Products over those of lag 0.
+fn autocorrelation(products: &[f64]) -> Vec<f64> {
+    let own = products.first().copied().unwrap_or(1.0);
+    products.iter().map(|product| product / own).collect()
 }
 
 /// Sets what lies beyond the feet of the pulse to 0: there is only noise.

@@ -165,3 +165,70 @@ fn narrow_echoes_replace_outgoing_pulses() {
     let [of_echoes, of_outgoing] = [learner.finish().unwrap(), model()].map(|model| model.pulse_fwhm_ns);
     assert!((of_echoes - of_outgoing).abs() < 0.4, "{of_echoes} {of_outgoing}");
 }
+
+/// Deviations of 300 shots, ordered.
+fn deviations(model: &FootprintModel, noise_per_dn: f64) -> Vec<f64> {
+    let mut estimator = FootprintEstimator::new(model, FootprintSettings::default());
+    let of = |seed| estimator.measure(&photons(seed, noise_per_dn), None).unwrap().deviation;
+    let mut deviations: Vec<f64> = (500..800).map(of).collect();
+    deviations.sort_unstable_by(f64::total_cmp);
+    deviations
+}
+
+/// A canopy above ground whose noise grows with the signal: the added variance per DN over that of the background.
+fn photons(seed: u32, noise_per_dn: f64) -> Vec<f32> {
+    let echoes = [[60.0, 380.3, 20.0], [150.0, GROUND, PULSE_SD]];
+    let clean = |k: usize| {
+        let of = |[height, at, sd]: [f64; 3]| height * (-0.5 * ((k as f64 - at) / sd).powi(2)).exp();
+        echoes.into_iter().map(of).sum::<f64>()
+    };
+    let samples = noise(seed).into_iter().enumerate().map(|(k, dn)| {
+        (LEVEL_DN + (dn - LEVEL_DN) * (1.0 + noise_per_dn * clean(k)).sqrt() + clean(k)) as f32
+    });
+    samples.collect()
+}
+
+#[test]
+fn deviations_of_profiles_are_those_of_noise() {
+    let model = model();
+    let found = deviations(&model, 0.0);
+    let [low, median, high] = [3, 150, 296].map(|k| found[k]);
+    assert!(median.abs() < 0.5 && low > -5.0 && high < 5.0, "{low} {median} {high}");
+    let spread = 0.5 * (found[252] - found[47]);
+    assert!((0.8..1.25).contains(&spread), "{spread}");
+    let mut samples = photons(1, 0.0);
+    samples[450] += 20.0;
+    let mut estimator = FootprintEstimator::new(&model, FootprintSettings::default());
+    let deviation = estimator.measure(&samples, None).unwrap().deviation;
+    assert!(deviation > 5.0, "a single sample: {deviation}");
+}
+
+/// Noise that grows with the signal is not a deviation.
+#[test]
+fn noise_of_the_signal_is_learnt() {
+    let mut learner = FootprintLearner::new(1.0, 15.5);
+    for seed in 0..40 {
+        let pulse = |k: usize| 200.0 + 900.0 * (-0.5 * ((k as f64 - 60.25) / PULSE_SD).powi(2)).exp();
+        learner.add_outgoing(&(0..128).map(|k| pulse(k) as f32).collect::<Vec<_>>());
+        learner.add_waveform(&photons(seed, 0.05));
+    }
+    let learnt = learner.finish().unwrap();
+    let per_dn = learnt.residual_noise.variance_ratio_per_dn;
+    assert!((per_dn - 0.05).abs() < 0.01, "{per_dn}");
+    let median = deviations(&learnt, 0.05)[150];
+    assert!(median.abs() < 0.5, "{median}");
+    assert!(deviations(&model(), 0.05)[150] > 3.0, "without it");
+}
+
+/// A ground that merges with a layer of twice its height is the second candidate.
+#[test]
+fn a_hidden_ground_is_the_second_candidate() {
+    let found = measured_by(5, &[[60.0, GROUND - 20.0, 9.0], [25.0, GROUND, PULSE_SD]]);
+    let second = found.second_ground.unwrap();
+    let distance = (second.position_samples.value - GROUND).abs();
+    assert!(distance < 3.0 * second.position_samples.sd && found.ground_probability < 0.5, "{found:?}");
+    assert!(second.probability > found.ground_probability, "{second:?}");
+    assert!(found.ground_total_sd_samples > 3.0 * found.ground().unwrap().position_samples.sd);
+    let clear = measured_by(6, &[[60.0, GROUND - 100.0, 9.0], [150.0, GROUND, PULSE_SD]]);
+    assert!(clear.ground_probability > 0.9 && clear.second_ground.is_none(), "{clear:?}");
+}

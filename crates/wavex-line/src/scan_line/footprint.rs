@@ -37,6 +37,12 @@ pub struct Footprint {
     pub ground_range_m: WithSd,
     /// Probability that the lowest mode is the ground.
     pub ground_probability: f64,
+    /// SD of the range of the ground that includes the choice, m.
+    pub ground_total_sd_m: f64,
+    /// Height of the second candidate for the ground above the first, m; negative.
+    pub second_ground_height_m: WithSd,
+    /// Its probability.
+    pub second_ground_probability: f64,
     /// Height of the lowest mode above the background, digitiser steps.
     pub ground_amplitude_dn: WithSd,
     /// Distances from the lowest mode to half its height below and above it, over those of a flat target.
@@ -57,6 +63,8 @@ pub struct Footprint {
     pub plant_area_index: WithSd,
     /// Cover of a canopy through which the ground would be found with a probability of 0.9.
     pub sensitivity: f64,
+    /// Deviation of the waveform from every profile of ground and canopy, in standard deviations.
+    pub deviation: f64,
     /// Bits of [`footprint_flags`].
     pub flags: u8,
     /// Values of the recording's further columns ([`super::InputInfo::columns`]).

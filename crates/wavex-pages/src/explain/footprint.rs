@@ -72,7 +72,17 @@ impl ExplainedFootprint {
         let mut rows = vec![
             ["ground, range from the first sample, m".to_owned(), with_sd(found.ground_range_m, 3)],
             ["ground, probability".to_owned(), number(found.ground_probability, 2)],
+            ["ground, standard deviation with the choice, m".to_owned(), number(found.ground_total_sd_m, 3)],
         ];
+        if !found.second_ground_probability.is_nan() {
+            rows.extend([
+                [
+                    "second ground, height above the first, m".to_owned(),
+                    with_sd(found.second_ground_height_m, 2),
+                ],
+                ["second ground, probability".to_owned(), number(found.second_ground_probability, 2)],
+            ]);
+        }
         let ground_m = self.seen.height_above_ellipsoid_m(found.ground_range_m.value);
         rows.extend(
             ground_m.map(|height| ["ground, height above the ellipsoid, m".to_owned(), number(height, 3)]),
@@ -83,6 +93,7 @@ impl ExplainedFootprint {
             ["cover".to_owned(), with_sd(found.cover, 3)],
             ["plant area index".to_owned(), with_sd(found.plant_area_index, 2)],
             ["sensitivity".to_owned(), number(found.sensitivity, 3)],
+            ["deviation of the waveform, standard deviations".to_owned(), number(found.deviation, 2)],
         ]);
         columns(&rows)
     }

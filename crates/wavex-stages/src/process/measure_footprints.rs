@@ -50,9 +50,11 @@ const SHOTS_PER_TASK: usize = 32;
 /// containers. The noise of each beam and its response, the mean outgoing pulse, are learnt
 /// from its first `shots` shots. Without outgoing pulses the response is the mean of the narrowest 2 % of the echoes. Each waveform is smoothed; its signal lies between the first and the last crossing
 /// of a threshold; modes become returns. The lowest is the ground: its return has class 2. Its standard deviation
-/// includes shifts by slope and low vegetation, and it has the probability that it is the ground, and not a layer
-/// above one that is not seen; both follow from the shape of the mode. Relative heights count from the ground upwards: below RH50 lies half of the energy, and RH100 is where the signal begins. Heights are
-/// vertical. `docs/explanation/footprints.md` describes the method; `write_footprints` writes one row per shot.
+/// includes shifts by slope and low vegetation, and it has the probability that the ground is within 1 m or 3 standard
+/// deviations of it, and not below. Where the ground may merge with the layer above it, a second candidate below the mode has
+/// height, standard deviation and probability. All follow from the shape of the mode. The deviation of a waveform is large
+/// where no profile of ground and canopy explains it. Relative heights count from the ground upwards: below RH50 lies half of
+/// the energy, and RH100 is where the signal begins. Heights are vertical. `docs/explanation/footprints.md` describes the method; `write_footprints` writes one row per shot.
 ///
 /// A preset repeats one of the six settings of NASA's product GEDI02_A, for comparison: smoothing, thresholds and
 /// noise as there, and every maximum of the smoothed waveform as a mode.

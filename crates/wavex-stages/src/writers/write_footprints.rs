@@ -25,9 +25,10 @@ pub const STAGE: StageSpec =
 /// Writes ground, canopy and relative heights of every shot that `measure_footprints` has measured.
 ///
 /// One row per shot. The columns, in this order, are: shot, shot_number, beam, gps_time_s, x, y, z (of the
-/// ground; null before `georeference` and without ground), ground_sd_m, ground_probability, ground_amplitude_dn,
+/// ground; null before `georeference` and without ground), ground_sd_m, ground_probability, ground_total_sd_m,
+/// second_ground_height_m, second_ground_sd_m, second_ground_probability, ground_amplitude_dn,
 /// ground_amplitude_sd_dn, ground_width_below_ratio, ground_width_above_ratio, modes, energy_dn, energy_sd_dn,
-/// ground_energy_ratio, ground_energy_ratio_sd, cover, cover_sd, plant_area_index, plant_area_index_sd, sensitivity, flags,
+/// ground_energy_ratio, ground_energy_ratio_sd, cover, cover_sd, plant_area_index, plant_area_index_sd, sensitivity, deviation, flags,
 /// rh_m and rh_sd_m, then the further values of the recording under their own names. Each column has its meaning as metadata.
 /// rh_m and rh_sd_m are lists of 101 values, for 0, 1, … 100 % of the energy; in CSV they are columns rh0_m to rh100_m and
 /// rh0_sd_m to rh100_sd_m. Unknown quantities are NaN.

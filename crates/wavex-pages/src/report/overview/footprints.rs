@@ -103,6 +103,9 @@ mod tests {
             shot_number: 0,
             ground_range_m: WithSd::UNKNOWN,
             ground_probability,
+            ground_total_sd_m: f64::NAN,
+            second_ground_height_m: WithSd::UNKNOWN,
+            second_ground_probability: f64::NAN,
             ground_amplitude_dn: WithSd::UNKNOWN,
             ground_half_width_ratios: [1.0; 2],
             heights_m: Box::new([f32::NAN; 101]),
@@ -113,6 +116,7 @@ mod tests {
             cover: WithSd::UNKNOWN,
             plant_area_index: WithSd::UNKNOWN,
             sensitivity: 0.97,
+            deviation: 0.0,
             flags,
             columns: Box::default(),
         }

@@ -34,6 +34,9 @@ impl MeasuredShot<'_> {
             shot_number: self.record.map_or(self.emission.shot, |record| record.shot_number),
             ground_range_m: metres.range(of_ground(|mode| mode.position_samples)),
             ground_probability: measured.ground_probability,
+            ground_total_sd_m: metres.range_m * measured.ground_total_sd_samples,
+            second_ground_height_m: metres.second_height(measured),
+            second_ground_probability: measured.second_ground.map_or(f64::NAN, |second| second.probability),
             ground_amplitude_dn: of_ground(|mode| mode.amplitude_dn),
             ground_half_width_ratios: ground.map_or([f64::NAN; 2], |mode| mode.half_width_ratios),
             heights_m: metres.heights(measured, |height| height.value),
@@ -44,6 +47,7 @@ impl MeasuredShot<'_> {
             cover,
             plant_area_index: plant_area_index(cover),
             sensitivity: measured.sensitivity,
+            deviation: measured.deviation,
             flags: self.flags(measured),
             columns: self.record.map(|record| record.columns.clone()).unwrap_or_default(),
         };
@@ -112,6 +116,15 @@ impl Metres {
 
     fn range(&self, position: WithSd) -> WithSd {
         WithSd { value: self.first_m + self.range_m * position.value, sd: self.range_m * position.sd }
+    }
+
+    /// Height of the second candidate above the ground.
+    fn second_height(&self, measured: &Measured) -> WithSd {
+        let both = measured.ground().zip(measured.second_ground);
+        both.map_or(WithSd::UNKNOWN, |(ground, second)| {
+            let above_samples = ground.position_samples.value - second.position_samples.value;
+            WithSd { value: self.height_m * above_samples, sd: self.height_m * second.position_samples.sd }
+        })
     }
 
     fn heights(&self, measured: &Measured, part: fn(&WithSd) -> f64) -> Box<[f32; HEIGHTS]> {

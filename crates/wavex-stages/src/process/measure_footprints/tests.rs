@@ -146,8 +146,8 @@ fn a_short_beam_is_counted() {
     assert!(outcome.unwrap_err().to_string().contains("and 10 are needed"));
 }
 
-/// Flags of a shot with echoes of these heights and positions, among sound shots; samples of 340 DN are clipped.
-fn flags_of(echoes: &[[f64; 2]]) -> u8 {
+/// A shot with echoes of these heights and positions, among sound shots; samples of 340 DN are clipped.
+fn shot_of(echoes: &[[f64; 2]]) -> Footprint {
     let input = Arc::new(InputInfo { full_scale_dn: Some(340), ..InputInfo::clone(&input("BEAM0101")) });
     let mut line = line(&input, 0, 20, true);
     let Content::Shots(blocks) = &mut line.content else { panic!("no blocks") };
@@ -160,7 +160,28 @@ fn flags_of(echoes: &[[f64; 2]]) -> u8 {
     blocks.push_fractions(19, Channel::LowPower, 0.0, 1.0, &samples);
     let (outcome, given, _) = run(100, vec![line]);
     outcome.unwrap();
-    given[0].footprints[19].flags
+    given[0].footprints[19].clone()
+}
+
+fn flags_of(echoes: &[[f64; 2]]) -> u8 {
+    shot_of(echoes).flags
+}
+
+#[test]
+fn a_ground_that_merges_with_a_layer_is_the_second_candidate() {
+    let hidden = shot_of(&[[60.0, 380.0], [50.0, 388.0], [30.0, 400.0]]);
+    let height_m = hidden.second_ground_height_m;
+    assert!((-6.0..-0.3).contains(&height_m.value) && height_m.sd > 0.1, "{hidden:?}");
+    let sum = hidden.ground_probability + hidden.second_ground_probability;
+    assert!(hidden.second_ground_probability > 0.05 && sum <= 1.0, "{hidden:?}");
+    assert!(hidden.ground_total_sd_m > hidden.ground_range_m.sd, "{hidden:?}");
+    let clear = shot_of(&[[60.0, 300.0], [100.0, 400.0]]);
+    assert!(
+        clear.second_ground_probability.is_nan() && clear.second_ground_height_m.value.is_nan(),
+        "{clear:?}"
+    );
+    assert!(clear.deviation.abs() < 5.0, "{clear:?}");
+    assert!(shot_of(&[[150.0, 400.0]]).deviation > 5.0, "clipped");
 }
 
 #[test]

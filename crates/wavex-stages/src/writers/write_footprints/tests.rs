@@ -17,6 +17,9 @@ fn footprint(emission: u32) -> Footprint {
         shot_number: 19_640_119_100_108_615 + u64::from(emission),
         ground_range_m: known(60.0),
         ground_probability: 0.9,
+        ground_total_sd_m: 7.0,
+        second_ground_height_m: WithSd { value: -4.0, sd: 0.5 },
+        second_ground_probability: 0.08,
         ground_amplitude_dn: known(80.0),
         ground_half_width_ratios: [1.1, 1.3],
         heights_m: Box::new(std::array::from_fn(|percent| percent as f32 * 0.25)),
@@ -27,6 +30,7 @@ fn footprint(emission: u32) -> Footprint {
         cover: known(0.4),
         plant_area_index: known(1.0),
         sensitivity: 0.97,
+        deviation: 0.3,
         flags: 8,
         columns: Box::new([1.5, f64::from(emission)]),
     }
@@ -60,6 +64,10 @@ fn a_row_is_a_shot_with_the_position_of_its_ground() {
     assert_eq!((batch.num_rows(), of("x").value(0), of("z").value(0)), (2, 4.0, 6.0));
     assert!(arrow_array::Array::is_null(of("x"), 1), "without ground");
     assert_eq!((of("ground_sd_m").value(0), of("geoid").value(1)), (6.0, 1.0));
+    let second =
+        ["ground_total_sd_m", "second_ground_height_m", "second_ground_sd_m", "second_ground_probability"];
+    assert_eq!(second.map(|name| of(name).value(0)), [7.0, -4.0, 0.5, 0.08]);
+    assert_eq!(of("deviation").value(0), 0.3);
     let numbers = batch.column_by_name("shot_number").unwrap().as_primitive::<UInt64Type>();
     assert_eq!(numbers.value(1), 19_640_119_100_108_616, "more digits than a double");
     let heights = batch.column_by_name("rh_m").unwrap().as_fixed_size_list().value(1);
