@@ -44,7 +44,8 @@ fn the_size_of_the_inputs_and_the_number_of_points_are_printed() {
     let kilobytes = 2.0 * (las.las().len() + las.packets.len()) as f64 / 1e3;
     assert_eq!(lines(&outcome, "files"), [format!("2, {kilobytes:.1} kB")]);
     // Two first returns may be of one shot, and a shot may have none.
-    let counted = "about 14, the number of points that are first returns; about 14 to 42 points";
+    let counted =
+        "about 14, the number of first returns by the header, or else of points; about 14 to 42 points";
     assert_eq!(lines(&outcome, "shots"), [counted]);
     let output = lines(&outcome, "output");
     assert!(

@@ -10,12 +10,13 @@ use wavex_testkit::{TestFolder, data, wavex};
 
 /// Our results and NASA's, by shot number.
 struct Shots {
-    ours: Vec<[f64; 8]>,
+    ours: Vec<[f64; 9]>,
     nasa: Vec<[f64; 8]>,
 }
 
-/// Columns of both: ground, modes, RH25, RH50, RH75, RH98, cover.
-const OURS: [&str; 8] = ["z", "modes", "rh25_m", "rh50_m", "rh75_m", "rh98_m", "cover", "ground_sd_m"];
+/// Columns of both: ground, modes, RH25, RH50, RH75, RH98, cover. Ours have two more.
+const OURS: [&str; 9] =
+    ["z", "modes", "rh25_m", "rh50_m", "rh75_m", "rh98_m", "cover", "ground_probability", "deviation"];
 const NASA: [&str; 8] = [
     "elev_lowestmode_m",
     "num_detectedmodes",
@@ -43,21 +44,20 @@ impl Shots {
         let rows: BTreeMap<u64, usize> = numbers(&nasa).map(|(row, number)| (number, row)).collect();
         let pairs: Vec<(usize, usize)> = numbers(&ours).map(|(row, number)| (row, rows[&number])).collect();
         assert_eq!(pairs.len(), 164, "every shot of four beams");
-        let [of_ours, of_nasa] = [OURS.map(|name| ours.column(name)), NASA.map(|name| nasa.column(name))];
-        let row = |columns: &[Vec<f64>; 8], row: usize| std::array::from_fn(|column| columns[column][row]);
+        let (of_ours, of_nasa) = (OURS.map(|name| ours.column(name)), NASA.map(|name| nasa.column(name)));
         Shots {
-            ours: pairs.iter().map(|(number, _)| row(&of_ours, *number)).collect(),
-            nasa: pairs.iter().map(|(_, number)| row(&of_nasa, *number)).collect(),
+            ours: pairs.iter().map(|(number, _)| row_of(&of_ours, *number)).collect(),
+            nasa: pairs.iter().map(|(_, number)| row_of(&of_nasa, *number)).collect(),
         }
     }
 
     fn differences(&self, column: usize) -> Vec<f64> {
         self.ours.iter().zip(&self.nasa).map(|(ours, nasa)| ours[column] - nasa[column]).collect()
     }
+}
 
-    fn sum(rows: &[[f64; 8]], column: usize) -> f64 {
-        rows.iter().map(|row| row[column]).sum()
-    }
+fn row_of<const COLUMNS: usize>(columns: &[Vec<f64>; COLUMNS], row: usize) -> [f64; COLUMNS] {
+    std::array::from_fn(|column| columns[column][row])
 }
 
 /// The bounds of both settings; `ground_sd_m` is the largest robust SD.
@@ -71,7 +71,8 @@ fn check(shots: &Shots, ground_sd_m: f64) {
         centre_m
     );
     assert!(sd_m <= ground_sd_m && near >= 161 && below <= 1);
-    let [ours, nasa] = [&shots.ours, &shots.nasa].map(|rows| Shots::sum(rows, 1));
+    let ours = shots.ours.iter().map(|row| row[1]).sum::<f64>();
+    let nasa = shots.nasa.iter().map(|row| row[1]).sum::<f64>();
     println!("modes: {ours} and {nasa}");
     assert!((ours / nasa - 1.0).abs() <= 0.1);
     for (column, name) in [(3, "RH50"), (4, "RH75"), (5, "RH98")] {
@@ -95,7 +96,20 @@ fn the_preset_repeats_gedis_own_results() {
 #[test]
 fn the_ground_of_gedi_is_found_by_default() {
     let Some(data) = data() else { return };
-    check(&Shots::of(&data, ""), 0.10);
+    let shots = Shots::of(&data, "");
+    check(&shots, 0.10);
+    let ordered = |column: usize| {
+        let mut values: Vec<f64> = shots.ours.iter().map(|row| row[column]).collect();
+        values.sort_unstable_by(f64::total_cmp);
+        values
+    };
+    let (probabilities, deviations) = (ordered(7), ordered(8));
+    let above = |limit: f64| probabilities.iter().filter(|of| **of > limit).count() as f64 / 164.0;
+    println!("probability above 0.9: {:.2}, above 0.5: {:.2}", above(0.9), above(0.5));
+    assert!(above(0.5) > 0.5);
+    let [low, median, high] = [1, 82, 162].map(|k| deviations[k]);
+    println!("deviation: 1 % {low:.2}, median {median:.2}, 99 % {high:.2}");
+    assert!(median.abs() < 0.5 && low > -5.0 && high < 5.0);
 }
 
 /// All columns of the table but the product's own, as text, by name.
@@ -198,6 +212,8 @@ fn an_explained_shot_is_that_of_the_table() {
     for (name, value) in [
         ("ground, probability", format!("{:.2}", number("ground_probability"))),
         ("ground, height above the ellipsoid, m", format!("{:.3}", number("z"))),
+        ("ground, standard deviation with the choice, m", format!("{:.3}", number("ground_total_sd_m"))),
+        ("deviation of the waveform, standard deviations", format!("{:.2}", number("deviation"))),
         ("RH50, m", format!("{:.2} ± {:.2}", number("rh50_m"), number("rh50_sd_m"))),
         ("RH98, m", format!("{:.2} ± {:.2}", number("rh98_m"), number("rh98_sd_m"))),
         ("cover", format!("{:.3} ± {:.3}", number("cover"), number("cover_sd"))),
@@ -206,6 +222,9 @@ fn an_explained_shot_is_that_of_the_table() {
         let is_it = |line: &str| line.strip_prefix(name).is_some_and(|rest| rest.trim() == value);
         assert!(text.lines().any(is_it), "{name} {value}\n{text}");
     }
+    let [second_m, second_sd_m] = ["second_ground_height_m", "second_ground_sd_m"].map(number);
+    let second = format!(" {second_m:.2} ± {second_sd_m:.2}");
+    assert_eq!(text.contains(&second), !number("second_ground_probability").is_nan(), "{second}\n{text}");
     let picture = fs::read_to_string(place.path("a.svg")).unwrap();
     assert!(picture.contains(">RH98</text>") && picture.contains("height above the ground, m"));
     let view = Viewer::start(wavex().current_dir(place.path("")).args(["view", "--no-open", &file]));

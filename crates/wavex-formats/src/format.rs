@@ -38,7 +38,7 @@ pub const FORMATS: &[RecordingFormat] = &[
         extensions: &[LAS, LAZ],
         companions: &[PACKETS, COMPRESSED_PACKETS],
         shot_count: Some(first_returns_of_las),
-        counted: Some("points that are first returns"),
+        counted: Some("first returns by the header, or else of points"),
         first_last_s: Some(times_of_las),
     },
     RecordingFormat {

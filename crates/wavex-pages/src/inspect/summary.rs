@@ -112,7 +112,7 @@ fn about_file(file: &Path, inspection: &Inspection) -> SummarySection {
     section.say("group velocity", format!("{:.0} m/s", input.group_velocity_mps));
     section.say("sampling interval", format!("{} ns", number(input.sampling_interval_ns, 6)));
     let full = input.full_scale_dn.map_or("unknown".into(), |full| format!("{full} DN"));
-    section.say("largest sample", full);
+    section.say("full scale of samples", full);
     match input.gain_control {
         GainControl::Off => {}
         GainControl::Recorded => section.say("automatic gain control", "yes, with the gain of each block"),

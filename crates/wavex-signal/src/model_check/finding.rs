@@ -77,7 +77,7 @@ impl Area {
                 "calibrate from this recording",
             ),
             Area::Background => (
-                "the background differs from the sensor model: offset",
+                "the background differs from the sensor model: quiet samples lie above it by",
                 "calibrate from this recording, or set `background = \"per_waveform\"`",
             ),
             Area::PulseWidth => (
@@ -115,6 +115,7 @@ impl Area {
 /// A number with three significant digits.
 fn short(value: f64) -> String {
     let digits = match value.abs() {
+        0.0 => 0,
         small if small < 0.1 => 4,
         one if one < 10.0 => 2,
         ten if ten < 100.0 => 1,

@@ -315,7 +315,8 @@ impl<S: Source> AsDeclared<S> {
         if let Some(frame) = frame {
             return Err(StageError::failed(
                 format!("`crs_of_input` names a projected CRS, but this recording is in {frame}"),
-                "remove the key; the output CRS is `crs` of `[job.geometry]`",
+                "remove the key, or give recordings in other coordinates a job of their own; the output CRS is `crs` of \
+                 `[job.geometry]`",
             ));
         }
         if let Some(other) = of_file.as_deref().filter(|wkt| declared::differ(wkt, declared, place_m)) {

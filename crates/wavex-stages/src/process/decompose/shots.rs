@@ -168,7 +168,7 @@ impl ShotBlocks<'_> {
             }
         }
         if weights == 0.0 {
-            cx.warn("the return locations of some waveforms match no computed return: their sub-sample emission offset is unknown, and the standard deviations of ranges include it; a few such waveforms are usual; if `range_sd_m` is large for most, compare a shot with its return locations by `wavex explain`, or set `emission_jitter_ns` of `decompose` if the clock is more exact");
+            cx.warn("the return locations of some waveforms match no computed return: their sub-sample emission offset is unknown, and the standard deviations of ranges include it; a few such waveforms are usual; if `range_sd_m` is large for most, the points of the file may belong to other waveforms; or set `emission_jitter_ns` of `decompose` if the clock is more exact");
             return unknown;
         }
         // The offset is computed from the same echoes, so it adds no error.
