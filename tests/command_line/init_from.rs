@@ -111,7 +111,6 @@ fn a_large_footprint_is_recognised() {
         ("pulsewaves/riegl_example3.pls", "pulsewaves"),
         ("pulsewaves/optech_example1.pls", "pulsewaves"),
         ("riegl_q680i_dev/riegl_q680i_dev.las", "las"),
-        ("pulsewaves/lvis_example2_first.pls", "large_footprint"),
         ("pulsewaves/geolas_example1.pls", "pulsewaves"),
         ("pulsewaves/las13fwf_example1.pls", "pulsewaves"),
         ("pulsewaves/riegl_example4.pls", "pulsewaves"),
