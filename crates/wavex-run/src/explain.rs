@@ -127,7 +127,7 @@ pub enum Explainer {
     /// Decomposes them.
     Small(Arc<Chain>),
     /// Measures their ground and heights.
-    Large(FootprintChain),
+    Large(Box<FootprintChain>),
 }
 
 /// Selects a shot.
@@ -158,7 +158,7 @@ impl Explainer {
     /// If the format is unknown or the job invalid.
     pub fn of(request: &ExplainRequest) -> Result<Explainer, Failure> {
         match request.has_large_footprints()? {
-            true => FootprintChain::of(request).map(Explainer::Large),
+            true => Ok(Explainer::Large(Box::new(FootprintChain::of(request)?))),
             false => Chain::of(request).map(|chain| Explainer::Small(Arc::new(chain))),
         }
     }
