@@ -111,7 +111,6 @@ fn a_large_footprint_is_recognised() {
         ("pulsewaves/riegl_example3.pls", "pulsewaves"),
         ("pulsewaves/optech_example1.pls", "pulsewaves"),
         ("riegl_q680i_dev/riegl_q680i_dev.las", "las"),
-        ("pulsewaves/geolas_example1.pls", "pulsewaves"),
         ("pulsewaves/las13fwf_example1.pls", "pulsewaves"),
         ("pulsewaves/riegl_example4.pls", "pulsewaves"),
         ("gedi/gedi_l1b.h5", "gedi"),
