@@ -19,7 +19,7 @@ def use(path: Path) -> float:
     """Use most of the package."""
     recording = wavex.open(path)
     shot: wavex.Shot = recording.lines[3][0]
-    samples: NDArray[np.uint16] = shot.samples["low"]
+    samples: NDArray[np.uint16] | NDArray[np.float32] = shot.samples["low"]
     model = wavex.calibrate(recording, waveforms=1000)
     table = wavex.decompose_samples(samples[None, :], 0.0, model, mode="fastest")
     with wavex.decompose(recording, model, columns=["shot"]) as reader:
@@ -29,7 +29,7 @@ def use(path: Path) -> float:
     return float(table["time_ns"][0])
 
 
-def matrices(recording: wavex.Recording) -> NDArray[np.uint16]:
+def matrices(recording: wavex.Recording) -> NDArray[np.uint16] | NDArray[np.float32]:
     """Use tables as mappings, and waveforms."""
     table = wavex.decompose(recording).read_all()
     columns: dict[str, NDArray[np.float64]] = dict(table)
