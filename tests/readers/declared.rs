@@ -247,7 +247,7 @@ fn coordinates_may_be_asked_for_in_the_map_that_is_declared() {
     };
     let unnamed = "stage georeference: ./a.las: the beams of this recording are already in an unnamed CRS, \
                    but `[job.geometry]` requests other coordinates; set it with the reader's key \
-                   `crs_of_input`, or remove `crs`, `geoid` and `unit`";
+                   `crs_of_input`, or remove `crs`, `geoid` and `unit`; recordings in other coordinates need a job of their own";
     place.left_nothing(place.run(&job("")), unnamed);
     assert_eq!(place.run(&job("crs_of_input = 'utm:33N'")).err, "");
 }

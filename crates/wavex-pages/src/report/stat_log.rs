@@ -103,7 +103,7 @@ fn about_input(text: &mut SectionedText, input: &InputSummary) {
     text.known("serial number", input.serial.as_ref());
     text.known("sampling interval", input.sampling_interval_ns.map(|ns| format!("{ns} ns")));
     text.known("group velocity", input.group_velocity_mps.map(|mps| format!("{mps} m/s")));
-    text.known("time scale", input.time_scale.as_ref());
+    text.known("time scale of results", input.time_scale.as_ref());
     text.known("frame of the beams", input.frame.as_ref());
     text.known("emission time from", input.emission_reference.as_ref().map(|word| word.replace('_', " ")));
     text.known("ranges start at", input.ranges_count_from.as_ref().map(|word| word.replace('_', " ")));

@@ -35,7 +35,7 @@ const QUANTITIES: [(&str, &str, &str); 44] = [
     ("serial", "serial number", ""),
     ("sampling_interval_ns", "sampling interval", "ns"),
     ("group_velocity_mps", "group velocity in air", "m/s"),
-    ("time_scale", "time scale", ""),
+    ("time_scale", "time scale of results", ""),
     ("frame", "frame of the beams", ""),
     ("emission_reference", "emission time from", ""),
     ("ranges_count_from", "ranges count from", ""),

@@ -186,7 +186,7 @@ fn warnings(survey: &Survey) -> Markup {
     html! {
         section {
             h2 { "Warnings" }
-            @if items.is_empty() { p { "None: all strips are processed and within the limits." } }
+            @if items.is_empty() { p { "None. The verdicts at the top also judge coverage and density." } }
             @else { ul.notes { @for (what, text) in &items { li { b { (what) } ": " (text) } } } }
         }
     }
