@@ -35,8 +35,8 @@ pub(super) fn missing_report(path: &Path) -> Option<String> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let in_folder = |name: &String| path.with_file_name(name).display().to_string();
     let reports: Vec<String> = reports_in(folder).iter().map(in_folder).collect();
-    let is_missing = is_report(path) && !reports.is_empty();
-    missing(path, is_report).filter(|_| is_missing).map(|_| {
+    let is_missing = is_report(path) && matches!(path.try_exists(), Ok(false));
+    (is_missing && !reports.is_empty()).then(|| {
         format!(
             "{}: no such report; reports are named by the job; did you mean {}?",
             path.display(),

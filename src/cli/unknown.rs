@@ -187,10 +187,8 @@ fn key_tip(name: &str) -> Option<String> {
         "beam" => return key_tip("beams"),
         _ => {}
     }
-    let is_setting = wavex_engine::job::JobSettings::keys().get(key).is_some();
-    let mut stages = STAGES.iter().filter(|spec| spec.keys().get(key).is_some()).map(|spec| spec.name);
-    let table = if is_setting { "job" } else { stages.next()? };
-    Some(format!("keys of a job are set with --set {table}.{key}=VALUE"))
+    let key = wavex_engine::job::key_with_table(key, STAGES)?;
+    Some(format!("keys of a job are set with --set {key}=VALUE"))
 }
 
 /// A word as a shell reads it.
@@ -277,6 +275,7 @@ mod tests {
             ("wavex explain a.pls 5", "name the shot with --shot 5"),
             ("wavex run a.toml --detection-sigma 5", "--set decompose.detection_sigma=VALUE"),
             ("wavex run a.toml --decompose.detection_sigma=5", "--set decompose.detection_sigma=VALUE"),
+            ("wavex run a.toml --boresight-deg 1", "--set job.geometry.calibration.boresight_deg=VALUE"),
             ("wavex run a.toml --memory_mb=500", "--set job.memory_mb=VALUE"),
             ("wavex import -i a.sdf", "put the command line after `--`: wavex import -- OPTIONS"),
             ("wavex run a.toml b.toml", "name one job; "),

@@ -39,6 +39,7 @@ pub use example::example_job;
 pub use include::included;
 pub use limits::{MAX_BYTES, MAX_INCLUDES, read_text};
 pub use manual::{manual, manual_of, summary};
+pub use overrides::key_with_table;
 pub use page::named;
 pub use schema::{job_schema, job_schema_text};
 pub use simd::Simd;

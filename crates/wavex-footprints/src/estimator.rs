@@ -187,10 +187,10 @@ fn choose_ground(measured: &mut Measured, features: [f64; GROUND_FEATURES], m_pe
     measured.ground_features = features;
     measured.ground_probability = distribution.probability();
     measured.ground_total_sd_samples = position.sd.max(distribution.total_sd_m() / m_per_sample);
-    measured.second_ground = distribution.second().map(|candidate| {
-        let below = scaled(candidate.position_samples, 1.0 / m_per_sample);
+    measured.second_ground = distribution.second().map(|(below_m, probability)| {
+        let below = scaled(below_m, 1.0 / m_per_sample);
         let position_samples = WithSd { value: position.value + below.value, ..below };
-        GroundCandidate { position_samples, ..candidate }
+        GroundCandidate { position_samples, probability }
     });
 }
 

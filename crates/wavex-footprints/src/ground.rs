@@ -11,7 +11,7 @@ use wavex_simd::statistics::WithSd;
 use super::constants::{CALIBRATION, MISSED_M, OUTPUTS, SD_FACTOR};
 use super::echo::Echo;
 use super::maximum::fall;
-use super::measured::{FootprintMode, GROUND_FEATURES, GroundCandidate};
+use super::measured::{FootprintMode, GROUND_FEATURES};
 
 /// Bounds of the logarithms, m: SD of the first candidate, distance and SD of the second.
 const LOG_BOUNDS: [[f64; 2]; 3] = [[-5.0, 1.0], [-2.0, 3.0], [-2.0, 1.1]];
@@ -161,15 +161,14 @@ impl GroundDistribution {
         1.0 / (1.0 + libm::exp(-(constant + odds * (linear + odds * square))))
     }
 
-    /// The second candidate, outside of the range of the first; its position is a distance below the mode, m.
-    pub(super) fn second(&self) -> Option<GroundCandidate> {
+    /// Distance of the second candidate below the mode, m, and its probability, outside of the range of the first.
+    pub(super) fn second(&self) -> Option<(WithSd, f64)> {
         let half_m = NEAR_M.max(NEAR_SDS * self.second_m.sd);
         let from_m = (self.second_m.value - half_m).max(self.near_m());
         let until_m = (self.second_m.value + half_m).max(from_m);
         let share = (self.below(until_m) - self.below(from_m)) / (1.0 - self.at_mode()).max(1e-6);
         let probability = (1.0 - self.probability()) * share.clamp(0.0, 1.0);
-        let candidate = GroundCandidate { position_samples: self.second_m, probability };
-        (probability >= LEAST_SECOND).then_some(candidate)
+        (probability >= LEAST_SECOND).then_some((self.second_m, probability))
     }
 }
 
@@ -187,9 +186,9 @@ mod tests {
         let [sure, split, hidden] =
             [[0.98, 0.01, 0.01], [0.5, 0.45, 0.05], [0.02, 0.03, 0.95]].map(distribution);
         assert!(sure.probability() > 0.9 && sure.second().is_none(), "{sure:?} {}", sure.probability());
-        let second = split.second().unwrap();
-        assert!((split.probability() - 0.5).abs() < 0.15 && (0.3..0.6).contains(&second.probability));
-        assert!(split.probability() + second.probability < 1.0);
+        let (_, second) = split.second().unwrap();
+        assert!((split.probability() - 0.5).abs() < 0.15 && (0.3..0.6).contains(&second));
+        assert!(split.probability() + second < 1.0);
         assert!(hidden.probability() < 0.2, "{}", hidden.probability());
     }
 

@@ -237,10 +237,14 @@ fn waves_of_another_recording_are_suspected() {
     assert_eq!(suspicions(&with_unused(whole.waves.len() / 2)), Vec::<String>::new());
     let waves = with_unused(2 * whole.waves.len());
     let expected = format!(
-        "the pulses use the first {} of the {} bytes of the waves file: it may be that of another recording; copy \
+        "the waves of all pulses begin in the first {} of the {} bytes of the waves file: it may be that of another recording; copy \
          both files again, unless the pulses are a part of a recording",
         whole.waves.len() - (whole.waves.len() - 60) / 250,
         waves.len()
     );
     assert_eq!(suspicions(&waves), [expected]);
+    // The second of two begins in the middle.
+    let two = PulseWaves::new(2);
+    let input = place(&two.pls(), &two.waves).read("read_pulsewaves", "a.pls", "");
+    assert!(!input.err.contains("another recording"), "{}", input.err);
 }

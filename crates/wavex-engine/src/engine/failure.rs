@@ -80,9 +80,7 @@ impl RunError {
             }
         }
     }
-}
 
-impl RunError {
     /// Next step for an input that does not exist; `None` if no recording is similar.
     fn meant(&self) -> Option<String> {
         let is_recording = |path: &Path| RecordingFormat::of(path).is_some();
@@ -107,9 +105,10 @@ impl std::fmt::Display for RunError {
                     write!(f, "{}: ", input.display())?;
                 }
                 let text = error.to_string();
-                match (text.strip_suffix(CHECK_THE_PATH), self.meant()) {
-                    (Some(problem), Some(remedy)) => write!(f, "{problem}{remedy}"),
-                    _ => f.write_str(&text),
+                let problem = text.strip_suffix(CHECK_THE_PATH);
+                match problem.and_then(|problem| Some((problem, self.meant()?))) {
+                    Some((problem, remedy)) => write!(f, "{problem}{remedy}"),
+                    None => f.write_str(&text),
                 }
             }
             Cause::Panic(message) => write!(

@@ -87,15 +87,18 @@ fn read_one<'t>(
     Ok(ParsedOverride { stage, key, value, written })
 }
 
-/// `KEY=VALUE` with the table that has the key, or the first stage that has it.
+/// `KEY=VALUE` with the table that has the key.
 fn with_table(text: &str, known: &[&'static StageSpec]) -> Option<String> {
     let (key, value) = text.split_once('=')?;
-    let of_stage = || known.iter().find(|spec| spec.keys().get(key.trim()).is_some());
-    let (table, name) = table_of(key.trim()).or_else(|| {
-        let spec = of_stage()?;
-        Some((spec.name.to_owned(), key.trim().to_owned()))
-    })?;
-    Some(format!("{}.{name}={}", table.trim_matches(['[', ']']), value.trim()))
+    Some(format!("{}={}", key_with_table(key.trim(), known)?, value.trim()))
+}
+
+/// A key as `--set` takes it: with the table of the job, or else the first stage, that has it.
+pub fn key_with_table(key: &str, known: &[&'static StageSpec]) -> Option<String> {
+    let of_stage = || known.iter().find(|spec| spec.keys().get(key).is_some());
+    let (table, name) =
+        table_of(key).or_else(|| of_stage().map(|spec| (spec.name.to_owned(), key.to_owned())))?;
+    Some(format!("{}.{name}", table.trim_matches(['[', ']'])))
 }
 
 /// A key with a text value without quotation marks; `None` if it looks like TOML.

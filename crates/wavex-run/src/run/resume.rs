@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
+use std::fs::Metadata;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -33,7 +34,7 @@ impl Comparison {
     /// State of a file in or outside of a folder; `None` if it cannot be read.
     fn state(&self, folder: &Path, path: &Path) -> Option<FileState> {
         let about = path.metadata().ok()?;
-        let modified = about.modified().ok()?.duration_since(SystemTime::UNIX_EPOCH).ok()?;
+        let modified_s = modified_s(&about)?;
         let blake3 = match self.check {
             Some(ResumeCheck::Digest) => Some(digest_of(path).ok()?),
             _ => None,
@@ -41,7 +42,7 @@ impl Comparison {
         let absolute = std::path::absolute(path).ok()?;
         let shown = absolute.strip_prefix(folder).unwrap_or(&absolute);
         let path = shown.to_string_lossy().into_owned();
-        Some(FileState { path, bytes: about.len(), modified_s: modified.as_secs_f64(), blake3 })
+        Some(FileState { path, bytes: about.len(), modified_s, blake3 })
     }
 
     /// States of the existing ones of these outputs.
@@ -90,6 +91,11 @@ impl Comparison {
         let new = now.iter().find(|file| find(then, &file.path).is_none());
         new.map(|file| format!("{} is new", file.path))
     }
+}
+
+/// Modification time of a file, s since 1970.
+pub(super) fn modified_s(about: &Metadata) -> Option<f64> {
+    Some(about.modified().ok()?.duration_since(SystemTime::UNIX_EPOCH).ok()?.as_secs_f64())
 }
 
 /// Earlier report of the job, as far as it applies to the next run.

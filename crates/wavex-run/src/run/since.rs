@@ -1,14 +1,14 @@
 //! Changes of outputs and job since the run that a report describes.
 
 use std::path::Path;
-use std::time::SystemTime;
 
 use serde_json::{Value, to_value};
 
 use super::folders;
+use super::resume::modified_s;
 use wavex_engine::engine::{Options, RunSummary};
 use wavex_engine::job::Job;
-use wavex_pages::report::{FileState, InputFiles};
+use wavex_pages::report::InputFiles;
 
 /// Warnings that the run of the report `path` is not that of the files or of the job as they are now.
 ///
@@ -38,20 +38,15 @@ fn differs(report: &Value, job: &Job, folder: &Path) -> bool {
 /// First output in the folder of the report whose size is another, or which is later than the report.
 fn changed_output(path: &Path, report: &Value) -> Option<String> {
     let folder = path.parent()?;
-    let ended = path.metadata().ok()?.modified().ok()?;
+    let ended_s = modified_s(&path.metadata().ok()?)?;
     let files = |input: &Value| serde_json::from_value::<InputFiles>(input["files"].clone()).ok();
-    let written = report["inputs"].as_array()?.iter().filter_map(files).flat_map(|files| files.written);
-    let is_changed = |then: &FileState| {
-        let Ok(now) = folder.join(&then.path).metadata() else { return false };
-        let later =
-            || now.modified().is_ok_and(|modified| modified > ended && seconds(modified) != then.modified_s);
-        now.len() != then.bytes || later()
-    };
-    let mut changed = written.into_iter().filter(is_changed);
-    changed.next().map(|state| folder.join(state.path).display().to_string())
-}
-
-/// Seconds since 1970.
-fn seconds(time: SystemTime) -> f64 {
-    time.duration_since(SystemTime::UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
+    let mut written = report["inputs"].as_array()?.iter().filter_map(files).flat_map(|files| files.written);
+    let changed = written.find(|then| {
+        let now = folder.join(&then.path).metadata().ok();
+        now.is_some_and(|now| {
+            let is_later = |now_s: f64| now_s > ended_s && now_s != then.modified_s;
+            now.len() != then.bytes || modified_s(&now).is_some_and(is_later)
+        })
+    })?;
+    Some(folder.join(changed.path).display().to_string())
 }

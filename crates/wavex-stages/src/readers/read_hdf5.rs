@@ -202,6 +202,8 @@ struct FootprintReader {
     info: InputInfo,
     /// The open beam, with its number and metadata.
     open: Option<(usize, BeamReader, Arc<InputInfo>)>,
+    /// Time of the first shot of the open beam, at which its clock is 0, s.
+    clock_origin_s: f64,
     next_shot: u64,
     next_line: u32,
     shot: Shot,
@@ -245,6 +247,7 @@ impl FootprintReader {
             first_shots,
             info,
             open: None,
+            clock_origin_s: 0.0,
             next_shot: 0,
             next_line: 0,
             shot: Shot::default(),
@@ -265,7 +268,7 @@ impl FootprintReader {
             return Ok(None);
         };
         if self.open.as_ref().is_none_or(|(open, ..)| *open != number) {
-            let reader = self.granule.beam(name)?;
+            let mut reader = self.granule.beam(name)?;
             let power =
                 self.granule.beams().iter().find(|beam| beam.name == *name).and_then(|beam| beam.power);
             let info = InputInfo {
@@ -274,6 +277,10 @@ impl FootprintReader {
                 columns: reader.columns(),
                 ..self.info.clone()
             };
+            let mut earliest = Shot::default();
+            // The reading of this shot has the error.
+            let is_read = reader.locate(0, &mut earliest).is_ok() && earliest.time_s.is_finite();
+            self.clock_origin_s = if is_read { gps_time_s(&earliest, &info) } else { 0.0 };
             self.open = Some((number, reader, Arc::new(info)));
             self.cut.iter_mut().for_each(Cut::begin_beam);
         }
@@ -307,7 +314,9 @@ impl FootprintReader {
                 continue;
             }
             match emission(number, &self.shot, info) {
-                Some((emission, interval_ns)) => {
+                Some((mut emission, interval_ns)) => {
+                    let clock_s = emission.gps_time_s - self.clock_origin_s;
+                    emission.clock_ps = (clock_s * 1e12).round() as i64;
                     add_blocks(emissions.len() as u32, &self.shot, interval_ns, info, &mut blocks);
                     emissions.push(emission);
                 }
@@ -372,7 +381,7 @@ fn emission(number: u64, shot: &Shot, info: &InputInfo) -> Option<(Emission, f64
     let emission = Emission {
         shot: number,
         gps_time_s,
-        clock_ps: clock_ps(gps_time_s),
+        clock_ps: 0,
         origin_m: first,
         direction: along.map(|part| part / length_m),
         frame_scale: length_m / (m_per_ns * interval_ns * steps),
@@ -387,11 +396,6 @@ fn gps_time_s(shot: &Shot, info: &InputInfo) -> f64 {
         TimeScale::Adjusted => shot.time_s - ADJUSTED_ORIGIN_S,
         _ => shot.time_s,
     }
-}
-
-/// Clock of a time; multiples of 1e6 s, which it could not hold, are dropped.
-fn clock_ps(time_s: f64) -> i64 {
-    (time_s.rem_euclid(1e6) * 1e12).round() as i64
 }
 
 fn ecef_m(place: &Position) -> Option<[f64; 3]> {

@@ -166,8 +166,10 @@ impl ReadPulseWaves {
     }
 }
 
-/// Part of the waves file that pulses use at least, if it is theirs.
+/// Part of the waves file in which the waves of pulses begin at least, if it is theirs …
 const LEAST_USED_WAVES: f64 = 0.5;
+/// … and fewest pulses that show it: the waves of the last one take little of the file.
+const FEWEST_PULSES: u64 = 10;
 
 struct PulseWavesReader {
     reader: Reader,
@@ -426,8 +428,10 @@ impl Source for PulseWavesReader {
                     cx.warn(format!("the file declares the outgoing pulses of {} pulses with 16 bits but stores them with 8 (an error of {OUTGOING_BYTES_WRITER}): they and their echoes were read accordingly", self.outgoing_bytes_pulses));
                 }
                 let waves_bytes = self.reader.waves_bytes();
-                if self.last_waves_at as f64 <= LEAST_USED_WAVES * waves_bytes as f64 {
-                    cx.warn(format!("the pulses use the first {} of the {waves_bytes} bytes of the waves file: it may be that of another recording; copy both files again, unless the pulses are a part of a recording", self.last_waves_at));
+                if self.next_pulse >= FEWEST_PULSES
+                    && self.last_waves_at as f64 <= LEAST_USED_WAVES * waves_bytes as f64
+                {
+                    cx.warn(format!("the waves of all pulses begin in the first {} of the {waves_bytes} bytes of the waves file: it may be that of another recording; copy both files again, unless the pulses are a part of a recording", self.last_waves_at));
                 }
                 if self.reader.stray_bytes() > 0 {
                     let stray = self.reader.stray_bytes();

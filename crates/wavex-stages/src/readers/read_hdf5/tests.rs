@@ -42,6 +42,8 @@ fn samples_numbers_and_flags_are_those_of_the_file() {
         assert_eq!(record.is_degraded, shot % 3 != 0 || shot % 2 != 0, "degrade and stale_return_flag");
         let gps_time_s = 1_198_800_018.0 + 4.08e7 + 0.00826 * f64::from(shot) - 1e9;
         assert!((emission.gps_time_s - gps_time_s).abs() < 1e-6);
+        let since_first_ps = 0.00826e12 * f64::from(shot);
+        assert!((emission.clock_ps as f64 - since_first_ps).abs() < 1e6, "{}", emission.clock_ps);
     }
 }
 

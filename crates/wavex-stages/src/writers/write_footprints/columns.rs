@@ -64,7 +64,7 @@ static COLUMNS: &[FootprintColumn] = &[
     column("z", Values::MaybeF64(|row| row.ground.map(|point| point[2])), "see x"),
     column("ground_sd_m", Values::F64(|of| of.ground_range_m.sd), "standard deviation of the ground along the beam if this mode is the ground: by noise, slope and vegetation, without that of the geolocation"),
     column("ground_probability", Values::F64(|of| of.ground_probability), "probability that the ground is at the lowest mode, within 1 m or 3 standard deviations, and not below it"),
-    column("ground_total_sd_m", Values::F64(|of| of.ground_total_sd_m), "standard deviation of the ground along the beam that includes the choice: grounds below this mode count by their probability"),
+    column("ground_total_sd_m", Values::F64(|of| of.ground_total_sd_m), "standard deviation of the ground along the beam that includes the choice: grounds below this mode count by their probability; on simulated shots 1.4 to 10 times the error below a cover of 0.9"),
     column("second_ground_height_m", Values::F64(|of| of.second_ground_height_m.value), "height above this mode, negative, of the second candidate for the ground, which has no mode; NaN if its probability is below 0.05"),
     column("second_ground_sd_m", Values::F64(|of| of.second_ground_height_m.sd), "standard deviation of second_ground_height_m if the ground is there"),
     column("second_ground_probability", Values::F64(|of| of.second_ground_probability), "probability that the ground is at the second candidate, within 1 m or 3 standard deviations, and not at this mode"),
