@@ -2,12 +2,13 @@
 //!
 //! The error of the pulse shape is proportional to the fitted signal. Where that is below a few
 //! standard deviations of the noise, the residual is the noise, with its correlation. The
-//! remaining residual, near the peaks, is shape error.
+//! remaining residual, near the peaks, is shape error. The levels of these samples are the
+//! background, which the skirts of misfitted pulses and the smallest samples displace.
 
 use super::noise_statistics::NoiseStatistics;
 use super::{
-    CalibrationError, CalibrationSettings, MISSHAPEN, QUANTISATION_VARIANCE, WeakPulses, decompose_each,
-    set_noise,
+    CalibrationError, CalibrationSettings, LEAST_DRIFT_SD, MISSHAPEN, QUANTISATION_VARIANCE, WeakPulses,
+    decompose_each, set_noise, uncertainty,
 };
 use crate::decompose::{DecomposeSettings, Decomposition, Waveform};
 use crate::noise::{ArNoise, fit_by_bic};
@@ -30,9 +31,9 @@ const MAX_BLOCKS: usize = 5_000;
 /// The first estimate finds the weak pulses that the second one leaves out.
 const ROUNDS: usize = 2;
 
-/// Replaces a noise estimate that contains the shape error of the pulses.
+/// Replaces noise and background estimates that contain the shape error of the pulses.
 ///
-/// Only for noise from the residuals of fits at all samples; other models are returned unchanged.
+/// The background only if each waveform has its own. Only for noise from the residuals of fits at all samples; other models are returned unchanged.
 /// Without enough quiet samples, noise is that of the differences if the residual exceeds it
 /// clearly.
 pub fn separate_noise<'a>(
@@ -52,6 +53,9 @@ pub fn separate_noise<'a>(
         model.autocorrelation = autocovariance[1..].iter().map(|r| r / autocovariance[0]).collect();
         set_noise(&mut model, fit_by_bic(&autocovariance, samples, settings.max_ar_order));
         model.provenance.noise = NoiseSource::QuietResiduals;
+        if model.background == Background::PerWaveform {
+            quiet.set_background(&mut model);
+        }
     }
     // Residuals at all samples contain the shape error, so they are trusted less than quiet ones.
     let limit = match model.provenance.noise {
@@ -70,16 +74,26 @@ pub fn separate_noise<'a>(
 #[derive(Default)]
 struct QuietBlocks(Vec<QuietBlock>);
 
-#[derive(Default)]
 struct QuietBlock {
     /// Residuals of a stretch, DN, and the phase of its first sample.
     stretches: Vec<(Vec<f64>, u8)>,
+    /// Fitted background less that of the model, DN.
+    background_offset_dn: f64,
 }
 
 impl QuietBlock {
     fn variance(&self) -> f64 {
+        self.mean_of(|value| value * value)
+    }
+
+    /// Background of the quiet samples less that of the model, DN.
+    fn offset_dn(&self) -> f64 {
+        self.background_offset_dn + self.mean_of(|value| value)
+    }
+
+    fn mean_of(&self, quantity: impl Fn(f64) -> f64) -> f64 {
         let values = || self.stretches.iter().flat_map(|(values, _)| values);
-        values().map(|value| value * value).sum::<f64>() / values().count().max(1) as f64
+        values().map(|value| quantity(*value)).sum::<f64>() / values().count().max(1) as f64
     }
 }
 
@@ -124,7 +138,8 @@ impl QuietBlocks {
         for (residual, fitted) in residual_dn.iter_mut().zip(&fitted_dn) {
             *residual -= fitted + outcome.background_offset_dn;
         }
-        let mut quiet = QuietBlock::default();
+        let background_offset_dn = outcome.background_offset_dn;
+        let mut quiet = QuietBlock { stretches: Vec::new(), background_offset_dn };
         let mut from = 0;
         for k in 0..=residual_dn.len() {
             let is_quiet = fitted_dn.get(k).is_some_and(|fitted| fitted.abs() <= quiet_dn);
@@ -138,6 +153,18 @@ impl QuietBlocks {
         if !quiet.stretches.is_empty() {
             self.0.push(quiet);
         }
+    }
+
+    /// Replaces the background by the median of the blocks, and its spread.
+    fn set_background(&self, model: &mut ChannelModel) {
+        let mut offsets_dn: Vec<f64> = self.0.iter().map(QuietBlock::offset_dn).collect();
+        offsets_dn.sort_by(f64::total_cmp);
+        let at =
+            |part: f64| offsets_dn.get((part * offsets_dn.len() as f64) as usize).copied().unwrap_or(0.0);
+        let spread_dn = 0.5 * (at(0.841_345) - at(0.158_655));
+        model.background_dn = model.background_dn.map(|level| level + at(0.5));
+        model.background_sd_dn = spread_dn.max(LEAST_DRIFT_SD * model.noise_sd_dn);
+        model.uncertainty.background_dn = uncertainty::of_median(spread_dn, offsets_dn.len() as u64);
     }
 
     /// Autocovariance at lags from 0, DN², and the number of samples; `None` with too few.
@@ -170,19 +197,24 @@ mod tests {
     use crate::simulated::{Random, digitised, noise};
 
     /// Skewed pulses that begin 1.2 widths after the start of the block: no sample is free, and a
-    /// Gaussian misses them by several standard deviations of the noise.
+    /// Gaussian misses them by several standard deviations of the noise. The undershoot behind them
+    /// is below the background.
     #[test]
-    fn shape_error_does_not_count_as_noise() {
+    fn shape_error_is_neither_noise_nor_background() {
+        const BACKGROUND_DN: f64 = 20.0;
         let process = ArNoise::new(&[0.6], 0.8).unwrap();
         let mut random = Random::new(71);
         let blocks: Vec<Vec<u16>> = (0..600)
             .map(|_| {
                 let (height, peak) = (60.0 + 150.0 * random.uniform(), 18.0 + 4.0 * random.uniform());
+                let drift_dn = 0.5 * random.normal();
                 let mut values = noise(&mut random, &process, 110);
                 for (k, value) in values.iter_mut().enumerate() {
                     let x = k as f64 - peak;
                     let width = if x < 0.0 { 6.0 } else { 9.0 };
-                    *value += 20.0 + height * (-0.5 * (x / width).powi(2)).exp();
+                    let undershoot = 0.02 * (-0.5 * ((x - 40.0) / 5.0).powi(2)).exp();
+                    *value +=
+                        BACKGROUND_DN + drift_dn + height * ((-0.5 * (x / width).powi(2)).exp() - undershoot);
                 }
                 digitised(&values, 255)
             })
@@ -198,5 +230,10 @@ mod tests {
         assert!(with_misfit.noise_sd_dn > 2.0 * exact, "{}", with_misfit.noise_sd_dn);
         assert!((0.8..1.5).contains(&(model.noise_sd_dn / exact)), "{}", model.noise_sd_dn);
         assert!(with_misfit.pulse_shape_error > 0.01);
+        let levels_dn = [&with_misfit, &model].map(|model| model.background_dn[0]);
+        println!("background {levels_dn:?}, SD {}", model.background_sd_dn);
+        assert!(levels_dn[0] < BACKGROUND_DN - 1.0, "{levels_dn:?}");
+        assert!((levels_dn[1] - BACKGROUND_DN).abs() < 0.5, "{levels_dn:?}");
+        assert!((0.3..1.5).contains(&model.background_sd_dn), "{}", model.background_sd_dn);
     }
 }

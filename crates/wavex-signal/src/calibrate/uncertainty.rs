@@ -8,12 +8,16 @@ const SPREAD_OF_MEDIAN: f64 = 1.253_314_137_315_500_3;
 
 /// Uncertainty of background and noise estimated from residuals: medians over the blocks.
 pub(super) fn of_residuals(model: &ChannelModel, survey: &PassStats) -> ModelUncertainty {
-    let of_median = |spread: f64| SPREAD_OF_MEDIAN * spread / (survey.blocks.max(1) as f64).sqrt();
     ModelUncertainty {
-        background_dn: of_median(model.background_sd_dn),
-        noise_sd_dn: of_median(survey.residual_spread() * model.noise_sd_dn),
+        background_dn: of_median(model.background_sd_dn, survey.blocks),
+        noise_sd_dn: of_median(survey.residual_spread() * model.noise_sd_dn, survey.blocks),
         ..ModelUncertainty::default()
     }
+}
+
+/// SD of the median of values with this spread.
+pub(super) fn of_median(spread: f64, values: u64) -> f64 {
+    SPREAD_OF_MEDIAN * spread / (values.max(1) as f64).sqrt()
 }
 
 #[cfg(test)]
