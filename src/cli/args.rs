@@ -57,7 +57,7 @@ pub(super) struct ExplainArgs {
     /// Override a key of the job for this run, as for `wavex run`; may be repeated
     #[arg(long = "set", value_name = "STAGE.KEY=VALUE")]
     pub(super) set: Vec<String>,
-    /// Sensor model written by `save` of calibrate; used instead of calibrating
+    /// Model written by `save` of calibrate or measure_footprints; used instead of learning it
     #[arg(long, value_name = "FILE")]
     pub(super) model: Option<PathBuf>,
     /// Picture to write [default: STEM_shot_N.svg in the current folder]

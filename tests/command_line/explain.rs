@@ -261,9 +261,13 @@ fn a_large_footprint_that_cannot_be_measured_is_named() {
     let place = TestFolder::with(&[("a.h5", granule)]);
     let message = "a.h5: no shot 99; give a number of the column `shot_number`, or a running number below 12";
     refused(&place, &["a.h5", "--shot", "99"], 1, message);
-    let message =
-        "a.h5: noise and response of large footprints are learnt from their beam; leave out --model";
-    refused(&place, &["a.h5", "--shot", "3", "--model", "m.json"], 2, message);
+    place.write("m.json", b"{}");
+    let message = format!(
+        "a.h5: {}: not models of footprints: missing field `format` at line 1 column 2; load a file written by `save` \
+         of measure_footprints, or learn from the recording",
+        place.path("m.json").display()
+    );
+    refused(&place, &["a.h5", "--shot", "3", "--model", "m.json"], 1, &message);
     place.write("short.toml", b"[[stage]]\ntype = 'read_hdf5'\npath = 'a.h5'\n");
     let message = "short.toml: the job has no stage `measure_footprints`; add one";
     refused(&place, &["a.h5", "--shot", "1", "--job", "short.toml"], 2, message);

@@ -16,6 +16,7 @@ use wavex::report::RunReport;
 use wavex::report::survey::Survey;
 use wavex::scan_line::flags::NAMES;
 use wavex::stage::{Reason, SurveyModels};
+use wavex::stages::process::measure_footprints::FootprintModels;
 use wavex::stages::writers::write_lstat;
 use wavex_signal::sensor_model::SensorModel;
 
@@ -95,6 +96,13 @@ fn the_schema_of_sensor_models_is_up_to_date() {
     let settings = SchemaSettings::draft2020_12();
     let schema = settings.into_generator().into_root_schema_for::<SensorModel>();
     check("schemas/sensor_model.schema.json", &format!("{:#}\n", schema.to_value()));
+}
+
+#[test]
+fn the_schema_of_footprint_models_is_up_to_date() {
+    let settings = SchemaSettings::draft2020_12();
+    let schema = settings.into_generator().into_root_schema_for::<FootprintModels>();
+    check("schemas/footprint_models.schema.json", &format!("{:#}\n", schema.to_value()));
 }
 
 #[test]

@@ -9,6 +9,7 @@
 
 mod agc;
 mod false_alarms;
+mod footprint_models;
 mod fusion;
 mod georeference;
 mod keys;

@@ -4,6 +4,9 @@
 //! whatever ground and canopy are like. Its power within the signal is compared with its power beside the signal.
 //! Photons add noise that grows with the signal; a receiver's share of it is learnt.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
 use super::kernel::Kernel;
 
 /// SD of the Gaussian of the filter over the SD of the pulse, and number of times that the Gaussian is removed.
@@ -15,7 +18,8 @@ const ORDER: u32 = 6;
 pub(super) const LAGS: usize = 24;
 
 /// Noise that the filter leaves, as a receiver has it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct ResidualNoise {
     /// Sum of its squared autocorrelation over all lags: the number of samples per independent one.
     pub samples_per_independent: f64,

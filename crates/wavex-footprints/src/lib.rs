@@ -23,6 +23,7 @@ mod kernel;
 mod maximum;
 mod measured;
 mod model;
+mod model_check;
 mod modes;
 mod profile;
 mod settings;
@@ -38,5 +39,6 @@ pub use measured::{
 pub use model::{
     EchoWidth, FootprintLearner, FootprintModel, LEAST_SHOTS, LearningError, outgoing_fwhm_samples,
 };
+pub use model_check::FootprintModelError;
 pub use settings::{FootprintSettings, NoiseSource};
 pub use wavex_simd::statistics::WithSd;

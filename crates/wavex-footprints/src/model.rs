@@ -1,5 +1,7 @@
 //! What a recording of large footprints shows of its receiver: noise and response.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use wavex_simd::statistics::median;
 
 use super::background::{self, Scratch};
@@ -9,7 +11,7 @@ use super::kernel::Kernel;
 /// Samples of the response per sample of a waveform.
 pub(super) const OVERSAMPLING: usize = 4;
 /// Lags of the noise's autocorrelation.
-const LAGS: usize = 16;
+pub(super) const LAGS: usize = 16;
 /// Fewest shots to learn from.
 pub const LEAST_SHOTS: usize = 10;
 /// Standard deviation of a Gaussian over its full width at half maximum.
@@ -25,13 +27,14 @@ const FOOT: f64 = 0.004;
 const CLEAR_SDS: f64 = 20.0;
 
 /// Noise and response of a receiver of large footprints.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct FootprintModel {
     /// Sampling interval, ns.
     pub sampling_interval_ns: f64,
     /// Median of the standard deviations of a sample without signal, DN.
     pub noise_sd_dn: f64,
-    /// Autocorrelation of the noise, at lags of 0, 1, … samples.
+    /// Autocorrelation of the noise, at lags of 0 to 15 samples.
     pub autocorrelation: Vec<f64>,
     /// Noise beyond the frequencies of the response.
     pub residual_noise: ResidualNoise,

@@ -54,6 +54,40 @@ fn noise_and_pulse_are_learnt() {
     }
 }
 
+/// A model from elsewhere has numbers of a receiver, and lists of the lengths that are learnt.
+#[test]
+fn models_with_wrong_numbers_are_refused() {
+    let wrong = |change: fn(&mut FootprintModel)| {
+        let mut model = model();
+        change(&mut model);
+        model.check().map_err(|error| error.to_string())
+    };
+    assert_eq!(wrong(|_| ()), Ok(()));
+    let error = |change| wrong(change).unwrap_err();
+    assert_eq!(
+        error(|model| model.noise_sd_dn = f64::NAN),
+        "`noise_sd_dn` must be from 0 to 1000000, got NaN"
+    );
+    assert_eq!(
+        error(|model| model.sampling_interval_ns = 0.0),
+        "`sampling_interval_ns` must be from 0.01 to 100, got 0"
+    );
+    assert_eq!(
+        error(|model| drop(model.autocorrelation.pop())),
+        "`autocorrelation` must have 16 values, got 15"
+    );
+    assert_eq!(error(|model| model.response.clear()), "`response` must have 4 to 65536 values, got 0");
+    for (field, change) in [
+        ("autocorrelation", (|model| model.autocorrelation[3] = f64::INFINITY) as fn(&mut FootprintModel)),
+        ("response", |model| model.response[7] = -3.0),
+        ("pulse_fwhm_ns", |model| model.pulse_fwhm_ns = 1e9),
+        ("samples_per_independent", |model| model.residual_noise.samples_per_independent = f64::NAN),
+        ("variance_ratio_per_dn", |model| model.residual_noise.variance_ratio_per_dn = -1.0),
+    ] {
+        assert!(error(change).starts_with(&format!("`{field}` must be from ")), "{}", error(change));
+    }
+}
+
 /// Errors of positions are as large as the noise makes them; the shift by slope is added to the ground alone.
 #[test]
 fn positions_have_the_sd_of_the_noise() {

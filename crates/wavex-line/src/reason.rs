@@ -165,7 +165,7 @@ reasons! {
     UnreadableShot => rejected(Item::Shots, "a shot that cannot be read", HDF5, "copy or download the file again; the warning names the first one"),
     /// HDF5: the positions of a shot's first and last sample are missing.
     ShotWithoutPosition => rejected(Item::Shots, "a shot without the positions of its first and last sample", HDF5, "none: the product did not locate it"),
-    /// HDF5: the first sample of a shot is outside of the box of the job.
+    /// HDF5: the first sample of a shot is outside of the area of the job.
     OutsideExtent => cut("outside `extent_deg`", "none: the job reads a part of the recording; widen `extent_deg` for more"),
     /// HDF5: the time of a shot is outside of the window of the job.
     OutsideTimes => cut("outside `time_s`", "none: the job reads a part of the recording; widen `time_s` for more"),
@@ -227,8 +227,8 @@ reasons! {
     UnknownReceiver => block("its receiver is not in the sensor model", DECOMPOSE, "calibrate on a part of the recording with echoes of this receiver, or give a model that has it"),
     /// A waveform that cannot be measured as a large footprint.
     WithoutBackground => block("a waveform without background beside its signal", FOOTPRINTS, "none if the signal fills the block; else check the sample type of the file"),
-    /// A shot of a beam with too few shots to learn noise and response.
-    BeamNotLearnt => rejected(Item::Shots, "its beam has too few shots to learn noise and response", FOOTPRINTS, "read a longer part of the beam, or leave it out with `beams` of read_hdf5"),
+    /// A shot of a beam without noise and response: they were neither learnt nor loaded.
+    BeamNotLearnt => rejected(Item::Shots, "its beam has too few shots to learn noise and response, or no loaded model", FOOTPRINTS, "read a longer part of the beam, load its model, or leave it out with `beams` of read_hdf5"),
     /// A block without samples.
     EmptyBlock => block("a block without samples", DECOMPOSE, "none: nothing was recorded"),
     /// A high-power block whose echoes the low-power receiver has as well.

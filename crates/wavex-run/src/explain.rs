@@ -61,7 +61,7 @@ pub fn explain_shot(
     let request = ExplainRequest { set, ..ExplainRequest::of(file) };
     if request.has_large_footprints()? {
         if model.is_some() {
-            return Err(footprint::without_model(file, "leave out `model`"));
+            return Err(footprint::with_sensor_model(file));
         }
         return Ok(of_footprint(FootprintChain::of(&request)?.explain(shot)?));
     }
@@ -204,6 +204,11 @@ const MEASURE: &str = "measure_footprints";
 /// Stages after the reader of recordings with small footprints.
 const SMALL: [&str; 2] = ["calibrate", "decompose"];
 
+/// Path of the command line, which starts at the current folder; paths in a job start at its input folder.
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
 /// A recording and the stages of a job that apply to it.
 pub struct Chain {
     /// The reader of the recording and the stages before `decompose`, without sinks.
@@ -236,9 +241,7 @@ impl Chain {
         let decompose = keys_of(&job, "decompose")?;
         calibrate.save = None;
         if let Some(model) = request.model {
-            // Relative paths in the job start at its input folder, paths on the command line at the
-            // current folder.
-            calibrate.load = Some(std::path::absolute(model).unwrap_or_else(|_| model.to_owned()));
+            calibrate.load = Some(absolute(model));
         }
         let mut stages = job.stages.iter_mut();
         match (stages.next(), default_job.stages.into_iter().next()) {

@@ -31,6 +31,8 @@ const LENGTH_BYTES: usize = 8;
 /// Path of the samples of blocks.
 const SAMPLES: &str = "blocks.samples";
 
+/// Size of a view of a text (Arrow columnar format, "Variable-size Binary View Layout").
+const VIEW_BYTES: usize = 16;
 /// Initial capacity for buffers; more are rare.
 const MOST_BUFFERS: usize = 128;
 
@@ -161,6 +163,16 @@ impl<'a> BufferWalk<'a> {
                 self.offsets(path, len, 4)?;
                 self.buffer(path, 0, None)?;
             }
+            DataType::LargeUtf8 => {
+                self.offsets(path, len, 8)?;
+                self.buffer(path, 0, None)?;
+            }
+            DataType::Utf8View => {
+                self.buffer(path, VIEW_BYTES * len, Some(VIEW_BYTES * len))?;
+                for _ in 0..self.view_buffers() {
+                    self.buffer(path, 0, None)?;
+                }
+            }
             other => match other.primitive_width() {
                 Some(width) => {
                     self.buffer(path, len * width, Some(len * width))?;
@@ -186,10 +198,7 @@ impl<'a> BufferWalk<'a> {
             T::Struct(_) | T::FixedSizeList(..) => 1,
             T::Utf8 | T::Binary | T::LargeUtf8 | T::LargeBinary => 3,
             T::ListView(_) | T::LargeListView(_) => 3,
-            T::Utf8View | T::BinaryView => {
-                let more = self.views.pop_front().and_then(|views| usize::try_from(views).ok());
-                more.and_then(|more| more.checked_add(2)).unwrap_or(usize::MAX)
-            }
+            T::Utf8View | T::BinaryView => self.view_buffers().saturating_add(2),
             T::Union(_, mode) => {
                 let nulls = usize::from(self.version < MetadataVersion::V5);
                 nulls + 1 + usize::from(*mode == UnionMode::Dense)
@@ -214,6 +223,11 @@ impl<'a> BufferWalk<'a> {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Number of buffers with the texts of the next column of views; too many to exist if it is not listed.
+    fn view_buffers(&mut self) -> usize {
+        self.views.pop_front().and_then(|views| usize::try_from(views).ok()).unwrap_or(usize::MAX)
     }
 
     fn missing(&self, path: &str) -> Error {

@@ -274,8 +274,8 @@ pub(super) fn schema(metadata: Metadata, options: LayoutOptions) -> Schema {
 /// Indices of the columns of a version in a schema; `None` for a missing optional one.
 ///
 /// Errors name the column that is missing or has another type. Names of list items and declared
-/// nullability are ignored; the contents of the columns are checked instead. Large lists and signed
-/// shot numbers, as Polars writes them, are accepted.
+/// nullability are ignored; the contents of the columns are checked instead. Large lists, large texts, views of texts and
+/// signed shot numbers, as Polars writes them, are accepted.
 pub(super) fn find(
     schema: &Schema,
     has_fractions: bool,
@@ -308,6 +308,7 @@ fn find_one(
     let same = match (&column.kind, field.data_type()) {
         (ColumnKind::Triple, DataType::FixedSizeList(item, 3)) => *item.data_type() == DataType::Float64,
         (ColumnKind::U64, DataType::Int64) => true,
+        (ColumnKind::Text, DataType::LargeUtf8 | DataType::Utf8View) => true,
         (ColumnKind::Samples, DataType::List(item) | DataType::LargeList(item)) => item.data_type() == sample,
         (ColumnKind::Structs(inner), DataType::List(item) | DataType::LargeList(item)) => {
             match item.data_type() {

@@ -10,7 +10,8 @@ use arrow_array::types::{
 };
 use arrow_array::{
     Array, ArrayRef, FixedSizeListArray, Float32Array, Float64Array, Int16Array, Int64Array, LargeListArray,
-    ListArray, PrimitiveArray, StringArray, StructArray, UInt8Array, UInt16Array, UInt32Array, UInt64Array,
+    LargeStringArray, ListArray, PrimitiveArray, StringArray, StringViewArray, StructArray, UInt8Array,
+    UInt16Array, UInt32Array, UInt64Array,
 };
 
 use arrow_buffer::OffsetBuffer;
@@ -112,11 +113,37 @@ pub struct ContainerLine {
 /// Columns of version 2.
 #[derive(Debug)]
 struct FootprintColumns {
-    beam: Option<StringArray>,
+    beam: Option<Texts>,
     shot_number: Option<UInt64Array>,
     noise_mean_dn: Option<Float64Array>,
     noise_sd_dn: Option<Float64Array>,
     advised_against: Option<UInt8Array>,
+}
+
+/// Texts in one of Arrow's forms. They are not copied: views may repeat a long text.
+#[derive(Clone, Debug)]
+enum Texts {
+    Usual(StringArray),
+    Large(LargeStringArray),
+    Views(StringViewArray),
+}
+
+impl Texts {
+    fn of(array: &ArrayRef) -> Option<Texts> {
+        let usual = || array.as_string_opt::<i32>().cloned().map(Texts::Usual);
+        let large = || array.as_string_opt::<i64>().cloned().map(Texts::Large);
+        let views = || array.as_string_view_opt().cloned().map(Texts::Views);
+        usual().or_else(large).or_else(views)
+    }
+
+    /// The text of a row; `None` for a null.
+    fn value(&self, row: usize) -> Option<&str> {
+        match self {
+            Texts::Usual(texts) => texts.is_valid(row).then(|| texts.value(row)),
+            Texts::Large(texts) => texts.is_valid(row).then(|| texts.value(row)),
+            Texts::Views(texts) => texts.is_valid(row).then(|| texts.value(row)),
+        }
+    }
 }
 
 #[derive(Debug)]
@@ -240,9 +267,8 @@ impl ContainerLine {
     pub fn footprint(&self, row: usize) -> ContainerFootprint<'_> {
         let FootprintColumns { beam, shot_number, noise_mean_dn, noise_sd_dn, advised_against } =
             &self.footprint;
-        let beam = beam.as_ref().filter(|names| names.is_valid(row)).map(|names| names.value(row));
         ContainerFootprint {
-            beam,
+            beam: beam.as_ref().and_then(|names| names.value(row)),
             shot_number: shot_number.as_ref().and_then(|array| value(array, row)),
             noise_mean_dn: noise_mean_dn.as_ref().and_then(|array| value(array, row)),
             noise_sd_dn: noise_sd_dn.as_ref().and_then(|array| value(array, row)),
@@ -316,8 +342,8 @@ impl BatchColumns<'_> {
         self.get(index).map(|array| self.typed(name, array.as_primitive_opt::<T>())).transpose()
     }
 
-    fn text(&self, index: usize, name: &str) -> Result<Option<StringArray>> {
-        self.get(index).map(|array| self.typed(name, array.as_string_opt::<i32>())).transpose()
+    fn text(&self, index: usize, name: &str) -> Result<Option<Texts>> {
+        self.get(index).map(|array| self.typed(name, Texts::of(array).as_ref())).transpose()
     }
 
     fn full<T: ArrowPrimitiveType>(&self, index: usize, name: &str) -> Result<PrimitiveArray<T>> {

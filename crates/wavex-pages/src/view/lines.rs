@@ -117,6 +117,11 @@ impl InputLines {
         Ok(self.before_decompose.as_ref().map_or(&[], |(_, _, lines)| lines))
     }
 
+    /// Folders and threads of the recording.
+    pub(super) fn run(&self) -> &RunContext {
+        &self.run
+    }
+
     /// Lines with these numbers after all stages that determine their points.
     ///
     /// Stages after `decompose` keep what they learnt with the keys of the view's job.

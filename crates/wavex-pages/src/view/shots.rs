@@ -110,11 +110,12 @@ fn footprint(
         let first = lines.first_of_beam(number, measure.shots).map_err(text)?;
         let found = lines.with_footprints(&job, &first, number..number + 1).map_err(text)?;
         let found = returns_in(&found, shot, placing.as_ref());
+        let run = lines.run().clone();
         let before = lines.before_decompose(&job, number..number + 1).map_err(text)?;
         let Some(line) = before.first() else { return Err(format!("shot {shot}: its line cannot be read")) };
         let InLine { of_line, previous, next } = InLine::of(line, shot, around);
         let index = line.emissions.iter().position(|emission| emission.shot == shot);
-        let seen = measure.seen(&first, line, index.unwrap_or_default() as u32).map_err(text)?;
+        let seen = measure.seen(&run, &first, line, index.unwrap_or_default() as u32).map_err(text)?;
         let none: [Value; 0] = [];
         let file = session.inputs[input].input.path.display().to_string();
         let explained = seen.map(|seen| ExplainedFootprint { file, seen });

@@ -3,8 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::{ExplainRequest, FOOTPRINTS, MEASURE, ShotNumbers, default_job, failed, keys_of, nearest};
-use crate::{Failure, job_file};
+use super::{
+    ExplainRequest, FOOTPRINTS, MEASURE, ShotNumbers, absolute, default_job, failed, keys_of, nearest,
+};
+use crate::{Failure, job_file, run};
 use wavex_engine::engine::ProgressMode;
 use wavex_engine::job::{Job, Override};
 use wavex_engine::recording::Recording;
@@ -21,6 +23,8 @@ pub struct FootprintChain {
     progress: ProgressMode,
     reader: ProfileReader,
     measure: MeasureFootprints,
+    /// Folder at which paths of the job start.
+    input_dir: PathBuf,
 }
 
 /// Reader of a recording of large footprints.
@@ -43,37 +47,49 @@ impl ProfileReader {
     }
 }
 
-/// Error for a sensor model, with its remedy.
-pub(super) fn without_model(file: &Path, remedy: &str) -> Failure {
-    let problem = "noise and response of large footprints are learnt from their beam";
-    Failure::Wrong(format!("{}: {problem}; {remedy}", file.display()))
+/// Error for a sensor model of small footprints.
+pub(super) fn with_sensor_model(file: &Path) -> Failure {
+    let problem = "noise and response of large footprints are learnt from their beam; leave out `model`";
+    Failure::Wrong(format!("{}: {problem}", file.display()))
 }
 
 impl FootprintChain {
     /// Chain of a request.
     ///
     /// # Errors
-    /// If the job is invalid or has no `measure_footprints`, or a sensor model is given.
+    /// If the job is invalid or has no `measure_footprints`.
     pub fn of(request: &ExplainRequest) -> Result<FootprintChain, Failure> {
         let file = request.file.to_owned();
-        if request.model.is_some() {
-            return Err(without_model(request.file, "leave out --model"));
-        }
         let set = if request.job.is_some() { &[] } else { request.set };
         let name = file.display().to_string();
         let format = reader_of(&name).map_err(Failure::Wrong)?;
         let default_job = default_job(format, &[MEASURE], &name, set)?;
-        let job = match request.job {
-            None => &default_job,
-            Some(path) => &job_file::read(path, request.set.iter().map(Override::new).collect())?,
-        };
+        let overrides = request.set.iter().map(Override::new).collect();
+        let given = request.job.map(|path| job_file::read(path, overrides)).transpose()?;
+        let job = given.as_ref().unwrap_or(&default_job);
+        let folder = request.job.map_or_else(|| PathBuf::from("."), job_file::folder);
+        let (input_dir, _) = run::folders(job, &folder);
+        let mut measure: MeasureFootprints = keys_of(job, MEASURE)?;
+        if let Some(model) = request.model {
+            measure.load = Some(absolute(model));
+        }
         let reads_it = job.stages.first().is_some_and(|first| first.spec.name == format);
         Ok(FootprintChain {
             file,
             progress: request.progress,
             reader: ProfileReader::of(if reads_it { job } else { &default_job })?,
-            measure: keys_of(job, MEASURE)?,
+            measure,
+            input_dir,
         })
+    }
+
+    fn run(&self) -> RunContext {
+        RunContext { input_dir: self.input_dir.clone(), ..RunContext::alone(&self.file) }
+    }
+
+    /// Number of shots from which the model is learnt; 0 for a loaded model.
+    fn shots_to_learn(&self) -> u64 {
+        if self.measure.load.is_some() { 0 } else { self.measure.shots }
     }
 
     /// Opens the recording for random access.
@@ -84,7 +100,7 @@ impl FootprintChain {
             }
             ProfileReader::Other(reader, keys) => (Arc::clone(reader), keys.clone()),
         };
-        Recording::of_reader(reader, &keys, RunContext::alone(&self.file)).map_err(|error| failed(&error))
+        Recording::of_reader(reader, &keys, self.run()).map_err(|error| failed(&error))
     }
 
     /// Measures the shot with this number in its mission, or else this running number.
@@ -127,13 +143,13 @@ impl FootprintChain {
 
     /// Reads lines until the shot was found and those from which the stage learns, the first ones of its beam.
     fn explain_in_order(&self, reader: &dyn SourcePlan, shot: u64) -> Result<ExplainedFootprint, Failure> {
-        let mut source = reader.make(&RunContext::alone(&self.file)).map_err(|error| failed(&error))?;
+        let mut source = reader.make(&self.run()).map_err(|error| failed(&error))?;
         let (mut cx, mut seen) = (Context::default(), ShotNumbers::default());
         let (mut first, mut shots) = (Vec::<ScanLine>::new(), 0);
         let mut found: Option<(ScanLine, u32)> = None;
         while let Some(line) = source.next(&mut cx).map_err(|error| failed(&error))? {
             let is_other_beam = first.first().is_some_and(|first| !Arc::ptr_eq(&first.input, &line.input));
-            if found.is_some() && (is_other_beam || shots >= self.measure.shots) {
+            if found.is_some() && (is_other_beam || shots >= self.shots_to_learn()) {
                 break;
             }
             if is_other_beam {
@@ -143,7 +159,7 @@ impl FootprintChain {
             if found.is_none() {
                 found = index_of(&line, shot).map(|index| (line.copied(), index));
             }
-            if shots < self.measure.shots {
+            if shots < self.shots_to_learn() {
                 shots += line.distinct_waveforms();
                 first.push(line);
             }
@@ -152,7 +168,7 @@ impl FootprintChain {
             return Err(Failure::Wrong(seen.without(shot, &self.file)));
         };
         let file = self.file.display().to_string();
-        let seen = self.measure.seen(&first, &line, index);
+        let seen = self.measure.seen(&self.run(), &first, &line, index);
         let seen = seen.map_err(|error| Failure::Run(format!("{file}: {error}")))?;
         let problem = format!("{file}: shot {shot} has no background beside its signal; choose another one");
         let seen = seen.ok_or(Failure::Wrong(problem))?;
@@ -167,11 +183,11 @@ impl FootprintChain {
         let file = self.file.display().to_string();
         let stage_failed = |error| failed(&error);
         let reader = reader.of_beam(beam);
-        let run = RunContext::alone(&self.file);
+        let run = self.run();
         let mut source = SourceConfig::make(&reader, &run).map_err(stage_failed)?;
         let mut cx = Context::default();
         let (mut first, mut shots) = (Vec::new(), 0);
-        while shots < self.measure.shots
+        while shots < self.shots_to_learn()
             && let Some(line) = source.next(&mut cx).map_err(stage_failed)?
         {
             shots += line.distinct_waveforms();
@@ -189,7 +205,7 @@ impl FootprintChain {
         };
         let line = source.line_at(&location, &mut cx).map_err(stage_failed)?;
         let line = line.ok_or_else(|| without("no position, cannot be read, or is cut by the job"))?;
-        let seen = self.measure.seen(&first, &line, 0);
+        let seen = self.measure.seen(&self.run(), &first, &line, 0);
         let seen = seen.map_err(|error| Failure::Run(format!("{file}: {error}")))?;
         let seen = seen.ok_or_else(|| without("no background beside its signal"))?;
         Ok(ExplainedFootprint { file, seen })

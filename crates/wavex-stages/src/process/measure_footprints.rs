@@ -1,5 +1,6 @@
 //! `measure_footprints`: ground, canopy and relative heights of waveforms with large footprints.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use rayon::ThreadPool;
@@ -8,25 +9,24 @@ use rayon::slice::ParallelSlice;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use wavex_footprints::{
-    EchoWidth, FootprintEstimator, FootprintLearner, FootprintModel, FootprintSettings, LEAST_SHOTS,
-    outgoing_fwhm_samples,
-};
+use wavex_footprints::{FootprintEstimator, FootprintModel, FootprintSettings};
 use wavex_line::keys::InvalidKey;
-use wavex_line::scan_line::{
-    Block, Blocks, Channel, Content, Footprint, InputInfo, Kind, Return, Returns, ScanLine,
-};
+use wavex_line::scan_line::{Block, Blocks, Content, Footprint, InputInfo, Kind, Return, Returns, ScanLine};
 use wavex_line::stage::{
-    Config, Holds, Learning, Learns, LookAhead, Output, Reason, Result, RunContext, StageError, StageSpec,
-    Transform, TransformConfig,
+    Config, Holds, Learning, Learns, LookAhead, Output, OutputFile, Reason, Result, RunContext, StageError,
+    StageSpec, Transform, TransformConfig,
 };
-use wavex_simd::statistics::median;
 
+mod learning;
+mod model_file;
 mod result;
 mod seen;
 #[cfg(test)]
 mod tests;
 
+use learning::{Learnt, learnt, outgoing_samples};
+use model_file::LoadedModels;
+pub use model_file::{BeamModel, FootprintModels};
 pub use result::GROUND_CLASS;
 use result::MeasuredShot;
 pub use seen::SeenFootprint;
@@ -36,10 +36,6 @@ pub const STAGE: StageSpec =
     StageSpec::transform::<MeasureFootprints>("measure_footprints", &[Kind::Shots, Kind::Footprints])
         .making(Kind::Returns);
 
-/// Width of outgoing pulses while none has shown its own, samples.
-const USUAL_WIDTH_SAMPLES: f64 = 15.0;
-/// Part of the echoes, the narrowest, that give the response without outgoing pulses.
-const NARROWEST: f64 = 0.02;
 /// Shots that one thread measures in a row.
 const SHOTS_PER_TASK: usize = 32;
 
@@ -62,6 +58,12 @@ const SHOTS_PER_TASK: usize = 32;
 /// Cover and plant area index are those of GEDI02_B: the energy of canopy and ground, with the ratio of their
 /// reflectances, give the gap probability.
 ///
+/// Saved models (`save` writes to `output_dir`, `load` reads from `input_dir`) are used in another run or on another
+/// recording; nothing is learnt then. A file has a model of each beam, and `load` takes that of the same name; beams without a
+/// model in it are not measured, with a warning. With `split_beams` of `read_hdf5`, a run saves one file per beam, and
+/// loads its beam's model from a file with several. Sampling interval and number of samples of the outgoing pulses
+/// must be those of the model. `schemas/footprint_models.schema.json` describes the format.
+///
 /// Rejected, and counted, are waveforms without background beside their signal: at least 100 samples.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -75,6 +77,12 @@ pub struct MeasureFootprints {
     /// Number of shots of each beam from which noise and response are learnt.
     #[schemars(range(min = 100, max = 1_000_000))]
     pub shots: u64,
+    /// File to save the models of the beams to, as JSON, for runs that must reproduce this one exactly.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub save: Option<String>,
+    /// Model file written by `save`. Its models are used, and nothing is learnt.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub load: Option<PathBuf>,
 }
 
 /// Settings groups of GEDI02_A.
@@ -104,13 +112,18 @@ impl GediPreset {
 
 impl Default for MeasureFootprints {
     fn default() -> MeasureFootprints {
-        MeasureFootprints { preset: None, reflectance_ratio: 1.5, shots: 1000 }
+        MeasureFootprints { preset: None, reflectance_ratio: 1.5, shots: 1000, save: None, load: None }
     }
 }
 
 impl MeasureFootprints {
     fn settings(&self) -> FootprintSettings {
         self.preset.and_then(|preset| FootprintSettings::gedi_l2a(preset.group())).unwrap_or_default()
+    }
+
+    /// The models of the file `load`, if it is given.
+    fn loaded(&self, run: &RunContext) -> Result<Option<LoadedModels>> {
+        self.load.as_ref().map(|path| LoadedModels::read(run.input_path(path))).transpose()
     }
 
     /// Measures one shot: its longest echo block.
@@ -142,11 +155,15 @@ impl Config for MeasureFootprints {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         Ok(())
     }
+
+    fn inputs(&self) -> Vec<&str> {
+        self.load.iter().filter_map(|path| path.to_str()).collect()
+    }
 }
 
 impl TransformConfig for MeasureFootprints {
     fn outputs(&self) -> Vec<&str> {
-        Vec::new()
+        self.save.as_deref().into_iter().collect()
     }
 
     fn holds(&self) -> Holds {
@@ -154,13 +171,12 @@ impl TransformConfig for MeasureFootprints {
     }
 
     fn make(&self, run: &RunContext) -> Result<Box<dyn Transform>> {
+        let save = self.save.as_ref().filter(|_| run.has_outputs);
         Ok(Box::new(Measurer {
-            config: self.clone(),
+            loaded: self.loaded(run)?,
+            save: save.map(|pattern| run.create(pattern)).transpose()?,
             pool: run.pool.clone(),
-            look_ahead: LookAhead::new(self.shots),
-            beam: None,
-            has_learnt: false,
-            failure: None,
+            ..Measurer::new(self.clone())
         }))
     }
 
@@ -179,13 +195,17 @@ struct Measurer {
     /// First lines of the current beam.
     look_ahead: LookAhead,
     beam: Option<Beam>,
-    /// Whether the model of any beam was learnt.
-    has_learnt: bool,
-    /// Why that of the first other beam was not.
+    /// Models of the beams so far.
+    models: FootprintModels,
+    /// Why the first beam without a model has none.
     failure: Option<StageError>,
+    /// Models that are used instead of learning.
+    loaded: Option<LoadedModels>,
+    /// File for the models.
+    save: Option<OutputFile>,
 }
 
-/// The current beam, and its model as soon as it is learnt.
+/// The current beam, and its model as soon as it is known.
 struct Beam {
     input: Arc<InputInfo>,
     model: Option<FootprintModel>,
@@ -202,44 +222,62 @@ impl Transform for Measurer {
             let line = self.measured(line, model, out)?;
             return out.emit(line);
         }
+        if let Some(loaded) = &self.loaded {
+            return match loaded.of_line(&line)? {
+                Some(model) => {
+                    let model = model.clone();
+                    self.report_loaded(&model, out);
+                    self.measure_with(model, vec![line], out)
+                }
+                None => {
+                    let error = loaded.without(&line);
+                    self.leave_out(vec![line], error, out)
+                }
+            };
+        }
         let is_enough = self.look_ahead.hold(line, "noise and response were learnt", out);
         if is_enough { self.release(out) } else { Ok(()) }
     }
 
     fn finish(&mut self, out: &mut Output) -> Result<()> {
         self.release(out)?;
-        self.failure.take().filter(|_| !self.has_learnt).map_or(Ok(()), Err)
+        let is_measured = !self.models.beams.is_empty();
+        if let Some(failure) = self.failure.take().filter(|_| !is_measured) {
+            return Err(failure);
+        }
+        match self.save.take().filter(|_| is_measured) {
+            Some(file) => self.models.write(file, out),
+            None => Ok(()),
+        }
     }
 }
 
 impl Measurer {
+    fn new(config: MeasureFootprints) -> Measurer {
+        Measurer {
+            pool: None,
+            look_ahead: LookAhead::new(config.shots),
+            config,
+            beam: None,
+            models: FootprintModels::default(),
+            failure: None,
+            loaded: None,
+            save: None,
+        }
+    }
+
     /// Learns the model of the current beam from the held lines, measures and emits them.
     fn release(&mut self, out: &mut Output) -> Result<()> {
         let lines = self.look_ahead.release();
-        if lines.is_empty() {
-            return Ok(());
-        }
-        let has_blocks = |line: &ScanLine| line.blocks().is_some_and(|blocks| !blocks.is_empty());
         if !lines.iter().any(has_blocks) {
             return emit_without_returns(lines, out);
         }
-        let beam = self.beam.as_ref().and_then(|beam| beam.input.beam.clone());
-        let Learnt { model, of_echoes } = match (learnt(&lines), &beam) {
-            (Ok(learnt), _) => learnt,
-            (Err(error), None) => return Err(error),
-            // Other beams can be measured.
-            (Err(error), Some(beam)) => {
-                out.cx.warn(format!("{beam} is not measured: {error}"));
-                out.cx.reject(
-                    Reason::BeamNotLearnt,
-                    lines.iter().map(|line| line.emissions.len() as u64).sum(),
-                );
-                self.failure.get_or_insert(error);
-                return emit_without_returns(lines, out);
-            }
+        let Learnt { model, of_echoes } = match learnt(&lines) {
+            Ok(learnt) => learnt,
+            Err(error) => return self.leave_out(lines, error, out),
         };
-        self.has_learnt = true;
-        let name = beam.map_or(String::new(), |beam| format!("{beam}: "));
+        let beam = self.beam.as_ref().and_then(|beam| beam.input.beam.clone());
+        let name = prefix(beam.as_deref());
         let FootprintModel { pulse_fwhm_ns, noise_sd_dn, shots, .. } = &model;
         match of_echoes {
             None => out.cx.info(format!(
@@ -251,14 +289,45 @@ impl Measurer {
                  ground too probable"
             )),
         }
+        let model = BeamModel { beam, outgoing_samples: outgoing_samples(&lines), model };
+        self.measure_with(model, lines, out)
+    }
+
+    /// Measures and emits the first lines of the current beam with its model.
+    fn measure_with(&mut self, model: BeamModel, lines: Vec<ScanLine>, out: &mut Output) -> Result<()> {
         for line in lines {
-            let line = self.measured(line, &model, out)?;
+            let line = self.measured(line, &model.model, out)?;
             out.emit(line)?;
         }
         if let Some(beam) = &mut self.beam {
-            beam.model = Some(model);
+            beam.model = Some(model.model.clone());
         }
+        self.models.add(model);
         Ok(())
+    }
+
+    /// Emits lines of a beam without a model; an error if the recording has no other beams.
+    fn leave_out(&mut self, lines: Vec<ScanLine>, error: StageError, out: &mut Output) -> Result<()> {
+        let beam = self.beam.as_ref().and_then(|beam| beam.input.beam.as_deref());
+        let Some(beam) = beam else { return Err(error) };
+        out.cx.warn(format!("{beam} is not measured: {error}"));
+        let shots = lines.iter().map(|line| line.emissions.len() as u64).sum();
+        out.cx.reject(Reason::BeamNotLearnt, shots);
+        self.failure.get_or_insert(error);
+        emit_without_returns(lines, out)
+    }
+
+    /// Reports the model that the current beam has from a file.
+    fn report_loaded(&self, of_beam: &BeamModel, out: &mut Output) {
+        let name = prefix(of_beam.beam.as_deref());
+        let FootprintModel { pulse_fwhm_ns, noise_sd_dn, shots, .. } = &of_beam.model;
+        let source = if of_beam.outgoing_samples.is_some() { "outgoing pulse" } else { "response" };
+        out.cx.info(format!(
+            "{name}loaded model: {source} of {pulse_fwhm_ns:.1} ns, noise of {noise_sd_dn:.2} DN, from {shots} shots"
+        ));
+        if self.config.shots != MeasureFootprints::default().shots {
+            out.cx.warn("`shots` of measure_footprints has no effect with `load`: remove it, or learn from the recording");
+        }
     }
 
     /// Measures the shots of a line.
@@ -307,6 +376,15 @@ impl Measurer {
     }
 }
 
+/// Name of a beam at the beginning of a message.
+fn prefix(beam: Option<&str>) -> String {
+    beam.map_or(String::new(), |beam| format!("{beam}: "))
+}
+
+fn has_blocks(line: &ScanLine) -> bool {
+    line.blocks().is_some_and(|blocks| !blocks.is_empty())
+}
+
 fn emit_without_returns(lines: Vec<ScanLine>, out: &mut Output) -> Result<()> {
     let mut lines = lines.into_iter();
     lines.try_for_each(|line| out.emit(ScanLine { content: Content::Returns(Returns::new()), ..line }))
@@ -316,81 +394,4 @@ fn emit_without_returns(lines: Vec<ScanLine>, out: &mut Output) -> Result<()> {
 fn echo_block(blocks: &Blocks, emission: u32) -> Option<&Block> {
     let echoes = blocks.of_emission(emission).map(|(_, block)| block).filter(|block| block.channel.is_echo());
     echoes.max_by_key(|block| block.len())
-}
-
-/// Noise and response of a beam.
-struct Learnt {
-    model: FootprintModel,
-    /// Number of echoes that gave the response, and number of clear ones; `None` if outgoing pulses gave it.
-    of_echoes: Option<[usize; 2]>,
-}
-
-/// Learns noise and response from the shots of lines.
-fn learnt(lines: &[ScanLine]) -> Result<Learnt> {
-    let (mut widths, mut interval_ns) = (Vec::new(), 1.0);
-    let is_outgoing = |channel: Channel| channel == Channel::Reference;
-    each_block(lines, is_outgoing, |_, samples| widths.extend(outgoing_fwhm_samples(samples)));
-    each_block(lines, Channel::is_echo, |block, _| interval_ns = block.interval_ns);
-    let narrowest = if widths.len() < LEAST_SHOTS { NarrowestEchoes::of(lines) } else { None };
-    let width = narrowest.as_ref().map_or_else(|| median(widths), |echoes| Some(echoes.fwhm_samples));
-    let mut learner = FootprintLearner::new(interval_ns, width.unwrap_or(USUAL_WIDTH_SAMPLES) * interval_ns);
-    match &narrowest {
-        None => each_block(lines, is_outgoing, |_, samples| learner.add_outgoing(samples)),
-        Some(echoes) => each_block(lines, Channel::is_echo, |_, samples| {
-            if echoes.includes(samples) {
-                learner.add_echo(samples);
-            }
-        }),
-    }
-    each_block(lines, Channel::is_echo, |_, samples| learner.add_waveform(samples));
-    let model = learner.finish().map_err(|error| {
-        StageError::failed(
-            error.to_string(),
-            "read a longer part of the beam, or leave the beam out with `beams` of read_hdf5; small footprints are for `calibrate` and `decompose`",
-        )
-    })?;
-    Ok(Learnt { model, of_echoes: narrowest.map(|echoes| [echoes.count, echoes.of]) })
-}
-
-/// The narrowest echoes of lines, which are as wide as the outgoing pulse if they are from flat ground.
-struct NarrowestEchoes {
-    /// Their median full width at half maximum, samples.
-    fwhm_samples: f64,
-    /// Their largest spread, samples.
-    spread_samples: f64,
-    /// Their number, and the number of clear echoes.
-    count: usize,
-    of: usize,
-}
-
-impl NarrowestEchoes {
-    /// `None` if there are too few.
-    fn of(lines: &[ScanLine]) -> Option<NarrowestEchoes> {
-        let mut widths = Vec::new();
-        each_block(lines, Channel::is_echo, |_, samples| widths.extend(EchoWidth::of(samples)));
-        widths.sort_unstable_by(|a, b| a.spread_samples.total_cmp(&b.spread_samples));
-        let count = ((NARROWEST * widths.len() as f64) as usize).max(LEAST_SHOTS);
-        let narrowest = widths.get(..count)?;
-        Some(NarrowestEchoes {
-            fwhm_samples: median(narrowest.iter().map(|width| width.fwhm_samples))?,
-            spread_samples: narrowest.last()?.spread_samples,
-            count,
-            of: widths.len(),
-        })
-    }
-
-    fn includes(&self, samples: &[f32]) -> bool {
-        EchoWidth::of(samples).is_some_and(|width| width.spread_samples <= self.spread_samples)
-    }
-}
-
-/// Gives each block of these channels with its samples.
-fn each_block(lines: &[ScanLine], is_wanted: fn(Channel) -> bool, mut take: impl FnMut(&Block, &[f32])) {
-    let mut samples = Vec::new();
-    for blocks in lines.iter().filter_map(|line| line.blocks()) {
-        for block in blocks.iter().filter(|block| is_wanted(block.channel)) {
-            blocks.fractions_into(block, &mut samples);
-            take(block, &samples);
-        }
-    }
 }

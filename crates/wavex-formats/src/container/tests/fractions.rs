@@ -1,5 +1,12 @@
 //! Version 2: samples that are fractions of a digitiser step.
 
+use std::sync::Arc;
+
+use arrow_array::{ArrayRef, Int32Array, LargeStringArray, RecordBatch, StringArray, StringViewArray};
+use arrow_ipc::CompressionType;
+use arrow_ipc::writer::{FileWriter, IpcWriteOptions};
+use arrow_schema::{Field, Fields, Schema};
+
 use super::*;
 
 /// Samples of a block; the second row has whole steps and the third none.
@@ -144,4 +151,55 @@ fn damage_of_fractions_is_refused() {
         let cut = ContainerReader::from_bytes(Path::new("a.arrow"), whole[..at].to_vec());
         assert!(cut.is_err(), "cut at {at}");
     }
+}
+
+/// A file of [`line`] with other beams, as another program writes it.
+fn with_beams(beams: ArrayRef, compression: Option<CompressionType>) -> Vec<u8> {
+    let options = layout::LayoutOptions { has_fractions: true, ..layout::LayoutOptions::default() };
+    let schema = layout::schema(of_fractions().to_metadata(), options);
+    let mut columns = line().finish(Arc::new(schema.clone())).unwrap().columns().to_vec();
+    let at = schema.index_of("beam").unwrap();
+    let of = |(index, field): (usize, &Arc<Field>)| match index == at {
+        true => Arc::new(Field::new("beam", beams.data_type().clone(), true)),
+        false => Arc::clone(field),
+    };
+    let fields: Fields = schema.fields().iter().enumerate().map(of).collect();
+    columns[at] = beams;
+    let schema = Arc::new(Schema::new_with_metadata(fields, schema.metadata().clone()));
+    let batch = RecordBatch::try_new(Arc::clone(&schema), columns).unwrap();
+    let options = IpcWriteOptions::default().try_with_compression(compression).unwrap();
+    let mut writer = FileWriter::try_new_with_options(Vec::new(), &schema, options).unwrap();
+    writer.write(&batch).unwrap();
+    writer.into_inner().unwrap()
+}
+
+/// Polars writes large texts or views of texts.
+#[test]
+fn texts_of_every_form_are_read() {
+    let names = [None, Some("BEAM0101"), Some("a name that is longer than a view has room for")];
+    let forms: [ArrayRef; 3] = [
+        Arc::new(StringArray::from_iter(names)),
+        Arc::new(LargeStringArray::from_iter(names)),
+        Arc::new(StringViewArray::from_iter(names)),
+    ];
+    for beams in forms {
+        for compression in [None, Some(CompressionType::LZ4_FRAME), Some(CompressionType::ZSTD)] {
+            let whole = with_beams(Arc::clone(&beams), compression);
+            let line = first_line(whole.clone()).unwrap();
+            assert_eq!([0, 1, 2].map(|row| line.footprint(row).beam), names, "{}", beams.data_type());
+            assert_eq!(line.fractions(0).len(), 1, "the columns behind are found");
+            let mut bytes = whole.clone();
+            for at in (0..whole.len()).step_by(5) {
+                bytes[at] ^= 1 << (at / 5 % 8);
+                // An error is a valid result.
+                let read = ContainerReader::from_bytes(Path::new("a.arrow"), bytes.clone());
+                if let Ok(Some(line)) = read.and_then(|mut reader| reader.next_line()) {
+                    (0..line.rows()).for_each(|row| drop(format!("{:?}", line.footprint(row))));
+                }
+                bytes[at] = whole[at];
+            }
+        }
+    }
+    let error = refusal(with_beams(Arc::new(Int32Array::from(vec![1, 2, 3])), None));
+    assert!(error.contains("column `beam`: the type is Int32 and should be utf8; cast it"), "{error}");
 }

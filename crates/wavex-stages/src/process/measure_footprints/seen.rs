@@ -7,7 +7,7 @@ use super::{MeasureFootprints, echo_block, learnt};
 use wavex_footprints::{FootprintEstimator, FootprintModel};
 use wavex_geodesy::ellipsoid::WGS84;
 use wavex_line::scan_line::{Channel, Emission, Footprint, Frame, InputInfo, Return, ScanLine};
-use wavex_line::stage::Result;
+use wavex_line::stage::{Result, RunContext};
 use wavex_simd::statistics::median;
 
 /// A shot with its measurement and its samples.
@@ -35,14 +35,23 @@ pub struct SeenFootprint {
 }
 
 impl MeasureFootprints {
-    /// Measures one shot of a line, by the model of the first lines of its beam.
+    /// Measures one shot of a line, by the loaded model or that of the first lines of its beam.
     ///
     /// `None` if it has no echo block, or no background beside its signal.
     ///
     /// # Errors
-    /// If the first lines have too few shots to learn from.
-    pub fn seen(&self, first: &[ScanLine], line: &ScanLine, emission: u32) -> Result<Option<SeenFootprint>> {
-        let model = learnt(first)?.model;
+    /// If the first lines have too few shots to learn from, or the loaded model does not fit.
+    pub fn seen(
+        &self,
+        run: &RunContext,
+        first: &[ScanLine],
+        line: &ScanLine,
+        emission: u32,
+    ) -> Result<Option<SeenFootprint>> {
+        let model = match self.loaded(run)? {
+            Some(loaded) => loaded.of_line(line)?.ok_or_else(|| loaded.without(line))?.model.clone(),
+            None => learnt(first)?.model,
+        };
         let mut estimator = FootprintEstimator::new(&model, self.settings());
         let (mut samples_dn, mut outgoing_dn) = (Vec::new(), Vec::new());
         let (Some(blocks), Some(shot)) = (line.blocks(), line.emissions.get(emission as usize)) else {

@@ -1,8 +1,10 @@
 //! Footprints of made shots, through the stage.
 
+use std::path::Path;
+
 use super::*;
 use wavex_footprints::RecordedNoise;
-use wavex_line::scan_line::{Emission, FootprintRecord, Frame, footprint_flags};
+use wavex_line::scan_line::{Channel, Emission, FootprintRecord, Frame, footprint_flags};
 use wavex_line::stage::Context;
 
 /// Samples of a waveform, and the sample of its ground.
@@ -61,15 +63,10 @@ fn input(beam: &str) -> Arc<InputInfo> {
 
 /// Runs the stage with this number of shots to learn from.
 fn run(shots: u64, lines: Vec<ScanLine>) -> (Result<()>, Vec<ScanLine>, Context) {
-    let config = MeasureFootprints { shots, ..MeasureFootprints::default() };
-    let mut stage = Measurer {
-        config,
-        pool: None,
-        look_ahead: LookAhead::new(shots),
-        beam: None,
-        has_learnt: false,
-        failure: None,
-    };
+    run_stage(Measurer::new(MeasureFootprints { shots, ..MeasureFootprints::default() }), lines)
+}
+
+fn run_stage(mut stage: Measurer, lines: Vec<ScanLine>) -> (Result<()>, Vec<ScanLine>, Context) {
     let (mut cx, mut given) = (Context::default(), Vec::new());
     let mut emit = |line: ScanLine| {
         given.push(line);
@@ -237,4 +234,119 @@ fn lines_without_shots_pass_through() {
     let (outcome, given, _) = run(100, vec![empty(), empty()]);
     outcome.unwrap();
     assert!(given.len() == 2 && given.iter().all(|line| line.kind() == Kind::Returns));
+}
+
+/// Saves the models of two beams; returns the measured lines and the path of the file.
+fn saved(folder: &Path) -> (Vec<ScanLine>, PathBuf) {
+    let path = folder.join("model.json");
+    let config = MeasureFootprints { shots: 100, ..MeasureFootprints::default() };
+    let save = Some(OutputFile::create(&path).unwrap());
+    let (outcome, given, mut cx) = run_stage(Measurer { save, ..Measurer::new(config) }, two_beams());
+    outcome.unwrap();
+    cx.take_files().into_iter().for_each(|file| drop(file.publish().unwrap()));
+    (given, path)
+}
+
+fn two_beams() -> Vec<ScanLine> {
+    let [first, second] = [input("BEAM0001"), input("BEAM0101")];
+    vec![line(&first, 0, 30, true), line(&second, 1, 20, true), line(&second, 2, 20, false)]
+}
+
+/// The stage with the models of a file.
+fn with_models(path: &Path) -> Measurer {
+    let loaded = LoadedModels::read(path.to_owned()).unwrap();
+    Measurer { loaded: Some(loaded), ..Measurer::new(MeasureFootprints::default()) }
+}
+
+#[test]
+fn saved_models_give_the_same_results() {
+    let folder = tempfile::tempdir().unwrap();
+    let (learnt, path) = saved(folder.path());
+    let (outcome, loaded, cx) = run_stage(with_models(&path), two_beams());
+    outcome.unwrap();
+    let results = |lines: &[ScanLine]| -> Vec<String> {
+        lines.iter().map(|line| format!("{:?} {:?}", line.footprints, line.returns())).collect()
+    };
+    assert!(results(&learnt) == results(&loaded), "results differ");
+    let notes: Vec<&str> = cx.counters().findings.iter().map(|note| &note[..41]).collect();
+    let expected = ["BEAM0001", "BEAM0101"].map(|beam| format!("{beam}: loaded model: outgoing pulse of"));
+    assert_eq!(notes, expected);
+    // Five shots are too few to learn from.
+    let (outcome, few, _) = run_stage(with_models(&path), vec![line(&input("BEAM0101"), 0, 5, true)]);
+    outcome.unwrap();
+    assert_eq!(few[0].footprints.len(), 5);
+}
+
+#[test]
+fn a_beam_without_a_loaded_model_is_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_, path) = saved(folder.path());
+    let other = || line(&input("BEAM0110"), 0, 20, true);
+    let lines = vec![other(), line(&input("BEAM0101"), 1, 20, true)];
+    let (outcome, given, cx) = run_stage(with_models(&path), lines);
+    outcome.unwrap();
+    let measured: Vec<usize> = given.iter().map(|line| line.footprints.len()).collect();
+    assert_eq!((measured, cx.counters().rejected_of(Reason::BeamNotLearnt.item())), (vec![0, 20], 20));
+    let problem = "model.json: `beams` has no model of BEAM0110, only of BEAM0001, BEAM0101; load a model of this \
+                   instrument and setting, or learn from the recording";
+    let note = &cx.counters().notes[0];
+    assert!(note.starts_with("BEAM0110 is not measured: ") && note.ends_with(problem), "{note}");
+    let (outcome, ..) = run_stage(with_models(&path), vec![other()]);
+    assert!(outcome.unwrap_err().to_string().ends_with(problem));
+    // A recording without beams has one model.
+    let nameless = Arc::new(InputInfo { beam: None, ..InputInfo::clone(&input("")) });
+    let (outcome, ..) = run_stage(with_models(&path), vec![line(&nameless, 0, 20, true)]);
+    let error = outcome.unwrap_err().to_string();
+    assert!(error.contains("no model of a recording without beams, only of BEAM0001"), "{error}");
+}
+
+#[test]
+fn models_of_another_receiver_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_, path) = saved(folder.path());
+    let text = std::fs::read_to_string(&path).unwrap();
+    let error = |from: &str, to: &str| {
+        assert!(text.contains(from), "{from}");
+        std::fs::write(&path, text.replace(from, to)).unwrap();
+        run_stage(with_models(&path), two_beams()).0.unwrap_err().to_string()
+    };
+    let found = error("\"sampling_interval_ns\": 1.0", "\"sampling_interval_ns\": 0.5");
+    let problem = "model.json: the model of BEAM0001: its `sampling_interval_ns` is 0.5, but that of the recording is 1; \
+                   load a model of this instrument and setting, or learn from the recording";
+    assert!(found.ends_with(problem), "{found}");
+    let found = error("128", "100");
+    let problem = "its `outgoing_samples` are 100 to 100, but those of the recording 128 to 128; ";
+    assert!(found.contains(problem), "{found}");
+}
+
+#[test]
+fn shots_to_learn_from_have_no_effect_on_a_loaded_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_, path) = saved(folder.path());
+    let notes = |shots| {
+        let mut stage = with_models(&path);
+        stage.config.shots = shots;
+        run_stage(stage, two_beams()).2.counters().notes.clone()
+    };
+    assert_eq!(notes(1000), Vec::<String>::new());
+    let expected =
+        "`shots` of measure_footprints has no effect with `load`: remove it, or learn from the recording";
+    assert_eq!(notes(2000), [expected]);
+}
+
+/// Without noise the correlation of the noise is not a number.
+#[test]
+fn models_that_cannot_be_loaded_are_not_saved() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = MeasureFootprints { shots: 100, ..MeasureFootprints::default() };
+    let save = Some(OutputFile::create(&folder.path().join("other.json")).unwrap());
+    let mut stage = Measurer { save, ..Measurer::new(config) };
+    let (_, path) = saved(folder.path());
+    stage.models = LoadedModels::read(path).unwrap().models;
+    stage.models.beams[0].model.noise_sd_dn = f64::NAN;
+    let (outcome, ..) = run_stage(stage, Vec::new());
+    let error = outcome.unwrap_err().to_string();
+    let problem = "the model of BEAM0001: `noise_sd_dn` must be from 0 to 1000000, got NaN; leave out `save`, or learn from \
+                   another part of the recording";
+    assert!(error.ends_with(problem), "{error}");
 }
