@@ -62,6 +62,14 @@ fn roles<'p>(
                     "both are recordings; give one, and a name for the job that ends in .toml. A job reads several \
                          recordings by a pattern in `path`"
                 }
+                false if !has_extension(other, "toml") => {
+                    return Err(Recording::recognise(other).err().unwrap_or_else(|| {
+                        Failure::Wrong(format!(
+                            "{}: not a recording; give a recording and a job",
+                            other.display()
+                        ))
+                    }));
+                }
                 false => "both are jobs; give a recording and one job",
             };
             return Err(Failure::Wrong(format!("{}, {}: {problem}", other.display(), file.display())));

@@ -34,7 +34,9 @@ pub(super) fn survey(args: &SurveyArgs, quiet: bool) -> Result<(), Failure> {
     }
     let inputs: Vec<SurveyInput> = inputs.into_values().collect();
     let failed = |error: wavex_formats::Error| Failure::Run(error.to_string());
-    let written = write_survey(&inputs, &keys, &page).map_err(failed)?;
+    let survey = write_survey(&inputs, &keys, &page).map_err(failed)?;
+    survey.not_compared.iter().for_each(|strip| tracing::warn!("{strip}"));
+    let written = survey.files;
     let said: String = written.iter().map(|path| format!("wrote {}\n", path.display())).collect();
     if quiet { Ok(()) } else { terminal::print(&said) }
 }

@@ -146,6 +146,7 @@ fn a_file_in_the_wrong_place_gets_the_command_for_it() {
     let here = folder.path();
     fs::write(here.join("x.pls"), b"").unwrap();
     fs::write(here.join("flight.toml"), b"").unwrap();
+    fs::write(here.join("notes.csv"), b"").unwrap();
     for (words, expected) in [
         (&["x.pls"][..], "`x.pls` is a recording, not a command; choose one:\n  wavex scan x.pls "),
         (&["flight.toml"], "`flight.toml` is a job, not a command; run it with `wavex run flight.toml`"),
@@ -191,6 +192,11 @@ fn a_file_in_the_wrong_place_gets_the_command_for_it() {
             "x.pls, y.pls: both are recordings; give one, and a name for the job that ends in .toml.",
         ),
         (&["init", "a.toml", "b.toml"], "a.toml, b.toml: both are jobs; give a recording and one job\n"),
+        (&["init", "x.csv", "b.toml"], "x.csv: no such file or folder; did you mean x.pls?\n"),
+        (
+            &["init", "notes.csv", "b.toml"],
+            "notes.csv: unknown recording format; supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 and .hdf5\n",
+        ),
         (
             &["import", "-o", "flight9.pls", "--", "-i", "a.sdf", "-o", "b.laz"],
             "flight9.pls: a job is not written under the name of a recording or a folder; end its name in .toml\n",
@@ -200,7 +206,7 @@ fn a_file_in_the_wrong_place_gets_the_command_for_it() {
         assert_eq!((outcome.code, outcome.out.as_str()), (Some(2), ""), "{words:?}: {}", outcome.err);
         assert!(outcome.err.starts_with(&format!("error: {expected}")), "{words:?}: {}", outcome.err);
     }
-    assert_eq!(fs::read_dir(here).unwrap().count(), 2, "nothing is written");
+    assert_eq!(fs::read_dir(here).unwrap().count(), 3, "nothing is written");
 }
 
 #[test]

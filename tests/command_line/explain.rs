@@ -272,7 +272,7 @@ fn a_large_footprint_that_cannot_be_measured_is_named() {
     let message = "short.toml: the job has no stage `measure_footprints`; add one";
     refused(&place, &["a.h5", "--shot", "1", "--job", "short.toml"], 2, message);
     let message = "a.h5: 0 shots have a recorded outgoing pulse, and 10 are needed for the response of the receiver; \
-                   read a longer part of the beam, or leave the beam out with `beams` of read_hdf5; small footprints \
+                   read a longer part of the beam, leave the beam out with `beams` of read_hdf5, or `load` the models that `save` wrote of the whole recording; small footprints \
                    are for `calibrate` and `decompose`";
     refused(&place, &["a.h5", "--shot", "3"], 1, message);
 }

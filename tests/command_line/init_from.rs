@@ -194,7 +194,7 @@ fn a_failed_run_ends_its_log_with_its_exit_status() {
 }
 
 #[test]
-fn a_warning_of_several_inputs_is_given_once_with_their_number() {
+fn a_warning_of_several_inputs_is_given_once_with_their_names() {
     let recording = PulseWaves::new(3);
     let place = TestFolder::new();
     for name in ["a", "b", "c"] {
@@ -211,8 +211,12 @@ fn a_warning_of_several_inputs_is_given_once_with_their_number() {
     assert!(!warnings.is_empty() && warnings.len().is_multiple_of(2), "{err}");
     let (first, repeated) = warnings.split_at(warnings.len() / 2);
     for warning in first {
-        assert!(repeated.contains(&format!("3 of 3 inputs: {warning}").as_str()), "{err}");
+        let (input, text) = warning.split_once(": ").unwrap();
+        assert!(["a", "b", "c"].contains(&input), "{err}");
+        assert!(repeated.contains(&format!("3 of 3 inputs (a, b, c): {text}").as_str()), "{err}");
     }
+    let Outcome { err, .. } = place.wavex(&["run", "a.toml", "--set", "read_pulsewaves.path=a.pls"]);
+    assert!(err.contains("WARN ") && !err.contains("WARN a: "), "{err}");
 }
 
 /// The job makes no demand that the recording cannot meet.

@@ -224,6 +224,7 @@ pub fn run_each(
         common: &common,
         geometry: Mutex::new(geometry),
         cx: Context::of_run(),
+        has_several_inputs: summary.inputs.len() > 1,
     };
     let mut result = Ok(());
     let ends = |error: &RunError| job.settings.on_error == OnError::Stop || files.concern(error);

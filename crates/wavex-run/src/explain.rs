@@ -11,6 +11,7 @@ use crate::{Failure, job_file, run};
 use wavex_engine::engine::{Cancel, Input, Options, Phase, ProgressMode, observe};
 use wavex_engine::job::{Job, JobStage, Override};
 use wavex_engine::recording::{Excerpt, LineIndex, Recording};
+use wavex_formats::container::ContainerReader;
 use wavex_formats::format::{reader_of, small_footprint_reader_of};
 use wavex_line::scan_line::{Emission, InputInfo, Returns, ScanLine};
 use wavex_line::stage::{Context, FittedBlock, Plan, RunContext, SourcePlan};
@@ -113,8 +114,10 @@ impl<'a> ExplainRequest<'a> {
     /// # Errors
     /// If the job is invalid.
     pub fn has_large_footprints(&self) -> Result<bool, Failure> {
-        if reader_of(&self.file.display().to_string()).is_ok_and(|reader| reader == FOOTPRINTS) {
-            return Ok(true);
+        match reader_of(&self.file.display().to_string()) {
+            Ok(FOOTPRINTS) => return Ok(true),
+            Ok(CONTAINER) if self.job.is_none() && has_fractions(self.file) => return Ok(true),
+            _ => {}
         }
         let Some(path) = self.job else { return Ok(false) };
         let job = job_file::read(path, self.set.iter().map(Override::new).collect())?;
@@ -197,8 +200,15 @@ impl Explainer {
     }
 }
 
+/// Whether a container has samples that only `measure_footprints` accepts.
+fn has_fractions(file: &Path) -> bool {
+    ContainerReader::open(file).is_ok_and(|reader| reader.header().has_fractions)
+}
+
 /// Reader of recordings with large footprints.
 const FOOTPRINTS: &str = "read_hdf5";
+/// Reader of containers, whose samples are fractions of a digitiser step for large footprints only.
+const CONTAINER: &str = "read_arrow";
 /// Stage that measures them.
 const MEASURE: &str = "measure_footprints";
 /// Stages after the reader of recordings with small footprints.

@@ -307,6 +307,15 @@ pub fn run(request: RunRequest) -> Result<FinishedRun, RunFailure> {
     Ok(FinishedRun { run, report, written })
 }
 
+/// The names of all inputs, or of the first ones.
+fn few_names(names: &[&str]) -> String {
+    const FEW: usize = 4;
+    match names.get(..FEW) {
+        Some(first) if names.len() > FEW => format!("{}, …", first.join(", ")),
+        _ => names.join(", "),
+    }
+}
+
 /// Completes report, trace and archive of a run; returns its messages for the user.
 fn finish(
     run: &RunSummary,
@@ -317,10 +326,13 @@ fn finish(
 ) -> Result<Ending, StageError> {
     files.complete(run)?;
     // A problem with this page costs neither trace nor archive.
-    let survey = files.write_survey(run);
+    let survey = files.write_survey(run).map(|not_compared| {
+        not_compared.iter().for_each(|strip| tracing::warn!("{strip}"));
+    });
     files.write_trace(run)?;
     for (note, inputs) in run.repeated_notes() {
-        tracing::warn!("{inputs} of {} inputs: {note}", run.inputs.len());
+        let named = few_names(&inputs);
+        tracing::warn!("{} of {} inputs ({named}): {note}", inputs.len(), run.inputs.len());
     }
     let table = (run.inputs.len() > 1).then(|| report::input_table(&files.report(run)));
     let [of_run, of_inputs] = files.written(run);

@@ -131,5 +131,5 @@ pub fn survey_cells(bytes: &[u8]) {
     let Ok(written) = write_survey(&inputs, &SurveyKeys::default(), &place.path("survey.html")) else {
         return;
     };
-    assert!(written.iter().all(|path| path.is_file()));
+    assert!(written.files.iter().all(|path| path.is_file()));
 }

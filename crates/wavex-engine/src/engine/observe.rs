@@ -82,7 +82,8 @@ pub(super) fn run_one(
     let geometry = Loader::new(&job.settings.geometry, &options.input_dir)
         .map_err(|error| RunError::of_job(error.into()))?;
     let common = Common::new(job, options);
-    let shared = schedule::Shared { job, options, common: &common, geometry: Mutex::new(geometry), cx };
+    let geometry = Mutex::new(geometry);
+    let shared = schedule::Shared { job, options, common: &common, geometry, cx, has_several_inputs: false };
     let run = RunContext { has_outputs: false, ..run_context(options, input, pool::start(options)?) };
     run_shown(&shared, run, options)
 }

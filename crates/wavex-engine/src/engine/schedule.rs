@@ -25,6 +25,7 @@ pub(super) struct Shared<'a> {
     pub(super) common: &'a Common,
     pub(super) geometry: Mutex<Loader>,
     pub(super) cx: Context,
+    pub(super) has_several_inputs: bool,
 }
 
 /// Runs inputs, several at the same time, and gives their results to `take` in their order.
@@ -134,7 +135,10 @@ pub(super) fn run_input(shared: &Shared, mut run: RunContext, options: &Options,
         }
     }
     let observer = options.observers.as_ref().map(|observers| observers.of_input(&run.stem));
-    let cx = shared.cx.another().observed(observer);
+    let mut cx = shared.cx.another().observed(observer);
+    if shared.has_several_inputs {
+        cx = cx.of_input(&run.stem);
+    }
     let (input, error) = chain::run(shared.job, &Arc::new(run), options, shared.common, gauge, &cx);
     match error {
         Some(error) => (input.failed(&error), Some(error)),

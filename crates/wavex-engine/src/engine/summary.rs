@@ -279,17 +279,17 @@ impl RunSummary {
         input.sensor_model.as_ref().or_else(of_survey)
     }
 
-    /// Notes that several inputs share, with the number of inputs.
+    /// Notes that several inputs share, with the names of these.
     ///
     /// Each note is logged for the first input only.
-    pub fn repeated_notes(&self) -> BTreeMap<&str, usize> {
-        let mut inputs_of: BTreeMap<&str, usize> = BTreeMap::new();
+    pub fn repeated_notes(&self) -> BTreeMap<&str, Vec<&str>> {
+        let mut inputs_of: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
         for input in &self.inputs {
             let notes = input.stages.iter().flat_map(|stage| &stage.notes);
             let notes: BTreeSet<&str> = notes.map(String::as_str).collect();
-            notes.into_iter().for_each(|note| *inputs_of.entry(note).or_default() += 1);
+            notes.into_iter().for_each(|note| inputs_of.entry(note).or_default().push(&input.stem));
         }
-        inputs_of.retain(|_, inputs| *inputs > 1);
+        inputs_of.retain(|_, inputs| inputs.len() > 1);
         inputs_of
     }
 }

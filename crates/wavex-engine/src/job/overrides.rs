@@ -185,8 +185,15 @@ fn target<'d, 't>(
         }
         (None, _) => {
             let names = ids.iter().map(String::as_str).chain(["job"]);
-            let error = JobError::at(name_at, format!("the job has no stage `{name}`")).meant(name, names);
-            Err(error.help(format!("stages: {}", ids.join(", "))))
+            let error = JobError::at(name_at, format!("the job has no stage `{name}`"));
+            if let Some((table, _)) = table_of(name) {
+                return Err(error.help(format!(
+                    "for the table of the job: {}.{name}.{}=…",
+                    table.trim_matches(['[', ']']),
+                    change.key
+                )));
+            }
+            Err(error.meant(name, names).help(format!("stages: {}", ids.join(", "))))
         }
     }
 }

@@ -41,6 +41,8 @@ pub struct Context {
     whole: Vec<FinishedFile>,
     /// Messages of all workers and inputs of the run, so that each is logged once; `None`: none is.
     logged: Option<Arc<Mutex<BTreeSet<String>>>>,
+    /// Input that the log names with a warning, if the run has several.
+    input: Option<Arc<str>>,
     /// Observer of the run, if there is one.
     observer: Option<Arc<dyn RunObserver>>,
 }
@@ -73,10 +75,15 @@ impl Context {
         Context { logged: Some(Arc::default()), ..Context::default() }
     }
 
+    /// The same for an input that the log names with each warning.
+    pub fn of_input(self, name: &str) -> Context {
+        Context { input: Some(name.into()), ..self }
+    }
+
     /// Context of another worker of the same run.
     pub fn another(&self) -> Context {
-        let (logged, observer) = (self.logged.clone(), self.observer.clone());
-        Context { logged, observer, ..Context::default() }
+        let (logged, observer, input) = (self.logged.clone(), self.observer.clone(), self.input.clone());
+        Context { logged, observer, input, ..Context::default() }
     }
 
     /// Observer of the run, if there is one.
@@ -128,7 +135,10 @@ impl Context {
         }
         let text = text.into();
         if self.is_new(&text) {
-            tracing::warn!("{text}");
+            match &self.input {
+                Some(input) => tracing::warn!("{input}: {text}"),
+                None => tracing::warn!("{text}"),
+            }
         }
         self.counters.notes.push(text);
     }

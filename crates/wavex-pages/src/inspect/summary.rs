@@ -100,7 +100,7 @@ fn about_file(file: &Path, inspection: &Inspection) -> SummarySection {
         match input.frame {
             Frame::Scanner => "scanner",
             Frame::Body => "aircraft body",
-            Frame::Map => "map or earth-centred",
+            Frame::Map => "map",
             Frame::Earth => "earth-centred",
         },
     );

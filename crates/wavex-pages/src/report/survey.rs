@@ -195,11 +195,20 @@ pub fn survey_files(page: &Path) -> Vec<PathBuf> {
     [page.with_extension("json")].into_iter().chain(rasters::paths(&stem)).collect()
 }
 
-/// Writes the survey of these inputs: page, JSON and rasters; returns their paths.
+/// A survey that has been written.
+#[derive(Debug, Default)]
+pub struct WrittenSurvey {
+    /// Page, JSON and rasters.
+    pub files: Vec<PathBuf>,
+    /// Warnings about processed strips that cannot be compared with the others.
+    pub not_compared: Vec<String>,
+}
+
+/// Writes the survey of these inputs: page, JSON and rasters.
 ///
 /// # Errors
 /// If cells cannot be read or a file cannot be written.
-pub fn write_survey(inputs: &[SurveyInput], keys: &SurveyKeys, page: &Path) -> Result<Vec<PathBuf>> {
+pub fn write_survey(inputs: &[SurveyInput], keys: &SurveyKeys, page: &Path) -> Result<WrittenSurvey> {
     let (survey, pictures) = survey(inputs, keys, Some(&page.with_extension("")))?;
     let json = page.with_extension("json");
     let defect = |error: serde_json::Error| {
@@ -207,10 +216,15 @@ pub fn write_survey(inputs: &[SurveyInput], keys: &SurveyKeys, page: &Path) -> R
     };
     let text = serde_json::to_string_pretty(&survey).map_err(defect)? + "\n";
     let html = page::page(&survey, pictures.as_ref());
-    let mut written = vec![publish(page, &html)?, publish(&json, &text)?];
+    let mut files = vec![publish(page, &html)?, publish(&json, &text)?];
     let folder = page.parent().unwrap_or(Path::new(""));
-    written.extend(survey.rasters.iter().map(|name| folder.join(name)));
-    Ok(written)
+    files.extend(survey.rasters.iter().map(|name| folder.join(name)));
+    let not_compared = inputs.iter().zip(&survey.strips).filter(|(input, _)| input.failure.is_none());
+    let not_compared = not_compared.filter_map(|(input, strip)| {
+        let (_, reason) = input.cells.as_ref().zip(strip.failure.as_ref())?;
+        Some(format!("{} is not on the page of the survey: {reason}", strip.stem))
+    });
+    Ok(WrittenSurvey { files, not_compared: not_compared.collect() })
 }
 
 /// Writes the pulse density of a strip as a raster.
@@ -280,7 +294,9 @@ fn mismatch(reader: &CellsReader, first: Option<&CellsReader>) -> Option<String>
     if own.crs_wkt != first.crs_wkt {
         let stem = &first.stem;
         return Some(format!(
-            "its coordinate reference system is not that of {stem}; set `crs` of `[job.geometry]`"
+            "its coordinate reference system is not that of {stem}; name a missing one by `crs_of_input` of the reader, \
+             set `crs` of `[job.geometry]` for recordings in the earth-centred or the scanner's frame, and give \
+             recordings of different frames jobs of their own and their outputs to `wavex survey`"
         ));
     }
     (own.cell != first.cell)

@@ -174,7 +174,9 @@ impl<'m> Merge<'m> {
         if let Some(strips) = self.strips.as_ref().filter(|_| !settings.survey_page.is_empty()) {
             let models = serde_json::to_value(report.run.survey_models.as_deref()).unwrap_or_default();
             let inputs = strips.inputs(report.inputs, &models);
-            written.extend(write_survey(&inputs, &settings.survey, &file(&settings.survey_page))?);
+            let survey = write_survey(&inputs, &settings.survey, &file(&settings.survey_page))?;
+            survey.not_compared.iter().for_each(|strip| tracing::warn!("{strip}"));
+            written.extend(survey.files);
         }
         let mut texts = vec![(DIGESTS, self.digests(results))];
         texts.extend(self.lines(job, report)?.map(|text| (ALL_LINES, text)));

@@ -291,13 +291,13 @@ impl<'j> RunFiles<'j> {
     ///
     /// # Errors
     /// If it cannot be made.
-    pub(super) fn write_survey(&mut self, run: &RunSummary) -> Result<()> {
+    pub(super) fn write_survey(&mut self, run: &RunSummary) -> Result<Vec<String>> {
         let was_run = run.inputs.iter().any(|input| input.status != InputStatus::NotRun);
         let page = self.survey_page().filter(|path| was_run && is_in_folder(path));
         if let Some((survey, page)) = self.survey.as_mut().zip(page) {
-            survey.write(self.settings, &self.entries, run.survey_models.as_deref(), &page)?;
+            return survey.write(self.settings, &self.entries, run.survey_models.as_deref(), &page);
         }
-        Ok(())
+        Ok(Vec::new())
     }
 
     /// Adds entries for inputs without one: skipped or not run.

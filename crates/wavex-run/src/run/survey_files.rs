@@ -132,7 +132,8 @@ impl SurveyFiles {
         Ok(written)
     }
 
-    /// Writes the survey of the inputs with these entries of the report, and its sensor models.
+    /// Writes the survey of the inputs with these entries of the report, and its sensor models; returns the strips
+    /// that cannot be compared with the others, with the reason.
     ///
     /// # Errors
     /// If the cells of a strip cannot be read, or a file cannot be written.
@@ -142,9 +143,10 @@ impl SurveyFiles {
         entries: &[Value],
         models: Option<&SurveyModels>,
         page: &Path,
-    ) -> Result<()> {
+    ) -> Result<Vec<String>> {
         let models = models.and_then(|models| serde_json::to_value(models).ok()).unwrap_or_default();
-        self.written = write_survey(&self.strips.inputs(entries, &models), &settings.survey, page)?;
-        Ok(())
+        let written = write_survey(&self.strips.inputs(entries, &models), &settings.survey, page)?;
+        self.written = written.files;
+        Ok(written.not_compared)
     }
 }

@@ -191,7 +191,7 @@ impl Calibrator {
         if let Some((model, inputs)) = found.and_then(|of| Some((of.sensor_model.as_ref()?, of.inputs))) {
             out.cx.info(format!("the sensor model is that of the survey, from {inputs} inputs"));
             if !survey.has_input(&self.stem) {
-                out.cx.warn("the recording was not among those from which `survey_model` was made: it has the model of an instrument of the same name, serial number and sampling interval, as far as recorded; run `wavex calibrate` for the whole survey");
+                out.cx.warn("the recording was not among those from which the sensor model of the survey was made: it has the model of an instrument of the same name, serial number and sampling interval, as far as recorded; run `wavex calibrate` for the whole survey and set `survey_model` to its file, or run again with `--resume --relearn`");
             }
             self.model = Some(Arc::clone(model));
             self.look_ahead = LookAhead::new(CHECKED_WAVEFORMS);
@@ -261,10 +261,12 @@ impl Calibrator {
         let low = self.with_outgoing_pulse(Channel::LowPower, low, &reference, out)?;
         let high = self.with_outgoing_pulse(Channel::HighPower, high, &reference, out)?;
         if low.is_none() && high.is_none() {
-            let found = self.count(Channel::LowPower).max(self.count(Channel::HighPower));
+            let [low, high] = ECHOES.map(|channel| self.count(channel));
+            let (channel, found) =
+                if high > low { (Channel::HighPower, high) } else { (Channel::LowPower, low) };
             let needed = self.settings(Channel::LowPower).min_blocks;
             let error = CalibrationError::TooFewBlocks { found, needed };
-            return Err(failed(Channel::LowPower, &error));
+            return Err(failed(channel, &error));
         }
         let low = self.with_limits(Channel::LowPower, low, out)?;
         let high = self.with_limits(Channel::HighPower, high, out)?;
@@ -448,8 +450,12 @@ mod tests {
 
     /// A line of noise-like samples, too few to calibrate from.
     fn line(line: u32, shots: u32) -> ScanLine {
+        line_of(Channel::LowPower, line, shots)
+    }
+
+    fn line_of(channel: Channel, line: u32, shots: u32) -> ScanLine {
         let mut blocks = Blocks::default();
-        (0..shots).for_each(|shot| blocks.push(shot, Channel::LowPower, None, 0.0, 1.0, &[2, 3, 2, 1, 2, 3]));
+        (0..shots).for_each(|shot| blocks.push(shot, channel, None, 0.0, 1.0, &[2, 3, 2, 1, 2, 3]));
         let emissions = vec![Emission::default(); shots as usize];
         ScanLine::of_shots(Arc::new(InputInfo::default()), line, emissions, blocks)
     }
@@ -505,5 +511,18 @@ mod tests {
             "the low power receiver: calibration needs 200 waveforms of the channel and there were 123; \
              give it more data, or load a saved sensor model"
         );
+    }
+
+    #[test]
+    fn too_few_waveforms_of_two_receivers_name_the_one_with_more() {
+        let mut calibrator = calibrator();
+        let mut cx = Context::default();
+        let mut emit = |_: ScanLine| Ok(());
+        let mut out = Output::new(&mut cx, usize::MAX, &mut emit);
+        calibrator.process(line_of(Channel::HighPower, 0, 25), &mut out).unwrap();
+        calibrator.process(line(1, 2), &mut out).unwrap();
+        let error = calibrator.finish(&mut out).unwrap_err().to_string();
+        assert!(error.starts_with("the high power receiver: calibration needs 200"), "{error}");
+        assert!(error.contains("there were 25; "), "{error}");
     }
 }

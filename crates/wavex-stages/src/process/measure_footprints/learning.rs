@@ -38,7 +38,7 @@ pub(super) fn learnt(lines: &[ScanLine]) -> Result<Learnt> {
     let model = learner.finish().map_err(|error| {
         StageError::failed(
             error.to_string(),
-            "read a longer part of the beam, or leave the beam out with `beams` of read_hdf5; small footprints are for `calibrate` and `decompose`",
+            "read a longer part of the beam, leave the beam out with `beams` of read_hdf5, or `load` the models that `save` wrote of the whole recording; small footprints are for `calibrate` and `decompose`",
         )
     })?;
     Ok(Learnt { model, of_echoes: narrowest.map(|echoes| [echoes.count, echoes.of]) })
