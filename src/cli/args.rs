@@ -42,7 +42,7 @@ pub(super) struct CalibrateArgs {
 #[derive(Args)]
 #[command(group = clap::ArgGroup::new("which").required(true))]
 pub(super) struct ExplainArgs {
-    /// Recording: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 or .hdf5
+    /// Recording (.las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 or .hdf5), or a job (.toml) of one recording
     pub(super) file: PathBuf,
     /// Number of the shot, as in the column `shot` of write_table or `shot_number` of write_footprints
     #[arg(long, value_name = "N", group = "which", allow_negative_numbers = true, value_parser = whole::<u64>)]
