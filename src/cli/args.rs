@@ -368,4 +368,7 @@ pub(super) struct SurveyArgs {
     /// Job whose `[job.survey]` has the limits [default: the defaults of the keys]
     #[arg(long, value_name = "FILE")]
     pub(super) job: Option<PathBuf>,
+    /// Override a key of the job, as for `wavex run`, such as job.survey.min_points=8; may be repeated
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE", requires = "job")]
+    pub(super) set: Vec<String>,
 }
