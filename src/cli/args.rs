@@ -42,7 +42,7 @@ pub(super) struct CalibrateArgs {
 #[derive(Args)]
 #[command(group = clap::ArgGroup::new("which").required(true))]
 pub(super) struct ExplainArgs {
-    /// Recording: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 or .hdf5
+    /// Recording (.las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 or .hdf5), or a job (.toml) of one recording
     pub(super) file: PathBuf,
     /// Number of the shot, as in the column `shot` of write_table or `shot_number` of write_footprints
     #[arg(long, value_name = "N", group = "which", allow_negative_numbers = true, value_parser = whole::<u64>)]
@@ -368,4 +368,7 @@ pub(super) struct SurveyArgs {
     /// Job whose `[job.survey]` has the limits [default: the defaults of the keys]
     #[arg(long, value_name = "FILE")]
     pub(super) job: Option<PathBuf>,
+    /// Override a key of the job, as for `wavex run`, such as job.survey.min_points=8; may be repeated
+    #[arg(long = "set", value_name = "STAGE.KEY=VALUE", requires = "job")]
+    pub(super) set: Vec<String>,
 }

@@ -1,14 +1,15 @@
 //! `wavex explain`: one shot as a table and a picture.
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::place::check_recording;
-use super::{ExplainArgs, Failure, terminal};
-use wavex_engine::engine::terminal_columns;
+use super::{ExplainArgs, Failure, JobArgs, terminal};
+use wavex_engine::engine::{inputs, terminal_columns};
 use wavex_formats::Error;
 use wavex_formats::extensions::has_extension;
 use wavex_line::stage::OutputFile;
+use wavex_run::archive::plain;
 use wavex_run::explain::{ExplainRequest, Explainer, NEAR_S, ShotChoice};
 
 /// Prints the returns of a shot and writes its picture.
@@ -19,13 +20,15 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
         let problem = "the picture is SVG; give a name that ends in .svg";
         return Err(Failure::Wrong(format!("--out {}: {problem}", out.display())));
     }
-    if let Some(problem) = job_as_recording(&args.file) {
-        return Err(Failure::Wrong(problem));
-    }
-    check_recording(&args.file)?;
+    let of_job = has_extension(&args.file, "toml").then(|| recording_of(args)).transpose()?;
+    let (file, job) = match &of_job {
+        Some(recording) => (recording.as_path(), Some(args.file.as_path())),
+        None => (args.file.as_path(), args.job.as_deref()),
+    };
+    check_recording(file)?;
     let request = ExplainRequest {
-        file: &args.file,
-        job: args.job.as_deref(),
+        file,
+        job,
         set: &args.set,
         model: args.model.as_deref(),
         progress: args.progress.without_lines(quiet),
@@ -33,12 +36,36 @@ pub(super) fn explain(args: &ExplainArgs, quiet: bool) -> Result<(), Failure> {
     let time_s = args.time.unwrap_or_default();
     let choice = args.shot.map_or(ShotChoice::Time(time_s), ShotChoice::Number);
     let explained = Explainer::of(&request)?.explain(choice, terminal_columns())?;
-    let stem = args.file.file_stem().unwrap_or_default().to_string_lossy();
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
     let path = args.out.clone().unwrap_or_else(|| format!("{stem}_shot_{}.svg", explained.shot).into());
     write(&path, &explained.picture).map_err(|error| Failure::Run(error.to_string()))?;
     let distance = distance_of(explained.later_s, time_s);
     let said = format!("{}\n{distance}wrote {}\n", explained.table, path.display());
     if quiet { Ok(()) } else { terminal::print(&said) }
+}
+
+/// The only recording of the job that is given in its place.
+fn recording_of(args: &ExplainArgs) -> Result<PathBuf, Failure> {
+    let name = args.file.display();
+    let of_job = JobArgs { job: args.file.clone(), set: args.set.clone() };
+    let job = of_job.read([])?;
+    let (input_dir, _) = wavex_run::run::folders(&job, &of_job.folder());
+    let inputs = inputs(&job, &input_dir).map_err(|error| Failure::Wrong(format!("{name}: {error}")))?;
+    let given = inputs.into_iter().filter(|input| !input.path.as_os_str().is_empty());
+    let mut files: Vec<PathBuf> = given.map(|input| plain(&input.path)).collect();
+    // Parts of a file follow each other.
+    files.dedup();
+    let problem = match files.as_slice() {
+        [only] if args.job.is_none() => return Ok(only.clone()),
+        [_] => "it is a job, and --job is another one".to_owned(),
+        files => format!("it is a job of {} recordings", files.len()),
+    };
+    Err(Failure::Wrong(format!("{name}: {problem}; {}", as_option(&name.to_string()))))
+}
+
+/// Remedy for a job in place of a recording.
+fn as_option(job: &str) -> String {
+    format!("give the recording, and the job by an option: wavex explain RECORDING --job {job} --shot N")
 }
 
 /// How far the shot is from the time that selected it; empty if it is near.
@@ -50,15 +77,10 @@ fn distance_of(later_s: f64, time_s: f64) -> String {
     format!("the nearest shot is {:.3} ms {side} {time_s} s\n", later_s.abs() * 1e3)
 }
 
-/// The answer to a job in place of the recording.
+/// The answer to a job without the number of a shot.
 pub(super) fn job_as_recording(file: &Path) -> Option<String> {
-    let job = file.display();
-    has_extension(file, "toml").then(|| {
-        format!(
-            "{job}: it is a job, not a recording; give the recording, and the job by an option: wavex explain \
-             RECORDING --job {job} --shot N"
-        )
-    })
+    let job = file.display().to_string();
+    has_extension(file, "toml").then(|| format!("{job}: it is a job, not a recording; {}", as_option(&job)))
 }
 
 /// Writes a picture, which gets its final name only when complete.

@@ -14,7 +14,7 @@ use wavex_pages::report::survey::{SurveyInput, ending_of_cells, write_survey};
 /// Writes the page of the strips in these folders.
 pub(super) fn survey(args: &SurveyArgs, quiet: bool) -> Result<(), Failure> {
     let keys = match &args.job {
-        Some(job) => JobArgs { job: job.clone(), set: Vec::new() }.read([])?.settings.survey,
+        Some(job) => JobArgs { job: job.clone(), set: args.set.clone() }.read([])?.settings.survey,
         None => SurveyKeys::default(),
     };
     let first = args.folders.first().map_or(Path::new("."), PathBuf::as_path);

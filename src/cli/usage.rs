@@ -104,7 +104,8 @@ Examples:
 pub(super) const SURVEY: &str = "\
 Examples:
   wavex survey out
-  wavex survey node1 node2 node3 --job survey.toml --out all.html";
+  wavex survey node1 node2 node3 --job survey.toml --out all.html
+  wavex survey out --job survey.toml --set job.survey.max_difference_rms_m=0.05";
 
 pub(super) const TRAJECTORY: &str = "\
 Examples:

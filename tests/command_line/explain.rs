@@ -315,5 +315,34 @@ fn a_job_in_place_of_the_recording_is_given_by_its_option() {
     let message = "a.toml: it is a job, not a recording; give the recording, and the job by an option: wavex explain \
                    RECORDING --job a.toml --shot N";
     refused(&place, &["a.toml"], 2, message);
-    refused(&place, &["a.toml", "--shot", "1"], 2, message);
+}
+
+#[test]
+fn a_job_of_one_recording_is_explained_with_its_keys() {
+    let place = simulated();
+    let job = |path: &str| {
+        format!(
+            "[job]\ninput_dir = 'out'\n[[stage]]\ntype = 'read_arrow'\npath = '{path}'\n[[stage]]\ntype = 'calibrate'\n\
+             load = 'model.json'\n[[stage]]\ntype = 'decompose'\ndetection_sigma = 7\n"
+        )
+    };
+    place.write("a.toml", job("*.arrow").as_bytes());
+    let of_job = explain(&place, &["a.toml", "--shot", "3"]);
+    assert_eq!(of_job.code, Some(0), "{}", of_job.err);
+    assert_eq!(of_job, explain(&place, &["out/flight.arrow", "--job", "a.toml", "--shot", "3"]));
+    assert!(of_job.out.contains("wrote flight_shot_3.svg"), "{}", of_job.out);
+
+    let remedy =
+        "give the recording, and the job by an option: wavex explain RECORDING --job a.toml --shot N";
+    let message = format!("a.toml: it is a job, and --job is another one; {remedy}");
+    refused(&place, &["a.toml", "--shot", "3", "--job", "b.toml"], 2, &message);
+    place.write("out/second.arrow", &std::fs::read(place.path("out/flight.arrow")).unwrap());
+    refused(&place, &["a.toml", "--shot", "3"], 2, &format!("a.toml: it is a job of 2 recordings; {remedy}"));
+    place.write("a.toml", b"[[stage]]\ntype = 'simulate'\n");
+    refused(&place, &["a.toml", "--shot", "3"], 2, &format!("a.toml: it is a job of 0 recordings; {remedy}"));
+    place.write("a.toml", job("none.arrow").as_bytes());
+    refused(&place, &["a.toml", "--shot", "3"], 2, "out/none.arrow: no such file or folder; check the path");
+    place.write("a.toml", job("none*.arrow").as_bytes());
+    let Outcome { code, err, .. } = explain(&place, &["a.toml", "--shot", "3"]);
+    assert!(code == Some(2) && err.starts_with("error: a.toml: ") && err.contains("none*.arrow"), "{err}");
 }

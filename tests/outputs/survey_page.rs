@@ -176,6 +176,17 @@ fn the_survey_depends_on_its_strips_alone() {
     for (name, bytes) in first.iter().filter(|(name, _)| name.starts_with("job_survey")) {
         assert!(std::fs::read(place.path(&format!("all/{name}"))).unwrap() == *bytes, "{name}");
     }
+
+    // Keys of the job are overridden as for a run.
+    let set = ["--set", "job.survey.max_difference_rms_m=0.125"];
+    let Outcome { code, err, .. } = place.wavex(&[&arguments[..], &set].concat());
+    assert_eq!((code, err.as_str()), (Some(0), ""));
+    assert!(
+        place.text("all/job_survey.json").contains("\"max_difference_rms_m\": 0.125"),
+        "the limit is in the file"
+    );
+    let Outcome { code, err, .. } = place.wavex(&[&["survey", "out"], &set[..]].concat());
+    assert!(code == Some(2) && err.contains("--job <FILE>"), "{err}");
 }
 
 #[test]

@@ -74,6 +74,64 @@ fn samples_of_shots_that_are_cut_are_not_read() {
 }
 
 #[test]
+fn shots_are_cut_by_polygons() {
+    let place = granule();
+    // Shots 0 to 11 are on the line from -44.25, -13.75 to the south-east, 1/1024 degrees apart.
+    let at = |shot: f64| [-44.25 + shot / 1024.0, -13.75 - shot / 1024.0];
+    let ([first_x, first_y], [last_x, last_y]) = (at(2.0), at(5.0));
+    // Two opposite corners are shots: borders are inside.
+    let corners = format!(
+        "[[{first_x}, {first_y}], [{last_x}, {first_y}], [{last_x}, {last_y}], [{first_x}, {last_y}]]"
+    );
+    let json = scanned(&place, &[&format!("extent_deg={corners}")]);
+    assert_eq!(counts(&json), (4, vec![(8, "outside `extent_deg`")]));
+    let closed = corners.replace("]]", &format!("], [{first_x}, {first_y}]]"));
+    let ([hole_x, hole_y], [to_x, to_y]) = (at(2.5), at(4.5));
+    let hole = format!(
+        "[[{hole_x}, {hole_y}], [{to_x}, {hole_y}], [{to_x}, {to_y}], [{hole_x}, {to_y}], [{hole_x}, {hole_y}]]"
+    );
+    let ([far_x, far_y], [end_x, end_y]) = (at(9.5), at(20.0));
+    let far = format!("[[{far_x}, {far_y}], [{end_x}, {far_y}], [{end_x}, {end_y}], [{far_x}, {far_y}]]");
+    let geometry = format!("{{\"type\": \"MultiPolygon\", \"coordinates\": [[{closed}, {hole}], [{far}]]}}");
+    place.write("plots.geojson", format!("{{\"type\": \"Feature\", \"geometry\": {geometry}}}").as_bytes());
+    // Shots 2 and 5 around the hole; 10 and 11 on the long edge of the triangle.
+    let json = scanned(&place, &["extent_deg=\"plots.geojson\""]);
+    assert_eq!(counts(&json), (4, vec![(8, "outside `extent_deg`")]));
+    let both = scanned(&place, &["extent_deg=\"plots.geojson\"", "shots=[12]"]);
+    assert_eq!(counts(&both), (0, vec![(12, "not in `shots`")]));
+}
+
+#[test]
+fn a_wrong_file_of_polygons_is_an_error_with_the_key() {
+    let place = granule();
+    place.write("line.geojson", b"{\"type\": \"LineString\", \"coordinates\": [[1, 2], [3, 4]]}");
+    let scan =
+        |name: &str| place.wavex(&["scan", "a.h5", "--set", &format!("read_hdf5.extent_deg=\"{name}\"")]);
+    let Outcome { code, err, .. } = scan("line.geojson");
+    let problem = "line.geojson: it has a LineString; `extent_deg` takes a Polygon or MultiPolygon in longitude and latitude";
+    assert!(code == Some(1) && err.contains(problem), "{err}");
+    let Outcome { code, err, .. } = scan("lines.geojson");
+    assert!(code == Some(1) && err.contains("lines.geojson"), "{err}");
+}
+
+/// A run with a file of polygons is archived with it, and replayed.
+#[test]
+fn a_file_of_polygons_is_an_input_of_the_archive() {
+    let Some(place) = real("extent_deg = 'plot.geojson'\n") else { return };
+    let world = "[[[-180, -90], [0, -90], [180, -90], [180, 90], [0, 90], [-180, 90]]]";
+    place.write("plot.geojson", format!("{{\"type\": \"Polygon\", \"coordinates\": {world}}}").as_bytes());
+    let Outcome { code, err, .. } =
+        place.wavex(&["run", "job.toml", "--archive", "archive", "--progress", "never"]);
+    assert_eq!(code, Some(0), "{err}");
+    let archive: Value = serde_json::from_str(&place.text("archive/archive.json")).unwrap();
+    let inputs: Vec<&Value> =
+        archive["inputs"]["files"].as_array().unwrap().iter().map(|file| &file["path"]).collect();
+    assert_eq!(inputs, ["in/a.h5", "plot.geojson"]);
+    let Outcome { code, err, .. } = place.wavex(&["replay", "archive"]);
+    assert_eq!(code, Some(0), "{err}");
+}
+
+#[test]
 fn a_cut_without_shots_is_a_warning_with_the_ranges_of_the_file() {
     let place = granule();
     let note = |key: &str| scanned(&place, &[key])["notes"][0].as_str().unwrap().to_owned();
@@ -81,6 +139,11 @@ fn a_cut_without_shots_is_a_warning_with_the_ranges_of_the_file() {
         note("extent_deg=[10, 50, 11, 51]"),
         "no shot is left by the cuts (`extent_deg`: longitudes are -44.2500 to -44.2393, latitudes -13.7607 to \
          -13.7500 degrees); correct or remove the keys"
+    );
+    assert_eq!(
+        note("extent_deg=[[-14, -45], [-13, -45], [-13, -44]]"),
+        "no shot is left by the cuts (`extent_deg`: longitudes are -44.2500 to -44.2393, latitudes -13.7607 to \
+         -13.7500 degrees, and longitude comes first in each point); correct or remove the keys"
     );
     let last_s = FIRST_S + 11.0 * INTERVAL_S;
     assert_eq!(

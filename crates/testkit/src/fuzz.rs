@@ -25,7 +25,7 @@ use std::path::PathBuf;
 use tempfile::TempDir;
 
 pub use archives::{archive_folder, archive_tar};
-pub use geodesy::{geoid, geokeys, terrain_ascii, terrain_geotiff, wkt};
+pub use geodesy::{geoid, geojson, geokeys, terrain_ascii, terrain_geotiff, wkt};
 pub use hdf5::hdf5;
 pub use points::{compressed_packets, copc, las};
 pub use runs::{recording, run, sdf};
@@ -52,6 +52,7 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("container", container),
     ("copc", copc),
     ("geoid", geoid),
+    ("geojson", geojson),
     ("geokeys", geokeys),
     ("hdf5", hdf5),
     ("import", import),

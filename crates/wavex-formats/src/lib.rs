@@ -9,6 +9,7 @@
 //! | [`container`] | the open waveform container (Arrow IPC) |
 //! | [`trajectory`] | SBET, POF, SOL, TRJ, text; accuracies: POQ, smrmsg |
 //! | [`terrain`], [`geoid`] | GeoTIFF and ESRI ASCII terrain models; NGS and GTX geoid grids |
+//! | [`geojson`] | polygons |
 //! | [`geokeys`], [`lookup_tables`] | GeoTIFF keys; lookup tables of receivers |
 //!
 //! The crate knows no scan lines, stages or configuration. Every size read from a file is checked
@@ -41,6 +42,7 @@ pub mod container;
 pub mod extensions;
 pub mod format;
 pub mod geoid;
+pub mod geojson;
 pub mod geokeys;
 pub mod geotiff;
 pub mod las;

@@ -10,6 +10,7 @@ pub mod ellipsoid;
 pub mod frames;
 pub mod geoid;
 mod lambert;
+pub mod polygon;
 pub mod time;
 pub mod time_axis;
 pub mod trajectory;

@@ -1,5 +1,6 @@
 //! Geoids, terrain models, and coordinate reference systems.
 
+use wavex_formats::geojson::read_polygons;
 use wavex_formats::terrain::Terrain;
 use wavex_formats::{geoid, geokeys};
 use wavex_geodesy::crs::{
@@ -29,6 +30,17 @@ pub fn geoid(bytes: &[u8]) {
             }
         }
         assert!(geoid.height_m(f64::NAN, 0.0).is_err());
+    }
+}
+
+/// Polygons as GeoJSON: a corner is on the border.
+pub fn geojson(bytes: &[u8]) {
+    let place = Files::with(&[("a.geojson", bytes)]);
+    let Ok(polygons) = read_polygons(&place.path("a.geojson"), "extent_deg") else { return };
+    for polygon in polygons {
+        let [west, south, east, north] = polygon.bounds_deg();
+        assert!(west <= east && south < north);
+        assert!(!polygon.includes(0.5 * (west + east), north + 1.0) && !polygon.includes(f64::NAN, south));
     }
 }
 

@@ -376,6 +376,16 @@ fn maps(add: &mut Add) {
     raster.assemble(&mut Cursor::new(spool), &mut file).unwrap();
     add("terrain_geotiff", "tiles", file);
     add("terrain_geotiff", "strips_i16", tiff(&[100, 101, 102, 103, 104, 105]));
+    let rings = "[[[0, 0], [4, 0, 9.5], [4, 4], [0, 4], [0, 0]], [[1, 1], [2, 1], [2, 2], [1, 1]]]";
+    let polygon = format!("{{\"type\": \"Polygon\", \"coordinates\": {rings}}}");
+    let parts = format!("{{\"type\": \"MultiPolygon\", \"coordinates\": [{rings}]}}");
+    let feature = format!("{{\"type\": \"Feature\", \"crs\": null, \"geometry\": {parts}}}");
+    add(
+        "geojson",
+        "features",
+        format!("{{\"type\": \"FeatureCollection\", \"features\": [{feature}]}}").into_bytes(),
+    );
+    add("geojson", "polygon", polygon.into_bytes());
     let ascii =
         "ncols 3\nnrows 2\nxllcorner 0\nyllcorner -4\ncellsize 2\nNODATA_value -9999\n1 2 3\n4 -9999 6\n";
     add("terrain_ascii", "corner", ascii.into());

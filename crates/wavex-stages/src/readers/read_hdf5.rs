@@ -22,11 +22,13 @@ use wavex_line::stage::{
 };
 
 mod cut;
+mod extent;
 #[cfg(test)]
 mod tests;
 
 use cut::Cut;
 pub use cut::ShotList;
+pub use extent::ExtentKey;
 
 /// Registry entry of the stage.
 pub const STAGE: StageSpec = StageSpec::source::<ReadHdf5>("read_hdf5", Kind::Footprints);
@@ -67,11 +69,13 @@ pub struct ReadHdf5 {
     /// the name of the beam, as in `GEDI01_B_2019_BEAM0101.laz`. Otherwise outputs have all beams.
     #[serde(default)]
     pub split_beams: bool,
-    /// Box to read: west, south, east and north, degrees on WGS 84, all included. A west greater than the east
-    /// crosses the antimeridian. The position of a shot is that of its first sample.
+    /// Area to read, degrees on WGS 84, the border included; the position of a shot is that of its first sample. A box is
+    /// west, south, east and north; a west greater than the east crosses the antimeridian. A polygon is a list of
+    /// points, each longitude and latitude, or a GeoJSON file with a Polygon or MultiPolygon. Its edges are straight in
+    /// longitude and latitude and at most 180 degrees long; across the antimeridian, count longitudes beyond 180.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(transform = at_least(-180.0).at_most(360.0))]
-    pub extent_deg: Option<[f64; 4]>,
+    pub extent_deg: Option<ExtentKey>,
     /// Shots to read: their numbers as in the file (`shot_number`), or a text file with one number per line. All if
     /// left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -88,10 +92,11 @@ impl Config for ReadHdf5 {
     }
 
     fn inputs(&self) -> Vec<&str> {
-        match &self.shots {
-            Some(ShotList::File(name)) => vec![name],
-            _ => Vec::new(),
-        }
+        let shots = match &self.shots {
+            Some(ShotList::File(name)) => Some(name.as_str()),
+            _ => None,
+        };
+        shots.into_iter().chain(self.extent_deg.as_ref().and_then(ExtentKey::file)).collect()
     }
 }
 

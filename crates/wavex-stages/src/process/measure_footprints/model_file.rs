@@ -19,6 +19,8 @@ const FORMAT: u64 = 1;
 const MAX_BYTES: u64 = 1 << 26;
 /// Relative tolerance within which sampling intervals are equal.
 const SAME_INTERVAL: f64 = 1e-3;
+/// Fields that may be missing or null.
+const OPTIONAL: [&str; 2] = ["beam", "outgoing_samples"];
 /// Remedy for a wrong file.
 const REMEDY: &str = "load a file written by `save` of measure_footprints, or learn from the recording";
 /// Remedy for a model of another instrument.
@@ -103,7 +105,7 @@ impl FootprintModels {
     }
 }
 
-/// Path of the first null, as which JSON has numbers that are not finite.
+/// Path of the first null in place of a number, as which JSON has numbers that are not finite.
 fn null_in(value: &Value) -> Option<String> {
     match value {
         Value::Null => Some(String::new()),
@@ -111,7 +113,8 @@ fn null_in(value: &Value) -> Option<String> {
             (0..).zip(items).find_map(|(k, item)| Some(format!("[{k}]{}", null_in(item)?)))
         }
         Value::Object(members) => {
-            members.iter().find_map(|(name, item)| Some(format!(".{name}{}", null_in(item)?)))
+            let mut needed = members.iter().filter(|(name, _)| !OPTIONAL.contains(&name.as_str()));
+            needed.find_map(|(name, item)| Some(format!(".{name}{}", null_in(item)?)))
         }
         _ => None,
     }
@@ -211,6 +214,7 @@ mod tests {
             error(&changed.to_string())
         };
         assert_eq!(with("/format", json!(2)), "`format` is 2, and this version of wavex reads 1");
+        assert_eq!(with("/beams/0/beam", Value::Null), "");
         assert_eq!(
             with("/beams/0/model/autocorrelation/3", Value::Null),
             "`beams[0].model.autocorrelation[3]` is no number"

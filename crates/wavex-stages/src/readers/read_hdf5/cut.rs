@@ -1,4 +1,4 @@
-//! Cuts: shots of a box, of a time window, or of a list.
+//! Cuts: shots of an area, of a time window, or of a list.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -6,6 +6,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::extent::{Extent, ExtentKey};
 use super::{ReadHdf5, gps_time_s};
 use crate::reading::recording::TimeKeys;
 use crate::reading::recording::time::Axis;
@@ -61,21 +62,14 @@ fn numbers_in(path: &Path) -> wavex_formats::Result<HashSet<u64>> {
 
 /// Checks the keys of cuts.
 pub(super) fn check(keys: &ReadHdf5) -> std::result::Result<(), InvalidKey> {
-    let is_box = keys.extent_deg.is_none_or(|[west, south, east, north]| {
-        west != east && -90.0 <= south && south < north && north <= 90.0
-    });
-    InvalidKey::unless(
-        is_box,
-        "extent_deg",
-        "it must be [west, south, east, north], with the south below the north and both between -90 and 90",
-    )?;
+    keys.extent_deg.as_ref().map_or(Ok(()), ExtentKey::check)?;
     let has_shots = keys.shots != Some(ShotList::Numbers(Vec::new()));
     InvalidKey::unless(has_shots, "shots", "it must have at least one shot number")
 }
 
 /// Conditions that a shot must meet to be read.
 pub(super) struct Cut {
-    extent_deg: Option<[f64; 4]>,
+    extent: Option<Extent>,
     times: TimeKeys,
     shots: Option<HashSet<u64>>,
     /// Times of the beam that is read, and their window, s; `None` before its first time.
@@ -92,13 +86,13 @@ impl Cut {
     /// Creates the cut of a reader; `None` if it has no such key.
     ///
     /// # Errors
-    /// If the file of shot numbers cannot be read.
+    /// If a file of shot numbers or polygons cannot be read.
     pub(super) fn of(keys: &ReadHdf5, run: &RunContext) -> Result<Option<Cut>> {
         if keys.extent_deg.is_none() && keys.shots.is_none() && keys.times.time_s.is_none() {
             return Ok(None);
         }
         Ok(Some(Cut {
-            extent_deg: keys.extent_deg,
+            extent: keys.extent_deg.as_ref().map(|extent| Extent::of(extent, run)).transpose()?,
             times: keys.times.clone(),
             shots: keys.shots.as_ref().map(|shots| shots.numbers(run)).transpose()?,
             window: None,
@@ -126,7 +120,7 @@ impl Cut {
                 return Ok(Some(Reason::NotInShots));
             }
         }
-        if let Some(extent_deg) = self.extent_deg {
+        if let Some(extent) = &self.extent {
             if !shot.first_bin.is_known() {
                 return Ok(Some(Reason::ShotWithoutPosition));
             }
@@ -134,7 +128,7 @@ impl Cut {
                 [shot.first_bin.longitude_rad, shot.first_bin.latitude_rad].map(f64::to_degrees);
             extend(&mut self.longitudes_deg, longitude_deg);
             extend(&mut self.latitudes_deg, latitude_deg);
-            if !is_inside(extent_deg, longitude_deg, latitude_deg) {
+            if !extent.includes(longitude_deg, latitude_deg) {
                 return Ok(Some(Reason::OutsideExtent));
             }
         }
@@ -167,9 +161,13 @@ impl Cut {
             return;
         }
         let numbers = self.numbers.map(|[first, last]| format!("`shots`: numbers are {first} to {last}"));
-        let extent = self.longitudes_deg.zip(self.latitudes_deg).map(|([west, east], [south, north])| {
+        let extent = self.longitudes_deg.zip(self.latitudes_deg).map(|(longitudes_deg, latitudes_deg)| {
+            let ([west, east], [south, north]) = (longitudes_deg, latitudes_deg);
+            let is_swapped =
+                self.extent.as_ref().is_some_and(|extent| extent.is_swapped(longitudes_deg, latitudes_deg));
+            let order = if is_swapped { ", and longitude comes first in each point" } else { "" };
             format!(
-                "`extent_deg`: longitudes are {west:.4} to {east:.4}, latitudes {south:.4} to {north:.4} degrees"
+                "`extent_deg`: longitudes are {west:.4} to {east:.4}, latitudes {south:.4} to {north:.4} degrees{order}"
             )
         });
         let times = self
@@ -185,12 +183,6 @@ impl Cut {
     }
 }
 
-/// Whether a place is in a box; a box with its west east of its east crosses the antimeridian.
-fn is_inside([west, south, east, north]: [f64; 4], longitude_deg: f64, latitude_deg: f64) -> bool {
-    let width = if east - west >= 360.0 { 360.0 } else { (east - west).rem_euclid(360.0) };
-    (longitude_deg - west).rem_euclid(360.0) <= width && (south..=north).contains(&latitude_deg)
-}
-
 fn extend<T: Copy + PartialOrd>(span: &mut Option<[T; 2]>, value: T) {
     let [least, largest] = span.get_or_insert([value; 2]);
     if value < *least {
@@ -204,16 +196,6 @@ fn extend<T: Copy + PartialOrd>(span: &mut Option<[T; 2]>, value: T) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn boxes_may_cross_the_antimeridian() {
-        let pacific = [170.0, -20.0, -170.0, 20.0];
-        assert!(is_inside(pacific, 175.0, 0.0) && is_inside(pacific, -175.0, 20.0));
-        assert!(!is_inside(pacific, 0.0, 0.0) && !is_inside(pacific, 175.0, 20.1));
-        // Longitudes from 0 to 360 degrees, as in LVIS.
-        assert!(is_inside([310.0, 60.0, 320.0, 70.0], -45.0, 65.0));
-        assert!(is_inside([-180.0, -90.0, 180.0, 90.0], 12.0, 50.0));
-    }
 
     #[test]
     fn files_of_shots_have_a_number_per_line() {
