@@ -243,7 +243,7 @@ def make(folder):
     refused("zenith", pulses=without(few[0], "ZENITH"))
     refused("interval", header={"SENSOR_TEMPORAL_BIN_SPACING": np.array([0.0])})
     unlocated = few[0].copy()
-    for name in ("X_ORIGIN", "Y_ORIGIN", "Z_ORIGIN"):
+    for name in ("X_ORIGIN", "Y_ORIGIN", "Z_ORIGIN", "RANGE_TO_WAVEFORM_START"):
         unlocated[name] = 0
     refused("origin", pulses=unlocated)
     refused("text", header={"SPATIAL_REFERENCE": np.array([1.0])})

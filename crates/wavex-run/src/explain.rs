@@ -113,7 +113,9 @@ impl<'a> ExplainRequest<'a> {
     /// # Errors
     /// If the job is invalid.
     pub fn has_large_footprints(&self) -> Result<bool, Failure> {
-        if reader_of(&self.file.display().to_string()).is_ok_and(|reader| reader == FOOTPRINTS) {
+        let file = self.file.display().to_string();
+        let reads_hdf5 = reader_of(&file).is_ok_and(|reader| reader == FOOTPRINTS);
+        if reads_hdf5 && small_footprint_reader_of(&file).is_err() {
             return Ok(true);
         }
         let Some(path) = self.job else { return Ok(false) };
