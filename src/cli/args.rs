@@ -22,7 +22,7 @@ pub(super) struct ArchiveArgs {
 /// Recording to calibrate from and sensor model to write.
 #[derive(Args)]
 pub(super) struct CalibrateArgs {
-    /// Recording: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 or .hdf5; or the job of a survey: .toml
+    /// Recording: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5 or .spd; or the job of a survey: .toml
     pub(super) file: PathBuf,
     /// Sensor model of the recording to write (.json)
     #[arg(long, value_name = "NAME.json")]
@@ -42,7 +42,7 @@ pub(super) struct CalibrateArgs {
 #[derive(Args)]
 #[command(group = clap::ArgGroup::new("which").required(true))]
 pub(super) struct ExplainArgs {
-    /// Recording (.las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 or .hdf5), or a job (.toml) of one recording
+    /// Recording (.las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5 or .spd), or a job (.toml) of one recording
     pub(super) file: PathBuf,
     /// Number of the shot, as in the column `shot` of write_table or `shot_number` of write_footprints
     #[arg(long, value_name = "N", group = "which", allow_negative_numbers = true, value_parser = whole::<u64>)]
@@ -71,7 +71,7 @@ pub(super) struct ExplainArgs {
 /// What to view, and how it is served.
 #[derive(Args)]
 pub(super) struct ViewArgs {
-    /// Recording (.las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5), job (.toml), the report of a run (JOB_report.json), or its folder
+    /// Recording (.las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5, .spd), job (.toml), the report of a run (JOB_report.json), or its folder
     pub(super) place: PathBuf,
     /// Port to listen on; 0: any free port
     #[arg(long, value_name = "PORT", default_value_t = 0)]
@@ -90,7 +90,7 @@ pub(super) struct ViewArgs {
 /// Recordings to inspect and files to write.
 #[derive(Args)]
 pub(super) struct ScanArgs {
-    /// Recordings: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 or .hdf5; each may be a pattern such as
+    /// Recordings: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5 or .spd; each may be a pattern such as
     /// 'lines/*.sdf'
     #[arg(required = true, value_name = "FILE")]
     pub(super) files: Vec<String>,

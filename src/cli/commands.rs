@@ -161,7 +161,7 @@ pub(super) enum Command {
     /// Copy recorded waveforms into the open container format (Arrow)
     #[command(after_help = usage::CONVERT)]
     Convert {
-        /// Recording: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 or .hdf5; quote a pattern to convert several
+        /// Recording: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5 or .spd; quote a pattern to convert several
         input: String,
         /// Container to write: .arrow; with several inputs, `*` is replaced by the name of each
         output: String,

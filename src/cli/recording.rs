@@ -35,6 +35,8 @@ pub(super) enum JobTemplate {
     LargeFootprint,
     /// The same, in HDF5: GEDI and LVIS.
     Hdf5,
+    /// SPD.
+    Spd,
 }
 
 impl JobTemplate {
@@ -47,6 +49,7 @@ impl JobTemplate {
             JobTemplate::Container => "container.toml",
             JobTemplate::LargeFootprint => "large_footprint.toml",
             JobTemplate::Hdf5 => "gedi.toml",
+            JobTemplate::Spd => "spd.toml",
         }
     }
 
@@ -59,6 +62,7 @@ impl JobTemplate {
             JobTemplate::Container => include_str!("../../jobs/container.toml"),
             JobTemplate::LargeFootprint => include_str!("../../jobs/large_footprint.toml"),
             JobTemplate::Hdf5 => include_str!("../../jobs/gedi.toml"),
+            JobTemplate::Spd => include_str!("../../jobs/spd.toml"),
         }
     }
 }
@@ -95,7 +99,7 @@ impl Recording {
 /// Selects the kind, with the reason if the format alone does not decide.
 fn kind_of(reader: &str, inspection: &Inspection) -> (JobTemplate, &'static str) {
     let input = inspection.input.as_deref();
-    if reader == "read_hdf5" {
+    if reader == "read_hdf5" && inspection.has_fractions {
         return (JobTemplate::Hdf5, ": profiles of ground and canopy");
     }
     if inspection.has_large_footprints() {
@@ -104,6 +108,7 @@ fn kind_of(reader: &str, inspection: &Inspection) -> (JobTemplate, &'static str)
     match (reader, input.map(|input| input.frame)) {
         ("read_las", _) => (JobTemplate::Las, ""),
         ("read_pulsewaves", _) => (JobTemplate::PulseWaves, ""),
+        ("read_hdf5", _) => (JobTemplate::Spd, ""),
         (_, Some(Frame::Scanner | Frame::Body)) => (JobTemplate::Raw, ", in the instrument's frame"),
         _ => (JobTemplate::Container, ", in map coordinates"),
     }

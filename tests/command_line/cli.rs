@@ -349,7 +349,7 @@ fn a_job_to_start_from_is_printed_or_written_and_replaces_nothing() {
 #[test]
 fn an_input_of_an_unknown_kind_is_not_converted() {
     let expected = "error: flight.dat: unknown recording format; \
-                    supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 and .hdf5\n";
+                    supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5 and .spd\n";
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("flight.dat"), b"").unwrap();
     refused(wavex_in(folder.path(), &["convert", "flight.dat", "flight.arrow"]), expected);

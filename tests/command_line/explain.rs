@@ -248,7 +248,7 @@ fn what_cannot_be_explained_is_said() {
         let message = format!("error: invalid value '{time}' for '--time <GPS_SECONDS>': {remedy}\n");
         assert!(code == Some(2) && err.starts_with(&message), "{err}");
     }
-    let message = "a.dat: unknown recording format; supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 and .hdf5";
+    let message = "a.dat: unknown recording format; supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5 and .spd";
     refused(&place, &["a.dat", "--shot", "1"], 2, message);
     place.write("short.toml", b"[[stage]]\ntype = 'read_arrow'\npath = 'a.arrow'\n");
     let message = "short.toml: the job has no stage `calibrate`; add one";

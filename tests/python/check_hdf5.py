@@ -51,11 +51,44 @@ def lvis_shots(file):
     return zip(file["RXWAVE"][:].astype("<f4"), outgoing, file["SHOTNUMBER"][:], np.array(columns, float).T)
 
 
+def spd_shots(file):
+    """Waveforms of the pulses of SPD."""
+    received, transmitted = (file[f"DATA/{name}"][:].astype("<f4") for name in ("RECEIVED", "TRANSMITTED"))
+    table = file["DATA/PULSES"]
+    is_table = isinstance(table, h5py.Dataset)
+
+    def column(group, name):
+        if is_table:
+            return table[name].astype(float) if table[name].dtype.kind == "f" else table[name]
+        data = file[f"DATA/{group}/{name}"]
+        scale = data.attrs
+        return data[:] / scale["GAIN"] + scale["OFFSET"] if "GAIN" in scale else data[:]
+
+    pulses = {name: column("PULSES", name) for name in ("PULSE_ID", "X_ORIGIN", "Y_ORIGIN", "Z_ORIGIN", "AZIMUTH", "ZENITH")}
+    times = column("PULSES", "GPS_TIME" if is_table else "TIMESTAMP").astype(float)
+    names = ["RANGE_TO_WAVEFORM_START"]
+    for way in ("RECEIVED", "TRANSMITTED"):
+        names += [f"{way}_START_IDX", f"NUMBER_OF_WAVEFORM_{way}_BINS"]
+    waves = [column("WAVEFORMS", name) for name in names]
+    for i, (number, *place) in enumerate(zip(*pulses.values())):
+        first, count = (i, 1) if is_table else (column("PULSES", name)[i] for name in ("WFM_START_IDX", "NUMBER_OF_WAVEFORM_SAMPLES"))
+        for row in range(int(first), int(first) + int(count)):
+            range_m, start, length, sent, sent_length = (int(values[row]) if k else values[row] for k, values in enumerate(waves))
+            yield (
+                received[start : start + length],
+                transmitted[sent : sent + sent_length],
+                number,
+                np.array([times[i], *place, range_m], float),
+            )
+
+
 def compare(program, path):
     """Compares all beams of a file."""
     digest = 0
     with h5py.File(path) as file:
-        if "RXWAVE" in file:
+        if "DATA" in file:
+            beams = {"SPD": spd_shots(file)}
+        elif "RXWAVE" in file:
             beams = {"LVIS": lvis_shots(file)}
         else:
             names = sorted(name for name in file if name.startswith("BEAM"))

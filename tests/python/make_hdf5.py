@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import h5py
+import make_spd
 import numpy as np
 
 SHOTS = 12
@@ -144,6 +145,7 @@ def make(folder):
     special(folder)
     odd(folder)
     refused(folder)
+    make_spd.make(folder)
 
 
 def chunks_of_rows(rows, columns):
@@ -177,9 +179,6 @@ def special(folder):
     with create(folder / "gedi_l2a.h5") as file:
         file["BEAM0101/rh"] = np.zeros((2, 101), "f4")
         file["BEAM0101/shot_number"] = np.arange(2, dtype="u8")
-    with create(folder / "spd.h5") as file:
-        for group in ("DATA", "HEADER", "INDEX", "QUICKLOOK"):
-            file.create_group(group)
     with create(folder / "other.h5") as file:
         for letter in "abcdefghij":
             file[f"group_{letter}/values"] = [1.0]

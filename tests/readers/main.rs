@@ -16,3 +16,4 @@ mod random_access;
 mod scan_angles;
 mod sdf;
 mod sensor_position;
+mod spd;

@@ -73,7 +73,7 @@ fn models_with_wrong_numbers_are_refused() {
         "`sampling_interval_ns` must be from 0.01 to 100, got 0"
     );
     assert_eq!(
-        error(|model| drop(model.autocorrelation.pop())),
+        error(|model| model.autocorrelation.truncate(model.autocorrelation.len() - 1)),
         "`autocorrelation` must have 16 values, got 15"
     );
     assert_eq!(error(|model| model.response.clear()), "`response` must have 4 to 65536 values, got 0");

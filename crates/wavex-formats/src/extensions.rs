@@ -13,6 +13,8 @@ pub const LAZ: &str = "laz";
 pub const PACKETS: &str = "wdp";
 /// HDF5: GEDI and LVIS.
 pub const HDF5: &str = "h5";
+/// SPD, in HDF5.
+pub const SPD: &str = "spd";
 /// Extension of the compressed waveform packets of LAS, as LAStools writes them.
 pub const COMPRESSED_PACKETS: &str = "wdz";
 /// Extension of RIEGL WFM.

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use super::container::ContainerReader;
 use super::extensions::{
-    COMPRESSED_PACKETS, COMPRESSED_PULSES, COMPRESSED_WAVES, HDF5, LAS, LAZ, PACKETS, PULSES, WAVES, WFM,
-    beside, by_stem, extension, folder_of, usual_names,
+    COMPRESSED_PACKETS, COMPRESSED_PULSES, COMPRESSED_WAVES, HDF5, LAS, LAZ, PACKETS, PULSES, SPD, WAVES,
+    WFM, beside, by_stem, extension, folder_of, has_extension, usual_names,
 };
 use super::{Error, Result, las, pulsewaves, unsupported};
 
@@ -67,7 +67,7 @@ pub const FORMATS: &[RecordingFormat] = &[
     },
     RecordingFormat {
         reader: "read_hdf5",
-        extensions: &[HDF5, "hdf5"],
+        extensions: &[HDF5, "hdf5", SPD],
         companions: &[],
         shot_count: None,
         counted: None,
@@ -119,7 +119,7 @@ pub fn reader_of(input: &str) -> std::result::Result<&'static str, String> {
 /// As [`reader_of`], and for recordings with large footprints.
 pub fn small_footprint_reader_of(input: &str) -> std::result::Result<&'static str, String> {
     match reader_of(input)? {
-        "read_hdf5" => Err(format!(
+        "read_hdf5" if !has_extension(Path::new(input), SPD) => Err(format!(
             "{input}: its waveforms are profiles of large footprints, which this command does not decompose; \
              `wavex init {input} job.toml` writes a job that measures ground and heights, `wavex explain` measures one shot, and `wavex view {input}` shows all"
         )),
@@ -313,11 +313,12 @@ mod tests {
             assert_eq!(reader_of(name), Ok(reader));
         }
         let problem = "a.dat: unknown recording format; \
-                       supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 and .hdf5";
+                       supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5 and .spd";
         assert_eq!(reader_of("a.dat"), Err(problem.to_owned()));
         let problem = small_footprint_reader_of("a.h5").unwrap_err();
         assert!(problem.contains("profiles of large footprints"), "{problem}");
         assert_eq!(small_footprint_reader_of("a.las"), Ok("read_las"));
+        assert_eq!(small_footprint_reader_of("a.SPD"), Ok("read_hdf5"));
         for name in ["a.rxp", "a.f5"] {
             assert!(reader_of(name).unwrap_err().contains(" is not supported; "), "{name}");
         }

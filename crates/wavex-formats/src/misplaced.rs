@@ -9,7 +9,8 @@ use super::las::RawPoints;
 /// Extensions of trajectories, in order of preference.
 pub const TRAJECTORIES: [&str; 5] = ["pof", "sbet", "out", "sol", "trj"];
 /// Extensions of recordings that a folder is searched for, in order of preference.
-pub(super) const RECORDINGS: [&str; 9] = ["pls", "plz", "las", "laz", "sdf", "wfm", "arrow", "h5", "hdf5"];
+pub(super) const RECORDINGS: [&str; 10] =
+    ["pls", "plz", "las", "laz", "sdf", "wfm", "arrow", "h5", "hdf5", "spd"];
 /// Extensions of files with samples, their content, and the extensions of the recordings.
 const SAMPLES: [(&[&str], &str, &[&str]); 2] = [
     (&["wvs", "wvz"], "the samples of a PulseWaves recording", &["pls", "plz"]),

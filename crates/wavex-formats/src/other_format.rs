@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::Error;
-use super::extensions::{COMPRESSED_PULSES, HDF5, LAS, LAZ, PULSES, WFM, extension};
+use super::extensions::{COMPRESSED_PULSES, HDF5, LAS, LAZ, PULSES, SPD, WFM, extension};
 
 /// Content of a recording format.
 pub(super) struct FormatContent {
@@ -32,7 +32,7 @@ pub(super) const CONTENTS: [FormatContent; 5] = [
         signature: b"\x89HDF\r\n\x1a\n",
         name: "HDF5",
         reader: "read_hdf5",
-        extensions: &[HDF5, "hdf5"],
+        extensions: &[HDF5, "hdf5", SPD],
     },
 ];
 

@@ -1,8 +1,9 @@
-//! A data set of numbers with one or two dimensions, read by rows of chunks.
+//! A data set with one or two dimensions, read by rows of chunks.
 
 use std::io::ErrorKind;
 use std::ops::Range;
 
+use wavex_formats::bytes::Fields;
 use wavex_formats::{Error, Result};
 
 use super::chunk_index::{Chunk, Grid};
@@ -15,10 +16,35 @@ use super::object::{Message, kind, messages};
 /// Bytes that are read at once from data that are not in chunks.
 const BLOCK_BYTES: u64 = 256 << 10;
 
+/// Type of the elements of a data set.
+pub trait ElementType: Sized {
+    /// Reads a data type message.
+    ///
+    /// # Errors
+    /// If it is another type.
+    fn read(fields: &mut Fields) -> Result<Self>;
+
+    /// Returns the size of an element, bytes.
+    fn bytes(&self) -> usize;
+}
+
+impl ElementType for Number {
+    fn read(fields: &mut Fields) -> Result<Number> {
+        Number::read(fields)
+    }
+
+    fn bytes(&self) -> usize {
+        self.bytes
+    }
+}
+
+/// A data set of numbers.
+pub type Dataset = Elements<Number>;
+
 /// A data set; the row of chunks that was read last is kept.
-pub struct Dataset {
+pub struct Elements<T> {
     name: String,
-    number: Number,
+    element: T,
     /// Extent: rows, and columns if there are two dimensions.
     extent: Vec<u64>,
     storage: Storage,
@@ -36,33 +62,34 @@ struct Band {
     bytes: Vec<u8>,
 }
 
-impl Dataset {
+impl<T: ElementType> Elements<T> {
     /// Reads the description of the data set at an address; `name` is for errors.
     ///
     /// # Errors
-    /// If the object has no numbers, more than two dimensions, too large chunks, or its structure is damaged.
-    pub fn open(input: &Input, name: &str, at: Address) -> Result<Dataset> {
+    /// If the object has another type, more than two dimensions, too large chunks, or its structure is damaged.
+    pub fn open(input: &Input, name: &str, at: Address) -> Result<Elements<T>> {
         input.next_object();
         messages(input, at)
             .and_then(|messages| Self::from_messages(input, name, at, &messages))
             .map_err(within(name))
     }
 
-    fn from_messages(input: &Input, name: &str, at: Address, messages: &[Message]) -> Result<Dataset> {
+    fn from_messages(input: &Input, name: &str, at: Address, messages: &[Message]) -> Result<Elements<T>> {
         let find = |kind: u16, field: &str| match messages.iter().find(|message| message.kind == kind) {
             Some(message) => message.fields(input),
             None => Err(input.bad(at, field, "missing: this is no data set", COPY_AGAIN)),
         };
-        let number = Number::read(&mut find(kind::DATATYPE, "data type")?)?;
+        let element = T::read(&mut find(kind::DATATYPE, "data type")?)?;
+        let element_bytes = element.bytes();
         let space = &mut find(kind::DATASPACE, "dataspace")?;
         let [extent, most] = read_extent(space)?;
         let bytes =
-            extent.iter().try_fold(number.bytes as u64, |product, &length| product.checked_mul(length));
+            extent.iter().try_fold(element_bytes as u64, |product, &length| product.checked_mul(length));
         if bytes.is_none() {
             return Err(space.bad("dataspace", "impossible size", COPY_AGAIN));
         }
         let mut filters = Vec::new();
-        let mut fill = vec![0; number.bytes];
+        let mut fill = vec![0; element_bytes];
         for message in messages {
             match message.kind {
                 kind::FILTERS => filters = filters::read(&mut message.fields(input)?)?,
@@ -77,13 +104,20 @@ impl Dataset {
         let grid = Grid {
             chunk_shape: Vec::new(),
             most,
-            chunk_bytes: number.bytes as u64,
+            chunk_bytes: element_bytes as u64,
             filtered: !filters.is_empty(),
             size_bytes: 8,
         };
         let storage = read_layout(input, layout, grid, &extent)?;
-        let dataset =
-            Dataset { name: name.to_owned(), number, extent, storage, filters, fill, band: Band::default() };
+        let dataset = Elements {
+            name: name.to_owned(),
+            element,
+            extent,
+            storage,
+            filters,
+            fill,
+            band: Band::default(),
+        };
         if dataset.band_bytes() > CHUNK_BYTES {
             let problem = format!("{} bytes in a row of chunks, at most {CHUNK_BYTES}", dataset.band_bytes());
             return Err(layout.bad("layout", problem, REPACK));
@@ -113,7 +147,7 @@ impl Dataset {
 
     /// Returns the most bytes that are kept decoded.
     pub fn band_bytes(&self) -> u64 {
-        let row = self.columns().saturating_mul(self.number.bytes as u64);
+        let row = self.columns().saturating_mul(self.element.bytes() as u64);
         self.band_rows().min(self.rows()).saturating_mul(row)
     }
 
@@ -121,57 +155,20 @@ impl Dataset {
     fn band_rows(&self) -> u64 {
         match &self.storage {
             Storage::Chunked(grid, _) => grid.chunk_shape[0],
-            _ => (BLOCK_BYTES / (self.columns().max(1) * self.number.bytes as u64).max(1)).max(1),
+            _ => (BLOCK_BYTES / (self.columns().max(1) * self.element.bytes() as u64).max(1)).max(1),
         }
     }
 
-    /// Reads one element as a float.
+    /// Returns the type of the elements.
+    pub fn element(&self) -> &T {
+        &self.element
+    }
+
+    /// Reads the bytes of one element.
     ///
     /// # Errors
     /// If it is beyond the end, or its chunk is damaged.
-    pub fn f64_at(&mut self, input: &Input, decoder: &mut Decoder, element: u64) -> Result<f64> {
-        let number = self.number;
-        Ok(number.to_f64(self.one(input, decoder, element)?))
-    }
-
-    /// Reads one element as a whole number; `None` if it is negative or has a fraction.
-    ///
-    /// # Errors
-    /// As [`Dataset::f64_at`].
-    pub fn u64_at(&mut self, input: &Input, decoder: &mut Decoder, element: u64) -> Result<Option<u64>> {
-        let number = self.number;
-        Ok(number.to_u64(self.one(input, decoder, element)?))
-    }
-
-    /// Appends elements as samples.
-    ///
-    /// # Errors
-    /// As [`Dataset::f64_at`]; nothing is allocated if the elements are beyond the end.
-    pub fn append_f32(
-        &mut self,
-        input: &Input,
-        decoder: &mut Decoder,
-        elements: Range<u64>,
-        samples: &mut Vec<f32>,
-    ) -> Result<()> {
-        self.check(input, elements.end)?;
-        let mut next = elements.start;
-        while next < elements.end {
-            let number = self.number;
-            self.load(input, decoder, next)?;
-            let last = self.band.elements.end.min(elements.end);
-            match self.kept(next, last) {
-                Some(bytes) => number.append_f32(bytes, samples),
-                None => {
-                    samples.resize(samples.len() + (last - next) as usize, number.to_f64(&self.fill) as f32)
-                }
-            }
-            next = last;
-        }
-        Ok(())
-    }
-
-    fn one(&mut self, input: &Input, decoder: &mut Decoder, element: u64) -> Result<&[u8]> {
+    pub fn bytes_at(&mut self, input: &Input, decoder: &mut Decoder, element: u64) -> Result<&[u8]> {
         self.check(input, element.saturating_add(1))?;
         self.load(input, decoder, element)?;
         Ok(self.kept(element, element + 1).unwrap_or(&self.fill))
@@ -179,7 +176,7 @@ impl Dataset {
 
     /// Returns the bytes of kept elements; `None` if they have the fill value.
     fn kept(&self, first: u64, end: u64) -> Option<&[u8]> {
-        let byte = |element: u64| (element - self.band.elements.start) as usize * self.number.bytes;
+        let byte = |element: u64| (element - self.band.elements.start) as usize * self.element.bytes();
         self.band.bytes.get(byte(first)..byte(end))
     }
 
@@ -200,7 +197,7 @@ impl Dataset {
         let number = element / columns / band_rows;
         let first_row = number * band_rows;
         let rows = band_rows.min(self.rows() - first_row);
-        let row_bytes = columns * self.number.bytes as u64;
+        let row_bytes = columns * self.element.bytes() as u64;
         let (start, length) = (first_row * row_bytes, (rows * row_bytes) as usize);
         let bytes = &mut self.band.bytes;
         // A failure leaves no rows of another band.
@@ -228,11 +225,11 @@ impl Dataset {
                         .for_each(|value| value.copy_from_slice(&self.fill));
                 }
                 let chunk_columns = grid.chunk_shape.get(1).copied().unwrap_or(1);
-                let chunk_row = chunk_columns as usize * self.number.bytes;
+                let chunk_row = chunk_columns as usize * self.element.bytes();
                 for chunk in chunks {
                     let sizes = Sizes {
                         chunk: grid.chunk_bytes as usize,
-                        number: self.number.bytes,
+                        number: self.element.bytes(),
                         needed: rows as usize * chunk_row,
                     };
                     let decoded =
@@ -249,6 +246,79 @@ impl Dataset {
         }
         bytes.shrink_to(length);
         self.band.elements = first_row * columns..(first_row + rows) * columns;
+        Ok(())
+    }
+}
+
+impl Dataset {
+    /// Reads one element as a float.
+    ///
+    /// # Errors
+    /// If it is beyond the end, or its chunk is damaged.
+    pub fn f64_at(&mut self, input: &Input, decoder: &mut Decoder, element: u64) -> Result<f64> {
+        let number = self.element;
+        Ok(number.to_f64(self.bytes_at(input, decoder, element)?))
+    }
+
+    /// Reads one element as a whole number; `None` if it is negative or has a fraction.
+    ///
+    /// # Errors
+    /// As [`Elements::f64_at`].
+    pub fn u64_at(&mut self, input: &Input, decoder: &mut Decoder, element: u64) -> Result<Option<u64>> {
+        let number = self.element;
+        Ok(number.to_u64(self.bytes_at(input, decoder, element)?))
+    }
+
+    /// Appends elements as samples.
+    ///
+    /// # Errors
+    /// As [`Elements::f64_at`]; nothing is allocated if the elements are beyond the end.
+    pub fn append_f32(
+        &mut self,
+        input: &Input,
+        decoder: &mut Decoder,
+        elements: Range<u64>,
+        samples: &mut Vec<f32>,
+    ) -> Result<()> {
+        self.check(input, elements.end)?;
+        let mut next = elements.start;
+        while next < elements.end {
+            let number = self.element;
+            self.load(input, decoder, next)?;
+            let last = self.band.elements.end.min(elements.end);
+            match self.kept(next, last) {
+                Some(bytes) => number.append_f32(bytes, samples),
+                None => {
+                    samples.resize(samples.len() + (last - next) as usize, number.to_f64(&self.fill) as f32)
+                }
+            }
+            next = last;
+        }
+        Ok(())
+    }
+
+    /// Appends elements as samples in whole digitiser steps of 16 bits.
+    ///
+    /// # Errors
+    /// As [`Elements::append_f32`], and if a sample is no whole number from 0 to 65535.
+    pub fn append_u16(
+        &mut self,
+        input: &Input,
+        decoder: &mut Decoder,
+        elements: Range<u64>,
+        samples: &mut Vec<u16>,
+    ) -> Result<()> {
+        self.check(input, elements.end)?;
+        let number = self.element;
+        for element in elements {
+            let stored = self.bytes_at(input, decoder, element)?;
+            let sample = number.to_u64(stored).and_then(|sample| u16::try_from(sample).ok());
+            let sample = sample.ok_or_else(|| {
+                let problem = format!("{}: element {element} is no whole number from 0 to 65535", self.name);
+                Error::unusable(input.path(), problem, "write the samples as unsigned integers of 16 bits")
+            })?;
+            samples.push(sample);
+        }
         Ok(())
     }
 }

@@ -153,7 +153,13 @@ fn unshuffle(shuffled: &[u8], number_bytes: usize, numbers: &mut [u8]) {
         2 => interleave::<2>(shuffled, count, numbers),
         4 => interleave::<4>(shuffled, count, numbers),
         8 => interleave::<8>(shuffled, count, numbers),
-        _ => numbers.copy_from_slice(&shuffled[..numbers.len()]),
+        1 => numbers.copy_from_slice(&shuffled[..numbers.len()]),
+        _ => {
+            for (index, record) in numbers.chunks_exact_mut(number_bytes).enumerate().take(count) {
+                let planes = shuffled.chunks_exact(count);
+                record.iter_mut().zip(planes).for_each(|(byte, plane)| *byte = plane[index]);
+            }
+        }
     }
     // Bytes after the last number, which belong to a checksum, are not shuffled.
     let end = numbers.len();

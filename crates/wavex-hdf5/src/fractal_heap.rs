@@ -1,4 +1,4 @@
-//! Fractal heaps: storage of links in groups of the new form.
+//! Fractal heaps: storage of links and attributes of the new form.
 
 use wavex_formats::Result;
 use wavex_formats::bytes::Fields;

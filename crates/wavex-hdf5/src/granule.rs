@@ -59,12 +59,13 @@ impl Granule {
     /// Opens a file and lists its beams.
     ///
     /// # Errors
-    /// If it cannot be read, or is no supported product.
+    /// If it cannot be read, or is no supported product with beams.
     pub fn open(path: &Path) -> Result<Granule> {
         let (input, root) = open(path)?;
         let product = recognise(&input, &root)?;
         let mut beams = Vec::new();
         match product {
+            Product::Spd => return Err(without_beams(path)),
             Product::LvisL1b => {
                 beams.push(Beam {
                     name: LVIS.to_owned(),
@@ -104,7 +105,7 @@ impl Granule {
     pub fn time_scale(&self) -> TimeScale {
         match self.product {
             Product::GediL1b => TimeScale::Gps,
-            Product::LvisL1b => TimeScale::UtcOfDay,
+            Product::LvisL1b | Product::Spd => TimeScale::UtcOfDay,
         }
     }
 
@@ -123,6 +124,7 @@ impl Granule {
         }
         let (input, root) = open(&self.path)?;
         match self.product {
+            Product::Spd => Err(without_beams(&self.path)),
             Product::LvisL1b => Ok(BeamReader::new(name, LvisBeam::open(input, root)?)),
             Product::GediL1b => {
                 let group = root.iter().find(|(link, _)| link == name).map_or(0, |&(_, at)| at);
@@ -131,6 +133,11 @@ impl Granule {
             }
         }
     }
+}
+
+/// Creates the error of a file with pulses of a scanner.
+fn without_beams(path: &Path) -> Error {
+    Error::unusable(path, "an SPD file, which has pulses but no beams", "open it with `SpdReader`")
 }
 
 /// Opens a file and lists the members of its root group.

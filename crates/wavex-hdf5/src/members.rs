@@ -4,10 +4,10 @@ use std::ops::Range;
 
 use wavex_formats::{Error, Result};
 
-use super::dataset::Dataset;
+use super::dataset::{Dataset, ElementType, Elements};
 use super::filters::Decoder;
 use super::group::Link;
-use super::input::{COPY_AGAIN, Input};
+use super::input::{Address, COPY_AGAIN, Input};
 
 /// Most samples of a waveform.
 pub const MOST_SAMPLES: u64 = 65_536;
@@ -45,15 +45,31 @@ impl Members {
         self.links = links;
     }
 
-    /// Opens a data set, if there is one of this name; letter case does not matter.
+    /// Returns the name and address of a member; letter case does not matter.
+    pub fn find(&self, name: &str) -> Option<(String, Address)> {
+        self.links.iter().find(|(link, _)| link.eq_ignore_ascii_case(name)).cloned()
+    }
+
+    /// Returns the name of the group, with a `/` at its end.
+    pub fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// Opens a data set of numbers, if there is one of this name; letter case does not matter.
     ///
     /// # Errors
     /// If it cannot be read, or the decoded chunks of all would be too large.
     pub fn optional(&mut self, name: &str) -> Result<Column> {
-        let Some((name, at)) = self.links.iter().find(|(link, _)| link.eq_ignore_ascii_case(name)) else {
-            return Ok(None);
-        };
-        let dataset = Dataset::open(&self.input, &format!("{}{name}", self.prefix), *at)?;
+        self.elements(name)
+    }
+
+    /// Opens a data set of any type, as [`Members::optional`].
+    ///
+    /// # Errors
+    /// As [`Members::optional`].
+    pub fn elements<T: ElementType>(&mut self, name: &str) -> Result<Option<Elements<T>>> {
+        let Some((name, at)) = self.find(name) else { return Ok(None) };
+        let dataset = Elements::open(&self.input, &format!("{}{name}", self.prefix), at)?;
         self.kept_bytes += dataset.band_bytes();
         if self.kept_bytes > KEPT_BYTES {
             let problem = format!("{}: more than {KEPT_BYTES} bytes of chunks", dataset.name());

@@ -15,8 +15,10 @@ pub mod kind {
     pub const EXTERNAL_FILES: u16 = 0x07;
     pub const LAYOUT: u16 = 0x08;
     pub const FILTERS: u16 = 0x0b;
+    pub const ATTRIBUTE: u16 = 0x0c;
     pub const CONTINUATION: u16 = 0x10;
     pub const SYMBOL_TABLE: u16 = 0x11;
+    pub const ATTRIBUTE_INFO: u16 = 0x15;
 }
 
 /// Most messages of one object; each link of a small group is one.

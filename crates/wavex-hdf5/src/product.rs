@@ -6,7 +6,7 @@ use wavex_formats::{Error, Result};
 
 use super::group::{Link, links};
 use super::input::{COPY_AGAIN, Input};
-use super::{gedi, lvis, superblock};
+use super::{gedi, lvis, spd, superblock};
 
 /// Most groups that are named like beams; GEDI has eight.
 const MOST_BEAMS: usize = 64;
@@ -18,6 +18,8 @@ pub enum Product {
     GediL1b,
     /// LVIS L1B: waveforms of one beam.
     LvisL1b,
+    /// SPD: pulses of a laser scanner.
+    Spd,
 }
 
 /// Recognises the product of a file.
@@ -60,8 +62,8 @@ pub fn recognise(input: &Input, root: &[Link]) -> Result<Product> {
     if beams().count() > 0 {
         return refused("a GEDI file whose beams have no waveforms", "give a whole GEDI01_B file");
     }
-    if has("DATA") && has("HEADER") && has("INDEX") {
-        return refused("an SPD file, which is not supported", "convert it to LAS or PulseWaves with SPDLib");
+    if spd::is_spd(input, root)? {
+        return Ok(Product::Spd);
     }
     if has("SHOTNUMBER") || has("RXWAVE") {
         return refused("an LVIS file without RXWAVE, SHOTNUMBER or Z0", "give the level 1B file");
@@ -69,6 +71,7 @@ pub fn recognise(input: &Input, root: &[Link]) -> Result<Product> {
     const MOST_NAMES: usize = 8;
     let names: Vec<&str> = root.iter().take(MOST_NAMES).map(|(name, _)| name.as_str()).collect();
     let more = if root.len() > MOST_NAMES { ", ..." } else { "" };
-    let problem = format!("neither GEDI L1B nor LVIS L1B; its root group has: {}{more}", names.join(", "));
+    let problem =
+        format!("neither GEDI L1B nor LVIS L1B nor SPD; its root group has: {}{more}", names.join(", "));
     refused(&problem, "give a file of these products")
 }

@@ -48,7 +48,7 @@ pub fn children(
 
 /// Visits all records of a B-tree of version 2.
 ///
-/// `record_type` is 5 for names of links, 10 and 11 for chunks.
+/// `record_type` is 5 for names of links, 8 for names of attributes, 10 and 11 for chunks.
 ///
 /// # Errors
 /// If the tree is damaged, or `visit` fails.

@@ -8,7 +8,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use wavex_hdf5::{Granule, Shot};
+use wavex_hdf5::{Granule, Shot, SpdPulse, SpdReader};
 
 /// The system allocator with the size of its largest request.
 struct Largest;
@@ -40,13 +40,23 @@ const MOST_SHOTS: usize = 20;
 
 /// Reads a file; returns whether all was read.
 fn read(path: &Path) -> bool {
-    let Ok(granule) = Granule::open(path) else { return false };
+    let Ok(granule) = Granule::open(path) else { return read_pulses(path) };
     let (mut sound, mut shot) = (true, Shot::default());
     for beam in granule.beams().iter().filter(|beam| beam.shots > 0) {
         let Ok(mut reader) = granule.beam(&beam.name) else { return false };
         for index in 0..reader.len().min(MOST_SHOTS) {
             sound &= reader.shot(index, &mut shot).is_ok();
         }
+    }
+    sound
+}
+
+/// Reads the pulses of an SPD file; returns whether all were read.
+fn read_pulses(path: &Path) -> bool {
+    let Ok(mut reader) = SpdReader::open(path) else { return false };
+    let (mut sound, mut pulse) = (true, SpdPulse::default());
+    for index in 0..reader.len().min(MOST_SHOTS as u64) {
+        sound &= reader.pulse(index, &mut pulse).is_ok();
     }
     sound
 }
@@ -66,18 +76,22 @@ fn damaged_files_are_errors_or_values() {
     };
     let mut failed = 0;
     for name in [
-        "gedi_product",
-        "gedi_latest",
-        "gedi_extensible",
-        "gedi_v110",
-        "gedi_implicit",
-        "gedi_compact_fill",
-        "gedi_shuffle_checksum",
-        "lvis_432",
-        "lvis_1216",
-        "many_links",
+        "gedi_product.h5",
+        "gedi_latest.h5",
+        "gedi_extensible.h5",
+        "gedi_v110.h5",
+        "gedi_implicit.h5",
+        "gedi_compact_fill.h5",
+        "gedi_shuffle_checksum.h5",
+        "lvis_432.h5",
+        "lvis_1216.h5",
+        "many_links.h5",
+        "spd_3.spd",
+        "spd_3_latest.spd",
+        "spd_4.spd",
+        "spd_4_latest.spd",
     ] {
-        let sound = fs::read(data.join(format!("{name}.h5"))).unwrap();
+        let sound = fs::read(data.join(name)).unwrap();
         fs::write(&path, &sound).unwrap();
         assert!(read(&path), "{name}");
         for part in 0..24 {
@@ -99,7 +113,7 @@ fn damaged_files_are_errors_or_values() {
             failed += usize::from(!read(&path));
         }
     }
-    assert!(failed > 100, "only {failed} of 1500 damaged files are noticed");
+    assert!(failed > 100, "only {failed} of 2100 damaged files are noticed");
     let largest = LARGEST.load(Ordering::Relaxed);
     assert!(largest <= MOST_BYTES, "a request for {largest} bytes");
 }

@@ -40,10 +40,9 @@ fn other_products_are_named() {
         "gedi_l2a.h5",
         "GEDI L2 or L4: it holds results, not waveforms; give the GEDI01_B file of the same orbit",
     );
-    refused("spd.h5", "an SPD file, which is not supported; convert it");
     refused(
         "other.h5",
-        "neither GEDI L1B nor LVIS L1B; its root group has: group_a, group_b, group_c, group_d, group_e, group_f, \
+        "neither GEDI L1B nor LVIS L1B nor SPD; its root group has: group_a, group_b, group_c, group_d, group_e, group_f, \
          group_g, group_h, ...; give",
     );
     let granule = Granule::open(&data("gedi_product.h5")).unwrap();

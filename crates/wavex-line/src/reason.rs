@@ -99,9 +99,12 @@ const fn of_return(text: &'static str, stages: &'static [&'static str], remedy: 
 }
 
 const ARROW: &[&str] = &["read_arrow"];
+const ARROW_AND_HDF5: &[&str] = &["read_arrow", "read_hdf5"];
 const ARROW_AND_SDF: &[&str] = &["read_arrow", "read_sdf"];
+const LOCATING: &[&str] = &["read_arrow", "read_sdf", "read_hdf5"];
 const LAS: &[&str] = &["read_las"];
 const PULSEWAVES: &[&str] = &["read_pulsewaves"];
+const PULSEWAVES_AND_HDF5: &[&str] = &["read_pulsewaves", "read_hdf5"];
 const HDF5: &[&str] = &["read_hdf5"];
 const FOOTPRINTS: &[&str] = &["measure_footprints"];
 const SDF: &[&str] = &["read_sdf"];
@@ -159,10 +162,12 @@ reasons! {
     UnreadableWaves => rejected(Item::Shots, "a pulse whose waves cannot be read", PULSEWAVES, "copy or export the files again; the warning names the first one"),
     /// PulseWaves: anchor and target of a pulse are equal.
     PulseWithoutDirection => rejected(Item::Shots, "a pulse without direction", PULSEWAVES, EXPORT_AGAIN),
-    /// PulseWaves: a block of a channel without a receiver.
-    UnknownChannel => block("a block of an unknown channel", PULSEWAVES, "export it with channel 0 (high power), 1 (low power) or 2 (saturation)"),
+    /// PulseWaves and SPD: a block of a channel without a receiver.
+    UnknownChannel => block("a block of an unknown channel", PULSEWAVES_AND_HDF5, "export it with channel 0 (high power), 1 (low power) or 2 (saturation)"),
     /// HDF5: the values of a shot cannot be read.
     UnreadableShot => rejected(Item::Shots, "a shot that cannot be read", HDF5, "copy or download the file again; the warning names the first one"),
+    /// SPD: a pulse without received samples.
+    PulseWithoutWaveform => rejected(Item::Shots, "a pulse without received samples", HDF5, "none if the instrument records waveforms of some pulses only; else write the file with all waveforms"),
     /// HDF5: the positions of a shot's first and last sample are missing.
     ShotWithoutPosition => rejected(Item::Shots, "a shot without the positions of its first and last sample", HDF5, "none: the product did not locate it"),
     /// HDF5: the first sample of a shot is outside of the area of the job.
@@ -176,9 +181,9 @@ reasons! {
     /// Container: two rows in sequence have the same shot number.
     RepeatedShotNumber => shot("the shot number is that of the row before", ARROW, CORRECT_WRITER),
     /// The origin of a shot is not finite.
-    OriginNotFinite => shot("the origin is not finite", ARROW_AND_SDF, EXPORT_AGAIN),
+    OriginNotFinite => shot("the origin is not finite", LOCATING, EXPORT_AGAIN),
     /// The direction of a shot is not finite.
-    DirectionNotFinite => shot("the direction is not finite", ARROW_AND_SDF, EXPORT_AGAIN),
+    DirectionNotFinite => shot("the direction is not finite", LOCATING, EXPORT_AGAIN),
     /// The direction of a shot does not have the length 1.
     DirectionNotUnit => shot("the direction is not a unit vector", ARROW_AND_SDF, EXPORT_AGAIN),
     /// The time of a shot is infinite.
@@ -191,8 +196,8 @@ reasons! {
     ShotWithUnknownChannel => shot("a block of an unknown channel", ARROW_AND_SDF, "write the block with a channel code of the format"),
     /// A shot with a block without a time.
     BlockWithoutTime => shot("a block without a time", ARROW_AND_SDF, EXPORT_AGAIN),
-    /// Container: a shot with a block that is too far away.
-    FarBlock => shot("a block more than 0.01 s from its shot", ARROW, CORRECT_WRITER),
+    /// Container and SPD: a shot with a block that is too far away.
+    FarBlock => shot("a block more than 0.01 s from its shot", ARROW_AND_HDF5, "correct the program that wrote the file"),
     /// Container: a shot with a block of an impossible sampling interval.
     WrongInterval => shot("a block whose interval is not between 0.05 and 20 ns", ARROW, CORRECT_WRITER),
     /// Container: a shot with a block of an impossible gain.

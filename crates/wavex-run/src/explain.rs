@@ -114,8 +114,9 @@ impl<'a> ExplainRequest<'a> {
     /// # Errors
     /// If the job is invalid.
     pub fn has_large_footprints(&self) -> Result<bool, Failure> {
-        match reader_of(&self.file.display().to_string()) {
-            Ok(FOOTPRINTS) => return Ok(true),
+        let file = self.file.display().to_string();
+        match reader_of(&file) {
+            Ok(FOOTPRINTS) if small_footprint_reader_of(&file).is_err() => return Ok(true),
             Ok(CONTAINER) if self.job.is_none() && has_fractions(self.file) => return Ok(true),
             _ => {}
         }

@@ -1,6 +1,8 @@
-//! Granules of GEDI and LVIS in HDF5.
+//! Granules of GEDI and LVIS, and pulses of SPD, in HDF5.
 
-use wavex_hdf5::{Granule, Shot};
+use std::path::Path;
+
+use wavex_hdf5::{Granule, Shot, SpdPulse, SpdReader};
 
 use super::Files;
 
@@ -13,6 +15,7 @@ const MOST_SAMPLES: usize = 65_536;
 /// An HDF5 file.
 pub fn hdf5(bytes: &[u8]) {
     let place = Files::with(&[("a.h5", bytes)]);
+    spd(&place.path("a.h5"));
     let Ok(granule) = Granule::open(&place.path("a.h5")) else { return };
     for beam in granule.beams() {
         let Ok(mut reader) = granule.beam(&beam.name) else { continue };
@@ -40,5 +43,25 @@ pub fn hdf5(bytes: &[u8]) {
             let read = reader.shot(index, &mut shot).is_ok();
             assert_eq!(read.then(|| format!("{shot:?}")), *expected, "shot {index} of {}", beam.name);
         }
+    }
+}
+
+/// Pulses of a file, if it has any: the order of reading does not matter.
+fn spd(path: &Path) {
+    let Ok(mut reader) = SpdReader::open(path) else { return };
+    let read = |reader: &mut SpdReader, index| {
+        let mut pulse = SpdPulse::default();
+        let is_read = reader.pulse(index, &mut pulse).is_ok();
+        for waveform in pulse.waveforms() {
+            assert!(waveform.gain > 0.0);
+            let counts = [waveform.received_dn.len(), waveform.transmitted_dn.len()];
+            assert!(counts.iter().all(|&count| count <= MOST_SAMPLES), "{counts:?}");
+        }
+        is_read.then(|| format!("{pulse:?}"))
+    };
+    let count = reader.len().min(MOST_SHOTS as u64);
+    let pulses: Vec<Option<String>> = (0..count).map(|index| read(&mut reader, index)).collect();
+    for (index, expected) in pulses.iter().enumerate().rev() {
+        assert_eq!(read(&mut reader, index as u64), *expected, "pulse {index}");
     }
 }

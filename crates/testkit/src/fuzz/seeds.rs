@@ -73,17 +73,20 @@ pub fn seeds() -> Vec<Seed> {
 /// Granules that `tests/python/make_hdf5.py` makes: one for each kind of structure.
 fn granules(add: &mut Add) {
     let names = [
-        "gedi_compact_fill",
-        "gedi_extensible",
-        "gedi_latest",
-        "gedi_product",
-        "gedi_v110",
-        "lvis_432",
-        "lvis_528",
+        "gedi_compact_fill.h5",
+        "gedi_extensible.h5",
+        "gedi_latest.h5",
+        "gedi_product.h5",
+        "gedi_v110.h5",
+        "lvis_432.h5",
+        "lvis_528.h5",
+        "spd_3_latest.spd",
+        "spd_4_latest.spd",
+        "spd_bad.spd",
     ];
     for name in names {
-        let path = root().join(format!("crates/wavex-hdf5/tests/data/{name}.h5"));
-        add("hdf5", name, fs::read(path).unwrap());
+        let path = root().join(format!("crates/wavex-hdf5/tests/data/{name}"));
+        add("hdf5", name.split('.').next().unwrap_or(name), fs::read(path).unwrap());
     }
 }
 

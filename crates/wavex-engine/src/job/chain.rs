@@ -101,20 +101,7 @@ impl ChainStage<'_> {
         } else if let Some(place) = self.earlier_place() {
             format!("move it up, {place}")
         } else {
-            // Waveforms of large footprints have a stage of their own.
-            let takes_given = |spec: &&&StageSpec| {
-                let is_sink = |spec: &StageSpec| spec.role == RoleName::Sink;
-                let is_alike = is_sink(spec) == is_sink(self.spec);
-                given == Kind::Footprints && is_alike && spec.accepts.contains(&given)
-            };
-            let others: Vec<String> =
-                self.known.iter().filter(takes_given).map(|spec| quoted(spec.name)).collect();
-            let instead = if others.is_empty() {
-                String::new()
-            } else {
-                format!("; use {} in its place", listed(&others, "or"))
-            };
-            format!("no stage makes {} of {given}{instead}", listed(&takes, "or"))
+            format!("no stage makes {} of {given}", listed(&takes, "or"))
         };
         Some((problem, help))
     }

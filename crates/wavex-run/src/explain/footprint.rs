@@ -35,9 +35,10 @@ enum ProfileReader {
 }
 
 impl ProfileReader {
-    /// Of the first stage of a job.
-    fn of(job: &Job) -> Result<ProfileReader, Failure> {
-        if job.stages.first().is_some_and(|first| first.spec.name == FOOTPRINTS) {
+    /// Of the first stage of a job that reads a file.
+    fn of(job: &Job, file: &Path) -> Result<ProfileReader, Failure> {
+        let reads_hdf5 = job.stages.first().is_some_and(|first| first.spec.name == FOOTPRINTS);
+        if reads_hdf5 && ReadHdf5::has_beams(file) {
             return Ok(ProfileReader::Hdf5(keys_of(job, FOOTPRINTS)?));
         }
         match job.stages.first().map(|stage| (&stage.planned.plan, &stage.planned.resolved)) {
@@ -75,9 +76,9 @@ impl FootprintChain {
         }
         let reads_it = job.stages.first().is_some_and(|first| first.spec.name == format);
         Ok(FootprintChain {
+            reader: ProfileReader::of(if reads_it { job } else { &default_job }, &file)?,
             file,
             progress: request.progress,
-            reader: ProfileReader::of(if reads_it { job } else { &default_job })?,
             measure,
             input_dir,
         })

@@ -1,4 +1,4 @@
-//! `read_hdf5`: reads waveforms of large footprints from HDF5 files: GEDI and LVIS.
+//! `read_hdf5`: reads waveforms from HDF5 files: GEDI, LVIS and SPD.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -7,10 +7,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::reading::bad_records::BrokenRun;
-use crate::reading::recording::{AsDeclared, Declared, InputCrs, PulseSpeed, TimeKeys};
+use crate::reading::recording::{
+    AsDeclared, Declared, FullScale, InputCrs, OddSamples, PulseSpeed, Sampling, TimeKeys,
+};
 use wavex_footprints::RecordedNoise;
 use wavex_geodesy::ellipsoid::{Geodetic, WGS84};
-use wavex_hdf5::{Beam, BeamReader, Granule, Position, Power, Product, Shot};
+use wavex_hdf5::{Beam, BeamReader, Granule, Position, Power, Product, Shot, product_of};
 use wavex_line::keys::{InvalidKey, at_least};
 use wavex_line::scan_line::{
     Blocks, Channel, Emission, EmissionReference, FootprintRecord, Frame, InputInfo, Kind, ScanLine,
@@ -23,15 +25,17 @@ use wavex_line::stage::{
 
 mod cut;
 mod extent;
+mod spd;
 #[cfg(test)]
 mod tests;
 
 use cut::Cut;
 pub use cut::ShotList;
 pub use extent::ExtentKey;
+use spd::SpdLineReader;
 
 /// Registry entry of the stage.
-pub const STAGE: StageSpec = StageSpec::source::<ReadHdf5>("read_hdf5", Kind::Footprints);
+pub const STAGE: StageSpec = StageSpec::source::<ReadHdf5>("read_hdf5", Kind::Shots);
 
 /// Shots of a line: recordings of profiles have no scan lines.
 const SHOTS_PER_LINE: usize = 256;
@@ -42,10 +46,12 @@ const INTERVAL_NS: f64 = 1.0;
 /// Step to which sampling intervals are rounded, ns: positions include delays in the atmosphere.
 const INTERVAL_STEP_NS: f64 = 0.1;
 
-/// Reads GEDI level 1B (`GEDI01_B`) and LVIS level 1B (`ILVIS1B`) from HDF5 files.
+/// Reads GEDI level 1B (`GEDI01_B`), LVIS level 1B (`ILVIS1B`) and SPD (SPDLib, pylidar) from HDF5 files.
 ///
-/// Samples are kept as stored: GEDI's are fractions of a digitiser step. `measure_footprints` measures them; stages
-/// for whole steps (`calibrate`, `decompose`) do not take them. Every received waveform becomes a
+/// The content of a file decides, not its name.
+///
+/// Samples of GEDI and LVIS are kept as stored: GEDI's are fractions of a digitiser step. `measure_footprints`
+/// measures them; stages for whole steps (`calibrate`, `decompose`) refuse them. Every received waveform becomes a
 /// sample block, and every outgoing one the reference channel. Beams follow each other, each with a
 /// response and noise of its own. The geolocation of the first and the last sample gives origin and direction
 /// of each shot, so heights are above the ellipsoid WGS 84, and ranges count from the first sample.
@@ -57,6 +63,15 @@ const INTERVAL_STEP_NS: f64 = 0.1;
 ///
 /// Files with results only (`GEDI02_A`) are refused, and named. Rejected, and counted, are shots that cannot be read
 /// and shots without position.
+///
+/// Pulses of SPD, versions 3 and 4, become shots of scan lines in the coordinate reference system of the file, for
+/// `decompose`. A sample is at the range to the start of its waveform plus its time, along the beam from the origin; azimuths
+/// count from the y axis to the x axis, zeniths from upwards, and the speed of light is SPDLib's, in air of the
+/// refractive index 1.000268008. Transmitted samples become the reference channel, but ranges count from the origin alone, as in
+/// SPDLib. Channels follow RIEGL's files: 0 is high power, 1 is low power, 2 is saturation; a single channel is low
+/// power. Gains that differ become the gain control; offsets of waveforms are part of the background. Times count from
+/// any origin: `recording_time` states it. The keys `beams`, `split_beams`, `extent_deg` and `shots` do not apply. Rejected, and
+/// counted, are pulses that cannot be read, or have no received samples, no finite origin, no finite angles or an impossible range.
 #[derive(Clone, Debug, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ReadHdf5 {
@@ -80,6 +95,15 @@ pub struct ReadHdf5 {
     /// left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shots: Option<ShotList>,
+    /// Range of the samples.
+    #[serde(flatten)]
+    pub full_scale: FullScale,
+    /// Speed of the pulse.
+    #[serde(flatten)]
+    pub pulse_speed: PulseSpeed,
+    /// Coordinate reference system of the recording.
+    #[serde(flatten)]
+    pub input_crs: InputCrs,
     /// Times of the recording.
     #[serde(flatten)]
     pub times: TimeKeys,
@@ -88,6 +112,7 @@ pub struct ReadHdf5 {
 impl Config for ReadHdf5 {
     fn check(&self) -> std::result::Result<(), InvalidKey> {
         self.times.check()?;
+        self.input_crs.check()?;
         cut::check(self)
     }
 
@@ -96,7 +121,8 @@ impl Config for ReadHdf5 {
             Some(ShotList::File(name)) => Some(name.as_str()),
             _ => None,
         };
-        shots.into_iter().chain(self.extent_deg.as_ref().and_then(ExtentKey::file)).collect()
+        let extent = self.extent_deg.as_ref().and_then(ExtentKey::file);
+        shots.into_iter().chain(extent).chain(self.input_crs.file()).collect()
     }
 }
 
@@ -120,10 +146,16 @@ impl SourceConfig for ReadHdf5 {
     }
 
     fn make(&self, run: &RunContext) -> Result<Box<dyn Source>> {
-        let declared = Declared::new(&self.times, &InputCrs::default(), PulseSpeed::default(), run)?;
+        let mut declared = Declared::new(&self.times, &self.input_crs, self.pulse_speed, run)?;
+        if product_of(&run.input)? == Product::Spd {
+            let source = SpdLineReader::open(&run.input, &run.stem, self, declared.crs_wkt.as_deref())?;
+            declared.crs_wkt = declared.crs_wkt.map(|wkt| source.converted(wkt));
+            return Ok(Box::new(AsDeclared::new(source, declared).checking_emissions()));
+        }
         let cut = Cut::of(self, run)?;
         let beams = run.part.as_ref().map_or_else(|| self.beams.clone(), |beam| vec![beam.clone()]);
-        let source = FootprintReader { cut, ..FootprintReader::open(&run.input, &run.stem, &beams)? };
+        let mut source = FootprintReader { cut, ..FootprintReader::open(&run.input, &run.stem, &beams)? };
+        source.info = Sampling(OddSamples::default(), self.full_scale).with(source.info);
         Ok(Box::new(AsDeclared::new(source, declared)))
     }
 }
@@ -158,6 +190,12 @@ pub struct BeamShot {
 }
 
 impl ReadHdf5 {
+    /// Whether the shots of a file are those of beams, which [`ReadHdf5::find`] finds.
+    pub fn has_beams(path: &Path) -> bool {
+        // The reading has the error of other files.
+        !product_of(path).is_ok_and(|product| product == Product::Spd)
+    }
+
     /// Finds a shot by its number in its mission, or else by its running number.
     ///
     /// # Errors
@@ -231,7 +269,7 @@ impl FootprintReader {
         let beams = selected.iter().map(|beam| beam.name.clone()).collect();
         let (instrument, format, time_scale) = match granule.product() {
             Product::GediL1b => ("GEDI", "GEDI L1B", TimeScale::Adjusted),
-            Product::LvisL1b => ("LVIS", "LVIS L1B", TimeScale::Day),
+            Product::LvisL1b | Product::Spd => ("LVIS", "LVIS L1B", TimeScale::Day),
         };
         let info = InputInfo {
             path: path.to_owned(),
