@@ -41,7 +41,7 @@ fn points_lie_at_the_true_places() {
             worst_m = worst_m.max(error_m);
             grounds += u32::from(is_ground);
             others += u32::from(!is_ground);
-            assert!(is_ground || shot % 5 == 0, "{name}: shot {shot} at {z} m");
+            assert!(is_ground || shot.is_multiple_of(5), "{name}: shot {shot} at {z} m");
         }
         println!("{name}: {grounds} and {others} points, at most {worst_m:.4} m from the truth");
         assert!(worst_m < 0.02, "{name}: {worst_m} m");
