@@ -11,8 +11,9 @@
 //! one or two dimensions in all layouts except virtual ones, with the filters deflate, shuffle and Fletcher-32;
 //! and text in headers.
 //!
-//! [`Granule`] lists the beams, [`BeamReader`] reads shots in any order, [`SpdReader`] pulses. One row of chunks of each data set is
-//! kept decoded, so reading in order decodes each chunk once, and a shot at any place needs at most two.
+//! [`Granule`] lists the beams, [`BeamReader`] reads shots in any order, [`SpdReader`] pulses. One row of chunks of
+//! each data set is kept decoded, so reading in order decodes each chunk once, and a shot at any place needs at
+//! most two.
 
 mod attribute;
 mod beam;
