@@ -195,7 +195,7 @@ fn a_file_in_the_wrong_place_gets_the_command_for_it() {
         (&["init", "x.csv", "b.toml"], "x.csv: no such file or folder; did you mean x.pls?\n"),
         (
             &["init", "notes.csv", "b.toml"],
-            "notes.csv: unknown recording format; supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5 and .hdf5\n",
+            "notes.csv: unknown recording format; supported extensions: .las, .laz, .pls, .plz, .sdf, .wfm, .arrow, .h5, .hdf5 and .spd\n",
         ),
         (
             &["import", "-o", "flight9.pls", "--", "-i", "a.sdf", "-o", "b.laz"],
