@@ -119,8 +119,8 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Init { files, from } => init::init(&files, from.as_deref(), quiet),
         Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
         Command::Calibrate(args) => calibrate::calibrate(&args, quiet),
-        Command::Copc { input, out, stac, progress } => {
-            copc::copc(&input, out, stac, progress.without_lines(quiet), quiet)
+        Command::Copc { inputs, out, stac, progress } => {
+            copc::copc_each(&inputs, out, stac, progress.without_lines(quiet), quiet)
         }
         Command::FalseAlarms(args) => false_alarms::false_alarms(&args),
         Command::Explain(args) => explain::explain(&args, quiet),

@@ -174,9 +174,10 @@ pub(super) enum Command {
     /// by bit, with extra attributes and coordinate system, but without waveforms.
     #[command(after_help = usage::COPC)]
     Copc {
-        /// Points: .las or .laz
-        input: PathBuf,
-        /// COPC file to write [default: NAME.copc.laz next to the input]
+        /// Points: .las or .laz; several are converted one after the other, COPC files among them are left out
+        #[arg(required = true)]
+        inputs: Vec<PathBuf>,
+        /// COPC file to write, for one input [default: NAME.copc.laz next to the input]
         #[arg(short, long, value_name = "FILE")]
         out: Option<PathBuf>,
         /// Write a STAC item next to it: NAME.copc.json

@@ -17,8 +17,29 @@ use wavex_stages::stac;
 /// Enough for 3e9 points of 40 bytes.
 const CLAIMED_RUNS: usize = 512;
 
+/// Converts each input; among several, those that are COPC already are left out.
+pub(super) fn copc_each(
+    inputs: &[PathBuf],
+    out: Option<PathBuf>,
+    with_item: bool,
+    progress: ProgressMode,
+    quiet: bool,
+) -> Result<(), Failure> {
+    if let [input] = inputs {
+        return copc(input, out, with_item, progress, quiet);
+    }
+    if let Some(out) = out {
+        let problem =
+            "--out is the name of one file; leave it out, and each COPC file is written next to its input";
+        return Err(Failure::Wrong(format!("{}: {problem}", out.display())));
+    }
+    let is_copc = |path: &Path| path.file_stem().is_some_and(|stem| has_extension(Path::new(stem), "copc"));
+    let points = inputs.iter().filter(|input| !is_copc(input));
+    points.into_iter().try_for_each(|input| copc(input, None, with_item, progress, quiet))
+}
+
 /// Writes the points of `input` to `out`, which appears only when complete; on request with a STAC item.
-pub(super) fn copc(
+fn copc(
     input: &Path,
     out: Option<PathBuf>,
     with_item: bool,

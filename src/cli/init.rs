@@ -52,6 +52,11 @@ fn roles<'p>(
     files: &'p [PathBuf],
     from: Option<&'p Path>,
 ) -> Result<(Option<&'p Path>, Option<&'p Path>), Failure> {
+    if let (Some(job), [recording]) = (from.filter(|from| has_extension(from, "toml")), files) {
+        let (job, recording) = (job.display(), recording.display());
+        let problem = format!("--from takes the recording: wavex init --from {recording} {job}");
+        return Err(Failure::Wrong(format!("{job}: {problem}")));
+    }
     let (mut recording, mut job) = (from, None);
     for file in files.iter().map(PathBuf::as_path) {
         let is_place_of_job = file.is_dir() && recording.is_some();

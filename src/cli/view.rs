@@ -136,6 +136,13 @@ impl JobText {
         let Some(input_dir) = report["input_dir"].as_str() else {
             return Err(wrong("the report does not name the folder of the inputs"));
         };
+        let inputs = report["inputs"].as_array().map_or(&[][..], Vec::as_slice);
+        if !inputs.is_empty() && inputs.iter().all(|input| input["status"] == "failed") {
+            tracing::warn!(
+                "{name}: the last run of this job failed, and its keys are used here; outputs of an earlier run are \
+                 seen with the job, if that is right: wavex view JOB.toml"
+            );
+        }
         let mut settings = report["job"].as_object().cloned().unwrap_or_default();
         settings.retain(|key, _| !matches!(key.as_str(), "include" | "output_dir"));
         settings.insert("input_dir".into(), input_dir.into());

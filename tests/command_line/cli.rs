@@ -192,6 +192,10 @@ fn a_file_in_the_wrong_place_gets_the_command_for_it() {
             "x.pls, y.pls: both are recordings; give one, and a name for the job that ends in .toml.",
         ),
         (&["init", "a.toml", "b.toml"], "a.toml, b.toml: both are jobs; give a recording and one job\n"),
+        (
+            &["init", "--from", "new.toml", "x.pls"],
+            "new.toml: --from takes the recording: wavex init --from x.pls new.toml\n",
+        ),
         (&["init", "x.csv", "b.toml"], "x.csv: no such file or folder; did you mean x.pls?\n"),
         (
             &["init", "notes.csv", "b.toml"],

@@ -515,6 +515,20 @@ fn points_name_what_has_their_waveforms() {
 }
 
 #[test]
+fn the_folder_of_a_failed_run_says_so() {
+    let job = "[job]\noutput_dir = 'out'\n[[stage]]\ntype = 'read_las'\npath = 'none.las'\n[[stage]]\ntype = 'write_arrow'\n";
+    let place = TestFolder::with(&[("job.toml", job.as_bytes())]);
+    assert_eq!(place.wavex(&["run", "job.toml"]).code, Some(1));
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port().to_string();
+    let said = place.wavex(&["view", "--no-open", "--port", &port, "out"]).err;
+    assert!(
+        said.contains("job_report.json: the last run of this job failed, and its keys are used here"),
+        "{said}"
+    );
+}
+
+#[test]
 fn a_file_without_points_says_so_on_the_page() {
     let place = TestFolder::new();
     let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 2\nshots_per_line = 300\n\

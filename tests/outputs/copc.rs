@@ -61,6 +61,25 @@ fn points_of_a_run_become_a_file_beside_them() {
     assert!(first == std::fs::read(place.path("out/new/b.laz")).unwrap(), "the same bytes every time");
 }
 
+/// As a pattern of the shell gives them, with the results of the last time.
+#[test]
+fn several_files_are_converted_in_turn() {
+    let place = TestFolder::new();
+    assert_eq!(place.run(POINTS).code, Some(0));
+    fs_copy(&place, "a.laz", "b.laz");
+    copc(&place, &["a.laz"]).unwrap();
+    let printed = copc(&place, &["a.copc.laz", "a.laz", "b.laz"]).unwrap();
+    let written: Vec<&str> = printed.lines().filter_map(|line| line.split(':').next()).collect();
+    assert_eq!(written, ["wrote a.copc.laz", "wrote b.copc.laz"]);
+    assert_eq!(n_points(&place, "b.copc.laz"), n_points(&place, "a.laz"));
+    let (code, problem) = copc(&place, &["a.laz", "b.laz", "-o", "c.copc.laz"]).unwrap_err();
+    assert!(code == Some(2) && problem.contains("--out is the name of one file; leave it out"), "{problem}");
+}
+
+fn fs_copy(place: &TestFolder, from: &str, to: &str) {
+    std::fs::copy(place.path("out").join(from), place.path("out").join(to)).unwrap();
+}
+
 #[test]
 fn a_stac_item_is_written_on_request() {
     let place = TestFolder::new();

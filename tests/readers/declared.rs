@@ -246,8 +246,8 @@ fn coordinates_may_be_asked_for_in_the_map_that_is_declared() {
         )
     };
     let unnamed = "stage georeference: ./a.las: the beams of this recording are already in an unnamed CRS, \
-                   but `[job.geometry]` requests other coordinates; set it with the reader's key \
-                   `crs_of_input`, or remove `crs`, `geoid` and `unit`; recordings in other coordinates need a job of their own";
+                   but `[job.geometry]` requests other coordinates; remove `crs`, `geoid` and `unit`, and \
+                   name their CRS with the reader's key `crs_of_input`; recordings in other coordinates need a job of their own";
     place.left_nothing(place.run(&job("")), unnamed);
     assert_eq!(place.run(&job("crs_of_input = 'utm:33N'")).err, "");
 }

@@ -254,6 +254,20 @@ fn failed_and_new_inputs_are_run() {
     assert_eq!(products(&place).len(), 15);
 }
 
+/// Points have the number of their strip in the job, unless `point_source_id` says otherwise.
+#[test]
+fn a_strip_with_another_number_is_run_again() {
+    let place = survey();
+    let alone = ["--set", "read_arrow.path=in/b.arrow"];
+    assert_eq!(run(&place, &alone), Outcome::success());
+    let message = "b: not skipped: its flight line was number 1, and is 2; numbers of `point_source_id = \"name\"` do not \
+                   depend on the other inputs";
+    assert_eq!(resumed(&place, &["--resume"])[1], message);
+    let numbered = ["--set", "write_las.point_source_id=7"];
+    assert_eq!(run(&place, &[alone, numbered].concat()), Outcome::success());
+    assert_eq!(resumed(&place, &[&["--resume"][..], &numbered].concat())[1], format!("b: {COMPLETE}"));
+}
+
 #[test]
 fn a_run_that_stopped_is_resumed_where_it_stopped() {
     let place = survey();

@@ -101,7 +101,7 @@ pub(crate) const SHAPE_ERROR: Rule =
 ///
 /// Roughness: smooth surface repeatability of quality levels 2 and 3 (USGS, Lidar Base Specification,
 /// table 2). Differences between strips: the default of the job is their swath overlap difference.
-pub(crate) const FAILED_STRIPS: Rule = at_most("failed strips", "", [0.0, 0.0]);
+pub(crate) const FAILED_STRIPS: Rule = at_most("strips failed or left out", "", [0.0, 0.0]);
 pub(crate) const BELOW_TARGET: Rule = at_most("area below the required density", "%", [5.0, 20.0]);
 pub(crate) const GAPS: Rule = at_most("area of gaps", "% of the area", [0.0, 1.0]);
 pub(crate) const UNEXPLAINED_WAVEFORMS: Rule =

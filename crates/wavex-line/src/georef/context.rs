@@ -265,8 +265,8 @@ impl Geometry {
             ),
             None => (
                 "an unnamed CRS",
-                "set it with the reader's key `crs_of_input`, or remove `crs`, `geoid` and `unit`; recordings in other \
-                 coordinates need a job of their own",
+                "remove `crs`, `geoid` and `unit`, and name their CRS with the reader's key `crs_of_input`; recordings in \
+                 other coordinates need a job of their own",
             ),
         };
         let problem = format!(

@@ -43,7 +43,7 @@ pub fn difference(report: &Value, job: &Job, next: &RunSummary, free: &[&str]) -
         let key = keys.find(|key| !free.contains(&key.as_str()) && then[key] != now[key])?;
         Some(format!("`{key}` of {table} was different"))
     };
-    if report["survey_models"] != next["survey_models"] {
+    if !are_same_models(&report["survey_models"], &next["survey_models"]) {
         return Some("the sensor models of the survey were different".to_owned());
     }
     if let Some(different) = differs("`[job]`", &report["job"], &next["job"], &[&FREE_KEYS, free].concat()) {
@@ -63,4 +63,39 @@ pub fn difference(report: &Value, job: &Job, next: &RunSummary, free: &[&str]) -
         free.extend(is_source.then_some("path"));
         differs(&format!("`{}`", stage.id), &then["keys"], &now["keys"], &free)
     })
+}
+
+/// Whether instruments have the same models in two runs, and each input that is in both has its own.
+///
+/// Another list of inputs does not change the models of a file `survey_model`.
+fn are_same_models(then: &Value, now: &Value) -> bool {
+    let without_inputs = |models: &Value| {
+        let mut models = models.clone();
+        let inputs = models.as_object_mut().and_then(|models| models.remove("inputs"));
+        (models, inputs.as_ref().and_then(Value::as_array).cloned().unwrap_or_default())
+    };
+    let ((then, inputs_then), (now, inputs_now)) = (without_inputs(then), without_inputs(now));
+    let differs = |input: &Value| inputs_now.iter().any(|now| now["stem"] == input["stem"] && now != input);
+    then == now && !inputs_then.iter().any(differs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn models_are_compared_by_instrument_and_by_common_input() {
+        let of = |noise_dn: f64, inputs: &[(&str, f64)]| {
+            let inputs: Vec<Value> =
+                inputs.iter().map(|(stem, own_dn)| json!({ "stem": stem, "own_dn": own_dn })).collect();
+            json!({ "instruments": [noise_dn], "inputs": inputs })
+        };
+        let all = of(0.9, &[("a", 1.0), ("b", 2.0)]);
+        assert!(are_same_models(&all, &of(0.9, &[("b", 2.0)])));
+        assert!(are_same_models(&of(0.9, &[("b", 2.0)]), &all));
+        assert!(!are_same_models(&all, &of(0.9, &[("b", 2.5)])));
+        assert!(!are_same_models(&all, &of(0.8, &[("b", 2.0)])));
+        assert!(!are_same_models(&all, &Value::Null) && are_same_models(&Value::Null, &Value::Null));
+    }
 }

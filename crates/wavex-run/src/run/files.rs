@@ -152,10 +152,10 @@ impl<'j> RunFiles<'j> {
         let mut messages = Vec::new();
         if resume {
             let earlier = EarlierRun::new(self.earlier_report(), job, next);
-            for input in &inputs {
+            for (number, input) in inputs.iter().enumerate() {
                 let read = self.read.get(&input.stem).map_or(&[][..], Vec::as_slice);
                 let planned = self.planned(job, &input.stem);
-                messages.push(match earlier.results(input, read, &planned, &self.comparison) {
+                messages.push(match earlier.results(input, read, &planned, number, &self.comparison) {
                     Ok(results) => {
                         self.skipped.insert(input.stem.clone(), results.clone());
                         format!("{}: skipped, its outputs are complete", input.stem)

@@ -117,7 +117,7 @@ impl EarlierRun {
 
     /// Returns the earlier results of an input with complete outputs.
     ///
-    /// `read` and `planned` are the files that its run reads and writes.
+    /// `read` and `planned` are the files that its run reads and writes, `number` its place among the inputs.
     ///
     /// # Errors
     /// The reason to run it again.
@@ -126,6 +126,7 @@ impl EarlierRun {
         input: &Input,
         read: &[FileState],
         planned: &[PathBuf],
+        number: usize,
         comparison: &Comparison,
     ) -> Result<&Value, String> {
         if let Some(obstacle) = &self.obstacle {
@@ -135,8 +136,16 @@ impl EarlierRun {
             return Err("standard input cannot be compared".to_owned());
         }
         let inputs = self.report["inputs"].as_array().map_or(&[][..], Vec::as_slice);
-        let entry = inputs.iter().find(|entry| entry["stem"] == *input.stem);
-        let entry = entry.ok_or("it was no input of the earlier run")?;
+        let place = inputs.iter().position(|entry| entry["stem"] == *input.stem);
+        let place = place.ok_or("it was no input of the earlier run")?;
+        let entry = &inputs[place];
+        if place != number && self.numbers_flight_lines() {
+            return Err(format!(
+                "its flight line was number {}, and is {}; numbers of `point_source_id = \"name\"` do not depend on the other inputs",
+                place + 1,
+                number + 1
+            ));
+        }
         match entry["status"].as_str() {
             Some("done") => {}
             Some("failed") => return Err("it failed in the earlier run".to_owned()),
@@ -157,5 +166,11 @@ impl EarlierRun {
             .or_else(|| comparison.changed(&comparison.written(&paths), &files.written))
             .or_else(|| comparison.unnamed(planned, &paths));
         changed.map_or(Ok(entry), Err)
+    }
+
+    /// Whether points have the number of their input in the job.
+    fn numbers_flight_lines(&self) -> bool {
+        let stages = self.report["stages"].as_array().map_or(&[][..], Vec::as_slice);
+        stages.iter().any(|stage| stage["keys"]["point_source_id"] == "line")
     }
 }

@@ -498,6 +498,29 @@ mod tests {
     }
 
     #[test]
+    fn a_preset_of_another_instrument_is_a_warning() {
+        let warning_of = |name: &str| {
+            let mut calibrator = calibrator();
+            calibrator.config.preset = Some(Preset::RieglLmsQ680i);
+            let (mut cx, mut emit) = (Context::default(), |_: ScanLine| Ok(()));
+            let mut out = Output::new(&mut cx, usize::MAX, &mut emit);
+            let mut line = line(0, 1);
+            line.input = Arc::new(InputInfo { instrument: Some(name.to_owned()), ..InputInfo::default() });
+            calibrator.compare(&Preset::RieglLmsQ680i.model().unwrap(), &line, &mut out).unwrap();
+            cx.counters().notes[0].clone()
+        };
+        let other = warning_of("RIEGL Q560");
+        assert!(
+            other.contains(
+                "a preset of the RIEGL LMS-Q680i, but the recording names the instrument RIEGL Q560"
+            ),
+            "{other}"
+        );
+        let own = warning_of("LMS-Q680i");
+        assert!(own.contains("measured on another instrument of this type"), "{own}");
+    }
+
+    #[test]
     fn too_few_waveforms_say_how_many_there_were() {
         let mut calibrator = calibrator();
         let mut cx = Context::default();

@@ -23,8 +23,18 @@ impl Calibrator {
         if self.config.load.is_none() && self.config.preset.is_none() {
             return Ok(());
         }
-        if self.config.preset.is_some() {
-            out.cx.warn("the sensor model is a preset, measured on another instrument of this type: background, noise and pulse shape may differ; calibrate if the recording has 200 waveforms");
+        if let Some(preset) = self.config.preset {
+            let named = scan_line.input.instrument.as_deref().filter(|name| !preset.is_of(name));
+            if let Some(named) = named {
+                out.cx.warn(format!(
+                    "the sensor model is a preset of the {}, but the recording names the instrument {named}: background, \
+                     noise and pulse shape are those of another type; `load` a model of this instrument, or calibrate \
+                     from another part of the recording",
+                    preset.instrument()
+                ));
+            } else {
+                out.cx.warn("the sensor model is a preset, measured on another instrument of this type: background, noise and pulse shape may differ; calibrate if the recording has 200 waveforms");
+            }
         }
         let input = &scan_line.input;
         let channels = [

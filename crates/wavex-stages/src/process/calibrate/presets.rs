@@ -21,6 +21,25 @@ pub enum Preset {
 }
 
 impl Preset {
+    /// Instrument type as its maker names it.
+    pub(super) fn instrument(self) -> &'static str {
+        match self {
+            Preset::RieglLmsQ680i => "RIEGL LMS-Q680i",
+            Preset::RieglLmsQ680 => "RIEGL LMS-Q680",
+        }
+    }
+
+    /// Whether an instrument with this name, if it is one, is of the type.
+    ///
+    /// Recordings write "RIEGL Q680i", "LMS-Q680i" and others; the first word with a digit counts.
+    pub(super) fn is_of(self, name: &str) -> bool {
+        let type_of = |name: &str| {
+            let mut words = name.split(|c: char| !c.is_ascii_alphanumeric());
+            words.find(|word| word.contains(|c: char| c.is_ascii_digit())).map(str::to_lowercase)
+        };
+        type_of(name).is_none_or(|own| Some(own) == type_of(self.instrument()))
+    }
+
     /// Returns the model of this type.
     pub(super) fn model(self) -> Result<SensorModel> {
         let text = match self {
@@ -35,6 +54,17 @@ impl Preset {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn instruments_of_other_types_are_told_apart() {
+        let preset = Preset::RieglLmsQ680i;
+        for own in ["RIEGL LMS-Q680i", "Q680i", "riegl q680i S/N 9996", "", "unknown", "RIEGL"] {
+            assert!(preset.is_of(own), "{own}");
+        }
+        for other in ["RIEGL Q560", "LMS-Q680", "ALS60", "RIEGL VQ-1560"] {
+            assert!(!preset.is_of(other), "{other}");
+        }
+    }
 
     #[test]
     fn presets_are_models() {
