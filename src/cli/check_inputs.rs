@@ -10,10 +10,14 @@ use wavex_engine::job::Job;
 use wavex_formats::{CompanionIndex, RecordingFormat};
 use wavex_line::georef::{GeometryKeys, Loader, declared};
 use wavex_line::scan_line::ScanLine;
+use wavex_line::stage::check_whole_steps;
 use wavex_run::archive::missing_files;
 
 /// Usual number of points per shot, at least and at most.
 const POINTS_PER_SHOT: [u64; 2] = [1, 3];
+
+/// Stages that refuse samples with fractions of a digitiser step.
+const WHOLE_STEPS: [&str; 2] = ["calibrate", "decompose"];
 
 /// Describes the inputs of a job and lists their problems; `input_dir` is absolute.
 ///
@@ -40,6 +44,7 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
     problems.extend(missing_files(&needed, &inputs, input_dir));
     problems.extend(check_times::problems(&needed, &inputs, &firsts, input_dir));
     problems.extend(crs_problems(job, &inputs, &firsts, input_dir));
+    problems.extend(sample_problems(job, &inputs, &firsts));
     let files: Vec<&Path> =
         inputs.iter().map(|input| input.path.as_path()).filter(|path| path.is_file()).collect();
     let Some(reader) = job.stages.first().filter(|_| !files.is_empty()) else {
@@ -96,6 +101,19 @@ pub(super) fn inspect(job: &Job, input_dir: &Path) -> (String, Vec<String>) {
         ),
     };
     (text, problems)
+}
+
+/// Stages that need samples in whole digitiser steps, for recordings that have others.
+fn sample_problems(job: &Job, inputs: &[Input], firsts: &[FirstLine]) -> Vec<String> {
+    let refused = |(input, first): (&Input, &FirstLine)| {
+        let line = first.as_ref().ok()?.as_ref()?;
+        let names = job.stages.iter().map(|stage| stage.spec.name);
+        let error = names
+            .filter(|name| WHOLE_STEPS.contains(name))
+            .find_map(|name| check_whole_steps(line, name).err())?;
+        Some(format!("{}: {error}", input.path.display()))
+    };
+    inputs.iter().zip(firsts).filter_map(refused).collect()
 }
 
 /// Problems of coordinates with the first scan lines of the recordings, as a run finds them.

@@ -58,22 +58,17 @@ fn roles<'p>(
         return Err(Failure::Wrong(format!("{job}: {problem}")));
     }
     let (mut recording, mut job) = (from, None);
+    // Of two names without that of data, the one that is not that of a job is meant as the recording.
+    let names_no_data = files.len() == 2 && !files.iter().any(|file| is_data(file));
     for file in files.iter().map(PathBuf::as_path) {
         let is_place_of_job = file.is_dir() && recording.is_some();
-        let role = if is_data(file) && !is_place_of_job { &mut recording } else { &mut job };
+        let is_meant = names_no_data && recording.is_none() && !has_extension(file, "toml");
+        let role = if (is_data(file) || is_meant) && !is_place_of_job { &mut recording } else { &mut job };
         if let Some(other) = role.replace(file) {
             let problem = match is_data(file) {
                 true => {
                     "both are recordings; give one, and a name for the job that ends in .toml. A job reads several \
                          recordings by a pattern in `path`"
-                }
-                false if !has_extension(other, "toml") => {
-                    return Err(Recording::recognise(other).err().unwrap_or_else(|| {
-                        Failure::Wrong(format!(
-                            "{}: not a recording; give a recording and a job",
-                            other.display()
-                        ))
-                    }));
                 }
                 false => "both are jobs; give a recording and one job",
             };

@@ -139,8 +139,8 @@ impl JobText {
         let inputs = report["inputs"].as_array().map_or(&[][..], Vec::as_slice);
         if !inputs.is_empty() && inputs.iter().all(|input| input["status"] == "failed") {
             tracing::warn!(
-                "{name}: the last run of this job failed, and its keys are used here; outputs of an earlier run are \
-                 seen with the job, if that is right: wavex view JOB.toml"
+                "{name}: the last run of this job failed, and its keys are used here; give the job instead of the folder \
+                 to see outputs of an earlier run: wavex view JOB.toml"
             );
         }
         let mut settings = report["job"].as_object().cloned().unwrap_or_default();

@@ -224,6 +224,12 @@ def make(folder):
     version_4(folder / "spd_4_latest.spd", *few, library="latest")
 
     plain = dict(options={}, kind="u4")
+    # The second waveforms have a channel without a receiver.
+    channels = lambda data: data["WAVEFORMS/CHANNEL"].__setitem__(slice(None), 5 - 4 * data["WAVEFORMS/CHANNEL"][()])
+    version_4(folder / "spd_4_channel.spd", *few, edit=channels, options={})
+    # A spatial index sorts pulses by place.
+    order = np.argsort(np.arange(12) % 3, kind="stable")
+    version_3(folder / "spd_3_sorted.spd", *(part[order] for part in few), **plain)
     bad, samples = few[0][:9].copy(), few[1][:9].astype("u4")
     bad["NUMBER_OF_WAVEFORM_RECEIVED_BINS"][1] = 0
     bad["RECEIVED_START_IDX"][2] = 1 << 40

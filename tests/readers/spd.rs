@@ -97,6 +97,28 @@ fn the_samples_of_gedi_are_refused_by_stages_for_whole_steps() {
     let Outcome { code, err, .. } = place.read("read_hdf5", "a.h5", TO_TABLE);
     let message = "needs samples in whole digitiser steps, but the recording has fractions of a step";
     assert!(code == Some(1) && err.contains(message), "{err}");
+    let job = format!("[[stage]]\ntype = 'read_hdf5'\npath = 'a.h5'\n{TO_TABLE}");
+    place.write("job.toml", job.as_bytes());
+    let checked = place.wavex(&["check", "job.toml"]).out;
+    assert!(checked.contains("warning: ") && checked.contains(message), "{checked}");
+}
+
+/// Version 4 of the file with channel 5 beside channel 1, and version 3 sorted by place.
+#[test]
+fn unknown_channels_are_counted_and_files_sorted_by_place_are_a_warning() {
+    let place = with("spd_4_channel.spd");
+    let input = place.succeeds("read_hdf5", "a.spd", "[[stage]]\ntype = 'write_arrow'\n");
+    assert_eq!(rejected(&input).get("blocks: a block of an unknown channel"), Some(&2));
+    let place = with("spd_3_sorted.spd");
+    let input = place.succeeds("read_hdf5", "a.spd", "[[stage]]\ntype = 'write_arrow'\n");
+    let notes = notes(&input);
+    assert!(
+        notes.iter().any(|note| note.contains("of 12 pulses are earlier than the pulse before")),
+        "{notes:?}"
+    );
+    let place = with("spd_3_latest.spd");
+    let sorted = place.succeeds("read_hdf5", "a.spd", "[[stage]]\ntype = 'write_arrow'\n");
+    assert!(self::notes(&sorted).iter().all(|note| !note.contains("sorted by place")));
 }
 
 #[test]

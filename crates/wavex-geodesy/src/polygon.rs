@@ -77,9 +77,9 @@ impl Polygon {
                 return Err(PolygonError::LongEdge { from_deg, to_deg });
             }
             let [x, y] = ring[0];
-            let first =
-                edges(ring).map(|[from, to]| (from[0] - x) * (to[1] - y) - (to[0] - x) * (from[1] - y));
-            if first.fold(0.0, |sum: f64, part| sum + part) == 0.0 {
+            let twice_area: f64 =
+                edges(ring).map(|[from, to]| (from[0] - x) * (to[1] - y) - (to[0] - x) * (from[1] - y)).sum();
+            if twice_area == 0.0 {
                 return Err(PolygonError::Flat);
             }
             for [longitude_deg, latitude_deg] in ring.iter().copied() {

@@ -174,6 +174,28 @@ impl<T: ElementType> Elements<T> {
         Ok(self.kept(element, element + 1).unwrap_or(&self.fill))
     }
 
+    /// Gives the bytes of elements in runs of neighbours; nothing is given if they are beyond the end.
+    fn each_run(
+        &mut self,
+        input: &Input,
+        decoder: &mut Decoder,
+        elements: Range<u64>,
+        mut take: impl FnMut(&[u8]),
+    ) -> Result<()> {
+        self.check(input, elements.end)?;
+        let mut next = elements.start;
+        while next < elements.end {
+            self.load(input, decoder, next)?;
+            let last = self.band.elements.end.min(elements.end);
+            match self.kept(next, last) {
+                Some(stored) => take(stored),
+                None => (next..last).for_each(|_| take(&self.fill)),
+            }
+            next = last;
+        }
+        Ok(())
+    }
+
     /// Returns the bytes of kept elements; `None` if they have the fill value.
     fn kept(&self, first: u64, end: u64) -> Option<&[u8]> {
         let byte = |element: u64| (element - self.band.elements.start) as usize * self.element.bytes();
@@ -280,21 +302,8 @@ impl Dataset {
         elements: Range<u64>,
         samples: &mut Vec<f32>,
     ) -> Result<()> {
-        self.check(input, elements.end)?;
-        let mut next = elements.start;
-        while next < elements.end {
-            let number = self.element;
-            self.load(input, decoder, next)?;
-            let last = self.band.elements.end.min(elements.end);
-            match self.kept(next, last) {
-                Some(bytes) => number.append_f32(bytes, samples),
-                None => {
-                    samples.resize(samples.len() + (last - next) as usize, number.to_f64(&self.fill) as f32)
-                }
-            }
-            next = last;
-        }
-        Ok(())
+        let number = self.element;
+        self.each_run(input, decoder, elements, |stored| number.append_f32(stored, samples))
     }
 
     /// Appends elements as samples in whole digitiser steps of 16 bits.
@@ -308,18 +317,25 @@ impl Dataset {
         elements: Range<u64>,
         samples: &mut Vec<u16>,
     ) -> Result<()> {
-        self.check(input, elements.end)?;
-        let number = self.element;
-        for element in elements {
-            let stored = self.bytes_at(input, decoder, element)?;
-            let sample = number.to_u64(stored).and_then(|sample| u16::try_from(sample).ok());
-            let sample = sample.ok_or_else(|| {
+        let (number, first, before) = (self.element, elements.start, samples.len());
+        let mut wrong = None;
+        self.each_run(input, decoder, elements, |stored| {
+            for one in stored.chunks_exact(number.bytes) {
+                let sample = number.to_u64(one).and_then(|sample| u16::try_from(sample).ok());
+                if sample.is_none() {
+                    wrong.get_or_insert(first + (samples.len() - before) as u64);
+                }
+                samples.push(sample.unwrap_or(0));
+            }
+        })?;
+        match wrong {
+            None => Ok(()),
+            Some(element) => {
                 let problem = format!("{}: element {element} is no whole number from 0 to 65535", self.name);
-                Error::unusable(input.path(), problem, "write the samples as unsigned integers of 16 bits")
-            })?;
-            samples.push(sample);
+                let remedy = "write the samples as unsigned integers of 16 bits";
+                Err(Error::unusable(input.path(), problem, remedy))
+            }
         }
-        Ok(())
     }
 }
 

@@ -48,7 +48,7 @@ impl Text {
     /// Converts a stored text; zeros and blanks at its end are removed.
     ///
     /// # Errors
-    /// If it is in a block that is damaged.
+    /// If its block in the file is damaged.
     pub fn decode(self, input: &Input, stored: &[u8]) -> Result<String> {
         let object = match self.is_variable {
             true => object(input, &mut input.fields(0, stored))?,
@@ -63,7 +63,7 @@ impl Texts {
     /// Reads the first text.
     ///
     /// # Errors
-    /// If there is none, or it is in a block that is damaged.
+    /// If there is no text, or its block in the file is damaged.
     pub fn first(&mut self, input: &Input, decoder: &mut Decoder) -> Result<String> {
         let text = *self.element();
         text.decode(input, self.bytes_at(input, decoder, 0)?)

@@ -75,10 +75,7 @@ impl PassStats {
 
     /// Median and robust SD of the fitted offsets, DN.
     pub(super) fn offset_dn(&self) -> (f64, f64) {
-        let mut sorted = self.offsets_dn.clone();
-        sorted.sort_by(f64::total_cmp);
-        let at = |part: f64| sorted.get((part * sorted.len() as f64) as usize).copied().unwrap_or(0.0);
-        (at(0.5), 0.5 * (at(0.841_345) - at(0.158_655)))
+        median_and_spread(self.offsets_dn.clone())
     }
 
     /// Median SD of the residuals, in standard deviations of the noise.
@@ -88,16 +85,20 @@ impl PassStats {
 
     /// Half the difference of the 16th and 84th percentiles of these.
     pub(super) fn residual_spread(&self) -> f64 {
-        let mut sorted = self.residual_sds.clone();
-        sorted.sort_by(f64::total_cmp);
-        let at = |part: f64| sorted.get((part * sorted.len() as f64) as usize).copied().unwrap_or(0.0);
-        0.5 * (at(0.841_345) - at(0.158_655))
+        median_and_spread(self.residual_sds.clone()).1
     }
 
     /// Median of the residual SD over the highest pulse, per DN.
     pub(super) fn residual_part(&self) -> f64 {
         median(self.residual_parts.iter().copied()).unwrap_or(0.0)
     }
+}
+
+/// Median, and half the difference of the 16th and 84th percentiles; 0 without values.
+pub(super) fn median_and_spread(mut values: Vec<f64>) -> (f64, f64) {
+    values.sort_by(f64::total_cmp);
+    let at = |part: f64| values.get((part * values.len() as f64) as usize).copied().unwrap_or(0.0);
+    (at(0.5), 0.5 * (at(0.841_345) - at(0.158_655)))
 }
 
 /// Whether candidates exist but none could be fitted.

@@ -6,6 +6,7 @@
 //! background, which the skirts of misfitted pulses and the smallest samples displace.
 
 use super::noise_statistics::NoiseStatistics;
+use super::pass_stats::median_and_spread;
 use super::{
     CalibrationError, CalibrationSettings, LEAST_DRIFT_SD, MISSHAPEN, QUANTISATION_VARIANCE, WeakPulses,
     decompose_each, set_noise, uncertainty,
@@ -157,14 +158,12 @@ impl QuietBlocks {
 
     /// Replaces the background by the median of the blocks, and its spread.
     fn set_background(&self, model: &mut ChannelModel) {
-        let mut offsets_dn: Vec<f64> = self.0.iter().map(QuietBlock::offset_dn).collect();
-        offsets_dn.sort_by(f64::total_cmp);
-        let at =
-            |part: f64| offsets_dn.get((part * offsets_dn.len() as f64) as usize).copied().unwrap_or(0.0);
-        let spread_dn = 0.5 * (at(0.841_345) - at(0.158_655));
-        model.background_dn = model.background_dn.map(|level| level + at(0.5));
+        let offsets_dn: Vec<f64> = self.0.iter().map(QuietBlock::offset_dn).collect();
+        let blocks = offsets_dn.len() as u64;
+        let (offset_dn, spread_dn) = median_and_spread(offsets_dn);
+        model.background_dn = model.background_dn.map(|level| level + offset_dn);
         model.background_sd_dn = spread_dn.max(LEAST_DRIFT_SD * model.noise_sd_dn);
-        model.uncertainty.background_dn = uncertainty::of_median(spread_dn, offsets_dn.len() as u64);
+        model.uncertainty.background_dn = uncertainty::of_median(spread_dn, blocks);
     }
 
     /// Autocovariance at lags from 0, DN², and the number of samples; `None` with too few.

@@ -269,6 +269,7 @@ impl FootprintReader {
         let beams = selected.iter().map(|beam| beam.name.clone()).collect();
         let (instrument, format, time_scale) = match granule.product() {
             Product::GediL1b => ("GEDI", "GEDI L1B", TimeScale::Adjusted),
+            // A granule is not opened of SPD.
             Product::LvisL1b | Product::Spd => ("LVIS", "LVIS L1B", TimeScale::Day),
         };
         let info = InputInfo {
