@@ -32,19 +32,20 @@ pub(super) fn calibrate(args: &CalibrateArgs, quiet: bool) -> Result<(), Failure
     // A missing sink is intended here and needs no warning.
     job.notes.clear();
     let report = run::run_job(RunRequest::quiet(&job, Path::new(".")), args.machine, true)?;
-    let Some(input) = report.inputs.first().filter(|_| !quiet) else {
-        return Ok(());
-    };
-    let mut said = format!("{}\n", args.file.display());
-    for (name, words) in input.sensor_model.iter().flat_map(sensor_model_words) {
-        said += &format!("  {name:14}  {words}\n");
-    }
-    for output in &input.outputs {
-        let path = shown(output).display().to_string();
-        said += &format!(
-            "wrote {path}; use it in a job: `load = {}` of calibrate\n",
-            toml::Value::String(path.clone())
-        );
+    let mut said = String::new();
+    // A pattern has several.
+    for input in report.inputs.iter().filter(|_| !quiet) {
+        said += &format!("{}\n", shown(&input.path).display());
+        for (name, words) in input.sensor_model.iter().flat_map(sensor_model_words) {
+            said += &format!("  {name:14}  {words}\n");
+        }
+        for output in &input.outputs {
+            let path = shown(output).display().to_string();
+            said += &format!(
+                "wrote {path}; use it in a job: `load = {}` of calibrate\n",
+                toml::Value::String(path.clone())
+            );
+        }
     }
     terminal::print(&said)
 }

@@ -32,7 +32,7 @@ pub(super) fn check_viewable(path: &Path) -> Result<(), Failure> {
 
 /// The answer to a report that does not exist: those in its folder, which are named by their jobs.
 pub(super) fn missing_report(path: &Path) -> Option<String> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = folder_of(path);
     let in_folder = |name: &String| path.with_file_name(name).display().to_string();
     let reports: Vec<String> = reports_in(folder).iter().map(in_folder).collect();
     let is_missing = is_report(path) && matches!(path.try_exists(), Ok(false));
@@ -45,12 +45,22 @@ pub(super) fn missing_report(path: &Path) -> Option<String> {
     })
 }
 
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
 /// The answer to the page of a run or of a recording.
 pub(super) fn page(path: &Path) -> Option<String> {
     let is_page = has_extension(path, "html") || has_extension(path, "htm");
-    let report = Some(path.with_extension("json")).filter(|report| report.is_file());
-    let report = report
-        .map_or(String::new(), |report| format!(", or give {}, the report of its run", report.display()));
+    let report = Some(path.with_extension("json")).filter(|report| is_report(report) && report.is_file());
+    let folder = || folder_of(path);
+    let report = match report {
+        Some(report) => format!(", or give {}, the report of its run", report.display()),
+        None if !reports_in(folder()).is_empty() => {
+            format!(", or give {}, the folder of its run", folder().display())
+        }
+        None => String::new(),
+    };
     is_page.then(|| format!("{}: it is a page; open it in a browser{report}", path.display()))
 }
 

@@ -167,7 +167,10 @@ fn a_file_in_the_wrong_place_gets_the_command_for_it() {
             "flight.toml: it is a job, not a recording; run it with `wavex run flight.toml`",
         ),
         (&["convert", "flight.toml", "a.arrow"], "flight.toml: it is a job, not a recording; "),
-        (&["scan", "."], ".: it is a folder, not a recording; give a recording in it, or all: './*.pls'\n"),
+        (
+            &["scan", "."],
+            ".: it is a folder, not a recording; give a recording in it; a job reads all by `path = './*.pls'`\n",
+        ),
         (&["explain", ".", "--shot", "1"], ".: it is a folder, not a recording; "),
         (&["run", "out_report.json"], "out_report.json: it is JSON, but a job is TOML: "),
         (

@@ -103,6 +103,21 @@ fn a_container_is_raw_or_lies_in_a_map() {
 }
 
 #[test]
+fn each_recording_of_a_pattern_is_calibrated() {
+    let place = simulated("");
+    std::fs::copy(place.path("out/a.arrow"), place.path("out/b.arrow")).unwrap();
+    let Outcome { code, out, err } =
+        place.wavex(&["calibrate", "out/*.arrow", "--save-preset", "*_model.json"]);
+    assert_eq!(code, Some(0), "{err}");
+    for name in ["a", "b"] {
+        assert!(
+            out.contains(&format!("out/{name}.arrow\n")) && out.contains(&format!("wrote {name}_model.json")),
+            "{out}"
+        );
+    }
+}
+
+#[test]
 fn a_large_footprint_is_recognised() {
     let Some(data) = data() else { return };
     let place = TestFolder::new();

@@ -53,6 +53,11 @@ fn outputs_of_a_run_get_the_command_that_shows_them() {
     let page = "out/job_report.html: it is a page; open it in a browser, or give out/job_report.json, the report of its run";
     refused(&place, "view --no-open out/job_report.html", page);
     refused(&place, "report out/job_report.html", page);
+    // The JSON of a survey's page is no report.
+    place.write("out/job_survey.html", b"");
+    place.write("out/job_survey.json", b"{}");
+    let page = "out/job_survey.html: it is a page; open it in a browser, or give out, the folder of its run";
+    refused(&place, "view --no-open out/job_survey.html", page);
     place.write("a_scan.html", b"");
     refused(&place, "view --no-open a_scan.html", "a_scan.html: it is a page; open it in a browser");
 }

@@ -105,6 +105,10 @@ fn the_end_of_a_run_is_results_files_and_the_next_command() {
     };
     assert!(between.iter().all(is_known), "{}", run.out);
     assert!(!run.out.contains("working s"));
+    // Beside the report of another job, it names the report.
+    place.write("other.toml", WITHOUT_TRAJECTORY.replace("'flight'", "'other'").as_bytes());
+    let other = place.wavex(&["run", "other.toml", "--progress=never"]);
+    assert_eq!(other.out.lines().last(), Some("look: wavex view out/other_report.json"));
     // The table of stages is for who asks for it.
     for more in ["-v", "--profile"] {
         let run = place.wavex(&["run", "flight.toml", more]);

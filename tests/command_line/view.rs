@@ -529,6 +529,20 @@ fn the_folder_of_a_failed_run_says_so() {
 }
 
 #[test]
+fn footprints_that_cuts_leave_out_do_not_blame_a_threshold() {
+    let granule =
+        std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/wavex-hdf5/tests/data/gedi_product.h5");
+    let job = format!(
+        "[[stage]]\ntype = 'read_hdf5'\npath = '{}'\nextent_deg = [16, -25, 17, -24]\n[[stage]]\n\
+         type = 'measure_footprints'\n[[stage]]\ntype = 'georeference'\n",
+        granule.display()
+    );
+    let place = TestFolder::with(&[("job.toml", job.as_bytes())]);
+    let info = view(&place, &["job.toml"]).ready();
+    assert_eq!(info["error"], "no points: see the warnings");
+}
+
+#[test]
 fn a_file_without_points_says_so_on_the_page() {
     let place = TestFolder::new();
     let job = "[[stage]]\ntype = 'simulate'\nstem = 'flight'\nlines = 2\nshots_per_line = 300\n\

@@ -1,10 +1,11 @@
 """Fits the constants of crates/wavex-footprints/src/constants.rs, and compares probabilities and SDs with the truth.
 
 The distance of the ground below the lowest mode is normal about 0, normal about a second candidate, or exponential, where
-nothing shows the ground. Weights, SDs and the second candidate are linear in the features of the mode, or their logarithms are.
-Then probabilities are calibrated, and the SD of the first candidate is scaled to the robust SD of the training shots.
+nothing shows the ground. Weights, SDs, the second candidate and the exponential scale are linear in the features of the mode, or
+their logarithms are. On shots that were not fitted, probabilities are calibrated, and the SD of the first candidate is scaled to the
+robust SD of its errors.
 
-usage: fit_ground.py PROGRAM [--train FILE.h5 ...] [--test FILE.h5 ...]
+usage: fit_ground.py PROGRAM [--train FILE.h5 ... --calibrate FILE.h5 ...] [--test FILE.h5 ...]
 
 PROGRAM is the example `ground_features` of wavex-footprints. Files are written by make_footprints.py, with their truth. Without
 --train nothing is fitted; tests are those of the constants in PROGRAM. Needs h5py, numpy and scipy.
@@ -21,7 +22,8 @@ from scipy.special import ndtr
 M_PER_SAMPLE = 0.149896229
 FEATURES = 12
 # As in ground.rs.
-LOG_BOUNDS = np.array([(-5.0, 1.0), (-2.0, 3.0), (-2.0, 1.1)]).T
+LOG_BOUNDS = np.array([(-5.0, 1.0), (-2.0, 3.0), (-2.0, 1.1), (0.0, 3.4)]).T
+OUTPUTS = 3 + LOG_BOUNDS.shape[1]
 NEAR_M, NEAR_SDS, ABOVE_M = 1.0, 3.0, 1.0
 # Weight of the squared constants; features are scaled.
 RIDGE = 2e-5
@@ -71,7 +73,7 @@ def read(program, paths):
 
 def distribution(constants, features):
     """Logarithms of the weights, parameters and which of them are within bounds."""
-    outputs = features @ constants[:-1].reshape(6, -1).T
+    outputs = features @ constants.reshape(OUTPUTS, -1).T
     scores = outputs[:, :3] - outputs[:, :3].max(1, keepdims=True)
     inside = (outputs[:, 3:] > LOG_BOUNDS[0]) & (outputs[:, 3:] < LOG_BOUNDS[1])
     return scores - np.log(np.exp(scores).sum(1, keepdims=True)), np.exp(np.clip(outputs[:, 3:], *LOG_BOUNDS)), inside
@@ -80,8 +82,7 @@ def distribution(constants, features):
 def misfit(constants, features, error):
     """Mean negative log-likelihood and its gradient."""
     weights, parameters, inside = distribution(constants, features)
-    (sd, second, second_sd), inside = parameters.T, inside.T
-    missed = np.exp(constants[-1])
+    (sd, second, second_sd, missed), inside = parameters.T, inside.T
     score, second_score = error / sd, (error - second) / second_sd
     parts = weights + np.stack([
         -0.5 * score**2 - np.log(sd * np.sqrt(2 * np.pi)),
@@ -94,17 +95,17 @@ def misfit(constants, features, error):
     slopes = np.column_stack([
         np.exp(weights) - share, -share[:, 0] * (score**2 - 1) * inside[0],
         -share[:, 1] * second_score / second_sd * second * inside[1], -share[:, 1] * (second_score**2 - 1) * inside[2],
+        -share[:, 2] * (np.maximum(error, 0) / missed - missed / (missed + ABOVE_M)) * inside[3],
     ]) / len(error)  # fmt: skip
-    of_missed = -(share[:, 2] * (np.maximum(error, 0) / missed - missed / (missed + ABOVE_M))).mean()
     small = constants.copy()
-    small[-1] = small[: 6 * features.shape[1] : features.shape[1]] = 0
-    return -total.mean() + RIDGE * small @ small, np.append((slopes.T @ features).ravel(), of_missed) + 2 * RIDGE * small
+    small[:: features.shape[1]] = 0
+    return -total.mean() + RIDGE * small @ small, (slopes.T @ features).ravel() + 2 * RIDGE * small
 
 
 def below(constants, features, factor, distance):
     """Probability that the ground is less than a distance below the mode."""
     weights, parameters, _ = distribution(constants, features)
-    (sd, second, second_sd), missed = parameters.T, np.exp(constants[-1])
+    sd, second, second_sd, missed = parameters.T
     share = missed / (missed + ABOVE_M)
     tail = np.where(distance > 0, 1 - share * np.exp(-np.maximum(distance, 0) / missed),
                     (1 - share) * np.exp(np.minimum(distance, 0) / ABOVE_M))  # fmt: skip
@@ -113,21 +114,26 @@ def below(constants, features, factor, distance):
 
 
 def fit(features, error):
+    """Constants of largest likelihood."""
     mean, scale = features.mean(0), features.std(0)
     mean[0], scale[0] = 0.0, 1.0
-    start = np.zeros(6 * FEATURES + 1)
-    start[: 6 * FEATURES : FEATURES], start[-1] = [1.0, -0.5, -1.0, -2.5, 0.7, 0.0], 2.0
-    options = {"maxiter": 600, "maxfun": 10**6}
+    start = np.zeros(OUTPUTS * FEATURES)
+    start[::FEATURES] = [1.0, -0.5, -1.0, -2.5, 0.7, 0.0, 2.0]
+    options = {"maxiter": 800, "maxfun": 10**6}
     best = minimize(misfit, start, args=((features - mean) / scale, error), jac=True, method="L-BFGS-B", options=options).x
-    factors = best[:-1].reshape(6, FEATURES) / scale
+    factors = best.reshape(OUTPUTS, FEATURES) / scale
     factors[:, 0] -= factors[:, 1:] @ mean[1:]
-    constants = np.append(factors.ravel(), best[-1])
+    return factors.ravel()
+
+
+def calibrate(constants, features, error):
+    """Factor of the SD, and calibration of the probability."""
     sd = distribution(constants, features)[1][:, 0]
     near = abs(error) < np.maximum(NEAR_M, NEAR_SDS * sd)
     factor = ROBUST * np.median(abs(error / sd)[near])
     half = np.maximum(NEAR_M, NEAR_SDS * factor * sd)
     part = below(constants, features, factor, half) - below(constants, features, factor, -half)
-    return constants, factor, calibration(part, abs(error) < half)
+    return factor, calibration(part, abs(error) < half)
 
 
 def calibration(part, right):
@@ -143,8 +149,8 @@ def calibration(part, right):
 
 def show(constants, factor, calibrated):
     row = lambda values: "[" + ", ".join(f"{value:.4f}" for value in values) + "]"
-    print("OUTPUTS = [", *(f"    {row(factors)}," for factors in constants[:-1].reshape(6, -1)), "];", sep="\n")
-    print(f"MISSED_M = {np.exp(constants[-1]):.4f};\nSD_FACTOR = {factor:.4f};\nCALIBRATION = {row(calibrated)};")
+    print("OUTPUTS = [", *(f"    {row(factors)}," for factors in constants.reshape(OUTPUTS, -1)), "];", sep="\n")
+    print(f"SD_FACTOR = {factor:.4f};\nCALIBRATION = {row(calibrated)};")
 
 
 def table(name, stated, right, edges):
@@ -162,10 +168,14 @@ def report(shots):
     table("probability of the second candidate", shots["second_probability"], second, (0.05, 0.2, 0.4, 0.6, 0.8, 1))
     for least, most in ((0, 0.001), (0.001, 0.3), (0.3, 0.6), (0.6, 0.8), (0.8, 0.9), (0.9, 1)):
         of = (shots["cover"] >= least) & (shots["cover"] < most)
-        score = ROBUST * np.median(abs(error / sd)[of & right])
-        total = np.sqrt(((error / shots["total_sd"])[of] ** 2).mean())
+        scores = abs(error / sd)[of & right]
         print(f"cover {least:.1f} to {most:.1f}: {of.sum():5} shots, mean probability {shots['probability'][of].mean():.2f}, right "
-              f"{right[of].mean():.3f}, z of these {score:.2f}, root mean square of z with the total SD {total:.2f}")  # fmt: skip
+              f"{right[of].mean():.3f}, z of these {ROBUST * np.median(scores):.2f}, their 68 % {np.quantile(scores, 0.6827):.2f}")  # fmt: skip
+    edges = (0, 0.15, 0.5, 1, 2, 4, 8, 12, np.inf)
+    for least, most in zip(edges[:-1], edges[1:]):
+        of = (shots["total_sd"] >= least) & (shots["total_sd"] < most)
+        total, rms = shots["total_sd"][of], np.sqrt(((error / shots["total_sd"])[of] ** 2).mean())
+        print(f"total SD {least} to {most} m: {of.sum():5} shots, mean {total.mean():.2f}, RMS of error over it {rms:.2f}")
     seen = shots["cover"] < shots["sensitivity"]
     print(f"cover below the sensitivity: {seen.sum()} shots, first candidate right {right[seen].mean():.3f}, "
           f"one of both {(right | second)[seen].mean():.3f}; distance to the second where it is right, median "
@@ -179,11 +189,13 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("program")
     parser.add_argument("--train", nargs="+", default=[])
+    parser.add_argument("--calibrate", nargs="+", default=[])
     parser.add_argument("--test", nargs="+", default=[])
     options = parser.parse_args()
     if options.train:
-        shots = read(options.program, options.train)
-        show(*fit(shots["features"], shots["error"]))
+        fitted, others = (read(options.program, files) for files in (options.train, options.calibrate))
+        constants = fit(fitted["features"], fitted["error"])
+        show(constants, *calibrate(constants, others["features"], others["error"]))
     if options.test:
         report(read(options.program, options.test))
 

@@ -3,18 +3,18 @@
 //! Slopes and low vegetation merge with the ground into one mode and shift it by more than the noise does; a layer can hide
 //! the ground. The distance of the ground below the mode has a distribution of three parts: a normal one about the
 //! mode, a normal one about a second candidate below it, and an exponential one of grounds that the waveform does not show.
-//! Weights, SDs and the distance of the second candidate are functions of the shape of the mode.
+//! Weights, SDs and distances are functions of the shape of the mode.
 //! `tests/python/fit_ground.py` fits their constants to simulated shots by maximum likelihood.
 
 use wavex_simd::statistics::WithSd;
 
-use super::constants::{CALIBRATION, MISSED_M, OUTPUTS, SD_FACTOR};
+use super::constants::{CALIBRATION, OUTPUTS, SD_FACTOR};
 use super::echo::Echo;
 use super::maximum::fall;
 use super::measured::{FootprintMode, GROUND_FEATURES};
 
-/// Bounds of the logarithms, m: SD of the first candidate, distance and SD of the second.
-const LOG_BOUNDS: [[f64; 2]; 3] = [[-5.0, 1.0], [-2.0, 3.0], [-2.0, 1.1]];
+/// Bounds of the logarithms, m: SD of the first candidate, distance and SD of the second, mean distance of a hidden ground.
+const LOG_BOUNDS: [[f64; 2]; 4] = [[-5.0, 1.0], [-2.0, 3.0], [-2.0, 1.1], [0.0, 3.4]];
 /// A candidate is right if the ground is within this distance, m, or this number of SDs.
 const NEAR_M: f64 = 1.0;
 const NEAR_SDS: f64 = 3.0;
@@ -93,6 +93,8 @@ pub(super) struct GroundDistribution {
     weights: [f64; 3],
     sd_m: f64,
     second_m: WithSd,
+    /// Mean distance of a ground that is not shown, m.
+    missed_m: f64,
 }
 
 impl GroundDistribution {
@@ -100,10 +102,10 @@ impl GroundDistribution {
         let outputs = OUTPUTS.map(|factors| {
             features.iter().zip(factors).map(|(feature, factor)| feature * factor).sum::<f64>()
         });
-        let [first, second, missed, log_sd, log_second, log_second_sd] = outputs;
+        let [first, second, missed, log_sd, log_second, log_second_sd, log_missed] = outputs;
         let highest = first.max(second).max(missed);
         let odds = [first, second, missed].map(|score| libm::exp(score - highest));
-        let [sd_bounds, second_bounds, second_sd_bounds] = LOG_BOUNDS;
+        let [sd_bounds, second_bounds, second_sd_bounds, missed_bounds] = LOG_BOUNDS;
         let exp = |log: f64, [least, most]: [f64; 2]| libm::exp(log.clamp(least, most));
         GroundDistribution {
             weights: odds.map(|of| of / odds.iter().sum::<f64>()),
@@ -112,6 +114,7 @@ impl GroundDistribution {
                 value: exp(log_second, second_bounds),
                 sd: exp(log_second_sd, second_sd_bounds),
             },
+            missed_m: exp(log_missed, missed_bounds),
         }
     }
 
@@ -124,16 +127,16 @@ impl GroundDistribution {
     pub(super) fn total_sd_m(&self) -> f64 {
         let [first, second, missed] = self.weights;
         let WithSd { value, sd } = self.second_m;
-        let missed_square = 2.0 * (MISSED_M.powi(3) + ABOVE_M.powi(3)) / (MISSED_M + ABOVE_M);
+        let missed_square = 2.0 * (self.missed_m.powi(3) + ABOVE_M.powi(3)) / (self.missed_m + ABOVE_M);
         (first * self.sd_m().powi(2) + second * (value * value + sd * sd) + missed * missed_square).sqrt()
     }
 
     /// Probability of a distance below this one.
     fn below(&self, distance_m: f64) -> f64 {
         let normal = |scores: f64| 0.5 * libm::erfc(-scores * std::f64::consts::FRAC_1_SQRT_2);
-        let share = MISSED_M / (MISSED_M + ABOVE_M);
+        let share = self.missed_m / (self.missed_m + ABOVE_M);
         let missed = if distance_m > 0.0 {
-            1.0 - share * libm::exp(-distance_m / MISSED_M)
+            1.0 - share * libm::exp(-distance_m / self.missed_m)
         } else {
             (1.0 - share) * libm::exp(distance_m / ABOVE_M)
         };
@@ -178,7 +181,7 @@ mod tests {
 
     /// A distribution of these weights, with its second candidate 4 m below the mode.
     fn distribution(weights: [f64; 3]) -> GroundDistribution {
-        GroundDistribution { weights, sd_m: 0.1, second_m: WithSd { value: 4.0, sd: 0.5 } }
+        GroundDistribution { weights, sd_m: 0.1, second_m: WithSd { value: 4.0, sd: 0.5 }, missed_m: 14.0 }
     }
 
     #[test]

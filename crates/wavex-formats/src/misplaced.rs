@@ -70,7 +70,8 @@ fn folder(path: &Path) -> Error {
     let has =
         |wanted: &&&str| entries.iter().any(|file| extension(file) == **wanted && !is_only_points(file));
     let recordings = RECORDINGS.iter().find(has).map(|extension| {
-        format!("give a recording in it, or all: '{}'", path.join(format!("*.{extension}")).display())
+        let all = path.join(format!("*.{extension}"));
+        format!("give a recording in it; a job reads all by `path = '{}'`", all.display())
     });
     let outputs = entries
         .iter()
@@ -163,7 +164,8 @@ mod tests {
         assert_eq!(remedy(""), "there is no recording in it: give the path of one");
         fs::write(path("a.LAZ"), b"").unwrap();
         assert_eq!(remedy("a.wdp"), format!("give {}", path("a.LAZ").display()));
-        let recordings = format!("give a recording in it, or all: '{}'", path("*.laz").display());
+        let recordings =
+            format!("give a recording in it; a job reads all by `path = '{}'`", path("*.laz").display());
         assert_eq!(remedy(""), recordings);
         fs::create_dir(path("out")).unwrap();
         assert_eq!(folder_of_outputs(folder.path()), None);

@@ -103,25 +103,30 @@ pub struct TimeSpan {
     pub clock: Clock,
     /// The first time, s.
     pub first_s: f64,
-    /// The last time, s.
+    /// The last time, s; infinite if it is unknown.
     pub last_s: f64,
 }
 
 /// Formats as dates and seconds: `2025-05-06 10:00:00.0 to 10:30:12.5 GPS (430560800.0 to
-/// 430562612.5 s, adjusted)`.
+/// 430562612.5 s, adjusted)`; with an unknown end `2025-05-06 10:00:00.0 GPS (430560800.0 s, adjusted) on`.
 impl fmt::Display for TimeSpan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let TimeSpan { clock, first_s, last_s } = *self;
-        let (first, last) = (moment(clock, first_s), moment(clock, last_s));
-        let same_day = |(day, _): &&(String, String)| *day == first.0 && !day.is_empty();
-        let until = match Some(&last).filter(same_day) {
-            Some((_, time)) => time.clone(),
-            None => format!("{} {}", last.0, last.1),
-        };
+        let first = moment(clock, first_s);
         let counted = match clock {
             Clock::Adjusted => "s, adjusted",
             Clock::Week => "s of the week",
             Clock::Day => "s of the day",
+        };
+        if last_s == f64::INFINITY {
+            let text = format!("{} {} GPS", first.0, first.1);
+            return write!(f, "{} ({first_s:.1} {counted}) on", text.trim_start());
+        }
+        let last = moment(clock, last_s);
+        let same_day = |(day, _): &&(String, String)| *day == first.0 && !day.is_empty();
+        let until = match Some(&last).filter(same_day) {
+            Some((_, time)) => time.clone(),
+            None => format!("{} {}", last.0, last.1),
         };
         let text = format!("{} {} to {} GPS", first.0, first.1, until.trim_start());
         write!(f, "{} ({first_s:.1} to {last_s:.1} {counted})", text.trim_start())
@@ -271,7 +276,10 @@ impl Alignment {
 const MOST_LEAP_S: f64 = 20.0;
 
 /// Hint at a mix of UTC and GPS time for a recording, or a part of it, at most 20 s from the trajectory.
-pub fn utc_hint(recording: TimeSpan, trajectory: TimeSpan) -> &'static str {
+pub fn utc_hint(mut recording: TimeSpan, trajectory: TimeSpan) -> &'static str {
+    if recording.last_s == f64::INFINITY {
+        recording.last_s = recording.first_s;
+    }
     let is_near = Alignment::between(recording, trajectory).is_ok_and(|alignment| {
         let near_s = trajectory.first_s - MOST_LEAP_S..=trajectory.last_s + MOST_LEAP_S;
         [recording.first_s, recording.last_s].iter().all(|&t| near_s.contains(&alignment.on_trajectory(t)))

@@ -80,7 +80,9 @@ fn a_trajectory_of_another_flight_is_refused() {
     );
     // After the end of the trajectory no later shot can be covered, so the recording is not read to
     // its end.
-    assert!(refused(-3600.0).contains("the recording lasts from Tuesday 10:00:00.0 to 10:00:00.0 GPS"));
+    assert!(refused(-3600.0).contains(
+        "the recording lasts from Tuesday 10:00:00.0 GPS (208800.0 s of the week) on, the trajectory from"
+    ));
 }
 
 /// Shots before and after the trajectory are dropped, counted and reported; other points are

@@ -45,8 +45,9 @@ pub(super) fn read(input: &mut InputFile, options: &Options) -> Result<Raw> {
         let first = input.line(LONGEST_LINE)?.unwrap_or_default();
         let first: String = first.chars().take(80).collect();
         let problem = format!("it is text, but its columns are not defined; it begins with `{first}`");
-        let remedy = "set `trajectory_columns`, such as `txyzwpk`: time, longitude, latitude, \
-                      height, roll, pitch, heading; any other letter skips a column";
+        let remedy = "name them, such as `txyzwpk`, by `trajectory_columns` in a job or `--columns` of `wavex \
+                      trajectory`: time, longitude, latitude, height, roll, pitch, heading; any other letter skips a \
+                      column";
         return Err(Error::unusable(&path, problem, remedy));
     };
     let columns = ColumnIndices::new(letters).map_err(|problem| {

@@ -277,7 +277,8 @@ impl Coverage {
             |time_s| alignment.is_some_and(|found| found.trajectory.last_s < found.on_trajectory(time_s));
         match self.span_s {
             Some(span_s) if self.covered == 0 && has_ended_before(span_s[0]) => {
-                Err(no_overlap(alignment, span_s))
+                // The recording goes on.
+                Err(no_overlap(alignment, [span_s[0], f64::INFINITY]))
             }
             _ => Ok(()),
         }

@@ -238,8 +238,12 @@ impl Session {
             return "the file has no points".into();
         }
         let gives_points = |stage: &JobStage| stage.spec.gives(Some(Kind::Returns)) == Some(Kind::Points);
+        let has = |name: &str| self.opened.job.stages.iter().any(|stage| stage.spec.name == name);
         match self.opened.job.stages.iter().any(gives_points) {
-            true => "the recording has no returns; lower the detection threshold".into(),
+            true if has("decompose") => {
+                "no returns: lower `detection_sigma` of `decompose`, or see the warnings".into()
+            }
+            true => "no points: see the warnings".into(),
             false => format!("{}: the job has no stage `georeference`; add one", self.opened.job.name),
         }
     }

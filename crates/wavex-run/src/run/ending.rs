@@ -94,9 +94,9 @@ pub(super) fn messages(
     messages
 }
 
-/// Command that shows the results: `wavex view` with the output folder, or with the job if the folder has other reports.
+/// Command that shows the results: `wavex view` with the output folder, or with the report if the folder has other ones.
 ///
-/// `None` for a job without points, and for one that is not in a file.
+/// Without a report it is the job; `None` for a job without points, and for one that is not in a file.
 pub(super) fn next(job: &Job, output_dir: &Path, report: Option<&Path>) -> Option<EndMessage> {
     if job.stages.iter().all(|stage| stage.spec.name != "georeference") {
         return None;
@@ -108,7 +108,8 @@ pub(super) fn next(job: &Job, output_dir: &Path, report: Option<&Path>) -> Optio
             .then(|| shown(output_dir))
     };
     let job = Path::new(&job.name);
-    let place = report.and_then(has_only).or_else(|| job.is_file().then(|| shown(job)))?;
+    let of_report = report.map(|report| has_only(report).unwrap_or_else(|| shown(report)));
+    let place = of_report.or_else(|| job.is_file().then(|| shown(job)))?;
     let place = place.display().to_string();
     let quote = if place.contains(char::is_whitespace) { "'" } else { "" };
     Some(EndMessage::Next(format!("look: wavex view {quote}{place}{quote}")))

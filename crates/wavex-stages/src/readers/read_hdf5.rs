@@ -172,7 +172,8 @@ fn selected<'a>(granule: &'a Granule, path: &Path, wanted: &[String]) -> Result<
     };
     let recorded = || granule.beams().iter().filter(|beam| beam.shots > 0);
     if let Some(none) = wanted.iter().find(|word| !recorded().any(|beam| is(beam, word))) {
-        let names: Vec<&str> = recorded().map(|beam| beam.name.as_str()).collect();
+        let mut names: Vec<&str> = recorded().map(|beam| beam.name.as_str()).collect();
+        names.extend(["power", "coverage"].into_iter().filter(|word| recorded().any(|beam| is(beam, word))));
         return Err(StageError::failed(
             format!("{}: no beam with waveforms is `{none}`", path.display()),
             format!("choose from `beams` of: {}", names.join(", ")),

@@ -56,9 +56,9 @@ fn files_of_other_formats_are_refused() {
     );
     assert_eq!(
         read_bytes(b"GPSTime,Lat,Lon\n1,2,3\n", &nothing).unwrap_err(),
-        "t.dat: it is text, but its columns are not defined; it begins with `GPSTime,Lat,Lon`; set \
-         `trajectory_columns`, such as `txyzwpk`: time, longitude, latitude, height, roll, pitch, \
-         heading; any other letter skips a column"
+        "t.dat: it is text, but its columns are not defined; it begins with `GPSTime,Lat,Lon`; name \
+         them, such as `txyzwpk`, by `trajectory_columns` in a job or `--columns` of `wavex trajectory`: time, longitude, \
+         latitude, height, roll, pitch, heading; any other letter skips a column"
     );
     let folder = Folder::with(&[]);
     assert_eq!(

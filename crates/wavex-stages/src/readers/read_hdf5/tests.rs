@@ -77,7 +77,7 @@ fn beams_are_chosen_by_name_or_power() {
     }
     let error = open("gedi_product.h5", &["coverage"]).err().unwrap().to_string();
     assert!(
-        error.contains("no beam with waveforms is `coverage`; choose from `beams` of: BEAM0101"),
+        error.contains("no beam with waveforms is `coverage`; choose from `beams` of: BEAM0101, power"),
         "{error}"
     );
 }
