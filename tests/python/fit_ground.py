@@ -60,7 +60,7 @@ def read(program, paths):
         error = (known["ground_sample"] - rows[:, 0]) * M_PER_SAMPLE
         # The truth refers to a Gaussian of the outgoing pulse, not to the mode of a flat target's echo.
         offset = np.nanmedian(error[(known["cover"] == 0) & (known["slope_deg"] < 5)])
-        parts.append(np.column_stack([rows, error - offset, known["cover"], known["sensitivity"]]))
+        parts.append(np.column_stack([rows, error - offset, known["cover"], known["sensitivity"], known["slope_deg"]]))
     rows = np.concatenate(parts)
     rows = rows[np.isfinite(rows[:, 0])]
     second_m = (rows[:, FEATURES + 4] - rows[:, 0]) * M_PER_SAMPLE
@@ -68,7 +68,9 @@ def read(program, paths):
               "total_sd": rows[:, FEATURES + 3] * M_PER_SAMPLE, "second_m": second_m,
               "second_sd": rows[:, FEATURES + 5] * M_PER_SAMPLE, "second_probability": rows[:, FEATURES + 6],
               "deviation": rows[:, FEATURES + 7]}  # fmt: skip
-    return {"features": rows[:, 1 : FEATURES + 1], "error": rows[:, -3], "cover": rows[:, -2], "sensitivity": rows[:, -1]} | stated
+    error, *known = rows[:, -4:].T
+    names = ("cover", "sensitivity", "slope_deg")
+    return {"features": rows[:, 1 : FEATURES + 1], "error": error} | dict(zip(names, known)) | stated
 
 
 def distribution(constants, features):
@@ -170,7 +172,8 @@ def report(shots):
         of = (shots["cover"] >= least) & (shots["cover"] < most)
         scores = abs(error / sd)[of & right]
         print(f"cover {least:.1f} to {most:.1f}: {of.sum():5} shots, mean probability {shots['probability'][of].mean():.2f}, right "
-              f"{right[of].mean():.3f}, z of these {ROBUST * np.median(scores):.2f}, their 68 % {np.quantile(scores, 0.6827):.2f}")  # fmt: skip
+              f"{right[of].mean():.3f}, z of these {ROBUST * np.median(scores):.2f}, their 68 % {np.quantile(scores, 0.6827):.2f}, median error on slopes below 10 degrees "
+              f"{np.median(error[of & right & (shots['slope_deg'] < 10)]):.3f} m")  # fmt: skip
     edges = (0, 0.15, 0.5, 1, 2, 4, 8, 12, np.inf)
     for least, most in zip(edges[:-1], edges[1:]):
         of = (shots["total_sd"] >= least) & (shots["total_sd"] < most)
