@@ -1,0 +1,187 @@
+//! Aligns a survey of plain files and prints the result as JSON: `align_points FOLDER`.
+//!
+//! `FOLDER/survey.json` names the files and holds start values and SDs; tests/python/make_alignment.py writes all of
+//! them. Files of points hold rows of 8 little-endian doubles: time (s), direction in the scanner frame (3), range (m),
+//! SD of the range (m), number of returns of the shot, 1 for the low-power receiver. Trajectories hold rows of 7: time (s),
+//! latitude, longitude (rad), height (m), roll, pitch, heading (rad).
+
+#![allow(clippy::print_stdout)]
+
+use std::error::Error;
+use std::path::Path;
+use std::time::Instant;
+
+use serde_json::{Value, json};
+use wavex_align::adjust::{AlignSettings, Alignment, align};
+use wavex_align::parameters::{GlobalPriors, TrajectoryModel};
+use wavex_align::patch::{Horizon, Patch, PatchMaker, PatchReturn, PatchSettings};
+use wavex_align::scanner::{BeamSource, Scanner, ScannerBeam};
+use wavex_align::survey::{Installation, Strip, Survey};
+use wavex_geodesy::calibration::Calibration;
+use wavex_geodesy::ellipsoid::Geodetic;
+use wavex_geodesy::frames::{Attitude, Vector, rotation_of_angles};
+use wavex_geodesy::trajectory::{Sample, Trajectory};
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let folder = std::env::args().nth(1).ok_or("usage: align_points FOLDER")?;
+    let folder = Path::new(&folder);
+    let given: Value = serde_json::from_slice(&std::fs::read(folder.join("survey.json"))?)?;
+    let calibration: Calibration = serde_json::from_value(given["calibration"].clone())?;
+    let mount_deg: [f64; 3] = serde_json::from_value(given["mount_deg"].clone())?;
+    let scanner = Scanner {
+        body_from_mount: rotation_of_angles(mount_deg.map(f64::to_radians)),
+        calibration,
+        time_offset_s: 0.0,
+    };
+    let mut priors = GlobalPriors::default();
+    if let Some(sds) = given.get("prior_sds") {
+        priors = GlobalPriors(serde_json::from_value(sds.clone())?);
+    }
+    let mut settings = AlignSettings::default();
+    if let Some(sds) = given.get("trajectory_sds") {
+        settings.trajectory_priors.sd = serde_json::from_value(sds.clone())?;
+    }
+    if let Some(times) = given.get("correlation_s") {
+        settings.trajectory_priors.correlation_s = serde_json::from_value(times.clone())?;
+    }
+    if let Some(cell_m) = given["cell_m"].as_f64() {
+        settings.cell_m = cell_m;
+    }
+    if let Some(most_pairs) = given["most_pairs"].as_u64() {
+        settings.most_pairs = usize::try_from(most_pairs)?;
+    }
+    settings.trajectory_model = match given["model"].as_str().unwrap_or("constant") {
+        "none" => TrajectoryModel::None,
+        "constant" => TrajectoryModel::Constant,
+        "linear" => TrajectoryModel::Linear,
+        "spline" => TrajectoryModel::Spline(given["knots_s"].as_f64().ok_or("`knots_s` is missing")?),
+        other => return Err(format!("unknown model `{other}`").into()),
+    };
+    let files = given["strips"].as_array().ok_or("`strips` is missing")?;
+    let (mut trajectories, mut strips, mut patches) = (Vec::new(), Vec::new(), Vec::new());
+    let mut horizon = None;
+    let mut counts = Vec::new();
+    let started = Instant::now();
+    for (index, files) in files.iter().enumerate() {
+        let name = |key: &str| files[key].as_str().ok_or(format!("strip {index} lacks `{key}`"));
+        let trajectory = read_trajectory(&folder.join(name("trajectory")?))?;
+        let horizon = *horizon.get_or_insert_with(|| Horizon::at(trajectory.samples()[0].place));
+        let patch_settings = PatchSettings { cell_m: settings.cell_m, ..PatchSettings::default() };
+        let mut maker = PatchMaker::new(u32::try_from(index)?, horizon, patch_settings);
+        for row in rows::<8>(&folder.join(name("points")?))? {
+            if let Some(made) = located(&scanner, &trajectory, row) {
+                maker.add(&made);
+            }
+        }
+        let (made, of_strip): (Vec<Patch>, _) = maker.finish();
+        counts.push(format!("{} patches; {of_strip:?}", made.len()));
+        patches.extend(made);
+        strips.push(Strip { trajectory: index, installation: 0 });
+        trajectories.push(trajectory);
+    }
+    let patches_s = started.elapsed().as_secs_f64();
+    let survey = Survey {
+        trajectories: &trajectories,
+        installations: &[Installation { scanner, priors }],
+        strips: &strips,
+        patches: &patches,
+        horizon: horizon.ok_or("there are no strips")?,
+    };
+    let started = Instant::now();
+    let result = align(&survey, &settings)?;
+    let align_s = started.elapsed().as_secs_f64();
+    let mut report = report(&result);
+    report["patches"] = json!(counts);
+    report["seconds"] = json!([patches_s, align_s]);
+    println!("{report:#}");
+    Ok(())
+}
+
+fn located(scanner: &Scanner, trajectory: &Trajectory, row: [f64; 8]) -> Option<PatchReturn> {
+    let [time_s, x, y, z, range_m, range_sd_m, n_returns, low] = row;
+    let beam = ScannerBeam { time_s, direction: [x, y, z], range_m };
+    let source = BeamSource { origin_m: [0.0; 3], on_low_power_scale: low > 0.5 };
+    let mut poses = trajectory.poses();
+    let end = scanner.locate(&source, &beam, &mut poses, None)?;
+    let start = scanner.locate(&source, &ScannerBeam { range_m: range_m - 1.0, ..beam }, &mut poses, None)?;
+    let step: Vector = std::array::from_fn(|axis| end[axis] - start[axis]);
+    let length = step.iter().map(|part| part * part).sum::<f64>().sqrt();
+    Some(PatchReturn {
+        beam,
+        source,
+        range_sd_m,
+        n_returns: n_returns as u8,
+        point_in_ecef_m: end,
+        direction_in_ecef: step.map(|part| part / length),
+    })
+}
+
+fn read_trajectory(path: &Path) -> Result<Trajectory, Box<dyn Error>> {
+    let samples = rows::<7>(path)?.into_iter().map(|row| {
+        let [time_s, latitude_rad, longitude_rad, height_m, roll_rad, pitch_rad, heading_rad] = row;
+        Sample {
+            time_s,
+            place: Geodetic { latitude_rad, longitude_rad, height_m },
+            attitude: Attitude { roll_rad, pitch_rad, heading_rad },
+        }
+    });
+    Ok(Trajectory::new(samples.collect())?)
+}
+
+fn rows<const N: usize>(path: &Path) -> Result<Vec<[f64; N]>, Box<dyn Error>> {
+    let bytes = std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
+    let (numbers, _) = bytes.as_chunks::<8>();
+    let numbers: Vec<f64> = numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
+    Ok(numbers.as_chunks::<N>().0.to_vec())
+}
+
+fn report(result: &Alignment) -> Value {
+    let parameters: Vec<Value> = result
+        .parameters
+        .iter()
+        .flatten()
+        .map(|p| {
+            json!({
+                "name": p.parameter.name(), "start": p.start, "value": p.value, "sd": p.sd, "formal_sd": p.formal_sd,
+                "jackknife_sd": p.jackknife_sd, "prior_sd": p.prior_sd, "treatment": format!("{:?}", p.treatment),
+                "reasons": wavex_align::estimable::reasons(p.parameter, &result.facts),
+            })
+        })
+        .collect();
+    let strips: Vec<Value> = result
+        .strips
+        .iter()
+        .map(|strip| {
+            let knots: Vec<Value> = strip
+                .corrections
+                .iter()
+                .flat_map(|corrections| corrections.knots())
+                .zip(&strip.knot_sds)
+                .map(|(knot, sds)| {
+                    json!({"time_s": knot.time_s, "position_m": knot.offset.north_east_down_m,
+                           "attitude_rad": knot.offset.roll_pitch_heading_rad, "sds": sds})
+                })
+                .collect();
+            json!({"knots": knots, "n_pairs": strip.n_pairs, "n_unlocated": strip.n_unlocated})
+        })
+        .collect();
+    let overlaps: Vec<Value> = result
+        .overlaps
+        .iter()
+        .map(|o| {
+            json!({"strips": o.strips, "n_pairs": o.n_pairs, "n_rejected": o.n_rejected, "median_m": o.median_m,
+                   "spread_m": o.spread_m})
+        })
+        .collect();
+    let correlations: Vec<Value> = result
+        .correlations
+        .iter()
+        .map(|c| json!([c.first.1.name(), c.second.1.name(), c.correlation]))
+        .collect();
+    json!({
+        "parameters": parameters, "strips": strips, "overlaps": overlaps, "correlations": correlations,
+        "scale": result.scale, "n_unknowns": result.n_unknowns, "n_pairs": result.n_pairs,
+        "n_rejected": result.n_rejected, "spread_m": result.spread_m, "verdict": format!("{:?}", result.verdict),
+        "facts": format!("{:?}", result.facts),
+    })
+}

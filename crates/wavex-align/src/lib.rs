@@ -1,0 +1,17 @@
+#![doc = include_str!("../README.md")]
+#![warn(unreachable_pub)]
+
+pub mod adjust;
+pub mod estimable;
+mod georeference;
+pub mod matching;
+mod normal;
+pub mod parameters;
+pub mod patch;
+mod residual;
+pub mod scanner;
+#[cfg(test)]
+mod simulated;
+pub mod sparse;
+pub mod survey;
+mod vector;
