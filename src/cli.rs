@@ -14,6 +14,7 @@ use wavex_line::system;
 use wavex_run::{Failure, job_file, log};
 use wavex_stages::registry::STAGES;
 
+mod align;
 mod archive;
 mod args;
 mod calibrate;
@@ -118,6 +119,7 @@ fn dispatch(cli: Cli) -> Result<(), Failure> {
         Command::Schema => print(&job_schema_text(STAGES)),
         Command::Init { files, from } => init::init(&files, from.as_deref(), quiet),
         Command::Convert { input, output, machine } => convert::convert(&input, &output, machine, quiet),
+        Command::Align(args) => align::align(&args, quiet),
         Command::Calibrate(args) => calibrate::calibrate(&args, quiet),
         Command::Copc { inputs, out, stac, progress } => {
             copc::copc_each(&inputs, out, stac, progress.without_lines(quiet), quiet)

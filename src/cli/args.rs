@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use wavex_formats::trajectory::{Angles, FileTime};
+use wavex_run::align::TrajectoryModel;
 
 /// An archive and the locations of its files.
 #[derive(Args)]
@@ -152,6 +153,12 @@ pub(super) struct TrajectoryArgs {
     /// Accuracy file: POQ or smrmsg [default: the POQ next to a POF]
     #[arg(long, value_name = "FILE")]
     pub(super) accuracy: Option<PathBuf>,
+    /// Apply the corrections of a file for `corrections` in `[job.geometry]`
+    #[arg(long, value_name = "FILE")]
+    pub(super) corrections: Option<PathBuf>,
+    /// Apply the corrections of this strip to all records [default: of each strip to its time]
+    #[arg(long, value_name = "NAME", requires = "corrections")]
+    pub(super) strip: Option<String>,
 }
 
 /// Time scale of a trajectory.
@@ -354,6 +361,41 @@ pub(super) struct CollectArgs {
 fn rate(text: &str) -> Result<f64, String> {
     let positive = text.parse().ok().filter(|rate: &f64| *rate > 0.0 && rate.is_finite());
     positive.ok_or_else(|| "give a positive number".to_owned())
+}
+
+/// Survey to align.
+#[derive(Args)]
+pub(super) struct AlignArgs {
+    #[command(flatten)]
+    pub(super) job: JobArgs,
+    /// Folder to write: calibration.toml, corrections.toml, align.json; existing files are replaced
+    #[arg(short, long, value_name = "FOLDER")]
+    pub(super) output: PathBuf,
+    /// Corrections of each strip's trajectory: none, constant, linear, or linear between knots at most this many
+    /// seconds apart
+    #[arg(long, value_name = "none|constant|linear|SECONDS", default_value = "constant", value_parser = trajectory_model)]
+    pub(super) trajectory: TrajectoryModel,
+    /// Number of worker threads; 0: one per core [default: the job's `threads`]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole::<usize>)]
+    pub(super) threads: Option<usize>,
+    /// When to show progress; auto: a bar on a terminal, lines elsewhere
+    #[arg(long, value_name = "WHEN", default_value = "auto")]
+    pub(super) progress: When,
+}
+
+/// Parses the form of the corrections of trajectories.
+fn trajectory_model(text: &str) -> Result<TrajectoryModel, String> {
+    match text {
+        "none" => Ok(TrajectoryModel::None),
+        "constant" => Ok(TrajectoryModel::Constant),
+        "linear" => Ok(TrajectoryModel::Linear),
+        _ => {
+            let step_s = text.parse().ok().filter(|step_s: &f64| (0.1..=1e6).contains(step_s));
+            step_s.map(TrajectoryModel::Spline).ok_or_else(|| {
+                "give none, constant, linear, or the distance of knots in seconds, at least 0.1".to_owned()
+            })
+        }
+    }
 }
 
 /// Folders and limits of a survey.

@@ -128,7 +128,7 @@ fn crs_problems(job: &Job, inputs: &[Input], firsts: &[FirstLine], input_dir: &P
         }
     }
     // Without the files of the trajectory; unreadable files have their own messages.
-    let keys = GeometryKeys { trajectory: None, ..job.settings.geometry.clone() };
+    let keys = GeometryKeys { trajectory: None, corrections: None, ..job.settings.geometry.clone() };
     let geometry = Loader::new(&keys, input_dir).and_then(|mut loader| loader.load("", || false)).ok();
     let has_coordinates = job.stages.iter().any(|stage| stage.spec.name == "georeference");
     let problems = |first: &FirstLine| -> Vec<String> {

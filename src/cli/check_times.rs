@@ -7,7 +7,8 @@ use wavex_engine::engine::Input;
 use wavex_engine::job::Job;
 use wavex_formats::RecordingFormat;
 use wavex_geodesy::time_axis::{Clock, TimeSpan, align};
-use wavex_line::georef::trajectory_times;
+use wavex_line::georef::corrections::CorrectionsFile;
+use wavex_line::georef::{applied_corrections, trajectory_times};
 use wavex_line::scan_line::ScanLine;
 
 /// Time without trajectory that is not reported, s.
@@ -16,7 +17,7 @@ const TOLERANCE_S: f64 = 0.1;
 /// First scan line of an input, `None` if unknown; or why it cannot be read.
 pub(super) type FirstLine = Result<Option<ScanLine>, String>;
 
-/// Lists recordings that their trajectory does not cover, and unreadable trajectories.
+/// Lists recordings that their trajectory or its corrections do not cover, and unreadable files of both.
 ///
 /// `firsts` are the first scan lines of the inputs. Reads the last record of each recording, and the first and the last
 /// record of each trajectory. Missing files, and recordings without random access, are passed over.
@@ -25,20 +26,46 @@ pub(super) fn problems(job: &Job, inputs: &[Input], firsts: &[FirstLine], input_
     let Some(pattern) = &geometry.trajectory else { return Vec::new() };
     let mut trajectories: BTreeMap<PathBuf, Option<TimeSpan>> = BTreeMap::new();
     let mut problems = Vec::new();
+    let corrections =
+        geometry.corrections.as_ref().map(|name| input_dir.join(name)).filter(|file| file.is_file());
+    let corrections = corrections.and_then(|file| {
+        let read = CorrectionsFile::read(&file).map_err(|error| problems.push(error.to_string()));
+        read.ok().map(|corrections| (file, corrections))
+    });
     for (input, first) in inputs.iter().zip(firsts) {
         let file = input_dir.join(pattern.replace('*', &input.stem));
         let trajectory = trajectories.entry(file.clone()).or_insert_with(|| {
             let times = file.is_file().then(|| trajectory_times(geometry, &file))?;
             times.map_err(|error| problems.push(error.to_string())).ok()
         });
-        let Some((trajectory, recording)) = trajectory.zip(recording_times(job, &input.path, first)) else {
-            continue;
-        };
+        let recording = recording_times(job, &input.path, first);
+        if let Some((file, corrections)) = &corrections {
+            let problem = uncorrected(file, corrections, input, first, recording);
+            problems.extend(problem.map(|problem| format!("{}: {problem}", input.path.display())));
+        }
+        let Some((trajectory, recording)) = trajectory.zip(recording) else { continue };
         problems.extend(
             uncovered(recording, trajectory).map(|problem| format!("{}: {problem}", input.path.display())),
         );
     }
     problems
+}
+
+/// Problem of a recording with its corrections.
+fn uncorrected(
+    file: &Path,
+    corrections: &CorrectionsFile,
+    input: &Input,
+    first: &FirstLine,
+    recording: Option<TimeSpan>,
+) -> Option<String> {
+    let line = first.as_ref().ok()?.as_ref()?;
+    // Of a file with several parts only the first is known.
+    if input.part.is_some() {
+        return None;
+    }
+    let span_s = recording.map(|times| [times.first_s, times.last_s]);
+    applied_corrections::problem(file, corrections, &input.stem, &line.input, span_s)
 }
 
 /// Time span of a recording as its reader gives the times; `None` if it is unknown.

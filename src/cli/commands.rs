@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use clap::{ArgAction, Args, Parser, Subcommand};
 
 use super::args::{
-    ArchiveArgs, CalibrateArgs, CollectArgs, ExplainArgs, ImportArgs, InputRule, JobArgs, MachineArgs,
-    PlanArgs, ResumeCheck, ScanArgs, SurveyArgs, TrajectoryArgs, ViewArgs, When,
+    AlignArgs, ArchiveArgs, CalibrateArgs, CollectArgs, ExplainArgs, ImportArgs, InputRule, JobArgs,
+    MachineArgs, PlanArgs, ResumeCheck, ScanArgs, SurveyArgs, TrajectoryArgs, ViewArgs, When,
 };
 use super::false_alarms::FalseAlarmArgs;
 use super::usage;
@@ -150,6 +150,14 @@ pub(super) enum Command {
         #[arg(long, value_name = "RECORDING")]
         from: Option<PathBuf>,
     },
+    /// Align the strips of a survey: calibration and corrections of trajectories
+    ///
+    /// Runs the job over all its inputs without its outputs, and compares smooth surface where strips overlap.
+    /// Writes boresight, lever arm and range offset as calibration.toml, corrections of each strip's trajectory as
+    /// corrections.toml, and all results with standard deviations as align.json. Prints what the flight does not
+    /// determine, and why. docs/how-to/align-a-survey.md describes it.
+    #[command(after_help = usage::ALIGN)]
+    Align(AlignArgs),
     /// Calibrate from a recording, or from all inputs of a job
     ///
     /// With a recording, reads all of it and prints noise, background and pulse width of each receiver.

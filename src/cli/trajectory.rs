@@ -1,4 +1,4 @@
-//! `wavex trajectory`: projects and decimates a trajectory.
+//! `wavex trajectory`: projects, decimates and corrects a trajectory.
 
 use std::io::Write;
 use std::path::Path;
@@ -8,9 +8,11 @@ use map::TrajectoryMap;
 use summary::About;
 use wavex_formats::trajectory::{self, Angles, FileTime, Options, Unproject};
 use wavex_formats::{Error, RecordingFormat};
-use wavex_geodesy::time_axis::Clock;
+use wavex_geodesy::time_axis::TimeSpan;
 use wavex_geodesy::trajectory::plausibility::{MotionLimits, contradiction};
 use wavex_geodesy::trajectory::{Accuracy, Trajectory};
+use wavex_line::georef::applied_corrections::CORRECTED_BY;
+use wavex_line::georef::corrections::CorrectionsFile;
 use wavex_line::georef::trajectory_file::{remedy, without_outliers};
 use wavex_line::stage::{FinishedFile, OutputFile};
 
@@ -34,6 +36,7 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
     let recorded = trajectory::read(&args.file, &options).map_err(failed)?;
     let map = TrajectoryMap::of(&args.crs, None).map_err(Failure::Wrong)?;
     let (format, counts, clock) = (recorded.format.clone(), recorded.counts.clone(), recorded.clock);
+    let times = recorded.times();
     let accuracies: Vec<Accuracy> = recorded.accuracies.iter().map(|sample| sample.accuracy).collect();
     let (mut notes, is_text, speeds_mps) =
         (recorded.notes.clone(), recorded.is_text(), recorded.speeds_mps.clone());
@@ -48,6 +51,11 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
     }
     let (trajectory, note) = without_outliers(&args.file, trajectory, Some(limits)).map_err(failed)?;
     notes.extend(note);
+    let trajectory = match &args.corrections {
+        Some(file) => corrected(&trajectory, file, args.strip.as_deref(), times).map_err(failed)?,
+        None => trajectory,
+    };
+    let corrections = args.corrections.as_ref().map(|file| file.display().to_string());
     let map = match map {
         Some(map) => map,
         // `utm` is the zone of the first position.
@@ -60,8 +68,15 @@ pub(super) fn trajectory(args: &TrajectoryArgs, quiet: bool) -> Result<(), Failu
     map.covers(trajectory.samples()).map_err(Failure::Run)?;
     let map = &map;
     let file = args.file.display().to_string();
-    let about =
-        About { file, format: &format, counts: &counts, clock, accuracies: &accuracies, notes: &notes };
+    let about = About {
+        file,
+        format: &format,
+        counts: &counts,
+        clock,
+        accuracies: &accuracies,
+        notes: &notes,
+        corrections,
+    };
     let written = write(args, &about, &trajectory, map).map_err(failed)?;
     if !quiet {
         let mut text = summary::text(&about, &trajectory, map);
@@ -84,6 +99,21 @@ impl TrajectoryArgs {
     }
 }
 
+/// The trajectory with the corrections of a strip, or of all strips in their time.
+fn corrected(
+    trajectory: &Trajectory,
+    file: &Path,
+    strip: Option<&str>,
+    times: TimeSpan,
+) -> Result<Trajectory, Error> {
+    let corrections = CorrectionsFile::read(file)?
+        .on_trajectory(strip, times)
+        .map_err(|(problem, remedy)| Error::unusable(file, problem, remedy))?;
+    let samples = trajectory.samples().iter();
+    let samples = samples.map(|sample| corrections.at(sample.time_s).applied_to_sample(sample)).collect();
+    Trajectory::new(samples).map_err(|problem| Error::unusable(file, problem.to_string(), problem.remedy()))
+}
+
 /// Writes table and picture; they get their final names when both are complete.
 fn write(
     args: &TrajectoryArgs,
@@ -93,7 +123,7 @@ fn write(
 ) -> Result<Vec<String>, Error> {
     let mut whole: Vec<FinishedFile> = Vec::new();
     if let Some(path) = &args.out {
-        whole.push(table(path, args.every, about.clock, trajectory, map)?);
+        whole.push(table(path, args.every, about, trajectory, map)?);
     }
     if let Some(path) = &args.svg {
         let name = args.file.file_name().unwrap_or_default().to_string_lossy();
@@ -112,15 +142,16 @@ fn write(
 fn table(
     path: &Path,
     every: usize,
-    clock: Clock,
+    about: &About,
     trajectory: &Trajectory,
     map: &TrajectoryMap,
 ) -> Result<FinishedFile, Error> {
     let mut file = OutputFile::create(path)?;
     let mut rows = format!(
-        "# t lon lat h x y z w p k: {}; degrees; m; {}; roll, pitch and heading in degrees\n",
-        clock.name(),
-        map.name()
+        "# t lon lat h x y z w p k: {}; degrees; m; {}; roll, pitch and heading in degrees{}\n",
+        about.clock.name(),
+        map.name(),
+        about.corrections.as_ref().map_or(String::new(), |file| format!("{CORRECTED_BY}{file}"))
     )
     .into_bytes();
     let mut samples = trajectory.samples().iter().step_by(every.max(1)).peekable();
@@ -133,7 +164,7 @@ fn table(
         // Writing to a vector cannot fail.
         let _ = writeln!(
             rows,
-            "{:.6} {longitude:.10} {latitude:.10} {:.4} {x:.digits$} {y:.digits$} {z:.4} {roll:.7} {pitch:.7} {heading:.7}",
+            "{:.6} {longitude:.10} {latitude:.10} {:.5} {x:.digits$} {y:.digits$} {z:.5} {roll:.7} {pitch:.7} {heading:.7}",
             sample.time_s, place.height_m
         );
         if rows.len() >= CHUNK || samples.peek().is_none() {

@@ -55,6 +55,12 @@ Examples:
   wavex convert flight7.pls flight7.arrow
   wavex convert 'lines/*.las' 'out/*.arrow'";
 
+pub(super) const ALIGN: &str = "\
+Examples:
+  wavex align survey.toml -o aligned
+  wavex align survey.toml -o aligned --trajectory 20
+  wavex align survey.toml -o aligned --trajectory none";
+
 pub(super) const CALIBRATE: &str = "\
 Examples:
   wavex calibrate flight7.pls
@@ -111,7 +117,8 @@ pub(super) const TRAJECTORY: &str = "\
 Examples:
   wavex trajectory flight7.sbet
   wavex trajectory flight7.pof --crs EPSG:2154 --every 10 -o po.txt --svg po.svg
-  wavex trajectory positions.txt --columns txyzwpk --time day";
+  wavex trajectory positions.txt --columns txyzwpk --time day
+  wavex trajectory flight7.sbet --corrections corrections.toml -o corrected.txt";
 
 pub(super) const IMPORT: &str = "\
 Examples:

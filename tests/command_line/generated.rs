@@ -9,6 +9,7 @@ use std::path::Path;
 use schemars::generate::SchemaSettings;
 use wavex::archive::Archive;
 use wavex::cluster::SurveyPlan;
+use wavex::georef::corrections::CorrectionsFile;
 use wavex::inspect::ScanSummary;
 use wavex::job::{Job, JobSettings, example_job, job_schema_text, manual};
 use wavex::registry::{STAGES, find};
@@ -96,6 +97,13 @@ fn the_schema_of_sensor_models_is_up_to_date() {
     let settings = SchemaSettings::draft2020_12();
     let schema = settings.into_generator().into_root_schema_for::<SensorModel>();
     check("schemas/sensor_model.schema.json", &format!("{:#}\n", schema.to_value()));
+}
+
+#[test]
+fn the_schema_of_corrections_is_up_to_date() {
+    let settings = SchemaSettings::draft2020_12();
+    let schema = settings.into_generator().into_root_schema_for::<CorrectionsFile>();
+    check("schemas/corrections.schema.json", &format!("{:#}\n", schema.to_value()));
 }
 
 #[test]

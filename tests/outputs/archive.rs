@@ -438,7 +438,7 @@ fn a_resolved_job_spells_out_defaults_that_hang_on_other_keys() {
     let geometry = &job["job"]["geometry"];
     assert_eq!(geometry["mount"].as_str(), Some("level"));
     let calibration = geometry["calibration"].as_table().unwrap();
-    assert_eq!((calibration.len(), calibration["e7"].as_float()), (10, Some(0.0)));
+    assert_eq!((calibration.len(), calibration["e7"].as_float()), (11, Some(0.0)));
     let stages = job["stage"].as_array().unwrap();
     let last = stages.last().unwrap();
     assert_eq!(last["interval_s"].as_float(), Some(0.1), "{text}");

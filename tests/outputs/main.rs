@@ -11,6 +11,7 @@ mod archive;
 mod archive_of_failures;
 mod cluster;
 mod copc;
+mod corrections;
 #[cfg(unix)]
 mod hostile_archives;
 mod report_page;

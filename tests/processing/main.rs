@@ -8,6 +8,7 @@
 )]
 
 mod agc;
+mod align;
 mod false_alarms;
 mod footprint_models;
 mod fusion;

@@ -30,7 +30,7 @@ pub use hdf5::hdf5;
 pub use points::{compressed_packets, copc, las};
 pub use runs::{recording, run, sdf};
 pub use tables::{container, survey_cells, table};
-pub use texts::{calibration, import, job, lookup_tables, plan, report, sensor_model};
+pub use texts::{calibration, corrections, import, job, lookup_tables, plan, report, sensor_model};
 pub use trajectories::{accuracy, pof, sbet, sol, trajectory_text, trj};
 pub use views::view;
 pub use waveforms::{compressed_pulses, pulsewaves};
@@ -51,6 +51,7 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("compressed_pulses", compressed_pulses),
     ("container", container),
     ("copc", copc),
+    ("corrections", corrections),
     ("geoid", geoid),
     ("geojson", geojson),
     ("geokeys", geokeys),

@@ -3,6 +3,7 @@
 
 pub mod beam_length;
 pub mod calendar;
+pub mod calibration;
 pub mod cone;
 mod conformal;
 pub mod crs;

@@ -24,6 +24,7 @@ use quaternion::Quaternion;
 use time_index::TimeIndex;
 
 mod accuracies;
+pub mod corrections;
 mod error;
 pub mod outliers;
 pub mod plausibility;

@@ -5,9 +5,11 @@
 //! only the shot. `georeference` converts the result to output coordinates ([`output_crs`]).
 //! `docs/explanation/georeferencing.md` gives the formulas.
 
+pub mod applied_corrections;
 mod area_of_use;
 pub mod calibration;
 mod context;
+pub mod corrections;
 pub mod declared;
 mod error;
 pub mod keys;

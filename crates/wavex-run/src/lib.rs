@@ -1,8 +1,9 @@
 //! Commands as functions: production runs with their files, archives, surveys on clusters, single shots.
 //!
 //! [`run`] runs a job with report, log and archive; [`archive`] makes runs repeatable; [`cluster`] spreads a survey
-//! over computers; [`explain`] decomposes one shot. Nothing here parses arguments or prints.
+//! over computers; [`align`] aligns its strips; [`explain`] decomposes one shot. Nothing here parses arguments or prints.
 
+pub mod align;
 pub mod archive;
 pub mod cluster;
 pub mod explain;

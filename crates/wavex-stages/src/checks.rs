@@ -20,7 +20,7 @@ pub fn checks() -> Vec<(&'static str, Vec<Check>)> {
             "Coordinate reference systems",
             vec![read_las::crs_check(), georef::area_check(), georef::declared::degrees_check()],
         ),
-        ("Trajectories", georef::trajectory_checks()),
+        ("Trajectories", [georef::trajectory_checks(), georef::applied_corrections::checks()].concat()),
     ]
 }
 

@@ -11,7 +11,7 @@ use wavex_pages::plot::extent;
 /// Maximum number of gaps listed individually.
 const GAPS_TOLD: usize = 5;
 
-/// Properties of the file: name, format, time scale, clock, accuracies, notes.
+/// Properties of the file: name, format, time scale, clock, accuracies, notes, file of applied corrections.
 pub(super) struct About<'a> {
     pub(super) file: String,
     pub(super) format: &'a str,
@@ -19,6 +19,7 @@ pub(super) struct About<'a> {
     pub(super) clock: Clock,
     pub(super) accuracies: &'a [Accuracy],
     pub(super) notes: &'a [String],
+    pub(super) corrections: Option<String>,
 }
 
 /// Returns the summary; each line ends with a line feed.
@@ -54,6 +55,9 @@ pub(super) fn text(about: &About, trajectory: &Trajectory, map: &TrajectoryMap) 
     }
     if !about.accuracies.is_empty() {
         row("accuracy", accuracy(about.accuracies));
+    }
+    if let Some(file) = &about.corrections {
+        row("corrected", format!("by {file}"));
     }
     for note in about.notes {
         row("note", note.clone());

@@ -496,7 +496,29 @@ fn texts(add: &mut Add) {
         "numbers",
         b"# lever arm\n0.1 -0.2 0.3, 0.01 0.02 0.03\ne0: 0.1 0 0 0 0 0 0 0\n".to_vec(),
     );
+    add("corrections", "two_strips", CORRECTIONS.into());
 }
+
+/// Corrections of two strips: a line, and a constant.
+const CORRECTIONS: &str = "\
+version = 1
+time = \"week\"
+
+[[strip]]
+recording = \"a\"
+first_s = 208800.0
+last_s = 208860.5
+knots = [
+  { time_s = 208800.0, north_east_down_m = [0.01, -0.02, 0.005], roll_pitch_heading_deg = [0.001, 0.0, -0.002] },
+  { time_s = 208860.5, north_east_down_m = [0.02, -0.01, 0.0] },
+]
+
+[[strip]]
+recording = \"b\"
+first_s = 209100.0
+last_s = 209160.0
+knots = [{ time_s = 209130.0, roll_pitch_heading_deg = [0.0, 0.003, 0.0] }]
+";
 
 /// Values of two records with two blocks each, as `examples/sdf_any_values` takes them.
 fn any_values() -> Vec<u8> {

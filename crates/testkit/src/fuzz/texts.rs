@@ -1,4 +1,4 @@
-//! Texts: jobs, classic command lines, reports, plans, tables, calibrations and sensor models.
+//! Texts: jobs, classic command lines, reports, plans, tables, calibrations, corrections and sensor models.
 
 use std::fs;
 use std::path::Path;
@@ -7,12 +7,14 @@ use std::sync::LazyLock;
 use wavex::classic::draft::Known;
 use wavex::classic::{Place, import as import_line};
 use wavex::cluster::SurveyPlan;
-use wavex::georef::calibration::Calibration;
+use wavex::georef::calibration::read_calibration;
+use wavex::georef::corrections::CorrectionsFile;
 use wavex::job::{Include, Job, Override, included};
 use wavex::registry::STAGES;
 use wavex::report::{read_report, write_page_of};
 use wavex::stages::process::calibrate::{model_json, parse_model};
 use wavex_formats::lookup_tables::LookupTables;
+use wavex_geodesy::time_axis::{Clock, TimeSpan};
 
 use super::{Files, parts};
 
@@ -111,10 +113,29 @@ pub fn lookup_tables(bytes: &[u8]) {
 pub fn calibration(bytes: &[u8]) {
     for name in ["a.toml", "a.txt"] {
         let place = Files::with(&[(name, bytes)]);
-        let Ok(calibration) = Calibration::read(&place.path(name)) else { continue };
+        let Ok(calibration) = read_calibration(&place.path(name)) else { continue };
         assert!(calibration.lever_arm_m.iter().chain(&calibration.boresight_deg).all(|v| v.is_finite()));
         let _ = (calibration.range_m(1000.0, true), calibration.angle_correction_rad(0.3));
         let _ = calibration.keeps_angles();
+    }
+}
+
+/// A correction file; it is the same after writing.
+pub fn corrections(bytes: &[u8]) {
+    let Ok(file) = CorrectionsFile::parse(&String::from_utf8_lossy(bytes)) else { return };
+    let text = file.to_text().unwrap();
+    assert_eq!(CorrectionsFile::parse(&text).as_ref(), Ok(&file));
+    for strip in &file.strips {
+        let corrections = strip.corrections().unwrap();
+        let times_s = strip.knots.iter().map(|knot| knot.time_s).chain([strip.first_s, strip.last_s]);
+        for offset in times_s.map(|time_s| corrections.at(time_s)) {
+            let values = offset.north_east_down_m.into_iter().chain(offset.roll_pitch_heading_rad);
+            assert!(values.into_iter().all(f64::is_finite));
+        }
+    }
+    let week = TimeSpan { clock: Clock::Week, first_s: 0.0, last_s: 600_000.0 };
+    if let Ok(joined) = file.on_trajectory(None, week) {
+        assert!(!joined.knots().is_empty());
     }
 }
 

@@ -163,6 +163,9 @@ pub struct TrajectorySummary {
     pub median_step_s: f64,
     /// Number of gaps, including bridged ones.
     pub gaps: usize,
+    /// Path of the file of its corrections.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub corrections: Option<String>,
 }
 
 impl From<(&Path, &Trajectory)> for TrajectorySummary {
@@ -173,6 +176,7 @@ impl From<(&Path, &Trajectory)> for TrajectorySummary {
             span_s: trajectory.span_s(),
             median_step_s: trajectory.median_step_s(),
             gaps: trajectory.gaps().len(),
+            corrections: None,
         }
     }
 }
@@ -213,7 +217,13 @@ impl InputSummary {
             channel_fusion: totals.fusion.as_deref().cloned(),
             survey_instrument,
             sensor_model: totals.model.as_deref().filter(|_| survey_instrument.is_none()).cloned(),
-            trajectory: run.geometry.trajectory().map(TrajectorySummary::from),
+            trajectory: run.geometry.trajectory().map(|trajectory| TrajectorySummary {
+                corrections: run
+                    .geometry
+                    .corrections()
+                    .map(|corrections| corrections.file().to_string_lossy().into_owned()),
+                ..TrajectorySummary::from(trajectory)
+            }),
             // An error here would already have ended the run.
             coordinates: input
                 .and_then(|input| run.geometry.target(input).ok().flatten())

@@ -1,136 +1,78 @@
-//! Scanner calibration: lever arm, boresight, and range and angle corrections.
-//!
-//! The parameters e0 to e7 have public names, but no public signs or units: those here are this
-//! program's own.
+//! Calibration files, and the range scale of a return.
 
 use std::path::Path;
 
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
-use crate::keys::{Keys, at_least};
+use crate::keys::Keys;
 use crate::scan_line::ReturnChannel;
 use wavex_formats::extensions::has_extension;
 use wavex_formats::{Error, Result, read_small_text};
-
-/// Calibration; all zero means none.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Calibration {
-    /// Lever arm from trajectory to scanner origin, m, in body axes: forward, right, down.
-    #[schemars(transform = at_least(-100.0).at_most(100.0))]
-    pub lever_arm_m: [f64; 3],
-    /// Boresight rotation, applied before the mount, degrees: roll, pitch and yaw, `Rz(yaw)
-    /// Ry(pitch) Rx(roll)`.
-    #[schemars(transform = at_least(-360.0).at_most(360.0))]
-    pub boresight_deg: [f64; 3],
-    /// Range offset, m.
-    #[schemars(range(min = -100.0, max = 100.0))]
-    pub e0: f64,
-    /// Range scale correction: this fraction of every range is added to it.
-    #[schemars(range(min = -0.5, max = 0.5))]
-    pub e1: f64,
-    /// Scan angle scale correction: this fraction of the angle is added to it.
-    #[schemars(range(min = -0.5, max = 0.5))]
-    pub e2: f64,
-    /// Quadratic scan angle correction, per radian.
-    #[schemars(range(min = -0.5, max = 0.5))]
-    pub e3: f64,
-    /// Cubic scan angle correction, per square radian.
-    #[schemars(range(min = -0.5, max = 0.5))]
-    pub e4: f64,
-    /// No effect.
-    #[schemars(range(min = -1e6, max = 1e6))]
-    pub e5: f64,
-    /// Scan angle offset, radians.
-    #[schemars(range(min = -0.5, max = 0.5))]
-    pub e6: f64,
-    /// Range offset of the low-power receiver, m.
-    #[schemars(range(min = -100.0, max = 100.0))]
-    pub e7: f64,
-}
+pub use wavex_geodesy::calibration::Calibration;
 
 /// Size limit of a calibration file, bytes.
 const MOST_BYTES: u64 = 100_000;
 
-const REMEDY: &str = "a calibration is a TOML file with `lever_arm_m`, `boresight_deg` and `e0` to `e7`, or text of 12 to \
+const REMEDY: &str = "a calibration is a TOML file with `lever_arm_m`, `boresight_deg`, `e0` to `e7` and `time_offset_s`, or text of 12 to \
                       14 numbers: lever arm X Y Z (m), boresight roll pitch yaw (degrees), e0 to e5 and optionally e6 e7";
 
-impl Calibration {
-    /// Reads a calibration file.
-    ///
-    /// A name ending in `.toml` means TOML. Other files hold the 12 to 14 numbers of BayesWavEx's
-    /// `-calib_corr` (lever arm, boresight, e0 to e7), separated by spaces, commas or line ends;
-    /// `#` starts a comment, and words are skipped.
-    ///
-    /// # Errors
-    /// A file that cannot be read, or is neither.
-    pub fn read(path: &Path) -> Result<Calibration> {
-        let text = read_small_text(path, MOST_BYTES, "a calibration", REMEDY)?;
-        let is_toml = has_extension(path, "toml");
-        let found = if is_toml {
-            toml::from_str(&text).map_err(|error| error.to_string().trim_end().to_owned())
-        } else {
-            Calibration::of_numbers(&text)
-        };
-        let found = found.map_err(|problem| Error::unusable(path, problem, REMEDY))?;
-        // Implausible lengths and angles are typing or unit errors.
-        match Keys::of(Calibration::json_schema).violation(&found) {
-            Some(problem) => Err(Error::unusable(path, problem, REMEDY)),
-            None => Ok(found),
+/// Reads a calibration file.
+///
+/// A name ending in `.toml` means TOML. Other files hold the 12 to 14 numbers of BayesWavEx's
+/// `-calib_corr` (lever arm, boresight, e0 to e7), separated by spaces, commas or line ends;
+/// `#` starts a comment, and words are skipped.
+///
+/// # Errors
+/// A file that cannot be read, or is neither.
+pub fn read_calibration(path: &Path) -> Result<Calibration> {
+    let text = read_small_text(path, MOST_BYTES, "a calibration", REMEDY)?;
+    let is_toml = has_extension(path, "toml");
+    let found = if is_toml {
+        toml::from_str(&text).map_err(|error| error.to_string().trim_end().to_owned())
+    } else {
+        of_numbers(&text)
+    };
+    let found = found.map_err(|problem| Error::unusable(path, problem, REMEDY))?;
+    // Implausible lengths and angles are typing or unit errors.
+    match Keys::of(Calibration::json_schema).violation(&found) {
+        Some(problem) => Err(Error::unusable(path, problem, REMEDY)),
+        None => Ok(found),
+    }
+}
+
+fn of_numbers(text: &str) -> std::result::Result<Calibration, String> {
+    let lines = text.lines().map(|line| line.split('#').next().unwrap_or_default());
+    let words = lines.flat_map(|line| line.split([' ', '\t', ',', ';', '{', '}', ':', '=']));
+    // Names such as `e0` and `Boresight` precede their numbers; a word that starts like a
+    // number must be one.
+    let begins_as_number =
+        |word: &&str| word.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first));
+    let mut numbers = [0.0; 14];
+    let mut n = 0;
+    for word in words.filter(begins_as_number) {
+        let number = word.parse().map_err(|_| format!("`{word}` is not a number"))?;
+        if let Some(place) = numbers.get_mut(n) {
+            *place = number;
         }
+        n += 1;
     }
-
-    fn of_numbers(text: &str) -> std::result::Result<Calibration, String> {
-        let lines = text.lines().map(|line| line.split('#').next().unwrap_or_default());
-        let words = lines.flat_map(|line| line.split([' ', '\t', ',', ';', '{', '}', ':', '=']));
-        // Names such as `e0` and `Boresight` precede their numbers; a word that starts like a
-        // number must be one.
-        let begins_as_number =
-            |word: &&str| word.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first));
-        let mut numbers = [0.0; 14];
-        let mut n = 0;
-        for word in words.filter(begins_as_number) {
-            let number = word.parse().map_err(|_| format!("`{word}` is not a number"))?;
-            if let Some(place) = numbers.get_mut(n) {
-                *place = number;
-            }
-            n += 1;
-        }
-        if !(12..=14).contains(&n) {
-            return Err(format!("it has {n} numbers instead of 12 to 14"));
-        }
-        let [x, y, z, roll, pitch, yaw, e0, e1, e2, e3, e4, e5, e6, e7] = numbers;
-        Ok(Calibration {
-            lever_arm_m: [x, y, z],
-            boresight_deg: [roll, pitch, yaw],
-            e0,
-            e1,
-            e2,
-            e3,
-            e4,
-            e5,
-            e6,
-            e7,
-        })
+    if !(12..=14).contains(&n) {
+        return Err(format!("it has {n} numbers instead of 12 to 14"));
     }
-
-    /// Corrected range, m: `(1 + e1) range + e0`, and `+ e7` on the scale of the low-power
-    /// receiver.
-    pub fn range_m(&self, range_m: f64, on_low_power_scale: bool) -> f64 {
-        let of_receiver_m = if on_low_power_scale { self.e7 } else { 0.0 };
-        (1.0 + self.e1) * range_m + self.e0 + of_receiver_m
-    }
-
-    /// Scan angle correction, rad: `e6 + e2 angle + e3 angle² + e4 angle³`.
-    pub fn angle_correction_rad(&self, angle_rad: f64) -> f64 {
-        self.e6 + angle_rad * (self.e2 + angle_rad * (self.e3 + angle_rad * self.e4))
-    }
-
-    /// Whether scan angles are left unchanged.
-    pub fn keeps_angles(&self) -> bool {
-        [self.e2, self.e3, self.e4, self.e6] == [0.0; 4]
-    }
+    let [x, y, z, roll, pitch, yaw, e0, e1, e2, e3, e4, e5, e6, e7] = numbers;
+    Ok(Calibration {
+        lever_arm_m: [x, y, z],
+        boresight_deg: [roll, pitch, yaw],
+        e0,
+        e1,
+        e2,
+        e3,
+        e4,
+        e5,
+        e6,
+        e7,
+        time_offset_s: 0.0,
+    })
 }
 
 /// Whether a return is on the time scale of the low-power receiver.
@@ -150,7 +92,7 @@ mod tests {
         let path = folder.path().join(name);
         std::fs::write(&path, text).unwrap();
         let here = format!("{}: ", path.display());
-        Calibration::read(&path).map_err(|error| error.to_string().replace(&here, ""))
+        read_calibration(&path).map_err(|error| error.to_string().replace(&here, ""))
     }
 
     #[test]
@@ -196,26 +138,12 @@ mod tests {
         assert_eq!(error, format!("{problem}; {REMEDY}"));
         let error = refused(&"0 ".repeat(60_000));
         assert_eq!(error, format!("120000 bytes is too large for a calibration; {REMEDY}"));
-        let missing = Calibration::read(Path::new("no_such_calibration")).unwrap_err().to_string();
+        let missing = read_calibration(Path::new("no_such_calibration")).unwrap_err().to_string();
         assert!(missing.starts_with("no_such_calibration: cannot open: "), "{missing}");
     }
 
     #[test]
-    fn ranges_and_angles_follow_their_formulas() {
-        let calibration = Calibration {
-            e0: 0.5,
-            e1: 1e-3,
-            e2: 2e-3,
-            e3: 3e-3,
-            e4: 4e-3,
-            e6: 1e-3,
-            e7: 0.25,
-            ..Default::default()
-        };
-        assert!((calibration.range_m(1000.0, false) - 1001.5).abs() < 1e-12);
-        assert!((calibration.range_m(1000.0, true) - 1001.75).abs() < 1e-12);
-        assert!((calibration.angle_correction_rad(0.5) - (1e-3 + 1e-3 + 0.75e-3 + 0.5e-3)).abs() < 1e-16);
-        assert!(!calibration.keeps_angles() && Calibration { e5: 1.0, ..Default::default() }.keeps_angles());
+    fn returns_know_their_range_scale() {
         let scales = [ReturnChannel::Low, ReturnChannel::High, ReturnChannel::Joint];
         assert_eq!(scales.map(|channel| is_on_low_power_scale(channel, false)), [true, false, true]);
         assert_eq!(scales.map(|channel| is_on_low_power_scale(channel, true)), [true; 3]);

@@ -3,8 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::applied_corrections::{AppliedCorrections, corrected_twice, recording_span, without_entry};
 use super::area_of_use::{label, outside_of_map};
-use super::calibration::Calibration;
+use super::calibration::{Calibration, read_calibration};
+use super::corrections::CorrectionsFile;
 use super::keys::{CalibrationKey, GeometryKeys};
 use super::output_crs::{CrsRequest, OutputCrs};
 use super::trajectory_file::Track;
@@ -23,6 +25,9 @@ pub struct Geometry {
     keys: GeometryKeys,
     installation: Installation,
     track: Option<Arc<Track>>,
+    corrections: Option<AppliedCorrections>,
+    /// Notes on the corrections.
+    notes: Vec<String>,
     wanted: CrsRequest,
 }
 
@@ -35,6 +40,7 @@ pub struct Loader {
     input_dir: PathBuf,
     installation: Installation,
     wanted: CrsRequest,
+    corrections: Option<(PathBuf, CorrectionsFile)>,
     last: Option<Arc<Track>>,
 }
 
@@ -50,14 +56,19 @@ impl Loader {
     /// Reads the files that do not depend on the input.
     ///
     /// # Errors
-    /// A calibration or geoid that cannot be read, or an unknown coordinate reference system.
+    /// A calibration, correction file or geoid that cannot be read, or an unknown coordinate reference system.
     pub fn new(keys: &GeometryKeys, input_dir: &Path) -> Result<Loader> {
         let calibration = match &keys.calibration {
-            Some(CalibrationKey::File(file)) => Calibration::read(&input_dir.join(file))?,
+            Some(CalibrationKey::File(file)) => read_calibration(&input_dir.join(file))?,
             Some(CalibrationKey::Inline(calibration)) => *calibration,
             None => Calibration::default(),
         };
+        let corrections = keys.corrections.as_ref().map(|file| {
+            let file = input_dir.join(file);
+            CorrectionsFile::read(&file).map(|corrections| (file, corrections))
+        });
         Ok(Loader {
+            corrections: corrections.transpose()?,
             installation: Installation::new(&keys.mount.unwrap_or_default(), &calibration),
             wanted: CrsRequest::load(keys, input_dir)?,
             keys: keys.clone(),
@@ -72,7 +83,7 @@ impl Loader {
     /// trajectory cannot be read.
     ///
     /// # Errors
-    /// A trajectory that cannot be read, but is needed.
+    /// A trajectory that cannot be read, but is needed; ambiguous times of the corrections.
     pub fn load(&mut self, stem: &str, is_placed: impl FnOnce() -> bool) -> Result<Geometry> {
         let file =
             self.keys.trajectory.as_ref().map(|pattern| self.input_dir.join(pattern.replace('*', stem)));
@@ -80,7 +91,16 @@ impl Loader {
             Err(_) if is_placed() => None,
             track => track?,
         };
-        Ok(Geometry::of(self.keys.clone(), self.installation, self.wanted.clone(), track))
+        let mut geometry = Geometry::of(self.keys.clone(), self.installation, self.wanted.clone(), track);
+        if let (Some((file, corrections)), Some(track)) = (&self.corrections, &geometry.track) {
+            geometry.corrections = AppliedCorrections::of(file, corrections, stem, track.times)?;
+            let note = match &geometry.corrections {
+                Some(_) => corrected_twice(track.file()),
+                None => Some(without_entry(file, corrections, stem)),
+            };
+            geometry.notes.extend(note);
+        }
+        Ok(geometry)
     }
 
     fn track(&mut self, file: &Path, stem: &str) -> Result<Arc<Track>> {
@@ -100,12 +120,17 @@ impl Loader {
 pub struct ShotPoses<'a> {
     poses: Poses<'a>,
     alignment: Alignment,
+    /// Added to times on the axis of the trajectory, s.
+    offset_s: f64,
+    corrections: Option<&'a AppliedCorrections>,
 }
 
 impl ShotPoses<'_> {
-    /// Pose of the aircraft; `None` outside the trajectory or in a gap.
+    /// Corrected pose of the aircraft; `None` outside the trajectory or in a gap.
     pub fn at(&mut self, gps_time_s: f64) -> Option<Pose> {
-        self.poses.at(self.alignment.on_trajectory(gps_time_s))
+        let time_s = self.alignment.on_trajectory(gps_time_s) + self.offset_s;
+        let pose = self.poses.at(time_s)?;
+        Some(self.corrections.map_or(pose, |corrections| corrections.at(time_s).applied_to(&pose)))
     }
 }
 
@@ -129,7 +154,7 @@ impl Geometry {
         wanted: CrsRequest,
         track: Option<Arc<Track>>,
     ) -> Geometry {
-        Geometry { keys, installation, track, wanted }
+        Geometry { keys, installation, track, corrections: None, notes: Vec::new(), wanted }
     }
 
     /// The keys of the job.
@@ -157,16 +182,32 @@ impl Geometry {
         self.track.as_ref().is_some_and(|track| track.knows_accuracy)
     }
 
-    /// Notes on the trajectory.
-    pub fn notes(&self) -> &[String] {
-        self.track.as_ref().map_or(&[], |track| &track.notes)
+    /// Notes on the trajectory and its corrections.
+    pub fn notes(&self) -> impl Iterator<Item = &String> {
+        self.track.iter().flat_map(|track| &track.notes).chain(&self.notes)
+    }
+
+    /// Corrections of the trajectory.
+    pub fn corrections(&self) -> Option<&AppliedCorrections> {
+        self.corrections.as_ref()
+    }
+
+    /// Checks the times of all shots of a recording against its corrections; returns a warning.
+    ///
+    /// # Errors
+    /// The corrections are for another time.
+    pub fn judge_corrections(&self, input: &InputInfo, span_s: [f64; 2]) -> Result<Option<String>> {
+        match self.corrections.as_ref().zip(recording_span(input, span_s)) {
+            Some((corrections, recording)) => corrections.judge(recording),
+            None => Ok(None),
+        }
     }
 
     /// Aligns the times of a recording with the times of the trajectory; `None` without a trajectory.
     ///
     /// # Errors
-    /// The time scale of the recording is unknown, its times are ambiguous on the trajectory, or both have
-    /// dates of different weeks.
+    /// The time scale of the recording is unknown, its times are ambiguous on the trajectory, both have
+    /// dates of different weeks, or the corrections are for another time.
     pub fn align(&self, input: &InputInfo, first_s: f64) -> Result<Option<Alignment>> {
         let Some(track) = &self.track else { return Ok(None) };
         let Some(clock) = Clock::of(input.time_scale) else {
@@ -191,7 +232,14 @@ impl Geometry {
                      that of the trajectory in its header or its adjusted times",
                 ))
             }
-            _ => Ok(Some(alignment)),
+            _ => {
+                if let Some((corrections, start)) =
+                    self.corrections.as_ref().zip(recording_span(input, [first_s; 2]))
+                {
+                    corrections.judge_start(start)?;
+                }
+                Ok(Some(alignment))
+            }
         }
     }
 
@@ -202,7 +250,9 @@ impl Geometry {
 
     /// Poses for a sequence of times; `None` without a trajectory.
     pub fn poses(&self, alignment: Alignment) -> Option<ShotPoses<'_>> {
-        Some(ShotPoses { poses: self.track.as_ref()?.trajectory.poses(), alignment })
+        let poses = self.track.as_ref()?.trajectory.poses();
+        let offset_s = self.installation.calibration().time_offset_s;
+        Some(ShotPoses { poses, alignment, offset_s, corrections: self.corrections.as_ref() })
     }
 
     /// The output CRS, with the zone of the first shot; `None` before the first shot in the

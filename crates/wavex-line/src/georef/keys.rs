@@ -49,10 +49,15 @@ pub struct GeometryKeys {
     /// degrees. Defaults to `level`.
     pub mount: Option<Mount>,
     /// Lever arm, boresight and internal parameters: a table with `lever_arm_m` (forward, right,
-    /// down), `boresight_deg` (roll, pitch, yaw) and `e0` to `e7`, each 0 by default; or a file
-    /// that contains them.
+    /// down), `boresight_deg` (roll, pitch, yaw), `e0` to `e7` and `time_offset_s` (added to the times of
+    /// shots), each 0 by default; or a file that contains them, such as that of `wavex align`.
     #[schemars(extend("x-file" = "input"))]
     pub calibration: Option<CalibrationKey>,
+    /// File of corrections of the trajectory: offsets of position and attitude over time for each
+    /// recording, as strip adjustment estimates them. Recordings without an entry are not corrected,
+    /// with a warning.
+    #[schemars(extend("x-file" = "input"))]
+    pub corrections: Option<String>,
     /// Coordinate reference system of the points: `utm` (the zone of the first shot), `utm:33N`,
     /// `EPSG:2154`, a file with WKT, `geodetic` (longitude and latitude in degrees), or `ecef`.
     /// Defaults to `utm`.
@@ -175,7 +180,7 @@ pub enum CalibrationKey {
 /// A key, the key it requires, and tests for the presence of both.
 type Companion = (&'static str, &'static str, fn(&GeometryKeys) -> bool, fn(&GeometryKeys) -> bool);
 
-const COMPANIONS: [Companion; 8] = [
+const COMPANIONS: [Companion; 9] = [
     ("geometry.trajectory_time", "trajectory", |keys| keys.trajectory_time.is_some(), has_trajectory),
     ("geometry.trajectory_angles", "trajectory", |keys| keys.trajectory_angles.is_some(), has_trajectory),
     ("geometry.trajectory_columns", "trajectory", |keys| keys.trajectory_columns.is_some(), has_trajectory),
@@ -188,6 +193,7 @@ const COMPANIONS: [Companion; 8] = [
     ("geometry.trajectory_limits", "trajectory", |keys| !keys.trajectory_limits.is_default(), has_trajectory),
     ("geometry.trajectory_accuracy", "trajectory", |keys| keys.trajectory_accuracy.is_some(), has_trajectory),
     ("geometry.trajectory_heights", "trajectory", |keys| keys.trajectory_heights.is_some(), has_trajectory),
+    ("geometry.corrections", "trajectory", |keys| keys.corrections.is_some(), has_trajectory),
     (
         "geometry.trajectory_heights",
         "geoid",
@@ -256,6 +262,7 @@ impl GeometryKeys {
         };
         let given = [
             ("`trajectory`", self.trajectory.is_some()),
+            ("`corrections`", self.corrections.is_some()),
             ("`mount`", self.turns_scanners()),
             (calibration, calibrates),
         ];
@@ -291,7 +298,12 @@ mod tests {
 
     #[test]
     fn a_key_of_no_use_alone_is_refused() {
-        for key in ["trajectory_time = 'day'", "trajectory_angles = 'rad'", "trajectory_accuracy = 'a.poq'"] {
+        for key in [
+            "trajectory_time = 'day'",
+            "trajectory_angles = 'rad'",
+            "trajectory_accuracy = 'a.poq'",
+            "corrections = 'c.toml'",
+        ] {
             let problem = checked(key).unwrap_err();
             assert_eq!(problem.problem, "it has no effect without `trajectory`", "{key}");
             assert_eq!(checked(&format!("trajectory = 'a.out'\n{key}")), Ok(()));
@@ -318,6 +330,7 @@ mod tests {
     fn keys_that_a_recording_does_not_use_are_named() {
         let unused = |text: &str, frame| toml::from_str::<GeometryKeys>(text).unwrap().unused_in(frame);
         let all = "trajectory = 'a.out'\nmount = 'x_down_z_left'\ncalibration = 'c.toml'";
+        let corrected = "trajectory = 'a.out'\ncorrections = 'c.toml'";
         let given = [
             (
                 "trajectory = 'a.out'",
@@ -329,6 +342,12 @@ mod tests {
                 Frame::Map,
                 "the recording is already in a projected CRS: `trajectory`, `mount` and `calibration` are not used; \
                  remove them from `[job.geometry]`",
+            ),
+            (
+                corrected,
+                Frame::Earth,
+                "the recording is already georeferenced: `trajectory` and `corrections` are not used; remove them from \
+                 `[job.geometry]`",
             ),
             (
                 "calibration = { e0 = 1.0, e2 = 0.1 }",

@@ -100,7 +100,11 @@ impl PoseSource {
                  direction of flight",
             );
         }
-        self.coverage.finish(self.alignment.as_ref(), cx)
+        self.coverage.finish(self.alignment.as_ref(), cx)?;
+        if let (Some(span_s), Some([input, _])) = (self.coverage.span_s, &self.input) {
+            self.geometry.judge_corrections(input, span_s)?.into_iter().for_each(|warning| cx.warn(warning));
+        }
+        Ok(())
     }
 
     fn place(&mut self, mut scan_line: ScanLine, cx: &mut Context) -> Result<ScanLine> {
@@ -149,7 +153,7 @@ impl PoseSource {
             self.alignment = self.geometry.align(&scan_line.input, first.gps_time_s)?;
         }
         if self.coverage.span_s.is_none() {
-            self.geometry.notes().iter().for_each(|note| cx.warn(note));
+            self.geometry.notes().for_each(|note| cx.warn(note));
         }
         let without_angles = are_unknown(&scan_line.emissions);
         let mut down = None;

@@ -169,6 +169,9 @@ fn trajectory(text: &mut SectionedText, trajectory: Option<&TrajectorySummary>) 
     text.row("from, to", format_args!("{first_s:.3} s, {last_s:.3} s"));
     text.row("median step", format_args!("{:.6} s", trajectory.median_step_s));
     text.row("gaps", trajectory.gaps);
+    if let Some(file) = &trajectory.corrections {
+        text.row("corrections", file);
+    }
 }
 
 /// Mount, calibration, geoid and unit of `[job.geometry]`, by name.

@@ -259,8 +259,8 @@ mod tests {
             let found = marks.iter().filter(|(_, mark)| *mark == wanted);
             found.map(|(pointer, _)| pointer.as_str()).collect::<Vec<_>>()
         };
-        let inputs =
-            ["trajectory", "trajectory_accuracy", "calibration"].map(|key| format!("/geometry/{key}"));
+        let inputs = ["trajectory", "trajectory_accuracy", "calibration", "corrections"]
+            .map(|key| format!("/geometry/{key}"));
         assert_eq!(with(FileMark::Input), [&["/survey_model".to_owned()][..], &inputs].concat());
         assert_eq!(with(FileMark::Geoid), ["/geometry/geoid"]);
         assert_eq!(with(FileMark::GeoidFolder), ["/geometry/geoid_dir"]);

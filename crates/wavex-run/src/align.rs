@@ -1,0 +1,227 @@
+//! Alignment of a survey's strips: calibration and corrections of trajectories from their overlaps.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use rayon::ThreadPoolBuilder;
+
+use crate::Failure;
+use crate::run::folders;
+use strips::{SurveyStrips, collect};
+use wavex_align::adjust::{AlignSettings, Alignment, align as adjust};
+use wavex_align::estimable::Verdict;
+use wavex_align::parameters::{Global, GlobalPriors};
+use wavex_align::survey::{Installation, Strip, Survey};
+use wavex_engine::engine::{Cancel, Options, ProgressMode};
+use wavex_engine::job::Job;
+use wavex_formats::Error;
+use wavex_geodesy::calibration::Calibration;
+use wavex_line::georef::corrections::{CorrectionsFile, StripCorrections};
+use wavex_line::georef::keys::CalibrationKey;
+use wavex_line::stage::{FinishedFile, OutputFile};
+
+pub use wavex_align::parameters::TrajectoryModel;
+
+mod report;
+mod strips;
+mod words;
+
+/// Name of the calibration that an alignment writes.
+pub const CALIBRATION_FILE: &str = "calibration.toml";
+/// Name of the corrections of trajectories that an alignment writes.
+pub const CORRECTIONS_FILE: &str = "corrections.toml";
+/// Name of the report of an alignment.
+pub const REPORT_FILE: &str = "align.json";
+
+/// SD of the range offset of the low-power receiver if both receivers have patches, m.
+const RECEIVER_OFFSET_SD_M: f64 = 0.05;
+
+/// Survey to align.
+#[derive(Clone, Debug)]
+pub struct AlignRequest<'a> {
+    /// The job; its sinks are not run.
+    pub job: &'a Job,
+    /// Folder of the job file.
+    pub folder: &'a Path,
+    /// Folder to write.
+    pub output: &'a Path,
+    /// Form of the corrections of trajectories.
+    pub trajectory: TrajectoryModel,
+    /// Progress display.
+    pub progress: ProgressMode,
+    /// Ends the alignment early when set.
+    pub cancel: Cancel,
+}
+
+/// Completed alignment.
+#[derive(Clone, Debug)]
+pub struct Aligned {
+    /// Table for people: parameters, differences of the strips, verdict, next command.
+    pub text: String,
+    /// Problems of strips that were left out or not aligned.
+    pub warnings: Vec<String>,
+    /// Written files.
+    pub written: Vec<PathBuf>,
+    /// Rating.
+    pub verdict: Verdict,
+}
+
+/// Estimates calibration and corrections of trajectories from the overlaps of a job's inputs.
+///
+/// Writes [`CALIBRATION_FILE`], [`REPORT_FILE`] and, unless trajectories are kept, [`CORRECTIONS_FILE`]. Inputs that
+/// cannot be read are left out.
+///
+/// # Errors
+/// A job without trajectory or points, fewer than two strips, strips that do not overlap, files that cannot be written.
+pub fn align(request: &AlignRequest<'_>) -> Result<Aligned, Failure> {
+    let job = request.job;
+    let (input_dir, output_dir) = folders(job, request.folder);
+    check(request, &input_dir)?;
+    let options = Options {
+        progress: request.progress,
+        cancel: request.cancel.clone(),
+        ..Options::of_job(job, &input_dir, output_dir)
+    };
+    let settings = AlignSettings { trajectory_model: request.trajectory, ..AlignSettings::default() };
+    let survey = collect(job, &options, &settings)?;
+    let result = adjusted(&survey, &settings, options.workers())?;
+    let written = write(request, &survey, &result)?;
+    let warnings = survey.failures.iter().map(|failed| format!("left out: {}", failed.problem));
+    let warnings: Vec<String> = warnings.chain(unconnected(&survey, &result)).collect();
+    let is_bad = (result.verdict == Verdict::Bad).then(|| words::IS_BAD.to_owned());
+    let warnings = warnings.into_iter().chain(is_bad).collect();
+    let text = words::summary(&survey, &result) + &words::next_command(request, &input_dir, &written);
+    Ok(Aligned { text, warnings, written, verdict: result.verdict })
+}
+
+/// Checks what the job alone shows.
+fn check(request: &AlignRequest<'_>, input_dir: &Path) -> Result<(), Failure> {
+    let AlignRequest { job, output, .. } = request;
+    let keys = &job.settings.geometry;
+    let wrong = |problem: &str| Err(Failure::Wrong(format!("{}: {problem}", job.name)));
+    if !job.stages.iter().any(|stage| stage.spec.name == "georeference") {
+        return wrong("the job has no stage `georeference`; add one after `decompose`");
+    }
+    if keys.trajectory.is_none() {
+        return wrong("the job has no trajectory; set `trajectory` in `[job.geometry]`");
+    }
+    if request.trajectory == TrajectoryModel::None && keys.corrections.is_some() {
+        return wrong(
+            "`--trajectory none` keeps the trajectory as recorded, but the job corrects it; remove `corrections` from \
+             `[job.geometry]`, or choose another `--trajectory`",
+        );
+    }
+    let calibration = match &keys.calibration {
+        Some(CalibrationKey::File(file)) => Some(file),
+        _ => None,
+    };
+    for (file, name) in [(calibration, CALIBRATION_FILE), (keys.corrections.as_ref(), CORRECTIONS_FILE)] {
+        let Some(file) = file else { continue };
+        let (read, written) = (input_dir.join(file).canonicalize(), output.join(name).canonicalize());
+        if let (Ok(read), Ok(written)) = (read, written)
+            && read == written
+        {
+            let problem =
+                format!("{}: the job reads this file; write to another folder", output.join(name).display());
+            return Err(Failure::Wrong(problem));
+        }
+    }
+    Ok(())
+}
+
+/// Runs the adjustment on this number of threads.
+fn adjusted(survey: &SurveyStrips, settings: &AlignSettings, threads: usize) -> Result<Alignment, Failure> {
+    let failed = |problem: String| Failure::Run(problem);
+    let Some(horizon) = survey.horizon else {
+        return Err(failed("no strip has a pose: check the trajectory".into()));
+    };
+    let mut priors = GlobalPriors::default();
+    let is_low = |low: bool| survey.patches.iter().any(|patch| patch.source.on_low_power_scale == low);
+    if is_low(true) && is_low(false) {
+        priors.0[Global::E7 as usize] = RECEIVER_OFFSET_SD_M;
+    }
+    let scanner = survey.scanner;
+    let strips: Vec<Strip> =
+        survey.strips.iter().map(|strip| Strip { trajectory: strip.trajectory, installation: 0 }).collect();
+    let given = Survey {
+        trajectories: &survey.trajectories,
+        installations: &[Installation { scanner, priors }],
+        strips: &strips,
+        patches: &survey.patches,
+        horizon,
+    };
+    let pool = ThreadPoolBuilder::new().num_threads(threads).build();
+    let pool =
+        pool.map_err(|error| failed(format!("cannot start threads: {error}; set fewer `--threads`")))?;
+    pool.install(|| adjust(&given, settings)).map_err(|error| failed(error.to_string()))
+}
+
+/// Strips that share no surface with others.
+fn unconnected<'a>(survey: &'a SurveyStrips, result: &'a Alignment) -> impl Iterator<Item = String> + 'a {
+    let pairs = survey.strips.iter().zip(&result.strips);
+    pairs.filter(|(_, found)| found.n_pairs == 0).map(|(strip, _)| {
+        format!(
+            "{}: the strip shares no smooth surface with another one and is not aligned; check its trajectory and area, or \
+             remove it from the job",
+            strip.name
+        )
+    })
+}
+
+/// Calibration after alignment.
+fn calibration_of(result: &Alignment) -> Option<Calibration> {
+    let scanner = result.state.scanners.first()?;
+    Some(Calibration { time_offset_s: scanner.time_offset_s, ..scanner.calibration })
+}
+
+/// Writes the files; returns their paths.
+fn write(
+    request: &AlignRequest<'_>,
+    survey: &SurveyStrips,
+    result: &Alignment,
+) -> Result<Vec<PathBuf>, Failure> {
+    let path = |name: &str| request.output.join(name);
+    let (calibration, corrections) = (path(CALIBRATION_FILE), path(CORRECTIONS_FILE));
+    let Some(found) = calibration_of(result) else { return Ok(Vec::new()) };
+    let mut finished =
+        vec![finished(&calibration, &words::calibration_text(&found))?.replacing([corrections.clone()])];
+    if let Some(text) = corrections_text(survey, result)? {
+        finished.push(self::finished(&corrections, &text)?);
+    }
+    let report = report::report(request, survey, result);
+    let report = serde_json::to_string_pretty(&report).map_err(|error| Failure::Run(error.to_string()))?;
+    finished.push(self::finished(&path(REPORT_FILE), &(report + "\n"))?);
+    let published = finished.into_iter().map(FinishedFile::publish);
+    published.collect::<Result<_, _>>().map_err(|error| Failure::Run(error.to_string()))
+}
+
+fn finished(path: &Path, text: &str) -> Result<FinishedFile, Failure> {
+    let failed = |error: Error| Failure::Run(error.to_string());
+    let mut file = OutputFile::create(path).map_err(failed)?;
+    file.write_all(text.as_bytes()).map_err(|error| failed(Error::io(path, "write")(error)))?;
+    file.finish().map_err(failed)
+}
+
+/// Text of the corrections of trajectories; `None` without corrections.
+fn corrections_text(survey: &SurveyStrips, result: &Alignment) -> Result<Option<String>, Failure> {
+    let mut strips = Vec::new();
+    for (strip, found) in survey.strips.iter().zip(&result.strips) {
+        if let Some(corrections) = found.corrections.as_ref().filter(|_| found.n_pairs > 0) {
+            strips.push(StripCorrections::new(&strip.name, strip.span_s, corrections));
+        }
+    }
+    let Some(first) = survey.strips.first().filter(|_| !strips.is_empty()) else { return Ok(None) };
+    if let Some(other) = survey.strips.iter().find(|strip| strip.clock != first.clock) {
+        return Err(Failure::Run(format!(
+            "the trajectories of {} and {} have different time scales, and a correction file has one; convert one of them, or \
+             align with `--trajectory none`",
+            first.name, other.name
+        )));
+    }
+    let file = CorrectionsFile::new(first.clock.into(), strips);
+    file.to_text().map(Some).map_err(|problem| {
+        Failure::Run(format!(
+            "the corrections are implausible: {problem}; check mount, trajectory and calibration"
+        ))
+    })
+}

@@ -1,0 +1,34 @@
+//! `wavex align`: aligns the strips of a survey.
+
+use std::io::IsTerminal;
+
+use super::args::AlignArgs;
+use super::{Failure, run, terminal};
+use wavex_engine::engine::Cancel;
+use wavex_engine::job::Override;
+use wavex_run::align::AlignRequest;
+use wavex_run::archive::shown;
+
+/// Aligns, writes the files, prints the results.
+pub(super) fn align(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
+    let threads = args.threads.map(|threads| Override::new(format!("job.threads={threads}")));
+    let job = args.job.read(threads)?;
+    let cancel = Cancel::default();
+    run::stop_on_signals(&cancel, run::end_run);
+    let request = AlignRequest {
+        job: &job,
+        folder: &args.job.folder(),
+        output: &args.output,
+        trajectory: args.trajectory,
+        progress: args.progress.mode(quiet, std::io::stderr().is_terminal()),
+        cancel,
+    };
+    let aligned = wavex_run::align::align(&request)?;
+    aligned.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
+    if quiet {
+        return Ok(());
+    }
+    let written: String =
+        aligned.written.iter().map(|path| format!("wrote {}\n", shown(path).display())).collect();
+    terminal::print(&(written + &aligned.text))
+}
