@@ -150,14 +150,6 @@ pub(super) enum Command {
         #[arg(long, value_name = "RECORDING")]
         from: Option<PathBuf>,
     },
-    /// Align the strips of a survey: calibration and corrections of trajectories
-    ///
-    /// Runs the job over all its inputs without its outputs, and compares smooth surface where strips overlap.
-    /// Writes boresight, lever arm and range offset as calibration.toml, corrections of each strip's trajectory as
-    /// corrections.toml, and all results with standard deviations as align.json. Prints what the flight does not
-    /// determine, and why. docs/how-to/align-a-survey.md describes it.
-    #[command(after_help = usage::ALIGN)]
-    Align(AlignArgs),
     /// Calibrate from a recording, or from all inputs of a job
     ///
     /// With a recording, reads all of it and prints noise, background and pulse width of each receiver.
@@ -228,6 +220,14 @@ pub(super) enum Command {
     /// The runs must have had `survey_page`. Writes page, JSON and rasters.
     #[command(after_help = usage::SURVEY)]
     Survey(SurveyArgs),
+    /// Align the strips of a survey: calibration and corrections of trajectories
+    ///
+    /// Runs the job over all its inputs without its outputs, and compares smooth surface where strips overlap.
+    /// Writes boresight, lever arm and range offset as calibration.toml, corrections of each strip's trajectory as
+    /// corrections.toml, and all results with standard deviations as align.json. Prints what the flight does not
+    /// determine, and why. docs/how-to/align-a-survey.md describes it.
+    #[command(after_help = usage::ALIGN)]
+    Align(AlignArgs),
     /// Project and decimate a trajectory: SBET, POF, SOL, TRJ or text
     ///
     /// Prints a summary. Optionally writes a table with the columns t lon lat h x y z w p k, and a

@@ -23,6 +23,7 @@ fn points_are_those_of_the_georeferencing() {
         e5: 0.0,
         e6: 1e-3,
         e7: -0.02,
+        time_offset_s: 0.0,
     };
     let sample = |k: i32| Sample {
         time_s: f64::from(k),

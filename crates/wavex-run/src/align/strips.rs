@@ -1,14 +1,14 @@
 //! Patches of all strips, from the chain of a job.
 
-use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
+use std::time::Duration;
 
 use crate::Failure;
 use wavex_align::adjust::AlignSettings;
 use wavex_align::patch::{Horizon, Patch, PatchCounts, PatchMaker, PatchReturn, PatchSettings};
 use wavex_align::scanner::{BeamSource, Scanner, ScannerBeam};
-use wavex_engine::engine::{self, Cause, Input, Options};
+use wavex_engine::engine::{self, Cause, Convert, Input, Next, Options, RunError};
 use wavex_engine::job::Job;
 use wavex_geodesy::ellipsoid::WGS84;
 use wavex_geodesy::frames::{Rotation, Vector, inverse, rotate};
@@ -17,7 +17,10 @@ use wavex_geodesy::trajectory::Trajectory;
 use wavex_line::georef::calibration::is_on_low_power_scale;
 use wavex_line::georef::{Geometry, Loader};
 use wavex_line::scan_line::{Content, ScanLine};
-use wavex_line::stage::{Context, Plan};
+use wavex_line::stage::{Plan, Result, StageError};
+
+/// Interval at which an interruption is looked for.
+const TICK: Duration = Duration::from_millis(500);
 
 /// A strip of the survey.
 pub(super) struct SurveyStrip {
@@ -67,7 +70,7 @@ pub(super) fn collect(
     job: &Job,
     options: &Options,
     settings: &AlignSettings,
-) -> Result<SurveyStrips, Failure> {
+) -> std::result::Result<SurveyStrips, Failure> {
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
     let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
         return Err(Failure::Wrong(format!("{}: the job has no reader; add one", job.name)));
@@ -109,16 +112,7 @@ pub(super) fn collect(
             let patches = PatchSettings { cell_m: settings.cell_m, ..PatchSettings::default() };
             let scanner_from_body = inverse(&scanner.body_from_mount);
             let horizon = Arc::clone(&horizon);
-            StripMaker {
-                index,
-                geometry,
-                scanner,
-                scanner_from_body,
-                patches,
-                horizon,
-                found: None,
-                is_placed: false,
-            }
+            StripMaker { index, geometry, scanner, scanner_from_body, patches, horizon, found: None }
         });
         match read {
             Ok(read) => survey.add(read),
@@ -189,29 +183,30 @@ fn strip_of(
     options: &Options,
     loader: &mut Loader,
     maker: impl FnOnce(Arc<Geometry>) -> StripMaker,
-) -> Result<ReadStrip, Failed> {
+) -> std::result::Result<ReadStrip, Failed> {
     let (name, path) = (input.stem.clone(), input.path.clone());
     let of_strip = |problem: &dyn std::fmt::Display| Failed::Strip(format!("{name}: {problem}"));
     let geometry = loader.load(&input.stem, || false).map_err(|error| of_strip(&error))?;
     let geometry = Arc::new(geometry);
     let start = maker(Arc::clone(&geometry));
-    let look = |maker: &mut StripMaker, line: &ScanLine| maker.add(line);
-    let observed = engine::observe(job, input, options, Context::of_run(), start, look);
-    if options.cancel.is_cancelled() {
-        return Err(Failed::All(Failure::Run(Cause::Interrupted.to_string())));
-    }
-    let made = match observed {
-        Ok(made) => made,
-        Err(error) if matches!(error.cause, Cause::Stage(_)) => return Err(Failed::Strip(error.to_string())),
-        Err(error) => return Err(Failed::All(Failure::Run(error.to_string()))),
+    let failed = |error: RunError| match &error.cause {
+        Cause::Stage(_) if !options.cancel.is_cancelled() => Failed::Strip(error.to_string()),
+        _ => Failed::All(Failure::Run(error.to_string())),
     };
-    if made.is_placed {
-        return Err(of_strip(
-            &"the recording is already georeferenced: its beams are not in the frame of the scanner; give the recording of \
-              the instrument",
-        ));
+    let mut made = None;
+    let mut stream = engine::stream(job, input, options, 1, InOrder(Some(start))).map_err(failed)?;
+    loop {
+        match stream.next_within(TICK).map_err(failed)? {
+            Next::Item(maker) => made = Some(maker),
+            Next::Waiting => {}
+            Next::End => break,
+        }
     }
-    let Some(found) = made.found else {
+    if options.cancel.is_cancelled() {
+        let interrupted = RunError { stage: None, input: None, cause: Cause::Interrupted };
+        return Err(Failed::All(Failure::Run(interrupted.to_string())));
+    }
+    let Some(found) = made.and_then(|made| made.found) else {
         return Err(of_strip(&"no shot has a pose; check the trajectory"));
     };
     let (patches, counts) = found.maker.finish();
@@ -246,8 +241,21 @@ struct StripMaker {
     /// Horizon of the survey, at its first shot.
     horizon: Arc<OnceLock<Horizon>>,
     found: Option<Found>,
-    /// Whether the beams have no pose of this trajectory.
-    is_placed: bool,
+}
+
+/// Receives the lines of a strip in their order, which patches depend on.
+struct InOrder(Option<StripMaker>);
+
+impl Convert for InOrder {
+    type Item = StripMaker;
+
+    fn line(&mut self, line: &ScanLine) -> Result<Option<StripMaker>> {
+        self.0.as_mut().map_or(Ok(()), |maker| maker.add(line)).map(|()| None)
+    }
+
+    fn finish(&mut self) -> Result<Option<StripMaker>> {
+        Ok(self.0.take())
+    }
 }
 
 /// Content of a strip so far.
@@ -259,19 +267,21 @@ struct Found {
 }
 
 impl StripMaker {
-    fn add(&mut self, line: &ScanLine) -> ControlFlow<()> {
+    fn add(&mut self, line: &ScanLine) -> Result<()> {
         let (Some(first), Some((_, trajectory))) = (line.emissions.first(), self.geometry.trajectory())
         else {
-            return ControlFlow::Continue(());
+            return Ok(());
         };
         let Some(alignment) = line.input.first_shot.and_then(|shot| shot.alignment) else {
-            self.is_placed = true;
-            return ControlFlow::Break(());
+            return Err(StageError::failed(
+                "the recording is already georeferenced: its beams are not in the frame of the scanner",
+                "give the recording of the instrument",
+            ));
         };
         let mut poses = trajectory.poses();
         let first_s = alignment.on_trajectory(first.gps_time_s);
         if self.found.is_none() {
-            let Some(pose) = poses.at(first_s) else { return ControlFlow::Continue(()) };
+            let Some(pose) = poses.at(first_s) else { return Ok(()) };
             let horizon = self.horizon.get_or_init(|| Horizon::at(WGS84.geodetic_of(pose.origin_in_ecef_m)));
             let index = u32::try_from(self.index).unwrap_or(u32::MAX);
             self.found = Some(Found {
@@ -281,13 +291,13 @@ impl StripMaker {
                 n_shots: 0,
             });
         }
-        let Some(found) = &mut self.found else { return ControlFlow::Continue(()) };
+        let Some(found) = &mut self.found else { return Ok(()) };
         for emission in &line.emissions {
             let time_s = alignment.on_trajectory(emission.gps_time_s);
             found.span_s = [found.span_s[0].min(time_s), found.span_s[1].max(time_s)];
         }
         found.n_shots += line.emissions.len() as u64;
-        let Content::Points(returns, _) = &line.content else { return ControlFlow::Continue(()) };
+        let Content::Points(returns, _) = &line.content else { return Ok(()) };
         for given in returns.iter().filter(|given| !given.withheld) {
             let Some(emission) = line.emissions.get(given.emission as usize) else { continue };
             let time_s = alignment.on_trajectory(emission.gps_time_s);
@@ -318,7 +328,7 @@ impl StripMaker {
                 direction_in_ecef,
             });
         }
-        ControlFlow::Continue(())
+        Ok(())
     }
 }
 
