@@ -25,10 +25,10 @@ pub(super) fn align(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
     };
     let aligned = wavex_run::align::align(&request)?;
     aligned.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
-    if quiet {
-        return Ok(());
+    if !quiet {
+        let written: String =
+            aligned.written.iter().map(|path| format!("wrote {}\n", shown(path).display())).collect();
+        terminal::print(&(written + &aligned.text))?;
     }
-    let written: String =
-        aligned.written.iter().map(|path| format!("wrote {}\n", shown(path).display())).collect();
-    terminal::print(&(written + &aligned.text))
+    aligned.failure.map_or(Ok(()), Err)
 }

@@ -210,7 +210,7 @@ fn the_rest_of_a_survey_is_aligned() {
     let place = survey(&["a", "b", "c", "far"]);
     // Of another day.
     fs::copy(place.path("in/far.out"), place.path("in/c.out")).unwrap();
-    let Outcome { err, .. } = succeeds(&place, &["align", "survey.toml", "-o", "aligned"]);
+    let Outcome { out, err, .. } = succeeds(&place, &["align", "survey.toml", "-o", "aligned"]);
     println!("{err}");
     let parts = [
         "left out: stage read_arrow: in/c.arrow: the recording and the trajectory have no time in common",
@@ -219,9 +219,40 @@ fn the_rest_of_a_survey_is_aligned() {
     assert!(parts.iter().all(|part| err.contains(part)), "{err}");
     let report = report(&place, "aligned");
     assert_eq!(report["failed_strips"][0]["name"], "c");
+    assert!(out.contains("\n2 of 3 strips, "), "{out}");
     let corrections = place.text("aligned/corrections.toml");
     let named: Vec<&str> = corrections.lines().filter(|line| line.starts_with("recording")).collect();
     assert_eq!(named, ["recording = \"a\"", "recording = \"b\""]);
+}
+
+/// A wrong mount leaves no files that could be used; a start value that is far off is named.
+#[test]
+fn a_bad_alignment_leaves_its_report_alone() {
+    let place = survey(&["a", "b", "c"]);
+    succeeds(&place, &["align", "survey.toml", "-o", "aligned", "--quiet"]);
+    let turned = ["align", "survey.toml", "-o", "aligned", "--set", "job.geometry.mount=[0,0,180]"];
+    let Outcome { code, out, err } = place.wavex(&turned);
+    println!("{out}{err}");
+    assert_eq!(code, Some(1), "{err}");
+    assert!(out.contains("verdict: bad") && !out.contains("next:"), "{out}");
+    for part in [
+        "error: the alignment is bad: the remaining differences are ",
+        "check mount, units of the start values",
+    ] {
+        assert!(err.contains(part), "{err}");
+    }
+    assert_eq!(report(&place, "aligned")["verdict"], "bad");
+    assert!(
+        !place.path("aligned/calibration.toml").exists() && !place.path("aligned/corrections.toml").exists()
+    );
+    let far = "job.geometry.calibration={lever_arm_m=[0.3,-0.2,0.4],boresight_deg=[-7.0,0.0,0.0],e0=0.0}";
+    let Outcome { out, err, .. } = succeeds(&place, &["align", "survey.toml", "-o", "far", "--set", far]);
+    println!("{out}{err}");
+    assert!(
+        out.contains("verdict: doubtful")
+            && err.contains("the alignment is doubtful: the boresight roll moves by 7."),
+        "{err}"
+    );
 }
 
 /// What a flight over a plain does not determine is left alone, with cause and remedy.

@@ -99,6 +99,13 @@ pub struct ParameterResult {
     pub treatment: Treatment,
 }
 
+impl ParameterResult {
+    /// Change of the start value in its SDs; 0 for a given one.
+    pub fn change_sds(&self) -> f64 {
+        if self.prior_sd > 0.0 { (self.value - self.start).abs() / self.prior_sd } else { 0.0 }
+    }
+}
+
 /// Correlation of two parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Correlation {
@@ -573,7 +580,7 @@ fn report(
     let spread_m = [all(before), all(&after)];
     let n_pairs: usize = overlaps.iter().map(|overlap| overlap.n_pairs).sum();
     let n_rejected: usize = overlaps.iter().map(|overlap| overlap.n_rejected).sum();
-    let parameters = (0..layout.installations)
+    let parameters: Vec<[ParameterResult; GLOBALS]> = (0..layout.installations)
         .map(|installation| {
             core::array::from_fn(|global| {
                 let parameter = Global::ALL[global];
@@ -613,7 +620,6 @@ fn report(
         })
         .collect();
     let mut result = Alignment {
-        parameters,
         correlations: correlations(problem, solution),
         strips,
         overlaps,
@@ -626,9 +632,10 @@ fn report(
         verdict: verdict(
             weighting.scale,
             n_rejected as f64 / n_pairs.max(1) as f64,
-            spread_m[0],
-            spread_m[1],
+            spread_m,
+            parameters.iter().flatten().map(ParameterResult::change_sds).fold(0.0, f64::max),
         ),
+        parameters,
         state,
     };
     let lost: Vec<u32> = survey

@@ -96,22 +96,34 @@ pub fn reasons(parameter: Global, facts: &FlightFacts) -> Vec<(&'static str, &'s
     found
 }
 
+/// Residuals above this many times their SDs are more than noise.
+pub const DOUBTFUL_SCALE: f64 = 2.0;
+/// Residuals above this many times their SDs: the strips do not meet.
+pub const BAD_SCALE: f64 = 10.0;
+/// Part of the pairs that may be rejected.
+pub const DOUBTFUL_REJECTED: f64 = 0.1;
+/// Part of the pairs above which those that are left are chance.
+pub const BAD_REJECTED: f64 = 0.5;
+/// Change of a parameter, SDs of its start value, above which the start value or its SD is wrong.
+pub const DOUBTFUL_CHANGE_SDS: f64 = 5.0;
+
 /// Rating of an alignment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
     /// The differences of the strips are noise.
     Good,
-    /// The strips differ by more than noise, or more observations than expected were rejected.
+    /// The strips differ by more than noise, more observations than expected were rejected, or a start value was far off.
     Doubtful,
-    /// Strips differ more than before, or most observations were rejected.
+    /// Strips do not meet, differ more than before, or most observations were rejected.
     Bad,
 }
 
-/// Verdict from the scale of the residuals, the rejected part of the pairs, and the differences before and after.
-pub fn verdict(scale: f64, rejected: f64, before_m: f64, after_m: f64) -> Verdict {
-    if rejected > 0.5 || after_m > 1.1 * before_m {
+/// Verdict from the scale of the residuals, the rejected part of the pairs, the differences before and after, m, and the
+/// largest change of a parameter, SDs of its start value.
+pub fn verdict(scale: f64, rejected: f64, [before_m, after_m]: [f64; 2], change_sds: f64) -> Verdict {
+    if rejected > BAD_REJECTED || scale > BAD_SCALE || after_m > 1.1 * before_m {
         Verdict::Bad
-    } else if rejected > 0.1 || scale > 2.0 {
+    } else if rejected > DOUBTFUL_REJECTED || scale > DOUBTFUL_SCALE || change_sds > DOUBTFUL_CHANGE_SDS {
         Verdict::Doubtful
     } else {
         Verdict::Good
@@ -147,10 +159,14 @@ mod tests {
 
     #[test]
     fn verdicts_follow_the_differences() {
-        assert_eq!(verdict(1.0, 0.02, 0.5, 0.02), Verdict::Good);
-        assert_eq!(verdict(2.5, 0.02, 0.5, 0.02), Verdict::Doubtful);
-        assert_eq!(verdict(1.0, 0.2, 0.5, 0.02), Verdict::Doubtful);
-        assert_eq!(verdict(1.0, 0.02, 0.02, 0.05), Verdict::Bad);
-        assert_eq!(verdict(1.0, 0.6, 0.5, 0.02), Verdict::Bad);
+        let better_m = [0.5, 0.02];
+        assert_eq!(verdict(1.0, 0.02, better_m, 1.0), Verdict::Good);
+        assert_eq!(verdict(1.0, 0.02, [f64::NAN, 0.02], 1.0), Verdict::Good, "too far apart before");
+        assert_eq!(verdict(2.5, 0.02, better_m, 1.0), Verdict::Doubtful);
+        assert_eq!(verdict(1.0, 0.2, better_m, 1.0), Verdict::Doubtful);
+        assert_eq!(verdict(1.0, 0.02, better_m, 6.0), Verdict::Doubtful);
+        assert_eq!(verdict(1.0, 0.02, [0.02, 0.05], 1.0), Verdict::Bad);
+        assert_eq!(verdict(1.0, 0.6, better_m, 1.0), Verdict::Bad);
+        assert_eq!(verdict(100.0, 0.02, better_m, 1.0), Verdict::Bad);
     }
 }

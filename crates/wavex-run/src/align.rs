@@ -54,22 +54,22 @@ pub struct AlignRequest<'a> {
 }
 
 /// Completed alignment.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Aligned {
     /// Table for people: parameters, differences of the strips, verdict, next command.
     pub text: String,
-    /// Problems of strips that were left out or not aligned.
+    /// Problems of strips that were left out or not aligned, and of a doubtful alignment.
     pub warnings: Vec<String>,
     /// Written files.
     pub written: Vec<PathBuf>,
-    /// Rating.
-    pub verdict: Verdict,
+    /// Why the alignment is bad; `None` if it is usable.
+    pub failure: Option<Failure>,
 }
 
 /// Estimates calibration and corrections of trajectories from the overlaps of a job's inputs.
 ///
-/// Writes [`CALIBRATION_FILE`], [`REPORT_FILE`] and, unless trajectories are kept, [`CORRECTIONS_FILE`]. Inputs that
-/// cannot be read are left out.
+/// Writes [`CALIBRATION_FILE`], [`REPORT_FILE`] and, unless trajectories are kept, [`CORRECTIONS_FILE`]; of a bad alignment only the
+/// report. Inputs that cannot be read are left out.
 ///
 /// # Errors
 /// A job without trajectory or points, fewer than two strips, strips that do not overlap, files that cannot be written.
@@ -88,10 +88,20 @@ pub fn align(request: &AlignRequest<'_>) -> Result<Aligned, Failure> {
     let written = write(request, &survey, &result)?;
     let warnings = survey.failures.iter().map(|failed| format!("left out: {}", failed.problem));
     let warnings: Vec<String> = warnings.chain(unconnected(&survey, &result)).collect();
-    let is_bad = (result.verdict == Verdict::Bad).then(|| words::IS_BAD.to_owned());
-    let warnings = warnings.into_iter().chain(is_bad).collect();
-    let text = words::summary(&survey, &result) + &words::next_command(request, &input_dir, &written);
-    Ok(Aligned { text, warnings, written, verdict: result.verdict })
+    let replaced = job.settings.geometry.corrections.as_ref().map(|file| {
+        format!("{file}: the corrections of the job are not applied; those of this alignment replace them")
+    });
+    let mut warnings: Vec<String> = warnings.into_iter().chain(replaced).collect();
+    let mut text = words::summary(&survey, &result);
+    let problem = words::problem(&result);
+    let failure = if result.verdict == Verdict::Bad {
+        problem.map(Failure::Run)
+    } else {
+        warnings.extend(problem);
+        text += &words::next_command(request, &input_dir, &written);
+        None
+    };
+    Ok(Aligned { text, warnings, written, failure })
 }
 
 /// Checks what the job alone shows.
@@ -183,14 +193,20 @@ fn write(
     let path = |name: &str| request.output.join(name);
     let (calibration, corrections) = (path(CALIBRATION_FILE), path(CORRECTIONS_FILE));
     let Some(found) = calibration_of(result) else { return Ok(Vec::new()) };
-    let mut finished =
-        vec![finished(&calibration, &words::calibration_text(&found))?.replacing([corrections.clone()])];
-    if let Some(text) = corrections_text(survey, result)? {
-        finished.push(self::finished(&corrections, &text)?);
+    let mut finished = Vec::new();
+    let is_bad = result.verdict == Verdict::Bad;
+    if !is_bad {
+        let text = words::calibration_text(&found);
+        finished.push(self::finished(&calibration, &text)?.replacing([corrections.clone()]));
+        if let Some(text) = corrections_text(survey, result)? {
+            finished.push(self::finished(&corrections, &text)?);
+        }
     }
     let report = report::report(request, survey, result);
     let report = serde_json::to_string_pretty(&report).map_err(|error| Failure::Run(error.to_string()))?;
-    finished.push(self::finished(&path(REPORT_FILE), &(report + "\n"))?);
+    // Files of an earlier alignment would look like those of this one.
+    let stale = if is_bad { vec![calibration, corrections] } else { Vec::new() };
+    finished.push(self::finished(&path(REPORT_FILE), &(report + "\n"))?.replacing(stale));
     let published = finished.into_iter().map(FinishedFile::publish);
     published.collect::<Result<_, _>>().map_err(|error| Failure::Run(error.to_string()))
 }

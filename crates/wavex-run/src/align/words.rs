@@ -7,13 +7,11 @@ use super::report::verdict_word;
 use super::strips::SurveyStrips;
 use super::{AlignRequest, CALIBRATION_FILE, CORRECTIONS_FILE};
 use wavex_align::adjust::{Alignment, OverlapResult, ParameterResult};
-use wavex_align::estimable::{FlightFacts, Treatment, reasons};
+use wavex_align::estimable::{
+    DOUBTFUL_CHANGE_SDS, DOUBTFUL_REJECTED, DOUBTFUL_SCALE, FlightFacts, Treatment, Verdict, reasons,
+};
 use wavex_align::parameters::Global;
 use wavex_geodesy::calibration::Calibration;
-
-/// Warning about a bad alignment.
-pub(super) const IS_BAD: &str = "the alignment is bad: strips differ more than before, or most pairs of patches were rejected; check mount, \
-    trajectories and coordinates, and do not use the files";
 
 /// Most overlaps that are listed.
 const LISTED: usize = 12;
@@ -27,7 +25,9 @@ pub(super) fn summary(survey: &SurveyStrips, result: &Alignment) -> String {
     for found in parameters.iter().filter(|found| found.treatment != Treatment::Given) {
         text += &line_of(found, &result.facts);
     }
-    let n = survey.strips.len();
+    let all = survey.strips.len();
+    let aligned = result.strips.iter().filter(|strip| strip.n_pairs > 0).count();
+    let n = if aligned == all { all.to_string() } else { format!("{aligned} of {all}") };
     let _ = writeln!(
         text,
         "\n{n} strips, {} pairs of patches, {} rejected; differences (robust SD):",
@@ -38,16 +38,58 @@ pub(super) fn summary(survey: &SurveyStrips, result: &Alignment) -> String {
     overlaps.sort_by(|a, b| b.spread_m[1].total_cmp(&a.spread_m[1]));
     for overlap in overlaps.iter().take(LISTED) {
         let names = overlap.strips.map(name).join(", ");
-        let [before_mm, after_mm] = overlap.spread_m.map(|spread_m| 1e3 * spread_m);
-        let _ = writeln!(text, "  {names}: {before_mm:.1} mm before, {after_mm:.1} mm after");
+        let _ = writeln!(text, "  {names}: {}", before_and_after(overlap.spread_m));
     }
     if let more @ 1.. = overlaps.len().saturating_sub(LISTED) {
         let _ = writeln!(text, "  and {more} more with smaller differences");
     }
-    let [before_mm, after_mm] = result.spread_m.map(|spread_m| 1e3 * spread_m);
-    let _ = writeln!(text, "  all: {before_mm:.1} mm before, {after_mm:.1} mm after");
+    let _ = writeln!(text, "  all: {}", before_and_after(result.spread_m));
     let _ = writeln!(text, "verdict: {}", verdict_word(result.verdict));
     text
+}
+
+/// Differences of strips; before, they may be too far apart for pairs.
+fn before_and_after([before_m, after_m]: [f64; 2]) -> String {
+    let before = match before_m.is_nan() {
+        true => "too far apart before".to_owned(),
+        false => format!("{:.1} mm before", 1e3 * before_m),
+    };
+    format!("{before}, {:.1} mm after", 1e3 * after_m)
+}
+
+/// What is wrong with an alignment that is not good, and what to do.
+pub(super) fn problem(result: &Alignment) -> Option<String> {
+    let remedy = match result.verdict {
+        Verdict::Good => return None,
+        Verdict::Doubtful => {
+            "check mount, units of the start values and trajectories, or try `--trajectory 20`"
+        }
+        Verdict::Bad => {
+            "check mount, units of the start values, trajectories and coordinates; calibration and corrections are not written"
+        }
+    };
+    let mut causes = Vec::new();
+    let rejected = result.n_rejected as f64 / result.n_pairs.max(1) as f64;
+    if rejected > DOUBTFUL_REJECTED {
+        causes.push(format!("{:.0} % of the pairs are rejected", 100.0 * rejected));
+    }
+    if result.scale > DOUBTFUL_SCALE {
+        causes.push(format!("the remaining differences are {:.1} times their SDs", result.scale));
+    }
+    if result.spread_m[1] > result.spread_m[0] {
+        causes.push("strips differ more than before".to_owned());
+    }
+    let moved = result.parameters.iter().flatten().filter(|found| found.change_sds() > DOUBTFUL_CHANGE_SDS);
+    causes.extend(moved.map(|found| {
+        let (label, unit) = label(found.parameter);
+        let (name, unit_name) = label.rsplit_once(", ").unwrap_or((label, ""));
+        let change = (found.value - found.start) / unit;
+        format!(
+            "the {name} moves by {change:.3} {unit_name}, {:.0} SDs of its start value",
+            found.change_sds()
+        )
+    }));
+    Some(format!("the alignment is {}: {}; {remedy}", verdict_word(result.verdict), causes.join("; ")))
 }
 
 /// Label of a parameter with its unit, and the unit's size in that of [`Global::name`].
