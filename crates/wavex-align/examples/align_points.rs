@@ -12,9 +12,10 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde_json::{Value, json};
-use wavex_align::adjust::{AlignSettings, Alignment, align};
+use wavex_align::adjust::{AlignSettings, align};
 use wavex_align::parameters::{GlobalPriors, TrajectoryModel};
 use wavex_align::patch::{Horizon, Patch, PatchMaker, PatchReturn, PatchSettings};
+use wavex_align::result::Alignment;
 use wavex_align::scanner::{BeamSource, Scanner, ScannerBeam};
 use wavex_align::survey::{Installation, Strip, Survey};
 use wavex_geodesy::calibration::Calibration;
@@ -28,11 +29,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let given: Value = serde_json::from_slice(&std::fs::read(folder.join("survey.json"))?)?;
     let calibration: Calibration = serde_json::from_value(given["calibration"].clone())?;
     let mount_deg: [f64; 3] = serde_json::from_value(given["mount_deg"].clone())?;
-    let scanner = Scanner {
-        body_from_mount: rotation_of_angles(mount_deg.map(f64::to_radians)),
-        calibration,
-        time_offset_s: 0.0,
-    };
+    let scanner =
+        Scanner { body_from_mount: rotation_of_angles(mount_deg.map(f64::to_radians)), calibration };
     let mut priors = GlobalPriors::default();
     if let Some(sds) = given.get("prior_sds") {
         priors = GlobalPriors(serde_json::from_value(sds.clone())?);

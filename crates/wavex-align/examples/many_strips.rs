@@ -118,7 +118,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         strips.push(Strip { trajectory: strip, installation: 0 });
         trajectories.push(trajectory);
     }
-    let scanner = Scanner { body_from_mount: IDENTITY, calibration: Default::default(), time_offset_s: 0.0 };
+    let scanner = Scanner { body_from_mount: IDENTITY, calibration: Default::default() };
     let survey = Survey {
         trajectories: &trajectories,
         installations: &[Installation { scanner, priors: GlobalPriors::default() }],

@@ -45,7 +45,7 @@ impl Scanner {
         poses: &mut Poses<'_>,
         corrections: Option<&TrajectoryCorrections>,
     ) -> Option<Vector> {
-        let time_s = beam.time_s + self.time_offset_s;
+        let time_s = beam.time_s + self.calibration.time_offset_s;
         let pose = corrected_pose(poses, corrections, time_s)?;
         let body = self.in_body(source, beam);
         Some(sum(pose.origin_in_ecef_m, rotate(&pose.ecef_from_body, body.end_m)))
@@ -83,7 +83,7 @@ impl Scanner {
         corrections: Option<&TrajectoryCorrections>,
         with_time: bool,
     ) -> Option<(Vector, Derivatives)> {
-        let time_s = beam.time_s + self.time_offset_s;
+        let time_s = beam.time_s + self.calibration.time_offset_s;
         let recorded = poses.at(time_s)?;
         let place = WGS84.geodetic_of(recorded.origin_in_ecef_m);
         let ecef_from_ned = ecef_from_ned(place.latitude_rad, place.longitude_rad);

@@ -9,9 +9,11 @@ mod normal;
 pub mod parameters;
 pub mod patch;
 mod residual;
+pub mod result;
 pub mod scanner;
 #[cfg(test)]
 mod simulated;
+mod solution;
 pub mod sparse;
 pub mod survey;
 mod vector;

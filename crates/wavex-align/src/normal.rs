@@ -183,7 +183,7 @@ impl Problem<'_> {
                         entries.push((self.layout.global(installation, global), dot(*by, by_end)));
                     }
                 }
-                let time_s = beam.time_s + state.scanners[installation].time_offset_s;
+                let time_s = beam.time_s + state.scanners[installation].calibration.time_offset_s;
                 let Some((first, weights)) = knot_weights(times_s, time_s) else { continue };
                 for (k, weight) in weights.into_iter().enumerate().filter(|(_, weight)| *weight > 0.0) {
                     for (component, by) in by_parameter.offsets.iter().enumerate() {

@@ -102,7 +102,7 @@ impl Global {
             Global::E4 => c.e4,
             Global::E6 => c.e6,
             Global::E7 => c.e7,
-            Global::Time => scanner.time_offset_s,
+            Global::Time => scanner.calibration.time_offset_s,
         }
     }
 
@@ -123,7 +123,7 @@ impl Global {
             Global::E4 => c.e4 += change,
             Global::E6 => c.e6 += change,
             Global::E7 => c.e7 += change,
-            Global::Time => scanner.time_offset_s += change,
+            Global::Time => scanner.calibration.time_offset_s += change,
         }
     }
 }
@@ -345,11 +345,8 @@ mod tests {
 
     #[test]
     fn parameters_are_read_where_they_are_added() {
-        let mut scanner = Scanner {
-            body_from_mount: wavex_geodesy::frames::IDENTITY,
-            calibration: Default::default(),
-            time_offset_s: 0.0,
-        };
+        let mut scanner =
+            Scanner { body_from_mount: wavex_geodesy::frames::IDENTITY, calibration: Default::default() };
         for (k, global) in Global::ALL.into_iter().enumerate() {
             assert_eq!(global as usize, k);
             global.add_to(&mut scanner, 0.25 + k as f64);

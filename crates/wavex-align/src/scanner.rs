@@ -3,15 +3,13 @@
 use wavex_geodesy::calibration::Calibration;
 use wavex_geodesy::frames::{Rotation, Vector};
 
-/// Mounting, calibration and clock of a scanner.
+/// Mounting and calibration of a scanner.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scanner {
     /// Rotation of the mount from the scanner to the body frame, without boresight.
     pub body_from_mount: Rotation,
-    /// Lever arm, boresight, range and angle corrections.
+    /// Lever arm, boresight, range and angle corrections, time offset.
     pub calibration: Calibration,
-    /// Added to the times of shots to get times of the trajectory, s.
-    pub time_offset_s: f64,
 }
 
 /// A beam in the frame of its scanner, without corrections.

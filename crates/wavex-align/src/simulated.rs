@@ -71,11 +71,7 @@ pub(crate) fn flat(_: f64, _: f64) -> f64 {
 }
 
 pub(crate) fn scanner() -> Scanner {
-    Scanner {
-        body_from_mount: rotation_of_angles([0.02, -0.01, 0.03]),
-        calibration: Default::default(),
-        time_offset_s: 0.0,
-    }
+    Scanner { body_from_mount: rotation_of_angles([0.02, -0.01, 0.03]), calibration: Default::default() }
 }
 
 /// Three parallel lines in both directions.

@@ -23,7 +23,7 @@ fn points_are_those_of_the_georeferencing() {
         e5: 0.0,
         e6: 1e-3,
         e7: -0.02,
-        time_offset_s: 0.0,
+        time_offset_s: 0.25,
     };
     let sample = |k: i32| Sample {
         time_s: f64::from(k),
@@ -35,8 +35,7 @@ fn points_are_those_of_the_georeferencing() {
         PoseOffset { north_east_down_m: [0.1, -0.2, 0.3], roll_pitch_heading_rad: [1e-3, -2e-3, 3e-3] };
     let corrections = TrajectoryCorrections::new(vec![CorrectionKnot { time_s: 0.0, offset }]).unwrap();
     for mount in [Mount::Named(MountName::Level), Mount::Named(MountName::XDownZLeft)] {
-        let scanner =
-            Scanner { body_from_mount: mount.body_from_scanner(), calibration, time_offset_s: 0.25 };
+        let scanner = Scanner { body_from_mount: mount.body_from_scanner(), calibration };
         let installation = Installation::new(&mount, &calibration);
         for (direction, low) in [([0.6, 0.48, 0.64], false), ([0.8, 0.0, -0.6], true)] {
             let source = BeamSource { origin_m: [0.125, 0.0, -0.25], on_low_power_scale: low };

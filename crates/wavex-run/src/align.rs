@@ -8,14 +8,14 @@ use rayon::ThreadPoolBuilder;
 use crate::Failure;
 use crate::run::folders;
 use strips::{SurveyStrips, collect};
-use wavex_align::adjust::{AlignSettings, Alignment, align as adjust};
+use wavex_align::adjust::{AlignSettings, align as adjust};
 use wavex_align::estimable::Verdict;
 use wavex_align::parameters::{Global, GlobalPriors};
+use wavex_align::result::Alignment;
 use wavex_align::survey::{Installation, Strip, Survey};
 use wavex_engine::engine::{Cancel, Options, ProgressMode};
 use wavex_engine::job::Job;
 use wavex_formats::Error;
-use wavex_geodesy::calibration::Calibration;
 use wavex_line::georef::corrections::{CorrectionsFile, StripCorrections};
 use wavex_line::georef::keys::CalibrationKey;
 use wavex_line::stage::{FinishedFile, OutputFile};
@@ -178,12 +178,6 @@ fn unconnected<'a>(survey: &'a SurveyStrips, result: &'a Alignment) -> impl Iter
     })
 }
 
-/// Calibration after alignment.
-fn calibration_of(result: &Alignment) -> Option<Calibration> {
-    let scanner = result.state.scanners.first()?;
-    Some(Calibration { time_offset_s: scanner.time_offset_s, ..scanner.calibration })
-}
-
 /// Writes the files; returns their paths.
 fn write(
     request: &AlignRequest<'_>,
@@ -192,11 +186,11 @@ fn write(
 ) -> Result<Vec<PathBuf>, Failure> {
     let path = |name: &str| request.output.join(name);
     let (calibration, corrections) = (path(CALIBRATION_FILE), path(CORRECTIONS_FILE));
-    let Some(found) = calibration_of(result) else { return Ok(Vec::new()) };
+    let Some(scanner) = result.state.scanners.first() else { return Ok(Vec::new()) };
     let mut finished = Vec::new();
     let is_bad = result.verdict == Verdict::Bad;
     if !is_bad {
-        let text = words::calibration_text(&found);
+        let text = words::calibration_text(&scanner.calibration);
         finished.push(self::finished(&calibration, &text)?.replacing([corrections.clone()]));
         if let Some(text) = corrections_text(survey, result)? {
             finished.push(self::finished(&corrections, &text)?);

@@ -4,8 +4,8 @@ use serde_json::{Value, json};
 
 use super::strips::SurveyStrips;
 use super::{AlignRequest, TrajectoryModel};
-use wavex_align::adjust::{Alignment, ParameterResult};
 use wavex_align::estimable::{FlightFacts, Treatment, Verdict, reasons};
+use wavex_align::result::{Alignment, ParameterResult};
 use wavex_engine::build;
 use wavex_geodesy::trajectory::corrections::CorrectionKnot;
 

@@ -102,7 +102,7 @@ pub(super) fn collect(
         trajectory_files: Vec::new(),
         patches: Vec::new(),
         horizon: None,
-        scanner: Scanner { body_from_mount, calibration: Default::default(), time_offset_s: 0.0 },
+        scanner: Scanner { body_from_mount, calibration: Default::default() },
     };
     for input in inputs {
         let name = input.stem.clone();
@@ -141,8 +141,7 @@ fn too_few(survey: &SurveyStrips) -> Failure {
 
 /// Scanner with the calibration of the job.
 fn start(scanner: &Scanner, geometry: &Geometry) -> Scanner {
-    let calibration = *geometry.installation().calibration();
-    Scanner { calibration, time_offset_s: calibration.time_offset_s, ..*scanner }
+    Scanner { calibration: *geometry.installation().calibration(), ..*scanner }
 }
 
 /// Scope of a failure.

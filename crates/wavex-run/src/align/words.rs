@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use super::report::verdict_word;
 use super::strips::SurveyStrips;
 use super::{AlignRequest, CALIBRATION_FILE, CORRECTIONS_FILE};
-use wavex_align::adjust::{Alignment, OverlapResult, ParameterResult};
 use wavex_align::estimable::{
     DOUBTFUL_CHANGE_SDS, DOUBTFUL_REJECTED, DOUBTFUL_SCALE, FlightFacts, Treatment, Verdict, reasons,
 };
 use wavex_align::parameters::Global;
+use wavex_align::result::{Alignment, OverlapResult, ParameterResult};
 use wavex_geodesy::calibration::Calibration;
 
 /// Most overlaps that are listed.
