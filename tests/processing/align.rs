@@ -194,6 +194,12 @@ fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
     for name in ["calibration.toml", "corrections.toml", "align.json"] {
         assert!(place.text(&format!("aligned/{name}")) == place.text(&format!("one/{name}")), "{name}");
     }
+    // Corrections are estimated anew, not added to those of the job.
+    let corrected = ["--set", "job.geometry.corrections=aligned/corrections.toml", "--quiet"];
+    let again = succeeds(&place, &[&["align", "survey.toml", "-o", "again"], &corrected[..]].concat());
+    let note = "aligned/corrections.toml: the corrections of the job are not applied; those of this alignment replace them";
+    assert!(again.err.contains(note), "{}", again.err);
+    assert!(place.text("aligned/corrections.toml") == place.text("again/corrections.toml"));
     // The files of the job are not replaced.
     let set = "job.geometry.calibration=aligned/calibration.toml";
     let Outcome { code, err, .. } = place.wavex(&["align", "survey.toml", "-o", "aligned", "--set", set]);

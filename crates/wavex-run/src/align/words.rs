@@ -165,3 +165,14 @@ pub(super) fn calibration_text(calibration: &Calibration) -> String {
          time_offset_s = {time_offset_s:?}\n"
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn strips_without_pairs_before_are_too_far_apart() {
+        assert_eq!(before_and_after([0.2, 0.001]), "200.0 mm before, 1.0 mm after");
+        assert_eq!(before_and_after([f64::NAN, 0.001]), "too far apart before, 1.0 mm after");
+    }
+}
