@@ -195,7 +195,7 @@ fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
         assert!(place.text(&format!("aligned/{name}")) == place.text(&format!("one/{name}")), "{name}");
     }
     // Corrections are estimated anew, not added to those of the job.
-    let corrected = ["--set", "job.geometry.corrections=aligned/corrections.toml", "--quiet"];
+    let corrected = ["--set", "job.geometry.corrections=aligned/corrections.toml"];
     let again = succeeds(&place, &[&["align", "survey.toml", "-o", "again"], &corrected[..]].concat());
     let note = "aligned/corrections.toml: the corrections of the job are not applied; those of this alignment replace them";
     assert!(again.err.contains(note), "{}", again.err);
