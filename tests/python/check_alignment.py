@@ -100,30 +100,8 @@ def fly(program, folder, options):
     }
 
 
-def main():
-    arguments = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    arguments.add_argument("program")
-    arguments.add_argument("--flights", type=int, default=30)
-    arguments.add_argument("--worse", action="store_true", help="fail if any survey gets worse")
-    arguments.add_argument("--quick", action="store_true", help="one small survey")
-    make_alignment.add_options(arguments)
-    options = arguments.parse_args()
-    if options.quick:
-        options.flights, options.length, options.spacing, options.density, options.height = 1, 900, 250, 2, 450
-        options.pairs = 800
-    flights, failures = [], []
-    for flight in range(options.flights):
-        with tempfile.TemporaryDirectory() as folder:
-            flown = argparse.Namespace(**(vars(options) | {"seed": options.seed + flight}))
-            flights.append(fly(options.program, Path(folder), flown))
-        own = flights[-1]
-        result = own["result"]
-        z = rms([error / sd for error, sd, _ in own["errors"].values()])
-        print(f"flight {flown.seed}: {result['n_pairs']} pairs, scale {result['scale']:.2f}, errors/SD {z:.2f}, differences "
-              f"{result['spread_m'][0] * 1e3:.1f} -> {result['spread_m'][1] * 1e3:.2f} mm, points {own['points'][0] * 1e3:.1f} -> "
-              f"{own['points'][1] * 1e3:.1f} mm, {result['verdict']}, {result['seconds'][0]:.1f} + {result['seconds'][1]:.1f} s", flush=True)
-        if options.worse and (own["points"][1] > 1.02 * own["points"][0] or result["spread_m"][1] > 1.02 * result["spread_m"][0]):
-            failures.append(f"flight {flown.seed} got worse")
+def summary(flights):
+    """Prints errors over stated SDs, drift and distances of points; returns all errors over SDs."""
     print(f"\n{'parameter':22} {'estimated':>9} {'combined':>8} {'RMS error':>12} {'mean':>8} {'mean SD':>9} {'errors/SD':>9} {'< 1 SD':>7} {'< 2 SD':>7}")
     every = []
     for name in flights[0]["errors"]:
@@ -151,6 +129,34 @@ def main():
             enumerate(zip(("north", "east", "down", "roll", "pitch", "heading"), scales, ["mm"] * 3 + ["mdeg"] * 3))))
     print("points, distance from the truth, RMS of surveys: " + " -> ".join(f"{rms([f['points'][k] for f in flights]) * 1e3:.1f}" for k in (0, 1)) + " mm; "
           "about their mean: " + " -> ".join(f"{rms([f['spread'][k] for f in flights]) * 1e3:.1f}" for k in (0, 1)) + " mm")
+    return every
+
+
+def main():
+    arguments = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    arguments.add_argument("program")
+    arguments.add_argument("--flights", type=int, default=30)
+    arguments.add_argument("--worse", action="store_true", help="fail if any survey gets worse")
+    arguments.add_argument("--quick", action="store_true", help="one small survey")
+    make_alignment.add_options(arguments)
+    options = arguments.parse_args()
+    if options.quick:
+        options.flights, options.length, options.spacing, options.density, options.height = 1, 900, 250, 2, 450
+        options.pairs = 800
+    flights, failures = [], []
+    for flight in range(options.flights):
+        with tempfile.TemporaryDirectory() as folder:
+            flown = argparse.Namespace(**(vars(options) | {"seed": options.seed + flight}))
+            flights.append(fly(options.program, Path(folder), flown))
+        own = flights[-1]
+        result = own["result"]
+        z = rms([error / sd for error, sd, _ in own["errors"].values()])
+        print(f"flight {flown.seed}: {result['n_pairs']} pairs, scale {result['scale']:.2f}, errors/SD {z:.2f}, differences "
+              f"{result['spread_m'][0] * 1e3:.1f} -> {result['spread_m'][1] * 1e3:.2f} mm, points {own['points'][0] * 1e3:.1f} -> "
+              f"{own['points'][1] * 1e3:.1f} mm, {result['verdict']}, {result['seconds'][0]:.1f} + {result['seconds'][1]:.1f} s", flush=True)
+        if options.worse and (own["points"][1] > 1.02 * own["points"][0] or result["spread_m"][1] > 1.02 * result["spread_m"][0]):
+            failures.append(f"flight {flown.seed} got worse")
+    every = summary(flights)
     least, most = (0.4, 1.8) if options.quick else (0.8, 1.2)
     if every and not least < rms(every) < most:
         failures.append(f"errors/SD {rms(every):.2f}")

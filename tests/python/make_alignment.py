@@ -185,8 +185,11 @@ def plan_of(kind, height, length, spacing, random):
 
     course = random.uniform(0, 2 * numpy.pi)
     opposite = course + numpy.pi
-    count = 2 if kind == "corridor" else 4
-    offsets = (numpy.arange(count) - (count - 1) / 2) * (spacing if kind != "corridor" else 0.3 * spacing)
+    if kind == "corridor":
+        # The middle line back and forth, and a strip on each side.
+        offsets = 0.5 * spacing * numpy.array([0, 0, -1, 1])
+    else:
+        offsets = (numpy.arange(4) - 1.5) * spacing
     lines = []
     for k, offset in enumerate(offsets):
         lines.append(line(offset if k % 2 == 0 else -offset, course if k % 2 == 0 else opposite, length))

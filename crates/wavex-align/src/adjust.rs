@@ -4,11 +4,12 @@ use nalgebra::DVector;
 use wavex_geodesy::trajectory::corrections::TrajectoryCorrections;
 use wavex_simd::statistics::median;
 
+use crate::control::{ControlPoint, match_control, scale as control_scale};
 use crate::estimable::{EVIDENCE, Treatment};
 use crate::matching::{MatchSettings, Pair, match_patches};
 use crate::normal::{Priors, Problem, Weighting};
 use crate::parameters::{
-    GLOBALS, Global, Layout, TrajectoryModel, TrajectoryPriors, knot_times, no_corrections,
+    GLOBALS, Global, Layout, OFFSETS, TrajectoryModel, TrajectoryPriors, knot_times, no_corrections,
 };
 use crate::result::{Alignment, pairs_with_residuals, report};
 use crate::solution::Solution;
@@ -36,6 +37,15 @@ impl Default for AlignSettings {
             most_pairs: 3000,
         }
     }
+}
+
+/// What is known besides the priors.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Constraints<'a> {
+    /// Control points.
+    pub control: &'a [ControlPoint],
+    /// Indices of strips whose trajectories are not corrected.
+    pub references: &'a [usize],
 }
 
 /// Reason why a survey is not aligned.
@@ -71,6 +81,12 @@ pub enum AlignError {
     NoPairs {
         /// Largest distance that was searched, m.
         search_m: f64,
+    },
+    /// A control point is not a usable position with SDs.
+    #[error("control point {index} has a coordinate that is not finite, or an SD that is not above 0")]
+    Control {
+        /// Its index.
+        index: usize,
     },
     /// The normal equations have no solution.
     #[error("the normal equations cannot be solved: priors or patches hold extreme numbers")]
@@ -110,14 +126,33 @@ const HUBER: f64 = 2.0;
 const LEAST_SCALE: f64 = 0.3;
 /// A parameter below the evidence is changed only if keeping it raises the cost by more than this: 3 SDs.
 const CHANGE_NEEDED: f64 = 9.0;
+/// Most iterations with control points before parameters are held.
+const CONTROL_ITERATIONS: usize = 8;
 
 /// Aligns a survey.
 ///
 /// # Errors
 /// Indices out of range, settings that are not above 0, no pairs, extreme numbers.
 pub fn align(survey: &Survey<'_>, settings: &AlignSettings) -> Result<Alignment, AlignError> {
+    align_with(survey, settings, &Constraints::default())
+}
+
+/// Aligns a survey with control points and reference strips.
+///
+/// # Errors
+/// As [`align`]; positions, SDs or normals of control points that are not usable numbers.
+pub fn align_with(
+    survey: &Survey<'_>,
+    settings: &AlignSettings,
+    constraints: &Constraints<'_>,
+) -> Result<Alignment, AlignError> {
     check(survey, settings)?;
-    let problem = problem(survey, settings);
+    check_constraints(survey, constraints)?;
+    let mut problem = problem(survey, settings);
+    problem.points = constraints.control;
+    for &strip in constraints.references {
+        problem.priors.offsets[strip] = [0.0; OFFSETS];
+    }
     let mut state = problem.start.clone();
     let matching = |level: &Level| MatchSettings {
         search_m: level.search * settings.cell_m,
@@ -138,6 +173,15 @@ pub fn align(survey: &Survey<'_>, settings: &AlignSettings) -> Result<Alignment,
             if step_sds < level.step_sds {
                 break;
             }
+        }
+    }
+    // Control points are used once the strips meet: patches are then at their places.
+    for _ in 0..if constraints.control.is_empty() { 0 } else { CONTROL_ITERATIONS } {
+        problem.control = match_control(survey, constraints.control, &state, settings.cell_m);
+        let pairs = match_patches(survey, &state, &matching(fine));
+        let weighting = weighting(&problem, &state, &pairs, fine.reject);
+        if step(&problem, &mut state, &pairs, &weighting, &[])? < fine.step_sds {
+            break;
         }
     }
     let mut pairs = match_patches(survey, &state, &matching(fine));
@@ -165,11 +209,14 @@ pub fn align(survey: &Survey<'_>, settings: &AlignSettings) -> Result<Alignment,
             held.push(unknown);
             step(&problem, &mut state, &pairs, &weighting, &held)?;
             pairs = match_patches(survey, &state, &matching(fine));
+            problem.control = match_control(survey, constraints.control, &state, settings.cell_m);
         } else {
             treatments[installation][global] = Treatment::OnlyCombined;
         }
     };
-    Ok(report(&problem, state, &pairs, &solution, &weighting, &treatments, &before))
+    let control = problem.control_result(&state, &weighting, settings.cell_m);
+    let result = report(&problem, state, &pairs, &solution, &weighting, &treatments, &before);
+    Ok(Alignment { control, ..result })
 }
 
 fn check(survey: &Survey<'_>, settings: &AlignSettings) -> Result<(), AlignError> {
@@ -203,6 +250,23 @@ fn check(survey: &Survey<'_>, settings: &AlignSettings) -> Result<(), AlignError
     for value in of_installations.chain(settings.trajectory_priors.sd) {
         if !(value.is_finite() && value >= 0.0) {
             return Err(AlignError::Setting { name: "the SD of a start value", value });
+        }
+    }
+    Ok(())
+}
+
+fn check_constraints(survey: &Survey<'_>, constraints: &Constraints<'_>) -> Result<(), AlignError> {
+    for (k, &wanted) in constraints.references.iter().enumerate() {
+        if wanted >= survey.strips.len() {
+            let count = survey.strips.len();
+            return Err(AlignError::Index { what: "reference", index: k, other: "strip", wanted, count });
+        }
+    }
+    for (index, point) in constraints.control.iter().enumerate() {
+        let sds_are_usable = point.sd_m.iter().all(|sd_m| sd_m.is_finite() && *sd_m > 0.0);
+        let coordinates = point.position_in_ecef_m.into_iter().chain(point.normal.into_iter().flatten());
+        if !(sds_are_usable && coordinates.into_iter().all(f64::is_finite)) {
+            return Err(AlignError::Control { index });
         }
     }
     Ok(())
@@ -253,6 +317,8 @@ fn problem<'a>(survey: &'a Survey<'a>, settings: &AlignSettings) -> Problem<'a> 
             correlation_s: priors.correlation_s,
         },
         start,
+        points: &[],
+        control: Vec::new(),
     }
 }
 
@@ -261,7 +327,13 @@ fn weighting(problem: &Problem<'_>, state: &State, pairs: &[Pair], reject: f64) 
     let residuals = problem.residuals(state, pairs);
     let ratios = residuals.iter().zip(pairs).filter_map(|(r, pair)| Some((*r)?.abs() / pair.sd_m));
     let scale = 1.4826 * median(ratios).unwrap_or(1.0);
-    Weighting { scale: scale.max(LEAST_SCALE), huber: HUBER, reject }
+    let of_control = problem.control_residuals(state, &problem.control);
+    Weighting {
+        scale: scale.max(LEAST_SCALE),
+        huber: HUBER,
+        reject,
+        control_scale: control_scale(&problem.control, &of_control),
+    }
 }
 
 /// A Gauss-Newton step; returns its size in SDs, of the combination of unknowns that moves most.

@@ -2,6 +2,8 @@
 #![warn(unreachable_pub)]
 
 pub mod adjust;
+pub mod control;
+mod control_rows;
 pub mod estimable;
 mod georeference;
 pub mod matching;

@@ -56,14 +56,7 @@ type Bin = (u32, u32, usize, usize);
 /// Two patches are a pair if each is the nearest of its strip to the other. Of many, classes of slope, aspect and scan
 /// angle are represented equally. The result is ordered and independent of threads.
 pub fn match_patches(survey: &Survey<'_>, state: &State, settings: &MatchSettings) -> Vec<Pair> {
-    let located: Vec<Option<Located>> = survey
-        .patches
-        .par_chunks(1024)
-        .flat_map_iter(|chunk| {
-            let mut poses = survey.poses();
-            chunk.iter().map(move |patch| survey.locate(patch, state, &mut poses)).collect::<Vec<_>>()
-        })
-        .collect();
+    let located = survey.locate_all(state);
     let index = GroundIndex::new(&located, settings.search_m);
     // Patch and the nearest of another strip, in order of the patches.
     let nearest: Vec<(u32, u32)> = (0..located.len() as u32)
@@ -116,10 +109,10 @@ const LEAST_AROUND: usize = 8;
 const DIFFERENT_SDS: f64 = 4.0;
 
 /// Median horizontal components of the normals by squares of the ground.
-struct Surroundings(HashMap<(i32, i32), [f64; 2]>);
+pub(crate) struct Surroundings(HashMap<(i32, i32), [f64; 2]>);
 
 impl Surroundings {
-    fn new(located: &[Option<Located>]) -> Surroundings {
+    pub(crate) fn new(located: &[Option<Located>]) -> Surroundings {
         let index = GroundIndex::new(located, SURROUNDINGS_M);
         let medians = index.ranges.par_iter().filter_map(|(key, &(from, to))| {
             let patches = &index.patches[from as usize..to as usize];
@@ -133,7 +126,7 @@ impl Surroundings {
     }
 
     /// Mean normal of two patches, without its part that is not above the noise.
-    fn denoised(&self, a: &Located, b: &Located, noise_squared: f64) -> [f32; 3] {
+    pub(crate) fn denoised(&self, a: &Located, b: &Located, noise_squared: f64) -> [f32; 3] {
         let sum: [f64; 3] = core::array::from_fn(|axis| a.normal()[axis] + b.normal()[axis]);
         let size = dot(sum, sum).sqrt().max(1e-9);
         let own = sum.map(|part| part / size);
@@ -151,7 +144,7 @@ impl Surroundings {
 }
 
 /// Patches by cells of the ground.
-struct GroundIndex {
+pub(crate) struct GroundIndex {
     cell_m: f64,
     /// Patches in order of their cells, and their range for each cell.
     patches: Vec<u32>,
@@ -159,7 +152,7 @@ struct GroundIndex {
 }
 
 impl GroundIndex {
-    fn new(located: &[Option<Located>], cell_m: f64) -> GroundIndex {
+    pub(crate) fn new(located: &[Option<Located>], cell_m: f64) -> GroundIndex {
         let mut keyed: Vec<((i32, i32), u32)> = located
             .iter()
             .enumerate()
@@ -175,7 +168,7 @@ impl GroundIndex {
     }
 
     /// Patches of the nine cells around a place.
-    fn around(&self, at: &Located) -> impl Iterator<Item = u32> {
+    pub(crate) fn around(&self, at: &Located) -> impl Iterator<Item = u32> {
         let (x, y) = cell(at, self.cell_m);
         let keys =
             (-1..=1).flat_map(move |dy| (-1..=1).map(move |dx| (x.wrapping_add(dx), y.wrapping_add(dy))));

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::trajectory::Poses;
 
+use crate::control::{ControlPair, ControlPoint};
 use crate::matching::Pair;
 use crate::parameters::{GLOBALS, Global, Layout, OFFSETS, knot_weights};
 use crate::patch::{Patch, block_rank};
@@ -26,11 +27,26 @@ pub(crate) struct Priors {
     pub(crate) correlation_s: [f64; 2],
 }
 
-/// Residual of a pair, and its derivatives.
-struct Row {
-    residual_m: f64,
+/// A residual and its derivatives.
+pub(crate) struct Row {
+    pub(crate) residual_m: f64,
     /// Unknowns in ascending order, and derivatives.
-    entries: Vec<(usize, f64)>,
+    pub(crate) entries: Vec<(usize, f64)>,
+}
+
+impl Row {
+    /// Entries of the same unknown are added.
+    pub(crate) fn new(residual_m: f64, mut entries: Vec<(usize, f64)>) -> Row {
+        entries.sort_by_key(|(unknown, _)| *unknown);
+        entries.dedup_by(|next, kept| {
+            let is_same = next.0 == kept.0;
+            if is_same {
+                kept.1 += next.1;
+            }
+            is_same
+        });
+        Row { residual_m, entries }
+    }
 }
 
 /// Unknowns and values.
@@ -44,6 +60,8 @@ pub(crate) struct Weighting {
     pub(crate) huber: f64,
     /// Residuals beyond this many SDs do not count.
     pub(crate) reject: f64,
+    /// Scale of the control points.
+    pub(crate) control_scale: f64,
 }
 
 impl Weighting {
@@ -80,6 +98,10 @@ pub(crate) struct Problem<'a> {
     pub(crate) priors: Priors,
     /// Start values, about which the priors are.
     pub(crate) start: State,
+    /// Control points.
+    pub(crate) points: &'a [ControlPoint],
+    /// Patches at the control points; none before the strips are near each other.
+    pub(crate) control: Vec<ControlPair>,
 }
 
 impl Problem<'_> {
@@ -134,6 +156,9 @@ impl Problem<'_> {
                 }
             }
         }
+        for (row, weight) in self.control_rows(state, weighting) {
+            self.add(&mut normal, &row, weight);
+        }
         self.add_priors(&mut normal, state);
         normal
     }
@@ -174,39 +199,43 @@ impl Problem<'_> {
         let by_ends = gradient(&ends_a, &ends_b, direction)?;
         let mut entries: Vec<(usize, f64)> = Vec::with_capacity(64);
         for ((patch, derivatives), by_ends) in [(a, of_a), (b, of_b)].into_iter().zip(by_ends) {
-            let strip = patch.strip as usize;
-            let installation = self.survey.strips[strip].installation;
-            let times_s = &self.priors.knot_times_s[strip];
-            for ((by_parameter, by_end), beam) in derivatives.iter().zip(by_ends).zip(&patch.beams) {
-                for (global, by) in by_parameter.globals.iter().enumerate() {
-                    if self.priors.globals[installation][global] > 0.0 {
-                        entries.push((self.layout.global(installation, global), dot(*by, by_end)));
-                    }
+            self.add_entries(&mut entries, state, patch, &derivatives, &by_ends);
+        }
+        Some(Row::new(residual_m, entries))
+    }
+
+    /// Adds derivatives of a row by all unknowns, from its derivatives by the ends of a patch.
+    pub(crate) fn add_entries(
+        &self,
+        entries: &mut Vec<(usize, f64)>,
+        state: &State,
+        patch: &Patch,
+        derivatives: &[crate::georeference::Derivatives; 3],
+        by_ends: &[Vector; 3],
+    ) {
+        let strip = patch.strip as usize;
+        let installation = self.survey.strips[strip].installation;
+        let times_s = &self.priors.knot_times_s[strip];
+        for ((by_parameter, by_end), beam) in derivatives.iter().zip(by_ends).zip(&patch.beams) {
+            for (global, by) in by_parameter.globals.iter().enumerate() {
+                if self.priors.globals[installation][global] > 0.0 {
+                    entries.push((self.layout.global(installation, global), dot(*by, *by_end)));
                 }
-                let time_s = beam.time_s + state.scanners[installation].calibration.time_offset_s;
-                let Some((first, weights)) = knot_weights(times_s, time_s) else { continue };
-                for (k, weight) in weights.into_iter().enumerate().filter(|(_, weight)| *weight > 0.0) {
-                    for (component, by) in by_parameter.offsets.iter().enumerate() {
-                        if self.priors.offsets[strip][component] > 0.0 {
-                            let unknown = self.layout.knot(strip, first + k) + component;
-                            entries.push((unknown, weight * dot(*by, by_end)));
-                        }
+            }
+            let time_s = beam.time_s + state.scanners[installation].calibration.time_offset_s;
+            let Some((first, weights)) = knot_weights(times_s, time_s) else { continue };
+            for (k, weight) in weights.into_iter().enumerate().filter(|(_, weight)| *weight > 0.0) {
+                for (component, by) in by_parameter.offsets.iter().enumerate() {
+                    if self.priors.offsets[strip][component] > 0.0 {
+                        let unknown = self.layout.knot(strip, first + k) + component;
+                        entries.push((unknown, weight * dot(*by, *by_end)));
                     }
                 }
             }
         }
-        entries.sort_by_key(|(unknown, _)| *unknown);
-        entries.dedup_by(|next, kept| {
-            let is_same = next.0 == kept.0;
-            if is_same {
-                kept.1 += next.1;
-            }
-            is_same
-        });
-        Some(Row { residual_m, entries })
     }
 
-    fn derivatives(
+    pub(crate) fn derivatives(
         &self,
         patch: &Patch,
         state: &State,
@@ -265,7 +294,7 @@ impl Problem<'_> {
         product: &mut [f64],
         mut matrix: Option<&mut BlockMatrix>,
     ) {
-        let mut add = |row: usize, column: usize, information: f64, is_kept: bool| {
+        self.for_each_prior(|row, column, information, is_kept| {
             if !is_kept {
                 product[row] += information * x[column];
             }
@@ -275,7 +304,11 @@ impl Problem<'_> {
                     matrix.block_mut(row_node, column_node)[(i, j)] += information;
                 }
             }
-        };
+        });
+    }
+
+    /// Visits the information of the priors: row, column, information, and whether the unknown is kept.
+    pub(crate) fn for_each_prior(&self, mut add: impl FnMut(usize, usize, f64, bool)) {
         for (installation, sds) in self.priors.globals.iter().enumerate() {
             for (global, sd) in sds.iter().enumerate() {
                 let unknown = self.layout.global(installation, global);

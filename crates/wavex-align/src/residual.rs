@@ -43,15 +43,35 @@ pub(crate) fn gradient(a: &[Vector; 3], b: &[Vector; 3], direction: Vector) -> O
     let between = difference(centre(a), centre(b));
     // d(mean . between) = mean . d(between) + across . (d normal_a + d normal_b) / size
     let across = scaled(difference(between, scaled(mean, dot(mean, between))), 1.0 / size);
-    let of = |ends: &[Vector; 3], normal: Vector, sign: f64| {
-        let turned = difference(across, scaled(normal, dot(normal, across)));
-        let turned = scaled(turned, 1.0 / length(area(ends)));
-        let by_second = cross(difference(ends[2], ends[0]), turned);
-        let by_third = cross(turned, difference(ends[1], ends[0]));
-        let shared = scaled(direction, sign / 3.0);
-        [difference(shared, sum(by_second, by_third)), sum(shared, by_second), sum(shared, by_third)]
-    };
-    Some([of(a, normal_a, 1.0), of(b, normal_b, -1.0)])
+    Some([
+        by_corners(a, normal_a, across, direction),
+        by_corners(b, normal_b, across, scaled(direction, -1.0)),
+    ])
+}
+
+/// Distance of a plane from a point along the normal of the plane, m: positive above the point.
+pub(crate) fn distance_from(plane: &[Vector; 3], point: Vector) -> Option<f64> {
+    Some(dot(normal(plane)?, difference(centre(plane), point)))
+}
+
+/// Derivatives of [`distance_from`] by the corners, if they move along `direction`.
+///
+/// They are exact if it is the normal.
+pub(crate) fn gradient_from(plane: &[Vector; 3], point: Vector, direction: Vector) -> Option<[Vector; 3]> {
+    let normal = normal(plane)?;
+    let between = difference(centre(plane), point);
+    let across = difference(between, scaled(normal, dot(normal, between)));
+    Some(by_corners(plane, normal, across, direction))
+}
+
+/// Derivatives of `direction . centre + across . normal` by the corners.
+fn by_corners(ends: &[Vector; 3], normal: Vector, across: Vector, direction: Vector) -> [Vector; 3] {
+    let turned = difference(across, scaled(normal, dot(normal, across)));
+    let turned = scaled(turned, 1.0 / length(area(ends)));
+    let by_second = cross(difference(ends[2], ends[0]), turned);
+    let by_third = cross(turned, difference(ends[1], ends[0]));
+    let shared = scaled(direction, 1.0 / 3.0);
+    [difference(shared, sum(by_second, by_third)), sum(shared, by_second), sum(shared, by_third)]
 }
 
 #[cfg(test)]
@@ -81,6 +101,19 @@ mod tests {
                     let by_b_numeric = (r(&a, &moved(b, step)) - r(&a, &moved(b, -step))) / (2.0 * step);
                     prop_assert!((by_a[corner][axis] - by_a_numeric).abs() < 1e-8);
                     prop_assert!((by_b[corner][axis] - by_b_numeric).abs() < 1e-8);
+                }
+            }
+            let point = [0.8, -0.3, 0.4];
+            let by_a = gradient_from(&a, point, normal(&a).unwrap()).unwrap();
+            for corner in 0..3 {
+                for axis in 0..3 {
+                    let r = |step: f64| {
+                        let mut moved = a;
+                        moved[corner][axis] += step;
+                        distance_from(&moved, point).unwrap()
+                    };
+                    let numeric = (r(step) - r(-step)) / (2.0 * step);
+                    prop_assert!((by_a[corner][axis] - numeric).abs() < 1e-8);
                 }
             }
         }

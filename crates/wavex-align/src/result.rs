@@ -4,6 +4,7 @@ use rayon::prelude::*;
 use wavex_geodesy::trajectory::corrections::TrajectoryCorrections;
 use wavex_simd::statistics::median;
 
+use crate::control::ControlResult;
 use crate::estimable::{FlightFacts, REPORTED_CORRELATION, Treatment, Verdict, verdict};
 use crate::matching::{MatchSettings, Pair, match_patches};
 use crate::normal::{Problem, Weighting};
@@ -109,6 +110,8 @@ pub struct Alignment {
     pub facts: FlightFacts,
     /// Rating.
     pub verdict: Verdict,
+    /// Control points.
+    pub control: ControlResult,
 }
 
 /// Differences of two strips: their indices, values, m, and number of rejected pairs.
@@ -244,6 +247,7 @@ pub(crate) fn report(
         ),
         parameters,
         state,
+        control: ControlResult::default(),
     };
     let lost: Vec<u32> = survey
         .patches

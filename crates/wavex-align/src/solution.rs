@@ -58,6 +58,8 @@ impl Solution {
             let change = factor.solve(group);
             jackknife.iter_mut().zip(change.iter()).for_each(|(sum, x)| *sum += factor_of_groups * x * x);
         }
+        // Control points are few, and their SDs are given: their part is formal, like that of the priors.
+        let control = problem.control_rows(state, weighting);
         // The part of the priors, for the parameters of installations.
         for unknown in first..layout.len() {
             let mut unit = DVector::zeros(layout.len());
@@ -67,6 +69,10 @@ impl Solution {
             problem.prior_times(&column, &mut product, None);
             held.iter().for_each(|&unknown| product[unknown] = 0.0);
             jackknife[unknown] += column.iter().zip(product).map(|(x, y)| x * y).sum::<f64>();
+            for (row, weight) in &control {
+                let along: f64 = row.entries.iter().map(|(other, by)| by * column[*other]).sum();
+                jackknife[unknown] += weight * along * along;
+            }
         }
         for (&unknown, effect) in held.iter().zip(&effects) {
             let mut effect = factor.solve(effect);

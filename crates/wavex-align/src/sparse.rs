@@ -256,6 +256,15 @@ impl SelectedInverse {
         let rank = *self.rank.get(node)?;
         self.blocks.get(&(rank, rank))
     }
+
+    /// Element of two unknowns, each a node and its place there; `None` where the factor has no block.
+    pub fn value(&self, (row, i): (usize, usize), (column, j): (usize, usize)) -> Option<f64> {
+        let (row, column) = (*self.rank.get(row)?, *self.rank.get(column)?);
+        match row >= column {
+            true => self.blocks.get(&(row, column)).map(|block| block[(i, j)]),
+            false => self.blocks.get(&(column, row)).map(|block| block[(j, i)]),
+        }
+    }
 }
 
 #[cfg(test)]

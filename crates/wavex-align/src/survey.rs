@@ -1,5 +1,6 @@
 //! Strips, their patches, and the state of an adjustment.
 
+use rayon::prelude::*;
 use wavex_geodesy::frames::Vector;
 use wavex_geodesy::trajectory::corrections::TrajectoryCorrections;
 use wavex_geodesy::trajectory::{Poses, Trajectory};
@@ -59,7 +60,6 @@ pub(crate) struct Located {
 }
 
 impl Located {
-    #[cfg(test)]
     pub(crate) fn new(centre_m: [f32; 3], normal: [f32; 3]) -> Located {
         Located { centre_m, normal }
     }
@@ -98,5 +98,14 @@ impl<'a> Survey<'a> {
             centre_m: self.horizon.local_m(centre(&ends)).map(|along_m| along_m as f32),
             normal: self.horizon.local_direction(normal(&ends)?).map(|part| part as f32),
         })
+    }
+
+    /// All patches at their places; `None` without a pose.
+    pub(crate) fn locate_all(&self, state: &State) -> Vec<Option<Located>> {
+        let chunks = self.patches.par_chunks(1024).flat_map_iter(|chunk| {
+            let mut poses = self.poses();
+            chunk.iter().map(move |patch| self.locate(patch, state, &mut poses)).collect::<Vec<_>>()
+        });
+        chunks.collect()
     }
 }

@@ -41,7 +41,7 @@ fn rows_are_differences_of_residuals() {
         .map(|patch| survey.locate(&survey.patches[patch as usize], &state, &mut poses).unwrap().normal());
     let mean: [f64; 3] = core::array::from_fn(|axis| normals[0][axis] + normals[1][axis]);
     pair.direction = mean.map(|part| (part / length(mean)) as f32);
-    let weighting = Weighting { scale: 1.0, huber: f64::INFINITY, reject: f64::INFINITY };
+    let weighting = Weighting { scale: 1.0, huber: f64::INFINITY, reject: f64::INFINITY, control_scale: 1.0 };
     let weight = weighting.weight(&pair, 0.0);
     let normal = problem.normal(&state, &[pair], &weighting, true);
     let residual = problem.residuals(&state, &[pair])[0].unwrap();
