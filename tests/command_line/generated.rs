@@ -14,6 +14,7 @@ use wavex::inspect::ScanSummary;
 use wavex::job::{Job, JobSettings, example_job, job_schema_text, manual};
 use wavex::registry::{STAGES, find};
 use wavex::report::RunReport;
+use wavex::report::align::AlignReport;
 use wavex::report::survey::Survey;
 use wavex::scan_line::flags::NAMES;
 use wavex::stage::{Reason, SurveyModels};
@@ -69,6 +70,13 @@ fn the_schema_of_surveys_is_up_to_date() {
     let settings = SchemaSettings::draft2020_12().for_serialize();
     let schema = settings.into_generator().into_root_schema_for::<Survey>();
     check("schemas/survey.schema.json", &format!("{:#}\n", schema.to_value()));
+}
+
+#[test]
+fn the_schema_of_alignments_is_up_to_date() {
+    let settings = SchemaSettings::draft2020_12().for_serialize();
+    let schema = settings.into_generator().into_root_schema_for::<AlignReport>();
+    check("schemas/align.schema.json", &format!("{:#}\n", schema.to_value()));
 }
 
 #[test]

@@ -106,6 +106,8 @@ pub const DOUBTFUL_REJECTED: f64 = 0.1;
 pub const BAD_REJECTED: f64 = 0.5;
 /// Change of a parameter, SDs of its start value, above which the start value or its SD is wrong.
 pub const DOUBTFUL_CHANGE_SDS: f64 = 5.0;
+/// Differences of the strips after over those before: above this, the alignment made them worse.
+pub const WORSE: f64 = 1.1;
 
 /// Rating of an alignment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -121,7 +123,7 @@ pub enum Verdict {
 /// Verdict from the scale of the residuals, the rejected part of the pairs, the differences before and after, m, and the
 /// largest change of a parameter, SDs of its start value.
 pub fn verdict(scale: f64, rejected: f64, [before_m, after_m]: [f64; 2], change_sds: f64) -> Verdict {
-    if rejected > BAD_REJECTED || scale > BAD_SCALE || after_m > 1.1 * before_m {
+    if rejected > BAD_REJECTED || scale > BAD_SCALE || after_m > WORSE * before_m {
         Verdict::Bad
     } else if rejected > DOUBTFUL_REJECTED || scale > DOUBTFUL_SCALE || change_sds > DOUBTFUL_CHANGE_SDS {
         Verdict::Doubtful

@@ -8,6 +8,7 @@ pub mod estimable;
 mod georeference;
 pub mod matching;
 mod normal;
+pub mod observation;
 pub mod parameters;
 pub mod patch;
 mod residual;

@@ -85,6 +85,27 @@ impl Global {
         }
     }
 
+    /// Text for people, a unit for people, and its size in the unit of the name.
+    pub fn label(self) -> (&'static str, &'static str, f64) {
+        let degree = 1f64.to_radians();
+        match self {
+            Global::LeverForward => ("lever arm forward", "m", 1.0),
+            Global::LeverRight => ("lever arm right", "m", 1.0),
+            Global::LeverDown => ("lever arm down", "m", 1.0),
+            Global::Roll => ("boresight roll", "deg", degree),
+            Global::Pitch => ("boresight pitch", "deg", degree),
+            Global::Yaw => ("boresight yaw", "deg", degree),
+            Global::E0 => ("range offset e0", "m", 1.0),
+            Global::E1 => ("range scale e1", "1", 1.0),
+            Global::E2 => ("scan angle scale e2", "1", 1.0),
+            Global::E3 => ("quadratic scan angle e3", "1/rad", 1.0),
+            Global::E4 => ("cubic scan angle e4", "1/rad²", 1.0),
+            Global::E6 => ("scan angle offset e6", "rad", 1.0),
+            Global::E7 => ("range offset e7", "m", 1.0),
+            Global::Time => ("time offset", "ms", 1e-3),
+        }
+    }
+
     /// Value of a scanner, in the unit of the name.
     pub fn of(self, scanner: &Scanner) -> f64 {
         let c = &scanner.calibration;

@@ -8,6 +8,7 @@ use crate::control::ControlResult;
 use crate::estimable::{FlightFacts, REPORTED_CORRELATION, Treatment, Verdict, verdict};
 use crate::matching::{MatchSettings, Pair, match_patches};
 use crate::normal::{Problem, Weighting};
+use crate::observation::{Observation, observations};
 use crate::parameters::{GLOBALS, Global, OFFSETS};
 use crate::patch::Patch;
 use crate::solution::Solution;
@@ -92,8 +93,14 @@ pub struct Alignment {
     pub parameters: Vec<[ParameterResult; GLOBALS]>,
     /// Correlations above 0.9 of parameters that are not given.
     pub correlations: Vec<Correlation>,
+    /// Covariance of the parameters of all installations, in the order of `parameters`; 0 for given ones.
+    ///
+    /// Correlations are formal, variances those of the stated SDs.
+    pub covariance: Vec<Vec<f64>>,
     /// Corrections of each strip.
     pub strips: Vec<StripResult>,
+    /// Pairs of the last iteration, used and rejected.
+    pub observations: Vec<Observation>,
     /// Differences of the strips that overlap.
     pub overlaps: Vec<OverlapResult>,
     /// Ratio of the residuals to the stated SDs of the patches.
@@ -231,6 +238,8 @@ pub(crate) fn report(
         .collect();
     let mut result = Alignment {
         correlations: correlations(problem, solution),
+        covariance: covariance(problem, solution),
+        observations: observations(problem, &state, pairs, weighting),
         strips,
         overlaps,
         scale: weighting.scale,
@@ -278,6 +287,26 @@ fn correlations(problem: &Problem<'_>, solution: &Solution) -> Vec<Correlation> 
         }
     }
     found
+}
+
+/// Formal correlations times the stated SDs.
+fn covariance(problem: &Problem<'_>, solution: &Solution) -> Vec<Vec<f64>> {
+    let formal = &solution.globals;
+    let first = problem.layout.globals_start();
+    let sd = |k: usize| match problem.priors.globals[k / GLOBALS][k % GLOBALS] > 0.0 {
+        true => solution.sd(first + k),
+        false => 0.0,
+    };
+    let of = |i: usize, j: usize| {
+        let correlation = match i == j {
+            true => 1.0,
+            false => formal[(i, j)] / (formal[(i, i)] * formal[(j, j)]).sqrt(),
+        };
+        let sds = sd(i) * sd(j);
+        if sds > 0.0 { correlation * sds } else { 0.0 }
+    };
+    let n = formal.nrows();
+    (0..n).map(|i| (0..n).map(|j| of(i, j)).collect()).collect()
 }
 
 fn facts(survey: &Survey<'_>, state: &State, pairs: &[Pair]) -> FlightFacts {

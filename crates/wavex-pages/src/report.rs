@@ -11,6 +11,7 @@ use wavex_engine::engine::{InputSummary, RunSummary, StageSummary};
 use wavex_formats::{Error, Result, read_small_text};
 use wavex_line::stage::OutputFile;
 
+pub mod align;
 mod earlier;
 pub(crate) mod overview;
 mod page;

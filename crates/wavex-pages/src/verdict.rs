@@ -4,6 +4,9 @@
 //! without any assessed check neither: missing data is never good.
 
 use super::numbers::{label, short, with_unit};
+use wavex_align::estimable::{
+    BAD_REJECTED, BAD_SCALE, DOUBTFUL_CHANGE_SDS, DOUBTFUL_REJECTED, DOUBTFUL_SCALE, WORSE,
+};
 
 /// Grade of a check or a section, from good to bad.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -109,6 +112,19 @@ pub(crate) const UNEXPLAINED_WAVEFORMS: Rule =
 pub(crate) const PAIRS: Rule = at_most("pairs of strips beyond the limit", "", [0.0, NEVER_BAD]);
 pub(crate) const ROUGHNESS: Rule = at_most("median roughness", "m", [0.06, 0.12]).from(100, "smooth cells");
 
+/// Rules of the page of an alignment: those of its verdict.
+pub(crate) const RESIDUAL_SCALE: Rule =
+    at_most("remaining differences in stated SDs", "", [DOUBTFUL_SCALE, BAD_SCALE]).from(100, "used pairs");
+pub(crate) const REJECTED_PAIRS: Rule =
+    at_most("rejected pairs", "%", [100.0 * DOUBTFUL_REJECTED, 100.0 * BAD_REJECTED]).from(100, "pairs");
+pub(crate) const SPREAD_RATIO: Rule =
+    at_most("differences after over those before", "", [WORSE, WORSE]).from(100, "used pairs");
+pub(crate) const PARAMETER_CHANGE: Rule =
+    at_most("largest change of a parameter in SDs of its start value", "", [DOUBTFUL_CHANGE_SDS, NEVER_BAD]);
+pub(crate) const STRIPS_NOT_ALIGNED: Rule = at_most("strips left out or not aligned", "", [0.0, NEVER_BAD]);
+pub(crate) const PATCHES_WITHOUT_POSE: Rule =
+    at_most("patches outside of the trajectory", "%", [1.0, NEVER_BAD]).from(100, "patches");
+
 /// RMS of height differences between strips: good up to the limit of the job, look up to twice that.
 pub(crate) fn difference_rms(limit_m: f64) -> Rule {
     at_most("RMS of height differences", "m", [limit_m, 2.0 * limit_m]).from(100, "cells")
@@ -190,6 +206,7 @@ impl Rule {
         match (good == 0.0, look) {
             (true, NEVER_BAD) => "good if none, else look".to_owned(),
             (false, NEVER_BAD) => format!("good {side} {}, else look", limit(good)),
+            (false, bad) if bad == good => format!("good {side} {}, else bad", limit(good)),
             (true, 0.0) => "good if none, else bad".to_owned(),
             (true, _) => format!("good if none, look {side} {}, else bad", limit(look)),
             (false, _) => format!("good {side} {}, look {side} {}, else bad", limit(good), limit(look)),
@@ -228,6 +245,7 @@ mod tests {
         assert_eq!(ROLL.check(Some(4.0), 9).measured, "largest roll: 4°");
         assert_eq!(GAPS.check(Some(0.5), 9).rule, "good if none, look up to 1 % of the area, else bad");
         assert_eq!(target_density(4.0).check(Some(3.0), 100).grade, Grade::Look);
+        assert_eq!(SPREAD_RATIO.check(Some(1.2), 100).rule, "good up to 1.1, else bad");
         assert_eq!(difference_rms(0.08).check(Some(0.17), 100).grade, Grade::Bad);
     }
 

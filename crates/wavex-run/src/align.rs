@@ -10,6 +10,7 @@ use crate::run::folders;
 use strips::{SurveyStrips, collect};
 use wavex_align::adjust::{AlignSettings, align as adjust};
 use wavex_align::estimable::Verdict;
+use wavex_align::observation::Observation;
 use wavex_align::parameters::{Global, GlobalPriors};
 use wavex_align::result::Alignment;
 use wavex_align::survey::{Installation, Strip, Survey};
@@ -19,6 +20,7 @@ use wavex_formats::Error;
 use wavex_line::georef::corrections::{CorrectionsFile, StripCorrections};
 use wavex_line::georef::keys::CalibrationKey;
 use wavex_line::stage::{FinishedFile, OutputFile};
+use wavex_pages::report::align::{AlignReport, page, write_residuals};
 
 pub use wavex_align::parameters::TrajectoryModel;
 
@@ -32,6 +34,10 @@ pub const CALIBRATION_FILE: &str = "calibration.toml";
 pub const CORRECTIONS_FILE: &str = "corrections.toml";
 /// Name of the report of an alignment.
 pub const REPORT_FILE: &str = "align.json";
+/// Name of the page of an alignment.
+pub const PAGE_FILE: &str = "align.html";
+/// Name of the differences of all pairs of patches.
+pub const RESIDUALS_FILE: &str = "residuals.arrow";
 
 /// SD of the range offset of the low-power receiver if both receivers have patches, m.
 const RECEIVER_OFFSET_SD_M: f64 = 0.05;
@@ -64,12 +70,16 @@ pub struct Aligned {
     pub written: Vec<PathBuf>,
     /// Why the alignment is bad; `None` if it is usable.
     pub failure: Option<Failure>,
+    /// The report, as written.
+    pub report: AlignReport,
+    /// Differences of all pairs of patches.
+    pub observations: Vec<Observation>,
 }
 
 /// Estimates calibration and corrections of trajectories from the overlaps of a job's inputs.
 ///
-/// Writes [`CALIBRATION_FILE`], [`REPORT_FILE`] and, unless trajectories are kept, [`CORRECTIONS_FILE`]; of a bad alignment only the
-/// report. Inputs that cannot be read are left out.
+/// Writes [`CALIBRATION_FILE`], [`REPORT_FILE`], [`PAGE_FILE`], [`RESIDUALS_FILE`] and, unless trajectories are kept,
+/// [`CORRECTIONS_FILE`]; of a bad alignment neither calibration nor corrections. Inputs that cannot be read are left out.
 ///
 /// # Errors
 /// A job without trajectory or points, fewer than two strips, strips that do not overlap, files that cannot be written.
@@ -85,13 +95,14 @@ pub fn align(request: &AlignRequest<'_>) -> Result<Aligned, Failure> {
     let settings = AlignSettings { trajectory_model: request.trajectory, ..AlignSettings::default() };
     let survey = collect(job, &options, &settings)?;
     let result = adjusted(&survey, &settings, options.workers())?;
-    let written = write(request, &survey, &result)?;
     let warnings = survey.failures.iter().map(|failed| format!("left out: {}", failed.problem));
     let warnings: Vec<String> = warnings.chain(unconnected(&survey, &result)).collect();
     let replaced = job.settings.geometry.corrections.as_ref().map(|file| {
         format!("{file}: the corrections of the job are not applied; those of this alignment replace them")
     });
     let mut warnings: Vec<String> = warnings.into_iter().chain(replaced).collect();
+    let report = report::report(request, &input_dir, &survey, &result, &warnings);
+    let written = write(request, &survey, &result, &report)?;
     let mut text = words::summary(&survey, &result);
     let problem = words::problem(&result);
     let failure = if result.verdict == Verdict::Bad {
@@ -101,7 +112,7 @@ pub fn align(request: &AlignRequest<'_>) -> Result<Aligned, Failure> {
         text += &words::next_command(request, &input_dir, &written);
         None
     };
-    Ok(Aligned { text, warnings, written, failure })
+    Ok(Aligned { text, warnings, written, failure, report, observations: result.observations })
 }
 
 /// Checks what the job alone shows.
@@ -183,6 +194,7 @@ fn write(
     request: &AlignRequest<'_>,
     survey: &SurveyStrips,
     result: &Alignment,
+    report: &AlignReport,
 ) -> Result<Vec<PathBuf>, Failure> {
     let path = |name: &str| request.output.join(name);
     let (calibration, corrections) = (path(CALIBRATION_FILE), path(CORRECTIONS_FILE));
@@ -196,8 +208,12 @@ fn write(
             finished.push(self::finished(&corrections, &text)?);
         }
     }
-    let report = report::report(request, survey, result);
-    let report = serde_json::to_string_pretty(&report).map_err(|error| Failure::Run(error.to_string()))?;
+    let names: Vec<&str> = survey.strips.iter().map(|strip| strip.name.as_str()).collect();
+    let residuals = OutputFile::create(&path(RESIDUALS_FILE))
+        .and_then(|file| write_residuals(&result.observations, &names, file));
+    finished.push(residuals.map_err(|error| Failure::Run(error.to_string()))?);
+    finished.push(self::finished(&path(PAGE_FILE), &page(report, &result.observations))?);
+    let report = serde_json::to_string_pretty(report).map_err(|error| Failure::Run(error.to_string()))?;
     // Files of an earlier alignment would look like those of this one.
     let stale = if is_bad { vec![calibration, corrections] } else { Vec::new() };
     finished.push(self::finished(&path(REPORT_FILE), &(report + "\n"))?.replacing(stale));

@@ -33,6 +33,7 @@ mod resolved;
 mod verify;
 
 pub use digest::digest_of;
+pub(crate) use digest::of_file as size_and_digest_of;
 pub use inputs::{FilesRead, missing_files};
 pub use origin::{Machine, Package, Program};
 pub use paths::{common, plain, relative, shown};

@@ -193,3 +193,38 @@ fn unusable_surveys_are_refused() {
     let error = align(&lost, &settings()).unwrap_err().to_string();
     assert_eq!(error, "strip 1 refers to trajectory 1, but there are 1");
 }
+
+/// Observations, their covariance and the overlaps agree.
+#[test]
+fn observations_and_covariance_are_those_of_the_results() {
+    let mut plan = Plan::cross();
+    plan.truth.calibration.boresight_deg = [0.05, -0.03, 0.05];
+    plan.bias_m = |x, y| if x.abs() < 30.0 && y.abs() < 30.0 { 0.3 } else { 0.0 };
+    let flight = plan.fly();
+    let result = aligned(&flight);
+    assert_eq!(result.observations.len(), result.n_pairs);
+    for overlap in &result.overlaps {
+        let own: Vec<_> = result.observations.iter().filter(|one| one.strips == overlap.strips).collect();
+        let used = || own.iter().filter(|one| one.is_used).map(|one| one.after_m);
+        assert_eq!((own.len(), used().count()), (overlap.n_pairs, overlap.n_pairs - overlap.n_rejected));
+        assert_eq!(median(used()), Some(overlap.median_m[1]));
+    }
+    let spread = |of: fn(&crate::observation::Observation) -> f64| {
+        median(result.observations.iter().map(|one| of(one).abs())).unwrap()
+    };
+    let (before_m, after_m) = (spread(|one| one.before_m.unwrap()), spread(|one| one.after_m));
+    assert!(before_m > 5.0 * after_m, "{before_m} {after_m}");
+    for one in &result.observations {
+        // Upwards: away from the centre of the earth, apart from the slope.
+        assert!((length(one.normal_in_ecef) - 1.0).abs() < 1e-9);
+        assert!(crate::vector::dot(one.normal_in_ecef, one.place_in_ecef_m) > 0.0);
+    }
+    for (i, parameter) in result.parameters[0].iter().enumerate() {
+        let own = result.covariance[i][i];
+        assert!((own - parameter.sd * parameter.sd).abs() <= 1e-12 * own, "{parameter:?} {own}");
+        for j in 0..GLOBALS {
+            assert_eq!(result.covariance[i][j], result.covariance[j][i]);
+            assert!(result.covariance[i][j].abs() <= parameter.sd * result.parameters[0][j].sd);
+        }
+    }
+}

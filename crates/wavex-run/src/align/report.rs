@@ -1,139 +1,196 @@
 //! The report of an alignment, `align.json`.
 
-use serde_json::{Value, json};
+use std::path::Path;
 
 use super::strips::SurveyStrips;
-use super::{AlignRequest, TrajectoryModel};
+use super::{AlignRequest, TrajectoryModel, words};
+use crate::archive::size_and_digest_of;
 use wavex_align::estimable::{FlightFacts, Treatment, Verdict, reasons};
-use wavex_align::result::{Alignment, ParameterResult};
+use wavex_align::result::{Alignment, OverlapResult, ParameterResult, StripResult};
 use wavex_engine::build;
 use wavex_geodesy::trajectory::corrections::CorrectionKnot;
+use wavex_line::georef::keys::CalibrationKey;
+use wavex_pages::report::align::{
+    AlignReport, AlignVerdict, AlignedParameter, AlignedStrip, Covariance, FailedStrip, FileDigest, Flight,
+    Knot, NotDetermined, Overlap, ParameterCorrelation, ParameterTreatment, TrajectoryForm, TrajectoryWord,
+    VERSION,
+};
 
 /// Everything that an alignment found.
-pub(super) fn report(request: &AlignRequest<'_>, survey: &SurveyStrips, result: &Alignment) -> Value {
+pub(super) fn report(
+    request: &AlignRequest<'_>,
+    input_dir: &Path,
+    survey: &SurveyStrips,
+    result: &Alignment,
+    warnings: &[String],
+) -> AlignReport {
     let parameters = result.parameters.first().map_or(&[][..], |all| &all[..]);
-    let name = |strip: u32| survey.strips.get(strip as usize).map_or("", |strip| &strip.name);
-    let correlations = result.correlations.iter().map(|found| {
-        json!({
-            "parameters": [found.first.1.name(), found.second.1.name()],
-            "correlation": found.correlation,
-        })
+    let correlations = result.correlations.iter().map(|found| ParameterCorrelation {
+        parameters: [found.first.1, found.second.1].map(|parameter| parameter.name().to_owned()),
+        correlation: found.correlation,
     });
-    let overlaps = result.overlaps.iter().map(|overlap| {
-        json!({
-            "strips": overlap.strips.map(name),
-            "pairs": overlap.n_pairs,
-            "rejected_pairs": overlap.n_rejected,
-            "median_before_m": overlap.median_m[0],
-            "median_after_m": overlap.median_m[1],
-            "spread_before_m": overlap.spread_m[0],
-            "spread_after_m": overlap.spread_m[1],
-        })
-    });
+    let failures = survey.failures.iter();
     let failures =
-        survey.failures.iter().map(|failed| json!({ "name": failed.name, "problem": failed.problem }));
-    json!({
-        "version": 1,
-        "wavex": build::VERSION,
-        "commit": build::COMMIT,
-        "job": request.job.name,
-        "trajectory_model": model(request.trajectory),
-        "verdict": verdict_word(result.verdict),
-        "parameters": parameters.iter().map(|found| parameter(found, &result.facts)).collect::<Vec<_>>(),
-        "correlations": correlations.collect::<Vec<_>>(),
-        "strips": strips(survey, result),
-        "failed_strips": failures.collect::<Vec<_>>(),
-        "overlaps": overlaps.collect::<Vec<_>>(),
-        "spread_before_m": result.spread_m[0],
-        "spread_after_m": result.spread_m[1],
-        "residual_scale": result.scale,
-        "unknowns": result.n_unknowns,
-        "pairs": result.n_pairs,
-        "rejected_pairs": result.n_rejected,
-        "flight": {
-            "crossing_deg": result.facts.crossing_rad.to_degrees(),
-            "turn_deg": result.facts.turn_rad.to_degrees(),
-            "sloped_ratio": result.facts.sloped,
-            "ranges_m": result.facts.ranges_m,
-            "scan_angle_difference_deg": result.facts.angles_rad.to_degrees(),
-            "receiver_pairs": result.facts.receiver_pairs,
-        },
-    })
+        failures.map(|failed| FailedStrip { name: failed.name.clone(), problem: failed.problem.clone() });
+    let calibration = match &request.job.settings.geometry.calibration {
+        Some(CalibrationKey::File(file)) => Some(digested(&input_dir.join(file))),
+        _ => None,
+    };
+    AlignReport {
+        version: VERSION,
+        wavex: build::VERSION.to_owned(),
+        commit: build::COMMIT.to_owned(),
+        job: request.job.name.clone(),
+        trajectory_model: model(request.trajectory),
+        verdict: verdict(result.verdict),
+        problems: words::causes(result),
+        remedy: words::remedy(result.verdict).map(str::to_owned),
+        warnings: warnings.to_vec(),
+        parameters: parameters.iter().map(|found| parameter(found, &result.facts)).collect(),
+        covariance: covariance(parameters, &result.covariance),
+        correlations: correlations.collect(),
+        strips: survey
+            .strips
+            .iter()
+            .zip(&result.strips)
+            .map(|(strip, found)| self::strip(survey, strip, found))
+            .collect(),
+        failed_strips: failures.collect(),
+        overlaps: result.overlaps.iter().map(|found| overlap(survey, found)).collect(),
+        spread_before_m: known(result.spread_m[0]),
+        spread_after_m: known(result.spread_m[1]),
+        residual_scale: result.scale,
+        unknowns: result.n_unknowns,
+        pairs: result.n_pairs,
+        rejected_pairs: result.n_rejected,
+        flight: flight(&result.facts),
+        trajectories: survey.trajectory_files.iter().map(|file| digested(file)).collect(),
+        calibration,
+    }
 }
 
-fn model(model: TrajectoryModel) -> Value {
+/// A number; `None` if it is unknown.
+fn known(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+fn model(model: TrajectoryModel) -> TrajectoryForm {
     match model {
-        TrajectoryModel::None => "none".into(),
-        TrajectoryModel::Constant => "constant".into(),
-        TrajectoryModel::Linear => "linear".into(),
-        TrajectoryModel::Spline(step_s) => step_s.into(),
+        TrajectoryModel::None => TrajectoryForm::Word(TrajectoryWord::None),
+        TrajectoryModel::Constant => TrajectoryForm::Word(TrajectoryWord::Constant),
+        TrajectoryModel::Linear => TrajectoryForm::Word(TrajectoryWord::Linear),
+        TrajectoryModel::Spline(step_s) => TrajectoryForm::KnotsEvery(step_s),
+    }
+}
+
+fn verdict(verdict: Verdict) -> AlignVerdict {
+    match verdict {
+        Verdict::Good => AlignVerdict::Good,
+        Verdict::Doubtful => AlignVerdict::Doubtful,
+        Verdict::Bad => AlignVerdict::Bad,
     }
 }
 
 /// Word of a verdict.
-pub(super) fn verdict_word(verdict: Verdict) -> &'static str {
-    match verdict {
-        Verdict::Good => "good",
-        Verdict::Doubtful => "doubtful",
-        Verdict::Bad => "bad",
+pub(super) fn verdict_word(found: Verdict) -> &'static str {
+    verdict(found).word()
+}
+
+fn flight(facts: &FlightFacts) -> Flight {
+    Flight {
+        crossing_deg: facts.crossing_rad.to_degrees(),
+        turn_deg: facts.turn_rad.to_degrees(),
+        sloped_ratio: facts.sloped,
+        ranges_m: facts.ranges_m,
+        scan_angle_difference_deg: facts.angles_rad.to_degrees(),
+        receiver_pairs: facts.receiver_pairs,
     }
 }
 
-fn parameter(found: &ParameterResult, facts: &FlightFacts) -> Value {
-    let treatment = match found.treatment {
-        Treatment::Given => "given",
-        Treatment::Estimated => "estimated",
-        Treatment::NotEstimable => "not_estimable",
-        Treatment::OnlyCombined => "only_combined",
-    };
+/// Rows and columns of the parameters that are not given.
+fn covariance(parameters: &[ParameterResult], all: &[Vec<f64>]) -> Covariance {
+    let is_open = |k: &usize| parameters.get(*k).is_some_and(|found| found.treatment != Treatment::Given);
+    let open: Vec<usize> = (0..parameters.len()).filter(is_open).collect();
+    let row = |i: &usize| open.iter().map(|j| all[*i][*j]).collect();
+    Covariance {
+        parameters: open.iter().map(|k| parameters[*k].parameter.name().to_owned()).collect(),
+        matrix: open.iter().map(row).collect(),
+    }
+}
+
+fn parameter(found: &ParameterResult, facts: &FlightFacts) -> AlignedParameter {
     let causes = match found.treatment {
         Treatment::Given | Treatment::Estimated => Vec::new(),
         Treatment::NotEstimable | Treatment::OnlyCombined => reasons(found.parameter, facts),
     };
-    let causes = causes.into_iter().map(|(cause, remedy)| json!({ "cause": cause, "remedy": remedy }));
-    json!({
-        "name": found.parameter.name(),
-        "start": found.start,
-        "value": found.value,
-        "sd": found.sd,
-        "formal_sd": found.formal_sd,
-        "jackknife_sd": found.jackknife_sd,
-        "prior_sd": found.prior_sd,
-        "treatment": treatment,
-        "reasons": causes.collect::<Vec<_>>(),
-    })
+    let reasons = causes
+        .into_iter()
+        .map(|(cause, remedy)| NotDetermined { cause: cause.to_owned(), remedy: remedy.to_owned() });
+    AlignedParameter {
+        name: found.parameter.name().to_owned(),
+        start: found.start,
+        value: found.value,
+        sd: found.sd,
+        formal_sd: found.formal_sd,
+        jackknife_sd: found.jackknife_sd,
+        prior_sd: found.prior_sd,
+        treatment: match found.treatment {
+            Treatment::Given => ParameterTreatment::Given,
+            Treatment::Estimated => ParameterTreatment::Estimated,
+            Treatment::NotEstimable => ParameterTreatment::NotEstimable,
+            Treatment::OnlyCombined => ParameterTreatment::OnlyCombined,
+        },
+        reasons: reasons.collect(),
+    }
 }
 
-fn strips(survey: &SurveyStrips, result: &Alignment) -> Vec<Value> {
-    let both = survey.strips.iter().zip(&result.strips);
-    let strips = both.map(|(strip, found)| {
-        let knot = |(knot, sds): (&CorrectionKnot, &[f64; 6])| {
-            json!({
-                "time_s": knot.time_s,
-                "north_east_down_m": knot.offset.north_east_down_m,
-                "roll_pitch_heading_rad": knot.offset.roll_pitch_heading_rad,
-                "sds": sds,
-            })
-        };
-        let knots = found.corrections.iter().flat_map(|corrections| corrections.knots());
-        json!({
-            "name": strip.name,
-            "recording": strip.path.display().to_string(),
-            "bytes": strip.path.metadata().map(|about| about.len()).unwrap_or_default(),
-            "trajectory": survey.trajectory_files.get(strip.trajectory).map(|file| file.display().to_string()),
-            "first_s": strip.span_s[0],
-            "last_s": strip.span_s[1],
-            "shots": strip.n_shots,
-            "patches": strip.n_patches,
-            "sparse_cells": strip.counts.sparse,
-            "cells_of_several_returns": strip.counts.multiple,
-            "rough_cells": strip.counts.rough,
-            "thinned_patches": strip.counts.thinned,
-            "pairs": found.n_pairs,
-            "patches_without_pose": found.n_unlocated,
-            "prior_sds": found.prior_sds,
-            "knots": knots.zip(&found.knot_sds).map(knot).collect::<Vec<_>>(),
-        })
-    });
-    strips.collect()
+fn overlap(survey: &SurveyStrips, found: &OverlapResult) -> Overlap {
+    let name =
+        |strip: u32| survey.strips.get(strip as usize).map_or_else(String::new, |strip| strip.name.clone());
+    Overlap {
+        strips: found.strips.map(name),
+        pairs: found.n_pairs,
+        rejected_pairs: found.n_rejected,
+        median_before_m: known(found.median_m[0]),
+        median_after_m: known(found.median_m[1]),
+        spread_before_m: known(found.spread_m[0]),
+        spread_after_m: known(found.spread_m[1]),
+    }
+}
+
+fn strip(survey: &SurveyStrips, strip: &super::strips::SurveyStrip, found: &StripResult) -> AlignedStrip {
+    let knot = |(knot, sds): (&CorrectionKnot, &[f64; 6])| Knot {
+        time_s: knot.time_s,
+        north_east_down_m: knot.offset.north_east_down_m,
+        roll_pitch_heading_rad: knot.offset.roll_pitch_heading_rad,
+        sds: *sds,
+    };
+    let knots = found.corrections.iter().flat_map(|corrections| corrections.knots());
+    let file = digested(&strip.path);
+    AlignedStrip {
+        name: strip.name.clone(),
+        recording: file.path,
+        bytes: file.bytes,
+        blake3: file.blake3,
+        trajectory: survey.trajectory_files.get(strip.trajectory).map(|file| file.display().to_string()),
+        first_s: strip.span_s[0],
+        last_s: strip.span_s[1],
+        shots: strip.n_shots,
+        patches: strip.n_patches,
+        sparse_cells: strip.counts.sparse,
+        cells_of_several_returns: strip.counts.multiple,
+        rough_cells: strip.counts.rough,
+        thinned_patches: strip.counts.thinned,
+        pairs: found.n_pairs,
+        patches_without_pose: found.n_unlocated,
+        prior_sds: found.prior_sds,
+        knots: knots.zip(&found.knot_sds).map(knot).collect(),
+    }
+}
+
+/// State of a file that was read.
+fn digested(path: &Path) -> FileDigest {
+    let known = size_and_digest_of(path).ok();
+    let (bytes, blake3) = known.unzip();
+    FileDigest { path: path.display().to_string(), bytes, blake3 }
 }

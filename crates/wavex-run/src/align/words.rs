@@ -9,7 +9,6 @@ use super::{AlignRequest, CALIBRATION_FILE, CORRECTIONS_FILE};
 use wavex_align::estimable::{
     DOUBTFUL_CHANGE_SDS, DOUBTFUL_REJECTED, DOUBTFUL_SCALE, FlightFacts, Treatment, Verdict, reasons,
 };
-use wavex_align::parameters::Global;
 use wavex_align::result::{Alignment, OverlapResult, ParameterResult};
 use wavex_geodesy::calibration::Calibration;
 
@@ -59,16 +58,33 @@ fn before_and_after([before_m, after_m]: [f64; 2]) -> String {
 
 /// What is wrong with an alignment that is not good, and what to do.
 pub(super) fn problem(result: &Alignment) -> Option<String> {
-    let remedy = match result.verdict {
-        Verdict::Good => return None,
+    let remedy = remedy(result.verdict)?;
+    Some(format!(
+        "the alignment is {}: {}; {remedy}",
+        verdict_word(result.verdict),
+        causes(result).join("; ")
+    ))
+}
+
+/// What to do about an alignment that is not good.
+pub(super) fn remedy(verdict: Verdict) -> Option<&'static str> {
+    match verdict {
+        Verdict::Good => None,
         Verdict::Doubtful => {
-            "check mount, units of the start values and trajectories, or try `--trajectory 20`"
+            Some("check mount, units of the start values and trajectories, or try `--trajectory 20`")
         }
-        Verdict::Bad => {
-            "check mount, units of the start values, trajectories and coordinates; calibration and corrections are not written"
-        }
-    };
+        Verdict::Bad => Some(
+            "check mount, units of the start values, trajectories and coordinates; calibration and corrections are not written",
+        ),
+    }
+}
+
+/// Reasons why an alignment is not good; empty if it is good.
+pub(super) fn causes(result: &Alignment) -> Vec<String> {
     let mut causes = Vec::new();
+    if result.verdict == Verdict::Good {
+        return causes;
+    }
     let rejected = result.n_rejected as f64 / result.n_pairs.max(1) as f64;
     if rejected > DOUBTFUL_REJECTED {
         causes.push(format!("{:.0} % of the pairs are rejected", 100.0 * rejected));
@@ -81,38 +97,20 @@ pub(super) fn problem(result: &Alignment) -> Option<String> {
     }
     let moved = result.parameters.iter().flatten().filter(|found| found.change_sds() > DOUBTFUL_CHANGE_SDS);
     causes.extend(moved.map(|found| {
-        let (label, unit) = label(found.parameter);
-        let (name, unit_name) = label.rsplit_once(", ").unwrap_or((label, ""));
+        let (name, unit_name, unit) = found.parameter.label();
         let change = (found.value - found.start) / unit;
         format!(
             "the {name} moves by {change:.3} {unit_name}, {:.0} SDs of its start value",
             found.change_sds()
         )
     }));
-    Some(format!("the alignment is {}: {}; {remedy}", verdict_word(result.verdict), causes.join("; ")))
-}
-
-/// Label of a parameter with its unit, and the unit's size in that of [`Global::name`].
-fn label(parameter: Global) -> (&'static str, f64) {
-    let degree = 1f64.to_radians();
-    match parameter {
-        Global::LeverForward => ("lever arm forward, m", 1.0),
-        Global::LeverRight => ("lever arm right, m", 1.0),
-        Global::LeverDown => ("lever arm down, m", 1.0),
-        Global::Roll => ("boresight roll, deg", degree),
-        Global::Pitch => ("boresight pitch, deg", degree),
-        Global::Yaw => ("boresight yaw, deg", degree),
-        Global::E0 => ("range offset e0, m", 1.0),
-        Global::E7 => ("range offset e7, m", 1.0),
-        Global::Time => ("time offset, ms", 1e-3),
-        other => (other.name(), 1.0),
-    }
+    causes
 }
 
 fn line_of(found: &ParameterResult, facts: &FlightFacts) -> String {
-    let (label, unit) = label(found.parameter);
+    let (text, unit_name, unit) = found.parameter.label();
     let value = found.value / unit;
-    let start = format!("{label:<24} {value:>12.5}");
+    let start = format!("{:<24} {value:>12.5}", format!("{text}, {unit_name}"));
     let with_causes = |text: String| {
         let causes = reasons(found.parameter, facts);
         let lines = causes.iter().map(|(cause, remedy)| format!("    {cause}; {remedy}\n"));

@@ -9,7 +9,7 @@ use wavex_formats::{Error, Result, regular_file};
 const BUFFER: usize = 1 << 20;
 
 /// Size and BLAKE3 digest of a regular file.
-pub(super) fn of_file(path: &Path) -> Result<(u64, String)> {
+pub(crate) fn of_file(path: &Path) -> Result<(u64, String)> {
     let mut file = regular_file(path)?;
     let mut hasher = blake3::Hasher::new();
     let mut buffer = vec![0; BUFFER];
