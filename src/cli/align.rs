@@ -6,7 +6,7 @@ use super::args::AlignArgs;
 use super::{Failure, run, terminal};
 use wavex_engine::engine::Cancel;
 use wavex_engine::job::Override;
-use wavex_run::align::AlignRequest;
+use wavex_run::align::{AlignConstraints, AlignRequest};
 use wavex_run::archive::shown;
 
 /// Aligns, writes the files, prints the results.
@@ -20,6 +20,12 @@ pub(super) fn align(args: &AlignArgs, quiet: bool) -> Result<(), Failure> {
         folder: &args.job.folder(),
         output: &args.output,
         trajectory: args.trajectory,
+        constraints: AlignConstraints {
+            control: args.control.clone(),
+            control_crs: args.control_crs.clone(),
+            references: args.reference.clone(),
+            estimate: args.estimate.clone(),
+        },
         progress: args.progress.mode(quiet, std::io::stderr().is_terminal()),
         cancel,
     };

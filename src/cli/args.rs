@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use wavex_formats::trajectory::{Angles, FileTime};
-use wavex_run::align::TrajectoryModel;
+use wavex_run::align::{OptionalParameter, TrajectoryModel};
 
 /// An archive and the locations of its files.
 #[derive(Args)]
@@ -375,12 +375,35 @@ pub(super) struct AlignArgs {
     /// seconds apart
     #[arg(long, value_name = "none|constant|linear|SECONDS", default_value = "constant", value_parser = trajectory_model)]
     pub(super) trajectory: TrajectoryModel,
+    /// Control points: a CSV file with the columns name, east_m, north_m (or longitude_deg, latitude_deg),
+    /// ellipsoidal_height_m (or height_above_geoid_m), sd_east_m, sd_north_m, sd_height_m, and for known planes slope_deg,
+    /// aspect_deg
+    #[arg(long, value_name = "FILE")]
+    pub(super) control: Option<PathBuf>,
+    /// Coordinate reference system of the control points: utm:33N, EPSG:2154, geodetic, or a WKT file [default: the
+    /// `crs` of the job]
+    #[arg(long, value_name = "CRS", requires = "control")]
+    pub(super) control_crs: Option<String>,
+    /// Strip whose trajectory is not corrected: the others are aligned to it; may be repeated
+    #[arg(long, value_name = "STRIP")]
+    pub(super) reference: Vec<String>,
+    /// Estimate these parameters too, separated by commas: e1 (range scale), e2, e3, e4 (scan angle scale, quadratic,
+    /// cubic)
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = optional_parameter)]
+    pub(super) estimate: Vec<OptionalParameter>,
     /// Number of worker threads; 0: one per core [default: the job's `threads`]
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = whole::<usize>)]
     pub(super) threads: Option<usize>,
     /// When to show progress; auto: a bar on a terminal, lines elsewhere
     #[arg(long, value_name = "WHEN", default_value = "auto")]
     pub(super) progress: When,
+}
+
+/// Parses the name of a parameter that is estimated only if asked.
+fn optional_parameter(text: &str) -> Result<OptionalParameter, String> {
+    OptionalParameter::of_name(text).ok_or_else(|| {
+        "give e1, e2, e3 or e4; e0 and e7 are estimated anyway, and e6 equals the boresight roll".into()
+    })
 }
 
 /// Parses the form of the corrections of trajectories.

@@ -5,7 +5,7 @@ use wavex_geodesy::trajectory::corrections::TrajectoryCorrections;
 use wavex_simd::statistics::median;
 
 use crate::control::{ControlPoint, match_control, scale as control_scale};
-use crate::estimable::{EVIDENCE, Treatment};
+use crate::estimable::{EVIDENCE, Treatment, Verdict};
 use crate::matching::{MatchSettings, Pair, match_patches};
 use crate::normal::{Priors, Problem, Weighting};
 use crate::parameters::{
@@ -216,7 +216,8 @@ pub fn align_with(
     };
     let control = problem.control_result(&state, &weighting, settings.cell_m);
     let result = report(&problem, state, &pairs, &solution, &weighting, &treatments, &before);
-    Ok(Alignment { control, ..result })
+    let verdict = if control.contradicts() { result.verdict.max(Verdict::Doubtful) } else { result.verdict };
+    Ok(Alignment { control, verdict, ..result })
 }
 
 fn check(survey: &Survey<'_>, settings: &AlignSettings) -> Result<(), AlignError> {

@@ -47,6 +47,15 @@ pub struct ControlResult {
     pub search_m: f64,
 }
 
+impl ControlResult {
+    /// Whether most points differ by more than their SDs and those of the trajectories allow.
+    pub fn contradicts(&self) -> bool {
+        self.scale > CONTRADICTION
+    }
+}
+
+/// Scale of the control points above which they contradict the trajectories.
+const CONTRADICTION: f64 = 2.0;
 /// Part of a cell within which a patch has a control point: half its diagonal, and a little.
 const REACH_CELLS: f64 = 0.75;
 /// Largest angle between a given normal and that of a patch, rad.
@@ -130,8 +139,7 @@ fn nearest(
 ) -> Vec<u32> {
     let place_m = survey.horizon.local_m(point.position_in_ecef_m);
     let horizon = Horizon::at(WGS84.geodetic_of(point.position_in_ecef_m));
-    let given =
-        point.normal.map(|normal| survey.horizon.local_direction(horizon.ecef_direction(normal)));
+    let given = point.normal.map(|normal| survey.horizon.local_direction(horizon.ecef_direction(normal)));
     // Strip, squared distance, patch.
     let mut best: Vec<(u32, f64, u32)> = Vec::new();
     let at = Located::new(place_m.map(|along_m| along_m as f32), [0.0, 0.0, 1.0]);
@@ -164,7 +172,8 @@ pub(crate) fn scale(pairs: &[ControlPair], residuals: &[Option<f64>]) -> f64 {
         .zip(residuals)
         .filter_map(|(pair, residual)| Some((pair.point, (*residual)?.abs() / pair.sd_m)))
         .collect();
-    let of_points = both.chunk_by(|a, b| a.0 == b.0).filter_map(|own| median(own.iter().map(|(_, size)| *size)));
+    let of_points =
+        both.chunk_by(|a, b| a.0 == b.0).filter_map(|own| median(own.iter().map(|(_, size)| *size)));
     // Of an even number, the lower median: one of two points may be wrong.
     let mut sizes: Vec<f64> = of_points.collect();
     sizes.sort_by(f64::total_cmp);

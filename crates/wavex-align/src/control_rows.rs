@@ -55,12 +55,7 @@ impl Problem<'_> {
     }
 
     /// What is reported of the control points.
-    pub(crate) fn control_result(
-        &self,
-        state: &State,
-        weighting: &Weighting,
-        cell_m: f64,
-    ) -> ControlResult {
+    pub(crate) fn control_result(&self, state: &State, weighting: &Weighting, cell_m: f64) -> ControlResult {
         let before = match_control(self.survey, self.points, &self.start, cell_m);
         let before_m = self.control_residuals(&self.start, &before);
         let strip = |pair: &ControlPair| self.survey.patches[pair.patch as usize].strip;

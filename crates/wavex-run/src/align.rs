@@ -8,7 +8,7 @@ use rayon::ThreadPoolBuilder;
 use crate::Failure;
 use crate::run::folders;
 use strips::{SurveyStrips, collect};
-use wavex_align::adjust::{AlignSettings, align as adjust};
+use wavex_align::adjust::{AlignSettings, Constraints, align_with as adjust};
 use wavex_align::estimable::Verdict;
 use wavex_align::observation::Observation;
 use wavex_align::parameters::{Global, GlobalPriors};
@@ -17,13 +17,15 @@ use wavex_align::survey::{Installation, Strip, Survey};
 use wavex_engine::engine::{Cancel, Options, ProgressMode};
 use wavex_engine::job::Job;
 use wavex_formats::Error;
+use wavex_geodesy::crs::Unit;
 use wavex_line::georef::corrections::{CorrectionsFile, StripCorrections};
-use wavex_line::georef::keys::CalibrationKey;
+use wavex_line::georef::keys::{CalibrationKey, UnitKey};
 use wavex_line::stage::{FinishedFile, OutputFile};
 use wavex_pages::report::align::{AlignReport, page, write_residuals};
 
 pub use wavex_align::parameters::TrajectoryModel;
 
+mod control;
 mod report;
 mod strips;
 mod words;
@@ -53,10 +55,61 @@ pub struct AlignRequest<'a> {
     pub output: &'a Path,
     /// Form of the corrections of trajectories.
     pub trajectory: TrajectoryModel,
+    /// Control points, reference strips, and parameters to estimate.
+    pub constraints: AlignConstraints,
     /// Progress display.
     pub progress: ProgressMode,
     /// Ends the alignment early when set.
     pub cancel: Cancel,
+}
+
+/// What is known or asked besides the job.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct AlignConstraints {
+    /// File of control points.
+    pub control: Option<PathBuf>,
+    /// Coordinate reference system of the control points; that of the job if not given.
+    pub control_crs: Option<String>,
+    /// Names of strips whose trajectories are not corrected.
+    pub references: Vec<String>,
+    /// Parameters to estimate that are otherwise given.
+    pub estimate: Vec<OptionalParameter>,
+}
+
+/// Parameter that is estimated only if asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OptionalParameter {
+    /// Range scale.
+    E1,
+    /// Scan angle scale.
+    E2,
+    /// Quadratic scan angle correction.
+    E3,
+    /// Cubic scan angle correction.
+    E4,
+}
+
+impl OptionalParameter {
+    /// The parameter of this name in a calibration.
+    pub fn of_name(name: &str) -> Option<OptionalParameter> {
+        match name {
+            "e1" => Some(OptionalParameter::E1),
+            "e2" => Some(OptionalParameter::E2),
+            "e3" => Some(OptionalParameter::E3),
+            "e4" => Some(OptionalParameter::E4),
+            _ => None,
+        }
+    }
+
+    /// The parameter, and the SD of its start value: 0.1 m per km, 30 mdeg at half a radian.
+    fn prior(self) -> (Global, f64) {
+        match self {
+            OptionalParameter::E1 => (Global::E1, 1e-4),
+            OptionalParameter::E2 => (Global::E2, 1e-3),
+            OptionalParameter::E3 => (Global::E3, 2e-3),
+            OptionalParameter::E4 => (Global::E4, 4e-3),
+        }
+    }
 }
 
 /// Completed alignment.
@@ -93,17 +146,24 @@ pub fn align(request: &AlignRequest<'_>) -> Result<Aligned, Failure> {
         ..Options::of_job(job, &input_dir, output_dir)
     };
     let settings = AlignSettings { trajectory_model: request.trajectory, ..AlignSettings::default() };
+    let control = control::read(&request.constraints, &job.settings.geometry, &input_dir)?;
+    check_references(request, &options)?;
     let survey = collect(job, &options, &settings)?;
-    let result = adjusted(&survey, &settings, options.workers())?;
+    let references = references(request, &survey)?;
+    let points = control.as_ref().map_or(&[][..], |control| &control.points);
+    let constraints = Constraints { control: points, references: &references };
+    let result =
+        adjusted(&survey, &settings, &constraints, &request.constraints.estimate, options.workers())?;
     let warnings = survey.failures.iter().map(|failed| format!("left out: {}", failed.problem));
     let warnings: Vec<String> = warnings.chain(unconnected(&survey, &result)).collect();
     let replaced = job.settings.geometry.corrections.as_ref().map(|file| {
         format!("{file}: the corrections of the job are not applied; those of this alignment replace them")
     });
-    let mut warnings: Vec<String> = warnings.into_iter().chain(replaced).collect();
-    let report = report::report(request, &input_dir, &survey, &result, &warnings);
+    let of_control = control.iter().flat_map(|control| control.warnings(&result));
+    let mut warnings: Vec<String> = warnings.into_iter().chain(replaced).chain(of_control).collect();
+    let report = report::report(request, &input_dir, &survey, &result, &warnings, control.as_ref());
     let written = write(request, &survey, &result, &report)?;
-    let mut text = words::summary(&survey, &result);
+    let mut text = words::summary(&survey, &result, control.as_ref());
     let problem = words::problem(&result);
     let failure = if result.verdict == Verdict::Bad {
         problem.map(Failure::Run)
@@ -150,8 +210,58 @@ fn check(request: &AlignRequest<'_>, input_dir: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Checks that reference strips are inputs, before they are read.
+fn check_references(request: &AlignRequest<'_>, options: &Options) -> Result<(), Failure> {
+    let references = &request.constraints.references;
+    if references.is_empty() {
+        return Ok(());
+    }
+    if request.trajectory == TrajectoryModel::None {
+        let problem = "`--reference` has no effect with `--trajectory none`, which corrects no trajectory; leave one out";
+        return Err(Failure::Wrong(format!("{}: {problem}", request.job.name)));
+    }
+    let names: Vec<String> =
+        strips::inputs(request.job, options)?.into_iter().map(|input| input.stem).collect();
+    match references.iter().find(|name| !names.contains(name)) {
+        Some(unknown) => Err(Failure::Wrong(format!(
+            "{}: there is no strip `{unknown}` for `--reference`; the strips are {}",
+            request.job.name,
+            names.join(", ")
+        ))),
+        None => Ok(()),
+    }
+}
+
+/// Indices of the reference strips.
+fn references(request: &AlignRequest<'_>, survey: &SurveyStrips) -> Result<Vec<usize>, Failure> {
+    let index = |name: &String| {
+        let found = survey.strips.iter().position(|strip| strip.name == *name);
+        let failed = survey.failures.iter().find(|failed| failed.name == *name);
+        found.ok_or_else(|| {
+            let problem = failed.map_or("it cannot be read", |failed| failed.problem.as_str());
+            Failure::Run(format!("the reference strip cannot be used: {problem}"))
+        })
+    };
+    request.constraints.references.iter().map(index).collect()
+}
+
+/// Unit of a job's key.
+fn unit_of(key: UnitKey) -> Unit {
+    match key {
+        UnitKey::M => Unit::metre(),
+        UnitKey::UsFt => Unit::us_survey_foot(),
+        UnitKey::Ft => Unit::foot(),
+    }
+}
+
 /// Runs the adjustment on this number of threads.
-fn adjusted(survey: &SurveyStrips, settings: &AlignSettings, threads: usize) -> Result<Alignment, Failure> {
+fn adjusted(
+    survey: &SurveyStrips,
+    settings: &AlignSettings,
+    constraints: &Constraints<'_>,
+    estimate: &[OptionalParameter],
+    threads: usize,
+) -> Result<Alignment, Failure> {
     let failed = |problem: String| Failure::Run(problem);
     let Some(horizon) = survey.horizon else {
         return Err(failed("no strip has a pose: check the trajectory".into()));
@@ -160,6 +270,9 @@ fn adjusted(survey: &SurveyStrips, settings: &AlignSettings, threads: usize) -> 
     let is_low = |low: bool| survey.patches.iter().any(|patch| patch.source.on_low_power_scale == low);
     if is_low(true) && is_low(false) {
         priors.0[Global::E7 as usize] = RECEIVER_OFFSET_SD_M;
+    }
+    for (parameter, sd) in estimate.iter().map(|parameter| parameter.prior()) {
+        priors.0[parameter as usize] = sd;
     }
     let scanner = survey.scanner;
     let strips: Vec<Strip> =
@@ -174,7 +287,7 @@ fn adjusted(survey: &SurveyStrips, settings: &AlignSettings, threads: usize) -> 
     let pool = ThreadPoolBuilder::new().num_threads(threads).build();
     let pool =
         pool.map_err(|error| failed(format!("cannot start threads: {error}; set fewer `--threads`")))?;
-    pool.install(|| adjust(&given, settings)).map_err(|error| failed(error.to_string()))
+    pool.install(|| adjust(&given, settings, constraints)).map_err(|error| failed(error.to_string()))
 }
 
 /// Strips that share no surface with others.

@@ -3,11 +3,13 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+mod control;
 mod figures;
 mod page;
 mod residual_map;
 mod residuals;
 
+pub use control::{ControlPointReport, ControlReport, ControlStrip, ControlUse};
 pub use page::page;
 pub use residuals::{residual_batches, write_residuals};
 
@@ -67,6 +69,10 @@ pub struct AlignReport {
     pub trajectories: Vec<FileDigest>,
     /// Calibration file of the start values, if the job names one.
     pub calibration: Option<FileDigest>,
+    /// Control points, if given.
+    pub control: Option<ControlReport>,
+    /// Names of strips whose trajectories are not corrected.
+    pub reference_strips: Vec<String>,
 }
 
 /// Rating of an alignment.

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use super::control::Control;
 use super::strips::SurveyStrips;
 use super::{AlignRequest, TrajectoryModel, words};
 use crate::archive::size_and_digest_of;
@@ -23,6 +24,7 @@ pub(super) fn report(
     survey: &SurveyStrips,
     result: &Alignment,
     warnings: &[String],
+    control: Option<&Control>,
 ) -> AlignReport {
     let parameters = result.parameters.first().map_or(&[][..], |all| &all[..]);
     let correlations = result.correlations.iter().map(|found| ParameterCorrelation {
@@ -66,6 +68,12 @@ pub(super) fn report(
         flight: flight(&result.facts),
         trajectories: survey.trajectory_files.iter().map(|file| digested(file)).collect(),
         calibration,
+        control: control.map(|control| {
+            control.report(result, |strip| {
+                survey.strips.get(strip as usize).map_or_else(String::new, |strip| strip.name.clone())
+            })
+        }),
+        reference_strips: request.constraints.references.clone(),
     }
 }
 

@@ -62,6 +62,15 @@ pub(super) struct SurveyStrips {
     pub(super) scanner: Scanner,
 }
 
+/// Inputs of a job.
+pub(super) fn inputs(job: &Job, options: &Options) -> std::result::Result<Vec<Input>, Failure> {
+    let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
+        return Err(Failure::Wrong(format!("{}: the job has no reader; add one", job.name)));
+    };
+    let inputs = engine::expand(source.paths(), source.stem(), &options.input_dir);
+    inputs.map_err(|error| Failure::Run(error.to_string()))
+}
+
 /// Runs the chain of a job over all its inputs, without its sinks.
 ///
 /// # Errors
@@ -72,11 +81,7 @@ pub(super) fn collect(
     settings: &AlignSettings,
 ) -> std::result::Result<SurveyStrips, Failure> {
     let failed = |error: &dyn std::fmt::Display| Failure::Run(error.to_string());
-    let Some(Plan::Source(source)) = job.stages.first().map(|stage| &stage.planned.plan) else {
-        return Err(Failure::Wrong(format!("{}: the job has no reader; add one", job.name)));
-    };
-    let inputs = engine::expand(source.paths(), source.stem(), &options.input_dir);
-    let inputs = inputs.map_err(|error| failed(&error))?;
+    let inputs = inputs(job, options)?;
     if let [only] = inputs.as_slice() {
         return Err(Failure::Wrong(format!(
             "{}: the job has one input, `{}`, and alignment compares strips; give the reader a pattern such as \

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
+use super::control::Control;
 use super::report::verdict_word;
 use super::strips::SurveyStrips;
 use super::{AlignRequest, CALIBRATION_FILE, CORRECTIONS_FILE};
@@ -16,7 +17,7 @@ use wavex_geodesy::calibration::Calibration;
 const LISTED: usize = 12;
 
 /// Parameters, differences of the strips, verdict.
-pub(super) fn summary(survey: &SurveyStrips, result: &Alignment) -> String {
+pub(super) fn summary(survey: &SurveyStrips, result: &Alignment, control: Option<&Control>) -> String {
     let mut text = String::new();
     let parameters = result.parameters.first().map_or(&[][..], |all| &all[..]);
     // Writing to a text cannot fail.
@@ -43,6 +44,7 @@ pub(super) fn summary(survey: &SurveyStrips, result: &Alignment) -> String {
         let _ = writeln!(text, "  and {more} more with smaller differences");
     }
     let _ = writeln!(text, "  all: {}", before_and_after(result.spread_m));
+    text += &control.map_or_else(String::new, |control| control.summary(result));
     let _ = writeln!(text, "verdict: {}", verdict_word(result.verdict));
     text
 }
@@ -91,6 +93,9 @@ pub(super) fn causes(result: &Alignment) -> Vec<String> {
     }
     if result.scale > DOUBTFUL_SCALE {
         causes.push(format!("the remaining differences are {:.1} times their SDs", result.scale));
+    }
+    if result.control.contradicts() {
+        causes.push("the control points contradict the trajectories".to_owned());
     }
     if result.spread_m[1] > result.spread_m[0] {
         causes.push("strips differ more than before".to_owned());
