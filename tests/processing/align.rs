@@ -135,6 +135,76 @@ fn succeeds(place: &TestFolder, arguments: &[&str]) -> Outcome {
     outcome
 }
 
+/// A file of control points: true points of a strip; the named ones are 1 m too high.
+fn control(wrong: &[&str]) -> String {
+    let truth = String::from_utf8(FLOWN["a_truth.csv"].clone()).unwrap();
+    let mut text = "name,east_m,north_m,ellipsoidal_height_m,sd_east_m,sd_north_m,sd_height_m\n".to_owned();
+    for (number, [x, y, z]) in points(&truth).into_values().step_by(601).enumerate() {
+        let name = format!("P{number}");
+        let z = if wrong.contains(&name.as_str()) { z + 1.0 } else { z };
+        writeln!(text, "{name},{x},{y},{z},0.005,0.005,0.005").unwrap();
+    }
+    text
+}
+
+/// Control points are used, and wrong ones named; the reference strip stays.
+#[test]
+fn control_points_and_reference_strips_hold() {
+    let place = survey(&["a", "b", "c"]);
+    place.write("gcp.csv", control(&[]).as_bytes());
+    let with = |folder: &str, more: &[&str]| {
+        let start = ["align", "survey.toml", "-o", folder, "--control-crs", "utm:33N", "--control"];
+        succeeds(&place, &[&start[..], more].concat())
+    };
+    let Outcome { out, .. } = with("right", &["gcp.csv", "--reference", "b"]);
+    println!("{out}");
+    assert!(
+        out.contains("\ncontrol points (utm:33N") || out.contains("\ncontrol points (EPSG:32633"),
+        "{out}"
+    );
+    let right = report(&place, "right");
+    let points = right["control"]["points"].as_array().unwrap();
+    let used: Vec<&str> = points
+        .iter()
+        .filter(|point| point["used"] == "used")
+        .map(|point| point["name"].as_str().unwrap())
+        .collect();
+    assert!(used.len() >= 5 && used.len() < points.len(), "{used:?} of {}", points.len());
+    assert_eq!(right["reference_strips"][0], "b");
+    let of_b = &right["strips"][1];
+    assert_eq!((&of_b["name"], &of_b["knots"][0]["north_east_down_m"]), (&"b".into(), &[0.0; 3][..].into()));
+    let wrong = used[used.len() / 2];
+    place.write("gcp.csv", control(&[wrong]).as_bytes());
+    let Outcome { err, .. } = with("wrong", &["gcp.csv", "--reference", "b"]);
+    println!("{err}");
+    assert!(
+        err.contains(&format!("gcp.csv: `{wrong}` is rejected: the strips differ from it by -")),
+        "{err}"
+    );
+    assert!(err.contains("is not used: no strip has a smooth surface within 2.2 m of it"), "{err}");
+    let found = report(&place, "wrong");
+    for name in ["lever_down_m", "boresight_roll_rad", "e0_m"] {
+        let [was, is] = [&right, &found].map(|report| parameter(report, name)["value"].as_f64().unwrap());
+        let sd = parameter(&found, name)["sd"].as_f64().unwrap();
+        assert!((was - is).abs() < 0.5 * sd, "{name}: {was} {is} {sd}");
+    }
+    let refused = |arguments: &[&str]| {
+        let Outcome { code, err, .. } =
+            place.wavex(&[&["align", "survey.toml", "-o", "refused", "--quiet"], arguments].concat());
+        assert!(code == Some(2) && !place.path("refused").exists(), "{err}");
+        err
+    };
+    let err = refused(&["--reference", "d"]);
+    assert!(err.ends_with("there is no strip `d` for `--reference`; the strips are a, b, c\n"), "{err}");
+    let err = refused(&["--control", "gcp.csv"]);
+    assert!(
+        err.contains("gcp.csv: its coordinate reference system is not known: give `--control-crs`"),
+        "{err}"
+    );
+    let err = refused(&["--estimate", "e6"]);
+    assert!(err.contains("give e1, e2, e3 or e4"), "{err}");
+}
+
 /// The commands of the how-to work, and find the calibration of the flights.
 #[test]
 fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
@@ -146,7 +216,8 @@ fn a_survey_is_aligned_by_the_commands_of_the_how_to() {
         .filter_map(|line| line.strip_prefix("wavex "))
         .map(|command| command.replace('"', ""))
         .collect();
-    assert_eq!(commands.len(), 4, "{commands:?}");
+    assert_eq!(commands.len(), 5, "{commands:?}");
+    place.write("gcp.csv", control(&[]).as_bytes());
     for strip in ["a", "b", "c"] {
         let (records, _) = FLOWN[&format!("{strip}.out")].as_chunks::<RECORD_BYTES>();
         let late = records
@@ -269,7 +340,7 @@ fn a_plain_leaves_the_lever_arm_alone() {
     println!("{out}");
     for part in [
         "lever arm forward, m          0.30000   not estimable\n    the overlaps are flat; fly over roofs or slopes",
-        "lever arm down, m             0.40000   not estimable\n    it moves all strips alike; compare heights with",
+        "lever arm down, m             0.40000   not estimable\n    it moves all strips alike; give control points",
     ] {
         assert!(out.contains(part), "{out}");
     }

@@ -228,7 +228,7 @@ def make(folder, options):
     constant_sds = options.trajectory * numpy.array([0.012, 0.012, 0.012, *(numpy.array([0.4, 0.4, 1.2]) * MILLIDEGREE)])
     wave_sds = options.trajectory * numpy.array([0.010, 0.010, 0.010, *(numpy.array([0.3, 0.3, 0.9]) * MILLIDEGREE)])
     total_sds = numpy.hypot(constant_sds, wave_sds)
-    strips, truths = [], []
+    strips, truths, control = [], [], []
     start_s = 100000.0
     heights = terrain.ground(*numpy.meshgrid(numpy.arange(-3200, 3200, 10.0), numpy.arange(-3200, 3200, 10.0), indexing="ij"))
     for index, (start, course, length) in enumerate(plan_of(options.plan, options.height, options.length, options.spacing, random)):
@@ -315,13 +315,37 @@ def make(folder, options):
             "times_s": times.tolist(),
             "corrections": (-errors.at(times)).tolist(),
         })
+    # Control points on the ground, in windows; some are wrong.
+    random_control = numpy.random.default_rng(options.seed + 10 ** 6)
+    wrong = []
+    while len(control) < options.control:
+        # Near the centre, where all strips are; not under trees and cars, and off houses.
+        at = random_control.uniform(-0.3 * options.length, 0.3 * options.length, 2)
+        cell = numpy.floor(at / options.pitch).astype(numpy.int64)
+        at = cell * options.pitch + random_control.uniform(2, options.window - 2, 2)
+        car = numpy.floor(at / 6).astype(numpy.int64)
+        is_car = any((car[0] * 31 + car[1] * 17 + 5 * k) % 97 == 0 for k in range(len(strips)))
+        house = numpy.floor(at / 40).astype(int)
+        i, j = house % 512
+        is_house = options.terrain == "town" and numpy.linalg.norm(at - house * 40 - 12 - terrain.shifts[i, j]) < 11
+        if (cell[0] * 7 + cell[1] * 13) % 10 == 0 or is_car or is_house:
+            continue
+        sds = [0.02, 0.02, options.control_sd]
+        place = numpy.array([*at, terrain.ground(*at[:, None])[0]])
+        error = random_control.normal(0, sds)
+        is_wrong = len(control) < options.wrong_control
+        wrong.append(is_wrong)
+        place = ecef_of_scene(place + error + [0, 0, 1.0 * is_wrong])
+        control.append({"ecef_m": place.tolist(), "sd_m": sds})
+    trajectory_sds = numpy.maximum(total_sds, 1e-9) * numpy.repeat(options.sd_factors, 3)
     survey = {
+        "control": control, "fits_trajectory_sds": not options.given_sds,
         "calibration": nominal, "mount_deg": mount_deg, "prior_sds": list(map(float, prior_sds)),
-        "trajectory_sds": numpy.maximum(total_sds, 1e-9).tolist(), "correlation_s": [60.0, 60.0], "model": options.model,
+        "trajectory_sds": trajectory_sds.tolist(), "correlation_s": [60.0, 60.0], "model": options.model,
         "knots_s": options.knots, "cell_m": options.cell, "most_pairs": options.pairs, "strips": strips,
     }
     (folder / "survey.json").write_text(json.dumps(survey, indent=1))
-    (folder / "truth.json").write_text(json.dumps({"calibration": truth, "strips": truths}))
+    (folder / "truth.json").write_text(json.dumps({"calibration": truth, "strips": truths, "wrong_control": wrong}))
 
 
 def parser():
@@ -353,6 +377,11 @@ def add_options(made):
     made.add_argument("--knots", type=float, default=10)
     made.add_argument("--cell", type=float, default=3)
     made.add_argument("--pairs", type=int, default=3000)
+    made.add_argument("--sd-factors", type=float, nargs=2, default=[1, 1], help="errors of the stated SDs of positions and attitudes")
+    made.add_argument("--given-sds", action="store_true", help="use the stated SDs of trajectories as they are")
+    made.add_argument("--control", type=int, default=0, help="number of control points")
+    made.add_argument("--control-sd", type=float, default=0.01, help="SD of their heights, m")
+    made.add_argument("--wrong-control", type=int, default=0, help="number of control points that are 1 m too high")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,8 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde_json::{Value, json};
-use wavex_align::adjust::{AlignSettings, align};
+use wavex_align::adjust::{AlignSettings, Constraints, align_with};
+use wavex_align::control::ControlPoint;
 use wavex_align::parameters::{GlobalPriors, TrajectoryModel};
 use wavex_align::patch::{Horizon, Patch, PatchMaker, PatchReturn, PatchSettings};
 use wavex_align::result::Alignment;
@@ -48,6 +49,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     if let Some(most_pairs) = given["most_pairs"].as_u64() {
         settings.most_pairs = usize::try_from(most_pairs)?;
     }
+    if let Some(fits) = given["fits_trajectory_sds"].as_bool() {
+        settings.fits_trajectory_sds = fits;
+    }
+    let control = given["control"].as_array().map_or(&[][..], Vec::as_slice).iter().map(control_point);
+    let control = control.collect::<Result<Vec<_>, _>>()?;
     settings.trajectory_model = match given["model"].as_str().unwrap_or("constant") {
         "none" => TrajectoryModel::None,
         "constant" => TrajectoryModel::Constant,
@@ -86,13 +92,22 @@ fn main() -> Result<(), Box<dyn Error>> {
         horizon: horizon.ok_or("there are no strips")?,
     };
     let started = Instant::now();
-    let result = align(&survey, &settings)?;
+    let result = align_with(&survey, &settings, &Constraints { control: &control, references: &[] })?;
     let align_s = started.elapsed().as_secs_f64();
     let mut report = report(&result);
     report["patches"] = json!(counts);
     report["seconds"] = json!([patches_s, align_s]);
     println!("{report:#}");
     Ok(())
+}
+
+fn control_point(given: &Value) -> Result<ControlPoint, serde_json::Error> {
+    let position_in_ecef_m = serde_json::from_value(given["ecef_m"].clone())?;
+    Ok(ControlPoint {
+        position_in_ecef_m,
+        sd_m: serde_json::from_value(given["sd_m"].clone())?,
+        normal: None,
+    })
 }
 
 fn located(scanner: &Scanner, trajectory: &Trajectory, row: [f64; 8]) -> Option<PatchReturn> {
@@ -176,7 +191,18 @@ fn report(result: &Alignment) -> Value {
         .iter()
         .map(|c| json!([c.first.1.name(), c.second.1.name(), c.correlation]))
         .collect();
+    let control: Vec<Value> = result
+        .control
+        .differences
+        .iter()
+        .map(|own| {
+            own.iter().map(|d| json!([d.strip, d.before_m, d.after_m, d.sd_m, d.is_used])).collect::<Value>()
+        })
+        .collect();
+    let sd_factors =
+        result.trajectory_sds.map(|both| both.map(|own| json!([own.factor, own.shown, own.is_used])));
     json!({
+        "control": control, "control_scale": result.control.scale, "sd_factors": sd_factors,
         "parameters": parameters, "strips": strips, "overlaps": overlaps, "correlations": correlations,
         "scale": result.scale, "n_unknowns": result.n_unknowns, "n_pairs": result.n_pairs,
         "n_rejected": result.n_rejected, "spread_m": result.spread_m, "verdict": format!("{:?}", result.verdict),

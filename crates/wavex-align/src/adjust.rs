@@ -5,7 +5,7 @@ use wavex_geodesy::trajectory::corrections::TrajectoryCorrections;
 use wavex_simd::statistics::median;
 
 use crate::control::{ControlPoint, match_control, scale as control_scale};
-use crate::estimable::{EVIDENCE, Treatment, Verdict};
+use crate::estimable::{EVIDENCE, FlightFacts, Treatment, Verdict};
 use crate::matching::{MatchSettings, Pair, match_patches};
 use crate::normal::{Priors, Problem, Weighting};
 use crate::parameters::{
@@ -26,6 +26,8 @@ pub struct AlignSettings {
     pub cell_m: f64,
     /// Most pairs of two strips.
     pub most_pairs: usize,
+    /// Whether the SDs of trajectories are corrected by what the strips show of them.
+    pub fits_trajectory_sds: bool,
 }
 
 impl Default for AlignSettings {
@@ -35,6 +37,7 @@ impl Default for AlignSettings {
             trajectory_priors: TrajectoryPriors::default(),
             cell_m: 3.0,
             most_pairs: 3000,
+            fits_trajectory_sds: true,
         }
     }
 }
@@ -185,6 +188,22 @@ pub fn align_with(
         }
     }
     let mut pairs = match_patches(survey, &state, &matching(fine));
+    let trajectory_sds = match settings.fits_trajectory_sds {
+        false => None,
+        true => {
+            let found = problem.fit_trajectory_sds(&mut state, |problem, state| {
+                let weighting = weighting(problem, state, &pairs, fine.reject);
+                let normal = problem.normal(state, &pairs, &weighting, false);
+                let right = normal.right.clone();
+                let factor = normal.matrix.factor().ok_or(AlignError::NotSolvable)?;
+                apply(problem, state, &factor.solve(&right))?;
+                Ok(factor.selected_inverse())
+            })?;
+            pairs = match_patches(survey, &state, &matching(fine));
+            problem.control = match_control(survey, constraints.control, &state, settings.cell_m);
+            Some(found)
+        }
+    };
     let mut treatments = vec![[Treatment::Estimated; GLOBALS]; survey.installations.len()];
     let mut held: Vec<usize> = Vec::new();
     let (solution, weighting) = loop {
@@ -217,7 +236,9 @@ pub fn align_with(
     let control = problem.control_result(&state, &weighting, settings.cell_m);
     let result = report(&problem, state, &pairs, &solution, &weighting, &treatments, &before);
     let verdict = if control.contradicts() { result.verdict.max(Verdict::Doubtful) } else { result.verdict };
-    Ok(Alignment { control, verdict, ..result })
+    let control_points = control.differences.iter().filter(|own| own.iter().any(|one| one.is_used)).count();
+    let facts = FlightFacts { control_points, ..result.facts };
+    Ok(Alignment { control, verdict, trajectory_sds, facts, ..result })
 }
 
 fn check(survey: &Survey<'_>, settings: &AlignSettings) -> Result<(), AlignError> {

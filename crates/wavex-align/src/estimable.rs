@@ -36,6 +36,8 @@ pub struct FlightFacts {
     pub angles_rad: f64,
     /// Pairs of different receivers.
     pub receiver_pairs: usize,
+    /// Number of control points that are used.
+    pub control_points: usize,
 }
 
 /// Reasons why a parameter is not determined by a flight, and the remedy of each.
@@ -81,7 +83,16 @@ pub fn reasons(parameter: Global, facts: &FlightFacts) -> Vec<(&'static str, &'s
             add(one_height, height);
         }
         // Height moves all strips alike.
-        Global::LeverDown => add(true, ("it moves all strips alike", "compare heights with control points")),
+        Global::LeverDown => match facts.control_points {
+            0 => add(true, ("it moves all strips alike", "give control points")),
+            _ => add(
+                true,
+                (
+                    "the control points do not separate it from heights of the trajectories",
+                    "give more, under several scan angles",
+                ),
+            ),
+        },
         Global::E0 => {
             add(facts.angles_rad < 0.2, alike);
             add(one_height, height);
@@ -145,6 +156,7 @@ mod tests {
             ranges_m: [1000.0, 1150.0],
             angles_rad: 0.5,
             receiver_pairs: 0,
+            control_points: 0,
         };
         let texts = |facts: &FlightFacts, parameter| {
             reasons(parameter, facts).into_iter().map(|(cause, _)| cause).collect::<Vec<_>>()

@@ -19,4 +19,5 @@ mod simulated;
 mod solution;
 pub mod sparse;
 pub mod survey;
+pub mod variance;
 mod vector;

@@ -13,6 +13,7 @@ use crate::parameters::{GLOBALS, Global, OFFSETS};
 use crate::patch::Patch;
 use crate::solution::Solution;
 use crate::survey::{State, Survey};
+use crate::variance::VarianceComponent;
 use crate::vector::{difference, dot, length};
 
 /// An estimated or given parameter of an installation.
@@ -61,7 +62,7 @@ pub struct StripResult {
     pub corrections: Option<TrajectoryCorrections>,
     /// SDs of the offsets of each knot: north, east, down, m, roll, pitch, heading, rad.
     pub knot_sds: Vec<[f64; OFFSETS]>,
-    /// SDs of the start values (0).
+    /// SDs of the start values (0), with the factors of all trajectories.
     pub prior_sds: [f64; OFFSETS],
     /// Number of pairs with other strips; 0 means that the strip is not connected.
     pub n_pairs: usize,
@@ -119,6 +120,8 @@ pub struct Alignment {
     pub verdict: Verdict,
     /// Control points.
     pub control: ControlResult,
+    /// Factors of the SDs of positions and attitudes of the trajectories; `None` if they were not estimated.
+    pub trajectory_sds: Option<[VarianceComponent; 2]>,
 }
 
 /// Differences of two strips: their indices, values, m, and number of rejected pairs.
@@ -257,6 +260,7 @@ pub(crate) fn report(
         parameters,
         state,
         control: ControlResult::default(),
+        trajectory_sds: None,
     };
     let lost: Vec<u32> = survey
         .patches

@@ -4,8 +4,10 @@ use super::*;
 use crate::estimable::{Verdict, reasons};
 use crate::parameters::GlobalPriors;
 use crate::result::ParameterResult;
-use crate::simulated::{Flight, Plan, flat, hills, parallel};
+use crate::simulated::{Flight, PLACE, Plan, flat, hills, parallel};
 use crate::vector::length;
+use wavex_geodesy::ellipsoid::WGS84;
+use wavex_geodesy::frames::LocalFrame;
 
 fn settings() -> AlignSettings {
     AlignSettings { cell_m: 5.0, most_pairs: 600, ..AlignSettings::default() }
@@ -227,4 +229,164 @@ fn observations_and_covariance_are_those_of_the_results() {
             assert!(result.covariance[i][j].abs() <= parameter.sd * result.parameters[0][j].sd);
         }
     }
+}
+
+/// Control points on the terrain, at most this far from the centre.
+fn control(plan: &Plan, count: usize, sd_m: f64) -> Vec<ControlPoint> {
+    let frame = LocalFrame::at(WGS84, PLACE);
+    let of = |k: usize| {
+        // Over all scan angles, within the strips.
+        let (x, y) = (110.0 * (2.4 * k as f64).sin(), 110.0 * (1.7 * k as f64).cos());
+        let place = frame.geodetic_of([x, y, (plan.terrain)(x, y)]);
+        ControlPoint { position_in_ecef_m: WGS84.ecef_of(place), sd_m: [sd_m; 3], normal: None }
+    };
+    (0..count).map(of).collect()
+}
+
+/// Mean height of the patches above the terrain, m.
+fn height_m(flight: &Flight, plan: &Plan, state: &State) -> f64 {
+    let survey = flight.survey();
+    let mut poses = survey.poses();
+    let above = flight.patches.iter().filter_map(|patch| {
+        let [x, y, z] = survey.locate(patch, state, &mut poses)?.centre_m();
+        Some(z - (plan.terrain)(x, y))
+    });
+    let above: Vec<f64> = above.collect();
+    above.iter().sum::<f64>() / above.len() as f64
+}
+
+/// Heights of all strips and the lever arm downwards, which no flight shows.
+#[test]
+fn control_points_determine_the_height() {
+    let mut plan = Plan::cross();
+    plan.heights_m = vec![0.06, 0.02, 0.05, 0.04];
+    plan.truth.calibration.lever_arm_m = [0.0, 0.0, 0.03];
+    let flight = plan.fly();
+    let without = aligned(&flight);
+    let down = of(&without, Global::LeverDown);
+    assert!(height_m(&flight, &plan, &without.state).abs() > 0.02);
+    assert!(!reasons(Global::LeverDown, &without.facts).is_empty());
+    let points = control(&plan, 12, 0.005);
+    let constraints = Constraints { control: &points, references: &[] };
+    let with = align_with(&flight.survey(), &settings(), &constraints).unwrap();
+    let height_m = height_m(&flight, &plan, &with.state);
+    assert!(height_m.abs() < 0.006, "{height_m}");
+    let found = of(&with, Global::LeverDown);
+    assert_eq!(found.treatment, Treatment::Estimated);
+    assert!(found.sd < 0.8 * down.sd && (found.value - 0.03).abs() < 3.0 * found.sd, "{found:?} {down:?}");
+    assert_eq!(with.control.scale, 1.0);
+    assert_eq!(with.facts.control_points, 12);
+    for own in &with.control.differences {
+        assert!(own.len() >= 3, "{own:?}");
+        assert!(own.iter().all(|one| one.is_used && one.after_m.abs() < 4.0 * one.sd_m), "{own:?}");
+        assert!(own.iter().all(|one| one.sd_m > 0.005 && one.sd_m < 0.01), "{own:?}");
+    }
+}
+
+/// Points that are 1 m off, or off the surface, are named and change nothing else.
+#[test]
+fn wrong_control_points_are_rejected() {
+    let mut plan = Plan::cross();
+    plan.heights_m = vec![0.06, 0.02, 0.05, 0.04];
+    let flight = plan.fly();
+    let good = control(&plan, 8, 0.005);
+    let with = |points: &[ControlPoint]| {
+        align_with(&flight.survey(), &settings(), &Constraints { control: points, references: &[] }).unwrap()
+    };
+    let right = with(&good);
+    let mut points = good;
+    let moved = |point: &ControlPoint, up_m: f64| {
+        let geodetic = WGS84.geodetic_of(point.position_in_ecef_m);
+        let place = wavex_geodesy::ellipsoid::Geodetic { height_m: geodetic.height_m + up_m, ..geodetic };
+        ControlPoint { position_in_ecef_m: WGS84.ecef_of(place), ..*point }
+    };
+    points.push(moved(&control(&plan, 10, 0.005)[8], 1.0));
+    let far = LocalFrame::at(WGS84, PLACE).geodetic_of([5000.0, 0.0, 0.0]);
+    points.push(ControlPoint { position_in_ecef_m: WGS84.ecef_of(far), ..points[0] });
+    let result = with(&points);
+    let wrong = &result.control.differences[8];
+    assert!(!wrong.is_empty() && wrong.iter().all(|one| !one.is_used && one.after_m < -0.8), "{wrong:?}");
+    assert!(result.control.differences[9].is_empty());
+    assert!(result.control.differences[..8].iter().flatten().all(|one| one.is_used));
+    for (a, b) in result.parameters[0].iter().zip(&right.parameters[0]) {
+        assert!((a.value - b.value).abs() <= 0.1 * b.sd + 1e-12, "{a:?} {b:?}");
+    }
+    // All points off alike: the trajectories win, and the contradiction is shown.
+    let off: Vec<ControlPoint> = points[..8].iter().map(|point| moved(point, 40.0)).collect();
+    let result = with(&off);
+    assert!(result.control.contradicts() && result.verdict == Verdict::Doubtful, "{}", result.control.scale);
+    assert!(height_m(&flight, &plan, &result.state).abs() < 0.2);
+    let broken = ControlPoint { sd_m: [0.01, 0.0, 0.01], ..points[0] };
+    let constraints = Constraints { control: &[broken], references: &[] };
+    let error = align_with(&flight.survey(), &settings(), &constraints).unwrap_err();
+    assert_eq!(error, AlignError::Control { index: 0 });
+}
+
+/// A given plane shows the horizontal position, too, and patches of other planes do not count.
+#[test]
+fn given_planes_select_patches() {
+    let plan = Plan::cross();
+    let flight = plan.fly();
+    let mut point = control(&plan, 1, 0.005)[0];
+    let result = |point: ControlPoint| {
+        let constraints = Constraints { control: &[point], references: &[] };
+        align_with(&flight.survey(), &settings(), &constraints).unwrap().control.differences[0].clone()
+    };
+    let (x, y) = (0.0, 110.0);
+    let slope = |dx: f64, dy: f64| (hills(x + dx, y + dy) - hills(x - dx, y - dy)) / 0.02;
+    let normal = [-slope(0.01, 0.0), -slope(0.0, 0.01), 1.0];
+    point.normal = Some(normal.map(|part| part / length(normal)));
+    let found = result(point);
+    assert!(found.len() >= 3 && found.iter().all(|one| one.is_used && one.after_m.abs() < 0.1), "{found:?}");
+    point.normal = Some([0.0, -0.8, 0.6]);
+    assert!(result(point).is_empty());
+}
+
+#[test]
+fn reference_strips_are_not_corrected() {
+    let mut plan = Plan::cross();
+    plan.heights_m = vec![0.05, -0.03, 0.0, 0.02];
+    let flight = plan.fly();
+    let constraints = Constraints { control: &[], references: &[2] };
+    let result = align_with(&flight.survey(), &settings(), &constraints).unwrap();
+    let knot = result.strips[2].corrections.as_ref().unwrap().knots()[0];
+    assert!(knot.offset.is_zero());
+    assert_eq!((result.strips[2].knot_sds[0], result.strips[2].prior_sds), ([0.0; 6], [0.0; 6]));
+    for strip in [0, 1, 3] {
+        let down_m =
+            result.strips[strip].corrections.as_ref().unwrap().knots()[0].offset.north_east_down_m[2];
+        assert!((down_m - plan.heights_m[strip]).abs() < 0.005, "{strip}: {down_m}");
+    }
+    let constraints = Constraints { control: &[], references: &[4] };
+    let error = align_with(&flight.survey(), &settings(), &constraints).unwrap_err();
+    assert_eq!(error.to_string(), "reference 0 refers to strip 4, but there are 4");
+}
+
+/// SDs of trajectories that are ten times too small are corrected; exact ones change nothing else.
+#[test]
+fn wrong_sds_of_trajectories_are_corrected() {
+    let mut plan = Plan::cross();
+    plan.heights_m = vec![0.15, -0.1, 0.05, -0.12];
+    let mut settings = settings();
+    settings.trajectory_priors.sd = [0.005, 0.005, 0.005, MILLIDEGREE, MILLIDEGREE, MILLIDEGREE];
+    let result = align(&plan.fly().survey(), &settings).unwrap();
+    let [position, _] = result.trajectory_sds.unwrap();
+    assert!(position.is_used && position.factor > 3.0, "{position:?}");
+    assert!(result.strips[0].prior_sds[2] > 0.015);
+    settings.fits_trajectory_sds = false;
+    let given = align(&plan.fly().survey(), &settings).unwrap();
+    assert_eq!((given.trajectory_sds, given.strips[0].prior_sds[2]), (None, 0.005));
+}
+
+/// The scan angle scale is estimated if its start value has an SD.
+#[test]
+fn what_is_asked_is_estimated() {
+    let mut plan = Plan::cross();
+    plan.truth.calibration.e2 = 3e-4;
+    let mut flight = plan.fly();
+    assert_eq!(of(&aligned(&flight), Global::E2).treatment, Treatment::Given);
+    flight.prior(Global::E2, 1e-3);
+    let found = of(&aligned(&flight), Global::E2);
+    assert_eq!(found.treatment, Treatment::Estimated);
+    assert!((found.value - 3e-4).abs() < 4.0 * found.sd && found.sd < 2e-4, "{found:?}");
 }

@@ -8,10 +8,12 @@ mod figures;
 mod page;
 mod residual_map;
 mod residuals;
+mod trajectory_sds;
 
 pub use control::{ControlPointReport, ControlReport, ControlStrip, ControlUse};
 pub use page::page;
 pub use residuals::{residual_batches, write_residuals};
+pub use trajectory_sds::{SdFactor, TrajectorySds};
 
 /// Version of the report.
 pub const VERSION: u32 = 1;
@@ -73,6 +75,8 @@ pub struct AlignReport {
     pub control: Option<ControlReport>,
     /// Names of strips whose trajectories are not corrected.
     pub reference_strips: Vec<String>,
+    /// Factors of the SDs of the trajectories.
+    pub trajectory_sds: Option<TrajectorySds>,
 }
 
 /// Rating of an alignment.

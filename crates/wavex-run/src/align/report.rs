@@ -13,8 +13,8 @@ use wavex_geodesy::trajectory::corrections::CorrectionKnot;
 use wavex_line::georef::keys::CalibrationKey;
 use wavex_pages::report::align::{
     AlignReport, AlignVerdict, AlignedParameter, AlignedStrip, Covariance, FailedStrip, FileDigest, Flight,
-    Knot, NotDetermined, Overlap, ParameterCorrelation, ParameterTreatment, TrajectoryForm, TrajectoryWord,
-    VERSION,
+    Knot, NotDetermined, Overlap, ParameterCorrelation, ParameterTreatment, SdFactor, TrajectoryForm,
+    TrajectorySds, TrajectoryWord, VERSION,
 };
 
 /// Everything that an alignment found.
@@ -74,6 +74,14 @@ pub(super) fn report(
             })
         }),
         reference_strips: request.constraints.references.clone(),
+        trajectory_sds: result.trajectory_sds.map(|components| {
+            let [position, attitude] = components.map(|own| SdFactor {
+                factor: own.factor,
+                offsets: own.shown,
+                is_used: own.is_used,
+            });
+            TrajectorySds { position, attitude }
+        }),
     }
 }
 

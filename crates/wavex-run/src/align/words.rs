@@ -16,6 +16,9 @@ use wavex_geodesy::calibration::Calibration;
 /// Most overlaps that are listed.
 const LISTED: usize = 12;
 
+/// Factors of SDs beyond this are noted.
+const NOTED_FACTOR: f64 = 1.5;
+
 /// Parameters, differences of the strips, verdict.
 pub(super) fn summary(survey: &SurveyStrips, result: &Alignment, control: Option<&Control>) -> String {
     let mut text = String::new();
@@ -44,6 +47,11 @@ pub(super) fn summary(survey: &SurveyStrips, result: &Alignment, control: Option
         let _ = writeln!(text, "  and {more} more with smaller differences");
     }
     let _ = writeln!(text, "  all: {}", before_and_after(result.spread_m));
+    for (own, what) in result.trajectory_sds.iter().flatten().zip(["positions", "attitudes"]) {
+        if own.is_used && !(1.0 / NOTED_FACTOR..=NOTED_FACTOR).contains(&own.factor) {
+            let _ = writeln!(text, "{what} of the trajectories have {:.2} times the given SDs", own.factor);
+        }
+    }
     text += &control.map_or_else(String::new, |control| control.summary(result));
     let _ = writeln!(text, "verdict: {}", verdict_word(result.verdict));
     text
